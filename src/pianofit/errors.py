@@ -1,0 +1,35 @@
+"""Every error a user can meet.
+
+Each message is one line that names the thing (a file, an argument), the value found there, and what to do about it.
+The command line prints the message and exits with 1; it never shows a traceback for these.
+"""
+
+__all__ = ["PianofitError", "RecordingError", "SetupError", "ParameterError", "AnalysisError", "FitError", "OutputError"]
+
+
+class PianofitError(Exception):
+    """Base of all errors that are the input's, not the program's."""
+
+
+class RecordingError(PianofitError):
+    """An audio file that cannot be used: missing, truncated, silent, of another format."""
+
+
+class SetupError(PianofitError):
+    """A `setup.toml` with an unknown key, a wrong unit or range, or settings that contradict each other."""
+
+
+class ParameterError(PianofitError, ValueError):
+    """A physical parameter or an argument outside its range."""
+
+
+class AnalysisError(PianofitError):
+    """A recording in which the note, or enough of its partials, cannot be found."""
+
+
+class FitError(PianofitError):
+    """A model or a fit that cannot be computed, such as a contact that does not end."""
+
+
+class OutputError(PianofitError):
+    """A place that cannot be written to, or that holds something which would be lost."""

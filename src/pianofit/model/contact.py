@@ -1,0 +1,170 @@
+"""Contact is one scalar equation per step.
+
+The hammer meets the string only through the displacement that past forces left under it. With the kernel `g_n` (the
+displacement at the strike, n steps after a unit `T`), Crank-Nicolson for hammer and string together (paper eq. 16) is
+
+    e_n = y_H + 2a v_H - Σ_{m<n} g_{n-m} T_m - free motion        u_n = e_n - C T_n,   C = a²/M_H + g_0
+    w_n = (u_n - u_{n-1})/a - w_{n-1}                             F_n = K_H u_n^p (1 + μ w_n), never below 0
+
+`F_n` is a convex, rising function of `u_n`: Newton's iterates fall monotonically onto the root once they are above it,
+and one step from below takes them there. Clipped to [0, e_n - C F_{n-1}], which holds the root, they always converge.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from ..parameters import Hammer
+from .modes import Modes
+
+__all__ = ["FreeMotion", "Pulse", "felt_force", "free_motion", "impulse_amplitude", "kernel", "strike"]
+
+# Newton's iterations; from the worst start (p = 5) each takes a fifth off the error until it turns quadratic.
+MOST_ITERATIONS = 200
+
+
+class Pulse(NamedTuple):
+    """What the contact did, step by step from the first touch at n = 0. Units: SI."""
+
+    drive: Float[Array, " steps"]  # T^n = F^n + F^(n-1), N
+    force: Float[Array, " steps"]  # F^n, N
+    compression: Float[Array, " steps"]  # u^n, m; negative when apart
+    hammer: Float[Array, "steps 2"]  # y_H, m, and v_H, m/s
+    work: Float[Array, ""]  # what the contact put into the string, J
+    over: Bool[Array, ""]  # proven: the hammer cannot catch the string any more
+
+
+class FreeMotion(NamedTuple):
+    """A string that moves by itself: q = Re(amplitude · z^n), y at the strike [steps], and its energy."""
+
+    amplitude: Array  # complex [modes], m
+    under_hammer: Float[Array, " steps"]  # m
+    energy: Float[Array, ""]  # J
+
+
+def felt_force(u: Array, w: Array, hammer: Hammer) -> Array:
+    """Felt force, N, at compression `u`, m, and compression speed `w`, m/s (paper eq. 8, with u = y_H - y_s)."""
+    pressed = jnp.where(u > 0, u, 1.0)
+    return jnp.where(u > 0, hammer.K_H * pressed**hammer.p * jnp.maximum(1 + hammer.mu * w, 0.0), 0.0)
+
+
+def impulse_amplitude(modes: Modes) -> Array:
+    """C_k, complex [modes]: a unit `T` at step 0 leaves the mode at q_n = Re(C_k z_k^n), n ≥ 0. m/N."""
+    a = modes.step / 2
+    v = a * modes.drive / (1 + 2 * a * modes.alpha + a**2 * modes.omega2)
+    q = a * v
+    return q - 1j * (v + modes.alpha * q) / jnp.sqrt(modes.omega2 - modes.alpha**2)
+
+
+def powers(modes: Modes, steps: int) -> Array:
+    """z_k^n, complex [modes, steps]."""
+    return jnp.exp(modes.pole[:, None] * (modes.step * jnp.arange(steps)))
+
+
+def kernel(modes: Modes, steps: int) -> Float[Array, " steps"]:
+    """g_n, m/N: the displacement under the hammer n steps after a unit `T`."""
+    return ((modes.strike * impulse_amplitude(modes)) @ powers(modes, steps)).real
+
+
+def free_motion(modes: Modes, displacement: Array, velocity: Array, steps: int) -> FreeMotion:
+    """The motion of a string released at t = 0 with modal coordinates `displacement`, m, and `velocity`, m/s [modes]."""
+    rate = modes.free_rate
+    amplitude = displacement - 1j * (velocity - rate.real * displacement) / rate.imag
+    under = ((modes.strike * amplitude) @ powers(modes, steps)).real
+    silent = modes.drive == 0  # at a node of the strike: never meets the hammer
+    mass = jnp.where(silent, 0.0, modes.strike / jnp.where(silent, 1.0, modes.drive))
+    energy = 0.5 * (mass * (velocity**2 + modes.omega2 * displacement**2)).sum()
+    return FreeMotion(amplitude, under, energy)
+
+
+def strike(modes: Modes, hammer: Hammer, *, steps: int, free: FreeMotion | None = None) -> Pulse:
+    """The hammer on the string from the first touch on, for `steps` steps of the table's own δt.
+
+    The contact may end and begin again. Whether it is over for good is proven, not guessed: after the last step the
+    string's displacement under the hammer never exceeds √(2 E S), with E its energy and S its static compliance there,
+    so a hammer that moves away and is further off than that cannot touch again.
+    """
+    under = jnp.zeros(steps) if free is None else free.under_hammer
+    history = kernel(modes, steps)
+    (_, *last), (drive, force, u, y_hammer, v_hammer) = _march(history, hammer, modes.step, under)
+    y_string = y_hammer - u
+    own = y_string - under
+    work = 0.5 * (drive[1:] * (own[1:] - own[:-1])).sum()
+    reach = _reach(modes, work) + (0.0 if free is None else _reach(modes, free.energy))
+    over = (u[-1] <= 0) & (v_hammer[-1] <= 0) & (y_hammer[-1] + reach <= 0)
+    return Pulse(drive, force, u, jnp.stack([y_hammer, v_hammer], axis=-1), work, over)
+
+
+def _reach(modes: Modes, energy: Array) -> Array:
+    """The farthest a string of this energy can be from rest under the hammer, m (Cauchy-Schwarz over the modes)."""
+    compliance = (modes.strike * modes.drive / modes.omega2).sum()
+    return jnp.sqrt(2 * jnp.maximum(energy, 0.0) * compliance)
+
+
+def _march(g: Array, hammer: Hammer, step: Array, under: Array):
+    """Step the hammer over the kernel; see the module's docstring for the symbols."""
+    steps = g.shape[0]
+    a = step / 2
+    c = a**2 / hammer.M_H + g[0]
+    # g reversed and padded, so that the history at step n is one slice times all T so far.
+    reversed_g = jnp.concatenate([g[:0:-1], jnp.zeros(steps + 1)])
+
+    def advance(carry, n):
+        t_all, u, w, f, y, v = carry
+        past = jnp.dot(jax.lax.dynamic_slice(reversed_g, (steps - 1 - n,), (steps,)), t_all)
+        e = y + 2 * a * v - past - under[n]
+        u_new = _compression(e, u, w, f, c, a, hammer)
+        w_new = (u_new - u) / a - w
+        f_new = felt_force(u_new, w_new, hammer)
+        t = f_new + f
+        v_new = v - a / hammer.M_H * t
+        y_new = y + a * (v + v_new)
+        t_all = jax.lax.dynamic_update_index_in_dim(t_all, t, n, 0)
+        return (t_all, u_new, w_new, f_new, y_new, v_new), (t, f_new, u_new, y_new, v_new)
+
+    zero = jnp.zeros_like(c)
+    # y_H(0) = y_s at the strike: the felt touches, uncompressed (paper eq. 7).
+    start = (jnp.zeros(steps), zero, hammer.v_H0 + zero, zero, under[0] + zero, hammer.v_H0 + zero)
+    first = (zero, zero, zero, under[0] + zero, hammer.v_H0 + zero)
+    end, rest = jax.lax.scan(advance, start, jnp.arange(1, steps))
+    return end, tuple(jnp.concatenate([x[None], r]) for x, r in zip(first, rest, strict=True))
+
+
+def _compression(e, u_old, w_old, f_old, c, a, hammer: Hammer):
+    """The root u of u + C (F(u) + F_old) = e, differentiable through the implicit function theorem."""
+    upper = e - c * f_old
+
+    def newton(u, upper, w_old, u_old, c, hammer):
+        speed = (u - u_old) / a - w_old
+        pressed = jnp.maximum(u, jnp.finfo(float).tiny)
+        stiff = hammer.K_H * pressed ** (hammer.p - 1)
+        loss = jnp.maximum(1 + hammer.mu * speed, 0.0)
+        residual = u - upper + c * stiff * pressed * loss
+        slope = 1 + c * stiff * (hammer.p * loss + pressed * hammer.mu / a * (loss > 0))
+        return residual, slope
+
+    fixed = jax.lax.stop_gradient((upper, w_old, u_old, c, hammer))
+    top = jnp.maximum(fixed[0], 0.0)
+    floor = 4 * jnp.finfo(float).eps * top
+
+    def going(state):
+        _, residual, iteration = state
+        return (jnp.abs(residual) > floor) & (iteration < MOST_ITERATIONS)
+
+    def iterate(state):
+        u, _, iteration = state
+        residual, slope = newton(u, *fixed)
+        return jnp.clip(u - residual / slope, 0.0, top), residual, iteration + 1
+
+    guess = jnp.clip(jax.lax.stop_gradient(u_old + 2 * a * w_old), 0.0, top)
+    root, _, _ = jax.lax.while_loop(going, iterate, (guess, jnp.full_like(top, jnp.inf), 0))
+    root = jax.lax.stop_gradient(root)
+    # One Newton step from the root moves nothing and carries its exact first derivatives; two carry the second too.
+    for _ in range(2):
+        residual, slope = newton(root, upper, w_old, u_old, c, hammer)
+        root = root - residual / slope
+    return jnp.where(upper > 0, root, upper)

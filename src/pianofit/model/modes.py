@@ -1,0 +1,188 @@
+"""A string is a table of modes.
+
+Hinged ends make the sines `sin(β_k x)`, `β_k = kπ/L`, exact eigenfunctions of every term of the string's equation, on
+the continuous string and on the paper's finite-difference grid alike. A string is then a table with one row a mode, and
+only the numbers in the rows tell the two apart. Each row is stepped by Crank-Nicolson (paper eq. 16); with
+`a = δt/2` and `T^n = F^n + F^(n-1)`:
+
+    D = 1 + 2aα + a²ω²     v ← [(1 - 2aα - a²ω²) v - 2aω² q]/D + (aγ/D) T     q ← q + a (v_old + v_new)
+
+Crank-Nicolson flattens high partials. The `continuous` table undoes this by prewarping: it holds the frequency and the
+decay for which the scheme has exactly the continuous string's poles.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Complex, Float
+
+from ..errors import ParameterError
+from ..parameters import Geometry, String
+
+__all__ = ["QUANTITIES", "Modes", "mode_frequencies", "mode_table", "project", "window_weights"]
+
+QUANTITIES = ("velocity", "displacement", "bridge-force", "pressure")
+
+# A mode at or above this fraction of the contact's rate stays out of the table: prewarping would stretch it too far.
+HIGHEST = 0.4
+# The law α = b1 + b2 β² could damp a high mode past the critical; such a mode does not sound and is held at this α/ω.
+MOST_DAMPED = 0.9
+
+
+class Modes(NamedTuple):
+    """The table, one row a mode. Rows above `HIGHEST` have weight zero. Units: SI."""
+
+    omega2: Float[Array, " modes"]  # the scheme's ω̃², 1/s²
+    alpha: Float[Array, " modes"]  # the scheme's α̃, 1/s
+    strike: Float[Array, " modes"]  # Φ_k = ∫ ĝ sin(β_k x) dx
+    drive: Float[Array, " modes"]  # γ̃_k, 1/kg
+    pickup: Complex[Array, " modes"]  # signal = Re(pickup · C z^n) for a displacement q = Re(C z^n)
+    pole: Complex[Array, " modes"]  # p with z = exp(p δt) exactly the scheme's own, 1/s
+    free_rate: Complex[Array, " modes"]  # v = Re(free_rate · C z^n) in free motion, 1/s
+    free_pickup: Complex[Array, " modes"]  # the pickup for free motion, which no gain correction touches
+    step: Float[Array, ""]  # δt, s
+
+
+def mode_frequencies(string: String, length: float, n_modes: int) -> Float[Array, " modes"]:
+    """Undamped frequencies of the continuous string, Hz [modes]: k f0 √(1 + B k²)."""
+    beta2 = (jnp.arange(1, n_modes + 1) * (jnp.pi / length)) ** 2
+    return jnp.sqrt(string.c**2 * beta2 + string.kappa**2 * beta2**2) / (2 * jnp.pi)
+
+
+def raised_cosine_weights(geometry: Geometry, n_modes: int) -> Float[Array, " modes"]:
+    """Φ_k of the default window, ĝ = (1 + cos(2π(x - x0)/width))/width within ± width/2, in closed form."""
+    beta = jnp.arange(1, n_modes + 1) * (jnp.pi / geometry.length)
+    s = beta * geometry.width / (2 * jnp.pi)  # jnp.sinc(s) is sin(πs)/(πs)
+    return jnp.sin(beta * geometry.strike) * (jnp.sinc(s) + 0.5 * jnp.sinc(s + 1) + 0.5 * jnp.sinc(s - 1))
+
+
+def window_weights(window: Callable, geometry: Geometry, n_modes: int) -> Float[Array, " modes"]:
+    """Φ_k of any contact window.
+
+    Parameters
+    ----------
+    window : g(x - x0), not negative, within ± width/2, metres; it need not be normalised, nor smooth.
+    """
+    # Composite Gauss-Legendre, 16 nodes on each of 64 cells: kinks and jumps fall within single cells.
+    nodes, weights = np.polynomial.legendre.leggauss(16)
+    edges = jnp.linspace(-0.5, 0.5, 65) * geometry.width
+    half = (edges[1:] - edges[:-1]) / 2
+    x = ((edges[1:] + edges[:-1])[:, None] / 2 + half[:, None] * nodes).ravel()
+    g = jnp.asarray(window(x)) * (half[:, None] * weights).ravel()
+    beta = jnp.arange(1, n_modes + 1) * (jnp.pi / geometry.length)
+    return jnp.sin(beta[:, None] * (geometry.strike + x)) @ g / g.sum()
+
+
+def project(shape: Callable | np.ndarray, length: float, n_modes: int) -> Float[Array, " modes"]:
+    """Modal coordinates of an initial shape or velocity: y(x) = Σ q_k sin(β_k x).
+
+    Parameters
+    ----------
+    shape : a function of x in metres, or its values [points] at the inner points x_i = i L/(points + 1).
+
+    Raises
+    ------
+    ParameterError
+        If there are fewer points than modes.
+    """
+    if callable(shape):
+        points = max(4095, 8 * n_modes - 1)
+        shape = np.asarray(shape(np.arange(1, points + 1) * (length / (points + 1))))
+    values = jnp.asarray(shape)
+    if values.shape[0] < n_modes:
+        raise ParameterError(f"shape has {values.shape[0]} points; {n_modes} modes need at least as many")
+    i = jnp.arange(1, values.shape[0] + 1) / (values.shape[0] + 1)
+    return jnp.sin(jnp.pi * jnp.arange(1, n_modes + 1)[:, None] * i) @ values * (2 / (values.shape[0] + 1))
+
+
+def mode_table(
+    string: String,
+    geometry: Geometry,
+    *,
+    rate: float,
+    n_modes: int,
+    quantity: str = "velocity",
+    kind: str = "continuous",
+    strike_weights: Array | None = None,
+) -> Modes:
+    """Fill the table.
+
+    Parameters
+    ----------
+    rate : steps per second of the contact, Hz.
+    n_modes : rows; for `finite_difference` also the N points of the paper's grid, h = L/(N + 1).
+    quantity : what is heard: `velocity` or `displacement` at the pickup, or the `bridge-force` at x = L; `pressure` is
+        the bridge force too, before the unknown path.
+    kind : `continuous` (prewarped) or `finite_difference` (paper eq. 16-18, as it stands).
+    strike_weights : Φ_k [modes] of another contact window than the default, see `window_weights`.
+
+    Raises
+    ------
+    ParameterError
+        For an unknown `quantity` or `kind`.
+    """
+    if quantity not in QUANTITIES:
+        raise ParameterError(f"quantity={quantity!r} must be one of {', '.join(QUANTITIES)}")
+    if kind not in ("continuous", "finite_difference"):
+        raise ParameterError(f"kind={kind!r} must be continuous or finite_difference")
+    step = jnp.asarray(1.0 / rate)
+    k = jnp.arange(1, n_modes + 1)
+    beta = k * (jnp.pi / geometry.length)
+    if kind == "continuous":
+        eigen = beta**2
+        weights = raised_cosine_weights(geometry, n_modes)
+    else:
+        h = geometry.length / (n_modes + 1)
+        eigen = (2 / h * jnp.sin(beta * h / 2)) ** 2
+        weights = _grid_weights(geometry, n_modes)
+    weights = weights if strike_weights is None else strike_weights
+    omega2 = string.c**2 * eigen + string.kappa**2 * eigen**2
+    alpha = jnp.minimum(string.b1 + string.b2 * eigen, MOST_DAMPED * jnp.sqrt(omega2))
+    if kind == "continuous":
+        weights = jnp.where(jnp.sqrt(omega2) * step < 2 * jnp.pi * HIGHEST, weights, 0.0)
+    read, at_rest = _pickup(string, geometry, beta, quantity)
+    return _rows(omega2, alpha, weights, read, at_rest, geometry.mass, step, prewarp=kind == "continuous")
+
+
+def _grid_weights(geometry: Geometry, n: int) -> Float[Array, " modes"]:
+    """Φ_k of the default window sampled on the paper's grid and normalised there."""
+    x = jnp.arange(1, n + 1) * (geometry.length / (n + 1))
+    inside = jnp.abs(x - geometry.strike) < geometry.width / 2
+    g = jnp.where(inside, 1 + jnp.cos(2 * jnp.pi * (x - geometry.strike) / geometry.width), 0.0)
+    return jnp.sin(jnp.arange(1, n + 1)[:, None] * (jnp.pi / geometry.length) * x) @ g / g.sum()
+
+
+def _pickup(string: String, geometry: Geometry, beta: Array, quantity: str) -> tuple[Array, bool]:
+    """ψ_k, and whether it reads the displacement (else the velocity)."""
+    if quantity in ("velocity", "displacement"):
+        return jnp.sin(beta * geometry.pickup), quantity == "displacement"
+    sign = jnp.where(jnp.arange(beta.shape[0]) % 2 == 0, 1.0, -1.0)
+    tension = (string.c**2 * beta + string.kappa**2 * beta**3) * geometry.mass / geometry.length
+    return tension * sign, True
+
+
+def _rows(omega2, alpha, weights, read, reads_displacement: bool, mass, step, *, prewarp: bool) -> Modes:
+    """The scheme's rows for modes of frequency ω², decay α, strike weight Φ and pickup weight ψ."""
+    a = step / 2
+    drive = 2 * weights / mass
+    pole = -alpha + 1j * jnp.sqrt(omega2 - alpha**2)
+    if prewarp:
+        # Rows above HIGHEST weigh nothing; held there, their tangent stays finite.
+        limit = HIGHEST * jnp.pi
+        angle = jnp.minimum(jnp.sqrt(omega2) * a, limit)
+        warped = jnp.tanh(pole * (a * angle / (jnp.sqrt(omega2) * a))) / a
+        tilde2, alpha_tilde = jnp.abs(warped) ** 2, -warped.real
+        drive = drive * tilde2 / omega2  # keeps the static compliance, which the contact feels
+        gain = angle / (jnp.sin(angle) * jnp.cos(angle)) if reads_displacement else (angle / jnp.sin(angle)) ** 2
+        free_rate = pole
+    else:
+        tilde2, alpha_tilde, gain = omega2, alpha, jnp.ones_like(omega2)
+        warped = free_rate = pole
+        pole = jnp.log((1 + a * warped) / (1 - a * warped)) / step
+    pickup = read * gain * (jnp.ones_like(warped) if reads_displacement else warped)
+    free_pickup = read * (jnp.ones_like(warped) if reads_displacement else free_rate)
+    return Modes(tilde2, alpha_tilde, weights, drive, pickup, pole, free_rate, free_pickup, step)

@@ -1,0 +1,125 @@
+"""After the contact everything is closed form.
+
+A pulse `T` leaves every mode ringing with a complex amplitude, the pulse's transform at the mode's own pole times the
+mode's response to a unit pulse. The waveform is the sum of those damped exponentials. On the damped circle
+`ζ = exp(-(σ + jω)δt)` the spectrum is `Y = T̂(ζ) H(ζ)`: the pulse's transform times the string's mobility from strike to
+pickup, and H stays while the string stays. Evaluating at σ > 0 is the same as multiplying the signal by exp(-σt).
+"""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Complex, Float
+
+from .contact import FreeMotion, impulse_amplitude
+from .modes import Modes
+
+__all__ = ["level_db", "mobility", "pulse_transform", "ringing", "spectrum", "string_energy", "waveform"]
+
+# A partial's level is its energy in the first LEVEL_SPAN seconds under exp(-LEVEL_DECAY t).
+LEVEL_SPAN, LEVEL_DECAY = 0.35, 8.0
+
+
+def damped_circle(frequency: Array, sigma: float, step: Array) -> Complex[Array, " bins"]:
+    """ζ at frequencies in Hz [bins] and σ in 1/s."""
+    return jnp.exp(-(sigma + 2j * jnp.pi * frequency) * step)
+
+
+def pulse_transform(drive: Float[Array, " steps"], log_zeta: Array) -> Complex[Array, " bins"]:
+    """T̂ = Σ_n T^n ζ^n, N, at log ζ, complex [bins]. At log ζ = -p_k δt it is what rings in mode k."""
+    return jnp.exp(log_zeta[:, None] * jnp.arange(drive.shape[0])) @ drive
+
+
+def mobility(modes: Modes, zeta: Complex[Array, " bins"], amplitude: Array | None = None) -> Complex[Array, " bins"]:
+    """H(ζ) = Σ_n h_n ζ^n of the response h to a unit `T` (or to free modal `amplitude`s), per step.
+
+    A mode Re(R z^n) transforms to (Re R - Re(R z̄) ζ)/(1 - 2 Re z ζ + |z|² ζ²).
+    """
+    residue = modes.pickup * impulse_amplitude(modes) if amplitude is None else modes.free_pickup * amplitude
+    z = jnp.exp(modes.pole * modes.step)
+    upper = residue.real - (residue * z.conj()).real * zeta[:, None]
+    lower = 1 - zeta[:, None] * (2 * z.real - (jnp.abs(z) ** 2) * zeta[:, None])
+    return (upper / lower).sum(axis=1)
+
+
+def spectrum(
+    modes: Modes, drive: Float[Array, " steps"], frequency: Array, sigma: float, free: FreeMotion | None = None
+) -> Complex[Array, " bins"]:
+    """Y at `frequency`, Hz [bins], on the damped circle of `sigma`, 1/s: ∫ y exp(-(σ + jω)t) dt, signal unit · s."""
+    zeta = damped_circle(frequency, sigma, modes.step)
+    total = pulse_transform(drive, jnp.log(zeta)) * mobility(modes, zeta)
+    if free is not None:
+        total = total + mobility(modes, zeta, free.amplitude)
+    return total * modes.step
+
+
+def ringing(modes: Modes, drive: Float[Array, " steps"], free: FreeMotion | None = None) -> Complex[Array, " modes"]:
+    """A_k: after the contact the signal is Σ_k Re(A_k exp(p_k t)), t from the first touch."""
+    log_zeta = -modes.pole * modes.step
+    rows = jnp.exp(log_zeta[:, None] * jnp.arange(drive.shape[0])) @ drive
+    total = modes.pickup * impulse_amplitude(modes) * rows
+    return total if free is None else total + modes.free_pickup * free.amplitude
+
+
+def string_energy(modes: Modes, drive: Float[Array, " steps"]) -> Float[Array, " modes"]:
+    """Energy of every mode after the pulse, J, carried back to t = 0 as if it had rung since."""
+    amplitude = impulse_amplitude(modes) * pulse_transform(drive, -modes.pole * modes.step)
+    silent = modes.drive == 0
+    mass = jnp.where(silent, 0.0, modes.strike / jnp.where(silent, 1.0, modes.drive))
+    return 0.5 * mass * modes.omega2 * jnp.abs(amplitude) ** 2
+
+
+def level_db(amplitude: Complex[Array, " modes"], decay: Float[Array, " modes"]) -> Float[Array, " modes"]:
+    """Energy of each damped partial Re(A exp(-αt + jωt)) in the first 0.35 s under exp(-8t), dB re unit² · s."""
+    rate = 2 * (decay + LEVEL_DECAY)
+    energy = 0.5 * jnp.abs(amplitude) ** 2 * (1 - jnp.exp(-rate * LEVEL_SPAN)) / rate
+    return 10 * jnp.log10(jnp.maximum(energy, jnp.finfo(float).tiny))
+
+
+def waveform(
+    modes: Modes, drive: np.ndarray, *, rate: float, samples: int, free: FreeMotion | None = None
+) -> np.ndarray:
+    """The signal [samples] at `rate` from the first touch on, in the pickup's unit.
+
+    During the contact the pulse is convolved with the string's response at the contact's rate, of which `rate` must be
+    a whole fraction; afterwards the modes below half of `rate` ring by themselves.
+
+    Raises
+    ------
+    ParameterError
+        If `rate` is no whole fraction of the contact's rate.
+    """
+    from scipy.signal import fftconvolve
+
+    from ..errors import ParameterError
+
+    contact = 1.0 / float(modes.step)
+    ratio = round(contact / rate)
+    if ratio < 1 or abs(contact / rate - ratio) > 1e-6:
+        raise ParameterError(f"rate={rate} Hz must be a whole fraction of the contact's rate, {contact:g} Hz")
+    pole = np.asarray(modes.pole)
+    heard = np.abs(pole.imag) < np.pi * rate
+    drive = np.asarray(drive)
+    unit = np.asarray(modes.pickup * impulse_amplitude(modes))[heard]
+    pole = pole[heard]
+    release = np.zeros(0) if free is None else np.asarray(modes.free_pickup * free.amplitude)[heard]
+
+    steps = len(drive)
+    during = np.exp(pole[:, None] * np.arange(steps) / contact)
+    head = fftconvolve((unit @ during).real, drive)[:steps]
+    if free is not None:
+        head = head + (release @ during).real
+    head = head[::ratio][:samples]
+    amplitude = np.asarray(ringing(modes, jnp.asarray(drive), free))[heard]
+    tail = _ring(amplitude * np.exp(pole * (len(head) / rate)), pole / rate, samples - len(head))
+    return np.concatenate([head, tail])
+
+
+def _ring(amplitude: np.ndarray, log_z: np.ndarray, samples: int) -> np.ndarray:
+    """Σ_k Re(A_k z_k^n), n < samples: z^(block·i + j) = z^(block·i) z^j makes it one matrix product."""
+    block = 512
+    blocks = -(-max(samples, 0) // block)
+    starts = np.exp(np.outer(np.arange(blocks) * block, log_z)) * amplitude
+    within = np.exp(np.outer(log_z, np.arange(block)))
+    return (starts.real @ within.real - starts.imag @ within.imag).ravel()[:samples]
