@@ -18,7 +18,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from ..errors import ParameterError
 from ..parameters import Hammer
+from .exponentials import BLOCK, real_powers, ring
 from .modes import Modes
 
 __all__ = ["FreeMotion", "Pulse", "felt_force", "free_motion", "impulse_amplitude", "kernel", "strike"]
@@ -60,21 +62,16 @@ def impulse_amplitude(modes: Modes) -> Array:
     return q - 1j * (v + modes.alpha * q) / jnp.sqrt(modes.omega2 - modes.alpha**2)
 
 
-def powers(modes: Modes, steps: int) -> Array:
-    """z_k^n, complex [modes, steps]."""
-    return jnp.exp(modes.pole[:, None] * (modes.step * jnp.arange(steps)))
-
-
 def kernel(modes: Modes, steps: int) -> Float[Array, " steps"]:
     """g_n, m/N: the displacement under the hammer n steps after a unit `T`."""
-    return ((modes.strike * impulse_amplitude(modes)) @ powers(modes, steps)).real
+    return ring(modes.strike * impulse_amplitude(modes), modes.pole * modes.step, steps)
 
 
 def free_motion(modes: Modes, displacement: Array, velocity: Array, steps: int) -> FreeMotion:
     """The motion of a string released at t = 0 with modal coordinates `displacement`, m, and `velocity`, m/s [modes]."""
     rate = modes.free_rate
     amplitude = displacement - 1j * (velocity - rate.real * displacement) / rate.imag
-    under = ((modes.strike * amplitude) @ powers(modes, steps)).real
+    under = ring(modes.strike * amplitude, modes.pole * modes.step, steps)
     silent = modes.drive == 0  # at a node of the strike: never meets the hammer
     mass = jnp.where(silent, 0.0, modes.strike / jnp.where(silent, 1.0, modes.drive))
     energy = 0.5 * (mass * (velocity**2 + modes.omega2 * displacement**2)).sum()
@@ -88,9 +85,10 @@ def strike(modes: Modes, hammer: Hammer, *, steps: int, free: FreeMotion | None 
     string's displacement under the hammer never exceeds √(2 E S), with E its energy and S its static compliance there,
     so a hammer that moves away and is further off than that cannot touch again.
     """
+    if steps % BLOCK:
+        raise ParameterError(f"steps={steps} must be a multiple of {BLOCK}")
     under = jnp.zeros(steps) if free is None else free.under_hammer
-    history = kernel(modes, steps)
-    (_, *last), (drive, force, u, y_hammer, v_hammer) = _march(history, hammer, modes.step, under)
+    drive, force, u, y_hammer, v_hammer = _march(modes, hammer, under)
     y_string = y_hammer - u
     own = y_string - under
     work = 0.5 * (drive[1:] * (own[1:] - own[:-1])).sum()
@@ -105,33 +103,50 @@ def _reach(modes: Modes, energy: Array) -> Array:
     return jnp.sqrt(2 * jnp.maximum(energy, 0.0) * compliance)
 
 
-def _march(g: Array, hammer: Hammer, step: Array, under: Array):
-    """Step the hammer over the kernel; see the module's docstring for the symbols."""
-    steps = g.shape[0]
-    a = step / 2
-    c = a**2 / hammer.M_H + g[0]
-    # g reversed and padded, so that the history at step n is one slice times all T so far.
-    reversed_g = jnp.concatenate([g[:0:-1], jnp.zeros(steps + 1)])
+def _march(modes: Modes, hammer: Hammer, under: Array):
+    """Step the hammer over the string; see the module's docstring for the symbols.
 
-    def advance(carry, n):
-        t_all, u, w, f, y, v = carry
-        past = jnp.dot(jax.lax.dynamic_slice(reversed_g, (steps - 1 - n,), (steps,)), t_all)
-        e = y + 2 * a * v - past - under[n]
-        u_new = _compression(e, u, w, f, c, a, hammer)
-        w_new = (u_new - u) / a - w
-        f_new = felt_force(u_new, w_new, hammer)
-        t = f_new + f
-        v_new = v - a / hammer.M_H * t
-        y_new = y + a * (v + v_new)
-        t_all = jax.lax.dynamic_update_index_in_dim(t_all, t, n, 0)
-        return (t_all, u_new, w_new, f_new, y_new, v_new), (t, f_new, u_new, y_new, v_new)
+    The sum over past forces is split: those of the present block are summed with the kernel, step by step; all earlier
+    ones have left the modes ringing with complex amplitudes, which give the whole block's history as one matrix product
+    that candidates on the same string share. The cost is linear in the steps.
+    """
+    a = modes.step / 2
+    unit = impulse_amplitude(modes)
+    log_z = modes.pole * modes.step
+    re, im = real_powers(log_z, BLOCK + 1, 1)
+    g = kernel(modes, BLOCK)
+    own_g = jnp.concatenate([g[:0:-1], jnp.zeros(BLOCK + 1)])
+    c = a**2 / hammer.M_H + g[0]
+
+    def block(carry, under):
+        ringing, state = carry
+        past = (modes.strike * ringing.real) @ re[:, :BLOCK] - (modes.strike * ringing.imag) @ im[:, :BLOCK] + under
+
+        def advance(carry, i):
+            recent, (u, w, f, y, v) = carry
+            own = (jax.lax.dynamic_slice(own_g, (BLOCK - 1 - i,), (BLOCK,)) * recent).sum()
+            e = y + 2 * a * v - past[i] - own
+            u_new = _compression(e, u, w, f, c, a, hammer)
+            w_new = (u_new - u) / a - w
+            f_new = felt_force(u_new, w_new, hammer)
+            t = f_new + f
+            v_new = v - a / hammer.M_H * t
+            y_new = y + a * (v + v_new)
+            return (recent.at[i].set(t), (u_new, w_new, f_new, y_new, v_new)), (t, f_new, u_new, y_new, v_new)
+
+        (recent, state), outputs = jax.lax.scan(advance, (jnp.zeros(BLOCK), state), jnp.arange(BLOCK))
+        # A unit T at step i of this block rings as unit · z^(BLOCK - i) at the next block's start.
+        left = unit * (re[:, :0:-1] @ recent + 1j * (im[:, :0:-1] @ recent))
+        return (ringing * (re[:, BLOCK] + 1j * im[:, BLOCK]) + left, state), outputs
 
     zero = jnp.zeros_like(c)
     # y_H(0) = y_s at the strike: the felt touches, uncompressed (paper eq. 7).
-    start = (jnp.zeros(steps), zero, hammer.v_H0 + zero, zero, under[0] + zero, hammer.v_H0 + zero)
-    first = (zero, zero, zero, under[0] + zero, hammer.v_H0 + zero)
-    end, rest = jax.lax.scan(advance, start, jnp.arange(1, steps))
-    return end, tuple(jnp.concatenate([x[None], r]) for x, r in zip(first, rest, strict=True))
+    y, v = under[0] + zero, hammer.v_H0 + zero
+    # The first block starts at step 1, with nothing ringing yet.
+    shifted = jnp.append(under[1:], 0.0).reshape(-1, BLOCK)
+    _, rest = jax.lax.scan(block, (jnp.zeros_like(unit), (zero, v, zero, y, v)), shifted)
+    first = (zero, zero, zero, y, v)
+    return tuple(jnp.concatenate([x[None], r.ravel()[:-1]]) for x, r in zip(first, rest, strict=True))
 
 
 def _compression(e, u_old, w_old, f_old, c, a, hammer: Hammer):
@@ -153,7 +168,7 @@ def _compression(e, u_old, w_old, f_old, c, a, hammer: Hammer):
 
     def going(state):
         _, residual, iteration = state
-        return (jnp.abs(residual) > floor) & (iteration < MOST_ITERATIONS)
+        return (top > 0) & (jnp.abs(residual) > floor) & (iteration < MOST_ITERATIONS)
 
     def iterate(state):
         u, _, iteration = state

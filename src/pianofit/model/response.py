@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Complex, Float
 
 from .contact import FreeMotion, impulse_amplitude
+from .exponentials import transform
 from .modes import Modes
 
 __all__ = ["level_db", "mobility", "pulse_transform", "ringing", "spectrum", "string_energy", "waveform"]
@@ -28,7 +29,7 @@ def damped_circle(frequency: Array, sigma: float, step: Array) -> Complex[Array,
 
 def pulse_transform(drive: Float[Array, " steps"], log_zeta: Array) -> Complex[Array, " bins"]:
     """T̂ = Σ_n T^n ζ^n, N, at log ζ, complex [bins]. At log ζ = -p_k δt it is what rings in mode k."""
-    return jnp.exp(log_zeta[:, None] * jnp.arange(drive.shape[0])) @ drive
+    return transform(drive, log_zeta)
 
 
 def mobility(modes: Modes, zeta: Complex[Array, " bins"], amplitude: Array | None = None) -> Complex[Array, " bins"]:
@@ -56,9 +57,7 @@ def spectrum(
 
 def ringing(modes: Modes, drive: Float[Array, " steps"], free: FreeMotion | None = None) -> Complex[Array, " modes"]:
     """A_k: after the contact the signal is Σ_k Re(A_k exp(p_k t)), t from the first touch."""
-    log_zeta = -modes.pole * modes.step
-    rows = jnp.exp(log_zeta[:, None] * jnp.arange(drive.shape[0])) @ drive
-    total = modes.pickup * impulse_amplitude(modes) * rows
+    total = modes.pickup * impulse_amplitude(modes) * pulse_transform(drive, -modes.pole * modes.step)
     return total if free is None else total + modes.free_pickup * free.amplitude
 
 
