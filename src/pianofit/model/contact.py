@@ -45,6 +45,7 @@ class FreeMotion(NamedTuple):
 
     amplitude: Array  # complex [modes], m
     under_hammer: Float[Array, " steps"]  # m
+    speed: Float[Array, ""]  # of the string under the hammer at t = 0, m/s, the scheme's
     energy: Float[Array, ""]  # J
 
 
@@ -74,8 +75,11 @@ def free_motion(modes: Modes, displacement: Array, velocity: Array, steps: int) 
     under = ring(modes.strike * amplitude, modes.pole * modes.step, steps)
     silent = modes.drive == 0  # at a node of the strike: never meets the hammer
     mass = jnp.where(silent, 0.0, modes.strike / jnp.where(silent, 1.0, modes.drive))
+    # The scheme's own velocity, for its own energy: p̃ = (z - 1)/(z + 1)/a.
+    z_1 = jnp.expm1(modes.pole * modes.step)
+    velocity = (amplitude * z_1 / (2 + z_1)).real * (2 / modes.step)
     energy = 0.5 * (mass * (velocity**2 + modes.omega2 * displacement**2)).sum()
-    return FreeMotion(amplitude, under, energy)
+    return FreeMotion(amplitude, under, (modes.strike * velocity).sum(), energy)
 
 
 def strike(modes: Modes, hammer: Hammer, *, steps: int, free: FreeMotion | None = None) -> Pulse:
@@ -88,7 +92,7 @@ def strike(modes: Modes, hammer: Hammer, *, steps: int, free: FreeMotion | None 
     if steps % BLOCK:
         raise ParameterError(f"steps={steps} must be a multiple of {BLOCK}")
     under = jnp.zeros(steps) if free is None else free.under_hammer
-    drive, force, u, y_hammer, v_hammer = _march(modes, hammer, under)
+    drive, force, u, y_hammer, v_hammer = _march(modes, hammer, under, 0.0 if free is None else free.speed)
     y_string = y_hammer - u
     own = y_string - under
     work = 0.5 * (drive[1:] * (own[1:] - own[:-1])).sum()
@@ -103,7 +107,7 @@ def _reach(modes: Modes, energy: Array) -> Array:
     return jnp.sqrt(2 * jnp.maximum(energy, 0.0) * compliance)
 
 
-def _march(modes: Modes, hammer: Hammer, under: Array):
+def _march(modes: Modes, hammer: Hammer, under: Array, speed: Array | float):
     """Step the hammer over the string; see the module's docstring for the symbols.
 
     The sum over past forces is split: those of the present block are summed with the kernel, step by step; all earlier
@@ -144,7 +148,7 @@ def _march(modes: Modes, hammer: Hammer, under: Array):
     y, v = under[0] + zero, hammer.v_H0 + zero
     # The first block starts at step 1, with nothing ringing yet.
     shifted = jnp.append(under[1:], 0.0).reshape(-1, BLOCK)
-    _, rest = jax.lax.scan(block, (jnp.zeros_like(unit), (zero, v, zero, y, v)), shifted)
+    _, rest = jax.lax.scan(block, (jnp.zeros_like(unit), (zero, v - speed, zero, y, v)), shifted)
     first = (zero, zero, zero, y, v)
     return tuple(jnp.concatenate([x[None], r.ravel()[:-1]]) for x, r in zip(first, rest, strict=True))
 

@@ -182,7 +182,10 @@ def _rows(omega2, alpha, weights, read, reads_displacement: bool, mass, step, *,
     else:
         tilde2, alpha_tilde, gain = omega2, alpha, jnp.ones_like(omega2)
         warped = free_rate = pole
-        pole = jnp.log((1 + a * warped) / (1 - a * warped)) / step
+        # log((1 + ap)/(1 - ap)), whose real part must be exactly zero without losses.
+        below = (1 + a * alpha) ** 2 + a**2 * (omega2 - alpha**2)
+        turn = jnp.arctan2(2 * a * warped.imag, 1 - a**2 * omega2)
+        pole = (0.5 * jnp.log1p(-4 * a * alpha / below) + 1j * turn) / step
     pickup = read * gain * (jnp.ones_like(warped) if reads_displacement else warped)
     free_pickup = read * (jnp.ones_like(warped) if reads_displacement else free_rate)
     return Modes(tilde2, alpha_tilde, weights, drive, pickup, pole, free_rate, free_pickup, step)

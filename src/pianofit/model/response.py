@@ -40,7 +40,9 @@ def mobility(modes: Modes, zeta: Complex[Array, " bins"], amplitude: Array | Non
     residue = modes.pickup * impulse_amplitude(modes) if amplitude is None else modes.free_pickup * amplitude
     z = jnp.exp(modes.pole * modes.step)
     upper = residue.real - (residue * z.conj()).real * zeta[:, None]
-    lower = 1 - zeta[:, None] * (2 * z.real - (jnp.abs(z) ** 2) * zeta[:, None])
+    # (1 - zζ)(1 - z̄ζ), each formed from what is left after the ones have cancelled.
+    rise, turn = jnp.expm1(modes.pole * modes.step), zeta[:, None] - 1
+    lower = (rise + turn + rise * turn) * (rise.conj() + turn + rise.conj() * turn)
     return (upper / lower).sum(axis=1)
 
 

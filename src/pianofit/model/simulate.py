@@ -24,7 +24,8 @@ HIGHEST_RATE = 6_000_000.0
 ENOUGH_MODES = 30
 FAINT = 1e-3
 MOST_MODES = 512
-FIRST_STEPS, MOST_STEPS = 512, 2**15
+# Longer contacts start over with four times the steps.
+FIRST_STEPS, MOST_STEPS = 1024, 2**16
 
 
 class Simulation(NamedTuple):
@@ -108,7 +109,7 @@ def simulate(
     ParameterError
         For values outside their range.
     FitError
-        If the contact does not end within 32,768 steps.
+        If the contact does not end within 65,536 steps.
     """
     check(dict(zip(String._fields, map(float, string), strict=True)), "string")
     check(dict(zip(Hammer._fields, map(float, hammer), strict=True)), "hammer")
@@ -128,7 +129,7 @@ def simulate(
         )  # fmt: skip
         if bool(pulse.over):
             return Simulation(modes, pulse, free)
-        steps *= 2
+        steps *= 4
     raise FitError(
         f"v_H0={float(hammer.v_H0):g} m/s, M_H={float(hammer.M_H):g} kg: the hammer is still on the string after "
         f"{MOST_STEPS / contact:.3g} s; use a lighter or faster hammer"

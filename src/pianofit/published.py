@@ -1,0 +1,303 @@
+"""Published strings and hammers, each with its source and how it was read, and a typical note interpolated from them.
+
+Nothing here was measured by this project. "Read in the paper" means that the table was at hand; "second-hand" means
+that the values were seen in other people's code and could not be compared with the primary table.
+
+Where a published set is off: the frequencies printed beside the strings after Chabassier are those of A4 = 441 Hz, 4
+cents above ours, and their own tension, density and diameter miss them by -2 cents at C#5, -4 at G6 and -9 at C7.
+Chaigne and Askenfelt's C4 has 262.2 Hz, 4 cents above 440 Hz tuning. The paper's string has no note: 152.1 Hz lies 40
+cents below D#3.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from .errors import ParameterError
+from .parameters import Geometry, Hammer, String
+
+__all__ = ["HAMMERS", "LOSSES", "PRESETS", "STRINGS", "Preset", "Typical", "preset", "typical"]
+
+PAPER = "Bensa, Gipouloux and Kronland-Martinet, J. Acoust. Soc. Am. 118, 495 (2005), Tables II and III"
+CHAIGNE = "Chaigne and Askenfelt, J. Acoust. Soc. Am. 95, 1112 and 1631 (1994)"
+BENSA_2003 = "Bensa, Bilbao, Kronland-Martinet and Smith, J. Acoust. Soc. Am. 114, 1095 (2003)"
+CHABASSIER = "after Chabassier, thesis (2012)"
+READ, SECOND_HAND = "read in the paper", "second-hand"
+
+YOUNG = 2.0e11  # Pa, steel: the table after Chabassier has none
+TYPICAL_MU = 0.1  # s/m, the paper's starting value (Table III)
+TYPICAL_VELOCITY = 2.0  # m/s, mezzo-forte
+STRIKE = 0.12  # x0/L, Chaigne and Askenfelt; the strings after Chabassier lie from 0.116 to 0.121
+PICKUP = 0.30  # x_m/L, near no node of the first partials; chosen once, published nowhere
+WIDTH = 0.02  # m, full width of the contact window; chosen once, published nowhere
+
+
+@dataclass(frozen=True)
+class PublishedString:
+    """A string as a luthier would describe it."""
+
+    note: str
+    midi: int
+    f0: float  # Hz, as printed
+    length: float  # m
+    diameter: float  # m, of the core
+    density: float  # kg/m³, of the core's volume; above 7850 it carries the winding's mass
+    tension: float  # N
+    strike: float  # m
+    source: str = CHABASSIER
+    reading: str = SECOND_HAND
+
+    @property
+    def mass(self) -> float:
+        """M_S, kg."""
+        return self.density * math.pi * self.diameter**2 / 4 * self.length
+
+    @property
+    def c(self) -> float:
+        """Wave speed √(T L/M_S), m/s."""
+        return math.sqrt(self.tension * self.length / self.mass)
+
+    @property
+    def kappa(self) -> float:
+        """κ = √(E I/(ρ A)), m²/s, with I = π d⁴/64 of the core: a winding adds mass and next to no stiffness."""
+        return self.diameter / 4 * math.sqrt(YOUNG / self.density)
+
+
+@dataclass(frozen=True)
+class PublishedHammer:
+    """A hammer's mass and static felt law F = K_H u^p. It strikes all strings of its note."""
+
+    note: str
+    midi: int
+    M_H: float  # kg
+    p: float
+    K_H: float  # N/m^p
+    source: str = CHABASSIER
+    reading: str = SECOND_HAND
+
+
+@dataclass(frozen=True)
+class PublishedLoss:
+    """Decay rates b1 + b2 β² of a string."""
+
+    note: str
+    midi: int
+    b1: float  # 1/s
+    b2: float  # m²/s
+    source: str = BENSA_2003
+    reading: str = SECOND_HAND
+
+
+STRINGS = (
+    PublishedString("D#1", 27, 38.98, 1.965, 1.492e-3, 43195.0, 1773.0, 0.236),
+    PublishedString("C2", 36, 65.56, 1.602, 1.051e-3, 23919.0, 915.0, 0.192),
+    PublishedString("F3", 53, 175.01, 0.960, 1.049e-3, 7850.0, 766.0, 0.115),
+    PublishedString("C#5", 73, 555.6, 0.326, 0.928e-3, 7850.0, 695.0, 0.039),
+    PublishedString("G6", 91, 1571.35, 0.124, 0.860e-3, 7850.0, 689.0, 0.015),
+    PublishedString("C7", 96, 2098.32, 0.095, 0.831e-3, 7850.0, 670.0, 0.011),
+)
+HAMMERS = (
+    PublishedHammer("C2", 36, 10.20e-3, 2.276, 3.105e8),
+    PublishedHammer("C3", 48, 9.45e-3, 2.312, 1.347e9),
+    PublishedHammer("A3", 57, 8.89e-3, 2.385, 4.047e9),
+    PublishedHammer("A4", 69, 8.14e-3, 2.543, 1.755e10),
+    PublishedHammer("C5", 72, 7.96e-3, 2.593, 2.532e10),
+    PublishedHammer("A5", 81, 7.40e-3, 2.771, 7.611e10),
+)
+# One string's share of a hammer, a third of the mass above: for comparison, not mixed into the table.
+CHAIGNE_HAMMERS = (
+    PublishedHammer("C2", 36, 4.9e-3, 2.3, 4e8, CHAIGNE),
+    PublishedHammer("C4", 60, 2.97e-3, 2.5, 4.5e9, CHAIGNE),
+    PublishedHammer("C7", 96, 2.2e-3, 3.0, 1e11, CHAIGNE),
+)
+LOSSES = (
+    PublishedLoss("C2", 36, 0.25, 7.5e-5),
+    PublishedLoss("C4", 60, 1.1, 2.7e-4),
+    PublishedLoss("C7", 96, 9.17, 2.1e-3),
+)
+
+
+@dataclass(frozen=True)
+class Preset:
+    """A complete struck string: every number published, or completed as `completed` says."""
+
+    name: str
+    note: str | None  # None where the source names none
+    string: String
+    hammer: Hammer
+    geometry: Geometry
+    source: str
+    reading: str
+    completed: str  # what the source lacks, and where it was taken from
+
+    @property
+    def f0(self) -> float:
+        """c/2L, Hz: the fundamental of the string without stiffness."""
+        return float(self.string.c / (2 * self.geometry.length))
+
+
+@dataclass(frozen=True)
+class Typical:
+    """What a grand piano usually has at a note, interpolated from the tables; no instrument in particular."""
+
+    midi: float
+    f0: float  # Hz, equal temperament, A4 = 440 Hz
+    string: String
+    hammer: Hammer
+    geometry: Geometry
+
+
+def preset(name: str) -> Preset:
+    """Return the preset of that name.
+
+    Raises
+    ------
+    ParameterError
+        Naming the nearest, and all, names.
+    """
+    if name in PRESETS:
+        return PRESETS[name]
+    near = difflib.get_close_matches(str(name).lower(), {key.lower(): key for key in PRESETS}, 1)
+    hint = f"did you mean {next(key for key in PRESETS if key.lower() == near[0])}? " if near else ""
+    raise ParameterError(f"preset={str(name)!r} is not known; {hint}presets: {', '.join(PRESETS)}")
+
+
+def typical(midi: float) -> Typical:
+    """Return what a grand piano usually has at a note, smooth in `midi` (60 = C4; fractions allowed).
+
+    Length, tension, inharmonicity, losses, hammer mass and felt are interpolated by monotone cubics over the note
+    number, on a log scale but for p; mass, c and κ follow from them, so that c = 2 L f0 holds at every note. Beyond its
+    rows the tension keeps its last value and the others go on with their last slope: at C7 p is 3.07, where Chaigne and
+    Askenfelt have 3.0. The hammer is a whole one, striking all strings of its note.
+
+    Parameters
+    ----------
+    midi
+        From 15 to 114: the piano's 21 to 108 and half an octave to either side.
+
+    Raises
+    ------
+    ParameterError
+        Outside that range.
+    """
+    if not 15 <= midi <= 114:
+        raise ParameterError(f"midi={midi!r} must be from 15 to 114; 60 is C4")
+    f0 = 440.0 * 2 ** ((midi - 69) / 12)
+    at = {name: _curve(name)(midi) for name in TABLES}
+    length, c = at["length"], 2 * at["length"] * f0
+    kappa = c * length * math.sqrt(at["B"]) / math.pi  # B = κ² π²/(c² L²)
+    return Typical(
+        midi=float(midi),
+        f0=f0,
+        string=String(c, kappa, at["b1"], at["b2"]),
+        hammer=Hammer(at["K_H"], TYPICAL_MU, at["p"], at["M_H"], TYPICAL_VELOCITY),
+        geometry=_geometry(length, at["tension"] * length / c**2),
+    )
+
+
+def _geometry(length: float, mass: float, strike: float | None = None) -> Geometry:
+    """Complete a geometry; near the top of the keyboard the contact window is narrowed to fit beside the agraffe."""
+    width = min(WIDTH, 0.15 * length)
+    return Geometry(length, mass, STRIKE * length if strike is None else strike, width, PICKUP * length)
+
+
+def _inharmonicity(string: PublishedString) -> float:
+    return (string.kappa * math.pi / (string.c * string.length)) ** 2
+
+
+TABLES: dict[str, list[tuple[float, float]]] = {
+    "length": [(s.midi, s.length) for s in STRINGS],
+    "tension": [(s.midi, s.tension) for s in STRINGS],
+    "B": [(s.midi, _inharmonicity(s)) for s in STRINGS],
+    "b1": [(loss.midi, loss.b1) for loss in LOSSES],
+    "b2": [(loss.midi, loss.b2) for loss in LOSSES],
+    "M_H": [(h.midi, h.M_H) for h in HAMMERS],
+    "K_H": [(h.midi, h.K_H) for h in HAMMERS],
+    "p": [(h.midi, h.p) for h in HAMMERS],
+}
+
+
+@cache
+def _curve(name: str) -> Callable[[float], float]:
+    """Return one table as a function of the note number: a monotone cubic between its rows, straight beyond them.
+
+    The slope at a row is the weighted harmonic mean of its neighbours' (Fritsch and Butland 1984), so that the cubic
+    never overshoots; at either end it is the next interval's own.
+    """
+    midi, values = np.array(TABLES[name]).T
+    heights = values if name == "p" else np.log(values)
+    gaps, chords = np.diff(midi), np.diff(heights) / np.diff(midi)
+    left, right = 2 * gaps[1:] + gaps[:-1], gaps[1:] + 2 * gaps[:-1]
+    same = chords[:-1] * chords[1:] > 0
+    means = (left + right) / (left / np.where(same, chords[:-1], 1) + right / np.where(same, chords[1:], 1))
+    slopes = np.concatenate([chords[:1], np.where(same, means, 0.0), chords[-1:]])
+
+    def at(x: float) -> float:
+        inside = float(np.clip(x, midi[0], midi[-1]))
+        k = min(int(np.searchsorted(midi, inside, "right")) - 1, len(gaps) - 1)
+        t, gap = (inside - midi[k]) / gaps[k], gaps[k]
+        base = heights[k] + (heights[k + 1] - heights[k]) * t * t * (3 - 2 * t)
+        bend = gap * t * (1 - t) * (slopes[k] * (1 - t) - slopes[k + 1] * t)
+        beyond = 0.0 if name == "tension" else slopes[0 if x < inside else -1] * (x - inside)
+        height = float(base + bend + beyond)
+        return height if name == "p" else math.exp(height)
+
+    return at
+
+
+# What the paper does not give: a 1 m steel wire of 1 mm weighs 6.18 g and at c = 310.6 m/s pulls 596 N, which is usual;
+# the strike and the pickup stand where `typical` puts them; the initial κ is the final one, having none of its own.
+_PAPER_GEOMETRY = Geometry(length=1.0, mass=6.18e-3, strike=0.12, width=0.02, pickup=0.30)
+_PAPER_LACKS = "M_S, x0, window, pickup: chosen once"
+
+
+def _paper(name: str, string: String, hammer: Hammer, lacks: str) -> Preset:
+    return Preset(name, None, string, hammer, _PAPER_GEOMETRY, PAPER, READ, lacks)
+
+
+def _after_chabassier(row: PublishedString) -> Preset:
+    usual = typical(row.midi)
+    string = usual.string._replace(c=row.c, kappa=row.kappa)
+    name = f"chabassier-{row.note.replace('#', 's')}"
+    completed = "hammer interpolated from the same source; mu, window, pickup: chosen once; losses: Bensa et al. (2003)"
+    geometry = _geometry(row.length, row.mass, row.strike)
+    return Preset(name, row.note, string, usual.hammer, geometry, row.source, row.reading, completed)
+
+
+def _chaigne_c4() -> Preset:
+    length, mass, tension, epsilon = 0.62, 3.93e-3, 670.0, 3.82e-5
+    c = math.sqrt(tension * length / mass)
+    usual, felt = typical(60), CHAIGNE_HAMMERS[1]
+    string = usual.string._replace(c=c, kappa=math.sqrt(epsilon) * c * length)  # their stiffness term is ε c² L² y_xxxx
+    hammer = usual.hammer._replace(K_H=felt.K_H, p=felt.p, M_H=felt.M_H)
+    completed = "mu, window, pickup: chosen once; losses after Bensa et al. (2003): theirs are of another kind"
+    return Preset(
+        "chaigne-askenfelt-C4", "C4", string, hammer, _geometry(length, mass), CHAIGNE, SECOND_HAND, completed
+    )
+
+
+PRESETS: dict[str, Preset] = {
+    entry.name: entry
+    for entry in (
+        _paper(
+            "bensa-initial",
+            String(c=310.6, kappa=1.737, b1=0.500, b2=1.004e-10),
+            Hammer(K_H=1.51647e9, mu=0.1000, p=2.55, M_H=6.790e-3, v_H0=0.74078),
+            f"{_PAPER_LACKS}; kappa: the final one",
+        ),
+        _paper(
+            "bensa-final",
+            String(c=304.101, kappa=1.737, b1=0.568, b2=1.628e-6),
+            Hammer(K_H=1.09949e10, mu=0.1998, p=2.56, M_H=5.687e-3, v_H0=0.79993),
+            _PAPER_LACKS,
+        ),
+        _chaigne_c4(),
+        *map(_after_chabassier, STRINGS),
+    )
+}

@@ -1,0 +1,92 @@
+"""Sounds made ready for the page: cut to the note, equally loud, 16 bits, as text a browser can play.
+
+The three sounds are compared by ear, and the louder of two sounds seems the better one. So all get the same loudness:
+the mean square of the first second after the K-weighting of ITU-R BS.1770 (its two filters, as analogue prototypes, so
+that they mean the same at every rate). One more gain, the same for all, keeps the highest peak 1 dB below full scale:
+nothing clips, also while two sounds are blended into each other.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+import math
+import wave
+from dataclasses import dataclass
+
+import numpy as np
+
+__all__ = ["Clip", "k_weighted_mean_square", "make_clips"]
+
+SECONDS = 8.0  # of each sound are kept; a page of three such sounds at 48 kHz has 3 MB
+LEAD_IN = 0.05  # s kept before the onset
+FADE = 0.05  # s, at the end: many recordings are cut off
+PEAK = 10 ** (-1 / 20)
+HIGHEST_RATE = 96_000  # Hz; what every browser's Web Audio must play
+
+
+@dataclass(frozen=True)
+class Clip:
+    """One sound of the page: a WAV file as a `data:` address, and the gain in dB that it was given."""
+
+    name: str
+    uri: str
+    gain_db: float
+    rate: int
+    seconds: float
+
+
+def k_weighted_mean_square(samples: np.ndarray, rate: float) -> float:
+    """Mean square of `samples` [samples] after the K-weighting of ITU-R BS.1770-4, annex 1."""
+    power = np.abs(np.fft.rfft(samples)) ** 2
+    s = 2j * np.pi * np.fft.rfftfreq(len(samples), 1 / rate)
+    w1, q1, high = 2 * np.pi * 1681.974, 0.7071752, 10 ** (3.999844 / 20)  # shelf: +4 dB above 1.7 kHz, the head
+    w2, q2 = 2 * np.pi * 38.13547, 0.5003270  # high-pass
+    shelf = (high * s**2 + high**0.4996668 * w1 / q1 * s + w1**2) / (s**2 + w1 / q1 * s + w1**2)
+    highpass = s**2 / (s**2 + w2 / q2 * s + w2**2)
+    return float(2 * np.sum(power * np.abs(shelf * highpass) ** 2) / len(samples) ** 2)
+
+
+def make_clips(sounds: dict[str, np.ndarray], rate: int, onset: float = 0.0) -> list[Clip]:
+    """Cut, match and encode `sounds`: name -> [samples], all at `rate` Hz and aligned; `onset` in seconds.
+
+    A silent sound keeps its level. Above 96 kHz the sounds are brought down by a whole factor.
+    """
+    factor = math.ceil(rate / HIGHEST_RATE)
+    cut = {name: _excerpt(samples, rate, onset, factor) for name, samples in sounds.items()}
+    rate = round(rate / factor)
+    powers = {name: k_weighted_mean_square(samples[:rate], rate) for name, samples in cut.items()}
+    gains = {name: power**-0.5 if power > 0 else 1.0 for name, power in powers.items()}
+    highest = max(gains[name] * np.max(np.abs(samples)) for name, samples in cut.items())
+    common = PEAK / highest if highest > 0 else 1.0
+    return [
+        Clip(name, _wav_uri(samples * gains[name] * common, rate), 20 * math.log10(gains[name] * common), rate,
+             len(samples) / rate)
+        for name, samples in cut.items()
+    ]  # fmt: skip
+
+
+def _excerpt(samples: np.ndarray, rate: int, onset: float, factor: int) -> np.ndarray:
+    """From just before the onset, at most `SECONDS`, faded out, at the rate divided by `factor`."""
+    samples = np.nan_to_num(np.asarray(samples, dtype=np.float64), posinf=0.0, neginf=0.0)
+    samples = samples if len(samples) else np.zeros(1)
+    start = max(0, round((onset - LEAD_IN) * rate))
+    start = start if start < len(samples) else 0
+    kept = samples[start : start + round(SECONDS * rate)].copy()
+    fade = round(FADE * rate)
+    kept[-fade:] *= np.linspace(1.0, 0.0, fade)[-len(kept) :]
+    if factor > 1:
+        from scipy.signal import resample_poly  # 0.3 s to import, and seldom needed
+
+        kept = resample_poly(kept, 1, factor)
+    return kept
+
+
+def _wav_uri(samples: np.ndarray, rate: int) -> str:
+    file = io.BytesIO()
+    with wave.open(file, "wb") as out:
+        out.setnchannels(1)
+        out.setsampwidth(2)
+        out.setframerate(rate)
+        out.writeframes(np.round(samples * 32768).astype("<i2").tobytes())
+    return "data:audio/wav;base64," + base64.b64encode(file.getvalue()).decode()

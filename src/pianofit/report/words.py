@@ -1,0 +1,208 @@
+"""The content of `fit.json` in words: notices, sentences, lines of tables, and numbers as a reader likes them.
+
+Every function takes the whole fit and leaves out what it does not say. Text is plain; the page escapes it.
+"""
+
+from __future__ import annotations
+
+import math
+from decimal import Decimal
+from typing import Any
+
+from ..parameters import PARAMETERS
+from .figures import BANDS
+
+__all__ = ["bands", "comparison", "glide", "groups", "notices", "number", "rows", "tiles"]
+
+STATUS = {  # word -> mark, explanation
+    "free": ("●", "fitted to the recording"),
+    "fixed": ("■", "given, and held"),
+    "assumed": ("◇", "not measured; other numbers rest on it"),
+    "at-bound": ("▲", "stopped at the edge of its range"),
+    "not-identifiable": ("✕", "the recording does not tell"),
+}
+SYMBOLS = {"kappa": "κ", "b1": "b_1", "b2": "b_2", "mu": "μ", "x0": "x_0"}  # the page lowers what follows the "_"
+MEANINGS = {name: parameter.meaning for name, parameter in PARAMETERS.items()} | {
+    "b1": "loss, the same for all partials",
+    "b2": "loss that grows with frequency",
+    "M_S": "mass of the string",
+    "L": "length of the string",
+    "x0": "strike position",
+    "width": "width of the contact",
+    "pickup": "pickup position",
+}
+UNSETTLED = "The search ended before it settled. Take every number on this page as a stage on the way, not as a result."
+
+
+def number(value: Any, digits: int = 4) -> str:
+    """Write `value` with up to `digits` significant digits, as a reader likes it: 0.12, 304.1, 1.099 × 10¹⁰."""
+    if not _is_number(value):
+        return "–"
+    power, decimals = _scale(value, digits)
+    text = _fixed(value, power, decimals)
+    return (text.rstrip("0").rstrip(".") if "." in text else text) + _times(power)
+
+
+def _with_interval(value: Any, interval: Any) -> tuple[str, str]:
+    """`value` and its interval to the digits that the interval's width supports, with one power of ten for all."""
+    if not (_is_number(value) and interval and all(map(_is_number, interval))):
+        return number(value), ""
+    low, high = interval
+    width = (high - low) / 2
+    if not (width > 0 and max(abs(low), abs(high)) < 1e4 * abs(value)):  # no width, or decades apart: each by itself
+        return number(value), f"{number(low, 3)} to {number(high, 3)}"
+    resolved = math.ceil(math.log10(abs(value)) - math.log10(width)) + 1
+    power, decimals = _scale(value, min(9, max(3, resolved)))
+    ends = f"{_fixed(low, power, decimals)} to {_fixed(high, power, decimals)}"
+    return _fixed(value, power, decimals) + _times(power), (f"({ends}){_times(power)}" if power else ends)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and math.isfinite(value)
+
+
+def _scale(value: float, digits: int) -> tuple[int, int]:
+    """(Power of ten to take out, decimals to write) for `digits` significant digits of `value`."""
+    exponent = int(f"{value:.{digits - 1}e}".split("e")[1]) if value else 0
+    power = 0 if -4 < exponent < 6 else exponent
+    return power, max(0, digits - 1 - exponent + power)
+
+
+def _fixed(value: float, power: int, decimals: int) -> str:
+    return f"{Decimal(value).scaleb(-power):.{decimals}f}".replace("-", "−")
+
+
+def _times(power: int) -> str:
+    raised = str(power).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+    return f"\u00a0×\u00a010{raised}" if power else ""
+
+
+def rows(fit: dict[str, Any]) -> list[dict[str, str]]:
+    """Put the table of parameters into text, a line each."""
+    return [_row(name, entry) for name, entry in fit.get("parameters", {}).items()]
+
+
+def _row(name: str, entry: dict[str, Any]) -> dict[str, str]:
+    status = entry.get("status") or "free"
+    value, interval = _with_interval(entry.get("value"), entry.get("interval"))
+    unit = entry.get("unit") or ""
+    return {
+        "name": SYMBOLS.get(name, name),
+        "meaning": MEANINGS.get(name, ""),
+        "value": value,
+        "unit": "" if unit == "1" else unit.replace("^p", "ᵖ"),
+        "interval": interval,
+        "initial": number(entry.get("initial")),
+        "status": status,
+        "mark": STATUS.get(status, ("·", ""))[0],
+        "note": entry.get("note") or "",
+    }
+
+
+def notices(fit: dict[str, Any]) -> list[tuple[str, str, str]]:
+    """List (tone, heading, text) of what the page says first: the verdict, what went wrong, or that nothing did."""
+    measured = all(entry.get("status") in ("free", "fixed") for entry in fit.get("parameters", {}).values())
+    overall = fit.get("criterion", {}).get("global") or {}
+    initial, final = overall.get("initial"), overall.get("final")
+    worse = initial is not None and final is not None and final > initial
+    converged = fit.get("converged", True)
+    notices = []
+    if fit.get("verdict"):
+        tone = ("good", "✓") if converged and measured and not worse else ("warn", "⚠")
+        notices.append((tone[0], f"{tone[1]} Read this first", fit["verdict"]))
+    if not converged:
+        notices.append(("warn", "⚠ Not converged", UNSETTLED))
+    if worse:
+        notices.append(("warn", "⚠ Worse than the start", "The fit ends further from the recording than it began."))
+    if not notices and "converged" in fit:
+        mind = "" if measured else " Not every number below is measured: mind the marks beside them."
+        notices.append(("good", "✓ Converged", "The search settled." + mind))
+    return notices
+
+
+def _change(initial: Any, final: Any) -> str:
+    """How a criterion (a relative squared error) changed: as a factor, and in dB."""
+    if not (_is_number(initial) and _is_number(final) and initial > 0 and final > 0):
+        return "–"
+    ratio = initial / final
+    if abs(ratio - 1) < 5e-4:
+        return "no change"
+    words = f"{number(ratio, 3)} times smaller" if ratio > 1 else f"{number(1 / ratio, 3)} times larger"
+    return f"{words} ({-10 * math.log10(ratio):+.1f} dB)".replace("-", "−")
+
+
+def bands(fit: dict[str, Any]) -> list[dict[str, Any]]:
+    """Put the table of the criterion into text: all bands together, then each, the dropped ones named."""
+    criterion = fit.get("criterion", {})
+    names = {"global": "all bands together"} | BANDS
+    lines = []
+    for name, label in names.items():
+        entry, dropped = criterion.get(name) or {}, name in (criterion.get("dropped") or ())
+        if entry or dropped:
+            initial, final = entry.get("initial"), entry.get("final")
+            change = "left out: no partial of it stands above the noise" if dropped else _change(initial, final)
+            lines.append({"label": label, "initial": number(initial, 3), "final": number(final, 3), "change": change})
+    return lines
+
+
+def tiles(fit: dict[str, Any]) -> list[tuple[str, str, str]]:
+    """List (what, number, explanation) of the few figures to see first, without those that are missing."""
+    levels, derived, criterion = (fit.get(key, {}) for key in ("levels", "derived", "criterion"))
+    overall = criterion.get("global") or {}
+    moves, count, start = glide(fit), levels.get("partials", "all"), overall.get("initial")
+    force, depth = number(derived.get("max_force_N"), 3), number(derived.get("max_compression_mm"), 3)
+    tiles = (
+        (
+            "Error of the partials’ levels",
+            (levels.get("fitted_db"), 2, "dB"),
+            f"{number(levels.get('initial_db'), 2)} dB at the start; rms over {count} partials",
+        ),
+        (
+            "Criterion",
+            (overall.get("final"), 3, ""),
+            f"{number(start, 3)} at the start, {_change(start, overall.get('final'))}",
+        ),
+        (
+            "Pitch f₀",
+            (derived.get("f0"), 5, "Hz"),
+            f"inharmonicity B = {number(derived.get('B'), 3)}" + (f"; it {moves} as the note decays" if moves else ""),
+        ),
+        (
+            "Contact of the hammer",
+            (derived.get("contact_ms"), 3, "ms"),
+            f"up to {force} N, felt pressed in by {depth} mm",
+        ),
+    )
+    return [
+        (what, f"{number(value, digits)} {unit}", explanation)
+        for what, (value, digits, unit), explanation in tiles
+        if _is_number(value)
+    ]
+
+
+def glide(fit: dict[str, Any]) -> str:
+    """Say how the pitch moves while the note decays; empty where that is not known."""
+    cents = fit.get("derived", {}).get("glide_cents")
+    return f"{'falls' if cents >= 0 else 'rises'} by {abs(cents):.1f} cents" if _is_number(cents) else ""
+
+
+def groups(fit: dict[str, Any]) -> list[tuple[str, str, str, list[str]]]:
+    """List (status, mark, explanation, symbols) of each status that occurs."""
+    found = [(str(SYMBOLS.get(name, name)), entry.get("status")) for name, entry in fit.get("parameters", {}).items()]
+    groups = [(word, *STATUS[word], [symbol for symbol, status in found if status == word]) for word in STATUS]
+    return [group for group in groups if group[-1]]
+
+
+def comparison(fit: dict[str, Any]) -> str:
+    """Set the fit beside what an unknown path can do without it; empty where that was not tried."""
+    path, fitted = (fit.get("levels", {}).get(key) for key in ("path_only_db", "fitted_db"))
+    if not (_is_number(path) and _is_number(fitted)):
+        return ""
+    if path > fitted + 0.1:
+        meaning = "The fitted hammer explains more of the levels than a path alone."
+    else:
+        meaning = "A path alone does as well: these levels say nothing for the fitted hammer."
+    return (
+        f"A smooth output path alone, with a hammer from the literature, would leave an error of {path:.1f} dB in the "
+        f"partials’ levels; the fit leaves {fitted:.1f} dB. {meaning}"
+    )

@@ -1,0 +1,233 @@
+"""The page in a real browser: it loads nothing, and what it plays is read back sample by sample."""
+
+from __future__ import annotations
+
+import base64
+import io
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soundfile as sf
+from test_report import NAMES, example_curves, example_fit
+
+from pianofit.report.page import write_report
+from pianofit.report.sound import k_weighted_mean_square
+
+sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+CHROMIUM = shutil.which("chromium") or "/usr/bin/chromium"
+if not Path(CHROMIUM).exists():
+    pytest.skip("chromium is not installed (Debian: apt-get install chromium)", allow_module_level=True)
+
+ARGUMENTS = (
+    "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking "
+    "--disable-component-update --disable-sync"
+)
+RATE, HEARD = 8000, 32768  # Hz; samples that an analyser holds: four seconds of this page
+
+# An analyser at the player's output holds the last samples that were played; `heard` returns them.
+LISTEN = f"""() => {{
+  const player = window.pianofitPlayer;
+  window.analyser = new AnalyserNode(player.context, {{ fftSize: {HEARD} }});
+  player.output.connect(window.analyser);
+  window.heard = () => {{
+    const samples = new Float32Array({HEARD});
+    window.analyser.getFloatTimeDomainData(samples);
+    return Array.from(samples);
+  }};
+}}"""
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with sync_api.sync_playwright() as play:
+        browser = play.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS.split())
+        yield browser
+        browser.close()
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory):
+    curves = example_curves(rate=RATE, seconds=5.0)
+    path = tmp_path_factory.mktemp("page") / "a page #1?.html"
+    write_report(path, example_fit(), curves, "</script>'\"")
+    links = re.findall(r'data-name="(\w+)" [^>]*href="data:audio/wav;base64,([^"]+)"', path.read_text(encoding="utf-8"))
+    sounds = {name: sf.read(io.BytesIO(base64.b64decode(data)))[0] for name, data in links}
+    assert tuple(sounds) == NAMES
+    return path, sounds
+
+
+@pytest.fixture
+def page(browser, report):
+    """Open the page, which by the end must have asked for nothing and complained of nothing."""
+    page = browser.new_page(viewport={"width": 1280, "height": 800})
+    complaints, requests = [], []
+    page.on("console", lambda message: complaints.append(message.text))
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    page.on("request", lambda request: requests.append(request.url))
+    page.goto(report[0].as_uri())
+    page.evaluate(LISTEN)
+    yield page
+    page.close()
+    assert complaints == []
+    assert [url[:60] for url in requests if not url.startswith("data:")] == [report[0].as_uri()[:60]]
+
+
+def state(page):
+    return page.evaluate("window.pianofitPlayer.state")
+
+
+def wait_until(page, position):
+    page.wait_for_function("at => window.pianofitPlayer.state.position >= at", arg=position, polling=10)
+
+
+def heard(page):
+    return np.array(page.evaluate("window.heard()"))
+
+
+def locate(block, sound):
+    """Where `block` lies in `sound`, by least squares: the first sample there, and the largest difference."""
+    product = np.fft.irfft(np.fft.rfft(sound, 2**18) * np.conj(np.fft.rfft(block, 2**18)))[: len(sound) - len(block)]
+    energy = np.cumsum(np.concatenate([[0.0], sound**2]))
+    at = int(np.argmin(energy[len(block) : -1] - energy[: -len(block) - 1] - 2 * product))
+    return at, np.max(np.abs(sound[at : at + len(block)] - block))
+
+
+def test_page_opens_at_a_laptops_width_and_shows_its_pictures(page):
+    assert page.evaluate("document.documentElement.scrollWidth") <= 1280
+    sizes = page.evaluate(
+        "[...document.images].map((image) => [image.complete, image.naturalWidth, image.clientWidth])"
+    )
+    assert len(sizes) == 5
+    assert all(complete and natural > 500 and shown > 1000 for complete, natural, shown in sizes)
+    assert page.locator("h1").inner_text() == "</script>'\""
+    page.emulate_media(color_scheme="dark")
+    assert page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
+
+
+def test_policy_keeps_the_page_from_the_network(browser, report):
+    page, asked = browser.new_page(), []
+    page.goto(report[0].as_uri())
+    page.route("**/*", lambda route: (asked.append(route.request.url), route.fulfill(body="x")))
+    blocked = page.evaluate("""async () => {
+      const blocked = [];
+      addEventListener("securitypolicyviolation", (event) => blocked.push(event.effectiveDirective));
+      await fetch("http://127.0.0.1:9/a").catch(() => 0);
+      const image = new Image(), script = document.createElement("script");
+      const tried = new Promise((done) => { image.onerror = done; });
+      image.src = "http://127.0.0.1:9/b.png";
+      script.textContent = "window.ran = true";
+      document.body.append(script);
+      await tried;
+      return [...blocked.sort(), String(window.ran)];
+    }""")
+    page.close()
+    assert blocked == ["connect-src", "img-src", "script-src-elem", "undefined"]
+    assert asked == []
+
+
+def test_each_sound_is_played_as_it_is_and_equally_loud(page, report):
+    loudness = {}
+    for key, name in enumerate(NAMES, start=1):
+        page.keyboard.press(str(key))
+        page.keyboard.press("Space")
+        wait_until(page, 1.4)
+        played = heard(page)
+        at, difference = locate(played[-9000:], report[1][name])
+        assert difference < 1e-6, name  # float32 of the 16 bits, untouched
+        first_second = played[HEARD - 9000 - at :][:RATE]
+        np.testing.assert_allclose(first_second, report[1][name][:RATE], atol=1e-6)
+        loudness[name] = 10 * np.log10(k_weighted_mean_square(first_second, RATE))
+        page.keyboard.press("Space")
+        page.keyboard.press("Home")
+    assert max(loudness.values()) - min(loudness.values()) < 0.1
+
+
+def test_switching_in_mid_play_goes_on_from_the_same_place(page, report):
+    page.keyboard.press("Space")
+    wait_until(page, 0.8)
+    page.keyboard.press("3")
+    switched = state(page)["position"]
+    wait_until(page, switched + 0.5)
+    played = heard(page)
+    original, fitted = report[1]["original"], report[1]["fitted"]
+    at, difference = locate(played[-3000:], fitted)
+    assert difference < 1e-6
+    assert np.max(np.abs(played[-3000:] - original[at : at + 3000])) > 0.01
+    start = HEARD - 3000 - at  # where the note began, if the place was kept
+    heard_note = played[start:]
+    length = len(heard_note)
+    is_original = np.abs(heard_note - original[:length]) < 1e-6
+    is_fitted = np.abs(heard_note - fitted[:length]) < 1e-6
+    last_original, first_fitted = np.argmin(is_original), length - np.argmin(is_fitted[::-1])
+    assert last_original / RATE == pytest.approx(switched, abs=0.25)
+    assert 0.005 * RATE < first_fitted - last_original < 0.03 * RATE  # a blend of 20 ms, and no gap
+    blend = slice(last_original, first_fitted)
+    low, high = np.minimum(original, fitted)[blend], np.maximum(original, fitted)[blend]
+    assert np.all((heard_note[blend] >= low - 1e-6) & (heard_note[blend] <= high + 1e-6))
+
+
+def pressed(page):
+    return [button.get_attribute("aria-pressed") for button in page.locator("button.choice").all()]
+
+
+def test_everything_by_keyboard(page):
+    said, play = page.get_by_role("status"), page.get_by_role("button", name=re.compile("Play|Pause"))
+    reached = []
+    for _ in range(5):
+        page.keyboard.press("Tab")
+        reached.append(page.evaluate("document.activeElement.dataset.name || document.activeElement.id"))
+    assert reached == ["play", *NAMES, "seek"]
+
+    page.keyboard.press("Space")  # on the slider, as everywhere
+    assert (state(page)["playing"], play.inner_text(), said.inner_text()) == (True, "❚❚ Pause", "Playing original")
+    page.keyboard.press("2")
+    assert (pressed(page), said.inner_text()) == (["false", "true", "false"], "Playing initial")
+    page.keyboard.press("Space")
+    assert (state(page)["playing"], play.inner_text(), said.inner_text()) == (False, "▶ Play", "Paused")
+
+    page.keyboard.press("Home")
+    assert state(page)["position"] == 0
+    for _ in range(3):
+        page.keyboard.press("ArrowRight")
+    page.keyboard.press("ArrowLeft")
+    assert state(page)["position"] == pytest.approx(1.0)
+    slider = page.get_by_role("slider")
+    assert float(slider.input_value()) == pytest.approx(1.0)
+    assert slider.get_attribute("aria-valuetext") == "1.0 of 5.0 seconds"
+
+    page.locator("button.choice").nth(2).focus()
+    page.keyboard.press("Space")  # a button's own key: it is pressed
+    assert (pressed(page), state(page)["playing"]) == (["false", "false", "true"], False)
+    page.keyboard.press("Space")  # and once it is pressed, the key plays
+    assert (pressed(page), state(page)["playing"]) == (["false", "false", "true"], True)
+    page.keyboard.press("ArrowRight")
+    assert 1.5 <= state(page)["position"] < 2.5
+    page.keyboard.press("1")
+    page.keyboard.press("Space")  # the focus went along with the choice
+    assert (pressed(page), state(page)["playing"]) == (["true", "false", "false"], False)
+    page.keyboard.press("Control+2")  # the browser's own
+    assert state(page)["chosen"] == "original"
+
+
+def test_pause_keeps_the_place_and_the_end_returns_to_the_start(page, report):
+    page.keyboard.press("3")
+    page.evaluate("window.pianofitPlayer.seek(3.0)")
+    page.get_by_role("button", name="Play").click()
+    wait_until(page, 3.3)
+    page.get_by_role("button", name="Pause").click()
+    place = state(page)["position"]
+    page.wait_for_timeout(150)
+    assert state(page)["position"] == place
+    assert not heard(page)[-512:].any()
+    page.keyboard.press("Space")  # the button has the focus: once, not twice
+    assert state(page)["playing"]
+    wait_until(page, place + 0.2)
+    _, difference = locate(heard(page)[-1500:], report[1]["fitted"][round(place * RATE) :])
+    assert difference < 1e-6
+    page.evaluate("window.pianofitPlayer.seek(4.8)")
+    page.wait_for_function("() => !window.pianofitPlayer.state.playing")
+    assert state(page)["position"] == 0
+    assert page.get_by_role("status").inner_text() == "Ended"

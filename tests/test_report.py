@@ -1,0 +1,449 @@
+"""The page: whole, honest, closed to the network, and unmoved by hostile text or missing numbers."""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+import hashlib
+import io
+import re
+import xml.etree.ElementTree as ElementTree
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+import soundfile as sf
+from hypothesis import given
+from hypothesis import strategies as st
+from matplotlib.image import imread
+from scipy.signal import lfilter
+
+from pianofit.errors import OutputError
+from pianofit.report.figures import write_picture
+from pianofit.report.page import Curves, write_report
+from pianofit.report.sound import k_weighted_mean_square, make_clips
+from pianofit.report.words import number, rows
+
+NAMES = ("original", "initial", "fitted")
+
+
+def note(f0, inharmonicity, count, tilt, rate, seconds, seed=None, noise=0.0, lead=0.03):
+    """Sum of damped partials after `lead` seconds of silence: (samples, level in dB and decay of each partial)."""
+    k = np.arange(1, count + 1)
+    frequency, decay = k * f0 * np.sqrt(1 + inharmonicity * k**2), 0.6 + 0.004 * k**2
+    level = -tilt * k + 4 * np.cos(1.7 * k)
+    if seed is not None:
+        level = level + np.random.default_rng(seed).normal(0, 3, count)
+    kept = frequency < 0.45 * rate
+    t = np.arange(round(seconds * rate)) / rate - lead
+    sound = np.zeros_like(t)
+    for f, a, b in zip(frequency[kept], decay[kept], level[kept], strict=True):
+        sound += 10 ** (b / 20) * np.exp(-a * np.maximum(t, 0)) * np.sin(2 * np.pi * f * np.maximum(t, 0))
+    sound *= 0.25
+    sound += noise * np.random.default_rng(1).normal(size=len(t))
+    return sound, level, decay
+
+
+def pulse(ms, duration, depth, stiffness, exponent, loss):
+    """Felt (Hunt and Crossley) pressed in by half a sine: force in N, compression in mm."""
+    phase = np.pi * ms / duration
+    u = np.where(ms <= duration, depth * np.sin(phase), 0.0)
+    rate = np.where(ms <= duration, 1e3 * depth * np.pi / duration * np.cos(phase), 0.0)
+    return np.maximum(stiffness * np.maximum(u, 0) ** exponent * (1 + loss * rate), 0), 1e3 * u
+
+
+def example_curves(rate=44100, seconds=3.0, count=40, f0=92.33, quiet=0.1, path=True):
+    """Curves as a fit of one struck string would give them."""
+    B, k = 2.3e-4, np.arange(1, count + 1)
+    measured, level, decay = note(f0, B, count, 0.9, rate, seconds, seed=3, noise=1e-4)
+    initial, level_initial, _ = note(f0 * 1.001, 0.7 * B, count, 1.9, rate, seconds)
+    fitted, level_fitted, _ = note(f0, B, count, 0.95, rate, seconds)
+    t = np.arange(len(measured)) / rate
+    bins = np.arange(0, rate // 2, 3)  # Hz
+    bins = bins[(bins > 0.4 * f0) & (bins < (count + 1.5) * f0)]
+    damped = [np.fft.rfft((x * np.exp(-30 * t))[:rate], rate)[bins] for x in (measured, initial, fitted)]
+    spectra = [20 * np.log10(np.abs(x)) for x in damped]
+    attack = slice(round(0.028 * rate), round(0.06 * rate))
+    random = np.random.default_rng(5)
+    law = 1200 * np.log2(np.sqrt(1 + B * k**2))
+    ms = np.linspace(0, 6, 500)
+    force_initial, compression_initial = pulse(ms, 2.6, 9e-4, 1.5e9, 2.55, 0.1)
+    force_fitted, compression_fitted = pulse(ms, 2.2, 6.5e-4, 5.2e9, 2.56, 0.2)
+    return Curves(
+        bins.astype(float), *spectra, (0.5 * f0, 1.5 * f0, 8.6 * f0, float(bins[-1])),
+        1e3 * (t[attack] - 0.03), measured[attack], initial[attack], fitted[attack],
+        k, law + random.normal(0, 0.6, count), np.full(count, 0.4), law,
+        decay * np.exp(random.normal(0, 0.2, count)), 0.05 * decay, decay,
+        level, np.full(count, 0.3), level_initial, level_fitted, 3 * np.sin(k / 9) if path else None,
+        ms, force_initial, force_fitted, compression_initial, compression_fitted,
+        rate, measured, quiet * initial, fitted,
+    )  # fmt: skip
+
+
+def example_fit(**changes):
+    def entry(value, unit, interval, status, initial, note=""):
+        return {"value": value, "unit": unit, "interval": interval, "status": status, "initial": initial, "note": note}
+
+    length = "rests on an assumed length of 1 m"
+    fit = {
+        "schema": 1,
+        "program": "pianofit",
+        "recipe": "default",
+        "seed": 0,
+        "converged": True,
+        "verdict": "One uncalibrated recording does not fix the felt: a smooth unknown path with a hammer from the "
+        "literature explains these levels as well.",
+        "messages": ["The hammer velocity was not measured; 4 m/s was assumed.", "μ sits on its upper bound."],
+        "parameters": {
+            "c": entry(184.661, "m/s", [184.652, 184.670], "free", 184.7, length),
+            "kappa": entry(0.8914, "m²/s", [0.871, 0.912], "free", 0.87, length),
+            "b1": entry(0.5682, "1/s", [0.531, 0.607], "free", 0.5),
+            "b2": entry(4.05e-4, "m²/s", [3.6e-4, 4.5e-4], "free", 1.004e-10, length),
+            "K_H": entry(1.09949e10, "N/m^p", [8.1e9, 1.49e10], "free", 1.51647e9, "rests on an assumed string mass"),
+            "mu": entry(1.0, "s/m", None, "at-bound", 0.1, "upper bound 1 s/m"),
+            "p": entry(2.56, "1", None, "not-identifiable", 2.55),
+            "M_H": entry(5.687e-3, "kg", [5.2e-3, 6.2e-3], "free", 6.79e-3),
+            "v_H0": entry(4.0, "m/s", None, "assumed", 4.0, "not measured"),
+            "M_S": entry(0.00618, "kg", None, "assumed", None),
+            "L": entry(1.0, "m", None, "assumed", None),
+            "x0": entry(0.12, "m", None, "fixed", None),
+        },
+        "takes": [{"file": "cp80-Fs2-FF.flac", "sha256": "ab" * 32, "rate": 44100, "onset_s": 0.03, "v_H0": 4.0,
+                   "gain": 0.0123, "gain_status": "free"}],
+        "derived": {"f0": 92.331, "B": 2.3e-4, "f1": 92.34, "contact_ms": 2.214, "max_force_N": 33.42,
+                    "max_compression_mm": 0.65, "glide_cents": 4.31},
+        "criterion": {"global": {"initial": 0.83, "final": 0.059}, "band1": {"initial": 1.1, "final": 0.02},
+                      "band2": {"initial": 0.7, "final": 0.08}, "band3": {"initial": 0.9, "final": 0.9},
+                      "dropped": [], "sigma": 30.0, "borders": [46.0, 138.0, 790.0, 3800.0]},
+        "levels": {"initial_db": 12.31, "fitted_db": 2.64, "path_only_db": 2.6, "partials": 40},
+        "diagnostics": {"evaluations": 812},
+        "versions": {"pianofit": "0.1.0", "python": "3.12.4", "jax": "0.10.0"},
+    }  # fmt: skip
+    return fit | changes
+
+
+class Page(HTMLParser):
+    """Tags with their attributes, in order, the text of scripts, and the text that a reader sees."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.tags, self.scripts, self.words = [], [], []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attributes):  # noqa: D102  (the parser's own names)
+        self.tags.append((tag, dict(attributes)))
+
+    def handle_data(self, text):  # noqa: D102
+        (self.scripts if self.cdata_elem == "script" else [] if self.cdata_elem else self.words).append(text)
+
+    def all(self, tag):
+        """Return the attributes of every such tag."""
+        return [attributes for name, attributes in self.tags if name == tag]
+
+    @property
+    def text(self):
+        """The words a reader sees, spaces made one."""
+        return re.sub(r"\s+", " ", " ".join(self.words))
+
+
+@pytest.fixture(scope="module")
+def curves():
+    return example_curves(rate=16000, seconds=2.0)
+
+
+def written(folder, fit, curves, title="a.wav, F#2"):
+    path = folder / "report.html"
+    write_report(path, fit, curves, title)
+    assert [entry.name for entry in folder.iterdir()] == ["report.html"]
+    return path.read_text(encoding="utf-8")
+
+
+def sounds_of(page):
+    """{name: (samples, rate, gain in dB)} of the WAV files in the page."""
+    found = {}
+    for link in page.all("a"):
+        kind, data = link["href"].split(",", 1)
+        assert kind == "data:audio/wav;base64"
+        samples, rate = sf.read(io.BytesIO(base64.b64decode(data)), dtype="float64")
+        found[link["data-name"]] = samples, rate, float(link["data-gain-db"])
+    return found
+
+
+def test_page_holds_everything_and_may_load_nothing(tmp_path, curves):
+    page = Page(written(tmp_path, example_fit(), curves))
+    for _, attributes in page.tags:
+        assert not [name for name in attributes if name.startswith("on") or name in ("style", "srcset", "data")]
+        for name in ("src", "href"):
+            assert attributes.get(name, "data:").startswith("data:")
+    policy = next(meta["content"] for meta in page.all("meta") if meta.get("http-equiv") == "Content-Security-Policy")
+    script = hashlib.sha256("".join(page.scripts).encode()).digest()
+    assert f"script-src 'sha256-{base64.b64encode(script).decode()}';" in policy
+    assert policy.startswith("default-src 'none'")
+    assert "http" not in policy
+    images = page.all("img")
+    assert len(images) == 5
+    for image in images:
+        assert len(image["alt"]) > 40
+        svg = ElementTree.fromstring(base64.b64decode(image["src"].split(",")[1]))  # noqa: S314  (our own file)
+        links = [value for node in svg.iter() for name, value in node.attrib.items() if name.endswith("href")]
+        assert all(link.startswith(("#", "data:")) for link in links)
+
+
+def test_same_input_gives_the_same_page(tmp_path, curves):
+    first = written(tmp_path, example_fit(), curves)
+    assert written(tmp_path, example_fit(), curves) == first
+
+
+HOSTILE = "</script><script>alert(1)</script>\"'><img src=x onerror=alert(2)>\n{{ 7 * 7 }} $\\frac$ &amp; \udcff"
+
+
+def test_hostile_text_stays_text(tmp_path, curves):
+    def hostile(value):
+        if isinstance(value, dict):
+            return {key: hostile(entry) for key, entry in value.items()}
+        if isinstance(value, list):
+            return [hostile(entry) for entry in value]
+        return HOSTILE if isinstance(value, str) and value not in ("free", "at-bound", "assumed", "fixed") else value
+
+    tame = Page(written(tmp_path, example_fit(), curves))
+    fit = hostile(example_fit())
+    fit["parameters"][HOSTILE] = {"value": 1.0, "status": HOSTILE}
+    fit["versions"] = {HOSTILE: HOSTILE}
+    page = Page(written(tmp_path, fit, curves, title=HOSTILE))
+    assert page.scripts == tame.scripts
+    assert {tag for tag, _ in page.tags} <= {tag for tag, _ in tame.tags}
+    assert {name for _, attributes in page.tags for name in attributes} <= {
+        name for _, attributes in tame.tags for name in attributes
+    }
+    assert len(page.all("img")) == 5
+    assert page.text.count("alert(1)") > 10
+    assert "{{ 7 * 7 }}" in page.text
+
+
+def test_verdict_comes_first_and_plainly(tmp_path, curves):
+    page = Page(written(tmp_path, example_fit(), curves))
+    body = page.text[page.text.index("A string and a hammer") :]
+    order = [body.index(words) for words in (
+        "Read this first", "One uncalibrated recording does not fix the felt", "Error of the partials’ levels",
+        "A path alone does as well", "The hammer velocity was not measured", "Listen")]  # fmt: skip
+    assert order == sorted(order)
+    assert "The search converged." in body
+    assert "Not converged" not in body
+    better = example_fit(levels={"initial_db": 9.0, "fitted_db": 1.2, "path_only_db": 4.0, "partials": 40})
+    assert "explains more of the levels than a path alone" in Page(written(tmp_path, better, curves)).text
+
+
+@pytest.mark.parametrize("verdict", ["", "The felt is not fixed."])
+def test_a_fit_that_failed_says_so(tmp_path, curves, verdict):
+    fit = example_fit(verdict=verdict, converged=False)
+    fit["criterion"]["global"] = {"initial": 0.1, "final": 0.13}
+    text = Page(written(tmp_path, fit, curves)).text
+    order = [text.index(words) for words in ([verdict] if verdict else []) + ["Not converged", "Worse than the start"]]
+    assert order == sorted(order)
+    assert "✓" not in text
+    assert "1.3 times larger (+1.1 dB)" in text
+
+
+def test_a_clean_fit_says_so(tmp_path, curves):
+    fit = example_fit(verdict="")
+    fit["parameters"] = {"c": fit["parameters"]["c"]}
+    text = Page(written(tmp_path, fit, curves)).text
+    assert "✓ Converged The search settled." in text
+    assert "mind the marks" not in text
+    assert "⚠" not in text
+
+
+def test_criterion_levels_and_statuses_in_words(tmp_path, curves):
+    fit = example_fit()
+    fit["criterion"] |= {"dropped": ["band1"], "band1": None}
+    text = Page(html_text := written(tmp_path, fit, curves)).text
+    for words in (
+        "14.1 times smaller (−11.5 dB)",  # 0.83 / 0.059
+        "band 1: fundamental – – left out: no partial of it stands above the noise",
+        "band 2: partials 2 to 8 0.7 0.08 8.75 times smaller (−9.4 dB)",
+        "band 3: partials from 9 0.9 0.9 no change",
+        "12 dB at the start; rms over 40 partials",
+        "falls by 4.3 cents",
+        "(0.81 to 1.49) × 10¹⁰",
+        "▲ at-bound",
+        "◇ assumed",
+        "✕ not-identifiable",
+        "rests on an assumed length of 1 m",
+    ):
+        assert words in text.replace("\u00a0", " "), words
+    drawn = [base64.b64decode(image["src"].split(",")[1]).decode() for image in Page(html_text).all("img")]
+    assert "band 1, left out" in drawn[0]
+    assert "band 2: partials 2 to 8" in drawn[0]
+
+
+def nothing(array):
+    return np.full_like(np.asarray(array, dtype=float), np.nan)
+
+
+def with_nothing(curves):
+    arrays = {f.name: getattr(curves, f.name) for f in dataclasses.fields(curves)}
+    return Curves(**{name: nothing(x) if isinstance(x, np.ndarray) and name not in ("number", "frequency") else x
+                     for name, x in arrays.items()})  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "case",
+    [
+        lambda c: c,
+        with_nothing,
+        lambda c: dataclasses.replace(c, path=None, borders=()),
+        lambda c: dataclasses.replace(c, borders=(100.0, 700.0)),
+        lambda c: dataclasses.replace(
+            c, decay=-c.decay, force_fitted=0 * c.force_fitted, compression_fitted=-c.force_ms
+        ),
+        lambda c: dataclasses.replace(c, attack_measured=1e-9 * c.attack_measured, sound_fitted=1e30 * c.sound_fitted),
+        lambda c: dataclasses.replace(c, level_error=nothing(c.level), frequency_cents_error=nothing(c.level)),
+        lambda _: example_curves(rate=8000, seconds=0.6, count=1, f0=1760.0, path=False),
+    ],
+    ids=["whole", "nan", "no path", "one band", "no contact", "magnitudes", "no errors", "one partial"],
+)
+def test_page_and_picture_stand_what_a_fit_may_lack(tmp_path, curves, case):
+    lacking = case(curves)
+    page = Page(written(tmp_path, {}, lacking))
+    assert len(page.all("img")) == 5
+    assert set(sounds_of(page)) == set(NAMES)
+    write_picture(tmp_path / "picture.png", {}, lacking)
+
+
+def test_fit_of_nothing_known(tmp_path, curves):
+    assert written(tmp_path, dict.fromkeys(example_fit()), curves)
+    nothing_known = {"criterion": {"dropped": ["band1", "band3"]}, "levels": {"fitted_db": None}}
+    fit = example_fit(**nothing_known, derived={"f0": float("nan")}, takes=[{"file": "a.wav", "onset_s": None}])
+    fit["parameters"] = {name: {"value": None, "interval": [None, 1.0], "status": "free"} for name in fit["parameters"]}
+    assert "nan" not in Page(written(tmp_path, fit, curves)).text.split("All numbers of this fit")[0].lower()
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.0, "0"), (304.1, "304.1"), (1.0, "1"), (100.0, "100"), (1.09949e10, "1.099 × 10¹⁰"), (1.6e-6, "1.6 × 10⁻⁶"),
+     (-0.00123456, "−0.001235"), (99999.7, "100000"), (44100, "44100"), (9.9999e-4, "0.001"), (None, "–"),
+     (float("nan"), "–"), (float("-inf"), "–"), ("12", "–")],
+)  # fmt: skip
+def test_numbers_as_a_reader_likes_them(value, text):
+    assert number(value).replace("\u00a0", " ") == text
+
+
+@pytest.mark.parametrize(
+    ("value", "interval", "texts"),
+    [
+        (184.661, [184.652, 184.670], ("184.661", "184.652 to 184.670")),
+        (1.09949e10, [8.1e9, 1.49e10], ("1.10 × 10¹⁰", "(0.81 to 1.49) × 10¹⁰")),
+        (2e9, [1e8, 5e10], ("2.00 × 10⁹", "(0.10 to 50.00) × 10⁹")),
+        (2e9, [1e3, 5e16], ("2 × 10⁹", "1000 to 5 × 10¹⁶")),
+        (0.12, [0.12, 0.12], ("0.12", "0.12 to 0.12")),
+        (0.0, [-1.0, 1.0], ("0", "−1 to 1")),
+        (1e300, [-1e-310, 1e-310], ("1.00000000 × 10³⁰⁰", "(−0.00000000 to 0.00000000) × 10³⁰⁰")),
+        (2.5, None, ("2.5", "–")),
+        (2.5, [float("nan"), 3.0], ("2.5", "–")),
+    ],
+)
+def test_intervals_get_the_digits_they_support(value, interval, texts):
+    (row,) = rows({"parameters": {"c": {"value": value, "interval": interval}}})
+    assert (row["value"].replace("\u00a0", " "), (row["interval"] or "–").replace("\u00a0", " ")) == texts
+
+
+@given(st.floats(-1e307, 1e307), st.integers(1, 8))
+def test_numbers_keep_their_value(value, digits):
+    plain = number(value, digits).translate(str.maketrans("−⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "--0123456789", "\u00a0"))
+    assert float(plain.replace("×10", "e")) == pytest.approx(value, rel=0.51 * 10 ** (1 - digits), abs=1e-323)
+
+
+# ITU-R BS.1770-4, tables 1 and 2: the two filters at 48 kHz, as printed there.
+SHELF = [1.53512485958697, -2.69169618940638, 1.19839281085285], [1.0, -1.69065929318241, 0.73248077421585]
+HIGH_PASS = [1.0, -2.0, 1.0], [1.0, -1.99004745483398, 0.99007225036621]
+
+
+def printed_loudness(samples):
+    """Mean square of the first second at 48 kHz, in dB, by the recommendation's own filters."""
+    return 10 * np.log10(np.mean(lfilter(*HIGH_PASS, lfilter(*SHELF, samples[:48000])) ** 2))
+
+
+@pytest.mark.parametrize("frequency", [50.0, 300.0, 1000.0, 3000.0, 9000.0])
+def test_weighting_is_the_recommendations(frequency):
+    tone = np.sin(2 * np.pi * frequency * np.arange(48000) / 48000)
+    ours = 10 * np.log10(k_weighted_mean_square(tone, 48000))
+    settled = lfilter(*HIGH_PASS, lfilter(*SHELF, np.tile(tone, 2)))[48000:]
+    assert ours == pytest.approx(10 * np.log10(np.mean(settled**2)), abs=0.15)
+
+
+@pytest.mark.parametrize("loudest", NAMES)
+def test_sounds_are_equally_loud_and_never_clip(tmp_path, loudest):
+    curves = example_curves(rate=48000, seconds=2.0)
+    scale = {name: 3.0 if name == loudest else 0.02 for name in NAMES}
+    given_sounds = {name: scale[name] * getattr(curves, f"sound_{name}") for name in NAMES}
+    curves = dataclasses.replace(curves, **{f"sound_{name}": x for name, x in given_sounds.items()})
+    sounds = sounds_of(Page(written(tmp_path, example_fit(), curves)))
+    loudness = [printed_loudness(samples) for samples, _, _ in sounds.values()]
+    assert max(loudness) - min(loudness) < 0.3
+    assert max(np.max(np.abs(samples)) for samples, _, _ in sounds.values()) == pytest.approx(10 ** (-1 / 20), abs=1e-3)
+    for name, (samples, rate, gain_db) in sounds.items():
+        assert rate == 48000
+        body = len(samples) - 2400  # before the fade
+        expected = given_sounds[name][:body] * 10 ** (gain_db / 20)
+        np.testing.assert_allclose(samples[:body], expected, atol=1.1 / 32768)
+
+
+def test_sounds_are_cut_to_the_note():
+    rate, onset = 8000, 3.0
+    sound = np.zeros(20 * rate)
+    sound[round(onset * rate) :] = 0.5
+    clips = make_clips({"original": sound, "fitted": 0.1 * sound}, rate, onset)
+    for clip in clips:
+        samples, _ = sf.read(io.BytesIO(base64.b64decode(clip.uri.split(",")[1])))
+        assert len(samples) == 8 * rate == clip.seconds * rate
+        assert np.flatnonzero(samples)[0] == round(0.05 * rate)
+        assert samples[-1] == 0
+        assert samples[4 * rate] == pytest.approx(10 ** (-1 / 20), abs=1e-3)
+    assert clips[1].gain_db - clips[0].gain_db == pytest.approx(20)
+
+
+def test_high_rates_are_brought_down_without_changing_the_sound():
+    t = np.arange(192000) / 192000
+    (clip,) = make_clips({"original": np.sin(2 * np.pi * 1000 * t)}, 192000)
+    samples, rate = sf.read(io.BytesIO(base64.b64decode(clip.uri.split(",")[1])))
+    assert rate == 96000
+    middle = slice(20000, 60000)
+    expected = 10 ** (clip.gain_db / 20) * np.sin(2 * np.pi * 1000 * np.arange(96000) / 96000)
+    np.testing.assert_allclose(samples[middle], expected[middle], atol=2e-3)
+
+
+def test_silence_and_broken_samples_are_kept_silent():
+    broken = np.full(8000, np.nan)
+    clips = make_clips({"a": np.zeros(8000), "b": broken, "c": np.zeros(0)}, 8000)
+    assert [clip.gain_db for clip in clips] == [0.0] * 3
+    for clip in clips:
+        samples, _ = sf.read(io.BytesIO(base64.b64decode(clip.uri.split(",")[1])))
+        assert not samples.any()
+
+
+def test_picture_is_a_small_png_with_all_three_colours(tmp_path, curves):
+    path = tmp_path / "picture.png"
+    write_picture(path, example_fit(), curves)
+    content = path.read_bytes()
+    assert content[:8] == b"\x89PNG\r\n\x1a\n"
+    assert (int.from_bytes(content[16:20]), int.from_bytes(content[20:24])) == (1400, 900)
+    assert len(content) < 250_000
+    pixels = np.round(255 * imread(path)[..., :3]).astype(int)
+    for colour in ((0x11, 0x11, 0x11), (0xDD, 0x55, 0x00), (0x00, 0x77, 0xBB)):
+        assert np.sum(np.all(pixels == colour, axis=-1)) > 2000, colour
+
+
+def test_unwritable_places_are_named_and_nothing_is_left(tmp_path, curves, monkeypatch):
+    with pytest.raises(OutputError, match=r"nowhere/report\.html: cannot be written \(No such file.*choose"):
+        write_report(tmp_path / "nowhere" / "report.html", example_fit(), curves, "a")
+    place = tmp_path / "report.html"
+    place.write_text("before")
+
+    def full(self, target):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("pathlib.Path.replace", full)
+    with pytest.raises(OutputError, match="No space left on device"):
+        write_report(place, example_fit(), curves, "a")
+    assert [entry.name for entry in tmp_path.iterdir()] == ["report.html"]
+    assert place.read_text() == "before"

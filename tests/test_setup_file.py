@@ -1,0 +1,191 @@
+"""What was known beforehand: all of it is read, and nothing else is let through."""
+
+import math
+from pathlib import Path
+
+import pytest
+from bad_inputs import BAD_INPUTS, BadInput
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pianofit.errors import SetupError
+from pianofit.parameters import PARAMETERS
+from pianofit.recording import one_line
+from pianofit.setup_file import KEYS, PICKUPS, RANGES, Setup, Take, load_setup, setup_from_dict
+
+FULL = """
+# The paper's bench.
+[string]
+length = 1.0
+mass = 0.00618
+[strike]
+position = 0.12
+width = 0.02
+[pickup]
+quantity = "velocity"
+position = 0.30
+scale = 2.0
+[known]
+v_H0 = 0.84
+[initial]
+c = 310.6
+b1 = 0.5
+[bounds]
+K_H = [1e8, 1e12]
+c = [300, 320]
+[[take]]
+file = "a.flac"
+group = "close"
+gain_group = "close"
+[[take]]
+file = "b.flac"
+"""
+
+
+def test_every_key_is_read(tmp_path):
+    (tmp_path / "setup.toml").write_text(FULL)
+    assert load_setup(tmp_path / "setup.toml") == Setup(
+        length=1.0,
+        mass=0.00618,
+        strike_position=0.12,
+        strike_width=0.02,
+        pickup_quantity="velocity",
+        pickup_position=0.30,
+        pickup_scale=2.0,
+        known={"v_H0": 0.84},
+        initial={"c": 310.6, "b1": 0.5},
+        bounds={"K_H": (1e8, 1e12), "c": (300.0, 320.0)},
+        takes=(Take("a.flac", None, "close", "close"), Take("b.flac")),
+    )
+
+
+@pytest.mark.parametrize("text", ["# nothing is known\n", "[string]\n[strike]\n[known]\n[bounds]\n"])
+def test_all_of_it_is_optional(tmp_path, text):
+    (tmp_path / "setup.toml").write_text(text)
+    setup = load_setup(str(tmp_path / "setup.toml"))
+    assert setup == Setup()
+    assert (setup.pickup_quantity, setup.known, setup.takes) == ("pressure", {}, ())
+
+
+def test_windows_line_ends_and_byte_order_mark(tmp_path):
+    (tmp_path / "setup.toml").write_bytes(b"\xef\xbb\xbf" + FULL.strip().replace("\n", "\r\n").encode())
+    assert load_setup(tmp_path / "setup.toml").length == 1.0
+
+
+def test_numbers_may_be_integers_and_become_floats():
+    setup = setup_from_dict({"string": {"length": 1}, "known": {"p": 3}, "bounds": {"c": [300, 310]}}, "here")
+    assert [type(value) for value in (setup.length, setup.known["p"], *setup.bounds["c"])] == [float] * 4
+
+
+@pytest.mark.parametrize("quantity", PICKUPS)
+def test_every_pickup_has_one_complete_form(quantity):
+    pickup = {"quantity": quantity}
+    pickup |= {"position": 0.3} if quantity in ("velocity", "displacement") else {}
+    pickup |= {} if quantity == "pressure" else {"scale": 0.5}
+    setup = setup_from_dict({"pickup": pickup}, "here")
+    assert (setup.pickup_quantity, setup.pickup_position, setup.pickup_scale) == (
+        quantity,
+        pickup.get("position"),
+        pickup.get("scale"),
+    )
+
+
+def test_takes_may_have_velocities_of_their_own():
+    setup = setup_from_dict(
+        {"take": [{"file": "a.wav", "v_H0": 1}, {"file": "b.wav", "v_H0": 2.5}, {"v_H0": 1}]}, "here"
+    )
+    assert [take.v_H0 for take in setup.takes] == [1.0, 2.5, 1.0]
+
+
+@pytest.mark.parametrize("bad", [b for b in BAD_INPUTS if b.gate == "setup"], ids=lambda b: b.id)
+def test_every_bad_setup_is_refused_in_one_line(tmp_path, bad: BadInput):
+    bad.build(tmp_path)
+    with pytest.raises(SetupError) as caught:
+        load_setup(bad.bad_file(tmp_path))
+    message = str(caught.value)
+    assert bad.is_explained_by(message)
+    assert message.startswith(one_line(bad.bad_file(tmp_path)) + ": ")
+    assert message.isprintable()
+    assert len(message) < 300 + len(bad.bad_file(tmp_path))
+
+
+@pytest.mark.parametrize("name", PARAMETERS)
+@pytest.mark.parametrize("table", ["known", "initial"])
+def test_parameters_stay_in_their_box(name, table):
+    box = PARAMETERS[name]
+    for value in (box.lower, box.upper, math.sqrt(box.lower * box.upper)):
+        assert getattr(setup_from_dict({table: {name: value}}, "here"), table) == {name: value}
+    for value in (box.lower * 0.999, box.upper * 1.001, -box.lower, 0.0, math.inf, math.nan, "1", None, True, [1.0]):
+        with pytest.raises(SetupError, match=rf"here: \[{table}\] {name} = "):
+            setup_from_dict({table: {name: value}}, "here")
+
+
+@pytest.mark.parametrize(("table", "key"), [(t, k) for t in ("string", "strike") for k in KEYS[t]])
+def test_sizes_stay_in_their_range(table, key):
+    lower, upper, unit = RANGES[key]
+    for value in (lower * 0.999, upper * 1.001):
+        with pytest.raises(SetupError, match=rf"here: \[{table}\] {key} = .* {unit}"):
+            setup_from_dict({table: {key: value}}, "here")
+
+
+@pytest.mark.parametrize(
+    ("position", "width", "length", "fits"),
+    [
+        (0.01, 0.02, 1.0, True),  # ends at the agraffe
+        (0.0099, 0.02, 1.0, False),
+        (0.99, 0.02, 1.0, True),  # ends at the bridge
+        (0.9901, 0.02, 1.0, False),
+        (0.5, 1.0, 1.0, True),
+        (0.5, None, 0.5, True),
+        (0.51, None, 0.5, False),
+        (None, 0.02, 0.015, False),
+        (0.99, 0.02, None, True),
+    ],
+)
+def test_the_contact_window_lies_on_the_string(position, width, length, fits):
+    strike = {key: value for key, value in (("position", position), ("width", width)) if value is not None}
+    data = {"strike": strike, "string": {} if length is None else {"length": length}}
+    if fits:
+        assert setup_from_dict(data, "here").strike_position == position
+    else:
+        with pytest.raises(SetupError, match="past the"):
+            setup_from_dict(data, "here")
+
+
+SCALAR = st.one_of(st.booleans(), st.integers(), st.floats(), st.text(max_size=5), st.none())
+VALUE = st.one_of(SCALAR, st.lists(SCALAR, max_size=3), st.dictionaries(st.text(max_size=5), SCALAR, max_size=2))
+NAME = st.one_of(st.sampled_from([*KEYS, *{key for keys in KEYS.values() for key in keys}]), st.text(max_size=8))
+TABLE = st.one_of(VALUE, st.dictionaries(NAME, VALUE, max_size=3))
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.dictionaries(NAME, st.one_of(TABLE, st.lists(TABLE, max_size=2)), max_size=3))
+def test_anything_at_all_is_a_setup_or_a_setup_error(data):
+    try:
+        setup = setup_from_dict(data, "here")
+    except SetupError as error:
+        message = str(error)
+    else:
+        message = f"here: {setup.pickup_quantity}"
+    assert message.startswith("here: ")
+    assert message.isprintable()
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.binary(max_size=60))
+def test_any_bytes_at_all_are_a_setup_or_a_setup_error(tmp_path_factory, data):
+    path: Path = tmp_path_factory.mktemp("setup") / "setup.toml"
+    path.write_bytes(data)
+    try:
+        message = f"{path}: {load_setup(path).pickup_quantity}"
+    except SetupError as error:
+        message = str(error)
+    assert message.startswith(f"{path}: ")
+    assert message.isprintable()
+
+
+def test_the_corpus_of_bad_inputs_is_large_and_its_names_differ():
+    assert len(BAD_INPUTS) >= 60
+    assert len({bad.id for bad in BAD_INPUTS}) == len(BAD_INPUTS)
+    for command in ("fit", "analyse", "simulate", "render", "demo"):
+        assert any(bad.args[0] == command for bad in BAD_INPUTS)
