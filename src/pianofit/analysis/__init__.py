@@ -1,0 +1,22 @@
+"""What can be read off a recording without a hammer: partials, inharmonicity, losses, glide."""
+
+from .analyse import analyse
+from .components import energy_level
+from .inharmonicity import law_frequency
+from .notes import hz_to_note, note_to_hz, note_to_midi
+from .result import Analysis, Partials
+from .table import COLUMNS, as_dict, rows
+
+__all__ = [
+    "COLUMNS",
+    "Analysis",
+    "Partials",
+    "analyse",
+    "as_dict",
+    "energy_level",
+    "hz_to_note",
+    "law_frequency",
+    "note_to_hz",
+    "note_to_midi",
+    "rows",
+]

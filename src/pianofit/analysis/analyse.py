@@ -1,0 +1,164 @@
+"""From a recording to the table of partials and the two laws of its string."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..errors import AnalysisError
+from .demodulate import demodulate
+from .glide import glide_windows
+from .inharmonicity import CENTS, DecayLaw, FrequencyLaw, decay_law, frequency_law
+from .notes import hz_to_note
+from .partials import Measured, first_fits, lost, measure
+from .pitch import find_pitch, track
+from .result import Analysis, Partials
+from .spectrum import noise_between, spectrum
+
+if TYPE_CHECKING:
+    from ..recording import Recording
+
+__all__ = ["analyse"]
+
+_SKIP = 0.005  # s; the contact is over by then or all but
+_LONGEST = 20.0  # s; what comes later adds nothing
+_TOP = 12000.0  # Hz
+_WIDEST = 100.0  # Hz; more bandwidth than this brings no more information about a slow partial
+_LEAST_SNR = 14.0  # dB
+_WORST_LEVEL = 10.0  # dB; a level less sure than this is no level
+_OUTLIER = (6.0, 12.0)  # standard deviations, and cents, from the law beyond which a peak belongs to something else
+_BEATS = 1.5  # dB
+
+
+def analyse(recording: Recording, *, note: str | None = None, f0: float | None = None) -> Analysis:
+    """Find and measure the partials of one struck note.
+
+    Parameters
+    ----------
+    recording : Recording
+        Mono samples with the onset known.
+    note : str, optional
+        Note name such as "F#2"; the pitch is then sought within a semitone of it.
+    f0 : float, optional
+        The same, in Hz; takes precedence over `note`.
+
+    Raises
+    ------
+    AnalysisError
+        When the recording is too short, or the note, or enough of its partials, is not there.
+    """
+    rate = recording.rate
+    samples = np.asarray(recording.samples, float)[recording.onset :][: int(_LONGEST * rate)]
+    seconds = len(samples) / rate
+    if seconds < 0.08:
+        raise AnalysisError(
+            f"{recording.path}: {1000 * seconds:.0f} ms after the onset is too short to analyse; give 80 ms or more"
+        )
+    top = min(0.45 * rate, _TOP)
+    try:
+        rough_f0, rough_B = find_pitch(spectrum(samples, rate, 0.5), top=top, note=note, f0=f0)
+    except AnalysisError as error:
+        raise AnalysisError(f"{recording.path}: {error}") from None
+    if seconds * rough_f0 < 10:
+        raise AnalysisError(
+            f"{recording.path}: {seconds:.2f} s after the onset is too short for a note of {rough_f0:.1f} Hz; "
+            f"give {10 / rough_f0:.2f} s or more"
+        )
+    close = spectrum(samples, rate, float(np.clip(30 / rough_f0, 0.15, 1.0)))
+    number, frequency, law = track(close, rough_f0, rough_B, top=top)
+    _refuse(recording.path, number, law, note, f0)
+    return _measure_all(recording, samples, number, frequency, law, note)
+
+
+def _refuse(path: str, number: np.ndarray, law: FrequencyLaw, note: str | None, f0: float | None) -> None:
+    """Raise when there are no partials, or only every second or third of a pitch that was asked for."""
+    if len(number) == 0:
+        raise AnalysisError(f"{path}: no partial of {law.f0:.1f} Hz stands out of the noise; check the note (--note)")
+    for multiple in (2, 3):
+        if (note is not None or f0 is not None) and len(number) >= 4 and np.mean(number % multiple == 0) > 0.9:
+            found = multiple * law.f0
+            raise AnalysisError(
+                f"{path}: only every partial number {multiple} of {note or f0} is there, so it sounds like "
+                f"{hz_to_note(found)} ({found:.1f} Hz); give that note (--note) or the frequency (--f0)"
+            )
+
+
+def _measure_all(
+    recording: Recording,
+    samples: np.ndarray,
+    number: np.ndarray,
+    frequency: np.ndarray,
+    law: FrequencyLaw,
+    note: str | None,
+) -> Analysis:
+    rate, seconds = recording.rate, len(samples) / recording.rate
+    spacing = min(0.97 * law.f0, max(_WIDEST, 0.1 * law.f0))
+    bands = demodulate(samples, rate, frequency, spacing, min(_SKIP, 0.05 * seconds))
+    z, fit = first_fits(bands)
+    expected = law(np.arange(1, int(number.max()) + 6))
+    density = noise_between(samples, rate, expected, frequency, law.f0, min(0.05, 0.1 * seconds))
+    density = np.maximum(density, 1e-20 * float(np.max(np.abs(z))) ** 2)
+    windows = glide_windows(bands, z, fit, density)
+    fall, fall_error = 0.0, np.inf
+    if len(windows) > 1:
+        fall, fall_error = windows[0][2] - windows[-1][2], float(np.hypot(windows[0][3], windows[-1][3]))
+    glides = abs(fall) > max(3 * fall_error, 0.1)
+    rows = measure(bands, z, fit, density, glides)
+    keep = _plausible(rows, law, number) & ~lost(bands, fit)
+    keep[keep] = _on_law(number[keep], rows.frequency[keep], rows.frequency_error[keep], law)
+    if not keep.any():
+        raise AnalysisError(f"{recording.path}: no partial of {law.f0:.1f} Hz stands out of the noise")
+    table = _table(number[keep], rows, keep)
+    fine = _law(table.number, table.frequency, table.frequency_error, law)
+    losses = decay_law(table.number, table.decay, table.decay_error)
+    glide = tuple((a, b, fine.f0 * float(np.exp(c / CENTS))) for a, b, c, _ in windows)
+    return Analysis(
+        fine.f0, fine.f0_error, fine.B, fine.B_error,
+        losses.b1, losses.b1_error, losses.d2, losses.d2_error,
+        table, fine.scatter, losses.scatter, float(fall), glide, density[keep], note,
+        _warnings(table, losses, float(fall) if glides else 0.0),
+    )  # fmt: skip
+
+
+def _plausible(rows: Measured, law: FrequencyLaw, number: np.ndarray) -> np.ndarray:
+    """Tell which partials stand out of the noise and have numbers that mean something."""
+    near = np.abs(rows.frequency - law(number)) < 0.25 * law.f0
+    known = (rows.level_error < _WORST_LEVEL) & (rows.frequency_error < 0.1 * law.f0)
+    return (rows.snr > _LEAST_SNR) & near & known & (rows.decay < 300.0)
+
+
+def _law(k: np.ndarray, frequency: np.ndarray, error: np.ndarray, rough: FrequencyLaw) -> FrequencyLaw:
+    return frequency_law(k, frequency, error, B=rough.B if len(k) < 2 else None)
+
+
+def _on_law(k: np.ndarray, frequency: np.ndarray, error: np.ndarray, rough: FrequencyLaw) -> np.ndarray:
+    """Tell which partials keep to the law that most of them follow."""
+    if len(k) < 4:
+        return np.ones(len(k), bool)
+    law = _law(k, frequency, error, rough)
+    away = CENTS * np.abs(np.log(frequency / law(k)))
+    return away < np.maximum(_OUTLIER[0] * np.hypot(law.scatter, CENTS * error / frequency), _OUTLIER[1])
+
+
+def _table(number: np.ndarray, rows: Measured, keep: np.ndarray) -> Partials:
+    names = ("frequency", "frequency_error", "decay", "decay_error", "level", "level_error", "snr", "beating")
+    columns = {name: getattr(rows, name)[keep] for name in names}
+    columns["decay"] = np.maximum(columns["decay"], 1e-3)
+    return Partials(number=number, **columns)
+
+
+def _warnings(table: Partials, losses: DecayLaw, fall: float) -> tuple[str, ...]:
+    found = []
+    if len(table) < 3:
+        found.append(f"only {len(table)} partials found: B and the losses are hardly determined")
+    if fall:
+        found.append(f"the pitch {'falls' if fall > 0 else 'rises'} by {abs(fall):.1f} cents as the note decays")
+    deep = int(np.sum(table.beating > _BEATS))
+    if deep:
+        found.append(
+            f"{deep} of {len(table)} partials beat by more than {_BEATS:g} dB: more than one string or polarisation"
+        )
+    if losses.d2 < 2 * losses.d2_error and len(table) > 1:
+        found.append("the decay rates do not show how losses rise with frequency (d2 is not measurable)")
+    return tuple(found)

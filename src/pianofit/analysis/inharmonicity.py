@@ -1,0 +1,149 @@
+"""Two laws through many partials: f_k = k f0 √(1 + B k²) and α_k = b1 + d2 k².
+
+Both are straight lines in k² after a change of variable, fitted by iteratively reweighted least squares with Huber's
+weights (Huber 1964). What scatters beyond the noise (soundboard, windings, coupled strings) is estimated from the
+residuals and added to each error, so a partial known to a millionth does not outvote the rest of a note that keeps to
+its law only within some cents.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+__all__ = ["CENTS", "DecayLaw", "FrequencyLaw", "decay_law", "frequency_law"]
+
+CENTS = 1200 / np.log(2)  # cents per unit of log frequency
+_B_RANGE = (1e-6, 2e-2)
+_HUBER = 1.5
+
+
+@dataclass(frozen=True)
+class FrequencyLaw:
+    """f_k = k f0 √(1 + B k²), with standard errors."""
+
+    f0: float
+    f0_error: float
+    B: float
+    B_error: float
+    scatter: float  # cents, robust, beyond noise
+
+    def __call__(self, k: np.ndarray | float) -> np.ndarray:
+        """Frequencies of partials `k`, Hz."""
+        return law_frequency(self.f0, self.B, k)
+
+
+@dataclass(frozen=True)
+class DecayLaw:
+    """α_k = b1 + d2 k², with standard errors, 1/s."""
+
+    b1: float
+    b1_error: float
+    d2: float
+    d2_error: float
+    scatter: float  # relative, robust, beyond noise
+
+    def __call__(self, k: np.ndarray | float) -> np.ndarray:
+        """Decay rates of partials `k`, 1/s."""
+        return self.b1 + self.d2 * np.asarray(k, float) ** 2
+
+
+def law_frequency(f0: float, B: float, k: np.ndarray | float) -> np.ndarray:
+    """Frequencies k f0 √(1 + B k²) of partials `k`, Hz."""
+    k = np.asarray(k, float)
+    return k * f0 * np.sqrt(1 + B * k**2)
+
+
+def robust_scatter(residual: np.ndarray, error: np.ndarray, dof: int) -> float:
+    """Scatter s that makes the median of |residual|/√(error² + s²) that of a normal variable, 0.6745.
+
+    That median lies above 0.6745 as long as residual²/0.6745² − error² is above s² for more than half of the residuals:
+    so s² is its median. Residuals are widened for the `dof` parameters fitted to them.
+    """
+    n = len(residual)
+    if n <= dof:
+        return 0.0
+    return float(np.sqrt(max(np.median(residual**2 * (n / (n - dof)) / 0.6745**2 - error**2), 0.0)))
+
+
+def _huber(standardised: np.ndarray) -> np.ndarray:
+    return np.minimum(1.0, _HUBER / np.maximum(np.abs(standardised), 1e-12))
+
+
+def _line(x: np.ndarray, value: np.ndarray, weight: np.ndarray) -> tuple[float, float, np.ndarray]:
+    """Weighted straight line a + b x: a, b and their covariance (weights are inverse variances)."""
+    total = np.sum(weight)
+    middle = float(np.sum(weight * x) / total)
+    spread = float(np.sum(weight * (x - middle) ** 2))
+    b = float(np.sum(weight * (x - middle) * value)) / spread
+    a = float(np.sum(weight * value) / total) - b * middle
+    return a, b, np.array([[1 / total + middle**2 / spread, -middle / spread], [-middle / spread, 1 / spread]])
+
+
+def frequency_law(k: np.ndarray, frequency: np.ndarray, error: np.ndarray, *, B: float | None = None) -> FrequencyLaw:
+    """Robust f0 and B through partials `k` of `frequency` with standard `error` (Hz), [partials].
+
+    With a single partial, or with `B` given, B is held (default 3e-4) and its error is infinite.
+    """
+    k = np.asarray(k, float)
+    value = (frequency / k) ** 2  # f0² + f0² B k²
+    relative = np.maximum(error / frequency, 1e-12)
+    hold = B is not None or len(k) < 2
+    held = 3e-4 if B is None else B
+    scatter, robust = 10.0, np.ones(len(k))
+    f0, slope = float(np.median(frequency / k / np.sqrt(1 + held * k**2))), held
+    cov = np.zeros((2, 2))
+    for _ in range(30):
+        model = law_frequency(f0, slope, k)
+        sigma = 2 * (model / k) ** 2 * np.sqrt(relative**2 + (scatter / CENTS) ** 2)
+        weight = robust / sigma**2
+        if hold:
+            base = 1 + slope * k**2
+            f0 = float(np.sqrt(np.sum(weight * base * value) / np.sum(weight * base**2)))
+            cov = np.diag([1 / np.sum(weight * base**2), np.inf])
+        else:
+            a, b, cov = _line(k**2, value, weight)
+            slope = float(np.clip(b / a, *_B_RANGE)) if a > 0 else slope
+            base = 1 + slope * k**2
+            if not (a > 0 and abs(slope - b / a) < 1e-15):
+                a = np.sum(weight * base * value) / np.sum(weight * base**2)
+            f0 = float(np.sqrt(a))
+        residual = np.log(frequency / law_frequency(f0, slope, k))
+        previous, scatter = scatter, CENTS * robust_scatter(residual, relative, 1 if hold else 2)
+        robust = _huber(residual / np.sqrt(relative**2 + (scatter / CENTS) ** 2))
+        if abs(scatter - previous) < 1e-6 * previous:
+            break
+    f0_error = float(np.sqrt(cov[0, 0])) / (2 * f0)
+    gradient = np.array([-slope / f0**2, 1 / f0**2])
+    B_error = float("inf") if hold else float(np.sqrt(max(gradient @ cov @ gradient, 0.0)))
+    return FrequencyLaw(f0, f0_error, float(slope), B_error, float(scatter))
+
+
+def decay_law(k: np.ndarray, decay: np.ndarray, error: np.ndarray) -> DecayLaw:
+    """Robust b1 > 0 and d2 >= 0 through decay rates `decay` with standard `error` (1/s), [partials]."""
+    k = np.asarray(k, float)
+    scatter, robust = 0.5, np.ones(len(k))
+    middle = max(float(np.median(decay)), 1e-3)
+    model, spread, b1, d2 = np.full(len(k), middle), float(np.ptp(k**2)), middle, 0.0
+    cov = np.eye(2)
+    for _ in range(40):
+        sigma = np.sqrt(error**2 + (scatter * model) ** 2)
+        weight = robust / np.maximum(sigma, 1e-12 * middle) ** 2
+        if spread > 0:
+            b1, d2, cov = _line(k**2, decay, weight)
+        if spread == 0 or d2 < 0:
+            b1, d2 = float(np.sum(weight * decay) / np.sum(weight)), 0.0
+        if b1 <= 0.02 * middle:
+            b1 = 0.02 * middle
+            d2 = max(float(np.sum(weight * k**2 * (decay - b1)) / np.sum(weight * k**4)), 0.0)
+        model = b1 + d2 * k**2
+        residual = (decay - model) / model
+        previous, scatter = scatter, robust_scatter(residual, error / model, 2 if spread > 0 else 1)
+        robust = _huber(residual / np.sqrt((error / model) ** 2 + scatter**2 + 1e-24))
+        if abs(scatter - previous) < 1e-6 * previous:
+            break
+    b1_error, d2_error = np.sqrt(np.diag(cov))
+    if spread == 0:
+        b1_error, d2_error = float(error[0]), float("inf")
+    return DecayLaw(float(b1), float(b1_error), float(d2), float(d2_error), float(scatter))

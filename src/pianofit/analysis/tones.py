@@ -1,0 +1,108 @@
+"""One damped exponential per partial, by least squares.
+
+`z(t) = a exp(st)` in white circular noise: the least-squares solution is the maximum-likelihood one and reaches the
+Cramér–Rao bound. The model is analytic in a and s, so Gauss–Newton runs in complex numbers; with a eliminated
+(variable projection, Golub and Pereyra 1973) a step is one quotient, and all partials are stepped at once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Tones", "fit_tones", "lag_poles"]
+
+
+@dataclass(frozen=True)
+class Tones:
+    """One least-squares exponential per row; [rows]. Errors are for noise of variance 1 per sample."""
+
+    amplitude: NDArray[np.complex128]  # complex, at the origin
+    pole: NDArray[np.complex128]  # complex, 1/s
+    misfit: np.ndarray  # mean |residual|²
+    power: np.ndarray  # mean |z|²
+    origin: float  # time of the first sample, s
+    inverse: np.ndarray  # [3, rows]: (JᴴJ)⁻¹ of (log a at the origin, pole): first diagonal, off-diagonal, second
+
+    def __call__(self, t: np.ndarray) -> np.ndarray:
+        """[rows, samples] at times `t` (s)."""
+        return self.amplitude[:, None] * np.exp(self.pole[:, None] * (t - self.origin))
+
+    def at_onset(self) -> np.ndarray:
+        """Amplitudes extrapolated to t = 0, complex [rows]; by no more than exp(50)."""
+        back = -self.pole * self.origin
+        return self.amplitude * np.exp(np.minimum(back.real, 50.0) + 1j * back.imag)
+
+    def pole_error(self) -> np.ndarray:
+        """Return the standard error of the pole's real part, and of its imaginary part; 1/s."""
+        return np.sqrt(0.5 * self.inverse[2])
+
+    def level_error(self, t: np.ndarray | float) -> np.ndarray:
+        """Return the standard error of the log envelope at time `t` [rows] (s); the phase's is the same."""
+        lever = t - self.origin
+        return np.sqrt(0.5 * (self.inverse[0] + 2 * lever * self.inverse[1] + lever**2 * self.inverse[2]))
+
+
+def lag_poles(z: NDArray[np.complex128], t: np.ndarray, lag: float) -> NDArray[np.complex128]:
+    """Poles (1/s) [rows] from the phase and size of the autocorrelation between `lag` and twice that (s).
+
+    Noise that is correlated over less than `lag` does not bias them.
+    """
+    step = float(t[1] - t[0])
+    d = int(np.clip(round(lag / step), 1, max(1, (len(t) - 1) // 3)))
+    first = np.einsum("ij,ij->i", z[:, d:], z[:, :-d].conj())
+    second = np.einsum("ij,ij->i", z[:, 2 * d :], z[:, : -2 * d].conj())
+    silent = first == 0
+    ratio = np.where(silent, 1, second) / np.where(silent, 1, first)
+    return np.asarray(np.log(ratio) / (d * step), complex)
+
+
+def fit_tones(z: NDArray[np.complex128], t: np.ndarray, start: NDArray[np.complex128], *, steps: int = 12) -> Tones:
+    """Least-squares exponential for each row of `z` [rows, samples] at times `t` (s), from poles `start` [rows].
+
+    A row whose step does not lower its misfit goes half as far the next time; rows that have converged stay.
+    """
+    tau = t - t[0]
+    span = max(float(tau[-1]), 1e-9)
+    lowest, highest = -(60 / span + 400), 5 / span
+
+    def limited(pole: NDArray[np.complex128]) -> NDArray[np.complex128]:
+        return np.clip(pole.real, lowest, highest) + 1j * pole.imag
+
+    pole, factor = limited(start), np.ones(len(z))
+    move, cost = np.zeros(len(z), complex), np.full(len(z), np.inf)
+    best: list[np.ndarray] = []
+    for _ in range(steps + 1):
+        trial = limited(np.asarray(pole + factor * move, complex))
+        wave = np.exp(trial[:, None] * tau)
+        sums = _sums(wave, tau)
+        amplitude = np.einsum("ij,ij->i", wave.conj(), z) / sums[0]
+        rest = z - amplitude[:, None] * wave
+        trial_cost = np.einsum("ij,ij->i", rest.conj(), rest).real
+        slope = np.einsum("ij,ij->i", wave.conj(), rest * tau) / (sums[2] - sums[1] ** 2 / sums[0])
+        better = trial_cost <= cost
+        step = np.where(amplitude == 0, 0, slope / np.where(amplitude == 0, 1, amplitude))
+        fresh = [trial, amplitude, trial_cost, step, *sums]
+        best = fresh if not best else [np.where(better, new, old) for new, old in zip(fresh, best, strict=True)]
+        pole, cost, move = best[0], best[2], best[3]
+        factor = np.where(better, 1.0, factor / 2)
+        if np.max(np.abs(move)) < 1e-10 / span:
+            break
+    return _tones(best, t[0], z)
+
+
+def _sums(wave: NDArray[np.complex128], tau: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Σ|w|² τ^n for n = 0, 1, 2; [rows] each."""
+    size = wave.real**2 + wave.imag**2
+    return size @ np.ones_like(tau), size @ tau, size @ tau**2
+
+
+def _tones(best: list[np.ndarray], origin: float, z: NDArray[np.complex128]) -> Tones:
+    pole, amplitude, cost, _, zeroth, first, second = best
+    determinant = (zeroth * second - first**2) * np.maximum(np.abs(amplitude) ** 2, 1e-300)
+    count = z.shape[1]
+    inverse = np.stack([second, -first, zeroth]) / determinant
+    power = np.mean(z.real**2 + z.imag**2, axis=1)
+    return Tones(amplitude, pole, cost / count, power, origin, inverse)

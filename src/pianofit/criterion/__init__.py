@@ -1,0 +1,20 @@
+"""How far a model's sound is from a recording: the paper's energy criterion in bands, and the levels of partials."""
+
+from .bands import BANDS, Cells, band_of, borders, cell_grid, partial_frequency
+from .energy import band_values, closed_form_gain, measure
+from .levels import OutputPath, level_error_db, path_basis
+
+__all__ = [
+    "BANDS",
+    "Cells",
+    "OutputPath",
+    "band_of",
+    "band_values",
+    "borders",
+    "cell_grid",
+    "closed_form_gain",
+    "level_error_db",
+    "measure",
+    "partial_frequency",
+    "path_basis",
+]

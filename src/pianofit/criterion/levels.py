@@ -1,0 +1,43 @@
+"""Levels of partials, in dB, through an unknown but smooth output path.
+
+A pickup, a soundboard, a microphone multiply every partial by a level of its own. Over log frequency the path is a sum
+of a few cosines, held small by a penalty: enough for a tone control or a microphone's slope, too little to swallow the
+zeros and the roll-off by which a hammer is known.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+__all__ = ["OutputPath", "level_error_db", "path_basis"]
+
+# Cosines beside the constant gain, and the standard deviation that the penalty grants the j-th, PATH_DB / j.
+PATH_TERMS = 6
+PATH_DB = 8.0
+
+
+class OutputPath(NamedTuple):
+    """A path known at some frequencies, Hz, ascending; in between it is linear in log frequency, beyond it is level."""
+
+    frequency: np.ndarray
+    db: np.ndarray
+
+    def at(self, frequency: np.ndarray) -> np.ndarray:
+        """The path in dB at `frequency`, Hz."""
+        return np.interp(np.log(np.maximum(frequency, 1e-9)), np.log(self.frequency), self.db)
+
+
+def path_basis(frequency: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The path's cosines at `frequency` [partials], as [partials, terms], and the terms' standard deviations, dB."""
+    x = np.log(frequency / frequency.min())
+    x = x / max(x.max(), 1e-9)
+    j = np.arange(1, PATH_TERMS + 1)
+    return np.cos(np.pi * x[:, None] * j), PATH_DB / j
+
+
+def level_error_db(model: np.ndarray, measured: np.ndarray) -> float:
+    """Rms difference of levels [partials], dB, with one gain removed."""
+    difference = model - measured
+    return float(np.sqrt(np.mean((difference - difference.mean()) ** 2)))

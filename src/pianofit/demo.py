@@ -1,0 +1,28 @@
+"""The demonstration: a measurement is made, fitted as any other, and compared with the truth behind it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from .fit import Result
+from .model.cache import keep_programs
+from .render import encode_wav
+from .report.output import replace_file
+from .twin import make_twin, setup_text
+from .workflow import fit_file
+
+__all__ = ["run_demo"]
+
+
+def run_demo(
+    folder: Path, noise_db: float | None, seed: int, progress: Callable[[str, float], None]
+) -> tuple[Result, dict[str, float]]:
+    """Write `twin.wav` and `setup.toml` to `folder`, fit them there, and return the result and the true values."""
+    keep_programs()
+    progress("making the twin", 0.0)
+    twin = make_twin(noise_db, seed)
+    replace_file(folder / "twin.wav", encode_wav(twin.samples, twin.rate))
+    replace_file(folder / "setup.toml", setup_text().encode())
+    result = fit_file(folder / "twin.wav", folder, setup=folder / "setup.toml", seed=seed, progress=progress)
+    return result, twin.true

@@ -1,0 +1,95 @@
+"""Levenberg-Marquardt in a box, from many starts at once.
+
+Each step solves (JᵀJ + λ diag(JᵀJ)) d = -Jᵀr over the coordinates that are free and not pressed against an edge, goes
+there, and steps back into the box; λ falls after a step that lowers the cost and rises after one that does not. The
+starts share every evaluation of residuals and Jacobian and nothing else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from .space import Space
+
+__all__ = ["Descent", "descend"]
+
+FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-2, 1e-12, 1e12
+SETTLED = 1e-9
+
+
+class Descent(NamedTuple):
+    """Where the starts ended: search points [starts, 10], costs and whether each settled [starts], and the last J."""
+
+    z: np.ndarray
+    cost: np.ndarray
+    settled: np.ndarray
+    residual: np.ndarray
+    jacobian: np.ndarray
+    evaluations: int
+
+
+def descend(
+    evaluate: Callable, z: np.ndarray, space: Space, *, iterations: int, free: np.ndarray | None = None,
+    tolerance: float = 1e-9,
+) -> Descent:
+    """Lower half the sum of squares of `evaluate(z) -> (residuals, Jacobian, ...)` from every row of `z` [starts, 10].
+
+    A start has settled when a step gains less than `tolerance` of its cost. Costs never rise. A point at which the residuals are not finite counts as infinitely bad.
+    """
+    free = space.free if free is None else free & space.free
+    held = z.copy()
+    z = _into(space, z, held, free)
+    residual, jacobian, cost = _evaluate(evaluate, z)
+    damping = np.full(len(z), FIRST_DAMPING)
+    settled = np.zeros(len(z), bool)
+    evaluations = 1
+    for _ in range(iterations):
+        step = _step(residual, jacobian, damping, free, _pressed(space, z, residual, jacobian))
+        trial = _into(space, z + step, held, free)
+        moved, slope, new_cost = _evaluate(evaluate, trial)
+        evaluations += 1
+        better = new_cost < cost
+        gain = np.where(better, cost - np.where(better, new_cost, 0.0), 0.0)
+        small = np.abs(trial - z).max(axis=1) < SETTLED
+        settled |= (better & (gain <= tolerance * cost)) | small | (damping >= MOST_DAMPING)
+        z = np.where(better[:, None], trial, z)
+        residual = np.where(better[:, None], moved, residual)
+        jacobian = np.where(better[:, None, None], slope, jacobian)
+        cost = np.where(better, new_cost, cost)
+        damping = np.clip(damping * np.where(better, 0.2, 6.0), LEAST_DAMPING, MOST_DAMPING)
+        if settled.all():
+            break
+    return Descent(z, cost, settled, residual, jacobian, evaluations)
+
+
+def _evaluate(evaluate: Callable, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    residual, jacobian = (np.asarray(x) for x in evaluate(z)[:2])
+    good = np.isfinite(residual).all(axis=1) & np.isfinite(jacobian).all(axis=(1, 2))
+    cost = np.where(good, 0.5 * (np.where(good[:, None], residual, 0.0) ** 2).sum(axis=1), np.inf)
+    return np.nan_to_num(residual), np.nan_to_num(jacobian), cost
+
+
+def _into(space: Space, z: np.ndarray, held: np.ndarray, free: np.ndarray) -> np.ndarray:
+    return space.project(np.where(free, z, held))
+
+
+def _pressed(space: Space, z: np.ndarray, residual: np.ndarray, jacobian: np.ndarray) -> np.ndarray:
+    """Coordinates [starts, 10] at an edge of the box which a downhill step would leave."""
+    downhill = -np.einsum("srn,sr->sn", jacobian, residual)
+    nudged = z + 1e-6 * np.sign(downhill)
+    return np.abs(space.project(nudged) - z) < 1e-7 * (1 + 0 * z)
+
+
+def _step(residual, jacobian, damping, free, pressed) -> np.ndarray:
+    active = free & ~pressed
+    j = jacobian * active[:, None, :]
+    normal = np.einsum("srm,srn->smn", j, j)
+    diagonal = np.einsum("snn->sn", normal)
+    scale = diagonal + 1e-12 * diagonal.max(axis=1, keepdims=True) + 1e-300
+    lhs = normal + np.einsum("sn,nm->snm", damping[:, None] * scale, np.eye(normal.shape[1]))
+    lhs += np.einsum("sn,nm->snm", np.where(active, 0.0, 1.0), np.eye(normal.shape[1]))
+    rhs = -np.einsum("srn,sr->sn", j, residual)
+    return np.where(active, np.linalg.solve(lhs, rhs[..., None])[..., 0], 0.0)

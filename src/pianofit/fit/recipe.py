@@ -1,0 +1,269 @@
+"""The fit of one recording, stage by stage.
+
+1. The string, on the paper's criterion in bands 1 and 2, from where the analysis put it, with σ falling.
+2. The hammer, on the paper's criterion in band 3, from many starts at once: this finds the basin.
+3. The hammer on levels in dB through the unknown path, the best of those starts.
+4. String and hammer together, weighted by noise and scatter, until the weights settle: this gives the estimate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+
+import jax.numpy as jnp
+import numpy as np
+
+from ..analysis import Analysis
+from ..errors import FitError
+from ..initial import Start
+from ..model import contact_rate, simulate
+from ..model.simulate import count_modes
+from ..recording import Recording
+from .levenberg import Descent, descend
+from .misfit import huber, scatter
+from .residuals import Cfg, Target, hammer_batch, joint_batch, string_batch
+from .space import NAMES, Space, default_box, split
+from .target import CENT, ROWS, Measured, Spreads, lines, measured, path_design, target
+from .voice import arrival
+
+__all__ = ["Fit", "fit_partials"]
+
+STARTS = 16
+# Starts whose costs differ by less than this ended at the same place.
+AGREEMENT = 0.5
+# σ of the string's stage, 1/s: wide lines first. Glide blurs whatever is finer than the second.
+SIGMAS = (30.0, 10.0)
+ROUNDS = 4
+# Levels better known than this, dB, show the contact's step; the last stage then takes a finer one.
+FINE_LEVEL, REFINEMENT = 0.05, 4
+# No real path is as smooth as the model's, dB; a few partials would otherwise be fitted to the last digit.
+LEAST_SCATTER = 1.0
+# Before the first round the model is taken to miss a partial by this much, dB.
+FIRST_SCATTER = {True: 1.0, False: 4.0}
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Where the search ended, before it is put into words."""
+
+    values: np.ndarray  # [10], in the order of `NAMES`
+    space: Space
+    data: Measured
+    spread: Spreads
+    robust: np.ndarray  # [3, partials]
+    target: Target
+    cfg: Cfg
+    jacobian: np.ndarray  # [residuals, 10]
+    cost: float
+    pressed: np.ndarray  # [10]
+    converged: bool
+    evaluations: int
+    agreeing: int  # how many of the hammer's starts ended at the lowest cost
+    messages: tuple[str, ...]
+
+
+def search_space(start: Start) -> Space:
+    """The box and the starting point [10]."""
+    lower, upper = default_box(start.geometry.length, start.geometry.width)
+    for name, (low, high) in start.bounds.items():
+        lower[NAMES.index(name)], upper[NAMES.index(name)] = low, high
+    values = np.array([start.values[n] for n in NAMES])
+    free = np.array([n not in start.fixed for n in NAMES])
+    lower, upper = np.where(free, lower, values), np.where(free, upper, values)
+    spread = np.array([start.spread[n] for n in NAMES])
+    return Space(lower, upper, free, np.clip(values, lower, upper), spread, 0.0)
+
+
+def fit_partials(
+    recording: Recording, analysis: Analysis, start: Start, *, seed: int = 0, progress: Progress = lambda *_: None
+) -> Fit:
+    """Fit the nine parameters, and the strike position where it is not known.
+
+    Raises
+    ------
+    FitError
+        If no start leads to a finite cost.
+    """
+    space = search_space(start)
+    data = measured(recording, analysis, start)
+    string, hammer = split(space.start)
+    first = simulate(string, hammer, start.geometry, rate=recording.rate, quantity=start.quantity)
+    space = replace(space, log_u=float(np.log(0.5 * first.pulse.compression.max())))
+    rate = 1.0 / float(first.modes.step)
+    steps = 2 ** int(np.ceil(np.log2(max(256, 1.6 * first.contact_time * rate))))
+    rows = max(first.modes.pole.shape[0], ROWS * int(np.ceil(data.partials.number.max() / ROWS)))
+    cfg = Cfg(rows, steps, start.quantity, data.calibrated)
+    delay = arrival(string, start.geometry, start.quantity)
+
+    progress("string", 0.1)
+    space, count = _string_stage(recording, analysis, data, start, space, rate, cfg)
+    progress("hammer", 0.3)
+    state = _State(data, start, space, rate, delay, cfg)
+    z, agreeing, searched = _hammer_stage(state, seed)
+    progress("string and hammer", 0.6)
+    fit = _joint_stage(state, z)
+    if fit.spread.level < FINE_LEVEL and np.median(data.partials.level_error) < FINE_LEVEL:
+        progress("refinement", 0.8)
+        fine = rate * REFINEMENT
+        rows = max(rows, count_modes(string, start.geometry, fine))
+        state = replace(state, rate=fine, cfg=cfg._replace(steps=steps * REFINEMENT, n_modes=rows), space=fit.space)
+        fit = _joint_stage(state, fit.space.z(fit.values[None]), fit.spread, fit.robust)
+    progress("done", 1.0)
+    return replace(fit, agreeing=agreeing, evaluations=fit.evaluations + count + searched)
+
+
+@dataclass(frozen=True)
+class _State:
+    """What the stages after the string's share."""
+
+    data: Measured
+    start: Start
+    space: Space
+    rate: float
+    delay: float
+    cfg: Cfg
+
+    def target(self, spread: Spreads, robust: np.ndarray, z: np.ndarray) -> Target:
+        """The recording weighted by `spread` and `robust`, its noise taken back through the path that suits `z`."""
+        at = partial(target, self.data, self.start, self.space, spread, robust, rate=self.rate, delay=self.delay)
+        rows = np.zeros(len(self.data.frequency))
+        if self.data.calibrated:
+            return at(rows)
+        return at(path_fit(self.data, self.start, at(rows + np.inf), self.cfg, z)[1])
+
+    def evaluate(self, function, at: Target):
+        return lambda z: function(jnp.asarray(z), at, self.cfg)
+
+
+def _string_stage(recording, analysis, data: Measured, start: Start, space: Space, rate: float, cfg: Cfg):
+    """c and b1 in band 1, κ and b2 in band 2 (paper IV.C, steps 1 and 2), near where the analysis put them."""
+    near = {
+        "c": 1 + 10 * max(analysis.f0_error / analysis.f0, CENT),
+        "kappa": 1 + 5 * max(analysis.B_error / max(analysis.B, 1e-9), 0.02),
+        "b1": 1.5,
+        "b2": 2.0,
+    }
+    box = np.array([near.get(n, 1.0) for n in NAMES])
+    local = replace(
+        space, lower=np.maximum(space.lower, space.start / box), upper=np.minimum(space.upper, space.start * box)
+    )
+    z, count = local.z(local.start[None]), 0
+    glide = 2 * np.pi * abs(analysis.glide_cents) * CENT * analysis.f0
+    for band, names in ((0, ("c", "b1")), (1, ("kappa", "b2"))):
+        if band not in data.occupied:
+            names, band = names, min(b for b in data.occupied)  # noqa: PLW0127
+        free = np.isin(NAMES, names)
+        for sigma in SIGMAS:
+            cells = lines(recording, analysis, data, band, max(sigma, 8 * glide), start, rate)
+            end = descend(lambda z, cells=cells: string_batch(jnp.asarray(z), cells, cfg), z, local, iterations=8, free=free)
+            z, count = end.z, count + end.evaluations
+    return replace(space, start=local.values(z[0])), count
+
+
+def _hammer_stage(state: _State, seed: int) -> tuple[np.ndarray, int, int]:
+    """Many hammers on one string: eq. 19 in the hammer's band first, then levels in dB. The best one [1, 10]."""
+    space, data = state.space, state.data
+    robust = np.ones((3, len(data.partials)))
+    z = space.z(space.start[None])
+    at = state.target(Spreads(10.0, 1.0, FIRST_SCATTER[data.calibrated]), robust, z)
+    hammer = np.arange(len(NAMES)) >= 4
+    throw = np.random.default_rng(seed).standard_normal((STARTS, len(NAMES)))
+    throw[0] = 0.0  # the literature's own hammer is one of the starts
+    z = z + throw * np.where(hammer & np.isfinite(space.spread), space.spread, 0.0)
+    by_energy = at._replace(scale=jnp.zeros_like(at.scale))
+    rough = descend(state.evaluate(hammer_batch, by_energy), z, space, iterations=20, free=hammer, tolerance=1e-3)
+    end = descend(state.evaluate(hammer_batch, at), rough.z, space, iterations=30, free=hammer, tolerance=1e-3)
+    if not np.isfinite(end.cost).any():
+        raise FitError("no hammer within the bounds gives a finite sound; widen [bounds] or check [known] in the setup")
+    best = int(np.argmin(end.cost))
+    agreeing = int((end.cost < end.cost[best] + AGREEMENT).sum())
+    return end.z[best : best + 1], agreeing, rough.evaluations + end.evaluations
+
+
+def _joint_stage(state: _State, z, spread: Spreads | None = None, robust: np.ndarray | None = None) -> Fit:
+    """All together; weights from the residuals, residuals from the weights, until they agree."""
+    data, count = state.data, 0
+    spread = spread or Spreads(1.0, 0.3, FIRST_SCATTER[data.calibrated])
+    robust = np.ones((3, len(data.partials))) if robust is None else robust
+    for _ in range(ROUNDS):
+        at = state.target(spread, robust, z)
+        end = descend(state.evaluate(joint_batch, at), z, state.space, iterations=25, tolerance=1e-6)
+        z, count, before = end.z, count + end.evaluations, spread
+        spread, robust = _weights(state, at, z)
+        if abs(spread.level - before.level) < 0.02 * spread.level + 1e-4:
+            break
+    return _ended(state, end, at, before, robust, count)
+
+
+def _weights(state: _State, at: Target, z: np.ndarray) -> tuple[Spreads, np.ndarray]:
+    """Scatter of each kind of residual about the model at `z` [1, 10], and Huber's factors."""
+    data, p = state.data, state.data.partials
+    frequency, decay, level = residual_columns(state.data, at, state.cfg, z)
+    cents = frequency / (p.frequency * CENT)
+    cents_sd, decay_sd = p.frequency_error / (p.frequency * CENT), p.decay_error / p.decay
+    hammer_freedom = float(state.space.free[4:].sum()) + (0 if data.calibrated else 4)
+    spread = Spreads(
+        scatter(cents, cents_sd, 2), scatter(decay / p.decay, decay_sd, 2), scatter(level, p.level_error, hammer_freedom)
+    )
+    if state.start.quantity == "pressure":
+        spread = replace(spread, level=max(spread.level, LEAST_SCATTER))
+    robust = np.stack(
+        [
+            huber(cents, np.hypot(cents_sd, spread.frequency)),
+            huber(decay / p.decay, np.hypot(decay_sd, spread.decay)),
+            huber(level, np.hypot(p.level_error, spread.level)),
+        ]
+    )
+    return spread, robust
+
+
+def predicted(data: Measured, at: Target, cfg: Cfg, z: np.ndarray) -> np.ndarray:
+    """Frequency, Hz, decay, 1/s, and level, dB, of the model's partials [3, partials] at `z` [1, 10]."""
+    return np.asarray(joint_batch(jnp.asarray(z), at, cfg)[2])[0, :, : len(data.partials)]
+
+
+def residual_columns(data: Measured, at: Target, cfg: Cfg, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Measured minus model [partials] at `z` [1, 10]: Hz, 1/s, and dB after gain and path."""
+    n = len(data.partials)
+    frequency, decay, level = np.asarray(joint_batch(jnp.asarray(z), at, cfg)[2])[0]
+    weight = np.asarray(at.level_weight)
+    q = np.asarray(at.projector)
+    weighted = np.zeros(q.shape[0])
+    weighted[: len(weight)] = weight * (np.asarray(at.level) - level)
+    frequency, decay, weight = frequency[:n], decay[:n], weight[:n]
+    left = (weighted - q @ (q.T @ weighted))[:n] / weight
+    return data.partials.frequency - frequency, data.partials.decay - decay, left
+
+
+def path_fit(data: Measured, start: Start, at: Target, cfg: Cfg, z: np.ndarray) -> tuple[float, np.ndarray]:
+    """Gain, dB, and gain and path together, dB [rows], that suit the model at `z` [1, 10] best.
+
+    The same penalised least squares that the projection removes, solved.
+    """
+    rows = len(data.frequency)
+    weight, level = np.asarray(at.level_weight)[:rows], np.asarray(joint_batch(jnp.asarray(z), at, cfg)[2])[0, 2, :rows]
+    difference = np.asarray(at.level)[:rows] - level
+    if start.quantity != "pressure":  # a known pickup: only its gain is unknown
+        gain = float(np.average(difference, weights=weight**2))
+        return gain, np.full(rows, gain)
+    basis, sd = path_design(data)
+    penalty = np.hstack([np.zeros((len(sd), 1)), np.diag(1 / sd)])
+    found = np.linalg.lstsq(
+        np.vstack([weight[:, None] * basis, penalty]), np.append(weight * difference, np.zeros(len(sd))), rcond=None
+    )[0]
+    return float(found[0]), basis @ found
+
+
+def _ended(state: _State, end: Descent, at: Target, spread: Spreads, robust, count: int) -> Fit:
+    values = state.space.values(end.z[0])
+    downhill = -(end.jacobian[0].T @ end.residual[0])
+    pressed = state.space.at_bound(values) & (np.abs(downhill) > 0)
+    messages = () if bool(end.settled[0]) else ("The last stage stopped before it settled.",)
+    return Fit(
+        values, state.space, state.data, spread, robust, at, state.cfg, end.jacobian[0], float(end.cost[0]),
+        pressed, bool(end.settled[0]), count, 0, messages,
+    )  # fmt: skip

@@ -1,0 +1,277 @@
+"""A fit in words and numbers: the document that becomes `fit.json` (design §6), and the two sounds it compares."""
+
+from __future__ import annotations
+
+import platform
+from dataclasses import dataclass
+
+import numpy as np
+
+from .. import __version__
+from ..analysis import Analysis
+from ..criterion import BANDS, OutputPath, band_values, borders, closed_form_gain, level_error_db, measure
+from ..initial import Start
+from ..model import Simulation
+from ..parameters import PARAMETERS, Hammer, String
+from ..recording import Recording
+from .recipe import Fit, path_fit, predicted, residual_columns
+from .space import NAMES, K, split
+from .target import REPORT_SIGMA, Measured, level_variance, path_design
+from .uncertainty import covariance, intervals, statuses, tangled, to_stiffness
+from .verdict import verdict, words
+from .voice import Voice
+
+__all__ = ["SCHEMA", "Result", "Sound", "conclude"]
+
+SCHEMA = 1
+# Levels are compared over partials to 6 kHz within 60 dB of the strongest (design §4).
+LEVEL_TOP, LEVEL_RANGE = 6000.0, 60.0
+UNITS = {name: p.unit for name, p in PARAMETERS.items()} | {
+    "x0": "m", "M_S": "kg", "L": "m", "width": "m", "pickup": "m",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Sound:
+    """One set of parameters, heard."""
+
+    voice: Voice
+    samples: np.ndarray  # file units, as long as the recording
+    simulation: Simulation
+    level: np.ndarray  # dB, [partials], gain and path included, in the recording's unit
+
+
+@dataclass(frozen=True)
+class Result:
+    """A finished fit. `document` is what `fit.json` holds."""
+
+    document: dict
+    initial: Sound
+    fitted: Sound
+    data: Measured
+    recording: Recording
+    analysis: Analysis
+
+
+def conclude(recording: Recording, analysis: Analysis, start: Start, fit: Fit, seed: int) -> Result:
+    """Put a fit into words: intervals, statuses, the criterion and the levels before and after.
+
+    Raises
+    ------
+    FitError
+        If the initial or the final contact does not end.
+    """
+    scored = _scored(fit.data)
+    first = np.array([start.initial.get(n, start.values[n]) for n in NAMES])
+    ear = _Ear.of(recording, analysis, fit.data)
+    unit = 1.0 if start.scale is None else 1.0 / start.scale
+    initial = _sound(ear, start, fit, first, unit if start.scale else None, None)
+    gain, path = _gain_and_path(fit, start, fit.values)
+    fitted = _sound(ear, start, fit, fit.values, gain * unit, path)
+    literature = _path_only(fit, start) if not fit.data.calibrated else None
+
+    cov = to_stiffness(covariance(fit.jacobian, _row_variance(fit), fit.space, fit.pressed), fit.values, fit.space.log_u)
+    states = statuses(cov, fit.space, fit.space.at_bound(fit.values), start.fixed)
+    levels = {
+        "initial_db": level_error_db(initial.level[scored], fit.data.level[scored]),
+        "fitted_db": level_error_db(fitted.level[scored], fit.data.level[scored]),
+        "path_only_db": None if literature is None else level_error_db(literature[0][scored], fit.data.level[scored]),
+        "partials": int(scored.sum()),
+    }
+    opening, states = verdict(fit, start, states, levels, None if literature is None else literature[1])
+    spans = intervals(cov, fit.values, max(3 * len(fit.data.partials) - int(fit.space.free.sum()), 1))
+    document = {
+        "schema": SCHEMA,
+        "program": "pianofit",
+        "recipe": "default",
+        "seed": seed,
+        "converged": fit.converged,
+        "verdict": opening,
+        "messages": words(fit, start, analysis, recording, states, tangled(cov)),
+        "parameters": _parameters(fit.values, first, spans, states, start),
+        "takes": [_take(recording, fit.values, fitted.voice.gain, start)],
+        "pickup": {"quantity": start.quantity, "path": _path_document(path)},
+        "derived": _derived(fitted, analysis, fit, cov),
+        "criterion": _criterion(ear, fit.data, initial, fitted),
+        "levels": levels,
+        "diagnostics": _diagnostics(fit, cov),
+        "versions": versions(),
+    }
+    return Result(document, initial, fitted, fit.data, recording, analysis)
+
+
+def versions() -> dict[str, str]:
+    """Of the program and of everything the numbers depend on."""
+    import jax
+    import scipy
+
+    return {
+        "pianofit": __version__, "python": platform.python_version(), "jax": jax.__version__,
+        "numpy": np.__version__, "scipy": scipy.__version__,
+    }  # fmt: skip
+
+
+def _row_variance(fit: Fit) -> np.ndarray:
+    """Variance that each row of the Jacobian's residuals is expected to have."""
+    rows = np.ones(fit.jacobian.shape[0])
+    first = 2 * len(fit.target.row)  # after the frequencies and the decays
+    rows[first : first + len(fit.data.partials)] = level_variance(fit.data, fit.spread, fit.robust[2])
+    return rows
+
+
+def _scored(data: Measured) -> np.ndarray:
+    """The partials on which levels are compared [partials], bool."""
+    return (data.partials.frequency <= LEVEL_TOP) & (data.level >= data.level.max() - LEVEL_RANGE)
+
+
+def _levels(fit: Fit, values: np.ndarray) -> np.ndarray:
+    """The model's levels [partials] in the pickup's unit, before gain and path, dB."""
+    return predicted(fit.data, fit.target, fit.cfg, fit.space.z(values[None]))[2]
+
+
+@dataclass(frozen=True)
+class _Ear:
+    """The recording on the paper's criterion: cells, and what any other sound of the same length gives on them."""
+
+    recording: Recording
+    analysis: Analysis
+    last: int
+    spacing: np.ndarray
+    energy: np.ndarray
+
+    @classmethod
+    def of(cls, recording: Recording, analysis: Analysis, data: Measured) -> _Ear:
+        last = int(data.partials.number.max())
+        cells, energy = measure(
+            recording.samples[recording.onset :], recording.rate, analysis.f0, analysis.B, last, REPORT_SIGMA
+        )
+        return cls(recording, analysis, last, cells.spacing, energy)
+
+    def hear(self, samples: np.ndarray) -> np.ndarray:
+        """|Y|² [partials, nodes] of a sound aligned to the recording."""
+        a, r = self.analysis, self.recording
+        return measure(samples[r.onset :], r.rate, a.f0, a.B, self.last, REPORT_SIGMA)[1]
+
+    def gain(self, samples: np.ndarray) -> float:
+        """The factor on `samples` that the criterion likes best."""
+        return float(np.sqrt(closed_form_gain(self.hear(samples), self.energy, self.spacing[:, None])))
+
+
+def _sound(ear: _Ear, start: Start, fit: Fit, values: np.ndarray, gain: float | None, path: OutputPath | None) -> Sound:
+    """Play `values`; without a gain, with the one that the criterion likes best."""
+    recording = ear.recording
+    string, hammer = (kind(*map(float, x)) for kind, x in zip((String, Hammer), split(values), strict=True))
+    geometry = start.geometry._replace(strike=float(values[9]))
+    voice = Voice(string, hammer, geometry, start.quantity, 1.0, path)
+    samples, simulation = voice.play(recording.rate, len(recording.samples), recording.onset)
+    gain = ear.gain(samples) if gain is None else gain
+    level = _levels(fit, values) + 20 * np.log10(max(gain, 1e-300) * (start.scale or 1.0))
+    if path is not None:
+        level = level + path.at(fit.data.partials.frequency)
+    return Sound(voice._replace(gain=gain), samples * gain, simulation, level)
+
+
+def _gain_and_path(fit: Fit, start: Start, values: np.ndarray) -> tuple[float, OutputPath | None]:
+    """The gain, a factor, and the path that suit `values` best, as the projection removed them."""
+    if fit.data.calibrated:
+        return 1.0, None
+    gain, both = path_fit(fit.data, start, fit.target, fit.cfg, fit.space.z(values[None]))
+    if start.quantity != "pressure":
+        return 10 ** (gain / 20), None
+    order = np.argsort(fit.data.frequency)
+    return 10 ** (gain / 20), OutputPath(fit.data.frequency[order], (both - gain)[order])
+
+
+def _path_only(fit: Fit, start: Start) -> tuple[np.ndarray, float]:
+    """Levels of the literature's hammer on the fitted string through the path that suits it best, and its χ² excess."""
+    values = np.where(np.arange(len(NAMES)) < 4, fit.values, fit.space.start)
+    level = _levels(fit, values)
+    gain, path = _gain_and_path(fit, start, values)
+    shaped = level + 20 * np.log10(gain) + (0.0 if path is None else path.at(fit.data.partials.frequency))
+    weight = np.asarray(fit.target.level_weight)[: len(level)]
+
+    def misfit(at: np.ndarray) -> float:
+        left = residual_columns(fit.data, fit.target, fit.cfg, fit.space.z(at[None]))[2]
+        return float(((weight * left) ** 2).sum())
+
+    return shaped, misfit(values) - misfit(fit.values)
+
+
+def _parameters(values, first, spans, states, start: Start) -> dict:
+    """Every parameter with value, unit, interval and status."""
+    table = {}
+    for i, name in enumerate(NAMES):
+        rests = start.rests_on.get(name, ())
+        status = "assumed" if rests and states[name] == "free" else states[name]
+        note = f"rests on an assumed {' and '.join(rests)}" if rests else ""
+        table[name] = {
+            "value": float(values[i]), "unit": UNITS[name], "interval": spans[name], "status": status,
+            "initial": float(first[i]), "note": note,
+        }  # fmt: skip
+    g = start.geometry
+    for name, value, key in (("M_S", g.mass, "mass"), ("L", g.length, "length"), ("width", g.width, "width")):
+        status = "assumed" if key in start.assumed else "fixed"
+        table[name] = {"value": float(value), "unit": UNITS[name], "interval": None, "status": status,
+                       "initial": float(value), "note": ""}  # fmt: skip
+    if start.quantity in ("velocity", "displacement"):
+        table["pickup"] = {"value": float(g.pickup), "unit": "m", "interval": None, "status": "fixed",
+                           "initial": float(g.pickup), "note": ""}  # fmt: skip
+    return table
+
+
+def _take(recording: Recording, values: np.ndarray, gain: float, start: Start) -> dict:
+    return {
+        "file": recording.path, "sha256": recording.sha256, "rate": recording.rate,
+        "onset_s": recording.onset / recording.rate, "v_H0": float(values[NAMES.index("v_H0")]),
+        "gain": gain, "gain_status": "free" if start.scale is None else "fixed",
+    }  # fmt: skip
+
+
+def _path_document(path: OutputPath | None) -> dict | None:
+    return None if path is None else {"frequency": path.frequency.tolist(), "db": path.db.tolist()}
+
+
+def _derived(fitted: Sound, analysis: Analysis, fit: Fit, cov: np.ndarray) -> dict:
+    """What follows from the parameters and needs no assumed scale, and what the strike did."""
+    voice, pulse = fitted.voice, fitted.simulation.pulse
+    f0 = voice.string.c / (2 * voice.geometry.length)
+    B = (voice.string.kappa * np.pi / (voice.string.c * voice.geometry.length)) ** 2
+    u = float(pulse.compression.max())
+    # The felt's force at the largest compression reached is what a strike fixes of K_H and p.
+    change = np.zeros(len(NAMES))
+    change[K], change[NAMES.index("p")] = 1.0, voice.hammer.p * np.log(u)
+    return {
+        "f0": float(f0), "B": float(B), "f1": float(f0 * np.sqrt(1 + B)),
+        "M_H/M_S": float(voice.hammer.M_H / voice.geometry.mass), "x0/L": float(voice.geometry.strike / voice.geometry.length),
+        "contact_ms": 1e3 * fitted.simulation.contact_time, "max_force_N": float(pulse.force.max()),
+        "max_compression_mm": 1e3 * u,
+        "felt_force_N": float(voice.hammer.K_H * u**voice.hammer.p),
+        "felt_force_relative_error": float(np.sqrt(max(change @ cov @ change, 0.0))),
+        "glide_cents": float(analysis.glide_cents),
+        "glide": [{"start_s": a, "stop_s": b, "f0": f} for a, b, f in analysis.glide],
+    }  # fmt: skip
+
+
+def _criterion(ear: _Ear, data: Measured, initial: Sound, fitted: Sound) -> dict:
+    """Eq. 19 per band on the sounds themselves, from the onset on; bands without a partial are dropped."""
+    before = band_values(ear.hear(initial.samples), ear.energy, ear.spacing)
+    after = band_values(ear.hear(fitted.samples), ear.energy, ear.spacing)
+    occupied = {"global", *(BANDS[b] for b in data.occupied)}
+    values = {name: {"initial": before[name], "final": after[name]} for name in before if name in occupied}
+    return values | {
+        "dropped": [name for name in BANDS if name not in occupied],
+        "sigma": REPORT_SIGMA,
+        "borders": list(borders(ear.analysis.f0, ear.analysis.B, ear.last)),
+    }
+
+
+def _diagnostics(fit: Fit, cov: np.ndarray) -> dict:
+    return {
+        "cost": fit.cost, "evaluations": fit.evaluations, "agreeing_starts": fit.agreeing,
+        "partials": len(fit.data.partials), "contact_rate_Hz": float(fit.target.rate), "modes": fit.cfg.n_modes,
+        "scatter": {"frequency_cents": fit.spread.frequency, "decay_relative": fit.spread.decay,
+                    "level_db": fit.spread.level},
+        "correlated": [{"pair": [a, b], "correlation": r} for a, b, r in tangled(cov)],
+    }  # fmt: skip
+
+

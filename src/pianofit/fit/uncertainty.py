@@ -1,0 +1,82 @@
+"""What the recording fixes and what it does not: covariance, intervals and a status for every parameter.
+
+Residuals are in units of measured noise and estimated scatter, gain and path are projected out, so the curvature's
+inverse is the covariance with both unknown. A parameter whose standard deviation is not well below the spread it
+started with has been told nothing by the recording: it is not identifiable, however good the fit.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.stats import t as student
+
+from .space import NAMES, K, P, Space
+
+__all__ = ["covariance", "intervals", "statuses", "tangled"]
+
+# The data must at least halve the spread that was put in, else the answer is the prior's.
+TOLD = 0.5
+# Where nothing was put in, a factor e^±1 is no knowledge.
+LOOSE = 0.5
+# Two parameters whose estimates correlate more than this are told apart poorly.
+TANGLED = 0.98
+
+
+def covariance(jacobian: np.ndarray, variance: np.ndarray, space: Space, pressed: np.ndarray) -> np.ndarray:
+    """Covariance of log(value) [10, 10]: zero for what is fixed; what is pressed against a bound is held there.
+
+    A sandwich: the curvature's inverse on both sides of what the residuals' `variance` [residuals] makes of it, so that
+    rows which weigh more than their noise warrants do not pretend to know more.
+    """
+    active = np.flatnonzero(space.free & ~pressed)
+    j = jacobian[:, active]
+    scale = np.sqrt((j**2).sum(axis=0)) + 1e-300
+    # An eigenvalue at the rounding floor is a direction without any data: its variance is huge, not infinite.
+    value, vector = np.linalg.eigh((j / scale).T @ (j / scale))
+    inverse = (vector / np.maximum(value, 1e-14)) @ vector.T / np.outer(scale, scale)
+    inner = inverse @ (j.T * variance) @ j @ inverse
+    full = np.zeros((len(NAMES), len(NAMES)))
+    full[np.ix_(active, active)] = inner
+    return full
+
+
+def to_stiffness(cov: np.ndarray, values: np.ndarray, log_u: float) -> np.ndarray:
+    """From the searched force at the reference compression to log K_H = log F_ref - p log u_ref."""
+    change = np.eye(len(NAMES))
+    change[K, P] = -values[P] * log_u
+    return change @ cov @ change.T
+
+
+def intervals(cov: np.ndarray, values: np.ndarray, freedom: int) -> dict[str, tuple[float, float] | None]:
+    """95 % intervals by name, symmetric in log(value); None for what was not fitted."""
+    reach = student.ppf(0.975, max(freedom, 1)) * np.sqrt(np.diag(cov))
+    return {
+        name: (float(v * np.exp(-min(r, 700.0))), float(v * np.exp(min(r, 700.0)))) if r > 0 else None
+        for name, v, r in zip(NAMES, values, reach, strict=True)
+    }
+
+
+def statuses(cov: np.ndarray, space: Space, at_bound: np.ndarray, fixed: dict[str, str]) -> dict[str, str]:
+    """`free`, `fixed`, `assumed`, `at-bound` or `not-identifiable`, by name."""
+    sd = np.sqrt(np.diag(cov))
+    vague = sd > np.where(np.isfinite(space.spread), np.minimum(TOLD * space.spread, LOOSE), LOOSE)
+    result = {}
+    for i, name in enumerate(NAMES):
+        if not space.free[i]:
+            result[name] = fixed.get(name, "fixed")
+        elif at_bound[i]:
+            result[name] = "at-bound"
+        else:
+            result[name] = "not-identifiable" if vague[i] else "free"
+    return result
+
+
+def tangled(cov: np.ndarray) -> list[tuple[str, str, float]]:
+    """Pairs of parameters that the recording does not tell apart, with their correlation."""
+    sd = np.sqrt(np.diag(cov))
+    pairs = []
+    for i in range(len(NAMES)):
+        for j in range(i):
+            if sd[i] > 0 and sd[j] > 0 and abs(r := cov[i, j] / (sd[i] * sd[j])) > TANGLED:
+                pairs.append((NAMES[j], NAMES[i], float(r)))
+    return pairs

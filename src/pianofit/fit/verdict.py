@@ -1,0 +1,82 @@
+"""What a fit can claim, said first and plainly."""
+
+from __future__ import annotations
+
+from scipy.stats import chi2
+
+from ..analysis import Analysis
+from ..initial import Start
+from ..recording import Recording
+from .recipe import Fit
+
+__all__ = ["verdict", "words"]
+
+FELT = ("K_H", "mu", "p")
+
+
+def verdict(
+    fit: Fit, start: Start, states: dict[str, str], levels: dict, excess: float | None
+) -> tuple[str, dict[str, str]]:
+    """The opening sentences, and the statuses after what they say.
+
+    Parameters
+    ----------
+    excess : how much χ² the literature's hammer costs more than the fitted one, both through the best path; None for a
+        calibrated recording, which has no path.
+    """
+    if excess is None:
+        lost = [name for name, state in states.items() if state == "not-identifiable"]
+        if not lost:
+            return "Calibrated recording: all free parameters are identified.", states
+        return f"Calibrated recording. Not identifiable from it: {', '.join(lost)}.", states
+    hammer = int(fit.space.free[4:].sum())
+    as_good = excess < chi2.ppf(0.95, max(hammer, 1))
+    text = (
+        "One uncalibrated recording does not fix the felt: any hammer's spectrum can be traded for an output path. "
+        f"Partial levels: {levels['initial_db']:.1f} dB off at the start; "
+        f"{levels['path_only_db']:.1f} dB with the literature's hammer through the best smooth path; "
+        f"{levels['fitted_db']:.1f} dB with the fitted hammer through its path. "
+    )
+    if as_good:
+        text += "The path alone is as good: the hammer's values are one possibility, not a finding."
+        states = states | {n: "not-identifiable" for n in (*FELT, "M_H") if states[n] in ("free", "at-bound")}
+    else:
+        text += "The fitted hammer explains more than a path alone; its values still rest on the path being smooth."
+        states = states | {n: "not-identifiable" for n in FELT if states[n] == "free"}
+    if "v_H0" in start.fixed and start.fixed["v_H0"] == "assumed":
+        text += f" The hammer velocity, {start.values['v_H0']:g} m/s, is assumed, and K_H and μ scale with it."
+    return text, states
+
+
+def words(
+    fit: Fit,
+    start: Start,
+    analysis: Analysis,
+    recording: Recording,
+    states: dict[str, str],
+    pairs: list[tuple[str, str, float]],
+) -> list[str]:
+    """Plain sentences on what to beware of, the weightiest first."""
+    said = list(fit.messages)
+    bound = [n for n, s in states.items() if s == "at-bound"]
+    if bound:
+        said.append(f"At the edge of the box, so their values are the box's: {', '.join(bound)}.")
+    said += [f"{a} and {b} are not told apart (correlation {r:+.3f})." for a, b, r in pairs]
+    if fit.agreeing == 1:
+        said.append("Only one of the kept starts reached the lowest cost; another seed may find a better one.")
+    rests = sorted({x for names in start.rests_on.values() for x in names})
+    if rests:
+        said.append(
+            f"The string's {' and '.join(rests)} were not given and are the literature's for this key; "
+            f"the SI values of {', '.join(start.rests_on)} rest on them."
+        )
+    if abs(analysis.glide_cents) >= 1:
+        said.append(f"The pitch falls by {analysis.glide_cents:.1f} cents as the note decays.")
+    missing = [f"band {b + 1}" for b in range(3) if b not in fit.data.occupied]
+    if missing:
+        said.append(f"No partial above the noise in {' and '.join(missing)}; dropped, and the next band used.")
+    said.append(
+        f"Beyond the noise, partials scatter about the model by {fit.spread.frequency:.2f} cents, "
+        f"{100 * fit.spread.decay:.0f} % in decay and {fit.spread.level:.2f} dB in level; the intervals include it."
+    )
+    return [*said, *recording.warnings, *analysis.warnings]

@@ -1,0 +1,118 @@
+"""From what was heard and what was known to where a fit starts, and how far that may be off.
+
+The string is read off the recording: wave speed and stiffness from the partials' frequencies, losses from their decays.
+The hammer cannot be read off; it starts at the literature's value for the key. Lengths and masses that nobody measured
+are the literature's too, and everything that rests on them says so.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from .analysis import Analysis
+from .parameters import FIT_NAMES, PARAMETERS, Geometry
+from .published import typical
+from .setup_file import Setup
+
+__all__ = ["Start", "starting_values"]
+
+# Standard deviations of log(value) about the literature's hammer: felts differ by factors, masses by tens of percent.
+HAMMER_SPREAD = {"K_H": 1.5, "mu": 1.5, "p": 0.2, "M_H": 0.4, "v_H0": 1.0, "x0": 0.2}
+# A string parameter that the recording does not show stays within some factor of where it started.
+STRING_SPREAD = {"c": math.inf, "kappa": 2.0, "b1": 2.0, "b2": 3.0}
+# The hammer of an uncalibrated recording is assumed to arrive at this velocity, m/s, a moderate forte.
+ASSUMED_VELOCITY = 2.0
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where a fit starts. Values and spreads are by name: the nine parameters and `x0`."""
+
+    values: dict[str, float]
+    spread: dict[str, float]  # standard deviation of log(value); inf where the recording alone decides
+    initial: dict[str, float]  # what is reported as initial: `values`, save where the user gave a value
+    fixed: dict[str, str]  # name -> "fixed" (measured, known) or "assumed"
+    rests_on: dict[str, tuple[str, ...]]  # name -> the assumed quantities its SI value rests on
+    bounds: dict[str, tuple[float, float]]
+    geometry: Geometry
+    assumed: tuple[str, ...]  # of length, mass, width
+    quantity: str
+    scale: float | None  # units at digital full scale; None when uncalibrated
+
+
+def starting_values(analysis: Analysis, setup: Setup, velocity: float | None = None) -> Start:
+    """Combine analysis, setup and literature.
+
+    Parameters
+    ----------
+    velocity : measured hammer velocity, m/s, which overrides the setup's.
+    """
+    midi = 69 + 12 * math.log2(analysis.f0 / 440.0)
+    usual = typical(float(np.clip(midi, 21, 108)))
+    geometry, assumed = _geometry(setup, usual.geometry)
+    calibrated = setup.pickup_scale is not None
+    values = _string_values(analysis, geometry.length)
+    values |= dict(zip(usual.hammer._fields, map(float, usual.hammer), strict=True))
+    values["v_H0"], values["x0"] = ASSUMED_VELOCITY, geometry.strike
+    hammer_given = {k: v for k, v in setup.initial.items() if k not in values or k in HAMMER_SPREAD}
+    values |= hammer_given | setup.known
+    fixed = dict.fromkeys(setup.known, "fixed")
+    measured = velocity if velocity is not None else next((t.v_H0 for t in setup.takes if t.v_H0), None)
+    if measured is not None:
+        values["v_H0"], fixed["v_H0"] = measured, "fixed"
+    elif not calibrated and "v_H0" not in fixed:
+        fixed["v_H0"] = "assumed"
+    if setup.strike_position is not None:
+        fixed["x0"] = "fixed"
+    for name in FIT_NAMES:
+        box = PARAMETERS[name]
+        low, high = setup.bounds.get(name, (box.lower, box.upper))
+        values[name] = min(max(values[name], low), high)
+    return Start(
+        values=values,
+        spread=STRING_SPREAD | HAMMER_SPREAD,
+        initial=values | setup.initial,
+        fixed=fixed,
+        rests_on=_rests_on(assumed),
+        bounds=dict(setup.bounds),
+        geometry=geometry,
+        assumed=assumed,
+        quantity=setup.pickup_quantity,
+        scale=setup.pickup_scale,
+    )
+
+
+def _geometry(setup: Setup, usual: Geometry) -> tuple[Geometry, tuple[str, ...]]:
+    """What is known of length, mass and strike, completed from the literature's string for the key."""
+    length = setup.length or usual.length
+    # A string of another length than the literature's is taken to be as heavy per metre.
+    mass = setup.mass or usual.mass * length / usual.length
+    width = setup.strike_width or min(usual.width, 0.1 * length)
+    strike = setup.strike_position or 0.12 * length
+    pickup = setup.pickup_position or 0.5 * length
+    given = {"length": setup.length, "mass": setup.mass, "width": setup.strike_width}
+    return Geometry(length, mass, strike, width, pickup), tuple(k for k, v in given.items() if v is None)
+
+
+def _string_values(analysis: Analysis, length: float) -> dict[str, float]:
+    """c = 2 L f0, κ = c L √B/π, b1, and b2 = d2 L²/π² of the decay law α = b1 + d2 k²."""
+    c = 2 * length * analysis.f0
+    return {
+        "c": c,
+        "kappa": c * length * math.sqrt(max(analysis.B, 1e-9)) / math.pi,
+        "b1": analysis.b1,
+        # A d2 below its own error is as good as unknown: start where it would just be seen.
+        "b2": max(analysis.d2, 0.1 * analysis.d2_error, 1e-9) * (length / math.pi) ** 2,
+    }
+
+
+def _rests_on(assumed: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
+    rests: dict[str, tuple[str, ...]] = {}
+    if "length" in assumed:
+        rests |= dict.fromkeys(("c", "kappa", "b2", "x0"), ("length",))
+    if "mass" in assumed:
+        rests |= dict.fromkeys(("K_H", "M_H"), ("mass",))
+    return rests

@@ -1,0 +1,140 @@
+"""From a fit, or from parameters, to a sound file.
+
+A `fit.json` holds all that is needed: string, hammer, geometry, what was heard, gain and path. Played at another
+velocity it gives the sound of the same string, hammer and path, struck harder or softer.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from typing import Any
+
+import numpy as np
+
+from .criterion import OutputPath
+from .errors import FitError, ParameterError
+from .fit.result import SCHEMA
+from .fit.voice import Voice
+from .model.modes import QUANTITIES
+from .parameters import FIT_NAMES, HAMMER_NAMES, PARAMETERS, STRING_NAMES, Geometry, Hammer, String, check
+from .recording import one_line, read_file
+
+__all__ = ["MOST_SECONDS", "check_render", "encode_wav", "limited", "load_voice"]
+
+LARGEST_FIT = 2**24
+MOST_SECONDS = 600.0
+# A peak above this is brought down to it; -1 dB leaves room for players that resample.
+CEILING = 10 ** (-1 / 20)
+
+
+def load_voice(path: str | os.PathLike[str]) -> tuple[Voice, int]:
+    """The voice that a `fit.json` describes, and the rate of the recording it was fitted to, Hz.
+
+    Raises
+    ------
+    FitError
+        Naming the file and the entry that is missing, of another kind, or out of range.
+    """
+    name = one_line(path)
+    try:
+        document = json.loads(read_file(path, LARGEST_FIT, FitError).decode("utf-8"))
+    except (ValueError, RecursionError) as error:
+        reason = one_line(str(error).splitlines()[0])
+        raise FitError(f"{name}: not a fit.json ({reason}); give the file that pianofit fit wrote") from None
+    if not isinstance(document, dict) or document.get("schema") != SCHEMA:
+        found = document.get("schema") if isinstance(document, dict) else type(document).__name__
+        raise FitError(f"{name}: schema {found!r} is not {SCHEMA}; fit again with this version of pianofit")
+    table = _table(document, "parameters", name)
+    values = {key: _number(table, key, name) for key in (*FIT_NAMES, "M_S", "L", "x0", "width")}
+    try:
+        check({key: values[key] for key in FIT_NAMES}, name)
+    except ParameterError as error:
+        raise FitError(str(error)) from None
+    if not 0 < values["M_S"] <= 10:
+        raise FitError(f"{name}: M_S={values['M_S']} must be a string's mass in kg, above 0")
+    if not (0 < values["width"] and 0 <= values["x0"] - values["width"] / 2 <= values["x0"] <= values["L"]):
+        raise FitError(f"{name}: x0={values['x0']} m with width={values['width']} m must lie on the string")
+    pickup = _table(document, "pickup", name)
+    quantity = pickup.get("quantity")
+    if quantity not in QUANTITIES:
+        raise FitError(f"{name}: pickup.quantity={quantity!r} must be one of {', '.join(QUANTITIES)}")
+    at = _number(table, "pickup", name) if "pickup" in table else 0.5 * values["L"]
+    takes = document.get("takes")
+    if not (isinstance(takes, list) and takes and isinstance(takes[0], dict)):
+        raise FitError(f"{name}: takes is empty; give the file that pianofit fit wrote")
+    gain, rate = (_value(takes[0].get(key), f"takes[0].{key}", name) for key in ("gain", "rate"))
+    voice = Voice(
+        String(*(values[n] for n in STRING_NAMES)), Hammer(*(values[n] for n in HAMMER_NAMES)),
+        Geometry(values["L"], values["M_S"], values["x0"], values["width"], at),
+        quantity, gain, _path(pickup.get("path"), name),
+    )  # fmt: skip
+    return voice, int(rate)
+
+
+def _table(document: dict, key: str, name: str) -> dict[str, Any]:
+    table = document.get(key)
+    if not isinstance(table, dict):
+        raise FitError(f"{name}: {key} is missing or no table; give the file that pianofit fit wrote")
+    return table
+
+
+def _number(table: dict, key: str, name: str) -> float:
+    entry = table.get(key)
+    return _value(entry.get("value") if isinstance(entry, dict) else None, f"parameters.{key}", name)
+
+
+def _value(value: Any, key: str, name: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise FitError(f"{name}: {key} is {value!r}, no finite number; give the file that pianofit fit wrote")
+    return float(value)
+
+
+def _path(path: Any, name: str) -> OutputPath | None:
+    if path is None:
+        return None
+    try:
+        frequency, db = (np.asarray(path[key], float) for key in ("frequency", "db"))
+        good = frequency.ndim == 1 and 0 < len(frequency) == len(db) and bool((np.diff(frequency) > 0).all())
+        good = good and bool(frequency[0] > 0) and bool(np.isfinite([frequency, db]).all())
+    except (KeyError, TypeError, ValueError):
+        good = False
+    if not good:
+        raise FitError(f"{name}: pickup.path needs frequency, rising, and db, as many; give the file that fit wrote")
+    return OutputPath(frequency, db)
+
+
+def check_render(velocity: float | None, seconds: float, rate: int) -> None:
+    """Refuse what cannot be rendered.
+
+    Raises
+    ------
+    ParameterError
+        Naming the argument, its value and its range.
+    """
+    box = PARAMETERS["v_H0"]
+    if velocity is not None and not box.lower <= velocity <= box.upper:
+        raise ParameterError(f"velocity={velocity} m/s must be from {box.lower:g} to {box.upper:g}")
+    if not 0.01 <= seconds <= MOST_SECONDS:
+        raise ParameterError(f"seconds={seconds} must be from 0.01 to {MOST_SECONDS:g}")
+    if not 8000 <= rate <= 384_000:
+        raise ParameterError(f"rate={rate} Hz must be from 8000 to 384000")
+
+
+def limited(samples: np.ndarray) -> tuple[np.ndarray, float]:
+    """The sound with its peak at most -1 dBFS, and the gain that took."""
+    peak = float(np.abs(samples).max(initial=0.0))
+    gain = CEILING / peak if peak > CEILING else 1.0
+    return samples * gain, gain
+
+
+def encode_wav(samples: np.ndarray, rate: int) -> bytes:
+    """A mono WAV file of 32 bit floats: nothing is rounded, and a level above full scale survives."""
+    import io
+
+    import soundfile
+
+    stream = io.BytesIO()
+    soundfile.write(stream, samples.astype(np.float32), rate, format="WAV", subtype="FLOAT")
+    return stream.getvalue()
