@@ -10,31 +10,64 @@ import contextlib
 import functools
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from .errors import ParameterError, PianofitError
 
+if TYPE_CHECKING:
+    from .analysis import Analysis
+
 __all__ = ["app", "main"]
 
 app = typer.Typer(
-    no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None,
+    add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None,
     help="From recordings of struck strings to the physical parameters behind them, and back to sound.",
 )  # fmt: skip
 
+# What cannot be understood on a command line; typer keeps click's class in a place of its own.
+UsageError: type[Exception] = typer.BadParameter.__mro__[1]
+
+
+def _number(text: str | float) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise typer.BadParameter(f"{text!r} is no number") from None
+
+
+def _whole(text: str | int) -> int:
+    try:
+        return int(text)
+    except ValueError:
+        raise typer.BadParameter(f"{text!r} is no whole number") from None
+
+
 File = Annotated[Path, typer.Argument(metavar="FILE", help="A recording of one struck note, WAV or FLAC.")]
 Note = Annotated[str | None, typer.Option(help="The note's name, such as F#2; found by itself if not given.")]
-Pitch = Annotated[float | None, typer.Option("--f0", help="The note's pitch in Hz, instead of its name.")]
+Pitch = Annotated[
+    float | None,
+    typer.Option("--f0", parser=_number, metavar="HZ", help="The note's pitch in Hz, instead of its name."),
+]
 Channel = Annotated[str, typer.Option(help="average, left, right, or a channel's number.")]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 Force = Annotated[bool, typer.Option("--force", help="Replace what is there.")]
-Velocity = Annotated[float | None, typer.Option(help="Hammer velocity in m/s.")]
-Seed = Annotated[int, typer.Option(help="Of everything random; the same seed gives the same result.")]
-Seconds = Annotated[float, typer.Option(help="Length of the sound.")]
-Rate = Annotated[int | None, typer.Option(help="Sample rate in Hz.")]
+Velocity = Annotated[float | None, typer.Option(parser=_number, metavar="M/S", help="Hammer velocity in m/s.")]
+Seed = Annotated[
+    int,
+    typer.Option(parser=_whole, metavar="N", help="Of everything random; the same seed gives the same result."),
+]
+Seconds = Annotated[float, typer.Option(parser=_number, metavar="S", help="Length of the sound.")]
+Rate = Annotated[int | None, typer.Option(parser=_whole, metavar="HZ", help="Sample rate in Hz.")]
+
+
+def _complain(message: str) -> None:
+    """Say what is wrong, on one line whatever is in it."""
+    words = " ".join(message.split())
+    typer.echo("pianofit: " + "".join(c if c.isprintable() else repr(c)[1:-1] for c in words), err=True)
 
 
 def _plainly(command: Callable) -> Callable:
@@ -46,10 +79,10 @@ def _plainly(command: Callable) -> Callable:
             command(*args, **kwargs)
             sys.stdout.flush()
         except PianofitError as error:
-            typer.echo(f"pianofit: {error}", err=True)
+            _complain(str(error))
             raise typer.Exit(1) from None
         except KeyboardInterrupt:
-            typer.echo("pianofit: interrupted; nothing more is written", err=True)
+            _complain("interrupted; nothing more is written")
             raise typer.Exit(130) from None
         except BrokenPipeError:  # whoever read our output has had enough
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -102,15 +135,34 @@ def _all(
 
 @app.command()
 @_plainly
-def analyse(file: File, note: Note = None, f0: Pitch = None, channel: Channel = "average", as_json: Json = False) -> None:
+def analyse(
+    file: File, note: Note = None, f0: Pitch = None, channel: Channel = "average", as_json: Json = False
+) -> None:
     """Read pitch, inharmonicity, losses and partials off a recording, without a hammer."""
     from .analysis import analyse as run
-    from .analysis.table import as_dict, as_text
+    from .analysis import as_dict
     from .recording import load_recording
     from .workflow import json_text
 
     found = run(load_recording(file, channel=channel), note=note, f0=f0)
-    typer.echo(json_text(as_dict(found)) if as_json else as_text(found), nl=False)
+    typer.echo(json_text(as_dict(found)) if as_json else _table(found), nl=False)
+
+
+def _table(found: Analysis) -> str:
+    """The string's laws, then a line for every partial."""
+    from .analysis import COLUMNS, rows
+
+    note = f"{found.note}, " if found.note else ""
+    lines = [
+        f"f0 {found.f0:.3f} ± {found.f0_error:.3f} Hz ({note}B {found.B:.4g} ± {found.B_error:.2g})",
+        f"b1 {found.b1:.3g} ± {found.b1_error:.2g} 1/s, rising with k² by {found.d2:.3g} ± {found.d2_error:.2g} 1/s",
+        f"the pitch falls by {found.glide_cents:.1f} cents; partials scatter by {found.scatter_cents:.2f} cents",
+        "",
+        " ".join(f"{f'{name}, {unit}' if unit else name:>14}" for name, unit, _ in COLUMNS),
+    ]
+    digits = [places for _, _, places in COLUMNS]
+    lines += [" ".join(f"{x:14.{d}f}" for x, d in zip(row, digits, strict=True)) for row in rows(found)]
+    return "\n".join([*lines, *found.warnings]) + "\n"
 
 
 @app.command()
@@ -157,8 +209,9 @@ def simulate(
 
     check_render(velocity, seconds, rate or 44_100)
     from .model.cache import keep_programs
-    from .workflow import write_file
+    from .workflow import check_target, write_file
 
+    check_target(out, force)
     keep_programs()
     samples, strike = _struck(preset, change, velocity, seconds, rate or 44_100, quantity)
     write_file(out, encode_wav(samples, rate or 44_100), force)
@@ -203,7 +256,7 @@ def _assignments(change: list[str]) -> dict[str, float]:
 @_plainly
 def render(
     fit_json: Annotated[Path, typer.Argument(metavar="FIT.JSON", help="What pianofit fit wrote.")],
-    velocity: Annotated[float, typer.Option(help="Hammer velocity in m/s.")],
+    velocity: Annotated[float, typer.Option(parser=_number, metavar="M/S", help="Hammer velocity in m/s.")],
     out: Annotated[Path, typer.Option(help="The WAV file to write.")],
     seconds: Seconds = 6.0,
     rate: Rate = None,
@@ -216,11 +269,12 @@ def render(
     voice, own_rate = load_voice(fit_json)
     rate = rate or own_rate
     from .model.cache import keep_programs
-    from .workflow import write_file
+    from .workflow import check_target, write_file
 
+    check_target(out, force)
     keep_programs()
     played = voice._replace(hammer=voice.hammer._replace(v_H0=velocity))
-    samples, strike = played.play(rate, round(seconds * rate), 0)
+    samples, strike = played.play(rate, round(seconds * rate))
     samples, gain = limited(samples)
     write_file(out, encode_wav(samples, rate), force)
     turned = f", brought down by a factor {gain:.3g} to stay below full scale" if gain < 1 else ""
@@ -231,7 +285,10 @@ def render(
 @_plainly
 def demo(
     out: Annotated[Path, typer.Option(help="The folder to write to.")] = Path("pianofit-demo"),
-    noise: Annotated[float, typer.Option(help="How far the noise lies below the first second's rms, dB.")] = 60.0,
+    noise: Annotated[
+        float,
+        typer.Option(parser=_number, metavar="DB", help="How far the noise lies below the first second's rms, dB."),
+    ] = 60.0,
     no_noise: Annotated[bool, typer.Option("--no-noise", help="Without any noise.")] = False,
     seed: Seed = 0,
     force: Force = False,
@@ -287,9 +344,15 @@ def _summary(document: dict, folder: Path) -> str:
     return "\n".join(lines) + "\n"
 
 
-def main() -> None:
-    """The program's entry point."""
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The program's entry point: run the command line `arguments` and return the exit code."""
+    arguments = sys.argv[1:] if arguments is None else arguments
     try:
-        app()
+        return app(args=list(arguments) or ["--help"], prog_name="pianofit", standalone_mode=False) or 0
+    except UsageError as error:
+        command = getattr(getattr(error, "ctx", None), "command_path", "pianofit")
+        _complain(f"{error.format_message()}; {command} --help says what there is".replace(".;", ";"))  # pyright: ignore[reportAttributeAccessIssue]
+        return 2
     except KeyboardInterrupt:
-        sys.exit(130)
+        _complain("interrupted; nothing more is written")
+        return 130

@@ -7,7 +7,6 @@ velocity it gives the sound of the same string, hammer and path, struck harder o
 from __future__ import annotations
 
 import json
-import math
 import os
 from typing import Any
 
@@ -18,13 +17,17 @@ from .errors import FitError, ParameterError
 from .fit.result import SCHEMA
 from .fit.voice import Voice
 from .model.modes import QUANTITIES
+from .model.simulate import check_geometry
 from .parameters import FIT_NAMES, HAMMER_NAMES, PARAMETERS, STRING_NAMES, Geometry, Hammer, String, check
-from .recording import one_line, read_file
+from .recording import RATES, one_line, read_file
 
 __all__ = ["MOST_SECONDS", "check_render", "encode_wav", "limited", "load_voice"]
 
 LARGEST_FIT = 2**24
+LARGEST = 1e300
 MOST_SECONDS = 600.0
+# More would not fit into an ordinary machine's memory while it is computed.
+MOST_SAMPLES = 2**25
 # A peak above this is brought down to it; -1 dB leaves room for players that resample.
 CEILING = 10 ** (-1 / 20)
 
@@ -47,30 +50,37 @@ def load_voice(path: str | os.PathLike[str]) -> tuple[Voice, int]:
         found = document.get("schema") if isinstance(document, dict) else type(document).__name__
         raise FitError(f"{name}: schema {found!r} is not {SCHEMA}; fit again with this version of pianofit")
     table = _table(document, "parameters", name)
-    values = {key: _number(table, key, name) for key in (*FIT_NAMES, "M_S", "L", "x0", "width")}
+    values = {key: _number(table, key, name) for key in FIT_NAMES}
     try:
-        check({key: values[key] for key in FIT_NAMES}, name)
+        check(values, name)
     except ParameterError as error:
         raise FitError(str(error)) from None
-    if not 0 < values["M_S"] <= 10:
-        raise FitError(f"{name}: M_S={values['M_S']} must be a string's mass in kg, above 0")
-    if not (0 < values["width"] and 0 <= values["x0"] - values["width"] / 2 <= values["x0"] <= values["L"]):
-        raise FitError(f"{name}: x0={values['x0']} m with width={values['width']} m must lie on the string")
     pickup = _table(document, "pickup", name)
     quantity = pickup.get("quantity")
     if quantity not in QUANTITIES:
         raise FitError(f"{name}: pickup.quantity={quantity!r} must be one of {', '.join(QUANTITIES)}")
-    at = _number(table, "pickup", name) if "pickup" in table else 0.5 * values["L"]
     takes = document.get("takes")
     if not (isinstance(takes, list) and takes and isinstance(takes[0], dict)):
         raise FitError(f"{name}: takes is empty; give the file that pianofit fit wrote")
     gain, rate = (_value(takes[0].get(key), f"takes[0].{key}", name) for key in ("gain", "rate"))
+    if not RATES[0] <= rate <= RATES[1]:
+        raise FitError(f"{name}: takes[0].rate={rate:g} Hz must be from {RATES[0]} to {RATES[1]}")
     voice = Voice(
         String(*(values[n] for n in STRING_NAMES)), Hammer(*(values[n] for n in HAMMER_NAMES)),
-        Geometry(values["L"], values["M_S"], values["x0"], values["width"], at),
-        quantity, gain, _path(pickup.get("path"), name),
+        _geometry(table, quantity, name), quantity, gain, _path(pickup.get("path"), name),
     )  # fmt: skip
     return voice, int(rate)
+
+
+def _geometry(table: dict[str, Any], quantity: str, name: str) -> Geometry:
+    length, mass, strike, width = (_number(table, key, name) for key in ("L", "M_S", "x0", "width"))
+    pickup = _number(table, "pickup", name) if quantity in ("velocity", "displacement") else 0.5 * length
+    geometry = Geometry(length, mass, strike, width, pickup)
+    try:
+        check_geometry(geometry, quantity)
+    except ParameterError as error:
+        raise FitError(f"{name}: L, M_S, x0, width and pickup make no string: {error}") from None
+    return geometry
 
 
 def _table(document: dict, key: str, name: str) -> dict[str, Any]:
@@ -86,7 +96,7 @@ def _number(table: dict, key: str, name: str) -> float:
 
 
 def _value(value: Any, key: str, name: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < LARGEST:
         raise FitError(f"{name}: {key} is {value!r}, no finite number; give the file that pianofit fit wrote")
     return float(value)
 
@@ -118,8 +128,12 @@ def check_render(velocity: float | None, seconds: float, rate: int) -> None:
         raise ParameterError(f"velocity={velocity} m/s must be from {box.lower:g} to {box.upper:g}")
     if not 0.01 <= seconds <= MOST_SECONDS:
         raise ParameterError(f"seconds={seconds} must be from 0.01 to {MOST_SECONDS:g}")
-    if not 8000 <= rate <= 384_000:
-        raise ParameterError(f"rate={rate} Hz must be from 8000 to 384000")
+    if not RATES[0] <= rate <= RATES[1]:
+        raise ParameterError(f"rate={rate} Hz must be from {RATES[0]} to {RATES[1]}")
+    if seconds * rate > MOST_SAMPLES:
+        raise ParameterError(
+            f"seconds={seconds} at rate={rate} Hz is too long; ask for {MOST_SAMPLES // rate} s or less"
+        )
 
 
 def limited(samples: np.ndarray) -> tuple[np.ndarray, float]:

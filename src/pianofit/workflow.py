@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .errors import OutputError
+from .errors import OutputError, SetupError
 from .recording import one_line
 
 if TYPE_CHECKING:
     from .fit import Result
+    from .setup_file import Setup
 
-__all__ = ["OUTPUTS", "fit_file", "json_text", "output_folder", "write_file"]
+__all__ = ["OUTPUTS", "check_target", "fit_file", "json_text", "output_folder", "write_file"]
 
 OUTPUTS = ("initial.wav", "fitted.wav", "fit.json", "report.html")
 
@@ -31,7 +33,7 @@ def output_folder(path: Path, force: bool) -> Iterator[Path]:
     """
     name = one_line(path)
     try:
-        made = not path.exists()
+        made = [p for p in (path, *path.parents) if not p.exists()]
         path.mkdir(parents=True, exist_ok=True)
         held = next(path.iterdir(), None)
         if held is not None and not force:
@@ -43,9 +45,27 @@ def output_folder(path: Path, force: bool) -> Iterator[Path]:
     try:
         yield path
     finally:
-        if made:
-            with contextlib.suppress(OSError):  # only an empty folder goes
-                path.rmdir()
+        with contextlib.suppress(OSError):  # only empty folders go
+            for folder in made:
+                folder.rmdir()
+
+
+def check_target(path: Path, force: bool) -> None:
+    """Refuse a file that could not be written, before anything is computed for it.
+
+    Raises
+    ------
+    OutputError
+        If it exists and `force` is not given, is a folder, or has no folder to be in.
+    """
+    if path.is_dir():
+        raise OutputError(f"{one_line(path)}: is a folder; give a file name")
+    if path.exists() and not force:
+        raise OutputError(f"{one_line(path)}: exists; give another --out, or --force to replace it")
+    if not path.parent.is_dir():
+        raise OutputError(
+            f"{one_line(path)}: there is no folder {one_line(path.parent)}; make it, or give another --out"
+        )
 
 
 def write_file(path: Path, content: bytes, force: bool) -> None:
@@ -58,16 +78,23 @@ def write_file(path: Path, content: bytes, force: bool) -> None:
     """
     from .report.output import replace_file
 
-    if path.is_dir():
-        raise OutputError(f"{one_line(path)}: is a folder; give a file name")
-    if path.exists() and not force:
-        raise OutputError(f"{one_line(path)}: exists; give another --out, or --force to replace it")
+    check_target(path, force)
     replace_file(path, content)
 
 
 def json_text(document: dict) -> str:
     """`document` as JSON that any reader takes: no NaN, no infinity."""
     return json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def _check_velocity(velocity: float | None, known: Setup, setup: Path | None) -> None:
+    """Refuse a measured velocity that the setup rules out."""
+    low, high = known.bounds.get("v_H0", (0.0, math.inf))
+    if velocity is not None and not low <= velocity <= high:
+        raise SetupError(
+            f"{one_line(setup)}: velocity={velocity} m/s lies outside its [bounds] v_H0 = [{low:g}, {high:g}]; "
+            "change one of them"
+        )
 
 
 def fit_file(
@@ -94,6 +121,7 @@ def fit_file(
     from .setup_file import Setup, load_setup
 
     known = Setup() if setup is None else load_setup(setup)
+    _check_velocity(velocity, known, setup)
     progress("reading", 0.0)
     recording = load_recording(file, channel=channel)
     from .analysis import analyse

@@ -28,6 +28,7 @@ _WIDEST = 100.0  # Hz; more bandwidth than this brings no more information about
 _LEAST_SNR = 14.0  # dB
 _WORST_LEVEL = 10.0  # dB; a level less sure than this is no level
 _OUTLIER = (6.0, 12.0)  # standard deviations, and cents, from the law beyond which a peak belongs to something else
+_TRUSTED = 20.0  # partials; from about there real strings leave the law by cents
 _BEATS = 1.5  # dB
 
 
@@ -53,7 +54,8 @@ def analyse(recording: Recording, *, note: str | None = None, f0: float | None =
     seconds = len(samples) / rate
     if seconds < 0.08:
         raise AnalysisError(
-            f"{recording.path}: {1000 * seconds:.0f} ms after the onset is too short to analyse; give 80 ms or more"
+            f"{recording.path}: {1000 * seconds:.0f} ms after the onset is too short for {note or 'a note'}; "
+            f"give 80 ms or more"
         )
     top = min(0.45 * rate, _TOP)
     try:
@@ -106,11 +108,13 @@ def _measure_all(
     glides = abs(fall) > max(3 * fall_error, 0.1)
     rows = measure(bands, z, fit, density, glides)
     keep = _plausible(rows, law, number) & ~lost(bands, fit)
-    keep[keep] = _on_law(number[keep], rows.frequency[keep], rows.frequency_error[keep], law)
+    keep[keep] = _on_law(number[keep], rows.frequency[keep], rows.frequency_error[keep])
     if not keep.any():
         raise AnalysisError(f"{recording.path}: no partial of {law.f0:.1f} Hz stands out of the noise")
     table = _table(number[keep], rows, keep)
-    fine = _law(table.number, table.frequency, table.frequency_error, law)
+    fine = frequency_law(
+        table.number, table.frequency, table.frequency_error, B=law.B if len(table) < 2 else None, trusted=_TRUSTED
+    )
     losses = decay_law(table.number, table.decay, table.decay_error)
     glide = tuple((a, b, fine.f0 * float(np.exp(c / CENTS))) for a, b, c, _ in windows)
     return Analysis(
@@ -128,15 +132,11 @@ def _plausible(rows: Measured, law: FrequencyLaw, number: np.ndarray) -> np.ndar
     return (rows.snr > _LEAST_SNR) & near & known & (rows.decay < 300.0)
 
 
-def _law(k: np.ndarray, frequency: np.ndarray, error: np.ndarray, rough: FrequencyLaw) -> FrequencyLaw:
-    return frequency_law(k, frequency, error, B=rough.B if len(k) < 2 else None)
-
-
-def _on_law(k: np.ndarray, frequency: np.ndarray, error: np.ndarray, rough: FrequencyLaw) -> np.ndarray:
+def _on_law(k: np.ndarray, frequency: np.ndarray, error: np.ndarray) -> np.ndarray:
     """Tell which partials keep to the law that most of them follow."""
     if len(k) < 4:
         return np.ones(len(k), bool)
-    law = _law(k, frequency, error, rough)
+    law = frequency_law(k, frequency, error)
     away = CENTS * np.abs(np.log(frequency / law(k)))
     return away < np.maximum(_OUTLIER[0] * np.hypot(law.scatter, CENTS * error / frequency), _OUTLIER[1])
 

@@ -81,43 +81,53 @@ def _line(x: np.ndarray, value: np.ndarray, weight: np.ndarray) -> tuple[float, 
     return a, b, np.array([[1 / total + middle**2 / spread, -middle / spread], [-middle / spread, 1 / spread]])
 
 
-def frequency_law(k: np.ndarray, frequency: np.ndarray, error: np.ndarray, *, B: float | None = None) -> FrequencyLaw:
+def frequency_law(
+    k: np.ndarray, frequency: np.ndarray, error: np.ndarray, *, B: float | None = None, trusted: float = np.inf
+) -> FrequencyLaw:
     """Robust f0 and B through partials `k` of `frequency` with standard `error` (Hz), [partials].
 
-    With a single partial, or with `B` given, B is held (default 3e-4) and its error is infinite.
+    Parameters
+    ----------
+    B : held at this value, with an infinite error; a single partial needs it
+    trusted : number of the partial from which on the law itself is trusted less and less: windings and the shear of a
+        stiff string bend real partials away from it, by more the higher they are
     """
     k = np.asarray(k, float)
-    value = (frequency / k) ** 2  # f0² + f0² B k²
-    relative = np.maximum(error / frequency, 1e-12)
-    hold = B is not None or len(k) < 2
-    held = 3e-4 if B is None else B
-    scatter, robust = 10.0, np.ones(len(k))
-    f0, slope = float(np.median(frequency / k / np.sqrt(1 + held * k**2))), held
-    cov = np.zeros((2, 2))
+    value = (frequency / k) ** 2  # f0² + f0² B k², a straight line in k²
+    noise = np.maximum(error / frequency, 1e-12)
+    doubt = np.sqrt(1 + (k / trusted) ** 2)
+    dof = 1 if B is not None else 2
+    scatter, robust = 10.0 / CENTS, np.ones(len(k))
+    f0, slope = float(np.median(frequency / k)), B or 0.0
+    a, cov = f0**2, np.zeros((2, 2))
     for _ in range(30):
-        model = law_frequency(f0, slope, k)
-        sigma = 2 * (model / k) ** 2 * np.sqrt(relative**2 + (scatter / CENTS) ** 2)
-        weight = robust / sigma**2
-        if hold:
-            base = 1 + slope * k**2
-            f0 = float(np.sqrt(np.sum(weight * base * value) / np.sum(weight * base**2)))
-            cov = np.diag([1 / np.sum(weight * base**2), np.inf])
-        else:
-            a, b, cov = _line(k**2, value, weight)
-            slope = float(np.clip(b / a, *_B_RANGE)) if a > 0 else slope
-            base = 1 + slope * k**2
-            if not (a > 0 and abs(slope - b / a) < 1e-15):
-                a = np.sum(weight * base * value) / np.sum(weight * base**2)
-            f0 = float(np.sqrt(a))
-        residual = np.log(frequency / law_frequency(f0, slope, k))
-        previous, scatter = scatter, CENTS * robust_scatter(residual, relative, 1 if hold else 2)
-        robust = _huber(residual / np.sqrt(relative**2 + (scatter / CENTS) ** 2))
+        sigma = 2 * value * np.hypot(noise, scatter * doubt)
+        a, slope, cov = _stiff_line(k**2, value, robust / sigma**2, B)
+        residual = np.log(frequency / law_frequency(np.sqrt(a), slope, k))
+        previous, scatter = scatter, robust_scatter(residual / doubt, noise / doubt, dof)
+        robust = _huber(residual / np.hypot(noise, scatter * doubt))
         if abs(scatter - previous) < 1e-6 * previous:
             break
-    f0_error = float(np.sqrt(cov[0, 0])) / (2 * f0)
-    gradient = np.array([-slope / f0**2, 1 / f0**2])
-    B_error = float("inf") if hold else float(np.sqrt(max(gradient @ cov @ gradient, 0.0)))
-    return FrequencyLaw(f0, f0_error, float(slope), B_error, float(scatter))
+    f0 = float(np.sqrt(a))
+    gradient = np.array([-slope / a, 1 / a])
+    B_error = float("inf") if B is not None else float(np.sqrt(max(gradient @ cov @ gradient, 0.0)))
+    residual = np.log(frequency / law_frequency(f0, slope, k))
+    spread = CENTS * robust_scatter(residual, noise, dof)
+    return FrequencyLaw(f0, float(np.sqrt(cov[0, 0])) / (2 * f0), slope, B_error, spread)
+
+
+def _stiff_line(
+    x: np.ndarray, value: np.ndarray, weight: np.ndarray, B: float | None
+) -> tuple[float, float, np.ndarray]:
+    """Weighted fit of a (1 + B x): a, B within its range (or held), and the covariance of (a, a B)."""
+    if B is None:
+        a, b, cov = _line(x, value, weight)
+        if a > 0 and _B_RANGE[0] <= b / a <= _B_RANGE[1]:
+            return a, b / a, cov
+        B = float(np.clip(b / a, *_B_RANGE)) if a > 0 else _B_RANGE[1]
+    base = 1 + B * x
+    inverse = 1 / float(np.sum(weight * base**2))
+    return inverse * float(np.sum(weight * base * value)), B, np.diag([inverse, 0.0])
 
 
 def decay_law(k: np.ndarray, decay: np.ndarray, error: np.ndarray) -> DecayLaw:

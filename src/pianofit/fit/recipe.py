@@ -26,11 +26,15 @@ from .misfit import huber, scatter
 from .residuals import Cfg, Target, hammer_batch, joint_batch, string_batch
 from .space import NAMES, Space, default_box, split
 from .target import CENT, ROWS, Measured, Spreads, lines, measured, path_design, target
-from .voice import arrival
+from .voice import arrival, lag
 
 __all__ = ["Fit", "fit_partials"]
 
 STARTS = 16
+# Power of energy by which levels are weighed, and iterations: loud partials lead to the basin, all of them finish.
+GRADES = ((0.25, 30), (0.0, 15))
+# How much of the attack, s, tells when the hammer touched.
+ATTACK = 0.05
 # Starts whose costs differ by less than this ended at the same place.
 AGREEMENT = 0.5
 # σ of the string's stage, 1/s: wide lines first. Glide blurs whatever is finer than the second.
@@ -106,6 +110,10 @@ def fit_partials(
     z, agreeing, searched = _hammer_stage(state, seed)
     progress("string and hammer", 0.6)
     fit = _joint_stage(state, z)
+    if data.calibrated:
+        # The onset is where a sound is first seen; a model this close says when the hammer touched.
+        state = replace(state, delay=_touch(recording, start, fit))
+        fit = _joint_stage(state, fit.space.z(fit.values[None]), fit.spread, fit.robust)
     if fit.spread.level < FINE_LEVEL and np.median(data.partials.level_error) < FINE_LEVEL:
         progress("refinement", 0.8)
         fine = rate * REFINEMENT
@@ -114,6 +122,18 @@ def fit_partials(
         fit = _joint_stage(state, fit.space.z(fit.values[None]), fit.spread, fit.robust)
     progress("done", 1.0)
     return replace(fit, agreeing=agreeing, evaluations=fit.evaluations + count + searched)
+
+
+def _touch(recording: Recording, start: Start, fit: Fit) -> float:
+    """When the hammer touched before the recording's onset, s, by laying the fitted sound's attack on the recorded."""
+    string, hammer = split(fit.values)
+    geometry = start.geometry._replace(strike=float(fit.values[9]))
+    samples = int(ATTACK * recording.rate)
+    model = simulate(string, hammer, geometry, rate=recording.rate, quantity=start.quantity)
+    guess = recording.onset - round(float(fit.target.delay) * recording.rate)
+    heard = np.pad(recording.samples, (max(-guess, 0), samples))[max(guess, 0) :][:samples]
+    late = lag(model.waveform(recording.rate, samples), heard)
+    return (recording.onset - guess - late) / recording.rate
 
 
 @dataclass(frozen=True)
@@ -127,9 +147,11 @@ class _State:
     delay: float
     cfg: Cfg
 
-    def target(self, spread: Spreads, robust: np.ndarray, z: np.ndarray) -> Target:
+    def target(self, spread: Spreads, robust: np.ndarray, z: np.ndarray, grade: float = 0.0) -> Target:
         """The recording weighted by `spread` and `robust`, its noise taken back through the path that suits `z`."""
-        at = partial(target, self.data, self.start, self.space, spread, robust, rate=self.rate, delay=self.delay)
+        at = partial(
+            target, self.data, self.start, self.space, spread, robust, rate=self.rate, delay=self.delay, grade=grade
+        )
         rows = np.zeros(len(self.data.frequency))
         if self.data.calibrated:
             return at(rows)
@@ -165,23 +187,28 @@ def _string_stage(recording, analysis, data: Measured, start: Start, space: Spac
 
 
 def _hammer_stage(state: _State, seed: int) -> tuple[np.ndarray, int, int]:
-    """Many hammers on one string: eq. 19 in the hammer's band first, then levels in dB. The best one [1, 10]."""
+    """Many hammers on one string: eq. 19 in the hammer's band, then levels, the loud ones first. The best [1, 10]."""
     space, data = state.space, state.data
     robust = np.ones((3, len(data.partials)))
+    spread = Spreads(10.0, 1.0, FIRST_SCATTER[data.calibrated])
     z = space.z(space.start[None])
-    at = state.target(Spreads(10.0, 1.0, FIRST_SCATTER[data.calibrated]), robust, z)
+    at = state.target(spread, robust, z)
     hammer = np.arange(len(NAMES)) >= 4
     throw = np.random.default_rng(seed).standard_normal((STARTS, len(NAMES)))
     throw[0] = 0.0  # the literature's own hammer is one of the starts
     z = z + throw * np.where(hammer & np.isfinite(space.spread), space.spread, 0.0)
     by_energy = at._replace(scale=jnp.zeros_like(at.scale))
-    rough = descend(state.evaluate(hammer_batch, by_energy), z, space, iterations=20, free=hammer, tolerance=1e-3)
-    end = descend(state.evaluate(hammer_batch, at), rough.z, space, iterations=30, free=hammer, tolerance=1e-3)
+    end = descend(state.evaluate(hammer_batch, by_energy), z, space, iterations=20, free=hammer, tolerance=1e-3)
+    count = end.evaluations
+    for grade, iterations in GRADES:
+        at = state.target(spread, robust, space.z(space.start[None]), grade)
+        end = descend(state.evaluate(hammer_batch, at), end.z, space, iterations=iterations, free=hammer, tolerance=1e-4)
+        count += end.evaluations
     if not np.isfinite(end.cost).any():
         raise FitError("no hammer within the bounds gives a finite sound; widen [bounds] or check [known] in the setup")
     best = int(np.argmin(end.cost))
     agreeing = int((end.cost < end.cost[best] + AGREEMENT).sum())
-    return end.z[best : best + 1], agreeing, rough.evaluations + end.evaluations
+    return end.z[best : best + 1], agreeing, count
 
 
 def _joint_stage(state: _State, z, spread: Spreads | None = None, robust: np.ndarray | None = None) -> Fit:

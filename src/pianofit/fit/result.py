@@ -163,7 +163,8 @@ def _sound(ear: _Ear, start: Start, fit: Fit, values: np.ndarray, gain: float | 
     string, hammer = (kind(*map(float, x)) for kind, x in zip((String, Hammer), split(values), strict=True))
     geometry = start.geometry._replace(strike=float(values[9]))
     voice = Voice(string, hammer, geometry, start.quantity, 1.0, path)
-    samples, simulation = voice.play(recording.rate, len(recording.samples), recording.onset)
+    touch = recording.onset - round(float(fit.target.delay) * recording.rate)
+    samples, simulation = voice.play(recording.rate, len(recording.samples), touch)
     gain = ear.gain(samples) if gain is None else gain
     level = _levels(fit, values) + 20 * np.log10(max(gain, 1e-300) * (start.scale or 1.0))
     if path is not None:

@@ -138,7 +138,8 @@ def _shares(data: Measured) -> np.ndarray:
 
 
 def target(
-    data: Measured, start: Start, space: Space, spread: Spreads, robust, shift, *, rate: float, delay: float
+    data: Measured, start: Start, space: Space, spread: Spreads, robust, shift, *, rate: float, delay: float,
+    grade: float = 0.0,
 ) -> Target:
     """Everything the residuals need.
 
@@ -146,9 +147,13 @@ def target(
     ----------
     robust : three factors [3, partials] ≤ 1 on the weights of frequency, decay and level.
     shift : dB [rows], gain and path as known so far: what the noise, measured behind them, is worth before them.
+    grade : level weights go with energy to this power; 0 counts all partials' decibels alike, which has many false
+        minima, and ½ their amplitudes, which has few.
     """
     p, silent = data.partials, np.zeros(len(data.silent))
     weight = np.concatenate([level_weights(data, spread, robust[2]), silent + 1 / np.hypot(spread.level, SILENT_DB)])
+    loud = 10 ** (np.concatenate([data.level, data.silent_level]) * (grade / 10))
+    weight = weight * loud / np.sqrt(np.mean(loud**2))
     sd_frequency = np.hypot(p.frequency_error, p.frequency * spread.frequency * CENT)
     sd_decay = np.hypot(p.decay_error, p.decay * spread.decay)
     number = np.concatenate([p.number, data.silent])

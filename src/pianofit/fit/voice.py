@@ -11,7 +11,7 @@ from ..criterion import OutputPath
 from ..model import Simulation, simulate
 from ..parameters import Geometry, Hammer, String
 
-__all__ = ["Voice", "arrival", "strike_voice"]
+__all__ = ["Voice", "arrival", "lag", "strike_voice"]
 
 
 class Voice(NamedTuple):
@@ -24,8 +24,11 @@ class Voice(NamedTuple):
     gain: float  # file units (full scale = 1) per unit of the pickup
     path: OutputPath | None  # dB over frequency, beside the gain
 
-    def play(self, rate: float, samples: int, onset: int) -> tuple[np.ndarray, Simulation]:
-        """The sound [samples] in file units, its first arrival at index `onset`, and the strike behind it.
+    def play(self, rate: float, samples: int, touch: int | None = None) -> tuple[np.ndarray, Simulation]:
+        """The sound [samples] in file units, and the strike behind it.
+
+        The hammer touches the string at index `touch`, which may lie before the first sample; by default the sound
+        arrives at the first sample.
 
         A path multiplies every partial by its own level, so it goes into the pickup's weights.
         """
@@ -34,7 +37,7 @@ class Voice(NamedTuple):
         if self.path is not None:
             factor = factor * 10 ** (self.path.at(np.abs(np.asarray(simulation.modes.pole.imag)) / (2 * np.pi)) / 20)
         heard = simulation.modes._replace(pickup=simulation.modes.pickup * jnp.asarray(factor))
-        first = onset - round(arrival(self.string, self.geometry, self.quantity) * rate)
+        first = -round(arrival(self.string, self.geometry, self.quantity) * rate) if touch is None else touch
         sound = simulation._replace(modes=heard).waveform(rate, samples - min(first, 0) - max(first, 0))
         return np.pad(sound[max(-first, 0) :], (max(first, 0), 0)), simulation
 
@@ -42,6 +45,18 @@ class Voice(NamedTuple):
 def strike_voice(voice: Voice, rate: float) -> Simulation:
     """The strike, with the contact at a multiple of `rate`."""
     return simulate(voice.string, voice.hammer, voice.geometry, rate=rate, quantity=voice.quantity)
+
+
+def lag(model: np.ndarray, sound: np.ndarray) -> float:
+    """By how many samples, to a hundredth, `sound` has to be shifted back to lie on `model`; both [samples]."""
+    size = 2 ** int(np.ceil(np.log2(2 * len(model))))
+    fine = 16
+    cross = np.fft.rfft(sound, size) * np.fft.rfft(model, size).conj()
+    peaks = np.fft.irfft(cross, fine * size)
+    at = int(np.argmax(peaks))
+    before, top, after = peaks[at - 1], peaks[at], peaks[(at + 1) % len(peaks)]
+    place = at + 0.5 * (before - after) / (before - 2 * top + after)
+    return float((place if place < len(peaks) / 2 else place - len(peaks)) / fine)
 
 
 def arrival(string: String, geometry: Geometry, quantity: str) -> float:
