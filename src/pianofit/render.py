@@ -104,14 +104,14 @@ def _value(value: Any, key: str, name: str) -> float:
 def _path(path: Any, name: str) -> OutputPath | None:
     if path is None:
         return None
+    wrong = FitError(f"{name}: pickup.path needs frequency, rising, and db, as many; give the file that fit wrote")
     try:
-        frequency, db = (np.asarray(path[key], float) for key in ("frequency", "db"))
-        good = frequency.ndim == 1 and 0 < len(frequency) == len(db) and bool((np.diff(frequency) > 0).all())
-        good = good and bool(frequency[0] > 0) and bool(np.isfinite([frequency, db]).all())
-    except (KeyError, TypeError, ValueError):
-        good = False
-    if not good:
-        raise FitError(f"{name}: pickup.path needs frequency, rising, and db, as many; give the file that fit wrote")
+        frequency, db = np.array([path["frequency"], path["db"]], float)
+    except (KeyError, OverflowError, TypeError, ValueError):
+        raise wrong from None
+    rising = frequency.ndim == 1 and frequency.size and frequency[0] > 0 and bool((np.diff(frequency) > 0).all())
+    if not (rising and np.isfinite([frequency, db]).all()):
+        raise wrong
     return OutputPath(frequency, db)
 
 
@@ -144,11 +144,14 @@ def limited(samples: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 def encode_wav(samples: np.ndarray, rate: int) -> bytes:
-    """A mono WAV file of 32 bit floats: nothing is rounded, and a level above full scale survives."""
+    """A mono WAV file of 32 bit floats: nothing is rounded, and a level above full scale survives.
+
+    Not by libsndfile, which puts the time of day into such files: the same sound is the same bytes.
+    """
     import io
 
-    import soundfile
+    from scipy.io import wavfile
 
     stream = io.BytesIO()
-    soundfile.write(stream, samples.astype(np.float32), rate, format="WAV", subtype="FLOAT")
+    wavfile.write(stream, rate, samples.astype(np.float32))
     return stream.getvalue()

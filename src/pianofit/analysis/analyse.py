@@ -19,7 +19,7 @@ from .spectrum import noise_between, spectrum
 if TYPE_CHECKING:
     from ..recording import Recording
 
-__all__ = ["analyse"]
+__all__ = ["TRUSTED", "analyse"]
 
 _SKIP = 0.005  # s; the contact is over by then or all but
 _LONGEST = 20.0  # s; what comes later adds nothing
@@ -28,7 +28,7 @@ _WIDEST = 100.0  # Hz; more bandwidth than this brings no more information about
 _LEAST_SNR = 14.0  # dB
 _WORST_LEVEL = 10.0  # dB; a level less sure than this is no level
 _OUTLIER = (6.0, 12.0)  # standard deviations, and cents, from the law beyond which a peak belongs to something else
-_TRUSTED = 20.0  # partials; from about there real strings leave the law by cents
+TRUSTED = 20.0  # partials; from about there real strings leave the law by cents
 _BEATS = 1.5  # dB
 
 
@@ -113,7 +113,7 @@ def _measure_all(
         raise AnalysisError(f"{recording.path}: no partial of {law.f0:.1f} Hz stands out of the noise")
     table = _table(number[keep], rows, keep)
     fine = frequency_law(
-        table.number, table.frequency, table.frequency_error, B=law.B if len(table) < 2 else None, trusted=_TRUSTED
+        table.number, table.frequency, table.frequency_error, B=law.B if len(table) < 2 else None, trusted=TRUSTED
     )
     losses = decay_law(table.number, table.decay, table.decay_error)
     glide = tuple((a, b, fine.f0 * float(np.exp(c / CENTS))) for a, b, c, _ in windows)

@@ -37,7 +37,10 @@ class Components:
 
 
 def energy_level(amplitude: NDArray[np.complex128], pole: NDArray[np.complex128]) -> np.ndarray:
-    """10 log10 ∫_0^0.35s (Σ_i Re c_i exp(p_i t))² exp(−16 t) dt, in closed form; dB re full scale² · s, [partials].
+    """10 log10 ½ ∫_0^0.35s |Σ_i c_i exp(p_i t)|² exp(−16 t) dt, in closed form; dB re full scale² · s, [partials].
+
+    The energy of the real signal, save for the part that turns at twice its frequency: that depends on the phase in
+    which the clock found the partial, and says nothing of the strike.
 
     Parameters
     ----------
@@ -51,7 +54,7 @@ def energy_level(amplitude: NDArray[np.complex128], pole: NDArray[np.complex128]
 
     c, d = amplitude[:, :, None], amplitude[:, None, :]
     p, q = pole[:, :, None], pole[:, None, :]
-    energy = np.sum(c * d.conj() * integral(p + q.conj()) + c * d * integral(p + q), axis=(1, 2)).real / 2
+    energy = np.sum(c * d.conj() * integral(p + q.conj()), axis=(1, 2)).real / 2
     return 10 * np.log10(np.maximum(energy, 1e-60))
 
 

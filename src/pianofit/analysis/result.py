@@ -18,7 +18,7 @@ class Partials:
     frequency_error: np.ndarray
     decay: np.ndarray  # [partials], 1/s, decay rate α of the amplitude
     decay_error: np.ndarray
-    level: np.ndarray  # [partials], dB re full scale² · s: ∫_0^0.35s (the partial)² exp(−16 t) dt, t from the onset
+    level: np.ndarray  # [partials], dB re full scale² · s: ∫_0^0.35s of its mean power · exp(−16 t) dt, from the onset
     level_error: np.ndarray
     snr: np.ndarray  # [partials], dB, amplitude at the onset over its own standard error from noise
     beating: np.ndarray  # [partials], dB, rms deviation of the log envelope from one exponential

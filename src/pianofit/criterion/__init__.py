@@ -1,11 +1,13 @@
 """How far a model's sound is from a recording: the paper's energy criterion in bands, and the levels of partials."""
 
-from .bands import BANDS, Cells, band_of, borders, cell_grid, partial_frequency
+from .bands import BANDS, Cells, band_of, borders, cell_grid, line_sigma, partial_frequency
 from .energy import band_values, closed_form_gain, measure
-from .levels import OutputPath, level_error_db, path_basis
+from .levels import PATH_SPREAD, PATH_TERMS, OutputPath, level_error_db, path_basis
 
 __all__ = [
     "BANDS",
+    "PATH_SPREAD",
+    "PATH_TERMS",
     "Cells",
     "OutputPath",
     "band_of",
@@ -14,6 +16,7 @@ __all__ = [
     "cell_grid",
     "closed_form_gain",
     "level_error_db",
+    "line_sigma",
     "measure",
     "partial_frequency",
     "path_basis",

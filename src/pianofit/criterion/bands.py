@@ -12,12 +12,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-__all__ = ["BANDS", "Cells", "band_of", "borders", "cell_grid", "partial_frequency"]
+__all__ = ["BANDS", "Cells", "band_of", "borders", "cell_grid", "line_sigma", "partial_frequency"]
 
 BANDS = ("band1", "band2", "band3")
 NODES = 48
 # Half a cell in units of the linewidth σ/2π: beyond it a Lorentzian's energy is down by a factor 150.
 REACH = 12.0
+
+
+# σ at which the criterion is weighed and reported, 1/s, and the spacing of partials in linewidths it must leave.
+WIDEST_SIGMA, APART = 30.0, 16.0
 
 
 class Cells(NamedTuple):
@@ -31,6 +35,11 @@ class Cells(NamedTuple):
 def partial_frequency(k: np.ndarray, f0: float, B: float) -> np.ndarray:
     """f_k = k f0 √(1 + B k²), Hz, for any real k."""
     return k * f0 * np.sqrt(1 + B * np.square(k))
+
+
+def line_sigma(f0: float) -> float:
+    """σ, 1/s, at which lines are wide enough to forgive cents, and the partials of `f0`, Hz, still stand apart."""
+    return min(WIDEST_SIGMA, 2 * np.pi * f0 / APART)
 
 
 def borders(f0: float, B: float, last: int) -> tuple[float, ...]:

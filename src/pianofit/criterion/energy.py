@@ -10,7 +10,7 @@ import numpy as np
 
 from .bands import BANDS, Cells, band_of, cell_grid
 
-__all__ = ["band_values", "closed_form_gain", "measure", "resolution"]
+__all__ = ["band_values", "closed_form_gain", "measure"]
 
 # exp(-σT) of the signal is left where it is cut; -σT = 14 leaves 1e-6.
 ENOUGH_DAMPING = 14.0

@@ -11,11 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-__all__ = ["OutputPath", "level_error_db", "path_basis"]
+__all__ = ["PATH_SPREAD", "PATH_TERMS", "OutputPath", "level_error_db", "path_basis"]
 
-# Cosines beside the constant gain, and the standard deviation that the penalty grants the j-th, PATH_DB / j.
+# Cosines beside the constant gain, and the standard deviation that the penalty grants the j-th, dB.
 PATH_TERMS = 6
-PATH_DB = 8.0
+PATH_SPREAD = 8.0 / np.arange(1, PATH_TERMS + 1)
 
 
 class OutputPath(NamedTuple):
@@ -29,12 +29,11 @@ class OutputPath(NamedTuple):
         return np.interp(np.log(np.maximum(frequency, 1e-9)), np.log(self.frequency), self.db)
 
 
-def path_basis(frequency: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The path's cosines at `frequency` [partials], as [partials, terms], and the terms' standard deviations, dB."""
+def path_basis(frequency: np.ndarray) -> np.ndarray:
+    """The path's cosines at `frequency`, Hz [partials], as [partials, terms]; coefficients are in dB."""
     x = np.log(frequency / frequency.min())
     x = x / max(x.max(), 1e-9)
-    j = np.arange(1, PATH_TERMS + 1)
-    return np.cos(np.pi * x[:, None] * j), PATH_DB / j
+    return np.cos(np.pi * x[:, None] * np.arange(1, PATH_TERMS + 1))
 
 
 def level_error_db(model: np.ndarray, measured: np.ndarray) -> float:

@@ -8,9 +8,9 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 
 import jax.numpy as jnp
 import numpy as np
@@ -24,8 +24,9 @@ from ..recording import Recording
 from .levenberg import Descent, descend
 from .misfit import huber, scatter
 from .residuals import Cfg, Target, hammer_batch, joint_batch, string_batch
-from .space import NAMES, Space, default_box, split
-from .target import CENT, ROWS, Measured, Spreads, lines, measured, path_design, target
+from ..criterion import PATH_SPREAD, PATH_TERMS
+from .space import NAMES, SIZE, Space, default_box, split
+from .target import CENT, ROWS, Measured, Spreads, doubt, lines, measured, target
 from .voice import arrival, lag
 
 __all__ = ["Fit", "fit_partials"]
@@ -37,11 +38,14 @@ GRADES = ((0.25, 30), (0.0, 15))
 ATTACK = 0.05
 # Starts whose costs differ by less than this ended at the same place.
 AGREEMENT = 0.5
-# σ of the string's stage, 1/s: wide lines first. Glide blurs whatever is finer than the second.
-SIGMAS = (30.0, 10.0)
+# σ of the string's stage in units of the criterion's: wide lines first. Glide blurs what is finer than the second.
+SIGMAS = (1.0, 0.35)
 ROUNDS = 4
 # Levels better known than this, dB, show the contact's step; the last stage then takes a finer one.
 FINE_LEVEL, REFINEMENT = 0.05, 4
+# A band whose criterion is 1, as for silence, costs half this much where the path is unknown: there it is not noise
+# that says which partials matter.
+CRITERION = 100.0
 # No real path is as smooth as the model's, dB; a few partials would otherwise be fitted to the last digit.
 LEAST_SCATTER = 1.0
 # Before the first round the model is taken to miss a partial by this much, dB.
@@ -54,16 +58,17 @@ Progress = Callable[[str, float], None]
 class Fit:
     """Where the search ended, before it is put into words."""
 
-    values: np.ndarray  # [10], in the order of `NAMES`
+    z: np.ndarray  # [1, size]
+    values: np.ndarray  # [size]: in the order of `NAMES`, then gain and path in dB
     space: Space
     data: Measured
     spread: Spreads
     robust: np.ndarray  # [3, partials]
     target: Target
     cfg: Cfg
-    jacobian: np.ndarray  # [residuals, 10]
+    jacobian: np.ndarray  # [residuals, size]
     cost: float
-    pressed: np.ndarray  # [10]
+    pressed: np.ndarray  # [size]
     converged: bool
     evaluations: int
     agreeing: int  # how many of the hammer's starts ended at the lowest cost
@@ -71,14 +76,16 @@ class Fit:
 
 
 def search_space(start: Start) -> Space:
-    """The box and the starting point [10]."""
+    """The box and the starting point [size]; gain and path start at 0 dB."""
     lower, upper = default_box(start.geometry.length, start.geometry.width)
     for name, (low, high) in start.bounds.items():
         lower[NAMES.index(name)], upper[NAMES.index(name)] = low, high
-    values = np.array([start.values[n] for n in NAMES])
-    free = np.array([n not in start.fixed for n in NAMES])
+    blank = np.zeros(SIZE - len(NAMES))
+    values = np.append([start.values[n] for n in NAMES], blank)
+    calibrated, known = start.scale is not None, start.quantity != "pressure"
+    free = np.append([n not in start.fixed for n in NAMES], [not calibrated] + [not (calibrated or known)] * PATH_TERMS)
     lower, upper = np.where(free, lower, values), np.where(free, upper, values)
-    spread = np.array([start.spread[n] for n in NAMES])
+    spread = np.concatenate([[start.spread[n] for n in NAMES], [np.inf], PATH_SPREAD])
     return Space(lower, upper, free, np.clip(values, lower, upper), spread, 0.0)
 
 
@@ -106,20 +113,24 @@ def fit_partials(
     progress("string", 0.1)
     space, count = _string_stage(recording, analysis, data, start, space, rate, cfg)
     progress("hammer", 0.3)
-    state = _State(data, start, space, rate, delay, cfg)
+    state = _State(data, start, space, rate, delay, cfg, 0.0 if data.calibrated else CRITERION)
+    # The last stage's program compiles on the other core meanwhile.
+    ahead = threading.Thread(target=_compile_joint, args=(state,), daemon=True)
+    ahead.start()
     z, agreeing, searched = _hammer_stage(state, seed)
+    ahead.join()
     progress("string and hammer", 0.6)
     fit = _joint_stage(state, z)
     if data.calibrated:
         # The onset is where a sound is first seen; a model this close says when the hammer touched.
         state = replace(state, delay=_touch(recording, start, fit))
-        fit = _joint_stage(state, fit.space.z(fit.values[None]), fit.spread, fit.robust)
+        fit = _joint_stage(state, fit.z, fit.spread, fit.robust)
     if fit.spread.level < FINE_LEVEL and np.median(data.partials.level_error) < FINE_LEVEL:
         progress("refinement", 0.8)
         fine = rate * REFINEMENT
         rows = max(rows, count_modes(string, start.geometry, fine))
-        state = replace(state, rate=fine, cfg=cfg._replace(steps=steps * REFINEMENT, n_modes=rows), space=fit.space)
-        fit = _joint_stage(state, fit.space.z(fit.values[None]), fit.spread, fit.robust)
+        state = replace(state, rate=fine, cfg=cfg._replace(steps=steps * REFINEMENT, n_modes=rows))
+        fit = _joint_stage(state, fit.z, fit.spread, fit.robust)
     progress("done", 1.0)
     return replace(fit, agreeing=agreeing, evaluations=fit.evaluations + count + searched)
 
@@ -147,15 +158,14 @@ class _State:
     delay: float
     cfg: Cfg
 
-    def target(self, spread: Spreads, robust: np.ndarray, z: np.ndarray, grade: float = 0.0) -> Target:
-        """The recording weighted by `spread` and `robust`, its noise taken back through the path that suits `z`."""
-        at = partial(
-            target, self.data, self.start, self.space, spread, robust, rate=self.rate, delay=self.delay, grade=grade
-        )
-        rows = np.zeros(len(self.data.frequency))
-        if self.data.calibrated:
-            return at(rows)
-        return at(path_fit(self.data, self.start, at(rows + np.inf), self.cfg, z)[1])
+    criterion: float
+
+    def target(self, spread: Spreads, robust: np.ndarray, grade: float = 0.0) -> Target:
+        """The recording, weighted."""
+        return target(
+            self.data, self.start, self.space, spread, robust, rate=self.rate, delay=self.delay, grade=grade,
+            criterion=self.criterion,
+        )  # fmt: skip
 
     def evaluate(self, function, at: Target):
         return lambda z: function(jnp.asarray(z), at, self.cfg)
@@ -169,46 +179,62 @@ def _string_stage(recording, analysis, data: Measured, start: Start, space: Spac
         "b1": 1.5,
         "b2": 2.0,
     }
-    box = np.array([near.get(n, 1.0) for n in NAMES])
+    factor = np.array([near.get(n, 1.0) for n in NAMES] + [1.0] * (SIZE - len(NAMES)))
     local = replace(
-        space, lower=np.maximum(space.lower, space.start / box), upper=np.minimum(space.upper, space.start * box)
+        space, lower=np.maximum(space.lower, space.start / factor), upper=np.minimum(space.upper, space.start * factor)
     )
     z, count = local.z(local.start[None]), 0
     glide = 2 * np.pi * abs(analysis.glide_cents) * CENT * analysis.f0
-    for band, names in ((0, ("c", "b1")), (1, ("kappa", "b2"))):
-        if band not in data.occupied:
-            names, band = names, min(b for b in data.occupied)  # noqa: PLW0127
-        free = np.isin(NAMES, names)
-        for sigma in SIGMAS:
-            cells = lines(recording, analysis, data, band, max(sigma, 8 * glide), start, rate)
+    for wanted, names in ((0, ("c", "b1")), (1, ("kappa", "b2"))):
+        band = next((b for b in data.occupied if b >= wanted), max(data.occupied))  # or the next occupied one
+        free = np.append(np.isin(NAMES, names), np.zeros(SIZE - len(NAMES), bool))
+        for narrow in SIGMAS:
+            sigma = max(narrow * data.sigma, 8 * glide)
+            cells = lines(recording, analysis, data, band, sigma, start, rate)
             end = descend(lambda z, cells=cells: string_batch(jnp.asarray(z), cells, cfg), z, local, iterations=8, free=free)
             z, count = end.z, count + end.evaluations
     return replace(space, start=local.values(z[0])), count
 
 
 def _hammer_stage(state: _State, seed: int) -> tuple[np.ndarray, int, int]:
-    """Many hammers on one string: eq. 19 in the hammer's band, then levels, the loud ones first. The best [1, 10]."""
+    """Many hammers on one string: eq. 19 in the hammer's band, then levels, the loud ones first. The best [1, size]."""
     space, data = state.space, state.data
     robust = np.ones((3, len(data.partials)))
     spread = Spreads(10.0, 1.0, FIRST_SCATTER[data.calibrated])
-    z = space.z(space.start[None])
-    at = state.target(spread, robust, z)
-    hammer = np.arange(len(NAMES)) >= 4
-    throw = np.random.default_rng(seed).standard_normal((STARTS, len(NAMES)))
+    hammer = np.arange(SIZE) >= 4
+    physical = hammer & (np.arange(SIZE) < len(NAMES)) & np.isfinite(space.spread)
+    throw = np.random.default_rng(seed).standard_normal((STARTS, SIZE))
     throw[0] = 0.0  # the literature's own hammer is one of the starts
-    z = z + throw * np.where(hammer & np.isfinite(space.spread), space.spread, 0.0)
-    by_energy = at._replace(scale=jnp.zeros_like(at.scale))
-    end = descend(state.evaluate(hammer_batch, by_energy), z, space, iterations=20, free=hammer, tolerance=1e-3)
-    count = end.evaluations
+    z = space.z(space.start[None]) + throw * np.where(physical, space.spread, 0.0)
+    at = state.target(spread, robust)
+    by_energy = at._replace(by_energy=jnp.ones_like(at.by_energy))
+    end = descend(state.evaluate(hammer_batch, by_energy), z, space, iterations=20, free=physical, tolerance=1e-3)
+    z, count = _levelled(state, at, end.z), end.evaluations
     for grade, iterations in GRADES:
-        at = state.target(spread, robust, space.z(space.start[None]), grade)
-        end = descend(state.evaluate(hammer_batch, at), end.z, space, iterations=iterations, free=hammer, tolerance=1e-4)
-        count += end.evaluations
+        at = state.target(spread, robust, grade)
+        end = descend(state.evaluate(hammer_batch, at), z, space, iterations=iterations, free=hammer, tolerance=1e-4)
+        z, count = end.z, count + end.evaluations
     if not np.isfinite(end.cost).any():
         raise FitError("no hammer within the bounds gives a finite sound; widen [bounds] or check [known] in the setup")
     best = int(np.argmin(end.cost))
     agreeing = int((end.cost < end.cost[best] + AGREEMENT).sum())
     return end.z[best : best + 1], agreeing, count
+
+
+def _compile_joint(state: _State) -> None:
+    at = state.target(Spreads(1.0, 0.3, FIRST_SCATTER[state.data.calibrated]), np.ones((3, state.data.found)))
+    joint_batch(jnp.asarray(state.space.z(state.space.start[None])), at, state.cfg)
+
+
+def _levelled(state: _State, at: Target, z: np.ndarray) -> np.ndarray:
+    """The points `z` [starts, size] with the gain at which each is right on average."""
+    if state.data.calibrated:
+        return z
+    level = np.asarray(hammer_batch(jnp.asarray(z), at, state.cfg)[2])[:, 2]
+    weight = np.asarray(at.level_weight) ** 2
+    z = z.copy()
+    z[:, len(NAMES)] = np.clip(((np.asarray(at.level) - level) * weight).sum(axis=1) / weight.sum(), -300, 300)
+    return z
 
 
 def _joint_stage(state: _State, z, spread: Spreads | None = None, robust: np.ndarray | None = None) -> Fit:
@@ -217,7 +243,7 @@ def _joint_stage(state: _State, z, spread: Spreads | None = None, robust: np.nda
     spread = spread or Spreads(1.0, 0.3, FIRST_SCATTER[data.calibrated])
     robust = np.ones((3, len(data.partials))) if robust is None else robust
     for _ in range(ROUNDS):
-        at = state.target(spread, robust, z)
+        at = state.target(spread, robust)
         end = descend(state.evaluate(joint_batch, at), z, state.space, iterations=25, tolerance=1e-6)
         z, count, before = end.z, count + end.evaluations, spread
         spread, robust = _weights(state, at, z)
@@ -227,11 +253,12 @@ def _joint_stage(state: _State, z, spread: Spreads | None = None, robust: np.nda
 
 
 def _weights(state: _State, at: Target, z: np.ndarray) -> tuple[Spreads, np.ndarray]:
-    """Scatter of each kind of residual about the model at `z` [1, 10], and Huber's factors."""
+    """Scatter of each kind of residual about the model at `z` [1, size], and Huber's factors."""
     data, p = state.data, state.data.partials
-    frequency, decay, level = residual_columns(state.data, at, state.cfg, z)
-    cents = frequency / (p.frequency * CENT)
-    cents_sd, decay_sd = p.frequency_error / (p.frequency * CENT), p.decay_error / p.decay
+    observed = np.stack([p.frequency, p.decay, data.level[: data.found]])
+    frequency, decay, level = observed - predicted(data, at, state.cfg, z[0])
+    cent = p.frequency * CENT * doubt(p.number)
+    cents, cents_sd, decay_sd = frequency / cent, p.frequency_error / cent, p.decay_error / p.decay
     hammer_freedom = float(state.space.free[4:].sum()) + (0 if data.calibrated else 4)
     spread = Spreads(
         scatter(cents, cents_sd, 2), scatter(decay / p.decay, decay_sd, 2), scatter(level, p.level_error, hammer_freedom)
@@ -249,40 +276,11 @@ def _weights(state: _State, at: Target, z: np.ndarray) -> tuple[Spreads, np.ndar
 
 
 def predicted(data: Measured, at: Target, cfg: Cfg, z: np.ndarray) -> np.ndarray:
-    """Frequency, Hz, decay, 1/s, and level, dB, of the model's partials [3, partials] at `z` [1, 10]."""
-    return np.asarray(joint_batch(jnp.asarray(z), at, cfg)[2])[0, :, : len(data.partials)]
-
-
-def residual_columns(data: Measured, at: Target, cfg: Cfg, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Measured minus model [partials] at `z` [1, 10]: Hz, 1/s, and dB after gain and path."""
-    n = len(data.partials)
-    frequency, decay, level = np.asarray(joint_batch(jnp.asarray(z), at, cfg)[2])[0]
-    weight = np.asarray(at.level_weight)
-    q = np.asarray(at.projector)
-    weighted = np.zeros(q.shape[0])
-    weighted[: len(weight)] = weight * (np.asarray(at.level) - level)
-    frequency, decay, weight = frequency[:n], decay[:n], weight[:n]
-    left = (weighted - q @ (q.T @ weighted))[:n] / weight
-    return data.partials.frequency - frequency, data.partials.decay - decay, left
-
-
-def path_fit(data: Measured, start: Start, at: Target, cfg: Cfg, z: np.ndarray) -> tuple[float, np.ndarray]:
-    """Gain, dB, and gain and path together, dB [rows], that suit the model at `z` [1, 10] best.
-
-    The same penalised least squares that the projection removes, solved.
-    """
-    rows = len(data.frequency)
-    weight, level = np.asarray(at.level_weight)[:rows], np.asarray(joint_batch(jnp.asarray(z), at, cfg)[2])[0, 2, :rows]
-    difference = np.asarray(at.level)[:rows] - level
-    if start.quantity != "pressure":  # a known pickup: only its gain is unknown
-        gain = float(np.average(difference, weights=weight**2))
-        return gain, np.full(rows, gain)
-    basis, sd = path_design(data)
-    penalty = np.hstack([np.zeros((len(sd), 1)), np.diag(1 / sd)])
-    found = np.linalg.lstsq(
-        np.vstack([weight[:, None] * basis, penalty]), np.append(weight * difference, np.zeros(len(sd))), rcond=None
-    )[0]
-    return float(found[0]), basis @ found
+    """Frequency, Hz, decay, 1/s, and level, dB, of the model's partials [3, partials], with gain, path and noise."""
+    frequency, decay, level = np.asarray(joint_batch(jnp.asarray(z[None]), at, cfg)[2])[0]
+    level = level + np.asarray(at.basis) @ z[len(NAMES) :]
+    level = 10 * np.log10(10 ** (level / 10) + 10 ** (np.asarray(at.floor) / 10))
+    return np.stack([frequency, decay, level])[:, : data.found]
 
 
 def _ended(state: _State, end: Descent, at: Target, spread: Spreads, robust, count: int) -> Fit:
@@ -291,6 +289,6 @@ def _ended(state: _State, end: Descent, at: Target, spread: Spreads, robust, cou
     pressed = state.space.at_bound(values) & (np.abs(downhill) > 0)
     messages = () if bool(end.settled[0]) else ("The last stage stopped before it settled.",)
     return Fit(
-        values, state.space, state.data, spread, robust, at, state.cfg, end.jacobian[0], float(end.cost[0]),
+        end.z, values, state.space, state.data, spread, robust, at, state.cfg, end.jacobian[0], float(end.cost[0]),
         pressed, bool(end.settled[0]), count, 0, messages,
     )  # fmt: skip

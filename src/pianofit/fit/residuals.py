@@ -1,14 +1,14 @@
 """What a fit minimises, as residuals with their derivatives.
 
 A recording enters as its table of partials, a model as its table of modes, so the two are compared row by row:
-frequency, decay and level. The unknown gain and output path are linear in dB, and so are removed in closed form by a
-projection. Two scales serve two purposes. On the `energy` scale the level residuals are the paper's eq. 19, summed over
-each partial's line in closed form: it finds the basin. On the `level` scale they are in units of the measured noise and
-misfit: it gives the estimate and its interval.
+frequency, decay and level. Levels count twice. As energies they are the paper's eq. 19, summed over each partial's line
+in closed form: it finds the basin, and it keeps what is loud right. As decibels, in units of the measured noise and of
+the scatter about the model, they give the estimate and its interval.
 """
 
 from __future__ import annotations
 
+import math
 from functools import partial
 from typing import NamedTuple
 
@@ -18,15 +18,15 @@ from jaxtyping import Array, Float
 
 from ..model.contact import strike
 from ..model.modes import mode_table
-from ..model.response import LEVEL_DECAY, level_db, mobility, ringing
+from ..model.response import level_db, mobility, ringing
 from ..parameters import Geometry, Hammer, String
-from .space import stiffness
+from .space import LOG, SIZE, stiffness
 
-__all__ = ["Cfg", "Lines", "Target", "hammer_batch", "joint", "joint_batch", "predict", "string_batch", "string_lines"]
+__all__ = ["Cfg", "Lines", "Target", "compare", "hammer_batch", "joint_batch", "predict", "string_batch", "string_lines"]
 
 # A strike that does not end within the steps of a search costs this much.
 ENDLESS = 1e3
-DB = 10 / jnp.log(10.0)
+DB = 10 / math.log(10.0)
 
 
 class Cfg(NamedTuple):
@@ -39,21 +39,23 @@ class Cfg(NamedTuple):
 
 
 class Target(NamedTuple):
-    """The recording, padded to [partials] rows, and what turns differences into residuals. `weight`s of padding are 0."""
+    """The recording, padded to [rows], and what turns differences into residuals. `weight`s of padding are 0."""
 
     row: Array  # k - 1
     frequency: Array  # Hz
     decay: Array  # 1/s
     level: Array  # dB
     floor: Array  # dB, energy of the noise
+    line: Array  # dB, the level that eq. 19 likes best
     frequency_weight: Array  # 1/Hz
     decay_weight: Array  # s
     level_weight: Array  # 1/dB
-    energy_weight: Array  # 1 in the band that eq. 19 is taken over
-    scale: Array  # 1: levels in dB, weighted; 0: energies, the paper's eq. 19
-    projector: Array  # [partials + terms, columns], orthonormal: gain and path
-    start: Array  # [10], search coordinates
-    prior_weight: Array  # [10]
+    line_weight: Array  # share of each line in its band's eq. 19, times what eq. 19 weighs
+    hammer_line: Array  # the same in the hammer's band alone
+    by_energy: Array  # 1: the hammer's band alone, on eq. 19; 0: everything else
+    basis: Array  # [rows, 1 + terms]: gain and path
+    start: Array  # [size], search coordinates
+    prior_weight: Array  # [size]
     log_u: Array
     delay: Array  # s, from the first touch to the recording's onset
     geometry: Geometry
@@ -72,7 +74,7 @@ class Lines(NamedTuple):
 
 
 def predict(string_z: Float[Array, " 4"], hammer_z: Float[Array, " 6"], target: Target, cfg: Cfg):
-    """Frequency, Hz, decay, 1/s, and level, dB, of every partial of the target, and whether the contact ended."""
+    """Frequency, Hz, decay, 1/s, and level, dB, of the target's partials [3, rows], and whether the contact ended."""
     string = String(*jnp.exp(string_z))
     _, mu, p, mass, velocity, at = jnp.exp(hammer_z)
     hammer = Hammer(jnp.exp(stiffness(hammer_z[0], p, target.log_u)), mu, p, mass, velocity)
@@ -82,44 +84,44 @@ def predict(string_z: Float[Array, " 4"], hammer_z: Float[Array, " 6"], target: 
     heard = jax.tree.map(lambda x: x[target.row] if x.ndim else x, modes)
     amplitude = ringing(heard, pulse.drive) * jnp.exp(heard.pole.real * target.delay)
     decay = -heard.pole.real
-    return heard.pole.imag / (2 * jnp.pi), decay, level_db(amplitude, decay), pulse.compression[-1] <= 0
+    prediction = jnp.stack([heard.pole.imag / (2 * jnp.pi), decay, level_db(amplitude, decay)])
+    return prediction, pulse.compression[-1] <= 0
 
 
-def joint(string_z: Array, hammer_z: Array, target: Target, cfg: Cfg):
-    """Residuals of all partials, the path's penalty and the prior, and the prediction they come from.
+def compare(prediction: Array, z: Float[Array, " size"], target: Target, cfg: Cfg) -> Float[Array, " residuals"]:
+    """Residuals of a prediction [3, rows] (frequency, decay, level before gain and path) and of the point itself.
 
-    Half the residuals' sum of squares is the cost. Levels count on two scales, of which `target.scale` picks one.
+    Half their sum of squares is the cost.
     """
-    frequency, decay, level, ended = predict(string_z, hammer_z, target, cfg)
+    frequency, decay, level = prediction
+    shaped = level + target.basis @ z[LOG:]
     # Noise adds its energy to the model's, as it did to the recording's.
-    level = DB * jnp.logaddexp(level / DB, target.floor / DB)
-    heard = jnp.zeros(target.projector.shape[0])
-    heard = heard.at[: level.shape[0]].set(target.level_weight * (level - target.level))
-    heard = heard - target.projector @ (target.projector.T @ heard)
-    residual = jnp.concatenate(
+    heard = DB * jnp.logaddexp(shaped / DB, target.floor / DB)
+    rest = 1 - target.by_energy
+    return jnp.concatenate(
         [
             target.frequency_weight * (frequency - target.frequency),
             target.decay_weight * (decay - target.decay),
-            target.scale * heard,
-            (1 - target.scale) * _energy_lines(level, decay, target, cfg),
-            target.prior_weight * (jnp.concatenate([string_z, hammer_z]) - target.start),
-            jnp.where(ended, 0.0, ENDLESS)[None],
+            rest * target.level_weight * (heard - target.level),
+            rest * target.line_weight * (_relative(shaped - target.line) - 1),
+            target.by_energy * _in_hammer_band(shaped, target, cfg),
+            target.prior_weight * (z - target.start),
         ]
     )
-    return residual, jnp.stack([frequency, decay, level])
 
 
-def _energy_lines(level: Array, decay: Array, target: Target, cfg: Cfg) -> Array:
-    """Eq. 19 over isolated lines. A line |A/2|²/((σ + α)² + ω²) has ∫ (line)² dω ∝ |A|⁴/(σ + α)³, σ = 8/s."""
+def _relative(db: Array) -> Array:
+    """Energy ratio; far above 1 only its root still rises, lest one wild partial hide all others."""
+    ratio = jnp.exp(jnp.minimum(db, 60.0) / DB)
+    return jnp.where(ratio > 4.0, 4.0 * jnp.sqrt(ratio / 4.0), ratio)
 
-    def lines(db, alpha):
-        width = alpha + LEVEL_DECAY
-        return target.energy_weight * jnp.exp(db / DB) * width / width**1.5
 
-    measured = lines(target.level, target.decay)
-    model = lines(level, decay)
-    gain = 1.0 if cfg.calibrated else (model * measured).sum() / jnp.maximum((model**2).sum(), 1e-300)
-    return (gain * model - measured) * (30.0 / jnp.sqrt((measured**2).sum()))
+def _in_hammer_band(level: Array, target: Target, cfg: Cfg) -> Array:
+    """Eq. 19 over the hammer's band, with the gain, where it is unknown, in closed form."""
+    share = target.hammer_line
+    model = share * jnp.exp(jnp.clip(level - target.line, -300.0, 300.0) / DB)
+    gain = 1.0 if cfg.calibrated else (model * share).sum() / jnp.maximum((model**2).sum(), 1e-300)
+    return 30.0 * (gain * model - share)
 
 
 def string_lines(z: Array, lines: Lines, cfg: Cfg) -> Array:
@@ -134,40 +136,52 @@ def string_lines(z: Array, lines: Lines, cfg: Cfg) -> Array:
     model = jnp.abs(mobility(modes, zeta)).reshape(lines.frequency.shape) ** 2
     gain = (model * lines.energy).sum(axis=1) / jnp.maximum((model**2).sum(axis=1), 1e-300)
     miss = gain[:, None] * model - lines.energy
-    return (lines.weight[:, None] * miss).ravel(), gain
+    return (lines.weight[:, None] * miss).ravel()
 
 
-def _with_jacobian(function):
-    """`function(z) -> (residual, extra)` to (residual, Jacobian, extra), in one forward pass."""
+def _evaluate(string_z: Array, rest: Array, fixed_string: bool, target: Target, cfg: Cfg):
+    """Residuals, Jacobian and prediction at one point; the prediction is differentiated, the comparison chained on."""
+    z = jnp.concatenate([string_z, rest])
 
-    def evaluate(z):
-        def twice(x):
-            residual, extra = function(x)
-            return residual, (residual, extra)
+    def twice(x):
+        string, hammer = (string_z, x) if fixed_string else (x[:4], x[4:])
+        value, ended = predict(string, hammer, target, cfg)
+        return value, (value, ended)
 
-        jacobian, (residual, extra) = jax.jacfwd(twice, has_aux=True)(z)
-        return residual, jacobian, extra
-
-    return evaluate
+    slope, (value, ended) = jax.jacfwd(twice, has_aux=True)(rest[: LOG - 4] if fixed_string else z[:LOG])
+    missing = SIZE - slope.shape[-1]
+    slope = jnp.pad(slope, ((0, 0), (0, 0), (4, missing - 4) if fixed_string else (0, missing)))
+    residual, push = jax.linearize(lambda v, x: compare(v, x, target, cfg), value, z)
+    jacobian = jax.vmap(push, in_axes=(2, 0), out_axes=1)(slope, jnp.eye(SIZE))
+    endless = jnp.where(ended, 0.0, ENDLESS)
+    return jnp.append(residual, endless), jnp.pad(jacobian, ((0, 1), (0, 0))), value
 
 
 @partial(jax.jit, static_argnames="cfg")
 def joint_batch(z, target: Target, cfg: Cfg):
-    """For a batch of search points [starts, 10]: residuals [starts, residuals], their Jacobian [starts, residuals, 10],
-    and the predicted frequency, decay and level [starts, 3, partials], padded."""  # noqa: D205, D209
-    return jax.vmap(_with_jacobian(lambda x: joint(x[:4], x[4:], target, cfg)))(z)
+    """Residuals [starts, residuals], their Jacobian [starts, residuals, size] and the prediction [starts, 3, rows].
+
+    `z` is a batch of search points [starts, size].
+    """
+    return jax.vmap(lambda x: _evaluate(x[:4], x[4:], False, target, cfg))(z)
 
 
 @partial(jax.jit, static_argnames="cfg")
 def hammer_batch(z, target: Target, cfg: Cfg):
     """As `joint_batch`, with the first row's string for all: it is computed once, and has no derivatives."""
-    string = z[0, :4]
-    value, jacobian, extra = jax.vmap(_with_jacobian(lambda x: joint(string, x, target, cfg)))(z[:, 4:])
-    return value, jnp.pad(jacobian, ((0, 0), (0, 0), (4, 0))), extra
+    return jax.vmap(lambda x: _evaluate(z[0, :4], x, True, target, cfg))(z[:, 4:])
 
 
 @partial(jax.jit, static_argnames="cfg")
 def string_batch(z, lines: Lines, cfg: Cfg):
-    """`string_lines` for a batch of search points [starts, 10]; the hammer has no derivatives."""
-    value, jacobian, extra = jax.vmap(_with_jacobian(lambda x: string_lines(x, lines, cfg)))(z[:, :4])
-    return value, jnp.pad(jacobian, ((0, 0), (0, 0), (0, z.shape[1] - 4))), extra
+    """`string_lines` and its Jacobian for a batch of search points [starts, size]; only the string has derivatives."""
+
+    def both(x):
+        def twice(y):
+            value = string_lines(y, lines, cfg)
+            return value, value
+
+        jacobian, value = jax.jacfwd(twice, has_aux=True)(x[:4])
+        return value, jnp.pad(jacobian, ((0, 0), (0, x.shape[0] - 4)))
+
+    return jax.vmap(both)(z)

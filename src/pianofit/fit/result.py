@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import platform
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import jax.numpy as jnp
 import numpy as np
 
 from .. import __version__
@@ -12,11 +13,13 @@ from ..analysis import Analysis
 from ..criterion import BANDS, OutputPath, band_values, borders, closed_form_gain, level_error_db, measure
 from ..initial import Start
 from ..model import Simulation
-from ..parameters import PARAMETERS, Hammer, String
+from ..parameters import PARAMETERS
 from ..recording import Recording
-from .recipe import Fit, path_fit, predicted, residual_columns
+from .levenberg import descend
+from .recipe import Fit, predicted
+from .residuals import joint_batch
 from .space import NAMES, K, split
-from .target import REPORT_SIGMA, Measured, level_variance, path_design
+from .target import Measured
 from .uncertainty import covariance, intervals, statuses, tangled, to_stiffness
 from .verdict import verdict, words
 from .voice import Voice
@@ -62,24 +65,26 @@ def conclude(recording: Recording, analysis: Analysis, start: Start, fit: Fit, s
         If the initial or the final contact does not end.
     """
     scored = _scored(fit.data)
-    first = np.array([start.initial.get(n, start.values[n]) for n in NAMES])
+    first = fit.space.start.copy()
+    first[: len(NAMES)] = [start.initial.get(n, start.values[n]) for n in NAMES]
     ear = _Ear.of(recording, analysis, fit.data)
     unit = 1.0 if start.scale is None else 1.0 / start.scale
     initial = _sound(ear, start, fit, first, unit if start.scale else None, None)
     gain, path = _gain_and_path(fit, start, fit.values)
     fitted = _sound(ear, start, fit, fit.values, gain * unit, path)
-    literature = _path_only(fit, start) if not fit.data.calibrated else None
+    literature = None if fit.data.calibrated else _path_only(fit)
+    measured = fit.data.level[: fit.data.found]
 
     cov = to_stiffness(covariance(fit.jacobian, _row_variance(fit), fit.space, fit.pressed), fit.values, fit.space.log_u)
     states = statuses(cov, fit.space, fit.space.at_bound(fit.values), start.fixed)
     levels = {
-        "initial_db": level_error_db(initial.level[scored], fit.data.level[scored]),
-        "fitted_db": level_error_db(fitted.level[scored], fit.data.level[scored]),
-        "path_only_db": None if literature is None else level_error_db(literature[0][scored], fit.data.level[scored]),
+        "initial_db": level_error_db(initial.level[scored], measured[scored]),
+        "fitted_db": level_error_db(fitted.level[scored], measured[scored]),
+        "path_only_db": None if literature is None else level_error_db(literature[0][scored], measured[scored]),
         "partials": int(scored.sum()),
     }
     opening, states = verdict(fit, start, states, levels, None if literature is None else literature[1])
-    spans = intervals(cov, fit.values, max(3 * len(fit.data.partials) - int(fit.space.free.sum()), 1))
+    spans = intervals(cov, fit.values[: len(NAMES)], max(3 * len(fit.data.partials) - int(fit.space.free.sum()), 1))
     document = {
         "schema": SCHEMA,
         "program": "pianofit",
@@ -112,21 +117,22 @@ def versions() -> dict[str, str]:
 
 
 def _row_variance(fit: Fit) -> np.ndarray:
-    """Variance that each row of the Jacobian's residuals is expected to have."""
-    rows = np.ones(fit.jacobian.shape[0])
-    first = 2 * len(fit.target.row)  # after the frequencies and the decays
-    rows[first : first + len(fit.data.partials)] = level_variance(fit.data, fit.spread, fit.robust[2])
-    return rows
+    """Variance that each residual is expected to have: 1 by its weight, save for those of eq. 19.
+
+    An eq. 19 residual weighs a level whose scatter is known by a weight of its own.
+    """
+    rows, found = len(fit.target.row), fit.data.found
+    variance = np.ones(fit.jacobian.shape[0])
+    sd = np.hypot(fit.data.partials.level_error, fit.spread.level) * np.log(10) / 10
+    variance[3 * rows : 3 * rows + found] = (np.asarray(fit.target.line_weight)[:found] * sd) ** 2
+    variance[3 * rows + found : 4 * rows] = 0.0
+    return variance
 
 
 def _scored(data: Measured) -> np.ndarray:
     """The partials on which levels are compared [partials], bool."""
-    return (data.partials.frequency <= LEVEL_TOP) & (data.level >= data.level.max() - LEVEL_RANGE)
-
-
-def _levels(fit: Fit, values: np.ndarray) -> np.ndarray:
-    """The model's levels [partials] in the pickup's unit, before gain and path, dB."""
-    return predicted(fit.data, fit.target, fit.cfg, fit.space.z(values[None]))[2]
+    level = data.level[: data.found]
+    return (data.partials.frequency <= LEVEL_TOP) & (level >= level.max() - LEVEL_RANGE)
 
 
 @dataclass(frozen=True)
@@ -136,6 +142,7 @@ class _Ear:
     recording: Recording
     analysis: Analysis
     last: int
+    sigma: float
     spacing: np.ndarray
     energy: np.ndarray
 
@@ -143,14 +150,14 @@ class _Ear:
     def of(cls, recording: Recording, analysis: Analysis, data: Measured) -> _Ear:
         last = int(data.partials.number.max())
         cells, energy = measure(
-            recording.samples[recording.onset :], recording.rate, analysis.f0, analysis.B, last, REPORT_SIGMA
+            recording.samples[recording.onset :], recording.rate, analysis.f0, analysis.B, last, data.sigma
         )
-        return cls(recording, analysis, last, cells.spacing, energy)
+        return cls(recording, analysis, last, data.sigma, cells.spacing, energy)
 
     def hear(self, samples: np.ndarray) -> np.ndarray:
         """|Y|² [partials, nodes] of a sound aligned to the recording."""
         a, r = self.analysis, self.recording
-        return measure(samples[r.onset :], r.rate, a.f0, a.B, self.last, REPORT_SIGMA)[1]
+        return measure(samples[r.onset :], r.rate, a.f0, a.B, self.last, self.sigma)[1]
 
     def gain(self, samples: np.ndarray) -> float:
         """The factor on `samples` that the criterion likes best."""
@@ -160,42 +167,46 @@ class _Ear:
 def _sound(ear: _Ear, start: Start, fit: Fit, values: np.ndarray, gain: float | None, path: OutputPath | None) -> Sound:
     """Play `values`; without a gain, with the one that the criterion likes best."""
     recording = ear.recording
-    string, hammer = (kind(*map(float, x)) for kind, x in zip((String, Hammer), split(values), strict=True))
+    string, hammer = split(values)
     geometry = start.geometry._replace(strike=float(values[9]))
     voice = Voice(string, hammer, geometry, start.quantity, 1.0, path)
     touch = recording.onset - round(float(fit.target.delay) * recording.rate)
     samples, simulation = voice.play(recording.rate, len(recording.samples), touch)
     gain = ear.gain(samples) if gain is None else gain
-    level = _levels(fit, values) + 20 * np.log10(max(gain, 1e-300) * (start.scale or 1.0))
-    if path is not None:
-        level = level + path.at(fit.data.partials.frequency)
-    return Sound(voice._replace(gain=gain), samples * gain, simulation, level)
+    z = fit.space.z(values)
+    if not fit.data.calibrated and path is None:
+        z[len(NAMES)] = 20 * np.log10(max(gain, 1e-15))
+    return Sound(voice._replace(gain=gain), samples * gain, simulation, predicted(fit.data, fit.target, fit.cfg, z)[2])
 
 
 def _gain_and_path(fit: Fit, start: Start, values: np.ndarray) -> tuple[float, OutputPath | None]:
-    """The gain, a factor, and the path that suit `values` best, as the projection removed them."""
-    if fit.data.calibrated:
-        return 1.0, None
-    gain, both = path_fit(fit.data, start, fit.target, fit.cfg, fit.space.z(values[None]))
+    """Gain, a factor, and path in `values` [size]."""
+    gain = 10 ** (values[len(NAMES)] / 20)
     if start.quantity != "pressure":
-        return 10 ** (gain / 20), None
+        return float(gain), None
     order = np.argsort(fit.data.frequency)
-    return 10 ** (gain / 20), OutputPath(fit.data.frequency[order], (both - gain)[order])
+    path = np.asarray(fit.target.basis)[: len(order), 1:] @ values[len(NAMES) + 1 :]
+    return float(gain), OutputPath(fit.data.frequency[order], path[order])
 
 
-def _path_only(fit: Fit, start: Start) -> tuple[np.ndarray, float]:
+def _path_only(fit: Fit) -> tuple[np.ndarray, float]:
     """Levels of the literature's hammer on the fitted string through the path that suits it best, and its χ² excess."""
-    values = np.where(np.arange(len(NAMES)) < 4, fit.values, fit.space.start)
-    level = _levels(fit, values)
-    gain, path = _gain_and_path(fit, start, values)
-    shaped = level + 20 * np.log10(gain) + (0.0 if path is None else path.at(fit.data.partials.frequency))
-    weight = np.asarray(fit.target.level_weight)[: len(level)]
+    free = np.arange(len(fit.values)) >= len(NAMES)
+    values = np.where(np.arange(len(fit.values)) < 4, fit.values, fit.space.start)
+    values[len(NAMES)] = fit.values[len(NAMES)]
+    held = replace(fit.space, free=fit.space.free & free, start=values)
+    end = descend(
+        lambda z: joint_batch(jnp.asarray(z), fit.target, fit.cfg), held.z(values[None]), held, iterations=25, free=free
+    )
+    weight = np.asarray(fit.target.level_weight)[: fit.data.found]
+    measured = fit.data.level[: fit.data.found]
 
-    def misfit(at: np.ndarray) -> float:
-        left = residual_columns(fit.data, fit.target, fit.cfg, fit.space.z(at[None]))[2]
-        return float(((weight * left) ** 2).sum())
+    def misfit(z: np.ndarray) -> tuple[np.ndarray, float]:
+        level = predicted(fit.data, fit.target, fit.cfg, z)[2]
+        return level, float(((weight * (level - measured)) ** 2).sum())
 
-    return shaped, misfit(values) - misfit(fit.values)
+    level, cost = misfit(end.z[0])
+    return level, cost - misfit(fit.z[0])[1]
 
 
 def _parameters(values, first, spans, states, start: Start) -> dict:
@@ -261,7 +272,7 @@ def _criterion(ear: _Ear, data: Measured, initial: Sound, fitted: Sound) -> dict
     values = {name: {"initial": before[name], "final": after[name]} for name in before if name in occupied}
     return values | {
         "dropped": [name for name in BANDS if name not in occupied],
-        "sigma": REPORT_SIGMA,
+        "sigma": ear.sigma,
         "borders": list(borders(ear.analysis.f0, ear.analysis.B, ear.last)),
     }
 

@@ -1,7 +1,8 @@
-"""Where a fit searches: the logarithms of the nine parameters and of the strike position, within a box.
+"""Where a fit searches: the logarithms of the nine parameters and of the strike position, in a box, then gain and path.
 
 The felt's stiffness is searched as the force at a reference compression, F_ref = K_H u_ref^p: K_H and p trade off along
-F = const at the compressions that a strike really reaches, and F_ref is what the recording fixes.
+F = const at the compressions that a strike really reaches, and F_ref is what the recording fixes. The gain, dB, and the
+coefficients of the output path, dB, follow as they are; a calibrated recording has neither.
 """
 
 from __future__ import annotations
@@ -10,17 +11,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..criterion import PATH_TERMS
 from ..parameters import FIT_NAMES, PARAMETERS, Hammer, String
 
-__all__ = ["NAMES", "Space", "split", "stiffness"]
+__all__ = ["NAMES", "SIZE", "K", "P", "Space", "default_box", "split", "stiffness"]
 
 NAMES = (*FIT_NAMES, "x0")
+LOG = len(NAMES)
+SIZE = LOG + 1 + PATH_TERMS
 K, P = NAMES.index("K_H"), NAMES.index("p")
+# Gain and path stay within this, dB.
+MOST_DB = 400.0
 
 
-def split(values) -> tuple[String, Hammer]:
-    """Parameters [10] in the order of `NAMES` as string and hammer; x0 is the last."""
-    return String(*values[:4]), Hammer(*values[4:9])
+def split(values: np.ndarray) -> tuple[String, Hammer]:
+    """Parameters in the order of `NAMES` as string and hammer."""
+    return String(*map(float, values[:4])), Hammer(*map(float, values[4:9]))
 
 
 def stiffness(log_force, p, log_u):
@@ -30,41 +36,46 @@ def stiffness(log_force, p, log_u):
 
 @dataclass(frozen=True)
 class Space:
-    """The box [10] in natural units, what is free in it, where it starts, and how far the start may be off."""
+    """The box in natural units, what is free in it, where it starts, and how far the start may be off: all [size]."""
 
     lower: np.ndarray
     upper: np.ndarray
     free: np.ndarray
     start: np.ndarray
-    spread: np.ndarray  # standard deviation of log(value) about the start; inf where nothing is known
+    spread: np.ndarray  # standard deviation about the start, of log(value) or of dB; inf where nothing is known
     log_u: float
 
     def z(self, values: np.ndarray) -> np.ndarray:
-        """Search coordinates of natural `values` [..., 10]."""
-        z = np.log(values)
+        """Search coordinates of natural `values` [..., size]."""
+        z = np.array(values, float)
+        z[..., :LOG] = np.log(values[..., :LOG])
         z[..., K] += values[..., P] * self.log_u
         return z
 
     def values(self, z: np.ndarray) -> np.ndarray:
-        """Natural values [..., 10] of search coordinates."""
-        values = np.exp(z)
-        values[..., K] = np.exp(stiffness(z[..., K], values[..., P], self.log_u))
+        """Natural values [..., size] of search coordinates."""
+        values = np.array(z, float)
+        values[..., :LOG] = np.exp(np.clip(z[..., :LOG], -300, 300))
+        values[..., K] = np.exp(np.clip(stiffness(z[..., K], values[..., P], self.log_u), -300, 300))
         return values
 
     def project(self, z: np.ndarray) -> np.ndarray:
         """The nearest point of the box, coordinate by coordinate; fixed coordinates go back to their start."""
-        values = np.clip(self.values(np.clip(z, -600, 600)), self.lower, self.upper)
+        values = np.clip(self.values(z), self.lower, self.upper)
         return self.z(np.where(self.free, values, self.start))
 
     def at_bound(self, values: np.ndarray) -> np.ndarray:
-        """Which free parameters [10] sit on an edge of the box."""
-        edge = 1e-6 * np.log(self.upper / self.lower)
-        low, high = np.log(values / self.lower) <= edge, np.log(self.upper / values) <= edge
-        return self.free & (low | high)
+        """Which free parameters [size] sit on an edge of the box."""
+        low, high = self.z(self.lower), self.z(self.upper)
+        edge = 1e-6 * (high - low)[:LOG]
+        log = np.log(values[:LOG])
+        on = (log - np.log(self.lower[:LOG]) <= edge) | (np.log(self.upper[:LOG]) - log <= edge)
+        return self.free & np.pad(on, (0, len(values) - LOG))
 
 
 def default_box(length: float, width: float) -> tuple[np.ndarray, np.ndarray]:
-    """Bounds [10] of `PARAMETERS`, and of a strike position that keeps the window on the string's first third."""
+    """Bounds of `PARAMETERS`, of a strike position that keeps the window on the string's first third, and of dB."""
+    rest = np.full(SIZE - LOG, MOST_DB)
     lower = [PARAMETERS[n].lower for n in FIT_NAMES] + [max(0.04 * length, 0.51 * width)]
     upper = [PARAMETERS[n].upper for n in FIT_NAMES] + [0.33 * length]
-    return np.array(lower), np.array(upper)
+    return np.append(lower, -rest), np.append(upper, rest)

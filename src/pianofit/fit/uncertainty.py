@@ -1,6 +1,6 @@
 """What the recording fixes and what it does not: covariance, intervals and a status for every parameter.
 
-Residuals are in units of measured noise and estimated scatter, gain and path are projected out, so the curvature's
+Residuals are in units of measured noise and estimated scatter, and gain and path are fitted along, so the curvature's
 inverse is the covariance with both unknown. A parameter whose standard deviation is not well below the spread it
 started with has been told nothing by the recording: it is not identifiable, however good the fit.
 """
@@ -8,7 +8,7 @@ started with has been told nothing by the recording: it is not identifiable, how
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from .space import NAMES, K, P, Space
 
@@ -35,9 +35,9 @@ def covariance(jacobian: np.ndarray, variance: np.ndarray, space: Space, pressed
     value, vector = np.linalg.eigh((j / scale).T @ (j / scale))
     inverse = (vector / np.maximum(value, 1e-14)) @ vector.T / np.outer(scale, scale)
     inner = inverse @ (j.T * variance) @ j @ inverse
-    full = np.zeros((len(NAMES), len(NAMES)))
+    full = np.zeros((len(space.free), len(space.free)))
     full[np.ix_(active, active)] = inner
-    return full
+    return full[: len(NAMES), : len(NAMES)]
 
 
 def to_stiffness(cov: np.ndarray, values: np.ndarray, log_u: float) -> np.ndarray:
@@ -49,7 +49,7 @@ def to_stiffness(cov: np.ndarray, values: np.ndarray, log_u: float) -> np.ndarra
 
 def intervals(cov: np.ndarray, values: np.ndarray, freedom: int) -> dict[str, tuple[float, float] | None]:
     """95 % intervals by name, symmetric in log(value); None for what was not fitted."""
-    reach = student.ppf(0.975, max(freedom, 1)) * np.sqrt(np.diag(cov))
+    reach = stdtrit(max(freedom, 1), 0.975) * np.sqrt(np.diag(cov))
     return {
         name: (float(v * np.exp(-min(r, 700.0))), float(v * np.exp(min(r, 700.0)))) if r > 0 else None
         for name, v, r in zip(NAMES, values, reach, strict=True)
@@ -58,8 +58,8 @@ def intervals(cov: np.ndarray, values: np.ndarray, freedom: int) -> dict[str, tu
 
 def statuses(cov: np.ndarray, space: Space, at_bound: np.ndarray, fixed: dict[str, str]) -> dict[str, str]:
     """`free`, `fixed`, `assumed`, `at-bound` or `not-identifiable`, by name."""
-    sd = np.sqrt(np.diag(cov))
-    vague = sd > np.where(np.isfinite(space.spread), np.minimum(TOLD * space.spread, LOOSE), LOOSE)
+    sd, spread = np.sqrt(np.diag(cov)), space.spread[: len(NAMES)]
+    vague = sd > np.where(np.isfinite(spread), np.minimum(TOLD * spread, LOOSE), LOOSE)
     result = {}
     for i, name in enumerate(NAMES):
         if not space.free[i]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from ..analysis import Analysis
 from ..initial import Start
@@ -30,7 +30,7 @@ def verdict(
             return "Calibrated recording: all free parameters are identified.", states
         return f"Calibrated recording. Not identifiable from it: {', '.join(lost)}.", states
     hammer = int(fit.space.free[4:].sum())
-    as_good = excess < chi2.ppf(0.95, max(hammer, 1))
+    as_good = excess < chdtri(max(hammer, 1), 0.05)
     text = (
         "One uncalibrated recording does not fix the felt: any hammer's spectrum can be traded for an output path. "
         f"Partial levels: {levels['initial_db']:.1f} dB off at the start; "
@@ -70,8 +70,6 @@ def words(
             f"The string's {' and '.join(rests)} were not given and are the literature's for this key; "
             f"the SI values of {', '.join(start.rests_on)} rest on them."
         )
-    if abs(analysis.glide_cents) >= 1:
-        said.append(f"The pitch falls by {analysis.glide_cents:.1f} cents as the note decays.")
     missing = [f"band {b + 1}" for b in range(3) if b not in fit.data.occupied]
     if missing:
         said.append(f"No partial above the noise in {' and '.join(missing)}; dropped, and the next band used.")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 
 from ..criterion import OutputPath
@@ -33,10 +32,11 @@ class Voice(NamedTuple):
         A path multiplies every partial by its own level, so it goes into the pickup's weights.
         """
         simulation = strike_voice(self, rate)
-        factor = self.gain * np.ones(simulation.modes.pole.shape[0])
+        pole = np.asarray(simulation.modes.pole)
+        factor = self.gain * np.ones(len(pole))
         if self.path is not None:
-            factor = factor * 10 ** (self.path.at(np.abs(np.asarray(simulation.modes.pole.imag)) / (2 * np.pi)) / 20)
-        heard = simulation.modes._replace(pickup=simulation.modes.pickup * jnp.asarray(factor))
+            factor = factor * 10 ** (self.path.at(np.abs(pole.imag) / (2 * np.pi)) / 20)
+        heard = simulation.modes._replace(pickup=np.asarray(simulation.modes.pickup) * factor)
         first = -round(arrival(self.string, self.geometry, self.quantity) * rate) if touch is None else touch
         sound = simulation._replace(modes=heard).waveform(rate, samples - min(first, 0) - max(first, 0))
         return np.pad(sound[max(-first, 0) :], (max(first, 0), 0)), simulation

@@ -47,17 +47,20 @@ class Modes(NamedTuple):
     step: Float[Array, ""]  # δt, s
 
 
-def mode_frequencies(string: String, length: float, n_modes: int) -> Float[Array, " modes"]:
+def mode_frequencies(string: String, length: float, n_modes: int) -> np.ndarray:
     """Undamped frequencies of the continuous string, Hz [modes]: k f0 √(1 + B k²)."""
-    beta2 = (jnp.arange(1, n_modes + 1) * (jnp.pi / length)) ** 2
-    return jnp.sqrt(string.c**2 * beta2 + string.kappa**2 * beta2**2) / (2 * jnp.pi)
+    beta2 = (np.arange(1, n_modes + 1) * (np.pi / length)) ** 2
+    return np.sqrt(string.c**2 * beta2 + string.kappa**2 * beta2**2) / (2 * np.pi)
 
 
-def raised_cosine_weights(geometry: Geometry, n_modes: int) -> Float[Array, " modes"]:
-    """Φ_k of the default window, ĝ = (1 + cos(2π(x - x0)/width))/width within ± width/2, in closed form."""
-    beta = jnp.arange(1, n_modes + 1) * (jnp.pi / geometry.length)
-    s = beta * geometry.width / (2 * jnp.pi)  # jnp.sinc(s) is sin(πs)/(πs)
-    return jnp.sin(beta * geometry.strike) * (jnp.sinc(s) + 0.5 * jnp.sinc(s + 1) + 0.5 * jnp.sinc(s - 1))
+def raised_cosine_weights(geometry: Geometry, n_modes: int, xp=jnp) -> Float[Array, " modes"]:
+    """Φ_k of the default window, ĝ = (1 + cos(2π(x - x0)/width))/width within ± width/2, in closed form.
+
+    `xp` is the array library: NumPy where nothing is to be compiled.
+    """
+    beta = xp.arange(1, n_modes + 1) * (xp.pi / geometry.length)
+    s = beta * geometry.width / (2 * xp.pi)  # sinc(s) is sin(πs)/(πs)
+    return xp.sin(beta * geometry.strike) * (xp.sinc(s) + 0.5 * xp.sinc(s + 1) + 0.5 * xp.sinc(s - 1))
 
 
 def window_weights(window: Callable, geometry: Geometry, n_modes: int) -> Float[Array, " modes"]:

@@ -8,6 +8,7 @@ pickup, and H stays while the string stays. Evaluating at σ > 0 is the same as 
 
 from __future__ import annotations
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
@@ -71,11 +72,14 @@ def string_energy(modes: Modes, drive: Float[Array, " steps"]) -> Float[Array, "
     return 0.5 * mass * modes.omega2 * jnp.abs(amplitude) ** 2
 
 
-def level_db(amplitude: Complex[Array, " modes"], decay: Float[Array, " modes"]) -> Float[Array, " modes"]:
-    """Energy of each damped partial Re(A exp(-αt + jωt)) in the first 0.35 s under exp(-8t), dB re unit² · s."""
+def level_db(amplitude: Complex[Array, " modes"], decay: Float[Array, " modes"], xp=jnp) -> Float[Array, " modes"]:
+    """Energy of each damped partial Re(A exp(-αt + jωt)) in the first 0.35 s under exp(-8t), dB re unit² · s.
+
+    `xp` is the array library: NumPy where nothing is to be compiled.
+    """
     rate = 2 * (decay + LEVEL_DECAY)
-    energy = 0.5 * jnp.abs(amplitude) ** 2 * (1 - jnp.exp(-rate * LEVEL_SPAN)) / rate
-    return 10 * jnp.log10(jnp.maximum(energy, jnp.finfo(float).tiny))
+    energy = 0.5 * xp.abs(amplitude) ** 2 * (1 - xp.exp(-rate * LEVEL_SPAN)) / rate
+    return 10 * xp.log10(xp.maximum(energy, np.finfo(float).tiny))
 
 
 def waveform(
@@ -102,9 +106,9 @@ def waveform(
     pole = np.asarray(modes.pole)
     heard = np.abs(pole.imag) < np.pi * rate
     drive = np.asarray(drive)
-    unit = np.asarray(modes.pickup * impulse_amplitude(modes))[heard]
+    unit, amplitude = (np.asarray(x)[heard] for x in _heard(modes, drive, free))
     pole = pole[heard]
-    release = np.zeros(0) if free is None else np.asarray(modes.free_pickup * free.amplitude)[heard]
+    release = np.zeros(0) if free is None else np.asarray(modes.free_pickup)[heard] * np.asarray(free.amplitude)[heard]
 
     steps = len(drive)
     during = np.exp(pole[:, None] * np.arange(steps) / contact)
@@ -112,9 +116,14 @@ def waveform(
     if free is not None:
         head = head + (release @ during).real
     head = head[::ratio][:samples]
-    amplitude = np.asarray(ringing(modes, jnp.asarray(drive), free))[heard]
     tail = _ring(amplitude * np.exp(pole * (len(head) / rate)), pole / rate, samples - len(head))
     return np.concatenate([head, tail])
+
+
+@jax.jit
+def _heard(modes: Modes, drive: Array, free: FreeMotion | None):
+    """What a unit `T` at step 0, and what the whole pulse, makes ring at the pickup: two amplitudes [modes]."""
+    return modes.pickup * impulse_amplitude(modes), ringing(modes, drive, free)
 
 
 def _ring(amplitude: np.ndarray, log_z: np.ndarray, samples: int) -> np.ndarray:

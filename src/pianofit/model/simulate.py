@@ -54,8 +54,8 @@ def contact_rate(string: String, geometry: Geometry, rate: float) -> float:
         If the string is too short or too stiff for any sensible rate.
     """
     n = MOST_MODES
-    frequencies = np.asarray(mode_frequencies(string, geometry.length, n))
-    strong = np.flatnonzero(np.abs(np.asarray(raised_cosine_weights(geometry, n))) > FAINT)
+    frequencies = mode_frequencies(string, geometry.length, n)
+    strong = np.flatnonzero(np.abs(raised_cosine_weights(geometry, n, np)) > FAINT)
     needed = min(ENOUGH_MODES, strong[-1] + 1 if strong.size else ENOUGH_MODES)
     wanted = max(LOWEST_RATE, 1.01 * frequencies[needed - 1] / HIGHEST)
     if wanted > HIGHEST_RATE:
@@ -68,7 +68,7 @@ def contact_rate(string: String, geometry: Geometry, rate: float) -> float:
 
 def count_modes(string: String, geometry: Geometry, rate: float) -> int:
     """Rows for the table: all modes below 0.4 of the contact's rate, filled up to a multiple of 64 to share programs."""
-    frequencies = np.asarray(mode_frequencies(string, geometry.length, MOST_MODES))
+    frequencies = mode_frequencies(string, geometry.length, MOST_MODES)
     below = int((frequencies < HIGHEST * rate).sum())
     return min(MOST_MODES, 64 * -(-below // 64))
 
@@ -116,7 +116,9 @@ def simulate(
     check_geometry(geometry, quantity)
     if not 1e3 <= rate <= 1e6:
         raise ParameterError(f"rate={rate} Hz must be from 1,000 to 1,000,000")
-    contact = rate * oversampling if oversampling else contact_rate(string, geometry, rate)
+    # One kind of number, whatever the caller had: JAX compiles anew for every other.
+    string, hammer, geometry = (type(x)(*map(np.float64, x)) for x in (string, hammer, geometry))
+    contact = np.float64(rate * oversampling if oversampling else contact_rate(string, geometry, rate))
     rows = n_modes or count_modes(string, geometry, contact)
     start = None
     if displacement is not None or velocity is not None:

@@ -39,7 +39,7 @@ def curves_of(result: Result) -> Curves:
         frequency_cents_law=_cents(partial_frequency(k, f0, B), k * f0),
         decay=data.partials.decay, decay_error=data.partials.decay_error,
         decay_law=v.string.b1 + v.string.b2 * (k * np.pi / v.geometry.length) ** 2,
-        level=data.level, level_error=data.partials.level_error,
+        level=data.level[: data.found], level_error=data.partials.level_error,
         level_initial=result.initial.level, level_fitted=result.fitted.level, path=path,
         force_ms=steps,
         force_initial=_pad(first.pulse.force, len(steps)), force_fitted=_pad(last.pulse.force, len(steps)),

@@ -1,0 +1,36 @@
+"""What all tests share: float64, compiled programs that are kept, the same examples every time, real notes."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+from hypothesis import settings
+
+settings.register_profile("pianofit", derandomize=True, deadline=None)
+settings.load_profile("pianofit")
+
+RECORDINGS = Path(os.environ.get("PIANOFIT_RECORDINGS", Path(__file__).parents[2] / "shared" / "recordings"))
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Leave the studies out, unless `-m` asks for something."""
+    if not config.option.markexpr:
+        config.option.markexpr = "not slow"
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _compiled_programs() -> None:
+    """Keep what JAX compiles, as the command line does: a second run of the tests compiles nothing."""
+    from pianofit.model.cache import keep_programs
+
+    keep_programs()
+
+
+@pytest.fixture(scope="session")
+def recordings() -> Path:
+    """The folder of real notes, which is not part of the repository."""
+    if not RECORDINGS.is_dir():
+        pytest.skip(f"no recordings at {RECORDINGS}; set PIANOFIT_RECORDINGS to their folder")
+    return RECORDINGS

@@ -1,0 +1,286 @@
+"""Analysis of notes whose partials are known: precision, honest errors, robustness, and the ways it refuses."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from pianofit.analysis import analyse, as_dict, energy_level, hz_to_note, note_to_hz, note_to_midi, rows
+from pianofit.analysis.inharmonicity import decay_law, frequency_law
+from pianofit.errors import AnalysisError
+from pianofit.recording import Recording, recording_from_samples
+
+RATE, LEAD = 44100, 0.05
+
+
+@dataclass(frozen=True)
+class Note:
+    """A sum of damped cosines; complex amplitudes and poles [partials, components]."""
+
+    number: np.ndarray
+    amplitude: np.ndarray
+    pole: np.ndarray
+
+    def recording(self, *, seconds: float = 6.0, noise: float = 0.0, seed: int = 0, bend: float = 0.0) -> Recording:
+        """The note after 50 ms of silence, rising over 3 ms; `bend` cents of glide die away with 1 s."""
+        t = np.arange(int(seconds * RATE)) / RATE
+        late = bend * np.log(2) / 1200 * (1 - np.exp(-t))
+        x = np.zeros(len(t))
+        for a, s in zip(self.amplitude.flat, self.pole.flat, strict=True):
+            x += (a * np.exp(s.real * t + 1j * s.imag * (t + late))).real
+        rise = RATE * 3 // 1000
+        x[:rise] *= np.sin(np.linspace(0, np.pi / 2, rise)) ** 2
+        x = np.concatenate([np.zeros(int(LEAD * RATE)), x])
+        x += noise * np.random.default_rng(seed).standard_normal(len(x))
+        return replace(recording_from_samples(x, RATE), onset=int(LEAD * RATE))
+
+    @property
+    def frequency(self) -> np.ndarray:
+        """Hz, of the first component."""
+        return self.pole[:, 0].imag / (2 * np.pi)
+
+    @property
+    def decay(self) -> np.ndarray:
+        """Amplitude decay rate of the first component, 1/s."""
+        return -self.pole[:, 0].real
+
+    @property
+    def level(self) -> np.ndarray:
+        """Energies of the first 0.35 s under exp(−8 t), dB."""
+        return energy_level(self.amplitude, self.pole)
+
+
+def string(f0: float, B: float, partials: int, b1: float, d2: float, *, seed: int = 0, missing: int = 0) -> Note:
+    """Random phases; levels up to 40 dB apart from partial to partial, the upper ones 20 dB down besides."""
+    rng = np.random.default_rng(seed)
+    k = np.arange(1, partials + 1)
+    k = k[k % missing != 0] if missing else k
+    frequency = k * f0 * np.sqrt(1 + B * k**2)
+    size = 0.05 * 10 ** (-(rng.uniform(0, 40, len(k)) + 20 * k / partials) / 20)
+    amplitude = size * np.exp(2j * np.pi * rng.random(len(k)))
+    decay = np.minimum(b1 + d2 * k**2, 30.0)
+    return Note(k, amplitude[:, None], (-decay + 2j * np.pi * frequency)[:, None])
+
+
+STRINGS = {
+    "A0": (27.5, 3e-4, 80, 0.3, 4.5e-3),
+    "A2": (110.0, 1.5e-4, 60, 0.5, 5e-3),
+    "C5": (523.25, 9e-4, 19, 1.5, 0.08),
+    "A6": (1760.0, 6e-3, 5, 6.0, 0.8),
+}
+
+
+def test_note_names():
+    assert note_to_midi("C4") == 60
+    assert note_to_midi("Bb3") == 58
+    assert note_to_midi("b#3") == 60  # one octave number up is C's
+    assert note_to_hz("A4") == 440.0
+    assert note_to_hz("F#2") == pytest.approx(92.4986, abs=1e-4)
+    assert hz_to_note(27.5) == "A0"
+    assert hz_to_note(92.33) == "F#2"
+    for nonsense in ("H4", "C", "4C", "C#", "F#2 ", "", "C44"):
+        if nonsense.strip() != "F#2":
+            with pytest.raises(AnalysisError, match="note"):
+                note_to_midi(nonsense)
+
+
+def test_levels_are_the_energy_of_the_first_third_of_a_second():
+    rng = np.random.default_rng(1)
+    c = rng.standard_normal((3, 2)) + 1j * rng.standard_normal((3, 2))
+    p = -rng.uniform(0.2, 30, (3, 2)) + 2j * np.pi * rng.uniform(25, 60, (3, 2))
+    t = np.linspace(0, 0.35, 400_001)
+    wave = np.sum(c[..., None] * np.exp(p[..., None] * t), axis=1)
+    energy = np.trapezoid(np.abs(wave) ** 2 / 2 * np.exp(-16 * t), t, axis=1)
+    np.testing.assert_allclose(energy_level(c, p), 10 * np.log10(energy), atol=1e-6)
+
+
+@pytest.mark.parametrize("name", STRINGS)
+def test_precision_without_noise(name):
+    truth = string(*STRINGS[name], seed=3)
+    analysis = analyse(truth.recording(), note=name)
+    table = analysis.partials
+    audible = truth.level > truth.level.max() - 60
+    assert np.all(np.isin(truth.number[audible], table.number))
+    i = np.searchsorted(table.number, truth.number[audible])
+    np.testing.assert_allclose(table.frequency[i], truth.frequency[audible], rtol=1e-6)
+    np.testing.assert_allclose(table.decay[i], truth.decay[audible], rtol=1e-4)
+    np.testing.assert_allclose(table.level[i], truth.level[audible], atol=5e-3)
+    f0, B, _, b1, d2 = STRINGS[name]
+    assert analysis.f0 == pytest.approx(f0, rel=1e-7)
+    assert pytest.approx(B, rel=1e-5) == analysis.B
+    assert analysis.b1 == pytest.approx(b1, rel=1e-3)
+    assert analysis.d2 == pytest.approx(d2, rel=1e-3)
+    assert abs(analysis.glide_cents) < 1e-3
+    assert analysis.scatter_cents < 1e-3
+
+
+@pytest.mark.parametrize("name", ["A0", "A2", "A6"])
+def test_errors_are_honest_and_near_the_bound(name):
+    noise, standard, bound = 1e-5, [], []
+    f0, B, partials, b1, d2 = STRINGS[name]
+    truth = string(f0, B, min(partials, 40), b1, d2, seed=5)
+    for seed in range(30 if name == "A6" else 6):
+        table = analyse(truth.recording(noise=noise, seed=seed), note=name).partials
+        i = np.searchsorted(truth.number, table.number)
+        assert len(table) > 0.9 * len(truth.number)
+        off = table.frequency - truth.frequency[i]
+        standard.append(
+            [
+                off / table.frequency_error,
+                (table.decay - truth.decay[i]) / table.decay_error,
+                (table.level - truth.level[i]) / table.level_error,
+            ]
+        )
+        bound.append(2 * np.pi * off / _cramer_rao(truth, i, noise))
+    spread = np.std(np.hstack(standard), axis=1)
+    assert np.all((spread > 0.8) & (spread < 1.25)), spread
+    assert np.sqrt(np.mean(np.hstack(bound) ** 2)) < 1.7
+
+
+def _cramer_rao(truth: Note, i: np.ndarray, noise: float) -> np.ndarray:
+    """Bound on the angular frequency of one damped cosine from 5 ms on, everything else known; 1/s."""
+    t = np.arange(int(0.005 * RATE), 6 * RATE) / RATE
+    out = []
+    for a, s in zip(truth.amplitude[i, 0], truth.pole[i, 0], strict=True):
+        weight = np.abs(a) ** 2 * np.exp(2 * s.real * t) / (2 * noise**2)
+        zeroth, first, second = (np.sum(weight * t**n) for n in range(3))
+        out.append(np.sqrt(zeroth / (zeroth * second - first**2)))
+    return np.array(out)
+
+
+def test_beating_partials_keep_their_level_and_dominant_frequency():
+    rng = np.random.default_rng(7)
+    one = string(261.6, 4e-4, 16, 1.0, 0.02, seed=7)
+    weaker = 10 ** (-rng.uniform(2, 10, 16) / 20) * np.exp(2j * np.pi * rng.random(16))
+    apart = rng.uniform(0.5, 4.0, 16)
+    second = (one.pole[:, 0] + 2j * np.pi * apart)[:, None]
+    truth = Note(
+        one.number,
+        np.hstack([one.amplitude, one.amplitude * weaker[:, None]]),
+        np.hstack([one.pole, second]),
+    )
+    table = analyse(truth.recording(noise=1e-6), note="C4").partials
+    i = np.searchsorted(truth.number, table.number)
+    assert len(table) >= 15
+    assert np.median(table.beating) > 1.5
+    assert np.quantile(np.abs(table.level - truth.level[i]), 0.9) < 0.3
+    assert np.quantile(np.abs(table.frequency - truth.frequency[i]), 0.9) < 0.2
+    clean = analyse(one.recording(noise=1e-6), note="C4").partials
+    assert np.median(table.level_error) > 5 * np.median(clean.level_error)
+
+
+def test_missing_partials_are_not_invented():
+    truth = string(110.0, 2e-4, 40, 0.5, 5e-3, seed=2, missing=8)
+    table = analyse(truth.recording(noise=1e-6), note="A2").partials
+    assert set(table.number) <= set(truth.number)
+    assert len(table) >= len(truth.number) - 2
+
+
+def test_bass_without_its_first_partials():
+    whole = string(27.5, 3e-4, 60, 0.3, 3e-3, seed=4)
+    truth = Note(whole.number[3:], whole.amplitude[3:], whole.pole[3:])
+    analysis = analyse(truth.recording(noise=1e-6))
+    assert analysis.f0 == pytest.approx(27.5, rel=1e-5)
+    assert analysis.partials.number.min() == 4
+
+
+def test_glide_is_measured_and_frequencies_come_from_the_second_window():
+    truth = string(92.5, 2.3e-4, 40, 0.4, 3e-3, seed=6)
+    analysis = analyse(truth.recording(noise=1e-6, bend=4.0), note="F#2")
+    # the pitch is 4 exp(−t) cents above its end; means over a window of the phase's slope
+    early, late = (4 * np.exp(-np.mean(analysis.glide[i][:2])) for i in (0, -1))
+    assert analysis.glide_cents == pytest.approx(early - late, abs=0.3)
+    middle = 4 * (np.exp(-0.2) - np.exp(-1.0)) / 0.8
+    assert 1200 * np.log2(analysis.f0 / 92.5) == pytest.approx(middle, abs=0.25)
+    assert any("cents" in line for line in analysis.warnings)
+
+
+@pytest.mark.parametrize("name", STRINGS)
+def test_the_pitch_is_found_without_a_hint(name):
+    truth = string(*STRINGS[name], seed=8)
+    analysis = analyse(truth.recording(seconds=2.0, noise=1e-5))
+    assert analysis.f0 == pytest.approx(STRINGS[name][0], rel=1e-3)
+    assert analysis.note is None
+
+
+@pytest.mark.parametrize(
+    ("name", "wrong"), [("A2", "C3"), ("A2", "G2"), ("A2", "A1"), ("A2", "A3"), ("C5", "F4"), ("A0", "D1")]
+)
+def test_a_note_that_is_not_there(name, wrong):
+    recording = string(*STRINGS[name], seed=8).recording(seconds=2.0, noise=1e-5)
+    with pytest.raises(AnalysisError, match=rf"{wrong}.*{name} .*--note.*--f0"):
+        analyse(recording, note=wrong)
+
+
+def test_f0_in_place_of_a_note():
+    recording = string(*STRINGS["A2"], seed=8).recording(seconds=2.0)
+    assert analyse(recording, f0=108.0).f0 == pytest.approx(110.0, rel=1e-5)
+    with pytest.raises(AnalysisError, match="f0=9 Hz"):
+        analyse(recording, f0=9.0)
+
+
+def test_too_short_for_the_note():
+    with pytest.raises(AnalysisError, match=r"too short for a note of 27\.\d Hz"):
+        analyse(string(*STRINGS["A0"], seed=8).recording(seconds=0.3), note="A0")
+    with pytest.raises(AnalysisError, match="70 ms"):
+        analyse(string(*STRINGS["C5"], seed=8).recording(seconds=0.07), note="C5")
+    short = analyse(string(*STRINGS["C5"], seed=8).recording(seconds=0.12), note="C5")
+    assert short.f0 == pytest.approx(523.25, rel=1e-3)
+
+
+def test_noise_is_no_note():
+    noise = 0.1 * np.random.default_rng(0).standard_normal(2 * RATE)
+    recording = replace(string(*STRINGS["A2"]).recording(seconds=2.0), samples=noise, onset=0)
+    with pytest.raises(AnalysisError, match=r"--note|--f0"):
+        analyse(recording)
+    with pytest.raises(AnalysisError, match=r"C4.*--note|--f0"):
+        analyse(recording, note="C4")
+
+
+@pytest.mark.parametrize("rate", [8000, 96000])
+def test_other_rates(rate):
+    t = np.arange(2 * rate) / rate
+    k = np.arange(1, 13)[:, None]
+    f = k * 220 * np.sqrt(1 + 3e-4 * k**2)
+    x = np.sum(0.05 / k * np.exp(-(1 + 0.02 * k**2) * t) * np.sin(2 * np.pi * f * t), axis=0)
+    analysis = analyse(recording_from_samples(x, rate), note="A3")
+    assert analysis.f0 == pytest.approx(220, rel=1e-6)
+    assert pytest.approx(3e-4, rel=1e-3) == analysis.B
+
+
+def test_laws_shrug_off_outliers():
+    k = np.arange(1, 31)
+    f = k * 92.33 * np.sqrt(1 + 2.3e-4 * k**2)
+    f[[4, 11, 20]] *= 1.01
+    law = frequency_law(k, f, np.full(30, 1e-4))
+    assert law.f0 == pytest.approx(92.33, rel=2e-4)
+    assert pytest.approx(2.3e-4, rel=0.02) == law.B
+    decay = 0.4 + 3e-3 * k**2
+    decay[[2, 17]] *= 4
+    losses = decay_law(k, decay, 0.01 * decay)
+    assert losses.b1 == pytest.approx(0.4, rel=0.1)
+    assert losses.d2 == pytest.approx(3e-3, rel=0.1)
+
+
+def test_losses_that_do_not_rise_stay_in_bounds():
+    k = np.arange(1, 20)
+    falling = decay_law(k, 2.0 - 0.05 * k, np.full(19, 0.1))
+    assert falling.d2 == 0
+    assert falling.b1 > 0
+    steep = decay_law(k, 0.1 * k**2 - 0.5, np.full(19, 0.05))
+    assert steep.b1 > 0
+    single = decay_law(k[:1], np.array([3.0]), np.array([0.1]))
+    assert (single.b1, single.d2, single.d2_error) == (3.0, 0.0, np.inf)
+
+
+def test_as_data():
+    analysis = analyse(string(*STRINGS["A6"], seed=1).recording(seconds=1.0), note="A6")
+    data = json.loads(json.dumps(as_dict(analysis), allow_nan=False))
+    assert data["partials"]["number"] == analysis.partials.number.tolist()
+    assert data["f0"] == analysis.f0
+    table = rows(analysis)
+    assert [row[0] for row in table] == analysis.partials.number.tolist()
+    assert max(abs(row[2]) for row in table) < 0.01  # cents from the law

@@ -1,0 +1,72 @@
+"""Real notes: witness numbers, and the same string heard in several velocity layers."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pianofit.analysis import Analysis, analyse
+from pianofit.recording import Recording, load_recording
+
+FOLDER = Path(os.environ.get("PIANOFIT_RECORDINGS", Path(__file__).parents[2] / "shared" / "recordings"))
+pytestmark = [
+    pytest.mark.recordings,
+    pytest.mark.skipif(not FOLDER.is_dir(), reason=f"no recordings at {FOLDER}; set PIANOFIT_RECORDINGS"),
+]
+LAYERS = {
+    "cp80-Fs2": ("F#2", ("PP", "MP", "F", "FF")),
+    "headroom-A0": ("A0", ("L1-close", "L2-close", "L3-close", "L4-close", "L5-close", "L2-decca", "L4-decca")),
+    "headroom-Ds1": ("D#1", ("L1-close", "L2-close", "L3-close", "L4-close", "L5-close")),
+    "headroom-Fs1": ("F#1", ("L1-close", "L3-close", "L5-close")),
+    "headroom-C4": ("C4", ("L1-close", "L3-close", "L5-close", "L4-decca")),
+}
+
+
+def _load(name: str) -> Recording:
+    return load_recording(FOLDER / f"{name}.flac")
+
+
+def test_the_witness():
+    analysis = analyse(_load("cp80-Fs2-FF"), note="F#2")
+    assert abs(1200 * np.log2(analysis.f0 / 92.33)) < 2
+    assert pytest.approx(2.3e-4, rel=0.1) == analysis.B
+    assert 2 < analysis.glide_cents < 5  # from about 92.39 Hz to 92.16 Hz
+    assert analysis.scatter_cents < 3
+
+
+@pytest.mark.parametrize("name", LAYERS)
+def test_layers_agree(name):
+    note, layers = LAYERS[name]
+    found: list[Analysis] = [analyse(_load(f"{name}-{layer}"), note=note) for layer in layers]
+    # louder layers start sharper: compare the pitch at the end of the glide
+    f0 = np.array([item.glide[-1][2] for item in found])
+    B = np.array([item.B for item in found])
+    assert np.ptp(1200 * np.log2(f0)) < 4
+    assert np.ptp(B) < 0.1 * np.mean(B)
+
+
+def test_levels_against_brute_force():
+    recording = _load("cp80-Fs2-FF")
+    table = analyse(recording, note="F#2").partials
+    count = int(0.35 * recording.rate)
+    early = recording.samples[recording.onset :][:count]
+    spectrum = np.fft.rfft(early * np.exp(-8 * np.arange(count) / recording.rate), 8 * count) / recording.rate
+    step = recording.rate / (8 * count)
+    frequency = np.arange(len(spectrum)) * step
+    brute = np.array(
+        [10 * np.log10(2 * step * np.sum(np.abs(spectrum[np.abs(frequency - f) < 40]) ** 2)) for f in table.frequency]
+    )
+    strong = (table.level > table.level.max() - 40) & (table.frequency < 6000)
+    assert np.median(np.abs(table.level - brute)[strong]) < 0.5
+
+
+@pytest.mark.parametrize(
+    "name", ["cp80-Fs2-MP", "headroom-A0-L3-close", "headroom-C4-L4-close", "headroom-A6-L4-close"]
+)
+def test_the_pitch_of_real_notes_is_found(name):
+    recording = _load(name)
+    wanted = {"F": 92.2, "A0": 27.52, "C4": 262.3, "A6": 1768.0}[name.split("-")[1].replace("Fs2", "F")]
+    assert abs(1200 * np.log2(analyse(recording).f0 / wanted)) < 10

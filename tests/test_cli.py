@@ -1,0 +1,250 @@
+"""The command line as its users meet it: errors, interrupts, round trips, and the same answer every time."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soundfile
+from bad_inputs import BAD_INPUTS, BadInput, encoded, note
+
+from pianofit.cli import main
+from pianofit.published import PRESETS, preset
+from pianofit.render import CEILING
+
+PROGRAM = (sys.executable, "-c", "import sys; from pianofit.cli import main; sys.exit(main())")
+AS_PROCESSES = (
+    "audio-truncated", "path-missing", "setup-unknown-key", "fit-velocity-word", "render-nested", "simulate-out-exists",
+    "demo-out-not-empty",
+)  # fmt: skip
+
+
+def state(folder: Path) -> dict[str, tuple[float, int]]:
+    """All that is in a folder, with when it was written and how long it is."""
+    found = sorted(folder.rglob("*"))
+    return {str(p): (p.lstat().st_mtime, p.lstat().st_size if not p.is_dir() else 0) for p in found}
+
+
+def check_refusal(bad: BadInput, code: int, output: str, errors: str) -> None:
+    assert code == bad.code
+    assert errors.endswith("\n")
+    assert errors[:-1].isprintable(), "one line"
+    assert errors.startswith("pianofit: ")
+    assert bad.is_explained_by(errors)
+    assert not output
+
+
+@pytest.fixture
+def run(capsys):
+    """Run a command line in this process; returns what it printed, having checked the exit code."""
+
+    def run(*arguments: object, code: int = 0) -> str:
+        found = main([str(argument) for argument in arguments])
+        captured = capsys.readouterr()
+        assert found == code, captured.err
+        return captured.out
+
+    return run
+
+
+# --- what cannot be done ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("bad", BAD_INPUTS, ids=lambda bad: bad.id)
+def test_a_bad_input_is_one_line_and_writes_nothing(bad, tmp_path, capsys):
+    bad.build(tmp_path)
+    before = state(tmp_path)
+    code = main(bad.arguments(tmp_path))
+    captured = capsys.readouterr()
+    check_refusal(bad, code, captured.out, captured.err)
+    assert state(tmp_path) == before
+
+
+@pytest.mark.parametrize("bad", [bad for bad in BAD_INPUTS if bad.id in AS_PROCESSES], ids=lambda bad: bad.id)
+def test_a_bad_input_in_a_process_of_its_own(bad, tmp_path):
+    bad.build(tmp_path)
+    before = state(tmp_path)
+    done = subprocess.run([*PROGRAM, *bad.arguments(tmp_path)], capture_output=True, text=True, check=False)
+    check_refusal(bad, done.returncode, done.stdout, done.stderr)
+    assert state(tmp_path) == before
+
+
+def test_the_corpus_is_large_and_meets_every_command():
+    assert len(BAD_INPUTS) >= 60
+    assert {"fit", "analyse", "simulate", "render", "demo"} <= {bad.args[0] for bad in BAD_INPUTS}
+    assert len(AS_PROCESSES) == len([bad for bad in BAD_INPUTS if bad.id in AS_PROCESSES])
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+@pytest.mark.parametrize("command", ["fit {}/note.wav --note A4 --out {}/locked", "demo --out {}/locked/demo"])
+def test_a_folder_that_is_not_ours_is_refused(command, tmp_path, capsys):
+    (tmp_path / "note.wav").write_bytes(encoded(note()))
+    (tmp_path / "locked").mkdir(mode=0o555)
+    assert main(command.replace("{}", str(tmp_path)).split()) == 1
+    assert "locked" in capsys.readouterr().err
+
+
+def test_an_interrupt_is_one_line_and_leaves_nothing_behind(tmp_path):
+    out = tmp_path / "runs" / "out"
+    # The onset of a real fit, then the signal: progress, which only a terminal shows, says when it has begun.
+    begin = (
+        "import sys, pianofit.fit as fit, pianofit.cli as cli\n"
+        "real = fit.fit_recording\n"
+        "def begun(*args, **kwargs):\n    print('begun', flush=True)\n    return real(*args, **kwargs)\n"
+        "fit.fit_recording = begun\n"
+        "sys.exit(cli.main())"
+    )
+    (tmp_path / "note.wav").write_bytes(encoded(note(146.8, 2.0)))
+    command = [sys.executable, "-c", begin, "fit", str(tmp_path / "note.wav"), "--note", "D3", "--out", str(out)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "begun\n"
+        assert out.is_dir()
+        time.sleep(0.3)
+        process.send_signal(signal.SIGINT)
+        output, errors = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert errors == "pianofit: interrupted; nothing more is written\n"
+    assert output == ""
+    assert [p.name for p in tmp_path.iterdir()] == ["note.wav"]
+
+
+def test_a_reader_that_has_had_enough_is_no_error(tmp_path):
+    (tmp_path / "note.wav").write_bytes(encoded(note()))
+    line = f'"{sys.executable}" -c "{PROGRAM[-1]}" analyse "{tmp_path}/note.wav" --note A4'
+    done = subprocess.run(
+        ["bash", "-c", f"set -o pipefail; {line} | true"], capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+# --- what can be done -------------------------------------------------------------------------------------------------
+
+
+def test_analyse_prints_a_table_and_data(tmp_path, run):
+    (tmp_path / "note.wav").write_bytes(encoded(note()))
+    data = json.loads(run("analyse", tmp_path / "note.wav", "--note", "A4", "--json"))
+    text = run("analyse", tmp_path / "note.wav", "--f0", "440")
+    assert 1200 * abs(np.log2(data["f0"] / 440)) < 0.1
+    assert data["B"] == pytest.approx(3e-4, rel=0.02)
+    assert f"f0 {data['f0']:.3f}" in text
+    table = [line.split() for line in text.splitlines() if line and line.split()[0].isdigit()]
+    assert [int(row[0]) for row in table] == data["partials"]["number"]
+    np.testing.assert_allclose([float(row[1]) for row in table], data["partials"]["frequency"], atol=6e-4)
+
+
+@pytest.mark.parametrize("name", ["bensa-final", "chabassier-C2"])
+def test_simulate_writes_the_preset_at_its_pitch(name, tmp_path, run):
+    assert name in PRESETS
+    rate = 32_000
+    run("simulate", "--preset", name, "--seconds", 4, "--rate", rate, "--out", tmp_path / "a.wav")
+    samples, found = soundfile.read(tmp_path / "a.wav")
+    assert (found, len(samples)) == (rate, 4 * rate)
+    assert np.abs(samples).max() == pytest.approx(CEILING, rel=1e-6)
+    string, geometry = preset(name).string, preset(name).geometry
+    B = (string.kappa * np.pi / (string.c * geometry.length)) ** 2
+    first = string.c / (2 * geometry.length) * np.sqrt(1 + B)
+    # The peak of the fundamental, on a grid of 0.06 cents at 32 Hz and finer above.
+    size = 2**25 if first < 200 else 2**23
+    spectrum = np.abs(np.fft.rfft(samples * np.hanning(len(samples)), size))
+    near = np.abs(np.arange(len(spectrum)) * rate / size / first - 1) < 0.2
+    peak = np.flatnonzero(near)[np.argmax(spectrum[near])] * rate / size
+    assert 1200 * abs(np.log2(peak / first)) < 1
+
+
+def test_simulate_changes_what_it_is_told_to(tmp_path, run):
+    common = ("simulate", "--preset", "bensa-final", "--seconds", 0.5, "--quantity", "velocity", "--out")
+    run(*common, tmp_path / "a.wav", "--set", "c=400", "--velocity", "2")
+    run(*common, tmp_path / "b.wav", "--set", "c=400", "--set", "v_H0=2")
+    run(*common, tmp_path / "c.wav")
+    a, b, c = ((tmp_path / f"{name}.wav").read_bytes() for name in "abc")
+    assert a == b
+    assert a != c
+
+
+def test_force_replaces_a_sound(tmp_path, run):
+    (tmp_path / "a.wav").write_text("old")
+    run("simulate", "--preset", "bensa-final", "--seconds", 0.1, "--out", tmp_path / "a.wav", "--force")
+    assert soundfile.info(tmp_path / "a.wav").frames == 4410
+    assert [p.name for p in tmp_path.iterdir()] == ["a.wav"]
+
+
+# --- from a recording to parameters and back to sound -----------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def fitted(tmp_path_factory) -> Path:
+    """A folder with note.wav, a strike that simulate wrote, and the folder out/ that fit made of it."""
+    folder = tmp_path_factory.mktemp("fitted")
+    sound = ("--seconds", "2", "--velocity", "1.5", "--out", str(folder / "note.wav"))
+    assert main(["simulate", "--preset", "bensa-final", *sound]) == 0
+    common = ("--f0", "152.05", "--velocity", "1.5", "--no-page")
+    assert main(["fit", str(folder / "note.wav"), *common, "--out", str(folder / "out")]) == 0
+    return folder
+
+
+def test_fit_writes_what_it_promises(fitted):
+    document = json.loads((fitted / "out" / "fit.json").read_text(encoding="utf-8"))
+    assert sorted(p.name for p in (fitted / "out").iterdir()) == ["fit.json", "fitted.wav", "initial.wav"]
+    assert document["parameters"]["v_H0"]["status"] == "fixed"
+    assert document["parameters"]["v_H0"]["value"] == 1.5
+    assert document["takes"][0]["file"] == str(fitted / "note.wav")
+    string = preset("bensa-final").string
+    assert document["derived"]["f0"] == pytest.approx(string.c / 2, rel=1e-4)
+    assert document["derived"]["B"] == pytest.approx((string.kappa * np.pi / string.c) ** 2, rel=0.02)
+    for name in ("initial.wav", "fitted.wav"):
+        info = soundfile.info(fitted / "out" / name)
+        assert (info.frames, info.samplerate, info.channels) == (88_200, 44_100, 1)
+
+
+def test_render_at_the_fitted_velocity_is_the_fitted_sound(fitted, run):
+    velocity = json.loads((fitted / "out" / "fit.json").read_text(encoding="utf-8"))["takes"][0]["v_H0"]
+    out = fitted / "again.wav"
+    run("render", fitted / "out" / "fit.json", "--velocity", repr(velocity), "--seconds", 1.5, "--out", out)
+    (again, rate), (first, _) = soundfile.read(out), soundfile.read(fitted / "out" / "fitted.wav")
+    assert rate == 44_100
+    # Both hold the same strike; only when it comes, and a gain that keeps it below full scale, may differ.
+    late = int(np.argmax(np.correlate(first[:6000], again[:2000], "valid")))
+    same = first[late:][: len(again)]
+    gain = (same @ again) / (again @ again)
+    assert gain >= 1 - 1e-6
+    assert np.abs(same - gain * again[: len(same)]).max() < 1e-6 * np.abs(same).max()
+
+
+def test_render_harder_is_brighter(fitted, run):
+    centre = []
+    for velocity in (0.5, 4.0):
+        out = fitted / f"{velocity}.wav"
+        said = run("render", fitted / "out" / "fit.json", "--velocity", velocity, "--seconds", 1, "--out", out)
+        assert f"{velocity:g} m/s" in said
+        power = np.abs(np.fft.rfft(soundfile.read(out)[0])) ** 2
+        centre.append((power * np.arange(len(power))).sum() / power.sum())
+    assert centre[1] > 1.2 * centre[0]
+
+
+def test_the_same_seed_gives_the_same_fit(fitted, run):
+    common = ("--f0", "152.05", "--velocity", "1.5", "--no-page", "--force", "--json")
+    printed = run("fit", fitted / "note.wav", *common, "--out", fitted / "twice")
+    for name in ("fit.json", "initial.wav", "fitted.wav"):
+        assert (fitted / "twice" / name).read_bytes() == (fitted / "out" / name).read_bytes()
+    assert json.loads(printed) == json.loads((fitted / "out" / "fit.json").read_text(encoding="utf-8"))
+
+
+def test_force_fits_into_a_folder_and_keeps_what_is_not_its_own(fitted, run):
+    folder = fitted / "used"
+    folder.mkdir()
+    (folder / "notes.txt").write_text("mine")
+    (folder / "report.html").write_text("of an earlier fit")
+    common = ("fit", fitted / "note.wav", "--f0", "152.05", "--velocity", "1.5", "--no-page", "--out", folder)
+    run(*common, code=1)
+    assert (folder / "report.html").exists()
+    run(*common, "--force")
+    assert sorted(p.name for p in folder.iterdir()) == ["fit.json", "fitted.wav", "initial.wav", "notes.txt"]
+    assert (folder / "notes.txt").read_text() == "mine"

@@ -1,0 +1,156 @@
+"""The documentation keeps its word: its Python runs, its commands parse, its links lead somewhere, its tables hold."""
+
+from __future__ import annotations
+
+import functools
+import importlib
+import json
+import re
+import shlex
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pianofit.parameters import PARAMETERS
+from pianofit.setup_file import KEYS, PICKUPS, RANGES, load_setup
+
+ROOT = Path(__file__).parent.parent
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+LINK = re.compile(r"\]\(([^)\s]+)\)")
+IN_THE_CODE = re.compile(r"`([\w/]+\.py)` \(((?:`\w+`(?:,\s)?)+)\)")
+
+
+def by_page(pages: list[Path]) -> Any:
+    return pytest.mark.parametrize("page", pages, ids=lambda page: page.name)
+
+
+def fenced(page: Path, language: str) -> list[str]:
+    """Return the contents of the page's blocks in one language."""
+    return [content for kind, content in FENCE.findall(page.read_text(encoding="utf-8")) if kind == language]
+
+
+@functools.cache
+def run(page: Path) -> dict[str, Any]:
+    """Run the page's Python, in order and in one namespace, which is returned."""
+    space: dict[str, Any] = {"__name__": f"docs.{page.stem}"}
+    for number, block in enumerate(fenced(page, "python"), 1):
+        exec(compile(block, f"{page.name}, block {number}", "exec"), space)  # noqa: S102
+    return space
+
+
+def commands(page: Path) -> list[list[str]]:
+    """Return the `pianofit ...` commands of the page's sh blocks as words, without the program's name."""
+    lines = "\n".join(fenced(page, "sh")).replace("\\\n", " ").splitlines()
+    parts = [part for line in lines for part in re.split(r"&&|;|\|", re.sub(r"(^|\s)#.*", "", line))]
+    words = [shlex.split(part) for part in parts]
+    return [line[1:] for line in words if line and Path(line[0]).name == "pianofit"]
+
+
+@by_page([page for page in PAGES if fenced(page, "python")])
+def test_the_python_of_a_page_runs(page, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    run(page)
+
+
+@by_page([page for page in PAGES if commands(page)])
+def test_the_commands_of_a_page_parse(page):
+    """Options, values and arguments are read as for a real run, and nothing is run."""
+    from typer.main import get_command
+
+    known = get_command(importlib.import_module("pianofit.cli").app).commands
+    for words in commands(page):
+        name, *rest = words
+        assert name in known, words
+        known[name].make_context(name, rest).close()
+
+
+@by_page(PAGES)
+def test_the_links_of_a_page_lead_somewhere(page):
+    for link in LINK.findall(page.read_text(encoding="utf-8")):
+        if not link.startswith(("http://", "https://")):
+            target, _, anchor = link.partition("#")
+            there = page.parent / target if target else page
+            assert there.exists(), link
+            if anchor:
+                assert anchor in headings(there), link
+
+
+def headings(page: Path) -> set[str]:
+    """Return the anchors of a page's headings, as they are made of their words."""
+    lines = re.findall(r"^#+ (.+)$", page.read_text(encoding="utf-8"), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", line.lower()).replace(" ", "-") for line in lines}
+
+
+@by_page([page for page in PAGES if IN_THE_CODE.search(page.read_text(encoding="utf-8"))])
+def test_what_a_page_places_in_the_code_is_there(page):
+    for path, names in IN_THE_CODE.findall(page.read_text(encoding="utf-8")):
+        source = (ROOT / "src" / "pianofit" / path).read_text(encoding="utf-8")
+        for name in re.findall(r"`(\w+)`", names):
+            assert re.search(rf"^(def|class) {name}\b|^{name}\b.* = ", source, re.MULTILINE), f"{path}: {name}"
+
+
+# --- docs/files.md ---------------------------------------------------------------------------------------------------
+
+FILES = ROOT / "docs" / "files.md"
+
+
+def rows(columns: int) -> list[list[str]]:
+    """Return the cells of the page's tables of so many columns."""
+    lines = re.findall(r"^\| (.*) \|$", FILES.read_text(encoding="utf-8"), re.MULTILINE)
+    cells = [[cell.strip("` ") for cell in line.split(" | ")] for line in lines]
+    return [row for row in cells if len(row) == columns]
+
+
+def test_every_key_of_a_setup_is_in_its_table_with_its_range():
+    found = {(table, key): span for table, key, span, *_ in rows(5)}
+    for table, keys in KEYS.items():
+        if keys == tuple(PARAMETERS):
+            assert f"`[{table}]`" in FILES.read_text(encoding="utf-8")
+            continue
+        for key in keys:
+            assert (f"[{table}]" if table != "take" else "[[take]]", key) in found
+    for table in ("string", "strike", "pickup"):
+        for key in set(KEYS[table]) & set(RANGES):
+            lower, upper, _ = RANGES[key]
+            assert [float(x) for x in found[f"[{table}]", key].split(" to ")] == [lower, upper], key
+
+
+def test_every_parameter_is_in_its_table_with_its_unit_and_range():
+    found = {name: (unit, span) for name, unit, span, _ in rows(4)}
+    for name, parameter in PARAMETERS.items():
+        unit, span = found[name]
+        assert unit == parameter.unit
+        assert [float(x) for x in span.split(" to ")] == [parameter.lower, parameter.upper], name
+
+
+def test_the_setups_shown_can_be_read(tmp_path):
+    shown = [block for page in PAGES for block in fenced(page, "toml")]
+    assert shown
+    for block in shown:
+        path = tmp_path / "setup.toml"
+        path.write_text(block, encoding="utf-8")
+        assert load_setup(path).pickup_quantity in PICKUPS
+
+
+def missing(shown: Any, real: Any, where: str = "") -> list[str]:
+    """Return what is shown and is not in the real document, key by key."""
+    if isinstance(shown, dict):
+        return [k for key, value in shown.items() for k in missing(value, (real or {}).get(key, ...), f"{where}/{key}")]
+    return [where] if real is ... else []
+
+
+def test_the_fit_shown_has_the_keys_of_a_real_one(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (shown,) = fenced(FILES, "json")
+    assert missing(json.loads(shown), run(ROOT / "docs" / "fitting.md")["result"].document) == []
+
+
+def test_every_key_of_a_fit_is_explained(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    text = FILES.read_text(encoding="utf-8")
+    document = run(ROOT / "docs" / "fitting.md")["result"].document
+    parts = [document, *(document[part] for part in ("parameters", "pickup", "derived", "criterion", "levels"))]
+    parts += [document["takes"][0], document["parameters"]["c"], document["diagnostics"], document["versions"]]
+    assert sorted({key for part in parts for key in part if f"`{key}`" not in text}) == []

@@ -1,0 +1,111 @@
+"""Covariances against brute force, and against what happens when an experiment is repeated."""
+
+import numpy as np
+import pytest
+from fit_cases import space
+
+from pianofit.fit.space import LOG, NAMES, SIZE, K, P
+from pianofit.fit.uncertainty import covariance, intervals, statuses, tangled, to_stiffness
+
+FREE = [0, 2, 4, 6, 7]
+ROWS = 40
+RANDOM = np.random.default_rng(3)
+JACOBIAN = RANDOM.normal(size=(ROWS, SIZE)) * 10 ** RANDOM.uniform(-3, 3, SIZE)
+NOWHERE = np.zeros(SIZE, bool)
+
+
+def test_the_covariance_is_the_inverse_of_the_curvature():
+    found = covariance(JACOBIAN, np.ones(ROWS), space(FREE), NOWHERE)
+    expected = np.zeros((LOG, LOG))
+    expected[np.ix_(FREE, FREE)] = np.linalg.inv(JACOBIAN[:, FREE].T @ JACOBIAN[:, FREE])
+    np.testing.assert_allclose(found, expected, rtol=1e-8, atol=1e-12 * np.abs(expected).max())
+
+
+def test_what_is_pressed_against_a_bound_is_held():
+    pressed = np.arange(SIZE) == 4
+    found = covariance(JACOBIAN, np.ones(ROWS), space(FREE), pressed)
+    held = covariance(JACOBIAN, np.ones(ROWS), space([n for n in FREE if n != 4]), NOWHERE)
+    np.testing.assert_array_equal(found, held)
+    assert found[4].max() == 0.0
+
+
+def test_gain_and_path_are_fitted_along():
+    nuisance = LOG + 1
+    jacobian = JACOBIAN.copy()
+    jacobian[:, nuisance] = jacobian[:, 0] + 0.1 * jacobian[:, 2]
+    alone = covariance(jacobian, np.ones(ROWS), space([0, 2]), NOWHERE)
+    along = covariance(jacobian + 1e-3 * JACOBIAN, np.ones(ROWS), space([0, 2, nuisance]), NOWHERE)
+    assert along.shape == (LOG, LOG)
+    assert along[0, 0] > 100 * alone[0, 0]
+
+
+def test_the_sandwich_is_what_repeating_the_experiment_gives():
+    variance = 10 ** RANDOM.uniform(-1, 1, ROWS)
+    found = covariance(JACOBIAN, variance, space(FREE), NOWHERE)[np.ix_(FREE, FREE)]
+    noise = np.sqrt(variance)[:, None] * RANDOM.normal(size=(ROWS, 20_000))
+    estimates = np.linalg.lstsq(JACOBIAN[:, FREE], noise, rcond=None)[0]
+    sd = np.sqrt(np.diag(found))
+    np.testing.assert_allclose(np.cov(estimates / sd[:, None]), found / np.outer(sd, sd), atol=0.05)
+
+
+def test_intervals_cover_the_truth_as_often_as_they_say():
+    sd = np.sqrt(np.diag(covariance(JACOBIAN, np.ones(ROWS), space(FREE), NOWHERE)))
+    freedom, inside = ROWS - len(FREE), np.zeros(len(FREE))
+    for _ in range(4000):
+        noise = RANDOM.normal(size=ROWS)
+        estimate, rest = np.linalg.lstsq(JACOBIAN[:, FREE], noise, rcond=None)[:2]
+        values = np.ones(SIZE)
+        values[FREE] = np.exp(estimate)
+        scaled = np.diag((sd**2) * rest[0] / freedom)
+        spans = intervals(scaled, values[:LOG], freedom)
+        for i, n in enumerate(FREE):
+            low, high = spans[NAMES[n]] or (1.0, 1.0)
+            inside[i] += low <= 1.0 <= high
+    np.testing.assert_allclose(inside / 4000, 0.95, atol=0.015)
+
+
+def test_what_was_not_fitted_has_no_interval():
+    cov = covariance(JACOBIAN, np.ones(ROWS), space(FREE), NOWHERE)
+    spans = intervals(cov, np.ones(LOG), 10)
+    assert {name for name, span in spans.items() if span} == {NAMES[n] for n in FREE}
+
+
+def test_a_direction_without_data_is_vague_but_finite():
+    jacobian = JACOBIAN.copy()
+    jacobian[:, 4] = 2.0 * jacobian[:, 6]
+    cov = covariance(jacobian, np.ones(ROWS), space(FREE), NOWHERE)
+    assert np.isfinite(cov).all()
+    assert np.sqrt(cov[4, 4]) > 1e3 / np.linalg.norm(jacobian[:, 4])
+    assert (NAMES[4], NAMES[6]) in [pair[:2] for pair in tangled(cov)]
+
+
+def test_the_error_of_k_h_follows_from_those_of_force_and_exponent():
+    log_u, values = -7.5, np.ones(LOG)
+    values[P] = 2.5
+    joint = np.array([[1e-4, 2e-5], [2e-5, 4e-6]])
+    cov = np.zeros((LOG, LOG))
+    cov[np.ix_([K, P], [K, P])] = joint
+    draws = RANDOM.multivariate_normal([0.0, np.log(2.5)], joint, 200_000)
+    log_k_h = draws[:, 0] - np.exp(draws[:, 1]) * log_u
+    found = to_stiffness(cov, values, log_u)
+    assert found[K, K] == pytest.approx(log_k_h.var(), rel=0.02)
+    assert found[K, P] == pytest.approx(np.cov(log_k_h, draws[:, 1])[0, 1], rel=0.02)
+    assert found[P, P] == joint[1, 1]
+
+
+def test_statuses_say_what_the_data_told():
+    box = space([0, 1, 2, 3, 4])
+    box.spread[2:4] = 0.2
+    sd = np.array([0.01, 3.0, 0.05, 0.19, 0.01, 0, 0, 0, 0, 0])
+    found = statuses(np.diag(sd**2), box, np.arange(SIZE) == 4, {"mu": "assumed"})
+    assert found == {
+        "c": "free", "kappa": "not-identifiable", "b1": "free", "b2": "not-identifiable", "K_H": "at-bound",
+        "mu": "assumed", "p": "fixed", "M_H": "fixed", "v_H0": "fixed", "x0": "fixed",
+    }  # fmt: skip
+
+
+def test_what_is_told_apart_is_not_called_tangled():
+    cov = np.zeros((LOG, LOG))
+    cov[np.ix_([0, 1], [0, 1])] = [[1.0, 0.9], [0.9, 1.0]]
+    cov[np.ix_([4, 6], [4, 6])] = [[4.0, -1.98], [-1.98, 1.0]]
+    assert tangled(cov) == [("K_H", "p", pytest.approx(-0.99))]
