@@ -43,7 +43,7 @@ class Truth(NamedTuple):
 # Another string than the demo's in every respect.
 FIRST = Truth(
     String(c=352.0, kappa=1.15, b1=0.42, b2=4e-5),
-    Hammer(K_H=4e9, mu=0.15, p=2.4, M_H=4.9e-3, v_H0=1.6),
+    Hammer(K_H=5e10, mu=0.25, p=2.9, M_H=4.9e-3, v_H0=1.4),
     Geometry(length=0.88, mass=7.2e-3, strike=0.11, width=0.015, pickup=0.31),
     scale=4.0,
 )

@@ -29,7 +29,7 @@ from .space import NAMES, SIZE, Space, default_box, split
 from .target import CENT, ROWS, Measured, Spreads, doubt, lines, measured, target
 from .voice import arrival, lag
 
-__all__ = ["Fit", "fit_partials"]
+__all__ = ["Fit", "fit_partials", "heed_criterion", "predicted"]
 
 STARTS = 16
 # Power of energy by which levels are weighed, and iterations: loud partials lead to the basin, all of them finish.
@@ -44,8 +44,8 @@ ROUNDS = 4
 # Levels better known than this, dB, show the contact's step; the last stage then takes a finer one.
 FINE_LEVEL, REFINEMENT = 0.05, 4
 # A band whose criterion is 1, as for silence, costs half this much where the path is unknown: there it is not noise
-# that says which partials matter.
-CRITERION = 100.0
+# that says which partials matter. Where a band would end worse than it started, it costs more.
+CRITERION, MORE, MOST_CRITERION = 100.0, 10.0, 10_000.0
 # No real path is as smooth as the model's, dB; a few partials would otherwise be fitted to the last digit.
 LEAST_SCATTER = 1.0
 # Before the first round the model is taken to miss a partial by this much, dB.
@@ -73,6 +73,7 @@ class Fit:
     evaluations: int
     agreeing: int  # how many of the hammer's starts ended at the lowest cost
     messages: tuple[str, ...]
+    state: State
 
 
 def search_space(start: Start) -> Space:
@@ -113,7 +114,7 @@ def fit_partials(
     progress("string", 0.1)
     space, count = _string_stage(recording, analysis, data, start, space, rate, cfg)
     progress("hammer", 0.3)
-    state = _State(data, start, space, rate, delay, cfg, 0.0 if data.calibrated else CRITERION)
+    state = State(data, start, space, rate, delay, cfg, 0.0 if data.calibrated else CRITERION)
     # The last stage's program compiles on the other core meanwhile.
     ahead = threading.Thread(target=_compile_joint, args=(state,), daemon=True)
     ahead.start()
@@ -135,6 +136,15 @@ def fit_partials(
     return replace(fit, agreeing=agreeing, evaluations=fit.evaluations + count + searched)
 
 
+def heed_criterion(fit: Fit) -> Fit | None:
+    """The fit gone on with a criterion that weighs more; None where that is at its end, or decibels alone count."""
+    state = replace(fit.state, criterion=MORE * fit.state.criterion)
+    if not 0 < state.criterion <= MOST_CRITERION:
+        return None
+    further = _joint_stage(state, fit.z, fit.spread, fit.robust)
+    return replace(further, agreeing=fit.agreeing, evaluations=further.evaluations + fit.evaluations)
+
+
 def _touch(recording: Recording, start: Start, fit: Fit) -> float:
     """When the hammer touched before the recording's onset, s, by laying the fitted sound's attack on the recorded."""
     string, hammer = split(fit.values)
@@ -148,7 +158,7 @@ def _touch(recording: Recording, start: Start, fit: Fit) -> float:
 
 
 @dataclass(frozen=True)
-class _State:
+class State:
     """What the stages after the string's share."""
 
     data: Measured
@@ -196,7 +206,7 @@ def _string_stage(recording, analysis, data: Measured, start: Start, space: Spac
     return replace(space, start=local.values(z[0])), count
 
 
-def _hammer_stage(state: _State, seed: int) -> tuple[np.ndarray, int, int]:
+def _hammer_stage(state: State, seed: int) -> tuple[np.ndarray, int, int]:
     """Many hammers on one string: eq. 19 in the hammer's band, then levels, the loud ones first. The best [1, size]."""
     space, data = state.space, state.data
     robust = np.ones((3, len(data.partials)))
@@ -221,12 +231,12 @@ def _hammer_stage(state: _State, seed: int) -> tuple[np.ndarray, int, int]:
     return end.z[best : best + 1], agreeing, count
 
 
-def _compile_joint(state: _State) -> None:
+def _compile_joint(state: State) -> None:
     at = state.target(Spreads(1.0, 0.3, FIRST_SCATTER[state.data.calibrated]), np.ones((3, state.data.found)))
     joint_batch(jnp.asarray(state.space.z(state.space.start[None])), at, state.cfg)
 
 
-def _levelled(state: _State, at: Target, z: np.ndarray) -> np.ndarray:
+def _levelled(state: State, at: Target, z: np.ndarray) -> np.ndarray:
     """The points `z` [starts, size] with the gain at which each is right on average."""
     if state.data.calibrated:
         return z
@@ -237,7 +247,7 @@ def _levelled(state: _State, at: Target, z: np.ndarray) -> np.ndarray:
     return z
 
 
-def _joint_stage(state: _State, z, spread: Spreads | None = None, robust: np.ndarray | None = None) -> Fit:
+def _joint_stage(state: State, z, spread: Spreads | None = None, robust: np.ndarray | None = None) -> Fit:
     """All together; weights from the residuals, residuals from the weights, until they agree."""
     data, count = state.data, 0
     spread = spread or Spreads(1.0, 0.3, FIRST_SCATTER[data.calibrated])
@@ -252,7 +262,7 @@ def _joint_stage(state: _State, z, spread: Spreads | None = None, robust: np.nda
     return _ended(state, end, at, before, robust, count)
 
 
-def _weights(state: _State, at: Target, z: np.ndarray) -> tuple[Spreads, np.ndarray]:
+def _weights(state: State, at: Target, z: np.ndarray) -> tuple[Spreads, np.ndarray]:
     """Scatter of each kind of residual about the model at `z` [1, size], and Huber's factors."""
     data, p = state.data, state.data.partials
     observed = np.stack([p.frequency, p.decay, data.level[: data.found]])
@@ -283,12 +293,12 @@ def predicted(data: Measured, at: Target, cfg: Cfg, z: np.ndarray) -> np.ndarray
     return np.stack([frequency, decay, level])[:, : data.found]
 
 
-def _ended(state: _State, end: Descent, at: Target, spread: Spreads, robust, count: int) -> Fit:
+def _ended(state: State, end: Descent, at: Target, spread: Spreads, robust, count: int) -> Fit:
     values = state.space.values(end.z[0])
     downhill = -(end.jacobian[0].T @ end.residual[0])
     pressed = state.space.at_bound(values) & (np.abs(downhill) > 0)
     messages = () if bool(end.settled[0]) else ("The last stage stopped before it settled.",)
     return Fit(
         end.z, values, state.space, state.data, spread, robust, at, state.cfg, end.jacobian[0], float(end.cost[0]),
-        pressed, bool(end.settled[0]), count, 0, messages,
+        pressed, bool(end.settled[0]), count, 0, messages, state,
     )  # fmt: skip

@@ -55,6 +55,12 @@ class Result:
     recording: Recording
     analysis: Analysis
 
+    @property
+    def worse_bands(self) -> list[str]:
+        """Occupied bands, and `global`, whose criterion ended no lower than it started."""
+        values = self.document["criterion"]
+        return [n for n in ("global", *BANDS) if n in values and values[n]["final"] >= values[n]["initial"]]
+
 
 def conclude(recording: Recording, analysis: Analysis, start: Start, fit: Fit, seed: int) -> Result:
     """Put a fit into words: intervals, statuses, the criterion and the levels before and after.
@@ -117,13 +123,15 @@ def versions() -> dict[str, str]:
 
 
 def _row_variance(fit: Fit) -> np.ndarray:
-    """Variance that each residual is expected to have: 1 by its weight, save for those of eq. 19.
+    """Variance that each residual is expected to have: 1 by its weight, save for those of level and of eq. 19.
 
-    An eq. 19 residual weighs a level whose scatter is known by a weight of its own.
+    Their weights are not their scatter's alone, which is known all the same.
     """
     rows, found = len(fit.target.row), fit.data.found
     variance = np.ones(fit.jacobian.shape[0])
-    sd = np.hypot(fit.data.partials.level_error, fit.spread.level) * np.log(10) / 10
+    sd = np.hypot(fit.data.partials.level_error, fit.spread.level)
+    variance[2 * rows : 2 * rows + found] = (np.asarray(fit.target.level_weight)[:found] * sd) ** 2
+    sd = sd * np.log(10) / 10
     variance[3 * rows : 3 * rows + found] = (np.asarray(fit.target.line_weight)[:found] * sd) ** 2
     variance[3 * rows + found : 4 * rows] = 0.0
     return variance

@@ -22,6 +22,8 @@ __all__ = ["CENT", "ROWS", "Measured", "Spreads", "doubt", "lines", "measured", 
 ROWS = 64
 # The energy where a silent partial would be bounds it only roughly: other sounds are there too.
 SILENT_DB = 3.0
+# Levels that scatter more than this, dB, weigh no less: else what is badly fitted would be fitted ever worse.
+MOST_SCATTER = 5.0
 CENT = np.log(2) / 1200
 
 
@@ -126,8 +128,9 @@ def doubt(number: np.ndarray) -> np.ndarray:
 def _level_weight(data: Measured, spread: Spreads, robust: np.ndarray, grade: float) -> np.ndarray:
     """1/dB [rows]: from noise, scatter, and how far each partial fell out of line."""
     silent = len(data.number) - data.found
-    own = robust / np.hypot(data.partials.level_error, spread.level)
-    weight = np.append(own, np.full(silent, 1 / np.hypot(spread.level, SILENT_DB)))
+    scatter = min(spread.level, MOST_SCATTER)
+    own = robust / np.hypot(data.partials.level_error, scatter)
+    weight = np.append(own, np.full(silent, 1 / np.hypot(scatter, SILENT_DB)))
     loud = 10 ** ((data.level - data.level.max()) * (grade / 10))
     return weight * loud / np.sqrt(np.mean(loud**2))
 

@@ -154,36 +154,42 @@ def _march(modes: Modes, hammer: Hammer, under: Array, speed: Array | float):
 
 
 def _compression(e, u_old, w_old, f_old, c, a, hammer: Hammer):
-    """The root u of u + C (F(u) + F_old) = e, differentiable through the implicit function theorem."""
+    """The root u of u + C (F(u) + F_old) = e."""
     upper = e - c * f_old
+    return jnp.where(upper > 0, _root(jnp.maximum(upper, 0.0), u_old, w_old, c, a, *hammer[:3]), upper)
 
-    def newton(u, upper, w_old, u_old, c, hammer):
-        speed = (u - u_old) / a - w_old
-        pressed = jnp.maximum(u, jnp.finfo(float).tiny)
-        stiff = hammer.K_H * pressed ** (hammer.p - 1)
-        loss = jnp.maximum(1 + hammer.mu * speed, 0.0)
-        residual = u - upper + c * stiff * pressed * loss
-        slope = 1 + c * stiff * (hammer.p * loss + pressed * hammer.mu / a * (loss > 0))
-        return residual, slope
 
-    fixed = jax.lax.stop_gradient((upper, w_old, u_old, c, hammer))
-    top = jnp.maximum(fixed[0], 0.0)
-    floor = 4 * jnp.finfo(float).eps * top
+def _residual(u, upper, u_old, w_old, c, a, stiffness, mu, p):
+    """u + C F(u) - upper, and its derivative by u."""
+    pressed = jnp.maximum(u, jnp.finfo(float).tiny)
+    stiff = c * stiffness * pressed ** (p - 1)
+    loss = jnp.maximum(1 + mu * ((u - u_old) / a - w_old), 0.0)
+    slope = 1 + stiff * (p * loss + pressed * mu / a * (loss > 0))
+    return u - upper + stiff * pressed * loss, slope
+
+
+@jax.custom_jvp
+def _root(upper, u_old, w_old, c, a, stiffness, mu, p):
+    """The compression in [0, upper] at which `_residual` vanishes."""
+    rest = (upper, u_old, w_old, c, a, stiffness, mu, p)
+    floor = 4 * jnp.finfo(float).eps * upper
 
     def going(state):
         _, residual, iteration = state
-        return (top > 0) & (jnp.abs(residual) > floor) & (iteration < MOST_ITERATIONS)
+        return (upper > 0) & (jnp.abs(residual) > floor) & (iteration < MOST_ITERATIONS)
 
     def iterate(state):
         u, _, iteration = state
-        residual, slope = newton(u, *fixed)
-        return jnp.clip(u - residual / slope, 0.0, top), residual, iteration + 1
+        residual, slope = _residual(u, *rest)
+        return jnp.clip(u - residual / slope, 0.0, upper), residual, iteration + 1
 
-    guess = jnp.clip(jax.lax.stop_gradient(u_old + 2 * a * w_old), 0.0, top)
-    root, _, _ = jax.lax.while_loop(going, iterate, (guess, jnp.full_like(top, jnp.inf), 0))
-    root = jax.lax.stop_gradient(root)
-    # One Newton step from the root moves nothing and carries its exact first derivatives; two carry the second too.
-    for _ in range(2):
-        residual, slope = newton(root, upper, w_old, u_old, c, hammer)
-        root = root - residual / slope
-    return jnp.where(upper > 0, root, upper)
+    guess = jnp.clip(u_old + 2 * a * w_old, 0.0, upper)
+    return jax.lax.while_loop(going, iterate, (guess, jnp.full_like(upper, jnp.inf), 0))[0]
+
+
+@_root.defjvp
+def _root_jvp(rest, tangents):
+    # The implicit function theorem, never the iterations: du = -(∂R/∂rest · d rest)/(∂R/∂u).
+    u = _root(*rest)
+    (_, slope), (change, _) = jax.jvp(lambda *r: _residual(u, *r), rest, tangents)
+    return u, -change / slope
