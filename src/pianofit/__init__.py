@@ -1,3 +1,72 @@
-"""From recordings of struck strings to the physical parameters behind them, and back to sound."""
+"""From recordings of struck strings to the physical parameters behind them, and back to sound.
+
+All public names are listed here; everything else may change without notice. A name is loaded when it is first used, so
+that `import pianofit` is quick and JAX is there only for those who need it.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
+
+__all__ = [
+    # A recording, and what it shows without a hammer.
+    "Recording", "load_recording", "recording_from_samples", "Analysis", "Partials", "analyse",
+    # What was known beforehand, and the fit.
+    "Setup", "Take", "load_setup", "setup_from_dict", "Result", "fit_recording", "fit_file",
+    # The model: parameters to motion to sound.
+    "String", "Hammer", "Geometry", "PARAMETERS", "Preset", "preset", "Typical", "typical",
+    "Simulation", "simulate", "Voice", "load_voice", "encode_wav",
+    # What can go wrong with an input.
+    "PianofitError", "RecordingError", "SetupError", "ParameterError", "AnalysisError", "FitError", "OutputError",
+    "__version__",
+]  # fmt: skip
+
+if TYPE_CHECKING:
+    from .analysis import Analysis, Partials, analyse
+    from .errors import (
+        AnalysisError,
+        FitError,
+        OutputError,
+        ParameterError,
+        PianofitError,
+        RecordingError,
+        SetupError,
+    )
+    from .fit import Result, Voice, fit_recording
+    from .model import Simulation, simulate
+    from .parameters import PARAMETERS, Geometry, Hammer, String
+    from .published import Preset, Typical, preset, typical
+    from .recording import Recording, load_recording, recording_from_samples
+    from .render import encode_wav, load_voice
+    from .setup_file import Setup, Take, load_setup, setup_from_dict
+    from .workflow import fit_file
+
+_HOMES = {
+    "analysis": ("Analysis", "Partials", "analyse"),
+    "errors": tuple(name for name in __all__ if name.endswith("Error")),
+    "fit": ("Result", "Voice", "fit_recording"),
+    "model": ("Simulation", "simulate"),
+    "parameters": ("PARAMETERS", "Geometry", "Hammer", "String"),
+    "published": ("Preset", "Typical", "preset", "typical"),
+    "recording": ("Recording", "load_recording", "recording_from_samples"),
+    "render": ("encode_wav", "load_voice"),
+    "setup_file": ("Setup", "Take", "load_setup", "setup_from_dict"),
+    "workflow": ("fit_file",),
+}
+_HOME = {name: module for module, names in _HOMES.items() for name in names}
+
+
+def __getattr__(name: str) -> Any:
+    """Load a public name from its module (PEP 562)."""
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(import_module(f".{_HOME[name]}", __name__), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

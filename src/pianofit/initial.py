@@ -20,7 +20,7 @@ from .setup_file import Setup
 __all__ = ["Start", "starting_values"]
 
 # Standard deviations of log(value) about the literature's hammer: felts differ by factors, masses by tens of percent.
-HAMMER_SPREAD = {"K_H": 1.5, "mu": 1.5, "p": 0.2, "M_H": 0.4, "v_H0": 1.0, "x0": 0.2}
+HAMMER_SPREAD = {"K_H": 1.5, "mu": 1.5, "p": 0.2, "M_H": 0.4, "v_H0": 1.0, "x0": 0.2, "width": 0.3}
 # A string parameter that the recording does not show stays within some factor of where it started.
 STRING_SPREAD = {"c": math.inf, "kappa": 2.0, "b1": 2.0, "b2": 3.0}
 # The hammer of an uncalibrated recording is assumed to arrive at this velocity, m/s, a moderate forte.
@@ -56,10 +56,10 @@ def starting_values(analysis: Analysis, setup: Setup, velocity: float | None = N
     calibrated = setup.pickup_scale is not None
     values = _string_values(analysis, geometry.length)
     values |= dict(zip(usual.hammer._fields, map(float, usual.hammer), strict=True))
-    values["v_H0"], values["x0"] = ASSUMED_VELOCITY, geometry.strike
+    values |= {"v_H0": ASSUMED_VELOCITY, "x0": geometry.strike, "width": geometry.width}
     hammer_given = {k: v for k, v in setup.initial.items() if k not in values or k in HAMMER_SPREAD}
     values |= hammer_given | setup.known
-    fixed = dict.fromkeys(setup.known, "fixed")
+    fixed = dict.fromkeys(setup.known, "fixed") | {"width": "assumed" if "width" in assumed else "fixed"}
     measured = velocity if velocity is not None else next((t.v_H0 for t in setup.takes if t.v_H0), None)
     if measured is not None:
         values["v_H0"], fixed["v_H0"] = measured, "fixed"

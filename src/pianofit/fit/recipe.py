@@ -25,7 +25,7 @@ from .levenberg import Descent, descend
 from .misfit import huber, scatter
 from .residuals import Cfg, Target, hammer_batch, joint_batch, string_batch
 from ..criterion import PATH_SPREAD, PATH_TERMS
-from .space import NAMES, SIZE, Space, default_box, split
+from .space import NAMES, SIZE, Space, default_box, split, struck
 from .target import CENT, ROWS, Measured, Spreads, doubt, lines, measured, target
 from .voice import arrival, lag
 
@@ -46,6 +46,9 @@ FINE_LEVEL, REFINEMENT = 0.05, 4
 # A band whose criterion is 1, as for silence, costs half this much where the path is unknown: there it is not noise
 # that says which partials matter. Where a band would end worse than it started, it costs more.
 CRITERION, MORE, MOST_CRITERION = 100.0, 10.0, 10_000.0
+# Levels of a calibrated recording that scatter more than this, dB, ask for a contact window of another shape, for which
+# a raised cosine of another width is a good stand-in.
+WINDOW_SCATTER, WIDTH = 0.01, NAMES.index("width")
 # No real path is as smooth as the model's, dB; a few partials would otherwise be fitted to the last digit.
 LEAST_SCATTER = 1.0
 # Before the first round the model is taken to miss a partial by this much, dB.
@@ -126,6 +129,12 @@ def fit_partials(
         # The onset is where a sound is first seen; a model this close says when the hammer touched.
         state = replace(state, delay=_touch(recording, start, fit))
         fit = _joint_stage(state, fit.z, fit.spread, fit.robust)
+        if fit.spread.level > WINDOW_SCATTER and not space.free[WIDTH]:
+            # Not noise, and no path to blame: the felt's window is of another shape than the model's.
+            state = replace(state, space=_with_free_width(state.space))
+            fit = _joint_stage(state, fit.z, fit.spread, fit.robust)
+            state = replace(state, delay=_touch(recording, start, fit))
+            fit = _joint_stage(state, fit.z, fit.spread, fit.robust)
     if fit.spread.level < FINE_LEVEL and np.median(data.partials.level_error) < FINE_LEVEL:
         progress("refinement", 0.8)
         fine = rate * REFINEMENT
@@ -134,6 +143,15 @@ def fit_partials(
         fit = _joint_stage(state, fit.z, fit.spread, fit.robust)
     progress("done", 1.0)
     return replace(fit, agreeing=agreeing, evaluations=fit.evaluations + count + searched)
+
+
+def _with_free_width(space: Space) -> Space:
+    length = space.upper[NAMES.index("x0")] / 0.33
+    lower, upper = default_box(length, space.start[WIDTH])
+    this = np.arange(SIZE) == WIDTH
+    return replace(
+        space, free=space.free | this, lower=np.where(this, lower, space.lower), upper=np.where(this, upper, space.upper)
+    )
 
 
 def heed_criterion(fit: Fit) -> Fit | None:
@@ -148,7 +166,7 @@ def heed_criterion(fit: Fit) -> Fit | None:
 def _touch(recording: Recording, start: Start, fit: Fit) -> float:
     """When the hammer touched before the recording's onset, s, by laying the fitted sound's attack on the recorded."""
     string, hammer = split(fit.values)
-    geometry = start.geometry._replace(strike=float(fit.values[9]))
+    geometry = struck(start.geometry, fit.values)
     samples = int(ATTACK * recording.rate)
     model = simulate(string, hammer, geometry, rate=recording.rate, quantity=start.quantity)
     guess = recording.onset - round(float(fit.target.delay) * recording.rate)

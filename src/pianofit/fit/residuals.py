@@ -73,12 +73,12 @@ class Lines(NamedTuple):
     rate: Array
 
 
-def predict(string_z: Float[Array, " 4"], hammer_z: Float[Array, " 6"], target: Target, cfg: Cfg):
+def predict(string_z: Float[Array, " 4"], hammer_z: Float[Array, " 7"], target: Target, cfg: Cfg):
     """Frequency, Hz, decay, 1/s, and level, dB, of the target's partials [3, rows], and whether the contact ended."""
     string = String(*jnp.exp(string_z))
-    _, mu, p, mass, velocity, at = jnp.exp(hammer_z)
+    _, mu, p, mass, velocity, at, width = jnp.exp(hammer_z)
     hammer = Hammer(jnp.exp(stiffness(hammer_z[0], p, target.log_u)), mu, p, mass, velocity)
-    geometry = target.geometry._replace(strike=at)
+    geometry = target.geometry._replace(strike=at, width=width)
     modes = mode_table(string, geometry, rate=target.rate, n_modes=cfg.n_modes, quantity=cfg.quantity)
     pulse = strike(modes, hammer, steps=cfg.steps)
     heard = jax.tree.map(lambda x: x[target.row] if x.ndim else x, modes)

@@ -18,7 +18,7 @@ from ..recording import Recording
 from .levenberg import descend
 from .recipe import Fit, predicted
 from .residuals import joint_batch
-from .space import NAMES, K, split
+from .space import NAMES, K, split, struck
 from .target import Measured
 from .uncertainty import covariance, intervals, statuses, tangled, to_stiffness
 from .verdict import verdict, words
@@ -176,7 +176,7 @@ def _sound(ear: _Ear, start: Start, fit: Fit, values: np.ndarray, gain: float | 
     """Play `values`; without a gain, with the one that the criterion likes best."""
     recording = ear.recording
     string, hammer = split(values)
-    geometry = start.geometry._replace(strike=float(values[9]))
+    geometry = struck(start.geometry, values)
     voice = Voice(string, hammer, geometry, start.quantity, 1.0, path)
     touch = recording.onset - round(float(fit.target.delay) * recording.rate)
     samples, simulation = voice.play(recording.rate, len(recording.samples), touch)
@@ -224,12 +224,14 @@ def _parameters(values, first, spans, states, start: Start) -> dict:
         rests = start.rests_on.get(name, ())
         status = "assumed" if rests and states[name] == "free" else states[name]
         note = f"rests on an assumed {' and '.join(rests)}" if rests else ""
+        if name == "width" and states[name] not in ("fixed", "assumed"):
+            note = "effective: of the raised cosine that acts as the felt's own window does"
         table[name] = {
             "value": float(values[i]), "unit": UNITS[name], "interval": spans[name], "status": status,
             "initial": float(first[i]), "note": note,
         }  # fmt: skip
     g = start.geometry
-    for name, value, key in (("M_S", g.mass, "mass"), ("L", g.length, "length"), ("width", g.width, "width")):
+    for name, value, key in (("M_S", g.mass, "mass"), ("L", g.length, "length")):
         status = "assumed" if key in start.assumed else "fixed"
         table[name] = {"value": float(value), "unit": UNITS[name], "interval": None, "status": status,
                        "initial": float(value), "note": ""}  # fmt: skip

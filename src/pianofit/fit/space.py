@@ -1,4 +1,4 @@
-"""Where a fit searches: the logarithms of the nine parameters and of the strike position, in a box, then gain and path.
+"""Where a fit searches: logarithms of the nine parameters, of strike position and width, then gain and path, in a box.
 
 The felt's stiffness is searched as the force at a reference compression, F_ref = K_H u_ref^p: K_H and p trade off along
 F = const at the compressions that a strike really reaches, and F_ref is what the recording fixes. The gain, dB, and the
@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..criterion import PATH_TERMS
-from ..parameters import FIT_NAMES, PARAMETERS, Hammer, String
+from ..parameters import FIT_NAMES, PARAMETERS, Geometry, Hammer, String
 
-__all__ = ["NAMES", "SIZE", "K", "P", "Space", "default_box", "split", "stiffness"]
+__all__ = ["LOG", "NAMES", "SIZE", "K", "P", "Space", "default_box", "split", "stiffness", "struck"]
 
-NAMES = (*FIT_NAMES, "x0")
+NAMES = (*FIT_NAMES, "x0", "width")
 LOG = len(NAMES)
 SIZE = LOG + 1 + PATH_TERMS
 K, P = NAMES.index("K_H"), NAMES.index("p")
@@ -27,6 +27,11 @@ MOST_DB = 400.0
 def split(values: np.ndarray) -> tuple[String, Hammer]:
     """Parameters in the order of `NAMES` as string and hammer."""
     return String(*map(float, values[:4])), Hammer(*map(float, values[4:9]))
+
+
+def struck(geometry: Geometry, values: np.ndarray) -> Geometry:
+    """`geometry` with the strike's position and width of `values` in the order of `NAMES`."""
+    return geometry._replace(strike=float(values[9]), width=float(values[10]))
 
 
 def stiffness(log_force, p, log_u):
@@ -74,8 +79,8 @@ class Space:
 
 
 def default_box(length: float, width: float) -> tuple[np.ndarray, np.ndarray]:
-    """Bounds of `PARAMETERS`, of a strike position that keeps the window on the string's first third, and of dB."""
+    """Bounds of `PARAMETERS`, of a strike that keeps its window on the string's first part, and of dB."""
     rest = np.full(SIZE - LOG, MOST_DB)
-    lower = [PARAMETERS[n].lower for n in FIT_NAMES] + [max(0.04 * length, 0.51 * width)]
-    upper = [PARAMETERS[n].upper for n in FIT_NAMES] + [0.33 * length]
+    lower = [PARAMETERS[n].lower for n in FIT_NAMES] + [max(0.04 * length, 0.51 * width), 0.3 * width]
+    upper = [PARAMETERS[n].upper for n in FIT_NAMES] + [0.33 * length, 2.0 * width]
     return np.append(lower, -rest), np.append(upper, rest)

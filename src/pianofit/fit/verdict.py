@@ -8,6 +8,7 @@ from ..analysis import Analysis
 from ..initial import Start
 from ..recording import Recording
 from .recipe import Fit
+from .space import NAMES
 
 __all__ = ["verdict", "words"]
 
@@ -58,6 +59,11 @@ def words(
 ) -> list[str]:
     """Plain sentences on what to beware of, the weightiest first."""
     said = list(fit.messages)
+    if fit.space.free[NAMES.index("width")]:
+        said.append(
+            "The levels ask for another contact window than a raised cosine of the given width; "
+            f"an effective width of {1e3 * fit.values[NAMES.index('width')]:.1f} mm stands for it."
+        )
     bound = [n for n, s in states.items() if s == "at-bound"]
     if bound:
         said.append(f"At the edge of the box, so their values are the box's: {', '.join(bound)}.")
