@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .space import Space
+from .space import K, P, Space
 
 __all__ = ["Descent", "descend"]
 
@@ -47,8 +47,7 @@ def descend(
     settled = np.zeros(len(z), bool)
     evaluations = 1
     for _ in range(iterations):
-        step = _step(residual, jacobian, damping, free, _pressed(space, z, residual, jacobian))
-        trial = _into(space, z + step, held, free)
+        trial = _into(space, _trial(space, z, residual, jacobian, damping, free), held, free)
         moved, slope, new_cost = _evaluate(evaluate, trial)
         evaluations += 1
         better = new_cost < cost
@@ -76,11 +75,26 @@ def _into(space: Space, z: np.ndarray, held: np.ndarray, free: np.ndarray) -> np
     return space.project(np.where(free, z, held))
 
 
-def _pressed(space: Space, z: np.ndarray, residual: np.ndarray, jacobian: np.ndarray) -> np.ndarray:
-    """Coordinates [starts, 10] at an edge of the box which a downhill step would leave."""
-    downhill = -np.einsum("srn,sr->sn", jacobian, residual)
-    nudged = z + 1e-6 * np.sign(downhill)
-    return np.abs(space.project(nudged) - z) < 1e-7 * (1 + 0 * z)
+def _trial(space: Space, z, residual, jacobian, damping, free) -> np.ndarray:
+    """Where the step leads [starts, size], before it is taken back into the box.
+
+    The box holds K_H, the search the force F_ref = K_H u_ref^p. While K_H is pressed against its edge, p moves along
+    that edge, d log F_ref = p log u_ref d log p.
+    """
+    at_edge = space.pressed(z, -np.einsum("srn,sr->sn", jacobian, residual))[:, K] & free[K]
+    along = np.where(at_edge, space.values(z)[:, P] * space.log_u, 0.0)
+    bent = jacobian.copy()
+    bent[:, :, P] += along[:, None] * jacobian[:, :, K]
+    pressed = space.pressed(z, -np.einsum("srn,sr->sn", bent, residual))
+    pressed[:, K] = at_edge
+    step = _step(residual, bent, damping, free, pressed)
+    step[:, K] += along * step[:, P]
+    trial = z + step
+    # Along a curved edge a straight step leaves it: K_H goes back onto it.
+    trial[:, K] = np.where(
+        at_edge, np.log(space.values(z)[:, K]) + np.exp(trial[:, P].clip(-300, 6)) * space.log_u, trial[:, K]
+    )
+    return trial
 
 
 def _step(residual, jacobian, damping, free, pressed) -> np.ndarray:

@@ -13,10 +13,12 @@ __all__ = ["huber", "scatter"]
 
 # Beyond this many standard deviations a residual counts linearly, not quadratically.
 BEND = 2.5
+# E[min(x², BEND²)] of a standard normal x.
+BENT = 0.978
 
 
 def scatter(residual: np.ndarray, noise: np.ndarray, freedom: float) -> float:
-    """The s ≥ 0 for which Σ min(r²/(noise² + s²), BEND²) equals the degrees of freedom left.
+    """The s ≥ 0 for which Σ min(r²/(noise² + s²), BEND²) is what the degrees of freedom left make of it.
 
     Parameters
     ----------
@@ -24,7 +26,7 @@ def scatter(residual: np.ndarray, noise: np.ndarray, freedom: float) -> float:
     freedom : how many parameters these residuals were fitted with.
     """
     n = len(residual)
-    wanted = max(n - freedom, 0.3 * n)
+    wanted = BENT * max(n - freedom, 0.3 * n)
 
     def excess(s: float) -> float:
         return np.minimum(residual**2 / (noise**2 + s**2 + 1e-300), BEND**2).sum() - wanted

@@ -312,7 +312,7 @@ def predicted(data: Measured, at: Target, cfg: Cfg, z: np.ndarray) -> np.ndarray
 
 
 def _ended(state: State, end: Descent, at: Target, spread: Spreads, robust, count: int) -> Fit:
-    values = state.space.values(end.z[0])
+    values = state.space.natural(end.z[0])
     downhill = -(end.jacobian[0].T @ end.residual[0])
     pressed = state.space.at_bound(values) & (np.abs(downhill) > 0)
     messages = () if bool(end.settled[0]) else ("The last stage stopped before it settled.",)

@@ -64,10 +64,27 @@ class Space:
         values[..., K] = np.exp(np.clip(stiffness(z[..., K], values[..., P], self.log_u), -300, 300))
         return values
 
+    def natural(self, z: np.ndarray) -> np.ndarray:
+        """Natural values as `values` gives them, what is fixed exactly at its start."""
+        return np.where(self.free, self.values(z), self.start)
+
     def project(self, z: np.ndarray) -> np.ndarray:
-        """The nearest point of the box, coordinate by coordinate; fixed coordinates go back to their start."""
-        values = np.clip(self.values(z), self.lower, self.upper)
-        return self.z(np.where(self.free, values, self.start))
+        """The nearest point of the box, coordinate by coordinate; fixed coordinates go back to their start.
+
+        K_H comes last: a p that is clipped keeps the force at the reference compression.
+        """
+        values = np.where(self.free, np.clip(self.values(z), self.lower, self.upper), self.start)
+        if self.free[K]:
+            k = np.exp(np.clip(stiffness(z[..., K], values[..., P], self.log_u), -300, 300))
+            values[..., K] = np.clip(k, self.lower[K], self.upper[K])
+        return self.z(values)
+
+    def pressed(self, z: np.ndarray, downhill: np.ndarray) -> np.ndarray:
+        """Which coordinates [..., size] sit on an edge of the box that a step `downhill` would leave."""
+        values = self.values(z)
+        low = values <= self.lower + 1e-9 * np.abs(self.lower)
+        high = values >= self.upper - 1e-9 * np.abs(self.upper)
+        return (low & (downhill < 0)) | (high & (downhill > 0))
 
     def at_bound(self, values: np.ndarray) -> np.ndarray:
         """Which free parameters [size] sit on an edge of the box."""

@@ -18,6 +18,8 @@ __all__ = ["covariance", "intervals", "statuses", "tangled"]
 TOLD = 0.5
 # Where nothing was put in, a factor e^±1 is no knowledge.
 LOOSE = 0.5
+# Eigenvalues of the scaled curvature below this are rounding.
+FLOOR = 1e-14
 # Two parameters whose estimates correlate more than this are told apart poorly.
 TANGLED = 0.98
 
@@ -33,8 +35,10 @@ def covariance(jacobian: np.ndarray, variance: np.ndarray, space: Space, pressed
     scale = np.sqrt((j**2).sum(axis=0)) + 1e-300
     # An eigenvalue at the rounding floor is a direction without any data: its variance is huge, not infinite.
     value, vector = np.linalg.eigh((j / scale).T @ (j / scale))
-    inverse = (vector / np.maximum(value, 1e-14)) @ vector.T / np.outer(scale, scale)
+    known = value > FLOOR
+    inverse = (vector[:, known] / value[known]) @ vector[:, known].T / np.outer(scale, scale)
     inner = inverse @ (j.T * variance) @ j @ inverse
+    inner += vector[:, ~known] @ vector[:, ~known].T / FLOOR / np.outer(scale, scale)
     full = np.zeros((len(space.free), len(space.free)))
     full[np.ix_(active, active)] = inner
     return full[: len(NAMES), : len(NAMES)]

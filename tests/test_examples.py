@@ -1,0 +1,84 @@
+"""The examples run and say what they should, and the package has one door."""
+
+from __future__ import annotations
+
+import math
+import re
+import runpy
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import pianofit
+
+EXAMPLES = Path(__file__).parent.parent / "examples"
+
+
+def printed(name: str, monkeypatch, capsys, *arguments: str) -> str:
+    """What an example prints, run as a program."""
+    monkeypatch.setattr(sys, "argv", [name, *arguments])
+    runpy.run_path(str(EXAMPLES / name), run_name="__main__")
+    return capsys.readouterr().out
+
+
+def test_every_example_is_numbered_and_tested():
+    here = Path(__file__).read_text(encoding="utf-8")
+    names = sorted(file.name for file in EXAMPLES.glob("*.py"))
+    assert [name[:3] for name in names] == [f"{i:02}_" for i in range(1, len(names) + 1)]
+    assert all(f'"{name}"' in here for name in names)
+
+
+def test_a_note_is_fitted(monkeypatch, capsys, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    text = printed("01_fit_a_note.py", monkeypatch, capsys)
+    pairs = re.findall(r"^(\w+) +(\S+) \S+, free   true (\S+)$", text, re.MULTILINE)
+    assert len(pairs) == 9
+    for name, found, true in pairs:
+        # b2 of the paper's final values has next to no effect on the sound.
+        assert float(found) == pytest.approx(float(true), rel=0.2 if name == "b2" else 0.02), name
+    softer, louder = (pianofit.load_recording(name) for name in ("softer.wav", "louder.wav"))
+    assert abs(louder.samples).max() > 2 * abs(softer.samples).max()
+
+
+def test_a_strike_is_differentiated(monkeypatch, capsys):
+    """(K_H, mu, v_H0) -> (K_H s^(1-p), mu/s, s v_H0) only makes a sound s times as loud: 0.0869 dB a percent."""
+    text = printed("02_differentiate_a_strike.py", monkeypatch, capsys)
+    p = pianofit.preset("bensa-final").hammer.p
+    rows = re.findall(r"^ +\d+((?: +-?\d+\.\d+){9})$", text, re.MULTILINE)
+    assert len(rows) == 12
+    for row in rows:
+        by = dict(zip(pianofit.PARAMETERS, map(float, row.split()), strict=True))
+        assert by["v_H0"] + (1 - p) * by["K_H"] - by["mu"] == pytest.approx(0.2 / math.log(10), abs=3e-4)
+    brightness = [float(x) for x in re.findall(r"lies +(\S+) dB", text)]
+    assert len(brightness) == 8
+    assert brightness == sorted(brightness, reverse=True)  # the harder, the brighter
+
+
+@pytest.mark.parametrize("name", pianofit.__all__)
+def test_a_public_name_leads_somewhere(name):
+    value = getattr(pianofit, name)
+    assert value is getattr(pianofit, name)
+    assert name in dir(pianofit)
+    if hasattr(value, "__module__"):
+        assert value.__module__.startswith("pianofit.")
+        assert value.__name__ == name
+        assert value.__doc__
+
+
+def test_names_that_are_not_public_are_refused():
+    with pytest.raises(AttributeError, match="has no attribute 'fit_everything'"):
+        _ = pianofit.fit_everything  # type: ignore[attr-defined]
+
+
+def test_every_error_is_public():
+    from pianofit import errors
+
+    assert set(errors.__all__) <= set(pianofit.__all__)
+
+
+def test_the_door_opens_without_jax():
+    code = "import sys, pianofit; pianofit.load_recording, pianofit.preset, pianofit.load_setup; print('jax' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "False\n"
