@@ -6,8 +6,8 @@
 
 For every parameter: how many intervals hold the truth; the largest miss in standard errors; the rms error; the rms of
 the misses in standard errors (1 if the intervals are just right); and how often it was told to be not identifiable.
-Only parameters whose status is `free` count. The brute-force twins have a string, hammer, window and noise of their own for every seed, and come from a fine grid that
-shares nothing with the program (`tests/brute_force.py`).
+Only parameters whose status is `free` count. Every brute-force twin has a string, a hammer and a noise of its own; it
+comes from a fine grid with another contact window, which shares nothing with the program (`tests/brute_force.py`).
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ def table(runs: list[dict[str, dict]]) -> tuple[list[str], dict]:
             every[key].append(entry[key])
         lines.append(
             f"{name:8}{entry['held']:4}/{entry['free']:<4}{entry['largest_miss']:12.2f} σ{entry['rms_miss']:8.2f} σ"
-            f"{entry['rms_percent']:10.3f} %{entry['not_identifiable']:7}{entry['at_bound']:10}"
+            f"{entry['rms_percent']:10.2g} %{entry['not_identifiable']:7}{entry['at_bound']:10}"
         )
     free, held = sum(every["free"]), sum(every["held"])
     largest = float(np.nanmax(every["largest_miss"]))
@@ -130,9 +130,7 @@ def study(seeds: int, brute_force: bool, noise_db: float) -> tuple[list[str], di
             f"  seed {seed:3}: {seconds[-1]:5.1f} s, largest miss {miss:+.2f} σ ({worst})", file=sys.stderr, flush=True
         )
     lines, data = table(runs)
-    lines.append(
-        f"not converged: {unsettled} of {seeds}; median time of making and fitting one, {statistics.median(seconds):.1f} s"
-    )
+    lines.append(f"not converged: {unsettled} of {seeds}; a twin and its fit took {statistics.median(seconds):.1f} s")
     return lines, {"table": data, "runs": runs, "not_converged": unsettled, "seconds": seconds}
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import soundfile as sf
-from test_report import NAMES, example_curves, example_fit
+from report_cases import NAMES, example_curves, example_fit
 
 from pianofit.report.page import write_report
 from pianofit.report.sound import k_weighted_mean_square

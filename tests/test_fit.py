@@ -182,8 +182,12 @@ def test_other_real_notes_end_and_say_how_well(recordings, name, note):
     json.dumps(document, allow_nan=False)
     assert document["verdict"]
     assert document["levels"]["fitted_db"] < document["levels"]["initial_db"]
-    for band in ({"band1", "band2", "band3"} - set(document["criterion"]["dropped"])) | {"global"}:
-        assert document["criterion"][band]["final"] < document["criterion"][band]["initial"], band
+    assert document["criterion"]["global"]["final"] < document["criterion"]["global"]["initial"]
+    for band in {"band1", "band2", "band3"} - set(document["criterion"]["dropped"]):
+        values = document["criterion"][band]
+        # A soundboard's jagged path can leave a band worse; then the fit has to say so.
+        said = any(band in m for m in document["messages"] if "criterion" in m)
+        assert said == (values["final"] >= values["initial"]), band
 
 
 # --- the study --------------------------------------------------------------------------------------------------------

@@ -6,9 +6,7 @@ import base64
 import dataclasses
 import hashlib
 import io
-import re
 import xml.etree.ElementTree as ElementTree
-from html.parser import HTMLParser
 
 import numpy as np
 import pytest
@@ -16,6 +14,7 @@ import soundfile as sf
 from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.image import imread
+from report_cases import NAMES, Page, example_curves, example_fit
 from scipy.signal import lfilter
 
 from pianofit.errors import OutputError
@@ -23,127 +22,6 @@ from pianofit.report.figures import write_picture
 from pianofit.report.page import Curves, write_report
 from pianofit.report.sound import k_weighted_mean_square, make_clips
 from pianofit.report.words import number, rows
-
-NAMES = ("original", "initial", "fitted")
-
-
-def note(f0, inharmonicity, count, tilt, rate, seconds, seed=None, noise=0.0, lead=0.03):
-    """Sum of damped partials after `lead` seconds of silence: (samples, level in dB and decay of each partial)."""
-    k = np.arange(1, count + 1)
-    frequency, decay = k * f0 * np.sqrt(1 + inharmonicity * k**2), 0.6 + 0.004 * k**2
-    level = -tilt * k + 4 * np.cos(1.7 * k)
-    if seed is not None:
-        level = level + np.random.default_rng(seed).normal(0, 3, count)
-    kept = frequency < 0.45 * rate
-    t = np.arange(round(seconds * rate)) / rate - lead
-    sound = np.zeros_like(t)
-    for f, a, b in zip(frequency[kept], decay[kept], level[kept], strict=True):
-        sound += 10 ** (b / 20) * np.exp(-a * np.maximum(t, 0)) * np.sin(2 * np.pi * f * np.maximum(t, 0))
-    sound *= 0.25
-    sound += noise * np.random.default_rng(1).normal(size=len(t))
-    return sound, level, decay
-
-
-def pulse(ms, duration, depth, stiffness, exponent, loss):
-    """Felt (Hunt and Crossley) pressed in by half a sine: force in N, compression in mm."""
-    phase = np.pi * ms / duration
-    u = np.where(ms <= duration, depth * np.sin(phase), 0.0)
-    rate = np.where(ms <= duration, 1e3 * depth * np.pi / duration * np.cos(phase), 0.0)
-    return np.maximum(stiffness * np.maximum(u, 0) ** exponent * (1 + loss * rate), 0), 1e3 * u
-
-
-def example_curves(rate=44100, seconds=3.0, count=40, f0=92.33, quiet=0.1, path=True):
-    """Curves as a fit of one struck string would give them."""
-    B, k = 2.3e-4, np.arange(1, count + 1)
-    measured, level, decay = note(f0, B, count, 0.9, rate, seconds, seed=3, noise=1e-4)
-    initial, level_initial, _ = note(f0 * 1.001, 0.7 * B, count, 1.9, rate, seconds)
-    fitted, level_fitted, _ = note(f0, B, count, 0.95, rate, seconds)
-    t = np.arange(len(measured)) / rate
-    bins = np.arange(0, rate // 2, 3)  # Hz
-    bins = bins[(bins > 0.4 * f0) & (bins < (count + 1.5) * f0)]
-    damped = [np.fft.rfft((x * np.exp(-30 * t))[:rate], rate)[bins] for x in (measured, initial, fitted)]
-    spectra = [20 * np.log10(np.abs(x)) for x in damped]
-    attack = slice(round(0.028 * rate), round(0.06 * rate))
-    random = np.random.default_rng(5)
-    law = 1200 * np.log2(np.sqrt(1 + B * k**2))
-    ms = np.linspace(0, 6, 500)
-    force_initial, compression_initial = pulse(ms, 2.6, 9e-4, 1.5e9, 2.55, 0.1)
-    force_fitted, compression_fitted = pulse(ms, 2.2, 6.5e-4, 5.2e9, 2.56, 0.2)
-    return Curves(
-        bins.astype(float), *spectra, (0.5 * f0, 1.5 * f0, 8.6 * f0, float(bins[-1])),
-        1e3 * (t[attack] - 0.03), measured[attack], initial[attack], fitted[attack],
-        k, law + random.normal(0, 0.6, count), np.full(count, 0.4), law,
-        decay * np.exp(random.normal(0, 0.2, count)), 0.05 * decay, decay,
-        level, np.full(count, 0.3), level_initial, level_fitted, 3 * np.sin(k / 9) if path else None,
-        ms, force_initial, force_fitted, compression_initial, compression_fitted,
-        rate, measured, quiet * initial, fitted,
-    )  # fmt: skip
-
-
-def example_fit(**changes):
-    def entry(value, unit, interval, status, initial, note=""):
-        return {"value": value, "unit": unit, "interval": interval, "status": status, "initial": initial, "note": note}
-
-    length = "rests on an assumed length of 1 m"
-    fit = {
-        "schema": 1,
-        "program": "pianofit",
-        "recipe": "default",
-        "seed": 0,
-        "converged": True,
-        "verdict": "One uncalibrated recording does not fix the felt: a smooth unknown path with a hammer from the "
-        "literature explains these levels as well.",
-        "messages": ["The hammer velocity was not measured; 4 m/s was assumed.", "μ sits on its upper bound."],
-        "parameters": {
-            "c": entry(184.661, "m/s", [184.652, 184.670], "free", 184.7, length),
-            "kappa": entry(0.8914, "m²/s", [0.871, 0.912], "free", 0.87, length),
-            "b1": entry(0.5682, "1/s", [0.531, 0.607], "free", 0.5),
-            "b2": entry(4.05e-4, "m²/s", [3.6e-4, 4.5e-4], "free", 1.004e-10, length),
-            "K_H": entry(1.09949e10, "N/m^p", [8.1e9, 1.49e10], "free", 1.51647e9, "rests on an assumed string mass"),
-            "mu": entry(1.0, "s/m", None, "at-bound", 0.1, "upper bound 1 s/m"),
-            "p": entry(2.56, "1", None, "not-identifiable", 2.55),
-            "M_H": entry(5.687e-3, "kg", [5.2e-3, 6.2e-3], "free", 6.79e-3),
-            "v_H0": entry(4.0, "m/s", None, "assumed", 4.0, "not measured"),
-            "M_S": entry(0.00618, "kg", None, "assumed", None),
-            "L": entry(1.0, "m", None, "assumed", None),
-            "x0": entry(0.12, "m", None, "fixed", None),
-        },
-        "takes": [{"file": "cp80-Fs2-FF.flac", "sha256": "ab" * 32, "rate": 44100, "onset_s": 0.03, "v_H0": 4.0,
-                   "gain": 0.0123, "gain_status": "free"}],
-        "derived": {"f0": 92.331, "B": 2.3e-4, "f1": 92.34, "contact_ms": 2.214, "max_force_N": 33.42,
-                    "max_compression_mm": 0.65, "glide_cents": 4.31},
-        "criterion": {"global": {"initial": 0.83, "final": 0.059}, "band1": {"initial": 1.1, "final": 0.02},
-                      "band2": {"initial": 0.7, "final": 0.08}, "band3": {"initial": 0.9, "final": 0.9},
-                      "dropped": [], "sigma": 30.0, "borders": [46.0, 138.0, 790.0, 3800.0]},
-        "levels": {"initial_db": 12.31, "fitted_db": 2.64, "path_only_db": 2.6, "partials": 40},
-        "diagnostics": {"evaluations": 812},
-        "versions": {"pianofit": "0.1.0", "python": "3.12.4", "jax": "0.10.0"},
-    }  # fmt: skip
-    return fit | changes
-
-
-class Page(HTMLParser):
-    """Tags with their attributes, in order, the text of scripts, and the text that a reader sees."""
-
-    def __init__(self, text):
-        super().__init__()
-        self.tags, self.scripts, self.words = [], [], []
-        self.feed(text)
-
-    def handle_starttag(self, tag, attributes):  # noqa: D102  (the parser's own names)
-        self.tags.append((tag, dict(attributes)))
-
-    def handle_data(self, text):  # noqa: D102
-        (self.scripts if self.cdata_elem == "script" else [] if self.cdata_elem else self.words).append(text)
-
-    def all(self, tag):
-        """Return the attributes of every such tag."""
-        return [attributes for name, attributes in self.tags if name == tag]
-
-    @property
-    def text(self):
-        """The words a reader sees, spaces made one."""
-        return re.sub(r"\s+", " ", " ".join(self.words))
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,15 @@ Each message is one line that names the thing (a file, an argument), the value f
 The command line prints the message and exits with 1; it never shows a traceback for these.
 """
 
-__all__ = ["PianofitError", "RecordingError", "SetupError", "ParameterError", "AnalysisError", "FitError", "OutputError"]
+__all__ = [
+    "PianofitError",
+    "RecordingError",
+    "SetupError",
+    "ParameterError",
+    "AnalysisError",
+    "FitError",
+    "OutputError",
+]
 
 
 class PianofitError(Exception):

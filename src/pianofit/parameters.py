@@ -12,7 +12,17 @@ from typing import Any, NamedTuple
 
 from .errors import ParameterError
 
-__all__ = ["FIT_NAMES", "HAMMER_NAMES", "PARAMETERS", "STRING_NAMES", "Geometry", "Hammer", "Parameter", "String", "check"]
+__all__ = [
+    "FIT_NAMES",
+    "HAMMER_NAMES",
+    "PARAMETERS",
+    "STRING_NAMES",
+    "Geometry",
+    "Hammer",
+    "Parameter",
+    "String",
+    "check",
+]
 
 # A field holds a number, or an array or tracer of the same meaning inside a computation.
 Number = Any

@@ -1,7 +1,7 @@
 """A stand-in for the laboratory: a calibrated "measurement" whose true parameters are known.
 
-The paper's setup (a 1 m string, its Tables II and III, final values) with a velocity pickup and white measurement noise.
-The contact is computed at a far higher rate than any fit uses.
+The paper's setup (a 1 m string, its Tables II and III, final values) with a velocity pickup and white measurement
+noise. The contact is computed at a far higher rate than any fit uses.
 """
 
 from __future__ import annotations
@@ -60,6 +60,7 @@ def setup_text() -> str:
         "[string]", f"length = {g.length}", f"mass = {g.mass}", "",
         "[strike]", f"position = {g.strike}", f"width = {g.width}", "",
         "[pickup]", 'quantity = "velocity"', f"position = {g.pickup}", f"scale = {SCALE}  # m/s at full scale", "",
-        "[initial]  # Bensa et al. (2005), Tables II and III, initial values", *(f"{k} = {v!r}" for k, v in values.items()),
+        "[initial]  # Bensa et al. (2005), Tables II and III, initial values",
+        *(f"{k} = {v!r}" for k, v in values.items()),
     ]  # fmt: skip
     return "\n".join(lines) + "\n"

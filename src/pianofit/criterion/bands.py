@@ -18,8 +18,6 @@ BANDS = ("band1", "band2", "band3")
 NODES = 48
 # Half a cell in units of the linewidth σ/2π: beyond it a Lorentzian's energy is down by a factor 150.
 REACH = 12.0
-
-
 # σ at which the criterion is weighed and reported, 1/s, and the spacing of partials in linewidths it must leave.
 WIDEST_SIGMA, APART = 30.0, 16.0
 
@@ -44,7 +42,8 @@ def line_sigma(f0: float) -> float:
 
 def borders(f0: float, B: float, last: int) -> tuple[float, ...]:
     """Band edges, Hz: below the fundamental, 1|2, 8|9, and above partial `last`."""
-    return tuple(float(partial_frequency(k, f0, B)) for k in (0.5, 1.5, 8.5, max(last, 9) + 0.5))
+    k = np.array([0.5, 1.5, 8.5, max(last, 9) + 0.5])
+    return tuple(partial_frequency(k, f0, B).tolist())
 
 
 def band_of(number: np.ndarray) -> np.ndarray:

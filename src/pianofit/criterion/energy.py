@@ -16,9 +16,7 @@ __all__ = ["band_values", "closed_form_gain", "measure"]
 ENOUGH_DAMPING = 14.0
 
 
-def measure(
-    samples: np.ndarray, rate: float, f0: float, B: float, last: int, sigma: float
-) -> tuple[Cells, np.ndarray]:
+def measure(samples: np.ndarray, rate: float, f0: float, B: float, last: int, sigma: float) -> tuple[Cells, np.ndarray]:
     """|S|² of a recording that starts at its onset, at the cells of partials 1 to `last`.
 
     Parameters

@@ -32,12 +32,18 @@ class Descent(NamedTuple):
 
 
 def descend(
-    evaluate: Callable, z: np.ndarray, space: Space, *, iterations: int, free: np.ndarray | None = None,
+    evaluate: Callable,
+    z: np.ndarray,
+    space: Space,
+    *,
+    iterations: int,
+    free: np.ndarray | None = None,
     tolerance: float = 1e-9,
 ) -> Descent:
     """Lower half the sum of squares of `evaluate(z) -> (residuals, Jacobian, ...)` from every row of `z` [starts, 10].
 
-    A start has settled when a step gains less than `tolerance` of its cost. Costs never rise. A point at which the residuals are not finite counts as infinitely bad.
+    A start has settled when a step gains less than `tolerance` of its cost. Costs never rise. A point at which the
+    residuals are not finite counts as infinitely bad.
     """
     free = space.free if free is None else free & space.free
     held = z.copy()
@@ -66,7 +72,7 @@ def descend(
 
 def _evaluate(evaluate: Callable, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     residual, jacobian = (np.asarray(x) for x in evaluate(z)[:2])
-    good = np.isfinite(residual).all(axis=1) & np.isfinite(jacobian).all(axis=(1, 2))
+    good = np.all(np.isfinite(residual), axis=1) & np.all(np.isfinite(jacobian), axis=(1, 2))
     cost = np.where(good, 0.5 * (np.where(good[:, None], residual, 0.0) ** 2).sum(axis=1), np.inf)
     return np.nan_to_num(residual), np.nan_to_num(jacobian), cost
 

@@ -16,15 +16,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..analysis import Analysis
+from ..criterion import PATH_SPREAD, PATH_TERMS
 from ..errors import FitError
 from ..initial import Start
-from ..model import contact_rate, simulate
+from ..model import simulate
 from ..model.simulate import count_modes
+from ..parameters import Geometry
 from ..recording import Recording
 from .levenberg import Descent, descend
 from .misfit import huber, scatter
 from .residuals import Cfg, Target, hammer_batch, joint_batch, string_batch
-from ..criterion import PATH_SPREAD, PATH_TERMS
 from .space import NAMES, SIZE, Space, default_box, split, struck
 from .target import CENT, ROWS, Measured, Spreads, doubt, lines, measured, target
 from .voice import arrival, lag
@@ -103,6 +104,28 @@ def fit_partials(
     FitError
         If no start leads to a finite cost.
     """
+    state = _prepared(recording, analysis, start)
+    programs = [_compiled_ahead(hammer_batch, state, STARTS), _compiled_ahead(joint_batch, state, 1)]
+    progress("string", 0.1)
+    space, count = _string_stage(recording, analysis, state)
+    state = replace(state, space=space)
+    progress("hammer", 0.3)
+    programs[0].join()
+    z, agreeing, searched = _hammer_stage(state, seed)
+    progress("string and hammer", 0.6)
+    programs[1].join()
+    fit = _joint_stage(state, z)
+    if state.data.calibrated:
+        fit = _with_attack(recording, fit)
+    if fit.spread.level < FINE_LEVEL and np.median(state.data.partials.level_error) < FINE_LEVEL:
+        progress("refinement", 0.8)
+        fit = _refined(fit)
+    progress("done", 1.0)
+    return replace(fit, agreeing=agreeing, evaluations=fit.evaluations + count + searched)
+
+
+def _prepared(recording: Recording, analysis: Analysis, start: Start) -> State:
+    """Choose the contact's rate and length, and what the programs are compiled for, from the literature's strike."""
     space = search_space(start)
     data = measured(recording, analysis, start)
     string, hammer = split(space.start)
@@ -113,44 +136,55 @@ def fit_partials(
     rows = max(first.modes.pole.shape[0], ROWS * int(np.ceil(data.partials.number.max() / ROWS)))
     cfg = Cfg(rows, steps, start.quantity, data.calibrated)
     delay = arrival(string, start.geometry, start.quantity)
-
-    progress("string", 0.1)
-    space, count = _string_stage(recording, analysis, data, start, space, rate, cfg)
-    progress("hammer", 0.3)
-    state = State(data, start, space, rate, delay, cfg, 0.0 if data.calibrated else CRITERION)
-    # The last stage's program compiles on the other core meanwhile.
-    ahead = threading.Thread(target=_compile_joint, args=(state,), daemon=True)
-    ahead.start()
-    z, agreeing, searched = _hammer_stage(state, seed)
-    ahead.join()
-    progress("string and hammer", 0.6)
-    fit = _joint_stage(state, z)
-    if data.calibrated:
-        # The onset is where a sound is first seen; a model this close says when the hammer touched.
-        state = replace(state, delay=_touch(recording, start, fit))
-        fit = _joint_stage(state, fit.z, fit.spread, fit.robust)
-        if fit.spread.level > WINDOW_SCATTER and not space.free[WIDTH]:
-            # Not noise, and no path to blame: the felt's window is of another shape than the model's.
-            state = replace(state, space=_with_free_width(state.space))
-            fit = _joint_stage(state, fit.z, fit.spread, fit.robust)
-            state = replace(state, delay=_touch(recording, start, fit))
-            fit = _joint_stage(state, fit.z, fit.spread, fit.robust)
-    if fit.spread.level < FINE_LEVEL and np.median(data.partials.level_error) < FINE_LEVEL:
-        progress("refinement", 0.8)
-        fine = rate * REFINEMENT
-        rows = max(rows, count_modes(string, start.geometry, fine))
-        state = replace(state, rate=fine, cfg=cfg._replace(steps=steps * REFINEMENT, n_modes=rows))
-        fit = _joint_stage(state, fit.z, fit.spread, fit.robust)
-    progress("done", 1.0)
-    return replace(fit, agreeing=agreeing, evaluations=fit.evaluations + count + searched)
+    return State(data, start, space, rate, delay, cfg, 0.0 if data.calibrated else CRITERION)
 
 
-def _with_free_width(space: Space) -> Space:
-    length = space.upper[NAMES.index("x0")] / 0.33
-    lower, upper = default_box(length, space.start[WIDTH])
+def _compiled_ahead(function: Callable, state: State, starts: int) -> threading.Thread:
+    """Call a batch function once, in a thread: its program compiles while the stages before it run."""
+
+    def call() -> None:
+        at = state.target(Spreads(1.0, 0.3, FIRST_SCATTER[state.data.calibrated]), np.ones((3, state.data.found)))
+        function(jnp.asarray(np.tile(state.space.z(state.space.start), (starts, 1))), at, state.cfg)
+
+    thread = threading.Thread(target=call, daemon=True)
+    thread.start()
+    return thread
+
+
+def _with_attack(recording: Recording, fit: Fit) -> Fit:
+    """The fit of a calibrated recording gone on with what its attack tells.
+
+    The onset is where a sound is first seen; a model this close says when the hammer touched. If it still misses by
+    more than noise, there is no path to blame: the felt's window is of another shape than the model's.
+    """
+    state = replace(fit.state, delay=_touch(recording, fit))
+    fit = _joint_stage(state, fit.z, fit.spread, fit.robust)
+    if fit.spread.level <= WINDOW_SCATTER or state.space.free[WIDTH]:
+        return fit
+    state = replace(state, space=_with_free_width(state.space, state.start.geometry))
+    fit = _joint_stage(state, fit.z, fit.spread, fit.robust)
+    state = replace(state, delay=_touch(recording, fit))
+    return _joint_stage(state, fit.z, fit.spread, fit.robust)
+
+
+def _refined(fit: Fit) -> Fit:
+    """The fit gone on with a finer step of the contact."""
+    state = fit.state
+    rate = state.rate * REFINEMENT
+    string, _ = split(fit.values)
+    rows = max(state.cfg.n_modes, count_modes(string, state.start.geometry, rate))
+    state = replace(state, rate=rate, cfg=state.cfg._replace(steps=state.cfg.steps * REFINEMENT, n_modes=rows))
+    return _joint_stage(state, fit.z, fit.spread, fit.robust)
+
+
+def _with_free_width(space: Space, geometry: Geometry) -> Space:
+    lower, upper = default_box(geometry.length, geometry.width)
     this = np.arange(SIZE) == WIDTH
     return replace(
-        space, free=space.free | this, lower=np.where(this, lower, space.lower), upper=np.where(this, upper, space.upper)
+        space,
+        free=space.free | this,
+        lower=np.where(this, lower, space.lower),
+        upper=np.where(this, upper, space.upper),
     )
 
 
@@ -163,12 +197,12 @@ def heed_criterion(fit: Fit) -> Fit | None:
     return replace(further, agreeing=fit.agreeing, evaluations=further.evaluations + fit.evaluations)
 
 
-def _touch(recording: Recording, start: Start, fit: Fit) -> float:
+def _touch(recording: Recording, fit: Fit) -> float:
     """When the hammer touched before the recording's onset, s, by laying the fitted sound's attack on the recorded."""
     string, hammer = split(fit.values)
-    geometry = struck(start.geometry, fit.values)
+    geometry = struck(fit.state.start.geometry, fit.values)
     samples = int(ATTACK * recording.rate)
-    model = simulate(string, hammer, geometry, rate=recording.rate, quantity=start.quantity)
+    model = simulate(string, hammer, geometry, rate=recording.rate, quantity=fit.state.start.quantity)
     guess = recording.onset - round(float(fit.target.delay) * recording.rate)
     heard = np.pad(recording.samples, (max(-guess, 0), samples))[max(guess, 0) :][:samples]
     late = lag(model.waveform(recording.rate, samples), heard)
@@ -185,7 +219,6 @@ class State:
     rate: float
     delay: float
     cfg: Cfg
-
     criterion: float
 
     def target(self, spread: Spreads, robust: np.ndarray, grade: float = 0.0) -> Target:
@@ -199,8 +232,9 @@ class State:
         return lambda z: function(jnp.asarray(z), at, self.cfg)
 
 
-def _string_stage(recording, analysis, data: Measured, start: Start, space: Space, rate: float, cfg: Cfg):
+def _string_stage(recording: Recording, analysis: Analysis, state: State) -> tuple[Space, int]:
     """c and b1 in band 1, κ and b2 in band 2 (paper IV.C, steps 1 and 2), near where the analysis put them."""
+    space, data = state.space, state.data
     near = {
         "c": 1 + 10 * max(analysis.f0_error / analysis.f0, CENT),
         "kappa": 1 + 5 * max(analysis.B_error / max(analysis.B, 1e-9), 0.02),
@@ -218,10 +252,13 @@ def _string_stage(recording, analysis, data: Measured, start: Start, space: Spac
         free = np.append(np.isin(NAMES, names), np.zeros(SIZE - len(NAMES), bool))
         for narrow in SIGMAS:
             sigma = max(narrow * data.sigma, 8 * glide)
-            cells = lines(recording, analysis, data, band, sigma, start, rate)
-            end = descend(lambda z, cells=cells: string_batch(jnp.asarray(z), cells, cfg), z, local, iterations=8, free=free)
+            cells = lines(recording, analysis, data, band, sigma, state.start, state.rate)
+            end = descend(
+                lambda z, cells=cells: string_batch(jnp.asarray(z), cells, state.cfg),
+                z, local, iterations=8, free=free, tolerance=1e-4,
+            )  # fmt: skip
             z, count = end.z, count + end.evaluations
-    return replace(space, start=local.values(z[0])), count
+    return replace(space, start=local.natural(z[0])), count
 
 
 def _hammer_stage(state: State, seed: int) -> tuple[np.ndarray, int, int]:
@@ -249,11 +286,6 @@ def _hammer_stage(state: State, seed: int) -> tuple[np.ndarray, int, int]:
     return end.z[best : best + 1], agreeing, count
 
 
-def _compile_joint(state: State) -> None:
-    at = state.target(Spreads(1.0, 0.3, FIRST_SCATTER[state.data.calibrated]), np.ones((3, state.data.found)))
-    joint_batch(jnp.asarray(state.space.z(state.space.start[None])), at, state.cfg)
-
-
 def _levelled(state: State, at: Target, z: np.ndarray) -> np.ndarray:
     """The points `z` [starts, size] with the gain at which each is right on average."""
     if state.data.calibrated:
@@ -267,17 +299,17 @@ def _levelled(state: State, at: Target, z: np.ndarray) -> np.ndarray:
 
 def _joint_stage(state: State, z, spread: Spreads | None = None, robust: np.ndarray | None = None) -> Fit:
     """All together; weights from the residuals, residuals from the weights, until they agree."""
-    data, count = state.data, 0
+    data, count, rounds = state.data, 0, 0
     spread = spread or Spreads(1.0, 0.3, FIRST_SCATTER[data.calibrated])
     robust = np.ones((3, len(data.partials))) if robust is None else robust
-    for _ in range(ROUNDS):
+    while True:
         at = state.target(spread, robust)
-        end = descend(state.evaluate(joint_batch, at), z, state.space, iterations=25, tolerance=1e-6)
-        z, count, before = end.z, count + end.evaluations, spread
+        end = descend(state.evaluate(joint_batch, at), z, state.space, iterations=60, tolerance=1e-5)
+        z, count, rounds, before = end.z, count + end.evaluations, rounds + 1, spread
         spread, robust = _weights(state, at, z)
-        if abs(spread.level - before.level) < 0.02 * spread.level + 1e-4:
-            break
-    return _ended(state, end, at, before, robust, count)
+        agreed = abs(spread.level - before.level) < 0.02 * spread.level + 1e-4
+        if rounds == ROUNDS or (agreed and end.settled[0]):
+            return _ended(state, end, at, before, robust, count)
 
 
 def _weights(state: State, at: Target, z: np.ndarray) -> tuple[Spreads, np.ndarray]:
@@ -287,9 +319,11 @@ def _weights(state: State, at: Target, z: np.ndarray) -> tuple[Spreads, np.ndarr
     frequency, decay, level = observed - predicted(data, at, state.cfg, z[0])
     cent = p.frequency * CENT * doubt(p.number)
     cents, cents_sd, decay_sd = frequency / cent, p.frequency_error / cent, p.decay_error / p.decay
-    hammer_freedom = float(state.space.free[4:].sum()) + (0 if data.calibrated else 4)
+    hammer_freedom = float(state.space.free[4:].sum())
     spread = Spreads(
-        scatter(cents, cents_sd, 2), scatter(decay / p.decay, decay_sd, 2), scatter(level, p.level_error, hammer_freedom)
+        scatter(cents, cents_sd, 2),
+        scatter(decay / p.decay, decay_sd, 2),
+        scatter(level, p.level_error, hammer_freedom),
     )
     if state.start.quantity == "pressure":
         spread = replace(spread, level=max(spread.level, LEAST_SCATTER))

@@ -22,7 +22,17 @@ from ..model.response import level_db, mobility, ringing
 from ..parameters import Geometry, Hammer, String
 from .space import LOG, SIZE, stiffness
 
-__all__ = ["Cfg", "Lines", "Target", "compare", "hammer_batch", "joint_batch", "predict", "string_batch", "string_lines"]
+__all__ = [
+    "Cfg",
+    "Lines",
+    "Target",
+    "compare",
+    "hammer_batch",
+    "joint_batch",
+    "predict",
+    "string_batch",
+    "string_lines",
+]
 
 # A strike that does not end within the steps of a search costs this much.
 ENDLESS = 1e3

@@ -58,8 +58,13 @@ class Result:
     @property
     def worse_bands(self) -> list[str]:
         """Occupied bands, and `global`, whose criterion ended no lower than it started."""
-        values = self.document["criterion"]
-        return [n for n in ("global", *BANDS) if n in values and values[n]["final"] >= values[n]["initial"]]
+        return worse_bands(self.document["criterion"])
+
+
+def worse_bands(criterion: dict) -> list[str]:
+    """Occupied bands, and `global`, in which the criterion ended no lower than it started."""
+    names = [n for n in ("global", *BANDS) if n in criterion]
+    return [n for n in names if criterion[n]["final"] >= criterion[n]["initial"]]
 
 
 def conclude(recording: Recording, analysis: Analysis, start: Start, fit: Fit, seed: int) -> Result:
@@ -81,7 +86,8 @@ def conclude(recording: Recording, analysis: Analysis, start: Start, fit: Fit, s
     literature = None if fit.data.calibrated else _path_only(fit)
     measured = fit.data.level[: fit.data.found]
 
-    cov = to_stiffness(covariance(fit.jacobian, _row_variance(fit), fit.space, fit.pressed), fit.values, fit.space.log_u)
+    cov = covariance(fit.jacobian, _row_variance(fit), fit.space, fit.pressed)
+    cov = to_stiffness(cov, fit.values, fit.space.log_u)
     states = statuses(cov, fit.space, fit.space.at_bound(fit.values), start.fixed)
     levels = {
         "initial_db": level_error_db(initial.level[scored], measured[scored]),
@@ -91,6 +97,7 @@ def conclude(recording: Recording, analysis: Analysis, start: Start, fit: Fit, s
     }
     opening, states = verdict(fit, start, states, levels, None if literature is None else literature[1])
     spans = intervals(cov, fit.values[: len(NAMES)], max(3 * len(fit.data.partials) - int(fit.space.free.sum()), 1))
+    criterion = _criterion(ear, fit.data, initial, fitted)
     document = {
         "schema": SCHEMA,
         "program": "pianofit",
@@ -98,12 +105,12 @@ def conclude(recording: Recording, analysis: Analysis, start: Start, fit: Fit, s
         "seed": seed,
         "converged": fit.converged,
         "verdict": opening,
-        "messages": words(fit, start, analysis, recording, states, tangled(cov)),
+        "messages": words(fit, start, analysis, recording, states, tangled(cov), worse_bands(criterion)),
         "parameters": _parameters(fit.values, first, spans, states, start),
         "takes": [_take(recording, fit.values, fitted.voice.gain, start)],
         "pickup": {"quantity": start.quantity, "path": _path_document(path)},
-        "derived": _derived(fitted, analysis, fit, cov),
-        "criterion": _criterion(ear, fit.data, initial, fitted),
+        "derived": _derived(fitted, analysis, cov),
+        "criterion": criterion,
         "levels": levels,
         "diagnostics": _diagnostics(fit, cov),
         "versions": versions(),
@@ -253,7 +260,7 @@ def _path_document(path: OutputPath | None) -> dict | None:
     return None if path is None else {"frequency": path.frequency.tolist(), "db": path.db.tolist()}
 
 
-def _derived(fitted: Sound, analysis: Analysis, fit: Fit, cov: np.ndarray) -> dict:
+def _derived(fitted: Sound, analysis: Analysis, cov: np.ndarray) -> dict:
     """What follows from the parameters and needs no assumed scale, and what the strike did."""
     voice, pulse = fitted.voice, fitted.simulation.pulse
     f0 = voice.string.c / (2 * voice.geometry.length)
@@ -264,7 +271,8 @@ def _derived(fitted: Sound, analysis: Analysis, fit: Fit, cov: np.ndarray) -> di
     change[K], change[NAMES.index("p")] = 1.0, voice.hammer.p * np.log(u)
     return {
         "f0": float(f0), "B": float(B), "f1": float(f0 * np.sqrt(1 + B)),
-        "M_H/M_S": float(voice.hammer.M_H / voice.geometry.mass), "x0/L": float(voice.geometry.strike / voice.geometry.length),
+        "M_H/M_S": float(voice.hammer.M_H / voice.geometry.mass),
+        "x0/L": float(voice.geometry.strike / voice.geometry.length),
         "contact_ms": 1e3 * fitted.simulation.contact_time, "max_force_N": float(pulse.force.max()),
         "max_compression_mm": 1e3 * u,
         "felt_force_N": float(voice.hammer.K_H * u**voice.hammer.p),
@@ -295,5 +303,3 @@ def _diagnostics(fit: Fit, cov: np.ndarray) -> dict:
                     "level_db": fit.spread.level},
         "correlated": [{"pair": [a, b], "correlation": r} for a, b, r in tangled(cov)],
     }  # fmt: skip
-
-

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -96,7 +97,7 @@ def _lines_of(recording: Recording, analysis: Analysis, sigma: float) -> tuple[n
     line = 0.25 / ((sigma + decay)[:, None] ** 2 + (2 * np.pi * (cells.frequency - centre[:, None])) ** 2)
     best = (energy * line).sum(axis=1) / (line**2).sum(axis=1)
     full = 8 * (sigma + decay) * energy.sum(axis=1) * cells.spacing
-    return level_db(np.sqrt(best), decay, np), level_db(np.sqrt(full), decay, np)
+    return np.asarray(level_db(np.sqrt(best), decay, np)), np.asarray(level_db(np.sqrt(full), decay, np))
 
 
 def pad(x: np.ndarray, fill: float = 0.0) -> np.ndarray:
@@ -148,38 +149,53 @@ def target(
         minima, and ½ their amplitudes, which has few.
     criterion : a band whose eq. 19 is 1, as for silence, costs half this much.
     """
+    fields = _observed(data) | _weights(data, spread, robust, grade, criterion) | {
+        "by_energy": 0.0,
+        "basis": np.pad(_basis(data, start), ((0, -len(data.number) % ROWS), (0, 0))),
+        "start": space.z(space.start),
+        "prior_weight": np.where(np.isfinite(space.spread), 1 / space.spread, 0.0) * space.free,
+        "log_u": space.log_u,
+        "delay": delay,
+        "geometry": Geometry(*map(np.float64, start.geometry)),
+        "rate": rate,
+    }  # fmt: skip
+    return Target(**jax.tree.map(jnp.asarray, fields))
+
+
+def _observed(data: Measured) -> dict[str, np.ndarray]:
+    """The partials as `Target` holds them, padded."""
+    p, silent = data.partials, len(data.number) - data.found
+    return {
+        "row": pad(data.number - 1).astype(np.int32),
+        "frequency": pad(data.frequency),
+        "decay": pad(np.append(p.decay, np.full(silent, np.median(p.decay))), 1.0),
+        "level": pad(data.level),
+        "floor": pad(data.floor, -300.0),
+        "line": pad(data.line),
+    }
+
+
+def _weights(
+    data: Measured, spread: Spreads, robust: np.ndarray, grade: float, criterion: float
+) -> dict[str, np.ndarray]:
+    """The weights of `Target`, padded; a silent partial has a level alone."""
     p, none = data.partials, np.zeros(len(data.number) - data.found)
     sd_frequency = np.hypot(p.frequency_error, p.frequency * CENT * spread.frequency * doubt(p.number))
     sd_decay = np.hypot(p.decay_error, p.decay * spread.decay)
-    share = _shares(data)
+    share, band = _shares(data), band_of(data.number)
     hammer_band = max(data.occupied)  # band 3, or the next occupied one below
-    basis = _basis(data, start)
-    occupied = np.isin(band_of(data.number), data.occupied)
-    arrays = Target(
-        row=pad(data.number - 1).astype(np.int32),
-        frequency=pad(data.frequency),
-        decay=pad(np.append(p.decay, none + np.median(p.decay)), 1.0),
-        level=pad(data.level),
-        floor=pad(data.floor, -300.0),
-        line=pad(data.line),
-        frequency_weight=pad(np.append(robust[0] / sd_frequency, none)),
-        decay_weight=pad(np.append(robust[1] / sd_decay, none)),
-        level_weight=pad(_level_weight(data, spread, robust[2], grade)),
-        line_weight=pad(np.sqrt(criterion) * share * occupied),
-        hammer_line=pad(share * (band_of(data.number) == hammer_band)),
-        by_energy=0.0,
-        basis=np.pad(basis, ((0, -len(basis) % ROWS), (0, 0))),
-        start=space.z(space.start),
-        prior_weight=np.where(np.isfinite(space.spread), 1 / space.spread, 0.0) * space.free,
-        log_u=space.log_u,
-        delay=delay,
-        geometry=Geometry(*map(np.float64, start.geometry)),
-        rate=rate,
-    )
-    return Target(*(Geometry(*map(jnp.asarray, a)) if isinstance(a, Geometry) else jnp.asarray(a) for a in arrays))
+    return {
+        "frequency_weight": pad(np.append(robust[0] / sd_frequency, none)),
+        "decay_weight": pad(np.append(robust[1] / sd_decay, none)),
+        "level_weight": pad(_level_weight(data, spread, robust[2], grade)),
+        "line_weight": pad(np.sqrt(criterion) * share * np.isin(band, data.occupied)),
+        "hammer_line": pad(share * (band == hammer_band)),
+    }
 
 
-def lines(recording: Recording, analysis: Analysis, data: Measured, band: int, sigma: float, start: Start, rate: float):
+def lines(
+    recording: Recording, analysis: Analysis, data: Measured, band: int, sigma: float, start: Start, rate: float
+) -> Lines:
     """The cells of one band's partials, weighted so that the sum of squares is the paper's criterion on that band."""
     rows = np.arange(9) if band < 2 else np.arange(9, 9 + ROWS)
     chosen = np.isin(rows, data.partials.number[band_of(data.partials.number) == band] - 1)
@@ -188,8 +204,5 @@ def lines(recording: Recording, analysis: Analysis, data: Measured, band: int, s
     energy, spacing = energy[rows], cells.spacing[rows]
     total = (spacing[chosen, None] * energy[chosen] ** 2).sum()
     weight = np.where(chosen, np.sqrt(spacing / total), 0.0)
-    return Lines(
-        *(jnp.asarray(x) for x in (cells.frequency[rows], energy, weight, sigma)),
-        Geometry(*map(jnp.asarray, map(np.float64, start.geometry))),
-        jnp.asarray(float(rate)),
-    )
+    geometry = Geometry(*map(np.float64, start.geometry))
+    return Lines(*jax.tree.map(jnp.asarray, (cells.frequency[rows], energy, weight, sigma, geometry, float(rate))))

@@ -12,7 +12,7 @@ from scipy.special import stdtrit
 
 from .space import NAMES, K, P, Space
 
-__all__ = ["covariance", "intervals", "statuses", "tangled"]
+__all__ = ["covariance", "intervals", "statuses", "tangled", "to_stiffness"]
 
 # The data must at least halve the spread that was put in, else the answer is the prior's.
 TOLD = 0.5
@@ -78,9 +78,9 @@ def statuses(cov: np.ndarray, space: Space, at_bound: np.ndarray, fixed: dict[st
 def tangled(cov: np.ndarray) -> list[tuple[str, str, float]]:
     """Pairs of parameters that the recording does not tell apart, with their correlation."""
     sd = np.sqrt(np.diag(cov))
-    pairs = []
-    for i in range(len(NAMES)):
-        for j in range(i):
-            if sd[i] > 0 and sd[j] > 0 and abs(r := cov[i, j] / (sd[i] * sd[j])) > TANGLED:
-                pairs.append((NAMES[j], NAMES[i], float(r)))
-    return pairs
+    return [
+        (NAMES[j], NAMES[i], float(r))
+        for i in range(len(NAMES))
+        for j in range(i)
+        if sd[i] > 0 and sd[j] > 0 and abs(r := cov[i, j] / (sd[i] * sd[j])) > TANGLED
+    ]

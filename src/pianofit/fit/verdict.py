@@ -13,6 +13,8 @@ from .space import NAMES
 __all__ = ["verdict", "words"]
 
 FELT = ("K_H", "mu", "p")
+# A calibrated recording of the string described is met within hundredths of a decibel.
+POOR = 0.5
 
 
 def verdict(
@@ -30,19 +32,23 @@ def verdict(
         if not lost:
             return "Calibrated recording: all free parameters are identified.", states
         return f"Calibrated recording. Not identifiable from it: {', '.join(lost)}.", states
-    hammer = int(fit.space.free[4:].sum())
+    hammer = int(fit.space.free[4 : len(NAMES)].sum())
     as_good = excess < chdtri(max(hammer, 1), 0.05)
+    through = "smooth path" if start.quantity == "pressure" else "gain"
     text = (
-        "One uncalibrated recording does not fix the felt: any hammer's spectrum can be traded for an output path. "
+        "One uncalibrated recording does not fix the felt: any hammer's spectrum can be traded for an output path, and "
+        "a softer felt struck faster sounds the same through another gain. "
         f"Partial levels: {levels['initial_db']:.1f} dB off at the start; "
-        f"{levels['path_only_db']:.1f} dB with the literature's hammer through the best smooth path; "
-        f"{levels['fitted_db']:.1f} dB with the fitted hammer through its path. "
+        f"{levels['path_only_db']:.1f} dB with the literature's hammer through the best {through}; "
+        f"{levels['fitted_db']:.1f} dB with the fitted hammer through its own. "
     )
     if as_good:
-        text += "The path alone is as good: the hammer's values are one possibility, not a finding."
+        text += f"The {through} alone is as good: the hammer's values are one possibility, not a finding."
         states = states | {n: "not-identifiable" for n in (*FELT, "M_H") if states[n] in ("free", "at-bound")}
     else:
-        text += "The fitted hammer explains more than a path alone; its values still rest on the path being smooth."
+        text += (
+            f"The fitted hammer explains more than a {through} alone; its values still rest on that being all there is."
+        )
         states = states | {n: "not-identifiable" for n in FELT if states[n] == "free"}
     if "v_H0" in start.fixed and start.fixed["v_H0"] == "assumed":
         text += f" The hammer velocity, {start.values['v_H0']:g} m/s, is assumed, and K_H and μ scale with it."
@@ -56,9 +62,12 @@ def words(
     recording: Recording,
     states: dict[str, str],
     pairs: list[tuple[str, str, float]],
+    worse: list[str],
 ) -> list[str]:
     """Plain sentences on what to beware of, the weightiest first."""
     said = list(fit.messages)
+    if worse:
+        said.append(f"No lower on the paper's criterion than at the start: {', '.join(worse)}.")
     if fit.space.free[NAMES.index("width")]:
         said.append(
             "The levels ask for another contact window than a raised cosine of the given width; "
@@ -68,8 +77,13 @@ def words(
     if bound:
         said.append(f"At the edge of the box, so their values are the box's: {', '.join(bound)}.")
     said += [f"{a} and {b} are not told apart (correlation {r:+.3f})." for a, b, r in pairs]
+    if fit.data.calibrated and fit.spread.level > POOR:
+        said.append(
+            f"The model misses a calibrated recording's levels by {fit.spread.level:.1f} dB: try another seed, and "
+            "check the setup's strike, pickup and scale."
+        )
     if fit.agreeing == 1:
-        said.append("Only one of the kept starts reached the lowest cost; another seed may find a better one.")
+        said.append("Only one of the hammers tried reached the lowest cost; another seed may find a better one.")
     rests = sorted({x for names in start.rests_on.values() for x in names})
     if rests:
         said.append(

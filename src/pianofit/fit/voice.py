@@ -35,7 +35,7 @@ class Voice(NamedTuple):
         pole = np.asarray(simulation.modes.pole)
         factor = self.gain * np.ones(len(pole))
         if self.path is not None:
-            factor = factor * 10 ** (self.path.at(np.abs(pole.imag) / (2 * np.pi)) / 20)
+            factor = factor * 10 ** (self.path.at(np.abs(np.imag(pole)) / (2 * np.pi)) / 20)
         heard = simulation.modes._replace(pickup=np.asarray(simulation.modes.pickup) * factor)
         first = -round(arrival(self.string, self.geometry, self.quantity) * rate) if touch is None else touch
         sound = simulation._replace(modes=heard).waveform(rate, samples - min(first, 0) - max(first, 0))

@@ -29,7 +29,7 @@ def keep_programs() -> None:
 
     A folder that JAX was already told of (JAX_COMPILATION_CACHE_DIR) stays.
     """
-    if jax.config.jax_compilation_cache_dir:
+    if jax.config.values["jax_compilation_cache_dir"]:
         return
     folder = cache_folder()
     try:

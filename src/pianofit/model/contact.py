@@ -69,7 +69,7 @@ def kernel(modes: Modes, steps: int) -> Float[Array, " steps"]:
 
 
 def free_motion(modes: Modes, displacement: Array, velocity: Array, steps: int) -> FreeMotion:
-    """The motion of a string released at t = 0 with modal coordinates `displacement`, m, and `velocity`, m/s [modes]."""
+    """The motion of a string released at t = 0 with modal `displacement`, m, and `velocity`, m/s [modes]."""
     rate = modes.free_rate
     amplitude = displacement - 1j * (velocity - rate.real * displacement) / rate.imag
     under = ring(modes.strike * amplitude, modes.pole * modes.step, steps)

@@ -26,7 +26,8 @@ def real_powers(log_z: Array, count: int, stride: int) -> tuple[Array, Array]:
 
 @jax.custom_jvp
 def _ring(amplitude, log_z, n):
-    (coarse_re, coarse_im), (fine_re, fine_im) = real_powers(log_z, -(-n.shape[0] // BLOCK), BLOCK), real_powers(log_z, BLOCK, 1)
+    blocks = -(-n.shape[0] // BLOCK)
+    (coarse_re, coarse_im), (fine_re, fine_im) = real_powers(log_z, blocks, BLOCK), real_powers(log_z, BLOCK, 1)
     real = amplitude.real[:, None] * coarse_re - amplitude.imag[:, None] * coarse_im
     imag = amplitude.real[:, None] * coarse_im + amplitude.imag[:, None] * coarse_re
     return (real.T @ fine_re - imag.T @ fine_im).ravel()[: n.shape[0]]

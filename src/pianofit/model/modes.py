@@ -106,7 +106,7 @@ def mode_table(
     string: String,
     geometry: Geometry,
     *,
-    rate: float,
+    rate: float | Array,
     n_modes: int,
     quantity: str = "velocity",
     kind: str = "continuous",

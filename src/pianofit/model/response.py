@@ -72,10 +72,12 @@ def string_energy(modes: Modes, drive: Float[Array, " steps"]) -> Float[Array, "
     return 0.5 * mass * modes.omega2 * jnp.abs(amplitude) ** 2
 
 
-def level_db(amplitude: Complex[Array, " modes"], decay: Float[Array, " modes"], xp=jnp) -> Float[Array, " modes"]:
+def level_db(
+    amplitude: Complex[Array | np.ndarray, " modes"], decay: Float[Array | np.ndarray, " modes"], xp=jnp
+) -> Float[Array, " modes"]:
     """Energy of each damped partial Re(A exp(-αt + jωt)) in the first 0.35 s under exp(-8t), dB re unit² · s.
 
-    `xp` is the array library: NumPy where nothing is to be compiled.
+    `xp` is the array library: NumPy where nothing is to be compiled, whose arrays then come back.
     """
     rate = 2 * (decay + LEVEL_DECAY)
     energy = 0.5 * xp.abs(amplitude) ** 2 * (1 - xp.exp(-rate * LEVEL_SPAN)) / rate
@@ -83,7 +85,12 @@ def level_db(amplitude: Complex[Array, " modes"], decay: Float[Array, " modes"],
 
 
 def waveform(
-    modes: Modes, drive: np.ndarray, *, rate: float, samples: int, free: FreeMotion | None = None
+    modes: Modes,
+    drive: Float[Array | np.ndarray, " steps"],
+    *,
+    rate: float,
+    samples: int,
+    free: FreeMotion | None = None,
 ) -> np.ndarray:
     """The signal [samples] at `rate` from the first touch on, in the pickup's unit.
 
@@ -104,7 +111,7 @@ def waveform(
     if ratio < 1 or abs(contact / rate - ratio) > 1e-6:
         raise ParameterError(f"rate={rate} Hz must be a whole fraction of the contact's rate, {contact:g} Hz")
     pole = np.asarray(modes.pole)
-    heard = np.abs(pole.imag) < np.pi * rate
+    heard = np.abs(np.imag(pole)) < np.pi * rate
     drive = np.asarray(drive)
     unit, amplitude = (np.asarray(x)[heard] for x in _heard(modes, drive, free))
     pole = pole[heard]
@@ -112,9 +119,9 @@ def waveform(
 
     steps = len(drive)
     during = np.exp(pole[:, None] * np.arange(steps) / contact)
-    head = fftconvolve((unit @ during).real, drive)[:steps]
+    head = fftconvolve(np.real(unit @ during), drive)[:steps]
     if free is not None:
-        head = head + (release @ during).real
+        head = head + np.real(release @ during)
     head = head[::ratio][:samples]
     tail = _ring(amplitude * np.exp(pole * (len(head) / rate)), pole / rate, samples - len(head))
     return np.concatenate([head, tail])
@@ -132,4 +139,4 @@ def _ring(amplitude: np.ndarray, log_z: np.ndarray, samples: int) -> np.ndarray:
     blocks = -(-max(samples, 0) // block)
     starts = np.exp(np.outer(np.arange(blocks) * block, log_z)) * amplitude
     within = np.exp(np.outer(log_z, np.arange(block)))
-    return (starts.real @ within.real - starts.imag @ within.imag).ravel()[:samples]
+    return (np.real(starts) @ np.real(within) - np.imag(starts) @ np.imag(within)).ravel()[:samples]

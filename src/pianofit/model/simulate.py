@@ -67,7 +67,7 @@ def contact_rate(string: String, geometry: Geometry, rate: float) -> float:
 
 
 def count_modes(string: String, geometry: Geometry, rate: float) -> int:
-    """Rows for the table: all modes below 0.4 of the contact's rate, filled up to a multiple of 64 to share programs."""
+    """Rows for the table: all modes below 0.4 of the contact's rate, in whole 64s so that programs are shared."""
     frequencies = mode_frequencies(string, geometry.length, MOST_MODES)
     below = int((frequencies < HIGHEST * rate).sum())
     return min(MOST_MODES, 64 * -(-below // 64))
@@ -102,7 +102,8 @@ def simulate(
     ----------
     rate : of the signal, Hz; the contact's is `oversampling` times this, or chosen by `contact_rate`.
     quantity, kind, strike_weights : see `mode_table`; `finite_difference` needs `n_modes`, the paper's N.
-    displacement, velocity : modal coordinates [modes] of the string at t = 0, m and m/s, see `project`; default at rest.
+    displacement, velocity : modal coordinates [modes] of the string at t = 0, m and m/s, see `project`; at rest by
+        default.
 
     Raises
     ------
@@ -117,7 +118,8 @@ def simulate(
     if not 1e3 <= rate <= 1e6:
         raise ParameterError(f"rate={rate} Hz must be from 1,000 to 1,000,000")
     # One kind of number, whatever the caller had: JAX compiles anew for every other.
-    string, hammer, geometry = (type(x)(*map(np.float64, x)) for x in (string, hammer, geometry))
+    string, hammer = String(*map(np.float64, string)), Hammer(*map(np.float64, hammer))
+    geometry = Geometry(*map(np.float64, geometry))
     contact = np.float64(rate * oversampling if oversampling else contact_rate(string, geometry, rate))
     rows = n_modes or count_modes(string, geometry, contact)
     start = None
@@ -151,7 +153,7 @@ def check_geometry(geometry: Geometry, quantity: str) -> None:
         raise ParameterError(f"length={length} m must be from 0.001 to 100")
     if not 1e-6 <= mass <= 10:
         raise ParameterError(f"mass={mass} kg must be from 1e-6 to 10")
-    if not (0 < width and 0 <= at - width / 2 and at + width / 2 <= length):
+    if not (width > 0 and at - width / 2 >= 0 and at + width / 2 <= length):
         raise ParameterError(f"strike={at} m with width={width} m must lie within the string, 0 to {length} m")
     if quantity in QUANTITIES[:2] and not 0 < pickup < length:
         raise ParameterError(f"pickup={pickup} m must lie within the string, 0 to {length} m")

@@ -1,0 +1,52 @@
+"""From a recording to parameters, and back to sound at another velocity.
+
+python examples/01_fit_a_note.py                      fits a measurement that the program makes, with known truth
+python examples/01_fit_a_note.py note.flac F#2        fits a recording of yours
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pianofit
+from pianofit.twin import make_twin, setup_text
+
+
+def made_here() -> tuple[pianofit.Recording, pianofit.Setup, dict[str, float]]:
+    """The demo's measurement: a calibrated velocity signal, and what the laboratory knew."""
+    twin = make_twin(noise_db=60.0, seed=1)
+    Path("setup.toml").write_text(setup_text())
+    return pianofit.recording_from_samples(twin.samples, twin.rate), pianofit.load_setup("setup.toml"), twin.true
+
+
+def main() -> None:
+    """Fit, print, and write `softer.wav` and `louder.wav`."""
+    note, true = None, {}
+    if len(sys.argv) > 2:
+        recording, setup, note = pianofit.load_recording(sys.argv[1]), pianofit.Setup(), sys.argv[2]
+    else:
+        recording, setup, true = made_here()
+
+    # What can be read off without any model of the hammer.
+    analysis = pianofit.analyse(recording, note=note)
+    print(f"f0 {analysis.f0:.3f} ± {analysis.f0_error:.3f} Hz, B {analysis.B:.3g}, {len(analysis.partials)} partials")
+
+    # The fit. `document` is what `pianofit fit` writes to fit.json.
+    result = pianofit.fit_recording(recording, analysis, setup)
+    print(result.document["verdict"])
+    for name, found in result.document["parameters"].items():
+        beside = f"   true {true[name]:.5g}" if name in true else ""
+        print(f"{name:6} {found['value']:.5g} {found['unit']}, {found['status']}{beside}")
+
+    # The same string and hammer, struck softer and harder, through the same gain and path.
+    voice = result.fitted.voice
+    for name, factor in (("softer.wav", 0.5), ("louder.wav", 2.0)):
+        hammer = voice.hammer._replace(v_H0=factor * voice.hammer.v_H0)
+        samples, strike = voice._replace(hammer=hammer).play(recording.rate, 2 * recording.rate)
+        Path(name).write_bytes(pianofit.encode_wav(samples, recording.rate))
+        print(f"{name}: {hammer.v_H0:.3g} m/s, contact {1e3 * strike.contact_time:.2f} ms")
+
+
+if __name__ == "__main__":
+    main()

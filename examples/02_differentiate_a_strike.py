@@ -1,0 +1,50 @@
+"""A strike is a differentiable function: how the level of every partial answers to every parameter.
+
+The table printed is the heart of a fit. A column of zeros is a parameter that nobody will find from these levels; two
+columns that are multiples of each other are two parameters that only their product or ratio tells.
+"""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+import pianofit
+from pianofit.model import level_db, mode_table, strike
+from pianofit.model.response import ringing
+from pianofit.parameters import FIT_NAMES
+
+RATE = 88_200.0
+PARTIALS = 12
+
+
+def levels(log_values: Array, geometry: pianofit.Geometry) -> Array:
+    """Levels of the first partials, dB [partials], of the logarithms of the nine parameters [9]."""
+    values = jnp.exp(log_values)
+    string, hammer = pianofit.String(*values[:4]), pianofit.Hammer(*values[4:])
+    modes = mode_table(string, geometry, rate=RATE, n_modes=64, quantity="bridge-force")
+    pulse = strike(modes, hammer, steps=1024)
+    return level_db(ringing(modes, pulse.drive), -modes.pole.real)[:PARTIALS]
+
+
+def main() -> None:
+    """Print dB per percent."""
+    it = pianofit.preset("bensa-final")
+    at = jnp.log(jnp.asarray([*it.string, *it.hammer]))
+    slopes = 0.01 * jax.jit(jax.jacfwd(levels))(at, it.geometry)
+    print("partial" + "".join(f"{name:>9}" for name in FIT_NAMES) + "   dB per 1 %")
+    for number, row in enumerate(slopes, 1):
+        print(f"{number:7}" + "".join(f"{float(x):9.4f}" for x in row))
+
+    # Many velocities in one program: the brighter sound of a harder blow.
+    velocities = jnp.linspace(0.5, 4.0, 8)
+    struck = jax.vmap(lambda v: levels(at.at[-1].set(jnp.log(v)), it.geometry))(velocities)
+    for velocity, level in zip(velocities, struck, strict=True):
+        print(
+            f"{float(velocity):.1f} m/s: partial {PARTIALS} lies {float(level[0] - level[-1]):5.1f} dB below the first"
+        )
+
+
+if __name__ == "__main__":
+    main()
