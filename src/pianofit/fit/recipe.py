@@ -43,7 +43,7 @@ AGREEMENT = 0.5
 SIGMAS = (1.0, 0.35)
 ROUNDS = 4
 # Levels better known than this, dB, show the contact's step; the last stage then takes a finer one.
-FINE_LEVEL, REFINEMENT = 0.05, 4
+FINE_LEVEL, REFINEMENT = 0.05, 8
 # A band whose criterion is 1, as for silence, costs half this much where the path is unknown: there it is not noise
 # that says which partials matter. Where a band would end worse than it started, it costs more.
 CRITERION, MORE, MOST_CRITERION = 100.0, 10.0, 10_000.0
@@ -304,7 +304,7 @@ def _joint_stage(state: State, z, spread: Spreads | None = None, robust: np.ndar
     robust = np.ones((3, len(data.partials))) if robust is None else robust
     while True:
         at = state.target(spread, robust)
-        end = descend(state.evaluate(joint_batch, at), z, state.space, iterations=60, tolerance=1e-5)
+        end = descend(state.evaluate(joint_batch, at), z, state.space, iterations=60, tolerance=1e-8)
         z, count, rounds, before = end.z, count + end.evaluations, rounds + 1, spread
         spread, robust = _weights(state, at, z)
         agreed = abs(spread.level - before.level) < 0.02 * spread.level + 1e-4
