@@ -109,7 +109,7 @@ def test_an_interrupt_is_one_line_and_leaves_nothing_behind(tmp_path):
         assert out.is_dir()
         time.sleep(0.3)
         process.send_signal(signal.SIGINT)
-        output, errors = process.communicate(timeout=60)
+        output, errors = process.communicate(timeout=180)
     assert process.returncode == 130
     assert errors == "pianofit: interrupted; nothing more is written\n"
     assert output == ""

@@ -106,20 +106,25 @@ def fit_partials(
     """
     state = _prepared(recording, analysis, start)
     programs = [_compiled_ahead(hammer_batch, state, STARTS), _compiled_ahead(joint_batch, state, 1)]
-    progress("string", 0.1)
-    space, count = _string_stage(recording, analysis, state)
-    state = replace(state, space=space)
-    progress("hammer", 0.3)
-    programs[0].join()
-    z, agreeing, searched = _hammer_stage(state, seed)
-    progress("string and hammer", 0.6)
-    programs[1].join()
-    fit = _joint_stage(state, z)
-    if state.data.calibrated:
-        fit = _with_attack(recording, fit)
-    if fit.spread.level < FINE_LEVEL and np.median(state.data.partials.level_error) < FINE_LEVEL:
-        progress("refinement", 0.8)
-        fit = _refined(fit)
+    try:
+        progress("string", 0.1)
+        space, count = _string_stage(recording, analysis, state)
+        state = replace(state, space=space)
+        progress("hammer", 0.3)
+        programs[0].join()
+        z, agreeing, searched = _hammer_stage(state, seed)
+        progress("string and hammer", 0.6)
+        programs[1].join()
+        fit = _joint_stage(state, z)
+        if state.data.calibrated:
+            fit = _with_attack(recording, fit)
+        if fit.spread.level < FINE_LEVEL and np.median(state.data.partials.level_error) < FINE_LEVEL:
+            progress("refinement", 0.8)
+            fit = _refined(fit)
+    finally:
+        # A program that still compiles when Python ends would take it down; after Ctrl-C too.
+        for program in programs:
+            program.join()
     progress("done", 1.0)
     return replace(fit, agreeing=agreeing, evaluations=fit.evaluations + count + searched)
 

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
+from ..errors import ParameterError
 from .contact import FreeMotion, impulse_amplitude
 from .exponentials import transform
 from .modes import Modes
@@ -102,10 +103,6 @@ def waveform(
     ParameterError
         If `rate` is no whole fraction of the contact's rate.
     """
-    from scipy.signal import fftconvolve
-
-    from ..errors import ParameterError
-
     contact = 1.0 / float(modes.step)
     ratio = round(contact / rate)
     if ratio < 1 or abs(contact / rate - ratio) > 1e-6:
@@ -119,7 +116,7 @@ def waveform(
 
     steps = len(drive)
     during = np.exp(pole[:, None] * np.arange(steps) / contact)
-    head = fftconvolve(np.real(unit @ during), drive)[:steps]
+    head = _convolve(np.real(unit @ during), np.asarray(drive))
     if free is not None:
         head = head + np.real(release @ during)
     head = head[::ratio][:samples]
@@ -131,6 +128,12 @@ def waveform(
 def _heard(modes: Modes, drive: Array, free: FreeMotion | None):
     """What a unit `T` at step 0, and what the whole pulse, makes ring at the pickup: two amplitudes [modes]."""
     return modes.pickup * impulse_amplitude(modes), ringing(modes, drive, free)
+
+
+def _convolve(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """The first len(a) samples of a * b."""
+    size = len(a) + len(b)
+    return np.fft.irfft(np.fft.rfft(a, size) * np.fft.rfft(b, size), size)[: len(a)]
 
 
 def _ring(amplitude: np.ndarray, log_z: np.ndarray, samples: int) -> np.ndarray:
