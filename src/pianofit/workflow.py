@@ -6,6 +6,9 @@ import contextlib
 import json
 import math
 import os
+import signal
+import sys
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -42,12 +45,43 @@ def output_folder(path: Path, force: bool) -> Iterator[Path]:
             raise OutputError(f"{name}: the folder cannot be written to; choose one that is yours")
     except OSError as error:
         raise OutputError(f"{name}: no folder can be made here ({error.strerror}); choose another --out") from None
-    try:
-        yield path
-    finally:
+
+    def tidy() -> None:
+        for unfinished in path.glob(f".*.{os.getpid()}.tmp"):
+            unfinished.unlink(missing_ok=True)
         with contextlib.suppress(OSError):  # only empty folders go
             for folder in made:
                 folder.rmdir()
+
+    with _interrupted_by(tidy):
+        try:
+            yield path
+        finally:
+            tidy()
+
+
+@contextlib.contextmanager
+def _interrupted_by(tidy: Callable[[], None]) -> Iterator[None]:
+    """Ctrl-C tidies up and ends the program at once with 130.
+
+    Raised as an exception it would unwind through the compiler, or end Python while that still works in another thread:
+    either takes the process down with a signal of its own.
+    """
+
+    def stop(*_: object) -> None:
+        tidy()
+        shown = "\x1b[?25h" if sys.stderr.isatty() else ""  # a progress bar hides the cursor
+        os.write(2, f"{shown}pianofit: interrupted; nothing more is written\n".encode())
+        os._exit(130)
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def check_target(path: Path, force: bool) -> None:
