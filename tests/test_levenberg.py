@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
 from pianofit.fit.levenberg import descend
-from pianofit.fit.space import SIZE, K, P
+from pianofit.fit.space import SIZE, K, P, Space, default_box
 
 
 def test_rosenbrocks_valley_is_followed_to_its_end():
@@ -133,3 +133,12 @@ def test_an_unfinished_descent_says_so():
     box = space([0, 1])
     z = box.project(np.pad([[-1.2, 1.0]], ((0, 0), (0, SIZE - 2))))
     assert not descend(batched(rosenbrock), z, box, iterations=2).settled[0]
+
+
+def test_a_result_on_a_bound_is_the_bound_to_the_last_digit():
+    lower, upper = default_box(1.0, 0.02)
+    box = Space(lower, upper, np.ones(SIZE, bool), np.sqrt(np.abs(lower * upper)), np.full(SIZE, np.inf), -7.8)
+    for edge in (lower, upper):
+        found = box.natural(box.z(edge))
+        assert ((lower <= found) & (found <= upper)).all()
+        np.testing.assert_allclose(found, edge, rtol=1e-12)

@@ -65,8 +65,11 @@ class Space:
         return values
 
     def natural(self, z: np.ndarray) -> np.ndarray:
-        """Natural values as `values` gives them, what is fixed exactly at its start."""
-        return np.where(self.free, self.values(z), self.start)
+        """Natural values within the box to the last digit, what is fixed exactly at its start.
+
+        A bound that went through a logarithm and back comes out beside itself.
+        """
+        return np.where(self.free, np.clip(self.values(z), self.lower, self.upper), self.start)
 
     def project(self, z: np.ndarray) -> np.ndarray:
         """The nearest point of the box, coordinate by coordinate; fixed coordinates go back to their start.
