@@ -9,13 +9,13 @@ the scatter about the model, they give the estimate and its interval.
 from __future__ import annotations
 
 import math
-from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..model.cache import kept
 from ..model.contact import strike
 from ..model.modes import mode_table
 from ..model.response import level_db, mobility, ringing
@@ -167,7 +167,7 @@ def _evaluate(string_z: Array, rest: Array, fixed_string: bool, target: Target, 
     return jnp.append(residual, endless), jnp.pad(jacobian, ((0, 1), (0, 0))), value
 
 
-@partial(jax.jit, static_argnames="cfg")
+@kept
 def joint_batch(z, target: Target, cfg: Cfg):
     """Residuals [starts, residuals], their Jacobian [starts, residuals, size] and the prediction [starts, 3, rows].
 
@@ -176,13 +176,13 @@ def joint_batch(z, target: Target, cfg: Cfg):
     return jax.vmap(lambda x: _evaluate(x[:4], x[4:], False, target, cfg))(z)
 
 
-@partial(jax.jit, static_argnames="cfg")
+@kept
 def hammer_batch(z, target: Target, cfg: Cfg):
     """As `joint_batch`, with the first row's string for all: it is computed once, and has no derivatives."""
     return jax.vmap(lambda x: _evaluate(z[0, :4], x, True, target, cfg))(z[:, 4:])
 
 
-@partial(jax.jit, static_argnames="cfg")
+@kept
 def string_batch(z, lines: Lines, cfg: Cfg):
     """`string_lines` and its Jacobian for a batch of search points [starts, size]; only the string has derivatives."""
 

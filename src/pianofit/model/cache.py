@@ -1,14 +1,25 @@
-"""Compiled programs, kept between runs: the first fit on a machine compiles for seconds, the next does not."""
+"""Programs, kept between runs: the first fit on a machine traces and compiles for seconds, the next does neither.
+
+JAX keeps what its compiler makes of a traced program, and traces anew in every process, in Python, for longer than the
+fit then takes. `kept` functions leave their traced programs beside the compiled ones, as StableHLO.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import functools
+import hashlib
 import os
 import sys
+import threading
+from collections.abc import Callable
 from pathlib import Path
 
 import jax
+import numpy as np
+from jax.core import Tracer
 
-__all__ = ["cache_folder", "keep_programs"]
+__all__ = ["cache_folder", "keep_programs", "kept"]
 
 
 def cache_folder() -> Path:
@@ -42,3 +53,56 @@ def keep_programs() -> None:
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+
+
+def kept(function: Callable) -> Callable:
+    """`function(*arrays, cfg)` as `jax.jit` makes it, static in `cfg`, its traced programs kept in JAX's folder.
+
+    Arguments are trees of arrays, `cfg` a tuple with a faithful `repr`, the result a tuple of arrays. Without a folder,
+    and inside other transformations, this is `jax.jit`.
+    """
+    jitted = jax.jit(function, static_argnums=-1)
+    programs: dict[tuple, Callable] = {}
+
+    @functools.wraps(function)
+    def call(*args):
+        *trees, cfg = args
+        leaves, tree = jax.tree.flatten(trees)
+        folder = jax.config.values["jax_compilation_cache_dir"]
+        if not folder or any(isinstance(x, Tracer) for x in leaves):
+            return jitted(*args)
+        key = (cfg, tree, *((x.shape, x.dtype) for x in leaves))
+        if key not in programs:
+            named = hashlib.sha256(repr((_sources(), jax.default_backend(), function.__name__, key)).encode())
+            file = Path(folder) / f"pianofit-{function.__name__}-{named.hexdigest()}.program"
+            programs[key] = _program(file, lambda *x: jitted(*jax.tree.unflatten(tree, x), cfg), leaves)
+        return programs[key](*leaves)
+
+    return call
+
+
+def _program(file: Path, function: Callable, leaves: list) -> Callable:
+    """`function` of `leaves` as a compiled function, traced if `file` does not hold it whole."""
+    from jax import export
+
+    with contextlib.suppress(OSError):
+        digest, content = (held := file.read_bytes())[:32], held[32:]
+        if hashlib.sha256(content).digest() == digest:
+            return jax.jit(export.deserialize(bytearray(content)).call)
+    traced = export.export(jax.jit(function))(*(jax.ShapeDtypeStruct(np.shape(x), x.dtype) for x in leaves))
+    content = traced.serialize()
+    unfinished = file.with_suffix(f".{os.getpid()}-{threading.get_ident()}.tmp")
+    with contextlib.suppress(OSError):
+        unfinished.write_bytes(hashlib.sha256(content).digest() + content)
+        unfinished.replace(file)
+    return jax.jit(traced.call)
+
+
+@functools.cache
+def _sources() -> str:
+    """What a program is made by: this package's code and JAX."""
+    package = Path(__file__).parents[1]
+    code = hashlib.sha256(jax.__version__.encode())
+    for part in sorted(package.glob("*.py")) + sorted(package.glob("*/*.py")):
+        code.update(part.read_bytes())
+    return code.hexdigest()

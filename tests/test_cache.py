@@ -1,0 +1,120 @@
+"""Programs that are kept between runs: the same numbers, from a whole file or anew."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pianofit.model.cache import cache_folder, kept
+
+
+class _Cfg(NamedTuple):
+    power: int
+
+
+class _Data(NamedTuple):
+    scale: object
+    row: object
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """JAX's folder for the time of a test."""
+    before = jax.config.values["jax_compilation_cache_dir"]
+    jax.config.update("jax_compilation_cache_dir", str(tmp_path))
+    yield tmp_path
+    jax.config.update("jax_compilation_cache_dir", before)
+
+
+def _traced():
+    """A function like those of a fit, and how often it was traced."""
+    calls = []
+
+    @kept
+    def function(z, data, cfg):
+        calls.append(z)
+        return data.scale * z**cfg.power, z[data.row].sum()
+
+    return function, calls
+
+
+Z, DATA = np.linspace(0.0, 1.0, 5), _Data(np.float64(2.0), np.array([1, 3], np.int32))
+
+
+def _right(found) -> None:
+    np.testing.assert_allclose(found[0], 2 * Z**3, rtol=1e-15)
+    assert float(found[1]) == Z[1] + Z[3]
+    assert found[0].dtype == np.float64
+
+
+def _programs(folder: Path) -> list[Path]:
+    return list(folder.glob("*.program"))
+
+
+def test_a_kept_program_is_not_traced_again(folder):
+    first, traced = _traced()
+    _right(first(jnp.asarray(Z), DATA, _Cfg(3)))
+    _right(first(jnp.asarray(Z), DATA, _Cfg(3)))
+    assert len(traced) == 1
+    assert len(_programs(folder)) == 1
+    again, traced = _traced()
+    _right(again(jnp.asarray(Z), DATA, _Cfg(3)))
+    assert not traced
+
+
+def test_other_shapes_and_settings_are_other_programs(folder):
+    function, traced = _traced()
+    function(Z, DATA, _Cfg(3))
+    np.testing.assert_allclose(function(Z, DATA, _Cfg(2))[0], 2 * Z**2)
+    assert function(np.append(Z, 1.0), DATA, _Cfg(3))[0].shape == (6,)
+    assert len(traced) == 3
+    assert len(_programs(folder)) == 3
+
+
+@pytest.mark.parametrize("content", [b"", b"x" * 20, b"y" * 5000, "cut"])
+def test_a_file_that_is_not_whole_is_made_anew(folder, content):
+    function, _ = _traced()
+    function(Z, DATA, _Cfg(3))
+    (file,) = _programs(folder)
+    whole = file.read_bytes()
+    file.write_bytes(whole[:-1] if content == "cut" else content)
+    again, traced = _traced()
+    _right(again(Z, DATA, _Cfg(3)))
+    assert traced
+    assert file.read_bytes()[:32] != content[:32]
+    assert len(file.read_bytes()) > 500
+
+
+def test_without_a_folder_it_is_plain_jit(folder):
+    jax.config.update("jax_compilation_cache_dir", None)
+    function, traced = _traced()
+    _right(function(Z, DATA, _Cfg(3)))
+    assert traced
+    assert not list(folder.iterdir())
+
+
+def test_a_folder_that_cannot_be_written_does_no_harm(folder):
+    (folder / "file").write_bytes(b"")
+    jax.config.update("jax_compilation_cache_dir", str(folder / "file"))
+    function, _ = _traced()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # JAX's own, where it did not know the folder before
+        _right(function(Z, DATA, _Cfg(3)))
+
+
+def test_inside_another_transformation(folder):
+    function, _ = _traced()
+    slope = jax.jacfwd(lambda z: function(z, DATA, _Cfg(3))[0])(jnp.asarray(Z))
+    np.testing.assert_allclose(slope, np.diag(6 * Z**2), atol=1e-15)
+    assert not _programs(folder)
+
+
+def test_the_folder_can_be_chosen(monkeypatch):
+    monkeypatch.setenv("PIANOFIT_CACHE", "/somewhere")
+    assert cache_folder() == Path("/somewhere")
