@@ -10,7 +10,7 @@ from ..analysis import Analysis
 from ..initial import starting_values
 from ..recording import Recording
 from ..setup_file import Setup
-from .recipe import Progress, fit_partials, heed_criterion
+from .recipe import Progress, fit_partials
 from .result import Result, Sound, conclude
 from .voice import Voice
 
@@ -42,10 +42,4 @@ def fit_recording(
     """
     start = starting_values(analysis, setup or Setup(), velocity)
     fit = fit_partials(recording, analysis, start, seed=seed, progress=progress)
-    result = conclude(recording, analysis, start, fit, seed)
-    while result.worse_bands and (further := heed_criterion(fit)) is not None:
-        # No band of the paper's criterion should end worse than it started.
-        fit, other = further, conclude(recording, analysis, start, further, seed)
-        if len(other.worse_bands) < len(result.worse_bands):
-            result = other
-    return result
+    return conclude(recording, analysis, start, fit, seed)

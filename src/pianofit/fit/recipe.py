@@ -30,9 +30,9 @@ from .space import NAMES, SIZE, Space, default_box, split, struck
 from .target import CENT, ROWS, Measured, Spreads, doubt, lines, measured, target
 from .voice import arrival, lag
 
-__all__ = ["Fit", "fit_partials", "heed_criterion", "predicted"]
+__all__ = ["Fit", "fit_partials", "predicted"]
 
-STARTS = 16
+STARTS, BATCHES = 16, 4
 # Power of energy by which levels are weighed, and iterations: loud partials lead to the basin, all of them finish.
 GRADES = ((0.25, 30), (0.0, 15))
 # How much of the attack, s, tells when the hammer touched.
@@ -45,8 +45,8 @@ ROUNDS = 4
 # Levels better known than this, dB, show the contact's step; the last stage then takes a finer one.
 FINE_LEVEL, REFINEMENT = 0.05, 8
 # A band whose criterion is 1, as for silence, costs half this much where the path is unknown: there it is not noise
-# that says which partials matter. Where a band would end worse than it started, it costs more.
-CRITERION, MORE, MOST_CRITERION = 100.0, 10.0, 10_000.0
+# that says which partials matter.
+CRITERION = 100.0
 # Levels of a calibrated recording that scatter more than this, dB, ask for a contact window of another shape, for which
 # a raised cosine of another width is a good stand-in.
 WINDOW_SCATTER, WIDTH = 0.01, NAMES.index("width")
@@ -193,15 +193,6 @@ def _with_free_width(space: Space, geometry: Geometry) -> Space:
     )
 
 
-def heed_criterion(fit: Fit) -> Fit | None:
-    """The fit gone on with a criterion that weighs more; None where that is at its end, or decibels alone count."""
-    state = replace(fit.state, criterion=MORE * fit.state.criterion)
-    if not 0 < state.criterion <= MOST_CRITERION:
-        return None
-    further = _joint_stage(state, fit.z, fit.spread, fit.robust)
-    return replace(further, agreeing=fit.agreeing, evaluations=further.evaluations + fit.evaluations)
-
-
 def _touch(recording: Recording, fit: Fit) -> float:
     """When the hammer touched before the recording's onset, s, by laying the fitted sound's attack on the recorded."""
     string, hammer = split(fit.values)
@@ -267,14 +258,34 @@ def _string_stage(recording: Recording, analysis: Analysis, state: State) -> tup
 
 
 def _hammer_stage(state: State, seed: int) -> tuple[np.ndarray, int, int]:
-    """Many hammers on one string: eq. 19 in the hammer's band, then levels, the loud ones first. The best [1, size]."""
+    """Hammers by the batch, until two of them end at the same lowest cost or `BATCHES` are spent. The best [1, size]."""
+    random = np.random.default_rng(seed)
+    z, cost, count, agreeing = np.zeros((0, SIZE)), np.zeros(0), 0, 0
+    for batch in range(BATCHES):
+        throw = random.standard_normal((STARTS, SIZE))
+        if batch == 0:
+            throw[0] = 0.0  # the literature's own hammer is one of the starts
+        end, evaluations = _hammers(state, throw)
+        z, cost, count = np.append(z, end.z, axis=0), np.append(cost, end.cost), count + evaluations
+        agreeing = int((cost < cost.min() + AGREEMENT).sum())
+        if agreeing > 1:
+            break
+    if not np.isfinite(cost).any():
+        raise FitError("no hammer within the bounds gives a finite sound; widen [bounds] or check [known] in the setup")
+    best = int(np.argmin(cost))
+    return z[best : best + 1], agreeing, count
+
+
+def _hammers(state: State, throw: np.ndarray) -> tuple[Descent, int]:
+    """Many hammers on one string: eq. 19 in the hammer's band, then levels, the loud ones first.
+
+    `throw` [starts, size] is where they start, in units of the literature's spread.
+    """
     space, data = state.space, state.data
     robust = np.ones((3, len(data.partials)))
     spread = Spreads(10.0, 1.0, FIRST_SCATTER[data.calibrated])
     hammer = np.arange(SIZE) >= 4
     physical = hammer & (np.arange(SIZE) < len(NAMES)) & np.isfinite(space.spread)
-    throw = np.random.default_rng(seed).standard_normal((STARTS, SIZE))
-    throw[0] = 0.0  # the literature's own hammer is one of the starts
     z = space.z(space.start[None]) + throw * np.where(physical, space.spread, 0.0)
     at = state.target(spread, robust)
     by_energy = at._replace(by_energy=jnp.ones_like(at.by_energy))
@@ -284,11 +295,7 @@ def _hammer_stage(state: State, seed: int) -> tuple[np.ndarray, int, int]:
         at = state.target(spread, robust, grade)
         end = descend(state.evaluate(hammer_batch, at), z, space, iterations=iterations, free=hammer, tolerance=1e-4)
         z, count = end.z, count + end.evaluations
-    if not np.isfinite(end.cost).any():
-        raise FitError("no hammer within the bounds gives a finite sound; widen [bounds] or check [known] in the setup")
-    best = int(np.argmin(end.cost))
-    agreeing = int((end.cost < end.cost[best] + AGREEMENT).sum())
-    return end.z[best : best + 1], agreeing, count
+    return end, count
 
 
 def _levelled(state: State, at: Target, z: np.ndarray) -> np.ndarray:

@@ -82,7 +82,7 @@ def conclude(recording: Recording, analysis: Analysis, start: Start, fit: Fit, s
     unit = 1.0 if start.scale is None else 1.0 / start.scale
     initial = _sound(ear, start, fit, first, unit if start.scale else None, None)
     gain, path = _gain_and_path(fit, start, fit.values)
-    fitted = _sound(ear, start, fit, fit.values, gain * unit, path)
+    fitted = _sound(ear, start, fit, fit.values, gain * unit if start.scale else None, path)
     literature = None if fit.data.calibrated else _path_only(fit)
     measured = fit.data.level[: fit.data.found]
 
@@ -189,7 +189,7 @@ def _sound(ear: _Ear, start: Start, fit: Fit, values: np.ndarray, gain: float | 
     samples, simulation = voice.play(recording.rate, len(recording.samples), touch)
     gain = ear.gain(samples) if gain is None else gain
     z = fit.space.z(values)
-    if not fit.data.calibrated and path is None:
+    if not fit.data.calibrated:
         z[len(NAMES)] = 20 * np.log10(max(gain, 1e-15))
     return Sound(voice._replace(gain=gain), samples * gain, simulation, predicted(fit.data, fit.target, fit.cfg, z)[2])
 

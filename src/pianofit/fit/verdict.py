@@ -27,6 +27,12 @@ def verdict(
     excess : how much χ² the literature's hammer costs more than the fitted one, both through the best path; None for a
         calibrated recording, which has no path.
     """
+    if excess is None and fit.spread.level > POOR:
+        text = (
+            f"Calibrated recording, but the model misses its levels by {fit.spread.level:.1f} dB, far beyond the noise: "
+            "another hammer may explain it better, or the setup is not this string's. The hammer's values are no finding."
+        )
+        return text, states | {n: "not-identifiable" for n in (*FELT, "M_H", "v_H0") if states[n] == "free"}
     if excess is None:
         lost = [name for name, state in states.items() if state == "not-identifiable"]
         if not lost:
@@ -79,8 +85,7 @@ def words(
     said += [f"{a} and {b} are not told apart (correlation {r:+.3f})." for a, b, r in pairs]
     if fit.data.calibrated and fit.spread.level > POOR:
         said.append(
-            f"The model misses a calibrated recording's levels by {fit.spread.level:.1f} dB: try another seed, and "
-            "check the setup's strike, pickup and scale."
+            "Try another seed, and check the setup's strike, pickup and scale."
         )
     if fit.agreeing == 1:
         said.append("Only one of the hammers tried reached the lowest cost; another seed may find a better one.")
