@@ -4,7 +4,7 @@ The program turns the string into sines and steps them with Crank-Nicolson. Here
 
     y_tt = c² y_xx − κ² y_xxxx − 2 b1 y_t + 2 b2 y_txx + g(x) F / (M_S/L),     y = y_xx = 0 at both ends,
 
-on a grid of a few hundred points with eighth-order central differences (odd beyond the ends, which is what a hinge
+on a grid of a few hundred points with sixteenth-order central differences (odd beyond the ends, which is what a hinge
 does), in displacement and velocity, with the classical Runge-Kutta scheme at 16 times the rate of the file, and with a
 hammer that is integrated along with the string. The window of the contact is a parabola unless another is asked for.
 Once the hammer has gone for good, the rest is the exact exponential of the same grid's matrix, whose eigenvectors are
@@ -25,7 +25,7 @@ import numpy as np
 import scipy.linalg
 import scipy.signal
 
-HALF = 4  # points on either side in a difference stencil: of order 8 for second derivatives
+HALF = 8  # points on either side in a difference stencil: of order 16 for second derivatives
 OVERSAMPLING = 16
 MAX_CONTACT = 0.25  # s
 
@@ -87,9 +87,9 @@ class Grid:
         self.string = string
 
     def interpolation(self, x: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """The row that gives Σ weights · y(x), by local polynomials of degree 7."""
+        """The row that gives Σ weights · y(x), by local polynomials of degree 15."""
         base = np.floor(x / self.h).astype(int)
-        nodes = np.arange(-3, 5)
+        nodes = np.arange(-7, 9)
         s = (x / self.h - base)[:, None]
         lagrange = np.ones((x.size, nodes.size))
         for i, a in enumerate(nodes):

@@ -50,6 +50,9 @@ CRITERION = 100.0
 # Levels of a calibrated recording that scatter more than this, dB, ask for a contact window of another shape, for which
 # a raised cosine of another width is a good stand-in.
 WINDOW_SCATTER, WIDTH = 0.01, NAMES.index("width")
+# The model's window, as given or of an effective width, is a stand-in all the same: levels through it are off by about
+# this much, dB, however well they can be fitted.
+STAND_IN = {False: 0.003, True: 0.01}
 # No real path is as smooth as the model's, dB; a few partials would otherwise be fitted to the last digit.
 LEAST_SCATTER = 1.0
 # Before the first round the model is taken to miss a partial by this much, dB.
@@ -71,6 +74,7 @@ class Fit:
     target: Target
     cfg: Cfg
     jacobian: np.ndarray  # [residuals, size]
+    residual: np.ndarray  # [residuals]
     cost: float
     pressed: np.ndarray  # [size]
     converged: bool
@@ -258,7 +262,10 @@ def _string_stage(recording: Recording, analysis: Analysis, state: State) -> tup
 
 
 def _hammer_stage(state: State, seed: int) -> tuple[np.ndarray, int, int]:
-    """Hammers by the batch, until two of them end at the same lowest cost or `BATCHES` are spent. The best [1, size]."""
+    """Hammers by the batch, until two of them end at the same lowest cost or `BATCHES` are spent. The best [1, size].
+
+    Of a calibrated recording a hammer should explain all but the first scatter; many can agree on one that does not.
+    """
     random = np.random.default_rng(seed)
     z, cost, count, agreeing = np.zeros((0, SIZE)), np.zeros(0), 0, 0
     for batch in range(BATCHES):
@@ -268,7 +275,7 @@ def _hammer_stage(state: State, seed: int) -> tuple[np.ndarray, int, int]:
         end, evaluations = _hammers(state, throw)
         z, cost, count = np.append(z, end.z, axis=0), np.append(cost, end.cost), count + evaluations
         agreeing = int((cost < cost.min() + AGREEMENT).sum())
-        if agreeing > 1:
+        if agreeing > 1 and not (state.data.calibrated and cost.min() > 0.5 * state.data.found):
             break
     if not np.isfinite(cost).any():
         raise FitError("no hammer within the bounds gives a finite sound; widen [bounds] or check [known] in the setup")
@@ -337,8 +344,8 @@ def _weights(state: State, at: Target, z: np.ndarray) -> tuple[Spreads, np.ndarr
         scatter(decay / p.decay, decay_sd, 2),
         scatter(level, p.level_error, hammer_freedom),
     )
-    if state.start.quantity == "pressure":
-        spread = replace(spread, level=max(spread.level, LEAST_SCATTER))
+    least = LEAST_SCATTER if state.start.quantity == "pressure" else STAND_IN[bool(state.space.free[WIDTH])]
+    spread = replace(spread, level=max(spread.level, least))
     robust = np.stack(
         [
             huber(cents, np.hypot(cents_sd, spread.frequency)),
@@ -363,6 +370,6 @@ def _ended(state: State, end: Descent, at: Target, spread: Spreads, robust, coun
     pressed = state.space.at_bound(values) & (np.abs(downhill) > 0)
     messages = () if bool(end.settled[0]) else ("The last stage stopped before it settled.",)
     return Fit(
-        end.z, values, state.space, state.data, spread, robust, at, state.cfg, end.jacobian[0], float(end.cost[0]),
-        pressed, bool(end.settled[0]), count, 0, messages, state,
+        end.z, values, state.space, state.data, spread, robust, at, state.cfg, end.jacobian[0], end.residual[0],
+        float(end.cost[0]), pressed, bool(end.settled[0]), count, 0, messages, state,
     )  # fmt: skip
