@@ -17,7 +17,7 @@ SOURCE = ROOT / "src" / "pianofit"
 FILES = sorted(SOURCE.rglob("*.py"))
 LAYERS = (
     "errors", "parameters", "published", "recording", "setup_file", "analysis", "initial", "model", "criterion", "fit",
-    "render", "report", "twin", "workflow", "demo", "cli",
+    "render", "report", "twin", "laboratory", "workflow", "demo", "cli",
 )  # fmt: skip
 WITH_JAX = ("model", "criterion", "fit", "render")
 HEAVY = ("jax", "scipy", "matplotlib", "soundfile", "jinja2")

@@ -1,0 +1,228 @@
+"""The laboratory as a whole: the paper's model with every switch off, instruments, files, what is refused."""
+
+from __future__ import annotations
+
+import json
+import math
+import subprocess
+import sys
+import tomllib
+
+import numpy as np
+import pytest
+import scipy.signal
+
+from pianofit import load_recording, load_setup, setup_from_dict, simulate
+from pianofit.errors import OutputError, ParameterError
+from pianofit.laboratory import VELOCITIES, Laboratory, Measurement, chosen, measure, setup_text, write
+from pianofit.laboratory.body import window_weights
+from pianofit.laboratory.chosen import FINAL, MODES
+from pianofit.laboratory.measurement import blow_of
+from pianofit.model.modes import raised_cosine_weights
+from pianofit.parameters import FIT_NAMES
+
+V = 0.844  # m/s
+SHORT = {"seconds": 0.2}
+STRING = FINAL.string
+MASS = FINAL.hammer.M_H
+
+
+def signal(measurement: Measurement) -> np.ndarray:
+    """The note without noise from the first touch on, m/s."""
+    return measurement.clean[measurement.onset :] * measurement.scale
+
+
+# Every switch off.
+
+
+@pytest.fixture(scope="module")
+def limit() -> np.ndarray:
+    """The program's own model, extrapolated to a vanishing step."""
+
+    def fast(oversampling: int) -> np.ndarray:
+        hammer = FINAL.hammer._replace(v_H0=V)
+        one = simulate(STRING, hammer, FINAL.geometry, rate=44_100, oversampling=oversampling, n_modes=MODES)
+        return one.waveform(44_100, 8_820)
+
+    return (4 * fast(64) - fast(32)) / 3
+
+
+def ideal_signal(oversampling: int) -> np.ndarray:
+    return signal(measure(Laboratory.ideal(contact_rate=44_100 * oversampling, **SHORT), V))
+
+
+def test_with_every_switch_off_it_converges_to_the_papers_model(limit):
+    peak = np.abs(limit).max()
+    errors = [np.abs(ideal_signal(n) - limit).max() / peak for n in (8, 16, 32)]
+    orders = np.log2(np.divide(errors[:-1], errors[1:]))
+    assert np.all(np.abs(orders - 2) < 0.1), orders
+    assert errors[-1] < 4e-6  # at the default rate
+
+
+def test_the_limits_of_both_programs_are_the_same_to_a_ten_millionth(limit):
+    own = (4 * ideal_signal(64) - ideal_signal(32)) / 3
+    assert np.abs(own - limit).max() < 3e-7 * np.abs(limit).max()
+
+
+def test_more_modes_change_nothing_that_matters(monkeypatch):
+    before = ideal_signal(32)
+    monkeypatch.setattr(chosen, "MODES", 256)
+    assert np.abs(ideal_signal(32) - before).max() < 4e-6 * np.abs(before).max()
+
+
+def test_the_window_weighs_as_its_closed_form_does():
+    np.testing.assert_allclose(
+        window_weights(FINAL.geometry, 256), raised_cosine_weights(FINAL.geometry, 256, np), atol=1e-13
+    )
+
+
+def test_a_blow_says_what_happened():
+    body, blow = blow_of(Laboratory.ideal(), V)
+    np.testing.assert_allclose(MASS * (V - blow.hammer[-1, 1]), blow.force.sum() * blow.step, rtol=1e-12)
+    np.testing.assert_allclose(
+        blow.hammer[:, 0] - (blow.states @ body.vectors.T).real @ body.under, blow.gap, atol=1e-15
+    )
+
+
+# What the instruments add.
+
+
+@pytest.mark.parametrize("level", [60.0, 20.0])
+def test_the_noise_is_as_loud_as_asked_for(level):
+    one = measure(Laboratory(noise_db=level), V, seed=3)
+    noise = one.samples - one.clean
+    first = one.clean[one.onset : one.onset + one.rate]
+    assert 20 * np.log10(np.std(first) / np.std(noise)) == pytest.approx(level, abs=0.1)
+    f, power = scipy.signal.welch(noise, one.rate, nperseg=8192)
+
+    def mean(low: float, high: float) -> float:
+        return float(np.mean(power[(f >= low) & (f < high)]))
+
+    assert mean(5_000, 10_000) == pytest.approx(mean(10_000, 20_000), rel=0.05)  # white
+    assert mean(15, 40) > 2.5 * mean(10_000, 20_000)  # but below 100 Hz
+
+
+def test_without_noise_there_is_none():
+    one = measure(Laboratory(noise_db=None, **SHORT), V)
+    np.testing.assert_array_equal(one.samples, one.clean)
+    assert not one.samples[: one.onset].any()
+
+
+def test_the_sensor_errs_as_much_as_asked_for():
+    lab = Laboratory.ideal(velocity_error=0.02, seconds=0.1, contact_rate=1e5)
+    off = [measure(lab, V, seed).nominal_velocity / V - 1 for seed in range(60)]
+    assert np.std(off) == pytest.approx(0.02, rel=0.25)
+    assert abs(np.mean(off)) < 0.01
+    assert measure(Laboratory.ideal(**SHORT), V).nominal_velocity == V
+
+
+def test_the_same_seed_gives_the_same_samples_and_another_only_other_noise():
+    lab = Laboratory(**SHORT)
+    first, again, other = (measure(lab, V, seed) for seed in (5, 5, 6))
+    np.testing.assert_array_equal(first.samples, again.samples)
+    assert first.nominal_velocity == again.nominal_velocity != other.nominal_velocity
+    np.testing.assert_array_equal(first.clean, other.clean)
+    assert np.any(first.samples != other.samples)
+    steady = measure(Laboratory(velocity_error=0.0, **SHORT), V, 5)
+    np.testing.assert_array_equal(first.samples, steady.samples)
+
+
+def test_the_truth_names_the_nine_parameters_and_what_is_left_out():
+    assert tuple(measure(Laboratory.ideal(**SHORT), V).true) == FIT_NAMES
+    everything = measure(Laboratory(**SHORT), V).true
+    assert set(FIT_NAMES) - set(everything) == {"mu"}  # a felt with memory has none
+    assert everything["v_H0"] == V
+    assert {"felt.eps", "felt.tau", "polarisation.angle", "bridge.5.quality"} < set(everything)
+
+
+@pytest.mark.parametrize("velocity", VELOCITIES)
+def test_every_recorded_velocity_stays_within_the_vibrometers_range(velocity):
+    one = measure(Laboratory(**SHORT), velocity)
+    assert 0.05 < np.abs(one.samples).max() < 0.9
+    assert one.force.min() == 0
+
+
+# Files.
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("laboratory") / "takes"
+    return folder, write(folder, Laboratory(seconds=0.5), (0.844, 2.3), seed=4)
+
+
+def test_what_is_written_is_what_was_measured(written):
+    folder, measured = written
+    assert {path.name for path in folder.iterdir()} == {
+        "setup.toml", "truth.json", *(f"velocity-{v}.{kind}" for v in ("0.844", "2.300") for kind in ("wav", "toml"))
+    }  # fmt: skip
+    loaded = load_recording(folder / "velocity-0.844.wav")
+    np.testing.assert_allclose(loaded.samples + loaded.dc, measured[0].samples.astype(np.float32), atol=1e-12)
+    travel = (FINAL.geometry.pickup - FINAL.geometry.strike) / STRING.c * measured[0].rate
+    assert 0 <= loaded.onset - measured[0].onset < travel
+    truth = json.loads((folder / "truth.json").read_text())
+    assert truth["velocity-2.300.wav"] == measured[1].true
+    np.testing.assert_array_equal(measured[1].samples, measure(Laboratory(seconds=0.5), 2.3, 5).samples)
+
+
+def test_the_setups_say_what_the_laboratory_knew(written):
+    folder, measured = written
+    one, every = load_setup(folder / "velocity-2.300.toml"), load_setup(folder / "setup.toml")
+    g = FINAL.geometry
+    assert (one.length, one.mass, one.strike_position, one.strike_width, one.pickup_position) == tuple(g)
+    assert one.pickup_quantity == "velocity"
+    assert one.pickup_scale == measured[1].scale
+    assert [(t.file, t.v_H0) for t in one.takes] == [("velocity-2.300.wav", measured[1].nominal_velocity)]
+    assert [t.v_H0 for t in every.takes] == [m.nominal_velocity for m in measured]
+    assert one.initial["K_H"] == 1.51647e9
+    assert "v_H0" not in one.initial
+
+
+def test_a_velocity_can_be_where_the_fit_starts():
+    one = measure(Laboratory(**SHORT), V)
+    setup = setup_from_dict(tomllib.loads(setup_text(one, hold_velocity=False)), "setup")
+    assert setup.takes == ()
+    assert setup.initial["v_H0"] == one.nominal_velocity != V
+
+
+# What cannot be.
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"felt": "wool"}, "felt='wool' must be one of hunt-crossley, memory, power"),
+        ({"bridge": 1}, "bridge=1 must be True or False"),
+        ({"polarisation": None}, "polarisation=None must be True or False"),
+        ({"noise_db": math.nan}, "noise_db=nan must be a number from -20 to 200 dB below the first second's rms"),
+        ({"velocity_error": -0.01}, "velocity_error=-0.01 must be a number from 0 to 0.2 of the velocity"),
+        ({"seconds": 0}, "seconds=0 must be a number from 0.1 to 60 s"),
+        ({"rate": 44_100.0}, "rate=44100.0 must be a whole number from 8000 to 384000 Hz"),
+        ({"contact_rate": 44_100}, "contact_rate=44100 must be a number from 100000 to 2e+07 Hz"),
+        ({"eps": 1.0}, "eps=1.0 must be a number from 0 to 0.99"),
+        ({"tau": "60e-6"}, "tau='60e-6' must be a number from 1e-07 to 0.1 s"),
+    ],
+)
+def test_a_laboratory_that_cannot_be_is_refused(arguments, message):
+    with pytest.raises(ParameterError) as caught:
+        Laboratory(**arguments)
+    assert message in str(caught.value)
+
+
+def test_a_measurement_that_cannot_be_is_refused(tmp_path):
+    with pytest.raises(ParameterError, match=r"velocity=5.0 must be a number from 0.05 to 3.5 m/s"):
+        measure(Laboratory(), 5.0)
+    with pytest.raises(ParameterError, match=r"seed=-1 must be a whole number from 0 to 4.29497e\+09$"):
+        measure(Laboratory(), V, -1)
+    with pytest.raises(ParameterError, match=r"velocities=\[0.8, 0.8001\] must be"):
+        write(tmp_path, Laboratory(), (0.8, 0.8001))
+    with pytest.raises(ParameterError, match=r"velocity='soft' must be a number from 0.05 to 3.5 m/s"):
+        write(tmp_path, Laboratory(), ("soft",))
+    (tmp_path / "file").touch()
+    with pytest.raises(OutputError, match="no folder can be made here"):
+        write(tmp_path / "file" / "x", Laboratory.ideal(contact_rate=1e5, **SHORT), (V,))
+
+
+def test_measuring_needs_no_jax():
+    program = "import sys, pianofit.laboratory as l; l.measure(l.Laboratory(), 0.844); assert 'jax' not in sys.modules"
+    subprocess.run([sys.executable, "-c", program], check=True)
