@@ -85,7 +85,7 @@ def test_partials_of_other_instruments(name):
     """Level and phase of every partial after the contact, at the rate the program itself chooses."""
     string, hammer, geometry, partials = INSTRUMENTS[name]
     rate = 96_000 if name == "treble" else 2 * FILE_RATE
-    points = {"bass": 400, "treble": 60}.get(name, 240)
+    points = {"bass": 400, "treble": 54}.get(name, 240)
     hit = brute_force.strike(
         string, hammer, geometry, rate=16 * rate, quantity="velocity", window="parabola", points=points
     )
