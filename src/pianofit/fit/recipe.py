@@ -33,6 +33,8 @@ from .voice import arrival, lag
 __all__ = ["Fit", "fit_partials", "predicted"]
 
 STARTS, BATCHES = 16, 4
+# A search's contacts last a whole number of times this many steps, so that notes share compiled programs.
+STEPS = 256
 # Power of energy by which levels are weighed, and iterations: loud partials lead to the basin, all of them finish.
 GRADES = ((0.25, 30), (0.0, 15))
 # How much of the attack, s, tells when the hammer touched.
@@ -141,7 +143,7 @@ def _prepared(recording: Recording, analysis: Analysis, start: Start) -> State:
     first = simulate(string, hammer, start.geometry, rate=recording.rate, quantity=start.quantity)
     space = replace(space, log_u=float(np.log(0.5 * first.pulse.compression.max())))
     rate = 1.0 / float(first.modes.step)
-    steps = 2 ** int(np.ceil(np.log2(max(256, 1.6 * first.contact_time * rate))))
+    steps = STEPS * int(np.ceil(1.6 * first.contact_time * rate / STEPS))
     rows = max(first.modes.pole.shape[0], ROWS * int(np.ceil(data.partials.number.max() / ROWS)))
     cfg = Cfg(rows, steps, start.quantity, data.calibrated)
     delay = arrival(string, start.geometry, start.quantity)
