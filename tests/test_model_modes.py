@@ -196,3 +196,9 @@ def test_unusable_arguments_say_what_to_do():
         model.mode_table(STRING, GEOMETRY, rate=RATE, n_modes=8, kind="fem")
     with pytest.raises(ParameterError, match="4 points; 8 modes"):
         model.project(np.zeros(4), 1.0, 8)
+
+
+def test_a_window_between_two_grid_points_is_refused():
+    narrow = GEOMETRY._replace(strike=0.12, width=0.002)
+    with pytest.raises(ParameterError, match=r"width=0\.002 m: none of the 40 grid points"):
+        model.simulate(STRING, HAMMER, narrow, kind="finite_difference", n_modes=40, oversampling=1)

@@ -132,7 +132,7 @@ def _march(modes: Modes, hammer: Hammer, under: Array, speed: Array | float):
             e = y + 2 * a * v - past[i] - own
             u_new = _compression(e, u, w, f, c, a, hammer)
             w_new = (u_new - u) / a - w
-            f_new = felt_force(u_new, w_new, hammer)
+            f_new = _force(u_new, w_new, e - c * f, c, a, hammer)
             t = f_new + f
             v_new = v - a / hammer.M_H * t
             y_new = y + a * (v + v_new)
@@ -157,6 +157,13 @@ def _compression(e, u_old, w_old, f_old, c, a, hammer: Hammer):
     """The root u of u + C (F(u) + F_old) = e."""
     upper = e - c * f_old
     return jnp.where(upper > 0, _root(jnp.maximum(upper, 0.0), u_old, w_old, c, a, *hammer[:3]), upper)
+
+
+def _force(u, w, upper, c, a, hammer: Hammer):
+    """F_n: by the felt's law, or by what it does to string and hammer, whichever magnifies the rounding of u less."""
+    law = felt_force(u, w, hammer)
+    _, slope = _residual(u, upper, u - a * w, 0.0, c, a, *hammer[:3])
+    return jnp.where((law > 0) & (slope > 2), (upper - u) / c, law)
 
 
 def _residual(u, upper, u_old, w_old, c, a, stiffness, mu, p):

@@ -22,6 +22,8 @@ __all__ = ["level_db", "mobility", "pulse_transform", "ringing", "spectrum", "st
 
 # A partial's level is its energy in the first LEVEL_SPAN seconds under exp(-LEVEL_DECAY t).
 LEVEL_SPAN, LEVEL_DECAY = 0.35, 8.0
+# exp of this, and its square, are still finite numbers.
+MOST_RISE = 300.0
 
 
 def damped_circle(frequency: Array, sigma: float, step: Array) -> Complex[Array, " bins"]:
@@ -61,13 +63,19 @@ def spectrum(
 
 def ringing(modes: Modes, drive: Float[Array, " steps"], free: FreeMotion | None = None) -> Complex[Array, " modes"]:
     """A_k: after the contact the signal is Σ_k Re(A_k exp(p_k t)), t from the first touch."""
-    total = modes.pickup * impulse_amplitude(modes) * pulse_transform(drive, -modes.pole * modes.step)
+    total = modes.pickup * impulse_amplitude(modes) * pulse_transform(drive, _back(modes, len(drive)))
     return total if free is None else total + modes.free_pickup * free.amplitude
+
+
+def _back(modes: Modes, steps: int) -> Array:
+    """-p δt [modes], held where a mode dies so fast that carrying it back from the contact's end would overflow."""
+    log_zeta = -modes.pole * modes.step
+    return jnp.minimum(log_zeta.real, MOST_RISE / steps) + 1j * log_zeta.imag
 
 
 def string_energy(modes: Modes, drive: Float[Array, " steps"]) -> Float[Array, " modes"]:
     """Energy of every mode after the pulse, J, carried back to t = 0 as if it had rung since."""
-    amplitude = impulse_amplitude(modes) * pulse_transform(drive, -modes.pole * modes.step)
+    amplitude = impulse_amplitude(modes) * pulse_transform(drive, _back(modes, len(drive)))
     silent = modes.drive == 0
     mass = jnp.where(silent, 0.0, modes.strike / jnp.where(silent, 1.0, modes.drive))
     return 0.5 * mass * modes.omega2 * jnp.abs(amplitude) ** 2

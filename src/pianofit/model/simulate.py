@@ -117,6 +117,10 @@ def simulate(
     check_geometry(geometry, quantity)
     if not 1e3 <= rate <= 1e6:
         raise ParameterError(f"rate={rate} Hz must be from 1,000 to 1,000,000")
+    if kind == "finite_difference" and strike_weights is None and n_modes:
+        spacing = float(geometry.length) / (n_modes + 1)
+        if np.min(np.abs(spacing * np.arange(1, n_modes + 1) - float(geometry.strike))) >= float(geometry.width) / 2:
+            raise ParameterError(f"width={float(geometry.width)} m: none of the {n_modes} grid points lies under it")
     # One kind of number, whatever the caller had: JAX compiles anew for every other.
     string, hammer = String(*map(np.float64, string)), Hammer(*map(np.float64, hammer))
     geometry = Geometry(*map(np.float64, geometry))
