@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .space import K, P, Space
+from .space import Box, K, P, Space
 
 __all__ = ["Descent", "descend"]
 
@@ -34,7 +34,7 @@ class Descent(NamedTuple):
 def descend(
     evaluate: Callable,
     z: np.ndarray,
-    space: Space,
+    space: Space | Box,
     *,
     iterations: int,
     free: np.ndarray | None = None,
@@ -77,12 +77,20 @@ def _evaluate(evaluate: Callable, z: np.ndarray) -> tuple[np.ndarray, np.ndarray
     return np.nan_to_num(residual), np.nan_to_num(jacobian), cost
 
 
-def _into(space: Space, z: np.ndarray, held: np.ndarray, free: np.ndarray) -> np.ndarray:
+def _into(space: Space | Box, z: np.ndarray, held: np.ndarray, free: np.ndarray) -> np.ndarray:
     return space.project(np.where(free, z, held))
 
 
-def _trial(space: Space, z, residual, jacobian, damping, free) -> np.ndarray:
-    """Where the step leads [starts, size], before it is taken back into the box.
+def _trial(space: Space | Box, z, residual, jacobian, damping, free) -> np.ndarray:
+    """Where the step leads [starts, size], before it is taken back into the box."""
+    if isinstance(space, Space):
+        return _felt_trial(space, z, residual, jacobian, damping, free)
+    pressed = space.pressed(z, -np.einsum("srn,sr->sn", jacobian, residual))
+    return z + _step(residual, jacobian, damping, free, pressed)
+
+
+def _felt_trial(space: Space, z, residual, jacobian, damping, free) -> np.ndarray:
+    """`_trial` of a hammer's felt.
 
     The box holds K_H, the search the force F_ref = K_H u_ref^p. While K_H is pressed against its edge, p moves along
     that edge, d log F_ref = p log u_ref d log p.

@@ -14,7 +14,7 @@ import numpy as np
 from ..criterion import PATH_TERMS
 from ..parameters import FIT_NAMES, PARAMETERS, Geometry, Hammer, String
 
-__all__ = ["LOG", "NAMES", "SIZE", "K", "P", "Space", "default_box", "split", "stiffness", "struck"]
+__all__ = ["LOG", "NAMES", "SIZE", "Box", "K", "P", "Space", "default_box", "split", "stiffness", "struck"]
 
 NAMES = (*FIT_NAMES, "x0", "width")
 LOG = len(NAMES)
@@ -37,6 +37,27 @@ def struck(geometry: Geometry, values: np.ndarray) -> Geometry:
 def stiffness(log_force, p, log_u):
     """log K_H of a felt that pushes with exp(`log_force`) N at the reference compression exp(`log_u`) m."""
     return log_force - p * log_u
+
+
+@dataclass(frozen=True)
+class Box:
+    """A plain box in search coordinates [size]; where its edges meet nothing moves."""
+
+    lower: np.ndarray
+    upper: np.ndarray
+
+    @property
+    def free(self) -> np.ndarray:
+        """Which coordinates may move [size]."""
+        return self.upper > self.lower
+
+    def project(self, z: np.ndarray) -> np.ndarray:
+        """The nearest point of the box."""
+        return np.clip(z, self.lower, self.upper)
+
+    def pressed(self, z: np.ndarray, downhill: np.ndarray) -> np.ndarray:
+        """Which coordinates [..., size] sit on an edge that a step `downhill` would leave."""
+        return ((z <= self.lower) & (downhill < 0)) | ((z >= self.upper) & (downhill > 0))
 
 
 @dataclass(frozen=True)
