@@ -26,7 +26,7 @@ from .uncertainty import covariance, intervals, statuses, tangled, to_stiffness
 from .verdict import verdict, words
 from .voice import Voice
 
-__all__ = ["SCHEMA", "Result", "Sound", "conclude"]
+__all__ = ["SCHEMA", "Heard", "Result", "Sound", "conclude", "scored"]
 
 SCHEMA = 1
 # Levels are compared over partials to 6 kHz within 60 dB of the strongest (design §4).
@@ -176,13 +176,14 @@ def _heard(i: int, take: Take, start: Start, fit: Fit, first: np.ndarray, litera
     unit = None if start.scale is None else 1.0 / start.scale
     initial = _sound(ear, start, fit, i, first, unit, None)
     fitted = _sound(ear, start, fit, i, fit.values, unit, _path(fit, i, start))
-    scored, measured = _scored(data), data.level[: data.found]
+    measured = data.level[: data.found]
+    chosen = scored(data.partials.frequency, measured)
     through = None if literature is None else literature[0][i, data.partials.number - 1]
     of = {"initial_db": initial.level, "fitted_db": fitted.level, "path_only_db": through}
-    levels = {n: None if x is None else level_error_db(x[scored], measured[scored]) for n, x in of.items()}
+    levels = {n: None if x is None else level_error_db(x[chosen], measured[chosen]) for n, x in of.items()}
     criterion = _criterion(ear, data, initial, fitted)
     return Heard(
-        initial, fitted, data, take.recording, take.analysis, criterion, levels | {"partials": int(scored.sum())}
+        initial, fitted, data, take.recording, take.analysis, criterion, levels | {"partials": int(chosen.sum())}
     )
 
 
@@ -211,10 +212,9 @@ def _row_variance(fit: Fit) -> np.ndarray:
     return variance
 
 
-def _scored(data: Measured) -> np.ndarray:
+def scored(frequency: np.ndarray, level: np.ndarray) -> np.ndarray:
     """The partials on which levels are compared [partials], bool."""
-    level = data.level[: data.found]
-    return (data.partials.frequency <= LEVEL_TOP) & (level >= level.max() - LEVEL_RANGE)
+    return (frequency <= LEVEL_TOP) & (level >= level.max() - LEVEL_RANGE)
 
 
 @dataclass(frozen=True)
@@ -284,10 +284,12 @@ def _path(fit: Fit, take: int, start: Start) -> OutputPath | None:
     """The fitted path of one take, smooth part and roughness, where it has partials."""
     if start.quantity != "pressure":
         return None
-    data, columns = fit.data.each[take], fit.data.layout.path[take]
-    rows = np.sort(data.number) - 1
-    smooth = np.asarray(fit.target.basis)[take][:, columns] @ fit.values[columns]
-    return OutputPath(fit.data.frequency[take, rows], (smooth + _roughness(fit, take))[rows])
+    data, columns = fit.data, fit.data.layout.path[take]
+    mine = data.found & (np.array(data.layout.groups) == data.layout.groups[take])[:, None]
+    rows = np.flatnonzero(mine.any(axis=0))
+    smooth = np.asarray(fit.target.basis)[mine.argmax(axis=0), np.arange(data.rows)][:, columns] @ fit.values[columns]
+    frequency = data.frequency[mine.argmax(axis=0), np.arange(data.rows)]
+    return OutputPath(frequency[rows], (smooth + _roughness(fit, take))[rows])
 
 
 def _path_only(fit: Fit) -> tuple[np.ndarray, float]:
@@ -336,7 +338,7 @@ def _take(fit: Fit, i: int, heard: Heard, start: Start) -> dict:
         "file": recording.path, "sha256": recording.sha256, "rate": recording.rate,
         "onset_s": recording.onset / recording.rate, "v_H0": float(heard.fitted.voice.hammer.v_H0),
         "gain": heard.fitted.voice.gain, "gain_status": "free" if start.scale is None else "fixed",
-        "cents": float(fit.values[layout.cents[i]]), "group": layout.groups[i],
+        "first": i == 0, "cents": float(fit.values[layout.cents[i]]), "group": layout.groups[i],
         "criterion": heard.criterion, "levels": heard.levels,
     }  # fmt: skip
 
