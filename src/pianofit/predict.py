@@ -145,8 +145,8 @@ def cross_validate(
 
     Returns
     -------
-    `takes`, in order of velocity, each with `file`, `v_H0` (in the fit of all), `predicted_db`, `nearest_db`, `blend_db`
-    (None at the ends) and `inner`; `median_inner_db` and `worst_inner_db`.
+    `takes`, in order of velocity, each with `file`, `v_H0` (in the fit of all), `predicted_db`, `nearest_db`,
+    `blend_db` (None at the ends) and `inner`; `median_inner_db` and `worst_inner_db`.
 
     Raises
     ------
@@ -183,9 +183,8 @@ def _voice_for(fit: Result, whole: Result, rest: list[int], left_out: int) -> Vo
     for heard, j in zip(fit.takes, rest, strict=True):
         if whole.document["takes"][j]["group"] == group:
             return heard.fitted.voice._replace(hammer=fit.fitted.voice.hammer)
-    raise FitError(
-        f"{whole.document['takes'][left_out]['file']}: no other take shares its group, so its path is unknown"
-    )
+    file = whole.document["takes"][left_out]["file"]
+    raise FitError(f"{file}: no other take shares its group, so its path is unknown")
 
 
 def _common(analysis: Analysis, others: Sequence[Analysis]) -> tuple[np.ndarray, list[np.ndarray]]:
