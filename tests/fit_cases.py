@@ -39,7 +39,7 @@ def batched(function: Callable[[Z], np.ndarray], seen: list[Z] | None = None) ->
 
 def start_points(box: Space, number: int, seed: int = 0) -> Z:
     """Random points [number, size] of the box."""
-    random = np.random.default_rng(seed).uniform(size=(number, SIZE))
+    random = np.random.default_rng(seed).uniform(size=(SIZE, number)).T
     low, high = box.z(box.lower), box.z(box.upper)
     return box.project(low + random * (high - low))
 

@@ -17,9 +17,9 @@ SOURCE = ROOT / "src" / "pianofit"
 FILES = sorted(SOURCE.rglob("*.py"))
 LAYERS = (
     "errors", "parameters", "published", "recording", "setup_file", "analysis", "initial", "model", "criterion", "fit",
-    "render", "report", "twin", "laboratory", "workflow", "demo", "cli",
+    "render", "predict", "report", "twin", "laboratory", "workflow", "demo", "cli",
 )  # fmt: skip
-WITH_JAX = ("model", "criterion", "fit", "render")
+WITH_JAX = ("model", "criterion", "fit", "render", "predict")
 HEAVY = ("jax", "scipy", "matplotlib", "soundfile", "jinja2")
 LONGEST = 400  # lines
 

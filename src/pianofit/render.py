@@ -62,9 +62,11 @@ def load_voice(path: str | os.PathLike[str]) -> tuple[Voice, int]:
     takes = document.get("takes")
     if not (isinstance(takes, list) and takes and isinstance(takes[0], dict)):
         raise FitError(f"{name}: takes is empty; give the file that pianofit fit wrote")
-    gain, rate = (_value(takes[0].get(key), f"takes[0].{key}", name) for key in ("gain", "rate"))
+    # v_H0 is the first take's, which need not be the first that was given.
+    at = next((i for i, take in enumerate(takes) if isinstance(take, dict) and take.get("first") is True), 0)
+    gain, rate = (_value(takes[at].get(key), f"takes[{at}].{key}", name) for key in ("gain", "rate"))
     if not RATES[0] <= rate <= RATES[1]:
-        raise FitError(f"{name}: takes[0].rate={rate:g} Hz must be from {RATES[0]} to {RATES[1]}")
+        raise FitError(f"{name}: takes[{at}].rate={rate:g} Hz must be from {RATES[0]} to {RATES[1]}")
     voice = Voice(
         String(*(values[n] for n in STRING_NAMES)), Hammer(*(values[n] for n in HAMMER_NAMES)),
         _geometry(table, quantity, name), quantity, gain, _path(pickup.get("path"), name),

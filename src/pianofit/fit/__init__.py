@@ -6,15 +6,17 @@ them, `uncertainty` and `verdict` say what came out of it, and `result` writes i
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from ..analysis import Analysis
-from ..initial import starting_values
 from ..recording import Recording
 from ..setup_file import Setup
 from .recipe import Progress, fit_partials
 from .result import Result, Sound, conclude
+from .takes import arranged
 from .voice import Voice
 
-__all__ = ["Result", "Sound", "Voice", "fit_recording"]
+__all__ = ["Result", "Sound", "Voice", "fit_recording", "fit_takes"]
 
 
 def fit_recording(
@@ -40,6 +42,35 @@ def fit_recording(
     FitError
         If no hammer gives a finite sound, or a contact does not end.
     """
-    start = starting_values(analysis, setup or Setup(), velocity)
-    fit = fit_partials(recording, analysis, start, seed=seed, progress=progress)
-    return conclude(recording, analysis, start, fit, seed)
+    return fit_takes([recording], [analysis], setup, velocity=velocity, seed=seed, progress=progress)
+
+
+def fit_takes(
+    recordings: Sequence[Recording],
+    analyses: Sequence[Analysis],
+    setup: Setup | None = None,
+    *,
+    velocity: float | None = None,
+    seed: int = 0,
+    progress: Progress = lambda *_: None,
+) -> Result:
+    """Fit string and hammer to one or more recordings of one key, from soft to loud in any order.
+
+    String, felt, hammer mass and output path are those of all takes; each has a velocity, a gain and a pitch of its
+    own. The takes' velocities, groups and gain groups come from the setup.
+
+    Parameters
+    ----------
+    velocity : measured hammer velocity, m/s, of a single recording, held fixed.
+    seed : of the hammers that the search starts from. The same seed gives the same result.
+    progress : called with a stage's name and the fraction done.
+
+    Raises
+    ------
+    FitError
+        If a take is given twice, is of another key or all noise; if no hammer gives a finite sound, or a contact does
+        not end.
+    """
+    takes, start, layout, order = arranged(recordings, analyses, setup or Setup(), velocity)
+    fit = fit_partials(takes, start, layout, seed=seed, progress=progress)
+    return conclude(takes, start, fit, seed, order)

@@ -1,33 +1,34 @@
-"""The fit of one recording, stage by stage.
+"""The fit of one or more takes of a string, stage by stage.
 
 1. The string, on the paper's criterion in bands 1 and 2, from where the analysis put it, with σ falling.
 2. The hammer, on the paper's criterion in band 3, from many starts at once: this finds the basin.
 3. The hammer on levels in dB through the unknown path, the best of those starts.
 4. String and hammer together, weighted by noise and scatter, until the weights settle: this gives the estimate.
+
+Several takes share string, felt, hammer and path. Each has a velocity, a gain and a pitch of its own, and what their
+levels have in common beyond the smooth path is the path's roughness, not the hammer's doing.
 """
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import jax.numpy as jnp
 import numpy as np
 
-from ..analysis import Analysis
-from ..criterion import PATH_SPREAD, PATH_TERMS
 from ..errors import FitError
 from ..initial import Start
 from ..model import simulate
 from ..model.simulate import count_modes
 from ..parameters import Geometry
-from ..recording import Recording
 from .levenberg import Descent, descend
-from .misfit import huber, scatter
-from .residuals import Cfg, Target, hammer_batch, joint_batch, string_batch
-from .space import NAMES, SIZE, Space, default_box, split, struck
-from .target import CENT, ROWS, Measured, Spreads, doubt, lines, measured, target
+from .residuals import CENT, Cfg, Target, hammer_batch, joint_batch, string_batch
+from .space import LOG, NAMES, Layout, Space, default_box, split, struck
+from .state import WIDTH, State, predicted, search_space, settled_weights
+from .takes import Take
+from .target import Spreads, Takes, lines, measured, side_by_side
 from .voice import arrival, lag
 
 __all__ = ["Fit", "fit_partials", "predicted"]
@@ -51,14 +52,7 @@ FINE_LEVEL, REFINEMENT = 0.05, 8
 CRITERION = 100.0
 # Levels of a calibrated recording that scatter more than this, dB, ask for a contact window of another shape, for which
 # a raised cosine of another width is a good stand-in.
-WINDOW_SCATTER, WIDTH = 0.01, NAMES.index("width")
-# The model's window, as given or of an effective width, is a stand-in all the same: levels through it are off by about
-# this much, dB, however well they can be fitted.
-STAND_IN = {False: 0.003, True: 0.01}
-# No real path is as smooth as the model's, dB; a few partials would otherwise be fitted to the last digit.
-LEAST_SCATTER = 1.0
-# Before the first round the model is taken to miss a partial by this much, dB.
-FIRST_SCATTER = {True: 1.0, False: 4.0}
+WINDOW_SCATTER = 0.01
 
 Progress = Callable[[str, float], None]
 
@@ -70,9 +64,9 @@ class Fit:
     z: np.ndarray  # [1, size]
     values: np.ndarray  # [size]: in the order of `NAMES`, then gain and path in dB
     space: Space
-    data: Measured
+    data: Takes
     spread: Spreads
-    robust: np.ndarray  # [3, partials]
+    robust: np.ndarray  # [3, takes, rows]
     target: Target
     cfg: Cfg
     jacobian: np.ndarray  # [residuals, size]
@@ -86,35 +80,21 @@ class Fit:
     state: State
 
 
-def search_space(start: Start) -> Space:
-    """The box and the starting point [size]; gain and path start at 0 dB."""
-    lower, upper = default_box(start.geometry.length, start.geometry.width)
-    for name, (low, high) in start.bounds.items():
-        lower[NAMES.index(name)], upper[NAMES.index(name)] = low, high
-    blank = np.zeros(SIZE - len(NAMES))
-    values = np.append([start.values[n] for n in NAMES], blank)
-    calibrated, known = start.scale is not None, start.quantity != "pressure"
-    free = np.append([n not in start.fixed for n in NAMES], [not calibrated] + [not (calibrated or known)] * PATH_TERMS)
-    lower, upper = np.where(free, lower, values), np.where(free, upper, values)
-    spread = np.concatenate([[start.spread[n] for n in NAMES], [np.inf], PATH_SPREAD])
-    return Space(lower, upper, free, np.clip(values, lower, upper), spread, 0.0)
-
-
 def fit_partials(
-    recording: Recording, analysis: Analysis, start: Start, *, seed: int = 0, progress: Progress = lambda *_: None
+    takes: Sequence[Take], start: Start, layout: Layout, *, seed: int = 0, progress: Progress = lambda *_: None
 ) -> Fit:
-    """Fit the nine parameters, and the strike position where it is not known.
+    """Fit the nine parameters, the strike position where it is not known, and the takes' velocities over the first's.
 
     Raises
     ------
     FitError
         If no start leads to a finite cost.
     """
-    state = _prepared(recording, analysis, start)
+    state = _prepared(takes, start, layout)
     programs = [_compiled_ahead(hammer_batch, state, STARTS), _compiled_ahead(joint_batch, state, 1)]
     try:
         progress("string", 0.1)
-        space, count = _string_stage(recording, analysis, state)
+        space, count = _string_stage(takes[0], state)
         state = replace(state, space=space)
         progress("hammer", 0.3)
         programs[0].join()
@@ -123,8 +103,8 @@ def fit_partials(
         programs[1].join()
         fit = _joint_stage(state, z)
         if state.data.calibrated:
-            fit = _with_attack(recording, fit)
-        if fit.spread.level < FINE_LEVEL and np.median(state.data.partials.level_error) < FINE_LEVEL:
+            fit = _with_attack(takes, fit)
+        if fit.spread.level < FINE_LEVEL and np.median(state.data.level_error[state.data.found]) < FINE_LEVEL:
             progress("refinement", 0.8)
             fit = _refined(fit)
     finally:
@@ -135,26 +115,27 @@ def fit_partials(
     return replace(fit, agreeing=agreeing, evaluations=fit.evaluations + count + searched)
 
 
-def _prepared(recording: Recording, analysis: Analysis, start: Start) -> State:
+def _prepared(takes: Sequence[Take], start: Start, layout: Layout) -> State:
     """Choose the contact's rate and length, and what the programs are compiled for, from the literature's strike."""
-    space = search_space(start)
-    data = measured(recording, analysis, start)
+    space = search_space(start, takes, layout)
+    data = side_by_side(tuple(measured(take.recording, take.analysis, start) for take in takes), layout)
     string, hammer = split(space.start)
-    first = simulate(string, hammer, start.geometry, rate=recording.rate, quantity=start.quantity)
+    rate = max(take.recording.rate for take in takes)
+    first = simulate(string, hammer, start.geometry, rate=rate, quantity=start.quantity)
     space = replace(space, log_u=float(np.log(0.5 * first.pulse.compression.max())))
     rate = 1.0 / float(first.modes.step)
     steps = STEPS * int(np.ceil(1.6 * first.contact_time * rate / STEPS))
-    rows = max(first.modes.pole.shape[0], ROWS * int(np.ceil(data.partials.number.max() / ROWS)))
-    cfg = Cfg(rows, steps, start.quantity, data.calibrated)
-    delay = arrival(string, start.geometry, start.quantity)
-    return State(data, start, space, rate, delay, cfg, 0.0 if data.calibrated else CRITERION)
+    cfg = Cfg(max(first.modes.pole.shape[0], data.rows), steps, start.quantity, data.calibrated)
+    delay = np.full(layout.takes, arrival(string, start.geometry, start.quantity))
+    alone = layout.takes == 1 and not data.calibrated
+    return State(data, start, space, rate, delay, cfg, CRITERION if alone else 0.0)
 
 
 def _compiled_ahead(function: Callable, state: State, starts: int) -> threading.Thread:
     """Call a batch function once, in a thread: its program compiles while the stages before it run."""
 
     def call() -> None:
-        at = state.target(Spreads(1.0, 0.3, FIRST_SCATTER[state.data.calibrated]), np.ones((3, state.data.found)))
+        at = state.target(state.first_spread(1.0, 0.3), state.unweighted)
         function(jnp.asarray(np.tile(state.space.z(state.space.start), (starts, 1))), at, state.cfg)
 
     thread = threading.Thread(target=call, daemon=True)
@@ -162,19 +143,19 @@ def _compiled_ahead(function: Callable, state: State, starts: int) -> threading.
     return thread
 
 
-def _with_attack(recording: Recording, fit: Fit) -> Fit:
-    """The fit of a calibrated recording gone on with what its attack tells.
+def _with_attack(takes: Sequence[Take], fit: Fit) -> Fit:
+    """The fit of calibrated recordings gone on with what their attacks tell.
 
     The onset is where a sound is first seen; a model this close says when the hammer touched. If it still misses by
     more than noise, there is no path to blame: the felt's window is of another shape than the model's.
     """
-    state = replace(fit.state, delay=_touch(recording, fit))
+    state = replace(fit.state, delay=_touches(takes, fit))
     fit = _joint_stage(state, fit.z, fit.spread, fit.robust)
     if fit.spread.level <= WINDOW_SCATTER or state.space.free[WIDTH]:
         return fit
     state = replace(state, space=_with_free_width(state.space, state.start.geometry))
     fit = _joint_stage(state, fit.z, fit.spread, fit.robust)
-    state = replace(state, delay=_touch(recording, fit))
+    state = replace(state, delay=_touches(takes, fit))
     return _joint_stage(state, fit.z, fit.spread, fit.robust)
 
 
@@ -189,61 +170,39 @@ def _refined(fit: Fit) -> Fit:
 
 
 def _with_free_width(space: Space, geometry: Geometry) -> Space:
-    lower, upper = default_box(geometry.length, geometry.width)
-    this = np.arange(SIZE) == WIDTH
-    return replace(
-        space,
-        free=space.free | this,
-        lower=np.where(this, lower, space.lower),
-        upper=np.where(this, upper, space.upper),
-    )
+    low, high = default_box(geometry.length, geometry.width)
+    free, lower, upper = space.free.copy(), space.lower.copy(), space.upper.copy()
+    free[WIDTH], lower[WIDTH], upper[WIDTH] = True, low[WIDTH], high[WIDTH]
+    return replace(space, free=free, lower=lower, upper=upper)
 
 
-def _touch(recording: Recording, fit: Fit) -> float:
-    """When the hammer touched before the recording's onset, s, by laying the fitted sound's attack on the recorded."""
+def _touches(takes: Sequence[Take], fit: Fit) -> np.ndarray:
+    """When the hammer touched before each onset, s [takes], by laying the fitted attacks on the recorded."""
     string, hammer = split(fit.values)
-    geometry = struck(fit.state.start.geometry, fit.values)
-    samples = int(ATTACK * recording.rate)
-    model = simulate(string, hammer, geometry, rate=recording.rate, quantity=fit.state.start.quantity)
-    guess = recording.onset - round(float(fit.target.delay) * recording.rate)
-    heard = np.pad(recording.samples, (max(-guess, 0), samples))[max(guess, 0) :][:samples]
-    late = lag(model.waveform(recording.rate, samples), heard)
-    return (recording.onset - guess - late) / recording.rate
+    geometry, ratios = struck(fit.state.start.geometry, fit.values), np.exp(fit.values[fit.data.layout.ratio])
+    out = []
+    for take, ratio, delay in zip(takes, ratios, fit.state.delay, strict=True):
+        r = take.recording
+        samples = int(ATTACK * r.rate)
+        played = hammer._replace(v_H0=hammer.v_H0 * float(ratio))
+        model = simulate(string, played, geometry, rate=r.rate, quantity=fit.state.start.quantity)
+        guess = r.onset - round(float(delay) * r.rate)
+        heard = np.pad(r.samples, (max(-guess, 0), samples))[max(guess, 0) :][:samples]
+        late = lag(model.waveform(r.rate, samples), heard)
+        out.append((r.onset - guess - late) / r.rate)
+    return np.array(out)
 
 
-@dataclass(frozen=True)
-class State:
-    """What the stages after the string's share."""
-
-    data: Measured
-    start: Start
-    space: Space
-    rate: float
-    delay: float
-    cfg: Cfg
-    criterion: float
-
-    def target(self, spread: Spreads, robust: np.ndarray, grade: float = 0.0) -> Target:
-        """The recording, weighted."""
-        return target(
-            self.data, self.start, self.space, spread, robust, rate=self.rate, delay=self.delay, grade=grade,
-            criterion=self.criterion,
-        )  # fmt: skip
-
-    def evaluate(self, function, at: Target):
-        return lambda z: function(jnp.asarray(z), at, self.cfg)
-
-
-def _string_stage(recording: Recording, analysis: Analysis, state: State) -> tuple[Space, int]:
+def _string_stage(take: Take, state: State) -> tuple[Space, int]:
     """c and b1 in band 1, κ and b2 in band 2 (paper IV.C, steps 1 and 2), near where the analysis put them."""
-    space, data = state.space, state.data
+    space, data, analysis = state.space, state.data.each[0], take.analysis
     near = {
         "c": 1 + 10 * max(analysis.f0_error / analysis.f0, CENT),
         "kappa": 1 + 5 * max(analysis.B_error / max(analysis.B, 1e-9), 0.02),
         "b1": 1.5,
         "b2": 2.0,
     }
-    factor = np.array([near.get(n, 1.0) for n in NAMES] + [1.0] * (SIZE - len(NAMES)))
+    factor = np.array([near.get(n, 1.0) for n in NAMES] + [1.0] * (len(space.start) - LOG))
     local = replace(
         space, lower=np.maximum(space.lower, space.start / factor), upper=np.minimum(space.upper, space.start * factor)
     )
@@ -251,10 +210,10 @@ def _string_stage(recording: Recording, analysis: Analysis, state: State) -> tup
     glide = 2 * np.pi * abs(analysis.glide_cents) * CENT * analysis.f0
     for wanted, names in ((0, ("c", "b1")), (1, ("kappa", "b2"))):
         band = next((b for b in data.occupied if b >= wanted), max(data.occupied))  # or the next occupied one
-        free = np.append(np.isin(NAMES, names), np.zeros(SIZE - len(NAMES), bool))
+        free = np.append(np.isin(NAMES, names), np.zeros(len(space.start) - LOG, bool))
         for narrow in SIGMAS:
             sigma = max(narrow * data.sigma, 8 * glide)
-            cells = lines(recording, analysis, data, band, sigma, state.start, state.rate)
+            cells = lines(take.recording, analysis, data, band, sigma, state.start, state.rate)
             end = descend(
                 lambda z, cells=cells: string_batch(jnp.asarray(z), cells, state.cfg),
                 z, local, iterations=8, free=free, tolerance=1e-4,
@@ -268,16 +227,16 @@ def _hammer_stage(state: State, seed: int) -> tuple[np.ndarray, int, int]:
 
     Of a calibrated recording a hammer should explain all but the first scatter; many can agree on one that does not.
     """
-    random = np.random.default_rng(seed)
-    z, cost, count, agreeing = np.zeros((0, SIZE)), np.zeros(0), 0, 0
+    random, size = np.random.default_rng(seed), len(state.space.start)
+    z, cost, count, agreeing = np.zeros((0, size)), np.zeros(0), 0, 0
     for batch in range(BATCHES):
-        throw = random.standard_normal((STARTS, SIZE))
+        throw = random.standard_normal((STARTS, size))
         if batch == 0:
             throw[0] = 0.0  # the literature's own hammer is one of the starts
         end, evaluations = _hammers(state, throw)
         z, cost, count = np.append(z, end.z, axis=0), np.append(cost, end.cost), count + evaluations
         agreeing = int((cost < cost.min() + AGREEMENT).sum())
-        if agreeing > 1 and not (state.data.calibrated and cost.min() > 0.5 * state.data.found):
+        if agreeing > 1 and not (state.data.calibrated and cost.min() > 0.5 * state.data.found.sum()):
             break
     if not np.isfinite(cost).any():
         raise FitError("no hammer within the bounds gives a finite sound; widen [bounds] or check [known] in the setup")
@@ -288,82 +247,57 @@ def _hammer_stage(state: State, seed: int) -> tuple[np.ndarray, int, int]:
 def _hammers(state: State, throw: np.ndarray) -> tuple[Descent, int]:
     """Many hammers on one string: eq. 19 in the hammer's band, then levels, the loud ones first.
 
-    `throw` [starts, size] is where they start, in units of the literature's spread.
+    `throw` [starts, size] is where they start, in units of the literature's spread. Several takes are compared with
+    each other, which eq. 19 cannot do: theirs begin with the levels.
     """
-    space, data = state.space, state.data
-    robust = np.ones((3, len(data.partials)))
-    spread = Spreads(10.0, 1.0, FIRST_SCATTER[data.calibrated])
-    hammer = np.arange(SIZE) >= 4
-    physical = hammer & (np.arange(SIZE) < len(NAMES)) & np.isfinite(space.spread)
+    space, layout = state.space, state.data.layout
+    spread = state.first_spread(10.0, 1.0)
+    index = np.arange(layout.size)
+    hammer = index >= 4
+    physical = hammer & ((index < LOG) | np.isin(index, layout.ratio)) & np.isfinite(space.spread)
     z = space.z(space.start[None]) + throw * np.where(physical, space.spread, 0.0)
-    at = state.target(spread, robust)
-    by_energy = at._replace(by_energy=jnp.ones_like(at.by_energy))
-    end = descend(state.evaluate(hammer_batch, by_energy), z, space, iterations=20, free=physical, tolerance=1e-3)
-    z, count = _levelled(state, at, end.z), end.evaluations
-    for grade, iterations in GRADES:
-        at = state.target(spread, robust, grade)
-        end = descend(state.evaluate(hammer_batch, at), z, space, iterations=iterations, free=hammer, tolerance=1e-4)
-        z, count = end.z, count + end.evaluations
-    return end, count
+    at, count = state.target(spread, state.unweighted), 0
+    if layout.takes == 1:
+        by_energy = at._replace(by_energy=jnp.ones_like(at.by_energy))
+        end = descend(state.evaluate(hammer_batch, by_energy), z, space, iterations=20, free=physical, tolerance=1e-3)
+        z, count = end.z, end.evaluations
+    z = _levelled(state, at, space.project(z))
+    (lead, first), (finish, last) = GRADES
+    at = state.target(spread, state.unweighted, lead)
+    end = descend(state.evaluate(hammer_batch, at), z, space, iterations=first, free=hammer, tolerance=1e-4)
+    at, count = state.target(spread, state.unweighted, finish), count + end.evaluations
+    end = descend(state.evaluate(hammer_batch, at), end.z, space, iterations=last, free=hammer, tolerance=1e-4)
+    return end, count + end.evaluations
 
 
 def _levelled(state: State, at: Target, z: np.ndarray) -> np.ndarray:
-    """The points `z` [starts, size] with the gain at which each is right on average."""
+    """The points `z` [starts, size] with the gains at which each take is right on average."""
     if state.data.calibrated:
         return z
-    level = np.asarray(hammer_batch(jnp.asarray(z), at, state.cfg)[2])[:, 2]
+    level = np.asarray(hammer_batch(jnp.asarray(z), at, state.cfg)[2])[:, :, 2]
     weight = np.asarray(at.level_weight) ** 2
+    gain = ((np.asarray(at.level) - level) * weight).sum(axis=2) / weight.sum(axis=1)
     z = z.copy()
-    z[:, len(NAMES)] = np.clip(((np.asarray(at.level) - level) * weight).sum(axis=1) / weight.sum(), -300, 300)
+    for take in range(state.data.layout.takes):
+        column = state.data.layout.gain[take]
+        same = state.data.layout.gain == column
+        z[:, column] = np.clip(gain[:, same].mean(axis=1), -300, 300)
     return z
 
 
 def _joint_stage(state: State, z, spread: Spreads | None = None, robust: np.ndarray | None = None) -> Fit:
     """All together; weights from the residuals, residuals from the weights, until they agree."""
-    data, count, rounds = state.data, 0, 0
-    spread = spread or Spreads(1.0, 0.3, FIRST_SCATTER[data.calibrated])
-    robust = np.ones((3, len(data.partials))) if robust is None else robust
+    count, rounds = 0, 0
+    spread = spread or state.first_spread(1.0, 0.3)
+    robust = state.unweighted if robust is None else robust
     while True:
         at = state.target(spread, robust)
         end = descend(state.evaluate(joint_batch, at), z, state.space, iterations=60, tolerance=1e-8)
         z, count, rounds, before = end.z, count + end.evaluations, rounds + 1, spread
-        spread, robust = _weights(state, at, z)
+        spread, robust = settled_weights(state, at, z)
         agreed = abs(spread.level - before.level) < 0.02 * spread.level + 1e-4
         if rounds == ROUNDS or (agreed and end.settled[0]):
             return _ended(state, end, at, before, robust, count)
-
-
-def _weights(state: State, at: Target, z: np.ndarray) -> tuple[Spreads, np.ndarray]:
-    """Scatter of each kind of residual about the model at `z` [1, size], and Huber's factors."""
-    data, p = state.data, state.data.partials
-    observed = np.stack([p.frequency, p.decay, data.level[: data.found]])
-    frequency, decay, level = observed - predicted(data, at, state.cfg, z[0])
-    cent = p.frequency * CENT * doubt(p.number)
-    cents, cents_sd, decay_sd = frequency / cent, p.frequency_error / cent, p.decay_error / p.decay
-    hammer_freedom = float(state.space.free[4:].sum())
-    spread = Spreads(
-        scatter(cents, cents_sd, 2),
-        scatter(decay / p.decay, decay_sd, 2),
-        scatter(level, p.level_error, hammer_freedom),
-    )
-    least = LEAST_SCATTER if state.start.quantity == "pressure" else STAND_IN[bool(state.space.free[WIDTH])]
-    spread = replace(spread, level=max(spread.level, least))
-    robust = np.stack(
-        [
-            huber(cents, np.hypot(cents_sd, spread.frequency)),
-            huber(decay / p.decay, np.hypot(decay_sd, spread.decay)),
-            huber(level, np.hypot(p.level_error, spread.level)),
-        ]
-    )
-    return spread, robust
-
-
-def predicted(data: Measured, at: Target, cfg: Cfg, z: np.ndarray) -> np.ndarray:
-    """Frequency, Hz, decay, 1/s, and level, dB, of the model's partials [3, partials], with gain, path and noise."""
-    frequency, decay, level = np.asarray(joint_batch(jnp.asarray(z[None]), at, cfg)[2])[0]
-    level = level + np.asarray(at.basis) @ z[len(NAMES) :]
-    level = 10 * np.log10(10 ** (level / 10) + 10 ** (np.asarray(at.floor) / 10))
-    return np.stack([frequency, decay, level])[:, : data.found]
 
 
 def _ended(state: State, end: Descent, at: Target, spread: Spreads, robust, count: int) -> Fit:

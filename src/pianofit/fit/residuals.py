@@ -9,6 +9,7 @@ the scatter about the model, they give the estimate and its interval.
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -20,7 +21,7 @@ from ..model.contact import strike
 from ..model.modes import mode_table
 from ..model.response import level_db, mobility, ringing
 from ..parameters import Geometry, Hammer, String
-from .space import LOG, SIZE, stiffness
+from .space import LOG, NAMES, stiffness
 
 __all__ = [
     "Cfg",
@@ -37,6 +38,7 @@ __all__ = [
 # A strike that does not end within the steps of a search costs this much.
 ENDLESS = 1e3
 DB = 10 / math.log(10.0)
+CENT = math.log(2.0) / 1200
 
 
 class Cfg(NamedTuple):
@@ -49,10 +51,9 @@ class Cfg(NamedTuple):
 
 
 class Target(NamedTuple):
-    """The recording, padded to [rows], and what turns differences into residuals. `weight`s of padding are 0."""
+    """The takes' partials, k = 1 to rows, and what turns differences into residuals; weights are 0 where none is."""
 
-    row: Array  # k - 1
-    frequency: Array  # Hz
+    frequency: Array  # Hz, [takes, rows]
     decay: Array  # 1/s
     level: Array  # dB
     floor: Array  # dB, energy of the noise
@@ -63,11 +64,15 @@ class Target(NamedTuple):
     line_weight: Array  # share of each line in its band's eq. 19, times what eq. 19 weighs
     hammer_line: Array  # the same in the hammer's band alone
     by_energy: Array  # 1: the hammer's band alone, on eq. 19; 0: everything else
-    basis: Array  # [rows, 1 + terms]: gain and path
+    common: Array  # [groups, takes, rows]: unit vectors over a group's takes, and
+    shrink: Array  # [groups, rows]: how much of what they have in common is the path's roughness
+    basis: Array  # [takes, rows, size]: gain and path, dB
+    ratio: Array  # [takes, size]: selects the log velocity ratio
+    cents: Array  # [takes, size]: selects the pitch
     start: Array  # [size], search coordinates
     prior_weight: Array  # [size]
     log_u: Array
-    delay: Array  # s, from the first touch to the recording's onset
+    delay: Array  # s, [takes], from the first touch to the recording's onset
     geometry: Geometry
     rate: Array  # of the contact, Hz
 
@@ -83,41 +88,51 @@ class Lines(NamedTuple):
     rate: Array
 
 
-def predict(string_z: Float[Array, " 4"], hammer_z: Float[Array, " 7"], target: Target, cfg: Cfg):
-    """Frequency, Hz, decay, 1/s, and level, dB, of the target's partials [3, rows], and whether the contact ended."""
+def predict(string_z: Float[Array, " 4"], hammer_z: Float[Array, " 7"], ratio: Array, target: Target, cfg: Cfg):
+    """Frequency, Hz, decay, 1/s, and level, dB, of the partials [takes, 3, rows], and whether all contacts ended.
+
+    `ratio` [takes] are the log velocities over that in `hammer_z`. Takes differ in nothing else before gain and path.
+    """
     string = String(*jnp.exp(string_z))
     _, mu, p, mass, velocity, at, width = jnp.exp(hammer_z)
     hammer = Hammer(jnp.exp(stiffness(hammer_z[0], p, target.log_u)), mu, p, mass, velocity)
     geometry = target.geometry._replace(strike=at, width=width)
     modes = mode_table(string, geometry, rate=target.rate, n_modes=cfg.n_modes, quantity=cfg.quantity)
-    pulse = strike(modes, hammer, steps=cfg.steps)
-    heard = jax.tree.map(lambda x: x[target.row] if x.ndim else x, modes)
-    amplitude = ringing(heard, pulse.drive) * jnp.exp(heard.pole.real * target.delay)
-    decay = -heard.pole.real
-    prediction = jnp.stack([heard.pole.imag / (2 * jnp.pi), decay, level_db(amplitude, decay)])
-    return prediction, pulse.compression[-1] <= 0
+
+    def levels(ratio: Array, delay: Array):
+        pulse = strike(modes, hammer._replace(v_H0=velocity * jnp.exp(ratio)), steps=cfg.steps)
+        amplitude = ringing(modes, pulse.drive) * jnp.exp(modes.pole.real * delay)
+        return level_db(amplitude, -modes.pole.real), pulse.compression[-1] <= 0
+
+    level, ended = jax.vmap(levels)(ratio, target.delay)
+    string = jnp.stack([modes.pole.imag / (2 * jnp.pi), -modes.pole.real])
+    rows = target.frequency.shape[1]
+    takes = jnp.broadcast_to(string, (len(ratio), *string.shape))
+    return jnp.concatenate([takes, level[:, None]], axis=1)[..., :rows], ended.all()
 
 
 def compare(prediction: Array, z: Float[Array, " size"], target: Target, cfg: Cfg) -> Float[Array, " residuals"]:
-    """Residuals of a prediction [3, rows] (frequency, decay, level before gain and path) and of the point itself.
+    """Residuals of a prediction [takes, 3, rows] (frequency, decay, level before gain and path) and of the point.
 
-    Half their sum of squares is the cost.
+    Half their sum of squares is the cost. Levels of one partial in several takes of a group share the path's roughness:
+    what they have in common counts less than their differences, by the square root of their covariance's inverse.
     """
-    frequency, decay, level = prediction
-    shaped = level + target.basis @ z[LOG:]
+    frequency, decay, level = jnp.moveaxis(prediction, 1, 0)
+    frequency = frequency * (1 + CENT * (target.cents @ z))[:, None]
+    shaped = level + target.basis @ z
     # Noise adds its energy to the model's, as it did to the recording's.
     heard = DB * jnp.logaddexp(shaped / DB, target.floor / DB)
+    miss = target.level_weight * (heard - target.level)
+    miss = miss - jnp.einsum("gtk,gk,gsk,sk->tk", target.common, target.shrink, target.common, miss)
     rest = 1 - target.by_energy
-    return jnp.concatenate(
-        [
-            target.frequency_weight * (frequency - target.frequency),
-            target.decay_weight * (decay - target.decay),
-            rest * target.level_weight * (heard - target.level),
-            rest * target.line_weight * (_relative(shaped - target.line) - 1),
-            target.by_energy * _in_hammer_band(shaped, target, cfg),
-            target.prior_weight * (z - target.start),
-        ]
+    kinds = (
+        target.frequency_weight * (frequency - target.frequency),
+        target.decay_weight * (decay - target.decay),
+        rest * miss,
+        rest * target.line_weight * (_relative(shaped - target.line) - 1),
+        target.by_energy * jax.vmap(partial(_in_hammer_band, cfg=cfg))(shaped, target.line, target.hammer_line),
     )
+    return jnp.concatenate([*(x.ravel() for x in kinds), target.prior_weight * (z - target.start)])
 
 
 def _relative(db: Array) -> Array:
@@ -126,10 +141,9 @@ def _relative(db: Array) -> Array:
     return jnp.where(ratio > 4.0, 4.0 * jnp.sqrt(ratio / 4.0), ratio)
 
 
-def _in_hammer_band(level: Array, target: Target, cfg: Cfg) -> Array:
-    """Eq. 19 over the hammer's band, with the gain, where it is unknown, in closed form."""
-    share = target.hammer_line
-    model = share * jnp.exp(jnp.clip(level - target.line, -300.0, 300.0) / DB)
+def _in_hammer_band(level: Array, line: Array, share: Array, cfg: Cfg) -> Array:
+    """Eq. 19 over the hammer's band of one take, with the gain, where it is unknown, in closed form."""
+    model = share * jnp.exp(jnp.clip(level - line, -300.0, 300.0) / DB)
     gain = 1.0 if cfg.calibrated else (model * share).sum() / jnp.maximum((model**2).sum(), 1e-300)
     return 30.0 * (gain * model - share)
 
@@ -152,24 +166,27 @@ def string_lines(z: Array, lines: Lines, cfg: Cfg) -> Array:
 def _evaluate(string_z: Array, rest: Array, fixed_string: bool, target: Target, cfg: Cfg):
     """Residuals, Jacobian and prediction at one point; the prediction is differentiated, the comparison chained on."""
     z = jnp.concatenate([string_z, rest])
+    ratio, velocity = target.ratio @ z, NAMES.index("v_H0")
 
     def twice(x):
         string, hammer = (string_z, x) if fixed_string else (x[:4], x[4:])
-        value, ended = predict(string, hammer, target, cfg)
+        value, ended = predict(string, hammer, ratio, target, cfg)
         return value, (value, ended)
 
     slope, (value, ended) = jax.jacfwd(twice, has_aux=True)(rest[: LOG - 4] if fixed_string else z[:LOG])
-    missing = SIZE - slope.shape[-1]
-    slope = jnp.pad(slope, ((0, 0), (0, 0), (4, missing - 4) if fixed_string else (0, missing)))
+    before = 4 if fixed_string else 0
+    slope = jnp.pad(slope, ((0, 0), (0, 0), (0, 0), (before, z.shape[0] - LOG)))
+    # Each take's velocity is v_H0 times its own ratio.
+    slope = slope + slope[..., velocity : velocity + 1] * target.ratio[:, None, None, :]
     residual, push = jax.linearize(lambda v, x: compare(v, x, target, cfg), value, z)
-    jacobian = jax.vmap(push, in_axes=(2, 0), out_axes=1)(slope, jnp.eye(SIZE))
+    jacobian = jax.vmap(push, in_axes=(3, 0), out_axes=1)(slope, jnp.eye(z.shape[0]))
     endless = jnp.where(ended, 0.0, ENDLESS)
     return jnp.append(residual, endless), jnp.pad(jacobian, ((0, 1), (0, 0))), value
 
 
 @kept
 def joint_batch(z, target: Target, cfg: Cfg):
-    """Residuals [starts, residuals], their Jacobian [starts, residuals, size] and the prediction [starts, 3, rows].
+    """Residuals [starts, residuals], their Jacobian [starts, residuals, size], the prediction [starts, takes, 3, rows].
 
     `z` is a batch of search points [starts, size].
     """

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import jax.numpy as jnp
@@ -17,14 +18,15 @@ from ..parameters import PARAMETERS
 from ..recording import Recording
 from .levenberg import descend
 from .recipe import Fit, predicted
-from .residuals import joint_batch
+from .residuals import CENT, joint_batch
 from .space import NAMES, K, split, struck
+from .takes import Take
 from .target import Measured
 from .uncertainty import covariance, intervals, statuses, tangled, to_stiffness
 from .verdict import verdict, words
 from .voice import Voice
 
-__all__ = ["SCHEMA", "Result", "Sound", "conclude"]
+__all__ = ["SCHEMA", "Heard", "Result", "Sound", "conclude", "scored"]
 
 SCHEMA = 1
 # Levels are compared over partials to 6 kHz within 60 dB of the strongest (design §4).
@@ -45,15 +47,53 @@ class Sound:
 
 
 @dataclass(frozen=True)
-class Result:
-    """A finished fit. `document` is what `fit.json` holds."""
+class Heard:
+    """One take beside what the model makes of it."""
 
-    document: dict
     initial: Sound
     fitted: Sound
     data: Measured
     recording: Recording
     analysis: Analysis
+    criterion: dict
+    levels: dict
+
+
+@dataclass(frozen=True)
+class Result:
+    """A finished fit. `document` is what `fit.json` holds, `takes` are in the order in which they were given.
+
+    What a page shows of one take is that of the `first`, on which the others' velocities rest.
+    """
+
+    document: dict
+    takes: tuple[Heard, ...]
+    first: int
+
+    @property
+    def initial(self) -> Sound:
+        """Before the fit, first take."""
+        return self.takes[self.first].initial
+
+    @property
+    def fitted(self) -> Sound:
+        """After the fit, first take."""
+        return self.takes[self.first].fitted
+
+    @property
+    def data(self) -> Measured:
+        """The partials, first take."""
+        return self.takes[self.first].data
+
+    @property
+    def recording(self) -> Recording:
+        """As it was read, first take."""
+        return self.takes[self.first].recording
+
+    @property
+    def analysis(self) -> Analysis:
+        """Of the first take."""
+        return self.takes[self.first].analysis
 
     @property
     def worse_bands(self) -> list[str]:
@@ -67,37 +107,32 @@ def worse_bands(criterion: dict) -> list[str]:
     return [n for n in names if criterion[n]["final"] >= criterion[n]["initial"]]
 
 
-def conclude(recording: Recording, analysis: Analysis, start: Start, fit: Fit, seed: int) -> Result:
+def conclude(takes: Sequence[Take], start: Start, fit: Fit, seed: int, order: Sequence[int] = (0,)) -> Result:
     """Put a fit into words: intervals, statuses, the criterion and the levels before and after.
+
+    Parameters
+    ----------
+    order : where each take stands in what was given.
 
     Raises
     ------
     FitError
-        If the initial or the final contact does not end.
+        If an initial or a final contact does not end.
     """
-    scored = _scored(fit.data)
     first = fit.space.start.copy()
     first[: len(NAMES)] = [start.initial.get(n, start.values[n]) for n in NAMES]
-    ear = _Ear.of(recording, analysis, fit.data)
-    unit = 1.0 if start.scale is None else 1.0 / start.scale
-    initial = _sound(ear, start, fit, first, unit if start.scale else None, None)
-    gain, path = _gain_and_path(fit, start, fit.values)
-    fitted = _sound(ear, start, fit, fit.values, gain * unit if start.scale else None, path)
     literature = None if fit.data.calibrated else _path_only(fit)
-    measured = fit.data.level[: fit.data.found]
-
+    heard = [_heard(i, take, start, fit, first, literature) for i, take in enumerate(takes)]
     cov = covariance(fit.jacobian, _row_variance(fit), fit.space, fit.pressed)
     cov = to_stiffness(cov, fit.values, fit.space.log_u)
     states = statuses(cov, fit.space, fit.space.at_bound(fit.values), start.fixed)
-    levels = {
-        "initial_db": level_error_db(initial.level[scored], measured[scored]),
-        "fitted_db": level_error_db(fitted.level[scored], measured[scored]),
-        "path_only_db": None if literature is None else level_error_db(literature[0][scored], measured[scored]),
-        "partials": int(scored.sum()),
-    }
+    levels = _together([h.levels for h in heard])
     opening, states = verdict(fit, start, states, levels, None if literature is None else literature[1])
-    spans = intervals(cov, fit.values[: len(NAMES)], max(3 * len(fit.data.partials) - int(fit.space.free.sum()), 1))
-    criterion = _criterion(ear, fit.data, initial, fitted)
+    count = 3 * int(fit.data.found.sum()) - int(fit.space.free.sum())
+    spans = intervals(cov, fit.values[: len(NAMES)], max(count, 1))
+    criterion, fitted = heard[0].criterion, heard[0].fitted
+    analyses, recordings = [t.analysis for t in takes], [t.recording for t in takes]
+    said = words(fit, start, analyses, recordings, states, tangled(cov), worse_bands(criterion))
     document = {
         "schema": SCHEMA,
         "program": "pianofit",
@@ -105,17 +140,51 @@ def conclude(recording: Recording, analysis: Analysis, start: Start, fit: Fit, s
         "seed": seed,
         "converged": fit.converged,
         "verdict": opening,
-        "messages": words(fit, start, analysis, recording, states, tangled(cov), worse_bands(criterion)),
+        "messages": said,
         "parameters": _parameters(fit.values, first, spans, states, start),
-        "takes": [_take(recording, fit.values, fitted.voice.gain, start)],
-        "pickup": {"quantity": start.quantity, "path": _path_document(path)},
-        "derived": _derived(fitted, analysis, cov),
+        "takes": _in_order([_take(fit, i, h, start) for i, h in enumerate(heard)], order),
+        "pickup": {"quantity": start.quantity, "path": _path_document(fitted.voice.path)},
+        "derived": _derived(fitted, analyses[0], cov),
         "criterion": criterion,
         "levels": levels,
         "diagnostics": _diagnostics(fit, cov),
         "versions": versions(),
     }
-    return Result(document, initial, fitted, fit.data, recording, analysis)
+    return Result(document, tuple(_in_order(heard, order)), order[0])
+
+
+def _in_order(items: list, order: Sequence[int]) -> list:
+    """Items of the takes as the fit has them, in the order in which they were given."""
+    return [items[list(order).index(i)] for i in range(len(items))]
+
+
+def _together(levels: list[dict]) -> dict:
+    """Level errors over all takes, dB rms, and the partials counted."""
+    count = np.array([x["partials"] for x in levels])
+
+    def rms(name: str) -> float | None:
+        values = [x[name] for x in levels]
+        return None if None in values else float(np.sqrt((np.square(values) * count).sum() / count.sum()))
+
+    return {name: rms(name) for name in ("initial_db", "fitted_db", "path_only_db")} | {"partials": int(count.sum())}
+
+
+def _heard(i: int, take: Take, start: Start, fit: Fit, first: np.ndarray, literature) -> Heard:
+    """One take before and after, on the criterion and in its levels."""
+    data = fit.data.each[i]
+    ear = _Ear.of(take.recording, take.analysis, data)
+    unit = None if start.scale is None else 1.0 / start.scale
+    initial = _sound(ear, start, fit, i, first, unit, None)
+    fitted = _sound(ear, start, fit, i, fit.values, unit, _path(fit, i, start))
+    measured = data.level[: data.found]
+    chosen = scored(data.partials.frequency, measured)
+    through = None if literature is None else literature[0][i, data.partials.number - 1]
+    of = {"initial_db": initial.level, "fitted_db": fitted.level, "path_only_db": through}
+    levels = {n: None if x is None else level_error_db(x[chosen], measured[chosen]) for n, x in of.items()}
+    criterion = _criterion(ear, data, initial, fitted)
+    return Heard(
+        initial, fitted, data, take.recording, take.analysis, criterion, levels | {"partials": int(chosen.sum())}
+    )
 
 
 def versions() -> dict[str, str]:
@@ -134,20 +203,18 @@ def _row_variance(fit: Fit) -> np.ndarray:
 
     Their weights are not their scatter's alone, which is known all the same.
     """
-    rows, found = len(fit.target.row), fit.data.found
+    cells, found = fit.data.found.size, fit.data.found.ravel()
     variance = np.ones(fit.jacobian.shape[0])
-    sd = np.hypot(fit.data.partials.level_error, fit.spread.level)
-    variance[2 * rows : 2 * rows + found] = (np.asarray(fit.target.level_weight)[:found] * sd) ** 2
-    sd = sd * np.log(10) / 10
-    variance[3 * rows : 3 * rows + found] = (np.asarray(fit.target.line_weight)[:found] * sd) ** 2
-    variance[3 * rows + found : 4 * rows] = 0.0
+    sd = np.hypot(fit.data.level_error, fit.spread.level).ravel()
+    level, line = (np.asarray(x).ravel() for x in (fit.target.level_weight, fit.target.line_weight))
+    variance[2 * cells : 3 * cells][found] = (level * sd)[found] ** 2
+    variance[3 * cells : 4 * cells] = np.where(found, (line * sd * np.log(10) / 10) ** 2, 0.0)
     return variance
 
 
-def _scored(data: Measured) -> np.ndarray:
+def scored(frequency: np.ndarray, level: np.ndarray) -> np.ndarray:
     """The partials on which levels are compared [partials], bool."""
-    level = data.level[: data.found]
-    return (data.partials.frequency <= LEVEL_TOP) & (level >= level.max() - LEVEL_RANGE)
+    return (frequency <= LEVEL_TOP) & (level >= level.max() - LEVEL_RANGE)
 
 
 @dataclass(frozen=True)
@@ -179,49 +246,65 @@ class _Ear:
         return float(np.sqrt(closed_form_gain(self.hear(samples), self.energy, self.spacing[:, None])))
 
 
-def _sound(ear: _Ear, start: Start, fit: Fit, values: np.ndarray, gain: float | None, path: OutputPath | None) -> Sound:
-    """Play `values`; without a gain, with the one that the criterion likes best."""
-    recording = ear.recording
+def _sound(
+    ear: _Ear, start: Start, fit: Fit, take: int, values: np.ndarray, gain: float | None, path: OutputPath | None
+) -> Sound:
+    """Play `values` as in one take; without a gain, with the one that the criterion likes best."""
+    recording, layout = ear.recording, fit.data.layout
     string, hammer = split(values)
+    hammer = hammer._replace(v_H0=hammer.v_H0 * float(np.exp(values[layout.ratio[take]])))
+    string = string._replace(c=string.c * (1 + CENT * float(values[layout.cents[take]])))
     geometry = struck(start.geometry, values)
     voice = Voice(string, hammer, geometry, start.quantity, 1.0, path)
-    touch = recording.onset - round(float(fit.target.delay) * recording.rate)
+    touch = recording.onset - round(float(fit.state.delay[take]) * recording.rate)
     samples, simulation = voice.play(recording.rate, len(recording.samples), touch)
     gain = ear.gain(samples) if gain is None else gain
     z = fit.space.z(values)
     if not fit.data.calibrated:
-        z[len(NAMES)] = 20 * np.log10(max(gain, 1e-15))
-    return Sound(voice._replace(gain=gain), samples * gain, simulation, predicted(fit.data, fit.target, fit.cfg, z)[2])
+        z[layout.gain[take]] = 20 * np.log10(max(gain, 1e-15))
+    data = fit.data.each[take]
+    level = predicted(fit.target, fit.cfg, z)[take, 2, data.partials.number - 1]
+    if path is not None:
+        level = level + _roughness(fit, take)[data.partials.number - 1]
+    return Sound(voice._replace(gain=gain), samples * gain, simulation, level)
 
 
-def _gain_and_path(fit: Fit, start: Start, values: np.ndarray) -> tuple[float, OutputPath | None]:
-    """Gain, a factor, and path in `values` [size]."""
-    gain = 10 ** (values[len(NAMES)] / 20)
+def _roughness(fit: Fit, take: int) -> np.ndarray:
+    """What takes of a group share beyond hammer and smooth path, dB [rows], shrunk by how well it is known."""
+    data = fit.data
+    mine = data.found & (np.array(data.layout.groups) == data.layout.groups[take])[:, None]
+    if fit.spread.rough == 0:
+        return np.zeros(data.rows)
+    miss = data.level - predicted(fit.target, fit.cfg, fit.z[0])[:, 2]
+    weight = mine / (data.level_error**2 + fit.spread.level**2 + ~mine)
+    return (weight * miss).sum(axis=0) / (weight.sum(axis=0) + fit.spread.rough**-2)
+
+
+def _path(fit: Fit, take: int, start: Start) -> OutputPath | None:
+    """The fitted path of one take, smooth part and roughness, where it has partials."""
     if start.quantity != "pressure":
-        return float(gain), None
-    order = np.argsort(fit.data.frequency)
-    path = np.asarray(fit.target.basis)[: len(order), 1:] @ values[len(NAMES) + 1 :]
-    return float(gain), OutputPath(fit.data.frequency[order], path[order])
+        return None
+    data, columns = fit.data, fit.data.layout.path[take]
+    mine = data.found & (np.array(data.layout.groups) == data.layout.groups[take])[:, None]
+    rows = np.flatnonzero(mine.any(axis=0))
+    smooth = np.asarray(fit.target.basis)[mine.argmax(axis=0), np.arange(data.rows)][:, columns] @ fit.values[columns]
+    frequency = data.frequency[mine.argmax(axis=0), np.arange(data.rows)]
+    return OutputPath(frequency[rows], (smooth + _roughness(fit, take))[rows])
 
 
 def _path_only(fit: Fit) -> tuple[np.ndarray, float]:
-    """Levels of the literature's hammer on the fitted string through the path that suits it best, and its χ² excess."""
-    free = np.arange(len(fit.values)) >= len(NAMES)
-    values = np.where(np.arange(len(fit.values)) < 4, fit.values, fit.space.start)
-    values[len(NAMES)] = fit.values[len(NAMES)]
+    """The literature's hammer on the fitted string through its best path: levels [takes, rows], and its χ² excess."""
+    layout, index = fit.data.layout, np.arange(len(fit.values))
+    free = (index >= len(NAMES)) & ~np.isin(index, layout.ratio)
+    values = np.where(index < 4, fit.values, fit.space.start)
+    values[layout.gain] = fit.values[layout.gain]
     held = replace(fit.space, free=fit.space.free & free, start=values)
     end = descend(
         lambda z: joint_batch(jnp.asarray(z), fit.target, fit.cfg), held.z(values[None]), held, iterations=25, free=free
     )
-    weight = np.asarray(fit.target.level_weight)[: fit.data.found]
-    measured = fit.data.level[: fit.data.found]
-
-    def misfit(z: np.ndarray) -> tuple[np.ndarray, float]:
-        level = predicted(fit.data, fit.target, fit.cfg, z)[2]
-        return level, float(((weight * (level - measured)) ** 2).sum())
-
-    level, cost = misfit(end.z[0])
-    return level, cost - misfit(fit.z[0])[1]
+    cells = fit.data.found.size
+    excess = (end.residual[0] ** 2 - fit.residual**2)[2 * cells : 3 * cells].sum()
+    return predicted(fit.target, fit.cfg, end.z[0])[:, 2], float(excess)
 
 
 def _parameters(values, first, spans, states, start: Start) -> dict:
@@ -248,11 +331,15 @@ def _parameters(values, first, spans, states, start: Start) -> dict:
     return table
 
 
-def _take(recording: Recording, values: np.ndarray, gain: float, start: Start) -> dict:
+def _take(fit: Fit, i: int, heard: Heard, start: Start) -> dict:
+    """What one take has of its own."""
+    recording, layout = heard.recording, fit.data.layout
     return {
         "file": recording.path, "sha256": recording.sha256, "rate": recording.rate,
-        "onset_s": recording.onset / recording.rate, "v_H0": float(values[NAMES.index("v_H0")]),
-        "gain": gain, "gain_status": "free" if start.scale is None else "fixed",
+        "onset_s": recording.onset / recording.rate, "v_H0": float(heard.fitted.voice.hammer.v_H0),
+        "gain": heard.fitted.voice.gain, "gain_status": "free" if start.scale is None else "fixed",
+        "first": i == 0, "cents": float(fit.values[layout.cents[i]]), "group": layout.groups[i],
+        "criterion": heard.criterion, "levels": heard.levels,
     }  # fmt: skip
 
 
@@ -298,8 +385,8 @@ def _criterion(ear: _Ear, data: Measured, initial: Sound, fitted: Sound) -> dict
 def _diagnostics(fit: Fit, cov: np.ndarray) -> dict:
     return {
         "cost": fit.cost, "evaluations": fit.evaluations, "agreeing_starts": fit.agreeing,
-        "partials": len(fit.data.partials), "contact_rate_Hz": float(fit.target.rate), "modes": fit.cfg.n_modes,
+        "partials": int(fit.data.found.sum()), "contact_rate_Hz": float(fit.target.rate), "modes": fit.cfg.n_modes,
         "scatter": {"frequency_cents": fit.spread.frequency, "decay_relative": fit.spread.decay,
-                    "level_db": fit.spread.level},
+                    "level_db": fit.spread.level, "rough_db": fit.spread.rough},
         "correlated": [{"pair": [a, b], "correlation": r} for a, b, r in tangled(cov)],
     }  # fmt: skip

@@ -1,8 +1,9 @@
-"""Where a fit searches: logarithms of the nine parameters, of strike position and width, then gain and path, in a box.
+"""Where a fit searches: logarithms of parameters, strike position and width, then the takes' own and paths, in a box.
 
 The felt's stiffness is searched as the force at a reference compression, F_ref = K_H u_ref^p: K_H and p trade off along
-F = const at the compressions that a strike really reaches, and F_ref is what the recording fixes. The gain, dB, and the
-coefficients of the output path, dB, follow as they are; a calibrated recording has neither.
+F = const at the compressions that a strike really reaches, and F_ref is what the recording fixes. String, felt and
+hammer are those of all takes, v_H0 is that of the first; `Layout` says where the rest is. A calibrated recording has
+neither gain nor path.
 """
 
 from __future__ import annotations
@@ -14,14 +15,55 @@ import numpy as np
 from ..criterion import PATH_TERMS
 from ..parameters import FIT_NAMES, PARAMETERS, Geometry, Hammer, String
 
-__all__ = ["LOG", "NAMES", "SIZE", "Box", "K", "P", "Space", "default_box", "split", "stiffness", "struck"]
+__all__ = ["LOG", "NAMES", "SIZE", "Box", "K", "Layout", "P", "Space", "default_box", "split", "stiffness", "struck"]
 
 NAMES = (*FIT_NAMES, "x0", "width")
 LOG = len(NAMES)
-SIZE = LOG + 1 + PATH_TERMS
 K, P = NAMES.index("K_H"), NAMES.index("p")
-# Gain and path stay within this, dB.
-MOST_DB = 400.0
+# Gain and path stay within this, dB, log velocity ratios and pitches, cents, within these.
+MOST_DB, MOST_RATIO, MOST_CENTS = 400.0, 5.0, 50.0
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where in a search point [size] a take has its own: v_H0 over the first take's (log), gain, dB, pitch, cents."""
+
+    groups: tuple[int, ...] = (0,)  # of each take: takes of one group, from 0, share one path
+    gains: tuple[int, ...] = (0,)  # of each take: the take whose gain it has
+
+    @property
+    def takes(self) -> int:
+        """How many."""
+        return len(self.groups)
+
+    @property
+    def size(self) -> int:
+        """Of a search point."""
+        return LOG + 3 * self.takes + PATH_TERMS * (max(self.groups) + 1)
+
+    @property
+    def ratio(self) -> np.ndarray:
+        """Coordinates of the log velocity ratios [takes]; the first stays 0."""
+        return LOG + 3 * np.arange(self.takes)
+
+    @property
+    def gain(self) -> np.ndarray:
+        """Coordinates of the gains [takes]."""
+        return LOG + 3 * np.array(self.gains) + 1
+
+    @property
+    def cents(self) -> np.ndarray:
+        """Coordinates of the pitches [takes]; the first stays 0."""
+        return LOG + 3 * np.arange(self.takes) + 2
+
+    @property
+    def path(self) -> np.ndarray:
+        """Coordinates of the paths' terms [takes, terms]."""
+        first = LOG + 3 * self.takes + PATH_TERMS * np.array(self.groups)
+        return first[:, None] + np.arange(PATH_TERMS)
+
+
+SIZE = Layout().size
 
 
 def split(values: np.ndarray) -> tuple[String, Hammer]:
@@ -119,9 +161,10 @@ class Space:
         return self.free & np.pad(on, (0, len(values) - LOG))
 
 
-def default_box(length: float, width: float) -> tuple[np.ndarray, np.ndarray]:
-    """Bounds of `PARAMETERS`, of a strike that keeps its window on the string's first part, and of dB."""
-    rest = np.full(SIZE - LOG, MOST_DB)
+def default_box(length: float, width: float, layout: Layout = Layout()) -> tuple[np.ndarray, np.ndarray]:
+    """Bounds of `PARAMETERS`, of a strike that keeps its window on the string's first part, and of the takes' own."""
+    rest = np.full(layout.size, MOST_DB)
+    rest[layout.ratio], rest[layout.cents] = MOST_RATIO, MOST_CENTS
     lower = [PARAMETERS[n].lower for n in FIT_NAMES] + [max(0.04 * length, 0.51 * width), 0.3 * width]
     upper = [PARAMETERS[n].upper for n in FIT_NAMES] + [0.33 * length, 2.0 * width]
-    return np.append(lower, -rest), np.append(upper, rest)
+    return np.append(lower, -rest[LOG:]), np.append(upper, rest[LOG:])

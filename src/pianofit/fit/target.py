@@ -1,8 +1,8 @@
-"""A recording as the fit sees it: rows of measured partials, their weights, and the cells of its spectrum."""
+"""Recordings as the fit sees them: rows of measured partials, their weights, and the cells of a spectrum."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -14,10 +14,10 @@ from ..initial import Start
 from ..model.response import LEVEL_DECAY, level_db
 from ..parameters import Geometry
 from ..recording import Recording
-from .residuals import Lines, Target
-from .space import Space
+from .residuals import CENT, Lines, Target
+from .space import Layout, Space
 
-__all__ = ["CENT", "ROWS", "Measured", "Spreads", "doubt", "lines", "measured", "pad", "target"]
+__all__ = ["CENT", "ROWS", "Measured", "Spreads", "Takes", "doubt", "lines", "measured", "side_by_side", "target"]
 
 # Rows come in whole multiples of this, so that notes share compiled programs.
 ROWS = 64
@@ -25,7 +25,6 @@ ROWS = 64
 SILENT_DB = 3.0
 # Levels that scatter more than this, dB, weigh no less: else what is badly fitted would be fitted ever worse.
 MOST_SCATTER = 5.0
-CENT = np.log(2) / 1200
 
 
 @dataclass(frozen=True)
@@ -57,7 +56,68 @@ class Spreads:
 
     frequency: float  # cents
     decay: float  # relative
-    level: float  # dB
+    level: float  # dB, of each take for itself
+    rough: float = 0.0  # dB, of a partial in all takes of a group alike: what no smooth path explains
+
+
+@dataclass(frozen=True)
+class Takes:
+    """The takes' partials side by side [takes, rows], k = 1 to rows; what a take has not is 0 there."""
+
+    each: tuple[Measured, ...]
+    layout: Layout
+    rows: int
+    found: np.ndarray  # bool
+    silent: np.ndarray  # bool
+    frequency: np.ndarray  # Hz
+    frequency_error: np.ndarray
+    decay: np.ndarray  # 1/s
+    decay_error: np.ndarray
+    level: np.ndarray  # dB
+    level_error: np.ndarray
+
+    @property
+    def number(self) -> np.ndarray:
+        """k [rows]."""
+        return np.arange(1, self.rows + 1)
+
+    @property
+    def calibrated(self) -> bool:
+        """Whether levels are in the pickup's own unit."""
+        return self.each[0].calibrated
+
+    @property
+    def occupied(self) -> tuple[int, ...]:
+        """Bands with a partial above the noise in any take."""
+        return tuple(sorted({b for data in self.each for b in data.occupied}))
+
+    def spread_out(self, values: list[np.ndarray], fill: float = 0.0) -> np.ndarray:
+        """One row a partial of each take's values [rows of the take] or [partials]: as [takes, rows]."""
+        out = np.full((len(self.each), self.rows), fill)
+        for row, data, x in zip(out, self.each, values, strict=True):
+            row[data.number[: len(x)] - 1] = x
+        return out
+
+
+def side_by_side(each: tuple[Measured, ...], layout: Layout) -> Takes:
+    """The takes on common rows, in whole multiples of `ROWS`."""
+    rows = ROWS * int(np.ceil(max(data.number.max() for data in each) / ROWS))
+    blank = np.zeros((len(each), rows))
+    takes = Takes(each, layout, rows, blank > 0, blank > 0, *(blank,) * 6)
+    ones = [np.ones(len(data.number)) for data in each]
+    found = takes.spread_out([x[: d.found] for x, d in zip(ones, each, strict=True)]) > 0
+    partials = [data.partials for data in each]
+    return replace(
+        takes,
+        found=found,
+        silent=(takes.spread_out(ones) > 0) & ~found,
+        frequency=takes.spread_out([d.frequency for d in each]),
+        frequency_error=takes.spread_out([p.frequency_error for p in partials]),
+        decay=takes.spread_out([p.decay for p in partials]),
+        decay_error=takes.spread_out([p.decay_error for p in partials]),
+        level=takes.spread_out([d.level for d in each]),
+        level_error=takes.spread_out([p.level_error for p in partials]),
+    )
 
 
 def measured(recording: Recording, analysis: Analysis, start: Start) -> Measured:
@@ -100,17 +160,21 @@ def _lines_of(recording: Recording, analysis: Analysis, sigma: float) -> tuple[n
     return np.asarray(level_db(np.sqrt(best), decay, np)), np.asarray(level_db(np.sqrt(full), decay, np))
 
 
-def pad(x: np.ndarray, fill: float = 0.0) -> np.ndarray:
-    """`x` [partials] filled up to a whole number of `ROWS`."""
-    return np.pad(np.asarray(x, float), (0, -len(x) % ROWS), constant_values=fill)
-
-
-def _basis(data: Measured, start: Start) -> np.ndarray:
-    """Gain and path as columns over the rows [rows, 1 + terms]: none, the gain alone, or both."""
-    basis = np.column_stack([np.ones(len(data.frequency)), path_basis(data.frequency)])
-    if data.calibrated:
-        return 0 * basis
-    return basis if start.quantity == "pressure" else basis * (np.arange(basis.shape[1]) == 0)
+def basis(takes: Takes, start: Start) -> np.ndarray:
+    """Gain and path in search coordinates [takes, rows, size], dB: none, the gain alone, or both."""
+    layout = takes.layout
+    out = np.zeros((layout.takes, takes.rows, layout.size))
+    if takes.calibrated:
+        return out
+    there = takes.found | takes.silent
+    row = there.any(axis=0)
+    terms = np.zeros((takes.rows, layout.path.shape[1]))
+    terms[row] = path_basis(takes.frequency.max(axis=0)[row])
+    for take in range(layout.takes):
+        out[take, :, layout.gain[take]] = 1.0
+        if start.quantity == "pressure":
+            out[take][:, layout.path[take]] = terms
+    return out * there[..., None]
 
 
 def _shares(data: Measured) -> np.ndarray:
@@ -126,32 +190,52 @@ def doubt(number: np.ndarray) -> np.ndarray:
     return np.sqrt(1 + (number / TRUSTED) ** 2)
 
 
-def _level_weight(data: Measured, spread: Spreads, robust: np.ndarray, grade: float) -> np.ndarray:
-    """1/dB [rows]: from noise, scatter, and how far each partial fell out of line."""
-    silent = len(data.number) - data.found
+def _level_weight(takes: Takes, spread: Spreads, robust: np.ndarray, grade: float) -> np.ndarray:
+    """1/dB [takes, rows]: from noise, scatter, and how far each partial fell out of line."""
     scatter = min(spread.level, MOST_SCATTER)
-    own = robust / np.hypot(data.partials.level_error, scatter)
-    weight = np.append(own, np.full(silent, 1 / np.hypot(scatter, SILENT_DB)))
-    loud = 10 ** ((data.level - data.level.max()) * (grade / 10))
-    return weight * loud / np.sqrt(np.mean(loud**2))
+    weight = takes.found * robust / np.hypot(takes.level_error, scatter)
+    weight = np.where(takes.silent, 1 / np.hypot(np.hypot(scatter, spread.rough), SILENT_DB), weight)
+    there = takes.found | takes.silent
+    loudest = np.where(there, takes.level, -np.inf).max(axis=1, keepdims=True)
+    loud = np.where(there, 10 ** ((takes.level - loudest) * (grade / 10)), 0.0)
+    return weight * loud / np.sqrt((loud**2).sum(axis=1, keepdims=True) / there.sum(axis=1, keepdims=True))
+
+
+def _roughness(takes: Takes, weight: np.ndarray, rough: float) -> tuple[np.ndarray, np.ndarray]:
+    """What takes of a group have in common [groups, takes, rows], and by how much it counts less [groups, rows].
+
+    The covariance of one partial's residuals, weighted, is 1 + s² w wᵀ over a group's takes; C^(-1/2) leaves all across
+    w as it is and divides what lies along w by √(1 + s² |w|²).
+    """
+    group = np.array(takes.layout.groups)
+    mine = weight * takes.found * (group == np.arange(group.max() + 1)[:, None])[..., None]
+    power = (mine**2).sum(axis=1)
+    common = mine / np.sqrt(np.where(power > 0, power, 1.0))[:, None]
+    return common, 1 - 1 / np.sqrt(1 + rough**2 * power)
 
 
 def target(
-    data: Measured, start: Start, space: Space, spread: Spreads, robust: np.ndarray, *, rate: float, delay: float,
+    takes: Takes, start: Start, space: Space, spread: Spreads, robust: np.ndarray, *, rate: float, delay: np.ndarray,
     grade: float = 0.0, criterion: float = 0.0,
 ) -> Target:  # fmt: skip
     """Everything the residuals need.
 
     Parameters
     ----------
-    robust : three factors [3, partials] ≤ 1 on the weights of frequency, decay and level.
+    robust : three factors [3, takes, rows] ≤ 1 on the weights of frequency, decay and level.
+    delay : s, [takes], from the first touch to the recording's onset.
     grade : level weights go with energy to this power; 0 counts all partials' decibels alike, which has many false
         minima, and ½ their amplitudes, which has few.
     criterion : a band whose eq. 19 is 1, as for silence, costs half this much.
     """
-    fields = _observed(data) | _weights(data, spread, robust, grade, criterion) | {
+    take, layout = np.arange(takes.layout.takes), takes.layout
+    ratio, cents = np.zeros((2, layout.takes, layout.size))
+    ratio[take, layout.ratio], cents[take, layout.cents] = 1.0, 1.0
+    fields = _observed(takes) | _weights(takes, spread, robust, grade, criterion) | {
         "by_energy": 0.0,
-        "basis": np.pad(_basis(data, start), ((0, -len(data.number) % ROWS), (0, 0))),
+        "basis": basis(takes, start),
+        "ratio": ratio,
+        "cents": cents,
         "start": space.z(space.start),
         "prior_weight": np.where(np.isfinite(space.spread), 1 / space.spread, 0.0) * space.free,
         "log_u": space.log_u,
@@ -162,34 +246,42 @@ def target(
     return Target(**jax.tree.map(jnp.asarray, fields))
 
 
-def _observed(data: Measured) -> dict[str, np.ndarray]:
-    """The partials as `Target` holds them, padded."""
-    p, silent = data.partials, len(data.number) - data.found
+def _observed(takes: Takes) -> dict[str, np.ndarray]:
+    """The partials as `Target` holds them."""
     return {
-        "row": pad(data.number - 1).astype(np.int32),
-        "frequency": pad(data.frequency),
-        "decay": pad(np.append(p.decay, np.full(silent, np.median(p.decay))), 1.0),
-        "level": pad(data.level),
-        "floor": pad(data.floor, -300.0),
-        "line": pad(data.line),
+        "frequency": takes.frequency,
+        "decay": np.where(takes.found, takes.decay, 1.0),
+        "level": takes.level,
+        "floor": takes.spread_out([data.floor for data in takes.each], -300.0),
+        "line": takes.spread_out([data.line for data in takes.each]),
     }
 
 
 def _weights(
-    data: Measured, spread: Spreads, robust: np.ndarray, grade: float, criterion: float
+    takes: Takes, spread: Spreads, robust: np.ndarray, grade: float, criterion: float
 ) -> dict[str, np.ndarray]:
-    """The weights of `Target`, padded; a silent partial has a level alone."""
-    p, none = data.partials, np.zeros(len(data.number) - data.found)
-    sd_frequency = np.hypot(p.frequency_error, p.frequency * CENT * spread.frequency * doubt(p.number))
-    sd_decay = np.hypot(p.decay_error, p.decay * spread.decay)
-    share, band = _shares(data), band_of(data.number)
-    hammer_band = max(data.occupied)  # band 3, or the next occupied one below
+    """The weights of `Target`; a silent partial has a level alone.
+
+    A real string's partials leave the law in all takes alike: together they tell no more of it than one.
+    """
+    alike = takes.found / np.sqrt(np.maximum(takes.found.sum(axis=0), 1))
+    unknown = ~takes.found  # lest it be divided by its 0
+    sd_frequency = np.hypot(takes.frequency_error, takes.frequency * CENT * spread.frequency * doubt(takes.number))
+    sd_decay = np.hypot(takes.decay_error, takes.decay * spread.decay)
+    band = band_of(takes.number)
+    share = takes.spread_out([_shares(data) for data in takes.each])
+    hammer_band = np.array([max(data.occupied) for data in takes.each])  # band 3, or the next occupied one below
+    level = _level_weight(takes, spread, robust[2], grade)
+    common, shrink = _roughness(takes, level, spread.rough)
+    occupied = np.array([np.isin(band, data.occupied) for data in takes.each])
     return {
-        "frequency_weight": pad(np.append(robust[0] / sd_frequency, none)),
-        "decay_weight": pad(np.append(robust[1] / sd_decay, none)),
-        "level_weight": pad(_level_weight(data, spread, robust[2], grade)),
-        "line_weight": pad(np.sqrt(criterion) * share * np.isin(band, data.occupied)),
-        "hammer_line": pad(share * (band == hammer_band)),
+        "frequency_weight": alike * robust[0] / (sd_frequency + unknown),
+        "decay_weight": alike * robust[1] / (sd_decay + unknown),
+        "level_weight": level,
+        "line_weight": np.sqrt(criterion) * share * occupied,
+        "hammer_line": share * (band == hammer_band[:, None]),
+        "common": common,
+        "shrink": shrink,
     }
 
 

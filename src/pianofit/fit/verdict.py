@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from scipy.special import chdtri
 
 from ..analysis import Analysis
 from ..initial import Start
-from ..recording import Recording
+from ..recording import Recording, one_line
 from .recipe import Fit
 from .space import NAMES
 
@@ -17,6 +19,14 @@ FELT = ("K_H", "mu", "p")
 # something acts that the model does not have (a bridge that moves, a second polarisation, a felt with memory), and the
 # felt takes it up; beyond the second it may be another hammer altogether.
 STRAINED, POOR = 0.1, 0.5
+ONE_TAKE = (
+    "One uncalibrated recording does not fix the felt: any hammer's spectrum can be traded for an output path, and a "
+    "softer felt struck faster sounds the same through another gain. "
+)
+SEVERAL_TAKES = (
+    "{} uncalibrated takes of one key: what changes from take to take is the hammer's doing, what they share is the "
+    "path's. "
+)
 
 
 def verdict(
@@ -44,12 +54,11 @@ def verdict(
         if not lost:
             return "Calibrated recording: all free parameters are identified.", states
         return f"Calibrated recording. Not identifiable from it: {', '.join(lost)}.", states
-    hammer = int(fit.space.free[4 : len(NAMES)].sum())
+    hammer, takes = int(fit.space.free[4 : len(NAMES)].sum()), fit.data.layout.takes
     as_good = excess < chdtri(max(hammer, 1), 0.05)
     through = "smooth path" if start.quantity == "pressure" else "gain"
-    text = (
-        "One uncalibrated recording does not fix the felt: any hammer's spectrum can be traded for an output path, and "
-        "a softer felt struck faster sounds the same through another gain. "
+    text = ONE_TAKE if takes == 1 else SEVERAL_TAKES.format(takes)
+    text += (
         f"Partial levels: {levels['initial_db']:.1f} dB off at the start; "
         f"{levels['path_only_db']:.1f} dB with the literature's hammer through the best {through}; "
         f"{levels['fitted_db']:.1f} dB with the fitted hammer through its own. "
@@ -61,17 +70,21 @@ def verdict(
         text += (
             f"The fitted hammer explains more than a {through} alone; its values still rest on that being all there is."
         )
-        states = states | {n: "not-identifiable" for n in FELT if states[n] == "free"}
+        if takes == 1:
+            states = states | {n: "not-identifiable" for n in FELT if states[n] == "free"}
+    if takes > 1 and start.fixed.get("v_H0") == "assumed":
+        states = states | {n: "assumed" for n in ("K_H", "mu") if states[n] == "free"}
     if "v_H0" in start.fixed and start.fixed["v_H0"] == "assumed":
-        text += f" The hammer velocity, {start.values['v_H0']:g} m/s, is assumed, and K_H and μ scale with it."
+        text += f" The hammer velocity{' of the first' * (takes > 1)}, {start.values['v_H0']:g} m/s, is assumed, and "
+        text += f"{'the other velocities, ' * (takes > 1)}K_H and μ scale with it."
     return text, states
 
 
 def words(
     fit: Fit,
     start: Start,
-    analysis: Analysis,
-    recording: Recording,
+    analyses: list[Analysis],
+    recordings: list[Recording],
     states: dict[str, str],
     pairs: list[tuple[str, str, float]],
     worse: list[str],
@@ -106,4 +119,7 @@ def words(
         f"Beyond the noise, partials scatter about the model by {fit.spread.frequency:.2f} cents, "
         f"{100 * fit.spread.decay:.0f} % in decay and {fit.spread.level:.2f} dB in level; the intervals include it."
     )
-    return [*said, *recording.warnings, *analysis.warnings]
+    for recording, analysis in zip(recordings, analyses, strict=True):
+        about = f"{one_line(Path(recording.path).name)}: " if len(recordings) > 1 else ""
+        said += [about + warning for warning in (*recording.warnings, *analysis.warnings)]
+    return said

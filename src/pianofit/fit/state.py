@@ -1,0 +1,162 @@
+"""What the stages of a fit share: the takes, where they are searched, and how much each residual weighs there.
+
+A real string scatters about any model by more than its noise. How much it does is read off the residuals, for
+frequencies, decays and levels apart; levels of several takes through one path scatter in two ways, each for itself and
+all alike, and the second is the path's own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import jax.numpy as jnp
+import numpy as np
+
+from ..criterion import PATH_SPREAD
+from ..initial import Start
+from ..parameters import PARAMETERS
+from .misfit import huber, scatter
+from .residuals import CENT, Cfg, Target, joint_batch
+from .space import LOG, NAMES, Layout, Space, default_box
+from .takes import Take
+from .target import Spreads, Takes, doubt, target
+
+__all__ = ["State", "predicted", "search_space", "settled_weights"]
+
+WIDTH = NAMES.index("width")
+# The model's window, as given or of an effective width, is a stand-in all the same: levels through it are off by about
+# this much, dB, however well they can be fitted.
+STAND_IN = {False: 0.003, True: 0.01}
+# No real path is as smooth as the model's, dB; a few partials would otherwise be fitted to the last digit. What several
+# takes through one path differ by is known better.
+LEAST_SCATTER, LEAST_OWN = 1.0, 0.2
+# Before the first round the model is taken to miss a partial by this much, dB: calibrated, one take, and several, whose
+# path is then rough by so much more.
+FIRST_SCATTER, FIRST_OWN, FIRST_ROUGH = {True: 1.0, False: 4.0}, 2.0, 6.0
+# How far the velocities of takes may be from their guesses, log, and their pitches from the first's, cents.
+RATIO_SPREAD, CENTS_SPREAD = 0.5, 3.0
+
+
+def search_space(start: Start, takes: Sequence[Take], layout: Layout) -> Space:
+    """The box and the starting point [size]; gain and path start at 0 dB."""
+    lower, upper = default_box(start.geometry.length, start.geometry.width, layout)
+    speed = PARAMETERS["v_H0"]
+    lower[layout.ratio] = np.log(speed.lower / start.values["v_H0"])
+    upper[layout.ratio] = np.log(speed.upper / start.values["v_H0"])
+    for name, (low, high) in start.bounds.items():
+        lower[NAMES.index(name)], upper[NAMES.index(name)] = low, high
+    values, spread = np.zeros(layout.size), np.full(layout.size, np.inf)
+    values[:LOG] = [start.values[n] for n in NAMES]
+    values[layout.ratio] = np.log([take.ratio for take in takes])
+    spread[:LOG] = [start.spread[n] for n in NAMES]
+    spread[layout.ratio], spread[layout.cents], spread[layout.path] = RATIO_SPREAD, CENTS_SPREAD, PATH_SPREAD
+    calibrated, known = start.scale is not None, start.quantity != "pressure"
+    free = np.zeros(layout.size, bool)
+    free[:LOG] = [n not in start.fixed for n in NAMES]
+    free[layout.gain], free[layout.path] = not calibrated, not (calibrated or known)
+    free[layout.ratio[1:]] = [not take.ratio_known for take in takes[1:]]
+    free[layout.cents[1:]] = True
+    lower, upper = np.where(free, lower, values), np.where(free, upper, values)
+    return Space(lower, upper, free, np.clip(values, lower, upper), spread, 0.0)
+
+
+@dataclass(frozen=True)
+class State:
+    """What the stages after the string's share."""
+
+    data: Takes
+    start: Start
+    space: Space
+    rate: float
+    delay: np.ndarray
+    cfg: Cfg
+    criterion: float
+
+    @property
+    def unweighted(self) -> np.ndarray:
+        """Huber's factors before anything is known [3, takes, rows]."""
+        return np.ones((3, *self.data.found.shape))
+
+    def first_spread(self, frequency: float, decay: float) -> Spreads:
+        """Scatter before anything is known."""
+        if self.data.calibrated or self.data.layout.takes == 1:
+            return Spreads(frequency, decay, FIRST_SCATTER[self.data.calibrated])
+        return Spreads(frequency, decay, FIRST_OWN, FIRST_ROUGH)
+
+    def target(self, spread: Spreads, robust: np.ndarray, grade: float = 0.0) -> Target:
+        """The recording, weighted."""
+        return target(
+            self.data, self.start, self.space, spread, robust, rate=self.rate, delay=self.delay, grade=grade,
+            criterion=self.criterion,
+        )  # fmt: skip
+
+    def evaluate(self, function: Callable, at: Target) -> Callable:
+        """Residuals and Jacobians at search points, of a batch function."""
+        return lambda z: function(jnp.asarray(z), at, self.cfg)
+
+
+def settled_weights(state: State, at: Target, z: np.ndarray) -> tuple[Spreads, np.ndarray]:
+    """Scatter of each kind of residual about the model at `z` [1, size], and Huber's factors."""
+    data, found = state.data, state.data.found
+    frequency, decay, level = np.moveaxis(predicted(at, state.cfg, z[0]), 1, 0)
+    there = ~found  # lest what is not there be divided by its 0
+    cent = (data.frequency + there) * CENT * doubt(data.number)
+    cents, cents_sd = (data.frequency - frequency) / cent, data.frequency_error / cent
+    fade, fade_sd = (x / (data.decay + there) for x in (data.decay - decay, data.decay_error))
+    own, common, noise, freedom = _own_and_common(state, data.level - level)
+    spread = Spreads(
+        scatter(cents[found], cents_sd[found], 2),
+        scatter(fade[found], fade_sd[found], 2),
+        scatter(own[found], data.level_error[found], freedom),
+        scatter(common, noise, 0) if len(common) else 0.0,
+    )
+    spread = replace(spread, level=max(spread.level, _least(state)))
+    robust = np.stack(
+        [
+            huber(cents, np.hypot(cents_sd, spread.frequency)),
+            huber(fade, np.hypot(fade_sd, spread.decay)),
+            huber(own, np.hypot(data.level_error, spread.level)),
+        ]
+    )
+    return spread, robust
+
+
+def _least(state: State) -> float:
+    """The scatter of levels, dB, below which no model is to be believed."""
+    if state.start.quantity == "pressure":
+        return LEAST_SCATTER if state.data.layout.takes == 1 else LEAST_OWN
+    return STAND_IN[bool(state.space.free[WIDTH])]
+
+
+def _own_and_common(state: State, miss: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+    """Level residuals [takes, rows], dB, split into each take's own and what takes of a group have in common.
+
+    Returns the first, the second [partials of all groups] with its noise, and how many parameters the first was fitted
+    with. A group of one take has nothing in common with another, nor has a calibrated recording a path.
+    """
+    data, found = state.data, state.data.found
+    freedom = float(state.space.free[4:].sum())
+    own, common, noise = np.where(found, miss, 0.0), [], []
+    for group in range(max(data.layout.groups) + 1):
+        mine = found & (np.array(data.layout.groups) == group)[:, None]
+        several = mine.sum(axis=0) > 1
+        if data.calibrated or mine.any(axis=1).sum() < 2:
+            continue
+        mean = np.where(mine, miss, 0.0).sum(axis=0) / np.maximum(mine.sum(axis=0), 1)
+        own = np.where(mine, miss - mean, own)
+        common.append(mean[several])
+        noise.append(np.zeros(several.sum()))
+        freedom += float(mine.any(axis=0).sum())
+    join = np.concatenate if common else (lambda _: np.zeros(0))
+    return own, join(common), join(noise), freedom
+
+
+def predicted(at: Target, cfg: Cfg, z: np.ndarray) -> np.ndarray:
+    """Frequency, Hz, decay, 1/s, level, dB, of the partials [takes, 3, rows], with pitch, gain, path and noise."""
+    value = np.array(joint_batch(jnp.asarray(z[None]), at, cfg)[2])[0]
+    value[:, 0] *= 1 + CENT * (np.asarray(at.cents) @ z)[:, None]
+    value[:, 2] = 10 * np.log10(
+        10 ** ((value[:, 2] + np.asarray(at.basis) @ z) / 10) + 10 ** (np.asarray(at.floor) / 10)
+    )
+    return value

@@ -1,0 +1,211 @@
+"""The honest test: what a fitted note sounds like at a velocity that it was not fitted to.
+
+Of a recording that took no part in the fit only the hammer's velocity, the gain and the pitch are free. What is left of
+its partials' levels is the error of the prediction. Beside it stand what needs no model: the nearest recorded layer in
+its place, and the best blend, in decibels, of its two neighbours.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from .analysis import Analysis
+from .criterion import level_error_db
+from .errors import FitError
+from .fit import Result, Voice, fit_takes
+from .fit.result import scored
+from .fit.voice import arrival
+from .model.contact import strike
+from .model.modes import mode_table
+from .model.response import level_db, ringing
+from .model.simulate import contact_rate, count_modes, simulate
+from .parameters import PARAMETERS
+from .recording import Recording
+from .setup_file import Setup
+
+__all__ = ["Prediction", "cross_validate", "predict_take"]
+
+# Velocities that are tried before the best is refined, m/s.
+SLOWEST, FASTEST, TRIED = 0.05, 12.0, 48
+FEWEST = 3
+# Partials whose frequencies are within this, relative, are the same: the pitch of takes differs by cents.
+NEAR = 0.005
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """A recording beside the same note as the fit would play it."""
+
+    velocity: float  # m/s
+    gain_db: float  # over the fit's own
+    cents: float  # over the fit's own
+    error_db: float  # rms over partials, one gain removed
+    partials: int
+    level: np.ndarray  # dB, predicted [partials]
+    voice: Voice
+
+
+def predict_take(voice: Voice, analysis: Analysis) -> Prediction:
+    """Play `voice` at the velocity that suits a recording's levels best.
+
+    Raises
+    ------
+    FitError
+        If too few partials stand above the noise, or no velocity gives a finite sound.
+    """
+    p = analysis.partials
+    chosen = scored(p.frequency, p.level) & _heard(voice, p.frequency)
+    if chosen.sum() < FEWEST:
+        raise FitError(f"only {int(chosen.sum())} partials of the fit stand above the noise; {FEWEST} are needed")
+    levels = _levels_of(voice, analysis)
+
+    def error(log_velocity: float) -> float:
+        level = levels(np.array([np.exp(log_velocity)]))[0]
+        return level_error_db(level[chosen], p.level[chosen]) if np.isfinite(level).all() else 1e3
+
+    tried = np.geomspace(max(SLOWEST, PARAMETERS["v_H0"].lower), min(FASTEST, PARAMETERS["v_H0"].upper), TRIED)
+    table = levels(tried)
+    errors = [level_error_db(x[chosen], p.level[chosen]) if np.isfinite(x).all() else np.inf for x in table]
+    best = int(np.argmin(errors))
+    if not np.isfinite(errors[best]):
+        raise FitError("no velocity gives a finite sound; is this the fit of the same key?")
+    around = np.log(tried[[max(best - 1, 0), min(best + 1, TRIED - 1)]])
+    velocity = float(np.exp(minimize_scalar(error, bounds=tuple(around), method="bounded", options={"xatol": 1e-4}).x))
+    level = levels(np.array([velocity]))[0]
+    gain = float((p.level - level)[chosen].mean())
+    cents = 1200 * float(np.log2(analysis.f0 / _pitch(voice)))
+    played = voice._replace(
+        string=voice.string._replace(c=voice.string.c * 2 ** (cents / 1200)),
+        hammer=voice.hammer._replace(v_H0=velocity),
+        gain=voice.gain * 10 ** (gain / 20),
+    )
+    found = level_error_db(level[chosen], p.level[chosen])
+    return Prediction(velocity, gain, cents, found, int(chosen.sum()), level + gain, played)
+
+
+def _heard(voice: Voice, frequency: np.ndarray) -> np.ndarray:
+    """Which partials the fit heard [partials]: of the others nobody knows how loud the path lets them through."""
+    if voice.path is None:
+        return np.ones(len(frequency), bool)
+    return np.abs(np.log(frequency[:, None] / voice.path.frequency)).min(axis=1) < NEAR
+
+
+def _pitch(voice: Voice) -> float:
+    return voice.string.c / (2 * voice.geometry.length)
+
+
+def _levels_of(voice: Voice, analysis: Analysis) -> Callable[[np.ndarray], np.ndarray]:
+    """Levels, dB in file units, of the recording's partials [velocities, partials], of velocities in m/s."""
+    p, g = analysis.partials, voice.geometry
+    rate = contact_rate(voice.string, g, 44_100.0)
+    rows = max(count_modes(voice.string, g, rate), 64 * int(np.ceil(p.number.max() / 64)))
+    # The slowest hammer stays longest.
+    slow = simulate(voice.string, voice.hammer._replace(v_H0=SLOWEST), g, quantity=voice.quantity)
+    steps = 256 * int(np.ceil(1.3 * slow.contact_time * rate / 256))
+    path = 0.0 if voice.path is None else voice.path.at(p.frequency)
+    own = 20 * np.log10(voice.gain) + path
+    delay = arrival(voice.string, g, voice.quantity)
+
+    def levels(velocity: np.ndarray) -> np.ndarray:
+        played = _played(voice.string, voice.hammer, g, jnp.asarray(velocity), rate, delay, rows, steps, voice.quantity)
+        return np.asarray(played)[:, p.number - 1] + own
+
+    return levels
+
+
+@partial(jax.jit, static_argnums=(6, 7, 8))
+def _played(string, hammer, geometry, velocity, rate, delay, rows, steps, quantity):
+    """Levels of all modes [velocities, modes], dB in the pickup's unit; infinite where the contact does not end."""
+    modes = mode_table(string, geometry, rate=rate, n_modes=rows, quantity=quantity)
+
+    def one(v):
+        pulse = strike(modes, hammer._replace(v_H0=v), steps=steps)
+        level = level_db(ringing(modes, pulse.drive) * jnp.exp(modes.pole.real * delay), -modes.pole.real)
+        return jnp.where(pulse.compression[-1] <= 0, level, jnp.inf)
+
+    return jax.vmap(one)(velocity)
+
+
+def cross_validate(
+    recordings: Sequence[Recording],
+    analyses: Sequence[Analysis],
+    setup: Setup,
+    *,
+    seed: int = 0,
+    progress: Callable[[str, float], None] = lambda *_: None,
+) -> dict:
+    """Leave out each take in turn, fit the others, and predict it.
+
+    Returns
+    -------
+    `takes`, in order of velocity, each with `file`, `v_H0` (in the fit of all), `predicted_db`, `nearest_db`,
+    `blend_db` (None at the ends) and `inner`; `median_inner_db` and `worst_inner_db`.
+
+    Raises
+    ------
+    FitError
+        For fewer than three takes, and as `fit_takes` does.
+    """
+    count = len(recordings)
+    if count < 3:
+        raise FitError(f"{count} takes are too few to leave one out; give three or more")
+    whole = fit_takes(recordings, analyses, setup, seed=seed)
+    velocity = np.array([take["v_H0"] for take in whole.document["takes"]])
+    order = list(np.argsort(velocity))
+    rows = []
+    for place, i in enumerate(order):
+        progress(f"without take {place + 1} of {count}", (place + 1) / (count + 1))
+        rest = [j for j in range(count) if j != i]
+        fit = fit_takes([recordings[j] for j in rest], [analyses[j] for j in rest], setup, seed=seed)
+        found = predict_take(_voice_for(fit, whole, rest, i), analyses[i])
+        around = [order[place + step] for step in (-1, 1) if 0 <= place + step < count]
+        rows.append({
+            "file": recordings[i].path, "v_H0": float(velocity[i]), "predicted_v_H0": found.velocity,
+            "predicted_db": found.error_db, "partials": found.partials,
+            "nearest_db": min(_apart(analyses[i], analyses[j]) for j in around),
+            "blend_db": _blend(analyses[i], *(analyses[j] for j in around)) if len(around) == 2 else None,
+            "inner": len(around) == 2,
+        })  # fmt: skip
+    inner = [row["predicted_db"] for row in rows if row["inner"]]
+    return {"takes": rows, "median_inner_db": float(np.median(inner)), "worst_inner_db": float(max(inner))}
+
+
+def _voice_for(fit: Result, whole: Result, rest: list[int], left_out: int) -> Voice:
+    """The fitted voice through the path of the group that the take left out belongs to."""
+    group = whole.document["takes"][left_out]["group"]
+    for heard, j in zip(fit.takes, rest, strict=True):
+        if whole.document["takes"][j]["group"] == group:
+            return heard.fitted.voice._replace(hammer=fit.fitted.voice.hammer)
+    file = whole.document["takes"][left_out]["file"]
+    raise FitError(f"{file}: no other take shares its group, so its path is unknown")
+
+
+def _common(analysis: Analysis, others: Sequence[Analysis]) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Levels [partials] of those that are scored and stand above the noise in all."""
+    p = analysis.partials
+    number = p.number[scored(p.frequency, p.level)]
+    for other in others:
+        number = np.intersect1d(number, other.partials.number)
+    level = [a.partials.level[np.searchsorted(a.partials.number, number)] for a in (analysis, *others)]
+    return level[0], level[1:]
+
+
+def _apart(analysis: Analysis, other: Analysis) -> float:
+    """The error, dB, of one layer in another's place."""
+    level, (instead,) = _common(analysis, [other])
+    return level_error_db(instead, level)
+
+
+def _blend(analysis: Analysis, below: Analysis, above: Analysis) -> float:
+    """The error, dB, of the best blend of two neighbours, in decibels."""
+    level, (low, high) = _common(analysis, [below, above])
+    slope, miss = high - low - (high - low).mean(), level - low - (level - low).mean()
+    share = np.clip((slope @ miss) / max(slope @ slope, 1e-300), 0.0, 1.0)
+    return level_error_db(low + share * (high - low), level)
