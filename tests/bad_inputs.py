@@ -98,7 +98,7 @@ COMMANDS = [
     command("fit-seed-negative", f"{FIT} --seed -1", "seed"),
     command("fit-unknown-option", f"{FIT} --speed", "--speed", 2),
     command("fit-no-out", "fit @/good.wav --note A4", "--out", 2),
-    command("fit-no-file", "fit --note A4 --out @/out", "FILE", 2),
+    command("fit-no-file", "fit --note A4 --out @/out", "TAKE", 2),
     command("fit-out-not-empty", FIT, "--force", build=occupied),
     command("fit-out-is-a-file", "fit @/good.wav --note A4 --out @/file", "file", build=occupied),
     command("fit-out-under-a-file", "fit @/good.wav --note A4 --out @/file/out", "file/out", build=occupied),

@@ -16,6 +16,8 @@ __all__ = [
     "Recording", "load_recording", "recording_from_samples", "Analysis", "Partials", "analyse",
     # What was known beforehand, and the fit.
     "Setup", "Take", "load_setup", "setup_from_dict", "Result", "fit_recording", "fit_file",
+    # The fit of any other model of a ringing sound.
+    "SoundModel", "ModelFit", "fit_model",
     # The model: parameters to motion to sound.
     "String", "Hammer", "Geometry", "PARAMETERS", "Preset", "preset", "Typical", "typical",
     "Simulation", "simulate", "Voice", "load_voice", "encode_wav",
@@ -35,7 +37,7 @@ if TYPE_CHECKING:
         RecordingError,
         SetupError,
     )
-    from .fit import Result, Voice, fit_recording
+    from .fit import ModelFit, Result, SoundModel, Voice, fit_model, fit_recording
     from .model import Simulation, simulate
     from .parameters import PARAMETERS, Geometry, Hammer, String
     from .published import Preset, Typical, preset, typical
@@ -47,7 +49,7 @@ if TYPE_CHECKING:
 _HOMES = {
     "analysis": ("Analysis", "Partials", "analyse"),
     "errors": tuple(name for name in __all__ if name.endswith("Error")),
-    "fit": ("Result", "Voice", "fit_recording"),
+    "fit": ("ModelFit", "Result", "SoundModel", "Voice", "fit_model", "fit_recording"),
     "model": ("Simulation", "simulate"),
     "parameters": ("PARAMETERS", "Geometry", "Hammer", "String"),
     "published": ("Preset", "Typical", "preset", "typical"),

@@ -17,6 +17,23 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from .errors import ParameterError, PianofitError
+from .options import (
+    Channel,
+    Evaluations,
+    File,
+    Force,
+    Json,
+    Known,
+    Note,
+    Pitch,
+    Rate,
+    Recipe,
+    Seconds,
+    Seed,
+    Takes,
+    Velocity,
+    number,
+)
 
 if TYPE_CHECKING:
     from .analysis import Analysis
@@ -30,38 +47,6 @@ app = typer.Typer(
 
 # What cannot be understood on a command line; typer keeps click's class in a place of its own.
 UsageError: type[Exception] = typer.BadParameter.__mro__[1]
-
-
-def _number(text: str | float) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise typer.BadParameter(f"{text!r} is no number") from None
-
-
-def _whole(text: str | int) -> int:
-    try:
-        return int(text)
-    except ValueError:
-        raise typer.BadParameter(f"{text!r} is no whole number") from None
-
-
-File = Annotated[Path, typer.Argument(metavar="FILE", help="A recording of one struck note, WAV or FLAC.")]
-Note = Annotated[str | None, typer.Option(help="The note's name, such as F#2; found by itself if not given.")]
-Pitch = Annotated[
-    float | None,
-    typer.Option("--f0", parser=_number, metavar="HZ", help="The note's pitch in Hz, instead of its name."),
-]
-Channel = Annotated[str, typer.Option(help="average, left, right, or a channel's number.")]
-Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
-Force = Annotated[bool, typer.Option("--force", help="Replace what is there.")]
-Velocity = Annotated[float | None, typer.Option(parser=_number, metavar="M/S", help="Hammer velocity in m/s.")]
-Seed = Annotated[
-    int,
-    typer.Option(parser=_whole, metavar="N", help="Of everything random; the same seed gives the same result."),
-]
-Seconds = Annotated[float, typer.Option(parser=_number, metavar="S", help="Length of the sound.")]
-Rate = Annotated[int | None, typer.Option(parser=_whole, metavar="HZ", help="Sample rate in Hz.")]
 
 
 def _complain(message: str) -> None:
@@ -168,28 +153,74 @@ def _table(found: Analysis) -> str:
 @app.command()
 @_plainly
 def fit(
-    file: File,
+    takes: Takes,
     out: Annotated[Path, typer.Option(help="The folder for fit.json, the sounds and the page.")],
     note: Note = None,
     f0: Pitch = None,
-    setup: Annotated[Path | None, typer.Option(help="What was known beforehand, a setup.toml.")] = None,
+    setup: Known = None,
     velocity: Velocity = None,
     channel: Channel = "average",
+    recipe: Recipe = "default",
+    evaluations: Evaluations = None,
     seed: Seed = 0,
     force: Force = False,
     page: Annotated[bool, typer.Option(help="Write report.html.")] = True,
     as_json: Json = False,
 ) -> None:
-    """Find the string's and the hammer's parameters behind a recording."""
-    from .workflow import fit_file, json_text, output_folder
+    """Find the string's and the hammer's parameters behind one recording, or behind several of one key."""
+    from .summary import summary
+    from .workflow import fit_files, json_text, output_folder
 
     _checked(velocity, seed)
     with output_folder(out, force) as folder, _progress() as progress:
-        result = fit_file(
-            file, folder, note=note, f0=f0, setup=setup, velocity=velocity, channel=channel, seed=seed, report=page,
-            progress=progress,
+        result = fit_files(
+            takes, folder, note=note, f0=f0, setup=setup, velocity=velocity, channel=channel, recipe=recipe,
+            evaluations=evaluations, seed=seed, report=page, progress=progress,
         )  # fmt: skip
-    typer.echo(json_text(result.document) if as_json else _summary(result.document, folder), nl=False)
+    typer.echo(json_text(result.document) if as_json else summary(result.document, folder), nl=False)
+
+
+@app.command()
+@_plainly
+def predict(
+    fit: Annotated[Path, typer.Argument(metavar="FIT", help="The fit.json of a fit.")],
+    recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="A recording of the same key.")],
+    out: Annotated[Path | None, typer.Option(help="A WAV file for the predicted sound.")] = None,
+    channel: Channel = "average",
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Predict a recording that the fit has not heard: only velocity, gain and pitch are free."""
+    from .workflow import check_target, json_text, predict_file
+
+    if out is not None:
+        check_target(out, force)
+    found = predict_file(fit, recording, out, channel=channel, force=force)
+    typer.echo(json_text(found) if as_json else f"{found['predicted_db']:.2f} dB over {found['partials']} partials, at "
+               f"{found['v_H0']:.3g} m/s, {found['cents']:+.2f} cents\n", nl=False)  # fmt: skip
+
+
+@app.command()
+@_plainly
+def crossval(
+    takes: Takes,
+    note: Note = None,
+    f0: Pitch = None,
+    setup: Known = None,
+    channel: Channel = "average",
+    seed: Seed = 0,
+    as_json: Json = False,
+) -> None:
+    """Leave out each recording of a key in turn, fit the others, and predict it."""
+    from .summary import cross_validation
+    from .workflow import cross_validate_files, json_text
+
+    _checked(None, seed)
+    with _progress() as progress:
+        found = cross_validate_files(
+            takes, note=note, f0=f0, setup=setup, channel=channel, seed=seed, progress=progress
+        )
+    typer.echo(json_text(found) if as_json else cross_validation(found), nl=False)
 
 
 @app.command()
@@ -256,7 +287,7 @@ def _assignments(change: list[str]) -> dict[str, float]:
 @_plainly
 def render(
     fit_json: Annotated[Path, typer.Argument(metavar="FIT.JSON", help="What pianofit fit wrote.")],
-    velocity: Annotated[float, typer.Option(parser=_number, metavar="M/S", help="Hammer velocity in m/s.")],
+    velocity: Annotated[float, typer.Option(parser=number, metavar="M/S", help="Hammer velocity in m/s.")],
     out: Annotated[Path, typer.Option(help="The WAV file to write.")],
     seconds: Seconds = 6.0,
     rate: Rate = None,
@@ -287,7 +318,7 @@ def demo(
     out: Annotated[Path, typer.Option(help="The folder to write to.")] = Path("pianofit-demo"),
     noise: Annotated[
         float,
-        typer.Option(parser=_number, metavar="DB", help="How far the noise lies below the first second's rms, dB."),
+        typer.Option(parser=number, metavar="DB", help="How far the noise lies below the first second's rms, dB."),
     ] = 60.0,
     no_noise: Annotated[bool, typer.Option("--no-noise", help="Without any noise.")] = False,
     seed: Seed = 0,
@@ -295,6 +326,7 @@ def demo(
     as_json: Json = False,
 ) -> None:
     """Make a measurement whose truth is known, fit it from the paper's initial values, and compare."""
+    from .summary import comparison, summary
     from .workflow import json_text, output_folder
 
     _checked(None, seed)
@@ -307,41 +339,36 @@ def demo(
     if as_json:
         typer.echo(json_text(result.document | {"true": true}), nl=False)
         return
-    typer.echo(_comparison(result.document, true))
-    typer.echo(_summary(result.document, folder), nl=False)
+    typer.echo(comparison(result.document, true))
+    typer.echo(summary(result.document, folder), nl=False)
 
 
-def _comparison(document: dict, true: dict[str, float]) -> str:
-    lines = [f"{'':8}{'initial':>12}{'true':>12}{'found':>12}{'off by':>10}   95 % interval"]
-    for name, value in true.items():
-        p = document["parameters"][name]
-        span = "[{:.5g}, {:.5g}]".format(*p["interval"]) if p["interval"] else "-"
-        off = 100 * (p["value"] / value - 1)
-        note = "" if p["status"] == "free" else f"  {p['status']}"
-        lines.append(f"{name:8}{p['initial']:12.5g}{value:12.5g}{p['value']:12.5g}{off:+9.3f} %  {span}{note}")
-    return "\n".join(lines) + "\n"
+@app.command()
+@_plainly
+def reproduce(
+    out: Annotated[Path, typer.Option(help="The folder for the page, index.html, and the files behind it.")],
+    seed: Seed = 0,
+    force: Force = False,
+    quick: Annotated[bool, typer.Option("--quick", hidden=True)] = False,
+) -> None:
+    """Test the paper's tables, figures and claims on measurements of the program's own laboratory: one page."""
+    from .workflow import output_folder
+
+    _checked(None, seed)
+    with output_folder(out, force) as folder, _progress() as bar:
+        from .reproduce import FULL, QUICK
+        from .reproduce import reproduce as run
+
+        progress = bar if sys.stderr.isatty() else _told
+        verdicts = run(folder, seed, plan=QUICK if quick else FULL, progress=progress)
+    for verdict in verdicts:
+        typer.echo(f"{verdict.word:17} {verdict.claim}")
+    typer.echo(f"\nwritten to {folder}: open index.html, and listening.html for the blind test")
 
 
-def _summary(document: dict, folder: Path) -> str:
-    """What was found, in a screenful."""
-    lines = [document["verdict"], ""] if document["verdict"] else []
-    lines.append(f"{'':8}{'value':>12}  {'unit':8}{'95 % interval':26}status")
-    for name, p in document["parameters"].items():
-        span = "[{:.5g}, {:.5g}]".format(*p["interval"]) if p["interval"] else "-"
-        lines.append(f"{name:8}{p['value']:12.5g}  {p['unit']:8}{span:26}{p['status']}")
-    d, levels = document["derived"], document["levels"]
-    lines += ["", f"f0 {d['f0']:.3f} Hz, B {d['B']:.4g}, contact {d['contact_ms']:.2f} ms"]
-    only = "" if levels["path_only_db"] is None else f", path alone {levels['path_only_db']:.1f} dB"
-    lines.append(f"levels of {levels['partials']} partials: start {levels['initial_db']:.2f} dB{only}, "
-                 f"fitted {levels['fitted_db']:.2f} dB")  # fmt: skip
-    for name in ("global", "band1", "band2", "band3"):
-        if name in document["criterion"]:
-            c = document["criterion"][name]
-            lines.append(f"criterion, {name:7} {c['initial']:10.4g} -> {c['final']:.4g}")
-    if document["criterion"]["dropped"]:
-        lines.append(f"dropped, no partial above the noise: {', '.join(document['criterion']['dropped'])}")
-    lines += ["" if document["converged"] else "NOT CONVERGED", *document["messages"], "", f"written to {folder}"]
-    return "\n".join(lines) + "\n"
+def _told(stage: str, done: float) -> None:
+    """Progress of a command that takes minutes, where there is no terminal to draw a bar on."""
+    typer.echo(f"{100 * done:3.0f} %  {stage}", err=True)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -9,18 +9,25 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from .errors import OutputError, SetupError
+import numpy as np
+
+from .errors import OutputError, ParameterError, SetupError
 from .recording import one_line
 
 if TYPE_CHECKING:
+    from .analysis import Analysis
     from .fit import Result
+    from .recording import Recording
     from .setup_file import Setup
 
-__all__ = ["OUTPUTS", "check_target", "fit_file", "json_text", "output_folder", "write_file"]
+__all__ = [
+    "OUTPUTS", "check_target", "cross_validate_files", "fit_file", "fit_files", "json_text", "output_folder",
+    "predict_file", "write_file",
+]  # fmt: skip
 
 OUTPUTS = ("initial.wav", "fitted.wav", "fit.json", "report.html")
 
@@ -131,8 +138,13 @@ def _check_velocity(velocity: float | None, known: Setup, setup: Path | None) ->
         )
 
 
-def fit_file(
-    file: Path,
+def fit_file(file: Path, out: Path, **options: Any) -> Result:
+    """`fit_files` of one recording."""
+    return fit_files([file], out, **options)
+
+
+def fit_files(
+    files: Sequence[Path],
     out: Path,
     *,
     note: str | None = None,
@@ -140,11 +152,94 @@ def fit_file(
     setup: Path | None = None,
     velocity: float | None = None,
     channel: str = "average",
+    recipe: str = "default",
+    evaluations: int | None = None,
     seed: int = 0,
     report: bool = True,
     progress: Callable[[str, float], None] = lambda *_: None,
 ) -> Result:
-    """Fit one recording and write `OUTPUTS` to the folder `out`; `fit.json` and the sounds come before the page.
+    """Fit one recording, or several of one key, and write `OUTPUTS` to the folder `out`; the page comes last.
+
+    Of several, `initial.wav` and `fitted.wav` are those of the first take, on which the others' velocities rest, and
+    `fitted-NAME.wav` is every take's own.
+
+    Raises
+    ------
+    PianofitError
+        For any input that cannot be used; nothing is then written.
+    """
+    if recipe != "default" or evaluations is not None:
+        from .fit import check_recipe
+
+        check_recipe(recipe, evaluations)
+    if len(files) > 1 and velocity is not None:
+        raise ParameterError(f"velocity={velocity} m/s is of one take; give each its own in the setup's [[take]]")
+    if len(files) > 1 and recipe != "default":
+        raise ParameterError(f"recipe={recipe!r} fits one recording; {len(files)} were given")
+    recordings, analyses, known = _takes(files, note, f0, setup, channel, velocity, progress)
+    from .fit import fit_recording, fit_takes
+    from .model.cache import keep_programs
+
+    keep_programs()
+    if len(files) > 1:
+        result = fit_takes(recordings, analyses, known, seed=seed, progress=progress)
+    else:
+        result = fit_recording(
+            recordings[0], analyses[0], known, velocity=velocity, recipe=recipe, evaluations=evaluations, seed=seed,
+            progress=progress,
+        )  # fmt: skip
+    _write_sounds(out, files, result)
+    from .report.output import replace_file
+
+    replace_file(out / "fit.json", json_text(result.document).encode())
+    if report:
+        from .report.build import curves_of
+        from .report.page import write_report
+
+        progress("page", 0.95)
+        title = ", ".join(one_line(file.name) for file in files) + (f", {note}" if note else "")
+        write_report(out / "report.html", result.document, curves_of(result), title)
+    progress("done", 1.0)
+    return result
+
+
+def _takes(
+    files: Sequence[Path], note: str | None, f0: float | None, setup: Path | None, channel: str,
+    velocity: float | None = None, progress: Callable[[str, float], None] = lambda *_: None,
+) -> tuple[list[Recording], list[Analysis], Setup]:  # fmt: skip
+    """Recordings and their analyses, and what was known."""
+    from .recording import load_recording
+    from .setup_file import Setup, load_setup
+
+    known = Setup() if setup is None else load_setup(setup)
+    _check_velocity(velocity, known, setup)
+    progress("reading", 0.0)
+    recordings = [load_recording(file, channel=channel) for file in files]
+    from .analysis import analyse
+
+    progress("partials", 0.02)
+    return recordings, [analyse(recording, note=note, f0=f0) for recording in recordings], known
+
+
+def _write_sounds(out: Path, files: Sequence[Path], result: Result) -> None:
+    """What was before and after the fit, in sound; what an earlier fit left of its page and takes goes."""
+    from .render import encode_wav
+    from .report.output import replace_file
+
+    for old in (out / "report.html", *out.glob("fitted-*.wav")):
+        with contextlib.suppress(FileNotFoundError):
+            old.unlink()
+    rate = result.recording.rate
+    replace_file(out / "initial.wav", encode_wav(result.initial.samples, rate))
+    replace_file(out / "fitted.wav", encode_wav(result.fitted.samples, rate))
+    if len(files) > 1:
+        for file, take in zip(files, result.takes, strict=True):
+            content = encode_wav(take.fitted.samples, take.recording.rate)
+            replace_file(out / f"fitted-{file.stem}.wav", content)
+
+
+def predict_file(fit: Path, file: Path, out: Path | None, *, channel: str = "average", force: bool = False) -> dict:
+    """Predict a recording from a `fit.json`, write the sound if asked to, and return what came of it.
 
     Raises
     ------
@@ -152,35 +247,47 @@ def fit_file(
         For any input that cannot be used; nothing is then written.
     """
     from .recording import load_recording
-    from .setup_file import Setup, load_setup
+    from .render import encode_wav, load_voice
 
-    known = Setup() if setup is None else load_setup(setup)
-    _check_velocity(velocity, known, setup)
-    progress("reading", 0.0)
+    voice, _ = load_voice(fit)
     recording = load_recording(file, channel=channel)
     from .analysis import analyse
-
-    progress("partials", 0.02)
-    analysis = analyse(recording, note=note, f0=f0)
-    from .fit import fit_recording
     from .model.cache import keep_programs
+    from .predict import predict_take
 
     keep_programs()
-    result = fit_recording(recording, analysis, known, velocity=velocity, seed=seed, progress=progress)
-    from .render import encode_wav
-    from .report.output import replace_file
+    analysis = analyse(recording, f0=voice.string.c / (2 * voice.geometry.length))
+    found = predict_take(voice, analysis)
+    if out is not None:
+        onset = recording.onset
+        samples, _ = found.voice.play(recording.rate, len(recording.samples) - onset)
+        write_file(out, encode_wav(np.pad(samples, (onset, 0)), recording.rate), force)
+    return {
+        "file": recording.path, "sha256": recording.sha256, "predicted_db": found.error_db,
+        "partials": found.partials, "v_H0": found.velocity, "gain_db": found.gain_db, "cents": found.cents,
+    }  # fmt: skip
 
-    with contextlib.suppress(FileNotFoundError):  # a page of an earlier fit must not stand beside this one
-        (out / "report.html").unlink()
-    replace_file(out / "initial.wav", encode_wav(result.initial.samples, recording.rate))
-    replace_file(out / "fitted.wav", encode_wav(result.fitted.samples, recording.rate))
-    replace_file(out / "fit.json", json_text(result.document).encode())
-    if report:
-        from .report.build import curves_of
-        from .report.page import write_report
 
-        progress("page", 0.95)
-        name = one_line(file.name)
-        write_report(out / "report.html", result.document, curves_of(result), f"{name}, {note}" if note else name)
-    progress("done", 1.0)
-    return result
+def cross_validate_files(
+    files: Sequence[Path],
+    *,
+    note: str | None = None,
+    f0: float | None = None,
+    setup: Path | None = None,
+    channel: str = "average",
+    seed: int = 0,
+    progress: Callable[[str, float], None] = lambda *_: None,
+) -> dict:
+    """Leave out each recording of a key in turn, and predict it; see `predict.cross_validate`.
+
+    Raises
+    ------
+    PianofitError
+        For any input that cannot be used.
+    """
+    recordings, analyses, known = _takes(files, note, f0, setup, channel)
+    from .model.cache import keep_programs
+    from .predict import cross_validate
+
+    keep_programs()
+    return cross_validate(recordings, analyses, known, seed=seed, progress=progress)

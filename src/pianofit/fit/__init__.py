@@ -11,12 +11,26 @@ from collections.abc import Sequence
 from ..analysis import Analysis
 from ..recording import Recording
 from ..setup_file import Setup
+from .model_fit import ModelFit, fit_model
+from .paper import RECIPES, check_recipe, fit_by_paper, without_claims
 from .recipe import Progress, fit_partials
 from .result import Result, Sound, conclude
+from .spectral import SoundModel
 from .takes import arranged
 from .voice import Voice
 
-__all__ = ["Result", "Sound", "Voice", "fit_recording", "fit_takes"]
+__all__ = [
+    "RECIPES",
+    "ModelFit",
+    "Result",
+    "Sound",
+    "SoundModel",
+    "Voice",
+    "check_recipe",
+    "fit_model",
+    "fit_recording",
+    "fit_takes",
+]
 
 
 def fit_recording(
@@ -25,6 +39,8 @@ def fit_recording(
     setup: Setup | None = None,
     *,
     velocity: float | None = None,
+    recipe: str = "default",
+    evaluations: int | None = None,
     seed: int = 0,
     progress: Progress = lambda *_: None,
 ) -> Result:
@@ -34,6 +50,9 @@ def fit_recording(
     ----------
     setup : what was known beforehand; nothing by default.
     velocity : measured hammer velocity, m/s, held fixed.
+    recipe : `default`, or the paper's own, which give no intervals: `paper`, its three steps, and `global`, its
+        criterion over the whole spectrum.
+    evaluations : of the criterion by the recipe `paper`'s annealing, 20,000 unless given.
     seed : of the hammers that the search starts from. The same seed gives the same result.
     progress : called with a stage's name and the fraction done.
 
@@ -41,7 +60,16 @@ def fit_recording(
     ------
     FitError
         If no hammer gives a finite sound, or a contact does not end.
+    ParameterError
+        For another recipe, or evaluations that it cannot have.
     """
+    check_recipe(recipe, evaluations)
+    if recipe != "default":
+        takes, start, _, _ = arranged([recording], [analysis], setup or Setup(), velocity)
+        fit = fit_by_paper(
+            recording, analysis, start, recipe, evaluations=evaluations, seed=seed, progress=progress
+        )
+        return without_claims(conclude(takes, start, fit, seed), recipe, fit, start)
     return fit_takes([recording], [analysis], setup, velocity=velocity, seed=seed, progress=progress)
 
 

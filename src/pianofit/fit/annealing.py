@@ -1,0 +1,284 @@
+"""Adaptive simulated annealing (ASA) after Ingber, with many chains at once.
+
+A chain jumps about the box. It takes every jump downhill, and one uphill with a probability that falls as it cools. The
+jumps have a fat tail: all lengths between the temperature and the box are about equally likely on a log scale, so that
+a parameter may cool exponentially in k^(1/D) and still get out. Now and then the annealing is set anew: parameters
+to which the cost is insensitive are searched more widely, and the acceptance gets a temperature of the size of what
+there is still to gain.
+
+The chains go in lockstep, so that `cost` always gets a batch of the same shape, [chains, D]; the more of the plan is
+done, the more often a chain looks at another one and jumps to where that is.
+
+Sources: L. Ingber, "Very fast simulated re-annealing", Math. Comput. Modelling 12 (1989) 967-973; the manual of his
+ASA 30, sections 5.2.2 to 5.2.4. Where this departs from them stands at the line, and in docs/annealing.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..errors import ParameterError
+from .annealing_state import AnnealingState, Schedule, acceptance, cost_temperature, generate, temperatures
+
+__all__ = ["Annealed", "AnnealingState", "Schedule", "anneal"]
+
+
+class Annealed(NamedTuple):
+    """The lowest point of all chains, and how it was come by."""
+
+    z: np.ndarray  # [D]
+    cost: float  # inf where no finite one was met
+    state: AnnealingState
+    evaluations: int
+    trace: tuple[tuple[int, float], ...]  # evaluations and lowest cost, whenever that fell
+
+
+class _Box(NamedTuple):
+    lower: np.ndarray
+    upper: np.ndarray
+    free: np.ndarray  # indices of what may move
+
+    @property
+    def size(self) -> np.ndarray:
+        return self.upper - self.lower
+
+
+def anneal(
+    cost: Callable[[np.ndarray], Any],
+    lower: np.ndarray,
+    upper: np.ndarray,
+    *,
+    chains: int = 16,
+    evaluations: int,
+    seed: int = 0,
+    state: AnnealingState | None = None,
+    start: np.ndarray | None = None,
+    schedule: Schedule | None = None,
+    pause: int | None = None,
+) -> Annealed:
+    """Search the box `lower` <= z <= `upper` [D] for the lowest `cost(z [chains, D]) -> [chains]`.
+
+    Parameters
+    ----------
+    lower, upper : finite; where they are equal the coordinate is held.
+    evaluations : points at which the cost may be computed in all, those before `state` among them. The cooling is
+        planned for it at the beginning; more, given later, goes on where the plan ends.
+    state : of an annealing to go on with. `seed`, `start` and `chains` then come from it. With the same `evaluations`
+        and `schedule`, stopping and going on changes no bit of the result.
+    start : where the first chains start, [D] or [n, D]; the others start at uniform points.
+    schedule : `Schedule()` if None.
+    pause : return at the first step that reaches so many evaluations.
+
+    A cost that is not finite is infinitely bad. If none is finite the result's cost is inf.
+
+    Raises
+    ------
+    ParameterError
+        If an argument is out of range or the shapes do not fit together.
+    """
+    box, schedule = _box(lower, upper), schedule or Schedule()
+    if state is None:
+        state = _first(cost, box, chains, evaluations, seed, start, schedule)
+    else:
+        _check_fit(state, box)
+    rng = np.random.Generator(np.random.PCG64())
+    rng.bit_generator.state = state.random
+    chains = len(state.z)
+    end = evaluations if len(box.free) else 0
+    while state.evaluations + chains <= end and (pause is None or state.evaluations < pause):
+        state = _step(cost, box, state, schedule, rng)
+        if schedule.reanneal and state.steps % schedule.reanneal == 0:
+            if state.evaluations + chains * len(box.free) <= end and schedule.stretch > 0:
+                state = _widened(cost, box, state, schedule)
+            state = _cost_reannealed(state, schedule, len(box.free))
+    state = replace(state, random=dict(rng.bit_generator.state))
+    best = int(np.argmin(state.best_cost))
+    lowest = state.best_z[best].copy(), float(state.best_cost[best])
+    return Annealed(*lowest, state, state.evaluations, state.trace)
+
+
+# --- one step --------------------------------------------------------------------------------------------------------
+
+
+def _step(cost: Callable, box: _Box, state: AnnealingState, schedule: Schedule, rng: np.random.Generator):
+    """Every chain tries one jump and, now and then, looks at another chain."""
+    chains, dimensions = len(state.z), len(box.free)
+    u = rng.random((chains, 2 * dimensions + 5))  # always as many, so that nothing depends on what came before
+    warm = cost_temperature(state, schedule, dimensions)
+    z = _trial(box, state, temperatures(state, schedule, dimensions), u[:, :dimensions], u[:, dimensions:-3])
+    new = _evaluate(cost, z)
+    taken = u[:, -3] < acceptance(_rise(new, state.cost), warm)
+    z, new = np.where(taken[:, None], z, state.z), np.where(taken, new, state.cost)
+    state = replace(
+        state, z=z, cost=new, accepted=state.accepted + taken, steps=state.steps + 1,
+        evaluations=state.evaluations + chains,
+    )  # fmt: skip
+    state = _with_best(state, z, new)
+    # Rarely at first, so that the chains search apart, and most at the end, so that they refine together.
+    often = 2 * schedule.meetings * state.steps / state.length**2
+    return _met(state, warm, u[:, -2] < often, u[:, -1], rng) if chains > 1 and schedule.meetings else state
+
+
+def _trial(box: _Box, state: AnnealingState, temperature: np.ndarray, u: np.ndarray, which: np.ndarray) -> np.ndarray:
+    """Jump in a random subset of the free coordinates, of any size with equal chance; `which` [chains, D + 2].
+
+    Ingber moves all or one at a time. All at once hardly ever meets a small improvement; one at a time cannot follow a
+    valley across the axes.
+    """
+    dimensions = len(box.free)
+    moved = which[:, :dimensions] < which[:, -2:-1]
+    moved |= np.arange(dimensions) == (which[:, -1:] * dimensions).astype(int)
+    lower, size = box.lower[box.free], box.size[box.free]
+    here = state.z[:, box.free]
+    there = lower + size * generate(u, np.clip((here - lower) / size, 0.0, 1.0), temperature)
+    z = state.z.copy()
+    z[:, box.free] = np.where(moved, np.clip(there, lower, box.upper[box.free]), here)
+    return z
+
+
+def _met(state: AnnealingState, warm: np.ndarray, looks: np.ndarray, u: np.ndarray, rng: np.random.Generator):
+    """A chain that looks at another jumps to where that is, by the rule for all jumps, and learns its best point."""
+    chains = len(state.z)
+    other = (np.arange(chains) + rng.integers(1, chains, chains)) % chains
+    joins = looks & (u < acceptance(_rise(state.cost[other], state.cost), warm))
+    if not joins.any():
+        return state
+    z = np.where(joins[:, None], state.z[other], state.z)
+    state = replace(state, z=z, cost=np.where(joins, state.cost[other], state.cost))
+    lower = joins & (state.best_cost[other] < state.best_cost)
+    return replace(
+        state,
+        best_z=np.where(lower[:, None], state.best_z[other], state.best_z),
+        best_cost=np.where(lower, state.best_cost[other], state.best_cost),
+    )
+
+
+def _rise(new: np.ndarray, old: np.ndarray) -> np.ndarray:
+    """By how much the cost rises. From an infinite cost every way leads down."""
+    known = np.isfinite(old)
+    return np.where(known, new - np.where(known, old, 0.0), -np.inf)
+
+
+def _with_best(state: AnnealingState, z: np.ndarray, cost: np.ndarray) -> AnnealingState:
+    lower = cost < state.best_cost
+    if not lower.any():
+        return state
+    best_cost = np.where(lower, cost, state.best_cost)
+    trace, least = state.trace, float(best_cost.min())
+    if not trace or least < trace[-1][1]:
+        trace = (*trace, (state.evaluations, least))
+    best_z = np.where(lower[:, None], z, state.best_z)
+    return replace(state, best_z=best_z, best_cost=best_cost, trace=trace)
+
+
+# --- re-annealing ----------------------------------------------------------------------------------------------------
+
+
+def _widened(cost: Callable, box: _Box, state: AnnealingState, schedule: Schedule) -> AnnealingState:
+    """Widths (s_max/s_i)^stretch from sensitivities s_i, differences of cost about each chain's best point.
+
+    Ingber's exponent, 1, makes steps of equal cost on a slope. The best point soon lies in a minimum, where a
+    difference measures curvature, and steps of equal cost go as its root. He lets the factors of successive
+    re-annealings pile up (T_i ← T_i s_max/s_i); here they are taken afresh from the common schedule.
+    """
+    best, least = state.best_z, state.best_cost
+    sensitivity = np.zeros_like(state.width)
+    for column, i in enumerate(box.free):
+        z = best.copy()
+        inward = np.where(best[:, i] > box.lower[i] + 0.5 * box.size[i], -1.0, 1.0)
+        z[:, i] = np.clip(best[:, i] + inward * schedule.probe * box.size[i], box.lower[i], box.upper[i])
+        new = _evaluate(cost, z)
+        sensitivity[:, column] = np.abs(_rise(new, least))
+        state = replace(state, evaluations=state.evaluations + len(z))
+        state = _with_best(state, z, new)
+    sensitivity = np.nan_to_num(sensitivity, posinf=0.0)  # a wall tells nothing
+    most = sensitivity.max(axis=1, keepdims=True)
+    ratio = np.divide(sensitivity, most, out=np.ones_like(sensitivity), where=most > 0)
+    told = np.maximum(ratio, schedule.widest ** (-1 / schedule.stretch))
+    return replace(state, width=np.where(sensitivity > 0, told**-schedule.stretch, 1.0))
+
+
+def _cost_reannealed(state: AnnealingState, schedule: Schedule, dimensions: int) -> AnnealingState:
+    """The acceptance starts anew from what there is to gain: the gap between where a chain is and its best.
+
+    After the manual's section 5.2.4, less the sizes of the costs themselves: adding a constant to the cost must change
+    nothing. Never warmer than it started, never colder than it is.
+    """
+    gap = np.where(np.isfinite(state.cost), _rise(state.cost, state.best_cost), 0.0)
+    anew = np.minimum(state.cost_start, np.maximum(gap, cost_temperature(state, schedule, dimensions)))
+    return replace(state, cost_start=anew, accepted=np.ones_like(state.accepted))
+
+
+# --- the beginning ---------------------------------------------------------------------------------------------------
+
+
+def _box(lower: np.ndarray, upper: np.ndarray) -> _Box:
+    lower, upper = np.array(lower, float), np.array(upper, float)
+    if lower.ndim != 1 or lower.shape != upper.shape:
+        raise ParameterError(f"lower and upper must be of one length, not of shapes {lower.shape} and {upper.shape}")
+    if not (np.isfinite(lower).all() and np.isfinite(upper).all() and np.isfinite(upper - lower).all()):
+        raise ParameterError("lower and upper must be finite: an annealing needs a box")
+    if (lower > upper).any():
+        i = int(np.argmax(lower > upper))
+        raise ParameterError(f"lower[{i}]={lower[i]} lies above upper[{i}]={upper[i]}")
+    return _Box(lower, upper, np.flatnonzero(upper > lower))
+
+
+def _check_fit(state: AnnealingState, box: _Box) -> None:
+    shape = (len(state.z), len(box.free))
+    inside = state.z.shape[1:] == box.lower.shape and (state.z == np.clip(state.z, box.lower, box.upper)).all()
+    if not inside or state.width.shape != shape:
+        raise ParameterError(f"state holds {state.z.shape[1]} numbers a point, or points outside the box of {shape[1]}")
+
+
+def _first(cost, box: _Box, chains: int, evaluations: int, seed: int, start, schedule: Schedule) -> AnnealingState:
+    """Uniform samples; each chain starts at its lowest, and their spread is the first temperature of the acceptance."""
+    rounds = -(-schedule.samples // max(chains, 1))
+    if chains < 1 or evaluations < rounds * chains:
+        raise ParameterError(f"chains={chains}, evaluations={evaluations}: needs one chain, {schedule.samples} samples")
+    rng = np.random.Generator(np.random.PCG64(seed))
+    z = np.clip(box.lower + box.size * rng.random((rounds, chains, len(box.lower))), box.lower, box.upper)
+    begun = np.zeros(chains, bool)
+    if start is not None:
+        given = _starts(start, box, chains)
+        z[0, : len(given)], begun[: len(given)] = given, True
+    costs = np.array([_evaluate(cost, batch) for batch in z])
+    lowest = costs.argmin(axis=0), np.arange(chains)
+    here = np.where(begun, 0, lowest[0]), lowest[1]
+    warm = _spread(costs[np.isfinite(costs)]) if schedule.cost_start is None else schedule.cost_start
+    left = (evaluations - costs.size) / chains
+    if schedule.reanneal and schedule.stretch > 0:
+        left /= 1 + len(box.free) / schedule.reanneal
+    state = AnnealingState(
+        z=z[here], cost=costs[here], best_z=z[lowest], best_cost=np.full(chains, np.inf),
+        width=np.ones((chains, len(box.free))), cost_start=np.full(chains, warm), accepted=np.ones(chains), steps=1,
+        length=max(int(left), 1), evaluations=costs.size, trace=(), random=dict(rng.bit_generator.state),
+    )  # fmt: skip
+    return _with_best(state, z[lowest], costs[lowest])
+
+
+def _starts(start: np.ndarray, box: _Box, chains: int) -> np.ndarray:
+    given = np.atleast_2d(np.asarray(start, float))
+    if given.shape[1:] != box.lower.shape or len(given) > chains or not np.isfinite(given).all():
+        raise ParameterError(f"start of shape {np.shape(start)} for {chains} chains of {len(box.lower)} numbers")
+    return np.clip(given, box.lower, box.upper)
+
+
+def _spread(costs: np.ndarray) -> float:
+    """Median distance from the median: a few samples on a cliff must not set the temperature of the plain."""
+    if not len(costs):
+        return 1.0  # nothing is known; re-annealing brings it down
+    middle = float(np.median(costs))
+    candidates = float(np.median(np.abs(costs - middle))), float(np.ptp(costs)), abs(middle)
+    return next((c for c in candidates if 0 < c < np.inf), 1.0)
+
+
+def _evaluate(cost: Callable, z: np.ndarray) -> np.ndarray:
+    value = np.asarray(cost(z.copy()), float)
+    if value.shape != (len(z),):
+        raise ParameterError(f"cost must return {len(z)} numbers for {len(z)} points, not shape {value.shape}")
+    return np.where(np.isfinite(value), value, np.inf)

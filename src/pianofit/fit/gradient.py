@@ -1,0 +1,119 @@
+"""Gradient descent in a box with a line search that guarantees decrease, from many starts at once.
+
+The paper's algorithm (IV.C.1) moves by an h with C + ∇C·h <= C. To first order that holds for every step against the
+gradient, and promises nothing of the cost itself: too long a step raises it. So each step must lower the cost by a
+share of what the slope foretells (Armijo, Pacific J. Math. 16 (1966) 1-3; along the projected gradient after Bertsekas,
+IEEE Trans. Autom. Control 21 (1976) 174-184). A step that does not is halved, one that does lets the next be longer.
+
+Coordinates are measured in widths of the box, so that a change of their units changes nothing. The starts share every
+evaluation and nothing else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from ..errors import ParameterError
+
+__all__ = ["GradientDescent", "gradient_descent"]
+
+# The share of the foretold decrease that a step must bring. Below 1/2, so that a parabola's exact minimum is accepted.
+SHARE = 0.3
+SHORTER, LONGER = 0.5, 1.5
+# The first step moves the coordinate with the steepest slope by this much, box widths.
+FIRST = 0.01
+# A step that moves nothing by more than this is none, box widths.
+LEAST = 1e-13
+
+
+class GradientDescent(NamedTuple):
+    """Where the starts ended: points [starts, D], their costs, gradients, and whether each has settled [starts]."""
+
+    z: np.ndarray
+    cost: np.ndarray
+    gradient: np.ndarray  # [starts, D], units of cost per unit of z
+    settled: np.ndarray
+    evaluations: int  # calls of `value_and_gradient`
+
+
+def gradient_descent(
+    value_and_gradient: Callable,
+    z: np.ndarray,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    *,
+    iterations: int,
+    tolerance: float = 1e-9,
+    enough: float = -np.inf,
+) -> GradientDescent:
+    """Lower `value_and_gradient(z [starts, D]) -> (cost [starts], gradient [starts, D])` from every row of `z`.
+
+    Costs never rise, and no point outside `lower` <= z <= `upper` [D] is tried. Every iteration evaluates one trial
+    point for each start. A point at which cost or gradient is not finite counts as infinitely bad; a start on such a
+    point stays there.
+
+    Parameters
+    ----------
+    lower, upper : finite; where they are equal the coordinate is held.
+    tolerance : a start has settled when a step of a length that fits the slope gains less than this part of its cost,
+        or when no step moves it.
+    enough : a start has also settled at a cost of at most this, the paper's ε.
+
+    Raises
+    ------
+    ParameterError
+        If the shapes do not fit together, or the box is empty or not finite.
+    """
+    z, lower, upper = _checked(z, lower, upper)
+    size = upper - lower
+    cost, gradient = _evaluate(value_and_gradient, z)
+    step = FIRST * _longest(z, gradient, lower, upper)
+    fitted = np.zeros(len(z), bool)  # whether a step was once too long, so that its length is the slope's
+    settled, evaluations = cost <= enough, 1
+    for _ in range(iterations):
+        trial = np.clip(z - step[:, None] * size**2 * gradient, lower, upper)
+        settled |= np.isfinite(cost) & (np.abs(trial - z) <= LEAST * size).all(axis=1)
+        if (settled | ~np.isfinite(cost)).all():
+            break
+        trial = np.where(settled[:, None], z, trial)
+        new_cost, new_gradient = _evaluate(value_and_gradient, trial)
+        evaluations += 1
+        foretold = -np.einsum("sn,sn->s", gradient, trial - z)
+        better = (new_cost < cost) & (new_cost <= cost - SHARE * foretold) & ~settled
+        gain = np.where(better, cost, 0.0) - np.where(better, new_cost, 0.0)
+        fitted |= ~better
+        z = np.where(better[:, None], trial, z)
+        gradient = np.where(better[:, None], new_gradient, gradient)
+        cost = np.where(better, new_cost, cost)
+        step = np.minimum(step * np.where(better, LONGER, SHORTER), _longest(z, gradient, lower, upper))
+        settled |= (fitted & better & (gain <= tolerance * np.abs(cost))) | (cost <= enough)
+    return GradientDescent(z, cost, gradient, settled, evaluations)
+
+
+def _longest(z: np.ndarray, gradient: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """Return the step [starts] that moves the steepest coordinate through the whole box, those on an edge left out."""
+    pressed = ((z <= lower) & (gradient > 0)) | ((z >= upper) & (gradient < 0))
+    steepest = np.abs(np.where(pressed, 0.0, gradient * (upper - lower))).max(axis=1, initial=0.0)
+    return np.divide(1.0, steepest, out=np.zeros_like(steepest), where=steepest > 1e-300)
+
+
+def _evaluate(value_and_gradient: Callable, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    cost, gradient = (np.asarray(x, float) for x in value_and_gradient(z.copy()))
+    if cost.shape != z.shape[:1] or gradient.shape != z.shape:
+        raise ParameterError(f"cost {cost.shape} and gradient {gradient.shape} do not fit points of shape {z.shape}")
+    good = np.isfinite(cost) & np.isfinite(gradient).all(axis=1)
+    return np.where(good, cost, np.inf), np.where(good[:, None], gradient, 0.0)
+
+
+def _checked(z: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    z, lower, upper = (np.array(x, float) for x in (z, lower, upper))
+    if z.ndim != 2 or z.shape[1:] != lower.shape or lower.shape != upper.shape:
+        raise ParameterError(f"z {z.shape}, lower {lower.shape}, upper {upper.shape}: must be [starts, D], [D], [D]")
+    if not (np.isfinite(lower).all() and np.isfinite(upper).all() and (lower <= upper).all()):
+        raise ParameterError("lower and upper must be finite, and lower not above upper")
+    if not np.isfinite(z).all():
+        raise ParameterError("z must be finite")
+    return np.clip(z, lower, upper), lower, upper

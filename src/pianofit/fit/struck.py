@@ -1,0 +1,186 @@
+"""The struck string's |Y|² on the criterion's cells, fast enough for an annealing.
+
+|Y|² = |T̂|² |H|² δt². Over one cell the pulse's transform T̂ is smooth, for a pulse is short beside the cell's inverse
+width; and so is what all modes but the nearest leave there of the mobility H. Both are computed at a few Chebyshev
+nodes and interpolated, which is exact to 1e-9; the nearest modes are summed at every node. While the string is held
+nothing but T̂ changes.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Complex, Float
+
+from ..criterion.bands import NODES
+from ..model.cache import kept
+from ..model.contact import Pulse, impulse_amplitude, strike
+from ..model.modes import Modes, mode_table
+from ..model.response import pulse_transform
+from ..parameters import Geometry, Hammer, String
+from .space import stiffness
+from .spectral import Goal, miss
+
+__all__ = ["Held", "Scene", "hammer_costs", "hammer_residuals", "hold", "struck_gradients"]
+
+# Chebyshev nodes a cell, and modes that are summed at every node.
+SMOOTH, NEAREST = 12, 5
+# The steps are some 1.6 contacts long; the force is largest here.
+MIDDLE = 0.3
+
+
+class Scene(NamedTuple):
+    """What stays while a string and a hammer are searched."""
+
+    geometry: Geometry
+    rate: Array  # of the contact, Hz
+    log_u: Array  # log of the compression, m, at which the felt's force is searched
+    stiff: Array  # [2], logs of the least and the largest stiffness
+
+
+class Held(NamedTuple):
+    """A string that is held, as a hammer meets it."""
+
+    modes: Modes
+    mobility: Array  # |H|² δt² [rows, nodes]
+    real: Array  # of ζ^n at the Chebyshev nodes [steps, rows · SMOOTH]: T̂ is then one matrix product
+    imag: Array
+
+
+def _chebyshev() -> tuple[np.ndarray, np.ndarray]:
+    """Nodes in [-1, 1], and the matrix [NODES, SMOOTH] from values there to values at the cell's own nodes."""
+    order = np.arange(SMOOTH)
+    angle = (2 * order + 1) * np.pi / (2 * SMOOTH)
+    at = np.cos(np.outer(np.arccos(np.linspace(-1, 1, NODES)), order))
+    back = np.cos(np.outer(order, angle)) * np.where(order == 0, 1.0, 2.0)[:, None] / SMOOTH
+    return np.cos(angle), at @ back
+
+
+PLACES, SPREAD_OUT = _chebyshev()
+
+
+def _log_zeta(frequency: Array, sigma: Array, step: Array) -> Array:
+    return -(sigma + 2j * jnp.pi * frequency) * step
+
+
+def _smooth_frequency(goal: Goal) -> Float[Array, "rows smooth"]:
+    first, last = goal.frequency[:, :1], goal.frequency[:, -1:]
+    return (first + last) / 2 + (last - first) / 2 * PLACES
+
+
+def _sum_over(residue: Array, log_z: Array, log_zeta: Array) -> Complex[Array, "rows nodes"]:
+    """Σ_k of h_k = Re-pair ½ R/(1 - zζ) + ½ R̄/(1 - z̄ζ); `residue` and `log_z` [rows, 1, modes]."""
+    zeta = jnp.exp(log_zeta)[..., None]
+    rise, turn = jnp.expm1(log_z), jnp.expm1(log_zeta)[..., None]
+    upper = residue.real - (residue * jnp.exp(log_z).conj()).real * zeta
+    lower = (rise + turn + rise * turn) * (rise.conj() + turn + rise.conj() * turn)
+    return (upper / lower).sum(axis=-1)
+
+
+def string_mobility(modes: Modes, goal: Goal) -> Float[Array, "rows nodes"]:
+    """|H|² δt² of a struck string."""
+    residue, log_z = modes.pickup * impulse_amplitude(modes), modes.pole * modes.step
+    middle = goal.frequency.mean(axis=1)
+    nearest = jnp.searchsorted(modes.pole.imag, 2 * jnp.pi * middle) - (NEAREST + 1) // 2
+    nearest = jnp.clip(nearest, 0, len(residue) - NEAREST)[:, None] + jnp.arange(NEAREST)
+    far = jnp.ones((len(middle), len(residue))).at[jnp.arange(len(middle))[:, None], nearest].set(0.0)
+    rough = _log_zeta(_smooth_frequency(goal), goal.sigma, modes.step)
+    background = _sum_over((far * residue)[:, None, :], log_z[None, None, :], rough) @ SPREAD_OUT.T
+    fine = _log_zeta(goal.frequency, goal.sigma, modes.step)
+    near, log_near = residue[nearest][:, None, :], log_z[nearest][:, None, :]
+    # What is cut off where the recording ends, as if the whole pulse had come at once.
+    steps = goal.span / modes.step
+    tail = jnp.exp(steps * fine) * _sum_over(near * jnp.exp(steps * log_near), log_near, fine)
+    total = background + _sum_over(near, log_near, fine) - tail
+    return (total.real**2 + total.imag**2) * modes.step**2
+
+
+def pulse_energy(real: Array, imag: Array) -> Float[Array, "rows nodes"]:
+    """|T̂|² on the cells, from T̂ at their Chebyshev nodes [rows · SMOOTH]."""
+    spread_out = [part.reshape(-1, SMOOTH) @ SPREAD_OUT.T for part in (real, imag)]
+    return spread_out[0] ** 2 + spread_out[1] ** 2
+
+
+def _smooth_transform(drive: Float[Array, " steps"], log_zeta: Array) -> tuple[Array, Array]:
+    """T̂ at the Chebyshev nodes, from about the pulse's middle, where its phase turns least."""
+    transform = pulse_transform(drive, log_zeta) * jnp.exp(-1j * log_zeta.imag * MIDDLE * drive.shape[0])
+    return transform.real, transform.imag
+
+
+def _hammer(z: Float[Array, " 5"], scene: Scene) -> Hammer:
+    _, mu, p, mass, velocity = jnp.exp(z)
+    return Hammer(jnp.exp(stiffness(z[0], p, scene.log_u)), mu, p, mass, velocity)
+
+
+def _allowed(value: Array, hammer: Hammer, pulse: Pulse, scene: Scene) -> Array:
+    """`value`; infinite for a contact that does not end, and for a felt that is out of bounds."""
+    stiffness = jnp.log(hammer.K_H)
+    inside = (stiffness >= scene.stiff[0]) & (stiffness <= scene.stiff[1])
+    return jnp.where((pulse.compression[-1] <= 0) & inside, value, jnp.inf)
+
+
+def _struck(z: Float[Array, " 9"], goal: Goal, scene: Scene, cfg) -> Array:
+    modes, hammer = _table(z, scene, cfg), _hammer(z[4:], scene)
+    pulse = strike(modes, hammer, steps=cfg.steps)
+    log_zeta = _log_zeta(_smooth_frequency(goal), goal.sigma, modes.step).ravel()
+    energy = pulse_energy(*_smooth_transform(pulse.drive, log_zeta)) * string_mobility(modes, goal)
+    return _allowed(0.5 * (miss(energy, goal) ** 2).sum(), hammer, pulse, scene)
+
+
+def _table(z: Array, scene: Scene, cfg) -> Modes:
+    return mode_table(
+        String(*jnp.exp(z[:4])), scene.geometry, rate=scene.rate, n_modes=cfg.n_modes, quantity=cfg.quantity
+    )
+
+
+def _on_held(z: Float[Array, " 5"], held: Held, goal: Goal, scene: Scene, cfg) -> Array:
+    """Residuals of a hammer on a string that is held."""
+    hammer = _hammer(z, scene)
+    pulse = strike(held.modes, hammer, steps=cfg.steps)
+    energy = pulse_energy(pulse.drive @ held.real, pulse.drive @ held.imag) * held.mobility
+    return _allowed(miss(energy, goal), hammer, pulse, scene)
+
+
+@kept
+def struck_gradients(z, goal: Goal, scene: Scene, cfg):
+    """C [starts] and its gradient by all nine search coordinates `z` [starts, 9]."""
+    return jax.vmap(jax.value_and_grad(lambda x: _struck(x, goal, scene, cfg)))(z)
+
+
+def hold(z: Float[Array, " 9"], goal: Goal, scene: Scene, cfg) -> Held:
+    """The string of `z`, once for a whole search."""
+    mobility, real, imag, *rows = held_string(z, goal, scene, cfg)
+    return Held(Modes(*rows), mobility, real, imag)
+
+
+@kept
+def held_string(z, goal: Goal, scene: Scene, cfg):
+    """The parts of `Held`, its table last."""
+    modes = _table(z, scene, cfg)
+    log_zeta = _log_zeta(_smooth_frequency(goal), goal.sigma, modes.step).ravel()
+    powers = jnp.exp(jnp.arange(cfg.steps)[:, None] * log_zeta - 1j * log_zeta.imag * MIDDLE * cfg.steps)
+    return (string_mobility(modes, goal), powers.real, powers.imag, *modes)
+
+
+@kept
+def hammer_costs(z, held: Held, goal: Goal, scene: Scene, cfg):
+    """C [chains] of hammers `z` [chains, 5] on a string that is held."""
+    return (jax.vmap(lambda x: 0.5 * (_on_held(x, held, goal, scene, cfg) ** 2).sum())(z),)
+
+
+@kept
+def hammer_residuals(z, held: Held, goal: Goal, scene: Scene, cfg):
+    """Residuals [starts, bins], of which half the sum of squares is C, and their Jacobian [starts, bins, 5]."""
+
+    def both(x: Array) -> tuple[Array, Array]:
+        def twice(y: Array) -> tuple[Array, Array]:
+            value = _on_held(y, held, goal, scene, cfg)
+            return value, value
+
+        jacobian, value = jax.jacfwd(twice, has_aux=True)(x)
+        return value, jacobian
+
+    return jax.vmap(both)(z)

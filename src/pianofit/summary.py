@@ -1,0 +1,66 @@
+"""What the command line prints of a fit: a screenful of words and numbers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+__all__ = ["comparison", "cross_validation", "summary"]
+
+
+def comparison(document: dict, true: dict[str, float]) -> str:
+    """True values beside found ones."""
+    lines = [f"{'':8}{'initial':>12}{'true':>12}{'found':>12}{'off by':>10}   95 % interval"]
+    for name, value in true.items():
+        p = document["parameters"][name]
+        span = "[{:.5g}, {:.5g}]".format(*p["interval"]) if p["interval"] else "-"
+        off = 100 * (p["value"] / value - 1)
+        note = "" if p["status"] == "free" else f"  {p['status']}"
+        lines.append(f"{name:8}{p['initial']:12.5g}{value:12.5g}{p['value']:12.5g}{off:+9.3f} %  {span}{note}")
+    return "\n".join(lines) + "\n"
+
+
+def summary(document: dict, folder: Path) -> str:
+    """What was found, in a screenful."""
+    lines = [document["verdict"], ""] if document["verdict"] else []
+    lines.append(f"{'':8}{'value':>12}  {'unit':8}{'95 % interval':26}status")
+    for name, p in document["parameters"].items():
+        span = "[{:.5g}, {:.5g}]".format(*p["interval"]) if p["interval"] else "-"
+        lines.append(f"{name:8}{p['value']:12.5g}  {p['unit']:8}{span:26}{p['status']}")
+    d, levels = document["derived"], document["levels"]
+    lines += ["", f"f0 {d['f0']:.3f} Hz, B {d['B']:.4g}, contact {d['contact_ms']:.2f} ms"]
+    only = "" if levels["path_only_db"] is None else f", path alone {levels['path_only_db']:.1f} dB"
+    lines.append(f"levels of {levels['partials']} partials: start {levels['initial_db']:.2f} dB{only}, "
+                 f"fitted {levels['fitted_db']:.2f} dB")  # fmt: skip
+    if len(document["takes"]) > 1:
+        lines += [_take_line(take) for take in document["takes"]]
+    for name in ("global", "band1", "band2", "band3"):
+        if name in document["criterion"]:
+            c = document["criterion"][name]
+            lines.append(f"criterion, {name:7} {c['initial']:10.4g} -> {c['final']:.4g}")
+    if document["criterion"]["dropped"]:
+        lines.append(f"dropped, no partial above the noise: {', '.join(document['criterion']['dropped'])}")
+    lines += ["" if document["converged"] else "NOT CONVERGED", *document["messages"], "", f"written to {folder}"]
+    return "\n".join(lines) + "\n"
+
+
+def _take_line(take: dict) -> str:
+    levels = take["levels"]
+    return (
+        f"{Path(take['file']).name}: {take['v_H0']:.3g} m/s, gain {take['gain']:.3g}, {take['cents']:+.2f} cents, "
+        f"levels {levels['initial_db']:.1f} -> {levels['fitted_db']:.2f} dB"
+    )
+
+
+def cross_validation(document: dict) -> str:
+    """Each take left out and predicted, beside what needs no model."""
+    lines = [f"{'':32}{'v_H0, m/s':>10}{'predicted':>11}{'nearest':>9}{'blend':>7}   dB a partial"]
+    for take in document["takes"]:
+        blend = "-" if take["blend_db"] is None else f"{take['blend_db']:.2f}"
+        note = "" if take["inner"] else "  (beyond the others)"
+        lines.append(
+            f"{Path(take['file']).name:32}{take['v_H0']:10.3g}{take['predicted_db']:11.2f}{take['nearest_db']:9.2f}"
+            f"{blend:>7}{note}"
+        )
+    lines.append(f"between the others: median {document['median_inner_db']:.2f} dB, worst "
+                 f"{document['worst_inner_db']:.2f} dB")  # fmt: skip
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,393 @@
+"""Adaptive simulated annealing: its distributions against numerical ones, its promises, and whether it finds minima."""
+
+import json
+from dataclasses import fields, replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import quad
+from scipy.stats import kstest
+
+from pianofit.errors import FitError, ParameterError
+from pianofit.fit.annealing import anneal
+from pianofit.fit.annealing_state import AnnealingState, Schedule, cost_temperature, generate, jump_cdf, temperatures
+
+UNLIKELY = 1e-3  # of a test statistic, if what is tested is right
+
+
+def density(y: float, temperature: float) -> float:
+    """Ingber 1989: of a jump y in box widths."""
+    return 1 / (2 * (abs(y) + temperature) * np.log(1 + 1 / temperature))
+
+
+def share(low: float, high: float, temperature: float) -> float:
+    """The probability of a jump between `low` and `high`, by integration in pieces that the integrand suits."""
+    knots = temperature * np.concatenate([-np.logspace(9, -2, 34), [0.0], np.logspace(-2, 9, 34)])
+    knots = np.unique(np.clip(knots, low, high))
+    return sum(quad(density, a, b, args=(temperature,))[0] for a, b in pairwise(knots))
+
+
+def rastrigin(z):
+    return (z**2 - 10 * np.cos(2 * np.pi * z) + 10).sum(axis=-1)
+
+
+def box(size: int, low: float = -5.12, high: float = 5.12) -> tuple[np.ndarray, np.ndarray]:
+    return np.full(size, low), np.full(size, high)
+
+
+def same(first: AnnealingState, second: AnnealingState) -> bool:
+    return all(np.array_equal(getattr(first, f.name), getattr(second, f.name)) for f in fields(first))
+
+
+# --- the distribution of jumps ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("temperature", [1.0, 0.1, 1e-3, 1e-7])
+def test_the_distribution_of_jumps_is_the_integral_of_ingbers_density(temperature):
+    assert share(-1, 1, temperature) == pytest.approx(1.0, rel=1e-9)
+    for y in (-1.0, -0.5, -1e-3, -1e-8, 0.0, 1e-8, 1e-4, 0.02, 0.9, 1.0):
+        assert jump_cdf(np.array(y), np.array(temperature)) == pytest.approx(share(-1, y, temperature), abs=1e-9)
+
+
+@pytest.mark.parametrize("temperature", [1.0, 0.1, 1e-3, 1e-7])
+@pytest.mark.parametrize("x", [0.0, 0.003, 0.5, 0.9, 1.0])
+def test_jumps_in_the_box_are_those_drawn_anew_until_they_are_inside(x, temperature):
+    """Ingber's way: y = sgn(u − 1/2) T [(1 + 1/T)^|2u−1| − 1], again and again. Rejection against one draw."""
+    random = np.random.default_rng(4)
+    v = 2 * random.random(40_000) - 1
+    drawn = x + np.sign(v) * temperature * ((1 + 1 / temperature) ** np.abs(v) - 1)
+    drawn = drawn[(drawn >= 0) & (drawn <= 1)]
+    ours = generate(random.random(15_000), np.full(15_000, x), np.full(15_000, temperature))
+    assert ((ours >= 0) & (ours <= 1)).all()
+    # Steps over decades are compared by their logarithms, each side by itself.
+    assert np.mean(ours > x) == pytest.approx(np.mean(drawn > x), abs=0.02)
+    for side in (-1, 1):
+        a, b = ((side * (p - x))[side * (p - x) > 1e-14] for p in (ours, drawn))
+        if min(len(a), len(b)) > 100:
+            assert kstest(np.log(a), np.log(b)).pvalue > UNLIKELY
+
+
+def test_the_jumps_of_a_run_follow_the_schedule():
+    """A chain that never moves shows what it tries: each jump has the distribution of its own step's temperature."""
+    tried = []
+
+    def only_the_start(z):
+        tried.append(z[:, 0].copy())
+        return np.where(z[:, 0] == 0.3, 0.0, 1.0)
+
+    schedule = Schedule(start=0.5, end=1e-4, cost_start=0.0, samples=1, reanneal=0, meetings=0)
+    end = anneal(only_the_start, [0.0], [1.0], chains=1, evaluations=4001, start=[0.3], schedule=schedule)
+    assert end.z[0] == 0.3
+    k = np.arange(1, 4001)
+    T = 0.5 * np.exp(-np.log(0.5 / 1e-4) / 4000 * k)  # D = 1: exponential in k
+    low, high = jump_cdf(-0.3, T), jump_cdf(0.7, T)
+    u = (jump_cdf(np.concatenate(tried[1:]) - 0.3, T) - low) / (high - low)
+    assert kstest(u, "uniform").pvalue > UNLIKELY
+    warmer = jump_cdf(-0.3, 3 * T), jump_cdf(0.7, 3 * T)
+    other = (jump_cdf(np.concatenate(tried[1:]) - 0.3, 3 * T) - warmer[0]) / (warmer[1] - warmer[0])
+    assert kstest(other, "uniform").pvalue < UNLIKELY  # the test would see a schedule that is wrong
+
+
+@pytest.mark.parametrize("size", [1, 2, 5, 10])
+def test_temperatures_fall_as_the_root_of_k_says(size):
+    schedule = Schedule(start=0.8, end=1e-5, cost_end=1e-3, reanneal=0, samples=1)
+    state = anneal(rastrigin, *box(size), chains=1, evaluations=301, schedule=schedule, pause=2).state
+    assert state.length == 300
+    c, c_cost = np.log(0.8 / 1e-5) / 300 ** (1 / size), np.log(1e3) / 300 ** (1 / size)
+    for k in (1, 7, 150, 300):
+        at = replace(state, steps=k, accepted=np.array([k / 2]), width=np.ones((1, size)))
+        np.testing.assert_allclose(temperatures(at, schedule, size), 0.8 * np.exp(-c * k ** (1 / size)), rtol=1e-10)
+        expected = state.cost_start * np.exp(-c_cost * (k / 2) ** (1 / size))
+        np.testing.assert_allclose(cost_temperature(at, schedule, size), expected, rtol=1e-10)
+    wide = replace(at, width=np.full((1, size), 1e9))
+    np.testing.assert_array_equal(temperatures(wide, schedule, size), 0.8)
+
+
+# --- acceptance ------------------------------------------------------------------------------------------------------
+
+
+def test_at_a_fixed_temperature_chains_settle_into_boltzmanns_distribution():
+    """Drawn anew at the edges, jumps from x have the density g(y)/Z(x), Z the share of g inside the box.
+
+    Detailed balance then holds for π(x) ∝ Z(x) exp(−E/T): g is symmetric. 4000 chains that know nothing of each other.
+    """
+    T, warm = 0.05, 0.7
+
+    def energy(z):
+        return (1.5 * np.cos(9 * z) + 2 * z)[:, 0]
+
+    schedule = Schedule(start=T, end=T, cost_start=warm, cost_end=1.0, samples=1, reanneal=0, meetings=0)
+    end = anneal(energy, [0.0], [1.0], chains=4000, evaluations=4000 * 150, seed=3, schedule=schedule)
+    x = np.linspace(0, 1, 2001)
+    inside = np.array([share(-p, 1 - p, T) for p in x[::20]])
+    weight = np.interp(x, x[::20], inside) * np.exp(-energy(x[:, None]) / warm)
+    cdf = np.concatenate([[0], np.cumsum(0.5 * (weight[1:] + weight[:-1]))])
+    assert kstest(end.state.z[:, 0], lambda z: np.interp(z, x, cdf / cdf[-1])).pvalue > UNLIKELY
+    flat = np.concatenate([[0], np.cumsum(np.exp(-energy(x[1:, None]) / (1.5 * warm)))])
+    assert kstest(end.state.z[:, 0], lambda z: np.interp(z, x, flat / flat[-1])).pvalue < UNLIKELY
+
+
+@pytest.mark.parametrize("rise", [0.0, 0.2, 1.0, 3.0])
+def test_a_rise_is_accepted_with_boltzmanns_probability(rise):
+    def step_up(z):
+        return np.where((z == 0.5).all(axis=1), 0.0, rise)
+
+    schedule = Schedule(cost_start=0.8, cost_end=1.0, samples=1, meetings=0)
+    begin = np.full((5000, 3), 0.5)
+    end = anneal(
+        step_up, np.zeros(3), np.ones(3), chains=5000, evaluations=10_000, start=begin, schedule=schedule, seed=1
+    )
+    taken = np.mean((end.state.z != 0.5).any(axis=1))
+    assert taken == pytest.approx(np.exp(-rise / 0.8), abs=0.025)
+
+
+# --- re-annealing ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("stretch", [0.5, 1.0])
+def test_reannealing_searches_insensitive_parameters_more_widely(stretch):
+    slope = np.array([1.0, 100.0, 4.0, 0.0, 1e-6, 7.0])
+    lower, upper = np.zeros(6), np.array([1.0, 1.0, 5.0, 1.0, 1.0, 0.0])  # the last is held
+    schedule = Schedule(reanneal=10, samples=1, stretch=stretch, widest=500.0)
+    end = anneal(lambda z: z @ slope, lower, upper, chains=3, evaluations=2000, pause=48, schedule=schedule)
+    # Per box width the slopes are 1, 100, 20, none, 1e-6; what tells nothing stays as it is.
+    expected = np.minimum((100 / np.array([1, 100, 20, 100, 1e-6])) ** stretch, 500.0)
+    assert end.state.steps == 11
+    np.testing.assert_allclose(end.state.width, np.tile(expected, (3, 1)), rtol=1e-6)
+    warm = temperatures(end.state, schedule, 5)
+    assert (warm[:, 0] > warm[:, 2]).all()
+    assert (warm[:, 2] > warm[:, 1]).all()
+
+
+def test_reannealing_sets_the_acceptance_to_what_there_is_still_to_gain():
+    """The gap to a chain's best, no warmer than T_0 and no colder than T: every case must have been met."""
+    schedule = Schedule(reanneal=20, samples=20, stretch=0.0, meetings=0.0, cost_end=1e-2)
+    settled = {"evaluations": 4000, "schedule": schedule, "seed": 2}
+    state, met = anneal(rastrigin, *box(3), chains=4, pause=1, **settled).state, []
+    while state.steps < 900:
+        before = state
+        state = anneal(rastrigin, *box(3), state=state, pause=state.evaluations + 1, **settled).state
+        if state.steps % 20:
+            np.testing.assert_array_equal(state.cost_start, before.cost_start)
+            continue
+        accepted = before.accepted + (state.z != before.z).any(axis=1)
+        now = cost_temperature(replace(before, accepted=accepted), schedule, 3)
+        choices = np.stack([now, state.cost - state.best_cost, before.cost_start])
+        np.testing.assert_allclose(state.cost_start, np.sort(choices, axis=0)[1])  # the middle one: now <= start
+        np.testing.assert_array_equal(state.accepted, 1.0)
+        met += list(np.argsort(choices, axis=0, kind="stable")[1])
+    assert set(met) == {0, 1, 2}
+
+
+def test_units_and_offsets_of_the_cost_change_nothing():
+    def whole(z):
+        return np.round(1024 * rastrigin(z)) / 1024  # so that adding rounds nothing away
+
+    ends = [
+        anneal(cost, *box(3), chains=4, evaluations=3000, seed=5)
+        for cost in (whole, lambda z: 8 * whole(z), lambda z: whole(z) + 2.0**20)
+    ]
+    for other in ends[1:]:
+        np.testing.assert_array_equal(other.state.z, ends[0].state.z)
+
+
+@pytest.mark.parametrize("share_of_plain", [0.8, 0.999999])
+def test_units_of_the_cost_change_nothing_where_most_of_it_is_a_plain(share_of_plain):
+    def plain(z):
+        return np.where(z[:, 0] < -5.12 + 10.24 * share_of_plain, 300.0, np.round(rastrigin(z)))
+
+    ends = [anneal(lambda z, f=f: f * plain(z), *box(3), chains=4, evaluations=3000, seed=5) for f in (1.0, 64.0)]
+    np.testing.assert_array_equal(ends[1].state.z, ends[0].state.z)
+    np.testing.assert_array_equal(ends[1].state.cost_start, 64 * ends[0].state.cost_start)
+
+
+# --- stopping and going on -------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=25)
+@given(
+    st.integers(0, 2**32 - 1), st.integers(1, 6), st.integers(1, 5), st.lists(st.integers(1, 900), max_size=4)
+)  # fmt: skip
+def test_stopped_and_gone_on_is_as_if_never_stopped(seed, chains, size, stops):
+    def walled(z):
+        return np.where(z[:, 0] > 4.5, np.inf, rastrigin(z))
+
+    settled = {"evaluations": 900, "schedule": Schedule(reanneal=17)}
+    whole = anneal(walled, *box(size), chains=chains, seed=seed, **settled)
+    state = None
+    for stop in sorted(stops):
+        part = anneal(walled, *box(size), chains=chains, seed=seed, state=state, pause=stop, **settled)
+        text = json.dumps(part.state.to_data(), allow_nan=False)
+        state = AnnealingState.from_data(json.loads(text))
+        assert same(state, part.state)
+    parts = anneal(walled, *box(size), chains=chains, seed=seed, state=state, **settled)
+    assert same(parts.state, whole.state)
+    assert parts.cost == whole.cost
+    assert parts.trace == whole.trace
+    np.testing.assert_array_equal(parts.z, whole.z)
+
+
+def test_the_seed_decides():
+    first, again, other = (anneal(rastrigin, *box(4), evaluations=1000, seed=seed) for seed in (1, 1, 2))
+    assert same(first.state, again.state)
+    assert not np.array_equal(first.state.z, other.state.z)
+
+
+def good_data() -> dict:
+    return anneal(rastrigin, *box(2), chains=2, evaluations=100).state.to_data()
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"version": 0}, {"z": None}, {"z": [[1.0, 2.0], [1.0]]}, {"cost": [1.0]}, {"best_z": [[1.0], [2.0]]},
+        {"accepted": [None, 1.0]}, {"width": "wide"}, {"steps": 0}, {"length": None}, {"random": {}},
+        {"random": {"bit_generator": "MT19937"}}, {"random": None}, {"trace": 3}, {"trace": [[1]]},
+        {"evaluations": 1e999}, {"random": {"bit_generator": "PCG64", "state": {"state": -1, "inc": 1}}},
+    ],
+    ids=str,
+)  # fmt: skip
+def test_what_is_not_a_state_is_refused(change):
+    with pytest.raises(FitError, match="not the state of an annealing"):
+        AnnealingState.from_data({**good_data(), **change})
+    with pytest.raises(FitError, match="not the state of an annealing"):
+        AnnealingState.from_data([])  # type: ignore[arg-type]
+
+
+# --- promises --------------------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=60)
+@given(
+    st.integers(0, 2**32 - 1), st.integers(1, 10), st.integers(1, 9), st.integers(20, 400), st.sampled_from([1, 5, 100])
+)  # fmt: skip
+def test_points_stay_in_the_box_batches_keep_their_shape_and_the_lowest_is_returned(
+    seed, size, chains, evaluations, every
+):
+    random = np.random.default_rng(seed)
+    lower = random.normal(size=size) * 10.0 ** random.integers(-8, 8, size)
+    upper = lower + random.random(size) * 10.0 ** random.integers(-8, 8, size) * random.integers(0, 2, size)
+    slope, nowhere = random.normal(size=size), random.choice([np.nan, np.inf, -np.inf])
+    seen, costs = [], []
+
+    def cost(z):
+        seen.append(z.copy())
+        wave = np.cos(7 * (z - lower) / np.where(upper > lower, upper - lower, 1)) @ slope
+        costs.append(np.where(np.sin(40 * wave) > 0.7, nowhere, wave))
+        z[:] = np.nan  # what the cost does to its argument is its own affair
+        return costs[-1]
+
+    start = random.normal(size=(min(2, chains), size))
+    end = anneal(
+        cost, lower, upper, chains=chains, evaluations=evaluations, seed=seed, start=start,
+        schedule=Schedule(samples=3, reanneal=every),
+    )  # fmt: skip
+    assert {z.shape for z in seen} == {(chains, size)}
+    tried, costs = np.concatenate(seen), np.concatenate(costs)
+    assert ((tried >= lower) & (tried <= upper)).all()
+    assert end.evaluations == len(tried) <= evaluations
+    assert len(tried) > evaluations - chains or (lower == upper).all()
+    np.testing.assert_array_equal(seen[0][: len(start)], np.clip(start, lower, upper))
+    costs = np.where(np.isfinite(costs), costs, np.inf)
+    assert end.cost == costs.min()
+    if end.cost < np.inf:
+        assert end.cost in costs[(tried == end.z).all(axis=1)]
+    count, least = np.array(end.trace).reshape(-1, 2).T
+    assert (np.diff(count) >= 0).all()
+    assert (np.diff(least) < 0).all()
+    assert [*least[-1:]] == [end.cost] * (end.cost < np.inf)
+
+
+def test_where_no_cost_is_finite_the_result_says_so():
+    end = anneal(lambda z: np.full(len(z), np.nan), *box(3), evaluations=500)
+    assert end.cost == np.inf
+    assert end.trace == ()
+    assert same(AnnealingState.from_data(json.loads(json.dumps(end.state.to_data(), allow_nan=False))), end.state)
+
+
+def test_a_finite_island_is_found_and_searched():
+    def island(z):
+        return np.where(np.abs(z - 3).max(axis=1) < 0.8, rastrigin(z - 3), np.inf)
+
+    ends = [anneal(island, *box(3), evaluations=4000, seed=seed) for seed in range(5)]
+    np.testing.assert_allclose([end.cost for end in ends], 0.0, atol=1e-3)
+
+
+def test_nothing_free_is_no_trouble():
+    end = anneal(rastrigin, np.ones(3), np.ones(3), chains=2, evaluations=500)
+    np.testing.assert_array_equal(end.z, np.ones(3))
+    again = anneal(rastrigin, np.ones(3), np.ones(3), state=end.state, evaluations=500)
+    assert same(again.state, end.state)
+
+
+def test_chains_meet_unless_they_are_not_to():
+    """Only one chain starts in a hole that no jump finds; the others can only be told of it."""
+
+    def hole(z):
+        return np.where(np.abs(z - 0.123).max(axis=1) < 1e-9, -1.0, z.sum(axis=1))
+
+    shares = []
+    for meetings in (0.0, 30.0):
+        end = anneal(
+            hole, np.zeros(4), np.ones(4), chains=12, evaluations=6000, start=np.full(4, 0.123),
+            schedule=Schedule(meetings=meetings),
+        )  # fmt: skip
+        shares.append(np.mean(end.state.best_cost == -1.0))
+    assert shares[0] == 1 / 12
+    assert shares[1] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"lower": np.zeros((2, 2))}, "of one length"),
+        ({"upper": np.ones(3)}, "of one length"),
+        ({"upper": np.array([1.0, np.inf])}, "finite"),
+        ({"upper": np.array([1.0, -1.0])}, r"lower\[1\]=0.0 lies above upper\[1\]=-1.0"),
+        ({"chains": 0}, "chains=0"),
+        ({"evaluations": 7}, "evaluations=7"),
+        ({"start": np.zeros(3)}, "start of shape"),
+        ({"start": np.zeros((3, 2))}, "for 2 chains"),
+        ({"cost": lambda _: 0.0}, "must return 2 numbers"),
+        ({"cost": lambda z: z}, "must return 2 numbers"),
+        ({"state": AnnealingState.from_data(good_data()), "lower": np.full(2, 0.9)}, "state holds"),
+        ({"state": AnnealingState.from_data(good_data()), "lower": np.zeros(3), "upper": np.ones(3)}, "state holds"),
+    ],
+)
+def test_arguments_that_do_not_fit_are_named(change, message):
+    given = {"cost": rastrigin, "lower": np.zeros(2), "upper": np.ones(2), "chains": 2, "evaluations": 50}
+    with pytest.raises(ParameterError, match=message):
+        anneal(**{**given, **change})
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"start": 0.0}, {"end": 2.0}, {"cost_end": np.nan}, {"cost_end": 2.0}, {"samples": 0}, {"meetings": -1.0},
+     {"reanneal": -1}, {"cost_start": -1.0}, {"probe": np.inf}],
+    ids=str,
+)  # fmt: skip
+def test_a_schedule_that_cannot_be_is_refused(change):
+    with pytest.raises(ParameterError, match=next(iter(change)).split("_")[0] + "|nothing in it negative"):
+        Schedule(**change)
+
+
+# --- does it find minima? benchmarks/annealing_study.py says how often, beside others ---------------------------------
+
+
+@pytest.mark.parametrize("chains", [1, 16])
+def test_rastrigins_deepest_minimum_is_found_among_ten_thousands(chains):
+    """11^4 minima. At 95 of 100, two failures in ten would be a chance of 1 in 10, three 1 in 90."""
+    moved = np.array([0.4, -1.1, 0.8, 1.3])
+    ends = [anneal(lambda z: rastrigin(z - moved), *box(4), chains=chains, evaluations=8000, seed=s) for s in range(10)]
+    found = [end.cost < 0.01 and np.abs(end.z - moved).max() < 0.01 for end in ends]
+    assert sum(found) >= 8
+
+
+def test_a_smooth_bowl_is_searched_to_its_bottom():
+    """Fat tails or not: cooling must reach small scales. 2e-5 of the box in every coordinate."""
+    for size in (1, 2, 5):
+        end = anneal(lambda z: ((z - 0.3) ** 2).sum(axis=1), *box(size, 0.0, 1.0), evaluations=8000)
+        assert np.abs(end.z - 0.3).max() < 2e-5

@@ -1,0 +1,208 @@
+"""Gradient descent, against what theory guarantees on convex costs, SciPy's minima and its own promises."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import minimize
+
+from pianofit.errors import ParameterError
+from pianofit.fit.gradient import LONGER, SHARE, SHORTER, gradient_descent
+
+
+def parabola(hessian: np.ndarray, middle: np.ndarray, seen: list | None = None):
+    """½ (z − middle)ᵀ H (z − middle) and its gradient, for rows of z."""
+
+    def evaluate(z):
+        if seen is not None:
+            seen.append(z)
+        gradient = (z - middle) @ hessian
+        return 0.5 * np.einsum("sn,sn->s", z - middle, gradient), gradient
+
+    return evaluate
+
+
+def hessian(condition: float, size: int, seed: int) -> np.ndarray:
+    axes = np.linalg.qr(np.random.default_rng(seed).normal(size=(size, size)))[0]
+    return axes @ np.diag(np.geomspace(1.0, condition, size)) @ axes.T
+
+
+@pytest.mark.parametrize("condition", [1.0, 10.0, 100.0])
+@pytest.mark.parametrize("size", [1, 2, 5, 10])
+def test_a_parabola_is_descended_at_the_rate_that_the_line_search_guarantees(condition, size):
+    """A step that was taken is at least (1 − SHARE)/L long, once one was too long; it brings SHARE of its promise.
+
+    So every one taken lowers C by the factor 1 − 2 SHARE (1 − SHARE)/κ, and per step taken there are at most
+    ln LONGER/ln(1/SHORTER) that were not.
+    """
+    start = np.random.default_rng(size).uniform(-1, 1, (8, size))
+    evaluate = parabola(hessian(condition, size, 1), np.zeros(size))
+    box = np.full(size, -10.0), np.full(size, 10.0)
+    first = evaluate(start)[0]
+    factor = 1 - 2 * SHARE * (1 - SHARE) / condition
+    steps_per_taken = 1 + np.log(LONGER) / np.log(1 / SHORTER)
+    for iterations in (50, 100, 300):
+        end = gradient_descent(evaluate, start, *box, iterations=iterations, tolerance=0.0)
+        bound = factor ** ((iterations - 20) / steps_per_taken)
+        # A step of less than 1e-13 of the box is none; there the slope is still 3e-12 κ at most.
+        assert (end.cost <= np.maximum(bound * first, 1e-22 * condition**2)).all()
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_minimum_in_a_box_is_scipys(seed):
+    random = np.random.default_rng(seed)
+    H, middle = hessian(20.0, 4, seed), random.uniform(-2, 2, 4)
+    lower, upper = np.full(4, -1.0), random.uniform(-0.5, 1, 4)
+    evaluate = parabola(H, middle)
+    start = random.uniform(lower, upper, (5, 4))
+    end = gradient_descent(evaluate, start, lower, upper, iterations=2000, tolerance=1e-14)
+    expected = minimize(
+        lambda z: tuple(x[0] for x in evaluate(z[None])), start[0], jac=True, method="L-BFGS-B",
+        bounds=list(zip(lower, upper, strict=True)), options={"ftol": 1e-15, "gtol": 1e-12},
+    )  # fmt: skip
+    assert end.settled.all()
+    np.testing.assert_allclose(end.cost, expected.fun, rtol=1e-9)
+    np.testing.assert_allclose(end.z, np.tile(expected.x, (5, 1)), atol=1e-5)
+
+
+@settings(max_examples=80)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 6))
+def test_costs_never_rise_and_no_point_outside_the_box_is_tried(seed, size):
+    """Also where the gradient is wrong, the cost has cliffs, and parts of the box have no finite cost."""
+    random = np.random.default_rng(seed)
+    wave, phase, wrong = random.normal(0, 3, (4, size)), random.uniform(0, 7, 4), random.normal(0, 1, (size, size))
+    lower = random.uniform(-2, 0, size)
+    upper = lower + random.uniform(0, 3, size) * random.integers(0, 2, size)
+    seen = []
+
+    def evaluate(z):
+        seen.append(z)
+        cost = np.cos(z @ wave.T + phase).sum(axis=1) + np.floor(3 * z.sum(axis=1))
+        gradient = -np.sin(z @ wave.T + phase) @ wave + 0.3 * z @ wrong
+        return np.where(np.cos(5 * z[:, 0]) > 0.9, np.nan, cost), gradient
+
+    start = random.uniform(-3, 3, (4, size))
+    before = np.full(4, np.inf)
+    for iterations in (0, 1, 2, 5, 30):
+        end = gradient_descent(evaluate, start, lower, upper, iterations=iterations)
+        assert (end.cost <= before).all()
+        before = end.cost
+        value = evaluate(end.z)[0]
+        np.testing.assert_array_equal(np.where(np.isfinite(value), value, np.inf), end.cost)
+    tried = np.concatenate(seen)
+    assert ((tried >= lower) & (tried <= upper)).all()
+    held = lower == upper
+    np.testing.assert_array_equal(end.z[:, held], np.tile(lower[held], (4, 1)))
+
+
+def test_every_step_taken_brings_its_share_of_what_the_slope_foretold():
+    """Along Rosenbrock's valley, where a step that lowers C to first order only would climb the walls."""
+
+    def rosenbrock(z):
+        x, y = z.T
+        return (1 - x) ** 2 + 100 * (y - x**2) ** 2, np.stack(
+            [-2 * (1 - x) - 400 * x * (y - x**2), 200 * (y - x**2)], axis=1
+        )
+
+    start, box = np.array([[-1.2, 1.0], [1.5, -1.0]]), (np.full(2, -2.0), np.full(2, 2.0))
+    ends = [gradient_descent(rosenbrock, start, *box, iterations=n, tolerance=0.0) for n in range(120)]
+    for before, after in pairwise(ends):
+        foretold = np.einsum("sn,sn->s", before.gradient, before.z - after.z)
+        moved = (before.z != after.z).any(axis=1)
+        assert (foretold[moved] > 0).all()
+        assert (after.cost[moved] <= before.cost[moved] - SHARE * foretold[moved]).all()
+    assert (ends[-1].cost < 0.2 * ends[0].cost).all()
+    assert not ends[-1].settled.any()
+
+
+def test_units_of_the_coordinates_and_of_the_cost_change_nothing():
+    scale = 2.0 ** np.array([-20, 0, 30])
+    H, middle = hessian(5.0, 3, 2), np.array([0.2, -0.4, 0.1])
+    start, box = np.random.default_rng(3).uniform(-1, 1, (4, 3)), (np.full(3, -1.0), np.full(3, 1.0))
+    plain = gradient_descent(parabola(H, middle), start, *box, iterations=15)
+
+    def in_other_units(z):
+        cost, gradient = parabola(H, middle)(z / scale)
+        return 2.0**9 * cost, 2.0**9 * gradient / scale
+
+    other = gradient_descent(in_other_units, start * scale, box[0] * scale, box[1] * scale, iterations=15)
+    np.testing.assert_array_equal(other.z, plain.z * scale)
+    np.testing.assert_array_equal(other.cost, plain.cost * 2.0**9)
+
+
+def test_a_start_pressed_against_an_edge_does_not_hold_back_the_other_coordinates():
+    """A slope of 1e9 against the edge says nothing of how far to go along it."""
+
+    def evaluate(z):
+        return 1e9 * z[:, 0] + (z[:, 1] - 0.7) ** 2, np.stack([np.full(len(z), 1e9), 2 * (z[:, 1] - 0.7)], axis=1)
+
+    end = gradient_descent(evaluate, np.array([[0.0, 0.0]]), np.zeros(2), np.ones(2), iterations=60, tolerance=0.0)
+    np.testing.assert_allclose(end.z, [[0.0, 0.7]], atol=1e-9)
+
+
+def test_where_there_is_no_finite_cost_is_no_place_to_go():
+    def walled(z):
+        cost, gradient = parabola(np.eye(2), np.array([1.0, 0.0]))(z)
+        return np.where(z[:, 0] > 0.5, np.inf, cost), gradient
+
+    box = np.full(2, -2.0), np.full(2, 2.0)
+    end = gradient_descent(walled, np.array([[-1.0, 1.0], [1.0, 1.0]]), *box, iterations=300)
+    assert end.z[0, 0] == pytest.approx(0.5, abs=1e-3)
+    assert end.cost[1] == np.inf
+    assert not end.settled[1]
+    np.testing.assert_array_equal(end.z[1], [1.0, 1.0])
+
+
+def test_starts_do_not_disturb_each_other():
+    evaluate = parabola(hessian(50.0, 3, 4), np.zeros(3))
+    start, box = np.random.default_rng(5).uniform(-1, 1, (5, 3)), (np.full(3, -1.0), np.full(3, 1.0))
+    together = gradient_descent(evaluate, start, *box, iterations=40, tolerance=1e-6)
+    for row in range(5):
+        alone = gradient_descent(evaluate, start[row : row + 1], *box, iterations=40, tolerance=1e-6)
+        np.testing.assert_allclose(alone.z[0], together.z[row], rtol=1e-9, atol=1e-12)
+        assert alone.settled[0] == together.settled[row]
+
+
+def test_a_descent_ends_when_it_is_good_enough_or_done_and_says_so():
+    seen = []
+    evaluate = parabola(hessian(10.0, 3, 6), np.zeros(3), seen)
+    start, box = np.full((2, 3), 0.9), (np.full(3, -1.0), np.full(3, 1.0))
+    assert not gradient_descent(evaluate, start, *box, iterations=2).settled.any()
+    seen.clear()
+    end = gradient_descent(evaluate, start, *box, iterations=1000, enough=1e-4)
+    assert end.settled.all()
+    assert (end.cost <= 1e-4).all()
+    assert len(seen) == end.evaluations < 100
+    flat = gradient_descent(lambda _: (np.ones(2), np.zeros((2, 3))), start, *box, iterations=1000)
+    assert flat.settled.all()
+    assert flat.evaluations == 1
+
+
+def test_small_gains_of_the_first_small_steps_are_not_taken_for_the_end():
+    """On an offset of 1e4 a gain of 1 counts for nothing at this tolerance, and the first steps gain less."""
+
+    def raised(z):
+        return 1e4 + 5 * z[:, 0] ** 2, 10 * z
+
+    end = gradient_descent(raised, np.array([[0.9]]), -np.ones(1), np.ones(1), iterations=100, tolerance=1e-4)
+    assert end.settled[0]
+    assert end.cost[0] - 1e4 < 0.2
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"z": np.zeros(3)}, "must be [starts, D]"),
+        ({"lower": np.zeros(2)}, "must be [starts, D]"),
+        ({"lower": np.full(3, -np.inf)}, "finite"),
+        ({"lower": np.full(3, 2.0)}, "not above"),
+        ({"z": np.full((1, 3), np.nan)}, "z must be finite"),
+        ({"value_and_gradient": lambda z: (np.zeros(3), z)}, "do not fit"),
+    ],
+)
+def test_arguments_that_do_not_fit_are_named(change, message):
+    given = {"value_and_gradient": parabola(np.eye(3), np.zeros(3)), "z": np.zeros((1, 3))}
+    with pytest.raises(ParameterError, match=message.replace("[", r"\[")):
+        gradient_descent(**{**given, "lower": np.zeros(3), "upper": np.ones(3), "iterations": 3, **change})
