@@ -14,7 +14,7 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.optimize import minimize_scalar
+from scipy.optimize import fminbound
 
 from .analysis import Analysis
 from .criterion import level_error_db
@@ -77,7 +77,7 @@ def predict_take(voice: Voice, analysis: Analysis) -> Prediction:
     if not np.isfinite(errors[best]):
         raise FitError("no velocity gives a finite sound; is this the fit of the same key?")
     around = np.log(tried[[max(best - 1, 0), min(best + 1, TRIED - 1)]])
-    velocity = float(np.exp(minimize_scalar(error, bounds=tuple(around), method="bounded", options={"xatol": 1e-4}).x))
+    velocity = float(np.exp(fminbound(error, *around, xtol=1e-4)))
     level = levels(np.array([velocity]))[0]
     gain = float((p.level - level)[chosen].mean())
     cents = 1200 * float(np.log2(analysis.f0 / _pitch(voice)))
