@@ -84,10 +84,10 @@ def fit_by_paper(
     x = search.x(search.state.space.start[:NUMBER])
     progress("string", 0.1)
     if recipe == "global":
-        x = search.down(x, FIT_NAMES, ALL, search.sigmas)
+        x = search.down(x, FIT_NAMES, ALL)
     else:
-        x = search.down(x, ("c", "b1"), (search.band(0),), search.sigmas)
-        x = search.down(x, ("kappa", "b2"), (search.band(1),), search.sigmas)
+        x = search.down(x, ("c", "b1"), (search.band(0),))
+        x = search.down(x, ("kappa", "b2"), (search.band(1),))
         progress("hammer", 0.2)
         x = search.annealed(x, evaluations or EVALUATIONS, seed) if hammer == "annealing" else search.hammer_down(x)
     progress("gradient", 0.7)
@@ -95,7 +95,7 @@ def fit_by_paper(
     if search.state.data.calibrated:
         search.state = replace(search.state, delay=_touches([take], _rated(search, x)))
     if recipe == "global":
-        x = search.down(x, FIT_NAMES, ALL, search.sigmas[-1:])
+        x = search.finely_down(x, FIT_NAMES, ALL)
     else:
         x = search.hammer_settled(x) if hammer == "annealing" else search.hammer_down(x)
     progress("done", 1.0)

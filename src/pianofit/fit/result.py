@@ -19,10 +19,10 @@ from ..recording import Recording
 from .levenberg import descend
 from .recipe import Fit, predicted
 from .residuals import CENT, joint_batch
-from .space import NAMES, K, split, struck
+from .space import LOG, NAMES, K, split, struck
 from .takes import Take
 from .target import Measured
-from .uncertainty import covariance, intervals, statuses, tangled, to_stiffness
+from .uncertainty import intervals, statuses, tangled, to_stiffness, whole_covariance
 from .verdict import verdict, words
 from .voice import Voice
 
@@ -123,8 +123,8 @@ def conclude(takes: Sequence[Take], start: Start, fit: Fit, seed: int, order: Se
     first[: len(NAMES)] = [start.initial.get(n, start.values[n]) for n in NAMES]
     literature = None if fit.data.calibrated else _path_only(fit)
     heard = [_heard(i, take, start, fit, first, literature) for i, take in enumerate(takes)]
-    cov = covariance(fit.jacobian, _row_variance(fit), fit.space, fit.pressed)
-    cov = to_stiffness(cov, fit.values, fit.space.log_u)
+    whole = whole_covariance(fit.jacobian, _row_variance(fit), fit.space, fit.pressed)
+    cov = to_stiffness(whole[:LOG, :LOG], fit.values, fit.space.log_u)
     states = statuses(cov, fit.space, fit.space.at_bound(fit.values), start.fixed)
     levels = _together([h.levels for h in heard])
     opening, states = verdict(fit, start, states, levels, None if literature is None else literature[1])
@@ -142,7 +142,7 @@ def conclude(takes: Sequence[Take], start: Start, fit: Fit, seed: int, order: Se
         "verdict": opening,
         "messages": said,
         "parameters": _parameters(fit.values, first, spans, states, start),
-        "takes": _in_order([_take(fit, i, h, start) for i, h in enumerate(heard)], order),
+        "takes": _in_order([_take(fit, i, h, start, whole) for i, h in enumerate(heard)], order),
         "pickup": {"quantity": start.quantity, "path": _path_document(fitted.voice.path)},
         "derived": _derived(fitted, analyses[0], cov),
         "criterion": criterion,
@@ -331,12 +331,18 @@ def _parameters(values, first, spans, states, start: Start) -> dict:
     return table
 
 
-def _take(fit: Fit, i: int, heard: Heard, start: Start) -> dict:
-    """What one take has of its own."""
+def _take(fit: Fit, i: int, heard: Heard, start: Start, whole: np.ndarray) -> dict:
+    """What one take has of its own; a velocity that rests on an assumed one has the interval of their ratio."""
     recording, layout = heard.recording, fit.data.layout
+    at = [NAMES.index("v_H0"), layout.ratio[i]]
+    reach, v = 1.96 * float(np.sqrt(whole[np.ix_(at, at)].sum())), float(heard.fitted.voice.hammer.v_H0)
+    rests = "v_H0" in start.fixed and start.fixed["v_H0"] == "assumed"
+    known = i > 0 and not fit.space.free[layout.ratio[i]]
     return {
         "file": recording.path, "sha256": recording.sha256, "rate": recording.rate,
-        "onset_s": recording.onset / recording.rate, "v_H0": float(heard.fitted.voice.hammer.v_H0),
+        "onset_s": recording.onset / recording.rate, "v_H0": v,
+        "v_H0_interval": [float(v * np.exp(-reach)), float(v * np.exp(reach))] if reach > 0 else None,
+        "v_H0_status": "assumed" if rests else "fixed" if known or reach == 0 else "free",
         "gain": heard.fitted.voice.gain, "gain_status": "free" if start.scale is None else "fixed",
         "first": i == 0, "cents": float(fit.values[layout.cents[i]]), "group": layout.groups[i],
         "criterion": heard.criterion, "levels": heard.levels,

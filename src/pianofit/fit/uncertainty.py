@@ -12,7 +12,7 @@ from scipy.special import stdtrit
 
 from .space import NAMES, K, P, Space
 
-__all__ = ["covariance", "intervals", "statuses", "tangled", "to_stiffness"]
+__all__ = ["covariance", "intervals", "statuses", "tangled", "to_stiffness", "whole_covariance"]
 
 # The data must at least halve the spread that was put in, else the answer is the prior's.
 TOLD = 0.5
@@ -25,7 +25,12 @@ TANGLED = 0.98
 
 
 def covariance(jacobian: np.ndarray, variance: np.ndarray, space: Space, pressed: np.ndarray) -> np.ndarray:
-    """Covariance of log(value) [10, 10]: zero for what is fixed; what is pressed against a bound is held there.
+    """Covariance of the parameters' log(value), in the order of `NAMES`; see `whole_covariance`."""
+    return whole_covariance(jacobian, variance, space, pressed)[: len(NAMES), : len(NAMES)]
+
+
+def whole_covariance(jacobian: np.ndarray, variance: np.ndarray, space: Space, pressed: np.ndarray) -> np.ndarray:
+    """Covariance of a search point [size, size]: zero for what is fixed; what is pressed against a bound is held there.
 
     A sandwich: the curvature's inverse on both sides of what the residuals' `variance` [residuals] makes of it, so that
     rows which weigh more than their noise warrants do not pretend to know more.
@@ -41,7 +46,7 @@ def covariance(jacobian: np.ndarray, variance: np.ndarray, space: Space, pressed
     inner += vector[:, ~known] @ vector[:, ~known].T / FLOOR / np.outer(scale, scale)
     full = np.zeros((len(space.free), len(space.free)))
     full[np.ix_(active, active)] = inner
-    return full[: len(NAMES), : len(NAMES)]
+    return full
 
 
 def to_stiffness(cov: np.ndarray, values: np.ndarray, log_u: float) -> np.ndarray:
