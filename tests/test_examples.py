@@ -56,6 +56,15 @@ def test_a_strike_is_differentiated(monkeypatch, capsys):
     assert brightness[0] - brightness[-1] > 4  # the harder, the brighter
 
 
+def test_a_pluck_is_fitted_by_a_model_of_its_own(monkeypatch, capsys):
+    text = printed("03_pluck.py", monkeypatch, capsys)
+    rows = re.findall(r"^(\w+) +(\S+) +(\S+) +(\S+) +\[\S+, \S+\]$", text, re.MULTILINE)
+    assert [row[0] for row in rows] == ["c", "kappa", "b1", "b2", "pluck", "width"]
+    for name, _, true, found in rows:
+        assert float(found) == pytest.approx(float(true), rel=0.01), name
+    assert float(rows[4][1]) != pytest.approx(float(rows[4][2]), rel=0.3)  # it did not start there
+
+
 @pytest.mark.parametrize("name", pianofit.__all__)
 def test_a_public_name_leads_somewhere(name):
     value = getattr(pianofit, name)

@@ -17,7 +17,8 @@ SOURCE = ROOT / "src" / "pianofit"
 FILES = sorted(SOURCE.rglob("*.py"))
 LAYERS = (
     "errors", "parameters", "published", "recording", "setup_file", "analysis", "initial", "model", "criterion", "fit",
-    "render", "predict", "report", "twin", "laboratory", "workflow", "demo", "cli",
+    "render", "predict", "report", "twin", "laboratory", "reproduce", "workflow", "demo",
+    "summary", "options", "cli",
 )  # fmt: skip
 WITH_JAX = ("model", "criterion", "fit", "render", "predict")
 HEAVY = ("jax", "scipy", "matplotlib", "soundfile", "jinja2")

@@ -362,7 +362,8 @@ def reproduce(
         progress = bar if sys.stderr.isatty() else _told
         verdicts = run(folder, seed, plan=QUICK if quick else FULL, progress=progress)
     for verdict in verdicts:
-        typer.echo(f"{verdict.word:17} {verdict.claim}")
+        instead = f" ({verdict.instead})" if verdict.instead else ""
+        typer.echo(f"{verdict.word:17} {verdict.claim}{instead}")
     typer.echo(f"\nwritten to {folder}: open index.html, and listening.html for the blind test")
 
 

@@ -66,9 +66,7 @@ def fit_recording(
     check_recipe(recipe, evaluations)
     if recipe != "default":
         takes, start, _, _ = arranged([recording], [analysis], setup or Setup(), velocity)
-        fit = fit_by_paper(
-            recording, analysis, start, recipe, evaluations=evaluations, seed=seed, progress=progress
-        )
+        fit = fit_by_paper(recording, analysis, start, recipe, evaluations=evaluations, seed=seed, progress=progress)
         return without_claims(conclude(takes, start, fit, seed), recipe, fit, start)
     return fit_takes([recording], [analysis], setup, velocity=velocity, seed=seed, progress=progress)
 

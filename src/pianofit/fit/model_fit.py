@@ -85,10 +85,12 @@ def fit_model(
     throw = np.random.default_rng(seed).standard_normal((starts if width.any() else 1, len(z)))
     throw[0] = 0.0
     z, batch = box.project(z + width * throw), residual_batch(model)
-    for stage, sigma in enumerate(view.sigmas):
+    wide, *narrower = view.sigmas
+    end = descend(_on(batch, view.goal(wide)), z, box, iterations=ITERATIONS, tolerance=1e-4)
+    agreeing = int((end.cost <= end.cost.min() + AGREEMENT).sum()) if len(z) > 1 else 0
+    z = end.z[np.argsort(end.cost)[:FINALISTS]]
+    for sigma in narrower:
         end = descend(_on(batch, view.goal(sigma)), z, box, iterations=ITERATIONS, tolerance=1e-4)
-        if stage == 0:
-            agreeing = int((end.cost <= end.cost.min() + AGREEMENT).sum()) if len(z) > 1 else 0
         z = end.z[np.argsort(end.cost)[:FINALISTS]]
     if not np.isfinite(end.cost).any():
         raise ParameterError("no start gives a finite spectrum; choose others, or narrower bounds")
@@ -170,18 +172,17 @@ def _estimate(model: SoundModel, batch: Callable, view: _View, box: Box, z: np.n
     plain = view.goal(view.sigmas[-1])
     noise = view.noise(plain)[:, None] / (4 * view.sigmas[-1])
     present = np.asarray(plain.weight) > 0
-    goal = plain
-    for _ in range(ROUNDS):
+    goal, rounds = plain, 0
+    while True:
         energy = np.abs(_spectrum(model, z[0], goal, view.delay)) ** 2
         sd = np.sqrt(2 * energy * noise + noise**2)
         # `miss` carries a factor √2: half the sum of squares of (difference/sd) is the cost.
         weight = np.where(present, 1 / (math.sqrt(2) * sd), 0.0)
         goal = plain._replace(weight=jnp.asarray(weight), energy=plain.energy - noise)
         end = descend(_on(batch, goal), z, box, iterations=ITERATIONS, tolerance=1e-8)
-        moved, z = np.abs(end.z - z).max(), end.z
-        if moved < 1e-6:
-            break
-    return end, goal
+        moved, z, rounds = np.abs(end.z - z).max(), end.z, rounds + 1
+        if moved < 1e-6 or rounds == ROUNDS:
+            return end, goal
 
 
 def _shared_noise(model: SoundModel, view: _View, z: np.ndarray, goal: Goal) -> np.ndarray:
@@ -202,7 +203,7 @@ class _Spread(NamedTuple):
 
 
 def _sandwich(jacobian: np.ndarray, residual: np.ndarray, shared: np.ndarray, active: np.ndarray) -> _Spread:
-    """Noise `shared` by the residuals [rows, nodes, nodes] between the inverses of the curvature of what is `active`."""
+    """Noise `shared` by the residuals [rows, nodes, nodes] between the inverses of the curvature of the `active`."""
     j = jacobian[:, active]
     by_cell = j.reshape(*shared.shape[:2], len(active))
     inverse = np.linalg.pinv(j.T @ j, rcond=1e-14, hermitian=True)

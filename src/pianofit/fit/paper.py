@@ -1,7 +1,8 @@
 """The paper's own searches, for comparison: its three steps, and its criterion over the whole spectrum.
 
-`paper` (Bensa et al. 2005, IV.C): 1. c and b1 in band 1, by gradient. 2. κ and b2 in band 2, by gradient. 3. K_H, μ, M_H,
-p and v_H0 in band 3, by annealing, with the string held; least squares take what was found to the floor of its basin.
+`paper` (Bensa et al. 2005, IV.C): 1. c and b1 in band 1, by gradient. 2. κ and b2 in band 2, by gradient. 3. K_H, μ,
+M_H, p and v_H0 in band 3, by annealing, with the string held; least squares take what was found to the floor of its
+basin.
 `global` (IV.B): all nine on eq. 19 over the whole spectrum, by gradient.
 
 Both start from the given initial values. What the paper leaves open is chosen here. The string is searched with σ
@@ -44,7 +45,9 @@ NO_INTERVALS = (
     "No intervals: the least value of this criterion does not say how far off the parameters may be, or which of them "
     "the recording tells at all. The default recipe says both."
 )
-FELT_UNKNOWN = " One uncalibrated recording does not fix the felt: here its gain was free, and no output path was fitted."
+FELT_UNKNOWN = (
+    " One uncalibrated recording does not fix the felt: here its gain was free, and no output path was fitted."
+)
 
 
 def check_recipe(recipe: str, evaluations: int | None) -> None:
@@ -71,7 +74,7 @@ def fit_by_paper(
 
     Parameters
     ----------
-    hammer : how the recipe `paper` searches it: `annealing`, or `gradient`, which goes down from where the annealing would start.
+    hammer : how the recipe `paper` searches it: `annealing`, or `gradient`, down from where the annealing would start.
     evaluations : of the criterion by the annealing; 20,000 unless given.
 
     Raises

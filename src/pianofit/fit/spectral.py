@@ -106,7 +106,8 @@ def spectral_goal(
     more = 0 if len(rows) == 1 else -len(rows) % ROWS
     fields = (
         np.pad(frequency, ((0, more), (0, 0)), mode="edge"), np.pad(energy, ((0, more), (0, 0))),
-        np.pad(np.tile(weight[:, None], frequency.shape[1]), ((0, more), (0, 0))), sigma, math.exp(2 * sigma * delay), n / rate + delay, float(calibrated),
+        np.pad(np.tile(weight[:, None], frequency.shape[1]), ((0, more), (0, 0))),
+        sigma, math.exp(2 * sigma * delay), n / rate + delay, float(calibrated),
     )  # fmt: skip
     return Goal(*(jnp.asarray(x, float) for x in fields))
 
@@ -116,7 +117,7 @@ def damped_spectrum(samples: np.ndarray, rate: float, frequency: np.ndarray, sig
     blocks = np.pad(samples, (0, -len(samples) % BLOCK)).reshape(-1, BLOCK)
     turn = -(sigma + 2j * np.pi * frequency.ravel()) / rate
     within = np.exp(np.outer(turn, np.arange(BLOCK)))
-    sums = within.real @ blocks.T + 1j * (within.imag @ blocks.T)
+    sums = np.real(within) @ blocks.T + 1j * (np.imag(within) @ blocks.T)
     total = (sums * np.exp(np.outer(turn, BLOCK * np.arange(len(blocks))))).sum(axis=1) / rate
     return total.reshape(frequency.shape)
 

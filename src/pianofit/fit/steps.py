@@ -35,8 +35,8 @@ __all__ = ["ALL", "Search"]
 ALL = (0, 1, 2)
 # σ of the string's steps in units of the criterion's, and the least in units of 1/s over the recording's length.
 SIGMAS, LEAST_SIGMA = (1.0, 1 / 3, 0.1, 1 / 30, 0.01), 1.0
-# At how many of them, the widest first, a descent is begun.
-BEGINNINGS = 3
+# Likeness of two lines that lie one linewidth apart.
+MEETING = 0.8
 # Widths of a line, and spreads of hammers, to either side.
 LINES, SPREADS = 10.0, 2.5
 # Of the gradient, at one σ, and where it ends a search.
@@ -107,29 +107,29 @@ class Search:
     def down(self, x: np.ndarray, names: Sequence[str], bands: Sequence[int]) -> np.ndarray:
         """Down the gradient of eq. 19 on some bands with σ falling; only `names` move.
 
-        Wide lines meet from afar, but while the hammer is wrong they bend the string to excuse it, and farther than
-        narrow lines may find back. So the descent begins at each of the wider σ in turn; the lowest end counts.
+        It begins at the finest σ at which the model's lines still meet the recording's. Wider ones meet from afar, but
+        while the hammer is wrong they bend the string to excuse it, farther than narrow ones find back.
         """
         goals = [self.goal(bands, sigma) for sigma in self.sigmas]
-        ends = []
-        for first in range(min(BEGINNINGS, len(goals))):
-            at = x
-            for goal in goals[first:]:
-                at, cost = self._string_down(at, names, bands, goal)
-            ends.append((cost, self.settled, at))
-        cost, self.settled, x = min(ends, key=lambda end: end[0])
-        if not np.isfinite(cost):
-            raise FitError(NO_HAMMER)
+        apart = [i for i, goal in enumerate(goals) if self._likeness(x, goal) < MEETING]
+        first = min(apart, default=len(goals))
+        for goal in goals[max(first - 1, 0) :]:
+            x = self._string_down(x, names, bands, goal)
         return x
 
     def finely_down(self, x: np.ndarray, names: Sequence[str], bands: Sequence[int]) -> np.ndarray:
         """The same at the finest σ alone."""
-        return self._string_down(x, names, bands, self.goal(bands, self.sigmas[-1]))[0]
+        return self._string_down(x, names, bands, self.goal(bands, self.sigmas[-1]))
 
-    def _string_down(self, x: np.ndarray, names: Sequence[str], bands: Sequence[int], goal: Goal):
-        """The point at the end of a descent, and its criterion."""
+    def _string_down(self, x: np.ndarray, names: Sequence[str], bands: Sequence[int], goal: Goal) -> np.ndarray:
         scene, box = self.scene(), self.box(x, self._reach(x, goal, bands), names)
         return self._descended(lambda z: struck_gradients(z, goal, scene, self.state.cfg), x, box, ITERATIONS)
+
+    def _likeness(self, x: np.ndarray, goal: Goal) -> float:
+        """∫ |Y|² |S|² dω over the root of ∫ |Y|⁴ dω ∫ |S|⁴ dω: eq. 19 with the best gain is 1 less its square."""
+        free = goal._replace(calibrated=jnp.zeros_like(goal.calibrated))
+        cost = float(struck_gradients(jnp.asarray(_logs(x))[None], free, self.scene(), self.state.cfg)[0][0])
+        return max(1 - cost, 0.0) ** 0.5
 
     def hammer_down(self, x: np.ndarray) -> np.ndarray:
         """The hammer alone, down the gradient of eq. 19 in its band."""
@@ -140,7 +140,7 @@ class Search:
             gradient = np.einsum("sr,srn->sn", residual, jacobian)
             return 0.5 * (np.asarray(residual) ** 2).sum(axis=1), np.pad(gradient, ((0, 0), (4, 0)))
 
-        return self._descended(function, x, self.box(x, HAMMER_REACH, HAMMER_NAMES), LAST_ITERATIONS)[0]
+        return self._descended(function, x, self.box(x, HAMMER_REACH, HAMMER_NAMES), LAST_ITERATIONS)
 
     def hammer_settled(self, x: np.ndarray) -> np.ndarray:
         """The hammer alone, to the floor of its basin, by least squares on the same criterion."""
@@ -205,8 +205,8 @@ class Search:
         moved = np.stack([c**2 * beta2 / omega, kappa**2 * beta2**2 / omega, np.ones(len(k)), beta2]) / width
         return HAMMER_REACH + np.append(LINES / np.sqrt((share * moved**2).sum(axis=1)), np.zeros(5))
 
-    def _descended(self, function: Callable, x: np.ndarray, box: tuple, iterations: int) -> tuple[np.ndarray, float]:
-        """Down the gradient of `function(z [1, 9])`, which knows logarithms only: the end and its criterion."""
+    def _descended(self, function: Callable, x: np.ndarray, box: tuple, iterations: int) -> np.ndarray:
+        """Down the gradient of `function(z [1, 9])`, which knows logarithms only."""
 
         def by_point(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             cost, slope = (np.asarray(a) for a in function(jnp.asarray(_logs(points))))
@@ -215,7 +215,7 @@ class Search:
         end = gradient_descent(by_point, x[None], *box, iterations=iterations, tolerance=TOLERANCE)
         self.evaluations += end.evaluations
         self.settled = bool(end.settled[0])
-        return end.z[0], float(end.cost[0])
+        return end.z[0]
 
 
 def _logs(x: np.ndarray) -> np.ndarray:
