@@ -41,6 +41,8 @@ FINALISTS, AGREEMENT = 2, 1e-3
 EVERY = 2
 # A standard deviation of log(value) above this is no knowledge.
 LOOSE = 0.5
+# Eigenvalues of the scaled curvature below this are rounding.
+FLOOR = 1e-14
 # A noise that is not there is taken to lie this far below the loudest bin, energies.
 SILENCE = 1e-16
 
@@ -206,14 +208,18 @@ def _sandwich(jacobian: np.ndarray, residual: np.ndarray, shared: np.ndarray, ac
     """Noise `shared` by the residuals [rows, nodes, nodes] between the inverses of the curvature of the `active`."""
     j = jacobian[:, active]
     by_cell = j.reshape(*shared.shape[:2], len(active))
-    inverse = np.linalg.pinv(j.T @ j, rcond=1e-14, hermitian=True)
+    scale = np.sqrt((j**2).sum(axis=0)) + 1e-150
+    # An eigenvalue at the rounding floor is a direction without any data: its variance is huge, not infinite.
+    value, vector = np.linalg.eigh((j / scale).T @ (j / scale))
+    known, blind = vector[:, value > FLOOR] / scale[:, None], vector[:, value <= FLOOR] / scale[:, None]
+    inverse = known / value[value > FLOOR] @ known.T
     inner = np.einsum("rni,rnm,rmj->ij", by_cell, shared, by_cell, optimize=True)
     full = np.einsum("rnn->", shared)
     # What the squares should add up to, and how many independent ones that is.
     expected = max(full - np.trace(inverse @ inner), 1e-300)
     misfit = math.sqrt((residual**2).sum() / expected)
     covariance = np.zeros((jacobian.shape[1],) * 2)
-    covariance[np.ix_(active, active)] = inverse @ inner @ inverse * max(misfit, 1.0) ** 2
+    covariance[np.ix_(active, active)] = inverse @ inner @ inverse * max(misfit, 1.0) ** 2 + blind @ blind.T / FLOOR
     return _Spread(covariance, misfit, max(full**2 / (shared**2).sum() - len(active), 1.0))
 
 
@@ -224,7 +230,7 @@ def _concluded(model: SoundModel, batch: Callable, view: _View, box: Box, found:
     shared = _shared_noise(model, view, z, goal)
     spread = _sandwich(end.jacobian[0], end.residual[0], shared, np.flatnonzero(box.free & ~pressed))
     # A bound that went through a logarithm and back comes out beside itself.
-    values = np.clip(np.exp(z), model.lower, model.upper)
+    values = np.where(z <= box.lower, model.lower, np.where(z >= box.upper, model.upper, np.exp(z)))
     sd = np.sqrt(np.diag(spread.covariance))
     reach = np.exp(np.minimum(stdtrit(spread.freedom, 0.975) * sd, 700.0))
     broad = view.goal(view.sigmas[0])

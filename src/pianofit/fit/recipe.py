@@ -226,10 +226,12 @@ def _hammer_stage(state: State, seed: int) -> tuple[np.ndarray, int, int]:
     """Hammers by the batch, until two of them end at the same lowest cost or `BATCHES` are spent. The best [1, size].
 
     Of a calibrated recording a hammer should explain all but the first scatter; many can agree on one that does not.
+    One uncalibrated recording does not fix the hammer, and more than one batch has not bettered its levels.
     """
     random, size = np.random.default_rng(seed), len(state.space.start)
     z, cost, count, agreeing = np.zeros((0, size)), np.zeros(0), 0, 0
-    for batch in range(BATCHES):
+    batches = BATCHES if state.data.calibrated or state.data.layout.takes > 1 else 1
+    for batch in range(batches):
         throw = random.standard_normal((STARTS, size))
         if batch == 0:
             throw[0] = 0.0  # the literature's own hammer is one of the starts

@@ -80,8 +80,8 @@ def _sum_over(residue: Array, log_z: Array, log_zeta: Array) -> Complex[Array, "
     return (upper / lower).sum(axis=-1)
 
 
-def string_mobility(modes: Modes, goal: Goal) -> Float[Array, "rows nodes"]:
-    """|H|² δt² of a struck string."""
+def string_mobility(modes: Modes, goal: Goal, pulse: float) -> Float[Array, "rows nodes"]:
+    """|H|² δt² of a string struck by a pulse whose middle comes after so many steps."""
     residue, log_z = modes.pickup * impulse_amplitude(modes), modes.pole * modes.step
     middle = goal.frequency.mean(axis=1)
     nearest = jnp.searchsorted(modes.pole.imag, 2 * jnp.pi * middle) - (NEAREST + 1) // 2
@@ -91,8 +91,8 @@ def string_mobility(modes: Modes, goal: Goal) -> Float[Array, "rows nodes"]:
     background = _sum_over((far * residue)[:, None, :], log_z[None, None, :], rough) @ SPREAD_OUT.T
     fine = _log_zeta(goal.frequency, goal.sigma, modes.step)
     near, log_near = residue[nearest][:, None, :], log_z[nearest][:, None, :]
-    # What is cut off where the recording ends, as if the whole pulse had come at once.
-    steps = goal.span / modes.step
+    # What is cut off where the recording ends, as if the whole pulse had come in its middle.
+    steps = goal.span / modes.step - pulse
     tail = jnp.exp(steps * fine) * _sum_over(near * jnp.exp(steps * log_near), log_near, fine)
     total = background + _sum_over(near, log_near, fine) - tail
     return (total.real**2 + total.imag**2) * modes.step**2
@@ -126,7 +126,7 @@ def _struck(z: Float[Array, " 9"], goal: Goal, scene: Scene, cfg) -> Array:
     modes, hammer = _table(z, scene, cfg), _hammer(z[4:], scene)
     pulse = strike(modes, hammer, steps=cfg.steps)
     log_zeta = _log_zeta(_smooth_frequency(goal), goal.sigma, modes.step).ravel()
-    energy = pulse_energy(*_smooth_transform(pulse.drive, log_zeta)) * string_mobility(modes, goal)
+    energy = pulse_energy(*_smooth_transform(pulse.drive, log_zeta)) * string_mobility(modes, goal, MIDDLE * cfg.steps)
     return _allowed(0.5 * (miss(energy, goal) ** 2).sum(), hammer, pulse, scene)
 
 
@@ -162,7 +162,7 @@ def held_string(z, goal: Goal, scene: Scene, cfg):
     modes = _table(z, scene, cfg)
     log_zeta = _log_zeta(_smooth_frequency(goal), goal.sigma, modes.step).ravel()
     powers = jnp.exp(jnp.arange(cfg.steps)[:, None] * log_zeta - 1j * log_zeta.imag * MIDDLE * cfg.steps)
-    return (string_mobility(modes, goal), powers.real, powers.imag, *modes)
+    return (string_mobility(modes, goal, MIDDLE * cfg.steps), powers.real, powers.imag, *modes)
 
 
 @kept
