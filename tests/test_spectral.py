@@ -197,7 +197,9 @@ def test_residuals_and_gradient_agree_with_differences_and_with_the_papers_formu
 
     here, moved = y(z), central(y, z)
     weight2 = np.asarray(g.weight).ravel() ** 2
-    formula = 2 * (weight2 * (np.abs(here) ** 2 - np.asarray(g.energy).ravel()) * (here.conj() * moved).real).sum(axis=1)
+    formula = 2 * (weight2 * (np.abs(here) ** 2 - np.asarray(g.energy).ravel()) * (here.conj() * moved).real).sum(
+        axis=1
+    )
     np.testing.assert_allclose(slope, 2 * formula, rtol=1e-4, atol=1e-6)
 
 
