@@ -106,7 +106,7 @@ def _measure_all(
     if len(windows) > 1:
         fall, fall_error = windows[0][2] - windows[-1][2], float(np.hypot(windows[0][3], windows[-1][3]))
     glides = abs(fall) > max(3 * fall_error, 0.1)
-    rows = measure(bands, z, fit, density, glides)
+    rows = measure(samples, rate, law.f0, bands, z, fit, density, glides)
     keep = _plausible(rows, law, number) & ~lost(bands, fit)
     keep[keep] = _on_law(number[keep], rows.frequency[keep], rows.frequency_error[keep])
     if not keep.any():

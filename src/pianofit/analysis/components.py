@@ -32,7 +32,7 @@ class Components:
     frequency: np.ndarray  # Hz, of the component with most energy
     decay: np.ndarray  # 1/s, mean of the components' decay rates weighted by energy
     level: np.ndarray  # dB, of the whole sum
-    misfit: np.ndarray  # mean |residual|²
+    misfit: np.ndarray  # mean |residual|² over the mean power
     valid: np.ndarray  # bool: a sum of up to three components describes the partial
 
 
@@ -79,7 +79,8 @@ def resolve(bands: Bands, z: NDArray[np.complex128], frame: np.ndarray) -> Compo
             continue
         wanted = (best[3] > np.maximum(2 * frame, _GOOD * power)) & (misfit < 0.7 * best[3]) & fresh[4]
         best = [np.where(wanted, new, old) for new, old in zip(fresh, best, strict=True)]
-    return Components(*best[:4], valid=best[4].astype(bool) & (best[3] < np.maximum(2 * frame, _FAIR * power)))
+    described = best[3] < np.maximum(2 * frame, _FAIR * power)
+    return Components(*best[:3], best[3] / power, valid=best[4].astype(bool) & described)
 
 
 def _subspace(series: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, float]:

@@ -7,7 +7,7 @@ two stages; then each number is taken where it means something:
 
 - frequency from 0.2 to 1.0 s after the onset, or the dominant component's where the partial beats deeply,
 - decay rate of the early energy, the first 0.8 s,
-- level from the first 0.4 s,
+- level from the energy of the first 0.35 s (energy.py),
 
 and the errors grow by the misfit.
 """
@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from .components import LEVEL_RATE, LEVEL_SECONDS, Components, energy_level, resolve
 from .demodulate import Bands
+from .energy import band_levels
 from .tones import Tones, fit_tones, lag_poles
 
 __all__ = ["Measured", "first_fits", "lost", "measure"]
@@ -30,7 +31,8 @@ _EARLY, _FIRST = 0.8, 0.4  # s, for decay rates and for levels
 _DEEP = 1.5  # dB rms beyond which a partial counts as beating
 _CLEAN_MISFIT = 3e-3  # of the signal's rms: one exponential is then good enough whatever the noise
 _DOUBT = 0.15  # share of the difference between one component and several that goes into the error
-_FAR = 8.0  # dB between them beyond which the sum's extrapolation to the onset is not believed
+_EXACT = 1e-4  # misfit over power at which components may be carried back to the onset
+_NOISY = 0.5  # share of a band's energy that is noise beyond which one exponential says more
 _DB = 20 / np.log(10)
 
 
@@ -84,11 +86,16 @@ def _leakage(bands: Bands, fit: Tones) -> np.ndarray:
     return total
 
 
-def measure(bands: Bands, z: NDArray[np.complex128], fit: Tones, density: np.ndarray, glides: bool) -> Measured:
+def measure(
+    samples: np.ndarray, rate: int, spacing: float, bands: Bands, z: NDArray[np.complex128], fit: Tones,
+    density: np.ndarray, glides: bool,
+) -> Measured:  # fmt: skip
     """Make the columns of the table from the cleaned basebands `z` and the fits over the whole record.
 
     Parameters
     ----------
+    samples : [samples] at `rate`, beginning at the onset
+    spacing : of the partials, Hz
     density : [partials], one-sided noise power density, full scale²/Hz
     glides : whether the note's pitch falls measurably; frequencies then come from 0.2 to 1.0 s
     """
@@ -107,7 +114,8 @@ def measure(bands: Bands, z: NDArray[np.complex128], fit: Tones, density: np.nda
     split = parts.valid & (beating > _DEEP) & ~clean
     frequency = _frequencies(bands, whole, early, tone, parts, clean & ~(glides & audible), audible, split)
     decay = _decays(whole, early, parts, clean, split)
-    level = _levels(bands, whole, first, parts, clean, split, decay[0])
+    energy = band_levels(samples, rate, frequency[0], decay[0], spacing, density)
+    level = _levels(bands, whole, first, parts, energy, clean, split, decay[0])
     snr = -20 * np.log10(np.maximum(peak * fit.level_error(0.0), 1e-15))
     return Measured(*frequency, *decay, *level, snr, beating, clean)
 
@@ -163,20 +171,16 @@ def _decays(
 
 
 def _levels(
-    bands: Bands,
-    whole: _Fit,
-    first: _Fit,
-    parts: Components,
-    clean: np.ndarray,
-    split: np.ndarray,
-    decay: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
+    bands: Bands, whole: _Fit, first: _Fit, parts: Components, energy: tuple[np.ndarray, np.ndarray],
+    clean: np.ndarray, split: np.ndarray, decay: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Levels and their errors, dB."""
     middle = _mean_time(decay)
     level, single = (energy_level(*(x[:, None] for x in _physical(bands, which.fit))) for which in (whole, first))
-    summed = split & (np.abs(parts.level - single) < _FAR)
-    early = np.where(summed, parts.level, single)
-    doubt = np.where(summed, _DOUBT * (early - single), (early - level) / 2)
+    heard, noise = energy
+    early = np.where(noise < _NOISY, heard, single)
+    early = np.where(split & (parts.misfit < _EXACT), parts.level, early)
+    doubt = np.where(noise < _NOISY, _DOUBT * (early - single), (early - level) / 2)
     return (
         np.where(clean, level, early),
         np.where(
