@@ -254,7 +254,7 @@ def simulate(
 
 def _struck(preset: str, change: list[str], velocity: float | None, seconds: float, rate: int, quantity: str):
     from .model import simulate as run
-    from .parameters import check
+    from .parameters import check, make_hammer
     from .published import preset as find
     from .render import CEILING
 
@@ -262,9 +262,9 @@ def _struck(preset: str, change: list[str], velocity: float | None, seconds: flo
     values = it.string._asdict() | it.hammer._asdict() | _assignments(change)
     if velocity is not None:
         values["v_H0"] = velocity
-    check(values, "--set")
+    check({name: value for name, value in values.items() if (name, value) != ("mu", 0.0)}, "--set")
     string = it.string._replace(**{k: values[k] for k in it.string._fields})
-    hammer = it.hammer._replace(**{k: values[k] for k in it.hammer._fields})
+    hammer = make_hammer(values, "--set")
     strike = run(string, hammer, it.geometry, rate=rate, quantity=quantity)
     samples = strike.waveform(rate, round(seconds * rate))
     return samples * (CEILING / max(abs(samples).max(), 1e-300)), strike
@@ -355,21 +355,15 @@ def reproduce(
     from .workflow import output_folder
 
     _checked(None, seed)
-    with output_folder(out, force) as folder, _progress() as bar:
+    with output_folder(out, force) as folder, _progress() as progress:
         from .reproduce import FULL, QUICK
         from .reproduce import reproduce as run
 
-        progress = bar if sys.stderr.isatty() else _told
         verdicts = run(folder, seed, plan=QUICK if quick else FULL, progress=progress)
     for verdict in verdicts:
         instead = f" ({verdict.instead})" if verdict.instead else ""
         typer.echo(f"{verdict.word:17} {verdict.claim}{instead}")
     typer.echo(f"\nwritten to {folder}: open index.html, and listening.html for the blind test")
-
-
-def _told(stage: str, done: float) -> None:
-    """Progress of a command that takes minutes, where there is no terminal to draw a bar on."""
-    typer.echo(f"{100 * done:3.0f} %  {stage}", err=True)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
