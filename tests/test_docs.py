@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from pianofit.parameters import PARAMETERS
+from pianofit.parameters import FELT_LAWS, PARAMETERS
 from pianofit.setup_file import KEYS, PICKUPS, RANGES, load_setup
 
 ROOT = Path(__file__).parent.parent
@@ -111,6 +111,7 @@ def test_every_key_of_a_setup_is_in_its_table_with_its_range():
             continue
         for key in keys:
             assert (f"[{table}]" if table != "take" else "[[take]]", key) in found
+    assert found["[felt]", "law"].split(", ") == sorted(FELT_LAWS)
     for table in ("string", "strike", "pickup"):
         for key in set(KEYS[table]) & set(RANGES):
             lower, upper, _ = RANGES[key]

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pianofit.errors import SetupError
-from pianofit.parameters import PARAMETERS
+from pianofit.parameters import FELT_LAWS, PARAMETERS
 from pianofit.recording import one_line
 from pianofit.setup_file import KEYS, PICKUPS, RANGES, Setup, Take, load_setup, setup_from_dict
 
@@ -113,8 +113,10 @@ def test_every_bad_setup_is_refused_in_one_line(tmp_path, bad: BadInput):
 @pytest.mark.parametrize("table", ["known", "initial"])
 def test_parameters_stay_in_their_box(name, table):
     box = PARAMETERS[name]
+    law = next(law for law, names in FELT_LAWS.items() if name in names or name not in sum(FELT_LAWS.values(), ()))
     for value in (box.lower, box.upper, math.sqrt(box.lower * box.upper)):
-        assert getattr(setup_from_dict({table: {name: value}}, "here"), table) == {name: value}
+        setup = setup_from_dict({"felt": {"law": law}, table: {name: value}}, "here")
+        assert getattr(setup, table) == {name: value}
     for value in (box.lower * 0.999, box.upper * 1.001, -box.lower, 0.0, math.inf, math.nan, "1", None, True, [1.0]):
         with pytest.raises(SetupError, match=rf"here: \[{table}\] {name} = "):
             setup_from_dict({table: {name: value}}, "here")

@@ -15,11 +15,13 @@ __all__ = [
     # A recording, and what it shows without a hammer.
     "Recording", "load_recording", "recording_from_samples", "Analysis", "Partials", "analyse",
     # What was known beforehand, and the fit.
-    "Setup", "Take", "load_setup", "setup_from_dict", "Result", "fit_recording", "fit_file",
+    "Setup", "Take", "load_setup", "setup_from_dict", "Result", "fit_recording", "fit_takes", "fit_file",
+    # How well it foretells what it has not heard.
+    "Prediction", "predict_take", "cross_validate",
     # The fit of any other model of a ringing sound.
     "SoundModel", "ModelFit", "fit_model",
     # The model: parameters to motion to sound.
-    "String", "Hammer", "Geometry", "PARAMETERS", "Preset", "preset", "Typical", "typical",
+    "String", "Hammer", "MemoryHammer", "Geometry", "PARAMETERS", "Preset", "preset", "Typical", "typical",
     "Simulation", "simulate", "Voice", "load_voice", "encode_wav",
     # What can go wrong with an input.
     "PianofitError", "RecordingError", "SetupError", "ParameterError", "AnalysisError", "FitError", "OutputError",
@@ -37,9 +39,10 @@ if TYPE_CHECKING:
         RecordingError,
         SetupError,
     )
-    from .fit import ModelFit, Result, SoundModel, Voice, fit_model, fit_recording
+    from .fit import ModelFit, Result, SoundModel, Voice, fit_model, fit_recording, fit_takes
     from .model import Simulation, simulate
-    from .parameters import PARAMETERS, Geometry, Hammer, String
+    from .parameters import PARAMETERS, Geometry, Hammer, MemoryHammer, String
+    from .predict import Prediction, cross_validate, predict_take
     from .published import Preset, Typical, preset, typical
     from .recording import Recording, load_recording, recording_from_samples
     from .render import encode_wav, load_voice
@@ -49,9 +52,10 @@ if TYPE_CHECKING:
 _HOMES = {
     "analysis": ("Analysis", "Partials", "analyse"),
     "errors": tuple(name for name in __all__ if name.endswith("Error")),
-    "fit": ("ModelFit", "Result", "SoundModel", "Voice", "fit_model", "fit_recording"),
+    "fit": ("ModelFit", "Result", "SoundModel", "Voice", "fit_model", "fit_recording", "fit_takes"),
     "model": ("Simulation", "simulate"),
-    "parameters": ("PARAMETERS", "Geometry", "Hammer", "String"),
+    "parameters": ("PARAMETERS", "Geometry", "Hammer", "MemoryHammer", "String"),
+    "predict": ("Prediction", "cross_validate", "predict_take"),
     "published": ("Preset", "Typical", "preset", "typical"),
     "recording": ("Recording", "load_recording", "recording_from_samples"),
     "render": ("encode_wav", "load_voice"),

@@ -20,6 +20,7 @@ from .errors import ParameterError, PianofitError
 from .options import (
     Channel,
     Evaluations,
+    Felt,
     File,
     Force,
     Json,
@@ -160,6 +161,7 @@ def fit(
     setup: Known = None,
     velocity: Velocity = None,
     channel: Channel = "average",
+    felt: Felt = None,
     recipe: Recipe = "default",
     evaluations: Evaluations = None,
     seed: Seed = 0,
@@ -174,7 +176,7 @@ def fit(
     _checked(velocity, seed)
     with output_folder(out, force) as folder, _progress() as progress:
         result = fit_files(
-            takes, folder, note=note, f0=f0, setup=setup, velocity=velocity, channel=channel, recipe=recipe,
+            takes, folder, note=note, f0=f0, setup=setup, velocity=velocity, channel=channel, felt=felt, recipe=recipe,
             evaluations=evaluations, seed=seed, report=page, progress=progress,
         )  # fmt: skip
     typer.echo(json_text(result.document) if as_json else summary(result.document, folder), nl=False)
@@ -208,6 +210,7 @@ def crossval(
     f0: Pitch = None,
     setup: Known = None,
     channel: Channel = "average",
+    felt: Felt = None,
     seed: Seed = 0,
     as_json: Json = False,
 ) -> None:
@@ -218,7 +221,7 @@ def crossval(
     _checked(None, seed)
     with _progress() as progress:
         found = cross_validate_files(
-            takes, note=note, f0=f0, setup=setup, channel=channel, seed=seed, progress=progress
+            takes, note=note, f0=f0, setup=setup, channel=channel, felt=felt, seed=seed, progress=progress
         )
     typer.echo(json_text(found) if as_json else cross_validation(found), nl=False)
 

@@ -13,16 +13,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from .analysis import Analysis
-from .parameters import FIT_NAMES, PARAMETERS, Geometry
+from .parameters import FELT_LAWS, PARAMETERS, Geometry
 from .published import typical
 from .setup_file import Setup
 
 __all__ = ["Start", "starting_values"]
 
 # Standard deviations of log(value) about the literature's hammer: felts differ by factors, masses by tens of percent.
-HAMMER_SPREAD = {"K_H": 1.5, "mu": 1.5, "p": 0.2, "M_H": 0.4, "v_H0": 1.0, "x0": 0.2, "width": 0.3}
+HAMMER_SPREAD = {"K_H": 1.5, "mu": 1.5, "p": 0.2, "M_H": 0.4, "v_H0": 1.0, "x0": 0.2, "width": 0.3,
+                 "epsilon": 0.7, "tau": 1.5}  # fmt: skip
 # A string parameter that the recording does not show stays within some factor of where it started.
 STRING_SPREAD = {"c": math.inf, "kappa": 2.0, "b1": 2.0, "b2": 3.0}
+# The law of the felt unless the setup names one, and where its memory starts.
+FELT = "hunt-crossley"
+MEMORY = {"epsilon": 0.5, "tau": 1e-4}
 # The hammer of an uncalibrated recording is assumed to arrive at this velocity, m/s, a moderate forte.
 ASSUMED_VELOCITY = 2.0
 
@@ -41,6 +45,7 @@ class Start:
     assumed: tuple[str, ...]  # of length, mass, width
     quantity: str
     scale: float | None  # units at digital full scale; None when uncalibrated
+    felt: str = "hunt-crossley"  # one of `FELT_LAWS`
 
 
 def starting_values(analysis: Analysis, setup: Setup, velocity: float | None = None) -> Start:
@@ -56,7 +61,7 @@ def starting_values(analysis: Analysis, setup: Setup, velocity: float | None = N
     calibrated = setup.pickup_scale is not None
     values = _string_values(analysis, geometry.length)
     values |= dict(zip(usual.hammer._fields, map(float, usual.hammer), strict=True))
-    values |= {"v_H0": ASSUMED_VELOCITY, "x0": geometry.strike, "width": geometry.width}
+    values |= {"v_H0": ASSUMED_VELOCITY, "x0": geometry.strike, "width": geometry.width} | MEMORY
     hammer_given = {k: v for k, v in setup.initial.items() if k not in values or k in HAMMER_SPREAD}
     values |= hammer_given | setup.known
     fixed = dict.fromkeys(setup.known, "fixed") | {"width": "assumed" if "width" in assumed else "fixed"}
@@ -67,7 +72,9 @@ def starting_values(analysis: Analysis, setup: Setup, velocity: float | None = N
         fixed["v_H0"] = "assumed"
     if setup.strike_position is not None:
         fixed["x0"] = "fixed"
-    for name in FIT_NAMES:
+    felt = setup.felt or FELT
+    fixed |= {name: "fixed" for name in ("mu", *MEMORY) if name not in FELT_LAWS[felt]}
+    for name in set(values) & set(PARAMETERS):
         box = PARAMETERS[name]
         low, high = setup.bounds.get(name, (box.lower, box.upper))
         values[name] = min(max(values[name], low), high)
@@ -82,6 +89,7 @@ def starting_values(analysis: Analysis, setup: Setup, velocity: float | None = N
         assumed=assumed,
         quantity=setup.pickup_quantity,
         scale=setup.pickup_scale,
+        felt=felt,
     )
 
 

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 __all__ = [
-    "Channel", "Evaluations", "File", "Force", "Json", "Known", "Note", "Pitch",
+    "Channel", "Evaluations", "Felt", "File", "Force", "Json", "Known", "Note", "Pitch",
     "Rate", "Recipe", "Seconds", "Seed", "Takes", "Velocity", "number",
 ]  # fmt: skip
 
@@ -39,6 +39,14 @@ def _recipe(text: str) -> str:
     return text
 
 
+def _felt(text: str) -> str:
+    from .parameters import FELT_LAWS
+
+    if text not in FELT_LAWS:
+        raise typer.BadParameter(f"{text!r} is none of {', '.join(FELT_LAWS)}")
+    return text
+
+
 File = Annotated[Path, typer.Argument(metavar="FILE", help="A recording of one struck note, WAV or FLAC.")]
 Note = Annotated[str | None, typer.Option(help="The note's name, such as F#2; found by itself if not given.")]
 Pitch = Annotated[
@@ -51,6 +59,10 @@ Takes = Annotated[
 ]
 Known = Annotated[Path | None, typer.Option(help="What was known beforehand, a setup.toml.")]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+Felt = Annotated[
+    str | None,
+    typer.Option(parser=_felt, metavar="LAW", help="The felt's law: hunt-crossley, power or stulov."),
+]
 Force = Annotated[bool, typer.Option("--force", help="Replace what is there.")]
 Velocity = Annotated[float | None, typer.Option(parser=number, metavar="M/S", help="Hammer velocity in m/s.")]
 Seed = Annotated[

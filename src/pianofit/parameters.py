@@ -1,8 +1,8 @@
 """What a struck string is made of, in numbers: names, units, bounds and scale, in one place.
 
-`String` and `Hammer` together are the paper's nine parameters (eq. 20). `Geometry` is what the paper measures with a
-ruler and a balance. All three are named tuples, and so JAX pytrees: they pass through `jit`, `vmap` and `grad` as they
-are, and this module needs no JAX.
+`String` and `Hammer` together are the paper's nine parameters (eq. 20). A `MemoryHammer` has two more; which of the two
+a hammer is chooses the felt's law. `Geometry` is what the paper measures with a ruler and a balance. All are named
+tuples, and so JAX pytrees: they pass through `jit`, `vmap` and `grad` as they are, and this module needs no JAX.
 """
 
 from __future__ import annotations
@@ -13,15 +13,20 @@ from typing import Any, NamedTuple
 from .errors import ParameterError
 
 __all__ = [
+    "FELT_LAWS",
     "FIT_NAMES",
     "HAMMER_NAMES",
+    "MEMORY_NAMES",
     "PARAMETERS",
     "STRING_NAMES",
     "Geometry",
     "Hammer",
+    "MemoryHammer",
     "Parameter",
     "String",
     "check",
+    "check_hammer",
+    "make_hammer",
 ]
 
 # A field holds a number, or an array or tracer of the same meaning inside a computation.
@@ -38,13 +43,28 @@ class String(NamedTuple):
 
 
 class Hammer(NamedTuple):
-    """The hammer and its felt (paper eq. 5 and 8), F = K_H u^p (1 + μ u̇)."""
+    """The hammer and its felt (paper eq. 5 and 8), F = K_H u^p (1 + μ u̇); with μ = 0 the power law."""
 
     K_H: Number  # felt stiffness, N/m^p
     mu: Number  # felt loss coefficient, s/m
     p: Number  # stiffness exponent, 1
     M_H: Number  # hammer mass, kg
     v_H0: Number  # initial hammer velocity, m/s
+
+
+class MemoryHammer(NamedTuple):
+    """A hammer whose felt remembers: F = K_H [u^p (1 + μ u̇) - ε c], τ ċ = u^p - c; with μ = 0 Stulov's felt.
+
+    From a hammer of the same stiffness: `MemoryHammer(*hammer._replace(mu=0.0), epsilon, tau)`.
+    """
+
+    K_H: Number  # felt stiffness to a sudden compression, N/m^p; a slow one feels K_H (1 - ε)
+    mu: Number  # felt loss coefficient, s/m
+    p: Number  # stiffness exponent, 1
+    M_H: Number  # hammer mass, kg
+    v_H0: Number  # initial hammer velocity, m/s
+    epsilon: Number  # share of the stiffness that relaxes, 1
+    tau: Number  # relaxation time, s
 
 
 class Geometry(NamedTuple):
@@ -76,10 +96,19 @@ PARAMETERS: dict[str, Parameter] = {
     "p": Parameter("1", "stiffness exponent", 1.0, 5.0),
     "M_H": Parameter("kg", "hammer mass", 1e-4, 1e-1),
     "v_H0": Parameter("m/s", "initial hammer velocity", 1e-2, 2e1),
+    "epsilon": Parameter("1", "share of the felt's stiffness that relaxes", 1e-3, 0.99),
+    "tau": Parameter("s", "relaxation time of the felt", 1e-6, 1e-2),
 }
 STRING_NAMES = String._fields
 HAMMER_NAMES = Hammer._fields
-FIT_NAMES = STRING_NAMES + HAMMER_NAMES
+FIT_NAMES = STRING_NAMES + HAMMER_NAMES  # the paper's nine
+MEMORY_NAMES = ("epsilon", "tau")
+# The parameters of each law of the felt; the others are 0.
+FELT_LAWS: dict[str, tuple[str, ...]] = {
+    "power": ("K_H", "p"),
+    "hunt-crossley": ("K_H", "mu", "p"),
+    "stulov": ("K_H", "p", "epsilon", "tau"),
+}
 
 
 def check(values: dict[str, float], where: str = "argument") -> dict[str, float]:
@@ -99,3 +128,24 @@ def check(values: dict[str, float], where: str = "argument") -> dict[str, float]
                 f"{where}: {name}={value!r} must be a number from {box.lower:g} to {box.upper:g} {box.unit}"
             )
     return {name: float(value) for name, value in values.items()}
+
+
+def check_hammer(hammer: Hammer | MemoryHammer, where: str = "hammer") -> None:
+    """Refuse a hammer outside the box, as `check` does; μ = 0 is a felt without that loss."""
+    values = {name: float(value) for name, value in hammer._asdict().items()}
+    check({name: value for name, value in values.items() if (name, value) != ("mu", 0.0)}, where)
+
+
+def make_hammer(values: dict[str, float], where: str = "argument") -> Hammer | MemoryHammer:
+    """Return the hammer that `values` speak of: one with memory where they have epsilon and tau.
+
+    Raises
+    ------
+    ParameterError
+        If only one of the two is there.
+    """
+    five = [values[name] for name in HAMMER_NAMES]
+    memory = [values[name] for name in MEMORY_NAMES if name in values]
+    if len(memory) == 1:
+        raise ParameterError(f"{where}: a felt with memory needs both epsilon and tau; give the other one too")
+    return MemoryHammer(*five, *memory) if memory else Hammer(*five)

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.optimize import fminbound
 
 from .analysis import Analysis
-from .criterion import level_error_db
+from .criterion import SAME_PARTIAL, level_error_db
 from .errors import FitError
 from .fit import Result, Voice, fit_takes
 from .fit.result import scored
@@ -35,8 +35,6 @@ __all__ = ["Prediction", "cross_validate", "predict_take"]
 # Velocities that are tried before the best is refined, m/s.
 SLOWEST, FASTEST, TRIED = 0.05, 12.0, 48
 FEWEST = 3
-# Partials whose frequencies are within this, relative, are the same: the pitch of takes differs by cents.
-NEAR = 0.005
 
 
 @dataclass(frozen=True)
@@ -94,7 +92,7 @@ def _heard(voice: Voice, frequency: np.ndarray) -> np.ndarray:
     """Which partials the fit heard [partials]: of the others nobody knows how loud the path lets them through."""
     if voice.path is None:
         return np.ones(len(frequency), bool)
-    return np.abs(np.log(frequency[:, None] / voice.path.frequency)).min(axis=1) < NEAR
+    return np.abs(np.log(frequency[:, None] / voice.path.frequency)).min(axis=1) < SAME_PARTIAL
 
 
 def _pitch(voice: Voice) -> float:

@@ -18,7 +18,17 @@ from .fit.result import SCHEMA
 from .fit.voice import Voice
 from .model.modes import QUANTITIES
 from .model.simulate import check_geometry
-from .parameters import FIT_NAMES, HAMMER_NAMES, PARAMETERS, STRING_NAMES, Geometry, Hammer, String, check
+from .parameters import (
+    FIT_NAMES,
+    MEMORY_NAMES,
+    PARAMETERS,
+    STRING_NAMES,
+    Geometry,
+    String,
+    check,
+    check_hammer,
+    make_hammer,
+)  # fmt: skip
 from .recording import RATES, one_line, read_file
 
 __all__ = ["MOST_SECONDS", "check_render", "encode_wav", "limited", "load_voice"]
@@ -51,8 +61,11 @@ def load_voice(path: str | os.PathLike[str]) -> tuple[Voice, int]:
         raise FitError(f"{name}: schema {found!r} is not {SCHEMA}; fit again with this version of pianofit")
     table = _table(document, "parameters", name)
     values = {key: _number(table, key, name) for key in FIT_NAMES}
+    values |= {key: _number(table, key, name) for key in MEMORY_NAMES if key in table}
     try:
-        check(values, name)
+        hammer = make_hammer(values, name)
+        check({key: values[key] for key in STRING_NAMES}, name)
+        check_hammer(hammer, name)
     except ParameterError as error:
         raise FitError(str(error)) from None
     pickup = _table(document, "pickup", name)
@@ -68,7 +81,7 @@ def load_voice(path: str | os.PathLike[str]) -> tuple[Voice, int]:
     if not RATES[0] <= rate <= RATES[1]:
         raise FitError(f"{name}: takes[{at}].rate={rate:g} Hz must be from {RATES[0]} to {RATES[1]}")
     voice = Voice(
-        String(*(values[n] for n in STRING_NAMES)), Hammer(*(values[n] for n in HAMMER_NAMES)),
+        String(*(values[n] for n in STRING_NAMES)), hammer,
         _geometry(table, quantity, name), quantity, gain, _path(pickup.get("path"), name),
     )  # fmt: skip
     return voice, int(rate)
@@ -106,15 +119,18 @@ def _value(value: Any, key: str, name: str) -> float:
 def _path(path: Any, name: str) -> OutputPath | None:
     if path is None:
         return None
-    wrong = FitError(f"{name}: pickup.path needs frequency, rising, and db, as many; give the file that fit wrote")
+    wrong = FitError(
+        f"{name}: pickup.path needs frequency, rising, db, and decay, above 0, as many; give the file that fit wrote"
+    )
     try:
-        frequency, db = np.array([path["frequency"], path["db"]], float)
+        law = [1.0] * len(path["frequency"])
+        frequency, db, decay = np.array([path["frequency"], path["db"], path.get("decay", law)], float)
     except (KeyError, OverflowError, TypeError, ValueError):
         raise wrong from None
     rising = frequency.ndim == 1 and frequency.size and frequency[0] > 0 and bool((np.diff(frequency) > 0).all())
-    if not (rising and np.isfinite([frequency, db]).all()):
+    if not (rising and np.isfinite([frequency, db, decay]).all() and (decay > 0).all()):
         raise wrong
-    return OutputPath(frequency, db)
+    return OutputPath(frequency, db, decay)
 
 
 def check_render(velocity: float | None, seconds: float, rate: int) -> None:

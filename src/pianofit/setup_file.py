@@ -10,14 +10,14 @@ from __future__ import annotations
 import difflib
 import os
 import tomllib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from .errors import SetupError
-from .parameters import PARAMETERS
+from .parameters import FELT_LAWS, FIT_NAMES, MEMORY_NAMES, PARAMETERS
 from .recording import one_line, read_file
 
-__all__ = ["PICKUPS", "Setup", "Take", "load_setup", "setup_from_dict"]
+__all__ = ["PICKUPS", "Setup", "Take", "load_setup", "setup_from_dict", "with_law"]
 
 PICKUPS = ("velocity", "displacement", "bridge-force", "pressure")
 ON_THE_STRING = ("velocity", "displacement")  # pickups that need a position
@@ -35,9 +35,10 @@ KEYS: dict[str, tuple[str, ...]] = {
     "string": ("length", "mass"),
     "strike": ("position", "width"),
     "pickup": ("quantity", "position", "scale"),
-    "known": tuple(PARAMETERS),
-    "initial": tuple(PARAMETERS),
-    "bounds": tuple(PARAMETERS),
+    "felt": ("law",),
+    "known": FIT_NAMES + MEMORY_NAMES,
+    "initial": FIT_NAMES + MEMORY_NAMES,
+    "bounds": FIT_NAMES + MEMORY_NAMES,
     "take": ("file", "v_H0", "group", "gain_group"),
 }
 
@@ -67,6 +68,7 @@ class Setup:
     initial: dict[str, float] = field(default_factory=dict)  # starting values
     bounds: dict[str, tuple[float, float]] = field(default_factory=dict)
     takes: tuple[Take, ...] = ()
+    felt: str | None = None  # one of FELT_LAWS
 
 
 def load_setup(path: str | os.PathLike[str]) -> Setup:
@@ -115,12 +117,28 @@ def setup_from_dict(data: dict[str, Any], where: str) -> Setup:
         known=known,
         initial=initial,
         bounds={key: _pair(pair, key, f"{where}: [bounds]") for key, pair in data.get("bounds", {}).items()},
+        felt=_felt(data, where),
         takes=tuple(_take(entry, f"{where}: [[take]] {n}") for n, entry in enumerate(data.get("take", []), 1)),
     )
     _check_strike(setup, where)
     _check_pickup(setup, where)
     _check_parameters(setup, where)
     _check_takes(setup, where)
+    return setup
+
+
+def with_law(setup: Setup, felt: str | None, where: str) -> Setup:
+    """`setup` with another law of the felt, if one is named; `where` opens an error.
+
+    Raises
+    ------
+    SetupError
+        If the setup speaks of parameters that this law does not have.
+    """
+    if felt is None:
+        return setup
+    setup = replace(setup, felt=felt)
+    _check_law(setup, where)
     return setup
 
 
@@ -178,6 +196,13 @@ def _quantity(data: dict[str, Any], where: str) -> str:
     if not isinstance(quantity, str) or quantity not in PICKUPS:
         raise SetupError(f"{where}: [pickup] quantity = {_show(quantity)} must be one of {', '.join(PICKUPS)}")
     return quantity
+
+
+def _felt(data: dict[str, Any], where: str) -> str | None:
+    law = data.get("felt", {}).get("law")
+    if law is not None and (not isinstance(law, str) or law not in FELT_LAWS):
+        raise SetupError(f"{where}: [felt] law = {_show(law)} must be one of {', '.join(FELT_LAWS)}")
+    return law
 
 
 def _parameter(value: object, key: str, where: str) -> float:
@@ -250,12 +275,22 @@ def _check_parameters(setup: Setup, where: str) -> None:
         for table, given in (("initial", setup.initial), ("bounds", setup.bounds)):
             if name in given:
                 raise SetupError(f"{where}: {name} is in [known], held fixed, and in [{table}]; remove one of them")
+    _check_law(setup, where)
     for name, (lower, upper) in setup.bounds.items():
         value = setup.initial.get(name, lower)
         if not lower <= value <= upper:
             raise SetupError(
                 f"{where}: [initial] {name} = {value:g} is outside its [bounds] {lower:g} to {upper:g}; correct one"
             )
+
+
+def _check_law(setup: Setup, where: str) -> None:
+    """Refuse parameters that the felt's law does not have."""
+    law = setup.felt or "hunt-crossley"
+    for name in (*setup.known, *setup.initial, *setup.bounds):
+        if name in ("mu", *MEMORY_NAMES) and name not in FELT_LAWS[law]:
+            has = ", ".join(FELT_LAWS[law])
+            raise SetupError(f"{where}: {name} is no parameter of the felt's law, {law}, which has {has}; remove it")
 
 
 def _check_takes(setup: Setup, where: str) -> None:

@@ -152,6 +152,7 @@ def fit_files(
     setup: Path | None = None,
     velocity: float | None = None,
     channel: str = "average",
+    felt: str | None = None,
     recipe: str = "default",
     evaluations: int | None = None,
     seed: int = 0,
@@ -176,7 +177,7 @@ def fit_files(
         raise ParameterError(f"velocity={velocity} m/s is of one take; give each its own in the setup's [[take]]")
     if len(files) > 1 and recipe != "default":
         raise ParameterError(f"recipe={recipe!r} fits one recording; {len(files)} were given")
-    recordings, analyses, known = _takes(files, note, f0, setup, channel, velocity, progress)
+    recordings, analyses, known = _takes(files, note, f0, setup, channel, felt, velocity, progress)
     from .fit import fit_recording, fit_takes
     from .model.cache import keep_programs
 
@@ -205,13 +206,13 @@ def fit_files(
 
 def _takes(
     files: Sequence[Path], note: str | None, f0: float | None, setup: Path | None, channel: str,
-    velocity: float | None = None, progress: Callable[[str, float], None] = lambda *_: None,
+    felt: str | None = None, velocity: float | None = None, progress: Callable[[str, float], None] = lambda *_: None,
 ) -> tuple[list[Recording], list[Analysis], Setup]:  # fmt: skip
     """Recordings and their analyses, and what was known."""
     from .recording import load_recording
-    from .setup_file import Setup, load_setup
+    from .setup_file import Setup, load_setup, with_law
 
-    known = Setup() if setup is None else load_setup(setup)
+    known = with_law(Setup() if setup is None else load_setup(setup), felt, one_line(setup))
     _check_velocity(velocity, known, setup)
     progress("reading", 0.0)
     recordings = [load_recording(file, channel=channel) for file in files]
@@ -275,6 +276,7 @@ def cross_validate_files(
     f0: float | None = None,
     setup: Path | None = None,
     channel: str = "average",
+    felt: str | None = None,
     seed: int = 0,
     progress: Callable[[str, float], None] = lambda *_: None,
 ) -> dict:
@@ -285,7 +287,7 @@ def cross_validate_files(
     PianofitError
         For any input that cannot be used.
     """
-    recordings, analyses, known = _takes(files, note, f0, setup, channel)
+    recordings, analyses, known = _takes(files, note, f0, setup, channel, felt)
     from .model.cache import keep_programs
     from .predict import cross_validate
 

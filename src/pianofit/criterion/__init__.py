@@ -2,12 +2,13 @@
 
 from .bands import BANDS, Cells, band_of, borders, cell_grid, line_sigma, partial_frequency
 from .energy import band_values, closed_form_gain, measure
-from .levels import PATH_SPREAD, PATH_TERMS, OutputPath, level_error_db, path_basis
+from .levels import PATH_SPREAD, PATH_TERMS, SAME_PARTIAL, OutputPath, level_error_db, path_basis
 
 __all__ = [
     "BANDS",
     "PATH_SPREAD",
     "PATH_TERMS",
+    "SAME_PARTIAL",
     "Cells",
     "OutputPath",
     "band_of",

@@ -11,11 +11,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-__all__ = ["PATH_SPREAD", "PATH_TERMS", "OutputPath", "level_error_db", "path_basis"]
+__all__ = ["PATH_SPREAD", "PATH_TERMS", "SAME_PARTIAL", "OutputPath", "level_error_db", "path_basis"]
 
 # Cosines beside the constant gain, and the standard deviation that the penalty grants the j-th, dB.
 PATH_TERMS = 6
 PATH_SPREAD = 8.0 / np.arange(1, PATH_TERMS + 1)
+
+# A frequency within this, relative, of a partial's is that partial's: the pitch of takes differs by cents.
+SAME_PARTIAL = 0.005
 
 
 class OutputPath(NamedTuple):
@@ -23,10 +26,19 @@ class OutputPath(NamedTuple):
 
     frequency: np.ndarray
     db: np.ndarray
+    decay: np.ndarray | None = None  # of each partial's decay rate over that of the string's law
 
     def at(self, frequency: np.ndarray) -> np.ndarray:
         """The path in dB at `frequency`, Hz."""
         return np.interp(np.log(np.maximum(frequency, 1e-9)), np.log(self.frequency), self.db)
+
+    def decay_at(self, frequency: np.ndarray) -> np.ndarray:
+        """Decay rate over the law's at `frequency`, Hz: a partial's own, and 1 where none was heard."""
+        if self.decay is None:
+            return np.ones(len(frequency))
+        nearest = np.abs(frequency[:, None] - self.frequency).argmin(axis=1)
+        near = np.abs(frequency / self.frequency[nearest] - 1) < SAME_PARTIAL
+        return np.where(near, self.decay[nearest], 1.0)
 
 
 def path_basis(frequency: np.ndarray) -> np.ndarray:

@@ -18,11 +18,11 @@ from dataclasses import dataclass, replace
 import jax.numpy as jnp
 import numpy as np
 
-from ..errors import FitError
 from ..initial import Start
 from ..model import simulate
 from ..model.simulate import count_modes
-from ..parameters import Geometry
+from ..parameters import FELT_LAWS, Geometry
+from .hammers import STARTS, anchored, search_hammers
 from .levenberg import Descent, descend
 from .residuals import CENT, Cfg, Target, hammer_batch, joint_batch, string_batch
 from .space import LOG, NAMES, Layout, Space, default_box, split, struck
@@ -33,15 +33,10 @@ from .voice import arrival, lag
 
 __all__ = ["Fit", "fit_partials", "predicted"]
 
-STARTS, BATCHES = 16, 4
 # A search's contacts last a whole number of times this many steps, so that notes share compiled programs.
 STEPS = 256
-# Power of energy by which levels are weighed, and iterations: loud partials lead to the basin, all of them finish.
-GRADES = ((0.25, 30), (0.0, 15))
 # How much of the attack, s, tells when the hammer touched.
 ATTACK = 0.05
-# Starts whose costs differ by less than this ended at the same place.
-AGREEMENT = 0.5
 # σ of the string's stage in units of the criterion's: wide lines first. Glide blurs what is finer than the second.
 SIGMAS = (1.0, 0.35)
 ROUNDS = 4
@@ -98,10 +93,14 @@ def fit_partials(
         state = replace(state, space=space)
         progress("hammer", 0.3)
         programs[0].join()
-        z, agreeing, searched = _hammer_stage(state, seed)
+        z, agreeing, searched = search_hammers(state, seed)
         progress("string and hammer", 0.6)
         programs[1].join()
+        state, z = anchored(state, z)
         fit = _joint_stage(state, z)
+        state, z = anchored(state, fit.z)
+        if state is not fit.state:
+            fit = _joint_stage(state, z, fit.spread, fit.robust)
         if state.data.calibrated:
             fit = _with_attack(takes, fit)
         if fit.spread.level < FINE_LEVEL and np.median(state.data.level_error[state.data.found]) < FINE_LEVEL:
@@ -125,7 +124,8 @@ def _prepared(takes: Sequence[Take], start: Start, layout: Layout) -> State:
     space = replace(space, log_u=float(np.log(0.5 * first.pulse.compression.max())))
     rate = 1.0 / float(first.modes.step)
     steps = STEPS * int(np.ceil(1.6 * first.contact_time * rate / STEPS))
-    cfg = Cfg(max(first.modes.pole.shape[0], data.rows), steps, start.quantity, data.calibrated)
+    memory = "epsilon" in FELT_LAWS[start.felt]
+    cfg = Cfg(max(first.modes.pole.shape[0], data.rows), steps, start.quantity, data.calibrated, memory)
     delay = np.full(layout.takes, arrival(string, start.geometry, start.quantity))
     alone = layout.takes == 1 and not data.calibrated
     return State(data, start, space, rate, delay, cfg, CRITERION if alone else 0.0)
@@ -220,71 +220,6 @@ def _string_stage(take: Take, state: State) -> tuple[Space, int]:
             )  # fmt: skip
             z, count = end.z, count + end.evaluations
     return replace(space, start=local.natural(z[0])), count
-
-
-def _hammer_stage(state: State, seed: int) -> tuple[np.ndarray, int, int]:
-    """Hammers by the batch, until two of them end at the same lowest cost or `BATCHES` are spent. The best [1, size].
-
-    Of a calibrated recording a hammer should explain all but the first scatter; many can agree on one that does not.
-    One uncalibrated recording does not fix the hammer, and more than one batch has not bettered its levels.
-    """
-    random, size = np.random.default_rng(seed), len(state.space.start)
-    z, cost, count, agreeing = np.zeros((0, size)), np.zeros(0), 0, 0
-    batches = BATCHES if state.data.calibrated or state.data.layout.takes > 1 else 1
-    for batch in range(batches):
-        throw = random.standard_normal((STARTS, size))
-        if batch == 0:
-            throw[0] = 0.0  # the literature's own hammer is one of the starts
-        end, evaluations = _hammers(state, throw)
-        z, cost, count = np.append(z, end.z, axis=0), np.append(cost, end.cost), count + evaluations
-        agreeing = int((cost < cost.min() + AGREEMENT).sum())
-        if agreeing > 1 and not (state.data.calibrated and cost.min() > 0.5 * state.data.found.sum()):
-            break
-    if not np.isfinite(cost).any():
-        raise FitError("no hammer within the bounds gives a finite sound; widen [bounds] or check [known] in the setup")
-    best = int(np.argmin(cost))
-    return z[best : best + 1], agreeing, count
-
-
-def _hammers(state: State, throw: np.ndarray) -> tuple[Descent, int]:
-    """Many hammers on one string: eq. 19 in the hammer's band, then levels, the loud ones first.
-
-    `throw` [starts, size] is where they start, in units of the literature's spread. Several takes are compared with
-    each other, which eq. 19 cannot do: theirs begin with the levels.
-    """
-    space, layout = state.space, state.data.layout
-    spread = state.first_spread(10.0, 1.0)
-    index = np.arange(layout.size)
-    hammer = index >= 4
-    physical = hammer & ((index < LOG) | np.isin(index, layout.ratio)) & np.isfinite(space.spread)
-    z = space.z(space.start[None]) + throw * np.where(physical, space.spread, 0.0)
-    at, count = state.target(spread, state.unweighted), 0
-    if layout.takes == 1:
-        by_energy = at._replace(by_energy=jnp.ones_like(at.by_energy))
-        end = descend(state.evaluate(hammer_batch, by_energy), z, space, iterations=20, free=physical, tolerance=1e-3)
-        z, count = end.z, end.evaluations
-    z = _levelled(state, at, space.project(z))
-    (lead, first), (finish, last) = GRADES
-    at = state.target(spread, state.unweighted, lead)
-    end = descend(state.evaluate(hammer_batch, at), z, space, iterations=first, free=hammer, tolerance=1e-4)
-    at, count = state.target(spread, state.unweighted, finish), count + end.evaluations
-    end = descend(state.evaluate(hammer_batch, at), end.z, space, iterations=last, free=hammer, tolerance=1e-4)
-    return end, count + end.evaluations
-
-
-def _levelled(state: State, at: Target, z: np.ndarray) -> np.ndarray:
-    """The points `z` [starts, size] with the gains at which each take is right on average."""
-    if state.data.calibrated:
-        return z
-    level = np.asarray(hammer_batch(jnp.asarray(z), at, state.cfg)[2])[:, :, 2]
-    weight = np.asarray(at.level_weight) ** 2
-    gain = ((np.asarray(at.level) - level) * weight).sum(axis=2) / weight.sum(axis=1)
-    z = z.copy()
-    for take in range(state.data.layout.takes):
-        column = state.data.layout.gain[take]
-        same = state.data.layout.gain == column
-        z[:, column] = np.clip(gain[:, same].mean(axis=1), -300, 300)
-    return z
 
 
 def _joint_stage(state: State, z, spread: Spreads | None = None, robust: np.ndarray | None = None) -> Fit:

@@ -20,7 +20,7 @@ from ..model.cache import kept
 from ..model.contact import strike
 from ..model.modes import mode_table
 from ..model.response import level_db, mobility, ringing
-from ..parameters import Geometry, Hammer, String
+from ..parameters import MEMORY_NAMES, Geometry, Hammer, MemoryHammer, String
 from .space import LOG, NAMES, stiffness
 
 __all__ = [
@@ -48,6 +48,7 @@ class Cfg(NamedTuple):
     steps: int
     quantity: str
     calibrated: bool
+    memory: bool = False  # of the felt
 
 
 class Target(NamedTuple):
@@ -88,14 +89,15 @@ class Lines(NamedTuple):
     rate: Array
 
 
-def predict(string_z: Float[Array, " 4"], hammer_z: Float[Array, " 7"], ratio: Array, target: Target, cfg: Cfg):
+def predict(string_z: Float[Array, " 4"], hammer_z: Float[Array, " 7 or 9"], ratio: Array, target: Target, cfg: Cfg):
     """Frequency, Hz, decay, 1/s, and level, dB, of the partials [takes, 3, rows], and whether all contacts ended.
 
     `ratio` [takes] are the log velocities over that in `hammer_z`. Takes differ in nothing else before gain and path.
     """
     string = String(*jnp.exp(string_z))
-    _, mu, p, mass, velocity, at, width = jnp.exp(hammer_z)
+    _, mu, p, mass, velocity, at, width, *memory = jnp.exp(hammer_z)
     hammer = Hammer(jnp.exp(stiffness(hammer_z[0], p, target.log_u)), mu, p, mass, velocity)
+    hammer = MemoryHammer(*hammer, *memory) if cfg.memory else hammer
     geometry = target.geometry._replace(strike=at, width=width)
     modes = mode_table(string, geometry, rate=target.rate, n_modes=cfg.n_modes, quantity=cfg.quantity)
 
@@ -173,9 +175,9 @@ def _evaluate(string_z: Array, rest: Array, fixed_string: bool, target: Target, 
         value, ended = predict(string, hammer, ratio, target, cfg)
         return value, (value, ended)
 
-    slope, (value, ended) = jax.jacfwd(twice, has_aux=True)(rest[: LOG - 4] if fixed_string else z[:LOG])
-    before = 4 if fixed_string else 0
-    slope = jnp.pad(slope, ((0, 0), (0, 0), (0, 0), (before, z.shape[0] - LOG)))
+    first, last = 4 if fixed_string else 0, LOG if cfg.memory else LOG - len(MEMORY_NAMES)
+    slope, (value, ended) = jax.jacfwd(twice, has_aux=True)(z[first:last])
+    slope = jnp.pad(slope, ((0, 0), (0, 0), (0, 0), (first, z.shape[0] - last)))
     # Each take's velocity is v_H0 times its own ratio.
     slope = slope + slope[..., velocity : velocity + 1] * target.ratio[:, None, None, :]
     residual, push = jax.linearize(lambda v, x: compare(v, x, target, cfg), value, z)

@@ -14,12 +14,13 @@ from ..analysis import Analysis
 from ..criterion import BANDS, OutputPath, band_values, borders, closed_form_gain, level_error_db, measure
 from ..initial import Start
 from ..model import Simulation
-from ..parameters import PARAMETERS
+from ..parameters import MEMORY_NAMES, PARAMETERS
 from ..recording import Recording
 from .levenberg import descend
+from .path import path_document, path_of, roughness
 from .recipe import Fit, predicted
 from .residuals import CENT, joint_batch
-from .space import LOG, NAMES, K, split, struck
+from .space import ABSENT, LOG, NAMES, K, split, struck
 from .takes import Take
 from .target import Measured
 from .uncertainty import intervals, statuses, tangled, to_stiffness, whole_covariance
@@ -63,12 +64,14 @@ class Heard:
 class Result:
     """A finished fit. `document` is what `fit.json` holds, `takes` are in the order in which they were given.
 
-    What a page shows of one take is that of the `first`, on which the others' velocities rest.
+    What a page shows of one take is that of the `first`, on which the others' velocities rest. `covariance` is that of
+    log(parameter) in the order of `space.NAMES`; zero for what was not fitted.
     """
 
     document: dict
     takes: tuple[Heard, ...]
     first: int
+    covariance: np.ndarray
 
     @property
     def initial(self) -> Sound:
@@ -120,7 +123,8 @@ def conclude(takes: Sequence[Take], start: Start, fit: Fit, seed: int, order: Se
         If an initial or a final contact does not end.
     """
     first = fit.space.start.copy()
-    first[: len(NAMES)] = [start.initial.get(n, start.values[n]) for n in NAMES]
+    given = np.array([start.initial.get(n, start.values[n]) for n in NAMES])
+    first[:LOG] = np.where(first[:LOG] > ABSENT, given, ABSENT)
     literature = None if fit.data.calibrated else _path_only(fit)
     heard = [_heard(i, take, start, fit, first, literature) for i, take in enumerate(takes)]
     whole = whole_covariance(fit.jacobian, _row_variance(fit), fit.space, fit.pressed)
@@ -137,20 +141,21 @@ def conclude(takes: Sequence[Take], start: Start, fit: Fit, seed: int, order: Se
         "schema": SCHEMA,
         "program": "pianofit",
         "recipe": "default",
+        "felt": start.felt,
         "seed": seed,
         "converged": fit.converged,
         "verdict": opening,
         "messages": said,
         "parameters": _parameters(fit.values, first, spans, states, start),
         "takes": _in_order([_take(fit, i, h, start, whole) for i, h in enumerate(heard)], order),
-        "pickup": {"quantity": start.quantity, "path": _path_document(fitted.voice.path)},
+        "pickup": {"quantity": start.quantity, "path": path_document(fitted.voice.path)},
         "derived": _derived(fitted, analyses[0], cov),
         "criterion": criterion,
         "levels": levels,
         "diagnostics": _diagnostics(fit, cov),
         "versions": versions(),
     }
-    return Result(document, tuple(_in_order(heard, order)), order[0])
+    return Result(document, tuple(_in_order(heard, order)), order[0], cov)
 
 
 def _in_order(items: list, order: Sequence[int]) -> list:
@@ -175,7 +180,7 @@ def _heard(i: int, take: Take, start: Start, fit: Fit, first: np.ndarray, litera
     ear = _Ear.of(take.recording, take.analysis, data)
     unit = None if start.scale is None else 1.0 / start.scale
     initial = _sound(ear, start, fit, i, first, unit, None)
-    fitted = _sound(ear, start, fit, i, fit.values, unit, _path(fit, i, start))
+    fitted = _sound(ear, start, fit, i, fit.values, unit, path_of(fit, i, start))
     measured = data.level[: data.found]
     chosen = scored(data.partials.frequency, measured)
     through = None if literature is None else literature[0][i, data.partials.number - 1]
@@ -265,31 +270,8 @@ def _sound(
     data = fit.data.each[take]
     level = predicted(fit.target, fit.cfg, z)[take, 2, data.partials.number - 1]
     if path is not None:
-        level = level + _roughness(fit, take)[data.partials.number - 1]
+        level = level + roughness(fit, take)[data.partials.number - 1]
     return Sound(voice._replace(gain=gain), samples * gain, simulation, level)
-
-
-def _roughness(fit: Fit, take: int) -> np.ndarray:
-    """What takes of a group share beyond hammer and smooth path, dB [rows], shrunk by how well it is known."""
-    data = fit.data
-    mine = data.found & (np.array(data.layout.groups) == data.layout.groups[take])[:, None]
-    if fit.spread.rough == 0:
-        return np.zeros(data.rows)
-    miss = data.level - predicted(fit.target, fit.cfg, fit.z[0])[:, 2]
-    weight = mine / (data.level_error**2 + fit.spread.level**2 + ~mine)
-    return (weight * miss).sum(axis=0) / (weight.sum(axis=0) + fit.spread.rough**-2)
-
-
-def _path(fit: Fit, take: int, start: Start) -> OutputPath | None:
-    """The fitted path of one take, smooth part and roughness, where it has partials."""
-    if start.quantity != "pressure":
-        return None
-    data, columns = fit.data, fit.data.layout.path[take]
-    mine = data.found & (np.array(data.layout.groups) == data.layout.groups[take])[:, None]
-    rows = np.flatnonzero(mine.any(axis=0))
-    smooth = np.asarray(fit.target.basis)[mine.argmax(axis=0), np.arange(data.rows)][:, columns] @ fit.values[columns]
-    frequency = data.frequency[mine.argmax(axis=0), np.arange(data.rows)]
-    return OutputPath(frequency[rows], (smooth + _roughness(fit, take))[rows])
 
 
 def _path_only(fit: Fit) -> tuple[np.ndarray, float]:
@@ -311,14 +293,20 @@ def _parameters(values, first, spans, states, start: Start) -> dict:
     """Every parameter with value, unit, interval and status."""
     table = {}
     for i, name in enumerate(NAMES):
+        absent = values[i] <= ABSENT
+        if absent and name in MEMORY_NAMES:
+            continue
         rests = start.rests_on.get(name, ())
         status = "assumed" if rests and states[name] == "free" else states[name]
         note = f"rests on an assumed {' and '.join(rests)}" if rests else ""
         if name == "width" and states[name] not in ("fixed", "assumed"):
             note = "effective: of the raised cosine that acts as the felt's own window does"
+        value, initial = float(values[i]), float(first[i])
+        if absent:
+            value, initial, note = 0.0, 0.0, f"the felt's law, {start.felt}, has none"
         table[name] = {
-            "value": float(values[i]), "unit": UNITS[name], "interval": spans[name], "status": status,
-            "initial": float(first[i]), "note": note,
+            "value": value, "unit": UNITS[name], "interval": spans[name], "status": status, "initial": initial,
+            "note": note,
         }  # fmt: skip
     g = start.geometry
     for name, value, key in (("M_S", g.mass, "mass"), ("L", g.length, "length")):
@@ -332,11 +320,13 @@ def _parameters(values, first, spans, states, start: Start) -> dict:
 
 
 def _take(fit: Fit, i: int, heard: Heard, start: Start, whole: np.ndarray) -> dict:
-    """What one take has of its own; a velocity that rests on an assumed one has the interval of their ratio."""
+    """What one take has of its own; a velocity that rests on the fastest's has the interval of their ratio."""
     recording, layout = heard.recording, fit.data.layout
-    at = [NAMES.index("v_H0"), layout.ratio[i]]
-    reach, v = 1.96 * float(np.sqrt(whole[np.ix_(at, at)].sum())), float(heard.fitted.voice.hammer.v_H0)
-    rests = "v_H0" in start.fixed and start.fixed["v_H0"] == "assumed"
+    rests = start.fixed.get("v_H0") == "assumed"
+    log_v = np.zeros(layout.size)
+    log_v[[NAMES.index("v_H0"), layout.ratio[i]]] += 1.0
+    log_v[layout.ratio[np.argmax(fit.values[layout.ratio])]] -= float(rests)
+    reach, v = 1.96 * float(np.sqrt(log_v @ whole @ log_v)), float(heard.fitted.voice.hammer.v_H0)
     known = i > 0 and not fit.space.free[layout.ratio[i]]
     return {
         "file": recording.path, "sha256": recording.sha256, "rate": recording.rate,
@@ -347,10 +337,6 @@ def _take(fit: Fit, i: int, heard: Heard, start: Start, whole: np.ndarray) -> di
         "first": i == 0, "cents": float(fit.values[layout.cents[i]]), "group": layout.groups[i],
         "criterion": heard.criterion, "levels": heard.levels,
     }  # fmt: skip
-
-
-def _path_document(path: OutputPath | None) -> dict | None:
-    return None if path is None else {"frequency": path.frequency.tolist(), "db": path.db.tolist()}
 
 
 def _derived(fitted: Sound, analysis: Analysis, cov: np.ndarray) -> dict:

@@ -13,13 +13,29 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..criterion import PATH_TERMS
-from ..parameters import FIT_NAMES, PARAMETERS, Geometry, Hammer, String
+from ..parameters import FIT_NAMES, MEMORY_NAMES, PARAMETERS, Geometry, Hammer, MemoryHammer, String
 
-__all__ = ["LOG", "NAMES", "SIZE", "Box", "K", "Layout", "P", "Space", "default_box", "split", "stiffness", "struck"]
+__all__ = [
+    "ABSENT",
+    "LOG",
+    "NAMES",
+    "SIZE",
+    "Box",
+    "K",
+    "Layout",
+    "P",
+    "Space",
+    "default_box",
+    "split",
+    "stiffness",
+    "struck",
+]
 
-NAMES = (*FIT_NAMES, "x0", "width")
+NAMES = (*FIT_NAMES, "x0", "width", *MEMORY_NAMES)
 LOG = len(NAMES)
 K, P = NAMES.index("K_H"), NAMES.index("p")
+# What a felt's law does not have is searched nowhere; on a log scale it is held at this.
+ABSENT = 1e-12
 # Gain and path stay within this, dB, log velocity ratios and pitches, cents, within these.
 MOST_DB, MOST_RATIO, MOST_CENTS = 400.0, 5.0, 50.0
 
@@ -66,9 +82,11 @@ class Layout:
 SIZE = Layout().size
 
 
-def split(values: np.ndarray) -> tuple[String, Hammer]:
+def split(values: np.ndarray) -> tuple[String, Hammer | MemoryHammer]:
     """Parameters in the order of `NAMES` as string and hammer."""
-    return String(*map(float, values[:4])), Hammer(*map(float, values[4:9]))
+    string, (stiffness, mu, *rest) = String(*map(float, values[:4])), map(float, values[4:9])
+    hammer, memory = Hammer(stiffness, mu if mu > ABSENT else 0.0, *rest), values[11:13]
+    return string, MemoryHammer(*hammer, *map(float, memory)) if memory[0] > ABSENT else hammer
 
 
 def struck(geometry: Geometry, values: np.ndarray) -> Geometry:
@@ -167,4 +185,6 @@ def default_box(length: float, width: float, layout: Layout = Layout()) -> tuple
     rest[layout.ratio], rest[layout.cents] = MOST_RATIO, MOST_CENTS
     lower = [PARAMETERS[n].lower for n in FIT_NAMES] + [max(0.04 * length, 0.51 * width), 0.3 * width]
     upper = [PARAMETERS[n].upper for n in FIT_NAMES] + [0.33 * length, 2.0 * width]
+    lower += [PARAMETERS[n].lower for n in MEMORY_NAMES]
+    upper += [PARAMETERS[n].upper for n in MEMORY_NAMES]
     return np.append(lower, -rest[LOG:]), np.append(upper, rest[LOG:])

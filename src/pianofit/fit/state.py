@@ -15,10 +15,10 @@ import numpy as np
 
 from ..criterion import PATH_SPREAD
 from ..initial import Start
-from ..parameters import PARAMETERS
+from ..parameters import FELT_LAWS, MEMORY_NAMES, PARAMETERS
 from .misfit import huber, scatter
 from .residuals import CENT, Cfg, Target, joint_batch
-from .space import LOG, NAMES, Layout, Space, default_box
+from .space import ABSENT, LOG, NAMES, Layout, Space, default_box
 from .takes import Take
 from .target import Spreads, Takes, doubt, target
 
@@ -54,6 +54,8 @@ def search_space(start: Start, takes: Sequence[Take], layout: Layout) -> Space:
     calibrated, known = start.scale is not None, start.quantity != "pressure"
     free = np.zeros(layout.size, bool)
     free[:LOG] = [n not in start.fixed for n in NAMES]
+    absent = np.isin(NAMES, ("mu", *MEMORY_NAMES)) & ~np.isin(NAMES, FELT_LAWS[start.felt])
+    values[:LOG][absent], free[:LOG] = ABSENT, free[:LOG] & ~absent
     free[layout.gain], free[layout.path] = not calibrated, not (calibrated or known)
     free[layout.ratio[1:]] = [not take.ratio_known for take in takes[1:]]
     free[layout.cents[1:]] = True

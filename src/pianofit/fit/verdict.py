@@ -75,7 +75,7 @@ def verdict(
     if takes > 1 and start.fixed.get("v_H0") == "assumed":
         states = states | {n: "assumed" for n in ("K_H", "mu") if states[n] == "free"}
     if "v_H0" in start.fixed and start.fixed["v_H0"] == "assumed":
-        text += f" The hammer velocity{' of the first' * (takes > 1)}, {start.values['v_H0']:g} m/s, is assumed, and "
+        text += f" The hammer velocity{' of the fastest' * (takes > 1)}, {start.values['v_H0']:g} m/s, is assumed, and "
         text += f"{'the other velocities, ' * (takes > 1)}K_H and μ scale with it."
     return text, states
 

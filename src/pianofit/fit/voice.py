@@ -8,7 +8,8 @@ import numpy as np
 
 from ..criterion import OutputPath
 from ..model import Simulation, simulate
-from ..parameters import Geometry, Hammer, String
+from ..model.response import level_db
+from ..parameters import Geometry, Hammer, MemoryHammer, String
 
 __all__ = ["Voice", "arrival", "lag", "strike_voice"]
 
@@ -17,7 +18,7 @@ class Voice(NamedTuple):
     """Everything between a set of parameters and a file's samples."""
 
     string: String
-    hammer: Hammer
+    hammer: Hammer | MemoryHammer
     geometry: Geometry
     quantity: str
     gain: float  # file units (full scale = 1) per unit of the pickup
@@ -29,14 +30,19 @@ class Voice(NamedTuple):
         The hammer touches the string at index `touch`, which may lie before the first sample; by default the sound
         arrives at the first sample.
 
-        A path multiplies every partial by its own level, so it goes into the pickup's weights.
+        A path gives every partial a level of its own, which goes into the pickup's weights, and a decay of its own, at
+        which its energy in the first 0.35 s stays what it was.
         """
         simulation = strike_voice(self, rate)
         pole = np.asarray(simulation.modes.pole)
         factor = self.gain * np.ones(len(pole))
         if self.path is not None:
-            factor = factor * 10 ** (self.path.at(np.abs(np.imag(pole)) / (2 * np.pi)) / 20)
-        heard = simulation.modes._replace(pickup=np.asarray(simulation.modes.pickup) * factor)
+            frequency, law = np.abs(np.imag(pole)) / (2 * np.pi), -np.real(pole)
+            own, one = law * self.path.decay_at(frequency), np.ones(len(pole))
+            held = level_db(one, law, np) - level_db(one, own, np)
+            factor = factor * 10 ** ((self.path.at(frequency) + held) / 20)
+            pole = -own + 1j * np.imag(pole)
+        heard = simulation.modes._replace(pickup=np.asarray(simulation.modes.pickup) * factor, pole=pole)
         first = -round(arrival(self.string, self.geometry, self.quantity) * rate) if touch is None else touch
         sound = simulation._replace(modes=heard).waveform(rate, samples - min(first, 0) - max(first, 0))
         return np.pad(sound[max(-first, 0) :], (max(first, 0), 0)), simulation

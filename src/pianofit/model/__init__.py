@@ -8,7 +8,8 @@ import jax
 
 jax.config.update("jax_enable_x64", True)
 
-from .contact import Pulse, felt_force, kernel, strike  # noqa: E402
+from .contact import Pulse, kernel, strike  # noqa: E402
+from .felt import felt_force  # noqa: E402
 from .modes import Modes, mode_frequencies, mode_table, project, window_weights  # noqa: E402
 from .response import (  # noqa: E402
     level_db,

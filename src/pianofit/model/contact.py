@@ -4,10 +4,9 @@ The hammer meets the string only through the displacement that past forces left 
 displacement at the strike, n steps after a unit `T`), Crank-Nicolson for hammer and string together (paper eq. 16) is
 
     e_n = y_H + 2a v_H - Σ_{m<n} g_{n-m} T_m - free motion        u_n = e_n - C T_n,   C = a²/M_H + g_0
-    w_n = (u_n - u_{n-1})/a - w_{n-1}                             F_n = K_H u_n^p (1 + μ w_n), never below 0
+    w_n = (u_n - u_{n-1})/a - w_{n-1}                             F_n = F(u_n, w_n)
 
-`F_n` is a convex, rising function of `u_n`: Newton's iterates fall monotonically onto the root once they are above it,
-and one step from below takes them there. Clipped to [0, e_n - C F_{n-1}], which holds the root, they always converge.
+with the law of `felt` for F: a convex, rising function of `u_n`.
 """
 
 from __future__ import annotations
@@ -19,14 +18,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from ..errors import ParameterError
-from ..parameters import Hammer
+from ..parameters import Hammer, MemoryHammer
 from .exponentials import BLOCK, real_powers, ring
+from .felt import compression, force, memory_weights, remember
 from .modes import Modes
 
-__all__ = ["FreeMotion", "Pulse", "felt_force", "free_motion", "impulse_amplitude", "kernel", "strike"]
-
-# Newton's iterations; from the worst start (p = 5) each takes a fifth off the error until it turns quadratic.
-MOST_ITERATIONS = 200
+__all__ = ["FreeMotion", "Pulse", "free_motion", "impulse_amplitude", "kernel", "strike"]
 
 
 class Pulse(NamedTuple):
@@ -47,12 +44,6 @@ class FreeMotion(NamedTuple):
     under_hammer: Float[Array, " steps"]  # m
     speed: Float[Array, ""]  # of the string under the hammer at t = 0, m/s, the scheme's
     energy: Float[Array, ""]  # J
-
-
-def felt_force(u: Array, w: Array, hammer: Hammer) -> Array:
-    """Felt force, N, at compression `u`, m, and compression speed `w`, m/s (paper eq. 8, with u = y_H - y_s)."""
-    pressed = jnp.where(u > 0, u, 1.0)
-    return jnp.where(u > 0, hammer.K_H * pressed**hammer.p * jnp.maximum(1 + hammer.mu * w, 0.0), 0.0)
 
 
 def impulse_amplitude(modes: Modes) -> Array:
@@ -82,7 +73,7 @@ def free_motion(modes: Modes, displacement: Array, velocity: Array, steps: int) 
     return FreeMotion(amplitude, under, (modes.strike * velocity).sum(), energy)
 
 
-def strike(modes: Modes, hammer: Hammer, *, steps: int, free: FreeMotion | None = None) -> Pulse:
+def strike(modes: Modes, hammer: Hammer | MemoryHammer, *, steps: int, free: FreeMotion | None = None) -> Pulse:
     """The hammer on the string from the first touch on, for `steps` steps of the table's own δt.
 
     The contact may end and begin again. Whether it is over for good is proven, not guessed: after the last step the
@@ -107,7 +98,7 @@ def _reach(modes: Modes, energy: Array) -> Array:
     return jnp.sqrt(2 * jnp.maximum(energy, 0.0) * compliance)
 
 
-def _march(modes: Modes, hammer: Hammer, under: Array, speed: Array | float):
+def _march(modes: Modes, hammer: Hammer | MemoryHammer, under: Array, speed: Array | float):
     """Step the hammer over the string; see the module's docstring for the symbols.
 
     The sum over past forces is split: those of the present block are summed with the kernel, step by step; all earlier
@@ -117,86 +108,67 @@ def _march(modes: Modes, hammer: Hammer, under: Array, speed: Array | float):
     a = modes.step / 2
     unit = impulse_amplitude(modes)
     log_z = modes.pole * modes.step
-    re, im = real_powers(log_z, BLOCK + 1, 1)
+    powers, over_block = (log_z, *real_powers(log_z, BLOCK + 1, 1)), jnp.exp(BLOCK * log_z)
     g = kernel(modes, BLOCK)
     own_g = jnp.concatenate([g[:0:-1], jnp.zeros(BLOCK + 1)])
     c = a**2 / hammer.M_H + g[0]
+    weights = memory_weights(hammer, modes.step)
 
     def block(carry, under):
         ringing, state = carry
-        past = (modes.strike * ringing.real) @ re[:, :BLOCK] - (modes.strike * ringing.imag) @ im[:, :BLOCK] + under
+        past = _history(modes.strike * ringing, powers) + under
 
         def advance(carry, i):
-            recent, (u, w, f, y, v) = carry
+            recent, (u, w, f, y, v, memory) = carry
             own = (jax.lax.dynamic_slice(own_g, (BLOCK - 1 - i,), (BLOCK,)) * recent).sum()
             e = y + 2 * a * v - past[i] - own
-            u_new = _compression(e, u, w, f, c, a, hammer)
+            u_new = compression(e, u, w, f, c, a, hammer, weights, memory)
             w_new = (u_new - u) / a - w
-            f_new = _force(u_new, w_new, e - c * f, c, a, hammer)
+            f_new = force(u_new, w_new, e - c * f, c, a, hammer, weights, memory)
+            memory = remember(u_new, hammer, weights, memory)
             t = f_new + f
             v_new = v - a / hammer.M_H * t
             y_new = y + a * (v + v_new)
-            return (recent.at[i].set(t), (u_new, w_new, f_new, y_new, v_new)), (t, f_new, u_new, y_new, v_new)
+            return (recent.at[i].set(t), (u_new, w_new, f_new, y_new, v_new, memory)), (t, f_new, u_new, y_new, v_new)
 
         (recent, state), outputs = jax.lax.scan(advance, (jnp.zeros(BLOCK), state), jnp.arange(BLOCK))
-        # A unit T at step i of this block rings as unit · z^(BLOCK - i) at the next block's start.
-        left = unit * (re[:, :0:-1] @ recent + 1j * (im[:, :0:-1] @ recent))
-        return (ringing * (re[:, BLOCK] + 1j * im[:, BLOCK]) + left, state), outputs
+        return (ringing * over_block + unit * _left(recent, powers), state), outputs
 
     zero = jnp.zeros_like(c)
     # y_H(0) = y_s at the strike: the felt touches, uncompressed (paper eq. 7).
     y, v = under[0] + zero, hammer.v_H0 + zero
     # The first block starts at step 1, with nothing ringing yet.
     shifted = jnp.append(under[1:], 0.0).reshape(-1, BLOCK)
-    _, rest = jax.lax.scan(block, (jnp.zeros_like(unit), (zero, v - speed, zero, y, v)), shifted)
+    state = (zero, v - speed, zero, y, v, None if weights is None else zero)
+    _, rest = jax.lax.scan(block, (jnp.zeros_like(unit), state), shifted)
     first = (zero, zero, zero, y, v)
     return tuple(jnp.concatenate([x[None], r.ravel()[:-1]]) for x, r in zip(first, rest, strict=True))
 
 
-def _compression(e, u_old, w_old, f_old, c, a, hammer: Hammer):
-    """The root u of u + C (F(u) + F_old) = e."""
-    upper = e - c * f_old
-    return jnp.where(upper > 0, _root(jnp.maximum(upper, 0.0), u_old, w_old, c, a, *hammer[:3]), upper)
+@jax.custom_jvp
+def _history(amplitude, powers):
+    """Σ_k Re(A_k z_k^n), n < BLOCK, m."""
+    _, re, im = powers
+    return amplitude.real @ re[:, :BLOCK] - amplitude.imag @ im[:, :BLOCK]
 
 
-def _force(u, w, upper, c, a, hammer: Hammer):
-    """F_n: by the felt's law, or by what it does to string and hammer, whichever magnifies the rounding of u less."""
-    law = felt_force(u, w, hammer)
-    _, slope = _residual(u, upper, u - a * w, 0.0, c, a, *hammer[:3])
-    return jnp.where((law > 0) & (slope > 2), (upper - u) / c, law)
-
-
-def _residual(u, upper, u_old, w_old, c, a, stiffness, mu, p):
-    """u + C F(u) - upper, and its derivative by u."""
-    pressed = jnp.maximum(u, jnp.finfo(float).tiny)
-    stiff = c * stiffness * pressed ** (p - 1)
-    loss = jnp.maximum(1 + mu * ((u - u_old) / a - w_old), 0.0)
-    slope = 1 + stiff * (p * loss + pressed * mu / a * (loss > 0))
-    return u - upper + stiff * pressed * loss, slope
+@_history.defjvp
+def _history_jvp(given, tangents):
+    # log z answers for its powers: z^n moves by n z^n d(log z), and no power is carried along every direction.
+    (amplitude, powers), (d_amplitude, (d_log_z, _, _)) = given, tangents
+    turned = jnp.arange(BLOCK) * _history(amplitude * d_log_z, powers)
+    return _history(amplitude, powers), _history(d_amplitude, powers) + turned
 
 
 @jax.custom_jvp
-def _root(upper, u_old, w_old, c, a, stiffness, mu, p):
-    """The compression in [0, upper] at which `_residual` vanishes."""
-    rest = (upper, u_old, w_old, c, a, stiffness, mu, p)
-    floor = 4 * jnp.finfo(float).eps * upper
-
-    def going(state):
-        _, residual, iteration = state
-        return (upper > 0) & (jnp.abs(residual) > floor) & (iteration < MOST_ITERATIONS)
-
-    def iterate(state):
-        u, _, iteration = state
-        residual, slope = _residual(u, *rest)
-        return jnp.clip(u - residual / slope, 0.0, upper), residual, iteration + 1
-
-    guess = jnp.clip(u_old + 2 * a * w_old, 0.0, upper)
-    return jax.lax.while_loop(going, iterate, (guess, jnp.full_like(upper, jnp.inf), 0))[0]
+def _left(drive, powers):
+    """Σ_i z_k^(BLOCK - i) T_i, complex [modes], N: how far a unit T at step i of a block has turned by the next."""
+    _, re, im = powers
+    return re[:, :0:-1] @ drive + 1j * (im[:, :0:-1] @ drive)
 
 
-@_root.defjvp
-def _root_jvp(rest, tangents):
-    # The implicit function theorem, never the iterations: du = -(∂R/∂rest · d rest)/(∂R/∂u).
-    u = _root(*rest)
-    (_, slope), (change, _) = jax.jvp(lambda *r: _residual(u, *r), rest, tangents)
-    return u, -change / slope
+@_left.defjvp
+def _left_jvp(given, tangents):
+    (drive, powers), (d_drive, (d_log_z, _, _)) = given, tangents
+    turned = d_log_z * _left(jnp.arange(BLOCK, 0, -1) * drive, powers)
+    return _left(drive, powers), _left(d_drive, powers) + turned

@@ -28,7 +28,7 @@ import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from ..errors import FitError, ParameterError
-from ..parameters import FIT_NAMES, Geometry, Hammer, String
+from ..parameters import FIT_NAMES, Geometry, Hammer, MemoryHammer, String
 from .appendix import Sensitivity, advance_derivatives, initial_derivatives
 from .grid import Scheme, Shape, State, assemble, elastic_pull, grid_points, grid_window
 
@@ -218,6 +218,8 @@ def _on_grid(name: str, shape: Shape, geometry: Geometry, points: int) -> np.nda
 
 
 def _check(string: String, hammer: Hammer, geometry: Geometry, step: float, steps: int, points: int) -> None:
+    if isinstance(hammer, MemoryHammer):
+        raise ParameterError("hammer remembers; the paper's scheme has its own felt, give a Hammer")
     values = {**string._asdict(), **hammer._asdict(), **geometry._asdict(), "step": step}
     for name, value in values.items():
         lowest, allowed = {"p": (1.0, "1 or more"), "v_H0": (-math.inf, "a number")}.get(name, (0.0, "0 or more"))

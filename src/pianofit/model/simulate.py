@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..errors import FitError, ParameterError
-from ..parameters import Geometry, Hammer, String, check
+from ..parameters import Geometry, Hammer, MemoryHammer, String, check, check_hammer
 from .contact import FreeMotion, Pulse, free_motion, strike
 from .modes import HIGHEST, QUANTITIES, Modes, mode_frequencies, mode_table, raised_cosine_weights
 from .response import waveform
@@ -84,7 +84,7 @@ def _strike(string, hammer, geometry, rate, weights, start, *, n_modes, steps, q
 
 def simulate(
     string: String,
-    hammer: Hammer,
+    hammer: Hammer | MemoryHammer,
     geometry: Geometry,
     *,
     rate: float = 44_100.0,
@@ -113,7 +113,7 @@ def simulate(
         If the contact does not end within 65,536 steps.
     """
     check(dict(zip(String._fields, map(float, string), strict=True)), "string")
-    check(dict(zip(Hammer._fields, map(float, hammer), strict=True)), "hammer")
+    check_hammer(hammer)
     check_geometry(geometry, quantity)
     if not 1e3 <= rate <= 1e6:
         raise ParameterError(f"rate={rate} Hz must be from 1,000 to 1,000,000")
@@ -122,7 +122,7 @@ def simulate(
         if np.min(np.abs(spacing * np.arange(1, n_modes + 1) - float(geometry.strike))) >= float(geometry.width) / 2:
             raise ParameterError(f"width={float(geometry.width)} m: none of the {n_modes} grid points lies under it")
     # One kind of number, whatever the caller had: JAX compiles anew for every other.
-    string, hammer = String(*map(np.float64, string)), Hammer(*map(np.float64, hammer))
+    string, hammer = String(*map(np.float64, string)), type(hammer)(*map(np.float64, hammer))
     geometry = Geometry(*map(np.float64, geometry))
     contact = np.float64(rate * oversampling if oversampling else contact_rate(string, geometry, rate))
     rows = n_modes or count_modes(string, geometry, contact)

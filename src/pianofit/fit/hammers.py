@@ -1,0 +1,114 @@
+"""The hammer's search on a string that is known: many starts at once, the paper's criterion first, then levels."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+
+from ..errors import FitError
+from .levenberg import Descent, descend
+from .residuals import Target, hammer_batch
+from .space import LOG, NAMES, K, P
+from .state import State
+
+__all__ = ["STARTS", "anchored", "search_hammers"]
+
+STARTS, BATCHES = 16, 4
+# Power of energy by which levels are weighed, and iterations: loud partials lead to the basin, all of them finish.
+GRADES = ((0.25, 30), (0.0, 15))
+# Starts whose costs differ by less than this ended at the same place.
+AGREEMENT = 0.5
+# Velocities that differ by less than this, log, are not worth another round.
+SAME_VELOCITY = 1e-3
+
+V, MU = NAMES.index("v_H0"), NAMES.index("mu")
+
+
+def search_hammers(state: State, seed: int) -> tuple[np.ndarray, int, int]:
+    """Hammers by the batch, until two of them end at the same lowest cost or `BATCHES` are spent. The best [1, size].
+
+    Of a calibrated recording a hammer should explain all but the first scatter; many can agree on one that does not.
+    One uncalibrated recording does not fix the hammer, and more than one batch has not bettered its levels.
+    """
+    random, size = np.random.default_rng(seed), len(state.space.start)
+    z, cost, count, agreeing = np.zeros((0, size)), np.zeros(0), 0, 0
+    batches = BATCHES if state.data.calibrated or state.data.layout.takes > 1 else 1
+    for batch in range(batches):
+        throw = random.standard_normal((STARTS, size))
+        if batch == 0:
+            throw[0] = 0.0  # the literature's own hammer is one of the starts
+        end, evaluations = _hammers(state, throw)
+        z, cost, count = np.append(z, end.z, axis=0), np.append(cost, end.cost), count + evaluations
+        agreeing = int((cost < cost.min() + AGREEMENT).sum())
+        if agreeing > 1 and not (state.data.calibrated and cost.min() > 0.5 * state.data.found.sum()):
+            break
+    if not np.isfinite(cost).any():
+        raise FitError("no hammer within the bounds gives a finite sound; widen [bounds] or check [known] in the setup")
+    best = int(np.argmin(cost))
+    return z[best : best + 1], agreeing, count
+
+
+def _hammers(state: State, throw: np.ndarray) -> tuple[Descent, int]:
+    """Many hammers on one string: eq. 19 in the hammer's band, then levels, the loud ones first.
+
+    `throw` [starts, size] is where they start, in units of the literature's spread. Several takes are compared with
+    each other, which eq. 19 cannot do: theirs begin with the levels.
+    """
+    space, layout = state.space, state.data.layout
+    spread = state.first_spread(10.0, 1.0)
+    index = np.arange(layout.size)
+    hammer = index >= 4
+    physical = hammer & ((index < LOG) | np.isin(index, layout.ratio)) & np.isfinite(space.spread)
+    z = space.z(space.start[None]) + throw * np.where(physical, space.spread, 0.0)
+    at, count = state.target(spread, state.unweighted), 0
+    if layout.takes == 1:
+        by_energy = at._replace(by_energy=jnp.ones_like(at.by_energy))
+        end = descend(state.evaluate(hammer_batch, by_energy), z, space, iterations=20, free=physical, tolerance=1e-3)
+        z, count = end.z, end.evaluations
+    z = _levelled(state, at, space.project(z))
+    (lead, first), (finish, last) = GRADES
+    at = state.target(spread, state.unweighted, lead)
+    end = descend(state.evaluate(hammer_batch, at), z, space, iterations=first, free=hammer, tolerance=1e-4)
+    at, count = state.target(spread, state.unweighted, finish), count + end.evaluations
+    end = descend(state.evaluate(hammer_batch, at), end.z, space, iterations=last, free=hammer, tolerance=1e-4)
+    return end, count + end.evaluations
+
+
+def anchored(state: State, z: np.ndarray) -> tuple[State, np.ndarray]:
+    """The state and point [1, size] at which the fastest take has the velocity that was assumed for the fastest.
+
+    Which take that is comes out of the fit. With all velocities s times as large, K_H s^(1 - p), μ/s and gains 1/s
+    times as large, nothing heard changes (design §1).
+    """
+    layout, space = state.data.layout, state.space
+    fastest = float(z[0, layout.ratio].max())
+    s = state.start.values["v_H0"] / (np.exp(fastest) * space.start[V])
+    if layout.takes == 1 or state.start.fixed.get("v_H0") != "assumed" or abs(np.log(s)) < SAME_VELOCITY:
+        return state, z
+    p, z, values = float(np.exp(z[0, P])), z.copy(), space.start.copy()
+    values[V] *= s
+    for index, change in ((V, 1.0), (K, 1.0 - p), (MU, -1.0)):
+        z[0, index] += change * np.log(s) * (index == V or space.free[index])
+    z[0, np.unique(layout.gain)] -= 20 * np.log10(s)
+    held = np.arange(layout.size) == V
+    space = replace(
+        space, start=values, lower=np.where(held, values, space.lower), upper=np.where(held, values, space.upper)
+    )
+    return replace(state, space=space), space.project(z)
+
+
+def _levelled(state: State, at: Target, z: np.ndarray) -> np.ndarray:
+    """The points `z` [starts, size] with the gains at which each take is right on average."""
+    if state.data.calibrated:
+        return z
+    level = np.asarray(hammer_batch(jnp.asarray(z), at, state.cfg)[2])[:, :, 2]
+    weight = np.asarray(at.level_weight) ** 2
+    gain = ((np.asarray(at.level) - level) * weight).sum(axis=2) / weight.sum(axis=1)
+    z = z.copy()
+    for take in range(state.data.layout.takes):
+        column = state.data.layout.gain[take]
+        same = state.data.layout.gain == column
+        z[:, column] = np.clip(gain[:, same].mean(axis=1), -300, 300)
+    return z

@@ -1,0 +1,136 @@
+"""Felt laws, as one formula and one equation a step.
+
+    F = K_H [u^p (1 + μ u̇) - ε c], never below 0,     τ ċ = u^p - c
+
+Without μ and ε this is the power law (Ghosh); with μ it is that of Hunt and Crossley, the paper's; with ε that of
+Stulov, K_H [u^p - (ε/τ) ∫ u^p exp(-(t - s)/τ) ds], whose felt is as stiff as K_H to a sudden blow and as K_H (1 - ε) to
+a slow one. Over a step u^p is taken as linear in time. Then c is a formula at any τ,
+
+    c_n = k c_(n-1) + w0 a_(n-1) + w1 a_n,     a = u^p, 0 when apart,     k = exp(-δt/τ),     k + w0 + w1 = 1
+
+With w_n = (u_n - u_(n-1))/a - w_(n-1) for u̇ (paper eq. 16), and with string and hammer that give way by C per newton of
+F_n + F_(n-1), a step is one equation, u + C F(u) = upper. F is convex, and rises wherever it is not 0, since ε w1 < 1:
+Newton's iterates fall monotonically onto the root once they are above it, and one step from below takes them there.
+Clipped to [0, upper], which holds the root, they always converge.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from ..parameters import Hammer, MemoryHammer
+
+__all__ = ["Weights", "compression", "felt_force", "force", "memory_weights", "remember"]
+
+# Newton's iterations; from the worst start (p = 5) each takes a fifth off the error until it turns quadratic.
+MOST_ITERATIONS = 200
+SERIES = 14
+
+
+class Weights(NamedTuple):
+    """k, w0 and w1 of one step of the memory. Each is in (0, 1); their sum is 1."""
+
+    kept: Array
+    old: Array
+    new: Array
+
+
+def felt_force(u: Array, w: Array, hammer: Hammer | MemoryHammer, memory=0.0, share=0.0) -> Array:
+    """Felt force, N, at compression `u`, m, and compression speed `w`, m/s (paper eq. 8, with u = y_H - y_s).
+
+    For a felt that remembers, c is `memory`, m^p, and `share` of u^p.
+    """
+    pressed = jnp.where(u > 0, u, 1.0)
+    if not isinstance(hammer, MemoryHammer):
+        return jnp.where(u > 0, hammer.K_H * pressed**hammer.p * jnp.maximum(1 + hammer.mu * w, 0.0), 0.0)
+    loss = jnp.maximum(1 + hammer.mu * w - hammer.epsilon * share, 0.0)
+    law = hammer.K_H * (pressed**hammer.p * loss - hammer.epsilon * memory)
+    return jnp.where((u > 0) & (law > 0), law, 0.0)
+
+
+def memory_weights(hammer: Hammer | MemoryHammer, step: Array) -> Weights | None:
+    """The weights of a step, s, to rounding for any τ; None for a felt without memory."""
+    if not isinstance(hammer, MemoryHammer):
+        return None
+    s = step / hammer.tau
+    near, far = jnp.minimum(s, 0.5), jnp.maximum(s, 0.5)
+    # w1 = 1 - (1 - e^-s)/s = s/2 - s²/6 + s³/24 - ..., by Horner's rule.
+    series = jnp.zeros_like(near)
+    for k in range(SERIES, 1, -1):
+        series = (1 - series) * near / k
+    lag = -jnp.expm1(-far) / far
+    return Weights(
+        jnp.exp(-s),
+        jnp.where(s < 0.5, -jnp.expm1(-near) - series, lag - jnp.exp(-far)),
+        jnp.where(s < 0.5, series, 1 - lag),
+    )
+
+
+def remember(u: Array, hammer: Hammer | MemoryHammer, weights: Weights | None, memory: Any) -> Array | None:
+    """What of the memory comes from before the next step: k c_n + w0 a_n, from `u` of this one and its own `memory`."""
+    if weights is None:
+        return None
+    a = jnp.where(u > 0, jnp.where(u > 0, u, 1.0) ** hammer.p, 0.0)
+    return weights.kept * (memory + weights.new * a) + weights.old * a
+
+
+def compression(e, u_old, w_old, f_old, c, a, hammer: Hammer | MemoryHammer, weights=None, memory: Any = None):
+    """The root u of u + C (F(u) + F_old) = e. `memory` is what `remember` returned."""
+    upper = e - c * f_old
+    root = _root(jnp.maximum(upper, 0.0), u_old, w_old, c, a, hammer, weights, memory)
+    return jnp.where(upper > 0, root, upper)
+
+
+def force(u, w, upper, c, a, hammer: Hammer | MemoryHammer, weights=None, memory: Any = None):
+    """F_n: by the felt's law, or by what it does to string and hammer, whichever magnifies the rounding of u less."""
+    law = felt_force(u, w, hammer) if weights is None else felt_force(u, w, hammer, memory, weights.new)
+    _, slope = _residual(u, upper, u - a * w, 0.0, c, a, hammer, weights, memory)
+    return jnp.where((law > 0) & (slope > 2), (upper - u) / c, law)
+
+
+def _residual(u, upper, u_old, w_old, c, a, hammer, weights, memory):
+    """u + C F(u) - upper, and its derivative by u."""
+    pressed = jnp.maximum(u, jnp.finfo(float).tiny)
+    stiff = c * hammer.K_H * pressed ** (hammer.p - 1)
+    loss = 1 + hammer.mu * ((u - u_old) / a - w_old)
+    if weights is not None:
+        loss = loss - hammer.epsilon * weights.new
+    loss = jnp.maximum(loss, 0.0)
+    push, slope = stiff * pressed * loss, stiff * (hammer.p * loss + pressed * hammer.mu / a * (loss > 0))
+    if weights is not None:
+        push = push - c * hammer.K_H * hammer.epsilon * memory
+        push, slope = jnp.where(push > 0, push, 0.0), jnp.where(push > 0, slope, 0.0)
+    return u - upper + push, 1 + slope
+
+
+@jax.custom_jvp
+def _root(upper, u_old, w_old, c, a, hammer, weights, memory):
+    """The compression in [0, upper] at which `_residual` vanishes."""
+    rest = (upper, u_old, w_old, c, a, hammer, weights, memory)
+    floor = 4 * jnp.finfo(float).eps * upper
+    if weights is not None:  # where the force is a small difference, its rounding is that of the terms
+        floor = floor + 4 * jnp.finfo(float).eps * c * hammer.K_H * hammer.epsilon * memory
+
+    def going(state):
+        _, residual, iteration = state
+        return (upper > 0) & (jnp.abs(residual) > floor) & (iteration < MOST_ITERATIONS)
+
+    def iterate(state):
+        u, _, iteration = state
+        residual, slope = _residual(u, *rest)
+        return jnp.clip(u - residual / slope, 0.0, upper), residual, iteration + 1
+
+    guess = jnp.clip(u_old + 2 * a * w_old, 0.0, upper)
+    return jax.lax.while_loop(going, iterate, (guess, jnp.full_like(upper, jnp.inf), 0))[0]
+
+
+@_root.defjvp
+def _root_jvp(rest, tangents):
+    # The implicit function theorem, never the iterations: du = -(∂R/∂rest · d rest)/(∂R/∂u).
+    u = _root(*rest)
+    (_, slope), (change, _) = jax.jvp(lambda *r: _residual(u, *r), rest, tangents)
+    return u, -change / slope

@@ -1,0 +1,108 @@
+"""Fits by each law of the felt, on blows of a laboratory that shares no code with the model."""
+
+from __future__ import annotations
+
+import functools
+import json
+import tomllib
+
+import numpy as np
+import pytest
+
+from pianofit import analyse, fit_recording, load_voice, recording_from_samples, setup_from_dict
+from pianofit.errors import FitError, SetupError
+from pianofit.laboratory import Laboratory, measure, setup_text
+from pianofit.parameters import FELT_LAWS, Hammer, MemoryHammer
+from pianofit.setup_file import Setup, with_law
+
+VELOCITY = 1.299
+# Which felt of the laboratory has which law.
+SAME = {"memory": "stulov", "power": "power"}
+
+
+@functools.cache
+def blow(felt: str):
+    """A measurement with one felt, nothing else left out and little noise, and its truth."""
+    made = measure(Laboratory.ideal(felt=felt, noise_db=90.0), VELOCITY)
+    recording = recording_from_samples(made.samples, made.rate, name=f"{felt}.wav")
+    return recording, analyse(recording), tomllib.loads(setup_text(made)), made.true
+
+
+@functools.cache
+def fitted(felt: str, law: str) -> dict:
+    recording, analysis, data, _ = blow(felt)
+    data = data | {"initial": {k: v for k, v in data["initial"].items() if k in ("K_H", "p", "M_H")}}
+    data["take"] = [{k: v for k, v in take.items() if k != "file"} for take in data.get("take", [])]
+    setup = setup_from_dict(data | {"felt": {"law": law}}, "test")
+    return fit_recording(recording, analysis, setup).document
+
+
+def value(document: dict, name: str) -> float:
+    return document["parameters"][name]["value"]
+
+
+def test_a_felt_with_memory_is_found():
+    document, true = fitted("memory", "stulov"), blow("memory")[3]
+    assert document["felt"] == "stulov"
+    assert value(document, "M_H") == pytest.approx(true["M_H"], rel=0.01)
+    assert value(document, "p") == pytest.approx(true["p"], rel=0.02)
+    epsilon, tau = value(document, "epsilon"), value(document, "tau")
+    # What a blow that is slow beside τ shows: the relaxed felt's force, and its lag ετ/(1 - ε).
+    lab = Laboratory()
+    assert epsilon * tau / (1 - epsilon) == pytest.approx(lab.eps * lab.tau / (1 - lab.eps), rel=0.1)
+
+
+def test_the_right_law_fits_better_than_another():
+    for felt, law in SAME.items():
+        own = fitted(felt, law)["diagnostics"]["scatter"]["level_db"]
+        other = fitted(felt, "power" if law == "stulov" else "stulov")["diagnostics"]["scatter"]["level_db"]
+        assert own <= other
+    assert fitted("memory", "stulov")["diagnostics"]["scatter"]["level_db"] < 0.02
+    assert fitted("memory", "power")["diagnostics"]["scatter"]["level_db"] > 0.05
+
+
+@pytest.mark.parametrize("law", FELT_LAWS)
+def test_what_a_law_does_not_have_is_not_in_its_fit(law, tmp_path):
+    document = json.loads(json.dumps(fitted("power", law)))
+    table = document["parameters"]
+    assert {"epsilon", "tau"} & set(table) == {"epsilon", "tau"} & set(FELT_LAWS[law])
+    if "mu" not in FELT_LAWS[law]:
+        assert table["mu"] == {
+            "value": 0.0, "unit": "s/m", "interval": None, "status": "fixed", "initial": 0.0,
+            "note": f"the felt's law, {law}, has none",
+        }  # fmt: skip
+    (tmp_path / "fit.json").write_text(json.dumps(document))
+    voice, _ = load_voice(tmp_path / "fit.json")
+    assert isinstance(voice.hammer, MemoryHammer if law == "stulov" else Hammer)
+    assert voice.hammer.mu == table["mu"]["value"]
+    assert np.isfinite(voice.play(44_100, 4410)[0]).all()
+
+
+def test_half_a_memory_is_no_felt(tmp_path):
+    document = json.loads(json.dumps(fitted("power", "stulov")))
+    del document["parameters"]["tau"]
+    (tmp_path / "fit.json").write_text(json.dumps(document))
+    with pytest.raises(FitError, match="both epsilon and tau"):
+        load_voice(tmp_path / "fit.json")
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        ({"felt": {"law": "ghosh"}}, "ghosh"),
+        ({"felt": {"law": 3}}, "3"),
+        ({"felt": {"laws": "power"}}, "did you mean law"),
+        ({"felt": {"law": "power"}, "known": {"mu": 0.2}}, "mu is no parameter of the felt's law, power"),
+        ({"known": {"tau": 1e-4}}, "tau is no parameter"),
+    ],
+)
+def test_a_law_that_cannot_be_is_refused(data, said):
+    with pytest.raises(SetupError, match=said):
+        setup_from_dict(data, "x.toml")
+
+
+def test_another_law_must_suit_the_setup():
+    assert with_law(Setup(), None, "x") == Setup()
+    assert with_law(Setup(), "stulov", "x").felt == "stulov"
+    with pytest.raises(SetupError, match="mu is no parameter of the felt's law, stulov"):
+        with_law(Setup(known={"mu": 0.1}), "stulov", "x.toml")
