@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import soundfile as sf
-from report_cases import NAMES, example_curves, example_fit
+from report_cases import NAMES, example_curves, example_fit, example_held_out, fit_of_takes, with_takes
 
 from pianofit.report.page import write_report
 from pianofit.report.sound import k_weighted_mean_square
@@ -28,8 +28,8 @@ ARGUMENTS = (
 RATE, HEARD = 8000, 32768  # Hz; samples that an analyser holds: four seconds of this page
 
 # An analyser at the player's output holds the last samples that were played; `heard` returns them.
-LISTEN = f"""() => {{
-  const player = window.pianofitPlayer;
+LISTEN = f"""(which) => {{
+  const player = window.pianofitPlayers[which];
   window.analyser = new AnalyserNode(player.context, {{ fftSize: {HEARD} }});
   player.output.connect(window.analyser);
   window.heard = () => {{
@@ -48,13 +48,19 @@ def browser():
         browser.close()
 
 
+def sounds_of(path, player):
+    """Samples of the WAV files of one player in the page, by name."""
+    pattern = rf'data-player="{player}" data-name="([^"]+)" [^>]*href="data:audio/wav;base64,([^"]+)"'
+    links = re.findall(pattern, path.read_text(encoding="utf-8"))
+    return {name: sf.read(io.BytesIO(base64.b64decode(data)))[0] for name, data in links}
+
+
 @pytest.fixture(scope="module")
 def report(tmp_path_factory):
     curves = example_curves(rate=RATE, seconds=5.0)
     path = tmp_path_factory.mktemp("page") / "a page #1?.html"
     write_report(path, example_fit(), curves, "</script>'\"")
-    links = re.findall(r'data-name="(\w+)" [^>]*href="data:audio/wav;base64,([^"]+)"', path.read_text(encoding="utf-8"))
-    sounds = {name: sf.read(io.BytesIO(base64.b64decode(data)))[0] for name, data in links}
+    sounds = sounds_of(path, "note")
     assert tuple(sounds) == NAMES
     return path, sounds
 
@@ -68,7 +74,7 @@ def page(browser, report):
     page.on("pageerror", lambda error: complaints.append(str(error)))
     page.on("request", lambda request: requests.append(request.url))
     page.goto(report[0].as_uri())
-    page.evaluate(LISTEN)
+    page.evaluate(LISTEN, 0)
     yield page
     page.close()
     assert complaints == []
@@ -231,3 +237,105 @@ def test_pause_keeps_the_place_and_the_end_returns_to_the_start(page, report):
     page.wait_for_function("() => !window.pianofitPlayer.state.playing")
     assert state(page)["position"] == 0
     assert page.get_by_role("status").inner_text() == "Ended"
+
+
+# ---- several takes ----
+
+VELOCITIES = (3.2, 0.6, 1.5)
+
+
+@pytest.fixture(scope="module")
+def report_of_takes(tmp_path_factory):
+    curves = with_takes(example_curves(rate=RATE, seconds=4.0, count=12), VELOCITIES)
+    path = tmp_path_factory.mktemp("takes") / "report.html"
+    write_report(path, fit_of_takes(), curves, "three takes", example_held_out())
+    return path
+
+
+@pytest.fixture
+def takes_page(browser, report_of_takes):
+    """Open the page of three takes, which by the end must have complained of nothing."""
+    page, complaints = browser.new_page(viewport={"width": 1280, "height": 800}), []
+    page.on("console", lambda message: complaints.append(message.text))
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    page.goto(report_of_takes.as_uri())
+    yield page
+    page.close()
+    assert complaints == []
+
+
+def states(page):
+    """What each player says of itself, by its name."""
+    return page.evaluate("Object.fromEntries(window.pianofitPlayers.map((one) => [one.root.id, one.state]))")
+
+
+def wait_for(page, player, position):
+    page.wait_for_function(
+        "([name, at]) => window.pianofitPlayers.find((one) => one.root.id === name).state.position >= at",
+        arg=[player, position], polling=10,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("width", [1280, 420])
+def test_page_of_takes_fits_and_shows_all_its_pictures(takes_page, width):
+    takes_page.set_viewport_size({"width": width, "height": 800})
+    assert takes_page.evaluate("document.documentElement.scrollWidth") <= width
+    sizes = takes_page.evaluate(
+        "[...document.images].map((image) => [image.complete, image.naturalWidth, image.clientWidth])"
+    )
+    assert len(sizes) == 10
+    least = 1000 if width == 1280 else 700  # narrower than that the letters of a picture are too small: it scrolls
+    assert all(complete and natural > 500 and shown > least for complete, natural, shown in sizes)
+
+
+def test_slider_strikes_the_velocity_it_is_moved_to(takes_page, report_of_takes):
+    sounds = sounds_of(report_of_takes, "strikes")
+    names = list(sounds)
+    assert (len(names), names[0], names[-1]) == (7, "0.6 m/s", "3.2 m/s")
+    takes_page.evaluate(LISTEN, 1)
+    slider = takes_page.get_by_label("hammer velocity")
+    slider.focus()
+    assert (slider.input_value(), slider.get_attribute("aria-valuetext")) == ("6", "3.2 m/s")
+    takes_page.keyboard.press("Home")
+    takes_page.keyboard.press("ArrowRight")
+    wait_for(takes_page, "strikes", 1.0)
+    assert states(takes_page)["strikes"] | {"position": 0} == {"playing": True, "chosen": names[1], "position": 0}
+    assert slider.get_attribute("aria-valuetext") == names[1] == takes_page.locator(".velocity").inner_text()
+    played = heard(takes_page)
+    at, difference = locate(played[-6000:], sounds[names[1]])
+    assert difference < 1e-6
+    np.testing.assert_allclose(
+        played[HEARD - 6000 - at :][:RATE], sounds[names[1]][:RATE], atol=1e-6
+    )  # from its attack
+    peaks = [np.abs(sound).max() for sound in sounds.values()]
+    assert np.all(np.diff(peaks) > 0)
+    assert peaks[0] / peaks[-1] == pytest.approx(0.6 / 3.2, rel=0.1)
+    takes_page.keyboard.press("Space")
+    assert not states(takes_page)["strikes"]["playing"]
+    assert takes_page.locator("#strikes .said").inner_text() == "Paused"
+
+
+def test_each_take_is_played_and_only_one_player_at_a_time(takes_page, report_of_takes):
+    sounds = sounds_of(report_of_takes, "take-3")
+    takes_page.keyboard.press("Space")  # nothing was touched yet: the note's own player
+    takes_page.get_by_label("Player: take 3").get_by_role("button", name="Fitted").click()
+    assert states(takes_page)["note"]["playing"]
+    takes_page.evaluate(LISTEN, 3)
+    takes_page.get_by_label("Player: take 3").get_by_role("button", name="Play").click()
+    wait_for(takes_page, "take-3", 1.0)
+    now = states(takes_page)
+    assert {name: one["playing"] for name, one in now.items()} == {
+        "note": False, "strikes": False, "take-2": False, "take-3": True,
+    }  # fmt: skip
+    assert now["take-3"]["chosen"] == "fitted"
+    assert takes_page.get_by_role("button", name="Play").count() == 3
+    _, difference = locate(heard(takes_page)[-6000:], sounds["fitted"])
+    assert difference < 1e-6
+    takes_page.keyboard.press("1")  # the keys are those of the player last used
+    now = states(takes_page)
+    assert (now["take-3"]["chosen"], now["note"]["chosen"]) == ("original", "original")
+    wait_for(takes_page, "take-3", now["take-3"]["position"] + 0.5)
+    _, difference = locate(heard(takes_page)[-2000:], sounds["original"])
+    assert difference < 1e-6
+    takes_page.keyboard.press("3")  # it has no third sound
+    assert states(takes_page)["take-3"]["chosen"] == "original"

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 import pianofit
+from pianofit.parameters import FIT_NAMES
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 
@@ -49,7 +50,7 @@ def test_a_strike_is_differentiated(monkeypatch, capsys):
     rows = re.findall(r"^ +\d+((?: +-?\d+\.\d+){9})$", text, re.MULTILINE)
     assert len(rows) == 12
     for row in rows:
-        by = dict(zip(pianofit.PARAMETERS, map(float, row.split()), strict=True))
+        by = dict(zip(FIT_NAMES, map(float, row.split()), strict=True))
         assert by["v_H0"] + (1 - p) * by["K_H"] - by["mu"] == pytest.approx(0.2 / math.log(10), abs=3e-4)
     brightness = [float(x) for x in re.findall(r"lies +(\S+) dB", text)]
     assert len(brightness) == 8
@@ -63,6 +64,13 @@ def test_a_pluck_is_fitted_by_a_model_of_its_own(monkeypatch, capsys):
     for name, _, true, found in rows:
         assert float(found) == pytest.approx(float(true), rel=0.01), name
     assert float(rows[4][1]) != pytest.approx(float(rows[4][2]), rel=0.3)  # it did not start there
+
+
+def test_a_prelude_is_played(monkeypatch, capsys, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    text = printed("04_play.py", monkeypatch, capsys)
+    assert re.search(r"^192 notes, 1\d\d of them on a string that still sounds$", text, re.MULTILINE)
+    assert abs(pianofit.load_recording("prelude.wav").samples).max() <= 10 ** (-1 / 20) + 1e-6
 
 
 @pytest.mark.parametrize("name", pianofit.__all__)

@@ -17,8 +17,8 @@ SOURCE = ROOT / "src" / "pianofit"
 FILES = sorted(SOURCE.rglob("*.py"))
 LAYERS = (
     "errors", "parameters", "published", "recording", "setup_file", "analysis", "initial", "model", "criterion", "fit",
-    "render", "predict", "report", "twin", "laboratory", "reproduce", "workflow", "demo",
-    "summary", "options", "cli",
+    "render", "predict", "report", "twin", "laboratory", "reproduce", "workflow", "batch",
+    "instrument", "demo", "summary", "options", "terminal", "commands_batch", "commands_instrument", "cli",
 )  # fmt: skip
 WITH_JAX = ("model", "criterion", "fit", "render", "predict")
 HEAVY = ("jax", "scipy", "matplotlib", "soundfile", "jinja2")
@@ -69,7 +69,8 @@ def test_a_module_imports_only_from_those_above_it(file):
 @by_file()
 def test_a_module_uses_only_declared_packages(file):
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    declared = {requirement.split(">")[0].lower() for requirement in project["dependencies"]}
+    needed = [*project["dependencies"], *project["optional-dependencies"]["cluster"]]
+    declared = {"dask", *(requirement.split(">")[0].lower() for requirement in needed)}
     for name in imports(file):
         package = clean(name)[0]
         assert package in {*sys.stdlib_module_names, "pianofit", *declared}

@@ -1,4 +1,4 @@
-"""The paper's recipes: they do what they say, hold what is known, claim nothing, and find more than the gradient alone."""
+"""The paper's recipes: they do what they say, hold what is known, claim nothing, and find more than the gradient."""
 
 from __future__ import annotations
 
@@ -153,7 +153,9 @@ def test_an_uncalibrated_recording_leaves_the_felt_unknown():
     data = {k: v for k, v in tomllib.loads(setup_text()).items() if k != "initial"}
     del data["pickup"]["scale"]
     quiet = recording_from_samples(0.3 * twin().samples, twin().rate, name="twin")
-    document = fit_recording(quiet, analyse(quiet), setup_from_dict(data, "x"), recipe="paper", evaluations=FEW).document
+    document = fit_recording(
+        quiet, analyse(quiet), setup_from_dict(data, "x"), recipe="paper", evaluations=FEW
+    ).document
     states = {name: p["status"] for name, p in document["parameters"].items()}
     assert all(states[name] == "not-identifiable" for name in ("K_H", "mu", "p"))
     assert states["v_H0"] == "assumed"
@@ -177,7 +179,12 @@ def test_a_note_without_a_third_band_uses_the_next():
 
 @pytest.mark.parametrize(
     ("recipe", "evaluations", "said"),
-    [("papers", None, "papers"), ("paper", 10, "evaluations=10"), ("global", 5000, "annealing"), ("default", 5000, "5000")],
+    [
+        ("papers", None, "papers"),
+        ("paper", 10, "evaluations=10"),
+        ("global", 5000, "annealing"),
+        ("default", 5000, "5000"),
+    ],
 )
 def test_other_recipes_and_evaluations_are_refused(recipe, evaluations, said):
     with pytest.raises(ParameterError, match=said):
@@ -197,7 +204,14 @@ def test_an_unknown_recipe_is_no_command(tmp_path, capsys):
 def test_the_command_line_from_end_to_end(tmp_path, capsys):
     (tmp_path / "twin.wav").write_bytes(encode_wav(twin().samples, twin().rate))
     (tmp_path / "setup.toml").write_text(setup_text())
-    command = ["fit", str(tmp_path / "twin.wav"), "--setup", str(tmp_path / "setup.toml"), "--out", str(tmp_path / "out")]
+    command = [
+        "fit",
+        str(tmp_path / "twin.wav"),
+        "--setup",
+        str(tmp_path / "setup.toml"),
+        "--out",
+        str(tmp_path / "out"),
+    ]
     assert main([*command, "--recipe", "paper", "--evaluations", str(FEW), "--seed", "1"]) == 0
     printed = capsys.readouterr().out
     assert "No intervals" in printed
@@ -208,7 +222,7 @@ def test_the_command_line_from_end_to_end(tmp_path, capsys):
     assert all(p["interval"] is None for p in document["parameters"].values())
     assert "recipe “paper”" in (tmp_path / "out" / "report.html").read_text()
     voice, _ = load_voice(tmp_path / "out" / "fit.json")
-    assert voice.hammer.K_H == value(document, "K_H")
+    assert value(document, "K_H") == voice.hammer.K_H
 
 
 @pytest.mark.slow

@@ -6,17 +6,16 @@ that cannot be understood, 130 interrupted.
 
 from __future__ import annotations
 
-import contextlib
-import functools
-import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .errors import ParameterError, PianofitError
+from .commands_batch import register as register_batch
+from .commands_instrument import register as register_instrument
+from .errors import ParameterError
 from .options import (
     Channel,
     Evaluations,
@@ -35,6 +34,7 @@ from .options import (
     Velocity,
     number,
 )
+from .terminal import complain, plainly, progress_bar
 
 if TYPE_CHECKING:
     from .analysis import Analysis
@@ -48,48 +48,6 @@ app = typer.Typer(
 
 # What cannot be understood on a command line; typer keeps click's class in a place of its own.
 UsageError: type[Exception] = typer.BadParameter.__mro__[1]
-
-
-def _complain(message: str) -> None:
-    """Say what is wrong, on one line whatever is in it."""
-    words = " ".join(message.split())
-    typer.echo("pianofit: " + "".join(c if c.isprintable() else repr(c)[1:-1] for c in words), err=True)
-
-
-def _plainly(command: Callable) -> Callable:
-    """A command whose errors are one line on stderr and an exit code."""
-
-    @functools.wraps(command)
-    def run(*args: Any, **kwargs: Any) -> None:
-        try:
-            command(*args, **kwargs)
-            sys.stdout.flush()
-        except PianofitError as error:
-            _complain(str(error))
-            raise typer.Exit(1) from None
-        except KeyboardInterrupt:
-            _complain("interrupted; nothing more is written")
-            raise typer.Exit(130) from None
-        except BrokenPipeError:  # whoever read our output has had enough
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            raise typer.Exit(0) from None
-
-    return run
-
-
-@contextlib.contextmanager
-def _progress() -> Iterator[Callable[[str, float], None]]:
-    """A bar on stderr when that is a terminal, else nothing."""
-    if not sys.stderr.isatty():
-        yield lambda *_: None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-    columns = (TextColumn("{task.description:<18}"), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("starting", total=1.0)
-        yield lambda stage, done: bar.update(task, description=stage, completed=done)
 
 
 def _checked(velocity: float | None, seed: int = 0) -> None:
@@ -120,7 +78,7 @@ def _all(
 
 
 @app.command()
-@_plainly
+@plainly
 def analyse(
     file: File, note: Note = None, f0: Pitch = None, channel: Channel = "average", as_json: Json = False
 ) -> None:
@@ -152,7 +110,7 @@ def _table(found: Analysis) -> str:
 
 
 @app.command()
-@_plainly
+@plainly
 def fit(
     takes: Takes,
     out: Annotated[Path, typer.Option(help="The folder for fit.json, the sounds and the page.")],
@@ -174,7 +132,7 @@ def fit(
     from .workflow import fit_files, json_text, output_folder
 
     _checked(velocity, seed)
-    with output_folder(out, force) as folder, _progress() as progress:
+    with output_folder(out, force) as folder, progress_bar() as progress:
         result = fit_files(
             takes, folder, note=note, f0=f0, setup=setup, velocity=velocity, channel=channel, felt=felt, recipe=recipe,
             evaluations=evaluations, seed=seed, report=page, progress=progress,
@@ -183,7 +141,7 @@ def fit(
 
 
 @app.command()
-@_plainly
+@plainly
 def predict(
     fit: Annotated[Path, typer.Argument(metavar="FIT", help="The fit.json of a fit.")],
     recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="A recording of the same key.")],
@@ -203,7 +161,7 @@ def predict(
 
 
 @app.command()
-@_plainly
+@plainly
 def crossval(
     takes: Takes,
     note: Note = None,
@@ -219,7 +177,7 @@ def crossval(
     from .workflow import cross_validate_files, json_text
 
     _checked(None, seed)
-    with _progress() as progress:
+    with progress_bar() as progress:
         found = cross_validate_files(
             takes, note=note, f0=f0, setup=setup, channel=channel, felt=felt, seed=seed, progress=progress
         )
@@ -227,7 +185,7 @@ def crossval(
 
 
 @app.command()
-@_plainly
+@plainly
 def simulate(
     preset: Annotated[str, typer.Option(help="A published string and hammer; a wrong name lists them.")],
     out: Annotated[Path, typer.Option(help="The WAV file to write.")],
@@ -287,7 +245,7 @@ def _assignments(change: list[str]) -> dict[str, float]:
 
 
 @app.command()
-@_plainly
+@plainly
 def render(
     fit_json: Annotated[Path, typer.Argument(metavar="FIT.JSON", help="What pianofit fit wrote.")],
     velocity: Annotated[float, typer.Option(parser=number, metavar="M/S", help="Hammer velocity in m/s.")],
@@ -316,7 +274,7 @@ def render(
 
 
 @app.command()
-@_plainly
+@plainly
 def demo(
     out: Annotated[Path, typer.Option(help="The folder to write to.")] = Path("pianofit-demo"),
     noise: Annotated[
@@ -335,7 +293,7 @@ def demo(
     _checked(None, seed)
     if not 0 <= noise <= 200:
         raise ParameterError(f"noise={noise} dB must be from 0 to 200")
-    with output_folder(out, force) as folder, _progress() as progress:
+    with output_folder(out, force) as folder, progress_bar() as progress:
         from .demo import run_demo
 
         result, true = run_demo(folder, None if no_noise else noise, seed, progress)
@@ -347,7 +305,7 @@ def demo(
 
 
 @app.command()
-@_plainly
+@plainly
 def reproduce(
     out: Annotated[Path, typer.Option(help="The folder for the page, index.html, and the files behind it.")],
     seed: Seed = 0,
@@ -358,7 +316,7 @@ def reproduce(
     from .workflow import output_folder
 
     _checked(None, seed)
-    with output_folder(out, force) as folder, _progress() as progress:
+    with output_folder(out, force) as folder, progress_bar() as progress:
         from .reproduce import FULL, QUICK
         from .reproduce import reproduce as run
 
@@ -369,6 +327,10 @@ def reproduce(
     typer.echo(f"\nwritten to {folder}: open index.html, and listening.html for the blind test")
 
 
+register_batch(app)
+register_instrument(app)
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """The program's entry point: run the command line `arguments` and return the exit code."""
     arguments = sys.argv[1:] if arguments is None else arguments
@@ -376,8 +338,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return app(args=list(arguments) or ["--help"], prog_name="pianofit", standalone_mode=False) or 0
     except UsageError as error:
         command = getattr(getattr(error, "ctx", None), "command_path", "pianofit")
-        _complain(f"{error.format_message()}; {command} --help says what there is".replace(".;", ";"))  # pyright: ignore[reportAttributeAccessIssue]
+        complain(f"{error.format_message()}; {command} --help says what there is".replace(".;", ";"))  # pyright: ignore[reportAttributeAccessIssue]
         return 2
     except KeyboardInterrupt:
-        _complain("interrupted; nothing more is written")
+        complain("interrupted; nothing more is written")
         return 130

@@ -8,10 +8,12 @@ import numpy as np
 
 from ..criterion import OutputPath
 from ..model import Simulation, simulate
-from ..model.response import level_db
 from ..parameters import Geometry, Hammer, MemoryHammer, String
 
 __all__ = ["Voice", "arrival", "lag", "strike_voice"]
+
+# The damped circle of the paper's criterion, 1/s.
+SIGMA = 30.0
 
 
 class Voice(NamedTuple):
@@ -31,15 +33,15 @@ class Voice(NamedTuple):
         arrives at the first sample.
 
         A path gives every partial a level of its own, which goes into the pickup's weights, and a decay of its own, at
-        which its energy in the first 0.35 s stays what it was.
+        which its energy on the damped circle, where the criterion hears it, stays what it was.
         """
         simulation = strike_voice(self, rate)
         pole = np.asarray(simulation.modes.pole)
         factor = self.gain * np.ones(len(pole))
         if self.path is not None:
             frequency, law = np.abs(np.imag(pole)) / (2 * np.pi), -np.real(pole)
-            own, one = law * self.path.decay_at(frequency), np.ones(len(pole))
-            held = level_db(one, law, np) - level_db(one, own, np)
+            own = law * self.path.decay_at(frequency)
+            held = 10 * np.log10((SIGMA + own) / (SIGMA + law))
             factor = factor * 10 ** ((self.path.at(frequency) + held) / 20)
             pole = -own + 1j * np.imag(pole)
         heard = simulation.modes._replace(pickup=np.asarray(simulation.modes.pickup) * factor, pole=pole)

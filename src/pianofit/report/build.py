@@ -6,6 +6,8 @@ import numpy as np
 
 from ..criterion import partial_frequency
 from ..fit import Result
+from .build_felt import felt_of, known_of
+from .build_takes import paths_of, strikes_of, takes_of
 from .curves import Curves
 
 __all__ = ["curves_of"]
@@ -47,6 +49,8 @@ def curves_of(result: Result) -> Curves:
         compression_fitted=1e3 * _pad(last.pulse.compression, len(steps)),
         sound_rate=rate, sound_original=r.samples, sound_initial=result.initial.samples,
         sound_fitted=result.fitted.samples,
+        takes=takes_of(result), first=result.first, paths=paths_of(result), felt=felt_of(result),
+        known=known_of(result), strikes=strikes_of(result),
     )  # fmt: skip
 
 

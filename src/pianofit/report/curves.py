@@ -6,7 +6,59 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["Curves"]
+__all__ = ["Curves", "Felt", "Known", "Strikes", "TakeCurves"]
+
+
+@dataclass(frozen=True)
+class TakeCurves:
+    """One take beside what the model makes of it. Sounds have full scale 1 and the take's own rate, Hz."""
+
+    place: int  # in the order given, from 1
+    velocity: float  # m/s
+    error_db: float  # rms over the scored partials, one gain removed
+    number: np.ndarray  # [partials], k
+    level: np.ndarray  # [partials], dB
+    level_error: np.ndarray
+    level_fitted: np.ndarray
+    compression: np.ndarray  # [steps], mm, while the hammer touches; NaN in between
+    force: np.ndarray  # [steps], N
+    sound_rate: int
+    onset: float  # s
+    sound_original: np.ndarray
+    sound_fitted: np.ndarray
+
+
+@dataclass(frozen=True)
+class Felt:
+    """The static law over the compressions reached, with its 95 % band; without one, the ends are the law itself.
+
+    A felt with memory has two laws: to a sudden blow, and to a slow one.
+    """
+
+    compression: np.ndarray  # [n], mm
+    force: np.ndarray  # [3, n], N: law, lower and upper end
+    slow: np.ndarray | None = None  # [3, n], N
+
+
+@dataclass(frozen=True)
+class Known:
+    """How well each thing is known, and what cannot be told apart."""
+
+    names: tuple[str, ...]  # of the parameters, as the page's words have them
+    correlation: np.ndarray  # [parameters, parameters]
+    # Of what: its name, half of the 95 % interval of its logarithm, and whether it rests on no assumed scale.
+    reaches: tuple[tuple[str, float, bool], ...]
+
+
+@dataclass(frozen=True)
+class Strikes:
+    """The note as the model plays it at several velocities, all through one gain."""
+
+    velocity: np.ndarray  # [strikes], m/s, rising
+    sounds: tuple[np.ndarray, ...]  # each [samples], full scale = 1
+    rate: int  # Hz
+    first: int  # where the slider starts
+    inside: bool  # all lie within the takes' velocities
 
 
 @dataclass(frozen=True)
@@ -14,7 +66,8 @@ class Curves:
     """One fit's curves and sounds. Frequencies in Hz, decays in 1/s; NaN where there is no value.
 
     `frequency_cents` is the deviation from k f0, `frequency_cents_law` that of k f0 √(1 + B k²); `decay_law` is
-    b1 + d2 k². `_error` is one standard deviation. `path` is the fitted output path at the partials, or None.
+    b1 + d2 k². `_error` is one standard deviation. `path` is the fitted output path at the partials, or None. What has
+    one take only is that of the first.
     """
 
     frequency: np.ndarray  # [bins], of the spectra on the damped circle
@@ -47,3 +100,9 @@ class Curves:
     sound_original: np.ndarray  # [samples], full scale = 1
     sound_initial: np.ndarray
     sound_fitted: np.ndarray
+    takes: tuple[TakeCurves, ...] = ()  # in the order given
+    first: int = 0  # the take that the curves above are of
+    paths: tuple[tuple[np.ndarray, np.ndarray], ...] = ()  # of each group: Hz and dB, [partials]
+    felt: Felt | None = None
+    known: Known | None = None
+    strikes: Strikes | None = None

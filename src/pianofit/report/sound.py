@@ -3,7 +3,8 @@
 The three sounds are compared by ear, and the louder of two sounds seems the better one. So all get the same loudness:
 the mean square of the first second after the K-weighting of ITU-R BS.1770 (its two filters, as analogue prototypes, so
 that they mean the same at every rate). One more gain, the same for all, keeps the highest peak 1 dB below full scale:
-nothing clips, also while two sounds are blended into each other.
+nothing clips, also while two sounds are blended into each other. Sounds that are to show how loud they are get this
+gain alone.
 """
 
 from __future__ import annotations
@@ -35,6 +36,11 @@ class Clip:
     rate: int
     seconds: float
 
+    @property
+    def file(self) -> str:
+        """What it is saved as."""
+        return "".join(c if c.isalnum() or c in ".-" else "-" for c in self.name) + "-matched.wav"
+
 
 def k_weighted_mean_square(samples: np.ndarray, rate: float) -> float:
     """Mean square of `samples` [samples] after the K-weighting of ITU-R BS.1770-4, annex 1."""
@@ -47,15 +53,28 @@ def k_weighted_mean_square(samples: np.ndarray, rate: float) -> float:
     return float(2 * np.sum(power * np.abs(shelf * highpass) ** 2) / len(samples) ** 2)
 
 
-def make_clips(sounds: dict[str, np.ndarray], rate: int, onset: float = 0.0) -> list[Clip]:
+def make_clips(
+    sounds: dict[str, np.ndarray],
+    rate: int,
+    onset: float = 0.0,
+    *,
+    lead_in: float = LEAD_IN,
+    seconds: float = SECONDS,
+    highest_rate: int = HIGHEST_RATE,
+    matched: bool = True,
+) -> list[Clip]:
     """Cut, match and encode `sounds`: name -> [samples], all at `rate` Hz and aligned; `onset` in seconds.
 
-    A silent sound keeps its level. Above 96 kHz the sounds are brought down by a whole factor.
+    Parameters
+    ----------
+    lead_in, seconds : what is kept before the onset, and in all, s.
+    highest_rate : above it, Hz, the sounds are brought down by a whole factor.
+    matched : whether all get the same loudness, or keep theirs to each other; a silent sound keeps its level.
     """
-    factor = math.ceil(rate / HIGHEST_RATE)
-    cut = {name: _excerpt(samples, rate, onset, factor) for name, samples in sounds.items()}
+    factor = math.ceil(rate / highest_rate)
+    cut = {name: _excerpt(samples, rate, onset - lead_in, seconds, factor) for name, samples in sounds.items()}
     rate = round(rate / factor)
-    powers = {name: k_weighted_mean_square(samples[:rate], rate) for name, samples in cut.items()}
+    powers = {name: k_weighted_mean_square(samples[:rate], rate) if matched else 0.0 for name, samples in cut.items()}
     gains = {name: power**-0.5 if power > 0 else 1.0 for name, power in powers.items()}
     highest = max(gains[name] * np.max(np.abs(samples)) for name, samples in cut.items())
     common = PEAK / highest if highest > 0 else 1.0
@@ -66,20 +85,25 @@ def make_clips(sounds: dict[str, np.ndarray], rate: int, onset: float = 0.0) -> 
     ]  # fmt: skip
 
 
-def _excerpt(samples: np.ndarray, rate: int, onset: float, factor: int) -> np.ndarray:
-    """From just before the onset, at most `SECONDS`, faded out, at the rate divided by `factor`."""
+def _excerpt(samples: np.ndarray, rate: int, begin: float, seconds: float, factor: int) -> np.ndarray:
+    """From `begin`, s, at most `seconds`, faded out, at the rate divided by `factor`."""
     samples = np.nan_to_num(np.asarray(samples, dtype=np.float64), posinf=0.0, neginf=0.0)
     samples = samples if len(samples) else np.zeros(1)
-    start = max(0, round((onset - LEAD_IN) * rate))
+    start = max(0, round(begin * rate))
     start = start if start < len(samples) else 0
-    kept = samples[start : start + round(SECONDS * rate)].copy()
+    kept = samples[start : start + round(seconds * rate)].copy()
     fade = round(FADE * rate)
     kept[-fade:] *= np.linspace(1.0, 0.0, fade)[-len(kept) :]
-    if factor > 1:
-        from scipy.signal import resample_poly  # 0.3 s to import, and seldom needed
+    return kept if factor == 1 else _brought_down(kept, factor)
 
-        kept = resample_poly(kept, 1, factor)
-    return kept
+
+def _brought_down(samples: np.ndarray, factor: int) -> np.ndarray:
+    """Every `factor`-th sample of what lies below half of the new rate; both ends are silent, so none wraps around."""
+    size = -(-len(samples) // factor)
+    spectrum = np.fft.rfft(samples, size * factor)[: size // 2 + 1]
+    if size % 2 == 0:
+        spectrum[-1] = 0.0  # at half of the new rate the phase has no place
+    return np.fft.irfft(spectrum, size) / factor
 
 
 def _wav_uri(samples: np.ndarray, rate: int) -> str:

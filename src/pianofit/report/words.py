@@ -21,7 +21,15 @@ STATUS = {  # word -> mark, explanation
     "at-bound": ("▲", "stopped at the edge of its range"),
     "not-identifiable": ("✕", "the recording does not tell"),
 }
-SYMBOLS = {"kappa": "κ", "b1": "b_1", "b2": "b_2", "mu": "μ", "x0": "x_0"}  # the page lowers what follows the "_"
+SYMBOLS = {
+    "kappa": "κ",
+    "b1": "b_1",
+    "b2": "b_2",
+    "mu": "μ",
+    "x0": "x_0",
+    "epsilon": "ε",
+    "tau": "τ",
+}  # the page lowers what follows the "_"
 MEANINGS = {name: parameter.meaning for name, parameter in PARAMETERS.items()} | {
     "b1": "loss, the same for all partials",
     "b2": "loss that grows with frequency",

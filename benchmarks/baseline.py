@@ -1,0 +1,222 @@
+"""The paper's own algorithm, compiled and done well: what the table measures everything against.
+
+Eq. 16-18 as they stand: N grid points, Crank-Nicolson, the full duration, one step a sample. Done well means
+
+- string and hammer are coupled by one number: the string's velocities without the hammer come from one solve with a
+  matrix that never changes, the force moves them along one fixed vector, and Newton-Raphson is left with one unknown;
+- that matrix is pentadiagonal and factored once, before the first step; its solve, the difference stencil and the update
+  are fused into two sweeps over the points;
+- it is compiled for this machine (numba, which only the benchmarks need); products and sums may be contracted, which
+  shortens the solve's chain of operations.
+
+`python benchmarks/baseline.py` compares it with `pianofit.model.reference`, which shares no line with it, and times it.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+# numba looks for a package named coverage, and must not find the study of that name beside this file.
+_path = list(sys.path)
+sys.path[:] = [folder for folder in sys.path if Path(folder or ".").resolve() != Path(__file__).resolve().parent]
+import numba  # noqa: E402
+
+sys.path[:] = _path
+
+TOLERANCE = 1e-9
+ROUNDING = 4 * np.finfo(float).eps
+MOST_ITERATIONS = 200
+
+
+class Baseline(NamedTuple):
+    """The pre-factored scheme of one string on a grid and of one time step."""
+
+    points: int
+    half_step: float  # a = δt/2, s
+    factor: np.ndarray  # [points, 3]: 1/d, l1, l2 of L D Lᵀ = 1 + aR + a²K, per unit of mass
+    stencil: np.ndarray  # [6]: of K and of R, at the same point, one away, two away
+    window: np.ndarray  # h ĝ [points]
+    first: int  # points from here
+    last: int  # to here, exclusive, lie under the hammer
+    answer: np.ndarray  # what a unit of a(F + F_old) does to the velocities [points]
+    pickup: np.ndarray  # [2]: point below the pickup and the weight of the next one
+
+
+def prepared(string: Any, geometry: Any, rate: float, points: int = 100) -> Baseline:
+    """Factor the scheme; `string` and `geometry` as in `pianofit.parameters`."""
+    a, h = 0.5 / rate, geometry.length / (points + 1)
+    c2, k2 = string.c**2 / h**2, string.kappa**2 / h**4
+    stiff = np.array([2 * c2 + 6 * k2, -c2 - 4 * k2, k2])
+    loss = np.array([2 * string.b1 + 4 * string.b2 / h**2, -2 * string.b2 / h**2, 0.0])
+    bands = np.outer(a**2 * stiff + a * loss + np.array([1.0, 0.0, 0.0]), np.ones(points))
+    bands[0, [0, -1]] -= a**2 * k2  # the hinges: y₋₁ = -y₁
+    factor = np.zeros((points, 3))
+    d, l1, l2 = np.zeros(points), np.zeros(points), np.zeros(points)
+    for i in range(points):
+        two = bands[2, 0] / d[i - 2] if i > 1 else 0.0
+        one = (bands[1, 0] - (two * d[i - 2] * l1[i - 1] if i > 1 else 0.0)) / d[i - 1] if i > 0 else 0.0
+        d[i] = bands[0, i] - (one**2 * d[i - 1] if i > 0 else 0.0) - (two**2 * d[i - 2] if i > 1 else 0.0)
+        l1[i], l2[i] = one, two
+    factor[:, 0], factor[:, 1], factor[:, 2] = 1 / d, l1, l2
+    x = h * np.arange(1, points + 1) - geometry.strike
+    window = np.where(np.abs(x) < geometry.width / 2, 1 + np.cos(2 * np.pi * x / geometry.width), 0.0)
+    window /= window.sum()
+    struck = np.flatnonzero(window)
+    push = window / (geometry.mass / (points + 1))
+    answer = push.copy()
+    _solve(factor, answer)
+    place = geometry.pickup / h - 1
+    below = min(max(math.floor(place), 0), points - 2)
+    return Baseline(
+        points, a, factor, np.append(stiff, loss), window, int(struck[0]), int(struck[-1]) + 1, answer,
+        np.array([below, place - below]),
+    )  # fmt: skip
+
+
+def simulate(scheme: Baseline, hammer: Any, samples: int) -> tuple[np.ndarray, np.ndarray]:
+    """Velocity at the pickup [samples], m/s, and force [samples], N."""
+    return _march(
+        scheme.half_step, scheme.factor, scheme.stencil, scheme.window, scheme.first, scheme.last, scheme.answer,
+        scheme.pickup, np.array([float(x) for x in hammer]), samples,
+    )  # fmt: skip
+
+
+@numba.njit(cache=True, fastmath={"contract"})
+def _solve(factor, x):
+    """L D Lᵀ x = x, in place."""
+    points = len(x)
+    one = two = 0.0
+    for i in range(points):
+        now = (x[i] - factor[i, 2] * two) - factor[i, 1] * one
+        x[i] = now
+        two, one = one, now
+    one = two = l1 = l2 = l2_next = 0.0
+    for i in range(points - 1, -1, -1):
+        now = (x[i] * factor[i, 0] - l2_next * two) - l1 * one
+        x[i] = now
+        l1, l2_next, l2 = factor[i, 1], l2, factor[i, 2]
+        two, one = one, now
+
+
+@numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
+def _march(a, factor, stencil, window, first, last, answer, pickup, hammer, samples):
+    K_H, mu, p, M_H, v_H = hammer
+    points = len(window)
+    y, v, y_H, force = np.zeros(points + 4), np.zeros(points + 4), 0.0, 0.0
+    new = np.zeros(points)
+    signal, forces = np.zeros(samples), np.zeros(samples)
+    k0, k1, k2 = 2 * a * stencil[0], 2 * a * stencil[1], 2 * a * stencil[2]
+    r0, r1 = stencil[3], stencil[4]
+    q0, q1, q2 = a * stencil[0], a * stencil[1], a * stencil[2]
+    # δv = v' - v solves (1 + aR + a²K) δv = -2a [K (y + a v) + R v] + answer's share of the force.
+    meet = 0.0
+    for i in range(first, last):
+        meet += window[i] * answer[i]
+    give = a * a * (meet + 1 / M_H)
+    below, weight = int(pickup[0]), pickup[1]
+    for n in range(1, samples):
+        one = two = 0.0
+        y[0], y[points + 3] = -y[2], -y[points + 1]
+        v[0], v[points + 3] = -v[2], -v[points + 1]
+        for i in range(points):
+            j = i + 2
+            far = k2 * (y[j - 2] + y[j + 2]) + a * k2 * (v[j - 2] + v[j + 2])
+            near = k1 * (y[j - 1] + y[j + 1]) + (a * k1 + 2 * a * r1) * (v[j - 1] + v[j + 1])
+            right = -(far + near + k0 * y[j] + (a * k0 + 2 * a * r0) * v[j])
+            now = (right - factor[i, 2] * two) - factor[i, 1] * one
+            new[i] = now
+            two, one = one, now
+        one = two = l1 = l2 = l2_next = 0.0
+        for i in range(points - 1, -1, -1):
+            now = (new[i] * factor[i, 0] - l2_next * two) - l1 * one
+            new[i] = now
+            l1, l2_next, l2 = factor[i, 1], l2, factor[i, 2]
+            two, one = one, now
+        # The compression if there were no force in this step, and what a newton takes from it.
+        u_old, w_old, under, moving = y_H, v_H, 0.0, 0.0
+        for i in range(first, last):
+            u_old -= window[i] * y[i + 2]
+            w_old -= window[i] * v[i + 2]
+            under += window[i] * (y[i + 2] + a * (2 * v[i + 2] + new[i]))
+        upper = y_H + 2 * a * v_H - under - give * force
+        total = force
+        if upper > 0:
+            u = _press(upper, u_old, w_old, give, a, K_H, mu, p)
+            force = (upper - u) / give
+        else:
+            force = 0.0
+        total += force
+        for i in range(points):
+            j = i + 2
+            change = new[i] + a * total * answer[i]
+            y[j] += a * (2 * v[j] + change)
+            v[j] += change
+        y_H += a * (2 * v_H - a * total / M_H)
+        v_H -= a * total / M_H
+        forces[n] = force
+        signal[n] = (1 - weight) * v[below + 2] + weight * v[below + 3]
+    return signal, forces
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _press(upper, u_old, w_old, give, a, K_H, mu, p):
+    """The root u of u + give F(u) = upper by Newton-Raphson, in the bracket [0, upper]."""
+    u = min(max(u_old + 2 * a * w_old, 0.0), upper)
+    for _ in range(MOST_ITERATIONS):
+        loss = 1 + mu * ((u - u_old) / a - w_old)
+        push = slope = 0.0
+        if u > 0 and loss > 0:
+            stiff = give * K_H * u ** (p - 1)
+            push, slope = stiff * u * loss, stiff * (p * loss + u * mu / a)
+        left = u - upper + push
+        if abs(left) <= ROUNDING * upper:
+            break
+        u = min(max(u - left / (1 + slope), 0.0), upper)
+    return u
+
+
+def check(rate: float = 44_100.0, samples: int = 600, points: int = 100) -> float:
+    """The largest difference from `pianofit.model.reference`, of full scale; more than `TOLERANCE` is an error.
+
+    Raises
+    ------
+    ValueError
+        If the two differ.
+    """
+    import pianofit
+    from pianofit.model.reference import solve
+
+    it = pianofit.preset("bensa-final")
+    # Between points the reference reads the sines through all of them, which costs time and is none of the scheme.
+    geometry = it.geometry._replace(pickup=it.geometry.length * 30 / (points + 1))
+    signal, force = simulate(prepared(it.string, geometry, rate, points), it.hammer, samples)
+    witness = solve(it.string, it.hammer, geometry, step=1 / rate, steps=samples, points=points).signals
+    pairs = ((signal, witness.velocity), (force, witness.force))
+    worst = max(float(np.abs(x - y).max() / np.abs(y).max()) for x, y in pairs)
+    if not worst <= TOLERANCE:
+        raise ValueError(f"the baseline is {worst:.1e} of full scale off the reference, more than {TOLERANCE}")
+    return worst
+
+
+def main() -> None:
+    """Compare and time."""
+    import pianofit
+
+    print(f"off pianofit.model.reference by {check():.1e} of full scale")
+    it, taken = pianofit.preset("bensa-final"), []
+    scheme = prepared(it.string, it.geometry, 44_100.0)
+    for _ in range(15):
+        start = time.perf_counter()
+        simulate(scheme, it.hammer, 44_100)
+        taken.append(time.perf_counter() - start)
+    print(f"{1e3 * min(taken):.1f} ms a second of signal at best, {1e6 * min(taken) / 44_100:.3f} us a step")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,65 @@
+"""What a fit does, in numbers that do not depend on the machine: `python benchmarks/counts.py [--seconds S]`.
+
+Programs traced and compiled, evaluations of the criterion, the contact's rate, steps and modes, for a fit of a made
+note with empty caches. Prints JSON. `tests/test_counts.py` fails when they grow.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import tempfile
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+COMPILED = "/jax/core/compile/backend_compile_duration"
+TRACED = "/jax/core/compile/jaxpr_trace_duration"
+
+
+def counts(seconds: float, noise_db: float | None = 60.0) -> dict[str, Any]:
+    """Of one fit of the demo's twin, cut after `seconds`; the process must be fresh."""
+    import jax
+
+    events: Counter = Counter()
+    jax.monitoring.register_event_duration_secs_listener(lambda name, *_, **__: events.update([name]))
+    import pianofit
+    from pianofit.analysis import analyse
+    from pianofit.fit.recipe import fit_partials
+    from pianofit.fit.takes import arranged
+    from pianofit.model.cache import keep_programs
+    from pianofit.twin import LEAD, make_twin, setup_text
+
+    with tempfile.TemporaryDirectory() as folder:
+        setup = Path(folder) / "setup.toml"
+        setup.write_text(setup_text())
+        known = pianofit.load_setup(setup)
+        twin = make_twin(noise_db)
+        keep_programs()
+        recording = pianofit.recording_from_samples(twin.samples[: int((LEAD + seconds) * twin.rate)], twin.rate)
+        found = analyse(recording)
+        events.clear()
+        takes, start, layout, _ = arranged([recording], [found], known)
+        fit = fit_partials(takes, start, layout)
+        programs = len(list(Path(os.environ["PIANOFIT_CACHE"]).glob("*.program")))
+    return {
+        "compilations": events[COMPILED], "traces": events[TRACED], "kept_programs": programs,
+        "evaluations": fit.evaluations, "contact_rate_Hz": round(float(fit.target.rate), 6),
+        "modes": fit.cfg.n_modes, "steps": fit.cfg.steps, "partials": int(fit.data.found.sum()),
+    }  # fmt: skip
+
+
+def main() -> None:
+    """Count and print, in a cache folder of its own that is empty."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=1.0, help="of the measurement that is fitted")
+    arguments = parser.parse_args()
+    with tempfile.TemporaryDirectory() as cache:
+        os.environ["PIANOFIT_CACHE"] = cache
+        os.environ.pop("JAX_COMPILATION_CACHE_DIR", None)
+        print(json.dumps(counts(arguments.seconds), indent=1))
+
+
+if __name__ == "__main__":
+    main()

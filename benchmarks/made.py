@@ -1,0 +1,51 @@
+"""The sounds that the benchmarks fit, made by the program: nothing has to be at hand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+RATE, SECONDS, LEAD = 44_100, 6.0, 0.05
+PRESET, NOTE = "chabassier-C2", "C2"
+VELOCITIES = (0.8, 1.3, 2.0, 2.9, 4.0)  # m/s
+
+
+def make_notes(folder: Path, velocities: tuple[float, ...] = VELOCITIES, seconds: float = SECONDS) -> list[Path]:
+    """Write takes of a note as a microphone might give them: the force on the bridge, a path that wanders, and noise.
+
+    The contact is computed at 16 times the file's rate.
+    """
+    import pianofit
+    from pianofit.criterion import OutputPath
+
+    it = pianofit.preset(PRESET)
+    frequency = np.geomspace(40.0, 16_000.0, 60)
+    octaves = np.log2(frequency / 40.0)
+    path = OutputPath(frequency, 4 * np.cos(1.1 * octaves) + 3 * np.sin(2.3 * octaves) - 0.8 * octaves)
+    files = []
+    for turn, velocity in enumerate(velocities):
+        hammer = it.hammer._replace(v_H0=velocity)
+        strike = pianofit.simulate(
+            it.string, hammer, it.geometry, rate=RATE, oversampling=16, quantity="pressure", n_modes=320
+        )
+        level = 10 ** (path.at(np.abs(np.imag(np.asarray(strike.modes.pole))) / (2 * np.pi)) / 20)
+        heard = strike._replace(modes=strike.modes._replace(pickup=np.asarray(strike.modes.pickup) * level))
+        samples = np.pad(heard.waveform(RATE, round(seconds * RATE)), (round(LEAD * RATE), 0))
+        samples *= 0.5 / np.abs(samples).max()
+        samples += np.random.default_rng(turn).normal(0.0, 1e-5, len(samples))
+        files.append(folder / f"take-{turn + 1}.wav")
+        files[-1].write_bytes(pianofit.encode_wav(samples, RATE))
+    return files
+
+
+def make_measurement(folder: Path) -> tuple[Path, Path]:
+    """Write the demo's twin, a calibrated measurement of the paper's string, and its setup."""
+    from pianofit import encode_wav
+    from pianofit.twin import make_twin, setup_text
+
+    twin = make_twin()
+    sound, setup = folder / "twin.wav", folder / "setup.toml"
+    sound.write_bytes(encode_wav(twin.samples, twin.rate))
+    setup.write_text(setup_text())
+    return sound, setup

@@ -1,0 +1,97 @@
+"""How everything is timed: works in turn, whole commands in processes of their own, and what the machine is."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import os
+import platform
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+COMMAND = "from pianofit.cli import main; main()"
+NAMES = ("pianofit", "jax", "jaxlib", "numpy", "scipy", "numba")
+
+
+def paired(works: Mapping[str, Callable[[], Any]], *, rounds: int = 7, least: float = 0.3) -> dict[str, dict]:
+    """Seconds of every work, by name; all are done in turn, `rounds` times, after once that does not count.
+
+    In a round a work is repeated for at least `least` seconds, or done once if that takes longer.
+    """
+    import jax
+
+    taken: dict[str, list[float]] = {name: [] for name in works}
+    often = {}
+    for name, work in works.items():
+        jax.block_until_ready(work())
+        start = time.perf_counter()
+        jax.block_until_ready(work())
+        often[name] = max(1, int(least / max(time.perf_counter() - start, 1e-7)))
+    for _ in range(rounds):
+        for name, work in works.items():
+            start = time.perf_counter()
+            for _ in range(often[name]):
+                jax.block_until_ready(work())
+            taken[name].append((time.perf_counter() - start) / often[name])
+    return {name: summed(seconds) for name, seconds in taken.items()}
+
+
+def summed(seconds: list[float]) -> dict[str, Any]:
+    """Median, fastest and the number of repeats."""
+    return {"median": statistics.median(seconds), "fastest": min(seconds), "repeats": len(seconds), "all": seconds}
+
+
+def ratio(slow: dict, fast: dict) -> float:
+    """How many times as long `slow` takes: the median over the rounds in which both were done."""
+    return statistics.median(a / b for a, b in zip(slow["all"], fast["all"], strict=False))
+
+
+def command(arguments: list[str], cache: Path) -> dict[str, float]:
+    """One `pianofit` command in a process of its own: seconds, and its largest memory, MB.
+
+    Raises
+    ------
+    RuntimeError
+        If it fails, with what it said.
+    """
+    start = time.perf_counter()
+    with subprocess.Popen(
+        [sys.executable, "-c", COMMAND, *arguments], env=os.environ | {"PIANOFIT_CACHE": str(cache)},
+        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
+    ) as process:  # fmt: skip
+        said = process.stderr.read() if process.stderr else b""
+        _, status, used = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+    seconds = time.perf_counter() - start
+    if process.returncode:
+        raise RuntimeError(f"pianofit {' '.join(arguments)}: {said.decode(errors='replace').strip()}")
+    scale = 1e6 if sys.platform == "darwin" else 1e3
+    return {"seconds": seconds, "memory_MB": used.ru_maxrss / scale}
+
+
+def machine() -> dict[str, Any]:
+    """What the numbers were measured on."""
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text().splitlines() if info.exists() else []
+    name = next((line.split(":")[1].strip() for line in lines if line.startswith("model name")), platform.processor())
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return {
+        "processor": name, "cores": cores, "load": load(), "system": platform.platform(),
+        "python": platform.python_version(), "versions": {name: _version(name) for name in NAMES},
+    }  # fmt: skip
+
+
+def load() -> list[float]:
+    """Of the machine in the last 1, 5 and 15 minutes."""
+    return [round(x, 2) for x in os.getloadavg()] if hasattr(os, "getloadavg") else []
+
+
+def _version(name: str) -> str | None:
+    try:
+        return importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return None

@@ -1,0 +1,169 @@
+"""A running dask.distributed cluster as workers: the same units, sent to a scheduler, results back to the one ledger.
+
+A worker that is lost is the scheduler's to notice; it gives the unit to another. A scheduler that is lost ends the
+batch with what is finished kept. No more units are sent ahead than keep the workers busy, so that recordings sent by
+value do not pile up in the scheduler.
+"""
+
+from __future__ import annotations
+
+import gc
+import logging
+import queue
+import secrets
+import time
+from pathlib import Path
+
+from ..errors import OutputError, ParameterError, RecordingError
+from ..recording import MAX_BYTES, one_line, read_file
+from .local import Lost, Work, one_thread
+from .units import Outcome, Unit, fit_unit
+
+__all__ = ["Cluster"]
+
+PATIENCE = 10.0  # s, for the scheduler to answer
+AHEAD = 2  # units sent for every thread
+
+
+class Cluster:
+    """Workers of the scheduler at `address`, such as tcp://10.0.0.1:8786.
+
+    Parameters
+    ----------
+    by_value : send recordings along; else workers read them at the same paths.
+    work : what a worker does with a unit.
+
+    Raises
+    ------
+    ParameterError
+        If dask.distributed is missing, or there is no scheduler.
+    """
+
+    def __init__(self, address: str, by_value: bool, work: Work = fit_unit) -> None:
+        try:
+            from dask import config
+            from distributed import Client
+        except ImportError:
+            raise ParameterError(
+                "--scheduler needs dask.distributed, which is not installed; pip install 'pianofit[cluster]'"
+            ) from None
+        self._by_value, self._work, self._address = by_value, work, one_line(address)
+        logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what it would say is said here in one line
+        # Recordings sent along are part of the task: kept by the scheduler, they outlive any worker.
+        config.set({"distributed.admin.large-graph-warning-threshold": "1 GiB"})
+        reason = None
+        try:
+            self._client = Client(address, timeout=PATIENCE, set_as_default=False, name="pianofit-batch")
+        except (OSError, ValueError, TimeoutError) as error:
+            reason = one_line(error)[:100]
+        if reason is not None:
+            gc.collect()  # ends what is left of the client; collected while a later one starts it would lock up both
+            raise ParameterError(
+                f"--scheduler {self._address}: no scheduler answers there ({reason}); check the address"
+            )
+        self._begun: dict = {}  # future -> (unit, when)
+        self._ended: queue.Queue = queue.Queue()
+        self._token = secrets.token_hex(4)
+        self.slots = 0
+        self._count()
+
+    def __enter__(self) -> Cluster:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._client.status == "running":
+            self._client.cancel(list(self._begun))
+        self._client.close(timeout=5)
+
+    def _count(self) -> None:
+        """Count the cluster's threads, which come and go."""
+        workers = self._client.scheduler_info(n_workers=-1)["workers"].values()
+        self.slots = sum(w["nthreads"] for w in workers)
+
+    def pending(self) -> int:
+        """Count the units that were sent and have not ended."""
+        return len(self._begun)
+
+    def running(self) -> dict[str, float]:
+        """Keys at work and the seconds since each was sent; those sent ahead are not counted."""
+        now = time.monotonic()
+        oldest = list(self._begun.values())[: self.slots]
+        return {unit.key: now - since for unit, since in oldest}
+
+    def room(self) -> bool:
+        """Tell whether another unit should be sent."""
+        return len(self._begun) < max(AHEAD * self.slots, 1)
+
+    def submit(self, unit: Unit) -> None:
+        """Send a unit.
+
+        Raises
+        ------
+        RecordingError
+            If a recording that is to be sent cannot be read.
+        OutputError
+            If the scheduler is gone.
+        """
+        if self._client.status != "running":
+            raise self._gone()
+        contents = None
+        if self._by_value:
+            contents = [read_file(s.path, MAX_BYTES, RecordingError) for s in unit.sources]
+        key = f"pianofit-{unit.key}-{unit.hash[:8]}-{self._token}-{len(self._begun)}-{time.monotonic_ns()}"
+        future = self._client.submit(on_worker, self._work, unit, contents, key=key, pure=False)
+        self._begun[future] = unit, time.monotonic()
+        future.add_done_callback(self._ended.put)
+
+    def finished(self, timeout: float) -> list[tuple[Unit, Outcome | Lost]]:
+        """Units that ended, waiting up to `timeout` seconds for the first.
+
+        Raises
+        ------
+        OutputError
+            If the scheduler is gone.
+        """
+        try:
+            future = self._ended.get(timeout=timeout)
+        except queue.Empty:
+            future = None
+        if self._client.status != "running" or (future is not None and future.status in ("cancelled", "lost")):
+            raise self._gone()
+        self._count()
+        if future is None:
+            return []
+        unit, _ = self._begun[future]
+        try:
+            outcome = self._result(future)
+        finally:
+            del self._begun[future]
+            future.release()
+        return [(unit, outcome)]
+
+    def _result(self, future) -> Outcome | Lost:
+        from distributed import CancelledError, KilledWorker
+
+        try:
+            return future.result(timeout=60 * PATIENCE)
+        except KilledWorker:
+            return Outcome({}, "every worker that began it died, perhaps for want of memory; see the workers' logs")
+        except (CancelledError, OSError, TimeoutError) as error:  # the connection, not the fit
+            if self._client.status != "running" or isinstance(error, CancelledError):
+                raise self._gone() from None
+            return Lost(f"its result did not arrive ({one_line(error)[:100]})")
+        except Exception as error:
+            reason = one_line(f"the workers cannot run it ({type(error).__name__}: {error})")[:300]
+            return Outcome({}, f"{reason}; install the same pianofit there", stop=True)
+
+    def _gone(self) -> OutputError:
+        return OutputError(
+            f"--scheduler {self._address}: the scheduler is gone; what is finished is kept: start one and run the same "
+            "command again"
+        )
+
+
+def on_worker(work: Work, unit: Unit, contents: list[bytes] | None) -> Outcome:
+    """Run a unit on a worker of the cluster, in the worker's own scratch folder."""
+    from distributed import get_worker
+
+    with one_thread():  # for what is imported only now
+        return work(unit, contents, str(Path(get_worker().local_directory)))

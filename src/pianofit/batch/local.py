@@ -1,0 +1,199 @@
+"""The machine's own processes as workers: spawned, one thread each, watched one by one.
+
+A worker that dies takes nothing with it but the unit it was at, and that is known: every worker has a pipe of its own.
+Memory is bounded three ways: the system refuses a worker more than its share (RLIMIT_DATA, on Linux), a worker is
+replaced after `RECYCLE` units, because JAX keeps every program it has compiled, and results wait in no queue. A worker
+that outlives its batch ends itself.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import shutil
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from multiprocessing import connection
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from .units import Outcome, Unit, fit_unit
+
+__all__ = ["Local", "Lost", "Work"]
+
+RECYCLE = 16  # units
+# One thread for each library that would take all cores; read when it is first imported.
+ONE_THREAD = {
+    "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "VECLIB_MAXIMUM_THREADS": "1",
+    "NPROC": "1",
+}  # fmt: skip
+XLA_FLAG = "--xla_cpu_multi_thread_eigen=false"
+
+Work = Callable[[Unit, list[bytes] | None, str | None], Outcome]
+
+
+class Lost(NamedTuple):
+    """A unit whose worker is gone."""
+
+    reason: str
+
+
+@dataclass
+class _Worker:
+    process: Any
+    pipe: connection.Connection
+    unit: Unit | None = None
+    since: float = 0.0
+    served: int = 0
+
+
+class Local:
+    """Workers on this machine.
+
+    Parameters
+    ----------
+    workers : how many at a time.
+    memory : bytes that each may take.
+    time_limit : seconds that a unit may take.
+    scratch : a folder for the workers' temporary files.
+    work : what a worker does with a unit.
+    """
+
+    def __init__(self, workers: int, memory: int, time_limit: float, scratch: Path, work: Work = fit_unit) -> None:
+        self.slots, self._memory, self._limit, self._work = workers, memory, time_limit, work
+        scratch.mkdir(exist_ok=True)
+        self._scratch = scratch
+        self._workers: list[_Worker] = []
+        self._context = multiprocessing.get_context("spawn")
+
+    def __enter__(self) -> Local:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for worker in self._workers:
+            worker.process.kill()
+        for worker in self._workers:
+            worker.process.join()
+            worker.pipe.close()
+        shutil.rmtree(self._scratch, ignore_errors=True)
+
+    def pending(self) -> int:
+        """Count the units that were begun and have not ended."""
+        return sum(w.unit is not None for w in self._workers)
+
+    def running(self) -> dict[str, float]:
+        """Keys at work and the seconds each has taken."""
+        now = time.monotonic()
+        return {w.unit.key: now - w.since for w in self._workers if w.unit is not None}
+
+    def room(self) -> bool:
+        """Tell whether another unit can be begun."""
+        return self.pending() < self.slots
+
+    def submit(self, unit: Unit) -> None:
+        """Begin a unit on a worker that is free, or on a new one."""
+        worker = next((w for w in self._workers if w.unit is None), None) or self._start()
+        worker.unit, worker.since = unit, time.monotonic()
+        with contextlib.suppress(OSError):  # a worker that is gone is found by its end
+            worker.pipe.send((unit, None, str(self._scratch)))
+
+    def finished(self, timeout: float) -> list[tuple[Unit, Outcome | Lost]]:
+        """Units that ended, waiting up to `timeout` seconds for the first."""
+        busy = [w for w in self._workers if w.unit is not None]
+        ready = set(connection.wait([x for w in busy for x in (w.pipe, w.process.sentinel)], timeout))
+        found = []
+        for worker in busy:
+            if worker.pipe in ready or worker.process.sentinel in ready:
+                found.append(self._collect(worker))
+            elif time.monotonic() - worker.since > self._limit:
+                found.append((worker.unit, self._stopped(worker)))
+        return found
+
+    def _collect(self, worker: _Worker) -> tuple[Unit, Outcome | Lost]:
+        unit, worker.unit = worker.unit, None
+        assert unit is not None  # noqa: S101
+        try:
+            outcome = worker.pipe.recv() if worker.pipe.poll() else None
+        except (EOFError, OSError):
+            outcome = None
+        if outcome is None:
+            return unit, Lost(self._retire(worker))
+        worker.served += 1
+        if worker.served >= RECYCLE:
+            self._retire(worker)
+        return unit, outcome
+
+    def _stopped(self, worker: _Worker) -> Outcome:
+        """End a worker whose unit takes too long."""
+        self._retire(worker, 0.0)
+        return Outcome({}, f"took more than {self._limit:g} s and was stopped; give --time-limit more if it may", "",
+                       seconds=self._limit)  # fmt: skip
+
+    def _retire(self, worker: _Worker, patience: float = 5.0) -> str:
+        """Take a worker away and say how it ended."""
+        worker.pipe.close()  # one that waits for work ends at this
+        worker.process.join(patience)
+        worker.process.kill()
+        worker.process.join()
+        self._workers.remove(worker)
+        code = worker.process.exitcode or 0
+        if code >= 0:
+            return f"its worker ended with exit code {code}"
+        name = signal.Signals(-code).name if -code in signal.valid_signals() else f"signal {-code}"
+        share = f"{self._memory / 2**30:g} GiB"
+        return f"its worker was ended by {name}, perhaps for want of memory (each may take {share})"
+
+    def _start(self) -> _Worker:
+        ours, theirs = self._context.Pipe()
+        process = self._context.Process(target=_serve, args=(theirs, self._work, self._memory), daemon=True)
+        with one_thread():
+            process.start()
+        theirs.close()
+        self._workers.append(_Worker(process, ours))
+        return self._workers[-1]
+
+
+@contextlib.contextmanager
+def one_thread() -> Iterator[None]:
+    """For processes started meanwhile: one thread for numbers."""
+    flags = f"{os.environ.get('XLA_FLAGS', '')} {XLA_FLAG}".strip()
+    before = {name: os.environ.get(name) for name in (*ONE_THREAD, "XLA_FLAGS", "JAX_PLATFORMS")}
+    os.environ.update(ONE_THREAD | {"XLA_FLAGS": flags})
+    os.environ.setdefault("JAX_PLATFORMS", "cpu")
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            os.environ.pop(name)
+            if value is not None:
+                os.environ[name] = value
+
+
+def _serve(pipe: connection.Connection, work: Work, memory: int) -> None:
+    """A worker's life: units in, outcomes out, until the pipe closes."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the batch's, which ends its workers
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    if sys.platform == "linux":
+        import resource
+
+        _, hard = resource.getrlimit(resource.RLIMIT_DATA)
+        share = memory if hard == resource.RLIM_INFINITY else min(memory, hard)
+        resource.setrlimit(resource.RLIMIT_DATA, (share, hard))
+    while True:
+        try:
+            unit, contents, scratch = pipe.recv()
+        except EOFError:
+            return
+        pipe.send(work(unit, contents, scratch))
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)

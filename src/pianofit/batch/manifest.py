@@ -1,0 +1,315 @@
+"""From a manifest, a folder or an SFZ file to keys: which recordings belong to which string.
+
+Whatever names the files, it is first read into rows; then all rows are checked before anything starts, and what is
+wrong is listed with its place. A key is an instrument and a note. Files must lie inside one folder, the root, after all
+links are followed: a manifest that came from elsewhere cannot make the program read what it was not given.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+from ..analysis.notes import hz_to_note, note_to_midi
+from ..errors import AnalysisError, SetupError
+from ..parameters import PARAMETERS
+from ..recording import one_line, read_file
+
+__all__ = ["DEFAULT_PATTERN", "Key", "Sample", "read_keys"]
+
+DEFAULT_PATTERN = "{instrument}-{note}[-{layer}]"
+COLUMNS = ("file", "note", "instrument", "take", "layer", "velocity", "group")
+SOUNDS = (".wav", ".flac")
+MAX_BYTES = 2**24
+MAX_ROWS = 100_000
+MAX_TAKES = 64  # of one key: memory of a joint fit grows with them
+TOLD = 5  # problems spelt out in one message
+_SHARP = re.compile(r"([A-Ga-g])s(-1|\d)")  # file names write F#2 as Fs2
+_FIELDS = {
+    "note": r"[A-Ga-g](?:##|#|♯|bb|b|♭|s)?(?:-1|\d)|\d{1,3}",
+    "velocity": r"\d+(?:\.\d+)?",
+    "instrument": r"[^/]+?", "take": r"[^/]+?", "layer": r"[^/]+?", "group": r"[^/]+?", "*": r"[^/]*?",
+}  # fmt: skip
+
+
+class Row(NamedTuple):
+    """One recording as it was listed; texts as they stand."""
+
+    where: str  # "line 7"
+    file: str
+    note: str
+    instrument: str = ""
+    layer: str = ""
+    velocity: str = ""
+    group: str = ""
+
+
+class Sample(NamedTuple):
+    """One recording of a key, checked."""
+
+    file: Path  # absolute, links followed
+    layer: str
+    velocity: float | None  # m/s, measured
+    group: str  # recordings of a group share one path, such as a microphone
+
+
+@dataclass(frozen=True)
+class Key:
+    """All recordings of one string."""
+
+    name: str  # of its folder
+    instrument: str
+    note: str  # such as F#2
+    samples: tuple[Sample, ...]
+
+
+def read_keys(
+    source: Path, *, pattern: str | None = None, root: Path | None = None, transpose: int = 0
+) -> tuple[list[Key], list[str]]:
+    """Keys in the order of their instruments and pitches, and remarks on what was left out.
+
+    Parameters
+    ----------
+    source : a CSV file, an SFZ file, or a folder of recordings.
+    pattern : for a folder, how its file names are made; `{note}` must be in it, `[...]` may be absent.
+    root : the folder that all files must lie in; by default that of the manifest.
+    transpose : semitones added to every note, for a library that counts octaves otherwise.
+
+    Raises
+    ------
+    SetupError
+        Naming the manifest and every row (up to five) that cannot be used.
+    """
+    name = one_line(source)
+    if pattern is not None and not source.is_dir():
+        raise SetupError(f"{name}: is no folder, so --pattern {one_line(pattern)!r} has no meaning; leave it out")
+    if source.is_dir():
+        base = source
+        rows, remarks = _folder_rows(source, pattern or DEFAULT_PATTERN)
+    elif source.suffix.lower() == ".sfz":
+        from .sfz import sfz_rows
+
+        base = source.parent
+        rows, remarks = sfz_rows(source, root or base)
+    else:
+        base = source.parent
+        rows, remarks = _csv_rows(source)
+    return _keys(name, rows, base, (root or base), transpose), remarks
+
+
+def manifest_text(source: Path) -> str:
+    """The text of a manifest, which must be UTF-8.
+
+    Raises
+    ------
+    SetupError
+        Naming the file, and the line that is not UTF-8.
+    """
+    name, data = one_line(source), read_file(source, MAX_BYTES, SetupError)
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        raise SetupError(f"{name}: is UTF-16 text; save it as UTF-8")
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as problem:
+        line = data.count(b"\n", 0, problem.start) + 1
+        raise SetupError(
+            f"{name}: byte 0x{data[problem.start]:02x} on line {line} is not UTF-8; save it as UTF-8"
+        ) from None
+    if "\0" in text:
+        raise SetupError(f"{name}: has a zero byte on line {text.count(chr(10), 0, text.index(chr(0))) + 1}; "
+                         "it is no text file")  # fmt: skip
+    return text
+
+
+def _csv_rows(source: Path) -> tuple[list[Row], list[str]]:
+    """Rows of a CSV, separated by commas, semicolons or tabs, with a header."""
+    name, text = one_line(source), manifest_text(source)
+    header = text.split("\n", 1)[0].strip().split
+    delimiter = next((d for d in ",;\t" if "file" in [c.strip(' "').lower() for c in header(d)]), ",")
+    reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=True)
+    rows: list[Row] = []
+    try:
+        columns = [c.strip().lower() for c in next(reader, [])]
+        _check_columns(name, columns)
+        for cells in reader:
+            if not any(c.strip() for c in cells):
+                continue
+            if len(cells) != len(columns):
+                raise SetupError(
+                    f"{name}: line {reader.line_num} has {len(cells)} cells, the header {len(columns)}; correct it"
+                )
+            rows.append(_csv_row(f"line {reader.line_num}", dict(zip(columns, cells, strict=True))))
+            if len(rows) > MAX_ROWS:
+                raise SetupError(f"{name}: has more than {MAX_ROWS} rows; split it")
+    except csv.Error as problem:
+        raise SetupError(f"{name}: line {reader.line_num}: {problem}; correct that line") from None
+    ignored = [c for c in columns if c not in COLUMNS]
+    return rows, [f"columns that have no meaning here: {', '.join(map(one_line, ignored))}"] if ignored else []
+
+
+def _check_columns(name: str, columns: list[str]) -> None:
+    for column in ("file", "note"):
+        if column not in columns:
+            raise SetupError(
+                f"{name}: the header has no column {column!r} (it has {one_line(', '.join(columns))[:80]!r}); "
+                "give file and note, and if you like instrument, take or layer, velocity, group"
+            )
+    for column in columns:
+        if column in COLUMNS and columns.count(column) > 1:
+            raise SetupError(f"{name}: the column {column!r} is there twice; remove one")
+
+
+def _csv_row(where: str, cells: dict[str, str]) -> Row:
+    cells = {name: value.strip() for name, value in cells.items()}
+    layer = " ".join(filter(None, (cells.get("layer", ""), cells.get("take", ""))))
+    return Row(
+        where, cells["file"], cells["note"], cells.get("instrument", ""), layer, cells.get("velocity", ""),
+        cells.get("group", ""),
+    )  # fmt: skip
+
+
+def _folder_rows(folder: Path, pattern: str) -> tuple[list[Row], list[str]]:
+    """Rows of the files in `folder` whose names fit `pattern`."""
+    expression, rows, others = _expression(pattern), [], []
+    found = (Path(place, file) for place, _, files in os.walk(folder) for file in files)
+    for file in sorted(f for f in found if f.suffix.lower() in SOUNDS and not f.name.startswith(".")):
+        path = file.relative_to(folder).as_posix()
+        match = expression.fullmatch(path if pattern.lower().endswith(SOUNDS) else path[: -len(file.suffix)])
+        if match is None:
+            others.append(path)
+            continue
+        cells = {k: v or "" for k, v in match.groupdict().items()}
+        rows.append(_csv_row(one_line(path), {"file": path, "note": ""} | cells))
+    if not rows:
+        seen = f"none of its {len(others)} recordings, such as {one_line(others[0])!r}," if others else "no recording"
+        raise SetupError(f"{one_line(folder)}: {seen} fits the pattern {pattern!r}; give --pattern, such as "
+                         "'{instrument}-{note}-{layer}.flac', or a manifest")  # fmt: skip
+    left = f"{len(others)} recordings do not fit the pattern, such as {one_line(others[0])}" if others else ""
+    return rows, [left] if left else []
+
+
+def _expression(pattern: str) -> re.Pattern[str]:
+    """A file-name pattern as a regular expression."""
+    parts, seen, depth = [], [], 0
+    for field, other in re.findall(r"\{([a-z*]+)\}|(.)", pattern):
+        if field and field not in _FIELDS:
+            raise SetupError(f"--pattern {pattern!r}: {{{field}}} is not known; there are "
+                             f"{', '.join('{' + f + '}' for f in _FIELDS)}")  # fmt: skip
+        if field in seen and field != "*":
+            raise SetupError(f"--pattern {pattern!r}: {{{field}}} is there twice; use {{*}} for one of them")
+        seen += [field] if field else []
+        depth += (other == "[") - (other == "]")
+        if depth not in (0, 1):
+            raise SetupError(f"--pattern {pattern!r}: [ and ] must come in pairs, and not one in another")
+        if field:
+            parts.append(f"(?:{_FIELDS['*']})" if field == "*" else f"(?P<{field}>{_FIELDS[field]})")
+        else:
+            parts.append({"[": "(?:", "]": ")?"}.get(other) or re.escape(other))
+    if "note" not in seen or depth:
+        raise SetupError(f"--pattern {pattern!r}: must hold {{note}}, and a ] for every [")
+    return re.compile("".join(parts), re.IGNORECASE)
+
+
+def _keys(name: str, rows: list[Row], base: Path, root: Path, transpose: int) -> list[Key]:
+    """Collect rows into keys; refuse all together what is wrong with any."""
+    problems: list[str] = []
+    keys: dict[str, tuple[str, int, list[Sample]]] = {}
+    seen: dict[Path, str] = {}
+    fence = root.resolve()
+    for row in rows:
+        try:
+            sample, midi = _sample(row, base, fence), _midi(row.note) + transpose
+            if not 0 <= midi <= 127:
+                raise SetupError(f"note {one_line(row.note)!r} is MIDI {midi} with --transpose {transpose}, "
+                                 "must be 0 to 127")  # fmt: skip
+            if sample.file in seen:
+                raise SetupError(f"{one_line(row.file)} is also {seen[sample.file]}; list it once")
+            seen[sample.file] = row.where
+            folder = _folder_name(row.instrument, _note(midi))
+            instrument, _, samples = keys.setdefault(folder.casefold(), (row.instrument, midi, []))
+            if instrument != row.instrument:
+                raise SetupError(f"instruments {one_line(instrument)!r} and {one_line(row.instrument)!r} would share "
+                                 f"the folder {folder}; rename one")  # fmt: skip
+            if row.layer and any((s.layer, s.group) == (row.layer, row.group) for s in samples):
+                raise SetupError(f"{folder} has a second {one_line(f'{row.layer} {row.group}').strip()!r}; "
+                                 "tell them apart by layer, take or group")  # fmt: skip
+            samples.append(sample)
+        except (SetupError, AnalysisError) as problem:
+            problems.append(f"{row.where}: {problem}")
+    problems += [
+        f"{k}: {len(s)} recordings, more than {MAX_TAKES}" for k, (_, _, s) in keys.items() if len(s) > MAX_TAKES
+    ]
+    if problems:
+        raise SetupError(f"{name}: {_listed(problems)}; nothing was started")
+    if not keys:
+        raise SetupError(f"{name}: lists no recording; add rows")
+    ordered = sorted(keys.values(), key=lambda k: (k[0].casefold(), k[1]))
+    return [
+        Key(_folder_name(i, _note(m)), i, _note(m), tuple(sorted(s, key=lambda x: x.file.as_posix())))
+        for i, m, s in ordered
+    ]
+
+
+def _listed(problems: Iterable[str]) -> str:
+    problems = list(problems)
+    more = f"; and {len(problems) - TOLD} more" if len(problems) > TOLD else ""
+    return "; ".join(problems[:TOLD]) + more
+
+
+def _midi(text: str) -> int:
+    """MIDI number of a note's name, "F#2" or "Fs2", or of the number itself."""
+    if re.fullmatch(r"\d{1,3}", text, re.ASCII) and int(text) < 128:
+        return int(text)
+    return note_to_midi(_SHARP.sub(r"\1#\2", text) if _SHARP.fullmatch(text) else text)
+
+
+def _note(midi: int) -> str:
+    return hz_to_note(440.0 * 2.0 ** ((midi - 69) / 12))
+
+
+def _folder_name(instrument: str, note: str) -> str:
+    """A folder's name that any file system takes."""
+    safe = "".join(_runs(instrument)).strip("-.")[:60]
+    return f"{safe}-{note.replace('#', 's')}" if safe else note.replace("#", "s")
+
+
+def _runs(text: str) -> Iterator[str]:
+    """Letters and digits as they are, anything else one dash for a run of it."""
+    for run in re.findall(r"[\w.]+|[^\w.]+", text):
+        yield run if re.fullmatch(r"[\w.]+", run) else "-"
+
+
+def _sample(row: Row, base: Path, fence: Path) -> Sample:
+    """A row with its file found inside the fence."""
+    if not row.file:
+        raise SetupError("no file is named")
+    shown = one_line(row.file)
+    try:
+        file = (base / row.file).resolve(strict=False)
+        if not file.is_relative_to(fence):
+            raise SetupError(f"{shown} leads out of {one_line(fence)}; allow a larger folder with --root")
+        if not file.is_file():
+            raise SetupError(f"{shown}: {'is a folder or a device' if file.exists() else 'no such file'}")
+        str(file).encode()
+    except (OSError, ValueError, RuntimeError):  # a name too long, links in a circle, a name that is no UTF-8
+        raise SetupError(f"{shown} is no usable path; rename it") from None
+    return Sample(file, row.layer, _velocity(row.velocity), row.group)
+
+
+def _velocity(text: str) -> float | None:
+    if not text:
+        return None
+    box = PARAMETERS["v_H0"]
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not box.lower <= value <= box.upper:
+        raise SetupError(f"velocity {one_line(text)!r} must be a number from {box.lower:g} to {box.upper:g} m/s")
+    return value

@@ -1,0 +1,179 @@
+"""The folder of a batch: `keys/KEY/` for every finished key, `ledger`, `lock`, and nothing half-written.
+
+A key's folder is written in another place, flushed to the disk, and renamed: it is there whole or not at all. Its
+`record.json` holds the hash of the unit it is the result of and the digest of every file, so that a folder proves by
+itself that it is finished; the ledger can be lost and nothing is.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import hashlib
+import json
+import os
+import shutil
+import sqlite3
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from ..errors import OutputError
+from ..recording import one_line
+from .units import NO_ROOM
+
+__all__ = ["LEDGER", "RECORD", "Store", "locked", "opened"]
+
+LEDGER, LOCK, KEYS, RECORD = "ledger", "lock", "keys", "record.json"
+SCRATCH, UNFINISHED = ".scratch", ".unfinished"  # of the workers, and of this process; gone after a run
+
+
+class Store:
+    """The keys' folders under `folder`."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.keys = folder / KEYS
+        self.scratch = folder / SCRATCH
+        self._unfinished = folder / UNFINISHED
+
+    def tidy(self) -> None:
+        """Take away what an interrupted run left unfinished."""
+        for left in (self.scratch, self._unfinished):
+            shutil.rmtree(left, ignore_errors=True)
+
+    def install(self, key: str, files: dict[str, bytes], record: dict[str, Any]) -> None:
+        """Make `files` and their record the folder of `key`, in one step.
+
+        Raises
+        ------
+        OutputError
+            If they cannot be written; nothing is left behind.
+        """
+        digests = {name: hashlib.sha256(content).hexdigest() for name, content in files.items()}
+        content = json.dumps(record | {"files": digests}, indent=2).encode() + b"\n"
+        new, old = self._unfinished / "new", self._unfinished / "old"
+        try:
+            new.mkdir(parents=True)
+            for name, data in {**files, RECORD: content}.items():
+                _write(new / name, data)
+            _flush(new)
+            with contextlib.suppress(FileNotFoundError):
+                (self.keys / key).rename(old)
+            new.rename(self.keys / key)
+            _flush(self.keys)
+        except OSError as error:
+            raise unwritable(self.folder, error) from error
+        finally:
+            shutil.rmtree(self._unfinished, ignore_errors=True)
+
+    def record(self, key: str) -> dict[str, Any] | None:
+        """The record of a finished key; None if its folder is missing or is not what its record says."""
+        folder = self.keys / key
+        try:
+            record = json.loads((folder / RECORD).read_bytes())
+            for name, digest in record["files"].items():
+                if hashlib.sha256((folder / Path(name).name).read_bytes()).hexdigest() != digest:
+                    return None
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+            return None
+        return record
+
+    def finished(self) -> set[str]:
+        """Names of the folders that are there."""
+        return {p.name for p in self.keys.iterdir() if (p / RECORD).is_file()}
+
+
+def _write(path: Path, data: bytes) -> None:
+    with path.open("xb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def _flush(folder: Path) -> None:
+    """Bring a folder's entries to the disk, where the system can."""
+    with contextlib.suppress(PermissionError):  # Windows opens no folders
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        except OSError as error:
+            if error.errno != errno.EINVAL:  # a file system without
+                raise
+        finally:
+            os.close(handle)
+
+
+def unwritable(folder: Path, error: OSError | sqlite3.Error) -> OutputError:
+    """What to tell of a folder that does not let itself be written."""
+    name, full = one_line(folder), "full" in str(error)
+    if full or getattr(error, "errno", None) in NO_ROOM[:2]:
+        return OutputError(f"{name}: the disk is full; what is finished is kept: make room and run the same command")
+    reason = getattr(error, "strerror", None) or error
+    return OutputError(f"{name}: cannot be written to ({reason}); choose a folder that is yours, then run it again")
+
+
+def opened(folder: Path) -> Store:
+    """The folder of a new batch or of one to be continued, made if need be.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be made or written to, or holds something else than a batch.
+    """
+    name = one_line(folder)
+    if folder.exists() and not folder.is_dir():
+        raise OutputError(f"{name}: is a file; give a folder as --out")
+    try:
+        held = {p.name for p in folder.iterdir()} if folder.is_dir() else set()
+        if held - {LOCK, f"{LOCK}-journal"} and not held & {LEDGER, KEYS}:
+            raise OutputError(f"{name}: the folder is not empty and holds no batch; give another --out")
+        (folder / KEYS).mkdir(parents=True, exist_ok=True)
+        for place in (folder, folder / KEYS):
+            if not os.access(place, os.W_OK | os.X_OK):
+                raise PermissionError(errno.EACCES, "it is read-only, or another's")
+    except OSError as error:
+        raise unwritable(folder, error) from error
+    return Store(folder)
+
+
+@contextlib.contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Hold the folder for one batch. The lock is SQLite's on an empty file: the system frees it with the process.
+
+    Raises
+    ------
+    OutputError
+        If another batch holds it.
+    """
+    connection = sqlite3.connect(folder / LOCK, isolation_level=None, timeout=1.0)
+    try:
+        try:
+            connection.execute("BEGIN EXCLUSIVE")
+        except sqlite3.OperationalError as error:
+            if "locked" in str(error):
+                raise OutputError(
+                    f"{one_line(folder)}: another batch is at work in this folder; wait for it, or give another --out"
+                ) from None
+            raise unwritable(folder, error) from error
+        except sqlite3.DatabaseError as error:
+            raise OutputError(f"{one_line(folder / LOCK)}: is not the lock of a batch ({error}); remove it") from None
+        yield
+    finally:
+        connection.close()
+
+
+def is_locked(folder: Path) -> bool:
+    """Tell whether a batch is at work in `folder`."""
+    if not (folder / LOCK).exists():
+        return False
+    connection = sqlite3.connect((folder / LOCK).resolve().as_uri() + "?mode=ro", uri=True, timeout=0.0)
+    try:
+        connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
+    except sqlite3.OperationalError as error:
+        return "locked" in str(error)
+    except sqlite3.DatabaseError:
+        return False
+    finally:
+        connection.close()
+    return False

@@ -1,0 +1,328 @@
+"""A unit of work: one key, all that its fit depends on, and the hash of that.
+
+Two units with one hash have one result, bit for bit on one kind of processor with one number of threads: the hash is
+over the recordings' contents, what is known of them, the settings, and the code and libraries that make the numbers.
+Paths and times are no part of it. A worker gets a unit and returns the bytes of the files; it writes nothing of its
+own but a scratch folder that it takes away.
+"""
+
+from __future__ import annotations
+
+import errno
+import functools
+import hashlib
+import json
+import re
+import socket
+import sys
+import tempfile
+import time
+import traceback
+from collections.abc import Sequence
+from importlib import metadata
+from math import log2
+from pathlib import Path
+from typing import NamedTuple
+
+from .. import __version__
+from ..analysis.notes import hz_to_note, note_to_hz, note_to_midi
+from ..errors import AnalysisError, OutputError, PianofitError, RecordingError
+from ..recording import MAX_BYTES, one_line, read_file
+from ..report.output import replace_file
+from .manifest import Key
+
+__all__ = ["Outcome", "Settings", "Source", "Unit", "fit_unit", "make_unit", "versions"]
+
+SCHEMA = 1
+# Code that a number in fit.json or a sample of a sound can depend on.
+NUMBERS = (
+    "parameters.py", "published.py", "recording.py", "setup_file.py", "analysis", "initial.py", "model", "criterion",
+    "fit", "render.py", "workflow.py", "batch/units.py",
+)  # fmt: skip
+# A name is wrong when the string sounds further from it than this, cents; old pianos and stretched trebles do not.
+ASTRAY = 60.0
+NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
+
+
+class Settings(NamedTuple):
+    """What all keys of a batch share."""
+
+    seed: int = 0
+    channel: str = "average"
+    page: bool = True
+    setup: str = ""  # the text of a setup.toml without takes
+
+
+class Source(NamedTuple):
+    """One recording of a unit."""
+
+    path: str  # absolute
+    name: str  # unique within the unit
+    sha256: str
+    velocity: float | None = None  # m/s
+    group: str = ""
+
+
+class Unit(NamedTuple):
+    """One key to fit."""
+
+    key: str
+    note: str
+    sources: tuple[Source, ...]
+    settings: Settings
+    versions: dict[str, str]
+
+    @property
+    def parts(self) -> dict[str, str]:
+        """Hashes of the inputs, the settings and the versions."""
+        inputs = [self.note, [(s.name, s.sha256, s.velocity, s.group) for s in self.sources]]
+        return {"inputs": _hash(inputs), "settings": _hash(self.settings), "versions": _hash(self.versions)}
+
+    @property
+    def hash(self) -> str:
+        """Hash of all that the result depends on."""
+        return _hash([SCHEMA, self.parts])
+
+    @property
+    def setup(self) -> str:
+        """The text of its `setup.toml`; empty if nothing is known."""
+        takes = [
+            "\n[[take]]\n" + "".join(f"{k} = {json.dumps(v)}\n" for k, v in entry.items() if v not in (None, ""))
+            for s in self.sources
+            if (s.velocity, s.group) != (None, "")
+            for entry in [{"file": s.name, "v_H0": s.velocity, "group": s.group}]
+        ]
+        return self.settings.setup + "".join(takes)
+
+
+class Outcome(NamedTuple):
+    """What came of a unit: files, or why there are none."""
+
+    files: dict[str, bytes]
+    error: str = ""  # the reason, empty if it was fitted
+    sounds_like: str = ""  # the note that it sounds like, where that is not its name
+    left_out: tuple[tuple[str, str], ...] = ()  # recordings that could not be used, and why
+    detail: str = ""  # a traceback, where the program is at fault
+    seconds: float = 0.0
+    memory: int = 0  # largest resident set of the worker so far, bytes
+    stop: bool = False  # nothing else can be done here either, such as on a full disk
+
+
+def _hash(document: object) -> str:
+    return hashlib.sha256(json.dumps(document, sort_keys=True, ensure_ascii=True).encode()).hexdigest()
+
+
+@functools.cache
+def _versions() -> tuple[tuple[str, str], ...]:
+    package, code = Path(__file__).parents[1], hashlib.sha256()
+    for part in NUMBERS:
+        place = package / part
+        for file in [place] if place.is_file() else sorted(place.glob("*.py")):
+            code.update(file.read_bytes())
+    found = {name: metadata.version(name) for name in ("jax", "jaxlib", "numpy", "scipy")}
+    return tuple({"pianofit": __version__, "code": code.hexdigest()[:16], **found}.items())
+
+
+def versions() -> dict[str, str]:
+    """Versions of the program, its code, and the libraries that make the numbers."""
+    return dict(_versions())
+
+
+def make_unit(key: Key, settings: Settings) -> Unit:
+    """A key with the contents of its recordings hashed.
+
+    Raises
+    ------
+    RecordingError
+        When a recording cannot be read, or two of the key are the same.
+    """
+    sources: list[Source] = []
+    for sample, name in zip(key.samples, _names(key), strict=True):
+        digest = hashlib.sha256(read_file(sample.file, MAX_BYTES, RecordingError)).hexdigest()
+        for other in sources:
+            if other.sha256 == digest:
+                raise RecordingError(
+                    f"{one_line(sample.file)} and {one_line(other.path)} are the same recording; list it once"
+                )
+        sources.append(Source(str(sample.file), name, digest, sample.velocity, sample.group))
+    return Unit(key.name, key.note, tuple(sources), settings, versions())
+
+
+def _names(key: Key) -> list[str]:
+    """A name for every recording, unique within the key by its stem, from the file's own name."""
+    names: list[str] = []
+    stems = [s.file.stem.casefold() for s in key.samples]
+    for i, sample in enumerate(key.samples):
+        prefix = f"{sample.group or sample.file.parent.name}-" if stems.count(stems[i]) > 1 else ""
+        stem = re.sub(r"[^\w.#+ ()-]", "_", prefix + sample.file.stem)[:100]
+        taken = {Path(n).stem.casefold() for n in names}
+        unique = stem if stem.casefold() not in taken else f"{stem}-{i + 1}"
+        names.append(unique + sample.file.suffix.lower())
+    return names
+
+
+def fit_unit(unit: Unit, contents: Sequence[bytes] | None = None, scratch: str | None = None) -> Outcome:
+    """Fit one unit and return its files; never raises for what the unit is at fault for.
+
+    Parameters
+    ----------
+    contents : the recordings' bytes; None to read them at their paths.
+    scratch : a folder for a temporary one; the system's if None.
+    """
+    began = time.monotonic()
+    try:
+        if other := _other_versions(unit):
+            return Outcome({}, other, stop=True)
+        with tempfile.TemporaryDirectory(dir=scratch, prefix="pianofit-") as place:
+            found = _fit_in(Path(place), unit, contents)
+    except PianofitError as error:
+        full = isinstance(error.__cause__, OSError) and error.__cause__.errno in NO_ROOM
+        found = Outcome({}, str(error), stop=full)
+    except OSError as error:
+        found = Outcome({}, f"{socket.gethostname()}: {error}", stop=error.errno in NO_ROOM)
+    except MemoryError:
+        found = Outcome({}, "not enough memory; give fewer takes, shorter ones, or --memory more")
+    except Exception as error:
+        reason = one_line(f"the program failed with {type(error).__name__}: {error}")[:300]
+        found = Outcome({}, reason, detail=traceback.format_exc())
+    return found._replace(seconds=time.monotonic() - began, memory=_peak())
+
+
+def _peak() -> int:
+    """Largest resident set of this process, bytes."""
+    if sys.platform == "win32":
+        return 0
+    import resource
+
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak if sys.platform == "darwin" else peak * 1024
+
+
+def _other_versions(unit: Unit) -> str:
+    """Why this worker may not compute what would then be called another program's; empty if it may."""
+    for name, wanted in unit.versions.items():
+        if (here := versions().get(name)) != wanted:
+            return f"the worker on {socket.gethostname()} has {name} {here}, the batch {wanted}; install the same there"
+    return ""
+
+
+def _fit_in(place: Path, unit: Unit, contents: Sequence[bytes] | None) -> Outcome:
+    """Fit in the folder `place`; recordings that cannot be used are left out if others can."""
+    files = _stage(place, unit, contents)
+    (out := place / "out").mkdir()
+    left_out: list[tuple[Path, str]] = []
+    try:
+        try:
+            _fit(unit, files, place, out)
+        except OutputError:
+            raise
+        except PianofitError:
+            left_out = _unusable(files, unit)
+            files = [f for f in files if f not in [bad for bad, _ in left_out]]
+            if not left_out or not files:
+                raise
+            _fit(unit, files, place, out)
+    except OutputError:
+        raise
+    except PianofitError as error:
+        astray = left_out[0][1] if left_out and not files else str(error)
+        every = f"none of its {len(left_out)} recordings can be used: " if len(left_out) > 1 and not files else ""
+        like = _sounds_like(unit, files or [f for f, _ in left_out])
+        return Outcome({}, every + _told(astray, place, unit), sounds_like=like)
+    outputs = {file.name: file.read_bytes() for file in sorted(out.iterdir())}
+    if unit.setup:
+        outputs["setup.toml"] = unit.setup.encode()
+    paths = {s.name: s.path for s in unit.sources}
+    return Outcome(outputs, left_out=tuple((paths[f.name], _told(reason, place, unit)) for f, reason in left_out))
+
+
+def _stage(place: Path, unit: Unit, contents: Sequence[bytes] | None) -> list[Path]:
+    """The recordings under their names in a folder of their own, each as the unit knows it."""
+    (folder := place / "in").mkdir()
+    files = []
+    for i, source in enumerate(unit.sources):
+        data = read_file(source.path, MAX_BYTES, RecordingError) if contents is None else contents[i]
+        if hashlib.sha256(data).hexdigest() != source.sha256:
+            raise RecordingError(f"{one_line(source.path)}: has changed since the batch began; run it again")
+        files.append(folder / source.name)
+        files[-1].write_bytes(data)
+    return files
+
+
+def _fit(unit: Unit, files: list[Path], place: Path, out: Path) -> None:
+    """Fit `files` into `out`, where they have their own paths again.
+
+    Raises
+    ------
+    AnalysisError
+        If the string does not sound at its note.
+    """
+    from ..workflow import fit_files, json_text
+
+    setup = None
+    if unit.setup:
+        setup = place / "setup.toml"
+        setup.write_text(unit.setup, encoding="utf-8")
+    result = fit_files(
+        files, out, note=unit.note, setup=setup, channel=unit.settings.channel, seed=unit.settings.seed, report=False
+    )
+    if wrong := _astray(unit.note, result.document["derived"]["f0"]):
+        raise AnalysisError(wrong)
+    paths = {s.name: s.path for s in unit.sources}
+    for take in result.document["takes"]:
+        take["file"] = paths[Path(take["file"]).name]
+    replace_file(out / "fit.json", json_text(result.document).encode())
+    if unit.settings.page:
+        from ..report.build import curves_of
+        from ..report.page import write_report
+
+        title = f"{unit.key}: " + ", ".join(one_line(file.name) for file in files)
+        write_report(out / "report.html", result.document, curves_of(result), title)
+
+
+def _unusable(files: list[Path], unit: Unit) -> list[tuple[Path, str]]:
+    """Recordings that say nothing of this key by themselves, and why."""
+    from ..analysis import analyse
+    from ..recording import load_recording
+
+    found = []
+    for file in files:
+        try:
+            partials = len(analyse(load_recording(file, channel=unit.settings.channel), note=unit.note).partials)
+            if partials < 3 and len(files) > 1:
+                found.append((file, f"{file}: only {partials} partials stand above its noise"))
+        except PianofitError as error:
+            found.append((file, str(error)))
+    return found
+
+
+def _sounds_like(unit: Unit, files: list[Path]) -> str:
+    """The note that most of the recordings sound like, if that is another than the key's; else nothing."""
+    from ..analysis import analyse
+    from ..recording import load_recording
+
+    notes = []
+    for file in files:
+        try:
+            notes.append(hz_to_note(analyse(load_recording(file, channel=unit.settings.channel)).f0))
+        except PianofitError:
+            continue
+    common = max(notes, key=notes.count, default="")
+    differs = common and note_to_midi(common) != note_to_midi(unit.note)
+    return common if differs and 2 * notes.count(common) > len(notes) else ""
+
+
+def _astray(note: str, f0: float) -> str:
+    """Why `note` is not the name of what sounds at `f0` (Hz); empty if it is."""
+    cents = 1200 * log2(f0 / note_to_hz(note))
+    if abs(cents) <= ASTRAY:
+        return ""
+    return (f"note {note} is {note_to_hz(note):.1f} Hz, but the string sounds at {f0:.1f} Hz, {cents:+.0f} cents from "
+            f"it: {hz_to_note(f0)}")  # fmt: skip
+
+
+def _told(reason: str, place: Path, unit: Unit) -> str:
+    """A reason with the recordings' own paths instead of those they had in the scratch folder."""
+    for source in unit.sources:
+        reason = reason.replace(str(place / "in" / source.name), source.path)
+    return reason

@@ -1,0 +1,291 @@
+"""`pianofit batch` and `pianofit status`: a whole sample library, and how far it is.
+
+Exit codes: 0 all keys are done, 1 the batch could not run or had to stop, 2 a command that cannot be understood, 3 some
+keys failed and all others are done, 130 interrupted. What is finished stays, and the same command goes on.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from .errors import ParameterError, PianofitError, SetupError
+from .options import Channel, Json, Seed, number, whole
+from .terminal import plainly
+
+if TYPE_CHECKING:
+    from .batch import Progress, Settings, Unit
+
+__all__ = ["register"]
+
+TOLD = 20  # failures spelt out where a person reads
+
+
+def _one_of(*words: str) -> Callable[[str], str]:
+    def parse(text: str) -> str:
+        if text not in words:
+            raise typer.BadParameter(f"{text!r} is not {' or '.join(words)}")
+        return text
+
+    return parse
+
+
+Manifest = Annotated[
+    Path,
+    typer.Argument(
+        metavar="MANIFEST",
+        help="A CSV with the columns file and note (and instrument, take or layer, velocity, group), an SFZ file, or a "
+        "folder of recordings.",
+    ),
+]
+Out = Annotated[Path, typer.Option(help="The folder of the batch: keys/KEY/ for every key, and the ledger.")]
+Pattern = Annotated[
+    str | None,
+    typer.Option(
+        metavar="PATTERN",
+        help="How the names of a folder's files are made: {note} and {instrument}, {layer}, {take}, {group}, "
+        "{velocity}, {*}; what stands in [ ] may be missing.",
+    ),
+]
+Root = Annotated[
+    Path | None,
+    typer.Option(help="The folder that all recordings must lie in, links followed; the manifest's own if not given."),
+]
+Transpose = Annotated[
+    int, typer.Option(parser=whole, metavar="N", help="Semitones added to every note name, such as 12 or -12.")
+]
+Common = Annotated[Path | None, typer.Option(help="What is known of all keys, a setup.toml without [[take]].")]
+Processes = Annotated[int | None, typer.Option(parser=whole, metavar="N", help="Processes; one a core if not given.")]
+Memory = Annotated[float, typer.Option(parser=number, metavar="GIB", help="Memory that each process may take (Linux).")]
+Limit = Annotated[float, typer.Option(parser=number, metavar="S", help="Seconds that a key may take in a process.")]
+Scheduler = Annotated[
+    str | None, typer.Option(metavar="ADDRESS", help="A dask.distributed scheduler, tcp://HOST:PORT, to work instead.")
+]
+Files = Annotated[
+    str,
+    typer.Option(
+        parser=_one_of("value", "shared"), metavar="value|shared",
+        help="With --scheduler: send the recordings, or let the workers read them at the same paths.",
+    ),
+]  # fmt: skip
+Retry = Annotated[
+    str | None, typer.Option(parser=_one_of("failed"), metavar="failed", help="Try again what has failed before.")
+]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands to `app`."""
+    for command in (batch, status):
+        app.command()(plainly(command, "what is finished is kept, and the same command goes on"))
+
+
+@contextlib.contextmanager
+def _ended_as_interrupted() -> Iterator[None]:
+    """A request to end (SIGTERM) is an interruption."""
+
+    def end(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    before = None
+    with contextlib.suppress(ValueError):  # not in the main thread
+        before = signal.signal(signal.SIGTERM, end)
+    try:
+        yield
+    finally:
+        if before is not None:
+            signal.signal(signal.SIGTERM, before)
+
+
+def batch(
+    manifest: Manifest,
+    out: Out,
+    pattern: Pattern = None,
+    root: Root = None,
+    transpose: Transpose = 0,
+    setup: Common = None,
+    channel: Channel = "average",
+    seed: Seed = 0,
+    page: Annotated[bool, typer.Option(help="Write a report.html for every key.")] = True,
+    workers: Processes = None,
+    memory: Memory = 4.0,
+    time_limit: Limit = 3600.0,
+    scheduler: Scheduler = None,
+    files: Files = "value",
+    retry: Retry = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be done, and do nothing.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Fit every key of a sample library; run again, it goes on where it was."""
+    with _ended_as_interrupted():
+        _check(workers, memory, time_limit, seed, channel)
+        from .batch import plan, read_keys, run_batch
+        from .workflow import json_text
+
+        keys, remarks = read_keys(manifest, pattern=pattern, root=root, transpose=transpose)
+        for remark in remarks:
+            typer.echo(f"pianofit: {remark}", err=True)
+        units = _units(manifest, keys, _settings(setup, channel, seed, page))
+        if dry_run:
+            typer.echo(_planned(units, plan(units, out, retry == "failed"), as_json), nl=False)
+            return
+        with _told() as tell:
+            made = _workers(workers, memory, time_limit, scheduler, files == "value")
+            found = run_batch(units, out, made, retry_failed=retry == "failed", tell=tell)
+        typer.echo(json_text(found) if as_json else _summary(found), nl=False)
+    if found["counts"]["failed"]:
+        raise typer.Exit(3)
+
+
+def status(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="The folder of a batch.")], as_json: Json = False
+) -> None:
+    """Say how far a batch is, and why keys failed; also while it is at work."""
+    from .batch import status as run
+    from .workflow import json_text
+
+    found = run(folder)
+    typer.echo(json_text(found) if as_json else _summary(found), nl=False)
+
+
+def _check(workers: int | None, memory: float, time_limit: float, seed: int, channel: str) -> None:
+    from .recording import CHANNELS, one_line
+
+    if workers is not None and not 1 <= workers <= 1024:
+        raise ParameterError(f"--workers {workers} must be from 1 to 1024")
+    if not 1 <= memory <= 4096:
+        raise ParameterError(f"--memory {memory:g} GiB must be from 1 to 4096; a fit takes about 1.5")
+    if not 1 <= time_limit <= 1e6:
+        raise ParameterError(f"--time-limit {time_limit:g} s must be from 1 to 1e6")
+    if seed < 0:
+        raise ParameterError(f"seed={seed} must not be negative")
+    if channel not in CHANNELS:
+        raise ParameterError(f"channel={one_line(channel)!r} must be average, left, right, or a number from 1 to 8")
+
+
+def _settings(setup: Path | None, channel: str, seed: int, page: bool) -> Settings:
+    """What all keys share, the setup's text among it, checked."""
+    from .batch import Settings
+
+    text = ""
+    if setup is not None:
+        from .recording import one_line
+        from .setup_file import load_setup
+
+        if load_setup(setup).takes:
+            raise SetupError(f"{one_line(setup)}: has a [[take]]; the manifest names the takes, with their velocities")
+        text = setup.read_text(encoding="utf-8-sig").rstrip() + "\n"
+    return Settings(seed, channel, page, text)
+
+
+def _units(manifest: Path, keys: list, settings: Settings) -> list[Unit]:
+    """All keys with their recordings read and hashed; what is wrong with any is told before anything starts."""
+    import tomllib
+
+    from .batch import make_unit
+    from .recording import one_line
+    from .setup_file import setup_from_dict
+
+    units, problems = [], []
+    for key in keys:
+        try:
+            unit = make_unit(key, settings)
+            setup_from_dict(tomllib.loads(unit.setup), key.name)
+            units.append(unit)
+        except PianofitError as error:
+            problems.append(str(error))
+    if problems:
+        more = f"; and {len(problems) - 5} more" if len(problems) > 5 else ""
+        raise SetupError(f"{one_line(manifest)}: {'; '.join(problems[:5])}{more}; nothing was started")
+    return units
+
+
+def _workers(workers: int | None, memory: float, time_limit: float, scheduler: str | None, by_value: bool) -> Callable:
+    """What makes the workers, once the folder is held."""
+    from .batch import Cluster, Local
+
+    if scheduler is not None:
+        return lambda _: Cluster(scheduler, by_value)
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return lambda store: Local(workers or cores, int(memory * 2**30), time_limit, store.scratch)
+
+
+def _line(p: Progress) -> str:
+    """How far a batch is, on one line."""
+    failed = f", {p.failed} failed" if p.failed else ""
+    rest = p.total - p.done - p.failed
+    left = "" if not rest else f", {_span(p.left)} left" if p.left is not None else ", time left not known yet"
+    return f"{p.done} of {p.total} keys done{failed}, {p.running} running{left}"
+
+
+def _span(seconds: float) -> str:
+    if seconds < 90:
+        return f"about {max(round(seconds, -1), 10):.0f} s"
+    return f"about {seconds / 60:.0f} min" if seconds < 5400 else f"about {seconds / 3600:.1f} h"
+
+
+@contextlib.contextmanager
+def _told() -> Iterator[Callable[[Progress], None]]:
+    """Progress on stderr where that is a terminal: a line that changes, and one that stays for every event."""
+    if not sys.stderr.isatty():
+        yield lambda _: None
+        return
+    from rich.console import Console
+
+    console = Console(stderr=True, highlight=False)
+    with console.status("starting") as line:
+
+        def tell(p: Progress) -> None:
+            if p.event:
+                console.print(p.event, markup=False)
+            line.update(_line(p))
+
+        yield tell
+
+
+def _planned(units: list[Unit], standing: dict[str, str], as_json: bool) -> str:
+    """What a run would do."""
+    if as_json:
+        from .workflow import json_text
+
+        rows = [
+            {"key": u.key, "note": u.note, "hash": u.hash, "standing": standing[u.key],
+             "recordings": [s._asdict() for s in u.sources]}
+            for u in units
+        ]  # fmt: skip
+        return json_text({"keys": rows})
+    lines = [f"{u.key:32} {len(u.sources):3} recordings  {standing[u.key]}" for u in units]
+    todo = sum(s.startswith("to do") for s in standing.values())
+    return "\n".join([*lines, f"{todo} of {len(units)} keys to do; nothing was written"]) + "\n"
+
+
+def _summary(found: dict[str, Any]) -> str:
+    """What became of the keys, in a screenful."""
+    from .recording import one_line
+
+    count = {state: n for state, n in found["counts"].items() if n}
+    at_work = "" if "at_work" not in found else f"; {'a' if found['at_work'] else 'no'} batch is at work"
+    lines = [", ".join(f"{n} {state}" for state, n in count.items()) + f" of {len(found['keys'])} keys{at_work}"]
+    if found["median_seconds"]:
+        lines.append(f"median {found['median_seconds']:.1f} s a key, at most {found['largest_memory'] / 2**30:.2f} GiB "
+                     "a process")  # fmt: skip
+    bad = [k for k in found["keys"] if k["state"] == "failed"]
+    for key in bad[:TOLD]:
+        told = not key["sounds_like"] or key["sounds_like"] in key["reason"]
+        like = "" if told else f"; it sounds like {key['sounds_like']}"
+        lines.append(f"failed: {key['key']}: {one_line(key['reason'])}{like}")
+    if len(bad) > TOLD:
+        lines.append(f"and {len(bad) - TOLD} more failed; --json lists all")
+    for key in found["keys"]:
+        lines += [f"left out: {key['key']}: {one_line(x['reason'])}" for x in key["left_out"][:TOLD]]
+    lines += found["suggestions"][:TOLD]
+    if found.get("strangers"):
+        lines.append(f"also in keys/, of an earlier run: {', '.join(found['strangers'][:TOLD])}")
+    lines.append(f"{found['folder']}: keys/KEY/fit.json for every key that is done")
+    return "\n".join(lines) + "\n"

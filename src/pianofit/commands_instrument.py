@@ -1,0 +1,167 @@
+"""The commands of an instrument: put one together, play it, hand it to a sampler."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from .options import Force, Json, number, whole
+from .terminal import plainly, progress_bar
+
+__all__ = ["register"]
+
+Built = Annotated[Path, typer.Argument(metavar="INSTRUMENT", help="The instrument.json of pianofit instrument.")]
+At = Annotated[int, typer.Option("--rate", parser=whole, metavar="HZ", help="Sample rate in Hz.")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands to `app`."""
+
+    @app.command()
+    @plainly
+    def instrument(
+        fits: Annotated[
+            list[Path], typer.Argument(metavar="DIR|FIT.JSON...", help="What pianofit batch wrote, or single fits.")
+        ],
+        out: Annotated[Path, typer.Option(help="The folder for instrument.json and instrument.html.")],
+        prefix: Annotated[
+            str | None, typer.Option(help="Which instrument, if DIR holds several, such as cp80.")
+        ] = None,
+        name: Annotated[str | None, typer.Option(help="What it is called; else the prefix, or the folder.")] = None,
+        page: Annotated[bool, typer.Option(help="Write instrument.html.")] = True,
+        force: Force = False,
+        as_json: Json = False,
+    ) -> None:
+        """Put the fits of single keys together: one instrument, every key of it, by smooth laws over the keyboard."""
+        _instrument(fits, out, prefix, name, page, force, as_json)
+
+    @app.command()
+    @plainly
+    def play(
+        built: Built,
+        song: Annotated[Path, typer.Argument(metavar="SONG.MID", help="A standard MIDI file.")],
+        out: Annotated[Path, typer.Option(help="The WAV file to write, 24 bit.")],
+        rate: At = 48_000,
+        force: Force = False,
+        as_json: Json = False,
+    ) -> None:
+        """Play a MIDI file on a fitted instrument."""
+        with progress_bar() as bar:
+            done = _play(built, song, out, rate, force, bar)
+        typer.echo(_json(done) if as_json else _played(out, done), nl=False)
+
+    @app.command()
+    @plainly
+    def export(
+        built: Built,
+        out: Annotated[Path, typer.Option(help="The folder to write, with the .sfz and its samples.")],
+        to: Annotated[str, typer.Option("--format", help="sfz.")] = "sfz",
+        layers: Annotated[int, typer.Option(parser=whole, metavar="N", help="Velocity layers.")] = 4,
+        keys: Annotated[str, typer.Option(help="A0-C8, or C2,E2,G2, or 'every 3' (semitones).")] = "every 3",
+        samples: Annotated[str, typer.Option(help="flac or wav, 24 bit.")] = "flac",
+        seconds: Annotated[float, typer.Option(parser=number, metavar="S", help="Longest sample.")] = 8.0,
+        rate: At = 48_000,
+        force: Force = False,
+        as_json: Json = False,
+    ) -> None:
+        """Write a sampler instrument that any SFZ player loads."""
+        with progress_bar() as bar:
+            done = _export(built, out, to, layers, keys, samples, seconds, rate, force, bar)
+        typer.echo(
+            _json(done) if as_json else f"{out}: {done['samples']} samples, {done['seconds']:.0f} s, "
+            f"{done['bytes'] / 1e6:.1f} MB, one gain of {done['gain_db']:+.1f} dB for all\n", nl=False,
+        )  # fmt: skip
+
+
+def _json(document: dict) -> str:
+    from .workflow import json_text
+
+    return json_text(document)
+
+
+def _instrument(
+    fits: list[Path], out: Path, prefix: str | None, name: str | None, page: bool, force: bool, as_json: bool
+) -> None:
+    from .instrument import build_instrument, find_fits, load_keys, owner
+    from .report.output import replace_file
+    from .workflow import output_folder
+
+    files = find_fits(fits, prefix)
+    keys = load_keys(files)
+    document = build_instrument(keys, name or prefix or owner(files[0]) or _called(fits))
+    with output_folder(out, force) as folder:
+        replace_file(folder / "instrument.json", _json(document).encode())
+        if page:
+            from .instrument.page import write_page
+
+            write_page(folder / "instrument.html", document)
+    if as_json:
+        typer.echo(_json(document), nl=False)
+        return
+    from .instrument.words import summary
+
+    typer.echo(summary(document) + f"\nwritten to {out}")
+
+
+def _called(fits: list[Path]) -> str:
+    from .recording import one_line
+
+    return one_line(fits[0].resolve().name if fits[0].is_dir() else fits[0].resolve().parent.name)
+
+
+def _play(built: Path, song: Path, out: Path, rate: int, force: bool, progress: Callable) -> dict[str, Any]:
+    # The products are small: several threads lose more time waiting for each other than they gain.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    from .instrument import load_instrument, load_song, perform
+    from .instrument.wav import encode_pcm24
+    from .model.cache import keep_programs
+    from .workflow import check_target, write_file
+
+    check_target(out, force)
+    played, notes = load_instrument(built), load_song(song)
+    keep_programs()
+    start = time.perf_counter()
+    done = perform(played, notes, rate, progress)
+    took = time.perf_counter() - start
+    write_file(out, encode_pcm24(done.samples, rate), force)
+    seconds = len(done.samples) / rate
+    return {
+        "file": str(out), "seconds": seconds, "rate": rate, "notes": notes.notes, "strikes": done.strikes,
+        "on_moving_strings": done.on_moving, "gain_db": done.gain_db, "limited_db": done.limited_db,
+        "peak": float(abs(done.samples).max(initial=0.0)), "computed_in_s": took, "real_time_factor": took / seconds,
+    }  # fmt: skip
+
+
+def _played(out: Path, done: dict[str, Any]) -> str:
+    turned = f", turned down by {-done['gain_db']:.1f} dB" if done["gain_db"] < 0 else ""
+    limited = f", peaks limited by up to {done['limited_db']:.1f} dB" if done["limited_db"] > 0 else ""
+    return (
+        f"{out}: {done['seconds']:.1f} s at {done['rate']} Hz, {done['notes']} notes, {done['on_moving_strings']} of "
+        f"them on a string still sounding{turned}{limited}\ncomputed in {done['computed_in_s']:.1f} s, "
+        f"{done['real_time_factor']:.2f} of real time\n"
+    )
+
+
+def _export(
+    built: Path, out: Path, to: str, layers: int, keys: str, samples: str, seconds: float, rate: int, force: bool,
+    progress: Callable,
+) -> dict[str, float]:  # fmt: skip
+    from .errors import ParameterError
+
+    if to != "sfz":
+        raise ParameterError(f"--format {to!r} must be sfz")
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    from .instrument import export_sfz, load_instrument, parse_keys
+    from .model.cache import keep_programs
+
+    chosen = parse_keys(keys)
+    played = load_instrument(built)
+    keep_programs()
+    return export_sfz(
+        played, out, chosen, layers, rate=rate, seconds=seconds, kind=samples, force=force, progress=progress
+    )

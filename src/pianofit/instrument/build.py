@@ -1,0 +1,261 @@
+"""From the fits of single keys to a whole instrument: the document that becomes `instrument.json`.
+
+Every quantity of `gather.NAMES` gets a law over the 88 keys (`laws`), the output path one over keys and frequency. A
+key with a fit of its own combines that with the laws; any other key is the laws' value. Both then become string,
+hammer, geometry, gain and path, so that every key can be played.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from .. import __version__
+from ..criterion import OutputPath
+from ..errors import ParameterError
+from ..parameters import PARAMETERS, Geometry, Hammer, String
+from .gather import (
+    HIGHEST_KEY,
+    LOWEST_KEY,
+    NAMES,
+    KeyFit,
+    invariants,
+    literature,
+    note_name,
+    of_force,
+    reference_compression,
+)
+from .laws import Law, Prior, fit_law
+from .velocity import velocity_map
+
+__all__ = ["KINDS", "SCHEMA", "build_instrument"]
+
+SCHEMA, KINDS = 1, ("fitted", "pulled", "outlier", "interpolated", "extrapolated")
+KEYS = np.arange(LOWEST_KEY, HIGHEST_KEY + 1)
+# How far instruments are from the literature's grand: offset, tilt, and the spread of smooth deviations, in logarithms
+# (cents for the tuning). Chosen once, after the spreads of `initial`.
+PRIORS = {
+    "cents": Prior(20.0, 15.0, 10.0), "B": Prior(0.7, 0.5, 0.5), "b1": Prior(0.7, 0.5, 0.6),
+    "d2": Prior(1.0, 0.7, 0.8), "M_H/M_S": Prior(0.6, 0.4, 0.5), "K/M_S": Prior(1.5, 1.0, 1.0),
+    "p": Prior(0.2, 0.1, 0.15), "mu": Prior(1.2, 0.5, 0.8), "x0/L": Prior(0.2, 0.2, 0.2),
+    "width/L": Prior(0.3, 0.3, 0.3), "L": Prior(0.3, 0.3, 0.2), "M_S/L": Prior(0.5, 0.3, 0.3),
+    "pickup/L": Prior(0.5, 0.3, 0.2), "gain": Prior(3.0, 1.5, 1.0),
+}  # fmt: skip
+# Measured by any recording to far more than a law can say, or given: a key keeps its own.
+KEPT = ("cents", "L", "M_S/L", "pickup/L")
+# A value is called pulled when the law moved it by more than this many of its own standard deviations.
+PULLED = 0.5
+UNITS = {
+    "cents": "cents", "B": "1", "b1": "1/s", "d2": "1/s", "M_H/M_S": "1", "K/M_S": "N/kg", "p": "1", "mu": "s/m",
+    "x0/L": "1", "width/L": "1", "L": "m", "M_S/L": "kg/m", "pickup/L": "1", "gain": "",
+}  # fmt: skip
+# The output path's law, dB: what all keys share, how it drifts over the keyboard, and the roughness of single partials.
+COMMON_DB, DRIFT_DB, ROUGH_DB = 6.0, 4.0, 4.0
+OCTAVES, DRIFT_KEYS = 1.0, 15.0
+THIRDS = 20.0 * 2 ** (np.arange(31) / 3)  # Hz
+
+
+def build_instrument(keys: Sequence[KeyFit], name: str = "") -> dict[str, Any]:
+    """The document of an instrument, from at least one key's fit.
+
+    Raises
+    ------
+    ParameterError
+        Without any key.
+    """
+    if not keys:
+        raise ParameterError("no key was given; an instrument needs at least one fit.json")
+    own = [invariants(key.voice, key.midi) for key in keys]
+    known = np.array([key.midi for key in keys])
+    base = {n: np.array([literature(int(m)).get(n, 1.0) for m in KEYS]) for n in NAMES}
+    base["gain"] = _same_gain(keys, own, base)
+    laws = {n: _law(n, known, own, keys, base[n]) for n in NAMES}
+    values = {n: _values(n, laws[n], known, base[n]) for n in NAMES}
+    quantity = keys[0].voice.quantity
+    sign = math.copysign(1.0, sum(math.copysign(1.0, key.voice.gain) for key in keys) or 1.0)
+    paths = _path_law(keys)
+    rows = [_key(i, int(midi), values, laws, keys, own, base, quantity, sign, paths) for i, midi in enumerate(KEYS)]
+    return {
+        "schema": SCHEMA, "program": "pianofit", "kind": "instrument", "name": name, "quantity": quantity,
+        "velocity": velocity_map([key.velocities for key in keys]),
+        "laws": {n: _law_document(n, laws[n], base[n], known) for n in NAMES},
+        "keys": rows,
+        "messages": _messages(keys, laws, known),
+        "versions": {"pianofit": __version__, "numpy": np.__version__},
+    }  # fmt: skip
+
+
+def _same_gain(keys: Sequence[KeyFit], own: list[dict], base: dict[str, np.ndarray]) -> np.ndarray:
+    """What stands for the literature's gain [88]: the same for all keys, the mean of the known ones'."""
+    mass = base["M_S/L"] * base["L"] if of_force(keys[0].voice.quantity) else np.ones(len(KEYS))
+    known = [math.log(o["gain"] / mass[key.midi - LOWEST_KEY]) for o, key in zip(own, keys, strict=True)]
+    return mass * math.exp(np.mean(known))
+
+
+def _scale(name: str, x: np.ndarray | float) -> np.ndarray:
+    return np.asarray(x, float) if name == "cents" else np.log(x)
+
+
+def _unscale(name: str, y: np.ndarray) -> np.ndarray:
+    return y if name == "cents" else np.exp(y)
+
+
+def _law(name: str, known: np.ndarray, own: list[dict], keys: Sequence[KeyFit], base: np.ndarray) -> Law:
+    there = base[known - LOWEST_KEY]
+    y = _scale(name, np.array([o[name] for o in own])) - _scale(name, there)
+    sd = np.array([key.sd[name] for key in keys])
+    return fit_law(known.astype(float), y, sd, KEYS.astype(float), PRIORS[name], keep=name in KEPT)
+
+
+def _values(name: str, law: Law, known: np.ndarray, base: np.ndarray) -> np.ndarray:
+    """Every key's value [88]: the law's, and where there is a fit, the two together."""
+    y = _scale(name, base) + law.mean
+    y[known - LOWEST_KEY] = _scale(name, base)[known - LOWEST_KEY] + law.value
+    return _unscale(name, y)
+
+
+def _key(i, midi, values, laws, keys, own, base, quantity, sign, paths) -> dict[str, Any]:
+    """One key of the document."""
+    at = {n: float(values[n][i]) for n in NAMES}
+    string, hammer, geometry, gain = assemble(midi, at, quantity)
+    j = next((j for j, key in enumerate(keys) if key.midi == midi), None)
+    path = paths(midi) if j is None else keys[j].voice.path
+    states = {} if j is None else {n: _state(n, laws[n], j, own[j], keys[j], base[n][i]) for n in NAMES}
+    told = {
+        n: {"value": at[n], "interval": _interval(n, at[n], _sd(laws[n], i, j)), "law": _law_at(n, laws, base, i)}
+        | ({} if j is None else {"own": own[j][n], "own_interval": _interval(n, own[j][n], keys[j].sd[n]),
+                                 "state": states[n], "z": float(laws[n].z[j])})
+        for n in NAMES
+    }  # fmt: skip
+    inner = keys[0].midi < midi < keys[-1].midi
+    state = ("interpolated" if inner else "extrapolated") if j is None else _worst(states)
+    fit = None if j is None else {
+        "file": keys[j].file, "takes": keys[j].takes, "levels_db": keys[j].levels_db, "converged": keys[j].converged,
+        "velocities": list(keys[j].velocities),
+    }  # fmt: skip
+    return {
+        "midi": midi, "note": note_name(midi), "state": state, "string": string._asdict(),
+        "hammer": {n: getattr(hammer, n) for n in ("K_H", "mu", "p", "M_H")}, "geometry": geometry._asdict(),
+        "gain": sign * gain, "path": _path_document(path), "told": told, "fit": fit,
+    }  # fmt: skip
+
+
+def assemble(midi: int, at: dict[str, float], quantity: str) -> tuple[String, Hammer, Geometry, float]:
+    """String, hammer (at 2 m/s), geometry and gain of a key's values by `NAMES`, within the boxes of `PARAMETERS`."""
+    length = at["L"]
+    mass = at["M_S/L"] * length
+    f0 = 440.0 * 2 ** ((midi - 69) / 12 + at["cents"] / 1200)
+    c = 2 * length * f0
+    strike = at["x0/L"] * length
+    string = {"c": c, "kappa": c * length * math.sqrt(at["B"]) / math.pi, "b1": at["b1"],
+              "b2": at["d2"] * (length / math.pi) ** 2}  # fmt: skip
+    hammer = {"K_H": at["K/M_S"] * mass / reference_compression(midi) ** at["p"], "mu": at["mu"], "p": at["p"],
+              "M_H": at["M_H/M_S"] * mass, "v_H0": 2.0}  # fmt: skip
+    # The felt stays on the string.
+    width = min(at["width/L"] * length, 1.98 * strike, 1.98 * (length - strike))
+    geometry = Geometry(length, mass, strike, width, at["pickup/L"] * length)
+    gain = at["gain"] / (mass if of_force(quantity) else 1.0)
+    return String(**_boxed(string)), Hammer(**_boxed(hammer)), geometry, gain
+
+
+def _boxed(values: dict[str, float]) -> dict[str, float]:
+    return {n: float(np.clip(x, PARAMETERS[n].lower, PARAMETERS[n].upper)) for n, x in values.items()}
+
+
+def _state(name: str, law: Law, j: int, own: dict, key: KeyFit, base: float) -> str:
+    if law.outlier[j]:
+        return "outlier"
+    moved = law.value[j] - (_scale(name, own[name]) - _scale(name, base))
+    return "pulled" if abs(moved) > PULLED * key.sd[name] else "fitted"
+
+
+def _worst(states: dict[str, str]) -> str:
+    found = [state for name, state in states.items() if name not in KEPT]
+    return max(found, key=KINDS.index)
+
+
+def _sd(law: Law, i: int, j: int | None) -> float:
+    """A key that was never recorded is off its law by the scatter between keys, too."""
+    return float(law.value_sd[j] if j is not None else math.hypot(law.sd[i], law.scatter))
+
+
+def _law_at(name: str, laws: dict[str, Law], base: dict[str, np.ndarray], i: int) -> float:
+    return float(_unscale(name, _scale(name, base[name][i]) + laws[name].mean[i]))
+
+
+def _interval(name: str, value: float, sd: float) -> list[float]:
+    """95 %."""
+    if name == "cents":
+        return [value - 1.96 * sd, value + 1.96 * sd]
+    return [value * math.exp(-1.96 * sd), value * math.exp(1.96 * sd)]
+
+
+def _law_document(name: str, law: Law, base: np.ndarray, known: np.ndarray) -> dict[str, Any]:
+    center = _scale(name, base) + law.mean
+    return {
+        "unit": UNITS[name], "scale": "linear" if name == "cents" else "log",
+        "literature": None if name == "gain" else base.tolist(), "value": _unscale(name, center).tolist(),
+        "low": _unscale(name, center - 1.96 * law.sd).tolist(), "high": _unscale(name, center + 1.96 * law.sd).tolist(),
+        "scatter": law.scatter, "length_keys": law.length,
+        "outliers": [note_name(int(m)) for m in known[law.outlier]],
+    }  # fmt: skip
+
+
+def _path_document(path: OutputPath | None) -> dict[str, list[float]] | None:
+    return None if path is None else {
+        "frequency": path.frequency.tolist(), "db": path.db.tolist(),
+        "decay": np.broadcast_to(path.decay_at(path.frequency), path.frequency.shape).tolist(),
+    }  # fmt: skip
+
+
+def _path_law(keys: Sequence[KeyFit]):
+    """The output path at any key: a Gaussian process over octaves and keys through what the fitted keys have.
+
+    A key's own path is kept as it is, roughness and all; only the smooth part passes on to its neighbours.
+    """
+    points = [(key.midi, *point) for key in keys if key.voice.path is not None for point in _thirds(key.voice.path)]
+    if not points:
+        return lambda _: None
+    midi, octave, db, count = np.array(points).T
+
+    def covariance(m, o):
+        near = np.exp(-0.5 * ((o[:, None] - octave) / OCTAVES) ** 2)
+        drift = np.exp(-0.5 * ((m[:, None] - midi) / DRIFT_KEYS) ** 2)
+        return near * (COMMON_DB**2 + DRIFT_DB**2 * drift)
+
+    weights = np.linalg.solve(covariance(midi, octave) + np.diag(ROUGH_DB**2 / count), db)
+
+    def at(key: int) -> OutputPath:
+        return OutputPath(THIRDS, covariance(np.full(len(THIRDS), float(key)), np.log2(THIRDS)) @ weights)
+
+    return at
+
+
+def _thirds(path: OutputPath) -> list[tuple[float, float, int]]:
+    """Mean octave, mean dB and number of the points in each third of an octave."""
+    octave = np.log2(path.frequency)
+    cell = np.floor(3 * octave).astype(int)
+    return [(float(octave[cell == c].mean()), float(path.db[cell == c].mean()), int((cell == c).sum()))
+            for c in np.unique(cell)]  # fmt: skip
+
+
+def _messages(keys: Sequence[KeyFit], laws: dict[str, Law], known: np.ndarray) -> list[str]:
+    said = [
+        f"{note_name(int(m))}: {n} lies {abs(z):.1f} standard deviations {'above' if z > 0 else 'below'} what the "
+        f"other keys say; {'it is kept' if n in KEPT else 'the law is played'}"
+        for n, law in laws.items()
+        for m, z, out in zip(known, law.z, law.outlier, strict=True)
+        if out
+    ]
+    unsettled = [note_name(key.midi) for key in keys if not key.converged]
+    if unsettled:
+        said.append(f"The fits of {', '.join(unsettled)} stopped before they settled; their intervals count double.")
+    if len(keys) < 5:
+        said.append(
+            f"Only {len(keys)} key{'s' if len(keys) > 1 else ''} of this instrument {'are' if len(keys) > 1 else 'is'} "
+            "known: the shape of the laws is the literature's, and no outlier can be told."
+        )
+    return said

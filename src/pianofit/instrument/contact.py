@@ -1,0 +1,102 @@
+"""A blow on a string that may still move, for playing: tables and contacts whose compiled programs are few and kept.
+
+The same steps as `model.simulate`, which traces anew for every number of modes. Here the tables are padded to powers
+of two (rows above the highest mode weigh nothing), a string at rest is a string that moves by zero, and the traced
+programs stay on disk.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..errors import FitError
+from ..fit.voice import Voice
+from ..model.cache import kept
+from ..model.contact import free_motion, impulse_amplitude, strike
+from ..model.modes import HIGHEST, Modes, mode_table
+from ..model.response import level_db
+from ..model.simulate import FIRST_STEPS, MOST_STEPS, contact_rate, count_modes
+from ..parameters import Hammer, MemoryHammer
+
+__all__ = ["Table", "blow", "table_of"]
+
+LEAST_MODES = 64
+
+
+class Table(NamedTuple):
+    """One string's table, as NumPy arrays [modes]."""
+
+    modes: Modes
+    pole: np.ndarray  # complex, 1/s: as it rings by itself, each partial at its own decay
+    rate: float  # of the contact, Hz
+    unit: np.ndarray  # complex: what a unit T leaves ringing, m/N, in the string's own displacement
+    drive: np.ndarray  # complex: the same in the pickup's unit
+    heard: np.ndarray  # complex: signal = Re(heard · a) for a displacement q = Re(a)
+
+
+@kept
+def _table(string, geometry, rate, cfg):
+    n_modes, quantity = cfg
+    modes = mode_table(string, geometry, rate=rate, n_modes=n_modes, quantity=quantity)
+    return (*modes, impulse_amplitude(modes))
+
+
+@kept
+def _blow(modes, hammer, displacement, velocity, cfg):
+    (steps,) = cfg
+    free = free_motion(modes, displacement, velocity, steps)
+    pulse = strike(modes, hammer, steps=steps, free=free)
+    return pulse.drive, pulse.over
+
+
+def table_of(voice: Voice, rate: float) -> Table:
+    """The table of a string for signals at `rate`, gain and path included."""
+    contact = contact_rate(voice.string, voice.geometry, rate)
+    rows = LEAST_MODES
+    while rows < count_modes(voice.string, voice.geometry, contact):
+        rows *= 2
+    string, geometry = (type(x)(*map(np.float64, x)) for x in (voice.string, voice.geometry))
+    columns: list[Any]
+    *columns, unit = (np.asarray(x) for x in _table(string, geometry, np.float64(contact), (rows, voice.quantity)))
+    modes = Modes(*columns)
+    pole = np.asarray(modes.pole)
+    size = np.abs(pole)
+    law, turn = -np.real(pole), np.imag(pole)
+    factor = np.full(rows, voice.gain)
+    if voice.path is not None:
+        # As `Voice.play`: a level and a decay for every partial; the decay leaves the energy of its beginning.
+        own = law * voice.path.decay_at(turn / (2 * np.pi))
+        held = level_db(np.ones(rows), law, np) - level_db(np.ones(rows), own, np)
+        factor = factor * 10 ** ((voice.path.at(turn / (2 * np.pi)) + held) / 20)
+        pole = -own + 1j * turn
+    # The scheme's displacement is the string's own up to this factor, see `mode_table`.
+    angle = np.minimum(0.5 * size / contact, HIGHEST * np.pi)
+    warp = angle / (np.sin(angle) * np.cos(angle))
+    below = turn < np.pi * rate
+    return Table(modes, pole, contact, unit * warp, np.where(below, factor * modes.pickup * unit, 0.0),
+                 np.where(below, factor * modes.free_pickup, 0.0))  # fmt: skip
+
+
+def blow(table: Table, hammer: Hammer | MemoryHammer, state: np.ndarray, where: str) -> np.ndarray:
+    """T [steps] of a hammer on a string that moves as q = Re(state · exp(p t)), complex [modes]; until it is over.
+
+    Raises
+    ------
+    FitError
+        Naming `where` if the hammer stays on the string.
+    """
+    hammer = type(hammer)(*map(np.float64, hammer))
+    velocity = np.real(np.asarray(table.modes.pole) * state)
+    steps = FIRST_STEPS
+    while steps <= MOST_STEPS:
+        drive, over = _blow(table.modes, hammer, np.real(state), velocity, (steps,))
+        if bool(over):
+            drive = np.asarray(drive)
+            return drive[: np.flatnonzero(drive)[-1] + 1] if drive.any() else drive[:1]
+        steps *= 4
+    raise FitError(
+        f"{where}: at v_H0={float(hammer.v_H0):g} m/s the hammer is still on the string after "
+        f"{MOST_STEPS / table.rate:.3g} s; check this key's M_H and K_H"
+    )

@@ -1,0 +1,173 @@
+"""`instrument.json` as it is read back: nothing in it is trusted before it was checked."""
+
+from __future__ import annotations
+
+import json
+import os
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..criterion import OutputPath
+from ..errors import FitError, ParameterError
+from ..fit.voice import Voice
+from ..model.modes import QUANTITIES
+from ..model.simulate import check_geometry
+from ..parameters import PARAMETERS, Geometry, Hammer, String, check
+from ..recording import one_line, read_file
+from .build import SCHEMA
+from .gather import HIGHEST_KEY, LOWEST_KEY, note_name
+from .velocity import hammer_velocity
+
+__all__ = ["Instrument", "load_instrument", "read_instrument"]
+
+LARGEST_FILE = 2**25
+LARGEST = 1e300
+LARGEST_GAIN = 1e12
+MOST_POINTS = 4096
+WAY_OUT = "give the instrument.json that pianofit instrument wrote"
+
+
+class Instrument(NamedTuple):
+    """What can be played."""
+
+    name: str
+    voices: dict[int, Voice]  # by MIDI key
+    at_64: float  # hammer velocity at MIDI velocity 64, m/s
+    rise: float  # of its logarithm from there to 127
+
+    def voice(self, midi: int, velocity: float) -> Voice:
+        """The key `midi` struck at MIDI velocity `velocity`, 1 to 127.
+
+        Raises
+        ------
+        ParameterError
+            If the instrument has no such key.
+        """
+        if midi not in self.voices:
+            raise ParameterError(f"key {midi} is not on this instrument; it has {_span(self.voices)}")
+        voice = self.voices[midi]
+        v = hammer_velocity(velocity, self.at_64, self.rise)
+        return voice._replace(hammer=voice.hammer._replace(v_H0=v))
+
+
+def _span(voices: dict[int, Voice]) -> str:
+    return f"{note_name(min(voices))} to {note_name(max(voices))}"
+
+
+def load_instrument(path: str | os.PathLike[str]) -> Instrument:
+    """The instrument in a file.
+
+    Raises
+    ------
+    FitError
+        Naming the file and the entry that is missing, of another kind, or out of range.
+    """
+    name = one_line(path)
+    try:
+        document = json.loads(read_file(path, LARGEST_FILE, FitError).decode("utf-8"))
+    except (ValueError, RecursionError) as error:
+        reason = one_line(str(error).splitlines()[0])
+        raise FitError(f"{name}: not an instrument.json ({reason}); {WAY_OUT}") from None
+    return read_instrument(document, name)
+
+
+def read_instrument(document: Any, name: str = "instrument") -> Instrument:
+    """The instrument in a document; `name` is what errors call it.
+
+    Raises
+    ------
+    FitError
+        As `load_instrument`.
+    """
+    if not isinstance(document, dict) or document.get("kind") != "instrument" or document.get("schema") != SCHEMA:
+        raise FitError(f"{name}: is no instrument of schema {SCHEMA}; {WAY_OUT}")
+    quantity = document.get("quantity")
+    if quantity not in QUANTITIES:
+        raise FitError(f"{name}: quantity={_shown(quantity)} must be one of {', '.join(QUANTITIES)}")
+    rows = document.get("keys")
+    if not (isinstance(rows, list) and 0 < len(rows) <= HIGHEST_KEY - LOWEST_KEY + 1):
+        raise FitError(f"{name}: keys is no list of 1 to 88 keys; {WAY_OUT}")
+    voices: dict[int, Voice] = {}
+    for i, row in enumerate(rows):
+        midi, voice = _key(row, quantity, f"{name}: keys[{i}]")
+        if midi in voices:
+            raise FitError(f"{name}: keys[{i}].midi={midi} is there twice; {WAY_OUT}")
+        voices[midi] = voice
+    velocity = _table(document, "velocity", name)
+    at_64, rise = (_number(velocity, key, f"{name}: velocity") for key in ("at_64", "rise"))
+    box = PARAMETERS["v_H0"]
+    if not (box.lower <= at_64 <= box.upper and 0 < rise <= 10):
+        raise FitError(f"{name}: velocity at_64={at_64:g} m/s, rise={rise:g} is no rising law; {WAY_OUT}")
+    called = document.get("name")
+    return Instrument(one_line(called) if isinstance(called, str) else "", voices, at_64, rise)
+
+
+def _key(row: Any, quantity: str, where: str) -> tuple[int, Voice]:
+    if not isinstance(row, dict):
+        raise FitError(f"{where} is no table; {WAY_OUT}")
+    midi = row.get("midi")
+    if isinstance(midi, bool) or not isinstance(midi, int) or not LOWEST_KEY <= midi <= HIGHEST_KEY:
+        raise FitError(f"{where}.midi={_shown(midi)} must be a key from {LOWEST_KEY} to {HIGHEST_KEY}")
+    parts = {}
+    for name, kind in (("string", String), ("hammer", Hammer), ("geometry", Geometry)):
+        table = _table(row, name, where)
+        fields = [field for field in kind._fields if field != "v_H0" and field not in kind._field_defaults]
+        parts[name] = {field: _number(table, field, f"{where}.{name}") for field in fields}
+    try:
+        check(parts["string"] | parts["hammer"], where)
+        geometry = Geometry(**parts["geometry"])
+        check_geometry(geometry, quantity)
+    except ParameterError as error:
+        raise FitError(str(error) if str(error).startswith(where) else f"{where}: {error}") from None
+    hammer = Hammer(**parts["hammer"], v_H0=2.0)
+    gain = _number(row, "gain", where)
+    if not abs(gain) <= LARGEST_GAIN:
+        raise FitError(f"{where}.gain={gain:g} must be from -{LARGEST_GAIN:g} to {LARGEST_GAIN:g}")
+    return midi, Voice(String(**parts["string"]), hammer, geometry, quantity, gain, _path(row.get("path"), where))
+
+
+def _table(document: dict, key: str, where: str) -> dict[str, Any]:
+    table = document.get(key)
+    if not isinstance(table, dict):
+        raise FitError(f"{where}: {key} is missing or no table; {WAY_OUT}")
+    return table
+
+
+def _number(table: dict, key: str, where: str) -> float:
+    value = table.get(key)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < LARGEST:
+        raise FitError(f"{where}.{key} is {_shown(value)}, no finite number; {WAY_OUT}")
+    return float(value)
+
+
+def _path(path: Any, where: str) -> OutputPath | None:
+    if path is None:
+        return None
+    wrong = FitError(f"{where}.path needs frequency, rising, db, and decay, as many, at most {MOST_POINTS}; {WAY_OUT}")
+    if not isinstance(path, dict):
+        raise wrong
+    columns: list[Any] = [path.get("frequency"), path.get("db")]
+    columns += [path["decay"]] if "decay" in path else []
+    if not all(isinstance(column, list) and 0 < len(column) <= MOST_POINTS for column in columns):
+        raise wrong
+    if not all(isinstance(x, int | float) and not isinstance(x, bool) for column in columns for x in column):
+        raise wrong
+    try:
+        frequency, db, *more = np.array(columns, float)
+    except (OverflowError, ValueError):
+        raise wrong from None
+    if not (np.isfinite([frequency, db]).all() and frequency[0] > 0 and (np.diff(frequency) > 0).all()):
+        raise wrong
+    decay = more[0] if more else np.ones(len(frequency))
+    if not (np.isfinite(decay).all() and (decay >= 1e-3).all() and (decay <= 1e3).all()):
+        raise FitError(f"{where}.path.decay must hold factors from 0.001 to 1000; {WAY_OUT}")
+    if np.abs(db).max() > 300:
+        raise FitError(f"{where}.path.db reaches {np.abs(db).max():.3g} dB; {WAY_OUT}")
+    return OutputPath(frequency, db, decay)
+
+
+def _shown(value: Any) -> str:
+    """A value as an error shows it: not the whole of a hostile one."""
+    text = one_line(repr(value))
+    return text if len(text) <= 60 else text[:57] + "..."

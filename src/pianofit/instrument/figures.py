@@ -1,0 +1,129 @@
+"""The pictures of an instrument's page: every law over the keyboard, the paths, the velocities.
+
+Measured is black, the literature dashed orange, the law blue, as everywhere; an outlier is a red cross with its name.
+"""
+
+from __future__ import annotations
+
+import io
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..report.drawing import STYLE
+from .gather import HIGHEST_KEY, LOWEST_KEY
+from .velocity import hammer_velocity
+from .words import TITLES
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["draw"]
+
+MEASURED, LITERATURE, LAW, BAND, WRONG = "#1a1a1a", "#d55e00", "#0072b2", "#cfe3f1", "#a3123a"
+CS = {24: "C1", 36: "C2", 48: "C3", 60: "C4", 72: "C5", 84: "C6", 96: "C7", 108: "C8"}
+GROUPS = {
+    "string": ("cents", "B", "b1", "d2"),
+    "hammer": ("M_H/M_S", "K/M_S", "p", "mu"),
+    "geometry": ("x0/L", "width/L", "L", "M_S/L"),
+}
+
+
+def draw(document: dict[str, Any]) -> dict[str, bytes]:
+    """Name -> SVG."""
+    from matplotlib import rc_context
+    from matplotlib.figure import Figure
+
+    with rc_context(STYLE):
+        figures = {name: _laws(Figure(figsize=(11.25, 6.4)), document, names) for name, names in GROUPS.items()}
+        figures["sound"] = _sound(Figure(figsize=(11.25, 6.4)), document)
+        return {name: _svg(figure) for name, figure in figures.items()}
+
+
+def _laws(figure: Figure, document: dict[str, Any], names: tuple[str, ...]) -> Figure:
+    grid = figure.add_gridspec(2, 2, left=0.07, right=0.99, top=0.955, bottom=0.12, hspace=0.3, wspace=0.16)
+    panels = [figure.add_subplot(cell) for cell in grid]  # type: ignore[attr-defined]
+    for axes, name in zip(panels, names, strict=True):
+        _law(axes, document, name)
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="lower center", ncols=len(labels))
+    return figure
+
+
+def _law(axes: Axes, document: dict[str, Any], name: str) -> None:
+    law, keys = document["laws"][name], document["keys"]
+    x = np.arange(LOWEST_KEY, HIGHEST_KEY + 1)
+    if law["literature"]:
+        axes.plot(x, law["literature"], color=LITERATURE, ls=(0, (4, 1.6)), lw=1.2, label="literature")
+    axes.fill_between(x, law["low"], law["high"], color=BAND, lw=0, label="95 % of the law")
+    axes.plot(x, law["value"], color=LAW, lw=1.5, label="law")
+    axes.plot(x, [key["told"][name]["value"] for key in keys], ".", ms=3, color=LAW, label="as played")
+    own = [(key["midi"], key["note"], key["told"][name]) for key in keys if key["fit"] is not None]
+    at = np.array([midi for midi, _, _ in own])
+    value = np.array([told["own"] for _, _, told in own])
+    span = np.array([told["own_interval"] for _, _, told in own]).T
+    bars = np.maximum([value - span[0], span[1] - value], 0.0)
+    axes.errorbar(at, value, yerr=bars, fmt="o", ms=3.6, lw=1, color=MEASURED, label="fit of the key", zorder=4)
+    for midi, note, told in own:
+        if told["state"] == "outlier":
+            axes.plot(midi, told["own"], "x", ms=9, mew=2, color=WRONG, zorder=5)
+            axes.annotate(note, (midi, told["own"]), (6, 4), textcoords="offset points", color=WRONG)
+    title, unit = TITLES[name]
+    axes.set_title(title + (f" ({unit})" if unit != "1" else ""))
+    _keyboard(axes)
+    if name not in ("cents", "p"):
+        _log(axes, [*law["low"], *law["high"], *value, *(law["literature"] or [])])
+
+
+def _keyboard(axes: Axes) -> None:
+    axes.set_xlim(LOWEST_KEY - 1, HIGHEST_KEY + 1)
+    axes.set_xticks(list(CS), list(CS.values()))
+
+
+def _log(axes: Axes, shown: list[float]) -> None:
+    from matplotlib.ticker import LogLocator, NullFormatter
+
+    low, high = min(shown), max(shown)
+    decades = np.log10(high / low)
+    if decades < 0.6:
+        return
+    axes.set_yscale("log")
+    axes.set_ylim(low * 10 ** (-0.05 * decades - 0.02), high * 10 ** (0.05 * decades + 0.02))
+    axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if decades < 2.5 else (1,)))
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.yaxis.set_minor_formatter(NullFormatter())
+
+
+def _sound(figure: Figure, document: dict[str, Any]) -> Figure:
+    grid = figure.add_gridspec(2, 2, left=0.07, right=0.99, top=0.955, bottom=0.09, hspace=0.42, wspace=0.16)
+    gain, path, velocity, quality = (figure.add_subplot(cell) for cell in grid)  # type: ignore[attr-defined]
+    _law(gain, document, "gain")
+    for key in document["keys"]:
+        if key["path"] is not None and (key["fit"] is not None or key["midi"] in CS):
+            known = key["fit"] is not None
+            path.semilogx(key["path"]["frequency"], key["path"]["db"], lw=0.9 if known else 1.3, zorder=2 + (not known),
+                          color=MEASURED if known else LAW, alpha=0.5 if known else 0.8)  # fmt: skip
+    path.set(title="output path (dB): of each fit, and smooth at C1 to C8", xlabel="frequency (Hz)", xlim=(20, 2e4))
+    _velocities(velocity, document["velocity"])
+    known = [key for key in document["keys"] if key["fit"] and key["fit"]["levels_db"] is not None]
+    quality.vlines([k["midi"] for k in known], 0, [k["fit"]["levels_db"] for k in known], color=MEASURED, lw=3)
+    quality.set(title="how far partial levels are off after each key's own fit (dB rms)")
+    quality.set_ylim(bottom=0)
+    _keyboard(quality)
+    return figure
+
+
+def _velocities(axes: Axes, law: dict[str, Any]) -> None:
+    if law["layers"]:
+        axes.plot(*np.array(law["layers"]).T, "o", ms=3.6, color=MEASURED)
+    x = range(1, 128)
+    axes.plot(x, [hammer_velocity(v, law["at_64"], law["rise"]) for v in x], color=LAW, lw=1.5)
+    _log(axes, [0.1, 10.0])
+    axes.set(title="hammer velocity (m/s) over MIDI velocity; points: the takes' layers", xlim=(0, 128))
+
+
+def _svg(figure: Figure) -> bytes:
+    stream = io.BytesIO()
+    figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
+    return stream.getvalue().replace(b"'DejaVu Sans'", b"system-ui, 'DejaVu Sans'")

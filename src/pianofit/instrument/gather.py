@@ -1,0 +1,268 @@
+"""The fits of single keys, gathered from a folder, on one velocity scale, and in terms of what a recording measures.
+
+Lengths and masses are mostly assumed, and only some combinations are measured (see `invariants`): those go into the
+laws over the keyboard, so that an assumption is never taken for a difference between keys. Uncalibrated fits fix their
+velocities up to a factor: (K_H, μ, v_H0, gain) → (K_H s^(1-p), μ/s, s v_H0, gain/s) changes nothing that is heard. Of
+every key the loudest take is set to `LOUDEST`, which puts all keys on one scale.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..analysis.notes import hz_to_note, note_to_midi
+from ..errors import AnalysisError, FitError
+from ..fit.voice import Voice
+from ..parameters import FIT_NAMES, PARAMETERS, Hammer
+from ..published import PICKUP, typical
+from ..recording import one_line
+from ..render import LARGEST, load_voice
+
+__all__ = [
+    "HIGHEST_KEY", "LOUDEST", "LOWEST_KEY", "NAMES", "KeyFit", "find_fits", "invariants", "literature",
+    "load_keys", "note_name", "of_force", "owner",
+]  # fmt: skip
+
+LOWEST_KEY, HIGHEST_KEY = 21, 108
+# Velocity given to the loudest take of an uncalibrated key, m/s: a fortissimo.
+LOUDEST = 4.0
+# The laws, in the order of the page; all but `cents` are smooth on a log scale.
+NAMES = ("cents", "B", "b1", "d2", "M_H/M_S", "K/M_S", "p", "mu", "x0/L", "width/L", "L", "M_S/L", "pickup/L", "gain")
+# Standard deviations (of logarithms; cents for `cents`) where a fit gives no interval: what was given is given.
+UNTOLD = {"cents": 3.0, "width/L": 0.3, "L": 1e-3, "M_S/L": 1e-3, "pickup/L": 1e-3, "x0/L": 1e-2, "gain": 0.1}
+UNTOLD_OTHER = 0.1
+# Intervals of a fit that stopped before it settled count for this much more.
+UNSETTLED = 2.0
+_KEY = re.compile(r"(.*?)[-_ ]?([A-Ga-g])([#sb♯♭]?)(-1|\d)")
+
+
+class KeyFit(NamedTuple):
+    """One key's own fit."""
+
+    midi: int
+    file: str
+    voice: Voice  # the loudest take's gain; loudest velocity
+    sd: dict[str, float]  # by `NAMES`
+    velocities: tuple[float, ...]  # of the takes, ascending, m/s
+    levels_db: float | None  # rms error of the partials' levels
+    converged: bool
+    takes: int
+
+
+def note_name(midi: int) -> str:
+    """Such as F#2."""
+    return hz_to_note(440.0 * 2 ** ((midi - 69) / 12))
+
+
+def of_force(quantity: str) -> bool:
+    """Whether what is heard scales with the string's mass."""
+    return quantity in ("bridge-force", "pressure")
+
+
+def reference_compression(midi: float) -> float:
+    """u_ref, m: what the literature's hammer of the key is pressed by if it is stopped from 2 m/s."""
+    h = typical(midi).hammer
+    return float((0.5 * (h.p + 1) * h.M_H * 2.0**2 / h.K_H) ** (1 / (h.p + 1)))
+
+
+def invariants(voice: Voice, midi: int) -> dict[str, float]:
+    """What a recording measures of a key, by `NAMES`.
+
+    Deviation of f0 from equal temperament (cents), B, b1 and d2 = b2 π²/L² (decay b1 + d2 k², 1/s), ratios to the
+    string's mass and length, the felt's force at u_ref over the string's mass (N/kg), p, μ (s/m), and the gain, times
+    M_S where the force on the bridge is heard.
+    """
+    s, h, g = voice.string, voice.hammer, voice.geometry
+    f0 = s.c / (2 * g.length)
+    return {
+        "cents": 1200 * math.log2(f0 / 440.0) - 100 * (midi - 69),
+        "B": (s.kappa * math.pi / (s.c * g.length)) ** 2,
+        "b1": s.b1,
+        "d2": s.b2 * (math.pi / g.length) ** 2,
+        "M_H/M_S": h.M_H / g.mass,
+        "K/M_S": h.K_H * reference_compression(midi) ** h.p / g.mass,
+        "p": h.p,
+        "mu": h.mu,
+        "x0/L": g.strike / g.length,
+        "width/L": g.width / g.length,
+        "L": g.length,
+        "M_S/L": g.mass / g.length,
+        "pickup/L": g.pickup / g.length,
+        "gain": abs(voice.gain) * (g.mass if of_force(voice.quantity) else 1.0),
+    }
+
+
+def literature(midi: int) -> dict[str, float]:
+    """The same of the literature's key; there is none for the gain."""
+    it = typical(midi)
+    width = min(it.geometry.width, 0.1 * it.geometry.length)
+    geometry = it.geometry._replace(width=width, pickup=PICKUP * it.geometry.length)
+    return invariants(Voice(it.string, it.hammer, geometry, "velocity", 1.0, None), midi)
+
+
+def find_fits(paths: Sequence[Path], prefix: str | None = None) -> list[Path]:
+    """The `fit.json` files that are meant: given as they are, or as `keys/KEY/fit.json` in one folder.
+
+    Raises
+    ------
+    FitError
+        If there is none, or a folder holds several instruments and none is named.
+    """
+    found: list[Path] = []
+    for path in paths:
+        name = one_line(path)
+        if path.is_file():
+            found.append(path)
+            continue
+        if not path.is_dir():
+            raise FitError(f"{name}: there is no such file or folder; give what pianofit batch or pianofit fit wrote")
+        here = sorted(path.glob("keys/*/fit.json")) or sorted(path.glob("*/fit.json")) or sorted(path.glob("fit.json"))
+        if not here:
+            raise FitError(f"{name}: holds no keys/KEY/fit.json; give the folder that pianofit batch wrote")
+        found += here
+    owners = {file: owner(file) for file in found}
+    if prefix is not None:
+        chosen = [file for file in found if owners[file] == prefix]
+        if not chosen:
+            known = ", ".join(sorted(repr(one_line(name)) for name in set(owners.values())))
+            raise FitError(f"--prefix {prefix!r}: no key begins so; there are {known}")
+        return chosen
+    several = sorted({name for name in owners.values() if name})
+    if len(several) > 1:
+        named = ", ".join(map(one_line, several))
+        raise FitError(f"{one_line(paths[0])}: holds several instruments, {named}; choose one by --prefix")
+    return found
+
+
+def owner(file: Path) -> str:
+    """The instrument that the folder of a fit names, such as cp80 of cp80-Fs2; empty if none."""
+    return _key_of(file)[0]
+
+
+def _key_of(file: Path) -> tuple[str, int | None]:
+    """The instrument and the key that the folder's name says, such as cp80-Fs2."""
+    match = _KEY.fullmatch(file.resolve().parent.name)
+    if match is None:
+        return "", None
+    owner, letter, shift, octave = match.groups()
+    sign = {"s": "#", "♯": "#", "♭": "b"}.get(shift, shift)
+    try:
+        return owner, note_to_midi(f"{letter}{sign}{octave}")
+    except AnalysisError:
+        return "", None
+
+
+def load_keys(files: Sequence[Path]) -> list[KeyFit]:
+    """Every file's key, ascending.
+
+    Raises
+    ------
+    FitError
+        For a file that is no `fit.json`, two of one key, keys beyond the keyboard, or takes of different kinds.
+    """
+    keys: dict[int, KeyFit] = {}
+    for file in files:
+        key = _load_key(file)
+        if (held := keys.get(key.midi)) is not None:
+            raise FitError(
+                f"{one_line(file)}: is {note_name(key.midi)}, and so is {held.file}; leave one out, or choose an "
+                "instrument by --prefix"
+            )
+        keys[key.midi] = key
+    kinds = sorted({key.voice.quantity for key in keys.values()})
+    if len(kinds) > 1:
+        raise FitError(f"{one_line(files[0])}: the keys heard {' and '.join(kinds)}; one instrument needs one quantity")
+    return [keys[midi] for midi in sorted(keys)]
+
+
+def _load_key(file: Path) -> KeyFit:
+    voice, _ = load_voice(file)
+    document = json.loads(file.read_bytes())
+    name = one_line(file)
+    midi = _midi(voice, file)
+    takes = [take for take in document["takes"] if isinstance(take, dict)]
+    loud = max(range(len(takes)), key=lambda i: _positive(takes[i].get("v_H0"), f"takes[{i}].v_H0", name))
+    gain = _positive(takes[loud].get("gain"), f"takes[{loud}].gain", name, signed=True)
+    velocities = np.sort([take["v_H0"] for take in takes])
+    calibrated = any(take.get("gain_status") == "fixed" or take.get("v_H0_status") == "fixed" for take in takes)
+    if not isinstance(voice.hammer, Hammer):
+        raise FitError(f"{name}: a felt with memory cannot be carried over a keyboard; fit with --felt hunt-crossley")
+    # A felt without loss is one with next to none: the law is in log μ.
+    h = voice.hammer._replace(v_H0=float(velocities[-1]), mu=max(voice.hammer.mu, PARAMETERS["mu"].lower))
+    scale = 1.0 if calibrated else LOUDEST / h.v_H0
+    hammer = h._replace(K_H=h.K_H * scale ** (1 - h.p), mu=h.mu / scale, v_H0=h.v_H0 * scale)
+    levels = document.get("levels")
+    error: Any = levels.get("fitted_db") if isinstance(levels, dict) else None
+    converged = document.get("converged") is True
+    told = _deviations(document, voice, midi, converged)
+    return KeyFit(
+        midi, name, voice._replace(hammer=hammer, gain=gain / scale), told, tuple((velocities * scale).tolist()),
+        float(error) if _finite(error) else None, converged, len(takes),
+    )  # fmt: skip
+
+
+def _midi(voice: Voice, file: Path) -> int:
+    """The folder's note where it is within 1.5 semitones of the pitch, for pianos out of tune; else the nearest."""
+    pitch = 69 + 12 * math.log2(voice.string.c / (2 * voice.geometry.length) / 440.0)
+    _, named = _key_of(file)
+    midi = named if named is not None and abs(named - pitch) < 1.5 else round(pitch)
+    if not LOWEST_KEY <= midi <= HIGHEST_KEY:
+        raise FitError(f"{one_line(file)}: f0 is {pitch - 69:+.1f} semitones from A4, beyond a piano's A0 to C8")
+    return midi
+
+
+def _finite(x: Any) -> bool:
+    return isinstance(x, int | float) and not isinstance(x, bool) and abs(x) < LARGEST
+
+
+def _positive(x: Any, key: str, name: str, *, signed: bool = False) -> float:
+    if not _finite(x) or x == 0 or (x < 0 and not signed):
+        raise FitError(f"{name}: {key} is {x!r}, no usable number; give the file that pianofit fit wrote")
+    return float(x)
+
+
+def _deviations(document: dict, voice: Voice, midi: int, converged: bool) -> dict[str, float]:
+    """Standard deviations of `invariants` (logarithms; cents), from the 95 % intervals."""
+    s = {name: _spread(document["parameters"].get(name)) for name in (*FIT_NAMES, "x0")}
+    told: dict[str, float | None] = {
+        "cents": None if s["c"] is None else 1200 / math.log(2) * s["c"],
+        "B": None if s["kappa"] is None else 2 * math.hypot(s["kappa"], s["c"] or 0.0),
+        "b1": s["b1"], "d2": s["b2"], "M_H/M_S": s["M_H"], "p": s["p"], "mu": s["mu"], "x0/L": s["x0"],
+        "K/M_S": _felt_spread(s, document.get("derived"), voice, midi),
+    }  # fmt: skip
+    wider = 1.0 if converged else UNSETTLED
+    found = {name: told.get(name) for name in NAMES}
+    return {n: UNTOLD.get(n, UNTOLD_OTHER) if x is None else max(wider * x, 1e-4) for n, x in found.items()}
+
+
+def _spread(entry: Any) -> float | None:
+    """Standard deviation of the logarithm that an interval means."""
+    span = entry.get("interval") if isinstance(entry, dict) else None
+    if not (isinstance(span, list) and len(span) == 2 and all(map(_finite, span)) and 0 < span[0] < span[1]):
+        return None
+    return math.log(span[1] / span[0]) / (2 * 1.96)
+
+
+def _felt_spread(s: dict[str, float | None], derived: Any, voice: Voice, midi: int) -> float | None:
+    """Of log K(u_ref): K_H and p trade off, and how much the error of the force at the largest compression tells.
+
+    var log(K_H u^p) = var log K_H + ln²u var p + 2 ln u cov, at u_max for the covariance, then at u_ref.
+    """
+    if s["K_H"] is None or s["p"] is None or not isinstance(derived, dict):
+        return s["K_H"]
+    u, error = derived.get("max_compression_mm"), derived.get("felt_force_relative_error")
+    if not (_finite(u) and _finite(error) and 0 < u < 1000):  # type: ignore[operator]
+        return s["K_H"]
+    k, p = s["K_H"], s["p"] * float(voice.hammer.p)
+    at = math.log(1e-3 * u)  # type: ignore[operator]
+    covariance = (error**2 - k**2 - (at * p) ** 2) / (2 * at)  # type: ignore[operator]
+    covariance = float(np.clip(covariance, -k * p, k * p))
+    there = math.log(reference_compression(midi))
+    return math.sqrt(max(k**2 + (there * p) ** 2 + 2 * there * covariance, 1e-6))

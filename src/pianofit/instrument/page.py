@@ -1,0 +1,61 @@
+"""One HTML file that shows an instrument: every parameter over the keyboard with the literature's behind it, every key.
+
+Everything is inside the file and it runs no script. All text from outside goes through Jinja's autoescape.
+"""
+
+from __future__ import annotations
+
+import base64
+import os
+from importlib.resources import files
+from typing import Any
+
+from ..report.output import replace_file
+from .figures import draw
+from .gather import HIGHEST_KEY, LOUDEST, LOWEST_KEY, reference_compression
+from .laws import OUTLYING
+from .words import STATES, counts
+
+__all__ = ["write_page"]
+
+
+def write_page(path: str | os.PathLike[str], document: dict[str, Any]) -> None:
+    """Write the page of a document of `build_instrument`, whole or not at all.
+
+    Raises
+    ------
+    OutputError
+        If `path` cannot be written.
+    """
+    from jinja2 import Environment
+
+    found = counts(document)
+    style = files("pianofit.report").joinpath("page.css").read_text(encoding="utf-8")
+    template = files("pianofit.instrument").joinpath("page.html.j2").read_text(encoding="utf-8")
+    html = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True).from_string(template).render(
+        doc=document,
+        name=document["name"] or "Instrument",
+        quantity=document["quantity"],
+        known=sum(key["fit"] is not None for key in document["keys"]),
+        states=[(state, found[state], words) for state, words in STATES.items() if found[state]],
+        figures={name: "data:image/svg+xml;base64," + base64.b64encode(svg).decode()
+                 for name, svg in draw(document).items()},
+        rows=[_row(key) for key in document["keys"]],
+        outlying=f"{OUTLYING:g}", loudest=f"{LOUDEST:g}",
+        u_low=1e3 * reference_compression(LOWEST_KEY), u_high=1e3 * reference_compression(HIGHEST_KEY),
+        style=style,
+    )  # fmt: skip
+    replace_file(path, html.encode("utf-8", errors="replace"))
+
+
+def _row(key: dict[str, Any]) -> dict[str, Any]:
+    s, h, g, fit = key["string"], key["hammer"], key["geometry"], key["fit"]
+    cells = [
+        f"{s['c'] / (2 * g['length']):.2f}", f"{key['told']['B']['value']:.3g}", f"{s['b1']:.3g}", f"{s['b2']:.2e}",
+        f"{1e3 * h['M_H']:.3g}", f"{1e3 * g['mass']:.3g}", f"{h['K_H']:.2e}", f"{h['p']:.3f}", f"{h['mu']:.2g}",
+        str(fit["takes"]) if fit else "–",
+        f"{fit['levels_db']:.2f}" if fit and fit["levels_db"] is not None else "–",
+    ]  # fmt: skip
+    moved = [f"{n} ({t['state']})" if t["state"] == "outlier" else n for n, t in key["told"].items()
+             if t.get("state") in ("pulled", "outlier")]  # fmt: skip
+    return {"note": key["note"], "state": key["state"], "cells": cells, "words": ", ".join(moved), "fit": fit}

@@ -1,0 +1,155 @@
+"""A song on an instrument: every key by itself, from event to event, summed; then what a file can hold.
+
+Strings do not hear one another: a raised pedal lets ring what was struck, and sets nothing else ringing. A damper falls
+with the key, or with the pedal, and not during a contact; a key struck again within a contact waits for its end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from ..errors import ParameterError
+from ..recording import RATES
+from ..render import CEILING, MOST_SAMPLES
+from .document import Instrument
+from .midi import Song
+from .strings import BLOCK, CHUNK, PlayedString
+
+__all__ = ["MOST_LIMITED_DB", "Performance", "limit", "perform"]
+
+# What is still held after the song's last event rings for this long, s, then its dampers fall; later all is over.
+LAST_HELD, LAST_RING, LAST_FADE = 3.0, 5.0, 0.5
+# The part of a too loud passage that the limiter takes; what is more is taken from the whole song.
+MOST_LIMITED_DB = 3.0
+# The limiter looks this far ahead and behind, s.
+LOOK = 0.02
+
+
+class Performance(NamedTuple):
+    """What was played."""
+
+    samples: np.ndarray  # within ± `CEILING`
+    gain_db: float  # given to the whole song, never above 0
+    limited_db: float  # the most that the limiter took anywhere, beside that
+    strikes: int
+    on_moving: int  # of them on a string that still sounded
+
+
+class _Event(NamedTuple):
+    sample: int
+    velocity: int  # of a strike; 0 for a damper that moves
+    damped: bool
+
+
+def perform(
+    instrument: Instrument, song: Song, rate: int = 48_000,
+    progress: Callable[[str, float], None] = lambda *_: None,
+) -> Performance:  # fmt: skip
+    """Play a song.
+
+    Raises
+    ------
+    ParameterError
+        For a rate out of range, a song too long for it, or a key the instrument does not have.
+    """
+    if not RATES[0] <= rate <= RATES[1]:
+        raise ParameterError(f"rate={rate} Hz must be from {RATES[0]} to {RATES[1]}")
+    size = int((song.seconds + LAST_RING) * rate)
+    if size > MOST_SAMPLES:
+        raise ParameterError(
+            f"{song.seconds:.0f} s at rate={rate} Hz is too long; cut the song to "
+            f"{MOST_SAMPLES / rate - LAST_RING:.0f} s, or ask for a lower --rate"
+        )
+    for key in song.keys:
+        instrument.voice(key, 64)  # refused before anything is computed
+    total, strikes, moving, last, done = np.zeros(size), 0, 0, 0, 0
+    for key in sorted(song.keys):
+        string = PlayedString(instrument.voice(key, 64), key, rate)
+        for at, sound, struck in _sounds(string, instrument, _events(song, key, rate), size):
+            total[at : at + len(sound)] += sound
+            last = max(last, at + len(sound))
+            strikes += struck > 0
+            moving += struck > 1
+            done += struck > 0
+            if struck:
+                progress("playing", 0.98 * done / song.notes)
+    fade = round(LAST_FADE * rate)  # the treble has no dampers
+    total[-fade:] *= 0.5 * (1 + np.cos(np.pi * np.arange(1, fade + 1) / fade))
+    samples, gain_db, limited_db = limit(total[:last], rate)
+    return Performance(samples, gain_db, limited_db, strikes, moving)
+
+
+def _events(song: Song, key: int, rate: int) -> list[_Event]:
+    """Strikes of a key and movements of its damper, in time."""
+    merged = sorted(
+        [(t, 1, v, False) for t, v in song.keys[key]] + [(t, 0, 0, down) for t, down in song.pedal],
+        key=lambda event: event[:2],
+    )
+    events: list[_Event] = []
+    held = pedal = damped = False
+    merged += [(song.seconds + LAST_HELD, 0, 0, False), (song.seconds + LAST_HELD, 1, 0, False)]
+    for t, finger, velocity, down in merged:
+        held, pedal = (velocity > 0, pedal) if finger else (held, down)
+        now = not (held or pedal)
+        if velocity > 0 or now != damped:
+            events.append(_Event(round(t * rate), velocity, now))
+        damped = now
+    return events
+
+
+def _sounds(
+    string: PlayedString, instrument: Instrument, events: list[_Event], size: int
+) -> Iterator[tuple[int, np.ndarray, int]]:
+    """(first sample, sound, 0 for ringing, 1 for a strike at rest, 2 on a moving string), one after the other."""
+    at = 0
+    for event in events:
+        if event.sample > at and string.sounding:
+            yield from _ringing(string, at, event.sample)
+        at = max(at, event.sample)
+        if at >= size:
+            return
+        string.damped = event.damped
+        if event.velocity:
+            struck = 2 if string.sounding else 1
+            v = instrument.voice(string.midi, event.velocity).hammer.v_H0
+            sound = string.strike(v)[: size - at]
+            yield at, sound, struck
+            at += len(sound)
+    yield from _ringing(string, at, size)
+
+
+def _ringing(string: PlayedString, start: int, stop: int) -> Iterator[tuple[int, np.ndarray, int]]:
+    """The string by itself in pieces, until `stop` or until it is silent."""
+    piece = 4 * BLOCK * CHUNK
+    while start < stop and string.sounding:
+        count = min(piece, stop - start)
+        yield start, string.ring(count), 0
+        start += count
+
+
+def limit(samples: np.ndarray, rate: int) -> tuple[np.ndarray, float, float]:
+    """Sound whose every sample lies within ± `CEILING`; the gain given to all of it, dB, and the most limited, dB.
+
+    A sound that is too loud by more than `MOST_LIMITED_DB` is first turned down as a whole. What peaks are left are
+    taken by a gain that looks ahead: the smallest gain any sample within `LOOK` needs, averaged twice over half of
+    that; an average holds only gains that the sample itself may have, so nothing can pass. The same in, the same out.
+    """
+    from scipy.ndimage import minimum_filter1d, uniform_filter1d
+
+    peak = float(np.abs(samples).max(initial=0.0))
+    allowed = CEILING * 10 ** (MOST_LIMITED_DB / 20)
+    gain = min(1.0, allowed / peak) if peak > 0 else 1.0
+    samples = gain * samples
+    if peak * gain <= CEILING:
+        return samples, 0.0, 0.0
+    needed = np.minimum(1.0, CEILING / np.maximum(np.abs(samples), 1e-30))
+    half = max(int(LOOK * rate / 2), 1)
+    smooth = minimum_filter1d(needed, 4 * half + 1, mode="nearest")
+    for _ in range(2):
+        smooth = uniform_filter1d(smooth, 2 * half + 1, mode="nearest")
+    # Averages may round up by an ulp or so.
+    smooth = np.minimum(smooth, needed)
+    return np.clip(samples * smooth, -CEILING, CEILING), 20 * np.log10(gain), -20 * float(np.log10(smooth.min()))

@@ -1,0 +1,83 @@
+"""From the covariance of a fit to the felt's band, to how well each thing is known, and to correlations.
+
+The covariance is that of logarithms, so what is a product of powers is known to the length of one vector: the felt's
+static force K_H u^p at compression u has log F = log K_H + p log u, whose change with log p is p log u.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..fit import Result
+from ..fit.space import NAMES
+from ..parameters import MemoryHammer
+from .curves import Felt, Known
+
+__all__ = ["felt_of", "has_intervals", "known_of"]
+
+NORMAL = 1.96
+POINTS = 48
+FARTHEST = 300.0  # of an exponent
+
+
+def has_intervals(result: Result) -> bool:
+    """Whether this fit says how far off it may be; the paper's recipes do not."""
+    return any(entry.get("interval") for entry in result.document["parameters"].values())
+
+
+def felt_of(result: Result) -> Felt:
+    """The static law to the largest compression of all takes, with its band if the fit has one."""
+    hammer = result.fitted.voice.hammer
+    reached = max(float(np.max(heard.fitted.simulation.pulse.compression)) for heard in result.takes)
+    u = reached * np.linspace(0.0, 1.0, POINTS + 1)[1:]
+    change = np.zeros((len(u), len(NAMES)))
+    change[:, NAMES.index("K_H")], change[:, NAMES.index("p")] = 1.0, hammer.p * np.log(u)
+    force, slow = hammer.K_H * u**hammer.p, None
+    cov = result.covariance if has_intervals(result) else 0 * result.covariance
+    if isinstance(hammer, MemoryHammer):
+        relaxed = change.copy()
+        relaxed[:, NAMES.index("epsilon")] = -hammer.epsilon / (1 - hammer.epsilon)
+        slow = _band((1 - hammer.epsilon) * force, relaxed, cov)
+    return Felt(1e3 * u, _band(force, change, cov), slow)
+
+
+def _band(value: np.ndarray, change: np.ndarray, cov: np.ndarray) -> np.ndarray:
+    """`value` [n] and the ends of its 95 % interval, from the `change` [n, names] of its logarithm: [3, n]."""
+    reach = np.minimum(NORMAL * _deviation(change, cov), FARTHEST)
+    return value * np.exp(np.stack([0 * reach, -reach, reach]))
+
+
+def _deviation(change: np.ndarray, cov: np.ndarray) -> np.ndarray:
+    return np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", change, cov, change), 0.0))
+
+
+def known_of(result: Result) -> Known | None:
+    """How well the parameters, and what needs no assumed scale, are known; None without intervals."""
+    cov = result.covariance
+    free = np.flatnonzero(np.diag(cov) > 0)
+    if not (has_intervals(result) and len(free)):
+        return None
+    sd = np.sqrt(np.diag(cov)[free])
+    names = tuple(NAMES[i] for i in free)
+    correlation = np.clip(cov[np.ix_(free, free)] / np.outer(sd, sd), -1.0, 1.0)
+    rows = _combinations(result)
+    told = [(name, change, True) for name, change in rows.items()]
+    told += [(n, np.eye(len(NAMES))[NAMES.index(n)], False) for n in names if n not in ("c", "kappa", "M_H", "x0")]
+    reach = NORMAL * _deviation(np.array([change for _, change, _ in told]), cov)
+    return Known(names, correlation, tuple(
+        (name, float(r), combined) for (name, _, combined), r in zip(told, reach, strict=True) if r > 0
+    ))  # fmt: skip
+
+
+def _combinations(result: Result) -> dict[str, np.ndarray]:
+    """What follows from several parameters or needs no assumed scale, as changes of its logarithm [names]."""
+    hammer = result.fitted.voice.hammer
+    u = float(np.max(result.fitted.simulation.pulse.compression))
+    powers = {
+        "f0": {"c": 1.0},
+        "B": {"kappa": 2.0, "c": -2.0},
+        "M_H/M_S": {"M_H": 1.0},
+        "x0/L": {"x0": 1.0},
+        "F": {"K_H": 1.0, "p": float(hammer.p * np.log(u))},
+    }
+    return {name: np.array([power.get(n, 0.0) for n in NAMES]) for name, power in powers.items()}

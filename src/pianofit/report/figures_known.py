@@ -1,0 +1,132 @@
+"""Pictures of what the data fix: the felt's curve with its band, how well each thing is known, and correlations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .curves import Felt, Known, TakeCurves
+from .drawing import FITTED, INITIAL, INK, LINES, MEASURED, figure_of, span
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["draw_felt", "draw_known"]
+
+SYMBOLS = {
+    "kappa": "κ", "mu": "μ", "epsilon": "ε", "tau": "τ", "b1": "b₁", "b2": "b₂", "x0": "x₀", "f0": "f₀",
+    "M_H": "$M_H$", "K_H": "$K_H$", "v_H0": "$v_{H0}$", "M_H/M_S": "$M_H/M_S$", "x0/L": "x₀/L",
+    "F": "felt force",
+}  # fmt: skip
+WIDEST = 10.0  # half an interval, as a logarithm, beyond which a bar ends in an arrow: a factor of 22,000
+NARROWEST = 1e-12
+FAR = 1e6  # of a law, beyond which its band is not drawn
+LOOP = "#8fbfe0"
+
+
+def draw_felt(felt: Felt, takes: Sequence[TakeCurves]) -> Figure:
+    """The static law with its band, and the loops that the strikes ran through."""
+    figure = figure_of(11.25, 4.3)
+    axes, logs = figure.add_axes((0.06, 0.215, 0.52, 0.73)), figure.add_axes((0.67, 0.215, 0.32, 0.73))
+    for i, take in enumerate(takes):
+        axes.plot(take.compression, take.force, color=LOOP, lw=1.1, zorder=3, label="" if i else "loop of a strike")
+    for panel in (axes, logs):
+        _law(panel, felt.compression, felt.force, LINES["fitted"], "static law" if felt.slow is None else "sudden")
+        if felt.slow is not None:
+            _law(panel, felt.compression, felt.slow, LINES["initial"], "slow")
+        panel.set(xlabel="compression of the felt (mm)", ylabel="force (N)")
+    tall = max(0.0, span(felt.force[0], *(take.force for take in takes))[1])
+    axes.set(xlim=(0.0, 1.03 * felt.compression[-1]), ylim=(0.0, 1.25 * max(tall, 1e-9)))
+    _logarithmic(logs, felt, [span(take.compression)[1] for take in takes])
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="lower center", ncols=len(labels))
+    return figure
+
+
+def _law(axes: Axes, u: np.ndarray, force: np.ndarray, look: dict, name: str) -> None:
+    low, high = np.clip(force[1:], force[0] / FAR, force[0] * FAR)
+    if (high > low).any():
+        axes.fill_between(u, low, high, color=look["color"], alpha=0.18, lw=0, zorder=1, label=f"{name}, 95 %")
+    axes.plot(u, force[0], label=name, **look)
+
+
+def _logarithmic(axes: Axes, felt: Felt, deepest: list[float]) -> None:
+    """Over one and a half decades of compression, where a power law is a line; ticks below are the takes' deepest."""
+    from matplotlib.ticker import LogLocator, NullFormatter
+
+    u, law = felt.compression[-1], felt.force[0, -1]
+    if not (u > 0 and law > 0 and np.isfinite(law)):
+        return
+    seen = felt.compression >= u / 32
+    ends = felt.force[:, seen]
+    axes.set(xscale="log", yscale="log", xlim=(u / 32, 1.15 * u))
+    axes.set_ylim(max(ends[0].min() / 30, ends[1].min() / 2, law * 1e-9), min(30 * law, 2 * ends[2].max()))
+    axes.plot(deepest, [0.03] * len(deepest), "^", color=MEASURED, ms=7, transform=axes.get_xaxis_transform(), zorder=5)
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_minor_formatter(NullFormatter())
+        axis.set_major_formatter("{x:g}")
+    axes.xaxis.set_major_locator(LogLocator(subs=(1, 3)))
+
+
+def draw_known(known: Known) -> Figure:
+    """Half intervals on a logarithmic scale, and the table of correlations in colours."""
+    size = max(len(known.reaches), len(known.names))
+    figure = figure_of(11.25, 1.1 + 0.36 * max(size, 5))
+    high = 0.55 / (1.1 + 0.36 * max(size, 5))
+    _reaches(figure.add_axes((0.105, high, 0.33, 0.97 - 2 * high)), known)
+    _correlations(figure.add_axes((0.55, high, 0.44, 0.97 - 2 * high)), known)
+    return figure
+
+
+def _reaches(axes: Axes, known: Known) -> None:
+    """A row each; what needs no assumed scale in black above, parameters in blue below."""
+    rows = range(len(known.reaches))
+    reach = np.clip([reach for _, reach, _ in known.reaches], NARROWEST, WIDEST)
+    left = 0.4 * min(reach)
+    for row, value, (_, told, combined) in zip(rows, reach, known.reaches, strict=True):
+        colour = MEASURED if combined else FITTED
+        axes.plot([left, value], [row, row], color=colour, lw=1.6, marker="o", ms=6.5, markevery=[1])
+        axes.text(1.35 * value, row, _factor(told), va="center", fontsize=9, color=INK)
+    axes.set(xscale="log", xlim=(left, 14 * max(reach)), ylim=(len(rows) - 0.4, -0.6))
+    axes.set_yticks(rows, [SYMBOLS.get(name, name) for name, *_ in known.reaches])
+    axes.set_xticks([], minor=True)
+    axes.tick_params(labelbottom=False, left=False, bottom=False)
+    axes.grid(visible=False)
+    axes.spines[["bottom", "left"]].set_visible(False)
+    axes.set_title("How well it is known (95 %; logarithmic scale)")
+
+
+def _factor(reach: float) -> str:
+    """Half an interval of a logarithm as a reader takes it: ± per cent while that is small, then a factor."""
+    if reach >= WIDEST:
+        return "not at all"
+    factor = float(f"{np.exp(reach):.2g}")
+    return f"± {100 * reach:.2g} %" if reach < 0.2 else f"× or ÷ {factor:g}"
+
+
+def _correlations(axes: Axes, known: Known) -> None:
+    """Blue together, orange against each other, the darker the more; the number in each cell, in hundredths."""
+    from matplotlib.colors import LinearSegmentedColormap
+
+    names, n = [SYMBOLS.get(name, name) for name in known.names], max(len(known.names), 2)
+    shades = LinearSegmentedColormap.from_list("correlation", [INITIAL, "#ffffff", FITTED], 64)
+    below = np.where(np.tri(len(names), k=-1, dtype=bool), known.correlation, np.nan)
+    axes.pcolormesh(
+        np.arange(len(names) + 1) - 0.5, np.arange(len(names) + 1) - 0.5, below, cmap=shades, vmin=-1, vmax=1
+    )
+    for i in range(len(names)):
+        for j in range(i):
+            r = known.correlation[i, j]
+            if abs(r) >= 0.1:
+                axes.text(j, i, f"{100 * r:+.0f}".replace("-", "−"), ha="center", va="center", fontsize=8,
+                          color="white" if abs(r) > 0.6 else INK)  # fmt: skip
+    axes.set(xlim=(-0.5, n - 1.5), ylim=(n - 0.5, 0.5))  # the first row and the last column are empty
+    axes.set_xticks(range(len(names) - 1), names[:-1])
+    axes.set_yticks(range(1, len(names)), names[1:])
+    axes.tick_params(left=False, bottom=False)
+    axes.grid(visible=False)
+    axes.spines[["bottom", "left"]].set_visible(False)
+    axes.set_title("Correlations of the estimates, %")

@@ -1,0 +1,144 @@
+"""Batches for the tests: small libraries, quick work that can go wrong on demand, and drivers to be killed.
+
+`quick_work` stands where `fit_unit` does. Its files are fixed by the recordings' contents alone, so that a batch that
+was killed and resumed has something exact to be compared with, and the first bytes of a recording say how it goes
+wrong. The fit itself is tested beside it, on few keys.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from pianofit.batch.units import Outcome, Settings, Source, Unit, versions
+
+TESTS = Path(__file__).parent
+NOTES = ("C", "C#", "D", "D#", "E", "F", "F#", "G", "G#", "A", "A#", "B")
+
+
+def quick_work(unit: Unit, contents: Sequence[bytes] | None = None, scratch: str | None = None) -> Outcome:
+    """Files made of the recordings' contents after a tenth of a second or so; or what the first word asks for."""
+    data = [Path(s.path).read_bytes() for s in unit.sources] if contents is None else list(contents)
+    word, _, rest = data[0].partition(b" ")
+    if word == b"die":
+        os.kill(os.getpid(), signal.SIGKILL)
+    if word == b"die-once" and not (marker := Path(rest.decode())).exists():
+        marker.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    if word == b"hang":
+        time.sleep(600)
+    if word == b"swell":
+        try:
+            np.ones(2**32)
+        except MemoryError:
+            return Outcome({}, "not enough memory")
+    if word == b"refuse":
+        return Outcome({}, rest.decode(), sounds_like="C5" if b"sounds" in rest else "")
+    if word == b"full":
+        return Outcome({}, "[Errno 28] No space left on device", stop=True)
+    slow = float(rest) if word == b"slow" else 0.02
+    time.sleep(slow + 0.001 * (data[0][-1] % 50))
+    digest = hashlib.sha256(b"".join(data)).hexdigest()
+    document = {"parameters": {"c": {"value": int(digest[:12], 16) / 7}}, "note": unit.note}
+    files = {"fit.json": json.dumps(document).encode(), "fitted.wav": data[0] * 5000}
+    return Outcome(files, detail=str(os.getpid()), seconds=slow, memory=1)
+
+
+def library(folder: Path, contents: Sequence[str]) -> list[Unit]:
+    """One unit a text, from A0 upwards; each one's only recording holds the text."""
+    folder.mkdir(exist_ok=True)
+    units = []
+    for i, text in enumerate(contents):
+        note = f"{NOTES[(9 + i) % 12]}{(9 + i) // 12}"
+        file = folder / f"{note.replace('#', 's')}.wav"
+        file.write_text(text, encoding="utf-8")
+        source = Source(str(file), file.name, hashlib.sha256(text.encode()).hexdigest())
+        units.append(Unit(file.stem, note, (source,), Settings(), versions()))
+    return units
+
+
+def results(out: Path) -> dict[str, dict[str, bytes]]:
+    """Contents of every key's folder, the record with its times and figures of the machine taken out."""
+    found = {}
+    for folder in sorted((out / "keys").iterdir()):
+        files = {p.name: p.read_bytes() for p in sorted(folder.iterdir())}
+        record = json.loads(files.pop("record.json"))
+        for name in ("seconds", "memory", "finished"):
+            record.pop(name)
+        assert record["files"] == {name: hashlib.sha256(data).hexdigest() for name, data in files.items()}
+        files["record"] = json.dumps(record, sort_keys=True).encode()
+        found[folder.name] = files
+    return found
+
+
+def python(code: str, *arguments: object, **more) -> subprocess.Popen:
+    """Run `code` in a Python of its own that finds the tests' modules."""
+    where = os.pathsep.join([str(TESTS), os.environ.get("PYTHONPATH", "")])
+    command = [sys.executable, "-c", code, *map(str, arguments)]
+    pipe = subprocess.PIPE
+    return subprocess.Popen(
+        command, env=os.environ | {"PYTHONPATH": where}, stdout=pipe, stderr=pipe, text=True, **more
+    )
+
+
+def drive(source: str, out: str, scheduler: str = "") -> None:
+    """Run a batch over the files in `source` with `quick_work`: what a driver process does."""
+    from pianofit.batch import Cluster, Local, run_batch
+
+    texts = [p.read_text(encoding="utf-8") for p in _in_order(Path(source))]
+    units = library(Path(source), texts)
+
+    def workers(store):
+        if scheduler:
+            return Cluster(scheduler, by_value=True, work=quick_work)
+        return Local(2, 2**31, 60.0, store.scratch, work=quick_work)
+
+    found = run_batch(units, Path(out), workers, tell=lambda p: print(p.event, flush=True) if p.event else None)
+    print(json.dumps(found["counts"]))
+
+
+def _in_order(folder: Path) -> list[Path]:
+    """The library's files in the order of their notes."""
+    from pianofit.batch.manifest import read_keys
+
+    return [key.samples[0].file for key in read_keys(folder, pattern="{note}")[0]]
+
+
+DRIVE = "import sys, batch_cases; batch_cases.drive(*sys.argv[1:])"
+CLI = (
+    "import sys; from pianofit import cli, commands_batch as c\n"
+    "if 'batch' not in [x.name or x.callback.__name__ for x in cli.app.registered_commands]: c.register(cli.app)\n"
+    "sys.exit(cli.main())"
+)
+
+
+def killed(process: subprocess.Popen) -> None:
+    """Kill a process as nothing can refuse, and wait for its end."""
+    process.kill()
+    process.communicate()
+
+
+def struck(
+    file: Path, midi: float, velocity: float, *, seconds: float = 1.5, rate: int = 22_050, seed: int = 0
+) -> None:
+    """Write what a typical string of the note sounds like, struck at `velocity` m/s, with noise 60 dB below."""
+    from pianofit.model import simulate
+    from pianofit.published import typical
+    from pianofit.render import encode_wav
+
+    it = typical(midi)
+    hammer = it.hammer._replace(v_H0=velocity)
+    strike = simulate(it.string, hammer, it.geometry, rate=rate, quantity="bridge-force")
+    samples = np.pad(strike.waveform(rate, int(seconds * rate)), (rate // 20, 0))
+    random = np.random.default_rng([seed, round(10 * midi), round(100 * velocity)])
+    samples += random.normal(0.0, 1e-3 * np.sqrt(np.mean(samples[rate // 20 :][:rate] ** 2)), len(samples))
+    file.write_bytes(encode_wav(0.7 * samples / np.abs(samples).max(), rate))

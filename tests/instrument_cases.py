@@ -1,0 +1,128 @@
+"""A piano that nobody built, whose every key is known: for the laws, the player and the sampler of an instrument.
+
+It is the literature's, changed by smooth laws. Its keys come as voices, as recordings made by the model at a higher
+rate than any fit uses, and as the `fit.json` that a fit of known error would write.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+
+from pianofit.criterion import OutputPath
+from pianofit.fit.voice import Voice
+from pianofit.instrument import Instrument
+from pianofit.instrument.gather import NAMES, invariants, note_name
+from pianofit.model.modes import mode_frequencies
+from pianofit.parameters import Geometry, Hammer, String
+from pianofit.published import typical
+from pianofit.render import encode_wav
+
+RATE = 44_100
+LAYERS = (0.7, 1.7, 4.0)  # m/s
+# Of the logarithms, as a fit of an uncalibrated key finds them.
+ERRORS = {"c": 2e-4, "kappa": 5e-3, "b1": 0.1, "b2": 0.1, "K_H": 0.3, "mu": 0.2, "p": 0.04, "M_H": 0.03, "x0": 5e-3}
+
+
+def true_voice(midi: int) -> Voice:
+    """The key as it is, struck at 4 m/s."""
+    it, x = typical(midi), (midi - 60) / 40
+    g = it.geometry
+    string = String(
+        it.string.c * 2 ** (4 * x**3 / 1200), it.string.kappa * 1.3 * math.exp(-0.1 * x), it.string.b1 * 0.8,
+        it.string.b2 * 1.4 * math.exp(0.2 * x),
+    )  # fmt: skip
+    hammer = Hammer(it.hammer.K_H * 0.5, 0.15, it.hammer.p + 0.08 + 0.05 * x, 0.8 * it.hammer.M_H, 4.0)
+    geometry = Geometry(g.length, g.mass, 0.11 * g.length, min(g.width, 0.1 * g.length), 0.5 * g.length)
+    frequency = 30.0 * 2.0 ** np.arange(10)
+    path = OutputPath(frequency, 3 * np.sin(np.log2(frequency / 30)))
+    return Voice(string, hammer, geometry, "pressure", 0.02 * math.exp(0.5 * x), path)
+
+
+def uneven_voice(midi: int) -> Voice:
+    """The key with partials that have levels and decays of their own."""
+    voice, k = true_voice(midi), np.arange(1, 16)
+    frequency = mode_frequencies(voice.string, voice.geometry.length, len(k))
+    return voice._replace(path=OutputPath(frequency, 3 * np.sin(1.7 * k), 1 + 0.4 * np.cos(2.3 * k)))
+
+
+def true_instrument(keys: range = range(21, 109)) -> Instrument:
+    """All of it, MIDI velocity 64 being 1.3 m/s."""
+    return Instrument("twin", {midi: true_voice(midi) for midi in keys}, at_64=1.3, rise=1.5)
+
+
+def fit_document(voice: Voice, errors: dict[str, float], velocities: tuple[float, ...] = LAYERS) -> dict:
+    """What a fit with these errors (standard deviations of logarithms) would write of a voice."""
+    s, h, g = voice.string, voice.hammer, voice.geometry
+    values = s._asdict() | h._asdict() | {"x0": g.strike, "width": g.width, "M_S": g.mass, "L": g.length}
+
+    def entry(name: str, value: float) -> dict:
+        sd = errors.get(name)
+        span = None if sd is None else [value * math.exp(-1.96 * sd), value * math.exp(1.96 * sd)]
+        return {"value": float(value), "unit": "", "interval": span, "status": "free", "note": ""}
+
+    path = voice.path
+    return {
+        "schema": 1, "program": "pianofit", "converged": True, "verdict": "", "messages": [],
+        "parameters": {name: entry(name, value) for name, value in values.items()},
+        "takes": [
+            {"file": f"{v}.wav", "rate": RATE, "v_H0": v, "gain": voice.gain, "first": v == velocities[-1],
+             "gain_status": "free", "v_H0_status": "assumed"} for v in velocities
+        ],
+        "pickup": {"quantity": voice.quantity,
+                   "path": None if path is None else {"frequency": path.frequency.tolist(), "db": path.db.tolist()}},
+        "derived": {}, "levels": {"fitted_db": 1.2}, "diagnostics": {},
+    }  # fmt: skip
+
+
+def write_fit(folder: Path, midi: int, document: dict, prefix: str = "twin") -> Path:
+    """As `pianofit batch` leaves it."""
+    file = folder / "keys" / f"{prefix}-{note_name(midi).replace('#', 's')}" / "fit.json"
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(json.dumps(document))
+    return file
+
+
+def library(folder: Path, keys: list[int], seed: int = 0, *, errors: dict[str, float] = ERRORS) -> Path:
+    """A folder of fits whose parameters are off the truth by `errors`, at random."""
+    random = np.random.default_rng(seed)
+    for midi in keys:
+        voice = true_voice(midi)
+        off = {name: math.exp(sd * random.normal()) for name, sd in errors.items()}
+        string = String(*(x * off.get(n, 1.0) for n, x in voice.string._asdict().items()))
+        # K_H and p trade off: their errors keep the force at 1 mm.
+        p, force = voice.hammer.p * off.get("p", 1.0), errors.get("K_H", 0.0) / 3
+        at_1_mm = voice.hammer.K_H * 1e-3**voice.hammer.p * math.exp(force * random.normal())
+        hammer = voice.hammer._replace(K_H=at_1_mm / 1e-3**p, mu=voice.hammer.mu * off.get("mu", 1.0), p=p,
+                                       M_H=voice.hammer.M_H * off.get("M_H", 1.0))  # fmt: skip
+        geometry = voice.geometry._replace(strike=voice.geometry.strike * off.get("x0", 1.0))
+        found = voice._replace(string=string, hammer=hammer, geometry=geometry)
+        spread_p = errors.get("p", 0.0) * voice.hammer.p
+        told = errors | {"K_H": math.hypot(force, math.log(1e3) * spread_p)}
+        document = fit_document(found, told)
+        document["derived"] = {"max_compression_mm": 1.0, "felt_force_relative_error": force}
+        write_fit(folder, midi, document)
+    return folder
+
+
+def record_key(folder: Path, midi: int, random: np.random.Generator, noise_db: float = -60.0) -> list[Path]:
+    """Recordings of the key's layers, 4 s, computed at twice their rate and with noise."""
+    files = []
+    for i, velocity in enumerate(LAYERS):
+        voice = true_voice(midi)
+        struck = voice._replace(hammer=voice.hammer._replace(v_H0=velocity))
+        sound = struck.play(2 * RATE, 8 * RATE, touch=RATE // 10)[0][::2]
+        noise = 10 ** (noise_db / 20) * np.sqrt(np.mean(sound[:RATE] ** 2))
+        files.append(folder / f"{midi}-{i}.wav")
+        files[-1].write_bytes(encode_wav(sound + random.normal(0.0, noise, len(sound)), RATE))
+    return files
+
+
+def truth(name: str, keys: list[int]) -> np.ndarray:
+    """Of one quantity of `NAMES` [keys], on the scale of its law."""
+    assert name in NAMES
+    values = np.array([invariants(true_voice(midi), midi)[name] for midi in keys])
+    return values if name == "cents" else np.log(values)

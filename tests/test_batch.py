@@ -1,0 +1,380 @@
+"""The batch loop with real processes and quick work: what dies, hangs, swells or is cut short loses nothing."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import shlex
+import shutil
+import signal
+import sqlite3
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from batch_cases import DRIVE, TESTS, killed, library, python, quick_work, results
+
+from pianofit.batch import Local, plan, run_batch, status
+from pianofit.batch.run import suggestions, time_left
+from pianofit.batch.store import Store, locked
+from pianofit.errors import OutputError
+
+TEXTS = [f"note {i}" for i in range(8)]
+
+
+def run(units, out: Path, *, workers: int = 2, memory: int = 2**31, limit: float = 60.0, **more) -> dict:
+    return run_batch(units, out, lambda s: Local(workers, memory, limit, s.scratch, work=quick_work), **more)
+
+
+def no_workers(_):
+    pytest.fail("nothing was to do")
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A library, and its results from a batch that nothing interrupted."""
+    place = tmp_path_factory.mktemp("whole")
+    units = library(place / "in", TEXTS)
+    found = run(units, place / "out")
+    assert found["counts"] == {"done": 8, "failed": 0, "running": 0, "waiting": 0}
+    return place, units, results(place / "out")
+
+
+def test_the_folder_is_exactly_what_it_is_said_to_be(whole):
+    place, units, found = whole
+    assert {p.name for p in (place / "out").iterdir()} == {"keys", "ledger", "lock"}
+    assert list(found) == sorted(u.key for u in units)
+    assert set(found["A0"]) == {"fit.json", "fitted.wav", "record"}
+    for unit in units:
+        expected = quick_work(unit).files
+        assert {n: found[unit.key][n] for n in expected} == expected
+
+
+def test_what_is_done_is_skipped_and_what_changed_is_not(whole, tmp_path):
+    place, units, found = whole
+    shutil.copytree(place / "out", tmp_path / "out")
+    run_batch(units, tmp_path / "out", no_workers)
+    assert set(plan(units, tmp_path / "out").values()) == {"done"}
+    other = library(tmp_path / "in", ["another", *TEXTS[1:]])
+    (tmp_path / "out/keys/As0/fitted.wav").write_bytes(b"by hand")
+    shutil.rmtree(tmp_path / "out/keys/B0")
+    settings = units[3].settings._replace(seed=4)
+    other[3] = other[3]._replace(settings=settings)
+    assert [plan(other, tmp_path / "out")[u.key] for u in other[:5]] == [
+        "to do: inputs changed", "to do: its folder is missing or was changed",
+        "to do: its folder is missing or was changed", "to do: settings changed", "done",
+    ]  # fmt: skip
+    events = []
+    run(other, tmp_path / "out", tell=lambda p: events.append(p.event))
+    again = results(tmp_path / "out")
+    assert [k for k in again if again[k]["fit.json"] != found[k]["fit.json"]] == ["A0"]
+    assert "A0: inputs changed, so it is fitted anew" in events
+
+
+def test_a_lost_ledger_loses_no_key(whole, tmp_path):
+    place, units, _ = whole
+    shutil.copytree(place / "out", tmp_path / "out")
+    (tmp_path / "out/ledger").unlink()
+    run_batch(units, tmp_path / "out", no_workers)
+    assert status(tmp_path / "out")["counts"]["done"] == 8
+
+
+OLD = (
+    """CREATE TABLE units (name TEXT, state TEXT); INSERT INTO units VALUES ('A0', 'done'); PRAGMA user_version = 0;"""
+)
+
+
+@pytest.mark.parametrize("ledger", ["older", "text", "cut"])
+def test_a_ledger_that_cannot_be_used_is_set_aside(whole, tmp_path, ledger):
+    place, units, _ = whole
+    shutil.copytree(place / "out", tmp_path / "out")
+    path = tmp_path / "out/ledger"
+    if ledger == "cut":
+        path.write_bytes(path.read_bytes()[:5000])
+    elif ledger == "text":
+        path.write_text("this is no database, " * 100)
+    else:
+        path.unlink()
+        with sqlite3.connect(path) as db:
+            db.executescript(OLD)
+        db.close()
+    with pytest.raises(OutputError, match="run the batch again to renew it"):
+        status(tmp_path / "out")
+    events = []
+    run_batch(units, tmp_path / "out", no_workers, tell=lambda p: events.append(p.event))
+    assert "was set aside as ledger.old-1; finished keys are taken over" in events[0]
+    assert status(tmp_path / "out")["counts"]["done"] == 8
+    run_batch(units, tmp_path / "out", no_workers, tell=lambda p: pytest.fail(p.event))
+
+
+def test_a_newer_ledger_is_left_alone(whole, tmp_path):
+    place, units, _ = whole
+    shutil.copytree(place / "out", tmp_path / "out")
+    with sqlite3.connect(tmp_path / "out/ledger") as db:
+        db.execute("PRAGMA user_version = 99")
+    db.close()
+    with pytest.raises(OutputError, match=r"written by a newer pianofit \(version 99, this one writes 1"):
+        run(units, tmp_path / "out")
+
+
+# --- failures ---------------------------------------------------------------------------------------------------------
+
+
+def test_failures_are_told_kept_and_tried_again_when_asked(tmp_path):
+    units = library(tmp_path / "in", ["one", "refuse is silent", "three"])
+    found = run(units, tmp_path / "out")
+    assert found["counts"] == {"done": 2, "failed": 1, "running": 0, "waiting": 0}
+    assert [k["reason"] for k in found["keys"]] == ["", "is silent", ""]
+    again = run_batch(units, tmp_path / "out", no_workers)
+    assert again["keys"][1]["reason"] == "is silent"
+    assert plan(units, tmp_path / "out")["As0"] == "failed: is silent"
+    events = []
+    run(units, tmp_path / "out", retry_failed=True, tell=lambda p: events.append(p.event))
+    assert [e for e in events if e] == ["As0: failed: is silent"]
+    mended = library(tmp_path / "in", ["one", "two", "three"])
+    assert run(mended, tmp_path / "out")["counts"]["done"] == 3
+
+
+def test_a_worker_that_dies_takes_only_its_unit_with_it(tmp_path):
+    texts = ["one", "die", "three", f"die-once {tmp_path / 'marker'}", "five", "six"]
+    units = library(tmp_path / "in", texts)
+    events = []
+    found = run(units, tmp_path / "out", tell=lambda p: events.append(p.event))
+    assert found["counts"] == {"done": 5, "failed": 1, "running": 0, "waiting": 0}
+    dead = found["keys"][1]
+    assert dead["reason"].startswith("its worker was ended by SIGKILL, perhaps for want of memory")
+    assert dead["reason"].endswith("2 times")
+    assert found["keys"][3]["attempts"] == 2
+    assert sum("it is tried again" in e for e in events) == 2
+
+
+def test_a_fit_without_end_and_one_without_bounds_are_stopped(tmp_path):
+    units = library(tmp_path / "in", ["hang", "swell", "three"])
+    found = run(units, tmp_path / "out", limit=3.0, memory=2**30)
+    assert [k["state"] for k in found["keys"]] == ["failed", "failed", "done"]
+    assert found["keys"][0]["reason"] == "took more than 3 s and was stopped; give --time-limit more if it may"
+    assert "memory" in found["keys"][1]["reason"]
+
+
+def test_a_worker_is_replaced_before_it_has_grown_old(tmp_path, monkeypatch):
+    monkeypatch.setattr("pianofit.batch.local.RECYCLE", 2)
+    by = []
+    with Local(1, 2**31, 60.0, tmp_path / "scratch", work=quick_work) as worker:
+        for unit in library(tmp_path / "in", TEXTS[:5]):
+            worker.submit(unit)
+            while not (found := worker.finished(1.0)):
+                pass
+            by.append(found[0][1].detail)
+    assert by[0] == by[1] != by[2] == by[3] != by[4]
+
+
+def test_what_an_earlier_run_left_beside_a_failure_is_told(tmp_path):
+    run(library(tmp_path / "in", ["one", "two"]), tmp_path / "out")
+    found = run(library(tmp_path / "in", ["refuse is silent"]), tmp_path / "out")
+    assert found["strangers"] == ["A0", "As0"]
+
+
+def test_a_recording_that_changes_meanwhile_is_not_fitted_as_the_old_one(tmp_path):
+    from pianofit.batch.units import fit_unit
+
+    (unit,) = library(tmp_path / "in", ["one"])
+    (tmp_path / "in/A0.wav").write_text("two")
+    assert "A0.wav: has changed since the batch began" in fit_unit(unit).error
+
+
+def test_a_worker_with_another_version_stops_the_batch(tmp_path):
+    from pianofit.batch.units import fit_unit
+
+    (unit,) = library(tmp_path / "in", ["one"])
+    outcome = fit_unit(unit._replace(versions=unit.versions | {"jax": "0.0.1"}))
+    assert outcome.stop
+    assert "the batch 0.0.1; install the same there" in outcome.error
+
+
+# --- folders ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_second_batch_in_the_folder_refuses(tmp_path):
+    units = library(tmp_path / "in", ["one"])
+    (tmp_path / "out").mkdir()
+    with locked(tmp_path / "out"), pytest.raises(OutputError, match="another batch is at work in this folder"):
+        run(units, tmp_path / "out")
+    assert run(units, tmp_path / "out")["counts"]["done"] == 1
+
+
+def test_folders_that_are_no_batchs(tmp_path):
+    units = library(tmp_path / "in", ["one"])
+    (tmp_path / "file").touch()
+    with pytest.raises(OutputError, match="is a file; give a folder"):
+        run(units, tmp_path / "file")
+    with pytest.raises(OutputError, match="not empty and holds no batch"):
+        run(units, tmp_path / "in")
+    with pytest.raises(OutputError, match="/proc/batch: cannot be written to"):
+        run(units, Path("/proc/batch"))
+    with pytest.raises(OutputError, match="holds no ledger"):
+        status(tmp_path / "in")
+
+
+def mounted(code: str, folder: Path, size: str, *options: str) -> subprocess.CompletedProcess:
+    """Run `code` with a small disk of its own mounted at `folder`, where the system allows that."""
+    tool = shutil.which("unshare")
+    if tool is None or subprocess.run([tool, "-m", "true"], capture_output=True, check=False).returncode:
+        pytest.skip("no private mounts here")
+    folder.mkdir()
+    script = f"mount -t tmpfs -o size={size} none {folder} && {code}"
+    return subprocess.run([tool, "-m", "sh", "-c", script], capture_output=True, text=True, check=False)
+
+
+def shell(code: str, *arguments: object) -> str:
+    """A driver's command line for a shell."""
+    where = os.pathsep.join([str(TESTS), os.environ.get("PYTHONPATH", "")])
+    return f"PYTHONPATH={shlex.quote(where)} " + shlex.join([sys.executable, "-c", code, *map(str, arguments)])
+
+
+def test_a_full_disk_stops_the_batch_and_the_next_run_goes_on(whole, tmp_path):
+    place, _, found = whole
+    out, kept = tmp_path / "disk", tmp_path / "kept"
+    grow = f"mount -o remount,size=64m none {out}"
+    drive = shell(DRIVE, place / "in", out)
+    done = mounted(f"({drive}; echo code $?; ls -A {out} {out}/keys; {grow}; {drive}; cp -r {out} {kept})", out, "300k")
+    assert "the disk is full; what is finished is kept: make room and run the same command" in done.stderr
+    first, _, second = done.stdout.partition("code 1")
+    assert "done in" in first
+    assert ".unfinished" not in second
+    assert sum("done in" in line for line in (first + second).splitlines()) == 8
+    assert results(kept) == found
+
+
+def test_a_read_only_folder_is_named(whole, tmp_path):
+    place, _, _ = whole
+    out = tmp_path / "disk"
+    done = mounted(f"mount -o remount,ro none {out} && {shell(DRIVE, place / 'in', out)}", out, "1m")
+    assert f"{out}: cannot be written to (Read-only file system); choose a folder" in done.stderr
+
+
+def test_no_room_for_a_workers_scratch_stops_the_batch(tmp_path):
+    units = library(tmp_path / "in", ["one", "full", "three"])
+    with pytest.raises(OutputError, match="No space left on device; what is finished is kept: make room and run"):
+        run(units, tmp_path / "out", workers=1)
+    assert [k["state"] for k in status(tmp_path / "out")["keys"]] == ["done", "waiting", "waiting"]
+
+
+def test_a_folder_is_replaced_whole_or_not_at_all(tmp_path, monkeypatch):
+    (tmp_path / "keys").mkdir()
+    store = Store(tmp_path)
+    store.install("C4", {"fit.json": b"1"}, {"hash": "a"})
+    real = os.fsync
+
+    def refuse(handle):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", refuse)
+    with pytest.raises(OutputError, match="the disk is full"):
+        store.install("C4", {"fit.json": b"2"}, {"hash": "b"})
+    monkeypatch.setattr(os, "fsync", real)
+    assert store.record("C4")["hash"] == "a"
+    assert [p.name for p in (tmp_path / "keys").iterdir()] == ["C4"]
+    store.install("C4", {"fit.json": b"2"}, {"hash": "b"})
+    assert store.record("C4")["hash"] == "b"
+
+
+# --- the end at any moment --------------------------------------------------------------------------------------------
+
+
+def check_remains(out: Path) -> set[str]:
+    """After a kill: every key's folder is whole; returns their names."""
+    if not (out / "keys").is_dir():
+        return set()
+    store = Store(out)
+    there = store.finished()
+    assert all(store.record(key) is not None for key in there)
+    return there
+
+
+def test_killed_at_random_moments_a_batch_goes_on_and_ends_the_same(whole, tmp_path):
+    place, units, found = whole
+    moments = random.Random(7)  # noqa: S311
+    before: set[str] = set()
+    stamps = {}
+    for _ in range(6):
+        process = python(DRIVE, place / "in", tmp_path / "out")
+        time.sleep(moments.uniform(0.3, 1.6))
+        killed(process)
+        there = check_remains(tmp_path / "out")
+        assert before <= there, "nothing finished is lost"
+        new = {k: (tmp_path / "out/keys" / k).stat().st_mtime_ns for k in there}
+        assert {k: new[k] for k in stamps} == stamps, "nothing finished is done again"
+        before, stamps = there, new
+    last = python(DRIVE, place / "in", tmp_path / "out")
+    output, errors = last.communicate(timeout=60)
+    assert last.returncode == 0, errors
+    assert json.loads(output.splitlines()[-1])["done"] == len(units)
+    assert results(tmp_path / "out") == found
+    assert {p.name for p in (tmp_path / "out").iterdir()} <= {"keys", "ledger", "lock", "lock-journal"}
+
+
+def children(pid: int) -> list[int]:
+    """Processes whose parent is `pid`."""
+    found = []
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            parent = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
+        except (OSError, ValueError):
+            continue
+        found += [int(folder.name)] if parent == pid else []
+    return found
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs Linux's /proc")
+def test_workers_end_with_a_batch_that_was_killed(tmp_path):
+    library(tmp_path / "in", ["hang", "hang"])
+    process = python(DRIVE, tmp_path / "in", tmp_path / "out")
+    deadline = time.monotonic() + 30
+    while time.monotonic() < deadline and len(workers := children(process.pid)) < 3:  # two, and Python's own helper
+        time.sleep(0.05)
+    time.sleep(0.5)
+    killed(process)
+    while time.monotonic() < deadline and any(Path(f"/proc/{pid}").exists() for pid in workers):
+        time.sleep(0.05)
+    assert not any(Path(f"/proc/{pid}").exists() for pid in workers)
+    state = status(tmp_path / "out")
+    assert (state["at_work"], state["counts"]["running"], state["counts"]["waiting"]) == (False, 0, 2)
+
+
+def test_interrupted_it_leaves_nothing_running(tmp_path):
+    library(tmp_path / "in", ["hang", "two"])
+    process = python(DRIVE, tmp_path / "in", tmp_path / "out")
+    assert process.stdout is not None
+    assert "done in" in process.stdout.readline()
+    assert status(tmp_path / "out")["at_work"]
+    process.send_signal(signal.SIGINT)
+    process.communicate(timeout=30)
+    state = status(tmp_path / "out")
+    assert not state["at_work"]
+    assert state["counts"] == {"done": 1, "failed": 0, "running": 0, "waiting": 1}
+    assert not (tmp_path / "out/.scratch").exists()
+
+
+# --- what is told -----------------------------------------------------------------------------------------------------
+
+
+def test_time_left_is_of_what_waits_and_what_runs():
+    assert time_left([], 5, [], 2) is None
+    assert time_left([10.0, 30.0, 11.0], 4, [5.0, 20.0], 2) == pytest.approx((4 * 11 + 6 + 5) / 2)
+    assert time_left([10.0], 0, [2.0], 4) == pytest.approx(8.0)
+    assert time_left([10.0], 0, [], 4) == 0
+
+
+def test_wrong_names_are_suggested_one_by_one_or_all_together(tmp_path):
+    from pianofit.batch.ledger import Entry
+
+    def entry(note: str, like: str) -> Entry:
+        return Entry(note, note, "", "failed", sounds_like=like)
+
+    assert suggestions([entry("C4", ""), entry("D4", "E4")]) == ["D4: its name says D4, its pitch E4; correct its note"]
+    (said,) = suggestions([entry("C3", "C4"), entry("D3", "D4"), entry("E3", "E4"), entry("F3", "")])
+    assert said.startswith("3 of 4 keys sound 12 semitones above their names")
+    assert "--transpose 12" in said

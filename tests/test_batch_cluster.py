@@ -1,0 +1,142 @@
+"""A batch through a real dask.distributed cluster: processes are killed, results stay what they are without it."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from batch_cases import DRIVE, TESTS, killed, library, python, quick_work, results
+
+from pianofit.batch import Cluster, Local, run_batch, status
+from pianofit.batch.local import ONE_THREAD
+from pianofit.errors import OutputError, ParameterError, PianofitError
+
+pytest.importorskip("distributed", reason="needs the extra: pip install 'pianofit[cluster]'")
+
+
+class Machines:
+    """A scheduler and workers, each a process that can be killed."""
+
+    def __init__(self, folder: Path, workers: int) -> None:
+        folder.mkdir(exist_ok=True)
+        self.folder = folder
+        self.scheduler = self._start("scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard")
+        file = folder / "scheduler.json"
+        wait(file.exists)
+        self.address = json.loads(file.read_text())["address"]
+        self.workers = [self.add() for _ in range(workers)]
+
+    def _start(self, what: str, *options: str) -> subprocess.Popen:
+        file = str(self.folder / "scheduler.json")
+        path = os.pathsep.join([str(TESTS), os.environ.get("PYTHONPATH", "")])
+        return subprocess.Popen(
+            [sys.executable, "-m", "dask", what, "--scheduler-file", file, *options], cwd=self.folder,
+            env=os.environ | ONE_THREAD | {"PYTHONPATH": path}, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        )  # fmt: skip
+
+    def add(self) -> subprocess.Popen:
+        """Start a worker of one thread, without a nanny that would start it again."""
+        options = ("--nthreads", "1", "--no-nanny", "--no-dashboard", "--host", "127.0.0.1")
+        return self._start("worker", *options, "--local-directory", str(self.folder))
+
+    def end(self) -> None:
+        """Kill them all."""
+        for process in (*self.workers, self.scheduler):
+            killed(process)
+
+
+def wait(condition, seconds: float = 60.0) -> None:
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline, "it did not come about"
+        time.sleep(0.05)
+
+
+@contextlib.contextmanager
+def cluster(folder: Path, workers: int) -> Iterator[Machines]:
+    made = Machines(folder, workers)
+    try:
+        yield made
+    finally:
+        made.end()
+
+
+def expected(units, out: Path) -> dict:
+    """Results of the machine's own processes."""
+    run_batch(units, out, lambda s: Local(2, 2**31, 60.0, s.scratch, work=quick_work))
+    return results(out)
+
+
+@pytest.mark.parametrize("by_value", [True, False])
+def test_a_worker_is_killed_in_mid_fit_and_nothing_changes(tmp_path, by_value):
+    texts = [f"slow {0.4 + 0.01 * i}" for i in range(6)]
+    units = library(tmp_path / "in", texts)
+    with cluster(tmp_path / "dask", 2) as it:
+        events = []
+
+        def tell(progress):
+            if progress.event:
+                events.append(progress.event)
+                if len(events) == 1:  # the other worker is in the middle of a unit
+                    killed(it.workers[0])
+
+        found = run_batch(units, tmp_path / "out", lambda _: Cluster(it.address, by_value, quick_work), tell=tell)
+    assert found["counts"] == {"done": 6, "failed": 0, "running": 0, "waiting": 0}
+    assert results(tmp_path / "out") == expected(units, tmp_path / "own")
+
+
+def test_the_driver_and_then_the_scheduler_are_killed_and_the_batch_goes_on(tmp_path):
+    texts = [f"slow {0.3 + 0.01 * i}" for i in range(8)]
+    units = library(tmp_path / "in", texts)
+    out = tmp_path / "out"
+    with cluster(tmp_path / "dask", 2) as it:
+        process = python(DRIVE, tmp_path / "in", out, it.address)
+        assert process.stdout is not None
+        assert "done in" in process.stdout.readline()
+        killed(process)
+        first = {p.name for p in (out / "keys").iterdir() if not p.name.startswith(".")}
+        assert first
+
+        def tell(progress):
+            if "done in" in progress.event:
+                killed(it.scheduler)
+
+        with pytest.raises(OutputError, match="the scheduler is gone; what is finished is kept: start one and run"):
+            run_batch(units, out, lambda _: Cluster(it.address, True, quick_work), tell=tell)
+        kept = status(out)["counts"]
+        assert kept["done"] > len(first)
+        assert kept["done"] + kept["waiting"] == 8
+    with cluster(tmp_path / "dask2", 1) as it:
+        run_batch(units, out, lambda _: Cluster(it.address, True, quick_work))
+    assert results(out) == expected(units, tmp_path / "own")
+
+
+def test_what_fails_on_a_worker_is_told_here(tmp_path):
+    units = library(tmp_path / "in", ["one", "refuse is silent", "three"])
+    with cluster(tmp_path / "dask", 1) as it:
+        found = run_batch(units, tmp_path / "out", lambda _: Cluster(it.address, True, quick_work))
+        (tmp_path / "in/A0.wav").unlink()
+        gone = run_batch(units[:1], tmp_path / "out2", lambda _: Cluster(it.address, True, quick_work))
+    assert [k["reason"] for k in found["keys"]] == ["", "is silent", ""]
+    assert "A0.wav: no such file" in gone["keys"][0]["reason"]
+
+
+def test_no_scheduler_is_one_clear_message(monkeypatch):
+    monkeypatch.setattr("pianofit.batch.cluster.PATIENCE", 0.5)
+    with pytest.raises(ParameterError, match=r"--scheduler tcp://127\.0\.0\.1:9: no scheduler answers there"):
+        Cluster("tcp://127.0.0.1:9", True)
+    with pytest.raises(PianofitError, match="no scheduler answers there"):
+        Cluster("nonsense", True)
+
+
+def test_without_the_extra_it_says_how_to_install_it(monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(ParameterError, match=r"pip install 'pianofit\[cluster\]'"):
+        Cluster("tcp://127.0.0.1:9", True)

@@ -1,0 +1,140 @@
+"""Batches of real fits through the command line: one key each way that a library can be wrong."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from batch_cases import CLI, python, results, struck
+
+from pianofit.batch import Local, Settings, Unit, make_unit, read_keys
+from pianofit.batch.units import Outcome, _astray
+from pianofit.render import encode_wav
+
+PATTERN = "{instrument}-{note}-{layer}.wav"
+
+
+def in_a_worker(unit: Unit, folder: Path) -> Outcome:
+    """Fit in a process with one thread, as all of a batch."""
+    with Local(1, 2**32, 300.0, folder / "scratch") as worker:
+        worker.submit(unit)
+        while not (found := worker.finished(1.0)):
+            pass
+    assert isinstance(found[0][1], Outcome)
+    return found[0][1]
+
+
+def run(*arguments: object) -> tuple[int, str, str]:
+    process = python(CLI, *arguments)
+    output, errors = process.communicate(timeout=300)
+    return process.returncode, output, errors
+
+
+@pytest.fixture(scope="module")
+def batch(tmp_path_factory):
+    """A good key, one under a wrong name, one of noise; run once."""
+    place = tmp_path_factory.mktemp("batch")
+    (place / "in").mkdir()
+    for velocity, layer in ((1.0, "p"), (3.0, "f")):
+        struck(place / f"in/grand-C4-{layer}.wav", 60, velocity)
+        struck(place / f"in/grand-F4-{layer}.wav", 69, velocity)
+    noise = np.random.default_rng(1).normal(0.0, 0.1, 30_000)
+    (place / "in/grand-D4-noise.wav").write_bytes(encode_wav(noise, 22_050))
+    command = ("batch", place / "in", "--pattern", PATTERN, "--out", place / "out", "--no-page", "--workers", 1)
+    return place, command, run(*command)
+
+
+def test_what_went_wrong_is_told_and_the_rest_is_done(batch):
+    place, _, (code, output, errors) = batch
+    assert code == 3, errors
+    lines = output.splitlines()
+    assert lines[0] == "1 done, 2 failed of 3 keys"
+    told = {line.split(": ")[1]: line for line in lines if line.startswith("failed: ")}
+    assert f"{place}/in/grand-D4-noise.wav: " in told["grand-D4"]
+    assert "none of its 2 recordings can be used" in told["grand-F4"]
+    assert "which sounds like A4" in told["grand-F4"]
+    assert "grand-F4: its name says F4, its pitch A4; correct its note" in lines
+    assert "grand-C4: done in" in errors
+    assert set(results(place / "out")) == {"grand-C4"}
+    assert {"fit.json", "fitted.wav", "initial.wav"} <= set(results(place / "out")["grand-C4"])
+
+
+def test_the_same_command_finds_nothing_to_do(batch):
+    place, command, _ = batch
+    before = (place / "out/keys/grand-C4/fit.json").stat().st_mtime_ns
+    code, output, errors = run(*command, "--json")
+    document = json.loads(output)
+    assert (code, errors) == (3, "")
+    assert document["counts"] == {"done": 1, "failed": 2, "running": 0, "waiting": 0}
+    assert (place / "out/keys/grand-C4/fit.json").stat().st_mtime_ns == before
+
+
+def test_its_status_and_its_plan(batch):
+    place, command, _ = batch
+    code, output, _ = run("status", place / "out", "--json")
+    document = json.loads(output)
+    assert code == 0
+    assert (document["at_work"], document["counts"]["failed"]) == (False, 2)
+    assert [k["sounds_like"] for k in document["keys"]] == ["", "", "A4"]
+    code, output, _ = run(*command, "--dry-run", "--retry", "failed", "--seed", 3)
+    assert code == 0
+    assert "grand-C4                           2 recordings  to do: settings changed" in output
+    assert "3 of 3 keys to do; nothing was written" in output
+
+
+def test_recordings_that_cannot_be_used_are_left_out_and_told(batch, tmp_path):
+    place, _, _ = batch
+    for layer in "pf":
+        (tmp_path / f"grand-C4-{layer}.wav").write_bytes((place / f"in/grand-C4-{layer}.wav").read_bytes())
+    (tmp_path / "grand-C4-noise.wav").write_bytes((place / "in/grand-D4-noise.wav").read_bytes())
+    (tmp_path / "grand-C4-text.wav").write_bytes(b"not a sound")
+    (key,), _ = read_keys(tmp_path, pattern=PATTERN)
+    outcome = in_a_worker(make_unit(key, Settings(page=False)), tmp_path)
+    assert outcome.error == ""
+    assert [Path(f).name for f, _ in outcome.left_out] == ["grand-C4-noise.wav", "grand-C4-text.wav"]
+    assert "is text" in outcome.left_out[1][1]
+    document = json.loads(outcome.files["fit.json"])
+    assert [t["file"] for t in document["takes"]] == [str(tmp_path / f"grand-C4-{x}.wav") for x in "fp"]
+    alone = json.loads((place / "out/keys/grand-C4/fit.json").read_bytes())
+    assert document["parameters"] == alone["parameters"]  # another process, the same numbers
+
+
+def test_a_name_is_wrong_from_a_semitone_on():
+    c4 = 261.6256
+    assert _astray("C4", c4 * 2 ** (45 / 1200)) == ""
+    assert _astray("C4", c4 / 2 ** (55 / 1200)) == ""
+    assert "+100 cents from it: C#4" in _astray("C4", c4 * 2 ** (1 / 12))
+    assert "-1200 cents from it: C3" in _astray("C4", c4 / 2)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "said"),
+    [
+        (["--workers", "0"], 1, "--workers 0 must be from 1 to 1024"),
+        (["--memory", "0.1"], 1, "--memory 0.1 GiB must be from 1 to 4096"),
+        (["--retry", "all"], 2, "'all' is not failed"),
+        (["--files", "post"], 2, "'post' is not value or shared"),
+        (["--seed", "-1"], 1, "seed=-1 must not be negative"),
+        (["--pattern", "{note}"], 1, "is no folder, so --pattern"),
+        (["--setup", "takes.toml"], 1, "has a [[take]]; the manifest names the takes"),
+        (["--scheduler", "nonsense"], 1, "no scheduler answers there"),
+    ],
+)
+def test_options_that_cannot_be_meant(tmp_path, monkeypatch, capsys, arguments, code, said):
+    from pianofit import cli, commands_batch
+
+    if "batch" not in [(c.name or c.callback.__name__) for c in cli.app.registered_commands if c.callback]:
+        commands_batch.register(cli.app)
+    if "--scheduler" in arguments:
+        pytest.importorskip("distributed")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.wav").write_bytes(b"a")
+    (tmp_path / "takes.toml").write_text('[[take]]\nfile = "a.wav"\nv_H0 = 1.0\n')
+    (tmp_path / "m.csv").write_text("file,note\na.wav,C4\n")
+    assert cli.main(["batch", "m.csv", "--out", "out", *arguments]) == code
+    captured = capsys.readouterr()
+    assert said in captured.err
+    assert captured.err.count("\n") == 1
+    assert captured.out == ""

@@ -1,0 +1,211 @@
+"""From manifests, folders and SFZ files to keys; and what is refused, by name, before anything starts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from pianofit.batch import Settings, make_unit, read_keys
+from pianofit.errors import RecordingError, SetupError
+from pianofit.setup_file import load_setup
+
+
+def touch(folder: Path, *names: str) -> None:
+    for name in names:
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(name.encode())
+
+
+def manifest(folder: Path, text: str | bytes, name: str = "m.csv") -> Path:
+    (folder / name).parent.mkdir(exist_ok=True)
+    (folder / name).write_bytes(text if isinstance(text, bytes) else text.encode())
+    return folder / name
+
+
+def shown(keys) -> dict[str, list[str]]:
+    return {k.name: [s.file.name for s in k.samples] for k in keys}
+
+
+def test_rows_of_one_instrument_and_note_are_one_key(tmp_path):
+    touch(tmp_path, "a.wav", "b.wav", "c.flac", "d.wav")
+    text = "file,note,instrument,layer,velocity,group,licence\na.wav,F#2,CP 80,p,0.8,close,x\n" \
+           "b.wav,Gb2,CP 80,f,2.5,close,x\nc.flac,42,grand,f,,,x\nd.wav,A0,grand,,,,x\n"  # fmt: skip
+    keys, remarks = read_keys(manifest(tmp_path, text))
+    assert shown(keys) == {"CP-80-Fs2": ["a.wav", "b.wav"], "grand-A0": ["d.wav"], "grand-Fs2": ["c.flac"]}
+    assert [(s.velocity, s.group) for s in keys[0].samples] == [(0.8, "close"), (2.5, "close")]
+    assert remarks == ["columns that have no meaning here: licence"]
+
+
+@pytest.mark.parametrize(
+    "text", ["file;note\na.wav;C4\n", "﻿note\tfile\r\nC4\ta.wav\r\n", '"file","note"\n"a.wav","60"']
+)
+def test_what_a_spreadsheet_writes_is_read(tmp_path, text):
+    touch(tmp_path, "a.wav")
+    keys, _ = read_keys(manifest(tmp_path, text))
+    assert shown(keys) == {"C4": ["a.wav"]}
+
+
+def test_velocities_and_groups_become_the_setup_of_the_fit(tmp_path):
+    touch(tmp_path, "close/C4.wav", "room/C4.wav")
+    text = 'file,note,velocity,group\nclose/C4.wav,C4,1.25,close\nroom/C4.wav,C4,,a "b"\n'
+    (key,), _ = read_keys(manifest(tmp_path, text.replace('a "b"', '"a ""b"""')))
+    unit = make_unit(key, Settings(setup="[string]\nlength = 0.6\n"))
+    (tmp_path / "setup.toml").write_text(unit.setup, encoding="utf-8")
+    setup = load_setup(tmp_path / "setup.toml")
+    assert setup.length == 0.6
+    assert [(t.file, t.v_H0, t.group) for t in setup.takes] == [
+        ("close-C4.wav", 1.25, "close"), ('a _b_-C4.wav', None, 'a "b"')
+    ]  # fmt: skip
+
+
+def test_a_folder_is_read_by_the_names_of_its_files(tmp_path):
+    touch(tmp_path, "cp80-Fs2-FF.flac", "cp80-Fs2-PP.flac", "grand-A0-L2-decca.flac", "grand-A0-L2-close.flac",
+          "grand-Bb3-L2.wav", "notes.txt", ".hidden-C4-x.wav", "other.wav")  # fmt: skip
+    keys, remarks = read_keys(tmp_path, pattern="{instrument}-{note}-{layer}[-{group}]")
+    assert shown(keys) == {
+        "cp80-Fs2": ["cp80-Fs2-FF.flac", "cp80-Fs2-PP.flac"],
+        "grand-A0": ["grand-A0-L2-close.flac", "grand-A0-L2-decca.flac"],
+        "grand-As3": ["grand-Bb3-L2.wav"],
+    }
+    assert [s.group for s in keys[1].samples] == ["close", "decca"]
+    assert remarks == ["1 recordings do not fit the pattern, such as other.wav"]
+
+
+def test_octaves_can_be_counted_otherwise(tmp_path):
+    touch(tmp_path, "C3.wav")
+    assert shown(read_keys(tmp_path, pattern="{note}", transpose=12)[0]) == {"C4": ["C3.wav"]}
+    with pytest.raises(SetupError, match=r"note 'C3' is MIDI 148 with --transpose 100, must be 0 to 127"):
+        read_keys(tmp_path, pattern="{note}", transpose=100)
+
+
+SFZ = r"""// a piano
+<control> default_path=..\samples\ #define $LOUD 90
+<global> ampeg_release=1 /* over
+two lines */
+<group> lovel=1 hivel=89
+<region> sample=soft one.wav lokey=59 hikey=61 pitch_keycenter=60
+<region> key=c#4 sample=cs.wav
+<group> lovel=$LOUD hivel=127
+<region> sample=loud.wav pitch_keycenter=60
+<region> sample=loud.wav lokey=62 hikey=63 pitch_keycenter=60
+#include "more.sfz"
+<group> trigger=release <region> sample=release.wav key=60
+<region> sample=*sine key=60
+"""
+
+
+def test_an_sfz_file_names_keys_velocities_and_samples(tmp_path):
+    touch(tmp_path, *(f"samples/{n}.wav" for n in ("soft one", "cs", "loud", "release", "D4")))
+    (tmp_path / "sfz").mkdir()
+    manifest(tmp_path / "sfz", "<region> sample=D4.wav key=d4 // the end", "more.sfz")
+    keys, remarks = read_keys(manifest(tmp_path / "sfz", SFZ, "p.sfz"), root=tmp_path)
+    assert shown(keys) == {"C4": ["loud.wav", "soft one.wav"], "Cs4": ["cs.wav"], "D4": ["D4.wav"]}
+    assert [s.layer for s in keys[0].samples] == ["v090-127 loud", "v001-089 soft one"]
+    assert remarks == ["2 regions without a sample, on release, or with the pedal down"]
+
+
+def test_an_sfz_file_may_not_leave_its_folder(tmp_path):
+    touch(tmp_path, "samples/soft one.wav")
+    (tmp_path / "sfz").mkdir()
+    with pytest.raises(SetupError, match=r"region 1: .*leads out of .*--root.*nothing was started"):
+        read_keys(manifest(tmp_path / "sfz", SFZ.replace("#include", "//"), "p.sfz"))
+    with pytest.raises(SetupError, match=r"includes \.\./x\.sfz, which leads out"):
+        read_keys(manifest(tmp_path / "sfz", '#include "../x.sfz"', "q.sfz"))
+    with pytest.raises(SetupError, match="it may include itself"):
+        read_keys(manifest(tmp_path / "sfz", '#include "r.sfz"', "r.sfz"))
+
+
+HOSTILE = {
+    "outside": ("file,note\n../x.wav,C4", r"line 2: \.\./x\.wav leads out of .*--root"),
+    "absolute": ("file,note\n/etc/passwd,C4", "line 2: /etc/passwd leads out of"),
+    "link": ("file,note\nlink.wav,C4", r"line 2: link\.wav leads out of"),
+    "missing": ("file,note\na.wav,C4\nb.wav,C4\nz.wav,C4\ny.wav,D4", r"line 4: z\.wav: no such file; line 5: y\.wav"),
+    "folder": ("file,note\n.,C4", "line 2: .: is a folder"),
+    "twice": ("file,note\na.wav,C4\n./a.wav,D4", "line 3: ./a.wav is also line 2; list it once"),
+    "layer-twice": ("file,note,layer\na.wav,C4,p\nb.wav,C4,p", "line 3: C4 has a second 'p'"),
+    "slug": ("file,note,instrument\na.wav,C4,A b\nb.wav,C4,A-b", "would share the folder A-b-C4"),
+    "note": ("file,note\na.wav,H4", "line 2: note 'H4' is not a note name"),
+    "midi": ("file,note\na.wav,128", "line 2: note '128'"),
+    "velocity": ("file,note,velocity\na.wav,C4,64", "line 2: velocity '64' must be a number from 0.01 to 20 m/s"),
+    "nan": ("file,note,velocity\na.wav,C4,nan", "line 2: velocity 'nan'"),
+    "no-column": ("path,note\na.wav,C4", "the header has no column 'file'"),
+    "column-twice": ("file,note,note\na.wav,C4,C4", "the column 'note' is there twice"),
+    "cells": ("file,note\na.wav,C4,x", "line 2 has 3 cells, the header 2"),
+    "quote": ('file,note\n"a.wav,C4', "line 2: "),
+    "empty": ("file,note\n", "lists no recording"),
+    "nothing": ("", "is empty"),
+    "latin": ("file,note\nfl\u00fcgel.wav,C4".encode("latin-1"), "byte 0xfc on line 2 is not UTF-8"),
+    "utf-16": ("file,note\na.wav,C4".encode("utf-16"), "is UTF-16 text; save it as UTF-8"),
+    "zero": (b"file,note\na\0.wav,C4", "has a zero byte on line 2"),
+    "control": ("file,note\na\x1b[31m.wav,C4", r"a\\x1b\[31m\.wav: no such file"),
+    "long": (f"file,note\n{'x' * 300}.wav,C4", "no such file|no usable path"),
+    "many": ("file,note\n" + "x.wav,C4\n" * 10_000, "and 9995 more; nothing was started"),
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_a_hostile_manifest_is_refused_by_name(tmp_path, name):
+    text, said = HOSTILE[name]
+    (tmp_path / "in").mkdir()
+    touch(tmp_path, "x.wav", "in/a.wav", "in/b.wav")
+    (tmp_path / "in" / "link.wav").symlink_to(tmp_path / "x.wav")
+    with pytest.raises(SetupError, match=said) as caught:
+        read_keys(manifest(tmp_path / "in", text))
+    assert str(caught.value).isprintable()
+    assert "m.csv" in str(caught.value)
+
+
+def test_a_larger_root_lets_links_and_parents_in(tmp_path):
+    (tmp_path / "in").mkdir()
+    touch(tmp_path, "x.wav", "y.wav")
+    (tmp_path / "in" / "link.wav").symlink_to(tmp_path / "x.wav")
+    keys, _ = read_keys(manifest(tmp_path / "in", "file,note\nlink.wav,C4\n../y.wav,C4"), root=tmp_path)
+    assert shown(keys) == {"C4": ["x.wav", "y.wav"]}
+
+
+def test_ten_thousand_rows_are_read(tmp_path):
+    names = [f"{note}{octave}-{i}.wav" for note in "CDEFGAB" for octave in range(8) for i in range(1, 60)]
+    touch(tmp_path, *names)
+    lines = [f"{n},{n.split('-')[0]},{n.split('-')[1]},i" for n in names]
+    more = [f"{i}.wav,C4,,i{i}" for i in range(10_000 - len(lines))]
+    touch(tmp_path, *(line.split(",")[0] for line in more))
+    keys, _ = read_keys(manifest(tmp_path, "\n".join(["file,note,layer,instrument", *lines, *more])))
+    assert sum(len(k.samples) for k in keys) == 10_000
+
+
+@pytest.mark.parametrize("pattern", ["{layer}", "{note}-{what}", "{note}-{note}", "{note}]", "[[{note}]]", "{note}["])
+def test_a_pattern_that_cannot_be_meant(tmp_path, pattern):
+    touch(tmp_path, "C4.wav")
+    with pytest.raises(SetupError, match="--pattern"):
+        read_keys(tmp_path, pattern=pattern)
+
+
+def test_a_pattern_that_fits_nothing(tmp_path):
+    touch(tmp_path, "C4.wav")
+    with pytest.raises(SetupError, match=r"none of its 1 recordings, such as 'C4\.wav', fits the pattern"):
+        read_keys(tmp_path, pattern="{instrument}_{note}")
+    with pytest.raises(SetupError, match="no recording fits"):
+        read_keys(manifest(tmp_path, "x", "empty/x.txt").parent)
+
+
+def test_two_takes_of_one_content_are_refused(tmp_path):
+    touch(tmp_path, "a.wav", "b.wav")
+    (tmp_path / "b.wav").write_bytes(b"a.wav")
+    (key,), _ = read_keys(manifest(tmp_path, "file,note\na.wav,C4\nb.wav,C4"))
+    with pytest.raises(RecordingError, match=r"b\.wav and .*a\.wav are the same recording"):
+        make_unit(key, Settings())
+
+
+def test_the_hash_is_of_contents_and_settings_not_of_places(tmp_path):
+    def unit(folder: str, settings: Settings = Settings(), content: bytes = b"x"):  # noqa: B008
+        (tmp_path / folder).mkdir(exist_ok=True)
+        (tmp_path / folder / "a.wav").write_bytes(content)
+        (key,), _ = read_keys(manifest(tmp_path / folder, "file,note\na.wav,C4"))
+        return make_unit(key, settings)
+
+    first = unit("one")
+    assert unit("two").hash == first.hash
+    assert unit("one", content=b"y").hash != first.hash
+    assert unit("one", Settings(seed=1)).hash != first.hash
+    assert first._replace(versions={"pianofit": "0"}).hash != first.hash

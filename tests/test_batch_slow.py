@@ -1,0 +1,111 @@
+"""Whole libraries: real notes with a batch killed twenty times, four workers of a cluster, and all 88 keys.
+
+`PIANOFIT_BATCH_KEYS` and `PIANOFIT_BATCH_KILLS` make them smaller, for a machine with other work to do.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import shutil
+import time
+from pathlib import Path
+
+import pytest
+from batch_cases import CLI, killed, python, results, struck
+from test_batch import check_remains
+
+KILLS = int(os.environ.get("PIANOFIT_BATCH_KILLS", "20"))
+KEYS = os.environ.get("PIANOFIT_BATCH_KEYS", "")
+NAMES = "{instrument}-{note}-{layer}[-{group}].flac"
+
+
+@pytest.fixture(scope="module")
+def library(recordings, tmp_path_factory) -> Path:
+    """The recordings, or those of the keys that were asked for."""
+    folder = tmp_path_factory.mktemp("library")
+    for file in recordings.glob("*.flac"):
+        if not KEYS or "-".join(file.name.split("-")[:2]) in KEYS.split(","):
+            shutil.copy(file, folder)
+    return folder
+
+
+def command(library: Path, out: Path, *more: object) -> tuple:
+    return "batch", library, "--pattern", NAMES, "--out", out, "--no-page", "--json", *more
+
+
+def finish(*arguments: object) -> dict:
+    process = python(CLI, *arguments)
+    output, errors = process.communicate()
+    assert process.returncode in (0, 3), errors
+    return json.loads(output)
+
+
+@pytest.fixture(scope="module")
+def whole(library, tmp_path_factory) -> tuple[dict, float]:
+    """What an uninterrupted batch finds, and the median seconds of a key."""
+    out = tmp_path_factory.mktemp("whole") / "out"
+    began = time.monotonic()
+    document = finish(*command(library, out))
+    seconds = time.monotonic() - began
+    print(f"\n{len(document['keys'])} keys in {seconds:.0f} s, median {document['median_seconds']:.1f} s a key, "
+          f"{document['largest_memory'] / 2**30:.2f} GiB a process")  # fmt: skip
+    print([(k["key"], k["reason"]) for k in document["keys"] if k["state"] == "failed"])
+    return results(out), document["median_seconds"]
+
+
+@pytest.mark.slow
+@pytest.mark.recordings
+def test_real_notes_killed_at_random_moments_come_out_identical(library, whole, tmp_path):
+    found, each = whole
+    moments = random.Random(11)  # noqa: S311
+    kept: set[str] = set()
+    ended = 0
+    for _ in range(KILLS):
+        process = python(CLI, *command(library, tmp_path / "out"))
+        time.sleep(moments.uniform(0.5, 2 * each + 5.0))
+        ended += process.poll() is not None
+        killed(process)
+        there = check_remains(tmp_path / "out")
+        assert kept <= there
+        kept = there
+    print(f"\n{KILLS} kills, {ended} after the end, {len(kept)} of {len(found)} keys done by then")
+    finish(*command(library, tmp_path / "out"))
+    assert results(tmp_path / "out") == found
+
+
+@pytest.mark.slow
+@pytest.mark.recordings
+def test_real_notes_through_a_cluster_of_which_a_worker_dies_come_out_identical(library, whole, tmp_path):
+    pytest.importorskip("distributed")
+    from test_batch_cluster import cluster
+
+    found, each = whole
+    with cluster(tmp_path / "dask", 4) as it:
+        process = python(CLI, *command(library, tmp_path / "out", "--scheduler", it.address, "--files", "shared"))
+        time.sleep(each + 5.0)
+        killed(it.workers[1])
+        _, errors = process.communicate()
+    assert process.returncode in (0, 3), errors
+    assert results(tmp_path / "out") == found
+
+
+@pytest.mark.slow
+def test_all_88_keys_of_a_made_library(tmp_path):
+    (tmp_path / "in").mkdir()
+    keys = range(21, 109, max(88 // int(KEYS), 1)) if KEYS.isdigit() else range(21, 109)
+    for midi in keys:
+        for layer, velocity in enumerate((0.6, 1.2, 2.2, 4.0)):
+            struck(tmp_path / f"in/{midi}-{layer}.wav", midi, velocity, seconds=3.0, rate=44_100)
+    began = time.monotonic()
+    arguments = ("batch", tmp_path / "in", "--pattern", "{note}-{layer}", "--out", tmp_path / "out", "--workers", 2)
+    process = python(CLI, *arguments, "--no-page", "--json")
+    output, errors = process.communicate()
+    minutes = (time.monotonic() - began) / 60
+    document = json.loads(output)
+    done = document["counts"]["done"]
+    print(f"\n{done} of {len(keys)} keys in {minutes:.1f} min, {done / minutes:.1f} a minute on two processes")
+    print(f"median {document['median_seconds']} s a key, {document['largest_memory'] / 2**30:.2f} GiB a process")
+    print(errors)
+    assert done >= 0.95 * len(keys)

@@ -1,0 +1,257 @@
+"""The commands of an instrument as a user runs them, its page, and files that nobody should trust."""
+
+from __future__ import annotations
+
+import copy
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import mido
+import numpy as np
+import pytest
+import soundfile
+import typer
+from instrument_cases import ERRORS, fit_document, library, true_voice, uneven_voice, write_fit
+from typer.testing import CliRunner, Result
+
+from pianofit.commands_instrument import register
+from pianofit.errors import FitError
+from pianofit.instrument import build_instrument, find_fits, load_instrument, load_keys, read_instrument
+from pianofit.instrument.page import write_page
+
+APP = typer.Typer()
+register(APP)
+KEYS = [30, 42, 54, 66, 78]
+
+
+def run(*words: object) -> Result:
+    return CliRunner().invoke(APP, [str(word) for word in words])
+
+
+@pytest.fixture(scope="module")
+def fits(tmp_path_factory) -> Path:
+    return library(tmp_path_factory.mktemp("batch"), KEYS)
+
+
+@pytest.fixture(scope="module")
+def document(fits) -> dict[str, Any]:
+    return build_instrument(load_keys(find_fits([fits])), "twin")
+
+
+@pytest.fixture(scope="module")
+def built(document, tmp_path_factory) -> Path:
+    file = tmp_path_factory.mktemp("built") / "instrument.json"
+    file.write_text(json.dumps(document))
+    return file
+
+
+@pytest.fixture
+def melody(tmp_path) -> Path:
+    track = mido.MidiTrack()
+    for note in (60, 64, 67, 60):
+        track += [mido.Message("note_on", note=note, velocity=80), mido.Message("note_off", note=note, time=120)]
+    mido.MidiFile(tracks=[track]).save(tmp_path / "melody.mid")
+    return tmp_path / "melody.mid"
+
+
+def test_an_instrument_is_put_together(fits, tmp_path):
+    done = run("instrument", fits, "--out", tmp_path / "out")
+    assert done.exit_code == 0, done.output
+    assert sorted(file.name for file in (tmp_path / "out").iterdir()) == ["instrument.html", "instrument.json"]
+    assert "twin: 5 keys known" in done.output
+    assert len(load_instrument(tmp_path / "out" / "instrument.json").voices) == 88
+    again = run("instrument", fits, "--out", tmp_path / "out")
+    assert again.exit_code == 1
+    assert "the folder is not empty" in again.output
+    files = sorted(fits.glob("keys/*/fit.json"))
+    printed = run("instrument", *files, "--out", tmp_path / "other", "--no-page", "--json", "--name", "mine")
+    assert json.loads(printed.stdout) == json.loads((tmp_path / "other" / "instrument.json").read_text())
+    assert json.loads(printed.stdout)["name"] == "mine"
+    assert not (tmp_path / "other" / "instrument.html").exists()
+
+
+def test_the_same_fits_make_the_same_instrument(fits, document):
+    assert build_instrument(load_keys(find_fits([fits])), "twin") == document
+
+
+def test_a_page_shows_every_key_and_trusts_no_name(document, tmp_path):
+    hostile = copy.deepcopy(document) | {"name": "<script>alert(1)</script>", "messages": ["<img src=x>"]}
+    write_page(tmp_path / "instrument.html", hostile)
+    page = (tmp_path / "instrument.html").read_text()
+    assert "<script" not in page
+    assert "<img src=x>" not in page
+    assert "&lt;script&gt;alert(1)" in page
+    assert len(re.findall(r'<tr><th scope="row">', page)) == 88
+    assert page.count("data:image/svg+xml;base64,") == 4
+    assert not re.search(r'(src|href)="(?!data:)', page)
+    assert "default-src 'none'" in page
+
+
+def test_a_melody_is_played(built, melody, tmp_path):
+    out = tmp_path / "melody.wav"
+    done = run("play", built, melody, "--out", out, "--json")
+    assert done.exit_code == 0, done.output
+    told = json.loads(done.stdout)
+    info = soundfile.info(out)
+    assert (info.samplerate, info.subtype, info.channels) == (48_000, "PCM_24", 1)
+    assert info.frames == round(told["seconds"] * 48_000)
+    sound, _ = soundfile.read(out)
+    assert 0.01 < np.abs(sound).max() <= 0.8914
+    assert told["notes"] == told["strikes"] == 4
+    assert told["on_moving_strings"] == 1
+    before = out.read_bytes()
+    refused = run("play", built, melody, "--out", out)
+    assert refused.exit_code == 1
+    assert "exists; give another --out" in refused.output
+    replaced = run("play", built, melody, "--out", out, "--force")
+    assert "4 notes, 1 of them on a string still sounding" in replaced.output
+    assert out.read_bytes() == before  # the same in, the same out
+
+
+def test_a_sampler_is_exported(built, tmp_path):
+    done = run("export", built, "--out", tmp_path / "sampler", "--layers", 2, "--keys", "C4,E4", "--seconds", 0.3)
+    assert done.exit_code == 0, done.output
+    assert "4 samples, 1 s" in done.output
+    assert len(list((tmp_path / "sampler" / "samples").iterdir())) == 4
+    assert (tmp_path / "sampler" / "twin.sfz").is_file()
+
+
+@pytest.mark.parametrize(("words", "message"), [
+    (("export", "@", "--out", "x", "--format", "sf2"), "--format 'sf2' must be sfz"),
+    (("export", "@", "--out", "x", "--keys", "H4"), "'H4' is no key"),
+    (("export", "@", "--out", "x", "--layers", "0"), "layers=0 must be from 1 to 127"),
+    (("export", "none.json", "--out", "x"), "none.json: no such file"),
+    (("play", "@", "none.mid", "--out", "x.wav"), "none.mid: no such file"),
+    (("play", "@", "melody.mid", "--out", "none/x.wav"), "there is no folder"),
+    (("play", "@", "melody.mid", "--out", "x.wav", "--rate", "1"), "rate=1 Hz"),
+    (("play", "melody.mid", "melody.mid", "--out", "x.wav"), "not an instrument.json"),
+    (("instrument", "nowhere", "--out", "x"), "no such file or folder"),
+    (("instrument", "melody.mid", "--out", "x"), "not a fit.json"),
+    (("instrument", "@", "--out", "x"), "schema 1|fit again|parameters is missing"),
+])  # fmt: skip
+def test_bad_input_gets_one_line_and_nothing_is_written(words, message, built, melody, monkeypatch):
+    monkeypatch.chdir(melody.parent)
+    done = run(*(built if word == "@" else word for word in words))
+    assert done.exit_code == 1
+    assert re.search(message, done.output), done.output
+    assert done.output.count("\n") == 1
+    assert [file.name for file in melody.parent.iterdir()] == ["melody.mid"]
+
+
+def test_a_hostile_fit_is_refused(tmp_path):
+    good = fit_document(true_voice(60), ERRORS)
+    for change, message in (
+        ({"takes": [good["takes"][0] | {"v_H0": "fast"}]}, r"takes\[0\].v_H0 is 'fast'"),
+        ({"takes": [good["takes"][0] | {"v_H0": -1.0}]}, r"takes\[0\].v_H0 is -1.0"),
+        ({"takes": [good["takes"][0] | {"gain": 0.0}]}, r"takes\[0\].gain is 0.0"),
+    ):
+        with pytest.raises(FitError, match=message):
+            load_keys([write_fit(tmp_path, 60, good | change)])
+    odd = copy.deepcopy(good)
+    odd["parameters"]["b1"]["interval"] = [1.0, "wide"]
+    odd["parameters"]["p"]["interval"] = [3.0, 2.0]
+    odd["derived"] = {"max_compression_mm": float("nan"), "felt_force_relative_error": []}
+    odd["levels"] = 7
+    key = load_keys([write_fit(tmp_path, 60, odd)])[0]
+    assert all(np.isfinite(x) and x > 0 for x in key.sd.values())
+    it = true_voice(60)
+    short = it.geometry._replace(length=0.15, strike=0.02)
+    high = it._replace(string=it.string._replace(c=1999.0), geometry=short)
+    with pytest.raises(FitError, match="beyond a piano's A0 to C8"):
+        load_keys([write_fit(tmp_path, 61, fit_document(high, ERRORS))])
+
+
+def changed(path: str, value: object) -> Callable[[dict], None]:
+    """Set an entry such as keys.0.gain."""
+
+    def change(document: dict) -> None:
+        at: Any = document
+        *way, last = path.split(".")
+        for step in way:
+            at = at[int(step)] if step.isdigit() else at[step]
+        at[int(last) if last.isdigit() else last] = value
+
+    return change
+
+
+BAD_INSTRUMENTS = {
+    "kind": (changed("kind", "fit"), "is no instrument of schema 1"),
+    "schema": (changed("schema", 99), "is no instrument of schema 1"),
+    "quantity": (changed("quantity", ["x" * 999]), r"quantity=\['xxx.*\.\.\. must be one of"),
+    "keys": (changed("keys", {}), "keys is no list of 1 to 88 keys"),
+    "no keys": (changed("keys", []), "keys is no list of 1 to 88 keys"),
+    "key": (changed("keys.3", None), r"keys\[3\] is no table"),
+    "midi": (changed("keys.0.midi", 20), r"keys\[0\].midi=20 must be a key"),
+    "midi true": (changed("keys.0.midi", True), r"keys\[0\].midi=True"),
+    "twice": (changed("keys.1.midi", 21), r"keys\[1\].midi=21 is there twice"),
+    "string": (changed("keys.0.string", 1), r"keys\[0\]: string is missing or no table"),
+    "text": (changed("keys.0.string.c", "fast"), r"keys\[0\].string.c is 'fast'"),
+    "nan": (changed("keys.0.hammer.p", float("nan")), r"keys\[0\].hammer.p is nan"),
+    "huge": (changed("keys.0.gain", 10**400), r"keys\[0\].gain is 1000.*\.\.\., no finite number"),
+    "range": (changed("keys.0.string.c", 1e9), r"keys\[0\]: c=1000000000.0 must be a number from 20"),
+    "off the string": (changed("keys.0.geometry.strike", 99.0), r"keys\[0\]: strike=99.0 m"),
+    "gain": (changed("keys.5.gain", None), r"keys\[5\].gain is None"),
+    "loud": (changed("keys.5.gain", -1e13), r"keys\[5\].gain=-1e\+13 must be from"),
+    "path": (changed("keys.0.path", [1]), r"keys\[0\].path needs frequency, rising"),
+    "path falls": (changed("keys.0.path", {"frequency": [2.0, 1.0], "db": [0.0, 0.0]}), "path needs frequency, rising"),
+    "path uneven": (changed("keys.0.path", {"frequency": [1.0, 2.0], "db": [0.0]}), "path needs frequency, rising"),
+    "path text": (changed("keys.0.path", {"frequency": ["1"], "db": ["0"]}), "path needs frequency, rising"),
+    "path stops": (changed("keys.0.path", {"frequency": [1.0], "db": [0.0], "decay": [0.0]}), "path.decay must hold"),
+    "path long": (changed("keys.0.path", {"frequency": [1.0] * 9999, "db": [0.0] * 9999}), "at most 4096"),
+    "path loud": (changed("keys.0.path", {"frequency": [1.0], "db": [1e4]}), r"path.db reaches 1e\+04 dB"),
+    "velocity": (changed("velocity", None), "velocity is missing or no table"),
+    "falling": (changed("velocity.rise", -1.0), "is no rising law"),
+    "still": (changed("velocity.at_64", 0.0), "is no rising law"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_INSTRUMENTS)
+def test_a_hostile_instrument_is_refused(name, document, tmp_path):
+    change, message = BAD_INSTRUMENTS[name]
+    bad = copy.deepcopy(document)
+    change(bad)
+    file = tmp_path / "bad.json"
+    file.write_text(json.dumps(bad))
+    with pytest.raises(FitError, match=message) as caught:
+        load_instrument(file)
+    assert "bad.json: " in str(caught.value)
+    assert len(str(caught.value)) < 400
+
+
+@pytest.mark.parametrize("content", [b"", b"{", b"[1]", b"\xff\xfe", b"[" * 100_000, b'"text"', b"1" * 5000])
+def test_what_is_no_document_is_refused(content, tmp_path):
+    file = tmp_path / "bad.json"
+    file.write_bytes(content)
+    with pytest.raises(FitError, match=r"bad\.json: "):
+        load_instrument(file)
+
+
+def test_other_laws_of_the_felt(tmp_path):
+    power = fit_document(true_voice(60), ERRORS)
+    power["parameters"]["mu"] |= {"value": 0.0, "interval": None}
+    read_instrument(build_instrument(load_keys([write_fit(tmp_path, 60, power)])))
+    stulov = fit_document(true_voice(60), ERRORS)
+    stulov["parameters"] |= {"epsilon": {"value": 0.5}, "tau": {"value": 1e-5}}
+    with pytest.raises(FitError, match="a felt with memory cannot be carried over a keyboard"):
+        load_keys([write_fit(tmp_path, 60, stulov)])
+
+
+def test_partials_keep_their_own_levels_and_decays(tmp_path):
+    voice = uneven_voice(60)
+    content = fit_document(voice, ERRORS)
+    content["pickup"]["path"]["decay"] = voice.path.decay.tolist()
+    keys = load_keys([write_fit(tmp_path, 60, content)])
+    path = read_instrument(json.loads(json.dumps(build_instrument(keys)))).voices[60].path
+    assert [column.tolist() for column in path] == [column.tolist() for column in voice.path]
+
+
+def test_a_document_may_lack_what_is_only_told(document):
+    bare = {name: document[name] for name in ("kind", "schema", "quantity", "velocity")}
+    wanted = ("midi", "string", "hammer", "geometry", "gain")
+    bare["keys"] = [{name: key[name] for name in wanted} for key in document["keys"][:3]]
+    instrument = read_instrument(bare)
+    assert sorted(instrument.voices) == [21, 22, 23]
+    assert instrument.voices[21].path is None

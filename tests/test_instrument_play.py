@@ -1,0 +1,254 @@
+"""Songs on strings: blows against the model itself, dampers and pedal against what they should do, MIDI, limiter."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+
+import mido
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from instrument_cases import true_instrument, true_voice, uneven_voice
+
+from pianofit.errors import FitError, ParameterError, RecordingError
+from pianofit.instrument import Song, limit, load_song, perform
+from pianofit.instrument.midi import MOST_NOTES, read_song
+from pianofit.instrument.strings import LAST_DAMPER, PlayedString, damper_rate
+from pianofit.model import simulate
+from pianofit.render import CEILING
+
+RATE = 48_000
+PIANO = true_instrument()
+
+
+def song(*notes: tuple[float, float, int, int], pedal: tuple[tuple[float, bool], ...] = ()) -> Song:
+    """Notes of (start, stop, key, velocity)."""
+    keys: dict[int, list[tuple[float, int]]] = {}
+    for start, stop, key, velocity in notes:
+        keys.setdefault(key, []).extend([(start, velocity), (stop, 0)])
+    for events in keys.values():
+        events.sort(key=lambda event: (event[0], event[1] > 0))
+    return Song(keys, list(pedal), max(stop for _, stop, _, _ in notes), len(notes))
+
+
+def played(*notes: tuple[float, float, int, int], pedal: tuple[tuple[float, bool], ...] = ()) -> np.ndarray:
+    """A song far below the limiter, 5 s."""
+    quiet = PIANO._replace(voices={m: v._replace(gain=1e-2 * v.gain) for m, v in PIANO.voices.items()})
+    done = perform(quiet, song(*notes, pedal=pedal), RATE)
+    assert done.gain_db == done.limited_db == 0
+    return np.pad(done.samples, (0, 12 * RATE))[: 12 * RATE]
+
+
+def rms_db(samples: np.ndarray, start: float, stop: float) -> float:
+    return 10 * np.log10(np.mean(samples[round(start * RATE) : round(stop * RATE)] ** 2) + 1e-30)
+
+
+@pytest.mark.parametrize("midi", [21, 45, 60, 84, 108])
+def test_a_blow_at_rest_is_what_render_plays(midi):
+    voice = uneven_voice(midi)
+    expected, _ = voice.play(RATE, RATE, touch=0)
+    string = PlayedString(voice, midi, RATE)
+    head = string.strike(voice.hammer.v_H0)
+    sound = np.concatenate([head, string.ring(RATE - len(head))])
+    assert np.abs(sound - expected).max() < 1e-6 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize(("midi", "after"), [(28, 0.013), (60, 0.1), (79, 0.05)])
+def test_a_blow_on_a_moving_string_is_the_models(midi, after):
+    """`simulate` from the same displacement and velocity, whose contact and waveform are other code."""
+    voice = uneven_voice(midi)
+    string = PlayedString(voice, midi, RATE)
+    head = string.strike(4.0)
+    string.ring(max(round(after * RATE) - len(head), 0))
+    state = string.state.copy()
+    law = np.asarray(string.table.modes.pole)
+    q, v = state.real, (law * state).real
+    moving = simulate(
+        voice.string, voice.hammer._replace(v_H0=1.5), voice.geometry, rate=RATE, quantity="pressure",
+        n_modes=len(q), displacement=q, velocity=v,
+    )  # fmt: skip
+    own = string.pole.real / law.real  # each partial's own decay, with the energy of its first 0.35 s held
+    energy = [(1 - np.exp(2 * (p - 8) * 0.35)) / (8 - p) for p in (law.real, string.pole.real)]
+    factor = voice.gain * 10 ** (voice.path.at(law.imag / (2 * np.pi)) / 20) * np.sqrt(energy[0] / energy[1])
+    assert np.ptp(own) > 0.5
+    assert own == pytest.approx(voice.path.decay_at(law.imag / (2 * np.pi)))
+    heard = moving.modes._replace(
+        pickup=np.asarray(moving.modes.pickup) * factor, free_pickup=np.asarray(moving.modes.free_pickup) * factor,
+        pole=string.pole,
+    )  # fmt: skip
+    expected = moving._replace(modes=heard).waveform(RATE, RATE // 2)
+    head = string.strike(1.5)
+    sound = np.concatenate([head, string.ring(RATE // 2 - len(head))])
+    assert np.abs(sound - expected).max() < 1e-6 * np.abs(expected).max()
+    # And it is not the sum of the old sound and a blow at rest: the hammer met a moving string.
+    rest = PlayedString(voice, midi, RATE)
+    alone = np.concatenate([head := rest.strike(1.5), rest.ring(RATE // 2 - len(head))])
+    rest.state = state
+    assert np.abs(sound - alone - rest.ring(RATE // 2)).max() > 1e-4 * np.abs(expected).max()
+
+
+def test_a_damper_adds_its_rate_to_every_mode():
+    free, damped = (PlayedString(true_voice(50), 50, RATE) for _ in range(2))
+    for string in (free, damped):
+        string.strike(2.0)
+    damped.damped = True
+    n = 4800
+    expected = free.ring(n) * np.exp(-damper_rate(50) * np.arange(n) / RATE)
+    assert damped.ring(n) == pytest.approx(expected, abs=1e-7)  # modes end where they are inaudible
+    assert damper_rate(21) < damper_rate(60) < damper_rate(LAST_DAMPER)
+    assert damper_rate(LAST_DAMPER + 1) == 0
+
+
+def test_keys_and_pedal_move_the_dampers():
+    held = played((0.0, 3.0, 55, 80))
+    short = played((0.0, 0.5, 55, 80), (0.0, 3.0, 96, 1))
+    pedalled = played((0.0, 0.5, 55, 80), (0.0, 3.0, 96, 1), pedal=((0.2, True), (1.5, False)))
+    assert rms_db(held, 1.0, 1.4) > -80
+    assert rms_db(short, 1.0, 1.4) < rms_db(held, 1.0, 1.4) - 60
+    assert rms_db(pedalled, 1.0, 1.4) == pytest.approx(rms_db(held, 1.0, 1.4), abs=0.1)
+    assert rms_db(pedalled, 2.0, 2.4) < rms_db(held, 2.0, 2.4) - 60
+    treble = played((0.0, 0.05, 96, 80)), played((0.0, 3.0, 96, 80))
+    assert treble[0][:RATE] == pytest.approx(treble[1][:RATE], abs=1e-7)
+
+
+def test_a_late_pedal_catches_what_still_sounds():
+    caught = played((0.0, 0.5, 40, 90), (0.0, 3.0, 96, 1), pedal=((0.55, True), (3.0, False)))
+    lost = played((0.0, 0.5, 40, 90), (0.0, 3.0, 96, 1))
+    assert rms_db(caught, 1.0, 1.3) > rms_db(lost, 1.0, 1.3) + 60
+    assert rms_db(caught, 1.0, 1.3) < rms_db(played((0.0, 3.0, 40, 90)), 1.0, 1.3) - 5
+
+
+def test_nothing_clicks_where_no_hammer_strikes():
+    """At a damper's fall and a pedal's change the second difference is no larger than the sound's own just before."""
+    sound = played((0.0, 0.6, 45, 100), (0.0, 1.0, 60, 70), pedal=((0.8, True), (1.3, False)))
+    bend = np.abs(np.diff(sound, 2))
+    for at in (0.6, 0.8, 1.0, 1.3):
+        here = round(at * RATE)
+        assert bend[here - 24 : here + 24].max() <= 1.05 * bend[here - 2400 : here - 24].max()
+
+
+def test_keys_sound_together_as_they_do_alone():
+    a, b = (0.0, 1.0, 40, 90), (0.25, 0.9, 47, 60)
+    both, first, second = played(a, b), played(a), played(b, (0.0, 1.0, 108, 1)) - played((0.0, 1.0, 108, 1))
+    assert both[:RATE] == pytest.approx((first + second)[:RATE], abs=1e-9)
+
+
+def test_what_is_held_at_the_end_is_let_go():
+    done = perform(PIANO, Song({40: [(0.0, 80)], 100: [(0.0, 80)]}, [(0.0, True)], 0.1, 2), RATE)
+    assert len(done.samples) <= 5.1 * RATE
+    assert np.abs(done.samples[-20:]).max() < 1e-4
+    assert rms_db(done.samples, 2.9, 3.0) > rms_db(done.samples, 3.4, 3.6) + 20
+
+
+def test_repeated_notes_are_counted():
+    done = perform(PIANO, song((0.0, 0.2, 60, 80), (0.2, 0.4, 60, 80), (0.4, 0.6, 60, 80), (0.0, 0.2, 72, 80)), RATE)
+    assert (done.strikes, done.on_moving) == (4, 2)
+
+
+def test_a_trill_faster_than_the_contact_is_played_in_turn():
+    sound = played(*[(0.001 * i, 0.001 * i + 0.0005, 30, 90) for i in range(8)])
+    assert np.isfinite(sound).all()
+
+
+@pytest.mark.parametrize("loud", [0.5, 1.0, 3.0, 100.0])
+def test_the_limiter_never_lets_through(loud):
+    random = np.random.default_rng(1)
+    sound = loud * 0.4 * random.normal(size=RATE) * (1 + 4 * (random.random(RATE) > 0.9995))
+    out, gain_db, limited_db = limit(sound, RATE)
+    assert np.abs(out).max() <= CEILING
+    assert gain_db <= 0 <= limited_db <= 3.0001
+    again, *_ = limit(sound, RATE)
+    assert (out == again).all()
+    gain = out / sound
+    assert np.abs(np.diff(gain)).max() < 2e-3 * gain.max()  # a gain, no clipper
+
+
+def test_the_limiter_leaves_alone_what_fits():
+    sound = 0.8 * np.sin(np.arange(RATE) / 30)
+    out, gain_db, limited_db = limit(sound, RATE)
+    assert (out == sound).all()
+    assert gain_db == limited_db == 0
+    assert limit(np.zeros(10), RATE)[0].tolist() == [0.0] * 10
+
+
+def midi_bytes(*messages: mido.Message | mido.MetaMessage, **options: int) -> bytes:
+    stream = io.BytesIO()
+    mido.MidiFile(ticks_per_beat=480, tracks=[mido.MidiTrack(messages)], **options).save(file=stream)
+    return stream.getvalue()
+
+
+def on(note: int, velocity: int = 80, time: int = 0, channel: int = 0) -> mido.Message:
+    return mido.Message("note_on", note=note, velocity=velocity, time=time, channel=channel)
+
+
+def test_a_song_is_read_in_time():
+    found = read_song(midi_bytes(
+        mido.MetaMessage("set_tempo", tempo=500_000),
+        on(60), on(64, 70, 480), mido.Message("control_change", control=64, value=64),
+        mido.MetaMessage("set_tempo", tempo=1_000_000, time=480),
+        on(60, 0, 480), mido.Message("note_off", note=64, time=240), on(62, 50, channel=9),
+        mido.Message("control_change", control=64, value=63, time=480), on(60, 5, channel=3), on(60, 6, channel=4),
+        on(60, 0, 480, channel=3), on(60, 0, 480, channel=4), mido.Message("note_off", note=61),
+    ), "song")  # fmt: skip
+    assert found.keys == {60: [(0.0, 80), (2.0, 0), (3.5, 5), (3.5, 6), (5.5, 0)], 64: [(0.5, 70), (2.5, 0)]}
+    assert found.pedal == [(0.5, True), (3.5, False)]
+    assert (found.notes, found.seconds) == (4, 5.5)
+
+
+BAD_SONGS = {
+    "text": (b"no song at all", "not a MIDI file"),
+    "short": (b"MThd\0\0\0\6\0\0\0\1\1", "cannot be read as MIDI"),
+    "cut": (midi_bytes(on(60), on(60, 0, 480))[:-6], "cannot be read as MIDI"),
+    "no notes": (midi_bytes(mido.MetaMessage("set_tempo", tempo=500_000)), "holds no note"),
+    "drums": (midi_bytes(on(60, channel=9)), "holds no note"),
+    "low": (midi_bytes(on(20)), r"G#0 \(key 20\) at 0.00 s lies beyond a piano"),
+    "high": (midi_bytes(on(109)), "lies beyond a piano"),
+    "long": (midi_bytes(on(60), *[on(60, 1, 2**27) for _ in range(2)]), "lasts more than 30 minutes"),
+    "many": (midi_bytes(*[on(60, 1, 1)] * (MOST_NOTES + 1)), "more than 100,000 notes"),
+    "type 2": (midi_bytes(on(60), type=2), "type 2, whose tracks"),
+    "smpte": (midi_bytes(on(60))[:12] + b"\xe7\x28" + midi_bytes(on(60))[14:], "SMPTE time is not read"),
+    "no ticks": (midi_bytes(on(60))[:12] + b"\0\0" + midi_bytes(on(60))[14:], "0 ticks a beat"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_SONGS)
+def test_a_bad_song_is_refused_in_one_line(name, tmp_path):
+    data, message = BAD_SONGS[name]
+    file = tmp_path / "bad.mid"
+    file.write_bytes(data)
+    with pytest.raises(RecordingError, match=message) as caught:
+        load_song(file)
+    assert "bad.mid: " in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_song_that_is_no_file_is_refused(tmp_path):
+    with pytest.raises(RecordingError, match="no such file"):
+        load_song(tmp_path / "none.mid")
+    big = tmp_path / "big.mid"
+    big.write_bytes(b"MThd" + bytes(2**21))
+    with pytest.raises(RecordingError, match="more than 2 MiB"):
+        load_song(big)
+
+
+@given(st.binary(max_size=80), st.integers(0, 60), st.integers(0, 20))
+def test_no_bytes_bring_the_reader_down(noise, at, length):
+    good = midi_bytes(on(60), on(64, 70, 48), on(60, 0, 48), on(64, 0, 48))
+    with contextlib.suppress(RecordingError):
+        read_song(good[:at] + noise + good[at + length :], "noise")
+
+
+def test_what_cannot_be_played_is_refused():
+    piano = true_instrument(range(40, 60))
+    with pytest.raises(ParameterError, match="key 60 is not on this instrument; it has E2 to B3"):
+        perform(piano, song((0.0, 1.0, 60, 80)), RATE)
+    with pytest.raises(ParameterError, match="rate=100"):
+        perform(PIANO, song((0.0, 1.0, 60, 80)), 100)
+    with pytest.raises(ParameterError, match="too long; cut the song to 694 s"):
+        perform(PIANO, song((0.0, 1700.0, 60, 80)), RATE)
+    stuck = true_voice(60)
+    stuck = PIANO._replace(voices={60: stuck._replace(hammer=stuck.hammer._replace(M_H=0.1, K_H=1e4, p=5.0))})
+    with pytest.raises(FitError, match=r"key 60: at v_H0=.* m/s the hammer is still on the string"):
+        perform(stuck, song((0.0, 1.0, 60, 1)), RATE)

@@ -1,0 +1,193 @@
+"""The sampler's folder, played by a real player: sfizz."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soundfile
+from hypothesis import given
+from hypothesis import strategies as st
+from instrument_cases import ERRORS, library, true_instrument, true_voice
+
+from pianofit.cli import main
+from pianofit.errors import OutputError, ParameterError
+from pianofit.fit.voice import lag
+from pianofit.instrument import build_instrument, export_sfz, find_fits, load_instrument, load_keys, parse_keys
+from pianofit.instrument.gather import note_name
+from pianofit.instrument.sfz import layers_of, spans_of
+from pianofit.instrument.velocity import hammer_velocity
+from pianofit.model.modes import mode_frequencies
+
+RATE = 48_000
+KEYS = [28, 55, 79]
+PIANO = true_instrument()
+
+
+@pytest.fixture(scope="module")
+def piano(tmp_path_factory) -> Path:
+    """An instrument whose keys are known so well that it plays their own fits."""
+    folder = library(tmp_path_factory.mktemp("library"), [28, 40, 55, 67, 79], errors=dict.fromkeys(ERRORS, 1e-5))
+    document = build_instrument(load_keys(find_fits([folder])), "a #piano/..")
+    (folder / "instrument.json").write_text(json.dumps(document))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def sampler(piano, tmp_path_factory) -> Path:
+    out = tmp_path_factory.mktemp("out") / "sampler"
+    export_sfz(load_instrument(piano / "instrument.json"), out, KEYS, 2, seconds=2.0)
+    return out
+
+
+@pytest.fixture(scope="module")
+def player(sampler) -> Callable[[int, int], np.ndarray]:
+    """(key, MIDI velocity) -> what sfizz plays, left channel, held for 1.3 s."""
+    from pysfizz import Synth
+
+    # sfizz streams samples from the disk in a thread of its own; here it is to have read them before it plays.
+    file = sampler / "a-piano.sfz"
+    whole = sampler / "whole.sfz"
+    whole.write_text("<control> hint_ram_based=1\n" + file.read_text())
+    synth = Synth(sample_rate=RATE, block_size=512)
+    assert synth.load_sfz_file(whole, quiet=False)
+    whole.unlink()
+    assert synth.playable_keys == sorted({key for low, high in spans_of(KEYS) for key in range(low, high + 1)})
+    # Long enough for its release to be over before the next note.
+    return lambda key, velocity: synth.render_note(key, velocity, 1.3, 2.5)[0]
+
+
+def levels(sound: np.ndarray, midi: int) -> np.ndarray:
+    """Of the partials, dB, over a second."""
+    voice = true_voice(midi)
+    frequency = mode_frequencies(voice.string, voice.geometry.length, 80)
+    size = np.abs(np.fft.rfft(sound[2400 : 2400 + RATE] * np.hanning(RATE)))
+    nearest = [size[round(f) - 3 : round(f) + 4].max() for f in frequency[frequency < 12_000]]
+    return 20 * np.log10(np.array(nearest) + 1e-12)
+
+
+def test_a_player_plays_what_render_does(piano, player, tmp_path):
+    """Partials within 60 dB of the strongest agree with `pianofit render` of the key's fit; all share one gain."""
+    document = json.loads((piano / "instrument.json").read_text())["velocity"]
+    gains = []
+    for midi in KEYS:
+        for layer in layers_of(2):
+            out = tmp_path / f"{midi}-{layer.low}.wav"
+            v = hammer_velocity(layer.middle, document["at_64"], document["rise"])
+            fit = piano / "keys" / f"twin-{note_name(midi).replace('#', 's')}" / "fit.json"
+            assert main(["render", str(fit), "--velocity", repr(v), "--out", str(out), "--seconds", "1.5",
+                         "--rate", str(RATE)]) == 0  # fmt: skip
+            rendered, _ = soundfile.read(out)
+            sampled = player(midi, round(layer.middle))
+            late = round(lag(rendered, sampled[: len(rendered)]))
+            expected, found = levels(rendered, midi), levels(np.roll(sampled, -late), midi)
+            strong = expected > expected.max() - 60
+            assert strong.sum() >= 5
+            off = (found - expected)[strong]
+            assert np.abs(off - off.mean()).max() < 0.1, (midi, layer)  # dB
+            gains.append(off.mean())
+    assert np.ptp(gains) < 0.1
+
+
+def test_every_velocity_and_key_has_one_region(sampler, player):
+    text = (sampler / "a-piano.sfz").read_text()
+    assert text.count("<region>") == 6
+    for name in (line.split("sample=")[1] for line in text.splitlines() if "<region>" in line):
+        info = soundfile.info(sampler / name)
+        assert (info.format, info.subtype, info.samplerate, info.channels) == ("FLAC", "PCM_24", RATE, 1)
+    soft, below, above, loud = (np.abs(player(55, v)).max() for v in (1, 63, 64, 127))
+    assert soft == pytest.approx(below, rel=1e-3)
+    assert above == pytest.approx(loud, rel=1e-3)
+    assert loud > 1.5 * soft
+
+
+def test_a_key_without_a_sample_is_transposed(player):
+    sound = player(57, 100)
+    size = np.abs(np.fft.rfft(sound[:RATE] * np.hanning(RATE)))
+    f1 = 220.0 * np.sqrt(1 + 1e-4)
+    assert np.argmax(size[round(f1) - 8 : round(f1) + 8]) - 8 + round(f1) == pytest.approx(f1, abs=2)
+
+
+def test_samples_are_as_loud_as_can_be_and_end_in_silence(sampler):
+    sounds = [soundfile.read(file)[0] for file in sorted((sampler / "samples").iterdir())]
+    assert max(np.abs(sound).max() for sound in sounds) == pytest.approx(10 ** (-1 / 20), rel=1e-5)
+    for sound in sounds:
+        assert np.abs(sound[-3:]).max() < 1e-5
+        assert np.abs(sound[:3]).max() < 1e-3 * np.abs(sound).max()
+
+
+def test_an_export_replaces_an_export_and_nothing_else(tmp_path):
+    out = tmp_path / "sampler"
+    export_sfz(PIANO, out, [60], 1, seconds=0.2, kind="wav")
+    before = sorted(out.rglob("*"))
+    assert [file.name for file in before] == ["samples", "060-C4-v127.wav", "twin.sfz"]
+    with pytest.raises(OutputError, match="not empty"):
+        export_sfz(PIANO, out, [60], 1, seconds=0.2)
+    export_sfz(PIANO, out, [62], 1, seconds=0.2, force=True)
+    assert sorted(file.name for file in (out / "samples").iterdir()) == ["062-D4-v127.flac"]
+    (out / "letters.txt").write_text("mine")
+    with pytest.raises(OutputError, match="no earlier export"):
+        export_sfz(PIANO, out, [60], 1, seconds=0.2, force=True)
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(OutputError, match="no earlier export"):
+        export_sfz(PIANO, tmp_path / "file", [60], 1, force=True)
+    with pytest.raises(OutputError, match="there is no folder"):
+        export_sfz(PIANO, tmp_path / "none" / "sampler", [60], 1)
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_what_goes_wrong_leaves_nothing_behind(tmp_path):
+    def stop(*_: object) -> None:
+        raise RuntimeError("stop")
+
+    with pytest.raises(RuntimeError, match="stop"):
+        export_sfz(PIANO, tmp_path / "sampler", [60], 1, seconds=0.2, progress=stop)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(("options", "message"), [
+    ({"layers": 0}, "layers=0 must be from 1 to 127"), ({"layers": 128}, "layers=128"),
+    ({"rate": 10}, "rate=10 Hz"), ({"seconds": 0.0}, "seconds=0.0"), ({"seconds": float("nan")}, "seconds=nan"),
+    ({"kind": "mp3"}, "samples='mp3'"), ({"keys": [20]}, "key 20 is not on this instrument"),
+    ({"keys": list(range(21, 109)), "layers": 100}, "more than 40,000 s"),
+])  # fmt: skip
+def test_what_cannot_be_exported_is_refused(tmp_path, options, message):
+    keys, layers = options.pop("keys", [60]), options.pop("layers", 1)
+    with pytest.raises(ParameterError, match=message):
+        export_sfz(PIANO, tmp_path / "sampler", keys, layers, **options)
+    assert not list(tmp_path.iterdir())
+
+
+def test_keys_are_named_as_players_name_them():
+    assert parse_keys("A0-C8") == list(range(21, 109))
+    assert parse_keys("C2, F#2,Bb3") == [36, 42, 58]
+    assert parse_keys("every 3")[:3] == [21, 24, 27]
+    assert parse_keys("every 12,A0,B0-C1") == [21, 23, 24, *range(33, 109, 12)]
+    for text in ("", "H2", "C2-", "C8-A0", "G#0", "C2-D2-E2", "every 0", "every", "C2;D2"):
+        with pytest.raises(ParameterError, match="--keys"):
+            parse_keys(text)
+
+
+@given(st.integers(1, 127))
+def test_layers_cover_every_velocity_once(count):
+    layers = layers_of(count)
+    assert [v for layer in layers for v in range(layer.low, layer.high + 1)] == list(range(1, 128))
+    sizes = [layer.high - layer.low for layer in layers]
+    assert max(sizes) - min(sizes) <= 1
+
+
+@given(st.sets(st.integers(21, 108), min_size=1))
+def test_spans_do_not_meet(keys):
+    chosen = sorted(keys)
+    spans = spans_of(chosen)
+    assert all(low <= key <= high for key, (low, high) in zip(chosen, spans, strict=True))
+    assert all(a[1] < b[0] for a, b in pairwise(spans))
+
+
+def test_every_third_key_leaves_no_key_out():
+    covered = [key for low, high in spans_of(parse_keys("every 3")) for key in range(low, high + 1)]
+    assert covered == list(range(21, 109))

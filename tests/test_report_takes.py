@@ -1,0 +1,341 @@
+"""The page of several takes: all of them shown and heard, what is fixed said, and every band checked by chance."""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+import io
+import xml.etree.ElementTree as ElementTree
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import soundfile as sf
+from report_cases import Page, example_curves, example_fit, example_held_out, fit_of_takes, with_takes
+from scipy.signal import resample_poly
+
+from pianofit.fit import Voice
+from pianofit.fit.space import NAMES
+from pianofit.parameters import Geometry, Hammer, MemoryHammer, String
+from pianofit.report.build_felt import felt_of, known_of
+from pianofit.report.build_takes import paths_of, strikes_of, takes_of
+from pianofit.report.curves import Felt, Known
+from pianofit.report.known import held_out_rows, told
+from pianofit.report.page import write_report
+from pianofit.report.sound import make_clips
+
+HOSTILE = "</script><script>alert(1)</script>\"'><img src=x onerror=alert(2)>\n{{ 7 * 7 }} $\\frac$ &amp; \udcff"
+
+
+@pytest.fixture(scope="module")
+def curves():
+    return with_takes(example_curves(rate=16000, seconds=2.0, count=12))
+
+
+def written(folder, fit, curves, held_out=None):
+    path = folder / "report.html"
+    write_report(path, fit, curves, "three takes", held_out)
+    return path.read_text(encoding="utf-8")
+
+
+def sounds_of(page, player):
+    """Samples of one player's WAV files, by name, and their rate."""
+    links = [link for link in page.all("a") if link.get("data-player") == player]
+    read = {a["data-name"]: sf.read(io.BytesIO(base64.b64decode(a["href"].split(",", 1)[1]))) for a in links}
+    assert all(float(a["data-seconds"]) == len(read[a["data-name"]][0]) / read[a["data-name"]][1] for a in links)
+    return {name: samples for name, (samples, _) in read.items()}, next(iter(read.values()))[1]
+
+
+def test_page_shows_all_takes_and_what_was_left_out(tmp_path, curves):
+    page = Page(written(tmp_path, fit_of_takes(), curves, example_held_out()))
+    assert len(page.all("img")) == 10
+    for image in page.all("img"):
+        assert len(image["alt"]) > 40
+        ElementTree.fromstring(base64.b64decode(image["src"].split(",")[1]))  # noqa: S314  (our own file)
+    players = [tag["id"] for tag in page.all("div") if "player" in tag.get("class", "").split()]
+    assert players == ["note", "strikes", "take-2", "take-3"]  # the first take's is the note's own
+    for words in (
+        "Between the velocities", "from the softest take’s velocity to the loudest’s", "take-2.flac, 0.6 m/s",
+        "take-3.flac 2.1 m/s 2.16 m/s 23 1.75 dB 4.5 dB –", "take-2.flac 1.4 m/s 1.44 m/s 22 1.5 dB 4 dB 0.875 dB",
+        "median error is 1.5 dB, the largest 1.62 dB", "What the body and the microphone did",
+        "Ratios of the takes’ velocities (the least certain ± 10 %)",
+    ):  # fmt: skip
+        assert words in page.text.replace("\u00a0", " "), words
+    drawn = [base64.b64decode(image["src"].split(",")[1]).decode() for image in page.all("img")]
+    (levels,) = [svg for svg in drawn if "take 2: 0.6 m/s, 1.2 dB off" in svg]
+    order = [levels.index(f"take {i}:") for i in (2, 3, 1)]
+    assert order == sorted(order)  # from soft to loud
+
+
+def test_picture_of_what_is_known_says_the_numbers_it_was_given(tmp_path, curves):
+    reaches = (("f0", 1.2e-8, True), ("F", 0.05, True), ("K_H", 8.348, False), ("b1", 300.0, False))
+    known = dataclasses.replace(curves.known, reaches=reaches)
+    page = Page(written(tmp_path, fit_of_takes(), dataclasses.replace(curves, known=known)))
+    (image,) = [image for image in page.all("img") if "correlations" in image["alt"]]
+    drawn = base64.b64decode(image["src"].split(",")[1]).decode()
+    for words in ("± 1.2e-06 %", "± 5 %", "× or ÷ 4200", "not at all"):
+        assert words in drawn, words
+    below = [round(100 * r) for i, row in enumerate(known.correlation) for r in row[:i] if abs(r) >= 0.1]
+    for r in below:
+        assert f">{r:+d}<".replace("-", "−") in drawn
+
+
+def test_one_take_has_a_felt_and_a_slider_but_no_takes(tmp_path, curves):
+    one = dataclasses.replace(curves, takes=curves.takes[:1], strikes=dataclasses.replace(curves.strikes, inside=False))
+    text = Page(written(tmp_path, example_fit(), one)).text
+    for words in ("The other takes", "Levels, take by take", "What the body", "left out", "softest take"):
+        assert words not in text
+    for words in ("The felt", "Between the velocities", "What the data fix, and what they do not"):
+        assert words in text
+    assert "half to twice the recorded velocity" in text
+
+
+def test_page_of_five_long_takes_stays_small(tmp_path):
+    long = with_takes(example_curves(rate=48000, seconds=8.1, count=5), (0.5, 1.0, 2.0, 3.0, 4.0))
+    assert len(written(tmp_path, fit_of_takes(5), long, example_held_out(5))) < 8e6
+
+
+def test_hostile_names_of_takes_stay_text(tmp_path, curves):
+    tame = Page(written(tmp_path, fit_of_takes(), curves, example_held_out()))
+    fit, held_out = fit_of_takes(), example_held_out()
+    for take in (*fit["takes"], *held_out["takes"]):
+        take["file"] = HOSTILE
+    fit["diagnostics"] = {"correlated": [{"pair": [HOSTILE, HOSTILE], "correlation": 0.99}]}
+    page = Page(written(tmp_path, fit, curves, held_out))
+    assert page.scripts == tame.scripts
+    assert {tag for tag, _ in page.tags} <= {tag for tag, _ in tame.tags}
+    assert page.text.count("alert(1)") > 10
+
+
+def test_soft_stays_soft_on_the_slider_and_takes_are_equally_loud(tmp_path, curves):
+    page = Page(written(tmp_path, fit_of_takes(), curves))
+    sounds, rate = sounds_of(page, "strikes")
+    assert rate == 16000
+    gain = 10 ** (-1 / 20) / max(np.abs(x).max() for x in curves.strikes.sounds)
+    body = slice(0, len(curves.strikes.sounds[0]) - round(0.05 * rate))
+    for played, given in zip(sounds.values(), curves.strikes.sounds, strict=True):
+        np.testing.assert_allclose(played[body], gain * given[body], atol=1.1 / 32768)
+    pair, _ = sounds_of(page, "take-2")
+    assert list(pair) == ["original", "fitted"]
+    assert max(np.abs(x).max() for x in pair.values()) == pytest.approx(10 ** (-1 / 20), abs=1e-3)
+    shape = curves.takes[1].sound_original[: len(pair["original"]) - 800]
+    assert np.corrcoef(pair["original"][: len(shape)], shape)[0, 1] > 0.999
+
+
+@pytest.mark.parametrize(("rate", "factor"), [(44100, 2), (96000, 3), (44101, 2), (220500, 7)])
+def test_light_sounds_are_brought_down_without_changing_them(rate, factor):
+    t = np.arange(rate // 2) / rate
+    sound = np.exp(-9 * t) * np.sin(2 * np.pi * 440 * t) + 0.3 * np.sin(2 * np.pi * 5000 * t)
+    (clip,) = make_clips({"a": sound}, rate, lead_in=0.0, highest_rate=32000, matched=False)
+    samples, new_rate = sf.read(io.BytesIO(base64.b64decode(clip.uri.split(",")[1])))
+    assert (new_rate, clip.rate) == (round(rate / factor), round(rate / factor))
+    expected = 10 ** (clip.gain_db / 20) * resample_poly(sound, 1, factor)
+    middle = slice(len(samples) // 10, len(samples) * 8 // 10)
+    np.testing.assert_allclose(samples[middle], expected[middle], atol=3e-3)
+
+
+def nothing(array):
+    return np.full_like(np.asarray(array, float), np.nan)
+
+
+@pytest.mark.parametrize(
+    "case",
+    [
+        lambda c: dataclasses.replace(c, felt=Felt(c.felt.compression, nothing(c.felt.force)), strikes=None),
+        lambda c: dataclasses.replace(c, felt=Felt(c.felt.compression, 0 * c.felt.force)),
+        lambda c: dataclasses.replace(c, felt=Felt(c.felt.compression, np.exp(c.felt.force * [[0.0], [-9.0], [9.0]]))),
+        lambda c: dataclasses.replace(c, known=Known(("p",), np.ones((1, 1)), (("p", 300.0, False),))),
+        lambda c: dataclasses.replace(c, known=Known(("p", "mu"), nothing(np.eye(2)), (("p", 1e-30, True),))),
+        lambda c: dataclasses.replace(c, takes=tuple(
+            dataclasses.replace(t, force=nothing(t.force), compression=nothing(t.compression), level=nothing(t.level))
+            for t in c.takes)),
+        lambda c: dataclasses.replace(c, takes=tuple(
+            dataclasses.replace(t, force=np.zeros(0), compression=np.zeros(0), sound_fitted=np.zeros(0))
+            for t in c.takes)),
+        lambda c: dataclasses.replace(c, takes=c.takes * 5, paths=((np.array([100.0]), np.array([0.0])),)),
+    ],
+    ids=["nan felt", "no felt", "wild felt", "one unknown", "nan correlation", "nan takes", "empty takes", "many"],
+)  # fmt: skip
+def test_page_stands_what_takes_may_lack(tmp_path, curves, case):
+    held_out = {"takes": [{"file": None, "predicted_db": None}, {"v_H0": "x", "nearest_db": float("nan")}, 3]}
+    assert written(tmp_path, {}, case(curves), held_out)
+
+
+# ---- arrays from a fit ----
+
+VALUES = dict(zip(NAMES, (180.0, 0.9, 0.5, 4e-4, 5e9, 0.2, 2.5, 6e-3, 3.0, 0.12, 0.02, 0.3, 2e-4), strict=True))
+GEOMETRY = Geometry(1.0, 0.02, 0.12, 0.02, 0.3)
+
+
+def covariance(names, seed=4, size=0.01):
+    """A random one of the logarithms of `names`."""
+    factor = np.zeros((len(NAMES), len(NAMES)))
+    rows = [NAMES.index(name) for name in names]
+    factor[np.ix_(rows, rows)] = np.random.default_rng(seed).normal(0, size, (len(rows), len(rows)))
+    return factor @ factor.T
+
+
+def fake_fit(velocities=(3.0, 0.75, 1.5), first=0, memory=False, free=("c", "kappa", "K_H", "p", "M_H")) -> Any:
+    """A fit's result that was never fitted: strikes of one voice."""
+    string = String(*(VALUES[n] for n in NAMES[:4]))
+    takes = []
+    for i, v in enumerate(velocities):
+        hammer = Hammer(VALUES["K_H"], 0.0 if memory else VALUES["mu"], VALUES["p"], VALUES["M_H"], v)
+        voice = Voice(string, MemoryHammer(*hammer, 0.3, 2e-4) if memory else hammer, GEOMETRY, "velocity", 2.0, None)
+        samples, simulation = voice.play(22050, 22050)
+        number = np.arange(1, 6 + i)
+        data = SimpleNamespace(
+            partials=SimpleNamespace(number=number, level_error=np.full(len(number), 0.1)),
+            level=np.zeros(30), found=len(number),
+        )  # fmt: skip
+        fitted = SimpleNamespace(voice=voice, samples=samples, simulation=simulation, level=np.zeros(len(number)))
+        recording = SimpleNamespace(rate=22050, onset=100 * i, samples=samples)
+        takes.append(SimpleNamespace(data=data, fitted=fitted, recording=recording, levels={"fitted_db": 0.5}))
+    table = {name: {"interval": [0.9, 1.1]} for name in free}
+    document = {"parameters": table, "takes": [{"group": 0} for _ in takes]}
+    return SimpleNamespace(
+        document=document, takes=tuple(takes), first=first, covariance=covariance(free), fitted=takes[first].fitted,
+        recording=takes[first].recording,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("memory", [False, True], ids=["hunt-crossley", "stulov"])
+def test_the_felts_band_is_what_chance_gives(memory):
+    result = fake_fit(memory=memory, free=("K_H", "p", "M_H", *(("epsilon", "tau") if memory else ("mu",))))
+    felt = felt_of(result)
+    deepest = max(np.max(take.fitted.simulation.pulse.compression) for take in result.takes)
+    assert felt.compression[-1] == pytest.approx(1e3 * float(deepest))
+    drawn = np.random.default_rng(0).multivariate_normal(np.zeros(len(NAMES)), result.covariance, 40_000)
+    value = {name: VALUES[name] * np.exp(drawn[:, i]) for i, name in enumerate(NAMES)}
+    for at in (0, 20, 47):
+        force = value["K_H"] * (1e-3 * felt.compression[at]) ** value["p"]
+        ends = np.quantile(np.log(force), [0.5, 0.025, 0.975])
+        width = ends[2] - ends[1]
+        np.testing.assert_allclose(np.log(felt.force[:, at]), ends, atol=0.03 * width)
+        if felt.slow is not None:
+            assert felt.slow[0, at] == pytest.approx(0.7 * felt.force[0, at])
+            slow = np.quantile(np.log((1 - value["epsilon"]) * force), [0.025, 0.975])
+            assert np.log(felt.slow[2, at] / felt.slow[1, at]) == pytest.approx(slow[1] - slow[0], rel=0.05)
+    assert (felt.slow is None) != memory
+
+
+def test_how_well_things_are_known_is_what_chance_gives():
+    result = fake_fit()
+    known = known_of(result)
+    assert known is not None
+    assert known.names == ("c", "kappa", "K_H", "p", "M_H")
+    drawn = np.random.default_rng(1).multivariate_normal(np.zeros(len(NAMES)), result.covariance, 40_000)
+    log = {name: drawn[:, i] for i, name in enumerate(NAMES)}
+    u = float(np.max(result.fitted.simulation.pulse.compression))
+    expected = {
+        "f0": log["c"], "B": 2 * log["kappa"] - 2 * log["c"], "M_H/M_S": log["M_H"], "K_H": log["K_H"], "p": log["p"],
+        "F": log["K_H"] + VALUES["p"] * np.exp(log["p"]) * np.log(u) - VALUES["p"] * np.log(u),
+    }  # fmt: skip
+    assert [name for name, *_ in known.reaches] == ["f0", "B", "M_H/M_S", "F", "K_H", "p"]  # x0 was not free
+    for name, reach, _ in known.reaches:
+        assert reach == pytest.approx(1.96 * np.std(expected[name]), rel=0.06), name
+    seen = np.corrcoef([log[name] for name in known.names])
+    np.testing.assert_allclose(known.correlation, seen, atol=0.02)
+
+
+def test_a_fit_without_intervals_claims_no_band():
+    result = fake_fit(velocities=(2.0,))
+    for entry in result.document["parameters"].values():
+        entry["interval"] = None
+    assert known_of(result) is None
+    felt = felt_of(result)
+    np.testing.assert_array_equal(felt.force[1], felt.force[0])
+    np.testing.assert_array_equal(felt.force[2], felt.force[0])
+
+
+def test_the_slider_ends_at_the_takes_and_plays_the_fitted_voice():
+    result = fake_fit(first=2)
+    strikes = strikes_of(result)
+    assert strikes is not None
+    assert strikes.inside
+    np.testing.assert_allclose(strikes.velocity[[0, 3, -1]], [0.75, 1.5, 3.0], rtol=1e-12)
+    assert strikes.first == 3
+    for index, take in ((0, 1), (3, 2), (-1, 0)):
+        played = strikes.sounds[index]
+        assert len(played) == round(2.5 * 22050)
+        np.testing.assert_allclose(played[:22050], result.takes[take].fitted.samples, atol=1e-9)
+    power = [np.mean(sound**2) for sound in strikes.sounds]
+    assert np.all(np.diff(power) > 0)
+
+
+def test_one_take_is_played_from_half_to_twice_its_velocity():
+    strikes = strikes_of(fake_fit(velocities=(15.0,)))
+    assert strikes is not None
+    assert not strikes.inside
+    np.testing.assert_allclose(strikes.velocity[[0, -1]], [7.5, 20.0], rtol=1e-12)  # no hammer is faster
+
+
+def test_every_take_comes_with_its_own_loop_and_place():
+    result = fake_fit()
+    takes = takes_of(result)
+    assert [take.place for take in takes] == [1, 2, 3]
+    assert [take.velocity for take in takes] == [3.0, 0.75, 1.5]
+    for take, heard in zip(takes, result.takes, strict=True):
+        pulse = heard.fitted.simulation.pulse
+        assert np.nanmax(take.compression) == pytest.approx(1e3 * float(np.max(pulse.compression)), rel=1e-2)
+        assert np.nanmax(take.force) == pytest.approx(float(np.max(pulse.force)), rel=1e-2)
+        assert len(take.level) == len(take.number) == heard.data.found
+        assert take.onset == heard.recording.onset / 22050
+    assert paths_of(result) == ()
+
+
+# ---- words ----
+
+
+def said(fit, **reach):
+    known = Known((), np.zeros((0, 0)), tuple((name.replace("_over_", "/"), r, True) for name, r in reach.items()))
+    return {
+        heading.split(",")[0]: " ".join(sentences).replace("\u00a0", " ") for heading, sentences in told(fit, known)
+    }
+
+
+def test_what_is_fixed_and_what_is_not_is_said():
+    fit = example_fit()
+    fit["derived"] |= {"M_H/M_S": 0.92, "x0/L": 0.12, "felt_force_N": 30.0}
+    fit["diagnostics"] = {"correlated": [{"pair": ["K_H", "mu"], "correlation": -0.9912}]}
+    fit["parameters"]["p"] = fit["parameters"]["p"] | {"interval": [2.0, 3.0], "status": "free"}
+    words = said(fit, f0=1e-4, B=0.02, F=0.05, K_H=0.9, M_H_over_M_S=0.03)
+    fixed, not_fixed = words["Fixed by the data"], words["Not fixed by the data"]
+    for part in (
+        "f₀ = 92.331 Hz (± 0.17 cents)", "B = 2.3 × 10⁻⁴ (± 2 %)", "30 N (± 5 %)", "0.65 mm",
+        "known to a factor of 2.5", "M_H/M_S = 0.92 (± 3 %)", "rest on the assumed mass",
+    ):  # fmt: skip
+        assert part in fixed
+    assert "x0/L" not in fixed  # it was given
+    for part in (
+        "K_H and μ apart: they can move against each other (correlation −0.9912)", "At the edge of their range",
+        "K_H v_H0ᵖ⁻¹ and μ v_H0 stay", "length and mass: only ratios to them",
+    ):  # fmt: skip
+        assert part in not_fixed
+    assert set(words) == {"Fixed by the data", "Not fixed by the data"}
+    remembering = said(fit | {"felt": "stulov"})["Not fixed by the data"]
+    assert "another one K_H and the gain change along, so that K_H v_H0ᵖ⁻¹ stays" in remembering
+
+
+def test_what_the_verdict_doubts_is_not_called_fixed():
+    fit = example_fit()
+    fit["derived"] |= {"M_H/M_S": 0.92, "felt_force_N": 30.0}
+    for name in ("K_H", "mu", "p", "M_H"):
+        fit["parameters"][name] = {"status": "not-identifiable", "interval": [1.0, 1.1]}
+    words = said(fit, F=0.05, M_H_over_M_S=0.03)
+    assert "Fixed by the data" not in words
+    within = words["Fixed only if the model and its path are all there is"]
+    assert "30 N" in within
+    assert "M_H/M_S" in within
+    assert "Not identifiable by themselves: K_H, μ, p, M_H." in words["Not fixed by the data"]
+    vague = said(fit, F=1.5, M_H_over_M_S=12.0)
+    assert set(vague) == {"Not fixed by the data"}
+    assert "to a factor of 4.5" in vague["Not fixed by the data"]
+    assert "to many powers of ten" in vague["Not fixed by the data"]
+
+
+def test_nothing_known_is_nothing_said():
+    assert told({}, None) == []
+    assert held_out_rows(None) is None
+    assert held_out_rows({"takes": []}) is None
