@@ -4,8 +4,8 @@ Eq. 16-18 as they stand: N grid points, Crank-Nicolson, the full duration, one s
 
 - string and hammer are coupled by one number: the string's velocities without the hammer come from one solve with a
   matrix that never changes, the force moves them along one fixed vector, and Newton-Raphson is left with one unknown;
-- that matrix is pentadiagonal and factored once, before the first step; its solve, the difference stencil and the update
-  are fused into two sweeps over the points;
+- that matrix is pentadiagonal and factored once, before the first step; a step is the difference stencil, which
+  vectorises, the two sweeps of the solve without a division, and the update;
 - it is compiled for this machine (numba, which only the benchmarks need); products and sums may be contracted, which
   shortens the solve's chain of operations.
 
@@ -113,7 +113,6 @@ def _march(a, factor, stencil, window, first, last, answer, pickup, hammer, samp
     signal, forces = np.zeros(samples), np.zeros(samples)
     k0, k1, k2 = 2 * a * stencil[0], 2 * a * stencil[1], 2 * a * stencil[2]
     r0, r1 = stencil[3], stencil[4]
-    q0, q1, q2 = a * stencil[0], a * stencil[1], a * stencil[2]
     # δv = v' - v solves (1 + aR + a²K) δv = -2a [K (y + a v) + R v] + answer's share of the force.
     meet = 0.0
     for i in range(first, last):
@@ -128,8 +127,9 @@ def _march(a, factor, stencil, window, first, last, answer, pickup, hammer, samp
             j = i + 2
             far = k2 * (y[j - 2] + y[j + 2]) + a * k2 * (v[j - 2] + v[j + 2])
             near = k1 * (y[j - 1] + y[j + 1]) + (a * k1 + 2 * a * r1) * (v[j - 1] + v[j + 1])
-            right = -(far + near + k0 * y[j] + (a * k0 + 2 * a * r0) * v[j])
-            now = (right - factor[i, 2] * two) - factor[i, 1] * one
+            new[i] = -(far + near + k0 * y[j] + (a * k0 + 2 * a * r0) * v[j])
+        for i in range(points):
+            now = (new[i] - factor[i, 2] * two) - factor[i, 1] * one
             new[i] = now
             two, one = one, now
         one = two = l1 = l2 = l2_next = 0.0
@@ -138,20 +138,20 @@ def _march(a, factor, stencil, window, first, last, answer, pickup, hammer, samp
             new[i] = now
             l1, l2_next, l2 = factor[i, 1], l2, factor[i, 2]
             two, one = one, now
-        # The compression if there were no force in this step, and what a newton takes from it.
-        u_old, w_old, under, moving = y_H, v_H, 0.0, 0.0
+        # `upper` is the compression if the force were 0 at the end of this step.
+        u_old, w_old, under = y_H, v_H, 0.0
         for i in range(first, last):
             u_old -= window[i] * y[i + 2]
             w_old -= window[i] * v[i + 2]
             under += window[i] * (y[i + 2] + a * (2 * v[i + 2] + new[i]))
         upper = y_H + 2 * a * v_H - under - give * force
-        total = force
+        old = force
         if upper > 0:
             u = _press(upper, u_old, w_old, give, a, K_H, mu, p)
             force = (upper - u) / give
         else:
             force = 0.0
-        total += force
+        total = old + force
         for i in range(points):
             j = i + 2
             change = new[i] + a * total * answer[i]
@@ -179,6 +179,37 @@ def _press(upper, u_old, w_old, give, a, K_H, mu, p):
             break
         u = min(max(u - left / (1 + slope), 0.0), upper)
     return u
+
+
+@numba.njit(cache=True, error_model="numpy", fastmath={"contract", "reassoc"})
+def contacts(g, a, hammers):
+    """Forces [hammers, steps] of many `hammers` [hammers, 5] one by one: the fast path's recursion, scalar.
+
+    Σ g_(n-m) T_m over all past forces, then one equation; g [steps], m/N, is the kernel.
+    """
+    steps = len(g)
+    turned = g[::-1].copy()
+    forces = np.zeros((len(hammers), steps))
+    drive = np.zeros(steps)
+    for h in range(len(hammers)):
+        K_H, mu, p, M_H, v_H = hammers[h]
+        give = a * a / M_H + g[0]
+        u, w, y_H, force = 0.0, v_H, 0.0, 0.0
+        for n in range(1, steps):
+            under = 0.0
+            for m in range(1, n):
+                under += turned[steps - 1 - n + m] * drive[m]
+            e = y_H + 2 * a * v_H - under
+            upper = e - give * force
+            new = _press(upper, u, w, give, a, K_H, mu, p) if upper > 0 else upper
+            now = (upper - new) / give if upper > 0 else 0.0
+            total = now + force
+            u, w, force = new, (new - u) / a - w, now
+            drive[n] = total
+            y_H += a * (2 * v_H - a * total / M_H)
+            v_H -= a * total / M_H
+            forces[h, n] = now
+    return forces
 
 
 def check(rate: float = 44_100.0, samples: int = 600, points: int = 100) -> float:

@@ -14,6 +14,15 @@ from pathlib import Path
 from typing import Any
 
 COMMAND = "from pianofit.cli import main; main()"
+# Seconds and the largest memory of a process, in the system's unit.
+LAUNCHER = """
+import os, subprocess, sys, time
+start = time.perf_counter()
+child = subprocess.Popen(sys.argv[1:], stdout=subprocess.DEVNULL)
+_, status, used = os.wait4(child.pid, 0)
+print(time.perf_counter() - start, used.ru_maxrss)
+os._exit(0 if sys.stdout.flush() is None and os.waitstatus_to_exitcode(status) == 0 else 1)
+"""
 NAMES = ("pianofit", "jax", "jaxlib", "numpy", "scipy", "numba")
 
 
@@ -53,24 +62,23 @@ def ratio(slow: dict, fast: dict) -> float:
 def command(arguments: list[str], cache: Path) -> dict[str, float]:
     """One `pianofit` command in a process of its own: seconds, and its largest memory, MB.
 
+    A small process starts it: what the system reports as a child's largest memory begins with its parent's.
+
     Raises
     ------
     RuntimeError
         If it fails, with what it said.
     """
-    start = time.perf_counter()
-    with subprocess.Popen(
-        [sys.executable, "-c", COMMAND, *arguments], env=os.environ | {"PIANOFIT_CACHE": str(cache)},
-        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
-    ) as process:  # fmt: skip
-        said = process.stderr.read() if process.stderr else b""
-        _, status, used = os.wait4(process.pid, 0)
-        process.returncode = os.waitstatus_to_exitcode(status)
-    seconds = time.perf_counter() - start
-    if process.returncode:
-        raise RuntimeError(f"pianofit {' '.join(arguments)}: {said.decode(errors='replace').strip()}")
-    scale = 1e6 if sys.platform == "darwin" else 1e3
-    return {"seconds": seconds, "memory_MB": used.ru_maxrss / scale}
+    environment = os.environ | {"PIANOFIT_CACHE": str(cache)}
+    environment.pop("JAX_COMPILATION_CACHE_DIR", None)
+    done = subprocess.run(
+        [sys.executable, "-I", "-S", "-c", LAUNCHER, sys.executable, "-c", COMMAND, *arguments],
+        env=environment, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    if done.returncode:
+        raise RuntimeError(f"pianofit {' '.join(arguments)}: {done.stderr.strip()}")
+    seconds, memory = map(float, done.stdout.split())
+    return {"seconds": seconds, "memory_MB": memory / (1e6 if sys.platform == "darwin" else 1e3)}
 
 
 def machine() -> dict[str, Any]:

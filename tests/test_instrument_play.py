@@ -69,9 +69,9 @@ def test_a_blow_on_a_moving_string_is_the_models(midi, after):
         voice.string, voice.hammer._replace(v_H0=1.5), voice.geometry, rate=RATE, quantity="pressure",
         n_modes=len(q), displacement=q, velocity=v,
     )  # fmt: skip
-    own = string.pole.real / law.real  # each partial's own decay, with the energy of its first 0.35 s held
-    energy = [(1 - np.exp(2 * (p - 8) * 0.35)) / (8 - p) for p in (law.real, string.pole.real)]
-    factor = voice.gain * 10 ** (voice.path.at(law.imag / (2 * np.pi)) / 20) * np.sqrt(energy[0] / energy[1])
+    own = string.pole.real / law.real  # each partial's own decay, with its energy under exp(-30 t) held
+    held = np.sqrt((30 - string.pole.real) / (30 - law.real))
+    factor = voice.gain * 10 ** (voice.path.at(law.imag / (2 * np.pi)) / 20) * held
     assert np.ptp(own) > 0.5
     assert own == pytest.approx(voice.path.decay_at(law.imag / (2 * np.pi)))
     heard = moving.modes._replace(

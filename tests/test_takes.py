@@ -104,7 +104,8 @@ def test_a_take_that_was_left_out_is_predicted():
 
 
 def test_cross_validation_beats_the_nearest_layer():
-    found = cross_validate(*takes(), setup())
+    found, whole = cross_validate(*takes(), setup())
+    assert whole.document["takes"][0]["v_H0"] == pytest.approx(found["takes"][0]["v_H0"])
     assert [take["inner"] for take in found["takes"]] == [False, True, False]
     middle = found["takes"][1]
     assert middle["predicted_db"] == found["median_inner_db"] == found["worst_inner_db"]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -164,22 +165,26 @@ def predict(
 @plainly
 def crossval(
     takes: Takes,
+    out: Annotated[
+        Path | None, typer.Option(help="A folder for the fit of all and its page.")
+    ] = None,
     note: Note = None,
     f0: Pitch = None,
     setup: Known = None,
     channel: Channel = "average",
     felt: Felt = None,
     seed: Seed = 0,
+    force: Force = False,
     as_json: Json = False,
 ) -> None:
     """Leave out each recording of a key in turn, fit the others, and predict it."""
     from .summary import cross_validation
-    from .workflow import cross_validate_files, json_text
+    from .workflow import cross_validate_files, json_text, output_folder
 
     _checked(None, seed)
-    with progress_bar() as progress:
+    with nullcontext() if out is None else output_folder(out, force) as folder, progress_bar() as progress:
         found = cross_validate_files(
-            takes, note=note, f0=f0, setup=setup, channel=channel, felt=felt, seed=seed, progress=progress
+            takes, folder, note=note, f0=f0, setup=setup, channel=channel, felt=felt, seed=seed, progress=progress
         )
     typer.echo(json_text(found) if as_json else cross_validation(found), nl=False)
 

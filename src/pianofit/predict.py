@@ -138,13 +138,13 @@ def cross_validate(
     *,
     seed: int = 0,
     progress: Callable[[str, float], None] = lambda *_: None,
-) -> dict:
+) -> tuple[dict, Result]:
     """Leave out each take in turn, fit the others, and predict it.
 
     Returns
     -------
     `takes`, in order of velocity, each with `file`, `v_H0` (in the fit of all), `predicted_db`, `nearest_db`,
-    `blend_db` (None at the ends) and `inner`; `median_inner_db` and `worst_inner_db`.
+    `blend_db` (None at the ends) and `inner`; `median_inner_db` and `worst_inner_db`. With it the fit of all takes.
 
     Raises
     ------
@@ -172,7 +172,8 @@ def cross_validate(
             "inner": len(around) == 2,
         })  # fmt: skip
     inner = [row["predicted_db"] for row in rows if row["inner"]]
-    return {"takes": rows, "median_inner_db": float(np.median(inner)), "worst_inner_db": float(max(inner))}
+    found = {"takes": rows, "median_inner_db": float(np.median(inner)), "worst_inner_db": float(max(inner))}
+    return found, whole
 
 
 def _voice_for(fit: Result, whole: Result, rest: list[int], left_out: int) -> Voice:

@@ -189,17 +189,8 @@ def fit_files(
             recordings[0], analyses[0], known, velocity=velocity, recipe=recipe, evaluations=evaluations, seed=seed,
             progress=progress,
         )  # fmt: skip
-    _write_sounds(out, files, result)
-    from .report.output import replace_file
-
-    replace_file(out / "fit.json", json_text(result.document).encode())
-    if report:
-        from .report.build import curves_of
-        from .report.page import write_report
-
-        progress("page", 0.95)
-        title = ", ".join(one_line(file.name) for file in files) + (f", {note}" if note else "")
-        write_report(out / "report.html", result.document, curves_of(result), title)
+    progress("page", 0.95)
+    _write(out, files, result, note, report)
     progress("done", 1.0)
     return result
 
@@ -220,6 +211,22 @@ def _takes(
 
     progress("partials", 0.02)
     return recordings, [analyse(recording, note=note, f0=f0) for recording in recordings], known
+
+
+def _write(
+    out: Path, files: Sequence[Path], result: Result, note: str | None, report: bool, held_out: dict | None = None
+) -> None:
+    """The sounds, `fit.json`, and the page, which comes last."""
+    from .report.output import replace_file
+
+    _write_sounds(out, files, result)
+    replace_file(out / "fit.json", json_text(result.document).encode())
+    if report:
+        from .report.build import curves_of
+        from .report.page import write_report
+
+        title = ", ".join(one_line(file.name) for file in files) + (f", {note}" if note else "")
+        write_report(out / "report.html", result.document, curves_of(result), title, held_out=held_out)
 
 
 def _write_sounds(out: Path, files: Sequence[Path], result: Result) -> None:
@@ -271,6 +278,7 @@ def predict_file(fit: Path, file: Path, out: Path | None, *, channel: str = "ave
 
 def cross_validate_files(
     files: Sequence[Path],
+    out: Path | None = None,
     *,
     note: str | None = None,
     f0: float | None = None,
@@ -282,6 +290,8 @@ def cross_validate_files(
 ) -> dict:
     """Leave out each recording of a key in turn, and predict it; see `predict.cross_validate`.
 
+    To the folder `out`, if there is one, go the fit of all and its page, with what came of it.
+
     Raises
     ------
     PianofitError
@@ -292,4 +302,10 @@ def cross_validate_files(
     from .predict import cross_validate
 
     keep_programs()
-    return cross_validate(recordings, analyses, known, seed=seed, progress=progress)
+    found, whole = cross_validate(recordings, analyses, known, seed=seed, progress=progress)
+    if out is not None:
+        _write(out, files, whole, note, True, found)
+        from .report.output import replace_file
+
+        replace_file(out / "crossval.json", json_text(found).encode())
+    return found

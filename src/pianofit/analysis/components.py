@@ -80,7 +80,7 @@ def resolve(bands: Bands, z: NDArray[np.complex128], frame: np.ndarray) -> Compo
         wanted = (best[3] > np.maximum(2 * frame, _GOOD * power)) & (misfit < 0.7 * best[3]) & fresh[4]
         best = [np.where(wanted, new, old) for new, old in zip(fresh, best, strict=True)]
     described = best[3] < np.maximum(2 * frame, _FAIR * power)
-    return Components(*best[:3], best[3] / power, valid=best[4].astype(bool) & described)
+    return Components(best[0], best[1], best[2], best[3] / power, valid=best[4].astype(bool) & described)
 
 
 def _subspace(series: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, float]:

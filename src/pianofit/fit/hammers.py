@@ -13,7 +13,7 @@ from .residuals import Target, hammer_batch
 from .space import LOG, NAMES, K, P
 from .state import State
 
-__all__ = ["STARTS", "anchored", "search_hammers"]
+__all__ = ["anchored", "search_hammers"]
 
 STARTS, BATCHES = 16, 4
 # Power of energy by which levels are weighed, and iterations: loud partials lead to the basin, all of them finish.
@@ -103,7 +103,7 @@ def _levelled(state: State, at: Target, z: np.ndarray) -> np.ndarray:
     """The points `z` [starts, size] with the gains at which each take is right on average."""
     if state.data.calibrated:
         return z
-    level = np.asarray(hammer_batch(jnp.asarray(z), at, state.cfg)[2])[:, :, 2]
+    level = state.evaluate(hammer_batch, at)(z)[2][:, :, 2]
     weight = np.asarray(at.level_weight) ** 2
     gain = ((np.asarray(at.level) - level) * weight).sum(axis=2) / weight.sum(axis=1)
     z = z.copy()

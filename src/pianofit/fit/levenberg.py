@@ -2,7 +2,7 @@
 
 Each step solves (JᵀJ + λ diag(JᵀJ)) d = -Jᵀr over the coordinates that are free and not pressed against an edge, goes
 there, and steps back into the box; λ falls after a step that lowers the cost and rises after one that does not. The
-starts share every evaluation of residuals and Jacobian and nothing else.
+starts share evaluations of residuals and Jacobian and nothing else; one that has settled is evaluated no more.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 
 from .space import Box, K, P, Space
 
-__all__ = ["Descent", "descend"]
+__all__ = ["Descent", "descend", "in_groups"]
 
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-2, 1e-12, 1e12
 SETTLED = 1e-9
@@ -53,21 +53,32 @@ def descend(
     settled = np.zeros(len(z), bool)
     evaluations = 1
     for _ in range(iterations):
-        trial = _into(space, _trial(space, z, residual, jacobian, damping, free), held, free)
+        on = np.flatnonzero(~settled)
+        trial = _into(space, _trial(space, z[on], residual[on], jacobian[on], damping[on], free), held[on], free)
         moved, slope, new_cost = _evaluate(evaluate, trial)
         evaluations += 1
-        better = new_cost < cost
-        gain = np.where(better, cost - np.where(better, new_cost, 0.0), 0.0)
-        small = np.abs(trial - z).max(axis=1) < SETTLED
-        settled |= (better & (gain <= tolerance * cost)) | small | (damping >= MOST_DAMPING)
-        z = np.where(better[:, None], trial, z)
-        residual = np.where(better[:, None], moved, residual)
-        jacobian = np.where(better[:, None, None], slope, jacobian)
-        cost = np.where(better, new_cost, cost)
-        damping = np.clip(damping * np.where(better, 0.2, 6.0), LEAST_DAMPING, MOST_DAMPING)
+        better = new_cost < cost[on]
+        gain = np.where(better, cost[on] - np.where(better, new_cost, 0.0), 0.0)
+        small = np.abs(trial - z[on]).max(axis=1) < SETTLED
+        settled[on] = (better & (gain <= tolerance * cost[on])) | small | (damping[on] >= MOST_DAMPING)
+        z[on[better]], residual[on[better]], jacobian[on[better]] = trial[better], moved[better], slope[better]
+        cost[on[better]] = new_cost[better]
+        damping[on] = np.clip(damping[on] * np.where(better, 0.2, 6.0), LEAST_DAMPING, MOST_DAMPING)
         if settled.all():
             break
     return Descent(z, cost, settled, residual, jacobian, evaluations)
+
+
+def in_groups(evaluate: Callable, size: int, run: Callable = map) -> Callable:
+    """`evaluate` for any number of rows, `size` at a time by `run`, so that one compiled program serves all."""
+
+    def every(z: np.ndarray) -> tuple[np.ndarray, ...]:
+        rows = -(-len(z) // size) * size
+        padded = np.concatenate([z, np.repeat(z[-1:], rows - len(z), axis=0)])
+        parts = run(evaluate, padded.reshape(-1, size, z.shape[1]))
+        return tuple(np.concatenate([np.asarray(x) for x in column])[: len(z)] for column in zip(*parts, strict=True))
+
+    return every
 
 
 def _evaluate(evaluate: Callable, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -25,7 +25,7 @@ from ..analysis import Analysis
 from ..criterion import line_sigma
 from ..errors import ParameterError
 from ..recording import Recording
-from .levenberg import Descent, descend
+from .levenberg import Descent, descend, in_groups
 from .residuals import CENT
 from .space import Box
 from .spectral import Goal, SoundModel, best_gain, model_energy, residual_batch, spectral_goal
@@ -88,11 +88,11 @@ def fit_model(
     throw[0] = 0.0
     z, batch = box.project(z + width * throw), residual_batch(model)
     wide, *narrower = view.sigmas
-    end = descend(_on(batch, view.goal(wide)), z, box, iterations=ITERATIONS, tolerance=1e-4)
+    end = descend(_on(batch, view.goal(wide), len(z)), z, box, iterations=ITERATIONS, tolerance=1e-4)
     agreeing = int((end.cost <= end.cost.min() + AGREEMENT).sum()) if len(z) > 1 else 0
     z = end.z[np.argsort(end.cost)[:FINALISTS]]
     for sigma in narrower:
-        end = descend(_on(batch, view.goal(sigma)), z, box, iterations=ITERATIONS, tolerance=1e-4)
+        end = descend(_on(batch, view.goal(sigma), len(z)), z, box, iterations=ITERATIONS, tolerance=1e-4)
         z = end.z[np.argsort(end.cost)[:FINALISTS]]
     if not np.isfinite(end.cost).any():
         raise ParameterError("no start gives a finite spectrum; choose others, or narrower bounds")
@@ -158,8 +158,8 @@ def _checked(model: SoundModel, start: Mapping[str, float], spread: Mapping[str,
     return Box(np.log(lower), np.log(upper)), z, np.array([spread.get(name, 0.0) for name in model.names])
 
 
-def _on(batch: Callable, goal: Goal) -> Callable:
-    return lambda z: batch(jnp.asarray(z), goal)
+def _on(batch: Callable, goal: Goal, rows: int) -> Callable:
+    return in_groups(lambda z: batch(jnp.asarray(z), goal), rows)
 
 
 def _spectrum(model: SoundModel, z: np.ndarray, goal: Goal, delay: float) -> np.ndarray:
@@ -181,7 +181,7 @@ def _estimate(model: SoundModel, batch: Callable, view: _View, box: Box, z: np.n
         # `miss` carries a factor √2: half the sum of squares of (difference/sd) is the cost.
         weight = np.where(present, 1 / (math.sqrt(2) * sd), 0.0)
         goal = plain._replace(weight=jnp.asarray(weight), energy=plain.energy - noise)
-        end = descend(_on(batch, goal), z, box, iterations=ITERATIONS, tolerance=1e-8)
+        end = descend(_on(batch, goal, len(z)), z, box, iterations=ITERATIONS, tolerance=1e-8)
         moved, z, rounds = np.abs(end.z - z).max(), end.z, rounds + 1
         if moved < 1e-6 or rounds == ROUNDS:
             return end, goal

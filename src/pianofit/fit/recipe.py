@@ -22,11 +22,11 @@ from ..initial import Start
 from ..model import simulate
 from ..model.simulate import count_modes
 from ..parameters import FELT_LAWS, Geometry
-from .hammers import STARTS, anchored, search_hammers
+from .hammers import anchored, search_hammers
 from .levenberg import Descent, descend
 from .residuals import CENT, Cfg, Target, hammer_batch, joint_batch, string_batch
 from .space import LOG, NAMES, Layout, Space, default_box, split, struck
-from .state import WIDTH, State, predicted, search_space, settled_weights
+from .state import TOGETHER, WIDTH, State, predicted, search_space, settled_weights
 from .takes import Take
 from .target import Spreads, Takes, lines, measured, side_by_side
 from .voice import arrival, lag
@@ -86,7 +86,7 @@ def fit_partials(
         If no start leads to a finite cost.
     """
     state = _prepared(takes, start, layout)
-    programs = [_compiled_ahead(hammer_batch, state, STARTS), _compiled_ahead(joint_batch, state, 1)]
+    programs = [_compiled_ahead(hammer_batch, state, TOGETHER), _compiled_ahead(joint_batch, state, 1)]
     try:
         progress("string", 0.1)
         space, count = _string_stage(takes[0], state)

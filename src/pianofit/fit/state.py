@@ -7,7 +7,10 @@ all alike, and the second is the path's own.
 
 from __future__ import annotations
 
+import functools
+import os
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import jax.numpy as jnp
@@ -16,15 +19,18 @@ import numpy as np
 from ..criterion import PATH_SPREAD
 from ..initial import Start
 from ..parameters import FELT_LAWS, MEMORY_NAMES, PARAMETERS
+from .levenberg import in_groups
 from .misfit import huber, scatter
 from .residuals import CENT, Cfg, Target, joint_batch
 from .space import ABSENT, LOG, NAMES, Layout, Space, default_box
 from .takes import Take
 from .target import Spreads, Takes, doubt, target
 
-__all__ = ["State", "predicted", "search_space", "settled_weights"]
+__all__ = ["TOGETHER", "State", "predicted", "search_space", "settled_weights"]
 
 WIDTH = NAMES.index("width")
+# Hammers that are evaluated by one call. Evaluating more at once gains little, and what has settled would go along.
+TOGETHER = 4
 # The model's window, as given or of an effective width, is a stand-in all the same: levels through it are off by about
 # this much, dB, however well they can be fitted.
 STAND_IN = {False: 0.003, True: 0.01}
@@ -94,8 +100,22 @@ class State:
         )  # fmt: skip
 
     def evaluate(self, function: Callable, at: Target) -> Callable:
-        """Residuals and Jacobians at search points, of a batch function."""
-        return lambda z: function(jnp.asarray(z), at, self.cfg)
+        """Residuals and Jacobians at search points [starts, size], of a batch function.
+
+        Many starts go `TOGETHER` at a time, on all cores, so that any number of them shares one compiled program.
+        """
+
+        def some(z: np.ndarray) -> tuple:
+            return tuple(np.asarray(x) for x in function(jnp.asarray(z), at, self.cfg))
+
+        return some if function is joint_batch else in_groups(some, TOGETHER, _pool().map)
+
+
+@functools.cache
+def _pool() -> ThreadPoolExecutor:
+    """As many threads as this process may use cores: XLA works outside of Python's lock."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return ThreadPoolExecutor(cores)
 
 
 def settled_weights(state: State, at: Target, z: np.ndarray) -> tuple[Spreads, np.ndarray]:

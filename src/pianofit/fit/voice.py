@@ -10,7 +10,7 @@ from ..criterion import OutputPath
 from ..model import Simulation, simulate
 from ..parameters import Geometry, Hammer, MemoryHammer, String
 
-__all__ = ["Voice", "arrival", "lag", "strike_voice"]
+__all__ = ["Voice", "arrival", "lag", "strike_voice", "through"]
 
 # The damped circle of the paper's criterion, 1/s.
 SIGMA = 30.0
@@ -31,23 +31,28 @@ class Voice(NamedTuple):
 
         The hammer touches the string at index `touch`, which may lie before the first sample; by default the sound
         arrives at the first sample.
-
-        A path gives every partial a level of its own, which goes into the pickup's weights, and a decay of its own, at
-        which its energy on the damped circle, where the criterion hears it, stays what it was.
         """
         simulation = strike_voice(self, rate)
-        pole = np.asarray(simulation.modes.pole)
-        factor = self.gain * np.ones(len(pole))
-        if self.path is not None:
-            frequency, law = np.abs(np.imag(pole)) / (2 * np.pi), -np.real(pole)
-            own = law * self.path.decay_at(frequency)
-            held = 10 * np.log10((SIGMA + own) / (SIGMA + law))
-            factor = factor * 10 ** ((self.path.at(frequency) + held) / 20)
-            pole = -own + 1j * np.imag(pole)
+        factor, pole = through(self.path, np.asarray(simulation.modes.pole))
+        factor = self.gain * factor
         heard = simulation.modes._replace(pickup=np.asarray(simulation.modes.pickup) * factor, pole=pole)
         first = -round(arrival(self.string, self.geometry, self.quantity) * rate) if touch is None else touch
         sound = simulation._replace(modes=heard).waveform(rate, samples - min(first, 0) - max(first, 0))
         return np.pad(sound[max(-first, 0) :], (max(first, 0), 0)), simulation
+
+
+def through(path: OutputPath | None, pole: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What a path makes of modes of complex `pole`, 1/s [modes]: factors on their amplitudes, and their poles.
+
+    Every partial has a level of its own, which goes into the pickup's weights, and a decay of its own, at which its
+    energy on the damped circle, where the criterion hears it, stays what it was.
+    """
+    if path is None:
+        return np.ones(len(pole)), pole
+    frequency, law = np.abs(np.imag(pole)) / (2 * np.pi), -np.real(pole)
+    own = law * path.decay_at(frequency)
+    held = 10 * np.log10((SIGMA + own) / (SIGMA + law))
+    return 10 ** ((path.at(frequency) + held) / 20), -own + 1j * np.imag(pole)
 
 
 def strike_voice(voice: Voice, rate: float) -> Simulation:

@@ -12,11 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..errors import FitError
-from ..fit.voice import Voice
+from ..fit.voice import Voice, through
 from ..model.cache import kept
 from ..model.contact import free_motion, impulse_amplitude, strike
 from ..model.modes import HIGHEST, Modes, mode_table
-from ..model.response import level_db
 from ..model.simulate import FIRST_STEPS, MOST_STEPS, contact_rate, count_modes
 from ..parameters import Hammer, MemoryHammer
 
@@ -61,16 +60,10 @@ def table_of(voice: Voice, rate: float) -> Table:
     columns: list[Any]
     *columns, unit = (np.asarray(x) for x in _table(string, geometry, np.float64(contact), (rows, voice.quantity)))
     modes = Modes(*columns)
-    pole = np.asarray(modes.pole)
-    size = np.abs(pole)
-    law, turn = -np.real(pole), np.imag(pole)
-    factor = np.full(rows, voice.gain)
-    if voice.path is not None:
-        # As `Voice.play`: a level and a decay for every partial; the decay leaves the energy of its beginning.
-        own = law * voice.path.decay_at(turn / (2 * np.pi))
-        held = level_db(np.ones(rows), law, np) - level_db(np.ones(rows), own, np)
-        factor = factor * 10 ** ((voice.path.at(turn / (2 * np.pi)) + held) / 20)
-        pole = -own + 1j * turn
+    own = np.asarray(modes.pole)
+    size, turn = np.abs(own), np.imag(own)
+    factor, pole = through(voice.path, own)
+    factor = voice.gain * factor
     # The scheme's displacement is the string's own up to this factor, see `mode_table`.
     angle = np.minimum(0.5 * size / contact, HIGHEST * np.pi)
     warp = angle / (np.sin(angle) * np.cos(angle))

@@ -21,7 +21,7 @@ import numpy as np
 
 from ..fit.annealing import anneal
 from ..fit.gradient import gradient_descent
-from ..fit.levenberg import descend
+from ..fit.levenberg import descend, in_groups
 from ..fit.residuals import Cfg
 from ..fit.space import Box
 from ..fit.spectral import spectral_goal
@@ -175,7 +175,7 @@ def _settled(problem: Hammers, z: np.ndarray, free: tuple[int, ...] = (0, 1, 2, 
         return []
     held = np.isin(np.arange(len(HAMMERS)), free, invert=True)
     box = Box(np.where(held, z[0], problem.lower), np.where(held, z[0], problem.upper))
-    end = descend(problem.residuals, z, box, iterations=SQUARES, tolerance=1e-7)
+    end = descend(in_groups(problem.residuals, len(z)), z, box, iterations=SQUARES, tolerance=1e-7)
     return [Basin(at, float(cost)) for at, cost in zip(end.z, end.cost, strict=True)]
 
 

@@ -1,0 +1,258 @@
+"""From the table's numbers to `docs/performance.md` and its picture; no number is written by hand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from measuring import ratio
+from works import BATCHES, MODES, STEPS
+
+# Targets, by row: of the design, on two idle cores.
+CANDIDATES, OVER_PAPER, DERIVATIVES = 40_000.0, 800.0, 5.0
+COMMANDS = {
+    "--help": 0.5, "fit": 4.0, "fit with page": 6.0, "fit, cold": 15.0, "joint fit": 15.0, "paper's recipe": 6.0,
+}  # fmt: skip
+# One scalar recursion is this much faster than JAX where a kernel of our own would be worth a thought.
+TOO_SLOW = 4.0
+
+
+def write(document: dict[str, Any], path: Path) -> None:
+    """The page, and beside it the picture of how costs grow."""
+    picture = path.with_name(f"{path.stem}-growth.svg")
+    path.write_text(text(document, picture.name))
+    draw(document["growth"], picture)
+
+
+def text(document: dict[str, Any], picture: str) -> str:
+    """The page."""
+    parts = [
+        _opening(document), _side_by_side(document), _commands(document), _growth(document, picture),
+        _counts(document), _kernel(document), _accelerator(document),
+    ]  # fmt: skip
+    return "\n\n".join(parts) + "\n"
+
+
+def _opening(document: dict[str, Any]) -> str:
+    m = document["machine"]
+    versions = ", ".join(f"{name} {version}" for name, version in m["versions"].items() if version)
+    busy = " **The machine was busy: these figures are too large.**" if max([0, *m["load"][:1]]) > 0.5 else ""
+    return f"""# Performance
+
+Made by `python benchmarks/table.py --json benchmarks/results.json --docs docs/performance.md`, in less than ten minutes
+on two idle cores; run it again after a change. It needs numba: `pip install -e ".[bench]"`. Times are medians of runs
+that take turns, with the fastest beside them; ratios are medians over the turns.
+
+Measured on {m["processor"]}, {m["cores"]} cores, load {_list(m["load"])} before and {_list(m["load after"])} after;
+Python {m["python"]}, {versions}.{busy}
+
+The baseline is the paper's own algorithm done well: N = 100, 44.1 kHz, the full duration, a pentadiagonal matrix that
+is factored once, compiled with numba (`benchmarks/baseline.py`). It is
+{document["baseline off reference.py"]:.1e} of full scale off `model/reference.py`."""
+
+
+def _side_by_side(document: dict[str, Any]) -> str:
+    found = document["inner"]
+    s, c, k, p, f = (found[x] for x in ("strike", "criterion", "candidates", "sound", "plain scan"))
+    last = found["last stage"]["residuals and derivatives"]
+    sizes = found["last stage sizes"]
+    step = 1e6 * s["baseline"]["median"] / 44_100
+    one = k["baseline, 1 s"]
+    rows = [
+        ("one strike, 1 s of signal: baseline", s["baseline"], f"{step:.2f} µs a step"),
+        ("one strike, 1 s of signal", s["pianofit"], _times(s["baseline"], s["pianofit"])),
+        ("criterion (eq. 19), 1 s: baseline", c["baseline, value"], ""),
+        ("criterion, 1 s", c["value"], _times(c["baseline, value"], c["value"])),
+        ("and nine derivatives: baseline, ten runs", c["baseline, nine derivatives"], ""),
+        *((f"and {x.split('and ')[1]}", c[x], _times(c["baseline, nine derivatives"], c[x])
+           + (f"; target {DERIVATIVES:g} ms" if x.endswith("derivatives") else ""))
+          for x in ("value and nine derivatives", "value and nine derivatives, any model")),
+        (f"residuals and all derivatives of the default fit ({sizes['partials']} partials, {sizes['modes']} modes, "
+         f"{sizes['steps']} steps)", last, f"target {DERIVATIVES:g} ms"),
+        ("rendering from parameters, 10 s at 48 kHz", p["pianofit"], f"{10 / p['pianofit']['median']:.0f} × real time"),
+        *((("csound's `prepiano`, 10 s at 48 kHz, a process", p["csound prepiano"],
+            f"{10 / p['csound prepiano']['median']:.0f} × real time"),) if "csound prepiano" in p else ()),
+        ("linear string, 64 modes, 1 s, plain `lax.scan`", f["forward"], ""),
+        ("and its gradient", f["with gradient"], ""),
+    ]  # fmt: skip
+    csound = (
+        ""
+        if "csound prepiano" in p
+        else "\n\ncsound was not installed here (`apt install csound`): its row is left out."
+    )
+    lines = ["| what | median, ms | fastest, ms | beside it |", "|---|---|---|---|"]
+    lines += [f"| {n} | {1e3 * x['median']:.2f} | {1e3 * x['fastest']:.2f} | {more} |" for n, x, more in rows]
+    rates = ["| hammer candidates | a second | fastest | × baseline of 1 s |", "|---|---|---|---|"]
+    sized = {"alone": 1} | {f"{x} together": x for x in BATCHES}
+    for name, size in sized.items():
+        x = k[name]
+        rates.append(
+            f"| {name} | {size / x['median']:,.0f} | {size / x['fastest']:,.0f} | {size * ratio(one, x):,.0f} |"
+        )
+    scalar = k["same recursion compiled, 64"]
+    rates.append(
+        f"| the same recursion compiled, one by one | {64 / scalar['median']:,.0f} | {64 / scalar['fastest']:,.0f} | "
+        f"{64 * ratio(one, scalar):,.0f} |"
+    )
+    best = max(size / k[name]["median"] for name, size in sized.items())
+    over = max(size * ratio(one, k[name]) for name, size in sized.items())
+    return f"""## Side by side
+
+{chr(10).join(lines)}{csound}
+
+The nine derivatives of the baseline are nine more runs; the paper's sensitivity system costs as much. A candidate is a
+contact alone: {STEPS} steps at 44.1 kHz on a string of {MODES} modes, which is the same for all. To score a candidate
+the paper's algorithm has to go through the whole second.
+
+{chr(10).join(rates)}
+
+Targets: {CANDIDATES:,.0f} candidates a second, here {best:,.0f} ({_met(best >= CANDIDATES)});
+{OVER_PAPER:g} times the baseline, here {over:,.0f} ({_met(over >= OVER_PAPER)}). One thread does all of this: XLA
+does not split loops of this size over cores."""
+
+
+def _commands(document: dict[str, Any]) -> str:
+    effort, table = document["effort"], document["commands"]
+    lines = ["| command | median, s | fastest, s | target, s | memory, MB | |", "|---|---|---|---|---|---|"]
+    for name, target in COMMANDS.items():
+        x = table[name]
+        verdict = _met(x["median"] <= target)
+        lines.append(
+            f"| {name} | {x['median']:.2f} | {x['fastest']:.2f} | {target:g} | {x['memory_MB']:.0f} | {verdict} |"
+        )
+    inner = document["inner"]["strike"]["baseline"]["median"]
+    evaluations = effort["evaluations"]
+    gain = evaluations * inner / table["paper's recipe"]["median"]
+    return f"""## Whole commands
+
+A made note of {effort["seconds"]:g} s; the joint fit has {effort["takes"]} takes of it, the paper's recipe
+{evaluations:,} evaluations by annealing on the demo's twin. Each runs in a process of its own, Python's start and all
+imports included, without the page unless it says so. Warm ones have the programs of earlier fits; the cold one has an
+empty cache.
+
+{chr(10).join(lines)}
+
+The baseline would need {evaluations * inner:.0f} s for the annealing alone ({evaluations:,} strikes, computed from the
+one above): {gain:.0f} times the whole command."""
+
+
+def _growth(document: dict[str, Any], picture: str) -> str:
+    growth = document["growth"]
+    lines = ["| cost over | from | to | ms, first | ms, last | exponent at the end |", "|---|---|---|---|---|---|"]
+    for name, x in growth.items():
+        if name != "notes":
+            lines.append(
+                f"| {name} | {x['sizes'][0]:g} | {x['sizes'][-1]:g} | {1e3 * x['seconds'][0]:.2f} | "
+                f"{1e3 * x['seconds'][-1]:.2f} | {x['exponent']:.2f} |"
+            )
+    notes = [
+        "| note | contact's rate, kHz | modes | steps | contact, ms | strike with 1 s, ms |",
+        "|---|---|---|---|---|---|",
+    ]
+    notes += [
+        f"| {x['note']} | {x['rate'] / 1e3:.1f} | {x['modes']} | {x['steps']} | {x['contact_ms']:.2f} | "
+        f"{1e3 * x['seconds']:.1f} |" for x in growth["notes"]
+    ]  # fmt: skip
+    return f"""## How cost grows
+
+![Seconds over size]({picture})
+
+{chr(10).join(lines)}
+
+The exponent is the slope of log time over log size through the last three sizes: 1 is O(n), below 1 a fixed cost still
+shows. From note to note the program chooses rate, modes and steps:
+
+{chr(10).join(notes)}"""
+
+
+def _counts(document: dict[str, Any]) -> str:
+    lines = ["| of one fit, empty caches | count |", "|---|---|"]
+    lines += [f"| {name.replace('_', ' ')} | {x:g} |" for name, x in document["counts"].items()]
+    instructions = document["instructions"]
+    perf = instructions["perf"]
+    said = (
+        f"perf counts {perf:,.0f} instructions per step and candidate in a batch of 64." if perf
+        else "perf is missing or cannot count instructions on this machine."
+    )  # fmt: skip
+    flops = instructions["operations XLA counts in the program"]
+    more = (
+        f" XLA's own analysis of the batch's program counts {flops:,.0f} operations, each loop's body once."
+        if flops
+        else ""
+    )
+    return f"""## Counts that no machine changes
+
+`python benchmarks/counts.py`, on a measurement of one second. `tests/test_counts.py` fails when they grow.
+
+{chr(10).join(lines)}
+
+The kernel that matters is the step of the contact. {said}{more}"""
+
+
+def _kernel(document: dict[str, Any]) -> str:
+    k = document["inner"]["candidates"]
+    slower = ratio(k["64 together"], k["same recursion compiled, 64"])
+    verdict = (
+        f"That is within the factor of {TOO_SLOW:g} at which a compiled kernel behind JAX's FFI would be considered."
+        if slower <= TOO_SLOW
+        else f"That is beyond the factor of {TOO_SLOW:g} at which a kernel of our own is considered."
+    )  # fmt: skip
+    share = document["inner"]["shares of a fit"]
+    batches, whole = sum(seconds for name, seconds in share.items() if name != "whole"), share["whole"]
+    gain = whole / max(whole - batches, 1e-9)
+    return f"""## A compiled kernel of our own
+
+A batch of 64 candidates takes {slower:.2f} times as long in JAX as the same recursion compiled and run one by one on
+one core (a ratio below 1 is a gain). {verdict} Of a warm fit's {whole:.2f} s from the file on, start and
+imports left out, {batches:.2f} s go into batches of residuals with their derivatives, of which the contact is a part. A
+kernel of no cost at all would make the fit at most {gain:.2f} times as fast, and one that is worth its trouble has to
+reach 2. It would need derivatives of its own, and a wheel for every system where now one is enough. There is none."""
+
+
+def _accelerator(document: dict[str, Any]) -> str:
+    found = document["accelerator"]
+    if found is None:
+        return """## On an accelerator
+
+None was present in this run. `python benchmarks/accelerator.py` runs there unchanged: candidates a second for growing
+batches, and the largest batch before memory ends; where JAX finds one it becomes part of this page."""
+    lines = ["| batch | candidates a second |", "|---|---|"]
+    lines += [f"| {int(size):,} | {rate:,.0f} |" for size, rate in found["rates"].items()]
+    return f"""## On an accelerator
+
+{found["device"]}, float64, no code of its own. The largest batch was {found["largest batch"]:,}; what ended it was
+{found["ended by"]}.
+
+{chr(10).join(lines)}"""
+
+
+def _list(values: list[float]) -> str:
+    return ", ".join(f"{x:g}" for x in values)
+
+
+def _times(slow: dict, fast: dict) -> str:
+    return f"{ratio(slow, fast):.2f} × as fast as the baseline"
+
+
+def _met(met: bool) -> str:
+    return "met" if met else "not met"
+
+
+def draw(growth: dict[str, Any], path: Path) -> None:
+    """Milliseconds over size, each axis logarithmic."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    from matplotlib import pyplot as plt
+
+    series = {name: x for name, x in growth.items() if name != "notes"}
+    with plt.rc_context({"svg.hashsalt": "pianofit", "font.size": 8}):
+        figure, axes = plt.subplots(2, -(-len(series) // 2), figsize=(10, 4.5), constrained_layout=True)
+        for axis, (name, x) in zip(axes.ravel(), series.items(), strict=False):
+            axis.loglog(x["sizes"], [1e3 * s for s in x["seconds"]], "o-", color="#1f5fa8", ms=3)
+            axis.set(xlabel=name, ylabel="ms", title=f"exponent {x['exponent']:.2f}")
+            axis.grid(True, which="major", alpha=0.3)
+        for axis in axes.ravel()[len(series) :]:
+            axis.set_axis_off()
+        figure.savefig(path, metadata={"Date": None})
+        plt.close(figure)

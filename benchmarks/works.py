@@ -1,0 +1,253 @@
+"""What the table times in its own process: strikes, criteria, candidates, sound, and what others do instead."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+RATE = 44_100
+# The contact alone: at least 200 steps (whole blocks of 32), modes up to 0.4 of the rate, hammers spread by a factor.
+STEPS, MODES, SPREAD, BATCHES = 224, 192, 0.3, (16, 64, 256, 1024)
+SCANNED = 64
+CSOUND = """<CsoundSynthesizer>
+<CsOptions>
+-o {out} -W -d -m0
+</CsOptions>
+<CsInstruments>
+sr = 48000
+ksmps = 64
+nchnls = 1
+0dbfs = 1
+instr 1
+a1 prepiano 65.4, 1, 10, 1, 10, 0.002, 2, 2, 1, 5000, -0.01, 0.12, 20, 0, 0.1, 1, 2
+out a1 * 0.5
+endin
+</CsInstruments>
+<CsScore>
+f1 0 8 2 1 0.6 10 100 0.001
+f2 0 8 2 1 0.7 50 500 1000
+i1 0 {seconds}
+e
+</CsScore>
+</CsoundSynthesizer>
+"""
+
+Works = dict[str, Callable[[], Any]]
+
+
+def strikes() -> Works:
+    """One strike with 1 s of signal, from parameters to samples: the paper's algorithm compiled, and the program."""
+    import baseline
+
+    import pianofit
+
+    it = pianofit.preset("bensa-final")
+    return {
+        "baseline": lambda: baseline.simulate(baseline.prepared(it.string, it.geometry, RATE), it.hammer, RATE),
+        "pianofit": lambda: pianofit.simulate(it.string, it.hammer, it.geometry, rate=RATE).waveform(RATE, RATE),
+    }
+
+
+def criteria(seconds: float = 1.0) -> Works:
+    """Eq. 19 of the paper's string against `seconds` of signal, and with nine derivatives.
+
+    The baseline's value is a simulation and one FFT of the damped signal; its nine derivatives are nine more, which is
+    what the appendix's sensitivity system costs too.
+    """
+    import baseline
+    import jax
+    import jax.numpy as jnp
+
+    import pianofit
+    from pianofit.fit.residuals import Cfg
+    from pianofit.fit.spectral import gradient_batch, miss, model_energy, spectral_goal, struck_model
+    from pianofit.fit.struck import Scene, struck_gradients
+
+    it, samples, sigma = pianofit.preset("bensa-final"), round(seconds * RATE), 30.0
+    strike = pianofit.simulate(it.string, it.hammer, it.geometry, rate=RATE)
+    sound = strike.waveform(RATE, samples)
+    contact, modes = 1 / float(strike.modes.step), strike.modes.pole.shape[0]
+    f0, B = it.string.c / 2 / it.geometry.length, (it.string.kappa * np.pi / it.string.c / it.geometry.length) ** 2
+    goal = spectral_goal(sound, RATE, f0, B, 48, sigma)
+    steps = 256 * int(np.ceil(1.6 * strike.contact_time * contact / 256))
+    values = np.array([*it.string, *it.hammer], float)
+    z = jnp.asarray(np.log(values * 1.01))
+    model = struck_model(it.geometry, rate=contact, n_modes=modes, steps=steps)
+    value = jax.jit(lambda x: 0.5 * (miss(model_energy(model, x, goal), goal) ** 2).sum())
+    general = gradient_batch(model)
+    cfg = Cfg(modes, steps, "velocity", True)
+    scene = Scene(*jax.tree.map(jnp.asarray, (it.geometry, contact, float(np.log(1e-4)), np.array([-99.0, 99.0]))))
+    searched = jnp.asarray(z).at[4].add(float(np.log(1e-4)) * float(jnp.exp(z[6])))[None]
+    damping = np.exp(-sigma * np.arange(samples) / RATE)
+
+    def by_baseline(times: int) -> None:
+        for _ in range(times):
+            signal, _ = baseline.simulate(baseline.prepared(it.string, it.geometry, RATE), it.hammer, samples)
+            float((np.abs(np.fft.rfft(signal * damping)) ** 2).sum())
+
+    return {
+        "baseline, value": lambda: by_baseline(1),
+        "baseline, nine derivatives": lambda: by_baseline(10),
+        "value": lambda: value(z),
+        "value and nine derivatives, any model": lambda: general(z[None], goal),
+        "value and nine derivatives": lambda: struck_gradients(searched, goal, scene, cfg),
+    }
+
+
+def joint(file: Path, note: str, takes: int = 1, more: tuple[Path, ...] = ()) -> tuple[Callable[[], Any], dict]:
+    """What the default fit's last stage evaluates, residuals and all their derivatives, and how large it is."""
+    import jax.numpy as jnp
+
+    import pianofit
+    from pianofit.fit.recipe import _prepared
+    from pianofit.fit.residuals import joint_batch
+    from pianofit.fit.takes import arranged
+
+    recordings = [pianofit.load_recording(x) for x in (file, *more)][:takes]
+    analyses = [pianofit.analyse(recording, note=note) for recording in recordings]
+    state = _prepared(*arranged(recordings, analyses, pianofit.Setup())[:3])
+    target = state.target(state.first_spread(10.0, 1.0), state.unweighted)
+    z = jnp.asarray(state.space.z(state.space.start[None]))
+    sizes = {
+        "takes": takes,
+        "modes": state.cfg.n_modes,
+        "steps": state.cfg.steps,
+        "partials": target.frequency.shape[1],
+    }
+    return (lambda: joint_batch(z, target, state.cfg)), sizes
+
+
+def shares(file: Path, note: str) -> dict[str, float]:
+    """Seconds of the batches of residuals, by name, and of the whole of a warm fit, from the file to the numbers."""
+    import jax
+
+    import pianofit
+    from pianofit.fit import hammers as search
+    from pianofit.fit import recipe, residuals
+    from pianofit.fit.takes import arranged
+
+    spent = dict.fromkeys(("string_batch", "hammer_batch", "joint_batch"), 0.0)
+
+    def timed(name: str, function: Callable) -> Callable:
+        def call(*arguments: Any) -> Any:
+            start = time.perf_counter()
+            value = jax.block_until_ready(function(*arguments))
+            spent[name] += time.perf_counter() - start
+            return value
+
+        return call
+
+    places = [(m, name) for m in (recipe, search) for name in spent if hasattr(m, name)]
+    try:
+        for module, name in places:
+            setattr(module, name, timed(name, getattr(residuals, name)))
+        for _ in range(2):  # the second is warm
+            spent.update(dict.fromkeys(spent, 0.0))
+            start = time.perf_counter()
+            recording = pianofit.load_recording(file)
+            analyses = [pianofit.analyse(recording, note=note)]
+            recipe.fit_partials(*arranged([recording], analyses, pianofit.Setup())[:3])
+            whole = time.perf_counter() - start
+    finally:
+        for module, name in places:
+            setattr(module, name, getattr(residuals, name))
+    return spent | {"whole": whole}
+
+
+def hammers(batch: int, seed: int = 0) -> Any:
+    """Hammers about the paper's, every parameter spread by a factor; fields [batch]."""
+    import jax.numpy as jnp
+
+    import pianofit
+
+    hammer = np.asarray(pianofit.preset("bensa-final").hammer)
+    spread = np.exp(SPREAD * np.random.default_rng(seed).standard_normal((batch, 5)))
+    return pianofit.Hammer(*(jnp.asarray(x) for x in hammer[:, None] * spread.T))
+
+
+def contact_batch(modes: int = MODES, steps: int = STEPS) -> Callable:
+    """Compiled: forces [batch, steps] of hammers on one string, contact only."""
+    import jax
+
+    import pianofit
+    from pianofit.model import contact, mode_table
+
+    it = pianofit.preset("bensa-final")
+    table = mode_table(it.string, it.geometry, rate=float(RATE), n_modes=modes)
+    # Where the model can carry the past in the string's kernel, all hammers share it.
+    rows = getattr(contact, "kernel_rows", None)
+    shared = {} if rows is None else {"rows": rows(table, steps)}
+    return jax.jit(jax.vmap(lambda hammer: contact.strike(table, hammer, steps=steps, **shared).force))
+
+
+def candidates() -> Works:
+    """Hammers on one string, contact only: by the batch, and one by one in C's place."""
+    import baseline
+
+    import pianofit
+    from pianofit.model import kernel, mode_table
+
+    it = pianofit.preset("bensa-final")
+    scheme = baseline.prepared(it.string, it.geometry, RATE)
+    table = mode_table(it.string, it.geometry, rate=float(RATE), n_modes=MODES)
+    g = np.asarray(kernel(table, STEPS))
+    sixty_four = np.stack([np.asarray(x) for x in hammers(64)], axis=1)
+    run = contact_batch()
+    batches = {size: hammers(size) for size in BATCHES}
+    one = pianofit.Hammer(*(x[:1] for x in batches[BATCHES[0]]))
+    works: Works = {
+        "baseline, 1 s": lambda: baseline.simulate(scheme, it.hammer, RATE),
+        "same recursion compiled, 64": lambda: baseline.contacts(g, 0.5 / RATE, sixty_four),
+        "alone": lambda: run(one),
+    }
+    return works | {f"{size} together": lambda x=x: run(x) for size, x in batches.items()}
+
+
+def sounds(seconds: float = 10.0, rate: int = 48_000) -> Works:
+    """A struck C2, heard at the bridge, from parameters to samples."""
+    import pianofit
+
+    it = pianofit.preset("chabassier-C2")
+    voice = pianofit.Voice(it.string, it.hammer, it.geometry, "pressure", 1.0, None)
+    works: Works = {"pianofit": lambda: voice.play(rate, round(seconds * rate))}
+    if shutil.which("csound"):
+        works["csound prepiano"] = lambda: _csound(seconds)
+    return works
+
+
+def _csound(seconds: float) -> None:
+    """A whole process, as csound is used; starting it takes a few hundredths of a second."""
+    with tempfile.TemporaryDirectory() as folder:
+        score = Path(folder) / "piano.csd"
+        score.write_text(CSOUND.format(out=Path(folder) / "piano.wav", seconds=seconds))
+        subprocess.run(["csound", str(score)], check=True, capture_output=True)
+
+
+def plain_scan() -> Works:
+    """A linear string of 64 modes over 1 s in plain `lax.scan`, with and without its gradient."""
+    import jax
+    import jax.numpy as jnp
+
+    k = jnp.arange(1.0, SCANNED + 1)
+
+    def energy(values: Any) -> Any:
+        f0, b1, b2 = values
+        turn = jnp.exp((-(b1 + b2 * k**2) + 2j * jnp.pi * f0 * k) / RATE)
+
+        def step(state: Any, _: Any) -> Any:
+            real, imag = state
+            real, imag = turn.real * real - turn.imag * imag, turn.real * imag + turn.imag * real
+            return (real, imag), real.sum()
+
+        return (jax.lax.scan(step, (1 / k, jnp.zeros(SCANNED)), None, length=RATE)[1] ** 2).sum()
+
+    values = jnp.array([100.0, 0.5, 1e-3])
+    forward, backward = jax.jit(energy), jax.jit(jax.value_and_grad(energy))
+    return {"forward": lambda: forward(values), "with gradient": lambda: backward(values)}

@@ -1,0 +1,41 @@
+"""What a fit does must not grow unnoticed: counts that depend neither on the machine nor on what caches hold."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+SCRIPT = Path(__file__).parents[1] / "benchmarks" / "counts.py"
+# A process of its own with empty caches: `python benchmarks/counts.py --seconds 0.6` prints these. A limit lies a
+# little above what it prints now; where a change is worth more work, raise it knowingly.
+LIMITS = {
+    "compilations": 24,  # 20 now: the stages' three programs, the strikes at start and end, and small ones
+    "traces": 27,  # 22
+    "kept_programs": 3,  # the string's, the hammers' and the joint stage's
+    "evaluations": 110,  # 81, of the string, of batches of hammers, and of all nine together
+    "contact_rate_Hz": 88_200,
+    "modes": 128,
+    "steps": 768,
+}
+
+
+@pytest.fixture(scope="module")
+def counts() -> dict[str, float]:
+    """Of the demo's fit."""
+    arguments = [sys.executable, str(SCRIPT), "--seconds", "0.6"]
+    return json.loads(subprocess.run(arguments, check=True, capture_output=True, text=True, timeout=600).stdout)
+
+
+@pytest.mark.parametrize("name", LIMITS)
+def test_a_fit_does_no_more_than_it_did(counts, name):
+    assert 0 < counts[name] <= LIMITS[name]
+
+
+def test_what_is_counted_was_a_whole_fit(counts):
+    # A fit that gives up early would pass every limit.
+    assert counts["partials"] >= 15
+    assert counts["evaluations"] >= 40
