@@ -131,7 +131,7 @@ def test_each_band_holds_its_own_partials_and_they_add_up():
         spacing = np.diff(np.asarray(g.frequency), axis=1)[:, :1]
         energy = np.where(np.asarray(g.weight) > 0, np.asarray(g.energy), 0.0)
         full[bands] = (spacing * energy**2).sum()
-    assert parts[(0,)] == parts[(2,)] == 0
+    assert max(parts[(0,)], parts[(2,)]) < 1e-30  # a gain in closed form, to rounding
     assert parts[(1,)] > 1e-6
     together = sum(parts[b] * full[b] for b in ((0,), (1,), (2,)))
     assert parts[(0, 1, 2)] * full[(0, 1, 2)] == pytest.approx(together, rel=1e-9)

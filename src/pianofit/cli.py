@@ -165,9 +165,7 @@ def predict(
 @plainly
 def crossval(
     takes: Takes,
-    out: Annotated[
-        Path | None, typer.Option(help="A folder for the fit of all and its page.")
-    ] = None,
+    out: Annotated[Path | None, typer.Option(help="A folder for the fit of all and its page.")] = None,
     note: Note = None,
     f0: Pitch = None,
     setup: Known = None,

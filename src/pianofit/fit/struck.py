@@ -17,7 +17,7 @@ from jaxtyping import Array, Complex, Float
 
 from ..criterion.bands import NODES
 from ..model.cache import kept
-from ..model.contact import Pulse, impulse_amplitude, strike
+from ..model.contact import Pulse, impulse_amplitude, kernel_rows, strike
 from ..model.modes import Modes, mode_table
 from ..model.response import pulse_transform
 from ..parameters import Geometry, Hammer, String
@@ -48,6 +48,7 @@ class Held(NamedTuple):
     mobility: Array  # |H|² δt² [rows, nodes]
     real: Array  # of ζ^n at the Chebyshev nodes [steps, rows · SMOOTH]: T̂ is then one matrix product
     imag: Array
+    rows: Array  # of the kernel
 
 
 def _chebyshev() -> tuple[np.ndarray, np.ndarray]:
@@ -139,7 +140,7 @@ def _table(z: Array, scene: Scene, cfg) -> Modes:
 def _on_held(z: Float[Array, " 5"], held: Held, goal: Goal, scene: Scene, cfg) -> Array:
     """Residuals of a hammer on a string that is held."""
     hammer = _hammer(z, scene)
-    pulse = strike(held.modes, hammer, steps=cfg.steps)
+    pulse = strike(held.modes, hammer, steps=cfg.steps, rows=held.rows)
     energy = pulse_energy(pulse.drive @ held.real, pulse.drive @ held.imag) * held.mobility
     return _allowed(miss(energy, goal), hammer, pulse, scene)
 
@@ -152,8 +153,8 @@ def struck_gradients(z, goal: Goal, scene: Scene, cfg):
 
 def hold(z: Float[Array, " 9"], goal: Goal, scene: Scene, cfg) -> Held:
     """The string of `z`, once for a whole search."""
-    mobility, real, imag, *rows = held_string(z, goal, scene, cfg)
-    return Held(Modes(*rows), mobility, real, imag)
+    mobility, real, imag, rows, *modes = held_string(z, goal, scene, cfg)
+    return Held(Modes(*modes), mobility, real, imag, rows)
 
 
 @kept
@@ -162,7 +163,8 @@ def held_string(z, goal: Goal, scene: Scene, cfg):
     modes = _table(z, scene, cfg)
     log_zeta = _log_zeta(_smooth_frequency(goal), goal.sigma, modes.step).ravel()
     powers = jnp.exp(jnp.arange(cfg.steps)[:, None] * log_zeta - 1j * log_zeta.imag * MIDDLE * cfg.steps)
-    return (string_mobility(modes, goal, MIDDLE * cfg.steps), powers.real, powers.imag, *modes)
+    rows = kernel_rows(modes, cfg.steps)
+    return (string_mobility(modes, goal, MIDDLE * cfg.steps), powers.real, powers.imag, rows, *modes)
 
 
 @kept

@@ -23,7 +23,7 @@ from .exponentials import BLOCK, real_powers, ring
 from .felt import compression, force, memory_weights, remember
 from .modes import Modes
 
-__all__ = ["FreeMotion", "Pulse", "free_motion", "impulse_amplitude", "kernel", "strike"]
+__all__ = ["FreeMotion", "Pulse", "free_motion", "impulse_amplitude", "kernel", "kernel_rows", "strike"]
 
 
 class Pulse(NamedTuple):
@@ -59,6 +59,12 @@ def kernel(modes: Modes, steps: int) -> Float[Array, " steps"]:
     return ring(modes.strike * impulse_amplitude(modes), modes.pole * modes.step, steps)
 
 
+def kernel_rows(modes: Modes, steps: int) -> Float[Array, "32 steps"]:
+    """g once more, m/N, a row for each step of a block: what a unit `T` there leaves from the next block on."""
+    g = kernel(modes, BLOCK + steps)
+    return jnp.stack([g[BLOCK - i : BLOCK - i + steps] for i in range(BLOCK)])
+
+
 def free_motion(modes: Modes, displacement: Array, velocity: Array, steps: int) -> FreeMotion:
     """The motion of a string released at t = 0 with modal `displacement`, m, and `velocity`, m/s [modes]."""
     rate = modes.free_rate
@@ -73,17 +79,23 @@ def free_motion(modes: Modes, displacement: Array, velocity: Array, steps: int) 
     return FreeMotion(amplitude, under, (modes.strike * velocity).sum(), energy)
 
 
-def strike(modes: Modes, hammer: Hammer | MemoryHammer, *, steps: int, free: FreeMotion | None = None) -> Pulse:
+def strike(
+    modes: Modes, hammer: Hammer | MemoryHammer, *, steps: int, free: FreeMotion | None = None,
+    rows: Array | None = None,
+) -> Pulse:  # fmt: skip
     """The hammer on the string from the first touch on, for `steps` steps of the table's own δt.
 
     The contact may end and begin again. Whether it is over for good is proven, not guessed: after the last step the
     string's displacement under the hammer never exceeds √(2 E S), with E its energy and S its static compliance there,
     so a hammer that moves away and is further off than that cannot touch again.
+
+    `rows` are the string's `kernel_rows`, where many hammers share a string and it has no derivatives: in place of the
+    modes, of which there are more than steps, they then carry the past.
     """
     if steps % BLOCK:
         raise ParameterError(f"steps={steps} must be a multiple of {BLOCK}")
     under = jnp.zeros(steps) if free is None else free.under_hammer
-    drive, force, u, y_hammer, v_hammer = _march(modes, hammer, under, 0.0 if free is None else free.speed)
+    drive, force, u, y_hammer, v_hammer = _march(modes, hammer, under, 0.0 if free is None else free.speed, rows)
     y_string = y_hammer - u
     own = y_string - under
     work = 0.5 * (drive[1:] * (own[1:] - own[:-1])).sum()
@@ -98,12 +110,13 @@ def _reach(modes: Modes, energy: Array) -> Array:
     return jnp.sqrt(2 * jnp.maximum(energy, 0.0) * compliance)
 
 
-def _march(modes: Modes, hammer: Hammer | MemoryHammer, under: Array, speed: Array | float):
+def _march(modes: Modes, hammer: Hammer | MemoryHammer, under: Array, speed: Array | float, rows: Array | None):
     """Step the hammer over the string; see the module's docstring for the symbols.
 
     The sum over past forces is split: those of the present block are summed with the kernel, step by step; all earlier
     ones have left the modes ringing with complex amplitudes, which give the whole block's history as one matrix product
-    that candidates on the same string share. The cost is linear in the steps.
+    that candidates on the same string share. The cost is linear in the steps. With `rows` what is carried is instead
+    the displacement to come.
     """
     a = modes.step / 2
     unit = impulse_amplitude(modes)
@@ -115,8 +128,8 @@ def _march(modes: Modes, hammer: Hammer | MemoryHammer, under: Array, speed: Arr
     weights = memory_weights(hammer, modes.step)
 
     def block(carry, under):
-        ringing, state = carry
-        past = _history(modes.strike * ringing, powers) + under
+        earlier, state = carry
+        past = under + (_history(modes.strike * earlier, powers) if rows is None else earlier[:BLOCK])
 
         def advance(carry, i):
             recent, (u, w, f, y, v, memory) = carry
@@ -132,7 +145,9 @@ def _march(modes: Modes, hammer: Hammer | MemoryHammer, under: Array, speed: Arr
             return (recent.at[i].set(t), (u_new, w_new, f_new, y_new, v_new, memory)), (t, f_new, u_new, y_new, v_new)
 
         (recent, state), outputs = jax.lax.scan(advance, (jnp.zeros(BLOCK), state), jnp.arange(BLOCK))
-        return (ringing * over_block + unit * _left(recent, powers), state), outputs
+        if rows is None:
+            return (earlier * over_block + unit * _left(recent, powers), state), outputs
+        return (jnp.append(earlier[BLOCK:], jnp.zeros(BLOCK)) + recent @ rows, state), outputs
 
     zero = jnp.zeros_like(c)
     # y_H(0) = y_s at the strike: the felt touches, uncompressed (paper eq. 7).
@@ -140,7 +155,7 @@ def _march(modes: Modes, hammer: Hammer | MemoryHammer, under: Array, speed: Arr
     # The first block starts at step 1, with nothing ringing yet.
     shifted = jnp.append(under[1:], 0.0).reshape(-1, BLOCK)
     state = (zero, v - speed, zero, y, v, None if weights is None else zero)
-    _, rest = jax.lax.scan(block, (jnp.zeros_like(unit), state), shifted)
+    _, rest = jax.lax.scan(block, (jnp.zeros_like(unit if rows is None else under), state), shifted)
     first = (zero, zero, zero, y, v)
     return tuple(jnp.concatenate([x[None], r.ravel()[:-1]]) for x, r in zip(first, rest, strict=True))
 
