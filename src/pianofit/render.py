@@ -6,7 +6,6 @@ velocity it gives the sound of the same string, hammer and path, struck harder o
 
 from __future__ import annotations
 
-import json
 import os
 from typing import Any
 
@@ -16,6 +15,7 @@ from .criterion import OutputPath
 from .errors import FitError, ParameterError
 from .fit.result import SCHEMA
 from .fit.voice import Voice
+from .json_file import finite, load_json, table_of
 from .model.modes import QUANTITIES
 from .model.simulate import check_geometry
 from .parameters import (
@@ -29,12 +29,12 @@ from .parameters import (
     check_hammer,
     make_hammer,
 )  # fmt: skip
-from .recording import RATES, one_line, read_file
+from .recording import RATES, one_line
 
 __all__ = ["MOST_SECONDS", "check_render", "encode_wav", "limited", "load_voice"]
 
 LARGEST_FIT = 2**24
-LARGEST = 1e300
+WAY_OUT = "give the file that pianofit fit wrote"
 MOST_SECONDS = 600.0
 # More would not fit into an ordinary machine's memory while it is computed.
 MOST_SAMPLES = 2**25
@@ -51,15 +51,11 @@ def load_voice(path: str | os.PathLike[str]) -> tuple[Voice, int]:
         Naming the file and the entry that is missing, of another kind, or out of range.
     """
     name = one_line(path)
-    try:
-        document = json.loads(read_file(path, LARGEST_FIT, FitError).decode("utf-8"))
-    except (ValueError, RecursionError) as error:
-        reason = one_line(str(error).splitlines()[0])
-        raise FitError(f"{name}: not a fit.json ({reason}); give the file that pianofit fit wrote") from None
+    document = load_json(path, LARGEST_FIT, "a fit.json", WAY_OUT)
     if not isinstance(document, dict) or document.get("schema") != SCHEMA:
         found = document.get("schema") if isinstance(document, dict) else type(document).__name__
         raise FitError(f"{name}: schema {found!r} is not {SCHEMA}; fit again with this version of pianofit")
-    table = _table(document, "parameters", name)
+    table = table_of(document, "parameters", name, WAY_OUT)
     values = {key: _number(table, key, name) for key in FIT_NAMES}
     values |= {key: _number(table, key, name) for key in MEMORY_NAMES if key in table}
     try:
@@ -68,16 +64,16 @@ def load_voice(path: str | os.PathLike[str]) -> tuple[Voice, int]:
         check_hammer(hammer, name)
     except ParameterError as error:
         raise FitError(str(error)) from None
-    pickup = _table(document, "pickup", name)
+    pickup = table_of(document, "pickup", name, WAY_OUT)
     quantity = pickup.get("quantity")
     if quantity not in QUANTITIES:
         raise FitError(f"{name}: pickup.quantity={quantity!r} must be one of {', '.join(QUANTITIES)}")
     takes = document.get("takes")
     if not (isinstance(takes, list) and takes and isinstance(takes[0], dict)):
-        raise FitError(f"{name}: takes is empty; give the file that pianofit fit wrote")
+        raise FitError(f"{name}: takes is empty; {WAY_OUT}")
     # v_H0 is the first take's, which need not be the first that was given.
     at = next((i for i, take in enumerate(takes) if isinstance(take, dict) and take.get("first") is True), 0)
-    gain, rate = (_value(takes[at].get(key), f"takes[{at}].{key}", name) for key in ("gain", "rate"))
+    gain, rate = (finite(takes[at].get(key), f"{name}: takes[{at}].{key}", WAY_OUT) for key in ("gain", "rate"))
     if not RATES[0] <= rate <= RATES[1]:
         raise FitError(f"{name}: takes[{at}].rate={rate:g} Hz must be from {RATES[0]} to {RATES[1]}")
     voice = Voice(
@@ -98,22 +94,10 @@ def _geometry(table: dict[str, Any], quantity: str, name: str) -> Geometry:
     return geometry
 
 
-def _table(document: dict, key: str, name: str) -> dict[str, Any]:
-    table = document.get(key)
-    if not isinstance(table, dict):
-        raise FitError(f"{name}: {key} is missing or no table; give the file that pianofit fit wrote")
-    return table
-
-
 def _number(table: dict, key: str, name: str) -> float:
     entry = table.get(key)
-    return _value(entry.get("value") if isinstance(entry, dict) else None, f"parameters.{key}", name)
-
-
-def _value(value: Any, key: str, name: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < LARGEST:
-        raise FitError(f"{name}: {key} is {value!r}, no finite number; give the file that pianofit fit wrote")
-    return float(value)
+    value = entry.get("value") if isinstance(entry, dict) else None
+    return finite(value, f"{name}: parameters.{key}", WAY_OUT)
 
 
 def _path(path: Any, name: str) -> OutputPath | None:

@@ -1,8 +1,9 @@
 """Which recordings are takes of one string, which of them comes first, and what each has of its own.
 
 The first take is the one on whose hammer velocity the others rest: the fastest whose velocity was measured, else the
-brightest, whose velocity is assumed. Levels are no guide: a library may have brought all its layers to one peak. Takes
-of one `group` in the setup share a path, takes of one `gain_group` a gain, and of those levels are a guide.
+brightest. Which take is the fastest comes out of the fit, and it is the fastest's velocity that is then assumed. Levels
+are no guide: a library may have brought all its layers to one peak. Takes of one `group` in the setup share a path,
+takes of one `gain_group` a gain, and of those levels are a guide.
 """
 
 from __future__ import annotations

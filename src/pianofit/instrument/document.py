@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from typing import Any, NamedTuple
 
@@ -11,10 +10,11 @@ import numpy as np
 from ..criterion import OutputPath
 from ..errors import FitError, ParameterError
 from ..fit.voice import Voice
+from ..json_file import finite, load_json, shown, table_of
 from ..model.modes import QUANTITIES
 from ..model.simulate import check_geometry
 from ..parameters import PARAMETERS, Geometry, Hammer, String, check
-from ..recording import one_line, read_file
+from ..recording import one_line
 from .build import SCHEMA
 from .gather import HIGHEST_KEY, LOWEST_KEY, note_name
 from .velocity import hammer_velocity
@@ -22,7 +22,6 @@ from .velocity import hammer_velocity
 __all__ = ["Instrument", "load_instrument", "read_instrument"]
 
 LARGEST_FILE = 2**25
-LARGEST = 1e300
 LARGEST_GAIN = 1e12
 MOST_POINTS = 4096
 WAY_OUT = "give the instrument.json that pianofit instrument wrote"
@@ -63,13 +62,8 @@ def load_instrument(path: str | os.PathLike[str]) -> Instrument:
     FitError
         Naming the file and the entry that is missing, of another kind, or out of range.
     """
-    name = one_line(path)
-    try:
-        document = json.loads(read_file(path, LARGEST_FILE, FitError).decode("utf-8"))
-    except (ValueError, RecursionError) as error:
-        reason = one_line(str(error).splitlines()[0])
-        raise FitError(f"{name}: not an instrument.json ({reason}); {WAY_OUT}") from None
-    return read_instrument(document, name)
+    document = load_json(path, LARGEST_FILE, "an instrument.json", WAY_OUT)
+    return read_instrument(document, one_line(path))
 
 
 def read_instrument(document: Any, name: str = "instrument") -> Instrument:
@@ -84,7 +78,7 @@ def read_instrument(document: Any, name: str = "instrument") -> Instrument:
         raise FitError(f"{name}: is no instrument of schema {SCHEMA}; {WAY_OUT}")
     quantity = document.get("quantity")
     if quantity not in QUANTITIES:
-        raise FitError(f"{name}: quantity={_shown(quantity)} must be one of {', '.join(QUANTITIES)}")
+        raise FitError(f"{name}: quantity={shown(quantity)} must be one of {', '.join(QUANTITIES)}")
     rows = document.get("keys")
     if not (isinstance(rows, list) and 0 < len(rows) <= HIGHEST_KEY - LOWEST_KEY + 1):
         raise FitError(f"{name}: keys is no list of 1 to 88 keys; {WAY_OUT}")
@@ -94,8 +88,8 @@ def read_instrument(document: Any, name: str = "instrument") -> Instrument:
         if midi in voices:
             raise FitError(f"{name}: keys[{i}].midi={midi} is there twice; {WAY_OUT}")
         voices[midi] = voice
-    velocity = _table(document, "velocity", name)
-    at_64, rise = (_number(velocity, key, f"{name}: velocity") for key in ("at_64", "rise"))
+    velocity = table_of(document, "velocity", name, WAY_OUT)
+    at_64, rise = (finite(velocity.get(key), f"{name}: velocity.{key}", WAY_OUT) for key in ("at_64", "rise"))
     box = PARAMETERS["v_H0"]
     if not (box.lower <= at_64 <= box.upper and 0 < rise <= 10):
         raise FitError(f"{name}: velocity at_64={at_64:g} m/s, rise={rise:g} is no rising law; {WAY_OUT}")
@@ -108,12 +102,12 @@ def _key(row: Any, quantity: str, where: str) -> tuple[int, Voice]:
         raise FitError(f"{where} is no table; {WAY_OUT}")
     midi = row.get("midi")
     if isinstance(midi, bool) or not isinstance(midi, int) or not LOWEST_KEY <= midi <= HIGHEST_KEY:
-        raise FitError(f"{where}.midi={_shown(midi)} must be a key from {LOWEST_KEY} to {HIGHEST_KEY}")
+        raise FitError(f"{where}.midi={shown(midi)} must be a key from {LOWEST_KEY} to {HIGHEST_KEY}")
     parts = {}
     for name, kind in (("string", String), ("hammer", Hammer), ("geometry", Geometry)):
-        table = _table(row, name, where)
+        table = table_of(row, name, where, WAY_OUT)
         fields = [field for field in kind._fields if field != "v_H0" and field not in kind._field_defaults]
-        parts[name] = {field: _number(table, field, f"{where}.{name}") for field in fields}
+        parts[name] = {field: finite(table.get(field), f"{where}.{name}.{field}", WAY_OUT) for field in fields}
     try:
         check(parts["string"] | parts["hammer"], where)
         geometry = Geometry(**parts["geometry"])
@@ -121,24 +115,10 @@ def _key(row: Any, quantity: str, where: str) -> tuple[int, Voice]:
     except ParameterError as error:
         raise FitError(str(error) if str(error).startswith(where) else f"{where}: {error}") from None
     hammer = Hammer(**parts["hammer"], v_H0=2.0)
-    gain = _number(row, "gain", where)
+    gain = finite(row.get("gain"), f"{where}.gain", WAY_OUT)
     if not abs(gain) <= LARGEST_GAIN:
         raise FitError(f"{where}.gain={gain:g} must be from -{LARGEST_GAIN:g} to {LARGEST_GAIN:g}")
     return midi, Voice(String(**parts["string"]), hammer, geometry, quantity, gain, _path(row.get("path"), where))
-
-
-def _table(document: dict, key: str, where: str) -> dict[str, Any]:
-    table = document.get(key)
-    if not isinstance(table, dict):
-        raise FitError(f"{where}: {key} is missing or no table; {WAY_OUT}")
-    return table
-
-
-def _number(table: dict, key: str, where: str) -> float:
-    value = table.get(key)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < LARGEST:
-        raise FitError(f"{where}.{key} is {_shown(value)}, no finite number; {WAY_OUT}")
-    return float(value)
 
 
 def _path(path: Any, where: str) -> OutputPath | None:
@@ -165,9 +145,3 @@ def _path(path: Any, where: str) -> OutputPath | None:
     if np.abs(db).max() > 300:
         raise FitError(f"{where}.path.db reaches {np.abs(db).max():.3g} dB; {WAY_OUT}")
     return OutputPath(frequency, db, decay)
-
-
-def _shown(value: Any) -> str:
-    """A value as an error shows it: not the whole of a hostile one."""
-    text = one_line(repr(value))
-    return text if len(text) <= 60 else text[:57] + "..."
