@@ -56,7 +56,7 @@ def test_what_went_wrong_is_told_and_the_rest_is_done(batch):
     assert "none of its 2 recordings can be used" in told["grand-F4"]
     assert "which sounds like A4" in told["grand-F4"]
     assert "grand-F4: its name says F4, its pitch A4; correct its note" in lines
-    assert "grand-C4: done in" in errors
+    assert errors == ""  # no terminal, no progress
     assert set(results(place / "out")) == {"grand-C4"}
     assert {"fit.json", "fitted.wav", "initial.wav"} <= set(results(place / "out")["grand-C4"])
 

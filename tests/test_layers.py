@@ -16,8 +16,8 @@ ROOT = Path(__file__).parent.parent
 SOURCE = ROOT / "src" / "pianofit"
 FILES = sorted(SOURCE.rglob("*.py"))
 LAYERS = (
-    "errors", "parameters", "published", "recording", "json_file", "setup_file", "analysis", "initial", "model", "criterion", "fit",
-    "render", "predict", "report", "twin", "laboratory", "reproduce", "workflow", "batch",
+    "errors", "parameters", "published", "recording", "json_file", "setup_file", "analysis", "initial", "model",
+    "criterion", "fit", "render", "predict", "report", "twin", "laboratory", "reproduce", "workflow", "batch",
     "instrument", "demo", "summary", "options", "terminal", "commands_batch", "commands_instrument", "cli",
 )  # fmt: skip
 WITH_JAX = ("model", "criterion", "fit", "render", "predict")

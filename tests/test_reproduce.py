@@ -337,7 +337,7 @@ def test_a_quick_run_of_the_command_makes_all_files(tmp_path, capsys, monkeypatc
     assert main(["reproduce", "--out", str(tmp_path / "out"), "--quick"]) == 0
     page = check_folder(tmp_path / "out", QUICK)
     shown = capsys.readouterr()
-    assert "100 %  done" in shown.err
+    assert shown.err == ""  # no terminal, no progress
     claims = [line for line in shown.out.splitlines() if "come out" in line or "came out" in line]
     assert len(claims) == CLAIMS
     outcome = {line[18:].split(" (")[0]: line[:18].strip() for line in claims}
