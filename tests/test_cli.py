@@ -19,7 +19,7 @@ from pianofit.cli import main
 from pianofit.published import PRESETS, preset
 from pianofit.render import CEILING
 
-PROGRAM = (sys.executable, "-c", "import sys; from pianofit.cli import main; sys.exit(main())")
+PROGRAM = (sys.executable, "-m", "pianofit")
 AS_PROCESSES = (
     "audio-truncated", "path-missing", "setup-unknown-key", "fit-velocity-word", "render-nested", "simulate-out-exists",
     "demo-out-not-empty",
@@ -118,7 +118,7 @@ def test_an_interrupt_is_one_line_and_leaves_nothing_behind(tmp_path):
 
 def test_a_reader_that_has_had_enough_is_no_error(tmp_path):
     (tmp_path / "note.wav").write_bytes(encoded(note()))
-    line = f'"{sys.executable}" -c "{PROGRAM[-1]}" analyse "{tmp_path}/note.wav" --note A4'
+    line = f'"{sys.executable}" -m pianofit analyse "{tmp_path}/note.wav" --note A4'
     done = subprocess.run(
         ["bash", "-c", f"set -o pipefail; {line} | true"], capture_output=True, text=True, check=False
     )

@@ -18,7 +18,7 @@ FILES = sorted(SOURCE.rglob("*.py"))
 LAYERS = (
     "errors", "parameters", "published", "recording", "json_file", "setup_file", "analysis", "initial", "model",
     "criterion", "fit", "render", "predict", "report", "twin", "laboratory", "reproduce", "workflow", "batch",
-    "instrument", "demo", "summary", "options", "terminal", "commands_batch", "commands_instrument", "cli",
+    "instrument", "demo", "summary", "options", "terminal", "commands_batch", "commands_instrument", "cli", "__main__",
 )  # fmt: skip
 WITH_JAX = ("model", "criterion", "fit", "render", "predict")
 HEAVY = ("jax", "scipy", "matplotlib", "soundfile", "jinja2")

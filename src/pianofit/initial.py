@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .analysis import Analysis
-from .parameters import FELT_LAWS, PARAMETERS, Geometry
+from .parameters import DEFAULT_LAW, FELT_LAWS, PARAMETERS, Geometry
 from .published import typical
 from .setup_file import Setup
 
@@ -24,8 +24,7 @@ HAMMER_SPREAD = {"K_H": 1.5, "mu": 1.5, "p": 0.2, "M_H": 0.4, "v_H0": 1.0, "x0":
                  "epsilon": 0.7, "tau": 1.5}  # fmt: skip
 # A string parameter that the recording does not show stays within some factor of where it started.
 STRING_SPREAD = {"c": math.inf, "kappa": 2.0, "b1": 2.0, "b2": 3.0}
-# The law of the felt unless the setup names one, and where its memory starts.
-FELT = "hunt-crossley"
+# Where the memory of a felt that has one starts.
 MEMORY = {"epsilon": 0.5, "tau": 1e-4}
 # The hammer of an uncalibrated recording is assumed to arrive at this velocity, m/s, a moderate forte.
 ASSUMED_VELOCITY = 2.0
@@ -45,7 +44,7 @@ class Start:
     assumed: tuple[str, ...]  # of length, mass, width
     quantity: str
     scale: float | None  # units at digital full scale; None when uncalibrated
-    felt: str = "hunt-crossley"  # one of `FELT_LAWS`
+    felt: str = DEFAULT_LAW  # one of `FELT_LAWS`
 
 
 def starting_values(analysis: Analysis, setup: Setup, velocity: float | None = None) -> Start:
@@ -72,7 +71,7 @@ def starting_values(analysis: Analysis, setup: Setup, velocity: float | None = N
         fixed["v_H0"] = "assumed"
     if setup.strike_position is not None:
         fixed["x0"] = "fixed"
-    felt = setup.felt or FELT
+    felt = setup.felt or DEFAULT_LAW
     fixed |= {name: "fixed" for name in ("mu", *MEMORY) if name not in FELT_LAWS[felt]}
     for name in set(values) & set(PARAMETERS):
         box = PARAMETERS[name]

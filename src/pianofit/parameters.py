@@ -109,6 +109,8 @@ FELT_LAWS: dict[str, tuple[str, ...]] = {
     "hunt-crossley": ("K_H", "mu", "p"),
     "stulov": ("K_H", "p", "epsilon", "tau"),
 }
+# The law unless the setup names one: the paper's.
+DEFAULT_LAW = "hunt-crossley"
 
 
 def check(values: dict[str, float], where: str = "argument") -> dict[str, float]:

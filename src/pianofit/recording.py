@@ -230,7 +230,7 @@ def _guess(data: bytes) -> str:
         return "an MP3 or AAC file"
     text = data[:200].decode(errors="ignore")  # the last letter may be cut in two
     if len(text.encode()) > len(data[:200]) - 4 and all(c.isprintable() or c in "\t\r\n" for c in text):
-        return f"text (it begins {one_line(text[:20])!r})"
+        return f'text (it begins "{one_line(text[:20])}")'
     return f"of an unknown format (it begins with bytes {data[:4].hex()})"
 
 

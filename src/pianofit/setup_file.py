@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from .errors import SetupError
-from .parameters import FELT_LAWS, FIT_NAMES, MEMORY_NAMES, PARAMETERS
+from .parameters import DEFAULT_LAW, FELT_LAWS, FIT_NAMES, MEMORY_NAMES, PARAMETERS
 from .recording import one_line, read_file
 
 __all__ = ["PICKUPS", "Setup", "Take", "load_setup", "setup_from_dict", "with_law"]
@@ -286,7 +286,7 @@ def _check_parameters(setup: Setup, where: str) -> None:
 
 def _check_law(setup: Setup, where: str) -> None:
     """Refuse parameters that the felt's law does not have."""
-    law = setup.felt or "hunt-crossley"
+    law = setup.felt or DEFAULT_LAW
     for name in (*setup.known, *setup.initial, *setup.bounds):
         if name in ("mu", *MEMORY_NAMES) and name not in FELT_LAWS[law]:
             has = ", ".join(FELT_LAWS[law])

@@ -2,8 +2,7 @@
 
 A partial that beats or decays in two stages has no amplitude at the onset that could be carried back to. Its energy in
 the first 0.35 s under exp(-8t) needs none: it is the squared spectrum of that piece, summed over the partial's band,
-over the share of a lone partial's energy that its band holds. Layers of a note then differ by a quarter to a half of
-what they seem to differ by when exponentials are carried back to the onset of each.
+over the share of a lone partial's energy that its band holds.
 """
 
 from __future__ import annotations

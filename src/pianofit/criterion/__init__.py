@@ -1,6 +1,6 @@
 """How far a model's sound is from a recording: the paper's energy criterion in bands, and the levels of partials."""
 
-from .bands import BANDS, Cells, band_of, borders, cell_grid, line_sigma, partial_frequency
+from .bands import BANDS, WIDEST_SIGMA, Cells, band_of, borders, cell_grid, line_sigma, partial_frequency
 from .energy import band_values, closed_form_gain, measure
 from .levels import PATH_SPREAD, PATH_TERMS, SAME_PARTIAL, OutputPath, level_error_db, path_basis
 
@@ -9,6 +9,7 @@ __all__ = [
     "PATH_SPREAD",
     "PATH_TERMS",
     "SAME_PARTIAL",
+    "WIDEST_SIGMA",
     "Cells",
     "OutputPath",
     "band_of",

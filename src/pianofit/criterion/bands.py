@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-__all__ = ["BANDS", "Cells", "band_of", "borders", "cell_grid", "line_sigma", "partial_frequency"]
+__all__ = ["BANDS", "WIDEST_SIGMA", "Cells", "band_of", "borders", "cell_grid", "line_sigma", "partial_frequency"]
 
 BANDS = ("band1", "band2", "band3")
 NODES = 48

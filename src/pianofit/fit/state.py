@@ -125,7 +125,7 @@ def settled_weights(state: State, at: Target, z: np.ndarray) -> tuple[Spreads, n
     there = ~found  # lest what is not there be divided by its 0
     cent = (data.frequency + there) * CENT * doubt(data.number)
     cents, cents_sd = (data.frequency - frequency) / cent, data.frequency_error / cent
-    fade, fade_sd = (x / (data.decay + there) for x in (data.decay - decay, data.decay_error))
+    fade, fade_sd = (x / decay for x in (data.decay - decay, data.decay_error))
     own, common, noise, freedom = _own_and_common(state, data.level - level)
     spread = Spreads(
         scatter(cents[found], cents_sd[found], 2),

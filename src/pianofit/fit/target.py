@@ -231,7 +231,7 @@ def target(
     take, layout = np.arange(takes.layout.takes), takes.layout
     ratio, cents = np.zeros((2, layout.takes, layout.size))
     ratio[take, layout.ratio], cents[take, layout.cents] = 1.0, 1.0
-    fields = _observed(takes) | _weights(takes, spread, robust, grade, criterion) | {
+    fields = _observed(takes) | _weights(takes, _decay_law(takes, start), spread, robust, grade, criterion) | {
         "by_energy": 0.0,
         "basis": basis(takes, start),
         "ratio": ratio,
@@ -246,6 +246,11 @@ def target(
     return Target(**jax.tree.map(jnp.asarray, fields))
 
 
+def _decay_law(takes: Takes, start: Start) -> np.ndarray:
+    """α = b1 + b2 β² of the partials [rows], 1/s, as the analysis found it."""
+    return start.values["b1"] + start.values["b2"] * (np.pi * takes.number / start.geometry.length) ** 2
+
+
 def _observed(takes: Takes) -> dict[str, np.ndarray]:
     """The partials as `Target` holds them."""
     return {
@@ -258,7 +263,7 @@ def _observed(takes: Takes) -> dict[str, np.ndarray]:
 
 
 def _weights(
-    takes: Takes, spread: Spreads, robust: np.ndarray, grade: float, criterion: float
+    takes: Takes, law: np.ndarray, spread: Spreads, robust: np.ndarray, grade: float, criterion: float
 ) -> dict[str, np.ndarray]:
     """The weights of `Target`; a silent partial has a level alone.
 
@@ -267,7 +272,8 @@ def _weights(
     alike = takes.found / np.sqrt(np.maximum(takes.found.sum(axis=0), 1))
     unknown = ~takes.found  # lest it be divided by its 0
     sd_frequency = np.hypot(takes.frequency_error, takes.frequency * CENT * spread.frequency * doubt(takes.number))
-    sd_decay = np.hypot(takes.decay_error, takes.decay * spread.decay)
+    # Relative to the law: relative to itself, a decay that a beat made small would be held the surest of all.
+    sd_decay = np.hypot(takes.decay_error, law * spread.decay)
     band = band_of(takes.number)
     share = takes.spread_out([_shares(data) for data in takes.each])
     hammer_band = np.array([max(data.occupied) for data in takes.each])  # band 3, or the next occupied one below

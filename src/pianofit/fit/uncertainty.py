@@ -12,7 +12,7 @@ from scipy.special import stdtrit
 
 from .space import NAMES, K, P, Space
 
-__all__ = ["covariance", "intervals", "statuses", "tangled", "to_stiffness", "whole_covariance"]
+__all__ = ["intervals", "statuses", "tangled", "to_stiffness", "whole_covariance"]
 
 # The data must at least halve the spread that was put in, else the answer is the prior's.
 TOLD = 0.5
@@ -22,11 +22,6 @@ LOOSE = 0.5
 FLOOR = 1e-14
 # Two parameters whose estimates correlate more than this are told apart poorly.
 TANGLED = 0.98
-
-
-def covariance(jacobian: np.ndarray, variance: np.ndarray, space: Space, pressed: np.ndarray) -> np.ndarray:
-    """Covariance of the parameters' log(value), in the order of `NAMES`; see `whole_covariance`."""
-    return whole_covariance(jacobian, variance, space, pressed)[: len(NAMES), : len(NAMES)]
 
 
 def whole_covariance(jacobian: np.ndarray, variance: np.ndarray, space: Space, pressed: np.ndarray) -> np.ndarray:

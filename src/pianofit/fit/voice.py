@@ -6,14 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..criterion import OutputPath
+from ..criterion import WIDEST_SIGMA, OutputPath
 from ..model import Simulation, simulate
 from ..parameters import Geometry, Hammer, MemoryHammer, String
 
 __all__ = ["Voice", "arrival", "lag", "strike_voice", "through"]
-
-# The damped circle of the paper's criterion, 1/s.
-SIGMA = 30.0
 
 
 class Voice(NamedTuple):
@@ -51,7 +48,7 @@ def through(path: OutputPath | None, pole: np.ndarray) -> tuple[np.ndarray, np.n
         return np.ones(len(pole)), pole
     frequency, law = np.abs(np.imag(pole)) / (2 * np.pi), -np.real(pole)
     own = law * path.decay_at(frequency)
-    held = 10 * np.log10((SIGMA + own) / (SIGMA + law))
+    held = 10 * np.log10((WIDEST_SIGMA + own) / (WIDEST_SIGMA + law))
     return 10 ** ((path.at(frequency) + held) / 20), -own + 1j * np.imag(pole)
 
 

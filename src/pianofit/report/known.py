@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from ..parameters import DEFAULT_LAW, FELT_LAWS
 from .curves import Known
 from .words import number
 
@@ -126,7 +127,7 @@ def _not_told(fit: dict[str, Any]) -> list[str]:
             a, b = map(_plain, pair)
             said.append(f"{a} and {b} apart: they can move {way} (correlation {r:+.4f}).".replace("-", "−"))
     if _status(fit, "v_H0") == "assumed":
-        loses = fit.get("felt", "hunt-crossley") == "hunt-crossley"
+        loses = "mu" in FELT_LAWS.get(fit.get("felt", ""), FELT_LAWS[DEFAULT_LAW])
         also, stay = (", μ", "K_H v_H0ᵖ⁻¹ and μ v_H0 stay") if loses else ("", "K_H v_H0ᵖ⁻¹ stays")
         said.append(
             f"The hammer velocity: with another one K_H{also} and the gain change along, so that {stay}, and nothing "
