@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -108,10 +109,12 @@ def library(folder: Path, keys: list[int], seed: int = 0, *, errors: dict[str, f
     return folder
 
 
-def record_key(folder: Path, midi: int, random: np.random.Generator, noise_db: float = -60.0) -> list[Path]:
+def record_key(
+    folder: Path, midi: int, random: np.random.Generator, noise_db: float = -60.0, layers: tuple[float, ...] = LAYERS
+) -> list[Path]:
     """Recordings of the key's layers, 4 s, computed at twice their rate and with noise."""
     files = []
-    for i, velocity in enumerate(LAYERS):
+    for i, velocity in enumerate(layers):
         voice = true_voice(midi)
         struck = voice._replace(hammer=voice.hammer._replace(v_H0=velocity))
         sound = struck.play(2 * RATE, 8 * RATE, touch=RATE // 10)[0][::2]
@@ -126,3 +129,15 @@ def truth(name: str, keys: list[int]) -> np.ndarray:
     assert name in NAMES
     values = np.array([invariants(true_voice(midi), midi)[name] for midi in keys])
     return values if name == "cents" else np.log(values)
+
+
+def law_errors(document: dict, names: Iterable[str], keys: list[int]) -> dict[str, tuple[float, float]]:
+    """(rms error of the law, of the literature) over the keys; logarithms, cents for the tuning."""
+    found = {}
+    for name in names:
+        law = document["laws"][name]
+        rows = [np.array(law[column])[np.array(keys) - 21] for column in ("value", "literature")]
+        scaled = [row if name == "cents" else np.log(row) for row in rows]
+        rms = [float(np.sqrt(np.mean((row - truth(name, keys)) ** 2))) for row in scaled]
+        found[name] = (rms[0], rms[1])
+    return found

@@ -12,12 +12,18 @@ import shutil
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
-from batch_cases import CLI, killed, python, results, struck
+from batch_cases import CLI, killed, python, results
+from instrument_cases import law_errors, record_key
 from test_batch import check_remains
+from test_instrument_twin import ALLOWED
+
+from pianofit.instrument import build_instrument, find_fits, load_keys
 
 KILLS = int(os.environ.get("PIANOFIT_BATCH_KILLS", "20"))
 KEYS = os.environ.get("PIANOFIT_BATCH_KEYS", "")
+VELOCITIES = (0.6, 1.2, 2.2, 4.0)  # of the made library's layers, m/s
 NAMES = "{instrument}-{note}-{layer}[-{group}].flac"
 
 
@@ -93,11 +99,11 @@ def test_real_notes_through_a_cluster_of_which_a_worker_dies_come_out_identical(
 
 @pytest.mark.slow
 def test_all_88_keys_of_a_made_library(tmp_path):
+    """Made by the piano of `instrument_cases`, whose laws are known; prints the cost, and how far its laws are off."""
     (tmp_path / "in").mkdir()
     keys = range(21, 109, max(88 // int(KEYS), 1)) if KEYS.isdigit() else range(21, 109)
     for midi in keys:
-        for layer, velocity in enumerate((0.6, 1.2, 2.2, 4.0)):
-            struck(tmp_path / f"in/{midi}-{layer}.wav", midi, velocity, seconds=3.0, rate=44_100)
+        record_key(tmp_path / "in", midi, np.random.default_rng(midi), layers=VELOCITIES)
     began = time.monotonic()
     arguments = ("batch", tmp_path / "in", "--pattern", "{note}-{layer}", "--out", tmp_path / "out", "--workers", 2)
     process = python(CLI, *arguments, "--no-page", "--json")
@@ -108,4 +114,7 @@ def test_all_88_keys_of_a_made_library(tmp_path):
     print(f"\n{done} of {len(keys)} keys in {minutes:.1f} min, {done / minutes:.1f} a minute on two processes")
     print(f"median {document['median_seconds']} s a key, {document['largest_memory'] / 2**30:.2f} GiB a process")
     print(errors)
+    laws = law_errors(build_instrument(load_keys(find_fits([tmp_path / "out"])), "twin"), ALLOWED, list(keys))
+    for name, (law, literature) in laws.items():
+        print(f"{name:9} rms error of the law {law:.4f}, of the literature {literature:.4f}")
     assert done >= 0.95 * len(keys)
