@@ -46,6 +46,7 @@ class Layout:
 
     groups: tuple[int, ...] = (0,)  # of each take: takes of one group, from 0, share one path
     gains: tuple[int, ...] = (0,)  # of each take: the take whose gain it has
+    strikes: tuple[int, ...] = (0,)  # of each take: the take whose velocity and pitch it has, as of one blow
 
     @property
     def takes(self) -> int:
@@ -59,8 +60,8 @@ class Layout:
 
     @property
     def ratio(self) -> np.ndarray:
-        """Coordinates of the log velocity ratios [takes]; the first stays 0."""
-        return LOG + 3 * np.arange(self.takes)
+        """Coordinates of the log velocity ratios [takes]; the first, and whatever shares it, stays 0."""
+        return LOG + 3 * np.array(self.strikes)
 
     @property
     def gain(self) -> np.ndarray:
@@ -69,8 +70,8 @@ class Layout:
 
     @property
     def cents(self) -> np.ndarray:
-        """Coordinates of the pitches [takes]; the first stays 0."""
-        return LOG + 3 * np.arange(self.takes) + 2
+        """Coordinates of the pitches [takes]; the first, and whatever shares it, stays 0."""
+        return LOG + 3 * np.array(self.strikes) + 2
 
     @property
     def path(self) -> np.ndarray:
