@@ -55,6 +55,14 @@ def test_takes_of_a_strike_share_coordinates():
     assert layout.size == Layout((0, 0, 1, 1), (0, 1, 2, 3), (0, 1, 2, 3)).size
 
 
+def test_only_a_path_with_two_velocities_compares_anything():
+    assert Layout((0, 0), (0, 1), (0, 1)).compared
+    assert Layout((0, 1, 0), (0, 1, 2), (0, 0, 2)).compared
+    assert not Layout((0, 1), (0, 1), (0, 0)).compared  # one blow at two microphones
+    assert not Layout((0, 1), (0, 1), (0, 1)).compared  # a path for each
+    assert not Layout().compared
+
+
 @pytest.mark.parametrize("blow", ["1", "2"])
 def test_what_a_blow_has_is_free_once_and_the_first_takes_stays_held(blow):
     said = known(measured=False)
@@ -93,6 +101,15 @@ def test_the_shared_velocity_is_found_and_told_alike():
     assert [row["strike"] for row in rows].count(one["strike"]) == 2
     assert one["group"] != other["group"]
     assert one["levels"]["fitted_db"] < 0.5 > other["levels"]["fitted_db"]
+
+
+@pytest.mark.slow
+def test_one_blow_at_two_microphones_does_not_fix_the_felt():
+    recordings, analyses = ([x[i] for i in (1, 3)] for x in takes())
+    document = fit_takes(recordings, analyses, known()).document
+    assert "2 uncalibrated takes, but none shares a path with a take of another strike" in document["verdict"]
+    assert {document["parameters"][n]["status"] for n in ("K_H", "p")} <= {"not-identifiable", "at-bound"}
+    assert document["takes"][0]["v_H0"] == document["takes"][1]["v_H0"]
 
 
 def test_leaving_a_take_out_leaves_out_its_blow(monkeypatch):

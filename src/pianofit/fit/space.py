@@ -54,6 +54,12 @@ class Layout:
         return len(self.groups)
 
     @property
+    def compared(self) -> bool:
+        """Whether any path was heard with two velocities: only then hammer and path can be told apart."""
+        pairs = set(zip(self.groups, self.strikes, strict=True))
+        return len(pairs) > max(self.groups) + 1
+
+    @property
     def size(self) -> int:
         """Of a search point."""
         return LOG + 3 * self.takes + PATH_TERMS * (max(self.groups) + 1)
