@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,9 +14,11 @@ from twin_cases import FIRST, record
 from pianofit.analysis import analyse
 from pianofit.errors import FitError
 from pianofit.fit import Result, fit_takes
+from pianofit.fit.path import path_of
 from pianofit.fit.space import LOG, Layout
 from pianofit.fit.state import search_space
 from pianofit.fit.takes import arranged
+from pianofit.fit.target import Spreads
 from pianofit.predict import cross_validate
 from pianofit.recording import Recording
 from pianofit.setup_file import Setup, Take
@@ -101,6 +104,23 @@ def test_the_shared_velocity_is_found_and_told_alike():
     assert [row["strike"] for row in rows].count(one["strike"]) == 2
     assert one["group"] != other["group"]
     assert one["levels"]["fitted_db"] < 0.5 > other["levels"]["fitted_db"]
+
+
+def test_a_microphone_keeps_the_decays_that_it_heard(monkeypatch):
+    law = np.ones((3, 3, 2))
+    decay = np.array([[1.0, 2.0], [1.0, 2.0], [4.0, 2.0]])  # the third take, at another microphone, hears otherwise
+    data = SimpleNamespace(
+        found=np.ones((3, 2), bool), decay=decay, decay_error=0.01 * decay, frequency=np.full((3, 2), 100.0), rows=2,
+        layout=Layout((0, 0, 1), (0, 1, 2), (0, 1, 0)),
+    )  # fmt: skip
+    fit = SimpleNamespace(
+        data=data, spread=Spreads(1.0, 1.0, 1.0), target=SimpleNamespace(basis=np.zeros((3, 2, data.layout.size))),
+        cfg=None, z=np.zeros((1, data.layout.size)), values=np.zeros(data.layout.size),
+    )  # fmt: skip
+    monkeypatch.setattr("pianofit.fit.path.predicted", lambda *_: law)
+    close, room = (path_of(fit, take, SimpleNamespace(quantity="pressure")).decay for take in (0, 2))  # type: ignore
+    np.testing.assert_allclose(close, [1.0, 2.0], rtol=0.03)
+    np.testing.assert_allclose(room, [4.0, 2.0], rtol=0.03)
 
 
 @pytest.mark.slow
