@@ -10,7 +10,8 @@ with such a blow is taken.
 
 1. Each recording of such a blow fitted alone. The string is the same, so its parameters should agree: `apart` is the
    difference of their logarithms over the two 95 % reaches together, and beyond 1 they do not. Beside it, how far the
-   partials that both hear are apart, and how far each table scatters about the string's laws.
+   partials that both hear are apart, how far each table scatters about the string's laws, and what agrees when only
+   partials that both hear are looked at. Then the same for two blows at one microphone.
 2. The key's microphone with most takes alone, and with the others' takes of the same blows: each blow left out in turn,
    errors of the first microphone's takes. A blow is scored where it lies between others.
 """
@@ -31,7 +32,8 @@ from typing import NamedTuple
 import numpy as np
 
 from pianofit import analyse, cross_validate, fit_recording, load_recording
-from pianofit.analysis import Analysis
+from pianofit.analysis import TRUSTED, Analysis
+from pianofit.analysis.inharmonicity import frequency_law
 from pianofit.model.cache import keep_programs
 from pianofit.setup_file import Setup, Take
 
@@ -92,7 +94,15 @@ def _partials(first: Analysis, second: Analysis) -> dict:
     _, i, j = np.intersect1d(a.number, b.number, return_indices=True)
     cents = 1200 * np.log2(b.frequency[j] / a.frequency[i])
     fades = np.log(np.maximum(b.decay, b.decay_error)[j] / np.maximum(a.decay, a.decay_error)[i])
-    return {"common": len(i), "cents": _deviation(cents), "log_decay": _deviation(fades), "decays": _median(fades)}
+    laws = [
+        frequency_law(p.number[at], p.frequency[at], p.frequency_error[at], trusted=TRUSTED)
+        for p, at in ((a, i), (b, j))
+    ]
+    reach = 1.96 * np.hypot(*(law.B_error / law.B for law in laws))
+    return {
+        "common": len(i), "cents": _deviation(cents), "log_decay": _deviation(fades), "decays": _median(fades),
+        "common_B_apart": float(abs(np.log(laws[1].B / laws[0].B)) / reach),
+    }  # fmt: skip
 
 
 def _median(x: np.ndarray) -> float:
@@ -133,13 +143,26 @@ def print_pair(found: dict) -> None:
     print(
         f"\n{' and '.join(found['files'])}: {found['common']} partials in common, apart by {found['cents']:.2f} cents"
     )
-    print(f"  and a factor of {np.exp(found['log_decay']):.2f} in decay (median ratio {np.exp(found['decays']):.2f})")
+    print(f"  and a factor of {np.exp(found['log_decay']):.2f} in decay (median ratio {np.exp(found['decays']):.2f}); "
+          f"B through these alone: apart {found['common_B_apart']:.2f}")  # fmt: skip
     for mic, s in zip(found["files"], found["scatter"], strict=True):
         print(f"  {mic}: about the string's laws {s['frequency_cents']:.2f} cents, decays {s['decay_relative']:.2f}")
     for name, p in found["parameters"].items():
         shown = [f"{v:.5g} [{low:.5g}, {high:.5g}]" for v, (low, high) in zip(p["values"], p["intervals"], strict=True)]
         said = "agree" if p["apart"] <= 1 else "DISAGREE"
         print(f"  {name:6} {shown[0]:34} {shown[1]:34} apart {p['apart']:.2f}  {said}")
+
+
+def print_blows(heard: list[Heard], note: str) -> None:
+    """For comparison, different blows at one microphone, of those that were heard at several."""
+    shared = sorted({h for pair in pairs_of(heard) for h in pair})
+    for a, b in combinations(shared, 2):
+        if a.mic == b.mic:
+            found = _partials(*(analyse(load_recording(h.file), note=note) for h in (a, b)))
+            print(
+                f"  two blows at one place, {a.file.name} and {b.file.name}: {found['common']} partials in common, "
+                f"{found['cents']:.2f} cents and a factor of {np.exp(found['log_decay']):.2f} in decay apart"
+            )
 
 
 def print_predictions(key: tuple[str, str], found: dict) -> None:
@@ -173,6 +196,7 @@ def main() -> None:
         for pair in pairs_of(heard):
             pairs.append(compared(pair, note))
             print_pair(pairs[-1])
+        print_blows(heard, note)
     apart = [p["apart"] for pair in pairs for p in pair["parameters"].values()]
     print(f"\n{sum(a <= 1 for a in apart)} of {len(apart)} string parameters agree within their intervals", flush=True)
     for key, heard in {} if options.pairs else chosen.items():

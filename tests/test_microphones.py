@@ -15,6 +15,8 @@ from pianofit.analysis import analyse
 from pianofit.errors import FitError
 from pianofit.fit import Result, fit_takes
 from pianofit.fit.path import path_of
+from pianofit.fit.recipe import _in_tune, _prepared
+from pianofit.fit.residuals import CENT
 from pianofit.fit.space import LOG, Layout
 from pianofit.fit.state import search_space
 from pianofit.fit.takes import arranged
@@ -104,6 +106,19 @@ def test_the_shared_velocity_is_found_and_told_alike():
     assert [row["strike"] for row in rows].count(one["strike"]) == 2
     assert one["group"] != other["group"]
     assert one["levels"]["fitted_db"] < 0.5 > other["levels"]["fitted_db"]
+
+
+def test_a_string_out_of_tune_goes_back_to_its_partials():
+    """Ten cents and κ by a tenth, as the string's stage can leave a bass note; nothing else moves."""
+    ordered, start, layout, _ = arranged(*takes(), known())
+    state = _prepared(ordered, start, layout)
+    true = state.space.z(state.space.start[None])
+    z = true.copy()
+    z[0, :2] += -10 * CENT, 0.1
+    found, _ = _in_tune(state, z)
+    assert abs(found[0, 0] - true[0, 0]) < 0.3 * CENT
+    assert abs(found[0, 1] - true[0, 1]) < 0.01
+    np.testing.assert_array_equal(found[0, 2:], z[0, 2:])
 
 
 def test_a_microphone_keeps_the_decays_that_it_heard(monkeypatch):
