@@ -245,6 +245,24 @@ SETUPS = [
     setup("window-past-agraffe", "[strike]\nposition = 0.01\nwidth = 0.03\n", "past the agraffe"),
     setup("window-past-bridge", "[string]\nlength = 1\n[strike]\nposition = 0.99\nwidth = 0.03\n", "past the string's"),
     setup("window-zero", "[strike]\nposition = 0.12\nwidth = 0.0\n", "width = 0.0"),
+    setup(
+        "strike-two-velocities",
+        '[[take]]\nfile = "a.wav"\nstrike = "L4"\ngroup = "close"\nv_H0 = 2.0\n'
+        '[[take]]\nfile = "b.wav"\nstrike = "L4"\ngroup = "room"\nv_H0 = 3.0\n',
+        "one blow has one velocity",
+    ),
+    setup(
+        "strike-one-group",
+        '[[take]]\nfile = "a.wav"\nstrike = "L4"\ngroup = "close"\n'
+        '[[take]]\nfile = "b.wav"\nstrike = "L4"\ngroup = "close"\n',
+        'both have group = "close"',
+    ),
+    setup(
+        "strike-no-group",
+        '[[take]]\nfile = "a.wav"\nstrike = "L4"\n[[take]]\nfile = "b.wav"\nstrike = "L4"\n',
+        "neither has a group",
+    ),
+    setup("strike-number", '[[take]]\nfile = "a.wav"\nstrike = 4\n', "strike = 4 must be a text"),
     setup("bounds-one-number", "[bounds]\nK_H = [1e9]\n", "two numbers"),
     setup("bounds-number", "[bounds]\nK_H = 1e9\n", "two numbers"),
     setup("bounds-reversed", "[bounds]\nK_H = [1e12, 1e8]\n", "lower must be below upper"),

@@ -59,6 +59,30 @@ def test_velocities_and_groups_become_the_setup_of_the_fit(tmp_path):
     ]  # fmt: skip
 
 
+def test_one_layer_at_two_microphones_is_one_strike(tmp_path):
+    touch(tmp_path, *(f"grand-A0-{layer}-{mic}.flac" for layer in ("L2", "L4") for mic in ("close", "decca")),
+          "grand-A0-L3-close.flac")  # fmt: skip
+    (key,), _ = read_keys(tmp_path, pattern="{instrument}-{note}-{layer}-{mic}.flac")
+    assert [(s.group, s.strike) for s in key.samples] == [
+        ("close", "L2"), ("decca", "L2"), ("close", ""), ("close", "L4"), ("decca", "L4"),
+    ]  # fmt: skip
+    unit = make_unit(key, Settings())
+    (tmp_path / "setup.toml").write_text(unit.setup, encoding="utf-8")
+    takes = load_setup(tmp_path / "setup.toml").takes
+    assert [(t.file, t.group, t.strike) for t in takes][:3] == [
+        ("grand-A0-L2-close.flac", "close", "L2"), ("grand-A0-L2-decca.flac", "decca", "L2"),
+        ("grand-A0-L3-close.flac", "close", None),
+    ]  # fmt: skip
+    apart = unit._replace(sources=tuple(s._replace(strike="") for s in unit.sources))
+    assert apart.hash != unit.hash
+
+
+def test_a_layer_of_one_microphone_is_no_strike_of_another_key(tmp_path):
+    touch(tmp_path, "C4-p.wav", "D4-p.wav")
+    keys, _ = read_keys(tmp_path, pattern="{note}-{layer}")
+    assert [s.strike for key in keys for s in key.samples] == ["", ""]
+
+
 def test_a_folder_is_read_by_the_names_of_its_files(tmp_path):
     touch(tmp_path, "cp80-Fs2-FF.flac", "cp80-Fs2-PP.flac", "grand-A0-L2-decca.flac", "grand-A0-L2-close.flac",
           "grand-Bb3-L2.wav", "notes.txt", ".hidden-C4-x.wav", "other.wav")  # fmt: skip
@@ -124,6 +148,7 @@ HOSTILE = {
     "folder": ("file,note\n.,C4", "line 2: .: is a folder"),
     "twice": ("file,note\na.wav,C4\n./a.wav,D4", "line 3: ./a.wav is also line 2; list it once"),
     "layer-twice": ("file,note,layer\na.wav,C4,p\nb.wav,C4,p", "line 3: C4 has a second 'p'"),
+    "strike": ("file,note,layer,mic,velocity\na.wav,C4,p,x,1\nb.wav,C4,p,y,2", "line 3: C4 'p' has velocity 2 and 1"),
     "slug": ("file,note,instrument\na.wav,C4,A b\nb.wav,C4,A-b", "would share the folder A-b-C4"),
     "note": ("file,note\na.wav,H4", "line 2: note 'H4' is not a note name"),
     "midi": ("file,note\na.wav,128", "line 2: note '128'"),

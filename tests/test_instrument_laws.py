@@ -192,6 +192,19 @@ def test_uncalibrated_keys_come_onto_one_velocity_scale(tmp_path):
     assert first.voice.gain == pytest.approx(second.voice.gain, rel=1e-9)
 
 
+def test_a_blow_at_two_microphones_is_one_layer_and_the_gain_is_that_of_the_path(tmp_path):
+    document = fit_document(true_voice(60), ERRORS, (1.0, 4.0))
+    soft, loud = (take | {"group": 0, "strike": i} for i, take in enumerate(document["takes"]))
+    soft, loud = soft | {"first": True}, loud | {"first": False}
+    room = [take | {"group": 1, "gain": 50.0, "first": False} for take in (soft, loud)]
+    one, both = (
+        load_keys([write_fit(tmp_path, 60, document | {"takes": takes}, name)])[0]
+        for name, takes in (("one", [soft, loud]), ("both", [*room, soft, loud]))
+    )
+    assert both.velocities == one.velocities == (1.0, LOUDEST)
+    assert both.voice.gain == one.voice.gain
+
+
 def test_midi_velocities_rise_with_the_layers():
     law = velocity_map([(0.5, 1.0, 2.0, 4.0), (0.6, 1.1, 2.2, 4.0)])
     heard = [hammer_velocity(v, law["at_64"], law["rise"]) for v in range(1, 128)]

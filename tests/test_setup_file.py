@@ -37,6 +37,7 @@ c = [300, 320]
 file = "a.flac"
 group = "close"
 gain_group = "close"
+strike = "L4"
 [[take]]
 file = "b.flac"
 """
@@ -55,7 +56,7 @@ def test_every_key_is_read(tmp_path):
         known={"v_H0": 0.84},
         initial={"c": 310.6, "b1": 0.5},
         bounds={"K_H": (1e8, 1e12), "c": (300.0, 320.0)},
-        takes=(Take("a.flac", None, "close", "close"), Take("b.flac")),
+        takes=(Take("a.flac", None, "close", "close", "L4"), Take("b.flac")),
     )
 
 

@@ -41,8 +41,8 @@ Manifest = Annotated[
     Path,
     typer.Argument(
         metavar="MANIFEST",
-        help="A CSV with the columns file and note (and instrument, take or layer, velocity, group), an SFZ file, or a "
-        "folder of recordings.",
+        help="A CSV with the columns file and note (and instrument, take or layer, velocity, group, mic), an SFZ file, "
+        "or a folder of recordings.",
     ),
 ]
 Out = Annotated[Path, typer.Option(help="The folder of the batch: keys/KEY/ for every key, and the ledger.")]
@@ -50,7 +50,7 @@ Pattern = Annotated[
     str | None,
     typer.Option(
         metavar="PATTERN",
-        help="How the names of a folder's files are made: {note} and {instrument}, {layer}, {take}, {group}, "
+        help="How the names of a folder's files are made: {note} and {instrument}, {layer}, {take}, {group}, {mic}, "
         "{velocity}, {*}; what stands in [ ] may be missing.",
     ),
 ]

@@ -139,51 +139,85 @@ def cross_validate(
     seed: int = 0,
     progress: Callable[[str, float], None] = lambda *_: None,
 ) -> tuple[dict, Result]:
-    """Leave out each take in turn, fit the others, and predict it.
+    """Leave out each blow in turn, fit the others, and predict it as every microphone heard it.
+
+    A blow's other takes know its velocity, so they are left out with it. Neighbours are takes of the same group: how
+    loud another microphone hears each partial says nothing of this one.
 
     Returns
     -------
-    `takes`, in order of velocity, each with `file`, `v_H0` (in the fit of all), `predicted_db`, `nearest_db`,
-    `blend_db` (None at the ends) and `inner`; `median_inner_db` and `worst_inner_db`. With it the fit of all takes.
+    `takes`, in order of velocity, each with `file`, `v_H0` (in the fit of all), `predicted_v_H0`, `predicted_db` and
+    `partials` (None where no other take shares the path), `nearest_db` (None without a neighbour), `blend_db` (None at
+    a group's ends) and `inner`; `median_inner_db` and `worst_inner_db` (None without an inner take); `messages`. With
+    it the fit of all takes.
 
     Raises
     ------
     FitError
-        For fewer than three takes, and as `fit_takes` does.
+        For fewer than three blows, and as `fit_takes` does.
     """
     count = len(recordings)
     if count < 3:
         raise FitError(f"{count} takes are too few to leave one out; give three or more")
     whole = fit_takes(recordings, analyses, setup, seed=seed)
-    velocity = np.array([take["v_H0"] for take in whole.document["takes"]])
-    order = list(np.argsort(velocity))
-    rows = []
-    for place, i in enumerate(order):
-        progress(f"without take {place + 1} of {count}", (place + 1) / (count + 1))
-        rest = [j for j in range(count) if j != i]
+    heard = whole.document["takes"]
+    strikes = list(dict.fromkeys(take["strike"] for take in heard))
+    if len(strikes) < 3:
+        raise FitError(
+            f"{count} takes of {len(strikes)} strikes are too few to leave one strike out; give three or more"
+        )
+    predicted: dict[int, Prediction | None] = {}
+    for place, blow in enumerate(strikes):
+        progress(f"without strike {place + 1} of {len(strikes)}", (place + 1) / (len(strikes) + 1))
+        rest = [j for j in range(count) if heard[j]["strike"] != blow]
         fit = fit_takes([recordings[j] for j in rest], [analyses[j] for j in rest], setup, seed=seed)
-        found = predict_take(_voice_for(fit, whole, rest, i), analyses[i])
-        around = [order[place + step] for step in (-1, 1) if 0 <= place + step < count]
-        rows.append({
-            "file": recordings[i].path, "v_H0": float(velocity[i]), "predicted_v_H0": found.velocity,
-            "predicted_db": found.error_db, "partials": found.partials,
-            "nearest_db": min(_apart(analyses[i], analyses[j]) for j in around),
-            "blend_db": _blend(analyses[i], *(analyses[j] for j in around)) if len(around) == 2 else None,
-            "inner": len(around) == 2,
-        })  # fmt: skip
+        for i in (j for j in range(count) if heard[j]["strike"] == blow):
+            voice = _voice_for(fit, whole, rest, i)
+            predicted[i] = None if voice is None else predict_take(voice, analyses[i])
+    order = sorted(range(count), key=lambda i: heard[i]["v_H0"])
+    rows = [_row(i, predicted[i], _around(i, order, heard), heard, analyses) for i in order]
     inner = [row["predicted_db"] for row in rows if row["inner"]]
-    found = {"takes": rows, "median_inner_db": float(np.median(inner)), "worst_inner_db": float(max(inner))}
+    found = {
+        "takes": rows,
+        "median_inner_db": float(np.median(inner)) if inner else None,
+        "worst_inner_db": float(max(inner)) if inner else None,
+        "messages": [
+            f"{row['file']} is not predicted: no other strike was heard through its path, which is therefore unknown."
+            for row in rows
+            if row["predicted_db"] is None
+        ],
+    }
     return found, whole
 
 
-def _voice_for(fit: Result, whole: Result, rest: list[int], left_out: int) -> Voice:
-    """The fitted voice through the path of the group that the take left out belongs to."""
+def _around(i: int, order: list[int], heard: list[dict]) -> list[int]:
+    """The takes of the same group next to this one in velocity: two, or one at the group's ends, or none."""
+    group = [j for j in order if heard[j]["group"] == heard[i]["group"]]
+    place = group.index(i)
+    return group[max(place - 1, 0) : place] + group[place + 1 : place + 2]
+
+
+def _row(i: int, found: Prediction | None, around: list[int], heard: list[dict], analyses: Sequence[Analysis]) -> dict:
+    """What came of one take that was left out."""
+    return {
+        "file": heard[i]["file"],
+        "v_H0": heard[i]["v_H0"],
+        "predicted_v_H0": found.velocity if found else None,
+        "predicted_db": found.error_db if found else None,
+        "partials": found.partials if found else None,
+        "nearest_db": min((_apart(analyses[i], analyses[j]) for j in around), default=None),
+        "blend_db": _blend(analyses[i], *(analyses[j] for j in around)) if len(around) == 2 else None,
+        "inner": len(around) == 2,
+    }
+
+
+def _voice_for(fit: Result, whole: Result, rest: list[int], left_out: int) -> Voice | None:
+    """The fitted voice through the path of the take left out; None if no other take went through it."""
     group = whole.document["takes"][left_out]["group"]
     for heard, j in zip(fit.takes, rest, strict=True):
         if whole.document["takes"][j]["group"] == group:
             return heard.fitted.voice._replace(hammer=fit.fitted.voice.hammer)
-    file = whole.document["takes"][left_out]["file"]
-    raise FitError(f"{file}: no other take shares its group, so its path is unknown")
+    return None
 
 
 def _common(analysis: Analysis, others: Sequence[Analysis]) -> tuple[np.ndarray, list[np.ndarray]]:

@@ -39,7 +39,7 @@ KEYS: dict[str, tuple[str, ...]] = {
     "known": FIT_NAMES + MEMORY_NAMES,
     "initial": FIT_NAMES + MEMORY_NAMES,
     "bounds": FIT_NAMES + MEMORY_NAMES,
-    "take": ("file", "v_H0", "group", "gain_group"),
+    "take": ("file", "v_H0", "group", "gain_group", "strike"),
 }
 
 
@@ -51,6 +51,7 @@ class Take:
     v_H0: float | None = None  # m/s, measured
     group: str | None = None  # takes of a group share one output path
     gain_group: str | None = None  # takes of a gain group share one gain
+    strike: str | None = None  # takes of one strike are one blow, heard by several microphones
 
 
 @dataclass(frozen=True)
@@ -224,11 +225,11 @@ def _pair(pair: object, key: str, where: str) -> tuple[float, float]:
 
 
 def _take(entry: dict[str, Any], where: str) -> Take:
-    for key in ("file", "group", "gain_group"):
+    for key in ("file", "group", "gain_group", "strike"):
         if key in entry and not (isinstance(entry[key], str) and entry[key].strip()):
             raise SetupError(f"{where} {key} = {_show(entry[key])} must be a text in quotes, not empty")
     velocity = _parameter(entry["v_H0"], "v_H0", where) if "v_H0" in entry else None
-    return Take(entry.get("file"), velocity, entry.get("group"), entry.get("gain_group"))
+    return Take(entry.get("file"), velocity, entry.get("group"), entry.get("gain_group"), entry.get("strike"))
 
 
 def _check_strike(setup: Setup, where: str) -> None:
@@ -310,3 +311,25 @@ def _check_takes(setup: Setup, where: str) -> None:
                 f"{entry} v_H0 = {take.v_H0:g} is outside its [bounds] {lower:g} to {upper:g}; correct one"
             )
         files |= {take.file} if take.file else set()
+    _check_strikes(setup, where)
+
+
+def _check_strikes(setup: Setup, where: str) -> None:
+    """Refuse one blow with two velocities, or heard twice by one microphone."""
+    heard: dict[tuple[str, str | None], int] = {}
+    struck: dict[str, float] = {}
+    for number, take in enumerate(setup.takes, 1):
+        if take.strike is None:
+            continue
+        entry = f'{where}: [[take]] {number} strike = "{one_line(take.strike)}"'
+        other = heard.setdefault((take.strike, take.group), number)
+        if other != number:
+            group = "neither has a group" if take.group is None else f'both have group = "{one_line(take.group)}"'
+            raise SetupError(
+                f"{entry} is that of [[take]] {other}, and {group}; a microphone hears a blow once: give each its own "
+                "group, or another strike"
+            )
+        if take.v_H0 is not None and struck.setdefault(take.strike, take.v_H0) != take.v_H0:
+            raise SetupError(
+                f"{entry} has v_H0 = {take.v_H0:g} and {struck[take.strike]:g}; one blow has one velocity: correct one"
+            )

@@ -55,12 +55,12 @@ def cross_validation(document: dict) -> str:
     """Each take left out and predicted, beside what needs no model."""
     lines = [f"{'':32}{'v_H0, m/s':>10}{'predicted':>11}{'nearest':>9}{'blend':>7}   dB a partial"]
     for take in document["takes"]:
-        blend = "-" if take["blend_db"] is None else f"{take['blend_db']:.2f}"
-        note = "" if take["inner"] else "  (beyond the others)"
-        lines.append(
-            f"{Path(take['file']).name:32}{take['v_H0']:10.3g}{take['predicted_db']:11.2f}{take['nearest_db']:9.2f}"
-            f"{blend:>7}{note}"
+        predicted, nearest, blend = (
+            "-" if take[key] is None else f"{take[key]:.2f}" for key in ("predicted_db", "nearest_db", "blend_db")
         )
-    lines.append(f"between the others: median {document['median_inner_db']:.2f} dB, worst "
-                 f"{document['worst_inner_db']:.2f} dB")  # fmt: skip
-    return "\n".join(lines) + "\n"
+        note = "" if take["inner"] else "  (beyond the others)"
+        lines.append(f"{Path(take['file']).name:32}{take['v_H0']:10.3g}{predicted:>11}{nearest:>9}{blend:>7}{note}")
+    if document["median_inner_db"] is not None:
+        lines.append(f"between the others: median {document['median_inner_db']:.2f} dB, worst "
+                     f"{document['worst_inner_db']:.2f} dB")  # fmt: skip
+    return "\n".join([*lines, *document["messages"]]) + "\n"

@@ -24,7 +24,7 @@ from ..recording import one_line, read_file
 __all__ = ["DEFAULT_PATTERN", "Key", "Sample", "read_keys"]
 
 DEFAULT_PATTERN = "{instrument}-{note}[-{layer}]"
-COLUMNS = ("file", "note", "instrument", "take", "layer", "velocity", "group")
+COLUMNS = ("file", "note", "instrument", "take", "layer", "velocity", "group", "mic")
 SOUNDS = (".wav", ".flac")
 MAX_BYTES = 2**24
 MAX_ROWS = 100_000
@@ -34,7 +34,8 @@ _SHARP = re.compile(r"([A-Ga-g])s(-1|\d)")  # file names write F#2 as Fs2
 _FIELDS = {
     "note": r"[A-Ga-g](?:##|#|♯|bb|b|♭|s)?(?:-1|\d)|\d{1,3}",
     "velocity": r"\d+(?:\.\d+)?",
-    "instrument": r"[^/]+?", "take": r"[^/]+?", "layer": r"[^/]+?", "group": r"[^/]+?", "*": r"[^/]*?",
+    "instrument": r"[^/]+?", "take": r"[^/]+?", "layer": r"[^/]+?", "group": r"[^/]+?",
+    "mic": r"[^/]+?", "*": r"[^/]*?",
 }  # fmt: skip
 
 
@@ -57,6 +58,7 @@ class Sample(NamedTuple):
     layer: str
     velocity: float | None  # m/s, measured
     group: str  # recordings of a group share one path, such as a microphone
+    strike: str = ""  # recordings of a strike are one blow, heard by several microphones
 
 
 @dataclass(frozen=True)
@@ -158,7 +160,7 @@ def _check_columns(name: str, columns: list[str]) -> None:
         if column not in columns:
             raise SetupError(
                 f"{name}: the header has no column {column!r} (it has {one_line(', '.join(columns))[:80]!r}); "
-                "give file and note, and if you like instrument, take or layer, velocity, group"
+                "give file and note, and if you like instrument, take or layer, velocity, group or mic"
             )
     for column in columns:
         if column in COLUMNS and columns.count(column) > 1:
@@ -168,9 +170,9 @@ def _check_columns(name: str, columns: list[str]) -> None:
 def _csv_row(where: str, cells: dict[str, str]) -> Row:
     cells = {name: value.strip() for name, value in cells.items()}
     layer = " ".join(filter(None, (cells.get("layer", ""), cells.get("take", ""))))
+    group = " ".join(filter(None, (cells.get("group", ""), cells.get("mic", ""))))
     return Row(
-        where, cells["file"], cells["note"], cells.get("instrument", ""), layer, cells.get("velocity", ""),
-        cells.get("group", ""),
+        where, cells["file"], cells["note"], cells.get("instrument", ""), layer, cells.get("velocity", ""), group
     )  # fmt: skip
 
 
@@ -238,7 +240,11 @@ def _keys(name: str, rows: list[Row], base: Path, root: Path, transpose: int) ->
                                  f"the folder {folder}; rename one")  # fmt: skip
             if row.layer and any((s.layer, s.group) == (row.layer, row.group) for s in samples):
                 raise SetupError(f"{folder} has a second {one_line(f'{row.layer} {row.group}').strip()!r}; "
-                                 "tell them apart by layer, take or group")  # fmt: skip
+                                 "tell them apart by layer, take, group or mic")  # fmt: skip
+            told = next((s.velocity for s in samples if s.layer == row.layer and s.velocity is not None), None)
+            if row.layer and None not in (told, sample.velocity) and told != sample.velocity:
+                raise SetupError(f"{folder} {one_line(row.layer)!r} has velocity {sample.velocity:g} and {told:g}; "
+                                 "one blow has one: correct it, or give each its own layer or take")  # fmt: skip
             samples.append(sample)
         except (SetupError, AnalysisError) as problem:
             problems.append(f"{row.where}: {problem}")
@@ -251,9 +257,15 @@ def _keys(name: str, rows: list[Row], base: Path, root: Path, transpose: int) ->
         raise SetupError(f"{name}: lists no recording; add rows")
     ordered = sorted(keys.values(), key=lambda k: (k[0].casefold(), k[1]))
     return [
-        Key(_folder_name(i, _note(m)), i, _note(m), tuple(sorted(s, key=lambda x: x.file.as_posix())))
+        Key(_folder_name(i, _note(m)), i, _note(m), tuple(sorted(_with_strikes(s), key=lambda x: x.file.as_posix())))
         for i, m, s in ordered
     ]
+
+
+def _with_strikes(samples: list[Sample]) -> list[Sample]:
+    """Samples of a key; those of one layer are one strike, which the groups tell apart."""
+    layers = [s.layer for s in samples if s.layer]
+    return [s._replace(strike=s.layer if layers.count(s.layer) > 1 else "") for s in samples]
 
 
 def _listed(problems: Iterable[str]) -> str:

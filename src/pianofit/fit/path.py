@@ -35,7 +35,7 @@ def path_of(fit: Fit, take: int, start: Start) -> OutputPath | None:
     mine = data.found & _group(fit, take)
     rows, loudest = np.flatnonzero(mine.any(axis=0)), (mine.argmax(axis=0), np.arange(data.rows))
     smooth = np.asarray(fit.target.basis)[loudest][:, columns] @ fit.values[columns]
-    return OutputPath(data.frequency[loudest][rows], (smooth + roughness(fit, take))[rows], _decays(fit)[rows])
+    return OutputPath(data.frequency[loudest][rows], (smooth + roughness(fit, take))[rows], _decays(fit, mine)[rows])
 
 
 def path_document(path: OutputPath | None) -> dict | None:
@@ -52,13 +52,16 @@ def _group(fit: Fit, take: int) -> np.ndarray:
     return (groups == groups[take])[:, None]
 
 
-def _decays(fit: Fit) -> np.ndarray:
-    """Each partial's decay rate over the law's [rows], of all takes, shrunk to 1."""
+def _decays(fit: Fit, mine: np.ndarray) -> np.ndarray:
+    """Each partial's decay rate over the law's [rows], of the takes of a path [takes, rows], shrunk to 1.
+
+    Another microphone hears a string's polarisations in other proportions, and so another decay.
+    """
     data = fit.data
     law = predicted(fit.target, fit.cfg, fit.z[0])[:, 1]
     there = ~data.found  # lest what is not there be divided by its 0
     miss = np.where(data.found, np.log(np.maximum(data.decay + there, 1e-3) / law), 0.0)
-    # Takes of one string decay alike: their differences are errors of measurement.
+    # Takes of one path decay alike: their differences are errors of measurement.
     error = np.hypot(data.decay_error / (data.decay + there), 0.1)
-    weight = data.found / error**2
+    weight = mine / error**2
     return np.exp((weight * miss).sum(axis=0) / (weight.sum(axis=0) + max(fit.spread.decay, 1e-3) ** -2))

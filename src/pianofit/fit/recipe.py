@@ -96,6 +96,7 @@ def fit_partials(
         z, agreeing, searched = search_hammers(state, seed)
         progress("string and hammer", 0.6)
         programs[1].join()
+        z, more = _in_tune(state, z)
         state, z = anchored(state, z)
         fit = _joint_stage(state, z)
         state, z = anchored(state, fit.z)
@@ -111,7 +112,7 @@ def fit_partials(
         for program in programs:
             program.join()
     progress("done", 1.0)
-    return replace(fit, agreeing=agreeing, evaluations=fit.evaluations + count + searched)
+    return replace(fit, agreeing=agreeing, evaluations=fit.evaluations + count + searched + more)
 
 
 def _prepared(takes: Sequence[Take], start: Start, layout: Layout) -> State:
@@ -220,6 +221,18 @@ def _string_stage(take: Take, state: State) -> tuple[Space, int]:
             )  # fmt: skip
             z, count = end.z, count + end.evaluations
     return replace(space, start=local.natural(z[0])), count
+
+
+def _in_tune(state: State, z: np.ndarray) -> tuple[np.ndarray, int]:
+    """The point [1, size] with c and κ where the table of partials wants them, all else held.
+
+    A band of one faint partial, as a bass note's first, can put the string far out of tune; the step back with all free
+    at once then changes the hammer so much that its contact does not end, and nothing moves any more.
+    """
+    at = state.target(state.first_spread(1.0, 0.3), state.unweighted)
+    places = np.isin(np.arange(z.shape[1]), [NAMES.index("c"), NAMES.index("kappa")])
+    end = descend(state.evaluate(joint_batch, at), z, state.space, iterations=10, free=places, tolerance=1e-4)
+    return end.z, end.evaluations
 
 
 def _joint_stage(state: State, z, spread: Spreads | None = None, robust: np.ndarray | None = None) -> Fit:

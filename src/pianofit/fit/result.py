@@ -327,7 +327,7 @@ def _take(fit: Fit, i: int, heard: Heard, start: Start, whole: np.ndarray) -> di
     log_v[[NAMES.index("v_H0"), layout.ratio[i]]] += 1.0
     log_v[layout.ratio[np.argmax(fit.values[layout.ratio])]] -= float(rests)
     reach, v = 1.96 * float(np.sqrt(log_v @ whole @ log_v)), float(heard.fitted.voice.hammer.v_H0)
-    known = i > 0 and not fit.space.free[layout.ratio[i]]
+    known = layout.strikes[i] > 0 and not fit.space.free[layout.ratio[i]]
     return {
         "file": recording.path, "sha256": recording.sha256, "rate": recording.rate,
         "onset_s": recording.onset / recording.rate, "v_H0": v,
@@ -335,6 +335,7 @@ def _take(fit: Fit, i: int, heard: Heard, start: Start, whole: np.ndarray) -> di
         "v_H0_status": "assumed" if rests else "fixed" if known or reach == 0 else "free",
         "gain": heard.fitted.voice.gain, "gain_status": "free" if start.scale is None else "fixed",
         "first": i == 0, "cents": float(fit.values[layout.cents[i]]), "group": layout.groups[i],
+        "strike": sorted(set(layout.strikes)).index(layout.strikes[i]),
         "criterion": heard.criterion, "levels": heard.levels,
     }  # fmt: skip
 

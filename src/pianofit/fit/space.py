@@ -46,11 +46,18 @@ class Layout:
 
     groups: tuple[int, ...] = (0,)  # of each take: takes of one group, from 0, share one path
     gains: tuple[int, ...] = (0,)  # of each take: the take whose gain it has
+    strikes: tuple[int, ...] = (0,)  # of each take: the take whose velocity and pitch it has, as of one blow
 
     @property
     def takes(self) -> int:
         """How many."""
         return len(self.groups)
+
+    @property
+    def compared(self) -> bool:
+        """Whether any path was heard with two velocities: only then hammer and path can be told apart."""
+        pairs = set(zip(self.groups, self.strikes, strict=True))
+        return len(pairs) > max(self.groups) + 1
 
     @property
     def size(self) -> int:
@@ -59,8 +66,8 @@ class Layout:
 
     @property
     def ratio(self) -> np.ndarray:
-        """Coordinates of the log velocity ratios [takes]; the first stays 0."""
-        return LOG + 3 * np.arange(self.takes)
+        """Coordinates of the log velocity ratios [takes]; the first, and whatever shares it, stays 0."""
+        return LOG + 3 * np.array(self.strikes)
 
     @property
     def gain(self) -> np.ndarray:
@@ -69,8 +76,8 @@ class Layout:
 
     @property
     def cents(self) -> np.ndarray:
-        """Coordinates of the pitches [takes]; the first stays 0."""
-        return LOG + 3 * np.arange(self.takes) + 2
+        """Coordinates of the pitches [takes]; the first, and whatever shares it, stays 0."""
+        return LOG + 3 * np.array(self.strikes) + 2
 
     @property
     def path(self) -> np.ndarray:

@@ -63,8 +63,9 @@ def search_space(start: Start, takes: Sequence[Take], layout: Layout) -> Space:
     absent = np.isin(NAMES, ("mu", *MEMORY_NAMES)) & ~np.isin(NAMES, FELT_LAWS[start.felt])
     values[:LOG][absent], free[:LOG] = ABSENT, free[:LOG] & ~absent
     free[layout.gain], free[layout.path] = not calibrated, not (calibrated or known)
-    free[layout.ratio[1:]] = [not take.ratio_known for take in takes[1:]]
-    free[layout.cents[1:]] = True
+    later = np.array(layout.strikes) > 0  # a take that shares the first's blow has nothing of its own
+    free[layout.ratio[later]] = [not take.ratio_known for take, own in zip(takes, later, strict=True) if own]
+    free[layout.cents[later]] = True
     lower, upper = np.where(free, lower, values), np.where(free, upper, values)
     return Space(lower, upper, free, np.clip(values, lower, upper), spread, 0.0)
 
@@ -127,21 +128,32 @@ def settled_weights(state: State, at: Target, z: np.ndarray) -> tuple[Spreads, n
     cents, cents_sd = (data.frequency - frequency) / cent, data.frequency_error / cent
     fade, fade_sd = (x / decay for x in (data.decay - decay, data.decay_error))
     own, common, noise, freedom = _own_and_common(state, data.level - level)
+    # What a path that one take alone went through adds to its levels is no scatter of the take's own.
+    scored = found & ~_lone(state)[:, None] if len(common) else found
     spread = Spreads(
         scatter(cents[found], cents_sd[found], 2),
         scatter(fade[found], fade_sd[found], 2),
-        scatter(own[found], data.level_error[found], freedom),
+        scatter(own[scored], data.level_error[scored], freedom),
         scatter(common, noise, 0) if len(common) else 0.0,
     )
     spread = replace(spread, level=max(spread.level, _least(state)))
+    sd_level = np.hypot(data.level_error, spread.level)
+    if spread.rough > 0:
+        sd_level = np.hypot(sd_level, spread.rough * _lone(state)[:, None])
     robust = np.stack(
         [
             huber(cents, np.hypot(cents_sd, spread.frequency)),
             huber(fade, np.hypot(fade_sd, spread.decay)),
-            huber(own, np.hypot(data.level_error, spread.level)),
+            huber(own, sd_level),
         ]
     )
     return spread, robust
+
+
+def _lone(state: State) -> np.ndarray:
+    """Which takes [takes] are the only one of their group."""
+    groups = np.array(state.data.layout.groups)
+    return np.bincount(groups)[groups] == 1
 
 
 def _least(state: State) -> float:

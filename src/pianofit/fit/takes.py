@@ -3,7 +3,8 @@
 The first take is the one on whose hammer velocity the others rest: the fastest whose velocity was measured, else the
 brightest. Which take is the fastest comes out of the fit, and it is the fastest's velocity that is then assumed. Levels
 are no guide: a library may have brought all its layers to one peak. Takes of one `group` in the setup share a path,
-takes of one `gain_group` a gain, and of those levels are a guide.
+takes of one `gain_group` a gain, and of those levels are a guide. Takes of one `strike` are one blow through several
+microphones: they share its velocity, and its pitch, for clocks of recorders differ by hundredths of a cent.
 """
 
 from __future__ import annotations
@@ -60,14 +61,16 @@ def arranged(
     """
     _refuse(recordings, analyses)
     known = [_entry(recording, setup, len(recordings)) for recording in recordings]
-    speed = [velocity if velocity is not None else k.v_H0 for k in known]
-    order = sorted(range(len(known)), key=lambda i: (speed[i] is None, -(speed[i] or 0.0), -_brightness(analyses[i])))
+    strikes = _strikes(known)
+    told = {b: k.v_H0 for b, k in zip(strikes, known, strict=True) if k.v_H0 is not None}
+    speed = [velocity if velocity is not None else told.get(b) for b in strikes]
+    order = _order(speed, strikes, [_brightness(a) for a in analyses])
     first = order[0]
     start = starting_values(analyses[first], replace(setup, takes=()), speed[first])
     if len(order) > 1 and start.fixed.get("v_H0") == "assumed" and "v_H0" not in setup.initial:
         values = start.values | {"v_H0": ASSUMED_FASTEST}
         start = replace(start, values=values, initial=start.initial | {"v_H0": ASSUMED_FASTEST})
-    ratios = _ratios([speed[i] for i in order], start.values["v_H0"])
+    ratios = _ratios([speed[i] for i in order], [strikes[i] for i in order], start.values["v_H0"])
     takes = [Take(recordings[i], analyses[i], *ratio) for i, ratio in zip(order, ratios, strict=True)]
     return takes, start, _layout([known[i] for i in order]), order
 
@@ -103,12 +106,28 @@ def _brightness(analysis: Analysis) -> float:
     return float((analysis.partials.number * amplitude).sum() / amplitude.sum())
 
 
-def _ratios(speed: Sequence[float | None], first: float) -> list[tuple[float, bool]]:
-    """Velocities over the first take's, and whether they were measured; the unknown ones fall from layer to layer."""
-    ratios, last = [], 1.0
-    for place, v in enumerate(speed):
-        last = v / first if v is not None else last * (LAYER if place else 1.0)
+def _strikes(known: Sequence[Known]) -> list[int]:
+    """Of each take: the first that hears the same blow."""
+    names = [(k.strike, i) if k.strike is None else (k.strike, 0) for i, k in enumerate(known)]
+    return [names.index(name) for name in names]
+
+
+def _order(speed: Sequence[float | None], strikes: Sequence[int], brightness: Sequence[float]) -> list[int]:
+    """Where each take stands: blow after blow, by velocity or brightness; a blow is as bright as its brightest take."""
+    best = {b: max(x for x, other in zip(brightness, strikes, strict=True) if other == b) for b in strikes}
+    return sorted(
+        range(len(speed)),
+        key=lambda i: (speed[i] is None, -(speed[i] or 0.0), -best[strikes[i]], strikes[i], -brightness[i]),
+    )
+
+
+def _ratios(speed: Sequence[float | None], strikes: Sequence[int], first: float) -> list[tuple[float, bool]]:
+    """Velocities over the first take's, and whether they were measured; the unknown ones fall from blow to blow."""
+    ratios, last, before = [], 1.0, strikes[0]
+    for strike, v in zip(strikes, speed, strict=True):
+        last = v / first if v is not None else last * (LAYER if strike != before else 1.0)
         ratios.append((last, v is not None))
+        before = strike
     return ratios
 
 
@@ -116,4 +135,4 @@ def _layout(known: Sequence[Known]) -> Layout:
     groups = [k.group or "" for k in known]
     gains = [(k.gain_group, i) if k.gain_group is None else (k.gain_group, 0) for i, k in enumerate(known)]
     names = list(dict.fromkeys(groups))
-    return Layout(tuple(names.index(g) for g in groups), tuple(gains.index(g) for g in gains))
+    return Layout(tuple(names.index(g) for g in groups), tuple(gains.index(g) for g in gains), tuple(_strikes(known)))

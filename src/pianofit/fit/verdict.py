@@ -23,6 +23,10 @@ ONE_TAKE = (
     "One uncalibrated recording does not fix the felt: any hammer's spectrum can be traded for an output path, and a "
     "softer felt struck faster sounds the same through another gain. "
 )
+NOTHING_COMPARED = (
+    "{} uncalibrated takes, but none shares a path with a take of another strike, which does not fix the felt: any "
+    "hammer's spectrum can be traded for an output path. "
+)
 SEVERAL_TAKES = (
     "{} uncalibrated takes of one key: what changes from take to take is the hammer's doing, what they share is the "
     "path's. "
@@ -57,7 +61,8 @@ def verdict(
     hammer, takes = int(fit.space.free[4 : len(NAMES)].sum()), fit.data.layout.takes
     as_good = excess < chdtri(max(hammer, 1), 0.05)
     through = "smooth path" if start.quantity == "pressure" else "gain"
-    text = ONE_TAKE if takes == 1 else SEVERAL_TAKES.format(takes)
+    compared = fit.data.layout.compared
+    text = ONE_TAKE if takes == 1 else (SEVERAL_TAKES if compared else NOTHING_COMPARED).format(takes)
     text += (
         f"Partial levels: {levels['initial_db']:.1f} dB off at the start; "
         f"{levels['path_only_db']:.1f} dB with the literature's hammer through the best {through}; "
@@ -70,7 +75,7 @@ def verdict(
         text += (
             f"The fitted hammer explains more than a {through} alone; its values still rest on that being all there is."
         )
-        if takes == 1:
+        if not compared:
             states = states | {n: "not-identifiable" for n in FELT if states[n] == "free"}
     if takes > 1 and start.fixed.get("v_H0") == "assumed":
         states = states | {n: "assumed" for n in ("K_H", "mu") if states[n] == "free"}

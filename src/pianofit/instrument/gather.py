@@ -189,9 +189,12 @@ def _load_key(file: Path) -> KeyFit:
     name = one_line(file)
     midi = _midi(voice, file)
     takes = [take for take in document["takes"] if isinstance(take, dict)]
-    loud = max(range(len(takes)), key=lambda i: _positive(takes[i].get("v_H0"), f"takes[{i}].v_H0", name))
+    path = next((take for take in takes if take.get("first") is True), takes[0]).get("group")
+    # The voice has the first take's path, and a gain belongs to a path.
+    own = [i for i, take in enumerate(takes) if take.get("group") == path]
+    loud = max(own, key=lambda i: _positive(takes[i].get("v_H0"), f"takes[{i}].v_H0", name))
     gain = _positive(takes[loud].get("gain"), f"takes[{loud}].gain", name, signed=True)
-    velocities = np.sort([take["v_H0"] for take in takes])
+    velocities = np.unique([_positive(take.get("v_H0"), f"takes[{i}].v_H0", name) for i, take in enumerate(takes)])
     calibrated = any(take.get("gain_status") == "fixed" or take.get("v_H0_status") == "fixed" for take in takes)
     if not isinstance(voice.hammer, Hammer):
         raise FitError(f"{name}: a felt with memory cannot be carried over a keyboard; fit with --felt hunt-crossley")

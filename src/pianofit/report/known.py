@@ -154,6 +154,7 @@ def held_out_rows(held_out: dict[str, Any] | None) -> dict[str, Any] | None:
             | {n: take.get(n) if _is_number(take.get(n)) else None for n in numbers}
             for take in takes
         ],
+        "messages": [str(message) for message in held_out.get("messages") or ()],
         "median": number(median, 3) if shown else "",
         "worst": number(worst, 3) if shown else "",
     }
