@@ -39,7 +39,10 @@ STAND_IN = {False: 0.003, True: 0.01}
 LEAST_SCATTER, LEAST_OWN = 1.0, 0.2
 # Before the first round the model is taken to miss a partial by this much, dB: calibrated, one take, and several, whose
 # path is then rough by so much more.
-FIRST_SCATTER, FIRST_OWN, FIRST_ROUGH = {True: 1.0, False: 4.0}, 2.0, 6.0
+FIRST_SCATTER, FIRST_OWN, FIRST_ROUGH = {True: 1.0, False: 4.0}, 2.0, 18.0
+# What is left of the path's roughness understates it by about this factor: hammer and smooth path have been bent to take
+# what they can, and neighbouring partials do so together. Without it hammers predict other velocities worse.
+UNSEEN_ROUGHNESS = 3.0
 # How far the velocities of takes may be from their guesses, log, and their pitches from the first's, cents.
 RATIO_SPREAD, CENTS_SPREAD = 0.5, 3.0
 
@@ -134,7 +137,7 @@ def settled_weights(state: State, at: Target, z: np.ndarray) -> tuple[Spreads, n
         scatter(cents[found], cents_sd[found], 2),
         scatter(fade[found], fade_sd[found], 2),
         scatter(own[scored], data.level_error[scored], freedom),
-        scatter(common, noise, 0) if len(common) else 0.0,
+        UNSEEN_ROUGHNESS * scatter(common, noise, 0) if len(common) else 0.0,
     )
     spread = replace(spread, level=max(spread.level, _least(state)))
     sd_level = np.hypot(data.level_error, spread.level)

@@ -25,9 +25,6 @@ ROWS = 64
 SILENT_DB = 3.0
 # Levels that scatter more than this, dB, weigh no less: else what is badly fitted would be fitted ever worse.
 MOST_SCATTER = 5.0
-# What is seen of the path's roughness understates it: hammer and smooth path have been bent to take what they can, and
-# neighbouring partials do so together. Weighed by this much more of it, hammers predict other velocities better.
-UNSEEN_ROUGHNESS = 3.0
 
 
 @dataclass(frozen=True)
@@ -210,7 +207,6 @@ def _roughness(takes: Takes, weight: np.ndarray, rough: float) -> tuple[np.ndarr
     The covariance of one partial's residuals, weighted, is 1 + s² w wᵀ over a group's takes; C^(-1/2) leaves all across
     w as it is and divides what lies along w by √(1 + s² |w|²).
     """
-    rough = UNSEEN_ROUGHNESS * rough
     group = np.array(takes.layout.groups)
     mine = weight * takes.found * (group == np.arange(group.max() + 1)[:, None])[..., None]
     power = (mine**2).sum(axis=1)
