@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import math
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -187,11 +188,23 @@ def test_folding_keeps_the_inside_and_mirrors_the_rest():
     assert plain[0] == 2.5
     assert plain[K] == pytest.approx(-1.0 + 2.0 * math.exp(0.4))
     outside = inside.copy()
-    outside[[0, K]] = 3.7, -4.0 - 2.0 * math.exp(0.4)
+    outside[[0, K]] = 3.7, -4.0 - 2.0 * math.exp(0.4)  # log K_H = -4 lies below the box
     there = np.asarray(folded(jnp.asarray(outside), edges))
     assert there[0] == pytest.approx(2.3)
-    assert there[K] == pytest.approx(-2.0)
-    assert np.exp(there[:LOG]).min() >= math.exp(-3.0) * (1 - 1e-12)
+    edge = math.log((-3.0 - outside[K]) / 2.0)  # log p at which K_H meets its edge with the same force
+    assert there[P] == pytest.approx(2 * edge - 0.4)
+    assert there[K] - 2.0 * math.exp(there[P]) == pytest.approx(outside[K])
+    anywhere = jnp.asarray(np.random.default_rng(0).normal(0, 9, (99, SIZE)))
+    lost = np.asarray(jax.vmap(lambda z: folded(z, edges))(anywhere))
+    assert np.abs(lost[:, [0, K, P]]).max() <= 3.0 + 1e-9
+    assert (lost[:, 2] == 0.0).all()
+
+
+def test_folding_leaves_volumes_as_they_are():
+    edges = box_of(space([0, K, P], log_u=-2.0))
+    for z in np.random.default_rng(1).normal(0, 6, (20, SIZE)):
+        slope = np.asarray(jax.jacfwd(lambda x: folded(x, edges))(jnp.asarray(z)))[np.ix_([0, K, P], [0, K, P])]
+        assert abs(np.linalg.det(slope)) == pytest.approx(1.0)
 
 
 def test_the_same_seed_draws_the_same_and_another_does_not():

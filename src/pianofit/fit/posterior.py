@@ -115,18 +115,26 @@ def box_of(space: Space) -> Box:
 def folded(z, box: Box):
     """A point [size] anywhere, folded into the box, with log K_H in the force's place.
 
-    Each coordinate is folded for itself and K_H last, so volumes stay as they are.
+    Each coordinate is folded for itself, so volumes stay as they are. The edges of K_H are met by p at a constant
+    force, which is what the recording knows; by the force they would be met across the valley.
     """
-    width = box.upper - box.lower
+    away = -box.log_u  # log K_H = log F_ref + p `away`; 0 where K_H is held
+    least, most = jnp.exp(box.lower[P]), jnp.exp(box.upper[P])
+    force = _fold(z[K], box.lower[K] - most * away, box.upper[K] - least * away)
+    apart = jnp.where(away > 0, away, 1.0)
+    low, high = (jnp.log(jnp.maximum((edge[K] - force) / apart, 1e-300)) for edge in (box.lower, box.upper))
+    low = jnp.where(away > 0, jnp.maximum(low, box.lower[P]), box.lower[P])
+    high = jnp.where(away > 0, jnp.minimum(high, box.upper[P]), box.upper[P])
+    exponent = _fold(z[P], low, high)
+    plain = _fold(z, box.lower, box.upper)
+    return plain.at[P].set(exponent).at[K].set(force + jnp.exp(exponent) * away)
+
+
+def _fold(x, low, high):
+    width = high - low
     safe = jnp.where(width > 0, width, 1.0)
-
-    def fold(x, low, wide):
-        turn = jnp.mod(x - low, 2 * wide)
-        return low + jnp.where(turn < wide, turn, 2 * wide - turn)
-
-    inside = jnp.where(width > 0, fold(z, box.lower, safe), box.lower)
-    own = z[K] - jnp.exp(inside[P]) * box.log_u
-    return inside.at[K].set(jnp.where(width[K] > 0, fold(own, box.lower[K], safe[K]), box.lower[K]))
+    turn = jnp.mod(x - low, 2 * safe)
+    return jnp.where(width > 0, low + jnp.where(turn < safe, turn, 2 * safe - turn), low)
 
 
 def _chain(key, begin, at: tuple, batch, cfg: tuple, warmup: int, draws: int):
