@@ -68,7 +68,8 @@ def test_what_a_law_does_not_have_is_not_in_its_fit(law, tmp_path):
     assert {"epsilon", "tau"} & set(table) == {"epsilon", "tau"} & set(FELT_LAWS[law])
     if "mu" not in FELT_LAWS[law]:
         assert table["mu"] == {
-            "value": 0.0, "unit": "s/m", "interval": None, "status": "fixed", "initial": 0.0,
+            "value": 0.0, "unit": "s/m", "interval": None, "interval_by": None, "interval_open": [], "status": "fixed",
+            "initial": 0.0,
             "note": f"the felt's law, {law}, has none",
         }  # fmt: skip
     (tmp_path / "fit.json").write_text(json.dumps(document))

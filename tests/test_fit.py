@@ -60,6 +60,13 @@ def test_intervals_hold_the_truth_or_come_close():
         assert abs(np.log(true) - middle) < 5 * sd + 5e-3, name
 
 
+def test_a_stiffness_that_is_known_is_held_and_the_rest_of_the_felt_found():
+    document = fit_twin(record(FIRST), setup_of(FIRST, known={"K_H": FIRST.hammer.K_H})).document
+    assert document["parameters"]["K_H"]["value"] == FIRST.hammer.K_H
+    assert not misses(document, FIRST), errors(document, FIRST)
+    assert document["parameters"]["p"]["value"] == pytest.approx(FIRST.hammer.p, rel=2e-3)
+
+
 def test_the_criterion_falls_in_every_band_and_the_sound_is_the_recording():
     result = calibrated()
     for name in ("global", "band1", "band2", "band3"):
@@ -78,7 +85,9 @@ def test_the_document_is_what_the_design_says():
         "criterion", "levels", "diagnostics", "versions",
     } <= set(document)  # fmt: skip
     for name, parameter in document["parameters"].items():
-        assert {"value", "unit", "interval", "status", "initial", "note"} <= set(parameter)
+        assert {"value", "unit", "interval", "interval_by", "interval_open", "status", "initial", "note"} <= {
+            *parameter
+        }
         assert parameter["status"] in STATUSES
         if parameter["interval"] is not None:
             assert parameter["interval"][0] < parameter["value"] < parameter["interval"][1]

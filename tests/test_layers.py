@@ -69,7 +69,11 @@ def test_a_module_imports_only_from_those_above_it(file):
 @by_file()
 def test_a_module_uses_only_declared_packages(file):
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    needed = [*project["dependencies"], *project["optional-dependencies"]["cluster"]]
+    needed = [
+        *project["dependencies"],
+        *project["optional-dependencies"]["bayes"],
+        *project["optional-dependencies"]["cluster"],
+    ]
     declared = {"dask", *(requirement.split(">")[0].lower() for requirement in needed)}
     for name in imports(file):
         package = clean(name)[0]

@@ -23,6 +23,7 @@ from .options import (
     Felt,
     File,
     Force,
+    Intervals,
     Json,
     Known,
     Note,
@@ -123,6 +124,7 @@ def fit(
     felt: Felt = None,
     recipe: Recipe = "default",
     evaluations: Evaluations = None,
+    intervals: Intervals = "curvature",
     seed: Seed = 0,
     force: Force = False,
     page: Annotated[bool, typer.Option(help="Write report.html.")] = True,
@@ -136,7 +138,7 @@ def fit(
     with output_folder(out, force) as folder, progress_bar() as progress:
         result = fit_files(
             takes, folder, note=note, f0=f0, setup=setup, velocity=velocity, channel=channel, felt=felt, recipe=recipe,
-            evaluations=evaluations, seed=seed, report=page, progress=progress,
+            evaluations=evaluations, intervals=intervals, seed=seed, report=page, progress=progress,
         )  # fmt: skip
     typer.echo(json_text(result.document) if as_json else summary(result.document, folder), nl=False)
 

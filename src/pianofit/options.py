@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 __all__ = [
-    "Channel", "Evaluations", "Felt", "File", "Force", "Json", "Known", "Note", "Pitch",
+    "Channel", "Evaluations", "Felt", "File", "Force", "Intervals", "Json", "Known", "Note", "Pitch",
     "Rate", "Recipe", "Seconds", "Seed", "Takes", "Velocity", "number",
 ]  # fmt: skip
 
@@ -36,6 +36,16 @@ def _recipe(text: str) -> str:
 
     if text not in RECIPES:
         raise typer.BadParameter(f"{text!r} is none of {', '.join(RECIPES)}")
+    return text
+
+
+def _intervals(text: str) -> str:
+    if text == "curvature":
+        return text
+    from .fit import MEANS
+
+    if text not in MEANS:
+        raise typer.BadParameter(f"{text!r} is none of {', '.join(MEANS)}")
     return text
 
 
@@ -77,5 +87,12 @@ Evaluations = Annotated[
     int | None,
     typer.Option(parser=whole, metavar="N", help="Of the criterion by the recipe paper's annealing."),
 ]
+Intervals = Annotated[
+    str,
+    typer.Option(
+        parser=_intervals, metavar="MEANS",
+        help="How sure, by the curvature, by profile (seconds), or by the posterior (a minute; needs pianofit[bayes]).",
+    ),
+]  # fmt: skip
 Seconds = Annotated[float, typer.Option(parser=number, metavar="S", help="Length of the sound.")]
 Rate = Annotated[int | None, typer.Option(parser=whole, metavar="HZ", help="Sample rate in Hz.")]

@@ -6,6 +6,8 @@ from pathlib import Path
 
 __all__ = ["comparison", "cross_validation", "summary"]
 
+ONLY = {"low": "below", "high": "above"}
+
 
 def comparison(document: dict, true: dict[str, float]) -> str:
     """True values beside found ones."""
@@ -25,7 +27,9 @@ def summary(document: dict, folder: Path) -> str:
     lines.append(f"{'':8}{'value':>12}  {'unit':8}{'95 % interval':26}status")
     for name, p in document["parameters"].items():
         span = "[{:.5g}, {:.5g}]".format(*p["interval"]) if p["interval"] else "-"
-        lines.append(f"{name:8}{p['value']:12.5g}  {p['unit']:8}{span:26}{p['status']}")
+        open_at = ", ".join(f"{ONLY[end]}: the box" for end in p["interval_open"])
+        status = p["status"] + (f" ({open_at})" if open_at else "")
+        lines.append(f"{name:8}{p['value']:12.5g}  {p['unit']:8}{span:26}{status}")
     d, levels = document["derived"], document["levels"]
     lines += ["", f"f0 {d['f0']:.3f} Hz, B {d['B']:.4g}, contact {d['contact_ms']:.2f} ms"]
     only = "" if levels["path_only_db"] is None else f", path alone {levels['path_only_db']:.1f} dB"

@@ -155,6 +155,7 @@ def fit_files(
     felt: str | None = None,
     recipe: str = "default",
     evaluations: int | None = None,
+    intervals: str = "curvature",
     seed: int = 0,
     report: bool = True,
     progress: Callable[[str, float], None] = lambda *_: None,
@@ -173,6 +174,10 @@ def fit_files(
         from .fit import check_recipe
 
         check_recipe(recipe, evaluations)
+    if intervals != "curvature":
+        from .fit import check_intervals
+
+        check_intervals(intervals, recipe)
     if len(files) > 1 and velocity is not None:
         raise ParameterError(f"velocity={velocity} m/s is of one take; give each its own in the setup's [[take]]")
     if len(files) > 1 and recipe != "default":
@@ -183,11 +188,11 @@ def fit_files(
 
     keep_programs()
     if len(files) > 1:
-        result = fit_takes(recordings, analyses, known, seed=seed, progress=progress)
+        result = fit_takes(recordings, analyses, known, intervals=intervals, seed=seed, progress=progress)
     else:
         result = fit_recording(
-            recordings[0], analyses[0], known, velocity=velocity, recipe=recipe, evaluations=evaluations, seed=seed,
-            progress=progress,
+            recordings[0], analyses[0], known, velocity=velocity, recipe=recipe, evaluations=evaluations,
+            intervals=intervals, seed=seed, progress=progress,
         )  # fmt: skip
     progress("page", 0.95)
     _write(out, files, result, note, report)

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from ..analysis import Analysis
 from ..recording import Recording
 from ..setup_file import Setup
+from .certainty import MEANS, assess, check_intervals
 from .model_fit import ModelFit, fit_model
 from .paper import RECIPES, check_recipe, fit_by_paper, without_claims
 from .recipe import Progress, fit_partials
@@ -20,12 +21,14 @@ from .takes import arranged
 from .voice import Voice
 
 __all__ = [
+    "MEANS",
     "RECIPES",
     "ModelFit",
     "Result",
     "Sound",
     "SoundModel",
     "Voice",
+    "check_intervals",
     "check_recipe",
     "fit_model",
     "fit_recording",
@@ -41,6 +44,7 @@ def fit_recording(
     velocity: float | None = None,
     recipe: str = "default",
     evaluations: int | None = None,
+    intervals: str = "curvature",
     seed: int = 0,
     progress: Progress = lambda *_: None,
 ) -> Result:
@@ -53,7 +57,9 @@ def fit_recording(
     recipe : `default`, or the paper's own, which give no intervals: `paper`, its three steps, and `global`, its
         criterion over the whole spectrum.
     evaluations : of the criterion by the recipe `paper`'s annealing, 20,000 unless given.
-    seed : of the hammers that the search starts from. The same seed gives the same result.
+    intervals : `curvature`, `profile`, or `posterior`, which needs pianofit[bayes].
+    seed : of the hammers that the search starts from, and of the posterior's draws. The same seed gives the same
+        result.
     progress : called with a stage's name and the fraction done.
 
     Raises
@@ -61,14 +67,17 @@ def fit_recording(
     FitError
         If no hammer gives a finite sound, or a contact does not end.
     ParameterError
-        For another recipe, or evaluations that it cannot have.
+        For another recipe, or evaluations or intervals that it cannot have.
     """
     check_recipe(recipe, evaluations)
+    check_intervals(intervals, recipe)
     if recipe != "default":
         takes, start, _, _ = arranged([recording], [analysis], setup or Setup(), velocity)
         fit = fit_by_paper(recording, analysis, start, recipe, evaluations=evaluations, seed=seed, progress=progress)
         return without_claims(conclude(takes, start, fit, seed), recipe, fit, start)
-    return fit_takes([recording], [analysis], setup, velocity=velocity, seed=seed, progress=progress)
+    return fit_takes(
+        [recording], [analysis], setup, velocity=velocity, intervals=intervals, seed=seed, progress=progress
+    )
 
 
 def fit_takes(
@@ -77,6 +86,7 @@ def fit_takes(
     setup: Setup | None = None,
     *,
     velocity: float | None = None,
+    intervals: str = "curvature",
     seed: int = 0,
     progress: Progress = lambda *_: None,
 ) -> Result:
@@ -88,15 +98,20 @@ def fit_takes(
     Parameters
     ----------
     velocity : measured hammer velocity, m/s, of a single recording, held fixed.
-    seed : of the hammers that the search starts from. The same seed gives the same result.
+    intervals : `curvature`, `profile`, or `posterior`, which needs pianofit[bayes].
+    seed : of the hammers that the search starts from, and of the posterior's draws. The same seed gives the same
+        result.
     progress : called with a stage's name and the fraction done.
 
     Raises
     ------
+    ParameterError
+        For other intervals.
     FitError
         If a take is given twice, is of another key or all noise; if no hammer gives a finite sound, or a contact does
         not end.
     """
+    check_intervals(intervals)
     takes, start, layout, order = arranged(recordings, analyses, setup or Setup(), velocity)
     fit = fit_partials(takes, start, layout, seed=seed, progress=progress)
-    return conclude(takes, start, fit, seed, order)
+    return conclude(takes, start, fit, seed, order, assess(fit, intervals, seed, progress))

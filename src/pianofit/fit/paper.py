@@ -133,7 +133,7 @@ def without_claims(result: Result, recipe: str, fit: Fit, start: Start) -> Resul
         if status in ("free", "not-identifiable"):
             status = "assumed" if start.rests_on.get(name) else "free"
             status = status if calibrated or name not in FELT else "not-identifiable"
-        parameters[name] = entry | {"interval": None, "status": status}
+        parameters[name] = entry | {"interval": None, "interval_by": None, "status": status}
     document = result.document | {
         "recipe": recipe,
         "verdict": OPENING[recipe] + ("" if calibrated else FELT_UNKNOWN),

@@ -25,7 +25,7 @@ from ..parameters import FELT_LAWS, Geometry
 from .hammers import anchored, search_hammers
 from .levenberg import Descent, descend
 from .residuals import CENT, Cfg, Target, hammer_batch, joint_batch, string_batch
-from .space import LOG, NAMES, Layout, Space, default_box, split, struck
+from .space import LOG, NAMES, K, Layout, Space, default_box, split, struck
 from .state import TOGETHER, WIDTH, State, predicted, search_space, settled_weights
 from .takes import Take
 from .target import Spreads, Takes, lines, measured, side_by_side
@@ -73,6 +73,7 @@ class Fit:
     agreeing: int  # how many of the hammer's starts ended at the lowest cost
     messages: tuple[str, ...]
     state: State
+    coarse: State | None = None  # with the contact's step before the refinement, where there was one
 
 
 def fit_partials(
@@ -122,7 +123,9 @@ def _prepared(takes: Sequence[Take], start: Start, layout: Layout) -> State:
     string, hammer = split(space.start)
     rate = max(take.recording.rate for take in takes)
     first = simulate(string, hammer, start.geometry, rate=rate, quantity=start.quantity)
-    space = replace(space, log_u=float(np.log(0.5 * first.pulse.compression.max())))
+    # A stiffness that is known is held as it is: at 1 m it is the force.
+    log_u = float(np.log(0.5 * first.pulse.compression.max())) if space.free[K] else 0.0
+    space = replace(space, log_u=log_u)
     rate = 1.0 / float(first.modes.step)
     steps = STEPS * int(np.ceil(1.6 * first.contact_time * rate / STEPS))
     memory = "epsilon" in FELT_LAWS[start.felt]
@@ -167,7 +170,7 @@ def _refined(fit: Fit) -> Fit:
     string, _ = split(fit.values)
     rows = max(state.cfg.n_modes, count_modes(string, state.start.geometry, rate))
     state = replace(state, rate=rate, cfg=state.cfg._replace(steps=state.cfg.steps * REFINEMENT, n_modes=rows))
-    return _joint_stage(state, fit.z, fit.spread, fit.robust)
+    return replace(_joint_stage(state, fit.z, fit.spread, fit.robust), coarse=fit.state)
 
 
 def _with_free_width(space: Space, geometry: Geometry) -> Space:

@@ -16,6 +16,7 @@ from ..initial import Start
 from ..model import Simulation
 from ..parameters import MEMORY_NAMES, PARAMETERS
 from ..recording import Recording
+from .certainty import Certainty, assess
 from .levenberg import descend
 from .path import path_document, path_of, roughness
 from .recipe import Fit, predicted
@@ -23,7 +24,7 @@ from .residuals import CENT, joint_batch
 from .space import ABSENT, LOG, NAMES, K, split, struck
 from .takes import Take
 from .target import Measured
-from .uncertainty import intervals, statuses, tangled, to_stiffness, whole_covariance
+from .uncertainty import statuses, tangled
 from .verdict import verdict, words
 from .voice import Voice
 
@@ -65,13 +66,15 @@ class Result:
     """A finished fit. `document` is what `fit.json` holds, `takes` are in the order in which they were given.
 
     What a page shows of one take is that of the `first`, on which the others' velocities rest. `covariance` is that of
-    log(parameter) in the order of `space.NAMES`; zero for what was not fitted.
+    log(parameter) in the order of `space.NAMES`; zero for what was not fitted. `draws` are the posterior's, where
+    it was asked for: values [chains, draws] by name.
     """
 
     document: dict
     takes: tuple[Heard, ...]
     first: int
     covariance: np.ndarray
+    draws: dict[str, np.ndarray] | None = None
 
     @property
     def initial(self) -> Sound:
@@ -110,12 +113,15 @@ def worse_bands(criterion: dict) -> list[str]:
     return [n for n in names if criterion[n]["final"] >= criterion[n]["initial"]]
 
 
-def conclude(takes: Sequence[Take], start: Start, fit: Fit, seed: int, order: Sequence[int] = (0,)) -> Result:
+def conclude(
+    takes: Sequence[Take], start: Start, fit: Fit, seed: int, order: Sequence[int] = (0,), sure: Certainty | None = None
+) -> Result:
     """Put a fit into words: intervals, statuses, the criterion and the levels before and after.
 
     Parameters
     ----------
     order : where each take stands in what was given.
+    sure : how sure it is; by the curvature if not given.
 
     Raises
     ------
@@ -127,16 +133,14 @@ def conclude(takes: Sequence[Take], start: Start, fit: Fit, seed: int, order: Se
     first[:LOG] = np.where(first[:LOG] > ABSENT, given, ABSENT)
     literature = None if fit.data.calibrated else _path_only(fit)
     heard = [_heard(i, take, start, fit, first, literature) for i, take in enumerate(takes)]
-    whole = whole_covariance(fit.jacobian, _row_variance(fit), fit.space, fit.pressed)
-    cov = to_stiffness(whole[:LOG, :LOG], fit.values, fit.space.log_u)
-    states = statuses(cov, fit.space, fit.space.at_bound(fit.values), start.fixed)
+    sure = sure or assess(fit)
+    cov = sure.cov
+    states = statuses(sure.variances, fit.space, fit.space.at_bound(fit.values), start.fixed)
     levels = _together([h.levels for h in heard])
     opening, states = verdict(fit, start, states, levels, None if literature is None else literature[1])
-    count = 3 * int(fit.data.found.sum()) - int(fit.space.free.sum())
-    spans = intervals(cov, fit.values[: len(NAMES)], max(count, 1))
     criterion, fitted = heard[0].criterion, heard[0].fitted
     analyses, recordings = [t.analysis for t in takes], [t.recording for t in takes]
-    said = words(fit, start, analyses, recordings, states, tangled(cov), worse_bands(criterion))
+    said = words(fit, start, analyses, recordings, states, tangled(cov), worse_bands(criterion), sure)
     document = {
         "schema": SCHEMA,
         "program": "pianofit",
@@ -146,16 +150,16 @@ def conclude(takes: Sequence[Take], start: Start, fit: Fit, seed: int, order: Se
         "converged": fit.converged,
         "verdict": opening,
         "messages": said,
-        "parameters": _parameters(fit.values, first, spans, states, start),
-        "takes": _in_order([_take(fit, i, h, start, whole) for i, h in enumerate(heard)], order),
+        "parameters": _parameters(fit.values, first, sure, states, start),
+        "takes": _in_order([_take(fit, i, h, start, sure.covariance) for i, h in enumerate(heard)], order),
         "pickup": {"quantity": start.quantity, "path": path_document(fitted.voice.path)},
         "derived": _derived(fitted, analyses[0], cov),
         "criterion": criterion,
         "levels": levels,
-        "diagnostics": _diagnostics(fit, cov),
+        "diagnostics": _diagnostics(fit, cov) | sure.diagnostics,
         "versions": versions(),
     }
-    return Result(document, tuple(_in_order(heard, order)), order[0], cov)
+    return Result(document, tuple(_in_order(heard, order)), order[0], cov, sure.draws)
 
 
 def _in_order(items: list, order: Sequence[int]) -> list:
@@ -201,20 +205,6 @@ def versions() -> dict[str, str]:
         "pianofit": __version__, "python": platform.python_version(), "jax": jax.__version__,
         "numpy": np.__version__, "scipy": scipy.__version__,
     }  # fmt: skip
-
-
-def _row_variance(fit: Fit) -> np.ndarray:
-    """Variance that each residual is expected to have: 1 by its weight, save for those of level and of eq. 19.
-
-    Their weights are not their scatter's alone, which is known all the same.
-    """
-    cells, found = fit.data.found.size, fit.data.found.ravel()
-    variance = np.ones(fit.jacobian.shape[0])
-    sd = np.hypot(fit.data.level_error, fit.spread.level).ravel()
-    level, line = (np.asarray(x).ravel() for x in (fit.target.level_weight, fit.target.line_weight))
-    variance[2 * cells : 3 * cells][found] = (level * sd)[found] ** 2
-    variance[3 * cells : 4 * cells] = np.where(found, (line * sd * np.log(10) / 10) ** 2, 0.0)
-    return variance
 
 
 def scored(frequency: np.ndarray, level: np.ndarray) -> np.ndarray:
@@ -289,7 +279,7 @@ def _path_only(fit: Fit) -> tuple[np.ndarray, float]:
     return predicted(fit.target, fit.cfg, end.z[0])[:, 2], float(excess)
 
 
-def _parameters(values, first, spans, states, start: Start) -> dict:
+def _parameters(values, first, sure: Certainty, states, start: Start) -> dict:
     """Every parameter with value, unit, interval and status."""
     table = {}
     for i, name in enumerate(NAMES):
@@ -305,18 +295,24 @@ def _parameters(values, first, spans, states, start: Start) -> dict:
         if absent:
             value, initial, note = 0.0, 0.0, f"the felt's law, {start.felt}, has none"
         table[name] = {
-            "value": value, "unit": UNITS[name], "interval": spans[name], "status": status, "initial": initial,
-            "note": note,
+            "value": value, "unit": UNITS[name], "interval": sure.spans[name], "interval_by": sure.by[name],
+            "interval_open": list(sure.open.get(name, ())), "status": status, "initial": initial, "note": note,
         }  # fmt: skip
     g = start.geometry
     for name, value, key in (("M_S", g.mass, "mass"), ("L", g.length, "length")):
         status = "assumed" if key in start.assumed else "fixed"
-        table[name] = {"value": float(value), "unit": UNITS[name], "interval": None, "status": status,
-                       "initial": float(value), "note": ""}  # fmt: skip
+        table[name] = _given(value, name, status)
     if start.quantity in ("velocity", "displacement"):
-        table["pickup"] = {"value": float(g.pickup), "unit": "m", "interval": None, "status": "fixed",
-                           "initial": float(g.pickup), "note": ""}  # fmt: skip
+        table["pickup"] = _given(g.pickup, "pickup", "fixed")
     return table
+
+
+def _given(value: float, name: str, status: str) -> dict:
+    """What no fit searches."""
+    return {
+        "value": float(value), "unit": UNITS[name], "interval": None, "interval_by": None, "interval_open": [],
+        "status": status, "initial": float(value), "note": "",
+    }  # fmt: skip
 
 
 def _take(fit: Fit, i: int, heard: Heard, start: Start, whole: np.ndarray) -> dict:

@@ -26,7 +26,7 @@ from .space import ABSENT, LOG, NAMES, Layout, Space, default_box
 from .takes import Take
 from .target import Spreads, Takes, doubt, target
 
-__all__ = ["TOGETHER", "State", "predicted", "search_space", "settled_weights"]
+__all__ = ["TOGETHER", "State", "pool", "predicted", "search_space", "settled_weights"]
 
 WIDTH = NAMES.index("width")
 # Hammers that are evaluated by one call. Evaluating more at once gains little, and what has settled would go along.
@@ -112,11 +112,11 @@ class State:
         def some(z: np.ndarray) -> tuple:
             return tuple(np.asarray(x) for x in function(jnp.asarray(z), at, self.cfg))
 
-        return some if function is joint_batch else in_groups(some, TOGETHER, _pool().map)
+        return some if function is joint_batch else in_groups(some, TOGETHER, pool().map)
 
 
 @functools.cache
-def _pool() -> ThreadPoolExecutor:
+def pool() -> ThreadPoolExecutor:
     """As many threads as this process may use cores: XLA works outside of Python's lock."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return ThreadPoolExecutor(cores)

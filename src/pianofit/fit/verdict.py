@@ -9,6 +9,7 @@ from scipy.special import chdtri
 from ..analysis import Analysis
 from ..initial import Start
 from ..recording import Recording, one_line
+from .certainty import Certainty
 from .recipe import Fit
 from .space import NAMES
 
@@ -93,6 +94,7 @@ def words(
     states: dict[str, str],
     pairs: list[tuple[str, str, float]],
     worse: list[str],
+    sure: Certainty,
 ) -> list[str]:
     """Plain sentences on what to beware of, the weightiest first."""
     said = list(fit.messages)
@@ -106,6 +108,7 @@ def words(
     bound = [n for n, s in states.items() if s == "at-bound"]
     if bound:
         said.append(f"At the edge of the box, so their values are the box's: {', '.join(bound)}.")
+    said += sure.messages
     said += [f"{a} and {b} are not told apart (correlation {r:+.3f})." for a, b, r in pairs]
     if fit.data.calibrated and fit.spread.level > POOR:
         said.append("Try another seed, and check the setup's strike, pickup and scale.")

@@ -76,6 +76,7 @@ def write_report(
         glide=words.glide(fit),
         bands=words.bands(fit),
         rows=words.rows(fit),
+        how_sure=words.how_sure(fit),
         clips=make_clips(sounds, curves.sound_rate, onset),
         strikes=_strikes(curves.strikes),
         players=_players(curves, fit.get("takes", [])),

@@ -12,7 +12,7 @@ from typing import Any
 from ..parameters import PARAMETERS
 from .figures import BANDS
 
-__all__ = ["bands", "comparison", "glide", "groups", "notices", "number", "rows", "tiles"]
+__all__ = ["bands", "comparison", "glide", "groups", "how_sure", "notices", "number", "rows", "tiles"]
 
 STATUS = {  # word -> mark, explanation
     "free": ("●", "fitted to the recording"),
@@ -103,8 +103,34 @@ def _row(name: str, entry: dict[str, Any]) -> dict[str, str]:
         "initial": number(entry.get("initial")),
         "status": status,
         "mark": STATUS.get(status, ("·", ""))[0],
-        "note": entry.get("note") or "",
+        "note": "; ".join(text for text in (entry.get("note"), _unbounded(entry)) if text),
     }
+
+
+def _unbounded(entry: dict[str, Any]) -> str:
+    """Say which ends of the interval are the range's and not the recording's."""
+    ends = entry.get("interval_open") or []
+    if len(ends) == 2:
+        return "bounded by its range alone"
+    return f"{'below' if 'low' in ends else 'above'}, bounded by its range alone" if ends else ""
+
+
+def how_sure(fit: dict[str, Any]) -> str:
+    """Say how the intervals were found, if not by the curvature at the estimate."""
+    told = fit.get("diagnostics") or {}
+    if told.get("profile"):
+        return (
+            "The intervals are profiles: each parameter was held on both sides of its value while all others followed. "
+            "What is drawn below of how well each is known is the curvature’s."
+        )
+    if not (posterior := told.get("posterior")):
+        return ""
+    each = posterior["parameters"].values()
+    rhat, draws = max(x["rhat"] for x in each), min(min(x["ess_bulk"], x["ess_tail"]) for x in each)
+    return (
+        f"The intervals are those of the posterior: {posterior['chains']} chains of {posterior['draws']} draws, as "
+        f"good as {draws:.0f} independent ones or more; R-hat is {rhat:.3f} at most (1 when the chains agree)."
+    )
 
 
 def notices(fit: dict[str, Any]) -> list[tuple[str, str, str]]:

@@ -1,0 +1,103 @@
+"""The cost about a settled fit, as profiles and samplers walk on it: fixed weights, any point of the box.
+
+Where the contact's step was refined, every evaluation costs eight times as much. What the finer step changes is smooth,
+so it is taken from the fit itself, to first order: residuals and Jacobian at the estimate are the fine ones exactly,
+and elsewhere the coarse step only has to tell how they change.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from .recipe import Fit
+from .residuals import joint_batch
+from .space import K, P, Space
+from .uncertainty import whole_covariance
+
+__all__ = ["Surface", "row_variance", "surface_of"]
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Half the sum of squares of `batch(z [n, size], arrays, cfg) -> (residuals, Jacobians, ...)`, at its least.
+
+    `arrays` are what a compiled program is given, `cfg` what it is specialised to.
+    """
+
+    batch: Callable
+    arrays: Any
+    cfg: tuple
+    space: Space
+    z: np.ndarray  # [size]: where the cost is least
+    cost: float
+    jacobian: np.ndarray  # [residuals, size], there
+    variance: np.ndarray  # [residuals]: how much each is expected to vary; 1 by its weight
+    pressed: np.ndarray  # [size]: held by the box
+
+    @property
+    def values(self) -> np.ndarray:
+        """Natural values of the least point [size]."""
+        return self.space.natural(self.z)
+
+    def evaluate(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Residuals and Jacobians at search points [n, size]."""
+        residual, jacobian = self.batch(jnp.asarray(z), self.arrays, self.cfg)[:2]
+        return np.asarray(residual), np.asarray(jacobian)
+
+    def direction(self, name: int) -> np.ndarray:
+        """What log(parameter) `name` changes by, per search coordinate [size]: log K_H = log F_ref - p log u_ref."""
+        out = np.zeros(len(self.z))
+        out[name] = 1.0
+        if name == K:
+            out[P] = -np.exp(self.z[P]) * self.space.log_u
+        return out
+
+    def covariances(self, name: int | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """[size, size] twice: the curvature's inverse, and the sandwich; `name` is free even if it is pressed."""
+        pressed = self.pressed & (np.arange(len(self.z)) != name)
+        plain = whole_covariance(self.jacobian, np.ones(len(self.variance)), self.space, pressed)
+        return plain, whole_covariance(self.jacobian, self.variance, self.space, pressed)
+
+    def inflation(self, name: int) -> float:
+        """Variance of log(parameter) by the sandwich over that by the curvature alone."""
+        change = self.direction(name)
+        plain, sandwich = (change @ c @ change for c in self.covariances(name))
+        return float(sandwich / plain) if plain > 0 else 1.0
+
+
+def surface_of(fit: Fit) -> Surface:
+    """The settled fit's, with its weights."""
+    cfg, target = fit.cfg, fit.target
+    offset, tilt = np.zeros(len(fit.residual)), np.zeros(fit.jacobian.shape)
+    if fit.coarse is not None:
+        cfg, target = fit.coarse.cfg, target._replace(rate=jnp.asarray(fit.coarse.rate))
+        residual, jacobian, _ = joint_batch(jnp.asarray(fit.z), target, cfg)
+        offset, tilt = fit.residual - np.asarray(residual[0]), fit.jacobian - np.asarray(jacobian[0])
+    arrays = (target, *map(jnp.asarray, (offset, tilt, fit.z[0])))
+    return Surface(_corrected, arrays, cfg, fit.space, fit.z[0], fit.cost, fit.jacobian, row_variance(fit), fit.pressed)
+
+
+def _corrected(z, arrays: tuple, cfg: tuple):
+    """`joint_batch` with what a finer step changes, to first order."""
+    target, offset, tilt, at = arrays
+    residual, jacobian, _ = joint_batch(z, target, cfg)
+    return residual + offset + (z - at) @ tilt.T, jacobian + tilt
+
+
+def row_variance(fit: Fit) -> np.ndarray:
+    """Variance that each residual is expected to have: 1 by its weight, save for those of level and of eq. 19.
+
+    Their weights are not their scatter's alone, which is known all the same.
+    """
+    cells, found = fit.data.found.size, fit.data.found.ravel()
+    variance = np.ones(fit.jacobian.shape[0])
+    sd = np.hypot(fit.data.level_error, fit.spread.level).ravel()
+    level, line = (np.asarray(x).ravel() for x in (fit.target.level_weight, fit.target.line_weight))
+    variance[2 * cells : 3 * cells][found] = (level * sd)[found] ** 2
+    variance[3 * cells : 4 * cells] = np.where(found, (line * sd * np.log(10) / 10) ** 2, 0.0)
+    return variance
