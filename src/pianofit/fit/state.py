@@ -40,8 +40,8 @@ LEAST_SCATTER, LEAST_OWN = 1.0, 0.2
 # Before the first round the model is taken to miss a partial by this much, dB: calibrated, one take, and several, whose
 # path is then rough by so much more.
 FIRST_SCATTER, FIRST_OWN, FIRST_ROUGH = {True: 1.0, False: 4.0}, 2.0, 18.0
-# What is left of the path's roughness understates it by about this factor: hammer and smooth path have been bent to take
-# what they can, and neighbouring partials do so together. Without it hammers predict other velocities worse.
+# What is left of the path's roughness understates it by about this factor: hammer and smooth path have been bent to
+# take what they can, and neighbouring partials do so together. Without it hammers predict other velocities worse.
 UNSEEN_ROUGHNESS = 3.0
 # How far the velocities of takes may be from their guesses, log, and their pitches from the first's, cents.
 RATIO_SPREAD, CENTS_SPREAD = 0.5, 3.0
