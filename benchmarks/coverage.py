@@ -23,7 +23,7 @@ import multiprocessing
 import os
 import sys
 import time
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +33,7 @@ DEEPER = 1.0  # half a sum of squares of residuals
 KINDS = ("demo", "model", "brute-force")
 TAKES = "takes' v_H0"
 FOUR = 4.0
+HEADING = f"{'':14}{'held':>9}{'':9}{'largest miss':>14}{'rms miss':>10}{'rms error':>12}{'vague':>7}{'at bound':>10}"
 
 
 def judge(job: tuple[str, int, float]) -> dict:
@@ -113,7 +114,7 @@ def _plain(twin) -> dict:
     }  # fmt: skip
 
 
-def gain_from_truth(fit, true: dict[str, float], velocities: list[float]) -> float:
+def gain_from_truth(fit, true: dict, velocities: list[float]) -> float:
     """How much lower the cost is where a descent from the truth ends, on the fit's own residuals; ≤ 0 if nowhere.
 
     `velocities` are of the takes as the fit has them. Path and gains go down first: they are not part of the truth.
@@ -127,7 +128,7 @@ def gain_from_truth(fit, true: dict[str, float], velocities: list[float]) -> flo
     space, layout = fit.space, fit.data.layout
     values = fit.values.copy()
     for i, name in enumerate(NAMES):
-        values[i] = true.get(name, values[i]) if space.free[i] else values[i]
+        values[i] = nearest(true.get(name, values[i]), values[i]) if space.free[i] else values[i]
     first = velocities[0] if space.free[NAMES.index("v_H0")] else float(values[NAMES.index("v_H0")])
     values[NAMES.index("v_H0")] = first
     values[layout.ratio] = np.log(np.array(velocities) / velocities[0])
@@ -143,7 +144,7 @@ def gain_from_truth(fit, true: dict[str, float], velocities: list[float]) -> flo
     return fit.cost - float(descend(evaluate, z, space, iterations=60, tolerance=1e-8).cost[0])
 
 
-def score(document: dict, true: dict[str, float], velocities: list[float]) -> list[dict]:
+def score(document: dict, true: dict, velocities: list[float]) -> list[dict]:
     """A row by parameter and take: status, relative error in percent, and the miss in standard errors."""
     table = document["parameters"]
     rows = [
@@ -157,7 +158,13 @@ def score(document: dict, true: dict[str, float], velocities: list[float]) -> li
     return rows
 
 
-def _row(name: str, value: float, interval, status: str, true: float) -> dict:
+def nearest(true: float | tuple[float, float], value: float) -> float:
+    """The truth, or of a range of truths the one next to `value`."""
+    return min(max(value, true[0]), true[1]) if isinstance(true, tuple) else true
+
+
+def _row(name: str, value: float, interval, status: str, true: float | tuple[float, float]) -> dict:
+    true = nearest(true, value)
     error = math.log(value / true)
     row = {"name": name, "status": status, "percent": 100 * math.expm1(error), "miss": None, "held": None}
     if interval:
@@ -171,8 +178,7 @@ def _row(name: str, value: float, interval, status: str, true: float) -> dict:
 def table(runs: list[dict]) -> tuple[list[str], dict]:
     """Lines to print, and the same as data: every parameter, and all together by cell."""
     rows = [row for run in runs for row in run["rows"]]
-    heading = f"{'':14}{'held':>9}{'':9}{'largest miss':>14}{'rms miss':>10}{'rms error':>12}{'vague':>7}{'at bound':>10}"
-    lines, data = [heading], {}
+    lines, data = [HEADING], {}
     for name in dict.fromkeys(row["name"] for row in rows):
         data[name] = entry(row for row in rows if row["name"] == name)
         lines.append(line(name, data[name]))
@@ -224,25 +230,40 @@ def line(name: str, e: dict) -> str:
     )
 
 
-def study(kind: str, first: int, seeds: int, noise_db: float, workers: int) -> tuple[list[str], dict]:
-    """Fit the twins, on some processes at once, and put them into tables."""
-    runs = []
-    jobs = [(kind, seed, noise_db) for seed in range(first, first + seeds)]
+def fitted_before(file: Path | None, kind: str) -> dict[int, dict]:
+    """Twins of a study that was cut off, by seed."""
+    if file is None or not file.exists():
+        return {}
+    runs = [json.loads(text) for text in file.read_text(encoding="utf-8").splitlines()]
+    return {run["seed"]: run for run in runs if run["kind"] == kind}
+
+
+def fitted(jobs: list[tuple[str, int, float]], workers: int, file: Path | None) -> list[dict]:
+    """All twins, on some processes at once; each goes into `file` when it is done, and is not fitted again."""
+    runs = fitted_before(file, jobs[0][0])
     with ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as pool:
-        for run in pool.map(judge, jobs):
-            runs.append(run)
+        for done in as_completed([pool.submit(judge, job) for job in jobs if job[1] not in runs]):
+            run = done.result()
+            runs[run["seed"]] = run
             print(progress(run), file=sys.stderr, flush=True)
-    fitted = [run for run in runs if "rows" in run]
-    lines, data = table(fitted)
+            if file:
+                with file.open("a", encoding="utf-8") as lines:
+                    lines.write(json.dumps(run) + "\n")
+    return [runs[job[1]] for job in jobs]
+
+
+def report(runs: list[dict]) -> tuple[list[str], dict]:
+    """Tables of the twins that were fitted, and what became of the others."""
+    found = [run for run in runs if "rows" in run]
+    lines, data = table(found)
     document = {"table": data}
-    missed = [run for run in fitted if (run["deeper"] or 0.0) > DEEPER]
+    missed = [run for run in found if (run["deeper"] or 0.0) > DEEPER]
     if missed:
         lines.append(f"\nwithout {len(missed)} twins whose cost is lower at the truth:")
-        more, document["right_basin"] = table([run for run in fitted if run not in missed])
+        more, document["right_basin"] = table([run for run in found if run not in missed])
         lines += more
-    lines.append("")
-    unsettled = sum(not run["converged"] for run in fitted)
-    lines.append(f"fitted {len(fitted)} of {len(runs)}; not converged: {unsettled}; another basin: {len(missed)}")
+    unsettled = sum(not run["converged"] for run in found)
+    lines += ["", f"fitted {len(found)} of {len(runs)}; not converged: {unsettled}; another basin: {len(missed)}"]
     lines += [f"refused, seed {run['seed']}: {run['refused']}" for run in runs if "refused" in run]
     return lines, document | {"runs": runs}
 
@@ -277,13 +298,15 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0, help="seed of the first twin")
     parser.add_argument("--noise", type=float, default=60.0, help="of the demo twins, dB below the first second's rms")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes; one twin is one job")
+    parser.add_argument("--keep", type=Path, help="a file of twins already fitted, a line each; a study goes on there")
     parser.add_argument("--json", type=Path, help="write all numbers here too")
     options = parser.parse_args()
     document: dict = {"twins": options.twins, "seeds": options.seeds, "first": options.first}
     if options.twins == "demo":
         lines, document["noise_free"] = noise_free()
         print("The demo without noise:", *lines, "", sep="\n")
-    lines, more = study(options.twins, options.first, options.seeds, options.noise, options.workers)
+    jobs = [(options.twins, seed, options.noise) for seed in range(options.first, options.first + options.seeds)]
+    lines, more = report(fitted(jobs, options.workers, options.keep))
     print(f"{options.seeds} {options.twins} twins:", *lines, sep="\n")
     if options.json:
         options.json.write_text(json.dumps(document | more, indent=1) + "\n", encoding="utf-8")

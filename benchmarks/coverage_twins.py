@@ -7,12 +7,13 @@ them into sound, and nothing else:
 - `model`: the program's own string and hammer, at a contact rate no fit uses. What is tested is the statistics.
 - `brute-force`: `tests/brute_force.py`, which steps the wave equation on a fine grid with another window, and
   shares no line with the program. Half of these twins glide: all frequencies of the free string fall by some
-  cents with a time constant, as tension modulation makes them, more after a harder blow. Half of them beat: the sound is
-  the sum of two simulated polarisations, the second detuned by up to three cents and fainter. So every fourth has both.
+  cents with a time constant, as tension modulation makes them, more after a harder blow. Half of them beat: the blow is
+  shared out between two axes, the second fainter and detuned by up to three cents, each is simulated, and the sound is
+  their sum. So every fourth has both.
 
 Every second twin is calibrated: a velocity pickup of known place and scale. The others are heard at the bridge through
-an unknown path: a minimum-phase filter whose level wanders smoothly by 3 dB rms, and by 0.5 to 4 dB more from partial to
-partial, and with another gain in every take. White noise lies 40 to 70 dB below each take's first second.
+an unknown path: a minimum-phase filter whose level wanders smoothly by 3 dB rms, and by 0.5 to 4 dB more from one
+partial to the next, and with another gain in every take. White noise lies 40 to 70 dB below each take's first second.
 
 The setup says what a laboratory would know: length, mass, strike and, where there is a path, the velocity of the
 hardest blow, since no recording through a path tells it. Of every second twin with a path the strike's position is left
@@ -102,7 +103,7 @@ class Twin(NamedTuple):
     truth: Truth
     recordings: list[Recording]
     setup: Setup
-    values: dict[str, float]
+    values: dict[str, float | tuple[float, float]]  # a range where there is no one truth
 
 
 def design_of(kind: str, seed: int) -> Design:
@@ -213,12 +214,15 @@ def _sounded(kind: str, truth: Truth, velocity: float, calibrated: bool) -> np.n
     brute_force = _witness()
     window = "parabola"
     geometry = truth.geometry._replace(width=brute_force.matched_width(window, truth.geometry.width))
-    return brute_force.make_twin(
+    # One blow is shared out between two axes: together they are the one string that was struck.
+    share = 1 + truth.beat_level * (truth.beat_cents != 0)
+    sound = brute_force.make_twin(
         truth.string, hammer, geometry, seconds=SECONDS + LEAD, rate=rate, quantity=quantity, lead_in=LEAD,
         glide_cents=truth.glide_cents * (velocity / truth.velocities[-1]) ** 2, glide_seconds=truth.glide_seconds,
         beating_cents=truth.beat_cents, beating_level=truth.beat_level, window=window,
         points=_points(truth, rate * brute_force.OVERSAMPLING),
     )  # fmt: skip
+    return sound / share
 
 
 def _witness():
@@ -281,16 +285,20 @@ def _setup(design: Design, truth: Truth, scale: float | None) -> Setup:
     return setup_from_dict(tables | {"take": [known]}, "twin")
 
 
-def _values(kind: str, truth: Truth) -> dict[str, float]:
+def _values(kind: str, truth: Truth) -> dict[str, float | tuple[float, float]]:
     """The truth by name. A gliding string's c and κ are those of the mean pitch over `HEARD`, at the hardest blow.
 
-    The witness' window has no width of the model's own kind, so the effective width has no truth there.
+    Two axes have two pitches. A note far shorter than their beat sounds at the mean of the two by their shares, one far
+    longer at that of the stronger, so between these the truth of c and κ lies. The witness' window has no width of the
+    model's own kind, so the effective width has no truth there.
     """
     start, stop = HEARD
     tau, sharp = truth.glide_seconds, 2 ** (truth.glide_cents / 1200) - 1
     mean = 1 + sharp * tau * (math.exp(-start / tau) - math.exp(-stop / tau)) / (stop - start)
-    string = truth.string._replace(c=truth.string.c * mean, kappa=truth.string.kappa * mean)
-    values = string._asdict() | truth.hammer._asdict() | {"x0": truth.geometry.strike}
+    share = truth.beat_level / (1 + truth.beat_level)
+    ends = sorted((mean, mean * 2 ** (share * truth.beat_cents / 1200)))
+    values = {**truth.string._asdict(), **truth.hammer._asdict(), "x0": truth.geometry.strike}
     if kind == "model":
         values["width"] = truth.geometry.width
-    return {name: float(value) for name, value in values.items()}
+    values = {name: float(value) for name, value in values.items()}
+    return values | {name: (values[name] * ends[0], values[name] * ends[1]) for name in ("c", "kappa")}

@@ -22,6 +22,7 @@ from ..initial import Start
 from ..model import simulate
 from ..model.simulate import count_modes
 from ..parameters import FELT_LAWS, Geometry
+from .again import nearby
 from .hammers import anchored, search_hammers
 from .levenberg import Descent, descend
 from .residuals import CENT, Cfg, Target, hammer_batch, joint_batch, string_batch
@@ -40,6 +41,8 @@ ATTACK = 0.05
 # σ of the string's stage in units of the criterion's: wide lines first. Glide blurs what is finer than the second.
 SIGMAS = (1.0, 0.35)
 ROUNDS = 4
+# How often a better hammer is looked for near the one that was found.
+SEARCHES = 3
 # Levels better known than this, dB, show the contact's step; the last stages then take a finer one. By as much as the
 # second of these the step alone may miss them, in the treble.
 FINE_LEVEL, STEP_SCATTER, REFINEMENT = 0.05, 0.2, 8
@@ -98,7 +101,7 @@ def fit_partials(
         progress("string and hammer", 0.6)
         programs[1].join()
         state, z = anchored(state, z)
-        fit = _joint_stage(state, z)
+        fit = _closer(_joint_stage(state, z), seed)
         state, z = anchored(state, fit.z)
         if state is not fit.state:
             fit = _joint_stage(state, z, fit.spread, fit.robust)
@@ -144,6 +147,19 @@ def _compiled_ahead(function: Callable, state: State, starts: int) -> threading.
     thread = threading.Thread(target=call, daemon=True)
     thread.start()
     return thread
+
+
+def _closer(fit: Fit, seed: int) -> Fit:
+    """The fit of several takes through a path, moved on while a better hammer lies near."""
+    several = fit.data.layout.takes > 1 and not fit.data.calibrated
+    for again in range(SEARCHES * several):
+        z, count = nearby(fit.state, fit.target, fit.z, fit.cost, seed + again)
+        fit = replace(fit, evaluations=fit.evaluations + count)
+        if z is None:
+            break
+        better = _joint_stage(fit.state, z, fit.spread, fit.robust)
+        fit = replace(better, evaluations=fit.evaluations + better.evaluations)
+    return fit
 
 
 def _with_attack(takes: Sequence[Take], fit: Fit) -> Fit:

@@ -128,6 +128,7 @@ def conclude(takes: Sequence[Take], start: Start, fit: Fit, seed: int, order: Se
     literature = None if fit.data.calibrated else _path_only(fit)
     heard = [_heard(i, take, start, fit, first, literature) for i, take in enumerate(takes)]
     whole = whole_covariance(fit.jacobian, _row_variance(fit), fit.space, fit.pressed)
+    whole[:2, :2] += np.outer(fit.space.free[:2], fit.space.free[:2]) * (CENT * takes[0].analysis.glide_error) ** 2
     cov = to_stiffness(whole[:LOG, :LOG], fit.values, fit.space.log_u)
     states = statuses(cov, fit.space, fit.space.at_bound(fit.values), start.fixed)
     levels = _together([h.levels for h in heard])
