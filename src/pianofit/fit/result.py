@@ -23,7 +23,7 @@ from .residuals import CENT, joint_batch
 from .space import ABSENT, LOG, NAMES, K, split, struck
 from .takes import Take
 from .target import Measured
-from .uncertainty import intervals, statuses, tangled, to_stiffness, whole_covariance
+from .uncertainty import intervals, neighbours, statuses, tangled, to_stiffness, whole_covariance
 from .verdict import verdict, words
 from .voice import Voice
 
@@ -127,7 +127,9 @@ def conclude(takes: Sequence[Take], start: Start, fit: Fit, seed: int, order: Se
     first[:LOG] = np.where(first[:LOG] > ABSENT, given, ABSENT)
     literature = None if fit.data.calibrated else _path_only(fit)
     heard = [_heard(i, take, start, fit, first, literature) for i, take in enumerate(takes)]
-    whole = whole_covariance(fit.jacobian, _row_variance(fit), fit.space, fit.pressed)
+    variance = _row_variance(fit)
+    runs = neighbours(fit.residual / np.sqrt(np.where(variance > 0, variance, 1.0)), fit.data.found)
+    whole = whole_covariance(fit.jacobian, variance, fit.space, fit.pressed, runs)
     whole[:2, :2] += np.outer(fit.space.free[:2], fit.space.free[:2]) * (CENT * takes[0].analysis.glide_error) ** 2
     cov = to_stiffness(whole[:LOG, :LOG], fit.values, fit.space.log_u)
     states = statuses(cov, fit.space, fit.space.at_bound(fit.values), start.fixed)
