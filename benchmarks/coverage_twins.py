@@ -58,6 +58,7 @@ OVERSAMPLING = 32  # of the model's contact
 TAPS = 4096
 # Pitch is that of 0.2 to 1.0 s, as an analysis says.
 HEARD = (0.2, 1.0)
+CONTACT = 0.01  # s, at most
 # Steps of the witness' Runge-Kutta scheme are stable to here, as is its own check with room to spare.
 STABLE, MOST_POINTS = 2.0, 240
 
@@ -108,16 +109,17 @@ class Twin(NamedTuple):
 
 def design_of(kind: str, seed: int) -> Design:
     """The cell of twin number `seed`: ten in a row hold every number of takes, calibrated and not; fifty, every key."""
-    block = seed // (2 * MOST_TAKES)
+    block, column = divmod(seed // 2, MOST_TAKES)
     effects = kind == "brute-force"
+    # From block to block, and shifted along the takes, lest five takes glide only where they beat.
+    odd, second = (block + column) % 2 == 1, (block // 2 + column // 2) % 2 == 1
     return Design(
         key=KEYS[(block + seed) % len(KEYS)],
-        takes=1 + seed // 2 % MOST_TAKES,
+        takes=1 + column,
         calibrated=seed % 2 == 0,
-        # From block to block, and shifted along the takes, lest five takes glide only where they beat.
-        glide=effects and (block + seed // 2) % 2 == 1,
-        beats=effects and (block // 2 + seed // 2 // 2) % 2 == 1,
-        strike_known=seed % 2 == 0 or (block + seed // 2) % 2 == 0,
+        glide=effects and odd,
+        beats=effects and second,
+        strike_known=seed % 2 == 0 or not odd,
     )
 
 
@@ -288,15 +290,17 @@ def _setup(design: Design, truth: Truth, scale: float | None) -> Setup:
 def _values(kind: str, truth: Truth) -> dict[str, float | tuple[float, float]]:
     """The truth by name. A gliding string's c and κ are those of the mean pitch over `HEARD`, at the hardest blow.
 
+    The witness' fall begins when the hammer has left, a few milliseconds after the blow: c and κ lie in a range.
     Two axes have two pitches. A note far shorter than their beat sounds at the mean of the two by their shares, one far
     longer at that of the stronger, so between these the truth of c and κ lies. The witness' window has no width of the
     model's own kind, so the effective width has no truth there.
     """
     start, stop = HEARD
     tau, sharp = truth.glide_seconds, 2 ** (truth.glide_cents / 1200) - 1
-    mean = 1 + sharp * tau * (math.exp(-start / tau) - math.exp(-stop / tau)) / (stop - start)
+    mean = sharp * tau * (math.exp(-start / tau) - math.exp(-stop / tau)) / (stop - start)
     share = truth.beat_level / (1 + truth.beat_level)
-    ends = sorted((mean, mean * 2 ** (share * truth.beat_cents / 1200)))
+    pulled = sorted((1.0, 2 ** (share * truth.beat_cents / 1200)))
+    ends = (1 + mean) * pulled[0], (1 + mean * math.exp(CONTACT / tau)) * pulled[1]
     values = {**truth.string._asdict(), **truth.hammer._asdict(), "x0": truth.geometry.strike}
     if kind == "model":
         values["width"] = truth.geometry.width

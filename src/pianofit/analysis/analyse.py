@@ -108,7 +108,7 @@ def _measure_all(
     glides = abs(fall) > max(3 * fall_error, 0.1)
     left = 0.0
     if glides:
-        bands, z, fit, left = straightened(bands, fit, density, windows)
+        bands, z, fit, left = straightened(bands, z, fit, density, windows)
     rows = measure(samples, rate, law.f0, bands, z, fit, density, glides)
     keep = _plausible(rows, law, number) & ~lost(bands, fit)
     keep[keep] = _on_law(number[keep], rows.frequency[keep], rows.frequency_error[keep])

@@ -20,7 +20,7 @@ __all__ = ["glide_windows", "straightened"]
 
 _WINDOWS = ((0.0, 0.35), (0.2, 1.0), (1.0, 2.0), (2.0, 4.0), (4.0, np.inf))  # s after the onset
 _REFERENCE = 1  # of the windows: where f0 is defined
-_ROUNDS = 4
+_ROUNDS = 8
 # Time constants of a fall, s, and a usual one.
 _TAU, _USUAL_TAU = (0.05, 5.0), 0.5
 _LOUD = 30.0  # power a partial must have in a window, over the noise power of a frame
@@ -60,8 +60,9 @@ def glide_windows(
 
 
 def straightened(
-    bands: Bands, fit: Tones, density: np.ndarray, windows: list[tuple[float, float, float, float]]
-) -> tuple[Bands, NDArray[np.complex128], Tones, float]:
+    bands: Bands, z: NDArray[np.complex128], fit: Tones, density: np.ndarray,
+    windows: list[tuple[float, float, float, float]],
+) -> tuple[Bands, NDArray[np.complex128], Tones, float]:  # fmt: skip
     """The bands with the fall of pitch taken out of their phases, their first fits, and what is left of it, cents.
 
     The mean over the window of frequencies stays. What is left is measured and taken out again, as long as that makes
@@ -69,21 +70,22 @@ def straightened(
 
     Parameters
     ----------
+    z, fit : as they are, cleaned and fitted
     windows : at least two, of `glide_windows`
     """
     spans = [row[:2] for row in windows]
     wanted = np.array([row[2] for row in windows])
-    z, least = bands.z, float(np.abs(wanted).max())
-    best = (bands, z, fit)
+    least, best, best_fits = float(np.abs(wanted).max()), bands, (z, fit)
     for _ in range(_ROUNDS):
-        straight = replace(bands, z=bands.z * _unwound(bands, *_exponential(spans, wanted)))
+        straight = replace(bands, z=bands.z * _unwound(bands, fit, *_exponential(spans, wanted)))
         z, fit = first_fits(straight)
         left = {row[:2]: row[2] for row in glide_windows(straight, z, fit, density)}
         rest = np.array([left.get(span, 0.0) for span in spans])
         if np.abs(rest).max() >= least:
             break
-        best, least, wanted = (straight, z, fit), float(np.abs(rest).max()), wanted + rest
-    return *best, least
+        best, best_fits = straight, (z, fit)
+        least, wanted = float(np.abs(rest).max()), wanted + rest
+    return best, best_fits[0], best_fits[1], least
 
 
 def _mean(span: tuple[float, float], tau: np.ndarray) -> np.ndarray:
@@ -94,7 +96,7 @@ def _mean(span: tuple[float, float], tau: np.ndarray) -> np.ndarray:
 
 def _exponential(spans: list[tuple[float, float]], cents: np.ndarray) -> tuple[float, float]:
     """g, cents, and τ, s, of the fall g exp(-t/τ) that moves the windows by `cents` against that of frequencies."""
-    tau = np.geomspace(*_TAU, 60)
+    tau = np.geomspace(*_TAU, 1000)
     moved = np.stack([_mean(span, tau) - _mean(_WINDOWS[_REFERENCE], tau) for span in spans])
     size = (moved * cents[:, None]).sum(axis=0) / (moved**2).sum(axis=0)
     miss = ((cents[:, None] - size * moved) ** 2).sum(axis=0)
@@ -103,8 +105,14 @@ def _exponential(spans: list[tuple[float, float]], cents: np.ndarray) -> tuple[f
     return float(size[best]), float(tau[best])
 
 
-def _unwound(bands: Bands, size: float, tau: float) -> NDArray[np.complex128]:
-    """Factors [partials, frames] that take the phase of the fall g exp(-t/τ) back."""
-    t = bands.time
-    moved = size * (tau * (1 - np.exp(-t / tau)) - _mean(_WINDOWS[_REFERENCE], np.array(tau)) * t)
-    return np.exp(-2j * np.pi / CENTS * np.outer(bands.centre, moved))
+def _unwound(bands: Bands, fit: Tones, size: float, tau: float) -> NDArray[np.complex128]:
+    """Factors [partials, frames] that take back the fall g exp(-t/τ): its phase, and what the window made of it.
+
+    The farther a partial is from the middle of its band, the less of it the window lets through.
+    """
+    t, mean = bands.time, float(_mean(_WINDOWS[_REFERENCE], np.array(tau)))
+    phase = size / CENTS * (tau * (1 - np.exp(-t / tau)) - mean * t)
+    above = size / CENTS * (np.exp(-t / tau) - mean)
+    turn = 2j * np.pi * bands.centre[:, None]
+    middle = 1j * fit.pole.imag[:, None]
+    return np.exp(-turn * phase) * bands.gain(middle) / bands.gain(middle + turn * above)
