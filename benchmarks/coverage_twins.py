@@ -38,7 +38,6 @@ from pianofit.recording import Recording, recording_from_samples
 from pianofit.setup_file import Setup, setup_from_dict
 
 __all__ = ["KINDS", "Design", "Truth", "Twin", "design_of", "draw", "make", "output_path"]
-
 KINDS = ("model", "brute-force")
 MOST_TAKES = 5
 # MIDI: A0, D2, F#3, A#4, C6. Compiled programs depend on the key and the number of takes: few keys, few compilations.
@@ -59,7 +58,7 @@ TAPS = 4096
 # Pitch is that of 0.2 to 1.0 s, as an analysis says.
 HEARD = (0.2, 1.0)
 CONTACT = 0.01  # s, at most
-# Steps of the witness' Runge-Kutta scheme are stable to here, as is its own check with room to spare.
+# ω dt to which the witness' Runge-Kutta scheme is stable, with room to spare.
 STABLE, MOST_POINTS = 2.0, 240
 
 
@@ -184,19 +183,18 @@ def _blows(random: np.random.Generator, takes: int) -> tuple[float, ...]:
 def make(kind: str, seed: int) -> Twin:
     """Twin number `seed`; the same number gives the same samples."""
     design, truth = design_of(kind, seed), draw(kind, seed)
-    rate = RATE
     sounds = [_sounded(kind, truth, v, design.calibrated) for v in truth.velocities]
     if design.calibrated:
         scale = 1.25 * max(float(np.abs(x).max()) for x in sounds)
         sounds = [x / scale for x in sounds]
     else:
-        scale, path = None, output_path(truth, rate, seed)
+        scale, path = None, output_path(truth, RATE, seed)
         sounds = [scipy.signal.oaconvolve(x, path)[: x.size] for x in sounds]
         loudest = max(float(np.abs(x).max()) for x in sounds)
         sounds = [g * x / (5 * loudest) for g, x in zip(truth.gains, sounds, strict=True)]
     noise = np.random.default_rng([KINDS.index(kind), seed, 1])
     recordings = [
-        recording_from_samples(_noisy(x, truth.noise_db, rate, noise), rate, name=f"take-{n}")
+        recording_from_samples(_noisy(x, truth.noise_db, RATE, noise), RATE, name=f"take-{n}")
         for n, x in enumerate(sounds, 1)
     ]
     return Twin(kind, seed, design, truth, recordings, _setup(design, truth, scale), _values(kind, truth))
@@ -209,9 +207,7 @@ def _sounded(kind: str, truth: Truth, velocity: float, calibrated: bool) -> np.n
     if kind == "model":
         from pianofit.model import simulate
 
-        hit = simulate(
-            truth.string, hammer, truth.geometry, rate=rate, oversampling=OVERSAMPLING, quantity=quantity
-        )  # fmt: skip
+        hit = simulate(truth.string, hammer, truth.geometry, rate=rate, oversampling=OVERSAMPLING, quantity=quantity)
         return np.pad(hit.waveform(rate, int(SECONDS * rate)), (int(LEAD * rate), 0))
     brute_force = _witness()
     window = "parabola"
@@ -229,9 +225,7 @@ def _sounded(kind: str, truth: Truth, velocity: float, calibrated: bool) -> np.n
 
 def _witness():
     """`tests/brute_force.py`."""
-    tests = str(Path(__file__).parents[1] / "tests")
-    if tests not in sys.path:
-        sys.path.insert(0, tests)
+    sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
     import brute_force
 
     return brute_force
@@ -240,7 +234,6 @@ def _witness():
 def _points(truth: Truth, steps: float) -> int:
     """Points of the witness' grid, as many as are stable at so many `steps` a second: stiff strings allow few."""
     string, length = truth.string, truth.geometry.length
-    # The stencil's largest eigenvalue lies some 10 % above that of the sines.
     for points in range(MOST_POINTS, 40, -4):
         beta = 1.06 * math.pi * (points + 1) / length
         if math.hypot(string.c * beta, string.kappa * beta**2) < STABLE * steps:
@@ -302,7 +295,6 @@ def _values(kind: str, truth: Truth) -> dict[str, float | tuple[float, float]]:
     pulled = sorted((1.0, 2 ** (share * truth.beat_cents / 1200)))
     ends = (1 + mean) * pulled[0], (1 + mean * math.exp(CONTACT / tau)) * pulled[1]
     values = {**truth.string._asdict(), **truth.hammer._asdict(), "x0": truth.geometry.strike}
-    if kind == "model":
-        values["width"] = truth.geometry.width
+    values |= {"width": truth.geometry.width} if kind == "model" else {}
     values = {name: float(value) for name, value in values.items()}
     return values | {name: (values[name] * ends[0], values[name] * ends[1]) for name in ("c", "kappa")}

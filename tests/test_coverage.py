@@ -15,6 +15,7 @@ from pianofit.parameters import FIT_NAMES
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 import coverage
+import coverage_table
 import coverage_twins as twins
 
 # One calibrated take of C6, which is soon made and fitted.
@@ -118,12 +119,16 @@ def test_two_axes_are_one_string_at_the_blow_and_beat_later(plain):
 
 def test_a_miss_is_counted_in_standard_errors():
     low, high = 2.0 / 1.1, 2.0 * 1.1
-    row = coverage._row("c", 2.0, (low, high), "free", high)
+    row = coverage_table.row("c", 2.0, (low, high), "free", high)
     assert row["miss"] == pytest.approx(-1.96)
-    assert coverage._row("c", 2.0, (low, high), "free", 2.5)["held"] is False
-    assert coverage._row("c", 2.0, (low, high), "free", (1.9, 2.5))["miss"] == 0.0
-    rows = [row, coverage._row("c", 2.0, (low, high), "free", 2.5), coverage._row("c", 1.0, None, "fixed", 1.0)]
-    entry = coverage.entry([*rows, {**rows[1], "status": "not-identifiable"}])
+    assert coverage_table.row("c", 2.0, (low, high), "free", 2.5)["held"] is False
+    assert coverage_table.row("c", 2.0, (low, high), "free", (1.9, 2.5))["miss"] == 0.0
+    rows = [
+        row,
+        coverage_table.row("c", 2.0, (low, high), "free", 2.5),
+        coverage_table.row("c", 1.0, None, "fixed", 1.0),
+    ]
+    entry = coverage_table.entry([*rows, {**rows[1], "status": "not-identifiable"}])
     assert (entry["free"], entry["held"], entry["not_identifiable"], entry["beyond_four"]) == (2, 1, 1, 1)
 
 
@@ -145,5 +150,15 @@ def test_a_small_study_from_end_to_end(tmp_path, monkeypatch, capsys):
     assert [row["name"] for row in run["rows"]] == [*FIT_NAMES, "x0", "width"]
     assert document["table"]["all"]["free"] >= 6
     # From the truth the search comes to the same place.
-    assert abs(run["deeper"]) < coverage.DEEPER
+    assert abs(run["deeper"]) < coverage_table.DEEPER
     assert len(kept.read_text().splitlines()) == 2
+
+
+def test_a_table_takes_its_place_in_a_page(tmp_path):
+    page = tmp_path / "page.md"
+    page.write_text("before\n<!-- model -->\nold\n<!-- end of model -->\nafter\n")
+    coverage_table.into_page(page, "model", ["one ", "two"])
+    coverage_table.into_page(page, "model", ["new"])
+    assert page.read_text() == "before\n<!-- model -->\n```text\nnew\n```\n<!-- end of model -->\nafter\n"
+    with pytest.raises(SystemExit, match="write both"):
+        coverage_table.into_page(page, "brute-force", ["new"])
