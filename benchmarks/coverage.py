@@ -1,44 +1,65 @@
-"""Do the 95 % intervals hold the truth? Twins with known parameters, fitted one after the other.
+"""Do the 95 % intervals hold the truth? Twins with known parameters, fitted, and counted.
 
-    python benchmarks/coverage.py                  20 demo twins with the default noise, and one without any
-    python benchmarks/coverage.py --brute-force    20 twins that the fit's own model did not make
-    python benchmarks/coverage.py --seeds 50 --json coverage.json
+    python benchmarks/coverage.py                              20 demo twins, and one without any noise
+    python benchmarks/coverage.py --twins model --seeds 100    strings, hammers, paths and 1 to 5 takes drawn at random
+    python benchmarks/coverage.py --twins brute-force --seeds 100 --keep runs.jsonl --page docs/coverage.md
 
-For every parameter: how many intervals hold the truth; the largest miss in standard errors; the rms error; the rms of
-the misses in standard errors (1 if the intervals are just right); and how often it was told to be not identifiable.
-Only parameters whose status is `free` count. Every brute-force twin has a string, a hammer and a noise of its own; it
-comes from a fine grid with another contact window, which shares nothing with the program (`tests/brute_force.py`).
+A study that was cut off goes on where it stopped with the same `--keep`.
+
+How the last two are made is in `coverage_twins.py`. For every parameter: how many intervals hold the truth; the largest
+miss and the rms of the misses in standard errors (1 if the intervals are just right); the rms error; and how often it
+was told to be not identifiable or at a bound. Only parameters whose status is `free` count. `takes' v_H0` are the
+velocities of the takes beside the first.
+
+A search can also end in another basin, and then no interval about its end holds the truth. So every twin is fitted once
+more from the truth, on the same residuals: if the cost there is lower by more than `DEEPER`, the basin was missed, and
+the table is printed without such twins too.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import math
-import statistics
+import multiprocessing
+import os
 import sys
-import tempfile
 import time
-from collections import defaultdict
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 
 import numpy as np
+from coverage_table import into_page, nearest, progress, report, score
 
-from pianofit.analysis import analyse
-from pianofit.fit import Result, fit_recording
-from pianofit.model.cache import keep_programs
-from pianofit.parameters import FIT_NAMES
-from pianofit.recording import load_recording
-from pianofit.render import encode_wav
-from pianofit.setup_file import load_setup
-from pianofit.twin import make_twin, setup_text
-
-# A 95 % interval reaches this many standard errors to either side.
-REACH = 1.96
+KINDS = ("demo", "model", "brute-force")
 
 
-def fit_demo(seed: int, noise_db: float | None) -> tuple[Result, dict[str, float]]:
-    """What `pianofit demo --seed SEED` fits, through files as there, and its true values."""
+def judge(job: tuple[str, int, float]) -> dict:
+    """Make one twin, fit it and score it; a twin that is refused says why."""
+    from pianofit.errors import PianofitError
+    from pianofit.model.cache import keep_programs
+
+    kind, seed, noise_db = job
+    keep_programs()
+    begun = time.perf_counter()
+    about = {"kind": kind, "seed": seed}
+    try:
+        found = _demo(seed, noise_db) if kind == "demo" else _drawn(kind, seed)
+    except PianofitError as error:
+        found = {"refused": str(error)}
+    return about | found | {"seconds": time.perf_counter() - begun}
+
+
+def _demo(seed: int, noise_db: float | None) -> dict:
+    """What `pianofit demo --seed SEED` fits, through files as there."""
+    import tempfile
+
+    from pianofit.analysis import analyse
+    from pianofit.fit import fit_recording
+    from pianofit.recording import load_recording
+    from pianofit.render import encode_wav
+    from pianofit.setup_file import load_setup
+    from pianofit.twin import make_twin, setup_text
+
     twin = make_twin(noise_db, seed)
     with tempfile.TemporaryDirectory() as folder:
         sound, setup = Path(folder) / "twin.wav", Path(folder) / "setup.toml"
@@ -46,112 +67,134 @@ def fit_demo(seed: int, noise_db: float | None) -> tuple[Result, dict[str, float
         setup.write_text(setup_text())
         recording = load_recording(sound)
         result = fit_recording(recording, analyse(recording), load_setup(setup), seed=seed)
-    return result, twin.true
+    cell = {"takes": 1, "calibrated": True, "deeper": None}
+    return cell | {"rows": score(result.document, twin.true, []), "converged": result.document["converged"]}
 
 
-def fit_brute_force(seed: int) -> tuple[Result, dict[str, float]]:
-    """A random string and hammer, stepped on a fine grid, with noise 60 dB below its first second."""
-    sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-    from twin_cases import random_truth, record, setup_of
+def _drawn(kind: str, seed: int) -> dict:
+    """One twin of `coverage_twins`, by the same steps as `fit_takes`, which keep the search's own state."""
+    import coverage_twins
 
-    truth = random_truth(seed)
-    recording = record(truth, seed=seed)
-    found = fit_recording(recording, analyse(recording, f0=truth.f0), setup_of(truth), seed=seed)
-    return found, truth.values
+    from pianofit.analysis import analyse
+    from pianofit.fit.recipe import fit_partials
+    from pianofit.fit.result import conclude
+    from pianofit.fit.takes import arranged
+
+    twin = coverage_twins.make(kind, seed)
+    about = {**twin.design._asdict(), "truth": _plain(twin)}
+    try:
+        analyses = [analyse(recording, f0=twin.truth.f0) for recording in twin.recordings]
+        takes, start, layout, order = arranged(twin.recordings, analyses, twin.setup, None)
+        fit = fit_partials(takes, start, layout, seed=seed)
+        document = conclude(takes, start, fit, seed, order).document
+    except Exception as error:
+        from pianofit.errors import PianofitError
+
+        if not isinstance(error, PianofitError):
+            raise
+        return about | {"refused": str(error)}
+    gained = gain_from_truth(fit, twin.values, [twin.truth.velocities[i] for i in order])
+    return about | {
+        "rows": score(document, twin.values, list(twin.truth.velocities)),
+        "deeper": gained, "converged": document["converged"], "agreeing": document["diagnostics"]["agreeing_starts"],
+        "partials": document["diagnostics"]["partials"], "scatter": document["diagnostics"]["scatter"],
+        "verdict": document["verdict"],
+    }  # fmt: skip
 
 
-def score(document: dict, true: dict[str, float]) -> dict[str, dict]:
-    """By parameter: status, relative error in percent, and the miss in standard errors where there is an interval."""
-    rows = {}
-    for name in FIT_NAMES:
-        p = document["parameters"][name]
-        error = math.log(p["value"] / true[name])
-        row = {"status": p["status"], "percent": 100 * math.expm1(error), "miss": None, "held": None}
-        if p["interval"]:
-            low, high = p["interval"]
-            # Intervals are symmetric in log(value).
-            row |= {"miss": error * 2 * REACH / math.log(high / low), "held": low <= true[name] <= high}
-        rows[name] = row
-    return rows
+def _plain(twin) -> dict:
+    truth = twin.truth
+    return twin.values | {
+        "f0": truth.f0, "velocities": truth.velocities, "noise_db": truth.noise_db, "rough_db": truth.rough_db,
+        "glide_cents": truth.glide_cents, "beat_cents": truth.beat_cents, "beat_level": truth.beat_level,
+        "M_S": truth.geometry.mass, "L": truth.geometry.length,
+    }  # fmt: skip
 
 
-def table(runs: list[dict[str, dict]]) -> tuple[list[str], dict]:
-    """Lines to print, and the same as data."""
-    lines = [f"{'':8}{'held':>9}{'largest miss':>14}{'rms miss':>10}{'rms error':>12}{'vague':>7}{'at bound':>10}"]
-    data, every = {}, defaultdict(list)
-    for name in FIT_NAMES:
-        rows = [run[name] for run in runs]
-        free = [row for row in rows if row["status"] == "free"]
-        status = [row["status"] for row in rows]
-        entry = {
-            "free": len(free),
-            "held": sum(row["held"] for row in free),
-            "largest_miss": max((abs(row["miss"]) for row in free), default=math.nan),
-            "rms_miss": float(np.sqrt(np.mean([row["miss"] ** 2 for row in free]))) if free else math.nan,
-            "rms_percent": float(np.sqrt(np.mean([row["percent"] ** 2 for row in rows]))),
-            "not_identifiable": status.count("not-identifiable"),
-            "at_bound": status.count("at-bound"),
-        }
-        data[name] = entry
-        for key in ("free", "held", "largest_miss"):
-            every[key].append(entry[key])
-        lines.append(
-            f"{name:8}{entry['held']:4}/{entry['free']:<4}{entry['largest_miss']:12.2f} σ{entry['rms_miss']:8.2f} σ"
-            f"{entry['rms_percent']:10.2g} %{entry['not_identifiable']:7}{entry['at_bound']:10}"
-        )
-    free, held = sum(every["free"]), sum(every["held"])
-    largest = float(np.nanmax(every["largest_miss"]))
-    data["all"] = {"free": free, "held": held, "coverage": held / max(free, 1), "largest_miss": largest}
-    lines.append(f"{'all':8}{held:4}/{free:<4}{largest:12.2f} σ   {100 * held / max(free, 1):.1f} % held the truth")
-    return lines, data
+def gain_from_truth(fit, true: dict, velocities: list[float]) -> float:
+    """How much lower the cost is where a descent from the truth ends, on the fit's own residuals; ≤ 0 if nowhere.
+
+    `velocities` are of the takes as the fit has them. Path and gains go down first: they are not part of the truth.
+    """
+    import jax.numpy as jnp
+
+    from pianofit.fit.levenberg import descend
+    from pianofit.fit.residuals import joint_batch
+    from pianofit.fit.space import LOG, NAMES
+
+    space, layout = fit.space, fit.data.layout
+    values = fit.values.copy()
+    for i, name in enumerate(NAMES):
+        values[i] = nearest(true.get(name, values[i]), values[i]) if space.free[i] else values[i]
+    first = velocities[0] if space.free[NAMES.index("v_H0")] else float(values[NAMES.index("v_H0")])
+    values[NAMES.index("v_H0")] = first
+    values[layout.ratio] = np.log(np.array(velocities) / velocities[0])
+    index = np.arange(layout.size)
+    path = (index >= LOG) & ~np.isin(index, layout.ratio)
+
+    def evaluate(z):
+        return joint_batch(jnp.asarray(z), fit.target, fit.cfg)
+
+    z = space.z(values[None])
+    if (space.free & path).any():
+        z = descend(evaluate, z, space, iterations=20, free=path, tolerance=1e-6).z
+    return fit.cost - float(descend(evaluate, z, space, iterations=60, tolerance=1e-8).cost[0])
+
+
+def fitted_before(file: Path | None, kind: str) -> dict[int, dict]:
+    """Twins of a study that was cut off, by seed."""
+    if file is None or not file.exists():
+        return {}
+    runs = [json.loads(text) for text in file.read_text(encoding="utf-8").splitlines()]
+    return {run["seed"]: run for run in runs if run["kind"] == kind}
+
+
+def fitted(jobs: list[tuple[str, int, float]], workers: int, file: Path | None) -> list[dict]:
+    """All twins, on some processes at once; each goes into `file` when it is done, and is not fitted again."""
+    runs = fitted_before(file, jobs[0][0])
+    with ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as pool:
+        for done in as_completed([pool.submit(judge, job) for job in jobs if job[1] not in runs]):
+            run = done.result()
+            runs[run["seed"]] = run
+            print(progress(run), file=sys.stderr, flush=True)
+            if file:
+                with file.open("a", encoding="utf-8") as lines:
+                    lines.write(json.dumps(run) + "\n")
+    return [runs[job[1]] for job in jobs]
 
 
 def noise_free() -> tuple[list[str], dict]:
     """The demo without noise: how far every identifiable parameter is off."""
-    result, true = fit_demo(0, None)
-    rows = score(result.document, true)
-    lines = [f"{name:8}{row['percent']:+10.4f} %   {row['status']}" for name, row in rows.items()]
-    worst = max(abs(row["percent"]) for row in rows.values() if row["status"] == "free")
+    rows = _demo(0, None)["rows"]
+    lines = [f"{row['name']:8}{row['percent']:+10.4f} %   {row['status']}" for row in rows]
+    worst = max(abs(row["percent"]) for row in rows if row["status"] == "free")
     return [*lines, f"worst of the identifiable: {worst:.4f} %"], {"parameters": rows, "worst_percent": worst}
-
-
-def study(seeds: int, brute_force: bool, noise_db: float) -> tuple[list[str], dict]:
-    """Fit the twins and put them into a table."""
-    runs, seconds, unsettled = [], [], 0
-    for seed in range(seeds):
-        start = time.perf_counter()
-        result, true = fit_brute_force(seed) if brute_force else fit_demo(seed, noise_db)
-        seconds.append(time.perf_counter() - start)
-        unsettled += not result.document["converged"]
-        runs.append(score(result.document, true))
-        worst = max(runs[-1], key=lambda name: abs(runs[-1][name]["miss"] or 0.0))
-        miss = runs[-1][worst]["miss"] or 0.0
-        print(
-            f"  seed {seed:3}: {seconds[-1]:5.1f} s, largest miss {miss:+.2f} σ ({worst})", file=sys.stderr, flush=True
-        )
-    lines, data = table(runs)
-    lines.append(f"not converged: {unsettled} of {seeds}; a twin and its fit took {statistics.median(seconds):.1f} s")
-    return lines, {"table": data, "runs": runs, "not_converged": unsettled, "seconds": seconds}
 
 
 def main() -> None:
     """Run what was asked for and print it."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--twins", choices=KINDS, default="demo")
     parser.add_argument("--seeds", type=int, default=20, help="how many twins")
+    parser.add_argument("--first", type=int, default=0, help="seed of the first twin")
     parser.add_argument("--noise", type=float, default=60.0, help="of the demo twins, dB below the first second's rms")
-    parser.add_argument("--brute-force", action="store_true", help="twins from the fine grid instead of the demo's")
+    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes; one twin is one job")
+    parser.add_argument("--keep", type=Path, help="a file of twins already fitted, a line each; a study goes on there")
+    parser.add_argument("--page", type=Path, help="put what is printed into this page, under this kind of twins")
     parser.add_argument("--json", type=Path, help="write all numbers here too")
-    arguments = parser.parse_args()
-    keep_programs()
-    document: dict = {"seeds": arguments.seeds, "brute_force": arguments.brute_force, "noise_db": arguments.noise}
-    if not arguments.brute_force:
+    options = parser.parse_args()
+    document: dict = {"twins": options.twins, "seeds": options.seeds, "first": options.first}
+    if options.twins == "demo":
         lines, document["noise_free"] = noise_free()
         print("The demo without noise:", *lines, "", sep="\n")
-    lines, document["noisy"] = study(arguments.seeds, arguments.brute_force, arguments.noise)
-    kind = "brute-force" if arguments.brute_force else "demo"
-    print(f"{arguments.seeds} {kind} twins with noise:", *lines, sep="\n")
-    if arguments.json:
-        arguments.json.write_text(json.dumps(document, indent=1) + "\n")
+    jobs = [(options.twins, seed, options.noise) for seed in range(options.first, options.first + options.seeds)]
+    lines, more = report(fitted(jobs, options.workers, options.keep))
+    lines = [f"{options.seeds} {options.twins} twins:", *lines]
+    print(*lines, sep="\n")
+    if options.page:
+        into_page(options.page, options.twins, lines)
+    if options.json:
+        options.json.write_text(json.dumps(document | more, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -198,6 +198,21 @@ def test_glide_is_measured_and_frequencies_come_from_the_second_window():
     assert any("cents" in line for line in analysis.warnings)
 
 
+def test_a_glide_is_no_loss():
+    truth = string(92.5, 2.3e-4, 40, 0.4, 3e-3, seed=6)
+    analysis = analyse(truth.recording(noise=1e-6, bend=4.0), note="F#2")
+    mean = 1 + 4 * (np.exp(-0.2) - np.exp(-1.0)) / 0.8 * np.log(2) / 1200
+    own = np.searchsorted(truth.number, analysis.partials.number)
+    # Fitted as they are, the upper partials decay up to a quarter too fast, and b1 and d2 with them.
+    np.testing.assert_allclose(analysis.partials.decay, truth.decay[own], rtol=0.03)
+    assert analysis.d2 == pytest.approx(3e-3, rel=0.01)
+    assert pytest.approx(2.3e-4, rel=1e-3) == analysis.B
+    cents = 1200 * np.log2(analysis.partials.frequency / (truth.frequency[own] * mean))
+    assert np.abs(cents).max() < 0.05
+    assert 0.0 < analysis.glide_error < 0.05
+    assert analyse(truth.recording(noise=1e-6), note="F#2").glide_error == 0.0
+
+
 @pytest.mark.parametrize("name", STRINGS)
 def test_the_pitch_is_found_without_a_hint(name):
     truth = string(*STRINGS[name], seed=8)

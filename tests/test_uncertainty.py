@@ -5,7 +5,7 @@ import pytest
 from fit_cases import space
 
 from pianofit.fit.space import LOG, NAMES, SIZE, K, P
-from pianofit.fit.uncertainty import intervals, statuses, tangled, to_stiffness, whole_covariance
+from pianofit.fit.uncertainty import intervals, neighbours, statuses, tangled, to_stiffness, whole_covariance
 
 FREE = [0, 2, 4, 6, 7]
 ROWS = 40
@@ -116,3 +116,38 @@ def test_what_is_told_apart_is_not_called_tangled():
     cov[np.ix_([0, 1], [0, 1])] = [[1.0, 0.9], [0.9, 1.0]]
     cov[np.ix_([4, 6], [4, 6])] = [[4.0, -1.98], [-1.98, 1.0]]
     assert tangled(cov) == [("K_H", "p", pytest.approx(-0.99))]
+
+
+def alike(takes: int, rows: int, likeness: float, random: np.random.Generator) -> np.ndarray:
+    """Residuals of variance 1 [3, takes, rows], of which neighbours correlate by `likeness`."""
+    x = random.normal(size=(3, takes, rows))
+    for k in range(1, rows):
+        x[..., k] = likeness * x[..., k - 1] + np.sqrt(1 - likeness**2) * x[..., k]
+    return x
+
+
+def test_neighbours_that_are_alike_are_told_from_those_that_are_not():
+    random, found = np.random.default_rng(5), np.ones((3, 60), bool)
+    found[:, ::7] = False
+    for truth in (0.0, 0.8):
+        runs = [neighbours(alike(3, 60, truth, random).ravel(), found) for _ in range(50)]
+        said = np.array([[run.likeness for run in nine] for nine in runs])
+        assert said.shape == (50, 9)
+        assert np.median(said) == (0.0 if truth == 0.0 else pytest.approx(truth, abs=0.08))
+        assert (said > 0).mean() < 0.02 if truth == 0.0 else said.min() > 0.4
+    assert all((run.rows % 60 == run.number).all() and (run.number % 7 > 0).all() for run in runs[0])
+
+
+def test_the_sandwich_of_neighbours_is_what_repeating_the_experiment_gives():
+    random, rows, free = np.random.default_rng(6), 50, [0, 2]
+    # A mean and a slope over the partials, which neighbours that are alike bend together.
+    jacobian = np.zeros((3 * rows, SIZE))
+    jacobian[:, 0], jacobian[:, 2] = 1.0, np.tile(np.linspace(-1, 1, rows), 3)
+    found = np.ones((1, rows), bool)
+    residuals = np.stack([alike(1, rows, 0.7, random).ravel() for _ in range(8000)])
+    runs = [run._replace(likeness=0.7) for run in neighbours(residuals[0], found)]
+    arguments = (jacobian, np.ones(3 * rows), space(free), NOWHERE)
+    sd = np.sqrt(np.diag(covariance(*arguments, runs))[free])
+    estimates = np.linalg.lstsq(jacobian[:, free], residuals.T, rcond=None)[0]
+    np.testing.assert_allclose(estimates.std(axis=1), sd, rtol=0.04)
+    assert (sd > 1.8 * np.sqrt(np.diag(covariance(*arguments))[free])).all()

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..errors import AnalysisError
 from .demodulate import demodulate
-from .glide import glide_windows
+from .glide import glide_windows, straightened
 from .inharmonicity import CENTS, DecayLaw, FrequencyLaw, decay_law, frequency_law
 from .notes import hz_to_note
 from .partials import Measured, first_fits, lost, measure
@@ -106,6 +106,9 @@ def _measure_all(
     if len(windows) > 1:
         fall, fall_error = windows[0][2] - windows[-1][2], float(np.hypot(windows[0][3], windows[-1][3]))
     glides = abs(fall) > max(3 * fall_error, 0.1)
+    left = 0.0
+    if glides:
+        bands, z, fit, left = straightened(bands, z, fit, density, windows)
     rows = measure(samples, rate, law.f0, bands, z, fit, density, glides)
     keep = _plausible(rows, law, number) & ~lost(bands, fit)
     keep[keep] = _on_law(number[keep], rows.frequency[keep], rows.frequency_error[keep])
@@ -121,7 +124,7 @@ def _measure_all(
         fine.f0, fine.f0_error, fine.B, fine.B_error,
         losses.b1, losses.b1_error, losses.d2, losses.d2_error,
         table, fine.scatter, losses.scatter, float(fall), glide, density[keep], note,
-        _warnings(table, losses, float(fall) if glides else 0.0),
+        _warnings(table, losses, float(fall) if glides else 0.0), left,
     )  # fmt: skip
 
 

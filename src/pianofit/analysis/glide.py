@@ -1,19 +1,28 @@
-"""Pitch against time: real strings fall by some cents as they decay."""
+"""Pitch against time: real strings fall by some cents as they decay, all partials alike.
+
+A partial whose frequency moves is no exponential: fitted with one it seems to decay faster, the higher the more. So the
+fall is read off the partials together, as g exp(-t/τ) cents, and taken out of each one's phase before it is fitted.
+"""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .demodulate import Bands
 from .inharmonicity import CENTS
-from .partials import lost
+from .partials import first_fits, lost
 from .tones import Tones, fit_tones
 
-__all__ = ["glide_windows"]
+__all__ = ["glide_windows", "straightened"]
 
 _WINDOWS = ((0.0, 0.35), (0.2, 1.0), (1.0, 2.0), (2.0, 4.0), (4.0, np.inf))  # s after the onset
 _REFERENCE = 1  # of the windows: where f0 is defined
+_ROUNDS = 8
+# Time constants of a fall, s, and a usual one.
+_TAU, _USUAL_TAU = (0.05, 5.0), 0.5
 _LOUD = 30.0  # power a partial must have in a window, over the noise power of a frame
 
 
@@ -48,3 +57,62 @@ def glide_windows(
             spread = 1.4826 * float(np.median(np.abs(moved - middle))) * 1.25 / np.sqrt(len(moved))
             rows.append((start, stop, middle, spread if len(moved) > 2 else np.inf))
     return rows
+
+
+def straightened(
+    bands: Bands, z: NDArray[np.complex128], fit: Tones, density: np.ndarray,
+    windows: list[tuple[float, float, float, float]],
+) -> tuple[Bands, NDArray[np.complex128], Tones, float]:  # fmt: skip
+    """The bands with the fall of pitch taken out of their phases, their first fits, and what is left of it, cents.
+
+    The mean over the window of frequencies stays. What is left is measured and taken out again, as long as that makes
+    it smaller.
+
+    Parameters
+    ----------
+    z, fit : as they are, cleaned and fitted
+    windows : at least two, of `glide_windows`
+    """
+    spans = [row[:2] for row in windows]
+    wanted = np.array([row[2] for row in windows])
+    least, best, best_fits = float(np.abs(wanted).max()), bands, (z, fit)
+    for _ in range(_ROUNDS):
+        straight = replace(bands, z=bands.z * _unwound(bands, fit, *_exponential(spans, wanted)))
+        z, fit = first_fits(straight)
+        left = {row[:2]: row[2] for row in glide_windows(straight, z, fit, density)}
+        rest = np.array([left.get(span, 0.0) for span in spans])
+        if np.abs(rest).max() >= least:
+            break
+        best, best_fits = straight, (z, fit)
+        least, wanted = float(np.abs(rest).max()), wanted + rest
+    return best, best_fits[0], best_fits[1], least
+
+
+def _mean(span: tuple[float, float], tau: np.ndarray) -> np.ndarray:
+    """Mean of exp(-t/τ) over a window."""
+    start, stop = span
+    return tau * (np.exp(-start / tau) - np.exp(-stop / tau)) / (stop - start)
+
+
+def _exponential(spans: list[tuple[float, float]], cents: np.ndarray) -> tuple[float, float]:
+    """g, cents, and τ, s, of the fall g exp(-t/τ) that moves the windows by `cents` against that of frequencies."""
+    tau = np.geomspace(*_TAU, 1000)
+    moved = np.stack([_mean(span, tau) - _mean(_WINDOWS[_REFERENCE], tau) for span in spans])
+    size = (moved * cents[:, None]).sum(axis=0) / (moved**2).sum(axis=0)
+    miss = ((cents[:, None] - size * moved) ** 2).sum(axis=0)
+    # One window beside that of frequencies is met by any τ: then a usual one.
+    best = int(np.argmin(miss + 1e-4 * np.log(tau / _USUAL_TAU) ** 2))
+    return float(size[best]), float(tau[best])
+
+
+def _unwound(bands: Bands, fit: Tones, size: float, tau: float) -> NDArray[np.complex128]:
+    """Factors [partials, frames] that take back the fall g exp(-t/τ): its phase, and what the window made of it.
+
+    The farther a partial is from the middle of its band, the less of it the window lets through.
+    """
+    t, mean = bands.time, float(_mean(_WINDOWS[_REFERENCE], np.array(tau)))
+    phase = size / CENTS * (tau * (1 - np.exp(-t / tau)) - mean * t)
+    above = size / CENTS * (np.exp(-t / tau) - mean)
+    turn = 2j * np.pi * bands.centre[:, None]
+    middle = 1j * fit.pole.imag[:, None]
+    return np.exp(-turn * phase) * bands.gain(middle) / bands.gain(middle + turn * above)

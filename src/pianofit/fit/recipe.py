@@ -22,6 +22,7 @@ from ..initial import Start
 from ..model import simulate
 from ..model.simulate import count_modes
 from ..parameters import FELT_LAWS, Geometry
+from .again import nearby
 from .hammers import anchored, search_hammers
 from .levenberg import Descent, descend
 from .residuals import CENT, Cfg, Target, hammer_batch, joint_batch, string_batch
@@ -29,7 +30,7 @@ from .space import LOG, NAMES, K, Layout, Space, default_box, split, struck
 from .state import TOGETHER, WIDTH, State, predicted, search_space, settled_weights
 from .takes import Take
 from .target import Spreads, Takes, lines, measured, side_by_side
-from .voice import arrival, lag
+from .voice import arrival, lag, placed
 
 __all__ = ["Fit", "fit_partials", "predicted"]
 
@@ -40,8 +41,11 @@ ATTACK = 0.05
 # σ of the string's stage in units of the criterion's: wide lines first. Glide blurs what is finer than the second.
 SIGMAS = (1.0, 0.35)
 ROUNDS = 4
-# Levels better known than this, dB, show the contact's step; the last stage then takes a finer one.
-FINE_LEVEL, REFINEMENT = 0.05, 8
+# How often a better hammer is looked for near the one that was found.
+SEARCHES = 3
+# Levels better known than this, dB, show the contact's step; the last stages then take a finer one. By as much as the
+# second of these the step alone may miss them, in the treble.
+FINE_LEVEL, STEP_SCATTER, REFINEMENT = 0.05, 0.2, 8
 # A band whose criterion is 1, as for silence, costs half this much where the path is unknown: there it is not noise
 # that says which partials matter.
 CRITERION = 100.0
@@ -99,15 +103,17 @@ def fit_partials(
         programs[1].join()
         z, more = _in_tune(state, z)
         state, z = anchored(state, z)
-        fit = _joint_stage(state, z)
+        fit = _closer(_joint_stage(state, z), seed)
         state, z = anchored(state, fit.z)
         if state is not fit.state:
             fit = _joint_stage(state, z, fit.spread, fit.robust)
         if state.data.calibrated:
             fit = _with_attack(takes, fit)
-        if fit.spread.level < FINE_LEVEL and np.median(state.data.level_error[state.data.found]) < FINE_LEVEL:
+        if _shows_step(fit):
             progress("refinement", 0.8)
             fit = _refined(fit)
+        if _asks_for_window(fit):
+            fit = _with_window(takes, fit)
     finally:
         # A program that still compiles when Python ends would take it down; after Ctrl-C too.
         for program in programs:
@@ -147,17 +153,45 @@ def _compiled_ahead(function: Callable, state: State, starts: int) -> threading.
     return thread
 
 
-def _with_attack(takes: Sequence[Take], fit: Fit) -> Fit:
-    """The fit of calibrated recordings gone on with what their attacks tell.
+def _closer(fit: Fit, seed: int) -> Fit:
+    """The fit of several takes through a path, moved on while a better hammer lies near."""
+    several = fit.data.layout.takes > 1 and not fit.data.calibrated
+    for again in range(SEARCHES * several):
+        z, count = nearby(fit.state, fit.target, fit.z, fit.cost, seed + again)
+        fit = replace(fit, evaluations=fit.evaluations + count)
+        if z is None:
+            break
+        better = _joint_stage(fit.state, z, fit.spread, fit.robust)
+        fit = replace(better, evaluations=fit.evaluations + better.evaluations)
+    return fit
 
-    The onset is where a sound is first seen; a model this close says when the hammer touched. If it still misses by
-    more than noise, there is no path to blame: the felt's window is of another shape than the model's.
+
+def _with_attack(takes: Sequence[Take], fit: Fit) -> Fit:
+    """The fit of calibrated recordings gone on with when the hammer touched.
+
+    The onset is where a sound is first seen; a model this close says when the touch was.
     """
-    state = replace(fit.state, delay=_touches(takes, fit))
-    fit = _joint_stage(state, fit.z, fit.spread, fit.robust)
-    if fit.spread.level <= WINDOW_SCATTER or state.space.free[WIDTH]:
-        return fit
-    state = replace(state, space=_with_free_width(state.space, state.start.geometry))
+    return _joint_stage(replace(fit.state, delay=_touches(takes, fit)), fit.z, fit.spread, fit.robust)
+
+
+def _shows_step(fit: Fit) -> bool:
+    """Whether levels are known well enough, and met well enough, for the step of the contact to count."""
+    known = np.median(fit.data.level_error[fit.data.found]) < FINE_LEVEL
+    return bool(known and fit.spread.level < STEP_SCATTER)
+
+
+def _asks_for_window(fit: Fit) -> bool:
+    """Whether calibrated levels are missed by more than noise: there is no path to blame.
+
+    The step is not to blame either, since it comes first: what is left is the felt's window, of another shape than the
+    model's.
+    """
+    return fit.data.calibrated and fit.spread.level > WINDOW_SCATTER and not fit.space.free[WIDTH]
+
+
+def _with_window(takes: Sequence[Take], fit: Fit) -> Fit:
+    """The fit gone on with the width of the contact free."""
+    state = replace(fit.state, space=_with_free_width(fit.space, fit.state.start.geometry))
     fit = _joint_stage(state, fit.z, fit.spread, fit.robust)
     state = replace(state, delay=_touches(takes, fit))
     return _joint_stage(state, fit.z, fit.spread, fit.robust)
@@ -190,10 +224,13 @@ def _touches(takes: Sequence[Take], fit: Fit) -> np.ndarray:
         samples = int(ATTACK * r.rate)
         played = hammer._replace(v_H0=hammer.v_H0 * float(ratio))
         model = simulate(string, played, geometry, rate=r.rate, quantity=fit.state.start.quantity)
-        guess = r.onset - round(float(delay) * r.rate)
-        heard = np.pad(r.samples, (max(-guess, 0), samples))[max(guess, 0) :][:samples]
-        late = lag(model.waveform(r.rate, samples), heard)
-        out.append((r.onset - guess - late) / r.rate)
+        sound, heard = model.waveform(r.rate, samples), r.samples * fit.state.start.scale
+        # From one length of the attack before the guess to one after it.
+        first = r.onset - round(float(delay) * r.rate) - samples
+        near = np.pad(heard, (max(-first, 0), 3 * samples))[max(first, 0) :][: 3 * samples]
+        at, sign = placed(sound, near)
+        late = first + at + lag(sound, sign * near[at:][:samples])
+        out.append((r.onset - late) / r.rate)
     return np.array(out)
 
 

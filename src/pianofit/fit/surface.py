@@ -7,7 +7,7 @@ and elsewhere the coarse step only has to tell how they change.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,9 +15,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from .recipe import Fit
-from .residuals import joint_batch
+from .residuals import CENT, joint_batch
 from .space import K, P, Space
-from .uncertainty import whole_covariance
+from .uncertainty import Run, neighbours, whole_covariance
 
 __all__ = ["Surface", "row_variance", "surface_of"]
 
@@ -38,6 +38,8 @@ class Surface:
     jacobian: np.ndarray  # [residuals, size], there
     variance: np.ndarray  # [residuals]: how much each is expected to vary; 1 by its weight
     pressed: np.ndarray  # [size]: held by the box
+    runs: Sequence[Run] = ()  # of residuals whose neighbours are alike
+    glide: float = 0.0  # standard error of log c and log κ together, which no residual shows
 
     @property
     def values(self) -> np.ndarray:
@@ -61,7 +63,10 @@ class Surface:
         """[size, size] twice: the curvature's inverse, and the sandwich; `name` is free even if it is pressed."""
         pressed = self.pressed & (np.arange(len(self.z)) != name)
         plain = whole_covariance(self.jacobian, np.ones(len(self.variance)), self.space, pressed)
-        return plain, whole_covariance(self.jacobian, self.variance, self.space, pressed)
+        sandwich = whole_covariance(self.jacobian, self.variance, self.space, pressed, self.runs)
+        free = self.space.free[:2] & ~pressed[:2]
+        sandwich[:2, :2] += np.outer(free, free) * self.glide**2
+        return plain, sandwich
 
     def inflation(self, name: int) -> float:
         """Variance of log(parameter) by the sandwich over that by the curvature alone."""
@@ -79,7 +84,12 @@ def surface_of(fit: Fit) -> Surface:
         residual, jacobian, _ = joint_batch(jnp.asarray(fit.z), target, cfg)
         offset, tilt = fit.residual - np.asarray(residual[0]), fit.jacobian - np.asarray(jacobian[0])
     arrays = (target, *map(jnp.asarray, (offset, tilt, fit.z[0])))
-    return Surface(_corrected, arrays, cfg, fit.space, fit.z[0], fit.cost, fit.jacobian, row_variance(fit), fit.pressed)
+    variance = row_variance(fit)
+    runs = neighbours(fit.residual / np.sqrt(np.where(variance > 0, variance, 1.0)), fit.data.found)
+    return Surface(
+        _corrected, arrays, cfg, fit.space, fit.z[0], fit.cost, fit.jacobian, variance, fit.pressed, runs,
+        CENT * fit.data.each[0].glide_error,
+    )  # fmt: skip
 
 
 def _corrected(z, arrays: tuple, cfg: tuple):

@@ -43,6 +43,7 @@ class Measured:
     floor: np.ndarray  # dB, energy of the noise in a partial's band, [rows]
     line: np.ndarray  # dB, the level that eq. 19 likes best, [rows]
     sigma: float  # 1/s, of that eq. 19
+    glide_error: float = 0.0  # cents, of all frequencies alike
 
     @property
     def found(self) -> int:
@@ -140,6 +141,7 @@ def measured(recording: Recording, analysis: Analysis, start: Start) -> Measured
         floor=floor + unit,
         line=np.append(line[p.number - 1], bound[silent - 1]) + unit,
         sigma=sigma,
+        glide_error=analysis.glide_error,
     )
 
 

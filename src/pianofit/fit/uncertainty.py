@@ -7,12 +7,15 @@ started with has been told nothing by the recording: it is not identifiable, how
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import NamedTuple
+
 import numpy as np
 from scipy.special import stdtrit
 
 from .space import NAMES, K, P, Space
 
-__all__ = ["intervals", "statuses", "tangled", "to_stiffness", "whole_covariance"]
+__all__ = ["Run", "intervals", "neighbours", "statuses", "tangled", "to_stiffness", "whole_covariance"]
 
 # The data must at least halve the spread that was put in, else the answer is the prior's.
 TOLD = 0.5
@@ -20,15 +23,56 @@ TOLD = 0.5
 LOOSE = 0.5
 # Eigenvalues of the scaled curvature below this are rounding.
 FLOOR = 1e-14
+# Neighbours are alike if they are by so many standard deviations of what chance would give, and at most so far;
+# residuals count up to so many of theirs.
+CHANCE, MOST_ALIKE, OUTLYING = 2.0, 0.95, 2.5
 # Two parameters whose estimates correlate more than this are told apart poorly.
 TANGLED = 0.98
 
 
-def whole_covariance(jacobian: np.ndarray, variance: np.ndarray, space: Space, pressed: np.ndarray) -> np.ndarray:
+class Run(NamedTuple):
+    """Residuals of one kind and take in the order of their partials, and how alike neighbours among them are."""
+
+    rows: np.ndarray  # int [partials]
+    number: np.ndarray  # k [partials]
+    likeness: float  # ρ: of two that are n partials apart, ρⁿ
+
+
+def neighbours(standard: np.ndarray, found: np.ndarray) -> list[Run]:
+    """How alike residuals of neighbouring partials are, for frequency, decay and level.
+
+    What a model misses in a partial it misses in the next: a path is smooth, beats slow down from one to the other.
+    Such residuals say less than as many that are independent. Of each kind one number is estimated from all takes, and
+    0 is taken where chance would give as much.
+
+    Parameters
+    ----------
+    standard : residuals over their standard deviations [residuals], those of frequency, decay and level first.
+    found : bool [takes, rows]
+    """
+    cells, runs = found.size, []
+    kinds = np.clip(standard[: 3 * cells], -OUTLYING, OUTLYING).reshape(3, *found.shape)
+    for kind, values in enumerate(kinds):
+        beside = found[:, 1:] & found[:, :-1]
+        pairs = (values[:, 1:] * values[:, :-1])[beside].sum()
+        power = 0.5 * ((values[:, 1:] ** 2 + values[:, :-1] ** 2)[beside]).sum()
+        likeness = pairs / power if power > 0 else 0.0
+        chance = CHANCE / np.sqrt(max(beside.sum(axis=1).max(), 1))
+        for take, there in enumerate(found):
+            k = np.flatnonzero(there)
+            rows = kind * cells + take * found.shape[1] + k
+            runs.append(Run(rows, k, float(min(likeness, MOST_ALIKE)) if likeness > chance else 0.0))
+    return runs
+
+
+def whole_covariance(
+    jacobian: np.ndarray, variance: np.ndarray, space: Space, pressed: np.ndarray, runs: Sequence[Run] = ()
+) -> np.ndarray:
     """Covariance of a search point [size, size]: zero for what is fixed; what is pressed against a bound is held there.
 
-    A sandwich: the curvature's inverse on both sides of what the residuals' `variance` [residuals] makes of it, so that
-    rows which weigh more than their noise warrants do not pretend to know more.
+    A sandwich: the curvature's inverse on both sides of what the residuals' `variance` [residuals] and the likeness of
+    neighbours among them make of it, so that rows which weigh more than their noise warrants do not pretend to know
+    more.
     """
     active = np.flatnonzero(space.free & ~pressed)
     j = jacobian[:, active]
@@ -37,7 +81,12 @@ def whole_covariance(jacobian: np.ndarray, variance: np.ndarray, space: Space, p
     value, vector = np.linalg.eigh((j / scale).T @ (j / scale))
     known = value > FLOOR
     inverse = (vector[:, known] / value[known]) @ vector[:, known].T / np.outer(scale, scale)
-    inner = inverse @ (j.T * variance) @ j @ inverse
+    scores = j * np.sqrt(variance)[:, None]
+    power = scores.T @ scores
+    for rows, number, likeness in (run for run in runs if run.likeness > 0):
+        alike = likeness ** np.abs(number[:, None] - number) - np.eye(len(number))
+        power += scores[rows].T @ alike @ scores[rows]
+    inner = inverse @ power @ inverse
     inner += vector[:, ~known] @ vector[:, ~known].T / FLOOR / np.outer(scale, scale)
     full = np.zeros((len(space.free), len(space.free)))
     full[np.ix_(active, active)] = inner

@@ -5,12 +5,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from scipy.signal import fftconvolve
 
 from ..criterion import WIDEST_SIGMA, OutputPath
 from ..model import Simulation, simulate
 from ..parameters import Geometry, Hammer, MemoryHammer, String
 
-__all__ = ["Voice", "arrival", "lag", "strike_voice", "through"]
+__all__ = ["Voice", "arrival", "lag", "placed", "strike_voice", "through"]
 
 
 class Voice(NamedTuple):
@@ -67,6 +68,18 @@ def lag(model: np.ndarray, sound: np.ndarray) -> float:
     before, top, after = peaks[at - 1], peaks[at], peaks[(at + 1) % len(peaks)]
     place = at + 0.5 * (before - after) / (before - 2 * top + after)
     return float((place if place < len(peaks) / 2 else place - len(peaks)) / fine)
+
+
+def placed(model: np.ndarray, sound: np.ndarray) -> tuple[int, float]:
+    """Where in the longer `sound` the `model` leaves the least behind, both [samples] in one unit, and its sign there.
+
+    Unlike the peak of a correlation this counts the silence before an attack: a note that lies one period late leaves
+    its first period behind. The sign is -1 for a pickup of the other polarity.
+    """
+    energy = np.concatenate([[0.0], np.cumsum(sound**2)])
+    cross = fftconvolve(sound, model[::-1], mode="valid")
+    at = int(np.argmin(energy[len(model) :] - energy[: -len(model)] - 2 * np.abs(cross)))
+    return at, float(np.sign(cross[at]))
 
 
 def arrival(string: String, geometry: Geometry, quantity: str) -> float:

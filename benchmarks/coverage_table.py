@@ -1,0 +1,145 @@
+"""What a coverage study counts: misses in standard errors, by parameter and by cell, as tables."""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+
+import numpy as np
+
+__all__ = ["DEEPER", "entry", "into_page", "nearest", "progress", "report", "row", "score"]
+
+REACH = 1.96  # standard errors to either side of a 95 % interval
+DEEPER = 1.0  # half a sum of squares of residuals: more than this is another basin
+FOUR = 4.0
+TAKES = "takes' v_H0"
+HEADING = f"{'':14}{'held':>9}{'':9}{'largest miss':>14}{'rms miss':>10}{'rms error':>12}{'vague':>7}{'at bound':>10}"
+
+
+def score(document: dict, true: dict, velocities: list[float]) -> list[dict]:
+    """A row by parameter and take: status, relative error in percent, and the miss in standard errors."""
+    table = document["parameters"]
+    rows = [
+        row(name, table[name]["value"], table[name]["interval"], table[name]["status"], true[name])
+        for name in true
+        if name in table
+    ]
+    for take, v in zip(document["takes"], velocities, strict=False):
+        if not take["first"]:
+            rows.append(row(TAKES, take["v_H0"], take["v_H0_interval"], take["v_H0_status"], v))
+    return rows
+
+
+def nearest(true: float | tuple[float, float], value: float) -> float:
+    """The truth, or of a range of truths the one next to `value`."""
+    return min(max(value, true[0]), true[1]) if isinstance(true, tuple) else true
+
+
+def row(name: str, value: float, interval, status: str, true: float | tuple[float, float]) -> dict:
+    """One row of `score`."""
+    true = nearest(true, value)
+    error = math.log(value / true)
+    found = {"name": name, "status": status, "percent": 100 * math.expm1(error), "miss": None, "held": None}
+    if interval:
+        low, high = interval
+        # Intervals are symmetric in log(value).
+        found |= {"miss": error * 2 * REACH / math.log(high / low), "held": bool(low <= true <= high)}
+        found["width_percent"] = 100 * (math.sqrt(high / low) - 1)
+    return found
+
+
+def report(runs: list[dict]) -> tuple[list[str], dict]:
+    """Tables of the twins that were fitted, and what became of the others."""
+    found = [run for run in runs if "rows" in run]
+    lines, data = table(found)
+    document = {"table": data}
+    missed = [run for run in found if (run["deeper"] or 0.0) > DEEPER]
+    if missed:
+        lines.append(f"\nwithout {len(missed)} twins whose cost is lower at the truth:")
+        more, document["right_basin"] = table([run for run in found if run not in missed])
+        lines += more
+    unsettled = sum(not run["converged"] for run in found)
+    lines += ["", f"fitted {len(found)} of {len(runs)}; not converged: {unsettled}; another basin: {len(missed)}"]
+    lines += [f"refused, seed {run['seed']}: {run['refused']}" for run in runs if "refused" in run]
+    return lines, document | {"runs": runs}
+
+
+def table(runs: list[dict]) -> tuple[list[str], dict]:
+    """Lines to print, and the same as data: every parameter, and all together by cell."""
+    rows = [one for run in runs for one in run["rows"]]
+    lines, data = [HEADING], {}
+    for name in dict.fromkeys(one["name"] for one in rows):
+        data[name] = entry(one for one in rows if one["name"] == name)
+        lines.append(line(name, data[name]))
+    data["all"] = entry(rows)
+    lines.append(line("all", data["all"]))
+    cells = dict.fromkeys((run["takes"], run["calibrated"]) for run in runs)
+    if len(cells) > 1:
+        for takes, calibrated in sorted(cells):
+            name = f"{takes} take{'s' * (takes > 1)}, {'cal' if calibrated else 'path'}"
+            mine = [run for run in runs if (run["takes"], run["calibrated"]) == (takes, calibrated)]
+            data[name] = entry(one for run in mine for one in run["rows"])
+            lines.append(line(name, data[name]))
+    for name in ("glide", "beats"):
+        mine = [run for run in runs if run.get(name)]
+        if mine:
+            data[name] = entry(one for run in mine for one in run["rows"])
+            lines.append(line(name, data[name]))
+    plain = [run for run in runs if not (run.get("glide") or run.get("beats"))]
+    if 0 < len(plain) < len(runs):
+        data["neither"] = entry(one for run in plain for one in run["rows"])
+        lines.append(line("neither", data["neither"]))
+    return lines, data
+
+
+def entry(rows) -> dict:
+    """Counts and sizes of some rows."""
+    rows = list(rows)
+    free = [one for one in rows if one["status"] == "free" and one["held"] is not None]
+    misses = [abs(one["miss"]) for one in free]
+    status = [one["status"] for one in rows]
+    return {
+        "free": len(free),
+        "held": sum(one["held"] for one in free),
+        "coverage": sum(one["held"] for one in free) / len(free) if free else math.nan,
+        "largest_miss": max(misses, default=math.nan),
+        "beyond_four": sum(miss > FOUR for miss in misses),
+        "rms_miss": float(np.sqrt(np.mean(np.square(misses)))) if free else math.nan,
+        "rms_percent": float(np.sqrt(np.mean([one["percent"] ** 2 for one in free]))) if free else math.nan,
+        "not_identifiable": status.count("not-identifiable"),
+        "at_bound": status.count("at-bound"),
+    }
+
+
+def line(name: str, e: dict) -> str:
+    """One entry as a line."""
+    return (
+        f"{name:14}{e['held']:4}/{e['free']:<4}{100 * e['coverage']:7.1f} %{e['largest_miss']:12.2f} σ"
+        f"{e['rms_miss']:8.2f} σ{e['rms_percent']:10.2g} %{e['not_identifiable']:7}{e['at_bound']:10}"
+    )
+
+
+def progress(run: dict) -> str:
+    """What is told while the twins are fitted."""
+    head = f"  {run['kind']} {run['seed']:3}: {run['seconds']:5.1f} s, "
+    if "rows" not in run:
+        return head + "refused: " + run["refused"]
+    scored = [one for one in run["rows"] if one["status"] == "free" and one["held"] is not None]
+    if not scored:
+        return head + "nothing free"
+    worst = max(scored, key=lambda one: abs(one["miss"]))
+    basin = ", another basin" if (run["deeper"] or 0.0) > DEEPER else ""
+    cell = f"{run['takes']} take{'s' * (run['takes'] > 1)}, {'calibrated' if run['calibrated'] else 'path'}"
+    return f"{head}{cell}, largest miss {worst['miss']:+.2f} σ ({worst['name']}){basin}"
+
+
+def into_page(page: Path, kind: str, lines: list[str]) -> None:
+    """Put `lines` between the marks `<!-- KIND -->` and `<!-- end of KIND -->` of a page."""
+    text = page.read_text(encoding="utf-8")
+    before, _, rest = text.partition(f"<!-- {kind} -->\n")
+    _, mark, after = rest.partition(f"<!-- end of {kind} -->")
+    if not mark:
+        sys.exit(f"{page}: no <!-- {kind} --> and <!-- end of {kind} --> in it; write both where the table belongs")
+    block = "\n".join(["```text", *(line.rstrip() for line in lines), "```"])
+    page.write_text(f"{before}<!-- {kind} -->\n{block}\n{mark}{after}", encoding="utf-8")

@@ -1,0 +1,300 @@
+"""Twins for `coverage.py`: recordings of strings, hammers and paths that are drawn at random, and so are known.
+
+A twin is one of five keys from A0 to C6, struck one to five times. String and hammer are the literature's for the key
+(`published.typical`) with scatter: half of the spreads that a fit grants them (`SHARE`). Two kinds differ in what turns
+them into sound, and nothing else:
+
+- `model`: the program's own string and hammer, at a contact rate no fit uses. What is tested is the statistics.
+- `brute-force`: `tests/brute_force.py`, which steps the wave equation on a fine grid with another window, and
+  shares no line with the program. Half of these twins glide: all frequencies of the free string fall by some
+  cents with a time constant, as tension modulation makes them, more after a harder blow. Half of them beat: the blow is
+  shared out between two axes, the second fainter and detuned by up to three cents, each is simulated, and the sound is
+  their sum. So every fourth has both.
+
+Every second twin is calibrated: a velocity pickup of known place and scale. The others are heard at the bridge through
+an unknown path: a minimum-phase filter whose level wanders smoothly by 3 dB rms, and by 0.5 to 4 dB more from one
+partial to the next, and with another gain in every take. White noise lies 40 to 70 dB below each take's first second.
+
+The setup says what a laboratory would know: length, mass, strike and, where there is a path, the velocity of the
+hardest blow, since no recording through a path tells it. Of every second twin with a path the strike's position is left
+out. So no value rests on an assumption, and each has a truth.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import scipy.signal
+
+from pianofit.initial import HAMMER_SPREAD
+from pianofit.parameters import Geometry, Hammer, String
+from pianofit.published import typical
+from pianofit.recording import Recording, recording_from_samples
+from pianofit.setup_file import Setup, setup_from_dict
+
+__all__ = ["KINDS", "Design", "Truth", "Twin", "design_of", "draw", "make", "output_path"]
+KINDS = ("model", "brute-force")
+MOST_TAKES = 5
+# MIDI: A0, D2, F#3, A#4, C6. Compiled programs depend on the key and the number of takes: few keys, few compilations.
+KEYS = (21, 38, 54, 70, 84)
+SLOWEST, FASTEST = 0.5, 5.0  # m/s
+# Of the spreads that a fit grants the literature's hammer, and of those for length, B, b1 and b2 below.
+SHARE = 0.5
+STRING_SCATTER = {"length": 0.2, "B": 0.6, "b1": 0.6, "b2": 0.6}
+NOISE = (40.0, 70.0)  # dB
+SMOOTH, ROUGH = 3.0, (0.5, 4.0)  # dB rms
+GLIDE, GLIDE_SECONDS = (1.0, 6.0), (0.3, 0.9)  # cents at the hardest blow, s
+BEAT, BEAT_LEVEL = (0.5, 3.0), (0.1, 0.4)  # cents, of the first polarisation's amplitude
+SECONDS, LEAD = 3.0, 0.05  # s
+RATE = 44_100  # Hz; the witness steps at 706 kHz and filters
+OVERSAMPLING = 32  # of the model's contact
+# Taps of a path. Levels may differ from one partial of A0 to the next, 27.5 Hz away, so it must last longer than 36 ms.
+TAPS = 4096
+# Pitch is that of 0.2 to 1.0 s, as an analysis says.
+HEARD = (0.2, 1.0)
+CONTACT = 0.01  # s, at most
+# ω dt to which the witness' Runge-Kutta scheme is stable, with room to spare.
+STABLE, MOST_POINTS = 2.0, 240
+
+
+class Design(NamedTuple):
+    """Which cell of the study a twin is in. One after the other they fill all cells alike."""
+
+    key: int  # MIDI
+    takes: int
+    calibrated: bool
+    glide: bool
+    beats: bool
+    strike_known: bool
+
+
+class Truth(NamedTuple):
+    """What was drawn."""
+
+    string: String
+    hammer: Hammer  # with the velocity of the hardest blow
+    geometry: Geometry
+    velocities: tuple[float, ...]  # m/s, rising
+    noise_db: float  # below each take's first second
+    gains: tuple[float, ...]  # of the takes through a path
+    rough_db: float
+    glide_cents: float  # at the hardest blow
+    glide_seconds: float
+    beat_cents: float
+    beat_level: float
+
+    @property
+    def f0(self) -> float:
+        """Hz, of the string without stiffness."""
+        return self.string.c / (2 * self.geometry.length)
+
+
+class Twin(NamedTuple):
+    """Recordings, what was known beforehand, and the truth by name, with the velocity of each take."""
+
+    kind: str
+    seed: int
+    design: Design
+    truth: Truth
+    recordings: list[Recording]
+    setup: Setup
+    values: dict[str, float | tuple[float, float]]  # a range where there is no one truth
+
+
+def design_of(kind: str, seed: int) -> Design:
+    """The cell of twin number `seed`: ten in a row hold every number of takes, calibrated and not; fifty, every key."""
+    block, column = divmod(seed // 2, MOST_TAKES)
+    effects = kind == "brute-force"
+    # From block to block, and shifted along the takes, lest five takes glide only where they beat.
+    odd, second = (block + column) % 2 == 1, (block // 2 + column // 2) % 2 == 1
+    return Design(
+        key=KEYS[(block + seed) % len(KEYS)],
+        takes=1 + column,
+        calibrated=seed % 2 == 0,
+        glide=effects and odd,
+        beats=effects and second,
+        strike_known=seed % 2 == 0 or not odd,
+    )
+
+
+def draw(kind: str, seed: int) -> Truth:
+    """String, hammer, blows and path of twin number `seed`."""
+    random = np.random.default_rng([KINDS.index(kind), seed])
+    design = design_of(kind, seed)
+    usual = typical(design.key)
+    scattered = partial(_scattered, random)
+    string, geometry = _drawn_string(usual.string, usual.geometry, scattered)
+    velocities = _blows(random, design.takes)
+    return Truth(
+        string, _drawn_hammer(usual.hammer, velocities[-1], scattered), geometry, velocities,
+        noise_db=random.uniform(*NOISE),
+        gains=tuple(np.exp(random.normal(0, 0.5, design.takes)).tolist()),
+        rough_db=random.uniform(*ROUGH),
+        glide_cents=random.uniform(*GLIDE) * design.glide,
+        glide_seconds=random.uniform(*GLIDE_SECONDS),
+        beat_cents=random.uniform(*BEAT) * random.choice([-1, 1]) * design.beats,
+        beat_level=random.uniform(*BEAT_LEVEL),
+    )  # fmt: skip
+
+
+def _scattered(random: np.random.Generator, value: float, spread: float) -> float:
+    """Around `value`, by `SHARE` of `spread` on a log scale, and by no more than twice that."""
+    return float(value * np.exp(SHARE * spread * np.clip(random.normal(), -2, 2)))
+
+
+def _drawn_string(usual: String, size: Geometry, scattered) -> tuple[String, Geometry]:
+    f0 = usual.c / (2 * size.length)
+    B = scattered((usual.kappa * math.pi / (usual.c * size.length)) ** 2, STRING_SCATTER["B"])
+    length = scattered(size.length, STRING_SCATTER["length"])
+    c = 2 * length * f0
+    string = String(
+        c, c * length * math.sqrt(B) / math.pi,
+        scattered(usual.b1, STRING_SCATTER["b1"]), scattered(usual.b2, STRING_SCATTER["b2"]),
+    )  # fmt: skip
+    strike = scattered(0.12, HAMMER_SPREAD["x0"]) * length
+    pickup = scattered(0.3, 0.2) * length
+    return string, Geometry(length, size.mass * length / size.length, strike, size.width, pickup)
+
+
+def _drawn_hammer(usual: Hammer, velocity: float, scattered) -> Hammer:
+    """The force at half a millimetre scatters, not K_H itself: with another p that is another quantity."""
+    p, mass = scattered(usual.p, HAMMER_SPREAD["p"]), scattered(usual.M_H, HAMMER_SPREAD["M_H"])
+    pressed = 0.5e-3
+    force = scattered(usual.K_H * pressed**usual.p, HAMMER_SPREAD["K_H"])
+    return Hammer(force / pressed**p, scattered(usual.mu, HAMMER_SPREAD["mu"]), p, mass, velocity)
+
+
+def _blows(random: np.random.Generator, takes: int) -> tuple[float, ...]:
+    """Rising velocities over the usual range, m/s; a single one anywhere in its middle."""
+    if takes == 1:
+        return (float(np.exp(random.uniform(math.log(0.8), math.log(4.0)))),)
+    ends = random.uniform(SLOWEST, 2 * SLOWEST), random.uniform(0.5 * FASTEST, FASTEST)
+    inner = np.geomspace(*ends, takes)
+    apart = math.log(ends[1] / ends[0]) / (takes - 1)
+    inner[1:-1] *= np.exp(random.uniform(-0.25, 0.25, takes - 2) * apart)
+    return tuple(inner.tolist())
+
+
+def make(kind: str, seed: int) -> Twin:
+    """Twin number `seed`; the same number gives the same samples."""
+    design, truth = design_of(kind, seed), draw(kind, seed)
+    sounds = [_sounded(kind, truth, v, design.calibrated) for v in truth.velocities]
+    if design.calibrated:
+        scale = 1.25 * max(float(np.abs(x).max()) for x in sounds)
+        sounds = [x / scale for x in sounds]
+    else:
+        scale, path = None, output_path(truth, RATE, seed)
+        sounds = [scipy.signal.oaconvolve(x, path)[: x.size] for x in sounds]
+        loudest = max(float(np.abs(x).max()) for x in sounds)
+        sounds = [g * x / (5 * loudest) for g, x in zip(truth.gains, sounds, strict=True)]
+    noise = np.random.default_rng([KINDS.index(kind), seed, 1])
+    recordings = [
+        recording_from_samples(_noisy(x, truth.noise_db, RATE, noise), RATE, name=f"take-{n}")
+        for n, x in enumerate(sounds, 1)
+    ]
+    return Twin(kind, seed, design, truth, recordings, _setup(design, truth, scale), _values(kind, truth))
+
+
+def _sounded(kind: str, truth: Truth, velocity: float, calibrated: bool) -> np.ndarray:
+    """One take at the pickup (m/s) or at the bridge (N), with the silence before it."""
+    quantity = "velocity" if calibrated else "bridge-force"
+    hammer, rate = truth.hammer._replace(v_H0=velocity), RATE
+    if kind == "model":
+        from pianofit.model import simulate
+
+        hit = simulate(truth.string, hammer, truth.geometry, rate=rate, oversampling=OVERSAMPLING, quantity=quantity)
+        return np.pad(hit.waveform(rate, int(SECONDS * rate)), (int(LEAD * rate), 0))
+    brute_force = _witness()
+    window = "parabola"
+    geometry = truth.geometry._replace(width=brute_force.matched_width(window, truth.geometry.width))
+    # One blow is shared out between two axes: together they are the one string that was struck.
+    share = 1 + truth.beat_level * (truth.beat_cents != 0)
+    sound = brute_force.make_twin(
+        truth.string, hammer, geometry, seconds=SECONDS + LEAD, rate=rate, quantity=quantity, lead_in=LEAD,
+        glide_cents=truth.glide_cents * (velocity / truth.velocities[-1]) ** 2, glide_seconds=truth.glide_seconds,
+        beating_cents=truth.beat_cents, beating_level=truth.beat_level, window=window,
+        points=_points(truth, rate * brute_force.OVERSAMPLING),
+    )  # fmt: skip
+    return sound / share
+
+
+def _witness():
+    """`tests/brute_force.py`."""
+    sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+    import brute_force
+
+    return brute_force
+
+
+def _points(truth: Truth, steps: float) -> int:
+    """Points of the witness' grid, as many as are stable at so many `steps` a second: stiff strings allow few."""
+    string, length = truth.string, truth.geometry.length
+    for points in range(MOST_POINTS, 40, -4):
+        beta = 1.06 * math.pi * (points + 1) / length
+        if math.hypot(string.c * beta, string.kappa * beta**2) < STABLE * steps:
+            return points
+    raise ValueError(f"no grid of the witness is stable for {string}")
+
+
+def output_path(truth: Truth, rate: float, seed: int) -> np.ndarray:
+    """A minimum-phase filter [TAPS] whose level wanders smoothly by `SMOOTH` dB, and by `rough_db` at each partial."""
+    f = np.fft.rfftfreq(2 * TAPS, 1 / rate)
+    cepstrum = np.fft.irfft(_path_db(truth, seed, f) / 20 * math.log(10))
+    cepstrum[1:TAPS] *= 2
+    cepstrum[TAPS + 1 :] = 0
+    return np.fft.irfft(np.exp(np.fft.rfft(cepstrum)))[:TAPS]
+
+
+def _path_db(truth: Truth, seed: int, f: np.ndarray) -> np.ndarray:
+    """Its level at frequencies `f`, Hz: cosines over the octaves from 20 Hz, and straight lines between partials."""
+    random = np.random.default_rng([7, seed])
+    octaves = np.log2(np.maximum(f, 20.0) / 20.0)
+    terms = [random.normal() * np.cos(2 * np.pi * (n * octaves / 10 + random.random())) for n in range(1, 7)]
+    smooth = np.sum(terms, axis=0)
+    k = np.arange(1, 1 + int(f[-1] / truth.f0))
+    B = (truth.string.kappa * math.pi / (truth.string.c * truth.geometry.length)) ** 2
+    partials = k * truth.f0 * np.sqrt(1 + B * k**2)
+    rough = np.interp(f, partials, truth.rough_db * random.normal(size=k.size))
+    return SMOOTH * (smooth - smooth.mean()) / smooth.std() + rough
+
+
+def _noisy(samples: np.ndarray, noise_db: float, rate: int, random: np.random.Generator) -> np.ndarray:
+    onset = int(LEAD * rate)
+    rms = math.sqrt(float(np.mean(samples[onset : onset + rate] ** 2)))
+    return samples + random.normal(0.0, rms * 10 ** (-noise_db / 20), samples.size)
+
+
+def _setup(design: Design, truth: Truth, scale: float | None) -> Setup:
+    g, hardest = truth.geometry, len(truth.velocities)
+    strike = {"width": g.width} | ({"position": g.strike} if design.strike_known else {})
+    tables = {"string": {"length": g.length, "mass": g.mass}, "strike": strike}
+    if design.calibrated:
+        tables["pickup"] = {"quantity": "velocity", "position": g.pickup, "scale": scale}
+        return setup_from_dict(tables, "twin")
+    known = {"file": f"take-{hardest}", "v_H0": truth.velocities[-1]}
+    return setup_from_dict(tables | {"take": [known]}, "twin")
+
+
+def _values(kind: str, truth: Truth) -> dict[str, float | tuple[float, float]]:
+    """The truth by name. A gliding string's c and κ are those of the mean pitch over `HEARD`, at the hardest blow.
+
+    The witness' fall begins when the hammer has left, a few milliseconds after the blow: c and κ lie in a range.
+    Two axes have two pitches. A note far shorter than their beat sounds at the mean of the two by their shares, one far
+    longer at that of the stronger, so between these the truth of c and κ lies. The witness' window has no width of the
+    model's own kind, so the effective width has no truth there.
+    """
+    start, stop = HEARD
+    tau, sharp = truth.glide_seconds, 2 ** (truth.glide_cents / 1200) - 1
+    mean = sharp * tau * (math.exp(-start / tau) - math.exp(-stop / tau)) / (stop - start)
+    share = truth.beat_level / (1 + truth.beat_level)
+    pulled = sorted((1.0, 2 ** (share * truth.beat_cents / 1200)))
+    ends = (1 + mean) * pulled[0], (1 + mean * math.exp(CONTACT / tau)) * pulled[1]
+    values = {**truth.string._asdict(), **truth.hammer._asdict(), "x0": truth.geometry.strike}
+    values |= {"width": truth.geometry.width} if kind == "model" else {}
+    values = {name: float(value) for name, value in values.items()}
+    return values | {name: (values[name] * ends[0], values[name] * ends[1]) for name in ("c", "kappa")}
