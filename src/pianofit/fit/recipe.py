@@ -41,6 +41,8 @@ ATTACK = 0.05
 # σ of the string's stage in units of the criterion's: wide lines first. Glide blurs what is finer than the second.
 SIGMAS = (1.0, 0.35)
 ROUNDS = 4
+# The contact may last this many times as long as that of the literature's hammer.
+CONTACTS = 1.6
 # How often a better hammer is looked for near the one that was found.
 SEARCHES = 3
 # Levels better known than this, dB, show the contact's step; the last stages then take a finer one. By as much as the
@@ -133,7 +135,7 @@ def _prepared(takes: Sequence[Take], start: Start, layout: Layout) -> State:
     log_u = float(np.log(0.5 * first.pulse.compression.max())) if space.free[K] else 0.0
     space = replace(space, log_u=log_u)
     rate = 1.0 / float(first.modes.step)
-    steps = STEPS * int(np.ceil(1.6 * first.contact_time * rate / STEPS))
+    steps = STEPS * int(np.ceil(CONTACTS * first.contact_time * rate / STEPS))
     memory = "epsilon" in FELT_LAWS[start.felt]
     cfg = Cfg(max(first.modes.pole.shape[0], data.rows), steps, start.quantity, data.calibrated, memory)
     delay = np.full(layout.takes, arrival(string, start.geometry, start.quantity))
