@@ -22,6 +22,7 @@ from .path import path_document, path_of, roughness
 from .recipe import Fit, predicted
 from .residuals import CENT, joint_batch
 from .space import ABSENT, LOG, NAMES, K, split, struck
+from .state import ROUGHER
 from .takes import Take
 from .target import Measured
 from .uncertainty import statuses, tangled
@@ -376,6 +377,6 @@ def _diagnostics(fit: Fit, cov: np.ndarray) -> dict:
         "cost": fit.cost, "evaluations": fit.evaluations, "agreeing_starts": fit.agreeing,
         "partials": int(fit.data.found.sum()), "contact_rate_Hz": float(fit.target.rate), "modes": fit.cfg.n_modes,
         "scatter": {"frequency_cents": fit.spread.frequency, "decay_relative": fit.spread.decay,
-                    "level_db": fit.spread.level, "rough_db": fit.spread.rough},
+                    "level_db": fit.spread.level, "rough_db": fit.spread.rough / ROUGHER},
         "correlated": [{"pair": [a, b], "correlation": r} for a, b, r in tangled(cov)],
     }  # fmt: skip

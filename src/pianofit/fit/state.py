@@ -26,7 +26,7 @@ from .space import ABSENT, LOG, NAMES, Layout, Space, default_box
 from .takes import Take
 from .target import Spreads, Takes, doubt, target
 
-__all__ = ["TOGETHER", "State", "pool", "predicted", "search_space", "settled_weights"]
+__all__ = ["ROUGHER", "TOGETHER", "State", "pool", "predicted", "search_space", "settled_weights"]
 
 WIDTH = NAMES.index("width")
 # Hammers that are evaluated by one call. Evaluating more at once gains little, and what has settled would go along.
@@ -40,9 +40,10 @@ LEAST_SCATTER, LEAST_OWN = 1.0, 0.2
 # Before the first round the model is taken to miss a partial by this much, dB: calibrated, one take, and several, whose
 # path is then rough by so much more.
 FIRST_SCATTER, FIRST_OWN, FIRST_ROUGH = {True: 1.0, False: 4.0}, 2.0, 18.0
-# What is left of the path's roughness understates it by about this factor: hammer and smooth path have been bent to
-# take what they can, and neighbouring partials do so together. Without it hammers predict other velocities worse.
-UNSEEN_ROUGHNESS = 3.0
+# What takes have in common says less of the hammer than its scatter about the smooth path would have it: neighbouring
+# partials leave it together, and hammer and path have been bent to take what they can. So the path is held to be this
+# much rougher than is seen; without it hammers predict other velocities worse.
+ROUGHER = 3.0
 # How far the velocities of takes may be from their guesses, log, and their pitches from the first's, cents.
 RATIO_SPREAD, CENTS_SPREAD = 0.5, 3.0
 
@@ -137,7 +138,7 @@ def settled_weights(state: State, at: Target, z: np.ndarray) -> tuple[Spreads, n
         scatter(cents[found], cents_sd[found], 2),
         scatter(fade[found], fade_sd[found], 2),
         scatter(own[scored], data.level_error[scored], freedom),
-        UNSEEN_ROUGHNESS * scatter(common, noise, 0) if len(common) else 0.0,
+        ROUGHER * scatter(common, noise, 0) if len(common) else 0.0,
     )
     spread = replace(spread, level=max(spread.level, _least(state)))
     sd_level = np.hypot(data.level_error, spread.level)

@@ -77,7 +77,9 @@ def verdict(
             f"The fitted hammer explains more than a {through} alone; its values still rest on that being all there is."
         )
         if not compared:
-            states = states | {n: "not-identifiable" for n in FELT if states[n] == "free"}
+            # Through a path that is not known the mass rests on the path's smoothness as much as the felt does.
+            doubted = (*FELT, "M_H") if start.quantity == "pressure" else FELT
+            states = states | {n: "not-identifiable" for n in doubted if states[n] == "free"}
     if takes > 1 and start.fixed.get("v_H0") == "assumed":
         states = states | {n: "assumed" for n in ("K_H", "mu") if states[n] == "free"}
     if "v_H0" in start.fixed and start.fixed["v_H0"] == "assumed":
