@@ -85,7 +85,7 @@ def test_on_a_parabola_profile_and_curvature_agree(variance):
     it = surface(linear, gaussian(2e-3, -3.0), space(FREE, log_u=-3.0), rows)
     for freedom in (7, MANY):
         curvature = by_curvature(it, freedom)
-        profile = by_profile(it, freedom, curvature)
+        profile = by_profile(it, curvature)
         for name in (0, 2, K, P):
             half = np.ptp(logs(curvature, name)) / 2
             np.testing.assert_allclose(logs(profile, name), logs(curvature, name), atol=0.02 * half)
@@ -99,7 +99,7 @@ def test_on_a_parabola_the_posterior_has_the_same_quantiles():
     rows = 4 ** np.random.default_rng(6).uniform(-1, 1, ROWS)
     it = surface(linear, gaussian(), space(FREE), rows)
     curvature = by_curvature(it, 20)
-    found = by_posterior(it, 20, curvature, draw(it, 0))
+    found = by_posterior(it, curvature, draw(it, 0))
     for name in (0, 2, K, P):
         half = np.ptp(logs(curvature, name)) / 2
         np.testing.assert_allclose(logs(found, name), logs(curvature, name), atol=0.15 * half)
@@ -125,11 +125,11 @@ def test_where_k_h_follows_p_the_curvature_is_wrong_and_the_others_right():
     p = np.exp(0.3 * norm.ppf([0.025, 0.975]))
     exact = -p * log_u
     curvature = by_curvature(it, MANY)
-    profile = by_profile(it, MANY, curvature)
+    profile = by_profile(it, curvature)
     np.testing.assert_allclose(logs(profile, K), exact, atol=0.02)
     np.testing.assert_allclose(logs(profile, P), np.log(p), atol=0.01)
     assert np.abs(logs(curvature, K) - exact).min() > 0.2
-    found = by_posterior(it, MANY, curvature, draw(it, 1))
+    found = by_posterior(it, curvature, draw(it, 1))
     np.testing.assert_allclose(logs(found, K), exact, atol=0.15)
 
 
@@ -138,12 +138,12 @@ def test_at_a_bound_an_interval_has_one_side():
     assert it.pressed[0]
     curvature = by_curvature(it, MANY)
     assert curvature.spans["c"] is None
-    profile = by_profile(it, MANY, curvature)
+    profile = by_profile(it, curvature)
     end = math.sqrt(0.5**2 + 1.96**2 * 0.5**2) - 3.5  # where the cost has risen by 1.96²/2
     np.testing.assert_allclose(logs(profile, 0), [-3.0, end], atol=0.01)
     assert profile.open["c"] == ("low",)
     assert any("below" in text and "c" in text for text in profile.messages)
-    found = by_posterior(it, MANY, curvature, draw(it, 2))
+    found = by_posterior(it, curvature, draw(it, 2))
     np.testing.assert_allclose(
         logs(found, 0), [-3.0, truncnorm.ppf(0.975, 1.0, math.inf, loc=-3.5, scale=0.5)], atol=0.06
     )
@@ -153,8 +153,8 @@ def test_at_a_bound_an_interval_has_one_side():
 def test_what_nothing_bounds_has_the_whole_box():
     it = surface(linear, measured_apart(c=(0.0, 20.0)), space(FREE))
     curvature = by_curvature(it, MANY)
-    profile = by_profile(it, MANY, curvature)
-    found = by_posterior(it, MANY, curvature, draw(it, 3))
+    profile = by_profile(it, curvature)
+    found = by_posterior(it, curvature, draw(it, 3))
     for each in (profile, found):
         np.testing.assert_allclose(logs(each, 0), [-3.0, 3.0], rtol=1e-12)
         assert each.open["c"] == ("low", "high")
@@ -172,7 +172,7 @@ def test_a_second_valley_that_is_deeper_is_reported():
     jacobian = np.zeros((1, SIZE))
     jacobian[0, 0] = 2.0  # as if the first valley were wide
     far = Surface(two, (), (), it.space, it.z, it.cost, jacobian, np.ones(1), it.pressed)
-    found = by_profile(far, MANY, by_curvature(far, MANY))
+    found = by_profile(far, by_curvature(far, MANY))
     assert any("had not reached the least" in text for text in found.messages)
 
 
@@ -219,10 +219,10 @@ def test_chains_that_have_not_mixed_are_reported():
     it = surface(linear, gaussian(), space(FREE))
     every = draw(it, 0)
     few = every._replace(bulk=every.bulk / 10)
-    found = by_posterior(it, MANY, by_curvature(it, MANY), few)
+    found = by_posterior(it, by_curvature(it, MANY), few)
     assert any("independent draws" in text for text in found.messages)
     rhat = np.where(it.space.free, 1.2, 1.0)
-    found = by_posterior(it, MANY, by_curvature(it, MANY), few._replace(rhat=rhat, divergences=3))
+    found = by_posterior(it, by_curvature(it, MANY), few._replace(rhat=rhat, divergences=3))
     assert any("R-hat 1.200" in text for text in found.messages)
     assert any("diverged" in text for text in found.messages)
 

@@ -10,7 +10,7 @@ import pytest
 from twin_cases import ALLOWED, FELT, FIRST, errors, fit_twin, misses, random_truth, record, setup_of
 
 from pianofit.analysis import analyse
-from pianofit.fit import Result, fit_recording
+from pianofit.fit import Result, fit_recording, recipe
 from pianofit.fit.verdict import FELT as FELT_NAMES
 from pianofit.parameters import FIT_NAMES, PARAMETERS, check
 from pianofit.recording import load_recording
@@ -216,3 +216,18 @@ def test_random_twins_are_read_back(seed):
 def test_the_search_does_not_depend_on_its_luck(seed):
     document = fit_twin(record(FIRST), setup_of(FIRST), seed=seed).document
     assert not misses(document, FIRST), errors(document, FIRST)
+
+
+def test_a_contact_longer_than_was_thought_is_given_the_time(monkeypatch):
+    """With too little time for the true hammer the search ends near the limit, and goes on with twice as much."""
+    lengths, longest = [], recipe._longest
+
+    def told(fit):
+        lengths.append(longest(fit))
+        return lengths[-1]
+
+    monkeypatch.setattr(recipe, "CONTACTS", 0.8)
+    monkeypatch.setattr(recipe, "_longest", told)
+    found = fit_twin(record(FIRST), setup_of(FIRST)).document
+    assert not misses(found, FIRST), errors(found, FIRST)
+    assert lengths[0] > recipe.NEARLY > lengths[-1]

@@ -151,3 +151,24 @@ def test_the_sandwich_of_neighbours_is_what_repeating_the_experiment_gives():
     estimates = np.linalg.lstsq(jacobian[:, free], residuals.T, rcond=None)[0]
     np.testing.assert_allclose(estimates.std(axis=1), sd, rtol=0.04)
     assert (sd > 1.8 * np.sqrt(np.diag(covariance(*arguments))[free])).all()
+
+
+def test_calibrated_takes_that_are_missed_alike_do_not_add_up():
+    """The error of a mean over three takes of 40 levels that share their misses is that of one take's."""
+    random, takes, rows, free = np.random.default_rng(7), 3, 40, [4]
+    found = np.ones((takes, rows), bool)
+    jacobian = np.zeros((3 * takes * rows, SIZE))
+    jacobian[2 * takes * rows :, 4] = 1.0
+    shared, own = random.normal(size=(4000, 1, rows)), random.normal(size=(4000, takes, rows))
+    levels = np.sqrt(0.8) * shared + np.sqrt(0.2) * own
+    residuals = np.zeros((4000, 3 * takes * rows))
+    residuals[:, 2 * takes * rows :] = levels.reshape(4000, -1)
+    estimates = np.linalg.lstsq(jacobian[:, free], residuals.T, rcond=None)[0][0]
+    said = []
+    for residual in residuals[:50]:
+        runs = neighbours(residual, found, calibrated=True)
+        said.append(np.sqrt(covariance(jacobian, np.ones(len(residual)), space(free), NOWHERE, runs)[4, 4]))
+        assert all(run.across == 0 for run in neighbours(residual, found))
+    assert np.median(said) == pytest.approx(estimates.std(), rel=0.1)
+    apart = [neighbours(random.normal(size=residuals.shape[1]), found, calibrated=True) for _ in range(50)]
+    assert np.mean([max(run.across for run in runs) > 0 for runs in apart]) < 0.1

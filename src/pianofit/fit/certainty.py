@@ -14,10 +14,12 @@ import numpy as np
 from scipy.special import stdtrit
 
 from ..errors import ParameterError
+from ..parameters import STRING_NAMES
 from .posterior import Draws, check_sampler, draw
 from .profile import Profile, profiles
 from .recipe import Fit, Progress
 from .space import LOG, NAMES
+from .state import level_freedom
 from .surface import Surface, surface_of
 from .uncertainty import intervals
 
@@ -42,6 +44,7 @@ class Certainty:
     covariance: np.ndarray  # of search coordinates [size, size], log K_H in the force's place; 0 for what is fixed
     spans: dict[str, Span | None]  # 95 %, by name
     by: dict[str, str | None]
+    reach: np.ndarray  # standard deviations to the end of an interval [size]: Student's quantile
     open: dict[str, tuple[str, ...]] = field(default_factory=dict)  # `low`, `high`
     diagnostics: dict = field(default_factory=dict)
     messages: tuple[str, ...] = ()
@@ -57,7 +60,7 @@ class Certainty:
         """Of log(parameter), on the diagonal [names, names]: what the intervals mean, however they were found."""
         reach = np.sqrt(np.diag(self.cov))
         for i, name in enumerate(NAMES):
-            if self.by[name] not in (None, "curvature") and (span := self.spans[name]):
+            if span := self.spans[name]:
                 reach[i] = np.log(span[1] / span[0]) / (2 * NORMAL)
         return np.diag(reach**2)
 
@@ -81,29 +84,42 @@ def check_intervals(means: str, recipe: str = "default") -> None:
 def assess(fit: Fit, means: str = "curvature", seed: int = 0, progress: Progress = lambda *_: None) -> Certainty:
     """Intervals of a settled fit by the `means` asked for; `seed` is the sampler's."""
     surface = surface_of(fit)
-    freedom = max(3 * int(fit.data.found.sum()) - int(fit.space.free.sum()), 1)
+    freedom = freedoms(fit)
     found = by_curvature(surface, freedom)
     if means == "profile":
         progress("profiles", 0.9)
-        found = by_profile(surface, freedom, found)
+        found = by_profile(surface, found)
     elif means == "posterior":
         progress("posterior", 0.9)
-        found = by_posterior(surface, freedom, found, draw(surface, seed))
+        found = by_posterior(surface, found, draw(surface, seed))
     return found
 
 
-def by_curvature(surface: Surface, freedom: int) -> Certainty:
+def freedoms(fit: Fit) -> np.ndarray:
+    """Degrees of freedom that are left [size]: levels alone tell of hammer, gains and paths, everything of the string.
+
+    With few levels the scatter that is read off them is itself not well known: that is what Student's quantile is for.
+    """
+    size = len(fit.space.free)
+    whole = 3 * int(fit.data.found.sum()) - int(fit.space.free.sum())
+    by_levels = (np.arange(size) >= len(STRING_NAMES)) & ~np.isin(np.arange(size), fit.data.layout.cents)
+    return np.maximum(np.where(by_levels, min(level_freedom(fit.state), whole), whole), 1)
+
+
+def by_curvature(surface: Surface, freedom: np.ndarray | int) -> Certainty:
     """Symmetric in the logarithm; nothing for what is pressed against a bound."""
     change = np.stack([surface.direction(i) for i in range(len(surface.z))])
     cov = change @ surface.covariances()[1] @ change.T
-    spans = intervals(cov[:LOG, :LOG], surface.values[:LOG], freedom)
-    return Certainty(cov, spans, {name: "curvature" if span else None for name, span in spans.items()})
+    freedom = np.broadcast_to(freedom, len(cov))
+    spans = intervals(cov[:LOG, :LOG], surface.values[:LOG], freedom[:LOG])
+    by = {name: "curvature" if span else None for name, span in spans.items()}
+    return Certainty(cov, spans, by, stdtrit(freedom, 0.975))
 
 
-def by_profile(surface: Surface, freedom: int, curvature: Certainty) -> Certainty:
+def by_profile(surface: Surface, curvature: Certainty) -> Certainty:
     """Of every fitted parameter; of those at a bound too. The covariance stays the curvature's."""
     which = np.flatnonzero(surface.space.free[:LOG]).tolist()
-    found = profiles(surface, which, stdtrit(freedom, 0.975))
+    found = profiles(surface, which, curvature.reach)
     told = {
         name: {"allowed_rise": p.allowed, "evaluations": p.evaluations, "points": [list(point) for point in p.points]}
         for name, p in found.items()
@@ -112,13 +128,14 @@ def by_profile(surface: Surface, freedom: int, curvature: Certainty) -> Certaint
         curvature.covariance,
         curvature.spans | {name: _in_box(surface, name, p.interval) for name, p in found.items()},
         curvature.by | dict.fromkeys(found, "profile"),
+        curvature.reach,
         {name: p.open for name, p in found.items()},
         {"profile": told},
         (*_profile_words(found), *_open_words({name: p.open for name, p in found.items()})),
     )
 
 
-def by_posterior(surface: Surface, freedom: int, curvature: Certainty, draws: Draws) -> Certainty:
+def by_posterior(surface: Surface, curvature: Certainty, draws: Draws) -> Certainty:
     """Quantiles of the draws.
 
     The sampler knows the weights, not how the residuals vary, and takes their scale as known: distances from the
@@ -130,7 +147,7 @@ def by_posterior(surface: Surface, freedom: int, curvature: Certainty, draws: Dr
     wider[which] = [np.sqrt(surface.inflation(i)) for i in which]
     whole = np.cov(draws.z.reshape(-1, draws.z.shape[-1]).T) * np.outer(wider, wider)
     logs = np.append(np.log(surface.values[:LOG]), surface.z[LOG:])
-    z = logs + (draws.z - logs) * wider * stdtrit(freedom, 0.975) / NORMAL
+    z = logs + (draws.z - logs) * wider * curvature.reach / NORMAL
     names = [i for i in which if i < LOG]
     ends = {NAMES[i]: _ends(surface, i, z[..., i]) for i in names}
     told = {
@@ -143,6 +160,7 @@ def by_posterior(surface: Surface, freedom: int, curvature: Certainty, draws: Dr
         whole * np.outer(surface.space.free, surface.space.free),
         curvature.spans | {name: span for name, (span, _) in ends.items()},
         curvature.by | dict.fromkeys(ends, "posterior"),
+        curvature.reach,
         {name: unbounded for name, (_, unbounded) in ends.items()},
         {"posterior": {
             "sampler": _sampler(), "chains": chains, "draws": count, "acceptance": draws.acceptance,

@@ -56,10 +56,13 @@ class _Point(NamedTuple):
     evaluations: int
 
 
-def profiles(surface: Surface, which: Sequence[int], quantile: float) -> dict[str, Profile]:
-    """Profiles of the parameters `which` (places in `NAMES`), by name; both sides of all of them run on all cores."""
+def profiles(surface: Surface, which: Sequence[int], quantile: np.ndarray) -> dict[str, Profile]:
+    """Profiles of the parameters `which` (places in `NAMES`), by name; both sides of all of them run on all cores.
+
+    `quantile` [size] is how many standard deviations a 95 % interval reaches.
+    """
     sides = [(name, side) for name in which for side in (-1.0, 1.0)]
-    walks = list(pool().map(lambda job: _walk(surface, job[0], job[1], quantile), sides))
+    walks = list(pool().map(lambda job: _walk(surface, job[0], job[1], float(quantile[job[0]])), sides))
     return {NAMES[n]: _joined(walks[2 * i], walks[2 * i + 1]) for i, n in enumerate(which)}
 
 

@@ -41,8 +41,9 @@ ATTACK = 0.05
 # σ of the string's stage in units of the criterion's: wide lines first. Glide blurs what is finer than the second.
 SIGMAS = (1.0, 0.35)
 ROUNDS = 4
-# The contact may last this many times as long as that of the literature's hammer.
-CONTACTS = 1.6
+# The contact may last this many times as long as that of the literature's hammer. If one lasts nearly as long, better
+# ones may last longer still: all is done again with twice the time.
+CONTACTS, MOST_CONTACTS, NEARLY = 1.6, 6.0, 0.9
 # How often a better hammer is looked for near the one that was found.
 SEARCHES = 3
 # Levels better known than this, dB, show the contact's step; the last stages then take a finer one. By as much as the
@@ -83,16 +84,27 @@ class Fit:
 
 
 def fit_partials(
-    takes: Sequence[Take], start: Start, layout: Layout, *, seed: int = 0, progress: Progress = lambda *_: None
+    takes: Sequence[Take],
+    start: Start,
+    layout: Layout,
+    *,
+    seed: int = 0,
+    progress: Progress = lambda *_: None,
+    contacts: float | None = None,
 ) -> Fit:
     """Fit the nine parameters, the strike position where it is not known, and the takes' velocities over the first's.
+
+    Parameters
+    ----------
+    contacts : how long a contact may last, in those of the literature's hammer; twice as long if one is as long.
 
     Raises
     ------
     FitError
         If no start leads to a finite cost.
     """
-    state = _prepared(takes, start, layout)
+    contacts = contacts or CONTACTS
+    state = _prepared(takes, start, layout, contacts)
     programs = [_compiled_ahead(hammer_batch, state, TOGETHER), _compiled_ahead(joint_batch, state, 1)]
     try:
         progress("string", 0.1)
@@ -120,11 +132,13 @@ def fit_partials(
         # A program that still compiles when Python ends would take it down; after Ctrl-C too.
         for program in programs:
             program.join()
+    if contacts < MOST_CONTACTS and _longest(fit) > NEARLY:
+        return fit_partials(takes, start, layout, seed=seed, progress=progress, contacts=2 * contacts)
     progress("done", 1.0)
     return replace(fit, agreeing=agreeing, evaluations=fit.evaluations + count + searched + more)
 
 
-def _prepared(takes: Sequence[Take], start: Start, layout: Layout) -> State:
+def _prepared(takes: Sequence[Take], start: Start, layout: Layout, contacts: float = CONTACTS) -> State:
     """Choose the contact's rate and length, and what the programs are compiled for, from the literature's strike."""
     space = search_space(start, takes, layout)
     data = side_by_side(tuple(measured(take.recording, take.analysis, start) for take in takes), layout)
@@ -135,12 +149,21 @@ def _prepared(takes: Sequence[Take], start: Start, layout: Layout) -> State:
     log_u = float(np.log(0.5 * first.pulse.compression.max())) if space.free[K] else 0.0
     space = replace(space, log_u=log_u)
     rate = 1.0 / float(first.modes.step)
-    steps = STEPS * int(np.ceil(CONTACTS * first.contact_time * rate / STEPS))
+    steps = STEPS * int(np.ceil(contacts * first.contact_time * rate / STEPS))
     memory = "epsilon" in FELT_LAWS[start.felt]
     cfg = Cfg(max(first.modes.pole.shape[0], data.rows), steps, start.quantity, data.calibrated, memory)
     delay = np.full(layout.takes, arrival(string, start.geometry, start.quantity))
     alone = layout.takes == 1 and not data.calibrated
     return State(data, start, space, rate, delay, cfg, CRITERION if alone else 0.0)
+
+
+def _longest(fit: Fit) -> float:
+    """The longest contact of all takes, in units of the time it may last."""
+    string, hammer = split(fit.values)
+    geometry, slowest = struck(fit.state.start.geometry, fit.values), float(fit.values[fit.data.layout.ratio].min())
+    slow = hammer._replace(v_H0=hammer.v_H0 * float(np.exp(slowest)))
+    played = simulate(string, slow, geometry, quantity=fit.state.start.quantity)
+    return played.contact_time * fit.state.rate / fit.state.cfg.steps
 
 
 def _compiled_ahead(function: Callable, state: State, starts: int) -> threading.Thread:

@@ -152,7 +152,7 @@ def conclude(
         "verdict": opening,
         "messages": said,
         "parameters": _parameters(fit.values, first, sure, states, start),
-        "takes": _in_order([_take(fit, i, h, start, sure.covariance) for i, h in enumerate(heard)], order),
+        "takes": _in_order([_take(fit, i, h, start, sure) for i, h in enumerate(heard)], order),
         "pickup": {"quantity": start.quantity, "path": path_document(fitted.voice.path)},
         "derived": _derived(fitted, analyses[0], cov),
         "criterion": criterion,
@@ -316,14 +316,15 @@ def _given(value: float, name: str, status: str) -> dict:
     }  # fmt: skip
 
 
-def _take(fit: Fit, i: int, heard: Heard, start: Start, whole: np.ndarray) -> dict:
+def _take(fit: Fit, i: int, heard: Heard, start: Start, sure: Certainty) -> dict:
     """What one take has of its own; a velocity that rests on the fastest's has the interval of their ratio."""
     recording, layout = heard.recording, fit.data.layout
     rests = start.fixed.get("v_H0") == "assumed"
     log_v = np.zeros(layout.size)
     log_v[[NAMES.index("v_H0"), layout.ratio[i]]] += 1.0
     log_v[layout.ratio[np.argmax(fit.values[layout.ratio])]] -= float(rests)
-    reach, v = 1.96 * float(np.sqrt(log_v @ whole @ log_v)), float(heard.fitted.voice.hammer.v_H0)
+    sd = float(np.sqrt(log_v @ sure.covariance @ log_v))
+    reach, v = float(sure.reach[layout.ratio[i]]) * sd, float(heard.fitted.voice.hammer.v_H0)
     known = layout.strikes[i] > 0 and not fit.space.free[layout.ratio[i]]
     return {
         "file": recording.path, "sha256": recording.sha256, "rate": recording.rate,

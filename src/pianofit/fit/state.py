@@ -26,7 +26,7 @@ from .space import ABSENT, LOG, NAMES, Layout, Space, default_box
 from .takes import Take
 from .target import Spreads, Takes, doubt, target
 
-__all__ = ["ROUGHER", "TOGETHER", "State", "pool", "predicted", "search_space", "settled_weights"]
+__all__ = ["ROUGHER", "TOGETHER", "State", "level_freedom", "pool", "predicted", "search_space", "settled_weights"]
 
 WIDTH = NAMES.index("width")
 # Hammers that are evaluated by one call. Evaluating more at once gains little, and what has settled would go along.
@@ -188,6 +188,13 @@ def _own_and_common(state: State, miss: np.ndarray) -> tuple[np.ndarray, np.ndar
         freedom += float(mine.any(axis=0).sum())
     join = np.concatenate if common else (lambda _: np.zeros(0))
     return own, join(common), join(noise), freedom
+
+
+def level_freedom(state: State) -> int:
+    """Levels less what is fitted to them: hammer, gains, paths, and every partial's own level in a group of takes."""
+    _, common, _, spent = _own_and_common(state, np.zeros(state.data.found.shape))
+    scored = state.data.found & ~_lone(state)[:, None] if len(common) else state.data.found
+    return int(scored.sum() - spent)
 
 
 def predicted(at: Target, cfg: Cfg, z: np.ndarray) -> np.ndarray:

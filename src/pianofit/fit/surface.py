@@ -85,7 +85,9 @@ def surface_of(fit: Fit) -> Surface:
         offset, tilt = fit.residual - np.asarray(residual[0]), fit.jacobian - np.asarray(jacobian[0])
     arrays = (target, *map(jnp.asarray, (offset, tilt, fit.z[0])))
     variance = row_variance(fit)
-    runs = neighbours(fit.residual / np.sqrt(np.where(variance > 0, variance, 1.0)), fit.data.found)
+    runs = neighbours(
+        fit.residual / np.sqrt(np.where(variance > 0, variance, 1.0)), fit.data.found, fit.data.calibrated
+    )
     return Surface(
         _corrected, arrays, cfg, fit.space, fit.z[0], fit.cost, fit.jacobian, variance, fit.pressed, runs,
         CENT * fit.data.each[0].glide_error,

@@ -26,24 +26,29 @@ FLOOR = 1e-14
 # Neighbours are alike if they are by so many standard deviations of what chance would give, and at most so far;
 # residuals count up to so many of theirs.
 CHANCE, MOST_ALIKE, OUTLYING = 2.0, 0.95, 2.5
+# Of the three kinds of residuals.
+LEVEL = 2
 # Two parameters whose estimates correlate more than this are told apart poorly.
 TANGLED = 0.98
 
 
 class Run(NamedTuple):
-    """Residuals of one kind and take in the order of their partials, and how alike neighbours among them are."""
+    """Residuals of one kind, of one take or of several that are missed alike, and how alike they are."""
 
-    rows: np.ndarray  # int [partials]
-    number: np.ndarray  # k [partials]
+    rows: np.ndarray  # int [residuals]
+    number: np.ndarray  # k [residuals]
     likeness: float  # ρ: of two that are n partials apart, ρⁿ
+    take: np.ndarray | int = 0  # [residuals]
+    across: float = 0.0  # τ: of two takes, beside
 
 
-def neighbours(standard: np.ndarray, found: np.ndarray) -> list[Run]:
+def neighbours(standard: np.ndarray, found: np.ndarray, calibrated: bool = False) -> list[Run]:
     """How alike residuals of neighbouring partials are, for frequency, decay and level.
 
     What a model misses in a partial it misses in the next: a path is smooth, beats slow down from one to the other.
     Such residuals say less than as many that are independent. Of each kind one number is estimated from all takes, and
-    0 is taken where chance would give as much.
+    0 is taken where chance would give as much. Nor are levels of calibrated takes independent of each other, where they
+    are missed for the felt's window: no path of their own has taken that out of what they have in common.
 
     Parameters
     ----------
@@ -58,11 +63,24 @@ def neighbours(standard: np.ndarray, found: np.ndarray) -> list[Run]:
         power = 0.5 * ((values[:, 1:] ** 2 + values[:, :-1] ** 2)[beside]).sum()
         likeness = pairs / power if power > 0 else 0.0
         chance = CHANCE / np.sqrt(max(beside.sum(axis=1).max(), 1))
-        for take, there in enumerate(found):
-            k = np.flatnonzero(there)
-            rows = kind * cells + take * found.shape[1] + k
-            runs.append(Run(rows, k, float(min(likeness, MOST_ALIKE)) if likeness > chance else 0.0))
+        likeness = float(min(likeness, MOST_ALIKE)) if likeness > chance else 0.0
+        across = _across(values, found) if kind == LEVEL and calibrated else 0.0
+        for some in [range(len(found))] if across > 0 else [[take] for take in range(len(found))]:
+            there = found & np.isin(np.arange(len(found)), some)[:, None]
+            take, k = np.nonzero(there)
+            runs.append(Run(kind * cells + take * found.shape[1] + k, k, likeness, take, across))
     return runs
+
+
+def _across(values: np.ndarray, found: np.ndarray) -> float:
+    """How alike residuals [takes, rows] of one partial in several takes are; 0 where chance would give as much."""
+    count = found.sum(axis=0)
+    total, own = np.where(found, values, 0.0).sum(axis=0), np.where(found, values**2, 0.0).sum(axis=0)
+    several = count > 1
+    # Σ over pairs of takes a < b of r_a r_b, and of (r_a² + r_b²)/2.
+    pairs, power = 0.5 * (total**2 - own)[several].sum(), 0.5 * ((count - 1) * own)[several].sum()
+    likeness = pairs / power if power > 0 else 0.0
+    return float(min(likeness, MOST_ALIKE)) if likeness > CHANCE / np.sqrt(max(several.sum(), 1)) else 0.0
 
 
 def whole_covariance(
@@ -83,9 +101,10 @@ def whole_covariance(
     inverse = (vector[:, known] / value[known]) @ vector[:, known].T / np.outer(scale, scale)
     scores = j * np.sqrt(variance)[:, None]
     power = scores.T @ scores
-    for rows, number, likeness in (run for run in runs if run.likeness > 0):
-        alike = likeness ** np.abs(number[:, None] - number) - np.eye(len(number))
-        power += scores[rows].T @ alike @ scores[rows]
+    for run in (run for run in runs if max(run.likeness, run.across) > 0):
+        number, take = run.number, np.broadcast_to(run.take, run.number.shape)
+        alike = run.likeness ** np.abs(number[:, None] - number) * np.where(take[:, None] == take, 1.0, run.across)
+        power += scores[run.rows].T @ (alike - np.eye(len(number))) @ scores[run.rows]
     inner = inverse @ power @ inverse
     inner += vector[:, ~known] @ vector[:, ~known].T / FLOOR / np.outer(scale, scale)
     full = np.zeros((len(space.free), len(space.free)))
@@ -100,9 +119,12 @@ def to_stiffness(cov: np.ndarray, values: np.ndarray, log_u: float) -> np.ndarra
     return change @ cov @ change.T
 
 
-def intervals(cov: np.ndarray, values: np.ndarray, freedom: int) -> dict[str, tuple[float, float] | None]:
-    """95 % intervals by name, symmetric in log(value); None for what was not fitted."""
-    reach = stdtrit(max(freedom, 1), 0.975) * np.sqrt(np.diag(cov))
+def intervals(cov: np.ndarray, values: np.ndarray, freedom: np.ndarray | int) -> dict[str, tuple[float, float] | None]:
+    """95 % intervals by name, symmetric in log(value); None for what was not fitted.
+
+    `freedom` are the degrees of freedom that are left, of all or of each [names].
+    """
+    reach = stdtrit(np.maximum(freedom, 1), 0.975) * np.sqrt(np.diag(cov))
     return {
         name: (float(v * np.exp(-min(r, 700.0))), float(v * np.exp(min(r, 700.0)))) if r > 0 else None
         for name, v, r in zip(NAMES, values, reach, strict=True)
