@@ -122,8 +122,12 @@ def find_pitch(spec: Spectrum, *, top: float, note: str | None, f0: float | None
         return free[1], free[2]
     near = _best(spec, wanted * 2 ** (-1 / 12), wanted * 2 ** (1 / 12), top)
     away = abs(np.log2(free[1] / near[1]))
+    name = f"note {note}" if f0 is None else f"f0={f0:g} Hz"
+    if near[0] < 0.05 and away <= 1 / 24:
+        raise AnalysisError(
+            f"{name}: its partials hardly stand above the noise; give a cleaner recording, or leave it out"
+        )
     if near[0] < 0.05 or (away > 1 / 24 and free[0] > _RIVAL * near[0]):
-        name = f"note {note}" if f0 is None else f"f0={f0:g} Hz"
         raise AnalysisError(
             f"{name} is not in the recording, which sounds like {hz_to_note(free[1])} ({free[1]:.1f} Hz); "
             f"give that note (--note) or the frequency (--f0)"

@@ -41,9 +41,10 @@ ATTACK = 0.05
 # σ of the string's stage in units of the criterion's: wide lines first. Glide blurs what is finer than the second.
 SIGMAS = (1.0, 0.35)
 ROUNDS = 4
-# The contact may last this many times as long as that of the literature's hammer. If one lasts nearly as long, better
-# ones may last longer still: all is done again with twice the time.
-CONTACTS, MOST_CONTACTS, NEARLY = 1.6, 6.0, 0.9
+# The contact may last this many times as long as that of the literature's hammer, and until the agraffe's reflection
+# has come back twice, for in the bass it is what throws the hammer off. If one lasts nearly as long, better ones may
+# last longer still: all is done again with twice the time.
+CONTACTS, RETURNS, MOST_CONTACTS, NEARLY = 1.6, 2.0, 6.0, 0.9
 # How often a better hammer is looked for near the one that was found.
 SEARCHES = 3
 # Levels better known than this, dB, show the contact's step; the last stages then take a finer one. By as much as the
@@ -149,7 +150,9 @@ def _prepared(takes: Sequence[Take], start: Start, layout: Layout, contacts: flo
     log_u = float(np.log(0.5 * first.pulse.compression.max())) if space.free[K] else 0.0
     space = replace(space, log_u=log_u)
     rate = 1.0 / float(first.modes.step)
-    steps = STEPS * int(np.ceil(contacts * first.contact_time * rate / STEPS))
+    returns = 2 * RETURNS * start.geometry.strike / string.c
+    longest = contacts * max(first.contact_time, returns / CONTACTS)
+    steps = STEPS * int(np.ceil(longest * rate / STEPS))
     memory = "epsilon" in FELT_LAWS[start.felt]
     cfg = Cfg(max(first.modes.pole.shape[0], data.rows), steps, start.quantity, data.calibrated, memory)
     delay = np.full(layout.takes, arrival(string, start.geometry, start.quantity))
