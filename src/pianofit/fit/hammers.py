@@ -10,15 +10,19 @@ import numpy as np
 from ..errors import FitError
 from .levenberg import descend
 from .residuals import Target, hammer_batch
+from .screen import screened
 from .space import LOG, NAMES, K, P
 from .state import State
 
 __all__ = ["anchored", "search_hammers"]
 
-STARTS, BATCHES = 16, 6
+# Starts of a batch, batches, and, of several takes through a path, how many hammers are screened for each start.
+STARTS, BATCHES, SCREENED = 16, 6, 8
 # Power of energy by which levels are weighed, iterations, and how many of a batch's starts, the best, go on: loud
-# partials lead to the basin, all of them finish, and where a start leads shows long before it is there.
+# partials lead to the basin, all of them finish, and where a start leads shows long before it is there; sooner still
+# where starts are screened, and then half the batches are enough.
 GRADES = ((0.25, 10, 8), (0.0, 5, 4), (0.0, 15, 4))
+SHORT_GRADES = ((0.25, 6, 4), (0.0, 15, 4))
 # Starts whose costs differ by less than this ended at the same place.
 AGREEMENT = 0.5
 # Velocities that differ by less than this, log, are not worth another round.
@@ -28,19 +32,21 @@ V, MU = NAMES.index("v_H0"), NAMES.index("mu")
 
 
 def search_hammers(state: State, seed: int) -> tuple[np.ndarray, int, int]:
-    """Hammers by the batch, until two of them end at the same lowest cost or `BATCHES` are spent. The best [1, size].
+    """Hammers by the batch, until two of them end at the same lowest cost or all batches are spent. The best [1, size].
 
+    Those of several takes through a path are screened first: a gradient leads to the next minimum, and there are many.
     Of a calibrated recording a hammer should explain all but the first scatter; many can agree on one that does not.
     One uncalibrated recording does not fix the hammer, and more than one batch has not bettered its levels.
     """
-    random, size = np.random.default_rng(seed), len(state.space.start)
-    z, cost, count, agreeing = np.zeros((0, size)), np.zeros(0), 0, 0
-    batches = BATCHES if state.data.calibrated or state.data.layout.takes > 1 else 1
-    for batch in range(batches):
-        throw = random.standard_normal((STARTS, size))
-        if batch == 0:
-            throw[0] = 0.0  # the literature's own hammer is one of the starts
-        found, costs, evaluations = _hammers(state, throw)
+    several = state.data.layout.takes > 1
+    screen = several and not state.data.calibrated
+    batches = (BATCHES // 2 if screen else BATCHES) if several or state.data.calibrated else 1
+    starts = _starts(state, batches * STARTS * (SCREENED if screen else 1), seed)
+    if screen:
+        starts = screened(state, starts)
+    z, cost, count, agreeing = np.zeros((0, starts.shape[1])), np.zeros(0), 0, 0
+    for batch in np.split(starts[: batches * STARTS], batches):
+        found, costs, evaluations = _hammers(state, batch, SHORT_GRADES if screen else GRADES)
         z, cost, count = np.append(z, found, axis=0), np.append(cost, costs), count + evaluations
         agreeing = int((cost < cost.min() + AGREEMENT).sum())
         if agreeing > 1 and not (state.data.calibrated and cost.min() > 0.5 * state.data.found.sum()):
@@ -51,19 +57,30 @@ def search_hammers(state: State, seed: int) -> tuple[np.ndarray, int, int]:
     return z[best : best + 1], agreeing, count
 
 
-def _hammers(state: State, throw: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
+def _starts(state: State, count: int, seed: int) -> np.ndarray:
+    """Search points [count, size]: the literature's hammer, and others thrown about it by the literature's spread."""
+    space = state.space
+    throw = np.random.default_rng(seed).standard_normal((count, len(space.start)))
+    throw[0] = 0.0
+    return space.project(space.z(space.start[None]) + throw * np.where(_physical(state), space.spread, 0.0))
+
+
+def _physical(state: State) -> np.ndarray:
+    """Which coordinates [size] are a hammer's, its blows included, and of a known spread."""
+    index = np.arange(state.data.layout.size)
+    hammer = (index >= 4) & ((index < LOG) | np.isin(index, state.data.layout.ratio))
+    return hammer & np.isfinite(state.space.spread)
+
+
+def _hammers(state: State, z: np.ndarray, grades: tuple) -> tuple[np.ndarray, np.ndarray, int]:
     """Many hammers on one string: eq. 19 in the hammer's band, then levels, the loud ones first.
 
-    `throw` [starts, size] is where they start, in units of the literature's spread. Several takes are compared with
-    each other, which eq. 19 cannot do: theirs begin with the levels. Returns the best points, their costs and how often
-    the batch was evaluated.
+    `z` [starts, size] is where they start. Several takes are compared with each other, which eq. 19 cannot do: theirs
+    begin with the levels. Returns the best points, their costs and how often the batch was evaluated.
     """
     space, layout = state.space, state.data.layout
     spread = state.first_spread(10.0, 1.0)
-    index = np.arange(layout.size)
-    hammer = index >= 4
-    physical = hammer & ((index < LOG) | np.isin(index, layout.ratio)) & np.isfinite(space.spread)
-    z = space.z(space.start[None]) + throw * np.where(physical, space.spread, 0.0)
+    hammer, physical = np.arange(layout.size) >= 4, _physical(state)
     at, count = state.target(spread, state.unweighted), 0
     if layout.takes == 1:
         by_energy = at._replace(by_energy=jnp.ones_like(at.by_energy))
@@ -71,7 +88,7 @@ def _hammers(state: State, throw: np.ndarray) -> tuple[np.ndarray, np.ndarray, i
         z, count = end.z, end.evaluations
     z = _levelled(state, at, space.project(z))
     cost = np.zeros(0)
-    for grade, iterations, keep in GRADES:
+    for grade, iterations, keep in grades:
         at = state.target(spread, state.unweighted, grade)
         end = descend(state.evaluate(hammer_batch, at), z, space, iterations=iterations, free=hammer, tolerance=1e-4)
         best = np.argsort(end.cost)[:keep]

@@ -22,18 +22,20 @@ from ..initial import Start
 from ..model import simulate
 from ..model.simulate import count_modes
 from ..parameters import FELT_LAWS, Geometry
+from . import screen
 from .again import nearby
 from .hammers import anchored, search_hammers
 from .levenberg import Descent, descend
-from .residuals import CENT, Cfg, Target, hammer_batch, joint_batch, string_batch
+from .residuals import CENT, Cfg, Target, hammer_batch, joint_batch, level_batch, string_batch
 from .space import LOG, NAMES, K, Layout, Space, default_box, split, struck
-from .state import TOGETHER, WIDTH, State, predicted, search_space, settled_weights
+from .state import TOGETHER, State, predicted, search_space, settled_weights
 from .takes import Take
 from .target import Spreads, Takes, lines, measured, side_by_side
 from .voice import arrival, lag, placed
 
 __all__ = ["Fit", "fit_partials", "predicted"]
 
+WIDTH = NAMES.index("width")
 # A search's contacts last a whole number of times this many steps, so that notes share compiled programs.
 STEPS = 256
 # How much of the attack, s, tells when the hammer touched.
@@ -53,9 +55,6 @@ FINE_LEVEL, STEP_SCATTER, REFINEMENT = 0.05, 0.2, 8
 # A band whose criterion is 1, as for silence, costs half this much where the path is unknown: there it is not noise
 # that says which partials matter.
 CRITERION = 100.0
-# Levels of a calibrated recording that scatter more than this, dB, ask for a contact window of another shape, for which
-# a raised cosine of another width is a good stand-in.
-WINDOW_SCATTER = 0.01
 
 Progress = Callable[[str, float], None]
 
@@ -107,6 +106,8 @@ def fit_partials(
     contacts = contacts or CONTACTS
     state = _prepared(takes, start, layout, contacts)
     programs = [_compiled_ahead(hammer_batch, state, TOGETHER), _compiled_ahead(joint_batch, state, 1)]
+    if layout.takes > 1 and not state.data.calibrated:
+        programs.append(_compiled_ahead(level_batch, state, screen.TOGETHER, jnp.asarray(screen.GRID)))
     try:
         progress("string", 0.1)
         space, count = _string_stage(takes[0], state)
@@ -123,12 +124,11 @@ def fit_partials(
         if state is not fit.state:
             fit = _joint_stage(state, z, fit.spread, fit.robust)
         if state.data.calibrated:
-            fit = _with_attack(takes, fit)
+            fit = _with_attack(takes, _with_window(fit))
         if _shows_step(fit):
             progress("refinement", 0.8)
             fit = _refined(fit)
-        if _asks_for_window(fit):
-            fit = _with_window(takes, fit)
+            fit = _with_attack(takes, fit) if state.data.calibrated else fit
     finally:
         # A program that still compiles when Python ends would take it down; after Ctrl-C too.
         for program in programs:
@@ -169,12 +169,12 @@ def _longest(fit: Fit) -> float:
     return played.contact_time * fit.state.rate / fit.state.cfg.steps
 
 
-def _compiled_ahead(function: Callable, state: State, starts: int) -> threading.Thread:
+def _compiled_ahead(function: Callable, state: State, starts: int, *more) -> threading.Thread:
     """Call a batch function once, in a thread: its program compiles while the stages before it run."""
 
     def call() -> None:
         at = state.target(state.first_spread(1.0, 0.3), state.unweighted)
-        function(jnp.asarray(np.tile(state.space.z(state.space.start), (starts, 1))), at, state.cfg)
+        function(jnp.asarray(np.tile(state.space.z(state.space.start), (starts, 1))), *more, at, state.cfg)
 
     thread = threading.Thread(target=call, daemon=True)
     thread.start()
@@ -208,31 +208,27 @@ def _shows_step(fit: Fit) -> bool:
     return bool(known and fit.spread.level < STEP_SCATTER)
 
 
-def _asks_for_window(fit: Fit) -> bool:
-    """Whether calibrated levels are missed by more than noise: there is no path to blame.
+def _with_window(fit: Fit) -> Fit:
+    """The fit of calibrated recordings with the width of the contact free.
 
-    The step is not to blame either, since it comes first: what is left is the felt's window, of another shape than the
-    model's.
+    A felt's window is measured, if at all, by its width, and the model's is a raised cosine: one of another shape acts
+    as a raised cosine of another width does. Levels of a microphone do not show that, and a path would take it up.
     """
-    return fit.data.calibrated and fit.spread.level > WINDOW_SCATTER and not fit.space.free[WIDTH]
-
-
-def _with_window(takes: Sequence[Take], fit: Fit) -> Fit:
-    """The fit gone on with the width of the contact free."""
     state = replace(fit.state, space=_with_free_width(fit.space, fit.state.start.geometry))
-    fit = _joint_stage(state, fit.z, fit.spread, fit.robust)
-    state = replace(state, delay=_touches(takes, fit))
-    return _joint_stage(state, fit.z, fit.spread, fit.robust)
+    return replace(fit, state=state, space=state.space)
 
 
 def _refined(fit: Fit) -> Fit:
-    """The fit gone on with a finer step of the contact."""
-    state = fit.state
-    rate = state.rate * REFINEMENT
+    """The fit gone on with a finer step of the contact, and the rest extrapolated, for errors go with its square."""
+    coarse = fit.state
+    rate = coarse.rate * REFINEMENT
     string, _ = split(fit.values)
-    rows = max(state.cfg.n_modes, count_modes(string, state.start.geometry, rate))
-    state = replace(state, rate=rate, cfg=state.cfg._replace(steps=state.cfg.steps * REFINEMENT, n_modes=rows))
-    return replace(_joint_stage(state, fit.z, fit.spread, fit.robust), coarse=fit.state)
+    rows = max(coarse.cfg.n_modes, count_modes(string, coarse.start.geometry, rate))
+    cfg = coarse.cfg._replace(steps=coarse.cfg.steps * REFINEMENT, n_modes=rows)
+    state = replace(coarse, rate=rate, cfg=cfg)
+    level = [predicted(s.target(fit.spread, fit.robust), s.cfg, fit.z[0])[:, 2] for s in (coarse, state)]
+    state = replace(state, finer=(level[1] - level[0]) / (REFINEMENT**2 - 1))
+    return replace(_joint_stage(state, fit.z, fit.spread, fit.robust), coarse=coarse)
 
 
 def _with_free_width(space: Space, geometry: Geometry) -> Space:

@@ -30,6 +30,7 @@ __all__ = [
     "compare",
     "hammer_batch",
     "joint_batch",
+    "level_batch",
     "predict",
     "string_batch",
     "string_lines",
@@ -76,6 +77,7 @@ class Target(NamedTuple):
     delay: Array  # s, [takes], from the first touch to the recording's onset
     geometry: Geometry
     rate: Array  # of the contact, Hz
+    finer: Array  # dB, [takes, rows]: what a step without end would add to the model's levels
 
 
 class Lines(NamedTuple):
@@ -90,7 +92,7 @@ class Lines(NamedTuple):
 
 
 def predict(string_z: Float[Array, " 4"], hammer_z: Float[Array, " 7 or 9"], ratio: Array, target: Target, cfg: Cfg):
-    """Frequency, Hz, decay, 1/s, and level, dB, of the partials [takes, 3, rows], and whether all contacts ended.
+    """Frequency, Hz, decay, 1/s, and level, dB, of the partials [takes, 3, rows], and whether each contact ended.
 
     `ratio` [takes] are the log velocities over that in `hammer_z`. Takes differ in nothing else before gain and path.
     """
@@ -110,7 +112,7 @@ def predict(string_z: Float[Array, " 4"], hammer_z: Float[Array, " 7 or 9"], rat
     string = jnp.stack([modes.pole.imag / (2 * jnp.pi), -modes.pole.real])
     rows = target.frequency.shape[1]
     takes = jnp.broadcast_to(string, (len(ratio), *string.shape))
-    return jnp.concatenate([takes, level[:, None]], axis=1)[..., :rows], ended.all()
+    return jnp.concatenate([takes, level[:, None]], axis=1)[..., :rows], ended
 
 
 def compare(prediction: Array, z: Float[Array, " size"], target: Target, cfg: Cfg) -> Float[Array, " residuals"]:
@@ -121,7 +123,7 @@ def compare(prediction: Array, z: Float[Array, " size"], target: Target, cfg: Cf
     """
     frequency, decay, level = jnp.moveaxis(prediction, 1, 0)
     frequency = frequency * (1 + CENT * (target.cents @ z))[:, None]
-    shaped = level + target.basis @ z
+    shaped = level + target.finer + target.basis @ z
     # Noise adds its energy to the model's, as it did to the recording's.
     heard = DB * jnp.logaddexp(shaped / DB, target.floor / DB)
     miss = target.level_weight * (heard - target.level)
@@ -165,6 +167,11 @@ def string_lines(z: Array, lines: Lines, cfg: Cfg) -> Array:
     return (lines.weight[:, None] * miss).ravel()
 
 
+def _last(cfg: Cfg) -> int:
+    """Where the parameters of string and hammer end in a search point; a felt's memory comes last."""
+    return LOG if cfg.memory else LOG - len(MEMORY_NAMES)
+
+
 def _evaluate(string_z: Array, rest: Array, fixed_string: bool, target: Target, cfg: Cfg):
     """Residuals, Jacobian and prediction at one point; the prediction is differentiated, the comparison chained on."""
     z = jnp.concatenate([string_z, rest])
@@ -173,9 +180,9 @@ def _evaluate(string_z: Array, rest: Array, fixed_string: bool, target: Target, 
     def twice(x):
         string, hammer = (string_z, x) if fixed_string else (x[:4], x[4:])
         value, ended = predict(string, hammer, ratio, target, cfg)
-        return value, (value, ended)
+        return value, (value, ended.all())
 
-    first, last = 4 if fixed_string else 0, LOG if cfg.memory else LOG - len(MEMORY_NAMES)
+    first, last = 4 if fixed_string else 0, _last(cfg)
     slope, (value, ended) = jax.jacfwd(twice, has_aux=True)(z[first:last])
     slope = jnp.pad(slope, ((0, 0), (0, 0), (0, 0), (first, z.shape[0] - last)))
     # Each take's velocity is v_H0 times its own ratio.
@@ -199,6 +206,21 @@ def joint_batch(z, target: Target, cfg: Cfg):
 def hammer_batch(z, target: Target, cfg: Cfg):
     """As `joint_batch`, with the first row's string for all: it is computed once, and has no derivatives."""
     return jax.vmap(lambda x: _evaluate(z[0, :4], x, True, target, cfg))(z[:, 4:])
+
+
+@kept
+def level_batch(z, ratio, target: Target, cfg: Cfg):
+    """Levels, dB, before gain and path, as a tuple of one [hammers, velocities, rows]; inf where a contact did not end.
+
+    Hammers are those of `z` [hammers, size] on the first row's string, velocities their v_H0 times exp(`ratio`).
+    """
+    at, last = target._replace(delay=jnp.broadcast_to(target.delay[0], ratio.shape)), _last(cfg)
+
+    def one(x):
+        value, ended = predict(z[0, :4], x[4:last], ratio, at, cfg)
+        return jnp.where(ended[:, None], value[:, 2], jnp.inf)
+
+    return (jax.vmap(one)(z),)
 
 
 @kept

@@ -28,12 +28,11 @@ from .target import Spreads, Takes, doubt, target
 
 __all__ = ["ROUGHER", "TOGETHER", "State", "level_freedom", "pool", "predicted", "search_space", "settled_weights"]
 
-WIDTH = NAMES.index("width")
 # Hammers that are evaluated by one call. Evaluating more at once gains little, and what has settled would go along.
 TOGETHER = 4
-# The model's window, as given or of an effective width, is a stand-in all the same: levels through it are off by about
-# this much, dB, however well they can be fitted.
-STAND_IN = {False: 0.003, True: 0.01}
+# The model's window, of an effective width, is a stand-in all the same: levels through it are off by about this much,
+# dB, however well they can be fitted.
+STAND_IN = 0.01
 # No real path is as smooth as the model's, dB; a few partials would otherwise be fitted to the last digit. What several
 # takes through one path differ by is known better.
 LEAST_SCATTER, LEAST_OWN = 1.0, 0.2
@@ -85,6 +84,7 @@ class State:
     delay: np.ndarray
     cfg: Cfg
     criterion: float
+    finer: np.ndarray | float = 0.0  # dB, [takes, rows]: what a step without end would add to the model's levels
 
     @property
     def unweighted(self) -> np.ndarray:
@@ -101,7 +101,7 @@ class State:
         """The recording, weighted."""
         return target(
             self.data, self.start, self.space, spread, robust, rate=self.rate, delay=self.delay, grade=grade,
-            criterion=self.criterion,
+            criterion=self.criterion, finer=self.finer,
         )  # fmt: skip
 
     def evaluate(self, function: Callable, at: Target) -> Callable:
@@ -164,7 +164,7 @@ def _least(state: State) -> float:
     """The scatter of levels, dB, below which no model is to be believed."""
     if state.start.quantity == "pressure":
         return LEAST_SCATTER if state.data.layout.takes == 1 else LEAST_OWN
-    return STAND_IN[bool(state.space.free[WIDTH])]
+    return STAND_IN
 
 
 def _own_and_common(state: State, miss: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
@@ -202,6 +202,6 @@ def predicted(at: Target, cfg: Cfg, z: np.ndarray) -> np.ndarray:
     value = np.array(joint_batch(jnp.asarray(z[None]), at, cfg)[2])[0]
     value[:, 0] *= 1 + CENT * (np.asarray(at.cents) @ z)[:, None]
     value[:, 2] = 10 * np.log10(
-        10 ** ((value[:, 2] + np.asarray(at.basis) @ z) / 10) + 10 ** (np.asarray(at.floor) / 10)
+        10 ** ((value[:, 2] + np.asarray(at.finer) + np.asarray(at.basis) @ z) / 10) + 10 ** (np.asarray(at.floor) / 10)
     )
     return value

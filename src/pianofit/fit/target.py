@@ -218,7 +218,7 @@ def _roughness(takes: Takes, weight: np.ndarray, rough: float) -> tuple[np.ndarr
 
 def target(
     takes: Takes, start: Start, space: Space, spread: Spreads, robust: np.ndarray, *, rate: float, delay: np.ndarray,
-    grade: float = 0.0, criterion: float = 0.0,
+    grade: float = 0.0, criterion: float = 0.0, finer: np.ndarray | float = 0.0,
 ) -> Target:  # fmt: skip
     """Everything the residuals need.
 
@@ -229,6 +229,7 @@ def target(
     grade : level weights go with energy to this power; 0 counts all partials' decibels alike, which has many false
         minima, and ½ their amplitudes, which has few.
     criterion : a band whose eq. 19 is 1, as for silence, costs half this much.
+    finer : dB, [takes, rows], to be added to the model's levels.
     """
     take, layout = np.arange(takes.layout.takes), takes.layout
     ratio, cents = np.zeros((2, layout.takes, layout.size))
@@ -244,6 +245,7 @@ def target(
         "delay": delay,
         "geometry": Geometry(*map(np.float64, start.geometry)),
         "rate": rate,
+        "finer": np.broadcast_to(finer, takes.level.shape),
     }  # fmt: skip
     return Target(**jax.tree.map(jnp.asarray, fields))
 

@@ -104,8 +104,8 @@ def words(
         said.append(f"No lower on the paper's criterion than at the start: {', '.join(worse)}.")
     if fit.space.free[NAMES.index("width")]:
         said.append(
-            "The levels ask for another contact window than a raised cosine of the given width; "
-            f"an effective width of {1e3 * fit.values[NAMES.index('width')]:.1f} mm stands for it."
+            "The shape of the contact's window is not known, so its width is fitted along: an effective "
+            f"{1e3 * fit.values[NAMES.index('width')]:.2f} mm (given or assumed: {1e3 * start.geometry.width:.2f} mm)."
         )
     bound = [n for n, s in states.items() if s == "at-bound"]
     if bound:
