@@ -8,7 +8,7 @@ import numpy as np
 
 from ..errors import AnalysisError
 from .demodulate import demodulate
-from .glide import glide_windows, straightened
+from .glide import falls, glide_windows, straightened
 from .inharmonicity import CENTS, DecayLaw, FrequencyLaw, decay_law, frequency_law
 from .notes import hz_to_note
 from .partials import Measured, first_fits, lost, measure
@@ -30,6 +30,7 @@ _WORST_LEVEL = 10.0  # dB; a level less sure than this is no level
 _OUTLIER = (6.0, 12.0)  # standard deviations, and cents, from the law beyond which a peak belongs to something else
 TRUSTED = 20.0  # partials; from about there real strings leave the law by cents
 _BEATS = 1.5  # dB
+_SEEN = 0.05  # cents; a smaller fall is none
 
 
 def analyse(recording: Recording, *, note: str | None = None, f0: float | None = None) -> Analysis:
@@ -102,10 +103,8 @@ def _measure_all(
     density = noise_between(samples, rate, expected, frequency, law.f0, min(0.05, 0.1 * seconds))
     density = np.maximum(density, 1e-20 * float(np.max(np.abs(z))) ** 2)
     windows = glide_windows(bands, z, fit, density)
-    fall, fall_error = 0.0, np.inf
-    if len(windows) > 1:
-        fall, fall_error = windows[0][2] - windows[-1][2], float(np.hypot(windows[0][3], windows[-1][3]))
-    glides = abs(fall) > max(3 * fall_error, 0.1)
+    fall = windows[0][2] - windows[-1][2] if len(windows) > 1 else 0.0
+    glides = falls(windows)
     left = 0.0
     if glides:
         bands, z, fit, left = straightened(bands, z, fit, density, windows)
@@ -145,7 +144,10 @@ def _on_law(k: np.ndarray, frequency: np.ndarray, error: np.ndarray) -> np.ndarr
 
 
 def _table(number: np.ndarray, rows: Measured, keep: np.ndarray) -> Partials:
-    names = ("frequency", "frequency_error", "decay", "decay_error", "level", "level_error", "snr", "beating")
+    names = (
+        "frequency", "frequency_error", "frequency_doubt", "decay", "decay_error", "decay_doubt",
+        "level", "level_error", "snr", "beating",
+    )  # fmt: skip
     columns = {name: getattr(rows, name)[keep] for name in names}
     columns["decay"] = np.maximum(columns["decay"], 1e-3)
     return Partials(number=number, **columns)
@@ -155,7 +157,7 @@ def _warnings(table: Partials, losses: DecayLaw, fall: float) -> tuple[str, ...]
     found = []
     if len(table) < 3:
         found.append(f"only {len(table)} partials found: B and the losses are hardly determined")
-    if fall:
+    if abs(fall) >= _SEEN:
         found.append(f"the pitch {'falls' if fall > 0 else 'rises'} by {abs(fall):.1f} cents as the note decays")
     deep = int(np.sum(table.beating > _BEATS))
     if deep:

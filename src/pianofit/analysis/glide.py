@@ -16,13 +16,17 @@ from .inharmonicity import CENTS
 from .partials import first_fits, lost
 from .tones import Tones, fit_tones
 
-__all__ = ["glide_windows", "straightened"]
+__all__ = ["falls", "glide_windows", "straightened"]
 
 _WINDOWS = ((0.0, 0.35), (0.2, 1.0), (1.0, 2.0), (2.0, 4.0), (4.0, np.inf))  # s after the onset
 _REFERENCE = 1  # of the windows: where f0 is defined
 _ROUNDS = 8
 # Time constants of a fall, s, and a usual one.
 _TAU, _USUAL_TAU = (0.05, 5.0), 0.5
+# A change of pitch is one if it is this many standard errors and this many cents.
+_SURE, _LEAST = 3.0, 0.1
+# Where one window tells of a fall it does not tell its time constant, and so much of it is not known.
+_UNTOLD = 0.3
 _LOUD = 30.0  # power a partial must have in a window, over the noise power of a frame
 
 
@@ -59,6 +63,15 @@ def glide_windows(
     return rows
 
 
+def falls(windows: list[tuple[float, float, float, float]]) -> bool:
+    """Whether the pitch differs between two of the windows: one in which few partials are heard tells little."""
+    return any(
+        abs(one[2] - other[2]) > max(_SURE * np.hypot(one[3], other[3]), _LEAST)
+        for i, one in enumerate(windows)
+        for other in windows[:i]
+    )
+
+
 def straightened(
     bands: Bands, z: NDArray[np.complex128], fit: Tones, density: np.ndarray,
     windows: list[tuple[float, float, float, float]],
@@ -73,6 +86,8 @@ def straightened(
     z, fit : as they are, cleaned and fitted
     windows : at least two, of `glide_windows`
     """
+    told = [row for row in windows if np.isfinite(row[3])]
+    windows = told if len(told) > 1 else windows
     spans = [row[:2] for row in windows]
     wanted = np.array([row[2] for row in windows])
     least, best, best_fits = float(np.abs(wanted).max()), bands, (z, fit)
@@ -85,6 +100,8 @@ def straightened(
             break
         best, best_fits = straight, (z, fit)
         least, wanted = float(np.abs(rest).max()), wanted + rest
+    if len(windows) == 2:
+        least = max(least, _UNTOLD * abs(windows[0][2] - windows[1][2]))
     return best, best_fits[0], best_fits[1], least
 
 

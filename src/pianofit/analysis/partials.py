@@ -9,15 +9,19 @@ two stages; then each number is taken where it means something:
 - decay rate of the early energy, the first 0.8 s,
 - level from the energy of the first 0.35 s (energy.py),
 
-and the errors grow by the misfit.
+and the errors grow by the misfit. A beat too slow to be seen whole bends what one exponential says of a partial by more
+than it misses it: how far a fit of other windows differs is taken for that doubt. Beats change little from one partial
+to the next, so a doubt is that of a few neighbours, and neighbours share it.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 
 from .components import LEVEL_RATE, LEVEL_SECONDS, Components, energy_level, resolve
 from .demodulate import Bands
@@ -32,6 +36,8 @@ _DEEP = 1.5  # dB rms beyond which a partial counts as beating
 _CLEAN_MISFIT = 3e-3  # of the signal's rms: one exponential is then good enough whatever the noise
 _DOUBT = 0.15  # share of the difference between one component and several that goes into the error
 _EXACT = 1e-4  # misfit over power at which components may be carried back to the onset
+_SURE = 2.5  # standard errors from noise that two windows may differ by
+_NEAR = 2  # partials to either side whose doubt a partial shares
 _NOISY = 0.5  # share of a band's energy that is noise beyond which one exponential says more
 _DB = 20 / np.log(10)
 
@@ -42,8 +48,10 @@ class Measured:
 
     frequency: np.ndarray
     frequency_error: np.ndarray
+    frequency_doubt: np.ndarray
     decay: np.ndarray
     decay_error: np.ndarray
+    decay_doubt: np.ndarray
     level: np.ndarray
     level_error: np.ndarray
     snr: np.ndarray
@@ -104,7 +112,7 @@ def measure(
     frame = density / 2 * bands.noise_width  # noise variance of one frame
     clean, chi = _one_exponential(bands, z, fit, frame)
     beating = _beating(bands, z, frame)
-    whole = _Fit(fit, peak * np.sqrt(np.maximum(1.0, chi)))
+    whole = _Fit(fit, peak * np.sqrt(np.maximum(1.0, chi)), peak)
     early, tone, first = (
         _window(bands, z, fit, peak, frame, *window)
         for window in ((0.0, _EARLY), FREQUENCY_WINDOW, (0.0, bands.time[0] + _FIRST))
@@ -122,10 +130,11 @@ def measure(
 
 @dataclass(frozen=True)
 class _Fit:
-    """A fit with the noise (per frame, [partials]) that its misfit shows."""
+    """A fit with the noise (per frame, [partials]) that its misfit shows, and the recording's alone."""
 
     fit: Tones
     noise: np.ndarray
+    bare: np.ndarray
 
 
 def _window(
@@ -134,7 +143,7 @@ def _window(
     """One exponential through the frames between `start` and `stop`."""
     cut = bands.cut(start, stop)
     local = fit_tones(z[:, cut], bands.time[cut], fit.pole, steps=8)
-    return _Fit(local, peak * np.sqrt(np.maximum(1.0, local.misfit / frame)))
+    return _Fit(local, peak * np.sqrt(np.maximum(1.0, local.misfit / frame)), peak)
 
 
 def _frequencies(
@@ -146,28 +155,40 @@ def _frequencies(
     use_whole: np.ndarray,
     audible: np.ndarray,
     split: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies and their errors, Hz."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Frequencies, their errors, and what of these is doubt, Hz."""
     offset, error = early.fit.pole.imag, early.noise * early.fit.pole_error()
     for better, other in ((audible, tone), (use_whole, whole)):
         offset = np.where(better, other.fit.pole.imag, offset)
         error = np.where(better, other.noise * other.fit.pole_error(), error)
     frequency, error = bands.centre + offset / (2 * np.pi), error / (2 * np.pi)
-    error = np.where(split, np.hypot(error, _DOUBT * (parts.frequency - frequency)), error)
-    return np.where(split, parts.frequency, frequency), error
+    # Where nothing is heard late, a longer window is no other.
+    single = np.where(audible, _beyond_noise(tone, whole, np.imag), 0.0) / (2 * np.pi)
+    doubt = _shared(np.where(split, _DOUBT * (parts.frequency - frequency), single))
+    return np.where(split, parts.frequency, frequency), np.hypot(error, doubt), doubt
 
 
 def _decays(
     whole: _Fit, early: _Fit, parts: Components, clean: np.ndarray, split: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Decay rates and their errors, 1/s."""
-    single, single_error = -early.fit.pole.real, early.noise * early.fit.pole_error()
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Decay rates, their errors, and what of these is doubt, 1/s."""
+    single = -early.fit.pole.real
     decay = np.where(split, parts.decay, single)
-    doubt = np.where(split, _DOUBT * (decay - single), (single + whole.fit.pole.real) / 2)
-    return (
-        np.where(clean, -whole.fit.pole.real, decay),
-        np.where(clean, whole.noise * whole.fit.pole_error(), np.hypot(single_error, doubt)),
-    )
+    doubt = _shared(np.where(split, _DOUBT * (decay - single), _beyond_noise(early, whole, np.real)))
+    better = np.where(clean, whole.noise * whole.fit.pole_error(), early.noise * early.fit.pole_error())
+    return np.where(clean, -whole.fit.pole.real, decay), np.hypot(better, doubt), doubt
+
+
+def _beyond_noise(short: _Fit, long: _Fit, part: Callable) -> np.ndarray:
+    """How far a part of the poles of two windows differs, [partials], 1/s, beyond what noise in the shorter may do."""
+    apart, noise = part(short.fit.pole - long.fit.pole), _SURE * short.bare * short.fit.pole_error()
+    return np.sqrt(np.maximum(apart**2 - noise**2, 0.0))
+
+
+def _shared(doubt: np.ndarray) -> np.ndarray:
+    """How large each partial's doubt is, or its neighbours' median [partials]: one's own can be nought by chance."""
+    size = np.abs(doubt)
+    return np.maximum(size, median_filter(size, 2 * _NEAR + 1, mode="reflect"))
 
 
 def _levels(

@@ -11,13 +11,18 @@ __all__ = ["Analysis", "Partials"]
 
 @dataclass(frozen=True)
 class Partials:
-    """The table of partials, ascending in number; only those found above the noise. Errors are standard errors."""
+    """The table of partials, ascending in number; only those found above the noise. Errors are standard errors.
+
+    A doubt is what neighbouring partials share of an error: beats bend them alike.
+    """
 
     number: np.ndarray  # int [partials], k
     frequency: np.ndarray  # [partials], Hz
     frequency_error: np.ndarray
+    frequency_doubt: np.ndarray
     decay: np.ndarray  # [partials], 1/s, decay rate α of the amplitude
     decay_error: np.ndarray
+    decay_doubt: np.ndarray
     level: np.ndarray  # [partials], dB re full scale² · s: ∫_0^0.35s of its mean power · exp(−16 t) dt, from the onset
     level_error: np.ndarray
     snr: np.ndarray  # [partials], dB, amplitude at the onset over its own standard error from noise

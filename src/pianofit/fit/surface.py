@@ -86,7 +86,7 @@ def surface_of(fit: Fit) -> Surface:
     arrays = (target, *map(jnp.asarray, (offset, tilt, fit.z[0])))
     variance = row_variance(fit)
     runs = neighbours(
-        fit.residual / np.sqrt(np.where(variance > 0, variance, 1.0)), fit.data.found, fit.data.calibrated
+        fit.residual / np.sqrt(np.where(variance > 0, variance, 1.0)), fit.data.found, fit.data.calibrated, _doubt(fit)
     )
     return Surface(
         _corrected, arrays, cfg, fit.space, fit.z[0], fit.cost, fit.jacobian, variance, fit.pressed, runs,
@@ -113,3 +113,13 @@ def row_variance(fit: Fit) -> np.ndarray:
     variance[2 * cells : 3 * cells][found] = (level * sd)[found] ** 2
     variance[3 * cells : 4 * cells] = np.where(found, (line * sd * np.log(10) / 10) ** 2, 0.0)
     return variance
+
+
+def _doubt(fit: Fit) -> np.ndarray:
+    """Which share [3, takes, rows] of a residual's standard deviation beats and glides may have made."""
+    data = fit.data
+    weight = [np.asarray(x) for x in (fit.target.frequency_weight, fit.target.decay_weight)]
+    # Takes of one string share weights of the first two kinds, since they are missed alike.
+    takes = np.sqrt(np.maximum(data.found.sum(axis=0), 1))
+    level = 1 / np.hypot(data.level_error, fit.spread.level)
+    return np.clip(np.stack([weight[0] * takes, weight[1] * takes, level]) * data.doubt, 0.0, 1.0)

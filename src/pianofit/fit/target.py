@@ -43,6 +43,7 @@ class Measured:
     floor: np.ndarray  # dB, energy of the noise in a partial's band, [rows]
     line: np.ndarray  # dB, the level that eq. 19 likes best, [rows]
     sigma: float  # 1/s, of that eq. 19
+    glide: float = 0.0  # cents, from the first moments on
     glide_error: float = 0.0  # cents, of all frequencies alike
 
     @property
@@ -76,6 +77,7 @@ class Takes:
     decay_error: np.ndarray
     level: np.ndarray  # dB
     level_error: np.ndarray
+    doubt: np.ndarray  # [3, takes, rows]: what of the three errors neighbouring partials share
 
     @property
     def number(self) -> np.ndarray:
@@ -104,10 +106,13 @@ def side_by_side(each: tuple[Measured, ...], layout: Layout) -> Takes:
     """The takes on common rows, in whole multiples of `ROWS`."""
     rows = ROWS * int(np.ceil(max(data.number.max() for data in each) / ROWS))
     blank = np.zeros((len(each), rows))
-    takes = Takes(each, layout, rows, blank > 0, blank > 0, *(blank,) * 6)
+    takes = Takes(each, layout, rows, blank > 0, blank > 0, *(blank,) * 6, doubt=np.stack([blank] * 3))
     ones = [np.ones(len(data.number)) for data in each]
     found = takes.spread_out([x[: d.found] for x, d in zip(ones, each, strict=True)]) > 0
     partials = [data.partials for data in each]
+    # When it was struck a string that glides was another one: tenser by twice the fall, of which about half is seen.
+    tenser = [np.full(d.found, 20 * np.log10(1 + 4 * abs(d.glide) * CENT) * d.calibrated) for d in each]
+    shared = ([p.frequency_doubt for p in partials], [p.decay_doubt for p in partials], tenser)
     return replace(
         takes,
         found=found,
@@ -117,7 +122,8 @@ def side_by_side(each: tuple[Measured, ...], layout: Layout) -> Takes:
         decay=takes.spread_out([p.decay for p in partials]),
         decay_error=takes.spread_out([p.decay_error for p in partials]),
         level=takes.spread_out([d.level for d in each]),
-        level_error=takes.spread_out([p.level_error for p in partials]),
+        level_error=takes.spread_out([np.hypot(p.level_error, x) for p, x in zip(partials, tenser, strict=True)]),
+        doubt=np.stack([takes.spread_out(kind) for kind in shared]),
     )
 
 
@@ -141,6 +147,7 @@ def measured(recording: Recording, analysis: Analysis, start: Start) -> Measured
         floor=floor + unit,
         line=np.append(line[p.number - 1], bound[silent - 1]) + unit,
         sigma=sigma,
+        glide=analysis.glide_cents,
         glide_error=analysis.glide_error,
     )
 

@@ -28,6 +28,8 @@ FLOOR = 1e-14
 CHANCE, MOST_ALIKE, OUTLYING = 2.0, 0.95, 2.5
 # Of the three kinds of residuals.
 LEVEL = 2
+# Beats and glides bend neighbouring partials this much alike.
+DOUBTED = 0.95
 # Two parameters whose estimates correlate more than this are told apart poorly.
 TANGLED = 0.98
 
@@ -40,9 +42,21 @@ class Run(NamedTuple):
     likeness: float  # ρ: of two that are n partials apart, ρⁿ
     take: np.ndarray | int = 0  # [residuals]
     across: float = 0.0  # τ: of two takes, beside
+    doubt: np.ndarray | float = 0.0  # [residuals]: share of the standard deviation that beats or a glide may have made
+
+    @property
+    def correlation(self) -> np.ndarray:
+        """Of the residuals [residuals, residuals]."""
+        apart, take = np.abs(self.number[:, None] - self.number), np.broadcast_to(self.take, self.number.shape)
+        doubt = np.broadcast_to(self.doubt, self.number.shape)
+        rest, same = np.sqrt(1 - doubt**2), take[:, None] == take
+        alike = self.likeness**apart * np.where(same, 1.0, self.across)
+        return np.outer(rest, rest) * alike + np.outer(doubt, doubt) * DOUBTED**apart * same
 
 
-def neighbours(standard: np.ndarray, found: np.ndarray, calibrated: bool = False) -> list[Run]:
+def neighbours(
+    standard: np.ndarray, found: np.ndarray, calibrated: bool = False, doubt: np.ndarray | None = None
+) -> list[Run]:
     """How alike residuals of neighbouring partials are, for frequency, decay and level.
 
     What a model misses in a partial it misses in the next: a path is smooth, beats slow down from one to the other.
@@ -54,8 +68,10 @@ def neighbours(standard: np.ndarray, found: np.ndarray, calibrated: bool = False
     ----------
     standard : residuals over their standard deviations [residuals], those of frequency, decay and level first.
     found : bool [takes, rows]
+    doubt : [3, takes, rows], share of each standard deviation that neighbours have in common for certain.
     """
     cells, runs = found.size, []
+    doubt = np.zeros((3, *found.shape)) if doubt is None else doubt
     kinds = np.clip(standard[: 3 * cells], -OUTLYING, OUTLYING).reshape(3, *found.shape)
     for kind, values in enumerate(kinds):
         beside = found[:, 1:] & found[:, :-1]
@@ -68,7 +84,8 @@ def neighbours(standard: np.ndarray, found: np.ndarray, calibrated: bool = False
         for some in [range(len(found))] if across > 0 else [[take] for take in range(len(found))]:
             there = found & np.isin(np.arange(len(found)), some)[:, None]
             take, k = np.nonzero(there)
-            runs.append(Run(kind * cells + take * found.shape[1] + k, k, likeness, take, across))
+            rows = kind * cells + take * found.shape[1] + k
+            runs.append(Run(rows, k, likeness, take, across, doubt[kind][there]))
     return runs
 
 
@@ -101,10 +118,8 @@ def whole_covariance(
     inverse = (vector[:, known] / value[known]) @ vector[:, known].T / np.outer(scale, scale)
     scores = j * np.sqrt(variance)[:, None]
     power = scores.T @ scores
-    for run in (run for run in runs if max(run.likeness, run.across) > 0):
-        number, take = run.number, np.broadcast_to(run.take, run.number.shape)
-        alike = run.likeness ** np.abs(number[:, None] - number) * np.where(take[:, None] == take, 1.0, run.across)
-        power += scores[run.rows].T @ (alike - np.eye(len(number))) @ scores[run.rows]
+    for run in runs:
+        power += scores[run.rows].T @ (run.correlation - np.eye(len(run.number))) @ scores[run.rows]
     inner = inverse @ power @ inverse
     inner += vector[:, ~known] @ vector[:, ~known].T / FLOOR / np.outer(scale, scale)
     full = np.zeros((len(space.free), len(space.free)))
