@@ -10,6 +10,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -215,7 +216,9 @@ def _takes(
     from .analysis import analyse
 
     progress("partials", 0.02)
-    return recordings, [analyse(recording, note=note, f0=f0) for recording in recordings], known
+    with ThreadPoolExecutor() as threads:
+        analyses = list(threads.map(lambda recording: analyse(recording, note=note, f0=f0), recordings))
+    return recordings, analyses, known
 
 
 def _write(

@@ -16,11 +16,12 @@ from .state import State
 
 __all__ = ["anchored", "search_hammers"]
 
-# Starts of a batch, batches, and, of several takes through a path, how many hammers are screened for each start.
+# Starts of a batch, and batches. Of several takes through a path the starts are the likeliest of so many times as many,
+# and half a batch is as good as one that is thrown.
 STARTS, BATCHES, SCREENED = 16, 6, 8
 # Power of energy by which levels are weighed, iterations, and how many of a batch's starts, the best, go on: loud
 # partials lead to the basin, all of them finish, and where a start leads shows long before it is there; sooner still
-# where starts are screened, and then half the batches are enough.
+# where starts were screened.
 GRADES = ((0.25, 10, 8), (0.0, 5, 4), (0.0, 15, 4))
 SHORT_GRADES = ((0.25, 6, 4), (0.0, 15, 4))
 # Starts whose costs differ by less than this ended at the same place.
@@ -38,18 +39,20 @@ def search_hammers(state: State, seed: int) -> tuple[np.ndarray, int, int]:
     Of a calibrated recording a hammer should explain all but the first scatter; many can agree on one that does not.
     One uncalibrated recording does not fix the hammer, and more than one batch has not bettered its levels.
     """
-    several = state.data.layout.takes > 1
-    screen = several and not state.data.calibrated
-    batches = (BATCHES // 2 if screen else BATCHES) if several or state.data.calibrated else 1
-    starts = _starts(state, batches * STARTS * (SCREENED if screen else 1), seed)
+    several, calibrated = state.data.layout.takes > 1, state.data.calibrated
+    screen, batches = several and not calibrated, BATCHES if several or calibrated else 1
     if screen:
-        starts = screened(state, starts)
+        each, grades = STARTS // 2, SHORT_GRADES
+        starts = screened(state, _starts(state, SCREENED * batches * each, seed))
+    else:
+        each, grades = STARTS, GRADES
+        starts = _starts(state, batches * each, seed)
     z, cost, count, agreeing = np.zeros((0, starts.shape[1])), np.zeros(0), 0, 0
-    for batch in np.split(starts[: batches * STARTS], batches):
-        found, costs, evaluations = _hammers(state, batch, SHORT_GRADES if screen else GRADES)
+    for batch in np.split(starts[: batches * each], batches):
+        found, costs, evaluations = _hammers(state, batch, grades)
         z, cost, count = np.append(z, found, axis=0), np.append(cost, costs), count + evaluations
         agreeing = int((cost < cost.min() + AGREEMENT).sum())
-        if agreeing > 1 and not (state.data.calibrated and cost.min() > 0.5 * state.data.found.sum()):
+        if agreeing > 1 and not (calibrated and cost.min() > 0.5 * state.data.found.sum()):
             break
     if not np.isfinite(cost).any():
         raise FitError("no hammer within the bounds gives a finite sound; widen [bounds] or check [known] in the setup")

@@ -28,7 +28,7 @@ from .hammers import anchored, search_hammers
 from .levenberg import Descent, descend
 from .residuals import CENT, Cfg, Target, hammer_batch, joint_batch, level_batch, string_batch
 from .space import LOG, NAMES, K, Layout, Space, default_box, split, struck
-from .state import TOGETHER, State, predicted, search_space, settled_weights
+from .state import LEAST_OWN, TOGETHER, State, predicted, search_space, settled_weights
 from .takes import Take
 from .target import Spreads, Takes, lines, measured, side_by_side
 from .voice import arrival, lag, placed
@@ -182,9 +182,12 @@ def _compiled_ahead(function: Callable, state: State, starts: int, *more) -> thr
 
 
 def _closer(fit: Fit, seed: int) -> Fit:
-    """The fit of several takes through a path, moved on while a better hammer lies near."""
+    """The fit of several takes through a path, moved on while a better hammer lies near.
+
+    None is looked for where levels are met as well as any model is believed to meet them.
+    """
     several = fit.data.layout.takes > 1 and not fit.data.calibrated
-    for again in range(SEARCHES * several):
+    for again in range(SEARCHES * (several and fit.spread.level > LEAST_OWN)):
         z, count = nearby(fit.state, fit.target, fit.z, fit.cost, seed + again)
         fit = replace(fit, evaluations=fit.evaluations + count)
         if z is None:

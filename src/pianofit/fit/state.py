@@ -26,7 +26,17 @@ from .space import ABSENT, LOG, NAMES, Layout, Space, default_box
 from .takes import Take
 from .target import Spreads, Takes, doubt, target
 
-__all__ = ["ROUGHER", "TOGETHER", "State", "level_freedom", "pool", "predicted", "search_space", "settled_weights"]
+__all__ = [
+    "LEAST_OWN",
+    "ROUGHER",
+    "TOGETHER",
+    "State",
+    "level_freedom",
+    "pool",
+    "predicted",
+    "search_space",
+    "settled_weights",
+]
 
 # Hammers that are evaluated by one call. Evaluating more at once gains little, and what has settled would go along.
 TOGETHER = 4
