@@ -211,8 +211,8 @@ def _reasons(document: dict[str, Any]) -> str:
 
 - **A fit, warm and cold.** Of the warm command's {fit:.1f} s the fit itself, from the file on, takes {whole:.1f} s; the
   rest is Python's start, imports, and loading what was compiled before. Cold, it is XLA's compiler.
-- **The joint fit** goes down from 16 hammers, and from up to 96 where no two of them end at the same lowest cost. Each
-  is five contacts with their derivatives; after ten steps the better half go on, after five more the best four.
+- **The joint fit** screens 384 hammers by their levels and goes down from the likeliest eight, and from up to 48 where
+  no two of them end at the same lowest cost. Each is five contacts with their derivatives.
 - **The paper's recipe** is 20,000 contacts in lockstep batches, and two gradient descents on whole spectra before it.
 - **The criterion with nine derivatives** is the string's response on every bin of the spectrum by every mode, on one
   core; the contact is a small part of it. The default fit compares partials in closed form instead.

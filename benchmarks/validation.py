@@ -264,7 +264,7 @@ def witnesses() -> str:
     against = tuple(f"{kind}, {other}" for other in ("appendix", "differences", "size") for kind in kinds)
     return f"""## Gradients by three witnesses
 
-Derivatives of the pickup velocity and of the force by the nine parameters, the paper's C4 on a grid of
+Derivatives of the pickup velocity and of the force by the nine parameters, a string like the paper's on a grid of
 {references.POINTS} points, {references.STEPS} steps: forward mode through the fast path (`jax.jvp`), against the
 paper's appendix (`model/reference.py`), and against central differences of {STEP:g} in the logarithm. The
 largest difference, of the largest value of that derivative. The size is that of the derivative by the logarithm, of

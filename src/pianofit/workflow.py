@@ -216,7 +216,7 @@ def _takes(
     from .analysis import analyse
 
     progress("partials", 0.02)
-    with ThreadPoolExecutor() as threads:
+    with ThreadPoolExecutor(os.cpu_count()) as threads:
         analyses = list(threads.map(lambda recording: analyse(recording, note=note, f0=f0), recordings))
     return recordings, analyses, known
 

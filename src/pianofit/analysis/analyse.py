@@ -30,7 +30,6 @@ _WORST_LEVEL = 10.0  # dB; a level less sure than this is no level
 _OUTLIER = (6.0, 12.0)  # standard deviations, and cents, from the law beyond which a peak belongs to something else
 TRUSTED = 20.0  # partials; from about there real strings leave the law by cents
 _BEATS = 1.5  # dB
-_SEEN = 0.05  # cents; a smaller fall is none
 
 
 def analyse(recording: Recording, *, note: str | None = None, f0: float | None = None) -> Analysis:
@@ -103,8 +102,10 @@ def _measure_all(
     density = noise_between(samples, rate, expected, frequency, law.f0, min(0.05, 0.1 * seconds))
     density = np.maximum(density, 1e-20 * float(np.max(np.abs(z))) ** 2)
     windows = glide_windows(bands, z, fit, density)
-    fall = windows[0][2] - windows[-1][2] if len(windows) > 1 else 0.0
     glides = falls(windows)
+    # Where a fall is sure, one partial that lasts tells how it goes on; where not, it tells of its own beat.
+    heard = windows if glides else [row for row in windows if np.isfinite(row[3])]
+    fall = heard[0][2] - heard[-1][2] if len(heard) > 1 else 0.0
     left = 0.0
     if glides:
         bands, z, fit, left = straightened(bands, z, fit, density, windows)
@@ -157,7 +158,7 @@ def _warnings(table: Partials, losses: DecayLaw, fall: float) -> tuple[str, ...]
     found = []
     if len(table) < 3:
         found.append(f"only {len(table)} partials found: B and the losses are hardly determined")
-    if abs(fall) >= _SEEN:
+    if fall:
         found.append(f"the pitch {'falls' if fall > 0 else 'rises'} by {abs(fall):.1f} cents as the note decays")
     deep = int(np.sum(table.beating > _BEATS))
     if deep:

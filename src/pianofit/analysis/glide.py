@@ -24,7 +24,7 @@ _ROUNDS = 8
 # Time constants of a fall, s, and a usual one.
 _TAU, _USUAL_TAU = (0.05, 5.0), 0.5
 # A change of pitch is one if it is this many standard errors and this many cents.
-_SURE, _LEAST = 3.0, 0.1
+_SURE, _LEAST = 4.0, 0.1
 # Where one window tells of a fall it does not tell its time constant, and so much of it is not known.
 _UNTOLD = 0.3
 _LOUD = 30.0  # power a partial must have in a window, over the noise power of a frame
@@ -64,12 +64,8 @@ def glide_windows(
 
 
 def falls(windows: list[tuple[float, float, float, float]]) -> bool:
-    """Whether the pitch differs between two of the windows: one in which few partials are heard tells little."""
-    return any(
-        abs(one[2] - other[2]) > max(_SURE * np.hypot(one[3], other[3]), _LEAST)
-        for i, one in enumerate(windows)
-        for other in windows[:i]
-    )
+    """Whether in any of the windows the pitch is surely another than in that of frequencies."""
+    return any(abs(cents) > max(_SURE * error, _LEAST) for _, _, cents, error in windows)
 
 
 def straightened(
@@ -84,10 +80,9 @@ def straightened(
     Parameters
     ----------
     z, fit : as they are, cleaned and fitted
-    windows : at least two, of `glide_windows`
+    windows : of `glide_windows`; those in which too few partials are heard to tell are left out
     """
-    told = [row for row in windows if np.isfinite(row[3])]
-    windows = told if len(told) > 1 else windows
+    windows = [row for row in windows if np.isfinite(row[3])]
     spans = [row[:2] for row in windows]
     wanted = np.array([row[2] for row in windows])
     least, best, best_fits = float(np.abs(wanted).max()), bands, (z, fit)

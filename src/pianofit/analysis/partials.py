@@ -21,7 +21,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
 
 from .components import LEVEL_RATE, LEVEL_SECONDS, Components, energy_level, resolve
 from .demodulate import Bands
@@ -187,8 +186,9 @@ def _beyond_noise(short: _Fit, long: _Fit, part: Callable) -> np.ndarray:
 
 def _shared(doubt: np.ndarray) -> np.ndarray:
     """How large each partial's doubt is, or its neighbours' median [partials]: one's own can be nought by chance."""
-    size = np.abs(doubt)
-    return np.maximum(size, median_filter(size, 2 * _NEAR + 1, mode="reflect"))
+    size = np.abs(np.nan_to_num(doubt))
+    near = np.lib.stride_tricks.sliding_window_view(np.pad(size, _NEAR, mode="symmetric"), 2 * _NEAR + 1)
+    return np.maximum(size, np.median(near, axis=1))
 
 
 def _levels(

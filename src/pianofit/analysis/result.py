@@ -19,10 +19,10 @@ class Partials:
     number: np.ndarray  # int [partials], k
     frequency: np.ndarray  # [partials], Hz
     frequency_error: np.ndarray
-    frequency_doubt: np.ndarray
+    frequency_doubt: np.ndarray  # Hz
     decay: np.ndarray  # [partials], 1/s, decay rate α of the amplitude
     decay_error: np.ndarray
-    decay_doubt: np.ndarray
+    decay_doubt: np.ndarray  # 1/s
     level: np.ndarray  # [partials], dB re full scale² · s: ∫_0^0.35s of its mean power · exp(−16 t) dt, from the onset
     level_error: np.ndarray
     snr: np.ndarray  # [partials], dB, amplitude at the onset over its own standard error from noise

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from .hammers import physical
 from .levenberg import descend
 from .residuals import Target, hammer_batch
-from .space import LOG
 from .state import State
 
 __all__ = ["nearby"]
@@ -32,11 +32,9 @@ def nearby(state: State, at: Target, z: np.ndarray, cost: float, seed: int) -> t
     at : the takes with the weights under which `z` costs `cost`.
     """
     space, layout = state.space, state.data.layout
-    index = np.arange(layout.size)
-    hammer = index >= 4
-    thrown = space.free & hammer & ((index < LOG) | np.isin(index, layout.ratio)) & np.isfinite(space.spread)
+    hammer = np.arange(layout.size) >= 4
     throw = np.random.default_rng(seed).standard_normal((len(THROWS), layout.size)) * np.array(THROWS)[:, None]
-    z = space.project(z + throw * np.where(thrown, space.spread, 0.0))
+    z = space.project(z + throw * np.where(physical(state) & space.free, space.spread, 0.0))
     count, least = 0, np.inf
     for iterations, keep in LEGS:
         end = descend(

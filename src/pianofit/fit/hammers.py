@@ -14,7 +14,7 @@ from .screen import screened
 from .space import LOG, NAMES, K, P
 from .state import State
 
-__all__ = ["anchored", "search_hammers"]
+__all__ = ["anchored", "comparable", "physical", "search_hammers"]
 
 # Starts of a batch, and batches. Of several takes through a path the starts are the likeliest of so many times as many,
 # and half a batch is as good as one that is thrown.
@@ -40,8 +40,8 @@ def search_hammers(state: State, seed: int) -> tuple[np.ndarray, int, int]:
     One uncalibrated recording does not fix the hammer, and more than one batch has not bettered its levels.
     """
     several, calibrated = state.data.layout.takes > 1, state.data.calibrated
-    screen, batches = several and not calibrated, BATCHES if several or calibrated else 1
-    if screen:
+    batches = BATCHES if several or calibrated else 1
+    if comparable(state):
         each, grades = STARTS // 2, SHORT_GRADES
         starts = screened(state, _starts(state, SCREENED * batches * each, seed))
     else:
@@ -60,15 +60,20 @@ def search_hammers(state: State, seed: int) -> tuple[np.ndarray, int, int]:
     return z[best : best + 1], agreeing, count
 
 
+def comparable(state: State) -> bool:
+    """Whether several blows were heard with gains that are not known, so that levels tell of a hammer by comparison."""
+    return state.data.layout.compared and not state.data.calibrated
+
+
 def _starts(state: State, count: int, seed: int) -> np.ndarray:
     """Search points [count, size]: the literature's hammer, and others thrown about it by the literature's spread."""
     space = state.space
     throw = np.random.default_rng(seed).standard_normal((count, len(space.start)))
     throw[0] = 0.0
-    return space.project(space.z(space.start[None]) + throw * np.where(_physical(state), space.spread, 0.0))
+    return space.project(space.z(space.start[None]) + throw * np.where(physical(state), space.spread, 0.0))
 
 
-def _physical(state: State) -> np.ndarray:
+def physical(state: State) -> np.ndarray:
     """Which coordinates [size] are a hammer's, its blows included, and of a known spread."""
     index = np.arange(state.data.layout.size)
     hammer = (index >= 4) & ((index < LOG) | np.isin(index, state.data.layout.ratio))
@@ -78,16 +83,17 @@ def _physical(state: State) -> np.ndarray:
 def _hammers(state: State, z: np.ndarray, grades: tuple) -> tuple[np.ndarray, np.ndarray, int]:
     """Many hammers on one string: eq. 19 in the hammer's band, then levels, the loud ones first.
 
-    `z` [starts, size] is where they start. Several takes are compared with each other, which eq. 19 cannot do: theirs
-    begin with the levels. Returns the best points, their costs and how often the batch was evaluated.
+    `z` [starts, size] is where they start, `grades` how they go on, as in `GRADES`. Several takes are compared with
+    each other, which eq. 19 cannot do: theirs begin with the levels. Returns the best points, their costs and how often
+    the batch was evaluated.
     """
     space, layout = state.space, state.data.layout
     spread = state.first_spread(10.0, 1.0)
-    hammer, physical = np.arange(layout.size) >= 4, _physical(state)
+    hammer, thrown = np.arange(layout.size) >= 4, physical(state)
     at, count = state.target(spread, state.unweighted), 0
     if layout.takes == 1:
         by_energy = at._replace(by_energy=jnp.ones_like(at.by_energy))
-        end = descend(state.evaluate(hammer_batch, by_energy), z, space, iterations=20, free=physical, tolerance=1e-3)
+        end = descend(state.evaluate(hammer_batch, by_energy), z, space, iterations=20, free=thrown, tolerance=1e-3)
         z, count = end.z, end.evaluations
     z = _levelled(state, at, space.project(z))
     cost = np.zeros(0)

@@ -1,7 +1,8 @@
 """The fit of one or more takes of a string, stage by stage.
 
 1. The string, on the paper's criterion in bands 1 and 2, from where the analysis put it, with σ falling.
-2. The hammer, on the paper's criterion in band 3, from many starts at once: this finds the basin.
+2. The hammer, on the paper's criterion in band 3, from many starts at once: this finds the basin. Several takes are
+   compared with each other instead, and many more hammers screened.
 3. The hammer on levels in dB through the unknown path, the best of those starts.
 4. String and hammer together, weighted by noise and scatter, until the weights settle: this gives the estimate.
 
@@ -24,18 +25,20 @@ from ..model.simulate import count_modes
 from ..parameters import FELT_LAWS, Geometry
 from . import screen
 from .again import nearby
-from .hammers import anchored, search_hammers
+from .hammers import anchored, comparable, search_hammers
 from .levenberg import Descent, descend
 from .residuals import CENT, Cfg, Target, hammer_batch, joint_batch, level_batch, string_batch
 from .space import LOG, NAMES, K, Layout, Space, default_box, split, struck
-from .state import LEAST_OWN, TOGETHER, State, predicted, search_space, settled_weights
+from .state import TOGETHER, State, predicted, search_space, settled_weights
 from .takes import Take
 from .target import Spreads, Takes, lines, measured, side_by_side
 from .voice import arrival, lag, placed
 
 __all__ = ["Fit", "fit_partials", "predicted"]
 
-WIDTH = NAMES.index("width")
+STRIKE, WIDTH = NAMES.index("x0"), NAMES.index("width")
+# Of the room that a contact has: rounding must not push its window off the string.
+ON_STRING = 1 - 1e-9
 # A search's contacts last a whole number of times this many steps, so that notes share compiled programs.
 STEPS = 256
 # How much of the attack, s, tells when the hammer touched.
@@ -106,14 +109,15 @@ def fit_partials(
     contacts = contacts or CONTACTS
     state = _prepared(takes, start, layout, contacts)
     programs = [_compiled_ahead(hammer_batch, state, TOGETHER), _compiled_ahead(joint_batch, state, 1)]
-    if layout.takes > 1 and not state.data.calibrated:
-        programs.append(_compiled_ahead(level_batch, state, screen.TOGETHER, jnp.asarray(screen.GRID)))
+    if comparable(state):
+        programs.append(_compiled_ahead(level_batch, state, screen.CALL, jnp.zeros(screen.VELOCITIES)))
     try:
         progress("string", 0.1)
         space, count = _string_stage(takes[0], state)
         state = replace(state, space=space)
         progress("hammer", 0.3)
-        programs[0].join()
+        for program in programs[:1] + programs[2:]:
+            program.join()
         z, agreeing, searched = search_hammers(state, seed)
         progress("string and hammer", 0.6)
         programs[1].join()
@@ -127,8 +131,7 @@ def fit_partials(
             fit = _with_attack(takes, _with_window(fit))
         if _shows_step(fit):
             progress("refinement", 0.8)
-            fit = _refined(fit)
-            fit = _with_attack(takes, fit) if state.data.calibrated else fit
+            fit = _refined(takes, fit)
     finally:
         # A program that still compiles when Python ends would take it down; after Ctrl-C too.
         for program in programs:
@@ -187,7 +190,9 @@ def _closer(fit: Fit, seed: int) -> Fit:
     None is looked for where levels are met as well as any model is believed to meet them.
     """
     several = fit.data.layout.takes > 1 and not fit.data.calibrated
-    for again in range(SEARCHES * (several and fit.spread.level > LEAST_OWN)):
+    for again in range(SEARCHES * several):
+        if fit.spread.level <= fit.state.least_scatter:
+            break
         z, count = nearby(fit.state, fit.target, fit.z, fit.cost, seed + again)
         fit = replace(fit, evaluations=fit.evaluations + count)
         if z is None:
@@ -221,23 +226,31 @@ def _with_window(fit: Fit) -> Fit:
     return replace(fit, state=state, space=state.space)
 
 
-def _refined(fit: Fit) -> Fit:
+def _refined(takes: Sequence[Take], fit: Fit) -> Fit:
     """The fit gone on with a finer step of the contact, and the rest extrapolated, for errors go with its square."""
-    coarse = fit.state
+    coarse = replace(fit.state, delay=_touches(takes, fit)) if fit.data.calibrated else fit.state
     rate = coarse.rate * REFINEMENT
     string, _ = split(fit.values)
     rows = max(coarse.cfg.n_modes, count_modes(string, coarse.start.geometry, rate))
     cfg = coarse.cfg._replace(steps=coarse.cfg.steps * REFINEMENT, n_modes=rows)
     state = replace(coarse, rate=rate, cfg=cfg)
-    level = [predicted(s.target(fit.spread, fit.robust), s.cfg, fit.z[0])[:, 2] for s in (coarse, state)]
+    level = [_levels(s, fit) for s in (coarse, state)]
     state = replace(state, finer=(level[1] - level[0]) / (REFINEMENT**2 - 1))
     return replace(_joint_stage(state, fit.z, fit.spread, fit.robust), coarse=coarse)
+
+
+def _levels(state: State, fit: Fit) -> np.ndarray:
+    """Levels [takes, rows], dB, of the fit's point by the step of `state`, before gain, path and noise."""
+    target = state.target(fit.spread, fit.robust)
+    return np.asarray(joint_batch(jnp.asarray(fit.z), target, state.cfg)[2])[0, :, 2]
 
 
 def _with_free_width(space: Space, geometry: Geometry) -> Space:
     low, high = default_box(geometry.length, geometry.width)
     free, lower, upper = space.free.copy(), space.lower.copy(), space.upper.copy()
-    free[WIDTH], lower[WIDTH], upper[WIDTH] = True, low[WIDTH], high[WIDTH]
+    # The window stays on the string wherever it is struck.
+    room = ON_STRING * 2 * min(space.lower[STRIKE], geometry.length - space.upper[STRIKE])
+    free[WIDTH], lower[WIDTH], upper[WIDTH] = True, low[WIDTH], max(min(high[WIDTH], room), geometry.width)
     return replace(space, free=free, lower=lower, upper=upper)
 
 

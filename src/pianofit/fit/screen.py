@@ -2,8 +2,7 @@
 
 A felt and a mass make a family of spectra, one for every velocity. Laid on what was recorded, with a gain of its own
 for each take and a level of its own for each partial of a group, they leave only the takes' velocities open, and these
-are chosen from a grid, blow after blow. So a hammer is judged without a derivative, and without a guess of how hard
-each blow was: with unknown gains loudness tells nothing of that.
+are chosen from a grid, blow after blow, beside a wide belief about them. So a hammer is judged without a derivative.
 """
 
 from __future__ import annotations
@@ -15,96 +14,109 @@ from .levenberg import in_groups
 from .residuals import level_batch
 from .state import State, pool
 
-__all__ = ["GRID", "TOGETHER", "screened"]
+__all__ = ["CALL", "VELOCITIES", "screened"]
 
-# Velocities over the first take's, log: from 0.06 to 1.54 times it, it among them.
-GRID = 0.216 * np.arange(-13, 3)
-# Hammers that one call looks at.
-TOGETHER = 8
+# Velocities that each hammer is looked at with, and hammers that one call looks at.
+VELOCITIES, CALL = 16, 8
+# The grid's ends, log of the velocity over the first take's. The first is the brightest, or the fastest that was
+# measured: then others may be faster by more.
+SLOWEST, FASTEST, FASTER = -2.8, 0.45, 1.6
 # Levels scatter about a hammer that is not quite the right one by this much, dB.
 SCATTER = 2.0
 # What a blow costs whose contact does not end.
-ENDLESS = 1e6
-# Rounds in which every blow chooses anew, and in which gains and path come to agree.
-ROUNDS, AGREE = 6, 3
+NEVER = 1e6
+# Rounds in which every blow chooses anew.
+ROUNDS = 6
 
 
 def screened(state: State, z: np.ndarray) -> np.ndarray:
-    """The points `z` [hammers, size], each with the velocities that suit it best, the likeliest hammer first."""
-    at = state.target(state.first_spread(10.0, 1.0), state.unweighted)
+    """The points `z` [hammers, size], each with the velocities that suit it best, the likeliest hammer first.
+
+    A blow that is alone on its path suits any velocity, and keeps the one it has.
+    """
+    at, grid = state.target(state.first_spread(10.0, 1.0), state.unweighted), _grid(state)
 
     def levels(some: np.ndarray) -> tuple:
-        return level_batch(jnp.asarray(some), jnp.asarray(GRID), at, state.cfg)
+        return level_batch(jnp.asarray(some), jnp.asarray(grid), at, state.cfg)
 
-    (model,) = in_groups(levels, TOGETHER, pool().map)(z)
-    suited, cost = _suited(state, model)
+    (model,) = in_groups(levels, CALL, pool().map)(z)
+    ratio, cost = _suited(state, model, grid, z[:, state.data.layout.ratio])
     z = z.copy()
-    z[:, state.data.layout.ratio] = suited
+    z[:, state.data.layout.ratio] = ratio
     return z[np.argsort(cost, kind="stable")]
 
 
-def _suited(state: State, model: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Log velocity ratios [hammers, takes], from the grid where they are open, and each hammer's cost [hammers].
+def _grid(state: State) -> np.ndarray:
+    """Log velocity ratios [VELOCITIES], with all that are known between its ends."""
+    start = state.space.start[state.data.layout.ratio]
+    fastest = FASTEST if state.start.fixed.get("v_H0") == "assumed" else FASTER
+    return np.linspace(min(SLOWEST, start.min()), max(fastest, start.max()), VELOCITIES)
 
-    `model` are levels [hammers, velocities, rows], dB.
+
+def _suited(state: State, model: np.ndarray, grid: np.ndarray, ratio: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Log velocity ratios [hammers, takes], of blows that can be compared from the grid, and hammers' costs [hammers].
+
+    `model` are levels [hammers, velocities, rows], dB; `ratio` [hammers, takes] is what is known or was thrown.
     """
-    data, layout = state.data, state.data.layout
-    used = data.found.any(axis=0)
-    weight, model = (data.found / np.hypot(data.level_error, SCATTER) ** 2)[:, used], model[:, :, used]
-    endless = ENDLESS * ~np.isfinite(model).all(axis=2)
-    model = np.where(np.isfinite(model), model, 0.0)
-    levels = _Levels(data.level[:, used], weight, np.array(layout.groups))
-    start, open_ = state.space.start[layout.ratio], state.space.free[layout.ratio]
-    away = (GRID - start[:, None]) / state.space.spread[layout.ratio, None]
-    belief = np.where(open_[:, None], 0.5 * away**2, 0.0) + endless[:, None]  # [hammers, takes, velocities]
-    chosen = np.tile(np.abs(GRID - start[:, None]).argmin(axis=1), (len(model), 1))
+    data, layout, space = state.data, state.data.layout, state.space
+    used, ratio = data.found.any(axis=0), ratio.copy()
+    ended = np.isfinite(model).all(axis=2)
+    model = np.where(ended[..., None], model, 0.0)[:, :, used]
+    weight = (data.found / np.hypot(data.level_error, SCATTER) ** 2)[:, used]
+    form = quadratic(weight, layout.gains, layout.groups if state.start.quantity == "pressure" else None)
+    takes, rows = weight.shape
+    believed = 0.5 * ((grid - space.start[layout.ratio, None]) / space.spread[layout.ratio, None]) ** 2
+    rest = data.level[:, used] - _between(model, grid, ratio)
+    lone = np.array([_lone(take, layout.groups, layout.strikes) for take in range(takes)])
+    blows = np.unique(layout.ratio[space.free[layout.ratio] & ~lone])
     for _ in range(ROUNDS):
-        before = chosen.copy()
-        for blow in np.unique(layout.ratio[open_]):
+        before = ratio.copy()
+        for blow in blows:
             mine = np.flatnonzero(layout.ratio == blow)
-            cost = belief[:, mine[0]] + sum(levels.suits(take, mine, model, chosen) for take in mine)
-            chosen[:, mine] = cost.argmin(axis=1)[:, None]
-        if (chosen == before).all():
+            block = (mine[:, None] * rows + np.arange(rows)).ravel()
+            others = rest.copy()
+            others[:, mine] = 0.0
+            tried = data.level[mine][:, used] - model[:, :, None]  # [hammers, velocities, mine, rows]
+            flat = tried.reshape(*tried.shape[:2], -1)
+            push = others.reshape(len(rest), -1) @ form[:, block]
+            cost = 0.5 * ((flat @ form[np.ix_(block, block)]) * flat).sum(axis=2) + (flat @ push[..., None])[..., 0]
+            best = (cost + believed[mine[0]] + NEVER * ~ended).argmin(axis=1)
+            ratio[:, mine] = grid[best][:, None]
+            rest[:, mine] = tried[np.arange(len(rest)), best]
+        if (ratio == before).all():
             break
+    flat = rest.reshape(len(rest), -1)
+    cost = 0.5 * ((flat @ form) * flat).sum(axis=1)
     _, first = np.unique(layout.ratio, return_index=True)  # one take of each blow
-    believed = np.take_along_axis(belief[:, first], chosen[:, first, None], axis=2).sum(axis=(1, 2))
-    return np.where(open_, GRID[chosen], start), levels.cost(model, chosen) + believed
+    away = (ratio - space.start[layout.ratio]) / np.where(space.free[layout.ratio], space.spread[layout.ratio], np.inf)
+    held = _between(NEVER * ~ended[..., None], grid, ratio)[..., 0].sum(axis=1)
+    return ratio, cost + 0.5 * (away[:, first] ** 2).sum(axis=1) + held
 
 
-class _Levels:
-    """Levels [takes, rows] with weights, and what a model [hammers, velocities, rows] leaves of them.
+def _lone(take: int, groups: tuple[int, ...], strikes: tuple[int, ...]) -> bool:
+    """Whether no take of the same group hears another blow."""
+    return len({strike for group, strike in zip(groups, strikes, strict=True) if group == groups[take]}) == 1
 
-    `chosen` [hammers, takes] says at which of its velocities. Every take has a gain, every partial of a group a level
-    of the path's own: weighted means, by turns.
+
+def _between(values: np.ndarray, grid: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """`values` [hammers, velocities, ...] at the velocities `at` [hammers, takes], by straight lines over the grid."""
+    place = np.clip((at - grid[0]) / (grid[1] - grid[0]), 0, len(grid) - 1)
+    low = np.minimum(place.astype(int), len(grid) - 2)
+    share, hammer = (place - low)[..., None], np.arange(len(values))[:, None]
+    return (1 - share) * values[hammer, low] + share * values[hammer, low + 1]
+
+
+def quadratic(weight: np.ndarray, gains: tuple[int, ...], groups: tuple[int, ...] | None) -> np.ndarray:
+    """What least squares leave, as a form Q [takes · rows, takes · rows]: r Q r of misfits r, dB, is their least sum.
+
+    Free are a gain for all takes of the same entry in `gains`, and a level of the path for each row of a group; no path
+    where `groups` is None. `weight` [takes, rows], 1/dB², is 0 for what is not there.
     """
-
-    def __init__(self, level: np.ndarray, weight: np.ndarray, group: np.ndarray) -> None:
-        self.level, self.weight, self.group = level, weight, group
-        self.alike = (group == group[:, None]).astype(float)
-
-    def cost(self, model: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-        """Half the weighted sum of squares [hammers]."""
-        rest = self._ungained(model, chosen)
-        path = np.einsum("ts,sk,hsk->htk", self.alike, self.weight, rest) / np.maximum(self.alike @ self.weight, 1e-300)
-        return 0.5 * (self.weight * (rest - path) ** 2).sum(axis=(1, 2))
-
-    def suits(self, take: int, blow: np.ndarray, model: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-        """The same of one take at every velocity [hammers, velocities], by what the other blows say of the path."""
-        others = self.alike[take] * ~np.isin(np.arange(len(self.group)), blow)
-        known = others @ self.weight
-        path = np.einsum("s,sk,hsk->hk", others, self.weight, self._ungained(model, chosen)) / np.maximum(known, 1e-300)
-        weight = self.weight[take] * known / np.maximum(self.weight[take] + known, 1e-300)
-        miss = self.level[take] - path[:, None] - model
-        gain = (miss @ weight) / max(float(weight.sum()), 1e-300)
-        return 0.5 * ((miss - gain[..., None]) ** 2 @ weight)
-
-    def _ungained(self, model: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-        """What the chosen levels and the gains leave [hammers, takes, rows]: the path and the misfit."""
-        rest = self.level - np.take_along_axis(model, chosen[..., None], axis=1)
-        whole, gain = np.maximum(self.alike @ self.weight, 1e-300), np.zeros((*chosen.shape, 1))
-        for _ in range(AGREE):
-            path = np.einsum("ts,sk,hsk->htk", self.alike, self.weight, rest - gain) / whole
-            gain = ((rest - path) * self.weight).sum(axis=2, keepdims=True) / np.maximum(
-                self.weight.sum(axis=1)[:, None], 1e-300
-            )
-        return rest - gain
+    takes, rows = weight.shape
+    design = (np.array(gains)[:, None] == np.unique(gains))[:, None] & np.ones((1, rows, 1), bool)
+    design = design.reshape(takes * rows, -1).astype(float)
+    if groups is not None:
+        member = np.array(groups)[:, None] == np.unique(groups)
+        design = np.hstack([design, np.kron(member, np.eye(rows))])
+    each = weight.reshape(-1, 1) * design
+    return np.diag(weight.ravel()) - each @ np.linalg.pinv(design.T @ each, hermitian=True) @ each.T

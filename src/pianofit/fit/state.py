@@ -27,7 +27,6 @@ from .takes import Take
 from .target import Spreads, Takes, doubt, target
 
 __all__ = [
-    "LEAST_OWN",
     "ROUGHER",
     "TOGETHER",
     "State",
@@ -101,6 +100,13 @@ class State:
         """Huber's factors before anything is known [3, takes, rows]."""
         return np.ones((3, *self.data.found.shape))
 
+    @property
+    def least_scatter(self) -> float:
+        """The scatter of levels, dB, below which no model is to be believed."""
+        if self.start.quantity == "pressure":
+            return LEAST_SCATTER if self.data.layout.takes == 1 else LEAST_OWN
+        return STAND_IN
+
     def first_spread(self, frequency: float, decay: float) -> Spreads:
         """Scatter before anything is known."""
         if self.data.calibrated or self.data.layout.takes == 1:
@@ -150,7 +156,7 @@ def settled_weights(state: State, at: Target, z: np.ndarray) -> tuple[Spreads, n
         scatter(own[scored], data.level_error[scored], freedom),
         ROUGHER * scatter(common, noise, 0) if len(common) else 0.0,
     )
-    spread = replace(spread, level=max(spread.level, _least(state)))
+    spread = replace(spread, level=max(spread.level, state.least_scatter))
     sd_level = np.hypot(data.level_error, spread.level)
     if spread.rough > 0:
         sd_level = np.hypot(sd_level, spread.rough * _lone(state)[:, None])
@@ -168,13 +174,6 @@ def _lone(state: State) -> np.ndarray:
     """Which takes [takes] are the only one of their group."""
     groups = np.array(state.data.layout.groups)
     return np.bincount(groups)[groups] == 1
-
-
-def _least(state: State) -> float:
-    """The scatter of levels, dB, below which no model is to be believed."""
-    if state.start.quantity == "pressure":
-        return LEAST_SCATTER if state.data.layout.takes == 1 else LEAST_OWN
-    return STAND_IN
 
 
 def _own_and_common(state: State, miss: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:

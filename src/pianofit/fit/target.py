@@ -43,7 +43,7 @@ class Measured:
     floor: np.ndarray  # dB, energy of the noise in a partial's band, [rows]
     line: np.ndarray  # dB, the level that eq. 19 likes best, [rows]
     sigma: float  # 1/s, of that eq. 19
-    glide: float = 0.0  # cents, from the first moments on
+    glide: float = 0.0  # cents, from the first moments on; 0 where none is sure
     glide_error: float = 0.0  # cents, of all frequencies alike
 
     @property
@@ -77,7 +77,7 @@ class Takes:
     decay_error: np.ndarray
     level: np.ndarray  # dB
     level_error: np.ndarray
-    doubt: np.ndarray  # [3, takes, rows]: what of the three errors neighbouring partials share
+    doubt: np.ndarray  # [3, takes, rows], Hz, 1/s, dB: what of the three errors neighbouring partials share
 
     @property
     def number(self) -> np.ndarray:
@@ -147,7 +147,7 @@ def measured(recording: Recording, analysis: Analysis, start: Start) -> Measured
         floor=floor + unit,
         line=np.append(line[p.number - 1], bound[silent - 1]) + unit,
         sigma=sigma,
-        glide=analysis.glide_cents,
+        glide=analysis.glide_cents if analysis.glide_error > 0 else 0.0,
         glide_error=analysis.glide_error,
     )
 

@@ -51,7 +51,7 @@ class Run(NamedTuple):
         doubt = np.broadcast_to(self.doubt, self.number.shape)
         rest, same = np.sqrt(1 - doubt**2), take[:, None] == take
         alike = self.likeness**apart * np.where(same, 1.0, self.across)
-        return np.outer(rest, rest) * alike + np.outer(doubt, doubt) * DOUBTED**apart * same
+        return np.outer(rest, rest) * alike + np.outer(doubt, doubt) * DOUBTED**apart
 
 
 def neighbours(
@@ -81,7 +81,9 @@ def neighbours(
         chance = CHANCE / np.sqrt(max(beside.sum(axis=1).max(), 1))
         likeness = float(min(likeness, MOST_ALIKE)) if likeness > chance else 0.0
         across = _across(values, found) if kind == LEVEL and calibrated else 0.0
-        for some in [range(len(found))] if across > 0 else [[take] for take in range(len(found))]:
+        # A glide makes all takes tenser; frequencies and decays of takes are weighed as one take's.
+        together = kind == LEVEL and (across > 0 or bool(doubt[kind].any()))
+        for some in [range(len(found))] if together else [[take] for take in range(len(found))]:
             there = found & np.isin(np.arange(len(found)), some)[:, None]
             take, k = np.nonzero(there)
             rows = kind * cells + take * found.shape[1] + k

@@ -55,7 +55,7 @@ def verdict(
         doubted = (*FELT, "M_H", "v_H0") if poor else FELT
         return text, states | {n: "not-identifiable" for n in doubted if states[n] == "free"}
     if excess is None:
-        lost = [name for name, state in states.items() if state == "not-identifiable"]
+        lost = [name for name, state in states.items() if state == "not-identifiable" and name != "width"]
         if not lost:
             return "Calibrated recording: all free parameters are identified.", states
         return f"Calibrated recording. Not identifiable from it: {', '.join(lost)}.", states
@@ -102,11 +102,6 @@ def words(
     said = list(fit.messages)
     if worse:
         said.append(f"No lower on the paper's criterion than at the start: {', '.join(worse)}.")
-    if fit.space.free[NAMES.index("width")]:
-        said.append(
-            "The shape of the contact's window is not known, so its width is fitted along: an effective "
-            f"{1e3 * fit.values[NAMES.index('width')]:.2f} mm (given or assumed: {1e3 * start.geometry.width:.2f} mm)."
-        )
     bound = [n for n, s in states.items() if s == "at-bound"]
     if bound:
         said.append(f"At the edge of the box, so their values are the box's: {', '.join(bound)}.")
@@ -125,6 +120,11 @@ def words(
     missing = [f"band {b + 1}" for b in range(3) if b not in fit.data.occupied]
     if missing:
         said.append(f"No partial above the noise in {' and '.join(missing)}; dropped, and the next band used.")
+    if fit.space.free[NAMES.index("width")]:
+        said.append(
+            "The shape of the contact's window is not known, so its width is fitted along: an effective "
+            f"{1e3 * fit.values[NAMES.index('width')]:.2f} mm (given or assumed: {1e3 * start.geometry.width:.2f} mm)."
+        )
     said.append(
         f"Beyond the noise, partials scatter about the model by {fit.spread.frequency:.2f} cents, "
         f"{100 * fit.spread.decay:.0f} % in decay and {fit.spread.level:.2f} dB in level; the intervals include it."

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.signal import fftconvolve
 
 from ..criterion import WIDEST_SIGMA, OutputPath
 from ..model import Simulation, simulate
@@ -77,7 +76,9 @@ def placed(model: np.ndarray, sound: np.ndarray) -> tuple[int, float]:
     its first period behind. The sign is -1 for a pickup of the other polarity.
     """
     energy = np.concatenate([[0.0], np.cumsum(sound**2)])
-    cross = fftconvolve(sound, model[::-1], mode="valid")
+    size = 2 ** int(np.ceil(np.log2(len(sound))))
+    cross = np.fft.irfft(np.fft.rfft(sound, size) * np.fft.rfft(model, size).conj(), size)
+    cross = cross[: len(sound) - len(model) + 1]
     at = int(np.argmin(energy[len(model) :] - energy[: -len(model)] - 2 * np.abs(cross)))
     return at, float(np.sign(cross[at]))
 
