@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from pianofit.analysis import analyse, as_dict, energy_level, hz_to_note, note_to_hz, note_to_midi, rows
+from pianofit.analysis.glide import falls
 from pianofit.analysis.inharmonicity import decay_law, frequency_law
 from pianofit.errors import AnalysisError
 from pianofit.recording import Recording, recording_from_samples
@@ -170,6 +171,40 @@ def test_beating_partials_keep_their_level_and_dominant_frequency():
     assert np.quantile(np.abs(table.frequency - truth.frequency[i]), 0.9) < 0.2
     clean = analyse(one.recording(noise=1e-6), note="C4").partials
     assert np.median(table.level_error) > 5 * np.median(clean.level_error)
+
+
+def test_a_beat_too_slow_to_be_seen_is_doubted():
+    """Two axes 2 cents apart: a beat of the first partials lasts longer than the note, and hardly leaves a residual."""
+    one = string(110.0, 1.5e-4, 40, 0.5, 5e-3, seed=3)
+    apart = (one.frequency * 2 * np.log(2) / 1200 * 2 * np.pi)[:, None]
+    truth = Note(
+        one.number, np.hstack([one.amplitude, 0.2 * one.amplitude]), np.hstack([one.pole, one.pole + 1j * apart])
+    )
+    table = analyse(truth.recording(seconds=3.0, noise=1e-6), note="A2").partials
+    slow = table.number < 12
+    off = table.decay[slow] - one.decay[np.searchsorted(one.number, table.number[slow])]
+    assert np.all(np.abs(off) < 4 * table.decay_error[slow])
+    assert np.median(np.abs(off) / np.sqrt(table.decay_error[slow] ** 2 - table.decay_doubt[slow] ** 2)) > 4
+    alone = analyse(one.recording(seconds=3.0, noise=1e-6), note="A2").partials
+    assert np.median(alone.decay_doubt / alone.decay_error) == 0.0
+    assert np.median(alone.frequency_doubt / alone.frequency_error) == 0.0
+
+
+def test_a_fall_of_pitch_is_one_only_if_it_is_sure():
+    at_rest = (0.2, 1.0, 0.0, 0.0)
+    assert falls([(0.0, 0.35, 1.0, 0.1), at_rest])
+    assert not falls([(0.0, 0.35, 1.0, 0.3), at_rest, (1.0, 2.0, -2.0, np.inf)])
+    assert not falls([(0.0, 0.35, 0.05, 0.001), at_rest])
+    assert not falls([at_rest])
+
+
+def test_a_short_note_that_glides_says_how_little_is_known_of_it():
+    """Only the first partial lasts into the third window: the time constant is not told."""
+    truth = string(1046.5, 1e-3, 9, 4.0, 0.9, seed=6)
+    analysis = analyse(truth.recording(seconds=3.0, noise=1e-5, bend=6.0), note="C6")
+    mean = 6 * (np.exp(-0.2) - np.exp(-1.0)) / 0.8
+    assert 1200 * np.log2(analysis.f0 / 1046.5) == pytest.approx(mean, abs=4 * analysis.glide_error)
+    assert 0.1 < analysis.glide_error < 1.0
 
 
 def test_missing_partials_are_not_invented():

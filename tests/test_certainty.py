@@ -19,8 +19,10 @@ from pianofit.fit import Result, fit_recording, posterior
 from pianofit.fit.certainty import Certainty, by_curvature, by_posterior, by_profile, check_intervals
 from pianofit.fit.levenberg import descend
 from pianofit.fit.posterior import box_of, draw, folded
+from pianofit.fit.recipe import REFINEMENT, fit_partials
 from pianofit.fit.space import LOG, NAMES, SIZE, K, P, Space
-from pianofit.fit.surface import Surface
+from pianofit.fit.surface import Surface, surface_of
+from pianofit.fit.takes import arranged
 from pianofit.recording import recording_from_samples
 from pianofit.report.words import how_sure, rows
 from pianofit.setup_file import setup_from_dict
@@ -310,6 +312,20 @@ def test_profiles_of_the_demo_hold_the_truth_and_are_as_wide_as_the_curvature_sa
     assert min(rise for _, rise in told["points"]) == 0.0
     assert max(rise for _, rise in told["points"]) >= 0.9 * told["allowed_rise"]
     assert result.document["parameters"]["M_S"]["interval_by"] is None
+
+
+def test_a_refined_fit_is_surveyed_at_its_coarse_step():
+    """The corrected coarse step has the fine one's cost and slope at the estimate, at an eighth of the steps."""
+    import tomllib
+
+    setup = setup_from_dict(tomllib.loads(setup_text()), "twin")
+    takes, start, layout, _ = arranged([measured()], [analyse(measured())], setup)
+    fit = fit_partials(takes, start, layout)
+    found = surface_of(fit)
+    assert found.cfg.steps * REFINEMENT == fit.cfg.steps  # type: ignore
+    residual, jacobian = found.evaluate(fit.z)
+    np.testing.assert_allclose(residual[0], fit.residual, atol=1e-9 * np.abs(fit.residual).max())
+    np.testing.assert_allclose(jacobian[0], fit.jacobian, atol=1e-9 * np.abs(fit.jacobian).max())
 
 
 @pytest.mark.slow

@@ -5,7 +5,7 @@ import pytest
 from fit_cases import space
 
 from pianofit.fit.space import LOG, NAMES, SIZE, K, P
-from pianofit.fit.uncertainty import intervals, neighbours, statuses, tangled, to_stiffness, whole_covariance
+from pianofit.fit.uncertainty import DOUBTED, intervals, neighbours, statuses, tangled, to_stiffness, whole_covariance
 
 FREE = [0, 2, 4, 6, 7]
 ROWS = 40
@@ -172,3 +172,23 @@ def test_calibrated_takes_that_are_missed_alike_do_not_add_up():
     assert np.median(said) == pytest.approx(estimates.std(), rel=0.1)
     apart = [neighbours(random.normal(size=residuals.shape[1]), found, calibrated=True) for _ in range(50)]
     assert np.mean([max(run.across for run in runs) > 0 for runs in apart]) < 0.1
+
+
+def test_what_takes_are_doubted_for_alike_does_not_add_up():
+    """Levels of all takes are off by one drift along the partials, each take's by its own share, beside their noise."""
+    random, takes, rows, free = np.random.default_rng(8), 3, 30, [4]
+    share = np.array([0.9, 0.5, 0.2])[:, None] * np.ones(rows)
+    jacobian = np.zeros((3 * takes * rows, SIZE))
+    jacobian[2 * takes * rows :, 4] = 1.0
+    drift = np.stack([alike(1, rows, DOUBTED, random)[0, 0] for _ in range(6000)])
+    own = random.normal(size=(6000, takes, rows))
+    levels = share * drift[:, None] + np.sqrt(1 - share**2) * own
+    doubt = np.zeros((3, takes, rows))
+    doubt[2] = share
+    runs = [
+        run._replace(likeness=0.0, across=0.0) for run in neighbours(np.zeros(3 * takes * rows), share > 0, True, doubt)
+    ]
+    said = np.sqrt(covariance(jacobian, np.ones(3 * takes * rows), space(free), NOWHERE, runs)[4, 4])
+    assert levels.mean(axis=(1, 2)).std() == pytest.approx(said, rel=0.05)
+    alone = np.sqrt(covariance(jacobian, np.ones(3 * takes * rows), space(free), NOWHERE)[4, 4])
+    assert said > 2.5 * alone
