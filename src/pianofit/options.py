@@ -91,7 +91,7 @@ Intervals = Annotated[
     str,
     typer.Option(
         parser=_intervals, metavar="MEANS",
-        help="How sure, by the curvature, by profile (seconds), or by the posterior (a minute; needs pianofit[bayes]).",
+        help="How sure, by the curvature, by profile (seconds), or by the posterior (minutes; needs pianofit[bayes]).",
     ),
 ]  # fmt: skip
 Seconds = Annotated[float, typer.Option(parser=number, metavar="S", help="Length of the sound.")]

@@ -60,7 +60,7 @@ def _suited(state: State, model: np.ndarray, grid: np.ndarray, ratio: np.ndarray
     """
     data, layout, space = state.data, state.data.layout, state.space
     used, ratio = data.found.any(axis=0), ratio.copy()
-    ended = np.isfinite(model).all(axis=2)
+    ended = np.asarray(np.isfinite(model).all(axis=2))
     model = np.where(ended[..., None], model, 0.0)[:, :, used]
     weight = (data.found / np.hypot(data.level_error, SCATTER) ** 2)[:, used]
     form = quadratic(weight, layout.gains, layout.groups if state.start.quantity == "pressure" else None)

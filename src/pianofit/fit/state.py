@@ -24,7 +24,7 @@ from .misfit import huber, scatter
 from .residuals import CENT, Cfg, Target, joint_batch
 from .space import ABSENT, LOG, NAMES, Layout, Space, default_box
 from .takes import Take
-from .target import Spreads, Takes, doubt, target
+from .target import Spreads, Takes, straying, target
 
 __all__ = [
     "ROUGHER",
@@ -144,7 +144,7 @@ def settled_weights(state: State, at: Target, z: np.ndarray) -> tuple[Spreads, n
     data, found = state.data, state.data.found
     frequency, decay, level = np.moveaxis(predicted(at, state.cfg, z[0]), 1, 0)
     there = ~found  # lest what is not there be divided by its 0
-    cent = (data.frequency + there) * CENT * doubt(data.number)
+    cent = (data.frequency + there) * CENT * straying(data.number)
     cents, cents_sd = (data.frequency - frequency) / cent, data.frequency_error / cent
     fade, fade_sd = (x / decay for x in (data.decay - decay, data.decay_error))
     own, common, noise, freedom = _own_and_common(state, data.level - level)

@@ -17,7 +17,7 @@ from ..recording import Recording
 from .residuals import CENT, Lines, Target
 from .space import Layout, Space
 
-__all__ = ["CENT", "ROWS", "Measured", "Spreads", "Takes", "doubt", "lines", "measured", "side_by_side", "target"]
+__all__ = ["CENT", "ROWS", "Measured", "Spreads", "Takes", "lines", "measured", "side_by_side", "straying", "target"]
 
 # Rows come in whole multiples of this, so that notes share compiled programs.
 ROWS = 64
@@ -194,7 +194,7 @@ def _shares(data: Measured) -> np.ndarray:
     return line / np.sqrt(np.bincount(band, line**2, minlength=3))[band]
 
 
-def doubt(number: np.ndarray) -> np.ndarray:
+def straying(number: np.ndarray) -> np.ndarray:
     """Factor on the scatter of frequencies [partials]: windings and shear bend high partials away from the law."""
     return np.sqrt(1 + (number / TRUSTED) ** 2)
 
@@ -282,7 +282,7 @@ def _weights(
     """
     alike = takes.found / np.sqrt(np.maximum(takes.found.sum(axis=0), 1))
     unknown = ~takes.found  # lest it be divided by its 0
-    sd_frequency = np.hypot(takes.frequency_error, takes.frequency * CENT * spread.frequency * doubt(takes.number))
+    sd_frequency = np.hypot(takes.frequency_error, takes.frequency * CENT * spread.frequency * straying(takes.number))
     # Relative to the law: relative to itself, a decay that a beat made small would be held the surest of all.
     sd_decay = np.hypot(takes.decay_error, law * spread.decay)
     band = band_of(takes.number)
