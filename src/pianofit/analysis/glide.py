@@ -25,8 +25,9 @@ _ROUNDS = 8
 _TAU, _USUAL_TAU = (0.05, 5.0), 0.5
 # A change of pitch is one if it is this many standard errors and this many cents.
 _SURE, _LEAST = 4.0, 0.1
-# Where one window tells of a fall it does not tell its time constant, and so much of it is not known.
-_UNTOLD = 0.3
+# Where one window tells of a fall it does not tell its time constant, and so much of it is not known. Even where it is,
+# what the mean over a window is depends by this much of the fall on how its moments are weighed.
+_UNTOLD, _WEIGHED = 0.3, 0.01
 _LOUD = 30.0  # power a partial must have in a window, over the noise power of a frame
 
 
@@ -72,7 +73,7 @@ def straightened(
     bands: Bands, z: NDArray[np.complex128], fit: Tones, density: np.ndarray,
     windows: list[tuple[float, float, float, float]],
 ) -> tuple[Bands, NDArray[np.complex128], Tones, float]:  # fmt: skip
-    """The bands with the fall of pitch taken out of their phases, their first fits, and what is left of it, cents.
+    """The bands with the fall of pitch taken out of their phases, their first fits, and how well it is known, cents.
 
     The mean over the window of frequencies stays. What is left is measured and taken out again, as long as that makes
     it smaller.
@@ -95,8 +96,8 @@ def straightened(
             break
         best, best_fits = straight, (z, fit)
         least, wanted = float(np.abs(rest).max()), wanted + rest
-    if len(windows) == 2:
-        least = max(least, _UNTOLD * abs(windows[0][2] - windows[1][2]))
+    fell = max(abs(row[2]) for row in windows)
+    least = max(least, (_UNTOLD if len(windows) == 2 else _WEIGHED) * fell)
     return best, best_fits[0], best_fits[1], least
 
 

@@ -52,4 +52,4 @@ class Analysis:
     noise_density: np.ndarray  # [partials], one-sided noise power density at each partial, full scale²/Hz
     note: str | None
     warnings: tuple[str, ...]
-    glide_error: float = 0.0  # cents, of all frequencies alike: what is left of the glide when it is taken out
+    glide_error: float = 0.0  # cents, of all frequencies alike: how well a glide that was taken out is known
