@@ -31,6 +31,8 @@ import numpy as np
 from coverage_table import into_page, nearest, progress, report, score
 
 KINDS = ("demo", "model", "brute-force")
+# Fits of one process: what they compile stays in its memory, some GiB after a hundred.
+JOBS = 10
 
 
 def judge(job: tuple[str, int, float]) -> dict:
@@ -152,7 +154,9 @@ def fitted_before(file: Path | None, kind: str) -> dict[int, dict]:
 def fitted(jobs: list[tuple[str, int, float]], workers: int, file: Path | None) -> list[dict]:
     """All twins, on some processes at once; each goes into `file` when it is done, and is not fitted again."""
     runs = fitted_before(file, jobs[0][0])
-    with ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as pool:
+    with ProcessPoolExecutor(
+        workers, mp_context=multiprocessing.get_context("spawn"), max_tasks_per_child=JOBS
+    ) as pool:
         for done in as_completed([pool.submit(judge, job) for job in jobs if job[1] not in runs]):
             run = done.result()
             runs[run["seed"]] = run
