@@ -31,7 +31,8 @@ import numpy as np
 from coverage_table import into_page, nearest, progress, report, score
 
 KINDS = ("demo", "model", "brute-force")
-# Fits of one process: what they compile stays in its memory, some GiB after a hundred.
+# Twins of one process. What it compiles stays mapped, and an operating system allows only so many mappings. Pools that
+# replace their workers (`max_tasks_per_child`) hang in Python 3.11.
 JOBS = 10
 
 
@@ -154,16 +155,16 @@ def fitted_before(file: Path | None, kind: str) -> dict[int, dict]:
 def fitted(jobs: list[tuple[str, int, float]], workers: int, file: Path | None) -> list[dict]:
     """All twins, on some processes at once; each goes into `file` when it is done, and is not fitted again."""
     runs = fitted_before(file, jobs[0][0])
-    with ProcessPoolExecutor(
-        workers, mp_context=multiprocessing.get_context("spawn"), max_tasks_per_child=JOBS
-    ) as pool:
-        for done in as_completed([pool.submit(judge, job) for job in jobs if job[1] not in runs]):
-            run = done.result()
-            runs[run["seed"]] = run
-            print(progress(run), file=sys.stderr, flush=True)
-            if file:
-                with file.open("a", encoding="utf-8") as lines:
-                    lines.write(json.dumps(run) + "\n")
+    left = [job for job in jobs if job[1] not in runs]
+    for first in range(0, len(left), JOBS * workers):
+        with ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as pool:
+            for done in as_completed([pool.submit(judge, job) for job in left[first : first + JOBS * workers]]):
+                run = done.result()
+                runs[run["seed"]] = run
+                print(progress(run), file=sys.stderr, flush=True)
+                if file:
+                    with file.open("a", encoding="utf-8") as lines:
+                        lines.write(json.dumps(run) + "\n")
     return [runs[job[1]] for job in jobs]
 
 

@@ -25,8 +25,6 @@ from pathlib import Path
 FEWEST = 8
 # How far above the nearest recorded layer a prediction may lie, dB, and what the median and the worst should reach.
 MORE, MEDIAN, WORST = 0.3, 1.5, 2.5
-# Notes of one process: what they compile stays in its memory, some GiB after a dozen.
-JOBS = 3
 
 
 def notes(folder: Path) -> dict[str, tuple[str, list[Path]]]:
@@ -106,9 +104,7 @@ def main() -> None:
     ]
     print("predicted/nearest layer, dB a partial, soft to loud; in brackets: not scored")
     results = []
-    with ProcessPoolExecutor(
-        options.workers, mp_context=multiprocessing.get_context("spawn"), max_tasks_per_child=JOBS
-    ) as pool:
+    with ProcessPoolExecutor(options.workers, mp_context=multiprocessing.get_context("spawn")) as pool:
         for result in pool.map(validate, jobs):
             results.append(result)
             print(line(result), flush=True)
