@@ -211,8 +211,11 @@ def _with_attack(takes: Sequence[Take], fit: Fit) -> Fit:
 
 
 def _shows_step(fit: Fit) -> bool:
-    """Whether levels are known well enough, and met well enough, for the step of the contact to count."""
-    known = np.median(fit.data.level_error[fit.data.found]) < FINE_LEVEL
+    """Whether levels are met well enough, and through a path known well enough, for the step of the contact to count.
+
+    A calibrated contact's width is free, and takes up what the step does however noisy the levels are.
+    """
+    known = fit.data.calibrated or np.median(fit.data.level_error[fit.data.found]) < FINE_LEVEL
     return bool(known and fit.spread.level < STEP_SCATTER)
 
 
