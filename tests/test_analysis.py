@@ -187,7 +187,45 @@ def test_a_beat_too_slow_to_be_seen_is_doubted():
     assert np.median(np.abs(off) / np.sqrt(table.decay_error[slow] ** 2 - table.decay_doubt[slow] ** 2)) > 4
     alone = analyse(one.recording(seconds=3.0, noise=1e-6), note="A2").partials
     assert np.median(alone.decay_doubt / alone.decay_error) == 0.0
+    assert np.median(alone.level_doubt) == 0.0
     assert np.median(alone.frequency_doubt / alone.frequency_error) == 0.0
+
+
+def test_a_weak_partial_that_beats_faintly_keeps_its_level_beside_loud_ones():
+    """By the energy in its band it would be too loud, for the lines of its neighbours are wider than it is."""
+    k = np.arange(1, 25)
+    amplitude = np.where(k % 4 == 0, 0.003, 0.3 / k)[:, None].astype(complex)
+    pole = (-1.0 - 0.01 * k**2 + 2j * np.pi * 110.0 * k * np.sqrt(1 + 2e-4 * k**2))[:, None]
+    apart = 2j * np.pi * 110.0 * k[:, None] * (2 ** (1.0 / 1200) - 1)
+    truth = Note(k, np.hstack([amplitude, 0.05 * amplitude]), np.hstack([pole, pole + apart]))
+    table = analyse(truth.recording(noise=1e-6), note="A2").partials
+    weak = table.number % 4 == 0
+    assert weak.sum() >= 5
+    assert (table.way[weak] == 1).all()
+    assert np.abs(table.level - truth.level[table.number - 1])[weak].max() < 0.15
+    assert (table.levels[2] - truth.level[table.number - 1])[weak].max() > 0.5
+
+
+def test_a_beat_too_fast_for_the_first_moments_is_doubted_by_what_it_takes_from_them():
+    one = string(440.0, 4e-4, 12, 1.0, 0.02, seed=4)
+    both = Note(
+        one.number, np.hstack([one.amplitude, 0.2 * one.amplitude]), np.hstack([one.pole, one.pole + 2j * np.pi * 7.0])
+    )
+    table = analyse(both.recording(noise=1e-6), note="A4").partials
+    blow = one.level[np.searchsorted(one.number, table.number)] + 20 * np.log10(1.2)
+    off = np.abs(table.level - blow)
+    assert np.median(off) > 2.5 * np.median(table.level_error)
+    assert (off < 2 * np.hypot(table.level_doubt, table.level_error)).all()
+    assert np.median(table.level_doubt) < 3 * np.median(off)
+
+
+def test_a_glide_tells_how_sharp_it_began():
+    truth = string(55.0, 2e-4, 40, 0.3, 3e-3, seed=2)
+    found = analyse(truth.recording(noise=1e-5, bend=6.0), note="A1")
+    # The note starts at its own pitch, and falls by 6 (1 - exp(-t)) cents or rises: here it rises.
+    mean = 6.0 * (1 - (np.exp(-0.2) - np.exp(-1.0)) / 0.8)
+    assert found.glide_start == pytest.approx(-mean, abs=0.2) or found.glide_start == pytest.approx(mean, abs=0.2)
+    assert analyse(truth.recording(noise=1e-5), note="A1").glide_start == 0.0
 
 
 def test_a_fall_of_pitch_is_one_only_if_it_is_sure():

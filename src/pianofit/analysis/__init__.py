@@ -4,12 +4,13 @@ from .analyse import TRUSTED, analyse
 from .components import energy_level
 from .inharmonicity import law_frequency
 from .notes import hz_to_note, note_to_hz, note_to_midi
-from .result import Analysis, Partials
+from .result import WAYS, Analysis, Partials
 from .table import COLUMNS, as_dict, rows
 
 __all__ = [
     "TRUSTED",
     "COLUMNS",
+    "WAYS",
     "Analysis",
     "Partials",
     "analyse",

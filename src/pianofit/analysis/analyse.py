@@ -106,9 +106,9 @@ def _measure_all(
     # Where a fall is sure, one partial that lasts tells how it goes on; where not, it tells of its own beat.
     heard = windows if glides else [row for row in windows if np.isfinite(row[3])]
     fall = heard[0][2] - heard[-1][2] if len(heard) > 1 else 0.0
-    left = 0.0
+    left = above = 0.0
     if glides:
-        bands, z, fit, left = straightened(bands, z, fit, density, windows)
+        bands, z, fit, left, above = straightened(bands, z, fit, density, windows)
     rows = measure(samples, rate, law.f0, bands, z, fit, density, glides)
     keep = _plausible(rows, law, number) & ~lost(bands, fit)
     keep[keep] = _on_law(number[keep], rows.frequency[keep], rows.frequency_error[keep])
@@ -124,7 +124,7 @@ def _measure_all(
         fine.f0, fine.f0_error, fine.B, fine.B_error,
         losses.b1, losses.b1_error, losses.d2, losses.d2_error,
         table, fine.scatter, losses.scatter, float(fall), glide, density[keep], note,
-        _warnings(table, losses, float(fall) if glides else 0.0), left,
+        _warnings(table, losses, float(fall) if glides else 0.0), left, above,
     )  # fmt: skip
 
 
@@ -147,9 +147,9 @@ def _on_law(k: np.ndarray, frequency: np.ndarray, error: np.ndarray) -> np.ndarr
 def _table(number: np.ndarray, rows: Measured, keep: np.ndarray) -> Partials:
     names = (
         "frequency", "frequency_error", "frequency_doubt", "decay", "decay_error", "decay_doubt",
-        "level", "level_error", "snr", "beating",
+        "level", "level_error", "levels", "level_errors", "way", "level_doubt", "snr", "beating",
     )  # fmt: skip
-    columns = {name: getattr(rows, name)[keep] for name in names}
+    columns = {name: getattr(rows, name)[..., keep] for name in names}
     columns["decay"] = np.maximum(columns["decay"], 1e-3)
     return Partials(number=number, **columns)
 

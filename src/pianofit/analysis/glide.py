@@ -72,8 +72,10 @@ def falls(windows: list[tuple[float, float, float, float]]) -> bool:
 def straightened(
     bands: Bands, z: NDArray[np.complex128], fit: Tones, density: np.ndarray,
     windows: list[tuple[float, float, float, float]],
-) -> tuple[Bands, NDArray[np.complex128], Tones, float]:  # fmt: skip
-    """The bands with the fall of pitch taken out of their phases, their first fits, and how well it is known, cents.
+) -> tuple[Bands, NDArray[np.complex128], Tones, float, float]:  # fmt: skip
+    """The bands with the fall of pitch taken out of their phases, and their first fits.
+
+    And, in cents, how well the fall is known and how much higher than in the window of frequencies the note began.
 
     The mean over the window of frequencies stays. What is left is measured and taken out again, as long as that makes
     it smaller.
@@ -98,7 +100,8 @@ def straightened(
         least, wanted = float(np.abs(rest).max()), wanted + rest
     fell = max(abs(row[2]) for row in windows)
     least = max(least, (_UNTOLD if len(windows) == 2 else _WEIGHED) * fell)
-    return best, best_fits[0], best_fits[1], least
+    size, tau = _exponential(spans, wanted)
+    return best, *best_fits, least, size * float(1 - _mean(_WINDOWS[_REFERENCE], np.array(tau)))
 
 
 def _mean(span: tuple[float, float], tau: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ two stages; then each number is taken where it means something:
 
 - frequency from 0.2 to 1.0 s after the onset, or the dominant component's where the partial beats deeply,
 - decay rate of the early energy, the first 0.8 s,
-- level from the energy of the first 0.35 s (energy.py),
+- level from one exponential through the first 0.4 s, or, where none follows them, from their energy (energy.py),
 
 and the errors grow by the misfit. A beat too slow to be seen whole bends what one exponential says of a partial by more
 than it misses it: how far a fit of other windows differs is taken for that doubt. Beats change little from one partial
@@ -36,7 +36,10 @@ _CLEAN_MISFIT = 3e-3  # of the signal's rms: one exponential is then good enough
 _DOUBT = 0.15  # share of the difference between one component and several that goes into the error
 _EXACT = 1e-4  # misfit over power at which components may be carried back to the onset
 _SURE = 2.5  # standard errors from noise that two windows may differ by
+_HALF = 0.5  # share of what the two windows' levels differ by
+_SEEN = 0.03  # amplitude of the noise, over the partial's, below which a beat is seen
 _NEAR = 2  # partials to either side whose doubt a partial shares
+_FOLLOWED = 0.05  # misfit of the first moments' exponential, of its rms, up to which it says more than their energy
 _NOISY = 0.5  # share of a band's energy that is noise beyond which one exponential says more
 _DB = 20 / np.log(10)
 
@@ -53,6 +56,10 @@ class Measured:
     decay_doubt: np.ndarray
     level: np.ndarray
     level_error: np.ndarray
+    levels: np.ndarray  # [ways, partials]
+    level_errors: np.ndarray
+    way: np.ndarray
+    level_doubt: np.ndarray
     snr: np.ndarray
     beating: np.ndarray
     clean: np.ndarray
@@ -110,7 +117,8 @@ def measure(
     peak = np.sqrt(density / 2 * bands.rate * shape)  # noise of a frame as the partial's peak feels it
     frame = density / 2 * bands.noise_width  # noise variance of one frame
     clean, chi = _one_exponential(bands, z, fit, frame)
-    beating = _beating(bands, z, frame)
+    beating, seen = _beating(bands, z, frame)
+    second = _shared(_where_seen(beating, seen) * np.sqrt(2) / _DB)  # amplitude of what beats with it, over its own
     whole = _Fit(fit, peak * np.sqrt(np.maximum(1.0, chi)), peak)
     early, tone, first = (
         _window(bands, z, fit, peak, frame, *window)
@@ -119,12 +127,12 @@ def measure(
     parts = resolve(bands, z, frame)
     audible = (tone.fit.power > 10 * frame) & (bands.time[-1] > 0.6) & ~lost(bands, tone.fit)
     split = parts.valid & (beating > _DEEP) & ~clean
-    frequency = _frequencies(bands, whole, early, tone, parts, clean & ~(glides & audible), audible, split)
-    decay = _decays(whole, early, parts, clean, split)
+    frequency = _frequencies(bands, whole, early, tone, parts, second, clean & ~(glides & audible), audible, split)
+    decay = _decays(whole, early, parts, second, clean, split)
     energy = band_levels(samples, rate, frequency[0], decay[0], spacing, density)
-    level = _levels(bands, whole, first, parts, energy, clean, split, decay[0])
+    level = _levels(bands, whole, first, parts, energy, frame, clean, split, decay[0])
     snr = -20 * np.log10(np.maximum(peak * fit.level_error(0.0), 1e-15))
-    return Measured(*frequency, *decay, *level, snr, beating, clean)
+    return Measured(*frequency, *decay, *level, _level_doubt(level[2], level[3], first, frame), snr, beating, clean)
 
 
 @dataclass(frozen=True)
@@ -151,6 +159,7 @@ def _frequencies(
     early: _Fit,
     tone: _Fit,
     parts: Components,
+    second: np.ndarray,
     use_whole: np.ndarray,
     audible: np.ndarray,
     split: np.ndarray,
@@ -161,19 +170,21 @@ def _frequencies(
         offset = np.where(better, other.fit.pole.imag, offset)
         error = np.where(better, other.noise * other.fit.pole_error(), error)
     frequency, error = bands.centre + offset / (2 * np.pi), error / (2 * np.pi)
-    # Where nothing is heard late, a longer window is no other.
+    # Where nothing is heard late, a longer window is no other. And what beats turns the phase by ± its amplitude.
     single = np.where(audible, _beyond_noise(tone, whole, np.imag), 0.0) / (2 * np.pi)
+    single = np.hypot(single, second / (np.pi * (FREQUENCY_WINDOW[1] - FREQUENCY_WINDOW[0])))
     doubt = _shared(np.where(split, _DOUBT * (parts.frequency - frequency), single))
     return np.where(split, parts.frequency, frequency), np.hypot(error, doubt), doubt
 
 
 def _decays(
-    whole: _Fit, early: _Fit, parts: Components, clean: np.ndarray, split: np.ndarray
+    whole: _Fit, early: _Fit, parts: Components, second: np.ndarray, clean: np.ndarray, split: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Decay rates, their errors, and what of these is doubt, 1/s."""
     single = -early.fit.pole.real
     decay = np.where(split, parts.decay, single)
-    doubt = _shared(np.where(split, _DOUBT * (decay - single), _beyond_noise(early, whole, np.real)))
+    apart = np.where(split, _DOUBT * (decay - single), _beyond_noise(early, whole, np.real))
+    doubt = _shared(np.hypot(apart, second * np.maximum(decay, 0.0)))
     better = np.where(clean, whole.noise * whole.fit.pole_error(), early.noise * early.fit.pole_error())
     return np.where(clean, -whole.fit.pole.real, decay), np.hypot(better, doubt), doubt
 
@@ -193,23 +204,38 @@ def _shared(doubt: np.ndarray) -> np.ndarray:
 
 def _levels(
     bands: Bands, whole: _Fit, first: _Fit, parts: Components, energy: tuple[np.ndarray, np.ndarray],
-    clean: np.ndarray, split: np.ndarray, decay: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-    """Levels and their errors, dB."""
+    frame: np.ndarray, clean: np.ndarray, split: np.ndarray, decay: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+    """Levels and their errors, dB; the same by each way [ways, partials]; and which way suits each partial."""
     middle = _mean_time(decay)
     level, single = (energy_level(*(x[:, None] for x in _physical(bands, which.fit))) for which in (whole, first))
     heard, noise = energy
     early = np.where(noise < _NOISY, heard, single)
     early = np.where(split & (parts.misfit < _EXACT), parts.level, early)
     doubt = np.where(noise < _NOISY, _DOUBT * (early - single), (early - level) / 2)
-    return (
-        np.where(clean, level, early),
-        np.where(
-            clean,
-            _DB * whole.noise * whole.fit.level_error(middle),
-            np.hypot(_DB * first.noise * first.fit.level_error(middle), doubt),
-        ),
-    )
+    error = _DB * first.noise * first.fit.level_error(middle)
+    levels = np.stack([level, single, early])
+    errors = np.stack([_DB * whole.noise * whole.fit.level_error(middle), error, np.hypot(error, doubt)])
+    followed = first.fit.misfit < np.maximum(_FOLLOWED**2 * first.fit.power, 2 * frame)
+    way = np.where(clean, 0, np.where(followed, 1, 2))
+    which = way, np.arange(len(way))
+    return levels[which], errors[which], levels, errors, way
+
+
+def _level_doubt(levels: np.ndarray, errors: np.ndarray, first: _Fit, frame: np.ndarray) -> np.ndarray:
+    """How far a beat may keep levels [ways, partials] from what the blow alone would have given, dB [partials].
+
+    One that is fast is what the first moments' exponential leaves over. A slow one bends the whole's more than theirs.
+    """
+    over = np.maximum(first.fit.misfit - frame, 0.0) / np.maximum(first.fit.power, 1e-300)
+    apart, noise = levels[0] - levels[1], _SURE * errors[1]
+    slow = _HALF * np.sqrt(np.maximum(apart**2 - noise**2, 0.0))
+    return _shared(_where_seen(np.hypot(_DB * np.sqrt(2 * over), slow), frame < _SEEN**2 * first.fit.power))
+
+
+def _where_seen(size: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """The size [partials] of something, and of most where noise hides it."""
+    return np.where(seen, size, np.median(size[seen]) if seen.any() else 0.0)
 
 
 def _mean_time(decay: np.ndarray) -> np.ndarray:
@@ -233,8 +259,11 @@ def _one_exponential(
     return (chi < slack) | (rest < _CLEAN_MISFIT**2 * np.sum(power * heard, axis=1) / count), chi
 
 
-def _beating(bands: Bands, z: NDArray[np.complex128], frame: np.ndarray) -> np.ndarray:
-    """Rms deviation in dB of the log envelope of the first 2 s from a straight line, noise removed; [partials]."""
+def _beating(bands: Bands, z: NDArray[np.complex128], frame: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rms deviation in dB of the log envelope of the first 2 s from a straight line, noise removed; [partials].
+
+    And whether so little noise had to be removed that a beat would be seen.
+    """
     cut = bands.cut(0.0, max(2.0, bands.time[0] + 0.2))
     power, t = np.abs(z[:, cut]) ** 2, bands.time[cut]
     weight = (power > 30 * frame[:, None]).astype(float)
@@ -245,4 +274,5 @@ def _beating(bands: Bands, z: NDArray[np.complex128], frame: np.ndarray) -> np.n
     slope = np.sum(weight * t * level, 1) / np.maximum(np.sum(weight * t**2, 1), 1e-12)
     rest = np.sum(weight * (level - slope[:, None] * t) ** 2, 1) / count
     noise = _DB**2 * np.sum(weight * 0.5 * frame[:, None] / np.maximum(power, 1e-60), 1) / count
-    return np.where(count >= 8, np.sqrt(np.maximum(rest - noise, 0.0)), 0.0)
+    told = count >= 8
+    return np.where(told, np.sqrt(np.maximum(rest - noise, 0.0)), 0.0), told & (noise < (_DB * _SEEN) ** 2)

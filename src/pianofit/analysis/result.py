@@ -6,7 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["Analysis", "Partials"]
+__all__ = ["WAYS", "Analysis", "Partials"]
+
+# In which a level may be read off: see `Partials.levels`.
+WAYS = 3
 
 
 @dataclass(frozen=True)
@@ -25,6 +28,10 @@ class Partials:
     decay_doubt: np.ndarray  # 1/s
     level: np.ndarray  # [partials], dB re full scale² · s: ∫_0^0.35s of its mean power · exp(−16 t) dt, from the onset
     level_error: np.ndarray
+    levels: np.ndarray  # [3, partials], dB: by one exponential over the whole, over the first 0.4 s, by their energy
+    level_errors: np.ndarray
+    way: np.ndarray  # int [partials]: which of these `level` is
+    level_doubt: np.ndarray  # dB: how far a beat may keep a level from what the blow alone would give
     snr: np.ndarray  # [partials], dB, amplitude at the onset over its own standard error from noise
     beating: np.ndarray  # [partials], dB, rms deviation of the log envelope from one exponential
 
@@ -53,3 +60,4 @@ class Analysis:
     note: str | None
     warnings: tuple[str, ...]
     glide_error: float = 0.0  # cents, of all frequencies alike: how well a glide that was taken out is known
+    glide_start: float = 0.0  # cents above f0 at which a glide that was taken out began
