@@ -19,10 +19,12 @@ from pianofit.fit import Result, fit_recording, posterior
 from pianofit.fit.certainty import Certainty, by_curvature, by_posterior, by_profile, check_intervals
 from pianofit.fit.levenberg import descend
 from pianofit.fit.posterior import box_of, draw, folded
-from pianofit.fit.recipe import REFINEMENT, fit_partials
-from pianofit.fit.space import LOG, NAMES, SIZE, K, P, Space
-from pianofit.fit.surface import Surface, surface_of
+from pianofit.fit.recipe import fit_partials
+from pianofit.fit.space import LOG, NAMES, SIZE, K, P, Space, split, struck
+from pianofit.fit.surface import Surface
 from pianofit.fit.takes import arranged
+from pianofit.model import simulate
+from pianofit.model.response import level_db, ringing
 from pianofit.recording import recording_from_samples
 from pianofit.report.words import how_sure, rows
 from pianofit.setup_file import setup_from_dict
@@ -314,18 +316,25 @@ def test_profiles_of_the_demo_hold_the_truth_and_are_as_wide_as_the_curvature_sa
     assert result.document["parameters"]["M_S"]["interval_by"] is None
 
 
-def test_a_refined_fit_is_surveyed_at_its_coarse_step():
-    """The corrected coarse step has the fine one's cost and slope at the estimate, at an eighth of the steps."""
+def test_a_calibrated_fit_has_the_levels_of_a_step_without_end():
+    """Against a step 32 times as fine, which the fit never takes, and farther off than that without the correction."""
     import tomllib
 
     setup = setup_from_dict(tomllib.loads(setup_text()), "twin")
     takes, start, layout, _ = arranged([measured()], [analyse(measured())], setup)
     fit = fit_partials(takes, start, layout)
-    found = surface_of(fit)
-    assert found.cfg.steps * REFINEMENT == fit.cfg.steps  # type: ignore
-    residual, jacobian = found.evaluate(fit.z)
-    np.testing.assert_allclose(residual[0], fit.residual, atol=1e-9 * np.abs(fit.residual).max())
-    np.testing.assert_allclose(jacobian[0], fit.jacobian, atol=1e-9 * np.abs(fit.jacobian).max())
+    string, hammer = split(fit.values)
+    geometry = struck(fit.state.start.geometry, fit.values)
+
+    def levels(times: int) -> np.ndarray:
+        hit = simulate(string, hammer, geometry, rate=fit.state.rate / 4, oversampling=4 * times)
+        sound = ringing(hit.modes, hit.pulse.drive)
+        return np.asarray(level_db(sound, -hit.modes.pole.real))[: fit.data.rows]
+
+    found = fit.data.found[0]
+    missing = (levels(32) - levels(1))[found]
+    assert np.abs(missing).max() > 0.01
+    np.testing.assert_allclose(fit.state.more[0][found], missing, atol=0.03 * np.abs(missing).max())
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ its place, and the best blend, in decibels, of its two neighbours.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import jax
@@ -16,11 +16,12 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import fminbound
 
-from .analysis import Analysis
+from .analysis import Analysis, Partials
 from .criterion import SAME_PARTIAL, level_error_db
 from .errors import FitError
 from .fit import Result, Voice, fit_takes
 from .fit.result import scored
+from .fit.target import measured_alike
 from .fit.voice import arrival
 from .model.contact import strike
 from .model.modes import mode_table
@@ -58,7 +59,7 @@ def predict_take(voice: Voice, analysis: Analysis) -> Prediction:
     FitError
         If too few partials stand above the noise, or no velocity gives a finite sound.
     """
-    p = analysis.partials
+    p = _as_fitted(voice, analysis.partials)
     chosen = scored(p.frequency, p.level) & _heard(voice, p.frequency)
     if chosen.sum() < FEWEST:
         raise FitError(f"only {int(chosen.sum())} partials of the fit stand above the noise; {FEWEST} are needed")
@@ -93,6 +94,12 @@ def _heard(voice: Voice, frequency: np.ndarray) -> np.ndarray:
     if voice.path is None:
         return np.ones(len(frequency), bool)
     return np.abs(np.log(frequency[:, None] / voice.path.frequency)).min(axis=1) < SAME_PARTIAL
+
+
+def _as_fitted(voice: Voice, p: Partials) -> Partials:
+    """The recording's table with each level read off as the fit's takes had it."""
+    way = p.way if voice.path is None else voice.path.way_at(p.frequency, p.way)
+    return replace(p, level=p.levels[way, np.arange(len(p))])
 
 
 def _pitch(voice: Voice) -> float:
@@ -174,6 +181,8 @@ def cross_validate(
         for i in (j for j in range(count) if heard[j]["strike"] == blow):
             voice = _voice_for(fit, whole, rest, i)
             predicted[i] = None if voice is None else predict_take(voice, analyses[i])
+    tables = measured_alike([analysis.partials for analysis in analyses])
+    analyses = [replace(analysis, partials=p) for analysis, p in zip(analyses, tables, strict=True)]
     order = sorted(range(count), key=lambda i: heard[i]["v_H0"])
     rows = [_row(i, predicted[i], _around(i, order, heard), heard, analyses) for i in order]
     inner = [row["predicted_db"] for row in rows if row["inner"]]

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from .analysis import WAYS
 from .criterion import OutputPath
 from .errors import FitError, ParameterError
 from .fit.result import SCHEMA
@@ -104,17 +105,21 @@ def _path(path: Any, name: str) -> OutputPath | None:
     if path is None:
         return None
     wrong = FitError(
-        f"{name}: pickup.path needs frequency, rising, db, and decay, above 0, as many; give the file that fit wrote"
+        f"{name}: pickup.path needs frequency, rising, db, decay, above 0, and way, 0 to 2, as many; give the file "
+        "that fit wrote"
     )
     try:
         law = [1.0] * len(path["frequency"])
         frequency, db, decay = np.array([path["frequency"], path["db"], path.get("decay", law)], float)
+        way = None if path.get("way") is None else np.array(path["way"], float)
     except (KeyError, OverflowError, TypeError, ValueError):
         raise wrong from None
     rising = frequency.ndim == 1 and frequency.size and frequency[0] > 0 and bool((np.diff(frequency) > 0).all())
     if not (rising and np.isfinite([frequency, db, decay]).all() and (decay > 0).all()):
         raise wrong
-    return OutputPath(frequency, db, decay)
+    if way is not None and not (way.shape == frequency.shape and np.isin(way, range(WAYS)).all()):
+        raise wrong
+    return OutputPath(frequency, db, decay, None if way is None else way.astype(int))
 
 
 def check_render(velocity: float | None, seconds: float, rate: int) -> None:

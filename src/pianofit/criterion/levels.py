@@ -27,6 +27,7 @@ class OutputPath(NamedTuple):
     frequency: np.ndarray
     db: np.ndarray
     decay: np.ndarray | None = None  # of each partial's decay rate over that of the string's law
+    way: np.ndarray | None = None  # int, of each partial: in which of an analysis' ways its level was read off
 
     def at(self, frequency: np.ndarray) -> np.ndarray:
         """The path in dB at `frequency`, Hz."""
@@ -36,9 +37,20 @@ class OutputPath(NamedTuple):
         """Decay rate over the law's at `frequency`, Hz: a partial's own, and 1 where none was heard."""
         if self.decay is None:
             return np.ones(len(frequency))
-        nearest = np.abs(frequency[:, None] - self.frequency).argmin(axis=1)
-        near = np.abs(frequency / self.frequency[nearest] - 1) < SAME_PARTIAL
+        nearest, near = self._nearest(frequency)
         return np.where(near, self.decay[nearest], 1.0)
+
+    def way_at(self, frequency: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
+        """In which way levels at `frequency`, Hz, are to be read off: a partial's own, else as they would be."""
+        if self.way is None:
+            return otherwise
+        nearest, near = self._nearest(frequency)
+        return np.where(near, self.way[nearest], otherwise)
+
+    def _nearest(self, frequency: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Which of the path's partials is next to each `frequency`, and whether it is the same."""
+        nearest = np.abs(frequency[:, None] - self.frequency).argmin(axis=1)
+        return nearest, np.abs(frequency / self.frequency[nearest] - 1) < SAME_PARTIAL
 
 
 def path_basis(frequency: np.ndarray) -> np.ndarray:

@@ -23,7 +23,7 @@ def roughness(fit: Fit, take: int) -> np.ndarray:
         return np.zeros(data.rows)
     mine = data.found & _group(fit, take)
     miss = data.level - predicted(fit.target, fit.cfg, fit.z[0])[:, 2]
-    weight = mine / (data.level_error**2 + fit.spread.level**2 + ~mine)
+    weight = mine / (data.level_error**2 + (fit.spread.level * data.buried) ** 2 + ~mine)
     return (weight * miss).sum(axis=0) / (weight.sum(axis=0) + fit.spread.rough**-2)
 
 
@@ -35,15 +35,16 @@ def path_of(fit: Fit, take: int, start: Start) -> OutputPath | None:
     mine = data.found & _group(fit, take)
     rows, loudest = np.flatnonzero(mine.any(axis=0)), (mine.argmax(axis=0), np.arange(data.rows))
     smooth = np.asarray(fit.target.basis)[loudest][:, columns] @ fit.values[columns]
-    return OutputPath(data.frequency[loudest][rows], (smooth + roughness(fit, take))[rows], _decays(fit, mine)[rows])
+    way = data.spread_out([d.partials.way for d in data.each])[loudest].astype(int)
+    db = (smooth + roughness(fit, take))[rows]
+    return OutputPath(data.frequency[loudest][rows], db, _decays(fit, mine)[rows], way[rows])
 
 
 def path_document(path: OutputPath | None) -> dict | None:
     """As `fit.json` holds it."""
     if path is None:
         return None
-    held = {"frequency": path.frequency.tolist(), "db": path.db.tolist()}
-    return held if path.decay is None else held | {"decay": path.decay.tolist()}
+    return {name: column.tolist() for name, column in path._asdict().items() if column is not None}
 
 
 def _group(fit: Fit, take: int) -> np.ndarray:

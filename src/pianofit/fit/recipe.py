@@ -27,11 +27,12 @@ from . import screen
 from .again import nearby
 from .hammers import anchored, comparable, search_hammers
 from .levenberg import Descent, descend
+from .place import smoother_place
 from .residuals import CENT, Cfg, Target, hammer_batch, joint_batch, level_batch, string_batch
 from .space import LOG, NAMES, K, Layout, Space, default_box, split, struck
 from .state import TOGETHER, State, predicted, search_space, settled_weights
 from .takes import Take
-from .target import Spreads, Takes, lines, measured, side_by_side
+from .target import Spreads, Takes, lines, measured, measured_alike, side_by_side
 from .voice import arrival, lag, placed
 
 __all__ = ["Fit", "fit_partials", "predicted"]
@@ -50,11 +51,13 @@ ROUNDS = 4
 # has come back twice, for in the bass it is what throws the hammer off. If one lasts nearly as long, better ones may
 # last longer still: all is done again with twice the time.
 CONTACTS, RETURNS, MOST_CONTACTS, NEARLY = 1.6, 2.0, 6.0, 0.9
+# How often another place of the strike is looked for.
+PLACES = 3
 # How often a better hammer is looked for near the one that was found.
 SEARCHES = 3
-# Levels better known than this, dB, show the contact's step; the last stages then take a finer one. By as much as the
-# second of these the step alone may miss them, in the treble.
-FINE_LEVEL, STEP_SCATTER, REFINEMENT = 0.05, 0.2, 8
+# Levels that scatter by no more than this, dB, show what the contact's step does to them. That is read off a step so
+# many times finer, again where the fit has moved, until what is left is this share of a level's standard deviation.
+FINE_LEVEL, REFINEMENT, READINGS, LEFT = 1.0, 8, 4, 0.05
 # A band whose criterion is 1, as for silence, costs half this much where the path is unknown: there it is not noise
 # that says which partials matter.
 CRITERION = 100.0
@@ -83,7 +86,6 @@ class Fit:
     agreeing: int  # how many of the hammer's starts ended at the lowest cost
     messages: tuple[str, ...]
     state: State
-    coarse: State | None = None  # with the contact's step before the refinement, where there was one
 
 
 def fit_partials(
@@ -123,15 +125,15 @@ def fit_partials(
         programs[1].join()
         z, more = _in_tune(state, z)
         state, z = anchored(state, z)
-        fit = _closer(_joint_stage(state, z), seed)
+        fit = _elsewhere(_closer(_joint_stage(state, z), seed), seed)
         state, z = anchored(state, fit.z)
         if state is not fit.state:
-            fit = _joint_stage(state, z, fit.spread, fit.robust)
+            fit = _gone_on(fit, state, z)
         if state.data.calibrated:
             fit = _with_attack(takes, _with_window(fit))
-        if _shows_step(fit):
+        if fit.spread.level < FINE_LEVEL:
             progress("refinement", 0.8)
-            fit = _refined(takes, fit)
+            fit = _corrected(takes, fit)
     finally:
         # A program that still compiles when Python ends would take it down; after Ctrl-C too.
         for program in programs:
@@ -145,7 +147,11 @@ def fit_partials(
 def _prepared(takes: Sequence[Take], start: Start, layout: Layout, contacts: float = CONTACTS) -> State:
     """Choose the contact's rate and length, and what the programs are compiled for, from the literature's strike."""
     space = search_space(start, takes, layout)
-    data = side_by_side(tuple(measured(take.recording, take.analysis, start) for take in takes), layout)
+    tables = measured_alike([take.analysis.partials for take in takes])
+    alike = [replace(take.analysis, partials=table) for take, table in zip(takes, tables, strict=True)]
+    data = side_by_side(
+        tuple(measured(t.recording, analysis, start) for t, analysis in zip(takes, alike, strict=True)), layout
+    )
     string, hammer = split(space.start)
     rate = max(take.recording.rate for take in takes)
     first = simulate(string, hammer, start.geometry, rate=rate, quantity=start.quantity)
@@ -197,9 +203,34 @@ def _closer(fit: Fit, seed: int) -> Fit:
         fit = replace(fit, evaluations=fit.evaluations + count)
         if z is None:
             break
-        better = _joint_stage(fit.state, z, fit.spread, fit.robust)
-        fit = replace(better, evaluations=fit.evaluations + better.evaluations)
+        fit = _gone_on(fit, fit.state, z)
     return fit
+
+
+def _elsewhere(fit: Fit, seed: int) -> Fit:
+    """The fit, or a likelier one about the place of the strike at which its path would be much smoother."""
+    for _ in range(PLACES):
+        found = smoother_place(fit.state, fit.target, fit.z[0])
+        if found is None:
+            break
+        place, (low, high) = found
+        start, lower, upper = fit.space.start.copy(), fit.space.lower.copy(), fit.space.upper.copy()
+        start[STRIKE], lower[STRIKE], upper[STRIKE] = place, low, high
+        there = replace(fit.state, space=replace(fit.space, start=start, lower=lower, upper=upper))
+        z, _, count = search_hammers(there, seed)
+        other = _closer(_joint_stage(fit.state, z), seed)
+        count += fit.evaluations + other.evaluations
+        if not _unlikely(other) < _unlikely(fit):
+            return replace(fit, evaluations=count)
+        fit = replace(other, evaluations=count)
+    return fit
+
+
+def _unlikely(fit: Fit) -> float:
+    """Minus the logarithm of the likelihood: unlike the cost it can be compared where weights differ."""
+    data, found = fit.data, fit.data.found
+    sd = np.hypot(data.level_error, fit.spread.level * data.buried)[found]
+    return fit.cost + float(np.log(sd).sum() - np.log1p(-np.asarray(fit.target.shrink)).sum())
 
 
 def _with_attack(takes: Sequence[Take], fit: Fit) -> Fit:
@@ -207,16 +238,7 @@ def _with_attack(takes: Sequence[Take], fit: Fit) -> Fit:
 
     The onset is where a sound is first seen; a model this close says when the touch was.
     """
-    return _joint_stage(replace(fit.state, delay=_touches(takes, fit)), fit.z, fit.spread, fit.robust)
-
-
-def _shows_step(fit: Fit) -> bool:
-    """Whether levels are met well enough, and through a path known well enough, for the step of the contact to count.
-
-    A calibrated contact's width is free, and takes up what the step does however noisy the levels are.
-    """
-    known = fit.data.calibrated or np.median(fit.data.level_error[fit.data.found]) < FINE_LEVEL
-    return bool(known and fit.spread.level < STEP_SCATTER)
+    return _gone_on(fit, replace(fit.state, delay=_touches(takes, fit)))
 
 
 def _with_window(fit: Fit) -> Fit:
@@ -229,23 +251,44 @@ def _with_window(fit: Fit) -> Fit:
     return replace(fit, state=state, space=state.space)
 
 
-def _refined(takes: Sequence[Take], fit: Fit) -> Fit:
-    """The fit gone on with a finer step of the contact, and the rest extrapolated, for errors go with its square."""
-    coarse = replace(fit.state, delay=_touches(takes, fit)) if fit.data.calibrated else fit.state
-    rate = coarse.rate * REFINEMENT
+def _corrected(takes: Sequence[Take], fit: Fit) -> Fit:
+    """The fit gone on with what its levels leave out.
+
+    That changes little while the parameters change little, so it is read off now and then, and held meanwhile.
+    """
+    more = _left_out(fit)
+    for _ in range(READINGS):
+        delay, before = _touches(takes, fit) if fit.data.calibrated else fit.state.delay, more
+        fit = _gone_on(fit, replace(fit.state, delay=delay, more=before))
+        more = _left_out(fit)
+        if np.abs(np.asarray(fit.target.level_weight) * (more - before)).max() < LEFT:
+            break
+    return fit
+
+
+def _left_out(fit: Fit) -> np.ndarray:
+    """What the levels at the fit's point would have more, dB [takes, rows], by a step without end and a gliding string.
+
+    Errors go with the square of the step. A string that glides was tenser when it was struck, and tenser in a take
+    that is sharper than the first.
+    """
     string, _ = split(fit.values)
-    rows = max(coarse.cfg.n_modes, count_modes(string, coarse.start.geometry, rate))
-    cfg = coarse.cfg._replace(steps=coarse.cfg.steps * REFINEMENT, n_modes=rows)
-    state = replace(coarse, rate=rate, cfg=cfg)
-    level = [_levels(s, fit) for s in (coarse, state)]
-    state = replace(state, finer=(level[1] - level[0]) / (REFINEMENT**2 - 1))
-    return replace(_joint_stage(state, fit.z, fit.spread, fit.robust), coarse=coarse)
+    layout, rate = fit.data.layout, fit.state.rate * REFINEMENT
+    rows = max(fit.cfg.n_modes, count_modes(string, fit.state.start.geometry, rate))
+    fine = fit.cfg._replace(steps=fit.cfg.steps * REFINEMENT, n_modes=rows)
+    at, ratio = fit.target._replace(rate=jnp.asarray(rate)), jnp.asarray(fit.values[layout.ratio])
+    sharp = np.array([data.sharp for data in fit.data.each]) + fit.values[layout.cents]
+    tense = np.tile(fit.z, (len(sharp), 1))
+    tense[:, 0] += CENT * sharp
 
+    def levels(z: np.ndarray, target: Target, cfg: Cfg) -> np.ndarray:
+        return np.asarray(level_batch(jnp.asarray(z), ratio, target, cfg)[0])[0, :, : fit.data.rows]
 
-def _levels(state: State, fit: Fit) -> np.ndarray:
-    """Levels [takes, rows], dB, of the fit's point by the step of `state`, before gain, path and noise."""
-    target = state.target(fit.spread, fit.robust)
-    return np.asarray(joint_batch(jnp.asarray(fit.z), target, state.cfg)[2])[0, :, 2]
+    coarse, finer = levels(fit.z, fit.target, fit.cfg), levels(fit.z, at, fine)
+    tenser = np.stack([levels(one[None], at, fine)[take] for take, one in enumerate(tense)])
+    with np.errstate(invalid="ignore"):  # a contact that did not end
+        more = tenser - finer + (finer - coarse) * REFINEMENT**2 / (REFINEMENT**2 - 1)
+    return np.where(fit.data.found & np.isfinite(more), more, 0.0)
 
 
 def _with_free_width(space: Space, geometry: Geometry) -> Space:
@@ -331,6 +374,12 @@ def _joint_stage(state: State, z, spread: Spreads | None = None, robust: np.ndar
         agreed = abs(spread.level - before.level) < 0.02 * spread.level + 1e-4
         if rounds == ROUNDS or (agreed and end.settled[0]):
             return _ended(state, end, at, before, robust, count)
+
+
+def _gone_on(fit: Fit, state: State, z: np.ndarray | None = None) -> Fit:
+    """The last stage once more, from where `fit` is, or from `z`, and with its weights."""
+    new = _joint_stage(state, fit.z if z is None else z, fit.spread, fit.robust)
+    return replace(new, evaluations=fit.evaluations + new.evaluations)
 
 
 def _ended(state: State, end: Descent, at: Target, spread: Spreads, robust, count: int) -> Fit:

@@ -77,7 +77,7 @@ class Target(NamedTuple):
     delay: Array  # s, [takes], from the first touch to the recording's onset
     geometry: Geometry
     rate: Array  # of the contact, Hz
-    finer: Array  # dB, [takes, rows]: what a step without end would add to the model's levels
+    more: Array  # dB, [takes, rows]: what is added to the model's levels
 
 
 class Lines(NamedTuple):
@@ -123,7 +123,7 @@ def compare(prediction: Array, z: Float[Array, " size"], target: Target, cfg: Cf
     """
     frequency, decay, level = jnp.moveaxis(prediction, 1, 0)
     frequency = frequency * (1 + CENT * (target.cents @ z))[:, None]
-    shaped = level + target.finer + target.basis @ z
+    shaped = level + target.more + target.basis @ z
     # Noise adds its energy to the model's, as it did to the recording's.
     heard = DB * jnp.logaddexp(shaped / DB, target.floor / DB)
     miss = target.level_weight * (heard - target.level)

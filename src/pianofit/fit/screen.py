@@ -62,7 +62,7 @@ def _suited(state: State, model: np.ndarray, grid: np.ndarray, ratio: np.ndarray
     used, ratio = data.found.any(axis=0), ratio.copy()
     ended = np.asarray(np.isfinite(model).all(axis=2))
     model = np.where(ended[..., None], model, 0.0)[:, :, used]
-    weight = (data.found / np.hypot(data.level_error, SCATTER) ** 2)[:, used]
+    weight = (data.found / np.hypot(data.level_error, SCATTER * data.buried) ** 2)[:, used]
     form = quadratic(weight, layout.gains, layout.groups if state.start.quantity == "pressure" else None)
     takes, rows = weight.shape
     believed = 0.5 * ((grid - space.start[layout.ratio, None]) / space.spread[layout.ratio, None]) ** 2

@@ -47,7 +47,7 @@ STAND_IN = 0.01
 LEAST_SCATTER, LEAST_OWN = 1.0, 0.2
 # Before the first round the model is taken to miss a partial by this much, dB: calibrated, one take, and several, whose
 # path is then rough by so much more.
-FIRST_SCATTER, FIRST_OWN, FIRST_ROUGH = {True: 1.0, False: 4.0}, 2.0, 18.0
+FIRST_SCATTER, FIRST_OWN, FIRST_ROUGH = {True: 1.0, False: 4.0}, 1.0, 18.0
 # What takes have in common says less of the hammer than its scatter about the smooth path would have it: neighbouring
 # partials leave it together, and hammer and path have been bent to take what they can. So the path is held to be this
 # much rougher than is seen; without it hammers predict other velocities worse.
@@ -93,7 +93,7 @@ class State:
     delay: np.ndarray
     cfg: Cfg
     criterion: float
-    finer: np.ndarray | float = 0.0  # dB, [takes, rows]: what a step without end would add to the model's levels
+    more: np.ndarray | float = 0.0  # dB, [takes, rows]: what is added to the model's levels
 
     @property
     def unweighted(self) -> np.ndarray:
@@ -117,7 +117,7 @@ class State:
         """The recording, weighted."""
         return target(
             self.data, self.start, self.space, spread, robust, rate=self.rate, delay=self.delay, grade=grade,
-            criterion=self.criterion, finer=self.finer,
+            criterion=self.criterion, more=self.more,
         )  # fmt: skip
 
     def evaluate(self, function: Callable, at: Target) -> Callable:
@@ -153,11 +153,11 @@ def settled_weights(state: State, at: Target, z: np.ndarray) -> tuple[Spreads, n
     spread = Spreads(
         scatter(cents[found], cents_sd[found], 2),
         scatter(fade[found], fade_sd[found], 2),
-        scatter(own[scored], data.level_error[scored], freedom),
+        scatter((own / data.buried)[scored], (data.level_error / data.buried)[scored], freedom),
         ROUGHER * scatter(common, noise, 0) if len(common) else 0.0,
     )
     spread = replace(spread, level=max(spread.level, state.least_scatter))
-    sd_level = np.hypot(data.level_error, spread.level)
+    sd_level = np.hypot(data.level_error, spread.level * data.buried)
     if spread.rough > 0:
         sd_level = np.hypot(sd_level, spread.rough * _lone(state)[:, None])
     robust = np.stack(
@@ -211,6 +211,6 @@ def predicted(at: Target, cfg: Cfg, z: np.ndarray) -> np.ndarray:
     value = np.array(joint_batch(jnp.asarray(z[None]), at, cfg)[2])[0]
     value[:, 0] *= 1 + CENT * (np.asarray(at.cents) @ z)[:, None]
     value[:, 2] = 10 * np.log10(
-        10 ** ((value[:, 2] + np.asarray(at.finer) + np.asarray(at.basis) @ z) / 10) + 10 ** (np.asarray(at.floor) / 10)
+        10 ** ((value[:, 2] + np.asarray(at.more) + np.asarray(at.basis) @ z) / 10) + 10 ** (np.asarray(at.floor) / 10)
     )
     return value

@@ -1,9 +1,4 @@
-"""The cost about a settled fit, as profiles and samplers walk on it: fixed weights, any point of the box.
-
-Where the contact's step was refined, every evaluation costs eight times as much. What the finer step changes is smooth,
-so it is taken from the fit itself, to first order: residuals and Jacobian at the estimate are the fine ones exactly,
-and elsewhere the coarse step only has to tell how they change.
-"""
+"""The cost about a settled fit, as profiles and samplers walk on it: fixed weights, any point of the box."""
 
 from __future__ import annotations
 
@@ -77,28 +72,14 @@ class Surface:
 
 def surface_of(fit: Fit) -> Surface:
     """The settled fit's, with its weights."""
-    cfg, target = fit.cfg, fit.target
-    offset, tilt = np.zeros(len(fit.residual)), np.zeros(fit.jacobian.shape)
-    if fit.coarse is not None:
-        cfg, target = fit.coarse.cfg, target._replace(rate=jnp.asarray(fit.coarse.rate))
-        residual, jacobian, _ = joint_batch(jnp.asarray(fit.z), target, cfg)
-        offset, tilt = fit.residual - np.asarray(residual[0]), fit.jacobian - np.asarray(jacobian[0])
-    arrays = (target, *map(jnp.asarray, (offset, tilt, fit.z[0])))
     variance = row_variance(fit)
     runs = neighbours(
         fit.residual / np.sqrt(np.where(variance > 0, variance, 1.0)), fit.data.found, fit.data.calibrated, _doubt(fit)
     )
     return Surface(
-        _corrected, arrays, cfg, fit.space, fit.z[0], fit.cost, fit.jacobian, variance, fit.pressed, runs,
+        joint_batch, fit.target, fit.cfg, fit.space, fit.z[0], fit.cost, fit.jacobian, variance, fit.pressed, runs,
         CENT * fit.data.each[0].glide_error,
     )  # fmt: skip
-
-
-def _corrected(z, arrays: tuple, cfg: tuple):
-    """`joint_batch` with what a finer step changes, to first order."""
-    target, offset, tilt, at = arrays
-    residual, jacobian, _ = joint_batch(z, target, cfg)
-    return residual + offset + (z - at) @ tilt.T, jacobian + tilt
 
 
 def row_variance(fit: Fit) -> np.ndarray:
@@ -108,7 +89,7 @@ def row_variance(fit: Fit) -> np.ndarray:
     """
     cells, found = fit.data.found.size, fit.data.found.ravel()
     variance = np.ones(fit.jacobian.shape[0])
-    sd = np.hypot(fit.data.level_error, fit.spread.level).ravel()
+    sd = np.hypot(fit.data.level_error, fit.spread.level * fit.data.buried).ravel()
     level, line = (np.asarray(x).ravel() for x in (fit.target.level_weight, fit.target.line_weight))
     variance[2 * cells : 3 * cells][found] = (level * sd)[found] ** 2
     variance[3 * cells : 4 * cells] = np.where(found, (line * sd * np.log(10) / 10) ** 2, 0.0)
@@ -121,5 +102,5 @@ def _doubt(fit: Fit) -> np.ndarray:
     weight = [np.asarray(x) for x in (fit.target.frequency_weight, fit.target.decay_weight)]
     # Takes of one string share weights of the first two kinds, since they are missed alike.
     takes = np.sqrt(np.maximum(data.found.sum(axis=0), 1))
-    level = 1 / np.hypot(data.level_error, fit.spread.level)
+    level = 1 / np.hypot(data.level_error, fit.spread.level * data.buried)
     return np.clip(np.stack([weight[0] * takes, weight[1] * takes, level]) * data.doubt, 0.0, 1.0)

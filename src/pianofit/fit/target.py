@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import jax
@@ -17,7 +18,20 @@ from ..recording import Recording
 from .residuals import CENT, Lines, Target
 from .space import Layout, Space
 
-__all__ = ["CENT", "ROWS", "Measured", "Spreads", "Takes", "lines", "measured", "side_by_side", "straying", "target"]
+__all__ = [
+    "CENT",
+    "ROWS",
+    "Measured",
+    "Spreads",
+    "Takes",
+    "buried",
+    "lines",
+    "measured",
+    "measured_alike",
+    "side_by_side",
+    "straying",
+    "target",
+]
 
 # Rows come in whole multiples of this, so that notes share compiled programs.
 ROWS = 64
@@ -25,6 +39,14 @@ ROWS = 64
 SILENT_DB = 3.0
 # Levels that scatter more than this, dB, weigh no less: else what is badly fitted would be fitted ever worse.
 MOST_SCATTER = 5.0
+# Share of a note's partials that must beat for all to be taken to.
+BEATS = 0.25
+# No model's decays are right to more digits than these, relative: a blow that lasts is no free decay yet.
+OFF_LAW = 1e-3
+# How much of the pitch at which a gliding note begins is not known: it is carried back from later moments.
+UNTOLD = 0.5
+# Partials to either side that say how loud one is expected to be, and how much less reliable one below them is at most.
+BESIDE, MOST_BURIED = 3, 10.0
 
 
 @dataclass(frozen=True)
@@ -43,7 +65,7 @@ class Measured:
     floor: np.ndarray  # dB, energy of the noise in a partial's band, [rows]
     line: np.ndarray  # dB, the level that eq. 19 likes best, [rows]
     sigma: float  # 1/s, of that eq. 19
-    glide: float = 0.0  # cents, from the first moments on; 0 where none is sure
+    sharp: float = 0.0  # cents above its frequencies at which the note began; 0 where no glide is sure
     glide_error: float = 0.0  # cents, of all frequencies alike
 
     @property
@@ -77,6 +99,7 @@ class Takes:
     decay_error: np.ndarray
     level: np.ndarray  # dB
     level_error: np.ndarray
+    buried: np.ndarray  # amplitude of the partials to either side over that of each, 1 if that is less
     doubt: np.ndarray  # [3, takes, rows], Hz, 1/s, dB: what of the three errors neighbouring partials share
 
     @property
@@ -106,13 +129,16 @@ def side_by_side(each: tuple[Measured, ...], layout: Layout) -> Takes:
     """The takes on common rows, in whole multiples of `ROWS`."""
     rows = ROWS * int(np.ceil(max(data.number.max() for data in each) / ROWS))
     blank = np.zeros((len(each), rows))
-    takes = Takes(each, layout, rows, blank > 0, blank > 0, *(blank,) * 6, doubt=np.stack([blank] * 3))
+    takes = Takes(each, layout, rows, blank > 0, blank > 0, *(blank,) * 7, doubt=np.stack([blank] * 3))
     ones = [np.ones(len(data.number)) for data in each]
     found = takes.spread_out([x[: d.found] for x, d in zip(ones, each, strict=True)]) > 0
     partials = [data.partials for data in each]
-    # When it was struck a string that glides was another one: tenser by twice the fall, of which about half is seen.
-    tenser = [np.full(d.found, 20 * np.log10(1 + 4 * abs(d.glide) * CENT) * d.calibrated) for d in each]
-    shared = ([p.frequency_doubt for p in partials], [p.decay_doubt for p in partials], tenser)
+    # When it was struck a string that glides was a tenser one, by twice what its pitch shows, and not known as well.
+    tenser = [20 * np.log10(1 + 2 * UNTOLD * abs(d.sharp) * CENT) for d in each]
+    # Through a path what a beat does to a level it does in every take, and the path takes it up.
+    bent = [np.hypot(x, d.partials.level_doubt) * d.calibrated for x, d in zip(tenser, each, strict=True)]
+    decay_doubt = [np.hypot(p.decay_doubt, OFF_LAW * p.decay) for p in partials]
+    shared = ([p.frequency_doubt for p in partials], decay_doubt, bent)
     return replace(
         takes,
         found=found,
@@ -120,11 +146,53 @@ def side_by_side(each: tuple[Measured, ...], layout: Layout) -> Takes:
         frequency=takes.spread_out([d.frequency for d in each]),
         frequency_error=takes.spread_out([p.frequency_error for p in partials]),
         decay=takes.spread_out([p.decay for p in partials]),
-        decay_error=takes.spread_out([p.decay_error for p in partials]),
+        decay_error=takes.spread_out([np.hypot(p.decay_error, OFF_LAW * p.decay) for p in partials]),
         level=takes.spread_out([d.level for d in each]),
-        level_error=takes.spread_out([np.hypot(p.level_error, x) for p, x in zip(partials, tenser, strict=True)]),
+        level_error=takes.spread_out([np.hypot(p.level_error, x) for p, x in zip(partials, bent, strict=True)]),
+        buried=takes.spread_out([buried(d.number, d.level, d.found) for d in each], 1.0),
         doubt=np.stack([takes.spread_out(kind) for kind in shared]),
     )
+
+
+def buried(number: np.ndarray, level: np.ndarray, found: int) -> np.ndarray:
+    """Amplitude of the partials to either side over that of each of the first `found`, at least 1 [found].
+
+    Where the hammer's spectrum has a zero, or the strike's place a node, little is left, and what no model has (another
+    axis, another string, the window's shape) is as strong as anywhere: there levels are missed by more.
+
+    Parameters
+    ----------
+    number, level : k, all from 1 to the last, and dB [rows]
+    """
+    by_number = np.full(number.max() + 1, np.nan)
+    by_number[number] = level
+    out = np.ones(found)
+    for i, k in enumerate(number[:found]):
+        below, above = by_number[max(k - BESIDE, 1) : k][::-1], by_number[k + 1 : k + 1 + BESIDE]
+        near = min(len(below), len(above))
+        if near:
+            beside = 0.5 * (np.median(below[:near]) + np.median(above[:near]))
+            out[i] = np.clip(10 ** ((beside - by_number[k]) / 20), 1.0, MOST_BURIED)
+    return out
+
+
+def measured_alike(tables: Sequence[Partials]) -> list[Partials]:
+    """The takes' tables [takes] with the levels of each partial read off in one way: that of the take that beats most.
+
+    A faint beat is seen in loud takes and not in soft ones, and in loud partials and not in soft ones. Read off in two
+    ways, one and the same partial would come out as a difference between takes; and where many partials beat, the whole
+    of none is one exponential, seen or not.
+    """
+    way = np.full(1 + max(int(table.number.max()) for table in tables), -1)
+    for table in tables:
+        way[table.number] = np.maximum(way[table.number], table.way)
+    heard = way[way >= 0]
+    way = np.maximum(way, 1 if (heard > 0).mean() > BEATS else 0)
+    out = []
+    for table in tables:
+        which = way[table.number], np.arange(len(table))
+        out.append(replace(table, level=table.levels[which], level_error=table.level_errors[which], way=which[0]))
+    return out
 
 
 def measured(recording: Recording, analysis: Analysis, start: Start) -> Measured:
@@ -147,7 +215,7 @@ def measured(recording: Recording, analysis: Analysis, start: Start) -> Measured
         floor=floor + unit,
         line=np.append(line[p.number - 1], bound[silent - 1]) + unit,
         sigma=sigma,
-        glide=analysis.glide_cents if analysis.glide_error > 0 else 0.0,
+        sharp=analysis.glide_start,
         glide_error=analysis.glide_error,
     )
 
@@ -202,7 +270,7 @@ def straying(number: np.ndarray) -> np.ndarray:
 def _level_weight(takes: Takes, spread: Spreads, robust: np.ndarray, grade: float) -> np.ndarray:
     """1/dB [takes, rows]: from noise, scatter, and how far each partial fell out of line."""
     scatter = min(spread.level, MOST_SCATTER)
-    weight = takes.found * robust / np.hypot(takes.level_error, scatter)
+    weight = takes.found * robust / np.hypot(takes.level_error, scatter * takes.buried)
     weight = np.where(takes.silent, 1 / np.hypot(np.hypot(scatter, spread.rough), SILENT_DB), weight)
     there = takes.found | takes.silent
     loudest = np.where(there, takes.level, -np.inf).max(axis=1, keepdims=True)
@@ -225,7 +293,7 @@ def _roughness(takes: Takes, weight: np.ndarray, rough: float) -> tuple[np.ndarr
 
 def target(
     takes: Takes, start: Start, space: Space, spread: Spreads, robust: np.ndarray, *, rate: float, delay: np.ndarray,
-    grade: float = 0.0, criterion: float = 0.0, finer: np.ndarray | float = 0.0,
+    grade: float = 0.0, criterion: float = 0.0, more: np.ndarray | float = 0.0,
 ) -> Target:  # fmt: skip
     """Everything the residuals need.
 
@@ -236,7 +304,7 @@ def target(
     grade : level weights go with energy to this power; 0 counts all partials' decibels alike, which has many false
         minima, and ½ their amplitudes, which has few.
     criterion : a band whose eq. 19 is 1, as for silence, costs half this much.
-    finer : dB, [takes, rows], to be added to the model's levels.
+    more : dB, [takes, rows], to be added to the model's levels.
     """
     take, layout = np.arange(takes.layout.takes), takes.layout
     ratio, cents = np.zeros((2, layout.takes, layout.size))
@@ -252,7 +320,7 @@ def target(
         "delay": delay,
         "geometry": Geometry(*map(np.float64, start.geometry)),
         "rate": rate,
-        "finer": np.broadcast_to(finer, takes.level.shape),
+        "more": np.broadcast_to(more, takes.level.shape),
     }  # fmt: skip
     return Target(**jax.tree.map(jnp.asarray, fields))
 
