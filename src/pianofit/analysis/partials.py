@@ -118,7 +118,8 @@ def measure(
     frame = density / 2 * bands.noise_width  # noise variance of one frame
     clean, chi = _one_exponential(bands, z, fit, frame)
     beating, seen = _beating(bands, z, frame)
-    second = _shared(_where_seen(beating, seen) * np.sqrt(2) / _DB)  # amplitude of what beats with it, over its own
+    # Amplitude of what beats with each partial, over its own. More than that is resolved, or is in the misfit.
+    second = _shared(_where_seen(np.minimum(beating, _DEEP), seen) * np.sqrt(2) / _DB)
     whole = _Fit(fit, peak * np.sqrt(np.maximum(1.0, chi)), peak)
     early, tone, first = (
         _window(bands, z, fit, peak, frame, *window)

@@ -216,7 +216,7 @@ def _levels(curves: Curves) -> Figure:
     rows = [3.0, 1.6] if curves.path is None else [3.0, 1.6, 1.3]
     figure = figure_of(11.25, 5.2 if curves.path is None else 6.6)
     grid = figure.add_gridspec(
-        len(rows), 1, height_ratios=rows, left=0.07, right=0.99, top=0.97, bottom=0.14, hspace=0.12
+        len(rows), 1, height_ratios=rows, left=0.085, right=0.99, top=0.97, bottom=0.14, hspace=0.12
     )
     panels = [figure.add_subplot(grid[0])]
     panels += [figure.add_subplot(cell, sharex=panels[0]) for cell in list(grid)[1:]]  # type: ignore[call-overload]

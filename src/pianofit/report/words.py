@@ -39,6 +39,8 @@ MEANINGS = {name: parameter.meaning for name, parameter in PARAMETERS.items()} |
     "width": "width of the contact",
     "pickup": "pickup position",
 }
+# Ends of an interval that differ by more than this factor are written each with its own power of ten.
+APART = 1e3
 UNSETTLED = "The search ended before it settled. Take every number on this page as a stage on the way, not as a result."
 
 
@@ -57,7 +59,8 @@ def _with_interval(value: Any, interval: Any) -> tuple[str, str]:
         return number(value), ""
     low, high = interval
     width = (high - low) / 2
-    if not (width > 0 and max(abs(low), abs(high)) < 1e4 * abs(value)):  # no width, or decades apart: each by itself
+    decades = max(abs(low), abs(high)) >= 1e4 * abs(value) or 0 < low < high / APART
+    if decades or not width > 0:  # each by itself
         return number(value), f"{number(low, 3)} to {number(high, 3)}"
     resolved = math.ceil(math.log10(abs(value)) - math.log10(width)) + 1
     power, decimals = _scale(value, min(9, max(3, resolved)))
