@@ -138,6 +138,9 @@ def side_by_side(each: tuple[Measured, ...], layout: Layout) -> Takes:
     # Through a path what a beat does to a level it does in every take, and the path takes it up.
     bent = [np.hypot(x, d.partials.level_doubt) * d.calibrated for x, d in zip(tenser, each, strict=True)]
     decay_doubt = [np.hypot(p.decay_doubt, OFF_LAW * p.decay) for p in partials]
+    # What one take alone scatters by is its path's roughness, in which what is faint is as sure as what is loud.
+    groups = np.array(layout.groups)
+    lone = (np.bincount(groups)[groups] == 1) & ~np.array([d.calibrated for d in each])
     shared = ([p.frequency_doubt for p in partials], decay_doubt, bent)
     return replace(
         takes,
@@ -149,7 +152,7 @@ def side_by_side(each: tuple[Measured, ...], layout: Layout) -> Takes:
         decay_error=takes.spread_out([np.hypot(p.decay_error, OFF_LAW * p.decay) for p in partials]),
         level=takes.spread_out([d.level for d in each]),
         level_error=takes.spread_out([np.hypot(p.level_error, x) for p, x in zip(partials, bent, strict=True)]),
-        buried=takes.spread_out([buried(d.number, d.level, d.found) for d in each], 1.0),
+        buried=np.where(lone[:, None], 1.0, takes.spread_out([buried(d.number, d.level, d.found) for d in each], 1.0)),
         doubt=np.stack([takes.spread_out(kind) for kind in shared]),
     )
 
