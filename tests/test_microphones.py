@@ -126,6 +126,7 @@ def test_a_microphone_keeps_the_decays_that_it_heard(monkeypatch):
     decay = np.array([[1.0, 2.0], [1.0, 2.0], [4.0, 2.0]])  # the third take, at another microphone, hears otherwise
     data = SimpleNamespace(
         found=np.ones((3, 2), bool), decay=decay, decay_error=0.01 * decay, frequency=np.full((3, 2), 100.0), rows=2,
+        way=np.zeros((3, 2), int),
         layout=Layout((0, 0, 1), (0, 1, 2), (0, 1, 0)),
     )  # fmt: skip
     fit = SimpleNamespace(

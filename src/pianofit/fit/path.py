@@ -35,9 +35,8 @@ def path_of(fit: Fit, take: int, start: Start) -> OutputPath | None:
     mine = data.found & _group(fit, take)
     rows, loudest = np.flatnonzero(mine.any(axis=0)), (mine.argmax(axis=0), np.arange(data.rows))
     smooth = np.asarray(fit.target.basis)[loudest][:, columns] @ fit.values[columns]
-    way = data.spread_out([d.partials.way for d in data.each])[loudest].astype(int)
     db = (smooth + roughness(fit, take))[rows]
-    return OutputPath(data.frequency[loudest][rows], db, _decays(fit, mine)[rows], way[rows])
+    return OutputPath(data.frequency[loudest][rows], db, _decays(fit, mine)[rows], data.way[loudest][rows])
 
 
 def path_document(path: OutputPath | None) -> dict | None:

@@ -99,6 +99,7 @@ class Takes:
     decay_error: np.ndarray
     level: np.ndarray  # dB
     level_error: np.ndarray
+    way: np.ndarray  # int, in which way each level was read off
     buried: np.ndarray  # amplitude of the partials to either side over that of each, 1 if that is less
     doubt: np.ndarray  # [3, takes, rows], Hz, 1/s, dB: what of the three errors neighbouring partials share
 
@@ -129,7 +130,8 @@ def side_by_side(each: tuple[Measured, ...], layout: Layout) -> Takes:
     """The takes on common rows, in whole multiples of `ROWS`."""
     rows = ROWS * int(np.ceil(max(data.number.max() for data in each) / ROWS))
     blank = np.zeros((len(each), rows))
-    takes = Takes(each, layout, rows, blank > 0, blank > 0, *(blank,) * 7, doubt=np.stack([blank] * 3))
+    more = {"way": blank.astype(int), "buried": blank, "doubt": np.stack([blank] * 3)}
+    takes = Takes(each, layout, rows, blank > 0, blank > 0, *(blank,) * 6, **more)
     ones = [np.ones(len(data.number)) for data in each]
     found = takes.spread_out([x[: d.found] for x, d in zip(ones, each, strict=True)]) > 0
     partials = [data.partials for data in each]
@@ -152,6 +154,7 @@ def side_by_side(each: tuple[Measured, ...], layout: Layout) -> Takes:
         decay_error=takes.spread_out([np.hypot(p.decay_error, OFF_LAW * p.decay) for p in partials]),
         level=takes.spread_out([d.level for d in each]),
         level_error=takes.spread_out([np.hypot(p.level_error, x) for p, x in zip(partials, bent, strict=True)]),
+        way=takes.spread_out([p.way for p in partials]).astype(int),
         buried=np.where(lone[:, None], 1.0, takes.spread_out([buried(d.number, d.level, d.found) for d in each], 1.0)),
         doubt=np.stack([takes.spread_out(kind) for kind in shared]),
     )
