@@ -285,9 +285,10 @@ def _left_out(fit: Fit) -> np.ndarray:
         return np.asarray(level_batch(jnp.asarray(z), ratio, target, cfg)[0])[0, :, : fit.data.rows]
 
     coarse, finer = levels(fit.z, fit.target, fit.cfg), levels(fit.z, at, fine)
-    tenser = np.stack([levels(one[None], at, fine)[take] for take, one in enumerate(tense)])
     with np.errstate(invalid="ignore"):  # a contact that did not end
-        more = tenser - finer + (finer - coarse) * REFINEMENT**2 / (REFINEMENT**2 - 1)
+        more = (finer - coarse) * REFINEMENT**2 / (REFINEMENT**2 - 1)
+        for take in np.flatnonzero(sharp):
+            more[take] += levels(tense[take : take + 1], fit.target, fit.cfg)[take] - coarse[take]
     return np.where(fit.data.found & np.isfinite(more), more, 0.0)
 
 
