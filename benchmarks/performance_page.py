@@ -215,10 +215,6 @@ def _reasons(document: dict[str, Any]) -> str:
 - **A fit, warm and cold.** Of the warm command's {fit:.1f} s the fit itself, from the file on, takes
   {shares["whole"]:.1f} s, {shares["hammer_batch"]:.1f} s of it the search from sixteen hammers; the rest is Python's
   start, imports, and loading what was compiled before. Cold, it is XLA's compiler.
-- **The joint fit** screens 384 hammers by their levels and goes down from the likeliest eight, and from up to 48 where
-  no two of them end at the same lowest cost. Each is five contacts with their derivatives. The table is older than the
-  sharper weights of that search and the correction of the step: alone and idle, three runs since took 17.0 to 17.4 s
-  (not met), 12 s of it the search, which throws all 48 here; the warm fit took 4.6 to 5.0 s.
 - **The paper's recipe** is 20,000 contacts in lockstep batches, and two gradient descents on whole spectra before it.
 - **The criterion with nine derivatives** is the string's response on every bin of the spectrum by every mode, on one
   core; the contact is a small part of it. The default fit compares partials in closed form instead.

@@ -23,7 +23,7 @@ def test_the_true_hammer_comes_first_with_the_velocities_of_its_takes():
     ordered, start, layout, order = arranged(*takes(), setup())
     state = _prepared(ordered, start, layout)
     z = _starts(state, 64, seed=0)
-    z[-1] = _true(state, VELOCITIES[order[0]])[0]
+    z[-1] = true_point(state, VELOCITIES[order[0]])[0]
     z[:, :4] = z[-1, :4]
     best = screened(state, z)
     np.testing.assert_array_equal(best[0, 4:9], z[-1, 4:9])
@@ -37,7 +37,7 @@ def test_a_soft_take_whose_velocity_is_known_may_come_first():
     ordered, start, layout, order = arranged(*takes(), setup(Take(file="take-0.wav", v_H0=VELOCITIES[0])))
     assert order[0] == 0
     state = _prepared(ordered, start, layout)
-    z = _true(state, VELOCITIES[0])
+    z = true_point(state, VELOCITIES[0])
     best = screened(state, z)
     true = np.log(np.array(VELOCITIES)[order] / VELOCITIES[0])
     np.testing.assert_allclose(best[0, layout.ratio], true, atol=0.75 * STEP)
@@ -47,7 +47,7 @@ def test_known_velocities_are_kept_to_the_digit():
     known = (Take(file=f"take-{i}.wav", v_H0=v) for i, v in enumerate(VELOCITIES))
     ordered, start, layout, _ = arranged(*takes(), setup(*known))
     state = _prepared(ordered, start, layout)
-    z = _true(state, VELOCITIES[2])
+    z = true_point(state, VELOCITIES[2])
     softer = z.copy()
     softer[:, NAMES.index("K_H")] -= np.log(2.0)
     best = screened(state, np.concatenate([softer, z]))
@@ -71,14 +71,14 @@ def test_a_blow_alone_on_its_path_keeps_its_velocity():
     known = [Take(file=f"take-{i}.wav", group="near" if i else "far") for i in range(3)]
     ordered, start, layout, order = arranged(*takes(), setup(*known))
     state = _prepared(ordered, start, layout)
-    z = np.repeat(_true(state, VELOCITIES[2]), 3, axis=0)
+    z = np.repeat(true_point(state, VELOCITIES[2]), 3, axis=0)
     lone = order.index(0)
     z[:, layout.ratio[lone]] = [-0.3, -0.7, -1.1]
     best = screened(state, z)
     assert sorted(best[:, layout.ratio[lone]]) == [-1.1, -0.7, -0.3]
 
 
-def _true(state, velocity: float) -> np.ndarray:
+def true_point(state, velocity: float) -> np.ndarray:
     """The point [1, size] of the twin's string and hammer, struck at `velocity` first, its other velocities unknown."""
     values = state.space.start.copy()
     values[: len(FIRST.values)] = [FIRST.values[name] for name in NAMES[: len(FIRST.values)]]

@@ -46,7 +46,7 @@ _DB = 20 / np.log(10)
 
 @dataclass(frozen=True)
 class Measured:
-    """Columns of the table, [partials] each; `clean` marks those that one exponential describes."""
+    """Columns of the table, [partials] each."""
 
     frequency: np.ndarray
     frequency_error: np.ndarray
@@ -62,7 +62,6 @@ class Measured:
     level_doubt: np.ndarray
     snr: np.ndarray
     beating: np.ndarray
-    clean: np.ndarray
 
 
 def _physical(bands: Bands, fit: Tones) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
@@ -133,7 +132,7 @@ def measure(
     energy = band_levels(samples, rate, frequency[0], decay[0], spacing, density)
     level = _levels(bands, whole, first, parts, energy, frame, clean, split, decay[0])
     snr = -20 * np.log10(np.maximum(peak * fit.level_error(0.0), 1e-15))
-    return Measured(*frequency, *decay, *level, _level_doubt(level[2], level[3], first, frame), snr, beating, clean)
+    return Measured(*frequency, *decay, *level, _level_doubt(level[2], level[3], first, frame), snr, beating)
 
 
 @dataclass(frozen=True)

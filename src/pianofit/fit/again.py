@@ -1,4 +1,4 @@
-"""A second, closer search for the hammer of several takes, at the weights by which the answer is judged.
+"""A second, closer search for the hammer of takes through a path, at the weights by which the answer is judged.
 
 The first search weighs levels before anything is known of their scatter, several dB. Once it is known to be a fraction
 of one, what was a single wide valley falls apart into some: the hammer's bounces and the reflections that meet it make
@@ -17,9 +17,9 @@ from .state import State
 __all__ = ["nearby"]
 
 # Where starts are thrown, in units of the literature's spread: hardly beyond what the first search left open.
-THROWS = (0.1,) * 8 + (0.3,) * 8
+THROWS = (0.1,) * 4 + (0.3,) * 4
 # Iterations, and how many of the starts, the best, go on.
-LEGS, TOLERANCE = ((6, 4), (20, 1)), 1e-4
+LEGS, TOLERANCE = ((6, 2), (20, 1)), 1e-4
 # Costs that differ by less than this are of the same place.
 LOWER = 0.5
 

@@ -16,16 +16,19 @@ from .state import State
 
 __all__ = ["anchored", "comparable", "physical", "search_hammers"]
 
-# Starts of a batch, and batches. Of several takes through a path the starts are the likeliest of so many times as many,
-# and half a batch is as good as one that is thrown.
-STARTS, BATCHES, SCREENED = 16, 6, 8
+# Starts of a batch, and batches, of takes whose levels can be laid on a model's.
+STARTS, BATCHES = 16, 6
 # Power of energy by which levels are weighed, iterations, and how many of a batch's starts, the best, go on: loud
-# partials lead to the basin, all of them finish, and where a start leads shows long before it is there; sooner still
-# where starts were screened.
+# partials lead to the basin, all of them finish, and where a start leads shows long before it is there.
 GRADES = ((0.25, 10, 8), (0.0, 5, 4), (0.0, 15, 4))
-SHORT_GRADES = ((0.25, 6, 4), (0.0, 15, 4))
-# Starts whose costs differ by less than this ended at the same place.
-AGREEMENT = 0.5
+# Several takes through a path are one race, of the likeliest starts of so many times as many. Two steps tell the third
+# of them among which the best are.
+RACING, SCREENED = 48, 8
+RACE = ((0.25, 2, 16), (0.25, 4, 8), (0.0, 15, 8))
+# Starts whose costs differ by less than this ended at about the same place, or just there.
+AGREEMENT, SAME = 0.5, 0.05
+# Hammers that cost more than the best by less than this may be better at the weights that are found later.
+OPEN = 20.0
 # Velocities that differ by less than this, log, are not worth another round.
 SAME_VELOCITY = 1e-3
 
@@ -33,31 +36,40 @@ V, MU = NAMES.index("v_H0"), NAMES.index("mu")
 
 
 def search_hammers(state: State, seed: int) -> tuple[np.ndarray, int, int]:
-    """Hammers by the batch, until two of them end at the same lowest cost or all batches are spent. The best [1, size].
+    """The best hammers [hammers, size], the best first; how many starts ended there; and evaluations of batches.
 
     Those of several takes through a path are screened first: a gradient leads to the next minimum, and there are many.
-    Of a calibrated recording a hammer should explain all but the first scatter; many can agree on one that does not.
-    One uncalibrated recording does not fix the hammer, and more than one batch has not bettered its levels.
+    All others are searched by the batch, until two hammers end at the same lowest cost or all batches are spent. Of a
+    calibrated recording a hammer should explain all but the first scatter; many can agree on one that does not. One
+    uncalibrated recording does not fix the hammer, and more than one batch has not bettered its levels.
     """
-    several, calibrated = state.data.layout.takes > 1, state.data.calibrated
-    batches = BATCHES if several or calibrated else 1
     if comparable(state):
-        each, grades = STARTS // 2, SHORT_GRADES
-        starts = screened(state, _starts(state, SCREENED * batches * each, seed))
+        z, cost, count = _hammers(state, screened(state, _starts(state, SCREENED * RACING, seed))[:RACING], RACE)
     else:
-        each, grades = STARTS, GRADES
-        starts = _starts(state, batches * each, seed)
-    z, cost, count, agreeing = np.zeros((0, starts.shape[1])), np.zeros(0), 0, 0
-    for batch in np.split(starts[: batches * each], batches):
-        found, costs, evaluations = _hammers(state, batch, grades)
-        z, cost, count = np.append(z, found, axis=0), np.append(cost, costs), count + evaluations
-        agreeing = int((cost < cost.min() + AGREEMENT).sum())
-        if agreeing > 1 and not (calibrated and cost.min() > 0.5 * state.data.found.sum()):
-            break
+        z, cost, count = _by_the_batch(state, seed)
     if not np.isfinite(cost).any():
         raise FitError("no hammer within the bounds gives a finite sound; widen [bounds] or check [known] in the setup")
-    best = int(np.argmin(cost))
-    return z[best : best + 1], agreeing, count
+    order = np.argsort(cost, kind="stable")[: np.isfinite(cost).sum()]
+    z, cost = z[order], cost[order]
+    told = (cost < cost[0] + OPEN) & (np.diff(cost, prepend=-np.inf) > SAME)
+    return z[told], _agreeing(cost), count
+
+
+def _by_the_batch(state: State, seed: int) -> tuple[np.ndarray, np.ndarray, int]:
+    batches = BATCHES if state.data.layout.takes > 1 or state.data.calibrated else 1
+    starts = _starts(state, batches * STARTS, seed)
+    z, cost, count = np.zeros((0, starts.shape[1])), np.zeros(0), 0
+    for batch in np.split(starts, batches):
+        found, costs, evaluations = _hammers(state, batch, GRADES)
+        z, cost, count = np.append(z, found, axis=0), np.append(cost, costs), count + evaluations
+        explained = not state.data.calibrated or cost.min() <= 0.5 * state.data.found.sum()
+        if _agreeing(cost) > 1 and explained:
+            break
+    return z, cost, count
+
+
+def _agreeing(cost: np.ndarray) -> int:
+    return int((cost < cost.min() + AGREEMENT).sum())
 
 
 def comparable(state: State) -> bool:

@@ -4,7 +4,8 @@
 2. The hammer, on the paper's criterion in band 3, from many starts at once: this finds the basin. Several takes are
    compared with each other instead, and many more hammers screened.
 3. The hammer on levels in dB through the unknown path, the best of those starts.
-4. String and hammer together, weighted by noise and scatter, until the weights settle: this gives the estimate.
+4. String and hammer together, weighted by noise and scatter, until the weights settle: this gives the estimate. Of
+   several hammers through an unknown path it is the likeliest, once each has its own weights.
 
 Several takes share string, felt, hammer and path. Each has a velocity, a gain and a pitch of its own, and what their
 levels have in common beyond the smooth path is the path's roughness, not the hammer's doing.
@@ -25,12 +26,12 @@ from ..model.simulate import count_modes
 from ..parameters import FELT_LAWS, Geometry
 from . import screen
 from .again import nearby
-from .hammers import anchored, comparable, search_hammers
+from .hammers import AGREEMENT, OPEN, anchored, comparable, search_hammers
 from .levenberg import Descent, descend
 from .place import smoother_place
 from .residuals import CENT, Cfg, Target, hammer_batch, joint_batch, level_batch, string_batch
 from .space import LOG, NAMES, K, Layout, Space, default_box, split, struck
-from .state import TOGETHER, State, predicted, search_space, settled_weights
+from .state import TOGETHER, State, pool, predicted, search_space, settled_weights
 from .takes import Take
 from .target import Spreads, Takes, lines, measured, measured_alike, side_by_side
 from .voice import arrival, lag, placed
@@ -53,8 +54,9 @@ ROUNDS = 4
 CONTACTS, RETURNS, MOST_CONTACTS, NEARLY = 1.6, 2.0, 6.0, 0.9
 # How often another place of the strike is looked for.
 PLACES = 3
-# How often a better hammer is looked for near the one that was found.
-SEARCHES = 3
+# Hammers of an uncalibrated recording are tried for so many rounds of so many iterations. Of the likeliest so many are
+# followed for more of them, and so often a better one is looked for near each.
+TRIAL, NEAR, FOLLOWED, SEARCHES = (3, 3), (3, 10), 2, 3
 # Levels that scatter by no more than this, dB, show what the contact's step does to them. That is read off a step so
 # many times finer, again where the fit has moved, until what is left is this share of a level's standard deviation.
 FINE_LEVEL, REFINEMENT, READINGS, LEFT = 1.0, 8, 4, 0.05
@@ -123,10 +125,8 @@ def fit_partials(
         z, agreeing, searched = search_hammers(state, seed)
         progress("string and hammer", 0.6)
         programs[1].join()
-        z, more = _in_tune(state, z)
-        state, z = anchored(state, z)
-        fit = _elsewhere(_closer(_joint_stage(state, z), seed), seed)
-        state, z = anchored(state, fit.z)
+        fit = _elsewhere(_likeliest(state, z, seed), seed)
+        state, z = anchored(fit.state, fit.z)
         if state is not fit.state:
             fit = _gone_on(fit, state, z)
         if state.data.calibrated:
@@ -141,7 +141,7 @@ def fit_partials(
     if contacts < MOST_CONTACTS and _longest(fit) > NEARLY:
         return fit_partials(takes, start, layout, seed=seed, progress=progress, contacts=2 * contacts)
     progress("done", 1.0)
-    return replace(fit, agreeing=agreeing, evaluations=fit.evaluations + count + searched + more)
+    return replace(fit, agreeing=agreeing, evaluations=fit.evaluations + count + searched)
 
 
 def _prepared(takes: Sequence[Take], start: Start, layout: Layout, contacts: float = CONTACTS) -> State:
@@ -190,20 +190,37 @@ def _compiled_ahead(function: Callable, state: State, starts: int, *more) -> thr
     return thread
 
 
-def _closer(fit: Fit, seed: int) -> Fit:
-    """The fit of several takes through a path, moved on while a better hammer lies near.
+def _likeliest(state: State, hammers: np.ndarray, seed: int) -> Fit:
+    """The likeliest of the fits that `hammers` [hammers, size] lead to, at the weights that each leaves."""
+    if state.data.calibrated:
+        return _followed(state, hammers[:1])
+    tried = sorted(pool().map(lambda z: _followed(state, z[None], *TRIAL), hammers), key=_unlikely)
+    price = np.array([_unlikely(fit) for fit in tried])
+    worth = (np.diff(price, prepend=-np.inf) > AGREEMENT) & (price < price[0] + OPEN)
+    fits = [_closer(replace(tried[i], evaluations=0), seed) for i in np.flatnonzero(worth)[:FOLLOWED]]
+    best, count = min(fits, key=_unlikely), sum(fit.evaluations for fit in tried + fits)
+    return _gone_on(replace(best, evaluations=count), best.state)
 
-    None is looked for where levels are met as well as any model is believed to meet them.
-    """
-    several = fit.data.layout.takes > 1 and not fit.data.calibrated
-    for again in range(SEARCHES * several):
-        if fit.spread.level <= fit.state.least_scatter:
-            break
+
+def _followed(state: State, z: np.ndarray, *short: int) -> Fit:
+    z, count = _in_tune(state, z)
+    state, z = anchored(state, z)
+    fit = _joint_stage(state, z, state.first_spread(1.0, 0.3), state.unweighted, *short)
+    return replace(fit, evaluations=fit.evaluations + count)
+
+
+def _closer(fit: Fit, seed: int) -> Fit:
+    """The fit of takes through a path, moved on while a likelier hammer lies near."""
+    fit = _gone_on(fit, fit.state, None, *NEAR)
+    for again in range(SEARCHES):
         z, count = nearby(fit.state, fit.target, fit.z, fit.cost, seed + again)
         fit = replace(fit, evaluations=fit.evaluations + count)
         if z is None:
             break
-        fit = _gone_on(fit, fit.state, z)
+        other = _gone_on(fit, fit.state, z, *NEAR)
+        if not _unlikely(other) < _unlikely(fit):
+            return replace(fit, evaluations=other.evaluations)
+        fit = other
     return fit
 
 
@@ -218,7 +235,7 @@ def _elsewhere(fit: Fit, seed: int) -> Fit:
         start[STRIKE], lower[STRIKE], upper[STRIKE] = place, low, high
         there = replace(fit.state, space=replace(fit.space, start=start, lower=lower, upper=upper))
         z, _, count = search_hammers(there, seed)
-        other = _closer(_joint_stage(fit.state, z), seed)
+        other = _likeliest(fit.state, z, seed)
         count += fit.evaluations + other.evaluations
         if not _unlikely(other) < _unlikely(fit):
             return replace(fit, evaluations=count)
@@ -227,7 +244,10 @@ def _elsewhere(fit: Fit, seed: int) -> Fit:
 
 
 def _unlikely(fit: Fit) -> float:
-    """Minus the logarithm of the likelihood: unlike the cost it can be compared where weights differ."""
+    """Minus the logarithm of the likelihood, but for a constant: unlike the cost it compares fits of other weights.
+
+    Those of frequencies and decays are the string's, and the same for all hammers.
+    """
     data, found = fit.data, fit.data.found
     sd = np.hypot(data.level_error, fit.spread.level * data.buried)[found]
     return fit.cost + float(np.log(sd).sum() - np.log1p(-np.asarray(fit.target.shrink)).sum())
@@ -362,24 +382,24 @@ def _in_tune(state: State, z: np.ndarray) -> tuple[np.ndarray, int]:
     return end.z, end.evaluations
 
 
-def _joint_stage(state: State, z, spread: Spreads | None = None, robust: np.ndarray | None = None) -> Fit:
-    """All together; weights from the residuals, residuals from the weights, until they agree."""
+def _joint_stage(
+    state: State, z: np.ndarray, spread: Spreads, robust: np.ndarray, most: int = ROUNDS, iterations: int = 60
+) -> Fit:
+    """All together; weights from the residuals, residuals from the weights, until they agree, in `most` rounds."""
     count, rounds = 0, 0
-    spread = spread or state.first_spread(1.0, 0.3)
-    robust = state.unweighted if robust is None else robust
     while True:
         at = state.target(spread, robust)
-        end = descend(state.evaluate(joint_batch, at), z, state.space, iterations=60, tolerance=1e-8)
+        end = descend(state.evaluate(joint_batch, at), z, state.space, iterations=iterations, tolerance=1e-8)
         z, count, rounds, before = end.z, count + end.evaluations, rounds + 1, spread
         spread, robust = settled_weights(state, at, z)
         agreed = abs(spread.level - before.level) < 0.02 * spread.level + 1e-4
-        if rounds == ROUNDS or (agreed and end.settled[0]):
+        if rounds == most or (agreed and end.settled[0]):
             return _ended(state, end, at, before, robust, count)
 
 
-def _gone_on(fit: Fit, state: State, z: np.ndarray | None = None) -> Fit:
+def _gone_on(fit: Fit, state: State, z: np.ndarray | None = None, *short: int) -> Fit:
     """The last stage once more, from where `fit` is, or from `z`, and with its weights."""
-    new = _joint_stage(state, fit.z if z is None else z, fit.spread, fit.robust)
+    new = _joint_stage(state, fit.z if z is None else z, fit.spread, fit.robust, *short)
     return replace(new, evaluations=fit.evaluations + new.evaluations)
 
 
