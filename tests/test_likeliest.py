@@ -40,7 +40,6 @@ def test_the_likeliest_hammer_is_kept_wherever_it_stood():
     assert _unlikely(astray) > _unlikely(kept) + 10
     assert abs(np.log(astray.values[M] / FIRST.hammer.M_H)) > 0.3
     assert kept.values[M] == pytest.approx(FIRST.hammer.M_H, rel=0.2)
-    assert kept.evaluations > astray.evaluations
 
 
 def test_a_race_that_ends_at_one_place_returns_one_hammer():

@@ -17,9 +17,9 @@ from .state import State
 __all__ = ["nearby"]
 
 # Where starts are thrown, in units of the literature's spread: hardly beyond what the first search left open.
-THROWS = (0.1,) * 4 + (0.3,) * 4
+THROWS = (0.1,) * 8 + (0.3,) * 8
 # Iterations, and how many of the starts, the best, go on.
-LEGS, TOLERANCE = ((6, 2), (20, 1)), 1e-4
+LEGS, TOLERANCE = ((2, 6), (4, 3), (20, 1)), 1e-4
 # Costs that differ by less than this are of the same place.
 LOWER = 0.5
 

@@ -24,7 +24,7 @@ GRADES = ((0.25, 10, 8), (0.0, 5, 4), (0.0, 15, 4))
 # Several takes through a path are one race, of the likeliest starts of so many times as many. Two steps tell the third
 # of them among which the best are.
 RACING, SCREENED = 48, 8
-RACE = ((0.25, 2, 16), (0.25, 4, 8), (0.0, 15, 8))
+RACE = ((0.25, 2, 16), (0.25, 4, 8), (0.0, 5, 6), (0.0, 10, 6))
 # Starts whose costs differ by less than this ended at about the same place, or just there.
 AGREEMENT, SAME = 0.5, 0.05
 # Hammers that cost more than the best by less than this may be better at the weights that are found later.

@@ -52,11 +52,14 @@ ROUNDS = 4
 # has come back twice, for in the bass it is what throws the hammer off. If one lasts nearly as long, better ones may
 # last longer still: all is done again with twice the time.
 CONTACTS, RETURNS, MOST_CONTACTS, NEARLY = 1.6, 2.0, 6.0, 0.9
+# How many of the partials tell of the path's roughness each by itself: neighbours leave a smooth path together. If all
+# did, a smooth path would outweigh what takes have not in common, which is what tells of the hammer.
+OWN = 1 / 3
 # How often another place of the strike is looked for.
 PLACES = 3
 # Hammers of an uncalibrated recording are tried for so many rounds of so many iterations. Of the likeliest so many are
 # followed for more of them, and so often a better one is looked for near each.
-TRIAL, NEAR, FOLLOWED, SEARCHES = (3, 3), (3, 10), 2, 3
+TRIAL, NEAR, FOLLOWED, SEARCHES = (2, 3), (3, 10), 2, 3
 # Levels that scatter by no more than this, dB, show what the contact's step does to them. That is read off a step so
 # many times finer, again where the fit has moved, until what is left is this share of a level's standard deviation.
 FINE_LEVEL, REFINEMENT, READINGS, LEFT = 1.0, 8, 4, 0.05
@@ -192,21 +195,21 @@ def _compiled_ahead(function: Callable, state: State, starts: int, *more) -> thr
 
 def _likeliest(state: State, hammers: np.ndarray, seed: int) -> Fit:
     """The likeliest of the fits that `hammers` [hammers, size] lead to, at the weights that each leaves."""
+    hammers, count = _in_tune(state, hammers)
     if state.data.calibrated:
-        return _followed(state, hammers[:1])
+        fit = _followed(state, hammers[:1])
+        return replace(fit, evaluations=fit.evaluations + count)
     tried = sorted(pool().map(lambda z: _followed(state, z[None], *TRIAL), hammers), key=_unlikely)
     price = np.array([_unlikely(fit) for fit in tried])
     worth = (np.diff(price, prepend=-np.inf) > AGREEMENT) & (price < price[0] + OPEN)
     fits = [_closer(replace(tried[i], evaluations=0), seed) for i in np.flatnonzero(worth)[:FOLLOWED]]
-    best, count = min(fits, key=_unlikely), sum(fit.evaluations for fit in tried + fits)
+    best, count = min(fits, key=_unlikely), count + sum(fit.evaluations for fit in tried + fits)
     return _gone_on(replace(best, evaluations=count), best.state)
 
 
 def _followed(state: State, z: np.ndarray, *short: int) -> Fit:
-    z, count = _in_tune(state, z)
     state, z = anchored(state, z)
-    fit = _joint_stage(state, z, state.first_spread(1.0, 0.3), state.unweighted, *short)
-    return replace(fit, evaluations=fit.evaluations + count)
+    return _joint_stage(state, z, state.first_spread(1.0, 0.3), state.unweighted, *short)
 
 
 def _closer(fit: Fit, seed: int) -> Fit:
@@ -250,7 +253,7 @@ def _unlikely(fit: Fit) -> float:
     """
     data, found = fit.data, fit.data.found
     sd = np.hypot(data.level_error, fit.spread.level * data.buried)[found]
-    return fit.cost + float(np.log(sd).sum() - np.log1p(-np.asarray(fit.target.shrink)).sum())
+    return fit.cost + float(np.log(sd).sum() - OWN * np.log1p(-np.asarray(fit.target.shrink)).sum())
 
 
 def _with_attack(takes: Sequence[Take], fit: Fit) -> Fit:
@@ -371,15 +374,15 @@ def _string_stage(take: Take, state: State) -> tuple[Space, int]:
 
 
 def _in_tune(state: State, z: np.ndarray) -> tuple[np.ndarray, int]:
-    """The point [1, size] with c and κ where the table of partials wants them, all else held.
+    """The points [hammers, size] with c and κ where the table of partials wants them for the first, all else held.
 
     A band of one faint partial, as a bass note's first, can put the string far out of tune; the step back with all free
     at once then changes the hammer so much that its contact does not end, and nothing moves any more.
     """
     at = state.target(state.first_spread(1.0, 0.3), state.unweighted)
     places = np.isin(np.arange(z.shape[1]), [NAMES.index("c"), NAMES.index("kappa")])
-    end = descend(state.evaluate(joint_batch, at), z, state.space, iterations=10, free=places, tolerance=1e-4)
-    return end.z, end.evaluations
+    end = descend(state.evaluate(joint_batch, at), z[:1], state.space, iterations=10, free=places, tolerance=1e-4)
+    return np.where(places, end.z, z), end.evaluations
 
 
 def _joint_stage(
