@@ -11,7 +11,9 @@ from test_takes import VELOCITIES, setup, takes
 from twin_cases import FIRST
 
 from pianofit.fit.hammers import RACE, search_hammers
-from pianofit.fit.recipe import Fit, _likeliest, _prepared, _unlikely
+from pianofit.fit.joint import Fit, unlikely
+from pianofit.fit.likeliest import likeliest
+from pianofit.fit.recipe import _prepared
 from pianofit.fit.space import NAMES
 from pianofit.fit.state import State
 from pianofit.fit.takes import arranged
@@ -32,12 +34,12 @@ def followed(*masses: float) -> Fit:
     state, true = state_and_truth()
     hammers = np.repeat(true, len(masses), axis=0)
     hammers[:, M] += np.log(masses)
-    return _likeliest(state, state.space.project(hammers), seed=0)
+    return likeliest(state, state.space.project(hammers), seed=0)
 
 
 def test_the_likeliest_hammer_is_kept_wherever_it_stood():
     astray, kept = followed(4.0), followed(4.0, 1.0)
-    assert _unlikely(astray) > _unlikely(kept) + 10
+    assert unlikely(astray) > unlikely(kept) + 10
     assert abs(np.log(astray.values[M] / FIRST.hammer.M_H)) > 0.3
     assert kept.values[M] == pytest.approx(FIRST.hammer.M_H, rel=0.2)
 

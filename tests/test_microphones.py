@@ -14,8 +14,9 @@ from twin_cases import FIRST, record
 from pianofit.analysis import analyse
 from pianofit.errors import FitError
 from pianofit.fit import Result, fit_takes
+from pianofit.fit.joint import in_tune
 from pianofit.fit.path import path_of
-from pianofit.fit.recipe import _in_tune, _prepared
+from pianofit.fit.recipe import _prepared
 from pianofit.fit.residuals import CENT
 from pianofit.fit.space import LOG, Layout
 from pianofit.fit.state import search_space
@@ -115,7 +116,7 @@ def test_a_string_out_of_tune_goes_back_to_its_partials():
     true = state.space.z(state.space.start[None])
     z = true.copy()
     z[0, :2] += -10 * CENT, 0.1
-    found, _ = _in_tune(state, z)
+    found, _ = in_tune(state, z)
     assert abs(found[0, 0] - true[0, 0]) < 0.3 * CENT
     assert abs(found[0, 1] - true[0, 1]) < 0.01
     np.testing.assert_array_equal(found[0, 2:], z[0, 2:])

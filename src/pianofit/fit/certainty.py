@@ -15,9 +15,10 @@ from scipy.special import stdtrit
 
 from ..errors import ParameterError
 from ..parameters import STRING_NAMES
+from .joint import Fit
 from .posterior import Draws, check_sampler, draw
 from .profile import Profile, profiles
-from .recipe import Fit, Progress
+from .recipe import Progress
 from .space import LOG, NAMES
 from .state import level_freedom
 from .surface import Surface, surface_of

@@ -22,8 +22,9 @@ from ..errors import ParameterError
 from ..initial import Start
 from ..parameters import FIT_NAMES, PARAMETERS
 from ..recording import Recording
+from .joint import Fit, ended
 from .levenberg import Descent
-from .recipe import Fit, Progress, _ended, _prepared, _touches
+from .recipe import Progress, _prepared, _touches
 from .residuals import joint_batch
 from .result import Result
 from .space import Layout
@@ -122,7 +123,7 @@ def _rated(search: Search, x: np.ndarray) -> Fit:
     at = state.target(spread, robust)
     residual, jacobian = (np.asarray(a) for a in joint_batch(jnp.asarray(z), at, state.cfg)[:2])
     end = Descent(z, 0.5 * (residual**2).sum(axis=1), np.array([search.settled]), residual, jacobian, 0)
-    return _ended(state, end, at, spread, robust, search.evaluations)
+    return ended(state, end, at, spread, robust, search.evaluations)
 
 
 def without_claims(result: Result, recipe: str, fit: Fit, start: Start) -> Result:

@@ -11,7 +11,8 @@ import numpy as np
 
 from ..criterion import OutputPath
 from ..initial import Start
-from .recipe import Fit, predicted
+from .joint import Fit
+from .state import predicted
 
 __all__ = ["path_document", "path_of", "roughness"]
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
@@ -25,18 +25,18 @@ from ..model import simulate
 from ..model.simulate import count_modes
 from ..parameters import FELT_LAWS, Geometry
 from . import screen
-from .again import nearby
-from .hammers import AGREEMENT, OPEN, anchored, comparable, search_hammers
-from .levenberg import Descent, descend
-from .place import smoother_place
+from .hammers import anchored, comparable, search_hammers
+from .joint import Fit, gone_on
+from .levenberg import descend
+from .likeliest import elsewhere, likeliest
 from .residuals import CENT, Cfg, Target, hammer_batch, joint_batch, level_batch, string_batch
 from .space import LOG, NAMES, K, Layout, Space, default_box, split, struck
-from .state import TOGETHER, State, pool, predicted, search_space, settled_weights
+from .state import TOGETHER, State, search_space
 from .takes import Take
-from .target import Spreads, Takes, lines, measured, measured_alike, side_by_side
+from .target import lines, measured, measured_alike, side_by_side
 from .voice import arrival, lag, placed
 
-__all__ = ["Fit", "fit_partials", "predicted"]
+__all__ = ["fit_partials"]
 
 STRIKE, WIDTH = NAMES.index("x0"), NAMES.index("width")
 # Of the room that a contact has: rounding must not push its window off the string.
@@ -47,19 +47,10 @@ STEPS = 256
 ATTACK = 0.05
 # σ of the string's stage in units of the criterion's: wide lines first. Glide blurs what is finer than the second.
 SIGMAS = (1.0, 0.35)
-ROUNDS = 4
 # The contact may last this many times as long as that of the literature's hammer, and until the agraffe's reflection
 # has come back twice, for in the bass it is what throws the hammer off. If one lasts nearly as long, better ones may
 # last longer still: all is done again with twice the time.
 CONTACTS, RETURNS, MOST_CONTACTS, NEARLY = 1.6, 2.0, 6.0, 0.9
-# How many of the partials tell of the path's roughness each by itself: neighbours leave a smooth path together. If all
-# did, a smooth path would outweigh what takes have not in common, which is what tells of the hammer.
-OWN = 1 / 3
-# How often another place of the strike is looked for.
-PLACES = 3
-# Hammers of an uncalibrated recording are tried for so many rounds of so many iterations. Of the likeliest so many are
-# followed for more of them, and so often a better one is looked for near each.
-TRIAL, NEAR, FOLLOWED, SEARCHES = (2, 3), (3, 10), 2, 3
 # Levels that scatter by no more than this, dB, show what the contact's step does to them. That is read off a step so
 # many times finer, again where the fit has moved, until what is left is this share of a level's standard deviation.
 FINE_LEVEL, REFINEMENT, READINGS, LEFT = 1.0, 8, 4, 0.05
@@ -68,29 +59,6 @@ FINE_LEVEL, REFINEMENT, READINGS, LEFT = 1.0, 8, 4, 0.05
 CRITERION = 100.0
 
 Progress = Callable[[str, float], None]
-
-
-@dataclass(frozen=True)
-class Fit:
-    """Where the search ended, before it is put into words."""
-
-    z: np.ndarray  # [1, size]
-    values: np.ndarray  # [size]: in the order of `NAMES`, then gain and path in dB
-    space: Space
-    data: Takes
-    spread: Spreads
-    robust: np.ndarray  # [3, takes, rows]
-    target: Target
-    cfg: Cfg
-    jacobian: np.ndarray  # [residuals, size]
-    residual: np.ndarray  # [residuals]
-    cost: float
-    pressed: np.ndarray  # [size]
-    converged: bool
-    evaluations: int
-    agreeing: int  # how many of the hammer's starts ended at the lowest cost
-    messages: tuple[str, ...]
-    state: State
 
 
 def fit_partials(
@@ -128,10 +96,10 @@ def fit_partials(
         z, agreeing, searched = search_hammers(state, seed)
         progress("string and hammer", 0.6)
         programs[1].join()
-        fit = _elsewhere(_likeliest(state, z, seed), seed)
+        fit = elsewhere(likeliest(state, z, seed), seed)
         state, z = anchored(fit.state, fit.z)
         if state is not fit.state:
-            fit = _gone_on(fit, state, z)
+            fit = gone_on(fit, state, z)
         if state.data.calibrated:
             fit = _with_attack(takes, _with_window(fit))
         if fit.spread.level < FINE_LEVEL:
@@ -193,75 +161,12 @@ def _compiled_ahead(function: Callable, state: State, starts: int, *more) -> thr
     return thread
 
 
-def _likeliest(state: State, hammers: np.ndarray, seed: int) -> Fit:
-    """The likeliest of the fits that `hammers` [hammers, size] lead to, at the weights that each leaves."""
-    hammers, count = _in_tune(state, hammers)
-    if state.data.calibrated:
-        fit = _followed(state, hammers[:1])
-        return replace(fit, evaluations=fit.evaluations + count)
-    tried = sorted(pool().map(lambda z: _followed(state, z[None], *TRIAL), hammers), key=_unlikely)
-    price = np.array([_unlikely(fit) for fit in tried])
-    worth = (np.diff(price, prepend=-np.inf) > AGREEMENT) & (price < price[0] + OPEN)
-    fits = [_closer(replace(tried[i], evaluations=0), seed) for i in np.flatnonzero(worth)[:FOLLOWED]]
-    best, count = min(fits, key=_unlikely), count + sum(fit.evaluations for fit in tried + fits)
-    return _gone_on(replace(best, evaluations=count), best.state)
-
-
-def _followed(state: State, z: np.ndarray, *short: int) -> Fit:
-    state, z = anchored(state, z)
-    return _joint_stage(state, z, state.first_spread(1.0, 0.3), state.unweighted, *short)
-
-
-def _closer(fit: Fit, seed: int) -> Fit:
-    """The fit of takes through a path, moved on while a likelier hammer lies near."""
-    fit = _gone_on(fit, fit.state, None, *NEAR)
-    for again in range(SEARCHES):
-        z, count = nearby(fit.state, fit.target, fit.z, fit.cost, seed + again)
-        fit = replace(fit, evaluations=fit.evaluations + count)
-        if z is None:
-            break
-        other = _gone_on(fit, fit.state, z, *NEAR)
-        if not _unlikely(other) < _unlikely(fit):
-            return replace(fit, evaluations=other.evaluations)
-        fit = other
-    return fit
-
-
-def _elsewhere(fit: Fit, seed: int) -> Fit:
-    """The fit, or a likelier one about the place of the strike at which its path would be much smoother."""
-    for _ in range(PLACES):
-        found = smoother_place(fit.state, fit.target, fit.z[0])
-        if found is None:
-            break
-        place, (low, high) = found
-        start, lower, upper = fit.space.start.copy(), fit.space.lower.copy(), fit.space.upper.copy()
-        start[STRIKE], lower[STRIKE], upper[STRIKE] = place, low, high
-        there = replace(fit.state, space=replace(fit.space, start=start, lower=lower, upper=upper))
-        z, _, count = search_hammers(there, seed)
-        other = _likeliest(fit.state, z, seed)
-        count += fit.evaluations + other.evaluations
-        if not _unlikely(other) < _unlikely(fit):
-            return replace(fit, evaluations=count)
-        fit = replace(other, evaluations=count)
-    return fit
-
-
-def _unlikely(fit: Fit) -> float:
-    """Minus the logarithm of the likelihood, but for a constant: unlike the cost it compares fits of other weights.
-
-    Those of frequencies and decays are the string's, and the same for all hammers.
-    """
-    data, found = fit.data, fit.data.found
-    sd = np.hypot(data.level_error, fit.spread.level * data.buried)[found]
-    return fit.cost + float(np.log(sd).sum() - OWN * np.log1p(-np.asarray(fit.target.shrink)).sum())
-
-
 def _with_attack(takes: Sequence[Take], fit: Fit) -> Fit:
     """The fit of calibrated recordings gone on with when the hammer touched.
 
     The onset is where a sound is first seen; a model this close says when the touch was.
     """
-    return _gone_on(fit, replace(fit.state, delay=_touches(takes, fit)))
+    return gone_on(fit, replace(fit.state, delay=_touches(takes, fit)))
 
 
 def _with_window(fit: Fit) -> Fit:
@@ -282,7 +187,7 @@ def _corrected(takes: Sequence[Take], fit: Fit) -> Fit:
     more = _left_out(fit)
     for _ in range(READINGS):
         delay, before = _touches(takes, fit) if fit.data.calibrated else fit.state.delay, more
-        fit = _gone_on(fit, replace(fit.state, delay=delay, more=before))
+        fit = gone_on(fit, replace(fit.state, delay=delay, more=before))
         more = _left_out(fit)
         if np.abs(np.asarray(fit.target.level_weight) * (more - before)).max() < LEFT:
             break
@@ -371,47 +276,3 @@ def _string_stage(take: Take, state: State) -> tuple[Space, int]:
             )  # fmt: skip
             z, count = end.z, count + end.evaluations
     return replace(space, start=local.natural(z[0])), count
-
-
-def _in_tune(state: State, z: np.ndarray) -> tuple[np.ndarray, int]:
-    """The points [hammers, size] with c and κ where the table of partials wants them for the first, all else held.
-
-    A band of one faint partial, as a bass note's first, can put the string far out of tune; the step back with all free
-    at once then changes the hammer so much that its contact does not end, and nothing moves any more.
-    """
-    at = state.target(state.first_spread(1.0, 0.3), state.unweighted)
-    places = np.isin(np.arange(z.shape[1]), [NAMES.index("c"), NAMES.index("kappa")])
-    end = descend(state.evaluate(joint_batch, at), z[:1], state.space, iterations=10, free=places, tolerance=1e-4)
-    return np.where(places, end.z, z), end.evaluations
-
-
-def _joint_stage(
-    state: State, z: np.ndarray, spread: Spreads, robust: np.ndarray, most: int = ROUNDS, iterations: int = 60
-) -> Fit:
-    """All together; weights from the residuals, residuals from the weights, until they agree, in `most` rounds."""
-    count, rounds = 0, 0
-    while True:
-        at = state.target(spread, robust)
-        end = descend(state.evaluate(joint_batch, at), z, state.space, iterations=iterations, tolerance=1e-8)
-        z, count, rounds, before = end.z, count + end.evaluations, rounds + 1, spread
-        spread, robust = settled_weights(state, at, z)
-        agreed = abs(spread.level - before.level) < 0.02 * spread.level + 1e-4
-        if rounds == most or (agreed and end.settled[0]):
-            return _ended(state, end, at, before, robust, count)
-
-
-def _gone_on(fit: Fit, state: State, z: np.ndarray | None = None, *short: int) -> Fit:
-    """The last stage once more, from where `fit` is, or from `z`, and with its weights."""
-    new = _joint_stage(state, fit.z if z is None else z, fit.spread, fit.robust, *short)
-    return replace(new, evaluations=fit.evaluations + new.evaluations)
-
-
-def _ended(state: State, end: Descent, at: Target, spread: Spreads, robust, count: int) -> Fit:
-    values = state.space.natural(end.z[0])
-    downhill = -(end.jacobian[0].T @ end.residual[0])
-    pressed = state.space.at_bound(values) & (np.abs(downhill) > 0)
-    messages = () if bool(end.settled[0]) else ("The last stage stopped before it settled.",)
-    return Fit(
-        end.z, values, state.space, state.data, spread, robust, at, state.cfg, end.jacobian[0], end.residual[0],
-        float(end.cost[0]), pressed, bool(end.settled[0]), count, 0, messages, state,
-    )  # fmt: skip

@@ -17,12 +17,12 @@ from ..model import Simulation
 from ..parameters import MEMORY_NAMES, PARAMETERS
 from ..recording import Recording
 from .certainty import Certainty, assess
+from .joint import Fit
 from .levenberg import descend
 from .path import path_document, path_of, roughness
-from .recipe import Fit, predicted
 from .residuals import CENT, joint_batch
 from .space import ABSENT, LOG, NAMES, K, split, struck
-from .state import ROUGHER
+from .state import ROUGHER, predicted
 from .takes import Take
 from .target import Measured
 from .uncertainty import statuses, tangled

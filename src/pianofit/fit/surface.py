@@ -9,7 +9,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from .recipe import Fit
+from .joint import Fit
 from .residuals import CENT, joint_batch
 from .space import K, P, Space
 from .uncertainty import Run, neighbours, whole_covariance

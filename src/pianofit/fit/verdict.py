@@ -10,7 +10,7 @@ from ..analysis import Analysis
 from ..initial import Start
 from ..recording import Recording, one_line
 from .certainty import Certainty
-from .recipe import Fit
+from .joint import Fit
 from .space import NAMES
 
 __all__ = ["verdict", "words"]
