@@ -94,6 +94,8 @@ def drive(source: str, out: str, scheduler: str = "") -> None:
     """Run a batch over the files in `source` with `quick_work`: what a driver process does."""
     from pianofit.batch import Cluster, Local, run_batch
 
+    # What starts the tests in the background may have had Ctrl-C ignored, and children inherit that.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     texts = [p.read_text(encoding="utf-8") for p in _in_order(Path(source))]
     units = library(Path(source), texts)
 
