@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from .again import nearby
-from .hammers import AGREEMENT, OPEN, anchored, search_hammers
+from .hammers import AGREEMENT, anchored, search_hammers
 from .joint import Fit, gone_on, in_tune, joint_stage, unlikely
 from .place import smoother_place
 from .space import NAMES
@@ -25,6 +25,8 @@ PLACES = 3
 # Hammers of an uncalibrated recording are tried for so many rounds of so many iterations. Of the likeliest so many are
 # followed for more of them, and so often a better one is looked for near each.
 TRIAL, NEAR, FOLLOWED, SEARCHES = (2, 3), (3, 10), 2, 3
+# A hammer that is so much less likely when it is tried, as a logarithm, is not followed.
+HOPELESS = 10.0
 
 
 def likeliest(state: State, hammers: np.ndarray, seed: int) -> Fit:
@@ -35,7 +37,7 @@ def likeliest(state: State, hammers: np.ndarray, seed: int) -> Fit:
         return replace(fit, evaluations=fit.evaluations + count)
     tried = sorted(pool().map(lambda z: _followed(state, z[None], *TRIAL), hammers), key=unlikely)
     price = np.array([unlikely(fit) for fit in tried])
-    worth = (np.diff(price, prepend=-np.inf) > AGREEMENT) & (price < price[0] + OPEN)
+    worth = (np.diff(price, prepend=-np.inf) > AGREEMENT) & (price < price[0] + HOPELESS)
     fits = [_closer(replace(tried[i], evaluations=0), seed) for i in np.flatnonzero(worth)[:FOLLOWED]]
     best, count = min(fits, key=unlikely), count + sum(fit.evaluations for fit in tried + fits)
     return gone_on(replace(best, evaluations=count), best.state)
