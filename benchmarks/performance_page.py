@@ -215,9 +215,8 @@ def _reasons(document: dict[str, Any]) -> str:
 - **A fit, warm and cold.** Of the warm command's {fit:.1f} s the fit itself, from the file on, takes
   {shares["whole"]:.1f} s, {shares["hammer_batch"]:.1f} s of it the search from sixteen hammers; the rest is Python's
   start, imports, and loading what was compiled before. Cold, it is XLA's compiler.
-- **The joint fit** screens 384 hammers by their levels, lets 48 of them race, and follows the likeliest two. The table
-  is older than the rule that a second one much less likely is not followed: alone and idle, three runs since took 13.4
-  to 13.5 s.
+- **The joint fit** screens 384 hammers by their levels, lets 48 of them race, and follows the likeliest two, unless the
+  second is much less likely.
 - **The paper's recipe** is 20,000 contacts in lockstep batches, and two gradient descents on whole spectra before it.
 - **The criterion with nine derivatives** is the string's response on every bin of the spectrum by every mode, on one
   core; the contact is a small part of it. The default fit compares partials in closed form instead.

@@ -1,11 +1,14 @@
-"""A fitted attack is laid on the recorded one where it belongs, not a period beside it."""
+"""A fitted attack is laid on the recorded one where it belongs, and is heard through its path as through a filter."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+from instrument_cases import true_voice, uneven_voice
 
-from pianofit.fit.voice import lag, placed
+from pianofit.criterion import OutputPath
+from pianofit.fit.voice import impulse, lag, placed
+from pianofit.model.modes import mode_frequencies
 
 RATE, PERIOD = 10_000, 270  # of A♯1, 27 ms: an attack of 50 ms holds not two
 
@@ -24,3 +27,54 @@ def test_an_attack_is_found_among_its_periods(touch, sign):
     at, found = placed(note[:500], sound)
     assert (at, found) == (touch, sign)
     assert abs(lag(note[:500], found * sound[at:][:500])) < 0.1
+
+
+def steep(midi):
+    """A path that rises by 6 dB an octave, and scatters by 6 dB from one third to the next."""
+    frequency = np.geomspace(20.0, 20_000.0, 40)
+    return OutputPath(frequency, 20 * np.log10(frequency / 1000) + np.random.default_rng(midi).normal(0, 6, 40))
+
+
+@pytest.mark.parametrize("midi", [24, 36, 60, 84])
+def test_through_a_steep_path_a_strike_begins_with_silence(midi):
+    sound, _ = true_voice(midi)._replace(path=steep(midi)).play(44_100, 4410)
+    assert abs(sound[0]) < 1e-3 * np.abs(sound).max()
+
+
+@pytest.mark.parametrize("midi", [40, 60, 84])
+def test_every_partial_is_as_loud_as_the_path_says(midi):
+    """Where the criterion hears it, on the damped circle, and though each partial has a decay of its own."""
+    voice = uneven_voice(midi)
+    rate = 44_100
+    through, _ = voice.play(rate, 2 * rate)
+    plain, _ = voice._replace(path=None).play(rate, 2 * rate)
+    damped = np.exp(-30.0 * np.arange(2 * rate) / rate)
+    energy = np.abs(np.fft.rfft(np.stack([through, plain]) * damped)) ** 2
+    f, bins = voice.path.frequency, np.fft.rfftfreq(2 * rate, 1 / rate)
+    lines = np.abs(bins - f[:, None]) < 0.2 * f[0]
+    found = 10 * np.log10((lines @ energy[0]) / (lines @ energy[1]))
+    # On that circle a line is 5 Hz wide, and of neighbours 82 Hz apart it reaches into the steps of the path.
+    np.testing.assert_allclose(found, voice.path.db, atol=0.4)
+
+
+def test_a_slow_push_goes_through_the_path_at_its_own_frequency():
+    """A soft hammer presses longer than a period lasts: no mode's own frequency is in that, nor its level."""
+    voice, k = true_voice(84), np.arange(1, 16)
+    soft = voice.hammer._replace(v_H0=0.05, K_H=1e-2 * voice.hammer.K_H)
+    rises = OutputPath(mode_frequencies(voice.string, voice.geometry.length, len(k)), -30.0 + 3 * k)
+    through, strike = voice._replace(hammer=soft, path=rises).play(44_100, 4410)
+    plain, _ = voice._replace(hammer=soft, path=None).play(44_100, 4410)
+    assert strike.contact_time > 1 / rises.frequency[0]
+    through, plain = np.fft.rfft(through), np.fft.rfft(plain)
+    slow = (np.fft.rfftfreq(4410, 1 / 44_100) < 0.7 * rises.frequency[0]) & (np.abs(plain) > 0.1 * np.abs(plain[0]))
+    ratio = np.abs(through[slow] / plain[slow])
+    np.testing.assert_allclose(20 * np.log10(ratio), rises.db[0], atol=0.5)
+
+
+def test_a_response_is_causal_and_of_the_path_s_levels():
+    path, rate = steep(1), 44_100
+    response = impulse(path, rate)
+    seen = np.exp(-2j * np.pi * np.outer(path.frequency, np.arange(len(response))) / rate) @ response
+    np.testing.assert_allclose(20 * np.log10(np.abs(seen)), path.db, atol=0.1)
+    # Of all responses of these levels the least phase has its energy first: nothing comes before the first sample.
+    assert np.abs(response[:20]).max() > 0.9 * np.abs(response).max()

@@ -24,7 +24,9 @@ import numpy as np
 
 from .errors import ParameterError, PianofitError, RecordingError
 
-__all__ = ["CHANNELS", "RATES", "Recording", "load_recording", "one_line", "read_file", "recording_from_samples"]
+__all__ = [
+    "CHANNELS", "RATES", "Recording", "find_onset", "load_recording", "one_line", "read_file", "recording_from_samples",
+]  # fmt: skip
 
 RATES = (8_000, 384_000)  # Hz
 CHANNELS = ("average", "left", "right", *"12345678")
@@ -248,7 +250,7 @@ def _choose(frames: np.ndarray, channel: str) -> tuple[np.ndarray, str]:
 def _measure(used: np.ndarray, rate: int, step: float, **facts) -> Recording:
     """Make the recording of the channels `used` [samples, chosen], quantised in steps of `step`."""
     mono = _audible(used, rate, step)
-    onset = _find_onset(mono - _offset(mono), rate, step)
+    onset = find_onset(mono - _offset(mono), rate, step)
     dc = _offset(max(mono[:onset], mono[onset:], key=len))
     samples = mono - dc
     noise = _noise_rms(samples, onset, rate)
@@ -297,8 +299,8 @@ def _forward_mean(values: np.ndarray, width: int) -> np.ndarray:
     return np.maximum(total[width:] - total[:-width], 0) / width
 
 
-def _find_onset(x: np.ndarray, rate: int, step: float) -> int:
-    """Return the index of the first sample of the attack.
+def find_onset(x: np.ndarray, rate: int, step: float) -> int:
+    """Return the index of the first sample of the attack in `x` [samples], of steps `step`.
 
     First the note as a whole, by the mean size of the 20 ms ahead, where a click counts little; in it the first loud
     sample, 5 % of the local peak or above the noise; then the most likely change in the 10 ms before that sample.

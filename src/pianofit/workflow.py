@@ -14,8 +14,6 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from .errors import OutputError, ParameterError, SetupError
 from .recording import one_line
 
@@ -268,6 +266,7 @@ def predict_file(fit: Path, file: Path, out: Path | None, *, channel: str = "ave
     voice, _ = load_voice(fit)
     recording = load_recording(file, channel=channel)
     from .analysis import analyse
+    from .fit.voice import touch
     from .model.cache import keep_programs
     from .predict import predict_take
 
@@ -275,9 +274,8 @@ def predict_file(fit: Path, file: Path, out: Path | None, *, channel: str = "ave
     analysis = analyse(recording, f0=voice.string.c / (2 * voice.geometry.length))
     found = predict_take(voice, analysis)
     if out is not None:
-        onset = recording.onset
-        samples, _ = found.voice.play(recording.rate, len(recording.samples) - onset)
-        write_file(out, encode_wav(np.pad(samples, (onset, 0)), recording.rate), force)
+        samples, _ = found.voice.play(recording.rate, len(recording.samples), touch(found.voice, recording))
+        write_file(out, encode_wav(samples, recording.rate), force)
     return {
         "file": recording.path, "sha256": recording.sha256, "predicted_db": found.error_db,
         "partials": found.partials, "v_H0": found.velocity, "gain_db": found.gain_db, "cents": found.cents,

@@ -16,13 +16,13 @@ from .state import State
 
 __all__ = ["anchored", "comparable", "physical", "search_hammers"]
 
-# Starts of a batch, and batches, of takes whose levels can be laid on a model's.
+# Starts of a batch, and batches at most; one uncalibrated take gets one.
 STARTS, BATCHES = 16, 6
 # Power of energy by which levels are weighed, iterations, and how many of a batch's starts, the best, go on: loud
 # partials lead to the basin, all of them finish, and where a start leads shows long before it is there.
 GRADES = ((0.25, 10, 8), (0.0, 5, 4), (0.0, 15, 4))
-# Several takes through a path are one race, of the likeliest starts of so many times as many. Two steps tell the third
-# of them among which the best are.
+# Several takes through a path are one race, of the likeliest starts of so many times as many. Two steps tell in which
+# third of them the best are.
 RACING, SCREENED = 48, 8
 RACE = ((0.25, 2, 16), (0.25, 4, 8), (0.0, 5, 6), (0.0, 10, 6))
 # Starts whose costs differ by less than this ended at about the same place, or just there.

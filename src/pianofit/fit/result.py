@@ -27,7 +27,7 @@ from .takes import Take
 from .target import Measured
 from .uncertainty import statuses, tangled
 from .verdict import verdict, words
-from .voice import Voice
+from .voice import Voice, touch
 
 __all__ = ["SCHEMA", "Heard", "Result", "Sound", "conclude", "scored"]
 
@@ -252,8 +252,10 @@ def _sound(
     string = string._replace(c=string.c * (1 + CENT * float(values[layout.cents[take]])))
     geometry = struck(start.geometry, values)
     voice = Voice(string, hammer, geometry, start.quantity, 1.0, path)
-    touch = recording.onset - round(float(fit.state.delay[take]) * recording.rate)
-    samples, simulation = voice.play(recording.rate, len(recording.samples), touch)
+    # What is calibrated was laid on the recorded attack; through a path only the onset can be compared.
+    calibrated = recording.onset - round(float(fit.state.delay[take]) * recording.rate)
+    begins = calibrated if fit.data.calibrated else touch(voice, recording)
+    samples, simulation = voice.play(recording.rate, len(recording.samples), begins)
     gain = ear.gain(samples) if gain is None else gain
     z = fit.space.z(values)
     if not fit.data.calibrated:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -9,8 +10,15 @@ import numpy as np
 from ..criterion import WIDEST_SIGMA, OutputPath
 from ..model import Simulation, simulate
 from ..parameters import Geometry, Hammer, MemoryHammer, String
+from ..recording import Recording, find_onset
 
-__all__ = ["Voice", "arrival", "lag", "placed", "strike_voice", "through"]
+__all__ = ["Voice", "arrival", "convolved", "impulse", "lag", "placed", "strike_voice", "through", "touch"]
+
+# How much of an attack, s, is played to see where it begins, and how much silence before it.
+ATTACK, SILENCE = 0.15, 0.05
+# A path's response is computed for this long, s, and its first half kept: some periods of the lowest note, since its
+# neighbours may differ in level.
+RESPONSE = 1.0
 
 
 class Voice(NamedTuple):
@@ -23,33 +31,73 @@ class Voice(NamedTuple):
     gain: float  # file units (full scale = 1) per unit of the pickup
     path: OutputPath | None  # dB over frequency, beside the gain
 
-    def play(self, rate: float, samples: int, touch: int | None = None) -> tuple[np.ndarray, Simulation]:
+    def play(self, rate: float, samples: int, touch: int = 0) -> tuple[np.ndarray, Simulation]:
         """The sound [samples] in file units, and the strike behind it.
 
-        The hammer touches the string at index `touch`, which may lie before the first sample; by default the sound
-        arrives at the first sample.
+        The hammer touches the string at index `touch`, which may lie before the first sample: then the sound is cut. A
+        stiff string is heard long before its main wave arrives, so only what begins at the touch begins with silence.
         """
         simulation = strike_voice(self, rate)
-        factor, pole = through(self.path, np.asarray(simulation.modes.pole))
-        factor = self.gain * factor
-        heard = simulation.modes._replace(pickup=np.asarray(simulation.modes.pickup) * factor, pole=pole)
-        first = -round(arrival(self.string, self.geometry, self.quantity) * rate) if touch is None else touch
-        sound = simulation._replace(modes=heard).waveform(rate, samples - min(first, 0) - max(first, 0))
-        return np.pad(sound[max(-first, 0) :], (max(first, 0), 0)), simulation
+        path, pole = through(self.path, np.asarray(simulation.modes.pole))
+        own = simulation.modes._replace(pickup=np.asarray(simulation.modes.pickup) * self.gain, pole=pole)
+        sound = simulation._replace(modes=own).waveform(rate, samples - touch)
+        if path is not None:
+            sound = convolved(sound, impulse(path, rate))[: len(sound)]
+        return np.pad(sound[max(-touch, 0) :], (max(touch, 0), 0)), simulation
 
 
-def through(path: OutputPath | None, pole: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What a path makes of modes of complex `pole`, 1/s [modes]: factors on their amplitudes, and their poles.
+def touch(voice: Voice, recording: Recording) -> int:
+    """The index at which the hammer touched, if the voice's sound, in the recording's noise, begins at its onset.
 
-    Every partial has a level of its own, which goes into the pickup's weights, and a decay of its own, at which its
-    energy on the damped circle, where the criterion hears it, stays what it was.
+    High partials run ahead of a stiff string's main wave: how much of that is seen is a matter of the noise. The noise
+    has one seed, so the same recording has the same answer.
+    """
+    rate, attack = recording.rate, recording.samples[recording.onset :][: round(ATTACK * recording.rate)]
+    sound, _ = voice.play(rate, round(ATTACK * rate))
+    sound = sound * np.abs(attack).max() / max(np.abs(sound).max(), 1e-300)
+    before = round(SILENCE * rate)
+    noise = np.random.default_rng(0).normal(0.0, recording.noise_rms, before + len(sound))
+    return recording.onset + before - find_onset(noise + np.pad(sound, (before, 0)), rate, 0.0)
+
+
+def through(path: OutputPath | None, pole: np.ndarray) -> tuple[OutputPath | None, np.ndarray]:
+    """What a path makes of modes of complex `pole`, 1/s [modes]: the filter they go through, and their poles.
+
+    Every partial has a level of its own, which is the filter's, and a decay of its own, at which its energy on the
+    damped circle, where the criterion hears it, stays what it was.
     """
     if path is None:
-        return np.ones(len(pole)), pole
-    frequency, law = np.abs(np.imag(pole)) / (2 * np.pi), -np.real(pole)
+        return None, pole
+    frequency, law = np.abs(pole) / (2 * np.pi), -np.real(pole)  # ascending, however damped
     own = law * path.decay_at(frequency)
     held = 10 * np.log10((WIDEST_SIGMA + own) / (WIDEST_SIGMA + law))
-    return 10 ** ((path.at(frequency) + held) / 20), -own + 1j * np.imag(pole)
+    return OutputPath(frequency, path.at(frequency) + held), -own + 1j * np.imag(pole)
+
+
+def impulse(path: OutputPath, rate: float) -> np.ndarray:
+    """A path's response to an impulse [samples] at `rate`, of the least phase that its levels allow.
+
+    Levels tell no phases, but a path hears nothing before it sounds. While the hammer holds the string down, modes
+    follow it far below their own frequencies, so no factor a mode can stand for this filter. From one of the path's
+    partials to the next it leads by a smooth step: about each of them it is level, as a partial's line has a width.
+    """
+    size = 2 ** math.ceil(math.log2(RESPONSE * rate))
+    order, frequency = np.arange(len(path.frequency)), np.fft.rfftfreq(size, 1 / rate)
+    before, between = np.divmod(np.interp(frequency, path.frequency, order), 1.0)
+    step = before + between**2 * (3 - 2 * between)
+    level = math.log(10) / 20 * np.interp(step, order, path.db)
+    # The cepstrum of a causal response with a causal inverse is causal (Oppenheim and Schafer).
+    cepstrum = np.fft.irfft(level, size)
+    cepstrum[1 : size // 2] *= 2
+    cepstrum[size // 2 + 1 :] = 0
+    return np.fft.irfft(np.exp(np.fft.rfft(cepstrum)), size)[: size // 2]
+
+
+def convolved(sound: np.ndarray, response: np.ndarray) -> np.ndarray:
+    """The sound [samples] through a filter, and what the filter rings on."""
+    size = len(sound) + len(response) - 1
+    even = 2 ** math.ceil(math.log2(max(size, 2)))
+    return np.fft.irfft(np.fft.rfft(sound, even) * np.fft.rfft(response, even), even)[:size]
 
 
 def strike_voice(voice: Voice, rate: float) -> Simulation:

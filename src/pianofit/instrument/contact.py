@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..errors import FitError
-from ..fit.voice import Voice, through
+from ..fit.voice import Voice, impulse, through
 from ..model.cache import kept
 from ..model.contact import free_motion, impulse_amplitude, strike
 from ..model.modes import HIGHEST, Modes, mode_table
@@ -33,6 +33,7 @@ class Table(NamedTuple):
     unit: np.ndarray  # complex: what a unit T leaves ringing, m/N, in the string's own displacement
     drive: np.ndarray  # complex: the same in the pickup's unit
     heard: np.ndarray  # complex: signal = Re(heard · a) for a displacement q = Re(a)
+    path: np.ndarray | None  # [samples] at the signals' rate: what the signal goes through, see `fit.voice.impulse`
 
 
 @kept
@@ -51,7 +52,7 @@ def _blow(modes, hammer, displacement, velocity, cfg):
 
 
 def table_of(voice: Voice, rate: float) -> Table:
-    """The table of a string for signals at `rate`, gain and path included."""
+    """The table of a string for signals at `rate`, with the gain, and the path's response."""
     contact = contact_rate(voice.string, voice.geometry, rate)
     rows = LEAST_MODES
     while rows < count_modes(voice.string, voice.geometry, contact):
@@ -62,14 +63,16 @@ def table_of(voice: Voice, rate: float) -> Table:
     modes = Modes(*columns)
     own = np.asarray(modes.pole)
     size, turn = np.abs(own), np.imag(own)
-    factor, pole = through(voice.path, own)
-    factor = voice.gain * factor
+    path, pole = through(voice.path, own)
     # The scheme's displacement is the string's own up to this factor, see `mode_table`.
     angle = np.minimum(0.5 * size / contact, HIGHEST * np.pi)
     warp = angle / (np.sin(angle) * np.cos(angle))
     below = turn < np.pi * rate
-    return Table(modes, pole, contact, unit * warp, np.where(below, factor * modes.pickup * unit, 0.0),
-                 np.where(below, factor * modes.free_pickup, 0.0))  # fmt: skip
+    gain = np.where(below, voice.gain, 0.0)
+    response = None if path is None else impulse(path, rate)
+    return Table(
+        modes, pole, contact, unit * warp, gain * modes.pickup * unit, gain * modes.free_pickup, response
+    )  # fmt: skip
 
 
 def blow(table: Table, hammer: Hammer | MemoryHammer, state: np.ndarray, where: str) -> np.ndarray:

@@ -69,6 +69,7 @@ def perform(
     for key in sorted(song.keys):
         string = PlayedString(instrument.voice(key, 64), key, rate)
         for at, sound, struck in _sounds(string, instrument, _events(song, key, rate), size):
+            sound = string.heard(sound)[: size - at]
             total[at : at + len(sound)] += sound
             last = max(last, at + len(sound))
             strikes += struck > 0

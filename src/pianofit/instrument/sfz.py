@@ -215,7 +215,7 @@ def _note(instrument: Instrument, string: PlayedString, layer: Layer, seconds: f
     # The way to the pickup comes on top.
     samples = round((seconds + arrival(voice.string, voice.geometry, voice.quantity)) * string.rate)
     head = string.strike(voice.hammer.v_H0)
-    sound = np.concatenate([head, string.ring(max(samples - len(head), 0))])
+    sound = string.heard(np.concatenate([head, string.ring(max(samples - len(head), 0))]))[: max(samples, len(head))]
     level = np.abs(sound)
     first = max(int(np.argmax(level > level.max() * 10 ** (-BEGINS_DB / 20))) - BEFORE, 0)
     return sound[first : first + round(seconds * string.rate)]

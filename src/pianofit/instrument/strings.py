@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from ..fit.voice import Voice
+from ..fit.voice import Voice, convolved
 from .contact import Table, blow, table_of
 
 __all__ = ["BLOCK", "FAINT", "LAST_DAMPER", "PlayedString", "damper_rate"]
@@ -36,7 +36,7 @@ def damper_rate(midi: int) -> float:
 
 
 class PlayedString:
-    """One key's string at one rate, silent at first."""
+    """One key's string at one rate, silent at first; what it gives is still to go through its path."""
 
     def __init__(self, voice: Voice, midi: int, rate: int) -> None:
         self.voice, self.midi, self.rate = voice, midi, rate
@@ -57,7 +57,7 @@ class PlayedString:
         drive = np.pad(drive, (0, samples * self.ratio - len(drive)))
         self.damped = False
         free = self.ring(samples)  # moves the state on to the contact's end
-        head = _convolve(self._kernel(len(drive)), drive)[:: self.ratio]
+        head = convolved(self._kernel(len(drive)), drive)[: len(drive) : self.ratio]
         self.state = self.state + self.table.unit * _left(drive, self.pole / self.table.rate)
         return free + head
 
@@ -82,6 +82,10 @@ class PlayedString:
             self.state = self.state * np.exp(pole * (count / self.rate))
             done += count
         return out
+
+    def heard(self, sound: np.ndarray) -> np.ndarray:
+        """A sound of this string [samples] through its path, and what that rings on."""
+        return sound if self.table.path is None else convolved(sound, self.table.path)
 
     @property
     def sounding(self) -> bool:
@@ -115,9 +119,3 @@ def _left(drive: np.ndarray, log_z: np.ndarray) -> np.ndarray:
     fine = np.exp(np.outer(log_z, np.arange(_FINE, 0, -1)))
     coarse = np.exp(np.outer(log_z, np.arange(blocks - 1, -1, -1) * _FINE))
     return ((fine @ late.T) * coarse).sum(axis=1)
-
-
-def _convolve(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """The first len(a) samples of a * b."""
-    size = 1 << math.ceil(math.log2(len(a) + len(b)))
-    return np.fft.irfft(np.fft.rfft(a, size) * np.fft.rfft(b, size), size)[: len(a)]
