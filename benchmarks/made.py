@@ -18,6 +18,7 @@ def make_notes(folder: Path, velocities: tuple[float, ...] = VELOCITIES, seconds
     """
     import pianofit
     from pianofit.criterion import OutputPath
+    from pianofit.fit.voice import convolved, impulse
 
     it = pianofit.preset(PRESET)
     frequency = np.geomspace(40.0, 16_000.0, 60)
@@ -29,9 +30,8 @@ def make_notes(folder: Path, velocities: tuple[float, ...] = VELOCITIES, seconds
         strike = pianofit.simulate(
             it.string, hammer, it.geometry, rate=RATE, oversampling=16, quantity="pressure", n_modes=320
         )
-        level = 10 ** (path.at(np.abs(np.imag(np.asarray(strike.modes.pole))) / (2 * np.pi)) / 20)
-        heard = strike._replace(modes=strike.modes._replace(pickup=np.asarray(strike.modes.pickup) * level))
-        samples = np.pad(heard.waveform(RATE, round(seconds * RATE)), (round(LEAD * RATE), 0))
+        heard = convolved(strike.waveform(RATE, round(seconds * RATE)), impulse(path, RATE))[: round(seconds * RATE)]
+        samples = np.pad(heard, (round(LEAD * RATE), 0))
         samples *= 0.5 / np.abs(samples).max()
         samples += np.random.default_rng(turn).normal(0.0, 1e-5, len(samples))
         files.append(folder / f"take-{turn + 1}.wav")

@@ -211,11 +211,13 @@ def candidates() -> Works:
 
 
 def sounds(seconds: float = 10.0, rate: int = 48_000) -> Works:
-    """A struck C2, heard at the bridge, from parameters to samples."""
+    """A struck C2, heard at the bridge through a path, from parameters to samples."""
     import pianofit
+    from pianofit.criterion import OutputPath
 
     it = pianofit.preset("chabassier-C2")
-    voice = pianofit.Voice(it.string, it.hammer, it.geometry, "pressure", 1.0, None)
+    path = OutputPath(np.array([50.0, 500.0, 5000.0]), np.array([-20.0, 0.0, -10.0]))
+    voice = pianofit.Voice(it.string, it.hammer, it.geometry, "pressure", 1.0, path)
     works: Works = {"pianofit": lambda: voice.play(rate, round(seconds * rate))}
     if shutil.which("csound"):
         works["csound prepiano"] = lambda: _csound(seconds)

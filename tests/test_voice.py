@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from instrument_cases import true_voice, uneven_voice
 
+from pianofit import recording_from_samples
 from pianofit.criterion import OutputPath
-from pianofit.fit.voice import impulse, lag, placed
+from pianofit.fit.voice import convolved, impulse, lag, placed, touched
 from pianofit.model.modes import mode_frequencies
 
 RATE, PERIOD = 10_000, 270  # of A♯1, 27 ms: an attack of 50 ms holds not two
@@ -35,10 +36,27 @@ def steep(midi):
     return OutputPath(frequency, 20 * np.log10(frequency / 1000) + np.random.default_rng(midi).normal(0, 6, 40))
 
 
-@pytest.mark.parametrize("midi", [24, 36, 60, 84])
-def test_through_a_steep_path_a_strike_begins_with_silence(midi):
-    sound, _ = true_voice(midi)._replace(path=steep(midi)).play(44_100, 4410)
-    assert abs(sound[0]) < 1e-3 * np.abs(sound).max()
+def test_a_strike_that_begins_in_the_file_is_not_cut():
+    sound, _ = true_voice(24)._replace(path=steep(24)).play(44_100, 4410, touch=200)
+    assert not sound[:200].any()
+    assert abs(sound[200]) < 1e-3 * np.abs(sound).max()
+    cut, _ = true_voice(24)._replace(path=steep(24)).play(44_100, 4410, touch=-200)
+    np.testing.assert_allclose(cut[: 4410 - 400], sound[400:], atol=1e-9 * np.abs(sound).max())
+
+
+@pytest.mark.parametrize("colour", [0.0, 0.98])  # of a one-pole filter: white, and red below 140 Hz
+@pytest.mark.parametrize("midi", [24, 48, 84])
+@pytest.mark.parametrize("noise_db", [-80, -50])
+def test_the_touch_is_found_from_what_is_seen_of_it_in_the_noise(colour, midi, noise_db):
+    voice, rate, touch = true_voice(midi)._replace(path=steep(midi)), 44_100, 20_000
+    sound, strike = voice.play(rate, 2 * rate, touch)
+    noise = np.random.default_rng(midi).normal(size=2 * rate)
+    for n in range(1, len(noise)):
+        noise[n] += colour * noise[n - 1]
+    noise *= np.abs(sound).max() * 10 ** (noise_db / 20) / noise.std()
+    recording = recording_from_samples(0.5 * (sound + noise) / np.abs(sound).max(), rate)
+    assert recording.onset >= touch
+    assert abs(touched(voice, strike, recording) - touch) < 0.002 * rate
 
 
 @pytest.mark.parametrize("midi", [40, 60, 84])
@@ -76,5 +94,15 @@ def test_a_response_is_causal_and_of_the_path_s_levels():
     response = impulse(path, rate)
     seen = np.exp(-2j * np.pi * np.outer(path.frequency, np.arange(len(response))) / rate) @ response
     np.testing.assert_allclose(20 * np.log10(np.abs(seen)), path.db, atol=0.1)
-    # Of all responses of these levels the least phase has its energy first: nothing comes before the first sample.
-    assert np.abs(response[:20]).max() > 0.9 * np.abs(response).max()
+    # What undoes a response of least phase does not foresee either.
+    undone = np.fft.irfft(1 / np.fft.rfft(response, 4 * len(response)))
+    assert np.abs(undone[len(undone) // 2 :]).max() < 1e-4 * np.abs(undone).max()
+    late = np.fft.irfft(1 / np.fft.rfft(np.convolve(response, [0.5, 1.0])[: len(response)], 4 * len(response)))
+    assert np.abs(late[len(late) // 2 :]).max() > 1e-2 * np.abs(late).max()  # the same levels but for a slope
+
+
+def test_a_long_sound_goes_through_a_filter_block_by_block():
+    random = np.random.default_rng(3)
+    for length in (1, 50, 1000, 20_000):
+        sound, response = random.normal(size=length), random.normal(size=300)
+        np.testing.assert_allclose(convolved(sound, response), np.convolve(sound, response), atol=1e-10)

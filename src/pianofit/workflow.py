@@ -266,7 +266,7 @@ def predict_file(fit: Path, file: Path, out: Path | None, *, channel: str = "ave
     voice, _ = load_voice(fit)
     recording = load_recording(file, channel=channel)
     from .analysis import analyse
-    from .fit.voice import touch
+    from .fit.voice import strike_voice, touched
     from .model.cache import keep_programs
     from .predict import predict_take
 
@@ -274,7 +274,9 @@ def predict_file(fit: Path, file: Path, out: Path | None, *, channel: str = "ave
     analysis = analyse(recording, f0=voice.string.c / (2 * voice.geometry.length))
     found = predict_take(voice, analysis)
     if out is not None:
-        samples, _ = found.voice.play(recording.rate, len(recording.samples), touch(found.voice, recording))
+        strike = strike_voice(found.voice, recording.rate)
+        touch = touched(found.voice, strike, recording)
+        samples = found.voice.heard(strike, recording.rate, len(recording.samples), touch)
         write_file(out, encode_wav(samples, recording.rate), force)
     return {
         "file": recording.path, "sha256": recording.sha256, "predicted_db": found.error_db,

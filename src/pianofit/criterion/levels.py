@@ -22,7 +22,10 @@ SAME_PARTIAL = 0.005
 
 
 class OutputPath(NamedTuple):
-    """A path known at some frequencies, Hz, ascending; in between it is linear in log frequency, beyond it is level."""
+    """A path known at some partials' frequencies, Hz, ascending.
+
+    In between it is linear in log frequency, beyond it is level.
+    """
 
     frequency: np.ndarray
     db: np.ndarray
@@ -30,8 +33,10 @@ class OutputPath(NamedTuple):
     way: np.ndarray | None = None  # int, of each partial: in which of an analysis' ways its level was read off
 
     def at(self, frequency: np.ndarray) -> np.ndarray:
-        """The path in dB at `frequency`, Hz."""
-        return np.interp(np.log(np.maximum(frequency, 1e-9)), np.log(self.frequency), self.db)
+        """The path in dB at `frequency`, Hz [any number]: a partial's own, if it is one that is known."""
+        between = np.interp(np.log(np.maximum(frequency, 1e-9)), np.log(self.frequency), self.db)
+        nearest, near = self._nearest(frequency)
+        return np.where(near, self.db[nearest], between)
 
     def decay_at(self, frequency: np.ndarray) -> np.ndarray:
         """Decay rate over the law's at `frequency`, Hz: a partial's own, and 1 where none was heard."""

@@ -10,7 +10,7 @@ from .levenberg import Descent, descend
 from .residuals import Cfg, Target, joint_batch
 from .space import NAMES, Space
 from .state import State, settled_weights
-from .target import Spreads, Takes
+from .target import MOST_SCATTER, Spreads, Takes
 
 __all__ = ["Fit", "ended", "gone_on", "in_tune", "joint_stage", "unlikely"]
 
@@ -66,7 +66,7 @@ def gone_on(fit: Fit, state: State, z: np.ndarray | None = None, *short: int) ->
 
 
 def ended(state: State, end: Descent, at: Target, spread: Spreads, robust, count: int) -> Fit:
-    """What a descent to `end` on the residuals `at` makes, with the weights `spread` and `robust` that go with it."""
+    """What a descent to `end` makes: on the residuals `at` of the weights `spread`, and `robust` as it leaves them."""
     values = state.space.natural(end.z[0])
     downhill = -(end.jacobian[0].T @ end.residual[0])
     pressed = state.space.at_bound(values) & (np.abs(downhill) > 0)
@@ -80,10 +80,10 @@ def ended(state: State, end: Descent, at: Target, spread: Spreads, robust, count
 def unlikely(fit: Fit) -> float:
     """Minus the logarithm of the likelihood, but for a constant: unlike the cost it compares fits of other weights.
 
-    Those of frequencies and decays are the string's, and the same for all hammers.
+    Those of frequencies and decays are the string's, and much the same for all hammers.
     """
     data, found = fit.data, fit.data.found
-    sd = np.hypot(data.level_error, fit.spread.level * data.buried)[found]
+    sd = np.hypot(data.level_error, min(fit.spread.level, MOST_SCATTER) * data.buried)[found]
     return fit.cost + float(np.log(sd).sum() - OWN * np.log1p(-np.asarray(fit.target.shrink)).sum())
 
 

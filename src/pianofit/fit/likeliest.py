@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..errors import FitError
 from .again import nearby
 from .hammers import AGREEMENT, anchored, search_hammers
 from .joint import Fit, gone_on, in_tune, joint_stage, unlikely
@@ -37,6 +38,8 @@ def likeliest(state: State, hammers: np.ndarray, seed: int) -> Fit:
         return replace(fit, evaluations=fit.evaluations + count)
     tried = sorted(pool().map(lambda z: _followed(state, z[None], *TRIAL), hammers), key=unlikely)
     price = np.array([unlikely(fit) for fit in tried])
+    if not np.isfinite(price[0]):
+        raise FitError("no hammer leads to a finite sound; widen [bounds] or check [known] in the setup")
     worth = (np.diff(price, prepend=-np.inf) > AGREEMENT) & (price < price[0] + HOPELESS)
     fits = [_closer(replace(tried[i], evaluations=0), seed) for i in np.flatnonzero(worth)[:FOLLOWED]]
     best, count = min(fits, key=unlikely), count + sum(fit.evaluations for fit in tried + fits)

@@ -27,7 +27,7 @@ from .takes import Take
 from .target import Measured
 from .uncertainty import statuses, tangled
 from .verdict import verdict, words
-from .voice import Voice, touch
+from .voice import Voice, strike_voice, touched
 
 __all__ = ["SCHEMA", "Heard", "Result", "Sound", "conclude", "scored"]
 
@@ -252,10 +252,13 @@ def _sound(
     string = string._replace(c=string.c * (1 + CENT * float(values[layout.cents[take]])))
     geometry = struck(start.geometry, values)
     voice = Voice(string, hammer, geometry, start.quantity, 1.0, path)
-    # What is calibrated was laid on the recorded attack; through a path only the onset can be compared.
-    calibrated = recording.onset - round(float(fit.state.delay[take]) * recording.rate)
-    begins = calibrated if fit.data.calibrated else touch(voice, recording)
-    samples, simulation = voice.play(recording.rate, len(recording.samples), begins)
+    simulation = strike_voice(voice, recording.rate)
+    if fit.data.calibrated:
+        # Laid on the recorded attack; without a scale only the onsets can be compared.
+        begins = recording.onset - round(float(fit.state.delay[take]) * recording.rate)
+    else:
+        begins = touched(voice, simulation, recording)
+    samples = voice.heard(simulation, recording.rate, len(recording.samples), begins)
     gain = ear.gain(samples) if gain is None else gain
     z = fit.space.z(values)
     if not fit.data.calibrated:

@@ -1,4 +1,4 @@
-"""A strike as it sounds in a file: through gain and path, aligned to the recording's onset."""
+"""A strike as it sounds in a file: through gain and path, and where in the file it was."""
 
 from __future__ import annotations
 
@@ -12,13 +12,16 @@ from ..model import Simulation, simulate
 from ..parameters import Geometry, Hammer, MemoryHammer, String
 from ..recording import Recording, find_onset
 
-__all__ = ["Voice", "arrival", "convolved", "impulse", "lag", "placed", "strike_voice", "through", "touch"]
+__all__ = ["Voice", "arrival", "convolved", "impulse", "lag", "placed", "strike_voice", "through", "touched"]
 
-# How much of an attack, s, is played to see where it begins, and how much silence before it.
-ATTACK, SILENCE = 0.15, 0.05
-# A path's response is computed for this long, s, and its first half kept: some periods of the lowest note, since its
-# neighbours may differ in level.
+# How much of an attack, s, is played to see where it begins, with how much noise before it, of which the recording
+# should have at least so much.
+ATTACK, BEFORE, HEARD = 0.15, 0.05, 0.02
+# A path's response is computed for at least this long, s, and its first half kept: some periods of the lowest note,
+# since its neighbours may differ in level.
 RESPONSE = 1.0
+# A long sound goes through a filter in blocks of about so many times the filter's length.
+MOST_BLOCKS = 7
 
 
 class Voice(NamedTuple):
@@ -32,32 +35,38 @@ class Voice(NamedTuple):
     path: OutputPath | None  # dB over frequency, beside the gain
 
     def play(self, rate: float, samples: int, touch: int = 0) -> tuple[np.ndarray, Simulation]:
-        """The sound [samples] in file units, and the strike behind it.
-
-        The hammer touches the string at index `touch`, which may lie before the first sample: then the sound is cut. A
-        stiff string is heard long before its main wave arrives, so only what begins at the touch begins with silence.
-        """
+        """The sound [samples] in file units, and the strike behind it; the hammer touches the string at `touch`."""
         simulation = strike_voice(self, rate)
-        path, pole = through(self.path, np.asarray(simulation.modes.pole))
-        own = simulation.modes._replace(pickup=np.asarray(simulation.modes.pickup) * self.gain, pole=pole)
-        sound = simulation._replace(modes=own).waveform(rate, samples - touch)
-        if path is not None:
-            sound = convolved(sound, impulse(path, rate))[: len(sound)]
-        return np.pad(sound[max(-touch, 0) :], (max(touch, 0), 0)), simulation
+        return self.heard(simulation, rate, samples, touch), simulation
+
+    def heard(self, strike: Simulation, rate: float, samples: int, touch: int = 0) -> np.ndarray:
+        """A strike of this voice in file units [samples].
+
+        The index `touch` may lie before the first sample: then the sound is cut. A stiff string is heard long before
+        its main wave arrives, so only what begins at the touch begins with silence.
+        """
+        path, pole = through(self.path, np.asarray(strike.modes.pole))
+        own = strike.modes._replace(pickup=np.asarray(strike.modes.pickup) * self.gain, pole=pole)
+        sound = strike._replace(modes=own).waveform(rate, max(samples - touch, 0))
+        sound = convolved(sound, impulse(path, rate))[: len(sound)]
+        return np.pad(sound[max(-touch, 0) :], (max(touch, 0), 0))[:samples]
 
 
-def touch(voice: Voice, recording: Recording) -> int:
-    """The index at which the hammer touched, if the voice's sound, in the recording's noise, begins at its onset.
+def touched(voice: Voice, strike: Simulation, recording: Recording) -> int:
+    """The index at which the hammer touched, if the strike, in the recording's noise, is first seen at its onset.
 
-    High partials run ahead of a stiff string's main wave: how much of that is seen is a matter of the noise. The noise
-    has one seed, so the same recording has the same answer.
+    High partials run ahead of a stiff string's main wave, and how much of that is seen is a matter of the noise: the
+    recording's own before the onset, or else white noise of one seed.
     """
-    rate, attack = recording.rate, recording.samples[recording.onset :][: round(ATTACK * recording.rate)]
-    sound, _ = voice.play(rate, round(ATTACK * rate))
-    sound = sound * np.abs(attack).max() / max(np.abs(sound).max(), 1e-300)
-    before = round(SILENCE * rate)
-    noise = np.random.default_rng(0).normal(0.0, recording.noise_rms, before + len(sound))
-    return recording.onset + before - find_onset(noise + np.pad(sound, (before, 0)), rate, 0.0)
+    rate, onset = recording.rate, recording.onset
+    attack, before = recording.samples[onset:][: round(ATTACK * rate)], round(BEFORE * rate)
+    sound = voice.heard(strike, rate, len(attack))
+    sound = np.pad(sound * np.abs(attack).max() / max(np.abs(sound).max(), 1e-300), (before, 0))
+    noise = recording.samples[: max(onset - round(0.001 * rate), 0)]
+    if len(noise) < HEARD * rate or noise.std() < 0.5 * recording.noise_rms:
+        noise = np.random.default_rng(0).normal(0.0, recording.noise_rms, len(sound))
+    seen = find_onset(np.resize(np.append(noise, noise[::-1]), len(sound)) + sound, rate, 0.0)
+    return onset - max(seen - before, 0)
 
 
 def through(path: OutputPath | None, pole: np.ndarray) -> tuple[OutputPath | None, np.ndarray]:
@@ -74,13 +83,15 @@ def through(path: OutputPath | None, pole: np.ndarray) -> tuple[OutputPath | Non
     return OutputPath(frequency, path.at(frequency) + held), -own + 1j * np.imag(pole)
 
 
-def impulse(path: OutputPath, rate: float) -> np.ndarray:
+def impulse(path: OutputPath | None, rate: float) -> np.ndarray | None:
     """A path's response to an impulse [samples] at `rate`, of the least phase that its levels allow.
 
     Levels tell no phases, but a path hears nothing before it sounds. While the hammer holds the string down, modes
     follow it far below their own frequencies, so no factor a mode can stand for this filter. From one of the path's
     partials to the next it leads by a smooth step: about each of them it is level, as a partial's line has a width.
     """
+    if path is None:
+        return None
     size = 2 ** math.ceil(math.log2(RESPONSE * rate))
     order, frequency = np.arange(len(path.frequency)), np.fft.rfftfreq(size, 1 / rate)
     before, between = np.divmod(np.interp(frequency, path.frequency, order), 1.0)
@@ -93,11 +104,17 @@ def impulse(path: OutputPath, rate: float) -> np.ndarray:
     return np.fft.irfft(np.exp(np.fft.rfft(cepstrum)), size)[: size // 2]
 
 
-def convolved(sound: np.ndarray, response: np.ndarray) -> np.ndarray:
-    """The sound [samples] through a filter, and what the filter rings on."""
-    size = len(sound) + len(response) - 1
-    even = 2 ** math.ceil(math.log2(max(size, 2)))
-    return np.fft.irfft(np.fft.rfft(sound, even) * np.fft.rfft(response, even), even)[:size]
+def convolved(sound: np.ndarray, response: np.ndarray | None) -> np.ndarray:
+    """The sound [samples] through a filter, and what the filter rings on; block by block, so that memory is bounded."""
+    if response is None or not len(sound):
+        return sound
+    size = 2 ** math.ceil(math.log2(len(response) + min(len(sound), MOST_BLOCKS * len(response))))
+    spectrum, step = np.fft.rfft(response, size), size - len(response) + 1
+    out = np.zeros(len(sound) + len(response) - 1)
+    for at in range(0, len(sound), step):
+        piece = np.fft.irfft(np.fft.rfft(sound[at : at + step], size) * spectrum, size)
+        out[at : at + size] += piece[: len(out) - at]
+    return out
 
 
 def strike_voice(voice: Voice, rate: float) -> Simulation:

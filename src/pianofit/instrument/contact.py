@@ -31,8 +31,9 @@ class Table(NamedTuple):
     pole: np.ndarray  # complex, 1/s: as it rings by itself, each partial at its own decay
     rate: float  # of the contact, Hz
     unit: np.ndarray  # complex: what a unit T leaves ringing, m/N, in the string's own displacement
-    drive: np.ndarray  # complex: the same in the pickup's unit
-    heard: np.ndarray  # complex: signal = Re(heard · a) for a displacement q = Re(a)
+    drive: np.ndarray  # complex: the same in file units, before the path
+    pickup: np.ndarray  # complex: signal = Re(pickup · a) before the path, for a displacement q = Re(a)
+    loudness: np.ndarray  # |pickup| behind the path
     path: np.ndarray | None  # [samples] at the signals' rate: what the signal goes through, see `fit.voice.impulse`
 
 
@@ -69,10 +70,9 @@ def table_of(voice: Voice, rate: float) -> Table:
     warp = angle / (np.sin(angle) * np.cos(angle))
     below = turn < np.pi * rate
     gain = np.where(below, voice.gain, 0.0)
-    response = None if path is None else impulse(path, rate)
-    return Table(
-        modes, pole, contact, unit * warp, gain * modes.pickup * unit, gain * modes.free_pickup, response
-    )  # fmt: skip
+    pickup = gain * modes.free_pickup
+    loudness = np.abs(pickup) * (1.0 if path is None else 10 ** (path.db / 20))
+    return Table(modes, pole, contact, unit * warp, gain * modes.pickup * unit, pickup, loudness, impulse(path, rate))
 
 
 def blow(table: Table, hammer: Hammer | MemoryHammer, state: np.ndarray, where: str) -> np.ndarray:

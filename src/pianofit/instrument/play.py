@@ -65,18 +65,16 @@ def perform(
         )
     for key in song.keys:
         instrument.voice(key, 64)  # refused before anything is computed
-    total, strikes, moving, last, done = np.zeros(size), 0, 0, 0, 0
+    total, strikes, moving, last = np.zeros(size), 0, 0, 0
     for key in sorted(song.keys):
         string = PlayedString(instrument.voice(key, 64), key, rate)
-        for at, sound, struck in _sounds(string, instrument, _events(song, key, rate), size):
+        for at, sound, struck in _joined(_sounds(string, instrument, _events(song, key, rate), size)):
             sound = string.heard(sound)[: size - at]
             total[at : at + len(sound)] += sound
             last = max(last, at + len(sound))
-            strikes += struck > 0
-            moving += struck > 1
-            done += struck > 0
-            if struck:
-                progress("playing", 0.98 * done / song.notes)
+            strikes += len(struck)
+            moving += sum(kind > 1 for kind in struck)
+            progress("playing", 0.98 * strikes / song.notes)
     fade = round(LAST_FADE * rate)  # the treble has no dampers
     total[-fade:] *= 0.5 * (1 + np.cos(np.pi * np.arange(1, fade + 1) / fade))
     samples, gain_db, limited_db = limit(total[:last], rate)
@@ -120,6 +118,24 @@ def _sounds(
             yield at, sound, struck
             at += len(sound)
     yield from _ringing(string, at, size)
+
+
+def _joined(pieces: Iterator[tuple[int, np.ndarray, int]]) -> Iterator[tuple[int, np.ndarray, list[int]]]:
+    """Pieces that follow one another as one: (first sample, sound, of each strike 1 at rest, 2 on a moving string).
+
+    A path rings on after every piece that goes through it, which is most of the work.
+    """
+    begin, end, sounds, kinds = 0, 0, [], []
+    for at, sound, struck in pieces:
+        if at > end and sounds:
+            yield begin, np.concatenate(sounds), kinds
+            sounds, kinds = [], []
+        begin = begin if sounds else at
+        sounds.append(sound)
+        kinds += [struck] if struck else []
+        end = at + len(sound)
+    if sounds:
+        yield begin, np.concatenate(sounds), kinds
 
 
 def _ringing(string: PlayedString, start: int, stop: int) -> Iterator[tuple[int, np.ndarray, int]]:

@@ -67,7 +67,7 @@ class PlayedString:
         done = 0
         pole = self.pole - (self._decay if self.damped else 0.0)
         while done < samples:
-            loud = np.flatnonzero(np.abs(self.table.heard * self.state) > FAINT)
+            loud = np.flatnonzero(self.table.loudness * np.abs(self.state) > FAINT)
             if not loud.size:
                 self.state = np.zeros_like(self.state)
                 break
@@ -75,7 +75,7 @@ class PlayedString:
             count = min(samples - done, CHUNK * BLOCK)
             blocks = -(-count // BLOCK)
             starts = np.exp(np.outer(np.arange(blocks) * BLOCK, pole[rows] / self.rate))
-            starts *= (self.table.heard * self.state)[rows]
+            starts *= (self.table.pickup * self.state)[rows]
             re, im = self._fine(rows)
             sound = (np.real(starts) @ re - np.imag(starts) @ im).ravel()
             out[done : done + count] = sound[:count]
@@ -85,12 +85,12 @@ class PlayedString:
 
     def heard(self, sound: np.ndarray) -> np.ndarray:
         """A sound of this string [samples] through its path, and what that rings on."""
-        return sound if self.table.path is None else convolved(sound, self.table.path)
+        return convolved(sound, self.table.path)
 
     @property
     def sounding(self) -> bool:
         """Whether anything is left to hear."""
-        return bool((np.abs(self.table.heard * self.state) > FAINT).any())
+        return bool((self.table.loudness * np.abs(self.state) > FAINT).any())
 
     def _fine(self, rows: slice) -> tuple[np.ndarray, np.ndarray]:
         """Real and imaginary part of z^j, j < BLOCK [rows, BLOCK]."""
