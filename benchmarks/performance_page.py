@@ -213,7 +213,7 @@ def _reasons(document: dict[str, Any]) -> str:
     return f"""## Where a target is missed, and why
 
 - **A fit, warm and cold.** Of the warm command's {fit:.1f} s the fit itself, from the file on, takes
-  {shares["whole"]:.1f} s, {shares["hammer_batch"]:.1f} s of it the search from sixteen hammers; the rest is Python's
+  {shares["whole"]:.1f} s, {shares["hammer_batch"]:.1f} s of it the search from 32 hammers; the rest is Python's
   start, imports, and loading what was compiled before. Cold, it is XLA's compiler.
 - **The joint fit** screens 384 hammers by their levels, lets 48 of them race, and follows the likeliest two, unless the
   second is much less likely.

@@ -127,8 +127,8 @@ def test_a_fit_improves_on_its_start():
     assert document["levels"]["fitted_db"] < document["levels"]["initial_db"]
     for name in ("global", "band1", "band2", "band3"):
         values = document["criterion"][name]
-        # The string's own bands are right from the start, and may stay so: a thousandth of their energy.
-        assert values["final"] < max(values["initial"], 1e-3)
+        # The string's own bands are right from the start, and may stay so: two thousandths of their energy.
+        assert values["final"] < max(values["initial"], 2e-3)
 
 
 # --- what was said beforehand -----------------------------------------------------------------------------------------

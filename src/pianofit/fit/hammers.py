@@ -16,11 +16,14 @@ from .state import State
 
 __all__ = ["anchored", "comparable", "physical", "search_hammers"]
 
-# Starts of a batch, and batches at most; one uncalibrated take gets one.
-STARTS, BATCHES = 16, 6
+# Starts of a batch, batches at most, and iterations on eq. 19.
+STARTS, BATCHES, ENERGIES = 16, 6, 20
 # Power of energy by which levels are weighed, iterations, and how many of a batch's starts, the best, go on: loud
 # partials lead to the basin, all of them finish, and where a start leads shows long before it is there.
 GRADES = ((0.25, 10, 8), (0.0, 5, 4), (0.0, 15, 4))
+# One uncalibrated take does not show whether it is explained: it has one batch, of more starts, each led less far.
+ALONE, FEWER_ENERGIES = 32, 8
+GRADES_ALONE = ((0.25, 3, 16), (0.25, 7, 8), *GRADES[1:])
 # Several takes through a path are one race, of the likeliest starts of so many times as many. Two steps tell in which
 # third of them the best are.
 RACING, SCREENED = 48, 8
@@ -39,12 +42,14 @@ def search_hammers(state: State, seed: int) -> tuple[np.ndarray, int, int]:
     """The best hammers [hammers, size], the best first; how many starts ended there; and evaluations of batches.
 
     Those of several takes through a path are screened first: a gradient leads to the next minimum, and there are many.
-    All others are searched by the batch, until two hammers end at the same lowest cost or all batches are spent. Of a
-    calibrated recording a hammer should explain all but the first scatter; many can agree on one that does not. One
-    uncalibrated recording does not fix the hammer, and more than one batch has not bettered its levels.
+    One uncalibrated take has one batch. All others are searched by the batch, until two hammers end at the same lowest
+    cost or all batches are spent. Of a calibrated recording a hammer should explain all but the first scatter; many can
+    agree on one that does not.
     """
     if comparable(state):
         z, cost, count = _hammers(state, screened(state, _starts(state, SCREENED * RACING, seed))[:RACING], RACE)
+    elif state.data.layout.takes == 1 and not state.data.calibrated:
+        z, cost, count = _hammers(state, _starts(state, ALONE, seed), GRADES_ALONE, FEWER_ENERGIES)
     else:
         z, cost, count = _by_the_batch(state, seed)
     if not np.isfinite(cost).any():
@@ -56,11 +61,10 @@ def search_hammers(state: State, seed: int) -> tuple[np.ndarray, int, int]:
 
 
 def _by_the_batch(state: State, seed: int) -> tuple[np.ndarray, np.ndarray, int]:
-    batches = BATCHES if state.data.layout.takes > 1 or state.data.calibrated else 1
-    starts = _starts(state, batches * STARTS, seed)
+    starts = _starts(state, BATCHES * STARTS, seed)
     z, cost, count = np.zeros((0, starts.shape[1])), np.zeros(0), 0
-    for batch in np.split(starts, batches):
-        found, costs, evaluations = _hammers(state, batch, GRADES)
+    for batch in np.split(starts, BATCHES):
+        found, costs, evaluations = _hammers(state, batch, GRADES, ENERGIES)
         z, cost, count = np.append(z, found, axis=0), np.append(cost, costs), count + evaluations
         explained = not state.data.calibrated or cost.min() <= 0.5 * state.data.found.sum()
         if _agreeing(cost) > 1 and explained:
@@ -92,12 +96,12 @@ def physical(state: State) -> np.ndarray:
     return hammer & np.isfinite(state.space.spread)
 
 
-def _hammers(state: State, z: np.ndarray, grades: tuple) -> tuple[np.ndarray, np.ndarray, int]:
+def _hammers(state: State, z: np.ndarray, grades: tuple, energies: int = 0) -> tuple[np.ndarray, np.ndarray, int]:
     """Many hammers on one string: eq. 19 in the hammer's band, then levels, the loud ones first.
 
-    `z` [starts, size] is where they start, `grades` how they go on, as in `GRADES`. Several takes are compared with
-    each other, which eq. 19 cannot do: theirs begin with the levels. Returns the best points, their costs and how often
-    the batch was evaluated.
+    `z` [starts, size] is where they start, `grades` how they go on, as in `GRADES`, after `energies` iterations on
+    eq. 19. Several takes are compared with each other, which that cannot do: theirs begin with the levels. Returns the
+    best points, their costs and how often the batch was evaluated.
     """
     space, layout = state.space, state.data.layout
     spread = state.first_spread(10.0, 1.0)
@@ -105,7 +109,9 @@ def _hammers(state: State, z: np.ndarray, grades: tuple) -> tuple[np.ndarray, np
     at, count = state.target(spread, state.unweighted), 0
     if layout.takes == 1:
         by_energy = at._replace(by_energy=jnp.ones_like(at.by_energy))
-        end = descend(state.evaluate(hammer_batch, by_energy), z, space, iterations=20, free=thrown, tolerance=1e-3)
+        end = descend(
+            state.evaluate(hammer_batch, by_energy), z, space, iterations=energies, free=thrown, tolerance=1e-3
+        )
         z, count = end.z, end.evaluations
     z = _levelled(state, at, space.project(z))
     cost = np.zeros(0)

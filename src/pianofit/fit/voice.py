@@ -87,8 +87,8 @@ def impulse(path: OutputPath | None, rate: float) -> np.ndarray | None:
     """A path's response to an impulse [samples] at `rate`, of the least phase that its levels allow.
 
     Levels tell no phases, but a path hears nothing before it sounds. While the hammer holds the string down, modes
-    follow it far below their own frequencies, so no factor a mode can stand for this filter. From one of the path's
-    partials to the next it leads by a smooth step: about each of them it is level, as a partial's line has a width.
+    follow it far below their own frequencies, so no factor on each mode can stand for this filter. From one of the
+    path's partials to the next it leads by a smooth step: about each it is level, as a partial's line has a width.
     """
     if path is None:
         return None
