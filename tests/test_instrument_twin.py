@@ -32,7 +32,6 @@ def fit_library(folder: Path) -> dict[str, Any]:
 
 @pytest.mark.slow
 def test_the_laws_of_a_fitted_library_are_the_truth(tmp_path):
-    """One of the eight fits ends in a wrong minimum, the hammer at 0.62 of its mass: it is found out and replaced."""
     for name, (law, literature) in law_errors(fit_library(tmp_path), ALLOWED, BETWEEN).items():
         assert law < ALLOWED[name], name
         assert law < 0.2 * literature, name
