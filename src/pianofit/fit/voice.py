@@ -88,7 +88,8 @@ def impulse(path: OutputPath | None, rate: float) -> np.ndarray | None:
 
     Levels tell no phases, but a path hears nothing before it sounds. While the hammer holds the string down, modes
     follow it far below their own frequencies, so no factor on each mode can stand for this filter. From one of the
-    path's partials to the next it leads by a smooth step: about each it is level, as a partial's line has a width.
+    path's partials to the next it leads by a smooth step: about each it is level, as a partial's line has a width. So
+    it is below the lowest and above the highest, where nothing is known.
     """
     if path is None:
         return None
