@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Complex, Float
 
 from ..errors import ParameterError
 from ..parameters import Hammer, MemoryHammer
@@ -35,6 +35,7 @@ class Pulse(NamedTuple):
     hammer: Float[Array, "steps 2"]  # y_H, m, and v_H, m/s
     work: Float[Array, ""]  # what the contact put into the string, J
     over: Bool[Array, ""]  # proven: the hammer cannot catch the string any more
+    after: Complex[Array, " modes"] | None  # of every mode, m, a step after the last; None where `rows` carry the past
 
 
 class FreeMotion(NamedTuple):
@@ -95,13 +96,15 @@ def strike(
     if steps % BLOCK:
         raise ParameterError(f"steps={steps} must be a multiple of {BLOCK}")
     under = jnp.zeros(steps) if free is None else free.under_hammer
-    drive, force, u, y_hammer, v_hammer = _march(modes, hammer, under, 0.0 if free is None else free.speed, rows)
+    (drive, force, u, y_hammer, v_hammer), after = _march(
+        modes, hammer, under, 0.0 if free is None else free.speed, rows
+    )
     y_string = y_hammer - u
     own = y_string - under
     work = 0.5 * (drive[1:] * (own[1:] - own[:-1])).sum()
     reach = _reach(modes, work) + (0.0 if free is None else _reach(modes, free.energy))
     over = (u[-1] <= 0) & (v_hammer[-1] <= 0) & (y_hammer[-1] + reach <= 0)
-    return Pulse(drive, force, u, jnp.stack([y_hammer, v_hammer], axis=-1), work, over)
+    return Pulse(drive, force, u, jnp.stack([y_hammer, v_hammer], axis=-1), work, over, after)
 
 
 def _reach(modes: Modes, energy: Array) -> Array:
@@ -155,9 +158,10 @@ def _march(modes: Modes, hammer: Hammer | MemoryHammer, under: Array, speed: Arr
     # The first block starts at step 1, with nothing ringing yet.
     shifted = jnp.append(under[1:], 0.0).reshape(-1, BLOCK)
     state = (zero, v - speed, zero, y, v, None if weights is None else zero)
-    _, rest = jax.lax.scan(block, (jnp.zeros_like(unit if rows is None else under), state), shifted)
+    (left, _), rest = jax.lax.scan(block, (jnp.zeros_like(unit if rows is None else under), state), shifted)
     first = (zero, zero, zero, y, v)
-    return tuple(jnp.concatenate([x[None], r.ravel()[:-1]]) for x, r in zip(first, rest, strict=True))
+    steps = tuple(jnp.concatenate([x[None], r.ravel()[:-1]]) for x, r in zip(first, rest, strict=True))
+    return steps, left if rows is None else None
 
 
 @jax.custom_jvp

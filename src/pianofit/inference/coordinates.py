@@ -1,0 +1,107 @@
+"""The unknowns of a fit, all on a log scale: string, felt, hammer and contact, then the velocity of every stroke.
+
+The felt's stiffness is searched as its static force at a reference compression, F = K_H u_ref^p: strokes fix the force
+where they compress the felt, while K_H alone, whose unit changes with p, trades off against p. No stroke is the first:
+with no velocity measured, the scaling (K_H, μ, v) → (K_H s^(1-p), μ/s, s v) is one wide direction of the prior.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..parameters import PARAMETERS, Geometry, Hammer, MemoryHammer, String
+
+__all__ = ["FORCE", "NAMES", "P", "SHARED", "STRING_SIZE", "WIDTH", "X0", "Unknowns"]
+
+NAMES = ("c", "kappa", "b1", "b2", "force", "p", "mu", "M_H", "x0", "width", "epsilon", "tau")
+SHARED = len(NAMES)
+STRING_SIZE = 4
+FORCE, P, MU, X0, WIDTH = (NAMES.index(name) for name in ("force", "p", "mu", "x0", "width"))
+# A loss that the felt's law does not have is held at this, log: its square is still a number.
+ABSENT = -300.0
+
+
+@dataclass(frozen=True)
+class Unknowns:
+    """What is known of each unknown before the recordings: Gaussian priors of logarithms, in a box; [size] each."""
+
+    mean: np.ndarray
+    sd: np.ndarray  # 0: held at the mean
+    lower: np.ndarray
+    upper: np.ndarray
+    log_u: float  # log of the reference compression, m
+    stiffness: tuple[float, float]  # log of the least and the largest K_H
+    geometry: Geometry  # strike and width are unknowns
+    memory: bool  # whether the felt relaxes
+
+    @property
+    def size(self) -> int:
+        """How many, strokes included."""
+        return len(self.mean)
+
+    @property
+    def strokes(self) -> int:
+        """How many velocities."""
+        return self.size - SHARED
+
+    @property
+    def free(self) -> np.ndarray:
+        """Which are searched [size]."""
+        return self.sd > 0
+
+    def project(self, z: np.ndarray) -> np.ndarray:
+        """The nearest point of the box [..., size]; a force whose K_H would leave its own bounds goes to the edge."""
+        z = np.where(self.free, np.clip(z, self.lower, self.upper), self.mean)
+        if self.free[FORCE]:
+            low, high = (k + np.exp(z[..., P]) * self.log_u for k in self.stiffness)
+            z[..., FORCE] = np.clip(z[..., FORCE], low, high)
+        return z
+
+    def edges(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The ends of every unknown's range at `z` [..., size]."""
+        lower, upper = (np.broadcast_to(x, z.shape).copy() for x in (self.lower, self.upper))
+        if self.free[FORCE]:
+            shift = np.exp(z[..., P]) * self.log_u
+            lower[..., FORCE], upper[..., FORCE] = self.stiffness[0] + shift, self.stiffness[1] + shift
+        return lower, upper
+
+    def at_bound(self, z: np.ndarray) -> np.ndarray:
+        """Which free unknowns [..., size] lie on an edge."""
+        lower, upper = self.edges(z)
+        return self.free & ((z <= lower + 1e-9) | (z >= upper - 1e-9))
+
+    def string(self, z: np.ndarray) -> String:
+        """The string at `z` [size]."""
+        return String(*np.exp(z[:STRING_SIZE]).tolist())
+
+    def hammer(self, z: np.ndarray, stroke: int) -> Hammer | MemoryHammer:
+        """The hammer at `z` [size] as it was thrown in one stroke."""
+        force, p, mu, mass = z[FORCE], np.exp(z[P]), np.exp(z[MU]), np.exp(z[NAMES.index("M_H")])
+        K = float(np.exp(force - p * self.log_u))
+        five = K, float(mu) if z[MU] > ABSENT else 0.0, float(p), float(mass), float(np.exp(z[SHARED + stroke]))
+        if not self.memory:
+            return Hammer(*five)
+        return MemoryHammer(*five, *np.exp(z[NAMES.index("epsilon") : SHARED]).tolist())
+
+    def struck(self, z: np.ndarray) -> Geometry:
+        """The geometry with the strike position and contact width at `z` [size]."""
+        return self.geometry._replace(strike=float(np.exp(z[X0])), width=float(np.exp(z[WIDTH])))
+
+    def log_values(self, z: np.ndarray) -> np.ndarray:
+        """The same with log K_H in the force's place [..., size]."""
+        out = np.array(z, float)
+        out[..., FORCE] = z[..., FORCE] - np.exp(z[..., P]) * self.log_u
+        return out
+
+    def tangent(self, z: np.ndarray) -> np.ndarray:
+        """d(log values)/dz [size, size] at `z` [size]."""
+        out = np.eye(self.size)
+        out[FORCE, P] = -np.exp(z[P]) * self.log_u
+        return out
+
+
+def box(name: str) -> tuple[float, float]:
+    """The range of a parameter, logarithms."""
+    return float(np.log(PARAMETERS[name].lower)), float(np.log(PARAMETERS[name].upper))

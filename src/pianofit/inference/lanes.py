@@ -1,0 +1,117 @@
+"""Levels of partials by the model, in lanes: one lane is one string struck by one hammer at one velocity.
+
+Whatever is fitted, one recording or many, is a number of lanes, so all fits share the same compiled programs. A lane
+[`SHARED` + 2] holds the unknowns that strokes share, the logarithm of its velocity, and by how many cents its string
+was tenser at the stroke than the reference.
+"""
+
+from __future__ import annotations
+
+import functools
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..model.cache import kept
+from ..model.contact import strike
+from ..model.modes import mode_table
+from ..model.response import LEVEL_DECAY, LEVEL_SPAN
+from ..parameters import Geometry, Hammer, MemoryHammer, String
+from .coordinates import SHARED, STRING_SIZE
+
+__all__ = ["LANES", "VELOCITY", "Cfg", "Scene", "in_lanes", "levels", "pool", "slopes"]
+
+VELOCITY, CENTS = SHARED, SHARED + 1
+# Lanes of one call: enough to fill vector units; more would make the fast ones wait for the slow ones.
+LANES = 24
+DB = 20 / np.log(10)
+
+
+class Cfg(NamedTuple):
+    """What a compiled program is specialised to."""
+
+    n_modes: int
+    steps: int  # in which a contact must end
+    rows: int  # partials whose levels are wanted, 1 to rows
+    quantity: str
+    memory: bool  # of the felt
+    free: tuple[int, ...] = ()  # entries of a lane by which `slopes` differentiates
+
+
+class Scene(NamedTuple):
+    """What all lanes share."""
+
+    geometry: Geometry  # strike and width come from the lane
+    rate: Array  # of the contact, Hz
+    log_u: Array  # log of the reference compression, m
+
+
+def _level(string: Array, cents: Array | float, lane: Float[Array, " lane"], scene: Scene, cfg: Cfg):
+    """Levels, dB [rows], from the moment at which the wave reaches the pickup, and whether the contact ended."""
+    c, *rest = jnp.exp(string)
+    string = String(c * jnp.exp2(cents / 1200), *rest)
+    _, p, mu, mass, at, width, epsilon, tau, velocity = jnp.exp(lane)
+    hammer = Hammer(jnp.exp(lane[0] - p * scene.log_u), mu, p, mass, velocity)
+    if cfg.memory:
+        hammer = MemoryHammer(*hammer._replace(mu=jnp.zeros_like(p)), epsilon, tau)
+    geometry = scene.geometry._replace(strike=at, width=width)
+    modes = mode_table(string, geometry, rate=scene.rate, n_modes=cfg.n_modes, quantity=cfg.quantity)
+    pulse = strike(modes, hammer, steps=cfg.steps)
+    end = geometry.length if cfg.quantity in ("bridge-force", "pressure") else geometry.pickup
+    delay = jnp.maximum(jnp.abs(end - at) - width / 2, 0.0) / string.c
+    # What rings a step after the contact's last, carried back to the arrival.
+    alpha = -modes.pole.real[: cfg.rows]
+    left = modes.pickup[: cfg.rows] * pulse.after[: cfg.rows]  # pyright: ignore[reportOptionalSubscript]
+    size = 0.5 * jnp.log(jnp.maximum(left.real**2 + left.imag**2, np.finfo(float).tiny))
+    size = size + alpha * ((cfg.steps + 1) * modes.step - delay)
+    rate = 2 * (alpha + LEVEL_DECAY)
+    level = DB * (size + 0.5 * jnp.log(-0.5 * jnp.expm1(-rate * LEVEL_SPAN) / rate))
+    return level, pulse.compression[-1] <= 0
+
+
+@kept
+def levels(string: Float[Array, " 4"], lanes: Float[Array, "lanes lane"], scene: Scene, cfg: Cfg):
+    """Levels, dB [lanes, rows], of many hammers on one string, and whether each contact ended [lanes]."""
+    return jax.vmap(lambda lane: _level(string, 0.0, lane, scene, cfg))(lanes)
+
+
+@kept
+def slopes(string: Float[Array, " 4"], lanes: Float[Array, "lanes lane"], scene: Scene, cfg: Cfg):
+    """The same, and between them the derivatives of the levels by the entries `cfg.free`, [lanes, rows, free]."""
+    free = np.array(cfg.free)
+
+    def one(lane):
+        def twice(x):
+            level, ended = _level(string, 0.0, lane.at[free].set(x), scene, cfg)
+            return level, (level, ended)
+
+        slope, (level, ended) = jax.jacfwd(twice, has_aux=True)(lane[free])
+        return level, slope, ended
+
+    return jax.vmap(one)(lanes)
+
+
+@functools.cache
+def pool() -> ThreadPoolExecutor:
+    """As many threads as this process may use cores: XLA works outside of Python's lock."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return ThreadPoolExecutor(cores)
+
+
+def in_lanes(program: Callable, string: np.ndarray, lanes: np.ndarray, scene: Scene, cfg: Cfg, size: int = LANES) -> tuple[np.ndarray, ...]:
+    """`program` of any number of lanes, `size` at a time, on all cores."""
+    count = len(lanes)
+    padded = np.concatenate([lanes, np.repeat(lanes[-1:], -count % size, axis=0)])
+    parts = list(
+        pool().map(
+            lambda first: [np.asarray(x) for x in program(string, padded[first : first + size], scene, cfg)],
+            range(0, len(padded), size),
+        )
+    )
+    return tuple(np.concatenate(column)[:count] for column in zip(*parts, strict=True))

@@ -1,0 +1,268 @@
+"""From analyses of one key to the tables that the likelihood compares: levels, frequencies and decays."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..analysis import Analysis
+from . import priors
+from .likelihood import Table
+
+__all__ = ["Layout", "Observed", "observe", "string_law"]
+
+# Partials above this, Hz, stand in no table: few hammers and fewer microphones reach them.
+HIGHEST = 10_000.0
+# Partials come in whole multiples of this, so that notes share compiled programs.
+ROWS = 16
+# A τ that is not there, log dB.
+NONE = -50.0
+CENTS = 1200 / np.log(2)
+
+
+@dataclass(frozen=True)
+class Layout:
+    """What recordings share: for each, which stroke it is of, and whose path and whose gain it has [recordings]."""
+
+    stroke: tuple[int, ...]
+    group: tuple[int, ...]
+    gain: tuple[int, ...]
+
+    @property
+    def strokes(self) -> int:
+        """How many."""
+        return max(self.stroke) + 1
+
+    @property
+    def groups(self) -> int:
+        """How many paths."""
+        return max(self.group) + 1
+
+    def velocities(self, group: int) -> int:
+        """How many strokes a path was heard with."""
+        return len({s for s, g in zip(self.stroke, self.group, strict=True) if g == group})
+
+    @property
+    def compared(self) -> bool:
+        """Whether any path was heard with two velocities: only then it and the hammer can be told apart."""
+        return any(self.velocities(g) > 1 for g in range(self.groups))
+
+
+@dataclass(frozen=True)
+class Observed:
+    """The tables, and what their columns are."""
+
+    number: np.ndarray  # int, k of the levels' columns [K]; 0 for padding
+    level: Table
+    frequency: Table  # of one virtual recording, cents over the reference's law
+    decay: Table  # likewise, over that law
+    string_number: np.ndarray  # int, k of their columns
+    law: np.ndarray  # the reference's law: Hz and 1/s [2, columns]
+    cents: np.ndarray  # of every recording's string over the reference's when it was struck [R]
+
+
+def string_law(string: np.ndarray, number: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
+    """Frequency, Hz, and decay, 1/s, of partials k [2, K], and their derivatives by `string` [2, K, 4].
+
+    `string` holds the logarithms of c, κ, b1 and b2. Derivatives are of the logarithm of the frequency and of the decay.
+    """
+    c, kappa, b1, b2 = np.exp(string)
+    s = (np.maximum(number, 1) * np.pi / length) ** 2
+    omega2, alpha = c**2 * s + kappa**2 * s**2, b1 + b2 * s
+    frequency = np.sqrt(omega2 - np.minimum(alpha, 0.9 * np.sqrt(omega2)) ** 2) / (2 * np.pi)
+    zero = np.zeros_like(s)
+    pitch = np.stack([c**2 * s / omega2, kappa**2 * s**2 / omega2, zero, zero], axis=-1)
+    loss = np.stack([zero, zero, b1 + zero, b2 * s], axis=-1)
+    return np.stack([frequency, alpha]), np.stack([pitch, loss])
+
+
+def observe(analyses: Sequence[Analysis], layout: Layout, reference: int, unit: float, path: bool, gains: bool) -> Observed:
+    """The tables of recordings of one key.
+
+    Parameters
+    ----------
+    reference : which recording's pitch is the string's.
+    unit : dB, of the pickup's unit over full scale.
+    path, gains : whether what lies between pickup and file is unknown, and how loud.
+    """
+    ref = analyses[reference]
+    cents = np.array([CENTS * np.log(a.f0 / ref.f0) + a.glide_start for a in analyses])
+    number = _numbers(analyses, ref, absent=not path)
+    level = _levels(analyses, layout, number, ref, unit, path, gains)
+    heard = np.unique(np.concatenate([a.partials.number for a in analyses]))
+    law = np.stack([_frequency(ref, heard), ref.b1 + ref.d2 * heard**2])
+    frequency, decay = _string_tables(analyses, heard, law, ref)
+    return Observed(number, level, frequency, decay, _padded(heard), _wide(law, 1.0), cents)
+
+
+def _frequency(a: Analysis, k: np.ndarray) -> np.ndarray:
+    return k * a.f0 * np.sqrt(1 + a.B * k.astype(float) ** 2)
+
+
+def _numbers(analyses: Sequence[Analysis], ref: Analysis, absent: bool) -> np.ndarray:
+    """Partials that were found in any recording, and those that were not, padded with 0 [K]."""
+    found = np.unique(np.concatenate([a.partials.number for a in analyses]))
+    number = np.arange(1, found.max() + 1) if absent else found
+    return _padded(number[_frequency(ref, number) < HIGHEST])
+
+
+def _padded(number: np.ndarray) -> np.ndarray:
+    return np.pad(number, (0, -len(number) % ROWS))
+
+
+def _wide(x: np.ndarray, fill: float = 0.0) -> np.ndarray:
+    """The last axis padded to whole multiples of `ROWS`."""
+    return np.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, -x.shape[-1] % ROWS)], constant_values=fill)
+
+
+def _placed(table: np.ndarray, numbers: np.ndarray, number: np.ndarray, fill: float) -> np.ndarray:
+    """Values `table` of partials `numbers`, where `number` has them [K]."""
+    by_number = np.full(max(numbers.max(initial=0), number.max()) + 1, fill)
+    by_number[numbers] = table
+    return np.where(number > 0, by_number[number], fill)
+
+
+def _covariance(matrices: Sequence[np.ndarray], numbers: Sequence[np.ndarray], number: np.ndarray) -> np.ndarray:
+    """Mean of the recordings' systematic covariances [K, K]; each entry of those that have it."""
+    total, count = np.zeros((len(number), len(number))), np.zeros(len(number))
+    for matrix, own in zip(matrices, numbers, strict=True):
+        at = np.searchsorted(number[number > 0], own)
+        inside = (own <= number.max()) & np.isin(own, number)
+        total[np.ix_(at[inside], at[inside])] += matrix[np.ix_(inside, inside)]
+        count[at[inside]] += 1
+    scale = 1 / np.sqrt(np.maximum(count, 1))
+    return total * np.outer(scale, scale)
+
+
+def _apart(frequency: np.ndarray, number: np.ndarray) -> np.ndarray:
+    """Octaves between partials [K, K]; infinite from padding."""
+    x = np.log2(frequency)
+    there = number > 0
+    apart = np.where(there[:, None] & there, np.abs(x[:, None] - x), np.inf)
+    np.fill_diagonal(apart, 0.0)
+    return apart
+
+
+def _one_hot(index: Sequence[int]) -> np.ndarray:
+    return np.eye(max(index) + 1)[list(index)]
+
+
+def _levels(
+    analyses: Sequence[Analysis], layout: Layout, number: np.ndarray, ref: Analysis, unit: float, path: bool, gains: bool
+) -> Table:
+    tables = [a.partials for a in analyses]
+    frequency = _frequency(ref, np.maximum(number, 1))
+    value = np.stack([_placed(t.level, t.number, number, np.nan) for t in tables])
+    bound = np.stack([_placed(t.absent_bound, t.absent, number, np.nan) for t in tables])
+    error = np.stack([_placed(t.level_error, t.number, number, 1.0) for t in tables])
+    found, absent = np.isfinite(value), np.isfinite(bound) & ~np.isfinite(value)
+    if path:  # a partial that was found nowhere says nothing through a path that is not known
+        absent &= found.any(axis=0)
+    level = np.where(found, value, np.where(absent, bound, np.nan))
+    loudest = np.nanmax(level, axis=1, keepdims=True)
+    nodes, weight = _path_nodes(layout, path)
+    alpha = ref.b1 + ref.d2 * number.astype(float) ** 2
+    hyper = priors.LEVEL
+    return Table(
+        value=np.nan_to_num(level + unit),
+        variance=np.where(found, error**2, priors.ABSENT_MARGIN**2),
+        found=found.astype(float),
+        absent=np.argwhere(absent),
+        group=_one_hot(layout.group),
+        columns=_columns(layout, alpha, gains),
+        systematic=_covariance([t.level_systematic for t in tables], [t.number for t in tables], number),
+        apart=_apart(frequency, number),
+        smooth=np.full(layout.groups, float(path)),
+        common=nodes,
+        share=np.log(weight),
+        growth=np.ones(len(number)),
+        ratio=np.nan_to_num(10 ** ((loudest - level) / 20)),
+        prior=(hyper.log_median, np.array(hyper.spread)),
+        student=np.float64(priors.STUDENT),
+    )
+
+
+def _columns(layout: Layout, alpha: np.ndarray, gains: bool) -> np.ndarray:
+    """Gains, if they are unknown, and every recording's onset, scaled to a unit prior [Q, R, K]."""
+    own = np.eye(len(layout.stroke))[:, :, None]
+    onset = own * (20 / np.log(10) * priors.ONSET * alpha)
+    if not gains:
+        return onset
+    gain = _one_hot(layout.gain).T
+    gain = gain[gain.any(axis=1)]
+    return np.concatenate([priors.GAIN * np.broadcast_to(gain[:, :, None], (*gain.shape, len(alpha))), onset])
+
+
+def _path_nodes(layout: Layout, path: bool) -> tuple[np.ndarray, np.ndarray]:
+    """log τ at the nodes of its prior, for every group [T, G], and their weights."""
+    if not path:
+        return np.full((1, layout.groups), NONE), np.ones(1)
+    several = np.array([layout.velocities(g) > 1 for g in range(layout.groups)])
+    if several.all():
+        return np.full((1, layout.groups), np.log(priors.PATH_OF_SEVERAL)), np.ones(1)
+    nodes, weight = priors.path_nodes()
+    return np.where(several, np.log(priors.PATH_OF_SEVERAL), nodes[:, None]), weight
+
+
+def _string_tables(
+    analyses: Sequence[Analysis], number: np.ndarray, law: np.ndarray, ref: Analysis
+) -> tuple[Table, Table]:
+    """Frequencies, cents, and decays, both over the reference's law, of all recordings as of one.
+
+    Real strings leave their law in all recordings alike: together they say no more of it than one.
+    """
+    tables = [a.partials for a in analyses]
+    cents = [CENTS * np.log(t.frequency / _frequency(a, t.number)) for t, a in zip(tables, analyses, strict=True)]
+    # Every recording over its own pitch, and the reference's own inharmonicity.
+    shift = [
+        CENTS * np.log(_frequency(a, t.number) / a.f0 / (_frequency(ref, t.number) / ref.f0))
+        for t, a in zip(tables, analyses, strict=True)
+    ]
+    per_hertz = [CENTS / t.frequency for t in tables]
+    relative = [1 / (ref.b1 + ref.d2 * t.number**2) for t in tables]
+    numbers = [t.number for t in tables]
+    pitch = _joined(
+        number, numbers, [c + s for c, s in zip(cents, shift, strict=True)],
+        [t.frequency_error * x for t, x in zip(tables, per_hertz, strict=True)],
+        [t.frequency_systematic * np.outer(x, x) for t, x in zip(tables, per_hertz, strict=True)],
+    )  # fmt: skip
+    loss = _joined(
+        number, numbers, [t.decay * x for t, x in zip(tables, relative, strict=True)],
+        [t.decay_error * x for t, x in zip(tables, relative, strict=True)],
+        [t.decay_systematic * np.outer(x, x) for t, x in zip(tables, relative, strict=True)],
+    )  # fmt: skip
+    growth = 1 + (number / priors.LAW_REACH) ** 2
+    known = np.full((1, 1, len(number)), max(ref.glide_error, 1e-9))
+    return (
+        _string_table(number, law, *pitch, growth, known, priors.FREQUENCY),
+        _string_table(number, law, *loss, np.ones(len(number)), 0 * known, priors.DECAY),
+    )
+
+
+def _joined(number, numbers, values, errors, systematics) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Weighted means over recordings, their variances from noise [K], and the systematic covariance [K, K]."""
+    weight, total, noise = np.zeros((3, len(number)))
+    for own, value, error, systematic in zip(numbers, values, errors, systematics, strict=True):
+        at = np.searchsorted(number, own)
+        w = 1 / (error**2 + np.diag(systematic))
+        weight[at] += w
+        total[at] += w * value
+        noise[at] += w**2 * error**2
+    return total / weight, noise / weight**2, _covariance(systematics, numbers, number)
+
+
+def _string_table(number, law, value, variance, systematic, growth, columns, hyper: priors.Hyperprior) -> Table:
+    more = -len(number) % ROWS
+    padded = _padded(number)
+    frequency = np.pad(law[0], (0, more), constant_values=1.0)
+    # Of the four hyperparameters only the excess means something here; the others rest at their priors.
+    mean = np.append(hyper.log_median[0], [0.0, 0.0, NONE])
+    return Table(
+        value=_wide(value[None]), variance=_wide(variance[None], 1.0), found=(padded > 0)[None].astype(float),
+        absent=np.zeros((0, 2), int), group=np.ones((1, 1)), columns=_wide(columns),
+        systematic=np.pad(systematic, (0, more)), apart=_apart(frequency, padded), smooth=np.zeros(1),
+        common=np.full((1, 1), NONE), share=np.zeros(1), growth=_wide(growth, 1.0), ratio=np.zeros((1, len(padded))),
+        prior=(mean, np.array([hyper.spread[0], 1.0, 1.0, 1.0])), student=np.float64(priors.STUDENT),
+    )  # fmt: skip

@@ -1,0 +1,76 @@
+"""Every prior of a fit, with its source: scales are logarithms' standard deviations unless a unit stands beside them.
+
+A prior is what is known of a piano before its recording is seen. None of these numbers is fitted to the recordings at
+hand but τ's, which `benchmarks/path_prior.py` learns from notes recorded at several velocities.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+__all__ = ["Hyperprior"]
+
+# --- hammer: about the literature's for the key (published.typical) ---------------------------------------------------
+# Felts of neighbouring instruments differ by factors, hammer masses by tens of percent (Chaigne and Askenfelt 1994;
+# Chabassier): standard deviations of log(value).
+HAMMER_SPREAD = {"force": 1.5, "p": 0.2, "mu": 1.5, "M_H": 0.4, "x0": 0.2, "width": 0.3, "epsilon": 0.7, "tau": 1.5}
+# Stulov's felt: half of the stiffness relaxes in a tenth of a millisecond.
+RELAXATION = {"epsilon": 0.5, "tau": 1e-4}
+# Hammer velocity at the string, m/s: pianissimo to fortissimo is 0.3 to 6 (Askenfelt and Jansson 1991).
+VELOCITY = 1.5
+VELOCITY_SPREAD = 0.8
+# String: about what the analysis reads off one recording, wide enough to decide nothing.
+STRING_SPREAD = {"c": 0.01, "kappa": 2.0, "b1": 2.0, "b2": 3.0}
+
+# --- what lies between string and table of partials -------------------------------------------------------------------
+# A gain is unknown, dB.
+GAIN = 60.0
+# A detected onset may lie this far from the arrival of the wave, s.
+ONSET = 1e-3
+# Recordings of one key agree in pitch to some cents.
+PITCH = 10.0
+# Degrees of freedom of Student's t: with 4 a search discards the fundamental and stays there.
+STUDENT = 10.0
+# Residual variance of a path that was heard at several velocities, dB: so wide that only differences between velocities
+# count. The evidence prefers 1 to 7 dB; absolute spectra carry the model's own errors, and predict other velocities
+# worse.
+PATH_OF_SEVERAL = 20.0
+# dB, of a path that was heard at one velocity: median and spread of what several-velocity fits find.
+PATH_OF_ONE = (4.0, 0.5)
+# Nodes of the quadrature over it.
+PATH_NODES = 5
+# An absent partial may be this much louder than the bound of its band, dB: neighbours' leakage can cancel it.
+ABSENT_MARGIN = 1.0
+
+
+class Hyperprior(NamedTuple):
+    """Log-normal priors of a table's hyperparameters: medians and spreads of the logarithm."""
+
+    median: tuple[float, ...]
+    spread: tuple[float, ...]
+
+    @property
+    def log_median(self) -> np.ndarray:
+        """Logarithms of the medians."""
+        return np.log(self.median)
+
+
+# Names of a table's hyperparameters, in this order:
+HYPER = ("excess", "smooth", "octaves", "floor")
+# Levels: a recording's own excess, dB; the smooth path's amplitude, dB, and length, octaves; amplitude of other sounds
+# over the loudest partial (they lie 53 to 75 dB below it). `common` is integrated over: see PATH_OF_ONE.
+LEVEL = Hyperprior((0.7, 8.0, 0.7, 0.002), (0.7, 0.4, 0.4, 0.9))
+# Frequencies: excess over the law, cents
+FREQUENCY = Hyperprior((0.5,), (1.5,))
+# Decays: excess, relative to the law.
+DECAY = Hyperprior((0.2,), (1.0,))
+# Partial from which on windings and shear let a real string leave the frequency law.
+LAW_REACH = 20.0
+
+
+def path_nodes() -> tuple[np.ndarray, np.ndarray]:
+    """Nodes of log τ and their weights, for a path heard at one velocity: Gauss-Hermite over the log-normal prior."""
+    x, weight = np.polynomial.hermite_e.hermegauss(PATH_NODES)
+    return np.log(PATH_OF_ONE[0]) + PATH_OF_ONE[1] * x, weight / weight.sum()

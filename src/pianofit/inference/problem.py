@@ -1,0 +1,207 @@
+"""One fit as a problem: which recordings, what they share, what is known beforehand, and what the model is run at."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from ..analysis import Analysis
+from ..errors import FitError
+from ..initial import Start, starting_values
+from ..model import simulate
+from ..parameters import FELT_LAWS, PARAMETERS, Hammer, String
+from ..recording import Recording, one_line
+from ..setup_file import Setup
+from ..setup_file import Take as Entry
+from . import priors
+from .coordinates import ABSENT, NAMES, P, SHARED, STRING_SIZE, Unknowns, box
+from .lanes import Cfg, Scene
+from .observations import Layout, Observed, observe
+
+__all__ = ["Problem", "pose"]
+
+# Recordings of one key are within this of each other, cents; the next key is 100 away.
+SAME_KEY = 40.0
+# A recording with fewer partials above its noise says nothing of the hammer.
+FEWEST = 3
+# A search's contacts last a whole number of times this many steps, so that notes share compiled programs.
+STEPS = 256
+# A contact has this many times as long as that of the literature's hammer at 2 m/s (softer, heavier and slower hammers
+# stay longer), and until the reflection from the agraffe has come back twice, which in the bass throws it off.
+LONGEST, RETURNS = 2.5, 2.0
+# Rows of partials in a compiled program come in whole multiples of this.
+ROWS = 64
+# Where the strike may lie, as a share of the string: on its first part, on no node of the second partial.
+STRIKE = (0.04, 0.33)
+# An effective width of the contact lies within these factors of the given one.
+WIDTHS = (0.3, 2.0)
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Everything that stays while a fit searches."""
+
+    recordings: tuple[Recording, ...]
+    analyses: tuple[Analysis, ...]
+    start: Start
+    layout: Layout
+    reference: int  # the recording whose pitch is the string's, and whose stroke is shown first
+    speed: tuple[float | None, ...]  # measured velocity of every stroke, m/s
+    unknowns: Unknowns
+    observed: Observed
+    scene: Scene
+    cfg: Cfg
+
+    @property
+    def path(self) -> bool:
+        """Whether an unknown path lies between the bridge and the file."""
+        return self.start.scale is None and self.start.quantity == "pressure"
+
+    @property
+    def calibrated(self) -> bool:
+        """Whether levels are in the pickup's own unit."""
+        return self.start.scale is not None
+
+
+def pose(
+    recordings: Sequence[Recording], analyses: Sequence[Analysis], setup: Setup, velocity: float | None = None
+) -> Problem:
+    """Pose the problem of one or more recordings of a key.
+
+    Parameters
+    ----------
+    velocity : measured hammer velocity, m/s, of a single recording; overrides the setup's.
+
+    Raises
+    ------
+    FitError
+        Naming the file that is given twice, of another key, or all noise.
+    """
+    _refuse(recordings, analyses)
+    entries = [_entry(recording, setup, len(recordings)) for recording in recordings]
+    layout = _layout(entries)
+    measured = [velocity if velocity is not None else entry.v_H0 for entry in entries]
+    speed: list[float | None] = [None] * layout.strokes
+    for stroke, v in zip(layout.stroke, measured, strict=True):
+        speed[stroke] = speed[stroke] if v is None else v
+    reference = _reference(analyses, layout, speed)
+    start = starting_values(analyses[reference], replace(setup, takes=()), speed[layout.stroke[reference]])
+    if "v_H0" in setup.known and speed[layout.stroke[reference]] is None:
+        speed[layout.stroke[reference]] = setup.known["v_H0"]
+    scale = 0.0 if start.scale is None else 20 * np.log10(start.scale)
+    path = start.scale is None and start.quantity == "pressure"
+    observed = observe(analyses, layout, reference, scale, path, start.scale is None)
+    unknowns, scene, cfg = _model(start, speed, observed, max(r.rate for r in recordings), path)
+    return Problem(
+        tuple(recordings), tuple(analyses), start, layout, reference, tuple(speed), unknowns, observed, scene, cfg
+    )
+
+
+def _refuse(recordings: Sequence[Recording], analyses: Sequence[Analysis]) -> None:
+    names = [one_line(Path(r.path).name) for r in recordings]
+    for i, (name, recording, analysis) in enumerate(zip(names, recordings, analyses, strict=True)):
+        for other in range(i):
+            if recording.sha256 == recordings[other].sha256:
+                raise FitError(f"{name} and {names[other]} are the same recording; give it once")
+        if len(recordings) > 1 and len(analysis.partials) < FEWEST:
+            raise FitError(f"{name}: only {len(analysis.partials)} partials stand above its noise; leave it out")
+        cents = 1200 * np.log2(analysis.f0 / np.median([a.f0 for a in analyses]))
+        if abs(cents) > SAME_KEY:
+            raise FitError(
+                f"{name}: its pitch, {analysis.f0:.2f} Hz, is {abs(cents):.0f} cents from that of the other "
+                "recordings; all must be of one key"
+            )
+
+
+def _entry(recording: Recording, setup: Setup, count: int) -> Entry:
+    """What the setup says of this recording: the entry of its name, or the only one of a single recording."""
+    name = Path(recording.path).name
+    for entry in setup.takes:
+        if Path(entry.file or "").name == name:
+            return entry
+    return setup.takes[0] if count == 1 and setup.takes else Entry()
+
+
+def _layout(entries: Sequence[Entry]) -> Layout:
+    def index(names: list) -> tuple[int, ...]:
+        known = list(dict.fromkeys(names))
+        return tuple(known.index(name) for name in names)
+
+    alone = [("", i) for i in range(len(entries))]
+    return Layout(
+        index([own if e.strike is None else e.strike for e, own in zip(entries, alone, strict=True)]),
+        index([e.group or "" for e in entries]),
+        index([own if e.gain_group is None else e.gain_group for e, own in zip(entries, alone, strict=True)]),
+    )
+
+
+def _reference(analyses: Sequence[Analysis], layout: Layout, speed: Sequence[float | None]) -> int:
+    """The fastest recording whose velocity was measured, else the brightest."""
+
+    def order(i: int) -> tuple[float, float]:
+        p = analyses[i].partials
+        amplitude = 10 ** (p.level / 20)
+        return speed[layout.stroke[i]] or 0.0, float((p.number * amplitude).sum() / amplitude.sum())
+
+    return max(range(len(analyses)), key=order)
+
+
+def _model(
+    start: Start, speed: Sequence[float | None], observed: Observed, rate: float, path: bool
+) -> tuple[Unknowns, Scene, Cfg]:
+    """Priors and boxes of the unknowns, and what the model is run at."""
+    values, geometry = start.values, start.geometry
+    string = String(*(values[n] for n in String._fields))
+    hammer = Hammer(*(values[n] for n in Hammer._fields))._replace(v_H0=2.0)
+    first = simulate(string, hammer, geometry, rate=rate, quantity=start.quantity)
+    # A stiffness that is known is held as it is: at 1 m it is the force.
+    log_u = 0.0 if "K_H" in start.fixed else float(np.log(0.5 * first.pulse.compression.max()))
+    memory = "epsilon" in FELT_LAWS[start.felt]
+    unknowns = _unknowns(start, speed, log_u, memory, path)
+    contact_rate = 1.0 / float(first.modes.step)
+    longest = max(LONGEST * first.contact_time, 2 * RETURNS * geometry.strike / string.c)
+    steps = STEPS * int(np.ceil(longest * contact_rate / STEPS))
+    rows = ROWS * int(np.ceil(observed.number.max() / ROWS))
+    size = tuple(map(np.float64, geometry))
+    scene = Scene(type(geometry)(*size), np.float64(contact_rate), np.float64(log_u))  # pyright: ignore[reportArgumentType]
+    free = tuple(int(i) - STRING_SIZE for i in np.flatnonzero(unknowns.free[:SHARED]) if i >= STRING_SIZE)
+    n_modes = max(first.modes.pole.shape[0], rows)
+    cfg = Cfg(n_modes, steps, rows, start.quantity, memory, (*free, SHARED - STRING_SIZE))
+    return unknowns, scene, cfg
+
+
+def _unknowns(start: Start, speed: Sequence[float | None], log_u: float, memory: bool, path: bool) -> Unknowns:
+    values, geometry = start.values, start.geometry
+    spread = priors.STRING_SPREAD | priors.HAMMER_SPREAD
+    named = {n: values["K_H" if n == "force" else n] for n in NAMES}
+    mean = np.array([np.log(max(named[n], 1e-300)) for n in NAMES])
+    mean[NAMES.index("force")] += values["p"] * log_u
+    sd = np.array([spread[n] for n in NAMES])
+    held = {("force" if n == "K_H" else n) for n, why in start.fixed.items() if why == "fixed"}
+    law = FELT_LAWS[start.felt]
+    for i, name in enumerate(NAMES):
+        if name in ("mu", "epsilon", "tau") and name not in law:
+            mean[i], sd[i] = ABSENT, 0.0
+        elif name in held and name != "width":
+            sd[i] = 0.0
+    if path or "width" in start.bounds:  # through a path the width tells nothing: what it does, the path would
+        sd[NAMES.index("width")] = 0.0
+    length, width = geometry.length, geometry.width
+    edges = {n: box(n) for n in NAMES if n in PARAMETERS}
+    edges["x0"] = float(np.log(max(STRIKE[0] * length, 0.51 * width))), float(np.log(STRIKE[1] * length))
+    edges["width"] = tuple(np.log(np.array(WIDTHS) * width).tolist())
+    edges |= {n: tuple(np.log(pair).tolist()) for n, pair in start.bounds.items()}
+    stiffness = edges.pop("K_H", box("K_H"))
+    speeds = edges.pop("v_H0", box("v_H0"))
+    edges["force"] = (-np.inf, np.inf)
+    known = [v is not None for v in speed]
+    velocities = [np.log(priors.VELOCITY if v is None else v) for v in speed]
+    lower = np.array([edges[n][0] for n in NAMES] + [speeds[0]] * len(speed))
+    upper = np.array([edges[n][1] for n in NAMES] + [speeds[1]] * len(speed))
+    mean = np.append(mean, velocities)
+    sd = np.append(sd, [0.0 if k else priors.VELOCITY_SPREAD for k in known])
+    mean = np.where(sd > 0, np.clip(mean, lower, upper), mean)
+    return Unknowns(mean, sd, lower, upper, log_u, stiffness, geometry, memory)

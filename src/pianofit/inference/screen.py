@@ -1,0 +1,109 @@
+"""Which of many sampled hammers suit the recordings, each at the velocities that suit it best."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..model.cache import kept
+from .coordinates import SHARED, STRING_SIZE
+from .likelihood import Table, factored
+
+if TYPE_CHECKING:
+    from .search import Search
+
+__all__ = ["screen"]
+
+# Velocities to begin with, from the brightest stroke down: m/s, and the factor from stroke to stroke.
+FASTEST = (5.0, 2.0)
+FACTORS = (0.45, 0.62, 0.8)
+# Rounds of coordinate descent over strokes.
+ROUNDS = 8
+# What a contact that does not end costs.
+ENDLESS = 1e6
+
+
+@kept
+def precision_matrix(table: Table, phi, w, _):
+    """C⁻¹ of what is found, as a matrix over recordings and partials [RK, RK], of the middle node of τ."""
+    pieces = factored(table, phi, w)
+    middle = pieces.root.shape[0] // 2
+    root, lower = pieces.root[middle], pieces.cholesky[middle]
+    groups, size, _ = root.shape
+    recordings = table.value.shape[0]
+    loadings = jnp.einsum("rg,gkl->glrk", table.group, root).reshape(groups * size, recordings * size)
+    b = jnp.concatenate([loadings, table.columns.reshape(-1, recordings * size)])
+    d = pieces.precision.ravel()
+    solved = jax.scipy.linalg.solve_triangular(lower, b * d, lower=True)
+    return (jnp.diag(d) - solved.T @ solved,)
+
+
+def screen(search: Search, z: np.ndarray, grid: np.ndarray, level: np.ndarray, ended: np.ndarray, strokes: int) -> np.ndarray:
+    """The hammers with their best velocities, the best first [S, size].
+
+    Parameters
+    ----------
+    z : hammers of the prior [S, size].
+    grid : log velocities [V], at which `level` [S, V, K] are theirs, dB, and `ended` [S, V].
+    """
+    table, u = search.table, search.unknowns
+    (Q,) = precision_matrix(table, search.wide(), np.ones_like(table.value), None)
+    R, K = table.value.shape
+    Q = np.asarray(Q).reshape(R, K, R, K)
+    free = u.free[SHARED:]
+    mean, sd = u.mean[SHARED:], np.where(free, u.sd[SHARED:], 1.0)
+    belief = 0.5 * ((grid - mean[:, None]) / sd[:, None]) ** 2
+    belief = np.where(free[:, None], belief, np.where(np.abs(grid - mean[:, None]) < 1e-9, 0.0, np.inf))
+    of = [np.flatnonzero(search.stroke == s) for s in range(strokes)]
+    # Residuals of every recording, had its stroke that velocity [S, V, R, K].
+    T = (table.value - level[:, :, None]) * table.found
+    own = np.empty((len(z), len(grid), strokes))
+    for s, rs in enumerate(of):
+        push = np.einsum("svqk,qkrl->svrl", T[:, :, rs], Q[np.ix_(rs, range(K), rs, range(K))], optimize=True)
+        own[:, :, s] = 0.5 * (push * T[:, :, rs]).sum(axis=(2, 3)) + belief[s] + np.where(ended, 0.0, ENDLESS)
+    S = np.arange(len(z))
+    best, chosen = np.full(len(z), np.inf), np.zeros((len(z), strokes), int)
+    for begin in _ladders(search, grid, mean, free):
+        v = np.tile(begin, (len(z), 1))
+        for _ in range(ROUNDS):
+            before = v.copy()
+            for s, rs in enumerate(of):
+                rest = T[S[:, None], v[:, search.stroke], np.arange(R)]  # [S, R, K]
+                rest[:, rs] = 0.0
+                push = np.einsum("sqk,qkrl->srl", rest, Q[:, :, rs], optimize=True)
+                v[:, s] = (own[:, :, s] + np.einsum("svrk,srk->sv", T[:, :, rs], push, optimize=True)).argmin(axis=1)
+            if (v == before).all():
+                break
+        rest = T[S[:, None], v[:, search.stroke], np.arange(R)]
+        push = np.einsum("sqk,qkrl->srl", rest, Q, optimize=True)
+        cost = 0.5 * (push * rest).sum(axis=(1, 2))
+        cost += sum(belief[s][v[:, s]] + np.where(ended[S, v[:, s]], 0.0, ENDLESS) for s in range(strokes))
+        better = cost < best
+        best[better], chosen[better] = cost[better], v[better]
+    best = best + search._prior(z)[0]
+    z = z.copy()
+    z[:, SHARED:] = np.where(free, grid[chosen], u.mean[SHARED:])
+    order = np.argsort(best, kind="stable")
+    return z[order[np.isfinite(best[order])]]
+
+
+def _ladders(search: Search, grid: np.ndarray, mean: np.ndarray, free: np.ndarray) -> list[np.ndarray]:
+    """Velocities to begin with: falling by a factor from the brightest stroke to the softest; indices [strokes]."""
+    strokes = len(mean)
+    p = search.problem
+    bright = np.zeros(strokes)
+    for stroke, analysis in zip(search.stroke, p.analyses, strict=True):
+        amplitude = 10 ** (analysis.partials.level / 20)
+        value = float((analysis.partials.number * amplitude).sum() / amplitude.sum())
+        bright[stroke] = max(bright[stroke], value)
+    rank = np.empty(strokes)
+    rank[np.argsort(-bright)] = np.arange(strokes)
+    found = []
+    for factor in FACTORS:
+        for fastest in FASTEST:
+            wanted = np.where(free, np.log(fastest * factor**rank), mean)
+            found.append(np.abs(grid - wanted[:, None]).argmin(axis=1))
+    return found

@@ -1,0 +1,388 @@
+"""One search: the prior is sampled, the samples are scored by F, and the best go down it.
+
+Everything here lowers, or compares, one function (likelihood.py): the hammers of the prior are scored by it at wide
+hyperparameters, each with the velocities that suit it; the best go down by Levenberg and Marquardt's method while the
+excess σ is held above a falling floor, which smooths the landscape; and the lowest are started again from nearby.
+Steps of θ are followed by steps of φ and w on the same F.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from scipy.stats import norm, qmc
+
+from ..errors import FitError
+from ..model.cache import kept
+from . import likelihood
+from .coordinates import NAMES, SHARED, STRING_SIZE, X0
+from .lanes import in_lanes, levels, pool, slopes
+from .likelihood import Report, Table, next_weights
+from .observations import CENTS, Observed, string_law
+from .problem import Problem
+
+__all__ = ["Minimum", "Population", "Search", "distinct"]
+
+# Samples of the prior's hammers, and velocities at which each is struck, m/s.
+SAMPLES = 512
+VELOCITIES = np.geomspace(0.15, 8.0, 16)
+# Of the prior of each: the outermost hundredth is not sampled.
+TAIL = 0.01
+# σ, A, ℓ, η before anything is known: excess of levels, dB, and a path as the prior has it.
+WIDE_EXCESS = 2.0
+# How many go on, for how many steps, with σ held above this, dB.
+STAGES = ((48, 5, 3.0), (16, 8, 1.0), (6, 30, 0.0))
+# Restarts about the best: rounds, how many in each, and how far, in the prior's standard deviations.
+ROUNDS, RESTARTS, REACH = 2, 10, 0.3
+# Of log x0: valleys of the strike position are less than a percent apart in the bass.
+SCAN = (0.003, 0.006, 0.01, 0.015, 0.02, 0.03, 0.045, 0.065)
+# Steps that a restart has to come within `NEAR` of the best, F, to go on.
+TRIAL, NEAR = 6, 20.0
+# Candidates of one call of the objective.
+TOGETHER = 6
+FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-2, 1e-7, 1e6
+# Longest step of θ, in the smaller of 1 and the prior's standard deviations, and of φ.
+LONGEST_STEP, LONGEST_PHI = 1.5, 1.0
+# A minimum is reached when a step gains less than this.
+CONVERGED = 1e-3
+# Hyperparameters stay within so many standard deviations of their priors.
+HYPER_REACH = 5.0
+# Minima closer than this in every unknown, in the prior's standard deviations, are one.
+SAME = 0.02
+
+
+@kept
+def reports(table: Table, residual, jacobian, phi, w, _):
+    """`likelihood.report` of a batch of points."""
+    each = jax.vmap(lambda r, j, p, x: likelihood.report(table, r, j, p, x))(residual, jacobian, phi, w)
+    return tuple(each)
+
+
+def report(table: Table, residual: np.ndarray, jacobian: np.ndarray, phi: np.ndarray, w: np.ndarray) -> Report:
+    """`reports` of any number of points [B, ...], `TOGETHER` at a time, on all cores."""
+    count = len(residual)
+    args = residual, jacobian, phi, w
+    padded = [np.concatenate([x, np.repeat(x[-1:], -count % TOGETHER, axis=0)]) for x in args]
+
+    def some(first: int) -> list[np.ndarray]:
+        return [np.asarray(x) for x in reports(table, *(x[first : first + TOGETHER] for x in padded), None)]
+
+    parts = list(pool().map(some, range(0, len(padded[0]), TOGETHER)))
+    return Report(*(np.concatenate(column)[:count] for column in zip(*parts, strict=True)))
+
+
+@dataclass
+class Population:
+    """Candidates on their way down: θ, φ, w, what F says there, and how each is going. [B, ...] throughout."""
+
+    z: np.ndarray
+    phi: np.ndarray
+    w: np.ndarray
+    residual: np.ndarray
+    jacobian: np.ndarray
+    report: Report
+    damping: np.ndarray
+    inverse: np.ndarray  # approximate inverse Hessian of F by φ [B, 4, 4]
+    gained: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.z)
+
+    def take(self, which: np.ndarray) -> Population:
+        """Some of them, in this order."""
+        fields = {n: getattr(self, n)[which] for n in ("z", "phi", "w", "residual", "jacobian", "damping", "inverse", "gained")}
+        return Population(**fields, report=Report(*(x[which] for x in self.report)))
+
+    def put(self, which: np.ndarray, other: Population) -> None:
+        """Replace some by `other`'s."""
+        for name in ("z", "phi", "w", "residual", "jacobian", "damping", "inverse", "gained"):
+            getattr(self, name)[which] = getattr(other, name)
+        for mine, new in zip(self.report, other.report, strict=True):
+            mine[which] = new
+
+    def join(self, other: Population) -> Population:
+        """Both."""
+        names = ("z", "phi", "w", "residual", "jacobian", "damping", "inverse", "gained")
+        fields = {n: np.concatenate([getattr(self, n), getattr(other, n)]) for n in names}
+        joined = Report(*(np.concatenate(pair) for pair in zip(self.report, other.report, strict=True)))
+        return Population(**fields, report=joined)
+
+
+class Minimum(NamedTuple):
+    """A string's own minimum: unknowns of the string, φ and w of a table."""
+
+    string: np.ndarray
+    phi: np.ndarray
+    w: np.ndarray
+
+
+class Search:
+    """Descents on one problem's F with the string held; `offset` [R, K], dB, is added to the model's levels."""
+
+    def __init__(self, problem: Problem, string: np.ndarray) -> None:
+        self.problem, self.unknowns = problem, problem.unknowns
+        self.table = problem.observed.level
+        self.string = string
+        self.offset = np.zeros_like(self.table.value)
+        self.stroke = np.array(problem.layout.stroke)
+        self.columns = np.maximum(problem.observed.number - 1, 0)
+        self.there = self.table.found + 0.0
+        self.there[tuple(self.table.absent.T)] = 1.0
+        self.lanes = 0
+
+    # --- the model ----------------------------------------------------------------------------------------------------
+
+    def _lanes(self, z: np.ndarray) -> np.ndarray:
+        """One lane a stroke [B · strokes, lane]."""
+        strokes = self.unknowns.strokes
+        shared = np.repeat(z[:, STRING_SIZE:SHARED], strokes, axis=0)
+        return np.concatenate([shared, z[:, SHARED:].reshape(-1, 1)], axis=1)
+
+    def model(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Residuals [B, R, K], the law's derivatives [B, R, K, size], and whether all contacts ended [B]."""
+        p, strokes = self.problem, self.unknowns.strokes
+        lanes = self._lanes(z)
+        self.lanes += len(lanes)
+        level, slope, ended = in_lanes(slopes, self.string, lanes, p.scene, p.cfg)
+        level = level.reshape(len(z), strokes, -1)[:, self.stroke][..., self.columns]
+        slope = slope.reshape(len(z), strokes, *slope.shape[1:])[:, self.stroke][:, :, self.columns]
+        jacobian = np.zeros((*level.shape, self.unknowns.size))
+        shared = np.array(p.cfg.free[:-1], int) + STRING_SIZE
+        jacobian[..., shared] = slope[..., :-1]
+        for r, stroke in enumerate(self.stroke):
+            jacobian[:, r, :, SHARED + stroke] = slope[:, r, :, -1]
+        jacobian *= self.there[..., None] * self.unknowns.free
+        residual = (self.table.value - level - self.offset) * self.there
+        good = ended.reshape(len(z), strokes).all(axis=1) & np.isfinite(jacobian).all(axis=(1, 2, 3))
+        return np.where(good[:, None, None], residual, 0.0), np.where(good[:, None, None, None], jacobian, 0.0), good
+
+    def _prior(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Minus the log prior of θ [B], and its gradient; the string's is elsewhere."""
+        u = self.unknowns
+        away = np.where(u.free, (z - u.mean) / np.where(u.free, u.sd, 1.0), 0.0)
+        away[:, :STRING_SIZE] = 0.0
+        return 0.5 * (away**2).sum(axis=1), away / np.where(u.free, u.sd, 1.0)
+
+    def total(self, z: np.ndarray, report: Report) -> np.ndarray:
+        """F with the prior of θ [B]."""
+        return report.F + self._prior(z)[0]
+
+    def begun(self, z: np.ndarray, phi: np.ndarray, w: np.ndarray | None = None) -> Population:
+        """Candidates at `z` [B, size]; those whose contact does not end are left out."""
+        residual, jacobian, good = self.model(z)
+        z, residual, jacobian = z[good], residual[good], jacobian[good]
+        count = len(z)
+        phi = np.broadcast_to(phi, (count, 4)).copy()
+        w = np.broadcast_to(np.ones_like(self.table.value) if w is None else w, residual.shape).copy()
+        if not count:
+            empty = Report(*(np.zeros((0, 0)),) * 5)
+            return Population(z, phi, w, residual, jacobian, empty, np.zeros(0), np.zeros((0, 4, 4)), np.zeros(0))
+        found = report(self.table, residual, jacobian, phi, w)
+        return Population(
+            z, phi, w, residual, jacobian, found, np.full(count, FIRST_DAMPING),
+            np.tile(self._first_inverse(), (count, 1, 1)), np.full(count, np.inf),
+        )  # fmt: skip
+
+    def _first_inverse(self) -> np.ndarray:
+        """Of F's Hessian by φ: every level counts twice for σ, others by their priors."""
+        spread = np.asarray(self.table.prior[1])
+        inverse = spread**2
+        inverse[0] = 1 / (2 * float(self.table.found.sum()) + 1 / spread[0] ** 2)
+        return np.diag(inverse)
+
+    # --- descent ------------------------------------------------------------------------------------------------------
+
+    def descend(self, people: Population, floor: float, iterations: int, tolerance: float = CONVERGED) -> Population:
+        """Lower F from every candidate with σ held above `floor`, dB; sorted, the lowest first."""
+        people.gained = np.full(len(people), np.inf)
+        people.damping = np.minimum(people.damping, FIRST_DAMPING)
+        self._hyper(people, np.arange(len(people)), floor)
+        for _ in range(iterations):
+            on = np.flatnonzero(people.gained > tolerance)
+            if not len(on):
+                break
+            self._step(people, on)
+            self._hyper(people, on, floor)
+        return people.take(np.argsort(self.total(people.z, people.report), kind="stable"))
+
+    def _step(self, people: Population, on: np.ndarray) -> None:
+        """One step of θ by Levenberg and Marquardt, of the candidates `on`."""
+        now = people.take(on)
+        before = self.total(now.z, now.report)
+        trial = self.unknowns.project(now.z + self._direction(now))
+        residual, jacobian, good = self.model(trial)
+        found = report(self.table, residual, jacobian, now.phi, now.w)
+        after = np.where(good, self.total(trial, found), np.inf)
+        better = after < before
+        stuck = ~better & (now.damping >= MOST_DAMPING)
+        people.damping[on] = np.clip(now.damping * np.where(better, 0.2, 8.0), LEAST_DAMPING, 8 * MOST_DAMPING)
+        gained = np.where(better, before - np.where(better, after, 0.0), np.inf)
+        people.gained[on] = np.where(stuck, 0.0, gained)
+        chosen = on[better]
+        people.put(chosen, Population(
+            trial[better], now.phi[better], now.w[better], residual[better], jacobian[better],
+            Report(*(x[better] for x in found)), people.damping[chosen], now.inverse[better], people.gained[chosen],
+        ))  # fmt: skip
+
+    def _direction(self, now: Population) -> np.ndarray:
+        """Steps of θ [B, size]; an unknown on an edge that a step would leave stays."""
+        u = self.unknowns
+        prior = np.where(u.free, 1 / np.where(u.free, u.sd, 1.0) ** 2, 0.0)
+        gradient = now.report.gradient + self._prior(now.z)[1]
+        lower, upper = u.edges(now.z)
+        active = ((now.z <= lower) & (gradient > 0)) | ((now.z >= upper) & (gradient < 0))
+        moves = u.free & ~active
+        moves[:, :STRING_SIZE] = False
+        curvature = now.report.curvature + np.diag(prior)
+        scale = np.einsum("bii->bi", curvature)
+        lhs = curvature + (now.damping[:, None] * scale)[..., None] * np.eye(u.size)
+        lhs = np.where(moves[:, :, None] & moves[:, None, :], lhs, np.eye(u.size))
+        step = np.linalg.solve(lhs, np.where(moves, -gradient, 0.0)[..., None])[..., 0]
+        size = (np.abs(step) / np.where(u.free, np.minimum(u.sd, 1.0), 1.0)).max(axis=1)
+        return step * np.minimum(1.0, LONGEST_STEP / np.maximum(size, 1e-12))[:, None]
+
+    def _hyper(self, people: Population, on: np.ndarray, floor: float) -> None:
+        """One step of φ (BFGS) and of w (EM) on the same F, of the candidates `on`."""
+        now = people.take(on)
+        mean, sd = (np.asarray(x) for x in self.table.prior)
+        lower, upper = mean - HYPER_REACH * sd, mean + HYPER_REACH * sd
+        lower[0] = max(lower[0], np.log(max(floor, 1e-9)))
+        upper = np.maximum(upper, lower)
+        start = np.clip(now.phi, lower, upper)
+        slope = now.report.by_phi
+        active = ((start <= lower) & (slope > 0)) | ((start >= upper) & (slope < 0))
+        step = -np.einsum("bij,bj->bi", now.inverse, np.where(active, 0.0, slope))
+        phi = np.clip(start + np.clip(np.where(active, 0.0, step), -LONGEST_PHI, LONGEST_PHI), lower, upper)
+        w = next_weights(self.table, now.report.by_log_w, now.w)
+        found = report(self.table, now.residual, now.jacobian, phi, w)
+        # A floor that has risen may have to be met uphill.
+        better = (found.F <= now.report.F) | (now.phi < lower).any(axis=1)
+        inverse = _bfgs(now.inverse, phi - now.phi, found.by_phi - slope)
+        people.inverse[on] = np.where(better[:, None, None], inverse, 0.3 * now.inverse)
+        chosen = on[better]
+        gained = people.gained[on] + np.where(better, now.report.F - found.F, 0.0)
+        people.gained[on] = np.where(better, gained, people.gained[on])
+        people.phi[chosen], people.w[chosen] = phi[better], w[better]
+        for mine, new in zip(people.report, found, strict=True):
+            mine[chosen] = new[better]
+
+    # --- where to begin -----------------------------------------------------------------------------------------------
+
+    def samples(self, seed: int) -> np.ndarray:
+        """Sobol's points of the prior's hammers [samples, size]; velocities at their means."""
+        u = self.unknowns
+        at = np.flatnonzero(u.free[:SHARED] & (np.arange(SHARED) >= STRING_SIZE))
+        z = np.tile(u.mean, (SAMPLES, 1))
+        z[:, :STRING_SIZE] = self.string
+        if len(at):
+            points = qmc.Sobol(len(at), seed=seed).random(SAMPLES)
+            z[:, at] += u.sd[at] * norm.ppf(TAIL + (1 - 2 * TAIL) * points)
+        return u.project(z)
+
+    def wide(self) -> np.ndarray:
+        """φ while nothing is known."""
+        mean = np.asarray(self.table.prior[0]).copy()
+        mean[0] = np.log(WIDE_EXCESS)
+        return mean
+
+    def screened(self, seed: int) -> np.ndarray:
+        """The prior's hammers, each with the velocities that suit it best, by F at wide φ; the best first."""
+        from .screen import screen
+
+        z = self.samples(seed)
+        strokes = self.unknowns.strokes
+        grid = np.log(VELOCITIES)
+        lanes = np.concatenate(
+            [np.repeat(z[:, STRING_SIZE:SHARED], len(grid), axis=0), np.tile(grid, len(z))[:, None]], axis=1
+        )
+        known = ~self.unknowns.free[SHARED:]
+        p = self.problem
+        if known.any():  # measured velocities have columns of their own
+            measured = self.unknowns.mean[SHARED:][known]
+            grid = np.append(grid, measured)
+            lanes = np.concatenate(
+                [np.repeat(z[:, STRING_SIZE:SHARED], len(grid), axis=0), np.tile(grid, len(z))[:, None]], axis=1
+            )
+        self.lanes += len(lanes)
+        level, ended = in_lanes(levels, self.string, lanes, p.scene, p.cfg, 64)
+        level = level.reshape(len(z), len(grid), -1)[..., self.columns]
+        order = screen(self, z, grid, level, ended.reshape(len(z), len(grid)), strokes)
+        return order
+
+    # --- the whole ----------------------------------------------------------------------------------------------------
+
+    def run(self, seed: int, first: np.ndarray) -> Population:
+        """All minima found, the lowest first.
+
+        Parameters
+        ----------
+        first : a point from which to start besides the prior's [size].
+
+        Raises
+        ------
+        FitError
+            If no hammer gives a finite sound.
+        """
+        z = np.concatenate([first[None], self.screened(seed)[: STAGES[0][0]]])
+        people = self.begun(z, self.wide())
+        if not len(people):
+            raise FitError("no hammer within the bounds gives a finite sound; widen [bounds] or check [known] in the setup")
+        for count, iterations, floor in STAGES:
+            people = self.descend(people.take(np.arange(min(count, len(people)))), floor, iterations)
+        random = np.random.default_rng(seed)
+        for _ in range(ROUNDS):
+            people = self._restarted(people, self._nearby(people, random))
+        if self.unknowns.free[X0]:
+            people = self._restarted(people, self._moved(people))
+        return people
+
+    def _nearby(self, people: Population, random: np.random.Generator) -> np.ndarray:
+        """Points about the best in everything [restarts, size]."""
+        u = self.unknowns
+        z = people.z[0] + random.normal(size=(RESTARTS, u.size)) * REACH * u.sd
+        z[:, :STRING_SIZE] = self.string
+        return u.project(z)
+
+    def _moved(self, people: Population) -> np.ndarray:
+        """The best with its strike moved [2 · len(SCAN), size]."""
+        z = np.repeat(people.z[:1], 2 * len(SCAN), axis=0)
+        z[:, X0] += np.outer([1, -1], SCAN).ravel()
+        return self.unknowns.project(z)
+
+    def _restarted(self, people: Population, z: np.ndarray) -> Population:
+        """With the minima that are reached from `z`."""
+        more = self.begun(z, people.phi[0])
+        if not len(more):
+            return people
+        more = self.descend(more, 0.0, TRIAL)
+        best = self.total(people.z[:1], people.take(np.array([0])).report)[0]
+        going = np.flatnonzero(self.total(more.z, more.report) < best + NEAR)[: STAGES[-1][0]]
+        if len(going):
+            people = people.join(self.descend(more.take(going), 0.0, STAGES[-1][1]))
+        return people.take(np.argsort(self.total(people.z, people.report), kind="stable"))
+
+
+def _bfgs(inverse: np.ndarray, step: np.ndarray, change: np.ndarray) -> np.ndarray:
+    """The inverse Hessians [B, n, n] after steps and changes of the gradient [B, n]; kept where they say nothing."""
+    product = np.einsum("bi,bi->b", step, change)
+    good = product > 1e-10
+    rho = 1 / np.where(good, product, 1.0)
+    left = np.eye(step.shape[1]) - rho[:, None, None] * np.einsum("bi,bj->bij", step, change)
+    new = np.einsum("bij,bjk,blk->bil", left, inverse, left) + rho[:, None, None] * np.einsum("bi,bj->bij", step, step)
+    return np.where(good[:, None, None], new, inverse)
+
+
+def distinct(people: Population, unknowns, scores: np.ndarray, within: float) -> list[int]:
+    """Which of the minima are different ones, and within `within` of the lowest score."""
+    chosen: list[int] = []
+    free = unknowns.free
+    for i in np.argsort(scores, kind="stable"):
+        if scores[i] > scores.min() + within:
+            break
+        away = [np.abs((people.z[i] - people.z[j]) / unknowns.sd.clip(1e-12))[free].max() for j in chosen]
+        if not away or min(away) >= SAME:
+            chosen.append(int(i))
+    return chosen
