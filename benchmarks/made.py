@@ -18,7 +18,7 @@ def make_notes(folder: Path, velocities: tuple[float, ...] = VELOCITIES, seconds
     """
     import pianofit
     from pianofit.criterion import OutputPath
-    from pianofit.fit.voice import convolved, impulse
+    from pianofit.voice import convolved, impulse
 
     it = pianofit.preset(PRESET)
     frequency = np.geomspace(40.0, 16_000.0, 60)

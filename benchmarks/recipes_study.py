@@ -21,17 +21,25 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pianofit import Analysis, Recording, Setup, analyse, fit_recording, recording_from_samples, setup_from_dict
-from pianofit.fit.paper import fit_by_paper, without_claims
-from pianofit.fit.result import Result, conclude
-from pianofit.fit.takes import arranged
+import pianofit
+from pianofit import Analysis, Recording, Setup, analyse, recording_from_samples, setup_from_dict
+from pianofit.criterion import band_values, line_sigma
+from pianofit.criterion import measure as energies
+from pianofit.initial import starting_values
 from pianofit.laboratory import Laboratory, measure, setup_text
+from pianofit.model import simulate
 from pianofit.model.cache import keep_programs
+from pianofit.paper import fit_by_paper
+from pianofit.paper.problem import pose, split
 from pianofit.parameters import FIT_NAMES
 from pianofit.twin import make_twin
 from pianofit.twin import setup_text as demo_setup
 
 VELOCITIES = (0.618, 0.844, 1.299)
+# Levels are compared over partials to this frequency, Hz,
+LEVEL_TOP = 6000.0
+# within so many dB of the strongest.
+LEVEL_RANGE = 60.0
 BANDS = ("global", "band1", "band2", "band3")
 
 
@@ -61,14 +69,36 @@ def _measured(name: str, samples: np.ndarray, rate: int, setup: str, true: dict[
     return Measured(name, recording, analyse(recording), setup_from_dict(tomllib.loads(setup), name), true)
 
 
-def fit(one: Measured, recipe: str, seed: int, evaluations: int) -> Result:
-    """Fit by a recipe, or by `gradient`."""
-    if recipe != "gradient":
-        more = evaluations if recipe == "paper" else None
-        return fit_recording(one.recording, one.analysis, one.setup, recipe=recipe, seed=seed, evaluations=more)
-    takes, start, _, _ = arranged([one.recording], [one.analysis], one.setup)
-    found = fit_by_paper(one.recording, one.analysis, start, "paper", hammer="gradient")
-    return without_claims(conclude(takes, start, found, seed), "paper", found, start)
+class Closeness(NamedTuple):
+    """How far a sound is from its measurement."""
+
+    criterion: dict[str, float]
+    level_db: float  # rms difference of the partials' levels
+
+
+def fit(one: Measured, recipe: str, seed: int, evaluations: int) -> np.ndarray:
+    """The nine parameters by a recipe, or by `gradient`."""
+    if recipe == "default":
+        table = pianofit.fit_recording(one.recording, one.analysis, one.setup, seed=seed).document["parameters"]
+        return np.array([table[name]["value"] for name in FIT_NAMES])
+    start, more = starting_values(one.analysis, one.setup), evaluations if recipe == "paper" else None
+    hammer, name = ("gradient", "paper") if recipe == "gradient" else ("annealing", recipe)
+    found = fit_by_paper(one.recording, one.analysis, start, name, hammer=hammer, evaluations=more, seed=seed)
+    return np.array([*found.string, *found.hammer])
+
+
+def closeness(one: Measured, values: np.ndarray) -> Closeness:
+    """Of a stroke with these nine parameters, laid on the measurement where its attack fits best."""
+    r, a, start = one.recording, one.analysis, starting_values(one.analysis, one.setup)
+    heard = r.samples[r.onset :] * (start.scale or 1.0)
+    late = max(round(pose(r, a, start).first_contact(values) * r.rate), 0)
+    stroke = simulate(*split(values), start.geometry, rate=r.rate, quantity=start.quantity)
+    sound, last = stroke.waveform(r.rate, len(heard) + late)[late:], int(a.partials.number.max())
+    (cells, measured), (_, own) = (energies(x, r.rate, a.f0, a.B, last, line_sigma(a.f0)) for x in (heard, sound))
+    level = [10 * np.log10((x.sum(axis=1) * cells.spacing)[a.partials.number - 1]) for x in (own, measured)]
+    scored = (a.partials.frequency <= LEVEL_TOP) & (level[1] >= level[1].max() - LEVEL_RANGE)
+    difference = (level[0] - level[1])[scored]
+    return Closeness(band_values(own, measured, cells.spacing), float(np.sqrt(np.mean(difference**2))))
 
 
 def study(one: Measured, recipe: str, seeds: int, evaluations: int) -> dict:
@@ -76,15 +106,16 @@ def study(one: Measured, recipe: str, seeds: int, evaluations: int) -> dict:
     runs, times = [], []
     for seed in range(seeds if recipe == "paper" else 1):
         begun = time.perf_counter()
-        runs.append(fit(one, recipe, seed, evaluations).document)
+        runs.append(fit(one, recipe, seed, evaluations))
         times.append(time.perf_counter() - begun)
-    criterion = {b: [d["criterion"][b]["final"] for d in runs] for b in BANDS if b in runs[0]["criterion"]}
+    close = [closeness(one, values) for values in runs]
+    criterion = {band: [c.criterion[band] for c in close] for band in BANDS if band in close[0].criterion}
     errors = {
-        name: [100 * (d["parameters"][name]["value"] / one.true[name] - 1) for d in runs]
+        name: [100 * (values[FIT_NAMES.index(name)] / one.true[name] - 1) for values in runs]
         for name in FIT_NAMES
         if name in one.true
     }
-    level = [d["levels"]["fitted_db"] for d in runs]
+    level = [c.level_db for c in close]
     return {"criterion": criterion, "errors": errors, "level_db": level, "seconds": float(np.median(times))}
 
 

@@ -66,9 +66,10 @@ def criteria(seconds: float = 1.0) -> Works:
     import jax.numpy as jnp
 
     import pianofit
-    from pianofit.fit.residuals import Cfg
-    from pianofit.fit.spectral import gradient_batch, miss, model_energy, spectral_goal, struck_model
-    from pianofit.fit.struck import Scene, struck_gradients
+    from pianofit.model import contact as contacts
+    from pianofit.model import mode_table, spectrum
+    from pianofit.paper.spectral import miss, spectral_goal
+    from pianofit.paper.struck import Cfg, Scene, struck_gradients
 
     it, samples, sigma = pianofit.preset("bensa-final"), round(seconds * RATE), 30.0
     strike = pianofit.simulate(it.string, it.hammer, it.geometry, rate=RATE)
@@ -79,10 +80,16 @@ def criteria(seconds: float = 1.0) -> Works:
     steps = 256 * int(np.ceil(1.6 * strike.contact_time * contact / 256))
     values = np.array([*it.string, *it.hammer], float)
     z = jnp.asarray(np.log(values * 1.01))
-    model = struck_model(it.geometry, rate=contact, n_modes=modes, steps=steps)
-    value = jax.jit(lambda x: 0.5 * (miss(model_energy(model, x, goal), goal) ** 2).sum())
-    general = gradient_batch(model)
-    cfg = Cfg(modes, steps, "velocity", True)
+
+    def plain(x: Any) -> Any:
+        string, hammer = pianofit.String(*jnp.exp(x[:4])), pianofit.Hammer(*jnp.exp(x[4:]))
+        table = mode_table(string, it.geometry, rate=contact, n_modes=modes)
+        pulse = contacts.strike(table, hammer, steps=steps)
+        y = spectrum(table, pulse.drive, goal.frequency.ravel(), goal.sigma).reshape(goal.frequency.shape)
+        return 0.5 * (miss(y.real**2 + y.imag**2, goal) ** 2).sum()
+
+    value, general = jax.jit(plain), jax.jit(jax.value_and_grad(plain))
+    cfg = Cfg(modes, steps, "velocity")
     scene = Scene(*jax.tree.map(jnp.asarray, (it.geometry, contact, float(np.log(1e-4)), np.array([-99.0, 99.0]))))
     searched = jnp.asarray(z).at[4].add(float(np.log(1e-4)) * float(jnp.exp(z[6])))[None]
     damping = np.exp(-sigma * np.arange(samples) / RATE)
@@ -96,7 +103,7 @@ def criteria(seconds: float = 1.0) -> Works:
         "baseline, value": lambda: by_baseline(1),
         "baseline, nine derivatives": lambda: by_baseline(10),
         "value": lambda: value(z),
-        "value and nine derivatives, any model": lambda: general(z[None], goal),
+        "value and nine derivatives, any model": lambda: general(z),
         "value and nine derivatives": lambda: struck_gradients(searched, goal, scene, cfg),
     }
 

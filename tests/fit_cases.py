@@ -1,4 +1,4 @@
-"""Small problems with known answers, in the coordinates of the fit."""
+"""Small least-squares problems with known answers, in a box."""
 
 from __future__ import annotations
 
@@ -6,18 +6,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from pianofit.fit.space import LOG, SIZE, Space
+from pianofit.paper.levenberg import Box
 
 Z = np.ndarray
 
 
-def space(free: list[int], low: float = -3.0, high: float = 3.0, log_u: float = 0.0) -> Space:
-    """A box from exp(low) to exp(high) about 1, in which the coordinates `free` are free."""
-    one = np.concatenate([np.ones(LOG), np.zeros(SIZE - LOG)])
-    lower = np.where(np.arange(SIZE) < LOG, np.exp(low), low)
-    upper = np.where(np.arange(SIZE) < LOG, np.exp(high), high)
-    mask = np.isin(np.arange(SIZE), free)
-    return Space(np.where(mask, lower, one), np.where(mask, upper, one), mask, one, np.full(SIZE, np.inf), log_u)
+def cube(size: int, low: float = -3.0, high: float = 3.0) -> Box:
+    return Box(np.full(size, low), np.full(size, high))
 
 
 def batched(function: Callable[[Z], np.ndarray], seen: list[Z] | None = None) -> Callable:
@@ -37,11 +32,9 @@ def batched(function: Callable[[Z], np.ndarray], seen: list[Z] | None = None) ->
     return evaluate
 
 
-def start_points(box: Space, number: int, seed: int = 0) -> Z:
+def start_points(box: Box, number: int, seed: int = 0) -> Z:
     """Random points [number, size] of the box."""
-    random = np.random.default_rng(seed).uniform(size=(SIZE, number)).T
-    low, high = box.z(box.lower), box.z(box.upper)
-    return box.project(low + random * (high - low))
+    return np.random.default_rng(seed).uniform(*box, (number, len(box.lower)))
 
 
 def exponential(z: Z) -> np.ndarray:

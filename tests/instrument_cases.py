@@ -14,13 +14,13 @@ from pathlib import Path
 import numpy as np
 
 from pianofit.criterion import OutputPath
-from pianofit.fit.voice import Voice
 from pianofit.instrument import Instrument
 from pianofit.instrument.gather import NAMES, invariants, note_name
 from pianofit.model.modes import mode_frequencies
 from pianofit.parameters import Geometry, Hammer, String
 from pianofit.published import typical
 from pianofit.render import encode_wav
+from pianofit.voice import Voice
 
 RATE = 44_100
 LAYERS = (0.7, 1.7, 4.0)  # m/s

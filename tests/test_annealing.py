@@ -12,8 +12,8 @@ from scipy.integrate import quad
 from scipy.stats import kstest
 
 from pianofit.errors import FitError, ParameterError
-from pianofit.fit.annealing import anneal
-from pianofit.fit.annealing_state import AnnealingState, Schedule, cost_temperature, generate, jump_cdf, temperatures
+from pianofit.paper.annealing import anneal
+from pianofit.paper.annealing_state import AnnealingState, Schedule, cost_temperature, generate, jump_cdf, temperatures
 
 UNLIKELY = 1e-3  # of a test statistic, if what is tested is right
 

@@ -58,13 +58,16 @@ def test_a_strike_is_differentiated(monkeypatch, capsys):
     assert brightness[0] - brightness[-1] > 4  # the harder, the brighter
 
 
-def test_a_pluck_is_fitted_by_a_model_of_its_own(monkeypatch, capsys):
+def test_a_pluck_is_heard_and_its_point_found_again(monkeypatch, capsys, tmp_path):
+    monkeypatch.chdir(tmp_path)
     text = printed("03_pluck.py", monkeypatch, capsys)
-    rows = re.findall(r"^(\w+) +(\S+) +(\S+) +(\S+) +\[\S+, \S+\]$", text, re.MULTILINE)
-    assert [row[0] for row in rows] == ["c", "kappa", "b1", "b2", "pluck", "width"]
-    for name, _, true, found in rows:
-        assert float(found) == pytest.approx(float(true), rel=0.01), name
-    assert float(rows[4][1]) != pytest.approx(float(rows[4][2]), rel=0.3)  # it did not start there
+    rows = re.findall(r"^(\w+) +(\S+) +(\S+) m$", text, re.MULTILINE)
+    assert [row[0] for row in rows] == ["pluck", "width"]
+    for (_, true, found), off in zip(rows, (0.001, 0.05), strict=True):
+        assert float(found) == pytest.approx(float(true), rel=off)
+    samples, rate = soundfile.read("pluck.wav")
+    assert len(samples) == pytest.approx(3.1 * rate, abs=1)
+    assert 0.4 < abs(samples).max() <= 0.5
 
 
 def test_a_prelude_is_played(monkeypatch, capsys, tmp_path):

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize
 
 from pianofit.errors import ParameterError
-from pianofit.fit.gradient import LONGER, SHARE, SHORTER, gradient_descent
+from pianofit.paper.gradient import LONGER, SHARE, SHORTER, gradient_descent
 
 
 def parabola(hessian: np.ndarray, middle: np.ndarray, seen: list | None = None):
@@ -62,7 +62,7 @@ def test_the_minimum_in_a_box_is_scipys(seed):
         lambda z: tuple(x[0] for x in evaluate(z[None])), start[0], jac=True, method="L-BFGS-B",
         bounds=list(zip(lower, upper, strict=True)), options={"ftol": 1e-15, "gtol": 1e-12},
     )  # fmt: skip
-    assert end.settled.all()
+    assert end.converged.all()
     np.testing.assert_allclose(end.cost, expected.fun, rtol=1e-9)
     np.testing.assert_allclose(end.z, np.tile(expected.x, (5, 1)), atol=1e-5)
 
@@ -114,7 +114,7 @@ def test_every_step_taken_brings_its_share_of_what_the_slope_foretold():
         assert (foretold[moved] > 0).all()
         assert (after.cost[moved] <= before.cost[moved] - SHARE * foretold[moved]).all()
     assert (ends[-1].cost < 0.2 * ends[0].cost).all()
-    assert not ends[-1].settled.any()
+    assert not ends[-1].converged.any()
 
 
 def test_units_of_the_coordinates_and_of_the_cost_change_nothing():
@@ -132,7 +132,7 @@ def test_units_of_the_coordinates_and_of_the_cost_change_nothing():
     np.testing.assert_array_equal(other.cost, plain.cost * 2.0**9)
 
 
-def test_a_start_pressed_against_an_edge_does_not_hold_back_the_other_coordinates():
+def test_a_start_on_an_active_edge_does_not_hold_back_the_other_coordinates():
     """A slope of 1e9 against the edge says nothing of how far to go along it."""
 
     def evaluate(z):
@@ -151,7 +151,7 @@ def test_where_there_is_no_finite_cost_is_no_place_to_go():
     end = gradient_descent(walled, np.array([[-1.0, 1.0], [1.0, 1.0]]), *box, iterations=300)
     assert end.z[0, 0] == pytest.approx(0.5, abs=1e-3)
     assert end.cost[1] == np.inf
-    assert not end.settled[1]
+    assert not end.converged[1]
     np.testing.assert_array_equal(end.z[1], [1.0, 1.0])
 
 
@@ -162,21 +162,21 @@ def test_starts_do_not_disturb_each_other():
     for row in range(5):
         alone = gradient_descent(evaluate, start[row : row + 1], *box, iterations=40, tolerance=1e-6)
         np.testing.assert_allclose(alone.z[0], together.z[row], rtol=1e-9, atol=1e-12)
-        assert alone.settled[0] == together.settled[row]
+        assert alone.converged[0] == together.converged[row]
 
 
 def test_a_descent_ends_when_it_is_good_enough_or_done_and_says_so():
     seen = []
     evaluate = parabola(hessian(10.0, 3, 6), np.zeros(3), seen)
     start, box = np.full((2, 3), 0.9), (np.full(3, -1.0), np.full(3, 1.0))
-    assert not gradient_descent(evaluate, start, *box, iterations=2).settled.any()
+    assert not gradient_descent(evaluate, start, *box, iterations=2).converged.any()
     seen.clear()
     end = gradient_descent(evaluate, start, *box, iterations=1000, enough=1e-4)
-    assert end.settled.all()
+    assert end.converged.all()
     assert (end.cost <= 1e-4).all()
     assert len(seen) == end.evaluations < 100
     flat = gradient_descent(lambda _: (np.ones(2), np.zeros((2, 3))), start, *box, iterations=1000)
-    assert flat.settled.all()
+    assert flat.converged.all()
     assert flat.evaluations == 1
 
 
@@ -187,7 +187,7 @@ def test_small_gains_of_the_first_small_steps_are_not_taken_for_the_end():
         return 1e4 + 5 * z[:, 0] ** 2, 10 * z
 
     end = gradient_descent(raised, np.array([[0.9]]), -np.ones(1), np.ones(1), iterations=100, tolerance=1e-4)
-    assert end.settled[0]
+    assert end.converged[0]
     assert end.cost[0] - 1e4 < 0.2
 
 

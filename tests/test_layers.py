@@ -17,10 +17,11 @@ SOURCE = ROOT / "src" / "pianofit"
 FILES = sorted(SOURCE.rglob("*.py"))
 LAYERS = (
     "errors", "parameters", "published", "recording", "json_file", "setup_file", "analysis", "initial", "model",
-    "criterion", "fit", "render", "predict", "report", "twin", "laboratory", "reproduce", "workflow", "batch",
-    "instrument", "demo", "summary", "options", "terminal", "commands_batch", "commands_instrument", "cli", "__main__",
+    "criterion", "voice", "paper", "fit", "render", "predict", "report", "twin", "laboratory", "reproduce",
+    "workflow", "batch", "instrument", "demo", "summary", "options", "terminal", "commands_batch",
+    "commands_instrument", "cli", "__main__",
 )  # fmt: skip
-WITH_JAX = ("model", "criterion", "fit", "render", "predict")
+WITH_JAX = ("model", "criterion", "paper", "fit", "render", "predict")
 HEAVY = ("jax", "scipy", "matplotlib", "soundfile", "jinja2")
 LONGEST = 400  # lines
 
@@ -30,7 +31,7 @@ def by_file() -> pytest.MarkDecorator:
 
 
 def imports(file: Path) -> Iterator[str]:
-    """Every imported name in full, such as "jax.numpy" or "pianofit.fit.voice.Voice", wherever the import stands."""
+    """Every imported name in full, such as "jax.numpy" or "pianofit.voice.Voice", wherever the import stands."""
     package = ("pianofit", *file.relative_to(SOURCE).parts)[:-1]
     for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):

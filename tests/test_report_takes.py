@@ -15,7 +15,6 @@ import soundfile as sf
 from report_cases import Page, example_curves, example_fit, example_held_out, fit_of_takes, with_takes
 from scipy.signal import resample_poly
 
-from pianofit.fit import Voice
 from pianofit.fit.space import NAMES
 from pianofit.parameters import Geometry, Hammer, MemoryHammer, String
 from pianofit.report.build_felt import felt_of, known_of
@@ -24,6 +23,7 @@ from pianofit.report.curves import Felt, Known
 from pianofit.report.known import held_out_rows, told
 from pianofit.report.page import write_report
 from pianofit.report.sound import make_clips
+from pianofit.voice import Voice
 
 HOSTILE = "</script><script>alert(1)</script>\"'><img src=x onerror=alert(2)>\n{{ 7 * 7 }} $\\frac$ &amp; \udcff"
 

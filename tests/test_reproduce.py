@@ -14,7 +14,6 @@ import soundfile as sf
 from report_cases import Page
 
 from pianofit.errors import ParameterError
-from pianofit.fit import Voice
 from pianofit.published import preset
 from pianofit.reproduce import QUICK, limits
 from pianofit.reproduce import verdicts_fit as fit
@@ -25,6 +24,7 @@ from pianofit.reproduce.direct import strikes
 from pianofit.reproduce.page import Book
 from pianofit.reproduce.studies import spread_of
 from pianofit.reproduce.verdict import or_else
+from pianofit.voice import Voice
 
 RATE = 44_100
 

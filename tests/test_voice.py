@@ -8,8 +8,8 @@ from instrument_cases import true_voice, uneven_voice
 
 from pianofit import recording_from_samples
 from pianofit.criterion import OutputPath
-from pianofit.fit.voice import convolved, impulse, lag, placed, touched
 from pianofit.model.modes import mode_frequencies
+from pianofit.voice import convolved, impulse, lag, placed, touched
 
 RATE, PERIOD = 10_000, 270  # of A♯1, 27 ms: an attack of 50 ms holds not two
 

@@ -18,8 +18,6 @@ __all__ = [
     "Setup", "Take", "load_setup", "setup_from_dict", "Result", "fit_recording", "fit_takes", "fit_file",
     # How well it foretells what it has not heard.
     "Prediction", "predict_take", "cross_validate",
-    # The fit of any other model of a ringing sound.
-    "SoundModel", "ModelFit", "fit_model",
     # The model: parameters to motion to sound.
     "String", "Hammer", "MemoryHammer", "Geometry", "PARAMETERS", "Preset", "preset", "Typical", "typical",
     "Simulation", "simulate", "Voice", "load_voice", "encode_wav",
@@ -39,7 +37,7 @@ if TYPE_CHECKING:
         RecordingError,
         SetupError,
     )
-    from .fit import ModelFit, Result, SoundModel, Voice, fit_model, fit_recording, fit_takes
+    from .fit import Result, fit_recording, fit_takes
     from .model import Simulation, simulate
     from .parameters import PARAMETERS, Geometry, Hammer, MemoryHammer, String
     from .predict import Prediction, cross_validate, predict_take
@@ -47,12 +45,13 @@ if TYPE_CHECKING:
     from .recording import Recording, load_recording, recording_from_samples
     from .render import encode_wav, load_voice
     from .setup_file import Setup, Take, load_setup, setup_from_dict
+    from .voice import Voice
     from .workflow import fit_file
 
 _HOMES = {
     "analysis": ("Analysis", "Partials", "analyse"),
     "errors": tuple(name for name in __all__ if name.endswith("Error")),
-    "fit": ("ModelFit", "Result", "SoundModel", "Voice", "fit_model", "fit_recording", "fit_takes"),
+    "fit": ("Result", "fit_recording", "fit_takes"),
     "model": ("Simulation", "simulate"),
     "parameters": ("PARAMETERS", "Geometry", "Hammer", "MemoryHammer", "String"),
     "predict": ("Prediction", "cross_validate", "predict_take"),
@@ -60,6 +59,7 @@ _HOMES = {
     "recording": ("Recording", "load_recording", "recording_from_samples"),
     "render": ("encode_wav", "load_voice"),
     "setup_file": ("Setup", "Take", "load_setup", "setup_from_dict"),
+    "voice": ("Voice",),
     "workflow": ("fit_file",),
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}

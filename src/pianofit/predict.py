@@ -19,10 +19,9 @@ from scipy.optimize import fminbound
 from .analysis import Analysis, Partials
 from .criterion import SAME_PARTIAL, level_error_db
 from .errors import FitError
-from .fit import Result, Voice, fit_takes
+from .fit import Result, fit_takes
 from .fit.result import scored
 from .fit.target import measured_alike
-from .fit.voice import arrival
 from .model.contact import strike
 from .model.modes import mode_table
 from .model.response import level_db, ringing
@@ -30,6 +29,7 @@ from .model.simulate import contact_rate, count_modes, simulate
 from .parameters import PARAMETERS
 from .recording import Recording
 from .setup_file import Setup
+from .voice import Voice, arrival
 
 __all__ = ["Prediction", "cross_validate", "predict_take"]
 

@@ -15,7 +15,6 @@ from .analysis import WAYS
 from .criterion import OutputPath
 from .errors import FitError, ParameterError
 from .fit.result import SCHEMA
-from .fit.voice import Voice
 from .json_file import finite, load_json, table_of
 from .model.modes import QUANTITIES
 from .model.simulate import check_geometry
@@ -31,6 +30,7 @@ from .parameters import (
     make_hammer,
 )  # fmt: skip
 from .recording import RATES, one_line
+from .voice import Voice
 
 __all__ = ["MOST_SECONDS", "check_render", "encode_wav", "limited", "load_voice"]
 

@@ -266,9 +266,9 @@ def predict_file(fit: Path, file: Path, out: Path | None, *, channel: str = "ave
     voice, _ = load_voice(fit)
     recording = load_recording(file, channel=channel)
     from .analysis import analyse
-    from .fit.voice import strike_voice, touched
     from .model.cache import keep_programs
     from .predict import predict_take
+    from .voice import strike_voice, touched
 
     keep_programs()
     analysis = analyse(recording, f0=voice.string.c / (2 * voice.geometry.length))

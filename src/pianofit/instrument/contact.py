@@ -12,12 +12,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..errors import FitError
-from ..fit.voice import Voice, impulse, through
 from ..model.cache import kept
 from ..model.contact import free_motion, impulse_amplitude, strike
 from ..model.modes import HIGHEST, Modes, mode_table
 from ..model.simulate import FIRST_STEPS, MOST_STEPS, contact_rate, count_modes
 from ..parameters import Hammer, MemoryHammer
+from ..voice import Voice, impulse, through
 
 __all__ = ["Table", "blow", "table_of"]
 
@@ -34,7 +34,7 @@ class Table(NamedTuple):
     drive: np.ndarray  # complex: the same in file units, before the path
     pickup: np.ndarray  # complex: signal = Re(pickup · a) before the path, for a displacement q = Re(a)
     loudness: np.ndarray  # |pickup| behind the path
-    path: np.ndarray | None  # [samples] at the signals' rate: what the signal goes through, see `fit.voice.impulse`
+    path: np.ndarray | None  # [samples] at the signals' rate: what the signal goes through, see `voice.impulse`
 
 
 @kept

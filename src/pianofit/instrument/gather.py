@@ -19,12 +19,12 @@ import numpy as np
 
 from ..analysis.notes import hz_to_note, note_to_midi
 from ..errors import AnalysisError, FitError
-from ..fit.voice import Voice
 from ..json_file import LARGEST
 from ..parameters import FIT_NAMES, PARAMETERS, Hammer
 from ..published import PICKUP, typical
 from ..recording import one_line
 from ..render import load_voice
+from ..voice import Voice
 
 __all__ = [
     "HIGHEST_KEY", "LOUDEST", "LOWEST_KEY", "NAMES", "KeyFit", "find_fits", "invariants", "literature",

@@ -21,9 +21,9 @@ import numpy as np
 
 from ..analysis.notes import note_to_midi
 from ..errors import AnalysisError, OutputError, ParameterError
-from ..fit.voice import arrival
 from ..recording import RATES, one_line
 from ..render import CEILING
+from ..voice import arrival
 from ..workflow import _interrupted_by
 from .document import Instrument
 from .gather import HIGHEST_KEY, LOWEST_KEY, note_name

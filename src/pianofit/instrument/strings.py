@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from ..fit.voice import Voice, convolved
+from ..voice import Voice, convolved
 from .contact import Table, blow, table_of
 
 __all__ = ["BLOCK", "FAINT", "LAST_DAMPER", "PlayedString", "damper_rate"]

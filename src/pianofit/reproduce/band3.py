@@ -19,14 +19,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..fit.annealing import anneal
-from ..fit.gradient import gradient_descent
-from ..fit.levenberg import descend, in_groups
-from ..fit.residuals import Cfg
-from ..fit.space import Box
-from ..fit.spectral import spectral_goal
-from ..fit.struck import Scene, hammer_costs, hammer_residuals, hold
 from ..laboratory.chosen import FINAL, INITIAL
+from ..paper.annealing import anneal
+from ..paper.gradient import gradient_descent
+from ..paper.levenberg import Box, descend
+from ..paper.spectral import spectral_goal
+from ..paper.struck import Cfg, Scene, hammer_costs, hammer_residuals, hold
 from ..parameters import Geometry, Hammer
 from .fits import Case
 
@@ -111,7 +109,7 @@ def hammers(case: Case) -> Hammers:
         recording.samples[recording.onset :], recording.rate, a.f0, a.B, int(a.partials.number.max()), SIGMA,
         bands=(BAND,), delay=(recording.onset - case.measurement.onset) / recording.rate, unit=case.measurement.scale,
     )  # fmt: skip
-    cfg = Cfg(MODES, STEPS, "velocity", True)
+    cfg = Cfg(MODES, STEPS, "velocity")
     # The box is in the force; the stiffness itself needs no bounds of its own.
     given: list[Any] = [np.asarray(RATE), np.asarray(np.log(REFERENCE)), np.array([-np.inf, np.inf])]
     scene = Scene(Geometry(*map(np.float64, geometry)), *given)
@@ -175,7 +173,7 @@ def _settled(problem: Hammers, z: np.ndarray, free: tuple[int, ...] = (0, 1, 2, 
         return []
     held = np.isin(np.arange(len(HAMMERS)), free, invert=True)
     box = Box(np.where(held, z[0], problem.lower), np.where(held, z[0], problem.upper))
-    end = descend(in_groups(problem.residuals, len(z)), z, box, iterations=SQUARES, tolerance=1e-7)
+    end = descend(problem.residuals, z, box, iterations=SQUARES, tolerance=1e-7)
     return [Basin(at, float(cost)) for at, cost in zip(end.z, end.cost, strict=True)]
 
 
@@ -212,7 +210,7 @@ def race(problem: Hammers, starts: int, seed: int, *, iterations: int, evaluatio
     return Race(
         start=problem.cost(z),
         gradient=down.cost,
-        settled=down.settled,
+        settled=down.converged,
         squares=np.array([end.cost for end in squares]),
         annealed=np.array([one.cost for one in hot]),
         polished=np.array([end.cost for end in cooled]),

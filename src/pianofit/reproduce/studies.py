@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..fit import Result
+from ..inference import Result
 from ..laboratory import Laboratory
 from ..laboratory.chosen import FINAL, INITIAL
 from ..parameters import FIT_NAMES

@@ -195,11 +195,11 @@ def _widened(cost: Callable, box: _Box, state: AnnealingState, schedule: Schedul
         sensitivity[:, column] = np.abs(_rise(new, least))
         state = replace(state, evaluations=state.evaluations + len(z))
         state = _with_best(state, z, new)
-    sensitivity = np.nan_to_num(sensitivity, posinf=0.0)  # a wall tells nothing
+    sensitivity = np.nan_to_num(sensitivity, posinf=0.0)  # a wall says nothing
     most = sensitivity.max(axis=1, keepdims=True)
     ratio = np.divide(sensitivity, most, out=np.ones_like(sensitivity), where=most > 0)
-    told = np.maximum(ratio, schedule.widest ** (-1 / schedule.stretch))
-    return replace(state, width=np.where(sensitivity > 0, told**-schedule.stretch, 1.0))
+    known = np.maximum(ratio, schedule.widest ** (-1 / schedule.stretch))
+    return replace(state, width=np.where(sensitivity > 0, known**-schedule.stretch, 1.0))
 
 
 def _cost_reannealed(state: AnnealingState, schedule: Schedule, dimensions: int) -> AnnealingState:

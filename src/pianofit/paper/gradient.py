@@ -22,7 +22,9 @@ __all__ = ["GradientDescent", "gradient_descent"]
 
 # The share of the foretold decrease that a step must bring. Below 1/2, so that a parabola's exact minimum is accepted.
 SHARE = 0.3
-SHORTER, LONGER = 0.5, 1.5
+# Factors on the next step after one that did not bring it, and after one that did.
+SHORTER = 0.5
+LONGER = 1.5
 # The first step moves the coordinate with the steepest slope by this much, box widths.
 FIRST = 0.01
 # A step that moves nothing by more than this is none, box widths.
@@ -30,12 +32,12 @@ LEAST = 1e-13
 
 
 class GradientDescent(NamedTuple):
-    """Where the starts ended: points [starts, D], their costs, gradients, and whether each has settled [starts]."""
+    """Where the starts ended: points [starts, D], their costs, gradients, and whether each has converged [starts]."""
 
     z: np.ndarray
     cost: np.ndarray
     gradient: np.ndarray  # [starts, D], units of cost per unit of z
-    settled: np.ndarray
+    converged: np.ndarray
     evaluations: int  # calls of `value_and_gradient`
 
 
@@ -58,9 +60,9 @@ def gradient_descent(
     Parameters
     ----------
     lower, upper : finite; where they are equal the coordinate is held.
-    tolerance : a start has settled when a step of a length that fits the slope gains less than this part of its cost,
+    tolerance : a start has converged when a step of a length that fits the slope gains less than this part of its cost,
         or when no step moves it.
-    enough : a start has also settled at a cost of at most this, the paper's ε.
+    enough : a start has also converged at a cost of at most this, the paper's ε.
 
     Raises
     ------
@@ -72,31 +74,31 @@ def gradient_descent(
     cost, gradient = _evaluate(value_and_gradient, z)
     step = FIRST * _longest(z, gradient, lower, upper)
     fitted = np.zeros(len(z), bool)  # whether a step was once too long, so that its length is the slope's
-    settled, evaluations = cost <= enough, 1
+    converged, evaluations = cost <= enough, 1
     for _ in range(iterations):
         trial = np.clip(z - step[:, None] * size**2 * gradient, lower, upper)
-        settled |= np.isfinite(cost) & (np.abs(trial - z) <= LEAST * size).all(axis=1)
-        if (settled | ~np.isfinite(cost)).all():
+        converged |= np.isfinite(cost) & (np.abs(trial - z) <= LEAST * size).all(axis=1)
+        if (converged | ~np.isfinite(cost)).all():
             break
-        trial = np.where(settled[:, None], z, trial)
+        trial = np.where(converged[:, None], z, trial)
         new_cost, new_gradient = _evaluate(value_and_gradient, trial)
         evaluations += 1
         foretold = -np.einsum("sn,sn->s", gradient, trial - z)
-        better = (new_cost < cost) & (new_cost <= cost - SHARE * foretold) & ~settled
+        better = (new_cost < cost) & (new_cost <= cost - SHARE * foretold) & ~converged
         gain = np.where(better, cost, 0.0) - np.where(better, new_cost, 0.0)
         fitted |= ~better
         z = np.where(better[:, None], trial, z)
         gradient = np.where(better[:, None], new_gradient, gradient)
         cost = np.where(better, new_cost, cost)
         step = np.minimum(step * np.where(better, LONGER, SHORTER), _longest(z, gradient, lower, upper))
-        settled |= (fitted & better & (gain <= tolerance * np.abs(cost))) | (cost <= enough)
-    return GradientDescent(z, cost, gradient, settled, evaluations)
+        converged |= (fitted & better & (gain <= tolerance * np.abs(cost))) | (cost <= enough)
+    return GradientDescent(z, cost, gradient, converged, evaluations)
 
 
 def _longest(z: np.ndarray, gradient: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
     """Return the step [starts] that moves the steepest coordinate through the whole box, those on an edge left out."""
-    pressed = ((z <= lower) & (gradient > 0)) | ((z >= upper) & (gradient < 0))
-    steepest = np.abs(np.where(pressed, 0.0, gradient * (upper - lower))).max(axis=1, initial=0.0)
+    active = ((z <= lower) & (gradient > 0)) | ((z >= upper) & (gradient < 0))
+    steepest = np.abs(np.where(active, 0.0, gradient * (upper - lower))).max(axis=1, initial=0.0)
     return np.divide(1.0, steepest, out=np.zeros_like(steepest), where=steepest > 1e-300)
 
 

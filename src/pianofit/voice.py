@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..criterion import WIDEST_SIGMA, OutputPath
-from ..model import Simulation, simulate
-from ..parameters import Geometry, Hammer, MemoryHammer, String
-from ..recording import Recording, find_onset
+from .criterion import WIDEST_SIGMA, OutputPath
+from .model import Simulation, simulate
+from .parameters import Geometry, Hammer, MemoryHammer, String
+from .recording import Recording, find_onset
 
 __all__ = ["Voice", "arrival", "convolved", "impulse", "lag", "placed", "strike_voice", "through", "touched"]
 

@@ -21,15 +21,24 @@ from ..model.contact import Pulse, impulse_amplitude, kernel_rows, strike
 from ..model.modes import Modes, mode_table
 from ..model.response import pulse_transform
 from ..parameters import Geometry, Hammer, String
-from .space import stiffness
 from .spectral import Goal, miss
 
-__all__ = ["Held", "Scene", "hammer_costs", "hammer_residuals", "hold", "struck_gradients"]
+__all__ = ["Cfg", "Held", "Scene", "hammer_costs", "hammer_residuals", "hold", "struck_gradients"]
 
-# Chebyshev nodes a cell, and modes that are summed at every node.
-SMOOTH, NEAREST = 12, 5
+# Chebyshev nodes a cell.
+SMOOTH = 12
+# Modes that are summed at every node.
+NEAREST = 5
 # The steps are some 1.6 contacts long; the force is largest here.
 MIDDLE = 0.3
+
+
+class Cfg(NamedTuple):
+    """What a compiled program is specialised to."""
+
+    n_modes: int
+    steps: int
+    quantity: str
 
 
 class Scene(NamedTuple):
@@ -113,7 +122,7 @@ def _smooth_transform(drive: Float[Array, " steps"], log_zeta: Array) -> tuple[A
 
 def _hammer(z: Float[Array, " 5"], scene: Scene) -> Hammer:
     _, mu, p, mass, velocity = jnp.exp(z)
-    return Hammer(jnp.exp(stiffness(z[0], p, scene.log_u)), mu, p, mass, velocity)
+    return Hammer(jnp.exp(z[0] - p * scene.log_u), mu, p, mass, velocity)
 
 
 def _allowed(value: Array, hammer: Hammer, pulse: Pulse, scene: Scene) -> Array:
@@ -123,7 +132,7 @@ def _allowed(value: Array, hammer: Hammer, pulse: Pulse, scene: Scene) -> Array:
     return jnp.where((pulse.compression[-1] <= 0) & inside, value, jnp.inf)
 
 
-def _struck(z: Float[Array, " 9"], goal: Goal, scene: Scene, cfg) -> Array:
+def _struck(z: Float[Array, " 9"], goal: Goal, scene: Scene, cfg: Cfg) -> Array:
     modes, hammer = _table(z, scene, cfg), _hammer(z[4:], scene)
     pulse = strike(modes, hammer, steps=cfg.steps)
     log_zeta = _log_zeta(_smooth_frequency(goal), goal.sigma, modes.step).ravel()
@@ -131,13 +140,13 @@ def _struck(z: Float[Array, " 9"], goal: Goal, scene: Scene, cfg) -> Array:
     return _allowed(0.5 * (miss(energy, goal) ** 2).sum(), hammer, pulse, scene)
 
 
-def _table(z: Array, scene: Scene, cfg) -> Modes:
+def _table(z: Array, scene: Scene, cfg: Cfg) -> Modes:
     return mode_table(
         String(*jnp.exp(z[:4])), scene.geometry, rate=scene.rate, n_modes=cfg.n_modes, quantity=cfg.quantity
     )
 
 
-def _on_held(z: Float[Array, " 5"], held: Held, goal: Goal, scene: Scene, cfg) -> Array:
+def _on_held(z: Float[Array, " 5"], held: Held, goal: Goal, scene: Scene, cfg: Cfg) -> Array:
     """Residuals of a hammer on a string that is held."""
     hammer = _hammer(z, scene)
     pulse = strike(held.modes, hammer, steps=cfg.steps, rows=held.rows)
@@ -146,19 +155,19 @@ def _on_held(z: Float[Array, " 5"], held: Held, goal: Goal, scene: Scene, cfg) -
 
 
 @kept
-def struck_gradients(z, goal: Goal, scene: Scene, cfg):
+def struck_gradients(z, goal: Goal, scene: Scene, cfg: Cfg):
     """C [starts] and its gradient by all nine search coordinates `z` [starts, 9]."""
     return jax.vmap(jax.value_and_grad(lambda x: _struck(x, goal, scene, cfg)))(z)
 
 
-def hold(z: Float[Array, " 9"], goal: Goal, scene: Scene, cfg) -> Held:
+def hold(z: Float[Array, " 9"], goal: Goal, scene: Scene, cfg: Cfg) -> Held:
     """The string of `z`, once for a whole search."""
     mobility, real, imag, rows, *modes = held_string(z, goal, scene, cfg)
     return Held(Modes(*modes), mobility, real, imag, rows)
 
 
 @kept
-def held_string(z, goal: Goal, scene: Scene, cfg):
+def held_string(z, goal: Goal, scene: Scene, cfg: Cfg):
     """The parts of `Held`, its table last."""
     modes = _table(z, scene, cfg)
     log_zeta = _log_zeta(_smooth_frequency(goal), goal.sigma, modes.step).ravel()
@@ -168,13 +177,13 @@ def held_string(z, goal: Goal, scene: Scene, cfg):
 
 
 @kept
-def hammer_costs(z, held: Held, goal: Goal, scene: Scene, cfg):
+def hammer_costs(z, held: Held, goal: Goal, scene: Scene, cfg: Cfg):
     """C [chains] of hammers `z` [chains, 5] on a string that is held."""
     return (jax.vmap(lambda x: 0.5 * (_on_held(x, held, goal, scene, cfg) ** 2).sum())(z),)
 
 
 @kept
-def hammer_residuals(z, held: Held, goal: Goal, scene: Scene, cfg):
+def hammer_residuals(z, held: Held, goal: Goal, scene: Scene, cfg: Cfg):
     """Residuals [starts, bins], of which half the sum of squares is C, and their Jacobian [starts, bins, 5]."""
 
     def both(x: Array) -> tuple[Array, Array]:

@@ -1,0 +1,124 @@
+"""The paper's own searches, for comparison: its three steps, and its criterion over the whole spectrum.
+
+`paper` (Bensa et al. 2005, IV.C): 1. c and b1 in band 1, by gradient. 2. κ and b2 in band 2, by gradient. 3. K_H, μ,
+M_H, p and v_H0 in band 3, by annealing, with the string held; least squares take what was found to the floor of its
+basin.
+`global` (IV.B): all nine on eq. 19 over the whole spectrum, by gradient.
+
+Both start from the given initial values. What the paper leaves open is chosen here. The string is searched with σ
+falling, from lines wide enough to meet down to what the recording's length resolves, where eq. 19 is the paper's own;
+the hammer on the σ at which the criterion is reported.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import NamedTuple
+
+from ..analysis import Analysis
+from ..errors import ParameterError
+from ..initial import Start
+from ..parameters import FELT_LAWS, FIT_NAMES, MEMORY_NAMES, Hammer, String
+from ..recording import Recording
+from .problem import pose, split
+from .steps import ALL, Search
+
+__all__ = ["RECIPES", "Found", "check_recipe", "claims", "fit_by_paper"]
+
+RECIPES = ("default", "paper", "global")
+# Evaluations by the annealing: unless others are asked for,
+EVALUATIONS = 20_000
+# the fewest that leave its chains a few steps each,
+FEWEST = 500
+# and the most, some hours.
+MOST = 10_000_000
+OPENING = {
+    "paper": "The paper's three steps (recipe “paper”), for comparison with it.",
+    "global": "The paper's criterion over the whole spectrum (recipe “global”), for comparison with it.",
+}
+NO_INTERVALS = (
+    "No intervals: the least value of this criterion does not say how far off the parameters may be, or which of them "
+    "the recording identifies at all. The default recipe says both."
+)
+FELT_UNKNOWN = (
+    " One uncalibrated recording does not fix the felt: here its gain was free, and no output path was fitted."
+)
+
+
+class Found(NamedTuple):
+    """Where a search ended."""
+
+    string: String
+    hammer: Hammer
+    delay: float  # s, from the hammer's first contact to the recording's onset
+    converged: bool
+    evaluations: int
+    at_bound: tuple[str, ...]  # names of parameters that ended on an edge of the box
+
+
+def check_recipe(recipe: str, evaluations: int | None) -> None:
+    """Refuse a recipe that does not exist, and evaluations that it cannot have.
+
+    Raises
+    ------
+    ParameterError
+        Naming the argument and its value.
+    """
+    if recipe not in RECIPES:
+        raise ParameterError(f"recipe={recipe!r} must be one of {', '.join(RECIPES)}")
+    if evaluations is not None and recipe != "paper":
+        raise ParameterError(f"evaluations={evaluations} are those of the annealing: only the recipe paper has them")
+    if evaluations is not None and not FEWEST <= evaluations <= MOST:
+        raise ParameterError(f"evaluations={evaluations} must be from {FEWEST} to {MOST}")
+
+
+def claims(recipe: str, calibrated: bool) -> tuple[str, tuple[str, ...]]:
+    """How a result of `paper` or `global` words the recipe: its opening sentence, and messages."""
+    return OPENING[recipe] + ("" if calibrated else FELT_UNKNOWN), (NO_INTERVALS,)
+
+
+def fit_by_paper(
+    recording: Recording, analysis: Analysis, start: Start, recipe: str = "paper", *, hammer: str = "annealing",
+    evaluations: int | None = None, seed: int = 0, progress: Callable[[str, float], None] = lambda *_: None,
+) -> Found:  # fmt: skip
+    """Search as the paper does; `recipe` is `paper` or `global`.
+
+    Parameters
+    ----------
+    hammer : how the recipe `paper` searches it: `annealing`, or `gradient`, down from where the annealing would start.
+    evaluations : of the criterion by the annealing; 20,000 unless given.
+    seed : of the annealing. The same seed gives the same result.
+    progress : called with a stage's name and the fraction done.
+
+    Raises
+    ------
+    ParameterError
+        For a felt with memory, which the paper does not have.
+    FitError
+        If no hammer gives a finite criterion, or a contact does not end.
+    """
+    if set(MEMORY_NAMES) & set(FELT_LAWS[start.felt]):
+        raise ParameterError(f"recipe={recipe!r} has no felt={start.felt!r}: the paper's felt has no memory")
+    search = Search(pose(recording, analysis, start))
+    x = search.problem.x(search.problem.values)
+    progress("string", 0.1)
+    if recipe == "global":
+        x = search.down(x, FIT_NAMES, ALL)
+    else:
+        x = search.down(x, ("c", "b1"), (search.problem.band(0),))
+        x = search.down(x, ("kappa", "b2"), (search.problem.band(1),))
+        progress("hammer", 0.2)
+        x = search.annealed(x, evaluations or EVALUATIONS, seed) if hammer == "annealing" else search.hammer_down(x)
+    progress("gradient", 0.7)
+    if search.problem.calibrated:
+        delay = search.problem.first_contact(search.problem.natural(x))
+        search.problem = replace(search.problem, delay=delay)
+    if recipe == "global":
+        x = search.finely_down(x, FIT_NAMES, ALL)
+    else:
+        x = search.hammer_finished(x) if hammer == "annealing" else search.hammer_down(x)
+    progress("done", 1.0)
+    values = search.problem.natural(x)
+    at_bound = search.problem.at_bound(values)
+    return Found(*split(values), search.problem.delay, search.converged, search.evaluations, at_bound)
