@@ -1,16 +1,15 @@
 """What can be read off a recording without a hammer: partials, inharmonicity, losses, glide."""
 
 from .analyse import TRUSTED, analyse
-from .components import energy_level
 from .inharmonicity import law_frequency
+from .level import energy_level
 from .notes import hz_to_note, note_to_hz, note_to_midi
-from .result import WAYS, Analysis, Partials
+from .result import Analysis, Partials
 from .table import COLUMNS, as_dict, rows
 
 __all__ = [
     "TRUSTED",
     "COLUMNS",
-    "WAYS",
     "Analysis",
     "Partials",
     "analyse",

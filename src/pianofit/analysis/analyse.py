@@ -10,8 +10,9 @@ from ..errors import AnalysisError
 from .demodulate import demodulate
 from .glide import falls, glide_windows, straightened
 from .inharmonicity import CENTS, DecayLaw, FrequencyLaw, decay_law, frequency_law
+from .level import bounds
 from .notes import hz_to_note
-from .partials import Measured, first_fits, lost, measure
+from .partials import Measured, first_fits, lost, measure, systematic
 from .pitch import find_pitch, track
 from .result import Analysis, Partials
 from .spectrum import noise_between, spectrum
@@ -27,6 +28,7 @@ _TOP = 12000.0  # Hz
 _WIDEST = 100.0  # Hz; more bandwidth than this brings no more information about a slow partial
 _LEAST_SNR = 14.0  # dB
 _WORST_LEVEL = 10.0  # dB; a level less sure than this is no level
+_LEAST_DECAY = 1e-3  # 1/s; nothing decays more slowly
 _OUTLIER = (6.0, 12.0)  # standard deviations, and cents, from the law beyond which a peak belongs to something else
 TRUSTED = 20.0  # partials; from about there real strings leave the law by cents
 _BEATS = 1.5  # dB
@@ -70,7 +72,7 @@ def analyse(recording: Recording, *, note: str | None = None, f0: float | None =
     close = spectrum(samples, rate, float(np.clip(30 / rough_f0, 0.15, 1.0)))
     number, frequency, law = track(close, rough_f0, rough_B, top=top)
     _refuse(recording.path, number, law, note, f0)
-    return _measure_all(recording, samples, number, frequency, law, note)
+    return _measure_all(recording, samples, number, frequency, law, note, top)
 
 
 def _refuse(path: str, number: np.ndarray, law: FrequencyLaw, note: str | None, f0: float | None) -> None:
@@ -93,10 +95,12 @@ def _measure_all(
     frequency: np.ndarray,
     law: FrequencyLaw,
     note: str | None,
+    top: float,
 ) -> Analysis:
     rate, seconds = recording.rate, len(samples) / recording.rate
     spacing = min(0.97 * law.f0, max(_WIDEST, 0.1 * law.f0))
-    bands = demodulate(samples, rate, frequency, spacing, min(_SKIP, 0.05 * seconds))
+    skip = min(_SKIP, 0.05 * seconds)
+    bands = demodulate(samples, rate, frequency, spacing, skip)
     z, fit = first_fits(bands)
     expected = law(np.arange(1, int(number.max()) + 6))
     density = noise_between(samples, rate, expected, frequency, law.f0, min(0.05, 0.1 * seconds))
@@ -109,16 +113,22 @@ def _measure_all(
     left = above = 0.0
     if glides:
         bands, z, fit, left, above = straightened(bands, z, fit, density, windows)
-    rows = measure(samples, rate, law.f0, bands, z, fit, density, glides)
+    rows = measure(bands, z, fit, density, glides)
     keep = _plausible(rows, law, number) & ~lost(bands, fit)
-    keep[keep] = _on_law(number[keep], rows.frequency[keep], rows.frequency_error[keep])
+    frequency_error, decay_error = (
+        np.hypot(rows.frequency_error, rows.frequency_spread),
+        np.hypot(rows.decay_error, rows.decay_spread),
+    )
+    keep[keep] = _on_law(number[keep], rows.frequency[keep], frequency_error[keep])
     if not keep.any():
         raise AnalysisError(f"{recording.path}: no partial of {law.f0:.1f} Hz stands out of the noise")
-    table = _table(number[keep], rows, keep)
     fine = frequency_law(
-        table.number, table.frequency, table.frequency_error, B=law.B if len(table) < 2 else None, trusted=TRUSTED
+        number[keep], rows.frequency[keep], frequency_error[keep], B=law.B if keep.sum() < 2 else None, trusted=TRUSTED
     )
-    losses = decay_law(table.number, table.decay, table.decay_error)
+    losses = decay_law(number[keep], np.maximum(rows.decay[keep], _LEAST_DECAY), decay_error[keep])
+    absent = _absent(number[keep], fine, top)
+    bound = bounds(samples, rate, fine(absent), losses(absent), fine.f0, skip)
+    table = _table(number[keep], rows, keep, absent, bound)
     glide = tuple((a, b, fine.f0 * float(np.exp(c / CENTS))) for a, b, c, _ in windows)
     return Analysis(
         fine.f0, fine.f0_error, fine.B, fine.B_error,
@@ -131,7 +141,7 @@ def _measure_all(
 def _plausible(rows: Measured, law: FrequencyLaw, number: np.ndarray) -> np.ndarray:
     """Tell which partials stand out of the noise and have numbers that mean something."""
     near = np.abs(rows.frequency - law(number)) < 0.25 * law.f0
-    known = (rows.level_error < _WORST_LEVEL) & (rows.frequency_error < 0.1 * law.f0)
+    known = (rows.level_error < _WORST_LEVEL) & (np.hypot(rows.frequency_error, rows.frequency_spread) < 0.1 * law.f0)
     return (rows.snr > _LEAST_SNR) & near & known & (rows.decay < 300.0)
 
 
@@ -144,14 +154,29 @@ def _on_law(k: np.ndarray, frequency: np.ndarray, error: np.ndarray) -> np.ndarr
     return away < np.maximum(_OUTLIER[0] * np.hypot(law.scatter, CENTS * error / frequency), _OUTLIER[1])
 
 
-def _table(number: np.ndarray, rows: Measured, keep: np.ndarray) -> Partials:
-    names = (
-        "frequency", "frequency_error", "frequency_doubt", "decay", "decay_error", "decay_doubt",
-        "level", "level_error", "levels", "level_errors", "way", "level_doubt", "snr", "beating",
-    )  # fmt: skip
-    columns = {name: getattr(rows, name)[..., keep] for name in names}
-    columns["decay"] = np.maximum(columns["decay"], 1e-3)
-    return Partials(number=number, **columns)
+def _absent(number: np.ndarray, law: FrequencyLaw, top: float) -> np.ndarray:
+    """Numbers, not among `number`, of partials of the law below `top` Hz."""
+    every = np.arange(1, max(int(number.max()), int(top / law.f0)) + 1)
+    return np.setdiff1d(every[law(every) < top], number)
+
+
+def _table(number: np.ndarray, rows: Measured, keep: np.ndarray, absent: np.ndarray, bound: np.ndarray) -> Partials:
+    return Partials(
+        number=number,
+        frequency=rows.frequency[keep],
+        frequency_error=rows.frequency_error[keep],
+        frequency_systematic=systematic(number, rows.frequency_spread[keep]),
+        decay=np.maximum(rows.decay[keep], _LEAST_DECAY),
+        decay_error=rows.decay_error[keep],
+        decay_systematic=systematic(number, rows.decay_spread[keep]),
+        level=rows.level[keep],
+        level_error=rows.level_error[keep],
+        level_systematic=systematic(number, rows.level_spread[keep]),
+        snr=rows.snr[keep],
+        beating=rows.beating[keep],
+        absent=absent,
+        absent_bound=bound,
+    )
 
 
 def _warnings(table: Partials, losses: DecayLaw, fall: float) -> tuple[str, ...]:

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from .demodulate import Bands
 
-__all__ = ["Components", "energy_level", "resolve"]
+__all__ = ["Components", "resolve"]
 
-LEVEL_SECONDS, LEVEL_RATE = 0.35, 16.0  # s, 1/s: levels are energies of the first 0.35 s under exp(−8 t)
 _SPAN = 1.0  # s of sound that the components have to describe
-_ROWS, _SAMPLES = 30, 90  # of the Hankel matrix, of the thinned series; variance is least with rows a third of samples
+_ROWS = 30  # of the Hankel matrix; variance is least with a third of the samples
+_SAMPLES = 90  # of the thinned series
 _GOOD = 1e-3  # misfit over power at which more components are not needed
 _FAIR = 0.05  # misfit over power beyond which even three say nothing
 _FASTEST = 80.0  # 1/s
@@ -31,31 +31,7 @@ class Components:
 
     frequency: np.ndarray  # Hz, of the component with most energy
     decay: np.ndarray  # 1/s, mean of the components' decay rates weighted by energy
-    level: np.ndarray  # dB, of the whole sum
-    misfit: np.ndarray  # mean |residual|² over the mean power
     valid: np.ndarray  # bool: a sum of up to three components describes the partial
-
-
-def energy_level(amplitude: NDArray[np.complex128], pole: NDArray[np.complex128]) -> np.ndarray:
-    """10 log10 ½ ∫_0^0.35s |Σ_i c_i exp(p_i t)|² exp(−16 t) dt, in closed form; dB re full scale² · s, [partials].
-
-    The energy of the real signal, save for the part that turns at twice its frequency: that depends on the phase in
-    which the clock found the partial, and says nothing of the strike.
-
-    Parameters
-    ----------
-    amplitude, pole : complex [partials, components], c (full scale) and p (1/s)
-    """
-
-    def integral(rate: np.ndarray) -> np.ndarray:
-        x = (rate - LEVEL_RATE) * LEVEL_SECONDS
-        x = np.where(np.abs(x) < 1e-12, 1e-12, x)
-        return LEVEL_SECONDS * np.expm1(x) / x
-
-    c, d = amplitude[:, :, None], amplitude[:, None, :]
-    p, q = pole[:, :, None], pole[:, None, :]
-    energy = np.sum(c * d.conj() * integral(p + q.conj()), axis=(1, 2)).real / 2
-    return 10 * np.log10(np.maximum(energy, 1e-60))
 
 
 def resolve(bands: Bands, z: NDArray[np.complex128], frame: np.ndarray) -> Components:
@@ -77,10 +53,10 @@ def resolve(bands: Bands, z: NDArray[np.complex128], frame: np.ndarray) -> Compo
         if not best:
             best = fresh
             continue
-        wanted = (best[3] > np.maximum(2 * frame, _GOOD * power)) & (misfit < 0.7 * best[3]) & fresh[4]
+        wanted = (best[2] > np.maximum(2 * frame, _GOOD * power)) & (misfit < 0.7 * best[2]) & fresh[3]
         best = [np.where(wanted, new, old) for new, old in zip(fresh, best, strict=True)]
-    described = best[3] < np.maximum(2 * frame, _FAIR * power)
-    return Components(best[0], best[1], best[2], best[3] / power, valid=best[4].astype(bool) & described)
+    described = best[2] < np.maximum(2 * frame, _FAIR * power)
+    return Components(best[0], best[1], valid=best[3].astype(bool) & described)
 
 
 def _subspace(series: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, float]:
@@ -114,8 +90,8 @@ def _amplitudes(
 def _summary(
     bands: Bands, amplitude: NDArray[np.complex128], pole: NDArray[np.complex128], misfit: np.ndarray
 ) -> list[np.ndarray]:
-    """Columns of `Components` for amplitudes at the onset and poles in the band; [partials] each."""
-    c, p = 2 * amplitude / bands.gain(pole), pole + 2j * np.pi * bands.centre[:, None]
+    """Frequency, decay, misfit and validity of amplitudes at the onset and poles in the band; [partials] each."""
+    c = 2 * amplitude / bands.gain(pole)
     decay = np.maximum(-pole.real, 0.05)
     energy = np.abs(c) ** 2 * -np.expm1(-2 * decay * _SPAN) / (2 * decay)
     strongest = np.argmax(energy, axis=1)[:, None]
@@ -123,4 +99,4 @@ def _summary(
     rate = np.sum(energy * -pole.real, axis=1) / np.sum(energy, axis=1)
     inside = (np.abs(pole.imag) < 0.35 * 2 * np.pi * bands.spacing) & (pole.real > -_FASTEST)
     valid = np.all(inside | (energy < 1e-4 * np.sum(energy, axis=1, keepdims=True)), axis=1)
-    return [bands.centre + offset, rate, energy_level(c, p), misfit, valid]
+    return [bands.centre + offset, rate, misfit, valid]

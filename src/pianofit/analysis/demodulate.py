@@ -42,15 +42,10 @@ class Bands:
         """G at complex frequency `s` (1/s) relative to the centre."""
         return _kaiser_transform(s * (self.window / 2))
 
-    def shaping(self, wave: np.ndarray) -> np.ndarray:
-        """Noise power that a fit of `wave` [partials, frames] feels, over that of white noise as dense as at 0 Hz.
-
-        The noise of the frames is coloured by |G|²; a narrow partial sees its middle only, a quickly decaying one more.
-        """
-        size = fast_length(wave.shape[1])
-        weight = np.abs(self.gain(2j * np.pi * np.fft.fftfreq(size, 1 / self.rate))) ** 2
-        power = np.abs(np.fft.fft(wave, size, axis=1)) ** 2
-        return power @ weight / np.sum(power, axis=1)
+    def colour(self, frames: int) -> tuple[int, np.ndarray]:
+        """Size of a Fourier transform that holds `frames` twice, and the noise's spectrum |G|² at its bins."""
+        size = fast_length(2 * frames)
+        return size, np.abs(self.gain(2j * np.pi * np.fft.fftfreq(size, 1 / self.rate))) ** 2
 
     def cut(self, start: float, stop: float, least: int = 8) -> slice:
         """Frames centred within `start`..`stop` s, `least` at the least."""

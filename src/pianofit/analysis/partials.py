@@ -3,15 +3,18 @@
 Each partial is brought to baseband (demodulate.py) and fitted with one damped exponential over all that was recorded.
 What the fitted neighbours leak into the band is subtracted and the fit repeated. Where one exponential describes the
 partial down to the noise that is the answer, and close to the Cramér–Rao bound. Real partials beat, glide and decay in
-two stages; then each number is taken where it means something:
+two stages; then frequency and decay rate are taken where they mean something:
 
 - frequency from 0.2 to 1.0 s after the onset, or the dominant component's where the partial beats deeply,
-- decay rate of the early energy, the first 0.8 s,
-- level from one exponential through the first 0.4 s, or, where none follows them, from their energy (energy.py),
+- decay rate of the early energy, the first 0.8 s.
 
-and the errors grow by the misfit. A beat too slow to be seen whole bends what one exponential says of a partial by more
-than it misses it: how far a fit of other windows differs is taken for that doubt. Beats change little from one partial
-to the next, so a doubt is that of a few neighbours, and neighbours share it.
+The level is always that of one exponential through the first 0.4 s. So what a beat does to it, it does in all
+recordings of a key alike.
+
+Noise gives each value a standard error, carried from the noise of the frames through the least squares to first order.
+Beside it stands the standard deviation of a systematic error, seen in what one exponential leaves over beyond noise and
+in what fits of other windows differ by beyond noise; it is nought where nothing is seen. Beats change little from one
+partial to the next, so it is that of a few neighbours, and they share it.
 """
 
 from __future__ import annotations
@@ -22,46 +25,51 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .components import LEVEL_RATE, LEVEL_SECONDS, Components, energy_level, resolve
+from .components import Components, resolve
 from .demodulate import Bands
-from .energy import band_levels
+from .level import energy_level, mean_time
 from .tones import Tones, fit_tones, lag_poles
 
-__all__ = ["Measured", "first_fits", "lost", "measure"]
+__all__ = ["Measured", "first_fits", "lost", "measure", "systematic"]
 
 FREQUENCY_WINDOW = (0.2, 1.0)  # s
-_EARLY, _FIRST = 0.8, 0.4  # s, for decay rates and for levels
+_EARLY = 0.8  # s, for decay rates
+_FIRST = 0.4  # s, for levels
 _DEEP = 1.5  # dB rms beyond which a partial counts as beating
 _CLEAN_MISFIT = 3e-3  # of the signal's rms: one exponential is then good enough whatever the noise
-_DOUBT = 0.15  # share of the difference between one component and several that goes into the error
-_EXACT = 1e-4  # misfit over power at which components may be carried back to the onset
+_COMPONENTS = 0.15  # share of the difference between one component and several that is taken for systematic
 _SURE = 2.5  # standard errors from noise that two windows may differ by
 _HALF = 0.5  # share of what the two windows' levels differ by
 _SEEN = 0.03  # amplitude of the noise, over the partial's, below which a beat is seen
-_NEAR = 2  # partials to either side whose doubt a partial shares
-_FOLLOWED = 0.05  # misfit of the first moments' exponential, of its rms, up to which it says more than their energy
-_NOISY = 0.5  # share of a band's energy that is noise beyond which one exponential says more
+_NEAR = 2  # partials to either side that tell how large a systematic error is
+_SHARED = 3.0  # partials over which a systematic error's correlation falls to 1/e
+_FREQUENCY_FLOOR = 1e-10  # relative; rounding and what is left of neighbours without any noise
+_DECAY_FLOOR = 1e-7  # relative; the same
+_LEVEL_FLOOR = 1e-5  # dB; the same
 _DB = 20 / np.log(10)
 
 
 @dataclass(frozen=True)
 class Measured:
-    """Columns of the table, [partials] each."""
+    """Columns of the table, [partials] each; `_spread` is the standard deviation of a systematic error."""
 
     frequency: np.ndarray
     frequency_error: np.ndarray
-    frequency_doubt: np.ndarray
+    frequency_spread: np.ndarray
     decay: np.ndarray
     decay_error: np.ndarray
-    decay_doubt: np.ndarray
+    decay_spread: np.ndarray
     level: np.ndarray
     level_error: np.ndarray
-    levels: np.ndarray  # [ways, partials]
-    level_errors: np.ndarray
-    way: np.ndarray
-    level_doubt: np.ndarray
+    level_spread: np.ndarray
     snr: np.ndarray
     beating: np.ndarray
+
+
+def systematic(number: np.ndarray, spread: np.ndarray) -> np.ndarray:
+    """Covariance [partials, partials] of systematic errors with standard deviations `spread` [partials]."""
+    apart = np.abs(number[:, None] - number[None, :])
+    return spread[:, None] * spread[None, :] * np.exp(-apart / _SHARED)
 
 
 def _physical(bands: Bands, fit: Tones) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
@@ -99,29 +107,70 @@ def _leakage(bands: Bands, fit: Tones) -> np.ndarray:
     return total
 
 
-def measure(
-    samples: np.ndarray, rate: int, spacing: float, bands: Bands, z: NDArray[np.complex128], fit: Tones,
-    density: np.ndarray, glides: bool,
-) -> Measured:  # fmt: skip
+@dataclass(frozen=True)
+class _Fit:
+    """One exponential per partial through a stretch of frames, and what noise does to it."""
+
+    fit: Tones
+    covariance: np.ndarray  # [3, partials]: variances of log a at the origin and of the pole, and between them
+    excess: np.ndarray  # [partials], residual power beyond what noise may leave, over the noise's, at least 0
+
+    def pole_error(self) -> np.ndarray:
+        """Standard error of the pole's real part, and of its imaginary part; 1/s."""
+        return np.sqrt(0.5 * self.covariance[2])
+
+    def log_error(self, lever: np.ndarray | float) -> np.ndarray:
+        """Standard error of the log envelope `lever` s after the first frame; the phase's is the same."""
+        first, between, second = self.covariance
+        return np.sqrt(0.5 * np.maximum(first + 2 * lever * between + lever**2 * second, 0.0))
+
+
+def _fitted(bands: Bands, cut: slice, fit: Tones, density: np.ndarray) -> _Fit:
+    """`fit`, made of the frames `cut`, with the errors that noise of this density [partials] makes.
+
+    Least squares turn noise n into (JᴴJ)⁻¹Jᴴn, so (log a, pole) has covariance (JᴴJ)⁻¹ JᴴCJ (JᴴJ)⁻¹. The covariance C
+    of the frames' noise is that of a stationary process with the spectrum |G|²: JᴴCJ is a sum over frequencies.
+    """
+    tau = bands.time[cut] - fit.origin
+    wave = np.exp(np.maximum(fit.pole.real, -1e4)[:, None] * tau) * np.exp(1j * fit.pole.imag[:, None] * tau)
+    size, colour = bands.colour(len(tau))
+    zeroth, first = (np.fft.fft(w, size, axis=1) for w in (wave, wave * tau))
+    noisy = [(a * b.conj()).real @ colour / size for a, b in ((zeroth, zeroth), (zeroth, first), (first, first))]
+    power = np.abs(wave) ** 2
+    plain = [power @ tau**n for n in range(3)]
+    determinant = np.maximum(plain[0] * plain[2] - plain[1] ** 2, 1e-300)
+    inverse = np.array([[plain[2], -plain[1]], [-plain[1], plain[0]]]) / determinant
+    middle = np.array([[noisy[0], noisy[1]], [noisy[1], noisy[2]]])
+    full = np.einsum("ijp,jkp,klp->ilp", inverse, middle, inverse)
+    scale = density / 2 * bands.rate / np.maximum(np.abs(fit.amplitude) ** 2, 1e-300)
+    frame = density / 2 * bands.noise_width
+    chi = fit.misfit / frame
+    return _Fit(
+        fit, np.stack([full[0, 0], full[0, 1], full[1, 1]]) * scale, np.maximum(chi - _slack(bands, len(tau)), 0.0)
+    )
+
+
+def _slack(bands: Bands, frames: np.ndarray | int) -> np.ndarray:
+    """Residual power over so many frames, relative to the noise's, that noise alone hardly ever exceeds."""
+    return 1.3 + 4 / np.sqrt(frames * bands.noise_width / bands.rate)
+
+
+def measure(bands: Bands, z: NDArray[np.complex128], fit: Tones, density: np.ndarray, glides: bool) -> Measured:
     """Make the columns of the table from the cleaned basebands `z` and the fits over the whole record.
 
     Parameters
     ----------
-    samples : [samples] at `rate`, beginning at the onset
-    spacing : of the partials, Hz
     density : [partials], one-sided noise power density, full scale²/Hz
     glides : whether the note's pitch falls measurably; frequencies then come from 0.2 to 1.0 s
     """
-    shape = bands.shaping(fit(bands.time) / np.abs(fit.amplitude)[:, None])
-    peak = np.sqrt(density / 2 * bands.rate * shape)  # noise of a frame as the partial's peak feels it
     frame = density / 2 * bands.noise_width  # noise variance of one frame
-    clean, chi = _one_exponential(bands, z, fit, frame)
+    clean = _one_exponential(bands, z, fit, frame)
     beating, seen = _beating(bands, z, frame)
     # Amplitude of what beats with each partial, over its own. More than that is resolved, or is in the misfit.
     second = _shared(_where_seen(np.minimum(beating, _DEEP), seen) * np.sqrt(2) / _DB)
-    whole = _Fit(fit, peak * np.sqrt(np.maximum(1.0, chi)), peak)
+    whole = _fitted(bands, slice(None), fit, density)
     early, tone, first = (
-        _window(bands, z, fit, peak, frame, *window)
+        _window(bands, z, fit, density, *window)
         for window in ((0.0, _EARLY), FREQUENCY_WINDOW, (0.0, bands.time[0] + _FIRST))
     )
     parts = resolve(bands, z, frame)
@@ -129,28 +178,17 @@ def measure(
     split = parts.valid & (beating > _DEEP) & ~clean
     frequency = _frequencies(bands, whole, early, tone, parts, second, clean & ~(glides & audible), audible, split)
     decay = _decays(whole, early, parts, second, clean, split)
-    energy = band_levels(samples, rate, frequency[0], decay[0], spacing, density)
-    level = _levels(bands, whole, first, parts, energy, frame, clean, split, decay[0])
-    snr = -20 * np.log10(np.maximum(peak * fit.level_error(0.0), 1e-15))
-    return Measured(*frequency, *decay, *level, _level_doubt(level[2], level[3], first, frame), snr, beating)
-
-
-@dataclass(frozen=True)
-class _Fit:
-    """A fit with the noise (per frame, [partials]) that its misfit shows, and the recording's alone."""
-
-    fit: Tones
-    noise: np.ndarray
-    bare: np.ndarray
+    level = _levels(bands, whole, first, frame)
+    snr = -20 * np.log10(np.maximum(whole.log_error(-fit.origin), 1e-15))
+    return Measured(*frequency, *decay, *level, snr, beating)
 
 
 def _window(
-    bands: Bands, z: NDArray[np.complex128], fit: Tones, peak: np.ndarray, frame: np.ndarray, start: float, stop: float
+    bands: Bands, z: NDArray[np.complex128], fit: Tones, density: np.ndarray, start: float, stop: float
 ) -> _Fit:
     """One exponential through the frames between `start` and `stop`."""
     cut = bands.cut(start, stop)
-    local = fit_tones(z[:, cut], bands.time[cut], fit.pole, steps=8)
-    return _Fit(local, peak * np.sqrt(np.maximum(1.0, local.misfit / frame)), peak)
+    return _fitted(bands, cut, fit_tones(z[:, cut], bands.time[cut], fit.pole, steps=8), density)
 
 
 def _frequencies(
@@ -164,73 +202,67 @@ def _frequencies(
     audible: np.ndarray,
     split: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Frequencies, their errors, and what of these is doubt, Hz."""
-    offset, error = early.fit.pole.imag, early.noise * early.fit.pole_error()
+    """Frequencies, their standard errors from noise, and standard deviations of systematic errors, Hz."""
+    offset, error, excess = early.fit.pole.imag, early.pole_error(), early.excess
     for better, other in ((audible, tone), (use_whole, whole)):
         offset = np.where(better, other.fit.pole.imag, offset)
-        error = np.where(better, other.noise * other.fit.pole_error(), error)
+        error = np.where(better, other.pole_error(), error)
+        excess = np.where(better, other.excess, excess)
     frequency, error = bands.centre + offset / (2 * np.pi), error / (2 * np.pi)
     # Where nothing is heard late, a longer window is no other. And what beats turns the phase by ± its amplitude.
     single = np.where(audible, _beyond_noise(tone, whole, np.imag), 0.0) / (2 * np.pi)
     single = np.hypot(single, second / (np.pi * (FREQUENCY_WINDOW[1] - FREQUENCY_WINDOW[0])))
-    doubt = _shared(np.where(split, _DOUBT * (parts.frequency - frequency), single))
-    return np.where(split, parts.frequency, frequency), np.hypot(error, doubt), doubt
+    single = np.hypot(single, error * np.sqrt(excess))
+    spread = _shared(np.where(split, _COMPONENTS * (parts.frequency - frequency), single))
+    return np.where(split, parts.frequency, frequency), np.hypot(error, _FREQUENCY_FLOOR * frequency), spread
 
 
 def _decays(
     whole: _Fit, early: _Fit, parts: Components, second: np.ndarray, clean: np.ndarray, split: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Decay rates, their errors, and what of these is doubt, 1/s."""
+    """Decay rates, their standard errors from noise, and standard deviations of systematic errors, 1/s."""
     single = -early.fit.pole.real
     decay = np.where(split, parts.decay, single)
-    apart = np.where(split, _DOUBT * (decay - single), _beyond_noise(early, whole, np.real))
-    doubt = _shared(np.hypot(apart, second * np.maximum(decay, 0.0)))
-    better = np.where(clean, whole.noise * whole.fit.pole_error(), early.noise * early.fit.pole_error())
-    return np.where(clean, -whole.fit.pole.real, decay), np.hypot(better, doubt), doubt
+    error = np.where(clean, whole.pole_error(), early.pole_error())
+    excess = np.where(clean, whole.excess, early.excess)
+    apart = np.where(split, _COMPONENTS * (decay - single), _beyond_noise(early, whole, np.real))
+    apart = np.hypot(apart, second * np.maximum(decay, 0.0))
+    spread = _shared(np.hypot(apart, error * np.sqrt(excess)))
+    decay = np.where(clean, -whole.fit.pole.real, decay)
+    return decay, np.hypot(error, _DECAY_FLOOR * decay), spread
 
 
 def _beyond_noise(short: _Fit, long: _Fit, part: Callable) -> np.ndarray:
     """How far a part of the poles of two windows differs, [partials], 1/s, beyond what noise in the shorter may do."""
-    apart, noise = part(short.fit.pole - long.fit.pole), _SURE * short.bare * short.fit.pole_error()
+    apart, noise = part(short.fit.pole - long.fit.pole), _SURE * short.pole_error()
     return np.sqrt(np.maximum(apart**2 - noise**2, 0.0))
 
 
-def _shared(doubt: np.ndarray) -> np.ndarray:
-    """How large each partial's doubt is, or its neighbours' median [partials]: one's own can be nought by chance."""
-    size = np.abs(np.nan_to_num(doubt))
+def _shared(spread: np.ndarray) -> np.ndarray:
+    """Each partial's, or its neighbours' median if that is more [partials]: one's own can be nought by chance."""
+    size = np.abs(np.nan_to_num(spread))
     near = np.lib.stride_tricks.sliding_window_view(np.pad(size, _NEAR, mode="symmetric"), 2 * _NEAR + 1)
     return np.maximum(size, np.median(near, axis=1))
 
 
-def _levels(
-    bands: Bands, whole: _Fit, first: _Fit, parts: Components, energy: tuple[np.ndarray, np.ndarray],
-    frame: np.ndarray, clean: np.ndarray, split: np.ndarray, decay: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
-    """Levels and their errors, dB; the same by each way [ways, partials]; and which way suits each partial."""
-    middle = _mean_time(decay)
-    level, single = (energy_level(*(x[:, None] for x in _physical(bands, which.fit))) for which in (whole, first))
-    heard, noise = energy
-    early = np.where(noise < _NOISY, heard, single)
-    early = np.where(split & (parts.misfit < _EXACT), parts.level, early)
-    doubt = np.where(noise < _NOISY, _DOUBT * (early - single), (early - level) / 2)
-    error = _DB * first.noise * first.fit.level_error(middle)
-    levels = np.stack([level, single, early])
-    errors = np.stack([_DB * whole.noise * whole.fit.level_error(middle), error, np.hypot(error, doubt)])
-    followed = first.fit.misfit < np.maximum(_FOLLOWED**2 * first.fit.power, 2 * frame)
-    way = np.where(clean, 0, np.where(followed, 1, 2))
-    which = way, np.arange(len(way))
-    return levels[which], errors[which], levels, errors, way
+def _levels(bands: Bands, whole: _Fit, first: _Fit, frame: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Levels, their standard errors from noise, and standard deviations of systematic errors, dB.
 
-
-def _level_doubt(levels: np.ndarray, errors: np.ndarray, first: _Fit, frame: np.ndarray) -> np.ndarray:
-    """How far a beat may keep levels [ways, partials] from what the blow alone would have given, dB [partials].
-
-    One that is fast is what the first moments' exponential leaves over. A slow one bends the whole's more than theirs.
+    A beat that is fast is what the first moments' exponential leaves over. A slow one bends the whole's more than it.
     """
-    over = np.maximum(first.fit.misfit - frame, 0.0) / np.maximum(first.fit.power, 1e-300)
-    apart, noise = levels[0] - levels[1], _SURE * errors[1]
-    slow = _HALF * np.sqrt(np.maximum(apart**2 - noise**2, 0.0))
-    return _shared(_where_seen(np.hypot(_DB * np.sqrt(2 * over), slow), frame < _SEEN**2 * first.fit.power))
+    level, other = (energy_level(*(x[:, None] for x in _physical(bands, which.fit))) for which in (first, whole))
+    error = _DB * first.log_error(_lever(bands, first.fit))
+    over = np.where(first.excess > 0, first.fit.misfit, 0.0) / np.maximum(first.fit.power, 1e-300)
+    slow = _HALF * np.sqrt(np.maximum((level - other) ** 2 - (_SURE * error) ** 2, 0.0))
+    spread = _shared(_where_seen(np.hypot(_DB * np.sqrt(2 * over), slow), frame < _SEEN**2 * first.fit.power))
+    return level, np.hypot(error, _LEVEL_FLOOR), spread
+
+
+def _lever(bands: Bands, fit: Tones) -> np.ndarray:
+    """d (level) / d (real part of the pole) with the first frame held, in nepers per 1/s [partials]: a time, s."""
+    step = 1e-3
+    gain = np.log(np.abs(bands.gain(fit.pole + step) / bands.gain(fit.pole - step))) / (2 * step)
+    return mean_time(-fit.pole.real) - fit.origin - gain
 
 
 def _where_seen(size: np.ndarray, seen: np.ndarray) -> np.ndarray:
@@ -238,25 +270,15 @@ def _where_seen(size: np.ndarray, seen: np.ndarray) -> np.ndarray:
     return np.where(seen, size, np.median(size[seen]) if seen.any() else 0.0)
 
 
-def _mean_time(decay: np.ndarray) -> np.ndarray:
-    """Mean time of a partial's energy under exp(−16 t) in the first 0.35 s: where its level is decided, s."""
-    x = (2 * np.maximum(decay, -7.0) + LEVEL_RATE) * LEVEL_SECONDS
-    return LEVEL_SECONDS * (1 / x - 1 / np.expm1(x))
-
-
-def _one_exponential(
-    bands: Bands, z: NDArray[np.complex128], fit: Tones, frame: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Whether one exponential fits down to the noise while it is heard; and residual over noise power."""
+def _one_exponential(bands: Bands, z: NDArray[np.complex128], fit: Tones, frame: np.ndarray) -> np.ndarray:
+    """Whether one exponential fits down to the noise while it is heard [partials]."""
     signal = fit(bands.time)
     power = np.abs(signal) ** 2
     heard = power > frame[:, None]
     heard[:, :12] = True
     count = np.sum(heard, axis=1)
     rest = np.sum(np.abs(z - signal) ** 2 * heard, axis=1) / count
-    chi = rest / frame
-    slack = 1.3 + 4 / np.sqrt(count * bands.noise_width / bands.rate)
-    return (chi < slack) | (rest < _CLEAN_MISFIT**2 * np.sum(power * heard, axis=1) / count), chi
+    return (rest < _slack(bands, count) * frame) | (rest < _CLEAN_MISFIT**2 * np.sum(power * heard, axis=1) / count)
 
 
 def _beating(bands: Bands, z: NDArray[np.complex128], frame: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -275,4 +297,5 @@ def _beating(bands: Bands, z: NDArray[np.complex128], frame: np.ndarray) -> tupl
     rest = np.sum(weight * (level - slope[:, None] * t) ** 2, 1) / count
     noise = _DB**2 * np.sum(weight * 0.5 * frame[:, None] / np.maximum(power, 1e-60), 1) / count
     told = count >= 8
-    return np.where(told, np.sqrt(np.maximum(rest - noise, 0.0)), 0.0), told & (noise < (_DB * _SEEN) ** 2)
+    size = np.sqrt(np.where(rest > _slack(bands, count) * noise, rest - noise, 0.0))
+    return np.where(told, size, 0.0), told & (noise < (_DB * _SEEN) ** 2)

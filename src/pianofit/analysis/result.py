@@ -6,34 +6,33 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["WAYS", "Analysis", "Partials"]
-
-# In which a level may be read off: see `Partials.levels`.
-WAYS = 3
+__all__ = ["Analysis", "Partials"]
 
 
 @dataclass(frozen=True)
 class Partials:
-    """The table of partials, ascending in number; only those found above the noise. Errors are standard errors.
+    """The table of partials, ascending in number; those found above the noise, and bounds on the others.
 
-    A doubt is what neighbouring partials share of an error: beats bend them alike.
+    Errors come in two kinds. A standard error `_error` is from noise alone, independent from partial to partial and
+    from recording to recording. A covariance `_systematic` is of what beats, a second polarisation or a glide that was
+    not taken out do to a value: neighbouring partials share it, and all recordings of a key do. It leaves out
+    `Analysis.glide_error`, and is nought where nothing beyond noise is seen.
     """
 
     number: np.ndarray  # int [partials], k
     frequency: np.ndarray  # [partials], Hz
-    frequency_error: np.ndarray
-    frequency_doubt: np.ndarray  # Hz
+    frequency_error: np.ndarray  # [partials], Hz
+    frequency_systematic: np.ndarray  # [partials, partials], Hz²
     decay: np.ndarray  # [partials], 1/s, decay rate α of the amplitude
-    decay_error: np.ndarray
-    decay_doubt: np.ndarray  # 1/s
+    decay_error: np.ndarray  # [partials], 1/s
+    decay_systematic: np.ndarray  # [partials, partials], 1/s²
     level: np.ndarray  # [partials], dB re full scale² · s: ∫_0^0.35s of its mean power · exp(−16 t) dt, from the onset
-    level_error: np.ndarray
-    levels: np.ndarray  # [3, partials], dB: by one exponential over the whole, over the first 0.4 s, by their energy
-    level_errors: np.ndarray
-    way: np.ndarray  # int [partials]: which of these `level` is
-    level_doubt: np.ndarray  # dB: how far a beat may keep a level from what the blow alone would give
+    level_error: np.ndarray  # [partials], dB
+    level_systematic: np.ndarray  # [partials, partials], dB²: from the level of the string's single mode
     snr: np.ndarray  # [partials], dB, amplitude at the onset over its own standard error from noise
     beating: np.ndarray  # [partials], dB, rms deviation of the log envelope from one exponential
+    absent: np.ndarray  # int [absent], numbers below the highest frequency looked at that were not found
+    absent_bound: np.ndarray  # [absent], dB as `level`: all the energy in the band of each, noise included
 
     def __len__(self) -> int:
         return len(self.number)

@@ -11,6 +11,8 @@ from .demodulate import fast_length
 __all__ = ["Spectrum", "noise_between", "spectrum"]
 
 _BETA = 10.0  # side lobes 75 dB down
+_SHARPEST = 18.0  # side lobes 135 dB down: of partials of a long recording, below any noise between them
+_FOOT = 0.25  # half width of a peak at its foot, in spacings of the partials, when noise between them is measured
 _CAP = 60.0  # dB; a peak's prominence counts no further than this
 
 
@@ -27,8 +29,8 @@ class Spectrum:
     resolution: float  # Hz, half width of a peak at its foot
 
 
-def _density(samples: np.ndarray, rate: int, pad: int) -> tuple[np.ndarray, float]:
-    window = np.kaiser(len(samples), _BETA)
+def _density(samples: np.ndarray, rate: int, pad: int, beta: float = _BETA) -> tuple[np.ndarray, float]:
+    window = np.kaiser(len(samples), beta)
     size = fast_length(pad * len(samples))
     bins = np.fft.rfft(samples * window, size)
     return 2 * np.abs(bins) ** 2 / (rate * np.sum(window**2)), rate / size
@@ -74,7 +76,8 @@ def noise_between(
     of an exponential variable is ln 2 of its mean. Measured from `start` s after the onset to the end.
     """
     piece = samples[min(int(start * rate), len(samples) // 2) :]
-    power, step = _density(piece, rate, 1)
+    reach = np.pi * _FOOT * spacing * len(piece) / rate
+    power, step = _density(piece, rate, 1, float(np.clip(reach, _BETA, _SHARPEST)))
     frequency = np.arange(len(power)) * step
     place = np.searchsorted(expected, frequency)
     padded = np.concatenate([[-np.inf], expected, [np.inf]])

@@ -17,14 +17,13 @@ __all__ = ["Tones", "fit_tones", "lag_poles"]
 
 @dataclass(frozen=True)
 class Tones:
-    """One least-squares exponential per row; [rows]. Errors are for noise of variance 1 per sample."""
+    """One least-squares exponential per row; [rows]."""
 
     amplitude: NDArray[np.complex128]  # complex, at the origin
     pole: NDArray[np.complex128]  # complex, 1/s
     misfit: np.ndarray  # mean |residual|²
     power: np.ndarray  # mean |z|²
     origin: float  # time of the first sample, s
-    inverse: np.ndarray  # [3, rows]: (JᴴJ)⁻¹ of (log a at the origin, pole): first diagonal, off-diagonal, second
 
     def __call__(self, t: np.ndarray) -> np.ndarray:
         """[rows, samples] at times `t` (s)."""
@@ -34,15 +33,6 @@ class Tones:
         """Amplitudes extrapolated to t = 0, complex [rows]; by no more than exp(50)."""
         back = -self.pole * self.origin
         return self.amplitude * np.exp(np.minimum(back.real, 50.0) + 1j * back.imag)
-
-    def pole_error(self) -> np.ndarray:
-        """Return the standard error of the pole's real part, and of its imaginary part; 1/s."""
-        return np.sqrt(0.5 * self.inverse[2])
-
-    def level_error(self, t: np.ndarray | float) -> np.ndarray:
-        """Return the standard error of the log envelope at time `t` [rows] (s); the phase's is the same."""
-        lever = t - self.origin
-        return np.sqrt(0.5 * (self.inverse[0] + 2 * lever * self.inverse[1] + lever**2 * self.inverse[2]))
 
 
 def lag_poles(z: NDArray[np.complex128], t: np.ndarray, lag: float) -> NDArray[np.complex128]:
@@ -84,7 +74,7 @@ def fit_tones(z: NDArray[np.complex128], t: np.ndarray, start: NDArray[np.comple
         slope = np.einsum("ij,ij->i", wave.conj(), rest * tau) / (sums[2] - sums[1] ** 2 / sums[0])
         better = trial_cost <= cost
         step = np.where(amplitude == 0, 0, slope / np.where(amplitude == 0, 1, amplitude))
-        fresh = [trial, amplitude, trial_cost, step, *sums]
+        fresh = [trial, amplitude, trial_cost, step]
         best = fresh if not best else [np.where(better, new, old) for new, old in zip(fresh, best, strict=True)]
         pole, cost, move = best[0], best[2], best[3]
         factor = np.where(better, 1.0, factor / 2)
@@ -100,9 +90,5 @@ def _sums(wave: NDArray[np.complex128], tau: np.ndarray) -> tuple[np.ndarray, np
 
 
 def _tones(best: list[np.ndarray], origin: float, z: NDArray[np.complex128]) -> Tones:
-    pole, amplitude, cost, _, zeroth, first, second = best
-    determinant = (zeroth * second - first**2) * np.maximum(np.abs(amplitude) ** 2, 1e-300)
-    count = z.shape[1]
-    inverse = np.stack([second, -first, zeroth]) / determinant
-    power = np.mean(z.real**2 + z.imag**2, axis=1)
-    return Tones(amplitude, pole, cost / count, power, origin, inverse)
+    pole, amplitude, cost = best[:3]
+    return Tones(amplitude, pole, cost / z.shape[1], np.mean(z.real**2 + z.imag**2, axis=1), origin)
