@@ -43,9 +43,9 @@ _HALF = 0.5  # share of what the two windows' levels differ by
 _SEEN = 0.03  # amplitude of the noise, over the partial's, below which a beat is seen
 _NEAR = 2  # partials to either side that tell how large a systematic error is
 _SHARED = 3.0  # partials over which a systematic error's correlation falls to 1/e
-_FREQUENCY_FLOOR = 1e-10  # relative; rounding and what is left of neighbours without any noise
-_DECAY_FLOOR = 1e-7  # relative; the same
-_LEVEL_FLOOR = 1e-5  # dB; the same
+_FREQUENCY_FLOOR = 1e-9  # relative; rounding and what is left of neighbours without any noise
+_DECAY_FLOOR = 1e-6  # relative; the same
+_LEVEL_FLOOR = 1e-4  # dB; the same
 _DB = 20 / np.log(10)
 
 
