@@ -39,10 +39,11 @@ _DEEP = 1.5  # dB rms beyond which a partial counts as beating
 _CLEAN_MISFIT = 3e-3  # of the signal's rms: one exponential is then good enough whatever the noise
 _COMPONENTS = 0.15  # share of the difference between one component and several that is taken for systematic
 _SURE = 2.5  # standard errors from noise that two windows may differ by
-_HALF = 0.5  # share of what the two windows' levels differ by
+_FAST = 0.6  # level's systematic error, nepers, over the amplitude of what the first moments' exponential leaves over
+_SLOW = 0.12  # the same over the amplitude of what beats within 2 s
 _SEEN = 0.03  # amplitude of the noise, over the partial's, below which a beat is seen
 _NEAR = 2  # partials to either side that tell how large a systematic error is
-_SHARED = 3.0  # partials over which a systematic error's correlation falls to 1/e
+_SHARED = 10.0  # partials over which a systematic error's correlation falls to 1/e; has most evidence on beating strings
 _FREQUENCY_FLOOR = 1e-9  # relative; rounding and what is left of neighbours without any noise
 _DECAY_FLOOR = 1e-6  # relative; the same
 _LEVEL_FLOOR = 1e-4  # dB; the same
@@ -178,7 +179,7 @@ def measure(bands: Bands, z: NDArray[np.complex128], fit: Tones, density: np.nda
     split = parts.valid & (beating > _DEEP) & ~clean
     frequency = _frequencies(bands, whole, early, tone, parts, second, clean & ~(glides & audible), audible, split)
     decay = _decays(whole, early, parts, second, clean, split)
-    level = _levels(bands, whole, first, frame)
+    level = _levels(bands, first, second, frame)
     snr = -20 * np.log10(np.maximum(whole.log_error(-fit.origin), 1e-15))
     return Measured(*frequency, *decay, *level, snr, beating)
 
@@ -245,17 +246,18 @@ def _shared(spread: np.ndarray) -> np.ndarray:
     return np.maximum(size, np.median(near, axis=1))
 
 
-def _levels(bands: Bands, whole: _Fit, first: _Fit, frame: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _levels(
+    bands: Bands, first: _Fit, second: np.ndarray, frame: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Levels, their standard errors from noise, and standard deviations of systematic errors, dB.
 
-    A beat that is fast is what the first moments' exponential leaves over. A slow one bends the whole's more than it.
+    A beat that is fast is what the first moments' exponential leaves over. Of a slow one only later moments tell.
     """
-    level, other = (energy_level(*(x[:, None] for x in _physical(bands, which.fit))) for which in (first, whole))
+    level = energy_level(*(x[:, None] for x in _physical(bands, first.fit)))
     error = _DB * first.log_error(_lever(bands, first.fit))
-    over = np.where(first.excess > 0, first.fit.misfit, 0.0) / np.maximum(first.fit.power, 1e-300)
-    slow = _HALF * np.sqrt(np.maximum((level - other) ** 2 - (_SURE * error) ** 2, 0.0))
-    spread = _shared(_where_seen(np.hypot(_DB * np.sqrt(2 * over), slow), frame < _SEEN**2 * first.fit.power))
-    return level, np.hypot(error, _LEVEL_FLOOR), spread
+    over = np.where(first.excess > 0, 2 * first.fit.misfit, 0.0) / np.maximum(first.fit.power, 1e-300)
+    fast = _shared(_where_seen(np.sqrt(over), frame < _SEEN**2 * first.fit.power))
+    return level, np.hypot(error, _LEVEL_FLOOR), _DB * np.hypot(_FAST * fast, _SLOW * second)
 
 
 def _lever(bands: Bands, fit: Tones) -> np.ndarray:
