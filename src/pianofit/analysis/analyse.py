@@ -8,11 +8,12 @@ import numpy as np
 
 from ..errors import AnalysisError
 from .demodulate import demodulate
+from .fits import first_fits, lost
 from .glide import falls, glide_windows, straightened
 from .inharmonicity import CENTS, DecayLaw, FrequencyLaw, decay_law, frequency_law
 from .level import bounds
 from .notes import hz_to_note
-from .partials import Measured, first_fits, lost, measure, systematic
+from .partials import Measured, measure, systematic
 from .pitch import find_pitch, track
 from .result import Analysis, Partials
 from .spectrum import noise_between, spectrum

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .demodulate import Bands
+from .fits import first_fits, lost
 from .inharmonicity import CENTS
-from .partials import first_fits, lost
 from .tones import Tones, fit_tones
 
 __all__ = ["falls", "glide_windows", "straightened"]

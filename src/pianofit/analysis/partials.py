@@ -1,9 +1,9 @@
 """The table of partials: frequency, decay and level of each, with errors.
 
-Each partial is brought to baseband (demodulate.py) and fitted with one damped exponential over all that was recorded.
-What the fitted neighbours leak into the band is subtracted and the fit repeated. Where one exponential describes the
-partial down to the noise that is the answer, and close to the Cramér–Rao bound. Real partials beat, glide and decay in
-two stages; then frequency and decay rate are taken where they mean something:
+Each partial is brought to baseband (demodulate.py) and fitted with one damped exponential over all that was recorded
+(fits.py). Where one exponential describes the partial down to the noise that is the answer, and close to the
+Cramér–Rao bound. Real partials beat, glide and decay in two stages; then frequency and decay rate are taken where they
+mean something:
 
 - frequency from 0.2 to 1.0 s after the onset, or the dominant component's where the partial beats deeply,
 - decay rate of the early energy, the first 0.8 s.
@@ -27,10 +27,10 @@ from numpy.typing import NDArray
 
 from .components import Components, resolve
 from .demodulate import Bands
-from .level import energy_level, mean_time
-from .tones import Tones, fit_tones, lag_poles
+from .fits import Fitted, fitted, level_of, lost, slack, window
+from .tones import Tones
 
-__all__ = ["Measured", "first_fits", "lost", "measure", "systematic"]
+__all__ = ["Measured", "measure", "systematic"]
 
 FREQUENCY_WINDOW = (0.2, 1.0)  # s
 _EARLY = 0.8  # s, for decay rates
@@ -43,10 +43,12 @@ _FAST = 0.6  # level's systematic error, nepers, over the amplitude of what the 
 _SLOW = 0.12  # the same over the amplitude of what beats within 2 s
 _SEEN = 0.03  # amplitude of the noise, over the partial's, below which a beat is seen
 _NEAR = 2  # partials to either side that tell how large a systematic error is
-_SHARED = 10.0  # partials over which a systematic error's correlation falls to 1/e; has most evidence on beating strings
-_FREQUENCY_FLOOR = 1e-9  # relative; rounding and what is left of neighbours without any noise
+_SHARED = (
+    10.0  # partials over which a systematic error's correlation falls to 1/e; has most evidence on beating strings
+)
+_FREQUENCY_FLOOR = 5e-10  # relative; rounding and what is left of neighbours without any noise
 _DECAY_FLOOR = 1e-6  # relative; the same
-_LEVEL_FLOOR = 1e-4  # dB; the same
+_LEVEL_FLOOR = 5e-5  # dB; the same
 _DB = 20 / np.log(10)
 
 
@@ -73,89 +75,6 @@ def systematic(number: np.ndarray, spread: np.ndarray) -> np.ndarray:
     return spread[:, None] * spread[None, :] * np.exp(-apart / _SHARED)
 
 
-def _physical(bands: Bands, fit: Tones) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-    """Amplitudes c and poles p of Re c exp(pt), t from the onset."""
-    return 2 * fit.at_onset() / bands.gain(fit.pole), fit.pole + 2j * np.pi * bands.centre
-
-
-def lost(bands: Bands, fit: Tones) -> np.ndarray:
-    """Rows whose fit ran off to something else in the band, [partials]."""
-    return np.abs(fit.pole.imag) > 0.25 * 2 * np.pi * bands.spacing
-
-
-def first_fits(bands: Bands, rounds: int = 3) -> tuple[np.ndarray, Tones]:
-    """One exponential per partial over the whole record, neighbours' leakage subtracted: (cleaned z, fits)."""
-    z, t = bands.z, bands.time
-    cut = bands.cut(0.0, t[0] + 1.0)
-    fit = fit_tones(z[:, cut], t[cut], lag_poles(z[:, cut], t[cut], bands.window / 2))
-    fit = fit_tones(z, t, fit.pole)
-    for _ in range(rounds):
-        z = bands.z - _leakage(bands, fit)
-        fit = fit_tones(z, t, fit.pole, steps=4)
-    return z, fit
-
-
-def _leakage(bands: Bands, fit: Tones) -> np.ndarray:
-    """Sum what each partial's two neighbours leave in its band; further ones lie outside the slice."""
-    c, p = _physical(bands, fit)
-    c = np.where(lost(bands, fit), 0, c)
-    total = np.zeros_like(bands.z)
-    for own, other in ((slice(1, None), slice(None, -1)), (slice(None, -1), slice(1, None))):
-        s = p[other] - 2j * np.pi * bands.centre[own]
-        inside = np.abs(s.imag) < np.pi * bands.rate
-        amplitude = np.where(inside, 0.5 * c[other] * bands.gain(s), 0)
-        total[own] += amplitude[:, None] * np.exp(s[:, None] * bands.time)
-    return total
-
-
-@dataclass(frozen=True)
-class _Fit:
-    """One exponential per partial through a stretch of frames, and what noise does to it."""
-
-    fit: Tones
-    covariance: np.ndarray  # [3, partials]: variances of log a at the origin and of the pole, and between them
-    excess: np.ndarray  # [partials], residual power beyond what noise may leave, over the noise's, at least 0
-
-    def pole_error(self) -> np.ndarray:
-        """Standard error of the pole's real part, and of its imaginary part; 1/s."""
-        return np.sqrt(0.5 * self.covariance[2])
-
-    def log_error(self, lever: np.ndarray | float) -> np.ndarray:
-        """Standard error of the log envelope `lever` s after the first frame; the phase's is the same."""
-        first, between, second = self.covariance
-        return np.sqrt(0.5 * np.maximum(first + 2 * lever * between + lever**2 * second, 0.0))
-
-
-def _fitted(bands: Bands, cut: slice, fit: Tones, density: np.ndarray) -> _Fit:
-    """`fit`, made of the frames `cut`, with the errors that noise of this density [partials] makes.
-
-    Least squares turn noise n into (JᴴJ)⁻¹Jᴴn, so (log a, pole) has covariance (JᴴJ)⁻¹ JᴴCJ (JᴴJ)⁻¹. The covariance C
-    of the frames' noise is that of a stationary process with the spectrum |G|²: JᴴCJ is a sum over frequencies.
-    """
-    tau = bands.time[cut] - fit.origin
-    wave = np.exp(np.maximum(fit.pole.real, -1e4)[:, None] * tau) * np.exp(1j * fit.pole.imag[:, None] * tau)
-    size, colour = bands.colour(len(tau))
-    zeroth, first = (np.fft.fft(w, size, axis=1) for w in (wave, wave * tau))
-    noisy = [(a * b.conj()).real @ colour / size for a, b in ((zeroth, zeroth), (zeroth, first), (first, first))]
-    power = np.abs(wave) ** 2
-    plain = [power @ tau**n for n in range(3)]
-    determinant = np.maximum(plain[0] * plain[2] - plain[1] ** 2, 1e-300)
-    inverse = np.array([[plain[2], -plain[1]], [-plain[1], plain[0]]]) / determinant
-    middle = np.array([[noisy[0], noisy[1]], [noisy[1], noisy[2]]])
-    full = np.einsum("ijp,jkp,klp->ilp", inverse, middle, inverse)
-    scale = density / 2 * bands.rate / np.maximum(np.abs(fit.amplitude) ** 2, 1e-300)
-    frame = density / 2 * bands.noise_width
-    chi = fit.misfit / frame
-    return _Fit(
-        fit, np.stack([full[0, 0], full[0, 1], full[1, 1]]) * scale, np.maximum(chi - _slack(bands, len(tau)), 0.0)
-    )
-
-
-def _slack(bands: Bands, frames: np.ndarray | int) -> np.ndarray:
-    """Residual power over so many frames, relative to the noise's, that noise alone hardly ever exceeds."""
-    return 1.3 + 4 / np.sqrt(frames * bands.noise_width / bands.rate)
-
-
 def measure(bands: Bands, z: NDArray[np.complex128], fit: Tones, density: np.ndarray, glides: bool) -> Measured:
     """Make the columns of the table from the cleaned basebands `z` and the fits over the whole record.
 
@@ -169,10 +88,10 @@ def measure(bands: Bands, z: NDArray[np.complex128], fit: Tones, density: np.nda
     beating, seen = _beating(bands, z, frame)
     # Amplitude of what beats with each partial, over its own. More than that is resolved, or is in the misfit.
     second = _shared(_where_seen(np.minimum(beating, _DEEP), seen) * np.sqrt(2) / _DB)
-    whole = _fitted(bands, slice(None), fit, density)
+    whole = fitted(bands, slice(None), fit, density)
     early, tone, first = (
-        _window(bands, z, fit, density, *window)
-        for window in ((0.0, _EARLY), FREQUENCY_WINDOW, (0.0, bands.time[0] + _FIRST))
+        window(bands, z, fit, density, *span)
+        for span in ((0.0, _EARLY), FREQUENCY_WINDOW, (0.0, bands.time[0] + _FIRST))
     )
     parts = resolve(bands, z, frame)
     audible = (tone.fit.power > 10 * frame) & (bands.time[-1] > 0.6) & ~lost(bands, tone.fit)
@@ -184,19 +103,11 @@ def measure(bands: Bands, z: NDArray[np.complex128], fit: Tones, density: np.nda
     return Measured(*frequency, *decay, *level, snr, beating)
 
 
-def _window(
-    bands: Bands, z: NDArray[np.complex128], fit: Tones, density: np.ndarray, start: float, stop: float
-) -> _Fit:
-    """One exponential through the frames between `start` and `stop`."""
-    cut = bands.cut(start, stop)
-    return _fitted(bands, cut, fit_tones(z[:, cut], bands.time[cut], fit.pole, steps=8), density)
-
-
 def _frequencies(
     bands: Bands,
-    whole: _Fit,
-    early: _Fit,
-    tone: _Fit,
+    whole: Fitted,
+    early: Fitted,
+    tone: Fitted,
     parts: Components,
     second: np.ndarray,
     use_whole: np.ndarray,
@@ -219,7 +130,7 @@ def _frequencies(
 
 
 def _decays(
-    whole: _Fit, early: _Fit, parts: Components, second: np.ndarray, clean: np.ndarray, split: np.ndarray
+    whole: Fitted, early: Fitted, parts: Components, second: np.ndarray, clean: np.ndarray, split: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Decay rates, their standard errors from noise, and standard deviations of systematic errors, 1/s."""
     single = -early.fit.pole.real
@@ -233,7 +144,7 @@ def _decays(
     return decay, np.hypot(error, _DECAY_FLOOR * decay), spread
 
 
-def _beyond_noise(short: _Fit, long: _Fit, part: Callable) -> np.ndarray:
+def _beyond_noise(short: Fitted, long: Fitted, part: Callable) -> np.ndarray:
     """How far a part of the poles of two windows differs, [partials], 1/s, beyond what noise in the shorter may do."""
     apart, noise = part(short.fit.pole - long.fit.pole), _SURE * short.pole_error()
     return np.sqrt(np.maximum(apart**2 - noise**2, 0.0))
@@ -247,24 +158,16 @@ def _shared(spread: np.ndarray) -> np.ndarray:
 
 
 def _levels(
-    bands: Bands, first: _Fit, second: np.ndarray, frame: np.ndarray
+    bands: Bands, first: Fitted, second: np.ndarray, frame: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Levels, their standard errors from noise, and standard deviations of systematic errors, dB.
 
     A beat that is fast is what the first moments' exponential leaves over. Of a slow one only later moments tell.
     """
-    level = energy_level(*(x[:, None] for x in _physical(bands, first.fit)))
-    error = _DB * first.log_error(_lever(bands, first.fit))
+    level, error = level_of(bands, first)
     over = np.where(first.excess > 0, 2 * first.fit.misfit, 0.0) / np.maximum(first.fit.power, 1e-300)
     fast = _shared(_where_seen(np.sqrt(over), frame < _SEEN**2 * first.fit.power))
     return level, np.hypot(error, _LEVEL_FLOOR), _DB * np.hypot(_FAST * fast, _SLOW * second)
-
-
-def _lever(bands: Bands, fit: Tones) -> np.ndarray:
-    """d (level) / d (real part of the pole) with the first frame held, in nepers per 1/s [partials]: a time, s."""
-    step = 1e-3
-    gain = np.log(np.abs(bands.gain(fit.pole + step) / bands.gain(fit.pole - step))) / (2 * step)
-    return mean_time(-fit.pole.real) - fit.origin - gain
 
 
 def _where_seen(size: np.ndarray, seen: np.ndarray) -> np.ndarray:
@@ -280,7 +183,7 @@ def _one_exponential(bands: Bands, z: NDArray[np.complex128], fit: Tones, frame:
     heard[:, :12] = True
     count = np.sum(heard, axis=1)
     rest = np.sum(np.abs(z - signal) ** 2 * heard, axis=1) / count
-    return (rest < _slack(bands, count) * frame) | (rest < _CLEAN_MISFIT**2 * np.sum(power * heard, axis=1) / count)
+    return (rest < slack(bands, count) * frame) | (rest < _CLEAN_MISFIT**2 * np.sum(power * heard, axis=1) / count)
 
 
 def _beating(bands: Bands, z: NDArray[np.complex128], frame: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -299,5 +202,5 @@ def _beating(bands: Bands, z: NDArray[np.complex128], frame: np.ndarray) -> tupl
     rest = np.sum(weight * (level - slope[:, None] * t) ** 2, 1) / count
     noise = _DB**2 * np.sum(weight * 0.5 * frame[:, None] / np.maximum(power, 1e-60), 1) / count
     told = count >= 8
-    size = np.sqrt(np.where(rest > _slack(bands, count) * noise, rest - noise, 0.0))
+    size = np.sqrt(np.where(rest > slack(bands, count) * noise, rest - noise, 0.0))
     return np.where(told, size, 0.0), told & (noise < (_DB * _SEEN) ** 2)

@@ -1,0 +1,121 @@
+"""One damped exponential per partial through a stretch of its baseband, and what noise does to it.
+
+What a partial's fitted neighbours leak into its band is subtracted, and the fit repeated.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .demodulate import Bands
+from .level import energy_level, mean_time
+from .tones import Tones, fit_tones, lag_poles
+
+__all__ = ["Fitted", "first_fits", "fitted", "level_of", "lost", "slack", "window"]
+
+_DB = 20 / np.log(10)
+_STEP = 1e-3  # 1/s, over which the gain's slope is taken
+
+
+def _physical(bands: Bands, fit: Tones) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    """Amplitudes c and poles p of Re c exp(pt), t from the onset."""
+    return 2 * fit.at_onset() / bands.gain(fit.pole), fit.pole + 2j * np.pi * bands.centre
+
+
+def lost(bands: Bands, fit: Tones) -> np.ndarray:
+    """Rows whose fit ran off to something else in the band, [partials]."""
+    return np.abs(fit.pole.imag) > 0.25 * 2 * np.pi * bands.spacing
+
+
+def first_fits(bands: Bands, rounds: int = 3) -> tuple[np.ndarray, Tones]:
+    """One exponential per partial over the whole record, neighbours' leakage subtracted: (cleaned z, fits)."""
+    z, t = bands.z, bands.time
+    cut = bands.cut(0.0, t[0] + 1.0)
+    fit = fit_tones(z[:, cut], t[cut], lag_poles(z[:, cut], t[cut], bands.window / 2))
+    fit = fit_tones(z, t, fit.pole)
+    for _ in range(rounds):
+        z = bands.z - _leakage(bands, fit)
+        fit = fit_tones(z, t, fit.pole, steps=4)
+    return z, fit
+
+
+def _leakage(bands: Bands, fit: Tones) -> np.ndarray:
+    """Sum what each partial's two neighbours leave in its band; further ones lie outside the slice."""
+    c, p = _physical(bands, fit)
+    c = np.where(lost(bands, fit), 0, c)
+    total = np.zeros_like(bands.z)
+    for own, other in ((slice(1, None), slice(None, -1)), (slice(None, -1), slice(1, None))):
+        s = p[other] - 2j * np.pi * bands.centre[own]
+        inside = np.abs(s.imag) < np.pi * bands.rate
+        amplitude = np.where(inside, 0.5 * c[other] * bands.gain(s), 0)
+        total[own] += amplitude[:, None] * np.exp(s[:, None] * bands.time)
+    return total
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """One exponential per partial through a stretch of frames, and what noise does to it."""
+
+    fit: Tones
+    covariance: np.ndarray  # [3, partials]: variances of log a at the origin and of the pole, and between them
+    excess: np.ndarray  # [partials], residual power beyond what noise may leave, over the noise's, at least 0
+
+    def pole_error(self) -> np.ndarray:
+        """Standard error of the pole's real part, and of its imaginary part; 1/s."""
+        return np.sqrt(0.5 * self.covariance[2])
+
+    def log_error(self, lever: np.ndarray | float) -> np.ndarray:
+        """Standard error of the log envelope `lever` s after the first frame; the phase's is the same."""
+        first, between, second = self.covariance
+        return np.sqrt(0.5 * np.maximum(first + 2 * lever * between + lever**2 * second, 0.0))
+
+
+def fitted(bands: Bands, cut: slice, fit: Tones, density: np.ndarray) -> Fitted:
+    """`fit`, made of the frames `cut`, with the errors that noise of this one-sided `density` [partials] makes."""
+    count = len(bands.time[cut])
+    chi = fit.misfit / (density / 2 * bands.noise_width)
+    return Fitted(fit, _noise_covariance(bands, cut, fit, density), np.maximum(chi - slack(bands, count), 0.0))
+
+
+def _noise_covariance(bands: Bands, cut: slice, fit: Tones, density: np.ndarray) -> np.ndarray:
+    """As `Fitted.covariance`.
+
+    Least squares turn noise n into (JᴴJ)⁻¹Jᴴn, so (log a, pole) has covariance (JᴴJ)⁻¹ JᴴCJ (JᴴJ)⁻¹. The covariance C
+    of the frames' noise is that of a stationary process with the spectrum |G|²: JᴴCJ is a sum over frequencies.
+    """
+    tau = bands.time[cut] - fit.origin
+    wave = np.exp(fit.pole[:, None] * tau)
+    size, colour = bands.colour(len(tau))
+    zeroth, first = (np.fft.fft(w, size, axis=1) for w in (wave, wave * tau))
+    n0, n1, n2 = ((a * b.conj()).real @ colour / size for a, b in ((zeroth, zeroth), (zeroth, first), (first, first)))
+    power = np.abs(wave) ** 2
+    p0, p1, p2 = (power @ tau**n for n in range(3))
+    plain = np.array([[p2, -p1], [-p1, p0]]) / np.maximum(p0 * p2 - p1**2, 1e-300)
+    full = np.einsum("ijp,jkp,klp->ilp", plain, np.array([[n0, n1], [n1, n2]]), plain)
+    scale = density / 2 * bands.rate / np.maximum(np.abs(fit.amplitude) ** 2, 1e-300)
+    return np.stack([full[0, 0], full[0, 1], full[1, 1]]) * scale
+
+
+def slack(bands: Bands, frames: np.ndarray | int) -> np.ndarray:
+    """Residual power over so many frames, relative to the noise's, that noise alone hardly ever exceeds."""
+    return 1.3 + 4 / np.sqrt(frames * bands.noise_width / bands.rate)
+
+
+def window(
+    bands: Bands, z: NDArray[np.complex128], fit: Tones, density: np.ndarray, start: float, stop: float
+) -> Fitted:
+    """One exponential through the frames between `start` and `stop`."""
+    cut = bands.cut(start, stop)
+    return fitted(bands, cut, fit_tones(z[:, cut], bands.time[cut], fit.pole, steps=8), density)
+
+
+def level_of(bands: Bands, which: Fitted) -> tuple[np.ndarray, np.ndarray]:
+    """Levels, and their standard errors from noise, dB [partials]."""
+    amplitude, pole = _physical(bands, which.fit)
+    gain = np.log(np.abs(bands.gain(which.fit.pole + _STEP) / bands.gain(which.fit.pole - _STEP))) / (2 * _STEP)
+    # d level / d (real part of the pole), the first frame held: a time, s.
+    lever = mean_time(-which.fit.pole.real) - which.fit.origin - gain
+    return energy_level(amplitude[:, None], pole[:, None]), _DB * which.log_error(lever)
