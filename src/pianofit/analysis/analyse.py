@@ -30,7 +30,8 @@ _WIDEST = 100.0  # Hz; more bandwidth than this brings no more information about
 _LEAST_SNR = 14.0  # dB
 _WORST_LEVEL = 10.0  # dB; a level less sure than this is no level
 _LEAST_DECAY = 1e-3  # 1/s; nothing decays more slowly
-_OUTLIER = (6.0, 12.0)  # standard deviations, and cents, from the law beyond which a peak belongs to something else
+_OUTLIER = 6.0  # standard deviations from the law beyond which a peak belongs to something else,
+_OUTLIER_CENTS = 12.0  # and cents, whichever is more
 TRUSTED = 20.0  # partials; from about there real strings leave the law by cents
 _BEATS = 1.5  # dB
 
@@ -152,7 +153,7 @@ def _on_law(k: np.ndarray, frequency: np.ndarray, error: np.ndarray) -> np.ndarr
         return np.ones(len(k), bool)
     law = frequency_law(k, frequency, error)
     away = CENTS * np.abs(np.log(frequency / law(k)))
-    return away < np.maximum(_OUTLIER[0] * np.hypot(law.scatter, CENTS * error / frequency), _OUTLIER[1])
+    return away < np.maximum(_OUTLIER * np.hypot(law.scatter, CENTS * error / frequency), _OUTLIER_CENTS)
 
 
 def _absent(number: np.ndarray, law: FrequencyLaw, top: float) -> np.ndarray:
