@@ -114,12 +114,15 @@ def slack(bands: Bands, frames: np.ndarray | float) -> np.ndarray:
 
 def window(
     bands: Bands, z: NDArray[np.complex128], fit: Tones, density: np.ndarray, span: tuple[float, float],
-    damping: float = 0.0,
+    damping: float = 0.0, reach: float = np.inf,
 ) -> Fitted:  # fmt: skip
-    """One exponential through the frames within `span` (s), by least squares under exp(-damping t)."""
+    """One exponential through the frames within `span` (s), by least squares under exp(-damping t).
+
+    Poles keep within `reach` (1/s) of those of `fit`.
+    """
     cut = bands.cut(*span)
     t = bands.time[cut]
-    faded = fit_tones(z[:, cut] * np.exp(-damping * (t - t[0])), t, fit.pole - damping, steps=8)
+    faded = fit_tones(z[:, cut] * np.exp(-damping * (t - t[0])), t, fit.pole - damping, steps=8, reach=reach)
     return fitted(bands, cut, replace(faded, pole=faded.pole + damping), density, damping)
 
 

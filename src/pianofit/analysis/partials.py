@@ -37,6 +37,9 @@ __all__ = ["Measured", "measure", "systematic"]
 FREQUENCY_WINDOW = (0.2, 1.0)  # s
 _EARLY = 0.8  # s, for decay rates
 _FIRST = 0.4  # s, for levels; from the first frame
+_REACH = (
+    20.0  # 1/s by which the first moments' pole may differ from that of the whole; beyond, it follows another sound
+)
 _DEEP = 1.5  # dB rms beyond which a partial counts as beating
 _CLEAN_MISFIT = 3e-3  # of the signal's rms: one exponential is then good enough whatever the noise
 _COMPONENTS = 0.15  # share of the difference between one component and several that is taken for systematic
@@ -92,7 +95,7 @@ def measure(bands: Bands, z: NDArray[np.complex128], fit: Tones, density: np.nda
     second = _shared(_where_seen(np.minimum(beating, _DEEP), seen) * np.sqrt(2) / _DB)
     whole = fitted(bands, slice(None), fit, density)
     early, tone = (window(bands, z, fit, density, span) for span in ((0.0, _EARLY), FREQUENCY_WINDOW))
-    first = window(bands, z, fit, density, (0.0, bands.time[0] + _FIRST), LEVEL_RATE / 2)
+    first = window(bands, z, fit, density, (0.0, bands.time[0] + _FIRST), LEVEL_RATE / 2, _REACH)
     parts = resolve(bands, z, frame)
     audible = (tone.fit.power > 10 * frame) & (bands.time[-1] > 0.6) & ~lost(bands, tone.fit)
     split = parts.valid & (beating > _DEEP) & ~clean
