@@ -21,6 +21,7 @@ of the systematic error over the standard error, and should be 0.
 from __future__ import annotations
 
 import argparse
+import itertools
 import time
 from dataclasses import dataclass, replace
 
@@ -183,7 +184,7 @@ def print_errors(notes: int) -> None:
     """Print how far the standard errors are right."""
     rows = np.hstack([standardised(*single(*n, d, seed)) for n in SINGLE for d in DOWN for seed in range(notes)])
     print("SNR, dB     partials   z: frequency  decay  level   systematic: frequency  decay  level")
-    for low, high in zip(RATIOS, RATIOS[1:], strict=False):
+    for low, high in itertools.pairwise(RATIOS):
         part = rows[:, (rows[0] >= low) & (rows[0] < high)]
         if not part.size:
             continue
