@@ -21,7 +21,7 @@ partial to the next, so it is that of a few neighbours, and they share it.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,6 +72,14 @@ class Measured:
     level_spread: np.ndarray
     snr: np.ndarray
     beating: np.ndarray
+
+    def kept(self, keep: np.ndarray) -> Measured:
+        """The rows where `keep`, bool [partials]."""
+        return Measured(**{field.name: getattr(self, field.name)[keep] for field in fields(self)})
+
+    def whole_error(self, column: str) -> np.ndarray:
+        """Noise and systematic error of "frequency", "decay" or "level" together [partials]."""
+        return np.hypot(getattr(self, f"{column}_error"), getattr(self, f"{column}_spread"))
 
 
 def systematic(number: np.ndarray, spread: np.ndarray) -> np.ndarray:
