@@ -8,7 +8,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from pianofit.analysis import analyse, as_dict, energy_level, hz_to_note, note_to_hz, note_to_midi, rows
+from pianofit.analysis import (
+    Partials,
+    analyse,
+    as_dict,
+    energy_level,
+    hz_to_note,
+    law_frequency,
+    note_to_hz,
+    note_to_midi,
+    rows,
+)
 from pianofit.analysis.glide import falls
 from pianofit.analysis.inharmonicity import decay_law, frequency_law
 from pianofit.errors import AnalysisError
@@ -167,56 +177,112 @@ def test_beating_partials_keep_their_level_and_dominant_frequency():
     i = np.searchsorted(truth.number, table.number)
     assert len(table) >= 15
     assert np.median(table.beating) > 1.5
-    assert np.quantile(np.abs(table.level - truth.level[i]), 0.9) < 0.3
+    assert np.median(np.abs(table.level - truth.level[i])) < 0.6
+    assert np.quantile(np.abs(table.level - truth.level[i]), 0.9) < 1.5
     assert np.quantile(np.abs(table.frequency - truth.frequency[i]), 0.9) < 0.2
     clean = analyse(one.recording(noise=1e-6), note="C4").partials
-    assert np.median(table.level_error) > 5 * np.median(clean.level_error)
+    assert np.median(table.level_error) < 0.05
+    assert np.median(_spread(table, "level")) > 0.1
+    assert np.median(_spread(clean, "level")) == 0.0
 
 
-def test_a_beat_too_slow_to_be_seen_is_doubted():
-    """Two axes 2 cents apart: a beat of the first partials lasts longer than the note, and hardly leaves a residual."""
-    one = string(110.0, 1.5e-4, 40, 0.5, 5e-3, seed=3)
-    apart = (one.frequency * 2 * np.log(2) / 1200 * 2 * np.pi)[:, None]
-    truth = Note(
-        one.number, np.hstack([one.amplitude, 0.2 * one.amplitude]), np.hstack([one.pole, one.pole + 1j * apart])
-    )
-    table = analyse(truth.recording(seconds=3.0, noise=1e-6), note="A2").partials
-    slow = table.number < 12
-    off = table.decay[slow] - one.decay[np.searchsorted(one.number, table.number[slow])]
-    assert np.all(np.abs(off) < 4 * table.decay_error[slow])
-    assert np.median(np.abs(off) / np.sqrt(table.decay_error[slow] ** 2 - table.decay_doubt[slow] ** 2)) > 4
-    alone = analyse(one.recording(seconds=3.0, noise=1e-6), note="A2").partials
-    assert np.median(alone.decay_doubt / alone.decay_error) == 0.0
-    assert np.median(alone.level_doubt) == 0.0
-    assert np.median(alone.frequency_doubt / alone.frequency_error) == 0.0
+def _spread(table: Partials, column: str) -> np.ndarray:
+    """Standard deviations of systematic errors [partials]."""
+    return np.sqrt(np.diag(getattr(table, f"{column}_systematic")))
+
+
+def _two_axes(one: Note, cents: float, share: float) -> Note:
+    """The same stroke shared out between the string and a second axis, so many cents higher."""
+    apart = 1j * one.pole.imag * (2 ** (cents / 1200) - 1)
+    return Note(one.number, np.hstack([one.amplitude, share * one.amplitude]), np.hstack([one.pole, one.pole + apart]))
+
+
+def test_standard_errors_are_right_at_every_signal_to_noise_ratio():
+    """And nothing systematic is seen where there is nothing."""
+    standard, seen, snr = [], [], []
+    for name, down, partials in (("A0", 40.0, 40), ("A2", 55.0, 30), ("C5", 70.0, 12)):
+        f0, B, _, b1, _ = STRINGS[name]
+        truth = string(f0, B, partials, b1, 20.0 / partials**2, seed=9)
+        silent = truth.recording(seconds=3.0)
+        rms = np.sqrt(np.mean(silent.samples[silent.onset :][:RATE] ** 2))
+        for seed in range(8):
+            table = analyse(truth.recording(seconds=3.0, noise=rms * 10 ** (-down / 20), seed=seed), note=name).partials
+            i = np.searchsorted(truth.number, table.number)
+            for column in ("frequency", "decay", "level"):
+                error = getattr(table, f"{column}_error")
+                standard.append((getattr(table, column) - getattr(truth, column)[i]) / error)
+                seen.append(_spread(table, column) / error)
+            snr.append(table.snr)
+    snr = np.concatenate([np.concatenate(snr[n : n + 1] * 3) for n in range(len(snr))])
+    standard, seen = np.concatenate(standard), np.concatenate(seen)
+    for low, high in ((0, 40), (40, 55), (55, 75), (75, np.inf)):
+        z = standard[(snr >= low) & (snr < high)]
+        assert len(z) > 100
+        assert np.sqrt(np.mean(z**2)) == pytest.approx(1.0, abs=0.13)
+        assert abs(np.mean(z)) < 4 / np.sqrt(len(z))
+    assert np.median(seen) == 0.0
+    assert np.mean(seen > 0.3) < 0.05
+
+
+@pytest.mark.parametrize(("name", "cents"), [("A0", 2.0), ("A2", 1.5), ("C5", 1.0)])
+def test_systematic_covariances_cover_what_a_second_axis_does(name, cents):
+    f0, B, _, b1, _ = STRINGS[name]
+    one, share = string(f0, B, 12, b1, 20.0 / 30**2, seed=3), 0.2
+    table = analyse(_two_axes(one, cents, share).recording(seconds=3.0, noise=1e-6), note=name).partials
+    i = np.searchsorted(one.number, table.number)
+    # The mean pitch is a matter of the recording's own offset.
+    ratio = table.frequency / one.frequency[i]
+    off = {
+        "frequency": table.frequency * (1 - np.mean(ratio) / ratio),
+        "decay": table.decay - one.decay[i],
+        "level": table.level - one.level[i] - 20 * np.log10(1 + share),
+    }
+    for column, away in off.items():
+        systematic = getattr(table, f"{column}_systematic")
+        assert np.linalg.eigvalsh(systematic).min() > -1e-12 * np.trace(systematic)
+        z = away / np.hypot(_spread(table, column), getattr(table, f"{column}_error"))
+        assert np.sqrt(np.mean(z**2)) < 2.5, column
+        assert np.median(np.abs(away) / getattr(table, f"{column}_error")) > 3, column
+
+
+def test_a_beat_does_the_same_to_loud_and_soft_recordings():
+    both = _two_axes(string(220.0, 2e-4, 20, 1.0, 0.02, seed=5), 2.0, 0.3)
+    loud, soft = (analyse(both.recording(noise=noise), note="A3").partials for noise in (1e-6, 3e-5))
+    _, i, j = np.intersect1d(loud.number, soft.number, return_indices=True)
+    assert len(j) > 15
+    z = (loud.level[i] - soft.level[j]) / np.hypot(loud.level_error[i], soft.level_error[j])
+    assert np.sqrt(np.mean(z**2)) < 1.4
 
 
 def test_a_weak_partial_that_beats_faintly_keeps_its_level_beside_loud_ones():
-    """By the energy in its band it would be too loud, for the lines of its neighbours are wider than it is."""
     k = np.arange(1, 25)
     amplitude = np.where(k % 4 == 0, 0.003, 0.3 / k)[:, None].astype(complex)
     pole = (-1.0 - 0.01 * k**2 + 2j * np.pi * 110.0 * k * np.sqrt(1 + 2e-4 * k**2))[:, None]
-    apart = 2j * np.pi * 110.0 * k[:, None] * (2 ** (1.0 / 1200) - 1)
-    truth = Note(k, np.hstack([amplitude, 0.05 * amplitude]), np.hstack([pole, pole + apart]))
+    truth = _two_axes(Note(k, amplitude, pole), 1.0, 0.05)
     table = analyse(truth.recording(noise=1e-6), note="A2").partials
     weak = table.number % 4 == 0
     assert weak.sum() >= 5
-    assert (table.way[weak] == 1).all()
     assert np.abs(table.level - truth.level[table.number - 1])[weak].max() < 0.15
-    assert (table.levels[2] - truth.level[table.number - 1])[weak].max() > 0.5
 
 
-def test_a_beat_too_fast_for_the_first_moments_is_doubted_by_what_it_takes_from_them():
-    one = string(440.0, 4e-4, 12, 1.0, 0.02, seed=4)
-    both = Note(
-        one.number, np.hstack([one.amplitude, 0.2 * one.amplitude]), np.hstack([one.pole, one.pole + 2j * np.pi * 7.0])
-    )
-    table = analyse(both.recording(noise=1e-6), note="A4").partials
-    blow = one.level[np.searchsorted(one.number, table.number)] + 20 * np.log10(1.2)
-    off = np.abs(table.level - blow)
-    assert np.median(off) > 2.5 * np.median(table.level_error)
-    assert (off < 2 * np.hypot(table.level_doubt, table.level_error)).all()
-    assert np.median(table.level_doubt) < 3 * np.median(off)
+def test_absent_partials_are_bounded_by_the_energy_in_their_bands():
+    one = string(220.0, 2e-4, 20, 1.0, 0.02, seed=5)
+    size = np.where(one.number % 5 == 0, 1e-6, 1.0)[:, None] * one.amplitude
+    hidden = Note(one.number, size, one.pole)
+    analysis = analyse(hidden.recording(noise=1e-4), note="A3")
+    table = analysis.partials
+    assert {5, 10, 15, 20} <= set(table.absent)
+    assert not set(table.absent) & set(table.number)
+    frequency = law_frequency(analysis.f0, analysis.B, table.absent)
+    assert np.all(np.diff(table.absent) > 0)
+    assert 11000 < frequency.max() < 12000
+    inside = table.absent <= 20
+    assert np.all(table.absent_bound[inside] > hidden.level[table.absent[inside] - 1])
+    # Noise in a band of 0.3 spacings to either side, under exp(-8t): what is left when no partial is there.
+    noise = 10 * np.log10(analysis.noise_density[0] * 0.6 * 220 / 16)
+    assert np.median(table.absent_bound) == pytest.approx(noise, abs=4.0)
+    loud = analyse(one.recording(noise=1e-4), note="A3").partials
+    assert not {5, 10, 15, 20} & set(loud.absent)
 
 
 def test_a_glide_tells_how_sharp_it_began():

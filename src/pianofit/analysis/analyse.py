@@ -30,7 +30,8 @@ _WIDEST = 100.0  # Hz; more bandwidth than this brings no more information about
 _LEAST_SNR = 14.0  # dB
 _WORST_LEVEL = 10.0  # dB; a level less sure than this is no level
 _LEAST_DECAY = 1e-3  # 1/s; nothing decays more slowly
-_OUTLIER = (6.0, 12.0)  # standard deviations, and cents, from the law beyond which a peak belongs to something else
+_OUTLIER = 6.0  # standard deviations from the law beyond which a peak belongs to something else,
+_OUTLIER_CENTS = 12.0  # and cents, whichever is more
 TRUSTED = 20.0  # partials; from about there real strings leave the law by cents
 _BEATS = 1.5  # dB
 
@@ -116,20 +117,14 @@ def _measure_all(
         bands, z, fit, left, above = straightened(bands, z, fit, density, windows)
     rows = measure(bands, z, fit, density, glides)
     keep = _plausible(rows, law, number) & ~lost(bands, fit)
-    frequency_error, decay_error = (
-        np.hypot(rows.frequency_error, rows.frequency_spread),
-        np.hypot(rows.decay_error, rows.decay_spread),
-    )
-    keep[keep] = _on_law(number[keep], rows.frequency[keep], frequency_error[keep])
+    keep[keep] = _on_law(number[keep], rows.frequency[keep], rows.whole_error("frequency")[keep])
     if not keep.any():
         raise AnalysisError(f"{recording.path}: no partial of {law.f0:.1f} Hz stands out of the noise")
-    fine = frequency_law(
-        number[keep], rows.frequency[keep], frequency_error[keep], B=law.B if keep.sum() < 2 else None, trusted=TRUSTED
-    )
-    losses = decay_law(number[keep], np.maximum(rows.decay[keep], _LEAST_DECAY), decay_error[keep])
-    absent = _absent(number[keep], fine, top)
+    number, rows = number[keep], rows.kept(keep)
+    fine, losses = _laws(number, rows, law.B)
+    absent = _absent(number, fine, top)
     bound = bounds(samples, rate, fine(absent), losses(absent), fine.f0, skip)
-    table = _table(number[keep], rows, keep, absent, bound)
+    table = _table(number, rows, absent, bound)
     glide = tuple((a, b, fine.f0 * float(np.exp(c / CENTS))) for a, b, c, _ in windows)
     return Analysis(
         fine.f0, fine.f0_error, fine.B, fine.B_error,
@@ -139,10 +134,20 @@ def _measure_all(
     )  # fmt: skip
 
 
+def _laws(number: np.ndarray, rows: Measured, B: float) -> tuple[FrequencyLaw, DecayLaw]:
+    """The string's two laws; of a single partial with this `B`."""
+    held = B if len(number) < 2 else None
+    error = rows.whole_error("frequency")
+    return (
+        frequency_law(number, rows.frequency, error, B=held, trusted=TRUSTED),
+        decay_law(number, np.maximum(rows.decay, _LEAST_DECAY), rows.whole_error("decay")),
+    )
+
+
 def _plausible(rows: Measured, law: FrequencyLaw, number: np.ndarray) -> np.ndarray:
     """Tell which partials stand out of the noise and have numbers that mean something."""
     near = np.abs(rows.frequency - law(number)) < 0.25 * law.f0
-    known = (rows.level_error < _WORST_LEVEL) & (np.hypot(rows.frequency_error, rows.frequency_spread) < 0.1 * law.f0)
+    known = (rows.level_error < _WORST_LEVEL) & (rows.whole_error("frequency") < 0.1 * law.f0)
     return (rows.snr > _LEAST_SNR) & near & known & (rows.decay < 300.0)
 
 
@@ -152,7 +157,7 @@ def _on_law(k: np.ndarray, frequency: np.ndarray, error: np.ndarray) -> np.ndarr
         return np.ones(len(k), bool)
     law = frequency_law(k, frequency, error)
     away = CENTS * np.abs(np.log(frequency / law(k)))
-    return away < np.maximum(_OUTLIER[0] * np.hypot(law.scatter, CENTS * error / frequency), _OUTLIER[1])
+    return away < np.maximum(_OUTLIER * np.hypot(law.scatter, CENTS * error / frequency), _OUTLIER_CENTS)
 
 
 def _absent(number: np.ndarray, law: FrequencyLaw, top: float) -> np.ndarray:
@@ -161,20 +166,20 @@ def _absent(number: np.ndarray, law: FrequencyLaw, top: float) -> np.ndarray:
     return np.setdiff1d(every[law(every) < top], number)
 
 
-def _table(number: np.ndarray, rows: Measured, keep: np.ndarray, absent: np.ndarray, bound: np.ndarray) -> Partials:
+def _table(number: np.ndarray, rows: Measured, absent: np.ndarray, bound: np.ndarray) -> Partials:
     return Partials(
         number=number,
-        frequency=rows.frequency[keep],
-        frequency_error=rows.frequency_error[keep],
-        frequency_systematic=systematic(number, rows.frequency_spread[keep]),
-        decay=np.maximum(rows.decay[keep], _LEAST_DECAY),
-        decay_error=rows.decay_error[keep],
-        decay_systematic=systematic(number, rows.decay_spread[keep]),
-        level=rows.level[keep],
-        level_error=rows.level_error[keep],
-        level_systematic=systematic(number, rows.level_spread[keep]),
-        snr=rows.snr[keep],
-        beating=rows.beating[keep],
+        frequency=rows.frequency,
+        frequency_error=rows.frequency_error,
+        frequency_systematic=systematic(number, rows.frequency_spread),
+        decay=np.maximum(rows.decay, _LEAST_DECAY),
+        decay_error=rows.decay_error,
+        decay_systematic=systematic(number, rows.decay_spread),
+        level=rows.level,
+        level_error=rows.level_error,
+        level_systematic=systematic(number, rows.level_spread),
+        snr=rows.snr,
+        beating=rows.beating,
         absent=absent,
         absent_bound=bound,
     )

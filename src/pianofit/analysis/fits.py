@@ -5,7 +5,7 @@ What a partial's fitted neighbours leak into its band is subtracted, and the fit
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +61,7 @@ class Fitted:
 
     fit: Tones
     covariance: np.ndarray  # [3, partials]: variances of log a at the origin and of the pole, and between them
+    noise: np.ndarray  # [partials], mean power that the noise has in `fit.misfit`
     excess: np.ndarray  # [partials], residual power beyond what noise may leave, over the noise's, at least 0
 
     def pole_error(self) -> np.ndarray:
@@ -73,43 +74,56 @@ class Fitted:
         return np.sqrt(0.5 * np.maximum(first + 2 * lever * between + lever**2 * second, 0.0))
 
 
-def fitted(bands: Bands, cut: slice, fit: Tones, density: np.ndarray) -> Fitted:
-    """`fit`, made of the frames `cut`, with the errors that noise of this one-sided `density` [partials] makes."""
-    count = len(bands.time[cut])
-    chi = fit.misfit / (density / 2 * bands.noise_width)
-    return Fitted(fit, _noise_covariance(bands, cut, fit, density), np.maximum(chi - slack(bands, count), 0.0))
+def fitted(bands: Bands, cut: slice, fit: Tones, density: np.ndarray, damping: float = 0.0) -> Fitted:
+    """`fit`, made of the frames `cut`, with the errors that noise of this one-sided `density` [partials] makes.
+
+    Parameters
+    ----------
+    damping : 1/s; the frames had been multiplied by exp(-damping τ), τ from the first of them
+    """
+    fade = np.exp(-2 * damping * (bands.time[cut] - fit.origin))
+    count = np.sum(fade) ** 2 / np.sum(fade**2)
+    noise = density / 2 * bands.noise_width * np.mean(fade)
+    covariance = _noise_covariance(bands, cut, fit, damping) * density / 2 * bands.rate
+    return Fitted(fit, covariance, noise, np.maximum(fit.misfit / noise - slack(bands, count), 0.0))
 
 
-def _noise_covariance(bands: Bands, cut: slice, fit: Tones, density: np.ndarray) -> np.ndarray:
-    """As `Fitted.covariance`.
+def _noise_covariance(bands: Bands, cut: slice, fit: Tones, damping: float) -> np.ndarray:
+    """As `Fitted.covariance`, for noise of the variance 1 a frame before the window coloured it.
 
     Least squares turn noise n into (JᴴJ)⁻¹Jᴴn, so (log a, pole) has covariance (JᴴJ)⁻¹ JᴴCJ (JᴴJ)⁻¹. The covariance C
     of the frames' noise is that of a stationary process with the spectrum |G|²: JᴴCJ is a sum over frequencies.
     """
     tau = bands.time[cut] - fit.origin
-    wave = np.exp(fit.pole[:, None] * tau)
+    wave = np.exp((fit.pole[:, None] - damping) * tau)
+    weighted = wave * np.exp(-damping * tau)
     size, colour = bands.colour(len(tau))
-    zeroth, first = (np.fft.fft(w, size, axis=1) for w in (wave, wave * tau))
+    zeroth, first = (np.fft.fft(w, size, axis=1) for w in (weighted, weighted * tau))
     n0, n1, n2 = ((a * b.conj()).real @ colour / size for a, b in ((zeroth, zeroth), (zeroth, first), (first, first)))
     power = np.abs(wave) ** 2
     p0, p1, p2 = (power @ tau**n for n in range(3))
     plain = np.array([[p2, -p1], [-p1, p0]]) / np.maximum(p0 * p2 - p1**2, 1e-300)
     full = np.einsum("ijp,jkp,klp->ilp", plain, np.array([[n0, n1], [n1, n2]]), plain)
-    scale = density / 2 * bands.rate / np.maximum(np.abs(fit.amplitude) ** 2, 1e-300)
-    return np.stack([full[0, 0], full[0, 1], full[1, 1]]) * scale
+    return np.stack([full[0, 0], full[0, 1], full[1, 1]]) / np.maximum(np.abs(fit.amplitude) ** 2, 1e-300)
 
 
-def slack(bands: Bands, frames: np.ndarray | int) -> np.ndarray:
+def slack(bands: Bands, frames: np.ndarray | float) -> np.ndarray:
     """Residual power over so many frames, relative to the noise's, that noise alone hardly ever exceeds."""
     return 1.3 + 4 / np.sqrt(frames * bands.noise_width / bands.rate)
 
 
 def window(
-    bands: Bands, z: NDArray[np.complex128], fit: Tones, density: np.ndarray, start: float, stop: float
-) -> Fitted:
-    """One exponential through the frames between `start` and `stop`."""
-    cut = bands.cut(start, stop)
-    return fitted(bands, cut, fit_tones(z[:, cut], bands.time[cut], fit.pole, steps=8), density)
+    bands: Bands, z: NDArray[np.complex128], fit: Tones, density: np.ndarray, span: tuple[float, float],
+    damping: float = 0.0, reach: float = np.inf,
+) -> Fitted:  # fmt: skip
+    """One exponential through the frames within `span` (s), by least squares under exp(-damping t).
+
+    Poles keep within `reach` (1/s) of those of `fit`.
+    """
+    cut = bands.cut(*span)
+    t = bands.time[cut]
+    faded = fit_tones(z[:, cut] * np.exp(-damping * (t - t[0])), t, fit.pole - damping, steps=8, reach=reach)
+    return fitted(bands, cut, replace(faded, pole=faded.pole + damping), density, damping)
 
 
 def level_of(bands: Bands, which: Fitted) -> tuple[np.ndarray, np.ndarray]:

@@ -21,13 +21,12 @@ __all__ = ["falls", "glide_windows", "straightened"]
 _WINDOWS = ((0.0, 0.35), (0.2, 1.0), (1.0, 2.0), (2.0, 4.0), (4.0, np.inf))  # s after the onset
 _REFERENCE = 1  # of the windows: where f0 is defined
 _ROUNDS = 8
-# Time constants of a fall, s, and a usual one.
-_TAU, _USUAL_TAU = (0.05, 5.0), 0.5
-# A change of pitch is one if it is this many standard errors and this many cents.
-_SURE, _LEAST = 4.0, 0.1
-# Where one window tells of a fall it does not tell its time constant, and so much of it is not known. Even where it is,
-# what the mean over a window is depends by this much of the fall on how its moments are weighed.
-_UNTOLD, _WEIGHED = 0.3, 0.01
+_TAU = (0.05, 5.0)  # s, range of time constants of a fall
+_USUAL_TAU = 0.5  # s, taken where one window alone tells of a fall
+_SURE = 4.0  # standard errors by which pitch must change to be taken for a fall,
+_LEAST = 0.1  # and cents
+_UNTOLD = 0.3  # share of a fall that is not known where one window alone tells of it, and so not its time constant
+_WEIGHED = 0.01  # the same otherwise: the mean over a window depends by so much on how its moments are weighed
 _LOUD = 30.0  # power a partial must have in a window, over the noise power of a frame
 
 

@@ -8,8 +8,9 @@ mean something:
 - frequency from 0.2 to 1.0 s after the onset, or the dominant component's where the partial beats deeply,
 - decay rate of the early energy, the first 0.8 s.
 
-The level is always that of one exponential through the first 0.4 s. So what a beat does to it, it does in all
-recordings of a key alike.
+The level is always that of one exponential through the first 0.4 s, by least squares under the weight exp(-8t) that
+defines levels. So it has the energy of what beats, as far as one exponential can, and what a beat does to it, it does
+in all recordings of a key alike.
 
 Noise gives each value a standard error, carried from the noise of the frames through the least squares to first order.
 Beside it stands the standard deviation of a systematic error, seen in what one exponential leaves over beyond noise and
@@ -20,7 +21,7 @@ partial to the next, so it is that of a few neighbours, and they share it.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,13 +29,17 @@ from numpy.typing import NDArray
 from .components import Components, resolve
 from .demodulate import Bands
 from .fits import Fitted, fitted, level_of, lost, slack, window
+from .level import LEVEL_RATE
 from .tones import Tones
 
 __all__ = ["Measured", "measure", "systematic"]
 
 FREQUENCY_WINDOW = (0.2, 1.0)  # s
 _EARLY = 0.8  # s, for decay rates
-_FIRST = 0.4  # s, for levels
+_FIRST = 0.4  # s, for levels; from the first frame
+_REACH = (
+    20.0  # 1/s by which the first moments' pole may differ from that of the whole; beyond, it follows another sound
+)
 _DEEP = 1.5  # dB rms beyond which a partial counts as beating
 _CLEAN_MISFIT = 3e-3  # of the signal's rms: one exponential is then good enough whatever the noise
 _COMPONENTS = 0.15  # share of the difference between one component and several that is taken for systematic
@@ -68,6 +73,14 @@ class Measured:
     snr: np.ndarray
     beating: np.ndarray
 
+    def kept(self, keep: np.ndarray) -> Measured:
+        """The rows where `keep`, bool [partials]."""
+        return Measured(**{field.name: getattr(self, field.name)[keep] for field in fields(self)})
+
+    def whole_error(self, column: str) -> np.ndarray:
+        """Noise and systematic error of "frequency", "decay" or "level" together [partials]."""
+        return np.hypot(getattr(self, f"{column}_error"), getattr(self, f"{column}_spread"))
+
 
 def systematic(number: np.ndarray, spread: np.ndarray) -> np.ndarray:
     """Covariance [partials, partials] of systematic errors with standard deviations `spread` [partials]."""
@@ -89,16 +102,14 @@ def measure(bands: Bands, z: NDArray[np.complex128], fit: Tones, density: np.nda
     # Amplitude of what beats with each partial, over its own. More than that is resolved, or is in the misfit.
     second = _shared(_where_seen(np.minimum(beating, _DEEP), seen) * np.sqrt(2) / _DB)
     whole = fitted(bands, slice(None), fit, density)
-    early, tone, first = (
-        window(bands, z, fit, density, *span)
-        for span in ((0.0, _EARLY), FREQUENCY_WINDOW, (0.0, bands.time[0] + _FIRST))
-    )
+    early, tone = (window(bands, z, fit, density, span) for span in ((0.0, _EARLY), FREQUENCY_WINDOW))
+    first = window(bands, z, fit, density, (0.0, bands.time[0] + _FIRST), LEVEL_RATE / 2, _REACH)
     parts = resolve(bands, z, frame)
     audible = (tone.fit.power > 10 * frame) & (bands.time[-1] > 0.6) & ~lost(bands, tone.fit)
     split = parts.valid & (beating > _DEEP) & ~clean
     frequency = _frequencies(bands, whole, early, tone, parts, second, clean & ~(glides & audible), audible, split)
     decay = _decays(whole, early, parts, second, clean, split)
-    level = _levels(bands, first, second, frame)
+    level = _levels(bands, first, second)
     snr = -20 * np.log10(np.maximum(whole.log_error(-fit.origin), 1e-15))
     return Measured(*frequency, *decay, *level, snr, beating)
 
@@ -157,16 +168,14 @@ def _shared(spread: np.ndarray) -> np.ndarray:
     return np.maximum(size, np.median(near, axis=1))
 
 
-def _levels(
-    bands: Bands, first: Fitted, second: np.ndarray, frame: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _levels(bands: Bands, first: Fitted, second: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Levels, their standard errors from noise, and standard deviations of systematic errors, dB.
 
     A beat that is fast is what the first moments' exponential leaves over. Of a slow one only later moments tell.
     """
     level, error = level_of(bands, first)
     over = np.where(first.excess > 0, 2 * first.fit.misfit, 0.0) / np.maximum(first.fit.power, 1e-300)
-    fast = _shared(_where_seen(np.sqrt(over), frame < _SEEN**2 * first.fit.power))
+    fast = _shared(_where_seen(np.sqrt(over), first.noise < _SEEN**2 * first.fit.power))
     return level, np.hypot(error, _LEVEL_FLOOR), _DB * np.hypot(_FAST * fast, _SLOW * second)
 
 

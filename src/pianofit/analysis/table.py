@@ -26,11 +26,15 @@ COLUMNS = (
 
 
 def as_dict(analysis: Analysis) -> dict[str, Any]:
-    """JSON-ready copy; what is not finite (an error that nothing bounds) becomes None."""
-    return {
-        "schema": 1,
-        **{field.name: _plain(getattr(analysis, field.name)) for field in dataclasses.fields(analysis)},
-    }
+    """JSON-ready copy; what is not finite (an error that nothing bounds) becomes None.
+
+    Of the systematic covariances it has the standard deviations, as `frequency_systematic` and so on: [partials], Hz,
+    1/s and dB.
+    """
+    data = {field.name: _plain(getattr(analysis, field.name)) for field in dataclasses.fields(analysis)}
+    for name in ("frequency_systematic", "decay_systematic", "level_systematic"):
+        data["partials"][name] = _plain(np.sqrt(np.diag(getattr(analysis.partials, name))))
+    return {"schema": 1, **data}
 
 
 def _plain(value: Any) -> Any:

@@ -49,17 +49,22 @@ def lag_poles(z: NDArray[np.complex128], t: np.ndarray, lag: float) -> NDArray[n
     return np.asarray(np.log(ratio) / (d * step), complex)
 
 
-def fit_tones(z: NDArray[np.complex128], t: np.ndarray, start: NDArray[np.complex128], *, steps: int = 12) -> Tones:
+def fit_tones(
+    z: NDArray[np.complex128], t: np.ndarray, start: NDArray[np.complex128], *, steps: int = 12, reach: float = np.inf
+) -> Tones:
     """Least-squares exponential for each row of `z` [rows, samples] at times `t` (s), from poles `start` [rows].
 
-    A row whose step does not lower its misfit goes half as far the next time; rows that have converged stay.
+    Neither the real nor the imaginary part of a pole goes further than `reach` (1/s) from its start. A row whose step
+    does not lower its misfit goes half as far the next time; rows that have converged stay.
     """
     tau = t - t[0]
     span = max(float(tau[-1]), 1e-9)
     lowest, highest = -(60 / span + 400), 5 / span
 
     def limited(pole: NDArray[np.complex128]) -> NDArray[np.complex128]:
-        return np.clip(pole.real, lowest, highest) + 1j * pole.imag
+        away = pole - start
+        near = start + np.clip(away.real, -reach, reach) + 1j * np.clip(away.imag, -reach, reach)
+        return np.clip(near.real, lowest, highest) + 1j * near.imag
 
     pole, factor = limited(start), np.ones(len(z))
     move, cost = np.zeros(len(z), complex), np.full(len(z), np.inf)
