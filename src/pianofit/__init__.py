@@ -37,7 +37,8 @@ if TYPE_CHECKING:
         RecordingError,
         SetupError,
     )
-    from .fit import Result, fit_recording, fit_takes
+    from .fitting import fit_recording, fit_takes
+    from .inference import Result
     from .model import Simulation, simulate
     from .parameters import PARAMETERS, Geometry, Hammer, MemoryHammer, String
     from .predict import Prediction, cross_validate, predict_take
@@ -51,7 +52,8 @@ if TYPE_CHECKING:
 _HOMES = {
     "analysis": ("Analysis", "Partials", "analyse"),
     "errors": tuple(name for name in __all__ if name.endswith("Error")),
-    "fit": ("Result", "fit_recording", "fit_takes"),
+    "fitting": ("fit_recording", "fit_takes"),
+    "inference": ("Result",),
     "model": ("Simulation", "simulate"),
     "parameters": ("PARAMETERS", "Geometry", "Hammer", "MemoryHammer", "String"),
     "predict": ("Prediction", "cross_validate", "predict_take"),

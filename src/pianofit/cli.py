@@ -124,7 +124,7 @@ def fit(
     felt: Felt = None,
     recipe: Recipe = "default",
     evaluations: Evaluations = None,
-    intervals: Intervals = "curvature",
+    intervals: Intervals = "laplace",
     seed: Seed = 0,
     force: Force = False,
     page: Annotated[bool, typer.Option(help="Write report.html.")] = True,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from .fit import Result
+from .inference import Result
 from .model.cache import keep_programs
 from .render import encode_wav
 from .report.output import replace_file

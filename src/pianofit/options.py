@@ -32,7 +32,7 @@ def whole(text: str | int) -> int:
 def _recipe(text: str) -> str:
     if text == "default":
         return text
-    from .fit import RECIPES
+    from .fitting import RECIPES
 
     if text not in RECIPES:
         raise typer.BadParameter(f"{text!r} is none of {', '.join(RECIPES)}")
@@ -40,9 +40,9 @@ def _recipe(text: str) -> str:
 
 
 def _intervals(text: str) -> str:
-    if text == "curvature":
+    if text == "laplace":
         return text
-    from .fit import MEANS
+    from .fitting import MEANS
 
     if text not in MEANS:
         raise typer.BadParameter(f"{text!r} is none of {', '.join(MEANS)}")
@@ -91,7 +91,7 @@ Intervals = Annotated[
     str,
     typer.Option(
         parser=_intervals, metavar="MEANS",
-        help="How sure, by the curvature, by profile (seconds), or by the posterior (minutes; needs pianofit[bayes]).",
+        help="laplace, profile (seconds), or posterior, by NUTS (minutes; needs pianofit[bayes]).",
     ),
 ]  # fmt: skip
 Seconds = Annotated[float, typer.Option(parser=number, metavar="S", help="Length of the sound.")]

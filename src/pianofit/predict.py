@@ -8,7 +8,7 @@ its place, and the best blend, in decibels, of its two neighbours.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import jax
@@ -16,12 +16,12 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import fminbound
 
-from .analysis import Analysis, Partials
+from .analysis import Analysis
 from .criterion import SAME_PARTIAL, level_error_db
 from .errors import FitError
-from .fit import Result, fit_takes
-from .fit.result import scored
-from .fit.target import measured_alike
+from .fitting import fit_takes
+from .inference import Result
+from .inference.result import scored
 from .model.contact import strike
 from .model.modes import mode_table
 from .model.response import level_db, ringing
@@ -51,18 +51,41 @@ class Prediction:
     voice: Voice
 
 
-def predict_take(voice: Voice, analysis: Analysis) -> Prediction:
-    """Play `voice` at the velocity that suits a recording's levels best.
+def predict_take(voices: Voice | Sequence[tuple[float, Voice]], analysis: Analysis) -> Prediction:
+    """Play a fit at the velocity that suits a recording's levels best.
+
+    Parameters
+    ----------
+    voices : one voice, or those of several minima with their shares. Each is struck at the velocity that suits it; the
+        prediction is the mean of their levels, dB, by their shares, and the voice, velocity and pitch are the first's.
 
     Raises
     ------
     FitError
         If too few partials stand above the noise, or no velocity gives a finite sound.
     """
-    p = _as_fitted(voice, analysis.partials)
-    chosen = scored(p.frequency, p.level) & _heard(voice, p.frequency)
+    mixture = [(1.0, voices)] if isinstance(voices, Voice) else list(voices)
+    p, (_, first) = analysis.partials, mixture[0]
+    chosen = scored(p.frequency, p.level) & _heard(first, p.frequency)
     if chosen.sum() < FEWEST:
         raise FitError(f"only {int(chosen.sum())} partials of the fit stand above the noise; {FEWEST} are needed")
+    played = [(share, *_at_best(voice, analysis, chosen)) for share, voice in mixture]
+    total = sum(share for share, *_ in played)
+    level = sum(share / total * (one + gain) for share, _, one, gain in played)
+    _, velocity, one, gain = played[0]
+    cents = 1200 * float(np.log2(analysis.f0 / _pitch(first)))
+    voice = first._replace(
+        string=first.string._replace(c=first.string.c * 2 ** (cents / 1200)),
+        hammer=first.hammer._replace(v_H0=velocity),
+        gain=first.gain * 10 ** (gain / 20),
+    )
+    found = level_error_db(level[chosen], p.level[chosen])
+    return Prediction(velocity, gain, cents, found, int(chosen.sum()), level, voice)
+
+
+def _at_best(voice: Voice, analysis: Analysis, chosen: np.ndarray) -> tuple[float, np.ndarray, float]:
+    """The velocity at which a voice's levels are nearest, m/s, those levels, dB [partials], and what gain they lack."""
+    p = analysis.partials
     levels = _levels_of(voice, analysis)
 
     def error(log_velocity: float) -> float:
@@ -78,15 +101,7 @@ def predict_take(voice: Voice, analysis: Analysis) -> Prediction:
     around = np.log(tried[[max(best - 1, 0), min(best + 1, TRIED - 1)]])
     velocity = float(np.exp(fminbound(error, *around, xtol=1e-4)))
     level = levels(np.array([velocity]))[0]
-    gain = float((p.level - level)[chosen].mean())
-    cents = 1200 * float(np.log2(analysis.f0 / _pitch(voice)))
-    played = voice._replace(
-        string=voice.string._replace(c=voice.string.c * 2 ** (cents / 1200)),
-        hammer=voice.hammer._replace(v_H0=velocity),
-        gain=voice.gain * 10 ** (gain / 20),
-    )
-    found = level_error_db(level[chosen], p.level[chosen])
-    return Prediction(velocity, gain, cents, found, int(chosen.sum()), level + gain, played)
+    return velocity, level, float((p.level - level)[chosen].mean())
 
 
 def _heard(voice: Voice, frequency: np.ndarray) -> np.ndarray:
@@ -94,12 +109,6 @@ def _heard(voice: Voice, frequency: np.ndarray) -> np.ndarray:
     if voice.path is None:
         return np.ones(len(frequency), bool)
     return np.abs(np.log(frequency[:, None] / voice.path.frequency)).min(axis=1) < SAME_PARTIAL
-
-
-def _as_fitted(voice: Voice, p: Partials) -> Partials:
-    """The recording's table with each level read off as the fit's takes had it."""
-    way = p.way if voice.path is None else voice.path.way_at(p.frequency, p.way)
-    return replace(p, level=p.levels[way, np.arange(len(p))])
 
 
 def _pitch(voice: Voice) -> float:
@@ -179,10 +188,8 @@ def cross_validate(
         rest = [j for j in range(count) if heard[j]["strike"] != blow]
         fit = fit_takes([recordings[j] for j in rest], [analyses[j] for j in rest], setup, seed=seed)
         for i in (j for j in range(count) if heard[j]["strike"] == blow):
-            voice = _voice_for(fit, whole, rest, i)
-            predicted[i] = None if voice is None else predict_take(voice, analyses[i])
-    tables = measured_alike([analysis.partials for analysis in analyses])
-    analyses = [replace(analysis, partials=p) for analysis, p in zip(analyses, tables, strict=True)]
+            voices = _voices_for(fit, whole, rest, i)
+            predicted[i] = predict_take(voices, analyses[i]) if voices else None
     order = sorted(range(count), key=lambda i: heard[i]["v_H0"])
     rows = [_row(i, predicted[i], _around(i, order, heard), heard, analyses) for i in order]
     inner = [row["predicted_db"] for row in rows if row["inner"]]
@@ -220,13 +227,13 @@ def _row(i: int, found: Prediction | None, around: list[int], heard: list[dict],
     }
 
 
-def _voice_for(fit: Result, whole: Result, rest: list[int], left_out: int) -> Voice | None:
-    """The fitted voice through the path of the take left out; None if no other take went through it."""
-    group = whole.document["takes"][left_out]["group"]
-    for heard, j in zip(fit.takes, rest, strict=True):
-        if whole.document["takes"][j]["group"] == group:
-            return heard.fitted.voice._replace(hammer=fit.fitted.voice.hammer)
-    return None
+def _voices_for(fit: Result, whole: Result, rest: list[int], left_out: int) -> list[tuple[float, Voice]]:
+    """The minima's voices through the path of the recording left out; none if no other went through it."""
+    takes = whole.document["takes"]
+    for place, j in enumerate(rest):
+        if takes[j]["group"] == takes[left_out]["group"]:
+            return [(share, voices[place]) for share, voices in zip(fit.shares, fit.voices, strict=True)]
+    return []
 
 
 def _common(analysis: Analysis, others: Sequence[Analysis]) -> tuple[np.ndarray, list[np.ndarray]]:

@@ -11,10 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from .analysis import WAYS
 from .criterion import OutputPath
 from .errors import FitError, ParameterError
-from .fit.result import SCHEMA
+from .inference.result import SCHEMA
 from .json_file import finite, load_json, table_of
 from .model.modes import QUANTITIES
 from .model.simulate import check_geometry
@@ -32,7 +31,7 @@ from .parameters import (
 from .recording import RATES, one_line
 from .voice import Voice
 
-__all__ = ["MOST_SECONDS", "check_render", "encode_wav", "limited", "load_voice"]
+__all__ = ["MOST_SECONDS", "check_render", "encode_wav", "limited", "load_mixture", "load_voice"]
 
 LARGEST_FIT = 2**24
 WAY_OUT = "give the file that pianofit fit wrote"
@@ -44,7 +43,9 @@ CEILING = 10 ** (-1 / 20)
 
 
 def load_voice(path: str | os.PathLike[str]) -> tuple[Voice, int]:
-    """The voice that a `fit.json` describes, and the rate of the recording it was fitted to, Hz.
+    """The voice that a `fit.json` describes at its best minimum, and the rate of the recording it was fitted to, Hz.
+
+    A file of the first schema has the same voice.
 
     Raises
     ------
@@ -53,9 +54,9 @@ def load_voice(path: str | os.PathLike[str]) -> tuple[Voice, int]:
     """
     name = one_line(path)
     document = load_json(path, LARGEST_FIT, "a fit.json", WAY_OUT)
-    if not isinstance(document, dict) or document.get("schema") != SCHEMA:
+    if not isinstance(document, dict) or document.get("schema") not in range(1, SCHEMA + 1):
         found = document.get("schema") if isinstance(document, dict) else type(document).__name__
-        raise FitError(f"{name}: schema {found!r} is not {SCHEMA}; fit again with this version of pianofit")
+        raise FitError(f"{name}: schema {found!r} is not 1 to {SCHEMA}; fit again with this version of pianofit")
     table = table_of(document, "parameters", name, WAY_OUT)
     values = {key: _number(table, key, name) for key in FIT_NAMES}
     values |= {key: _number(table, key, name) for key in MEMORY_NAMES if key in table}
@@ -84,6 +85,49 @@ def load_voice(path: str | os.PathLike[str]) -> tuple[Voice, int]:
     return voice, int(rate)
 
 
+def load_mixture(path: str | os.PathLike[str]) -> list[tuple[float, Voice]]:
+    """The voices of all minima that a `fit.json` describes, with their shares, the best first.
+
+    Raises
+    ------
+    FitError
+        As `load_voice`.
+    """
+    voice, _ = load_voice(path)
+    name = one_line(path)
+    document = load_json(path, LARGEST_FIT, "a fit.json", WAY_OUT)
+    minima = document.get("minima") if isinstance(document, dict) else None
+    if not isinstance(minima, list) or len(minima) < 2:
+        return [(1.0, voice)]
+    mixture = []
+    for at, entry in enumerate(minima):
+        where = f"{name}: minima[{at}]"
+        if not isinstance(entry, dict) or not isinstance(entry.get("parameters"), dict):
+            raise FitError(f"{where} has no parameters; {WAY_OUT}")
+        mixture.append((finite(entry.get("share"), f"{where}.share", WAY_OUT), _of_minimum(voice, entry, where)))
+    return mixture
+
+
+def _of_minimum(voice: Voice, entry: dict, where: str) -> Voice:
+    """`voice` with one minimum's string, hammer, strike position and path."""
+    values = {n: finite(x, f"{where}.parameters.{n}", WAY_OUT) for n, x in entry["parameters"].items()}
+    values = {"mu": 0.0, "v_H0": float(voice.hammer.v_H0)} | values
+    try:
+        hammer = make_hammer(values, where)
+        check_hammer(hammer, where)
+        string = String(*(check({n: values[n] for n in STRING_NAMES}, where)[n] for n in STRING_NAMES))
+        geometry = voice.geometry._replace(strike=values["x0"], width=values["width"])
+        check_geometry(geometry, voice.quantity)
+    except KeyError as missing:
+        raise FitError(f"{where}.parameters lacks {missing}; {WAY_OUT}") from None
+    except ParameterError as error:
+        raise FitError(str(error)) from None
+    path = voice.path
+    if path is not None:
+        path = _path({"frequency": path.frequency, "db": entry.get("path_db"), "decay": path.decay}, where)
+    return voice._replace(string=string, hammer=hammer, geometry=geometry, path=path)
+
+
 def _geometry(table: dict[str, Any], quantity: str, name: str) -> Geometry:
     length, mass, strike, width = (_number(table, key, name) for key in ("L", "M_S", "x0", "width"))
     pickup = _number(table, "pickup", name) if quantity in ("velocity", "displacement") else 0.5 * length
@@ -105,21 +149,17 @@ def _path(path: Any, name: str) -> OutputPath | None:
     if path is None:
         return None
     wrong = FitError(
-        f"{name}: pickup.path needs frequency, rising, db, decay, above 0, and way, 0 to 2, as many; give the file "
-        "that fit wrote"
+        f"{name}: pickup.path needs frequency, rising, db and decay, above 0, as many; give the file that fit wrote"
     )
     try:
         law = [1.0] * len(path["frequency"])
         frequency, db, decay = np.array([path["frequency"], path["db"], path.get("decay", law)], float)
-        way = None if path.get("way") is None else np.array(path["way"], float)
     except (KeyError, OverflowError, TypeError, ValueError):
         raise wrong from None
     rising = frequency.ndim == 1 and frequency.size and frequency[0] > 0 and bool((np.diff(frequency) > 0).all())
     if not (rising and np.isfinite([frequency, db, decay]).all() and (decay > 0).all()):
         raise wrong
-    if way is not None and not (way.shape == frequency.shape and np.isin(way, range(WAYS)).all()):
-        raise wrong
-    return OutputPath(frequency, db, decay, None if way is None else way.astype(int))
+    return OutputPath(frequency, db, decay)
 
 
 def check_render(velocity: float | None, seconds: float, rate: int) -> None:

@@ -16,14 +16,15 @@ def comparison(document: dict, true: dict[str, float]) -> str:
         p = document["parameters"][name]
         span = "[{:.5g}, {:.5g}]".format(*p["interval"]) if p["interval"] else "-"
         off = 100 * (p["value"] / value - 1)
-        note = "" if p["status"] == "free" else f"  {p['status']}"
+        note = "" if p["status"] == "fitted" else f"  {p['status']}"
         lines.append(f"{name:8}{p['initial']:12.5g}{value:12.5g}{p['value']:12.5g}{off:+9.3f} %  {span}{note}")
     return "\n".join(lines) + "\n"
 
 
 def summary(document: dict, folder: Path) -> str:
     """What was found, in a screenful."""
-    lines = [document["verdict"], ""] if document["verdict"] else []
+    lines = [document["claims"], ""] if document["claims"] else []
+    lines += _invariants(document["invariants"])
     lines.append(f"{'':8}{'value':>12}  {'unit':8}{'95 % interval':26}status")
     for name, p in document["parameters"].items():
         span = "[{:.5g}, {:.5g}]".format(*p["interval"]) if p["interval"] else "-"
@@ -45,6 +46,17 @@ def summary(document: dict, folder: Path) -> str:
         lines.append(f"dropped, no partial above the noise: {', '.join(document['criterion']['dropped'])}")
     lines += ["" if document["converged"] else "NOT CONVERGED", *document["messages"], "", f"written to {folder}"]
     return "\n".join(lines) + "\n"
+
+
+def _invariants(table: dict) -> list[str]:
+    """What no assumed size or velocity enters, before the SI values."""
+    if not table:
+        return []
+    lines = [f"{'':12}{'value':>12}  {'unit':8}95 % interval"]
+    for name, p in table.items():
+        span = "[{:.5g}, {:.5g}]".format(*p["interval"]) if p["interval"] else "-"
+        lines.append(f"{name:12}{p['value']:12.5g}  {p['unit']:8}{span}")
+    return [*lines, ""]
 
 
 def _take_line(take: dict) -> str:

@@ -19,7 +19,7 @@ from .recording import one_line
 
 if TYPE_CHECKING:
     from .analysis import Analysis
-    from .fit import Result
+    from .inference import Result
     from .recording import Recording
     from .setup_file import Setup
 
@@ -154,7 +154,7 @@ def fit_files(
     felt: str | None = None,
     recipe: str = "default",
     evaluations: int | None = None,
-    intervals: str = "curvature",
+    intervals: str = "laplace",
     seed: int = 0,
     report: bool = True,
     progress: Callable[[str, float], None] = lambda *_: None,
@@ -170,11 +170,11 @@ def fit_files(
         For any input that cannot be used; nothing is then written.
     """
     if recipe != "default" or evaluations is not None:
-        from .fit import check_recipe
+        from .fitting import check_recipe
 
         check_recipe(recipe, evaluations)
-    if intervals != "curvature":
-        from .fit import check_intervals
+    if intervals != "laplace":
+        from .fitting import check_intervals
 
         check_intervals(intervals, recipe)
     if len(files) > 1 and velocity is not None:
@@ -182,7 +182,7 @@ def fit_files(
     if len(files) > 1 and recipe != "default":
         raise ParameterError(f"recipe={recipe!r} fits one recording; {len(files)} were given")
     recordings, analyses, known = _takes(files, note, f0, setup, channel, felt, velocity, progress)
-    from .fit import fit_recording, fit_takes
+    from .fitting import fit_recording, fit_takes
     from .model.cache import keep_programs
 
     keep_programs()
@@ -261,9 +261,10 @@ def predict_file(fit: Path, file: Path, out: Path | None, *, channel: str = "ave
         For any input that cannot be used; nothing is then written.
     """
     from .recording import load_recording
-    from .render import encode_wav, load_voice
+    from .render import encode_wav, load_mixture
 
-    voice, _ = load_voice(fit)
+    mixture = load_mixture(fit)
+    voice = mixture[0][1]
     recording = load_recording(file, channel=channel)
     from .analysis import analyse
     from .model.cache import keep_programs
@@ -272,7 +273,7 @@ def predict_file(fit: Path, file: Path, out: Path | None, *, channel: str = "ave
 
     keep_programs()
     analysis = analyse(recording, f0=voice.string.c / (2 * voice.geometry.length))
-    found = predict_take(voice, analysis)
+    found = predict_take(mixture, analysis)
     if out is not None:
         strike = strike_voice(found.voice, recording.rate)
         touch = touched(found.voice, strike, recording)

@@ -115,7 +115,7 @@ def _measure_all(
     left = above = 0.0
     if glides:
         bands, z, fit, left, above = straightened(bands, z, fit, density, windows)
-    rows = measure(bands, z, fit, density, glides)
+    rows = measure(number, bands, z, fit, density, glides)
     keep = _plausible(rows, law, number) & ~lost(bands, fit)
     keep[keep] = _on_law(number[keep], rows.frequency[keep], rows.whole_error("frequency")[keep])
     if not keep.any():

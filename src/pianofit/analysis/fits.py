@@ -11,13 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .demodulate import Bands
-from .level import energy_level, mean_time
+from .level import LEVEL_RATE, energy_level
 from .tones import Tones, fit_tones, lag_poles
 
 __all__ = ["Fitted", "first_fits", "fitted", "level_of", "lost", "slack", "window"]
 
 _DB = 20 / np.log(10)
-_STEP = 1e-3  # 1/s, over which the gain's slope is taken
+FIRST = 0.4  # s of frames that make a level, from the first
+FASTEST = 40.0  # 1/s; a law carried far beyond the partials that show it is not believed beyond
+LEAST = 0.1  # share of a band's energy that is the partial's at least, whatever the noise
 
 
 def _physical(bands: Bands, fit: Tones) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
@@ -126,10 +128,26 @@ def window(
     return fitted(bands, cut, replace(faded, pole=faded.pole + damping), density, damping)
 
 
-def level_of(bands: Bands, which: Fitted) -> tuple[np.ndarray, np.ndarray]:
-    """Levels, and their standard errors from noise, dB [partials]."""
-    amplitude, pole = _physical(bands, which.fit)
-    gain = np.log(np.abs(bands.gain(which.fit.pole + _STEP) / bands.gain(which.fit.pole - _STEP))) / (2 * _STEP)
-    # d level / d (real part of the pole), the first frame held: a time, s.
-    lever = mean_time(-which.fit.pole.real) - which.fit.origin - gain
-    return energy_level(amplitude[:, None], pole[:, None]), _DB * which.log_error(lever)
+def level_of(
+    bands: Bands, z: NDArray[np.complex128], whole: Fitted, first: Fitted, decay: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Levels, and their standard errors from noise, dB [partials].
+
+    Parameters
+    ----------
+    z : basebands, neighbours' leakage subtracted [partials, frames]
+    whole : of all frames, for its frequency
+    first : of the first frames, under the level's weight
+    decay : 1/s, by which the energy of the frames is brought to the level's span
+    """
+    cut = bands.cut(0.0, bands.time[0] + FIRST)
+    t = bands.time[cut]
+    fade = np.exp(-LEVEL_RATE * (t - t[0]))
+    pole = -np.clip(decay, 0.0, FASTEST)
+    wave = np.exp(2 * pole[:, None] * t) * fade
+    gain = np.abs(bands.gain(pole + 1j * whole.fit.pole.imag)) / 2
+    power = np.mean(np.abs(z[:, cut]) ** 2 * fade, axis=1)
+    heard = np.maximum(power - first.noise, LEAST * power) / (gain**2 * np.mean(wave, axis=1))
+    level = 10 * np.log10(heard) + energy_level(np.ones((len(z), 1), complex), pole[:, None].astype(complex))
+    middle = (wave @ t) / wave.sum(axis=1)
+    return level, _DB * first.log_error(middle - first.fit.origin)

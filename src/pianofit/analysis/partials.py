@@ -8,9 +8,9 @@ mean something:
 - frequency from 0.2 to 1.0 s after the onset, or the dominant component's where the partial beats deeply,
 - decay rate of the early energy, the first 0.8 s.
 
-The level is always that of one exponential through the first 0.4 s, by least squares under the weight exp(-8t) that
-defines levels. So it has the energy of what beats, as far as one exponential can, and what a beat does to it, it does
-in all recordings of a key alike.
+The level is always the energy of the frames of the first 0.4 s, less that of the noise, under the weight exp(-8t) that
+defines levels, brought to the level's own span by the decay that the string's law has there. Energy is what it is
+however the partial beats, so what a beat does to a level, it does in all recordings of a key alike.
 
 Noise gives each value a standard error, carried from the noise of the frames through the least squares to first order.
 Beside it stands the standard deviation of a systematic error, seen in what one exponential leaves over beyond noise and
@@ -28,7 +28,8 @@ from numpy.typing import NDArray
 
 from .components import Components, resolve
 from .demodulate import Bands
-from .fits import Fitted, fitted, level_of, lost, slack, window
+from .fits import FIRST, Fitted, fitted, level_of, lost, slack, window
+from .inharmonicity import decay_law
 from .level import LEVEL_RATE
 from .tones import Tones
 
@@ -36,7 +37,6 @@ __all__ = ["Measured", "measure", "systematic"]
 
 FREQUENCY_WINDOW = (0.2, 1.0)  # s
 _EARLY = 0.8  # s, for decay rates
-_FIRST = 0.4  # s, for levels; from the first frame
 _REACH = (
     20.0  # 1/s by which the first moments' pole may differ from that of the whole; beyond, it follows another sound
 )
@@ -88,7 +88,9 @@ def systematic(number: np.ndarray, spread: np.ndarray) -> np.ndarray:
     return spread[:, None] * spread[None, :] * np.exp(-apart / _SHARED)
 
 
-def measure(bands: Bands, z: NDArray[np.complex128], fit: Tones, density: np.ndarray, glides: bool) -> Measured:
+def measure(
+    number: np.ndarray, bands: Bands, z: NDArray[np.complex128], fit: Tones, density: np.ndarray, glides: bool
+) -> Measured:
     """Make the columns of the table from the cleaned basebands `z` and the fits over the whole record.
 
     Parameters
@@ -103,13 +105,14 @@ def measure(bands: Bands, z: NDArray[np.complex128], fit: Tones, density: np.nda
     second = _shared(_where_seen(np.minimum(beating, _DEEP), seen) * np.sqrt(2) / _DB)
     whole = fitted(bands, slice(None), fit, density)
     early, tone = (window(bands, z, fit, density, span) for span in ((0.0, _EARLY), FREQUENCY_WINDOW))
-    first = window(bands, z, fit, density, (0.0, bands.time[0] + _FIRST), LEVEL_RATE / 2, _REACH)
+    first = window(bands, z, fit, density, (0.0, bands.time[0] + FIRST), LEVEL_RATE / 2, _REACH)
     parts = resolve(bands, z, frame)
+    smooth = decay_law(number, -whole.fit.pole.real, whole.pole_error())(number)
     audible = (tone.fit.power > 10 * frame) & (bands.time[-1] > 0.6) & ~lost(bands, tone.fit)
     split = parts.valid & (beating > _DEEP) & ~clean
     frequency = _frequencies(bands, whole, early, tone, parts, second, clean & ~(glides & audible), audible, split)
     decay = _decays(whole, early, parts, second, clean, split)
-    level = _levels(bands, first, second)
+    level = _levels(bands, z, whole, first, smooth, second)
     snr = -20 * np.log10(np.maximum(whole.log_error(-fit.origin), 1e-15))
     return Measured(*frequency, *decay, *level, snr, beating)
 
@@ -168,12 +171,14 @@ def _shared(spread: np.ndarray) -> np.ndarray:
     return np.maximum(size, np.median(near, axis=1))
 
 
-def _levels(bands: Bands, first: Fitted, second: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _levels(
+    bands: Bands, z: NDArray[np.complex128], whole: Fitted, first: Fitted, decay: np.ndarray, second: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Levels, their standard errors from noise, and standard deviations of systematic errors, dB.
 
     A beat that is fast is what the first moments' exponential leaves over. Of a slow one only later moments tell.
     """
-    level, error = level_of(bands, first)
+    level, error = level_of(bands, z, whole, first, decay)
     over = np.where(first.excess > 0, 2 * first.fit.misfit, 0.0) / np.maximum(first.fit.power, 1e-300)
     fast = _shared(_where_seen(np.sqrt(over), first.noise < _SEEN**2 * first.fit.power))
     return level, np.hypot(error, _LEVEL_FLOOR), _DB * np.hypot(_FAST * fast, _SLOW * second)

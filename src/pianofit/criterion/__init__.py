@@ -2,12 +2,10 @@
 
 from .bands import BANDS, WIDEST_SIGMA, Cells, band_of, borders, cell_grid, line_sigma, partial_frequency
 from .energy import band_values, closed_form_gain, measure
-from .levels import PATH_SPREAD, PATH_TERMS, SAME_PARTIAL, OutputPath, level_error_db, path_basis
+from .levels import SAME_PARTIAL, OutputPath, level_error_db
 
 __all__ = [
     "BANDS",
-    "PATH_SPREAD",
-    "PATH_TERMS",
     "SAME_PARTIAL",
     "WIDEST_SIGMA",
     "Cells",
@@ -21,5 +19,4 @@ __all__ = [
     "line_sigma",
     "measure",
     "partial_frequency",
-    "path_basis",
 ]

@@ -11,11 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-__all__ = ["PATH_SPREAD", "PATH_TERMS", "SAME_PARTIAL", "OutputPath", "level_error_db", "path_basis"]
-
-# Cosines beside the constant gain, and the standard deviation that the penalty grants the j-th, dB.
-PATH_TERMS = 6
-PATH_SPREAD = 8.0 / np.arange(1, PATH_TERMS + 1)
+__all__ = ["SAME_PARTIAL", "OutputPath", "level_error_db"]
 
 # A frequency within this, relative, of a partial's is that partial's: the pitch of takes differs by cents.
 SAME_PARTIAL = 0.005
@@ -30,7 +26,6 @@ class OutputPath(NamedTuple):
     frequency: np.ndarray
     db: np.ndarray
     decay: np.ndarray | None = None  # of each partial's decay rate over that of the string's law
-    way: np.ndarray | None = None  # int, of each partial: in which of an analysis' ways its level was read off
 
     def at(self, frequency: np.ndarray) -> np.ndarray:
         """The path in dB at `frequency`, Hz [any number]: a partial's own, if it is one that is known."""
@@ -45,24 +40,10 @@ class OutputPath(NamedTuple):
         nearest, near = self._nearest(frequency)
         return np.where(near, self.decay[nearest], 1.0)
 
-    def way_at(self, frequency: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
-        """In which way levels at `frequency`, Hz, are to be read off: a partial's own, else as they would be."""
-        if self.way is None:
-            return otherwise
-        nearest, near = self._nearest(frequency)
-        return np.where(near, self.way[nearest], otherwise)
-
     def _nearest(self, frequency: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Which of the path's partials is next to each `frequency`, and whether it is the same."""
         nearest = np.abs(frequency[:, None] - self.frequency).argmin(axis=1)
         return nearest, np.abs(frequency / self.frequency[nearest] - 1) < SAME_PARTIAL
-
-
-def path_basis(frequency: np.ndarray) -> np.ndarray:
-    """The path's cosines at `frequency`, Hz [partials], as [partials, terms]; coefficients are in dB."""
-    x = np.log(frequency / frequency.min())
-    x = x / max(x.max(), 1e-9)
-    return np.cos(np.pi * x[:, None] * np.arange(1, PATH_TERMS + 1))
 
 
 def level_error_db(model: np.ndarray, measured: np.ndarray) -> float:

@@ -13,9 +13,11 @@ import numpy as np
 
 from ..parameters import PARAMETERS, Geometry, Hammer, MemoryHammer, String
 
-__all__ = ["FORCE", "NAMES", "P", "SHARED", "STRING_SIZE", "WIDTH", "X0", "Unknowns"]
+__all__ = ["FORCE", "NAMES", "P", "SHARED", "STRING_SIZE", "VALUES", "WIDTH", "X0", "Unknowns"]
 
 NAMES = ("c", "kappa", "b1", "b2", "force", "p", "mu", "M_H", "x0", "width", "epsilon", "tau")
+# The same with what is reported in the force's place.
+VALUES = tuple("K_H" if name == "force" else name for name in NAMES)
 SHARED = len(NAMES)
 STRING_SIZE = 4
 FORCE, P, MU, X0, WIDTH = (NAMES.index(name) for name in ("force", "p", "mu", "x0", "width"))

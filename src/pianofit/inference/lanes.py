@@ -1,8 +1,8 @@
 """Levels of partials by the model, in lanes: one lane is one string struck by one hammer at one velocity.
 
 Whatever is fitted, one recording or many, is a number of lanes, so all fits share the same compiled programs. A lane
-[`SHARED` + 2] holds the unknowns that strokes share, the logarithm of its velocity, and by how many cents its string
-was tenser at the stroke than the reference.
+[9] holds the unknowns of the hammer and its contact, as `coordinates.NAMES` has them after the string's, and the
+logarithm of the velocity.
 """
 
 from __future__ import annotations
@@ -25,9 +25,8 @@ from ..model.response import LEVEL_DECAY, LEVEL_SPAN
 from ..parameters import Geometry, Hammer, MemoryHammer, String
 from .coordinates import SHARED, STRING_SIZE
 
-__all__ = ["LANES", "VELOCITY", "Cfg", "Scene", "in_lanes", "levels", "pool", "slopes"]
+__all__ = ["LANES", "Cfg", "Scene", "in_lanes", "levels", "own_levels", "own_slopes", "pool", "slopes"]
 
-VELOCITY, CENTS = SHARED, SHARED + 1
 # Lanes of one call: enough to fill vector units; more would make the fast ones wait for the slow ones.
 LANES = 24
 DB = 20 / np.log(10)
@@ -97,6 +96,28 @@ def slopes(string: Float[Array, " 4"], lanes: Float[Array, "lanes lane"], scene:
     return jax.vmap(one)(lanes)
 
 
+@kept
+def own_levels(strings, cents, lanes, scene: Scene, cfg: Cfg):
+    """As `levels`, each lane with a string of its own [lanes, 4], tenser by its `cents` [lanes]."""
+    return jax.vmap(lambda string, c, lane: _level(string, c, lane, scene, cfg))(strings, cents, lanes)
+
+
+@kept
+def own_slopes(strings, cents, lanes, scene: Scene, cfg: Cfg):
+    """As `own_levels`, with derivatives by the string and the entries `cfg.free`, [lanes, rows, 4 + free]."""
+    free = np.array(cfg.free)
+
+    def one(string, c, lane):
+        def twice(x):
+            level, ended = _level(x[:STRING_SIZE], c, lane.at[free].set(x[STRING_SIZE:]), scene, cfg)
+            return level, (level, ended)
+
+        slope, (level, ended) = jax.jacfwd(twice, has_aux=True)(jnp.concatenate([string, lane[free]]))
+        return level, slope, ended
+
+    return jax.vmap(one)(strings, cents, lanes)
+
+
 @functools.cache
 def pool() -> ThreadPoolExecutor:
     """As many threads as this process may use cores: XLA works outside of Python's lock."""
@@ -104,14 +125,19 @@ def pool() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(cores)
 
 
-def in_lanes(program: Callable, string: np.ndarray, lanes: np.ndarray, scene: Scene, cfg: Cfg, size: int = LANES) -> tuple[np.ndarray, ...]:
-    """`program` of any number of lanes, `size` at a time, on all cores."""
-    count = len(lanes)
-    padded = np.concatenate([lanes, np.repeat(lanes[-1:], -count % size, axis=0)])
-    parts = list(
-        pool().map(
-            lambda first: [np.asarray(x) for x in program(string, padded[first : first + size], scene, cfg)],
-            range(0, len(padded), size),
-        )
-    )
+def in_lanes(program: Callable, lanes: tuple, scene: Scene, cfg: Cfg, size: int = LANES) -> tuple[np.ndarray, ...]:
+    """`program` of any number of lanes, `size` at a time, on all cores.
+
+    Parameters
+    ----------
+    lanes : the program's arguments with a leading axis of lanes; before them may stand one string for all [4].
+    """
+    *common, first = (lanes[:1], lanes[1:]) if lanes[0].ndim == 1 else (lanes,)
+    count = len(first[0])
+    padded = [np.concatenate([x, np.repeat(x[-1:], -count % size, axis=0)]) for x in first]
+
+    def some(at: int) -> list[np.ndarray]:
+        return [np.asarray(x) for x in program(*sum(common, ()), *(x[at : at + size] for x in padded), scene, cfg)]
+
+    parts = list(pool().map(some, range(0, len(padded[0]), size)))
     return tuple(np.concatenate(column)[:count] for column in zip(*parts, strict=True))

@@ -71,6 +71,21 @@ class Latent(NamedTuple):
     variance: Array  # of a + Σ c B at each entry [R, K]
 
 
+def _each_matrix(function, *stacks: Array) -> Array:
+    """`function` of matrices in stacks [..., n, n], one by one.
+
+    XLA's batched LAPACK waits inside its own pool of threads and, called from several, for ever.
+    """
+    lead = stacks[0].shape[:-2]
+    flat = [x.reshape(-1, *x.shape[-2:]) for x in stacks]
+    out = jax.lax.map(lambda x: function(*x), tuple(flat))
+    return out.reshape(*lead, *out.shape[1:])
+
+
+def _cholesky(x: Array) -> Array:
+    return _each_matrix(lambda a: cholesky(a, lower=True), x)
+
+
 def _variance(table: Table, phi: Array, w: Array) -> Array:
     """var/w [R, K]; φ = (log σ, log A, log ℓ, log η)."""
     added = jnp.exp(phi[3]) * ADDED * table.ratio
@@ -79,14 +94,13 @@ def _variance(table: Table, phi: Array, w: Array) -> Array:
 
 def _root(table: Table, phi: Array) -> Array:
     """Cholesky factors of the common part's prior covariance [T, G, K, K]."""
-    d = jnp.sqrt(3.0) * table.apart * jnp.exp(-phi[2])
     near = jnp.isfinite(table.apart)
-    d = jnp.where(near, d, 0.0)
+    d = jnp.sqrt(3.0) * jnp.where(near, table.apart, 0.0) * jnp.exp(-phi[2])
     matern = jnp.where(near, jnp.exp(2 * phi[1]) * (1 + d) * jnp.exp(-d), 0.0)
     own = jnp.exp(2 * table.common)[..., None, None]  # [T, G, 1, 1]
     eye = jnp.eye(len(table.apart))
     cov = table.smooth[:, None, None] * matern + table.systematic + (own + JITTER) * eye
-    return cholesky(cov, lower=True)
+    return _cholesky(cov)
 
 
 def _gathered(table: Table, root: Array, x: Array) -> Array:
@@ -113,19 +127,21 @@ def factored(table: Table, phi: Array, w: Array) -> Pieces:
     whole = jnp.concatenate(
         [jnp.concatenate([blocks, cross], axis=2), jnp.concatenate([cross.swapaxes(1, 2), rest], axis=2)], axis=1
     )
-    return Pieces(precision, root, cholesky(whole + jnp.eye(whole.shape[-1]), lower=True))
+    return Pieces(precision, root, _cholesky(whole + jnp.eye(whole.shape[-1])))
 
 
 def _solve(lower: Array, x: Array) -> Array:
     """L⁻¹ x for stacks [T, n, n] and [T, n] or [T, n, m]."""
     if x.ndim == lower.ndim - 1:
-        return solve_triangular(lower, x[..., None], lower=True)[..., 0]
-    return solve_triangular(lower, x, lower=True)
+        return _solve(lower, x[..., None])[..., 0]
+    return _each_matrix(lambda a, b: solve_triangular(a, b, lower=True), lower, x)
 
 
 def _whitened(table: Table, pieces: Pieces, at: Array) -> Array:
     """L⁻¹ b of entries `at` [N, 2]: b are an entry's loadings on paths and columns; [T, GK + Q, N]."""
     nodes, groups, size, _ = pieces.root.shape
+    if not len(at):
+        return jnp.zeros((nodes, pieces.cholesky.shape[-1], 0))
     r, k = at[:, 0], at[:, 1]
     loadings = jnp.einsum("ng,tgnl->tgln", table.group[r], pieces.root[:, :, k, :]).reshape(nodes, groups * size, -1)
     columns = jnp.broadcast_to(table.columns[:, r, k], (nodes, table.columns.shape[0], len(at)))
@@ -220,7 +236,7 @@ def latent(table: Table, residual: Array, phi: Array, w: Array) -> Latent:
     each, pieces, q, _ = _each(table, residual, phi, w)
     responsible = jax.nn.softmax(table.share - each)
     nodes, groups, size, _ = pieces.root.shape
-    u = solve_triangular(pieces.cholesky.swapaxes(1, 2), q[..., None], lower=False)[..., 0]
+    u = _each_matrix(lambda a, b: solve_triangular(a, b, lower=True, trans=1), pieces.cholesky, q[..., None])[..., 0]
     common = jnp.einsum("tgkl,tgl->tgk", pieces.root, u[:, : groups * size].reshape(nodes, groups, size))
     columns = jnp.einsum("tq,qrk->trk", u[:, groups * size :], table.columns)
     own = residual - jnp.einsum("rg,tgk->trk", table.group, common) - columns

@@ -17,6 +17,8 @@ __all__ = ["Layout", "Observed", "observe", "string_law"]
 HIGHEST = 10_000.0
 # Partials come in whole multiples of this, so that notes share compiled programs.
 ROWS = 16
+# A bound on nothing, dB.
+OPEN = 1e6
 # A τ that is not there, log dB.
 NONE = -50.0
 CENTS = 1200 / np.log(2)
@@ -108,13 +110,18 @@ def _numbers(analyses: Sequence[Analysis], ref: Analysis, absent: bool) -> np.nd
     return _padded(number[_frequency(ref, number) < HIGHEST])
 
 
+def _more(count: int) -> int:
+    """Columns of padding, at least one."""
+    return ROWS - count % ROWS
+
+
 def _padded(number: np.ndarray) -> np.ndarray:
-    return np.pad(number, (0, -len(number) % ROWS))
+    return np.pad(number, (0, _more(len(number))))
 
 
 def _wide(x: np.ndarray, fill: float = 0.0) -> np.ndarray:
     """The last axis padded to whole multiples of `ROWS`."""
-    return np.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, -x.shape[-1] % ROWS)], constant_values=fill)
+    return np.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, _more(x.shape[-1]))], constant_values=fill)
 
 
 def _placed(table: np.ndarray, numbers: np.ndarray, number: np.ndarray, fill: float) -> np.ndarray:
@@ -165,11 +172,13 @@ def _levels(
     nodes, weight = _path_nodes(layout, path)
     alpha = ref.b1 + ref.d2 * number.astype(float) ** 2
     hyper = priors.LEVEL
+    value = np.nan_to_num(level + unit)
+    value[0, -1] = OPEN
     return Table(
-        value=np.nan_to_num(level + unit),
+        value=value,
         variance=np.where(found, error**2, priors.ABSENT_MARGIN**2),
         found=found.astype(float),
-        absent=np.argwhere(absent),
+        absent=_filled(np.argwhere(absent), len(number) - 1),
         group=_one_hot(layout.group),
         columns=_columns(layout, alpha, gains),
         systematic=_covariance([t.level_systematic for t in tables], [t.number for t in tables], number),
@@ -182,6 +191,11 @@ def _levels(
         prior=(hyper.log_median, np.array(hyper.spread)),
         student=np.float64(priors.STUDENT),
     )
+
+
+def _filled(absent: np.ndarray, padding: int) -> np.ndarray:
+    """Entries of what is absent in whole multiples of `ROWS`; the others point to a bound that bounds nothing."""
+    return np.concatenate([absent, np.tile([0, padding], (-len(absent) % ROWS, 1))])
 
 
 def _columns(layout: Layout, alpha: np.ndarray, gains: bool) -> np.ndarray:
@@ -254,7 +268,7 @@ def _joined(number, numbers, values, errors, systematics) -> tuple[np.ndarray, n
 
 
 def _string_table(number, law, value, variance, systematic, growth, columns, hyper: priors.Hyperprior) -> Table:
-    more = -len(number) % ROWS
+    more = _more(len(number))
     padded = _padded(number)
     frequency = np.pad(law[0], (0, more), constant_values=1.0)
     # Of the four hyperparameters only the excess means something here; the others rest at their priors.

@@ -83,7 +83,7 @@ def screen(search: Search, z: np.ndarray, grid: np.ndarray, level: np.ndarray, e
         cost += sum(belief[s][v[:, s]] + np.where(ended[S, v[:, s]], 0.0, ENDLESS) for s in range(strokes))
         better = cost < best
         best[better], chosen[better] = cost[better], v[better]
-    best = best + search._prior(z)[0]
+    best = best + search.known(z)[0]
     z = z.copy()
     z[:, SHARED:] = np.where(free, grid[chosen], u.mean[SHARED:])
     order = np.argsort(best, kind="stable")

@@ -8,23 +8,21 @@ Steps of θ are followed by steps of φ and w on the same F.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from collections.abc import Callable
+from dataclasses import dataclass
 
-import jax
 import numpy as np
 from scipy.stats import norm, qmc
 
 from ..errors import FitError
-from ..model.cache import kept
-from . import likelihood
 from .coordinates import NAMES, SHARED, STRING_SIZE, X0
-from .lanes import in_lanes, levels, pool, slopes
+from .lanes import in_lanes, levels, own_levels, own_slopes, pool, slopes
 from .likelihood import Report, Table, next_weights
-from .observations import CENTS, Observed, string_law
 from .problem import Problem
+from .string import StringState, string_report
+from .reports import report
 
-__all__ = ["Minimum", "Population", "Search", "distinct"]
+__all__ = ["Population", "Search", "distinct"]
 
 # Samples of the prior's hammers, and velocities at which each is struck, m/s.
 SAMPLES = 512
@@ -41,37 +39,19 @@ ROUNDS, RESTARTS, REACH = 2, 10, 0.3
 SCAN = (0.003, 0.006, 0.01, 0.015, 0.02, 0.03, 0.045, 0.065)
 # Steps that a restart has to come within `NEAR` of the best, F, to go on.
 TRIAL, NEAR = 6, 20.0
-# Candidates of one call of the objective.
-TOGETHER = 6
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-2, 1e-7, 1e6
 # Longest step of θ, in the smaller of 1 and the prior's standard deviations, and of φ.
 LONGEST_STEP, LONGEST_PHI = 1.5, 1.0
+# Lanes of one call where each has its own string, and where there are thousands.
+OWN_LANES, MANY_LANES = 4, 64
+# The contact's step error is read off a step so many times finer, with as many modes as the model takes.
+FINER, MOST_MODES = 4, 512
 # A minimum is reached when a step gains less than this.
 CONVERGED = 1e-3
 # Hyperparameters stay within so many standard deviations of their priors.
 HYPER_REACH = 5.0
 # Minima closer than this in every unknown, in the prior's standard deviations, are one.
 SAME = 0.02
-
-
-@kept
-def reports(table: Table, residual, jacobian, phi, w, _):
-    """`likelihood.report` of a batch of points."""
-    each = jax.vmap(lambda r, j, p, x: likelihood.report(table, r, j, p, x))(residual, jacobian, phi, w)
-    return tuple(each)
-
-
-def report(table: Table, residual: np.ndarray, jacobian: np.ndarray, phi: np.ndarray, w: np.ndarray) -> Report:
-    """`reports` of any number of points [B, ...], `TOGETHER` at a time, on all cores."""
-    count = len(residual)
-    args = residual, jacobian, phi, w
-    padded = [np.concatenate([x, np.repeat(x[-1:], -count % TOGETHER, axis=0)]) for x in args]
-
-    def some(first: int) -> list[np.ndarray]:
-        return [np.asarray(x) for x in reports(table, *(x[first : first + TOGETHER] for x in padded), None)]
-
-    parts = list(pool().map(some, range(0, len(padded[0]), TOGETHER)))
-    return Report(*(np.concatenate(column)[:count] for column in zip(*parts, strict=True)))
 
 
 @dataclass
@@ -111,64 +91,96 @@ class Population:
         return Population(**fields, report=joined)
 
 
-class Minimum(NamedTuple):
-    """A string's own minimum: unknowns of the string, φ and w of a table."""
-
-    string: np.ndarray
-    phi: np.ndarray
-    w: np.ndarray
-
-
 class Search:
-    """Descents on one problem's F with the string held; `offset` [R, K], dB, is added to the model's levels."""
+    """Descents on one problem's F.
 
-    def __init__(self, problem: Problem, string: np.ndarray) -> None:
+    With `strings` None the string is held, and one string serves all candidates. Else it is searched too: frequencies
+    and decays join F, with φ and w of `strings`, every stroke has the tension it was struck at, and `offset` [R, K],
+    dB, is what a contact stepped without end would add to the levels.
+    """
+
+    def __init__(self, problem: Problem, string: np.ndarray, strings: StringState | None = None) -> None:
         self.problem, self.unknowns = problem, problem.unknowns
         self.table = problem.observed.level
-        self.string = string
+        self.string, self.strings = string, strings
         self.offset = np.zeros_like(self.table.value)
         self.stroke = np.array(problem.layout.stroke)
         self.columns = np.maximum(problem.observed.number - 1, 0)
         self.there = self.table.found + 0.0
         self.there[tuple(self.table.absent.T)] = 1.0
+        self.moves = self.unknowns.free.copy()
+        self.moves[:STRING_SIZE] &= strings is not None
         self.lanes = 0
 
     # --- the model ----------------------------------------------------------------------------------------------------
 
-    def _lanes(self, z: np.ndarray) -> np.ndarray:
+    def lanes_of(self, z: np.ndarray) -> np.ndarray:
         """One lane a stroke [B · strokes, lane]."""
-        strokes = self.unknowns.strokes
-        shared = np.repeat(z[:, STRING_SIZE:SHARED], strokes, axis=0)
+        shared = np.repeat(z[:, STRING_SIZE:SHARED], self.unknowns.strokes, axis=0)
         return np.concatenate([shared, z[:, SHARED:].reshape(-1, 1)], axis=1)
+
+    def own_lanes(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Strings, tensions and lanes of every stroke [B · strokes, ...]."""
+        strokes = self.unknowns.strokes
+        first = [int(np.argmax(self.stroke == s)) for s in range(strokes)]
+        cents = np.tile(self.problem.observed.cents[first], len(z))
+        return np.repeat(z[:, :STRING_SIZE], strokes, axis=0), cents, self.lanes_of(z)
 
     def model(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Residuals [B, R, K], the law's derivatives [B, R, K, size], and whether all contacts ended [B]."""
         p, strokes = self.problem, self.unknowns.strokes
-        lanes = self._lanes(z)
-        self.lanes += len(lanes)
-        level, slope, ended = in_lanes(slopes, self.string, lanes, p.scene, p.cfg)
+        self.lanes += len(z) * strokes
+        if self.strings is None:
+            level, slope, ended = in_lanes(slopes, (self.string, self.lanes_of(z)), p.scene, p.cfg)
+            shared = np.array(p.cfg.free[:-1], int) + STRING_SIZE
+        else:
+            level, slope, ended = in_lanes(own_slopes, self.own_lanes(z), p.scene, p.cfg, OWN_LANES)
+            shared = np.append(np.arange(STRING_SIZE), np.array(p.cfg.free[:-1], int) + STRING_SIZE)
         level = level.reshape(len(z), strokes, -1)[:, self.stroke][..., self.columns]
         slope = slope.reshape(len(z), strokes, *slope.shape[1:])[:, self.stroke][:, :, self.columns]
         jacobian = np.zeros((*level.shape, self.unknowns.size))
-        shared = np.array(p.cfg.free[:-1], int) + STRING_SIZE
         jacobian[..., shared] = slope[..., :-1]
         for r, stroke in enumerate(self.stroke):
             jacobian[:, r, :, SHARED + stroke] = slope[:, r, :, -1]
-        jacobian *= self.there[..., None] * self.unknowns.free
+        jacobian *= self.there[..., None] * self.moves
         residual = (self.table.value - level - self.offset) * self.there
         good = ended.reshape(len(z), strokes).all(axis=1) & np.isfinite(jacobian).all(axis=(1, 2, 3))
         return np.where(good[:, None, None], residual, 0.0), np.where(good[:, None, None, None], jacobian, 0.0), good
 
-    def _prior(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Minus the log prior of θ [B], and its gradient; the string's is elsewhere."""
+    def step_error(self, z: np.ndarray) -> np.ndarray:
+        """What a contact stepped without end adds to the levels at `z` [size], dB [R, K]: the error is of order 2."""
+        p = self.problem
+        lanes = self.own_lanes(z[None])
+        fine = p.scene._replace(rate=p.scene.rate * FINER)
+        cfg = p.cfg._replace(steps=p.cfg.steps * FINER, n_modes=MOST_MODES, free=())
+        coarse, finer = (
+            in_lanes(own_levels, lanes, scene, c, OWN_LANES)[0][self.stroke][:, self.columns]
+            for scene, c in ((p.scene, p.cfg._replace(free=())), (fine, cfg))
+        )
+        return (finer - coarse) * FINER**2 / (FINER**2 - 1) * self.there
+
+    def known(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Of F, what levels do not say: value [B], gradient [B, size] and curvature [B, size, size].
+
+        That is the prior of θ and, where the string is searched, its frequencies and decays.
+        """
         u = self.unknowns
-        away = np.where(u.free, (z - u.mean) / np.where(u.free, u.sd, 1.0), 0.0)
-        away[:, :STRING_SIZE] = 0.0
-        return 0.5 * (away**2).sum(axis=1), away / np.where(u.free, u.sd, 1.0)
+        weight = np.where(self.moves, 1 / np.where(u.free, u.sd, 1.0) ** 2, 0.0)
+        away = z - u.mean
+        value, gradient = 0.5 * (weight * away**2).sum(axis=1), weight * away
+        curvature = np.tile(np.diag(weight), (len(z), 1, 1))
+        if self.strings is not None:
+            some = slice(0, STRING_SIZE)
+            for i, point in enumerate(z):
+                for found in string_report(self.problem, point[some], self.strings):
+                    value[i] += found.F
+                    gradient[i, some] += np.where(self.moves[some], found.gradient, 0.0)
+                    curvature[i, some, some] += found.curvature
+        return value, gradient, curvature
 
     def total(self, z: np.ndarray, report: Report) -> np.ndarray:
         """F with the prior of θ [B]."""
-        return report.F + self._prior(z)[0]
+        return report.F + self.known(z)[0]
 
     def begun(self, z: np.ndarray, phi: np.ndarray, w: np.ndarray | None = None) -> Population:
         """Candidates at `z` [B, size]; those whose contact does not end are left out."""
@@ -230,15 +242,12 @@ class Search:
     def _direction(self, now: Population) -> np.ndarray:
         """Steps of θ [B, size]; an unknown on an edge that a step would leave stays."""
         u = self.unknowns
-        prior = np.where(u.free, 1 / np.where(u.free, u.sd, 1.0) ** 2, 0.0)
-        gradient = now.report.gradient + self._prior(now.z)[1]
+        _, gradient, curvature = self.known(now.z)
+        gradient, curvature = gradient + now.report.gradient, curvature + now.report.curvature
         lower, upper = u.edges(now.z)
         active = ((now.z <= lower) & (gradient > 0)) | ((now.z >= upper) & (gradient < 0))
-        moves = u.free & ~active
-        moves[:, :STRING_SIZE] = False
-        curvature = now.report.curvature + np.diag(prior)
-        scale = np.einsum("bii->bi", curvature)
-        lhs = curvature + (now.damping[:, None] * scale)[..., None] * np.eye(u.size)
+        moves = self.moves & ~active
+        lhs = curvature + (now.damping[:, None] * np.einsum("bii->bi", curvature))[..., None] * np.eye(u.size)
         lhs = np.where(moves[:, :, None] & moves[:, None, :], lhs, np.eye(u.size))
         step = np.linalg.solve(lhs, np.where(moves, -gradient, 0.0)[..., None])[..., 0]
         size = (np.abs(step) / np.where(u.free, np.minimum(u.sd, 1.0), 1.0)).max(axis=1)
@@ -299,7 +308,6 @@ class Search:
             [np.repeat(z[:, STRING_SIZE:SHARED], len(grid), axis=0), np.tile(grid, len(z))[:, None]], axis=1
         )
         known = ~self.unknowns.free[SHARED:]
-        p = self.problem
         if known.any():  # measured velocities have columns of their own
             measured = self.unknowns.mean[SHARED:][known]
             grid = np.append(grid, measured)
@@ -307,14 +315,15 @@ class Search:
                 [np.repeat(z[:, STRING_SIZE:SHARED], len(grid), axis=0), np.tile(grid, len(z))[:, None]], axis=1
             )
         self.lanes += len(lanes)
-        level, ended = in_lanes(levels, self.string, lanes, p.scene, p.cfg, 64)
+        p = self.problem
+        level, ended = in_lanes(levels, (self.string, lanes), p.scene, p.cfg, MANY_LANES)
         level = level.reshape(len(z), len(grid), -1)[..., self.columns]
         order = screen(self, z, grid, level, ended.reshape(len(z), len(grid)), strokes)
         return order
 
     # --- the whole ----------------------------------------------------------------------------------------------------
 
-    def run(self, seed: int, first: np.ndarray) -> Population:
+    def run(self, seed: int, first: np.ndarray, progress: Callable[[str, float], None] = lambda *_: None) -> Population:
         """All minima found, the lowest first.
 
         Parameters
@@ -330,8 +339,10 @@ class Search:
         people = self.begun(z, self.wide())
         if not len(people):
             raise FitError("no hammer within the bounds gives a finite sound; widen [bounds] or check [known] in the setup")
-        for count, iterations, floor in STAGES:
+        for stage, (count, iterations, floor) in enumerate(STAGES):
+            progress("hammer", 0.3 + 0.1 * stage)
             people = self.descend(people.take(np.arange(min(count, len(people)))), floor, iterations)
+        progress("restarts", 0.6)
         random = np.random.default_rng(seed)
         for _ in range(ROUNDS):
             people = self._restarted(people, self._nearby(people, random))

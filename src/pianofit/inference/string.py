@@ -10,9 +10,9 @@ from .coordinates import STRING_SIZE
 from .likelihood import Report, next_weights
 from .observations import CENTS, string_law
 from .problem import Problem
-from .search import report
+from .reports import report
 
-__all__ = ["StringState", "string_minimum", "string_report"]
+__all__ = ["StringState", "hyper_step", "string_minimum", "string_report"]
 
 ITERATIONS = 40
 # A minimum is reached when an iteration gains less than this.
@@ -73,14 +73,14 @@ def string_minimum(problem: Problem) -> tuple[np.ndarray, StringState]:
             string, found, damping = trial, tried, max(damping / 5, 1e-9)
         else:
             damping *= 8
-        state, found = _hyper(problem, string, state, found)
+        state, found = hyper_step(problem, string, state, found)
         F = total(string, found)
         if abs(before - F) < CONVERGED and damping < 1:
             break
     return string, state
 
 
-def _hyper(problem: Problem, string: np.ndarray, state: StringState, found: tuple[Report, Report]):
+def hyper_step(problem: Problem, string: np.ndarray, state: StringState, found: tuple[Report, Report]):
     """One step of the excess and of w for both tables, on the same F; a step that raises it is halved."""
     tables = problem.observed.frequency, problem.observed.decay
     w = tuple(next_weights(t, r.by_log_w, x) for t, r, x in zip(tables, found, state.w, strict=True))

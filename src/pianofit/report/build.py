@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..criterion import partial_frequency
-from ..fit import Result
+from ..inference import Result
 from .build_felt import felt_of, known_of
 from .build_takes import paths_of, strikes_of, takes_of
 from .curves import Curves
@@ -19,8 +19,8 @@ TOP = 12_000.0  # Hz
 
 def curves_of(result: Result) -> Curves:
     """Everything the page shows of one fit."""
-    r, a, data = result.recording, result.analysis, result.data
-    rate, onset, k = r.rate, r.onset, data.partials.number
+    r, a, heard = result.recording, result.analysis, result.takes[result.first]
+    rate, onset, p, k = r.rate, r.onset, heard.partials, heard.partials.number
     top = min(0.5 * rate, TOP, float(partial_frequency(k.max() + 2, a.f0, a.B)))
     spectra = [_spectrum(x[onset:], rate, top) for x in (r.samples, result.initial.samples, result.fitted.samples)]
     attack = slice(onset, onset + int(ATTACK * rate))
@@ -29,19 +29,19 @@ def curves_of(result: Result) -> Curves:
     B = (v.string.kappa * np.pi / (v.string.c * v.geometry.length)) ** 2
     first, last = result.initial.simulation, result.fitted.simulation
     steps = 1e3 * float(last.modes.step) * np.arange(_contact_steps(first, last))
-    path = None if v.path is None else v.path.at(data.partials.frequency)
+    path = None if v.path is None else v.path.at(p.frequency)
     return Curves(
         frequency=spectra[0][0], measured_db=spectra[0][1], initial_db=spectra[1][1], fitted_db=spectra[2][1],
         borders=tuple(result.document["criterion"]["borders"]),
         attack_ms=1e3 * np.arange(len(r.samples[attack])) / rate, attack_measured=r.samples[attack],
         attack_initial=result.initial.samples[attack], attack_fitted=result.fitted.samples[attack],
         number=k,
-        frequency_cents=_cents(data.partials.frequency, k * f0),
-        frequency_cents_error=1200 / np.log(2) * data.partials.frequency_error / data.partials.frequency,
+        frequency_cents=_cents(p.frequency, k * f0),
+        frequency_cents_error=1200 / np.log(2) * p.frequency_error / p.frequency,
         frequency_cents_law=_cents(partial_frequency(k, f0, B), k * f0),
-        decay=data.partials.decay, decay_error=data.partials.decay_error,
+        decay=p.decay, decay_error=p.decay_error,
         decay_law=v.string.b1 + v.string.b2 * (k * np.pi / v.geometry.length) ** 2,
-        level=data.level[: data.found], level_error=data.partials.level_error,
+        level=heard.level, level_error=p.level_error,
         level_initial=result.initial.level, level_fitted=result.fitted.level, path=path,
         force_ms=steps,
         force_initial=_pad(first.pulse.force, len(steps)), force_fitted=_pad(last.pulse.force, len(steps)),

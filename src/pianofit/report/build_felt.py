@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..fit import Result
-from ..fit.space import NAMES
+from ..inference import Result
+from ..inference.coordinates import VALUES as NAMES
 from ..parameters import MemoryHammer
 from .curves import Felt, Known
 
@@ -33,12 +33,17 @@ def felt_of(result: Result) -> Felt:
     change = np.zeros((len(u), len(NAMES)))
     change[:, NAMES.index("K_H")], change[:, NAMES.index("p")] = 1.0, hammer.p * np.log(u)
     force, slow = hammer.K_H * u**hammer.p, None
-    cov = result.covariance if has_intervals(result) else 0 * result.covariance
+    cov = _shared(result) if has_intervals(result) else 0 * _shared(result)
     if isinstance(hammer, MemoryHammer):
         relaxed = change.copy()
         relaxed[:, NAMES.index("epsilon")] = -hammer.epsilon / (1 - hammer.epsilon)
         slow = _band((1 - hammer.epsilon) * force, relaxed, cov)
     return Felt(1e3 * u, _band(force, change, cov), slow)
+
+
+def _shared(result: Result) -> np.ndarray:
+    """The covariance of what all strokes share."""
+    return result.covariance[: len(NAMES), : len(NAMES)]
 
 
 def _band(value: np.ndarray, change: np.ndarray, cov: np.ndarray) -> np.ndarray:
@@ -53,7 +58,7 @@ def _deviation(change: np.ndarray, cov: np.ndarray) -> np.ndarray:
 
 def known_of(result: Result) -> Known | None:
     """How well the parameters, and what needs no assumed scale, are known; None without intervals."""
-    cov = result.covariance
+    cov = _shared(result)
     free = np.flatnonzero(np.diag(cov) > 0)
     if not (has_intervals(result) and len(free)):
         return None

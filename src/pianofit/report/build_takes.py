@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..errors import FitError, ParameterError
-from ..fit import Result
+from ..inference import Result
 from ..parameters import PARAMETERS
 from .curves import Strikes, TakeCurves
 
@@ -24,14 +24,14 @@ def takes_of(result: Result) -> tuple[TakeCurves, ...]:
 
 
 def _take(place: int, heard) -> TakeCurves:
-    data, recording, pulse = heard.data, heard.recording, heard.fitted.simulation.pulse
+    p, recording, pulse = heard.partials, heard.recording, heard.fitted.simulation.pulse
     compression, force = np.asarray(pulse.compression), np.asarray(pulse.force)
     last = int(np.flatnonzero(compression > 0)[-1]) + 2 if (compression > 0).any() else 0
     thin = slice(0, last, max(1, last // LOOP_POINTS))
     touching = np.where(compression > 0, 1.0, np.nan)[thin]
     return TakeCurves(
         place, float(heard.fitted.voice.hammer.v_H0), heard.levels["fitted_db"],
-        data.partials.number, data.level[: data.found], data.partials.level_error, heard.fitted.level,
+        p.number, heard.level, p.level_error, heard.fitted.level,
         1e3 * compression[thin] * touching, force[thin] * touching,
         recording.rate, recording.onset / recording.rate, recording.samples, heard.fitted.samples,
     )  # fmt: skip

@@ -15,11 +15,12 @@ from .figures import BANDS
 __all__ = ["bands", "comparison", "glide", "groups", "how_sure", "notices", "number", "rows", "tiles"]
 
 STATUS = {  # word -> mark, explanation
-    "free": ("●", "fitted to the recording"),
-    "fixed": ("■", "given, and held"),
-    "assumed": ("◇", "not measured; other numbers rest on it"),
+    "fitted": ("●", "fitted to the recording"),
+    "scaled": ("◐", "fitted, in units that scale with a guess"),
+    "given": ("■", "given, and held"),
+    "assumed": ("◇", "held at a guess; other numbers scale with it"),
     "at-bound": ("▲", "stopped at the edge of its range"),
-    "not-identifiable": ("✕", "the recording does not tell"),
+    "not-identifiable": ("✕", "the recording does not identify it"),
 }
 SYMBOLS = {
     "kappa": "κ",
@@ -41,7 +42,7 @@ MEANINGS = {name: parameter.meaning for name, parameter in PARAMETERS.items()} |
 }
 # Ends of an interval that differ by more than this factor are written each with its own power of ten.
 APART = 1e3
-UNSETTLED = "The search ended before it settled. Take every number on this page as a stage on the way, not as a result."
+UNSETTLED = "The search ended before it converged. Take every number on this page as a stage on the way, not as a result."
 
 
 def number(value: Any, digits: int = 4) -> str:
@@ -94,7 +95,7 @@ def rows(fit: dict[str, Any]) -> list[dict[str, str]]:
 
 
 def _row(name: str, entry: dict[str, Any]) -> dict[str, str]:
-    status = entry.get("status") or "free"
+    status = entry.get("status") or "fitted"
     value, interval = _with_interval(entry.get("value"), entry.get("interval"))
     unit = entry.get("unit") or ""
     return {
@@ -137,23 +138,23 @@ def how_sure(fit: dict[str, Any]) -> str:
 
 
 def notices(fit: dict[str, Any]) -> list[tuple[str, str, str]]:
-    """List (tone, heading, text) of what the page says first: the verdict, what went wrong, or that nothing did."""
-    measured = all(entry.get("status") in ("free", "fixed") for entry in fit.get("parameters", {}).values())
+    """List (tone, heading, text) of what the page says first: the identifiability statement, what went wrong, or that nothing did."""
+    measured = all(entry.get("status") in ("fitted", "given") for entry in fit.get("parameters", {}).values())
     overall = fit.get("criterion", {}).get("global") or {}
     initial, final = overall.get("initial"), overall.get("final")
     worse = initial is not None and final is not None and final > initial
     converged = fit.get("converged", True)
     notices = []
-    if fit.get("verdict"):
+    if fit.get("claims"):
         tone = ("good", "✓") if converged and measured and not worse else ("warn", "⚠")
-        notices.append((tone[0], f"{tone[1]} Read this first", fit["verdict"]))
+        notices.append((tone[0], f"{tone[1]} Read this first", fit["claims"]))
     if not converged:
         notices.append(("warn", "⚠ Not converged", UNSETTLED))
     if worse:
         notices.append(("warn", "⚠ Worse than the start", "The fit ends further from the recording than it began."))
     if not notices and "converged" in fit:
         mind = "" if measured else " Not every number below is measured: mind the marks beside them."
-        notices.append(("good", "✓ Converged", "The search settled." + mind))
+        notices.append(("good", "✓ Converged", "The search converged." + mind))
     return notices
 
 

@@ -14,7 +14,8 @@ import numpy as np
 
 from ..analysis import Analysis, analyse
 from ..criterion import BANDS, band_of, band_values, line_sigma, measure, partial_frequency
-from ..inference import Result, fit_recording
+from ..fitting import fit_recording
+from ..inference import Result
 from ..initial import starting_values
 from ..laboratory import Laboratory, Measurement, setup_text
 from ..laboratory import measure as record

@@ -1,0 +1,315 @@
+"""From an estimate to a result: sounds, tables, statuses and sentences."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..analysis import Partials
+from ..criterion import OutputPath
+from ..parameters import FIT_NAMES, MEMORY_NAMES
+from ..voice import Voice, lag, placed
+from .coordinates import NAMES, P, SHARED, STRING_SIZE, VALUES, WIDTH
+from .estimate import Estimate, beginning
+from .lanes import in_lanes, own_levels
+from .likelihood import latent
+from .posterior import Posterior
+from .problem import Problem
+from .result import (
+    SCHEMA, UNITS, Heard, Listener, Result, absent, derived, is_memory, level_errors, path_document, sizes,
+    together, versions, worse_bands,
+)  # fmt: skip
+from .search import OWN_LANES
+from .statements import claims, correlated, messages, statuses, velocity_statuses
+from .views import View
+from .voices import latents, voice_of
+
+__all__ = ["conclude"]
+
+# How much of the attack, s, tells when the hammer touched.
+ATTACK = 0.05
+DB = 20 / np.log(10)
+# In the paper's order, then what lies between hammer and string.
+PARAMETERS_FIRST = (*FIT_NAMES, "x0", "width", *MEMORY_NAMES)
+
+
+def conclude(problem: Problem, found: Estimate, seed: int, view: View | None = None) -> Result:
+    """Put an estimate into sounds, numbers and words.
+
+    Parameters
+    ----------
+    view : intervals by another view of F than Laplace's.
+
+    Raises
+    ------
+    FitError
+        If an initial or a final contact does not end.
+    """
+    takes = tuple(_heard(problem, found, i) for i in range(len(problem.recordings)))
+    states = statuses(problem, found)
+    levels = together([t.levels for t in takes])
+    reference = takes[problem.reference]
+    worse = worse_bands(reference.criterion)
+    parameters = _parameters(problem, found, states)
+    said = messages(problem, found, states, worse)
+    diagnostics = _diagnostics(problem, found)
+    if view is not None:
+        parameters = {name: entry | view.entries.get(name, {}) for name, entry in parameters.items()}
+        said, diagnostics = [*said, *view.messages], diagnostics | view.diagnostics
+    voices = tuple(
+        tuple(voice_of(problem, found.minima, b, i)._replace(gain=t.fitted.voice.gain) for i, t in enumerate(takes))
+        for b in range(len(found.minima.F))
+    )
+    document = {
+        "schema": SCHEMA, "program": "pianofit", "recipe": "default", "felt": problem.start.felt, "seed": seed,
+        "converged": bool(found.minima.converged[0]), "claims": claims(problem, found, states, levels),
+        "messages": said,
+        "invariants": invariants(problem, found),
+        "parameters": parameters,
+        "takes": [_take(problem, found, i, heard) for i, heard in enumerate(takes)],
+        "pickup": {"quantity": problem.start.quantity, "path": path_document(reference.fitted.voice.path)},
+        "minima": _minima(problem, found, voices),
+        "derived": derived(reference.fitted.voice, reference.fitted.simulation, problem.analyses[problem.reference]),
+        "criterion": reference.criterion,
+        "levels": levels,
+        "diagnostics": diagnostics,
+        "versions": versions(),
+    }  # fmt: skip
+    return Result(
+        document, takes, problem.reference, found.posterior.covariance[0], voices, tuple(found.posterior.share.tolist()),
+        None if view is None else view.draws,
+    )  # fmt: skip
+
+
+# --- sounds -----------------------------------------------------------------------------------------------------------
+
+
+def _heard(problem: Problem, found: Estimate, i: int) -> Heard:
+    """One recording before and after, on the criterion and in its levels."""
+    recording, analysis = problem.recordings[i], problem.analyses[i]
+    listener = Listener.of(recording, analysis)
+    unit = 0.0 if problem.start.scale is None else DB * np.log(problem.start.scale)
+    gain = None if problem.start.scale is None else 1.0 / problem.start.scale
+    first = beginning(problem, found.z[:STRING_SIZE])
+    fitted_level, integrated = _fitted_level(problem, found, i)
+    fitted = voice_of(problem, found.minima, 0, i)
+    initial = _initial_voice(problem, first, i)
+    begins = _touch(problem, fitted, i) if problem.calibrated else None
+    if gain is None:
+        gain = 10 ** (_gain_db(problem, integrated, i) / 20)
+        fitted = fitted._replace(gain=1.0)
+    after = listener.play(fitted, gain, begins, fitted_level)
+    # The criterion's own gain on the initial sound: its level is not what is judged.
+    before = listener.play(initial, gain if problem.calibrated else None, begins, _level(problem, found, first, i))
+    measured = analysis.partials.level + unit
+    literature = None if problem.calibrated else _literature_level(problem, found, first, i)
+    levels = {
+        name: None if level is None else _in_noise(level, analysis.partials, measured)
+        for name, level in (("initial_db", before.level), ("fitted_db", after.level), ("path_only_db", literature))
+    }
+    return Heard(
+        before, after, measured, recording, analysis, listener.criterion(before, after),
+        level_errors(levels, analysis.partials, measured),
+    )  # fmt: skip
+
+
+def _in_noise(level: np.ndarray, p: Partials, measured: np.ndarray) -> np.ndarray:
+    """Levels, dB, with the energy of the noise that the recording's were read through: a node is not silent."""
+    return 10 / np.log(10) * np.logaddexp(level * np.log(10) / 10, (measured - p.snr) * np.log(10) / 10)
+
+
+def _initial_voice(problem: Problem, z: np.ndarray, i: int) -> Voice:
+    """What the starting values give, before any fit."""
+    u = problem.unknowns
+    hammer = u.hammer(z, problem.layout.stroke[i])
+    start = problem.start
+    string = u.string(z)._replace(**{n: start.initial[n] for n in ("c", "kappa", "b1", "b2") if n in start.initial})
+    return Voice(string, hammer, u.struck(z), start.quantity, 1.0, None)
+
+
+def _touch(problem: Problem, voice: Voice, i: int) -> int:
+    """The sample at which the hammer touched a calibrated string, by laying the model's attack on the recording's."""
+    recording = problem.recordings[i]
+    count = round(ATTACK * recording.rate)
+    model, _ = voice.play(recording.rate, count)
+    begin = max(recording.onset - count, 0)
+    sound = recording.samples[begin : recording.onset + 2 * count]
+    if len(sound) <= count:
+        return recording.onset
+    at, sign = placed(model, sound)
+    return begin + at + round(lag(model, sign * sound[at : at + count]))
+
+
+def _columns(problem: Problem, i: int) -> np.ndarray:
+    """Where a recording's partials stand in the table of levels; -1 for those above its top."""
+    number = problem.observed.number
+    by_number = np.full(max(number.max(), problem.analyses[i].partials.number.max()) + 1, -1)
+    by_number[number[number > 0]] = np.flatnonzero(number > 0)
+    return by_number[problem.analyses[i].partials.number]
+
+
+def _spread_out(problem: Problem, i: int, values: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
+    """Values of the table's columns at a recording's partials."""
+    at = _columns(problem, i)
+    return np.where(at >= 0, values[at], otherwise)
+
+
+def _fitted_level(problem: Problem, found: Estimate, i: int):
+    """Levels of a recording's partials through gain and path, dB [partials], and what was integrated out."""
+    integrated = latents(found.minima, 0)
+    table = found.minima.search.table
+    level = np.asarray(table.value)[i] - integrated.own[i]
+    unit = 0.0 if problem.start.scale is None else DB * np.log(problem.start.scale)
+    return _spread_out(problem, i, level, problem.analyses[i].partials.level + unit), integrated
+
+
+def _gain_db(problem: Problem, integrated, i: int) -> float:
+    """A recording's own gain, dB: the level of its columns where the onset's share is least."""
+    count = problem.observed.number > 0
+    return float(np.median(integrated.columns[i][count]))
+
+
+def _level(problem: Problem, found: Estimate, z: np.ndarray, i: int) -> np.ndarray:
+    """Levels of a recording's partials at `z` [size] by the model alone, dB."""
+    search = found.minima.search
+    lanes = search.own_lanes(z[None])
+    level = in_lanes(own_levels, lanes, problem.scene, problem.cfg._replace(free=()), OWN_LANES)[0]
+    return level[problem.layout.stroke[i], problem.analyses[i].partials.number.clip(max=problem.cfg.rows) - 1]
+
+
+def _literature_level(problem: Problem, found: Estimate, first: np.ndarray, i: int) -> np.ndarray:
+    """Levels that the initial hammer gives at the fitted velocities, through gain and path that suit it, dB."""
+    search, people = found.minima.search, found.minima.people
+    z = first.copy()
+    z[SHARED:] = found.z[SHARED:]
+    residual, _, good = search.model(z[None])
+    if not good[0]:
+        return np.full(len(problem.analyses[i].partials), -300.0)
+    integrated = latent(search.table, residual[0], people.phi[0], people.w[0])
+    level = np.asarray(search.table.value)[i] - np.asarray(integrated.own)[i]
+    return _spread_out(problem, i, level, problem.analyses[i].partials.level)
+
+
+# --- tables -----------------------------------------------------------------------------------------------------------
+
+
+def _parameters(problem: Problem, found: Estimate, states: dict[str, str]) -> dict:
+    """Every parameter with value, unit, interval and status."""
+    u, start = problem.unknowns, problem.start
+    values, initial = np.exp(found.posterior.mean[0]), np.exp(u.log_values(beginning(problem, found.z[:STRING_SIZE])))
+    reference = problem.layout.stroke[problem.reference]
+    table: dict[str, dict] = {}
+    for i, name in enumerate(VALUES):
+        if is_memory(name) and not u.memory:
+            continue
+        if name == "x0":
+            table["v_H0"] = _velocity(problem, found, reference) | {"initial": float(initial[SHARED + reference])}
+        if values[i] < 1e-100:
+            table[name] = absent(name, start.felt)
+            continue
+        rests = start.rests_on.get(name, ())
+        note = f"scales with the assumed {' and '.join(rests)}" if rests and states[name] == "scaled" else ""
+        if name == "width" and u.free[WIDTH]:
+            note = "effective: of the raised cosine that acts as the felt's own window does"
+        table[name] = _entry(
+            found.posterior, np.eye(u.size)[i], float(values[i]), UNITS[name], states[name],
+            float(start.initial.get(name, initial[i])), note,
+        )  # fmt: skip
+    order = [n for n in PARAMETERS_FIRST if n in table]
+    return {n: table[n] for n in order} | sizes(start)
+
+
+def _entry(posterior: Posterior, change: np.ndarray, value: float, unit: str, status: str, initial: float, note: str) -> dict:
+    span = posterior.interval(change)
+    # The interval of a sum of logarithms about the value that is shown.
+    offset = np.log(value) - float(posterior.mean[0] @ change)
+    interval = None if span is None else [float(np.exp(min(x + offset, 700.0))) for x in span]
+    return {
+        "value": value, "unit": unit, "interval": interval, "interval_by": None if span is None else "laplace",
+        "interval_open": [], "status": status, "initial": initial, "note": note,
+    }  # fmt: skip
+
+
+def _velocity(problem: Problem, found: Estimate, stroke: int) -> dict:
+    at = SHARED + stroke
+    value = float(np.exp(found.z[at]))
+    status = velocity_statuses(problem, found)[stroke]
+    note = "its scale is the prior's" if status == "scaled" else ""
+    return _entry(found.posterior, np.eye(problem.unknowns.size)[at], value, "m/s", status, value, note)
+
+
+def invariants(problem: Problem, found: Estimate) -> dict:
+    """What no assumed length, mass or velocity scale enters: value, unit and 95 % interval by name."""
+    u, g = problem.unknowns, problem.start.geometry
+    unit = np.eye(u.size)
+    c, kappa, mass, at = (unit[VALUES.index(n)] for n in ("c", "kappa", "M_H", "x0"))
+    stroke = problem.layout.stroke[problem.reference]
+    scaled = not problem.calibrated and all(v is None for v in problem.speed)
+    held = found.posterior.given(unit[SHARED + stroke]) if scaled else found.posterior
+    z, log = found.z, found.posterior.mean[0]
+    string = np.exp(log[:STRING_SIZE])
+    p = float(np.exp(z[P]))
+    force = unit[VALUES.index("K_H")] + p * u.log_u * unit[VALUES.index("p")]
+    table = {
+        "f0": _entry(held, c, string[0] / (2 * g.length), "Hz", "fitted", 0.0, ""),
+        "B": _entry(held, 2 * kappa - 2 * c, (string[1] * np.pi / (string[0] * g.length)) ** 2, "1", "fitted", 0.0, ""),
+        "M_H/M_S": _entry(held, mass, float(np.exp(log @ mass)) / g.mass, "1", "fitted", 0.0, ""),
+        "x0/L": _entry(held, at, float(np.exp(log @ at)) / g.length, "1", "fitted", 0.0, ""),
+        "F/M_S": _entry(
+            held, force, float(np.exp(z[NAMES.index("force")])) / g.mass, "N/kg", "fitted", 0.0,
+            f"static force of the felt at {1e3 * np.exp(u.log_u):.3g} mm"
+            + (", at the reference velocity shown" if scaled else ""),
+        ),
+    }  # fmt: skip
+    for other in range(problem.layout.strokes):
+        if other != stroke:
+            ratio = unit[SHARED + other] - unit[SHARED + stroke]
+            name = problem.recordings[problem.layout.stroke.index(other)].path
+            table[f"v/v_ref {other + 1}"] = _entry(found.posterior, ratio, float(np.exp(z @ ratio)), "1", "fitted", 0.0, name)
+    return {n: {k: e[k] for k in ("value", "unit", "interval", "note")} for n, e in table.items()}
+
+
+def _take(problem: Problem, found: Estimate, i: int, heard: Heard) -> dict:
+    """What one recording has of its own."""
+    recording, stroke = problem.recordings[i], problem.layout.stroke[i]
+    speed = _velocity(problem, found, stroke)
+    cents = 1200 * np.log2(problem.analyses[i].f0 / problem.analyses[problem.reference].f0)
+    return {
+        "file": recording.path, "sha256": recording.sha256, "rate": recording.rate,
+        "onset_s": recording.onset / recording.rate, "v_H0": speed["value"], "v_H0_interval": speed["interval"],
+        "v_H0_status": speed["status"], "gain": heard.fitted.voice.gain,
+        "gain_status": "fitted" if problem.start.scale is None else "given", "first": i == problem.reference,
+        "cents": float(cents), "group": problem.layout.group[i], "strike": stroke,
+        "criterion": heard.criterion, "levels": heard.levels,
+    }  # fmt: skip
+
+
+def _minima(problem: Problem, found: Estimate, voices) -> list[dict]:
+    """Every minimum: its share, F, hammer, velocities, and the reference's path."""
+    u = problem.unknowns
+    rows = []
+    for b, share in enumerate(found.posterior.share):
+        values = dict(zip(VALUES, np.exp(found.posterior.mean[b, :SHARED]).tolist(), strict=True))
+        values = {n: x for n, x in values.items() if x > 1e-100 and (u.memory or not is_memory(n))}
+        path: OutputPath | None = voices[b][problem.reference].path
+        rows.append({
+            "share": float(share), "F": float(found.minima.F[b]), "parameters": values,
+            "velocities": np.exp(found.minima.people.z[b, SHARED:]).tolist(), "path_db": None if path is None else path.db.tolist(),
+        })  # fmt: skip
+    return rows
+
+
+def _diagnostics(problem: Problem, found: Estimate) -> dict:
+    phi, strings = np.exp(found.minima.people.phi[0]), found.minima.strings[0]
+    return {
+        "F": float(found.minima.F[0]), "evaluations": found.lanes,
+        "partials": int(np.asarray(problem.observed.level.found).sum()),
+        "absent": int((np.asarray(problem.observed.level.value)[tuple(problem.observed.level.absent.T)] < 1e5).sum()),
+        "contact_rate_Hz": float(problem.scene.rate), "modes": problem.cfg.n_modes, "steps": problem.cfg.steps,
+        "excess": {"frequency_cents": float(np.exp(strings.phi[0][0])), "decay_relative": float(np.exp(strings.phi[1][0])),
+                   "level_db": float(phi[0])},
+        "path": {"smooth_db": float(phi[1]), "octaves": float(phi[2])} if problem.path else None,
+        "floor": float(phi[3]),
+        "correlated": [{"pair": [a, b], "correlation": r} for a, b, r in correlated(found.posterior)],
+    }  # fmt: skip
+
+

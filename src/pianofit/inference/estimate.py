@@ -1,0 +1,67 @@
+"""A fit from its recordings to the posterior: the string, the search, every minimum finished, Laplace."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from .coordinates import FORCE, NAMES, P, SHARED, STRING_SIZE
+from .finish import Minima, finished
+from .posterior import Posterior, laplace
+from .problem import Problem
+from .search import Search
+from .string import string_minimum
+
+__all__ = ["Estimate", "Progress", "estimate"]
+
+Progress = Callable[[str, float], None]
+
+
+class Estimate(NamedTuple):
+    """What a search of F found."""
+
+    minima: Minima
+    posterior: Posterior
+    lanes: int  # strikes of the model
+
+    @property
+    def z(self) -> np.ndarray:
+        """The best minimum [size]."""
+        return self.minima.people.z[0]
+
+
+def estimate(problem: Problem, seed: int = 0, progress: Progress = lambda *_: None) -> Estimate:
+    """Search F, and describe the posterior about its minima.
+
+    Raises
+    ------
+    FitError
+        If no hammer gives a finite sound.
+    """
+    progress("string", 0.05)
+    string, strings = string_minimum(problem)
+    progress("hammer", 0.15)
+    held = Search(problem, string)
+    found = held.run(seed, beginning(problem, string), progress)
+    progress("string and hammer", 0.75)
+    minima = finished(problem, found, held, strings)
+    progress("intervals", 0.88)
+    return Estimate(minima, laplace(problem, minima), held.lanes + minima.search.lanes)
+
+
+def beginning(problem: Problem, string: np.ndarray) -> np.ndarray:
+    """The point that a setup's starting values give, and the prior's means where it says nothing [size]."""
+    u, start = problem.unknowns, problem.start
+    z = u.mean.copy()
+    for i, name in enumerate(NAMES):
+        if name in start.initial and u.free[i]:
+            z[i] = np.log(start.initial[name])
+    if u.free[FORCE]:
+        z[FORCE] = np.log(start.initial["K_H"]) + np.exp(z[P]) * u.log_u
+    z[:STRING_SIZE] = string
+    reference = SHARED + problem.layout.stroke[problem.reference]
+    if u.free[reference] and "v_H0" in start.initial:
+        z[reference] = np.log(start.initial["v_H0"])
+    return u.project(z)

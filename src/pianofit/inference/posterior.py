@@ -1,0 +1,137 @@
+"""How sure: Laplace's approximation at every minimum of F, and the mixture of the minima.
+
+At a minimum F is a parabola in θ, φ and the log-weights; φ and the weights are integrated out with it, so an interval
+knows that the excess is itself read off a few levels. A minimum's share is its density times its volume,
+
+    share ∝ exp(-F) |H|^(-1/2),     H the Hessian of F by (θ, φ, log w)
+
+and a 95 % interval holds 95 % of the mixture.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import brentq
+from scipy.stats import norm
+
+from .coordinates import STRING_SIZE
+from .finish import Minima
+from .likelihood import Report, Table
+from .problem import Problem
+from .reports import report
+from .string import string_residuals
+
+__all__ = ["Posterior", "laplace"]
+
+# Step of the differences of F's exact gradient.
+STEP = 1e-4
+# Curvatures by φ and log w below this share of the largest are rounding.
+FLOOR = 1e-8
+# Of a two-sided 95 % interval.
+TAIL = 0.025
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """A mixture of Gaussians in the logarithms of values: `coordinates.NAMES` with K_H, then velocities."""
+
+    mean: np.ndarray  # [B, size]
+    covariance: np.ndarray  # [B, size, size]; 0 for what is held
+    share: np.ndarray  # [B]
+
+    def deviation(self, change: np.ndarray) -> float:
+        """Standard deviation of the sum of logarithms `change` [size] at the best minimum."""
+        return float(np.sqrt(max(change @ self.covariance[0] @ change, 0.0)))
+
+    def interval(self, change: np.ndarray) -> tuple[float, float] | None:
+        """The 95 % interval of the sum of logarithms `change` [size]; None for what is held."""
+        centre = self.mean @ change
+        sd = np.sqrt(np.maximum(np.einsum("i,bij,j->b", change, self.covariance, change), 0.0))
+        if not sd.any():
+            return None
+        sd = np.maximum(sd, 1e-12)
+        reach = 10 * sd.max() + np.ptp(centre)
+
+        def end(probability: float) -> float:
+            low, high = float(centre.min() - reach), float(centre.max() + reach)
+            return float(brentq(lambda x: float(self.share @ norm.cdf((x - centre) / sd)) - probability, low, high))
+
+        return end(TAIL), end(1 - TAIL)
+
+    def given(self, held: np.ndarray) -> Posterior:
+        """The same with the sum of logarithms `held` [size] fixed at each minimum's value: gauge-fixed."""
+        covariance = self.covariance.copy()
+        for cov in covariance:
+            variance = held @ cov @ held
+            if variance > 0:
+                cov -= np.outer(cov @ held, cov @ held) / variance
+        return Posterior(self.mean, covariance, self.share)
+
+
+def laplace(problem: Problem, minima: Minima) -> Posterior:
+    """The mixture of the minima of F."""
+    u, people = problem.unknowns, minima.people
+    logs, covariances, volumes = [], [], []
+    for i in range(len(people)):
+        precision, log_det = _precision(problem, minima, i)
+        covariance = np.zeros((u.size, u.size))
+        moves = minima.search.moves & ~u.at_bound(people.z[i])
+        inner = precision[np.ix_(moves, moves)]
+        scale = 1 / np.sqrt(np.diag(inner))
+        covariance[np.ix_(moves, moves)] = np.linalg.inv(inner * np.outer(scale, scale)) * np.outer(scale, scale)
+        tangent = u.tangent(people.z[i])
+        covariances.append(tangent @ covariance @ tangent.T)
+        volumes.append(-0.5 * (np.linalg.slogdet(inner)[1] + log_det))
+        logs.append(u.log_values(people.z[i]))
+    score = -minima.F + np.array(volumes)
+    share = np.exp(score - score.max())
+    return Posterior(np.array(logs), np.array(covariances), share / share.sum())
+
+
+def _precision(problem: Problem, minima: Minima, i: int) -> tuple[np.ndarray, float]:
+    """Of θ [size, size] with φ and w of all tables integrated out, and the logarithm of the volume these had."""
+    u, people = problem.unknowns, minima.people
+    precision = np.diag(np.where(minima.search.moves, 1 / np.where(u.free, u.sd, 1.0) ** 2, 0.0))
+    there = Report(*(x[i] for x in people.report))
+    more, volume = _without_nuisances(
+        minima.search.table, people.residual[i], people.jacobian[i], people.phi[i], people.w[i], there, 4
+    )
+    precision += more
+    string, state = people.z[i, :STRING_SIZE], minima.strings[i]
+    residuals, slopes = string_residuals(problem, string)
+    tables = problem.observed.frequency, problem.observed.decay
+    for table, r, s, phi, w in zip(tables, residuals, slopes, state.phi, state.w, strict=True):
+        found = report(table, r[None], s[None], phi[None], w[None])
+        more, own = _without_nuisances(table, r, s, phi, w, Report(*(x[0] for x in found)), 1)
+        precision[:STRING_SIZE, :STRING_SIZE] += more
+        volume += own
+    return precision, volume
+
+
+def _without_nuisances(
+    table: Table, residual: np.ndarray, jacobian: np.ndarray, phi: np.ndarray, w: np.ndarray, there: Report, hyper: int
+) -> tuple[np.ndarray, float]:
+    """Curvature by θ once the first `hyper` of φ and all log-weights have been integrated out, and their log volume.
+
+    Differences of the exact gradient give the Hessian's columns by φ and log w; by θ it is Gauss and Newton's.
+    """
+    at = np.argwhere(np.asarray(table.found) > 0)
+    count = hyper + len(at)
+    phis, ws = np.tile(phi, (count, 1)), np.tile(w, (count, 1, 1))
+    phis[np.arange(hyper), np.arange(hyper)] += STEP
+    ws[np.arange(hyper, count), at[:, 0], at[:, 1]] *= np.exp(STEP)
+    moved = report(table, np.tile(residual, (count, 1, 1)), np.tile(jacobian, (count, 1, 1, 1)), phis, ws)
+    cross = (moved.gradient - there.gradient) / STEP
+    own = np.concatenate(
+        [(moved.by_phi - there.by_phi)[:, :hyper], (moved.by_log_w - there.by_log_w)[:, at[:, 0], at[:, 1]]], axis=1
+    ) / STEP  # fmt: skip
+    value, vector = np.linalg.eigh(0.5 * (own + own.T))
+    value = np.maximum(value, FLOOR * value.max())
+    projected = vector.T @ cross
+    curvature = there.curvature - (projected / value[:, None]).T @ projected
+    # A curvature that is not positive says only that the parabola ends here: then φ and w count as known.
+    if np.linalg.eigvalsh(curvature)[0] < -1e-6 * np.abs(there.curvature).max():
+        curvature = there.curvature
+    return curvature, float(np.log(value).sum())

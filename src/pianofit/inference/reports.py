@@ -1,0 +1,35 @@
+"""F of many points at once, on all cores."""
+
+from __future__ import annotations
+
+import jax
+import numpy as np
+
+from ..model.cache import kept
+from . import likelihood
+from .lanes import pool
+from .likelihood import Report, Table
+
+__all__ = ["report"]
+
+# Points of one call.
+TOGETHER = 6
+
+
+@kept
+def reports(table: Table, residual, jacobian, phi, w, _):
+    """`likelihood.report` of a batch of points."""
+    return tuple(jax.lax.map(lambda point: likelihood.report(table, *point), (residual, jacobian, phi, w)))
+
+
+def report(table: Table, residual: np.ndarray, jacobian: np.ndarray, phi: np.ndarray, w: np.ndarray) -> Report:
+    """`reports` of any number of points [B, ...], `TOGETHER` at a time, on all cores."""
+    count = len(residual)
+    args = residual, jacobian, phi, w
+    padded = [np.concatenate([x, np.repeat(x[-1:], -count % TOGETHER, axis=0)]) for x in args]
+
+    def some(first: int) -> list[np.ndarray]:
+        return [np.asarray(x) for x in reports(table, *(x[first : first + TOGETHER] for x in padded), None)]
+
+    parts = list(pool().map(some, range(0, len(padded[0]), TOGETHER)))
+    return Report(*(np.concatenate(column)[:count] for column in zip(*parts, strict=True)))

@@ -1,0 +1,198 @@
+"""What a fit can claim, said first and plainly: its identifiability statement, statuses and messages."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ..recording import one_line
+from .coordinates import FORCE, NAMES, SHARED, STRING_SIZE, VALUES, WIDTH
+from .estimate import Estimate
+from .posterior import Posterior
+from .problem import Problem
+
+__all__ = ["STATUSES", "claims", "correlated", "messages", "statuses", "velocity_statuses"]
+
+STATUSES = ("fitted", "scaled", "given", "assumed", "at-bound", "not-identifiable")
+FELT = ("K_H", "mu", "p", "epsilon", "tau")
+# A parameter whose posterior is this wide, over its prior, has learned next to nothing from the recording.
+LEARNED = 0.7
+# A standard deviation of log(value) above this is no knowledge.
+LOOSE = 0.7
+# Correlation of two logarithms beyond which they are named.
+STRONG = 0.99
+# A calibrated recording of the string described is met within hundredths of a decibel. An excess beyond the first of
+# these, dB, means that something acts that the model does not have, and the felt takes it up; beyond the second the
+# hammer itself may be another.
+STRAINED, POOR = 0.1, 0.5
+# A second minimum with this share of the posterior is named.
+NAMED = 0.1
+ONE_VELOCITY = (
+    "One uncalibrated recording does not fix the felt: any hammer's spectrum can be traded for an output path, and a "
+    "softer felt struck faster sounds the same through another gain. "
+)
+NOTHING_COMPARED = (
+    "{} uncalibrated recordings, but none shares a path with a recording of another stroke, which does not fix the "
+    "felt: any hammer's spectrum can be traded for an output path. "
+)
+SEVERAL = (
+    "{} uncalibrated recordings of one key: what changes from stroke to stroke is the hammer's doing, what they share is "
+    "the path's. "
+)
+
+
+def prior_spread(problem: Problem, z: np.ndarray) -> np.ndarray:
+    """Standard deviations that the logarithms of values have before the recordings [size]."""
+    u = problem.unknowns
+    tangent = u.tangent(z)
+    return np.sqrt(np.diag(tangent @ np.diag(u.sd**2) @ tangent.T))
+
+
+def statuses(problem: Problem, found: Estimate) -> dict[str, str]:
+    """One of `STATUSES` by parameter name."""
+    u, start = problem.unknowns, problem.start
+    bound = u.at_bound(found.z)
+    prior = prior_spread(problem, found.z)
+    result = {}
+    for i, name in enumerate(VALUES):
+        change = np.eye(u.size)[i]
+        if not u.free[i]:
+            result[name] = "assumed" if start.fixed.get(name) == "assumed" else "given"
+        elif bound[i]:
+            result[name] = "at-bound"
+        else:
+            sd = found.posterior.deviation(change)
+            vague = sd > (LOOSE if i < STRING_SIZE else min(LEARNED * prior[i], LOOSE))
+            result[name] = "not-identifiable" if vague else "scaled" if start.rests_on.get(name) else "fitted"
+    if problem.calibrated:
+        excess = float(np.exp(found.minima.people.phi[0, 0]))
+        lost = () if excess <= STRAINED else FELT if excess <= POOR else (*FELT, "M_H")
+    else:
+        lost = () if problem.layout.compared else (*FELT, "M_H") if problem.path else FELT
+    for name in lost:
+        if result.get(name) in ("fitted", "scaled"):
+            result[name] = "not-identifiable"
+    # Without a measured velocity what scales with it is known by its prior alone.
+    if not problem.calibrated and all(v is None for v in problem.speed):
+        for name in ("K_H", "mu"):
+            if problem.layout.compared and result[name] in ("fitted", "scaled", "not-identifiable"):
+                gauge = _at_reference(problem, found.posterior)
+                sd = gauge.deviation(np.eye(u.size)[VALUES.index(name)])
+                result[name] = "scaled" if sd < min(LEARNED * prior[VALUES.index(name)], LOOSE) else "not-identifiable"
+    return result
+
+
+def velocity_statuses(problem: Problem, found: Estimate) -> list[str]:
+    """One of `STATUSES` for every stroke's velocity."""
+    known = [v is not None for v in problem.speed]
+    if problem.calibrated:
+        excess = float(np.exp(found.minima.people.phi[0, 0]))
+        return ["given" if k else "not-identifiable" if excess > POOR else "fitted" for k in known]
+    unknown = "fitted" if any(known) else "scaled"
+    if not problem.layout.compared:
+        unknown = "not-identifiable"
+    return ["given" if k else unknown for k in known]
+
+
+def _at_reference(problem: Problem, posterior: Posterior) -> Posterior:
+    """Gauge-fixed: the reference stroke's velocity held."""
+    return posterior.given(np.eye(problem.unknowns.size)[SHARED + problem.layout.stroke[problem.reference]])
+
+
+def claims(problem: Problem, found: Estimate, states: dict[str, str], levels: dict) -> str:
+    """The opening sentences: what kind of measurement this is, and what of it is identified."""
+    excess = float(np.exp(found.minima.people.phi[0, 0]))
+    if problem.calibrated:
+        if excess > STRAINED:
+            what = (
+                "another hammer may explain it better, or the setup is not this string's. The hammer's"
+                if excess > POOR
+                else "something acts that the model does not have. The felt's"
+            )
+            return f"Calibrated recording, but the model misses its levels by {excess:.2f} dB beyond the noise: {what} values are no finding."
+        lost = [n for n, state in states.items() if state == "not-identifiable" and n != "width"]
+        if not lost:
+            return "Calibrated recording: all free parameters are identified."
+        return f"Calibrated recording. Not identifiable from it: {', '.join(lost)}."
+    count = len(problem.recordings)
+    text = ONE_VELOCITY if count == 1 else (SEVERAL if problem.layout.compared else NOTHING_COMPARED).format(count)
+    through = "path" if problem.path else "gain"
+    text += (
+        f"Partial levels: {levels['initial_db']:.1f} dB off at the start; {levels['path_only_db']:.1f} dB with the "
+        f"literature's hammer through the {through} that suits it; {levels['fitted_db']:.1f} dB with the fitted hammer."
+    )
+    if not problem.layout.compared:
+        text += " The felt's values are one possibility under the prior of the path, not a finding."
+    if all(v is None for v in problem.speed):
+        text += (
+            " No hammer velocity was measured: velocities, K_H and μ are known up to one common scale, "
+            "and their intervals are the prior's; the ratios and products listed first do not depend on it."
+        )
+    return text
+
+
+def correlated(posterior: Posterior) -> list[tuple[str, str, float]]:
+    """Pairs of parameters that the recordings do not tell apart, with their correlation."""
+    cov = posterior.covariance[0]
+    sd = np.sqrt(np.diag(cov))
+    return [
+        (VALUES[j], VALUES[i], float(r))
+        for i in range(len(VALUES))
+        for j in range(i)
+        if sd[i] > 0 and sd[j] > 0 and abs(r := cov[i, j] / (sd[i] * sd[j])) > STRONG
+    ]
+
+
+def messages(problem: Problem, found: Estimate, states: dict[str, str], worse: Sequence[str]) -> list[str]:
+    """Plain sentences on what to beware of, the weightiest first."""
+    said = []
+    if not found.minima.converged[0]:
+        said.append("The search stopped before it converged; no value is a result.")
+    said += _mixture(problem, found)
+    if worse:
+        said.append(f"No lower on the paper's criterion than at the start: {', '.join(worse)}.")
+    bound = [n for n, s in states.items() if s == "at-bound"]
+    if bound:
+        said.append(f"At the edge of the box, so their values are the box's: {', '.join(bound)}.")
+    said += [f"{a} and {b} are strongly correlated ({r:+.3f})." for a, b, r in correlated(found.posterior)]
+    rests = sorted({x for names in problem.start.rests_on.values() for x in names})
+    if rests:
+        said.append(
+            f"The string's {' and '.join(rests)} were not given and are the literature's for this key; "
+            f"the SI values of {', '.join(problem.start.rests_on)} scale with them."
+        )
+    if problem.unknowns.free[WIDTH]:
+        said.append(
+            "The shape of the contact's window is not known, so its width is fitted along: an effective "
+            f"{1e3 * np.exp(found.z[WIDTH]):.2f} mm (given or assumed: {1e3 * problem.start.geometry.width:.2f} mm)."
+        )
+    phi, strings = np.exp(found.minima.people.phi[0]), found.minima.strings[0]
+    said.append(
+        f"Beyond the noise, partials scatter about the model by {np.exp(strings.phi[0][0]):.2f} cents, "
+        f"{100 * np.exp(strings.phi[1][0]):.0f} % in decay and {phi[0]:.2f} dB in level; the intervals include it."
+    )
+    for recording, analysis in zip(problem.recordings, problem.analyses, strict=True):
+        about = f"{one_line(Path(recording.path).name)}: " if len(problem.recordings) > 1 else ""
+        said += [about + warning for warning in (*recording.warnings, *analysis.warnings)]
+    return said
+
+
+def _mixture(problem: Problem, found: Estimate) -> list[str]:
+    """How much weight the best minimum has, and a second hammer about as likely."""
+    share = found.posterior.share
+    if len(share) == 1 or share[0] > 1 - NAMED:
+        return []
+    u, people = problem.unknowns, found.minima.people
+    other = 1 + int(np.argmax(share[1:]))
+    apart = np.abs(found.posterior.mean[other] - found.posterior.mean[0])
+    apart[FORCE] = abs(people.z[other, FORCE] - people.z[0, FORCE])
+    at = int(np.argmax(np.where(u.free[:SHARED], apart[:SHARED], 0.0)))
+    name = VALUES[at]
+    values = np.exp(found.posterior.mean[[0, other], at])
+    return [
+        f"The best minimum has {100 * share[0]:.0f} % of the posterior's weight. A second hammer, with "
+        f"{100 * share[other]:.0f} %, differs most in {name}: {values[1]:.4g} instead of {values[0]:.4g}. Intervals and "
+        "predictions are those of the mixture."
+    ]

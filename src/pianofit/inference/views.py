@@ -1,0 +1,58 @@
+"""Three views of F: Laplace's, which every result has; profiles; and draws by the No-U-Turn sampler."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..errors import ParameterError
+from .estimate import Estimate, Progress
+from .problem import Problem
+
+__all__ = ["MEANS", "View", "check_intervals", "view_of"]
+
+MEANS = ("laplace", "profile", "posterior")
+
+
+@dataclass(frozen=True)
+class View:
+    """What a profile or a posterior's draws say."""
+
+    entries: dict[str, dict]  # by parameter: interval, interval_by, interval_open
+    messages: tuple[str, ...] = ()
+    diagnostics: dict = field(default_factory=dict)
+    draws: dict[str, np.ndarray] | None = None  # values [chains, draws] by name
+
+
+def check_intervals(means: str, recipe: str = "default") -> None:
+    """Refuse a means that does not exist, a recipe that has none, and a sampler that is not installed.
+
+    Raises
+    ------
+    ParameterError
+        Naming the argument and its value.
+    """
+    if means not in MEANS:
+        raise ParameterError(f"intervals={means!r} must be one of {', '.join(MEANS)}")
+    if means != MEANS[0] and recipe != "default":
+        raise ParameterError(f"intervals={means!r} are those of the default recipe; recipe={recipe!r} gives none")
+    if means == "posterior":
+        from .sampler import check_sampler
+
+        check_sampler()
+
+
+def view_of(problem: Problem, found: Estimate, means: str, seed: int, progress: Progress) -> View | None:
+    """Intervals by the `means` asked for; None for Laplace's, which are there anyway."""
+    if means == "profile":
+        from .profile import profiles
+
+        progress("profiles", 0.9)
+        return profiles(problem, found)
+    if means == "posterior":
+        from .sampler import draws
+
+        progress("posterior", 0.9)
+        return draws(problem, found, seed)
+    return None
