@@ -1,18 +1,18 @@
 """Do the 95 % intervals hold the truth? Twins with known parameters, fitted, and counted.
 
     python benchmarks/coverage.py                              20 demo twins, and one without any noise
-    python benchmarks/coverage.py --twins model --seeds 100    strings, hammers, paths and 1 to 5 takes drawn at random
+    python benchmarks/coverage.py --twins model --seeds 100    strings, hammers, paths and strokes drawn at random
     python benchmarks/coverage.py --twins brute-force --seeds 100 --keep runs.jsonl --page docs/coverage.md
 
 A study that was cut off goes on where it stopped with the same `--keep`.
 
 How the last two are made is in `coverage_twins.py`. For every parameter: how many intervals hold the truth; the largest
-miss and the rms of the misses in standard errors (1 if the intervals are just right); the rms error; and how often it
-was told to be not identifiable or at a bound. Only parameters whose status is `free` count. `takes' v_H0` are the
-velocities of the takes beside the first.
+miss and the rms of the misses in standard errors (1 if the intervals are just right); the rms error and the median of
+its size; and how often it was said to be not identifiable or at a bound. Only parameters whose status is `fitted`
+count. `others' v_H0` are the velocities of the recordings beside the reference.
 
-A search can also end in another basin, and then no interval about its end holds the truth. So every twin is fitted once
-more from the truth, on the same residuals: if the cost there is lower by more than `DEEPER`, the basin was missed, and
+A search can also end in another valley, and then no interval about its end holds the truth. So every twin is descended
+once more from the truth, on the same F: if the minimum there is lower by more than `DEEPER`, the search missed it, and
 the table is printed without such twins too.
 """
 
@@ -24,11 +24,19 @@ import multiprocessing
 import os
 import sys
 import time
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from coverage_table import into_page, nearest, progress, report, score
+from coverage_table import STATUS, into_page, nearest, progress, report, score
+
+if TYPE_CHECKING:
+    from coverage_twins import Values
+
+    from pianofit.inference import Problem
+    from pianofit.inference.finish import Minima
 
 KINDS = ("demo", "model", "brute-force")
 # Twins of one process. What it compiles stays mapped, and an operating system allows only so many mappings. Pools that
@@ -57,7 +65,7 @@ def _demo(seed: int, noise_db: float | None) -> dict:
     import tempfile
 
     from pianofit.analysis import analyse
-    from pianofit.fit import fit_recording
+    from pianofit.fitting import fit_recording
     from pianofit.recording import load_recording
     from pianofit.render import encode_wav
     from pianofit.setup_file import load_setup
@@ -70,38 +78,34 @@ def _demo(seed: int, noise_db: float | None) -> dict:
         setup.write_text(setup_text())
         recording = load_recording(sound)
         result = fit_recording(recording, analyse(recording), load_setup(setup), seed=seed)
-    cell = {"takes": 1, "calibrated": True, "deeper": None}
+    cell = {"recordings": 1, "calibrated": True, "deeper": None}
     return cell | {"rows": score(result.document, twin.true, []), "converged": result.document["converged"]}
 
 
 def _drawn(kind: str, seed: int) -> dict:
-    """One twin of `coverage_twins`, by the same steps as `fit_takes`, which keep the search's own state."""
+    """One twin of `coverage_twins`, by the same steps as `fit_takes`, which keep the problem and its minima."""
     import coverage_twins
 
     from pianofit.analysis import analyse
-    from pianofit.fit.recipe import fit_partials
-    from pianofit.fit.result import conclude
-    from pianofit.fit.takes import arranged
+    from pianofit.errors import PianofitError
+    from pianofit.inference import conclude, estimate, pose
 
     twin = coverage_twins.make(kind, seed)
     about = {**twin.design._asdict(), "truth": _plain(twin)}
     try:
         analyses = [analyse(recording, f0=twin.truth.f0) for recording in twin.recordings]
-        takes, start, layout, order = arranged(twin.recordings, analyses, twin.setup, None)
-        fit = fit_partials(takes, start, layout, seed=seed)
-        document = conclude(takes, start, fit, seed, order).document
-    except Exception as error:
-        from pianofit.errors import PianofitError
-
-        if not isinstance(error, PianofitError):
-            raise
+        problem = pose(twin.recordings, analyses, twin.setup)
+        found = estimate(problem, seed)
+        document = conclude(problem, found, seed).document
+    except PianofitError as error:
         return about | {"refused": str(error)}
-    gained = gain_from_truth(fit, twin.values, [twin.truth.velocities[i] for i in order])
+    true = coverage_twins.values_of(kind, twin.truth, problem.reference)
+    diagnostics = document["diagnostics"]
     return about | {
-        "rows": score(document, twin.values, list(twin.truth.velocities)),
-        "deeper": gained, "converged": document["converged"], "agreeing": document["diagnostics"]["agreeing_starts"],
-        "partials": document["diagnostics"]["partials"], "scatter": document["diagnostics"]["scatter"],
-        "verdict": document["verdict"],
+        "rows": score(document, true, list(twin.truth.velocities)), "reference": problem.reference,
+        "deeper": gain_from_truth(problem, found.minima, true, twin.truth.velocities),
+        "converged": document["converged"], "partials": diagnostics["partials"], "excess": diagnostics["excess"],
+        "shares": [minimum["share"] for minimum in document["minima"]], "claims": document["claims"],
     }  # fmt: skip
 
 
@@ -114,34 +118,42 @@ def _plain(twin) -> dict:
     }  # fmt: skip
 
 
-def gain_from_truth(fit, true: dict, velocities: list[float]) -> float:
-    """How much lower the cost is where a descent from the truth ends, on the fit's own residuals; ≤ 0 if nowhere.
+def gain_from_truth(problem: Problem, minima: Minima, true: Values, velocities: Sequence[float]) -> float | None:
+    """How much lower F is at the minimum that a descent from the truth finds; at most 0 if the search found it too.
 
-    `velocities` are of the takes as the fit has them. Path and gains go down first: they are not part of the truth.
+    None if a contact of the true hammer does not end in the fit's steps. Gains and paths are no part of a point: F
+    has integrated them out. Hyperparameters and weights begin as the best minimum has them.
+
+    Parameters
+    ----------
+    velocities : m/s, of every recording; each is of a stroke of its own.
     """
-    import jax.numpy as jnp
+    from pianofit.inference.finish import _finished
+    from pianofit.inference.search import Search
 
-    from pianofit.fit.levenberg import descend
-    from pianofit.fit.residuals import joint_batch
-    from pianofit.fit.space import LOG, NAMES
+    people = minima.people
+    z = point_of(problem, people.z[0], true, velocities)
+    begun = Search(problem, z[:4], minima.strings[0]).begun(z[None], people.phi[0], people.w[0])
+    if not len(begun):
+        return None
+    *_, F, _ = _finished(problem, begun, minima.strings[0])
+    return float(minima.F[0]) - F
 
-    space, layout = fit.space, fit.data.layout
-    values = fit.values.copy()
-    for i, name in enumerate(NAMES):
-        values[i] = nearest(true.get(name, values[i]), values[i]) if space.free[i] else values[i]
-    first = velocities[0] if space.free[NAMES.index("v_H0")] else float(values[NAMES.index("v_H0")])
-    values[NAMES.index("v_H0")] = first
-    values[layout.ratio] = np.log(np.array(velocities) / velocities[0])
-    index = np.arange(layout.size)
-    path = (index >= LOG) & ~np.isin(index, layout.ratio)
 
-    def evaluate(z):
-        return joint_batch(jnp.asarray(z), fit.target, fit.cfg)
+def point_of(problem: Problem, best: np.ndarray, true: Values, velocities: Sequence[float]) -> np.ndarray:
+    """The truth as a point of the search [size]; what has no truth, and what is held, is as in `best`."""
+    from pianofit.inference.coordinates import FORCE, NAMES, SHARED, P
 
-    z = space.z(values[None])
-    if (space.free & path).any():
-        z = descend(evaluate, z, space, iterations=20, free=path, tolerance=1e-6).z
-    return fit.cost - float(descend(evaluate, z, space, iterations=60, tolerance=1e-8).cost[0])
+    u = problem.unknowns
+    values = np.exp(u.log_values(best))
+    values[SHARED:] = velocities
+    named = {"K_H": FORCE} | {name: i for i, name in enumerate(NAMES)}
+    for name, value in true.items():
+        if name in named:
+            values[named[name]] = nearest(value, values[named[name]])
+    z = np.log(values)
+    z[FORCE] += values[P] * u.log_u
+    return u.project(np.where(u.free, z, best))
 
 
 def fitted_before(file: Path | None, kind: str) -> dict[int, dict]:
@@ -172,7 +184,7 @@ def noise_free() -> tuple[list[str], dict]:
     """The demo without noise: how far every identifiable parameter is off."""
     rows = _demo(0, None)["rows"]
     lines = [f"{row['name']:8}{row['percent']:+10.4f} %   {row['status']}" for row in rows]
-    worst = max(abs(row["percent"]) for row in rows if row["status"] == "free")
+    worst = max(abs(row["percent"]) for row in rows if row["status"] == STATUS)
     return [*lines, f"worst of the identifiable: {worst:.4f} %"], {"parameters": rows, "worst_percent": worst}
 
 

@@ -8,17 +8,18 @@ from pathlib import Path
 
 import numpy as np
 
-__all__ = ["DEEPER", "entry", "into_page", "nearest", "progress", "report", "row", "score"]
+__all__ = ["DEEPER", "STATUS", "entry", "into_page", "nearest", "progress", "report", "row", "score"]
 
 REACH = 1.96  # standard errors to either side of a 95 % interval
-DEEPER = 1.0  # half a sum of squares of residuals: more than this is another basin
+DEEPER = 1.0  # of F, a log density: more than this is a minimum that the search missed
 FOUR = 4.0
-TAKES = "takes' v_H0"
-HEADING = f"{'':14}{'held':>9}{'':9}{'largest miss':>14}{'rms miss':>10}{'rms error':>12}{'vague':>7}{'at bound':>10}"
+STATUS = "fitted"  # what counts
+OTHERS = "others' v_H0"
+HEADING = f"{'':14}{'held':>9}{'':9}{'largest miss':>14}{'rms miss':>10}{'rms error':>12}{'median':>10}{'vague':>7}{'at bound':>10}"
 
 
 def score(document: dict, true: dict, velocities: list[float]) -> list[dict]:
-    """A row by parameter and take: status, relative error in percent, and the miss in standard errors."""
+    """A row by parameter and recording: status, relative error in percent, and the miss in standard errors."""
     table = document["parameters"]
     rows = [
         row(name, table[name]["value"], table[name]["interval"], table[name]["status"], true[name])
@@ -27,7 +28,7 @@ def score(document: dict, true: dict, velocities: list[float]) -> list[dict]:
     ]
     for take, v in zip(document["takes"], velocities, strict=False):
         if not take["first"]:
-            rows.append(row(TAKES, take["v_H0"], take["v_H0_interval"], take["v_H0_status"], v))
+            rows.append(row(OTHERS, take["v_H0"], take["v_H0_interval"], take["v_H0_status"], v))
     return rows
 
 
@@ -56,11 +57,11 @@ def report(runs: list[dict]) -> tuple[list[str], dict]:
     document = {"table": data}
     missed = [run for run in found if (run["deeper"] or 0.0) > DEEPER]
     if missed:
-        lines.append(f"\nwithout {len(missed)} twins whose cost is lower at the truth:")
-        more, document["right_basin"] = table([run for run in found if run not in missed])
+        lines.append(f"\nwithout {len(missed)} twins whose F is lower at the truth:")
+        more, document["right_minimum"] = table([run for run in found if run not in missed])
         lines += more
-    unsettled = sum(not run["converged"] for run in found)
-    lines += ["", f"fitted {len(found)} of {len(runs)}; not converged: {unsettled}; another basin: {len(missed)}"]
+    open_ended = sum(not run["converged"] for run in found)
+    lines += ["", f"fitted {len(found)} of {len(runs)}; not converged: {open_ended}; minimum missed: {len(missed)}"]
     lines += [f"refused, seed {run['seed']}: {run['refused']}" for run in runs if "refused" in run]
     return lines, document | {"runs": runs}
 
@@ -74,11 +75,11 @@ def table(runs: list[dict]) -> tuple[list[str], dict]:
         lines.append(line(name, data[name]))
     data["all"] = entry(rows)
     lines.append(line("all", data["all"]))
-    cells = dict.fromkeys((run["takes"], run["calibrated"]) for run in runs)
+    cells = dict.fromkeys((run["recordings"], run["calibrated"]) for run in runs)
     if len(cells) > 1:
-        for takes, calibrated in sorted(cells):
-            name = f"{takes} take{'s' * (takes > 1)}, {'cal' if calibrated else 'path'}"
-            mine = [run for run in runs if (run["takes"], run["calibrated"]) == (takes, calibrated)]
+        for count, calibrated in sorted(cells):
+            name = f"{count} rec{'s' * (count > 1)}, {'cal' if calibrated else 'path'}"
+            mine = [run for run in runs if (run["recordings"], run["calibrated"]) == (count, calibrated)]
             data[name] = entry(one for run in mine for one in run["rows"])
             lines.append(line(name, data[name]))
     for name in ("glide", "beats"):
@@ -96,17 +97,18 @@ def table(runs: list[dict]) -> tuple[list[str], dict]:
 def entry(rows) -> dict:
     """Counts and sizes of some rows."""
     rows = list(rows)
-    free = [one for one in rows if one["status"] == "free" and one["held"] is not None]
+    free = [one for one in rows if one["status"] == STATUS and one["held"] is not None]
     misses = [abs(one["miss"]) for one in free]
     status = [one["status"] for one in rows]
     return {
-        "free": len(free),
+        "fitted": len(free),
         "held": sum(one["held"] for one in free),
         "coverage": sum(one["held"] for one in free) / len(free) if free else math.nan,
         "largest_miss": max(misses, default=math.nan),
         "beyond_four": sum(miss > FOUR for miss in misses),
         "rms_miss": float(np.sqrt(np.mean(np.square(misses)))) if free else math.nan,
         "rms_percent": float(np.sqrt(np.mean([one["percent"] ** 2 for one in free]))) if free else math.nan,
+        "median_percent": float(np.median([abs(one["percent"]) for one in free])) if free else math.nan,
         "not_identifiable": status.count("not-identifiable"),
         "at_bound": status.count("at-bound"),
     }
@@ -115,8 +117,9 @@ def entry(rows) -> dict:
 def line(name: str, e: dict) -> str:
     """One entry as a line."""
     return (
-        f"{name:14}{e['held']:4}/{e['free']:<4}{100 * e['coverage']:7.1f} %{e['largest_miss']:12.2f} σ"
-        f"{e['rms_miss']:8.2f} σ{e['rms_percent']:10.2g} %{e['not_identifiable']:7}{e['at_bound']:10}"
+        f"{name:14}{e['held']:4}/{e['fitted']:<4}{100 * e['coverage']:7.1f} %{e['largest_miss']:12.2f} σ"
+        f"{e['rms_miss']:8.2f} σ{e['rms_percent']:10.2g} %{e['median_percent']:8.2g} %"
+        f"{e['not_identifiable']:7}{e['at_bound']:10}"
     )
 
 
@@ -125,12 +128,12 @@ def progress(run: dict) -> str:
     head = f"  {run['kind']} {run['seed']:3}: {run['seconds']:5.1f} s, "
     if "rows" not in run:
         return head + "refused: " + run["refused"]
-    scored = [one for one in run["rows"] if one["status"] == "free" and one["held"] is not None]
+    scored = [one for one in run["rows"] if one["status"] == STATUS and one["held"] is not None]
     if not scored:
-        return head + "nothing free"
+        return head + "nothing fitted"
     worst = max(scored, key=lambda one: abs(one["miss"]))
-    basin = ", another basin" if (run["deeper"] or 0.0) > DEEPER else ""
-    cell = f"{run['takes']} take{'s' * (run['takes'] > 1)}, {'calibrated' if run['calibrated'] else 'path'}"
+    basin = ", minimum missed" if (run["deeper"] or 0.0) > DEEPER else ""
+    cell = f"{run['recordings']} recorded, {'calibrated' if run['calibrated'] else 'path'}"
     return f"{head}{cell}, largest miss {worst['miss']:+.2f} σ ({worst['name']}){basin}"
 
 

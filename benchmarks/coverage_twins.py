@@ -7,17 +7,18 @@ them into sound, and nothing else:
 - `model`: the program's own string and hammer, at a contact rate no fit uses. What is tested is the statistics.
 - `brute-force`: `tests/brute_force.py`, which steps the wave equation on a fine grid with another window, and
   shares no line with the program. Half of these twins glide: all frequencies of the free string fall by some
-  cents with a time constant, as tension modulation makes them, more after a harder blow. Half of them beat: the blow is
-  shared out between two axes, the second fainter and detuned by up to three cents, each is simulated, and the sound is
-  their sum. So every fourth has both.
+  cents with a time constant, as tension modulation makes them, more after a harder stroke. Half of them beat: the
+  stroke is shared out between two axes, the second fainter and detuned by up to three cents, each is simulated, and
+  the sound is their sum. So every fourth has both.
 
-Every second twin is calibrated: a velocity pickup of known place and scale. The others are heard at the bridge through
-an unknown path: a minimum-phase filter whose level wanders smoothly by 3 dB rms, and by 0.5 to 4 dB more from one
-partial to the next, and with another gain in every take. White noise lies 40 to 70 dB below each take's first second.
+Every second twin is calibrated: a velocity pickup of known place and scale. The others are observed at the bridge
+through an unknown path: a minimum-phase filter whose level wanders smoothly by 3 dB rms, and by 0.5 to 4 dB more from
+one partial to the next, and with another gain in every recording. White noise lies 40 to 70 dB below each recording's
+first second.
 
 The setup says what a laboratory would know: length, mass, strike and, where there is a path, the velocity of the
-hardest blow, since no recording through a path tells it. Of every second twin with a path the strike's position is left
-out. So no value rests on an assumption, and each has a truth.
+hardest stroke, since no recording through a path tells it. Of every second twin with a path the strike's position is
+left out. So no value rests on an assumption, and each has a truth.
 """
 
 from __future__ import annotations
@@ -37,10 +38,11 @@ from pianofit.published import typical
 from pianofit.recording import Recording, recording_from_samples
 from pianofit.setup_file import Setup, setup_from_dict
 
-__all__ = ["KINDS", "Design", "Truth", "Twin", "design_of", "draw", "make", "output_path"]
+__all__ = ["KINDS", "Design", "Truth", "Twin", "design_of", "draw", "make", "output_path", "values_of"]
 KINDS = ("model", "brute-force")
-MOST_TAKES = 5
-# MIDI: A0, D2, F#3, A#4, C6. Compiled programs depend on the key and the number of takes: few keys, few compilations.
+Values = dict[str, float | tuple[float, float]]  # by name; a range where there is no one truth
+MOST_RECORDINGS = 5
+# MIDI: A0, D2, F#3, A#4, C6. Compiled programs depend on the key and the number of recordings: few keys, few programs.
 KEYS = (21, 38, 54, 70, 84)
 SLOWEST, FASTEST = 0.5, 5.0  # m/s
 # Of the spreads that a fit grants the literature's hammer, and of those for length, B, b1 and b2 below.
@@ -48,7 +50,7 @@ SHARE = 0.5
 STRING_SCATTER = {"length": 0.2, "B": 0.6, "b1": 0.6, "b2": 0.6}
 NOISE = (40.0, 70.0)  # dB
 SMOOTH, ROUGH = 3.0, (0.5, 4.0)  # dB rms
-GLIDE, GLIDE_SECONDS = (1.0, 6.0), (0.3, 0.9)  # cents at the hardest blow, s
+GLIDE, GLIDE_SECONDS = (1.0, 6.0), (0.3, 0.9)  # cents at the hardest stroke, s
 BEAT, BEAT_LEVEL = (0.5, 3.0), (0.1, 0.4)  # cents, of the first polarisation's amplitude
 SECONDS, LEAD = 3.0, 0.05  # s
 RATE = 44_100  # Hz; the witness steps at 706 kHz and filters
@@ -66,7 +68,7 @@ class Design(NamedTuple):
     """Which cell of the study a twin is in. One after the other they fill all cells alike."""
 
     key: int  # MIDI
-    takes: int
+    recordings: int
     calibrated: bool
     glide: bool
     beats: bool
@@ -77,13 +79,13 @@ class Truth(NamedTuple):
     """What was drawn."""
 
     string: String
-    hammer: Hammer  # with the velocity of the hardest blow
+    hammer: Hammer  # with the velocity of the hardest stroke
     geometry: Geometry
     velocities: tuple[float, ...]  # m/s, rising
-    noise_db: float  # below each take's first second
-    gains: tuple[float, ...]  # of the takes through a path
+    noise_db: float  # below each recording's first second
+    gains: tuple[float, ...]  # of the recordings through a path
     rough_db: float
-    glide_cents: float  # at the hardest blow
+    glide_cents: float  # at the hardest stroke
     glide_seconds: float
     beat_cents: float
     beat_level: float
@@ -95,7 +97,7 @@ class Truth(NamedTuple):
 
 
 class Twin(NamedTuple):
-    """Recordings, what was known beforehand, and the truth by name, with the velocity of each take."""
+    """Recordings, what was known beforehand, and the truth by name, with the velocity of each recording."""
 
     kind: str
     seed: int
@@ -103,18 +105,18 @@ class Twin(NamedTuple):
     truth: Truth
     recordings: list[Recording]
     setup: Setup
-    values: dict[str, float | tuple[float, float]]  # a range where there is no one truth
+    values: Values  # of the hardest stroke
 
 
 def design_of(kind: str, seed: int) -> Design:
-    """The cell of twin number `seed`: ten in a row hold every number of takes, calibrated and not; fifty, every key."""
-    block, column = divmod(seed // 2, MOST_TAKES)
+    """The cell of a twin: ten in a row hold every number of recordings, calibrated and not; fifty, every key."""
+    block, column = divmod(seed // 2, MOST_RECORDINGS)
     effects = kind == "brute-force"
-    # From block to block, and shifted along the takes, lest five takes glide only where they beat.
+    # From block to block, and shifted along the recordings, lest five recordings glide only where they beat.
     odd, second = (block + column) % 2 == 1, (block // 2 + column // 2) % 2 == 1
     return Design(
         key=KEYS[(block + seed) % len(KEYS)],
-        takes=1 + column,
+        recordings=1 + column,
         calibrated=seed % 2 == 0,
         glide=effects and odd,
         beats=effects and second,
@@ -123,17 +125,17 @@ def design_of(kind: str, seed: int) -> Design:
 
 
 def draw(kind: str, seed: int) -> Truth:
-    """String, hammer, blows and path of twin number `seed`."""
+    """String, hammer, strokes and path of twin number `seed`."""
     random = np.random.default_rng([KINDS.index(kind), seed])
     design = design_of(kind, seed)
     usual = typical(design.key)
     scattered = partial(_scattered, random)
     string, geometry = _drawn_string(usual.string, usual.geometry, scattered)
-    velocities = _blows(random, design.takes)
+    velocities = _velocities(random, design.recordings)
     return Truth(
         string, _drawn_hammer(usual.hammer, velocities[-1], scattered), geometry, velocities,
         noise_db=random.uniform(*NOISE),
-        gains=tuple(np.exp(random.normal(0, 0.5, design.takes)).tolist()),
+        gains=tuple(np.exp(random.normal(0, 0.5, design.recordings)).tolist()),
         rough_db=random.uniform(*ROUGH),
         glide_cents=random.uniform(*GLIDE) * design.glide,
         glide_seconds=random.uniform(*GLIDE_SECONDS),
@@ -169,14 +171,14 @@ def _drawn_hammer(usual: Hammer, velocity: float, scattered) -> Hammer:
     return Hammer(force / pressed**p, scattered(usual.mu, HAMMER_SPREAD["mu"]), p, mass, velocity)
 
 
-def _blows(random: np.random.Generator, takes: int) -> tuple[float, ...]:
+def _velocities(random: np.random.Generator, count: int) -> tuple[float, ...]:
     """Rising velocities over the usual range, m/s; a single one anywhere in its middle."""
-    if takes == 1:
+    if count == 1:
         return (float(np.exp(random.uniform(math.log(0.8), math.log(4.0)))),)
     ends = random.uniform(SLOWEST, 2 * SLOWEST), random.uniform(0.5 * FASTEST, FASTEST)
-    inner = np.geomspace(*ends, takes)
-    apart = math.log(ends[1] / ends[0]) / (takes - 1)
-    inner[1:-1] *= np.exp(random.uniform(-0.25, 0.25, takes - 2) * apart)
+    inner = np.geomspace(*ends, count)
+    apart = math.log(ends[1] / ends[0]) / (count - 1)
+    inner[1:-1] *= np.exp(random.uniform(-0.25, 0.25, count - 2) * apart)
     return tuple(inner.tolist())
 
 
@@ -197,11 +199,11 @@ def make(kind: str, seed: int) -> Twin:
         recording_from_samples(_noisy(x, truth.noise_db, RATE, noise), RATE, name=f"take-{n}")
         for n, x in enumerate(sounds, 1)
     ]
-    return Twin(kind, seed, design, truth, recordings, _setup(design, truth, scale), _values(kind, truth))
+    return Twin(kind, seed, design, truth, recordings, _setup(design, truth, scale), values_of(kind, truth))
 
 
 def _sounded(kind: str, truth: Truth, velocity: float, calibrated: bool) -> np.ndarray:
-    """One take at the pickup (m/s) or at the bridge (N), with the silence before it."""
+    """One recording at the pickup (m/s) or at the bridge (N), with the silence before it."""
     quantity = "velocity" if calibrated else "bridge-force"
     hammer, rate = truth.hammer._replace(v_H0=velocity), RATE
     if kind == "model":
@@ -212,7 +214,7 @@ def _sounded(kind: str, truth: Truth, velocity: float, calibrated: bool) -> np.n
     brute_force = _witness()
     window = "parabola"
     geometry = truth.geometry._replace(width=brute_force.matched_width(window, truth.geometry.width))
-    # One blow is shared out between two axes: together they are the one string that was struck.
+    # One stroke is shared out between two axes: together they are the one string that was struck.
     share = 1 + truth.beat_level * (truth.beat_cents != 0)
     sound = brute_force.make_twin(
         truth.string, hammer, geometry, seconds=SECONDS + LEAD, rate=rate, quantity=quantity, lead_in=LEAD,
@@ -280,21 +282,24 @@ def _setup(design: Design, truth: Truth, scale: float | None) -> Setup:
     return setup_from_dict(tables | {"take": [known]}, "twin")
 
 
-def _values(kind: str, truth: Truth) -> dict[str, float | tuple[float, float]]:
-    """The truth by name. A gliding string's c and κ are those of the mean pitch over `HEARD`, at the hardest blow.
+def values_of(kind: str, truth: Truth, recording: int = -1) -> Values:
+    """The truth by name, of one recording's stroke: the hardest's by default.
 
-    The witness' fall begins when the hammer has left, a few milliseconds after the blow: c and κ lie in a range.
-    Two axes have two pitches. A note far shorter than their beat sounds at the mean of the two by their shares, one far
-    longer at that of the stronger, so between these the truth of c and κ lies. The witness' window has no width of the
-    model's own kind, so the effective width has no truth there.
+    A gliding string's c and κ are those of the mean pitch over `HEARD`. The witness' fall begins when the hammer has
+    left, a few milliseconds after the stroke: c and κ lie in a range. Two axes have two pitches. A note far shorter
+    than their beat sounds at the mean of the two by their shares, one far longer at that of the stronger, so between
+    these the truth of c and κ lies. The witness' window has no width of the model's own kind, so the effective width
+    has no truth there.
     """
     start, stop = HEARD
-    tau, sharp = truth.glide_seconds, 2 ** (truth.glide_cents / 1200) - 1
+    velocity = truth.velocities[recording]
+    tau, cents = truth.glide_seconds, truth.glide_cents * (velocity / truth.velocities[-1]) ** 2
+    sharp = 2 ** (cents / 1200) - 1
     mean = sharp * tau * (math.exp(-start / tau) - math.exp(-stop / tau)) / (stop - start)
     share = truth.beat_level / (1 + truth.beat_level)
     pulled = sorted((1.0, 2 ** (share * truth.beat_cents / 1200)))
     ends = (1 + mean) * pulled[0], (1 + mean * math.exp(CONTACT / tau)) * pulled[1]
-    values = {**truth.string._asdict(), **truth.hammer._asdict(), "x0": truth.geometry.strike}
+    values = {**truth.string._asdict(), **truth.hammer._asdict(), "v_H0": velocity, "x0": truth.geometry.strike}
     values |= {"width": truth.geometry.width} if kind == "model" else {}
     values = {name: float(value) for name, value in values.items()}
     return values | {name: (values[name] * ends[0], values[name] * ends[1]) for name in ("c", "kappa")}
