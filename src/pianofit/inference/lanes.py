@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..model.cache import kept
-from ..model.contact import strike
+from ..model.contact import leave
 from ..model.modes import mode_table
 from ..model.response import LEVEL_DECAY, LEVEL_SPAN
 from ..parameters import Geometry, Hammer, MemoryHammer, String
@@ -61,17 +61,17 @@ def _level(string: Array, cents: Array | float, lane: Float[Array, " lane"], sce
         hammer = MemoryHammer(*hammer._replace(mu=jnp.zeros_like(p)), epsilon, tau)
     geometry = scene.geometry._replace(strike=at, width=width)
     modes = mode_table(string, geometry, rate=scene.rate, n_modes=cfg.n_modes, quantity=cfg.quantity)
-    pulse = strike(modes, hammer, steps=cfg.steps)
+    struck = leave(modes, hammer, steps=cfg.steps)
     end = geometry.length if cfg.quantity in ("bridge-force", "pressure") else geometry.pickup
     delay = jnp.maximum(jnp.abs(end - at) - width / 2, 0.0) / string.c
-    # What rings a step after the contact's last, carried back to the arrival.
+    # What rings after the contact, carried back to the arrival.
     alpha = -modes.pole.real[: cfg.rows]
-    left = modes.pickup[: cfg.rows] * pulse.after[: cfg.rows]  # pyright: ignore[reportOptionalSubscript]
+    left = modes.pickup[: cfg.rows] * struck.amplitude[: cfg.rows]
     size = 0.5 * jnp.log(jnp.maximum(left.real**2 + left.imag**2, np.finfo(float).tiny))
-    size = size + alpha * ((cfg.steps + 1) * modes.step - delay)
+    size = size + alpha * (struck.steps * modes.step - delay)
     rate = 2 * (alpha + LEVEL_DECAY)
     level = DB * (size + 0.5 * jnp.log(-0.5 * jnp.expm1(-rate * LEVEL_SPAN) / rate))
-    return level, pulse.compression[-1] <= 0
+    return level, struck.apart
 
 
 @kept

@@ -40,7 +40,7 @@ PATH_OF_SEVERAL = 20.0
 # dB, of a path that was heard at one velocity: median and spread of what several-velocity fits find.
 PATH_OF_ONE = (4.0, 0.5)
 # Nodes of the quadrature over it.
-PATH_NODES = 5
+PATH_NODES = 3
 # An absent partial may be this much louder than the bound of its band, dB: neighbours' leakage can cancel it.
 ABSENT_MARGIN = 1.0
 

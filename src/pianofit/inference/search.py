@@ -32,13 +32,15 @@ TAIL = 0.01
 # σ, A, ℓ, η before anything is known: excess of levels, dB, and a path as the prior has it.
 WIDE_EXCESS = 2.0
 # How many go on, for how many steps, with σ held above this, dB.
-STAGES = ((48, 5, 3.0), (16, 8, 1.0), (6, 30, 0.0))
+STAGES = ((48, 4, 3.0), (12, 6, 1.0), (4, 25, 0.0))
 # Restarts about the best: rounds, how many in each, and how far, in the prior's standard deviations.
-ROUNDS, RESTARTS, REACH = 2, 10, 0.3
+ROUNDS, RESTARTS, REACH = 2, 8, 0.3
 # Of log x0: valleys of the strike position are less than a percent apart in the bass.
 SCAN = (0.003, 0.006, 0.01, 0.015, 0.02, 0.03, 0.045, 0.065)
 # Steps that a restart has to come within `NEAR` of the best, F, to go on.
-TRIAL, NEAR = 6, 20.0
+TRIAL, NEAR = 6, 10.0
+# Restarts of a round that go on.
+GOING = 2
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-2, 1e-7, 1e6
 # Longest step of θ, in the smaller of 1 and the prior's standard deviations, and of φ.
 LONGEST_STEP, LONGEST_PHI = 1.5, 1.0
@@ -370,7 +372,7 @@ class Search:
             return people
         more = self.descend(more, 0.0, TRIAL)
         best = self.total(people.z[:1], people.take(np.array([0])).report)[0]
-        going = np.flatnonzero(self.total(more.z, more.report) < best + NEAR)[: STAGES[-1][0]]
+        going = np.flatnonzero(self.total(more.z, more.report) < best + NEAR)[:GOING]
         if len(going):
             people = people.join(self.descend(more.take(going), 0.0, STAGES[-1][1]))
         return people.take(np.argsort(self.total(people.z, people.report), kind="stable"))

@@ -23,7 +23,7 @@ from .exponentials import BLOCK, real_powers, ring
 from .felt import compression, force, memory_weights, remember
 from .modes import Modes
 
-__all__ = ["FreeMotion", "Pulse", "free_motion", "impulse_amplitude", "kernel", "kernel_rows", "strike"]
+__all__ = ["FreeMotion", "Pulse", "Struck", "free_motion", "impulse_amplitude", "kernel", "kernel_rows", "leave", "strike"]
 
 
 class Pulse(NamedTuple):
@@ -35,7 +35,14 @@ class Pulse(NamedTuple):
     hammer: Float[Array, "steps 2"]  # y_H, m, and v_H, m/s
     work: Float[Array, ""]  # what the contact put into the string, J
     over: Bool[Array, ""]  # proven: the hammer cannot catch the string any more
-    after: Complex[Array, " modes"] | None  # of every mode, m, a step after the last; None where `rows` carry the past
+
+
+class Struck(NamedTuple):
+    """What a contact left behind, `steps` steps after the first touch."""
+
+    amplitude: Complex[Array, " modes"]  # of every mode, m: q_n = Re(amplitude · z^(n - steps)) from then on
+    steps: Array
+    apart: Bool[Array, ""]  # whether hammer and string are apart by then
 
 
 class FreeMotion(NamedTuple):
@@ -96,15 +103,41 @@ def strike(
     if steps % BLOCK:
         raise ParameterError(f"steps={steps} must be a multiple of {BLOCK}")
     under = jnp.zeros(steps) if free is None else free.under_hammer
-    (drive, force, u, y_hammer, v_hammer), after = _march(
-        modes, hammer, under, 0.0 if free is None else free.speed, rows
-    )
+    drive, force, u, y_hammer, v_hammer = _march(modes, hammer, under, 0.0 if free is None else free.speed, rows)
     y_string = y_hammer - u
     own = y_string - under
     work = 0.5 * (drive[1:] * (own[1:] - own[:-1])).sum()
     reach = _reach(modes, work) + (0.0 if free is None else _reach(modes, free.energy))
     over = (u[-1] <= 0) & (v_hammer[-1] <= 0) & (y_hammer[-1] + reach <= 0)
-    return Pulse(drive, force, u, jnp.stack([y_hammer, v_hammer], axis=-1), work, over, after)
+    return Pulse(drive, force, u, jnp.stack([y_hammer, v_hammer], axis=-1), work, over)
+
+
+def leave(modes: Modes, hammer: Hammer | MemoryHammer, *, steps: int) -> Struck:
+    """What `strike` leaves in the modes of a string at rest, marching only until the contact is proven to be over.
+
+    Parameters
+    ----------
+    steps : the march ends here whether or not it is over; a multiple of 32.
+    """
+    if steps % BLOCK:
+        raise ParameterError(f"steps={steps} must be a multiple of {BLOCK}")
+    block, first = _blocks(modes, hammer, jnp.zeros(()), 0.0, None)
+
+    def going(now):
+        return (now[0] < steps // BLOCK) & ~now[-1]
+
+    def onward(now):
+        count, carry, own, work, _, _ = now
+        carry, (drive, _, u, y, v) = block(carry, jnp.zeros(BLOCK))
+        string = y - u
+        work = work + 0.5 * (drive * (string - jnp.append(own, string[:-1]))).sum()
+        over = (u[-1] <= 0) & (v[-1] <= 0) & (y[-1] + _reach(modes, work) <= 0)
+        return count + 1, carry, string[-1], work, u[-1] <= 0, over
+
+    zero = jnp.zeros_like(modes.step)
+    begin = (0, (jnp.zeros_like(modes.pole), first), zero, zero, jnp.asarray(False), jnp.asarray(False))
+    count, (amplitude, _), _, _, apart, _ = jax.lax.while_loop(going, onward, begin)
+    return Struck(amplitude, count * BLOCK + 1, apart)
 
 
 def _reach(modes: Modes, energy: Array) -> Array:
@@ -113,13 +146,17 @@ def _reach(modes: Modes, energy: Array) -> Array:
     return jnp.sqrt(2 * jnp.maximum(energy, 0.0) * compliance)
 
 
-def _march(modes: Modes, hammer: Hammer | MemoryHammer, under: Array, speed: Array | float, rows: Array | None):
-    """Step the hammer over the string; see the module's docstring for the symbols.
+def _blocks(modes: Modes, hammer: Hammer | MemoryHammer, y_string: Array, speed: Array | float, rows: Array | None):
+    """A function that steps the hammer over a block of steps, and the state it begins with; symbols as at the top.
 
     The sum over past forces is split: those of the present block are summed with the kernel, step by step; all earlier
     ones have left the modes ringing with complex amplitudes, which give the whole block's history as one matrix product
     that candidates on the same string share. The cost is linear in the steps. With `rows` what is carried is instead
     the displacement to come.
+
+    Parameters
+    ----------
+    y_string, speed : of the string under the hammer at the first touch, m and m/s.
     """
     a = modes.step / 2
     unit = impulse_amplitude(modes)
@@ -154,14 +191,20 @@ def _march(modes: Modes, hammer: Hammer | MemoryHammer, under: Array, speed: Arr
 
     zero = jnp.zeros_like(c)
     # y_H(0) = y_s at the strike: the felt touches, uncompressed (paper eq. 7).
-    y, v = under[0] + zero, hammer.v_H0 + zero
+    y, v = y_string + zero, hammer.v_H0 + zero
+    return block, (zero, v - speed, zero, y, v, None if weights is None else zero)
+
+
+def _march(modes: Modes, hammer: Hammer | MemoryHammer, under: Array, speed: Array | float, rows: Array | None):
+    """Step the hammer over the string as long as `under` [steps]: drive, force, u, y_H and v_H [steps]."""
+    block, state = _blocks(modes, hammer, under[0], speed, rows)
     # The first block starts at step 1, with nothing ringing yet.
     shifted = jnp.append(under[1:], 0.0).reshape(-1, BLOCK)
-    state = (zero, v - speed, zero, y, v, None if weights is None else zero)
-    (left, _), rest = jax.lax.scan(block, (jnp.zeros_like(unit if rows is None else under), state), shifted)
-    first = (zero, zero, zero, y, v)
-    steps = tuple(jnp.concatenate([x[None], r.ravel()[:-1]]) for x, r in zip(first, rest, strict=True))
-    return steps, left if rows is None else None
+    earlier = jnp.zeros_like(modes.pole if rows is None else under)
+    _, rest = jax.lax.scan(block, (earlier, state), shifted)
+    zero = state[0]
+    first = (zero, zero, zero, state[3], state[4])
+    return tuple(jnp.concatenate([x[None], r.ravel()[:-1]]) for x, r in zip(first, rest, strict=True))
 
 
 @jax.custom_jvp
