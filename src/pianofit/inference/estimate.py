@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .coordinates import FORCE, NAMES, P, SHARED, STRING_SIZE
+from .coordinates import FORCE, NAMES, SHARED, STRING_SIZE, P
 from .finish import Minima, finished
 from .posterior import Posterior, laplace
 from .problem import Problem

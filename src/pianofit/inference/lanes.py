@@ -23,7 +23,7 @@ from ..model.contact import leave
 from ..model.modes import mode_table
 from ..model.response import LEVEL_DECAY, LEVEL_SPAN
 from ..parameters import Geometry, Hammer, MemoryHammer, String
-from .coordinates import SHARED, STRING_SIZE
+from .coordinates import STRING_SIZE
 
 __all__ = ["LANES", "Cfg", "Scene", "in_lanes", "levels", "own_levels", "own_slopes", "pool", "slopes"]
 

@@ -15,7 +15,20 @@ from ..parameters import FIT_NAMES, Hammer, String
 from ..recording import Recording
 from ..voice import Voice, arrival
 from .coordinates import VALUES
-from .result import SCHEMA, UNITS, Heard, Listener, Result, derived, given, level_errors, sizes, together, versions, worse_bands
+from .result import (
+    SCHEMA,
+    UNITS,
+    Heard,
+    Listener,
+    Result,
+    derived,
+    given,
+    level_errors,
+    sizes,
+    together,
+    versions,
+    worse_bands,
+)
 
 __all__ = ["point_result"]
 

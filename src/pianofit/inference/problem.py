@@ -17,7 +17,7 @@ from ..recording import Recording, one_line
 from ..setup_file import Setup
 from ..setup_file import Take as Entry
 from . import priors
-from .coordinates import ABSENT, NAMES, P, SHARED, STRING_SIZE, Unknowns, box
+from .coordinates import ABSENT, NAMES, SHARED, STRING_SIZE, Unknowns, box
 from .lanes import Cfg, Scene
 from .observations import Layout, Observed, observe
 

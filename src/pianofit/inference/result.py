@@ -10,7 +10,17 @@ import numpy as np
 
 from .. import __version__
 from ..analysis import Analysis, Partials
-from ..criterion import BANDS, OutputPath, band_of, band_values, borders, closed_form_gain, level_error_db, line_sigma, measure
+from ..criterion import (
+    BANDS,
+    OutputPath,
+    band_of,
+    band_values,
+    borders,
+    closed_form_gain,
+    level_error_db,
+    line_sigma,
+    measure,
+)
 from ..initial import Start
 from ..model import Simulation
 from ..parameters import MEMORY_NAMES, PARAMETERS, Geometry, Hammer, MemoryHammer, String

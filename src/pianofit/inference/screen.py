@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..model.cache import kept
-from .coordinates import SHARED, STRING_SIZE
+from .coordinates import SHARED
 from .likelihood import Table, factored
 
 if TYPE_CHECKING:
@@ -17,9 +17,10 @@ if TYPE_CHECKING:
 
 __all__ = ["screen"]
 
-# Velocities to begin with, from the brightest stroke down: m/s, and the factor from stroke to stroke.
-FASTEST = (5.0, 2.0)
-FACTORS = (0.45, 0.62, 0.8)
+# Velocities to begin with, from the brightest stroke down, m/s: a forte,
+FASTEST = 4.0
+# and the factor from stroke to stroke, of layers far apart and of layers close together.
+FACTORS = (0.5, 0.75)
 # Rounds of coordinate descent over strokes.
 ROUNDS = 8
 # What a contact that does not end costs.
@@ -101,9 +102,5 @@ def _ladders(search: Search, grid: np.ndarray, mean: np.ndarray, free: np.ndarra
         bright[stroke] = max(bright[stroke], value)
     rank = np.empty(strokes)
     rank[np.argsort(-bright)] = np.arange(strokes)
-    found = []
-    for factor in FACTORS:
-        for fastest in FASTEST:
-            wanted = np.where(free, np.log(fastest * factor**rank), mean)
-            found.append(np.abs(grid - wanted[:, None]).argmin(axis=1))
-    return found
+    wanted = [np.where(free, np.log(FASTEST * factor**rank), mean) for factor in FACTORS]
+    return [np.abs(grid - each[:, None]).argmin(axis=1) for each in wanted]

@@ -15,12 +15,12 @@ import numpy as np
 from scipy.stats import norm, qmc
 
 from ..errors import FitError
-from .coordinates import NAMES, SHARED, STRING_SIZE, X0
-from .lanes import in_lanes, levels, own_levels, own_slopes, pool, slopes
-from .likelihood import Report, Table, next_weights
+from .coordinates import SHARED, STRING_SIZE, X0
+from .lanes import in_lanes, levels, own_levels, own_slopes, slopes
+from .likelihood import Report, next_weights
 from .problem import Problem
-from .string import StringState, string_report
 from .reports import report
+from .string import StringState, string_report
 
 __all__ = ["Population", "Search", "distinct"]
 

@@ -1,0 +1,67 @@
+"""What is learned of an unknown path's residual standard deviation τ from notes recorded at several velocities.
+
+    python benchmarks/path_prior.py
+
+The recordings are in ../shared/recordings and ../shared/disklavier, or where PIANOFIT_RECORDINGS says (folders
+separated by a colon), each with a `recordings.csv`. Every note with three layers or more is fitted; what its layers
+have in common beyond the fitted hammer is its path. F is then lowered over τ, and over the smooth part's amplitude and
+length, with everything else at the minimum: a τ for each note. The median and the standard deviation of their
+logarithms are the prior of a path that was heard at one velocity (`inference/priors.py`, PATH_OF_ONE).
+"""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+from crossval import folders, notes
+from scipy.optimize import minimize
+
+from pianofit import analyse, load_recording
+from pianofit.inference import estimate, pose
+from pianofit.inference.likelihood import objective
+from pianofit.model.cache import keep_programs
+
+# A note says something of its path's residual where so many partials share it.
+FEWEST = 12
+
+
+def residual_of(problem, found) -> float:
+    """τ of one fit, dB."""
+    import jax.numpy as jnp
+
+    people, table = found.minima.people, found.minima.search.table
+    phi, w, residual = (jnp.asarray(x[0]) for x in (people.phi, people.w, people.residual))
+
+    def F(x: np.ndarray) -> float:
+        log_tau, log_smooth, log_octaves = x
+        at = table._replace(common=np.full_like(np.asarray(table.common), log_tau))
+        return float(objective(at, residual, phi.at[1].set(log_smooth).at[2].set(log_octaves), w))
+
+    start = np.log([4.0, 8.0, 0.7])
+    end = minimize(F, start, method="Nelder-Mead", options={"xatol": 0.02, "fatol": 0.02, "maxiter": 120})
+    return float(np.exp(end.x[0]))
+
+
+def main() -> None:
+    """Print τ of every note, and the prior."""
+    keep_programs()
+    taus = []
+    for folder in folders():
+        for key, (note, files, setup) in notes(folder).items():
+            recordings = [load_recording(file) for file in files]
+            problem = pose(recordings, [analyse(r, note=note) for r in recordings], setup)
+            partials = int((np.asarray(problem.observed.level.found).sum(axis=0) > 1).sum())
+            if partials < FEWEST or not problem.layout.compared:
+                continue
+            tau = residual_of(problem, estimate(problem))
+            taus.append(tau)
+            print(f"{key:24} {partials:3d} partials  τ {tau:5.2f} dB", flush=True)
+    if not taus:
+        sys.exit("no note with three layers or more was found; say where with PIANOFIT_RECORDINGS")
+    log = np.log(taus)
+    print(f"{len(taus)} notes: median {np.exp(np.median(log)):.2f} dB, standard deviation of the logarithm {log.std(ddof=1):.2f}")
+
+
+if __name__ == "__main__":
+    main()
