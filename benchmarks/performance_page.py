@@ -125,7 +125,7 @@ def _commands(document: dict[str, Any]) -> str:
     gain = evaluations * inner / table["paper's recipe"]["median"]
     return f"""## Whole commands
 
-A made note of {effort["seconds"]:g} s; the joint fit has {effort["takes"]} takes of it, the paper's recipe
+A made note of {effort["seconds"]:g} s; the joint fit has {effort["takes"]} recordings of it, the paper's recipe
 {evaluations:,} evaluations by annealing on the demo's twin. Each runs in a process of its own, Python's start and all
 imports included, without the page unless it says so. Warm ones have the programs of earlier fits; the cold one has an
 empty cache.
@@ -213,10 +213,9 @@ def _reasons(document: dict[str, Any]) -> str:
     return f"""## Where a target is missed, and why
 
 - **A fit, warm and cold.** Of the warm command's {fit:.1f} s the fit itself, from the file on, takes
-  {shares["whole"]:.1f} s, {shares["hammer_batch"]:.1f} s of it the search from 32 hammers; the rest is Python's
+  {shares["whole"]:.1f} s, {shares["hammer_batch"]:.1f} s of it the search; the rest is Python's
   start, imports, and loading what was compiled before. Cold, it is XLA's compiler.
-- **The joint fit** screens 384 hammers by their levels, lets 48 of them race, and follows the likeliest two, unless the
-  second is much less likely.
+- **The joint fit** strikes 512 hammers at 16 velocities, sends 48 of them down F, and finishes up to four minima.
 - **The paper's recipe** is 20,000 contacts in lockstep batches, and two gradient descents on whole spectra before it.
 - **The criterion with nine derivatives** is the string's response on every bin of the spectrum by every mode, on one
   core; the contact is a small part of it. The default fit compares partials in closed form instead.

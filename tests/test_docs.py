@@ -19,7 +19,7 @@ ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"\]\(([^)\s]+)\)")
-IN_THE_CODE = re.compile(r"`([\w/]+\.py)` \(((?:`\w+`(?:,\s)?)+)\)")
+IN_THE_CODE = re.compile(r"`([\w/]+\.py)`\s+\(((?:`\w+`(?:,\s+)?)+)\)")
 
 
 def by_page(pages: list[Path]) -> Any:
@@ -148,10 +148,24 @@ def test_the_fit_shown_has_the_keys_of_a_real_one(tmp_path, monkeypatch):
     assert missing(json.loads(shown), run(ROOT / "docs" / "fitting.md")["result"].document) == []
 
 
+CONSTANTS = re.compile(r"<!-- constants -->\n(.*?)<!-- end of constants -->", re.DOTALL)
+
+
+def test_every_constant_of_the_table_is_in_the_code():
+    """By name, in the room's priors or its search: a constant that goes takes its row with it."""
+    room = ROOT / "src" / "pianofit" / "inference"
+    source = "".join((room / name).read_text(encoding="utf-8") for name in ("priors.py", "search.py"))
+    (table,) = CONSTANTS.findall((ROOT / "docs" / "fitting.md").read_text(encoding="utf-8"))
+    names = re.findall(r"`([A-Z_]+)`", "".join(re.findall(r"^\| (`.*?) \|", table, re.MULTILINE)))
+    assert len(set(names)) > 20
+    assert [name for name in names if not re.search(rf"^[A-Z_, ]*\b{name}\b[A-Z_, ]* = ", source, re.MULTILINE)] == []
+
+
 def test_every_key_of_a_fit_is_explained(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     text = FILES.read_text(encoding="utf-8")
     document = run(ROOT / "docs" / "fitting.md")["result"].document
-    parts = [document, *(document[part] for part in ("parameters", "pickup", "derived", "criterion", "levels"))]
-    parts += [document["takes"][0], document["parameters"]["c"], document["diagnostics"], document["versions"]]
+    whole = ("invariants", "parameters", "pickup", "derived", "criterion", "levels", "diagnostics", "versions")
+    parts = [document, *(document[part] for part in whole), document["diagnostics"]["excess"]]
+    parts += [document["takes"][0], document["minima"][0], document["parameters"]["c"], document["invariants"]["f0"]]
     assert sorted({key for part in parts for key in part if f"`{key}`" not in text}) == []
