@@ -96,7 +96,7 @@ def main() -> None:
     wanted = [n for n in options.names.split(",") if n] or list(known)
     if unknown := set(wanted) - set(known):
         sys.exit(f"--names: {', '.join(sorted(unknown))} is none of {', '.join(known)}")
-    lines = [f"{'constant':18}{'value':>26}{'half: dB':>10}{'σ':>6}{'as it is: dB':>14}{'σ':>6}{'twice: dB':>11}{'σ':>6}"]
+    lines = [f"{'constant':18}{'value':>26}{'half: dB':>10}{'σ':>6}{'as it is':>14}{'σ':>6}{'twice: dB':>11}{'σ':>6}"]
     usual = panel()
     print(lines[0], flush=True)
     for name in wanted:

@@ -26,7 +26,7 @@ from pianofit.model.cache import keep_programs
 FEWEST = 12
 
 
-def residual_of(problem, found) -> float:
+def residual_of(found) -> float:
     """τ of one fit, dB."""
     import jax.numpy as jnp
 
@@ -54,13 +54,14 @@ def main() -> None:
             partials = int((np.asarray(problem.observed.level.found).sum(axis=0) > 1).sum())
             if partials < FEWEST or not problem.layout.compared:
                 continue
-            tau = residual_of(problem, estimate(problem))
+            tau = residual_of(estimate(problem))
             taus.append(tau)
             print(f"{key:24} {partials:3d} partials  τ {tau:5.2f} dB", flush=True)
     if not taus:
         sys.exit("no note with three layers or more was found; say where with PIANOFIT_RECORDINGS")
     log = np.log(taus)
-    print(f"{len(taus)} notes: median {np.exp(np.median(log)):.2f} dB, standard deviation of the logarithm {log.std(ddof=1):.2f}")
+    median, spread = np.exp(np.median(log)), log.std(ddof=1)
+    print(f"{len(taus)} notes: median {median:.2f} dB, standard deviation of the logarithm {spread:.2f}")
 
 
 if __name__ == "__main__":

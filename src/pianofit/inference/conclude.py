@@ -87,8 +87,8 @@ def conclude(problem: Problem, found: Estimate, seed: int, view: View | None = N
         "versions": versions(),
     }  # fmt: skip
     return Result(
-        document, takes, problem.reference, found.posterior.covariance[0], voices, tuple(found.posterior.share.tolist()),
-        None if view is None else view.draws,
+        document, takes, problem.reference, found.posterior.covariance[0], voices,
+        tuple(found.posterior.share.tolist()), None if view is None else view.draws,
     )  # fmt: skip
 
 
@@ -230,7 +230,9 @@ def _parameters(problem: Problem, found: Estimate, states: dict[str, str]) -> di
     return {n: table[n] for n in order} | sizes(start)
 
 
-def _entry(posterior: Posterior, change: np.ndarray, value: float, unit: str, status: str, initial: float, note: str) -> dict:
+def _entry(
+    posterior: Posterior, change: np.ndarray, value: float, unit: str, status: str, initial: float, note: str
+) -> dict:
     span = posterior.interval(change)
     # The interval of a sum of logarithms about the value that is shown.
     offset = np.log(value) - float(posterior.mean[0] @ change)
@@ -276,7 +278,9 @@ def invariants(problem: Problem, found: Estimate) -> dict:
         if other != stroke:
             ratio = unit[SHARED + other] - unit[SHARED + stroke]
             name = problem.recordings[problem.layout.stroke.index(other)].path
-            table[f"v/v_ref {other + 1}"] = _entry(found.posterior, ratio, float(np.exp(z @ ratio)), "1", "fitted", 0.0, name)
+            table[f"v/v_ref {other + 1}"] = _entry(
+                found.posterior, ratio, float(np.exp(z @ ratio)), "1", "fitted", 0.0, name
+            )
     return {n: {k: e[k] for k in ("value", "unit", "interval", "note")} for n, e in table.items()}
 
 
@@ -305,7 +309,8 @@ def _minima(problem: Problem, found: Estimate, voices) -> list[dict]:
         path: OutputPath | None = voices[b][problem.reference].path
         rows.append({
             "share": float(share), "F": float(found.minima.F[b]), "parameters": values,
-            "velocities": np.exp(found.minima.people.z[b, SHARED:]).tolist(), "path_db": None if path is None else path.db.tolist(),
+            "velocities": np.exp(found.minima.people.z[b, SHARED:]).tolist(),
+            "path_db": None if path is None else path.db.tolist(),
         })  # fmt: skip
     return rows
 
@@ -317,11 +322,9 @@ def _diagnostics(problem: Problem, found: Estimate) -> dict:
         "partials": int(np.asarray(problem.observed.level.found).sum()),
         "absent": int((np.asarray(problem.observed.level.value)[tuple(problem.observed.level.absent.T)] < 1e5).sum()),
         "contact_rate_Hz": float(problem.scene.rate), "modes": problem.cfg.n_modes, "steps": problem.cfg.steps,
-        "excess": {"frequency_cents": float(np.exp(strings.phi[0][0])), "decay_relative": float(np.exp(strings.phi[1][0])),
-                   "level_db": float(phi[0])},
+        "excess": {"frequency_cents": float(np.exp(strings.phi[0][0])),
+                   "decay_relative": float(np.exp(strings.phi[1][0])), "level_db": float(phi[0])},
         "path": {"smooth_db": float(phi[1]), "octaves": float(phi[2])} if problem.path else None,
         "floor": float(phi[3]),
         "correlated": [{"pair": [a, b], "correlation": r} for a, b, r in correlated(found.posterior)],
     }  # fmt: skip
-
-

@@ -17,6 +17,8 @@ from .string import string_minimum
 __all__ = ["Estimate", "Progress", "estimate"]
 
 Progress = Callable[[str, float], None]
+# Minima nearer than this in every unknown, in standard deviations of the lower one, are one.
+SAME = 1.0
 
 
 class Estimate(NamedTuple):
@@ -48,7 +50,28 @@ def estimate(problem: Problem, seed: int = 0, progress: Progress = lambda *_: No
     progress("string and hammer", 0.75)
     minima = finished(problem, found, held, strings)
     progress("intervals", 0.88)
-    return Estimate(minima, laplace(problem, minima), held.lanes + minima.search.lanes)
+    return Estimate(*_apart(minima, laplace(problem, minima)), held.lanes + minima.search.lanes)
+
+
+def _apart(minima: Minima, posterior: Posterior) -> tuple[Minima, Posterior]:
+    """Without minima that lie within the width of a lower one: its parabola has their weight already."""
+    sd = np.sqrt(np.maximum(np.einsum("bii->bi", posterior.covariance), 0.0))
+    kept: list[int] = []
+    for i in np.argsort(minima.F, kind="stable"):
+        away = [
+            (np.abs(posterior.mean[i] - posterior.mean[j]) / np.where(sd[j] > 0, sd[j], np.inf)).max() for j in kept
+        ]
+        if min(away, default=np.inf) > SAME:
+            kept.append(int(i))
+    at = np.array(kept)
+    share = posterior.share[at] / posterior.share[at].sum()
+    return (
+        minima._replace(
+            people=minima.people.take(at), F=minima.F[at], offsets=minima.offsets[at],
+            strings=[minima.strings[i] for i in kept], converged=minima.converged[at],
+        ),
+        Posterior(posterior.mean[at], posterior.covariance[at], share),
+    )  # fmt: skip
 
 
 def beginning(problem: Problem, string: np.ndarray) -> np.ndarray:

@@ -35,7 +35,8 @@ class Minima(NamedTuple):
 def finished(problem: Problem, found: Population, held: Search, strings: StringState) -> Minima:
     """Every distinct minimum near the lowest, finished on F with all its unknowns."""
     scores = held.total(found.z, found.report)
-    ends = [_finished(problem, found.take(np.array([i])), strings) for i in distinct(found, held.unknowns, scores, WITHIN)[:MOST]]
+    chosen = distinct(found, held.unknowns, scores, WITHIN)[:MOST]
+    ends = [_finished(problem, found.take(np.array([i])), strings) for i in chosen]
     F = np.array([end[2] for end in ends])
     order = np.argsort(F, kind="stable")
     people = ends[order[0]][1]

@@ -35,7 +35,7 @@ ADDED = 20 / np.log(10) / np.sqrt(2)
 
 
 class Table(NamedTuple):
-    """One kind of observation: R recordings, K partials, G groups that share what is common, Q columns, T nodes of τ."""
+    """One kind of observation: R recordings, K partials, G groups that share what is common, Q columns, T nodes."""
 
     value: Array  # y [R, K]
     variance: Array  # s², of measurement [R, K]

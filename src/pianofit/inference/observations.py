@@ -68,7 +68,7 @@ class Observed:
 def string_law(string: np.ndarray, number: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
     """Frequency, Hz, and decay, 1/s, of partials k [2, K], and their derivatives by `string` [2, K, 4].
 
-    `string` holds the logarithms of c, κ, b1 and b2. Derivatives are of the logarithm of the frequency and of the decay.
+    `string` holds the logarithms of c, κ, b1 and b2. Derivatives are of the frequency's logarithm and of the decay.
     """
     c, kappa, b1, b2 = np.exp(string)
     s = (np.maximum(number, 1) * np.pi / length) ** 2
@@ -80,7 +80,9 @@ def string_law(string: np.ndarray, number: np.ndarray, length: float) -> tuple[n
     return np.stack([frequency, alpha]), np.stack([pitch, loss])
 
 
-def observe(analyses: Sequence[Analysis], layout: Layout, reference: int, unit: float, path: bool, gains: bool) -> Observed:
+def observe(
+    analyses: Sequence[Analysis], layout: Layout, reference: int, unit: float, path: bool, gains: bool
+) -> Observed:
     """The tables of recordings of one key.
 
     Parameters
@@ -157,7 +159,13 @@ def _one_hot(index: Sequence[int]) -> np.ndarray:
 
 
 def _levels(
-    analyses: Sequence[Analysis], layout: Layout, number: np.ndarray, ref: Analysis, unit: float, path: bool, gains: bool
+    analyses: Sequence[Analysis],
+    layout: Layout,
+    number: np.ndarray,
+    ref: Analysis,
+    unit: float,
+    path: bool,
+    gains: bool,
 ) -> Table:
     tables = [a.partials for a in analyses]
     frequency = _frequency(ref, np.maximum(number, 1))

@@ -59,7 +59,7 @@ def point_result(
     last = first._replace(string=string, hammer=hammer)
     before, after = (listener.play(v, gain, begins, np.zeros(len(analysis.partials))) for v in (first, last))
     levels = {
-        name: _levels(sound.voice, sound.simulation, analysis) + (0.0 if calibrated else 20 * np.log10(sound.voice.gain))
+        name: _levels(sound.voice, sound.simulation, analysis)
         for name, sound in (("initial_db", before), ("fitted_db", after))
     }
     measured = analysis.partials.level + unit

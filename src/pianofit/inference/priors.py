@@ -16,8 +16,6 @@ __all__ = ["Hyperprior"]
 # Felts of neighbouring instruments differ by factors, hammer masses by tens of percent (Chaigne and Askenfelt 1994;
 # Chabassier): standard deviations of log(value).
 HAMMER_SPREAD = {"force": 1.5, "p": 0.2, "mu": 1.5, "M_H": 0.4, "x0": 0.2, "width": 0.3, "epsilon": 0.7, "tau": 1.5}
-# Stulov's felt: half of the stiffness relaxes in a tenth of a millisecond.
-RELAXATION = {"epsilon": 0.5, "tau": 1e-4}
 # Hammer velocity at the string, m/s: pianissimo to fortissimo is 0.3 to 6 (Askenfelt and Jansson 1991).
 VELOCITY = 1.5
 VELOCITY_SPREAD = 0.8
@@ -29,8 +27,6 @@ STRING_SPREAD = {"c": 0.01, "kappa": 2.0, "b1": 2.0, "b2": 3.0}
 GAIN = 60.0
 # A detected onset may lie this far from the arrival of the wave, s.
 ONSET = 1e-3
-# Recordings of one key agree in pitch to some cents.
-PITCH = 10.0
 # Degrees of freedom of Student's t: with 4 a search discards the fundamental and stays there.
 STUDENT = 10.0
 # Residual variance of a path that was heard at several velocities, dB: so wide that only differences between velocities

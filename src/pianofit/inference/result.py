@@ -23,11 +23,11 @@ from ..criterion import (
 )
 from ..initial import Start
 from ..model import Simulation
-from ..parameters import MEMORY_NAMES, PARAMETERS, Geometry, Hammer, MemoryHammer, String
+from ..parameters import MEMORY_NAMES, PARAMETERS
 from ..recording import Recording
 from ..voice import Voice, strike_voice, touched
 
-__all__ = ["SCHEMA", "UNITS", "Heard", "Listener", "Result", "Sound", "in_first_gain", "scored", "versions", "worse_bands"]
+__all__ = ["SCHEMA", "UNITS", "Heard", "Listener", "Result", "Sound", "scored", "versions", "worse_bands"]
 
 SCHEMA = 2
 # Levels are compared over partials to this, Hz, within so many dB of the strongest.
@@ -255,11 +255,6 @@ def path_document(path: OutputPath | None) -> dict | None:
     return {name: column.tolist() for name, column in path._asdict().items() if column is not None}
 
 
-def hammer_values(hammer: Hammer | MemoryHammer) -> dict[str, float]:
-    """By name, those of a felt's memory only where it has one."""
-    return {name: float(x) for name, x in hammer._asdict().items()}
-
-
 def absent(name: str, felt: str) -> dict:
     """A loss that the felt's law does not have."""
     return given(0.0, name, "given") | {"note": f"the felt's law, {felt}, has none"}
@@ -268,8 +263,3 @@ def absent(name: str, felt: str) -> dict:
 def is_memory(name: str) -> bool:
     """Whether only a felt that relaxes has this parameter."""
     return name in MEMORY_NAMES
-
-
-def in_first_gain(string: String, hammer: Hammer | MemoryHammer, geometry: Geometry, quantity: str) -> Voice:
-    """A voice without path, at a gain of 1."""
-    return Voice(string, hammer, geometry, quantity, 1.0, None)

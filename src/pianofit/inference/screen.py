@@ -42,7 +42,7 @@ def precision_matrix(table: Table, phi, w, _):
     return (jnp.diag(d) - solved.T @ solved,)
 
 
-def screen(search: Search, z: np.ndarray, grid: np.ndarray, level: np.ndarray, ended: np.ndarray, strokes: int) -> np.ndarray:
+def screen(search: Search, z: np.ndarray, grid: np.ndarray, level: np.ndarray, ended: np.ndarray) -> np.ndarray:
     """The hammers with their best velocities, the best first [S, size].
 
     Parameters
@@ -54,7 +54,7 @@ def screen(search: Search, z: np.ndarray, grid: np.ndarray, level: np.ndarray, e
     (Q,) = precision_matrix(table, search.wide(), np.ones_like(table.value), None)
     R, K = table.value.shape
     Q = np.asarray(Q).reshape(R, K, R, K)
-    free = u.free[SHARED:]
+    free, strokes = u.free[SHARED:], u.strokes
     mean, sd = u.mean[SHARED:], np.where(free, u.sd[SHARED:], 1.0)
     belief = 0.5 * ((grid - mean[:, None]) / sd[:, None]) ** 2
     belief = np.where(free[:, None], belief, np.where(np.abs(grid - mean[:, None]) < 1e-9, 0.0, np.inf))

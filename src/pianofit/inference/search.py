@@ -50,10 +50,15 @@ OWN_LANES, MANY_LANES = 4, 64
 FINER, MOST_MODES = 4, 512
 # A minimum is reached when a step gains less than this.
 CONVERGED = 1e-3
+NO_HAMMER = "no hammer within the bounds gives a finite sound; widen [bounds] or check [known] in the setup"
 # Hyperparameters stay within so many standard deviations of their priors.
 HYPER_REACH = 5.0
 # Minima closer than this in every unknown, in the prior's standard deviations, are one.
 SAME = 0.02
+
+
+# What a population has of each candidate, beside its report.
+ARRAYS = ("z", "phi", "w", "residual", "jacobian", "damping", "inverse", "gained")
 
 
 @dataclass
@@ -75,20 +80,19 @@ class Population:
 
     def take(self, which: np.ndarray) -> Population:
         """Some of them, in this order."""
-        fields = {n: getattr(self, n)[which] for n in ("z", "phi", "w", "residual", "jacobian", "damping", "inverse", "gained")}
+        fields = {name: getattr(self, name)[which] for name in ARRAYS}
         return Population(**fields, report=Report(*(x[which] for x in self.report)))
 
     def put(self, which: np.ndarray, other: Population) -> None:
         """Replace some by `other`'s."""
-        for name in ("z", "phi", "w", "residual", "jacobian", "damping", "inverse", "gained"):
+        for name in ARRAYS:
             getattr(self, name)[which] = getattr(other, name)
         for mine, new in zip(self.report, other.report, strict=True):
             mine[which] = new
 
     def join(self, other: Population) -> Population:
         """Both."""
-        names = ("z", "phi", "w", "residual", "jacobian", "damping", "inverse", "gained")
-        fields = {n: np.concatenate([getattr(self, n), getattr(other, n)]) for n in names}
+        fields = {name: np.concatenate([getattr(self, name), getattr(other, name)]) for name in ARRAYS}
         joined = Report(*(np.concatenate(pair) for pair in zip(self.report, other.report, strict=True)))
         return Population(**fields, report=joined)
 
@@ -304,24 +308,17 @@ class Search:
         from .screen import screen
 
         z = self.samples(seed)
-        strokes = self.unknowns.strokes
-        grid = np.log(VELOCITIES)
+        # Measured velocities have columns of their own.
+        grid = np.append(np.log(VELOCITIES), self.unknowns.mean[SHARED:][~self.unknowns.free[SHARED:]])
+        # Velocity by velocity: lanes of one call then have contacts of like lengths.
         lanes = np.concatenate(
-            [np.repeat(z[:, STRING_SIZE:SHARED], len(grid), axis=0), np.tile(grid, len(z))[:, None]], axis=1
+            [np.tile(z[:, STRING_SIZE:SHARED], (len(grid), 1)), np.repeat(grid, len(z))[:, None]], axis=1
         )
-        known = ~self.unknowns.free[SHARED:]
-        if known.any():  # measured velocities have columns of their own
-            measured = self.unknowns.mean[SHARED:][known]
-            grid = np.append(grid, measured)
-            lanes = np.concatenate(
-                [np.repeat(z[:, STRING_SIZE:SHARED], len(grid), axis=0), np.tile(grid, len(z))[:, None]], axis=1
-            )
         self.lanes += len(lanes)
         p = self.problem
         level, ended = in_lanes(levels, (self.string, lanes), p.scene, p.cfg, MANY_LANES)
-        level = level.reshape(len(z), len(grid), -1)[..., self.columns]
-        order = screen(self, z, grid, level, ended.reshape(len(z), len(grid)), strokes)
-        return order
+        level = level.reshape(len(grid), len(z), -1)[..., self.columns].swapaxes(0, 1)
+        return screen(self, z, grid, level, ended.reshape(len(grid), len(z)).T)
 
     # --- the whole ----------------------------------------------------------------------------------------------------
 
@@ -340,7 +337,7 @@ class Search:
         z = np.concatenate([first[None], self.screened(seed)[: STAGES[0][0]]])
         people = self.begun(z, self.wide())
         if not len(people):
-            raise FitError("no hammer within the bounds gives a finite sound; widen [bounds] or check [known] in the setup")
+            raise FitError(NO_HAMMER)
         for stage, (count, iterations, floor) in enumerate(STAGES):
             progress("hammer", 0.3 + 0.1 * stage)
             people = self.descend(people.take(np.arange(min(count, len(people)))), floor, iterations)

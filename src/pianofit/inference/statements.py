@@ -38,8 +38,8 @@ NOTHING_COMPARED = (
     "felt: any hammer's spectrum can be traded for an output path. "
 )
 SEVERAL = (
-    "{} uncalibrated recordings of one key: what changes from stroke to stroke is the hammer's doing, what they share is "
-    "the path's. "
+    "{} uncalibrated recordings of one key: what changes from stroke to stroke is the hammer's doing, what they share "
+    "is the path's. "
 )
 
 
@@ -106,12 +106,10 @@ def claims(problem: Problem, found: Estimate, states: dict[str, str], levels: di
     excess = float(np.exp(found.minima.people.phi[0, 0]))
     if problem.calibrated:
         if excess > STRAINED:
-            what = (
-                "another hammer may explain it better, or the setup is not this string's. The hammer's"
-                if excess > POOR
-                else "something acts that the model does not have. The felt's"
-            )
-            return f"Calibrated recording, but the model misses its levels by {excess:.2f} dB beyond the noise: {what} values are no finding."
+            what = "another hammer may explain it better, or the setup is not this string's. The hammer's"
+            what = what if excess > POOR else "something acts that the model does not have. The felt's"
+            missed = f"the model misses its levels by {excess:.2f} dB beyond the noise"
+            return f"Calibrated recording, but {missed}: {what} values are no finding."
         lost = [n for n, state in states.items() if state == "not-identifiable" and n != "width"]
         if not lost:
             return "Calibrated recording: all free parameters are identified."
@@ -193,6 +191,6 @@ def _mixture(problem: Problem, found: Estimate) -> list[str]:
     values = np.exp(found.posterior.mean[[0, other], at])
     return [
         f"The best minimum has {100 * share[0]:.0f} % of the posterior's weight. A second hammer, with "
-        f"{100 * share[other]:.0f} %, differs most in {name}: {values[1]:.4g} instead of {values[0]:.4g}. Intervals and "
-        "predictions are those of the mixture."
+        f"{100 * share[other]:.0f} %, differs most in {name}: {values[1]:.4g} instead of {values[0]:.4g}. Intervals "
+        "and predictions are those of the mixture."
     ]

@@ -33,7 +33,8 @@ def string_residuals(problem: Problem, string: np.ndarray) -> tuple[list[np.ndar
     laws = CENTS * np.log(value[0] / o.law[0]), value[1] / o.law[1]
     slopes = CENTS * slope[0], slope[1] / o.law[1][:, None]
     there = o.string_number > 0
-    residuals = [np.where(there, t.value[0] - law, 0.0)[None] for t, law in zip((o.frequency, o.decay), laws, strict=True)]
+    pairs = zip((o.frequency, o.decay), laws, strict=True)
+    residuals = [np.where(there, t.value[0] - law, 0.0)[None] for t, law in pairs]
     return residuals, [np.where(there[:, None], s, 0.0)[None] for s in slopes]
 
 
@@ -67,7 +68,8 @@ def string_minimum(problem: Problem) -> tuple[np.ndarray, StringState]:
         curvature = sum(r.curvature for r in found) + np.diag(weight)
         lhs = np.where(np.outer(free, free), curvature + damping * np.diag(np.diag(curvature)), np.eye(STRING_SIZE))
         step = np.linalg.solve(lhs, np.where(free, -gradient, 0.0))
-        trial = np.where(free, np.clip(string + np.clip(step, -1, 1), u.lower[:STRING_SIZE], u.upper[:STRING_SIZE]), string)
+        moved = np.clip(string + np.clip(step, -1, 1), u.lower[:STRING_SIZE], u.upper[:STRING_SIZE])
+        trial = np.where(free, moved, string)
         tried = string_report(problem, trial, state)
         if total(trial, tried) <= F:
             string, found, damping = trial, tried, max(damping / 5, 1e-9)

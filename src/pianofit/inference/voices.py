@@ -23,7 +23,7 @@ def latents(minima: Minima, which: int) -> Latent:
 
 
 def path_of(problem: Problem, minima: Minima, which: int, recording: int) -> OutputPath | None:
-    """The posterior mean of a recording's path, dB, at the partials found through it, and their decays over the law's."""
+    """The posterior mean of a recording's path, dB, at the partials found through it, and decays over the law's."""
     if not problem.path:
         return None
     group, observed = problem.layout.group[recording], problem.observed

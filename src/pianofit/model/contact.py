@@ -23,7 +23,17 @@ from .exponentials import BLOCK, real_powers, ring
 from .felt import compression, force, memory_weights, remember
 from .modes import Modes
 
-__all__ = ["FreeMotion", "Pulse", "Struck", "free_motion", "impulse_amplitude", "kernel", "kernel_rows", "leave", "strike"]
+__all__ = [
+    "FreeMotion",
+    "Pulse",
+    "Struck",
+    "free_motion",
+    "impulse_amplitude",
+    "kernel",
+    "kernel_rows",
+    "leave",
+    "strike",
+]
 
 
 class Pulse(NamedTuple):
