@@ -224,7 +224,7 @@ def _parameters(problem: Problem, found: Estimate, states: dict[str, str]) -> di
             note = "effective: of the raised cosine that acts as the felt's own window does"
         table[name] = _entry(
             found.posterior, np.eye(u.size)[i], float(values[i]), UNITS[name], states[name],
-            float(start.initial.get(name, initial[i])), note,
+            float(start.initial[name] if name in start.initial else initial[i]), note,
         )  # fmt: skip
     order = [n for n in PARAMETERS_FIRST if n in table]
     return {n: table[n] for n in order} | sizes(start)

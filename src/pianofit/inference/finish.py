@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .coordinates import STRING_SIZE
 from .problem import Problem
 from .search import Population, Search, distinct
 from .string import StringState, hyper_step, string_report
@@ -49,7 +50,8 @@ def finished(problem: Problem, found: Population, held: Search, strings: StringS
 
 
 def _finished(problem: Problem, one: Population, strings: StringState) -> tuple[Search, Population, float, bool]:
-    search = Search(problem, one.z[0, :4], strings)
+    string, state = one.z[0, :STRING_SIZE], strings
+    search = Search(problem, string, state)
     settled = False
     for _ in range(READINGS):
         before = search.offset
@@ -57,8 +59,9 @@ def _finished(problem: Problem, one: Population, strings: StringState) -> tuple[
         one = search.begun(one.z, one.phi[0], one.w[0])
         one = search.descend(one, 0.0, ITERATIONS)
         settled = bool(one.gained[0] < 1.0)
-        reports = string_report(problem, one.z[0, :4], search.strings)
-        search.strings, _ = hyper_step(problem, one.z[0, :4], search.strings, reports)
+        string = one.z[0, :STRING_SIZE]
+        state, _ = hyper_step(problem, string, state, string_report(problem, string, state))
+        search.strings = state
         sd = np.sqrt(np.asarray(search.table.variance) + np.exp(2 * one.phi[0, 0]))
         moved = (search.offset - before) / sd * np.asarray(search.table.found)
         if np.sqrt((moved**2).sum() / max(np.asarray(search.table.found).sum(), 1)) < LEFT:

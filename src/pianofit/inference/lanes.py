@@ -11,7 +11,7 @@ import functools
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -47,13 +47,13 @@ class Scene(NamedTuple):
     """What all lanes share."""
 
     geometry: Geometry  # strike and width come from the lane
-    rate: Array  # of the contact, Hz
-    log_u: Array  # log of the reference compression, m
+    rate: Any  # of the contact, Hz
+    log_u: Any  # log of the reference compression, m
 
 
-def _level(string: Array, cents: Array | float, lane: Float[Array, " lane"], scene: Scene, cfg: Cfg):
+def _level(log_string: Array, cents: Array | float, lane: Float[Array, " lane"], scene: Scene, cfg: Cfg):
     """Levels, dB [rows], from the moment at which the wave reaches the pickup, and whether the contact ended."""
-    c, *rest = jnp.exp(string)
+    c, *rest = jnp.exp(log_string)
     string = String(c * jnp.exp2(cents / 1200), *rest)
     _, p, mu, mass, at, width, epsilon, tau, velocity = jnp.exp(lane)
     hammer = Hammer(jnp.exp(lane[0] - p * scene.log_u), mu, p, mass, velocity)

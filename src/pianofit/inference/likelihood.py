@@ -17,7 +17,7 @@ which one velocity tells nothing by itself, is summed over the nodes of its prio
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -29,6 +29,9 @@ from jaxtyping import Array, Float
 
 __all__ = ["Latent", "Report", "Table", "curvature", "latent", "next_weights", "objective", "report"]
 
+# A NumPy array outside of a computation, JAX's inside.
+Values = Any
+# Keeps a common part without any variance positive definite, in the table's unit squared.
 JITTER = 1e-10
 # 20/log 10 over √2: what an amplitude η R that adds at any phase does to a level, dB.
 ADDED = 20 / np.log(10) / np.sqrt(2)
@@ -37,21 +40,21 @@ ADDED = 20 / np.log(10) / np.sqrt(2)
 class Table(NamedTuple):
     """One kind of observation: R recordings, K partials, G groups that share what is common, Q columns, T nodes."""
 
-    value: Array  # y [R, K]
-    variance: Array  # s², of measurement [R, K]
-    found: Array  # 1 where observed [R, K]
-    absent: Array  # int, recording and partial of what is absent, where `value` is a bound [N, 2]
-    group: Array  # one-hot [R, G]
-    columns: Array  # B, scaled to a unit prior [Q, R, K]
-    systematic: Array  # S [K, K]
-    apart: Array  # distance of partials, octaves [K, K]; infinite from padding
-    smooth: Array  # 1 where the group's path is unknown [G]
-    common: Array  # log τ [T, G]
-    share: Array  # log prior weight of the nodes [T]
-    growth: Array  # u, of σ² [K]
-    ratio: Array  # R: amplitude of the loudest partial over that of each [R, K]
-    prior: tuple[Array, Array]  # of φ: means and standard deviations of logarithms
-    student: Array  # ν
+    value: Values  # y [R, K]
+    variance: Values  # s², of measurement [R, K]
+    found: Values  # 1 where observed [R, K]
+    absent: Values  # int, recording and partial of what is absent, where `value` is a bound [N, 2]
+    group: Values  # one-hot [R, G]
+    columns: Values  # B, scaled to a unit prior [Q, R, K]
+    systematic: Values  # S [K, K]
+    apart: Values  # distance of partials, octaves [K, K]; infinite from padding
+    smooth: Values  # 1 where the group's path is unknown [G]
+    common: Values  # log τ [T, G]
+    share: Values  # log prior weight of the nodes [T]
+    growth: Values  # u, of σ² [K]
+    ratio: Values  # R: amplitude of the loudest partial over that of each [R, K]
+    prior: tuple[Values, Values]  # of φ: means and standard deviations of logarithms
+    student: Values  # ν
 
 
 class Pieces(NamedTuple):
@@ -65,10 +68,10 @@ class Pieces(NamedTuple):
 class Latent(NamedTuple):
     """Posterior means of what is integrated out, and of e."""
 
-    common: Array  # a [G, K]
-    columns: Array  # Σ c_q B_q [R, K]
-    own: Array  # e [R, K]
-    variance: Array  # of a + Σ c B at each entry [R, K]
+    common: Values  # a [G, K]
+    columns: Values  # Σ c_q B_q [R, K]
+    own: Values  # e [R, K]
+    variance: Values  # of a + Σ c B at each entry [R, K]
 
 
 def _each_matrix(function, *stacks: Array) -> Array:
@@ -206,11 +209,11 @@ def curvature(
 class Report(NamedTuple):
     """F and what a descent on it needs."""
 
-    F: Array
-    gradient: Array  # by θ [n]
-    curvature: Array  # Gauss and Newton's, by θ [n, n]
-    by_phi: Array  # gradient [4]
-    by_log_w: Array  # gradient [R, K]
+    F: Values
+    gradient: Values  # by θ [n]
+    curvature: Values  # Gauss and Newton's, by θ [n, n]
+    by_phi: Values  # gradient [4]
+    by_log_w: Values  # gradient [R, K]
 
 
 def report(table: Table, residual: Array, jacobian: Array, phi: Array, w: Array) -> Report:

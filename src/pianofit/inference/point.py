@@ -102,8 +102,9 @@ def _levels(voice: Voice, simulation: Simulation, analysis: Analysis) -> np.ndar
     """Levels of the recording's partials by the model, dB [partials]."""
     pole = np.asarray(simulation.modes.pole)
     delay = arrival(voice.string, voice.geometry, voice.quantity)
-    amplitude = np.asarray(ringing(simulation.modes, simulation.pulse.drive)) * np.exp(pole.real * delay)
-    level = np.asarray(level_db(amplitude, -pole.real, np))
+    decay = -np.real(pole)
+    amplitude = np.asarray(ringing(simulation.modes, simulation.pulse.drive)) * np.exp(-decay * delay)
+    level = np.asarray(level_db(amplitude, decay, np))
     return level[np.minimum(analysis.partials.number, len(level)) - 1]
 
 

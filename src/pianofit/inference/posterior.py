@@ -11,6 +11,7 @@ and a 95 % interval holds 95 % of the mixture.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.optimize import brentq
@@ -56,7 +57,8 @@ class Posterior:
 
         def end(probability: float) -> float:
             low, high = float(centre.min() - reach), float(centre.max() + reach)
-            return float(brentq(lambda x: float(self.share @ norm.cdf((x - centre) / sd)) - probability, low, high))
+            root: Any = brentq(lambda x: float(self.share @ norm.cdf((x - centre) / sd)) - probability, low, high)
+            return float(root)
 
         return end(TAIL), end(1 - TAIL)
 

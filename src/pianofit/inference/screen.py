@@ -63,7 +63,7 @@ def screen(search: Search, z: np.ndarray, grid: np.ndarray, level: np.ndarray, e
     T = (table.value - level[:, :, None]) * table.found
     own = np.empty((len(z), len(grid), strokes))
     for s, rs in enumerate(of):
-        push = np.einsum("svqk,qkrl->svrl", T[:, :, rs], Q[np.ix_(rs, range(K), rs, range(K))], optimize=True)
+        push = np.einsum("svqk,qkrl->svrl", T[:, :, rs], Q[rs][:, :, rs], optimize=True)
         own[:, :, s] = 0.5 * (push * T[:, :, rs]).sum(axis=(2, 3)) + belief[s] + np.where(ended, 0.0, ENDLESS)
     S = np.arange(len(z))
     best, chosen = np.full(len(z), np.inf), np.zeros((len(z), strokes), int)

@@ -150,7 +150,7 @@ class Search:
             jacobian[:, r, :, SHARED + stroke] = slope[:, r, :, -1]
         jacobian *= self.there[..., None] * self.moves
         residual = (self.table.value - level - self.offset) * self.there
-        good = ended.reshape(len(z), strokes).all(axis=1) & np.isfinite(jacobian).all(axis=(1, 2, 3))
+        good = np.logical_and(ended.reshape(len(z), strokes).all(axis=1), np.isfinite(jacobian).all(axis=(1, 2, 3)))
         return np.where(good[:, None, None], residual, 0.0), np.where(good[:, None, None, None], jacobian, 0.0), good
 
     def step_error(self, z: np.ndarray) -> np.ndarray:
@@ -293,7 +293,7 @@ class Search:
         z = np.tile(u.mean, (SAMPLES, 1))
         z[:, :STRING_SIZE] = self.string
         if len(at):
-            points = qmc.Sobol(len(at), seed=seed).random(SAMPLES)
+            points = qmc.Sobol(len(at), rng=np.random.default_rng(seed)).random(SAMPLES)
             z[:, at] += u.sd[at] * norm.ppf(TAIL + (1 - 2 * TAIL) * points)
         return u.project(z)
 

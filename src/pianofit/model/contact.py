@@ -147,7 +147,7 @@ def leave(modes: Modes, hammer: Hammer | MemoryHammer, *, steps: int) -> Struck:
     zero = jnp.zeros_like(modes.step)
     begin = (0, (jnp.zeros_like(modes.pole), first), zero, zero, jnp.asarray(False), jnp.asarray(False))
     count, (amplitude, _), _, _, apart, _ = jax.lax.while_loop(going, onward, begin)
-    return Struck(amplitude, count * BLOCK + 1, apart)
+    return Struck(amplitude, jnp.asarray(count * BLOCK + 1), apart)
 
 
 def _reach(modes: Modes, energy: Array) -> Array:
