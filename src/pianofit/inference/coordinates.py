@@ -74,6 +74,10 @@ class Unknowns:
         lower, upper = self.edges(z)
         return self.free & ((z <= lower + 1e-9) | (z >= upper - 1e-9))
 
+    def range(self, i: int) -> tuple[float, float]:
+        """The box of a value, logarithms; of K_H in the force's place."""
+        return self.stiffness if i == FORCE else (float(self.lower[i]), float(self.upper[i]))
+
     def along_edges(self, z: np.ndarray, active: np.ndarray) -> np.ndarray:
         """d z/d(what moves) [B, size, size] at `z`: where K_H is on an edge the force follows p, as in `project`."""
         out = np.tile(np.eye(self.size), (len(z), 1, 1))

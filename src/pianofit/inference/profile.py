@@ -17,12 +17,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .coordinates import FORCE, SHARED, STRING_SIZE, VALUES
+from .coordinates import STRING_SIZE
 from .estimate import Estimate
 from .problem import Problem
 from .search import Search
 from .string import StringState, hyper_step, string_report
-from .views import View, open_messages
+from .views import View, open_messages, reported
 
 __all__ = ["RISE", "profiles"]
 
@@ -63,34 +63,32 @@ class _Walk(NamedTuple):
 
 def profiles(problem: Problem, found: Estimate) -> View:
     """Intervals of what is shared and free, and of the reference stroke's velocity, by profiles of F."""
-    u = problem.unknowns
-    reference = SHARED + problem.layout.stroke[problem.reference]
-    names = {VALUES[i] if i < SHARED else "v_H0": int(i) for i in (*range(SHARED), reference) if u.free[i]}
+    names = reported(problem)
     profile = _Profile(problem, found)
     jobs = [(i, side) for i in names.values() for side in (-1.0, 1.0)]
     # Threads of their own: a walk waits for programs in `lanes.pool`, in which it must not itself stand.
     with ThreadPoolExecutor(WALKERS) as threads:
         walks = list(threads.map(lambda job: profile.walk(*job), jobs))
-    entries, told, lowest = {}, {}, {}
+    entries, told = {}, {}
+    lower = dict.fromkeys(names, 0.0)
     for (name, i), low, high in zip(names.items(), walks[::2], walks[1::2], strict=True):
-        ends = np.clip(np.exp([low.end, high.end]), *np.exp(profile.range(i)))
+        ends = np.clip(np.exp([low.end, high.end]), *np.exp(problem.unknowns.range(i)))
         sides = [word for word, walk in (("low", low), ("high", high)) if walk.open]
         entries[name] = {"interval": ends.tolist(), "interval_by": "profile", "interval_open": sides}
-        points = [*low.points[::-1], *high.points[1:]]
+        points = sorted([*low.points, *high.points[1:]], key=lambda point: point.log)
         rises = [[float(np.exp(p.log)), p.F - profile.start.F] for p in points if np.isfinite(p.F)]
         told[name] = {"points": rises, "evaluations": len(points)}
-        lowest[name] = min(rise for _, rise in rises)
-    return View(entries, (*_messages(lowest), *open_messages(entries)), {"profile": told})
+        lower[name] = float(found.minima.F[0]) - min(p.F for p in points)
+    return View(entries, (*_messages(lower), *open_messages(entries)), {"profile": told})
 
 
-def _messages(lowest: dict[str, float]) -> list[str]:
-    lower = [name for name, rise in lowest.items() if rise < -LOWER]
-    if not lower:
-        return []
-    return [
-        f"The profile of {', '.join(lower)} found F lower by {-min(lowest.values()):.2g} than the fit: the search had "
-        "not found the lowest minimum, and another seed may."
-    ]
+def _messages(lower: dict[str, float]) -> list[str]:
+    names = [name for name, by in lower.items() if by > LOWER]
+    said = (
+        f"The profile of {', '.join(names)} found F lower by {max(lower.values()):.2g} than the fit: the search had not "
+        "found the lowest minimum, and another seed may."
+    )
+    return [said] * bool(names)
 
 
 class _Profile:
@@ -104,11 +102,6 @@ class _Profile:
         at = _Point(0.0, self.mean, best.phi[0], best.w[0], found.minima.strings[0], float(found.minima.F[0]))
         # As far down as along the way: else a rise would hold what the search left.
         self.start = self._lowest(problem, at)
-
-    def range(self, i: int) -> tuple[float, float]:
-        """The box of a value, logarithms."""
-        u = self.unknowns
-        return u.stiffness if i == FORCE else (float(u.lower[i]), float(u.upper[i]))
 
     def _lowest(self, problem: Problem, near: _Point) -> _Point:
         """The minimum of F with the unknowns of `problem`, from `near`; infinite if a contact does not end there."""
@@ -152,7 +145,7 @@ class _Profile:
 
     def walk(self, i: int, side: float) -> _Walk:
         """Outward on one side until F has risen more than asked, then back to where it is just that."""
-        here, edge = float(self.start.x[i]), self.range(i)[int(side > 0)]
+        here, edge = float(self.start.x[i]), self.unknowns.range(i)[int(side > 0)]
         points = [self.start._replace(log=here)]
         variance = self.covariance[i, i]
         along = self.covariance[i] / variance if variance > 0 else np.eye(len(self.mean))[i]
@@ -178,17 +171,13 @@ class _Profile:
 
     def _crossing(self, i: int, points: list[_Point]) -> _Walk:
         """Where the rise is just asked: by secants between the last two points, whose tries join the others."""
-        *before, below, above = points
+        below, above = points[-2:]
         while True:
             low, high = self.height(below), self.height(above)
             share = (1 - low) / (high - low) if np.isfinite(high) else 0.0
-            if high - 1 <= NEAR or 1 - low <= NEAR or len(before) + 2 >= MOST:
-                end = below.log + share * (above.log - below.log)
-                return _Walk([*before, below, above], end, False)
+            if high - 1 <= NEAR or 1 - low <= NEAR or len(points) >= MOST:
+                return _Walk(points, below.log + share * (above.log - below.log), False)
             share = share if high <= STEEP else 0.5
             log = below.log + share * (above.log - below.log)
-            point = self._held(i, log, below, below.x + share * (above.x - below.x))
-            if self.height(point) < 1:
-                before, below = [*before, below], point
-            else:
-                above = point
+            points.append(self._held(i, log, below, below.x + share * (above.x - below.x)))
+            below, above = (points[-1], above) if self.height(points[-1]) < 1 else (below, points[-1])
