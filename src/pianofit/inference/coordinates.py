@@ -7,7 +7,7 @@ with no velocity measured, the scaling (K_H, μ, v) → (K_H s^(1-p), μ/s, s v)
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -73,6 +73,30 @@ class Unknowns:
         """Which free unknowns [..., size] lie on an edge."""
         lower, upper = self.edges(z)
         return self.free & ((z <= lower + 1e-9) | (z >= upper - 1e-9))
+
+    def range(self, i: int) -> tuple[float, float]:
+        """The box of a value, logarithms; of K_H in the force's place."""
+        return self.stiffness if i == FORCE else (float(self.lower[i]), float(self.upper[i]))
+
+    def along_edges(self, z: np.ndarray, active: np.ndarray) -> np.ndarray:
+        """d z/d(what moves) [B, size, size] at `z`: where K_H is on an edge the force follows p, as in `project`."""
+        out = np.tile(np.eye(self.size), (len(z), 1, 1))
+        out[:, FORCE, P] = np.where(active[:, FORCE] & self.free[P], np.exp(z[:, P]) * self.log_u, 0.0)
+        return out
+
+    def from_log_values(self, x: np.ndarray) -> np.ndarray:
+        """The point whose `log_values` are `x` [..., size]."""
+        out = np.array(x, float)
+        out[..., FORCE] = x[..., FORCE] + np.exp(x[..., P]) * self.log_u
+        return out
+
+    def held(self, name: int, log: float) -> Unknowns:
+        """With one unknown, or K_H at the force's place, held at a logarithm: its box is a point."""
+        if name == FORCE:
+            return replace(self, stiffness=(log, log))
+        lower, upper = self.lower.copy(), self.upper.copy()
+        lower[name] = upper[name] = log
+        return replace(self, lower=lower, upper=upper)
 
     def string(self, z: np.ndarray) -> String:
         """The string at `z` [size]."""

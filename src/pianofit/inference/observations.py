@@ -65,19 +65,20 @@ class Observed:
     cents: np.ndarray  # of every recording's string over the reference's when it was struck [R]
 
 
-def string_law(string: np.ndarray, number: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
+def string_law(string, number: np.ndarray, length: float, xp=np):
     """Frequency, Hz, and decay, 1/s, of partials k [2, K], and their derivatives by `string` [2, K, 4].
 
-    `string` holds the logarithms of c, κ, b1 and b2. Derivatives are of the frequency's logarithm and of the decay.
+    `string` holds the logarithms of c, κ, b1 and b2. Derivatives are of the logarithm of the frequency and of
+    the decay. `xp` is NumPy, or JAX's.
     """
-    c, kappa, b1, b2 = np.exp(string)
-    s = (np.maximum(number, 1) * np.pi / length) ** 2
+    c, kappa, b1, b2 = xp.exp(string)
+    s = (xp.maximum(number, 1) * xp.pi / length) ** 2
     omega2, alpha = c**2 * s + kappa**2 * s**2, b1 + b2 * s
-    frequency = np.sqrt(omega2 - np.minimum(alpha, 0.9 * np.sqrt(omega2)) ** 2) / (2 * np.pi)
-    zero = np.zeros_like(s)
-    pitch = np.stack([c**2 * s / omega2, kappa**2 * s**2 / omega2, zero, zero], axis=-1)
-    loss = np.stack([zero, zero, b1 + zero, b2 * s], axis=-1)
-    return np.stack([frequency, alpha]), np.stack([pitch, loss])
+    frequency = xp.sqrt(omega2 - xp.minimum(alpha, 0.9 * xp.sqrt(omega2)) ** 2) / (2 * xp.pi)
+    zero = xp.zeros_like(s)
+    pitch = xp.stack([c**2 * s / omega2, kappa**2 * s**2 / omega2, zero, zero], axis=-1)
+    loss = xp.stack([zero, zero, b1 + zero, b2 * s], axis=-1)
+    return xp.stack([frequency, alpha]), xp.stack([pitch, loss])
 
 
 def observe(

@@ -252,6 +252,10 @@ class Search:
         gradient, curvature = gradient + now.report.gradient, curvature + now.report.curvature
         lower, upper = u.edges(now.z)
         active = ((now.z <= lower) & (gradient > 0)) | ((now.z >= upper) & (gradient < 0))
+        along = u.along_edges(now.z, active)
+        gradient = np.einsum("bij,bi->bj", along, gradient)
+        curvature = np.einsum("bki,bkl,blj->bij", along, curvature, along)
+        active |= ((now.z <= lower) & (gradient > 0)) | ((now.z >= upper) & (gradient < 0))
         moves = self.moves & ~active
         lhs = curvature + (now.damping[:, None] * np.einsum("bii->bi", curvature))[..., None] * np.eye(u.size)
         lhs = np.where(moves[:, :, None] & moves[:, None, :], lhs, np.eye(u.size))

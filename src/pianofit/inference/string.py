@@ -12,7 +12,7 @@ from .observations import CENTS, string_law
 from .problem import Problem
 from .reports import report
 
-__all__ = ["StringState", "hyper_step", "string_minimum", "string_report"]
+__all__ = ["StringState", "hyper_step", "residuals_of", "string_minimum", "string_report", "string_residuals"]
 
 ITERATIONS = 40
 # A minimum is reached when an iteration gains less than this.
@@ -29,13 +29,18 @@ class StringState(NamedTuple):
 def string_residuals(problem: Problem, string: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray]]:
     """Residuals [1, K] and their laws' derivatives [1, K, 4], of frequencies, cents, and decays, relative."""
     o = problem.observed
-    value, slope = string_law(string, o.string_number, float(problem.start.geometry.length))
-    laws = CENTS * np.log(value[0] / o.law[0]), value[1] / o.law[1]
-    slopes = CENTS * slope[0], slope[1] / o.law[1][:, None]
-    there = o.string_number > 0
-    pairs = zip((o.frequency, o.decay), laws, strict=True)
-    residuals = [np.where(there, t.value[0] - law, 0.0)[None] for t, law in pairs]
-    return residuals, [np.where(there[:, None], s, 0.0)[None] for s in slopes]
+    measured = o.frequency.value[0], o.decay.value[0]
+    return residuals_of(string, measured, o.string_number, o.law, float(problem.start.geometry.length))
+
+
+def residuals_of(string, measured, number, law, length, xp=np):
+    """As `string_residuals`, of arrays, NumPy's or JAX's."""
+    value, slope = string_law(string, number, length, xp)
+    laws = CENTS * xp.log(value[0] / law[0]), value[1] / law[1]
+    slopes = CENTS * slope[0], slope[1] / law[1][:, None]
+    there = number > 0
+    residuals = [xp.where(there, y - own, 0.0)[None] for y, own in zip(measured, laws, strict=True)]
+    return residuals, [xp.where(there[:, None], s, 0.0)[None] for s in slopes]
 
 
 def string_report(problem: Problem, string: np.ndarray, state: StringState) -> tuple[Report, Report]:

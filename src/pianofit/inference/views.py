@@ -7,10 +7,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..errors import ParameterError
+from .coordinates import SHARED, VALUES
 from .estimate import Estimate, Progress
 from .problem import Problem
 
-__all__ = ["MEANS", "View", "check_intervals", "view_of"]
+__all__ = ["MEANS", "View", "check_intervals", "open_messages", "reported", "view_of"]
 
 MEANS = ("laplace", "profile", "posterior")
 
@@ -56,3 +57,21 @@ def view_of(problem: Problem, found: Estimate, means: str, seed: int, progress: 
         progress("posterior", 0.9)
         return draws(problem, found, seed)
     return None
+
+
+def reported(problem: Problem) -> dict[str, int]:
+    """What is free and shared, and the reference stroke's velocity: places in z by name."""
+    stroke = SHARED + problem.layout.stroke[problem.reference]
+    free = problem.unknowns.free
+    return {VALUES[i] if i < SHARED else "v_H0": int(i) for i in (*range(SHARED), stroke) if free[i]}
+
+
+def open_messages(entries: dict[str, dict]) -> list[str]:
+    """Name the intervals that end at the box and not where F says."""
+    both = [name for name, entry in entries.items() if len(entry["interval_open"]) == 2]
+    said = [f"Not bounded by the recording, so the interval is the whole box: {', '.join(both)}."] if both else []
+    for word, which in (("low", "below"), ("high", "above")):
+        one = [name for name, entry in entries.items() if entry["interval_open"] == [word]]
+        if one:
+            said.append(f"Not bounded {which} by the recording, so the interval ends at the box: {', '.join(one)}.")
+    return said

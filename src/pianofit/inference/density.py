@@ -1,0 +1,168 @@
+"""exp(-F) as one differentiable density of (θ, φ, log w), in coordinates that suit a sampler.
+
+The density is proper (likelihood.py), and all of its unknowns stand here, with φ and w of frequencies and decays. θ is
+whitened by Laplace's covariance, log w by the spread that each has given its residual. The box is folded: beyond an
+edge lies the mirror image of what is inside, so a sampler meets a continuous density without a wall, and what is folded
+back has exactly the density in the box. So is the range within which the search keeps φ of the levels.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from .coordinates import FORCE, SHARED, STRING_SIZE, P
+from .estimate import Estimate
+from .lanes import Cfg, Scene, own_levels, own_slopes
+from .likelihood import Table, objective
+from .problem import Problem
+from .search import HYPER_REACH
+from .string import residuals_of
+
+__all__ = ["Given", "Point", "folded", "given", "log_density", "start"]
+
+# What lies at a bound is first looked for within its prior, or this share of its box.
+OF_BOX = 0.25
+# How many of φ are unknown, of the tables of levels, frequencies and decays.
+HYPER = (4, 1, 1)
+
+
+class Point(NamedTuple):
+    """Unknowns, 0 at the minimum, of order 1 in the posterior."""
+
+    theta: Array  # [free]
+    phi: tuple[Array, ...]  # of levels, frequencies and decays
+    log_w: tuple[Array, ...]  # of what was observed
+
+
+class Given(NamedTuple):
+    """The minimum and its coordinates, box and priors, and the tables."""
+
+    z: Array  # [size]
+    white: Array  # from unit normals to z [size, free]
+    box: tuple[Array, Array]  # [size] each
+    stiffness: Array  # least and largest log K_H
+    log_u: Array
+    prior: tuple[Array, Array]  # mean and precision [size]
+    tables: tuple[Table, ...]
+    phi: tuple[Array, ...]
+    w: tuple[Array, ...]
+    found: tuple[Array, ...]  # row and column of what was observed [N, 2]
+    offset: Array  # the contact's step error, dB [R, K]
+    there: Array  # 1 where a level is, or is known to be absent [R, K]
+    stroke: Array  # of every recording [R]
+    column: Array  # the model's, of every column of the table [K]
+    cents: Array  # tension of every stroke
+    partials: tuple[Array, Array, Array]  # numbers and law of the string's tables, length
+    scene: Scene
+
+
+def given(problem: Problem, found: Estimate) -> Given:
+    """What the density needs, about the best minimum."""
+    u, o, minima = problem.unknowns, problem.observed, found.minima
+    search, best, strings = minima.search, minima.people, minima.strings[0]
+    tables = o.level, o.frequency, o.decay
+    cents = search.own_lanes(best.z[:1])[1]
+    return Given(
+        best.z[0], _white(problem, found), (u.lower, u.upper), np.array(u.stiffness), np.float64(u.log_u),
+        (u.mean, np.where(u.free, 1 / np.where(u.free, u.sd, 1.0) ** 2, 0.0)), tables,
+        (best.phi[0], *strings.phi), (best.w[0], *strings.w),
+        tuple(np.argwhere(np.asarray(t.found) > 0) for t in tables),
+        minima.offsets[0], np.asarray(search.there), search.stroke, search.columns, np.asarray(cents),
+        (o.string_number, o.law, np.float64(problem.start.geometry.length)), problem.scene,
+    )  # pyright: ignore[reportArgumentType]  # fmt: skip
+
+
+def _white(problem: Problem, found: Estimate) -> np.ndarray:
+    """A root of Laplace's covariance of z [size, free]; by prior and box of what is at a bound."""
+    u = problem.unknowns
+    free, tangent = np.flatnonzero(u.free), np.linalg.inv(u.tangent(found.z))
+    covariance = (tangent @ found.posterior.covariance[0] @ tangent.T)[np.ix_(free, free)]
+    loose = np.minimum(u.sd, OF_BOX * (u.upper - u.lower))[free]
+    scale = np.sqrt(np.where(np.diag(covariance) > 0, np.diag(covariance), loose**2))
+    correlation = covariance / np.outer(scale, scale)
+    np.fill_diagonal(correlation, 1.0)
+    out = np.zeros((u.size, len(free)))
+    out[free] = scale[:, None] * np.linalg.cholesky(correlation)
+    return out
+
+
+def folded(at: Given, theta):
+    """z [size] in the box, and the mirror images of the box beyond it; K_H is folded by the force, p held."""
+    moves = (at.white != 0).any(axis=1)
+    z = at.z + at.white @ theta
+    plain = jnp.where(moves, _fold(z, *at.box), z)
+    shift = jnp.exp(plain[P]) * at.log_u
+    force = _fold(z[FORCE], at.stiffness[0] + shift, at.stiffness[1] + shift)
+    return plain.at[FORCE].set(jnp.where(moves[FORCE], force, z[FORCE]))
+
+
+def _fold(x, low, high):
+    bounded = jnp.isfinite(high - low) & (high > low)
+    width = jnp.where(bounded, high - low, 1.0)
+    turn = jnp.mod(x - jnp.where(bounded, low, 0.0), 2 * width)
+    return jnp.where(bounded, low + jnp.where(turn < width, turn, 2 * width - turn), x)
+
+
+def start(at: Given, key, apart: float) -> Point:
+    """A point `apart` standard deviations from the minimum in everything."""
+    zero = Point(
+        jnp.zeros(at.white.shape[1]), tuple(jnp.zeros(n) for n in HYPER), tuple(jnp.zeros(len(x)) for x in at.found)
+    )
+    leaves, tree = jax.tree.flatten(zero)
+    keys = jax.random.split(key, len(leaves))
+    return tree.unflatten([apart * jax.random.normal(k, x.shape) for k, x in zip(keys, leaves, strict=True)])
+
+
+def log_density(at: Given, point: Point, cfg: Cfg):
+    """-F; minus infinity where a contact does not end."""
+    z = folded(at, point.theta)
+    level, ended = _law(at, cfg)(z)
+    o = at.tables[0]
+    residual = (o.value - level[at.stroke][:, at.column] - at.offset) * at.there
+    strings = [t.value[0] for t in at.tables[1:]]
+    residuals = residual, *residuals_of(z[:STRING_SIZE], strings, *at.partials, jnp)[0]
+    mean, precision = at.prior
+    F = 0.5 * (precision * (z - mean) ** 2).sum()
+    for table, r, phi, w, found, x, y in zip(
+        at.tables, residuals, at.phi, at.w, at.found, point.phi, point.log_w, strict=True
+    ):
+        centre, wide = table.prior
+        reach = HYPER_REACH * wide if table is at.tables[0] else jnp.full_like(wide, jnp.inf)
+        hyper = phi.at[: len(x)].add(wide[: len(x)] * x)
+        hyper = _fold(hyper, centre - reach, centre + reach)
+        # An entry's log w has curvature (ν + 1)/2 where it is lowest.
+        spread = jnp.sqrt(2 / (table.student + 1))
+        change = jnp.zeros_like(w).at[found[:, 0], found[:, 1]].set(spread * y)
+        F = F + objective(table, r, hyper, w * jnp.exp(change))
+    return jnp.where(ended.all(), -F, -jnp.inf)
+
+
+def _law(at: Given, cfg: Cfg):
+    """Levels, dB [strokes, rows], and whether contacts ended, at z; derivatives as the search takes them, forward."""
+
+    def lanes(z):
+        strokes = len(at.cents)
+        velocity = z[SHARED:, None]
+        return (
+            jnp.tile(z[:STRING_SIZE], (strokes, 1)), at.cents,
+            jnp.concatenate([jnp.tile(z[STRING_SIZE:SHARED], (strokes, 1)), velocity], axis=1),
+        )  # fmt: skip
+
+    @jax.custom_jvp
+    def law(z):
+        return own_levels(*lanes(z), at.scene, cfg)
+
+    @law.defjvp
+    def _jvp(primal, tangent):
+        level, slope, ended = own_slopes(*lanes(primal[0]), at.scene, cfg)
+        (dz,) = tangent
+        shared = jnp.append(dz[:STRING_SIZE], dz[jnp.array(cfg.free[:-1], int) + STRING_SIZE])
+        moved = slope[..., :-1] @ shared + slope[..., -1] * dz[SHARED:, None]
+        return (level, ended), (moved, np.zeros(ended.shape, jax.dtypes.float0))
+
+    return law

@@ -1,0 +1,261 @@
+"""Laplace's approximation, profiles and draws are views of one F: where it is nearly a parabola they agree."""
+
+from __future__ import annotations
+
+import functools
+import tomllib
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pianofit import ParameterError, analyse, fit_takes, recording_from_samples, setup_from_dict
+from pianofit.inference import estimate, pose, sampler
+from pianofit.inference.coordinates import FORCE, P
+from pianofit.inference.density import folded, given, log_density, start
+from pianofit.inference.estimate import Estimate
+from pianofit.inference.problem import Problem
+from pianofit.inference.profile import RISE, _Profile, profiles
+from pianofit.inference.views import check_intervals, open_messages, reported, view_of
+from pianofit.twin import make_twin, setup_text
+
+# What levels alone tell: their errors are nearly Gaussian. The string's rest on a few frequencies and decays each, whose
+# heavy tails and unknown excess Laplace's parabola does not have.
+HAMMER = ("K_H", "p", "mu", "M_H", "v_H0")
+
+
+@functools.cache
+def posed() -> Problem:
+    return pose([measured()], [analyse(measured())], setup())
+
+
+def setup():
+    return setup_from_dict(tomllib.loads(setup_text()), "twin")
+
+
+@functools.cache
+def measured():
+    twin = make_twin(50.0, 0)
+    return recording_from_samples(twin.samples, twin.rate, name="twin")
+
+
+@functools.cache
+def fitted() -> Estimate:
+    return estimate(posed())
+
+
+@functools.cache
+def profiled():
+    view = view_of(posed(), fitted(), "profile", 0, lambda *_: None)
+    assert view is not None
+    return view
+
+
+def halves(entries: dict) -> dict[str, tuple[float, float]]:
+    """From the minimum to both ends, in Laplace's standard deviations × 1.96; [-1, 1] where they agree."""
+    posterior, names = fitted().posterior, reported(posed())
+    return {
+        name: tuple((np.log(entries[name]["interval"]) - posterior.mean[0, i]) / posterior.covariance[0, i, i] ** 0.5 / 1.96)
+        for name, i in names.items()
+    }  # fmt: skip
+
+
+# --- profiles ---------------------------------------------------------------------------------------------------------
+
+
+def test_profiles_of_a_calibrated_twin_agree_with_laplace():
+    found = halves(profiled().entries)
+    assert set(found) == {*HAMMER, "c", "kappa", "b1", "b2", "width"}
+    for name, ends in found.items():
+        assert ends == pytest.approx((-1, 1), abs=0.06 if name in HAMMER else 0.25), name
+    assert not profiled().messages
+
+
+def test_a_profile_rises_to_its_ends_and_says_how():
+    for name, told in profiled().diagnostics["profile"].items():
+        entry = profiled().entries[name]
+        values, rises = np.array(told["points"]).T
+        assert (np.diff(values) > 0).all()
+        assert rises.min() > -1e-3
+        assert rises[[0, -1]] == pytest.approx(RISE, rel=0.3)
+        assert entry["interval_by"] == "profile"
+        assert entry["interval_open"] == []
+        assert told["evaluations"] == len(values)
+        # Where F is a parabola in the logarithm, √(rise) is linear in it.
+        low, high = entry["interval"]
+        inner = (values > low) & (values < high) & (rises > 0.1)
+        away = np.abs(np.log(values / values[rises.argmin()]))
+        reach = np.abs(np.log(np.array([low, high]) / values[rises.argmin()]))
+        share = away / np.where(values < values[rises.argmin()], reach[0], reach[1])
+        np.testing.assert_allclose(share[inner], np.sqrt(rises / RISE)[inner], atol=0.12)
+
+
+@pytest.mark.parametrize("name", ["p", "K_H"])
+def test_a_bound_that_cuts_a_profile_leaves_it_open(name):
+    i, u = reported(posed())[name], posed().unknowns
+    mean, sd = fitted().posterior.mean[0, i], fitted().posterior.covariance[0, i, i] ** 0.5
+    edge = mean + sd
+    if i == FORCE:
+        cut = replace(u, stiffness=(u.stiffness[0], edge))
+    else:
+        upper = u.upper.copy()
+        upper[i] = edge
+        cut = replace(u, upper=upper)
+    profile = _Profile(replace(posed(), unknowns=cut), fitted())
+    walk = profile.walk(i, 1.0)
+    assert walk.open
+    assert walk.end == edge
+    assert walk.points[-1].F - profile.start.F == pytest.approx(0.5, abs=0.05)
+    assert not profile.walk(i, -1.0).open
+
+
+def test_where_k_h_is_held_the_force_follows_p():
+    """With K_H at the edge of its box the search finds the minimum that holding K_H along the valley has."""
+    profile, x = _Profile(posed(), fitted()), fitted().posterior.mean[0]
+    cov = fitted().posterior.covariance[0]
+    point = profile._held(FORCE, x[FORCE] + cov[FORCE, FORCE] ** 0.5, profile.start, x)
+    assert point.x[FORCE] == pytest.approx(x[FORCE] + cov[FORCE, FORCE] ** 0.5, abs=1e-9)
+    assert point.x[P] - x[P] == pytest.approx(cov[FORCE, P] / cov[FORCE, FORCE] ** 0.5, rel=0.1)
+    assert point.F - profile.start.F == pytest.approx(0.5, abs=0.05)
+
+
+def test_a_profile_that_finds_lower_ground_says_so():
+    minima = fitted().minima
+    z = minima.people.z.copy()
+    worse = fitted()._replace(minima=minima._replace(F=minima.F + 2.0), posterior=fitted().posterior)
+    view = profiles(posed(), worse)
+    assert any("found F lower by 2 than the fit" in text for text in view.messages)
+    np.testing.assert_array_equal(z, minima.people.z)
+
+
+def test_open_ends_are_named():
+    ends = {"c": ["low"], "p": ["low", "high"], "mu": []}
+    said = open_messages({name: {"interval_open": sides} for name, sides in ends.items()})
+    assert len(said) == 2
+    assert "the whole box: p" in said[0]
+    assert "not bounded below" in said[1].lower()
+    assert said[1].endswith(": c.")
+
+
+def test_a_fit_has_the_intervals_it_was_asked_for():
+    result = fit_takes([measured()], [analyse(measured())], setup(), intervals="profile")
+    for name, entry in profiled().entries.items():
+        told = result.document["parameters"][name]
+        assert told["interval_by"] == "profile"
+        np.testing.assert_allclose(told["interval"], entry["interval"], rtol=1e-3)
+    assert set(result.document["diagnostics"]["profile"]) == set(profiled().entries)
+
+
+# --- the density that is sampled --------------------------------------------------------------------------------------
+
+
+@functools.cache
+def density():
+    at = jax.tree.map(jnp.asarray, given(posed(), fitted()))
+    return at, jax.jit(jax.value_and_grad(lambda point: log_density(at, point, posed().cfg)))
+
+
+def test_the_density_is_that_of_f_with_its_gradient():
+    at, density_of = density()
+    key = jax.random.PRNGKey(0)
+    value, slope = density_of(start(at, key, 0.0))
+    assert float(value) == pytest.approx(-fitted().minima.F[0], abs=1e-9)
+    np.testing.assert_allclose(slope.theta, 0.0, atol=0.02)
+    for log_w in slope.log_w:
+        np.testing.assert_allclose(log_w, 0.0, atol=0.02)
+    point, step = start(at, key, 0.5), 1e-5
+    _, slope = density_of(point)
+    leaves, tree = jax.tree.flatten(point)
+    for i, leaf in enumerate(leaves):
+        for j in range(min(leaf.size, 10)):
+            ends = [density_of(tree.unflatten([*leaves[:i], leaf.at[j].add(s), *leaves[i + 1 :]]))[0] for s in (step, -step)]
+            numeric = float(ends[0] - ends[1]) / (2 * step)
+            assert float(jax.tree.leaves(slope)[i][j]) == pytest.approx(numeric, abs=1e-3 + 1e-3 * abs(numeric))
+
+
+def test_folding_keeps_the_inside_and_mirrors_the_rest():
+    at, _ = density()
+    near = start(at, jax.random.PRNGKey(1), 1.0).theta
+    inside = folded(at, near)
+    np.testing.assert_allclose(inside, at.z + at.white @ near, atol=1e-12)
+    u = posed().unknowns
+    for far in np.random.default_rng(0).normal(0, 3000, (50, len(near))):
+        z = np.asarray(folded(at, jnp.asarray(far)))
+        assert np.isfinite(z).all()
+        np.testing.assert_allclose(u.project(z), z, atol=1e-9)
+    slope = np.asarray(jax.jacfwd(lambda x: folded(at, x))(near * 100))[u.free]
+    plain = np.asarray(at.white)[u.free]
+    assert abs(np.linalg.det(slope)) == pytest.approx(abs(np.linalg.det(plain)), rel=1e-6)
+
+
+# --- draws ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_draws_of_a_calibrated_twin_agree_with_profiles():
+    view = view_of(posed(), fitted(), "posterior", 0, lambda *_: None)
+    assert view is not None
+    assert view.draws is not None
+    told, profile = view.diagnostics["posterior"], halves(profiled().entries)
+    for name, ends in halves(view.entries).items():
+        # Ends of a quantile are themselves off by 0.04 of a half interval.
+        assert ends == pytest.approx(profile[name], abs=0.15 if name in HAMMER else 0.3), name
+        assert view.entries[name]["interval_by"] == "posterior"
+        assert view.draws[name].shape == (told["chains"], told["draws"])
+    assert max(x["rhat"] for x in told["parameters"].values()) < 1.02
+    assert told["divergences"] < 10
+
+
+@pytest.mark.slow
+def test_the_same_seed_draws_the_same_and_another_does_not(monkeypatch):
+    monkeypatch.setattr(sampler, "WARMUP", 20)
+    monkeypatch.setattr(sampler, "DRAWS", 20)
+    first, again, other = (sampler.draws(posed(), fitted(), seed).draws["p"] for seed in (7, 7, 8))
+    np.testing.assert_array_equal(first, again)
+    assert np.abs(np.log(first / other)).max() > 1e-3
+
+
+def test_an_end_that_the_box_cuts_off_is_open():
+    u, i = posed().unknowns, P
+    sd = 0.1
+    upper = u.upper.copy()
+    upper[i] = fitted().posterior.mean[0, i] + 0.5 * sd
+    normal = fitted().posterior.mean[0, i] + sd * np.random.default_rng(0).normal(size=(4, 4000))
+    log = np.where(normal > upper[i], 2 * upper[i] - normal, normal)
+    entry = sampler._entry(replace(posed(), unknowns=replace(u, upper=upper)), i, log)
+    assert entry["interval_open"] == ["high"]
+    assert np.log(entry["interval"][1]) == pytest.approx(upper[i])
+    assert sampler._entry(posed(), i, normal)["interval_open"] == []
+
+
+def test_chains_that_have_not_mixed_are_reported():
+    good = {"rhat": 1.001, "ess_bulk": 900.0, "ess_tail": 800.0}
+    assert sampler._messages({"p": good}, 0) == []
+    said = " ".join(sampler._messages({"p": good | {"rhat": 1.2, "ess_tail": 90.0}, "c": good}, 3))
+    assert "R-hat 1.200" in said
+    assert "Only 90 independent draws" in said
+    assert "3 of the sampler's steps diverged" in said
+
+
+# --- what is refused --------------------------------------------------------------------------------------------------
+
+
+def test_without_the_sampler_an_error_says_what_to_install(monkeypatch):
+    monkeypatch.setattr(sampler, "find_spec", lambda _: None)
+    with pytest.raises(ParameterError, match=r"blackjax.*pip install 'pianofit\[bayes\]'"):
+        check_intervals("posterior")
+    check_intervals("profile")
+
+
+@pytest.mark.parametrize(
+    ("means", "recipe", "said"),
+    [
+        ("exact", "default", "intervals='exact' must be one of laplace, profile, posterior"),
+        ("profile", "paper", "recipe='paper' gives none"),
+    ],
+)
+def test_other_means_are_refused(means, recipe, said):
+    with pytest.raises(ParameterError, match=said):
+        check_intervals(means, recipe)
