@@ -39,8 +39,10 @@ NAMES = ("cents", "B", "b1", "d2", "M_H/M_S", "K/M_S", "p", "mu", "x0/L", "width
 # Standard deviations (of logarithms; cents for `cents`) where a fit gives no interval: what was given is given.
 UNTOLD = {"cents": 3.0, "width/L": 0.3, "L": 1e-3, "M_S/L": 1e-3, "pickup/L": 1e-3, "x0/L": 1e-2, "gain": 0.1}
 UNTOLD_OTHER = 0.1
-# Intervals of a fit that stopped before it settled count for this much more.
+# Intervals of a fit that stopped before it converged count for this much more.
 UNSETTLED = 2.0
+# What `fit.json` calls a velocity or a gain that was known; `fixed` in its first schema.
+KNOWN = ("given", "fixed")
 _KEY = re.compile(r"(.*?)[-_ ]?([A-Ga-g])([#sb♯♭]?)(-1|\d)")
 
 
@@ -195,7 +197,7 @@ def _load_key(file: Path) -> KeyFit:
     loud = max(own, key=lambda i: _positive(takes[i].get("v_H0"), f"takes[{i}].v_H0", name))
     gain = _positive(takes[loud].get("gain"), f"takes[{loud}].gain", name, signed=True)
     velocities = np.unique([_positive(take.get("v_H0"), f"takes[{i}].v_H0", name) for i, take in enumerate(takes)])
-    calibrated = any(take.get("gain_status") == "fixed" or take.get("v_H0_status") == "fixed" for take in takes)
+    calibrated = any(take.get(key) in KNOWN for take in takes for key in ("gain_status", "v_H0_status"))
     if not isinstance(voice.hammer, Hammer):
         raise FitError(f"{name}: a felt with memory cannot be carried over a keyboard; fit with --felt hunt-crossley")
     # A felt without loss is one with next to none: the law is in log μ.
@@ -239,7 +241,7 @@ def _deviations(document: dict, voice: Voice, midi: int, converged: bool) -> dic
         "cents": None if s["c"] is None else 1200 / math.log(2) * s["c"],
         "B": None if s["kappa"] is None else 2 * math.hypot(s["kappa"], s["c"] or 0.0),
         "b1": s["b1"], "d2": s["b2"], "M_H/M_S": s["M_H"], "p": s["p"], "mu": s["mu"], "x0/L": s["x0"],
-        "K/M_S": _felt_spread(s, document.get("derived"), voice, midi),
+        "K/M_S": _felt_spread(s, document, voice, midi),
     }  # fmt: skip
     wider = 1.0 if converged else UNSETTLED
     found = {name: told.get(name) for name in NAMES}
