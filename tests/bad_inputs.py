@@ -28,7 +28,8 @@ def fit_dict(**values: object) -> dict:
     return {
         "schema": 2, "program": "pianofit", "recipe": "default", "seed": 0, "converged": True, "messages": [],
         "parameters": {name: {"value": value, "initial": value, **facts} for name, value in values.items()},
-        "takes": [take | {"gain_status": "fitted", "v_H0_status": "fitted"}], "pickup": {"quantity": "velocity", "path": None},
+        "takes": [take | {"gain_status": "fitted", "v_H0_status": "fitted"}],
+        "pickup": {"quantity": "velocity", "path": None},
         "derived": {"f0": 152.05, "B": 3e-4}, "claims": "", "invariants": {}, "minima": [],
         "criterion": {"global": {"initial": 1.0, "final": 0.1}, "dropped": [], "sigma": 30, "borders": []},
         "levels": {}, "diagnostics": {}, "versions": {},

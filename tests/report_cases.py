@@ -84,7 +84,13 @@ def with_takes(curves, velocities=(3.2, 0.6, 1.5), count=7):
     law = 30 * u**2.5 * np.array([1.0, 0.8, 1.25])[:, None]
     names = ("c", "kappa", "K_H", "mu", "p", "M_H")
     correlation = np.corrcoef(random.normal(size=(len(names), 9)))
-    reaches = (("f0", 1e-4, True), ("F/M_S", 0.3, True), ("v/v_ref 2", 0.1, True), ("K_H", 9.0, False), ("p", 0.1, False))
+    reaches = (
+        ("f0", 1e-4, True),
+        ("F/M_S", 0.3, True),
+        ("v/v_ref 2", 0.1, True),
+        ("K_H", 9.0, False),
+        ("p", 0.1, False),
+    )
     velocity = np.geomspace(min(velocities), max(velocities), count)
     tones = [note(80.0 + 5 * i, 2e-4, 4, 1.0, rate, min(seconds, 2.5), lead=0.0)[0] for i in range(count)]
     strikes = Strikes(
@@ -105,7 +111,12 @@ def fit_of_takes(count=3, **changes):
         for i in range(1, count + 1)
     ]  # fmt: skip
     ratios = {
-        f"v/v_ref {i}": {"value": 1 / i, "unit": "1", "interval": [0.905 / i, 1.105 / i], "note": f"/a folder/take-{i}.flac"}
+        f"v/v_ref {i}": {
+            "value": 1 / i,
+            "unit": "1",
+            "interval": [0.905 / i, 1.105 / i],
+            "note": f"/a folder/take-{i}.flac",
+        }
         for i in range(2, count + 1)
     }
     fit = example_fit(takes=takes, minima=[minimum(0.7, 0.0), minimum(0.3, 1.25)])
@@ -115,7 +126,13 @@ def fit_of_takes(count=3, **changes):
 def minimum(share, above):
     """One of several that the objective has."""
     parameters = {"c": 184.661, "K_H": 1.1e10 * (1 + above), "p": 2.56 - 0.1 * above, "mu": 1.0, "M_H": 5.687e-3}
-    return {"share": share, "F": -120.5 + above, "parameters": parameters, "velocities": [4.0, 2.0, 4 / 3], "path_db": None}
+    return {
+        "share": share,
+        "F": -120.5 + above,
+        "parameters": parameters,
+        "velocities": [4.0, 2.0, 4 / 3],
+        "path_db": None,
+    }
 
 
 def example_held_out(count=3):

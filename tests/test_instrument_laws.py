@@ -229,9 +229,13 @@ def test_files_of_the_first_schema_are_still_understood(tmp_path):
     for entry in old["parameters"].values():
         entry["status"] = "free"
     for gain, velocity, velocities in (
-        ("free", "assumed", (0.7, 1.7, 4.0)), ("fixed", "free", (0.35, 0.85, 2.0)), ("free", "fixed", (0.35, 0.85, 2.0)),
+        ("free", "assumed", (0.7, 1.7, 4.0)),
+        ("fixed", "free", (0.35, 0.85, 2.0)),
+        ("free", "fixed", (0.35, 0.85, 2.0)),
     ):  # fmt: skip
-        takes = [take | {"gain_status": gain, "v_H0_status": velocity, "v_H0": 0.5 * take["v_H0"]} for take in old["takes"]]
+        takes = [
+            take | {"gain_status": gain, "v_H0_status": velocity, "v_H0": 0.5 * take["v_H0"]} for take in old["takes"]
+        ]
         (key,) = load_keys([write_fit(tmp_path, 60, old | {"takes": takes})])
         assert key.velocities == pytest.approx(velocities)
         scale = key.velocities[-1] / 2.0

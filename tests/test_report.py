@@ -18,10 +18,10 @@ from report_cases import NAMES, Page, example_curves, example_fit, minimum
 from scipy.signal import lfilter
 
 from pianofit.errors import OutputError
+from pianofit.inference.statements import STATUSES
 from pianofit.report.figures import write_picture
 from pianofit.report.page import Curves, write_report
 from pianofit.report.sound import k_weighted_mean_square, make_clips
-from pianofit.inference.statements import STATUSES
 from pianofit.report.words import STATUS, invariants, minima, number, rows
 
 
@@ -233,7 +233,9 @@ def test_fit_of_nothing_known(tmp_path, curves):
     assert written(tmp_path, dict.fromkeys(example_fit()), curves)
     nothing_known = {"criterion": {"dropped": ["band1", "band3"]}, "levels": {"fitted_db": None}}
     fit = example_fit(**nothing_known, derived={"f0": float("nan")}, takes=[{"file": "a.wav", "onset_s": None}])
-    fit["parameters"] = {name: {"value": None, "interval": [None, 1.0], "status": "fitted"} for name in fit["parameters"]}
+    fit["parameters"] = {
+        name: {"value": None, "interval": [None, 1.0], "status": "fitted"} for name in fit["parameters"]
+    }
     assert "nan" not in Page(written(tmp_path, fit, curves)).text.split("All numbers of this fit")[0].lower()
 
 

@@ -332,7 +332,8 @@ def test_what_is_fixed_and_what_is_not_is_said():
     for part in (
         "f₀ = 92.331 Hz (± 0.17 cents)", "B = 2.3 × 10⁻⁴ (± 2 %)", "F/M_S = 118 N/kg (± 5 %)",
         "at 0.5 mm, at the reference velocity shown, over the mass", "known to a factor of 2.5",
-        "M_H/M_S = 0.92 (± 3 %)", "rest on the assumed mass", "the common scale of the velocities, which was not measured",
+        "M_H/M_S = 0.92 (± 3 %)", "rest on the assumed mass",
+        "the common scale of the velocities, which was not measured",
     ):  # fmt: skip
         assert part in fixed, part
     assert "x0/L" not in fixed  # it was given

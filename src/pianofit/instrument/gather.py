@@ -256,9 +256,7 @@ def _spread(entry: Any) -> float | None:
     return math.log(span[1] / span[0]) / (2 * 1.96)
 
 
-def _felt_spread(
-    s: dict[str, float | None], document: dict, voice: Voice, midi: int, scale: float
-) -> float | None:
+def _felt_spread(s: dict[str, float | None], document: dict, voice: Voice, midi: int, scale: float) -> float | None:
     """Of log K(u_ref), on the scale of `LOUDEST`: the felt is known best where strokes press it.
 
     From the compression u at which its force has the error e to u_ref,

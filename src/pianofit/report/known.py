@@ -128,7 +128,9 @@ def felt_scale(fit: dict[str, Any]) -> str:
         )
     if mass:
         return "Newtons rest on the assumed mass of the string."
-    return "Newtons and millimetres rest on the common scale of the velocities, which was not measured." if scale else ""
+    return (
+        "Newtons and millimetres rest on the common scale of the velocities, which was not measured." if scale else ""
+    )
 
 
 def _doubted(fit: dict[str, Any]) -> bool:
@@ -170,8 +172,8 @@ def _not_told(fit: dict[str, Any]) -> list[str]:
         loses = "mu" in FELT_LAWS.get(fit.get("felt", ""), FELT_LAWS[DEFAULT_LAW])
         also, stay = (", μ", "K_H vᵖ⁻¹ and μ v stay") if loses else ("", "K_H vᵖ⁻¹ stays")
         said.append(
-            f"The common scale of the velocities: with all of them faster, K_H{also} and the gain change along, so that "
-            f"{stay}, and nothing sounds different. The intervals of these are those of the prior."
+            f"The common scale of the velocities: with all of them faster, K_H{also} and the gain change along, so "
+            f"that {stay}, and nothing sounds different. The intervals of these are those of the prior."
         )
     assumed = [words for name, words in (("L", "length"), ("M_S", "mass")) if _status(fit, name) == "assumed"]
     if assumed:

@@ -56,7 +56,9 @@ VELOCITY_RATIO = "v/v_ref "
 HAMMER = ("K_H", "p", "mu", "epsilon", "tau", "M_H", "x0")
 # Ends of an interval that differ by more than this factor are written each with its own power of ten.
 APART = 1e3
-UNSETTLED = "The search ended before it converged. Take every number on this page as a stage on the way, not as a result."
+UNSETTLED = (
+    "The search ended before it converged. Take every number on this page as a stage on the way, not as a result."
+)
 
 
 def number(value: Any, digits: int = 4) -> str:
@@ -194,7 +196,7 @@ def how_sure(fit: dict[str, Any]) -> str:
 
 
 def notices(fit: dict[str, Any]) -> list[tuple[str, str, str]]:
-    """List (tone, heading, text) of what the page says first: the identifiability statement, what went wrong, or that nothing did."""
+    """List (tone, heading, text) of what the page says first: the claims, what went wrong, or that nothing did."""
     measured = all(entry.get("status") in ("fitted", "given") for entry in fit.get("parameters", {}).values())
     overall = fit.get("criterion", {}).get("global") or {}
     initial, final = overall.get("initial"), overall.get("final")
