@@ -149,12 +149,13 @@ def shares(file: Path, note: str) -> dict[str, float]:
     """Seconds of each stage of a warm fit, and of the whole, from the file to the numbers."""
     import pianofit
 
+    begun: list[tuple[str, float]] = []
     for _ in range(2):  # the second is warm
-        begun = [("reading", time.perf_counter())]
+        begun[:] = [("reading", time.perf_counter())]
         recording = pianofit.load_recording(file)
         analysis = pianofit.analyse(recording, note=note)
         pianofit.fit_recording(
-            recording, analysis, progress=lambda stage, _, begun=begun: begun.append((stage, time.perf_counter()))
+            recording, analysis, progress=lambda stage, _: begun.append((stage, time.perf_counter()))
         )
         begun.append(("", time.perf_counter()))
     spent: dict[str, float] = {}

@@ -281,17 +281,15 @@ def _felt_spread(s: dict[str, float | None], document: dict, voice: Voice, midi:
 
 def _force_error(document: dict, voice: Voice) -> tuple[float, float] | None:
     """Where the felt's force is known best: the compression, m, and the standard deviation of the force's logarithm."""
-    table = document.get("invariants")
-    entry = table.get("F/M_S") if isinstance(table, dict) else None
-    value, error = (entry.get("value") if isinstance(entry, dict) else None), _spread(entry)
-    if error is not None and _finite(value) and value > 0:  # type: ignore[operator]
+    invariants, derived = (x if isinstance(x, dict) else {} for x in map(document.get, ("invariants", "derived")))
+    entry: Any = invariants.get("F/M_S")
+    error: Any = _spread(entry)
+    if error is not None and _finite(entry.get("value")) and entry["value"] > 0:
         h = voice.hammer
-        u = float((value * voice.geometry.mass / h.K_H) ** (1 / h.p))  # type: ignore[operator]
+        u = float((entry["value"] * voice.geometry.mass / h.K_H) ** (1 / h.p))
     else:  # the first schema
-        derived = document.get("derived")
-        derived = derived if isinstance(derived, dict) else {}
-        deepest, error = derived.get("max_compression_mm"), derived.get("felt_force_relative_error")
+        deepest, error = (derived.get(key) for key in ("max_compression_mm", "felt_force_relative_error"))
         if not (_finite(deepest) and _finite(error)):
             return None
-        u = 1e-3 * deepest
+        u = 1e-3 * float(deepest)  # type: ignore[arg-type]
     return (u, error) if 0 < u < 1 and error > 0 else None

@@ -159,8 +159,8 @@ def minima(fit: dict[str, Any]) -> dict[str, Any] | None:
         ],
         "rows": [
             {
-                "share": f"{100 * share:.0f} %" if _is_number(share := entry.get("share")) else "–",
-                "above": number(f - best, 2) if _is_number(f := entry.get("F")) and _is_number(best) else "–",
+                "share": f"{100 * entry['share']:.0f} %" if _is_number(entry.get("share")) else "–",
+                "above": number(entry["F"] - best, 2) if _is_number(entry.get("F")) and _is_number(best) else "–",
                 "values": [number(v.get(name), 4) for name in names],
                 "velocities": ", ".join(number(x, 3) for x in entry.get("velocities") or ()),
             }
