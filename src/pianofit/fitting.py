@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-
 from .analysis import Analysis
-from .errors import ParameterError
 from .inference import Progress, Result, conclude, estimate, pose
 from .inference.point import point_result
 from .inference.views import MEANS, check_intervals, view_of

@@ -72,7 +72,7 @@ def predict_take(voices: Voice | Sequence[tuple[float, Voice]], analysis: Analys
     played = [(share, *_at_best(voice, analysis, chosen)) for share, voice in mixture]
     total = sum(share for share, *_ in played)
     level = sum(share / total * (one + gain) for share, _, one, gain in played)
-    _, velocity, one, gain = played[0]
+    _, velocity, _, gain = played[0]
     cents = 1200 * float(np.log2(analysis.f0 / _pitch(first)))
     voice = first._replace(
         string=first.string._replace(c=first.string.c * 2 ** (cents / 1200)),
