@@ -71,7 +71,7 @@ def predict_take(voices: Voice | Sequence[tuple[float, Voice]], analysis: Analys
         raise FitError(f"only {int(chosen.sum())} partials of the fit stand above the noise; {FEWEST} are needed")
     played = [(share, *_at_best(voice, analysis, chosen)) for share, voice in mixture]
     total = sum(share for share, *_ in played)
-    level = sum(share / total * (one + gain) for share, _, one, gain in played)
+    level = np.sum([share / total * (one + gain) for share, _, one, gain in played], axis=0)
     _, velocity, _, gain = played[0]
     cents = 1200 * float(np.log2(analysis.f0 / _pitch(first)))
     voice = first._replace(
