@@ -154,4 +154,10 @@ def test_every_key_of_a_fit_is_explained(tmp_path, monkeypatch):
     document = run(ROOT / "docs" / "fitting.md")["result"].document
     parts = [document, *(document[part] for part in ("parameters", "pickup", "derived", "criterion", "levels"))]
     parts += [document["takes"][0], document["parameters"]["c"], document["diagnostics"], document["versions"]]
+    parts += [
+        document["invariants"],
+        document["invariants"]["f0"],
+        document["minima"][0],
+        document["diagnostics"]["excess"],
+    ]
     assert sorted({key for part in parts for key in part if f"`{key}`" not in text}) == []
