@@ -33,8 +33,8 @@ def measured(folder: Path, *, quick: bool = False, say: Callable[[str], None] = 
         say(f"growth: {name}")
         taken = paired({str(size): make(size) for size in sizes[:end]}, **few)
         found[name] = _law(list(sizes[:end]), [taken[str(size)]["median"] for size in sizes[:end]])
-    say("growth: takes")
-    found["takes in a fit's last stage"] = _takes(folder, (1, 2) if quick else (1, 3, 5), few)
+    say("growth: recordings")
+    found["recordings, of the objective"] = _recordings(folder, (1, 2) if quick else (1, 3, 5), few)
     say("growth: notes")
     return found | {"notes": _notes(dict(list(NOTES.items())[:end]), few)}
 
@@ -79,10 +79,10 @@ def _oversampling(times: int) -> Callable[[], Any]:
     return lambda: pianofit.simulate(it.string, it.hammer, it.geometry, rate=works.RATE, oversampling=times).pulse.force
 
 
-def _takes(folder: Path, sizes: tuple[int, ...], few: dict[str, Any]) -> dict[str, Any]:
-    first, *more = made.make_notes(folder, made.VELOCITIES[: max(sizes)], 2.0)
-    built = {str(n): works.joint(first, made.NOTE, n, tuple(more)) for n in sizes}
-    taken = paired({name: work for name, (work, _) in built.items()}, **few)
+def _recordings(folder: Path, sizes: tuple[int, ...], few: dict[str, Any]) -> dict[str, Any]:
+    files = made.make_notes(folder, made.VELOCITIES[: max(sizes)], 2.0)
+    built = {str(n): works.search(files[:n], made.NOTE)[0] for n in sizes}
+    taken = paired({name: work[works.OBJECTIVE] for name, work in built.items()}, **few)
     return _law(list(sizes), [taken[str(n)]["median"] for n in sizes])
 
 

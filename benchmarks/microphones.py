@@ -84,7 +84,7 @@ def compared(pair: tuple[Heard, Heard], note: str) -> dict:
             "apart": float(abs(np.log(b["value"] / a["value"])) / reach),
         }
     return {"files": [h.file.name for h in pair], "parameters": rows} | _partials(first, second) | {
-        "scatter": [d["diagnostics"]["scatter"] for d in (one, other)]
+        "excess": [d["diagnostics"]["excess"] for d in (one, other)]
     }  # fmt: skip
 
 
@@ -145,7 +145,7 @@ def print_pair(found: dict) -> None:
     )
     print(f"  and a factor of {np.exp(found['log_decay']):.2f} in decay (median ratio {np.exp(found['decays']):.2f}); "
           f"B through these alone: apart {found['common_B_apart']:.2f}")  # fmt: skip
-    for mic, s in zip(found["files"], found["scatter"], strict=True):
+    for mic, s in zip(found["files"], found["excess"], strict=True):
         print(f"  {mic}: about the string's laws {s['frequency_cents']:.2f} cents, decays {s['decay_relative']:.2f}")
     for name, p in found["parameters"].items():
         shown = [f"{v:.5g} [{low:.5g}, {high:.5g}]" for v, (low, high) in zip(p["values"], p["intervals"], strict=True)]

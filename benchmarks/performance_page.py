@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from measuring import ratio
-from works import BATCHES, MODES, STEPS
+from works import BATCHES, HAMMERS, MODES, OBJECTIVE, SLOPES, STEPS
 
 # Targets, by row: of the design, on two idle cores.
 CANDIDATES, OVER_PAPER, DERIVATIVES = 40_000.0, 800.0, 5.0
@@ -54,8 +54,8 @@ is factored once, compiled with numba (`benchmarks/baseline.py`). It is
 def _side_by_side(document: dict[str, Any]) -> str:
     found = document["inner"]
     s, c, k, p, f = (found[x] for x in ("strike", "criterion", "candidates", "sound", "plain scan"))
-    last = found["last stage"]["residuals and derivatives"]
-    sizes = found["last stage sizes"]
+    search, sizes = found["search"], found["search sizes"]
+    size = f"{sizes['partials']} partials, {sizes['modes']} modes, {sizes['steps']} steps"
     step = 1e6 * s["baseline"]["median"] / 44_100
     one = k["baseline, 1 s"]
     rows = [
@@ -67,8 +67,12 @@ def _side_by_side(document: dict[str, Any]) -> str:
         *((f"and {x.split('and ')[1]}", c[x], _times(c["baseline, nine derivatives"], c[x])
            + (f"; target {DERIVATIVES:g} ms" if x.endswith("derivatives") else ""))
           for x in ("value and nine derivatives", "value and nine derivatives, any model")),
-        (f"residuals and all derivatives of the default fit ({sizes['partials']} partials, {sizes['modes']} modes, "
-         f"{sizes['steps']} steps)", last, f"target {DERIVATIVES:g} ms"),
+        (f"default fit, levels of {sizes['hammers']} hammers ({size}), all cores", search[HAMMERS],
+         f"{sizes['hammers'] / search[HAMMERS]['median']:,.0f} hammers a second"),
+        (f"default fit, levels and all derivatives of {sizes['lanes']} hammers", search[SLOPES],
+         f"{1e3 * search[SLOPES]['median'] / sizes['lanes']:.2f} ms a hammer"),
+        (f"default fit, objective and all derivatives at {sizes['points']} points", search[OBJECTIVE],
+         f"{1e3 * search[OBJECTIVE]['median'] / sizes['points']:.2f} ms a point"),
         ("rendering from parameters, 10 s at 48 kHz", p["pianofit"], f"{10 / p['pianofit']['median']:.0f} × real time"),
         *((("csound's `prepiano`, 10 s at 48 kHz, a process", p["csound prepiano"],
             f"{10 / p['csound prepiano']['median']:.0f} × real time"),) if "csound prepiano" in p else ()),
@@ -213,9 +217,12 @@ def _reasons(document: dict[str, Any]) -> str:
     return f"""## Where a target is missed, and why
 
 - **A fit, warm and cold.** Of the warm command's {fit:.1f} s the fit itself, from the file on, takes
-  {shares["whole"]:.1f} s, {shares["hammer_batch"]:.1f} s of it the search; the rest is Python's
-  start, imports, and loading what was compiled before. Cold, it is XLA's compiler.
-- **The joint fit** strikes 512 hammers at 16 velocities, sends 48 of them down F, and finishes up to four minima.
+  {shares["whole"]:.1f} s: the search for hammers {shares.get("hammer", 0.0):.1f} s, local restarts
+  {shares.get("restarts", 0.0):.1f} s, the minima with the string free {shares.get("string and hammer", 0.0):.1f} s and
+  the intervals {shares.get("intervals", 0.0):.1f} s. The rest is Python's start, imports, and loading what was compiled
+  before. Cold, it is XLA's compiler.
+- **The joint fit** samples the prior's hammers, strikes each at every velocity of a grid, and follows the best down the
+  same objective; what it costs grows with the recordings' strokes and partials.
 - **The paper's recipe** is 20,000 contacts in lockstep batches, and two gradient descents on whole spectra before it.
 - **The criterion with nine derivatives** is the string's response on every bin of the spectrum by every mode, on one
   core; the contact is a small part of it. The default fit compares partials in closed form instead.

@@ -59,11 +59,11 @@ def inner(effort: Effort, folder: Path) -> dict[str, Any]:
     for name, make in groups.items():
         _say(name)
         found[name] = paired(make(), rounds=effort.rounds, least=effort.least)
-    _say("last stage of a fit")
-    (file,) = made.make_notes(folder, made.VELOCITIES[3:4], effort.seconds)
-    work, sizes = works.joint(file, made.NOTE)
-    found["last stage"] = paired({"residuals and derivatives": work}, rounds=effort.rounds, least=effort.least)
-    return found | {"last stage sizes": sizes, "shares of a fit": works.shares(file, made.NOTE)}
+    _say("search of a fit")
+    files = made.make_notes(folder, made.VELOCITIES[3:4], effort.seconds)
+    work, sizes = works.search(files, made.NOTE)
+    found["search"] = paired(work, rounds=effort.rounds, least=effort.least)
+    return found | {"search sizes": sizes, "shares of a fit": works.shares(files[0], made.NOTE)}
 
 
 def commands(effort: Effort, folder: Path) -> dict[str, Any]:

@@ -6,7 +6,8 @@ import shutil
 import subprocess
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,9 @@ RATE = 44_100
 # The contact alone: at least 200 steps (whole blocks of 32), modes up to 0.4 of the rate, hammers spread by a factor.
 STEPS, MODES, SPREAD, BATCHES = 224, 192, 0.3, (16, 64, 256, 1024)
 SCANNED = 64
+# Of the objective: points of one call, and what the rows of the default fit are called.
+POINTS = 24
+HAMMERS, SLOPES, OBJECTIVE = "levels of the prior's hammers", "levels and derivatives", "objective and derivatives"
 CSOUND = """<CsoundSynthesizer>
 <CsOptions>
 -o {out} -W -d -m0
@@ -108,64 +112,56 @@ def criteria(seconds: float = 1.0) -> Works:
     }
 
 
-def joint(file: Path, note: str, takes: int = 1, more: tuple[Path, ...] = ()) -> tuple[Callable[[], Any], dict]:
-    """What the default fit's last stage evaluates, residuals and all their derivatives, and how large it is."""
-    import jax.numpy as jnp
+def search(files: Sequence[Path], note: str) -> tuple[Works, dict[str, int]]:
+    """What the default fit evaluates of these recordings, on all cores, and how large it is.
 
+    Levels of the prior's hammers, one string for all; levels and all derivatives of one call's hammers; and the
+    objective with its derivatives at as many points.
+    """
     import pianofit
-    from pianofit.fit.recipe import _prepared
-    from pianofit.fit.residuals import joint_batch
-    from pianofit.fit.takes import arranged
+    from pianofit.inference import pose
+    from pianofit.inference.lanes import LANES, in_lanes, levels, slopes
+    from pianofit.inference.reports import report
+    from pianofit.inference.search import MANY_LANES, Search
+    from pianofit.inference.string import string_minimum
 
-    recordings = [pianofit.load_recording(x) for x in (file, *more)][:takes]
-    analyses = [pianofit.analyse(recording, note=note) for recording in recordings]
-    state = _prepared(*arranged(recordings, analyses, pianofit.Setup())[:3])
-    target = state.target(state.first_spread(10.0, 1.0), state.unweighted)
-    z = jnp.asarray(state.space.z(state.space.start[None]))
+    recordings = [pianofit.load_recording(x) for x in files]
+    problem = pose(recordings, [pianofit.analyse(one, note=note) for one in recordings], pianofit.Setup())
+    string, _ = string_minimum(problem)
+    held = Search(problem, string)
+    z = held.samples(0)
+    many, some = held.lanes_of(z), held.lanes_of(z)[:LANES]
+    people = held.begun(z[:POINTS], held.wide())
+    at = people.residual, people.jacobian, people.phi, people.w
     sizes = {
-        "takes": takes,
-        "modes": state.cfg.n_modes,
-        "steps": state.cfg.steps,
-        "partials": target.frequency.shape[1],
-    }
-    return (lambda: joint_batch(z, target, state.cfg)), sizes
+        "recordings": len(files), "hammers": len(many), "lanes": len(some), "points": len(people),
+        "modes": problem.cfg.n_modes, "steps": problem.cfg.steps,
+        "partials": int(np.asarray(problem.observed.level.found).sum()),
+    }  # fmt: skip
+    return {
+        HAMMERS: lambda: in_lanes(levels, (string, many), problem.scene, problem.cfg, MANY_LANES),
+        SLOPES: lambda: in_lanes(slopes, (string, some), problem.scene, problem.cfg),
+        OBJECTIVE: lambda: report(held.table, *at),
+    }, sizes
 
 
 def shares(file: Path, note: str) -> dict[str, float]:
-    """Seconds of the batches of residuals, by name, and of the whole of a warm fit, from the file to the numbers."""
-    import jax
-
+    """Seconds of each stage of a warm fit, and of the whole, from the file to the numbers."""
     import pianofit
-    from pianofit.fit import hammers as search
-    from pianofit.fit import recipe, residuals
-    from pianofit.fit.takes import arranged
 
-    spent = dict.fromkeys(("string_batch", "hammer_batch", "joint_batch"), 0.0)
-
-    def timed(name: str, function: Callable) -> Callable:
-        def call(*arguments: Any) -> Any:
-            start = time.perf_counter()
-            value = jax.block_until_ready(function(*arguments))
-            spent[name] += time.perf_counter() - start
-            return value
-
-        return call
-
-    places = [(m, name) for m in (recipe, search) for name in spent if hasattr(m, name)]
-    try:
-        for module, name in places:
-            setattr(module, name, timed(name, getattr(residuals, name)))
-        for _ in range(2):  # the second is warm
-            spent.update(dict.fromkeys(spent, 0.0))
-            start = time.perf_counter()
-            recording = pianofit.load_recording(file)
-            analyses = [pianofit.analyse(recording, note=note)]
-            recipe.fit_partials(*arranged([recording], analyses, pianofit.Setup())[:3])
-            whole = time.perf_counter() - start
-    finally:
-        for module, name in places:
-            setattr(module, name, getattr(residuals, name))
-    return spent | {"whole": whole}
+    begun: list[tuple[str, float]] = []
+    for _ in range(2):  # the second is warm
+        begun[:] = [("reading", time.perf_counter())]
+        recording = pianofit.load_recording(file)
+        analysis = pianofit.analyse(recording, note=note)
+        pianofit.fit_recording(
+            recording, analysis, progress=lambda stage, _: begun.append((stage, time.perf_counter()))
+        )
+        begun.append(("", time.perf_counter()))
+    spent: dict[str, float] = {}
+    for (stage, start), (_, stop) in pairwise(begun):
+        spent[stage] = spent.get(stage, 0.0) + stop - start
+    return spent | {"whole": begun[-1][1] - begun[0][1]}
 
 
 def hammers(batch: int, seed: int = 0) -> Any:

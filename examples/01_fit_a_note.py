@@ -34,7 +34,9 @@ def main() -> None:
 
     # The fit. `document` is what `pianofit fit` writes to fit.json.
     result = pianofit.fit_recording(recording, analysis, setup)
-    print(result.document["verdict"])
+    print(result.document["claims"])
+    for name, found in result.document["invariants"].items():
+        print(f"{name:8} {found['value']:.5g} {found['unit']}, 95 % interval {found['interval'] or 'none: given'}")
     for name, found in result.document["parameters"].items():
         beside = f"   true {true[name]:.5g}" if name in true else ""
         print(f"{name:6} {found['value']:.5g} {found['unit']}, {found['status']}{beside}")

@@ -23,13 +23,14 @@ def fit_dict(**values: object) -> dict:
         "c": 304.1, "kappa": 1.7, "b1": 0.6, "b2": 2e-6, "K_H": 1e10, "mu": 0.2, "p": 2.6, "M_H": 5.7e-3, "v_H0": 0.8,
         "M_S": 6.18e-3, "L": 1.0, "x0": 0.12, "width": 0.02, "pickup": 0.3,
     } | values  # fmt: skip
-    facts = {"unit": "", "interval": None, "status": "free", "note": ""}
+    facts = {"unit": "", "interval": None, "status": "fitted", "note": ""}
     take = {"file": "a.wav", "sha256": "0" * 64, "rate": 44100, "onset_s": 0.0, "v_H0": 0.8, "gain": 1.0}
     return {
-        "schema": 1, "program": "pianofit", "recipe": "default", "seed": 0, "converged": True, "messages": [],
+        "schema": 2, "program": "pianofit", "recipe": "default", "seed": 0, "converged": True, "messages": [],
         "parameters": {name: {"value": value, "initial": value, **facts} for name, value in values.items()},
-        "takes": [take | {"gain_status": "free"}], "pickup": {"quantity": "velocity", "path": None},
-        "derived": {"f0": 152.05, "B": 3e-4}, "verdict": "",
+        "takes": [take | {"gain_status": "fitted", "v_H0_status": "fitted"}],
+        "pickup": {"quantity": "velocity", "path": None},
+        "derived": {"f0": 152.05, "B": 3e-4}, "claims": "", "invariants": {}, "minima": [],
         "criterion": {"global": {"initial": 1.0, "final": 0.1}, "dropped": [], "sigma": 30, "borders": []},
         "levels": {}, "diagnostics": {}, "versions": {},
     }  # fmt: skip

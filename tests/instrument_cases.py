@@ -63,20 +63,29 @@ def fit_document(voice: Voice, errors: dict[str, float], velocities: tuple[float
     def entry(name: str, value: float) -> dict:
         sd = errors.get(name)
         span = None if sd is None else [value * math.exp(-1.96 * sd), value * math.exp(1.96 * sd)]
-        return {"value": float(value), "unit": "", "interval": span, "status": "free", "note": ""}
+        status = "scaled" if name in ("v_H0", "K_H", "mu") else "fitted"
+        return {"value": float(value), "unit": "", "interval": span, "status": status, "note": ""}
 
     path = voice.path
     return {
-        "schema": 1, "program": "pianofit", "converged": True, "verdict": "", "messages": [],
+        "schema": 2, "program": "pianofit", "converged": True, "claims": "", "messages": [], "invariants": {},
+        "minima": [],
         "parameters": {name: entry(name, value) for name, value in values.items()},
         "takes": [
             {"file": f"{v}.wav", "rate": RATE, "v_H0": v, "gain": voice.gain, "first": v == velocities[-1],
-             "gain_status": "free", "v_H0_status": "assumed"} for v in velocities
+             "gain_status": "fitted", "v_H0_status": "scaled"} for v in velocities
         ],
         "pickup": {"quantity": voice.quantity,
                    "path": None if path is None else {"frequency": path.frequency.tolist(), "db": path.db.tolist()}},
         "derived": {}, "levels": {"fitted_db": 1.2}, "diagnostics": {},
     }  # fmt: skip
+
+
+def force_entry(voice: Voice, at: float, sd: float) -> dict:
+    """What such a fit would write of the felt's force at the compression `at`, m."""
+    value = voice.hammer.K_H * at**voice.hammer.p / voice.geometry.mass
+    span = [value * math.exp(-1.96 * sd), value * math.exp(1.96 * sd)] if sd else None
+    return {"value": value, "unit": "N/kg", "interval": span, "note": ""}
 
 
 def write_fit(folder: Path, midi: int, document: dict, prefix: str = "twin") -> Path:
@@ -104,7 +113,7 @@ def library(folder: Path, keys: list[int], seed: int = 0, *, errors: dict[str, f
         spread_p = errors.get("p", 0.0) * voice.hammer.p
         told = errors | {"K_H": math.hypot(force, math.log(1e3) * spread_p)}
         document = fit_document(found, told)
-        document["derived"] = {"max_compression_mm": 1.0, "felt_force_relative_error": force}
+        document["invariants"]["F/M_S"] = force_entry(found, 1e-3, force)
         write_fit(folder, midi, document)
     return folder
 

@@ -12,6 +12,7 @@ from pianofit.report.curves import Felt, Known, Strikes, TakeCurves
 from pianofit.report.page import Curves
 
 NAMES = ("original", "initial", "fitted")
+FORCE = "static force of the felt at 0.5 mm, at the reference velocity shown"
 
 
 def note(f0, inharmonicity, count, tilt, rate, seconds, seed=None, noise=0.0, lead=0.03):
@@ -83,7 +84,13 @@ def with_takes(curves, velocities=(3.2, 0.6, 1.5), count=7):
     law = 30 * u**2.5 * np.array([1.0, 0.8, 1.25])[:, None]
     names = ("c", "kappa", "K_H", "mu", "p", "M_H")
     correlation = np.corrcoef(random.normal(size=(len(names), 9)))
-    reaches = (("f0", 1e-4, True), ("F", 0.3, True), ("K_H", 9.0, False), ("p", 0.1, False))
+    reaches = (
+        ("f0", 1e-4, True),
+        ("F/M_S", 0.3, True),
+        ("v/v_ref 2", 0.1, True),
+        ("K_H", 9.0, False),
+        ("p", 0.1, False),
+    )
     velocity = np.geomspace(min(velocities), max(velocities), count)
     tones = [note(80.0 + 5 * i, 2e-4, 4, 1.0, rate, min(seconds, 2.5), lead=0.0)[0] for i in range(count)]
     strikes = Strikes(
@@ -103,7 +110,29 @@ def fit_of_takes(count=3, **changes):
                "first": i == 1, "cents": -0.5 * i, "group": i % 2, "levels": {"initial_db": 9.0, "fitted_db": 1.0 + i}}
         for i in range(1, count + 1)
     ]  # fmt: skip
-    return example_fit(takes=takes) | changes
+    ratios = {
+        f"v/v_ref {i}": {
+            "value": 1 / i,
+            "unit": "1",
+            "interval": [0.905 / i, 1.105 / i],
+            "note": f"/a folder/take-{i}.flac",
+        }
+        for i in range(2, count + 1)
+    }
+    fit = example_fit(takes=takes, minima=[minimum(0.7, 0.0), minimum(0.3, 1.25)])
+    return fit | {"invariants": fit["invariants"] | ratios} | changes
+
+
+def minimum(share, above):
+    """One of several that the objective has."""
+    parameters = {"c": 184.661, "K_H": 1.1e10 * (1 + above), "p": 2.56 - 0.1 * above, "mu": 1.0, "M_H": 5.687e-3}
+    return {
+        "share": share,
+        "F": -120.5 + above,
+        "parameters": parameters,
+        "velocities": [4.0, 2.0, 4 / 3],
+        "path_db": None,
+    }
 
 
 def example_held_out(count=3):
@@ -121,32 +150,43 @@ def example_fit(**changes):
     def entry(value, unit, interval, status, initial, note=""):
         return {"value": value, "unit": unit, "interval": interval, "status": status, "initial": initial, "note": note}
 
+    def invariant(value, unit, interval, note=""):
+        return {"value": value, "unit": unit, "interval": interval, "note": note}
+
     length = "rests on an assumed length of 1 m"
     fit = {
-        "schema": 1,
+        "schema": 2,
         "program": "pianofit",
         "recipe": "default",
         "seed": 0,
         "converged": True,
-        "verdict": "One uncalibrated recording does not fix the felt: a smooth unknown path with a hammer from the "
+        "claims": "One uncalibrated recording does not fix the felt: a smooth unknown path with a hammer from the "
         "literature explains these levels as well.",
-        "messages": ["The hammer velocity was not measured; 4 m/s was assumed.", "μ sits on its upper bound."],
+        "messages": ["The string's length was not given.", "μ sits on its upper bound."],
+        "invariants": {
+            "f0": invariant(92.331, "Hz", [92.321, 92.341]),
+            "B": invariant(2.3e-4, "1", [2.254e-4, 2.346e-4]),
+            "M_H/M_S": invariant(0.92, "1", [0.8928, 0.948]),
+            "x0/L": invariant(0.12, "1", None),
+            "F/M_S": invariant(118.0, "N/kg", [112.2, 124.0], FORCE),
+        },
         "parameters": {
-            "c": entry(184.661, "m/s", [184.652, 184.670], "free", 184.7, length),
-            "kappa": entry(0.8914, "m²/s", [0.871, 0.912], "free", 0.87, length),
-            "b1": entry(0.5682, "1/s", [0.531, 0.607], "free", 0.5),
-            "b2": entry(4.05e-4, "m²/s", [3.6e-4, 4.5e-4], "free", 1.004e-10, length),
-            "K_H": entry(1.09949e10, "N/m^p", [8.1e9, 1.49e10], "free", 1.51647e9, "rests on an assumed string mass"),
+            "c": entry(184.661, "m/s", [184.652, 184.670], "scaled", 184.7, length),
+            "kappa": entry(0.8914, "m²/s", [0.871, 0.912], "scaled", 0.87, length),
+            "b1": entry(0.5682, "1/s", [0.531, 0.607], "fitted", 0.5),
+            "b2": entry(4.05e-4, "m²/s", [3.6e-4, 4.5e-4], "scaled", 1.004e-10, length),
+            "K_H": entry(1.09949e10, "N/m^p", [8.1e9, 1.49e10], "scaled", 1.51647e9, "rests on an assumed string mass"),
             "mu": entry(1.0, "s/m", None, "at-bound", 0.1, "upper bound 1 s/m"),
             "p": entry(2.56, "1", None, "not-identifiable", 2.55),
-            "M_H": entry(5.687e-3, "kg", [5.2e-3, 6.2e-3], "free", 6.79e-3),
-            "v_H0": entry(4.0, "m/s", None, "assumed", 4.0, "not measured"),
+            "M_H": entry(5.687e-3, "kg", [5.2e-3, 6.2e-3], "scaled", 6.79e-3),
+            "v_H0": entry(4.0, "m/s", [1.6, 10.0], "scaled", 4.0, "its scale is the prior's"),
             "M_S": entry(0.00618, "kg", None, "assumed", None),
             "L": entry(1.0, "m", None, "assumed", None),
-            "x0": entry(0.12, "m", None, "fixed", None),
+            "x0": entry(0.12, "m", None, "given", None),
         },
         "takes": [{"file": "cp80-Fs2-FF.flac", "sha256": "ab" * 32, "rate": 44100, "onset_s": 0.03, "v_H0": 4.0,
-                   "gain": 0.0123, "gain_status": "free"}],
+                   "gain": 0.0123, "gain_status": "fitted", "v_H0_status": "scaled"}],
+        "minima": [],
         "derived": {"f0": 92.331, "B": 2.3e-4, "f1": 92.34, "contact_ms": 2.214, "max_force_N": 33.42,
                     "max_compression_mm": 0.65, "glide_cents": 4.31},
         "criterion": {"global": {"initial": 0.83, "final": 0.059}, "band1": {"initial": 1.1, "final": 0.02},

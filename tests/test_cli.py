@@ -95,10 +95,10 @@ def test_an_interrupt_is_one_line_and_leaves_nothing_behind(tmp_path):
     out = tmp_path / "runs" / "out"
     # The onset of a real fit, then the signal: progress, which only a terminal shows, says when it has begun.
     begin = (
-        "import sys, pianofit.fit as fit, pianofit.cli as cli\n"
-        "real = fit.fit_recording\n"
+        "import sys, pianofit.fitting as fitting, pianofit.cli as cli\n"
+        "real = fitting.fit_recording\n"
         "def begun(*args, **kwargs):\n    print('begun', flush=True)\n    return real(*args, **kwargs)\n"
-        "fit.fit_recording = begun\n"
+        "fitting.fit_recording = begun\n"
         "sys.exit(cli.main())"
     )
     (tmp_path / "note.wav").write_bytes(encoded(note(146.8, 2.0)))
@@ -193,7 +193,7 @@ def fitted(tmp_path_factory) -> Path:
 def test_fit_writes_what_it_promises(fitted):
     document = json.loads((fitted / "out" / "fit.json").read_text(encoding="utf-8"))
     assert sorted(p.name for p in (fitted / "out").iterdir()) == ["fit.json", "fitted.wav", "initial.wav"]
-    assert document["parameters"]["v_H0"]["status"] == "fixed"
+    assert document["parameters"]["v_H0"]["status"] == "given"
     assert document["parameters"]["v_H0"]["value"] == 1.5
     assert document["takes"][0]["file"] == str(fitted / "note.wav")
     string = preset("bensa-final").string

@@ -154,6 +154,7 @@ def test_a_hostile_fit_is_refused(tmp_path):
     odd["parameters"]["b1"]["interval"] = [1.0, "wide"]
     odd["parameters"]["p"]["interval"] = [3.0, 2.0]
     odd["derived"] = {"max_compression_mm": float("nan"), "felt_force_relative_error": []}
+    odd["invariants"] = {"F/M_S": {"value": "much", "interval": [1.0, 2.0]}}
     odd["levels"] = 7
     key = load_keys([write_fit(tmp_path, 60, odd)])[0]
     assert all(np.isfinite(x) and x > 0 for x in key.sd.values())

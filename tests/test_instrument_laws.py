@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from instrument_cases import ERRORS, fit_document, library, true_voice, truth, write_fit
+from instrument_cases import ERRORS, fit_document, force_entry, library, true_voice, truth, write_fit
 
 from pianofit.errors import FitError
 from pianofit.instrument import build_instrument, find_fits, load_keys, read_instrument
 from pianofit.instrument.build import assemble
-from pianofit.instrument.gather import LOUDEST, NAMES, invariants, literature
+from pianofit.instrument.gather import LOUDEST, NAMES, invariants, literature, reference_compression
 from pianofit.instrument.laws import Prior, fit_law
 from pianofit.instrument.velocity import hammer_velocity, velocity_map
 
@@ -190,6 +190,57 @@ def test_uncalibrated_keys_come_onto_one_velocity_scale(tmp_path):
     assert first.velocities == pytest.approx(second.velocities) == (1.0, LOUDEST)
     assert first.voice.hammer == pytest.approx(second.voice.hammer, rel=1e-9)
     assert first.voice.gain == pytest.approx(second.voice.gain, rel=1e-9)
+
+
+@pytest.mark.parametrize("s", [0.6, 1.0, 1.7])
+def test_the_felts_error_is_that_of_its_force_on_the_common_scale(tmp_path, s):
+    """Known to 5 % at 0.5 mm and 4 m/s, whatever the scale of the fit's velocities is; the exponent to 0.1."""
+    voice, sd_p, at = true_voice(60), 0.1 / true_voice(60).hammer.p, 0.5e-3
+    h = voice.hammer
+    scaled = voice._replace(hammer=h._replace(K_H=h.K_H * s ** (1 - h.p), mu=h.mu / s, v_H0=h.v_H0 * s))
+    document = fit_document(scaled, ERRORS | {"K_H": 3.0, "p": sd_p}, (s, 4.0 * s))
+    document["invariants"]["F/M_S"] = force_entry(scaled, s * at, 0.05)
+    (key,) = load_keys([write_fit(tmp_path, 60, document)])
+    assert key.sd["K/M_S"] == pytest.approx(math.hypot(0.05, 0.1 * math.log(reference_compression(60) / at)), rel=1e-6)
+
+
+@pytest.mark.parametrize("r", [-0.9, 0.0, 0.7])
+@pytest.mark.parametrize("known", ["gain_status", "v_H0_status"])
+def test_a_known_velocity_lets_k_say_how_force_and_exponent_trade_off(tmp_path, r, known):
+    voice, at, e, sd_p = true_voice(60), 0.5e-3, 0.05, 0.1
+    far, near = (math.log(u / at) for u in (1.0, reference_compression(60)))
+    spread = {x: math.sqrt(e**2 + (x * sd_p) ** 2 + 2 * x * r * e * sd_p) for x in (far, near)}
+    document = fit_document(voice, ERRORS | {"K_H": spread[far], "p": sd_p / voice.hammer.p}, (1.0, 3.0))
+    document["invariants"]["F/M_S"] = force_entry(voice, at, e)
+    document["parameters"]["v_H0"]["status"] = "fitted"
+    for take in document["takes"]:
+        take |= {"v_H0_status": "fitted", known: "given"}
+    (key,) = load_keys([write_fit(tmp_path, 60, document)])
+    assert key.velocities == (1.0, 3.0)  # nothing is put on another scale
+    assert key.sd["K/M_S"] == pytest.approx(spread[near], rel=1e-6)
+
+
+def test_files_of_the_first_schema_are_still_understood(tmp_path):
+    voice = true_voice(60)
+    document = fit_document(voice, ERRORS | {"K_H": math.hypot(0.05, 0.1 * math.log(1e3)), "p": 0.1 / voice.hammer.p})
+    new = {name: document.pop(name) for name in ("claims", "invariants", "minima")}
+    old = document | {"schema": 1, "verdict": new["claims"]}
+    old["derived"] = {"max_compression_mm": 1.0, "felt_force_relative_error": 0.05}
+    for entry in old["parameters"].values():
+        entry["status"] = "free"
+    for gain, velocity, velocities in (
+        ("free", "assumed", (0.7, 1.7, 4.0)),
+        ("fixed", "free", (0.35, 0.85, 2.0)),
+        ("free", "fixed", (0.35, 0.85, 2.0)),
+    ):  # fmt: skip
+        takes = [
+            take | {"gain_status": gain, "v_H0_status": velocity, "v_H0": 0.5 * take["v_H0"]} for take in old["takes"]
+        ]
+        (key,) = load_keys([write_fit(tmp_path, 60, old | {"takes": takes})])
+        assert key.velocities == pytest.approx(velocities)
+        scale = key.velocities[-1] / 2.0
+        away = math.log(reference_compression(60) / (1e-3 * scale))
+        assert key.sd["K/M_S"] == pytest.approx(math.hypot(0.05, 0.1 * away), rel=1e-6)
 
 
 def test_a_blow_at_two_microphones_is_one_layer_and_the_gain_is_that_of_the_path(tmp_path):

@@ -17,11 +17,11 @@ SOURCE = ROOT / "src" / "pianofit"
 FILES = sorted(SOURCE.rglob("*.py"))
 LAYERS = (
     "errors", "parameters", "published", "recording", "json_file", "setup_file", "analysis", "initial", "model",
-    "criterion", "voice", "paper", "fit", "render", "predict", "report", "twin", "laboratory", "reproduce",
-    "workflow", "batch", "instrument", "demo", "summary", "options", "terminal", "commands_batch",
+    "criterion", "voice", "inference", "paper", "fitting", "render", "predict", "report", "twin", "laboratory",
+    "reproduce", "workflow", "batch", "instrument", "demo", "summary", "options", "terminal", "commands_batch",
     "commands_instrument", "cli", "__main__",
 )  # fmt: skip
-WITH_JAX = ("model", "criterion", "paper", "fit", "render", "predict")
+WITH_JAX = ("model", "criterion", "inference", "paper", "render", "predict")
 HEAVY = ("jax", "scipy", "matplotlib", "soundfile", "jinja2")
 LONGEST = 400  # lines
 

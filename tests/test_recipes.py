@@ -216,11 +216,11 @@ def test_no_interval_is_claimed_and_that_is_said():
     whole = json.loads(json.dumps(document(evaluations=FEW), allow_nan=False))
     assert whole["recipe"] == "paper"
     assert all(p["interval"] is None for p in whole["parameters"].values())
-    assert {p["status"] for p in whole["parameters"].values()} <= {"free", "fixed", "at-bound"}
-    assert whole["derived"]["felt_force_relative_error"] is None
+    assert {p["status"] for p in whole["parameters"].values()} <= {"fitted", "given", "at-bound"}
+    assert (whole["invariants"], whole["minima"]) == ({}, [])
     assert set(messages) <= set(whole["messages"])
     assert not any("intervals include" in said for said in whole["messages"])
-    assert whole["verdict"] == opening
+    assert whole["claims"] == opening
     for name in FIT_NAMES:
         assert whole["parameters"][name]["initial"] == setup().initial[name]
 
@@ -237,7 +237,7 @@ def test_values_at_a_bound_are_said():
     bound = [name for name, p in whole["parameters"].items() if p["status"] == "at-bound"]
     assert set(bound) & set(bounded().bounds)
     assert any(all(name in said for name in bound) for said in whole["messages"])
-    assert all(whole["parameters"][name]["status"] == "fixed" for name in bounded().known)
+    assert all(whole["parameters"][name]["status"] == "given" for name in bounded().known)
 
 
 def test_an_uncalibrated_recording_leaves_the_felt_unknown():
@@ -245,8 +245,8 @@ def test_an_uncalibrated_recording_leaves_the_felt_unknown():
     states = {name: p["status"] for name, p in whole["parameters"].items()}
     assert all(states[name] == "not-identifiable" for name in ("K_H", "mu", "p"))
     assert states["v_H0"] == "assumed"
-    assert whole["verdict"] == claims("paper", calibrated=False)[0]
-    assert "does not fix the felt" in whole["verdict"]
+    assert whole["claims"] == claims("paper", calibrated=False)[0]
+    assert "does not fix the felt" in whole["claims"]
 
 
 def test_a_band_without_partials_is_said():

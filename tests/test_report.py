@@ -14,14 +14,15 @@ import soundfile as sf
 from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.image import imread
-from report_cases import NAMES, Page, example_curves, example_fit
+from report_cases import NAMES, Page, example_curves, example_fit, minimum
 from scipy.signal import lfilter
 
 from pianofit.errors import OutputError
+from pianofit.inference.statements import STATUSES
 from pianofit.report.figures import write_picture
 from pianofit.report.page import Curves, write_report
 from pianofit.report.sound import k_weighted_mean_square, make_clips
-from pianofit.report.words import number, rows
+from pianofit.report.words import STATUS, invariants, minima, number, rows
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +82,7 @@ def test_hostile_text_stays_text(tmp_path, curves):
             return {key: hostile(entry) for key, entry in value.items()}
         if isinstance(value, list):
             return [hostile(entry) for entry in value]
-        return HOSTILE if isinstance(value, str) and value not in ("free", "at-bound", "assumed", "fixed") else value
+        return HOSTILE if isinstance(value, str) and value not in STATUSES else value
 
     tame = Page(written(tmp_path, example_fit(), curves))
     fit = hostile(example_fit())
@@ -98,12 +99,12 @@ def test_hostile_text_stays_text(tmp_path, curves):
     assert "{{ 7 * 7 }}" in page.text
 
 
-def test_verdict_comes_first_and_plainly(tmp_path, curves):
+def test_claims_come_first_and_plainly(tmp_path, curves):
     page = Page(written(tmp_path, example_fit(), curves))
     body = page.text[page.text.index("A string and a hammer") :]
     order = [body.index(words) for words in (
         "Read this first", "One uncalibrated recording does not fix the felt", "Error of the partials’ levels",
-        "A path alone does as well", "The hammer velocity was not measured", "Listen")]  # fmt: skip
+        "A path alone does as well", "The string's length was not given", "Listen")]  # fmt: skip
     assert order == sorted(order)
     assert "The search converged." in body
     assert "Not converged" not in body
@@ -111,22 +112,22 @@ def test_verdict_comes_first_and_plainly(tmp_path, curves):
     assert "explains more of the levels than a path alone" in Page(written(tmp_path, better, curves)).text
 
 
-@pytest.mark.parametrize("verdict", ["", "The felt is not fixed."])
-def test_a_fit_that_failed_says_so(tmp_path, curves, verdict):
-    fit = example_fit(verdict=verdict, converged=False)
+@pytest.mark.parametrize("claims", ["", "The felt is not identified."])
+def test_a_fit_that_failed_says_so(tmp_path, curves, claims):
+    fit = example_fit(claims=claims, converged=False)
     fit["criterion"]["global"] = {"initial": 0.1, "final": 0.13}
     text = Page(written(tmp_path, fit, curves)).text
-    order = [text.index(words) for words in ([verdict] if verdict else []) + ["Not converged", "Worse than the start"]]
+    order = [text.index(words) for words in ([claims] if claims else []) + ["Not converged", "Worse than the start"]]
     assert order == sorted(order)
     assert "✓" not in text
     assert "1.3 times larger (+1.1 dB)" in text
 
 
 def test_a_clean_fit_says_so(tmp_path, curves):
-    fit = example_fit(verdict="")
-    fit["parameters"] = {"c": fit["parameters"]["c"]}
+    fit = example_fit(claims="")
+    fit["parameters"] = {"b1": fit["parameters"]["b1"]}
     text = Page(written(tmp_path, fit, curves)).text
-    assert "✓ Converged The search settled." in text
+    assert "✓ Converged The search converged." in text
     assert "mind the marks" not in text
     assert "⚠" not in text
 
@@ -145,6 +146,8 @@ def test_criterion_levels_and_statuses_in_words(tmp_path, curves):
         "(0.81 to 1.49) × 10¹⁰",
         "▲ at-bound",
         "◇ assumed",
+        "◐ scaled",
+        "■ given",
         "✕ not-identifiable",
         "rests on an assumed length of 1 m",
     ):
@@ -152,6 +155,44 @@ def test_criterion_levels_and_statuses_in_words(tmp_path, curves):
     drawn = [base64.b64decode(image["src"].split(",")[1]).decode() for image in Page(html_text).all("img")]
     assert "band 1, left out" in drawn[0]
     assert "band 2: partials 2 to 8" in drawn[0]
+
+
+def test_every_status_of_a_fit_has_a_mark():
+    assert tuple(STATUS) == STATUSES
+    assert len({mark for mark, _ in STATUS.values()}) == len(STATUSES)
+
+
+def test_invariants_come_before_the_values_that_rest_on_guesses(tmp_path, curves):
+    text = Page(written(tmp_path, example_fit(), curves)).text.replace("\u00a0", " ")
+    order = [text.index(words) for words in (
+        "What no assumption enters", "f 0 pitch of the flexible string 92.331 Hz 92.321 to 92.341",
+        "M H / M S mass of the hammer over that of the string 0.920 0.893 to 0.948", "x 0 / L", "118 N/kg 112 to 124 "
+        "static force of the felt at 0.5 mm, at the reference velocity shown", "In SI units", "◐ scaled",
+        "184.661 m/s")]  # fmt: skip
+    assert order == sorted(order)
+    without = Page(written(tmp_path, example_fit(invariants={}), curves)).text
+    assert "What no assumption enters" not in without
+    assert "In SI units" not in without
+
+
+def test_minima_are_listed_by_what_differs_where_there_are_several(tmp_path, curves):
+    one = example_fit(minima=[minimum(1.0, 0.0)])
+    assert minima(one) is None
+    assert "Minima of the objective" not in Page(written(tmp_path, one, curves)).text
+    two = example_fit(minima=[minimum(0.7, 0.0), minimum(0.3, 1.25)])
+    found = minima(two)
+    assert [name for name, _ in found["names"]] == ["K_H", "p"]
+    text = Page(written(tmp_path, two, curves)).text.replace("\u00a0", " ")
+    assert "70 % 0 1.1 × 10¹⁰ 2.56 4, 2, 1.33 30 % 1.2 2.475 × 10¹⁰ 2.435 4, 2, 1.33" in text
+    assert minima({"minima": [{}, {"parameters": None, "share": "x"}]})["rows"][1]["share"] == "–"
+
+
+def test_a_ratio_of_velocities_names_the_strokes_file():
+    ratio = {"v/v_ref 2": {"value": 0.5, "unit": "1", "interval": [0.4, 0.6], "note": "/a folder/soft.wav"}}
+    (row,) = invariants({"invariants": ratio})
+    assert (row["name"], row["note"]) == ("v/v_ref", "soft.wav")
+    (row,) = invariants({"invariants": {"a/b": {"value": None}}})
+    assert (row["name"], row["value"], row["interval"]) == ("a/b", "–", "")
 
 
 def nothing(array):
@@ -192,7 +233,9 @@ def test_fit_of_nothing_known(tmp_path, curves):
     assert written(tmp_path, dict.fromkeys(example_fit()), curves)
     nothing_known = {"criterion": {"dropped": ["band1", "band3"]}, "levels": {"fitted_db": None}}
     fit = example_fit(**nothing_known, derived={"f0": float("nan")}, takes=[{"file": "a.wav", "onset_s": None}])
-    fit["parameters"] = {name: {"value": None, "interval": [None, 1.0], "status": "free"} for name in fit["parameters"]}
+    fit["parameters"] = {
+        name: {"value": None, "interval": [None, 1.0], "status": "fitted"} for name in fit["parameters"]
+    }
     assert "nan" not in Page(written(tmp_path, fit, curves)).text.split("All numbers of this fit")[0].lower()
 
 

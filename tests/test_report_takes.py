@@ -15,7 +15,7 @@ import soundfile as sf
 from report_cases import Page, example_curves, example_fit, example_held_out, fit_of_takes, with_takes
 from scipy.signal import resample_poly
 
-from pianofit.fit.space import NAMES
+from pianofit.inference.coordinates import VALUES as NAMES
 from pianofit.parameters import Geometry, Hammer, MemoryHammer, String
 from pianofit.report.build_felt import felt_of, known_of
 from pianofit.report.build_takes import paths_of, strikes_of, takes_of
@@ -59,7 +59,7 @@ def test_page_shows_all_takes_and_what_was_left_out(tmp_path, curves):
         "Between the velocities", "from the softest take’s velocity to the loudest’s", "take-2.flac, 0.6 m/s",
         "take-3.flac 2.1 m/s 2.16 m/s 23 1.75 dB 4.5 dB –", "take-2.flac 1.4 m/s 1.44 m/s 22 1.5 dB 4 dB 0.875 dB",
         "median error is 1.5 dB, the largest 1.62 dB", "What the body and the microphone did",
-        "Ratios of the takes’ velocities (the least certain ± 10 %)",
+        "Ratios of the strokes’ velocities (the least certain ± 10 %)", "70 % 0 1.1 × 10¹⁰ 2.56", "take-3.flac",
     ):  # fmt: skip
         assert words in page.text.replace("\u00a0", " "), words
     drawn = [base64.b64decode(image["src"].split(",")[1]).decode() for image in page.all("img")]
@@ -69,7 +69,7 @@ def test_page_shows_all_takes_and_what_was_left_out(tmp_path, curves):
 
 
 def test_picture_of_what_is_known_says_the_numbers_it_was_given(tmp_path, curves):
-    reaches = (("f0", 1.2e-8, True), ("F", 0.05, True), ("K_H", 8.348, False), ("b1", 300.0, False))
+    reaches = (("f0", 1.2e-8, True), ("F/M_S", 0.05, True), ("K_H", 8.348, False), ("b1", 300.0, False))
     known = dataclasses.replace(curves.known, reaches=reaches)
     page = Page(written(tmp_path, fit_of_takes(), dataclasses.replace(curves, known=known)))
     (image,) = [image for image in page.all("img") if "correlations" in image["alt"]]
@@ -164,16 +164,24 @@ def test_page_stands_what_takes_may_lack(tmp_path, curves, case):
 
 # ---- arrays from a fit ----
 
-VALUES = dict(zip(NAMES, (180.0, 0.9, 0.5, 4e-4, 5e9, 0.2, 2.5, 6e-3, 3.0, 0.12, 0.02, 0.3, 2e-4), strict=True))
+VALUES = dict(zip(NAMES, (180.0, 0.9, 0.5, 4e-4, 5e9, 2.5, 0.2, 6e-3, 0.12, 0.02, 0.3, 2e-4), strict=True))
 GEOMETRY = Geometry(1.0, 0.02, 0.12, 0.02, 0.3)
 
 
-def covariance(names, seed=4, size=0.01):
-    """A random one of the logarithms of `names`."""
-    factor = np.zeros((len(NAMES), len(NAMES)))
+def covariance(names, strokes, seed=4, size=0.01):
+    """A random one of the logarithms of `names`, then of the strokes' velocities."""
+    factor = np.zeros((len(NAMES) + strokes, len(NAMES) + strokes))
     rows = [NAMES.index(name) for name in names]
     factor[np.ix_(rows, rows)] = np.random.default_rng(seed).normal(0, size, (len(rows), len(rows)))
     return factor @ factor.T
+
+
+def scaled_by_velocity(cov):
+    """The same with the velocities' common scale s, log s ~ N(0, 1): K_H goes as s^(1-p), μ as 1/s."""
+    change = np.zeros(len(cov))
+    change[NAMES.index("K_H")], change[NAMES.index("mu")] = 1 - VALUES["p"], -1.0
+    change[len(NAMES) :] = 1.0
+    return cov + np.outer(change, change)
 
 
 def fake_fit(velocities=(3.0, 0.75, 1.5), first=0, memory=False, free=("c", "kappa", "K_H", "p", "M_H")) -> Any:
@@ -185,18 +193,21 @@ def fake_fit(velocities=(3.0, 0.75, 1.5), first=0, memory=False, free=("c", "kap
         voice = Voice(string, MemoryHammer(*hammer, 0.3, 2e-4) if memory else hammer, GEOMETRY, "velocity", 2.0, None)
         samples, simulation = voice.play(22050, 22050)
         number = np.arange(1, 6 + i)
-        data = SimpleNamespace(
-            partials=SimpleNamespace(number=number, level_error=np.full(len(number), 0.1)),
-            level=np.zeros(30), found=len(number),
-        )  # fmt: skip
         fitted = SimpleNamespace(voice=voice, samples=samples, simulation=simulation, level=np.zeros(len(number)))
-        recording = SimpleNamespace(rate=22050, onset=100 * i, samples=samples)
-        takes.append(SimpleNamespace(data=data, fitted=fitted, recording=recording, levels={"fitted_db": 0.5}))
-    table = {name: {"interval": [0.9, 1.1]} for name in free}
-    document = {"parameters": table, "takes": [{"group": 0} for _ in takes]}
+        takes.append(SimpleNamespace(
+            partials=SimpleNamespace(number=number, level_error=np.full(len(number), 0.1)), level=np.zeros(len(number)),
+            fitted=fitted, recording=SimpleNamespace(rate=22050, onset=100 * i, samples=samples),
+            levels={"fitted_db": 0.5},
+        ))  # fmt: skip
+    table = {name: {"interval": [0.9, 1.1], "status": "fitted"} for name in free}
+    invariants = {"f0": {"interval": [99.0, 101.0]}, "x0/L": {"interval": None}, "F/M_S": {"interval": [80.0, 125.0]}}
+    document = {
+        "parameters": table, "invariants": invariants,
+        "takes": [{"group": 0, "strike": i} for i, _ in enumerate(takes)],
+    }  # fmt: skip
     return SimpleNamespace(
-        document=document, takes=tuple(takes), first=first, covariance=covariance(free), fitted=takes[first].fitted,
-        recording=takes[first].recording,
+        document=document, takes=tuple(takes), first=first, covariance=covariance(free, len(velocities)),
+        fitted=takes[first].fitted, recording=takes[first].recording,
     )  # fmt: skip
 
 
@@ -206,7 +217,7 @@ def test_the_felts_band_is_what_chance_gives(memory):
     felt = felt_of(result)
     deepest = max(np.max(take.fitted.simulation.pulse.compression) for take in result.takes)
     assert felt.compression[-1] == pytest.approx(1e3 * float(deepest))
-    drawn = np.random.default_rng(0).multivariate_normal(np.zeros(len(NAMES)), result.covariance, 40_000)
+    drawn = np.random.default_rng(0).multivariate_normal(np.zeros(len(result.covariance)), result.covariance, 40_000)
     value = {name: VALUES[name] * np.exp(drawn[:, i]) for i, name in enumerate(NAMES)}
     for at in (0, 20, 47):
         force = value["K_H"] * (1e-3 * felt.compression[at]) ** value["p"]
@@ -220,23 +231,29 @@ def test_the_felts_band_is_what_chance_gives(memory):
     assert (felt.slow is None) != memory
 
 
-def test_how_well_things_are_known_is_what_chance_gives():
+def test_how_well_things_are_known_is_what_the_intervals_say():
     result = fake_fit()
     known = known_of(result)
     assert known is not None
     assert known.names == ("c", "kappa", "K_H", "p", "M_H")
-    drawn = np.random.default_rng(1).multivariate_normal(np.zeros(len(NAMES)), result.covariance, 40_000)
-    log = {name: drawn[:, i] for i, name in enumerate(NAMES)}
-    u = float(np.max(result.fitted.simulation.pulse.compression))
-    expected = {
-        "f0": log["c"], "B": 2 * log["kappa"] - 2 * log["c"], "M_H/M_S": log["M_H"], "K_H": log["K_H"], "p": log["p"],
-        "F": log["K_H"] + VALUES["p"] * np.exp(log["p"]) * np.log(u) - VALUES["p"] * np.log(u),
-    }  # fmt: skip
-    assert [name for name, *_ in known.reaches] == ["f0", "B", "M_H/M_S", "F", "K_H", "p"]  # x0 was not free
-    for name, reach, _ in known.reaches:
-        assert reach == pytest.approx(1.96 * np.std(expected[name]), rel=0.06), name
-    seen = np.corrcoef([log[name] for name in known.names])
+    expected = [("f0", 101 / 99, True), ("F/M_S", 125 / 80, True), ("K_H", 1.1 / 0.9, False), ("p", 1.1 / 0.9, False)]
+    assert [(name, told) for name, _, told in known.reaches] == [(name, told) for name, _, told in expected]
+    np.testing.assert_allclose([reach for _, reach, _ in known.reaches], [0.5 * np.log(x) for _, x, _ in expected])
+    drawn = np.random.default_rng(1).multivariate_normal(np.zeros(len(result.covariance)), result.covariance, 40_000)
+    seen = np.corrcoef([drawn[:, NAMES.index(name)] for name in known.names])
     np.testing.assert_allclose(known.correlation, seen, atol=0.02)
+
+
+def test_an_unmeasured_scale_of_velocities_hides_nothing_of_the_felt():
+    plain, scaled = fake_fit(), fake_fit()
+    scaled.covariance = scaled_by_velocity(plain.covariance)
+    scaled.document["parameters"]["v_H0"] = {"interval": [1.0, 9.0], "status": "scaled"}
+    wide = fake_fit()
+    wide.covariance = scaled.covariance
+    np.testing.assert_allclose(felt_of(scaled).force, felt_of(plain).force, rtol=1e-6)
+    assert np.log(felt_of(wide).force[2, 20] / felt_of(plain).force[2, 20]) > 1
+    assert known_of(scaled).names == known_of(plain).names  # μ moves with the scale alone
+    np.testing.assert_allclose(known_of(scaled).correlation, known_of(plain).correlation, atol=1e-6)
 
 
 def test_a_fit_without_intervals_claims_no_band():
@@ -280,7 +297,7 @@ def test_every_take_comes_with_its_own_loop_and_place():
         pulse = heard.fitted.simulation.pulse
         assert np.nanmax(take.compression) == pytest.approx(1e3 * float(np.max(pulse.compression)), rel=1e-2)
         assert np.nanmax(take.force) == pytest.approx(float(np.max(pulse.force)), rel=1e-2)
-        assert len(take.level) == len(take.number) == heard.data.found
+        assert len(take.level) == len(take.number) == len(heard.partials.number)
         assert take.onset == heard.recording.onset / 22050
     assert paths_of(result) == ()
 
@@ -288,54 +305,85 @@ def test_every_take_comes_with_its_own_loop_and_place():
 # ---- words ----
 
 
-def said(fit, **reach):
-    known = Known((), np.zeros((0, 0)), tuple((name.replace("_over_", "/"), r, True) for name, r in reach.items()))
-    return {
-        heading.split(",")[0]: " ".join(sentences).replace("\u00a0", " ") for heading, sentences in told(fit, known)
-    }
+def said(fit):
+    return {heading.split(",")[0]: " ".join(sentences).replace("\u00a0", " ") for heading, sentences in told(fit)}
+
+
+def reaching(entry, reach):
+    """An entry whose 95 % interval has half this width, as a logarithm."""
+    return entry | {"interval": [entry["value"] * np.exp(-reach), entry["value"] * np.exp(reach)]}
+
+
+def fit_reaching(**reach):
+    fit = example_fit()
+    for name, one in reach.items():
+        key = name.replace("_over_", "/")
+        fit["invariants"][key] = reaching(fit["invariants"][key], one)
+    return fit
 
 
 def test_what_is_fixed_and_what_is_not_is_said():
-    fit = example_fit()
-    fit["derived"] |= {"M_H/M_S": 0.92, "x0/L": 0.12, "felt_force_N": 30.0}
+    fit = fit_reaching(f0=1e-4, B=0.02, F_over_M_S=0.05, M_H_over_M_S=0.03)
     fit["diagnostics"] = {"correlated": [{"pair": ["K_H", "mu"], "correlation": -0.9912}]}
-    fit["parameters"]["p"] = fit["parameters"]["p"] | {"interval": [2.0, 3.0], "status": "free"}
-    words = said(fit, f0=1e-4, B=0.02, F=0.05, K_H=0.9, M_H_over_M_S=0.03)
+    fit["parameters"]["K_H"] = reaching(fit["parameters"]["K_H"], 0.9)
+    fit["parameters"]["p"] = fit["parameters"]["p"] | {"interval": [2.0, 3.0], "status": "fitted"}
+    words = said(fit)
     fixed, not_fixed = words["Fixed by the data"], words["Not fixed by the data"]
     for part in (
-        "f₀ = 92.331 Hz (± 0.17 cents)", "B = 2.3 × 10⁻⁴ (± 2 %)", "30 N (± 5 %)", "0.65 mm",
-        "known to a factor of 2.5", "M_H/M_S = 0.92 (± 3 %)", "rest on the assumed mass",
+        "f₀ = 92.331 Hz (± 0.17 cents)", "B = 2.3 × 10⁻⁴ (± 2 %)", "F/M_S = 118 N/kg (± 5 %)",
+        "at 0.5 mm, at the reference velocity shown, over the mass", "known to a factor of 2.5",
+        "M_H/M_S = 0.92 (± 3 %)", "rest on the assumed mass",
+        "the common scale of the velocities, which was not measured",
     ):  # fmt: skip
-        assert part in fixed
+        assert part in fixed, part
     assert "x0/L" not in fixed  # it was given
     for part in (
         "K_H and μ apart: they can move against each other (correlation −0.9912)", "At the edge of their range",
-        "K_H v_H0ᵖ⁻¹ and μ v_H0 stay", "length and mass: only ratios to them",
+        "K_H vᵖ⁻¹ and μ v stay", "length and mass: only ratios to them",
     ):  # fmt: skip
-        assert part in not_fixed
+        assert part in not_fixed, part
     assert set(words) == {"Fixed by the data", "Not fixed by the data"}
     remembering = said(fit | {"felt": "stulov"})["Not fixed by the data"]
-    assert "another one K_H and the gain change along, so that K_H v_H0ᵖ⁻¹ stays" in remembering
+    assert "all of them faster, K_H and the gain change along, so that K_H vᵖ⁻¹ stays" in remembering
 
 
-def test_what_the_verdict_doubts_is_not_called_fixed():
+@pytest.mark.parametrize("known", ["gain_status", "v_H0_status"])
+def test_no_scale_is_open_where_gain_or_velocity_were_given(known):
+    fit = fit_of_takes()
+    fit["parameters"]["v_H0"] |= {"status": "fitted"}
+    for take in fit["takes"]:
+        take[known] = "given"
+    words = said(fit)
+    assert "Velocities of the strokes (the least certain ± 10 %)" in words["Fixed by the data"]
+    assert "common scale" not in " ".join(words.values())
+
+
+def test_a_scale_is_open_where_not_even_ratios_are_identified():
     fit = example_fit()
-    fit["derived"] |= {"M_H/M_S": 0.92, "felt_force_N": 30.0}
+    fit["parameters"]["v_H0"] |= {"status": "not-identifiable"}
+    assert "The common scale of the velocities" in said(fit)["Not fixed by the data"]
+    fit["takes"][0]["gain_status"] = "given"
+    assert "common scale" not in said(fit)["Not fixed by the data"]
+
+
+def test_what_the_claims_doubt_is_not_called_fixed():
+    fit = fit_reaching(F_over_M_S=0.05, M_H_over_M_S=0.03)
     for name in ("K_H", "mu", "p", "M_H"):
         fit["parameters"][name] = {"status": "not-identifiable", "interval": [1.0, 1.1]}
-    words = said(fit, F=0.05, M_H_over_M_S=0.03)
-    assert "Fixed by the data" not in words
+    words = said(fit)
     within = words["Fixed only if the model and its path are all there is"]
-    assert "30 N" in within
+    assert "118 N/kg" in within
     assert "M_H/M_S" in within
+    assert "118 N/kg" not in words["Fixed by the data"]
+    assert "M_H/M_S" not in words["Fixed by the data"]
     assert "Not identifiable by themselves: K_H, μ, p, M_H." in words["Not fixed by the data"]
-    vague = said(fit, F=1.5, M_H_over_M_S=12.0)
-    assert set(vague) == {"Not fixed by the data"}
-    assert "to a factor of 4.5" in vague["Not fixed by the data"]
-    assert "to many powers of ten" in vague["Not fixed by the data"]
+    vague = fit_reaching(F_over_M_S=1.5, M_H_over_M_S=12.0) | {"parameters": fit["parameters"]}
+    assert "Fixed only if" not in " ".join(said(vague))
+    assert "to a factor of 4.5" in said(vague)["Not fixed by the data"]
+    assert "to many powers of ten" in said(vague)["Not fixed by the data"]
 
 
 def test_nothing_known_is_nothing_said():
-    assert told({}, None) == []
+    assert told({}) == []
     assert held_out_rows(None) is None
     assert held_out_rows({"takes": []}) is None

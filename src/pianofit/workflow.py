@@ -161,8 +161,7 @@ def fit_files(
 ) -> Result:
     """Fit one recording, or several of one key, and write `OUTPUTS` to the folder `out`; the page comes last.
 
-    Of several, `initial.wav` and `fitted.wav` are those of the first take, on which the others' velocities rest, and
-    `fitted-NAME.wav` is every take's own.
+    Of several, `initial.wav` and `fitted.wav` are those of the reference, and `fitted-NAME.wav` is each one's own.
 
     Raises
     ------

@@ -8,7 +8,7 @@ from ..analysis import Partials
 from ..criterion import OutputPath
 from ..parameters import FIT_NAMES, MEMORY_NAMES
 from ..voice import Voice, lag, placed
-from .coordinates import NAMES, SHARED, STRING_SIZE, VALUES, WIDTH, P
+from .coordinates import FORCE, SHARED, STRING_SIZE, VALUES, WIDTH, P
 from .estimate import Estimate, beginning
 from .lanes import in_lanes, own_levels
 from .likelihood import latent
@@ -268,12 +268,13 @@ def invariants(problem: Problem, found: Estimate) -> dict:
         "B": _entry(held, 2 * kappa - 2 * c, (string[1] * np.pi / (string[0] * g.length)) ** 2, "1", "fitted", 0.0, ""),
         "M_H/M_S": _entry(held, mass, float(np.exp(log @ mass)) / g.mass, "1", "fitted", 0.0, ""),
         "x0/L": _entry(held, at, float(np.exp(log @ at)) / g.length, "1", "fitted", 0.0, ""),
-        "F/M_S": _entry(
-            held, force, float(np.exp(z[NAMES.index("force")])) / g.mass, "N/kg", "fitted", 0.0,
+    }
+    if u.free[FORCE]:  # a given K_H has no compression of reference
+        table["F/M_S"] = _entry(
+            held, force, float(np.exp(z[FORCE])) / g.mass, "N/kg", "fitted", 0.0,
             f"static force of the felt at {1e3 * np.exp(u.log_u):.3g} mm"
             + (", at the reference velocity shown" if scaled else ""),
-        ),
-    }  # fmt: skip
+        )  # fmt: skip
     for other in range(problem.layout.strokes):
         if other != stroke:
             ratio = unit[SHARED + other] - unit[SHARED + stroke]

@@ -39,8 +39,10 @@ NAMES = ("cents", "B", "b1", "d2", "M_H/M_S", "K/M_S", "p", "mu", "x0/L", "width
 # Standard deviations (of logarithms; cents for `cents`) where a fit gives no interval: what was given is given.
 UNTOLD = {"cents": 3.0, "width/L": 0.3, "L": 1e-3, "M_S/L": 1e-3, "pickup/L": 1e-3, "x0/L": 1e-2, "gain": 0.1}
 UNTOLD_OTHER = 0.1
-# Intervals of a fit that stopped before it settled count for this much more.
+# Intervals of a fit that stopped before it converged count for this much more.
 UNSETTLED = 2.0
+# What `fit.json` calls a velocity or a gain that was known; `fixed` in its first schema.
+KNOWN = ("given", "fixed")
 _KEY = re.compile(r"(.*?)[-_ ]?([A-Ga-g])([#sb♯♭]?)(-1|\d)")
 
 
@@ -195,7 +197,7 @@ def _load_key(file: Path) -> KeyFit:
     loud = max(own, key=lambda i: _positive(takes[i].get("v_H0"), f"takes[{i}].v_H0", name))
     gain = _positive(takes[loud].get("gain"), f"takes[{loud}].gain", name, signed=True)
     velocities = np.unique([_positive(take.get("v_H0"), f"takes[{i}].v_H0", name) for i, take in enumerate(takes)])
-    calibrated = any(take.get("gain_status") == "fixed" or take.get("v_H0_status") == "fixed" for take in takes)
+    calibrated = any(take.get(key) in KNOWN for take in takes for key in ("gain_status", "v_H0_status"))
     if not isinstance(voice.hammer, Hammer):
         raise FitError(f"{name}: a felt with memory cannot be carried over a keyboard; fit with --felt hunt-crossley")
     # A felt without loss is one with next to none: the law is in log μ.
@@ -205,7 +207,7 @@ def _load_key(file: Path) -> KeyFit:
     levels = document.get("levels")
     error: Any = levels.get("fitted_db") if isinstance(levels, dict) else None
     converged = document.get("converged") is True
-    told = _deviations(document, voice, midi, converged)
+    told = _deviations(document, voice, midi, converged, scale)
     return KeyFit(
         midi, name, voice._replace(hammer=hammer, gain=gain / scale), told, tuple((velocities * scale).tolist()),
         float(error) if _finite(error) else None, converged, len(takes),
@@ -232,14 +234,14 @@ def _positive(x: Any, key: str, name: str, *, signed: bool = False) -> float:
     return float(x)
 
 
-def _deviations(document: dict, voice: Voice, midi: int, converged: bool) -> dict[str, float]:
+def _deviations(document: dict, voice: Voice, midi: int, converged: bool, scale: float) -> dict[str, float]:
     """Standard deviations of `invariants` (logarithms; cents), from the 95 % intervals."""
     s = {name: _spread(document["parameters"].get(name)) for name in (*FIT_NAMES, "x0")}
     told: dict[str, float | None] = {
         "cents": None if s["c"] is None else 1200 / math.log(2) * s["c"],
         "B": None if s["kappa"] is None else 2 * math.hypot(s["kappa"], s["c"] or 0.0),
         "b1": s["b1"], "d2": s["b2"], "M_H/M_S": s["M_H"], "p": s["p"], "mu": s["mu"], "x0/L": s["x0"],
-        "K/M_S": _felt_spread(s, document.get("derived"), voice, midi),
+        "K/M_S": _felt_spread(s, document, voice, midi, scale),
     }  # fmt: skip
     wider = 1.0 if converged else UNSETTLED
     found = {name: told.get(name) for name in NAMES}
@@ -254,19 +256,40 @@ def _spread(entry: Any) -> float | None:
     return math.log(span[1] / span[0]) / (2 * 1.96)
 
 
-def _felt_spread(s: dict[str, float | None], derived: Any, voice: Voice, midi: int) -> float | None:
-    """Of log K(u_ref): K_H and p trade off, and how much the error of the force at the largest compression tells.
+def _felt_spread(s: dict[str, float | None], document: dict, voice: Voice, midi: int, scale: float) -> float | None:
+    """Of log K(u_ref), on the scale of `LOUDEST`: the felt is known best where strokes press it.
 
-    var log(K_H u^p) = var log K_H + ln²u var p + 2 ln u cov, at u_max for the covariance, then at u_ref.
+    From the compression u at which its force has the error e to u_ref,
+
+        var log K(u_ref) = e² + ln²(u_ref/u) var p + 2 ln(u_ref/u) cov(log F, p),
+
+    and var log K_H says the covariance, unless the velocities' common scale is in it: then there is none, since u is
+    where force and exponent part.
     """
-    if s["K_H"] is None or s["p"] is None or not isinstance(derived, dict):
+    there = _force_error(document, voice)
+    if s["K_H"] is None or s["p"] is None or there is None:
         return s["K_H"]
-    u, error = derived.get("max_compression_mm"), derived.get("felt_force_relative_error")
-    if not (_finite(u) and _finite(error) and 0 < u < 1000):  # type: ignore[operator]
-        return s["K_H"]
-    k, p = s["K_H"], s["p"] * float(voice.hammer.p)
-    at = math.log(1e-3 * u)  # type: ignore[operator]
-    covariance = (error**2 - k**2 - (at * p) ** 2) / (2 * at)  # type: ignore[operator]
-    covariance = float(np.clip(covariance, -k * p, k * p))
-    there = math.log(reference_compression(midi))
-    return math.sqrt(max(k**2 + (there * p) ** 2 + 2 * there * covariance, 1e-6))
+    at, error = math.log(there[0]), there[1]
+    p, covariance = s["p"] * float(voice.hammer.p), 0.0
+    velocity = document["parameters"].get("v_H0")
+    if not (isinstance(velocity, dict) and velocity.get("status") == "scaled"):
+        covariance = (error**2 + (at * p) ** 2 - s["K_H"] ** 2) / (2 * at)
+        covariance = float(np.clip(covariance, -error * p, error * p))
+    away = math.log(reference_compression(midi)) - at - math.log(scale)
+    return math.sqrt(max(error**2 + (away * p) ** 2 + 2 * away * covariance, 1e-6))
+
+
+def _force_error(document: dict, voice: Voice) -> tuple[float, float] | None:
+    """Where the felt's force is known best: the compression, m, and the standard deviation of the force's logarithm."""
+    invariants, derived = (x if isinstance(x, dict) else {} for x in map(document.get, ("invariants", "derived")))
+    entry: Any = invariants.get("F/M_S")
+    error: Any = _spread(entry)
+    if error is not None and _finite(entry.get("value")) and entry["value"] > 0:
+        h = voice.hammer
+        u = float((entry["value"] * voice.geometry.mass / h.K_H) ** (1 / h.p))
+    else:  # the first schema
+        deepest, error = (derived.get(key) for key in ("max_compression_mm", "felt_force_relative_error"))
+        if not (_finite(deepest) and _finite(error)):
+            return None
+        u = 1e-3 * float(deepest)  # type: ignore[arg-type]
+    return (u, error) if 0 < u < 1 and error > 0 else None

@@ -1,4 +1,4 @@
-"""From the covariance of a fit to the felt's band, to how well each thing is known, and to correlations.
+"""From a fit's intervals and covariance to the felt's band, to how well each thing is known, and to correlations.
 
 The covariance is that of logarithms, so what is a product of powers is known to the length of one vector: the felt's
 static force K_H u^p at compression u has log F = log K_H + p log u, whose change with log p is p log u.
@@ -12,12 +12,17 @@ from ..inference import Result
 from ..inference.coordinates import VALUES as NAMES
 from ..parameters import MemoryHammer
 from .curves import Felt, Known
+from .known import half_interval
 
 __all__ = ["felt_of", "has_intervals", "known_of"]
 
 NORMAL = 1.96
 POINTS = 48
 FARTHEST = 300.0  # of an exponent
+# A variance below this share of what it was is rounding.
+HELD = 1e-10
+# Parameters that an invariant stands for.
+COMBINED = ("c", "kappa", "M_H", "x0")
 
 
 def has_intervals(result: Result) -> bool:
@@ -42,8 +47,18 @@ def felt_of(result: Result) -> Felt:
 
 
 def _shared(result: Result) -> np.ndarray:
-    """The covariance of what all strokes share."""
-    return result.covariance[: len(NAMES), : len(NAMES)]
+    """The covariance of what all strokes share: gauge-fixed at the reference velocity, where no velocity was measured.
+
+    One common scale of the velocities, known by its prior alone, would else hide what the recordings say of the felt.
+    """
+    cov = result.covariance
+    if result.document["parameters"].get("v_H0", {}).get("status") == "scaled":
+        held = len(NAMES) + result.document["takes"][result.first]["strike"]
+        if cov[held, held] > 0:
+            cov = cov - np.outer(cov[held], cov[held]) / cov[held, held]
+            # What the scale alone moved is held now, but for rounding.
+            cov = np.where(np.diag(cov) > HELD * np.diag(result.covariance), cov, 0.0)
+    return cov[: len(NAMES), : len(NAMES)]
 
 
 def _band(value: np.ndarray, change: np.ndarray, cov: np.ndarray) -> np.ndarray:
@@ -63,26 +78,12 @@ def known_of(result: Result) -> Known | None:
     if not (has_intervals(result) and len(free)):
         return None
     sd = np.sqrt(np.diag(cov)[free])
-    names = tuple(NAMES[i] for i in free)
     correlation = np.clip(cov[np.ix_(free, free)] / np.outer(sd, sd), -1.0, 1.0)
-    rows = _combinations(result)
-    told = [(name, change, True) for name, change in rows.items()]
-    told += [(n, np.eye(len(NAMES))[NAMES.index(n)], False) for n in names if n not in ("c", "kappa", "M_H", "x0")]
-    reach = NORMAL * _deviation(np.array([change for _, change, _ in told]), cov)
-    return Known(names, correlation, tuple(
-        (name, float(r), combined) for (name, _, combined), r in zip(told, reach, strict=True) if r > 0
-    ))  # fmt: skip
-
-
-def _combinations(result: Result) -> dict[str, np.ndarray]:
-    """What follows from several parameters or needs no assumed scale, as changes of its logarithm [names]."""
-    hammer = result.fitted.voice.hammer
-    u = float(np.max(result.fitted.simulation.pulse.compression))
-    powers = {
-        "f0": {"c": 1.0},
-        "B": {"kappa": 2.0, "c": -2.0},
-        "M_H/M_S": {"M_H": 1.0},
-        "x0/L": {"x0": 1.0},
-        "F": {"K_H": 1.0, "p": float(hammer.p * np.log(u))},
-    }
-    return {name: np.array([power.get(n, 0.0) for n in NAMES]) for name, power in powers.items()}
+    document = result.document
+    entries = [(name, entry, True) for name, entry in document["invariants"].items()]
+    entries += [(name, entry, False) for name, entry in document["parameters"].items() if name not in COMBINED]
+    reaches = [(name, half_interval(entry), combined) for name, entry, combined in entries]
+    return Known(
+        tuple(NAMES[i] for i in free), correlation,
+        tuple((name, reach, combined) for name, reach, combined in reaches if reach is not None),
+    )  # fmt: skip

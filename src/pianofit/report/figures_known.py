@@ -19,7 +19,7 @@ __all__ = ["draw_felt", "draw_known"]
 SYMBOLS = {
     "kappa": "κ", "mu": "μ", "epsilon": "ε", "tau": "τ", "b1": "b₁", "b2": "b₂", "x0": "x₀", "f0": "f₀",
     "M_H": "$M_H$", "K_H": "$K_H$", "v_H0": "$v_{H0}$", "M_H/M_S": "$M_H/M_S$", "x0/L": "x₀/L",
-    "F": "felt force",
+    "F/M_S": "$F/M_S$",
 }  # fmt: skip
 WIDEST = 10.0  # half an interval, as a logarithm, beyond which a bar ends in an arrow: a factor of 22,000
 NARROWEST = 1e-12
@@ -91,12 +91,17 @@ def _reaches(axes: Axes, known: Known) -> None:
         axes.plot([left, value], [row, row], color=colour, lw=1.6, marker="o", ms=6.5, markevery=[1])
         axes.text(1.35 * value, row, _factor(told), va="center", fontsize=9, color=INK)
     axes.set(xscale="log", xlim=(left, 14 * max(reach)), ylim=(len(rows) - 0.4, -0.6))
-    axes.set_yticks(rows, [SYMBOLS.get(name, name) for name, *_ in known.reaches])
+    axes.set_yticks(rows, [_symbol(name) for name, *_ in known.reaches])
     axes.set_xticks([], minor=True)
     axes.tick_params(labelbottom=False, left=False, bottom=False)
     axes.grid(visible=False)
     axes.spines[["bottom", "left"]].set_visible(False)
     axes.set_title("How well it is known (95 %; logarithmic scale)")
+
+
+def _symbol(name: str) -> str:
+    stroke = name.removeprefix("v/v_ref ")
+    return SYMBOLS.get(name, name) if stroke == name else f"$v/v_{{ref}}$, {stroke}"
 
 
 def _factor(reach: float) -> str:

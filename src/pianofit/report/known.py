@@ -1,4 +1,4 @@
-"""What the data fix and what they do not, in words; and the takes that were left out, made ready for a table.
+"""What the data fix and what they do not, in words; and the recordings that were left out, made ready for a table.
 
 Every function takes what came from a file and leaves out what it does not say. Text is plain; the page escapes it.
 """
@@ -9,10 +9,9 @@ import math
 from typing import Any
 
 from ..parameters import DEFAULT_LAW, FELT_LAWS
-from .curves import Known
-from .words import number
+from .words import INVARIANTS, VELOCITY_RATIO, number
 
-__all__ = ["felt_scale", "held_out_rows", "told"]
+__all__ = ["felt_scale", "half_interval", "held_out_rows", "open_scale", "told"]
 
 FELT = ("K_H", "mu", "p", "epsilon", "tau")
 FIXED = "Fixed by the data, as far as the brackets say (95 %)"
@@ -21,17 +20,16 @@ WITHIN, OPEN = "Fixed only if the model and its path are all there is", "Not fix
 LOOSE = math.log(2.0)
 
 
-def told(fit: dict[str, Any], known: Known | None) -> list[tuple[str, list[str]]]:
+def told(fit: dict[str, Any]) -> list[tuple[str, list[str]]]:
     """(Heading, sentences): the combinations that are fixed, those that rest on the model, and what is not."""
-    reach = {} if known is None else {name: reach for name, reach, _ in known.reaches}
-    lists: dict[str, list[str]] = {FIXED: _string(fit, reach), WITHIN: [], OPEN: []}
-    felt = _felt_force(fit, reach)
+    lists: dict[str, list[str]] = {FIXED: _string(fit), WITHIN: [], OPEN: []}
+    felt = _felt_force(fit)
     if felt:
-        lists[OPEN if reach["F"] > LOOSE else WITHIN if _doubted(fit) else FIXED].append(felt)
-    mass = _ratio(fit, reach, "M_H/M_S", "Mass of the hammer over that of the string")
+        lists[OPEN if _reach(fit, "F/M_S") > LOOSE else WITHIN if _doubted(fit) else FIXED].append(felt)
+    mass = _ratio(fit, "M_H/M_S")
     if mass:
         lost = _status(fit, "M_H") == "not-identifiable"
-        lists[OPEN if reach["M_H/M_S"] > LOOSE else WITHIN if lost else FIXED].append(mass)
+        lists[OPEN if _reach(fit, "M_H/M_S") > LOOSE else WITHIN if lost else FIXED].append(mass)
     lists[FIXED] += _velocities(fit)
     lists[OPEN] += _not_told(fit)
     return [(heading, sentences) for heading, sentences in lists.items() if sentences]
@@ -49,6 +47,29 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
+def half_interval(entry: Any) -> float | None:
+    """Half of the 95 % interval of an entry's logarithm; None where there is none."""
+    span = entry.get("interval") if isinstance(entry, dict) else None
+    if not (isinstance(span, list | tuple) and len(span) == 2 and all(map(_is_number, span)) and 0 < span[0] < span[1]):
+        return None
+    return 0.5 * math.log(span[1] / span[0])
+
+
+def _reach(fit: dict[str, Any], name: str) -> float:
+    """Of an invariant; infinite where there is none."""
+    reach = half_interval((fit.get("invariants") or {}).get(name))
+    return math.inf if reach is None else reach
+
+
+def _value(fit: dict[str, Any], name: str) -> Any:
+    return ((fit.get("invariants") or {}).get(name) or {}).get("value")
+
+
+def _shown(fit: dict[str, Any], name: str) -> bool:
+    """Whether an invariant was fitted: what was given has no interval."""
+    return _is_number(_value(fit, name)) and math.isfinite(_reach(fit, name))
+
+
 def _within(reach: float) -> str:
     """How far off: per cent while that is small, then a factor."""
     if reach < 0.2:
@@ -56,59 +77,80 @@ def _within(reach: float) -> str:
     return f"to a factor of {float(f'{math.exp(reach):.2g}'):g}" if reach < 10 else "to many powers of ten"
 
 
-def _string(fit: dict[str, Any], reach: dict[str, float]) -> list[str]:
-    f0, B, said = fit.get("derived", {}).get("f0"), fit.get("derived", {}).get("B"), []
-    if _is_number(f0) and "f0" in reach:
-        said.append(f"Pitch: f₀ = {number(f0, 5)} Hz (± {number(1200 * reach['f0'] / math.log(2), 2)} cents).")
-    if _is_number(B) and "B" in reach:
-        said.append(f"Inharmonicity: B = {number(B, 3)} ({_within(reach['B'])}).")
-    position = _ratio(fit, reach, "x0/L", "Strike position over the length of the string")
+def _string(fit: dict[str, Any]) -> list[str]:
+    said = []
+    if _shown(fit, "f0"):
+        cents = 1200 * _reach(fit, "f0") / math.log(2)
+        said.append(f"Pitch: f₀ = {number(_value(fit, 'f0'), 5)} Hz (± {number(cents, 2)} cents).")
+    if _shown(fit, "B"):
+        said.append(f"Inharmonicity: B = {number(_value(fit, 'B'), 3)} ({_within(_reach(fit, 'B'))}).")
+    position = _ratio(fit, "x0/L")
     return [*said, position] if position else said
 
 
-def _ratio(fit: dict[str, Any], reach: dict[str, float], key: str, words: str) -> str:
-    value = fit.get("derived", {}).get(key)
-    return f"{words}: {key} = {number(value, 3)} ({_within(reach[key])})." if _is_number(value) and key in reach else ""
-
-
-def _felt_force(fit: dict[str, Any], reach: dict[str, float]) -> str:
-    """The felt's force at the largest compression: what a strike fixes of K_H and p."""
-    force, depth = (fit.get("derived", {}).get(key) for key in ("felt_force_N", "max_compression_mm"))
-    if not (_is_number(force) and _is_number(depth) and "F" in reach):
+def _ratio(fit: dict[str, Any], name: str) -> str:
+    if not _shown(fit, name):
         return ""
-    said = f"Static force of the felt at the largest compression, {number(depth, 3)} mm: {number(force, 3)} N "
-    said += f"({_within(reach['F'])})"
-    if reach.get("K_H", 0.0) > 1.2 * reach["F"]:
-        said += f"; K_H alone, whose unit changes with p, is known {_within(reach['K_H'])}"
+    words = INVARIANTS[name][1]
+    return f"{words[0].upper()}{words[1:]}: {name} = {number(_value(fit, name), 3)} ({_within(_reach(fit, name))})."
+
+
+def _felt_force(fit: dict[str, Any]) -> str:
+    """The felt's force at the compression that strokes reach: what they fix of K_H and p."""
+    if not _shown(fit, "F/M_S"):
+        return ""
+    reach, entry = _reach(fit, "F/M_S"), fit["invariants"]["F/M_S"]
+    where = str(entry.get("note") or "").removeprefix("static force of the felt ")
+    said = f"Static force of the felt{f' {where}' if where else ''}, over the mass of the string: F/M_S = "
+    said += f"{number(entry['value'], 3)} N/kg ({_within(reach)})"
+    alone = half_interval(fit.get("parameters", {}).get("K_H"))
+    if alone is not None and alone > 1.2 * reach:
+        said += f"; K_H alone, whose unit changes with p, is known {_within(alone)}"
     return f"{said}. {felt_scale(fit)}".rstrip()
+
+
+def open_scale(fit: dict[str, Any]) -> bool:
+    """Whether velocities are known up to one common scale: neither one of them nor the gain was given."""
+    if _status(fit, "v_H0") in ("scaled", "assumed"):
+        return True
+    takes = fit.get("takes") or ()
+    given = any("given" in (take.get("gain_status"), take.get("v_H0_status")) for take in takes)
+    return _status(fit, "v_H0") == "not-identifiable" and not given
 
 
 def felt_scale(fit: dict[str, Any]) -> str:
     """On which assumptions newtons and millimetres of the felt rest; empty where both were given or measured."""
-    mass, velocity = (_status(fit, name) == "assumed" for name in ("M_S", "v_H0"))
-    if mass and velocity:
-        return "Newtons rest on the assumed mass of the string and the assumed velocity, millimetres on the velocity."
+    mass, scale = _status(fit, "M_S") == "assumed", open_scale(fit)
+    if mass and scale:
+        return (
+            "Newtons rest on the assumed mass of the string and, as millimetres do, on the common scale of the "
+            "velocities, which was not measured."
+        )
     if mass:
         return "Newtons rest on the assumed mass of the string."
-    return "Newtons and millimetres rest on the assumed hammer velocity." if velocity else ""
+    return (
+        "Newtons and millimetres rest on the common scale of the velocities, which was not measured." if scale else ""
+    )
 
 
 def _doubted(fit: dict[str, Any]) -> bool:
-    """Whether the verdict takes back what the intervals say of the felt: then nothing of it counts as told."""
+    """Whether the claims take back what the intervals say of the felt: then nothing of it counts as identified."""
     parameters = fit.get("parameters", {})
     states = [_status(fit, name) for name in FELT if (parameters.get(name) or {}).get("interval")]
     return bool(states) and all(state == "not-identifiable" for state in states)
 
 
 def _velocities(fit: dict[str, Any]) -> list[str]:
-    """How well the takes' velocities are known; with one assumed, these are ratios to it."""
-    spans = [take.get("v_H0_interval") for take in fit.get("takes") or ()]
-    ratios = [high / low for low, high in filter(None, spans) if _is_number(low) and _is_number(high) and low > 0]
-    if len(spans) < 2 or not ratios:
-        return []
-    reach = 0.5 * math.log(max(ratios))
-    of = "Ratios of the takes’ velocities" if _status(fit, "v_H0") == "assumed" else "Velocities of the takes"
-    return [f"{of} (the least certain {_within(reach)})."] if reach <= LOOSE else []
+    """How well the strokes' velocities are known; without a measured one, their ratios."""
+    if open_scale(fit):
+        of = "Ratios of the strokes’ velocities"
+        entries = [entry for name, entry in (fit.get("invariants") or {}).items() if name.startswith(VELOCITY_RATIO)]
+    else:
+        of = "Velocities of the strokes"
+        takes = fit.get("takes") or ()
+        entries = [{"interval": take.get("v_H0_interval")} for take in takes] if len(takes) > 1 else []
+    reaches = [reach for entry in entries if (reach := half_interval(entry)) is not None]
+    return [f"{of} (the least certain {_within(max(reaches))})."] if reaches and max(reaches) <= LOOSE else []
 
 
 def _not_told(fit: dict[str, Any]) -> list[str]:
@@ -126,12 +168,12 @@ def _not_told(fit: dict[str, Any]) -> list[str]:
             way = "together" if r > 0 else "against each other"
             a, b = map(_plain, pair)
             said.append(f"{a} and {b} apart: they can move {way} (correlation {r:+.4f}).".replace("-", "−"))
-    if _status(fit, "v_H0") == "assumed":
+    if open_scale(fit):
         loses = "mu" in FELT_LAWS.get(fit.get("felt", ""), FELT_LAWS[DEFAULT_LAW])
-        also, stay = (", μ", "K_H v_H0ᵖ⁻¹ and μ v_H0 stay") if loses else ("", "K_H v_H0ᵖ⁻¹ stays")
+        also, stay = (", μ", "K_H vᵖ⁻¹ and μ v stay") if loses else ("", "K_H vᵖ⁻¹ stays")
         said.append(
-            f"The hammer velocity: with another one K_H{also} and the gain change along, so that {stay}, and nothing "
-            "sounds different."
+            f"The common scale of the velocities: with all of them faster, K_H{also} and the gain change along, so "
+            f"that {stay}, and nothing sounds different. The intervals of these are those of the prior."
         )
     assumed = [words for name, words in (("L", "length"), ("M_S", "mass")) if _status(fit, name) == "assumed"]
     if assumed:

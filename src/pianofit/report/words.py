@@ -7,12 +7,15 @@ from __future__ import annotations
 
 import math
 from decimal import Decimal
+from pathlib import PurePath
 from typing import Any
 
 from ..parameters import PARAMETERS
 from .figures import BANDS
 
-__all__ = ["bands", "comparison", "glide", "groups", "how_sure", "notices", "number", "rows", "tiles"]
+__all__ = [
+    "bands", "comparison", "glide", "groups", "how_sure", "invariants", "minima", "notices", "number", "rows", "tiles",
+]  # fmt: skip
 
 STATUS = {  # word -> mark, explanation
     "fitted": ("●", "fitted to the recording"),
@@ -40,9 +43,22 @@ MEANINGS = {name: parameter.meaning for name, parameter in PARAMETERS.items()} |
     "width": "width of the contact",
     "pickup": "pickup position",
 }
+# What no assumed length, mass or velocity scale enters: its symbol, and what it is.
+INVARIANTS = {
+    "f0": ("f_0", "pitch of the flexible string"),
+    "B": ("B", "inharmonicity"),
+    "M_H/M_S": ("M_H/M_S", "mass of the hammer over that of the string"),
+    "x0/L": ("x_0/L", "strike position over the length of the string"),
+    "F/M_S": ("F/M_S", "static force of the felt over the mass of the string"),
+}
+VELOCITY_RATIO = "v/v_ref "
+# What tells one minimum's hammer from another's.
+HAMMER = ("K_H", "p", "mu", "epsilon", "tau", "M_H", "x0")
 # Ends of an interval that differ by more than this factor are written each with its own power of ten.
 APART = 1e3
-UNSETTLED = "The search ended before it converged. Take every number on this page as a stage on the way, not as a result."
+UNSETTLED = (
+    "The search ended before it converged. Take every number on this page as a stage on the way, not as a result."
+)
 
 
 def number(value: Any, digits: int = 4) -> str:
@@ -96,18 +112,60 @@ def rows(fit: dict[str, Any]) -> list[dict[str, str]]:
 
 def _row(name: str, entry: dict[str, Any]) -> dict[str, str]:
     status = entry.get("status") or "fitted"
-    value, interval = _with_interval(entry.get("value"), entry.get("interval"))
-    unit = entry.get("unit") or ""
     return {
         "name": SYMBOLS.get(name, name),
         "meaning": MEANINGS.get(name, ""),
-        "value": value,
-        "unit": "" if unit == "1" else unit.replace("^p", "ᵖ"),
-        "interval": interval,
+        **_measured(entry),
         "initial": number(entry.get("initial")),
         "status": status,
         "mark": STATUS.get(status, ("·", ""))[0],
         "note": "; ".join(text for text in (entry.get("note"), _unbounded(entry)) if text),
+    }
+
+
+def _measured(entry: dict[str, Any]) -> dict[str, str]:
+    """Value, unit and interval in words."""
+    value, interval = _with_interval(entry.get("value"), entry.get("interval"))
+    unit = entry.get("unit") or ""
+    return {"value": value, "unit": "" if unit == "1" else unit.replace("^p", "ᵖ"), "interval": interval}
+
+
+def invariants(fit: dict[str, Any]) -> list[dict[str, str]]:
+    """Put what rests on no assumed size or velocity into text, a line each."""
+    return [_invariant(name, entry) for name, entry in (fit.get("invariants") or {}).items()]
+
+
+def _invariant(name: str, entry: dict[str, Any]) -> dict[str, str]:
+    note = str(entry.get("note") or "")
+    if name.startswith(VELOCITY_RATIO):
+        symbol, meaning, note = "v/v_ref", "velocity of a stroke over that of the reference", PurePath(note).name
+    else:
+        symbol, meaning = INVARIANTS.get(name, (name, ""))
+    return {"name": symbol, "meaning": meaning, **_measured(entry), "note": note}
+
+
+def minima(fit: dict[str, Any]) -> dict[str, Any] | None:
+    """Put the minima of the objective into text, the columns being what differs; None where there is only one."""
+    found = [entry for entry in fit.get("minima") or () if isinstance(entry, dict)]
+    if len(found) < 2:
+        return None
+    values = [entry.get("parameters") or {} for entry in found]
+    names = [name for name in HAMMER if len({v.get(name) for v in values}) > 1]
+    units = {name: str((fit.get("parameters", {}).get(name) or {}).get("unit") or "") for name in names}
+    best = found[0].get("F")
+    return {
+        "names": [
+            (SYMBOLS.get(name, name), "" if units[name] == "1" else units[name].replace("^p", "ᵖ")) for name in names
+        ],
+        "rows": [
+            {
+                "share": f"{100 * entry['share']:.0f} %" if _is_number(entry.get("share")) else "–",
+                "above": number(entry["F"] - best, 2) if _is_number(entry.get("F")) and _is_number(best) else "–",
+                "values": [number(v.get(name), 4) for name in names],
+                "velocities": ", ".join(number(x, 3) for x in entry.get("velocities") or ()),
+            }
+            for entry, v in zip(found, values, strict=True)
+        ],
     }
 
 
@@ -120,12 +178,12 @@ def _unbounded(entry: dict[str, Any]) -> str:
 
 
 def how_sure(fit: dict[str, Any]) -> str:
-    """Say how the intervals were found, if not by the curvature at the estimate."""
+    """Say how the intervals were found, if not by Laplace's approximation."""
     told = fit.get("diagnostics") or {}
     if told.get("profile"):
         return (
             "The intervals are profiles: each parameter was held on both sides of its value while all others followed. "
-            "What is drawn below of how well each is known is the curvature’s."
+            "The felt’s band and the correlations below are those of Laplace’s approximation."
         )
     if not (posterior := told.get("posterior")):
         return ""
@@ -138,7 +196,7 @@ def how_sure(fit: dict[str, Any]) -> str:
 
 
 def notices(fit: dict[str, Any]) -> list[tuple[str, str, str]]:
-    """List (tone, heading, text) of what the page says first: the identifiability statement, what went wrong, or that nothing did."""
+    """List (tone, heading, text) of what the page says first: the claims, what went wrong, or that nothing did."""
     measured = all(entry.get("status") in ("fitted", "given") for entry in fit.get("parameters", {}).values())
     overall = fit.get("criterion", {}).get("global") or {}
     initial, final = overall.get("initial"), overall.get("final")
