@@ -81,6 +81,9 @@ def setup(**more) -> Setup:
     return setup_from_dict(data | more, "here")
 
 
-def noise(seed: int = 0, name: str = "noise") -> Recording:
-    """A recording that only lends its name and rate."""
-    return recording_from_samples(np.random.default_rng(seed).normal(0.0, 0.1, 44_100), 44_100, name=name)
+def tone(seed: int = 0, name: str = "tone") -> Recording:
+    """A recording that only lends its name, its rate and its being another than the others."""
+    t = np.arange(44_100) / 44_100
+    sound = np.where(t > 0.05, np.exp(-5 * t) * np.sin(1600 * t), 0.0)
+    samples = 0.5 * sound + np.random.default_rng(seed).normal(0.0, 1e-4, t.size)
+    return recording_from_samples(samples, 44_100, name=name)

@@ -51,7 +51,9 @@ def played(string, hammer, geometry: Geometry, quantity: str) -> np.ndarray:
     """Levels of the partials by `simulate`, from the arrival of the wave at the pickup, dB [ROWS]."""
     sound = simulate(string, hammer, geometry, rate=RATE, oversampling=1, quantity=quantity, n_modes=N_MODES)
     pole = np.asarray(sound.modes.pole)
-    amplitude = np.asarray(ringing(sound.modes, sound.pulse.drive)) * np.exp(pole.real * arrival(string, geometry, quantity))
+    amplitude = np.asarray(ringing(sound.modes, sound.pulse.drive)) * np.exp(
+        pole.real * arrival(string, geometry, quantity)
+    )
     return np.asarray(level_db(amplitude, -pole.real, np))[:ROWS]
 
 

@@ -99,7 +99,9 @@ def test_what_is_integrated_out_is_the_integral():
         density = 0.0
         for node, share in enumerate(np.exp(np.asarray(t.share))):
             own = shared(t._replace(columns=jnp.zeros((1, 2, 2))), phi, node)[:2, :2]
-            level = (grid[:, :2] @ np.linalg.cholesky(own).T)[:, None, :] + grid[:, 2, None, None] * np.asarray(t.columns)
+            level = (grid[:, :2] @ np.linalg.cholesky(own).T)[:, None, :] + grid[:, 2, None, None] * np.asarray(
+                t.columns
+            )
             e = residual - level
             seen = np.prod(np.where(t.found, np.exp(-0.5 * e**2 / var) / np.sqrt(var), 1.0), axis=(1, 2))
             below = scipy.stats.norm.cdf(e[:, 1, 1] / np.sqrt(noise(t, phi)[1, 1]))

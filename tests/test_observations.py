@@ -53,7 +53,11 @@ def test_what_is_absent_stands_at_its_bound():
 
 
 def test_padding_says_nothing(monkeypatch):
-    residual, w, phi = 3 * np.random.default_rng(0).normal(size=(2, 64)), np.ones((2, 64)), priors.LEVEL.log_median + 0.1
+    residual, w, phi = (
+        3 * np.random.default_rng(0).normal(size=(2, 64)),
+        np.ones((2, 64)),
+        priors.LEVEL.log_median + 0.1,
+    )
     found = []
     for rows in (16, 32):
         monkeypatch.setattr(observations, "ROWS", rows)

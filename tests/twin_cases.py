@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 from brute_force import make_twin, matched_width
+from pianofit.fit import Result, fit_recording
 
 from pianofit.analysis import analyse
-from pianofit.fit import Result, fit_recording
 from pianofit.parameters import FIT_NAMES, Geometry, Hammer, String
 from pianofit.recording import Recording, recording_from_samples
 from pianofit.setup_file import Setup, setup_from_dict
