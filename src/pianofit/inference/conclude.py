@@ -105,7 +105,7 @@ def _heard(problem: Problem, found: Estimate, i: int) -> Heard:
     fitted_level, integrated = _fitted_level(problem, found, i)
     fitted = voice_of(problem, found.minima, 0, i)
     initial = _initial_voice(problem, first, i)
-    begins = _touch(problem, fitted, i) if problem.calibrated else None
+    begins = None if gain is None else _touch(problem, fitted._replace(gain=gain), i)
     if gain is None:
         gain = 10 ** (_gain_db(problem, integrated, i) / 20)
         fitted = fitted._replace(gain=1.0)

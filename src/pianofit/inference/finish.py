@@ -38,14 +38,15 @@ def finished(problem: Problem, found: Population, held: Search, strings: StringS
     scores = held.total(found.z, found.report)
     chosen = distinct(found, held.unknowns, scores, WITHIN)[:MOST]
     ends = [_finished(problem, found.take(np.array([i])), strings) for i in chosen]
+    people = ends[0][1]
+    for end in ends[1:]:
+        people = people.join(end[1])
     F = np.array([end[2] for end in ends])
-    order = np.argsort(F, kind="stable")
-    people = ends[order[0]][1]
-    for i in order[1:]:
-        people = people.join(ends[i][1])
+    # Two that were distinct may have come to the same minimum: it counts once.
+    kept = distinct(people, held.unknowns, F, WITHIN)
     return Minima(
-        ends[order[0]][0], people, F[order], np.stack([ends[i][0].offset for i in order]),
-        [ends[i][0].strings for i in order], np.array([ends[i][3] for i in order]),
+        ends[kept[0]][0], people.take(np.array(kept)), F[kept], np.stack([ends[i][0].offset for i in kept]),
+        [ends[i][0].strings for i in kept], np.array([ends[i][3] for i in kept]),
     )  # fmt: skip
 
 

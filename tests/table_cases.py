@@ -1,0 +1,96 @@
+"""Random tables of observations, and their likelihood with no trick in it: one dense covariance of all entries."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.special import logsumexp
+from scipy.stats import multivariate_normal, norm
+
+from pianofit.inference.likelihood import ADDED, JITTER, Table
+from pianofit.inference.priors import STUDENT
+
+SMALL = -50.0  # log τ of no τ
+# R, K, groups, columns, nodes of τ, whether the path is unknown, most partials absent.
+SHAPES = {
+    "one recording": (1, 9, 1, 1, 3, True, 2),
+    "two microphones": (4, 8, 2, 5, 1, True, 4),
+    "no path": (3, 8, 1, 4, 1, False, 3),
+    "nothing absent": (3, 8, 1, 2, 2, True, 0),
+    "five nodes": (2, 7, 2, 2, 5, True, 3),
+}
+PHI = np.array([-0.3, 1.2, -0.4, -5.0])
+
+
+def table(shape: str, seed: int = 0) -> Table:
+    """One of `SHAPES` with random numbers in it; groups alternate."""
+    R, K, groups, columns, nodes, path, most = SHAPES[shape]
+    random = np.random.default_rng([seed, *map(ord, shape)])
+    octave = np.log2(np.arange(1, K + 1) * 100.0)
+    absent = np.argwhere(random.random((R, K)) < 0.3)[:most]
+    found = np.ones((R, K))
+    found[tuple(absent.T)] = 0.0
+    common = np.log(0.3 + 2 * random.random((nodes, groups))) if path else np.full((nodes, groups), SMALL)
+    share = random.random(nodes)
+    made = Table(
+        value=random.normal(size=(R, K)), variance=0.1 + random.random((R, K)), found=found, absent=absent,
+        group=np.eye(groups)[np.arange(R) % groups], columns=2 * random.normal(size=(columns, R, K)),
+        systematic=0.1 * np.exp(-np.abs(np.subtract.outer(np.arange(K), np.arange(K)))),
+        apart=np.abs(octave[:, None] - octave), smooth=np.full(groups, float(path)), common=common,
+        share=np.log(share / share.sum()), growth=1 + random.random(K), ratio=5 * random.random((R, K)),
+        prior=(np.log([0.7, 8, 0.7, 0.002]), np.array([0.7, 0.4, 0.4, 0.9])), student=np.float64(STUDENT),
+    )  # fmt: skip
+    return jax.tree.map(jnp.asarray, made)
+
+
+def point(shape: str, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Residuals and weights of a random point."""
+    random = np.random.default_rng([seed, 1, *map(ord, shape)])
+    R, K, *_ = SHAPES[shape]
+    return 3 * random.normal(size=(R, K)), np.exp(0.3 * random.normal(size=(R, K)))
+
+
+def noise(t: Table, phi: np.ndarray) -> np.ndarray:
+    """Variances of what each entry has for itself at a weight of 1 [R, K]."""
+    return np.asarray(t.variance + np.exp(2 * phi[0]) * t.growth + (np.exp(phi[3]) * ADDED * t.ratio) ** 2)
+
+
+def shared(t: Table, phi: np.ndarray, node: int) -> np.ndarray:
+    """The covariance of paths and columns over all entries [RK, RK], entry by entry."""
+    R, K = t.value.shape
+    d = np.sqrt(3) * np.asarray(t.apart) / np.exp(phi[2])
+    matern = np.where(np.isfinite(d), np.exp(2 * phi[1]) * (1 + d) * np.exp(-d), 0.0)
+    total = np.zeros((R, K, R, K))
+    for i in range(R):
+        for j in range(R):
+            if (t.group[i] == t.group[j]).all():
+                g = int(np.argmax(t.group[i]))
+                own = np.exp(2 * t.common[node, g]) + JITTER
+                total[i, :, j, :] = t.smooth[g] * matern + t.systematic + own * np.eye(K)
+    columns = np.asarray(t.columns).reshape(len(t.columns), -1)
+    return total.reshape(R * K, R * K) + columns.T @ columns
+
+
+def dense_nodes(t: Table, residual: np.ndarray, phi: np.ndarray, w: np.ndarray) -> np.ndarray:
+    """Minus the log density of everything at each node of τ [T], weights of nodes included."""
+    there, out = np.asarray(t.found).ravel() > 0, []
+    for node, share in enumerate(t.share):
+        latent, own = shared(t, phi, node), noise(t, phi).ravel()
+        full = latent + np.diag(own / w.ravel())
+        inside, y = full[np.ix_(there, there)], residual.ravel()[there]
+        minus = -multivariate_normal(np.zeros(there.sum()), inside).logpdf(y) - 0.5 * there.sum() * np.log(2 * np.pi)
+        for r, k in np.asarray(t.absent):
+            at = r * t.value.shape[1] + k
+            pull = np.linalg.solve(inside, latent[there, at])
+            sd = np.sqrt(latent[at, at] + own[at] - pull @ latent[there, at])
+            minus -= norm.logcdf((residual.ravel()[at] - pull @ y) / sd)
+        out.append(minus - share)
+    return np.array(out)
+
+
+def dense(t: Table, residual: np.ndarray, phi: np.ndarray, w: np.ndarray) -> float:
+    """F, densely."""
+    mean, sd = t.prior
+    mixture = 0.5 * t.student * (t.found * (w - 1 - np.log(w))).sum()
+    return float(-logsumexp(-dense_nodes(t, residual, phi, w)) + mixture + 0.5 * (((phi - mean) / sd) ** 2).sum())

@@ -1,0 +1,94 @@
+"""The unknowns: their box, the bounds of K_H that the force has, and what they are called outside."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from model_cases import GEOMETRY
+
+from pianofit.inference.coordinates import ABSENT, FORCE, MU, NAMES, SHARED, VALUES, X0, P, Unknowns
+from pianofit.parameters import Hammer, MemoryHammer
+
+STROKES = 2
+VALUE = {
+    "c": 304.0, "kappa": 1.7, "b1": 0.5, "b2": 2e-4, "K_H": 1e10, "p": 2.5, "mu": 0.2, "M_H": 5e-3, "x0": 0.12,
+    "width": 0.02, "epsilon": 0.5, "tau": 1e-4,
+}  # fmt: skip
+LOG_U = float(np.log(4e-4))
+
+
+def unknowns() -> Unknowns:
+    """Everything is free but the felt's memory, which it does not have."""
+    mean = np.log([VALUE[name] for name in VALUES] + [1.0, 2.0])
+    mean[FORCE] += VALUE["p"] * LOG_U
+    sd = np.full(len(mean), 0.5)
+    sd[[NAMES.index("epsilon"), NAMES.index("tau")]] = 0.0
+    lower, upper = mean - 0.7, mean + 0.7
+    lower[FORCE], upper[FORCE] = -np.inf, np.inf
+    return Unknowns(mean, sd, lower, upper, LOG_U, (np.log(5e9), np.log(2e10)), GEOMETRY, False)
+
+
+def points(count: int = 40) -> np.ndarray:
+    return unknowns().mean + np.random.default_rng(0).normal(size=(count, SHARED + STROKES))
+
+
+def test_a_projection_lies_in_the_box_and_keeps_what_did():
+    u, z = unknowns(), points()
+    inside = u.project(z)
+    low, high = u.edges(inside)
+    assert ((inside >= low - 1e-12) & (inside <= high + 1e-12))[:, u.free].all()
+    np.testing.assert_array_equal(u.project(inside), inside)
+    np.testing.assert_array_equal(inside[:, ~u.free], np.tile(u.mean[~u.free], (len(z), 1)))
+    kept = (z > low) & (z < high) & u.free
+    kept[:, FORCE] &= kept[:, P]  # where p has moved, so has the range of the force
+    np.testing.assert_array_equal(inside[kept], z[kept])
+    assert kept.any(axis=0)[u.free].all()
+
+
+def test_the_force_is_bounded_as_K_H_is_whatever_p():
+    u = unknowns()
+    for exponent in (2.0, 2.5, 3.2):
+        z = u.mean.copy()
+        z[P] = np.log(exponent)
+        for force, K in ((50.0, 2e10), (-50.0, 5e9)):
+            z[FORCE] = force
+            held = u.project(z)
+            assert np.exp(u.log_values(held)[VALUES.index("K_H")]) == pytest.approx(K, rel=1e-12)
+            assert u.at_bound(held)[FORCE]
+    assert not u.at_bound(u.mean).any()
+
+
+def test_only_what_is_free_can_be_at_a_bound():
+    u = unknowns()
+    held = replace(u, sd=np.where(np.arange(u.size) == MU, 0.0, u.sd))
+    z = u.mean.copy()
+    z[[MU, X0]] = u.upper[[MU, X0]]
+    assert np.flatnonzero(u.at_bound(z)).tolist() == [MU, X0]
+    assert np.flatnonzero(held.at_bound(z)).tolist() == [X0]
+
+
+def test_the_tangent_is_that_of_the_values():
+    u, step = unknowns(), 1e-6
+    for z in points(5):
+        wanted = [(u.log_values(z + e) - u.log_values(z - e)) / (2 * step) for e in step * np.eye(u.size)]
+        np.testing.assert_allclose(u.tangent(z), np.array(wanted).T, atol=1e-7)
+
+
+def test_values_are_those_of_a_string_and_a_hammer():
+    u = unknowns()
+    values = dict(zip(VALUES, np.exp(u.log_values(u.mean)), strict=False))
+    assert values == pytest.approx(VALUE, rel=1e-12)
+    assert u.string(u.mean) == pytest.approx([VALUE[n] for n in ("c", "kappa", "b1", "b2")])
+    hammer = u.hammer(u.mean, 1)
+    assert isinstance(hammer, Hammer)
+    assert hammer._asdict() == pytest.approx({n: VALUE[n] for n in ("K_H", "mu", "p", "M_H")} | {"v_H0": 2.0})
+    assert u.struck(u.mean)[2:4] == pytest.approx((VALUE["x0"], VALUE["width"]))
+    relaxing = replace(u, memory=True)
+    z = u.mean.copy()
+    z[MU] = ABSENT
+    hammer = relaxing.hammer(z, 0)
+    assert isinstance(hammer, MemoryHammer)
+    assert (hammer.mu, hammer.v_H0) == (0.0, pytest.approx(1.0))
+    assert hammer[-2:] == pytest.approx((0.5, 1e-4))

@@ -1,0 +1,135 @@
+"""Levels in lanes, against the simulation that plays a note, and their slopes against differences."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from model_cases import GEOMETRY as TENTHS
+from model_cases import HAMMER, STRING
+
+from pianofit.inference.coordinates import ABSENT, NAMES, SHARED, STRING_SIZE
+from pianofit.inference.lanes import Cfg, Scene, in_lanes, levels, own_levels, own_slopes, slopes
+from pianofit.model import simulate
+from pianofit.model.response import level_db, ringing
+from pianofit.parameters import Geometry, Hammer, MemoryHammer
+from pianofit.voice import arrival
+
+RATE, N_MODES, STEPS, ROWS, SIZE = 88_200.0, 64, 512, 24, 4
+LOG_U = np.log(3e-4)
+GEOMETRY = TENTHS._replace(pickup=0.309)  # on no node: there levels are rounding
+LANE = (*NAMES[STRING_SIZE:], "v_H0")
+# Two others than the first in everything.
+HAMMERS = (
+    (HAMMER, GEOMETRY),
+    (Hammer(K_H=4e9, mu=0.4, p=2.3, M_H=8e-3, v_H0=2.5), GEOMETRY._replace(strike=0.1315, width=0.03)),
+    (Hammer(K_H=2e11, mu=0.05, p=3.0, M_H=3e-3, v_H0=0.4), GEOMETRY._replace(strike=0.103, width=0.012)),
+)
+STULOV = MemoryHammer(*HAMMER._replace(mu=0.0), epsilon=0.4, tau=6e-5)
+
+
+def lane(hammer: Hammer | MemoryHammer, geometry: Geometry) -> np.ndarray:
+    """A hammer and where it strikes, as a lane has them; K_H as its force at the reference compression."""
+    values = dict.fromkeys(LANE, np.exp(ABSENT)) | hammer._asdict() | {"x0": geometry.strike, "width": geometry.width}
+    values |= {"force": hammer.K_H * np.exp(hammer.p * LOG_U)}
+    return np.log([max(float(values[name]), np.exp(ABSENT)) for name in LANE])
+
+
+LANES = np.stack([lane(*case) for case in HAMMERS])
+TENSE = np.log(STRING) + np.array([[0.0, 0.0, 0.0, 0.0], [0.02, 0.1, -0.2, 0.3], [-0.01, -0.1, 0.5, -0.4]])
+CENTS = np.array([0.0, 3.0, -2.0])
+
+
+def scene() -> Scene:
+    return Scene(Geometry(*map(np.float64, GEOMETRY)), np.float64(RATE), np.float64(LOG_U))
+
+
+def cfg(quantity: str = "velocity", memory: bool = False, free: tuple[int, ...] = ()) -> Cfg:
+    return Cfg(N_MODES, STEPS, ROWS, quantity, memory, free)
+
+
+def played(string, hammer, geometry: Geometry, quantity: str) -> np.ndarray:
+    """Levels of the partials by `simulate`, from the arrival of the wave at the pickup, dB [ROWS]."""
+    sound = simulate(string, hammer, geometry, rate=RATE, oversampling=1, quantity=quantity, n_modes=N_MODES)
+    pole = np.asarray(sound.modes.pole)
+    amplitude = np.asarray(ringing(sound.modes, sound.pulse.drive)) * np.exp(
+        pole.real * arrival(string, geometry, quantity)
+    )
+    return np.asarray(level_db(amplitude, -pole.real, np))[:ROWS]
+
+
+@pytest.mark.parametrize("quantity", ["velocity", "pressure"])
+def test_levels_are_those_of_what_is_played(quantity):
+    found, ended = in_lanes(levels, (np.log(STRING), LANES), scene(), cfg(quantity), SIZE)
+    assert ended.all()
+    for level, (hammer, geometry) in zip(found, HAMMERS, strict=True):
+        np.testing.assert_allclose(level, played(STRING, hammer, geometry, quantity), atol=1e-6)
+
+
+def test_a_felt_with_memory_sounds_as_it_is_played():
+    lanes = lane(STULOV, GEOMETRY)[None]
+    found, ended = in_lanes(levels, (np.log(STRING), lanes), scene(), cfg(memory=True), SIZE)
+    assert ended.all()
+    np.testing.assert_allclose(found[0], played(STRING, STULOV, GEOMETRY, "velocity"), atol=1e-6)
+
+
+def test_every_lane_may_have_a_string_of_its_own():
+    found, _ = in_lanes(own_levels, (TENSE, CENTS, LANES), scene(), cfg(), SIZE)
+    for level, string, cents, (hammer, geometry) in zip(found, np.exp(TENSE), CENTS, HAMMERS, strict=True):
+        one = type(STRING)(string[0] * 2 ** (cents / 1200), *string[1:])
+        np.testing.assert_allclose(level, played(one, hammer, geometry, "velocity"), atol=1e-6)
+
+
+FREE = tuple(range(6)) + (SHARED - STRING_SIZE,)  # force to width, and the velocity
+
+
+def differences(of, at: np.ndarray, entries: tuple[int, ...]) -> np.ndarray:
+    """Derivatives of levels `of` lanes, by central differences of order 4 [lanes, ROWS, entries]."""
+    step, columns = 1e-4, []
+    for i in entries:
+        e = step * np.eye(at.shape[1])[i]
+        near, far = of(at + e) - of(at - e), of(at + 2 * e) - of(at - 2 * e)
+        columns.append((8 * near - far) / (12 * step))
+    return np.stack(columns, axis=2)
+
+
+def test_slopes_are_those_of_the_levels():
+    level, slope, ended = in_lanes(slopes, (np.log(STRING), LANES), scene(), cfg(free=FREE), SIZE)
+
+    def of(lanes: np.ndarray) -> np.ndarray:
+        return in_lanes(levels, (np.log(STRING), lanes), scene(), cfg(), SIZE)[0]
+
+    assert ended.all()
+    np.testing.assert_allclose(level, of(LANES), atol=1e-9)
+    # A contact's end moves by whole steps, and its last force is not smooth there: 1e-4 dB of 1e-4.
+    np.testing.assert_allclose(slope, differences(of, LANES, FREE), rtol=2e-4, atol=2e-3)
+
+
+def test_slopes_by_the_string_too():
+    args = TENSE, CENTS, LANES
+    level, slope, _ = in_lanes(own_slopes, args, scene(), cfg(free=FREE), SIZE)
+
+    def of(strings: np.ndarray) -> np.ndarray:
+        return in_lanes(own_levels, (strings, CENTS, LANES), scene(), cfg(), SIZE)[0]
+
+    np.testing.assert_allclose(level, of(TENSE), atol=1e-9)
+    wanted = differences(of, TENSE, tuple(range(STRING_SIZE)))
+    np.testing.assert_allclose(slope[..., :STRING_SIZE], wanted, rtol=2e-4, atol=2e-3)
+    _, alone, _ = in_lanes(slopes, (TENSE[0], LANES), scene(), cfg(free=FREE), SIZE)
+    np.testing.assert_allclose(slope[0, :, STRING_SIZE:], alone[0], rtol=1e-8, atol=1e-8)
+
+
+def test_any_number_of_lanes_gives_the_same_rows():
+    many = np.concatenate([LANES, LANES[::-1], LANES])
+    whole, _ = in_lanes(levels, (np.log(STRING), many), scene(), cfg(), SIZE)
+    assert whole.shape == (9, ROWS)
+    for count in (1, 4, 5, 8):
+        some, ended = in_lanes(levels, (np.log(STRING), many[:count]), scene(), cfg(), SIZE)
+        assert ended.shape == (count,)
+        np.testing.assert_allclose(some, whole[:count], atol=1e-9)
+
+
+def test_a_contact_that_does_not_end_says_so():
+    slow = LANES.copy()
+    slow[1] = lane(HAMMER._replace(M_H=0.5, K_H=1e6, v_H0=0.05), GEOMETRY)
+    _, ended = in_lanes(levels, (np.log(STRING), slow), scene(), cfg(), SIZE)
+    assert ended.tolist() == [True, False, True]

@@ -1,0 +1,151 @@
+"""The one objective, against a dense covariance, quadrature, Student's t, and its own automatic derivatives."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.stats
+from table_cases import PHI, SHAPES, SMALL, dense, dense_nodes, noise, point, shared, table
+
+import pianofit.model  # noqa: F401  (float64)
+from pianofit.inference.likelihood import Table, curvature, latent, next_weights, objective, report
+
+F = jax.jit(objective)
+ONE_NODE = [name for name, shape in SHAPES.items() if shape[4] == 1]
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("shape", SHAPES)
+def test_the_objective_is_the_dense_one(shape, seed):
+    t, (residual, w) = table(shape, seed), point(shape, seed)
+    for phi in (PHI, PHI + np.array([0.5, -1.0, 0.7, 4.0])):
+        assert float(F(t, residual, phi, w)) == pytest.approx(dense(t, residual, phi, w), rel=1e-9, abs=1e-8)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_the_gradient_is_the_automatic_one(shape):
+    t, (residual, w) = table(shape), point(shape)
+    jacobian = np.random.default_rng(3).normal(size=(*residual.shape, 4))
+    automatic = jax.jit(jax.grad(lambda d: objective(t, jnp.asarray(residual) - jacobian @ d, PHI, w)))
+    gradient, hessian = jax.jit(curvature)(t, residual, jacobian, PHI, w)
+    np.testing.assert_allclose(gradient, automatic(np.zeros(4)), rtol=1e-9, atol=1e-9)
+    assert np.linalg.eigvalsh(hessian)[0] > -1e-10 * np.abs(hessian).max()
+    step = 1e-5
+    exact = np.stack([(automatic(e) - automatic(-e)) / (2 * step) for e in step * np.eye(4)])
+    if shape in ONE_NODE:  # a parabola, but for what is absent, whose curvature is exact too
+        np.testing.assert_allclose(hessian, exact, rtol=1e-6, atol=1e-7)
+    else:  # which node is at work changes along the way, and leaving that out makes the curvature larger
+        assert np.linalg.eigvalsh(hessian - exact)[0] > -1e-7
+
+
+def test_a_report_has_the_derivatives_of_the_objective():
+    shape = "two microphones"
+    t, (residual, w) = table(shape), point(shape)
+    found = jax.jit(report)(t, residual, np.ones((*residual.shape, 1)), PHI, w)
+    step = 1e-5
+    for i in range(4):
+        e = step * np.eye(4)[i]
+        slope = (dense(t, residual, PHI + e, w) - dense(t, residual, PHI - e, w)) / (2 * step)
+        assert float(found.by_phi[i]) == pytest.approx(slope, rel=1e-5, abs=1e-6)
+    for r, k in np.argwhere(np.asarray(t.found) > 0)[::3]:
+        up, down = w.copy(), w.copy()
+        up[r, k] *= np.exp(step)
+        down[r, k] *= np.exp(-step)
+        slope = (dense(t, residual, PHI, up) - dense(t, residual, PHI, down)) / (2 * step)
+        assert float(found.by_log_w[r, k]) == pytest.approx(slope, rel=1e-5, abs=1e-6)
+
+
+@pytest.mark.parametrize("shape", ["one recording", "no path", "five nodes"])
+def test_weighting_anew_is_descent_to_a_stationary_point(shape):
+    t, (residual, w) = table(shape), point(shape)
+    both = jax.jit(jax.value_and_grad(lambda x: objective(t, jnp.asarray(residual), PHI, jnp.exp(x))))
+    before = np.inf
+    for _ in range(80):
+        now, slope = both(np.log(w))
+        assert now <= before + 1e-10
+        before, last, w = now, np.asarray(slope), next_weights(t, np.asarray(slope), w)
+    assert np.abs(last * np.asarray(t.found)).max() < 1e-6
+    assert (w[np.asarray(t.found) == 0] == 1).all()
+
+
+def tiny() -> Table:
+    """Two recordings of two partials through one path, with a gain; one partial is absent."""
+    t = table("nothing absent")
+    found, absent = np.ones((2, 2)), np.array([[1, 1]])
+    found[1, 1] = 0.0
+    random = np.random.default_rng(0)
+    changed = {
+        "value": np.zeros((2, 2)), "variance": 0.5 + random.random((2, 2)), "found": found, "absent": absent,
+        "group": np.ones((2, 1)), "columns": random.normal(size=(1, 2, 2)), "systematic": t.systematic[:2, :2],
+        "apart": t.apart[:2, :2], "smooth": np.ones(1), "common": np.log([[0.5], [1.5]]), "share": np.log([0.3, 0.7]),
+        "growth": np.ones(2), "ratio": np.ones((2, 2)),
+    }  # fmt: skip
+    return t._replace(**{name: jnp.asarray(x) for name, x in changed.items()})
+
+
+def test_what_is_integrated_out_is_the_integral():
+    """Paths, a gain and τ by brute force: a Gauss-Hermite grid over all that is latent, a bound as a bound."""
+    t, phi, w = tiny(), np.array([-0.3, 0.2, -0.4, -3.0]), np.array([[1.2, 0.7], [0.9, 1.0]])
+    x, weight = np.polynomial.hermite_e.hermegauss(48)
+    grid = np.stack(np.meshgrid(x, x, x, indexing="ij"), axis=-1).reshape(-1, 3)
+    mass = np.einsum("i,j,k->ijk", *[weight / weight.sum()] * 3).ravel()
+    var = noise(t, phi) / w
+    mean, sd = (np.asarray(p) for p in t.prior)
+    constant = 5.0 * (np.asarray(t.found) * (w - 1 - np.log(w))).sum() + 0.5 * (((phi - mean) / sd) ** 2).sum()
+    for seed in range(3):
+        residual = 1.5 * np.random.default_rng(seed).normal(size=(2, 2))
+        density = 0.0
+        for node, share in enumerate(np.exp(np.asarray(t.share))):
+            own = shared(t._replace(columns=jnp.zeros((1, 2, 2))), phi, node)[:2, :2]
+            level = (grid[:, :2] @ np.linalg.cholesky(own).T)[:, None, :] + grid[:, 2, None, None] * np.asarray(
+                t.columns
+            )
+            e = residual - level
+            seen = np.prod(np.where(t.found, np.exp(-0.5 * e**2 / var) / np.sqrt(var), 1.0), axis=(1, 2))
+            below = scipy.stats.norm.cdf(e[:, 1, 1] / np.sqrt(noise(t, phi)[1, 1]))
+            density += share * float(mass @ (seen * below))
+        assert float(F(t, residual, phi, w)) == pytest.approx(constant - np.log(density), abs=1e-6)
+
+
+def test_weights_integrated_out_leave_students_t():
+    t = tiny()
+    size = (1, 1)
+    changed = {
+        "value": np.zeros(size), "variance": np.full(size, 0.6), "found": np.ones(size), "absent": np.zeros((0, 2), int),
+        "group": np.ones(size), "columns": np.zeros((0, 1, 1)), "systematic": np.zeros(size), "apart": np.zeros(size),
+        "smooth": np.zeros(1), "common": np.full(size, SMALL), "share": np.zeros(1), "growth": np.ones(1),
+        "ratio": np.zeros(size),
+    }  # fmt: skip
+    t = t._replace(**{name: jnp.asarray(x) for name, x in changed.items()})
+    log_w = np.linspace(-12.0, 4.0, 4001)
+    both = jax.jit(jax.vmap(lambda r, x: objective(t, r, PHI, jnp.exp(x)), in_axes=(None, 0)))
+    scale, degrees = np.sqrt(noise(t, PHI)[0, 0]), float(t.student)
+
+    def density(r: float) -> float:
+        return float(np.exp(-np.asarray(both(np.full(size, r), log_w[:, None, None]))).sum())
+
+    for r in (0.5, 2.0, 10.0, 40.0):
+        expected = scipy.stats.t.pdf(r / scale, degrees) / scipy.stats.t.pdf(0.0, degrees)
+        assert density(r) / density(0.0) == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize("shape", ["nothing absent", "two microphones"])
+def test_what_was_integrated_out_is_estimated_as_a_dense_gaussian_would(shape):
+    t, (residual, w) = table(shape), point(shape)
+    t = t._replace(absent=jnp.zeros((0, 2), int))
+    found = jax.jit(latent)(t, residual, PHI, w)
+    there = np.asarray(t.found).ravel() > 0
+    each = dense_nodes(t, residual, PHI, w)
+    responsible = np.exp(each.min() - each)
+    mean, variance = 0.0, 0.0
+    for node, share in enumerate(responsible / responsible.sum()):
+        cov = shared(t, PHI, node)
+        pull = np.linalg.solve((cov + np.diag((noise(t, PHI) / w).ravel()))[np.ix_(there, there)], cov[there]).T
+        mean = mean + share * pull @ residual.ravel()[there]
+        variance = variance + share * (np.diag(cov) - np.einsum("ij,ji->i", pull, cov[there]))
+    common = np.einsum("rg,gk->rk", t.group, found.common)
+    np.testing.assert_allclose((common + found.columns).ravel(), mean, rtol=1e-7, atol=1e-7)
+    np.testing.assert_allclose(common + found.columns + found.own, residual, atol=1e-9)
+    np.testing.assert_allclose(np.ravel(found.variance), variance, rtol=1e-6, atol=1e-7)

@@ -1,0 +1,158 @@
+"""Tables from analyses: every number in its place, and padding that says nothing."""
+
+from __future__ import annotations
+
+import jax
+import numpy as np
+import pytest
+from observed_cases import B1, D2, F0, analysis, frequency
+
+import pianofit.model  # noqa: F401  (float64)
+from pianofit.inference import observations, priors
+from pianofit.inference.likelihood import objective
+from pianofit.inference.observations import Layout, observe, string_law
+
+LOUD = analysis([1, 2, 3, 5], [0.0, -10.0, -20.0, -40.0], absent=[4], bound=[-70.0], systematic=0.3)
+SOFT = analysis([1, 2, 4], [-12.0, -25.0, -50.0], absent=[3, 5], bound=[-61.0, -62.0], f0=F0 * 2 ** (2 / 1200))
+ALONE = Layout((0,), (0,), (0,))
+TWO = Layout((0, 1), (0, 0), (0, 1))
+MICROPHONES = Layout((0, 0), (0, 1), (0, 1))
+
+
+def observed(layout: Layout = TWO, *, path: bool = True, gains: bool = True, unit: float = 0.0):
+    analyses = [LOUD, SOFT] if len(layout.stroke) > 1 else [LOUD]
+    return observe(analyses, layout, 0, unit, path, gains)
+
+
+def bounds(table) -> dict[tuple[int, int], float]:
+    """What is absent, by recording and column; without the entries that pad."""
+    return {(r, k): table.value[r, k] for r, k in map(tuple, table.absent) if table.value[r, k] < observations.OPEN / 2}
+
+
+def test_levels_stand_in_their_columns():
+    o = observed(unit=6.0)
+    assert o.number.tolist() == [1, 2, 3, 4, 5] + [0] * 11
+    np.testing.assert_array_equal(o.level.found[:, :5], [[1, 1, 1, 0, 1], [1, 1, 0, 1, 0]])
+    assert not o.level.found[:, 5:].any()
+    np.testing.assert_allclose(o.level.value[0, [0, 1, 2, 4]], [6.0, -4.0, -14.0, -34.0])
+    np.testing.assert_allclose(o.level.value[1, [0, 1, 3]], [-6.0, -19.0, -44.0])
+    np.testing.assert_allclose(o.level.variance[o.level.found > 0], 0.01)
+    # Of the same recording: the loudest over each.
+    np.testing.assert_allclose(20 * np.log10(o.level.ratio[1, [0, 1, 3]]), [0.0, 13.0, 38.0])
+
+
+def test_what_is_absent_stands_at_its_bound():
+    assert bounds(observed().level) == {(0, 3): -70.0, (1, 2): -61.0, (1, 4): -62.0}
+    nowhere = analysis([1, 3], [0.0, -5.0], absent=[2, 4], bound=[-50.0, -51.0])
+    # Through a path, what no recording has says nothing; without one it says that the hammer does not give it.
+    assert bounds(observe([nowhere], ALONE, 0, 0.0, True, True).level) == {}
+    calibrated = observe([nowhere], ALONE, 0, 0.0, False, False)
+    assert calibrated.number[:3].tolist() == [1, 2, 3]
+    assert bounds(calibrated.level) == {(0, 1): -50.0}
+    assert calibrated.level.variance[0, 1] == priors.ABSENT_MARGIN**2
+
+
+def test_padding_says_nothing(monkeypatch):
+    residual, w, phi = (
+        3 * np.random.default_rng(0).normal(size=(2, 64)),
+        np.ones((2, 64)),
+        priors.LEVEL.log_median + 0.1,
+    )
+    found = []
+    for rows in (16, 32):
+        monkeypatch.setattr(observations, "ROWS", rows)
+        table = observed().level
+        size = table.value.shape[1]
+        assert size == rows
+        # What pads the list of absent partials is a bound far above anything.
+        own = np.where(table.value > observations.OPEN / 2, table.value, residual[:, :size])
+        F = jax.jit(objective)
+        found.append(float(F(table, own, phi, w[:, :size])))
+        other = np.where((table.found > 0) | (table.value != 0), own, 1e3)
+        assert float(F(table, other, phi, w[:, :size])) == pytest.approx(found[-1], abs=1e-9)
+    assert found[0] == pytest.approx(found[1], abs=1e-9)
+
+
+def test_columns_are_gains_and_onsets():
+    alpha = B1 + D2 * np.arange(1, 6.0) ** 2
+    columns = observed().level.columns[:, :, :5]
+    gain, onset = columns[:2], columns[2:]
+    np.testing.assert_allclose(gain, priors.GAIN * np.eye(2)[:, :, None] * np.ones(5))
+    # An onset that is late by 1 ms has let every partial decay by its own α.
+    np.testing.assert_allclose(onset, np.eye(2)[:, :, None] * 20 * np.log10(np.exp(priors.ONSET * alpha)))
+    shared = observed(Layout((0, 1), (0, 0), (0, 0))).level.columns
+    assert len(shared) == 3
+    np.testing.assert_allclose(shared[0, :, :5], priors.GAIN)
+    calibrated = observed(path=False, gains=False).level.columns
+    np.testing.assert_allclose(calibrated[:, :, :5], onset)
+
+
+def test_two_microphones_share_a_stroke_and_no_path():
+    assert MICROPHONES.strokes == 1
+    assert MICROPHONES.groups == 2
+    assert not MICROPHONES.compared
+    np.testing.assert_array_equal(observed(MICROPHONES).level.group, np.eye(2))
+    np.testing.assert_array_equal(observed().level.group, np.ones((2, 1)))
+
+
+def test_only_a_path_with_two_velocities_compares_anything():
+    assert Layout((0, 1, 0), (0, 0, 1), (0, 1, 2)).compared
+    assert not Layout((0, 1), (0, 1), (0, 1)).compared  # a path for each
+    assert not ALONE.compared
+    assert TWO.compared
+
+
+def test_a_path_of_one_velocity_is_integrated_over_and_one_of_several_is_wide():
+    one = observed(ALONE).level
+    x, weight = priors.path_nodes()
+    np.testing.assert_allclose(one.common[:, 0], x)
+    np.testing.assert_allclose(np.exp(one.share), weight)
+    assert weight @ x == pytest.approx(np.log(priors.PATH_OF_ONE[0]))
+    assert weight @ (x - np.log(priors.PATH_OF_ONE[0])) ** 2 == pytest.approx(priors.PATH_OF_ONE[1] ** 2)
+    np.testing.assert_allclose(np.exp(observed().level.common), priors.PATH_OF_SEVERAL)
+    both = observe([LOUD, SOFT, LOUD], Layout((0, 1, 0), (0, 0, 1), (0, 1, 2)), 0, 0.0, True, True).level
+    np.testing.assert_allclose(np.exp(both.common[:, 0]), priors.PATH_OF_SEVERAL)
+    np.testing.assert_allclose(both.common[:, 1], x)
+    calibrated = observed(path=False, gains=False).level
+    assert not calibrated.smooth.any()
+    assert (calibrated.common <= observations.NONE).all()
+
+
+def test_a_systematic_error_is_the_mean_over_recordings():
+    systematic = observed().level.systematic
+    assert systematic[0, 0] == pytest.approx(0.09 / 2)  # one recording has it, the other none
+    assert systematic[2, 2] == pytest.approx(0.09)  # of a partial that only one has
+    assert np.linalg.eigvalsh(systematic)[0] > -1e-12
+
+
+def test_recordings_are_laid_on_one_law():
+    o = observed()
+    assert o.cents == pytest.approx([0.0, 2.0])
+    there = o.string_number > 0
+    np.testing.assert_allclose(o.frequency.value[0][there], 0.0, atol=1e-9)
+    np.testing.assert_allclose(o.decay.value[0][there], 1.0)
+    # Two recordings are known better than one by noise, and each partial once.
+    assert o.frequency.variance[0, 0] == pytest.approx(0.5 * o.frequency.variance[0, 2])
+    sharp = analysis([1, 2], [0.0, -10.0], f0=F0, glide_start=1.5)
+    assert observe([sharp], ALONE, 0, 0.0, True, True).cents == pytest.approx([1.5])
+
+
+def test_the_strings_law_has_the_derivatives_it_says():
+    string, number, step = np.log([330.0, 1.2, 0.5, 4e-5]), np.array([1, 2, 5, 9]), 1e-6
+    value, slope = string_law(string, number, 0.63)
+    s = (number * np.pi / 0.63) ** 2
+    alpha = 0.5 + 4e-5 * s
+    np.testing.assert_allclose(value[1], alpha)
+    np.testing.assert_allclose((2 * np.pi * value[0]) ** 2, 330.0**2 * s + 1.2**2 * s**2 - alpha**2)
+    for i in range(4):
+        e = step * np.eye(4)[i]
+        up, down = string_law(string + e, number, 0.63)[0], string_law(string - e, number, 0.63)[0]
+        # What losses do to the pitch is left out: parts in 1e8.
+        np.testing.assert_allclose(slope[0][:, i], np.log(up[0] / down[0]) / (2 * step), atol=1e-6)
+        np.testing.assert_allclose(slope[1][:, i], (up[1] - down[1]) / (2 * step), rtol=1e-6, atol=1e-9)
+
+
+def test_partials_above_the_top_stand_in_no_table():
+    high = analysis([1, 20, 40], [0.0, -20.0, -30.0])
+    assert frequency(np.array([40]))[0] > observations.HIGHEST
+    assert observe([high], ALONE, 0, 0.0, True, True).number.max() == 20

@@ -1,0 +1,122 @@
+"""Laplace's approximation where it is exact, and the arithmetic of mixtures."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from table_cases import PHI, dense, noise, point, shared, table
+
+import pianofit.model  # noqa: F401  (float64)
+from pianofit.inference.likelihood import Report, next_weights
+from pianofit.inference.posterior import Posterior, _without_nuisances
+from pianofit.inference.reports import report
+
+
+def at(t, residual, jacobian, phi, w) -> Report:
+    found = report(t, residual[None], jacobian[None], phi[None], w[None])
+    return Report(*(x[0] for x in found))
+
+
+def test_a_linear_gaussian_problem_is_described_exactly():
+    """With as good as normal errors and a known φ the marginal of θ is Gaussian: prior and noise give its precision."""
+    t = table("no path")._replace(student=jnp.asarray(1e9), absent=jnp.zeros((0, 2), int))
+    residual, _ = point("no path")
+    w, jacobian = np.ones_like(residual), np.random.default_rng(5).normal(size=(*residual.shape, 3))
+    found, _ = _without_nuisances(t, residual, jacobian, PHI, w, at(t, residual, jacobian, PHI, w), 0)
+    there = np.asarray(t.found).ravel() > 0
+    whole = (shared(t, PHI, 0) + np.diag(noise(t, PHI).ravel()))[np.ix_(there, there)]
+    rows = jacobian.reshape(-1, 3)[there]
+    np.testing.assert_allclose(found, rows.T @ np.linalg.solve(whole, rows), rtol=1e-6)
+
+
+def lowest():
+    """A table, what moves its law, and its residual and weights where F is lowest by both."""
+    t, residual = table("two microphones"), 0.4 * point("two microphones")[0]
+    w, jacobian = np.ones_like(residual), np.random.default_rng(5).normal(size=(*residual.shape, 3))
+    for _ in range(40):
+        found = at(t, residual, jacobian, PHI, w)
+        residual = residual - jacobian @ np.linalg.solve(found.curvature, -found.gradient)
+        w = next_weights(t, found.by_log_w, w)
+    return t, jacobian, residual, w
+
+
+def test_hyperparameters_and_weights_are_integrated_out():
+    """The Schur complement of the whole Hessian of a dense F, by second differences, and the log of the rest's volume."""
+    t, jacobian, residual, w = lowest()
+    there = at(t, residual, jacobian, PHI, w)
+    where = tuple(np.argwhere(np.asarray(t.found) > 0).T)
+    plain = jax.tree.map(np.asarray, t)
+
+    def whole(x: np.ndarray) -> float:
+        weights = w.copy()
+        weights[where] *= np.exp(x[7:])
+        return dense(plain, residual - jacobian @ x[:3], PHI + x[3:7], weights)
+
+    H = hessian(whole, 7 + len(where[0]))
+    for hyper in (1, 4):
+        rest = H[np.ix_(*[np.r_[3 : 3 + hyper, 7 : len(H)]] * 2)]
+        cross = H[np.r_[3 : 3 + hyper, 7 : len(H)], :3]
+        found, volume = _without_nuisances(t, residual, jacobian, PHI, w, there, hyper)
+        np.testing.assert_allclose(found, H[:3, :3] - cross.T @ np.linalg.solve(rest, cross), rtol=2e-3, atol=2e-3)
+        assert volume == pytest.approx(np.linalg.slogdet(rest)[1], abs=1e-2)
+        # What is not known of φ and w makes θ less known.
+        assert np.linalg.eigvalsh(there.curvature - found)[0] > -1e-9
+        assert np.abs(there.curvature - found).max() > 0.01 * np.abs(found).max()
+
+
+def hessian(of, size: int) -> np.ndarray:
+    """Second derivatives at 0, by central differences [size, size]."""
+    step, H = 1e-3, np.zeros((size, size))
+    e = step * np.eye(size)
+    single = np.array([[of(x), of(-x)] for x in e])
+    middle = of(np.zeros(size))
+    for i in range(size):
+        H[i, i] = single[i].sum() - 2 * middle
+        for j in range(i):
+            # of(x + y) + of(-x - y) less what each has alone
+            H[i, j] = H[j, i] = 0.5 * (
+                of(e[i] + e[j]) + of(-e[i] - e[j]) - single[i].sum() - single[j].sum() + 2 * middle
+            )
+    return H / step**2
+
+
+def mixture() -> Posterior:
+    random = np.random.default_rng(2)
+    roots = random.normal(size=(3, 4, 4))
+    covariance = np.einsum("bij,bkj->bik", roots, roots)
+    return Posterior(3 * random.normal(size=(3, 4)), covariance, np.array([0.6, 0.3, 0.1]))
+
+
+def test_an_interval_is_that_of_the_mixture():
+    p, random, count = mixture(), np.random.default_rng(3), 400_000
+    which = random.choice(3, size=count, p=p.share)
+    draws = np.stack([random.multivariate_normal(m, c, size=count) for m, c in zip(p.mean, p.covariance, strict=True)])
+    draws = draws[which, np.arange(count)]
+    for change in (np.eye(4)[0], np.array([1.0, -2.0, 0.0, 0.5])):
+        low, high = p.interval(change)
+        wanted = np.quantile(draws @ change, [0.025, 0.975])
+        np.testing.assert_allclose((low, high), wanted, atol=0.02 * np.ptp(wanted))
+
+
+def test_one_minimum_has_a_gaussian_interval_and_what_is_held_none():
+    one = Posterior(np.array([[1.0, 2.0]]), np.array([[[0.04, 0.0], [0.0, 0.0]]]), np.ones(1))
+    assert one.interval(np.array([1.0, 0.0])) == pytest.approx((1 - 1.96 * 0.2, 1 + 1.96 * 0.2), abs=1e-4)
+    assert one.interval(np.array([0.0, 1.0])) is None
+    assert one.deviation(np.array([1.0, 7.0])) == pytest.approx(0.2)
+
+
+def test_holding_a_sum_conditions_on_it():
+    p, held = mixture(), np.array([1.0, 0.0, -1.0, 0.0])
+    fixed = p.given(held)
+    for before, after in zip(p.covariance, fixed.covariance, strict=True):
+        # Conditioned in coordinates that have the sum as their first.
+        turn = np.vstack([held, np.eye(4)[1:]])
+        c = turn @ before @ turn.T
+        rest = c[1:, 1:] - np.outer(c[1:, 0], c[0, 1:]) / c[0, 0]
+        back = np.linalg.inv(turn)[:, 1:]
+        np.testing.assert_allclose(after, back @ rest @ back.T, atol=1e-12)
+        assert held @ after @ held == pytest.approx(0.0, abs=1e-12)
+    np.testing.assert_array_equal(fixed.mean, p.mean)
+    np.testing.assert_array_equal(p.given(np.zeros(4)).covariance, p.covariance)

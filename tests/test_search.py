@@ -1,0 +1,103 @@
+"""The search, on tables that an analysis without errors would make: where it ends, and how it gets there."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+import pytest
+from observed_cases import GEOMETRY, HAMMER, STRING, played, setup, tone
+
+from pianofit.inference import Problem, estimate, pose
+from pianofit.inference.coordinates import FORCE, NAMES, SHARED, VALUES
+from pianofit.inference.search import Search, distinct
+from pianofit.inference.string import string_minimum
+
+
+@functools.cache
+def problem() -> Problem:
+    """One calibrated recording of C4, with its strike known."""
+    return pose([tone()], [played()], setup())
+
+
+@functools.cache
+def string() -> np.ndarray:
+    return string_minimum(problem())[0]
+
+
+@functools.cache
+def found(seed: int = 0):
+    return estimate(problem(), seed)
+
+
+def test_the_string_is_read_off_its_partials():
+    np.testing.assert_allclose(np.exp(string()), STRING, rtol=2e-5)
+    start = np.exp(problem().unknowns.mean[:4])
+    assert (np.abs(start / np.array(STRING) - 1) > 5e-6).all()  # it began elsewhere
+
+
+def test_a_descent_never_raises_F():
+    p = problem()
+    search = Search(p, string())
+    z = search.screened(3)[:24]
+    people = search.begun(z, search.wide())
+    assert len(people) > 8
+    every, before = np.arange(len(people)), np.full(len(people), np.inf)
+    for _ in range(6):
+        for step in (lambda: search._step(people, every), lambda: search._hyper(people, every, 0.0)):
+            step()
+            now = search.total(people.z, people.report)
+            assert (now <= before + 1e-9).all()
+            # What it says of F is F: of a candidate made anew at the same point.
+            before = now
+    anew = search.begun(people.z, people.phi, people.w)
+    np.testing.assert_allclose(search.total(anew.z, anew.report), search.total(people.z, people.report), rtol=1e-10)
+    low, high = p.unknowns.edges(people.z)
+    assert ((people.z >= low) & (people.z <= high))[:, p.unknowns.free].all()
+
+
+def test_a_descent_sorts_and_ends_where_F_is_flat():
+    search = Search(problem(), string())
+    people = search.descend(search.begun(search.screened(3)[:6], search.wide()), 0.0, 60)
+    F = search.total(people.z, people.report)
+    assert (np.diff(F) >= 0).all()
+    gradient = search.known(people.z)[1] + people.report.gradient
+    curvature = search.known(people.z)[2] + people.report.curvature
+    free = search.moves & ~problem().unknowns.at_bound(people.z[0])
+    g, H = gradient[0][free], curvature[0][np.ix_(free, free)]
+    assert 0.5 * g @ np.linalg.solve(H, g) < 1e-2  # what F could still fall by
+
+
+def test_the_hammer_is_found_without_an_error_of_the_steps():
+    z = found().z
+    values = dict(zip(VALUES, np.exp(problem().unknowns.log_values(z)), strict=False)) | {"v_H0": np.exp(z[SHARED])}
+    assert values["M_H"] == pytest.approx(HAMMER.M_H, rel=1e-3)
+    assert values["v_H0"] == pytest.approx(HAMMER.v_H0, rel=1e-3)
+    assert values["p"] == pytest.approx(HAMMER.p, rel=2e-3)
+    assert values["mu"] == pytest.approx(HAMMER.mu, rel=1e-2)
+    assert values["width"] == pytest.approx(GEOMETRY.width, rel=1e-2)
+    u = np.exp(problem().unknowns.log_u)
+    assert np.exp(z[FORCE]) == pytest.approx(HAMMER.K_H * u**HAMMER.p, rel=5e-3)
+    assert found().minima.converged[0]
+
+
+def test_the_same_seed_gives_the_same_result_and_another_the_same_minimum():
+    again = estimate(problem(), 0)
+    np.testing.assert_array_equal(again.z, found().z)
+    np.testing.assert_array_equal(again.minima.F, found().minima.F)
+    np.testing.assert_array_equal(again.posterior.covariance, found().posterior.covariance)
+    other = found(1)
+    np.testing.assert_allclose(other.z, found().z, atol=2e-3)
+    assert other.minima.F[0] == pytest.approx(found().minima.F[0], abs=0.05)
+
+
+def test_minima_are_told_apart_by_where_they_are():
+    search, u = Search(problem(), string()), problem().unknowns
+    z = np.tile(u.mean, (4, 1))
+    z[1, NAMES.index("M_H")] += 0.001 * u.sd[NAMES.index("M_H")]
+    z[2, NAMES.index("M_H")] += 0.5 * u.sd[NAMES.index("M_H")]
+    z[3, NAMES.index("p")] += 0.5 * u.sd[NAMES.index("p")]
+    people = search.begun(u.project(z), search.wide())
+    scores = np.array([1.0, 0.9, 0.0, 9.0])[: len(people)]
+    assert len(people) == 4
+    assert distinct(people, u, scores, 6.0) == [2, 1]
