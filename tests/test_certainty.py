@@ -10,11 +10,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from fit_cases import space
-from scipy.stats import norm, truncnorm
-
-from pianofit.analysis import analyse
-from pianofit.cli import main
-from pianofit.errors import ParameterError
 from pianofit.fit import Result, fit_recording, posterior
 from pianofit.fit.certainty import Certainty, by_curvature, by_posterior, by_profile, check_intervals
 from pianofit.fit.levenberg import descend
@@ -23,6 +18,11 @@ from pianofit.fit.recipe import fit_partials
 from pianofit.fit.space import LOG, NAMES, SIZE, K, P, Space, split, struck
 from pianofit.fit.surface import Surface
 from pianofit.fit.takes import arranged
+from scipy.stats import norm, truncnorm
+
+from pianofit.analysis import analyse
+from pianofit.cli import main
+from pianofit.errors import ParameterError
 from pianofit.model import simulate
 from pianofit.model.response import level_db, ringing
 from pianofit.recording import recording_from_samples

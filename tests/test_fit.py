@@ -7,11 +7,11 @@ import json
 
 import numpy as np
 import pytest
+from pianofit.fit import Result, fit_recording, recipe
+from pianofit.fit.verdict import FELT as FELT_NAMES
 from twin_cases import ALLOWED, FELT, FIRST, errors, fit_twin, misses, random_truth, record, setup_of
 
 from pianofit.analysis import analyse
-from pianofit.fit import Result, fit_recording, recipe
-from pianofit.fit.verdict import FELT as FELT_NAMES
 from pianofit.parameters import FIT_NAMES, PARAMETERS, check
 from pianofit.recording import load_recording
 from pianofit.setup_file import Setup, setup_from_dict

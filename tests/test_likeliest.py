@@ -6,10 +6,6 @@ import functools
 
 import numpy as np
 import pytest
-from test_screen import true_point
-from test_takes import VELOCITIES, setup, takes
-from twin_cases import FIRST
-
 from pianofit.fit.hammers import RACE, search_hammers
 from pianofit.fit.joint import Fit, unlikely
 from pianofit.fit.likeliest import likeliest
@@ -17,6 +13,9 @@ from pianofit.fit.recipe import _prepared
 from pianofit.fit.space import NAMES
 from pianofit.fit.state import State
 from pianofit.fit.takes import arranged
+from test_screen import true_point
+from test_takes import VELOCITIES, setup, takes
+from twin_cases import FIRST
 
 M = NAMES.index("M_H")
 

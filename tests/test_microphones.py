@@ -8,11 +8,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from test_takes import VELOCITIES, setup, through_a_room
-from twin_cases import FIRST, record
-
-from pianofit.analysis import analyse
-from pianofit.errors import FitError
 from pianofit.fit import Result, fit_takes
 from pianofit.fit.joint import in_tune
 from pianofit.fit.path import path_of
@@ -22,6 +17,11 @@ from pianofit.fit.space import LOG, Layout
 from pianofit.fit.state import search_space
 from pianofit.fit.takes import arranged
 from pianofit.fit.target import Spreads
+from test_takes import VELOCITIES, setup, through_a_room
+from twin_cases import FIRST, record
+
+from pianofit.analysis import analyse
+from pianofit.errors import FitError
 from pianofit.predict import cross_validate
 from pianofit.recording import Recording
 from pianofit.setup_file import Setup, Take

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.special import huber as huber_loss
-
 from pianofit.fit.misfit import BEND, huber, scatter
+from scipy.special import huber as huber_loss
 
 N = 600
 

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from test_takes import VELOCITIES, setup, takes
-from twin_cases import FIRST
-
 from pianofit.fit.hammers import _starts
 from pianofit.fit.recipe import _prepared
 from pianofit.fit.screen import FASTEST, SLOWEST, quadratic, screened
 from pianofit.fit.screen import VELOCITIES as TRIED
 from pianofit.fit.space import NAMES
 from pianofit.fit.takes import arranged
+from test_takes import VELOCITIES, setup, takes
+from twin_cases import FIRST
+
 from pianofit.setup_file import Take
 
 STEP = (FASTEST - SLOWEST) / (TRIED - 1)

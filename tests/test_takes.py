@@ -7,14 +7,14 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from pianofit.fit import Result, fit_takes
+from pianofit.fit.place import smoothest
+from pianofit.fit.target import buried, measured_alike
 from twin_cases import FIRST, record, setup_of
 
 from pianofit.analysis import Partials, analyse
 from pianofit.criterion import SAME_PARTIAL
 from pianofit.errors import FitError
-from pianofit.fit import Result, fit_takes
-from pianofit.fit.place import smoothest
-from pianofit.fit.target import buried, measured_alike
 from pianofit.model.modes import raised_cosine_weights
 from pianofit.parameters import Geometry
 from pianofit.predict import cross_validate, predict_take

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from fit_cases import space
-
 from pianofit.fit.space import LOG, NAMES, SIZE, K, P
 from pianofit.fit.uncertainty import DOUBTED, intervals, neighbours, statuses, tangled, to_stiffness, whole_covariance
 
