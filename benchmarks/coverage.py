@@ -128,7 +128,7 @@ def gain_from_truth(problem: Problem, minima: Minima, true: Values, velocities: 
     ----------
     velocities : m/s, of every recording; each is of a stroke of its own.
     """
-    from pianofit.inference.finish import _finished
+    from pianofit.inference.finish import finish
     from pianofit.inference.search import Search
 
     people = minima.people
@@ -136,7 +136,7 @@ def gain_from_truth(problem: Problem, minima: Minima, true: Values, velocities: 
     begun = Search(problem, z[:4], minima.strings[0]).begun(z[None], people.phi[0], people.w[0])
     if not len(begun):
         return None
-    *_, F, _ = _finished(problem, begun, minima.strings[0])
+    F = finish(problem, begun, minima.strings[0]).F
     return float(minima.F[0]) - F
 
 

@@ -30,7 +30,8 @@ def analysis(
     f = frequency(number, f0)
     partials = Partials(
         number=number, frequency=f, frequency_error=1e-4 * f, frequency_systematic=np.zeros((size, size)),
-        decay=B1 + D2 * number**2.0, decay_error=0.01 * (B1 + D2 * number**2.0), decay_systematic=np.zeros((size, size)),
+        decay=B1 + D2 * number**2.0, decay_error=0.01 * (B1 + D2 * number**2.0),
+        decay_systematic=np.zeros((size, size)),
         level=np.array(level, float), level_error=np.full(size, level_error),
         level_systematic=systematic**2 * np.ones((size, size)), snr=np.full(size, 40.0), beating=np.zeros(size),
         absent=np.array(absent, int), absent_bound=np.array(bound, float),

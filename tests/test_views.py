@@ -21,8 +21,8 @@ from pianofit.inference.profile import RISE, _Profile, profiles
 from pianofit.inference.views import check_intervals, open_messages, reported, view_of
 from pianofit.twin import make_twin, setup_text
 
-# What levels alone tell: their errors are nearly Gaussian. The string's rest on a few frequencies and decays each, whose
-# heavy tails and unknown excess Laplace's parabola does not have.
+# What levels alone identify: their errors are nearly Gaussian. The string's rest on a few frequencies and decays each,
+# whose heavy tails and unknown excess Laplace's parabola does not have.
 HAMMER = ("K_H", "p", "mu", "M_H", "v_H0")
 
 
@@ -57,7 +57,9 @@ def halves(entries: dict) -> dict[str, tuple[float, float]]:
     """From the minimum to both ends, in Laplace's standard deviations × 1.96; [-1, 1] where they agree."""
     posterior, names = fitted().posterior, reported(posed())
     return {
-        name: tuple((np.log(entries[name]["interval"]) - posterior.mean[0, i]) / posterior.covariance[0, i, i] ** 0.5 / 1.96)
+        name: tuple(
+            (np.log(entries[name]["interval"]) - posterior.mean[0, i]) / posterior.covariance[0, i, i] ** 0.5 / 1.96
+        )
         for name, i in names.items()
     }  # fmt: skip
 

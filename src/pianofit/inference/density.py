@@ -8,7 +8,7 @@ back has exactly the density in the box. So is the range within which the search
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -42,22 +42,22 @@ class Point(NamedTuple):
 class Given(NamedTuple):
     """The minimum and its coordinates, box and priors, and the tables."""
 
-    z: Array  # [size]
-    white: Array  # from unit normals to z [size, free]
-    box: tuple[Array, Array]  # [size] each
-    stiffness: Array  # least and largest log K_H
-    log_u: Array
-    prior: tuple[Array, Array]  # mean and precision [size]
+    z: Any  # [size]
+    white: Any  # from unit normals to z [size, free]
+    box: tuple[Any, Any]  # [size] each
+    stiffness: Any  # least and largest log K_H
+    log_u: Any
+    prior: tuple[Any, Any]  # mean and precision [size]
     tables: tuple[Table, ...]
-    phi: tuple[Array, ...]
-    w: tuple[Array, ...]
-    found: tuple[Array, ...]  # row and column of what was observed [N, 2]
-    offset: Array  # the contact's step error, dB [R, K]
-    there: Array  # 1 where a level is, or is known to be absent [R, K]
-    stroke: Array  # of every recording [R]
-    column: Array  # the model's, of every column of the table [K]
-    cents: Array  # tension of every stroke
-    partials: tuple[Array, Array, Array]  # numbers and law of the string's tables, length
+    phi: tuple[Any, ...]
+    w: tuple[Any, ...]
+    found: tuple[Any, ...]  # row and column of what was observed [N, 2]
+    offset: Any  # the contact's step error, dB [R, K]
+    there: Any  # 1 where a level is, or is known to be absent [R, K]
+    stroke: Any  # of every recording [R]
+    column: Any  # the model's, of every column of the table [K]
+    cents: Any  # tension of every stroke
+    partials: tuple[Any, Any, Any]  # numbers and law of the string's tables, length
     scene: Scene
 
 
@@ -74,7 +74,7 @@ def given(problem: Problem, found: Estimate) -> Given:
         tuple(np.argwhere(np.asarray(t.found) > 0) for t in tables),
         minima.offsets[0], np.asarray(search.there), search.stroke, search.columns, np.asarray(cents),
         (o.string_number, o.law, np.float64(problem.start.geometry.length)), problem.scene,
-    )  # pyright: ignore[reportArgumentType]  # fmt: skip
+    )  # fmt: skip
 
 
 def _white(problem: Problem, found: Estimate) -> np.ndarray:

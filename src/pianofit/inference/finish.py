@@ -11,10 +11,12 @@ from .problem import Problem
 from .search import Population, Search, distinct
 from .string import StringState, hyper_step, string_report
 
-__all__ = ["Minima", "finished"]
+__all__ = ["Finished", "Minima", "finish", "finished"]
 
 # Minima whose F is higher by more than this have no share: exp(-6) is a quarter of a percent.
 WITHIN = 6.0
+# A descent that still gained more than this, F, in its last step has not converged.
+NEARLY = 1.0
 # So many at most are finished.
 MOST = 4
 # The step error is read off again while it still moves the levels by this share of a standard deviation, rms.
@@ -37,29 +39,40 @@ def finished(problem: Problem, found: Population, held: Search, strings: StringS
     """Every distinct minimum near the lowest, finished on F with all its unknowns."""
     scores = held.total(found.z, found.report)
     chosen = distinct(found, held.unknowns, scores, WITHIN)[:MOST]
-    ends = [_finished(problem, found.take(np.array([i])), strings) for i in chosen]
-    people = ends[0][1]
+    ends = [finish(problem, found.take(np.array([i])), strings) for i in chosen]
+    people = ends[0].people
     for end in ends[1:]:
-        people = people.join(end[1])
-    F = np.array([end[2] for end in ends])
+        people = people.join(end.people)
+    F = np.array([end.F for end in ends])
     # Two that were distinct may have come to the same minimum: it counts once.
     kept = distinct(people, held.unknowns, F, WITHIN)
     return Minima(
-        ends[kept[0]][0], people.take(np.array(kept)), F[kept], np.stack([ends[i][0].offset for i in kept]),
-        [ends[i][0].strings for i in kept], np.array([ends[i][3] for i in kept]),
+        ends[kept[0]].search, people.take(np.array(kept)), F[kept], np.stack([ends[i].search.offset for i in kept]),
+        [ends[i].strings for i in kept], np.array([ends[i].converged for i in kept]),
     )  # fmt: skip
 
 
-def _finished(problem: Problem, one: Population, strings: StringState) -> tuple[Search, Population, float, bool]:
+class Finished(NamedTuple):
+    """One minimum of F with all its unknowns."""
+
+    search: Search
+    people: Population  # it alone
+    F: float
+    converged: bool
+    strings: StringState
+
+
+def finish(problem: Problem, one: Population, strings: StringState) -> Finished:
+    """Lower F from one candidate with the string free and the contact's step error taken out, in turn."""
     string, state = one.z[0, :STRING_SIZE], strings
     search = Search(problem, string, state)
-    settled = False
+    converged = False
     for _ in range(READINGS):
         before = search.offset
         search.offset = search.step_error(one.z[0])
         one = search.begun(one.z, one.phi[0], one.w[0])
         one = search.descend(one, 0.0, ITERATIONS)
-        settled = bool(one.gained[0] < 1.0)
+        converged = bool(one.gained[0] < NEARLY)
         string = one.z[0, :STRING_SIZE]
         state, _ = hyper_step(problem, string, state, string_report(problem, string, state))
         search.strings = state
@@ -67,4 +80,4 @@ def _finished(problem: Problem, one: Population, strings: StringState) -> tuple[
         moved = (search.offset - before) / sd * np.asarray(search.table.found)
         if np.sqrt((moved**2).sum() / max(np.asarray(search.table.found).sum(), 1)) < LEFT:
             break
-    return search, one, float(search.total(one.z, one.report)[0]), settled
+    return Finished(search, one, float(search.total(one.z, one.report)[0]), converged, state)

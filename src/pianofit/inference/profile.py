@@ -85,8 +85,8 @@ def profiles(problem: Problem, found: Estimate) -> View:
 def _messages(lower: dict[str, float]) -> list[str]:
     names = [name for name, by in lower.items() if by > LOWER]
     said = (
-        f"The profile of {', '.join(names)} found F lower by {max(lower.values()):.2g} than the fit: the search had not "
-        "found the lowest minimum, and another seed may."
+        f"The profile of {', '.join(names)} found F lower by {max(lower.values()):.2g} than the fit: the search had "
+        "not found the lowest minimum, and another seed may."
     )
     return [said] * bool(names)
 
