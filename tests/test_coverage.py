@@ -18,17 +18,17 @@ import coverage
 import coverage_table
 import coverage_twins as twins
 
-# One calibrated take of C6, which is soon made and fitted.
+# One calibrated recording of C6, which is soon made and fitted.
 CHEAP = 40
 
 
 def test_twins_are_in_every_cell_and_of_every_key():
     for kind in twins.KINDS:
         designs = [twins.design_of(kind, seed) for seed in range(200)]
-        cells = {(d.takes, d.calibrated, d.key) for d in designs}
+        cells = {(d.recordings, d.calibrated, d.key) for d in designs}
         assert cells == set(itertools.product(range(1, 6), (True, False), twins.KEYS))
         assert all(d.strike_known for d in designs if d.calibrated)
-        effects = {(d.takes, d.calibrated, d.glide, d.beats) for d in designs}
+        effects = {(d.recordings, d.calibrated, d.glide, d.beats) for d in designs}
         assert len(effects) == (10 if kind == "model" else 40)
 
 
@@ -40,7 +40,7 @@ def test_the_same_seed_gives_the_same_twin_and_another_another():
     assert twins.draw("brute-force", CHEAP) != one.truth
 
 
-def test_blows_rise_over_the_usual_range():
+def test_strokes_rise_over_the_usual_range():
     for seed in range(60):
         truth = twins.draw("model", seed)
         assert list(truth.velocities) == sorted(truth.velocities)
@@ -72,7 +72,7 @@ def plain() -> tuple[twins.Truth, np.ndarray]:
 
 
 def pitch(sound: np.ndarray, f: float, start: float, stop: float) -> float:
-    """Mean frequency, Hz, of the partial near `f` between two times after the blow, by the phases at both."""
+    """Mean frequency, Hz, of the partial near `f` between two times after the stroke, by the phases at both."""
     phase, reach, rate = [], 0.02, twins.RATE
     for at in (start, stop):
         n = np.arange(round((at + twins.LEAD - reach) * rate), round((at + twins.LEAD + reach) * rate))
@@ -93,13 +93,13 @@ def test_a_twin_glides_as_it_was_asked_to(plain):
         assert cents == pytest.approx(5.0 * mean, abs=0.1)
         quarter = 1200 * math.log2(pitch(soft, f1, start, stop) / pitch(still, f1, start, stop))
         assert quarter == pytest.approx(5.0 * mean / 4, abs=0.1)
-    low, high = twins._values("brute-force", glide)["c"]
+    low, high = twins.values_of("brute-force", glide)["c"]
     mean = 5.0 * 0.4 * (math.exp(-0.5) - math.exp(-2.5)) / 0.8
     assert 1200 * math.log2(low / truth.string.c) == pytest.approx(mean, rel=1e-2)
     assert 0 < 1200 * math.log2(high / low) < 0.03 * mean
 
 
-def test_two_axes_are_one_string_at_the_blow_and_beat_later(plain):
+def test_two_axes_are_one_string_at_the_stroke_and_beat_later(plain):
     truth, sound = plain
     cents, level = 3.0, 0.4
     two = truth._replace(beat_cents=cents, beat_level=level)
@@ -107,34 +107,34 @@ def test_two_axes_are_one_string_at_the_blow_and_beat_later(plain):
     first = slice(round(twins.LEAD * twins.RATE), round((twins.LEAD + 0.01) * twins.RATE))
     apart = np.linalg.norm(beats[first] - sound[first]) / np.linalg.norm(sound[first])
     assert 0.0 < apart < 0.05
-    # Half a beat after the blow the two are against each other.
+    # Half a beat after the stroke the two are against each other.
     at = twins.LEAD + 0.5 / (truth.f0 * (2 ** (cents / 1200) - 1))
     there = slice(round((at - 0.02) * twins.RATE), round((at + 0.02) * twins.RATE))
     fainter = np.linalg.norm(beats[there]) / np.linalg.norm(sound[there])
     assert fainter == pytest.approx((1 - level) / (1 + level), abs=0.08)
-    low, high = twins._values("brute-force", two)["c"]
+    low, high = twins.values_of("brute-force", two)["c"]
     assert low == pytest.approx(truth.string.c)
     assert 1200 * math.log2(high / low) == pytest.approx(cents * level / (1 + level))
 
 
 def test_a_miss_is_counted_in_standard_errors():
     low, high = 2.0 / 1.1, 2.0 * 1.1
-    row = coverage_table.row("c", 2.0, (low, high), "free", high)
+    row = coverage_table.row("c", 2.0, (low, high), "fitted", high)
     assert row["miss"] == pytest.approx(-1.96)
-    assert coverage_table.row("c", 2.0, (low, high), "free", 2.5)["held"] is False
-    assert coverage_table.row("c", 2.0, (low, high), "free", (1.9, 2.5))["miss"] == 0.0
+    assert coverage_table.row("c", 2.0, (low, high), "fitted", 2.5)["held"] is False
+    assert coverage_table.row("c", 2.0, (low, high), "fitted", (1.9, 2.5))["miss"] == 0.0
     rows = [
         row,
-        coverage_table.row("c", 2.0, (low, high), "free", 2.5),
-        coverage_table.row("c", 1.0, None, "fixed", 1.0),
+        coverage_table.row("c", 2.0, (low, high), "fitted", 2.5),
+        coverage_table.row("c", 1.0, None, "given", 1.0),
     ]
     entry = coverage_table.entry([*rows, {**rows[1], "status": "not-identifiable"}])
-    assert (entry["free"], entry["held"], entry["not_identifiable"], entry["beyond_four"]) == (2, 1, 1, 1)
+    assert (entry["fitted"], entry["held"], entry["not_identifiable"], entry["beyond_four"]) == (2, 1, 1, 1)
 
 
 def test_a_small_study_from_end_to_end(tmp_path, monkeypatch, capsys):
     kept, found = tmp_path / "runs.jsonl", tmp_path / "coverage.json"
-    refused = {"kind": "model", "seed": CHEAP + 1, "takes": 1, "calibrated": False, "seconds": 0.0, "refused": "noise"}
+    refused = {"kind": "model", "seed": CHEAP + 1, "recordings": 1, "calibrated": False, "seconds": 0.0, "refused": "noise"}
     kept.write_text(json.dumps(refused) + "\n")
     monkeypatch.setattr(
         sys, "argv",
@@ -148,7 +148,7 @@ def test_a_small_study_from_end_to_end(tmp_path, monkeypatch, capsys):
     document = json.loads(found.read_text())
     (run,) = (run for run in document["runs"] if "rows" in run)
     assert [row["name"] for row in run["rows"]] == [*FIT_NAMES, "x0", "width"]
-    assert document["table"]["all"]["free"] >= 6
+    assert document["table"]["all"]["fitted"] >= 6
     # From the truth the search comes to the same place.
     assert abs(run["deeper"]) < coverage_table.DEEPER
     assert len(kept.read_text().splitlines()) == 2

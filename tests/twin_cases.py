@@ -1,19 +1,24 @@
-"""Twins for the tests of the fit: made by brute force, with another window, rate and step than the fit uses."""
+"""Twins for the tests of the fit, made by brute force, with another window, rate and step than the fit uses.
+
+Or by the model itself, at another rate and a far finer step: then what is tested is the statistics alone.
+"""
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import NamedTuple
 
 import numpy as np
 from brute_force import make_twin, matched_width
 
-from pianofit.analysis import analyse
-from pianofit.fitting import fit_recording
+from pianofit.analysis import Analysis, analyse
+from pianofit.fitting import fit_recording, fit_takes
 from pianofit.inference import Result
+from pianofit.model import simulate
 from pianofit.parameters import FIT_NAMES, Geometry, Hammer, String
 from pianofit.recording import Recording, recording_from_samples
-from pianofit.setup_file import Setup, setup_from_dict
+from pianofit.setup_file import Setup, Take, setup_from_dict
 
 RATE = 48_000
 LEAD = 0.03  # s
@@ -111,3 +116,91 @@ def errors(document: dict, truth: Truth) -> dict[str, float]:
 def misses(document: dict, truth: Truth) -> dict[str, float]:
     """The errors that are larger than allowed."""
     return {name: x for name, x in errors(document, truth).items() if x > ALLOWED.get(name, FELT)}
+
+
+# --- the cases that all tests of whole fits share ---------------------------------------------------------------------
+
+VELOCITIES = (0.8, 1.6, 3.2)  # m/s
+ROUGH = 5.0  # dB
+# Which stroke, at which microphone, and what stands between it and the string: a random path.
+ALONE = ((2, "close"),)
+SEVERAL = ((0, "close"), (1, "close"), (2, "close"))
+MICROPHONES = (*SEVERAL, (1, "room"))
+ROOMS = {"close": 7, "room": 8}
+# The same programs as the others compile serve them, at a step sixteen times as fine.
+MODEL_RATE, FINE = 96_000, 16
+
+
+def record_model(
+    truth: Truth, *, quantity: str = "velocity", noise_db: float = -60.0, seconds: float = 3.0, seed: int = 0
+) -> Recording:
+    """As `record`, by the model itself."""
+    sound = simulate(
+        truth.string, truth.hammer, truth.geometry, rate=MODEL_RATE, oversampling=FINE, quantity=quantity, n_modes=256
+    )
+    samples = np.pad(sound.waveform(MODEL_RATE, int(seconds * MODEL_RATE)), (int(LEAD * MODEL_RATE), 0))
+    rms = math.sqrt(float(np.mean(samples[int(LEAD * MODEL_RATE) :][:MODEL_RATE] ** 2)))
+    samples = samples + np.random.default_rng(seed).normal(0.0, rms * 10 ** (noise_db / 20), samples.size)
+    unit = truth.scale if quantity == "velocity" else 2 * float(np.abs(samples).max())
+    return recording_from_samples(samples / unit, MODEL_RATE, name="twin")
+
+
+def through_a_room(recording: Recording, name: str, seed: int = ROOMS["close"], rough: float = ROUGH) -> Recording:
+    """The sound behind a path that differs by `rough` dB from partial to partial, the same for every recording."""
+    grid = np.arange(0, 48_000.0 / 2 + 60, 60.0)
+    db = np.random.default_rng(seed).normal(0.0, rough, len(grid))
+    spectrum = np.fft.rfft(recording.samples)
+    frequency = np.fft.rfftfreq(len(recording.samples), 1 / recording.rate)
+    shaped = np.fft.irfft(spectrum * 10 ** (np.interp(frequency, grid, db) / 20), len(recording.samples))
+    shaped *= 0.5 / np.abs(shaped).max()
+    return recording_from_samples(shaped, recording.rate, name=name)
+
+
+@functools.cache
+def through(strokes: tuple[tuple[int, str], ...], by: str = "brute-force") -> tuple[list[Recording], list[Analysis]]:
+    """Strokes of `FIRST` at microphones, each brought to the same peak, and their analyses."""
+    sounded, made = record if by == "brute-force" else record_model, []
+    for stroke, microphone in strokes:
+        truth = FIRST._replace(hammer=FIRST.hammer._replace(v_H0=VELOCITIES[stroke]))
+        sound = sounded(truth, quantity="bridge-force", seed=10 * stroke + ROOMS[microphone])
+        made.append(through_a_room(sound, f"{stroke}-{microphone}.wav", ROOMS[microphone]))
+    return made, [analyse(r, f0=FIRST.f0) for r in made]
+
+
+def strokes_of(strokes: tuple[tuple[int, str], ...], *more: Take, measured: bool = True) -> Setup:
+    """What is known of them: sizes, which stroke is which, and the fastest's velocity."""
+    g = FIRST.geometry
+    said = [Take(f"{s}-{m}.wav", VELOCITIES[2] if s == 2 and measured else None, m, None, str(s)) for s, m in strokes]
+    return Setup(
+        length=g.length, mass=g.mass, strike_position=g.strike, strike_width=g.width, takes=more or tuple(said)
+    )
+
+
+@functools.cache
+def calibrated(by: str = "brute-force") -> Result:
+    """The fit of a calibrated recording, from the literature's hammer, through another window, rate and step."""
+    return fit_twin((record if by == "brute-force" else record_model)(FIRST), setup_of(FIRST))
+
+
+@functools.cache
+def uncalibrated() -> Result:
+    """The fit of the same stroke as a microphone might record it, of which nothing is known."""
+    return fit_twin(record(FIRST, quantity="pressure"), Setup())
+
+
+@functools.cache
+def path_fit(strokes: tuple[tuple[int, str], ...], by: str = "brute-force") -> Result:
+    """The fit of strokes at microphones."""
+    return fit_takes(*through(strokes, by), strokes_of(strokes))
+
+
+def standard_errors(document: dict, truth: dict[str, float]) -> dict[str, tuple[float, float]]:
+    """Relative error, and that in standard errors, of every fitted parameter by name."""
+    found = {}
+    for name, true in truth.items():
+        entry = document["parameters"][name]
+        if entry["status"] == "fitted":
+            low, high = entry["interval"]
+            error = math.log(entry["value"] / true)
+            found[name] = math.expm1(error), error * 3.92 / math.log(high / low)
+    return found

@@ -222,8 +222,10 @@ def _parameters(problem: Problem, found: Estimate, states: dict[str, str]) -> di
         note = f"scales with the assumed {' and '.join(rests)}" if rests and states[name] == "scaled" else ""
         if name == "width" and u.free[WIDTH]:
             note = "effective: of the raised cosine that acts as the felt's own window does"
+        # What is held is shown as it was given, to the last digit.
+        value = float(values[i] if u.free[i] else start.values[name])
         table[name] = _entry(
-            found.posterior, np.eye(u.size)[i], float(values[i]), UNITS[name], states[name],
+            found.posterior, np.eye(u.size)[i], value, UNITS[name], states[name],
             float(start.initial[name] if name in start.initial else initial[i]), note,
         )  # fmt: skip
     order = [n for n in PARAMETERS_FIRST if n in table]
@@ -245,7 +247,8 @@ def _entry(
 
 def _velocity(problem: Problem, found: Estimate, stroke: int) -> dict:
     at = SHARED + stroke
-    value = float(np.exp(found.z[at]))
+    measured = problem.speed[stroke]
+    value = float(np.exp(found.z[at])) if measured is None else float(measured)
     status = velocity_statuses(problem, found)[stroke]
     note = "its scale is the prior's" if status == "scaled" else ""
     return _entry(found.posterior, np.eye(problem.unknowns.size)[at], value, "m/s", status, value, note)

@@ -1,0 +1,83 @@
+"""A gate that no constant can drift past: four kinds of measurement with a known truth, and real notes left out.
+
+Every twin is made twice, by brute force and by the model at another rate and a far finer step. The bounds are about
+twice what was found when they were written; where a change makes a fit worse than that, something has become worse.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from twin_cases import ALONE, FIRST, MICROPHONES, SEVERAL, VELOCITIES, calibrated, path_fit, standard_errors
+
+from pianofit.analysis import analyse
+from pianofit.fitting import fit_takes
+from pianofit.inference import Result
+from pianofit.predict import predict_take
+from pianofit.recording import load_recording
+
+FOLDER = Path(os.environ.get("PIANOFIT_RECORDINGS", Path(__file__).parents[2] / "shared" / "recordings"))
+# Relative errors.
+CALIBRATED = {
+    "c": 2e-8, "kappa": 2e-6, "b1": 3e-4, "b2": 2e-3, "K_H": 0.1, "mu": 3e-3, "p": 5e-3, "M_H": 3e-4, "v_H0": 5e-4,
+    "width": 0.04,
+}  # fmt: skip
+STRING = {"c": 1e-7, "kappa": 2e-6, "b1": 1e-3, "b2": 2e-3}
+PATH = STRING | {"K_H": 0.1, "mu": 4e-3, "p": 6e-3, "M_H": 5e-4}
+CASES = {"calibrated": CALIBRATED, "alone": STRING, "several": PATH, "microphones": PATH}
+STROKES = {"alone": ALONE, "several": SEVERAL, "microphones": MICROPHONES}
+VELOCITY = 0.007
+# Standard errors.
+FAR = 4.0
+TRUE = FIRST.values | {"x0": FIRST.geometry.strike, "width": FIRST.geometry.width}
+
+
+def fit(case: str, by: str) -> Result:
+    return calibrated(by) if case == "calibrated" else path_fit(STROKES[case], by)
+
+
+@pytest.mark.parametrize("by", ["brute-force", "model"])
+@pytest.mark.parametrize("case", CASES)
+def test_the_truth_is_found_and_intervals_reach_it(case, by):
+    document = fit(case, by).document
+    true = TRUE if case == "calibrated" else TRUE | {"v_H0": VELOCITIES[2]}
+    found = standard_errors(document, true)
+    assert set(found) == set(CASES[case])
+    off = {name: error for name, (error, _) in found.items() if abs(error) > CASES[case][name]}
+    assert not off
+    assert not {name: z for name, (_, z) in found.items() if abs(z) > FAR}
+    assert document["converged"]
+
+
+@pytest.mark.parametrize("by", ["brute-force", "model"])
+@pytest.mark.parametrize("case", ["several", "microphones"])
+def test_velocities_that_were_not_measured_are_found(case, by):
+    for row, (stroke, _) in zip(fit(case, by).document["takes"], STROKES[case], strict=True):
+        error = np.log(row["v_H0"] / VELOCITIES[stroke])
+        assert abs(error) < VELOCITY
+        if row["v_H0_status"] == "fitted":
+            low, high = row["v_H0_interval"]
+            assert abs(error) < FAR * np.log(high / low) / 3.92
+
+
+@pytest.mark.recordings
+@pytest.mark.skipif(not FOLDER.is_dir(), reason=f"no recordings at {FOLDER}; set PIANOFIT_RECORDINGS")
+@pytest.mark.parametrize(
+    ("note", "layers", "left_out", "worst_db"),
+    [
+        ("F#2", ["cp80-Fs2-PP", "cp80-Fs2-MP", "cp80-Fs2-FF"], "cp80-Fs2-F", 2.0),
+        pytest.param(
+            "F#1", [f"headroom-Fs1-L{i}-close" for i in (1, 2, 4, 5)], "headroom-Fs1-L3-close", 2.0,
+            marks=pytest.mark.slow,
+        ),
+    ],
+)  # fmt: skip
+def test_a_layer_that_was_left_out_is_predicted(note, layers, left_out, worst_db):
+    recordings = [load_recording(FOLDER / f"{name}.flac") for name in layers]
+    result = fit_takes(recordings, [analyse(r, note=note) for r in recordings])
+    analysis = analyse(load_recording(FOLDER / f"{left_out}.flac"), note=note)
+    voices = list(zip(result.shares, (minimum[0] for minimum in result.voices), strict=True))
+    assert predict_take(voices, analysis).error_db < worst_db
