@@ -209,6 +209,7 @@ def _parameters(problem: Problem, found: Estimate, states: dict[str, str]) -> di
     u, start = problem.unknowns, problem.start
     values, initial = np.exp(found.posterior.mean[0]), np.exp(u.log_values(beginning(problem, found.z[:STRING_SIZE])))
     reference = problem.layout.stroke[problem.reference]
+    unscaled = not problem.calibrated and all(v is None for v in problem.speed)
     table: dict[str, dict] = {}
     for i, name in enumerate(VALUES):
         if is_memory(name) and not u.memory:
@@ -218,8 +219,9 @@ def _parameters(problem: Problem, found: Estimate, states: dict[str, str]) -> di
         if values[i] < 1e-100:
             table[name] = absent(name, start.felt)
             continue
-        rests = start.rests_on.get(name, ())
-        note = f"scales with the assumed {' and '.join(rests)}" if rests and states[name] == "scaled" else ""
+        rests = [f"the assumed {x}" for x in start.rests_on.get(name, ())]
+        rests += ["the velocities"] * (unscaled and name in ("K_H", "mu"))
+        note = f"scales with {' and '.join(rests)}" if rests and states[name] == "scaled" else ""
         if name == "width" and u.free[WIDTH]:
             note = "effective: of the raised cosine that acts as the felt's own window does"
         # What is held is shown as it was given, to the last digit.
