@@ -67,14 +67,15 @@ def given(problem: Problem, found: Estimate) -> Given:
     search, best, strings = minima.search, minima.people, minima.strings[0]
     tables = o.level, o.frequency, o.decay
     cents = search.own_lanes(best.z[:1])[1]
-    return Given(
-        best.z[0], _white(problem, found), (u.lower, u.upper), np.array(u.stiffness), np.float64(u.log_u),
-        (u.mean, np.where(u.free, 1 / np.where(u.free, u.sd, 1.0) ** 2, 0.0)), tables,
-        (best.phi[0], *strings.phi), (best.w[0], *strings.w),
+    precision = np.where(u.free, 1 / np.where(u.free, u.sd, 1.0) ** 2, 0.0)
+    everything = (
+        best.z[0], _white(problem, found), (u.lower, u.upper), np.array(u.stiffness), u.log_u, (u.mean, precision),
+        tables, (best.phi[0], *strings.phi), (best.w[0], *strings.w),
         tuple(np.argwhere(np.asarray(t.found) > 0) for t in tables),
-        minima.offsets[0], np.asarray(search.there), search.stroke, search.columns, np.asarray(cents),
-        (o.string_number, o.law, np.float64(problem.start.geometry.length)), problem.scene,
+        minima.offsets[0], search.there, search.stroke, search.columns, cents,
+        (o.string_number, o.law, float(problem.start.geometry.length)), problem.scene,
     )  # fmt: skip
+    return Given(*jax.tree.map(jnp.asarray, everything))
 
 
 def _white(problem: Problem, found: Estimate) -> np.ndarray:

@@ -4,9 +4,10 @@ A parabola is no picture of a valley that bends, nor of one that the box cuts of
 after the other, outward from the best minimum, and F is minimised over all others: θ, φ and w. The 95 % interval ends
 where F has risen by 1.96²/2; where F is a parabola in θ, this is Laplace's.
 
-Laplace's approximation integrates φ and w, a profile minimises over them. With few levels the volume that φ and w have
-grows with the misfit, which a profile does not see: its intervals may be narrower by some percent. A profile keeps to
-the valley of the best minimum, and its contact's step error to that minimum's.
+Laplace's approximation integrates φ and w by a parabola about the minimum, a profile minimises over them: it follows
+the heavy tails of Student's t and an excess that grows with the misfit, but has not the volume of what it minimises
+over. Where φ itself is hardly known both are narrower than the posterior. A profile keeps to the valley of the best
+minimum, and its contact's step error to that minimum's.
 """
 
 from __future__ import annotations
