@@ -200,7 +200,9 @@ def known_excess() -> tuple[Problem, Estimate]:
     problem, minima = posed(), fitted().minima
     o, strings = problem.observed, minima.strings[0]
     phis = minima.people.phi[0], *strings.phi
-    tables = [t._replace(prior=(p, np.full(4, 0.01))) for t, p in zip((o.level, o.frequency, o.decay), phis, strict=True)]
+    tables = [
+        t._replace(prior=(p, np.full(4, 0.01))) for t, p in zip((o.level, o.frequency, o.decay), phis, strict=True)
+    ]
     problem = replace(problem, observed=replace(o, level=tables[0], frequency=tables[1], decay=tables[2]))
     search = Search(problem, fitted().z[:STRING_SIZE], strings)
     search.offset = minima.offsets[0]

@@ -19,8 +19,11 @@ WITHIN = 6.0
 NEARLY = 1.0
 # So many at most are finished.
 MOST = 4
-# The step error is read off again while it still moves the levels by this share of a standard deviation, rms.
-LEFT, READINGS = 0.05, 4
+# The step error is read off again while it still moves the levels by this share of a standard deviation, rms,
+LEFT = 0.05
+# and so often at the most.
+READINGS = 4
+# Steps of each descent between.
 ITERATIONS = 25
 
 

@@ -31,7 +31,8 @@ FEWEST = 3
 STEPS = 256
 # A contact has this many times as long as that of the literature's hammer at 2 m/s (softer, heavier and slower hammers
 # stay longer), and until the reflection from the agraffe has come back twice, which in the bass throws it off.
-LONGEST, RETURNS = 2.5, 2.0
+LONGEST = 2.5
+RETURNS = 2.0
 # Rows of partials in a compiled program come in whole multiples of this.
 ROWS = 64
 # Where the strike may lie, as a share of the string: on its first part, on no node of the second partial.

@@ -30,8 +30,10 @@ from ..voice import Voice, strike_voice, touched
 __all__ = ["SCHEMA", "UNITS", "Heard", "Listener", "Result", "Sound", "scored", "versions", "worse_bands"]
 
 SCHEMA = 2
-# Levels are compared over partials to this, Hz, within so many dB of the strongest.
-LEVEL_TOP, LEVEL_RANGE = 6000.0, 60.0
+# Levels are compared over partials to this, Hz: few hammers reach beyond,
+LEVEL_TOP = 6000.0
+# within so many dB of the strongest: other sounds lie there.
+LEVEL_RANGE = 60.0
 UNITS = {name: p.unit for name, p in PARAMETERS.items()} | {
     "x0": "m", "M_S": "kg", "L": "m", "width": "m", "pickup": "m",
 }  # fmt: skip

@@ -24,8 +24,9 @@ from .string import StringState, string_report
 
 __all__ = ["Population", "Search", "distinct"]
 
-# Samples of the prior's hammers, and velocities at which each is struck, m/s.
+# Samples of the prior's hammers: a power of two, as Sobol's points want it.
 SAMPLES = 512
+# Velocities at which each is struck, m/s: neighbours differ by 30 %, which a descent bridges.
 VELOCITIES = np.geomspace(0.15, 8.0, 16)
 # Of the prior of each: the outermost hundredth is not sampled.
 TAIL = 0.01
@@ -33,22 +34,39 @@ TAIL = 0.01
 WIDE_EXCESS = 2.0
 # How many go on, for how many steps, with σ held above this, dB.
 STAGES = ((48, 4, 3.0), (12, 6, 1.0), (4, 25, 0.0))
-# Restarts about the best: rounds, how many in each, and how far, in the prior's standard deviations.
-ROUNDS, RESTARTS, REACH = 2, 8, 0.3
+# Rounds of local restarts about the best,
+ROUNDS = 2
+# how many in each,
+RESTARTS = 8
+# and how far, in the prior's standard deviations: beyond the valley, within what a descent finds.
+REACH = 0.3
 # Of log x0: valleys of the strike position are less than a percent apart in the bass.
 SCAN = (0.003, 0.006, 0.01, 0.015, 0.02, 0.03, 0.045, 0.065)
-# Steps that a restart has to come within `NEAR` of the best, F, to go on.
-TRIAL, NEAR = 6, 10.0
-# Restarts of a round that go on.
+# Steps that a restart has
+TRIAL = 6
+# to come this near to the best, F, to go on,
+NEAR = 10.0
+# and how many of a round go on.
 GOING = 2
-FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-2, 1e-7, 1e6
-# Longest step of θ, in the smaller of 1 and the prior's standard deviations, and of φ.
-LONGEST_STEP, LONGEST_PHI = 1.5, 1.0
-# Lanes of one call where each has its own string, and where there are thousands.
-OWN_LANES, MANY_LANES = 4, 64
-# The contact's step error is read off a step so many times finer, with as many modes as the model takes.
-FINER, MOST_MODES = 4, 512
-# A minimum is reached when a step gains less than this.
+# Levenberg and Marquardt's damping over the curvature's diagonal: at first,
+FIRST_DAMPING = 1e-2
+# at the least, where rounding begins,
+LEAST_DAMPING = 1e-7
+# and where a step is too short to say anything.
+MOST_DAMPING = 1e6
+# Longest step of θ, in the smaller of 1 and the prior's standard deviations,
+LONGEST_STEP = 1.5
+# and of φ, logarithms.
+LONGEST_PHI = 1.0
+# Lanes of one call where each has a string of its own: the strokes of an ordinary fit,
+OWN_LANES = 4
+# and where there are thousands: enough to fill matrix products.
+MANY_LANES = 64
+# The contact's step error is read off a step so many times finer,
+FINER = 4
+# with as many modes as the model takes.
+MOST_MODES = 512
+# A minimum is reached when a step gains less than this, F: a tenth of a percent of a likelihood.
 CONVERGED = 1e-3
 NO_HAMMER = "no hammer within the bounds gives a finite sound; widen [bounds] or check [known] in the setup"
 # Hyperparameters stay within so many standard deviations of their priors.

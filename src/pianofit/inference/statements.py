@@ -23,10 +23,11 @@ LEARNED = 0.7
 LOOSE = 0.7
 # Correlation of two logarithms beyond which they are named.
 STRONG = 0.99
-# A calibrated recording of the string described is met within hundredths of a decibel. An excess beyond the first of
-# these, dB, means that something acts that the model does not have, and the felt takes it up; beyond the second the
-# hammer itself may be another.
-STRAINED, POOR = 0.1, 0.5
+# A calibrated recording of the string described is met within hundredths of a decibel. An excess beyond this, dB, means
+# that something acts that the model does not have, and the felt takes it up;
+STRAINED = 0.1
+# beyond this, dB, the hammer itself may be another.
+POOR = 0.5
 # A second minimum with this share of the posterior is named.
 NAMED = 0.1
 ONE_VELOCITY = (
