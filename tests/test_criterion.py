@@ -17,7 +17,6 @@ from pianofit.criterion import (
     level_error_db,
     measure,
     partial_frequency,
-    path_basis,
 )
 
 RATE, F0, B, LAST, SIGMA = 16_000, 220.0, 4e-4, 14, 30.0
@@ -126,14 +125,6 @@ def test_level_errors_leave_one_gain_out():
     assert level_error_db(level + 6.0, level) == pytest.approx(0.0, abs=1e-12)
     assert level_error_db(level + np.array([1.0, -1.0, 1.0, -1.0]), level) == pytest.approx(1.0)
 
-
-def test_the_path_is_cosines_over_log_frequency():
-    frequency = 100.0 * 2.0 ** np.linspace(0, 5, 200)
-    basis = path_basis(frequency)
-    octaves = np.log2(frequency / 100) / 5
-    for j, column in enumerate(basis.T, 1):
-        np.testing.assert_allclose(column, np.cos(np.pi * j * octaves), atol=1e-12)
-    assert np.linalg.matrix_rank(np.column_stack([np.ones(200), basis])) == basis.shape[1] + 1
 
 
 def test_a_path_is_read_between_and_beyond_its_points():

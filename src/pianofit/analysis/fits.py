@@ -18,7 +18,7 @@ __all__ = ["Fitted", "first_fits", "fitted", "level_of", "lost", "slack", "windo
 
 _DB = 20 / np.log(10)
 FIRST = 0.4  # s of frames that make a level, from the first
-FASTEST = 40.0  # 1/s; a law carried far beyond the partials that show it is not believed beyond
+FASTEST = 100.0  # 1/s; a law carried far beyond the partials that show it is not believed beyond
 LEAST = 0.1  # share of a band's energy that is the partial's at least, whatever the noise
 
 

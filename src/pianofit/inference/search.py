@@ -9,7 +9,6 @@ Steps of θ are followed by steps of φ and w on the same F.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import norm, qmc
@@ -18,6 +17,7 @@ from ..errors import FitError
 from .coordinates import SHARED, STRING_SIZE, X0
 from .lanes import in_lanes, levels, own_levels, own_slopes, slopes
 from .likelihood import Report, next_weights
+from .population import Population
 from .problem import Problem
 from .reports import report
 from .string import StringState, string_report
@@ -73,46 +73,6 @@ NO_HAMMER = "no hammer within the bounds gives a finite sound; widen [bounds] or
 HYPER_REACH = 5.0
 # Minima closer than this in every unknown, in the prior's standard deviations, are one.
 SAME = 0.02
-
-
-# What a population has of each candidate, beside its report.
-ARRAYS = ("z", "phi", "w", "residual", "jacobian", "damping", "inverse", "gained")
-
-
-@dataclass
-class Population:
-    """Candidates on their way down: θ, φ, w, what F says there, and how each is going. [B, ...] throughout."""
-
-    z: np.ndarray
-    phi: np.ndarray
-    w: np.ndarray
-    residual: np.ndarray
-    jacobian: np.ndarray
-    report: Report
-    damping: np.ndarray
-    inverse: np.ndarray  # approximate inverse Hessian of F by φ [B, 4, 4]
-    gained: np.ndarray
-
-    def __len__(self) -> int:
-        return len(self.z)
-
-    def take(self, which: np.ndarray) -> Population:
-        """Some of them, in this order."""
-        fields = {name: getattr(self, name)[which] for name in ARRAYS}
-        return Population(**fields, report=Report(*(x[which] for x in self.report)))
-
-    def put(self, which: np.ndarray, other: Population) -> None:
-        """Replace some by `other`'s."""
-        for name in ARRAYS:
-            getattr(self, name)[which] = getattr(other, name)
-        for mine, new in zip(self.report, other.report, strict=True):
-            mine[which] = new
-
-    def join(self, other: Population) -> Population:
-        """Both."""
-        fields = {name: np.concatenate([getattr(self, name), getattr(other, name)]) for name in ARRAYS}
-        joined = Report(*(np.concatenate(pair) for pair in zip(self.report, other.report, strict=True)))
-        return Population(**fields, report=joined)
 
 
 class Search:
