@@ -126,7 +126,6 @@ def test_level_errors_leave_one_gain_out():
     assert level_error_db(level + np.array([1.0, -1.0, 1.0, -1.0]), level) == pytest.approx(1.0)
 
 
-
 def test_a_path_is_read_between_and_beyond_its_points():
     path = OutputPath(np.array([100.0, 400.0]), np.array([0.0, 12.0]))
     np.testing.assert_allclose(path.at(np.array([0.0, 50.0, 100.0, 200.0, 400.0, 9000.0])), [0, 0, 0, 6, 12, 12])

@@ -25,11 +25,11 @@ CALIBRATED = {
     "c": 2e-8, "kappa": 2e-6, "b1": 3e-4, "b2": 2e-3, "K_H": 0.1, "mu": 3e-3, "p": 5e-3, "M_H": 3e-4, "v_H0": 5e-4,
     "width": 0.04,
 }  # fmt: skip
-STRING = {"c": 1e-7, "kappa": 2e-6, "b1": 1e-3, "b2": 2e-3}
-PATH = STRING | {"K_H": 0.1, "mu": 4e-3, "p": 6e-3, "M_H": 5e-4}
+STRING = {"c": 1e-7, "kappa": 2e-6, "b1": 1e-3, "b2": 2.5e-3}
+PATH = STRING | {"K_H": 0.08, "mu": 8e-3, "p": 4e-3, "M_H": 4e-4}
 CASES = {"calibrated": CALIBRATED, "alone": STRING, "several": PATH, "microphones": PATH}
 STROKES = {"alone": ALONE, "several": SEVERAL, "microphones": MICROPHONES}
-VELOCITY = 0.007
+VELOCITY = 0.004
 # Standard errors.
 FAR = 4.0
 TRUE = FIRST.values | {"x0": FIRST.geometry.strike, "width": FIRST.geometry.width}

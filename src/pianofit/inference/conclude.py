@@ -11,9 +11,9 @@ from ..voice import Voice, lag, placed
 from .coordinates import FORCE, SHARED, STRING_SIZE, VALUES, WIDTH, P
 from .estimate import Estimate, beginning
 from .lanes import in_lanes, own_levels
-from .likelihood import latent
 from .posterior import Posterior
 from .problem import Problem
+from .reports import latent
 from .result import (
     SCHEMA,
     UNITS,
@@ -197,7 +197,7 @@ def _literature_level(problem: Problem, found: Estimate, first: np.ndarray, i: i
     if not good[0]:
         return np.full(len(problem.analyses[i].partials), -300.0)
     integrated = latent(search.table, residual[0], people.phi[0], people.w[0])
-    level = np.asarray(search.table.value)[i] - np.asarray(integrated.own)[i]
+    level = np.asarray(search.table.value)[i] - integrated.own[i]
     return _spread_out(problem, i, level, problem.analyses[i].partials.level)
 
 

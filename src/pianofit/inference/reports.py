@@ -1,4 +1,4 @@
-"""F of many points at once, on all cores."""
+"""F of many points at once, on all cores, and what F integrated out at one of them: as programs that are kept."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import numpy as np
 from ..model.cache import kept
 from . import likelihood
 from .lanes import pool
-from .likelihood import Report, Table
+from .likelihood import Latent, Report, Table
 
-__all__ = ["report"]
+__all__ = ["latent", "report"]
 
 # Points of one call.
 TOGETHER = 6
@@ -33,3 +33,14 @@ def report(table: Table, residual: np.ndarray, jacobian: np.ndarray, phi: np.nda
 
     parts = list(pool().map(some, range(0, len(padded[0]), TOGETHER)))
     return Report(*(np.concatenate(column)[:count] for column in zip(*parts, strict=True)))
+
+
+@kept
+def latents(table: Table, residual, phi, w, _):
+    """`likelihood.latent` of one point."""
+    return tuple(likelihood.latent(table, residual, phi, w))
+
+
+def latent(table: Table, residual: np.ndarray, phi: np.ndarray, w: np.ndarray) -> Latent:
+    """`likelihood.latent` of one point, as arrays of NumPy."""
+    return Latent(*(np.asarray(x) for x in latents(table, residual, phi, w, None)))

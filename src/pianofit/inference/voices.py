@@ -8,8 +8,9 @@ from ..criterion import OutputPath
 from ..voice import Voice
 from .coordinates import STRING_SIZE
 from .finish import Minima
-from .likelihood import Latent, latent
+from .likelihood import Latent
 from .problem import Problem
+from .reports import latent
 from .string import string_residuals
 
 __all__ = ["latents", "path_of", "voice_of"]
@@ -18,8 +19,7 @@ __all__ = ["latents", "path_of", "voice_of"]
 def latents(minima: Minima, which: int) -> Latent:
     """What F integrated out, at one minimum."""
     people, search = minima.people, minima.search
-    found = latent(search.table, people.residual[which], people.phi[which], people.w[which])
-    return Latent(*(np.asarray(x) for x in found))
+    return latent(search.table, people.residual[which], people.phi[which], people.w[which])
 
 
 def path_of(problem: Problem, minima: Minima, which: int, recording: int) -> OutputPath | None:
