@@ -200,9 +200,8 @@ def known_excess() -> tuple[Problem, Estimate]:
     problem, minima = posed(), fitted().minima
     o, strings = problem.observed, minima.strings[0]
     phis = minima.people.phi[0], *strings.phi
-    tables = [
-        t._replace(prior=(p, np.full(4, 0.01))) for t, p in zip((o.level, o.frequency, o.decay), phis, strict=True)
-    ]
+    pairs = zip((o.level, o.frequency, o.decay), phis, strict=True)
+    tables = [table._replace(prior=(phi, np.full(4, 0.01))) for table, phi in pairs]
     problem = replace(problem, observed=replace(o, level=tables[0], frequency=tables[1], decay=tables[2]))
     search = Search(problem, fitted().z[:STRING_SIZE], strings)
     search.offset = minima.offsets[0]
@@ -219,9 +218,9 @@ def test_all_three_agree_where_the_excess_is_known():
     told = view.diagnostics["posterior"]
     by_profile, by_draws = (halves(each.entries, found) for each in (profile, view))
     for name, ends in by_draws.items():
-        # An end of 1500 independent draws is itself off by 0.035 of a half interval.
-        assert ends == pytest.approx((-1, 1), abs=0.15), name
-        assert by_profile[name] == pytest.approx((-1, 1), abs=0.1), name
+        # An end of 1500 independent draws is itself off by 0.035 of a half interval; b2 and the width are skew.
+        assert by_profile[name] == pytest.approx((-1, 1), abs=0.05 if name in HAMMER else 0.2), name
+        assert ends == pytest.approx(by_profile[name], abs=0.15), name
         assert view.draws[name].shape == (told["chains"], told["draws"])
     assert max(x["rhat"] for x in told["parameters"].values()) < 1.02
     assert told["divergences"] < 10
