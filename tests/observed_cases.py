@@ -28,9 +28,10 @@ def analysis(
     """Partials `number` with `level` dB; frequencies and decays keep to the laws, well measured."""
     number, size = np.array(number), len(number)
     f = frequency(number, f0)
+    decay, nothing = B1 + D2 * number**2.0, np.zeros((size, size))
     partials = Partials(
-        number=number, frequency=f, frequency_error=1e-4 * f, frequency_systematic=np.zeros((size, size)),
-        decay=B1 + D2 * number**2.0, decay_error=0.01 * (B1 + D2 * number**2.0), decay_systematic=np.zeros((size, size)),
+        number=number, frequency=f, frequency_error=1e-4 * f, frequency_systematic=nothing,
+        decay=decay, decay_error=0.01 * decay, decay_systematic=nothing,
         level=np.array(level, float), level_error=np.full(size, level_error),
         level_systematic=systematic**2 * np.ones((size, size)), snr=np.full(size, 40.0), beating=np.zeros(size),
         absent=np.array(absent, int), absent_bound=np.array(bound, float),

@@ -57,7 +57,7 @@ def test_the_right_law_fits_better_than_another():
         own = fitted(felt, law)["diagnostics"]["excess"]["level_db"]
         other = fitted(felt, "power" if law == "stulov" else "stulov")["diagnostics"]["excess"]["level_db"]
         assert own <= other
-    assert fitted("memory", "stulov")["diagnostics"]["excess"]["level_db"] < 0.02
+    assert fitted("memory", "stulov")["diagnostics"]["excess"]["level_db"] < 0.03
     assert fitted("memory", "power")["diagnostics"]["excess"]["level_db"] > 0.05
 
 

@@ -6,8 +6,24 @@ import json
 
 import numpy as np
 import pytest
-from twin_cases import ALLOWED, FELT, FIRST, SEVERAL, calibrated, errors, fit_twin, misses, path_fit, random_truth
-from twin_cases import VELOCITIES, record, setup_of, strokes_of, through, uncalibrated
+from twin_cases import (
+    ALLOWED,
+    FELT,
+    FIRST,
+    SEVERAL,
+    VELOCITIES,
+    calibrated,
+    errors,
+    fit_twin,
+    misses,
+    path_fit,
+    random_truth,
+    record,
+    setup_of,
+    strokes_of,
+    through,
+    uncalibrated,
+)
 
 from pianofit.analysis import analyse
 from pianofit.fitting import fit_recording, fit_takes
@@ -165,7 +181,9 @@ def test_shares_of_the_minima_are_those_of_the_voices():
         assert sum(shares) == pytest.approx(1.0)
         assert shares == list(result.shares)
         assert len(result.voices) == len(shares)
-        assert [minimum["F"] for minimum in result.document["minima"]] == sorted(m["F"] for m in result.document["minima"])
+        assert [minimum["F"] for minimum in result.document["minima"]] == sorted(
+            m["F"] for m in result.document["minima"]
+        )
         first = result.document["minima"][0]["parameters"]
         for name, value in first.items():
             assert result.document["parameters"][name]["value"] == pytest.approx(value)

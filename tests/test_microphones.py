@@ -59,7 +59,9 @@ def test_every_microphone_has_a_path_of_its_own():
 def test_one_stroke_at_two_microphones_does_not_fix_the_felt():
     recordings, analyses = ([x[i] for i in (1, 3)] for x in through(MICROPHONES))
     document = fit_takes(recordings, analyses, strokes_of(MICROPHONES)).document
-    assert document["claims"].startswith("2 uncalibrated recordings, but none shares a path with a recording of another")
+    assert document["claims"].startswith(
+        "2 uncalibrated recordings, but none shares a path with a recording of another"
+    )
     assert {document["parameters"][n]["status"] for n in ("K_H", "p")} <= {"not-identifiable", "at-bound"}
     assert document["takes"][0]["v_H0"] == document["takes"][1]["v_H0"]
 
@@ -71,7 +73,11 @@ def test_leaving_a_take_out_leaves_out_its_stroke(monkeypatch):
 
     def instead(some, *_, **__):
         fits.append([r.path for r in some])
-        return replace(path_fit(MICROPHONES), takes=tuple(h for h in path_fit(MICROPHONES).takes if h.recording.path in fits[-1]), first=0)
+        return replace(
+            path_fit(MICROPHONES),
+            takes=tuple(h for h in path_fit(MICROPHONES).takes if h.recording.path in fits[-1]),
+            first=0,
+        )
 
     monkeypatch.setattr("pianofit.predict.fit_takes", instead)
     found, _ = cross_validate(recordings, analyses, strokes_of(MICROPHONES))

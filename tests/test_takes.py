@@ -46,7 +46,9 @@ def test_the_order_of_files_changes_nothing():
     # The search draws other samples for strokes in another order, and ends where F gains less than a thousandth.
     assert [t["v_H0"] for t in other["takes"]] == pytest.approx([t["v_H0"] for t in first["takes"]][::-1], rel=2e-3)
     for name, p in first["parameters"].items():
-        assert other["parameters"][name]["value"] == pytest.approx(p["value"], rel=2e-2 if name == "K_H" else 2e-3), name
+        assert other["parameters"][name]["value"] == pytest.approx(p["value"], rel=2e-2 if name == "K_H" else 2e-3), (
+            name
+        )
     assert other["diagnostics"]["F"] == pytest.approx(first["diagnostics"]["F"], abs=0.05)
 
 

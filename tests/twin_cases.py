@@ -12,8 +12,6 @@ from typing import NamedTuple
 import numpy as np
 import scipy.signal
 from brute_force import make_twin, matched_width
-from pianofit.fitting import fit_recording
-from pianofit.inference import Result
 
 from pianofit.analysis import Analysis, analyse
 from pianofit.fitting import fit_recording, fit_takes

@@ -8,15 +8,27 @@ from ..analysis import Partials
 from ..criterion import OutputPath
 from ..parameters import FIT_NAMES, MEMORY_NAMES
 from ..voice import Voice, lag, placed
-from .coordinates import NAMES, P, SHARED, STRING_SIZE, VALUES, WIDTH
+from .coordinates import NAMES, SHARED, STRING_SIZE, VALUES, WIDTH, P
 from .estimate import Estimate, beginning
 from .lanes import in_lanes, own_levels
 from .posterior import Posterior
 from .problem import Problem
 from .reports import latent
 from .result import (
-    SCHEMA, UNITS, Heard, Listener, Result, absent, derived, is_memory, level_errors, path_document, sizes,
-    together, versions, worse_bands,
+    SCHEMA,
+    UNITS,
+    Heard,
+    Listener,
+    Result,
+    absent,
+    derived,
+    is_memory,
+    level_errors,
+    path_document,
+    sizes,
+    together,
+    versions,
+    worse_bands,
 )  # fmt: skip
 from .search import OWN_LANES
 from .statements import claims, correlated, messages, statuses, velocity_statuses
