@@ -50,7 +50,8 @@ def counts(seconds: float, noise_db: float | None = 30.0) -> dict[str, Any]:
         names = [path.name.split("-")[1] for path in Path(os.environ["PIANOFIT_CACHE"]).glob("*.program")]
     return {
         "compilations": searched[COMPILED], "traces": searched[TRACED], "kept_programs": len(names),
-        "physics": sum(name in PHYSICS for name in names), "compilations_of_the_result": events[COMPILED] - searched[COMPILED],
+        "physics": sum(name in PHYSICS for name in names),
+        "compilations_of_the_result": events[COMPILED] - searched[COMPILED],
         "strikes": fit.lanes, "contact_rate_Hz": round(float(problem.scene.rate), 6),
         "modes": problem.cfg.n_modes, "steps": problem.cfg.steps,
         "partials": int(np.asarray(problem.observed.level.found).sum()), "minima": len(fit.minima.F),

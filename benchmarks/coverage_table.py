@@ -15,7 +15,13 @@ DEEPER = 1.0  # of F, a log density: more than this is a minimum that the search
 FOUR = 4.0
 STATUS = "fitted"  # what counts
 OTHERS = "others' v_H0"
-HEADING = f"{'':14}{'held':>9}{'':9}{'largest miss':>14}{'rms miss':>10}{'rms error':>12}{'median':>10}{'vague':>7}{'at bound':>10}"
+HEADING = "".join(
+    f"{name:>{size}}"
+    for name, size in {
+        "": 14, "held": 9, " ": 9, "largest miss": 14, "rms miss": 10, "rms error": 12, "median": 10, "vague": 7,
+        "at bound": 10,
+    }.items()
+)  # fmt: skip
 
 
 def score(document: dict, true: dict, velocities: list[float]) -> list[dict]:

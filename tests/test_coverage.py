@@ -134,7 +134,8 @@ def test_a_miss_is_counted_in_standard_errors():
 
 def test_a_small_study_from_end_to_end(tmp_path, monkeypatch, capsys):
     kept, found = tmp_path / "runs.jsonl", tmp_path / "coverage.json"
-    refused = {"kind": "model", "seed": CHEAP + 1, "recordings": 1, "calibrated": False, "seconds": 0.0, "refused": "noise"}
+    refused = {"kind": "model", "seed": CHEAP + 1, "recordings": 1, "calibrated": False, "seconds": 0.0}
+    refused["refused"] = "noise"
     kept.write_text(json.dumps(refused) + "\n")
     monkeypatch.setattr(
         sys, "argv",

@@ -79,7 +79,7 @@ def test_every_lane_may_have_a_string_of_its_own():
         np.testing.assert_allclose(level, played(one, hammer, geometry, "velocity"), atol=1e-6)
 
 
-FREE = tuple(range(6)) + (SHARED - STRING_SIZE,)  # force to width, and the velocity
+FREE = (*range(6), SHARED - STRING_SIZE)  # force to width, and the velocity
 
 
 def differences(of, at: np.ndarray, entries: tuple[int, ...]) -> np.ndarray:

@@ -113,8 +113,8 @@ def test_weights_integrated_out_leave_students_t():
     t = tiny()
     size = (1, 1)
     changed = {
-        "value": np.zeros(size), "variance": np.full(size, 0.6), "found": np.ones(size), "absent": np.zeros((0, 2), int),
-        "group": np.ones(size), "columns": np.zeros((0, 1, 1)), "systematic": np.zeros(size), "apart": np.zeros(size),
+        "value": np.zeros(size), "variance": np.full(size, 0.6), "found": np.ones(size),
+        "absent": np.zeros((0, 2), int), "group": np.ones(size), "columns": np.zeros((0, 1, 1)), "systematic": np.zeros(size), "apart": np.zeros(size),
         "smooth": np.zeros(1), "common": np.full(size, SMALL), "share": np.zeros(1), "growth": np.ones(1),
         "ratio": np.zeros(size),
     }  # fmt: skip

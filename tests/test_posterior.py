@@ -43,7 +43,7 @@ def lowest():
 
 
 def test_hyperparameters_and_weights_are_integrated_out():
-    """The Schur complement of the whole Hessian of a dense F, by second differences, and the log of the rest's volume."""
+    """The Schur complement of the whole Hessian of a dense F, by second differences, and the rest's log volume."""
     t, jacobian, residual, w = lowest()
     there = at(t, residual, jacobian, PHI, w)
     where = tuple(np.argwhere(np.asarray(t.found) > 0).T)

@@ -35,7 +35,8 @@ class Minima(NamedTuple):
 def finished(problem: Problem, found: Population, held: Search, strings: StringState) -> Minima:
     """Every distinct minimum near the lowest, finished on F with all its unknowns."""
     scores = held.total(found.z, found.report)
-    ends = [_finished(problem, found.take(np.array([i])), strings) for i in distinct(found, held.unknowns, scores, WITHIN)[:MOST]]
+    begun = distinct(found, held.unknowns, scores, WITHIN)[:MOST]
+    ends = [_finished(problem, found.take(np.array([i])), strings) for i in begun]
     people = ends[0][1]
     for end in ends[1:]:
         people = people.join(end[1])
