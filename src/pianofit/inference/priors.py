@@ -1,7 +1,7 @@
 """Every prior of a fit, with its source: scales are logarithms' standard deviations unless a unit stands beside them.
 
-A prior is what is known of a piano before its recording is seen. None of these numbers is fitted to the recordings at
-hand but τ's, which `benchmarks/path_prior.py` learns from notes recorded at several velocities.
+A prior is what is known of a piano before its recording is seen. None of these numbers is fitted to
+the recordings at hand; `benchmarks/path_prior.py` compares τ's with notes recorded at several velocities.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ STUDENT = 10.0
 # count. The evidence prefers 1 to 7 dB; absolute spectra carry the model's own errors, and predict other velocities
 # worse.
 PATH_OF_SEVERAL = 20.0
-# dB, of a path that was heard at one velocity: median and spread of what several-velocity fits find.
+# dB, of a path that was heard at one velocity, median and spread: a judgement, see benchmarks/path_prior.py.
 PATH_OF_ONE = (4.0, 0.5)
 # Nodes of the quadrature over it.
 PATH_NODES = 3
