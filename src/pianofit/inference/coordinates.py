@@ -103,7 +103,7 @@ class Unknowns:
         return String(*np.exp(z[:STRING_SIZE]).tolist())
 
     def hammer(self, z: np.ndarray, stroke: int) -> Hammer | MemoryHammer:
-        """The hammer at `z` [size] as it was thrown in one stroke."""
+        """The hammer at `z` [size] at the velocity of one stroke."""
         force, p, mu, mass = z[FORCE], np.exp(z[P]), np.exp(z[MU]), np.exp(z[NAMES.index("M_H")])
         K = float(np.exp(force - p * self.log_u))
         five = K, float(mu) if z[MU] > ABSENT else 0.0, float(p), float(mass), float(np.exp(z[SHARED + stroke]))

@@ -53,8 +53,6 @@ class Hyperprior(NamedTuple):
         return np.log(self.median)
 
 
-# Names of a table's hyperparameters, in this order:
-HYPER = ("excess", "smooth", "octaves", "floor")
 # Levels: a recording's own excess, dB; the smooth path's amplitude, dB, and length, octaves; amplitude of other sounds
 # over the loudest partial (they lie 53 to 75 dB below it). `common` is integrated over: see PATH_OF_ONE.
 LEVEL = Hyperprior((0.7, 8.0, 0.7, 0.002), (0.7, 0.4, 0.4, 0.9))

@@ -49,7 +49,7 @@ def _decays(problem: Problem, minima: Minima, which: int, number: np.ndarray) ->
 
 
 def voice_of(problem: Problem, minima: Minima, which: int, recording: int) -> Voice:
-    """The fitted string, and the hammer as it was thrown in a recording's stroke; without a gain."""
+    """The fitted string, and the hammer at the velocity of a recording's stroke; without a gain."""
     u, z = problem.unknowns, minima.people.z[which]
     cents = 1200 * np.log2(problem.analyses[recording].f0 / problem.analyses[problem.reference].f0)
     string = u.string(z)

@@ -94,7 +94,7 @@ def fit_by_paper(
     Raises
     ------
     ParameterError
-        For a felt with memory, which the paper does not have.
+        For a felt that relaxes, which the paper does not have.
     FitError
         If no hammer gives a finite criterion, or a contact does not end.
     """
