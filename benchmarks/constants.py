@@ -46,8 +46,7 @@ def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
 
     return {
         "STUDENT": (priors, "STUDENT", plain),
-        "PATH_OF_SEVERAL": (priors, "PATH_OF_SEVERAL", plain),
-        "PATH_OF_ONE": (priors, "PATH_OF_ONE", median),
+        "PATH": (priors, "PATH", median),
         "ONSET": (priors, "ONSET", plain),
         "ABSENT_MARGIN": (priors, "ABSENT_MARGIN", plain),
         "VELOCITY": (priors, "VELOCITY", plain),

@@ -6,7 +6,7 @@ The recordings are in ../shared/recordings and ../shared/disklavier, or where PI
 separated by a colon), each with a `recordings.csv`. Every note with three layers or more is fitted; what its layers
 have in common beyond the fitted hammer is its path. F is then lowered over τ, and over the smooth part's amplitude and
 length, with everything else at the minimum: a τ for each note. The median and the standard deviation of their
-logarithms are the prior of a path that was heard at one velocity (`inference/priors.py`, PATH_OF_ONE).
+logarithms are the prior of every path's (`inference/priors.py`, PATH).
 """
 
 from __future__ import annotations

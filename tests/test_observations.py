@@ -102,17 +102,16 @@ def test_only_a_path_with_two_velocities_compares_anything():
     assert TWO.compared
 
 
-def test_a_path_of_one_velocity_is_integrated_over_and_one_of_several_is_wide():
-    one = observed(ALONE).level
+def test_the_residual_of_every_path_is_integrated_over():
     x, weight = priors.path_nodes()
-    np.testing.assert_allclose(one.common[:, 0], x)
-    np.testing.assert_allclose(np.exp(one.share), weight)
-    assert weight @ x == pytest.approx(np.log(priors.PATH_OF_ONE[0]))
-    assert weight @ (x - np.log(priors.PATH_OF_ONE[0])) ** 2 == pytest.approx(priors.PATH_OF_ONE[1] ** 2)
-    np.testing.assert_allclose(np.exp(observed().level.common), priors.PATH_OF_SEVERAL)
+    assert weight @ x == pytest.approx(np.log(priors.PATH[0]))
+    assert weight @ (x - np.log(priors.PATH[0])) ** 2 == pytest.approx(priors.PATH[1] ** 2)
+    for layout in (ALONE, TWO):
+        level = observed(layout).level
+        np.testing.assert_allclose(level.common, np.repeat(x[:, None], layout.groups, axis=1))
+        np.testing.assert_allclose(np.exp(level.share), weight)
     both = observe([LOUD, SOFT, LOUD], Layout((0, 1, 0), (0, 0, 1), (0, 1, 2)), 0, 0.0, True, True).level
-    np.testing.assert_allclose(np.exp(both.common[:, 0]), priors.PATH_OF_SEVERAL)
-    np.testing.assert_allclose(both.common[:, 1], x)
+    np.testing.assert_allclose(both.common, np.repeat(x[:, None], 2, axis=1))
     calibrated = observed(path=False, gains=False).level
     assert not calibrated.smooth.any()
     assert (calibrated.common <= observations.NONE).all()

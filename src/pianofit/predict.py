@@ -21,6 +21,7 @@ from .criterion import SAME_PARTIAL, level_error_db
 from .errors import FitError
 from .fitting import fit_takes
 from .inference import Result
+from .inference.observations import string_law
 from .inference.result import scored
 from .model.contact import strike
 from .model.modes import mode_table
@@ -66,7 +67,7 @@ def predict_take(voices: Voice | Sequence[tuple[float, Voice]], analysis: Analys
     """
     mixture = [(1.0, voices)] if isinstance(voices, Voice) else list(voices)
     p, (_, first) = analysis.partials, mixture[0]
-    chosen = scored(p.frequency, p.level) & _heard(first, p.frequency)
+    chosen = scored(p.frequency, p.level) & _heard(first, p.number)
     if chosen.sum() < FEWEST:
         raise FitError(f"only {int(chosen.sum())} partials of the fit stand above the noise; {FEWEST} are needed")
     played = [(share, *_at_best(voice, analysis, chosen)) for share, voice in mixture]
@@ -104,11 +105,16 @@ def _at_best(voice: Voice, analysis: Analysis, chosen: np.ndarray) -> tuple[floa
     return velocity, level, float((p.level - level)[chosen].mean())
 
 
-def _heard(voice: Voice, frequency: np.ndarray) -> np.ndarray:
+def _heard(voice: Voice, number: np.ndarray) -> np.ndarray:
     """Which partials the fit heard [partials]: of the others nobody knows how loud the path lets them through."""
     if voice.path is None:
-        return np.ones(len(frequency), bool)
-    return np.abs(np.log(frequency[:, None] / voice.path.frequency)).min(axis=1) < SAME_PARTIAL
+        return np.ones(len(number), bool)
+    return np.abs(np.log(_frequency(voice, number)[:, None] / voice.path.frequency)).min(axis=1) < SAME_PARTIAL
+
+
+def _frequency(voice: Voice, number: np.ndarray) -> np.ndarray:
+    """Where the voice's string has partials, Hz; real ones lie beside it, the higher the further."""
+    return string_law(np.log(np.array(voice.string)), number, voice.geometry.length)[0][0]
 
 
 def _pitch(voice: Voice) -> float:
@@ -123,7 +129,7 @@ def _levels_of(voice: Voice, analysis: Analysis) -> Callable[[np.ndarray], np.nd
     # The slowest hammer stays longest.
     slow = simulate(voice.string, voice.hammer._replace(v_H0=SLOWEST), g, quantity=voice.quantity)
     steps = 256 * int(np.ceil(1.3 * slow.contact_time * rate / 256))
-    path = 0.0 if voice.path is None else voice.path.at(p.frequency)
+    path = 0.0 if voice.path is None else voice.path.at(_frequency(voice, p.number))
     own = 20 * np.log10(voice.gain) + path
     delay = arrival(voice.string, g, voice.quantity)
 

@@ -10,10 +10,10 @@ from ..errors import AnalysisError
 from .demodulate import demodulate
 from .fits import first_fits, lost
 from .glide import falls, glide_windows, straightened
-from .inharmonicity import CENTS, DecayLaw, FrequencyLaw, decay_law, frequency_law
+from .inharmonicity import CENTS, TRUSTED, DecayLaw, FrequencyLaw, bend, decay_law, frequency_law
 from .level import bounds
 from .notes import hz_to_note
-from .partials import Measured, measure, systematic
+from .partials import LEAST_SNR, Measured, measure, systematic
 from .pitch import find_pitch, track
 from .result import Analysis, Partials
 from .spectrum import noise_between, spectrum
@@ -27,12 +27,10 @@ _SKIP = 0.005  # s; the contact is over by then or all but
 _LONGEST = 20.0  # s; what comes later adds nothing
 _TOP = 12000.0  # Hz
 _WIDEST = 100.0  # Hz; more bandwidth than this brings no more information about a slow partial
-_LEAST_SNR = 14.0  # dB
 _WORST_LEVEL = 10.0  # dB; a level less sure than this is no level
 _LEAST_DECAY = 1e-3  # 1/s; nothing decays more slowly
-_OUTLIER = 6.0  # standard deviations from the law beyond which a peak belongs to something else,
+_OUTLIER = 6.0  # standard deviations from where its neighbours lead, beyond which a peak belongs to something else,
 _OUTLIER_CENTS = 12.0  # and cents, whichever is more
-TRUSTED = 20.0  # partials; from about there real strings leave the law by cents
 _BEATS = 1.5  # dB
 
 
@@ -104,7 +102,7 @@ def _measure_all(
     skip = min(_SKIP, 0.05 * seconds)
     bands = demodulate(samples, rate, frequency, spacing, skip)
     z, fit = first_fits(bands)
-    expected = law(np.arange(1, int(number.max()) + 6))
+    expected = _course(law, number, frequency, np.arange(1, int(number.max()) + 6))
     density = noise_between(samples, rate, expected, frequency, law.f0, min(0.05, 0.1 * seconds))
     density = np.maximum(density, 1e-20 * float(np.max(np.abs(z))) ** 2)
     windows = glide_windows(bands, z, fit, density)
@@ -116,14 +114,14 @@ def _measure_all(
     if glides:
         bands, z, fit, left, above = straightened(bands, z, fit, density, windows)
     rows = measure(number, bands, z, fit, density, glides)
-    keep = _plausible(rows, law, number) & ~lost(bands, fit)
+    keep = _plausible(rows, _course(law, number, frequency, number), law.f0) & ~lost(bands, fit)
     keep[keep] = _on_law(number[keep], rows.frequency[keep], rows.whole_error("frequency")[keep])
     if not keep.any():
         raise AnalysisError(f"{recording.path}: no partial of {law.f0:.1f} Hz stands out of the noise")
     number, rows = number[keep], rows.kept(keep)
     fine, losses = _laws(number, rows, law.B)
     absent = _absent(number, fine, top)
-    bound = bounds(samples, rate, fine(absent), losses(absent), fine.f0, skip)
+    bound = bounds(samples, rate, _course(fine, number, rows.frequency, absent), losses(absent), fine.f0, skip)
     table = _table(number, rows, absent, bound)
     glide = tuple((a, b, fine.f0 * float(np.exp(c / CENTS))) for a, b, c, _ in windows)
     return Analysis(
@@ -144,19 +142,27 @@ def _laws(number: np.ndarray, rows: Measured, B: float) -> tuple[FrequencyLaw, D
     )
 
 
-def _plausible(rows: Measured, law: FrequencyLaw, number: np.ndarray) -> np.ndarray:
+def _course(law: FrequencyLaw, number: np.ndarray, frequency: np.ndarray, k: np.ndarray) -> np.ndarray:
+    """Where partials `k` are to be expected, Hz: on the law, as far from it as those found nearby."""
+    return law(k) * np.exp(bend(number, CENTS * np.log(frequency / law(number)), k) / CENTS)
+
+
+def _plausible(rows: Measured, expected: np.ndarray, f0: float) -> np.ndarray:
     """Tell which partials stand out of the noise and have numbers that mean something."""
-    near = np.abs(rows.frequency - law(number)) < 0.25 * law.f0
-    known = (rows.level_error < _WORST_LEVEL) & (rows.whole_error("frequency") < 0.1 * law.f0)
-    return (rows.snr > _LEAST_SNR) & near & known & (rows.decay < 300.0)
+    near = np.abs(rows.frequency - expected) < 0.25 * f0
+    known = (rows.level_error < _WORST_LEVEL) & (rows.whole_error("frequency") < 0.1 * f0)
+    return (rows.snr > LEAST_SNR) & near & known & (rows.decay < 300.0)
 
 
 def _on_law(k: np.ndarray, frequency: np.ndarray, error: np.ndarray) -> np.ndarray:
-    """Tell which partials keep to the law that most of them follow."""
+    """Tell which partials keep to the law that most of them follow, or leave it with their neighbours."""
     if len(k) < 4:
         return np.ones(len(k), bool)
-    law = frequency_law(k, frequency, error)
-    away = CENTS * np.abs(np.log(frequency / law(k)))
+    law = frequency_law(k, frequency, error, trusted=TRUSTED)
+    away = CENTS * np.log(frequency / law(k))
+    others = ~np.eye(len(k), dtype=bool)
+    course = np.concatenate([bend(k[o], away[o], k[[i]]) for i, o in enumerate(others)])
+    away = np.abs(away - course)
     return away < np.maximum(_OUTLIER * np.hypot(law.scatter, CENTS * error / frequency), _OUTLIER_CENTS)
 
 

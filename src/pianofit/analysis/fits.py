@@ -11,13 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .demodulate import Bands
-from .level import LEVEL_RATE, energy_level
+from .level import energy_level, mean_time
 from .tones import Tones, fit_tones, lag_poles
 
 __all__ = ["Fitted", "first_fits", "fitted", "level_of", "lost", "slack", "window"]
 
 _DB = 20 / np.log(10)
-FIRST = 0.4  # s of frames that make a level, from the first
+LONG = 2.0  # s of frames that make a level, from the first: the more the less a beat's phase tells, up to here
+SLOWEST = 3.0  # 1/s, at which their weight falls at least: what rings on tells little of the strike
 FASTEST = 100.0  # 1/s; a law carried far beyond the partials that show it is not believed beyond
 LEAST = 0.1  # share of a band's energy that is the partial's at least, whatever the noise
 
@@ -129,25 +130,37 @@ def window(
 
 
 def level_of(
-    bands: Bands, z: NDArray[np.complex128], whole: Fitted, first: Fitted, decay: np.ndarray
+    bands: Bands,
+    z: NDArray[np.complex128],
+    whole: Fitted,
+    density: np.ndarray,
+    decay: np.ndarray,
+    decay_error: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Levels, and their standard errors from noise, dB [partials].
+    """Levels, and their standard errors from noise and from the decay's, dB [partials].
+
+    The weight falls with the partial's amplitude, by the law: less would weigh noise, more the phase of its beats.
 
     Parameters
     ----------
     z : basebands, neighbours' leakage subtracted [partials, frames]
     whole : of all frames, for its frequency
-    first : of the first frames, under the level's weight
-    decay : 1/s, by which the energy of the frames is brought to the level's span
+    density : [partials], the noise's one-sided
+    decay, decay_error : 1/s, by which the energy of the frames is brought to the level's span
     """
-    cut = bands.cut(0.0, bands.time[0] + FIRST)
+    cut = bands.cut(0.0, bands.time[0] + LONG)
     t = bands.time[cut]
-    fade = np.exp(-LEVEL_RATE * (t - t[0]))
-    pole = -np.clip(decay, 0.0, FASTEST)
-    wave = np.exp(2 * pole[:, None] * t) * fade
-    gain = np.abs(bands.gain(pole + 1j * whole.fit.pole.imag)) / 2
-    power = np.mean(np.abs(z[:, cut]) ** 2 * fade, axis=1)
-    heard = np.maximum(power - first.noise, LEAST * power) / (gain**2 * np.mean(wave, axis=1))
-    level = 10 * np.log10(heard) + energy_level(np.ones((len(z), 1), complex), pole[:, None].astype(complex))
-    middle = (wave @ t) / wave.sum(axis=1)
-    return level, _DB * first.log_error(middle - first.fit.origin)
+    alpha = np.clip(decay, 0.0, FASTEST)[:, None]
+    fade = np.exp(-np.maximum(SLOWEST, alpha) * (t - t[0]))
+    wave = np.exp((1j * whole.fit.pole.imag[:, None] - alpha) * t)
+    gain = np.abs(bands.gain(-alpha[:, 0] + 1j * whole.fit.pole.imag)) / 2
+    frame = density / 2 * bands.noise_width  # variance of one frame
+    energy, noise = np.sum(np.abs(z[:, cut]) ** 2 * fade, axis=1), frame * fade.sum(axis=1)
+    heard, unit = np.maximum(energy - noise, LEAST * energy), np.sum(np.abs(wave) ** 2 * fade, axis=1)
+    level = 10 * np.log10(heard / unit / gain**2) + energy_level(np.ones((len(z), 1), complex), -alpha.astype(complex))
+    # What noise does along the wave, and its own energy, over that of the wave.
+    size, colour = bands.colour(len(t))
+    along = np.abs(np.fft.fft(wave * fade, size, axis=1)) ** 2 @ colour / size * density / 4 * bands.rate / unit
+    own = 0.25 * frame**2 * np.sum(fade**2, axis=1) * bands.rate / bands.noise_width
+    late = (np.abs(wave) ** 2 * fade) @ t / unit - mean_time(alpha[:, 0])
+    return level, _DB * np.sqrt(along / heard + own / heard**2 + (late * decay_error) ** 2)

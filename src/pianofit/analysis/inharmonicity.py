@@ -4,6 +4,9 @@ Both are straight lines in k² after a change of variable, fitted by iteratively
 weights (Huber 1964). What scatters beyond the noise (soundboard, windings, coupled strings) is estimated from the
 residuals and added to each error, so a partial known to a millionth does not outvote the rest of a note that keeps to
 its law only within some cents.
+
+Beyond some twenty partials windings and shear bend real strings away from the law, smoothly: partial 32 of a C1 lies 14
+cents below, partial 45 of an A0 a whole spacing. Which partial is which, `bend` tells from the neighbours.
 """
 
 from __future__ import annotations
@@ -12,11 +15,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["CENTS", "DecayLaw", "FrequencyLaw", "decay_law", "frequency_law"]
+__all__ = ["CENTS", "TRUSTED", "DecayLaw", "FrequencyLaw", "bend", "decay_law", "frequency_law"]
 
 CENTS = 1200 / np.log(2)  # cents per unit of log frequency
 _B_RANGE = (1e-6, 2e-2)
 _HUBER = 1.5
+# From about this partial on real strings leave the law by cents.
+TRUSTED = 20.0
+# Partials that show how far the next one lies from the law: fewer are upset by one that beats, more do not follow.
+NEIGHBOURS = 9
 
 
 @dataclass(frozen=True)
@@ -48,11 +55,34 @@ class DecayLaw:
         """Decay rates of partials `k`, 1/s."""
         return self.b1 + self.d2 * np.asarray(k, float) ** 2
 
+    def error(self, k: np.ndarray) -> np.ndarray:
+        """Standard errors of the law at partials `k`, 1/s: a bound, since those of b1 and d2 go against each other."""
+        return np.hypot(self.b1_error, np.where(np.isfinite(self.d2_error), self.d2_error, 0.0) * k**2.0)
+
 
 def law_frequency(f0: float, B: float, k: np.ndarray | float) -> np.ndarray:
     """Frequencies k f0 √(1 + B k²) of partials `k`, Hz."""
     k = np.asarray(k, float)
     return k * f0 * np.sqrt(1 + B * k**2)
+
+
+def bend(known: np.ndarray, away: np.ndarray, k: np.ndarray) -> np.ndarray:
+    """How far partials `k` [any number] lie from the law, as their neighbours `known` do, `away`, cents.
+
+    A line through the nearest `NEIGHBOURS`, by the median of the slopes between them (Theil 1950, Sen 1968), carried on
+    no further than the stretch that they show. Fewer show no bend.
+    """
+    found = np.zeros(len(k))
+    if len(known) < NEIGHBOURS:
+        return found
+    for i, n in enumerate(k):
+        near = np.argsort(np.abs(known - n), kind="stable")[:NEIGHBOURS]
+        x, y = known[near].astype(float), away[near]
+        first, second = np.triu_indices(len(x), 1)
+        slope = np.median((y[second] - y[first]) / (x[second] - x[first]))
+        at = np.clip(n, x.min() - np.ptp(x), x.max() + np.ptp(x))
+        found[i] = np.median(y + slope * (at - x))
+    return found
 
 
 def robust_scatter(residual: np.ndarray, error: np.ndarray, dof: int) -> float:
@@ -95,7 +125,7 @@ def frequency_law(
     k = np.asarray(k, float)
     value = (frequency / k) ** 2  # f0² + f0² B k², a straight line in k²
     noise = np.maximum(error / frequency, 1e-12)
-    doubt = np.sqrt(1 + (k / trusted) ** 2)
+    doubt = np.sqrt(1 + (k / trusted) ** 4)
     dof = 1 if B is not None else 2
     scatter, robust = 10.0 / CENTS, np.ones(len(k))
     f0, slope = float(np.median(frequency / k)), B or 0.0

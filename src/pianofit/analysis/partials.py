@@ -8,9 +8,10 @@ mean something:
 - frequency from 0.2 to 1.0 s after the onset, or the dominant component's where the partial beats deeply,
 - decay rate of the early energy, the first 0.8 s.
 
-The level is always the energy of the frames of the first 0.4 s, less that of the noise, under the weight exp(-8t) that
-defines levels, brought to the level's own span by the decay that the string's law has there. Energy is what it is
-however the partial beats, so what a beat does to a level, it does in all recordings of a key alike.
+The level is always the energy of the first 2 s, less that of the noise, under a weight that falls as the partial does,
+brought to the level's own span by the decay that the string's law has there. Energy is what it is however the partial
+beats, so what a beat does to a level, it does in all recordings of a key alike: layers of nine real notes keep to each
+other's levels within 1.1 dB, read off the first 0.1 s within 1.5.
 
 Noise gives each value a standard error, carried from the noise of the frames through the least squares to first order.
 Beside it stands the standard deviation of a systematic error, seen in what one exponential leaves over beyond noise and
@@ -28,15 +29,18 @@ from numpy.typing import NDArray
 
 from .components import Components, resolve
 from .demodulate import Bands
-from .fits import FIRST, Fitted, fitted, level_of, lost, slack, window
+from .fits import Fitted, fitted, level_of, lost, slack, window
 from .inharmonicity import decay_law
 from .level import LEVEL_RATE
 from .tones import Tones
 
-__all__ = ["Measured", "measure", "systematic"]
+__all__ = ["LEAST_SNR", "Measured", "measure", "systematic"]
+
+LEAST_SNR = 14.0  # dB, below which a partial is none
 
 FREQUENCY_WINDOW = (0.2, 1.0)  # s
 _EARLY = 0.8  # s, for decay rates
+_FIRST = 0.4  # s, in which a fast beat shows
 _REACH = (
     20.0  # 1/s by which the first moments' pole may differ from that of the whole; beyond, it follows another sound
 )
@@ -45,7 +49,7 @@ _CLEAN_MISFIT = 3e-3  # of the signal's rms: one exponential is then good enough
 _COMPONENTS = 0.15  # share of the difference between one component and several that is taken for systematic
 _SURE = 2.5  # standard errors from noise that two windows may differ by
 _FAST = 0.6  # level's systematic error, nepers, over the amplitude of what the first moments' exponential leaves over
-_SLOW = 0.25  # the same over the amplitude of what beats within 2 s
+_SLOW = 0.5  # the same over the amplitude of what beats within 2 s
 _SEEN = 0.03  # amplitude of the noise, over the partial's, below which a beat is seen
 _NEAR = 2  # partials to either side that tell how large a systematic error is
 _SHARED = (
@@ -105,15 +109,17 @@ def measure(
     second = _shared(_where_seen(np.minimum(beating, _DEEP), seen) * np.sqrt(2) / _DB)
     whole = fitted(bands, slice(None), fit, density)
     early, tone = (window(bands, z, fit, density, span) for span in ((0.0, _EARLY), FREQUENCY_WINDOW))
-    first = window(bands, z, fit, density, (0.0, bands.time[0] + FIRST), LEVEL_RATE / 2, _REACH)
+    first = window(bands, z, fit, density, (0.0, bands.time[0] + _FIRST), LEVEL_RATE / 2, _REACH)
     parts = resolve(bands, z, frame)
-    smooth = decay_law(number, -whole.fit.pole.real, whole.pole_error())(number)
+    snr = -20 * np.log10(np.maximum(whole.log_error(-fit.origin), 1e-15))
+    heard = (snr > LEAST_SNR) & ~lost(bands, whole.fit)  # what is none has no say in the law
+    heard |= not heard.any()
+    losses = decay_law(number[heard], -whole.fit.pole.real[heard], whole.pole_error()[heard])
     audible = (tone.fit.power > 10 * frame) & (bands.time[-1] > 0.6) & ~lost(bands, tone.fit)
     split = parts.valid & (beating > _DEEP) & ~clean
     frequency = _frequencies(bands, whole, early, tone, parts, second, clean & ~(glides & audible), audible, split)
     decay = _decays(whole, early, parts, second, clean, split)
-    level = _levels(bands, z, whole, first, smooth, second)
-    snr = -20 * np.log10(np.maximum(whole.log_error(-fit.origin), 1e-15))
+    level = _levels(bands, z, whole, first, density, losses(number), losses.error(number), second)
     return Measured(*frequency, *decay, *level, snr, beating)
 
 
@@ -172,13 +178,20 @@ def _shared(spread: np.ndarray) -> np.ndarray:
 
 
 def _levels(
-    bands: Bands, z: NDArray[np.complex128], whole: Fitted, first: Fitted, decay: np.ndarray, second: np.ndarray
+    bands: Bands,
+    z: NDArray[np.complex128],
+    whole: Fitted,
+    first: Fitted,
+    density: np.ndarray,
+    decay: np.ndarray,
+    decay_error: np.ndarray,
+    second: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Levels, their standard errors from noise, and standard deviations of systematic errors, dB.
 
     A beat that is fast is what the first moments' exponential leaves over. Of a slow one only later moments tell.
     """
-    level, error = level_of(bands, z, whole, first, decay)
+    level, error = level_of(bands, z, whole, density, decay, decay_error)
     over = np.where(first.excess > 0, 2 * first.fit.misfit, 0.0) / np.maximum(first.fit.power, 1e-300)
     fast = _shared(_where_seen(np.sqrt(over), first.noise < _SEEN**2 * first.fit.power))
     return level, np.hypot(error, _LEVEL_FLOOR), _DB * np.hypot(_FAST * fast, _SLOW * second)

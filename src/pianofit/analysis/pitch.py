@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..errors import AnalysisError
-from .inharmonicity import FrequencyLaw, frequency_law
+from .inharmonicity import CENTS, TRUSTED, FrequencyLaw, bend, frequency_law
 from .notes import hz_to_note, note_to_hz
 from .spectrum import Spectrum
 
@@ -20,6 +20,7 @@ LOWEST, HIGHEST = 25.0, 4500.0  # Hz, A0 to C8 with room for tuning
 _TEETH = 16
 _PRESENT = 30.0  # dB above the floor at which a tooth has found all it can find
 _REACH = (_TEETH, 20, 27, 36, 48, 64, 82, 100)  # partials to collect, step by step
+_SURE = 10.0  # dB above the floor, of a peak that shows where the next ones are
 _RIVAL = 1.4  # another pitch must score this much better before a given note is refused
 
 
@@ -160,7 +161,8 @@ def _collect(spec: Spectrum, law: FrequencyLaw, top: float) -> tuple[float, np.n
             k = np.arange(1, last + 1)
             merit, number, frequency = _assign(spec, k[law(k) < top], law)
             if len(number) >= 4:
-                law = frequency_law(number, frequency, np.full(len(number), spec.resolution / 20) + 5e-4 * frequency)
+                error = np.full(len(number), spec.resolution / 20) + 5e-4 * frequency
+                law = frequency_law(number, frequency, error, trusted=TRUSTED)
             elif len(number):
                 law = frequency_law(number, frequency, 5e-4 * frequency, B=law.B)
         if law(last) > top:
@@ -169,10 +171,12 @@ def _collect(spec: Spectrum, law: FrequencyLaw, top: float) -> tuple[float, np.n
 
 
 def _assign(spec: Spectrum, k: np.ndarray, law: FrequencyLaw) -> tuple[float, np.ndarray, np.ndarray]:
-    """Choose a peak for each partial: high, and near; none further off than a fifth of the spacing."""
-    reach = max(0.2 * law.f0, spec.step)
+    """Choose a peak for each partial: high, and near to where the last ones lead; none off by a fifth of the spacing."""
     number, frequency, total = [], [], 0.0
-    for n, f in zip(k, law(k), strict=True):
+    spacing = law(k + 1) - law(k)
+    sure: list[tuple[int, float]] = []  # partial, and how far it lies from the law, cents
+    for n, straight, reach in zip(k, law(k), np.maximum(0.2 * spacing, spec.step), strict=True):
+        f = straight * float(np.exp(_course(sure, n) / CENTS))
         low, high = np.searchsorted(spec.peak, [f - reach, f + reach])
         if low == high:
             continue
@@ -182,4 +186,12 @@ def _assign(spec: Spectrum, k: np.ndarray, law: FrequencyLaw) -> tuple[float, np
             number.append(n)
             frequency.append(spec.peak[low + best])
             total += float(merit[best])
+            if spec.height[low + best] > _SURE:
+                sure.append((int(n), CENTS * float(np.log(frequency[-1] / straight))))
     return total, np.array(number, int), np.array(frequency)
+
+
+def _course(sure: list[tuple[int, float]], n: int) -> float:
+    """How far partial `n` should lie from the law, cents, by those found below it."""
+    known, away = np.array(sure).reshape(-1, 2).T
+    return float(bend(known, away, np.array([n]))[0])

@@ -12,7 +12,7 @@ others, so that weighting anew is descent on the same function:
 
 with C = Z Zᵀ + diag(var/w), factored by Woodbury's identity in the size of paths and columns. Partials that are absent
 are censored: the predictive distribution of each, given all that are there, lies below the bound of its band. τ, of
-which one velocity tells nothing by itself, is summed over the nodes of its prior.
+which one velocity tells nothing by itself, is summed over the nodes of its prior, however many velocities there are.
 """
 
 from __future__ import annotations

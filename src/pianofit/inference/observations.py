@@ -178,7 +178,7 @@ def _levels(
         absent &= found.any(axis=0)
     level = np.where(found, value, np.where(absent, bound, np.nan))
     loudest = np.nanmax(level, axis=1, keepdims=True)
-    nodes, weight = _path_nodes(layout, path)
+    nodes, weight = _path_nodes(layout.groups, path)
     alpha = ref.b1 + ref.d2 * number.astype(float) ** 2
     hyper = priors.LEVEL
     value = np.nan_to_num(level + unit)
@@ -218,15 +218,12 @@ def _columns(layout: Layout, alpha: np.ndarray, gains: bool) -> np.ndarray:
     return np.concatenate([priors.GAIN * np.broadcast_to(gain[:, :, None], (*gain.shape, len(alpha))), onset])
 
 
-def _path_nodes(layout: Layout, path: bool) -> tuple[np.ndarray, np.ndarray]:
-    """log τ at the nodes of its prior, for every group [T, G], and their weights."""
+def _path_nodes(groups: int, path: bool) -> tuple[np.ndarray, np.ndarray]:
+    """log τ at the nodes of its prior, the same for every group [T, G], and their weights."""
     if not path:
-        return np.full((1, layout.groups), NONE), np.ones(1)
-    several = np.array([layout.velocities(g) > 1 for g in range(layout.groups)])
-    if several.all():
-        return np.full((1, layout.groups), np.log(priors.PATH_OF_SEVERAL)), np.ones(1)
+        return np.full((1, groups), NONE), np.ones(1)
     nodes, weight = priors.path_nodes()
-    return np.where(several, np.log(priors.PATH_OF_SEVERAL), nodes[:, None]), weight
+    return np.repeat(nodes[:, None], groups, axis=1), weight
 
 
 def _string_tables(
@@ -256,7 +253,7 @@ def _string_tables(
         [t.decay_error * x for t, x in zip(tables, relative, strict=True)],
         [t.decay_systematic * np.outer(x, x) for t, x in zip(tables, relative, strict=True)],
     )  # fmt: skip
-    growth = 1 + (number / priors.LAW_REACH) ** 2
+    growth = 1 + (number / priors.LAW_REACH) ** 4
     known = np.full((1, 1, len(number)), max(ref.glide_error, 1e-9))
     return (
         _string_table(number, law, *pitch, growth, known, priors.FREQUENCY),

@@ -29,12 +29,9 @@ GAIN = 60.0
 ONSET = 1e-3
 # Degrees of freedom of Student's t: with 4 a search discards the fundamental and stays there.
 STUDENT = 10.0
-# Residual variance of a path that was heard at several velocities, dB: so wide that only differences between velocities
-# count. The evidence prefers 1 to 7 dB; absolute spectra carry the model's own errors, and predict other velocities
-# worse.
-PATH_OF_SEVERAL = 20.0
-# dB, of a path that was heard at one velocity, median and spread: a judgement, see benchmarks/path_prior.py.
-PATH_OF_ONE = (4.0, 0.5)
+# Residual standard deviation τ of a path, dB, median and spread: of the notes recorded at several velocities, as
+# benchmarks/path_prior.py reads it off them.
+PATH = (5.0, 0.5)
 # Nodes of the quadrature over it.
 PATH_NODES = 3
 # An absent partial may be this much louder than the bound of its band, dB: neighbours' leakage can cancel it.
@@ -54,7 +51,7 @@ class Hyperprior(NamedTuple):
 
 
 # Levels: a recording's own excess, dB; the smooth path's amplitude, dB, and length, octaves; amplitude of other sounds
-# over the loudest partial (they lie 53 to 75 dB below it). `common` is integrated over: see PATH_OF_ONE.
+# over the loudest partial (they lie 53 to 75 dB below it). `common` is integrated over: see PATH.
 LEVEL = Hyperprior((0.7, 8.0, 0.7, 0.002), (0.7, 0.4, 0.4, 0.9))
 # Frequencies: excess over the law, cents
 FREQUENCY = Hyperprior((0.5,), (1.5,))
@@ -65,6 +62,6 @@ LAW_REACH = 20.0
 
 
 def path_nodes() -> tuple[np.ndarray, np.ndarray]:
-    """Nodes of log τ and their weights, for a path heard at one velocity: Gauss-Hermite over the log-normal prior."""
+    """Nodes of log τ and their weights: Gauss-Hermite over the log-normal prior."""
     x, weight = np.polynomial.hermite_e.hermegauss(PATH_NODES)
-    return np.log(PATH_OF_ONE[0]) + PATH_OF_ONE[1] * x, weight / weight.sum()
+    return np.log(PATH[0]) + PATH[1] * x, weight / weight.sum()

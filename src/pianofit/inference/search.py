@@ -25,7 +25,7 @@ from .string import StringState, string_report
 __all__ = ["Population", "Search", "distinct"]
 
 # Samples of the prior's hammers: a power of two, as Sobol's points want it.
-SAMPLES = 512
+SAMPLES = 1024
 # Velocities at which each is struck, m/s: neighbours differ by 30 %, which a descent bridges.
 VELOCITIES = np.geomspace(0.15, 8.0, 16)
 # Of the prior of each: the outermost hundredth is not sampled.
@@ -33,9 +33,13 @@ TAIL = 0.01
 # σ, A, ℓ, η before anything is known: excess of levels, dB, and a path as the prior has it.
 WIDE_EXCESS = 2.0
 # How many go on, for how many steps, with σ held above this, dB.
-STAGES = ((48, 4, 3.0), (12, 6, 1.0), (4, 25, 0.0))
-# Rounds of local restarts about the best,
-ROUNDS = 2
+STAGES = ((96, 4, 3.0), (24, 6, 1.0), (6, 25, 0.0))
+# Candidates whose hammers come closer than this on their way down, in the prior's standard deviations, go on as one.
+ONE_VALLEY = 0.2
+# Rounds of restarts about the best go on until one gains less than this, F: a likelihood of 1.6 is no better hammer,
+GAIN = 0.5
+# or there have been this many;
+ROUNDS = 8
 # how many in each,
 RESTARTS = 8
 # and how far, in the prior's standard deviations: beyond the valley, within what a descent finds.
@@ -322,14 +326,31 @@ class Search:
             raise FitError(NO_HAMMER)
         for stage, (count, iterations, floor) in enumerate(STAGES):
             progress("hammer", 0.3 + 0.1 * stage)
-            people = self.descend(people.take(np.arange(min(count, len(people)))), floor, iterations)
+            people = self.descend(people.take(self._apart(people)[:count]), floor, iterations)
         progress("restarts", 0.6)
         random = np.random.default_rng(seed)
         for _ in range(ROUNDS):
+            before = self._lowest(people)
             people = self._restarted(people, self._nearby(people, random))
-        if self.unknowns.free[X0]:
-            people = self._restarted(people, self._moved(people))
+            if self.unknowns.free[X0]:
+                people = self._restarted(people, self._moved(people))
+            if self._lowest(people) > before - GAIN:
+                break
         return people
+
+    def _apart(self, people: Population) -> np.ndarray:
+        """The lowest of each valley, the lowest first; a valley is known by its hammer."""
+        some = np.flatnonzero(self.unknowns.free[:SHARED] & (np.arange(SHARED) >= STRING_SIZE))
+        x = people.z[:, some] / self.unknowns.sd[some]
+        kept: list[int] = []
+        for i in range(len(x)):
+            if not kept or np.abs(x[kept] - x[i]).max(axis=1).min(initial=np.inf) > ONE_VALLEY:
+                kept.append(i)
+        return np.array(kept)
+
+    def _lowest(self, people: Population) -> float:
+        """F of the best, which comes first."""
+        return float(self.total(people.z[:1], people.take(np.array([0])).report)[0])
 
     def _nearby(self, people: Population, random: np.random.Generator) -> np.ndarray:
         """Points about the best in everything [restarts, size]."""
@@ -350,8 +371,7 @@ class Search:
         if not len(more):
             return people
         more = self.descend(more, 0.0, TRIAL)
-        best = self.total(people.z[:1], people.take(np.array([0])).report)[0]
-        going = np.flatnonzero(self.total(more.z, more.report) < best + NEAR)[:GOING]
+        going = np.flatnonzero(self.total(more.z, more.report) < self._lowest(people) + NEAR)[:GOING]
         if len(going):
             people = people.join(self.descend(more.take(going), 0.0, STAGES[-1][1]))
         return people.take(np.argsort(self.total(people.z, people.report), kind="stable"))

@@ -9,6 +9,7 @@ from ..voice import Voice
 from .coordinates import STRING_SIZE
 from .finish import Minima
 from .likelihood import Latent
+from .observations import string_law
 from .problem import Problem
 from .reports import latent
 from .string import string_residuals
@@ -23,15 +24,17 @@ def latents(minima: Minima, which: int) -> Latent:
 
 
 def path_of(problem: Problem, minima: Minima, which: int, recording: int) -> OutputPath | None:
-    """The posterior mean of a recording's path, dB, at the partials found through it, and decays over the law's."""
+    """The posterior mean of a recording's path, dB, at the partials found through it, and decays over the law's.
+
+    The partials stand where the minimum's string has them: real ones leave the law, but are known by their numbers.
+    """
     if not problem.path:
         return None
     group, observed = problem.layout.group[recording], problem.observed
     mine = np.array(problem.layout.group) == group
     found = (np.asarray(observed.level.found) * mine[:, None]).any(axis=0)
     number = observed.number[found]
-    reference = problem.analyses[problem.reference]
-    frequency = number * reference.f0 * np.sqrt(1 + reference.B * number.astype(float) ** 2)
+    frequency = string_law(minima.people.z[which, :STRING_SIZE], number, problem.start.geometry.length)[0][0]
     return OutputPath(frequency, latents(minima, which).common[group][found], _decays(problem, minima, which, number))
 
 
