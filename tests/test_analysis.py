@@ -185,7 +185,7 @@ def test_beating_partials_keep_their_level_and_dominant_frequency():
     assert np.sqrt(np.mean((off / _spread(table, "level")) ** 2)) < 2.0
     assert np.quantile(np.abs(table.frequency - truth.frequency[i]), 0.9) < 0.2
     clean = analyse(one.recording(noise=1e-6), note="C4").partials
-    assert np.median(table.level_error) < 0.05
+    assert np.median(table.level_error) < 0.5  # how sure the law of decays is, is in it
     assert np.median(_spread(table, "level")) > 0.1
     assert np.median(_spread(clean, "level")) == 0.0
 

@@ -9,7 +9,7 @@ import pytest
 from model_cases import GEOMETRY
 
 from pianofit.inference.coordinates import ABSENT, FORCE, MU, NAMES, SHARED, VALUES, X0, P, Unknowns
-from pianofit.parameters import Hammer, MemoryHammer
+from pianofit.parameters import PARAMETERS, Hammer, MemoryHammer, check, check_hammer
 
 STROKES = 2
 VALUE = {
@@ -67,6 +67,17 @@ def test_only_what_is_free_can_be_at_a_bound():
     z[[MU, X0]] = u.upper[[MU, X0]]
     assert np.flatnonzero(u.at_bound(z)).tolist() == [MU, X0]
     assert np.flatnonzero(held.at_bound(z)).tolist() == [X0]
+
+
+def test_a_hammer_on_an_edge_of_its_range_is_a_hammer():
+    """The exponential of the logarithm of 1e16 is more than 1e16."""
+    u = unknowns()
+    for edge in ("lower", "upper"):
+        log = {name: float(np.log(getattr(PARAMETERS[name], edge))) for name in (*VALUES[:8], "v_H0")}
+        z = np.append([log.get(name, 0.0) for name in VALUES], [log["v_H0"]] * STROKES)
+        z = u.from_log_values(z)
+        check_hammer(u.hammer(z, 0))
+        check(u.string(z)._asdict())
 
 
 def test_the_tangent_is_that_of_the_values():

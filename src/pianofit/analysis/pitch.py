@@ -171,7 +171,7 @@ def _collect(spec: Spectrum, law: FrequencyLaw, top: float) -> tuple[float, np.n
 
 
 def _assign(spec: Spectrum, k: np.ndarray, law: FrequencyLaw) -> tuple[float, np.ndarray, np.ndarray]:
-    """Choose a peak for each partial: high, and near to where the last ones lead; none off by a fifth of the spacing."""
+    """Choose a peak for each partial: high, and within a fifth of the spacing of where the last ones lead."""
     number, frequency, total = [], [], 0.0
     spacing = law(k + 1) - law(k)
     sure: list[tuple[int, float]] = []  # partial, and how far it lies from the law, cents

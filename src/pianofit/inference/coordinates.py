@@ -100,16 +100,19 @@ class Unknowns:
 
     def string(self, z: np.ndarray) -> String:
         """The string at `z` [size]."""
-        return String(*np.exp(z[:STRING_SIZE]).tolist())
+        return String(*(_inside(n, float(x)) for n, x in zip(String._fields, np.exp(z[:STRING_SIZE]), strict=True)))
 
     def hammer(self, z: np.ndarray, stroke: int) -> Hammer | MemoryHammer:
         """The hammer at `z` [size] at the velocity of one stroke."""
         force, p, mu, mass = z[FORCE], np.exp(z[P]), np.exp(z[MU]), np.exp(z[NAMES.index("M_H")])
-        K = float(np.exp(force - p * self.log_u))
-        five = K, float(mu) if z[MU] > ABSENT else 0.0, float(p), float(mass), float(np.exp(z[SHARED + stroke]))
+        values = np.exp(force - p * self.log_u), mu, p, mass, np.exp(z[SHARED + stroke])
+        five = [_inside(n, float(x)) for n, x in zip(Hammer._fields, values, strict=True)]
+        if z[MU] <= ABSENT:
+            five[Hammer._fields.index("mu")] = 0.0
         if not self.memory:
             return Hammer(*five)
-        return MemoryHammer(*five, *np.exp(z[NAMES.index("epsilon") : SHARED]).tolist())
+        memory = zip(("epsilon", "tau"), np.exp(z[NAMES.index("epsilon") : SHARED]), strict=True)
+        return MemoryHammer(*five, *(_inside(n, float(x)) for n, x in memory))
 
     def struck(self, z: np.ndarray) -> Geometry:
         """The geometry with the strike position and contact width at `z` [size]."""
@@ -126,6 +129,11 @@ class Unknowns:
         out = np.eye(self.size)
         out[FORCE, P] = -np.exp(z[P]) * self.log_u
         return out
+
+
+def _inside(name: str, value: float) -> float:
+    """The value within its range: the exponential of an edge's logarithm can round to beyond it."""
+    return min(max(value, PARAMETERS[name].lower), PARAMETERS[name].upper)
 
 
 def box(name: str) -> tuple[float, float]:
