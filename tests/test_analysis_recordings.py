@@ -34,7 +34,7 @@ def test_the_witness():
     assert abs(1200 * np.log2(analysis.f0 / 92.33)) < 2
     assert pytest.approx(2.3e-4, rel=0.1) == analysis.B
     assert 2 < analysis.glide_cents < 5  # from about 92.39 Hz to 92.16 Hz
-    assert analysis.scatter_cents < 3
+    assert analysis.scatter_cents < 4  # of some sixty partials, of which the upper ones leave the law
 
 
 @pytest.mark.parametrize("name", LAYERS)

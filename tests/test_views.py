@@ -66,6 +66,7 @@ def halves(entries: dict, found: Estimate) -> dict[str, tuple[float, ...]]:
 # --- profiles ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_profiles_of_a_calibrated_twin_agree_with_laplace():
     found = halves(profiled().entries, fitted())
     assert set(found) == {*HAMMER, "c", "kappa", "b1", "b2", "width"}
@@ -124,6 +125,7 @@ def test_where_k_h_is_held_the_force_follows_p():
     assert rise == pytest.approx(0.5, abs=0.05)
 
 
+@pytest.mark.slow
 def test_a_profile_that_finds_lower_ground_says_so():
     minima = fitted().minima
     z = minima.people.z.copy()
@@ -142,6 +144,7 @@ def test_open_ends_are_named():
     assert said[1].endswith(": c.")
 
 
+@pytest.mark.slow
 def test_a_fit_has_the_intervals_it_was_asked_for():
     result = fit_takes([measured()], [analyse(measured())], setup(), intervals="profile")
     for name, entry in profiled().entries.items():
@@ -168,7 +171,7 @@ def test_the_density_is_that_of_f_with_its_gradient():
     np.testing.assert_allclose(slope.theta, 0.0, atol=0.02)
     for log_w in slope.log_w:
         np.testing.assert_allclose(log_w, 0.0, atol=0.02)
-    point, step = start(at, key, 0.5), 1e-5
+    point, step = start(at, key, 0.5), 1e-4
     _, slope = density_of(point)
     flat, whole = jax.flatten_util.ravel_pytree(point)
     exact = np.asarray(jax.flatten_util.ravel_pytree(slope)[0])

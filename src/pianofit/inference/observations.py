@@ -253,7 +253,7 @@ def _string_tables(
         [t.decay_error * x for t, x in zip(tables, relative, strict=True)],
         [t.decay_systematic * np.outer(x, x) for t, x in zip(tables, relative, strict=True)],
     )  # fmt: skip
-    growth = 1 + (number / priors.LAW_REACH) ** 4
+    growth = 1 + (number / priors.LAW_REACH) ** 6
     known = np.full((1, 1, len(number)), max(ref.glide_error, 1e-9))
     return (
         _string_table(number, law, *pitch, growth, known, priors.FREQUENCY),

@@ -31,7 +31,7 @@ ONSET = 1e-3
 STUDENT = 10.0
 # Residual standard deviation τ of a path, dB, median and spread: of the notes recorded at several velocities, as
 # benchmarks/path_prior.py reads it off them.
-PATH = (5.0, 0.5)
+PATH = (4.5, 0.4)
 # Nodes of the quadrature over it.
 PATH_NODES = 3
 # An absent partial may be this much louder than the bound of its band, dB: neighbours' leakage can cancel it.
@@ -58,7 +58,7 @@ FREQUENCY = Hyperprior((0.5,), (1.5,))
 # Decays: excess, relative to the law.
 DECAY = Hyperprior((0.2,), (1.0,))
 # Partial from which on windings and shear let a real string leave the frequency law.
-LAW_REACH = 20.0
+LAW_REACH = 10.0
 
 
 def path_nodes() -> tuple[np.ndarray, np.ndarray]:

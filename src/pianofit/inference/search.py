@@ -14,7 +14,7 @@ import numpy as np
 from scipy.stats import norm, qmc
 
 from ..errors import FitError
-from .coordinates import SHARED, STRING_SIZE, X0
+from .coordinates import SHARED, STRING_SIZE, X0, Unknowns
 from .lanes import in_lanes, levels, own_levels, own_slopes, slopes
 from .likelihood import Report, next_weights
 from .population import Population
@@ -34,7 +34,7 @@ TAIL = 0.01
 WIDE_EXCESS = 2.0
 # How many go on, for how many steps, with σ held above this, dB.
 STAGES = ((96, 4, 3.0), (24, 6, 1.0), (6, 25, 0.0))
-# Candidates whose hammers come closer than this on their way down, in the prior's standard deviations, go on as one.
+# Candidates that come closer than this on their way down, in the prior's standard deviations, go on as one.
 ONE_VALLEY = 0.2
 # Rounds of restarts about the best go on until one gains less than this, F: a likelihood of 1.6 is no better hammer,
 GAIN = 0.5
@@ -326,7 +326,8 @@ class Search:
             raise FitError(NO_HAMMER)
         for stage, (count, iterations, floor) in enumerate(STAGES):
             progress("hammer", 0.3 + 0.1 * stage)
-            people = self.descend(people.take(self._apart(people)[:count]), floor, iterations)
+            going = distinct(people, self.unknowns, self.total(people.z, people.report), np.inf, ONE_VALLEY)
+            people = self.descend(people.take(np.array(going[:count])), floor, iterations)
         progress("restarts", 0.6)
         random = np.random.default_rng(seed)
         for _ in range(ROUNDS):
@@ -338,18 +339,8 @@ class Search:
                 break
         return people
 
-    def _apart(self, people: Population) -> np.ndarray:
-        """The lowest of each valley, the lowest first; a valley is known by its hammer."""
-        some = np.flatnonzero(self.unknowns.free[:SHARED] & (np.arange(SHARED) >= STRING_SIZE))
-        x = people.z[:, some] / self.unknowns.sd[some]
-        kept: list[int] = []
-        for i in range(len(x)):
-            if not kept or np.abs(x[kept] - x[i]).max(axis=1).min(initial=np.inf) > ONE_VALLEY:
-                kept.append(i)
-        return np.array(kept)
-
     def _lowest(self, people: Population) -> float:
-        """F of the best, which comes first."""
+        """F of the first."""
         return float(self.total(people.z[:1], people.take(np.array([0])).report)[0])
 
     def _nearby(self, people: Population, random: np.random.Generator) -> np.ndarray:
@@ -387,14 +378,16 @@ def _bfgs(inverse: np.ndarray, step: np.ndarray, change: np.ndarray) -> np.ndarr
     return np.where(good[:, None, None], new, inverse)
 
 
-def distinct(people: Population, unknowns, scores: np.ndarray, within: float) -> list[int]:
-    """Which of the minima are different ones, and within `within` of the lowest score."""
+def distinct(
+    people: Population, unknowns: Unknowns, scores: np.ndarray, within: float, apart: float = SAME
+) -> list[int]:
+    """Which are `apart` from all lower ones, and within `within` of the lowest score; the lowest first."""
     chosen: list[int] = []
     free = unknowns.free
     for i in np.argsort(scores, kind="stable"):
         if scores[i] > scores.min() + within:
             break
         away = [np.abs((people.z[i] - people.z[j]) / unknowns.sd.clip(1e-12))[free].max() for j in chosen]
-        if not away or min(away) >= SAME:
+        if not away or min(away) >= apart:
             chosen.append(int(i))
     return chosen
