@@ -16,8 +16,8 @@ ROOT = Path(__file__).parent.parent
 SOURCE = ROOT / "src" / "pianofit"
 FILES = sorted(SOURCE.rglob("*.py"))
 LAYERS = (
-    "errors", "parameters", "published", "recording", "json_file", "setup_file", "analysis", "initial", "model",
-    "criterion", "voice", "inference", "paper", "fitting", "render", "predict", "report", "twin", "laboratory",
+    "errors", "threads", "parameters", "published", "recording", "json_file", "setup_file", "analysis", "initial",
+    "model", "criterion", "voice", "inference", "paper", "fitting", "render", "predict", "report", "twin", "laboratory",
     "reproduce", "workflow", "batch", "instrument", "demo", "summary", "options", "terminal", "commands_batch",
     "commands_instrument", "cli", "__main__",
 )  # fmt: skip

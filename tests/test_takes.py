@@ -7,6 +7,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info
 from twin_cases import FIRST, SEVERAL, VELOCITIES, path_fit, record, setup_of, strokes_of, through
 
 from pianofit.analysis import Partials, analyse
@@ -19,10 +20,27 @@ from pianofit.setup_file import Setup, Take
 FILES = [f"{stroke}-{microphone}.wav" for stroke, microphone in SEVERAL]
 
 
+BLAS_THREADS: list[int] = []  # seen during the fit below
+
+
+def blas_threads() -> list[int]:
+    return [library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"]
+
+
 @functools.cache
 def without_the_middle() -> Result:
     recordings, analyses = through(SEVERAL)
-    return fit_takes([recordings[0], recordings[2]], [analyses[0], analyses[2]], strokes_of(SEVERAL))
+    return fit_takes(
+        [recordings[0], recordings[2]], [analyses[0], analyses[2]], strokes_of(SEVERAL),
+        progress=lambda *_: BLAS_THREADS.extend(blas_threads()),
+    )  # fmt: skip
+
+
+def test_a_fit_keeps_blas_to_one_thread_and_gives_back_what_the_caller_had():
+    before = blas_threads()
+    without_the_middle()
+    assert set(BLAS_THREADS) == {1}
+    assert blas_threads() == before
 
 
 def test_every_recording_is_shown_with_its_own():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -115,8 +114,6 @@ def _called(fits: list[Path]) -> str:
 
 
 def _play(built: Path, song: Path, out: Path, rate: int, force: bool, progress: Callable) -> dict[str, Any]:
-    # The products are small: several threads lose more time waiting for each other than they gain.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from .instrument import load_instrument, load_song, perform
     from .instrument.wav import encode_pcm24
     from .model.cache import keep_programs
@@ -155,7 +152,6 @@ def _export(
 
     if to != "sfz":
         raise ParameterError(f"--format {to!r} must be sfz")
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from .instrument import export_sfz, load_instrument, parse_keys
     from .model.cache import keep_programs
 

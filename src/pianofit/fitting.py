@@ -12,6 +12,7 @@ from .initial import Start, starting_values
 from .paper.recipes import RECIPES, Found, check_recipe, claims, fit_by_paper
 from .recording import Recording
 from .setup_file import Setup
+from .threads import one_blas_thread
 
 __all__ = ["MEANS", "RECIPES", "check_intervals", "check_recipe", "fit_recording", "fit_takes"]
 
@@ -59,6 +60,7 @@ def fit_recording(
     return _paper_result(recording, analysis, start, recipe, seed, found)
 
 
+@one_blas_thread()
 def fit_takes(
     recordings: Sequence[Recording],
     analyses: Sequence[Analysis],

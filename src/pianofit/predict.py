@@ -30,6 +30,7 @@ from .model.simulate import contact_rate, count_modes, simulate
 from .parameters import PARAMETERS
 from .recording import Recording
 from .setup_file import Setup
+from .threads import one_blas_thread
 from .voice import Voice, arrival
 
 __all__ = ["Prediction", "cross_validate", "predict_take"]
@@ -52,6 +53,7 @@ class Prediction:
     voice: Voice
 
 
+@one_blas_thread()
 def predict_take(voices: Voice | Sequence[tuple[float, Voice]], analysis: Analysis) -> Prediction:
     """Play a fit at the velocity that suits a recording's levels best.
 

@@ -14,6 +14,7 @@ import numpy as np
 from ..errors import ParameterError
 from ..recording import RATES
 from ..render import CEILING, MOST_SAMPLES
+from ..threads import one_blas_thread
 from .document import Instrument
 from .midi import Song
 from .strings import BLOCK, CHUNK, PlayedString
@@ -44,6 +45,7 @@ class _Event(NamedTuple):
     damped: bool
 
 
+@one_blas_thread()
 def perform(
     instrument: Instrument, song: Song, rate: int = 48_000,
     progress: Callable[[str, float], None] = lambda *_: None,

@@ -23,6 +23,7 @@ from ..analysis.notes import note_to_midi
 from ..errors import AnalysisError, OutputError, ParameterError
 from ..recording import RATES, one_line
 from ..render import CEILING
+from ..threads import one_blas_thread
 from ..voice import arrival
 from ..workflow import _interrupted_by
 from .document import Instrument
@@ -99,6 +100,7 @@ def spans_of(keys: Sequence[int]) -> list[tuple[int, int]]:
     return spans
 
 
+@one_blas_thread()
 def export_sfz(
     instrument: Instrument, out: Path, keys: Sequence[int], layers: int, *, rate: int = 48_000, seconds: float = 8.0,
     kind: str = "flac", force: bool = False, progress: Callable[[str, float], None] = lambda *_: None,
