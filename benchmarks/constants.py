@@ -6,7 +6,7 @@
 The panel: the inner layers of `NOTES`, each predicted from the others, where the recordings are there (see
 `crossval.py`), and the model twins `TWINS` of `coverage_twins.py`. Shown are the median error of the predictions, dB,
 and the rms of the twins' misses in standard errors. A constant that moves neither may be wrong by a factor and nobody
-would notice; one that moves them has its reason beside it in `inference/priors.py` and `inference/search.py`.
+would notice; one that moves them has its reason beside it in `inference/` or `analysis/`.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ TWINS = (4, 5, 9)
 
 def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
     """By name: the module, the attribute, and how its value is scaled."""
+    from pianofit.analysis import fits, inharmonicity, partials
     from pianofit.inference import finish, observations, priors, search
 
     def plain(value: Any, factor: float) -> Any:
@@ -60,7 +61,17 @@ def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
         "SAMPLES": (search, "SAMPLES", plain),
         "WIDE_EXCESS": (search, "WIDE_EXCESS", plain),
         "REACH": (search, "REACH", plain),
+        "ONE_VALLEY": (search, "ONE_VALLEY", plain),
+        "GAIN": (search, "GAIN", plain),
+        "LONGEST_STEP": (search, "LONGEST_STEP", plain),
+        "LONGEST_PHI": (search, "LONGEST_PHI", plain),
         "WITHIN": (finish, "WITHIN", plain),
+        "LEFT": (finish, "LEFT", plain),
+        "TRUSTED": (inharmonicity, "TRUSTED", plain),
+        "NEIGHBOURS": (inharmonicity, "NEIGHBOURS", plain),
+        "LONG": (fits, "LONG", plain),
+        "FAST": (partials, "_FAST", plain),
+        "SLOW": (partials, "_SLOW", plain),
     }
 
 

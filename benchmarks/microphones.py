@@ -32,7 +32,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pianofit import analyse, cross_validate, fit_recording, load_recording
-from pianofit.analysis import TRUSTED, Analysis
+from pianofit.analysis import Analysis
 from pianofit.analysis.inharmonicity import frequency_law
 from pianofit.model.cache import keep_programs
 from pianofit.setup_file import Setup, Take
@@ -94,10 +94,7 @@ def _partials(first: Analysis, second: Analysis) -> dict:
     _, i, j = np.intersect1d(a.number, b.number, return_indices=True)
     cents = 1200 * np.log2(b.frequency[j] / a.frequency[i])
     fades = np.log(np.maximum(b.decay, b.decay_error)[j] / np.maximum(a.decay, a.decay_error)[i])
-    laws = [
-        frequency_law(p.number[at], p.frequency[at], p.frequency_error[at], trusted=TRUSTED)
-        for p, at in ((a, i), (b, j))
-    ]
+    laws = [frequency_law(p.number[at], p.frequency[at], p.frequency_error[at]) for p, at in ((a, i), (b, j))]
     reach = 1.96 * np.hypot(*(law.B_error / law.B for law in laws))
     return {
         "common": len(i), "cents": _deviation(cents), "log_decay": _deviation(fades), "decays": _median(fades),

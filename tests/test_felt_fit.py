@@ -1,4 +1,4 @@
-"""Fits by each law of the felt, on blows of a laboratory that shares no code with the model."""
+"""Fits by each law of the felt, on strokes of a laboratory that shares no code with the model."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SAME = {"memory": "stulov", "power": "power"}
 
 
 @functools.cache
-def blow(felt: str):
+def stroke(felt: str):
     """A measurement with one felt, nothing else left out and little noise, and its truth."""
     made = measure(Laboratory.ideal(felt=felt, noise_db=90.0), VELOCITY)
     recording = recording_from_samples(made.samples, made.rate, name=f"{felt}.wav")
@@ -30,7 +30,7 @@ def blow(felt: str):
 
 @functools.cache
 def fitted(felt: str, law: str) -> dict:
-    recording, analysis, data, _ = blow(felt)
+    recording, analysis, data, _ = stroke(felt)
     data = data | {"initial": {k: v for k, v in data["initial"].items() if k in ("K_H", "p", "M_H")}}
     data["take"] = [{k: v for k, v in take.items() if k != "file"} for take in data.get("take", [])]
     setup = setup_from_dict(data | {"felt": {"law": law}}, "test")
@@ -42,12 +42,12 @@ def value(document: dict, name: str) -> float:
 
 
 def test_a_felt_with_memory_is_found():
-    document, true = fitted("memory", "stulov"), blow("memory")[3]
+    document, true = fitted("memory", "stulov"), stroke("memory")[3]
     assert document["felt"] == "stulov"
     assert value(document, "M_H") == pytest.approx(true["M_H"], rel=0.01)
     assert value(document, "p") == pytest.approx(true["p"], rel=0.02)
     epsilon, tau = value(document, "epsilon"), value(document, "tau")
-    # What a blow that is slow beside τ shows: the relaxed felt's force, and its lag ετ/(1 - ε).
+    # What a stroke that is slow beside τ shows: the relaxed felt's force, and its lag ετ/(1 - ε).
     lab = Laboratory()
     assert epsilon * tau / (1 - epsilon) == pytest.approx(lab.eps * lab.tau / (1 - lab.eps), rel=0.1)
 

@@ -366,7 +366,7 @@ def test_a_scale_is_open_where_not_even_ratios_are_identified():
     assert "common scale" not in said(fit)["Not fixed by the data"]
 
 
-def test_what_the_claims_doubt_is_not_called_fixed():
+def test_what_the_claims_question_is_not_called_fixed():
     fit = fit_reaching(F_over_M_S=0.05, M_H_over_M_S=0.03)
     for name in ("K_H", "mu", "p", "M_H"):
         fit["parameters"][name] = {"status": "not-identifiable", "interval": [1.0, 1.1]}

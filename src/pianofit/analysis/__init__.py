@@ -1,6 +1,6 @@
 """What can be read off a recording without a hammer: partials, inharmonicity, losses, glide."""
 
-from .analyse import TRUSTED, analyse
+from .analyse import analyse
 from .inharmonicity import law_frequency
 from .level import energy_level
 from .notes import hz_to_note, note_to_hz, note_to_midi
@@ -8,7 +8,6 @@ from .result import Analysis, Partials
 from .table import COLUMNS, as_dict, rows
 
 __all__ = [
-    "TRUSTED",
     "COLUMNS",
     "Analysis",
     "Partials",

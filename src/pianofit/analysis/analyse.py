@@ -10,7 +10,7 @@ from ..errors import AnalysisError
 from .demodulate import demodulate
 from .fits import first_fits, lost
 from .glide import falls, glide_windows, straightened
-from .inharmonicity import CENTS, TRUSTED, DecayLaw, FrequencyLaw, bend, decay_law, frequency_law
+from .inharmonicity import CENTS, DecayLaw, FrequencyLaw, bend, decay_law, frequency_law
 from .level import bounds
 from .notes import hz_to_note
 from .partials import LEAST_SNR, Measured, measure, systematic
@@ -21,7 +21,7 @@ from .spectrum import noise_between, spectrum
 if TYPE_CHECKING:
     from ..recording import Recording
 
-__all__ = ["TRUSTED", "analyse"]
+__all__ = ["analyse"]
 
 _SKIP = 0.005  # s; the contact is over by then or all but
 _LONGEST = 20.0  # s; what comes later adds nothing
@@ -137,7 +137,7 @@ def _laws(number: np.ndarray, rows: Measured, B: float) -> tuple[FrequencyLaw, D
     held = B if len(number) < 2 else None
     error = rows.whole_error("frequency")
     return (
-        frequency_law(number, rows.frequency, error, B=held, trusted=TRUSTED),
+        frequency_law(number, rows.frequency, error, B=held),
         decay_law(number, np.maximum(rows.decay, _LEAST_DECAY), rows.whole_error("decay")),
     )
 
@@ -158,7 +158,7 @@ def _on_law(k: np.ndarray, frequency: np.ndarray, error: np.ndarray) -> np.ndarr
     """Tell which partials keep to the law that most of them follow, or leave it with their neighbours."""
     if len(k) < 4:
         return np.ones(len(k), bool)
-    law = frequency_law(k, frequency, error, trusted=TRUSTED)
+    law = frequency_law(k, frequency, error)
     away = CENTS * np.log(frequency / law(k))
     others = ~np.eye(len(k), dtype=bool)
     course = np.concatenate([bend(k[o], away[o], k[[i]]) for i, o in enumerate(others)])

@@ -15,13 +15,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["CENTS", "TRUSTED", "DecayLaw", "FrequencyLaw", "bend", "decay_law", "frequency_law"]
+__all__ = ["CENTS", "DecayLaw", "FrequencyLaw", "bend", "decay_law", "frequency_law"]
 
 CENTS = 1200 / np.log(2)  # cents per unit of log frequency
 _B_RANGE = (1e-6, 2e-2)
 _HUBER = 1.5
-# From about this partial on real strings leave the law by cents, and by more as the cube of the number: layers of one
-# key then have one B within 4 % (9 % with 20 and the square).
+# From about this partial on real strings leave the law by cents, and by more as the cube of the number.
 TRUSTED = 10.0
 # Partials that show how far the next one lies from the law: fewer are upset by one that beats, more do not follow.
 NEIGHBOURS = 9
@@ -112,31 +111,30 @@ def _line(x: np.ndarray, value: np.ndarray, weight: np.ndarray) -> tuple[float, 
     return a, b, np.array([[1 / total + middle**2 / spread, -middle / spread], [-middle / spread, 1 / spread]])
 
 
-def frequency_law(
-    k: np.ndarray, frequency: np.ndarray, error: np.ndarray, *, B: float | None = None, trusted: float = np.inf
-) -> FrequencyLaw:
+def frequency_law(k: np.ndarray, frequency: np.ndarray, error: np.ndarray, *, B: float | None = None) -> FrequencyLaw:
     """Robust f0 and B through partials `k` of `frequency` with standard `error` (Hz), [partials].
+
+    From `TRUSTED` on the law's own error grows as the cube of the number: windings and the shear of a stiff string
+    bend real partials away from it.
 
     Parameters
     ----------
     B : held at this value, with an infinite error; a single partial needs it
-    trusted : number of the partial from which on the law itself is trusted less, as the cube of the number: windings
-        and the shear of a stiff string bend real partials away from it
     """
     k = np.asarray(k, float)
     value = (frequency / k) ** 2  # f0² + f0² B k², a straight line in k²
     noise = np.maximum(error / frequency, 1e-12)
-    doubt = np.sqrt(1 + (k / trusted) ** 6)
+    growth = np.sqrt(1 + (k / TRUSTED) ** 6)
     dof = 1 if B is not None else 2
     scatter, robust = 10.0 / CENTS, np.ones(len(k))
     f0, slope = float(np.median(frequency / k)), B or 0.0
     a, cov = f0**2, np.zeros((2, 2))
     for _ in range(30):
-        sigma = 2 * value * np.hypot(noise, scatter * doubt)
+        sigma = 2 * value * np.hypot(noise, scatter * growth)
         a, slope, cov = _stiff_line(k**2, value, robust / sigma**2, B)
         residual = np.log(frequency / law_frequency(np.sqrt(a), slope, k))
-        previous, scatter = scatter, robust_scatter(residual / doubt, noise / doubt, dof)
-        robust = _huber(residual / np.hypot(noise, scatter * doubt))
+        previous, scatter = scatter, robust_scatter(residual / growth, noise / growth, dof)
+        robust = _huber(residual / np.hypot(noise, scatter * growth))
         if abs(scatter - previous) < 1e-6 * previous:
             break
     f0 = float(np.sqrt(a))

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..errors import AnalysisError
-from .inharmonicity import CENTS, TRUSTED, FrequencyLaw, bend, frequency_law
+from .inharmonicity import CENTS, FrequencyLaw, bend, frequency_law
 from .notes import hz_to_note, note_to_hz
 from .spectrum import Spectrum
 
@@ -162,7 +162,7 @@ def _collect(spec: Spectrum, law: FrequencyLaw, top: float) -> tuple[float, np.n
             merit, number, frequency = _assign(spec, k[law(k) < top], law)
             if len(number) >= 4:
                 error = np.full(len(number), spec.resolution / 20) + 5e-4 * frequency
-                law = frequency_law(number, frequency, error, trusted=TRUSTED)
+                law = frequency_law(number, frequency, error)
             elif len(number):
                 law = frequency_law(number, frequency, 5e-4 * frequency, B=law.B)
         if law(last) > top:

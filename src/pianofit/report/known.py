@@ -25,7 +25,7 @@ def told(fit: dict[str, Any]) -> list[tuple[str, list[str]]]:
     lists: dict[str, list[str]] = {FIXED: _string(fit), WITHIN: [], OPEN: []}
     felt = _felt_force(fit)
     if felt:
-        lists[OPEN if _reach(fit, "F/M_S") > LOOSE else WITHIN if _doubted(fit) else FIXED].append(felt)
+        lists[OPEN if _reach(fit, "F/M_S") > LOOSE else WITHIN if _questioned(fit) else FIXED].append(felt)
     mass = _ratio(fit, "M_H/M_S")
     if mass:
         lost = _status(fit, "M_H") == "not-identifiable"
@@ -133,7 +133,7 @@ def felt_scale(fit: dict[str, Any]) -> str:
     )
 
 
-def _doubted(fit: dict[str, Any]) -> bool:
+def _questioned(fit: dict[str, Any]) -> bool:
     """Whether the claims take back what the intervals say of the felt: then nothing of it counts as identified."""
     parameters = fit.get("parameters", {})
     states = [_status(fit, name) for name in FELT if (parameters.get(name) or {}).get("interval")]
