@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import warnings
 from pathlib import Path
 from typing import NamedTuple
@@ -11,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pianofit.model.cache import cache_folder, kept
+from pianofit.model.cache import LOADED, cache_folder, kept
 
 
 class _Cfg(NamedTuple):
@@ -75,6 +76,20 @@ def test_other_shapes_and_settings_are_other_programs(folder):
     assert function(np.append(Z, 1.0), DATA, _Cfg(3))[0].shape == (6,)
     assert len(traced) == 3
     assert len(_programs(folder)) == 3
+
+
+@pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="needs Linux's /proc")
+def test_a_process_that_meets_many_shapes_does_not_run_out_of_memory_mappings(folder):
+    function, _ = _traced()
+
+    def mappings_after(sizes: range) -> int:
+        for size in sizes:
+            function(np.linspace(0.0, 1.0, size), DATA, _Cfg(3))
+        gc.collect()
+        return len(Path("/proc/self/maps").read_text(encoding="utf-8").splitlines())
+
+    full = mappings_after(range(5, 5 + LOADED))
+    assert mappings_after(range(20, 20 + 4 * LOADED)) < full + 10
 
 
 @pytest.mark.parametrize("content", [b"", b"x" * 20, b"y" * 5000, "cut"])

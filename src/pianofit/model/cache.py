@@ -16,10 +16,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 import jax
-import numpy as np
 from jax.core import Tracer
 
-__all__ = ["cache_folder", "keep_programs", "kept"]
+__all__ = ["LOADED", "cache_folder", "keep_programs", "kept"]
+
+# Shapes of a function whose programs stay in memory: those of one fit. A program takes some hundred memory mappings, of
+# which Linux gives a process 65,530; all that a process ever made would end it after some twenty notes.
+LOADED = 4
 
 
 def cache_folder() -> Path:
@@ -59,10 +62,17 @@ def kept(function: Callable) -> Callable:
     """`function(*arrays, cfg)` as `jax.jit` makes it, static in `cfg`, its traced programs kept in JAX's folder.
 
     Arguments are trees of arrays, `cfg` a tuple with a faithful `repr`, the result a tuple of arrays. Without a folder,
-    and inside other transformations, this is `jax.jit`.
+    and inside other transformations, this is `jax.jit`. The programs of the last `LOADED` shapes stay in memory.
     """
     jitted = jax.jit(function, static_argnums=-1)
-    programs: dict[tuple, Callable] = {}
+    alone = threading.Lock()  # two threads that need one program wait for it, and do not both make it
+
+    @functools.lru_cache(maxsize=LOADED)
+    def program(folder: str, cfg: tuple, tree, shapes: tuple) -> Callable:
+        key = (cfg, tree, *shapes)
+        named = hashlib.sha256(repr((_sources(), jax.default_backend(), function.__name__, key)).encode())
+        file = Path(folder) / f"pianofit-{function.__name__}-{named.hexdigest()}.program"
+        return _program(file, lambda *x: jitted(*jax.tree.unflatten(tree, x), cfg), shapes)
 
     @functools.wraps(function)
     def call(*args):
@@ -71,31 +81,29 @@ def kept(function: Callable) -> Callable:
         folder = jax.config.values["jax_compilation_cache_dir"]
         if not folder or any(isinstance(x, Tracer) for x in leaves):
             return jitted(*args)
-        key = (cfg, tree, *((x.shape, x.dtype) for x in leaves))
-        if key not in programs:
-            named = hashlib.sha256(repr((_sources(), jax.default_backend(), function.__name__, key)).encode())
-            file = Path(folder) / f"pianofit-{function.__name__}-{named.hexdigest()}.program"
-            programs[key] = _program(file, lambda *x: jitted(*jax.tree.unflatten(tree, x), cfg), leaves)
-        return programs[key](*leaves)
+        with alone:
+            chosen = program(folder, cfg, tree, tuple((x.shape, x.dtype) for x in leaves))
+        return chosen(*leaves)
 
     return call
 
 
-def _program(file: Path, function: Callable, leaves: list) -> Callable:
-    """`function` of `leaves` as a compiled function, traced if `file` does not hold it whole."""
+def _program(file: Path, function: Callable, shapes: tuple) -> Callable:
+    """`function` of arrays of these shapes and types, compiled; traced if `file` does not hold it whole."""
     from jax import export
 
+    leaves = [jax.ShapeDtypeStruct(*shape) for shape in shapes]
     with contextlib.suppress(OSError):
         digest, content = (held := file.read_bytes())[:32], held[32:]
         if hashlib.sha256(content).digest() == digest:
-            return jax.jit(export.deserialize(bytearray(content)).call)
-    traced = export.export(jax.jit(function))(*(jax.ShapeDtypeStruct(np.shape(x), x.dtype) for x in leaves))
+            return jax.jit(export.deserialize(bytearray(content)).call).lower(*leaves).compile()
+    traced = export.export(jax.jit(function))(*leaves)
     content = traced.serialize()
     unfinished = file.with_suffix(f".{os.getpid()}-{threading.get_ident()}.tmp")
     with contextlib.suppress(OSError):
         unfinished.write_bytes(hashlib.sha256(content).digest() + content)
         unfinished.replace(file)
-    return jax.jit(traced.call)
+    return jax.jit(traced.call).lower(*leaves).compile()
 
 
 @functools.cache
