@@ -32,11 +32,11 @@ from typing import NamedTuple
 import numpy as np
 import scipy.signal
 
-from pianofit.initial import HAMMER_SPREAD
+from pianofit.inference.start import HAMMER_SPREAD
 from pianofit.parameters import Geometry, Hammer, String
 from pianofit.published import typical
 from pianofit.recording import Recording, recording_from_samples
-from pianofit.setup_file import Setup, setup_from_dict
+from pianofit.setup import Setup, setup_from_dict
 
 __all__ = ["KINDS", "Design", "Truth", "Twin", "design_of", "draw", "make", "output_path", "values_of"]
 KINDS = ("model", "brute-force")

@@ -35,7 +35,7 @@ from pianofit import analyse, cross_validate, fit_recording, load_recording
 from pianofit.analysis import Analysis
 from pianofit.analysis.inharmonicity import frequency_law
 from pianofit.model.cache import keep_programs
-from pianofit.setup_file import Setup, Take
+from pianofit.setup import Setup, Take
 
 STRING = ("c", "kappa", "b1", "b2")
 

@@ -25,7 +25,7 @@ import pianofit
 from pianofit import Analysis, Recording, Setup, analyse, recording_from_samples, setup_from_dict
 from pianofit.criterion import band_values, line_sigma
 from pianofit.criterion import measure as energies
-from pianofit.initial import starting_values
+from pianofit.inference.start import starting_values
 from pianofit.laboratory import Laboratory, measure, setup_text
 from pianofit.model import simulate
 from pianofit.model.cache import keep_programs

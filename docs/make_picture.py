@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
-from pianofit.demo import run_demo
+from pianofit.cli.demo import run_demo
 from pianofit.report.build import curves_of
 from pianofit.report.figures import write_picture
 

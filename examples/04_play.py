@@ -16,7 +16,8 @@ from pathlib import Path
 import mido
 
 import pianofit
-from pianofit.instrument import Instrument, load_instrument, load_song, perform
+from pianofit.keyboard import Instrument, load_instrument
+from pianofit.play import load_song, perform
 
 BARS = """C4 E4 G4 C5 E5, C4 D4 A4 D5 F5, B3 D4 G4 D5 F5, C4 E4 G4 C5 E5, C4 E4 A4 E5 A5, C4 D4 F#4 A4 D5,
 B3 D4 G4 D5 G5, B3 C4 E4 G4 C5, A3 C4 E4 G4 C5, D3 A3 D4 F#4 C5, G3 B3 D4 G4 B4, C3 G3 C4 E4 C5"""

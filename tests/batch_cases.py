@@ -118,7 +118,7 @@ def _in_order(folder: Path) -> list[Path]:
 
 DRIVE = "import sys, batch_cases; batch_cases.drive(*sys.argv[1:])"
 CLI = (
-    "import sys; from pianofit import cli, commands_batch as c\n"
+    "import sys; from pianofit import cli; from pianofit.cli import batch as c\n"
     "if 'batch' not in [x.name or x.callback.__name__ for x in cli.app.registered_commands]: c.register(cli.app)\n"
     "sys.exit(cli.main())"
 )
@@ -134,9 +134,9 @@ def struck(
     file: Path, midi: float, velocity: float, *, seconds: float = 1.5, rate: int = 22_050, seed: int = 0
 ) -> None:
     """Write what a typical string of the note sounds like, struck at `velocity` m/s, with noise 60 dB below."""
+    from pianofit.io import encode_wav
     from pianofit.model import simulate
     from pianofit.published import typical
-    from pianofit.render import encode_wav
 
     it = typical(midi)
     hammer = it.hammer._replace(v_H0=velocity)

@@ -14,12 +14,12 @@ from pathlib import Path
 import numpy as np
 
 from pianofit.criterion import OutputPath
-from pianofit.instrument import Instrument
-from pianofit.instrument.gather import NAMES, invariants, note_name
+from pianofit.io import encode_wav
+from pianofit.keyboard import Instrument
+from pianofit.keyboard.gather import NAMES, invariants, note_name
 from pianofit.model.modes import mode_frequencies
 from pianofit.parameters import Geometry, Hammer, String
 from pianofit.published import typical
-from pianofit.render import encode_wav
 from pianofit.voice import Voice
 
 RATE = 44_100

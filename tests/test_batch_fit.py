@@ -11,7 +11,7 @@ from batch_cases import CLI, python, results, struck
 
 from pianofit.batch import Local, Settings, Unit, make_unit, read_keys
 from pianofit.batch.units import Outcome, _astray
-from pianofit.render import encode_wav
+from pianofit.io import encode_wav
 
 PATTERN = "{instrument}-{note}-{layer}.wav"
 
@@ -123,7 +123,8 @@ def test_a_name_is_wrong_from_a_semitone_on():
     ],
 )
 def test_options_that_cannot_be_meant(tmp_path, monkeypatch, capsys, arguments, code, said):
-    from pianofit import cli, commands_batch
+    from pianofit import cli
+    from pianofit.cli import batch as commands_batch
 
     if "batch" not in [(c.name or c.callback.__name__) for c in cli.app.registered_commands if c.callback]:
         commands_batch.register(cli.app)

@@ -8,7 +8,7 @@ import pytest
 
 from pianofit.batch import Settings, make_unit, read_keys
 from pianofit.errors import RecordingError, SetupError
-from pianofit.setup_file import load_setup
+from pianofit.setup import load_setup
 
 
 def touch(folder: Path, *names: str) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from pianofit.parameters import FELT_LAWS, PARAMETERS
-from pianofit.setup_file import KEYS, PICKUPS, RANGES, load_setup
+from pianofit.setup import KEYS, PICKUPS, RANGES, load_setup
 
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]

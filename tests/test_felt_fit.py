@@ -13,7 +13,7 @@ from pianofit import analyse, fit_recording, load_voice, recording_from_samples,
 from pianofit.errors import FitError, SetupError
 from pianofit.laboratory import Laboratory, measure, setup_text
 from pianofit.parameters import FELT_LAWS, Hammer, MemoryHammer
-from pianofit.setup_file import Setup, with_law
+from pianofit.setup import Setup, with_law
 
 VELOCITY = 1.299
 # Which felt of the laboratory has which law.

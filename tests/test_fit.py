@@ -26,13 +26,14 @@ from twin_cases import (
 )
 
 from pianofit.analysis import analyse
-from pianofit.fitting import fit_recording, fit_takes
+from pianofit.fitting import fit_recording
 from pianofit.inference import pose
+from pianofit.inference.fit import fit_takes
 from pianofit.inference.statements import FELT as FELT_NAMES
 from pianofit.inference.statements import STATUSES
 from pianofit.parameters import FIT_NAMES, PARAMETERS, check
 from pianofit.recording import load_recording
-from pianofit.setup_file import setup_from_dict
+from pianofit.setup import setup_from_dict
 
 # --- calibrated -------------------------------------------------------------------------------------------------------
 

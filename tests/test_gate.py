@@ -14,9 +14,9 @@ import pytest
 from twin_cases import ALONE, FIRST, MICROPHONES, SEVERAL, VELOCITIES, calibrated, path_fit, standard_errors
 
 from pianofit.analysis import analyse
-from pianofit.fitting import fit_takes
 from pianofit.inference import Result
-from pianofit.predict import predict_take
+from pianofit.inference.fit import fit_takes
+from pianofit.inference.predict import predict_take
 from pianofit.recording import load_recording
 
 FOLDER = Path(os.environ.get("PIANOFIT_RECORDINGS", Path(__file__).parents[2] / "shared" / "recordings"))

@@ -17,10 +17,10 @@ import typer
 from instrument_cases import ERRORS, fit_document, library, true_voice, uneven_voice, write_fit
 from typer.testing import CliRunner, Result
 
-from pianofit.commands_instrument import register
+from pianofit.cli.instrument import register
 from pianofit.errors import FitError
-from pianofit.instrument import build_instrument, find_fits, load_instrument, load_keys, read_instrument
-from pianofit.instrument.page import write_page
+from pianofit.keyboard import build_instrument, find_fits, load_instrument, load_keys, read_instrument
+from pianofit.keyboard.page import write_page
 
 APP = typer.Typer()
 register(APP)

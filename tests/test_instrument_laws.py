@@ -11,11 +11,11 @@ import pytest
 from instrument_cases import ERRORS, fit_document, force_entry, library, true_voice, truth, write_fit
 
 from pianofit.errors import FitError
-from pianofit.instrument import build_instrument, find_fits, load_keys, read_instrument
-from pianofit.instrument.build import assemble
-from pianofit.instrument.gather import LOUDEST, NAMES, invariants, literature, reference_compression
-from pianofit.instrument.laws import Prior, fit_law
-from pianofit.instrument.velocity import hammer_velocity, velocity_map
+from pianofit.keyboard import build_instrument, find_fits, load_keys, read_instrument
+from pianofit.keyboard.build import assemble
+from pianofit.keyboard.gather import LOUDEST, NAMES, invariants, literature, reference_compression
+from pianofit.keyboard.laws import Prior, fit_law
+from pianofit.keyboard.velocity import hammer_velocity, velocity_map
 
 KEYS = list(range(24, 100, 3))
 ALL = list(range(21, 109))

@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from instrument_cases import true_instrument, true_voice, uneven_voice
 
 from pianofit.errors import FitError, ParameterError, RecordingError
-from pianofit.instrument import Song, limit, load_song, perform
-from pianofit.instrument.midi import MOST_NOTES, read_song
-from pianofit.instrument.strings import LAST_DAMPER, PlayedString, damper_rate
 from pianofit.model import simulate
+from pianofit.play import Song, limit, load_song, perform
+from pianofit.play.midi import MOST_NOTES, read_song
+from pianofit.play.strings import LAST_DAMPER, PlayedString, damper_rate
 from pianofit.render import CEILING
 
 RATE = 48_000

@@ -16,11 +16,12 @@ from instrument_cases import ERRORS, library, true_instrument, true_voice
 
 from pianofit.cli import main
 from pianofit.errors import OutputError, ParameterError
-from pianofit.instrument import build_instrument, export_sfz, find_fits, load_instrument, load_keys, parse_keys
-from pianofit.instrument.gather import note_name
-from pianofit.instrument.sfz import layers_of, spans_of
-from pianofit.instrument.velocity import hammer_velocity
+from pianofit.keyboard import build_instrument, find_fits, load_instrument, load_keys
+from pianofit.keyboard.gather import note_name
+from pianofit.keyboard.velocity import hammer_velocity
 from pianofit.model.modes import mode_frequencies
+from pianofit.play import export_sfz, parse_keys
+from pianofit.play.sfz import layers_of, spans_of
 from pianofit.voice import lag
 
 RATE = 48_000

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from instrument_cases import law_errors, record_key
 
-from pianofit.instrument import build_instrument, find_fits, load_keys
-from pianofit.instrument.gather import note_name
+from pianofit.keyboard import build_instrument, find_fits, load_keys
+from pianofit.keyboard.gather import note_name
 from pianofit.workflow import fit_files
 
 RECORDED = (29, 36, 43, 50, 57, 64, 71, 79)

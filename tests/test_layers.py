@@ -1,8 +1,9 @@
-"""The house keeps its order: a module imports only from its own layer or those above it, and only what it declares."""
+"""The house keeps its order: a room imports only from the rooms its plan names, and only packages it declares."""
 
 from __future__ import annotations
 
 import ast
+import graphlib
 import json
 import subprocess
 import sys
@@ -15,12 +16,36 @@ import pytest
 ROOT = Path(__file__).parent.parent
 SOURCE = ROOT / "src" / "pianofit"
 FILES = sorted(SOURCE.rglob("*.py"))
-LAYERS = (
-    "errors", "threads", "parameters", "published", "recording", "json_file", "setup_file", "analysis", "initial",
-    "model", "criterion", "voice", "inference", "paper", "fitting", "render", "predict", "report", "twin", "laboratory",
-    "reproduce", "workflow", "batch", "instrument", "demo", "summary", "options", "terminal", "commands_batch",
-    "commands_instrument", "cli", "__main__",
-)  # fmt: skip
+# Which rooms each may use, beside its own and `errors`.
+USES = {
+    "errors": "",
+    "threads": "",
+    "io": "",
+    "parameters": "",
+    "published": "parameters",
+    "recording": "io",
+    "setup": "io parameters",
+    "analysis": "recording",
+    "model": "parameters",
+    "criterion": "",
+    "voice": "criterion model parameters recording",
+    "inference": "analysis criterion io model parameters published recording setup threads voice",
+    "paper": "analysis criterion inference model parameters recording voice",
+    "fitting": "analysis inference paper recording setup",
+    "render": "criterion inference io model parameters recording voice",
+    "report": "criterion inference io parameters",
+    "twin": "model published",
+    "laboratory": "io parameters published recording twin",
+    "reproduce": "analysis criterion fitting inference io laboratory model paper parameters published recording report"
+    " setup voice",
+    "workflow": "analysis fitting inference io model recording render report setup voice",
+    "batch": "analysis io parameters recording report workflow",
+    "keyboard": "analysis criterion io model parameters published render report voice",
+    "play": "analysis io keyboard model parameters recording render threads voice",
+    "cli": "analysis batch fitting inference io keyboard model parameters play published recording render reproduce"
+    " setup twin workflow",
+    "__main__": "cli",
+}
 WITH_JAX = ("model", "criterion", "inference", "paper", "render", "predict")
 HEAVY = ("jax", "scipy", "matplotlib", "soundfile", "jinja2")
 LONGEST = 400  # lines
@@ -41,7 +66,7 @@ def imports(file: Path) -> Iterator[str]:
             yield from (".".join((*base, *(node.module or "").split("."), alias.name)) for alias in node.names)
 
 
-def layer_of(file: Path) -> str:
+def room_of(file: Path) -> str:
     return file.relative_to(SOURCE).parts[0].removesuffix(".py")
 
 
@@ -49,22 +74,35 @@ def clean(name: str) -> tuple[str, ...]:
     return tuple(part for part in name.split(".") if part)
 
 
-def test_every_module_has_its_layer():
-    assert {layer_of(file) for file in FILES} == {*LAYERS, "__init__"}
+def used(file: Path) -> Iterator[str]:
+    """The rooms a file imports from."""
+    for name in imports(file):
+        parts = clean(name)
+        if parts[0] == "pianofit" and not parts[1].startswith("__"):
+            yield parts[1]
+
+
+def test_every_module_has_its_room():
+    assert {room_of(file) for file in FILES} == {*USES, "__init__"}
+
+
+def test_rooms_are_entered_in_one_direction():
+    order = graphlib.TopologicalSorter({room: others.split() for room, others in USES.items()})
+    assert {*order.static_order()} == {*USES}  # raises where rooms use each other in a circle
 
 
 @by_file()
-def test_a_module_imports_only_from_those_above_it(file):
-    own = layer_of(file)
+def test_a_module_imports_only_from_the_rooms_it_may_use(file):
+    own = room_of(file)
     if own == "__init__":
-        return  # the package lists the public names of all layers
-    above = LAYERS[: LAYERS.index(own) + 1]
-    for name in imports(file):
-        parts = clean(name)
-        if parts[0] == "pianofit" and parts[1] in LAYERS:
-            assert parts[1] in above, f"{own} imports {name}"
-        elif parts[0] == "pianofit":
-            assert parts[1].startswith("__"), f"{own} imports {name}, which no layer holds"
+        return  # the package lists the public names of all rooms
+    assert {*used(file)} <= {own, "errors", *USES[own].split()}
+
+
+def test_no_room_may_use_what_it_does_not():
+    for room, others in USES.items():
+        found = {name for file in FILES if room_of(file) == room for name in used(file)}
+        assert {*others.split()} <= found, f"{room} no longer uses {', '.join({*others.split()} - found)}"
 
 
 @by_file()
@@ -79,7 +117,7 @@ def test_a_module_uses_only_declared_packages(file):
     for name in imports(file):
         package = clean(name)[0]
         assert package in {*sys.stdlib_module_names, "pianofit", *declared}
-        assert package != "jax" or layer_of(file) in WITH_JAX, f"{layer_of(file)} may not need JAX"
+        assert package != "jax" or room_of(file) in WITH_JAX, f"{room_of(file)} may not need JAX"
 
 
 @by_file()
@@ -101,7 +139,7 @@ def loaded_by(code: str) -> set[str]:
     return set(json.loads(done.stdout.splitlines()[-1]))
 
 
-@pytest.mark.parametrize("module", ["", ".cli", ".parameters", ".published", ".recording", ".setup_file", ".analysis"])
+@pytest.mark.parametrize("module", ["", ".cli", ".parameters", ".published", ".recording", ".setup", ".analysis"])
 def test_what_needs_no_jax_does_not_load_it(module):
     assert "jax" not in loaded_by(f"import pianofit{module}")
 

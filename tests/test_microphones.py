@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from twin_cases import MICROPHONES, VELOCITIES, path_fit, strokes_of, through
 
+from pianofit.cli.summary import cross_validation
 from pianofit.errors import FitError
-from pianofit.fitting import fit_takes
 from pianofit.inference import pose
-from pianofit.predict import cross_validate
-from pianofit.summary import cross_validation
+from pianofit.inference.fit import fit_takes
+from pianofit.inference.predict import cross_validate
 
 # Stroke 1 is recorded by both microphones, which stand behind two rooms; the last one's velocity was measured.
 
@@ -79,7 +79,7 @@ def test_leaving_a_take_out_leaves_out_its_stroke(monkeypatch):
             first=0,
         )
 
-    monkeypatch.setattr("pianofit.predict.fit_takes", instead)
+    monkeypatch.setattr("pianofit.inference.predict.fit_takes", instead)
     found, _ = cross_validate(recordings, analyses, strokes_of(MICROPHONES))
     everything = {f"{b}-{m}.wav" for b, m in MICROPHONES}
     assert [everything - set(files) for files in fits] == [
@@ -104,7 +104,7 @@ def test_without_a_take_between_others_there_is_no_median(monkeypatch):
     rows = [row | {"group": i} for i, row in enumerate(path_fit(MICROPHONES).document["takes"][:3])]
     whole = replace(path_fit(MICROPHONES), document=path_fit(MICROPHONES).document | {"takes": rows})
     fits = iter([whole, *[replace(whole, takes=whole.takes[:2])] * 3])
-    monkeypatch.setattr("pianofit.predict.fit_takes", lambda *_, **__: next(fits))
+    monkeypatch.setattr("pianofit.inference.predict.fit_takes", lambda *_, **__: next(fits))
     found, _ = cross_validate(recordings, analyses, strokes_of(MICROPHONES))
     assert [found["median_inner_db"], found["worst_inner_db"]] == [None, None]
     assert len(found["messages"]) == 3
@@ -115,6 +115,6 @@ def test_too_few_strokes_to_leave_one_out(monkeypatch):
     recordings, analyses = ([x[i] for i in (1, 2, 3)] for x in through(MICROPHONES))
     rows = [path_fit(MICROPHONES).document["takes"][i] for i in (1, 2, 3)]
     whole = replace(path_fit(MICROPHONES), document=path_fit(MICROPHONES).document | {"takes": rows})
-    monkeypatch.setattr("pianofit.predict.fit_takes", lambda *_, **__: whole)
+    monkeypatch.setattr("pianofit.inference.predict.fit_takes", lambda *_, **__: whole)
     with pytest.raises(FitError, match="3 takes of 2 strikes are too few to leave one strike out"):
         cross_validate(recordings, analyses, strokes_of(MICROPHONES))

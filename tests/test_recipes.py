@@ -14,7 +14,7 @@ import pianofit
 from pianofit import ParameterError, analyse, recording_from_samples, setup_from_dict
 from pianofit.cli import main
 from pianofit.criterion import band_values, line_sigma, measure
-from pianofit.initial import Start, starting_values
+from pianofit.inference.start import Start, starting_values
 from pianofit.model import simulate
 from pianofit.paper import RECIPES, Found, check_recipe, claims, fit_by_paper, steps
 from pianofit.parameters import FIT_NAMES, Hammer, String

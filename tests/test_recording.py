@@ -15,7 +15,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pianofit.errors import ParameterError, PianofitError, RecordingError
-from pianofit.recording import load_recording, one_line, read_file, recording_from_samples
+from pianofit.io import one_line, read_file
+from pianofit.recording import load_recording, recording_from_samples
 
 RECORDINGS = Path(os.environ.get("PIANOFIT_RECORDINGS", Path(__file__).parents[2] / "shared" / "recordings"))
 STEP = {"PCM_16": 2.0**-15, "PCM_24": 2.0**-23, "PCM_32": 2.0**-31, "FLOAT": 2.0**-24, "DOUBLE": 2.0**-53}

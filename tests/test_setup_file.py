@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pianofit.errors import SetupError
+from pianofit.io import one_line
 from pianofit.parameters import FELT_LAWS, PARAMETERS
-from pianofit.recording import one_line
-from pianofit.setup_file import KEYS, PICKUPS, RANGES, Setup, Take, load_setup, setup_from_dict
+from pianofit.setup import KEYS, PICKUPS, RANGES, Setup, Take, load_setup, setup_from_dict
 
 FULL = """
 # The paper's bench.

@@ -12,10 +12,10 @@ from twin_cases import FIRST, SEVERAL, VELOCITIES, path_fit, record, setup_of, s
 
 from pianofit.analysis import Partials, analyse
 from pianofit.errors import FitError
-from pianofit.fitting import fit_takes
 from pianofit.inference import Result, pose
-from pianofit.predict import cross_validate, predict_take
-from pianofit.setup_file import Setup, Take
+from pianofit.inference.fit import fit_takes
+from pianofit.inference.predict import cross_validate, predict_take
+from pianofit.setup import Setup, Take
 
 FILES = [f"{stroke}-{microphone}.wav" for stroke, microphone in SEVERAL]
 

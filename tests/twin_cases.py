@@ -14,12 +14,13 @@ import scipy.signal
 from brute_force import make_twin, matched_width
 
 from pianofit.analysis import Analysis, analyse
-from pianofit.fitting import fit_recording, fit_takes
+from pianofit.fitting import fit_recording
 from pianofit.inference import Result
+from pianofit.inference.fit import fit_takes
 from pianofit.model import simulate
 from pianofit.parameters import FIT_NAMES, Geometry, Hammer, String
 from pianofit.recording import Recording, recording_from_samples
-from pianofit.setup_file import Setup, Take, setup_from_dict
+from pianofit.setup import Setup, Take, setup_from_dict
 
 RATE = 48_000
 LEAD = 0.03  # s

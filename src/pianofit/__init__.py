@@ -28,39 +28,35 @@ __all__ = [
 
 if TYPE_CHECKING:
     from .analysis import Analysis, Partials, analyse
-    from .errors import (
-        AnalysisError,
-        FitError,
-        OutputError,
-        ParameterError,
-        PianofitError,
-        RecordingError,
-        SetupError,
-    )
-    from .fitting import fit_recording, fit_takes
+    from .errors import AnalysisError, FitError, OutputError, ParameterError, PianofitError, RecordingError, SetupError
+    from .fitting import fit_recording
     from .inference import Result
+    from .inference.fit import fit_takes
+    from .inference.predict import Prediction, cross_validate, predict_take
+    from .io import encode_wav
     from .model import Simulation, simulate
     from .parameters import PARAMETERS, Geometry, Hammer, MemoryHammer, String
-    from .predict import Prediction, cross_validate, predict_take
     from .published import Preset, Typical, preset, typical
     from .recording import Recording, load_recording, recording_from_samples
-    from .render import encode_wav, load_voice
-    from .setup_file import Setup, Take, load_setup, setup_from_dict
+    from .render import load_voice
+    from .setup import Setup, Take, load_setup, setup_from_dict
     from .voice import Voice
     from .workflow import fit_file
 
 _HOMES = {
     "analysis": ("Analysis", "Partials", "analyse"),
     "errors": tuple(name for name in __all__ if name.endswith("Error")),
-    "fitting": ("fit_recording", "fit_takes"),
+    "fitting": ("fit_recording",),
     "inference": ("Result",),
+    "inference.fit": ("fit_takes",),
+    "inference.predict": ("Prediction", "cross_validate", "predict_take"),
     "model": ("Simulation", "simulate"),
     "parameters": ("PARAMETERS", "Geometry", "Hammer", "MemoryHammer", "String"),
-    "predict": ("Prediction", "cross_validate", "predict_take"),
     "published": ("Preset", "Typical", "preset", "typical"),
     "recording": ("Recording", "load_recording", "recording_from_samples"),
-    "render": ("encode_wav", "load_voice"),
-    "setup_file": ("Setup", "Take", "load_setup", "setup_from_dict"),
+    "io": ("encode_wav",),
+    "render": ("load_voice",),
+    "setup": ("Setup", "Take", "load_setup", "setup_from_dict"),
     "voice": ("Voice",),
     "workflow": ("fit_file",),
 }

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from .analysis import Analysis
-from .inference import Progress, Result, conclude, estimate, pose
+from .inference import Progress, Result
+from .inference.fit import fit_takes
 from .inference.point import point_result
-from .inference.views import MEANS, check_intervals, view_of
-from .initial import Start, starting_values
+from .inference.start import Start, starting_values
+from .inference.views import MEANS, check_intervals
 from .paper.recipes import RECIPES, Found, check_recipe, claims, fit_by_paper
 from .recording import Recording
-from .setup_file import Setup
-from .threads import one_blas_thread
+from .setup import Setup
 
-__all__ = ["MEANS", "RECIPES", "check_intervals", "check_recipe", "fit_recording", "fit_takes"]
+__all__ = ["MEANS", "RECIPES", "check_intervals", "check_recipe", "fit_recording"]
 
 
 def fit_recording(
@@ -58,45 +56,6 @@ def fit_recording(
     start = _start_of_paper(analysis, setup or Setup(), velocity)
     found = fit_by_paper(recording, analysis, start, recipe, evaluations=evaluations, seed=seed, progress=progress)
     return _paper_result(recording, analysis, start, recipe, seed, found)
-
-
-@one_blas_thread()
-def fit_takes(
-    recordings: Sequence[Recording],
-    analyses: Sequence[Analysis],
-    setup: Setup | None = None,
-    *,
-    velocity: float | None = None,
-    intervals: str = "laplace",
-    seed: int = 0,
-    progress: Progress = lambda *_: None,
-) -> Result:
-    """Fit string and hammer to one or more recordings of one key, from soft to loud in any order.
-
-    String, felt, hammer mass and output path are those of all recordings; each stroke has a velocity, each recording a
-    gain and a pitch of its own. Measured velocities, groups and gain groups come from the setup.
-
-    Parameters
-    ----------
-    velocity : measured hammer velocity, m/s, of a single recording, held fixed.
-    intervals : `laplace`, `profile`, or `posterior`, which needs pianofit[bayes].
-    seed : of the search, and of the posterior's draws. The same seed gives the same result.
-    progress : called with a stage's name and the fraction done.
-
-    Raises
-    ------
-    ParameterError
-        For other intervals.
-    FitError
-        If a recording is given twice, is of another key or all noise; if no hammer gives a finite sound, or a contact
-        does not end.
-    """
-    check_intervals(intervals)
-    problem = pose(recordings, analyses, setup or Setup(), velocity)
-    found = estimate(problem, seed, progress)
-    view = view_of(problem, found, intervals, seed, progress)
-    progress("sounds", 0.93)
-    return conclude(problem, found, seed, view)
 
 
 def _start_of_paper(analysis: Analysis, setup: Setup, velocity: float | None) -> Start:

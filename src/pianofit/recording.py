@@ -15,17 +15,16 @@ import hashlib
 import io
 import math
 import os
-import stat
 import struct
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
-from .errors import ParameterError, PianofitError, RecordingError
+from .errors import ParameterError, RecordingError
+from .io import one_line, read_file
 
 __all__ = [
-    "CHANNELS", "RATES", "Recording", "find_onset", "load_recording", "one_line", "read_file", "recording_from_samples",
+    "CHANNELS", "RATES", "Recording", "find_onset", "load_recording", "recording_from_samples",
 ]  # fmt: skip
 
 RATES = (8_000, 384_000)  # Hz
@@ -115,33 +114,6 @@ def recording_from_samples(samples: np.ndarray, rate: int, *, name: str = "sampl
         return _measure(array[:, None], int(rate), 0.0, path=name, channel="mono", **facts)
     except RecordingError as error:
         raise RecordingError(f"{name}: {error}") from None
-
-
-def one_line(text: object) -> str:
-    """Return `text` with all that a terminal would not print on one line escaped (newlines, controls, stray bytes)."""
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in str(text))
-
-
-def read_file(path: str | os.PathLike[str], limit: int, error: type[PianofitError]) -> bytes:
-    """Return the bytes of a regular file of 1 to `limit` bytes; anything else raises `error` without blocking."""
-    name = one_line(os.fspath(path))
-    try:
-        status = Path(path).stat()
-        if stat.S_ISDIR(status.st_mode):
-            raise error(f"{name}: is a folder; name a file in it")
-        if not stat.S_ISREG(status.st_mode):  # a pipe or a device could block for ever, or never end
-            raise error(f"{name}: is a pipe or a device; copy its content to a file first")
-        if status.st_size > limit:
-            raise error(f"{name}: has {status.st_size / 2**20:.1f} MiB, more than {limit / 2**20:g} MiB; shorten it")
-        data = Path(path).read_bytes()
-    except FileNotFoundError:
-        raise error(f"{name}: no such file; check the path") from None
-    except (OSError, ValueError) as problem:  # ValueError: a zero byte in the path
-        reason = getattr(problem, "strerror", None) or str(problem)
-        raise error(f"{name}: cannot be read ({one_line(reason)}); check it") from None
-    if not data:
-        raise error(f"{name}: is empty (0 bytes); check what wrote it")
-    return data
 
 
 def _decode(data: bytes) -> tuple[np.ndarray, int, str]:

@@ -14,10 +14,10 @@ import numpy as np
 from .criterion import OutputPath
 from .errors import FitError, ParameterError
 from .inference.result import SCHEMA
-from .json_file import finite, load_json, table_of
+from .io import finite, load_json, one_line, table_of
 from .model.modes import QUANTITIES
 from .model.simulate import check_geometry
-from .parameters import (
+from .parameters import (  # fmt: skip
     FIT_NAMES,
     MEMORY_NAMES,
     PARAMETERS,
@@ -27,11 +27,11 @@ from .parameters import (
     check,
     check_hammer,
     make_hammer,
-)  # fmt: skip
-from .recording import RATES, one_line
+)
+from .recording import RATES
 from .voice import Voice
 
-__all__ = ["MOST_SECONDS", "check_render", "encode_wav", "limited", "load_mixture", "load_voice"]
+__all__ = ["MOST_SECONDS", "check_render", "limited", "load_mixture", "load_voice"]
 
 LARGEST_FIT = 2**24
 WAY_OUT = "give the file that pianofit fit wrote"
@@ -188,17 +188,3 @@ def limited(samples: np.ndarray) -> tuple[np.ndarray, float]:
     peak = float(np.abs(samples).max(initial=0.0))
     gain = CEILING / peak if peak > CEILING else 1.0
     return samples * gain, gain
-
-
-def encode_wav(samples: np.ndarray, rate: int) -> bytes:
-    """A mono WAV file of 32 bit floats: nothing is rounded, and a level above full scale survives.
-
-    Not by libsndfile, which puts the time of day into such files: the same sound is the same bytes.
-    """
-    import io
-
-    from scipy.io import wavfile
-
-    stream = io.BytesIO()
-    wavfile.write(stream, rate, samples.astype(np.float32))
-    return stream.getvalue()

@@ -3,128 +3,25 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import math
 import os
-import signal
-import sys
-import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .errors import OutputError, ParameterError, SetupError
-from .recording import one_line
+from .errors import ParameterError, SetupError
+from .io import encode_wav, json_text, one_line, replace_file, write_file
 
 if TYPE_CHECKING:
     from .analysis import Analysis
     from .inference import Result
     from .recording import Recording
-    from .setup_file import Setup
+    from .setup import Setup
 
-__all__ = [
-    "OUTPUTS", "check_target", "cross_validate_files", "fit_file", "fit_files", "json_text", "output_folder",
-    "predict_file", "write_file",
-]  # fmt: skip
+__all__ = ["OUTPUTS", "cross_validate_files", "fit_file", "fit_files", "predict_file"]
 
 OUTPUTS = ("initial.wav", "fitted.wav", "fit.json", "report.html")
-
-
-@contextlib.contextmanager
-def output_folder(path: Path, force: bool) -> Iterator[Path]:
-    """A folder to write to, made if need be; taken away again if nothing came of it.
-
-    Raises
-    ------
-    OutputError
-        If it cannot be made, is a file, or holds something and `force` is not given.
-    """
-    name = one_line(path)
-    try:
-        made = [p for p in (path, *path.parents) if not p.exists()]
-        path.mkdir(parents=True, exist_ok=True)
-        held = next(path.iterdir(), None)
-        if held is not None and not force:
-            raise OutputError(f"{name}: the folder is not empty; give another --out, or --force to replace a fit in it")
-        if not os.access(path, os.W_OK | os.X_OK):
-            raise OutputError(f"{name}: the folder cannot be written to; choose one that is yours")
-    except OSError as error:
-        raise OutputError(f"{name}: no folder can be made here ({error.strerror}); choose another --out") from None
-
-    def tidy() -> None:
-        for unfinished in path.glob(f".*.{os.getpid()}.tmp"):
-            unfinished.unlink(missing_ok=True)
-        with contextlib.suppress(OSError):  # only empty folders go
-            for folder in made:
-                folder.rmdir()
-
-    with _interrupted_by(tidy):
-        try:
-            yield path
-        finally:
-            tidy()
-
-
-@contextlib.contextmanager
-def _interrupted_by(tidy: Callable[[], None]) -> Iterator[None]:
-    """Ctrl-C tidies up and ends the program at once with 130.
-
-    Raised as an exception it would unwind through the compiler, or end Python while that still works in another thread:
-    either takes the process down with a signal of its own.
-    """
-
-    def stop(*_: object) -> None:
-        tidy()
-        shown = "\x1b[?25h" if sys.stderr.isatty() else ""  # a progress bar hides the cursor
-        os.write(2, f"{shown}pianofit: interrupted; nothing more is written\n".encode())
-        os._exit(130)
-
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, stop)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
-def check_target(path: Path, force: bool) -> None:
-    """Refuse a file that could not be written, before anything is computed for it.
-
-    Raises
-    ------
-    OutputError
-        If it exists and `force` is not given, is a folder, or has no folder to be in.
-    """
-    if path.is_dir():
-        raise OutputError(f"{one_line(path)}: is a folder; give a file name")
-    if path.exists() and not force:
-        raise OutputError(f"{one_line(path)}: exists; give another --out, or --force to replace it")
-    if not path.parent.is_dir():
-        raise OutputError(
-            f"{one_line(path)}: there is no folder {one_line(path.parent)}; make it, or give another --out"
-        )
-
-
-def write_file(path: Path, content: bytes, force: bool) -> None:
-    """Write one file, whole or not at all.
-
-    Raises
-    ------
-    OutputError
-        If it exists and `force` is not given, or cannot be written.
-    """
-    from .report.output import replace_file
-
-    check_target(path, force)
-    replace_file(path, content)
-
-
-def json_text(document: dict) -> str:
-    """`document` as JSON that any reader takes: no NaN, no infinity."""
-    return json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def _check_velocity(velocity: float | None, known: Setup, setup: Path | None) -> None:
@@ -173,7 +70,7 @@ def fit_files(
 
         check_recipe(recipe, evaluations)
     if intervals != "laplace":
-        from .fitting import check_intervals
+        from .inference.views import check_intervals
 
         check_intervals(intervals, recipe)
     if len(files) > 1 and velocity is not None:
@@ -181,7 +78,8 @@ def fit_files(
     if len(files) > 1 and recipe != "default":
         raise ParameterError(f"recipe={recipe!r} fits one recording; {len(files)} were given")
     recordings, analyses, known = _takes(files, note, f0, setup, channel, felt, velocity, progress)
-    from .fitting import fit_recording, fit_takes
+    from .fitting import fit_recording
+    from .inference.fit import fit_takes
     from .model.cache import keep_programs
 
     keep_programs()
@@ -204,7 +102,7 @@ def _takes(
 ) -> tuple[list[Recording], list[Analysis], Setup]:  # fmt: skip
     """Recordings and their analyses, and what was known."""
     from .recording import load_recording
-    from .setup_file import Setup, load_setup, with_law
+    from .setup import Setup, load_setup, with_law
 
     known = with_law(Setup() if setup is None else load_setup(setup), felt, one_line(setup))
     _check_velocity(velocity, known, setup)
@@ -222,8 +120,6 @@ def _write(
     out: Path, files: Sequence[Path], result: Result, note: str | None, report: bool, held_out: dict | None = None
 ) -> None:
     """The sounds, `fit.json`, and the page, which comes last."""
-    from .report.output import replace_file
-
     _write_sounds(out, files, result)
     replace_file(out / "fit.json", json_text(result.document).encode())
     if report:
@@ -236,9 +132,6 @@ def _write(
 
 def _write_sounds(out: Path, files: Sequence[Path], result: Result) -> None:
     """What was before and after the fit, in sound; what an earlier fit left of its page and takes goes."""
-    from .render import encode_wav
-    from .report.output import replace_file
-
     for old in (out / "report.html", *out.glob("fitted-*.wav")):
         with contextlib.suppress(FileNotFoundError):
             old.unlink()
@@ -260,14 +153,14 @@ def predict_file(fit: Path, file: Path, out: Path | None, *, channel: str = "ave
         For any input that cannot be used; nothing is then written.
     """
     from .recording import load_recording
-    from .render import encode_wav, load_mixture
+    from .render import load_mixture
 
     mixture = load_mixture(fit)
     voice = mixture[0][1]
     recording = load_recording(file, channel=channel)
     from .analysis import analyse
+    from .inference.predict import predict_take
     from .model.cache import keep_programs
-    from .predict import predict_take
     from .voice import strike_voice, touched
 
     keep_programs()
@@ -306,14 +199,13 @@ def cross_validate_files(
         For any input that cannot be used.
     """
     recordings, analyses, known = _takes(files, note, f0, setup, channel, felt)
+    from .inference.predict import cross_validate
     from .model.cache import keep_programs
-    from .predict import cross_validate
 
     keep_programs()
     found, whole = cross_validate(recordings, analyses, known, seed=seed, progress=progress)
     if out is not None:
         _write(out, files, whole, note, True, found)
-        from .report.output import replace_file
 
         replace_file(out / "crossval.json", json_text(found).encode())
     return found

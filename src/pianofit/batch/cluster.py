@@ -15,7 +15,8 @@ import time
 from pathlib import Path
 
 from ..errors import OutputError, ParameterError, RecordingError
-from ..recording import MAX_BYTES, one_line, read_file
+from ..io import one_line, read_file
+from ..recording import MAX_BYTES
 from .local import Lost, Work, one_thread
 from .units import Outcome, Unit, fit_unit
 

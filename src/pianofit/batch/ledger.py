@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ..errors import OutputError
-from ..recording import one_line
+from ..io import one_line
 from .store import unwritable
 
 __all__ = ["Entry", "Ledger", "SCHEMA", "read_ledger"]

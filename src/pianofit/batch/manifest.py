@@ -18,8 +18,8 @@ from typing import NamedTuple
 
 from ..analysis.notes import hz_to_note, note_to_midi
 from ..errors import AnalysisError, SetupError
+from ..io import one_line, read_file
 from ..parameters import PARAMETERS
-from ..recording import one_line, read_file
 
 __all__ = ["DEFAULT_PATTERN", "Key", "Sample", "read_keys"]
 

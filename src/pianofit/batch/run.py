@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 from ..errors import OutputError, RecordingError
-from ..recording import one_line
+from ..io import one_line
 from .ledger import Entry, Ledger, read_ledger
 from .local import Lost
 from .store import LEDGER, Store, is_locked, locked, opened

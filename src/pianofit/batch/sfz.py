@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from ..errors import SetupError
-from ..recording import one_line
+from ..io import one_line
 from .manifest import Row, manifest_text
 
 __all__ = ["sfz_rows"]

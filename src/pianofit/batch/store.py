@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import OutputError
-from ..recording import one_line
+from ..io import one_line
 from .units import NO_ROOM
 
 __all__ = ["LEDGER", "RECORD", "Store", "locked", "opened"]

@@ -27,8 +27,8 @@ from typing import NamedTuple
 from .. import __version__
 from ..analysis.notes import hz_to_note, note_to_hz, note_to_midi
 from ..errors import AnalysisError, OutputError, PianofitError, RecordingError
-from ..recording import MAX_BYTES, one_line, read_file
-from ..report.output import replace_file
+from ..io import one_line, read_file, replace_file
+from ..recording import MAX_BYTES
 from .manifest import Key
 
 __all__ = ["Outcome", "Settings", "Source", "Unit", "fit_unit", "make_unit", "versions"]
@@ -258,7 +258,8 @@ def _fit(unit: Unit, files: list[Path], place: Path, out: Path) -> None:
     AnalysisError
         If the string does not sound at its note.
     """
-    from ..workflow import fit_files, json_text
+    from ..io import json_text
+    from ..workflow import fit_files
 
     setup = None
     if unit.setup:

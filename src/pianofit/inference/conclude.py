@@ -14,7 +14,7 @@ from .lanes import in_lanes, own_levels
 from .posterior import Posterior
 from .problem import Problem
 from .reports import latent
-from .result import (
+from .result import (  # fmt: skip
     SCHEMA,
     UNITS,
     Heard,
@@ -29,7 +29,7 @@ from .result import (
     together,
     versions,
     worse_bands,
-)  # fmt: skip
+)
 from .search import OWN_LANES
 from .statements import claims, correlated, messages, statuses, velocity_statuses
 from .views import View

@@ -8,7 +8,6 @@ import numpy as np
 
 from ..analysis import Analysis
 from ..criterion import BANDS
-from ..initial import Start
 from ..model import Simulation
 from ..model.response import level_db, ringing
 from ..parameters import FIT_NAMES, Hammer, String
@@ -29,6 +28,7 @@ from .result import (
     versions,
     worse_bands,
 )
+from .start import Start
 
 __all__ = ["point_result"]
 

@@ -10,16 +10,17 @@ import numpy as np
 
 from ..analysis import Analysis
 from ..errors import FitError
-from ..initial import Start, starting_values
+from ..io import one_line
 from ..model import simulate
 from ..parameters import FELT_LAWS, PARAMETERS, Hammer, String
-from ..recording import Recording, one_line
-from ..setup_file import Setup
-from ..setup_file import Take as Entry
+from ..recording import Recording
+from ..setup import Setup
+from ..setup import Take as Entry
 from . import priors
 from .coordinates import ABSENT, NAMES, SHARED, STRING_SIZE, Unknowns, box
 from .lanes import Cfg, Scene
 from .observations import Layout, Observed, observe
+from .start import Start, starting_values
 
 __all__ = ["Problem", "pose"]
 

@@ -21,11 +21,11 @@ from ..criterion import (
     line_sigma,
     measure,
 )
-from ..initial import Start
 from ..model import Simulation
 from ..parameters import MEMORY_NAMES, PARAMETERS
 from ..recording import Recording
 from ..voice import Voice, strike_voice, touched
+from .start import Start
 
 __all__ = ["SCHEMA", "UNITS", "Heard", "Listener", "Result", "Sound", "scored", "versions", "worse_bands"]
 

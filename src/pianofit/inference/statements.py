@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..recording import one_line
+from ..io import one_line
 from .coordinates import FORCE, SHARED, STRING_SIZE, VALUES, WIDTH
 from .estimate import Estimate
 from .posterior import Posterior

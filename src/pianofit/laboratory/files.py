@@ -38,8 +38,10 @@ def write(
     OutputError
         If the folder cannot be made or written to.
     """
-    from ..render import encode_wav  # which needs JAX, as measuring does not
-    from ..report.output import replace_file
+    from ..io import (
+        encode_wav,  # which needs JAX, as measuring does not
+        replace_file,
+    )
 
     names = [f"velocity-{within('velocity', velocity):.3f}" for velocity in velocities]
     if not names or len({*names}) < len(names):

@@ -11,15 +11,7 @@ jax.config.update("jax_enable_x64", True)
 from .contact import Pulse, kernel, strike  # noqa: E402
 from .felt import felt_force  # noqa: E402
 from .modes import Modes, mode_frequencies, mode_table, project, window_weights  # noqa: E402
-from .response import (  # noqa: E402
-    level_db,
-    mobility,
-    pulse_transform,
-    ringing,
-    spectrum,
-    string_energy,
-    waveform,
-)
+from .response import level_db, mobility, pulse_transform, ringing, spectrum, string_energy, waveform  # noqa: E402
 from .simulate import Simulation, contact_rate, simulate  # noqa: E402
 
 __all__ = [

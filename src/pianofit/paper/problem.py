@@ -16,7 +16,7 @@ import numpy as np
 
 from ..analysis import Analysis
 from ..criterion import band_of, line_sigma
-from ..initial import Start
+from ..inference.start import Start
 from ..model import simulate
 from ..parameters import FELT_LAWS, FIT_NAMES, PARAMETERS, Geometry, Hammer, String
 from ..recording import Recording

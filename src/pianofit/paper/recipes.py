@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 from ..analysis import Analysis
 from ..errors import ParameterError
-from ..initial import Start
+from ..inference.start import Start
 from ..parameters import FELT_LAWS, FIT_NAMES, MEMORY_NAMES, Hammer, String
 from ..recording import Recording
 from .problem import pose, split

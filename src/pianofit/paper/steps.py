@@ -15,7 +15,7 @@ import numpy as np
 
 from ..criterion import band_of
 from ..errors import FitError
-from ..initial import HAMMER_SPREAD
+from ..inference.start import HAMMER_SPREAD
 from ..parameters import FIT_NAMES, HAMMER_NAMES, STRING_NAMES
 from .annealing import anneal
 from .gradient import gradient_descent

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..io import replace_file
 from .curves import Curves
 from .drawing import (
     FAINT,
@@ -28,7 +29,6 @@ from .drawing import (
 )
 from .figures_known import draw_felt, draw_known
 from .figures_takes import draw_held_out, draw_paths, draw_takes
-from .output import replace_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

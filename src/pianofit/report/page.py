@@ -15,10 +15,10 @@ from importlib.resources import files
 from pathlib import PurePath
 from typing import Any
 
+from ..io import replace_file
 from . import known, words
 from .curves import Curves, Strikes, TakeCurves
 from .figures import draw_figures
-from .output import replace_file
 from .sound import Clip, make_clips
 
 __all__ = ["Curves", "write_report"]

@@ -10,18 +10,7 @@ from .band3 import Landscape, Race, hammers, landscape, race
 from .direct import NOTE, VELOCITIES, Strike, mass_for_contact, round_trip, strikes
 from .limits import ALL, BAND2, Bend, Blindness, bends, blindness, inverse_bend
 from .plan import Plan
-from .studies import (
-    STRINGS,
-    Blow,
-    Effect,
-    Prediction,
-    Tables,
-    blow_at,
-    effects,
-    predictions,
-    repeated,
-    tables,
-)
+from .studies import STRINGS, Blow, Effect, Prediction, Tables, blow_at, effects, predictions, repeated, tables
 
 __all__ = ["LONG", "Findings", "compute"]
 

@@ -16,12 +16,12 @@ from ..analysis import Analysis, analyse
 from ..criterion import BANDS, band_of, band_values, line_sigma, measure, partial_frequency
 from ..fitting import fit_recording
 from ..inference import Result
-from ..initial import starting_values
+from ..inference.start import starting_values
 from ..laboratory import Laboratory, Measurement, setup_text
 from ..laboratory import measure as record
 from ..parameters import FIT_NAMES, STRING_NAMES
 from ..recording import Recording, recording_from_samples
-from ..setup_file import Setup, setup_from_dict
+from ..setup import Setup, setup_from_dict
 from ..voice import Voice
 from .descriptors import attack_time, centroid
 

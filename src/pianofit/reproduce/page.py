@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from ..errors import OutputError
-from ..render import encode_wav
-from ..report.output import replace_file
+from ..io import encode_wav, replace_file
 from ..report.sound import make_clips
 from .captions import CAPTIONS
 from .drawing import drawn

@@ -11,14 +11,7 @@ from .page import Book, Picture, Section, Sheet
 from .sections_search import READ_INSTEAD
 from .studies import STRINGS, spread_of
 from .verdict import Verdict, or_else
-from .verdicts_fit import (
-    explained,
-    high_partials_differ,
-    predicts,
-    repeats,
-    three_bands_better,
-    waveforms_nearer,
-)
+from .verdicts_fit import explained, high_partials_differ, predicts, repeats, three_bands_better, waveforms_nearer
 
 __all__ = ["compared", "remaining", "results"]
 

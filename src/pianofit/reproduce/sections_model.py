@@ -12,15 +12,7 @@ from .fits import RECIPES
 from .limits import Bend
 from .page import Book, Paragraph, Section, Sheet
 from .verdict import Verdict
-from .verdicts_model import (
-    b2_seen,
-    bends_kappa,
-    brighter,
-    contact_lasts,
-    contact_shortens,
-    felt_loses,
-    reflections,
-)
+from .verdicts_model import b2_seen, bends_kappa, brighter, contact_lasts, contact_shortens, felt_loses, reflections
 
 __all__ = ["choices", "limits", "problem"]
 

@@ -8,7 +8,7 @@ import os
 from importlib.resources import files
 from typing import Any
 
-from ..report.output import replace_file
+from ..io import replace_file
 from ..report.words import number
 
 __all__ = ["write_sheet"]

@@ -12,8 +12,8 @@ import os
 from typing import Any, NamedTuple
 
 from ..errors import RecordingError
-from ..recording import one_line, read_file
-from .gather import HIGHEST_KEY, LOWEST_KEY, note_name
+from ..io import one_line, read_file
+from ..keyboard.gather import HIGHEST_KEY, LOWEST_KEY, note_name
 
 __all__ = ["MOST_NOTES", "MOST_SONG_SECONDS", "Song", "load_song", "read_song"]
 

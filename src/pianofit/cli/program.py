@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .commands_batch import register as register_batch
-from .commands_instrument import register as register_instrument
-from .errors import ParameterError
+from ..errors import ParameterError
+from .batch import register as register_batch
+from .instrument import register as register_instrument
 from .options import (
     Channel,
     Evaluations,
@@ -39,7 +39,7 @@ from .options import (
 from .terminal import complain, plainly, progress_bar
 
 if TYPE_CHECKING:
-    from .analysis import Analysis
+    from ..analysis import Analysis
 
 __all__ = ["app", "main"]
 
@@ -53,7 +53,7 @@ UsageError: type[Exception] = typer.BadParameter.__mro__[1]
 
 
 def _checked(velocity: float | None, seed: int = 0) -> None:
-    from .parameters import PARAMETERS
+    from ..parameters import PARAMETERS
 
     box = PARAMETERS["v_H0"]
     if velocity is not None and not box.lower <= velocity <= box.upper:
@@ -64,7 +64,7 @@ def _checked(velocity: float | None, seed: int = 0) -> None:
 
 def _version(wanted: bool) -> None:
     if wanted:
-        from . import __version__
+        from .. import __version__
 
         typer.echo(f"pianofit {__version__}")
         raise typer.Exit
@@ -85,10 +85,10 @@ def analyse(
     file: File, note: Note = None, f0: Pitch = None, channel: Channel = "average", as_json: Json = False
 ) -> None:
     """Read pitch, inharmonicity, losses and partials off a recording, without a hammer."""
-    from .analysis import analyse as run
-    from .analysis import as_dict
-    from .recording import load_recording
-    from .workflow import json_text
+    from ..analysis import analyse as run
+    from ..analysis import as_dict
+    from ..io import json_text
+    from ..recording import load_recording
 
     found = run(load_recording(file, channel=channel), note=note, f0=f0)
     typer.echo(json_text(as_dict(found)) if as_json else _table(found), nl=False)
@@ -96,7 +96,7 @@ def analyse(
 
 def _table(found: Analysis) -> str:
     """The string's laws, then a line for every partial."""
-    from .analysis import COLUMNS, rows
+    from ..analysis import COLUMNS, rows
 
     note = f"{found.note}, " if found.note else ""
     lines = [
@@ -131,8 +131,9 @@ def fit(
     as_json: Json = False,
 ) -> None:
     """Find the string's and the hammer's parameters behind one recording, or behind several of one key."""
+    from ..io import json_text, output_folder
+    from ..workflow import fit_files
     from .summary import summary
-    from .workflow import fit_files, json_text, output_folder
 
     _checked(velocity, seed)
     with output_folder(out, force) as folder, progress_bar() as progress:
@@ -154,7 +155,8 @@ def predict(
     as_json: Json = False,
 ) -> None:
     """Predict a recording that the fit has not heard: only velocity, gain and pitch are free."""
-    from .workflow import check_target, json_text, predict_file
+    from ..io import check_target, json_text
+    from ..workflow import predict_file
 
     if out is not None:
         check_target(out, force)
@@ -178,8 +180,9 @@ def crossval(
     as_json: Json = False,
 ) -> None:
     """Leave out each recording of a key in turn, fit the others, and predict it."""
+    from ..io import json_text, output_folder
+    from ..workflow import cross_validate_files
     from .summary import cross_validation
-    from .workflow import cross_validate_files, json_text, output_folder
 
     _checked(None, seed)
     with nullcontext() if out is None else output_folder(out, force) as folder, progress_bar() as progress:
@@ -202,11 +205,12 @@ def simulate(
     force: Force = False,
 ) -> None:
     """Strike a published string and write its sound, its peak at -1 dBFS."""
-    from .render import check_render, encode_wav
+    from ..io import encode_wav
+    from ..render import check_render
 
     check_render(velocity, seconds, rate or 44_100)
-    from .model.cache import keep_programs
-    from .workflow import check_target, write_file
+    from ..io import check_target, write_file
+    from ..model.cache import keep_programs
 
     check_target(out, force)
     keep_programs()
@@ -219,10 +223,10 @@ def simulate(
 
 
 def _struck(preset: str, change: list[str], velocity: float | None, seconds: float, rate: int, quantity: str):
-    from .model import simulate as run
-    from .parameters import check, make_hammer
-    from .published import preset as find
-    from .render import CEILING
+    from ..model import simulate as run
+    from ..parameters import check, make_hammer
+    from ..published import preset as find
+    from ..render import CEILING
 
     it = find(preset)
     values = it.string._asdict() | it.hammer._asdict() | _assignments(change)
@@ -260,13 +264,14 @@ def render(
     force: Force = False,
 ) -> None:
     """Play a fitted string and hammer at any velocity, through its gain and path."""
-    from .render import check_render, encode_wav, limited, load_voice
+    from ..io import encode_wav
+    from ..render import check_render, limited, load_voice
 
     check_render(velocity, seconds, rate or 44_100)
     voice, own_rate = load_voice(fit_json)
     rate = rate or own_rate
-    from .model.cache import keep_programs
-    from .workflow import check_target, write_file
+    from ..io import check_target, write_file
+    from ..model.cache import keep_programs
 
     check_target(out, force)
     keep_programs()
@@ -292,8 +297,8 @@ def demo(
     as_json: Json = False,
 ) -> None:
     """Make a measurement whose truth is known, fit it from the paper's initial values, and compare."""
+    from ..io import json_text, output_folder
     from .summary import comparison, summary
-    from .workflow import json_text, output_folder
 
     _checked(None, seed)
     if not 0 <= noise <= 200:
@@ -318,12 +323,12 @@ def reproduce(
     quick: Annotated[bool, typer.Option("--quick", hidden=True)] = False,
 ) -> None:
     """Test the paper's tables, figures and claims on measurements of the program's own laboratory: one page."""
-    from .workflow import output_folder
+    from ..io import output_folder
 
     _checked(None, seed)
     with output_folder(out, force) as folder, progress_bar() as progress:
-        from .reproduce import FULL, QUICK
-        from .reproduce import reproduce as run
+        from ..reproduce import FULL, QUICK
+        from ..reproduce import reproduce as run
 
         verdicts = run(folder, seed, plan=QUICK if quick else FULL, progress=progress)
     for verdict in verdicts:

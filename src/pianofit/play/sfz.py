@@ -21,13 +21,13 @@ import numpy as np
 
 from ..analysis.notes import note_to_midi
 from ..errors import AnalysisError, OutputError, ParameterError
-from ..recording import RATES, one_line
+from ..io import interrupted_by, one_line
+from ..keyboard.document import Instrument
+from ..keyboard.gather import HIGHEST_KEY, LOWEST_KEY, note_name
+from ..recording import RATES
 from ..render import CEILING
 from ..threads import one_blas_thread
 from ..voice import arrival
-from ..workflow import _interrupted_by
-from .document import Instrument
-from .gather import HIGHEST_KEY, LOWEST_KEY, note_name
 from .strings import PlayedString, damper_rate
 
 __all__ = ["FORMATS", "Layer", "export_sfz", "layers_of", "parse_keys", "spans_of"]
@@ -119,7 +119,7 @@ def export_sfz(
         out = out.resolve()
         _check_target(out, force)
         work = out.with_name(f".{out.name}.{os.getpid()}.tmp")
-        with _interrupted_by(lambda: shutil.rmtree(work, ignore_errors=True)):
+        with interrupted_by(lambda: shutil.rmtree(work, ignore_errors=True)):
             try:
                 (work / "samples").mkdir(parents=True)
                 report = _write(instrument, work, keys, layers_of(layers), rate, seconds, kind, progress)

@@ -32,7 +32,7 @@ def whole(text: str | int) -> int:
 def _recipe(text: str) -> str:
     if text == "default":
         return text
-    from .fitting import RECIPES
+    from ..fitting import RECIPES
 
     if text not in RECIPES:
         raise typer.BadParameter(f"{text!r} is none of {', '.join(RECIPES)}")
@@ -42,7 +42,7 @@ def _recipe(text: str) -> str:
 def _intervals(text: str) -> str:
     if text == "laplace":
         return text
-    from .fitting import MEANS
+    from ..inference.views import MEANS
 
     if text not in MEANS:
         raise typer.BadParameter(f"{text!r} is none of {', '.join(MEANS)}")
@@ -50,7 +50,7 @@ def _intervals(text: str) -> str:
 
 
 def _felt(text: str) -> str:
-    from .parameters import FELT_LAWS
+    from ..parameters import FELT_LAWS
 
     if text not in FELT_LAWS:
         raise typer.BadParameter(f"{text!r} is none of {', '.join(FELT_LAWS)}")

@@ -14,8 +14,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from .errors import SetupError
+from .io import one_line, read_file
 from .parameters import DEFAULT_LAW, FELT_LAWS, FIT_NAMES, MEMORY_NAMES, PARAMETERS
-from .recording import one_line, read_file
 
 __all__ = ["PICKUPS", "Setup", "Take", "load_setup", "setup_from_dict", "with_law"]
 

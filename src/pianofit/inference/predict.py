@@ -16,22 +16,22 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import fminbound
 
-from .analysis import Analysis
-from .criterion import SAME_PARTIAL, level_error_db
-from .errors import FitError
-from .fitting import fit_takes
-from .inference import Result
-from .inference.observations import string_law
-from .inference.result import scored
-from .model.contact import strike
-from .model.modes import mode_table
-from .model.response import level_db, ringing
-from .model.simulate import contact_rate, count_modes, simulate
-from .parameters import PARAMETERS
-from .recording import Recording
-from .setup_file import Setup
-from .threads import one_blas_thread
-from .voice import Voice, arrival
+from ..analysis import Analysis
+from ..criterion import SAME_PARTIAL, level_error_db
+from ..errors import FitError
+from ..model.contact import strike
+from ..model.modes import mode_table
+from ..model.response import level_db, ringing
+from ..model.simulate import contact_rate, count_modes, simulate
+from ..parameters import PARAMETERS
+from ..recording import Recording
+from ..setup import Setup
+from ..threads import one_blas_thread
+from ..voice import Voice, arrival
+from . import Result
+from .fit import fit_takes
+from .observations import string_law
+from .result import scored
 
 __all__ = ["Prediction", "cross_validate", "predict_take"]
 

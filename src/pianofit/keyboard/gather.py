@@ -19,10 +19,9 @@ import numpy as np
 
 from ..analysis.notes import hz_to_note, note_to_midi
 from ..errors import AnalysisError, FitError
-from ..json_file import LARGEST
+from ..io import LARGEST, one_line
 from ..parameters import FIT_NAMES, PARAMETERS, Hammer
 from ..published import PICKUP, typical
-from ..recording import one_line
 from ..render import load_voice
 from ..voice import Voice
 

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .analysis import Analysis
-from .parameters import DEFAULT_LAW, FELT_LAWS, PARAMETERS, Geometry
-from .published import typical
-from .setup_file import Setup
+from ..analysis import Analysis
+from ..parameters import DEFAULT_LAW, FELT_LAWS, PARAMETERS, Geometry
+from ..published import typical
+from ..setup import Setup
 
 __all__ = ["Start", "starting_values"]
 

@@ -78,7 +78,7 @@ def register(app: typer.Typer) -> None:
 
 
 def _json(document: dict) -> str:
-    from .workflow import json_text
+    from ..io import json_text
 
     return json_text(document)
 
@@ -86,9 +86,8 @@ def _json(document: dict) -> str:
 def _instrument(
     fits: list[Path], out: Path, prefix: str | None, name: str | None, page: bool, force: bool, as_json: bool
 ) -> None:
-    from .instrument import build_instrument, find_fits, load_keys, owner
-    from .report.output import replace_file
-    from .workflow import output_folder
+    from ..io import output_folder, replace_file
+    from ..keyboard import build_instrument, find_fits, load_keys, owner
 
     files = find_fits(fits, prefix)
     keys = load_keys(files)
@@ -96,28 +95,28 @@ def _instrument(
     with output_folder(out, force) as folder:
         replace_file(folder / "instrument.json", _json(document).encode())
         if page:
-            from .instrument.page import write_page
+            from ..keyboard.page import write_page
 
             write_page(folder / "instrument.html", document)
     if as_json:
         typer.echo(_json(document), nl=False)
         return
-    from .instrument.words import summary
+    from ..keyboard.words import summary
 
     typer.echo(summary(document) + f"\nwritten to {out}")
 
 
 def _called(fits: list[Path]) -> str:
-    from .recording import one_line
+    from ..io import one_line
 
     return one_line(fits[0].resolve().name if fits[0].is_dir() else fits[0].resolve().parent.name)
 
 
 def _play(built: Path, song: Path, out: Path, rate: int, force: bool, progress: Callable) -> dict[str, Any]:
-    from .instrument import load_instrument, load_song, perform
-    from .instrument.wav import encode_pcm24
-    from .model.cache import keep_programs
-    from .workflow import check_target, write_file
+    from ..io import check_target, encode_pcm24, write_file
+    from ..keyboard import load_instrument
+    from ..model.cache import keep_programs
+    from ..play import load_song, perform
 
     check_target(out, force)
     played, notes = load_instrument(built), load_song(song)
@@ -148,12 +147,13 @@ def _export(
     built: Path, out: Path, to: str, layers: int, keys: str, samples: str, seconds: float, rate: int, force: bool,
     progress: Callable,
 ) -> dict[str, float]:  # fmt: skip
-    from .errors import ParameterError
+    from ..errors import ParameterError
 
     if to != "sfz":
         raise ParameterError(f"--format {to!r} must be sfz")
-    from .instrument import export_sfz, load_instrument, parse_keys
-    from .model.cache import keep_programs
+    from ..keyboard import load_instrument
+    from ..model.cache import keep_programs
+    from ..play import export_sfz, parse_keys
 
     chosen = parse_keys(keys)
     played = load_instrument(built)

@@ -16,12 +16,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from .errors import ParameterError, PianofitError, SetupError
+from ..errors import ParameterError, PianofitError, SetupError
 from .options import Channel, Json, Seed, number, whole
 from .terminal import plainly
 
 if TYPE_CHECKING:
-    from .batch import Progress, Settings, Unit
+    from ..batch import Progress, Settings, Unit
 
 __all__ = ["register"]
 
@@ -125,8 +125,8 @@ def batch(
     """Fit every key of a sample library; run again, it goes on where it was."""
     with _ended_as_interrupted():
         _check(workers, memory, time_limit, seed, channel)
-        from .batch import plan, read_keys, run_batch
-        from .workflow import json_text
+        from ..batch import plan, read_keys, run_batch
+        from ..io import json_text
 
         keys, remarks = read_keys(manifest, pattern=pattern, root=root, transpose=transpose)
         for remark in remarks:
@@ -147,15 +147,16 @@ def status(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="The folder of a batch.")], as_json: Json = False
 ) -> None:
     """Say how far a batch is, and why keys failed; also while it is at work."""
-    from .batch import status as run
-    from .workflow import json_text
+    from ..batch import status as run
+    from ..io import json_text
 
     found = run(folder)
     typer.echo(json_text(found) if as_json else _summary(found), nl=False)
 
 
 def _check(workers: int | None, memory: float, time_limit: float, seed: int, channel: str) -> None:
-    from .recording import CHANNELS, one_line
+    from ..io import one_line
+    from ..recording import CHANNELS
 
     if workers is not None and not 1 <= workers <= 1024:
         raise ParameterError(f"--workers {workers} must be from 1 to 1024")
@@ -171,12 +172,12 @@ def _check(workers: int | None, memory: float, time_limit: float, seed: int, cha
 
 def _settings(setup: Path | None, channel: str, seed: int, page: bool) -> Settings:
     """What all keys share, the setup's text among it, checked."""
-    from .batch import Settings
+    from ..batch import Settings
 
     text = ""
     if setup is not None:
-        from .recording import one_line
-        from .setup_file import load_setup
+        from ..io import one_line
+        from ..setup import load_setup
 
         if load_setup(setup).takes:
             raise SetupError(f"{one_line(setup)}: has a [[take]]; the manifest names the takes, with their velocities")
@@ -188,9 +189,9 @@ def _units(manifest: Path, keys: list, settings: Settings) -> list[Unit]:
     """All keys with their recordings read and hashed; what is wrong with any is told before anything starts."""
     import tomllib
 
-    from .batch import make_unit
-    from .recording import one_line
-    from .setup_file import setup_from_dict
+    from ..batch import make_unit
+    from ..io import one_line
+    from ..setup import setup_from_dict
 
     units, problems = [], []
     for key in keys:
@@ -208,7 +209,7 @@ def _units(manifest: Path, keys: list, settings: Settings) -> list[Unit]:
 
 def _workers(workers: int | None, memory: float, time_limit: float, scheduler: str | None, by_value: bool) -> Callable:
     """What makes the workers, once the folder is held."""
-    from .batch import Cluster, Local
+    from ..batch import Cluster, Local
 
     if scheduler is not None:
         return lambda _: Cluster(scheduler, by_value)
@@ -252,7 +253,7 @@ def _told() -> Iterator[Callable[[Progress], None]]:
 def _planned(units: list[Unit], standing: dict[str, str], as_json: bool) -> str:
     """What a run would do."""
     if as_json:
-        from .workflow import json_text
+        from ..io import json_text
 
         rows = [
             {"key": u.key, "note": u.note, "hash": u.hash, "standing": standing[u.key],
@@ -267,7 +268,7 @@ def _planned(units: list[Unit], standing: dict[str, str], as_json: bool) -> str:
 
 def _summary(found: dict[str, Any]) -> str:
     """What became of the keys, in a screenful."""
-    from .recording import one_line
+    from ..io import one_line
 
     count = {state: n for state, n in found["counts"].items() if n}
     at_work = "" if "at_work" not in found else f"; {'a' if found['at_work'] else 'no'} batch is at work"

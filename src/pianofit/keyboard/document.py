@@ -9,11 +9,10 @@ import numpy as np
 
 from ..criterion import OutputPath
 from ..errors import FitError, ParameterError
-from ..json_file import finite, load_json, shown, table_of
+from ..io import finite, load_json, one_line, shown, table_of
 from ..model.modes import QUANTITIES
 from ..model.simulate import check_geometry
 from ..parameters import PARAMETERS, Geometry, Hammer, String, check
-from ..recording import one_line
 from ..voice import Voice
 from .build import SCHEMA
 from .gather import HIGHEST_KEY, LOWEST_KEY, note_name

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from .inference import Result
-from .model.cache import keep_programs
-from .render import encode_wav
-from .report.output import replace_file
-from .twin import make_twin, setup_text
-from .workflow import fit_file
+from ..inference import Result
+from ..io import encode_wav, replace_file
+from ..model.cache import keep_programs
+from ..twin import make_twin, setup_text
+from ..workflow import fit_file
 
 __all__ = ["run_demo"]
 

@@ -10,7 +10,7 @@ import os
 from importlib.resources import files
 from typing import Any
 
-from ..report.output import replace_file
+from ..io import replace_file
 from .figures import draw
 from .gather import HIGHEST_KEY, LOUDEST, LOWEST_KEY, reference_compression
 from .laws import OUTLYING
@@ -31,7 +31,7 @@ def write_page(path: str | os.PathLike[str], document: dict[str, Any]) -> None:
 
     found = counts(document)
     style = files("pianofit.report").joinpath("page.css").read_text(encoding="utf-8")
-    template = files("pianofit.instrument").joinpath("page.html.j2").read_text(encoding="utf-8")
+    template = files("pianofit.keyboard").joinpath("page.html.j2").read_text(encoding="utf-8")
     html = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True).from_string(template).render(
         doc=document,
         name=document["name"] or "Instrument",

@@ -12,10 +12,10 @@ from typing import NamedTuple
 import numpy as np
 
 from ..errors import ParameterError
+from ..keyboard.document import Instrument
 from ..recording import RATES
 from ..render import CEILING, MOST_SAMPLES
 from ..threads import one_blas_thread
-from .document import Instrument
 from .midi import Song
 from .strings import BLOCK, CHUNK, PlayedString
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import typer
 
-from .errors import PianofitError
+from ..errors import PianofitError
 
 __all__ = ["complain", "plainly", "progress_bar"]
 

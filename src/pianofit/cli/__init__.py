@@ -1,0 +1,5 @@
+"""The command line: one file a group of commands."""
+
+from .program import app, main
+
+__all__ = ["app", "main"]

@@ -1,0 +1,228 @@
+"""Every file in and out: read whole or refused, written whole or not at all, and the bytes of a sound."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import os
+import signal
+import stat
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .errors import FitError, OutputError, PianofitError
+
+__all__ = [
+    "LARGEST", "check_target", "encode_pcm24", "encode_wav", "finite", "interrupted_by", "json_text", "load_json",
+    "one_line", "output_folder", "read_file", "replace_file", "shown", "table_of", "write_file",
+]  # fmt: skip
+
+# Larger numbers overflow when they are squared.
+LARGEST = 1e300
+
+
+def one_line(text: object) -> str:
+    """Return `text` with all that a terminal would not print on one line escaped (newlines, controls, stray bytes)."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in str(text))
+
+
+def read_file(path: str | os.PathLike[str], limit: int, error: type[PianofitError]) -> bytes:
+    """Return the bytes of a regular file of 1 to `limit` bytes; anything else raises `error` without blocking."""
+    name = one_line(os.fspath(path))
+    try:
+        status = Path(path).stat()
+        if stat.S_ISDIR(status.st_mode):
+            raise error(f"{name}: is a folder; name a file in it")
+        if not stat.S_ISREG(status.st_mode):  # a pipe or a device could block for ever, or never end
+            raise error(f"{name}: is a pipe or a device; copy its content to a file first")
+        if status.st_size > limit:
+            raise error(f"{name}: has {status.st_size / 2**20:.1f} MiB, more than {limit / 2**20:g} MiB; shorten it")
+        data = Path(path).read_bytes()
+    except FileNotFoundError:
+        raise error(f"{name}: no such file; check the path") from None
+    except (OSError, ValueError) as problem:  # ValueError: a zero byte in the path
+        reason = getattr(problem, "strerror", None) or str(problem)
+        raise error(f"{name}: cannot be read ({one_line(reason)}); check it") from None
+    if not data:
+        raise error(f"{name}: is empty (0 bytes); check what wrote it")
+    return data
+
+
+def load_json(path: str | os.PathLike[str], most: int, kind: str, way_out: str) -> Any:
+    """What a file of at most `most` bytes holds.
+
+    Raises
+    ------
+    FitError
+        Naming the file, `kind` and the `way_out`.
+    """
+    try:
+        return json.loads(read_file(path, most, FitError).decode("utf-8"))
+    except (ValueError, RecursionError) as error:
+        reason = one_line(str(error).splitlines()[0])
+        raise FitError(f"{one_line(path)}: not {kind} ({reason}); {way_out}") from None
+
+
+def table_of(document: dict, key: str, where: str, way_out: str) -> dict[str, Any]:
+    """The table `key` of a document, or a `FitError`."""
+    table = document.get(key)
+    if not isinstance(table, dict):
+        raise FitError(f"{where}: {key} is missing or no table; {way_out}")
+    return table
+
+
+def finite(value: Any, where: str, way_out: str) -> float:
+    """A number that can be computed with, or a `FitError`."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < LARGEST:
+        raise FitError(f"{where} is {shown(value)}, no finite number; {way_out}")
+    return float(value)
+
+
+def shown(value: Any) -> str:
+    """A value as an error shows it: not the whole of a hostile one."""
+    text = one_line(repr(value))
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def replace_file(path: str | os.PathLike[str], content: bytes) -> None:
+    """Write `content` to `path`, replacing what was there in one step.
+
+    Raises
+    ------
+    OutputError
+        If the folder is missing, is no folder, or does not let us write; nothing is left behind.
+    """
+    target = Path(path)
+    temporary = target.with_name(f".{target.name}.{os.getpid()}.tmp")
+    try:
+        try:
+            temporary.write_bytes(content)
+            temporary.replace(target)
+        finally:
+            temporary.unlink(missing_ok=True)
+    except OSError as error:
+        reason = error.strerror or error
+        raise OutputError(
+            f"{target}: cannot be written ({reason}); choose a folder that exists and is yours"
+        ) from error
+
+
+@contextlib.contextmanager
+def output_folder(path: Path, force: bool) -> Iterator[Path]:
+    """A folder to write to, made if need be; taken away again if nothing came of it.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be made, is a file, or holds something and `force` is not given.
+    """
+    name = one_line(path)
+    try:
+        made = [p for p in (path, *path.parents) if not p.exists()]
+        path.mkdir(parents=True, exist_ok=True)
+        held = next(path.iterdir(), None)
+        if held is not None and not force:
+            raise OutputError(f"{name}: the folder is not empty; give another --out, or --force to replace a fit in it")
+        if not os.access(path, os.W_OK | os.X_OK):
+            raise OutputError(f"{name}: the folder cannot be written to; choose one that is yours")
+    except OSError as error:
+        raise OutputError(f"{name}: no folder can be made here ({error.strerror}); choose another --out") from None
+
+    def tidy() -> None:
+        for unfinished in path.glob(f".*.{os.getpid()}.tmp"):
+            unfinished.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # only empty folders go
+            for folder in made:
+                folder.rmdir()
+
+    with interrupted_by(tidy):
+        try:
+            yield path
+        finally:
+            tidy()
+
+
+@contextlib.contextmanager
+def interrupted_by(tidy: Callable[[], None]) -> Iterator[None]:
+    """Ctrl-C tidies up and ends the program at once with 130.
+
+    Raised as an exception it would unwind through the compiler, or end Python while that still works in another thread:
+    either takes the process down with a signal of its own.
+    """
+
+    def stop(*_: object) -> None:
+        tidy()
+        shown = "\x1b[?25h" if sys.stderr.isatty() else ""  # a progress bar hides the cursor
+        os.write(2, f"{shown}pianofit: interrupted; nothing more is written\n".encode())
+        os._exit(130)
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def check_target(path: Path, force: bool) -> None:
+    """Refuse a file that could not be written, before anything is computed for it.
+
+    Raises
+    ------
+    OutputError
+        If it exists and `force` is not given, is a folder, or has no folder to be in.
+    """
+    if path.is_dir():
+        raise OutputError(f"{one_line(path)}: is a folder; give a file name")
+    if path.exists() and not force:
+        raise OutputError(f"{one_line(path)}: exists; give another --out, or --force to replace it")
+    if not path.parent.is_dir():
+        raise OutputError(
+            f"{one_line(path)}: there is no folder {one_line(path.parent)}; make it, or give another --out"
+        )
+
+
+def write_file(path: Path, content: bytes, force: bool) -> None:
+    """Write one file, whole or not at all.
+
+    Raises
+    ------
+    OutputError
+        If it exists and `force` is not given, or cannot be written.
+    """
+    check_target(path, force)
+    replace_file(path, content)
+
+
+def json_text(document: dict) -> str:
+    """`document` as JSON that any reader takes: no NaN, no infinity."""
+    return json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def encode_wav(samples: np.ndarray, rate: int) -> bytes:
+    """A mono WAV file of 32 bit floats: nothing is rounded, and a level above full scale survives.
+
+    Not by libsndfile, which puts the time of day into such files: the same sound is the same bytes.
+    """
+    from scipy.io import wavfile
+
+    stream = io.BytesIO()
+    wavfile.write(stream, rate, samples.astype(np.float32))
+    return stream.getvalue()
+
+
+def encode_pcm24(samples: np.ndarray, rate: int) -> bytes:
+    """A mono WAV file, 24 bit; samples [samples] must lie within ±1."""
+    import soundfile
+
+    stream = io.BytesIO()
+    soundfile.write(stream, samples, rate, format="WAV", subtype="PCM_24")
+    return stream.getvalue()
