@@ -54,7 +54,7 @@ def test_velocities_and_groups_become_the_setup_of_the_fit(tmp_path):
     (tmp_path / "setup.toml").write_text(unit.setup, encoding="utf-8")
     setup = load_setup(tmp_path / "setup.toml")
     assert setup.length == 0.6
-    assert [(t.file, t.v_H0, t.group) for t in setup.takes] == [
+    assert [(t.file, t.v_H0, t.group) for t in setup.recordings] == [
         ("close-C4.wav", 1.25, "close"), ('a _b_-C4.wav', None, 'a "b"')
     ]  # fmt: skip
 
@@ -68,7 +68,7 @@ def test_one_layer_at_two_microphones_is_one_strike(tmp_path):
     ]  # fmt: skip
     unit = make_unit(key, Settings())
     (tmp_path / "setup.toml").write_text(unit.setup, encoding="utf-8")
-    takes = load_setup(tmp_path / "setup.toml").takes
+    takes = load_setup(tmp_path / "setup.toml").recordings
     assert [(t.file, t.group, t.strike) for t in takes][:3] == [
         ("grand-A0-L2-close.flac", "close", "L2"), ("grand-A0-L2-decca.flac", "decca", "L2"),
         ("grand-A0-L3-close.flac", "close", None),

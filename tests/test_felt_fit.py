@@ -9,7 +9,7 @@ import tomllib
 import numpy as np
 import pytest
 
-from pianofit import analyse, fit_recording, load_voice, recording_from_samples, setup_from_dict
+from pianofit import analyse, fit, load_voice, recording_from_samples, setup_from_dict
 from pianofit.errors import FitError, SetupError
 from pianofit.laboratory import Laboratory, measure, setup_text
 from pianofit.parameters import FELT_LAWS, Hammer, MemoryHammer
@@ -32,9 +32,9 @@ def stroke(felt: str):
 def fitted(felt: str, law: str) -> dict:
     recording, analysis, data, _ = stroke(felt)
     data = data | {"initial": {k: v for k, v in data["initial"].items() if k in ("K_H", "p", "M_H")}}
-    data["take"] = [{k: v for k, v in take.items() if k != "file"} for take in data.get("take", [])]
+    data["take"] = [{k: v for k, v in layer.items() if k != "file"} for layer in data.get("take", [])]
     setup = setup_from_dict(data | {"felt": {"law": law}}, "test")
-    return fit_recording(recording, analysis, setup).document
+    return fit(recording, analyses=[analysis], setup=setup).document
 
 
 def value(document: dict, name: str) -> float:

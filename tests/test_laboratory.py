@@ -181,7 +181,7 @@ def test_the_setups_say_what_the_laboratory_knew(written):
 def test_a_velocity_can_be_where_the_fit_starts():
     one = measure(Laboratory(**SHORT), V)
     setup = setup_from_dict(tomllib.loads(setup_text(one, hold_velocity=False)), "setup")
-    assert setup.takes == ()
+    assert setup.recordings == ()
     assert setup.initial["v_H0"] == one.nominal_velocity != V
 
 

@@ -206,7 +206,8 @@ def fake_fit(velocities=(3.0, 0.75, 1.5), first=0, memory=False, free=("c", "kap
         "takes": [{"group": 0, "strike": i} for i, _ in enumerate(takes)],
     }  # fmt: skip
     return SimpleNamespace(
-        document=document, takes=tuple(takes), first=first, covariance=covariance(free, len(velocities)),
+        document=document, takes=tuple(takes), first=first, note=takes[first].fitted.voice,
+        covariance=SimpleNamespace(matrix=covariance(free, len(velocities))),
         fitted=takes[first].fitted, recording=takes[first].recording,
     )  # fmt: skip
 
@@ -217,7 +218,8 @@ def test_the_felts_band_is_what_chance_gives(memory):
     felt = felt_of(result)
     deepest = max(np.max(take.fitted.simulation.pulse.compression) for take in result.takes)
     assert felt.compression[-1] == pytest.approx(1e3 * float(deepest))
-    drawn = np.random.default_rng(0).multivariate_normal(np.zeros(len(result.covariance)), result.covariance, 40_000)
+    cov = result.covariance.matrix
+    drawn = np.random.default_rng(0).multivariate_normal(np.zeros(len(cov)), cov, 40_000)
     value = {name: VALUES[name] * np.exp(drawn[:, i]) for i, name in enumerate(NAMES)}
     for at in (0, 20, 47):
         force = value["K_H"] * (1e-3 * felt.compression[at]) ** value["p"]
@@ -239,14 +241,15 @@ def test_how_well_things_are_known_is_what_the_intervals_say():
     expected = [("f0", 101 / 99, True), ("F/M_S", 125 / 80, True), ("K_H", 1.1 / 0.9, False), ("p", 1.1 / 0.9, False)]
     assert [(name, told) for name, _, told in known.reaches] == [(name, told) for name, _, told in expected]
     np.testing.assert_allclose([reach for _, reach, _ in known.reaches], [0.5 * np.log(x) for _, x, _ in expected])
-    drawn = np.random.default_rng(1).multivariate_normal(np.zeros(len(result.covariance)), result.covariance, 40_000)
+    cov = result.covariance.matrix
+    drawn = np.random.default_rng(1).multivariate_normal(np.zeros(len(cov)), cov, 40_000)
     seen = np.corrcoef([drawn[:, NAMES.index(name)] for name in known.names])
     np.testing.assert_allclose(known.correlation, seen, atol=0.02)
 
 
 def test_an_unmeasured_scale_of_velocities_hides_nothing_of_the_felt():
     plain, scaled = fake_fit(), fake_fit()
-    scaled.covariance = scaled_by_velocity(plain.covariance)
+    scaled.covariance = SimpleNamespace(matrix=scaled_by_velocity(plain.covariance.matrix))
     scaled.document["parameters"]["v_H0"] = {"interval": [1.0, 9.0], "status": "scaled"}
     wide = fake_fit()
     wide.covariance = scaled.covariance

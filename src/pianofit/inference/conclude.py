@@ -7,29 +7,18 @@ import numpy as np
 from ..analysis import Partials
 from ..criterion import OutputPath
 from ..parameters import FIT_NAMES, MEMORY_NAMES
+from ..render import SCHEMA
 from ..voice import Voice, lag, placed
 from .coordinates import FORCE, SHARED, STRING_SIZE, VALUES, WIDTH, P
+from .entries import absent, derived, is_memory, path_document, sizes, versions
 from .estimate import Estimate, beginning
 from .lanes import in_lanes, own_levels
+from .listener import Listener, level_errors, together, worse_bands
 from .posterior import Posterior
 from .problem import Problem
+from .quantities import UNITS, Covariance
 from .reports import latent
-from .result import (  # fmt: skip
-    SCHEMA,
-    UNITS,
-    Heard,
-    Listener,
-    Result,
-    absent,
-    derived,
-    is_memory,
-    level_errors,
-    path_document,
-    sizes,
-    together,
-    versions,
-    worse_bands,
-)
+from .result import Heard, Result
 from .search import OWN_LANES
 from .statements import claims, correlated, messages, statuses, velocity_statuses
 from .views import View
@@ -87,7 +76,7 @@ def conclude(problem: Problem, found: Estimate, seed: int, view: View | None = N
         "versions": versions(),
     }  # fmt: skip
     return Result(
-        document, takes, problem.reference, found.posterior.covariance[0], voices,
+        document, takes, problem.reference, _covariance(problem, found), voices,
         tuple(found.posterior.share.tolist()), None if view is None else view.draws,
     )  # fmt: skip
 
@@ -202,6 +191,13 @@ def _literature_level(problem: Problem, found: Estimate, first: np.ndarray, i: i
 
 
 # --- tables -----------------------------------------------------------------------------------------------------------
+
+
+def _covariance(problem: Problem, found: Estimate) -> Covariance:
+    """Of all logarithms by name; `v_H0` is the reference stroke's velocity, `v_H0 N` that of stroke N."""
+    reference = problem.layout.stroke[problem.reference]
+    strokes = ("v_H0" if i == reference else f"v_H0 {i + 1}" for i in range(problem.layout.strokes))
+    return Covariance((*VALUES, *strokes), found.posterior.covariance[0])
 
 
 def _parameters(problem: Problem, found: Estimate, states: dict[str, str]) -> dict:

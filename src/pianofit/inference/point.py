@@ -12,22 +12,13 @@ from ..model import Simulation
 from ..model.response import level_db, ringing
 from ..parameters import FIT_NAMES, Hammer, String
 from ..recording import Recording
+from ..render import SCHEMA
 from ..voice import Voice, arrival
 from .coordinates import VALUES
-from .result import (
-    SCHEMA,
-    UNITS,
-    Heard,
-    Listener,
-    Result,
-    derived,
-    given,
-    level_errors,
-    sizes,
-    together,
-    versions,
-    worse_bands,
-)
+from .entries import derived, given, sizes, versions
+from .listener import Listener, level_errors, together, worse_bands
+from .quantities import UNITS, Covariance
+from .result import Heard, Result
 from .start import Start
 
 __all__ = ["point_result"]
@@ -94,8 +85,9 @@ def point_result(
         "diagnostics": {"evaluations": evaluations, "partials": len(analysis.partials), "correlated": []},
         "versions": versions(),
     }  # fmt: skip
-    size = len(VALUES) + 1
-    return Result(document, (heard,), 0, np.zeros((size, size)), ((after.voice,),), (1.0,))
+    names = (*VALUES, "v_H0")
+    nothing = Covariance(names, np.zeros((len(names), len(names))))
+    return Result(document, (heard,), 0, nothing, ((after.voice,),), (1.0,))
 
 
 def _levels(voice: Voice, simulation: Simulation, analysis: Analysis) -> np.ndarray:

@@ -30,8 +30,8 @@ from ..threads import one_blas_thread
 from ..voice import Voice, arrival
 from . import Result
 from .fit import fit_takes
+from .listener import scored
 from .observations import string_law
-from .result import scored
 
 __all__ = ["Prediction", "cross_validate", "predict_take"]
 
