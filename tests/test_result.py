@@ -7,6 +7,7 @@ import csv
 import functools
 import json
 import sys
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -190,7 +191,8 @@ def test_tables_for_pandas():
 def test_draws_for_arviz():
     with pytest.raises(FitError, match="intervals='posterior'"):
         result().to_arviz()
-    pytest.importorskip("arviz")
+    with warnings.catch_warnings(action="ignore"):  # of its own plans
+        pytest.importorskip("arviz")
     draws = np.random.default_rng(0).normal(size=(2, 50))
     posterior = replace(result(), draws={"p": draws}).to_arviz().posterior
     np.testing.assert_array_equal(posterior["p"].to_numpy(), draws)

@@ -3,6 +3,7 @@
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 from bad_inputs import BAD_INPUTS, BadInput
 from hypothesis import given, settings
@@ -194,6 +195,7 @@ def test_a_setup_is_plain_numbers_and_stays_as_it_was_checked():
     given["p"] = 99
     assert (setup.length, setup.known, setup.recordings) == (1.0, {"p": 3.0}, (Layer(v_H0=2.0),))
     assert type(setup.known["p"]) is type(setup.recordings[0].v_H0) is float
+    assert Setup(length=np.float32(1.5), known={"p": np.int64(3)}) == Setup(length=1.5, known={"p": 3.0})
 
 
 def test_an_older_file_says_take(tmp_path):

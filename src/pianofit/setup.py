@@ -12,14 +12,15 @@ import difflib
 import os
 import tomllib
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
+from numbers import Real
 from typing import Any
 
 from .errors import SetupError
 from .io import one_line, read_file
 from .parameters import DEFAULT_LAW, FELT_LAWS, FIT_NAMES, MEMORY_NAMES, PARAMETERS
 
-__all__ = ["PICKUPS", "Layer", "Setup", "load_setup", "setup_from_dict", "with_law"]
+__all__ = ["PICKUPS", "Layer", "Setup", "load_setup", "setup_from_dict"]
 
 PICKUPS = ("velocity", "displacement", "bridge-force", "pressure")
 ON_THE_STRING = ("velocity", "displacement")  # pickups that need a position
@@ -107,8 +108,8 @@ class Setup:
             raise SetupError(contradiction)
 
 
-def load_setup(path: str | os.PathLike[str]) -> Setup:
-    """Read a `setup.toml`.
+def load_setup(path: str | os.PathLike[str], felt: str | None = None) -> Setup:
+    """Read a `setup.toml`; `felt` is a law of the felt that goes before the file's.
 
     Raises
     ------
@@ -126,7 +127,7 @@ def load_setup(path: str | os.PathLike[str]) -> Setup:
         ) from None
     except (ValueError, RecursionError) as problem:  # RecursionError: brackets nested without end
         raise SetupError(f"{name}: not valid TOML: {one_line(problem)[:200]}; correct that place") from None
-    return setup_from_dict(table, name)
+    return setup_from_dict(table if felt is None else table | {"felt": {"law": felt}}, name)
 
 
 def setup_from_dict(data: Mapping[str, Any], where: str) -> Setup:
@@ -139,23 +140,9 @@ def setup_from_dict(data: Mapping[str, Any], where: str) -> Setup:
     """
     with _named(where):
         tables = {name: _entries(name, content) for name, content in data.items()}
-        said = {
-            attribute: tables[table][key] for attribute, (table, key) in PLACES.items() if key in tables.get(table, ())
-        }
+        said = {name: tables[table][key] for name, (table, key) in PLACES.items() if key in tables.get(table, ())}
         said |= {name: tables[name] for name in ("known", "initial", "bounds") if name in tables}
         return Setup(**said, recordings=(*tables.get("recording", ()), *tables.get("take", ())))
-
-
-def with_law(setup: Setup, felt: str | None, where: str) -> Setup:
-    """`setup` with another law of the felt, if one is named; `where` opens an error.
-
-    Raises
-    ------
-    SetupError
-        If the setup speaks of parameters that this law does not have.
-    """
-    with _named(where):
-        return setup if felt is None else replace(setup, felt=felt)
 
 
 @contextlib.contextmanager
@@ -208,14 +195,18 @@ def _show(value: object) -> str:
     return f'"{text}"' if isinstance(value, str) else text
 
 
-def _number(value: object, key: str, lower: float, upper: float, unit: str, where: str) -> float:
+def _number(value: Any, key: str, lower: float, upper: float, unit: str, where: str) -> float:
     """Return a number within its range; comparing first keeps integers too large for a float out."""
-    if isinstance(value, bool) or not isinstance(value, int | float) or not lower <= value <= upper:
+    if not _is_number(value) or not lower <= value <= upper:
         unit = "" if unit == "1" else f" {unit}"
         raise SetupError(
             f"{where} {key} = {_show(value)} must be a number from {lower:g} to {upper:g}{unit} (no quotes)"
         )
     return float(value)
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, Real) and not isinstance(value, bool)  # NumPy's numbers are real ones
 
 
 def _one_of(value: object, allowed: tuple[str, ...], where: str) -> None:
@@ -239,10 +230,8 @@ def _pair(pair: object, key: str, where: str) -> tuple[float, float]:
 
 def _layer(entry: object, number: int) -> Layer:
     where = f"[[recording]] {number}"
-    said = (
-        {key: value for key, value in asdict(entry).items() if value is not None} if isinstance(entry, Layer) else entry
-    )
-    table = dict(_table("recording", said))
+    said = asdict(entry) if isinstance(entry, Layer) else _table("recording", entry)
+    table = {key: value for key, value in said.items() if value is not None}
     for key, value in table.items():
         if key == "v_H0":
             table[key] = _parameter(value, key, where)

@@ -66,10 +66,9 @@ def _checked(velocity: float | None, seed: int = 0) -> None:
 
 def _known(setup: Path | None, felt: str | None) -> Setup:
     """What was known beforehand, with the felt's law that the command names."""
-    from ..io import one_line
-    from ..setup import Setup, load_setup, with_law
+    from ..setup import Setup, load_setup
 
-    return with_law(Setup() if setup is None else load_setup(setup), felt, one_line(setup))
+    return Setup(felt=felt) if setup is None else load_setup(setup, felt)
 
 
 def _version(wanted: bool) -> None:
@@ -156,7 +155,7 @@ def fit(
         )  # fmt: skip
         progress("page", 0.95)
         result.save(folder, force=True, page=page)
-    typer.echo(json_text(result.document) if as_json else summary(result.document, folder), nl=False)
+    typer.echo(json_text(result.document) if as_json else summary(result, folder), nl=False)
 
 
 @app.command()
@@ -323,10 +322,10 @@ def demo(
 
         result, true = run_demo(folder, None if no_noise else noise, seed, progress)
     if as_json:
-        typer.echo(json_text(result.document | {"true": true}), nl=False)
+        typer.echo(json_text(result.to_dict() | {"true": true}), nl=False)
         return
-    typer.echo(comparison(result.document, true))
-    typer.echo(summary(result.document, folder), nl=False)
+    typer.echo(comparison(result, true))
+    typer.echo(summary(result, folder), nl=False)
 
 
 @app.command()

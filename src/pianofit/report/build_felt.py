@@ -27,7 +27,7 @@ COMBINED = ("c", "kappa", "M_H", "x0")
 
 def has_intervals(result: Result) -> bool:
     """Whether this fit says how far off it may be; the paper's recipes do not."""
-    return any(entry.get("interval") for entry in result.document["parameters"].values())
+    return any(quantity.interval for quantity in result.parameters.values())
 
 
 def felt_of(result: Result) -> Felt:
@@ -53,7 +53,8 @@ def _shared(result: Result) -> np.ndarray:
     """
     given = result.covariance.matrix
     cov = given
-    if result.document["parameters"].get("v_H0", {}).get("status") == "scaled":
+    velocity = result.parameters.get("v_H0")
+    if velocity is not None and velocity.status == "scaled":
         held = len(NAMES) + result.document["takes"][result.first]["strike"]
         if cov[held, held] > 0:
             cov = cov - np.outer(cov[held], cov[held]) / cov[held, held]

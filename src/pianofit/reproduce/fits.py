@@ -111,7 +111,7 @@ def _with_string_read(case: Case) -> Setup:
 
 def values_of(result: Result, key: str = "value") -> dict[str, float]:
     """The nine parameters that were found, or `initial`."""
-    return {name: float(getattr(result.parameters[name], key)) for name in FIT_NAMES}
+    return {name: float(result.document["parameters"][name][key]) for name in FIT_NAMES}
 
 
 def played(voice: Voice, case: Case, velocity: float | None = None) -> np.ndarray:
