@@ -13,7 +13,7 @@ import numpy as np
 
 from .criterion import OutputPath
 from .errors import FitError, ParameterError
-from .io import finite, load_json, one_line, table_of
+from .io import FIT_SCHEMA, finite, load_json, one_line, table_of
 from .model.modes import QUANTITIES
 from .model.simulate import check_geometry
 from .parameters import (  # fmt: skip
@@ -30,10 +30,8 @@ from .parameters import (  # fmt: skip
 from .recording import RATES
 from .voice import Voice
 
-__all__ = ["MOST_SECONDS", "SCHEMA", "check_render", "limited", "load_mixture", "load_voice", "mixture_of", "read_fit"]
+__all__ = ["MOST_SECONDS", "check_render", "limited", "load_mixture", "load_voice", "mixture_of", "read_fit"]
 
-# Of the `fit.json` that is written; older ones are read as well.
-SCHEMA = 2
 LARGEST_FIT = 2**24
 WAY_OUT = "give the file that pianofit fit wrote"
 MOST_SECONDS = 600.0
@@ -52,10 +50,10 @@ def read_fit(path: str | os.PathLike[str]) -> dict[str, Any]:
         Naming the file, if it is none.
     """
     document = load_json(path, LARGEST_FIT, "a fit.json", WAY_OUT)
-    if not isinstance(document, dict) or document.get("schema") not in range(1, SCHEMA + 1):
+    if not isinstance(document, dict) or document.get("schema") not in range(1, FIT_SCHEMA + 1):
         found = document.get("schema") if isinstance(document, dict) else type(document).__name__
         raise FitError(
-            f"{one_line(path)}: schema {found!r} is not 1 to {SCHEMA}; fit again with this version of pianofit"
+            f"{one_line(path)}: schema {found!r} is not 1 to {FIT_SCHEMA}; fit again with this version of pianofit"
         )
     return document
 

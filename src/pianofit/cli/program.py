@@ -155,7 +155,7 @@ def fit(
         )  # fmt: skip
         progress("page", 0.95)
         result.save(folder, force=True, page=page)
-    typer.echo(json_text(result.document) if as_json else summary(result, folder), nl=False)
+    typer.echo(json_text(result.document) if as_json else summary(result.document, folder), nl=False)
 
 
 @app.command()
@@ -322,10 +322,10 @@ def demo(
 
         result, true = run_demo(folder, None if no_noise else noise, seed, progress)
     if as_json:
-        typer.echo(json_text(result.to_dict() | {"true": true}), nl=False)
+        typer.echo(json_text(result.document | {"true": true}), nl=False)
         return
-    typer.echo(comparison(result, true))
-    typer.echo(summary(result, folder), nl=False)
+    typer.echo(comparison(result.document, true))
+    typer.echo(summary(result.document, folder), nl=False)
 
 
 @app.command()

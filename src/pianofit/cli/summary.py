@@ -3,37 +3,34 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from ..inference import Quantities, Quantity, Result
 
 __all__ = ["comparison", "cross_validation", "summary"]
 
 ONLY = {"low": "below", "high": "above"}
 
 
-def comparison(result: Result, true: dict[str, float]) -> str:
+def comparison(document: dict, true: dict[str, float]) -> str:
     """True values beside found ones."""
     lines = [f"{'':8}{'initial':>12}{'true':>12}{'found':>12}{'off by':>10}   95 % interval"]
     for name, value in true.items():
-        q = result.parameters[name]
-        off = 100 * (q.value / value - 1)
-        note = "" if q.status == "fitted" else f"  {q.status}"
-        lines.append(f"{name:8}{q.initial:12.5g}{value:12.5g}{q.value:12.5g}{off:+9.3f} %  {_span(q)}{note}")
+        p = document["parameters"][name]
+        span = "[{:.5g}, {:.5g}]".format(*p["interval"]) if p["interval"] else "-"
+        off = 100 * (p["value"] / value - 1)
+        note = "" if p["status"] == "fitted" else f"  {p['status']}"
+        lines.append(f"{name:8}{p['initial']:12.5g}{value:12.5g}{p['value']:12.5g}{off:+9.3f} %  {span}{note}")
     return "\n".join(lines) + "\n"
 
 
-def summary(result: Result, folder: Path) -> str:
+def summary(document: dict, folder: Path) -> str:
     """What was found, in a screenful."""
-    document = result.document
-    lines = [result.claims, ""] if result.claims else []
-    lines += _invariants(result.invariants)
+    lines = [document["claims"], ""] if document["claims"] else []
+    lines += _invariants(document["invariants"])
     lines.append(f"{'':8}{'value':>12}  {'unit':8}{'95 % interval':26}status")
-    for name, q in result.parameters.items():
-        open_at = ", ".join(f"{ONLY[end]}: the box" for end in q.interval_open)
-        status = q.status + (f" ({open_at})" if open_at else "")
-        lines.append(f"{name:8}{q.value:12.5g}  {q.unit:8}{_span(q):26}{status}")
+    for name, p in document["parameters"].items():
+        span = "[{:.5g}, {:.5g}]".format(*p["interval"]) if p["interval"] else "-"
+        open_at = ", ".join(f"{ONLY[end]}: the box" for end in p["interval_open"])
+        status = p["status"] + (f" ({open_at})" if open_at else "")
+        lines.append(f"{name:8}{p['value']:12.5g}  {p['unit']:8}{span:26}{status}")
     d, levels = document["derived"], document["levels"]
     lines += ["", f"f0 {d['f0']:.3f} Hz, B {d['B']:.4g}, contact {d['contact_ms']:.2f} ms"]
     only = "" if levels["path_only_db"] is None else f", path alone {levels['path_only_db']:.1f} dB"
@@ -47,20 +44,18 @@ def summary(result: Result, folder: Path) -> str:
             lines.append(f"criterion, {name:7} {c['initial']:10.4g} -> {c['final']:.4g}")
     if document["criterion"]["dropped"]:
         lines.append(f"dropped, no partial above the noise: {', '.join(document['criterion']['dropped'])}")
-    lines += ["" if document["converged"] else "NOT CONVERGED", *result.messages, "", f"written to {folder}"]
+    lines += ["" if document["converged"] else "NOT CONVERGED", *document["messages"], "", f"written to {folder}"]
     return "\n".join(lines) + "\n"
 
 
-def _span(quantity: Quantity) -> str:
-    return "-" if quantity.interval is None else "[{:.5g}, {:.5g}]".format(*quantity.interval)
-
-
-def _invariants(table: Quantities) -> list[str]:
+def _invariants(table: dict) -> list[str]:
     """What no assumed size or velocity enters, before the SI values."""
     if not table:
         return []
     lines = [f"{'':12}{'value':>12}  {'unit':8}95 % interval"]
-    lines += [f"{name:12}{q.value:12.5g}  {q.unit:8}{_span(q)}" for name, q in table.items()]
+    for name, p in table.items():
+        span = "[{:.5g}, {:.5g}]".format(*p["interval"]) if p["interval"] else "-"
+        lines.append(f"{name:12}{p['value']:12.5g}  {p['unit']:8}{span}")
     return [*lines, ""]
 
 

@@ -6,8 +6,8 @@ import numpy as np
 
 from ..analysis import Partials
 from ..criterion import OutputPath
+from ..io import FIT_SCHEMA
 from ..parameters import FIT_NAMES, MEMORY_NAMES
-from ..render import SCHEMA
 from ..voice import Voice, lag, placed
 from .coordinates import FORCE, SHARED, STRING_SIZE, VALUES, WIDTH, P
 from .entries import absent, derived, is_memory, path_document, sizes, versions
@@ -56,19 +56,19 @@ def conclude(problem: Problem, found: Estimate, seed: int, view: View | None = N
     if view is not None:
         parameters = {name: entry | view.entries.get(name, {}) for name, entry in parameters.items()}
         said, diagnostics = [*said, *view.messages], diagnostics | view.diagnostics
-    voices = tuple(
+    notes = tuple(
         tuple(voice_of(problem, found.minima, b, i)._replace(gain=t.fitted.voice.gain) for i, t in enumerate(takes))
         for b in range(len(found.minima.F))
     )
     document = {
-        "schema": SCHEMA, "program": "pianofit", "recipe": "default", "felt": problem.start.felt, "seed": seed,
+        "schema": FIT_SCHEMA, "program": "pianofit", "recipe": "default", "felt": problem.start.felt, "seed": seed,
         "converged": bool(found.minima.converged[0]), "claims": claims(problem, found, states, levels),
         "messages": said,
         "invariants": invariants(problem, found),
         "parameters": parameters,
         "takes": [_take(problem, found, i, heard) for i, heard in enumerate(takes)],
         "pickup": {"quantity": problem.start.quantity, "path": path_document(reference.fitted.voice.path)},
-        "minima": _minima(problem, found, voices),
+        "minima": _minima(problem, found, notes),
         "derived": derived(reference.fitted.voice, reference.fitted.simulation, problem.analyses[problem.reference]),
         "criterion": reference.criterion,
         "levels": levels,
@@ -76,7 +76,7 @@ def conclude(problem: Problem, found: Estimate, seed: int, view: View | None = N
         "versions": versions(),
     }  # fmt: skip
     return Result(
-        document, takes, problem.reference, _covariance(problem, found), voices,
+        document, takes, problem.reference, _covariance(problem, found), notes,
         tuple(found.posterior.share.tolist()), None if view is None else view.draws,
     )  # fmt: skip
 
@@ -301,14 +301,14 @@ def _take(problem: Problem, found: Estimate, i: int, heard: Heard) -> dict:
     }  # fmt: skip
 
 
-def _minima(problem: Problem, found: Estimate, voices) -> list[dict]:
+def _minima(problem: Problem, found: Estimate, notes) -> list[dict]:
     """Every minimum: its share, F, hammer, velocities, and the reference's path."""
     u = problem.unknowns
     rows = []
     for b, share in enumerate(found.posterior.share):
         values = dict(zip(VALUES, np.exp(found.posterior.mean[b, :SHARED]).tolist(), strict=True))
         values = {n: x for n, x in values.items() if x > 1e-100 and (u.memory or not is_memory(n))}
-        path: OutputPath | None = voices[b][problem.reference].path
+        path: OutputPath | None = notes[b][problem.reference].path
         rows.append({
             "share": float(share), "F": float(found.minima.F[b]), "parameters": values,
             "velocities": np.exp(found.minima.people.z[b, SHARED:]).tolist(),

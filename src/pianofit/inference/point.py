@@ -8,11 +8,11 @@ import numpy as np
 
 from ..analysis import Analysis
 from ..criterion import BANDS
+from ..io import FIT_SCHEMA
 from ..model import Simulation
 from ..model.response import level_db, ringing
 from ..parameters import FIT_NAMES, Hammer, String
 from ..recording import Recording
-from ..render import SCHEMA
 from ..voice import Voice, arrival
 from .coordinates import VALUES
 from .entries import derived, given, sizes, versions
@@ -66,7 +66,7 @@ def point_result(
     said += [f"No partial above the noise in {' and '.join(missing)}; dropped, and the next band used."] * bool(missing)
     found = dict(zip(FIT_NAMES, (*string, *hammer), strict=True))
     document = {
-        "schema": SCHEMA, "program": "pianofit", "recipe": recipe, "felt": start.felt, "seed": seed,
+        "schema": FIT_SCHEMA, "program": "pianofit", "recipe": recipe, "felt": start.felt, "seed": seed,
         "converged": converged, "claims": opening, "messages": [*said, *recording.warnings, *analysis.warnings],
         "invariants": {},
         "parameters": _parameters(start, found, values, at_bound, calibrated),

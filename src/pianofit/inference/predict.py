@@ -240,7 +240,7 @@ def _voices_for(fit: Result, whole: Result, rest: list[int], left_out: int) -> l
     takes = whole.document["takes"]
     for place, j in enumerate(rest):
         if takes[j]["group"] == takes[left_out]["group"]:
-            return [(share, voices[place]) for share, voices in zip(fit.shares, fit.voices, strict=True)]
+            return [(share, voices[place]) for share, voices in zip(fit.shares, fit.notes, strict=True)]
     return []
 
 

@@ -67,7 +67,7 @@ class Result:
     """A finished fit, or one that was read back from its `fit.json`.
 
     `document` is what `fit.json` holds, `takes` are in the order in which they were given, none for one that was read
-    back. What is shown of one recording is that of the `first`, the reference. `voices` are what plays each minimum,
+    back. What is shown of one recording is that of the `first`, the reference. `notes` are what plays each minimum,
     for every recording, and `shares` their weights. `draws` are the posterior's, where it was asked for: values
     [chains, draws] by name.
     """
@@ -76,7 +76,7 @@ class Result:
     takes: tuple[Heard, ...]
     first: int
     log_covariance: Covariance | None
-    voices: tuple[tuple[Voice, ...], ...]
+    notes: tuple[tuple[Voice, ...], ...]
     shares: tuple[float, ...]
     draws: dict[str, np.ndarray] | None = None
 
@@ -103,12 +103,12 @@ class Result:
     @property
     def note(self) -> Voice:
         """What renders and predicts: the best minimum's string, hammer and path, at the reference's velocity."""
-        return self.voices[0][self.first]
+        return self.notes[0][self.first]
 
     @property
     def mixture(self) -> list[tuple[float, Voice]]:
         """The notes of all minima with their shares, the best first: what `predict_take` takes."""
-        return [(share, voices[self.first]) for share, voices in zip(self.shares, self.voices, strict=True)]
+        return [(share, notes[self.first]) for share, notes in zip(self.shares, self.notes, strict=True)]
 
     @property
     def covariance(self) -> Covariance:
@@ -250,8 +250,8 @@ class Result:
         path = Path(folder) / "fit.json" if Path(folder).is_dir() else Path(folder)
         document, name = read_fit(path), one_line(path)
         mixture = mixture_of(document, name)
-        shares, voices = zip(*mixture, strict=True)
-        result = cls(document, (), 0, None, tuple((voice,) for voice in voices), shares)
+        shares, notes = zip(*mixture, strict=True)
+        result = cls(document, (), 0, None, tuple((note,) for note in notes), shares)
         try:
             _ = repr(result), result._repr_html_()
         except (AttributeError, IndexError, KeyError, TypeError, ValueError) as missing:

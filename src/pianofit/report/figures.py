@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BANDS", "FITTED", "INITIAL", "INK", "MEASURED", "STYLE",
-    "band_edges", "draw_figures", "draw_levels", "draw_spectra", "shade_bands", "write_picture",
+    "draw_figures", "draw_force", "draw_levels", "draw_spectrum", "write_picture",
 ]  # fmt: skip
 
 BANDS = {"band1": "band 1: fundamental", "band2": "band 2: partials 2 to 8", "band3": "band 3: partials from 9"}
@@ -86,13 +86,13 @@ def write_picture(path: str | os.PathLike[str], fit: dict[str, Any], curves: Cur
             for bottom in (0.58, 0.10)
             for left, width in ((0.05, 0.42), (0.55, 0.43))
         )
-        edges = band_edges(curves, tuple((fit.get("criterion") or {}).get("dropped") or ()))
-        draw_spectra(spectra, curves, edges[0][0], edges[-1][1])
-        shade_bands(spectra, [(low, high, "", left_out) for low, high, _, left_out in edges])
+        edges = _band_edges(curves, tuple((fit.get("criterion") or {}).get("dropped") or ()))
+        _draw_spectra(spectra, curves, edges[0][0], edges[-1][1])
+        _shade_bands(spectra, [(low, high, "", left_out) for low, high, _, left_out in edges])
         spectra.set(title="Spectra and the bands of the fit", ylabel="level (dB)")
         _draw_attack(attack, curves, ("measured", "initial", "fitted"))
         attack.set(title="Attack", xlabel="time from the onset (ms)")
-        draw_levels(levels, curves)
+        _draw_levels(levels, curves)
         levels.set(title="Levels of the partials", xlabel="partial number")
         _draw_loop(loop, curves)
         loop.set(title="Felt: force over compression")
@@ -108,7 +108,7 @@ def write_picture(path: str | os.PathLike[str], fit: dict[str, Any], curves: Cur
 def _spectra(curves: Curves, dropped: tuple[str, ...]) -> Figure:
     """Two scales side by side when there is much above band 2, so that the first partials are not a sliver."""
     figure = figure_of(11.25, 4.4)
-    edges = band_edges(curves, dropped)
+    edges = _band_edges(curves, dropped)
     low, high, split = edges[0][0], edges[-1][1], edges[-1][0]
     cuts = [low, split, high] if len(edges) > 1 and high - split > 1.5 * (split - low) else [low, high]
     share = [0.40, 0.60] if len(cuts) == 3 else [1.0]
@@ -116,8 +116,8 @@ def _spectra(curves: Curves, dropped: tuple[str, ...]) -> Figure:
     for start, stop, part in zip(cuts, cuts[1:], share, strict=False):
         width = 0.93 * part - 0.015
         axes = figure.add_axes((left, 0.19, width, 0.79), sharey=first)
-        draw_spectra(axes, curves, start, stop)
-        shade_bands(axes, edges)
+        _draw_spectra(axes, curves, start, stop)
+        _shade_bands(axes, edges)
         if first is None:
             axes.set_ylabel("level (dB)")
             first = axes
@@ -128,15 +128,14 @@ def _spectra(curves: Curves, dropped: tuple[str, ...]) -> Figure:
     return figure
 
 
-def draw_spectra(axes: Axes, curves: Curves, low: float, high: float) -> None:
-    """Measured, initial and fitted spectrum between two frequencies, Hz."""
+def _draw_spectra(axes: Axes, curves: Curves, low: float, high: float) -> None:
     for name, line in LINES.items():
         axes.plot(curves.frequency, getattr(curves, f"{name}_db"), label=name, **line)
     bottom, top = span(curves.measured_db, curves.fitted_db)
     axes.set(xlim=(low, high), ylim=(max(bottom, top - 110) - 6, top + 12), xlabel="frequency (Hz)")
 
 
-def band_edges(curves: Curves, dropped: tuple[str, ...]) -> list[tuple[float, float, str, bool]]:
+def _band_edges(curves: Curves, dropped: tuple[str, ...]) -> list[tuple[float, float, str, bool]]:
     """(low, high, label, left out) of each band, matched to names when all three or just the kept ones have borders."""
     borders = [border for border in curves.borders if np.isfinite(border)]
     pairs = list(pairwise(borders)) or [span(curves.frequency)]
@@ -148,8 +147,32 @@ def band_edges(curves: Curves, dropped: tuple[str, ...]) -> list[tuple[float, fl
     ]
 
 
-def shade_bands(axes: Axes, edges: list[tuple[float, float, str, bool]]) -> None:
-    """Shade every second band of `band_edges`, hatch those left out, and write their labels."""
+def draw_spectrum(axes: Axes, curves: Curves, dropped: tuple[str, ...]) -> None:
+    """Draw measured, initial and fitted spectrum, and the bands of the paper's criterion, on axes of a notebook."""
+    edges = _band_edges(curves, dropped)
+    _draw_spectra(axes, curves, edges[0][0], edges[-1][1])
+    _shade_bands(axes, [(low, high, "", left_out) for low, high, _, left_out in edges])
+    axes.set_ylabel("level (dB)")
+    axes.legend()
+
+
+def draw_force(axes: Axes, curves: Curves) -> None:
+    """Draw the hammer's force over time before and after the fit, on axes of a notebook."""
+    for name in ("initial", "fitted"):
+        axes.plot(curves.force_ms, getattr(curves, f"force_{name}"), label=name, **LINES[name])
+    axes.set(xlabel="time from the first touch (ms)", ylabel="force (N)")
+    axes.set_ylim(bottom=0.0)
+    axes.legend()
+
+
+def draw_levels(axes: Axes, curves: Curves) -> None:
+    """Draw the partials' levels, measured, initial and fitted, on axes of a notebook."""
+    _draw_levels(axes, curves)
+    axes.set_xlabel("partial number k")
+    axes.legend()
+
+
+def _shade_bands(axes: Axes, edges: list[tuple[float, float, str, bool]]) -> None:
     start, stop = axes.get_xlim()
     for index, (low, high, label, left_out) in enumerate(edges):
         low, high = max(low, start), min(high, stop)
@@ -225,7 +248,7 @@ def _levels(curves: Curves) -> Figure:
     )
     panels = [figure.add_subplot(grid[0])]
     panels += [figure.add_subplot(cell, sharex=panels[0]) for cell in list(grid)[1:]]  # type: ignore[call-overload]
-    draw_levels(panels[0], curves)
+    _draw_levels(panels[0], curves)
     for name, marker in (("initial", "s"), ("fitted", "o")):
         error = getattr(curves, f"level_{name}") - curves.level
         panels[1].plot(curves.number, error, marker=marker, ms=3.4, **LINES[name])
@@ -242,8 +265,7 @@ def _levels(curves: Curves) -> Figure:
     return figure
 
 
-def draw_levels(axes: Axes, curves: Curves) -> None:
-    """Levels of the partials over their numbers: measured with bars, initial and fitted."""
+def _draw_levels(axes: Axes, curves: Curves) -> None:
     axes.plot(curves.number, curves.level_initial, marker="s", ms=3.4, label="initial", **LINES["initial"])
     axes.plot(curves.number, curves.level_fitted, marker="o", ms=3.4, label="fitted", **LINES["fitted"])
     points(axes, curves.number, curves.level, curves.level_error)

@@ -77,8 +77,13 @@ def draw_known(known: Known) -> Figure:
     figure = figure_of(11.25, 1.1 + 0.36 * max(size, 5))
     high = 0.55 / (1.1 + 0.36 * max(size, 5))
     _reaches(figure.add_axes((0.105, high, 0.33, 0.97 - 2 * high)), known)
-    draw_correlations(figure.add_axes((0.55, high, 0.44, 0.97 - 2 * high)), known)
+    _correlations(figure.add_axes((0.55, high, 0.44, 0.97 - 2 * high)), known)
     return figure
+
+
+def draw_correlations(axes: Axes, known: Known) -> None:
+    """Draw the table of correlations on axes of a notebook."""
+    _correlations(axes, known)
 
 
 def _reaches(axes: Axes, known: Known) -> None:
@@ -112,7 +117,7 @@ def _factor(reach: float) -> str:
     return f"± {100 * reach:.2g} %" if reach < 0.2 else f"× or ÷ {factor:g}"
 
 
-def draw_correlations(axes: Axes, known: Known) -> None:
+def _correlations(axes: Axes, known: Known) -> None:
     """Blue together, orange against each other, the darker the more; the number in each cell, in hundredths."""
     from matplotlib.colors import LinearSegmentedColormap
 

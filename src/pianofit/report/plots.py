@@ -10,8 +10,8 @@ from ..errors import FitError
 from ..inference import Result
 from .build import reference_curves
 from .build_felt import known_of
-from .drawing import LINES, STYLE
-from .figures import band_edges, draw_levels, draw_spectra, shade_bands
+from .drawing import STYLE
+from .figures import draw_force, draw_levels, draw_spectrum
 from .figures_known import draw_correlations
 
 if TYPE_CHECKING:
@@ -34,40 +34,18 @@ class Plots:
 
     def spectrum(self, ax: Axes | None = None) -> Axes:
         """Measured, initial and fitted spectrum, dB over Hz, with the bands of the paper's criterion."""
-        curves = reference_curves(self.result)
-        edges = band_edges(curves, tuple(self.result.document["criterion"]["dropped"]))
-
-        def draw(axes: Axes) -> None:
-            draw_spectra(axes, curves, edges[0][0], edges[-1][1])
-            shade_bands(axes, [(low, high, "", left_out) for low, high, _, left_out in edges])
-            axes.set_ylabel("level (dB)")
-            axes.legend()
-
-        return _drawn(ax, draw)
+        curves, dropped = reference_curves(self.result), tuple(self.result.document["criterion"]["dropped"])
+        return _drawn(ax, lambda axes: draw_spectrum(axes, curves, dropped))
 
     def force(self, ax: Axes | None = None) -> Axes:
         """The hammer's force on the string, N over ms from the first touch, before and after the fit."""
         curves = reference_curves(self.result)
-
-        def draw(axes: Axes) -> None:
-            for name in ("initial", "fitted"):
-                axes.plot(curves.force_ms, getattr(curves, f"force_{name}"), label=name, **LINES[name])
-            axes.set(xlabel="time from the first touch (ms)", ylabel="force (N)")
-            axes.set_ylim(bottom=0.0)
-            axes.legend()
-
-        return _drawn(ax, draw)
+        return _drawn(ax, lambda axes: draw_force(axes, curves))
 
     def levels(self, ax: Axes | None = None) -> Axes:
         """Levels of the partials, dB, measured with 95 % bars, initial and fitted."""
         curves = reference_curves(self.result)
-
-        def draw(axes: Axes) -> None:
-            draw_levels(axes, curves)
-            axes.set_xlabel("partial number k")
-            axes.legend()
-
-        return _drawn(ax, draw)
+        return _drawn(ax, lambda axes: draw_levels(axes, curves))
 
     def correlations(self, ax: Axes | None = None) -> Axes:
         """Correlations of the estimates, %; without a measured velocity, those at the reference's velocity as shown.
