@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import soundfile
 from twin_cases import FIRST, record_model, setup_of
 
 import pianofit
@@ -245,6 +246,18 @@ def test_a_folder_in_use_is_kept(saved):
         result().save(saved)
     assert result().save(saved, force=True, page=False) == saved
     assert (saved / "fit.json").read_bytes() == before
+
+
+def test_every_recording_has_a_sound_of_its_own(tmp_path):
+    """Also where two of them have one name in two folders."""
+    first = result().reference
+    other = replace(first, recording=replace(first.recording, path="soft/a.wav"))
+    alike = replace(first, recording=replace(first.recording, path="loud/a.wav", rate=44_100))
+    three = replace(result(), takes=(first, other, alike))
+    names = sorted(file.name for file in three.save(tmp_path / "fit", page=False).glob("fitted-*"))
+    assert names == ["fitted-a-2.wav", "fitted-a-3.wav", "fitted-twin.wav"]
+    assert soundfile.info(tmp_path / "fit" / "fitted-a-3.wav").samplerate == 44_100
+    assert soundfile.info(tmp_path / "fit" / "fitted-a-2.wav").samplerate == first.recording.rate != 44_100
 
 
 def test_the_page_goes_where_it_is_asked_to(tmp_path):

@@ -58,9 +58,11 @@ def _write_sounds(result: Result, folder: Path) -> None:
     for old in (folder / "report.html", *folder.glob("fitted-*.wav")):
         with contextlib.suppress(FileNotFoundError):
             old.unlink()
-    sounds = {"initial": result.initial, "fitted": result.fitted}
-    if len(result.takes) > 1:
-        sounds |= {f"fitted-{Path(heard.recording.path).stem}": heard.fitted for heard in result.takes}
-    rates = [result.recording.rate] * 2 + [heard.recording.rate for heard in result.takes]
-    for (name, sound), rate in zip(sounds.items(), rates, strict=False):
-        replace_file(folder / f"{name}.wav", encode_wav(sound.samples, rate))
+    rate = result.recording.rate
+    replace_file(folder / "initial.wav", encode_wav(result.initial.samples, rate))
+    replace_file(folder / "fitted.wav", encode_wav(result.fitted.samples, rate))
+    stems = [Path(heard.recording.path).stem for heard in result.takes]
+    for place, (stem, heard) in enumerate(zip(stems, result.takes, strict=True), 1):
+        if len(stems) > 1:
+            name = stem if stems.count(stem) == 1 else f"{stem}-{place}"  # of one name in two folders
+            replace_file(folder / f"fitted-{name}.wav", encode_wav(heard.fitted.samples, heard.recording.rate))
