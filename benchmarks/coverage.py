@@ -64,11 +64,8 @@ def _demo(seed: int, noise_db: float | None) -> dict:
     """What `pianofit demo --seed SEED` fits, through files as there."""
     import tempfile
 
-    from pianofit.analysis import analyse
-    from pianofit.fitting import fit_recording
+    from pianofit.fitting import fit
     from pianofit.io import encode_wav
-    from pianofit.recording import load_recording
-    from pianofit.setup import load_setup
     from pianofit.twin import make_twin, setup_text
 
     twin = make_twin(noise_db, seed)
@@ -76,8 +73,7 @@ def _demo(seed: int, noise_db: float | None) -> dict:
         sound, setup = Path(folder) / "twin.wav", Path(folder) / "setup.toml"
         sound.write_bytes(encode_wav(twin.samples, twin.rate))
         setup.write_text(setup_text())
-        recording = load_recording(sound)
-        result = fit_recording(recording, analyse(recording), load_setup(setup), seed=seed)
+        result = fit(sound, setup=setup, seed=seed, progress=False)
     cell = {"recordings": 1, "calibrated": True, "deeper": None}
     return cell | {"rows": score(result.document, twin.true, []), "converged": result.document["converged"]}
 

@@ -46,20 +46,20 @@ def folders() -> list[Path]:
 
 def notes(folder: Path) -> dict[str, tuple[str, list[Path], Setup]]:
     """Every key with three layers or more at one microphone: its note, its files and what is known of them."""
-    from pianofit import Setup, Take
+    from pianofit import Layer, Setup
 
     with (folder / "recordings.csv").open(encoding="utf-8") as table:
         rows = [row for row in csv.DictReader(table) if row.get("kind", "recording") == "recording"]
-    found: dict[str, tuple[str, list[Path], list[Take]]] = {}
+    found: dict[str, tuple[str, list[Path], list[Layer]]] = {}
     for row in rows:
         stem = row["file"].rsplit(".", 1)[0]
         group = [] if row.get("blow") else stem.split("-")[3:]
         instrument, note = row["file"].split("-")[:2]
         _, files, takes = found.setdefault("-".join([instrument, note, *group]), (note.replace("s", "#"), [], []))
         files.append(folder / row["file"])
-        takes.append(Take(file=row["file"], gain_group="machine" if row.get("blow") else None))
+        takes.append(Layer(file=row["file"], gain_group="machine" if row.get("blow") else None))
     return {
-        key: (note, sorted(files), Setup(takes=tuple(takes)))
+        key: (note, sorted(files), Setup(recordings=tuple(takes)))
         for key, (note, files, takes) in sorted(found.items())
         if len(files) >= 3
     }

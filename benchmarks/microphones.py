@@ -31,11 +31,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pianofit import analyse, cross_validate, fit_recording, load_recording
+from pianofit import analyse, cross_validate, fit, load_recording
 from pianofit.analysis import Analysis
 from pianofit.analysis.inharmonicity import frequency_law
 from pianofit.model.cache import keep_programs
-from pianofit.setup import Setup, Take
+from pianofit.setup import Layer, Setup
 
 STRING = ("c", "kappa", "b1", "b2")
 
@@ -68,7 +68,7 @@ def alone(heard: Heard, note: str) -> tuple[dict, Analysis]:
     """A recording's own fit and its partials."""
     recording = load_recording(heard.file)
     analysis = analyse(recording, note=note)
-    return fit_recording(recording, analysis, Setup()).document, analysis
+    return fit(recording, analyses=[analysis]).document, analysis
 
 
 def compared(pair: tuple[Heard, Heard], note: str) -> dict:
@@ -113,8 +113,8 @@ def _deviation(x: np.ndarray) -> float:
 def left_out(heard: list[Heard], note: str, mic: str) -> dict[str, dict]:
     """`cross_validate` of these recordings: what came of those of one microphone, by file."""
     recordings = [load_recording(h.file) for h in heard]
-    takes = tuple(Take(h.file.name, None, h.mic, None, h.strike) for h in heard)
-    found, _ = cross_validate(recordings, [analyse(r, note=note) for r in recordings], Setup(takes=takes))
+    takes = tuple(Layer(h.file.name, None, h.mic, None, h.strike) for h in heard)
+    found, _ = cross_validate(recordings, [analyse(r, note=note) for r in recordings], Setup(recordings=takes))
     names = {str(h.file): h for h in heard}
     return {Path(row["file"]).name: row for row in found["takes"] if names[row["file"]].mic == mic}
 

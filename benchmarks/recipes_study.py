@@ -79,8 +79,8 @@ class Closeness(NamedTuple):
 def fit(one: Measured, recipe: str, seed: int, evaluations: int) -> np.ndarray:
     """The nine parameters by a recipe, or by `gradient`."""
     if recipe == "default":
-        table = pianofit.fit_recording(one.recording, one.analysis, one.setup, seed=seed).document["parameters"]
-        return np.array([table[name]["value"] for name in FIT_NAMES])
+        table = pianofit.fit(one.recording, analyses=[one.analysis], setup=one.setup, seed=seed).parameters
+        return np.array([table[name].value for name in FIT_NAMES])
     start, more = starting_values(one.analysis, one.setup), evaluations if recipe == "paper" else None
     hammer, name = ("gradient", "paper") if recipe == "gradient" else ("annealing", recipe)
     found = fit_by_paper(one.recording, one.analysis, start, name, hammer=hammer, evaluations=more, seed=seed)

@@ -154,8 +154,8 @@ def shares(file: Path, note: str) -> dict[str, float]:
         begun[:] = [("reading", time.perf_counter())]
         recording = pianofit.load_recording(file)
         analysis = pianofit.analyse(recording, note=note)
-        pianofit.fit_recording(
-            recording, analysis, progress=lambda stage, _: begun.append((stage, time.perf_counter()))
+        pianofit.fit(
+            recording, analyses=[analysis], progress=lambda stage, _: begun.append((stage, time.perf_counter()))
         )
         begun.append(("", time.perf_counter()))
     spent: dict[str, float] = {}

@@ -32,17 +32,18 @@ def main() -> None:
     analysis = pianofit.analyse(recording, note=note)
     print(f"f0 {analysis.f0:.3f} ± {analysis.f0_error:.3f} Hz, B {analysis.B:.3g}, {len(analysis.partials)} partials")
 
-    # The fit. `document` is what `pianofit fit` writes to fit.json.
-    result = pianofit.fit_recording(recording, analysis, setup)
-    print(result.document["claims"])
-    for name, found in result.document["invariants"].items():
-        print(f"{name:8} {found['value']:.5g} {found['unit']}, 95 % interval {found['interval'] or 'none: given'}")
-    for name, found in result.document["parameters"].items():
+    # The fit. `result.save(folder)` writes what `pianofit fit` writes.
+    result = pianofit.fit(recording, analyses=[analysis], setup=setup)
+    print(result.claims)
+    for name, found in result.invariants.items():
+        span = "none: given" if found.interval is None else "[{:.5g}, {:.5g}]".format(*found.interval)
+        print(f"{name:8} {found.value:.5g} {found.unit}, 95 % interval {span}")
+    for name, found in result.parameters.items():
         beside = f"   true {true[name]:.5g}" if name in true else ""
-        print(f"{name:6} {found['value']:.5g} {found['unit']}, {found['status']}{beside}")
+        print(f"{name:6} {found.value:.5g} {found.unit}, {found.status}{beside}")
 
     # The same string and hammer, struck softer and harder, through the same gain and path.
-    voice = result.fitted.voice
+    voice = result.note
     for name, factor in (("softer.wav", 0.5), ("louder.wav", 2.0)):
         hammer = voice.hammer._replace(v_H0=factor * voice.hammer.v_H0)
         samples, strike = voice._replace(hammer=hammer).play(recording.rate, 2 * recording.rate)

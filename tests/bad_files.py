@@ -249,7 +249,7 @@ SETUPS = [
         "strike-two-velocities",
         '[[take]]\nfile = "a.wav"\nstrike = "L4"\ngroup = "close"\nv_H0 = 2.0\n'
         '[[take]]\nfile = "b.wav"\nstrike = "L4"\ngroup = "room"\nv_H0 = 3.0\n',
-        "one blow has one velocity",
+        "one stroke has one velocity",
     ),
     setup(
         "strike-one-group",

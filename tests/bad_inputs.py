@@ -101,7 +101,7 @@ COMMANDS = [
     command("fit-no-out", "fit @/good.wav --note A4", "--out", 2),
     command("fit-no-file", "fit --note A4 --out @/out", "TAKE", 2),
     command("fit-take-twice", "fit @/good.wav @/good.wav --note A4 --out @/out", "good.wav and good.wav are the same"),
-    command("fit-takes-one-velocity", "fit @/good.wav @/b.wav --note A4 --velocity 2 --out @/out", "[[take]]"),
+    command("fit-takes-one-velocity", "fit @/good.wav @/b.wav --note A4 --velocity 2 --out @/out", "[[recording]]"),
     command("fit-takes-one-missing", "fit @/good.wav @/none.wav --note A4 --out @/out", "none.wav"),
     command("crossval-one", "crossval @/good.wav --note A4", "1 takes are too few"),
     command("crossval-none", "crossval --note A4", "TAKE", 2),

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from pianofit.batch import Settings, make_unit, read_keys
+from pianofit.batch import Settings, make_unit, read_keys, units
 from pianofit.errors import RecordingError, SetupError
 from pianofit.setup import load_setup
 
@@ -54,7 +54,7 @@ def test_velocities_and_groups_become_the_setup_of_the_fit(tmp_path):
     (tmp_path / "setup.toml").write_text(unit.setup, encoding="utf-8")
     setup = load_setup(tmp_path / "setup.toml")
     assert setup.length == 0.6
-    assert [(t.file, t.v_H0, t.group) for t in setup.takes] == [
+    assert [(t.file, t.v_H0, t.group) for t in setup.recordings] == [
         ("close-C4.wav", 1.25, "close"), ('a _b_-C4.wav', None, 'a "b"')
     ]  # fmt: skip
 
@@ -68,7 +68,7 @@ def test_one_layer_at_two_microphones_is_one_strike(tmp_path):
     ]  # fmt: skip
     unit = make_unit(key, Settings())
     (tmp_path / "setup.toml").write_text(unit.setup, encoding="utf-8")
-    takes = load_setup(tmp_path / "setup.toml").takes
+    takes = load_setup(tmp_path / "setup.toml").recordings
     assert [(t.file, t.group, t.strike) for t in takes][:3] == [
         ("grand-A0-L2-close.flac", "close", "L2"), ("grand-A0-L2-decca.flac", "decca", "L2"),
         ("grand-A0-L3-close.flac", "close", None),
@@ -234,3 +234,9 @@ def test_the_hash_is_of_contents_and_settings_not_of_places(tmp_path):
     assert unit("one", content=b"y").hash != first.hash
     assert unit("one", Settings(seed=1)).hash != first.hash
     assert first._replace(versions={"pianofit": "0"}).hash != first.hash
+
+
+def test_the_code_that_numbers_depend_on_is_there():
+    """A part that was moved, and is not found where it was, would no longer make a batch fit again."""
+    package = Path(units.__file__).parent.parent
+    assert [part for part in units.NUMBERS if not (package / part).exists()] == []

@@ -96,9 +96,9 @@ def test_an_interrupt_is_one_line_and_leaves_nothing_behind(tmp_path):
     # The onset of a real fit, then the signal: progress, which only a terminal shows, says when it has begun.
     begin = (
         "import sys, pianofit.fitting as fitting, pianofit.cli as cli\n"
-        "real = fitting.fit_recording\n"
+        "real = fitting.fit\n"
         "def begun(*args, **kwargs):\n    print('begun', flush=True)\n    return real(*args, **kwargs)\n"
-        "fitting.fit_recording = begun\n"
+        "fitting.fit = begun\n"
         "sys.exit(cli.main())"
     )
     (tmp_path / "note.wav").write_bytes(encoded(note(146.8, 2.0)))

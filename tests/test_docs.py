@@ -110,7 +110,7 @@ def test_every_key_of_a_setup_is_in_its_table_with_its_range():
             assert f"`[{table}]`" in FILES.read_text(encoding="utf-8")
             continue
         for key in keys:
-            assert (f"[{table}]" if table != "take" else "[[take]]", key) in found
+            assert (f"[{table}]" if table != "recording" else "[[recording]]", key) in found
     assert found["[felt]", "law"].split(", ") == sorted(FELT_LAWS)
     for table in ("string", "strike", "pickup"):
         for key in set(KEYS[table]) & set(RANGES):

@@ -82,6 +82,24 @@ def test_a_prelude_is_played(monkeypatch, capsys, tmp_path):
     assert abs(soundfile.read("prelude.wav")[0]).max() <= 10 ** (-1 / 20) + 1e-6
 
 
+def test_the_cells_of_a_notebook_run(monkeypatch, capsys, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    text = printed("05_notebook.py", monkeypatch, capsys)
+    g, hammer = (getattr(pianofit.preset("chabassier-F3"), name) for name in ("geometry", "hammer"))
+    found, low, high = map(float, re.search(r"mass: (\S+), 95 % interval (\S+) to (\S+)$", text, re.MULTILINE).groups())
+    assert low < found < high
+    assert found == pytest.approx(hammer.M_H / g.mass, rel=0.15)
+    assert re.search(r"^K_H is scaled; 3 uncalibrated recordings of one key", text, re.MULTILINE)
+    table = Path("parameters.csv").read_text().splitlines()
+    assert table[0] == "name,value,low,high,unit,status,meaning,note"
+    assert {row.split(",")[0] for row in table} >= set(FIT_NAMES)
+    assert all(Path(name).read_bytes()[:4] == b"\x89PNG" for name in ("correlations.png", "levels.png"))
+    assert Path("fit/report.html").exists()
+    sounds = ["fitted-recording 1.wav", "fitted-recording 2.wav", "fitted-recording 3.wav", "fitted.wav", "initial.wav"]
+    assert sorted(file.name for file in Path("fit").glob("*.wav")) == sounds
+    assert pianofit.Result.load("fit").claims.startswith("3 uncalibrated recordings of one key")
+
+
 @pytest.mark.parametrize("name", pianofit.__all__)
 def test_a_public_name_leads_somewhere(name):
     value = getattr(pianofit, name)

@@ -9,11 +9,11 @@ import tomllib
 import numpy as np
 import pytest
 
-from pianofit import analyse, fit_recording, load_voice, recording_from_samples, setup_from_dict
+from pianofit import analyse, fit, load_voice, recording_from_samples, setup_from_dict
 from pianofit.errors import FitError, SetupError
 from pianofit.laboratory import Laboratory, measure, setup_text
 from pianofit.parameters import FELT_LAWS, Hammer, MemoryHammer
-from pianofit.setup import Setup, with_law
+from pianofit.setup import load_setup
 
 VELOCITY = 1.299
 # Which felt of the laboratory has which law.
@@ -32,9 +32,9 @@ def stroke(felt: str):
 def fitted(felt: str, law: str) -> dict:
     recording, analysis, data, _ = stroke(felt)
     data = data | {"initial": {k: v for k, v in data["initial"].items() if k in ("K_H", "p", "M_H")}}
-    data["take"] = [{k: v for k, v in take.items() if k != "file"} for take in data.get("take", [])]
+    data["take"] = [{k: v for k, v in layer.items() if k != "file"} for layer in data.get("take", [])]
     setup = setup_from_dict(data | {"felt": {"law": law}}, "test")
-    return fit_recording(recording, analysis, setup).document
+    return fit(recording, analyses=[analysis], setup=setup).document
 
 
 def value(document: dict, name: str) -> float:
@@ -103,8 +103,10 @@ def test_a_law_that_cannot_be_is_refused(data, said):
         setup_from_dict(data, "x.toml")
 
 
-def test_another_law_must_suit_the_setup():
-    assert with_law(Setup(), None, "x") == Setup()
-    assert with_law(Setup(), "stulov", "x").felt == "stulov"
-    with pytest.raises(SetupError, match="mu is no parameter of the felt's law, stulov"):
-        with_law(Setup(known={"mu": 0.1}), "stulov", "x.toml")
+def test_another_law_must_suit_the_setup(tmp_path):
+    path = tmp_path / "x.toml"
+    path.write_text('[known]\nmu = 0.1\n[felt]\nlaw = "hunt-crossley"\n')
+    assert load_setup(path).felt == "hunt-crossley"
+    assert load_setup(path, "hunt-crossley").felt == "hunt-crossley"
+    with pytest.raises(SetupError, match=r"x\.toml: mu is no parameter of the felt's law, stulov"):
+        load_setup(path, "stulov")

@@ -26,7 +26,7 @@ from twin_cases import (
 )
 
 from pianofit.analysis import analyse
-from pianofit.fitting import fit_recording
+from pianofit.fitting import fit
 from pianofit.inference import pose
 from pianofit.inference.fit import fit_takes
 from pianofit.inference.statements import FELT as FELT_NAMES
@@ -176,12 +176,12 @@ def test_invariants_need_no_measured_velocity():
     assert "No hammer velocity was measured" in document["claims"]
 
 
-def test_shares_of_the_minima_are_those_of_the_voices():
+def test_shares_of_the_minima_are_those_of_the_notes():
     for result in (calibrated(), uncalibrated(), path_fit(SEVERAL)):
         shares = [minimum["share"] for minimum in result.document["minima"]]
         assert sum(shares) == pytest.approx(1.0)
         assert shares == list(result.shares)
-        assert len(result.voices) == len(shares)
+        assert len(result.notes) == len(shares)
         assert [minimum["F"] for minimum in result.document["minima"]] == sorted(
             m["F"] for m in result.document["minima"]
         )
@@ -231,7 +231,7 @@ def test_initial_values_are_where_one_start_lies_and_are_shown():
 @pytest.mark.recordings
 def test_a_real_note_is_fitted(recordings):
     recording = load_recording(recordings / "cp80-Fs2-FF.flac")
-    document = fit_recording(recording, analyse(recording, note="F#2")).document
+    document = fit(recording, note="F#2").document
     assert abs(1200 * np.log2(document["derived"]["f0"] / 92.33)) < 2
     assert document["derived"]["B"] == pytest.approx(2.3e-4, rel=0.1)
     # Of eq. 19 only the whole: a cent of pitch decides over the narrow peaks of band 1, and it has no part in the fit.
@@ -254,7 +254,7 @@ def test_a_real_note_is_fitted(recordings):
 )
 def test_other_real_notes_end_and_say_how_well(recordings, name, note):
     recording = load_recording(recordings / f"{name}.flac")
-    document = fit_recording(recording, analyse(recording, note=note)).document
+    document = fit(recording, note=note).document
     json.dumps(document, allow_nan=False)
     assert document["claims"]
     assert document["levels"]["fitted_db"] < document["levels"]["initial_db"]

@@ -172,8 +172,8 @@ def test_the_setups_say_what_the_laboratory_knew(written):
     assert (one.length, one.mass, one.strike_position, one.strike_width, one.pickup_position) == tuple(g)
     assert one.pickup_quantity == "velocity"
     assert one.pickup_scale == measured[1].scale
-    assert [(t.file, t.v_H0) for t in one.takes] == [("velocity-2.300.wav", measured[1].nominal_velocity)]
-    assert [t.v_H0 for t in every.takes] == [m.nominal_velocity for m in measured]
+    assert [(t.file, t.v_H0) for t in one.recordings] == [("velocity-2.300.wav", measured[1].nominal_velocity)]
+    assert [t.v_H0 for t in every.recordings] == [m.nominal_velocity for m in measured]
     assert one.initial["K_H"] == 1.51647e9
     assert "v_H0" not in one.initial
 
@@ -181,7 +181,7 @@ def test_the_setups_say_what_the_laboratory_knew(written):
 def test_a_velocity_can_be_where_the_fit_starts():
     one = measure(Laboratory(**SHORT), V)
     setup = setup_from_dict(tomllib.loads(setup_text(one, hold_velocity=False)), "setup")
-    assert setup.takes == ()
+    assert setup.recordings == ()
     assert setup.initial["v_H0"] == one.nominal_velocity != V
 
 

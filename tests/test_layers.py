@@ -21,29 +21,32 @@ USES = {
     "errors": "",
     "threads": "",
     "io": "",
+    "progress": "",
+    "tables": "io",
     "parameters": "",
     "published": "parameters",
     "recording": "io",
     "setup": "io parameters",
-    "analysis": "recording",
+    "analysis": "recording tables",
     "model": "parameters",
     "criterion": "",
     "voice": "criterion model parameters recording",
-    "inference": "analysis criterion io model parameters published recording setup threads voice",
-    "paper": "analysis criterion inference model parameters recording voice",
-    "fitting": "analysis inference paper recording setup",
-    "render": "criterion inference io model parameters recording voice",
+    "inference": "analysis criterion io model parameters progress published recording render setup tables threads"
+    " voice",
+    "paper": "analysis criterion inference model parameters recording setup voice",
+    "fitting": "analysis inference io paper parameters progress recording setup",
+    "render": "criterion io model parameters recording voice",
     "report": "criterion inference io parameters",
     "twin": "model published",
     "laboratory": "io parameters published recording twin",
-    "reproduce": "analysis criterion fitting inference io laboratory model paper parameters published recording report"
+    "reproduce": "analysis criterion inference io laboratory model paper parameters published recording report"
     " setup voice",
-    "workflow": "analysis fitting inference io model recording render report setup voice",
-    "batch": "analysis io parameters recording report workflow",
+    "workflow": "analysis fitting inference io model recording render setup voice",
+    "batch": "analysis fitting io model parameters recording",
     "keyboard": "analysis criterion io model parameters published render report voice",
     "play": "analysis io keyboard model parameters recording render threads voice",
-    "cli": "analysis batch fitting inference io keyboard model parameters play published recording render reproduce"
-    " setup twin workflow",
+    "cli": "analysis batch fitting inference io keyboard model paper parameters play progress published recording"
+    " render reproduce setup twin workflow",
     "__main__": "cli",
 }
 WITH_JAX = ("model", "criterion", "inference", "paper", "render", "predict")
@@ -112,6 +115,7 @@ def test_a_module_uses_only_declared_packages(file):
         *project["dependencies"],
         *project["optional-dependencies"]["bayes"],
         *project["optional-dependencies"]["cluster"],
+        *project["optional-dependencies"]["notebook"],
     ]
     declared = {"dask", *(requirement.split(">")[0].lower() for requirement in needed)}
     for name in imports(file):

@@ -30,8 +30,8 @@ def test_recordings_of_a_stroke_share_its_velocity_and_no_path():
 
 def test_a_velocity_measured_at_one_microphone_is_that_of_the_stroke():
     known = strokes_of(MICROPHONES)
-    said = [replace(t, v_H0=1.5 if t.file == "1-room.wav" else t.v_H0) for t in known.takes]
-    problem = pose(*through(MICROPHONES), replace(known, takes=tuple(said)))
+    said = [replace(t, v_H0=1.5 if t.file == "1-room.wav" else t.v_H0) for t in known.recordings]
+    problem = pose(*through(MICROPHONES), replace(known, recordings=tuple(said)))
     assert problem.speed == (None, 1.5, VELOCITIES[2])
     assert not problem.unknowns.free[-2:].any()
 

@@ -207,8 +207,12 @@ def test_a_note_without_a_third_band_uses_the_next():
 # --- what a result says -----------------------------------------------------------------------------------------------
 
 
+def fit(sound, seen, known, recipe: str = "paper", **more: Any) -> dict:
+    return pianofit.fit(sound, analyses=[seen], setup=known, recipe=recipe, **more).document
+
+
 def document(given=None, recipe: str = "paper", **more: Any) -> dict:
-    return pianofit.fit_recording(recording(), analysis(), given or setup(), recipe=recipe, **more).document
+    return fit(recording(), analysis(), given or setup(), recipe=recipe, **more)
 
 
 def test_no_interval_is_claimed_and_that_is_said():
@@ -241,7 +245,7 @@ def test_values_at_a_bound_are_said():
 
 
 def test_an_uncalibrated_recording_leaves_the_felt_unknown():
-    whole = pianofit.fit_recording(*uncalibrated(), recipe="paper", evaluations=FEW).document
+    whole = fit(*uncalibrated(), evaluations=FEW)
     states = {name: p["status"] for name, p in whole["parameters"].items()}
     assert all(states[name] == "not-identifiable" for name in ("K_H", "mu", "p"))
     assert states["v_H0"] == "assumed"
@@ -250,7 +254,7 @@ def test_an_uncalibrated_recording_leaves_the_felt_unknown():
 
 
 def test_a_band_without_partials_is_said():
-    whole = pianofit.fit_recording(*of_four_partials(), recipe="paper", evaluations=FEW).document
+    whole = fit(*of_four_partials(), pianofit.Setup(), evaluations=FEW)
     assert whole["criterion"]["dropped"] == ["band3"]
     assert any("band 3" in said for said in whole["messages"])
 

@@ -16,6 +16,7 @@ from report_cases import Page, example_curves, example_fit, example_held_out, fi
 from scipy.signal import resample_poly
 
 from pianofit.inference.coordinates import VALUES as NAMES
+from pianofit.inference.quantities import Quantities
 from pianofit.parameters import Geometry, Hammer, MemoryHammer, String
 from pianofit.report.build_felt import felt_of, known_of
 from pianofit.report.build_takes import paths_of, strikes_of, takes_of
@@ -184,6 +185,12 @@ def scaled_by_velocity(cov):
     return cov + np.outer(change, change)
 
 
+class FakeFit(SimpleNamespace):
+    """A result that holds no more than what is asked of it here."""
+
+    parameters = property(lambda self: Quantities.of(self.document["parameters"]))
+
+
 def fake_fit(velocities=(3.0, 0.75, 1.5), first=0, memory=False, free=("c", "kappa", "K_H", "p", "M_H")) -> Any:
     """A fit's result that was never fitted: strikes of one voice."""
     string = String(*(VALUES[n] for n in NAMES[:4]))
@@ -199,14 +206,15 @@ def fake_fit(velocities=(3.0, 0.75, 1.5), first=0, memory=False, free=("c", "kap
             fitted=fitted, recording=SimpleNamespace(rate=22050, onset=100 * i, samples=samples),
             levels={"fitted_db": 0.5},
         ))  # fmt: skip
-    table = {name: {"interval": [0.9, 1.1], "status": "fitted"} for name in free}
+    table = {name: {"value": 1.0, "interval": [0.9, 1.1], "status": "fitted"} for name in free}
     invariants = {"f0": {"interval": [99.0, 101.0]}, "x0/L": {"interval": None}, "F/M_S": {"interval": [80.0, 125.0]}}
     document = {
         "parameters": table, "invariants": invariants,
         "takes": [{"group": 0, "strike": i} for i, _ in enumerate(takes)],
     }  # fmt: skip
-    return SimpleNamespace(
-        document=document, takes=tuple(takes), first=first, covariance=covariance(free, len(velocities)),
+    return FakeFit(
+        document=document, takes=tuple(takes), first=first, note=takes[first].fitted.voice,
+        covariance=SimpleNamespace(matrix=covariance(free, len(velocities))),
         fitted=takes[first].fitted, recording=takes[first].recording,
     )  # fmt: skip
 
@@ -217,7 +225,8 @@ def test_the_felts_band_is_what_chance_gives(memory):
     felt = felt_of(result)
     deepest = max(np.max(take.fitted.simulation.pulse.compression) for take in result.takes)
     assert felt.compression[-1] == pytest.approx(1e3 * float(deepest))
-    drawn = np.random.default_rng(0).multivariate_normal(np.zeros(len(result.covariance)), result.covariance, 40_000)
+    cov = result.covariance.matrix
+    drawn = np.random.default_rng(0).multivariate_normal(np.zeros(len(cov)), cov, 40_000)
     value = {name: VALUES[name] * np.exp(drawn[:, i]) for i, name in enumerate(NAMES)}
     for at in (0, 20, 47):
         force = value["K_H"] * (1e-3 * felt.compression[at]) ** value["p"]
@@ -239,15 +248,16 @@ def test_how_well_things_are_known_is_what_the_intervals_say():
     expected = [("f0", 101 / 99, True), ("F/M_S", 125 / 80, True), ("K_H", 1.1 / 0.9, False), ("p", 1.1 / 0.9, False)]
     assert [(name, told) for name, _, told in known.reaches] == [(name, told) for name, _, told in expected]
     np.testing.assert_allclose([reach for _, reach, _ in known.reaches], [0.5 * np.log(x) for _, x, _ in expected])
-    drawn = np.random.default_rng(1).multivariate_normal(np.zeros(len(result.covariance)), result.covariance, 40_000)
+    cov = result.covariance.matrix
+    drawn = np.random.default_rng(1).multivariate_normal(np.zeros(len(cov)), cov, 40_000)
     seen = np.corrcoef([drawn[:, NAMES.index(name)] for name in known.names])
     np.testing.assert_allclose(known.correlation, seen, atol=0.02)
 
 
 def test_an_unmeasured_scale_of_velocities_hides_nothing_of_the_felt():
     plain, scaled = fake_fit(), fake_fit()
-    scaled.covariance = scaled_by_velocity(plain.covariance)
-    scaled.document["parameters"]["v_H0"] = {"interval": [1.0, 9.0], "status": "scaled"}
+    scaled.covariance = SimpleNamespace(matrix=scaled_by_velocity(plain.covariance.matrix))
+    scaled.document["parameters"]["v_H0"] = {"value": 3.0, "interval": [1.0, 9.0], "status": "scaled"}
     wide = fake_fit()
     wide.covariance = scaled.covariance
     np.testing.assert_allclose(felt_of(scaled).force, felt_of(plain).force, rtol=1e-6)

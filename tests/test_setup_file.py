@@ -3,6 +3,7 @@
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 from bad_inputs import BAD_INPUTS, BadInput
 from hypothesis import given, settings
@@ -11,7 +12,7 @@ from hypothesis import strategies as st
 from pianofit.errors import SetupError
 from pianofit.io import one_line
 from pianofit.parameters import FELT_LAWS, PARAMETERS
-from pianofit.setup import KEYS, PICKUPS, RANGES, Setup, Take, load_setup, setup_from_dict
+from pianofit.setup import KEYS, PICKUPS, RANGES, Layer, Setup, load_setup, setup_from_dict
 
 FULL = """
 # The paper's bench.
@@ -56,7 +57,7 @@ def test_every_key_is_read(tmp_path):
         known={"v_H0": 0.84},
         initial={"c": 310.6, "b1": 0.5},
         bounds={"K_H": (1e8, 1e12), "c": (300.0, 320.0)},
-        takes=(Take("a.flac", None, "close", "close", "L4"), Take("b.flac")),
+        recordings=(Layer("a.flac", None, "close", "close", "L4"), Layer("b.flac")),
     )
 
 
@@ -65,7 +66,7 @@ def test_all_of_it_is_optional(tmp_path, text):
     (tmp_path / "setup.toml").write_text(text)
     setup = load_setup(str(tmp_path / "setup.toml"))
     assert setup == Setup()
-    assert (setup.pickup_quantity, setup.known, setup.takes) == ("pressure", {}, ())
+    assert (setup.pickup_quantity, setup.known, setup.recordings) == ("pressure", {}, ())
 
 
 def test_windows_line_ends_and_byte_order_mark(tmp_path):
@@ -95,7 +96,7 @@ def test_takes_may_have_velocities_of_their_own():
     setup = setup_from_dict(
         {"take": [{"file": "a.wav", "v_H0": 1}, {"file": "b.wav", "v_H0": 2.5}, {"v_H0": 1}]}, "here"
     )
-    assert [take.v_H0 for take in setup.takes] == [1.0, 2.5, 1.0]
+    assert [take.v_H0 for take in setup.recordings] == [1.0, 2.5, 1.0]
 
 
 @pytest.mark.parametrize("bad", [b for b in BAD_INPUTS if b.gate == "setup"], ids=lambda b: b.id)
@@ -153,6 +154,55 @@ def test_the_contact_window_lies_on_the_string(position, width, length, fits):
     else:
         with pytest.raises(SetupError, match="past the"):
             setup_from_dict(data, "here")
+
+
+IN_PYTHON = [
+    ({"known": {"KH": 1e9}}, "[known]\nKH = 1e9\n", "did you mean K_H?"),
+    ({"bounds": {"p": (4, 2)}}, "[bounds]\np = [4, 2]\n", "lower must be below upper"),
+    ({"felt": "foam"}, '[felt]\nlaw = "foam"\n', "must be one of power"),
+    ({"length": "1.37 m"}, '[string]\nlength = "1.37 m"\n', "must be a number from 0.01 to 5 m"),
+    ({"mass": 6.18}, "[string]\nmass = 6.18\n", "mass = 6.18"),
+    ({"initial": {"p": True}}, "[initial]\np = true\n", "p = True"),
+    ({"known": 3}, "known = 3\n", "must be a table"),
+    ({"pickup_quantity": "light"}, '[pickup]\nquantity = "light"\n', "must be one of velocity"),
+    ({"pickup_position": 0.3}, "[pickup]\nposition = 0.3\n", "has no meaning"),
+    ({"strike_position": 0.01, "strike_width": 0.03}, "[strike]\nposition = 0.01\nwidth = 0.03\n", "past the agraffe"),
+    ({"known": {"epsilon": 0.1}}, "[known]\nepsilon = 0.1\n", "no parameter of the felt's law"),
+    ({"known": {"p": 2}, "initial": {"p": 3}}, "[known]\np = 2\n[initial]\np = 3\n", "remove one of them"),
+    ({"recordings": [Layer()]}, "[[recording]]\n", "[[recording]] 1 is empty"),
+    ({"recordings": [Layer(v_H0=100)]}, "[[recording]]\nv_H0 = 100\n", "[[recording]] 1 v_H0 = 100"),
+    ({"recordings": [Layer("a"), {"file": 3}]}, '[[recording]]\nfile = "a"\n[[recording]]\nfile = 3\n', "2 file = 3"),
+    ({"recordings": [{"fil": "a"}]}, '[[recording]]\nfil = "a"\n', "did you mean file?"),
+    ({"recordings": [Layer("a"), Layer("a")]}, '[[recording]]\nfile = "a"\n' * 2, "is there twice"),
+]
+
+
+@pytest.mark.parametrize(("said", "text", "message"), IN_PYTHON, ids=[message for *_, message in IN_PYTHON])
+def test_python_is_checked_in_the_words_of_the_file(tmp_path, said, text, message):
+    path = tmp_path / "setup.toml"
+    path.write_text(text)
+    with pytest.raises(SetupError) as from_file:
+        load_setup(path)
+    with pytest.raises(SetupError) as from_python:
+        Setup(**said)
+    assert message in str(from_python.value)
+    assert str(from_file.value) == f"{path}: {from_python.value}"
+
+
+def test_a_setup_is_plain_numbers_and_stays_as_it_was_checked():
+    given = {"p": 3}
+    setup = Setup(length=1, known=given, recordings=[{"v_H0": 2}])
+    given["p"] = 99
+    assert (setup.length, setup.known, setup.recordings) == (1.0, {"p": 3.0}, (Layer(v_H0=2.0),))
+    assert type(setup.known["p"]) is type(setup.recordings[0].v_H0) is float
+    assert Setup(length=np.float32(1.5), known={"p": np.int64(3)}) == Setup(length=1.5, known={"p": 3.0})
+
+
+def test_an_older_file_says_take(tmp_path):
+    (tmp_path / "new.toml").write_text(FULL.replace("[[take]]", "[[recording]]"))
+    (tmp_path / "old.toml").write_text(FULL)
+    assert "[[take]]" in FULL
+    assert load_setup(tmp_path / "new.toml") == load_setup(tmp_path / "old.toml")
 
 
 SCALAR = st.one_of(st.booleans(), st.integers(), st.floats(), st.text(max_size=5), st.none())

@@ -15,7 +15,7 @@ from pianofit.errors import FitError
 from pianofit.inference import Result, pose
 from pianofit.inference.fit import fit_takes
 from pianofit.inference.predict import cross_validate, predict_take
-from pianofit.setup import Setup, Take
+from pianofit.setup import Layer, Setup
 
 FILES = [f"{stroke}-{microphone}.wav" for stroke, microphone in SEVERAL]
 
@@ -71,7 +71,7 @@ def test_the_order_of_files_changes_nothing():
 
 
 def test_known_velocities_are_kept():
-    known = [Take(file=name, v_H0=v) for name, v in zip(FILES, VELOCITIES, strict=True)]
+    known = [Layer(file=name, v_H0=v) for name, v in zip(FILES, VELOCITIES, strict=True)]
     problem = pose(*through(SEVERAL), strokes_of(SEVERAL, *known))
     assert problem.speed == VELOCITIES
     np.testing.assert_allclose(np.exp(problem.unknowns.mean[-3:]), VELOCITIES, rtol=1e-12)
@@ -79,7 +79,7 @@ def test_known_velocities_are_kept():
 
 
 def test_groups_and_gain_groups_are_the_setups():
-    said = [Take(FILES[0], None, "a", "same", None), Take(FILES[1], None, "b", "same", None), Take(FILES[2])]
+    said = [Layer(FILES[0], None, "a", "same", None), Layer(FILES[1], None, "b", "same", None), Layer(FILES[2])]
     problem = pose(*through(SEVERAL), strokes_of(SEVERAL, *said))
     layout = problem.layout
     assert layout.stroke == (0, 1, 2)
@@ -92,7 +92,7 @@ def test_groups_and_gain_groups_are_the_setups():
 
 def test_a_recording_that_was_left_out_is_predicted():
     result = without_the_middle()
-    voices = list(zip(result.shares, (minimum[0] for minimum in result.voices), strict=True))
+    voices = list(zip(result.shares, (minimum[0] for minimum in result.notes), strict=True))
     found = predict_take(voices, through(SEVERAL)[1][1])
     assert found.velocity == pytest.approx(VELOCITIES[1], rel=0.02)
     assert found.error_db < 0.3

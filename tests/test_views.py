@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pianofit import ParameterError, analyse, fit_takes, recording_from_samples, setup_from_dict
+from pianofit import ParameterError, analyse, fit, recording_from_samples, setup_from_dict
 from pianofit.inference import estimate, pose, sampler
 from pianofit.inference.coordinates import FORCE, STRING_SIZE, P
 from pianofit.inference.density import folded, given, log_density, start
@@ -146,7 +146,7 @@ def test_open_ends_are_named():
 
 @pytest.mark.slow
 def test_a_fit_has_the_intervals_it_was_asked_for():
-    result = fit_takes([measured()], [analyse(measured())], setup(), intervals="profile")
+    result = fit(measured(), setup=setup(), intervals="profile")
     for name, entry in profiled().entries.items():
         told = result.document["parameters"][name]
         assert told["interval_by"] == "profile"

@@ -14,13 +14,12 @@ import scipy.signal
 from brute_force import make_twin, matched_width
 
 from pianofit.analysis import Analysis, analyse
-from pianofit.fitting import fit_recording
 from pianofit.inference import Result
 from pianofit.inference.fit import fit_takes
 from pianofit.model import simulate
 from pianofit.parameters import FIT_NAMES, Geometry, Hammer, String
 from pianofit.recording import Recording, recording_from_samples
-from pianofit.setup import Setup, Take, setup_from_dict
+from pianofit.setup import Layer, Setup, setup_from_dict
 
 RATE = 48_000
 LEAD = 0.03  # s
@@ -103,7 +102,7 @@ def record(
 
 
 def fit_twin(recording: Recording, setup: Setup, *, seed: int = 0) -> Result:
-    return fit_recording(recording, analyse(recording), setup, seed=seed)
+    return fit_takes([recording], [analyse(recording)], setup, seed=seed)
 
 
 def errors(document: dict, truth: Truth) -> dict[str, float]:
@@ -175,12 +174,12 @@ def through(strokes: tuple[tuple[int, str], ...], by: str = "brute-force") -> tu
     return made, [analyse(r, f0=FIRST.f0) for r in made]
 
 
-def strokes_of(strokes: tuple[tuple[int, str], ...], *more: Take, measured: bool = True) -> Setup:
+def strokes_of(strokes: tuple[tuple[int, str], ...], *more: Layer, measured: bool = True) -> Setup:
     """What is known of them: sizes, which stroke is which, and the fastest's velocity."""
     g = FIRST.geometry
-    said = [Take(f"{s}-{m}.wav", VELOCITIES[2] if s == 2 and measured else None, m, None, str(s)) for s, m in strokes]
+    said = [Layer(f"{s}-{m}.wav", VELOCITIES[2] if s == 2 and measured else None, m, None, str(s)) for s, m in strokes]
     return Setup(
-        length=g.length, mass=g.mass, strike_position=g.strike, strike_width=g.width, takes=more or tuple(said)
+        length=g.length, mass=g.mass, strike_position=g.strike, strike_width=g.width, recordings=more or tuple(said)
     )
 
 

@@ -15,7 +15,7 @@ __all__ = [
     # A recording, and what it shows without a hammer.
     "Recording", "load_recording", "recording_from_samples", "Analysis", "Partials", "analyse",
     # What was known beforehand, and the fit.
-    "Setup", "Take", "load_setup", "setup_from_dict", "Result", "fit_recording", "fit_takes", "fit_file",
+    "Setup", "Layer", "load_setup", "setup_from_dict", "fit", "Result", "Quantity", "Quantities", "Covariance",
     # How well it foretells what it has not heard.
     "Prediction", "predict_take", "cross_validate",
     # The model: parameters to motion to sound.
@@ -29,9 +29,8 @@ __all__ = [
 if TYPE_CHECKING:
     from .analysis import Analysis, Partials, analyse
     from .errors import AnalysisError, FitError, OutputError, ParameterError, PianofitError, RecordingError, SetupError
-    from .fitting import fit_recording
-    from .inference import Result
-    from .inference.fit import fit_takes
+    from .fitting import fit
+    from .inference import Covariance, Quantities, Quantity, Result
     from .inference.predict import Prediction, cross_validate, predict_take
     from .io import encode_wav
     from .model import Simulation, simulate
@@ -39,16 +38,14 @@ if TYPE_CHECKING:
     from .published import Preset, Typical, preset, typical
     from .recording import Recording, load_recording, recording_from_samples
     from .render import load_voice
-    from .setup import Setup, Take, load_setup, setup_from_dict
+    from .setup import Layer, Setup, load_setup, setup_from_dict
     from .voice import Voice
-    from .workflow import fit_file
 
 _HOMES = {
     "analysis": ("Analysis", "Partials", "analyse"),
     "errors": tuple(name for name in __all__ if name.endswith("Error")),
-    "fitting": ("fit_recording",),
-    "inference": ("Result",),
-    "inference.fit": ("fit_takes",),
+    "fitting": ("fit",),
+    "inference": ("Covariance", "Quantities", "Quantity", "Result"),
     "inference.predict": ("Prediction", "cross_validate", "predict_take"),
     "model": ("Simulation", "simulate"),
     "parameters": ("PARAMETERS", "Geometry", "Hammer", "MemoryHammer", "String"),
@@ -56,9 +53,8 @@ _HOMES = {
     "recording": ("Recording", "load_recording", "recording_from_samples"),
     "io": ("encode_wav",),
     "render": ("load_voice",),
-    "setup": ("Setup", "Take", "load_setup", "setup_from_dict"),
+    "setup": ("Layer", "Setup", "load_setup", "setup_from_dict"),
     "voice": ("Voice",),
-    "workflow": ("fit_file",),
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 

@@ -1,75 +1,171 @@
-"""Fits as users call them: the default estimator, or one of the paper's recipes, of one recording or of several."""
+"""The fit as users call it: recordings in any form, what was known beforehand, and a result."""
 
 from __future__ import annotations
 
-from .analysis import Analysis
-from .inference import Progress, Result
-from .inference.fit import fit_takes
-from .inference.point import point_result
-from .inference.start import Start, starting_values
-from .inference.views import MEANS, check_intervals
-from .paper.recipes import RECIPES, Found, check_recipe, claims, fit_by_paper
-from .recording import Recording
-from .setup import Setup
+import math
+import os
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING, Any
 
-__all__ = ["MEANS", "RECIPES", "check_intervals", "check_recipe", "fit_recording"]
+import numpy as np
+
+from .analysis import Analysis, analyse
+from .errors import ParameterError, SetupError
+from .io import shown
+from .parameters import PARAMETERS
+from .progress import Progress, progress_bar
+from .recording import Recording, load_recording, recording_from_samples
+from .setup import Setup, load_setup, setup_from_dict
+
+if TYPE_CHECKING:
+    from .inference import Result
+
+__all__ = ["fit", "listen", "read"]
+
+Source = str | os.PathLike[str] | tuple[np.ndarray, int] | Recording
 
 
-def fit_recording(
-    recording: Recording,
-    analysis: Analysis,
-    setup: Setup | None = None,
-    *,
+def fit(
+    *recordings: Source,
+    setup: Setup | Mapping[str, Any] | str | os.PathLike[str] | None = None,
+    note: str | None = None,
+    f0: float | None = None,
     velocity: float | None = None,
+    channel: str = "average",
+    intervals: str = "laplace",
     recipe: str = "default",
     evaluations: int | None = None,
-    intervals: str = "laplace",
     seed: int = 0,
-    progress: Progress = lambda *_: None,
+    progress: Progress | bool | None = None,
+    analyses: Sequence[Analysis] | None = None,
 ) -> Result:
-    """Fit string and hammer to one recording.
+    """Fit string and hammer to one or more recordings of one key, from soft to loud in any order.
+
+    String, felt, hammer mass and output path are those of all recordings; each stroke has a velocity, each recording a
+    gain and a pitch of its own. Measured velocities, groups and gain groups come from the setup.
 
     Parameters
     ----------
-    setup : what was known beforehand; nothing by default.
-    velocity : measured hammer velocity, m/s, held fixed.
-    recipe : `default`, or the paper's own, which give no intervals: `paper`, its three steps, and `global`, its
-        criterion over the whole spectrum.
-    evaluations : of the criterion by the recipe `paper`'s annealing, 20,000 unless given.
+    recordings : each a path, a `Recording`, or samples [samples], ±1 = full scale, with their rate in Hz.
+    setup : what was known beforehand: a `Setup`, tables as in a `setup.toml`, or the path of one.
+    note, f0 : what is played, such as "F#2", or its pitch in Hz; found if None.
+    velocity : measured hammer velocity, m/s, of a single recording, held fixed.
+    channel : of files: "average", "left", "right", or "1" to "8".
     intervals : `laplace`, `profile`, or `posterior`, which needs pianofit[bayes].
+    recipe : `default`, or the paper's own, which take one recording and give no intervals: `paper`, its three steps,
+        and `global`, its criterion over the whole spectrum.
+    evaluations : of the criterion by the recipe `paper`'s annealing, 20,000 unless given.
     seed : of the search, and of the posterior's draws. The same seed gives the same result.
-    progress : called with a stage's name and the fraction done.
+    progress : called with a stage's name and the fraction done; False for none. A bar in a terminal and a line in a
+        notebook if None.
+    analyses : of the recordings, in their order, if they were analysed before.
 
     Raises
     ------
-    FitError
-        If no hammer gives a finite sound, or a contact does not end.
-    ParameterError
-        For another recipe, or evaluations or intervals that it cannot have.
+    PianofitError
+        For any input that cannot be used: of its classes `ParameterError` for an argument, `SetupError`,
+        `RecordingError`, `AnalysisError`; and `FitError` if a recording is given twice, is of another key or all
+        noise, if no hammer gives a finite sound, or a contact does not end.
     """
-    check_recipe(recipe, evaluations)
-    check_intervals(intervals, recipe)
-    if recipe == "default":
-        return fit_takes(
-            [recording], [analysis], setup, velocity=velocity, intervals=intervals, seed=seed, progress=progress
+    _check(recordings, analyses, velocity, intervals, recipe, evaluations)
+    known = _setup(setup)
+    _check_bounds(known, velocity)
+    with progress_bar(progress) as report:
+        report("reading", 0.0)
+        sounds = read(recordings, channel)
+        report("partials", 0.02)
+        heard = listen(sounds, note, f0) if analyses is None else list(analyses)
+        if recipe != "default":
+            return _paper().fit_by_recipe(
+                sounds[0], heard[0], known, recipe, velocity=velocity, evaluations=evaluations, seed=seed,
+                progress=report,
+            )  # fmt: skip
+        from .inference.fit import fit_takes
+
+        return fit_takes(sounds, heard, known, velocity=velocity, intervals=intervals, seed=seed, progress=report)
+
+
+def read(recordings: Sequence[Source], channel: str = "average") -> list[Recording]:
+    """Recordings from files, from arrays with their rates, and as they are.
+
+    Raises
+    ------
+    RecordingError
+        For a sound that cannot be used.
+    ParameterError
+        For what is no recording, or another channel.
+    """
+    return [_recording(source, channel, f"recording {at}") for at, source in enumerate(recordings, 1)]
+
+
+def _recording(source: Source, channel: str, name: str) -> Recording:
+    if isinstance(source, Recording):
+        return source
+    if isinstance(source, str | os.PathLike):
+        return load_recording(source, channel=channel)
+    if isinstance(source, tuple) and len(source) == 2:
+        return recording_from_samples(*source, name=name)
+    raise ParameterError(
+        f"{name} = {shown(source)} must be a path, a Recording, or (samples, rate); give each as an argument of its own"
+    )
+
+
+def listen(recordings: Sequence[Recording], note: str | None = None, f0: float | None = None) -> list[Analysis]:
+    """The analyses of recordings of one note, on all cores.
+
+    Raises
+    ------
+    AnalysisError
+        If one is too short, or its note, or enough of its partials, is not there.
+    """
+    with ThreadPoolExecutor(os.cpu_count()) as threads:
+        return list(threads.map(lambda recording: analyse(recording, note=note, f0=f0), recordings))
+
+
+def _setup(setup: Setup | Mapping[str, Any] | str | os.PathLike[str] | None) -> Setup:
+    if setup is None or isinstance(setup, Setup):
+        return setup or Setup()
+    return setup_from_dict(setup, "setup") if isinstance(setup, Mapping) else load_setup(setup)
+
+
+def _check(
+    recordings: Sequence[Source], analyses: Sequence[Analysis] | None, velocity: float | None, intervals: str,
+    recipe: str, evaluations: int | None,
+) -> None:  # fmt: skip
+    """Refuse arguments that cannot be had, alone or together."""
+    if not recordings:
+        raise ParameterError("no recording was given; name one, or several of one key")
+    if analyses is not None and len(analyses) != len(recordings):
+        raise ParameterError(f"{len(analyses)} analyses were given of {len(recordings)} recordings; give one of each")
+    box = PARAMETERS["v_H0"]
+    if velocity is not None and not box.lower <= velocity <= box.upper:
+        raise ParameterError(f"velocity={velocity} m/s must be from {box.lower:g} to {box.upper:g}")
+    if velocity is not None and len(recordings) > 1:
+        raise ParameterError(
+            f"velocity={velocity} m/s is of one recording; give each its own in the setup's [[recording]]"
         )
-    start = _start_of_paper(analysis, setup or Setup(), velocity)
-    found = fit_by_paper(recording, analysis, start, recipe, evaluations=evaluations, seed=seed, progress=progress)
-    return _paper_result(recording, analysis, start, recipe, seed, found)
+    if recipe != "default" or evaluations is not None:
+        _paper().check_recipe(recipe, evaluations)
+        if recipe != "default" and len(recordings) > 1:
+            raise ParameterError(f"recipe={recipe!r} fits one recording; {len(recordings)} were given")
+    if intervals != "laplace":
+        from .inference.views import check_intervals
+
+        check_intervals(intervals, recipe)
 
 
-def _start_of_paper(analysis: Analysis, setup: Setup, velocity: float | None) -> Start:
-    measured = velocity if velocity is not None else next((t.v_H0 for t in setup.takes if t.v_H0), None)
-    return starting_values(analysis, setup, measured)
+def _check_bounds(known: Setup, velocity: float | None) -> None:
+    """Refuse a measured velocity that the setup rules out."""
+    low, high = known.bounds.get("v_H0", (0.0, math.inf))
+    if velocity is not None and not low <= velocity <= high:
+        raise SetupError(
+            f"velocity={velocity} m/s lies outside the setup's [bounds] v_H0 = [{low:g}, {high:g}]; change one of them"
+        )
 
 
-def _paper_result(
-    recording: Recording, analysis: Analysis, start: Start, recipe: str, seed: int, found: Found
-) -> Result:
-    """What a recipe of the paper found, as a result that claims no more than it can."""
-    opening, messages = claims(recipe, start.scale is not None)
-    return point_result(
-        recording, analysis, start, found.string, found.hammer, recipe=recipe, seed=seed, delay=found.delay,
-        converged=found.converged, evaluations=found.evaluations, at_bound=found.at_bound, opening=opening,
-        messages=messages,
-    )  # fmt: skip
+def _paper() -> Any:
+    """The paper's recipes, for those who ask for them."""
+    from .paper import recipes
+
+    return recipes

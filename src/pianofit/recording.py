@@ -44,7 +44,7 @@ MAGIC = {
 }  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Recording:
     """One struck note, as every later step sees it."""
 
@@ -65,6 +65,11 @@ class Recording:
     def seconds(self) -> float:
         """Length of the whole recording, s."""
         return len(self.samples) / self.rate
+
+    def __repr__(self) -> str:
+        return (
+            f"Recording {one_line(self.path)}: {self.seconds:.2f} s at {self.rate} Hz, {self.channel} ({self.subtype})"
+        )
 
 
 def load_recording(path: str | os.PathLike[str], *, channel: str = "average") -> Recording:

@@ -13,8 +13,7 @@ import numpy as np
 
 from .criterion import OutputPath
 from .errors import FitError, ParameterError
-from .inference.result import SCHEMA
-from .io import finite, load_json, one_line, table_of
+from .io import FIT_SCHEMA, finite, load_json, one_line, table_of
 from .model.modes import QUANTITIES
 from .model.simulate import check_geometry
 from .parameters import (  # fmt: skip
@@ -31,7 +30,7 @@ from .parameters import (  # fmt: skip
 from .recording import RATES
 from .voice import Voice
 
-__all__ = ["MOST_SECONDS", "check_render", "limited", "load_mixture", "load_voice"]
+__all__ = ["MOST_SECONDS", "check_render", "limited", "load_mixture", "load_voice", "mixture_of", "read_fit"]
 
 LARGEST_FIT = 2**24
 WAY_OUT = "give the file that pianofit fit wrote"
@@ -40,6 +39,23 @@ MOST_SECONDS = 600.0
 MOST_SAMPLES = 2**25
 # A peak above this is brought down to it; -1 dB leaves room for players that resample.
 CEILING = 10 ** (-1 / 20)
+
+
+def read_fit(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """What a `fit.json` holds, of this schema or an older one.
+
+    Raises
+    ------
+    FitError
+        Naming the file, if it is none.
+    """
+    document = load_json(path, LARGEST_FIT, "a fit.json", WAY_OUT)
+    if not isinstance(document, dict) or document.get("schema") not in range(1, FIT_SCHEMA + 1):
+        found = document.get("schema") if isinstance(document, dict) else type(document).__name__
+        raise FitError(
+            f"{one_line(path)}: schema {found!r} is not 1 to {FIT_SCHEMA}; fit again with this version of pianofit"
+        )
+    return document
 
 
 def load_voice(path: str | os.PathLike[str]) -> tuple[Voice, int]:
@@ -52,11 +68,10 @@ def load_voice(path: str | os.PathLike[str]) -> tuple[Voice, int]:
     FitError
         Naming the file and the entry that is missing, of another kind, or out of range.
     """
-    name = one_line(path)
-    document = load_json(path, LARGEST_FIT, "a fit.json", WAY_OUT)
-    if not isinstance(document, dict) or document.get("schema") not in range(1, SCHEMA + 1):
-        found = document.get("schema") if isinstance(document, dict) else type(document).__name__
-        raise FitError(f"{name}: schema {found!r} is not 1 to {SCHEMA}; fit again with this version of pianofit")
+    return _voice_of(read_fit(path), one_line(path))
+
+
+def _voice_of(document: dict[str, Any], name: str) -> tuple[Voice, int]:
     table = table_of(document, "parameters", name, WAY_OUT)
     values = {key: _number(table, key, name) for key in FIT_NAMES}
     values |= {key: _number(table, key, name) for key in MEMORY_NAMES if key in table}
@@ -93,10 +108,13 @@ def load_mixture(path: str | os.PathLike[str]) -> list[tuple[float, Voice]]:
     FitError
         As `load_voice`.
     """
-    voice, _ = load_voice(path)
-    name = one_line(path)
-    document = load_json(path, LARGEST_FIT, "a fit.json", WAY_OUT)
-    minima = document.get("minima") if isinstance(document, dict) else None
+    return mixture_of(read_fit(path), one_line(path))
+
+
+def mixture_of(document: dict[str, Any], name: str) -> list[tuple[float, Voice]]:
+    """`load_mixture` of what a file held; `name` opens every error."""
+    voice, _ = _voice_of(document, name)
+    minima = document.get("minima")
     if not isinstance(minima, list) or len(minima) < 2:
         return [(1.0, voice)]
     mixture = []

@@ -1,23 +1,26 @@
-"""What was known before the recording: `setup.toml`, read strictly.
+"""What was known before the recordings, checked when it is made: in Python, in a dict, or in a `setup.toml`.
 
 A measured length that is mistyped must not silently become an assumed one. So every table, key, type, unit range and
-contradiction is checked here, and what is wrong is named with the file, the key, the value and the way out. All values
-are in SI units; a length in centimetres or a mass in grams falls outside its range.
+contradiction is checked by `Setup` itself, and what is wrong is named with the key, the value and the way out, in the
+words of the file. All values are in SI units; a length in centimetres or a mass in grams falls outside its range.
 """
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import os
 import tomllib
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, field
+from numbers import Real
 from typing import Any
 
 from .errors import SetupError
 from .io import one_line, read_file
 from .parameters import DEFAULT_LAW, FELT_LAWS, FIT_NAMES, MEMORY_NAMES, PARAMETERS
 
-__all__ = ["PICKUPS", "Setup", "Take", "load_setup", "setup_from_dict", "with_law"]
+__all__ = ["PICKUPS", "Layer", "Setup", "load_setup", "setup_from_dict"]
 
 PICKUPS = ("velocity", "displacement", "bridge-force", "pressure")
 ON_THE_STRING = ("velocity", "displacement")  # pickups that need a position
@@ -39,24 +42,38 @@ KEYS: dict[str, tuple[str, ...]] = {
     "known": FIT_NAMES + MEMORY_NAMES,
     "initial": FIT_NAMES + MEMORY_NAMES,
     "bounds": FIT_NAMES + MEMORY_NAMES,
-    "take": ("file", "v_H0", "group", "gain_group", "strike"),
+    "recording": ("file", "v_H0", "group", "gain_group", "strike"),
 }
+OLDER = {"take": "recording"}  # what a table was called in older files -> what it is called
+# Where the attributes of a `Setup` stand in a file; the others have tables of their own.
+PLACES = {
+    "length": ("string", "length"), "mass": ("string", "mass"),
+    "strike_position": ("strike", "position"), "strike_width": ("strike", "width"),
+    "pickup_quantity": ("pickup", "quantity"), "pickup_position": ("pickup", "position"),
+    "pickup_scale": ("pickup", "scale"), "felt": ("felt", "law"),
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
-class Take:
-    """One recording of the note."""
+class Layer:
+    """One recording of the note; checked by the `Setup` that it is given to."""
 
     file: str | None = None
     v_H0: float | None = None  # m/s, measured
-    group: str | None = None  # takes of a group share one output path
-    gain_group: str | None = None  # takes of a gain group share one gain
-    strike: str | None = None  # takes of one strike are one blow, heard by several microphones
+    group: str | None = None  # recordings of a group share one output path
+    gain_group: str | None = None  # recordings of a gain group share one gain
+    strike: str | None = None  # recordings of one strike are one hammer stroke at several microphones
 
 
 @dataclass(frozen=True)
 class Setup:
-    """What was known beforehand, SI units; None or empty where nothing was said."""
+    """What was known beforehand, SI units; None or empty where nothing was said.
+
+    Raises
+    ------
+    SetupError
+        Naming table and key as a `setup.toml` has them, the value, and the way out.
+    """
 
     length: float | None = None  # m
     mass: float | None = None  # kg
@@ -68,12 +85,31 @@ class Setup:
     known: dict[str, float] = field(default_factory=dict)  # measured, held fixed
     initial: dict[str, float] = field(default_factory=dict)  # starting values
     bounds: dict[str, tuple[float, float]] = field(default_factory=dict)
-    takes: tuple[Take, ...] = ()
+    recordings: tuple[Layer, ...] = ()
     felt: str | None = None  # one of FELT_LAWS
 
+    def __post_init__(self) -> None:
+        checked: dict[str, Any] = {}
+        for name, (table, key) in PLACES.items():
+            if key in RANGES and getattr(self, name) is not None:
+                checked[name] = _number(getattr(self, name), key, *RANGES[key], f"[{table}]")
+        _one_of(self.pickup_quantity, PICKUPS, "[pickup] quantity")
+        if self.felt is not None:
+            _one_of(self.felt, tuple(FELT_LAWS), "[felt] law")
+        for name, check in (("known", _parameter), ("initial", _parameter), ("bounds", _pair)):
+            table = _table(name, getattr(self, name))
+            checked[name] = {key: check(value, key, f"[{name}]") for key, value in table.items()}
+        if not isinstance(self.recordings, list | tuple):
+            raise SetupError(f"recordings = {_show(self.recordings)} must be a list of Layer")
+        checked["recordings"] = tuple(_layer(entry, n) for n, entry in enumerate(self.recordings, 1))
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)  # the numbers as floats; frozen from here on
+        for contradiction in _contradictions(self):
+            raise SetupError(contradiction)
 
-def load_setup(path: str | os.PathLike[str]) -> Setup:
-    """Read a `setup.toml`.
+
+def load_setup(path: str | os.PathLike[str], felt: str | None = None) -> Setup:
+    """Read a `setup.toml`; `felt` is a law of the felt that goes before the file's.
 
     Raises
     ------
@@ -91,10 +127,10 @@ def load_setup(path: str | os.PathLike[str]) -> Setup:
         ) from None
     except (ValueError, RecursionError) as problem:  # RecursionError: brackets nested without end
         raise SetupError(f"{name}: not valid TOML: {one_line(problem)[:200]}; correct that place") from None
-    return setup_from_dict(table, name)
+    return setup_from_dict(table if felt is None else table | {"felt": {"law": felt}}, name)
 
 
-def setup_from_dict(data: dict[str, Any], where: str) -> Setup:
+def setup_from_dict(data: Mapping[str, Any], where: str) -> Setup:
     """Make a setup of nested dicts with the tables and keys of a `setup.toml`; `where` opens every error.
 
     Raises
@@ -102,66 +138,50 @@ def setup_from_dict(data: dict[str, Any], where: str) -> Setup:
     SetupError
         As `load_setup`.
     """
-    _check_names(data, where)
-    known, initial = (_parameters(data.get(name, {}), f"{where}: [{name}]") for name in ("known", "initial"))
-    length, mass = _quantities(data, "string", ("length", "mass"), where)
-    strike, width = _quantities(data, "strike", ("position", "width"), where)
-    pickup, scale = _quantities(data, "pickup", ("position", "scale"), where)
-    setup = Setup(
-        length=length,
-        mass=mass,
-        strike_position=strike,
-        strike_width=width,
-        pickup_quantity=_quantity(data, where),
-        pickup_position=pickup,
-        pickup_scale=scale,
-        known=known,
-        initial=initial,
-        bounds={key: _pair(pair, key, f"{where}: [bounds]") for key, pair in data.get("bounds", {}).items()},
-        felt=_felt(data, where),
-        takes=tuple(_take(entry, f"{where}: [[take]] {n}") for n, entry in enumerate(data.get("take", []), 1)),
-    )
-    _check_strike(setup, where)
-    _check_pickup(setup, where)
-    _check_parameters(setup, where)
-    _check_takes(setup, where)
-    return setup
+    with _named(where):
+        tables = {name: _entries(name, content) for name, content in data.items()}
+        said = {name: tables[table][key] for name, (table, key) in PLACES.items() if key in tables.get(table, ())}
+        said |= {name: tables[name] for name in ("known", "initial", "bounds") if name in tables}
+        return Setup(**said, recordings=(*tables.get("recording", ()), *tables.get("take", ())))
 
 
-def with_law(setup: Setup, felt: str | None, where: str) -> Setup:
-    """`setup` with another law of the felt, if one is named; `where` opens an error.
-
-    Raises
-    ------
-    SetupError
-        If the setup speaks of parameters that this law does not have.
-    """
-    if felt is None:
-        return setup
-    setup = replace(setup, felt=felt)
-    _check_law(setup, where)
-    return setup
+@contextlib.contextmanager
+def _named(where: str) -> Iterator[None]:
+    """Errors that begin with the file they are in."""
+    try:
+        yield
+    except SetupError as error:
+        raise SetupError(f"{where}: {error}") from None
 
 
-def _check_names(data: dict[str, Any], where: str) -> None:
-    """Refuse a table or key that has no meaning, and what is not the table it should be."""
-    for name, content in data.items():
-        if name not in KEYS:
-            raise SetupError(f"{where}: {_show(name)} is not known; {_suggest(name, tuple(KEYS))}")
-        tables = content if name == "take" and isinstance(content, list) else [content]
-        for table in tables:
-            if not isinstance(table, dict) or (name == "take" and tables[0] is content):
-                header = "[[take]]" if name == "take" else f"[{name}]"
-                raise SetupError(f"{where}: {name} = {_show(content)} must be a table; begin it with a line {header}")
-            for key in table:
-                if key not in KEYS[name]:
-                    raise SetupError(f"{where}: [{name}] {_show(key)} is not known; {_suggest(key, KEYS[name])}")
+def _entries(name: str, content: object) -> Any:
+    """A table of a file, or the list of its entries, with no key that has no meaning."""
+    kind = OLDER.get(name, name)
+    if kind not in KEYS:
+        raise SetupError(f"{_show(name)} is not known; {_suggest(name, tuple(KEYS))}")
+    if kind != "recording":
+        return _table(kind, content)
+    if not isinstance(content, list):
+        raise SetupError(f"{name} = {_show(content)} must be a table; begin it with a line [[{name}]]")
+    return [_table(name, entry) for entry in content]
 
 
-def _suggest(key: str, allowed: tuple[str, ...]) -> str:
+def _table(name: str, content: object) -> Mapping[str, Any]:
+    """A table whose keys all have a meaning."""
+    kind = OLDER.get(name, name)
+    if not isinstance(content, Mapping):
+        header = f"[[{name}]]" if kind == "recording" else f"[{name}]"
+        raise SetupError(f"{name} = {_show(content)} must be a table; begin it with a line {header}")
+    for key in content:
+        if key not in KEYS[kind]:
+            raise SetupError(f"[{name}] {_show(key)} is not known; {_suggest(key, KEYS[kind])}")
+    return content
+
+
+def _suggest(key: object, allowed: tuple[str, ...]) -> str:
     """Name the nearest allowed key, the table the key belongs to, or all that is allowed."""
     lower = {name.lower(): name for name in allowed}
-    near = difflib.get_close_matches(key.lower(), lower, 1, 0.7)
+    near = difflib.get_close_matches(str(key).lower(), lower, 1, 0.7)
     if near:
         return f"did you mean {lower[near[0]]}?"
     homes = [f"[{table}]" for table, keys in KEYS.items() if key in keys]
@@ -175,9 +195,9 @@ def _show(value: object) -> str:
     return f'"{text}"' if isinstance(value, str) else text
 
 
-def _number(value: object, key: str, lower: float, upper: float, unit: str, where: str) -> float:
+def _number(value: Any, key: str, lower: float, upper: float, unit: str, where: str) -> float:
     """Return a number within its range; comparing first keeps integers too large for a float out."""
-    if isinstance(value, bool) or not isinstance(value, int | float) or not lower <= value <= upper:
+    if not _is_number(value) or not lower <= value <= upper:
         unit = "" if unit == "1" else f" {unit}"
         raise SetupError(
             f"{where} {key} = {_show(value)} must be a number from {lower:g} to {upper:g}{unit} (no quotes)"
@@ -185,25 +205,13 @@ def _number(value: object, key: str, lower: float, upper: float, unit: str, wher
     return float(value)
 
 
-def _quantities(data: dict[str, Any], table: str, keys: tuple[str, str], where: str) -> tuple[float | None, ...]:
-    given = data.get(table, {})
-    return tuple(
-        _number(given[key], key, *RANGES[key], f"{where}: [{table}]") if key in given else None for key in keys
-    )
+def _is_number(value: object) -> bool:
+    return isinstance(value, Real) and not isinstance(value, bool)  # NumPy's numbers are real ones
 
 
-def _quantity(data: dict[str, Any], where: str) -> str:
-    quantity = data.get("pickup", {}).get("quantity", "pressure")
-    if not isinstance(quantity, str) or quantity not in PICKUPS:
-        raise SetupError(f"{where}: [pickup] quantity = {_show(quantity)} must be one of {', '.join(PICKUPS)}")
-    return quantity
-
-
-def _felt(data: dict[str, Any], where: str) -> str | None:
-    law = data.get("felt", {}).get("law")
-    if law is not None and (not isinstance(law, str) or law not in FELT_LAWS):
-        raise SetupError(f"{where}: [felt] law = {_show(law)} must be one of {', '.join(FELT_LAWS)}")
-    return law
+def _one_of(value: object, allowed: tuple[str, ...], where: str) -> None:
+    if not isinstance(value, str) or value not in allowed:
+        raise SetupError(f"{where} = {_show(value)} must be one of {', '.join(allowed)}")
 
 
 def _parameter(value: object, key: str, where: str) -> float:
@@ -211,125 +219,108 @@ def _parameter(value: object, key: str, where: str) -> float:
     return _number(value, key, box.lower, box.upper, box.unit, where)
 
 
-def _parameters(table: dict[str, Any], where: str) -> dict[str, float]:
-    return {key: _parameter(value, key, where) for key, value in table.items()}
-
-
 def _pair(pair: object, key: str, where: str) -> tuple[float, float]:
     if not isinstance(pair, list | tuple) or len(pair) != 2:
         raise SetupError(f"{where} {key} = {_show(pair)} must be two numbers, [lower, upper]")
     lower, upper = (_parameter(value, key, where) for value in pair)
     if lower >= upper:
-        raise SetupError(f"{where} {key} = {_show(pair)}: lower must be below upper; to hold a value, use [known]")
+        raise SetupError(f"{where} {key} = {_show([*pair])}: lower must be below upper; to hold a value, use [known]")
     return lower, upper
 
 
-def _take(entry: dict[str, Any], where: str) -> Take:
-    for key in ("file", "group", "gain_group", "strike"):
-        if key in entry and not (isinstance(entry[key], str) and entry[key].strip()):
-            raise SetupError(f"{where} {key} = {_show(entry[key])} must be a text in quotes, not empty")
-    velocity = _parameter(entry["v_H0"], "v_H0", where) if "v_H0" in entry else None
-    return Take(entry.get("file"), velocity, entry.get("group"), entry.get("gain_group"), entry.get("strike"))
+def _layer(entry: object, number: int) -> Layer:
+    where = f"[[recording]] {number}"
+    said = asdict(entry) if isinstance(entry, Layer) else _table("recording", entry)
+    table = {key: value for key, value in said.items() if value is not None}
+    for key, value in table.items():
+        if key == "v_H0":
+            table[key] = _parameter(value, key, where)
+        elif not (isinstance(value, str) and value.strip()):
+            raise SetupError(f"{where} {key} = {_show(value)} must be a text in quotes, not empty")
+    if not table:
+        raise SetupError(f"{where} is empty; give its file or v_H0, or remove it")
+    return Layer(**table)
 
 
-def _check_strike(setup: Setup, where: str) -> None:
-    """Refuse a contact window that does not lie on the string."""
+def _contradictions(setup: Setup) -> Iterator[str]:
+    """What of a setup cannot be true together, each with the way out."""
+    yield from _strike(setup)
+    yield from _pickup(setup)
+    yield from _values(setup)
+    yield from _velocities(setup)
+    yield from _strokes(setup)
+
+
+def _strike(setup: Setup) -> Iterator[str]:
+    """A contact window that does not lie on the string."""
     position, length = setup.strike_position, setup.length
     half = (setup.strike_width or 0.0) / 2
     if position is not None and position < half:
-        raise SetupError(
-            f"{where}: [strike] width = {2 * half:g} m reaches past the agraffe from position = {position:g} m; "
-            "narrow it or correct the position"
-        )
+        yield (f"[strike] width = {2 * half:g} m reaches past the agraffe from position = {position:g} m; narrow it or "
+               "correct the position")  # fmt: skip
     if length is not None and (position or half) + half > length:
-        raise SetupError(
-            f"{where}: [strike] reaches {(position or half) + half:g} m from the agraffe, past the string's "
-            f"length = {length:g} m; correct position, width or [string] length"
-        )
+        yield (f"[strike] reaches {(position or half) + half:g} m from the agraffe, past the string's length = "
+               f"{length:g} m; correct position, width or [string] length")  # fmt: skip
 
 
-def _check_pickup(setup: Setup, where: str) -> None:
-    """Refuse a position or a scale that means nothing with the quantity."""
-    quantity, position = setup.pickup_quantity, setup.pickup_position
+def _pickup(setup: Setup) -> Iterator[str]:
+    """A position or a scale that means nothing with the quantity."""
+    quantity, position, scale = setup.pickup_quantity, setup.pickup_position, setup.pickup_scale
     if quantity in ON_THE_STRING and position is None:
-        raise SetupError(f'{where}: [pickup] quantity = "{quantity}" needs a position in m from the agraffe; add it')
+        yield f'[pickup] quantity = "{quantity}" needs a position in m from the agraffe; add it'
     if quantity not in ON_THE_STRING and position is not None:
-        raise SetupError(
-            f'{where}: [pickup] position = {position:g} has no meaning with quantity = "{quantity}"; '
-            "say velocity or displacement, or remove the position"
-        )
-    if quantity == "pressure" and setup.pickup_scale is not None:
-        raise SetupError(
-            f'{where}: [pickup] scale = {setup.pickup_scale:g} has no meaning with quantity = "pressure", which comes '
-            "through an unknown path; say velocity, displacement or bridge-force, or remove the scale"
-        )
+        yield (f'[pickup] position = {position:g} has no meaning with quantity = "{quantity}"; say velocity or '
+               "displacement, or remove the position")  # fmt: skip
+    if quantity == "pressure" and scale is not None:
+        yield (f'[pickup] scale = {scale:g} has no meaning with quantity = "pressure", which comes through an unknown '
+               "path; say velocity, displacement or bridge-force, or remove the scale")  # fmt: skip
     if position is not None and setup.length is not None and position >= setup.length:
-        raise SetupError(
-            f"{where}: [pickup] position = {position:g} m is not on the string of length = {setup.length:g} m; "
-            "correct one of them"
-        )
+        yield (f"[pickup] position = {position:g} m is not on the string of length = {setup.length:g} m; correct one "
+               "of them")  # fmt: skip
 
 
-def _check_parameters(setup: Setup, where: str) -> None:
-    """Refuse a value both known and free, or a start outside its bounds."""
+def _values(setup: Setup) -> Iterator[str]:
+    """A value both known and free, one that the felt's law does not have, or a start outside its bounds."""
+    law = setup.felt or DEFAULT_LAW
     for name in setup.known:
         for table, given in (("initial", setup.initial), ("bounds", setup.bounds)):
             if name in given:
-                raise SetupError(f"{where}: {name} is in [known], held fixed, and in [{table}]; remove one of them")
-    _check_law(setup, where)
-    for name, (lower, upper) in setup.bounds.items():
-        value = setup.initial.get(name, lower)
-        if not lower <= value <= upper:
-            raise SetupError(
-                f"{where}: [initial] {name} = {value:g} is outside its [bounds] {lower:g} to {upper:g}; correct one"
-            )
-
-
-def _check_law(setup: Setup, where: str) -> None:
-    """Refuse parameters that the felt's law does not have."""
-    law = setup.felt or DEFAULT_LAW
+                yield f"{name} is in [known], held fixed, and in [{table}]; remove one of them"
     for name in (*setup.known, *setup.initial, *setup.bounds):
         if name in ("mu", *MEMORY_NAMES) and name not in FELT_LAWS[law]:
-            has = ", ".join(FELT_LAWS[law])
-            raise SetupError(f"{where}: {name} is no parameter of the felt's law, {law}, which has {has}; remove it")
+            yield f"{name} is no parameter of the felt's law, {law}, which has {', '.join(FELT_LAWS[law])}; remove it"
+    for name, (lower, upper) in setup.bounds.items():
+        if not lower <= (value := setup.initial.get(name, lower)) <= upper:
+            yield f"[initial] {name} = {value:g} is outside its [bounds] {lower:g} to {upper:g}; correct one"
 
 
-def _check_takes(setup: Setup, where: str) -> None:
-    """Refuse a second velocity for a take, or a file named twice."""
+def _velocities(setup: Setup) -> Iterator[str]:
+    """A second velocity for a recording, or a file named twice."""
     lower, upper = setup.bounds.get("v_H0", (0.0, float("inf")))
     files: set[str] = set()
-    for number, take in enumerate(setup.takes, 1):
-        entry = f"{where}: [[take]] {number}"
-        if take == Take():
-            raise SetupError(f"{entry} is empty; give its file or v_H0, or remove it")
-        if take.file in files:
-            raise SetupError(f'{entry} file = "{one_line(take.file)}" is there twice; remove one')
-        if take.v_H0 is not None and "v_H0" in setup.known:
-            raise SetupError(f"{entry} v_H0 = {take.v_H0:g} is also in [known]; remove one of them")
-        if take.v_H0 is not None and not lower <= take.v_H0 <= upper:
-            raise SetupError(
-                f"{entry} v_H0 = {take.v_H0:g} is outside its [bounds] {lower:g} to {upper:g}; correct one"
-            )
-        files |= {take.file} if take.file else set()
-    _check_strikes(setup, where)
+    for number, layer in enumerate(setup.recordings, 1):
+        entry, velocity = f"[[recording]] {number}", layer.v_H0
+        if layer.file in files:
+            yield f'{entry} file = "{one_line(layer.file)}" is there twice; remove one'
+        if velocity is not None and "v_H0" in setup.known:
+            yield f"{entry} v_H0 = {velocity:g} is also in [known]; remove one of them"
+        if velocity is not None and not lower <= velocity <= upper:
+            yield f"{entry} v_H0 = {velocity:g} is outside its [bounds] {lower:g} to {upper:g}; correct one"
+        files |= {layer.file} if layer.file else set()
 
 
-def _check_strikes(setup: Setup, where: str) -> None:
-    """Refuse one blow with two velocities, or heard twice by one microphone."""
-    heard: dict[tuple[str, str | None], int] = {}
+def _strokes(setup: Setup) -> Iterator[str]:
+    """One stroke with two velocities, or observed twice by one microphone."""
+    observed: dict[tuple[str, str | None], int] = {}
     struck: dict[str, float] = {}
-    for number, take in enumerate(setup.takes, 1):
-        if take.strike is None:
+    for number, layer in enumerate(setup.recordings, 1):
+        if layer.strike is None:
             continue
-        entry = f'{where}: [[take]] {number} strike = "{one_line(take.strike)}"'
-        other = heard.setdefault((take.strike, take.group), number)
+        entry = f'[[recording]] {number} strike = "{one_line(layer.strike)}"'
+        other = observed.setdefault((layer.strike, layer.group), number)
         if other != number:
-            group = "neither has a group" if take.group is None else f'both have group = "{one_line(take.group)}"'
-            raise SetupError(
-                f"{entry} is that of [[take]] {other}, and {group}; a microphone hears a blow once: give each its own "
-                "group, or another strike"
-            )
-        if take.v_H0 is not None and struck.setdefault(take.strike, take.v_H0) != take.v_H0:
-            raise SetupError(
-                f"{entry} has v_H0 = {take.v_H0:g} and {struck[take.strike]:g}; one blow has one velocity: correct one"
-            )
+            group = "neither has a group" if layer.group is None else f'both have group = "{one_line(layer.group)}"'
+            yield (f"{entry} is that of [[recording]] {other}, and {group}; a microphone observes a stroke once: give "
+                   "each its own group, or another strike")  # fmt: skip
+        if layer.v_H0 is not None and (first := struck.setdefault(layer.strike, layer.v_H0)) != layer.v_H0:
+            yield f"{entry} has v_H0 = {layer.v_H0:g} and {first:g}; one stroke has one velocity: correct one"

@@ -3,13 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from ..tables import data_frame, html_table
+
 __all__ = ["Analysis", "Partials"]
 
+# Columns of `Partials` that hold one number for each partial, and how a notebook heads them.
+PER_PARTIAL = {
+    "number": "k", "frequency": "frequency, Hz", "frequency_error": "±", "decay": "decay, 1/s", "decay_error": "±",
+    "level": "level, dB", "level_error": "±", "snr": "SNR, dB", "beating": "beating, dB",
+}  # fmt: skip
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, eq=False, repr=False)
 class Partials:
     """The table of partials, ascending in number; those found above the noise, and bounds on the others.
 
@@ -37,8 +46,28 @@ class Partials:
     def __len__(self) -> int:
         return len(self.number)
 
+    def __repr__(self) -> str:
+        span = f", {self.frequency[0]:.5g} to {self.frequency[-1]:.5g} Hz" if len(self) else ""
+        return f"{len(self)} partials{span}; {len(self.absent)} looked for and not found"
 
-@dataclass(frozen=True)
+    def _rows(self) -> list[tuple]:
+        return list(zip(*(getattr(self, name).tolist() for name in PER_PARTIAL), strict=True))
+
+    def _repr_html_(self) -> str:
+        return html_table(tuple(PER_PARTIAL.values()), self._rows())
+
+    def to_dataframe(self) -> Any:
+        """One row a partial, by number; frequency in Hz, decay in 1/s, levels, SNR and beating in dB.
+
+        Raises
+        ------
+        OutputError
+            If pandas is not installed.
+        """
+        return data_frame(tuple(PER_PARTIAL), self._rows())
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class Analysis:
     """One recording of one note: the string's two laws, the partials, and how far they keep to the laws."""
 
@@ -60,3 +89,19 @@ class Analysis:
     warnings: tuple[str, ...]
     glide_error: float = 0.0  # cents, of all frequencies alike: how well a glide that was taken out is known
     glide_start: float = 0.0  # cents above f0 at which a glide that was taken out began
+
+    def __repr__(self) -> str:
+        note = "" if self.note is None else f"{self.note}, "
+        return (
+            f"Analysis: {note}f0 {self.f0:.3f} ± {self.f0_error:.2g} Hz, B {self.B:.4g} ± {self.B_error:.2g}, "
+            f"b1 {self.b1:.3g} ± {self.b1_error:.2g} 1/s, d2 {self.d2:.3g} ± {self.d2_error:.2g} 1/s\n{self.partials!r}"
+        )
+
+    def _repr_html_(self) -> str:
+        laws = [("f0", self.f0, self.f0_error, "Hz"), ("B", self.B, self.B_error, "1"),
+                ("b1", self.b1, self.b1_error, "1/s"), ("d2", self.d2, self.d2_error, "1/s")]  # fmt: skip
+        return html_table(("", "value", "±", "unit"), laws, self.note or "") + self.partials._repr_html_()
+
+    def to_dataframe(self) -> Any:
+        """The partials as `Partials.to_dataframe` gives them."""
+        return self.partials.to_dataframe()

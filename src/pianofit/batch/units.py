@@ -27,7 +27,7 @@ from typing import NamedTuple
 from .. import __version__
 from ..analysis.notes import hz_to_note, note_to_hz, note_to_midi
 from ..errors import AnalysisError, OutputError, PianofitError, RecordingError
-from ..io import one_line, read_file, replace_file
+from ..io import one_line, read_file
 from ..recording import MAX_BYTES
 from .manifest import Key
 
@@ -36,8 +36,8 @@ __all__ = ["Outcome", "Settings", "Source", "Unit", "fit_unit", "make_unit", "ve
 SCHEMA = 1
 # Code that a number in fit.json or a sample of a sound can depend on.
 NUMBERS = (
-    "parameters.py", "published.py", "recording.py", "setup_file.py", "analysis", "initial.py", "model", "criterion",
-    "voice.py", "inference", "fitting.py", "render.py", "workflow.py", "batch/units.py",
+    "parameters.py", "published.py", "recording.py", "setup.py", "analysis", "model", "criterion",
+    "voice.py", "inference", "fitting.py", "render.py", "report/save.py", "batch/units.py",
 )  # fmt: skip
 # A name is wrong when the string sounds further from it than this, cents; old pianos and stretched trebles do not.
 ASTRAY = 60.0
@@ -50,7 +50,7 @@ class Settings(NamedTuple):
     seed: int = 0
     channel: str = "average"
     page: bool = True
-    setup: str = ""  # the text of a setup.toml without takes
+    setup: str = ""  # the text of a setup.toml without recordings
 
 
 class Source(NamedTuple):
@@ -87,13 +87,13 @@ class Unit(NamedTuple):
     @property
     def setup(self) -> str:
         """The text of its `setup.toml`; empty if nothing is known."""
-        takes = [
-            "\n[[take]]\n" + "".join(f"{k} = {json.dumps(v)}\n" for k, v in entry.items() if v not in (None, ""))
+        entries = [
+            "\n[[recording]]\n" + "".join(f"{k} = {json.dumps(v)}\n" for k, v in entry.items() if v not in (None, ""))
             for s in self.sources
             if (s.velocity, s.group, s.strike) != (None, "", "")
             for entry in [{"file": s.name, "v_H0": s.velocity, "group": s.group, "strike": s.strike}]
         ]
-        return self.settings.setup + "".join(takes)
+        return self.settings.setup + "".join(entries)
 
 
 class Outcome(NamedTuple):
@@ -258,28 +258,25 @@ def _fit(unit: Unit, files: list[Path], place: Path, out: Path) -> None:
     AnalysisError
         If the string does not sound at its note.
     """
-    from ..io import json_text
-    from ..workflow import fit_files
+    from ..fitting import fit
+    from ..model.cache import keep_programs
 
     setup = None
     if unit.setup:
         setup = place / "setup.toml"
         setup.write_text(unit.setup, encoding="utf-8")
-    result = fit_files(
-        files, out, note=unit.note, setup=setup, channel=unit.settings.channel, seed=unit.settings.seed, report=False
+    keep_programs()
+    result = fit(
+        *files, setup=setup, note=unit.note, channel=unit.settings.channel, seed=unit.settings.seed, progress=False
     )
     if wrong := _astray(unit.note, result.document["derived"]["f0"]):
         raise AnalysisError(wrong)
     paths = {s.name: s.path for s in unit.sources}
     for take in result.document["takes"]:
         take["file"] = paths[Path(take["file"]).name]
-    replace_file(out / "fit.json", json_text(result.document).encode())
+    result.save(out, force=True, page=False)
     if unit.settings.page:
-        from ..report.build import curves_of
-        from ..report.page import write_report
-
-        title = f"{unit.key}: " + ", ".join(one_line(file.name) for file in files)
-        write_report(out / "report.html", result.document, curves_of(result), title)
+        result.report(out, title=f"{unit.key}: " + ", ".join(one_line(file.name) for file in files))
 
 
 def _unusable(files: list[Path], unit: Unit) -> list[tuple[Path, str]]:

@@ -179,8 +179,10 @@ def _settings(setup: Path | None, channel: str, seed: int, page: bool) -> Settin
         from ..io import one_line
         from ..setup import load_setup
 
-        if load_setup(setup).takes:
-            raise SetupError(f"{one_line(setup)}: has a [[take]]; the manifest names the takes, with their velocities")
+        if load_setup(setup).recordings:
+            raise SetupError(
+                f"{one_line(setup)}: has a [[recording]]; the manifest names the recordings, with their velocities"
+            )
         text = setup.read_text(encoding="utf-8-sig").rstrip() + "\n"
     return Settings(seed, channel, page, text)
 

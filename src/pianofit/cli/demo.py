@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+from ..fitting import fit
 from ..inference import Result
 from ..io import encode_wav, replace_file
 from ..model.cache import keep_programs
 from ..twin import make_twin, setup_text
-from ..workflow import fit_file
 
 __all__ = ["run_demo"]
 
@@ -23,5 +23,7 @@ def run_demo(
     twin = make_twin(noise_db, seed)
     replace_file(folder / "twin.wav", encode_wav(twin.samples, twin.rate))
     replace_file(folder / "setup.toml", setup_text().encode())
-    result = fit_file(folder / "twin.wav", folder, setup=folder / "setup.toml", seed=seed, progress=progress)
+    result = fit(folder / "twin.wav", setup=folder / "setup.toml", seed=seed, progress=progress)
+    progress("page", 0.95)
+    result.save(folder, force=True)
     return result, twin.true

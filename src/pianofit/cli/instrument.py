@@ -9,8 +9,9 @@ from typing import Annotated, Any
 
 import typer
 
+from ..progress import progress_bar
 from .options import Force, Json, number, whole
-from .terminal import plainly, progress_bar
+from .terminal import plainly
 
 __all__ = ["register"]
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..errors import ParameterError
+from ..progress import progress_bar
 from .batch import register as register_batch
 from .instrument import register as register_instrument
 from .options import (
@@ -36,10 +37,11 @@ from .options import (
     Velocity,
     number,
 )
-from .terminal import complain, plainly, progress_bar
+from .terminal import complain, plainly
 
 if TYPE_CHECKING:
     from ..analysis import Analysis
+    from ..setup import Setup
 
 __all__ = ["app", "main"]
 
@@ -60,6 +62,13 @@ def _checked(velocity: float | None, seed: int = 0) -> None:
         raise ParameterError(f"velocity={velocity} m/s must be from {box.lower:g} to {box.upper:g}")
     if seed < 0:
         raise ParameterError(f"seed={seed} must not be negative")
+
+
+def _known(setup: Path | None, felt: str | None) -> Setup:
+    """What was known beforehand, with the felt's law that the command names."""
+    from ..setup import Setup, load_setup
+
+    return Setup(felt=felt) if setup is None else load_setup(setup, felt)
 
 
 def _version(wanted: bool) -> None:
@@ -131,16 +140,21 @@ def fit(
     as_json: Json = False,
 ) -> None:
     """Find the string's and the hammer's parameters behind one recording, or behind several of one key."""
+    from ..fitting import fit as run
     from ..io import json_text, output_folder
-    from ..workflow import fit_files
+    from ..model.cache import keep_programs
     from .summary import summary
 
     _checked(velocity, seed)
     with output_folder(out, force) as folder, progress_bar() as progress:
-        result = fit_files(
-            takes, folder, note=note, f0=f0, setup=setup, velocity=velocity, channel=channel, felt=felt, recipe=recipe,
-            evaluations=evaluations, intervals=intervals, seed=seed, report=page, progress=progress,
+        known = _known(setup, felt)
+        keep_programs()
+        result = run(
+            *takes, setup=known, note=note, f0=f0, velocity=velocity, channel=channel, recipe=recipe,
+            evaluations=evaluations, intervals=intervals, seed=seed, progress=progress,
         )  # fmt: skip
+        progress("page", 0.95)
+        result.save(folder, force=True, page=page)
     typer.echo(json_text(result.document) if as_json else summary(result.document, folder), nl=False)
 
 
@@ -187,7 +201,7 @@ def crossval(
     _checked(None, seed)
     with nullcontext() if out is None else output_folder(out, force) as folder, progress_bar() as progress:
         found = cross_validate_files(
-            takes, folder, note=note, f0=f0, setup=setup, channel=channel, felt=felt, seed=seed, progress=progress
+            takes, folder, _known(setup, felt), note=note, f0=f0, channel=channel, seed=seed, progress=progress
         )
     typer.echo(json_text(found) if as_json else cross_validation(found), nl=False)
 

@@ -1,19 +1,18 @@
-"""What every command does alike at a terminal: errors in one line, a bar for long work."""
+"""What every command does alike at a terminal: errors in one line, and an exit code."""
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import typer
 
 from ..errors import PianofitError
 
-__all__ = ["complain", "plainly", "progress_bar"]
+__all__ = ["complain", "plainly"]
 
 
 def complain(message: str) -> None:
@@ -41,18 +40,3 @@ def plainly(command: Callable, interrupted: str = "nothing more is written") -> 
             raise typer.Exit(0) from None
 
     return run
-
-
-@contextlib.contextmanager
-def progress_bar() -> Iterator[Callable[[str, float], None]]:
-    """A bar on stderr when that is a terminal, else nothing."""
-    if not sys.stderr.isatty():
-        yield lambda *_: None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-    columns = (TextColumn("{task.description:<18}"), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("starting", total=1.0)
-        yield lambda stage, done: bar.update(task, description=stage, completed=done)

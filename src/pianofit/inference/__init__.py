@@ -10,6 +10,10 @@ from __future__ import annotations
 from .conclude import conclude
 from .estimate import Estimate, Progress, estimate
 from .problem import Problem, pose
+from .quantities import Covariance, Quantities, Quantity
 from .result import Heard, Result, Sound
 
-__all__ = ["Estimate", "Heard", "Problem", "Progress", "Result", "Sound", "conclude", "estimate", "pose"]
+__all__ = [
+    "Covariance", "Estimate", "Heard", "Problem", "Progress", "Quantities", "Quantity", "Result", "Sound", "conclude",
+    "estimate", "pose",
+]  # fmt: skip

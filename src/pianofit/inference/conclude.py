@@ -6,30 +6,19 @@ import numpy as np
 
 from ..analysis import Partials
 from ..criterion import OutputPath
+from ..io import FIT_SCHEMA
 from ..parameters import FIT_NAMES, MEMORY_NAMES
 from ..voice import Voice, lag, placed
 from .coordinates import FORCE, SHARED, STRING_SIZE, VALUES, WIDTH, P
+from .entries import absent, derived, is_memory, path_document, sizes, versions
 from .estimate import Estimate, beginning
 from .lanes import in_lanes, own_levels
+from .listener import Listener, level_errors, together, worse_bands
 from .posterior import Posterior
 from .problem import Problem
+from .quantities import UNITS, Covariance
 from .reports import latent
-from .result import (  # fmt: skip
-    SCHEMA,
-    UNITS,
-    Heard,
-    Listener,
-    Result,
-    absent,
-    derived,
-    is_memory,
-    level_errors,
-    path_document,
-    sizes,
-    together,
-    versions,
-    worse_bands,
-)
+from .result import Heard, Result
 from .search import OWN_LANES
 from .statements import claims, correlated, messages, statuses, velocity_statuses
 from .views import View
@@ -67,19 +56,19 @@ def conclude(problem: Problem, found: Estimate, seed: int, view: View | None = N
     if view is not None:
         parameters = {name: entry | view.entries.get(name, {}) for name, entry in parameters.items()}
         said, diagnostics = [*said, *view.messages], diagnostics | view.diagnostics
-    voices = tuple(
+    notes = tuple(
         tuple(voice_of(problem, found.minima, b, i)._replace(gain=t.fitted.voice.gain) for i, t in enumerate(takes))
         for b in range(len(found.minima.F))
     )
     document = {
-        "schema": SCHEMA, "program": "pianofit", "recipe": "default", "felt": problem.start.felt, "seed": seed,
+        "schema": FIT_SCHEMA, "program": "pianofit", "recipe": "default", "felt": problem.start.felt, "seed": seed,
         "converged": bool(found.minima.converged[0]), "claims": claims(problem, found, states, levels),
         "messages": said,
         "invariants": invariants(problem, found),
         "parameters": parameters,
         "takes": [_take(problem, found, i, heard) for i, heard in enumerate(takes)],
         "pickup": {"quantity": problem.start.quantity, "path": path_document(reference.fitted.voice.path)},
-        "minima": _minima(problem, found, voices),
+        "minima": _minima(problem, found, notes),
         "derived": derived(reference.fitted.voice, reference.fitted.simulation, problem.analyses[problem.reference]),
         "criterion": reference.criterion,
         "levels": levels,
@@ -87,7 +76,7 @@ def conclude(problem: Problem, found: Estimate, seed: int, view: View | None = N
         "versions": versions(),
     }  # fmt: skip
     return Result(
-        document, takes, problem.reference, found.posterior.covariance[0], voices,
+        document, takes, problem.reference, _covariance(problem, found), notes,
         tuple(found.posterior.share.tolist()), None if view is None else view.draws,
     )  # fmt: skip
 
@@ -204,6 +193,13 @@ def _literature_level(problem: Problem, found: Estimate, first: np.ndarray, i: i
 # --- tables -----------------------------------------------------------------------------------------------------------
 
 
+def _covariance(problem: Problem, found: Estimate) -> Covariance:
+    """Of all logarithms by name; `v_H0` is the reference stroke's velocity, `v_H0 N` that of stroke N."""
+    reference = problem.layout.stroke[problem.reference]
+    strokes = ("v_H0" if i == reference else f"v_H0 {i + 1}" for i in range(problem.layout.strokes))
+    return Covariance((*VALUES, *strokes), found.posterior.covariance[0])
+
+
 def _parameters(problem: Problem, found: Estimate, states: dict[str, str]) -> dict:
     """Every parameter with value, unit, interval and status."""
     u, start = problem.unknowns, problem.start
@@ -305,14 +301,14 @@ def _take(problem: Problem, found: Estimate, i: int, heard: Heard) -> dict:
     }  # fmt: skip
 
 
-def _minima(problem: Problem, found: Estimate, voices) -> list[dict]:
+def _minima(problem: Problem, found: Estimate, notes) -> list[dict]:
     """Every minimum: its share, F, hammer, velocities, and the reference's path."""
     u = problem.unknowns
     rows = []
     for b, share in enumerate(found.posterior.share):
         values = dict(zip(VALUES, np.exp(found.posterior.mean[b, :SHARED]).tolist(), strict=True))
         values = {n: x for n, x in values.items() if x > 1e-100 and (u.memory or not is_memory(n))}
-        path: OutputPath | None = voices[b][problem.reference].path
+        path: OutputPath | None = notes[b][problem.reference].path
         rows.append({
             "share": float(share), "F": float(found.minima.F[b]), "parameters": values,
             "velocities": np.exp(found.minima.people.z[b, SHARED:]).tolist(),

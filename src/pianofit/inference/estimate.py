@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
+from ..progress import Progress
 from .coordinates import FORCE, NAMES, SHARED, STRING_SIZE, P
 from .finish import Minima, finished
 from .posterior import Posterior, laplace
@@ -16,7 +16,6 @@ from .string import string_minimum
 
 __all__ = ["Estimate", "Progress", "estimate"]
 
-Progress = Callable[[str, float], None]
 # Minima nearer than this in every unknown, in standard deviations of the lower one, are one.
 SAME = 1.0
 

@@ -8,26 +8,17 @@ import numpy as np
 
 from ..analysis import Analysis
 from ..criterion import BANDS
+from ..io import FIT_SCHEMA
 from ..model import Simulation
 from ..model.response import level_db, ringing
 from ..parameters import FIT_NAMES, Hammer, String
 from ..recording import Recording
 from ..voice import Voice, arrival
 from .coordinates import VALUES
-from .result import (
-    SCHEMA,
-    UNITS,
-    Heard,
-    Listener,
-    Result,
-    derived,
-    given,
-    level_errors,
-    sizes,
-    together,
-    versions,
-    worse_bands,
-)
+from .entries import derived, given, sizes, versions
+from .listener import Listener, level_errors, together, worse_bands
+from .quantities import UNITS, Covariance
+from .result import Heard, Result
 from .start import Start
 
 __all__ = ["point_result"]
@@ -75,7 +66,7 @@ def point_result(
     said += [f"No partial above the noise in {' and '.join(missing)}; dropped, and the next band used."] * bool(missing)
     found = dict(zip(FIT_NAMES, (*string, *hammer), strict=True))
     document = {
-        "schema": SCHEMA, "program": "pianofit", "recipe": recipe, "felt": start.felt, "seed": seed,
+        "schema": FIT_SCHEMA, "program": "pianofit", "recipe": recipe, "felt": start.felt, "seed": seed,
         "converged": converged, "claims": opening, "messages": [*said, *recording.warnings, *analysis.warnings],
         "invariants": {},
         "parameters": _parameters(start, found, values, at_bound, calibrated),
@@ -94,8 +85,9 @@ def point_result(
         "diagnostics": {"evaluations": evaluations, "partials": len(analysis.partials), "correlated": []},
         "versions": versions(),
     }  # fmt: skip
-    size = len(VALUES) + 1
-    return Result(document, (heard,), 0, np.zeros((size, size)), ((after.voice,),), (1.0,))
+    names = (*VALUES, "v_H0")
+    nothing = Covariance(names, np.zeros((len(names), len(names))))
+    return Result(document, (heard,), 0, nothing, ((after.voice,),), (1.0,))
 
 
 def _levels(voice: Voice, simulation: Simulation, analysis: Analysis) -> np.ndarray:

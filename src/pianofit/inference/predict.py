@@ -30,8 +30,8 @@ from ..threads import one_blas_thread
 from ..voice import Voice, arrival
 from . import Result
 from .fit import fit_takes
+from .listener import scored
 from .observations import string_law
-from .result import scored
 
 __all__ = ["Prediction", "cross_validate", "predict_take"]
 
@@ -240,7 +240,7 @@ def _voices_for(fit: Result, whole: Result, rest: list[int], left_out: int) -> l
     takes = whole.document["takes"]
     for place, j in enumerate(rest):
         if takes[j]["group"] == takes[left_out]["group"]:
-            return [(share, voices[place]) for share, voices in zip(fit.shares, fit.voices, strict=True)]
+            return [(share, voices[place]) for share, voices in zip(fit.shares, fit.notes, strict=True)]
     return []
 
 

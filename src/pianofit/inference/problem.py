@@ -14,8 +14,7 @@ from ..io import one_line
 from ..model import simulate
 from ..parameters import FELT_LAWS, PARAMETERS, Hammer, String
 from ..recording import Recording
-from ..setup import Setup
-from ..setup import Take as Entry
+from ..setup import Layer, Setup
 from . import priors
 from .coordinates import ABSENT, NAMES, SHARED, STRING_SIZE, Unknowns, box
 from .lanes import Cfg, Scene
@@ -90,7 +89,7 @@ def pose(
     for stroke, v in zip(layout.stroke, measured, strict=True):
         speed[stroke] = speed[stroke] if v is None else v
     reference = _reference(analyses, layout, speed)
-    start = starting_values(analyses[reference], replace(setup, takes=()), speed[layout.stroke[reference]])
+    start = starting_values(analyses[reference], replace(setup, recordings=()), speed[layout.stroke[reference]])
     if "v_H0" in setup.known and speed[layout.stroke[reference]] is None:
         speed[layout.stroke[reference]] = setup.known["v_H0"]
     scale = 0.0 if start.scale is None else 20 * np.log10(start.scale)
@@ -118,16 +117,16 @@ def _refuse(recordings: Sequence[Recording], analyses: Sequence[Analysis]) -> No
             )
 
 
-def _entry(recording: Recording, setup: Setup, count: int) -> Entry:
+def _entry(recording: Recording, setup: Setup, count: int) -> Layer:
     """What the setup says of this recording: the entry of its name, or the only one of a single recording."""
     name = Path(recording.path).name
-    for entry in setup.takes:
+    for entry in setup.recordings:
         if Path(entry.file or "").name == name:
             return entry
-    return setup.takes[0] if count == 1 and setup.takes else Entry()
+    return setup.recordings[0] if count == 1 and setup.recordings else Layer()
 
 
-def _layout(entries: Sequence[Entry]) -> Layout:
+def _layout(entries: Sequence[Layer]) -> Layout:
     def index(names: list) -> tuple[int, ...]:
         known = list(dict.fromkeys(names))
         return tuple(known.index(name) for name in names)

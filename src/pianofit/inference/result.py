@@ -1,45 +1,34 @@
-"""A fit in words and numbers: the document that becomes `fit.json`, and the sounds it compares."""
+"""A finished fit as a program and a notebook hold it: numbers by name, what is claimed, and the note that plays."""
 
 from __future__ import annotations
 
-import platform
-from collections.abc import Sequence
+import copy
+import os
 from dataclasses import dataclass
+from html import escape
+from importlib import import_module
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from .. import __version__
 from ..analysis import Analysis, Partials
-from ..criterion import (
-    BANDS,
-    OutputPath,
-    band_of,
-    band_values,
-    borders,
-    closed_form_gain,
-    level_error_db,
-    line_sigma,
-    measure,
-)
+from ..errors import FitError
+from ..io import one_line
 from ..model import Simulation
-from ..parameters import MEMORY_NAMES, PARAMETERS
 from ..recording import Recording
-from ..voice import Voice, strike_voice, touched
-from .start import Start
+from ..render import mixture_of, read_fit
+from ..tables import optional
+from ..voice import Voice
+from .quantities import Covariance, Quantities
 
-__all__ = ["SCHEMA", "UNITS", "Heard", "Listener", "Result", "Sound", "scored", "versions", "worse_bands"]
+__all__ = ["Heard", "Result", "Sound"]
 
-SCHEMA = 2
-# Levels are compared over partials to this, Hz: few hammers reach beyond,
-LEVEL_TOP = 6000.0
-# within so many dB of the strongest: other sounds lie there.
-LEVEL_RANGE = 60.0
-UNITS = {name: p.unit for name, p in PARAMETERS.items()} | {
-    "x0": "m", "M_S": "kg", "L": "m", "width": "m", "pickup": "m",
-}  # fmt: skip
+# Of the identifiability statement, in characters, that a `repr` shows.
+STATEMENT = 300
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Sound:
     """One set of parameters, as it sounds."""
 
@@ -48,8 +37,11 @@ class Sound:
     simulation: Simulation
     level: np.ndarray  # dB, [partials], gain and path included, in the recording's unit
 
+    def __repr__(self) -> str:
+        return f"Sound of {len(self.samples)} samples, {self.voice.hammer.v_H0:.3g} m/s"
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, eq=False, repr=False)
 class Heard:
     """One recording beside what the model makes of it."""
 
@@ -61,207 +53,214 @@ class Heard:
     criterion: dict
     levels: dict
 
+    def __repr__(self) -> str:
+        return f"Heard: {self.recording!r}, levels {self.levels['fitted_db']:.2f} dB off after the fit"
+
     @property
     def partials(self) -> Partials:
         """The table of partials."""
         return self.analysis.partials
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Result:
-    """A finished fit. `document` is what `fit.json` holds, `takes` are in the order in which they were given.
+    """A finished fit, or one that was read back from its `fit.json`.
 
-    What a page shows of one recording is that of the `first`, the reference. `covariance` is that of log(value) at the
-    best minimum, in the order of `coordinates.VALUES` and then the strokes' velocities; zero for what was not fitted.
-    `voices` are what plays each minimum, for every recording, and `shares` their weights. `draws` are the posterior's,
-    where it was asked for: values [chains, draws] by name.
+    `document` is what `fit.json` holds, `takes` are in the order in which they were given, none for one that was read
+    back. What is shown of one recording is that of the `first`, the reference. `notes` are what plays each minimum,
+    for every recording, and `shares` their weights. `draws` are the posterior's, where it was asked for: values
+    [chains, draws] by name.
     """
 
     document: dict
     takes: tuple[Heard, ...]
     first: int
-    covariance: np.ndarray
-    voices: tuple[tuple[Voice, ...], ...]
+    log_covariance: Covariance | None
+    notes: tuple[tuple[Voice, ...], ...]
     shares: tuple[float, ...]
     draws: dict[str, np.ndarray] | None = None
 
     @property
+    def claims(self) -> str:
+        """The identifiability statement: what kind of measurement this is, and what of it is identified."""
+        return self.document["claims"]
+
+    @property
+    def messages(self) -> tuple[str, ...]:
+        """What to beware of, the weightiest first."""
+        return tuple(self.document["messages"])
+
+    @property
+    def parameters(self) -> Quantities:
+        """Every parameter by name, with value, unit, 95 % interval, status and meaning."""
+        return Quantities.of(self.document["parameters"])
+
+    @property
+    def invariants(self) -> Quantities:
+        """What needs no assumed length, mass or velocity."""
+        return Quantities.of(self.document["invariants"])
+
+    @property
+    def note(self) -> Voice:
+        """What renders and predicts: the best minimum's string, hammer and path, at the reference's velocity."""
+        return self.notes[0][self.first]
+
+    @property
+    def mixture(self) -> list[tuple[float, Voice]]:
+        """The notes of all minima with their shares, the best first: what `predict_take` takes."""
+        return [(share, notes[self.first]) for share, notes in zip(self.shares, self.notes, strict=True)]
+
+    @property
+    def covariance(self) -> Covariance:
+        """Covariance of log(value) at the best minimum, by name.
+
+        Raises
+        ------
+        FitError
+            If the fit was read back: a file holds no covariance.
+        """
+        if self.log_covariance is None:
+            raise FitError("covariance: fit.json does not hold it; fit the recordings again")
+        return self.log_covariance
+
+    @property
+    def reference(self) -> Heard:
+        """The reference recording beside what the model makes of it.
+
+        Raises
+        ------
+        FitError
+            If the fit was read back: a file holds no recordings.
+        """
+        if not self.takes:
+            raise FitError("this result was read from fit.json, which holds no recordings; fit them again")
+        return self.takes[self.first]
+
+    @property
     def initial(self) -> Sound:
         """Before the fit, reference recording."""
-        return self.takes[self.first].initial
+        return self.reference.initial
 
     @property
     def fitted(self) -> Sound:
         """After the fit, reference recording."""
-        return self.takes[self.first].fitted
+        return self.reference.fitted
 
     @property
     def recording(self) -> Recording:
         """As it was read, reference recording."""
-        return self.takes[self.first].recording
+        return self.reference.recording
 
     @property
     def analysis(self) -> Analysis:
         """Of the reference recording."""
-        return self.takes[self.first].analysis
+        return self.reference.analysis
 
-    @property
-    def worse_bands(self) -> list[str]:
-        """Occupied bands, and `global`, whose criterion ended no lower than it started."""
-        return worse_bands(self.document["criterion"])
+    # --- to look at ---------------------------------------------------------------------------------------------------
 
+    def __repr__(self) -> str:
+        count, statement = len(self.document["takes"]), self.claims
+        state = "converged" if self.document["converged"] else "NOT CONVERGED"
+        short = statement if len(statement) <= STATEMENT else statement[: STATEMENT - 3] + "..."
+        lines = [f"Result of {count} recording{'s' * (count != 1)}, {self.document['recipe']} recipe, {state}", short]
+        lines += [", ".join(f"{q.name} {q.value:.5g}" for q in table.values()) for table in
+                  (self.invariants, self.parameters)]  # fmt: skip
+        return "\n".join(line for line in lines if line)
 
-def worse_bands(criterion: dict) -> list[str]:
-    """Occupied bands, and `global`, in which the criterion ended no lower than it started."""
-    names = [n for n in ("global", *BANDS) if n in criterion]
-    return [n for n in names if criterion[n]["final"] >= criterion[n]["initial"]]
-
-
-def scored(frequency: np.ndarray, level: np.ndarray) -> np.ndarray:
-    """The partials on which levels are compared [partials], bool."""
-    return (frequency <= LEVEL_TOP) & (level >= level.max() - LEVEL_RANGE)
-
-
-def versions() -> dict[str, str]:
-    """Of the program and of everything the numbers depend on."""
-    import jax
-    import scipy
-
-    return {
-        "pianofit": __version__, "python": platform.python_version(), "jax": jax.__version__,
-        "numpy": np.__version__, "scipy": scipy.__version__,
-    }  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Listener:
-    """A recording on the paper's criterion: cells, and what any other sound of the same length gives on them."""
-
-    recording: Recording
-    analysis: Analysis
-    sigma: float
-    spacing: np.ndarray
-    energy: np.ndarray
-
-    @classmethod
-    def of(cls, recording: Recording, analysis: Analysis) -> Listener:
-        """The listener to one recording."""
-        sigma = line_sigma(analysis.f0)
-        last = int(analysis.partials.number.max())
-        cells, energy = measure(
-            recording.samples[recording.onset :], recording.rate, analysis.f0, analysis.B, last, sigma
+    def _repr_html_(self) -> str:
+        notes = "".join(f"<li>{escape(message)}</li>" for message in self.messages)
+        return (
+            f"<p><strong>{escape(self.claims)}</strong></p>{self.invariants._repr_html_()}"
+            f"{self.parameters._repr_html_()}<ul>{notes}</ul>"
         )
-        return cls(recording, analysis, sigma, cells.spacing, energy)
 
     @property
-    def last(self) -> int:
-        """Number of the highest partial found."""
-        return int(self.analysis.partials.number.max())
+    def plot(self) -> Any:
+        """Figures: `plot.spectrum()`, `plot.force()`, `plot.levels()`, `plot.correlations()`; each returns its Axes."""
+        return _report("plots").Plots(self)
 
-    @property
-    def occupied(self) -> tuple[str, ...]:
-        """Bands with a partial above the noise."""
-        return tuple(BANDS[b] for b in np.unique(band_of(self.analysis.partials.number)))
+    # --- to take elsewhere --------------------------------------------------------------------------------------------
 
-    def hear(self, samples: np.ndarray) -> np.ndarray:
-        """|Y|² [partials, nodes] of a sound aligned to the recording."""
-        a, r = self.analysis, self.recording
-        return measure(samples[r.onset :], r.rate, a.f0, a.B, self.last, self.sigma)[1]
+    def to_dict(self) -> dict[str, Any]:
+        """A copy of what `fit.json` holds (docs/files.md)."""
+        return copy.deepcopy(self.document)
 
-    def play(self, voice: Voice, gain: float | None, begins: int | None, level: np.ndarray) -> Sound:
-        """A voice laid on the recording, with the gain that the criterion likes best if none is given.
+    def to_dataframe(self) -> Any:
+        """The parameters as a pandas data frame, a row each; `invariants.to_dataframe()` gives the others.
+
+        Raises
+        ------
+        OutputError
+            If pandas is not installed.
+        """
+        return self.parameters.to_dataframe()
+
+    def to_arviz(self) -> Any:
+        """The posterior's draws as ArviZ knows them, by name.
+
+        Raises
+        ------
+        FitError
+            If the fit has no draws.
+        OutputError
+            If ArviZ is not installed.
+        """
+        if self.draws is None:
+            raise FitError("there are no draws; fit with intervals='posterior'")
+        return optional("arviz", "draws for ArviZ").from_dict(posterior=self.draws)
+
+    def save(self, folder: str | os.PathLike[str], *, force: bool = False, page: bool = True) -> Path:
+        """Write `fit.json`, the sounds and the page to a folder, which is returned.
+
+        Raises
+        ------
+        OutputError
+            If it cannot be written, or holds something and `force` is not given.
+        FitError
+            If the fit was read back.
+        """
+        return _report("save").save(self, Path(folder), force=force, page=page)
+
+    def report(self, path: str | os.PathLike[str], *, title: str | None = None, held_out: dict | None = None) -> Path:
+        """Write the page to `path`, a file or a folder for `report.html`, and return where it is.
 
         Parameters
         ----------
-        begins : the sample at which the hammer touches; where its sound would be seen at the onset if None.
-        level : dB, [partials], through a gain of 1.
+        title : the names of the recordings and the note, if None.
+        held_out : what `cross_validate` returned of the same recordings, to be shown beside their fit.
+
+        Raises
+        ------
+        OutputError
+            If it cannot be written.
+        FitError
+            If the fit was read back.
         """
-        strike = strike_voice(voice, self.recording.rate)
-        begins = touched(voice, strike, self.recording) if begins is None else begins
-        samples = voice.heard(strike, self.recording.rate, len(self.recording.samples), begins)
-        if gain is None:
-            gain = float(np.sqrt(closed_form_gain(self.hear(samples), self.energy, self.spacing[:, None])))
-            level = level + 20 * np.log10(max(gain, 1e-15))
-        return Sound(voice._replace(gain=gain), samples * gain, strike, level)
+        return _report("save").write_page(self, Path(path), title, held_out)
 
-    def criterion(self, initial: Sound, fitted: Sound) -> dict:
-        """Eq. 19 per band on the sounds themselves, from the onset on; bands without a partial are dropped."""
-        before, after = (band_values(self.hear(s.samples), self.energy, self.spacing) for s in (initial, fitted))
-        kept = {"global", *self.occupied}
-        values = {name: {"initial": before[name], "final": after[name]} for name in before if name in kept}
-        return values | {
-            "dropped": [name for name in BANDS if name not in kept],
-            "sigma": self.sigma,
-            "borders": list(borders(self.analysis.f0, self.analysis.B, self.last)),
-        }
+    @classmethod
+    def load(cls, folder: str | os.PathLike[str]) -> Result:
+        """A fit read back from the folder it was saved to, or from its `fit.json`: without its recordings.
 
-
-def level_errors(levels: dict[str, np.ndarray | None], p: Partials, measured: np.ndarray) -> dict:
-    """Rms errors, dB, of levels [partials] by name, one gain removed, and how many partials were compared."""
-    chosen = scored(p.frequency, measured)
-    of = {n: None if x is None else level_error_db(x[chosen], measured[chosen]) for n, x in levels.items()}
-    return of | {"partials": int(chosen.sum())}
+        Raises
+        ------
+        FitError
+            Naming the file and what is wrong with it.
+        """
+        path = Path(folder) / "fit.json" if Path(folder).is_dir() else Path(folder)
+        document, name = read_fit(path), one_line(path)
+        mixture = mixture_of(document, name)
+        shares, notes = zip(*mixture, strict=True)
+        result = cls(document, (), 0, None, tuple((note,) for note in notes), shares)
+        try:
+            _ = repr(result), result._repr_html_()
+        except (AttributeError, IndexError, KeyError, TypeError, ValueError) as missing:
+            raise FitError(
+                f"{name}: is not whole ({one_line(repr(missing))}); give the file that pianofit fit wrote"
+            ) from None
+        return result
 
 
-def together(levels: Sequence[dict]) -> dict:
-    """Level errors over all recordings, dB rms, and the partials counted."""
-    count = np.array([x["partials"] for x in levels])
-
-    def rms(name: str) -> float | None:
-        values = [x[name] for x in levels]
-        return None if None in values else float(np.sqrt((np.square(values) * count).sum() / count.sum()))
-
-    return {name: rms(name) for name in ("initial_db", "fitted_db", "path_only_db")} | {"partials": int(count.sum())}
-
-
-def given(value: float, name: str, status: str) -> dict:
-    """What no fit searches."""
-    return {
-        "value": float(value), "unit": UNITS[name], "interval": None, "interval_by": None, "interval_open": [],
-        "status": status, "initial": float(value), "note": "",
-    }  # fmt: skip
-
-
-def sizes(start: Start) -> dict[str, dict]:
-    """The string's length and mass, and the pickup's position, as `parameters` has them."""
-    g = start.geometry
-    table = {
-        name: given(value, name, "assumed" if key in start.assumed else "given")
-        for name, value, key in (("M_S", g.mass, "mass"), ("L", g.length, "length"))
-    }
-    if start.quantity in ("velocity", "displacement"):
-        table["pickup"] = given(g.pickup, "pickup", "given")
-    return table
-
-
-def derived(voice: Voice, simulation: Simulation, analysis: Analysis) -> dict:
-    """What follows from the parameters, and what the stroke did."""
-    pulse, g = simulation.pulse, voice.geometry
-    f0 = voice.string.c / (2 * g.length)
-    B = (voice.string.kappa * np.pi / (voice.string.c * g.length)) ** 2
-    u = float(pulse.compression.max())
-    return {
-        "f0": float(f0), "B": float(B), "f1": float(f0 * np.sqrt(1 + B)), "M_H/M_S": float(voice.hammer.M_H / g.mass),
-        "x0/L": float(g.strike / g.length), "contact_ms": 1e3 * simulation.contact_time,
-        "max_force_N": float(pulse.force.max()), "max_compression_mm": 1e3 * u,
-        "felt_force_N": float(voice.hammer.K_H * u**voice.hammer.p),
-        "glide_cents": float(analysis.glide_cents),
-        "glide": [{"start_s": a, "stop_s": b, "f0": f} for a, b, f in analysis.glide],
-    }  # fmt: skip
-
-
-def path_document(path: OutputPath | None) -> dict | None:
-    """A path as `fit.json` holds it."""
-    if path is None:
-        return None
-    return {name: column.tolist() for name, column in path._asdict().items() if column is not None}
-
-
-def absent(name: str, felt: str) -> dict:
-    """A loss that the felt's law does not have."""
-    return given(0.0, name, "given") | {"note": f"the felt's law, {felt}, has none"}
-
-
-def is_memory(name: str) -> bool:
-    """Whether only a felt that relaxes has this parameter."""
-    return name in MEMORY_NAMES
+def _report(part: str) -> Any:
+    """A module of the room that draws and writes: it knows results, so a result calls it by name alone."""
+    return import_module(f"..report.{part}", __package__)

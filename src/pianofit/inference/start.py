@@ -64,7 +64,7 @@ def starting_values(analysis: Analysis, setup: Setup, velocity: float | None = N
     hammer_given = {k: v for k, v in setup.initial.items() if k not in values or k in HAMMER_SPREAD}
     values |= hammer_given | setup.known
     fixed = dict.fromkeys(setup.known, "fixed") | {"width": "assumed" if "width" in assumed else "fixed"}
-    measured = velocity if velocity is not None else next((t.v_H0 for t in setup.takes if t.v_H0), None)
+    measured = velocity if velocity is not None else next((t.v_H0 for t in setup.recordings if t.v_H0), None)
     if measured is not None:
         values["v_H0"], fixed["v_H0"] = measured, "fixed"
     elif not calibrated and "v_H0" not in fixed:

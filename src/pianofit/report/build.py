@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ..criterion import partial_frequency
@@ -10,7 +12,7 @@ from .build_felt import felt_of, known_of
 from .build_takes import paths_of, strikes_of, takes_of
 from .curves import Curves
 
-__all__ = ["curves_of"]
+__all__ = ["curves_of", "reference_curves"]
 
 ATTACK = 0.03  # s
 SPECTRUM_SIGMA = 8.0  # 1/s: lines fine enough to tell partials apart, wide enough to see
@@ -19,12 +21,26 @@ TOP = 12_000.0  # Hz
 
 def curves_of(result: Result) -> Curves:
     """Everything the page shows of one fit."""
-    r, a, heard = result.recording, result.analysis, result.takes[result.first]
+    return replace(
+        reference_curves(result), takes=takes_of(result), first=result.first, paths=paths_of(result),
+        felt=felt_of(result), known=known_of(result), strikes=strikes_of(result),
+    )  # fmt: skip
+
+
+def reference_curves(result: Result) -> Curves:
+    """What is shown of the reference recording alone.
+
+    Raises
+    ------
+    FitError
+        If the fit was read back from a file, which holds no recordings.
+    """
+    r, a, heard = result.recording, result.analysis, result.reference
     rate, onset, p, k = r.rate, r.onset, heard.partials, heard.partials.number
     top = min(0.5 * rate, TOP, float(partial_frequency(k.max() + 2, a.f0, a.B)))
     spectra = [_spectrum(x[onset:], rate, top) for x in (r.samples, result.initial.samples, result.fitted.samples)]
     attack = slice(onset, onset + int(ATTACK * rate))
-    v = result.fitted.voice
+    v = result.note
     f0 = v.string.c / (2 * v.geometry.length)
     B = (v.string.kappa * np.pi / (v.string.c * v.geometry.length)) ** 2
     first, last = result.initial.simulation, result.fitted.simulation
@@ -49,8 +65,6 @@ def curves_of(result: Result) -> Curves:
         compression_fitted=1e3 * _pad(last.pulse.compression, len(steps)),
         sound_rate=rate, sound_original=r.samples, sound_initial=result.initial.samples,
         sound_fitted=result.fitted.samples,
-        takes=takes_of(result), first=result.first, paths=paths_of(result), felt=felt_of(result),
-        known=known_of(result), strikes=strikes_of(result),
     )  # fmt: skip
 
 

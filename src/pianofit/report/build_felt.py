@@ -27,12 +27,12 @@ COMBINED = ("c", "kappa", "M_H", "x0")
 
 def has_intervals(result: Result) -> bool:
     """Whether this fit says how far off it may be; the paper's recipes do not."""
-    return any(entry.get("interval") for entry in result.document["parameters"].values())
+    return any(quantity.interval for quantity in result.parameters.values())
 
 
 def felt_of(result: Result) -> Felt:
     """The static law to the largest compression of all takes, with its band if the fit has one."""
-    hammer = result.fitted.voice.hammer
+    hammer = result.note.hammer
     reached = max(float(np.max(heard.fitted.simulation.pulse.compression)) for heard in result.takes)
     u = reached * np.linspace(0.0, 1.0, POINTS + 1)[1:]
     change = np.zeros((len(u), len(NAMES)))
@@ -51,13 +51,15 @@ def _shared(result: Result) -> np.ndarray:
 
     One common scale of the velocities, known by its prior alone, would else hide what the recordings say of the felt.
     """
-    cov = result.covariance
-    if result.document["parameters"].get("v_H0", {}).get("status") == "scaled":
+    given = result.covariance.matrix
+    cov = given
+    velocity = result.parameters.get("v_H0")
+    if velocity is not None and velocity.status == "scaled":
         held = len(NAMES) + result.document["takes"][result.first]["strike"]
         if cov[held, held] > 0:
             cov = cov - np.outer(cov[held], cov[held]) / cov[held, held]
             # What the scale alone moved is held now, but for rounding.
-            cov = np.where(np.diag(cov) > HELD * np.diag(result.covariance), cov, 0.0)
+            cov = np.where(np.diag(cov) > HELD * np.diag(given), cov, 0.0)
     return cov[: len(NAMES), : len(NAMES)]
 
 

@@ -55,7 +55,7 @@ def strikes_of(result: Result) -> Strikes | None:
     if not inside:
         middle, box = np.sqrt(low * high), PARAMETERS["v_H0"]
         low, high = max(middle / WIDER, box.lower), min(middle * WIDER, box.upper)
-    voice, recording = result.fitted.voice, result.recording
+    voice, recording = result.note, result.recording
     played = []
     for velocity in np.geomspace(low, high, STRIKES):
         struck = voice._replace(hammer=voice.hammer._replace(v_H0=float(velocity)))

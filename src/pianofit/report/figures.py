@@ -34,7 +34,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["BANDS", "FITTED", "INITIAL", "INK", "MEASURED", "STYLE", "draw_figures", "write_picture"]
+__all__ = [
+    "BANDS", "FITTED", "INITIAL", "INK", "MEASURED", "STYLE",
+    "draw_figures", "draw_force", "draw_levels", "draw_spectrum", "write_picture",
+]  # fmt: skip
 
 BANDS = {"band1": "band 1: fundamental", "band2": "band 2: partials 2 to 8", "band3": "band 3: partials from 9"}
 
@@ -142,6 +145,31 @@ def _band_edges(curves: Curves, dropped: tuple[str, ...]) -> list[tuple[float, f
         (low, high, BANDS.get(name, "") + (", left out" if name in dropped else ""), name in dropped)
         for (low, high), name in zip(pairs, names, strict=True)
     ]
+
+
+def draw_spectrum(axes: Axes, curves: Curves, dropped: tuple[str, ...]) -> None:
+    """Draw measured, initial and fitted spectrum, and the bands of the paper's criterion, on axes of a notebook."""
+    edges = _band_edges(curves, dropped)
+    _draw_spectra(axes, curves, edges[0][0], edges[-1][1])
+    _shade_bands(axes, [(low, high, "", left_out) for low, high, _, left_out in edges])
+    axes.set_ylabel("level (dB)")
+    axes.legend()
+
+
+def draw_force(axes: Axes, curves: Curves) -> None:
+    """Draw the hammer's force over time before and after the fit, on axes of a notebook."""
+    for name in ("initial", "fitted"):
+        axes.plot(curves.force_ms, getattr(curves, f"force_{name}"), label=name, **LINES[name])
+    axes.set(xlabel="time from the first touch (ms)", ylabel="force (N)")
+    axes.set_ylim(bottom=0.0)
+    axes.legend()
+
+
+def draw_levels(axes: Axes, curves: Curves) -> None:
+    """Draw the partials' levels, measured, initial and fitted, on axes of a notebook."""
+    _draw_levels(axes, curves)
+    axes.set_xlabel("partial number k")
+    axes.legend()
 
 
 def _shade_bands(axes: Axes, edges: list[tuple[float, float, str, bool]]) -> None:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw_felt", "draw_known"]
+__all__ = ["draw_correlations", "draw_felt", "draw_known"]
 
 SYMBOLS = {
     "kappa": "κ", "mu": "μ", "epsilon": "ε", "tau": "τ", "b1": "b₁", "b2": "b₂", "x0": "x₀", "f0": "f₀",
@@ -79,6 +79,11 @@ def draw_known(known: Known) -> Figure:
     _reaches(figure.add_axes((0.105, high, 0.33, 0.97 - 2 * high)), known)
     _correlations(figure.add_axes((0.55, high, 0.44, 0.97 - 2 * high)), known)
     return figure
+
+
+def draw_correlations(axes: Axes, known: Known) -> None:
+    """Draw the table of correlations on axes of a notebook."""
+    _correlations(axes, known)
 
 
 def _reaches(axes: Axes, known: Known) -> None:

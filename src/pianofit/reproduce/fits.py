@@ -14,11 +14,12 @@ import numpy as np
 
 from ..analysis import Analysis, analyse
 from ..criterion import BANDS, band_of, band_values, line_sigma, measure, partial_frequency
-from ..fitting import fit_recording
 from ..inference import Result
+from ..inference.fit import fit_takes
 from ..inference.start import starting_values
 from ..laboratory import Laboratory, Measurement, setup_text
 from ..laboratory import measure as record
+from ..paper.recipes import fit_by_recipe
 from ..parameters import FIT_NAMES, STRING_NAMES
 from ..recording import Recording, recording_from_samples
 from ..setup import Setup, setup_from_dict
@@ -88,13 +89,13 @@ def fitted(case: Case, recipe: str, seed: int, annealing: int | None = None, tri
     annealing : evaluations for each annealing, the recipe's own number if None.
     tries : annealings, each with a seed of its own; the one with the lowest criterion in band 3 counts.
     """
-    if recipe not in ("paper", "read"):
-        return fit_recording(case.recording, case.analysis, case.setup, recipe=recipe, seed=seed)
+    if recipe == "default":
+        return fit_takes([case.recording], [case.analysis], case.setup, seed=seed)
+    if recipe == "global":
+        return fit_by_recipe(case.recording, case.analysis, case.setup, recipe, seed=seed)
     setup = case.setup if recipe == "paper" else _with_string_read(case)
     results = [
-        fit_recording(
-            case.recording, case.analysis, setup, recipe="paper", evaluations=annealing, seed=seed + NEXT_TRY * n
-        )
+        fit_by_recipe(case.recording, case.analysis, setup, "paper", evaluations=annealing, seed=seed + NEXT_TRY * n)
         for n in range(tries)
     ]
     return min(results, key=lambda result: result.document["criterion"]["band3"]["final"])

@@ -1,0 +1,82 @@
+"""Entries of `fit.json` that every way of fitting writes alike."""
+
+from __future__ import annotations
+
+import platform
+
+import numpy as np
+
+from .. import __version__
+from ..analysis import Analysis
+from ..criterion import OutputPath
+from ..model import Simulation
+from ..parameters import MEMORY_NAMES
+from ..voice import Voice
+from .quantities import UNITS
+from .start import Start
+
+__all__ = ["absent", "derived", "given", "is_memory", "path_document", "sizes", "versions"]
+
+
+def versions() -> dict[str, str]:
+    """Of the program and of everything the numbers depend on."""
+    import jax
+    import scipy
+
+    return {
+        "pianofit": __version__, "python": platform.python_version(), "jax": jax.__version__,
+        "numpy": np.__version__, "scipy": scipy.__version__,
+    }  # fmt: skip
+
+
+def given(value: float, name: str, status: str) -> dict:
+    """What no fit searches."""
+    return {
+        "value": float(value), "unit": UNITS[name], "interval": None, "interval_by": None, "interval_open": [],
+        "status": status, "initial": float(value), "note": "",
+    }  # fmt: skip
+
+
+def sizes(start: Start) -> dict[str, dict]:
+    """The string's length and mass, and the pickup's position, as `parameters` has them."""
+    g = start.geometry
+    table = {
+        name: given(value, name, "assumed" if key in start.assumed else "given")
+        for name, value, key in (("M_S", g.mass, "mass"), ("L", g.length, "length"))
+    }
+    if start.quantity in ("velocity", "displacement"):
+        table["pickup"] = given(g.pickup, "pickup", "given")
+    return table
+
+
+def derived(voice: Voice, simulation: Simulation, analysis: Analysis) -> dict:
+    """What follows from the parameters, and what the stroke did."""
+    pulse, g = simulation.pulse, voice.geometry
+    f0 = voice.string.c / (2 * g.length)
+    B = (voice.string.kappa * np.pi / (voice.string.c * g.length)) ** 2
+    u = float(pulse.compression.max())
+    return {
+        "f0": float(f0), "B": float(B), "f1": float(f0 * np.sqrt(1 + B)), "M_H/M_S": float(voice.hammer.M_H / g.mass),
+        "x0/L": float(g.strike / g.length), "contact_ms": 1e3 * simulation.contact_time,
+        "max_force_N": float(pulse.force.max()), "max_compression_mm": 1e3 * u,
+        "felt_force_N": float(voice.hammer.K_H * u**voice.hammer.p),
+        "glide_cents": float(analysis.glide_cents),
+        "glide": [{"start_s": a, "stop_s": b, "f0": f} for a, b, f in analysis.glide],
+    }  # fmt: skip
+
+
+def path_document(path: OutputPath | None) -> dict | None:
+    """A path as `fit.json` holds it."""
+    if path is None:
+        return None
+    return {name: column.tolist() for name, column in path._asdict().items() if column is not None}
+
+
+def absent(name: str, felt: str) -> dict:
+    """A loss that the felt's law does not have."""
+    return given(0.0, name, "given") | {"note": f"the felt's law, {felt}, has none"}
+
+
+def is_memory(name: str) -> bool:
+    """Whether only a felt that relaxes has this parameter."""
+    return name in MEMORY_NAMES

@@ -1,0 +1,169 @@
+"""What a fit says of one number, of all of them by name, and how their errors go together."""
+
+from __future__ import annotations
+
+import difflib
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..parameters import PARAMETERS
+from ..tables import data_frame, html_table, write_csv
+
+__all__ = ["UNITS", "Covariance", "Quantities", "Quantity"]
+
+# Beside what is searched everywhere: unit and meaning.
+SIZES = {
+    "x0": ("m", "strike position, from the agraffe"),
+    "width": ("m", "full width of the contact window"),
+    "M_S": ("kg", "mass of the whole string"),
+    "L": ("m", "length of the string"),
+    "pickup": ("m", "position of the pickup, from the agraffe"),
+}
+UNITS = {name: p.unit for name, p in PARAMETERS.items()} | {name: unit for name, (unit, _) in SIZES.items()}
+MEANINGS = {name: p.meaning for name, p in PARAMETERS.items()} | {name: text for name, (_, text) in SIZES.items()} | {
+    "f0": "fundamental frequency of the string without stiffness",
+    "B": "inharmonicity",
+    "M_H/M_S": "hammer mass over string mass",
+    "x0/L": "strike position over string length",
+    "F/M_S": "static force of the felt at the reference compression, over the string mass",
+}  # fmt: skip
+COLUMNS = ("name", "value", "low", "high", "unit", "status", "meaning", "note")
+HEADING = ("", "value", "95 % from", "to", "unit", "status", "", "")
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One number that a fit reports."""
+
+    name: str
+    value: float  # in `unit`
+    unit: str
+    interval: tuple[float, float] | None  # 95 %, in `unit`; None where nothing was fitted
+    status: str  # one of `statements.STATUSES`
+    meaning: str
+    note: str = ""
+    initial: float | None = None  # before the fit
+    interval_by: str | None = None  # laplace, profile or posterior
+    interval_open: tuple[str, ...] = ()  # the ends, low or high, that are the range's and not the recording's
+
+    def __str__(self) -> str:
+        span = "" if self.interval is None else f" [{self.interval[0]:.5g}, {self.interval[1]:.5g}]"
+        unit = "" if self.unit == "1" else f" {self.unit}"
+        return f"{self.name} = {self.value:.5g}{unit}{span}, {self.status}"
+
+    @property
+    def row(self) -> tuple:
+        """In the order of `COLUMNS`."""
+        low, high = self.interval or (None, None)
+        return self.name, self.value, low, high, self.unit, self.status, self.meaning, self.note
+
+
+@dataclass(frozen=True, repr=False)
+class Quantities(Mapping[str, Quantity]):
+    """Quantities by name, in order: `table["K_H"]`, `table.K_H`, `table.items()`."""
+
+    entries: dict[str, Quantity]
+
+    @classmethod
+    def of(cls, table: Mapping[str, dict]) -> Quantities:
+        """A table of `fit.json`; what an older file does not say is left out."""
+        return cls({name: _quantity(name, entry) for name, entry in table.items()})
+
+    def __getitem__(self, name: str) -> Quantity:
+        if name not in self.entries:
+            raise KeyError(self._missing(name))
+        return self.entries[name]
+
+    def __getattr__(self, name: str) -> Quantity:
+        if name.startswith("_") or name == "entries":  # before it is made, as when it is copied
+            raise AttributeError(name)
+        if name not in self.entries:
+            raise AttributeError(self._missing(name))
+        return self.entries[name]
+
+    def _missing(self, name: str) -> str:
+        near = difflib.get_close_matches(str(name), self.entries, 1)
+        return f"{name!r} is not there; " + (f"did you mean {near[0]}?" if near else f"there are {', '.join(self)}")
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.entries)
+
+    def __len__(self) -> int:
+        return len(self.entries)
+
+    def __dir__(self) -> list[str]:
+        return [*super().__dir__(), *(name for name in self if name.isidentifier())]
+
+    def __repr__(self) -> str:
+        return "\n".join(map(str, self.values()))
+
+    def _repr_html_(self) -> str:
+        return html_table(HEADING, (q.row for q in self.values()))
+
+    def to_dataframe(self) -> Any:
+        """One row a quantity, by name: value, ends of the 95 % interval, unit, status, meaning, note.
+
+        Raises
+        ------
+        OutputError
+            If pandas is not installed.
+        """
+        return data_frame(COLUMNS, (q.row for q in self.values()))
+
+    def to_csv(self, path: str | os.PathLike[str]) -> None:
+        """Write the table that `to_dataframe` gives, without pandas.
+
+        Raises
+        ------
+        OutputError
+            If it cannot be written.
+        """
+        write_csv(path, COLUMNS, (q.row for q in self.values()))
+
+
+def _quantity(name: str, entry: Mapping[str, Any]) -> Quantity:
+    interval = entry.get("interval")
+    meaning = "velocity of a stroke over the reference's" if name.startswith("v/v_ref") else MEANINGS.get(name, "")
+    return Quantity(
+        name, entry["value"], entry.get("unit", ""), None if interval is None else (interval[0], interval[1]),
+        entry.get("status", "fitted"), meaning, entry.get("note", ""), entry.get("initial"),
+        entry.get("interval_by"), tuple(entry.get("interval_open", ())),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Covariance:
+    """Covariance of the logarithms of values at the best minimum, by name; zero for what was not fitted."""
+
+    names: tuple[str, ...]
+    matrix: np.ndarray  # [names, names], 1
+
+    def __getitem__(self, pair: tuple[str, str]) -> float:
+        row, column = (self.names.index(name) for name in pair)
+        return float(self.matrix[row, column])
+
+    def __repr__(self) -> str:
+        return f"Covariance of log {', '.join(self.names)}"
+
+    @property
+    def correlation(self) -> Covariance:
+        """Correlations [fitted, fitted] of what was fitted."""
+        free = np.flatnonzero(np.diag(self.matrix) > 0)
+        sd = np.sqrt(np.diag(self.matrix)[free])
+        matrix = np.clip(self.matrix[np.ix_(free, free)] / np.outer(sd, sd), -1.0, 1.0)
+        return Covariance(tuple(self.names[i] for i in free), matrix)
+
+    def to_dataframe(self) -> Any:
+        """Rows and columns by name.
+
+        Raises
+        ------
+        OutputError
+            If pandas is not installed.
+        """
+        rows = ((name, *row) for name, row in zip(self.names, self.matrix.tolist(), strict=True))
+        return data_frame(("name", *self.names), rows)

@@ -1,0 +1,68 @@
+"""A fit as a folder: `fit.json`, what it sounds like, and the page."""
+
+from __future__ import annotations
+
+import contextlib
+from pathlib import Path
+
+from ..inference import Result
+from ..io import encode_wav, json_text, one_line, output_folder, replace_file
+from .build import curves_of
+from .page import write_report
+
+__all__ = ["save", "write_page"]
+
+
+def save(result: Result, folder: Path, *, force: bool, page: bool) -> Path:
+    """Write the sounds, `fit.json` and, last, the page; of several recordings `fitted-NAME.wav` is each one's own.
+
+    Raises
+    ------
+    OutputError
+        If the folder cannot be written, or holds something and `force` is not given.
+    FitError
+        If the fit was read back, without its recordings.
+    """
+    _ = result.reference  # refused before anything is written
+    with output_folder(folder, force):
+        _write_sounds(result, folder)
+        replace_file(folder / "fit.json", json_text(result.document).encode())
+        if page:
+            write_page(result, folder, None, None)
+    return folder
+
+
+def write_page(result: Result, path: Path, title: str | None, held_out: dict | None) -> Path:
+    """Write the page to `path`, or to `report.html` in it.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be written.
+    FitError
+        If the fit was read back, without its recordings.
+    """
+    path = path / "report.html" if path.is_dir() else path
+    write_report(path, result.document, curves_of(result), title or _title(result), held_out=held_out)
+    return path
+
+
+def _title(result: Result) -> str:
+    """The names of the recordings, and the note if one was given."""
+    names = ", ".join(one_line(Path(heard.recording.path).name) for heard in result.takes)
+    return names + (f", {result.analysis.note}" if result.analysis.note else "")
+
+
+def _write_sounds(result: Result, folder: Path) -> None:
+    """What was before and after the fit, in sound; what an earlier fit left of its page and sounds goes."""
+    for old in (folder / "report.html", *folder.glob("fitted-*.wav")):
+        with contextlib.suppress(FileNotFoundError):
+            old.unlink()
+    rate = result.recording.rate
+    replace_file(folder / "initial.wav", encode_wav(result.initial.samples, rate))
+    replace_file(folder / "fitted.wav", encode_wav(result.fitted.samples, rate))
+    stems = [Path(heard.recording.path).stem for heard in result.takes]
+    for place, (stem, heard) in enumerate(zip(stems, result.takes, strict=True), 1):
+        if len(stems) > 1:
+            name = stem if stems.count(stem) == 1 else f"{stem}-{place}"  # of one name in two folders
+            replace_file(folder / f"fitted-{name}.wav", encode_wav(heard.fitted.samples, heard.recording.rate))

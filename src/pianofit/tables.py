@@ -1,0 +1,72 @@
+"""Tables for people and for other programs: HTML that a notebook shows, CSV, and a pandas data frame."""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+from collections.abc import Iterable, Sequence
+from html import escape
+from typing import Any
+
+from .errors import OutputError
+from .io import one_line, replace_file
+
+__all__ = ["data_frame", "html_table", "optional", "write_csv"]
+
+Rows = Iterable[Sequence[Any]]
+
+
+def html_table(header: Sequence[str], rows: Rows, caption: str = "") -> str:
+    """A table as HTML, every text in it escaped; numbers are shown with five significant digits."""
+    head = "".join(f"<th>{escape(name)}</th>" for name in header)
+    body = "".join("<tr>" + "".join(f"<td>{escape(_shown(cell))}</td>" for cell in row) + "</tr>" for row in rows)
+    title = f"<caption>{escape(caption)}</caption>" if caption else ""
+    return f"<table>{title}<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+
+
+def _shown(cell: Any) -> str:
+    return "" if cell is None else f"{cell:.5g}" if isinstance(cell, float) else str(cell)
+
+
+def write_csv(path: str | os.PathLike[str], header: Sequence[str], rows: Rows) -> None:
+    """Write a table as CSV (UTF-8, numbers in full, None as an empty cell), replacing what was there.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be written.
+    """
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows([header, *rows])
+    replace_file(path, text.getvalue().encode())
+
+
+def data_frame(header: Sequence[str], rows: Rows) -> Any:
+    """The table as a pandas data frame, its first column the index.
+
+    Raises
+    ------
+    OutputError
+        If pandas is not installed.
+    """
+    pandas = optional("pandas", "a data frame")
+    return pandas.DataFrame(list(rows), columns=list(header)).set_index(header[0])
+
+
+def optional(package: str, what: str) -> Any:
+    """A package that only some need.
+
+    Raises
+    ------
+    OutputError
+        If it is not installed, saying how to.
+    """
+    from importlib import import_module
+
+    try:
+        return import_module(package)
+    except ImportError as missing:
+        raise OutputError(
+            f"{what} needs {package} ({one_line(missing)}); install it with pip install 'pianofit[notebook]'"
+        ) from None

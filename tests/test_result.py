@@ -1,0 +1,283 @@
+"""A result as a program and a notebook hold it: numbers by name, tables, figures, a folder and back."""
+
+from __future__ import annotations
+
+import copy
+import csv
+import functools
+import json
+import sys
+import warnings
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import soundfile
+from twin_cases import FIRST, record_model, setup_of
+
+import pianofit
+from pianofit.errors import FitError, OutputError
+from pianofit.inference.statements import STATUSES
+from pianofit.parameters import FIT_NAMES, PARAMETERS
+
+HOSTILE = '<script>alert("x")</script>'
+
+
+@functools.cache
+def result() -> pianofit.Result:
+    """One calibrated fit, made by the model itself."""
+    return pianofit.fit(record_model(FIRST, seconds=1.5), setup=setup_of(FIRST), progress=False)
+
+
+@pytest.fixture
+def saved(tmp_path) -> Path:
+    return result().save(tmp_path / "fit", page=False)
+
+
+def hostile() -> pianofit.Result:
+    """The same with names, notes and sentences that are code."""
+    document = result().to_dict()
+    document["claims"] = HOSTILE
+    document["messages"] = [HOSTILE]
+    document["parameters"]["c"] |= {"note": HOSTILE, "unit": HOSTILE}
+    document["invariants"][HOSTILE] = document["invariants"]["f0"]
+    return replace(result(), document=document)
+
+
+# --- numbers by name --------------------------------------------------------------------------------------------------
+
+
+def test_every_number_is_there_by_name():
+    document = result().document
+    for table, written in ((result().parameters, "parameters"), (result().invariants, "invariants")):
+        assert list(table) == list(document[written])
+        for name, quantity in table.items():
+            entry = document[written][name]
+            assert (quantity.name, quantity.value, quantity.unit) == (name, entry["value"], entry["unit"])
+            assert quantity.interval == (None if entry["interval"] is None else tuple(entry["interval"]))
+            assert quantity.status == entry.get("status", "fitted")
+            assert quantity.status in STATUSES
+            assert quantity.meaning
+    assert result().parameters["K_H"] == result().parameters.K_H
+    assert result().parameters.K_H.meaning == PARAMETERS["K_H"].meaning
+    assert result().claims == document["claims"]
+    assert result().messages == tuple(document["messages"])
+    assert copy.copy(result().parameters) == result().parameters
+
+
+def test_a_name_that_is_not_there_is_a_question():
+    with pytest.raises(AttributeError, match="did you mean K_H"):
+        _ = result().parameters.KH
+    with pytest.raises(KeyError, match="did you mean K_H"):
+        _ = result().parameters["KH"]
+    assert "K_H" in dir(result().parameters)
+
+
+def test_the_note_is_the_fitted_string_and_hammer():
+    note = result().note
+    values = note.string._asdict() | note.hammer._asdict()
+    for name in FIT_NAMES:
+        assert values[name] == pytest.approx(result().parameters[name].value, rel=1e-12)
+    (share, first), *_ = result().mixture
+    assert share == pytest.approx(1 / len(result().mixture), abs=0.5)
+    assert first is note
+
+
+def test_the_covariance_is_that_of_the_intervals():
+    covariance = result().covariance
+    assert covariance.names[:2] == ("c", "kappa")
+    assert covariance.names[-1] == "v_H0"
+    assert covariance["c", "kappa"] == covariance["kappa", "c"]
+    for name in ("c", "b1", "M_H", "v_H0"):
+        low, high = result().parameters[name].interval
+        assert np.log(high / low) == pytest.approx(2 * 1.96 * covariance[name, name] ** 0.5, rel=0.05), name
+    correlation = covariance.correlation
+    np.testing.assert_allclose(np.diag(correlation.matrix), 1.0)
+    assert correlation["K_H", "p"] > 0.9
+    assert "epsilon" not in correlation.names
+
+
+# --- to look at -------------------------------------------------------------------------------------------------------
+
+
+def test_what_a_prompt_shows_is_short():
+    things = [
+        result(), result().reference, result().fitted, result().recording, result().analysis,
+        result().analysis.partials, result().parameters, result().invariants, result().covariance,
+    ]  # fmt: skip
+    for thing in things:
+        assert 10 < len(repr(thing)) < 2000, type(thing)
+    assert result().claims[:60] in repr(result())
+
+
+def test_what_a_notebook_shows_is_escaped():
+    page = hostile()._repr_html_()
+    assert "<script" not in page
+    assert page.count("&lt;script&gt;") == 5
+    assert page.index("&lt;script&gt;") < page.index("<table>"), "the statement comes first"
+    assert page.index("F/M_S") < page.index("K_H"), "the invariants come before the parameters"
+    seen = replace(result().analysis, note=HOSTILE)
+    assert "<script" not in seen._repr_html_()
+    assert seen._repr_html_().count("<tr>") == len(seen.partials) + 6
+
+
+@pytest.mark.parametrize("name", ["spectrum", "force", "levels", "correlations"])
+def test_a_figure_is_drawn_on_new_axes_or_on_given_ones(name):
+    plt = pytest.importorskip("matplotlib.pyplot")
+    plt.switch_backend("Agg")
+    _, given = plt.subplots()
+    draw = getattr(result().plot, name)
+    assert draw(given) is given
+    axes = draw()
+    assert axes is not given
+    for panel in (given, axes):
+        assert panel.has_data()
+        panel.figure.canvas.draw()
+    plt.close("all")
+
+
+def test_the_figures_show_this_fit():
+    plt = pytest.importorskip("matplotlib.pyplot")
+    plt.switch_backend("Agg")
+    force = {line.get_label(): line for line in result().plot.force().lines}["fitted"].get_ydata()
+    assert np.nanmax(force) == pytest.approx(result().document["derived"]["max_force_N"])
+    levels = {line.get_label(): line for line in result().plot.levels().lines}["fitted"].get_ydata()
+    np.testing.assert_array_equal(levels, result().fitted.level)
+    assert {text.get_text() for text in result().plot.spectrum().get_legend().get_texts()} == {
+        "measured", "initial", "fitted",
+    }  # fmt: skip
+    plt.close("all")
+
+
+# --- to take elsewhere ------------------------------------------------------------------------------------------------
+
+
+def test_a_table_is_written_without_pandas(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    result().parameters.to_csv(tmp_path / "table.csv")
+    with (tmp_path / "table.csv").open(newline="") as file:
+        rows = {row["name"]: row for row in csv.DictReader(file)}
+    assert list(rows) == list(result().parameters)
+    for name, quantity in result().parameters.items():
+        assert float(rows[name]["value"]) == quantity.value
+        assert rows[name]["low"] == ("" if quantity.interval is None else repr(quantity.interval[0]))
+
+
+def test_what_is_not_installed_is_named(monkeypatch):
+    for package in ("pandas", "arviz"):
+        monkeypatch.setitem(sys.modules, package, None)
+    with_draws = replace(result(), draws={"p": np.ones((2, 10))})
+    for call in (
+        result().to_dataframe, result().invariants.to_dataframe, result().covariance.to_dataframe,
+        result().analysis.to_dataframe, with_draws.to_arviz,
+    ):  # fmt: skip
+        with pytest.raises(OutputError, match=r"needs (pandas|arviz) .*pip install 'pianofit\[notebook\]'"):
+            call()
+
+
+def test_tables_for_pandas():
+    pytest.importorskip("pandas")
+    frame = result().to_dataframe()
+    assert frame.loc["K_H", "value"] == result().parameters.K_H.value
+    assert tuple(frame.loc["c", ["low", "high"]]) == result().parameters.c.interval
+    covariance = result().covariance
+    assert covariance.to_dataframe().loc["c", "kappa"] == covariance["c", "kappa"]
+    partials = result().analysis.to_dataframe()
+    np.testing.assert_array_equal(partials["frequency"], result().analysis.partials.frequency)
+    assert partials.index.name == "number"
+
+
+def test_draws_for_arviz():
+    with pytest.raises(FitError, match="intervals='posterior'"):
+        result().to_arviz()
+    with warnings.catch_warnings(action="ignore"):  # of its own plans
+        pytest.importorskip("arviz")
+    draws = np.random.default_rng(0).normal(size=(2, 50))
+    posterior = replace(result(), draws={"p": draws}).to_arviz().posterior
+    np.testing.assert_array_equal(posterior["p"].to_numpy(), draws)
+
+
+def test_a_dict_is_a_copy():
+    mine = result().to_dict()
+    mine["parameters"]["c"]["value"] = 0.0
+    assert result().parameters.c.value > 0
+    assert mine["claims"] == result().claims
+
+
+# --- a folder, and back -----------------------------------------------------------------------------------------------
+
+
+def test_a_result_is_saved_and_read_back(saved):
+    assert sorted(file.name for file in saved.iterdir()) == ["fit.json", "fitted.wav", "initial.wav"]
+    assert json.loads((saved / "fit.json").read_text()) == result().document
+    for place in (saved, str(saved), saved / "fit.json"):
+        back = pianofit.Result.load(place)
+        assert back.parameters == result().parameters
+        assert back.invariants == result().invariants
+        assert (back.claims, back.messages) == (result().claims, result().messages)
+        np.testing.assert_allclose(back.note.string, result().note.string, rtol=1e-12)
+        np.testing.assert_allclose(back.note.hammer, result().note.hammer, rtol=1e-12)
+        np.testing.assert_allclose(back.note.geometry, result().note.geometry, rtol=1e-12)
+        assert back.note.gain == result().note.gain
+        assert len(repr(back)) < 2000
+        assert back._repr_html_() == result()._repr_html_()
+
+
+def test_what_a_file_does_not_hold_is_said(saved):
+    back = pianofit.Result.load(saved)
+    calls: list[Any] = [
+        lambda: back.recording, lambda: back.fitted, lambda: back.analysis, back.plot.spectrum, back.plot.force,
+        back.plot.levels, lambda: back.save(saved / "again"), lambda: back.report(saved),
+    ]  # fmt: skip
+    for call in calls:
+        with pytest.raises(FitError, match=r"fit\.json, which holds no recordings"):
+            call()
+    for call in (lambda: back.covariance, back.plot.correlations):
+        with pytest.raises(FitError, match="covariance"):
+            call()
+    assert sorted(file.name for file in saved.iterdir()) == ["fit.json", "fitted.wav", "initial.wav"]
+
+
+def test_a_folder_in_use_is_kept(saved):
+    before = (saved / "fit.json").read_bytes()
+    with pytest.raises(OutputError, match="not empty"):
+        result().save(saved)
+    assert result().save(saved, force=True, page=False) == saved
+    assert (saved / "fit.json").read_bytes() == before
+
+
+def test_every_recording_has_a_sound_of_its_own(tmp_path):
+    """Also where two of them have one name in two folders."""
+    first = result().reference
+    other = replace(first, recording=replace(first.recording, path="soft/a.wav"))
+    alike = replace(first, recording=replace(first.recording, path="loud/a.wav", rate=44_100))
+    three = replace(result(), takes=(first, other, alike))
+    names = sorted(file.name for file in three.save(tmp_path / "fit", page=False).glob("fitted-*"))
+    assert names == ["fitted-a-2.wav", "fitted-a-3.wav", "fitted-twin.wav"]
+    assert soundfile.info(tmp_path / "fit" / "fitted-a-3.wav").samplerate == 44_100
+    assert soundfile.info(tmp_path / "fit" / "fitted-a-2.wav").samplerate == first.recording.rate != 44_100
+
+
+def test_the_page_goes_where_it_is_asked_to(tmp_path):
+    assert result().report(tmp_path) == tmp_path / "report.html"
+    page = hostile().report(tmp_path / "own.html", title=HOSTILE).read_text()
+    assert HOSTILE not in page
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"schema": 99}, "99"),
+        ({"claims": None}, "is not whole"),
+        ({"messages": 3}, "is not whole"),
+        ({"invariants": {"f0": {"value": None}}}, "is not whole"),
+        ({"parameters": {}}, "c"),
+    ],
+)
+def test_a_file_that_is_no_fit_is_refused(saved, change, said):
+    (saved / "fit.json").write_text(json.dumps(result().document | change))
+    with pytest.raises(FitError, match=r"fit\.json: ") as caught:
+        pianofit.Result.load(saved)
+    assert said in str(caught.value)
