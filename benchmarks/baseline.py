@@ -221,7 +221,7 @@ def check(rate: float = 44_100.0, samples: int = 600, points: int = 100) -> floa
         If the two differ.
     """
     import pianofit
-    from pianofit.model.reference import solve
+    from pianofit.paper.reference import solve
 
     it = pianofit.preset("bensa-final")
     # Between points the reference reads the sines through all of them, which costs time and is none of the scheme.

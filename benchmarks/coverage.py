@@ -67,9 +67,9 @@ def _demo(seed: int, noise_db: float | None) -> dict:
     from pianofit.analysis import analyse
     from pianofit.fitting import fit_recording
     from pianofit.io import encode_wav
+    from pianofit.paper.twin import make_twin, setup_text
     from pianofit.recording import load_recording
     from pianofit.setup import load_setup
-    from pianofit.twin import make_twin, setup_text
 
     twin = make_twin(noise_db, seed)
     with tempfile.TemporaryDirectory() as folder:

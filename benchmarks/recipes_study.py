@@ -26,14 +26,14 @@ from pianofit import Analysis, Recording, Setup, analyse, recording_from_samples
 from pianofit.criterion import band_values, line_sigma
 from pianofit.criterion import measure as energies
 from pianofit.inference.start import starting_values
-from pianofit.laboratory import Laboratory, measure, setup_text
 from pianofit.model import simulate
 from pianofit.model.cache import keep_programs
-from pianofit.paper import fit_by_paper
+from pianofit.paper.laboratory import Laboratory, measure, setup_text
 from pianofit.paper.problem import pose, split
+from pianofit.paper.recipes import fit_by_paper
+from pianofit.paper.twin import make_twin
+from pianofit.paper.twin import setup_text as demo_setup
 from pianofit.parameters import FIT_NAMES
-from pianofit.twin import make_twin
-from pianofit.twin import setup_text as demo_setup
 
 VELOCITIES = (0.618, 0.844, 1.299)
 # Levels are compared over partials to this frequency, Hz,

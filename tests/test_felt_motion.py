@@ -20,9 +20,9 @@ from felt_cases import (
 )  # fmt: skip
 from model_cases import GEOMETRY, RATE, STRING
 
-from pianofit.laboratory.body import Axis, make_body
-from pianofit.laboratory.felt import Felt
-from pianofit.laboratory.strike import strike as laboratory_strike
+from pianofit.paper.laboratory.body import Axis, make_body
+from pianofit.paper.laboratory.felt import Felt
+from pianofit.paper.laboratory.strike import strike as laboratory_strike
 from pianofit.parameters import Hammer, MemoryHammer
 
 # --- another way to step ---------------------------------------------------------------------------------------------

@@ -10,12 +10,12 @@ import scipy.integrate
 import scipy.signal
 
 from pianofit.errors import FitError
-from pianofit.laboratory import Laboratory, chosen, measure
-from pianofit.laboratory.body import Axis, Body, make_axes, make_body
-from pianofit.laboratory.chosen import FINAL, MODES, RESONATORS, Resonator
-from pianofit.laboratory.felt import FELTS, Felt, FeltState, Stepper, stored
-from pianofit.laboratory.measurement import blow_of, felt_of
-from pianofit.laboratory.strike import _meet, energy, strike
+from pianofit.paper.laboratory import Laboratory, chosen, measure
+from pianofit.paper.laboratory.body import Axis, Body, make_axes, make_body
+from pianofit.paper.laboratory.chosen import FINAL, MODES, RESONATORS, Resonator
+from pianofit.paper.laboratory.felt import FELTS, Felt, FeltState, Stepper, stored
+from pianofit.paper.laboratory.measurement import blow_of, felt_of
+from pianofit.paper.laboratory.strike import _meet, energy, strike
 from pianofit.parameters import String
 
 V = 0.844  # m/s

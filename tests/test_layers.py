@@ -27,26 +27,21 @@ USES = {
     "setup": "io parameters",
     "analysis": "recording",
     "model": "parameters",
-    "criterion": "",
+    "criterion": "analysis",
     "voice": "criterion model parameters recording",
     "inference": "analysis criterion io model parameters published recording setup threads voice",
-    "paper": "analysis criterion inference model parameters recording voice",
+    "paper": "analysis criterion inference io model parameters published recording report setup voice",
     "fitting": "analysis inference paper recording setup",
     "render": "criterion inference io model parameters recording voice",
-    "report": "criterion inference io parameters",
-    "twin": "model published",
-    "laboratory": "io parameters published recording twin",
-    "reproduce": "analysis criterion fitting inference io laboratory model paper parameters published recording report"
-    " setup voice",
-    "workflow": "analysis fitting inference io model recording render report setup voice",
+    "report": "analysis inference io parameters",
+    "workflow": "analysis fitting inference io model paper recording render report setup voice",
     "batch": "analysis io parameters recording report workflow",
     "keyboard": "analysis criterion io model parameters published render report voice",
     "play": "analysis io keyboard model parameters recording render threads voice",
-    "cli": "analysis batch fitting inference io keyboard model parameters play published recording render reproduce"
-    " setup twin workflow",
+    "cli": "analysis batch inference io keyboard model paper parameters play published recording render setup workflow",
     "__main__": "cli",
 }
-WITH_JAX = ("model", "criterion", "inference", "paper", "render", "predict")
+WITH_JAX = ("model", "inference", "paper", "render", "predict")
 HEAVY = ("jax", "scipy", "matplotlib", "soundfile", "jinja2")
 LONGEST = 400  # lines
 
@@ -142,6 +137,15 @@ def loaded_by(code: str) -> set[str]:
 @pytest.mark.parametrize("module", ["", ".cli", ".parameters", ".published", ".recording", ".setup", ".analysis"])
 def test_what_needs_no_jax_does_not_load_it(module):
     assert "jax" not in loaded_by(f"import pianofit{module}")
+
+
+def test_the_default_estimate_does_not_load_the_papers_room():
+    program = (
+        "import sys, pianofit, pianofit.workflow, pianofit.fitting, pianofit.report.page\n"
+        "for name in pianofit.__all__: getattr(pianofit, name)\n"
+        "assert not [name for name in sys.modules if name.startswith('pianofit.paper')]"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True)
 
 
 @pytest.mark.parametrize("arguments", [["--help"], ["fit", "--help"], ["--version"], ["fit", "--speed"]])

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from report_cases import Page
 
+from pianofit.paper.reproduce.listening import MEASURED, Heard, Question, write_listening
 from pianofit.report.sound import k_weighted_mean_square
-from pianofit.reproduce.listening import MEASURED, Heard, Question, write_listening
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 CHROMIUM = shutil.which("chromium") or "/usr/bin/chromium"

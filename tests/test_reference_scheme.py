@@ -11,7 +11,7 @@ from reference_cases import CASES, WIDE, relative, solve
 
 from pianofit import model
 from pianofit.errors import FitError, ParameterError
-from pianofit.model import grid, reference
+from pianofit.paper import grid, reference
 from pianofit.parameters import Geometry, Hammer, String
 
 

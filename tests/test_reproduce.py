@@ -14,16 +14,16 @@ import soundfile as sf
 from report_cases import Page
 
 from pianofit.errors import ParameterError
+from pianofit.paper.reproduce import QUICK, limits
+from pianofit.paper.reproduce import verdicts_fit as fit
+from pianofit.paper.reproduce import verdicts_model as model
+from pianofit.paper.reproduce.band3 import Hammers, landscape, race
+from pianofit.paper.reproduce.descriptors import attack_time, centroid
+from pianofit.paper.reproduce.direct import strikes
+from pianofit.paper.reproduce.page import Book
+from pianofit.paper.reproduce.studies import spread_of
+from pianofit.paper.reproduce.verdict import or_else
 from pianofit.published import preset
-from pianofit.reproduce import QUICK, limits
-from pianofit.reproduce import verdicts_fit as fit
-from pianofit.reproduce import verdicts_model as model
-from pianofit.reproduce.band3 import Hammers, landscape, race
-from pianofit.reproduce.descriptors import attack_time, centroid
-from pianofit.reproduce.direct import strikes
-from pianofit.reproduce.page import Book
-from pianofit.reproduce.studies import spread_of
-from pianofit.reproduce.verdict import or_else
 from pianofit.voice import Voice
 
 RATE = 44_100
@@ -331,7 +331,7 @@ def known_fit(case, recipe, seed, annealing=None, tries=1):
 def test_a_quick_run_of_the_command_makes_all_files(tmp_path, capsys, monkeypatch):
     """All but the fits themselves, in whose place stand known values; the slow tests have the fits too."""
     from pianofit.cli import main
-    from pianofit.reproduce import studies
+    from pianofit.paper.reproduce import studies
 
     monkeypatch.setattr(studies, "fitted", known_fit)
     assert main(["reproduce", "--out", str(tmp_path / "out"), "--quick"]) == 0
@@ -352,7 +352,7 @@ def test_a_quick_run_of_the_command_makes_all_files(tmp_path, capsys, monkeypatc
 
 @pytest.mark.slow
 def test_a_quick_run_with_its_fits_makes_all_files_and_makes_them_again(tmp_path):
-    from pianofit.reproduce import reproduce
+    from pianofit.paper.reproduce import reproduce
 
     for name in ("first", "second"):
         (tmp_path / name).mkdir()
@@ -365,7 +365,7 @@ def test_a_quick_run_with_its_fits_makes_all_files_and_makes_them_again(tmp_path
 
 @pytest.mark.slow
 def test_a_full_run_brings_the_papers_main_findings(tmp_path):
-    from pianofit.reproduce import FULL, reproduce
+    from pianofit.paper.reproduce import FULL, reproduce
 
     verdicts = {verdict.claim: verdict.outcome for verdict in reproduce(tmp_path, seed=0)}
     check_folder(tmp_path, FULL)

@@ -5,14 +5,11 @@ from __future__ import annotations
 from .analysis import Analysis
 from .inference import Progress, Result
 from .inference.fit import fit_takes
-from .inference.point import point_result
-from .inference.start import Start, starting_values
-from .inference.views import MEANS, check_intervals
-from .paper.recipes import RECIPES, Found, check_recipe, claims, fit_by_paper
+from .inference.views import check_intervals
 from .recording import Recording
 from .setup import Setup
 
-__all__ = ["MEANS", "RECIPES", "check_intervals", "check_recipe", "fit_recording"]
+__all__ = ["fit_recording"]
 
 
 def fit_recording(
@@ -47,29 +44,13 @@ def fit_recording(
     ParameterError
         For another recipe, or evaluations or intervals that it cannot have.
     """
-    check_recipe(recipe, evaluations)
     check_intervals(intervals, recipe)
-    if recipe == "default":
+    if recipe == "default" and evaluations is None:
         return fit_takes(
             [recording], [analysis], setup, velocity=velocity, intervals=intervals, seed=seed, progress=progress
         )
-    start = _start_of_paper(analysis, setup or Setup(), velocity)
-    found = fit_by_paper(recording, analysis, start, recipe, evaluations=evaluations, seed=seed, progress=progress)
-    return _paper_result(recording, analysis, start, recipe, seed, found)
+    from .paper.recipes import fit_by_recipe  # for comparison: whoever does not ask for it does not load it
 
-
-def _start_of_paper(analysis: Analysis, setup: Setup, velocity: float | None) -> Start:
-    measured = velocity if velocity is not None else next((t.v_H0 for t in setup.takes if t.v_H0), None)
-    return starting_values(analysis, setup, measured)
-
-
-def _paper_result(
-    recording: Recording, analysis: Analysis, start: Start, recipe: str, seed: int, found: Found
-) -> Result:
-    """What a recipe of the paper found, as a result that claims no more than it can."""
-    opening, messages = claims(recipe, start.scale is not None)
-    return point_result(
-        recording, analysis, start, found.string, found.hammer, recipe=recipe, seed=seed, delay=found.delay,
-        converged=found.converged, evaluations=found.evaluations, at_bound=found.at_bound, opening=opening,
-        messages=messages,
-    )  # fmt: skip
+    return fit_by_recipe(
+        recording, analysis, setup, recipe, velocity=velocity, evaluations=evaluations, seed=seed, progress=progress
+    )

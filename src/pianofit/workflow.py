@@ -66,7 +66,7 @@ def fit_files(
         For any input that cannot be used; nothing is then written.
     """
     if recipe != "default" or evaluations is not None:
-        from .fitting import check_recipe
+        from .paper.recipes import check_recipe
 
         check_recipe(recipe, evaluations)
     if intervals != "laplace":

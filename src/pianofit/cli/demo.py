@@ -8,7 +8,7 @@ from pathlib import Path
 from ..inference import Result
 from ..io import encode_wav, replace_file
 from ..model.cache import keep_programs
-from ..twin import make_twin, setup_text
+from ..paper.twin import make_twin, setup_text
 from ..workflow import fit_file
 
 __all__ = ["run_demo"]

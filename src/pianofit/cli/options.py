@@ -32,7 +32,7 @@ def whole(text: str | int) -> int:
 def _recipe(text: str) -> str:
     if text == "default":
         return text
-    from ..fitting import RECIPES
+    from ..paper.recipes import RECIPES
 
     if text not in RECIPES:
         raise typer.BadParameter(f"{text!r} is none of {', '.join(RECIPES)}")

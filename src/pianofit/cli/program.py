@@ -327,8 +327,8 @@ def reproduce(
 
     _checked(None, seed)
     with output_folder(out, force) as folder, progress_bar() as progress:
-        from ..reproduce import FULL, QUICK
-        from ..reproduce import reproduce as run
+        from ..paper.reproduce.plan import FULL, QUICK
+        from ..paper.reproduce.run import reproduce as run
 
         verdicts = run(folder, seed, plan=QUICK if quick else FULL, progress=progress)
     for verdict in verdicts:

@@ -1,4 +1,4 @@
-"""The paper's own searches, for comparison: its three steps, and its criterion over the whole spectrum.
+"""The paper's own searches on eq. 19, for comparison: its three steps, and its criterion over the whole spectrum.
 
 `paper` (Bensa et al. 2005, IV.C): 1. c and b1 in band 1, by gradient. 2. κ and b2 in band 2, by gradient. 3. K_H, μ,
 M_H, p and v_H0 in band 3, by annealing, with the string held; least squares take what was found to the floor of its
@@ -12,19 +12,21 @@ the hammer on the σ at which the criterion is reported.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
 from ..analysis import Analysis
 from ..errors import ParameterError
-from ..inference.start import Start
+from ..inference import Progress, Result
+from ..inference.point import point_result
+from ..inference.start import Start, starting_values
 from ..parameters import FELT_LAWS, FIT_NAMES, MEMORY_NAMES, Hammer, String
 from ..recording import Recording
+from ..setup import Setup
 from .problem import pose, split
 from .steps import ALL, Search
 
-__all__ = ["RECIPES", "Found", "check_recipe", "claims", "fit_by_paper"]
+__all__ = ["RECIPES", "Found", "check_recipe", "claims", "fit_by_paper", "fit_by_recipe"]
 
 RECIPES = ("default", "paper", "global")
 # Evaluations by the annealing: unless others are asked for,
@@ -78,9 +80,41 @@ def claims(recipe: str, calibrated: bool) -> tuple[str, tuple[str, ...]]:
     return OPENING[recipe] + ("" if calibrated else FELT_UNKNOWN), (NO_INTERVALS,)
 
 
+def fit_by_recipe(
+    recording: Recording, analysis: Analysis, setup: Setup | None, recipe: str, *, velocity: float | None = None,
+    evaluations: int | None = None, seed: int = 0, progress: Progress = lambda *_: None,
+) -> Result:  # fmt: skip
+    """Fit one recording by `paper` or `global`; the result claims no more than such a search can.
+
+    Parameters
+    ----------
+    setup : what was known beforehand; nothing if None.
+    velocity : measured hammer velocity, m/s, held fixed; that of the setup if None.
+    evaluations, seed, progress : as `fit_by_paper` has them.
+
+    Raises
+    ------
+    ParameterError
+        For another recipe, evaluations that it cannot have, or a felt that relaxes.
+    FitError
+        If no hammer gives a finite criterion, or a contact does not end.
+    """
+    check_recipe(recipe, evaluations)
+    setup = setup or Setup()
+    measured = velocity if velocity is not None else next((t.v_H0 for t in setup.takes if t.v_H0), None)
+    start = starting_values(analysis, setup, measured)
+    found = fit_by_paper(recording, analysis, start, recipe, evaluations=evaluations, seed=seed, progress=progress)
+    opening, messages = claims(recipe, start.scale is not None)
+    return point_result(
+        recording, analysis, start, found.string, found.hammer, recipe=recipe, seed=seed, delay=found.delay,
+        converged=found.converged, evaluations=found.evaluations, at_bound=found.at_bound, opening=opening,
+        messages=messages,
+    )  # fmt: skip
+
+
 def fit_by_paper(
     recording: Recording, analysis: Analysis, start: Start, recipe: str = "paper", *, hammer: str = "annealing",
-    evaluations: int | None = None, seed: int = 0, progress: Callable[[str, float], None] = lambda *_: None,
+    evaluations: int | None = None, seed: int = 0, progress: Progress = lambda *_: None,
 ) -> Found:  # fmt: skip
     """Search as the paper does; `recipe` is `paper` or `global`.
 

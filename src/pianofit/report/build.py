@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..criterion import partial_frequency
+from ..analysis import law_frequency
 from ..inference import Result
 from .build_felt import felt_of, known_of
 from .build_takes import paths_of, strikes_of, takes_of
@@ -21,7 +21,7 @@ def curves_of(result: Result) -> Curves:
     """Everything the page shows of one fit."""
     r, a, heard = result.recording, result.analysis, result.takes[result.first]
     rate, onset, p, k = r.rate, r.onset, heard.partials, heard.partials.number
-    top = min(0.5 * rate, TOP, float(partial_frequency(k.max() + 2, a.f0, a.B)))
+    top = min(0.5 * rate, TOP, float(law_frequency(a.f0, a.B, k.max() + 2)))
     spectra = [_spectrum(x[onset:], rate, top) for x in (r.samples, result.initial.samples, result.fitted.samples)]
     attack = slice(onset, onset + int(ATTACK * rate))
     v = result.fitted.voice
@@ -38,7 +38,7 @@ def curves_of(result: Result) -> Curves:
         number=k,
         frequency_cents=_cents(p.frequency, k * f0),
         frequency_cents_error=1200 / np.log(2) * p.frequency_error / p.frequency,
-        frequency_cents_law=_cents(partial_frequency(k, f0, B), k * f0),
+        frequency_cents_law=_cents(law_frequency(f0, B, k), k * f0),
         decay=p.decay, decay_error=p.decay_error,
         decay_law=v.string.b1 + v.string.b2 * (k * np.pi / v.geometry.length) ** 2,
         level=heard.level, level_error=p.level_error,

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ...report.words import number
 from ..laboratory import Laboratory, chosen
-from ..report.words import number
 from . import figures_direct, figures_search
 from .findings import Findings
 from .fits import RECIPES

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..report.words import number
+from ...report.words import number
 from .verdict import Verdict, listed, outcome_of, percent
 
 __all__ = ["b2_seen", "bends_kappa", "brighter", "contact_lasts", "contact_shortens", "felt_loses", "reflections"]

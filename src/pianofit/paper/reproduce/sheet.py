@@ -8,8 +8,8 @@ import os
 from importlib.resources import files
 from typing import Any
 
-from ..io import replace_file
-from ..report.words import number
+from ...io import replace_file
+from ...report.words import number
 
 __all__ = ["write_sheet"]
 
@@ -40,5 +40,5 @@ def write_sheet(path: str | os.PathLike[str], template: str, scripts: tuple[str,
     replace_file(path, html.encode("utf-8", errors="replace"))
 
 
-def _asset(name: str, package: str = "pianofit.reproduce") -> str:
+def _asset(name: str, package: str = "pianofit.paper.reproduce") -> str:
     return files(package).joinpath(name).read_text(encoding="utf-8")

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import block_diag, cholesky, solve_triangular
 
-from ..parameters import Geometry, String
+from ...parameters import Geometry, String
 from .chosen import ANGLE, CENTS, SLOWER, Resonator
 
 __all__ = ["Axis", "Body", "make_axes", "make_body", "window_weights"]

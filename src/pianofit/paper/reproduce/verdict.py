@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from ..report.words import number
+from ...report.words import number
 
 __all__ = ["WORDS", "Verdict", "joined", "listed", "or_else", "outcome_of", "percent"]
 

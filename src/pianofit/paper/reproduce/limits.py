@@ -16,12 +16,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import least_squares
 
-from ..criterion import band_values, line_sigma, measure
+from ...criterion import band_values, line_sigma, measure
+from ...model import mode_table, simulate
+from ...parameters import Geometry, String
+from ...published import preset
 from ..laboratory import Laboratory
 from ..laboratory import measure as record
-from ..model import mode_table, simulate
-from ..parameters import Geometry, String
-from ..published import preset
 
 __all__ = ["DECADES", "GRIDS", "Bend", "Blindness", "bends", "blindness", "inverse_bend", "partials_of", "string_of"]
 

@@ -19,13 +19,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ...parameters import Geometry, Hammer
+from ..annealing import anneal
+from ..gradient import gradient_descent
 from ..laboratory.chosen import FINAL, INITIAL
-from ..paper.annealing import anneal
-from ..paper.gradient import gradient_descent
-from ..paper.levenberg import Box, descend
-from ..paper.spectral import spectral_goal
-from ..paper.struck import Cfg, Scene, hammer_costs, hammer_residuals, hold
-from ..parameters import Geometry, Hammer
+from ..levenberg import Box, descend
+from ..spectral import spectral_goal
+from ..struck import Cfg, Scene, hammer_costs, hammer_residuals, hold
 from .fits import Case
 
 __all__ = ["HAMMERS", "Basin", "Hammers", "Landscape", "Race", "hammers", "landscape", "race"]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from ..published import preset
+from ...published import preset
 from ..twin import LEAD, RATE, SECONDS
 
 __all__ = [

@@ -16,7 +16,7 @@ from typing import NamedTuple, cast
 import numpy as np
 from scipy.optimize import brentq
 
-from ..errors import FitError
+from ...errors import FitError
 from .body import Body
 from .felt import Felt, FeltState, Stepper, stored
 

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import find_peaks
 
-from ..model import Simulation, simulate
-from ..published import Preset, preset
+from ...model import Simulation, simulate
+from ...published import Preset, preset
 from .descriptors import centroid
 
 __all__ = ["NOTE", "VELOCITIES", "Strike", "mass_for_contact", "round_trip", "strikes"]

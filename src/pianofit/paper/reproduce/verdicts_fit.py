@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ..report.words import number
+from ...report.words import number
 from .verdict import Verdict, joined, listed, outcome_of, percent
 
 __all__ = [

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from ..criterion import BANDS
-from ..parameters import FIT_NAMES, PARAMETERS
-from ..report.words import number
+from ...criterion import BANDS
+from ...parameters import FIT_NAMES, PARAMETERS
+from ...report.words import number
 from . import figures_search
 from .band3 import WITHIN
 from .figures_fit import SYMBOLS

@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .. import __version__
-from ..report.sound import make_clips
+from ... import __version__
+from ...report.sound import make_clips
 from .sheet import write_sheet
 
 __all__ = ["MEASURED", "Heard", "Question", "write_listening"]

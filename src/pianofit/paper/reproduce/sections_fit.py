@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from ..parameters import FIT_NAMES
-from ..report.words import number
+from ...parameters import FIT_NAMES
+from ...report.words import number
 from . import figures_fit
 from .findings import Findings
 from .fits import RECIPES, level_differences, rms

@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..inference import Result
+from ...inference import Result
+from ...parameters import FIT_NAMES
 from ..laboratory import Laboratory
 from ..laboratory.chosen import FINAL, INITIAL
-from ..parameters import FIT_NAMES
 from .fits import RECIPES, Case, Closeness, closeness, fitted, make_case, played, values_of
 from .plan import EFFECTS, Plan
 

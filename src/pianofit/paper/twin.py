@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .published import preset
+from ..published import preset
 
 __all__ = ["INITIAL", "SCALE", "TRUE", "Twin", "make_twin", "setup_text"]
 
@@ -39,7 +39,7 @@ def make_twin(noise_db: float | None = 60.0, seed: int = 0) -> Twin:
     ----------
     noise_db : how far the noise's rms lies below that of the first second after the strike; None for no noise.
     """
-    from .model import simulate
+    from ..model import simulate
 
     it = preset(TRUE)
     strike = simulate(it.string, it.hammer, it.geometry, rate=RATE, oversampling=OVERSAMPLING, quantity="velocity")
@@ -51,16 +51,21 @@ def make_twin(noise_db: float | None = 60.0, seed: int = 0) -> Twin:
     return Twin(samples, RATE, true)
 
 
-def setup_text() -> str:
-    """The `setup.toml` of the measurement: what the laboratory knew, and the paper's initial values."""
-    it, first = preset(TRUE), preset(INITIAL)
-    g = it.geometry
-    values = first.string._asdict() | first.hammer._asdict()
+def setup_text(scale: float = SCALE, **initial: float | None) -> str:
+    """The `setup.toml` of a measurement: what the laboratory knew, and the paper's initial values.
+
+    Parameters
+    ----------
+    scale : m/s at digital full scale.
+    initial : other initial values than the paper's, by name; None leaves one out.
+    """
+    g, first = preset(TRUE).geometry, preset(INITIAL)
+    values = first.string._asdict() | first.hammer._asdict() | initial
     lines = [
         "[string]", f"length = {g.length}", f"mass = {g.mass}", "",
         "[strike]", f"position = {g.strike}", f"width = {g.width}", "",
-        "[pickup]", 'quantity = "velocity"', f"position = {g.pickup}", f"scale = {SCALE}  # m/s at full scale", "",
+        "[pickup]", 'quantity = "velocity"', f"position = {g.pickup}", f"scale = {scale}  # m/s at full scale", "",
         "[initial]  # Bensa et al. (2005), Tables II and III, initial values",
-        *(f"{k} = {v!r}" for k, v in values.items()),
+        *(f"{name} = {value!r}" for name, value in values.items() if value is not None),
     ]  # fmt: skip
     return "\n".join(lines) + "\n"

@@ -6,8 +6,8 @@ from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
-from .. import __version__
-from ..model.cache import keep_programs
+from ... import __version__
+from ...model.cache import keep_programs
 from .findings import Findings, compute
 from .page import Book, Section
 from .plan import FULL, Plan

@@ -12,17 +12,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..analysis import Analysis, analyse
-from ..criterion import BANDS, band_of, band_values, line_sigma, measure, partial_frequency
-from ..fitting import fit_recording
-from ..inference import Result
-from ..inference.start import starting_values
+from ...analysis import Analysis, analyse, law_frequency
+from ...criterion import BANDS, band_of, band_values, line_sigma, measure
+from ...inference import Result
+from ...inference.fit import fit_takes
+from ...inference.start import starting_values
+from ...parameters import FIT_NAMES, STRING_NAMES
+from ...recording import Recording, recording_from_samples
+from ...setup import Setup, setup_from_dict
+from ...voice import Voice
 from ..laboratory import Laboratory, Measurement, setup_text
 from ..laboratory import measure as record
-from ..parameters import FIT_NAMES, STRING_NAMES
-from ..recording import Recording, recording_from_samples
-from ..setup import Setup, setup_from_dict
-from ..voice import Voice
+from ..recipes import fit_by_recipe
 from .descriptors import attack_time, centroid
 
 __all__ = [
@@ -88,13 +89,13 @@ def fitted(case: Case, recipe: str, seed: int, annealing: int | None = None, tri
     annealing : evaluations for each annealing, the recipe's own number if None.
     tries : annealings, each with a seed of its own; the one with the lowest criterion in band 3 counts.
     """
-    if recipe not in ("paper", "read"):
-        return fit_recording(case.recording, case.analysis, case.setup, recipe=recipe, seed=seed)
+    if recipe == "default":
+        return fit_takes([case.recording], [case.analysis], case.setup, seed=seed)
+    if recipe == "global":
+        return fit_by_recipe(case.recording, case.analysis, case.setup, recipe, seed=seed)
     setup = case.setup if recipe == "paper" else _with_string_read(case)
     results = [
-        fit_recording(
-            case.recording, case.analysis, setup, recipe="paper", evaluations=annealing, seed=seed + NEXT_TRY * n
-        )
+        fit_by_recipe(case.recording, case.analysis, setup, "paper", evaluations=annealing, seed=seed + NEXT_TRY * n)
         for n in range(tries)
     ]
     return min(results, key=lambda result: result.document["criterion"]["band3"]["final"])
@@ -140,7 +141,7 @@ def level_differences(sound: np.ndarray, case: Case) -> tuple[np.ndarray, np.nda
         10 * np.log10((e * cells.spacing[:, None]).sum(axis=1)) for e in (energy, _energies(sound, case)[1])
     )
     number = np.arange(1, len(measured) + 1)
-    frequency = partial_frequency(number, case.analysis.f0, case.analysis.B)
+    frequency = law_frequency(case.analysis.f0, case.analysis.B, number)
     scored = (frequency <= LEVEL_TOP) & (measured >= measured.max() - LEVEL_RANGE)
     return number[scored], (own - measured)[scored]
 

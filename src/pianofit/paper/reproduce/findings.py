@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from ..published import preset
+from ...published import preset
 from .band3 import Landscape, Race, hammers, landscape, race
 from .direct import NOTE, VELOCITIES, Strike, mass_for_contact, round_trip, strikes
 from .limits import ALL, BAND2, Bend, Blindness, bends, blindness, inverse_bend

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from ..errors import OutputError
-from ..io import encode_wav, replace_file
-from ..report.sound import make_clips
+from ...errors import OutputError
+from ...io import encode_wav, replace_file
+from ...report.sound import make_clips
 from .captions import CAPTIONS
 from .drawing import drawn
 from .sheet import write_sheet

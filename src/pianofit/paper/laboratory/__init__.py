@@ -22,7 +22,6 @@ witnesses of each other. No energy is made, at any step.
 """
 
 from .chosen import VELOCITIES
-from .files import setup_text, write
-from .measurement import Laboratory, Measurement, measure
+from .measurement import Laboratory, Measurement, measure, setup_text
 
-__all__ = ["VELOCITIES", "Laboratory", "Measurement", "measure", "setup_text", "write"]
+__all__ = ["VELOCITIES", "Laboratory", "Measurement", "measure", "setup_text"]

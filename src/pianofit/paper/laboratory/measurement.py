@@ -8,14 +8,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..errors import ParameterError
-from ..recording import RATES
+from ...errors import ParameterError
+from ...recording import RATES
+from .. import twin
 from . import chosen
 from .body import Body, make_axes, make_body
 from .felt import FELTS, Felt
 from .strike import Blow, ring, strike
 
-__all__ = ["Laboratory", "Measurement", "blow_of", "felt_of", "measure", "within"]
+__all__ = ["Laboratory", "Measurement", "blow_of", "felt_of", "measure", "setup_text"]
 
 # name -> lower, upper, unit.
 LIMITS = {
@@ -104,6 +105,22 @@ def measure(lab: Laboratory, velocity: float, seed: int = 0) -> Measurement:
     nominal = velocity * (1 + lab.velocity_error * _random(seed, "velocity").normal())
     true = _truth(lab, velocity)
     return Measurement(samples, lab.rate, chosen.SCALE, onset, nominal, true, clean, blow.force, 1 / blow.step)
+
+
+def setup_text(measurement: Measurement, *, hold_velocity: bool = True) -> str:
+    """The `setup.toml` of one measurement: what the laboratory knew, and the paper's initial values.
+
+    Parameters
+    ----------
+    hold_velocity : the velocity that the sensor read is held fixed, as `pianofit` does with a measured one; otherwise
+        it is where the fit starts, as in the paper.
+    """
+    read = measurement.nominal_velocity
+    if not hold_velocity:
+        return twin.setup_text(measurement.scale, v_H0=read)
+    return (
+        twin.setup_text(measurement.scale, v_H0=None) + f"\n[[take]]\nv_H0 = {read!r}  # m/s, as the sensor read it\n"
+    )
 
 
 def blow_of(lab: Laboratory, velocity: float) -> tuple[Body, Blow]:

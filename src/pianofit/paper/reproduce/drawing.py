@@ -11,7 +11,7 @@ from collections.abc import Callable
 from threading import Lock
 from typing import TYPE_CHECKING, Any
 
-from ..report.figures import FITTED, INITIAL, INK, MEASURED, STYLE
+from ...report.figures import FITTED, INITIAL, INK, MEASURED, STYLE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ...report.words import number
 from ..laboratory import chosen
-from ..report.words import number
 from .findings import Findings
 from .fits import RECIPES
 from .listening import MEASURED, Heard, Question, write_listening
