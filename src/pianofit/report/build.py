@@ -10,7 +10,7 @@ from .build_felt import felt_of, known_of
 from .build_takes import paths_of, strikes_of, takes_of
 from .curves import Curves
 
-__all__ = ["curves_of"]
+__all__ = ["curves_of", "spectrum_db"]
 
 ATTACK = 0.03  # s
 SPECTRUM_SIGMA = 8.0  # 1/s: lines fine enough to tell partials apart, wide enough to see
@@ -22,7 +22,7 @@ def curves_of(result: Result) -> Curves:
     r, a, heard = result.recording, result.analysis, result.takes[result.first]
     rate, onset, p, k = r.rate, r.onset, heard.partials, heard.partials.number
     top = min(0.5 * rate, TOP, float(law_frequency(a.f0, a.B, k.max() + 2)))
-    spectra = [_spectrum(x[onset:], rate, top) for x in (r.samples, result.initial.samples, result.fitted.samples)]
+    spectra = [spectrum_db(x[onset:], rate, top) for x in (r.samples, result.initial.samples, result.fitted.samples)]
     attack = slice(onset, onset + int(ATTACK * rate))
     v = result.fitted.voice
     f0 = v.string.c / (2 * v.geometry.length)
@@ -54,8 +54,8 @@ def curves_of(result: Result) -> Curves:
     )  # fmt: skip
 
 
-def _spectrum(samples: np.ndarray, rate: int, top: float) -> tuple[np.ndarray, np.ndarray]:
-    """Hz and dB of the spectrum under exp(-σt)."""
+def spectrum_db(samples: np.ndarray, rate: int, top: float) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies, Hz, and levels, dB, of the spectrum under exp(-σt), up to `top`, Hz, as pages show it."""
     n = min(len(samples), int(14 / SPECTRUM_SIGMA * rate))
     size = 2 ** int(np.ceil(np.log2(n)))
     value = np.abs(np.fft.rfft(samples[:n] * np.exp(-SPECTRUM_SIGMA * np.arange(n) / rate), size)) / rate

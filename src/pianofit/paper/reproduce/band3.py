@@ -26,7 +26,7 @@ from ..laboratory.chosen import FINAL, INITIAL
 from ..levenberg import Box, descend
 from ..spectral import spectral_goal
 from ..struck import Cfg, Scene, hammer_costs, hammer_residuals, hold
-from .fits import Case
+from .cases import Case
 
 __all__ = ["HAMMERS", "Basin", "Hammers", "Landscape", "Race", "hammers", "landscape", "race"]
 

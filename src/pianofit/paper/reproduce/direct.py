@@ -13,6 +13,7 @@ from scipy.signal import find_peaks
 
 from ...model import Simulation, simulate
 from ...published import Preset, preset
+from ...report.build import spectrum_db
 from .descriptors import centroid
 
 __all__ = ["NOTE", "VELOCITIES", "Strike", "mass_for_contact", "round_trip", "strikes"]
@@ -22,12 +23,12 @@ VELOCITIES = (1.0, 2.0, 4.0)  # m/s; the paper names the last two
 RATE, OVERSAMPLING, SECONDS = 44_100, 16, 1.0
 # A reflection counts as visible where the force dips by this share of its maximum.
 VISIBLE = 0.01
-# Hz and 1/s of the spectra shown.
-SHOWN, SIGMA = 6000.0, 8.0
+# Hz of the spectra shown.
+SHOWN = 6000.0
 
 
 class Strike(NamedTuple):
-    """One blow. Arrays of the contact are [steps], of the spectrum [bins]."""
+    """One stroke. Arrays of the contact are [steps], of the spectrum [bins]."""
 
     velocity: float  # m/s
     time: np.ndarray  # s
@@ -79,7 +80,7 @@ def _strike(it: Preset, velocity: float) -> Strike:
     energy = 0.5 * float(it.hammer.M_H) * velocity**2
     after = 0.5 * float(it.hammer.M_H) * float(speed[-1]) ** 2
     sound = done.waveform(RATE, int(SECONDS * RATE))
-    frequency, level = _spectrum(sound)
+    frequency, level = spectrum_db(sound, RATE, SHOWN)
     return Strike(
         velocity=velocity,
         time=step * np.arange(len(force))[shown],
@@ -95,11 +96,3 @@ def _strike(it: Preset, velocity: float) -> Strike:
         level=level,
         centroid=centroid(sound, RATE, float(it.f0)),
     )
-
-
-def _spectrum(sound: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Hz and dB under exp(-σ t)."""
-    size = 2 ** int(np.ceil(np.log2(len(sound))))
-    value = np.abs(np.fft.rfft(sound * np.exp(-SIGMA * np.arange(len(sound)) / RATE), size)) / RATE
-    keep = slice(1, int(SHOWN * size / RATE))
-    return np.fft.rfftfreq(size, 1 / RATE)[keep], 20 * np.log10(np.maximum(value[keep], 1e-15))

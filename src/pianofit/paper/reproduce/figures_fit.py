@@ -6,9 +6,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .drawing import DEFAULT, FITTED, INITIAL, LINES, PURPLE, figure, key, marks
-from .fits import RECIPES
-from .studies import Blow, Effect
+from ...report.build import spectrum_db
+from .cases import RECIPES
+from .claims import SYMBOLS
+from .looks import DEFAULT, FITTED, GREY, INITIAL, LINES, PURPLE, figure, key, mark_truth, marks
+from .studies import Effect, Stroke
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -16,18 +18,15 @@ if TYPE_CHECKING:
 __all__ = ["descriptors", "predicted_levels", "remains", "repeated_values", "spectra", "waveforms"]
 
 READ = RECIPES["read"]
-SIGMA, TOP = 8.0, 6.0  # 1/s and kHz of the spectra
+TOP = 6000.0  # Hz of the spectra
 EDGES = (1e-3, 1e3)  # what is further off than this, as a factor, is drawn here
-SYMBOLS = {
-    "c": "c", "kappa": "κ", "b1": "b₁", "b2": "b₂", "K_H": "K_H", "mu": "μ", "p": "p", "M_H": "M_H", "v_H0": "v₀",
-}  # fmt: skip
 
 
-def spectra(blow: Blow) -> Figure:
+def spectra(stroke: Stroke) -> Figure:
     """Figure 6: measured above, the fits below."""
-    made, rate = figure(7.2), blow.case.recording.rate
+    made, rate = figure(7.2), stroke.case.recording.rate
     first = axes = made.add_axes((0.06, 0.70, 0.93, 0.265))
-    levels = {name: _spectrum(blow.sounds[name], rate) for name in ("measured", "three bands", READ)}
+    levels = {name: spectrum_db(stroke.sounds[name], rate, TOP) for name in ("measured", "three bands", READ)}
     top = max(level.max() for _, level in levels.values())
     for row, (name, (frequency, level)) in enumerate(levels.items()):
         axes = made.add_axes((0.06, 0.70 - 0.305 * row, 0.93, 0.265), sharex=first) if row else first
@@ -40,17 +39,9 @@ def spectra(blow: Blow) -> Figure:
     return made
 
 
-def _spectrum(sound: np.ndarray, rate: int) -> tuple[np.ndarray, np.ndarray]:
-    """Hz and dB under exp(-σ t)."""
-    size = 2 ** int(np.ceil(np.log2(len(sound))))
-    value = np.abs(np.fft.rfft(sound * np.exp(-SIGMA * np.arange(len(sound)) / rate), size)) / rate
-    keep = slice(1, int(1e3 * TOP * size / rate))
-    return np.fft.rfftfreq(size, 1 / rate)[keep], 20 * np.log10(np.maximum(value[keep], 1e-15))
-
-
-def waveforms(blow: Blow, spans: tuple[tuple[float, float], ...]) -> Figure:
+def waveforms(stroke: Stroke, spans: tuple[tuple[float, float], ...]) -> Figure:
     """Figure 7: measured, before and after, over each of `spans`, s."""
-    made, rate = figure(6.4), blow.case.recording.rate
+    made, rate = figure(6.4), stroke.case.recording.rate
     first = axes = made.add_axes((0.06, 0.595, 0.93, 0.375))
     for row, (start, stop) in enumerate(spans):
         axes = made.add_axes((0.06, 0.14, 0.93, 0.375), sharey=first) if row else first
@@ -63,13 +54,13 @@ def waveforms(blow: Blow, spans: tuple[tuple[float, float], ...]) -> Figure:
             (READ, "after: three bands, string read", {"lw": 1.3}),
         ):
             whole: dict[str, Any] = LINES[name] | look
-            axes.plot(time, blow.sounds[name][part], label=label, **whole)
+            axes.plot(time, stroke.sounds[name][part], label=label, **whole)
         axes.set(ylabel="velocity at the pickup (m/s)", xlabel="time from the onset (ms)" if row else None)
     key(made, first)
     return made
 
 
-def descriptors(blows: list[Blow]) -> Figure:
+def descriptors(strokes: list[Stroke]) -> Figure:
     """Attack time and centroid of all sounds over velocity."""
     made = figure(4.9)
     for left, unit, scale, field in (
@@ -77,10 +68,10 @@ def descriptors(blows: list[Blow]) -> Figure:
         (0.56, "spectral centroid (Hz)", 1.0, "centroid"),
     ):
         axes = made.add_axes((left, 0.21, 0.43, 0.75))
-        velocity = np.array([blow.case.velocity for blow in blows])
+        velocity = np.array([stroke.case.velocity for stroke in strokes])
         names = ("measured", "initial", "global criterion", "three bands", READ)
         for name in names:
-            value = [scale * getattr(blow.closeness[name], field) for blow in blows]
+            value = [scale * getattr(stroke.closeness[name], field) for stroke in strokes]
             look = marks(name) | {"ls": LINES[name]["ls"], "lw": 1.0}
             if name == "measured":
                 look |= {"ms": 11, "mfc": "none", "mew": 1.8}
@@ -96,7 +87,7 @@ def predicted_levels(by: dict[str, list[float]], velocities: list[float], origin
     made = figure(4.4)
     axes = made.add_axes((0.06, 0.21, 0.93, 0.75))
     kinds = {
-        "initial": ("initial values", INITIAL), "nearest": (f"the recording at {origin:g} m/s itself", "#9aa3ad"),
+        "initial": ("initial values", INITIAL), "nearest": (f"the recording at {origin:g} m/s itself", GREY),
         "paper": (f"three bands at {origin:g} m/s", FITTED), "read": (f"{READ}, at {origin:g} m/s", PURPLE),
     }  # fmt: skip
     at = np.arange(len(velocities))
@@ -123,7 +114,7 @@ def repeated_values(by: dict[str, list[dict[str, float]]], true: dict[str, float
             look = marks(recipe) | {"ms": 6, "label": recipe if n == 0 else None}
             look |= {} if known else {"mfc": "none"}
             axes.plot(at, np.clip(value, *EDGES), **look)
-    axes.axhline(1.0, color="#333333", lw=1.0, ls=(0, (3, 2)))
+    mark_truth(axes.axhline, 1.0)
     axes.set_yscale("log")
     axes.set_ylim(0.7 * EDGES[0], 1.4 * EDGES[1])
     names = [*next(iter(by.values()))[0]]

@@ -1,4 +1,4 @@
-"""The landscape of band 3 and the searches in it; κ through the grid, and the criterion over b2."""
+"""The landscape of band 3, and where the searches in it ended."""
 
 from __future__ import annotations
 
@@ -7,13 +7,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .band3 import WITHIN, Landscape, Race
-from .drawing import FITTED, GLOBAL, INITIAL, PURPLE, figure, key
-from .limits import Bend, Blindness
+from .looks import FITTED, GLOBAL, GREY, INITIAL, PURPLE, figure, key, mark_truth
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["b2_over_decades", "kappa_by_grid", "plane", "searches"]
+__all__ = ["plane", "searches"]
 
 AXES = {
     "F": "felt's stiffness over the true one (as force at 0.1 mm)", "M_H": "hammer's mass over the true one",
@@ -57,7 +56,7 @@ def searches(run: Race) -> Figure:
     made = figure(4.8)
     axes = made.add_axes((0.07, 0.21, 0.92, 0.76))
     kinds = (
-        ("start", "start", "#9aa3ad", "x"), ("gradient", "gradient descent", INITIAL, "s"),
+        ("start", "start", GREY, "x"), ("gradient", "gradient descent", INITIAL, "s"),
         ("squares", "least squares", PURPLE, "^"), ("annealed", "annealing", FITTED, "o"),
         ("polished", "annealing, then least squares", GLOBAL, "D"),
     )  # fmt: skip
@@ -65,51 +64,12 @@ def searches(run: Race) -> Figure:
         value = np.sort(getattr(run, name))
         axes.plot(np.arange(1, len(value) + 1), np.clip(value, None, 10.0), color=color, marker=marker, ms=6, lw=1.0,
                   label=label, mfc="none" if name == "polished" else color)  # fmt: skip
-    axes.axhline(WITHIN * run.least, color="#333333", lw=1.0, ls=(0, (3, 2)))
+    mark_truth(axes.axhline, WITHIN * run.least)
     axes.text(0.995, WITHIN * run.least * 1.05, "below this line: the deepest minimum", ha="right", va="bottom",
               fontsize=9, transform=axes.get_yaxis_transform())  # fmt: skip
     axes.set_yscale("log")
     axes.set(xlabel="searches, each method's own sorted by where they ended", ylabel="criterion in band 3")
     axes.locator_params(axis="x", integer=True)
     axes.margins(x=0.02)
-    key(made, axes)
-    return made
-
-
-def kappa_by_grid(by_band: dict[str, list[Bend]]) -> Figure:
-    """κ as fitted, scheme by scheme."""
-    made = figure(4.4)
-    axes = made.add_axes((0.07, 0.24, 0.92, 0.73))
-    looks = ((FITTED, "o"), (INITIAL, "s"))
-    for (label, bends), (color, marker) in zip(by_band.items(), looks, strict=True):
-        axes.plot(range(len(bends)), [b.kappa for b in bends], ls="none", marker=marker, ms=8, color=color, label=label)
-    some = next(iter(by_band.values()))
-    axes.axhline(some[0].kappa_true, color="#333333", lw=1.0, ls=(0, (3, 2)), label="true")
-    names = [
-        "prewarped modes" if b.kind == "continuous" else f"N = {b.points}\n{1e-3 * b.rate:g} kHz" for b in some
-    ]  # fmt: skip
-    axes.set_xticks(range(len(some)), names)
-    axes.set(ylabel="κ that is found (m²/s)")
-    axes.margins(x=0.06, y=0.12)
-    axes.grid(visible=False, axis="x")
-    key(made, axes)
-    return made
-
-
-def b2_over_decades(seen: Blindness) -> Figure:
-    """The criterion's change from its least, band by band, and what noise does to it."""
-    made = figure(4.6)
-    axes = made.add_axes((0.07, 0.22, 0.90, 0.75))
-    looks = (("band1", "band 1", GLOBAL, ":"), ("band2", "band 2", FITTED, "-"), ("band3", "band 3", INITIAL, "--"))
-    for band, label, color, stroke in looks:
-        axes.plot(seen.b2, seen.criterion[band], color=color, ls=stroke, lw=1.8, label=label)
-        low, high = seen.noise[band] - seen.spread[band], seen.noise[band] + seen.spread[band]
-        axes.axhspan(max(low, 1e-12), high, color=color, alpha=0.15, lw=0)
-    axes.axvline(seen.true, color="#333333", lw=1.0, ls=(0, (3, 2)))
-    axes.text(seen.true * 1.15, 0.97, "the paper's b₂, and the truth", va="top", fontsize=9,
-              transform=axes.get_xaxis_transform())  # fmt: skip
-    axes.set_xscale("log")
-    axes.set_yscale("log")
-    axes.set(xlabel="b₂ (m²/s), all else at the truth", ylabel="criterion")
     key(made, axes)
     return made

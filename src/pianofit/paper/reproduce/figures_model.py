@@ -1,4 +1,4 @@
-"""Figures 2 to 4 of the paper: what the model does by itself."""
+"""What the model does by itself (Figures 2 to 4 of the paper), and what its κ and b2 mean."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .direct import Strike
-from .drawing import THREE, figure, key
+from .limits import Bend, Blindness
+from .looks import FITTED, GLOBAL, INITIAL, THREE, figure, key, mark_truth
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["force_over_compression", "force_over_time", "velocity_spectra"]
+__all__ = ["b2_over_decades", "force_over_compression", "force_over_time", "kappa_by_grid", "velocity_spectra"]
 
 
 def force_over_time(strikes: list[Strike], trip: float) -> Figure:
@@ -61,7 +62,7 @@ def velocity_spectra(strikes: list[Strike]) -> Figure:
     for row, (strike, look) in enumerate(zip(strikes, THREE, strict=True)):
         axes = made.add_axes((0.06, 0.70 - 0.305 * row, 0.93, 0.265), sharex=first)
         axes.plot(1e-3 * strike.frequency, strike.level, **(look | {"ls": "-", "lw": 1.0}))
-        axes.axvline(1e-3 * strike.centroid, color="#333333", lw=1.2, ls=(0, (3, 2)))
+        mark_truth(axes.axvline, 1e-3 * strike.centroid)
         axes.text(1e-3 * strike.centroid + 0.03, top + 2, f"centroid {strike.centroid:.0f} Hz", va="top", fontsize=9)
         axes.text(0.995, 0.95, f"{strike.velocity:g} m/s", transform=axes.transAxes, ha="right", va="top", fontsize=11)
         axes.set(ylim=(top - 100, top + 6), ylabel="level (dB)")
@@ -70,4 +71,43 @@ def velocity_spectra(strikes: list[Strike]) -> Figure:
         else:
             axes.set_xlabel("frequency (kHz)")
         first = first or axes
+    return made
+
+
+def kappa_by_grid(by_band: dict[str, list[Bend]]) -> Figure:
+    """κ as fitted, scheme by scheme."""
+    made = figure(4.4)
+    axes = made.add_axes((0.07, 0.24, 0.92, 0.73))
+    looks = ((FITTED, "o"), (INITIAL, "s"))
+    for (label, bends), (color, marker) in zip(by_band.items(), looks, strict=True):
+        axes.plot(range(len(bends)), [b.kappa for b in bends], ls="none", marker=marker, ms=8, color=color, label=label)
+    some = next(iter(by_band.values()))
+    mark_truth(axes.axhline, some[0].kappa_true, label="true")
+    names = [
+        "prewarped modes" if b.kind == "continuous" else f"N = {b.points}\n{1e-3 * b.rate:g} kHz" for b in some
+    ]  # fmt: skip
+    axes.set_xticks(range(len(some)), names)
+    axes.set(ylabel="κ that is found (m²/s)")
+    axes.margins(x=0.06, y=0.12)
+    axes.grid(visible=False, axis="x")
+    key(made, axes)
+    return made
+
+
+def b2_over_decades(seen: Blindness) -> Figure:
+    """The criterion's change from its least, band by band, and what noise does to it."""
+    made = figure(4.6)
+    axes = made.add_axes((0.07, 0.22, 0.90, 0.75))
+    looks = (("band1", "band 1", GLOBAL, ":"), ("band2", "band 2", FITTED, "-"), ("band3", "band 3", INITIAL, "--"))
+    for band, label, color, stroke in looks:
+        axes.plot(seen.b2, seen.criterion[band], color=color, ls=stroke, lw=1.8, label=label)
+        low, high = seen.noise[band] - seen.spread[band], seen.noise[band] + seen.spread[band]
+        axes.axhspan(max(low, 1e-12), high, color=color, alpha=0.15, lw=0)
+    mark_truth(axes.axvline, seen.true)
+    axes.text(seen.true * 1.15, 0.97, "the paper's b₂, and the truth", va="top", fontsize=9,
+              transform=axes.get_xaxis_transform())  # fmt: skip
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.set(xlabel="b₂ (m²/s), all else at the truth", ylabel="criterion")
+    key(made, axes)
     return made

@@ -39,7 +39,7 @@
     if (deck) deck.stop();
     at += 1;
     if (at === trials.length) { end(); return; }
-    deck = new Deck(roles.map((role) => test.sounds[trials[at][role]]), show);
+    deck = new Deck(() => roles.map((role) => test.sounds[trials[at][role]]), show);
     heard = { reference: 0, a: 0, b: 0 };
     begun = performance.now();
     byId("count").textContent = `Question ${at + 1} of ${trials.length}`;
@@ -52,6 +52,7 @@
     deck.chosen = index;
     heard[roles[index]] += 1;
     deck.start(0);
+    show();
     say(`Playing ${index ? "ABC"[index - 1] : "the reference"}`);
   }
 
@@ -86,16 +87,16 @@
   function results() {
     const answered = trials.filter((trial) => trial.chosen);
     const rows = test.comparisons.map(({ first, second }) => {
-      const own = answered.filter(({ a, b }) => [a, b].some((id) => names[id].what === first) && [a, b].some((id) => names[id].what === second));
+      const own = answered.filter(({ a, b }) => [first, second].every((what) => [a, b].some((id) => names[id].what === what)));
       const hits = own.filter(({ chosen }) => names[chosen].what === first).length;
       return { first, second, first_nearer: hits, of: own.length, p: own.length ? binomial(hits, own.length) : null };
     });
-    const control = answered.filter(({ a, b }) => [a, b].some((id) => names[id].what === "measured"));
+    const control = answered.filter(({ reference, a, b }) => [a, b].includes(reference));
     return {
-      schema: 1, program: "pianofit reproduce", version: test.version, seed: test.seed,
+      schema: 1, program: test.program, version: test.version, seed: test.seed,
       question: "which of two sounds is nearer the reference", listener: byId("listener").value,
       started, ended: new Date().toISOString(), asked: trials.length, answered: answered.length,
-      control: { right: control.filter(({ chosen }) => names[chosen].what === "measured").length, of: control.length },
+      control: { right: control.filter(({ reference, chosen }) => chosen === reference).length, of: control.length },
       comparisons: rows,
       trials: answered.map((trial, n) => ({
         number: n + 1, velocity: names[trial.reference].velocity, reference: names[trial.reference].what,
@@ -123,7 +124,7 @@
   }
 
   const keys = {
-    r: () => hear(0), a: () => hear(1), b: () => hear(2), " ": () => deck.toggle(),
+    r: () => hear(0), a: () => hear(1), b: () => hear(2), " ": () => { deck.toggle(); show(); },
     ArrowLeft: () => answer("a"), ArrowRight: () => answer("b"),
   };
   document.addEventListener("keydown", (event) => {

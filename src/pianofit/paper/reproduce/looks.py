@@ -1,4 +1,4 @@
-"""Figures in the report's style, each drawn once: as SVG for the page, and as PNG beside it.
+"""One look for each sound wherever it appears, in the report's style.
 
 Lines are told apart by colour and by stroke: the page must be readable in grey and by colour-blind eyes (Okabe and
 Ito's colours). Functions that draw get arrays and compute nothing.
@@ -6,23 +6,24 @@ Ito's colours). Functions that draw get arrays and compute nothing.
 
 from __future__ import annotations
 
-import io
-from collections.abc import Callable
-from threading import Lock
 from typing import TYPE_CHECKING, Any
 
-from ...report.figures import FITTED, INITIAL, INK, MEASURED, STYLE
+from ...report.drawing import FITTED, INITIAL, INK, MEASURED, figure_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["LINES", "THREE", "WIDTH", "drawn", "figure", "key", "marks"]
+__all__ = [
+    "DEFAULT", "FITTED", "GLOBAL", "GREY", "INITIAL", "INK", "LINES", "PURPLE", "THREE", "figure", "key", "marks",
+    "mark_truth",
+]  # fmt: skip
 
 WIDTH = 11.25  # inches; the page shows it 1128 pixels wide
-DPI = 120
-GLOBAL, DEFAULT, PURPLE = "#b8860b", "#009e73", "#8a5a9e"
-# One look for each sound wherever it appears.
+GREY = "#9aa3ad"
+GLOBAL = "#b8860b"
+DEFAULT = "#009e73"
+PURPLE = "#8a5a9e"
 LINES: dict[str, dict[str, Any]] = {
     "measured": {"color": MEASURED, "ls": "-", "lw": 1.2},
     "initial": {"color": INITIAL, "ls": (0, (4, 1.6)), "lw": 1.2},
@@ -45,32 +46,17 @@ THREE = (
     {"color": FITTED, "ls": "-", "lw": 1.5},
     {"color": INITIAL, "ls": "-", "lw": 1.5},
 )
-_LOCK = Lock()  # matplotlib's settings are global
-
-
-def drawn(draw: Callable[[], Figure]) -> tuple[bytes, bytes]:
-    """The figure that `draw` makes, as SVG and as PNG; the same arrays give the same bytes."""
-    from matplotlib import rc_context
-
-    with _LOCK, rc_context(STYLE):
-        made = draw()
-        svg, png = io.BytesIO(), io.BytesIO()
-        made.savefig(svg, format="svg", metadata={"Date": None, "Creator": None}, dpi=DPI)
-        made.savefig(png, format="png", metadata={"Software": None}, dpi=DPI)
-    return svg.getvalue().replace(b"'DejaVu Sans'", b"system-ui, 'DejaVu Sans'"), png.getvalue()
 
 
 def figure(height: float) -> Figure:
     """An empty one of the page's width, inches."""
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(WIDTH, height))
+    return figure_of(WIDTH, height)
 
 
-def key(made: Figure, axes: Axes, **options: Any) -> None:
+def key(made: Figure, axes: Axes) -> None:
     """One legend at the lower edge for all."""
     handles, labels = axes.get_legend_handles_labels()
-    made.legend(handles, labels, loc="lower center", ncols=len(labels), **options)
+    made.legend(handles, labels, loc="lower center", ncols=len(labels))
 
 
 def marks(name: str) -> dict[str, Any]:
@@ -78,4 +64,6 @@ def marks(name: str) -> dict[str, Any]:
     return {"color": LINES[name]["color"], "marker": MARKERS[name], "ls": "none", "ms": 7, "label": name}
 
 
-__all__ += ["DEFAULT", "FITTED", "GLOBAL", "INITIAL", "INK", "MEASURED", "PURPLE"]
+def mark_truth(line: Any, at: float, **options: Any) -> None:
+    """A dashed line at a value that others are to be read against; `line` is a method of the axes."""
+    line(at, color=INK, lw=1.0, ls=(0, (3, 2)), **options)

@@ -1,4 +1,4 @@
-"""The inverse problem: measurements of the laboratory, fitted by the paper's recipes and ours, and what they give.
+"""Measurements of the laboratory as a fit meets them, their fits, and how near a sound comes to one.
 
 A `Case` is a measurement as a fit meets it. Its setup holds what the laboratory knew, and as initial values the paper's
 (Tables II and III), with the hammer's velocity as the sensor read it, which the paper's recipes fit like the rest.
@@ -27,8 +27,8 @@ from ..recipes import fit_by_recipe
 from .descriptors import attack_time, centroid
 
 __all__ = [
-    "RECIPES", "Case", "Closeness", "closeness", "fitted", "level_differences", "make_case", "played", "rms",
-    "shares",    "values_of",
+    "RECIPES", "Case", "Closeness", "closeness", "fitted", "level_differences", "make_case", "played", "rms", "shares",
+    "values_of",
 ]  # fmt: skip
 
 # recipe -> what it is called on the page. `read` is the paper's third step on a string that was read off the partials.
@@ -67,7 +67,7 @@ class Closeness(NamedTuple):
 
 
 def make_case(lab: Laboratory, velocity: float, seed: int, *, start: float | None = None) -> Case:
-    """Measure a blow of `velocity`, m/s, and analyse it.
+    """Measure a stroke of `velocity`, m/s, and analyse it.
 
     Parameters
     ----------
@@ -89,14 +89,14 @@ def fitted(case: Case, recipe: str, seed: int, annealing: int | None = None, tri
     annealing : evaluations for each annealing, the recipe's own number if None.
     tries : annealings, each with a seed of its own; the one with the lowest criterion in band 3 counts.
     """
+    heard = case.recording, case.analysis
     if recipe == "default":
         return fit_takes([case.recording], [case.analysis], case.setup, seed=seed)
     if recipe == "global":
-        return fit_by_recipe(case.recording, case.analysis, case.setup, recipe, seed=seed)
+        return fit_by_recipe(*heard, case.setup, recipe, seed=seed)
     setup = case.setup if recipe == "paper" else _with_string_read(case)
     results = [
-        fit_by_recipe(case.recording, case.analysis, setup, "paper", evaluations=annealing, seed=seed + NEXT_TRY * n)
-        for n in range(tries)
+        fit_by_recipe(*heard, setup, "paper", evaluations=annealing, seed=seed + NEXT_TRY * n) for n in range(tries)
     ]
     return min(results, key=lambda result: result.document["criterion"]["band3"]["final"])
 
@@ -109,9 +109,9 @@ def _with_string_read(case: Case) -> Setup:
     return replace(case.setup, known=string, initial=left)
 
 
-def values_of(result: Result, key: str = "value") -> dict[str, float]:
-    """The nine parameters that were found, or `initial`."""
-    return {name: float(result.document["parameters"][name][key]) for name in FIT_NAMES}
+def values_of(result: Result) -> dict[str, float]:
+    """The nine parameters that were found."""
+    return {name: float(result.document["parameters"][name]["value"]) for name in FIT_NAMES}
 
 
 def played(voice: Voice, case: Case, velocity: float | None = None) -> np.ndarray:
