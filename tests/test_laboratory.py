@@ -17,7 +17,7 @@ from pianofit.model.modes import raised_cosine_weights
 from pianofit.paper.laboratory import VELOCITIES, Laboratory, Measurement, chosen, measure, setup_text
 from pianofit.paper.laboratory.body import window_weights
 from pianofit.paper.laboratory.chosen import FINAL, MODES
-from pianofit.paper.laboratory.measurement import blow_of
+from pianofit.paper.laboratory.measurement import stroke_of
 from pianofit.parameters import FIT_NAMES
 
 V = 0.844  # m/s
@@ -76,10 +76,10 @@ def test_the_window_weighs_as_its_closed_form_does():
 
 
 def test_a_blow_says_what_happened():
-    body, blow = blow_of(Laboratory.ideal(), V)
-    np.testing.assert_allclose(MASS * (V - blow.hammer[-1, 1]), blow.force.sum() * blow.step, rtol=1e-12)
+    body, stroke = stroke_of(Laboratory.ideal(), V)
+    np.testing.assert_allclose(MASS * (V - stroke.hammer[-1, 1]), stroke.force.sum() * stroke.step, rtol=1e-12)
     np.testing.assert_allclose(
-        blow.hammer[:, 0] - (blow.states @ body.vectors.T).real @ body.under, blow.gap, atol=1e-15
+        stroke.hammer[:, 0] - (stroke.states @ body.vectors.T).real @ body.under, stroke.gap, atol=1e-15
     )
 
 

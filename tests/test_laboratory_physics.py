@@ -14,7 +14,7 @@ from pianofit.paper.laboratory import Laboratory, chosen, measure
 from pianofit.paper.laboratory.body import Axis, Body, make_axes, make_body
 from pianofit.paper.laboratory.chosen import FINAL, MODES, RESONATORS, Resonator
 from pianofit.paper.laboratory.felt import FELTS, Felt, FeltState, Stepper, stored
-from pianofit.paper.laboratory.measurement import blow_of, felt_of
+from pianofit.paper.laboratory.measurement import felt_of, stroke_of
 from pianofit.paper.laboratory.strike import _meet, energy, strike
 from pianofit.parameters import String
 
@@ -36,8 +36,8 @@ def by_frequency(body: Body) -> np.ndarray:
 
 def drop(lab: Laboratory, velocity: float) -> np.ndarray:
     """Change of the total energy at every step, over that of the hammer at first."""
-    body, blow = blow_of(lab, velocity)
-    total = energy(body, felt_of(lab), MASS, blow)
+    body, stroke = stroke_of(lab, velocity)
+    total = energy(body, felt_of(lab), MASS, stroke)
     return np.diff(total) / total[0]
 
 
@@ -273,7 +273,7 @@ def test_the_bridge_carries_motion_into_the_other_polarisation():
     axes = tuple(Axis(axis.string, share) for axis, share in zip(make_axes(STRING, True), (1.0, 0.0), strict=True))
     for resonators, reached in ((RESONATORS, True), ((), False)):
         body = make_body(axes, FINAL.geometry, 64, resonators)
-        blow = strike(body, felt_of(Laboratory.ideal()), MASS, V, 2e5)
-        xi = (body.vectors @ (blow.states[-1] * np.exp(body.poles * 0.05))).real
+        stroke = strike(body, felt_of(Laboratory.ideal()), MASS, V, 2e5)
+        xi = (body.vectors @ (stroke.states[-1] * np.exp(body.poles * 0.05))).real
         second = xi[64:128]  # elastic energy of the second field's modes
         assert (second @ second > 1e-7 * (xi @ xi)) is np.bool_(reached)

@@ -27,7 +27,7 @@ def write_page(path: str | os.PathLike[str], document: dict[str, Any]) -> None:
     """
     found, name = counts(document), document["name"] or "Instrument"
     kit.write_page(
-        path, "page.html.j2", package=__package__, strict=False, doc=document, title=name, name=name,
+        path, "page.html.j2", package="pianofit.keyboard", strict=False, doc=document, title=name, name=name,
         quantity=document["quantity"],
         known=sum(key["fit"] is not None for key in document["keys"]),
         states=[(state, found[state], words) for state, words in STATES.items() if found[state]],

@@ -23,7 +23,7 @@ FINAL, INITIAL = preset("bensa-final"), preset("bensa-initial")
 VELOCITIES = (0.618, 0.844, 1.299, 1.8, 2.3)
 
 # Velocity at digital full scale, m/s: one range for all of `VELOCITIES`, the loudest of which peaks at 3 m/s at the
-# pickup. (The demo's 2 m/s fits its one velocity.) Blows above FASTEST would leave the range.
+# pickup. (The demo's 2 m/s fits its one velocity.) Strokes above FASTEST would leave the range.
 SCALE, FASTEST = 5.0, 3.5
 
 # The paper's N is not known. The contact window of 20 mm hardly drives modes beyond the 160th: with 256 of them the

@@ -1,4 +1,4 @@
-"""A measurement: one blow, heard by the vibrometer, at a velocity that the sensor read a little wrong."""
+"""A measurement: one stroke, heard by the vibrometer, at a velocity that the sensor read a little wrong."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from .. import twin
 from . import chosen
 from .body import Body, make_axes, make_body
 from .felt import FELTS, Felt
-from .strike import Blow, ring, strike
+from .strike import Stroke, ring, strike
 
-__all__ = ["Laboratory", "Measurement", "blow_of", "felt_of", "measure", "setup_text"]
+__all__ = ["Laboratory", "Measurement", "stroke_of", "felt_of", "measure", "setup_text"]
 
 # name -> lower, upper, unit.
 LIMITS = {
@@ -47,7 +47,7 @@ class Laboratory:
     felt: str = "memory"  # memory | hunt-crossley (the paper's) | power (elastic)
     noise_db: float | None = 60.0  # rms of the first second over that of the noise; None for no noise
     velocity_error: float = 0.02  # standard deviation of what the sensor reads, relative
-    seconds: float = chosen.SECONDS  # after the blow
+    seconds: float = chosen.SECONDS  # after the stroke
     rate: int = chosen.RATE  # Hz
     contact_rate: float = chosen.CONTACT_RATE  # steps per second of the contact, at least, Hz
     eps: float = chosen.EPS  # of the felt with memory
@@ -95,16 +95,16 @@ def measure(lab: Laboratory, velocity: float, seed: int = 0) -> Measurement:
         For a velocity or a seed outside its range.
     """
     velocity, seed = within("velocity", velocity), int(within("seed", seed, whole=True))
-    body, blow = blow_of(lab, velocity)
+    body, stroke = stroke_of(lab, velocity)
     onset = round(chosen.LEAD * lab.rate)
-    clean = np.pad(ring(body, blow, lab.rate, round(lab.seconds * lab.rate)) / chosen.SCALE, (onset, 0))
+    clean = np.pad(ring(body, stroke, lab.rate, round(lab.seconds * lab.rate)) / chosen.SCALE, (onset, 0))
     samples = clean
     if lab.noise_db is not None:
         rms = math.sqrt(np.mean(clean[onset : onset + lab.rate] ** 2))
         samples = clean + rms * 10 ** (-lab.noise_db / 20) * _noise(len(clean), lab.rate, _random(seed, "noise"))
     nominal = velocity * (1 + lab.velocity_error * _random(seed, "velocity").normal())
     true = _truth(lab, velocity)
-    return Measurement(samples, lab.rate, chosen.SCALE, onset, nominal, true, clean, blow.force, 1 / blow.step)
+    return Measurement(samples, lab.rate, chosen.SCALE, onset, nominal, true, clean, stroke.force, 1 / stroke.step)
 
 
 def setup_text(measurement: Measurement, *, hold_velocity: bool = True) -> str:
@@ -123,8 +123,8 @@ def setup_text(measurement: Measurement, *, hold_velocity: bool = True) -> str:
     )
 
 
-def blow_of(lab: Laboratory, velocity: float) -> tuple[Body, Blow]:
-    """The body that is struck, and the blow."""
+def stroke_of(lab: Laboratory, velocity: float) -> tuple[Body, Stroke]:
+    """The body that is struck, and the stroke."""
     axes, resonators = make_axes(chosen.FINAL.string, lab.polarisation), chosen.RESONATORS if lab.bridge else ()
     body = make_body(axes, chosen.FINAL.geometry, chosen.MODES, resonators)
     every = math.ceil(lab.contact_rate / lab.rate)

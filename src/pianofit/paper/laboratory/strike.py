@@ -1,4 +1,4 @@
-"""One blow: the hammer on the body, step by step until it has left for good, and the ringing after that.
+"""One stroke: the hammer on the body, step by step until it has left for good, and the ringing after that.
 
 Over a step the felt's force is constant. Under it the body's exponentials and the hammer's parabola are exact,
 
@@ -20,14 +20,14 @@ from ...errors import FitError
 from .body import Body
 from .felt import Felt, FeltState, Stepper, stored
 
-__all__ = ["Blow", "energy", "ring", "strike"]
+__all__ = ["Stroke", "energy", "ring", "strike"]
 
 EPSILON = 4 * np.finfo(float).eps
 MOST_CONTACT = 0.05  # s
 LOOK = 32  # steps between two looks at whether the hammer has gone for good
 
 
-class Blow(NamedTuple):
+class Stroke(NamedTuple):
     """What happened from the first touch on, at t = 0, h, 2h, ...; `force` is that of the step that follows."""
 
     step: float  # h, s
@@ -39,7 +39,7 @@ class Blow(NamedTuple):
     hammer: np.ndarray  # y_H, m, and v_H, m/s [steps, 2]
 
 
-def strike(body: Body, felt: Felt, mass: float, velocity: float, rate: float) -> Blow:
+def strike(body: Body, felt: Felt, mass: float, velocity: float, rate: float) -> Stroke:
     """Let a hammer of `mass`, kg, meet the resting body with `velocity`, m/s; `rate` steps a second.
 
     Raises
@@ -66,7 +66,7 @@ def strike(body: Body, felt: Felt, mass: float, velocity: float, rate: float) ->
         y, v = y + h * v - h**2 / (2 * mass) * force, v - h / mass * force
     columns = np.array([*trace, (0.0, *state, y, v)])
     force, gap, dent, memory = columns[:, :4].T
-    return Blow(h, np.array([*states, z]), force, gap, dent, memory, columns[:, 4:])
+    return Stroke(h, np.array([*states, z]), force, gap, dent, memory, columns[:, 4:])
 
 
 def _meet(stepper: Stepper, state: FeltState, free: float, compliance: float) -> tuple[float, FeltState]:
@@ -92,24 +92,24 @@ def _gone(body: Body, z: np.ndarray, state: FeltState, y: float, v: float, steps
     return bool(y + reach < 0)
 
 
-def energy(body: Body, felt: Felt, mass: float, blow: Blow) -> np.ndarray:
+def energy(body: Body, felt: Felt, mass: float, stroke: Stroke) -> np.ndarray:
     """String, bridge, hammer and felt together, J [steps]."""
-    xi = np.real(blow.states @ body.vectors.T)
-    kinetic = 0.5 * mass * blow.hammer[:, 1] ** 2
-    return 0.5 * (xi**2).sum(axis=1) + kinetic + stored(felt, blow.dent, blow.memory)
+    xi = np.real(stroke.states @ body.vectors.T)
+    kinetic = 0.5 * mass * stroke.hammer[:, 1] ** 2
+    return 0.5 * (xi**2).sum(axis=1) + kinetic + stored(felt, stroke.dent, stroke.memory)
 
 
-def ring(body: Body, blow: Blow, rate: float, samples: int) -> np.ndarray:
-    """The pickup's velocity, m/s [samples] at `rate`, a whole fraction of the blow's.
+def ring(body: Body, stroke: Stroke, rate: float, samples: int) -> np.ndarray:
+    """The pickup's velocity, m/s [samples] at `rate`, a whole fraction of the stroke's.
 
     Exponentials above half of `rate` are left out, as an ideal filter before the sampling would.
     """
     heard = np.imag(body.poles) < np.pi * rate
     row, poles = (body.pickup @ body.vectors)[heard], body.poles[heard] / rate
-    every = round(1 / (blow.step * rate))
-    head = np.real(blow.states[::every][:samples][:, heard] @ row)
-    last = len(blow.force) - 1  # from here on nothing pushes
-    start = blow.states[-1][heard] * row * np.exp(poles * (len(head) - last / every))
+    every = round(1 / (stroke.step * rate))
+    head = np.real(stroke.states[::every][:samples][:, heard] @ row)
+    last = len(stroke.force) - 1  # from here on nothing pushes
+    start = stroke.states[-1][heard] * row * np.exp(poles * (len(head) - last / every))
     return np.concatenate([head, _exponential_sum(start, poles, samples - len(head))])
 
 

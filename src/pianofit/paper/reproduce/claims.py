@@ -318,7 +318,7 @@ def _told(block: str, numbers: dict[str, Any]) -> str:
 @cache
 def _texts() -> Template:
     filters = {"listed": _listed, "joined": _joined, "percent": _percent, "factor": _factor, "symbol": SYMBOLS.get}
-    return templates(__package__, filters=filters).get_template("claims.j2")
+    return templates("pianofit.paper.reproduce", filters=filters).get_template("claims.j2")
 
 
 def _joined(texts: Sequence[str]) -> str:

@@ -54,7 +54,7 @@ def reproduce(
     _play(book, found)
     _write_test(folder, found)
     write_page(
-        folder / "index.html", "index.html.j2", package=__package__, styles=("claims.css",),
+        folder / "index.html", "index.html.j2", package="pianofit.paper.reproduce", styles=("claims.css",),
         scripts=("audio.js", "player.js"), filters={"symbol": _symbol},
         title="Parameter fitting for piano sound synthesis, reproduced", version=__version__, f=found, claims=claims,
         book=book, recipes=RECIPES, scale=chosen.SCALE,
