@@ -13,9 +13,9 @@ from pianofit.errors import FitError
 from pianofit.paper.laboratory import Laboratory, chosen, measure
 from pianofit.paper.laboratory.body import Axis, Body, make_axes, make_body
 from pianofit.paper.laboratory.chosen import FINAL, MODES, RESONATORS, Resonator
-from pianofit.paper.laboratory.felt import FELTS, Felt, FeltState, Stepper, stored
+from pianofit.paper.laboratory.felt import FELTS, Felt, FeltState, Stepper
 from pianofit.paper.laboratory.measurement import felt_of, stroke_of
-from pianofit.paper.laboratory.strike import _meet, energy, strike
+from pianofit.paper.laboratory.strike import Stroke, _meet, strike
 from pianofit.parameters import String
 
 V = 0.844  # m/s
@@ -32,6 +32,20 @@ def by_frequency(body: Body) -> np.ndarray:
 
 
 # Energy.
+
+
+def stored(felt: Felt, dent, memory):
+    """What the felt has stored (S in `laboratory.felt`), J, of arrays or numbers."""
+    p = felt.p
+    recent = dent ** (p + 1) / (p + 1) - felt.eps * memory * dent
+    return felt.K * (recent + felt.eps * p / (p + 1) * memory ** ((p + 1) / p))
+
+
+def energy(body: Body, felt: Felt, mass: float, stroke: Stroke) -> np.ndarray:
+    """String, bridge, hammer and felt together, J [steps]."""
+    xi = np.real(stroke.states @ body.vectors.T)
+    kinetic = 0.5 * mass * stroke.hammer[:, 1] ** 2
+    return 0.5 * (xi**2).sum(axis=1) + kinetic + stored(felt, stroke.dent, stroke.memory)
 
 
 def drop(lab: Laboratory, velocity: float) -> np.ndarray:
@@ -58,7 +72,7 @@ def test_no_memory_makes_energy(eps, tau, rate):
     assert changes.sum() < -1e-3
 
 
-def test_without_losses_the_blow_keeps_energy():
+def test_without_losses_the_stroke_keeps_energy():
     body, felt = alone(STRING._replace(b1=0.0, b2=0.0)), Felt(FINAL.hammer.K_H, FINAL.hammer.p)
     total = energy(body, felt, MASS, strike(body, felt, MASS, V, 1e5))
     # On the first step u^p begins as no polynomial does, and the quadrature of the work misses a hundred-billionth.

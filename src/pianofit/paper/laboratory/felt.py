@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-__all__ = ["FELTS", "Felt", "FeltState", "Stepper", "stored"]
+__all__ = ["FELTS", "Felt", "FeltState", "Stepper"]
 
 FELTS = ("hunt-crossley", "memory", "power")
 # Gauss-Legendre on (0, 1): node and weight.
@@ -44,13 +44,6 @@ class FeltState(NamedTuple):
     gap: float = 0.0  # u = y_H - y_s, m; below `dent` hammer and string are apart
     dent: float = 0.0  # û, m
     memory: float = 0.0  # c, m^p
-
-
-def stored(felt: Felt, dent, memory):
-    """S, J, of arrays or numbers."""
-    p = felt.p
-    recent = dent ** (p + 1) / (p + 1) - felt.eps * memory * dent
-    return felt.K * (recent + felt.eps * p / (p + 1) * memory ** ((p + 1) / p))
 
 
 class Stepper:

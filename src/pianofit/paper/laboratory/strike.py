@@ -18,9 +18,9 @@ from scipy.optimize import brentq
 
 from ...errors import FitError
 from .body import Body
-from .felt import Felt, FeltState, Stepper, stored
+from .felt import Felt, FeltState, Stepper
 
-__all__ = ["Stroke", "energy", "ring", "strike"]
+__all__ = ["Stroke", "ring", "strike"]
 
 EPSILON = 4 * np.finfo(float).eps
 MOST_CONTACT = 0.05  # s
@@ -90,13 +90,6 @@ def _gone(body: Body, z: np.ndarray, state: FeltState, y: float, v: float, steps
         return False
     reach = np.linalg.norm(np.real(body.vectors @ z)) * np.linalg.norm(body.under)
     return bool(y + reach < 0)
-
-
-def energy(body: Body, felt: Felt, mass: float, stroke: Stroke) -> np.ndarray:
-    """String, bridge, hammer and felt together, J [steps]."""
-    xi = np.real(stroke.states @ body.vectors.T)
-    kinetic = 0.5 * mass * stroke.hammer[:, 1] ** 2
-    return 0.5 * (xi**2).sum(axis=1) + kinetic + stored(felt, stroke.dent, stroke.memory)
 
 
 def ring(body: Body, stroke: Stroke, rate: float, samples: int) -> np.ndarray:

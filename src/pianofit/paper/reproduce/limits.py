@@ -19,9 +19,9 @@ from scipy.optimize import least_squares
 from ...criterion import band_values, line_sigma, measure
 from ...model import mode_table, simulate
 from ...parameters import Geometry, String
-from ...published import preset
 from ..laboratory import Laboratory
 from ..laboratory import measure as record
+from ..laboratory.chosen import FINAL
 
 __all__ = ["DECADES", "GRIDS", "Bend", "Blindness", "bends", "blindness", "inverse_bend", "partials_of", "string_of"]
 
@@ -89,24 +89,21 @@ def string_of(
 
 def bends(number: np.ndarray = BAND2) -> list[Bend]:
     """κ by the paper's scheme from a continuous string's partials `number`, grid by grid; the last is prewarped."""
-    it = preset("bensa-final")
-    exact = partials_of(it.string, it.geometry, "continuous", *FINE)[number - 1]
+    exact = partials_of(FINAL.string, FINAL.geometry, "continuous", *FINE)[number - 1]
     schemes = [("finite_difference", *grid) for grid in GRIDS] + [("continuous", *CONTINUOUS)]
     return [_bend(exact, number, *scheme) for scheme in schemes]
 
 
 def inverse_bend(number: np.ndarray = BAND2) -> Bend:
     """The continuous string that sounds as the paper's scheme does with the paper's κ, on the first of `GRIDS`."""
-    it = preset("bensa-final")
-    heard = partials_of(it.string, it.geometry, "finite_difference", *GRIDS[0])[number - 1]
+    heard = partials_of(FINAL.string, FINAL.geometry, "finite_difference", *GRIDS[0])[number - 1]
     return _bend(heard, number, "continuous", *FINE)
 
 
 def _bend(frequency: np.ndarray, number: np.ndarray, kind: str, points: int, rate: float) -> Bend:
-    it = preset("bensa-final")
-    found, left = string_of(frequency, number, it.string, it.geometry, kind, points, rate)
+    found, left = string_of(frequency, number, FINAL.string, FINAL.geometry, kind, points, rate)
     ends = int(number[0]), int(number[-1])
-    return Bend(kind, points, rate, ends, float(found.c), float(found.kappa), float(it.string.kappa), left)
+    return Bend(kind, points, rate, ends, float(found.c), float(found.kappa), float(FINAL.string.kappa), left)
 
 
 def blindness(lab: Laboratory, seed: int, *, repeats: int, values: int) -> Blindness:
@@ -117,8 +114,8 @@ def blindness(lab: Laboratory, seed: int, *, repeats: int, values: int) -> Blind
     repeats : measurements that differ in their noise alone.
     """
     b2 = np.logspace(*DECADES, values)
-    true = float(preset("bensa-final").string.b2)
-    measured = [record(lab, float(preset("bensa-final").hammer.v_H0), seed + n) for n in range(repeats)]
+    true = float(FINAL.string.b2)
+    measured = [record(lab, float(FINAL.hammer.v_H0), seed + n) for n in range(repeats)]
     rate, length = lab.rate, round(lab.seconds * lab.rate)
     heard = [_energies(m.samples[m.onset :] * m.scale, rate)[1] for m in measured]
     spacing, truth = _energies(_sound(true, rate, length), rate)
@@ -135,14 +132,14 @@ def blindness(lab: Laboratory, seed: int, *, repeats: int, values: int) -> Blind
 
 def _sound(b2: float, rate: int, samples: int) -> np.ndarray:
     """The paper's string and hammer with another b2, m/s [samples]."""
-    it = preset("bensa-final")
-    done = simulate(it.string._replace(b2=b2), it.hammer, it.geometry, rate=rate, oversampling=OVERSAMPLING)
+    string = FINAL.string._replace(b2=b2)
+    done = simulate(string, FINAL.hammer, FINAL.geometry, rate=rate, oversampling=OVERSAMPLING)
     return done.waveform(rate, samples)
 
 
 def _energies(sound: np.ndarray, rate: int) -> tuple[np.ndarray, np.ndarray]:
     """Spacing, Hz [partials], and |Y|² [partials, nodes] of the cells of the true partials."""
-    it = preset("bensa-final")
-    f0, stiffness = float(it.f0), (it.string.kappa * np.pi / (it.string.c * it.geometry.length)) ** 2
-    cells, energy = measure(sound, rate, f0, float(stiffness), int(ALL[-1]), line_sigma(f0))
+    c, kappa, *_ = FINAL.string
+    f0, B = float(FINAL.f0), float((kappa * np.pi / (c * FINAL.geometry.length)) ** 2)
+    cells, energy = measure(sound, rate, f0, B, int(ALL[-1]), line_sigma(f0))
     return cells.spacing, energy
