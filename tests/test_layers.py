@@ -31,6 +31,7 @@ USES = {
     "voice": "criterion model parameters recording",
     "inference": "analysis criterion io model parameters published recording setup threads voice",
     "paper": "analysis criterion inference io model parameters published recording report setup voice",
+    # `fitting` and `workflow` load `paper` only for whoever asks for one of its recipes.
     "fitting": "analysis inference paper recording setup",
     "render": "criterion inference io model parameters recording voice",
     "report": "analysis inference io parameters",

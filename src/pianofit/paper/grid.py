@@ -169,8 +169,8 @@ def _beside_hammer(matrix, row: int):
     """A matrix of the string [points, points] with an empty row and column for the hammer [size, size]."""
     points = matrix.shape[0]
     strung = np.delete(np.arange(points + 1), row)
-    place = scipy.sparse.csr_array((np.ones(points), (strung, np.arange(points))), shape=(points + 1, points))
-    return (place @ matrix @ place.T).tocsr()
+    onto = scipy.sparse.csr_array((np.ones(points), (strung, np.arange(points))), shape=(points + 1, points))
+    return (onto @ matrix @ onto.T).tocsr()
 
 
 def _bands(diagonal: Callable[[int], np.ndarray], bands: int, size: int) -> np.ndarray:

@@ -92,7 +92,7 @@ def solve(
     ParameterError
         Naming the argument, its value and its range.
     FitError
-        If Newton-Raphson does not settle.
+        If Newton-Raphson does not converge.
     """
     _check(string, hammer, geometry, step, steps, points)
     weights = grid_window(geometry, points, window)
@@ -162,7 +162,7 @@ def _newton_raphson(scheme: Scheme, hammer: Hammer, old: State, known: np.ndarra
         if np.all(np.abs(residual) <= ROUNDING * size):
             # The force that goes with these velocities; anew from u, a felt of 1e12 N/m would magnify u's rounding.
             return velocity, max(force + (a * by_u + by_du) * float(b @ step), 0.0), count
-    raise FitError(f"K_H={hammer.K_H:g} N/m^p, p={hammer.p:g}: Newton-Raphson does not settle; use a shorter step")
+    raise FitError(f"K_H={hammer.K_H:g} N/m^p, p={hammer.p:g}: Newton-Raphson does not converge; use a shorter step")
 
 
 def _factor(scheme: Scheme, by_u: float, by_du: float) -> np.ndarray:

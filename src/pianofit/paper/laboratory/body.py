@@ -88,7 +88,7 @@ def _directions(axes: tuple[Axis, ...], resonators: tuple[Resonator, ...]) -> np
 
 
 def _across(axes: tuple[Axis, ...], sines: np.ndarray, ramp: float, resonators: tuple[Resonator, ...]) -> np.ndarray:
-    """The vector that weighs the motion along the hammer's direction at one place [dof]."""
+    """The vector that weighs the motion along the hammer's direction at one position [dof]."""
     bridge = np.zeros(len(resonators))
     if resonators:
         bridge = ramp * np.array([axis.share for axis in axes]) @ _directions(axes, resonators)

@@ -85,7 +85,7 @@ class Race(NamedTuple):
 
     start: np.ndarray  # criterion at the starts
     gradient: np.ndarray
-    settled: np.ndarray  # which of the gradient's had come to rest
+    converged: np.ndarray  # which of the gradient's had
     squares: np.ndarray  # least squares
     annealed: np.ndarray
     polished: np.ndarray  # annealed, then least squares
@@ -152,7 +152,7 @@ def landscape(problem: Hammers, points: int, names: tuple[str, str] = ("F", "M_H
     z[:, i] += np.repeat(first, points)
     z[:, j] += np.tile(second, points)
     value = problem.cost(z).reshape(points, points)
-    ends = _settled(problem, z[_lower_than_neighbours(value).ravel()], (i, j))
+    ends = _descended(problem, z[_lower_than_neighbours(value).ravel()], (i, j))
     minima = _distinct([Basin((end.z - problem.true)[[i, j]], end.cost) for end in ends])
     inside = [m for m in minima if abs(m.z[0]) < first[-1] and abs(m.z[1]) < second[-1]]
     return Landscape(names, first, second, value, inside)
@@ -167,7 +167,7 @@ def _lower_than_neighbours(value: np.ndarray) -> np.ndarray:
     return low
 
 
-def _settled(problem: Hammers, z: np.ndarray, free: tuple[int, ...] = (0, 1, 2, 3, 4)) -> list[Basin]:
+def _descended(problem: Hammers, z: np.ndarray, free: tuple[int, ...] = (0, 1, 2, 3, 4)) -> list[Basin]:
     """Least squares from every row of `z` [n, 5] over the coordinates `free`, in the box, to the floor."""
     if not len(z):
         return []
@@ -198,19 +198,19 @@ def race(problem: Hammers, starts: int, seed: int, *, iterations: int, evaluatio
     z = problem.lower + (problem.upper - problem.lower) * random.random((starts, len(HAMMERS)))
     z[0] = problem.initial
     down = gradient_descent(problem.gradient, z, problem.lower, problem.upper, iterations=iterations)
-    squares = _settled(problem, z)
+    squares = _descended(problem, z)
     hot = [
         anneal(
             problem.cost, problem.lower, problem.upper, chains=BATCH, evaluations=evaluations, seed=seed + n, start=row
         )
         for n, row in enumerate(z)
     ]
-    cooled = _settled(problem, np.array([one.z for one in hot]))
+    cooled = _descended(problem, np.array([one.z for one in hot]))
     inside = [e for e in squares if ((e.z > problem.lower + 1e-6) & (e.z < problem.upper - 1e-6)).all()]
     return Race(
         start=problem.cost(z),
         gradient=down.cost,
-        settled=down.converged,
+        converged=down.converged,
         squares=np.array([end.cost for end in squares]),
         annealed=np.array([one.cost for one in hot]),
         polished=np.array([end.cost for end in cooled]),

@@ -1,7 +1,7 @@
 """What came of each of the paper's claims, by rules: numbers in, an outcome out.
 
 Every function takes what was measured in this run, and nothing else, and decides by the rule in its docstring. A claim
-made of several parts comes out in part when only some of them do. How the numbers are told, and what explains a claim
+made of several parts comes out in part when only some of them do. How the numbers are worded, and what explains a claim
 that did not come out, is written once, in `claims.j2`, in blocks of the functions' names and those with `_why`.
 """
 
@@ -222,11 +222,11 @@ def string_found(
 def changes_as_printed(initial: Mapping[str, float], printed: Mapping[str, float], found: Mapping[str, float]) -> Claim:
     """Every parameter moved from its start as in the paper: up, down, or hardly at all (`MOVED`, `STILL`)."""
 
-    def way(name: str, after: float) -> int:
+    def direction(name: str, after: float) -> int:
         share = after / initial[name] - 1
         return 0 if abs(share) <= STILL.get(name, MOVED) else 1 if share > 0 else -1
 
-    same = {name: way(name, found[name]) == way(name, printed[name]) for name in printed}
+    same = {name: direction(name, found[name]) == direction(name, printed[name]) for name in printed}
     return _judged(
         "changes_as_printed",
         "The felt gets stiffer and loses more, the hammer lighter and faster, p stays; the string loses more.",
@@ -298,16 +298,17 @@ def explained(alone: Mapping[str, float], everything: float, nothing: float) -> 
     )  # fmt: skip
 
 
-# --- how it is told ---------------------------------------------------------------------------------------------------
+# --- in words --------------------------------------------------------------------------------------------------------
 
 
 def _judged(name: str, claim: str, where: str, parts: Sequence[bool], **numbers: Any) -> Claim:
-    """Whether all, some or none of the claim's `parts` came out, told by the blocks of that `name`."""
+    """Whether all, some or none of the claim's `parts` came out, worded by the blocks of that `name`."""
     outcome = "yes" if all(parts) else "part" if any(parts) else "no"
-    return Claim(claim, where, outcome, _told(name, numbers), "" if outcome == "yes" else _told(f"{name}_why", numbers))
+    why = "" if outcome == "yes" else _worded(f"{name}_why", numbers)
+    return Claim(claim, where, outcome, _worded(name, numbers), why)
 
 
-def _told(block: str, numbers: dict[str, Any]) -> str:
+def _worded(block: str, numbers: dict[str, Any]) -> str:
     """A block of `claims.j2`, if there is one of that name."""
     template = _texts()
     if block not in template.blocks:
