@@ -26,7 +26,7 @@
       show((deck.playing ? "Playing " : "Chosen: ") + names[index]);
     }
 
-    function strike(index) { // another velocity is another stroke: from its attack on
+    function stroke(index) { // another velocity is another stroke: from its attack on
       active = player;
       deck.stop();
       deck.chosen = index;
@@ -58,9 +58,9 @@
     function paint(place) { // the chosen sound, its played part in colour
       const scale = devicePixelRatio || 1, pen = canvas.getContext("2d");
       const width = (canvas.width = Math.round(canvas.clientWidth * scale)), height = (canvas.height = canvas.clientHeight * scale);
-      const played = getComputedStyle(choices[deck.chosen]).getPropertyValue("--own");
+      const look = getComputedStyle(choices[deck.chosen]), played = look.getPropertyValue("--own"), rest = look.getPropertyValue("--rest");
       outline(deck.clips[deck.chosen], width).forEach((peak, x) => {
-        pen.fillStyle = x / width < place / seconds ? played : "#b9c2cb";
+        pen.fillStyle = x / width < place / seconds ? played : rest;
         pen.fillRect(x, (height * (1 - peak)) / 2, 1, Math.max(1, height * peak));
       });
     }
@@ -88,9 +88,9 @@
       seeker.max = seconds;
       seeker.addEventListener("input", (event) => seek(Number(event.target.value)));
     }
-    which?.addEventListener("input", (event) => strike(Number(event.target.value)));
+    which?.addEventListener("input", (event) => stroke(Number(event.target.value)));
     const player = {
-      root, choices, which, toggle, choose, strike, seek, seconds, draw,
+      root, choices, which, toggle, choose, stroke, seek, seconds, draw,
       get state() { return { playing: deck.playing, chosen: names[deck.chosen], position: deck.now }; },
       get context() { deck.ready(); return deck.context; },
       get output() { deck.ready(); return deck.output; }, // to listen in: connect an analyser
@@ -116,7 +116,9 @@
   document.addEventListener("keyup", (event) => {
     if (event.key === " " && event.target.matches(".play, .which, .choice[aria-pressed=true]")) event.preventDefault();
   });
-  addEventListener("resize", () => players.forEach((one) => one.draw()));
+  const again = () => players.forEach((one) => one.draw());
+  addEventListener("resize", again);
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", again);
   players.forEach((one) => one.draw());
   window.pianofitPlayer = players[0];
   window.pianofitPlayers = players;

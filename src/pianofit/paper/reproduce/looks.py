@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from ...report.drawing import FITTED, INITIAL, INK, MEASURED, figure_of
+from ...report.drawing import FITTED, INITIAL, INK, MEASURED
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -50,7 +50,9 @@ THREE = (
 
 def figure(height: float) -> Figure:
     """An empty one of the page's width, inches."""
-    return figure_of(WIDTH, height)
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(WIDTH, height))
 
 
 def key(made: Figure, axes: Axes) -> None:
