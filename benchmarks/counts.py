@@ -32,7 +32,7 @@ def counts(seconds: float, noise_db: float | None = 30.0) -> dict[str, Any]:
     from pianofit.analysis import analyse
     from pianofit.inference import conclude, estimate, pose
     from pianofit.model.cache import keep_programs
-    from pianofit.twin import LEAD, make_twin, setup_text
+    from pianofit.paper.twin import LEAD, make_twin, setup_text
 
     with tempfile.TemporaryDirectory() as folder:
         setup = Path(folder) / "setup.toml"

@@ -1,6 +1,6 @@
 """The paper's recipes beside the default one, on measurements whose truth is known.
 
-    python benchmarks/recipes_study.py                    the demo's twin and three blows of the laboratory, 10 seeds
+    python benchmarks/recipes_study.py                    the demo's twin and three strokes of the laboratory, 10 seeds
     python benchmarks/recipes_study.py --seeds 3 --evaluations 5000 --json study.json
 
 For each measurement: the criterion (eq. 19, 0 equal, 1 silence) in each band, on the sounds, and how far the parameters
@@ -26,14 +26,14 @@ from pianofit import Analysis, Recording, Setup, analyse, recording_from_samples
 from pianofit.criterion import band_values, line_sigma
 from pianofit.criterion import measure as energies
 from pianofit.inference.start import starting_values
-from pianofit.laboratory import Laboratory, measure, setup_text
 from pianofit.model import simulate
 from pianofit.model.cache import keep_programs
-from pianofit.paper import fit_by_paper
+from pianofit.paper.laboratory import Laboratory, measure, setup_text
 from pianofit.paper.problem import pose, split
+from pianofit.paper.recipes import fit_by_paper
+from pianofit.paper.twin import make_twin
+from pianofit.paper.twin import setup_text as demo_setup
 from pianofit.parameters import FIT_NAMES
-from pianofit.twin import make_twin
-from pianofit.twin import setup_text as demo_setup
 
 VELOCITIES = (0.618, 0.844, 1.299)
 # Levels are compared over partials to this frequency, Hz,
@@ -54,13 +54,13 @@ class Measured(NamedTuple):
 
 
 def measurements(velocities: tuple[float, ...] = VELOCITIES) -> list[Measured]:
-    """The demo's twin, and the laboratory's blows, all from the paper's initial values."""
+    """The demo's twin, and the laboratory's strokes, all from the paper's initial values."""
     twin = make_twin(60.0, seed=0)
     found = [_measured("demo twin", twin.samples, twin.rate, demo_setup(), twin.true)]
     for velocity in velocities:
-        blow = measure(Laboratory(), velocity, seed=0)
-        text = setup_text(blow, hold_velocity=False)
-        found.append(_measured(f"laboratory, {velocity} m/s", blow.samples, blow.rate, text, blow.true))
+        stroke = measure(Laboratory(), velocity, seed=0)
+        text = setup_text(stroke, hold_velocity=False)
+        found.append(_measured(f"laboratory, {velocity} m/s", stroke.samples, stroke.rate, text, stroke.true))
     return found
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from model_cases import GEOMETRY, HAMMER, STRING
 
-from pianofit.model import reference
+from pianofit.paper import reference
 from pianofit.parameters import Geometry, Hammer, String
 
 POINTS, STEPS = 48, 512

@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
+from pianofit.analysis import law_frequency
 from pianofit.criterion import (
     BANDS,
     OutputPath,
@@ -16,7 +17,6 @@ from pianofit.criterion import (
     closed_form_gain,
     level_error_db,
     measure,
-    partial_frequency,
 )
 
 RATE, F0, B, LAST, SIGMA = 16_000, 220.0, 4e-4, 14, 30.0
@@ -26,7 +26,7 @@ K = np.arange(1, LAST + 1)
 def note(level: np.ndarray, detune: float = 0.0, decay: float = 1.0, seconds: float = 0.7) -> np.ndarray:
     """Damped partials of a stiff string, their amplitudes `level` [partials]."""
     t = np.arange(round(seconds * RATE)) / RATE
-    f = partial_frequency(K, F0, B) * (1 + detune)
+    f = law_frequency(F0, B, K) * (1 + detune)
     return (level[:, None] * np.exp(-decay * t) * np.sin(2 * np.pi * f[:, None] * t)).sum(axis=0)
 
 
@@ -91,7 +91,7 @@ def test_bands_follow_the_paper():
 @given(st.floats(27, 2000), st.floats(0, 5e-3), st.integers(1, 60))
 def test_borders_lie_between_partials_and_cells_within_them(f0, inharmonicity, last):
     edges = borders(f0, inharmonicity, last)
-    between = [partial_frequency(np.array([k, k + 1]), f0, inharmonicity) for k in (1, 8)]
+    between = [law_frequency(f0, inharmonicity, np.array([k, k + 1])) for k in (1, 8)]
     assert edges == tuple(sorted(edges))
     assert all(low < edge < high for edge, (low, high) in zip(edges[1:3], between, strict=True))
     # "Midway": no further from the middle of the two partials than the law bends between them.
@@ -101,8 +101,8 @@ def test_borders_lie_between_partials_and_cells_within_them(f0, inharmonicity, l
     cells = cell_grid(f0, inharmonicity, last, SIGMA, resolution)
     k = np.arange(1, last + 1)
     slack = (cells.spacing + resolution)[:, None] * 2
-    assert (cells.frequency >= partial_frequency(k - 0.5, f0, inharmonicity)[:, None] - slack).all()
-    assert (cells.frequency <= partial_frequency(k + 0.5, f0, inharmonicity)[:, None] + slack).all()
+    assert (cells.frequency >= law_frequency(f0, inharmonicity, k - 0.5)[:, None] - slack).all()
+    assert (cells.frequency <= law_frequency(f0, inharmonicity, k + 0.5)[:, None] + slack).all()
     nodes = cells.frequency / resolution
     np.testing.assert_allclose(nodes, np.round(nodes), atol=1e-6)
 

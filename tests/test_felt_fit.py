@@ -11,7 +11,7 @@ import pytest
 
 from pianofit import analyse, fit, load_voice, recording_from_samples, setup_from_dict
 from pianofit.errors import FitError, SetupError
-from pianofit.laboratory import Laboratory, measure, setup_text
+from pianofit.paper.laboratory import Laboratory, measure, setup_text
 from pianofit.parameters import FELT_LAWS, Hammer, MemoryHammer
 from pianofit.setup import load_setup
 

@@ -20,9 +20,9 @@ from felt_cases import (
 )  # fmt: skip
 from model_cases import GEOMETRY, RATE, STRING
 
-from pianofit.laboratory.body import Axis, make_body
-from pianofit.laboratory.felt import Felt
-from pianofit.laboratory.strike import strike as laboratory_strike
+from pianofit.paper.laboratory.body import Axis, make_body
+from pianofit.paper.laboratory.felt import Felt
+from pianofit.paper.laboratory.strike import strike as laboratory_strike
 from pianofit.parameters import Hammer, MemoryHammer
 
 # --- another way to step ---------------------------------------------------------------------------------------------
@@ -57,11 +57,11 @@ def test_the_laboratorys_felt_pushes_the_same(epsilon):
     body = make_body((Axis(STRING, 1.0),), GEOMETRY, n, ())
     fine = 16 * RATE
     memory = Felt(hammer.K_H, hammer.p, eps=hammer.epsilon, tau=hammer.tau)
-    blow = laboratory_strike(body, memory, hammer.M_H, hammer.v_H0, fine)
+    stroke = laboratory_strike(body, memory, hammer.M_H, hammer.v_H0, fine)
     errors = []
     for factor in (4, 8):
         _, pulse = cases.hit(STRING, hammer, GEOMETRY, factor * RATE, n_modes=n, steps=8192)
-        v_H, exact = np.asarray(pulse.hammer)[:, 1], blow.hammer[:: 16 // factor, 1]
+        v_H, exact = np.asarray(pulse.hammer)[:, 1], stroke.hammer[:: 16 // factor, 1]
         last = int(np.flatnonzero(np.asarray(pulse.force) > 0)[-1])
         errors.append(relative(v_H[:last], exact[:last]))
     assert errors[1] < 2e-5

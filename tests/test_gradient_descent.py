@@ -165,16 +165,16 @@ def test_starts_do_not_disturb_each_other():
         assert alone.converged[0] == together.converged[row]
 
 
-def test_a_descent_ends_when_it_is_good_enough_or_done_and_says_so():
+def test_a_descent_ends_when_it_is_done_and_says_so():
     seen = []
     evaluate = parabola(hessian(10.0, 3, 6), np.zeros(3), seen)
     start, box = np.full((2, 3), 0.9), (np.full(3, -1.0), np.full(3, 1.0))
     assert not gradient_descent(evaluate, start, *box, iterations=2).converged.any()
     seen.clear()
-    end = gradient_descent(evaluate, start, *box, iterations=1000, enough=1e-4)
+    end = gradient_descent(evaluate, start, *box, iterations=1000)
     assert end.converged.all()
     assert (end.cost <= 1e-4).all()
-    assert len(seen) == end.evaluations < 100
+    assert len(seen) == end.evaluations < 200
     flat = gradient_descent(lambda _: (np.ones(2), np.zeros((2, 3))), start, *box, iterations=1000)
     assert flat.converged.all()
     assert flat.evaluations == 1

@@ -10,12 +10,12 @@ import scipy.integrate
 import scipy.signal
 
 from pianofit.errors import FitError
-from pianofit.laboratory import Laboratory, chosen, measure
-from pianofit.laboratory.body import Axis, Body, make_axes, make_body
-from pianofit.laboratory.chosen import FINAL, MODES, RESONATORS, Resonator
-from pianofit.laboratory.felt import FELTS, Felt, FeltState, Stepper, stored
-from pianofit.laboratory.measurement import blow_of, felt_of
-from pianofit.laboratory.strike import _meet, energy, strike
+from pianofit.paper.laboratory import Laboratory, chosen, measure
+from pianofit.paper.laboratory.body import Axis, Body, make_axes, make_body
+from pianofit.paper.laboratory.chosen import FINAL, MODES, RESONATORS, Resonator
+from pianofit.paper.laboratory.felt import FELTS, Felt, FeltState, Stepper
+from pianofit.paper.laboratory.measurement import felt_of, stroke_of
+from pianofit.paper.laboratory.strike import Stroke, _meet, strike
 from pianofit.parameters import String
 
 V = 0.844  # m/s
@@ -34,10 +34,24 @@ def by_frequency(body: Body) -> np.ndarray:
 # Energy.
 
 
+def stored(felt: Felt, dent, memory):
+    """What the felt has stored (S in `laboratory.felt`), J, of arrays or numbers."""
+    p = felt.p
+    recent = dent ** (p + 1) / (p + 1) - felt.eps * memory * dent
+    return felt.K * (recent + felt.eps * p / (p + 1) * memory ** ((p + 1) / p))
+
+
+def energy(body: Body, felt: Felt, mass: float, stroke: Stroke) -> np.ndarray:
+    """String, bridge, hammer and felt together, J [steps]."""
+    xi = np.real(stroke.states @ body.vectors.T)
+    kinetic = 0.5 * mass * stroke.hammer[:, 1] ** 2
+    return 0.5 * (xi**2).sum(axis=1) + kinetic + stored(felt, stroke.dent, stroke.memory)
+
+
 def drop(lab: Laboratory, velocity: float) -> np.ndarray:
     """Change of the total energy at every step, over that of the hammer at first."""
-    body, blow = blow_of(lab, velocity)
-    total = energy(body, felt_of(lab), MASS, blow)
+    body, stroke = stroke_of(lab, velocity)
+    total = energy(body, felt_of(lab), MASS, stroke)
     return np.diff(total) / total[0]
 
 
@@ -58,7 +72,7 @@ def test_no_memory_makes_energy(eps, tau, rate):
     assert changes.sum() < -1e-3
 
 
-def test_without_losses_the_blow_keeps_energy():
+def test_without_losses_the_stroke_keeps_energy():
     body, felt = alone(STRING._replace(b1=0.0, b2=0.0)), Felt(FINAL.hammer.K_H, FINAL.hammer.p)
     total = energy(body, felt, MASS, strike(body, felt, MASS, V, 1e5))
     # On the first step u^p begins as no polynomial does, and the quadrature of the work misses a hundred-billionth.
@@ -273,7 +287,7 @@ def test_the_bridge_carries_motion_into_the_other_polarisation():
     axes = tuple(Axis(axis.string, share) for axis, share in zip(make_axes(STRING, True), (1.0, 0.0), strict=True))
     for resonators, reached in ((RESONATORS, True), ((), False)):
         body = make_body(axes, FINAL.geometry, 64, resonators)
-        blow = strike(body, felt_of(Laboratory.ideal()), MASS, V, 2e5)
-        xi = (body.vectors @ (blow.states[-1] * np.exp(body.poles * 0.05))).real
+        stroke = strike(body, felt_of(Laboratory.ideal()), MASS, V, 2e5)
+        xi = (body.vectors @ (stroke.states[-1] * np.exp(body.poles * 0.05))).real
         second = xi[64:128]  # elastic energy of the second field's modes
         assert (second @ second > 1e-7 * (xi @ xi)) is np.bool_(reached)

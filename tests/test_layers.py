@@ -18,38 +18,34 @@ SOURCE = ROOT / "src" / "pianofit"
 FILES = sorted(SOURCE.rglob("*.py"))
 # Which rooms each may use, beside its own and `errors`.
 USES = {
-    "errors": "",
     "threads": "",
+    "errors": "",
     "io": "",
+    "parameters": "",
     "progress": "",
     "tables": "io",
-    "parameters": "",
-    "published": "parameters",
     "recording": "io",
+    "published": "parameters",
     "setup": "io parameters",
-    "analysis": "recording tables",
     "model": "parameters",
-    "criterion": "",
+    "analysis": "recording tables",
+    "criterion": "analysis",
     "voice": "criterion model parameters recording",
-    "inference": "analysis criterion io model parameters progress published recording render setup tables threads"
-    " voice",
-    "paper": "analysis criterion inference model parameters recording setup voice",
-    "fitting": "analysis inference io paper parameters progress recording setup",
     "render": "criterion io model parameters recording voice",
-    "report": "criterion inference io parameters",
-    "twin": "model published",
-    "laboratory": "io parameters published recording twin",
-    "reproduce": "analysis criterion inference io laboratory model paper parameters published recording report"
-    " setup voice",
+    "inference": "analysis criterion io model parameters progress published recording"
+    " render setup tables threads voice",
+    "report": "analysis inference io parameters",
+    "paper": "analysis criterion inference io model parameters published recording report setup voice",
+    "keyboard": "analysis criterion io model parameters published render report voice",
+    "fitting": "analysis inference io paper parameters progress recording setup",
+    "play": "analysis io keyboard model parameters recording render threads voice",
     "workflow": "analysis fitting inference io model recording render setup voice",
     "batch": "analysis fitting io model parameters recording",
-    "keyboard": "analysis criterion io model parameters published render report voice",
-    "play": "analysis io keyboard model parameters recording render threads voice",
-    "cli": "analysis batch fitting inference io keyboard model paper parameters play progress published recording"
-    " render reproduce setup twin workflow",
+    "cli": "analysis batch fitting inference io keyboard model paper parameters play"
+    " progress published recording render setup workflow",
     "__main__": "cli",
 }
-WITH_JAX = ("model", "criterion", "inference", "paper", "render", "predict")
+WITH_JAX = ("model", "inference", "paper", "render", "predict")
 HEAVY = ("jax", "scipy", "matplotlib", "soundfile", "jinja2")
 LONGEST = 400  # lines
 
@@ -146,6 +142,15 @@ def loaded_by(code: str) -> set[str]:
 @pytest.mark.parametrize("module", ["", ".cli", ".parameters", ".published", ".recording", ".setup", ".analysis"])
 def test_what_needs_no_jax_does_not_load_it(module):
     assert "jax" not in loaded_by(f"import pianofit{module}")
+
+
+def test_the_default_estimate_does_not_load_the_papers_room():
+    program = (
+        "import sys, pianofit, pianofit.workflow, pianofit.fitting, pianofit.report.page\n"
+        "for name in pianofit.__all__: getattr(pianofit, name)\n"
+        "assert not [name for name in sys.modules if name.startswith('pianofit.paper')]"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True)
 
 
 @pytest.mark.parametrize("arguments", [["--help"], ["fit", "--help"], ["--version"], ["fit", "--speed"]])

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from report_cases import Page
 
+from pianofit.report.listening import Heard, Question, write_listening
 from pianofit.report.sound import k_weighted_mean_square
-from pianofit.reproduce.listening import MEASURED, Heard, Question, write_listening
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 CHROMIUM = shutil.which("chromium") or "/usr/bin/chromium"
@@ -21,6 +21,7 @@ if not Path(CHROMIUM).exists():
     pytest.skip("chromium is not installed (Debian: apt-get install chromium)", allow_module_level=True)
 
 RATE, LEAD = 8000, 0.05
+MEASURED = "measured"
 NAMES = ("initial", "global criterion", "three bands")
 
 
@@ -43,7 +44,8 @@ def questions() -> list[Question]:
 @pytest.fixture(scope="module")
 def path(tmp_path_factory):
     path = tmp_path_factory.mktemp("listening") / "listening.html"
-    write_listening(path, questions(), RATE, LEAD, 3, "made-up sounds </script><b>")
+    made = "made-up sounds </script><b>"
+    write_listening(path, questions(), RATE, LEAD, 3, program="pianofit reproduce", about="some sounds", origin=made)
     return path
 
 
@@ -124,6 +126,7 @@ def test_answers_are_saved_as_json_with_what_was_hidden(page):
     page.locator("#listener").fill("a listener")
     saved = answered(page, "ab")
     assert saved["schema"] == 1
+    assert saved["program"] == "pianofit reproduce"
     assert saved["seed"] == 3
     assert saved["listener"] == "a listener"
     assert saved["asked"] == saved["answered"] == len(saved["trials"]) == 10

@@ -16,9 +16,10 @@ from pianofit.cli import main
 from pianofit.criterion import band_values, line_sigma, measure
 from pianofit.inference.start import Start, starting_values
 from pianofit.model import simulate
-from pianofit.paper import RECIPES, Found, check_recipe, claims, fit_by_paper, steps
+from pianofit.paper import steps
+from pianofit.paper.recipes import RECIPES, Found, check_recipe, claims, fit_by_paper
+from pianofit.paper.twin import LEAD, make_twin, setup_text
 from pianofit.parameters import FIT_NAMES, Hammer, String
-from pianofit.twin import LEAD, make_twin, setup_text
 from pianofit.voice import arrival
 
 FEW = 600

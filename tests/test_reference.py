@@ -24,9 +24,9 @@ from model_cases import HAMMER, STRING
 from reference_cases import CASES, POINTS, STEPS, WIDE, X, relative, solve, touches
 
 from pianofit import model
-from pianofit.model import appendix, grid, reference
 from pianofit.model.contact import free_motion, impulse_amplitude
 from pianofit.model.exponentials import ring
+from pianofit.paper import appendix, grid, reference
 from pianofit.parameters import FIT_NAMES, HAMMER_NAMES, PARAMETERS, Geometry, Hammer, String
 
 SIGNALS, DERIVATIVES = 1e-9, 1e-8

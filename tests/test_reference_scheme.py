@@ -11,7 +11,7 @@ from reference_cases import CASES, WIDE, relative, solve
 
 from pianofit import model
 from pianofit.errors import FitError, ParameterError
-from pianofit.model import grid, reference
+from pianofit.paper import grid, reference
 from pianofit.parameters import Geometry, Hammer, String
 
 
@@ -145,7 +145,7 @@ def test_bad_arguments_are_named(change, message):
         reference.solve(**(arguments | change))
 
 
-def test_an_iteration_that_does_not_settle_is_an_error(monkeypatch):
+def test_an_iteration_that_does_not_converge_is_an_error(monkeypatch):
     monkeypatch.setattr(reference, "MOST_ITERATIONS", 1)
-    with pytest.raises(FitError, match=r"K_H=1.09949e\+10 N/m\^p, p=2.56: Newton-Raphson does not settle"):
+    with pytest.raises(FitError, match=r"K_H=1.09949e\+10 N/m\^p, p=2.56: Newton-Raphson does not converge"):
         solve(CASES["paper"][0])

@@ -1,4 +1,4 @@
-"""The paper again: descriptors, verdicts, searches and limits against known answers, and the command's files."""
+"""The paper again: descriptors, claims, searches and limits against known answers, and the command's files."""
 
 from __future__ import annotations
 
@@ -14,16 +14,14 @@ import soundfile as sf
 from report_cases import Page
 
 from pianofit.errors import ParameterError
+from pianofit.paper.reproduce import QUICK, claims, limits
+from pianofit.paper.reproduce.band3 import Hammers, landscape, race
+from pianofit.paper.reproduce.book import Book
+from pianofit.paper.reproduce.claims import or_else
+from pianofit.paper.reproduce.descriptors import attack_time, centroid
+from pianofit.paper.reproduce.direct import strikes
+from pianofit.paper.reproduce.studies import spread_of
 from pianofit.published import preset
-from pianofit.reproduce import QUICK, limits
-from pianofit.reproduce import verdicts_fit as fit
-from pianofit.reproduce import verdicts_model as model
-from pianofit.reproduce.band3 import Hammers, landscape, race
-from pianofit.reproduce.descriptors import attack_time, centroid
-from pianofit.reproduce.direct import strikes
-from pianofit.reproduce.page import Book
-from pianofit.reproduce.studies import spread_of
-from pianofit.reproduce.verdict import or_else
 from pianofit.voice import Voice
 
 RATE = 44_100
@@ -78,7 +76,7 @@ def test_centroid_hardly_hears_the_noise_of_a_measurement():
     assert centroid(sound + noise, RATE, 152.0) == pytest.approx(centroid(sound, RATE, 152.0), rel=2e-3)
 
 
-# --- verdicts ---------------------------------------------------------------------------------------------------------
+# --- claims ----------------------------------------------------------------------------------------------------------
 
 ERRORS = {"attack": {"three bands": [0.1, -0.1], "global criterion": [0.2, -0.3]},
           "centroid": {"three bands": [0.01, 0.0], "global criterion": [-0.1, -0.2]}}  # fmt: skip
@@ -93,91 +91,90 @@ STRING = {"c": 304.1, "kappa": 1.737, "b1": 0.568}
 SHARES = {"band2": {2: 0.9, 3: 0.1}}
 
 CASES = [
-    ("yes", model.contact_lasts([1.0, 2.0], [3.1e-3, 2.7e-3], 0.003, 0.003)),
-    ("part", model.contact_lasts([1.0, 2.0], [3.1e-3, 2.1e-3], 0.003, 0.006)),
-    ("no", model.contact_lasts([1.0, 2.0], [2.3e-3, 3.6e-3], 0.003, 0.006)),
-    ("yes", model.contact_shortens([1.0, 2.0, 4.0], [3e-3, 2e-3, 1e-3])),
-    ("part", model.contact_shortens([1.0, 2.0, 4.0], [3e-3, 2e-3, 2.5e-3])),
-    ("no", model.contact_shortens([1.0, 2.0], [3e-3, 4e-3])),
-    ("yes", model.reflections([1.0, 2.0], HUMPS, 0.46e-3)),
-    ("no", model.reflections([1.0, 2.0], HUMPS, 0.80e-3)),
-    ("no", model.reflections([1.0, 2.0], HUMPS[::-1], 0.46e-3)),
-    ("yes", model.felt_loses(6e-4, 6e-4, 0.024)),
-    ("part", model.felt_loses(6e-4, 7e-4, 0.024)),
-    ("no", model.felt_loses(-6e-4, 7e-4, 0.024)),
-    ("yes", model.brighter([1.0, 2.0], [700.0, 800.0])),
-    ("no", model.brighter([1.0, 2.0], [800.0, 700.0])),
-    ("yes", model.bends_kappa(1.737, 1.740, 1.734, 400, 176_400.0)),
-    ("no", model.bends_kappa(1.737, 2.142, 1.216, 100, 44_100.0)),
-    ("yes", model.b2_seen(1.6e-6, 3e-9, 1e-9, 1e-2, 1e-6, 1e-3)),
-    ("no", model.b2_seen(1.6e-6, 3e-10, 1e-9, 1e-2, None, 1e-3)),
-    ("yes", fit.local_minima([0.01, 0.05], [0.002, 0.008, 0.1])),
-    ("part", fit.local_minima([0.01], [0.002, 0.008])),
-    ("no", fit.local_minima([0.01], [])),
-    ("yes", fit.annealing_escapes(8, REACHED, 2.0)),
-    ("part", fit.annealing_escapes(8, REACHED | {"annealed": 7}, 2.0)),
-    ("part", fit.annealing_escapes(8, REACHED | {"gradient": 8}, 2.0)),
-    ("no", fit.annealing_escapes(8, REACHED | {"gradient": 8, "annealed": 7}, 2.0)),
-    ("yes", fit.three_bands_better(ERRORS, [0.8, 1.1])),
-    ("part", fit.three_bands_better(MIXED, [0.8, 1.1])),
-    ("no", fit.three_bands_better(WORSE, [0.8, 1.1])),
-    ("yes", fit.changes_as_printed(BEFORE, PRINTED, {"c": 305.0, "p": 2.60, "K_H": 5e9})),
-    ("part", fit.changes_as_printed(BEFORE, PRINTED, {"c": 305.0, "p": 2.90, "K_H": 5e9})),
-    ("no", fit.changes_as_printed(BEFORE, PRINTED, {"c": 311.9, "p": 2.90, "K_H": 5e8})),
-    ("yes", fit.string_found(STRING, STRING | {"kappa": 1.75}, SHARES)),
-    ("part", fit.string_found(STRING, STRING | {"kappa": 2.2}, SHARES)),
-    ("no", fit.string_found(STRING, {"c": 310.0, "kappa": 2.2, "b1": 0.9}, SHARES)),
-    ("yes", fit.high_partials_differ(0.4, 2.0, 0.3)),
-    ("part", fit.high_partials_differ(1.4, 2.0, 0.3)),
-    ("no", fit.high_partials_differ(1.4, 1.0, -0.3)),
-    ("yes", fit.waveforms_nearer(0.6, 0.1)),
-    ("no", fit.waveforms_nearer(0.6, 0.4)),
-    ("yes", fit.predicts([0.6, 1.3], 0.8, [0.5, 0.6], [20.0, 20.0], [5.0, 5.0])),
-    ("part", fit.predicts([0.6, 1.3], 0.8, [0.5, 6.0], [20.0, 20.0], [5.0, 5.0])),
-    ("no", fit.predicts([0.6, 1.3], 0.8, [21.0, 6.0], [20.0, 20.0], [25.0, 5.0])),
-    ("yes", fit.repeats({"c": 1e-5, "K_H": 0.04}, 5)),
-    ("part", fit.repeats({"c": 1e-5, "K_H": 0.4}, 5)),
-    ("no", fit.repeats({"c": 0.06, "K_H": 0.4}, 5)),
-    ("yes", fit.explained({"bridge": 0.01, "felt": 0.1}, 0.12, 1e-4)),
-    ("part", fit.explained({"bridge": 0.01, "felt": 0.1}, 0.12, 0.1)),
-    ("no", fit.explained({"bridge": 1e-4, "felt": 1e-3}, 0.12, 0.1)),
+    ("yes", claims.contact_lasts([1.0, 2.0], [3.1e-3, 2.7e-3], 0.003, 0.003)),
+    ("part", claims.contact_lasts([1.0, 2.0], [3.1e-3, 2.1e-3], 0.003, 0.006)),
+    ("no", claims.contact_lasts([1.0, 2.0], [2.3e-3, 3.6e-3], 0.003, 0.006)),
+    ("yes", claims.contact_shortens([1.0, 2.0, 4.0], [3e-3, 2e-3, 1e-3])),
+    ("part", claims.contact_shortens([1.0, 2.0, 4.0], [3e-3, 2e-3, 2.5e-3])),
+    ("no", claims.contact_shortens([1.0, 2.0], [3e-3, 4e-3])),
+    ("yes", claims.reflections([1.0, 2.0], HUMPS, 0.46e-3)),
+    ("no", claims.reflections([1.0, 2.0], HUMPS, 0.80e-3)),
+    ("no", claims.reflections([1.0, 2.0], HUMPS[::-1], 0.46e-3)),
+    ("yes", claims.felt_loses(6e-4, 6e-4, 0.024)),
+    ("part", claims.felt_loses(6e-4, 7e-4, 0.024)),
+    ("no", claims.felt_loses(-6e-4, 7e-4, 0.024)),
+    ("yes", claims.brighter([1.0, 2.0], [700.0, 800.0])),
+    ("no", claims.brighter([1.0, 2.0], [800.0, 700.0])),
+    ("yes", claims.bends_kappa(1.737, 1.740, 1.734, 400, 176_400.0)),
+    ("no", claims.bends_kappa(1.737, 2.142, 1.216, 100, 44_100.0)),
+    ("yes", claims.b2_seen(1.6e-6, 3e-9, 1e-9, 1e-2, 1e-6, 1e-3)),
+    ("no", claims.b2_seen(1.6e-6, 3e-10, 1e-9, 1e-2, None, 1e-3)),
+    ("yes", claims.local_minima([0.01, 0.05], [0.002, 0.008, 0.1])),
+    ("part", claims.local_minima([0.01], [0.002, 0.008])),
+    ("no", claims.local_minima([0.01], [])),
+    ("yes", claims.annealing_escapes(8, REACHED, 2.0)),
+    ("part", claims.annealing_escapes(8, REACHED | {"annealed": 7}, 2.0)),
+    ("part", claims.annealing_escapes(8, REACHED | {"gradient": 8}, 2.0)),
+    ("no", claims.annealing_escapes(8, REACHED | {"gradient": 8, "annealed": 7}, 2.0)),
+    ("yes", claims.three_bands_better(ERRORS, [0.8, 1.1])),
+    ("part", claims.three_bands_better(MIXED, [0.8, 1.1])),
+    ("no", claims.three_bands_better(WORSE, [0.8, 1.1])),
+    ("yes", claims.changes_as_printed(BEFORE, PRINTED, {"c": 305.0, "p": 2.60, "K_H": 5e9})),
+    ("part", claims.changes_as_printed(BEFORE, PRINTED, {"c": 305.0, "p": 2.90, "K_H": 5e9})),
+    ("no", claims.changes_as_printed(BEFORE, PRINTED, {"c": 311.9, "p": 2.90, "K_H": 5e8})),
+    ("yes", claims.string_found(STRING, STRING | {"kappa": 1.75}, SHARES)),
+    ("part", claims.string_found(STRING, STRING | {"kappa": 2.2}, SHARES)),
+    ("no", claims.string_found(STRING, {"c": 310.0, "kappa": 2.2, "b1": 0.9}, SHARES)),
+    ("yes", claims.high_partials_differ(0.4, 2.0, 0.3)),
+    ("part", claims.high_partials_differ(1.4, 2.0, 0.3)),
+    ("no", claims.high_partials_differ(1.4, 1.0, -0.3)),
+    ("yes", claims.waveforms_nearer(0.6, 0.1)),
+    ("no", claims.waveforms_nearer(0.6, 0.4)),
+    ("yes", claims.predicts([0.6, 1.3], 0.8, [0.5, 0.6], [20.0, 20.0], [5.0, 5.0])),
+    ("part", claims.predicts([0.6, 1.3], 0.8, [0.5, 6.0], [20.0, 20.0], [5.0, 5.0])),
+    ("no", claims.predicts([0.6, 1.3], 0.8, [21.0, 6.0], [20.0, 20.0], [25.0, 5.0])),
+    ("yes", claims.repeats({"c": 1e-5, "K_H": 0.04}, 5)),
+    ("part", claims.repeats({"c": 1e-5, "K_H": 0.4}, 5)),
+    ("no", claims.repeats({"c": 0.06, "K_H": 0.4}, 5)),
+    ("yes", claims.explained({"bridge": 0.01, "felt": 0.1}, 0.12, 1e-4)),
+    ("part", claims.explained({"bridge": 0.01, "felt": 0.1}, 0.12, 0.1)),
+    ("no", claims.explained({"bridge": 1e-4, "felt": 1e-3}, 0.12, 0.1)),
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("outcome", "verdict"), CASES, ids=lambda x: getattr(x, "claim", x))
-def test_verdicts_follow_the_numbers(outcome, verdict):
-    assert verdict.outcome == outcome
-    assert verdict.word == {"yes": "came out", "part": "came out in part", "no": "did not come out"}[outcome]
-    assert not any(word in verdict.sentence + verdict.why for word in ("nan", "inf", "None", "..", "  "))
-    assert verdict.sentence.endswith(".")
+@pytest.mark.parametrize(("outcome", "claim"), CASES, ids=lambda x: getattr(x, "claim", x))
+def test_claims_follow_the_numbers(outcome, claim):
+    assert claim.outcome == outcome
+    assert claim.word == {"yes": "came out", "part": "came out in part", "no": "did not come out"}[outcome]
+    assert not any(word in claim.sentence + claim.why for word in ("nan", "inf", "None", "..", "  "))
+    assert claim.sentence.endswith(".")
+    assert outcome != "yes" or claim.why == ""
 
 
-def test_verdicts_say_their_numbers():
-    said = model.contact_lasts([1.0, 2.0], [3.1e-3, 2.1e-3], 0.003, 0.0067)
+def test_claims_say_their_numbers():
+    said = claims.contact_lasts([1.0, 2.0], [3.1e-3, 2.1e-3], 0.003, 0.0067)
     assert "3.1 and 2.1 ms" in said.sentence
     assert "6.7 g" in said.why
-    assert "from 3" in fit.annealing_escapes(8, REACHED, 2.0).sentence
-    assert "K_H by a factor 1.5" in fit.repeats({"c": 1e-5, "K_H": 0.4}, 5).sentence
-    assert "23 %" in model.bends_kappa(1.737, 2.142, 1.216, 100, 44_100.0).sentence
+    assert "from 3" in claims.annealing_escapes(8, REACHED, 2.0).sentence
+    assert "K_H by a factor 1.5" in claims.repeats({"c": 1e-5, "K_H": 0.4}, 5).sentence
+    assert "23 %" in claims.bends_kappa(1.737, 2.142, 1.216, 100, 44_100.0).sentence
 
 
 def test_what_did_not_come_out_says_what_became_of_it_otherwise():
-    bad, good = fit.waveforms_nearer(0.6, 0.5), fit.waveforms_nearer(0.6, 0.1)
-    assert or_else("Otherwise", "short", good, bad) == good
-    said = or_else("Otherwise", "short", bad, good)
-    assert said.outcome == "no"
-    assert said.sentence == bad.sentence
-    assert said.why == f"Otherwise, it came out: {good.sentence}"
-    assert said.instead == "short: came out"
+    bad, good = claims.waveforms_nearer(0.6, 0.5), claims.waveforms_nearer(0.6, 0.1)
+    assert or_else(good, bad) == good
+    said = or_else(bad, good)
+    assert (said.outcome, said.sentence, said.otherwise) == ("no", bad.sentence, good)
+    assert said.instead == "string read: came out"
 
 
 # --- the direct problem -----------------------------------------------------------------------------------------------
 
 
 def test_the_loops_area_is_what_hammer_and_string_lose():
-    for blow in strikes((1.0, 4.0)):
-        assert blow.loop == pytest.approx(blow.balance, rel=1e-9)
-        assert 0 < blow.loop < 0.1 * blow.hammer_energy
+    for stroke in strikes((1.0, 4.0)):
+        assert stroke.loop == pytest.approx(stroke.balance, rel=1e-9)
+        assert 0 < stroke.loop < 0.1 * stroke.hammer_energy
 
 
 # --- band 3 -----------------------------------------------------------------------------------------------------------
@@ -264,16 +261,15 @@ def test_spread_is_relative_and_by_name():
 
 def test_tables_keep_all_digits_and_sounds_their_level(tmp_path):
     book = Book(tmp_path)
-    assert book.tabulate("a", ("x", "y"), [(1 / 3, None), ("kept, as text", 2)]) == "data/a.csv"
+    book.tabulate("a", ("x", "y"), [(1 / 3, None), ("kept, as text", 2)])
     rows = list(csv.reader(io.StringIO((tmp_path / "data/a.csv").read_text())))
     assert rows == [["x", "y"], [repr(1 / 3), ""], ["kept, as text", "2"]]
     sound = np.sin(np.arange(8000) / 5)
-    keys = book.play("0.844", {"measured": sound, "three bands": 0.1 * sound}, 8000, 4.0)
-    assert keys == [("measured", "0.844-measured"), ("three bands", "0.844-three-bands")]
+    book.play("0.844", {"measured": sound, "three bands": 0.1 * sound}, 8000, 4.0)
     samples, rate = sf.read(tmp_path / "sounds/0.844-three-bands.wav")
     assert rate == 8000
     np.testing.assert_allclose(samples, 0.1 * sound / 4.0, atol=1e-7)
-    assert set(book.clips) == {"0.844-measured", "0.844-three-bands"}
+    assert [clip.name for clip in book.players["0.844"]] == ["measured", "three bands"]
     assert sorted(book.files) == ["data/a.csv", "sounds/0.844-measured.wav", "sounds/0.844-three-bands.wav"]
 
 
@@ -331,16 +327,16 @@ def known_fit(case, recipe, seed, annealing=None, tries=1):
 def test_a_quick_run_of_the_command_makes_all_files(tmp_path, capsys, monkeypatch):
     """All but the fits themselves, in whose place stand known values; the slow tests have the fits too."""
     from pianofit.cli import main
-    from pianofit.reproduce import studies
+    from pianofit.paper.reproduce import studies
 
     monkeypatch.setattr(studies, "fitted", known_fit)
     assert main(["reproduce", "--out", str(tmp_path / "out"), "--quick"]) == 0
     page = check_folder(tmp_path / "out", QUICK)
     shown = capsys.readouterr()
     assert shown.err == ""  # no terminal, no progress
-    claims = [line for line in shown.out.splitlines() if "come out" in line or "came out" in line]
-    assert len(claims) == CLAIMS
-    outcome = {line[18:].split(" (")[0]: line[:18].strip() for line in claims}
+    lines = [line for line in shown.out.splitlines() if "come out" in line or "came out" in line]
+    assert len(lines) == CLAIMS
+    outcome = {line[18:].split(" (")[0]: line[:18].strip() for line in lines}
     assert all(claim in page.text for claim in outcome)
     assert outcome["The waveform comes clearly nearer the measured one."] == "came out"
     assert outcome["Three bands keep attack and brightness better than a global criterion."] == "came out"
@@ -352,7 +348,7 @@ def test_a_quick_run_of_the_command_makes_all_files(tmp_path, capsys, monkeypatc
 
 @pytest.mark.slow
 def test_a_quick_run_with_its_fits_makes_all_files_and_makes_them_again(tmp_path):
-    from pianofit.reproduce import reproduce
+    from pianofit.paper.reproduce import reproduce
 
     for name in ("first", "second"):
         (tmp_path / name).mkdir()
@@ -365,9 +361,9 @@ def test_a_quick_run_with_its_fits_makes_all_files_and_makes_them_again(tmp_path
 
 @pytest.mark.slow
 def test_a_full_run_brings_the_papers_main_findings(tmp_path):
-    from pianofit.reproduce import FULL, reproduce
+    from pianofit.paper.reproduce import FULL, reproduce
 
-    verdicts = {verdict.claim: verdict.outcome for verdict in reproduce(tmp_path, seed=0)}
+    outcome = {one.claim: one.outcome for one in reproduce(tmp_path, seed=0)}
     check_folder(tmp_path, FULL)
     for claim in (
         "The contact is shorter when the hammer is faster.",
@@ -375,6 +371,6 @@ def test_a_full_run_brings_the_papers_main_findings(tmp_path):
         "The sound is brighter when the hammer is faster.",
         "Band 3 has local minima.",
     ):
-        assert verdicts[claim] == "yes", claim
-    assert verdicts["The κ that is fitted is the string's."] == "no"
-    assert verdicts["b2 is found in band 2."] == "no"
+        assert outcome[claim] == "yes", claim
+    assert outcome["The κ that is fitted is the string's."] == "no"
+    assert outcome["b2 is found in band 2."] == "no"

@@ -99,7 +99,7 @@ def test_the_fast_path_meets_the_sum_over_samples_also_where_the_recording_is_cu
     mine = damped_spectrum(wave(which=which)[:n], RATE, np.asarray(g.frequency), sigma)
     expected = cost_of(np.abs(mine) ** 2, g)
     cost, _ = struck_gradients(searched(it)[None], g, SCENE, CFG)
-    # The window ends for all of a blow where it ends for its middle.
+    # The window ends for all of a stroke where it ends for its middle.
     assert float(cost[0]) == pytest.approx(expected, rel=2e-4, abs=2e-6)
     held = hold(jnp.asarray(searched(it)), g, SCENE, CFG)
     (again,) = hammer_costs(searched(it)[None, 4:], held, g, SCENE, CFG)

@@ -22,7 +22,7 @@ from pianofit.inference.problem import Problem
 from pianofit.inference.profile import RISE, _Profile, profiles
 from pianofit.inference.search import Search
 from pianofit.inference.views import check_intervals, open_messages, reported, view_of
-from pianofit.twin import make_twin, setup_text
+from pianofit.paper.twin import make_twin, setup_text
 
 # What levels alone tell: there a profile is nearly a parabola. The string's values rest on a few frequencies and decays
 # each, whose heavy tails and unknown excess Laplace's parabola does not have.

@@ -341,13 +341,13 @@ def reproduce(
 
     _checked(None, seed)
     with output_folder(out, force) as folder, progress_bar() as progress:
-        from ..reproduce import FULL, QUICK
-        from ..reproduce import reproduce as run
+        from ..paper.reproduce import FULL, QUICK
+        from ..paper.reproduce import reproduce as run
 
-        verdicts = run(folder, seed, plan=QUICK if quick else FULL, progress=progress)
-    for verdict in verdicts:
-        instead = f" ({verdict.instead})" if verdict.instead else ""
-        typer.echo(f"{verdict.word:17} {verdict.claim}{instead}")
+        claims = run(folder, seed, plan=QUICK if quick else FULL, progress=progress)
+    for one in claims:
+        instead = f" ({one.instead})" if one.instead else ""
+        typer.echo(f"{one.word:17} {one.claim}{instead}")
     typer.echo(f"\nwritten to {folder}: open index.html, and listening.html for the blind test")
 
 

@@ -5,12 +5,11 @@ Measured is black, the literature dashed orange, the law blue, as everywhere; an
 
 from __future__ import annotations
 
-import io
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..report.drawing import STYLE
+from ..report.drawing import styled, svg
 from .gather import HIGHEST_KEY, LOWEST_KEY
 from .velocity import hammer_velocity
 from .words import TITLES
@@ -32,13 +31,12 @@ GROUPS = {
 
 def draw(document: dict[str, Any]) -> dict[str, bytes]:
     """Name -> SVG."""
-    from matplotlib import rc_context
     from matplotlib.figure import Figure
 
-    with rc_context(STYLE):
+    with styled():
         figures = {name: _laws(Figure(figsize=(11.25, 6.4)), document, names) for name, names in GROUPS.items()}
         figures["sound"] = _sound(Figure(figsize=(11.25, 6.4)), document)
-        return {name: _svg(figure) for name, figure in figures.items()}
+        return {name: svg(figure) for name, figure in figures.items()}
 
 
 def _laws(figure: Figure, document: dict[str, Any], names: tuple[str, ...]) -> Figure:
@@ -121,9 +119,3 @@ def _velocities(axes: Axes, law: dict[str, Any]) -> None:
     axes.plot(x, [hammer_velocity(v, law["at_64"], law["rise"]) for v in x], color=LAW, lw=1.5)
     _log(axes, [0.1, 10.0])
     axes.set(title="hammer velocity (m/s) over MIDI velocity; points: the takes' layers", xlim=(0, 128))
-
-
-def _svg(figure: Figure) -> bytes:
-    stream = io.BytesIO()
-    figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
-    return stream.getvalue().replace(b"'DejaVu Sans'", b"system-ui, 'DejaVu Sans'")

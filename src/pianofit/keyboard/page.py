@@ -5,12 +5,10 @@ Everything is inside the file and it runs no script. All text from outside goes 
 
 from __future__ import annotations
 
-import base64
 import os
-from importlib.resources import files
 from typing import Any
 
-from ..io import replace_file
+from ..report import kit
 from .figures import draw
 from .gather import HIGHEST_KEY, LOUDEST, LOWEST_KEY, reference_compression
 from .laws import OUTLYING
@@ -27,25 +25,17 @@ def write_page(path: str | os.PathLike[str], document: dict[str, Any]) -> None:
     OutputError
         If `path` cannot be written.
     """
-    from jinja2 import Environment
-
-    found = counts(document)
-    style = files("pianofit.report").joinpath("page.css").read_text(encoding="utf-8")
-    template = files("pianofit.keyboard").joinpath("page.html.j2").read_text(encoding="utf-8")
-    html = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True).from_string(template).render(
-        doc=document,
-        name=document["name"] or "Instrument",
+    found, name = counts(document), document["name"] or "Instrument"
+    kit.write_page(
+        path, "page.html.j2", package="pianofit.keyboard", strict=False, doc=document, title=name, name=name,
         quantity=document["quantity"],
         known=sum(key["fit"] is not None for key in document["keys"]),
         states=[(state, found[state], words) for state, words in STATES.items() if found[state]],
-        figures={name: "data:image/svg+xml;base64," + base64.b64encode(svg).decode()
-                 for name, svg in draw(document).items()},
+        figures={name: kit.data_uri("image/svg+xml", svg) for name, svg in draw(document).items()},
         rows=[_row(key) for key in document["keys"]],
         outlying=f"{OUTLYING:g}", loudest=f"{LOUDEST:g}",
         u_low=1e3 * reference_compression(LOWEST_KEY), u_high=1e3 * reference_compression(HIGHEST_KEY),
-        style=style,
     )  # fmt: skip
-    replace_file(path, html.encode("utf-8", errors="replace"))
 
 
 def _row(key: dict[str, Any]) -> dict[str, Any]:

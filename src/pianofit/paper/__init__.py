@@ -1,8 +1,11 @@
-"""What is only the paper's (Bensa et al. 2005, IV): eq. 19 on its bands, its gradient, its annealing, its three steps.
+"""All that is only the paper's (Bensa, Gipouloux and Kronland-Martinet 2005); nothing but the command line needs it.
 
-`recipes` is the door; nothing here knows the default estimator.
+- `grid`, `reference`, `appendix`: its scheme, grid and matrices and all, and the derivatives of its appendix: a witness
+  that shares nothing with the model but the parameters' names.
+- `spectral`, `struck`: eq. 19 as a search sees it. `gradient`, `annealing`, `levenberg`: what searches. `problem`,
+  `steps`, `recipes`: the three steps of IV.C, and the criterion over the whole spectrum. `recipes` is their door.
+- `twin`, `laboratory`: measurements whose truth is known, for the paper's are not public.
+- `reproduce`: the page that tests its tables, figures and claims on them.
+
+Nothing is imported here, so that a measurement does not load what a search needs.
 """
-
-from .recipes import RECIPES, Found, check_recipe, claims, fit_by_paper
-
-__all__ = ["RECIPES", "Found", "check_recipe", "claims", "fit_by_paper"]

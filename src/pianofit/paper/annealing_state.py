@@ -1,26 +1,23 @@
 """The laws of an annealing: how it jumps, accepts and cools; and all that it remembers.
 
-An `AnnealingState` is frozen and made of arrays and numbers, so that it can be written as JSON and read back to the
-last bit. The laws of cooling are functions of it: T = T_0 exp(-c k^(1/D)), where k counts steps for the parameters and
-jumps taken for the acceptance (L. Ingber, Math. Comput. Modelling 12 (1989) 967-973; manual of his ASA 30, section
-5.2.4). c is such that the coldest temperature is reached where the plan ends.
+The laws of cooling are functions of a frozen `AnnealingState`: T = T_0 exp(-c k^(1/D)), where k counts steps for the
+parameters and jumps taken for the acceptance (L. Ingber, Math. Comput. Modelling 12 (1989) 967-973; manual of his
+ASA 30, section 5.2.4). c is such that the coldest temperature is reached where the plan ends.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from ..errors import FitError, ParameterError
+from ..errors import ParameterError
 
 __all__ = ["AnnealingState", "Schedule", "acceptance", "cost_temperature", "generate", "jump_cdf", "temperatures"]
 
 # Below this a jump is lost in the rounding of the coordinates, box widths.
 COLDEST = 1e-15
-VERSION = 1
-TABLES, COLUMNS = ("z", "best_z", "width"), ("cost", "best_cost", "cost_start", "accepted")
 
 
 @dataclass(frozen=True)
@@ -65,26 +62,6 @@ class AnnealingState:
     trace: tuple[tuple[int, float], ...]  # evaluations and lowest cost, whenever that fell
     random: dict[str, Any]  # of NumPy's PCG64
 
-    def to_data(self) -> dict[str, Any]:
-        """As what JSON can hold, to the last bit; an infinite cost becomes null."""
-        data = {f.name: getattr(self, f.name) for f in fields(self)}
-        plain = {name: _plain(value) if isinstance(value, np.ndarray) else value for name, value in data.items()}
-        return {"version": VERSION, **plain, "trace": [list(row) for row in self.trace]}
-
-    @staticmethod
-    def from_data(data: dict[str, Any]) -> AnnealingState:
-        """Return the state that `to_data` wrote.
-
-        Raises
-        ------
-        FitError
-            If `data` is not such a state.
-        """
-        try:
-            return _from_data(data)
-        except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
-            raise FitError(f"not the state of an annealing ({error}); start it anew") from None
-
 
 def jump_cdf(y: np.ndarray, temperature: np.ndarray) -> np.ndarray:
     """Return the probability of a jump of at most `y`, box widths, from -1 to 1.
@@ -121,31 +98,3 @@ def temperatures(state: AnnealingState, schedule: Schedule, dimensions: int) -> 
 def cost_temperature(state: AnnealingState, schedule: Schedule, dimensions: int) -> np.ndarray:
     """T = T_0 exp(-c k^(1/D)), k the number of jumps taken (manual, section 5.2.4); units of cost, [chains]."""
     return state.cost_start * schedule.cost_end ** ((state.accepted / state.length) ** (1 / dimensions))
-
-
-def _plain(array: np.ndarray) -> list:
-    whole = array.astype(object)
-    whole[~np.isfinite(array)] = None
-    return whole.tolist()
-
-
-def _from_data(data: dict[str, Any]) -> AnnealingState:
-    if data["version"] != VERSION:
-        raise ValueError(f"version {data['version']} is not {VERSION}")
-    arrays = {name: np.array(data[name], float) for name in (*TABLES, *COLUMNS)}
-    for name in ("cost", "best_cost"):
-        arrays[name] = np.where(np.isnan(arrays[name]), np.inf, arrays[name])
-    chains = len(arrays["z"])
-    for name, array in arrays.items():
-        if array.ndim != 1 + (name in TABLES) or len(array) != chains or np.isnan(array).any():
-            raise ValueError(f"{name} has shape {array.shape}, or holes")
-    if arrays["best_z"].shape != arrays["z"].shape:
-        raise ValueError(f"best_z has shape {arrays['best_z'].shape}, z {arrays['z'].shape}")
-    steps, length, evaluations = (int(data[name]) for name in ("steps", "length", "evaluations"))
-    if min(chains, steps, length, evaluations) < 1:
-        raise ValueError(f"{chains} chains, {steps} steps of {length}, {evaluations} evaluations")
-    np.random.PCG64().state = data["random"]  # raises where it is not one
-    trace = tuple((int(count), float(cost)) for count, cost in data["trace"])
-    return AnnealingState(
-        **arrays, steps=steps, length=length, evaluations=evaluations, trace=trace, random=data["random"]
-    )

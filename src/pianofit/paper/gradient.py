@@ -49,7 +49,6 @@ def gradient_descent(
     *,
     iterations: int,
     tolerance: float = 1e-9,
-    enough: float = -np.inf,
 ) -> GradientDescent:
     """Lower `value_and_gradient(z [starts, D]) -> (cost [starts], gradient [starts, D])` from every row of `z`.
 
@@ -62,7 +61,6 @@ def gradient_descent(
     lower, upper : finite; where they are equal the coordinate is held.
     tolerance : a start has converged when a step of a length that fits the slope gains less than this part of its cost,
         or when no step moves it.
-    enough : a start has also converged at a cost of at most this, the paper's ε.
 
     Raises
     ------
@@ -74,7 +72,7 @@ def gradient_descent(
     cost, gradient = _evaluate(value_and_gradient, z)
     step = FIRST * _longest(z, gradient, lower, upper)
     fitted = np.zeros(len(z), bool)  # whether a step was once too long, so that its length is the slope's
-    converged, evaluations = cost <= enough, 1
+    converged, evaluations = np.zeros(len(z), bool), 1
     for _ in range(iterations):
         trial = np.clip(z - step[:, None] * size**2 * gradient, lower, upper)
         converged |= np.isfinite(cost) & (np.abs(trial - z) <= LEAST * size).all(axis=1)
@@ -91,7 +89,7 @@ def gradient_descent(
         gradient = np.where(better[:, None], new_gradient, gradient)
         cost = np.where(better, new_cost, cost)
         step = np.minimum(step * np.where(better, LONGER, SHORTER), _longest(z, gradient, lower, upper))
-        converged |= (fitted & better & (gain <= tolerance * np.abs(cost))) | (cost <= enough)
+        converged |= fitted & better & (gain <= tolerance * np.abs(cost))
     return GradientDescent(z, cost, gradient, converged, evaluations)
 
 

@@ -18,8 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..criterion import BANDS, band_of, cell_grid
-from ..criterion.energy import ENOUGH_DAMPING
+from ..criterion import BANDS, ENOUGH_DAMPING, band_of, cell_grid, closed_form_gain
 
 __all__ = ["Goal", "damped_spectrum", "miss", "spectral_goal"]
 
@@ -92,14 +91,12 @@ def damped_spectrum(samples: np.ndarray, rate: float, frequency: np.ndarray, sig
     return total.reshape(frequency.shape)
 
 
-def best_gain(energy: Float[Array, "rows nodes"], goal: Goal) -> Array:
-    """The g² ≥ 0 on the model's |Y|² that makes C least; 1 for a calibrated recording."""
-    model = goal.weight * goal.factor * energy
-    best = (model * goal.weight * goal.energy).sum() / jnp.maximum((model**2).sum(), 1e-300)
-    return jnp.where(goal.calibrated > 0, 1.0, jnp.maximum(best, 0.0))
-
-
 def miss(energy: Float[Array, "rows nodes"], goal: Goal) -> Float[Array, " bins"]:
-    """Residuals, of which half the sum of squares is C (eq. 19, dimensionless), from the model's |Y|²."""
-    difference = best_gain(energy, goal) * goal.factor * energy - goal.energy
+    """Residuals, of which half the sum of squares is C (eq. 19, dimensionless), from the model's |Y|².
+
+    A recording that is not calibrated leaves the gain free: it is the one that makes C least.
+    """
+    energy = goal.factor * energy
+    gain = jnp.where(goal.calibrated > 0, 1.0, closed_form_gain(energy, goal.energy, goal.weight**2, jnp))
+    difference = gain * energy - goal.energy
     return math.sqrt(2.0) * (goal.weight * difference).ravel()

@@ -27,7 +27,7 @@ from .struck import Held, Scene, hammer_costs, hammer_residuals, hold, struck_gr
 __all__ = ["ALL", "Search"]
 
 ALL = (0, 1, 2)
-# Likeness of two lines that lie one linewidth apart.
+# Overlap of the spectra of two lines that lie one linewidth apart.
 MEETING = 0.8
 # Widths of a line to either side.
 LINES = 10.0
@@ -59,7 +59,7 @@ class Search:
         while the hammer is wrong they bend the string to excuse it, farther than narrow ones find back.
         """
         goals = [self.problem.goal(bands, sigma) for sigma in self.problem.sigmas]
-        apart = [i for i, goal in enumerate(goals) if self._likeness(x, goal) < MEETING]
+        apart = [i for i, goal in enumerate(goals) if self._overlap(x, goal) < MEETING]
         first = min(apart, default=len(goals))
         for goal in goals[max(first - 1, 0) :]:
             x = self._string_down(x, names, bands, goal)
@@ -118,7 +118,7 @@ class Search:
         goal, scene = problem.goal((problem.band(2),), problem.sigma), problem.scene()
         return hold(jnp.asarray(logs(x)), goal, scene, problem.cfg), goal, scene
 
-    def _likeness(self, x: np.ndarray, goal: Goal) -> float:
+    def _overlap(self, x: np.ndarray, goal: Goal) -> float:
         """∫ |Y|² |S|² dω over the root of ∫ |Y|⁴ dω ∫ |S|⁴ dω: eq. 19 with the best gain is 1 less its square."""
         free, problem = goal._replace(calibrated=jnp.zeros_like(goal.calibrated)), self.problem
         cost = float(struck_gradients(jnp.asarray(logs(x))[None], free, problem.scene(), problem.cfg)[0][0])

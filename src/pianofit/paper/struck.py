@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
-from ..criterion.bands import NODES
+from ..criterion import NODES
 from ..model.cache import kept
 from ..model.contact import Pulse, impulse_amplitude, kernel_rows, strike
 from ..model.modes import Modes, mode_table

@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..criterion import partial_frequency
+from ..analysis import law_frequency
 from ..inference import Result
 from .build_felt import felt_of, known_of
 from .build_takes import paths_of, strikes_of, takes_of
 from .curves import Curves
 
-__all__ = ["curves_of", "reference_curves"]
+__all__ = ["curves_of", "reference_curves", "spectrum_db"]
 
 ATTACK = 0.03  # s
 SPECTRUM_SIGMA = 8.0  # 1/s: lines fine enough to tell partials apart, wide enough to see
@@ -37,8 +37,8 @@ def reference_curves(result: Result) -> Curves:
     """
     r, a, heard = result.recording, result.analysis, result.reference
     rate, onset, p, k = r.rate, r.onset, heard.partials, heard.partials.number
-    top = min(0.5 * rate, TOP, float(partial_frequency(k.max() + 2, a.f0, a.B)))
-    spectra = [_spectrum(x[onset:], rate, top) for x in (r.samples, result.initial.samples, result.fitted.samples)]
+    top = min(0.5 * rate, TOP, float(law_frequency(a.f0, a.B, k.max() + 2)))
+    spectra = [spectrum_db(x[onset:], rate, top) for x in (r.samples, result.initial.samples, result.fitted.samples)]
     attack = slice(onset, onset + int(ATTACK * rate))
     v = result.note
     f0 = v.string.c / (2 * v.geometry.length)
@@ -54,7 +54,7 @@ def reference_curves(result: Result) -> Curves:
         number=k,
         frequency_cents=_cents(p.frequency, k * f0),
         frequency_cents_error=1200 / np.log(2) * p.frequency_error / p.frequency,
-        frequency_cents_law=_cents(partial_frequency(k, f0, B), k * f0),
+        frequency_cents_law=_cents(law_frequency(f0, B, k), k * f0),
         decay=p.decay, decay_error=p.decay_error,
         decay_law=v.string.b1 + v.string.b2 * (k * np.pi / v.geometry.length) ** 2,
         level=heard.level, level_error=p.level_error,
@@ -68,8 +68,8 @@ def reference_curves(result: Result) -> Curves:
     )  # fmt: skip
 
 
-def _spectrum(samples: np.ndarray, rate: int, top: float) -> tuple[np.ndarray, np.ndarray]:
-    """Hz and dB of the spectrum under exp(-σt)."""
+def spectrum_db(samples: np.ndarray, rate: int, top: float) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies, Hz, and levels, dB, of the spectrum under exp(-σt), up to `top`, Hz, as pages show it."""
     n = min(len(samples), int(14 / SPECTRUM_SIGMA * rate))
     size = 2 ** int(np.ceil(np.log2(n)))
     value = np.abs(np.fft.rfft(samples[:n] * np.exp(-SPECTRUM_SIGMA * np.arange(n) / rate), size)) / rate

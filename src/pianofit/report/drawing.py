@@ -8,6 +8,9 @@ resolution.
 from __future__ import annotations
 
 import io
+from collections.abc import Iterator
+from contextlib import contextmanager
+from threading import Lock
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,7 +21,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "FAINT", "FITTED", "INITIAL", "INK", "LINES", "MEASURED", "STYLE",
-    "figure_of", "legend", "number_axis", "points", "span", "svg",
+    "figure_of", "legend", "number_axis", "png", "points", "span", "styled", "svg",
 ]  # fmt: skip
 
 INK, MEASURED, INITIAL, FITTED, FAINT = "#333333", "#1a1a1a", "#d55e00", "#0072b2", "#eeeeee"
@@ -27,6 +30,7 @@ LINES: dict[str, dict[str, Any]] = {
     "initial": {"color": INITIAL, "lw": 1.2, "ls": (0, (4, 1.6)), "zorder": 3},
     "fitted": {"color": FITTED, "lw": 1.5, "zorder": 4},
 }
+DPI = 120  # of a PNG, and of what is a raster within an SVG
 STYLE: dict[Any, Any] = {
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans"],
@@ -57,6 +61,18 @@ STYLE: dict[Any, Any] = {
 }
 
 
+_LOCK = Lock()  # matplotlib's settings are global
+
+
+@contextmanager
+def styled() -> Iterator[None]:
+    """Draw and save in the page's style."""
+    from matplotlib import rc_context
+
+    with _LOCK, rc_context(STYLE):
+        yield
+
+
 def figure_of(width: float, height: float) -> Figure:
     """An empty figure, inches."""
     from matplotlib.figure import Figure
@@ -67,8 +83,15 @@ def figure_of(width: float, height: float) -> Figure:
 def svg(figure: Figure) -> bytes:
     """The figure as a file, the same for the same figure."""
     file = io.BytesIO()
-    figure.savefig(file, format="svg", metadata={"Date": None, "Creator": None})
+    figure.savefig(file, format="svg", metadata={"Date": None, "Creator": None}, dpi=DPI)
     return file.getvalue().replace(b"'DejaVu Sans'", b"system-ui, 'DejaVu Sans'")
+
+
+def png(figure: Figure) -> bytes:
+    """The figure as a picture, the same for the same figure."""
+    file = io.BytesIO()
+    figure.savefig(file, format="png", metadata={"Software": None}, dpi=DPI)
+    return file.getvalue()
 
 
 def points(axes: Axes, number: np.ndarray, value: np.ndarray, error: np.ndarray) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import os
 from itertools import pairwise
-from threading import Lock
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,6 +24,7 @@ from .drawing import (
     number_axis,
     points,
     span,
+    styled,
     svg,
 )
 from .figures_known import draw_felt, draw_known
@@ -41,17 +41,13 @@ __all__ = [
 
 BANDS = {"band1": "band 1: fundamental", "band2": "band 2: partials 2 to 8", "band3": "band 3: partials from 9"}
 
-_LOCK = Lock()  # matplotlib's settings are global
-
 
 def draw_figures(
     curves: Curves, dropped: tuple[str, ...] = (), held_out: tuple[dict[str, Any], ...] = ()
 ) -> dict[str, bytes]:
     """Draw all figures of the page, name -> SVG; what there is nothing to show of is left out."""
-    from matplotlib import rc_context
-
     drawings = {"attack": _attack, "partials": _partials, "levels": _levels, "force": _force}
-    with _LOCK, rc_context(STYLE):
+    with styled():
         figures: dict[str, Figure] = {"spectra": _spectra(curves, dropped)}
         figures |= {name: draw(curves) for name, draw in drawings.items()}
         if len(curves.takes) > 1:
@@ -75,11 +71,10 @@ def write_picture(path: str | os.PathLike[str], fit: dict[str, Any], curves: Cur
     OutputError
         If `path` cannot be written.
     """
-    from matplotlib import rc_context
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.image import imsave
 
-    with _LOCK, rc_context(STYLE):
+    with styled():
         figure = figure_of(14, 9)
         spectra, attack, levels, loop = (
             figure.add_axes((left, bottom, width, 0.38))

@@ -1,24 +1,20 @@
 """One HTML file that says what was fitted and how well, shows it, and lets it be heard.
 
-Everything is inside the file: pictures, sounds, style and script. Its content security policy lets nothing be loaded
-from anywhere and runs no script but its own, named by its hash. All text from outside goes through Jinja's autoescape,
-and none of it into the script: the player reads its sounds from the links that also let them be saved.
+How a page holds everything and loads nothing stands in `kit`. The player reads its sounds from the links that also let
+them be saved.
 """
 
 from __future__ import annotations
 
-import base64
-import hashlib
 import json
 import os
-from importlib.resources import files
 from pathlib import PurePath
 from typing import Any
 
-from ..io import replace_file
 from . import known, words
 from .curves import Curves, Strikes, TakeCurves
 from .figures import draw_figures
+from .kit import data_uri, write_page
 from .sound import Clip, make_clips
 
 __all__ = ["Curves", "write_report"]
@@ -50,8 +46,6 @@ def write_report(
     OutputError
         If `path` cannot be written.
     """
-    from jinja2 import Environment
-
     fit = {key: entry for key, entry in fit.items() if entry is not None}
     onset = _onset(fit.get("takes", []))
     sounds = {
@@ -63,10 +57,11 @@ def write_report(
     figures = draw_figures(
         curves, tuple(fit.get("criterion", {}).get("dropped") or ()), tuple(left_out["takes"]) if left_out else ()
     )
-    script = _asset("player.js")
-    environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    environment.filters["number"] = words.number
-    html = environment.from_string(_asset("page.html.j2")).render(
+    write_page(
+        path,
+        "page.html.j2",
+        scripts=("audio.js", "player.js"),
+        strict=False,
         title=title,
         fit=fit,
         notices=words.notices(fit),
@@ -88,14 +83,10 @@ def write_report(
         stulov=curves.felt is not None and curves.felt.slow is not None,
         held_out=left_out,
         groups_of_takes=len(curves.paths),
-        figures={name: _data_uri("image/svg+xml", svg) for name, svg in figures.items()},
+        figures={name: data_uri("image/svg+xml", svg) for name, svg in figures.items()},
         has_path=curves.path is not None,
-        style=_asset("page.css"),
-        script=script,
-        script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
         data=json.dumps(fit, indent=2, ensure_ascii=False, default=str),
     )
-    replace_file(path, html.encode("utf-8", errors="replace"))
 
 
 def _onset(takes: list[dict[str, Any]]) -> float:
@@ -128,11 +119,3 @@ def _players(curves: Curves, takes: list[dict[str, Any]]) -> list[dict[str, Any]
 def _pair(take: TakeCurves, seconds: float) -> list[Clip]:
     sounds = {"original": take.sound_original, "fitted": take.sound_fitted}
     return make_clips(sounds, take.sound_rate, take.onset, seconds=seconds, highest_rate=LIGHT_RATE)
-
-
-def _asset(name: str) -> str:
-    return files("pianofit.report").joinpath(name).read_text(encoding="utf-8")
-
-
-def _data_uri(kind: str, content: bytes) -> str:
-    return f"data:{kind};base64,{base64.b64encode(content).decode()}"

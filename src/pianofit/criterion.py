@@ -1,0 +1,151 @@
+"""How far a model's sound is from a recording: the paper's energy criterion in bands, and levels of partials.
+
+**Eq. 19**, C = ½ ∫ (|Y|² - |S|²)² dω, made dimensionless: divided by ½ ∫ |S|⁴ dω it is 0 for equal spectra and 1 for
+silence, in each band as in all of them. Spectra are taken on the damped circle (§ `model.response`), where a recording
+that ends is as good as one that does not.
+
+**Bands.** The paper splits the spectrum after the tristimulus: the fundamental, partials two to eight, and everything
+above (IV.B). Borders lie midway between inharmonic partials, at k = 0.5, 1.5 and 8.5 of f_k = k f0 √(1 + B k²); they
+come from the analysis and stay fixed during a fit. Between partials there is next to no energy to compare, so each
+cell reaches only a number of linewidths from its partial, or to its borders.
+
+**Levels** in dB go through an output path: a pickup, a soundboard, a microphone multiply every partial by a level of
+its own.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .analysis import law_frequency
+
+__all__ = [
+    "BANDS", "ENOUGH_DAMPING", "NODES", "SAME_PARTIAL", "WIDEST_SIGMA", "Cells", "OutputPath", "band_of",
+    "band_values", "borders", "cell_grid", "closed_form_gain", "level_error_db", "line_sigma", "measure",
+]  # fmt: skip
+
+BANDS = ("band1", "band2", "band3")
+# Frequencies of a cell.
+NODES = 48
+# Half a cell in units of the linewidth σ/2π: beyond it a Lorentzian's energy is down by a factor 150.
+REACH = 12.0
+# σ at which the criterion is weighed and reported, 1/s.
+WIDEST_SIGMA = 30.0
+# The spacing of partials that σ must leave, in linewidths.
+APART = 16.0
+# exp(-σT) of the signal is left where it is cut; -σT = 14 leaves 1e-6.
+ENOUGH_DAMPING = 14.0
+# A frequency within this, relative, of a partial's is that partial's: the pitch of recordings differs by cents.
+SAME_PARTIAL = 0.005
+
+
+class Cells(NamedTuple):
+    """Frequencies at which spectra are compared on the damped circle of `sigma`, 1/s."""
+
+    frequency: np.ndarray  # Hz, [partials, nodes]
+    spacing: np.ndarray  # Hz, [partials]: the weight of each node
+    sigma: float
+
+
+def line_sigma(f0: float) -> float:
+    """σ, 1/s, at which lines are wide enough to forgive cents, and the partials of `f0`, Hz, still stand apart."""
+    return min(WIDEST_SIGMA, 2 * np.pi * f0 / APART)
+
+
+def borders(f0: float, B: float, last: int) -> tuple[float, ...]:
+    """Band edges, Hz: below the fundamental, 1|2, 8|9, and above partial `last`."""
+    k = np.array([0.5, 1.5, 8.5, max(last, 9) + 0.5])
+    return tuple(law_frequency(f0, B, k).tolist())
+
+
+def band_of(number: np.ndarray) -> np.ndarray:
+    """Index into `BANDS` of each partial number."""
+    return np.searchsorted([2, 9], number, side="right")
+
+
+def cell_grid(f0: float, B: float, last: int, sigma: float, resolution: float) -> Cells:
+    """Cells of partials 1 to `last`, with nodes at whole multiples of `resolution`, Hz."""
+    k = np.arange(1, last + 1)
+    centre = law_frequency(f0, B, k)
+    half = np.minimum(REACH * sigma / (2 * np.pi), 0.5 * f0)
+    low = np.maximum(law_frequency(f0, B, k - 0.5), centre - half)
+    high = np.minimum(law_frequency(f0, B, k + 0.5), centre + half)
+    spacing = np.maximum(np.round((high - low) / NODES / resolution), 1) * resolution
+    first = np.round((centre - spacing * (NODES - 1) / 2) / resolution) * resolution
+    return Cells(first[:, None] + spacing[:, None] * np.arange(NODES), spacing, sigma)
+
+
+def measure(samples: np.ndarray, rate: float, f0: float, B: float, last: int, sigma: float) -> tuple[Cells, np.ndarray]:
+    """|S|² of a recording that starts at its onset, at the cells of partials 1 to `last`.
+
+    Parameters
+    ----------
+    samples : [samples] from the onset on.
+
+    Returns
+    -------
+    The cells, and |S|² [partials, nodes], unit² · s².
+    """
+    n = min(len(samples), int(np.ceil(ENOUGH_DAMPING / sigma * rate)))
+    # At least 16 bins to a linewidth, so that rounding a node to a bin costs nothing.
+    size = 2 ** int(np.ceil(np.log2(max(n, 16 * rate * 2 * np.pi / sigma))))
+    cells = cell_grid(f0, B, last, sigma, rate / size)
+    damped = samples[:n] * np.exp(-sigma * np.arange(n) / rate)
+    spectrum = np.fft.rfft(damped, size) / rate
+    index = np.clip(np.round(cells.frequency * size / rate).astype(int), 0, size // 2)
+    return cells, np.abs(spectrum[index]) ** 2
+
+
+def closed_form_gain(model: Any, measured: Any, weight: Any, xp: Any = np) -> Any:
+    """The g² ≥ 0 that minimises Σ w (g² |Y|² - |S|²)²; `xp` is NumPy, or jax.numpy for arrays of JAX."""
+    best = (weight * model * measured).sum() / xp.maximum((weight * model**2).sum(), 1e-300)
+    return xp.maximum(best, 0.0)
+
+
+def band_values(model: np.ndarray, measured: np.ndarray, spacing: np.ndarray) -> dict[str, float]:
+    """The criterion of |Y|² against |S|² [partials, nodes] over all partials, `global`, and in each band with any."""
+    miss = (spacing[:, None] * (model - measured) ** 2).sum(axis=1)
+    full = (spacing[:, None] * measured**2).sum(axis=1)
+    band = band_of(np.arange(1, len(miss) + 1))
+    values = {"global": float(miss.sum() / full.sum())}
+    for index, name in enumerate(BANDS):
+        if (band == index).any():
+            values[name] = float(miss[band == index].sum() / full[band == index].sum())
+    return values
+
+
+class OutputPath(NamedTuple):
+    """A path known at some partials' frequencies, Hz, ascending.
+
+    In between it is linear in log frequency, beyond it is level.
+    """
+
+    frequency: np.ndarray
+    db: np.ndarray
+    decay: np.ndarray | None = None  # of each partial's decay rate over that of the string's law
+
+    def at(self, frequency: np.ndarray) -> np.ndarray:
+        """The path in dB at `frequency`, Hz [any number]: a partial's own, if it is one that is known."""
+        between = np.interp(np.log(np.maximum(frequency, 1e-9)), np.log(self.frequency), self.db)
+        nearest, near = self._nearest(frequency)
+        return np.where(near, self.db[nearest], between)
+
+    def decay_at(self, frequency: np.ndarray) -> np.ndarray:
+        """Decay rate over the law's at `frequency`, Hz: a partial's own, and 1 where none was heard."""
+        if self.decay is None:
+            return np.ones(len(frequency))
+        nearest, near = self._nearest(frequency)
+        return np.where(near, self.decay[nearest], 1.0)
+
+    def _nearest(self, frequency: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Which of the path's partials is next to each `frequency`, and whether it is the same."""
+        nearest = np.abs(frequency[:, None] - self.frequency).argmin(axis=1)
+        return nearest, np.abs(frequency / self.frequency[nearest] - 1) < SAME_PARTIAL
+
+
+def level_error_db(model: np.ndarray, measured: np.ndarray) -> float:
+    """Rms difference of levels [partials], dB, with one gain removed."""
+    difference = model - measured
+    return float(np.sqrt(np.mean((difference - difference.mean()) ** 2)))

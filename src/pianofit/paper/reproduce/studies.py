@@ -1,0 +1,220 @@
+"""Everything that the page says, computed: fits of the laboratory's measurements (paper V), and the studies beside."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from ...inference import Result
+from ...parameters import FIT_NAMES
+from ...published import Preset, preset
+from ..laboratory import Laboratory
+from ..laboratory.chosen import FINAL, INITIAL
+from .band3 import Landscape, Race, hammers, landscape, race
+from .cases import RECIPES, Case, Closeness, closeness, fitted, make_case, played, values_of
+from .direct import NOTE, VELOCITIES, Strike, mass_for_contact, round_trip, strikes
+from .limits import ALL, BAND2, Bend, Blindness, bends, blindness, inverse_bend
+from .plan import EFFECTS, Plan
+
+__all__ = ["STRINGS", "Effect", "Findings", "Prediction", "Stroke", "Tables", "compute", "spread_of"]
+
+# The paper's process as printed, and its third step on a string that was read.
+STRINGS = ("paper", "read")
+LONG = 3e-3  # s, the contact that the paper names
+
+Tick = Callable[[str], None]
+
+
+class Tables(NamedTuple):
+    """Tables II and III: values by name in each column."""
+
+    printed_initial: dict[str, float]  # no κ: the paper has none
+    printed_final: dict[str, float]
+    true: dict[str, float]  # no μ: the laboratory's felt has memory instead
+    found: dict[str, dict[str, float]]  # column -> values
+    intervals: dict[str, dict[str, tuple[float, float] | None]]  # of the default recipe's columns
+
+
+class Stroke(NamedTuple):
+    """One velocity: its measurement, fits by recipe, and the sounds by the names of `RECIPES`."""
+
+    case: Case
+    results: dict[str, Result]
+    sounds: dict[str, np.ndarray]  # m/s, from the onset on; `measured` and `initial` too
+    closeness: dict[str, Closeness]
+
+
+class Prediction(NamedTuple):
+    """A velocity that was not fitted. Closeness and sounds, m/s, are by recipe: of its fit at another velocity."""
+
+    velocity: float
+    predicted: dict[str, Closeness]
+    initial: Closeness
+    nearest: Closeness  # the recording at that other velocity, in its place
+    sounds: dict[str, np.ndarray]
+
+
+class Effect(NamedTuple):
+    """What remains after a fit of a laboratory with this and no other effect."""
+
+    name: str
+    remains: dict[str, dict[str, float]]  # recipe -> band -> criterion
+    level_db: dict[str, float]  # recipe -> rms error of the partials' levels
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What was computed."""
+
+    seed: int
+    plan: Plan
+    strikes: list[Strike]
+    trip: float  # of the wave to the agraffe and back, s
+    hammer_mass: float  # kg
+    needed_mass: float  # for a contact of `LONG`, kg
+    tables: Tables
+    strokes: list[Stroke]  # the plan's velocities
+    predictions: list[Prediction]
+    repeated: dict[str, list[dict[str, float]]]
+    effects: list[Effect]
+    plane: Landscape
+    race: Race
+    bends: dict[str, list[Bend]]
+    inverse: Bend
+    blindness: Blindness
+
+    @property
+    def origin(self) -> Stroke:
+        """The velocity from which others are predicted."""
+        return self.at(self.plan.origin)
+
+    def at(self, velocity: float) -> Stroke:
+        """One of the plan's velocities, m/s."""
+        return next(stroke for stroke in self.strokes if stroke.case.velocity == velocity)
+
+
+def compute(plan: Plan, seed: int, progress: Callable[[str, float], None]) -> Findings:
+    """Run all studies; the same seed gives the same findings."""
+    done = 0
+    count = 3 + 6 + len(plan.velocities) + plan.repeats + len(plan.effects) + 1 + 2
+
+    def tick(stage: str) -> None:
+        nonlocal done
+        progress(stage, min(done / count, 0.99))
+        done += 1
+
+    tick("the direct problem")
+    struck, needed = strikes(), mass_for_contact(LONG, sorted(VELOCITIES)[len(VELOCITIES) // 2])
+    tick("κ through the grid")
+    bent = {"fitted to band 2": bends(BAND2), f"fitted to partials 1 to {ALL[-1]}": bends(ALL)}
+    tick("the criterion over b2")
+    blind = blindness(plan.ideal(), seed, repeats=plan.noises, values=plan.losses)
+    by_table = _tables(plan, seed, tick)
+    strokes = []
+    for velocity in plan.velocities:
+        tick(f"a stroke of {velocity:g} m/s")
+        recipes = (*STRINGS, "global", "default") if velocity == plan.origin else (*STRINGS, "global")
+        strokes.append(_stroke_at(plan, plan.laboratory(), velocity, seed, recipes))
+    origin = next(stroke for stroke in strokes if stroke.case.velocity == plan.origin)
+    again = _repeated(plan, seed, tick)
+    one_by_one = _effects(plan, seed, origin, tick)
+    tick("band 3, the landscape")
+    problem = hammers(origin.case)
+    seen = landscape(problem, plan.grid)
+    tick("band 3, the searches")
+    run = race(problem, plan.starts, seed, iterations=plan.iterations, evaluations=plan.evaluations)
+    return Findings(
+        seed=seed, plan=plan, strikes=struck, trip=round_trip(), hammer_mass=float(preset(NOTE).hammer.M_H),
+        needed_mass=needed, tables=by_table, strokes=strokes,
+        predictions=[_prediction(origin, stroke) for stroke in strokes if stroke is not origin], repeated=again,
+        effects=one_by_one, plane=seen, race=run, bends=bent, inverse=inverse_bend(BAND2), blindness=blind,
+    )  # fmt: skip
+
+
+def _tables(plan: Plan, seed: int, tick: Tick) -> Tables:
+    """The string and hammer of the paper's final values, measured and fitted from its initial ones."""
+    velocity, start = float(FINAL.hammer.v_H0), float(INITIAL.hammer.v_H0)
+    found, intervals, true = {}, {}, {}
+    for lab, name, recipes in (
+        (plan.ideal(), "ideal", ("paper", "default")),
+        (plan.laboratory(), "full", ("paper", "read", "global", "default")),
+    ):
+        case = make_case(lab, velocity, seed, start=start)
+        true = case.measurement.true
+        for recipe in recipes:
+            tick(f"tables: {name} laboratory, {RECIPES[recipe]}")
+            result = fitted(case, recipe, seed, plan.annealing, plan.tries)
+            column = f"{name}: {RECIPES[recipe]}"
+            found[column] = values_of(result)
+            if recipe == "default":
+                table = result.document["parameters"]
+                intervals[column] = {name: table[name]["interval"] for name in FIT_NAMES}
+    return Tables(
+        printed_initial={name: v for name, v in _nine(INITIAL).items() if name != "kappa"},
+        printed_final=_nine(FINAL),
+        true={name: v for name, v in true.items() if name in FIT_NAMES},
+        found=found,
+        intervals=intervals,
+    )
+
+
+def _nine(it: Preset) -> dict[str, float]:
+    return {name: float(value) for part in (it.string, it.hammer) for name, value in part._asdict().items()}
+
+
+def _stroke_at(plan: Plan, lab: Laboratory, velocity: float, seed: int, recipes: tuple[str, ...]) -> Stroke:
+    """Measure at one velocity, fit by `recipes`, and listen."""
+    case = make_case(lab, velocity, seed)
+    results = {recipe: fitted(case, recipe, seed, plan.annealing, plan.tries) for recipe in recipes}
+    first = next(iter(results.values()))
+    sounds = {"measured": case.heard, "initial": played(first.initial.voice, case)}
+    sounds |= {RECIPES[recipe]: played(result.fitted.voice, case) for recipe, result in results.items()}
+    return Stroke(case, results, sounds, {name: closeness(sound, case) for name, sound in sounds.items()})
+
+
+def _prediction(origin: Stroke, other: Stroke) -> Prediction:
+    """The three-band fits at `origin`, struck as the sensor read it at the other velocity."""
+    struck = other.case.measurement.nominal_velocity
+    sounds = {r: played(origin.results[r].fitted.voice, other.case, struck) for r in STRINGS}
+    heard, size = origin.case.heard, len(other.case.heard)
+    instead = np.pad(heard, (0, max(size - len(heard), 0)))[:size]
+    return Prediction(
+        velocity=other.case.velocity,
+        predicted={r: closeness(sound, other.case) for r, sound in sounds.items()},
+        initial=other.closeness["initial"],
+        nearest=closeness(instead, other.case),
+        sounds=sounds,
+    )
+
+
+def _repeated(plan: Plan, seed: int, tick: Tick) -> dict[str, list[dict[str, float]]]:
+    """The same stroke again and again, each with noise and a search of its own: recipe -> the fits' values."""
+    rows = {recipe: [] for recipe in STRINGS}
+    for n in range(1, plan.repeats + 1):
+        tick(f"repeated measurement {n} of {plan.repeats}")
+        case = make_case(plan.laboratory(), plan.origin, seed + n)
+        for recipe, values in rows.items():
+            values.append(values_of(fitted(case, recipe, seed + n, plan.annealing)))
+    return rows
+
+
+def spread_of(rows: list[dict[str, float]]) -> dict[str, float]:
+    """Standard deviation of each parameter over repeated fits, relative."""
+    return {name: float(np.std(np.log([row[name] for row in rows]), ddof=1)) for name in FIT_NAMES}
+
+
+def _effects(plan: Plan, seed: int, full: Stroke, tick: Tick) -> list[Effect]:
+    """No effect but noise; each alone; all of them."""
+    strokes = {}
+    for name in ("none", *plan.effects):
+        tick(f"effects: {name}")
+        lab = plan.ideal(**EFFECTS.get(name, {}))
+        strokes[name] = _stroke_at(plan, lab, plan.origin, seed, plan.effect_recipes)
+    done = []
+    for name, stroke in (strokes | {"all": full}).items():
+        by = {recipe: stroke.closeness[RECIPES[recipe]] for recipe in plan.effect_recipes}
+        done.append(Effect(name, {r: c.criterion for r, c in by.items()}, {r: c.level_db for r, c in by.items()}))
+    return done

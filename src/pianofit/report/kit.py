@@ -1,0 +1,77 @@
+"""What all pages have in common: one file that holds everything it shows, and loads nothing.
+
+Pictures, sounds, style and script are inside the file. Its content security policy (`base.html.j2`) lets nothing be
+loaded from anywhere and runs no script but its own, named by its hash. All text from outside goes through Jinja's
+autoescape, and none of it into a script.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import os
+from collections.abc import Callable
+from importlib.resources import files
+from typing import TYPE_CHECKING, Any
+
+from ..io import replace_file
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+
+__all__ = ["data_uri", "templates", "write_page"]
+
+KIT = "pianofit.report"
+
+
+def write_page(
+    path: str | os.PathLike[str], template: str, *, package: str = KIT, styles: tuple[str, ...] = (),
+    scripts: tuple[str, ...] = (), filters: dict[str, Callable] | None = None, strict: bool = True, **content: Any,
+) -> None:  # fmt: skip
+    """Write one self-contained page, whole or not at all.
+
+    Parameters
+    ----------
+    template : a file of `package` that extends `base.html.j2`.
+    styles, scripts : names of files; the styles follow `page.css`, and the scripts are run as one.
+    filters : of the template, beside `number`.
+    strict : a missing entry of `content` is an error; otherwise it is empty.
+
+    Raises
+    ------
+    OutputError
+        If `path` cannot be written.
+    """
+    script = "".join(_asset(name, package) for name in scripts)
+    html = templates(package, strict=strict, filters=filters).get_template(template).render(
+        style="".join(_asset(name, package) for name in ("page.css", *styles)),
+        script=script,
+        script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
+        **content,
+    )  # fmt: skip
+    replace_file(path, html.encode("utf-8", errors="replace"))
+
+
+def templates(package: str, *, strict: bool = True, filters: dict[str, Callable] | None = None) -> Environment:
+    """The templates of a package and those of the kit, with numbers as a reader likes them."""
+    from jinja2 import Environment, FunctionLoader, StrictUndefined, Undefined
+
+    from .words import number
+
+    environment = Environment(
+        loader=FunctionLoader(lambda name: _asset(name, package)), autoescape=True, trim_blocks=True,
+        lstrip_blocks=True, undefined=StrictUndefined if strict else Undefined,
+    )  # fmt: skip
+    environment.filters |= {"number": number} | (filters or {})
+    return environment
+
+
+def data_uri(kind: str, content: bytes) -> str:
+    """`content` as an address within the page."""
+    return f"data:{kind};base64,{base64.b64encode(content).decode()}"
+
+
+def _asset(name: str, package: str) -> str:
+    """A file of `package`, or else of the kit."""
+    own = files(package).joinpath(name)
+    return (own if own.is_file() else files(KIT).joinpath(name)).read_text(encoding="utf-8")
