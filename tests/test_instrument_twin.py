@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from instrument_cases import law_errors, record_key
 
+from pianofit.analysis import midi_to_note
 from pianofit.keyboard import build_instrument, find_fits, load_keys
-from pianofit.keyboard.gather import note_name
 from pianofit.workflow import fit_files
 
 RECORDED = (29, 36, 43, 50, 57, 64, 71, 79)
@@ -24,9 +24,9 @@ def fit_library(folder: Path) -> dict[str, Any]:
     """Record and fit every key, and put them together."""
     random = np.random.default_rng(1)
     for midi in RECORDED:
-        out = folder / "keys" / f"twin-{note_name(midi).replace('#', 's')}"
+        out = folder / "keys" / f"twin-{midi_to_note(midi).replace('#', 's')}"
         out.mkdir(parents=True)
-        fit_files(record_key(folder, midi, random), out, note=note_name(midi), report=False)
+        fit_files(record_key(folder, midi, random), out, note=midi_to_note(midi), report=False)
     return build_instrument(load_keys(find_fits([folder])), "twin")
 
 

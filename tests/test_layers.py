@@ -42,8 +42,8 @@ USES = {
     "batch": "analysis io parameters recording report workflow",
     "keyboard": "analysis criterion io model parameters published render report voice",
     "play": "analysis io keyboard model parameters recording render threads voice",
-    "cli": "analysis batch fitting inference io keyboard model parameters play published recording render reproduce"
-    " setup twin workflow",
+    "cli": "analysis batch fitting inference io keyboard model parameters play published recording render report"
+    " reproduce setup twin workflow",
     "__main__": "cli",
 }
 WITH_JAX = ("model", "criterion", "inference", "paper", "render", "predict")

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -37,6 +38,8 @@ __all__ = ["Prediction", "cross_validate", "predict_take"]
 
 # Velocities that are tried before the best is refined, m/s.
 SLOWEST, FASTEST, TRIED = 0.05, 12.0, 48
+# As a ratio: nearer to an end of their range than this is at the end.
+SAME = 1.001
 FEWEST = 3
 
 
@@ -51,6 +54,7 @@ class Prediction:
     partials: int
     level: np.ndarray  # dB, predicted [partials]
     voice: Voice
+    at_end: bool = False  # whether the velocity is an end of the range that was searched, and no finding
 
 
 @one_blas_thread()
@@ -83,7 +87,14 @@ def predict_take(voices: Voice | Sequence[tuple[float, Voice]], analysis: Analys
         gain=first.gain * 10 ** (gain / 20),
     )
     found = level_error_db(level[chosen], p.level[chosen])
-    return Prediction(velocity, gain, cents, found, int(chosen.sum()), level, voice)
+    slowest, fastest = _range()
+    at_end = not slowest * SAME < velocity < fastest / SAME
+    return Prediction(velocity, gain, cents, found, int(chosen.sum()), level, voice, at_end)
+
+
+def _range() -> tuple[float, float]:
+    """The slowest and the fastest hammer that are tried, m/s."""
+    return max(SLOWEST, PARAMETERS["v_H0"].lower), min(FASTEST, PARAMETERS["v_H0"].upper)
 
 
 def _at_best(voice: Voice, analysis: Analysis, chosen: np.ndarray) -> tuple[float, np.ndarray, float]:
@@ -95,7 +106,7 @@ def _at_best(voice: Voice, analysis: Analysis, chosen: np.ndarray) -> tuple[floa
         level = levels(np.array([np.exp(log_velocity)]))[0]
         return level_error_db(level[chosen], p.level[chosen]) if np.isfinite(level).all() else 1e3
 
-    tried = np.geomspace(max(SLOWEST, PARAMETERS["v_H0"].lower), min(FASTEST, PARAMETERS["v_H0"].upper), TRIED)
+    tried = np.geomspace(*_range(), TRIED)
     table = levels(tried)
     errors = [level_error_db(x[chosen], p.level[chosen]) if np.isfinite(x).all() else np.inf for x in table]
     best = int(np.argmin(errors))
@@ -130,7 +141,7 @@ def _levels_of(voice: Voice, analysis: Analysis) -> Callable[[np.ndarray], np.nd
     rows = max(count_modes(voice.string, g, rate), 64 * int(np.ceil(p.number.max() / 64)))
     # The slowest hammer stays longest.
     slow = simulate(voice.string, voice.hammer._replace(v_H0=SLOWEST), g, quantity=voice.quantity)
-    steps = 256 * int(np.ceil(1.3 * slow.contact_time * rate / 256))
+    steps = 256 * int(np.ceil(1.3 * slow.last_touch * rate / 256))
     path = 0.0 if voice.path is None else voice.path.at(_frequency(voice, p.number))
     own = 20 * np.log10(voice.gain) + path
     delay = arrival(voice.string, g, voice.quantity)
@@ -206,9 +217,16 @@ def cross_validate(
         "median_inner_db": float(np.median(inner)) if inner else None,
         "worst_inner_db": float(max(inner)) if inner else None,
         "messages": [
-            f"{row['file']} is not predicted: no other strike was heard through its path, which is therefore unknown."
+            f"{Path(row['file']).name} is not predicted: no other stroke was recorded through its path, which is "
+            "therefore unknown."
             for row in rows
             if row["predicted_db"] is None
+        ]
+        + [
+            f"{Path(recordings[i].path).name} is predicted at {p.velocity:.3g} m/s, an end of the range searched: its "
+            "velocity is not found."
+            for i, p in predicted.items()
+            if p is not None and p.at_end
         ],
     }
     return found, whole

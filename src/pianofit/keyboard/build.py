@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from .. import __version__
+from ..analysis.notes import midi_to_note
 from ..criterion import OutputPath
 from ..errors import ParameterError
 from ..parameters import PARAMETERS, Geometry, Hammer, String
@@ -24,7 +25,6 @@ from .gather import (
     KeyFit,
     invariants,
     literature,
-    note_name,
     of_force,
     reference_compression,
 )
@@ -137,7 +137,7 @@ def _key(i, midi, values, laws, keys, own, base, quantity, sign, paths) -> dict[
         "velocities": list(keys[j].velocities),
     }  # fmt: skip
     return {
-        "midi": midi, "note": note_name(midi), "state": state, "string": string._asdict(),
+        "midi": midi, "note": midi_to_note(midi), "state": state, "string": string._asdict(),
         "hammer": {n: getattr(hammer, n) for n in ("K_H", "mu", "p", "M_H")}, "geometry": geometry._asdict(),
         "gain": sign * gain, "path": _path_document(path), "told": told, "fit": fit,
     }  # fmt: skip
@@ -200,7 +200,7 @@ def _law_document(name: str, law: Law, base: np.ndarray, known: np.ndarray) -> d
         "literature": None if name == "gain" else base.tolist(), "value": _unscale(name, center).tolist(),
         "low": _unscale(name, center - 1.96 * law.sd).tolist(), "high": _unscale(name, center + 1.96 * law.sd).tolist(),
         "scatter": law.scatter, "length_keys": law.length,
-        "outliers": [note_name(int(m)) for m in known[law.outlier]],
+        "outliers": [midi_to_note(int(m)) for m in known[law.outlier]],
     }  # fmt: skip
 
 
@@ -244,13 +244,13 @@ def _thirds(path: OutputPath) -> list[tuple[float, float, int]]:
 
 def _messages(keys: Sequence[KeyFit], laws: dict[str, Law], known: np.ndarray) -> list[str]:
     said = [
-        f"{note_name(int(m))}: {n} lies {abs(z):.1f} standard deviations {'above' if z > 0 else 'below'} what the "
+        f"{midi_to_note(int(m))}: {n} lies {abs(z):.1f} standard deviations {'above' if z > 0 else 'below'} what the "
         f"other keys say; {'it is kept' if n in KEPT else 'the law is played'}"
         for n, law in laws.items()
         for m, z, out in zip(known, law.z, law.outlier, strict=True)
         if out
     ]
-    unsettled = [note_name(key.midi) for key in keys if not key.converged]
+    unsettled = [midi_to_note(key.midi) for key in keys if not key.converged]
     if unsettled:
         said.append(f"The fits of {', '.join(unsettled)} stopped before they settled; their intervals count double.")
     if len(keys) < 5:

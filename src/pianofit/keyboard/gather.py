@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..analysis.notes import hz_to_note, note_to_midi
+from ..analysis.notes import midi_to_note, note_to_midi
 from ..errors import AnalysisError, FitError
 from ..io import LARGEST, one_line
 from ..parameters import FIT_NAMES, PARAMETERS, Hammer
@@ -27,7 +27,7 @@ from ..voice import Voice
 
 __all__ = [
     "HIGHEST_KEY", "LOUDEST", "LOWEST_KEY", "NAMES", "KeyFit", "find_fits", "invariants", "literature",
-    "load_keys", "note_name", "of_force", "owner",
+    "load_keys", "of_force", "owner",
 ]  # fmt: skip
 
 LOWEST_KEY, HIGHEST_KEY = 21, 108
@@ -56,11 +56,6 @@ class KeyFit(NamedTuple):
     levels_db: float | None  # rms error of the partials' levels
     converged: bool
     takes: int
-
-
-def note_name(midi: int) -> str:
-    """Such as F#2."""
-    return hz_to_note(440.0 * 2 ** ((midi - 69) / 12))
 
 
 def of_force(quantity: str) -> bool:
@@ -154,9 +149,8 @@ def _key_of(file: Path) -> tuple[str, int | None]:
     if match is None:
         return "", None
     owner, letter, shift, octave = match.groups()
-    sign = {"s": "#", "♯": "#", "♭": "b"}.get(shift, shift)
     try:
-        return owner, note_to_midi(f"{letter}{sign}{octave}")
+        return owner, note_to_midi(f"{letter}{shift}{octave}")
     except AnalysisError:
         return "", None
 
@@ -174,7 +168,7 @@ def load_keys(files: Sequence[Path]) -> list[KeyFit]:
         key = _load_key(file)
         if (held := keys.get(key.midi)) is not None:
             raise FitError(
-                f"{one_line(file)}: is {note_name(key.midi)}, and so is {held.file}; leave one out, or choose an "
+                f"{one_line(file)}: is {midi_to_note(key.midi)}, and so is {held.file}; leave one out, or choose an "
                 "instrument by --prefix"
             )
         keys[key.midi] = key

@@ -69,7 +69,7 @@ def _cents(frequency: np.ndarray, reference: np.ndarray) -> np.ndarray:
 
 def _contact_steps(*simulations) -> int:
     """Steps until the last of the contacts is over, and a tenth more."""
-    return max(int(1.1 * s.contact_time / float(s.modes.step)) + 2 for s in simulations)
+    return max(int(1.1 * s.last_touch / float(s.modes.step)) + 2 for s in simulations)
 
 
 def _pad(values, size: int) -> np.ndarray:

@@ -259,23 +259,36 @@ def _force(curves: Curves) -> Figure:
 
 
 def _draw_loop(axes: Axes, curves: Curves) -> None:
-    """Draw force over compression, with arrows: up on the way in, lower on the way back."""
+    """Draw force over compression, with heads on the curve that say which way it runs."""
     for name in ("initial", "fitted"):
         x, force = getattr(curves, f"compression_{name}"), getattr(curves, f"force_{name}")
         touching = np.where(x > 0, 1.0, np.nan)
         axes.plot(x * touching, force * touching, label=name, **LINES[name])
-        look = {"arrowstyle": "-|>", "color": LINES[name]["color"], "mutation_scale": 14, "shrinkA": 0, "shrinkB": 0}
-        for start, stop in _arrows(x, force):
-            axes.annotate("", (x[stop], force[stop]), (x[start], force[start]), arrowprops=look)
     axes.set(xlabel="compression of the felt (mm)", ylabel="force (N)")
     axes.set_xlim(0.0, 1.05 * max(span(curves.compression_initial, curves.compression_fitted)[1], 1e-9))
     axes.set_ylim(bottom=0.0)
+    for name in ("initial", "fitted"):
+        for at, way in _headings(getattr(curves, f"compression_{name}"), getattr(curves, f"force_{name}")):
+            head = (3, 0, _angle(axes, at, way) - 90)  # a triangle, whose tip points up unless it is turned
+            axes.plot(*at, marker=head, ms=9, mew=0, color=LINES[name]["color"], zorder=6)
 
 
-def _arrows(compression: np.ndarray, force: np.ndarray) -> list[tuple[int, int]]:
-    """Where force passes half of its largest value, first up and last down, each as a short way along the curve."""
+def _headings(compression: np.ndarray, force: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Where force passes half of its largest value, first up and last down: the point on the curve, and the step."""
     if not (len(force) > 2 and np.isfinite(force).all() and force.max() > 0 and compression.max() > 0):
         return []
-    above = np.flatnonzero(force > force.max() / 2)
-    stride = max(1, len(above) // 20)
-    return [(at - stride, at) for at in (above[0], above[-1] + 1) if stride <= at < len(force)]
+    half = force.max() / 2
+    above = np.flatnonzero(force > half)
+    curve = np.stack([compression, force], axis=1)
+    found = []
+    for start in {above[0] - 1, above[-1]}:
+        if 0 <= start < len(force) - 1:
+            step = curve[start + 1] - curve[start]
+            found.append((curve[start] + step * (half - force[start]) / step[1], step))
+    return sorted(found, key=lambda one: -one[1][1])
+
+
+def _angle(axes: Axes, at: np.ndarray, way: np.ndarray) -> float:
+    """The direction of a step `way` from the point `at`, as it is seen: degrees."""
+    dx, dy = axes.transData.transform(at + way) - axes.transData.transform(at)
+    return float(np.degrees(np.arctan2(dy, dx)))

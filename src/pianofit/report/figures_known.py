@@ -54,7 +54,7 @@ def _law(axes: Axes, u: np.ndarray, force: np.ndarray, look: dict, name: str) ->
 
 
 def _logarithmic(axes: Axes, felt: Felt, deepest: list[float]) -> None:
-    """Over one and a half decades of compression, where a power law is a line; ticks below are the takes' deepest."""
+    """Over one and a half decades of compression, where a power law is a line; marks at the axis: the deepest."""
     from matplotlib.ticker import LogLocator, NullFormatter
 
     u, law = felt.compression[-1], felt.force[0, -1]
@@ -64,7 +64,16 @@ def _logarithmic(axes: Axes, felt: Felt, deepest: list[float]) -> None:
     ends = felt.force[:, seen]
     axes.set(xscale="log", yscale="log", xlim=(u / 32, 1.15 * u))
     axes.set_ylim(max(ends[0].min() / 30, ends[1].min() / 2, law * 1e-9), min(30 * law, 2 * ends[2].max()))
-    axes.plot(deepest, [0.03] * len(deepest), "^", color=MEASURED, ms=7, transform=axes.get_xaxis_transform(), zorder=5)
+    axes.plot(
+        deepest,
+        [0.03] * len(deepest),
+        "|",
+        color=MEASURED,
+        ms=13,
+        mew=2,
+        transform=axes.get_xaxis_transform(),
+        zorder=5,
+    )
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_minor_formatter(NullFormatter())
         axis.set_major_formatter("{x:g}")

@@ -9,7 +9,8 @@ import math
 from typing import Any
 
 from ..parameters import DEFAULT_LAW, FELT_LAWS
-from .words import INVARIANTS, VELOCITY_RATIO, number
+from .numbers import is_number, number
+from .words import INVARIANTS, VELOCITY_RATIO
 
 __all__ = ["felt_scale", "half_interval", "held_out_rows", "open_scale", "told"]
 
@@ -43,14 +44,10 @@ def _plain(name: Any) -> str:
     return {"kappa": "κ", "mu": "μ", "epsilon": "ε", "tau": "τ"}.get(str(name), str(name))
 
 
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-
-
 def half_interval(entry: Any) -> float | None:
     """Half of the 95 % interval of an entry's logarithm; None where there is none."""
     span = entry.get("interval") if isinstance(entry, dict) else None
-    if not (isinstance(span, list | tuple) and len(span) == 2 and all(map(_is_number, span)) and 0 < span[0] < span[1]):
+    if not (isinstance(span, list | tuple) and len(span) == 2 and all(map(is_number, span)) and 0 < span[0] < span[1]):
         return None
     return 0.5 * math.log(span[1] / span[0])
 
@@ -67,7 +64,7 @@ def _value(fit: dict[str, Any], name: str) -> Any:
 
 def _shown(fit: dict[str, Any], name: str) -> bool:
     """Whether an invariant was fitted: what was given has no interval."""
-    return _is_number(_value(fit, name)) and math.isfinite(_reach(fit, name))
+    return is_number(_value(fit, name)) and math.isfinite(_reach(fit, name))
 
 
 def _within(reach: float) -> str:
@@ -164,7 +161,7 @@ def _not_told(fit: dict[str, Any]) -> list[str]:
         said += [words.format(", ".join(names))] if names else []
     for entry in fit.get("diagnostics", {}).get("correlated") or ():
         pair, r = entry.get("pair") or (), entry.get("correlation")
-        if len(pair) == 2 and _is_number(r):
+        if len(pair) == 2 and is_number(r):
             way = "together" if r > 0 else "against each other"
             a, b = map(_plain, pair)
             said.append(f"{a} and {b} apart: they can move {way} (correlation {r:+.4f}).".replace("-", "−"))
@@ -189,11 +186,11 @@ def held_out_rows(held_out: dict[str, Any] | None) -> dict[str, Any] | None:
         return None
     numbers = ("v_H0", "predicted_v_H0", "partials", "predicted_db", "nearest_db", "blend_db")
     median, worst = (held_out.get(key) for key in ("median_inner_db", "worst_inner_db"))
-    shown = _is_number(median) and _is_number(worst)
+    shown = is_number(median) and is_number(worst)
     return {
         "takes": [
             {"file": str(take.get("file") or "")}
-            | {n: take.get(n) if _is_number(take.get(n)) else None for n in numbers}
+            | {n: take.get(n) if is_number(take.get(n)) else None for n in numbers}
             for take in takes
         ],
         "messages": [str(message) for message in held_out.get("messages") or ()],

@@ -16,7 +16,7 @@ from pathlib import PurePath
 from typing import Any
 
 from ..io import replace_file
-from . import known, words
+from . import known, numbers, words
 from .curves import Curves, Strikes, TakeCurves
 from .figures import draw_figures
 from .sound import Clip, make_clips
@@ -52,7 +52,9 @@ def write_report(
     """
     from jinja2 import Environment
 
-    fit = {key: entry for key, entry in fit.items() if entry is not None}
+    names = _names(fit, held_out)
+    fit = {key: _named(names, entry) for key, entry in fit.items() if entry is not None}
+    held_out = _named(names, held_out)
     onset = _onset(fit.get("takes", []))
     sounds = {
         "original": curves.sound_original,
@@ -65,7 +67,7 @@ def write_report(
     )
     script = _asset("player.js")
     environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    environment.filters["number"] = words.number
+    environment.filters["number"] = numbers.number
     html = environment.from_string(_asset("page.html.j2")).render(
         title=title,
         fit=fit,
@@ -98,6 +100,25 @@ def write_report(
     replace_file(path, html.encode("utf-8", errors="replace"))
 
 
+def _names(*documents: dict[str, Any] | None) -> dict[str, str]:
+    """The path of every recording -> its name; the longest path first."""
+    takes = [take for document in documents for take in (document or {}).get("takes") or () if isinstance(take, dict)]
+    files = {str(take.get("file") or "") for take in takes}
+    return {file: PurePath(file).name for file in sorted(files, key=len, reverse=True) if PurePath(file).name}
+
+
+def _named(names: dict[str, str], value: Any) -> Any:
+    """`value` with names instead of paths in all text: a page is shown to others, who need not know any folder."""
+    if isinstance(value, dict):
+        return {key: _named(names, entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_named(names, entry) for entry in value]
+    if isinstance(value, str):
+        for path, name in names.items():
+            value = value.replace(path, name)
+    return value
+
+
 def _onset(takes: list[dict[str, Any]]) -> float:
     """When the note of the first take begins, s."""
     ordered = sorted(takes, key=lambda take: not take.get("first"))
@@ -108,7 +129,7 @@ def _strikes(strikes: Strikes | None) -> dict[str, Any] | None:
     """The sounds of the slider, which keep their loudness to each other."""
     if strikes is None:
         return None
-    sounds = {f"{words.number(v, 3)} m/s": x for v, x in zip(strikes.velocity, strikes.sounds, strict=True)}
+    sounds = {f"{numbers.number(v, 3)} m/s": x for v, x in zip(strikes.velocity, strikes.sounds, strict=True)}
     clips = make_clips(sounds, strikes.rate, lead_in=0.0, matched=False, highest_rate=LIGHT_RATE)
     return {"clips": clips, "first": strikes.first, "inside": strikes.inside}
 
