@@ -34,7 +34,7 @@ class _Command(TyperCommand):
 
     def _records(self, ctx: Any, kind: str) -> list[tuple[str, str]]:
         params = [param for param in self.get_params(ctx) if param.param_type_name == kind]
-        records = [(param.metavar, param.get_help_record(ctx)) for param in params]
+        records = [(param.metavar or str(param.name), param.get_help_record(ctx)) for param in params]
         return [(metavar if kind == "argument" else record[0], record[1]) for metavar, record in records if record]
 
 

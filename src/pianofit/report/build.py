@@ -7,7 +7,7 @@ import numpy as np
 from ..criterion import partial_frequency
 from ..inference import Result
 from .build_felt import felt_of, known_of
-from .build_takes import paths_of, strikes_of, takes_of
+from .build_recordings import paths_of, recordings_of, strokes_of
 from .curves import Curves
 
 __all__ = ["curves_of"]
@@ -49,8 +49,8 @@ def curves_of(result: Result) -> Curves:
         compression_fitted=1e3 * _pad(last.pulse.compression, len(steps)),
         sound_rate=rate, sound_original=r.samples, sound_initial=result.initial.samples,
         sound_fitted=result.fitted.samples,
-        takes=takes_of(result), first=result.first, paths=paths_of(result), felt=felt_of(result),
-        known=known_of(result), strikes=strikes_of(result),
+        recordings=recordings_of(result), first=result.first, paths=paths_of(result), felt=felt_of(result),
+        known=known_of(result), strokes=strokes_of(result),
     )  # fmt: skip
 
 

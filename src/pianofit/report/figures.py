@@ -28,7 +28,7 @@ from .drawing import (
     svg,
 )
 from .figures_known import draw_felt, draw_known
-from .figures_takes import draw_held_out, draw_paths, draw_takes
+from .figures_recordings import draw_held_out, draw_paths, draw_recordings
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -51,14 +51,14 @@ def draw_figures(
     with _LOCK, rc_context(STYLE):
         figures: dict[str, Figure] = {"spectra": _spectra(curves, dropped)}
         figures |= {name: draw(curves) for name, draw in drawings.items()}
-        if len(curves.takes) > 1:
-            figures["takes"] = draw_takes(curves.takes)
-        if len(curves.takes) > 1 and curves.paths:
+        if len(curves.recordings) > 1:
+            figures["recordings"] = draw_recordings(curves.recordings)
+        if len(curves.recordings) > 1 and curves.paths:
             figures["paths"] = draw_paths(curves.paths)
         if held_out:
             figures["held_out"] = draw_held_out(held_out)
         if curves.felt is not None:
-            figures["felt"] = draw_felt(curves.felt, curves.takes)
+            figures["felt"] = draw_felt(curves.felt, curves.recordings)
         if curves.known is not None:
             figures["known"] = draw_known(curves.known)
         return {name: svg(figure) for name, figure in figures.items()}

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .curves import Felt, Known, TakeCurves
+from .curves import Felt, Known, RecordingCurves
 from .drawing import FITTED, INITIAL, INK, LINES, MEASURED, figure_of, span
 
 if TYPE_CHECKING:
@@ -27,20 +27,22 @@ FAR = 1e6  # of a law, beyond which its band is not drawn
 LOOP = "#8fbfe0"
 
 
-def draw_felt(felt: Felt, takes: Sequence[TakeCurves]) -> Figure:
-    """The static law with its band, and the loops that the strikes ran through."""
+def draw_felt(felt: Felt, recordings: Sequence[RecordingCurves]) -> Figure:
+    """The static law with its band, and the loops that the strokes ran through."""
     figure = figure_of(11.25, 4.3)
     axes, logs = figure.add_axes((0.06, 0.215, 0.52, 0.73)), figure.add_axes((0.67, 0.215, 0.32, 0.73))
-    for i, take in enumerate(takes):
-        axes.plot(take.compression, take.force, color=LOOP, lw=1.1, zorder=3, label="" if i else "loop of a strike")
+    for i, recording in enumerate(recordings):
+        axes.plot(
+            recording.compression, recording.force, color=LOOP, lw=1.1, zorder=3, label="" if i else "loop of a stroke"
+        )
     for panel in (axes, logs):
         _law(panel, felt.compression, felt.force, LINES["fitted"], "static law" if felt.slow is None else "sudden")
         if felt.slow is not None:
             _law(panel, felt.compression, felt.slow, LINES["initial"], "slow")
         panel.set(xlabel="compression of the felt (mm)", ylabel="force (N)")
-    tall = max(0.0, span(felt.force[0], *(take.force for take in takes))[1])
+    tall = max(0.0, span(felt.force[0], *(recording.force for recording in recordings))[1])
     axes.set(xlim=(0.0, 1.03 * felt.compression[-1]), ylim=(0.0, 1.25 * max(tall, 1e-9)))
-    _logarithmic(logs, felt, [span(take.compression)[1] for take in takes])
+    _logarithmic(logs, felt, [span(recording.compression)[1] for recording in recordings])
     handles, labels = axes.get_legend_handles_labels()
     figure.legend(handles, labels, loc="lower center", ncols=len(labels))
     return figure

@@ -107,7 +107,7 @@
       show((voice ? "Playing " : "Chosen: ") + names[chosen]);
     }
 
-    function strike(index) { // another velocity is another blow: from its attack on
+    function stroke(index) { // another velocity is another stroke: from its attack on
       active = player;
       chosen = index;
       ready();
@@ -175,9 +175,9 @@
       seeker.max = seconds;
       seeker.addEventListener("input", (event) => seek(Number(event.target.value)));
     }
-    which?.addEventListener("input", (event) => strike(Number(event.target.value)));
+    which?.addEventListener("input", (event) => stroke(Number(event.target.value)));
     const player = {
-      root, choices, which, toggle, choose, strike, seek, seconds, pause, draw,
+      root, choices, which, toggle, choose, stroke, seek, seconds, pause, draw,
       get state() { return { playing: Boolean(voice), chosen: names[chosen], position: now() }; },
       get context() { ready(); return context; },
       get output() { ready(); return output; }, // to listen in: connect an analyser
