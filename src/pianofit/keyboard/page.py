@@ -1,22 +1,29 @@
 """One HTML file that shows an instrument: every parameter over the keyboard with the literature's behind it, every key.
 
-Everything is inside the file and it runs no script. All text from outside goes through Jinja's autoescape.
+It is made by `report.kit` and runs no script.
 """
 
 from __future__ import annotations
 
-import base64
 import os
-from importlib.resources import files
 from typing import Any
 
-from ..io import replace_file
+from ..report.kit import picture, write_sheet
 from .figures import draw
 from .gather import HIGHEST_KEY, LOUDEST, LOWEST_KEY, reference_compression
 from .laws import OUTLYING
 from .words import STATES, counts
 
 __all__ = ["write_page"]
+
+CONTENTS = (
+    ("laws", "Every parameter over the keyboard"),
+    ("string", "The string"),
+    ("hammer", "The hammer"),
+    ("sizes", "Sizes"),
+    ("sound", "The output path and velocity"),
+    ("keys", "The keys"),
+)
 
 
 def write_page(path: str | os.PathLike[str], document: dict[str, Any]) -> None:
@@ -27,25 +34,18 @@ def write_page(path: str | os.PathLike[str], document: dict[str, Any]) -> None:
     OutputError
         If `path` cannot be written.
     """
-    from jinja2 import Environment
-
     found = counts(document)
-    style = files("pianofit.report").joinpath("page.css").read_text(encoding="utf-8")
-    template = files("pianofit.keyboard").joinpath("page.html.j2").read_text(encoding="utf-8")
-    html = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True).from_string(template).render(
+    write_sheet(
+        path, "keyboard/page.html.j2", title=document["name"] or "Instrument", contents=CONTENTS,
         doc=document,
-        name=document["name"] or "Instrument",
         quantity=document["quantity"],
         known=sum(key["fit"] is not None for key in document["keys"]),
         states=[(state, found[state], words) for state, words in STATES.items() if found[state]],
-        figures={name: "data:image/svg+xml;base64," + base64.b64encode(svg).decode()
-                 for name, svg in draw(document).items()},
+        figures={name: picture(panels) for name, panels in draw(document).items()},
         rows=[_row(key) for key in document["keys"]],
         outlying=f"{OUTLYING:g}", loudest=f"{LOUDEST:g}",
         u_low=1e3 * reference_compression(LOWEST_KEY), u_high=1e3 * reference_compression(HIGHEST_KEY),
-        style=style,
     )  # fmt: skip
-    replace_file(path, html.encode("utf-8", errors="replace"))
 
 
 def _row(key: dict[str, Any]) -> dict[str, Any]:

@@ -1,24 +1,19 @@
-"""One HTML file that says what was fitted and how well, shows it, and lets it be heard.
+"""One HTML file that says what was fitted and how well, shows it, and lets it be heard; see `kit`.
 
-Everything is inside the file: pictures, sounds, style and script. Its content security policy lets nothing be loaded
-from anywhere and runs no script but its own, named by its hash. All text from outside goes through Jinja's autoescape,
-and none of it into the script: the player reads its sounds from the links that also let them be saved.
+The player reads its sounds from the links that also let them be saved.
 """
 
 from __future__ import annotations
 
-import base64
-import hashlib
 import json
 import os
-from importlib.resources import files
 from pathlib import PurePath
 from typing import Any
 
-from ..io import replace_file
 from . import known, numbers, words
 from .curves import Curves, RecordingCurves, Strokes
 from .figures import draw_figures
+from .kit import picture, write_sheet
 from .sound import Clip, make_clips
 
 __all__ = ["Curves", "write_report"]
@@ -50,8 +45,6 @@ def write_report(
     OutputError
         If `path` cannot be written.
     """
-    from jinja2 import Environment
-
     names = _names(fit, held_out)
     fit = {key: _named(names, entry) for key, entry in fit.items() if entry is not None}
     held_out = _named(names, held_out)
@@ -65,11 +58,13 @@ def write_report(
     figures = draw_figures(
         curves, tuple(fit.get("criterion", {}).get("dropped") or ()), tuple(left_out["takes"]) if left_out else ()
     )
-    script = _asset("player.js")
-    environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    environment.filters["number"] = numbers.number
-    html = environment.from_string(_asset("page.html.j2")).render(
+    identified = known.identified(fit)
+    write_sheet(
+        path,
+        "report/page.html.j2",
+        script="report/player.js",
         title=title,
+        contents=_contents(fit, bool(identified or figures.get("known")), bool(left_out)),
         fit=fit,
         notices=words.notices(fit),
         tiles=words.tiles(fit),
@@ -84,20 +79,32 @@ def write_report(
         clips=make_clips(sounds, curves.sound_rate, onset),
         strokes=_strokes(curves.strokes),
         players=_players(curves, fit.get("takes", [])),
-        identified=known.identified(fit),
+        identified=identified,
         felt_scale=known.felt_scale(fit),
         scale_open=known.open_scale(fit),
         stulov=curves.felt is not None and curves.felt.slow is not None,
         held_out=left_out,
         path_groups=len(curves.paths),
-        figures={name: _data_uri("image/svg+xml", svg) for name, svg in figures.items()},
+        figures={name: picture(panels) for name, panels in figures.items()},
         has_path=curves.path is not None,
-        style=_asset("page.css"),
-        script=script,
-        script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
         data=json.dumps(fit, indent=2, ensure_ascii=False, default=str),
     )
-    replace_file(path, html.encode("utf-8", errors="replace"))
+
+
+def _contents(fit: dict[str, Any], identified: bool, left_out: bool) -> list[tuple[str, str]]:
+    """The page's headings: (id, words)."""
+    several = len(fit.get("takes") or ()) > 1
+    headings = (
+        ("recordings", "The recordings", several),
+        ("listen", "Listen", True),
+        ("parameters", "Parameters", True),
+        ("known", "What the data fix", identified),
+        ("evidence", "How well it fits", True),
+        ("left-out", "Recordings left out", left_out),
+        ("hammer", "The hammer", True),
+        ("made", "How this was made", True),
+    )
+    return [(anchor, words) for anchor, words, there in headings if there]
 
 
 def _names(*documents: dict[str, Any] | None) -> dict[str, str]:
@@ -148,20 +155,12 @@ def _players(curves: Curves, recordings: list[dict[str, Any]]) -> list[dict[str,
         for i, recording in enumerate(recordings, start=1)
     }
     return [
-        {"id": f"recording-{recording.place}", "place": recording.place, "file": names.get(recording.place, f"recording {recording.place}"),
-         "velocity": recording.velocity, "clips": _pair(recording, seconds)}
-        for recording in others
+        {"id": f"recording-{one.place}", "place": one.place, "file": names.get(one.place, f"recording {one.place}"),
+         "velocity": one.velocity, "clips": _pair(one, seconds)}
+        for one in others
     ]  # fmt: skip
 
 
 def _pair(recording: RecordingCurves, seconds: float) -> list[Clip]:
     sounds = {"original": recording.sound_original, "fitted": recording.sound_fitted}
     return make_clips(sounds, recording.sound_rate, recording.onset, seconds=seconds, highest_rate=LIGHT_RATE)
-
-
-def _asset(name: str) -> str:
-    return files("pianofit.report").joinpath(name).read_text(encoding="utf-8")
-
-
-def _data_uri(kind: str, content: bytes) -> str:
-    return f"data:{kind};base64,{base64.b64encode(content).decode()}"

@@ -145,9 +145,9 @@
     function paint(place) { // the chosen sound, its played part in colour
       const scale = devicePixelRatio || 1, pen = canvas.getContext("2d");
       const width = (canvas.width = Math.round(canvas.clientWidth * scale)), height = (canvas.height = canvas.clientHeight * scale);
-      const played = getComputedStyle(choices[chosen]).getPropertyValue("--own");
+      const look = getComputedStyle(choices[chosen]), played = look.getPropertyValue("--own"), rest = look.getPropertyValue("--rest");
       outline(decoded()[chosen], width).forEach((peak, x) => {
-        pen.fillStyle = x / width < place / seconds ? played : "#b9c2cb";
+        pen.fillStyle = x / width < place / seconds ? played : rest;
         pen.fillRect(x, (height * (1 - peak)) / 2, 1, Math.max(1, height * peak));
       });
     }
@@ -203,7 +203,9 @@
   document.addEventListener("keyup", (event) => {
     if (event.key === " " && event.target.matches(".play, .which, .choice[aria-pressed=true]")) event.preventDefault();
   });
-  addEventListener("resize", () => players.forEach((one) => one.draw()));
+  const again = () => players.forEach((one) => one.draw());
+  addEventListener("resize", again);
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", again);
   players.forEach((one) => one.draw());
   window.pianofitPlayer = players[0];
   window.pianofitPlayers = players;
