@@ -112,7 +112,8 @@ def test_claims_come_first_and_plainly(tmp_path, curves):
     body = page.text[page.text.index("A string and a hammer") :]
     order = [body.index(words) for words in (
         "Read this first", "One uncalibrated recording does not fix the felt", "▶ Play",
-        "Error of the partials’ levels", "A path alone does as well", "The string's length was not given", "has the same note three times")]  # fmt: skip
+        "Error of the partials’ levels", "A path alone does as well", "The string's length was not given",
+        "has the same note three times")]  # fmt: skip
     assert order == sorted(order)
     assert "The search converged." in body
     assert "Not converged" not in body
@@ -189,8 +190,8 @@ def test_a_page_names_files_and_no_folders(tmp_path, curves):
 def test_the_heads_on_the_felts_loop_lie_on_the_curve_and_follow_it():
     u, force = np.array([0.0, 1.0, 2.0, 2.0, 1.0, 0.0]), np.array([0.0, 2.0, 9.0, 8.0, 1.0, 0.0])
     (up, rise), (down, fall) = _headings(u, force)
-    assert up == pytest.approx([1.0 + 2.5 / 7, 4.5])
-    assert down == pytest.approx([2.0 - 3.5 / 7, 4.5])
+    assert up == pytest.approx([1.0 + (0.6 * 9 - 2) / 7, 0.6 * 9])
+    assert down == pytest.approx([2.0 - (8 - 0.35 * 9) / 7, 0.35 * 9])
     assert (rise > 0).all()
     assert (fall < 0).all()
 

@@ -39,6 +39,9 @@ __all__ = ["BANDS", "FITTED", "INITIAL", "INK", "MEASURED", "STYLE", "draw_figur
 
 BANDS = {"band1": "band 1: fundamental", "band2": "band 2: partials 2 to 8", "band3": "band 3: partials from 9"}
 
+# Of the largest force: where the heads on a loop stand, apart from each other.
+RISING, FALLING = 0.6, 0.35
+HEAD = np.array([1.0, -0.7 + 0.45j, -0.4, -0.7 - 0.45j, 1.0])  # its outline, pointing right
 _LOCK = Lock()  # matplotlib's settings are global
 
 
@@ -256,23 +259,29 @@ def _draw_loop(axes: Axes, curves: Curves) -> None:
     axes.set_ylim(bottom=0.0)
     for name in ("initial", "fitted"):
         for at, way in _headings(getattr(curves, f"compression_{name}"), getattr(curves, f"force_{name}")):
-            head = (3, 0, _angle(axes, at, way) - 90)  # a triangle, whose tip points up unless it is turned
-            axes.plot(*at, marker=head, ms=9, mew=0, color=LINES[name]["color"], zorder=6)
+            axes.plot(*at, marker=_head(_angle(axes, at, way)), ms=13, mew=0, color=LINES[name]["color"], zorder=6)
 
 
 def _headings(compression: np.ndarray, force: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Where force passes half of its largest value, first up and last down: the point on the curve, and the step."""
+    """Where force first rises through `RISING` of its largest and last falls through `FALLING`: point and step."""
     if not (len(force) > 2 and np.isfinite(force).all() and force.max() > 0 and compression.max() > 0):
         return []
-    half = force.max() / 2
-    above = np.flatnonzero(force > half)
     curve = np.stack([compression, force], axis=1)
     found = []
-    for start in {above[0] - 1, above[-1]}:
+    for share, end in ((RISING, 0), (FALLING, -1)):
+        level = share * force.max()
+        above = np.flatnonzero(force > level)
+        start = above[end] - (end == 0)
         if 0 <= start < len(force) - 1:
             step = curve[start + 1] - curve[start]
-            found.append((curve[start] + step * (half - force[start]) / step[1], step))
-    return sorted(found, key=lambda one: -one[1][1])
+            found.append((curve[start] + step * (level - force[start]) / step[1], step))
+    return found
+
+
+def _head(angle: float) -> list[tuple[float, float]]:
+    """A slender arrow head that points to `angle`, degrees, as a marker."""
+    turn = np.exp(1j * np.radians(angle))
+    return [(float(z.real), float(z.imag)) for z in HEAD * turn]
 
 
 def _angle(axes: Axes, at: np.ndarray, way: np.ndarray) -> float:
