@@ -103,7 +103,7 @@ COMMANDS = [
     command("fit-take-twice", "fit @/good.wav @/good.wav --note A4 --out @/out", "good.wav and good.wav are the same"),
     command("fit-takes-one-velocity", "fit @/good.wav @/b.wav --note A4 --velocity 2 --out @/out", "[[take]]"),
     command("fit-takes-one-missing", "fit @/good.wav @/none.wav --note A4 --out @/out", "none.wav"),
-    command("crossval-one", "crossval @/good.wav --note A4", "1 takes are too few"),
+    command("crossval-one", "crossval @/good.wav --note A4", "1 recordings are too few"),
     command("crossval-none", "crossval --note A4", "RECORDING", 2),
     command("predict-no-fit", "predict @/none.json @/good.wav", "none.json"),
     command("predict-not-a-fit", "predict @/good.wav @/good.wav", "good.wav"),

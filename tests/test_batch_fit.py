@@ -118,7 +118,7 @@ def test_a_name_is_wrong_from_a_semitone_on():
         (["--files", "post"], 2, "'post' is not value or shared"),
         (["--seed", "-1"], 1, "seed=-1 must not be negative"),
         (["--pattern", "{note}"], 1, "is no folder, so --pattern"),
-        (["--setup", "takes.toml"], 1, "has a [[take]]; the manifest names the takes"),
+        (["--setup", "takes.toml"], 1, "has a [[take]]; the manifest names the recordings"),
         (["--scheduler", "nonsense"], 1, "no scheduler answers there"),
     ],
 )

@@ -75,7 +75,7 @@ def fit_files(
 
         check_intervals(intervals, recipe)
     if len(files) > 1 and velocity is not None:
-        raise ParameterError(f"velocity={velocity} m/s is of one take; give each its own in the setup's [[take]]")
+        raise ParameterError(f"velocity={velocity} m/s is of one recording; give each its own in the setup's [[take]]")
     if len(files) > 1 and recipe != "default":
         raise ParameterError(f"recipe={recipe!r} fits one recording; {len(files)} were given")
     recordings, analyses, known = _takes(files, note, f0, setup, channel, felt, velocity, progress)
@@ -132,7 +132,7 @@ def _write(
 
 
 def _write_sounds(out: Path, files: Sequence[Path], result: Result) -> None:
-    """What was before and after the fit, in sound; what an earlier fit left of its page and takes goes."""
+    """What was before and after the fit, in sound; what an earlier fit left of its page and sounds goes."""
     for old in (out / "report.html", *out.glob("fitted-*.wav")):
         with contextlib.suppress(FileNotFoundError):
             old.unlink()

@@ -57,7 +57,7 @@ class Sample(NamedTuple):
     layer: str
     velocity: float | None  # m/s, measured
     group: str  # recordings of a group share one path, such as a microphone
-    strike: str = ""  # recordings of a strike are one blow, heard by several microphones
+    strike: str = ""  # recordings of one hammer stroke, by several microphones
 
 
 @dataclass(frozen=True)
@@ -243,7 +243,7 @@ def _keys(name: str, rows: list[Row], base: Path, root: Path, transpose: int) ->
             told = next((s.velocity for s in samples if s.layer == row.layer and s.velocity is not None), None)
             if row.layer and None not in (told, sample.velocity) and told != sample.velocity:
                 raise SetupError(f"{folder} {one_line(row.layer)!r} has velocity {sample.velocity:g} and {told:g}; "
-                                 "one blow has one: correct it, or give each its own layer or take")  # fmt: skip
+                                 "one stroke has one: correct it, or give each its own layer or take")  # fmt: skip
             samples.append(sample)
         except (SetupError, AnalysisError) as problem:
             problems.append(f"{row.where}: {problem}")
@@ -267,7 +267,7 @@ def _keys(name: str, rows: list[Row], base: Path, root: Path, transpose: int) ->
 
 
 def _with_strikes(samples: list[Sample]) -> list[Sample]:
-    """Samples of a key; those of one layer are one strike, which the groups tell apart."""
+    """Samples of a key; those of one layer are one stroke, which the groups tell apart."""
     layers = [s.layer for s in samples if s.layer]
     return [s._replace(strike=s.layer if layers.count(s.layer) > 1 else "") for s in samples]
 

@@ -50,7 +50,7 @@ class Settings(NamedTuple):
     seed: int = 0
     channel: str = "average"
     page: bool = True
-    setup: str = ""  # the text of a setup.toml without takes
+    setup: str = ""  # the text of a setup.toml without recordings
 
 
 class Source(NamedTuple):
@@ -182,7 +182,7 @@ def fit_unit(unit: Unit, contents: Sequence[bytes] | None = None, scratch: str |
     except OSError as error:
         found = Outcome({}, f"{socket.gethostname()}: {error}", stop=error.errno in NO_ROOM)
     except MemoryError:
-        found = Outcome({}, "not enough memory; give fewer takes, shorter ones, or --memory more")
+        found = Outcome({}, "not enough memory; give fewer recordings, shorter ones, or --memory more")
     except Exception as error:
         reason = one_line(f"the program failed with {type(error).__name__}: {error}")[:300]
         found = Outcome({}, reason, detail=traceback.format_exc())

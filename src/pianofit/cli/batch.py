@@ -190,13 +190,15 @@ def _settings(setup: Path | None, channel: str, seed: int, page: bool) -> Settin
         from ..setup import load_setup
 
         if load_setup(setup).takes:
-            raise SetupError(f"{one_line(setup)}: has a [[take]]; the manifest names the takes, with their velocities")
+            raise SetupError(
+                f"{one_line(setup)}: has a [[take]]; the manifest names the recordings, with their velocities"
+            )
         text = setup.read_text(encoding="utf-8-sig").rstrip() + "\n"
     return Settings(seed, channel, page, text)
 
 
 def _units(manifest: Path, keys: list, settings: Settings) -> list[Unit]:
-    """All keys with their recordings read and hashed; what is wrong with any is told before anything starts."""
+    """All keys with their recordings read and hashed; what is wrong with any is said before anything starts."""
     import tomllib
 
     from ..batch import make_unit

@@ -174,39 +174,39 @@ def cross_validate(
     seed: int = 0,
     progress: Callable[[str, float], None] = lambda *_: None,
 ) -> tuple[dict, Result]:
-    """Leave out each blow in turn, fit the others, and predict it as every microphone heard it.
+    """Leave out each hammer stroke in turn, fit the others, and predict it at every microphone.
 
-    A blow's other takes know its velocity, so they are left out with it. Neighbours are takes of the same group: how
+    A stroke's other recordings share its velocity, so they are left out with it. Neighbours are of the same group: how
     loud another microphone hears each partial says nothing of this one.
 
     Returns
     -------
     `takes`, in order of velocity, each with `file`, `v_H0` (in the fit of all), `predicted_v_H0`, `predicted_db` and
-    `partials` (None where no other take shares the path), `nearest_db` (None without a neighbour), `blend_db` (None at
-    a group's ends) and `inner`; `median_inner_db` and `worst_inner_db` (None without an inner take); `messages`. With
-    it the fit of all takes.
+    `partials` (None where no other recording shares the path), `nearest_db` (None without a neighbour), `blend_db`
+    (None at a group's ends) and `inner`; `median_inner_db` and `worst_inner_db` (None without an inner recording);
+    `messages`. With it the fit of all recordings.
 
     Raises
     ------
     FitError
-        For fewer than three blows, and as `fit_takes` does.
+        For fewer than three strokes, and as `fit_takes` does.
     """
     count = len(recordings)
     if count < 3:
-        raise FitError(f"{count} takes are too few to leave one out; give three or more")
+        raise FitError(f"{count} recordings are too few to leave one out; give three or more")
     whole = fit_takes(recordings, analyses, setup, seed=seed)
     heard = whole.document["takes"]
     strikes = list(dict.fromkeys(take["strike"] for take in heard))
     if len(strikes) < 3:
         raise FitError(
-            f"{count} takes of {len(strikes)} strikes are too few to leave one strike out; give three or more"
+            f"{count} recordings of {len(strikes)} strokes are too few to leave one stroke out; give three or more"
         )
     predicted: dict[int, Prediction | None] = {}
-    for place, blow in enumerate(strikes):
-        progress(f"without strike {place + 1} of {len(strikes)}", (place + 1) / (len(strikes) + 1))
-        rest = [j for j in range(count) if heard[j]["strike"] != blow]
+    for place, stroke in enumerate(strikes):
+        progress(f"without stroke {place + 1} of {len(strikes)}", (place + 1) / (len(strikes) + 1))
+        rest = [j for j in range(count) if heard[j]["strike"] != stroke]
         fit = fit_takes([recordings[j] for j in rest], [analyses[j] for j in rest], setup, seed=seed)
-        for i in (j for j in range(count) if heard[j]["strike"] == blow):
+        for i in (j for j in range(count) if heard[j]["strike"] == stroke):
             voices = _voices_for(fit, whole, rest, i)
             predicted[i] = predict_take(voices, analyses[i]) if voices else None
     order = sorted(range(count), key=lambda i: heard[i]["v_H0"])
@@ -233,14 +233,14 @@ def cross_validate(
 
 
 def _around(i: int, order: list[int], heard: list[dict]) -> list[int]:
-    """The takes of the same group next to this one in velocity: two, or one at the group's ends, or none."""
+    """The recordings of the same group next to this one in velocity: two, or one at the group's ends, or none."""
     group = [j for j in order if heard[j]["group"] == heard[i]["group"]]
     place = group.index(i)
     return group[max(place - 1, 0) : place] + group[place + 1 : place + 2]
 
 
 def _row(i: int, found: Prediction | None, around: list[int], heard: list[dict], analyses: Sequence[Analysis]) -> dict:
-    """What came of one take that was left out."""
+    """What came of one recording that was left out."""
     return {
         "file": heard[i]["file"],
         "v_H0": heard[i]["v_H0"],

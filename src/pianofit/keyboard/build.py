@@ -52,7 +52,7 @@ UNITS = {
     "cents": "cents", "B": "1", "b1": "1/s", "d2": "1/s", "M_H/M_S": "1", "K/M_S": "N/kg", "p": "1", "mu": "s/m",
     "x0/L": "1", "width/L": "1", "L": "m", "M_S/L": "kg/m", "pickup/L": "1", "gain": "",
 }  # fmt: skip
-# The output path's law, dB: what all keys share, how it drifts over the keyboard, and the roughness of single partials.
+# The output path's law, dB: what all keys share, how it drifts over the keyboard, the residuals of single partials.
 COMMON_DB, DRIFT_DB, ROUGH_DB = 6.0, 4.0, 4.0
 OCTAVES, DRIFT_KEYS = 1.0, 15.0
 THIRDS = 20.0 * 2 ** (np.arange(31) / 3)  # Hz
@@ -214,7 +214,7 @@ def _path_document(path: OutputPath | None) -> dict[str, list[float]] | None:
 def _path_law(keys: Sequence[KeyFit]):
     """The output path at any key: a Gaussian process over octaves and keys through what the fitted keys have.
 
-    A key's own path is kept as it is, roughness and all; only the smooth part passes on to its neighbours.
+    A key's own path is kept as it is, with its residuals; only the smooth part passes on to its neighbours.
     """
     points = [(key.midi, *point) for key in keys if key.voice.path is not None for point in _thirds(key.voice.path)]
     if not points:
@@ -256,6 +256,6 @@ def _messages(keys: Sequence[KeyFit], laws: dict[str, Law], known: np.ndarray) -
     if len(keys) < 5:
         said.append(
             f"Only {len(keys)} key{'s' if len(keys) > 1 else ''} of this instrument {'are' if len(keys) > 1 else 'is'} "
-            "known: the shape of the laws is the literature's, and no outlier can be told."
+            "known: the shape of the laws is the literature's, and no outlier can be recognised."
         )
     return said

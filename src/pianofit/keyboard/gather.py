@@ -3,7 +3,7 @@
 Lengths and masses are mostly assumed, and only some combinations are measured (see `invariants`): those go into the
 laws over the keyboard, so that an assumption is never taken for a difference between keys. Uncalibrated fits fix their
 velocities up to a factor: (K_H, μ, v_H0, gain) → (K_H s^(1-p), μ/s, s v_H0, gain/s) changes nothing that is heard. Of
-every key the loudest take is set to `LOUDEST`, which puts all keys on one scale.
+every key the loudest recording is set to `LOUDEST`, which puts all keys on one scale.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ __all__ = [
 ]  # fmt: skip
 
 LOWEST_KEY, HIGHEST_KEY = 21, 108
-# Velocity given to the loudest take of an uncalibrated key, m/s: a fortissimo.
+# Velocity given to the loudest recording of an uncalibrated key, m/s: a fortissimo.
 LOUDEST = 4.0
 # The laws, in the order of the page; all but `cents` are smooth on a log scale.
 NAMES = ("cents", "B", "b1", "d2", "M_H/M_S", "K/M_S", "p", "mu", "x0/L", "width/L", "L", "M_S/L", "pickup/L", "gain")
@@ -50,12 +50,12 @@ class KeyFit(NamedTuple):
 
     midi: int
     file: str
-    voice: Voice  # the loudest take's gain; loudest velocity
+    voice: Voice  # the loudest recording's gain; loudest velocity
     sd: dict[str, float]  # by `NAMES`
-    velocities: tuple[float, ...]  # of the takes, ascending, m/s
+    velocities: tuple[float, ...]  # of the recordings, ascending, m/s
     levels_db: float | None  # rms error of the partials' levels
     converged: bool
-    takes: int
+    takes: int  # recordings
 
 
 def of_force(quantity: str) -> bool:
@@ -161,7 +161,7 @@ def load_keys(files: Sequence[Path]) -> list[KeyFit]:
     Raises
     ------
     FitError
-        For a file that is no `fit.json`, two of one key, keys beyond the keyboard, or takes of different kinds.
+        For a file that is no `fit.json`, two of one key, keys beyond the keyboard, or recordings of different kinds.
     """
     keys: dict[int, KeyFit] = {}
     for file in files:
@@ -185,7 +185,7 @@ def _load_key(file: Path) -> KeyFit:
     midi = _midi(voice, file)
     takes = [take for take in document["takes"] if isinstance(take, dict)]
     path = next((take for take in takes if take.get("first") is True), takes[0]).get("group")
-    # The voice has the first take's path, and a gain belongs to a path.
+    # The voice has the reference's path, and a gain belongs to a path.
     own = [i for i, take in enumerate(takes) if take.get("group") == path]
     loud = max(own, key=lambda i: _positive(takes[i].get("v_H0"), f"takes[{i}].v_H0", name))
     gain = _positive(takes[loud].get("gain"), f"takes[{loud}].gain", name, signed=True)

@@ -211,7 +211,7 @@ def _strings(instrument: Instrument, jobs: Sequence[tuple[int, Layer]], rate: in
 
 
 def _note(instrument: Instrument, string: PlayedString, layer: Layer, seconds: float) -> np.ndarray:
-    """One blow on the string at rest, from just before its sound arrives [samples]."""
+    """One stroke on the string at rest, from just before its sound arrives [samples]."""
     voice = instrument.voice(string.midi, layer.middle)
     string.state = np.zeros_like(string.state)
     # The way to the pickup comes on top.
