@@ -81,7 +81,7 @@ def criteria(seconds: float = 1.0) -> Works:
     contact, modes = 1 / float(strike.modes.step), strike.modes.pole.shape[0]
     f0, B = it.string.c / 2 / it.geometry.length, (it.string.kappa * np.pi / it.string.c / it.geometry.length) ** 2
     goal = spectral_goal(sound, RATE, f0, B, 48, sigma)
-    steps = 256 * int(np.ceil(1.6 * strike.contact_time * contact / 256))
+    steps = 256 * int(np.ceil(1.6 * strike.last_touch * contact / 256))
     values = np.array([*it.string, *it.hammer], float)
     z = jnp.asarray(np.log(values * 1.01))
 

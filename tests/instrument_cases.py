@@ -13,10 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
+from pianofit.analysis import midi_to_note
 from pianofit.criterion import OutputPath
 from pianofit.io import encode_wav
 from pianofit.keyboard import Instrument
-from pianofit.keyboard.gather import NAMES, invariants, note_name
+from pianofit.keyboard.gather import NAMES, invariants
 from pianofit.model.modes import mode_frequencies
 from pianofit.parameters import Geometry, Hammer, String
 from pianofit.published import typical
@@ -90,7 +91,7 @@ def force_entry(voice: Voice, at: float, sd: float) -> dict:
 
 def write_fit(folder: Path, midi: int, document: dict, prefix: str = "twin") -> Path:
     """As `pianofit batch` leaves it."""
-    file = folder / "keys" / f"{prefix}-{note_name(midi).replace('#', 's')}" / "fit.json"
+    file = folder / "keys" / f"{prefix}-{midi_to_note(midi).replace('#', 's')}" / "fit.json"
     file.parent.mkdir(parents=True, exist_ok=True)
     file.write_text(json.dumps(document))
     return file

@@ -8,7 +8,7 @@ from html.parser import HTMLParser
 
 import numpy as np
 
-from pianofit.report.curves import Felt, Known, Strikes, TakeCurves
+from pianofit.report.curves import Felt, Known, RecordingCurves, Strokes
 from pianofit.report.page import Curves
 
 NAMES = ("original", "initial", "fitted")
@@ -68,15 +68,15 @@ def example_curves(rate=44100, seconds=3.0, count=40, f0=92.33, quiet=0.1, path=
     )  # fmt: skip
 
 
-def with_takes(curves, velocities=(3.2, 0.6, 1.5), count=7):
-    """The same, of several takes, the first of which is that of the curves, with all that a fit can have."""
+def with_recordings(curves, velocities=(3.2, 0.6, 1.5), count=7):
+    """The same, of several recordings, the first of which is that of the curves, with all that a fit can have."""
     rate, k, random = curves.sound_rate, curves.number, np.random.default_rng(8)
     seconds = len(curves.sound_original) / rate
-    takes = []
+    recordings = []
     for place, velocity in enumerate(velocities, start=1):
         sound = velocity / 4 * note(60.0 + 10 * place, 2e-4, 4, 1.0, rate, seconds)[0]
         force, u = pulse(np.linspace(0, 3, 120), 2.5, 3e-4 * velocity, 5e9, 2.5, 0.1)
-        takes.append(TakeCurves(
+        recordings.append(RecordingCurves(
             place, velocity, 1.0 + 0.1 * place, k, curves.level - 3 * place, np.full(len(k), 0.5),
             curves.level - 3 * place + random.normal(0, 1, len(k)), u, force, rate, 0.03, sound, 0.3 * sound[::-1],
         ))  # fmt: skip
@@ -93,20 +93,20 @@ def with_takes(curves, velocities=(3.2, 0.6, 1.5), count=7):
     )
     velocity = np.geomspace(min(velocities), max(velocities), count)
     tones = [note(80.0 + 5 * i, 2e-4, 4, 1.0, rate, min(seconds, 2.5), lead=0.0)[0] for i in range(count)]
-    strikes = Strikes(
+    strokes = Strokes(
         velocity, tuple(0.05 * v * x for v, x in zip(velocity, tones, strict=True)), rate, count - 1, True
     )
     return dataclasses.replace(
-        curves, takes=tuple(takes), first=0, paths=((60.0 * k, 3 * np.sin(k / 3)), (60.0 * k, np.cos(k / 5))),
-        felt=Felt(u, law, 0.7 * law), known=Known(names, correlation, reaches), strikes=strikes,
+        curves, recordings=tuple(recordings), first=0, paths=((60.0 * k, 3 * np.sin(k / 3)), (60.0 * k, np.cos(k / 5))),
+        felt=Felt(u, law, 0.7 * law), known=Known(names, correlation, reaches), strokes=strokes,
     )  # fmt: skip
 
 
-def fit_of_takes(count=3, **changes):
+def fit_of_recordings(count=3, **changes):
     """The document of such a fit."""
     one = example_fit()["takes"][0]
-    takes = [
-        one | {"file": f"/a folder/take-{i}.flac", "v_H0": 4.0 / i, "v_H0_interval": [3.6 / i, 4.4 / i],
+    recordings = [
+        one | {"file": f"/a folder/recording-{i}.flac", "v_H0": 4.0 / i, "v_H0_interval": [3.6 / i, 4.4 / i],
                "first": i == 1, "cents": -0.5 * i, "group": i % 2, "levels": {"initial_db": 9.0, "fitted_db": 1.0 + i}}
         for i in range(1, count + 1)
     ]  # fmt: skip
@@ -115,11 +115,11 @@ def fit_of_takes(count=3, **changes):
             "value": 1 / i,
             "unit": "1",
             "interval": [0.905 / i, 1.105 / i],
-            "note": f"/a folder/take-{i}.flac",
+            "note": f"/a folder/recording-{i}.flac",
         }
         for i in range(2, count + 1)
     }
-    fit = example_fit(takes=takes, minima=[minimum(0.7, 0.0), minimum(0.3, 1.25)])
+    fit = example_fit(takes=recordings, minima=[minimum(0.7, 0.0), minimum(0.3, 1.25)])
     return fit | {"invariants": fit["invariants"] | ratios} | changes
 
 
@@ -138,7 +138,7 @@ def minimum(share, above):
 def example_held_out(count=3):
     """What cross-validation returns."""
     rows = [
-        {"file": f"/a folder/take-{i}.flac", "v_H0": 0.7 * i, "predicted_v_H0": 0.72 * i, "partials": 20 + i,
+        {"file": f"/a folder/recording-{i}.flac", "v_H0": 0.7 * i, "predicted_v_H0": 0.72 * i, "partials": 20 + i,
          "predicted_db": 1.0 + 0.25 * i, "nearest_db": 3.0 + 0.5 * i, "blend_db": 0.875 if 1 < i < count else None,
          "inner": 1 < i < count}
         for i in range(1, count + 1)

@@ -15,6 +15,7 @@ from pianofit.analysis import (
     energy_level,
     hz_to_note,
     law_frequency,
+    midi_to_note,
     note_to_hz,
     note_to_midi,
     rows,
@@ -88,11 +89,13 @@ def test_note_names():
     assert note_to_midi("C4") == 60
     assert note_to_midi("Bb3") == 58
     assert note_to_midi("b#3") == 60  # one octave number up is C's
+    assert [note_to_midi(name) for name in ("F#2", "Fs2", "fs2", "Gb2", "F♯2", "G♭2", " 42 ", "42")] == 8 * [42]
+    assert (note_to_midi("0"), note_to_midi("127"), midi_to_note(42)) == (0, 127, "F#2")
     assert note_to_hz("A4") == 440.0
     assert note_to_hz("F#2") == pytest.approx(92.4986, abs=1e-4)
     assert hz_to_note(27.5) == "A0"
     assert hz_to_note(92.33) == "F#2"
-    for nonsense in ("H4", "C", "4C", "C#", "F#2 ", "", "C44"):
+    for nonsense in ("H4", "C", "4C", "C#", "F#2 ", "", "C44", "128", "-1", "4.2", "F##s2"):
         if nonsense.strip() != "F#2":
             with pytest.raises(AnalysisError, match="note"):
                 note_to_midi(nonsense)

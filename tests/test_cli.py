@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -13,9 +15,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import soundfile
+import typer
 from bad_inputs import BAD_INPUTS, BadInput, encoded, note
 
-from pianofit.cli import main
+from pianofit.cli import app, main
 from pianofit.published import PRESETS, preset
 from pianofit.render import CEILING
 
@@ -134,10 +137,19 @@ def test_analyse_prints_a_table_and_data(tmp_path, run):
     text = run("analyse", tmp_path / "note.wav", "--f0", "440")
     assert 1200 * abs(np.log2(data["f0"] / 440)) < 0.1
     assert data["B"] == pytest.approx(3e-4, rel=0.02)
-    assert f"f0 {data['f0']:.3f}" in text
+    laws = {line.split()[0]: line for line in text.splitlines() if line[:3].strip() in ("f0", "B", "b1", "d2")}
+    for name in ("f0", "B", "b1", "d2"):
+        low, high = (float(end) for end in laws[name].split("[")[1].split("]")[0].split(", "))
+        assert low < data[name] < high
+        assert (high - low) / 2 == pytest.approx(1.96 * data[f"{name}_error"], rel=0.1)
     table = [line.split() for line in text.splitlines() if line and line.split()[0].isdigit()]
-    assert [int(row[0]) for row in table] == data["partials"]["number"]
-    np.testing.assert_allclose([float(row[1]) for row in table], data["partials"]["frequency"], atol=6e-4)
+    partials = data["partials"]
+    assert [int(row[0]) for row in table] == partials["number"]
+    for column, name in ((1, "frequency"), (4, "decay"), (6, "level")):
+        value, error = (np.array([float(row[i]) for row in table]) for i in (column, column + 1))
+        whole = np.hypot(partials[f"{name}_error"], partials[f"{name}_systematic"])
+        np.testing.assert_allclose(error, whole, rtol=0.06)
+        assert (np.abs(value - partials[name]) <= 0.06 * whole).all()
 
 
 @pytest.mark.parametrize("name", ["bensa-final", "chabassier-C2"])
@@ -174,6 +186,53 @@ def test_force_replaces_a_sound(tmp_path, run):
     run("simulate", "--preset", "bensa-final", "--seconds", 0.1, "--out", tmp_path / "a.wav", "--force")
     assert soundfile.info(tmp_path / "a.wav").frames == 4410
     assert [p.name for p in tmp_path.iterdir()] == ["a.wav"]
+
+
+# --- help -------------------------------------------------------------------------------------------------------------
+
+
+def helped(arguments: str) -> str:
+    """What a help prints on a terminal of 80 columns."""
+    done = subprocess.run(
+        [*PROGRAM, *arguments.split()], capture_output=True, text=True, check=True, env=os.environ | {"COLUMNS": "80"}
+    )
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def commands() -> dict:
+    return typer.main.get_command(app).commands
+
+
+def test_the_help_of_the_program_names_every_command_and_cuts_nothing(commands):
+    text = helped("--help")
+    assert text == helped("-h")
+    assert {line.split()[0] for line in text.partition("Commands:")[2].splitlines() if line[2:3].isalpha()} >= {
+        *commands
+    }
+    assert "..." not in text.replace("COMMAND [ARGS]...", "")
+    assert max(map(len, text.splitlines())) <= 80
+
+
+def test_the_help_of_every_command_has_an_example_that_parses_and_no_types(commands, capsys):
+    for name, command in commands.items():
+        assert main([name, "-h"]) == 0
+        text = capsys.readouterr().out
+        example = text.partition("Example:\n")[2].strip()
+        assert example.startswith(f"pianofit {name} ")
+        command.make_context(name, shlex.split(example)[2:]).close()
+        assert not re.search(r"\b(TEXT|PATH|FLOAT|INTEGER|list\[|<path>|TAKE)\b|<path>|\{[A-Z]", text), text
+        assert all(option.help or option.hidden for option in command.params), name
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_a_shell_completes_commands(shell):
+    asked = {"COMP_WORDS": "pianofit cross", "COMP_CWORD": "1"} if shell == "bash" else {
+        "_TYPER_COMPLETE_ARGS": "pianofit cross", "_TYPER_COMPLETE_FISH_ACTION": "get-args"
+    }  # fmt: skip
+    environment = os.environ | {"_PIANOFIT_COMPLETE": f"complete_{shell}"} | asked
+    done = subprocess.run(PROGRAM, capture_output=True, text=True, check=False, env=environment)
+    assert "crossval" in done.stdout
 
 
 # --- from a recording to parameters and back to sound -----------------------------------------------------------------
@@ -227,6 +286,21 @@ def test_render_harder_is_brighter(fitted, run):
         power = np.abs(np.fft.rfft(soundfile.read(out)[0])) ** 2
         centre.append((power * np.arange(len(power))).sum() / power.sum())
     assert centre[1] > 1.2 * centre[0]
+
+
+def test_predict_says_when_the_key_is_another_and_when_the_velocity_is_at_its_end(fitted, capsys):
+    (fitted / "other.wav").write_bytes(encoded(note(440.0, 2.0)))
+    assert main(["predict", str(fitted / "out" / "fit.json"), str(fitted / "other.wav")]) == 1
+    said = capsys.readouterr().err
+    assert "is not of the key of" in said
+    assert "D#3 (152.1 Hz), and sounds like A4 (440.0 Hz); give a recording of the same key" in said
+    assert "--" not in said
+    assert main(["predict", str(fitted / "out" / "fit.json"), str(fitted / "note.wav")]) == 0
+    assert "the velocity is not found" not in capsys.readouterr().out
+    fast = str(fitted / "fast.wav")  # beyond the fastest hammer that is tried
+    assert main(["simulate", "--preset", "bensa-final", "--velocity", "20", "--out", fast]) == 0
+    assert main(["predict", str(fitted / "out" / "fit.json"), fast]) == 0
+    assert "an end of the range searched: the velocity is not found" in capsys.readouterr().out
 
 
 def test_the_same_seed_gives_the_same_fit(fitted, run):

@@ -14,10 +14,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from instrument_cases import ERRORS, library, true_instrument, true_voice
 
+from pianofit.analysis import midi_to_note
 from pianofit.cli import main
 from pianofit.errors import OutputError, ParameterError
 from pianofit.keyboard import build_instrument, find_fits, load_instrument, load_keys
-from pianofit.keyboard.gather import note_name
 from pianofit.keyboard.velocity import hammer_velocity
 from pianofit.model.modes import mode_frequencies
 from pianofit.play import export_sfz, parse_keys
@@ -79,7 +79,7 @@ def test_a_player_plays_what_render_does(piano, player, tmp_path):
         for layer in layers_of(2):
             out = tmp_path / f"{midi}-{layer.low}.wav"
             v = hammer_velocity(layer.middle, document["at_64"], document["rise"])
-            fit = piano / "keys" / f"twin-{note_name(midi).replace('#', 's')}" / "fit.json"
+            fit = piano / "keys" / f"twin-{midi_to_note(midi).replace('#', 's')}" / "fit.json"
             assert main(["render", str(fit), "--velocity", repr(v), "--out", str(out), "--seconds", "1.5",
                          "--rate", str(RATE)]) == 0  # fmt: skip
             rendered, _ = soundfile.read(out)

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from instrument_cases import law_errors, record_key
 
+from pianofit.analysis import midi_to_note
 from pianofit.fitting import fit
 from pianofit.keyboard import build_instrument, find_fits, load_keys
-from pianofit.keyboard.gather import note_name
 
 RECORDED = (29, 36, 43, 50, 57, 64, 71, 79)
 BETWEEN = list(range(RECORDED[0], RECORDED[-1] + 1))
@@ -24,8 +24,8 @@ def fit_library(folder: Path) -> dict[str, Any]:
     """Record and fit every key, and put them together."""
     random = np.random.default_rng(1)
     for midi in RECORDED:
-        out = folder / "keys" / f"twin-{note_name(midi).replace('#', 's')}"
-        fit(*record_key(folder, midi, random), note=note_name(midi)).save(out, page=False)
+        out = folder / "keys" / f"twin-{midi_to_note(midi).replace('#', 's')}"
+        fit(*record_key(folder, midi, random), note=midi_to_note(midi)).save(out, page=False)
     return build_instrument(load_keys(find_fits([folder])), "twin")
 
 

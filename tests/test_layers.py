@@ -20,14 +20,14 @@ FILES = sorted(SOURCE.rglob("*.py"))
 USES = {
     "threads": "",
     "errors": "",
-    "io": "",
     "parameters": "",
+    "io": "",
     "progress": "",
+    "published": "parameters",
+    "model": "parameters",
     "tables": "io",
     "recording": "io",
-    "published": "parameters",
     "setup": "io parameters",
-    "model": "parameters",
     "analysis": "recording tables",
     "criterion": "analysis",
     "voice": "criterion model parameters recording",
@@ -41,8 +41,8 @@ USES = {
     "play": "analysis io keyboard model parameters recording render threads voice",
     "workflow": "analysis fitting inference io model recording render setup voice",
     "batch": "analysis fitting io model parameters recording",
-    "cli": "analysis batch fitting inference io keyboard model paper parameters play"
-    " progress published recording render setup workflow",
+    "cli": "analysis batch fitting inference io keyboard model paper parameters play progress"
+    " published recording render report setup workflow",
     "__main__": "cli",
 }
 WITH_JAX = ("model", "inference", "paper", "render", "predict")

@@ -92,7 +92,7 @@ def test_leaving_a_take_out_leaves_out_its_stroke(monkeypatch):
     assert middle["predicted_db"] == found["median_inner_db"] < 0.5 * middle["nearest_db"]
     # The other microphone heard nothing else: its path is unknown, and so is what its levels would be.
     assert [lone[n] for n in ("predicted_v_H0", "predicted_db", "partials", "nearest_db", "blend_db")] == [None] * 5
-    said = "1-room.wav is not predicted: no other strike was heard through its path, which is therefore unknown."
+    said = "1-room.wav is not predicted: no other stroke was recorded through its path, which is therefore unknown."
     assert found["messages"] == [said]
     assert said in (printed := cross_validation(found))
     assert "  -        -      -  (beyond the others)" in printed
@@ -116,5 +116,5 @@ def test_too_few_strokes_to_leave_one_out(monkeypatch):
     rows = [path_fit(MICROPHONES).document["takes"][i] for i in (1, 2, 3)]
     whole = replace(path_fit(MICROPHONES), document=path_fit(MICROPHONES).document | {"takes": rows})
     monkeypatch.setattr("pianofit.inference.predict.fit_takes", lambda *_, **__: whole)
-    with pytest.raises(FitError, match="3 takes of 2 strikes are too few to leave one strike out"):
+    with pytest.raises(FitError, match="3 recordings of 2 strokes are too few to leave one stroke out"):
         cross_validate(recordings, analyses, strokes_of(MICROPHONES))

@@ -257,6 +257,36 @@ def test_simulate_holds_at_the_edges(name):
     assert 0 < done.contact_time < 1.0
 
 
+def test_a_hammer_that_comes_back_touches_again():
+    """Contacts are told apart by the felt being free of the string, however weak the later ones are."""
+    done = model.simulate(STRING, HARD, GEOMETRY, rate=44_100.0)
+    first, *later = done.contacts
+    force, time = np.asarray(done.pulse.force), float(done.modes.step) * np.arange(len(done.pulse.force))
+    assert later
+    assert (first.start, first.stop) == (pytest.approx(time[1]), done.contact_time)
+    assert done.last_touch == later[-1].stop > later[-1].start >= done.contact_time
+    # Each is pressed from its start to its end, nothing acts between them, and together they are the whole impulse.
+    within = sum(((time >= c.start) & (time < c.stop)).astype(int) for c in done.contacts)
+    assert set(within[force > 0]) == {1}
+    assert max(c.force for c in done.contacts) == force.max()
+    assert all(c.force == force[(time >= c.start) & (time < c.stop)].max() for c in done.contacts)
+    free = (time >= done.contact_time) & (time < later[0].start)
+    assert (force[free] == 0).all()
+    assert (np.asarray(done.pulse.compression)[free] <= 0).any()
+
+
+def test_a_loss_that_takes_all_force_for_a_moment_ends_no_contact():
+    done = model.simulate(STRING, HAMMER, GEOMETRY, rate=44_100.0)
+    force, u = np.zeros(12), np.array([0.0, 1, 2, 2, 1, 1, 0.5, -1, -1, 0.1, -1, -1])
+    force[[1, 2, 4, 9]] = 3.0, 5.0, 1.0, 0.2
+    made = done._replace(pulse=done.pulse._replace(force=force, compression=u))
+    step = float(done.modes.step)
+    assert [(round(c.start / step), round(c.stop / step), c.force) for c in made.contacts] == [
+        (1, 5, 5.0),
+        (9, 10, 0.2),
+    ]
+
+
 def test_simulate_says_when_a_contact_does_not_end(monkeypatch):
     simulate = importlib.import_module("pianofit.model.simulate")
     monkeypatch.setattr(simulate, "MOST_STEPS", simulate.FIRST_STEPS)

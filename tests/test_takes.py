@@ -112,7 +112,7 @@ def test_cross_validation_beats_the_nearest_layer():
 @pytest.mark.parametrize("number", [1, 2])
 def test_too_few_recordings_to_leave_one_out(number):
     recordings, analyses = through(SEVERAL)
-    with pytest.raises(FitError, match=f"{number} takes are too few"):
+    with pytest.raises(FitError, match=f"{number} recordings are too few"):
         cross_validate(recordings[:number], analyses[:number], Setup())
 
 

@@ -12,6 +12,7 @@ __all__ = [
     "AnalysisError",
     "FitError",
     "OutputError",
+    "WrongNoteError",
 ]
 
 
@@ -33,6 +34,10 @@ class ParameterError(PianofitError, ValueError):
 
 class AnalysisError(PianofitError):
     """A recording in which the note, or enough of its partials, cannot be found."""
+
+
+class WrongNoteError(AnalysisError):
+    """A recording in which the note that was asked for is not, or no note is."""
 
 
 class FitError(PianofitError):

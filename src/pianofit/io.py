@@ -20,8 +20,9 @@ from .errors import FitError, OutputError, PianofitError
 
 __all__ = [
     "FIT_SCHEMA",
-    "LARGEST", "check_target", "encode_pcm24", "encode_wav", "finite", "interrupted_by", "json_text", "load_json",
-    "one_line", "output_folder", "read_file", "replace_file", "shown", "table_of", "write_file",
+    "LARGEST", "check_sound_target", "check_target", "encode_pcm24", "encode_wav", "finite", "interrupted_by",
+    "json_text", "load_json", "one_line", "output_folder", "read_file", "replace_file", "shown", "table_of",
+    "write_file",
 ]  # fmt: skip
 
 # Larger numbers overflow when they are squared.
@@ -191,6 +192,19 @@ def check_target(path: Path, force: bool) -> None:
         raise OutputError(
             f"{one_line(path)}: there is no folder {one_line(path.parent)}; make it, or give another --out"
         )
+
+
+def check_sound_target(path: Path, force: bool) -> None:
+    """`check_target` of a sound.
+
+    Raises
+    ------
+    OutputError
+        Also if its name does not end in .wav.
+    """
+    if path.suffix.lower() != ".wav":
+        raise OutputError(f"{one_line(path)}: sounds are written as WAV files; give --out a name that ends in .wav")
+    check_target(path, force)
 
 
 def write_file(path: Path, content: bytes, force: bool) -> None:

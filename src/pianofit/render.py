@@ -88,7 +88,7 @@ def _voice_of(document: dict[str, Any], name: str) -> tuple[Voice, int]:
     takes = document.get("takes")
     if not (isinstance(takes, list) and takes and isinstance(takes[0], dict)):
         raise FitError(f"{name}: takes is empty; {WAY_OUT}")
-    # v_H0 is the first take's, which need not be the first that was given.
+    # v_H0 is the reference recording's, which need not be the first that was given.
     at = next((i for i, take in enumerate(takes) if isinstance(take, dict) and take.get("first") is True), 0)
     gain, rate = (finite(takes[at].get(key), f"{name}: takes[{at}].{key}", WAY_OUT) for key in ("gain", "rate"))
     if not RATES[0] <= rate <= RATES[1]:

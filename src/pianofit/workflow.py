@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .io import encode_wav, json_text, replace_file, write_file
+from .errors import AnalysisError, FitError, WrongNoteError
+from .io import encode_wav, json_text, one_line, replace_file, write_file
 
 if TYPE_CHECKING:
+    from .recording import Recording
     from .setup import Setup
+    from .voice import Voice
 
 __all__ = ["cross_validate_files", "predict_file"]
 
@@ -34,7 +38,10 @@ def predict_file(fit: Path, file: Path, out: Path | None, *, channel: str = "ave
     from .voice import strike_voice, touched
 
     keep_programs()
-    analysis = analyse(recording, f0=voice.string.c / (2 * voice.geometry.length))
+    try:
+        analysis = analyse(recording, f0=voice.string.c / (2 * voice.geometry.length))
+    except WrongNoteError:
+        raise FitError(_other_key(recording, voice, fit)) from None
     found = predict_take(mixture, analysis)
     if out is not None:
         strike = strike_voice(found.voice, recording.rate)
@@ -43,8 +50,24 @@ def predict_file(fit: Path, file: Path, out: Path | None, *, channel: str = "ave
         write_file(out, encode_wav(samples, recording.rate), force)
     return {
         "file": recording.path, "sha256": recording.sha256, "predicted_db": found.error_db,
-        "partials": found.partials, "v_H0": found.velocity, "gain_db": found.gain_db, "cents": found.cents,
+        "partials": found.partials, "v_H0": found.velocity, "v_H0_at_end": found.at_end,
+        "gain_db": found.gain_db, "cents": found.cents,
     }  # fmt: skip
+
+
+def _other_key(recording: Recording, voice: Voice, fit: Path) -> str:
+    """Says that a recording is not of the key that was fitted, and what it sounds like."""
+    from .analysis import analyse, hz_to_note
+
+    f0 = voice.string.c / (2 * voice.geometry.length)
+    like = ""
+    with contextlib.suppress(AnalysisError):
+        found = analyse(recording).f0
+        like = f" and sounds like {hz_to_note(found)} ({found:.1f} Hz)"
+    return (
+        f"{recording.path}: is not of the key of {one_line(fit)}, {hz_to_note(f0)} ({f0:.1f} Hz),{like}; give a "
+        "recording of the same key"
+    ).replace(",;", ";")
 
 
 def cross_validate_files(

@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..errors import AnalysisError
+from ..errors import AnalysisError, WrongNoteError
 from .demodulate import demodulate
 from .fits import first_fits, lost
 from .glide import falls, glide_windows, straightened
 from .inharmonicity import CENTS, DecayLaw, FrequencyLaw, bend, decay_law, frequency_law
 from .level import bounds
-from .notes import hz_to_note
+from .notes import hz_to_note, midi_to_note, note_to_midi
 from .partials import LEAST_SNR, Measured, measure, systematic
 from .pitch import find_pitch, track
 from .result import Analysis, Partials
@@ -49,7 +49,7 @@ def analyse(recording: Recording, *, note: str | None = None, f0: float | None =
     Raises
     ------
     AnalysisError
-        When the recording is too short, or the note, or enough of its partials, is not there.
+        When the recording is too short, or enough of its partials are not there; a WrongNoteError when the note is not.
     """
     rate = recording.rate
     samples = np.asarray(recording.samples, float)[recording.onset :][: int(_LONGEST * rate)]
@@ -63,7 +63,7 @@ def analyse(recording: Recording, *, note: str | None = None, f0: float | None =
     try:
         rough_f0, rough_B = find_pitch(spectrum(samples, rate, 0.5), top=top, note=note, f0=f0)
     except AnalysisError as error:
-        raise AnalysisError(f"{recording.path}: {error}") from None
+        raise type(error)(f"{recording.path}: {error}") from None
     if seconds * rough_f0 < 10:
         raise AnalysisError(
             f"{recording.path}: {seconds:.2f} s after the onset is too short for a note of {rough_f0:.1f} Hz; "
@@ -78,11 +78,11 @@ def analyse(recording: Recording, *, note: str | None = None, f0: float | None =
 def _refuse(path: str, number: np.ndarray, law: FrequencyLaw, note: str | None, f0: float | None) -> None:
     """Raise when there are no partials, or only every second or third of a pitch that was asked for."""
     if len(number) == 0:
-        raise AnalysisError(f"{path}: no partial of {law.f0:.1f} Hz stands out of the noise; check the note (--note)")
+        raise WrongNoteError(f"{path}: no partial of {law.f0:.1f} Hz stands out of the noise; check the note (--note)")
     for multiple in (2, 3):
         if (note is not None or f0 is not None) and len(number) >= 4 and np.mean(number % multiple == 0) > 0.9:
             found = multiple * law.f0
-            raise AnalysisError(
+            raise WrongNoteError(
                 f"{path}: only every partial number {multiple} of {note or f0} is there, so it sounds like "
                 f"{hz_to_note(found)} ({found:.1f} Hz); give that note (--note) or the frequency (--f0)"
             )
@@ -127,7 +127,8 @@ def _measure_all(
     return Analysis(
         fine.f0, fine.f0_error, fine.B, fine.B_error,
         losses.b1, losses.b1_error, losses.d2, losses.d2_error,
-        table, fine.scatter, losses.scatter, float(fall), glide, density[keep], note,
+        table, fine.scatter, losses.scatter, float(fall), glide, density[keep],
+        None if note is None else midi_to_note(note_to_midi(note)),
         _warnings(table, losses, float(fall) if glides else 0.0), left, above,
     )  # fmt: skip
 

@@ -7,25 +7,33 @@ import re
 
 from ..errors import AnalysisError
 
-__all__ = ["hz_to_note", "note_to_hz", "note_to_midi"]
+__all__ = ["hz_to_note", "midi_to_note", "note_to_hz", "note_to_midi"]
 
+HIGHEST_MIDI = 127  # of the MIDI standard
 _STEPS = {"C": 0, "D": 2, "E": 4, "F": 5, "G": 7, "A": 9, "B": 11}
 _NAMES = ("C", "C#", "D", "D#", "E", "F", "F#", "G", "G#", "A", "A#", "B")
-_NOTE = re.compile(r"([A-Ga-g])(##|#|♯|bb|b|♭|)(-1|\d)")
-_SHIFT = {"": 0, "#": 1, "♯": 1, "##": 2, "b": -1, "♭": -1, "bb": -2}
+_NOTE = re.compile(r"([A-Ga-g])(##|#|♯|s|bb|b|♭|)(-1|\d)")
+_NUMBER = re.compile(r"\d{1,3}", re.ASCII)
+_SHIFT = {"": 0, "#": 1, "♯": 1, "s": 1, "##": 2, "b": -1, "♭": -1, "bb": -2}
 
 
 def note_to_midi(name: str) -> int:
-    """MIDI number of a note such as "F#2", "Bb3" or "C4" (middle C is C4 = 60).
+    """MIDI number of a note such as "F#2", "Fs2", "Bb3" or "C4" (middle C is C4 = 60), or of the number itself, "42".
 
     Raises
     ------
     AnalysisError
         When `name` is no note.
     """
-    match = _NOTE.fullmatch(name.strip()) if isinstance(name, str) else None
+    text = name.strip() if isinstance(name, str) else ""
+    if _NUMBER.fullmatch(text) and int(text) <= HIGHEST_MIDI:
+        return int(text)
+    match = _NOTE.fullmatch(text)
     if match is None:
-        raise AnalysisError(f"note {name!r} is not a note name; write a letter, # or b, and an octave, such as F#2")
+        raise AnalysisError(
+            f"note {name!r} is not a note name; write a letter, # or b, and an octave, such as F#2, or a MIDI number "
+            f"from 0 to {HIGHEST_MIDI}"
+        )
     letter, shift, octave = match.groups()
     return 12 * (int(octave) + 1) + _STEPS[letter.upper()] + _SHIFT[shift]
 
@@ -37,5 +45,9 @@ def note_to_hz(name: str) -> float:
 
 def hz_to_note(frequency: float) -> str:
     """Name of the note nearest to `frequency` (Hz)."""
-    midi = round(69 + 12 * math.log2(frequency / 440.0))
+    return midi_to_note(round(69 + 12 * math.log2(frequency / 440.0)))
+
+
+def midi_to_note(midi: int) -> str:
+    """Name of a MIDI number: "F#2" for 42."""
     return f"{_NAMES[midi % 12]}{midi // 12 - 1}"

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..errors import AnalysisError
+from ..errors import AnalysisError, WrongNoteError
 from .inharmonicity import CENTS, FrequencyLaw, bend, frequency_law
 from .notes import hz_to_note, note_to_hz
 from .spectrum import Spectrum
@@ -119,17 +119,17 @@ def find_pitch(spec: Spectrum, *, top: float, note: str | None, f0: float | None
     free = _best(spec, LOWEST, HIGHEST, top)
     if wanted is None:
         if free[0] < 0.08:
-            raise AnalysisError("no pitch found in the recording; give the note (--note) or the frequency (--f0)")
+            raise WrongNoteError("no pitch found in the recording; give the note (--note) or the frequency (--f0)")
         return free[1], free[2]
     near = _best(spec, wanted * 2 ** (-1 / 12), wanted * 2 ** (1 / 12), top)
     away = abs(np.log2(free[1] / near[1]))
     name = f"note {note}" if f0 is None else f"f0={f0:g} Hz"
     if near[0] < 0.05 and away <= 1 / 24:
-        raise AnalysisError(
+        raise WrongNoteError(
             f"{name}: its partials hardly stand above the noise; give a cleaner recording, or leave it out"
         )
     if near[0] < 0.05 or (away > 1 / 24 and free[0] > _RIVAL * near[0]):
-        raise AnalysisError(
+        raise WrongNoteError(
             f"{name} is not in the recording, which sounds like {hz_to_note(free[1])} ({free[1]:.1f} Hz); "
             f"give that note (--note) or the frequency (--f0)"
         )

@@ -4,24 +4,37 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from .inharmonicity import CENTS, law_frequency
-from .result import Analysis
+from .result import Analysis, Partials
 
-__all__ = ["COLUMNS", "as_dict", "rows"]
+__all__ = ["COLUMNS", "Column", "as_dict", "rows"]
 
-# heading, unit, digits after the point
+
+class Column(NamedTuple):
+    """One column of the printed table."""
+
+    name: str
+    unit: str
+    digits: int  # after the point; of a value with a standard error as many as that supports
+    width: int  # characters
+    error: bool = False  # whether it is the standard error of the column before it
+
+
 COLUMNS = (
-    ("k", "", 0),
-    ("frequency", "Hz", 3),
-    ("from law", "cents", 2),
-    ("decay", "1/s", 3),
-    ("level", "dB", 2),
-    ("SNR", "dB", 1),
-    ("beating", "dB", 2),
+    Column("k", "", 0, 4),
+    Column("frequency", "Hz", 3, 14),
+    Column("±", "Hz", 3, 9, error=True),
+    Column("from law", "cents", 2, 15),
+    Column("decay", "1/s", 3, 11),
+    Column("±", "1/s", 3, 8, error=True),
+    Column("level", "dB", 2, 10),
+    Column("±", "dB", 2, 7, error=True),
+    Column("SNR", "dB", 1, 8),
+    Column("beating", "dB", 2, 12),
 )
 
 
@@ -50,8 +63,15 @@ def _plain(value: Any) -> Any:
 
 
 def rows(analysis: Analysis) -> list[tuple[float, ...]]:
-    """One tuple per partial, in the order of `COLUMNS`."""
+    """One tuple per partial, in the order of `COLUMNS`; a standard error is of noise and systematic errors together."""
     table = analysis.partials
     cents = CENTS * np.log(table.frequency / law_frequency(analysis.f0, analysis.B, table.number))
-    columns = (table.number, table.frequency, cents, table.decay, table.level, table.snr, table.beating)
+    columns = (
+        table.number, table.frequency, _error(table, "frequency"), cents, table.decay, _error(table, "decay"),
+        table.level, _error(table, "level"), table.snr, table.beating,
+    )  # fmt: skip
     return [tuple(float(x) for x in row) for row in zip(*columns, strict=True)]
+
+
+def _error(table: Partials, name: str) -> np.ndarray:
+    return np.hypot(getattr(table, f"{name}_error"), np.sqrt(np.diag(getattr(table, f"{name}_systematic"))))

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-from ..analysis.notes import hz_to_note, note_to_midi
+from ..analysis.notes import midi_to_note, note_to_midi
 from ..errors import AnalysisError, SetupError
 from ..io import one_line, read_file
 from ..parameters import PARAMETERS
@@ -30,7 +30,6 @@ MAX_BYTES = 2**24
 MAX_ROWS = 100_000
 MAX_TAKES = 64  # of one key: memory of a joint fit grows with them
 TOLD = 5  # problems spelt out in one message
-_SHARP = re.compile(r"([A-Ga-g])s(-1|\d)")  # file names write F#2 as Fs2
 _FIELDS = {
     "note": r"[A-Ga-g](?:##|#|♯|bb|b|♭|s)?(?:-1|\d)|\d{1,3}",
     "velocity": r"\d+(?:\.\d+)?",
@@ -58,7 +57,7 @@ class Sample(NamedTuple):
     layer: str
     velocity: float | None  # m/s, measured
     group: str  # recordings of a group share one path, such as a microphone
-    strike: str = ""  # recordings of a strike are one blow, heard by several microphones
+    strike: str = ""  # recordings of one hammer stroke, by several microphones
 
 
 @dataclass(frozen=True)
@@ -226,14 +225,14 @@ def _keys(name: str, rows: list[Row], base: Path, root: Path, transpose: int) ->
     fence = root.resolve()
     for row in rows:
         try:
-            sample, midi = _sample(row, base, fence), _midi(row.note) + transpose
+            sample, midi = _sample(row, base, fence), note_to_midi(row.note) + transpose
             if not 0 <= midi <= 127:
                 raise SetupError(f"note {one_line(row.note)!r} is MIDI {midi} with --transpose {transpose}, "
                                  "must be 0 to 127")  # fmt: skip
             if sample.file in seen:
                 raise SetupError(f"{one_line(row.file)} is also {seen[sample.file]}; list it once")
             seen[sample.file] = row.where
-            folder = _folder_name(row.instrument, _note(midi))
+            folder = _folder_name(row.instrument, midi_to_note(midi))
             instrument, _, samples = keys.setdefault(folder.casefold(), (row.instrument, midi, []))
             if instrument != row.instrument:
                 raise SetupError(f"instruments {one_line(instrument)!r} and {one_line(row.instrument)!r} would share "
@@ -244,7 +243,7 @@ def _keys(name: str, rows: list[Row], base: Path, root: Path, transpose: int) ->
             told = next((s.velocity for s in samples if s.layer == row.layer and s.velocity is not None), None)
             if row.layer and None not in (told, sample.velocity) and told != sample.velocity:
                 raise SetupError(f"{folder} {one_line(row.layer)!r} has velocity {sample.velocity:g} and {told:g}; "
-                                 "one blow has one: correct it, or give each its own layer or take")  # fmt: skip
+                                 "one stroke has one: correct it, or give each its own layer or take")  # fmt: skip
             samples.append(sample)
         except (SetupError, AnalysisError) as problem:
             problems.append(f"{row.where}: {problem}")
@@ -257,13 +256,18 @@ def _keys(name: str, rows: list[Row], base: Path, root: Path, transpose: int) ->
         raise SetupError(f"{name}: lists no recording; add rows")
     ordered = sorted(keys.values(), key=lambda k: (k[0].casefold(), k[1]))
     return [
-        Key(_folder_name(i, _note(m)), i, _note(m), tuple(sorted(_with_strikes(s), key=lambda x: x.file.as_posix())))
+        Key(
+            _folder_name(i, midi_to_note(m)),
+            i,
+            midi_to_note(m),
+            tuple(sorted(_with_strikes(s), key=lambda x: x.file.as_posix())),
+        )
         for i, m, s in ordered
     ]
 
 
 def _with_strikes(samples: list[Sample]) -> list[Sample]:
-    """Samples of a key; those of one layer are one strike, which the groups tell apart."""
+    """Samples of a key; those of one layer are one stroke, which the groups tell apart."""
     layers = [s.layer for s in samples if s.layer]
     return [s._replace(strike=s.layer if layers.count(s.layer) > 1 else "") for s in samples]
 
@@ -272,17 +276,6 @@ def _listed(problems: Iterable[str]) -> str:
     problems = list(problems)
     more = f"; and {len(problems) - TOLD} more" if len(problems) > TOLD else ""
     return "; ".join(problems[:TOLD]) + more
-
-
-def _midi(text: str) -> int:
-    """MIDI number of a note's name, "F#2" or "Fs2", or of the number itself."""
-    if re.fullmatch(r"\d{1,3}", text, re.ASCII) and int(text) < 128:
-        return int(text)
-    return note_to_midi(_SHARP.sub(r"\1#\2", text) if _SHARP.fullmatch(text) else text)
-
-
-def _note(midi: int) -> str:
-    return hz_to_note(440.0 * 2.0 ** ((midi - 69) / 12))
 
 
 def _folder_name(instrument: str, note: str) -> str:

@@ -3,7 +3,7 @@
 Of the format only what says which sample belongs to which key is read: headers with their inheritance, `sample`,
 `default_path`, `key`, `pitch_keycenter`, `lovel`, `hivel`, `#include` and `#define`. A sample is of the key it was
 recorded at, `pitch_keycenter`, however far the regions stretch it. What sounds when a key is let go, or with the pedal
-down, is no strike of a damped keyboard's string and is left out, and counted.
+down, is no stroke of a damped keyboard's string and is left out, and counted.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def sfz_rows(source: Path, root: Path) -> tuple[list[Row], list[str]]:
         file = (region.get("default_path", "") + sample).replace("\\", "/")
         row = Row(f"region {number}", file, note, layer=f"v{low:03d}-{high:03d} {Path(file).stem}")
         held = rows.setdefault((file, note), row)
-        rows[file, note] = min(held, row, key=lambda r: r.layer)  # the same sample in several regions is one take
+        rows[file, note] = min(held, row, key=lambda r: r.layer)  # the same sample in several regions is one recording
     if not rows:
         raise SetupError(f"{name}: has no region with a sample that sounds when a key is struck; give another SFZ file")
     remarks = [f"{left_out} regions without a sample, on release, or with the pedal down"] if left_out else []

@@ -182,7 +182,7 @@ def fit_unit(unit: Unit, contents: Sequence[bytes] | None = None, scratch: str |
     except OSError as error:
         found = Outcome({}, f"{socket.gethostname()}: {error}", stop=error.errno in NO_ROOM)
     except MemoryError:
-        found = Outcome({}, "not enough memory; give fewer takes, shorter ones, or --memory more")
+        found = Outcome({}, "not enough memory; give fewer recordings, shorter ones, or --memory more")
     except Exception as error:
         reason = one_line(f"the program failed with {type(error).__name__}: {error}")[:300]
         found = Outcome({}, reason, detail=traceback.format_exc())

@@ -18,14 +18,14 @@ import typer
 
 from ..errors import ParameterError, PianofitError, SetupError
 from .options import Channel, Json, Seed, number, whole
-from .terminal import plainly
+from .terminal import add
 
 if TYPE_CHECKING:
     from ..batch import Progress, Settings, Unit
 
 __all__ = ["register"]
 
-TOLD = 20  # failures spelt out where a person reads
+LISTED = 20  # failures spelt out where a person reads
 
 
 def _one_of(*words: str) -> Callable[[str], str]:
@@ -45,7 +45,9 @@ Manifest = Annotated[
         "or a folder of recordings.",
     ),
 ]
-Out = Annotated[Path, typer.Option(help="The folder of the batch: keys/KEY/ for every key, and the ledger.")]
+Out = Annotated[
+    Path, typer.Option(metavar="DIR", help="The folder of the batch: keys/KEY/ for every key, and the ledger.")
+]
 Pattern = Annotated[
     str | None,
     typer.Option(
@@ -56,13 +58,20 @@ Pattern = Annotated[
 ]
 Root = Annotated[
     Path | None,
-    typer.Option(help="The folder that all recordings must lie in, links followed; the manifest's own if not given."),
+    typer.Option(
+        metavar="DIR",
+        help="The folder that all recordings must lie in, links followed; if not given, the manifest's own.",
+    ),
 ]
 Transpose = Annotated[
     int, typer.Option(parser=whole, metavar="N", help="Semitones added to every note name, such as 12 or -12.")
 ]
-Common = Annotated[Path | None, typer.Option(help="What is known of all keys, a setup.toml without [[take]].")]
-Processes = Annotated[int | None, typer.Option(parser=whole, metavar="N", help="Processes; one a core if not given.")]
+Common = Annotated[
+    Path | None, typer.Option(metavar="SETUP.TOML", help="What is known of all keys; without a list of recordings.")
+]
+Processes = Annotated[
+    int | None, typer.Option(parser=whole, metavar="N", help="How many processes; one a core if not given.")
+]
 Memory = Annotated[float, typer.Option(parser=number, metavar="GIB", help="Memory that each process may take (Linux).")]
 Limit = Annotated[float, typer.Option(parser=number, metavar="S", help="Seconds that a key may take in a process.")]
 Scheduler = Annotated[
@@ -82,8 +91,9 @@ Retry = Annotated[
 
 def register(app: typer.Typer) -> None:
     """Add the commands to `app`."""
-    for command in (batch, status):
-        app.command()(plainly(command, "what is finished is kept, and the same command goes on"))
+    go_on = "what is finished is kept, and the same command goes on"
+    add(app, batch, "pianofit batch library.csv --out library", go_on)
+    add(app, status, "pianofit status library", go_on)
 
 
 @contextlib.contextmanager
@@ -188,7 +198,7 @@ def _settings(setup: Path | None, channel: str, seed: int, page: bool) -> Settin
 
 
 def _units(manifest: Path, keys: list, settings: Settings) -> list[Unit]:
-    """All keys with their recordings read and hashed; what is wrong with any is told before anything starts."""
+    """All keys with their recordings read and hashed; what is wrong with any is said before anything starts."""
     import tomllib
 
     from ..batch import make_unit
@@ -279,16 +289,16 @@ def _summary(found: dict[str, Any]) -> str:
         lines.append(f"median {found['median_seconds']:.1f} s a key, at most {found['largest_memory'] / 2**30:.2f} GiB "
                      "a process")  # fmt: skip
     bad = [k for k in found["keys"] if k["state"] == "failed"]
-    for key in bad[:TOLD]:
+    for key in bad[:LISTED]:
         told = not key["sounds_like"] or key["sounds_like"] in key["reason"]
         like = "" if told else f"; it sounds like {key['sounds_like']}"
         lines.append(f"failed: {key['key']}: {one_line(key['reason'])}{like}")
-    if len(bad) > TOLD:
-        lines.append(f"and {len(bad) - TOLD} more failed; --json lists all")
+    if len(bad) > LISTED:
+        lines.append(f"and {len(bad) - LISTED} more failed; --json lists all")
     for key in found["keys"]:
-        lines += [f"left out: {key['key']}: {one_line(x['reason'])}" for x in key["left_out"][:TOLD]]
-    lines += found["suggestions"][:TOLD]
+        lines += [f"left out: {key['key']}: {one_line(x['reason'])}" for x in key["left_out"][:LISTED]]
+    lines += found["suggestions"][:LISTED]
     if found.get("strangers"):
-        lines.append(f"also in keys/, of an earlier run: {', '.join(found['strangers'][:TOLD])}")
+        lines.append(f"also in keys/, of an earlier run: {', '.join(found['strangers'][:LISTED])}")
     lines.append(f"{found['folder']}: keys/KEY/fit.json for every key that is done")
     return "\n".join(lines) + "\n"

@@ -10,72 +10,80 @@ from typing import Annotated, Any
 import typer
 
 from ..progress import progress_bar
-from .options import Force, Json, number, whole
-from .terminal import plainly
+from .options import Force, Json, Sound, number, whole
+from .terminal import add
 
 __all__ = ["register"]
 
-Built = Annotated[Path, typer.Argument(metavar="INSTRUMENT", help="The instrument.json of pianofit instrument.")]
+Built = Annotated[Path, typer.Argument(metavar="INSTRUMENT.JSON", help="The instrument.json of pianofit instrument.")]
 At = Annotated[int, typer.Option("--rate", parser=whole, metavar="HZ", help="Sample rate in Hz.")]
 
 
 def register(app: typer.Typer) -> None:
     """Add the commands to `app`."""
+    add(app, instrument, "pianofit instrument library --prefix cp80 --out cp80")
+    add(app, play, "pianofit play cp80/instrument.json song.mid --out song.wav")
+    add(app, export, "pianofit export cp80/instrument.json --keys 'every 3' --layers 4 --out sampler")
 
-    @app.command()
-    @plainly
-    def instrument(
-        fits: Annotated[
-            list[Path], typer.Argument(metavar="DIR|FIT.JSON...", help="What pianofit batch wrote, or single fits.")
-        ],
-        out: Annotated[Path, typer.Option(help="The folder for instrument.json and instrument.html.")],
-        prefix: Annotated[
-            str | None, typer.Option(help="Which instrument, if DIR holds several, such as cp80.")
-        ] = None,
-        name: Annotated[str | None, typer.Option(help="What it is called; else the prefix, or the folder.")] = None,
-        page: Annotated[bool, typer.Option(help="Write instrument.html.")] = True,
-        force: Force = False,
-        as_json: Json = False,
-    ) -> None:
-        """Put the fits of single keys together: one instrument, every key of it, by smooth laws over the keyboard."""
-        _instrument(fits, out, prefix, name, page, force, as_json)
 
-    @app.command()
-    @plainly
-    def play(
-        built: Built,
-        song: Annotated[Path, typer.Argument(metavar="SONG.MID", help="A standard MIDI file.")],
-        out: Annotated[Path, typer.Option(help="The WAV file to write, 24 bit.")],
-        rate: At = 48_000,
-        force: Force = False,
-        as_json: Json = False,
-    ) -> None:
-        """Play a MIDI file on a fitted instrument."""
-        with progress_bar() as bar:
-            done = _play(built, song, out, rate, force, bar)
-        typer.echo(_json(done) if as_json else _played(out, done), nl=False)
+def instrument(
+    fits: Annotated[
+        list[Path], typer.Argument(metavar="DIR|FIT.JSON...", help="What pianofit batch wrote, or single fits.")
+    ],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="The folder for instrument.json and instrument.html.")],
+    prefix: Annotated[
+        str | None, typer.Option(metavar="PREFIX", help="Which instrument, if DIR holds several, such as cp80.")
+    ] = None,
+    name: Annotated[
+        str | None, typer.Option(metavar="NAME", help="What it is called; else the prefix, or the folder.")
+    ] = None,
+    page: Annotated[bool, typer.Option(help="Write instrument.html.")] = True,
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Put the fits of single keys together: one instrument, every key of it, by smooth laws over the keyboard."""
+    _instrument(fits, out, prefix, name, page, force, as_json)
 
-    @app.command()
-    @plainly
-    def export(
-        built: Built,
-        out: Annotated[Path, typer.Option(help="The folder to write, with the .sfz and its samples.")],
-        to: Annotated[str, typer.Option("--format", help="sfz.")] = "sfz",
-        layers: Annotated[int, typer.Option(parser=whole, metavar="N", help="Velocity layers.")] = 4,
-        keys: Annotated[str, typer.Option(help="A0-C8, or C2,E2,G2, or 'every 3' (semitones).")] = "every 3",
-        samples: Annotated[str, typer.Option(help="flac or wav, 24 bit.")] = "flac",
-        seconds: Annotated[float, typer.Option(parser=number, metavar="S", help="Longest sample.")] = 8.0,
-        rate: At = 48_000,
-        force: Force = False,
-        as_json: Json = False,
-    ) -> None:
-        """Write a sampler instrument that any SFZ player loads."""
-        with progress_bar() as bar:
-            done = _export(built, out, to, layers, keys, samples, seconds, rate, force, bar)
-        typer.echo(
-            _json(done) if as_json else f"{out}: {done['samples']} samples, {done['seconds']:.0f} s, "
-            f"{done['bytes'] / 1e6:.1f} MB, one gain of {done['gain_db']:+.1f} dB for all\n", nl=False,
-        )  # fmt: skip
+
+def play(
+    built: Built,
+    song: Annotated[Path, typer.Argument(metavar="SONG.MID", help="A standard MIDI file.")],
+    out: Sound,
+    rate: At = 48_000,
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Play a MIDI file on a fitted instrument."""
+    with progress_bar() as bar:
+        done = _play(built, song, out, rate, force, bar)
+    typer.echo(_json(done) if as_json else _played(out, done), nl=False)
+
+
+def export(
+    built: Built,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="The folder to write, with the .sfz and its samples.")],
+    to: Annotated[str, typer.Option("--format", metavar="FORMAT", help="The sampler's format: sfz.")] = "sfz",
+    layers: Annotated[int, typer.Option(parser=whole, metavar="N", help="How many velocity layers.")] = 4,
+    keys: Annotated[
+        str, typer.Option(metavar="KEYS", help="Keys to sample: A0-C8, or C2,E2,G2, or 'every 3' (semitones).")
+    ] = "every 3",
+    samples: Annotated[
+        str, typer.Option(metavar="flac|wav", help="Files of the samples, 24 bit: flac or wav.")
+    ] = "flac",
+    seconds: Annotated[
+        float, typer.Option(parser=number, metavar="S", help="Length of the longest sample in seconds.")
+    ] = 8.0,
+    rate: At = 48_000,
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Write a sampler instrument that any SFZ player loads."""
+    with progress_bar() as bar:
+        done = _export(built, out, to, layers, keys, samples, seconds, rate, force, bar)
+    typer.echo(
+        _json(done) if as_json else f"{out}: {done['samples']} samples, {done['seconds']:.0f} s, "
+        f"{done['bytes'] / 1e6:.1f} MB, one gain of {done['gain_db']:+.1f} dB for all\n", nl=False,
+    )  # fmt: skip
 
 
 def _json(document: dict) -> str:
@@ -114,12 +122,12 @@ def _called(fits: list[Path]) -> str:
 
 
 def _play(built: Path, song: Path, out: Path, rate: int, force: bool, progress: Callable) -> dict[str, Any]:
-    from ..io import check_target, encode_pcm24, write_file
+    from ..io import check_sound_target, encode_pcm24, write_file
     from ..keyboard import load_instrument
     from ..model.cache import keep_programs
     from ..play import load_song, perform
 
-    check_target(out, force)
+    check_sound_target(out, force)
     played, notes = load_instrument(built), load_song(song)
     keep_programs()
     start = time.perf_counter()

@@ -7,10 +7,29 @@ from typing import Annotated
 
 import typer
 
+from ..errors import ParameterError
+
 __all__ = [
     "Channel", "Evaluations", "Felt", "File", "Force", "Intervals", "Json", "Known", "Note", "Pitch",
-    "Rate", "Recipe", "Seconds", "Seed", "Takes", "Velocity", "number",
+    "Rate", "Recipe", "Recordings", "Seconds", "Seed", "Sound", "Velocity", "check_common", "number", "whole",
 ]  # fmt: skip
+
+
+def check_common(velocity: float | None, seed: int = 0) -> None:
+    """Refuse a velocity, m/s, or a seed outside its range.
+
+    Raises
+    ------
+    ParameterError
+        Naming the argument, its value and its range.
+    """
+    from ..parameters import PARAMETERS
+
+    box = PARAMETERS["v_H0"]
+    if velocity is not None and not box.lower <= velocity <= box.upper:
+        raise ParameterError(f"velocity={velocity} m/s must be from {box.lower:g} to {box.upper:g}")
+    if seed < 0:
+        raise ParameterError(f"seed={seed} must not be negative")
 
 
 def number(text: str | float) -> float:
@@ -58,41 +77,55 @@ def _felt(text: str) -> str:
 
 
 File = Annotated[Path, typer.Argument(metavar="FILE", help="A recording of one struck note, WAV or FLAC.")]
-Note = Annotated[str | None, typer.Option(help="The note's name, such as F#2; found by itself if not given.")]
+Note = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NOTE",
+        help="The note: F#2, Fs2, Gb2 or its MIDI number, 42; found from the recording if not given.",
+    ),
+]
 Pitch = Annotated[
     float | None,
     typer.Option("--f0", parser=number, metavar="HZ", help="The note's pitch in Hz, instead of its name."),
 ]
-Channel = Annotated[str, typer.Option(help="average, left, right, or a channel's number.")]
-Takes = Annotated[
-    list[Path], typer.Argument(metavar="TAKE...", help="Recordings of one key, WAV or FLAC; any order, soft to loud.")
+Channel = Annotated[
+    str, typer.Option(metavar="CHANNEL", help="Which channel of a file: average, left, right, or a number from 1.")
 ]
-Known = Annotated[Path | None, typer.Option(help="What was known beforehand, a setup.toml.")]
-Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+Recordings = Annotated[
+    list[Path],
+    typer.Argument(metavar="RECORDING...", help="One or more recordings of one key, WAV or FLAC, in any order."),
+]
+Known = Annotated[
+    Path | None,
+    typer.Option(metavar="SETUP.TOML", help="What was known beforehand: lengths, masses, velocities, the pickup."),
+]
+Sound = Annotated[Path, typer.Option(metavar="FILE.WAV", help="The WAV file to write.")]
+Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 Felt = Annotated[
     str | None,
     typer.Option(parser=_felt, metavar="LAW", help="The felt's law: hunt-crossley, power or stulov."),
 ]
-Force = Annotated[bool, typer.Option("--force", help="Replace what is there.")]
+Force = Annotated[bool, typer.Option("--force", help="Replace what --out holds.")]
 Velocity = Annotated[float | None, typer.Option(parser=number, metavar="M/S", help="Hammer velocity in m/s.")]
 Seed = Annotated[
     int,
-    typer.Option(parser=whole, metavar="N", help="Of everything random; the same seed gives the same result."),
+    typer.Option(parser=whole, metavar="N", help="Seed of all random numbers; the same seed gives the same result."),
 ]
 Recipe = Annotated[
     str,
-    typer.Option(parser=_recipe, metavar="NAME", help="default, or, to compare, the paper's own: paper, or global."),
+    typer.Option(parser=_recipe, metavar="NAME", help="default; or, for comparison, the paper's own: paper or global."),
 ]
 Evaluations = Annotated[
     int | None,
-    typer.Option(parser=whole, metavar="N", help="Of the criterion by the recipe paper's annealing."),
+    typer.Option(parser=whole, metavar="N", help="Evaluations of the criterion by the annealing of --recipe paper."),
 ]
 Intervals = Annotated[
     str,
     typer.Option(
-        parser=_intervals, metavar="MEANS",
-        help="laplace, profile (seconds), or posterior, by NUTS (minutes; needs pianofit[bayes]).",
+        parser=_intervals, metavar="METHOD",
+        help="How intervals are found: laplace; profile, which takes some seconds more; or posterior, sampled by NUTS, "
+        "which takes minutes and needs the extra bayes.",
     ),
 ]  # fmt: skip
-Seconds = Annotated[float, typer.Option(parser=number, metavar="S", help="Length of the sound.")]
+Seconds = Annotated[float, typer.Option(parser=number, metavar="S", help="Length of the sound in seconds.")]
 Rate = Annotated[int | None, typer.Option(parser=whole, metavar="HZ", help="Sample rate in Hz.")]

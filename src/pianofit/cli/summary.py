@@ -3,21 +3,28 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-__all__ = ["comparison", "cross_validation", "summary"]
+from ..report.numbers import bracketed
+from ..report.words import again_in_words
+
+if TYPE_CHECKING:
+    from ..model import Simulation
+
+__all__ = ["comparison", "contact", "contact_of", "cross_validation", "summary"]
 
 ONLY = {"low": "below", "high": "above"}
 
 
 def comparison(document: dict, true: dict[str, float]) -> str:
     """True values beside found ones."""
-    lines = [f"{'':8}{'initial':>12}{'true':>12}{'found':>12}{'off by':>10}   95 % interval"]
+    lines = [f"{'':8}{'initial':>12}{'true':>12}{'found':>14}{'off by':>10}   95 % interval"]
     for name, value in true.items():
         p = document["parameters"][name]
-        span = "[{:.5g}, {:.5g}]".format(*p["interval"]) if p["interval"] else "-"
+        found, span = bracketed(p["value"], p["interval"])
         off = 100 * (p["value"] / value - 1)
         note = "" if p["status"] == "fitted" else f"  {p['status']}"
-        lines.append(f"{name:8}{p['initial']:12.5g}{value:12.5g}{p['value']:12.5g}{off:+9.3f} %  {span}{note}")
+        lines.append(f"{name:8}{p['initial']:12.5g}{value:12.5g}{found:>14}{off:+9.3f} %  {span}{note}")
     return "\n".join(lines) + "\n"
 
 
@@ -25,19 +32,19 @@ def summary(document: dict, folder: Path) -> str:
     """What was found, in a screenful."""
     lines = [document["claims"], ""] if document["claims"] else []
     lines += _invariants(document["invariants"])
-    lines.append(f"{'':8}{'value':>12}  {'unit':8}{'95 % interval':26}status")
+    lines.append(f"{'':8}{'value':>14}  {'unit':8}{'95 % interval':28}status")
     for name, p in document["parameters"].items():
-        span = "[{:.5g}, {:.5g}]".format(*p["interval"]) if p["interval"] else "-"
+        value, span = bracketed(p["value"], p["interval"])
         open_at = ", ".join(f"{ONLY[end]}: the box" for end in p["interval_open"])
         status = p["status"] + (f" ({open_at})" if open_at else "")
-        lines.append(f"{name:8}{p['value']:12.5g}  {p['unit']:8}{span:26}{status}")
+        lines.append(f"{name:8}{value:>14}  {p['unit']:8}{span:28}{status}")
     d, levels = document["derived"], document["levels"]
-    lines += ["", f"f0 {d['f0']:.3f} Hz, B {d['B']:.4g}, contact {d['contact_ms']:.2f} ms"]
+    lines += ["", f"f0 {d['f0']:.3f} Hz, B {d['B']:.4g}, {contact(d)}"]
     only = "" if levels["path_only_db"] is None else f", path alone {levels['path_only_db']:.1f} dB"
     lines.append(f"levels of {levels['partials']} partials: start {levels['initial_db']:.2f} dB{only}, "
                  f"fitted {levels['fitted_db']:.2f} dB")  # fmt: skip
     if len(document["takes"]) > 1:
-        lines += [_take_line(take) for take in document["takes"]]
+        lines += [_line_of(recording) for recording in document["takes"]]
     for name in ("global", "band1", "band2", "band3"):
         if name in document["criterion"]:
             c = document["criterion"][name]
@@ -48,34 +55,48 @@ def summary(document: dict, folder: Path) -> str:
     return "\n".join(lines) + "\n"
 
 
+def contact(derived: dict) -> str:
+    """How long the hammer first stayed, and whether it came back."""
+    first = f"contact {derived['contact_ms']:.2f} ms"
+    again = again_in_words(derived.get("later_contacts"))
+    return f"{first}; {again}" if again else first
+
+
+def contact_of(strike: Simulation) -> str:
+    """`contact` of a strike that was computed."""
+    again = [one.document() for one in strike.contacts[1:]]
+    return contact({"contact_ms": 1e3 * strike.contact_time, "later_contacts": again})
+
+
 def _invariants(table: dict) -> list[str]:
     """What no assumed size or velocity enters, before the SI values."""
     if not table:
         return []
-    lines = [f"{'':12}{'value':>12}  {'unit':8}95 % interval"]
+    lines = [f"{'':12}{'value':>14}  {'unit':8}95 % interval"]
     for name, p in table.items():
-        span = "[{:.5g}, {:.5g}]".format(*p["interval"]) if p["interval"] else "-"
-        lines.append(f"{name:12}{p['value']:12.5g}  {p['unit']:8}{span}")
+        value, span = bracketed(p["value"], p["interval"])
+        lines.append(f"{name:12}{value:>14}  {p['unit']:8}{span}")
     return [*lines, ""]
 
 
-def _take_line(take: dict) -> str:
-    levels = take["levels"]
+def _line_of(recording: dict) -> str:
+    levels = recording["levels"]
     return (
-        f"{Path(take['file']).name}: {take['v_H0']:.3g} m/s, gain {take['gain']:.3g}, {take['cents']:+.2f} cents, "
+        f"{Path(recording['file']).name}: {recording['v_H0']:.3g} m/s, gain {recording['gain']:.3g}, "
+        f"{recording['cents']:+.2f} cents, "
         f"levels {levels['initial_db']:.1f} -> {levels['fitted_db']:.2f} dB"
     )
 
 
 def cross_validation(document: dict) -> str:
-    """Each take left out and predicted, beside what needs no model."""
+    """Each recording left out and predicted, beside what needs no model."""
     lines = [f"{'':32}{'v_H0, m/s':>10}{'predicted':>11}{'nearest':>9}{'blend':>7}   dB a partial"]
-    for take in document["takes"]:
+    for row in document["takes"]:
         predicted, nearest, blend = (
-            "-" if take[key] is None else f"{take[key]:.2f}" for key in ("predicted_db", "nearest_db", "blend_db")
+            "-" if row[key] is None else f"{row[key]:.2f}" for key in ("predicted_db", "nearest_db", "blend_db")
         )
-        note = "" if take["inner"] else "  (beyond the others)"
-        lines.append(f"{Path(take['file']).name:32}{take['v_H0']:10.3g}{predicted:>11}{nearest:>9}{blend:>7}{note}")
+        note = "" if row["inner"] else "  (beyond the others)"
+        lines.append(f"{Path(row['file']).name:32}{row['v_H0']:10.3g}{predicted:>11}{nearest:>9}{blend:>7}{note}")
     if document["median_inner_db"] is not None:
         lines.append(f"between the others: median {document['median_inner_db']:.2f} dB, worst "
                      f"{document['worst_inner_db']:.2f} dB")  # fmt: skip

@@ -9,10 +9,38 @@ from collections.abc import Callable
 from typing import Any
 
 import typer
+from typer.core import TyperCommand
 
 from ..errors import PianofitError
 
-__all__ = ["complain", "plainly"]
+__all__ = ["add", "complain", "plainly"]
+
+
+class _Command(TyperCommand):
+    """A command whose help names its arguments by their metavar alone, without braces and types."""
+
+    def collect_usage_pieces(self, ctx: Any) -> list[str]:
+        """The words after the command's name, for the line of usage."""
+        return [str(self.options_metavar), *(name for name, _ in self._records(ctx, "argument"))]
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write the tables of arguments and of options."""
+        for kind, title in (("argument", "Arguments"), ("option", "Options")):
+            records = self._records(ctx, kind)
+            if records:
+                with formatter.section(title):
+                    formatter.write_dl(records)
+
+    def _records(self, ctx: Any, kind: str) -> list[tuple[str, str]]:
+        params = [param for param in self.get_params(ctx) if param.param_type_name == kind]
+        records = [(param.metavar or str(param.name), param.get_help_record(ctx)) for param in params]
+        return [(metavar if kind == "argument" else record[0], record[1]) for metavar, record in records if record]
+
+
+def add(app: typer.Typer, command: Callable, example: str, interrupted: str = "nothing more is written") -> None:
+    """Give `app` a command whose help ends with an example, and whose errors are one line."""
+    first = (command.__doc__ or "").partition("\n")[0]
+    app.command(cls=_Command, short_help=first, epilog=f"\b\nExample:\n  {example}")(plainly(command, interrupted))
 
 
 def complain(message: str) -> None:

@@ -58,6 +58,7 @@ def derived(voice: Voice, simulation: Simulation, analysis: Analysis) -> dict:
     return {
         "f0": float(f0), "B": float(B), "f1": float(f0 * np.sqrt(1 + B)), "M_H/M_S": float(voice.hammer.M_H / g.mass),
         "x0/L": float(g.strike / g.length), "contact_ms": 1e3 * simulation.contact_time,
+        "later_contacts": [again.document() for again in simulation.contacts[1:]],
         "max_force_N": float(pulse.force.max()), "max_compression_mm": 1e3 * u,
         "felt_force_N": float(voice.hammer.K_H * u**voice.hammer.p),
         "glide_cents": float(analysis.glide_cents),

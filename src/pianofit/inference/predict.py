@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -37,6 +38,8 @@ __all__ = ["Prediction", "cross_validate", "predict_take"]
 
 # Velocities that are tried before the best is refined, m/s.
 SLOWEST, FASTEST, TRIED = 0.05, 12.0, 48
+# As a ratio: nearer to an end of their range than this is at the end.
+SAME = 1.001
 FEWEST = 3
 
 
@@ -51,6 +54,7 @@ class Prediction:
     partials: int
     level: np.ndarray  # dB, predicted [partials]
     voice: Voice
+    at_end: bool = False  # whether the velocity is an end of the range that was searched, and no finding
 
 
 @one_blas_thread()
@@ -83,7 +87,14 @@ def predict_take(voices: Voice | Sequence[tuple[float, Voice]], analysis: Analys
         gain=first.gain * 10 ** (gain / 20),
     )
     found = level_error_db(level[chosen], p.level[chosen])
-    return Prediction(velocity, gain, cents, found, int(chosen.sum()), level, voice)
+    slowest, fastest = _range()
+    at_end = not slowest * SAME < velocity < fastest / SAME
+    return Prediction(velocity, gain, cents, found, int(chosen.sum()), level, voice, at_end)
+
+
+def _range() -> tuple[float, float]:
+    """The slowest and the fastest hammer that are tried, m/s."""
+    return max(SLOWEST, PARAMETERS["v_H0"].lower), min(FASTEST, PARAMETERS["v_H0"].upper)
 
 
 def _at_best(voice: Voice, analysis: Analysis, chosen: np.ndarray) -> tuple[float, np.ndarray, float]:
@@ -95,7 +106,7 @@ def _at_best(voice: Voice, analysis: Analysis, chosen: np.ndarray) -> tuple[floa
         level = levels(np.array([np.exp(log_velocity)]))[0]
         return level_error_db(level[chosen], p.level[chosen]) if np.isfinite(level).all() else 1e3
 
-    tried = np.geomspace(max(SLOWEST, PARAMETERS["v_H0"].lower), min(FASTEST, PARAMETERS["v_H0"].upper), TRIED)
+    tried = np.geomspace(*_range(), TRIED)
     table = levels(tried)
     errors = [level_error_db(x[chosen], p.level[chosen]) if np.isfinite(x).all() else np.inf for x in table]
     best = int(np.argmin(errors))
@@ -130,7 +141,7 @@ def _levels_of(voice: Voice, analysis: Analysis) -> Callable[[np.ndarray], np.nd
     rows = max(count_modes(voice.string, g, rate), 64 * int(np.ceil(p.number.max() / 64)))
     # The slowest hammer stays longest.
     slow = simulate(voice.string, voice.hammer._replace(v_H0=SLOWEST), g, quantity=voice.quantity)
-    steps = 256 * int(np.ceil(1.3 * slow.contact_time * rate / 256))
+    steps = 256 * int(np.ceil(1.3 * slow.last_touch * rate / 256))
     path = 0.0 if voice.path is None else voice.path.at(_frequency(voice, p.number))
     own = 20 * np.log10(voice.gain) + path
     delay = arrival(voice.string, g, voice.quantity)
@@ -163,39 +174,39 @@ def cross_validate(
     seed: int = 0,
     progress: Callable[[str, float], None] = lambda *_: None,
 ) -> tuple[dict, Result]:
-    """Leave out each blow in turn, fit the others, and predict it as every microphone heard it.
+    """Leave out each hammer stroke in turn, fit the others, and predict it at every microphone.
 
-    A blow's other takes know its velocity, so they are left out with it. Neighbours are takes of the same group: how
+    A stroke's other recordings share its velocity, so they are left out with it. Neighbours are of the same group: how
     loud another microphone hears each partial says nothing of this one.
 
     Returns
     -------
     `takes`, in order of velocity, each with `file`, `v_H0` (in the fit of all), `predicted_v_H0`, `predicted_db` and
-    `partials` (None where no other take shares the path), `nearest_db` (None without a neighbour), `blend_db` (None at
-    a group's ends) and `inner`; `median_inner_db` and `worst_inner_db` (None without an inner take); `messages`. With
-    it the fit of all takes.
+    `partials` (None where no other recording shares the path), `nearest_db` (None without a neighbour), `blend_db`
+    (None at a group's ends) and `inner`; `median_inner_db` and `worst_inner_db` (None without an inner recording);
+    `messages`. With it the fit of all recordings.
 
     Raises
     ------
     FitError
-        For fewer than three blows, and as `fit_takes` does.
+        For fewer than three strokes, and as `fit_takes` does.
     """
     count = len(recordings)
     if count < 3:
-        raise FitError(f"{count} takes are too few to leave one out; give three or more")
+        raise FitError(f"{count} recordings are too few to leave one out; give three or more")
     whole = fit_takes(recordings, analyses, setup, seed=seed)
     heard = whole.document["takes"]
     strikes = list(dict.fromkeys(take["strike"] for take in heard))
     if len(strikes) < 3:
         raise FitError(
-            f"{count} takes of {len(strikes)} strikes are too few to leave one strike out; give three or more"
+            f"{count} recordings of {len(strikes)} strokes are too few to leave one stroke out; give three or more"
         )
     predicted: dict[int, Prediction | None] = {}
-    for place, blow in enumerate(strikes):
-        progress(f"without strike {place + 1} of {len(strikes)}", (place + 1) / (len(strikes) + 1))
-        rest = [j for j in range(count) if heard[j]["strike"] != blow]
+    for place, stroke in enumerate(strikes):
+        progress(f"without stroke {place + 1} of {len(strikes)}", (place + 1) / (len(strikes) + 1))
+        rest = [j for j in range(count) if heard[j]["strike"] != stroke]
         fit = fit_takes([recordings[j] for j in rest], [analyses[j] for j in rest], setup, seed=seed)
-        for i in (j for j in range(count) if heard[j]["strike"] == blow):
+        for i in (j for j in range(count) if heard[j]["strike"] == stroke):
             voices = _voices_for(fit, whole, rest, i)
             predicted[i] = predict_take(voices, analyses[i]) if voices else None
     order = sorted(range(count), key=lambda i: heard[i]["v_H0"])
@@ -206,23 +217,30 @@ def cross_validate(
         "median_inner_db": float(np.median(inner)) if inner else None,
         "worst_inner_db": float(max(inner)) if inner else None,
         "messages": [
-            f"{row['file']} is not predicted: no other strike was heard through its path, which is therefore unknown."
+            f"{Path(row['file']).name} is not predicted: no other stroke was recorded through its path, which is "
+            "therefore unknown."
             for row in rows
             if row["predicted_db"] is None
+        ]
+        + [
+            f"{Path(recordings[i].path).name} is predicted at {p.velocity:.3g} m/s, an end of the range searched: its "
+            "velocity is not found."
+            for i, p in predicted.items()
+            if p is not None and p.at_end
         ],
     }
     return found, whole
 
 
 def _around(i: int, order: list[int], heard: list[dict]) -> list[int]:
-    """The takes of the same group next to this one in velocity: two, or one at the group's ends, or none."""
+    """The recordings of the same group next to this one in velocity: two, or one at the group's ends, or none."""
     group = [j for j in order if heard[j]["group"] == heard[i]["group"]]
     place = group.index(i)
     return group[max(place - 1, 0) : place] + group[place + 1 : place + 2]
 
 
 def _row(i: int, found: Prediction | None, around: list[int], heard: list[dict], analyses: Sequence[Analysis]) -> dict:
-    """What came of one take that was left out."""
+    """What came of one recording that was left out."""
     return {
         "file": heard[i]["file"],
         "v_H0": heard[i]["v_H0"],

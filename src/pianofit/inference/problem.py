@@ -163,7 +163,7 @@ def _model(
     memory = "epsilon" in FELT_LAWS[start.felt]
     unknowns = _unknowns(start, speed, log_u, memory, path)
     contact_rate = 1.0 / float(first.modes.step)
-    longest = max(LONGEST * first.contact_time, 2 * RETURNS * geometry.strike / string.c)
+    longest = max(LONGEST * first.last_touch, 2 * RETURNS * geometry.strike / string.c)
     steps = STEPS * int(np.ceil(longest * contact_rate / STEPS))
     rows = ROWS * int(np.ceil(observed.number.max() / ROWS))
     size = tuple(map(np.float64, geometry))

@@ -28,6 +28,8 @@ STRONG = 0.99
 STRAINED = 0.1
 # beyond this, dB, the hammer itself may be another.
 POOR = 0.5
+# Standard deviations to either side in a 95 % interval.
+NORMAL = 1.96
 # A second minimum with this share of the posterior is named.
 NAMED = 0.1
 ONE_VELOCITY = (
@@ -112,9 +114,14 @@ def claims(problem: Problem, found: Estimate, states: dict[str, str], levels: di
             missed = f"the model misses its levels by {excess:.2f} dB beyond the noise"
             return f"Calibrated recording, but {missed}: {what} values are no finding."
         lost = [n for n, state in states.items() if state == "not-identifiable" and n != "width"]
-        if not lost:
-            return "Calibrated recording: all free parameters are identified."
-        return f"Calibrated recording. Not identifiable from it: {', '.join(lost)}."
+        pairs = correlated(found.posterior)
+        if lost:
+            return f"Calibrated recording. Not identifiable from it: {', '.join(lost)}."
+        if pairs:
+            together = "; ".join(f"{a} and {b} mostly together, as {_identified(found.posterior, a, b)}"
+                                 for a, b, _ in pairs)  # fmt: skip
+            return f"Calibrated recording: all free parameters are identified, {together}."
+        return "Calibrated recording: all free parameters are identified."
     count = len(problem.recordings)
     text = ONE_VELOCITY if count == 1 else (SEVERAL if problem.layout.compared else NOTHING_COMPARED).format(count)
     through = "path" if problem.path else "gain"
@@ -144,6 +151,24 @@ def correlated(posterior: Posterior) -> list[tuple[str, str, float]]:
     ]
 
 
+def _identified(posterior: Posterior, a: str, b: str) -> str:
+    """The combination of two correlated parameters that is known best, and how well.
+
+    With log b known, log a − s log b has the least variance at s = cov(a, b)/var(b). Of K_H and p it is the felt's
+    static force K_H u^p, at the compression u where that is known best: d log(K_H u^p) = d log K_H + log(u) p d log p.
+    """
+    i, j = VALUES.index(a), VALUES.index(b)
+    cov, mean = posterior.covariance[0], posterior.mean[0]
+    slope = cov[i, j] / cov[j, j]
+    half = NORMAL * float(np.sqrt(max(cov[i, i] - slope * cov[i, j], 0.0)))
+    reach = f"± {100 * half:.2g} %"
+    if (a, b) == ("K_H", "p"):
+        p = float(np.exp(mean[j]))
+        u = float(np.exp(-slope / p))
+        return f"the felt's force at {1e3 * u:.2g} mm, K_H u^p = {np.exp(mean[i]) * u**p:.3g} N ({reach})"
+    return f"the product {a} · {b}^{-slope:.2g} ({reach})"
+
+
 def messages(problem: Problem, found: Estimate, states: dict[str, str], worse: Sequence[str]) -> list[str]:
     """Plain sentences on what to beware of, the weightiest first."""
     said = []
@@ -155,7 +180,11 @@ def messages(problem: Problem, found: Estimate, states: dict[str, str], worse: S
     bound = [n for n, s in states.items() if s == "at-bound"]
     if bound:
         said.append(f"At the edge of the box, so their values are the box's: {', '.join(bound)}.")
-    said += [f"{a} and {b} are strongly correlated ({r:+.3f})." for a, b, r in correlated(found.posterior)]
+    said += [
+        f"{a} and {b} are strongly correlated ({r:+.3f}): better identified than either is "
+        f"{_identified(found.posterior, a, b)}."
+        for a, b, r in correlated(found.posterior)
+    ]
     rests = sorted({x for names in problem.start.rests_on.values() for x in names})
     if rests:
         said.append(

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from .. import __version__
+from ..analysis.notes import midi_to_note
 from ..criterion import OutputPath
 from ..errors import ParameterError
 from ..parameters import PARAMETERS, Geometry, Hammer, String
@@ -24,7 +25,6 @@ from .gather import (
     KeyFit,
     invariants,
     literature,
-    note_name,
     of_force,
     reference_compression,
 )
@@ -52,7 +52,7 @@ UNITS = {
     "cents": "cents", "B": "1", "b1": "1/s", "d2": "1/s", "M_H/M_S": "1", "K/M_S": "N/kg", "p": "1", "mu": "s/m",
     "x0/L": "1", "width/L": "1", "L": "m", "M_S/L": "kg/m", "pickup/L": "1", "gain": "",
 }  # fmt: skip
-# The output path's law, dB: what all keys share, how it drifts over the keyboard, and the roughness of single partials.
+# The output path's law, dB: what all keys share, how it drifts over the keyboard, the residuals of single partials.
 COMMON_DB, DRIFT_DB, ROUGH_DB = 6.0, 4.0, 4.0
 OCTAVES, DRIFT_KEYS = 1.0, 15.0
 THIRDS = 20.0 * 2 ** (np.arange(31) / 3)  # Hz
@@ -137,7 +137,7 @@ def _key(i, midi, values, laws, keys, own, base, quantity, sign, paths) -> dict[
         "velocities": list(keys[j].velocities),
     }  # fmt: skip
     return {
-        "midi": midi, "note": note_name(midi), "state": state, "string": string._asdict(),
+        "midi": midi, "note": midi_to_note(midi), "state": state, "string": string._asdict(),
         "hammer": {n: getattr(hammer, n) for n in ("K_H", "mu", "p", "M_H")}, "geometry": geometry._asdict(),
         "gain": sign * gain, "path": _path_document(path), "told": told, "fit": fit,
     }  # fmt: skip
@@ -200,7 +200,7 @@ def _law_document(name: str, law: Law, base: np.ndarray, known: np.ndarray) -> d
         "literature": None if name == "gain" else base.tolist(), "value": _unscale(name, center).tolist(),
         "low": _unscale(name, center - 1.96 * law.sd).tolist(), "high": _unscale(name, center + 1.96 * law.sd).tolist(),
         "scatter": law.scatter, "length_keys": law.length,
-        "outliers": [note_name(int(m)) for m in known[law.outlier]],
+        "outliers": [midi_to_note(int(m)) for m in known[law.outlier]],
     }  # fmt: skip
 
 
@@ -214,7 +214,7 @@ def _path_document(path: OutputPath | None) -> dict[str, list[float]] | None:
 def _path_law(keys: Sequence[KeyFit]):
     """The output path at any key: a Gaussian process over octaves and keys through what the fitted keys have.
 
-    A key's own path is kept as it is, roughness and all; only the smooth part passes on to its neighbours.
+    A key's own path is kept as it is, with its residuals; only the smooth part passes on to its neighbours.
     """
     points = [(key.midi, *point) for key in keys if key.voice.path is not None for point in _thirds(key.voice.path)]
     if not points:
@@ -244,18 +244,18 @@ def _thirds(path: OutputPath) -> list[tuple[float, float, int]]:
 
 def _messages(keys: Sequence[KeyFit], laws: dict[str, Law], known: np.ndarray) -> list[str]:
     said = [
-        f"{note_name(int(m))}: {n} lies {abs(z):.1f} standard deviations {'above' if z > 0 else 'below'} what the "
+        f"{midi_to_note(int(m))}: {n} lies {abs(z):.1f} standard deviations {'above' if z > 0 else 'below'} what the "
         f"other keys say; {'it is kept' if n in KEPT else 'the law is played'}"
         for n, law in laws.items()
         for m, z, out in zip(known, law.z, law.outlier, strict=True)
         if out
     ]
-    unsettled = [note_name(key.midi) for key in keys if not key.converged]
+    unsettled = [midi_to_note(key.midi) for key in keys if not key.converged]
     if unsettled:
         said.append(f"The fits of {', '.join(unsettled)} stopped before they settled; their intervals count double.")
     if len(keys) < 5:
         said.append(
             f"Only {len(keys)} key{'s' if len(keys) > 1 else ''} of this instrument {'are' if len(keys) > 1 else 'is'} "
-            "known: the shape of the laws is the literature's, and no outlier can be told."
+            "known: the shape of the laws is the literature's, and no outlier can be recognised."
         )
     return said

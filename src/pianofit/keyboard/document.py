@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..analysis.notes import midi_to_note
 from ..criterion import OutputPath
 from ..errors import FitError, ParameterError
 from ..io import finite, load_json, one_line, shown, table_of
@@ -15,7 +16,7 @@ from ..model.simulate import check_geometry
 from ..parameters import PARAMETERS, Geometry, Hammer, String, check
 from ..voice import Voice
 from .build import SCHEMA
-from .gather import HIGHEST_KEY, LOWEST_KEY, note_name
+from .gather import HIGHEST_KEY, LOWEST_KEY
 from .velocity import hammer_velocity
 
 __all__ = ["Instrument", "load_instrument", "read_instrument"]
@@ -50,7 +51,7 @@ class Instrument(NamedTuple):
 
 
 def _span(voices: dict[int, Voice]) -> str:
-    return f"{note_name(min(voices))} to {note_name(max(voices))}"
+    return f"{midi_to_note(min(voices))} to {midi_to_note(max(voices))}"
 
 
 def load_instrument(path: str | os.PathLike[str]) -> Instrument:

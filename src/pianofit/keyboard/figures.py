@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..report.drawing import styled, svg
+from ..report.drawing import FITTED, HEIGHT, INITIAL, MEASURED, legend, panel, styled, svg
 from .gather import HIGHEST_KEY, LOWEST_KEY
 from .velocity import hammer_velocity
 from .words import TITLES
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = ["draw"]
 
-MEASURED, LITERATURE, LAW, BAND, WRONG = "#1a1a1a", "#d55e00", "#0072b2", "#cfe3f1", "#a3123a"
+LITERATURE, LAW, BAND, WRONG = INITIAL, FITTED, "#cfe3f1", "#a3123a"
 CS = {24: "C1", 36: "C2", 48: "C3", 60: "C4", 72: "C5", 84: "C6", 96: "C7", 108: "C8"}
 GROUPS = {
     "string": ("cents", "B", "b1", "d2"),
@@ -29,23 +29,18 @@ GROUPS = {
 }
 
 
-def draw(document: dict[str, Any]) -> dict[str, bytes]:
-    """Name -> SVG."""
-    from matplotlib.figure import Figure
-
+def draw(document: dict[str, Any]) -> dict[str, list[bytes]]:
+    """Name -> SVGs of the panels."""
     with styled():
-        figures = {name: _laws(Figure(figsize=(11.25, 6.4)), document, names) for name, names in GROUPS.items()}
-        figures["sound"] = _sound(Figure(figsize=(11.25, 6.4)), document)
-        return {name: svg(figure) for name, figure in figures.items()}
+        figures = {name: [_law_panel(document, law) for law in names] for name, names in GROUPS.items()}
+        figures["sound"] = _sound(document)
+        return {name: [svg(figure) for figure in panels] for name, panels in figures.items()}
 
 
-def _laws(figure: Figure, document: dict[str, Any], names: tuple[str, ...]) -> Figure:
-    grid = figure.add_gridspec(2, 2, left=0.07, right=0.99, top=0.955, bottom=0.12, hspace=0.3, wspace=0.16)
-    panels = [figure.add_subplot(cell) for cell in grid]  # type: ignore[attr-defined]
-    for axes, name in zip(panels, names, strict=True):
-        _law(axes, document, name)
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="lower center", ncols=len(labels))
+def _law_panel(document: dict[str, Any], name: str) -> Figure:
+    figure, (axes,) = panel(HEIGHT, legend_rows=2)
+    _law(axes, document, name)
+    legend(figure, axes, columns=3)
     return figure
 
 
@@ -93,10 +88,10 @@ def _log(axes: Axes, shown: list[float]) -> None:
     axes.yaxis.set_minor_formatter(NullFormatter())
 
 
-def _sound(figure: Figure, document: dict[str, Any]) -> Figure:
-    grid = figure.add_gridspec(2, 2, left=0.07, right=0.99, top=0.955, bottom=0.09, hspace=0.42, wspace=0.16)
-    gain, path, velocity, quality = (figure.add_subplot(cell) for cell in grid)  # type: ignore[attr-defined]
-    _law(gain, document, "gain")
+def _sound(document: dict[str, Any]) -> list[Figure]:
+    gain = _law_panel(document, "gain")
+    others, rows = zip(*(panel(HEIGHT) for _ in range(3)), strict=True)
+    path, velocity, quality = (row[0] for row in rows)
     for key in document["keys"]:
         if key["path"] is not None and (key["fit"] is not None or key["midi"] in CS):
             known = key["fit"] is not None
@@ -106,10 +101,10 @@ def _sound(figure: Figure, document: dict[str, Any]) -> Figure:
     _velocities(velocity, document["velocity"])
     known = [key for key in document["keys"] if key["fit"] and key["fit"]["levels_db"] is not None]
     quality.vlines([k["midi"] for k in known], 0, [k["fit"]["levels_db"] for k in known], color=MEASURED, lw=3)
-    quality.set(title="how far partial levels are off after each key's own fit (dB rms)")
+    quality.set(title="residual of the partial levels after each fit (dB rms)")
     quality.set_ylim(bottom=0)
     _keyboard(quality)
-    return figure
+    return [gain, *others]
 
 
 def _velocities(axes: Axes, law: dict[str, Any]) -> None:
@@ -118,4 +113,4 @@ def _velocities(axes: Axes, law: dict[str, Any]) -> None:
     x = range(1, 128)
     axes.plot(x, [hammer_velocity(v, law["at_64"], law["rise"]) for v in x], color=LAW, lw=1.5)
     _log(axes, [0.1, 10.0])
-    axes.set(title="hammer velocity (m/s) over MIDI velocity; points: the takes' layers", xlim=(0, 128))
+    axes.set(title="hammer velocity; points: the layers recorded", xlabel="MIDI velocity", ylabel="m/s", xlim=(0, 128))

@@ -3,7 +3,7 @@
 Lengths and masses are mostly assumed, and only some combinations are measured (see `invariants`): those go into the
 laws over the keyboard, so that an assumption is never taken for a difference between keys. Uncalibrated fits fix their
 velocities up to a factor: (K_H, μ, v_H0, gain) → (K_H s^(1-p), μ/s, s v_H0, gain/s) changes nothing that is heard. Of
-every key the loudest take is set to `LOUDEST`, which puts all keys on one scale.
+every key the loudest recording is set to `LOUDEST`, which puts all keys on one scale.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..analysis.notes import hz_to_note, note_to_midi
+from ..analysis.notes import midi_to_note, note_to_midi
 from ..errors import AnalysisError, FitError
 from ..io import LARGEST, one_line
 from ..parameters import FIT_NAMES, PARAMETERS, Hammer
@@ -27,11 +27,11 @@ from ..voice import Voice
 
 __all__ = [
     "HIGHEST_KEY", "LOUDEST", "LOWEST_KEY", "NAMES", "KeyFit", "find_fits", "invariants", "literature",
-    "load_keys", "note_name", "of_force", "owner",
+    "load_keys", "of_force", "owner",
 ]  # fmt: skip
 
 LOWEST_KEY, HIGHEST_KEY = 21, 108
-# Velocity given to the loudest take of an uncalibrated key, m/s: a fortissimo.
+# Velocity given to the loudest recording of an uncalibrated key, m/s: a fortissimo.
 LOUDEST = 4.0
 # The laws, in the order of the page; all but `cents` are smooth on a log scale.
 NAMES = ("cents", "B", "b1", "d2", "M_H/M_S", "K/M_S", "p", "mu", "x0/L", "width/L", "L", "M_S/L", "pickup/L", "gain")
@@ -50,17 +50,12 @@ class KeyFit(NamedTuple):
 
     midi: int
     file: str
-    voice: Voice  # the loudest take's gain; loudest velocity
+    voice: Voice  # the loudest recording's gain; loudest velocity
     sd: dict[str, float]  # by `NAMES`
-    velocities: tuple[float, ...]  # of the takes, ascending, m/s
+    velocities: tuple[float, ...]  # of the recordings, ascending, m/s
     levels_db: float | None  # rms error of the partials' levels
     converged: bool
-    takes: int
-
-
-def note_name(midi: int) -> str:
-    """Such as F#2."""
-    return hz_to_note(440.0 * 2 ** ((midi - 69) / 12))
+    takes: int  # recordings
 
 
 def of_force(quantity: str) -> bool:
@@ -154,9 +149,8 @@ def _key_of(file: Path) -> tuple[str, int | None]:
     if match is None:
         return "", None
     owner, letter, shift, octave = match.groups()
-    sign = {"s": "#", "♯": "#", "♭": "b"}.get(shift, shift)
     try:
-        return owner, note_to_midi(f"{letter}{sign}{octave}")
+        return owner, note_to_midi(f"{letter}{shift}{octave}")
     except AnalysisError:
         return "", None
 
@@ -167,14 +161,14 @@ def load_keys(files: Sequence[Path]) -> list[KeyFit]:
     Raises
     ------
     FitError
-        For a file that is no `fit.json`, two of one key, keys beyond the keyboard, or takes of different kinds.
+        For a file that is no `fit.json`, two of one key, keys beyond the keyboard, or recordings of different kinds.
     """
     keys: dict[int, KeyFit] = {}
     for file in files:
         key = _load_key(file)
         if (held := keys.get(key.midi)) is not None:
             raise FitError(
-                f"{one_line(file)}: is {note_name(key.midi)}, and so is {held.file}; leave one out, or choose an "
+                f"{one_line(file)}: is {midi_to_note(key.midi)}, and so is {held.file}; leave one out, or choose an "
                 "instrument by --prefix"
             )
         keys[key.midi] = key
@@ -191,7 +185,7 @@ def _load_key(file: Path) -> KeyFit:
     midi = _midi(voice, file)
     takes = [take for take in document["takes"] if isinstance(take, dict)]
     path = next((take for take in takes if take.get("first") is True), takes[0]).get("group")
-    # The voice has the first take's path, and a gain belongs to a path.
+    # The voice has the reference's path, and a gain belongs to a path.
     own = [i for i, take in enumerate(takes) if take.get("group") == path]
     loud = max(own, key=lambda i: _positive(takes[i].get("v_H0"), f"takes[{i}].v_H0", name))
     gain = _positive(takes[loud].get("gain"), f"takes[{loud}].gain", name, signed=True)

@@ -1,6 +1,6 @@
 """One HTML file that shows an instrument: every parameter over the keyboard with the literature's behind it, every key.
 
-Everything is inside the file and it runs no script. All text from outside goes through Jinja's autoescape.
+It is made by `report.kit` and runs no script.
 """
 
 from __future__ import annotations
@@ -16,6 +16,15 @@ from .words import STATES, counts
 
 __all__ = ["write_page"]
 
+CONTENTS = (
+    ("laws", "Every parameter over the keyboard"),
+    ("string", "The string"),
+    ("hammer", "The hammer"),
+    ("sizes", "Sizes"),
+    ("sound", "The output path and velocity"),
+    ("keys", "The keys"),
+)
+
 
 def write_page(path: str | os.PathLike[str], document: dict[str, Any]) -> None:
     """Write the page of a document of `build_instrument`, whole or not at all.
@@ -25,13 +34,15 @@ def write_page(path: str | os.PathLike[str], document: dict[str, Any]) -> None:
     OutputError
         If `path` cannot be written.
     """
-    found, name = counts(document), document["name"] or "Instrument"
+    found = counts(document)
     kit.write_page(
-        path, "page.html.j2", package="pianofit.keyboard", strict=False, doc=document, title=name, name=name,
+        path, "page.html.j2", package="pianofit.keyboard", strict=False, title=document["name"] or "Instrument",
+        contents=CONTENTS,
+        doc=document,
         quantity=document["quantity"],
         known=sum(key["fit"] is not None for key in document["keys"]),
         states=[(state, found[state], words) for state, words in STATES.items() if found[state]],
-        figures={name: kit.data_uri("image/svg+xml", svg) for name, svg in draw(document).items()},
+        figures={name: kit.picture(panels) for name, panels in draw(document).items()},
         rows=[_row(key) for key in document["keys"]],
         outlying=f"{OUTLYING:g}", loudest=f"{LOUDEST:g}",
         u_low=1e3 * reference_compression(LOWEST_KEY), u_high=1e3 * reference_compression(HIGHEST_KEY),

@@ -1,6 +1,6 @@
 """From MIDI velocity to hammer velocity: one smooth, rising law for the whole instrument.
 
-log v is linear in the MIDI velocity. What is known of it are the takes: the n layers of a key, soft to loud, are taken
+log v is linear in the MIDI velocity. It is known by the recordings: the n layers of a key, soft to loud, are taken
 to be the middles of n equal parts of the MIDI range (a library's own mapping is not in its recordings), at the
 velocities that the fit found. A weak prior keeps the law sensible with few layers; without any, it goes from 0.29 m/s
 at 1 to 5.8 m/s at 127.

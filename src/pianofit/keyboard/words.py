@@ -21,7 +21,7 @@ TITLES = {
     "L": ("string length L", "m"),
     "M_S/L": ("string mass per metre M_S/L", "kg/m"),
     "pickup/L": ("pickup position x_m/L", "1"),
-    "gain": ("gain of the loudest take (times M_S for the force on the bridge)", "1"),
+    "gain": ("gain of the loudest recording (times M_S for the force on the bridge)", "1"),
 }
 STATES = {
     "fitted": "as its own fit has it",

@@ -15,7 +15,7 @@ from .contact import FreeMotion, Pulse, free_motion, strike
 from .modes import HIGHEST, QUANTITIES, Modes, mode_frequencies, mode_table, raised_cosine_weights
 from .response import waveform
 
-__all__ = ["Simulation", "contact_rate", "count_modes", "simulate"]
+__all__ = ["Contact", "Simulation", "contact_rate", "count_modes", "simulate"]
 
 # Second-order accuracy in the step: at this rate ordinary notes are within 1e-3 of the converged solution.
 LOWEST_RATE = 88_000.0
@@ -26,6 +26,20 @@ FAINT = 1e-3
 MOST_MODES = 512
 # Longer contacts start over with four times the steps.
 FIRST_STEPS, MOST_STEPS = 1024, 2**16
+
+
+class Contact(NamedTuple):
+    """One time that the hammer pressed the string."""
+
+    start: float  # s from the first touch
+    stop: float  # s from the first touch
+    force: float  # the largest, N
+
+    def document(self) -> dict[str, float]:
+        """Start and duration, ms, and force, N, as `fit.json` holds them."""
+        return {
+            "start_ms": 1e3 * self.start, "duration_ms": 1e3 * (self.stop - self.start), "max_force_N": self.force,
+        }  # fmt: skip
 
 
 class Simulation(NamedTuple):
@@ -40,9 +54,31 @@ class Simulation(NamedTuple):
         return waveform(self.modes, self.pulse.drive, rate=rate, samples=samples, free=self.free)
 
     @property
+    def contacts(self) -> tuple[Contact, ...]:
+        """Every time the hammer pressed the string, in order.
+
+        A contact is a time in which the felt stays compressed; within it the force may fall to 0 where the felt's loss
+        takes all of it. It ends with its last force.
+        """
+        force, step = np.asarray(self.pulse.force), float(self.modes.step)
+        pressed = np.concatenate([[False], np.asarray(self.pulse.compression) > 0, [False]])
+        edges = np.flatnonzero(np.diff(pressed.astype(int)))
+        found = []
+        for start, stop in zip(edges[::2], edges[1::2], strict=True):
+            acts = start + np.flatnonzero(force[start:stop] > 0)
+            if acts.size:
+                found.append(Contact(acts[0] * step, (acts[-1] + 1) * step, float(force[start:stop].max())))
+        return tuple(found)
+
+    @property
     def contact_time(self) -> float:
-        """From the first touch to the last, s."""
-        return float((np.flatnonzero(np.asarray(self.pulse.force) > 0)[-1] + 1) * self.modes.step)
+        """How long the first contact lasts, s."""
+        return self.contacts[0].stop if self.contacts else 0.0
+
+    @property
+    def last_touch(self) -> float:
+        """When the last contact ends, s from the first touch."""
+        return self.contacts[-1].stop if self.contacts else 0.0
 
 
 def contact_rate(string: String, geometry: Geometry, rate: float) -> float:

@@ -167,7 +167,7 @@ def pose(recording: Recording, analysis: Analysis, start: Start) -> Problem:
     string, hammer = split(values)
     first = simulate(string, hammer, start.geometry, rate=recording.rate, quantity=start.quantity)
     rate = 1.0 / float(first.modes.step)
-    longest = max(CONTACTS * first.contact_time, 2 * RETURNS * start.geometry.strike / string.c)
+    longest = max(CONTACTS * first.last_touch, 2 * RETURNS * start.geometry.strike / string.c)
     steps = STEPS * math.ceil(longest * rate / STEPS)
     rows = ROWS * math.ceil(int(analysis.partials.number.max()) / ROWS)
     log_u = float(np.log(0.5 * first.pulse.compression.max())) if free[K] else 0.0

@@ -1,4 +1,4 @@
-"""A blow on a string that may still move, for playing: tables and contacts whose compiled programs are few and kept.
+"""A stroke on a string that may still move, for playing: tables and contacts whose compiled programs are few and kept.
 
 The same steps as `model.simulate`, which traces anew for every number of modes. Here the tables are padded to powers
 of two (rows above the highest mode weigh nothing), a string at rest is a string that moves by zero, and the traced
@@ -19,7 +19,7 @@ from ..model.simulate import FIRST_STEPS, MOST_STEPS, contact_rate, count_modes
 from ..parameters import Hammer, MemoryHammer
 from ..voice import Voice, impulse, through
 
-__all__ = ["Table", "blow", "table_of"]
+__all__ = ["Table", "stroke", "table_of"]
 
 LEAST_MODES = 64
 
@@ -45,7 +45,7 @@ def _table(string, geometry, rate, cfg):
 
 
 @kept
-def _blow(modes, hammer, displacement, velocity, cfg):
+def _stroke(modes, hammer, displacement, velocity, cfg):
     (steps,) = cfg
     free = free_motion(modes, displacement, velocity, steps)
     pulse = strike(modes, hammer, steps=steps, free=free)
@@ -75,7 +75,7 @@ def table_of(voice: Voice, rate: float) -> Table:
     return Table(modes, pole, contact, unit * warp, gain * modes.pickup * unit, pickup, loudness, impulse(path, rate))
 
 
-def blow(table: Table, hammer: Hammer | MemoryHammer, state: np.ndarray, where: str) -> np.ndarray:
+def stroke(table: Table, hammer: Hammer | MemoryHammer, state: np.ndarray, where: str) -> np.ndarray:
     """T [steps] of a hammer on a string that moves as q = Re(state · exp(p t)), complex [modes]; until it is over.
 
     Raises
@@ -87,7 +87,7 @@ def blow(table: Table, hammer: Hammer | MemoryHammer, state: np.ndarray, where: 
     velocity = np.real(np.asarray(table.modes.pole) * state)
     steps = FIRST_STEPS
     while steps <= MOST_STEPS:
-        drive, over = _blow(table.modes, hammer, np.real(state), velocity, (steps,))
+        drive, over = _stroke(table.modes, hammer, np.real(state), velocity, (steps,))
         if bool(over):
             drive = np.asarray(drive)
             return drive[: np.flatnonzero(drive)[-1] + 1] if drive.any() else drive[:1]

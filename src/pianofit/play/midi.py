@@ -11,9 +11,10 @@ import io
 import os
 from typing import Any, NamedTuple
 
+from ..analysis.notes import midi_to_note
 from ..errors import RecordingError
 from ..io import one_line, read_file
-from ..keyboard.gather import HIGHEST_KEY, LOWEST_KEY, note_name
+from ..keyboard.gather import HIGHEST_KEY, LOWEST_KEY
 
 __all__ = ["MOST_NOTES", "MOST_SONG_SECONDS", "Song", "load_song", "read_song"]
 
@@ -116,7 +117,8 @@ class _Hands:
             raise RecordingError(f"{self.name}: has more than {MOST_NOTES:,} notes; cut it into parts")
         if not LOWEST_KEY <= key <= HIGHEST_KEY:
             raise RecordingError(
-                f"{self.name}: {note_name(key)} (key {key}) at {now:.2f} s lies beyond a piano's A0 to C8; transpose it"
+                f"{self.name}: {midi_to_note(key)} (key {key}) at {now:.2f} s lies beyond a piano's "
+                "A0 to C8; transpose it"
             )
         self._held.setdefault(key, set()).add(channel)
         self.events.setdefault(key, []).append((now, velocity))

@@ -41,7 +41,7 @@ class Performance(NamedTuple):
 
 class _Event(NamedTuple):
     sample: int
-    velocity: int  # of a strike; 0 for a damper that moves
+    velocity: int  # of a stroke; 0 for a damper that moves
     damped: bool
 
 
@@ -84,7 +84,7 @@ def perform(
 
 
 def _events(song: Song, key: int, rate: int) -> list[_Event]:
-    """Strikes of a key and movements of its damper, in time."""
+    """Strokes of a key and movements of its damper, in time."""
     merged = sorted(
         [(t, 1, v, False) for t, v in song.keys[key]] + [(t, 0, 0, down) for t, down in song.pedal],
         key=lambda event: event[:2],
@@ -104,7 +104,7 @@ def _events(song: Song, key: int, rate: int) -> list[_Event]:
 def _sounds(
     string: PlayedString, instrument: Instrument, events: list[_Event], size: int
 ) -> Iterator[tuple[int, np.ndarray, int]]:
-    """(first sample, sound, 0 for ringing, 1 for a strike at rest, 2 on a moving string), one after the other."""
+    """(first sample, sound, 0 for ringing, 1 for a stroke at rest, 2 on a moving string), one after the other."""
     at = 0
     for event in events:
         if event.sample > at and string.sounding:
@@ -123,7 +123,7 @@ def _sounds(
 
 
 def _joined(pieces: Iterator[tuple[int, np.ndarray, int]]) -> Iterator[tuple[int, np.ndarray, list[int]]]:
-    """Pieces that follow one another as one: (first sample, sound, of each strike 1 at rest, 2 on a moving string).
+    """Pieces that follow one another as one: (first sample, sound, of each stroke 1 at rest, 2 on a moving string).
 
     A path rings on after every piece that goes through it, which is most of the work.
     """

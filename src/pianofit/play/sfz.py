@@ -19,11 +19,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..analysis.notes import note_to_midi
+from ..analysis.notes import midi_to_note, note_to_midi
 from ..errors import AnalysisError, OutputError, ParameterError
 from ..io import interrupted_by, one_line
 from ..keyboard.document import Instrument
-from ..keyboard.gather import HIGHEST_KEY, LOWEST_KEY, note_name
+from ..keyboard.gather import HIGHEST_KEY, LOWEST_KEY
 from ..recording import RATES
 from ..render import CEILING
 from ..threads import one_blas_thread
@@ -211,7 +211,7 @@ def _strings(instrument: Instrument, jobs: Sequence[tuple[int, Layer]], rate: in
 
 
 def _note(instrument: Instrument, string: PlayedString, layer: Layer, seconds: float) -> np.ndarray:
-    """One blow on the string at rest, from just before its sound arrives [samples]."""
+    """One stroke on the string at rest, from just before its sound arrives [samples]."""
     voice = instrument.voice(string.midi, layer.middle)
     string.state = np.zeros_like(string.state)
     # The way to the pickup comes on top.
@@ -240,7 +240,7 @@ def _file_name(name: str) -> str:
 
 def _sample(key: int, layer: Layer, kind: str) -> str:
     # "#" begins a directive in SFZ.
-    return f"samples/{key:03}-{note_name(key).replace('#', 's')}-v{layer.high:03}.{kind}"
+    return f"samples/{key:03}-{midi_to_note(key).replace('#', 's')}-v{layer.high:03}.{kind}"
 
 
 def _text(instrument: Instrument, keys: Sequence[int], layers: Sequence[Layer], kind: str) -> str:

@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from ..voice import Voice, convolved
-from .contact import Table, blow, table_of
+from .contact import Table, stroke, table_of
 
 __all__ = ["BLOCK", "FAINT", "LAST_DAMPER", "PlayedString", "damper_rate"]
 
@@ -52,7 +52,7 @@ class PlayedString:
     def strike(self, velocity: float) -> np.ndarray:
         """The sound [samples] of the contact with a hammer of `velocity`, m/s; then the string rings, undamped."""
         hammer = self.voice.hammer._replace(v_H0=velocity)
-        drive = blow(self.table, hammer, self.state, f"key {self.midi}")
+        drive = stroke(self.table, hammer, self.state, f"key {self.midi}")
         samples = max(-(-len(drive) // self.ratio), 1)
         drive = np.pad(drive, (0, samples * self.ratio - len(drive)))
         self.damped = False

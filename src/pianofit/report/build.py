@@ -9,7 +9,7 @@ import numpy as np
 from ..analysis import law_frequency
 from ..inference import Result
 from .build_felt import felt_of, known_of
-from .build_takes import paths_of, strikes_of, takes_of
+from .build_recordings import paths_of, recordings_of, strokes_of
 from .curves import Curves
 
 __all__ = ["curves_of", "reference_curves", "spectrum_db"]
@@ -22,8 +22,8 @@ TOP = 12_000.0  # Hz
 def curves_of(result: Result) -> Curves:
     """Everything the page shows of one fit."""
     return replace(
-        reference_curves(result), takes=takes_of(result), first=result.first, paths=paths_of(result),
-        felt=felt_of(result), known=known_of(result), strikes=strikes_of(result),
+        reference_curves(result), recordings=recordings_of(result), first=result.first, paths=paths_of(result),
+        felt=felt_of(result), known=known_of(result), strokes=strokes_of(result),
     )  # fmt: skip
 
 
@@ -83,7 +83,7 @@ def _cents(frequency: np.ndarray, reference: np.ndarray) -> np.ndarray:
 
 def _contact_steps(*simulations) -> int:
     """Steps until the last of the contacts is over, and a tenth more."""
-    return max(int(1.1 * s.contact_time / float(s.modes.step)) + 2 for s in simulations)
+    return max(int(1.1 * s.last_touch / float(s.modes.step)) + 2 for s in simulations)
 
 
 def _pad(values, size: int) -> np.ndarray:

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["Curves", "Felt", "Known", "Strikes", "TakeCurves"]
+__all__ = ["Curves", "Felt", "Known", "Strokes", "RecordingCurves"]
 
 
 @dataclass(frozen=True)
-class TakeCurves:
-    """One take beside what the model makes of it. Sounds have full scale 1 and the take's own rate, Hz."""
+class RecordingCurves:
+    """One recording beside what the model makes of it. Sounds have full scale 1 and the recording's own rate, Hz."""
 
     place: int  # in the order given, from 1
     velocity: float  # m/s
@@ -32,7 +32,7 @@ class TakeCurves:
 class Felt:
     """The static law over the compressions reached, with its 95 % band; without one, the ends are the law itself.
 
-    A felt with memory has two laws: to a sudden blow, and to a slow one.
+    A felt with memory has two laws: to a sudden stroke, and to a slow one.
     """
 
     compression: np.ndarray  # [n], mm
@@ -51,14 +51,14 @@ class Known:
 
 
 @dataclass(frozen=True)
-class Strikes:
+class Strokes:
     """The note as the model plays it at several velocities, all through one gain."""
 
-    velocity: np.ndarray  # [strikes], m/s, rising
+    velocity: np.ndarray  # [strokes], m/s, rising
     sounds: tuple[np.ndarray, ...]  # each [samples], full scale = 1
     rate: int  # Hz
     first: int  # where the slider starts
-    inside: bool  # all lie within the takes' velocities
+    inside: bool  # all lie within the recordings' velocities
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class Curves:
 
     `frequency_cents` is the deviation from k f0, `frequency_cents_law` that of k f0 √(1 + B k²); `decay_law` is
     b1 + d2 k². `_error` is one standard deviation. `path` is the fitted output path at the partials, or None. What has
-    one take only is that of the first.
+    one recording only is that of the first.
     """
 
     frequency: np.ndarray  # [bins], of the spectra on the damped circle
@@ -100,9 +100,9 @@ class Curves:
     sound_original: np.ndarray  # [samples], full scale = 1
     sound_initial: np.ndarray
     sound_fitted: np.ndarray
-    takes: tuple[TakeCurves, ...] = ()  # in the order given
-    first: int = 0  # the take that the curves above are of
+    recordings: tuple[RecordingCurves, ...] = ()  # in the order given
+    first: int = 0  # the recording that the curves above are of
     paths: tuple[tuple[np.ndarray, np.ndarray], ...] = ()  # of each group: Hz and dB, [partials]
     felt: Felt | None = None
     known: Known | None = None
-    strikes: Strikes | None = None
+    strokes: Strokes | None = None

@@ -20,21 +20,27 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = [
-    "FAINT", "FITTED", "INITIAL", "INK", "LINES", "MEASURED", "STYLE",
-    "figure_of", "legend", "number_axis", "png", "points", "span", "styled", "svg",
+    "FAINT", "FITTED", "HEIGHT", "INITIAL", "INK", "LINES", "MEASURED", "STYLE",
+    "legend", "number_axis", "panel", "points", "span", "svg",
 ]  # fmt: skip
 
 INK, MEASURED, INITIAL, FITTED, FAINT = "#333333", "#1a1a1a", "#d55e00", "#0072b2", "#eeeeee"
+# Inches. A figure is one panel, whose letters can be read on a telephone; a page puts panels side by side.
+WIDTH = 5.6
+HEIGHT = 3.1
+LEFT, RIGHT, TOP, GAP = 0.72, 0.08, 0.3, 0.12
+BELOW = 0.52  # the ticks and the label of x
+LEGEND = 0.28  # a line of the legend
 LINES: dict[str, dict[str, Any]] = {
     "measured": {"color": MEASURED, "lw": 1.1, "zorder": 2},
     "initial": {"color": INITIAL, "lw": 1.2, "ls": (0, (4, 1.6)), "zorder": 3},
     "fitted": {"color": FITTED, "lw": 1.5, "zorder": 4},
 }
-DPI = 120  # of a PNG, and of what is a raster within an SVG
 STYLE: dict[Any, Any] = {
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans"],
     "font.size": 9.5,
+    "axes.facecolor": "none",
     "axes.titlesize": 10,
     "axes.titlelocation": "left",
     "axes.titlecolor": INK,
@@ -61,6 +67,7 @@ STYLE: dict[Any, Any] = {
 }
 
 
+DPI = 120  # of a PNG, and of what is a raster within an SVG
 _LOCK = Lock()  # matplotlib's settings are global
 
 
@@ -73,17 +80,34 @@ def styled() -> Iterator[None]:
         yield
 
 
-def figure_of(width: float, height: float) -> Figure:
-    """An empty figure, inches."""
+def panel(*heights: float, left: float = LEFT, legend_rows: int = 1) -> tuple[Figure, list[Axes]]:
+    """A figure of `WIDTH`, and axes one above the other that share their x: their heights, inches.
+
+    Parameters
+    ----------
+    left : room for the ticks and the label of y, inches.
+    legend_rows : lines of the legend below.
+    """
     from matplotlib.figure import Figure
 
-    return Figure(figsize=(width, height))
+    below = BELOW + LEGEND * legend_rows
+    whole = TOP + sum(heights) + GAP * (len(heights) - 1) + below
+    figure, found, at = Figure(figsize=(WIDTH, whole)), [], whole - TOP
+    for height in heights:
+        at -= height
+        box = (left / WIDTH, at / whole, (WIDTH - left - RIGHT) / WIDTH, height / whole)
+        found.append(figure.add_axes(box, sharex=found[0] if found else None))
+        at -= GAP
+    for axes in found[:-1]:
+        axes.tick_params(labelbottom=False)
+    figure.align_ylabels(found)
+    return figure, found
 
 
 def svg(figure: Figure) -> bytes:
     """The figure as a file, the same for the same figure."""
     file = io.BytesIO()
-    figure.savefig(file, format="svg", metadata={"Date": None, "Creator": None}, dpi=DPI)
+    figure.savefig(file, format="svg", facecolor="none", metadata={"Date": None, "Creator": None}, dpi=DPI)
     return file.getvalue().replace(b"'DejaVu Sans'", b"system-ui, 'DejaVu Sans'")
 
 
@@ -109,15 +133,16 @@ def number_axis(axes: Axes, number: np.ndarray) -> None:
     axes.xaxis.set_major_locator(MaxNLocator(nbins=10, integer=True, min_n_ticks=1))
 
 
-def legend(figure: Figure, *sources: Axes | None) -> None:
-    """One legend for the figure, below it, in the order measured, initial, fitted."""
+def legend(figure: Figure, *sources: Axes | None, columns: int = 4) -> None:
+    """One legend for the figure, below it, in the order measured, initial, fitted, then as drawn."""
     found: dict[str, Any] = {}
     for axes in sources:
         if axes is not None:
             handles, labels = axes.get_legend_handles_labels()
             found.update(zip(labels, handles, strict=True))
     order = sorted(found, key=lambda name: [*LINES, name].index(name))
-    figure.legend([found[name] for name in order], order, loc="lower center", ncols=len(order))
+    if order:
+        figure.legend([found[name] for name in order], order, loc="lower center", ncols=min(len(order), columns))
 
 
 def span(*arrays: np.ndarray) -> tuple[float, float]:

@@ -14,21 +14,22 @@ from .curves import Curves
 from .drawing import (
     FAINT,
     FITTED,
+    HEIGHT,
     INITIAL,
     INK,
     LINES,
     MEASURED,
     STYLE,
-    figure_of,
     legend,
     number_axis,
+    panel,
     points,
     span,
     styled,
     svg,
 )
 from .figures_known import draw_felt, draw_known
-from .figures_takes import draw_held_out, draw_paths, draw_takes
+from .figures_recordings import draw_held_out, draw_paths, draw_recordings
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -41,26 +42,30 @@ __all__ = [
 
 BANDS = {"band1": "band 1: fundamental", "band2": "band 2: partials 2 to 8", "band3": "band 3: partials from 9"}
 
+# Of the largest force: where the heads on a loop stand, apart from each other.
+RISING, FALLING = 0.6, 0.35
+HEAD = np.array([1.0, -0.7 + 0.45j, -0.4, -0.7 - 0.45j, 1.0])  # its outline, pointing right
+
 
 def draw_figures(
     curves: Curves, dropped: tuple[str, ...] = (), held_out: tuple[dict[str, Any], ...] = ()
-) -> dict[str, bytes]:
-    """Draw all figures of the page, name -> SVG; what there is nothing to show of is left out."""
+) -> dict[str, list[bytes]]:
+    """Draw all figures of the page, name -> SVGs of its panels; what there is nothing to show of is left out."""
     drawings = {"attack": _attack, "partials": _partials, "levels": _levels, "force": _force}
     with styled():
-        figures: dict[str, Figure] = {"spectra": _spectra(curves, dropped)}
+        figures: dict[str, list[Figure]] = {"spectra": _spectra(curves, dropped)}
         figures |= {name: draw(curves) for name, draw in drawings.items()}
-        if len(curves.takes) > 1:
-            figures["takes"] = draw_takes(curves.takes)
-        if len(curves.takes) > 1 and curves.paths:
-            figures["paths"] = draw_paths(curves.paths)
+        if len(curves.recordings) > 1:
+            figures["recordings"] = draw_recordings(curves.recordings)
+        if len(curves.recordings) > 1 and curves.paths:
+            figures["paths"] = [draw_paths(curves.paths)]
         if held_out:
-            figures["held_out"] = draw_held_out(held_out)
+            figures["held_out"] = [draw_held_out(held_out)]
         if curves.felt is not None:
-            figures["felt"] = draw_felt(curves.felt, curves.takes)
+            figures["felt"] = draw_felt(curves.felt, curves.recordings)
         if curves.known is not None:
             figures["known"] = draw_known(curves.known)
-        return {name: svg(figure) for name, figure in figures.items()}
+        return {name: [svg(figure) for figure in panels] for name, panels in figures.items()}
 
 
 def write_picture(path: str | os.PathLike[str], fit: dict[str, Any], curves: Curves) -> None:
@@ -72,10 +77,11 @@ def write_picture(path: str | os.PathLike[str], fit: dict[str, Any], curves: Cur
         If `path` cannot be written.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
     from matplotlib.image import imsave
 
     with styled():
-        figure = figure_of(14, 9)
+        figure = Figure(figsize=(14, 9))
         spectra, attack, levels, loop = (
             figure.add_axes((left, bottom, width, 0.38))
             for bottom in (0.58, 0.10)
@@ -100,27 +106,20 @@ def write_picture(path: str | os.PathLike[str], fit: dict[str, Any], curves: Cur
     replace_file(path, file.getvalue())
 
 
-def _spectra(curves: Curves, dropped: tuple[str, ...]) -> Figure:
-    """Two scales side by side when there is much above band 2, so that the first partials are not a sliver."""
-    figure = figure_of(11.25, 4.4)
+def _spectra(curves: Curves, dropped: tuple[str, ...]) -> list[Figure]:
+    """Two scales when there is much above band 2, so that the first partials are not a sliver."""
     edges = _band_edges(curves, dropped)
     low, high, split = edges[0][0], edges[-1][1], edges[-1][0]
     cuts = [low, split, high] if len(edges) > 1 and high - split > 1.5 * (split - low) else [low, high]
-    share = [0.40, 0.60] if len(cuts) == 3 else [1.0]
-    left, first = 0.06, None
-    for start, stop, part in zip(cuts, cuts[1:], share, strict=False):
-        width = 0.93 * part - 0.015
-        axes = figure.add_axes((left, 0.19, width, 0.79), sharey=first)
+    figures = []
+    for start, stop in pairwise(cuts):
+        figure, (axes,) = panel(HEIGHT)
         _draw_spectra(axes, curves, start, stop)
         _shade_bands(axes, edges)
-        if first is None:
-            axes.set_ylabel("level (dB)")
-            first = axes
-        else:
-            axes.tick_params(labelleft=False)
-        left += width + 0.03
-    legend(figure, first)
-    return figure
+        axes.set_ylabel("level (dB)")
+        legend(figure, axes)
+        figures.append(figure)
+    return figures
 
 
 def _draw_spectra(axes: Axes, curves: Curves, low: float, high: float) -> None:
@@ -185,18 +184,17 @@ def _shade_bands(axes: Axes, edges: list[tuple[float, float, str, bool]]) -> Non
                   color=INK, fontsize=8.5)  # fmt: skip
 
 
-def _attack(curves: Curves) -> Figure:
-    figure = figure_of(11.25, 5.0)
-    upper = figure.add_axes((0.07, 0.585, 0.92, 0.355))
-    lower = figure.add_axes((0.07, 0.155, 0.92, 0.355), sharex=upper, sharey=upper)
-    _draw_attack(upper, curves, ("measured", "initial"))
-    _draw_attack(lower, curves, ("measured", "fitted"))
-    upper.tick_params(labelbottom=False)
-    upper.set_title("start values", pad=4)
-    lower.set_title("after the fit", pad=4)
-    lower.set_xlabel("time from the onset (ms)")
-    legend(figure, upper, lower)
-    return figure
+def _attack(curves: Curves) -> list[Figure]:
+    limits = span(*(getattr(curves, f"attack_{name}") for name in LINES))
+    room = 0.05 * max(limits[1] - limits[0], 1e-12)
+    figures = []
+    for name, title in (("initial", "start values"), ("fitted", "after the fit")):
+        figure, (axes,) = panel(HEIGHT)
+        _draw_attack(axes, curves, ("measured", name))
+        axes.set(title=title, xlabel="time from the onset (ms)", ylim=(limits[0] - room, limits[1] + room))
+        legend(figure, axes)
+        figures.append(figure)
+    return figures
 
 
 def _draw_attack(axes: Axes, curves: Curves, names: tuple[str, ...]) -> None:
@@ -205,22 +203,19 @@ def _draw_attack(axes: Axes, curves: Curves, names: tuple[str, ...]) -> None:
     axes.set_ylabel("signal (full scale = 1)")
 
 
-def _partials(curves: Curves) -> Figure:
+def _partials(curves: Curves) -> list[Figure]:
     from matplotlib.ticker import LogLocator, NullFormatter
 
-    figure = figure_of(11.25, 4.8)
-    cents = figure.add_axes((0.075, 0.42, 0.395, 0.51))
-    rest = figure.add_axes((0.075, 0.17, 0.395, 0.19), sharex=cents)
-    decay = figure.add_axes((0.56, 0.17, 0.43, 0.76))
+    law, (cents, rest) = panel(0.68 * HEIGHT, 0.32 * HEIGHT)
     points(cents, curves.number, curves.frequency_cents, curves.frequency_cents_error)
     cents.plot(curves.number, curves.frequency_cents_law, label="law of the fitted string", **LINES["fitted"])
     cents.set(title="Frequency", ylabel="cents above k·f₀")
-    cents.tick_params(labelbottom=False)
     points(rest, curves.number, curves.frequency_cents - curves.frequency_cents_law, curves.frequency_cents_error)
     rest.axhline(0.0, **LINES["fitted"])
-    rest.set(ylabel="from law\n(cents)", xlabel="partial number k")
+    rest.set(ylabel="residual\n(cents)", xlabel="partial number k")
+    losses, (decay,) = panel(HEIGHT + 0.12)
     points(decay, curves.number, curves.decay, curves.decay_error)
-    decay.plot(curves.number, curves.decay_law, **LINES["fitted"])
+    decay.plot(curves.number, curves.decay_law, label="law of the fitted string", **LINES["fitted"])
     positive = curves.decay[np.isfinite(curves.decay)]
     if len(positive) and np.min(positive) > 0:
         decay.set_yscale("log")
@@ -228,36 +223,32 @@ def _partials(curves: Curves) -> Figure:
         decay.yaxis.set_major_formatter("{x:g}")
         decay.yaxis.set_minor_formatter(NullFormatter())
     decay.set(title="Decay of the amplitude", ylabel="decay rate α (1/s)", xlabel="partial number k")
-    for axes in (cents, decay):
+    for figure, axes in ((law, cents), (losses, decay)):
         number_axis(axes, curves.number)
-    legend(figure, cents)
-    return figure
+        legend(figure, axes)
+    return [law, losses]
 
 
-def _levels(curves: Curves) -> Figure:
-    """Levels, what is left of them, and the path if there is one, one above the other over the partial number."""
-    rows = [3.0, 1.6] if curves.path is None else [3.0, 1.6, 1.3]
-    figure = figure_of(11.25, 5.2 if curves.path is None else 6.6)
-    grid = figure.add_gridspec(
-        len(rows), 1, height_ratios=rows, left=0.085, right=0.99, top=0.97, bottom=0.14, hspace=0.12
-    )
-    panels = [figure.add_subplot(grid[0])]
-    panels += [figure.add_subplot(cell, sharex=panels[0]) for cell in list(grid)[1:]]  # type: ignore[call-overload]
-    _draw_levels(panels[0], curves)
+def _levels(curves: Curves) -> list[Figure]:
+    """Levels, and beside them their residuals and the path if there is one."""
+    levels, (axes,) = panel(HEIGHT)
+    _draw_levels(axes, curves)
+    axes.set(title="Levels", xlabel="partial number k")
+    legend(levels, axes)
+    path = curves.path
+    residuals, (error, *below) = panel(*((HEIGHT,) if path is None else (0.6 * HEIGHT, 0.4 * HEIGHT - 0.12)))
     for name, marker in (("initial", "s"), ("fitted", "o")):
-        error = getattr(curves, f"level_{name}") - curves.level
-        panels[1].plot(curves.number, error, marker=marker, ms=3.4, **LINES[name])
-    panels[1].axhline(0.0, color=MEASURED, lw=1)
-    panels[1].set_ylabel("minus\nmeasured (dB)")
-    if curves.path is not None:
-        panels[2].plot(curves.number, curves.path, color=FITTED, lw=1.4, marker="D", ms=3)
-        panels[2].set_ylabel("output\npath (dB)")
-    for panel in panels[:-1]:
-        panel.tick_params(labelbottom=False)
-    panels[-1].set_xlabel("partial number k")
-    figure.align_ylabels(panels)
-    legend(figure, panels[0])
-    return figure
+        off = getattr(curves, f"level_{name}") - curves.level
+        error.plot(curves.number, off, marker=marker, ms=3.4, label=name, **LINES[name])
+    error.axhline(0.0, color=MEASURED, lw=1)
+    error.set(title="Residuals", ylabel="minus measured (dB)")
+    if path is not None:
+        below[0].plot(curves.number, path, color=FITTED, lw=1.4, marker="D", ms=3)
+        below[0].set_ylabel("output\npath (dB)")
+    (below or [error])[-1].set_xlabel("partial number k")
+    number_axis(error, curves.number)
+    legend(residuals, error)
+    return [levels, residuals]
 
 
 def _draw_levels(axes: Axes, curves: Curves) -> None:
@@ -268,37 +259,56 @@ def _draw_levels(axes: Axes, curves: Curves) -> None:
     number_axis(axes, curves.number)
 
 
-def _force(curves: Curves) -> Figure:
-    figure = figure_of(11.25, 4.3)
-    time, loop = figure.add_axes((0.06, 0.19, 0.41, 0.72)), figure.add_axes((0.56, 0.19, 0.43, 0.72))
+def _force(curves: Curves) -> list[Figure]:
+    (first, (time,)), (second, (loop,)) = panel(HEIGHT), panel(HEIGHT)
     for name in ("initial", "fitted"):
         time.plot(curves.force_ms, getattr(curves, f"force_{name}"), label=name, **LINES[name])
     time.set(title="Force over time", xlabel="time from the first touch (ms)", ylabel="force (N)")
     time.set_ylim(bottom=0.0)
     _draw_loop(loop, curves)
     loop.set(title="Force over compression")
-    legend(figure, time)
-    return figure
+    legend(first, time)
+    legend(second, loop)
+    return [first, second]
 
 
 def _draw_loop(axes: Axes, curves: Curves) -> None:
-    """Draw force over compression, with arrows: up on the way in, lower on the way back."""
+    """Draw force over compression, with heads on the curve that say which way it runs."""
     for name in ("initial", "fitted"):
         x, force = getattr(curves, f"compression_{name}"), getattr(curves, f"force_{name}")
         touching = np.where(x > 0, 1.0, np.nan)
         axes.plot(x * touching, force * touching, label=name, **LINES[name])
-        look = {"arrowstyle": "-|>", "color": LINES[name]["color"], "mutation_scale": 14, "shrinkA": 0, "shrinkB": 0}
-        for start, stop in _arrows(x, force):
-            axes.annotate("", (x[stop], force[stop]), (x[start], force[start]), arrowprops=look)
     axes.set(xlabel="compression of the felt (mm)", ylabel="force (N)")
     axes.set_xlim(0.0, 1.05 * max(span(curves.compression_initial, curves.compression_fitted)[1], 1e-9))
     axes.set_ylim(bottom=0.0)
+    for name in ("initial", "fitted"):
+        for at, way in _headings(getattr(curves, f"compression_{name}"), getattr(curves, f"force_{name}")):
+            axes.plot(*at, marker=_head(_angle(axes, at, way)), ms=13, mew=0, color=LINES[name]["color"], zorder=6)
 
 
-def _arrows(compression: np.ndarray, force: np.ndarray) -> list[tuple[int, int]]:
-    """Where force passes half of its largest value, first up and last down, each as a short way along the curve."""
+def _headings(compression: np.ndarray, force: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Where force first rises through `RISING` of its largest and last falls through `FALLING`: point and step."""
     if not (len(force) > 2 and np.isfinite(force).all() and force.max() > 0 and compression.max() > 0):
         return []
-    above = np.flatnonzero(force > force.max() / 2)
-    stride = max(1, len(above) // 20)
-    return [(at - stride, at) for at in (above[0], above[-1] + 1) if stride <= at < len(force)]
+    curve = np.stack([compression, force], axis=1)
+    found = []
+    for share, end in ((RISING, 0), (FALLING, -1)):
+        level = share * force.max()
+        above = np.flatnonzero(force > level)
+        start = above[end] - (end == 0)
+        if 0 <= start < len(force) - 1:
+            step = curve[start + 1] - curve[start]
+            found.append((curve[start] + step * (level - force[start]) / step[1], step))
+    return found
+
+
+def _head(angle: float) -> list[tuple[float, float]]:
+    """A slender arrow head that points to `angle`, degrees, as a marker."""
+    turn = np.exp(1j * np.radians(angle))
+    return [(float(z.real), float(z.imag)) for z in HEAD * turn]
+
+
+def _angle(axes: Axes, at: np.ndarray, way: np.ndarray) -> float:
+    """The direction of a step `way` from the point `at`, as it is seen: degrees."""
+    dx, dy = axes.transData.transform(at + way) - axes.transData.transform(at)
+    return float(np.degrees(np.arctan2(dy, dx)))

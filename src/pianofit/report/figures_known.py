@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .curves import Felt, Known, TakeCurves
-from .drawing import FITTED, INITIAL, INK, LINES, MEASURED, figure_of, span
+from .curves import Felt, Known, RecordingCurves
+from .drawing import FITTED, HEIGHT, INITIAL, INK, LINES, MEASURED, legend, panel, span
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,23 +27,27 @@ FAR = 1e6  # of a law, beyond which its band is not drawn
 LOOP = "#8fbfe0"
 
 
-def draw_felt(felt: Felt, takes: Sequence[TakeCurves]) -> Figure:
-    """The static law with its band, and the loops that the strikes ran through."""
-    figure = figure_of(11.25, 4.3)
-    axes, logs = figure.add_axes((0.06, 0.215, 0.52, 0.73)), figure.add_axes((0.67, 0.215, 0.32, 0.73))
-    for i, take in enumerate(takes):
-        axes.plot(take.compression, take.force, color=LOOP, lw=1.1, zorder=3, label="" if i else "loop of a strike")
-    for panel in (axes, logs):
-        _law(panel, felt.compression, felt.force, LINES["fitted"], "static law" if felt.slow is None else "sudden")
+def draw_felt(felt: Felt, recordings: Sequence[RecordingCurves]) -> list[Figure]:
+    """The static law with its band, and the loops that the strokes ran through."""
+    rows = 1 if felt.slow is None else 2
+    (first, (axes,)), (second, (logs,)) = (panel(HEIGHT, legend_rows=rows) for _ in range(2))
+    for i, recording in enumerate(recordings):
+        axes.plot(
+            recording.compression, recording.force, color=LOOP, lw=1.1, zorder=3, label="" if i else "loop of a stroke"
+        )
+    for either in (axes, logs):
+        _law(either, felt.compression, felt.force, LINES["fitted"], "static law" if felt.slow is None else "sudden")
         if felt.slow is not None:
-            _law(panel, felt.compression, felt.slow, LINES["initial"], "slow")
-        panel.set(xlabel="compression of the felt (mm)", ylabel="force (N)")
-    tall = max(0.0, span(felt.force[0], *(take.force for take in takes))[1])
+            _law(either, felt.compression, felt.slow, LINES["initial"], "slow")
+        either.set(xlabel="compression of the felt (mm)", ylabel="force (N)")
+    tall = max(0.0, span(felt.force[0], *(recording.force for recording in recordings))[1])
     axes.set(xlim=(0.0, 1.03 * felt.compression[-1]), ylim=(0.0, 1.25 * max(tall, 1e-9)))
-    _logarithmic(logs, felt, [span(take.compression)[1] for take in takes])
-    handles, labels = axes.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="lower center", ncols=len(labels))
-    return figure
+    _logarithmic(logs, felt, [span(recording.compression)[1] for recording in recordings])
+    axes.set_title("Linear axes")
+    logs.set_title("Logarithmic axes")
+    legend(first, axes, columns=3)
+    legend(second, logs, columns=3)
+    return [first, second]
 
 
 def _law(axes: Axes, u: np.ndarray, force: np.ndarray, look: dict, name: str) -> None:
@@ -54,7 +58,7 @@ def _law(axes: Axes, u: np.ndarray, force: np.ndarray, look: dict, name: str) ->
 
 
 def _logarithmic(axes: Axes, felt: Felt, deepest: list[float]) -> None:
-    """Over one and a half decades of compression, where a power law is a line; ticks below are the takes' deepest."""
+    """Over one and a half decades of compression, where a power law is a line; marks at the axis: the deepest."""
     from matplotlib.ticker import LogLocator, NullFormatter
 
     u, law = felt.compression[-1], felt.force[0, -1]
@@ -64,21 +68,29 @@ def _logarithmic(axes: Axes, felt: Felt, deepest: list[float]) -> None:
     ends = felt.force[:, seen]
     axes.set(xscale="log", yscale="log", xlim=(u / 32, 1.15 * u))
     axes.set_ylim(max(ends[0].min() / 30, ends[1].min() / 2, law * 1e-9), min(30 * law, 2 * ends[2].max()))
-    axes.plot(deepest, [0.03] * len(deepest), "^", color=MEASURED, ms=7, transform=axes.get_xaxis_transform(), zorder=5)
+    axes.plot(
+        deepest,
+        [0.03] * len(deepest),
+        "|",
+        color=MEASURED,
+        ms=13,
+        mew=2,
+        transform=axes.get_xaxis_transform(),
+        zorder=5,
+    )
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_minor_formatter(NullFormatter())
         axis.set_major_formatter("{x:g}")
     axes.xaxis.set_major_locator(LogLocator(subs=(1, 3)))
 
 
-def draw_known(known: Known) -> Figure:
+def draw_known(known: Known) -> list[Figure]:
     """Half intervals on a logarithmic scale, and the table of correlations in colours."""
-    size = max(len(known.reaches), len(known.names))
-    figure = figure_of(11.25, 1.1 + 0.36 * max(size, 5))
-    high = 0.55 / (1.1 + 0.36 * max(size, 5))
-    _reaches(figure.add_axes((0.105, high, 0.33, 0.97 - 2 * high)), known)
-    _correlations(figure.add_axes((0.55, high, 0.44, 0.97 - 2 * high)), known)
-    return figure
+    height = 0.32 * max(len(known.reaches), len(known.names), 5)
+    (first, (reaches,)), (second, (correlations,)) = (panel(height, left=0.9, legend_rows=0) for _ in range(2))
+    _reaches(reaches, known)
+    _correlations(correlations, known)
+    return [first, second]
 
 
 def draw_correlations(axes: Axes, known: Known) -> None:

@@ -1,6 +1,6 @@
 """What all pages have in common: one file that holds everything it shows, and loads nothing.
 
-Pictures, sounds, style and script are inside the file. Its content security policy (`base.html.j2`) lets nothing be
+Pictures, sounds, style and script are inside the file. Its content security policy (`kit.html.j2`) lets nothing be
 loaded from anywhere and runs no script but its own, named by its hash. All text from outside goes through Jinja's
 autoescape, and none of it into a script.
 """
@@ -10,7 +10,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
@@ -19,20 +19,23 @@ from ..io import replace_file
 if TYPE_CHECKING:
     from jinja2 import Environment
 
-__all__ = ["data_uri", "templates", "write_page"]
+__all__ = ["data_uri", "picture", "templates", "write_page"]
 
 KIT = "pianofit.report"
 
 
 def write_page(
     path: str | os.PathLike[str], template: str, *, package: str = KIT, styles: tuple[str, ...] = (),
-    scripts: tuple[str, ...] = (), filters: dict[str, Callable] | None = None, strict: bool = True, **content: Any,
+    scripts: tuple[str, ...] = (), filters: dict[str, Callable] | None = None, strict: bool = True, title: str,
+    contents: Sequence[tuple[str, str]] = (), **content: Any,
 ) -> None:  # fmt: skip
     """Write one self-contained page, whole or not at all.
 
     Parameters
     ----------
-    template : a file of `package` that extends `base.html.j2`.
+    title : plain text.
+    template : a file of `package` that extends `kit.html.j2`.
+    contents : of the page: (id of the heading, words).
     styles, scripts : names of files; the styles follow `page.css`, and the scripts are run as one.
     filters : of the template, beside `number`.
     strict : a missing entry of `content` is an error; otherwise it is empty.
@@ -44,6 +47,8 @@ def write_page(
     """
     script = "".join(_asset(name, package) for name in scripts)
     html = templates(package, strict=strict, filters=filters).get_template(template).render(
+        title=title,
+        contents=contents,
         style="".join(_asset(name, package) for name in ("page.css", *styles)),
         script=script,
         script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
@@ -56,7 +61,7 @@ def templates(package: str, *, strict: bool = True, filters: dict[str, Callable]
     """The templates of a package and those of the kit, with numbers as a reader likes them."""
     from jinja2 import Environment, FunctionLoader, StrictUndefined, Undefined
 
-    from .words import number
+    from .numbers import number
 
     environment = Environment(
         loader=FunctionLoader(lambda name: _asset(name, package)), autoescape=True, trim_blocks=True,
@@ -64,6 +69,11 @@ def templates(package: str, *, strict: bool = True, filters: dict[str, Callable]
     )  # fmt: skip
     environment.filters |= {"number": number} | (filters or {})
     return environment
+
+
+def picture(panels: Sequence[bytes]) -> list[str]:
+    """The addresses of a picture's panels, SVG, as a page has them."""
+    return [data_uri("image/svg+xml", svg) for svg in panels]
 
 
 def data_uri(kind: str, content: bytes) -> str:

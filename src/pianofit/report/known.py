@@ -9,9 +9,10 @@ import math
 from typing import Any
 
 from ..parameters import DEFAULT_LAW, FELT_LAWS
-from .words import INVARIANTS, VELOCITY_RATIO, number
+from .numbers import is_number, number
+from .words import INVARIANTS, VELOCITY_RATIO
 
-__all__ = ["felt_scale", "half_interval", "held_out_rows", "open_scale", "told"]
+__all__ = ["felt_scale", "half_interval", "held_out_rows", "identified", "open_scale"]
 
 FELT = ("K_H", "mu", "p", "epsilon", "tau")
 FIXED = "Fixed by the data, as far as the brackets say (95 %)"
@@ -20,7 +21,7 @@ WITHIN, OPEN = "Fixed only if the model and its path are all there is", "Not fix
 LOOSE = math.log(2.0)
 
 
-def told(fit: dict[str, Any]) -> list[tuple[str, list[str]]]:
+def identified(fit: dict[str, Any]) -> list[tuple[str, list[str]]]:
     """(Heading, sentences): the combinations that are fixed, those that rest on the model, and what is not."""
     lists: dict[str, list[str]] = {FIXED: _string(fit), WITHIN: [], OPEN: []}
     felt = _felt_force(fit)
@@ -43,14 +44,10 @@ def _plain(name: Any) -> str:
     return {"kappa": "κ", "mu": "μ", "epsilon": "ε", "tau": "τ"}.get(str(name), str(name))
 
 
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-
-
 def half_interval(entry: Any) -> float | None:
     """Half of the 95 % interval of an entry's logarithm; None where there is none."""
     span = entry.get("interval") if isinstance(entry, dict) else None
-    if not (isinstance(span, list | tuple) and len(span) == 2 and all(map(_is_number, span)) and 0 < span[0] < span[1]):
+    if not (isinstance(span, list | tuple) and len(span) == 2 and all(map(is_number, span)) and 0 < span[0] < span[1]):
         return None
     return 0.5 * math.log(span[1] / span[0])
 
@@ -67,7 +64,7 @@ def _value(fit: dict[str, Any], name: str) -> Any:
 
 def _shown(fit: dict[str, Any], name: str) -> bool:
     """Whether an invariant was fitted: what was given has no interval."""
-    return _is_number(_value(fit, name)) and math.isfinite(_reach(fit, name))
+    return is_number(_value(fit, name)) and math.isfinite(_reach(fit, name))
 
 
 def _within(reach: float) -> str:
@@ -113,8 +110,8 @@ def open_scale(fit: dict[str, Any]) -> bool:
     """Whether velocities are known up to one common scale: neither one of them nor the gain was given."""
     if _status(fit, "v_H0") in ("scaled", "assumed"):
         return True
-    takes = fit.get("takes") or ()
-    given = any("given" in (take.get("gain_status"), take.get("v_H0_status")) for take in takes)
+    recordings = fit.get("takes") or ()
+    given = any("given" in (recording.get("gain_status"), recording.get("v_H0_status")) for recording in recordings)
     return _status(fit, "v_H0") == "not-identifiable" and not given
 
 
@@ -147,8 +144,10 @@ def _velocities(fit: dict[str, Any]) -> list[str]:
         entries = [entry for name, entry in (fit.get("invariants") or {}).items() if name.startswith(VELOCITY_RATIO)]
     else:
         of = "Velocities of the strokes"
-        takes = fit.get("takes") or ()
-        entries = [{"interval": take.get("v_H0_interval")} for take in takes] if len(takes) > 1 else []
+        recordings = fit.get("takes") or ()
+        entries = (
+            [{"interval": recording.get("v_H0_interval")} for recording in recordings] if len(recordings) > 1 else []
+        )
     reaches = [reach for entry in entries if (reach := half_interval(entry)) is not None]
     return [f"{of} (the least certain {_within(max(reaches))})."] if reaches and max(reaches) <= LOOSE else []
 
@@ -164,7 +163,7 @@ def _not_told(fit: dict[str, Any]) -> list[str]:
         said += [words.format(", ".join(names))] if names else []
     for entry in fit.get("diagnostics", {}).get("correlated") or ():
         pair, r = entry.get("pair") or (), entry.get("correlation")
-        if len(pair) == 2 and _is_number(r):
+        if len(pair) == 2 and is_number(r):
             way = "together" if r > 0 else "against each other"
             a, b = map(_plain, pair)
             said.append(f"{a} and {b} apart: they can move {way} (correlation {r:+.4f}).".replace("-", "−"))
@@ -183,18 +182,18 @@ def _not_told(fit: dict[str, Any]) -> list[str]:
 
 
 def held_out_rows(held_out: dict[str, Any] | None) -> dict[str, Any] | None:
-    """What `predict.cross_validate` returned, for the page; None without takes."""
-    takes = [take for take in (held_out or {}).get("takes") or () if isinstance(take, dict)]
-    if held_out is None or not takes:
+    """What `predict.cross_validate` returned, for the page; None without recordings."""
+    recordings = [recording for recording in (held_out or {}).get("takes") or () if isinstance(recording, dict)]
+    if held_out is None or not recordings:
         return None
     numbers = ("v_H0", "predicted_v_H0", "partials", "predicted_db", "nearest_db", "blend_db")
     median, worst = (held_out.get(key) for key in ("median_inner_db", "worst_inner_db"))
-    shown = _is_number(median) and _is_number(worst)
+    shown = is_number(median) and is_number(worst)
     return {
         "takes": [
-            {"file": str(take.get("file") or "")}
-            | {n: take.get(n) if _is_number(take.get(n)) else None for n in numbers}
-            for take in takes
+            {"file": str(recording.get("file") or "")}
+            | {n: recording.get(n) if is_number(recording.get(n)) else None for n in numbers}
+            for recording in recordings
         ],
         "messages": [str(message) for message in held_out.get("messages") or ()],
         "median": number(median, 3) if shown else "",

@@ -1,7 +1,6 @@
-"""One HTML file that says what was fitted and how well, shows it, and lets it be heard.
+"""One HTML file that says what was fitted and how well, shows it, and lets it be heard; see `kit`.
 
-How a page holds everything and loads nothing stands in `kit`. The player reads its sounds from the links that also let
-them be saved.
+The player reads its sounds from the links that also let them be saved.
 """
 
 from __future__ import annotations
@@ -11,15 +10,15 @@ import os
 from pathlib import PurePath
 from typing import Any
 
-from . import known, words
-from .curves import Curves, Strikes, TakeCurves
+from . import known, numbers, words
+from .curves import Curves, RecordingCurves, Strokes
 from .figures import draw_figures
-from .kit import data_uri, write_page
+from .kit import picture, write_page
 from .sound import Clip, make_clips
 
 __all__ = ["Curves", "write_report"]
 
-# Of the sounds beside the three of the first take: up to this rate, and as long as leaves the page some megabytes.
+# Of the sounds beside the three of the first recording: up to this rate, and as long as leaves the page some megabytes.
 LIGHT_RATE, LIGHT_SECONDS, SHORTEST, LIGHT_SAMPLES = 32_000, 4.0, 1.5, 1_000_000
 
 
@@ -39,14 +38,16 @@ def write_report(
     title
         Plain text, such as the name of the file and the note.
     held_out
-        What `predict.cross_validate` returned of the same takes, to be shown beside their fit.
+        What `predict.cross_validate` returned of the same recordings, to be shown beside their fit.
 
     Raises
     ------
     OutputError
         If `path` cannot be written.
     """
-    fit = {key: entry for key, entry in fit.items() if entry is not None}
+    names = _names(fit, held_out)
+    fit = {key: _named(names, entry) for key, entry in fit.items() if entry is not None}
+    held_out = _named(names, held_out)
     onset = _onset(fit.get("takes", []))
     sounds = {
         "original": curves.sound_original,
@@ -57,12 +58,14 @@ def write_report(
     figures = draw_figures(
         curves, tuple(fit.get("criterion", {}).get("dropped") or ()), tuple(left_out["takes"]) if left_out else ()
     )
+    identified = known.identified(fit)
     write_page(
         path,
         "page.html.j2",
         scripts=("audio.js", "player.js"),
         strict=False,
         title=title,
+        contents=_contents(fit, bool(identified or figures.get("known")), bool(left_out)),
         fit=fit,
         notices=words.notices(fit),
         tiles=words.tiles(fit),
@@ -75,47 +78,90 @@ def write_report(
         minima=words.minima(fit),
         how_sure=words.how_sure(fit),
         clips=make_clips(sounds, curves.sound_rate, onset),
-        strikes=_strikes(curves.strikes),
+        strokes=_strokes(curves.strokes),
         players=_players(curves, fit.get("takes", [])),
-        told=known.told(fit),
+        identified=identified,
         felt_scale=known.felt_scale(fit),
         scale_open=known.open_scale(fit),
         stulov=curves.felt is not None and curves.felt.slow is not None,
         held_out=left_out,
-        groups_of_takes=len(curves.paths),
-        figures={name: data_uri("image/svg+xml", svg) for name, svg in figures.items()},
+        path_groups=len(curves.paths),
+        figures={name: picture(panels) for name, panels in figures.items()},
         has_path=curves.path is not None,
         data=json.dumps(fit, indent=2, ensure_ascii=False, default=str),
     )
 
 
-def _onset(takes: list[dict[str, Any]]) -> float:
-    """When the note of the first take begins, s."""
-    ordered = sorted(takes, key=lambda take: not take.get("first"))
-    return next((take["onset_s"] for take in ordered if take.get("onset_s") is not None), 0.0)
+def _contents(fit: dict[str, Any], identified: bool, left_out: bool) -> list[tuple[str, str]]:
+    """The page's headings: (id, words)."""
+    several = len(fit.get("takes") or ()) > 1
+    headings = (
+        ("recordings", "The recordings", several),
+        ("listen", "Listen", True),
+        ("parameters", "Parameters", True),
+        ("known", "What the data fix", identified),
+        ("evidence", "How well it fits", True),
+        ("left-out", "Recordings left out", left_out),
+        ("hammer", "The hammer", True),
+        ("made", "How this was made", True),
+    )
+    return [(anchor, words) for anchor, words, there in headings if there]
 
 
-def _strikes(strikes: Strikes | None) -> dict[str, Any] | None:
+def _names(*documents: dict[str, Any] | None) -> dict[str, str]:
+    """The path of every recording -> its name; the longest path first."""
+    recordings = [
+        recording
+        for document in documents
+        for recording in (document or {}).get("takes") or ()
+        if isinstance(recording, dict)
+    ]
+    files = {str(recording.get("file") or "") for recording in recordings}
+    return {file: PurePath(file).name for file in sorted(files, key=len, reverse=True) if PurePath(file).name}
+
+
+def _named(names: dict[str, str], value: Any) -> Any:
+    """`value` with names instead of paths in all text: a page is shown to others, who need not know any folder."""
+    if isinstance(value, dict):
+        return {key: _named(names, entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_named(names, entry) for entry in value]
+    if isinstance(value, str):
+        for path, name in names.items():
+            value = value.replace(path, name)
+    return value
+
+
+def _onset(recordings: list[dict[str, Any]]) -> float:
+    """When the note of the first recording begins, s."""
+    ordered = sorted(recordings, key=lambda recording: not recording.get("first"))
+    return next((recording["onset_s"] for recording in ordered if recording.get("onset_s") is not None), 0.0)
+
+
+def _strokes(strokes: Strokes | None) -> dict[str, Any] | None:
     """The sounds of the slider, which keep their loudness to each other."""
-    if strikes is None:
+    if strokes is None:
         return None
-    sounds = {f"{words.number(v, 3)} m/s": x for v, x in zip(strikes.velocity, strikes.sounds, strict=True)}
-    clips = make_clips(sounds, strikes.rate, lead_in=0.0, matched=False, highest_rate=LIGHT_RATE)
-    return {"clips": clips, "first": strikes.first, "inside": strikes.inside}
+    sounds = {f"{numbers.number(v, 3)} m/s": x for v, x in zip(strokes.velocity, strokes.sounds, strict=True)}
+    clips = make_clips(sounds, strokes.rate, lead_in=0.0, matched=False, highest_rate=LIGHT_RATE)
+    return {"clips": clips, "first": strokes.first, "inside": strokes.inside}
 
 
-def _players(curves: Curves, takes: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Recorded and fitted sound of every take but the first, which has its own player."""
-    others = [take for i, take in enumerate(curves.takes) if i != curves.first]
+def _players(curves: Curves, recordings: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Recorded and fitted sound of every recording but the first, which has its own player."""
+    others = [recording for i, recording in enumerate(curves.recordings) if i != curves.first]
     seconds = max(SHORTEST, min(LIGHT_SECONDS, LIGHT_SAMPLES / (2 * max(len(others), 1) * LIGHT_RATE)))
-    names = {i: PurePath(str(take.get("file") or f"take {i}")).name for i, take in enumerate(takes, start=1)}
+    names = {
+        i: PurePath(str(recording.get("file") or f"recording {i}")).name
+        for i, recording in enumerate(recordings, start=1)
+    }
     return [
-        {"id": f"take-{take.place}", "place": take.place, "file": names.get(take.place, f"take {take.place}"),
-         "velocity": take.velocity, "clips": _pair(take, seconds)}
-        for take in others
+        {"id": f"recording-{one.place}", "place": one.place, "file": names.get(one.place, f"recording {one.place}"),
+         "velocity": one.velocity, "clips": _pair(one, seconds)}
+        for one in others
     ]  # fmt: skip
 
 
-def _pair(take: TakeCurves, seconds: float) -> list[Clip]:
-    sounds = {"original": take.sound_original, "fitted": take.sound_fitted}
-    return make_clips(sounds, take.sound_rate, take.onset, seconds=seconds, highest_rate=LIGHT_RATE)
+def _pair(recording: RecordingCurves, seconds: float) -> list[Clip]:
+    sounds = {"original": recording.sound_original, "fitted": recording.sound_fitted}
+    return make_clips(sounds, recording.sound_rate, recording.onset, seconds=seconds, highest_rate=LIGHT_RATE)

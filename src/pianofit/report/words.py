@@ -6,15 +6,16 @@ Every function takes the whole fit and leaves out what it does not say. Text is 
 from __future__ import annotations
 
 import math
-from decimal import Decimal
 from pathlib import PurePath
 from typing import Any
 
 from ..parameters import PARAMETERS
 from .figures import BANDS
+from .numbers import is_number, number, with_interval
 
 __all__ = [
-    "bands", "comparison", "glide", "groups", "how_sure", "invariants", "minima", "notices", "number", "rows", "tiles",
+    "again_in_words", "bands", "comparison", "glide", "groups", "how_sure", "invariants", "minima", "notices", "rows",
+    "tiles",
 ]  # fmt: skip
 
 STATUS = {  # word -> mark, explanation
@@ -54,55 +55,9 @@ INVARIANTS = {
 VELOCITY_RATIO = "v/v_ref "
 # What tells one minimum's hammer from another's.
 HAMMER = ("K_H", "p", "mu", "epsilon", "tau", "M_H", "x0")
-# Ends of an interval that differ by more than this factor are written each with its own power of ten.
-APART = 1e3
 UNSETTLED = (
     "The search ended before it converged. Take every number on this page as a stage on the way, not as a result."
 )
-
-
-def number(value: Any, digits: int = 4) -> str:
-    """Write `value` with up to `digits` significant digits, as a reader likes it: 0.12, 304.1, 1.099 × 10¹⁰."""
-    if not _is_number(value):
-        return "–"
-    power, decimals = _scale(value, digits)
-    text = _fixed(value, power, decimals)
-    return (text.rstrip("0").rstrip(".") if "." in text else text) + _times(power)
-
-
-def _with_interval(value: Any, interval: Any) -> tuple[str, str]:
-    """`value` and its interval to the digits that the interval's width supports, with one power of ten for all."""
-    if not (_is_number(value) and interval and all(map(_is_number, interval))):
-        return number(value), ""
-    low, high = interval
-    width = (high - low) / 2
-    decades = max(abs(low), abs(high)) >= 1e4 * abs(value) or 0 < low < high / APART
-    if decades or not width > 0:  # each by itself
-        return number(value), f"{number(low, 3)} to {number(high, 3)}"
-    resolved = math.ceil(math.log10(abs(value)) - math.log10(width)) + 1
-    power, decimals = _scale(value, min(9, max(3, resolved)))
-    ends = f"{_fixed(low, power, decimals)} to {_fixed(high, power, decimals)}"
-    return _fixed(value, power, decimals) + _times(power), (f"({ends}){_times(power)}" if power else ends)
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and math.isfinite(value)
-
-
-def _scale(value: float, digits: int) -> tuple[int, int]:
-    """(Power of ten to take out, decimals to write) for `digits` significant digits of `value`."""
-    exponent = int(f"{value:.{digits - 1}e}".split("e")[1]) if value else 0
-    power = 0 if -4 < exponent < 6 else exponent
-    return power, max(0, digits - 1 - exponent + power)
-
-
-def _fixed(value: float, power: int, decimals: int) -> str:
-    return f"{Decimal(value).scaleb(-power):.{decimals}f}".replace("-", "−")
-
-
-def _times(power: int) -> str:
-    raised = str(power).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
-    return f"\u00a0×\u00a010{raised}" if power else ""
 
 
 def rows(fit: dict[str, Any]) -> list[dict[str, str]]:
@@ -125,7 +80,7 @@ def _row(name: str, entry: dict[str, Any]) -> dict[str, str]:
 
 def _measured(entry: dict[str, Any]) -> dict[str, str]:
     """Value, unit and interval in words."""
-    value, interval = _with_interval(entry.get("value"), entry.get("interval"))
+    value, interval = with_interval(entry.get("value"), entry.get("interval"))
     unit = entry.get("unit") or ""
     return {"value": value, "unit": "" if unit == "1" else unit.replace("^p", "ᵖ"), "interval": interval}
 
@@ -159,8 +114,8 @@ def minima(fit: dict[str, Any]) -> dict[str, Any] | None:
         ],
         "rows": [
             {
-                "share": f"{100 * entry['share']:.0f} %" if _is_number(entry.get("share")) else "–",
-                "above": number(entry["F"] - best, 2) if _is_number(entry.get("F")) and _is_number(best) else "–",
+                "share": f"{100 * entry['share']:.0f} %" if is_number(entry.get("share")) else "–",
+                "above": number(entry["F"] - best, 2) if is_number(entry.get("F")) and is_number(best) else "–",
                 "values": [number(v.get(name), 4) for name in names],
                 "velocities": ", ".join(number(x, 3) for x in entry.get("velocities") or ()),
             }
@@ -218,7 +173,7 @@ def notices(fit: dict[str, Any]) -> list[tuple[str, str, str]]:
 
 def _change(initial: Any, final: Any) -> str:
     """How a criterion (a relative squared error) changed: as a factor, and in dB."""
-    if not (_is_number(initial) and _is_number(final) and initial > 0 and final > 0):
+    if not (is_number(initial) and is_number(final) and initial > 0 and final > 0):
         return "–"
     ratio = initial / final
     if abs(ratio - 1) < 5e-4:
@@ -246,6 +201,7 @@ def tiles(fit: dict[str, Any]) -> list[tuple[str, str, str]]:
     levels, derived, criterion = (fit.get(key, {}) for key in ("levels", "derived", "criterion"))
     overall = criterion.get("global") or {}
     moves, count, start = glide(fit), levels.get("partials", "all"), overall.get("initial")
+    again = again_in_words(derived.get("later_contacts"))
     force, depth = number(derived.get("max_force_N"), 3), number(derived.get("max_compression_mm"), 3)
     tiles = (
         (
@@ -266,20 +222,36 @@ def tiles(fit: dict[str, Any]) -> list[tuple[str, str, str]]:
         (
             "Contact of the hammer",
             (derived.get("contact_ms"), 3, "ms"),
-            f"up to {force} N, felt pressed in by {depth} mm",
+            f"up to {force} N, felt pressed in by {depth} mm" + (f"; {again}" if again else ""),
         ),
     )
     return [
         (what, f"{number(value, digits)} {unit}", explanation)
         for what, (value, digits, unit), explanation in tiles
-        if _is_number(value)
+        if is_number(value)
     ]
+
+
+def again_in_words(contacts: Any) -> str:
+    """Say how often, when and how hard the hammer touches the string after its first contact; empty if it does not."""
+    found = [c for c in contacts or () if isinstance(c, dict) and all(map(is_number, c.values()))]
+    if not found:
+        return ""
+    first, last = found[0], found[-1]
+    hardest = number(max(c["max_force_N"] for c in found), 2)
+    if len(found) == 1:
+        end = number(first["start_ms"] + first["duration_ms"], 3)
+        return f"touches again from {number(first['start_ms'], 3)} to {end} ms, with up to {hardest} N"
+    return (
+        f"touches again {len(found)} times, from {number(first['start_ms'], 3)} ms to "
+        f"{number(last['start_ms'] + last['duration_ms'], 3)} ms, with up to {hardest} N"
+    )
 
 
 def glide(fit: dict[str, Any]) -> str:
     """Say how the pitch moves while the note decays; empty where that is not known."""
     cents = fit.get("derived", {}).get("glide_cents")
-    return f"{'falls' if cents >= 0 else 'rises'} by {abs(cents):.1f} cents" if _is_number(cents) else ""
+    return f"{'falls' if cents >= 0 else 'rises'} by {abs(cents):.1f} cents" if is_number(cents) else ""
 
 
 def groups(fit: dict[str, Any]) -> list[tuple[str, str, str, list[str]]]:
@@ -292,7 +264,7 @@ def groups(fit: dict[str, Any]) -> list[tuple[str, str, str, list[str]]]:
 def comparison(fit: dict[str, Any]) -> str:
     """Set the fit beside what an unknown path can do without it; empty where that was not tried."""
     path, fitted = (fit.get("levels", {}).get(key) for key in ("path_only_db", "fitted_db"))
-    if not (_is_number(path) and _is_number(fitted)):
+    if not (is_number(path) and is_number(fitted)):
         return ""
     if path > fitted + 0.1:
         meaning = "The fitted hammer explains more of the levels than a path alone."

@@ -76,7 +76,7 @@ def _strike(it: Preset, velocity: float) -> Strike:
     done = _simulate(it, velocity)
     step, pulse = float(done.modes.step), done.pulse
     force, gap, speed = (np.asarray(x) for x in (pulse.force, pulse.compression, pulse.hammer[:, 1]))
-    shown = slice(0, int(1.1 * done.contact_time / step) + 2)
+    shown = slice(0, int(1.1 * done.last_touch / step) + 2)
     energy = 0.5 * float(it.hammer.M_H) * velocity**2
     after = 0.5 * float(it.hammer.M_H) * float(speed[-1]) ** 2
     sound = done.waveform(RATE, int(SECONDS * RATE))

@@ -1,4 +1,4 @@
-"""What the page shows of every take, and the note at velocities between them."""
+"""What the page shows of every recording, and the note at velocities between them."""
 
 from __future__ import annotations
 
@@ -7,29 +7,29 @@ import numpy as np
 from ..errors import FitError, ParameterError
 from ..inference import Result
 from ..parameters import PARAMETERS
-from .curves import Strikes, TakeCurves
+from .curves import RecordingCurves, Strokes
 
-__all__ = ["paths_of", "strikes_of", "takes_of"]
+__all__ = ["paths_of", "strokes_of", "recordings_of"]
 
-STRIKES = 7
+STROKES = 7
 SECONDS = 2.5
-# Takes closer than this in velocity, as a ratio, give no range; the slider then goes to half and to double.
+# Recordings closer than this in velocity, as a ratio, give no range; the slider then goes to half and to double.
 NARROW, WIDER = 1.3, 2.0
 LOOP_POINTS = 400
 
 
-def takes_of(result: Result) -> tuple[TakeCurves, ...]:
-    """Every take, in the order given."""
-    return tuple(_take(place, heard) for place, heard in enumerate(result.takes, start=1))
+def recordings_of(result: Result) -> tuple[RecordingCurves, ...]:
+    """Every recording, in the order given."""
+    return tuple(_recording(place, heard) for place, heard in enumerate(result.takes, start=1))
 
 
-def _take(place: int, heard) -> TakeCurves:
+def _recording(place: int, heard) -> RecordingCurves:
     p, recording, pulse = heard.partials, heard.recording, heard.fitted.simulation.pulse
     compression, force = np.asarray(pulse.compression), np.asarray(pulse.force)
     last = int(np.flatnonzero(compression > 0)[-1]) + 2 if (compression > 0).any() else 0
     thin = slice(0, last, max(1, last // LOOP_POINTS))
     touching = np.where(compression > 0, 1.0, np.nan)[thin]
-    return TakeCurves(
+    return RecordingCurves(
         place, float(heard.fitted.voice.hammer.v_H0), heard.levels["fitted_db"],
         p.number, heard.level, p.level_error, heard.fitted.level,
         1e3 * compression[thin] * touching, force[thin] * touching,
@@ -40,15 +40,15 @@ def _take(place: int, heard) -> TakeCurves:
 def paths_of(result: Result) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
     """The output path of each group at its partials: Hz and dB; none for a known pickup."""
     found = {}
-    for heard, take in zip(result.takes, result.document["takes"], strict=True):
+    for heard, recording in zip(result.takes, result.document["takes"], strict=True):
         path = heard.fitted.voice.path
         if path is not None:
-            found.setdefault(take["group"], (path.frequency, path.db))
+            found.setdefault(recording["group"], (path.frequency, path.db))
     return tuple(found[group] for group in sorted(found))
 
 
-def strikes_of(result: Result) -> Strikes | None:
-    """The first take's voice from the softest take's velocity to the loudest's; one take's, to half and to double."""
+def strokes_of(result: Result) -> Strokes | None:
+    """The reference's voice from the softest recording's velocity to the loudest's; of one, to half and to double."""
     own = np.array([heard.fitted.voice.hammer.v_H0 for heard in result.takes])
     low, high = float(own.min()), float(own.max())
     inside = high / low > NARROW
@@ -57,7 +57,7 @@ def strikes_of(result: Result) -> Strikes | None:
         low, high = max(middle / WIDER, box.lower), min(middle * WIDER, box.upper)
     voice, recording = result.note, result.recording
     played = []
-    for velocity in np.geomspace(low, high, STRIKES):
+    for velocity in np.geomspace(low, high, STROKES):
         struck = voice._replace(hammer=voice.hammer._replace(v_H0=float(velocity)))
         try:
             played.append((float(velocity), struck.play(recording.rate, int(SECONDS * recording.rate))[0]))
@@ -67,4 +67,4 @@ def strikes_of(result: Result) -> Strikes | None:
         return None
     velocities = np.array([velocity for velocity, _ in played])
     first = int(np.abs(np.log(velocities / voice.hammer.v_H0)).argmin())
-    return Strikes(velocities, tuple(sound for _, sound in played), recording.rate, first, inside)
+    return Strokes(velocities, tuple(sound for _, sound in played), recording.rate, first, inside)

@@ -1,0 +1,113 @@
+"""The commands from parameters to a sound file: simulate and render."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ..errors import ParameterError
+from .options import Force, Rate, Seconds, Sound, Velocity, number
+from .summary import contact_of
+from .terminal import add
+
+__all__ = ["register"]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands to `app`."""
+    add(app, simulate, "pianofit simulate --preset bensa-final --set p=3.0 --velocity 2 --out string.wav")
+    add(app, render, "pianofit render fitted/fit.json --velocity 3 --out harder.wav")
+
+
+def simulate(
+    preset: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME", help="A published string and hammer, such as bensa-final; a wrong name lists all."
+        ),
+    ],
+    out: Sound,
+    change: Annotated[
+        list[str],
+        typer.Option("--set", metavar="NAME=NUMBER", help="A parameter to change; may be given several times."),
+    ] = [],  # noqa: B006
+    velocity: Velocity = None,
+    seconds: Seconds = 3.0,
+    rate: Rate = 44_100,
+    quantity: Annotated[
+        str, typer.Option(metavar="QUANTITY", help="What is heard: velocity, displacement or bridge-force.")
+    ] = "bridge-force",
+    force: Force = False,
+) -> None:
+    """Strike a published string and write its sound, its peak at -1 dBFS."""
+    from ..io import check_sound_target, encode_wav, write_file
+
+    check_sound_target(out, force)
+    from ..model.cache import keep_programs
+    from ..render import check_render
+
+    check_render(velocity, seconds, rate or 44_100)
+    keep_programs()
+    samples, strike = _struck(preset, change, velocity, seconds, rate or 44_100, quantity)
+    write_file(out, encode_wav(samples, rate or 44_100), force)
+    typer.echo(f"{out}: {seconds:g} s, largest force {float(strike.pulse.force.max()):.3g} N, {contact_of(strike)}")
+
+
+def _struck(preset: str, change: list[str], velocity: float | None, seconds: float, rate: int, quantity: str):
+    from ..model import simulate as run
+    from ..parameters import check, make_hammer
+    from ..published import preset as find
+    from ..render import CEILING
+
+    it = find(preset)
+    values = it.string._asdict() | it.hammer._asdict() | _assignments(change)
+    if velocity is not None:
+        values["v_H0"] = velocity
+    check({name: value for name, value in values.items() if (name, value) != ("mu", 0.0)}, "--set")
+    string = it.string._replace(**{k: values[k] for k in it.string._fields})
+    hammer = make_hammer(values, "--set")
+    strike = run(string, hammer, it.geometry, rate=rate, quantity=quantity)
+    samples = strike.waveform(rate, round(seconds * rate))
+    return samples * (CEILING / max(abs(samples).max(), 1e-300)), strike
+
+
+def _assignments(change: list[str]) -> dict[str, float]:
+    values = {}
+    for text in change:
+        name, equals, number = text.partition("=")
+        try:
+            values[name.strip()] = float(number)
+        except ValueError:
+            raise ParameterError(f"--set {text!r} must be NAME=NUMBER, such as c=304.1") from None
+        if not equals:
+            raise ParameterError(f"--set {text!r} must be NAME=NUMBER, such as c=304.1")
+    return values
+
+
+def render(
+    fit_json: Annotated[Path, typer.Argument(metavar="FIT.JSON", help="What pianofit fit wrote.")],
+    velocity: Annotated[float, typer.Option(parser=number, metavar="M/S", help="Hammer velocity in m/s.")],
+    out: Sound,
+    seconds: Seconds = 6.0,
+    rate: Rate = None,
+    force: Force = False,
+) -> None:
+    """Play a fitted string and hammer at any velocity, through its gain and path."""
+    from ..io import check_sound_target, encode_wav, write_file
+
+    check_sound_target(out, force)
+    from ..model.cache import keep_programs
+    from ..render import check_render, limited, load_voice
+
+    check_render(velocity, seconds, rate or 44_100)
+    voice, own_rate = load_voice(fit_json)
+    rate = rate or own_rate
+    keep_programs()
+    played = voice._replace(hammer=voice.hammer._replace(v_H0=velocity))
+    samples, strike = played.play(rate, round(seconds * rate))
+    samples, gain = limited(samples)
+    write_file(out, encode_wav(samples, rate), force)
+    turned = f", brought down by a factor {gain:.3g} to stay below full scale" if gain < 1 else ""
+    typer.echo(f"{out}: {seconds:g} s at {velocity:g} m/s, {contact_of(strike)}{turned}")

@@ -1,0 +1,109 @@
+"""Numbers as text: as many digits as the interval supports, on a page and in a terminal.
+
+A value and the ends of its interval are written to two significant digits of the interval's half-width, to one decimal
+place all three (JCGM 100:2008, GUM, 7.2.6), so that an end never rounds to the value.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from decimal import Decimal
+from typing import Any
+
+__all__ = ["bracketed", "is_number", "number", "with_interval", "with_standard_error"]
+
+FEWEST, MOST = 3, 15  # significant digits of a value with an interval; a float has 15 to 17
+# Ends of an interval that differ by more than this factor are written each with its own power of ten.
+APART = 1e3
+# Powers of ten that are written out: 0.0001 to 999999.
+LOWEST_POWER, HIGHEST_POWER = -4, 6
+RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def is_number(value: Any) -> bool:
+    """Whether `value` is a finite number."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def number(value: Any, digits: int = 4) -> str:
+    """Write `value` with up to `digits` significant digits, as a reader likes it: 0.12, 304.1, 1.099 × 10¹⁰."""
+    if not is_number(value):
+        return "–"
+    power, decimals = _scale(value, digits)
+    text = _fixed(value, power, decimals)
+    return (text.rstrip("0").rstrip(".") if "." in text else text) + _times(power)
+
+
+def with_interval(value: Any, interval: Any) -> tuple[str, str]:
+    """`value` and its interval for a page, with one power of ten for all; the interval is empty where there is none."""
+    if not (is_number(value) and interval and all(map(is_number, interval))):
+        return number(value), ""
+    digits = _supported(value, interval)
+    if digits is None:
+        return number(value), f"{number(interval[0], 3)} to {number(interval[1], 3)}"
+    power, decimals = _scale(value, digits)
+    ends = " to ".join(_fixed(end, power, decimals) for end in interval)
+    return _fixed(value, power, decimals) + _times(power), (f"({ends}){_times(power)}" if power else ends)
+
+
+def bracketed(value: float, interval: Sequence[float] | None) -> tuple[str, str]:
+    """`value` and its interval for a terminal, such as "304.1002" and "[304.0998, 304.1006]"; "-" without one."""
+    if not interval or not all(map(is_number, interval)):
+        return f"{value:.5g}", "-"
+    digits = _supported(value, interval)
+    if digits is None:
+        return f"{value:.5g}", "[{:.3g}, {:.3g}]".format(*interval)
+    place = digits - 1 - _exponent(value)  # decimals of the last digit
+    return _to_place(value, place), f"[{', '.join(_to_place(end, place) for end in interval)}]"
+
+
+def with_standard_error(value: float, error: float) -> tuple[str, str]:
+    """`value` and its standard error for a terminal, to two significant digits of the error."""
+    if not (is_number(error) and error > 0):
+        return f"{value:.6g}", "-"
+    place = 1 - _exponent(error)
+    if value and _exponent(value) + place > MOST:
+        place = MOST - _exponent(value)
+    return _to_place(value, place), f"{error:.1e}" if _far(error) else f"{error:.{max(0, place)}f}"
+
+
+def _supported(value: float, interval: Sequence[float]) -> int | None:
+    """Significant digits of `value` down to the second of the half-width; None where the ends are decades apart."""
+    low, high = interval
+    half = (high - low) / 2
+    if not half > 0 or max(abs(low), abs(high)) >= 1e4 * abs(value) or 0 < low < high / APART:
+        return None
+    return min(MOST, max(FEWEST, _exponent(value) - _exponent(half) + 2))
+
+
+def _exponent(value: float) -> int:
+    """Of the leading digit, after rounding to two: 2 of 304.1."""
+    return int(f"{value:.1e}".split("e")[1])
+
+
+def _far(value: float) -> bool:
+    """Whether a value needs its power of ten."""
+    return not LOWEST_POWER < _exponent(value) < HIGHEST_POWER
+
+
+def _to_place(value: float, place: int) -> str:
+    """`value` to `place` decimals: plain where that is short, else with its own power of ten."""
+    if not _far(value) and place >= 0:
+        return f"{value:.{place}f}"
+    return f"{value:.{max(0, _exponent(value) + place)}e}"
+
+
+def _scale(value: float, digits: int) -> tuple[int, int]:
+    """(Power of ten to take out, decimals to write) for `digits` significant digits of `value`."""
+    exponent = int(f"{value:.{digits - 1}e}".split("e")[1]) if value else 0
+    power = 0 if LOWEST_POWER < exponent < HIGHEST_POWER else exponent
+    return power, max(0, digits - 1 - exponent + power)
+
+
+def _fixed(value: float, power: int, decimals: int) -> str:
+    return f"{Decimal(value).scaleb(-power):.{decimals}f}".replace("-", "−")
+
+
+def _times(power: int) -> str:
+    return f"\u00a0×\u00a010{str(power).translate(RAISED)}" if power else ""

@@ -1,0 +1,56 @@
+"""Numbers as text: an interval never rounds away, and the digits stop where the interval says."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pianofit.report.numbers import bracketed, with_interval, with_standard_error
+
+RAISED = str.maketrans("−⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "--0123456789", "\u00a0")
+
+
+@given(st.floats(0.1, 0.99999), st.integers(-12, 12), st.floats(-11.0, -0.5), st.booleans())
+def test_the_ends_of_an_interval_differ_from_the_value_and_keep_it_between_them(mantissa, power, width, negative):
+    value = mantissa * 10.0**power * (-1 if negative else 1)
+    half = abs(value) * 10**width
+    low, high = value - half, value + half
+    text, span = bracketed(value, (low, high))
+    ends = [float(end) for end in span.strip("[]").split(", ")]
+    assert ends[0] < float(text) < ends[1]
+    # Two digits of the half-width: each is written to within a twentieth of it.
+    assert abs(float(text) - value) <= 0.051 * half
+    assert ends == pytest.approx([low, high], abs=0.051 * half)
+    page, between = with_interval(value, [low, high])
+    plain = float(page.translate(RAISED).replace("×10", "e"))
+    found, exponent = re.fullmatch(r"\(?(.+?)\)?((?:×10.*)?)", between.translate(RAISED)).groups()
+    first, last = (float(end.strip() + exponent.replace("×10", "e")) for end in found.split("to"))
+    assert first < plain < last
+
+
+@pytest.mark.parametrize(
+    ("value", "interval", "texts"),
+    [
+        (304.1, [304.0998, 304.1002], ("304.10000", "[304.09980, 304.10020]")),
+        (152.05, [152.0504, 152.0506], ("152.05000", "[152.05040, 152.05060]")),
+        (1.0874e10, [9.1643e9, 1.2903e10], ("1.09e+10", "[9.2e+09, 1.29e+10]")),
+        (0.081474, [0.013476, 0.49259], ("0.0815", "[0.0135, 0.4926]")),
+        (2e9, [1e3, 5e16], ("2e+09", "[1e+03, 5e+16]")),
+        (0.12, [0.12, 0.12], ("0.12", "[0.12, 0.12]")),
+        (0.12, None, ("0.12", "-")),
+    ],
+)
+def test_intervals_for_a_terminal(value, interval, texts):
+    assert bracketed(value, interval) == texts
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "texts"),
+    [(92.2502, 0.00661, ("92.2502", "0.0066")), (-45.31, 1.12, ("-45.3", "1.1")), (3.0, 0.0, ("3", "-")),
+     (812.4, 23.0, ("812", "23"))],
+)  # fmt: skip
+def test_standard_errors_for_a_terminal(value, error, texts):
+    assert with_standard_error(value, error) == texts
