@@ -47,4 +47,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with jax.enable_x64(True):  # the model computes in float64, and so do the derivatives that JAX takes of it
+        main()

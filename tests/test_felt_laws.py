@@ -20,6 +20,8 @@ from pianofit.errors import ParameterError
 from pianofit.model import felt
 from pianofit.parameters import FELT_LAWS, PARAMETERS, Geometry, Hammer, MemoryHammer, String, make_hammer
 
+pytestmark = pytest.mark.usefixtures("float64")
+
 # --- one monotone equation a step ------------------------------------------------------------------------------------
 
 

@@ -21,6 +21,7 @@ from ..criterion import SAME_PARTIAL, level_error_db
 from ..errors import FitError
 from ..model.contact import strike
 from ..model.modes import mode_table
+from ..model.precision import float64
 from ..model.response import level_db, ringing
 from ..model.simulate import contact_rate, count_modes, simulate
 from ..parameters import PARAMETERS
@@ -136,12 +137,13 @@ def _levels_of(voice: Voice, analysis: Analysis) -> Callable[[np.ndarray], np.nd
     delay = arrival(voice.string, g, voice.quantity)
 
     def levels(velocity: np.ndarray) -> np.ndarray:
-        played = _played(voice.string, voice.hammer, g, jnp.asarray(velocity), rate, delay, rows, steps, voice.quantity)
+        played = _played(voice.string, voice.hammer, g, velocity, rate, delay, rows, steps, voice.quantity)
         return np.asarray(played)[:, p.number - 1] + own
 
     return levels
 
 
+@float64
 @partial(jax.jit, static_argnums=(6, 7, 8))
 def _played(string, hammer, geometry, velocity, rate, delay, rows, steps, quantity):
     """Levels of all modes [velocities, modes], dB in the pickup's unit; infinite where the contact does not end."""

@@ -1,18 +1,14 @@
 """The direct model: parameters in, force pulse, spectrum and waveform out.
 
 A string is a table of modes (`modes`), contact is one scalar equation per step (`contact`), and the rest is closed form
-(`response`). Importing this package switches JAX to float64, in which everything here is computed.
+(`response`). Everything is computed in float64, in a scope of its own (`precision`): the caller's JAX stays as it is.
 """
 
-import jax
-
-jax.config.update("jax_enable_x64", True)
-
-from .contact import Pulse, kernel, strike  # noqa: E402
-from .felt import felt_force  # noqa: E402
-from .modes import Modes, mode_frequencies, mode_table, project, window_weights  # noqa: E402
-from .response import level_db, mobility, pulse_transform, ringing, spectrum, string_energy, waveform  # noqa: E402
-from .simulate import Simulation, contact_rate, simulate  # noqa: E402
+from .contact import Pulse, kernel, strike
+from .felt import felt_force
+from .modes import Modes, mode_frequencies, mode_table, project, window_weights
+from .response import level_db, mobility, pulse_transform, ringing, spectrum, string_energy, waveform
+from .simulate import Simulation, contact_rate, simulate
 
 __all__ = [
     "Modes",

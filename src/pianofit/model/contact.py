@@ -22,6 +22,7 @@ from ..parameters import Hammer, MemoryHammer
 from .exponentials import BLOCK, real_powers, ring
 from .felt import compression, force, memory_weights, remember
 from .modes import Modes
+from .precision import float64
 
 __all__ = [
     "FreeMotion",
@@ -64,6 +65,7 @@ class FreeMotion(NamedTuple):
     energy: Float[Array, ""]  # J
 
 
+@float64
 def impulse_amplitude(modes: Modes) -> Array:
     """C_k, complex [modes]: a unit `T` at step 0 leaves the mode at q_n = Re(C_k z_k^n), n ≥ 0. m/N."""
     a = modes.step / 2
@@ -72,17 +74,20 @@ def impulse_amplitude(modes: Modes) -> Array:
     return q - 1j * (v + modes.alpha * q) / jnp.sqrt(modes.omega2 - modes.alpha**2)
 
 
+@float64
 def kernel(modes: Modes, steps: int) -> Float[Array, " steps"]:
     """g_n, m/N: the displacement under the hammer n steps after a unit `T`."""
     return ring(modes.strike * impulse_amplitude(modes), modes.pole * modes.step, steps)
 
 
+@float64
 def kernel_rows(modes: Modes, steps: int) -> Float[Array, "32 steps"]:
     """g once more, m/N, a row for each step of a block: what a unit `T` there leaves from the next block on."""
     g = kernel(modes, BLOCK + steps)
     return jnp.stack([g[BLOCK - i : BLOCK - i + steps] for i in range(BLOCK)])
 
 
+@float64
 def free_motion(modes: Modes, displacement: Array, velocity: Array, steps: int) -> FreeMotion:
     """The motion of a string released at t = 0 with modal `displacement`, m, and `velocity`, m/s [modes]."""
     rate = modes.free_rate
@@ -97,6 +102,7 @@ def free_motion(modes: Modes, displacement: Array, velocity: Array, steps: int) 
     return FreeMotion(amplitude, under, (modes.strike * velocity).sum(), energy)
 
 
+@float64
 def strike(
     modes: Modes, hammer: Hammer | MemoryHammer, *, steps: int, free: FreeMotion | None = None,
     rows: Array | None = None,
@@ -122,6 +128,7 @@ def strike(
     return Pulse(drive, force, u, jnp.stack([y_hammer, v_hammer], axis=-1), work, over)
 
 
+@float64
 def leave(modes: Modes, hammer: Hammer | MemoryHammer, *, steps: int) -> Struck:
     """What `strike` leaves in the modes of a string at rest, marching only until the contact is proven to be over.
 

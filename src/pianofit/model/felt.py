@@ -24,6 +24,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from ..parameters import Hammer, MemoryHammer
+from .precision import float64
 
 __all__ = ["Weights", "compression", "felt_force", "force", "memory_weights", "remember"]
 
@@ -42,6 +43,7 @@ class Weights(NamedTuple):
     new: Array
 
 
+@float64
 def felt_force(u: Array, w: Array, hammer: Hammer | MemoryHammer, memory=0.0, share=0.0) -> Array:
     """Felt force, N, at compression `u`, m, and compression speed `w`, m/s (paper eq. 8, with u = y_H - y_s).
 
@@ -55,6 +57,7 @@ def felt_force(u: Array, w: Array, hammer: Hammer | MemoryHammer, memory=0.0, sh
     return jnp.where((u > 0) & (law > 0), law, 0.0)
 
 
+@float64
 def memory_weights(hammer: Hammer | MemoryHammer, step: Array) -> Weights | None:
     """The weights of a step, s, to rounding for any τ; None for a felt without memory."""
     if not isinstance(hammer, MemoryHammer):

@@ -22,6 +22,7 @@ from jaxtyping import Array, Complex, Float
 
 from ..errors import ParameterError
 from ..parameters import Geometry, String
+from .precision import float64
 
 __all__ = ["QUANTITIES", "Modes", "mode_frequencies", "mode_table", "project", "window_weights"]
 
@@ -63,6 +64,7 @@ def raised_cosine_weights(geometry: Geometry, n_modes: int, xp=jnp) -> Float[Arr
     return xp.sin(beta * geometry.strike) * (xp.sinc(s) + 0.5 * xp.sinc(s + 1) + 0.5 * xp.sinc(s - 1))
 
 
+@float64
 def window_weights(window: Callable, geometry: Geometry, n_modes: int) -> Float[Array, " modes"]:
     """Φ_k of any contact window.
 
@@ -80,6 +82,7 @@ def window_weights(window: Callable, geometry: Geometry, n_modes: int) -> Float[
     return jnp.sin(beta[:, None] * (geometry.strike + x)) @ g / g.sum()
 
 
+@float64
 def project(shape: Callable | np.ndarray, length: float, n_modes: int) -> Float[Array, " modes"]:
     """Modal coordinates of an initial shape or velocity: y(x) = Σ q_k sin(β_k x).
 
@@ -102,6 +105,7 @@ def project(shape: Callable | np.ndarray, length: float, n_modes: int) -> Float[
     return jnp.sin(jnp.pi * jnp.arange(1, n_modes + 1)[:, None] * i) @ values * (2 / (values.shape[0] + 1))
 
 
+@float64
 def mode_table(
     string: String,
     geometry: Geometry,

@@ -17,6 +17,7 @@ from ..errors import ParameterError
 from .contact import FreeMotion, impulse_amplitude
 from .exponentials import transform
 from .modes import Modes
+from .precision import float64
 
 __all__ = ["level_db", "mobility", "pulse_transform", "ringing", "spectrum", "string_energy", "waveform"]
 
@@ -26,16 +27,19 @@ LEVEL_SPAN, LEVEL_DECAY = 0.35, 8.0
 MOST_RISE = 300.0
 
 
+@float64
 def damped_circle(frequency: Array, sigma: float, step: Array) -> Complex[Array, " bins"]:
     """ζ at frequencies in Hz [bins] and σ in 1/s."""
     return jnp.exp(-(sigma + 2j * jnp.pi * frequency) * step)
 
 
+@float64
 def pulse_transform(drive: Float[Array, " steps"], log_zeta: Array) -> Complex[Array, " bins"]:
     """T̂ = Σ_n T^n ζ^n, N, at log ζ, complex [bins]. At log ζ = -p_k δt it is what rings in mode k."""
     return transform(drive, log_zeta)
 
 
+@float64
 def mobility(modes: Modes, zeta: Complex[Array, " bins"], amplitude: Array | None = None) -> Complex[Array, " bins"]:
     """H(ζ) = Σ_n h_n ζ^n of the response h to a unit `T` (or to free modal `amplitude`s), per step.
 
@@ -50,6 +54,7 @@ def mobility(modes: Modes, zeta: Complex[Array, " bins"], amplitude: Array | Non
     return (upper / lower).sum(axis=1)
 
 
+@float64
 def spectrum(
     modes: Modes, drive: Float[Array, " steps"], frequency: Array, sigma: float, free: FreeMotion | None = None
 ) -> Complex[Array, " bins"]:
@@ -61,6 +66,7 @@ def spectrum(
     return total * modes.step
 
 
+@float64
 def ringing(modes: Modes, drive: Float[Array, " steps"], free: FreeMotion | None = None) -> Complex[Array, " modes"]:
     """A_k: after the contact the signal is Σ_k Re(A_k exp(p_k t)), t from the first touch."""
     total = modes.pickup * impulse_amplitude(modes) * pulse_transform(drive, _back(modes, len(drive)))
@@ -73,6 +79,7 @@ def _back(modes: Modes, steps: int) -> Array:
     return jnp.minimum(log_zeta.real, MOST_RISE / steps) + 1j * log_zeta.imag
 
 
+@float64
 def string_energy(modes: Modes, drive: Float[Array, " steps"]) -> Float[Array, " modes"]:
     """Energy of every mode after the pulse, J, carried back to t = 0 as if it had rung since."""
     amplitude = impulse_amplitude(modes) * pulse_transform(drive, _back(modes, len(drive)))
@@ -81,6 +88,7 @@ def string_energy(modes: Modes, drive: Float[Array, " steps"]) -> Float[Array, "
     return 0.5 * mass * modes.omega2 * jnp.abs(amplitude) ** 2
 
 
+@float64
 def level_db(
     amplitude: Complex[Array | np.ndarray, " modes"], decay: Float[Array | np.ndarray, " modes"], xp=jnp
 ) -> Float[Array, " modes"]:
@@ -93,6 +101,7 @@ def level_db(
     return 10 * xp.log10(xp.maximum(energy, np.finfo(float).tiny))
 
 
+@float64
 def waveform(
     modes: Modes,
     drive: Float[Array | np.ndarray, " steps"],

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from ..analysis import Analysis
@@ -111,7 +110,7 @@ class Problem:
         """What stays while parameters are searched; a stiffness that is known needs no bounds."""
         geometry = Geometry(*map(np.float64, self.start.geometry))
         stiff = np.log([self.lower[K], self.upper[K]]) if self.free[K] else np.array([-np.inf, np.inf])
-        return Scene(*jax.tree.map(jnp.asarray, (geometry, self.rate, self.log_u, stiff)))
+        return Scene(*jax.tree.map(np.asarray, (geometry, self.rate, self.log_u, stiff)))
 
     def x(self, values: np.ndarray) -> np.ndarray:
         """The point [9] of natural `values` [9]."""

@@ -79,7 +79,7 @@ def spectral_goal(
         np.pad(np.tile(weight[:, None], frequency.shape[1]), ((0, more), (0, 0))),
         sigma, math.exp(2 * sigma * delay), n / rate + delay, float(calibrated),
     )  # fmt: skip
-    return Goal(*(jnp.asarray(x, float) for x in fields))
+    return Goal(*(np.asarray(x, float) for x in fields))
 
 
 def damped_spectrum(samples: np.ndarray, rate: float, frequency: np.ndarray, sigma: float) -> np.ndarray:
