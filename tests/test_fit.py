@@ -176,12 +176,12 @@ def test_invariants_need_no_measured_velocity():
     assert "No hammer velocity was measured" in document["claims"]
 
 
-def test_shares_of_the_minima_are_those_of_the_voices():
+def test_shares_of_the_minima_are_those_of_the_notes():
     for result in (calibrated(), uncalibrated(), path_fit(SEVERAL)):
         shares = [minimum["share"] for minimum in result.document["minima"]]
         assert sum(shares) == pytest.approx(1.0)
         assert shares == list(result.shares)
-        assert len(result.voices) == len(shares)
+        assert len(result.notes) == len(shares)
         assert [minimum["F"] for minimum in result.document["minima"]] == sorted(
             m["F"] for m in result.document["minima"]
         )

@@ -26,22 +26,21 @@ USES = {
     "recording": "io",
     "setup": "io parameters",
     "analysis": "recording",
-    "model": "parameters",
     "criterion": "",
-    "voice": "criterion model parameters recording",
-    "inference": "analysis criterion io model parameters published recording setup threads voice",
-    "paper": "analysis criterion inference model parameters recording voice",
+    "model": "criterion parameters recording",
+    "inference": "analysis criterion io model parameters published recording setup threads",
+    "paper": "analysis criterion inference model parameters recording",
     "fitting": "analysis inference paper recording setup",
-    "render": "criterion inference io model parameters recording voice",
+    "render": "io model parameters recording",
     "report": "criterion inference io parameters",
     "twin": "model published",
     "laboratory": "io parameters published recording twin",
     "reproduce": "analysis criterion fitting inference io laboratory model paper parameters published recording report"
-    " setup voice",
-    "workflow": "analysis fitting inference io model recording render report setup voice",
+    " setup",
+    "workflow": "analysis fitting inference io model recording render report setup",
     "batch": "analysis io parameters recording report workflow",
-    "keyboard": "analysis criterion io model parameters published render report voice",
-    "play": "analysis io keyboard model parameters recording render threads voice",
+    "keyboard": "analysis io model parameters published render report",
+    "play": "analysis io keyboard model parameters recording render threads",
     "cli": "analysis batch fitting inference io keyboard model parameters play published recording render reproduce"
     " setup twin workflow",
     "__main__": "cli",
@@ -56,7 +55,7 @@ def by_file() -> pytest.MarkDecorator:
 
 
 def imports(file: Path) -> Iterator[str]:
-    """Every imported name in full, such as "jax.numpy" or "pianofit.voice.Voice", wherever the import stands."""
+    """Every imported name in full, such as "jax.numpy" or "pianofit.model.note.Note", wherever the import stands."""
     package = ("pianofit", *file.relative_to(SOURCE).parts)[:-1]
     for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):

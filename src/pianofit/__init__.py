@@ -20,7 +20,7 @@ __all__ = [
     "Prediction", "predict_take", "cross_validate",
     # The model: parameters to motion to sound.
     "String", "Hammer", "MemoryHammer", "Geometry", "PARAMETERS", "Preset", "preset", "Typical", "typical",
-    "Simulation", "simulate", "Voice", "load_voice", "encode_wav",
+    "Simulation", "simulate", "Note", "load_note", "encode_wav",
     # What can go wrong with an input.
     "PianofitError", "RecordingError", "SetupError", "ParameterError", "AnalysisError", "FitError", "OutputError",
     "__version__",
@@ -34,13 +34,12 @@ if TYPE_CHECKING:
     from .inference.fit import fit_takes
     from .inference.predict import Prediction, cross_validate, predict_take
     from .io import encode_wav
-    from .model import Simulation, simulate
+    from .model import Note, Simulation, simulate
     from .parameters import PARAMETERS, Geometry, Hammer, MemoryHammer, String
     from .published import Preset, Typical, preset, typical
     from .recording import Recording, load_recording, recording_from_samples
-    from .render import load_voice
+    from .render import load_note
     from .setup import Setup, Take, load_setup, setup_from_dict
-    from .voice import Voice
     from .workflow import fit_file
 
 _HOMES = {
@@ -50,14 +49,13 @@ _HOMES = {
     "inference": ("Result",),
     "inference.fit": ("fit_takes",),
     "inference.predict": ("Prediction", "cross_validate", "predict_take"),
-    "model": ("Simulation", "simulate"),
+    "model": ("Note", "Simulation", "simulate"),
     "parameters": ("PARAMETERS", "Geometry", "Hammer", "MemoryHammer", "String"),
     "published": ("Preset", "Typical", "preset", "typical"),
     "recording": ("Recording", "load_recording", "recording_from_samples"),
     "io": ("encode_wav",),
-    "render": ("load_voice",),
+    "render": ("load_note",),
     "setup": ("Setup", "Take", "load_setup", "setup_from_dict"),
-    "voice": ("Voice",),
     "workflow": ("fit_file",),
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}

@@ -19,12 +19,15 @@ import numpy as np
 from .errors import FitError, OutputError, PianofitError
 
 __all__ = [
+    "FIT_SCHEMA",
     "LARGEST", "check_target", "encode_pcm24", "encode_wav", "finite", "interrupted_by", "json_text", "load_json",
     "one_line", "output_folder", "read_file", "replace_file", "shown", "table_of", "write_file",
 ]  # fmt: skip
 
 # Larger numbers overflow when they are squared.
 LARGEST = 1e300
+# Schema of the fit.json that this version writes.
+FIT_SCHEMA = 2
 
 
 def one_line(text: object) -> str:

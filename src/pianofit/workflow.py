@@ -156,20 +156,20 @@ def predict_file(fit: Path, file: Path, out: Path | None, *, channel: str = "ave
     from .render import load_mixture
 
     mixture = load_mixture(fit)
-    voice = mixture[0][1]
+    note = mixture[0][1]
     recording = load_recording(file, channel=channel)
     from .analysis import analyse
+    from .inference.align import touched
     from .inference.predict import predict_take
     from .model.cache import keep_programs
-    from .voice import strike_voice, touched
 
     keep_programs()
-    analysis = analyse(recording, f0=voice.string.c / (2 * voice.geometry.length))
+    analysis = analyse(recording, f0=note.string.c / (2 * note.geometry.length))
     found = predict_take(mixture, analysis)
     if out is not None:
-        strike = strike_voice(found.voice, recording.rate)
-        touch = touched(found.voice, strike, recording)
-        samples = found.voice.heard(strike, recording.rate, len(recording.samples), touch)
+        strike = found.note.strike(recording.rate)
+        touch = touched(found.note, strike, recording)
+        samples = found.note.heard(strike, recording.rate, len(recording.samples), touch)
         write_file(out, encode_wav(samples, recording.rate), force)
     return {
         "file": recording.path, "sha256": recording.sha256, "predicted_db": found.error_db,

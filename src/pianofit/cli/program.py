@@ -206,7 +206,7 @@ def simulate(
 ) -> None:
     """Strike a published string and write its sound, its peak at -1 dBFS."""
     from ..io import encode_wav
-    from ..render import check_render
+    from ..model.note import check_render
 
     check_render(velocity, seconds, rate or 44_100)
     from ..io import check_target, write_file
@@ -265,17 +265,18 @@ def render(
 ) -> None:
     """Play a fitted string and hammer at any velocity, through its gain and path."""
     from ..io import encode_wav
-    from ..render import check_render, limited, load_voice
+    from ..model.note import check_render
+    from ..render import limited, load_note
 
     check_render(velocity, seconds, rate or 44_100)
-    voice, own_rate = load_voice(fit_json)
+    note, own_rate = load_note(fit_json)
     rate = rate or own_rate
     from ..io import check_target, write_file
     from ..model.cache import keep_programs
 
     check_target(out, force)
     keep_programs()
-    played = voice._replace(hammer=voice.hammer._replace(v_H0=velocity))
+    played = note.struck(velocity)
     samples, strike = played.play(rate, round(seconds * rate))
     samples, gain = limited(samples)
     write_file(out, encode_wav(samples, rate), force)

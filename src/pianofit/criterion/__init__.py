@@ -2,14 +2,12 @@
 
 from .bands import BANDS, WIDEST_SIGMA, Cells, band_of, borders, cell_grid, line_sigma, partial_frequency
 from .energy import band_values, closed_form_gain, measure
-from .levels import SAME_PARTIAL, OutputPath, level_error_db
+from .levels import level_error_db
 
 __all__ = [
     "BANDS",
-    "SAME_PARTIAL",
     "WIDEST_SIGMA",
     "Cells",
-    "OutputPath",
     "band_of",
     "band_values",
     "borders",

@@ -10,26 +10,18 @@ import numpy as np
 
 from .. import __version__
 from ..analysis import Analysis, Partials
-from ..criterion import (
-    BANDS,
-    OutputPath,
-    band_of,
-    band_values,
-    borders,
-    closed_form_gain,
-    level_error_db,
-    line_sigma,
-    measure,
-)
+from ..criterion import BANDS, band_of, band_values, borders, closed_form_gain, level_error_db, line_sigma, measure
+from ..io import FIT_SCHEMA as SCHEMA
 from ..model import Simulation
+from ..model.note import Note
+from ..model.path import OutputPath
 from ..parameters import MEMORY_NAMES, PARAMETERS
 from ..recording import Recording
-from ..voice import Voice, strike_voice, touched
+from .align import touched
 from .start import Start
 
 __all__ = ["SCHEMA", "UNITS", "Heard", "Listener", "Result", "Sound", "scored", "versions", "worse_bands"]
 
-SCHEMA = 2
 # Levels are compared over partials to this, Hz: few hammers reach beyond,
 LEVEL_TOP = 6000.0
 # within so many dB of the strongest: other sounds lie there.
@@ -43,7 +35,7 @@ UNITS = {name: p.unit for name, p in PARAMETERS.items()} | {
 class Sound:
     """One set of parameters, as it sounds."""
 
-    voice: Voice
+    note: Note
     samples: np.ndarray  # file units, as long as the recording
     simulation: Simulation
     level: np.ndarray  # dB, [partials], gain and path included, in the recording's unit
@@ -73,7 +65,7 @@ class Result:
 
     What a page shows of one recording is that of the `first`, the reference. `covariance` is that of log(value) at the
     best minimum, in the order of `coordinates.VALUES` and then the strokes' velocities; zero for what was not fitted.
-    `voices` are what plays each minimum, for every recording, and `shares` their weights. `draws` are the posterior's,
+    `notes` are what plays each minimum, for every recording, and `shares` their weights. `draws` are the posterior's,
     where it was asked for: values [chains, draws] by name.
     """
 
@@ -81,7 +73,7 @@ class Result:
     takes: tuple[Heard, ...]
     first: int
     covariance: np.ndarray
-    voices: tuple[tuple[Voice, ...], ...]
+    notes: tuple[tuple[Note, ...], ...]
     shares: tuple[float, ...]
     draws: dict[str, np.ndarray] | None = None
 
@@ -168,21 +160,21 @@ class Listener:
         a, r = self.analysis, self.recording
         return measure(samples[r.onset :], r.rate, a.f0, a.B, self.last, self.sigma)[1]
 
-    def play(self, voice: Voice, gain: float | None, begins: int | None, level: np.ndarray) -> Sound:
-        """A voice laid on the recording, with the gain that the criterion likes best if none is given.
+    def play(self, note: Note, gain: float | None, begins: int | None, level: np.ndarray) -> Sound:
+        """A note laid on the recording, with the gain that the criterion likes best if none is given.
 
         Parameters
         ----------
         begins : the sample at which the hammer touches; where its sound would be seen at the onset if None.
         level : dB, [partials], through a gain of 1.
         """
-        strike = strike_voice(voice, self.recording.rate)
-        begins = touched(voice, strike, self.recording) if begins is None else begins
-        samples = voice.heard(strike, self.recording.rate, len(self.recording.samples), begins)
+        strike = note.strike(self.recording.rate)
+        begins = touched(note, strike, self.recording) if begins is None else begins
+        samples = note.heard(strike, self.recording.rate, len(self.recording.samples), begins)
         if gain is None:
             gain = float(np.sqrt(closed_form_gain(self.hear(samples), self.energy, self.spacing[:, None])))
             level = level + 20 * np.log10(max(gain, 1e-15))
-        return Sound(voice._replace(gain=gain), samples * gain, strike, level)
+        return Sound(note._replace(gain=gain), samples * gain, strike, level)
 
     def criterion(self, initial: Sound, fitted: Sound) -> dict:
         """Eq. 19 per band on the sounds themselves, from the onset on; bands without a partial are dropped."""
@@ -234,17 +226,17 @@ def sizes(start: Start) -> dict[str, dict]:
     return table
 
 
-def derived(voice: Voice, simulation: Simulation, analysis: Analysis) -> dict:
+def derived(note: Note, simulation: Simulation, analysis: Analysis) -> dict:
     """What follows from the parameters, and what the stroke did."""
-    pulse, g = simulation.pulse, voice.geometry
-    f0 = voice.string.c / (2 * g.length)
-    B = (voice.string.kappa * np.pi / (voice.string.c * g.length)) ** 2
+    pulse, g = simulation.pulse, note.geometry
+    f0 = note.string.c / (2 * g.length)
+    B = (note.string.kappa * np.pi / (note.string.c * g.length)) ** 2
     u = float(pulse.compression.max())
     return {
-        "f0": float(f0), "B": float(B), "f1": float(f0 * np.sqrt(1 + B)), "M_H/M_S": float(voice.hammer.M_H / g.mass),
+        "f0": float(f0), "B": float(B), "f1": float(f0 * np.sqrt(1 + B)), "M_H/M_S": float(note.hammer.M_H / g.mass),
         "x0/L": float(g.strike / g.length), "contact_ms": 1e3 * simulation.contact_time,
         "max_force_N": float(pulse.force.max()), "max_compression_mm": 1e3 * u,
-        "felt_force_N": float(voice.hammer.K_H * u**voice.hammer.p),
+        "felt_force_N": float(note.hammer.K_H * u**note.hammer.p),
         "glide_cents": float(analysis.glide_cents),
         "glide": [{"start_s": a, "stop_s": b, "f0": f} for a, b, f in analysis.glide],
     }  # fmt: skip

@@ -7,11 +7,15 @@ A string is a table of modes (`modes`), contact is one scalar equation per step 
 from .contact import Pulse, kernel, strike
 from .felt import felt_force
 from .modes import Modes, mode_frequencies, mode_table, project, window_weights
+from .note import Note
+from .path import OutputPath
 from .response import level_db, mobility, pulse_transform, ringing, spectrum, string_energy, waveform
 from .simulate import Simulation, contact_rate, simulate
 
 __all__ = [
     "Modes",
+    "Note",
+    "OutputPath",
     "Pulse",
     "Simulation",
     "contact_rate",

@@ -15,11 +15,12 @@ import numpy as np
 
 from ..analysis import Analysis
 from ..criterion import band_of, line_sigma
+from ..inference.align import lag, placed
 from ..inference.start import Start
 from ..model import simulate
+from ..model.note import arrival
 from ..parameters import FELT_LAWS, FIT_NAMES, PARAMETERS, Geometry, Hammer, String
 from ..recording import Recording
-from ..voice import arrival, lag, placed
 from .spectral import Goal, spectral_goal
 from .struck import Cfg, Scene
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -31,16 +31,20 @@ BLOCK = 1024
 FINE = 1e-6
 
 
+# Arrays: NumPy's outside of compiled programs, traced inside.
+Values = Any
+
+
 class Goal(NamedTuple):
     """|S|² of a recording on the cells of some partials, padded with rows of weight 0."""
 
-    frequency: Array  # Hz, [rows, nodes]
-    energy: Array  # |S|², unit² · s², [rows, nodes]
-    weight: Array  # [rows, nodes]: Σ (weight · difference)² is C
-    sigma: Array  # 1/s
-    factor: Array  # on the model's energy: of a sound that began before the recording's first sample
-    span: Array  # s, from where the model's sound begins to where the recording is cut
-    calibrated: Array  # 1: the gain is 1; 0: the gain is free
+    frequency: Values  # Hz, [rows, nodes]
+    energy: Values  # |S|², unit² · s², [rows, nodes]
+    weight: Values  # [rows, nodes]: Σ (weight · difference)² is C
+    sigma: Values  # 1/s
+    factor: Values  # on the model's energy: of a sound that began before the recording's first sample
+    span: Values  # s, from where the model's sound begins to where the recording is cut
+    calibrated: Values  # 1: the gain is 1; 0: the gain is free
 
 
 def spectral_goal(

@@ -24,7 +24,7 @@ def curves_of(result: Result) -> Curves:
     top = min(0.5 * rate, TOP, float(partial_frequency(k.max() + 2, a.f0, a.B)))
     spectra = [_spectrum(x[onset:], rate, top) for x in (r.samples, result.initial.samples, result.fitted.samples)]
     attack = slice(onset, onset + int(ATTACK * rate))
-    v = result.fitted.voice
+    v = result.fitted.note
     f0 = v.string.c / (2 * v.geometry.length)
     B = (v.string.kappa * np.pi / (v.string.c * v.geometry.length)) ** 2
     first, last = result.initial.simulation, result.fitted.simulation

@@ -32,7 +32,7 @@ def has_intervals(result: Result) -> bool:
 
 def felt_of(result: Result) -> Felt:
     """The static law to the largest compression of all takes, with its band if the fit has one."""
-    hammer = result.fitted.voice.hammer
+    hammer = result.fitted.note.hammer
     reached = max(float(np.max(heard.fitted.simulation.pulse.compression)) for heard in result.takes)
     u = reached * np.linspace(0.0, 1.0, POINTS + 1)[1:]
     change = np.zeros((len(u), len(NAMES)))

@@ -19,10 +19,10 @@ from ..inference import Result
 from ..inference.start import starting_values
 from ..laboratory import Laboratory, Measurement, setup_text
 from ..laboratory import measure as record
+from ..model.note import Note
 from ..parameters import FIT_NAMES, STRING_NAMES
 from ..recording import Recording, recording_from_samples
 from ..setup import Setup, setup_from_dict
-from ..voice import Voice
 from .descriptors import attack_time, centroid
 
 __all__ = [
@@ -113,13 +113,13 @@ def values_of(result: Result, key: str = "value") -> dict[str, float]:
     return {name: float(result.document["parameters"][name][key]) for name in FIT_NAMES}
 
 
-def played(voice: Voice, case: Case, velocity: float | None = None) -> np.ndarray:
-    """A voice, at another hammer velocity if one is given, laid over a measurement's onset: m/s [samples]."""
+def played(note: Note, case: Case, velocity: float | None = None) -> np.ndarray:
+    """A note, at another hammer velocity if one is given, laid over a measurement's onset: m/s [samples]."""
     if velocity is not None:
-        voice = voice._replace(hammer=voice.hammer._replace(v_H0=velocity))
+        note = note.struck(velocity)
     rate, onset = case.recording.rate, case.recording.onset
-    samples, _ = voice.play(rate, len(case.recording.samples), case.measurement.onset)
-    return samples[onset:] / voice.gain
+    samples, _ = note.play(rate, len(case.recording.samples), case.measurement.onset)
+    return samples[onset:] / note.gain
 
 
 def closeness(sound: np.ndarray, case: Case) -> Closeness:

@@ -94,8 +94,8 @@ def blow_at(plan: Plan, lab: Laboratory, velocity: float, seed: int, recipes: tu
     case = make_case(lab, velocity, seed)
     results = {recipe: fitted(case, recipe, seed, plan.annealing, plan.tries) for recipe in recipes}
     first = next(iter(results.values()))
-    sounds = {"measured": case.heard, "initial": played(first.initial.voice, case)}
-    sounds |= {RECIPES[recipe]: played(result.fitted.voice, case) for recipe, result in results.items()}
+    sounds = {"measured": case.heard, "initial": played(first.initial.note, case)}
+    sounds |= {RECIPES[recipe]: played(result.fitted.note, case) for recipe, result in results.items()}
     return Blow(case, results, sounds, {name: closeness(sound, case) for name, sound in sounds.items()})
 
 
@@ -104,7 +104,7 @@ def predictions(origin: Blow, others: list[Blow]) -> list[Prediction]:
     done = []
     for blow in others:
         struck = blow.case.measurement.nominal_velocity
-        sounds = {r: played(origin.results[r].fitted.voice, blow.case, struck) for r in STRINGS}
+        sounds = {r: played(origin.results[r].fitted.note, blow.case, struck) for r in STRINGS}
         heard = origin.case.heard
         place = np.pad(heard, (0, max(len(blow.case.heard) - len(heard), 0)))[: len(blow.case.heard)]
         done.append(
