@@ -102,7 +102,7 @@ def test_in_the_scope_a_float32_is_struck_in_float64(name):
 
 @pytest.mark.parametrize("name", TRANSFORMED)
 def test_a_trace_in_float32_is_refused_with_what_to_write(name):
-    with pytest.raises(ParameterError, match=r"strike is traced .* inside `with jax.enable_x64\(True\):`"):
+    with pytest.raises(ParameterError, match=r"(strike|mode_table) is traced .* inside `with jax.enable_x64\(True\):`"):
         TRANSFORMED[name](jnp.float32(0.5))
 
 
@@ -111,6 +111,5 @@ def test_untraced_numbers_of_any_kind_are_struck_in_float64(kind):
     found = level(kind(0.5))
     with jax.enable_x64(True):
         expected = float(level(0.5))
-    assert found.dtype == np.float64
-    assert found.astype(float).dtype == np.float32
-    assert float(found) == expected
+    assert isinstance(found, np.float64)  # of NumPy: JAX's own would be narrowed by the caller's next operation
+    assert float(found) == pytest.approx(expected, rel=1e-13)

@@ -21,6 +21,8 @@ __all__ = [
     # The model: parameters to motion to sound.
     "String", "Hammer", "MemoryHammer", "Geometry", "PARAMETERS", "Preset", "preset", "Typical", "typical",
     "Simulation", "simulate", "Note", "load_note", "encode_wav",
+    # Its parts, for your own JAX programs: a table of modes, what excites it, and what is heard of it.
+    "Modes", "mode_table", "strike", "pluck", "FeltLaw", "Parameter", "levels", "spectrum", "waveform",
     # What can go wrong with an input.
     "PianofitError", "RecordingError", "SetupError", "ParameterError", "AnalysisError", "FitError", "OutputError",
     "__version__",
@@ -34,8 +36,20 @@ if TYPE_CHECKING:
     from .inference.fit import fit_takes
     from .inference.predict import Prediction, cross_validate, predict_take
     from .io import encode_wav
-    from .model import Note, Simulation, simulate
-    from .parameters import PARAMETERS, Geometry, Hammer, MemoryHammer, String
+    from .model import (  # fmt: skip
+        FeltLaw,
+        Modes,
+        Note,
+        Simulation,
+        levels,
+        mode_table,
+        pluck,
+        simulate,
+        spectrum,
+        strike,
+        waveform,
+    )
+    from .parameters import PARAMETERS, Geometry, Hammer, MemoryHammer, Parameter, String
     from .published import Preset, Typical, preset, typical
     from .recording import Recording, load_recording, recording_from_samples
     from .render import load_note
@@ -49,8 +63,20 @@ _HOMES = {
     "inference": ("Result",),
     "inference.fit": ("fit_takes",),
     "inference.predict": ("Prediction", "cross_validate", "predict_take"),
-    "model": ("Note", "Simulation", "simulate"),
-    "parameters": ("PARAMETERS", "Geometry", "Hammer", "MemoryHammer", "String"),
+    "model": (
+        "FeltLaw",
+        "Modes",
+        "Note",
+        "Simulation",
+        "levels",
+        "mode_table",
+        "pluck",
+        "simulate",
+        "spectrum",
+        "strike",
+        "waveform",
+    ),
+    "parameters": ("PARAMETERS", "Geometry", "Hammer", "MemoryHammer", "Parameter", "String"),
     "published": ("Preset", "Typical", "preset", "typical"),
     "recording": ("Recording", "load_recording", "recording_from_samples"),
     "io": ("encode_wav",),

@@ -5,14 +5,16 @@ A string is a table of modes (`modes`), contact is one scalar equation per step 
 """
 
 from .contact import Pulse, kernel, strike
-from .felt import felt_force
+from .excitation import pluck
+from .felt import FeltLaw, felt_force
 from .modes import Modes, mode_frequencies, mode_table, project, window_weights
 from .note import Note
 from .path import OutputPath
-from .response import level_db, mobility, pulse_transform, ringing, spectrum, string_energy, waveform
+from .response import level_db, levels, mobility, pulse_transform, ringing, spectrum, string_energy, waveform
 from .simulate import Simulation, contact_rate, simulate
 
 __all__ = [
+    "FeltLaw",
     "Modes",
     "Note",
     "OutputPath",
@@ -22,9 +24,11 @@ __all__ = [
     "felt_force",
     "kernel",
     "level_db",
+    "levels",
     "mobility",
     "mode_frequencies",
     "mode_table",
+    "pluck",
     "project",
     "pulse_transform",
     "ringing",

@@ -115,6 +115,6 @@ def _sources() -> str:
     """What a program is made by: this package's code and JAX."""
     package = Path(__file__).parents[1]
     code = hashlib.sha256(jax.__version__.encode())
-    for part in sorted(package.glob("*.py")) + sorted(package.glob("*/*.py")):
+    for part in sorted(package.rglob("*.py")):
         code.update(part.read_bytes())
     return code.hexdigest()

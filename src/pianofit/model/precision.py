@@ -2,7 +2,8 @@
 
 JAX computes in float32 unless a process-wide switch is set, and a library that sets it changes every program of its
 user. JAX also has that switch as a context, for one thread and one block of code. All that this package computes runs
-inside it; what comes back is float64, which `.astype(float)` turns into the caller's own precision.
+inside it. What comes back is float64: of NumPy where the caller is outside, since JAX would narrow its own arrays there
+with a warning, and of JAX where the caller is inside.
 
 A context opened inside of a function is not enough where that function is traced: JAX applies its rules for derivatives
 and batches later, outside of it, and mixes the two precisions. There the caller has to open it.
@@ -43,21 +44,35 @@ def float64(function: Callable[P, R]) -> Callable[P, R]:
 
     @functools.wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> R:
-        if not _wide() and any(isinstance(x, Tracer) for x in jax.tree.leaves((args, kwargs))):
-            raise ParameterError(
-                f"{function.__name__} is traced by jit, vmap or grad in float32, and needs float64; call your "
-                "transformed function inside `with jax.enable_x64(True):`"
-            )
+        outside = not _wide()
+        if outside:
+            _refuse_traced((args, kwargs), function.__name__)
         with scope():
             args, kwargs = jax.tree.map(_widened, (args, kwargs))
-            return function(*args, **kwargs)
+            result = function(*args, **kwargs)
+        if not outside:
+            return result
+        _refuse_traced(result, function.__name__)  # as under `jit`, where even constants are
+        return jax.tree.map(_of_numpy, result)
 
     return call
+
+
+def _refuse_traced(tree: Any, name: str) -> None:
+    if any(isinstance(x, Tracer) for x in jax.tree.leaves(tree)):
+        raise ParameterError(
+            f"{name} is traced by jit, vmap or grad in float32, and needs float64; call your transformed function "
+            "inside `with jax.enable_x64(True):`"
+        )
 
 
 def _wide() -> bool:
     """Whether this thread is inside the scope."""
     return jax.dtypes.canonicalize_dtype(np.float64) == np.float64
+
+
+def _of_numpy(x: Any) -> Any:
+    return np.asarray(x) if isinstance(x, jax.Array) else x
 
 
 def _widened(x: Any) -> Any:

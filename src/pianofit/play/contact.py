@@ -11,9 +11,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..errors import FitError
+from ..errors import FitError, ParameterError
 from ..model.cache import kept
 from ..model.contact import free_motion, impulse_amplitude, strike
+from ..model.felt import own_law
 from ..model.modes import HIGHEST, Modes, mode_table
 from ..model.note import Note
 from ..model.path import impulse, through
@@ -83,7 +84,11 @@ def blow(table: Table, hammer: Hammer | MemoryHammer, state: np.ndarray, where: 
     ------
     FitError
         Naming `where` if the hammer stays on the string.
+    ParameterError
+        For a hammer whose felt is not one of the package's own.
     """
+    if law := own_law(hammer):  # its code may change between runs, and the programs of playing are kept
+        raise ParameterError(f"{where}: felt law {law.name} cannot be played; use Note.render, or one of the package's")
     hammer = type(hammer)(*map(np.float64, hammer))
     velocity = np.real(np.asarray(table.modes.pole) * state)
     steps = FIRST_STEPS

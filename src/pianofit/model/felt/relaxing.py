@@ -1,4 +1,4 @@
-"""Felt laws, as one formula and one equation a step.
+"""The package's own laws of the felt, as one formula and one equation a step.
 
     F = K_H [u^p (1 + μ u̇) - ε c], never below 0,     τ ċ = u^p - c
 
@@ -23,8 +23,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from ..parameters import Hammer, MemoryHammer
-from .precision import float64
+from ...parameters import Hammer, MemoryHammer
+from ..precision import float64
 
 __all__ = ["Weights", "compression", "felt_force", "force", "memory_weights", "remember"]
 
@@ -43,7 +43,6 @@ class Weights(NamedTuple):
     new: Array
 
 
-@float64
 def felt_force(u: Array, w: Array, hammer: Hammer | MemoryHammer, memory=0.0, share=0.0) -> Array:
     """Felt force, N, at compression `u`, m, and compression speed `w`, m/s (paper eq. 8, with u = y_H - y_s).
 
