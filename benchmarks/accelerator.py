@@ -23,8 +23,6 @@ def measure_accelerator(*, anyway: bool = False, first: int = FIRST, most: int =
     """Candidates a second by batch, and the largest batch; None where JAX has only the CPU, unless `anyway`."""
     import jax
 
-    import pianofit.model  # noqa: F401  # float64
-
     device = jax.devices()[0]
     if device.platform == "cpu" and not anyway:
         return None

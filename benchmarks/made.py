@@ -17,8 +17,7 @@ def make_notes(folder: Path, velocities: tuple[float, ...] = VELOCITIES, seconds
     The contact is computed at 16 times the file's rate.
     """
     import pianofit
-    from pianofit.criterion import OutputPath
-    from pianofit.voice import convolved, impulse
+    from pianofit.model.path import OutputPath, filtered, impulse
 
     it = pianofit.preset(PRESET)
     frequency = np.geomspace(40.0, 16_000.0, 60)
@@ -30,7 +29,7 @@ def make_notes(folder: Path, velocities: tuple[float, ...] = VELOCITIES, seconds
         strike = pianofit.simulate(
             it.string, hammer, it.geometry, rate=RATE, oversampling=16, quantity="pressure", n_modes=320
         )
-        heard = convolved(strike.waveform(RATE, round(seconds * RATE)), impulse(path, RATE))[: round(seconds * RATE)]
+        heard = filtered(strike.waveform(RATE, round(seconds * RATE)), impulse(path, RATE))[: round(seconds * RATE)]
         samples = np.pad(heard, (round(LEAD * RATE), 0))
         samples *= 0.5 / np.abs(samples).max()
         samples += np.random.default_rng(turn).normal(0.0, 1e-5, len(samples))

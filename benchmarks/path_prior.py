@@ -21,6 +21,7 @@ from pianofit import analyse, load_recording
 from pianofit.inference import estimate, pose
 from pianofit.inference.likelihood import objective
 from pianofit.model.cache import keep_programs
+from pianofit.model.precision import scope
 
 # A note says something of its path's residual where so many partials share it.
 FEWEST = 12
@@ -65,4 +66,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with scope():
+        main()

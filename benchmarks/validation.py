@@ -22,6 +22,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from pianofit import model
+from pianofit.model.precision import scope
 from pianofit.model.response import damped_circle
 from pianofit.parameters import FIT_NAMES, Hammer
 
@@ -299,4 +300,5 @@ the model. Rounding differs a little from one machine to the next. The tests hol
 
 
 if __name__ == "__main__":
-    main()
+    with scope():
+        main()

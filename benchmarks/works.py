@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 import tempfile
@@ -12,6 +13,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+# What is timed here and in the processes that it starts is JAX's own float64, as the program's.
+os.environ.setdefault("JAX_ENABLE_X64", "1")
 
 RATE = 44_100
 # The contact alone: at least 200 steps (whole blocks of 32), modes up to 0.4 of the rate, hammers spread by a factor.
@@ -216,12 +220,12 @@ def candidates() -> Works:
 def sounds(seconds: float = 10.0, rate: int = 48_000) -> Works:
     """A struck C2, heard at the bridge through a path, from parameters to samples."""
     import pianofit
-    from pianofit.criterion import OutputPath
+    from pianofit.model.path import OutputPath
 
     it = pianofit.preset("chabassier-C2")
     path = OutputPath(np.array([50.0, 500.0, 5000.0]), np.array([-20.0, 0.0, -10.0]))
-    voice = pianofit.Voice(it.string, it.hammer, it.geometry, "pressure", 1.0, path)
-    works: Works = {"pianofit": lambda: voice.play(rate, round(seconds * rate))}
+    note = pianofit.Note(it.string, it.hammer, it.geometry, "pressure", 1.0, path)
+    works: Works = {"pianofit": lambda: note.play(rate, round(seconds * rate))}
     if shutil.which("csound"):
         works["csound prepiano"] = lambda: _csound(seconds)
     return works

@@ -43,12 +43,12 @@ def main() -> None:
         print(f"{name:6} {found.value:.5g} {found.unit}, {found.status}{beside}")
 
     # The same string and hammer, struck softer and harder, through the same gain and path.
-    voice = result.note
+    note = result.note
     for name, factor in (("softer.wav", 0.5), ("louder.wav", 2.0)):
-        hammer = voice.hammer._replace(v_H0=factor * voice.hammer.v_H0)
-        samples, strike = voice._replace(hammer=hammer).play(recording.rate, 2 * recording.rate)
+        velocity = factor * note.hammer.v_H0
+        samples, strike = note.struck(velocity).play(recording.rate, 2 * recording.rate)
         Path(name).write_bytes(pianofit.encode_wav(samples, recording.rate))
-        print(f"{name}: {hammer.v_H0:.3g} m/s, contact {1e3 * strike.contact_time:.2f} ms")
+        print(f"{name}: {velocity:.3g} m/s, contact {1e3 * strike.contact_time:.2f} ms")
 
 
 if __name__ == "__main__":

@@ -11,9 +11,6 @@ import jax.numpy as jnp
 from jax import Array
 
 import pianofit
-from pianofit.model import level_db, mode_table, strike
-from pianofit.model.response import ringing
-from pianofit.parameters import FIT_NAMES
 
 RATE = 88_200.0
 PARTIALS = 12
@@ -23,9 +20,9 @@ def levels(log_values: Array, geometry: pianofit.Geometry) -> Array:
     """Levels of the first partials, dB [partials], of the logarithms of the nine parameters [9]."""
     values = jnp.exp(log_values)
     string, hammer = pianofit.String(*values[:4]), pianofit.Hammer(*values[4:])
-    modes = mode_table(string, geometry, rate=RATE, n_modes=64, quantity="bridge-force")
-    pulse = strike(modes, hammer, steps=1024)
-    return level_db(ringing(modes, pulse.drive), -modes.pole.real)[:PARTIALS]
+    modes = pianofit.mode_table(string, geometry, rate=RATE, n_modes=64, quantity="bridge-force")
+    pulse = pianofit.strike(modes, hammer, steps=1024)
+    return pianofit.levels(modes, pulse.drive)[:PARTIALS]
 
 
 def main() -> None:
@@ -33,11 +30,11 @@ def main() -> None:
     it = pianofit.preset("bensa-final")
     at = jnp.log(jnp.asarray([*it.string, *it.hammer]))
     slopes = 0.01 * jax.jit(jax.jacfwd(levels))(at, it.geometry)
-    print("partial" + "".join(f"{name:>9}" for name in FIT_NAMES) + "   dB per 1 %")
+    print("partial" + "".join(f"{name:>9}" for name in (*it.string._fields, *it.hammer._fields)) + "   dB per 1 %")
     for number, row in enumerate(slopes, 1):
         print(f"{number:7}" + "".join(f"{float(x):9.4f}" for x in row))
 
-    # Many velocities in one program: the brighter sound of a harder blow.
+    # Many velocities in one program: the brighter sound of a harder stroke.
     velocities = jnp.linspace(0.5, 4.0, 8)
     struck = jax.vmap(lambda v: levels(at.at[-1].set(jnp.log(v)), it.geometry))(velocities)
     for velocity, level in zip(velocities, struck, strict=True):
@@ -47,4 +44,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with jax.enable_x64(True):  # the model computes in float64, and so do the derivatives that JAX takes of it
+        main()

@@ -1,10 +1,9 @@
 """Not only pianos: a plucked string, heard, and its plucking point found again from the recording.
 
-A fingertip pulls a guitar's A string aside and lets it go; a magnetic pickup hears its velocity, in no known unit. The
-shape it starts from is the model's own: of a mode under a steady force no more is left than its compliance. Written is
-`pluck.wav`, with noise. From its partials' levels the plucking point and the finger's width are found again, by SciPy
-down the gradient that JAX derives; the string is the analysis'. The width is the less sure of the two: in the two
-milliseconds before the wave comes to the pickup the high partials have decayed, which is left out here.
+A fingertip pulls a guitar's A string aside and lets it go; a magnetic pickup hears its velocity, in no known unit.
+Written is `pluck.wav`, with noise. From its partials' levels the plucking point and the finger's width are found again,
+by SciPy down the gradient that JAX derives; the string is the analysis'. The width is the less sure of the two: in the
+two milliseconds before the wave comes to the pickup the high partials have decayed, which is left out here.
 """
 
 from __future__ import annotations
@@ -17,8 +16,6 @@ import numpy as np
 from scipy.optimize import minimize
 
 import pianofit
-from pianofit.model import level_db, mode_table, waveform
-from pianofit.model.contact import free_motion
 
 RATE, CONTACT_RATE = 22_050, 88_200  # Hz, of the file and of the table of modes
 MODES = 40
@@ -31,14 +28,14 @@ GUITAR = pianofit.Geometry(length=0.65, mass=4e-3, strike=0.14, width=0.022, pic
 
 def released(string: pianofit.String, geometry: pianofit.Geometry):
     """The table of modes, and the motion after a force of 1 N is let go."""
-    modes = mode_table(string, geometry, rate=CONTACT_RATE, n_modes=MODES)
-    return modes, free_motion(modes, modes.drive / modes.omega2, jnp.zeros(MODES), 1)
+    modes = pianofit.mode_table(string, geometry, rate=CONTACT_RATE, n_modes=MODES)
+    return modes, pianofit.pluck(modes)
 
 
 def record(seed: int = 0) -> pianofit.Recording:
     """Silence, then the note, and noise over both."""
     modes, free = released(STRING, GUITAR)
-    note = waveform(modes, np.zeros(1), rate=RATE, samples=round(SECONDS * RATE), free=free)
+    note = pianofit.waveform(modes, rate=RATE, samples=round(SECONDS * RATE), free=free)
     noise = np.sqrt(np.mean(note[:RATE] ** 2)) * 10 ** (-NOISE_DB / 20)
     sound = np.pad(note, (round(LEAD * RATE), 0))
     sound += np.random.default_rng(seed).normal(0.0, noise, len(sound))
@@ -57,7 +54,7 @@ def main() -> None:
     def misfit(z):
         """Mean square of the level differences, dB², of log position, log width and gain in dB."""
         modes, free = released(string, GUITAR._replace(strike=jnp.exp(z[0]), width=jnp.exp(z[1])))
-        level = level_db(modes.free_pickup * free.amplitude, -modes.pole.real)[partials.number - 1] + z[2]
+        level = pianofit.levels(modes, free=free)[partials.number - 1] + z[2]
         # Near a node little is left but the noise, whose energy adds to the string's.
         heard = 10 * jnp.log10(10 ** (level / 10) + 10 ** ((partials.level - partials.snr) / 10))
         return ((heard - partials.level) ** 2).mean()
@@ -77,4 +74,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with jax.enable_x64(True):  # the model computes in float64, and so do the derivatives that JAX takes of it
+        main()

@@ -56,11 +56,11 @@ def write_prelude(path: Path, bars: int) -> None:
 
 def literature() -> Instrument:
     """What a grand piano usually has at each key, heard as the force on the bridge, 10 N at full scale."""
-    voices = {}
+    notes = {}
     for midi in range(21, 109):
         it = pianofit.typical(midi)
-        voices[midi] = pianofit.Voice(it.string, it.hammer, it.geometry, "bridge-force", 0.1, None)
-    return Instrument("literature", voices, at_64=1.3, rise=1.5)
+        notes[midi] = pianofit.Note(it.string, it.hammer, it.geometry, "bridge-force", 0.1, None)
+    return Instrument("literature", notes, at_64=1.3, rise=1.5)
 
 
 def main() -> None:

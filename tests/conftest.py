@@ -1,8 +1,9 @@
-"""What all tests share: float64, compiled programs that are kept, the same examples every time, real notes."""
+"""What all tests share: compiled programs that are kept, the same examples every time, real notes."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -26,6 +27,15 @@ def _compiled_programs() -> None:
     from pianofit.model.cache import keep_programs
 
     keep_programs()
+
+
+@pytest.fixture
+def float64() -> Iterator[None]:
+    """JAX in float64 for what a test computes itself; the others run in a caller's ordinary float32."""
+    import jax
+
+    with jax.enable_x64(True):
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -1,6 +1,6 @@
 """A piano that nobody built, whose every key is known: for the laws, the player and the sampler of an instrument.
 
-It is the literature's, changed by smooth laws. Its keys come as voices, as recordings made by the model at a higher
+It is the literature's, changed by smooth laws. Its keys come as notes, as recordings made by the model at a higher
 rate than any fit uses, and as the `fit.json` that a fit of known error would write.
 """
 
@@ -14,14 +14,14 @@ from pathlib import Path
 import numpy as np
 
 from pianofit.analysis import midi_to_note
-from pianofit.criterion import OutputPath
 from pianofit.io import encode_wav
 from pianofit.keyboard import Instrument
 from pianofit.keyboard.gather import NAMES, invariants
 from pianofit.model.modes import mode_frequencies
+from pianofit.model.note import Note
+from pianofit.model.path import OutputPath
 from pianofit.parameters import Geometry, Hammer, String
 from pianofit.published import typical
-from pianofit.voice import Voice
 
 RATE = 44_100
 LAYERS = (0.7, 1.7, 4.0)  # m/s
@@ -29,7 +29,7 @@ LAYERS = (0.7, 1.7, 4.0)  # m/s
 ERRORS = {"c": 2e-4, "kappa": 5e-3, "b1": 0.1, "b2": 0.1, "K_H": 0.3, "mu": 0.2, "p": 0.04, "M_H": 0.03, "x0": 5e-3}
 
 
-def true_voice(midi: int) -> Voice:
+def true_note(midi: int) -> Note:
     """The key as it is, struck at 4 m/s."""
     it, x = typical(midi), (midi - 60) / 40
     g = it.geometry
@@ -41,24 +41,24 @@ def true_voice(midi: int) -> Voice:
     geometry = Geometry(g.length, g.mass, 0.11 * g.length, min(g.width, 0.1 * g.length), 0.5 * g.length)
     frequency = 30.0 * 2.0 ** np.arange(10)
     path = OutputPath(frequency, 3 * np.sin(np.log2(frequency / 30)))
-    return Voice(string, hammer, geometry, "pressure", 0.02 * math.exp(0.5 * x), path)
+    return Note(string, hammer, geometry, "pressure", 0.02 * math.exp(0.5 * x), path)
 
 
-def uneven_voice(midi: int) -> Voice:
+def uneven_note(midi: int) -> Note:
     """The key with partials that have levels and decays of their own."""
-    voice, k = true_voice(midi), np.arange(1, 16)
-    frequency = mode_frequencies(voice.string, voice.geometry.length, len(k))
-    return voice._replace(path=OutputPath(frequency, 3 * np.sin(1.7 * k), 1 + 0.4 * np.cos(2.3 * k)))
+    note, k = true_note(midi), np.arange(1, 16)
+    frequency = mode_frequencies(note.string, note.geometry.length, len(k))
+    return note._replace(path=OutputPath(frequency, 3 * np.sin(1.7 * k), 1 + 0.4 * np.cos(2.3 * k)))
 
 
 def true_instrument(keys: range = range(21, 109)) -> Instrument:
     """All of it, MIDI velocity 64 being 1.3 m/s."""
-    return Instrument("twin", {midi: true_voice(midi) for midi in keys}, at_64=1.3, rise=1.5)
+    return Instrument("twin", {midi: true_note(midi) for midi in keys}, at_64=1.3, rise=1.5)
 
 
-def fit_document(voice: Voice, errors: dict[str, float], velocities: tuple[float, ...] = LAYERS) -> dict:
-    """What a fit with these errors (standard deviations of logarithms) would write of a voice."""
-    s, h, g = voice.string, voice.hammer, voice.geometry
+def fit_document(note: Note, errors: dict[str, float], velocities: tuple[float, ...] = LAYERS) -> dict:
+    """What a fit with these errors (standard deviations of logarithms) would write of a note."""
+    s, h, g = note.string, note.hammer, note.geometry
     values = s._asdict() | h._asdict() | {"x0": g.strike, "width": g.width, "M_S": g.mass, "L": g.length}
 
     def entry(name: str, value: float) -> dict:
@@ -67,24 +67,24 @@ def fit_document(voice: Voice, errors: dict[str, float], velocities: tuple[float
         status = "scaled" if name in ("v_H0", "K_H", "mu") else "fitted"
         return {"value": float(value), "unit": "", "interval": span, "status": status, "note": ""}
 
-    path = voice.path
+    path = note.path
     return {
         "schema": 2, "program": "pianofit", "converged": True, "claims": "", "messages": [], "invariants": {},
         "minima": [],
         "parameters": {name: entry(name, value) for name, value in values.items()},
         "takes": [
-            {"file": f"{v}.wav", "rate": RATE, "v_H0": v, "gain": voice.gain, "first": v == velocities[-1],
+            {"file": f"{v}.wav", "rate": RATE, "v_H0": v, "gain": note.gain, "first": v == velocities[-1],
              "gain_status": "fitted", "v_H0_status": "scaled"} for v in velocities
         ],
-        "pickup": {"quantity": voice.quantity,
+        "pickup": {"quantity": note.quantity,
                    "path": None if path is None else {"frequency": path.frequency.tolist(), "db": path.db.tolist()}},
         "derived": {}, "levels": {"fitted_db": 1.2}, "diagnostics": {},
     }  # fmt: skip
 
 
-def force_entry(voice: Voice, at: float, sd: float) -> dict:
+def force_entry(note: Note, at: float, sd: float) -> dict:
     """What such a fit would write of the felt's force at the compression `at`, m."""
-    value = voice.hammer.K_H * at**voice.hammer.p / voice.geometry.mass
+    value = note.hammer.K_H * at**note.hammer.p / note.geometry.mass
     span = [value * math.exp(-1.96 * sd), value * math.exp(1.96 * sd)] if sd else None
     return {"value": value, "unit": "N/kg", "interval": span, "note": ""}
 
@@ -101,17 +101,17 @@ def library(folder: Path, keys: list[int], seed: int = 0, *, errors: dict[str, f
     """A folder of fits whose parameters are off the truth by `errors`, at random."""
     random = np.random.default_rng(seed)
     for midi in keys:
-        voice = true_voice(midi)
+        note = true_note(midi)
         off = {name: math.exp(sd * random.normal()) for name, sd in errors.items()}
-        string = String(*(x * off.get(n, 1.0) for n, x in voice.string._asdict().items()))
+        string = String(*(x * off.get(n, 1.0) for n, x in note.string._asdict().items()))
         # K_H and p trade off: their errors keep the force at 1 mm.
-        p, force = voice.hammer.p * off.get("p", 1.0), errors.get("K_H", 0.0) / 3
-        at_1_mm = voice.hammer.K_H * 1e-3**voice.hammer.p * math.exp(force * random.normal())
-        hammer = voice.hammer._replace(K_H=at_1_mm / 1e-3**p, mu=voice.hammer.mu * off.get("mu", 1.0), p=p,
-                                       M_H=voice.hammer.M_H * off.get("M_H", 1.0))  # fmt: skip
-        geometry = voice.geometry._replace(strike=voice.geometry.strike * off.get("x0", 1.0))
-        found = voice._replace(string=string, hammer=hammer, geometry=geometry)
-        spread_p = errors.get("p", 0.0) * voice.hammer.p
+        p, force = note.hammer.p * off.get("p", 1.0), errors.get("K_H", 0.0) / 3
+        at_1_mm = note.hammer.K_H * 1e-3**note.hammer.p * math.exp(force * random.normal())
+        hammer = note.hammer._replace(K_H=at_1_mm / 1e-3**p, mu=note.hammer.mu * off.get("mu", 1.0), p=p,
+                                       M_H=note.hammer.M_H * off.get("M_H", 1.0))  # fmt: skip
+        geometry = note.geometry._replace(strike=note.geometry.strike * off.get("x0", 1.0))
+        found = note._replace(string=string, hammer=hammer, geometry=geometry)
+        spread_p = errors.get("p", 0.0) * note.hammer.p
         told = errors | {"K_H": math.hypot(force, math.log(1e3) * spread_p)}
         document = fit_document(found, told)
         document["invariants"]["F/M_S"] = force_entry(found, 1e-3, force)
@@ -125,8 +125,8 @@ def record_key(
     """Recordings of the key's layers, 4 s, computed at twice their rate and with noise."""
     files = []
     for i, velocity in enumerate(layers):
-        voice = true_voice(midi)
-        struck = voice._replace(hammer=voice.hammer._replace(v_H0=velocity))
+        note = true_note(midi)
+        struck = note._replace(hammer=note.hammer._replace(v_H0=velocity))
         sound = struck.play(2 * RATE, 8 * RATE, touch=RATE // 10)[0][::2]
         noise = 10 ** (noise_db / 20) * np.sqrt(np.mean(sound[:RATE] ** 2))
         files.append(folder / f"{midi}-{i}.wav")
@@ -137,7 +137,7 @@ def record_key(
 def truth(name: str, keys: list[int]) -> np.ndarray:
     """Of one quantity of `NAMES` [keys], on the scale of its law."""
     assert name in NAMES
-    values = np.array([invariants(true_voice(midi), midi)[name] for midi in keys])
+    values = np.array([invariants(true_note(midi), midi)[name] for midi in keys])
     return values if name == "cents" else np.log(values)
 
 

@@ -8,11 +8,11 @@ import numpy as np
 
 from pianofit.analysis import Analysis, Partials
 from pianofit.model import simulate
+from pianofit.model.note import arrival
 from pianofit.model.response import level_db, ringing
 from pianofit.parameters import Geometry, Hammer, String
 from pianofit.recording import Recording, recording_from_samples
 from pianofit.setup import Setup, setup_from_dict
-from pianofit.voice import arrival
 
 F0, B, B1, D2 = 262.0, 4e-4, 0.5, 0.01
 

@@ -14,6 +14,8 @@ import pytest
 
 from pianofit.model.cache import LOADED, cache_folder, kept
 
+pytestmark = pytest.mark.usefixtures("float64")
+
 
 class _Cfg(NamedTuple):
     power: int

@@ -9,7 +9,6 @@ from scipy.optimize import minimize_scalar
 from pianofit.analysis import law_frequency
 from pianofit.criterion import (
     BANDS,
-    OutputPath,
     band_of,
     band_values,
     borders,
@@ -18,6 +17,7 @@ from pianofit.criterion import (
     level_error_db,
     measure,
 )
+from pianofit.model.path import OutputPath
 
 RATE, F0, B, LAST, SIGMA = 16_000, 220.0, 4e-4, 14, 30.0
 K = np.arange(1, LAST + 1)

@@ -9,12 +9,15 @@ import subprocess
 import sys
 from pathlib import Path
 
+import jax
 import pytest
 import soundfile
 
 import pianofit
 from pianofit.parameters import FIT_NAMES
 
+# Rooms that an example is about, or has its twin from.
+ROOMS = ("keyboard", "play", "twin")
 EXAMPLES = Path(__file__).parent.parent / "examples"
 
 
@@ -73,6 +76,33 @@ def test_a_pluck_is_heard_and_its_point_found_again(monkeypatch, capsys, tmp_pat
     samples, rate = soundfile.read("pluck.wav")
     assert len(samples) == pytest.approx(3.1 * rate, abs=1)
     assert 0.4 < abs(samples).max() <= 0.5
+
+
+def test_a_felt_of_one_s_own_is_found_again(monkeypatch, capsys):
+    with jax.enable_x64(True):
+        text = printed("05_own_felt_law.py", monkeypatch, capsys)
+    rows = re.findall(r"^(\w+) +true (\S+) +found (\S+) ± (\S+) %$", text, re.MULTILINE)
+    assert [row[0] for row in rows] == ["K", "s", "mu"]
+    for name, true, found, error in rows:
+        assert 0.1 < float(error) < 3.0, name
+        assert abs(float(found) / float(true) - 1) < 0.03 * float(error), name
+    assert "rendered: 44100 samples" in text
+
+
+def test_hammers_in_a_batch_come_nearer_in_float32(monkeypatch, capsys):
+    text = printed("06_hammers_in_a_batch.py", monkeypatch, capsys)
+    losses = [float(x) for x in re.findall(r"^step +\d+: +(\S+) dB², gradients float32$", text, re.MULTILINE)]
+    assert len(losses) == 3
+    assert losses[2] < losses[1] < 0.5 * losses[0]
+    assert not jax.config.jax_enable_x64
+
+
+@pytest.mark.parametrize("file", sorted(EXAMPLES.glob("*.py")), ids=lambda file: file.name)
+def test_examples_use_public_names_only(file):
+    text = file.read_text(encoding="utf-8")
+    inner = set(re.findall(r"^(?:from|import) (pianofit\.\S+)", text, re.MULTILINE))
+    assert inner <= {f"pianofit.{room}" for room in ROOMS}
+    assert {*re.findall(r"\bpianofit\.(\w+)", text)} - {*ROOMS} <= {*pianofit.__all__}
 
 
 def test_a_prelude_is_played(monkeypatch, capsys, tmp_path):

@@ -9,7 +9,7 @@ import tomllib
 import numpy as np
 import pytest
 
-from pianofit import analyse, fit, load_voice, recording_from_samples, setup_from_dict
+from pianofit import analyse, fit, load_note, recording_from_samples, setup_from_dict
 from pianofit.errors import FitError, SetupError
 from pianofit.paper.laboratory import Laboratory, measure, setup_text
 from pianofit.parameters import FELT_LAWS, Hammer, MemoryHammer
@@ -74,10 +74,10 @@ def test_what_a_law_does_not_have_is_not_in_its_fit(law, tmp_path):
             "note": f"the felt's law, {law}, has none",
         }  # fmt: skip
     (tmp_path / "fit.json").write_text(json.dumps(document))
-    voice, _ = load_voice(tmp_path / "fit.json")
-    assert isinstance(voice.hammer, MemoryHammer if law == "stulov" else Hammer)
-    assert voice.hammer.mu == table["mu"]["value"]
-    assert np.isfinite(voice.play(44_100, 4410)[0]).all()
+    note, _ = load_note(tmp_path / "fit.json")
+    assert isinstance(note.hammer, MemoryHammer if law == "stulov" else Hammer)
+    assert note.hammer.mu == table["mu"]["value"]
+    assert np.isfinite(note.play(44_100, 4410)[0]).all()
 
 
 def test_half_a_memory_is_no_felt(tmp_path):
@@ -85,7 +85,7 @@ def test_half_a_memory_is_no_felt(tmp_path):
     del document["parameters"]["tau"]
     (tmp_path / "fit.json").write_text(json.dumps(document))
     with pytest.raises(FitError, match="both epsilon and tau"):
-        load_voice(tmp_path / "fit.json")
+        load_note(tmp_path / "fit.json")
 
 
 @pytest.mark.parametrize(

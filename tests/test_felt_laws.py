@@ -17,8 +17,10 @@ from model_cases import GEOMETRY, HAMMER, RATE, STRING
 
 from pianofit import model
 from pianofit.errors import ParameterError
-from pianofit.model import felt
+from pianofit.model.felt import relaxing as felt
 from pianofit.parameters import FELT_LAWS, PARAMETERS, Geometry, Hammer, MemoryHammer, String, make_hammer
+
+pytestmark = pytest.mark.usefixtures("float64")
 
 # --- one monotone equation a step ------------------------------------------------------------------------------------
 

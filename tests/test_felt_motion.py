@@ -25,6 +25,8 @@ from pianofit.paper.laboratory.felt import Felt
 from pianofit.paper.laboratory.strike import strike as laboratory_strike
 from pianofit.parameters import Hammer, MemoryHammer
 
+pytestmark = pytest.mark.usefixtures("float64")
+
 # --- another way to step ---------------------------------------------------------------------------------------------
 
 

@@ -79,5 +79,5 @@ def test_a_layer_that_was_left_out_is_predicted(note, layers, left_out, worst_db
     recordings = [load_recording(FOLDER / f"{name}.flac") for name in layers]
     result = fit_takes(recordings, [analyse(r, note=note) for r in recordings])
     analysis = analyse(load_recording(FOLDER / f"{left_out}.flac"), note=note)
-    voices = list(zip(result.shares, (minimum[0] for minimum in result.voices), strict=True))
-    assert predict_take(voices, analysis).error_db < worst_db
+    notes = list(zip(result.shares, (minimum[0] for minimum in result.notes), strict=True))
+    assert predict_take(notes, analysis).error_db < worst_db

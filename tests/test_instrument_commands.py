@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import soundfile
 import typer
-from instrument_cases import ERRORS, fit_document, library, true_voice, uneven_voice, write_fit
+from instrument_cases import ERRORS, fit_document, library, true_note, uneven_note, write_fit
 from typer.testing import CliRunner, Result
 
 from pianofit.cli.instrument import register
@@ -62,7 +62,7 @@ def test_an_instrument_is_put_together(fits, tmp_path):
     assert done.exit_code == 0, done.output
     assert sorted(file.name for file in (tmp_path / "out").iterdir()) == ["instrument.html", "instrument.json"]
     assert "twin: 5 keys known" in done.output
-    assert len(load_instrument(tmp_path / "out" / "instrument.json").voices) == 88
+    assert len(load_instrument(tmp_path / "out" / "instrument.json").notes) == 88
     again = run("instrument", fits, "--out", tmp_path / "out")
     assert again.exit_code == 1
     assert "the folder is not empty" in again.output
@@ -142,7 +142,7 @@ def test_bad_input_gets_one_line_and_nothing_is_written(words, message, built, m
 
 
 def test_a_hostile_fit_is_refused(tmp_path):
-    good = fit_document(true_voice(60), ERRORS)
+    good = fit_document(true_note(60), ERRORS)
     for change, message in (
         ({"takes": [good["takes"][0] | {"v_H0": "fast"}]}, r"takes\[0\].v_H0 is 'fast'"),
         ({"takes": [good["takes"][0] | {"v_H0": -1.0}]}, r"takes\[0\].v_H0 is -1.0"),
@@ -158,7 +158,7 @@ def test_a_hostile_fit_is_refused(tmp_path):
     odd["levels"] = 7
     key = load_keys([write_fit(tmp_path, 60, odd)])[0]
     assert all(np.isfinite(x) and x > 0 for x in key.sd.values())
-    it = true_voice(60)
+    it = true_note(60)
     short = it.geometry._replace(length=0.15, strike=0.02)
     high = it._replace(string=it.string._replace(c=1999.0), geometry=short)
     with pytest.raises(FitError, match="beyond a piano's A0 to C8"):
@@ -231,22 +231,22 @@ def test_what_is_no_document_is_refused(content, tmp_path):
 
 
 def test_other_laws_of_the_felt(tmp_path):
-    power = fit_document(true_voice(60), ERRORS)
+    power = fit_document(true_note(60), ERRORS)
     power["parameters"]["mu"] |= {"value": 0.0, "interval": None}
     read_instrument(build_instrument(load_keys([write_fit(tmp_path, 60, power)])))
-    stulov = fit_document(true_voice(60), ERRORS)
+    stulov = fit_document(true_note(60), ERRORS)
     stulov["parameters"] |= {"epsilon": {"value": 0.5}, "tau": {"value": 1e-5}}
     with pytest.raises(FitError, match="a felt with memory cannot be carried over a keyboard"):
         load_keys([write_fit(tmp_path, 60, stulov)])
 
 
 def test_partials_keep_their_own_levels_and_decays(tmp_path):
-    voice = uneven_voice(60)
-    content = fit_document(voice, ERRORS)
-    content["pickup"]["path"]["decay"] = voice.path.decay.tolist()
+    note = uneven_note(60)
+    content = fit_document(note, ERRORS)
+    content["pickup"]["path"]["decay"] = note.path.decay.tolist()
     keys = load_keys([write_fit(tmp_path, 60, content)])
-    path = read_instrument(json.loads(json.dumps(build_instrument(keys)))).voices[60].path
-    assert [column.tolist() for column in path[:3]] == [column.tolist() for column in voice.path[:3]]
+    path = read_instrument(json.loads(json.dumps(build_instrument(keys)))).notes[60].path
+    assert [column.tolist() for column in path[:3]] == [column.tolist() for column in note.path[:3]]
 
 
 def test_a_document_may_lack_what_is_only_told(document):
@@ -254,5 +254,5 @@ def test_a_document_may_lack_what_is_only_told(document):
     wanted = ("midi", "string", "hammer", "geometry", "gain")
     bare["keys"] = [{name: key[name] for name in wanted} for key in document["keys"][:3]]
     instrument = read_instrument(bare)
-    assert sorted(instrument.voices) == [21, 22, 23]
-    assert instrument.voices[21].path is None
+    assert sorted(instrument.notes) == [21, 22, 23]
+    assert instrument.notes[21].path is None

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from instrument_cases import ERRORS, fit_document, force_entry, library, true_voice, truth, write_fit
+from instrument_cases import ERRORS, fit_document, force_entry, library, true_note, truth, write_fit
 
 from pianofit.errors import FitError
 from pianofit.keyboard import build_instrument, find_fits, load_keys, read_instrument
@@ -62,7 +62,7 @@ def test_a_key_keeps_its_own_pitch(piano):
 
 def test_every_key_can_be_played_and_says_where_it_comes_from(piano):
     instrument = read_instrument(json.loads(json.dumps(piano, allow_nan=False)))
-    assert sorted(instrument.voices) == ALL
+    assert sorted(instrument.notes) == ALL
     states = [key["state"] for key in piano["keys"]]
     assert states[0] == states[-1] == "extrapolated"
     assert {states[midi - 21] for midi in KEYS} <= {"fitted", "pulled"}
@@ -74,10 +74,10 @@ def test_bad_keys_are_named_and_play_the_law(tmp_path):
     folder = library(tmp_path, KEYS, seed=3)
     wrong = {"twin-D#2": 39, "twin-F#2": 42, "twin-C6": 84}
     for midi in wrong.values():
-        voice = true_voice(midi)
-        string = voice.string._replace(b1=voice.string.b1 * 5)
-        hammer = voice.hammer._replace(M_H=voice.hammer.M_H * 2.5)
-        write_fit(folder, midi, fit_document(voice._replace(string=string, hammer=hammer), ERRORS))
+        note = true_note(midi)
+        string = note.string._replace(b1=note.string.b1 * 5)
+        hammer = note.hammer._replace(M_H=note.hammer.M_H * 2.5)
+        write_fit(folder, midi, fit_document(note._replace(string=string, hammer=hammer), ERRORS))
     piano = build_instrument(load_keys(find_fits([folder])))
     for name in ("b1", "M_H/M_S"):
         assert piano["laws"][name]["outliers"] == ["D#2", "F#2", "C6"]
@@ -93,8 +93,8 @@ def test_bad_keys_are_named_and_play_the_law(tmp_path):
 def test_a_wide_interval_is_drawn_in_and_a_narrow_one_stays(tmp_path):
     folder = library(tmp_path, KEYS, seed=4)
     for midi, sd, factor in ((48, 0.5, 1.8), (60, 0.005, 1.25)):
-        voice = true_voice(midi)
-        off = voice._replace(string=voice.string._replace(b1=voice.string.b1 * factor))
+        note = true_note(midi)
+        off = note._replace(string=note.string._replace(b1=note.string.b1 * factor))
         write_fit(folder, midi, fit_document(off, ERRORS | {"b1": sd}))
     piano = build_instrument(load_keys(find_fits([folder])))
     wide, narrow = (piano["keys"][midi - 21]["told"]["b1"] for midi in (48, 60))
@@ -166,38 +166,38 @@ def test_the_scatter_between_keys_is_found():
 
 def test_values_become_parameters_and_back():
     for midi in (21, 60, 108):
-        voice = true_voice(midi)
-        there = invariants(voice, midi)
+        note = true_note(midi)
+        there = invariants(note, midi)
         string, hammer, geometry, gain = assemble(midi, there, "pressure")
-        assert string == pytest.approx(voice.string, rel=1e-12)
-        assert hammer[:4] == pytest.approx(voice.hammer[:4], rel=1e-9)
-        assert geometry == pytest.approx(voice.geometry, rel=1e-12)
-        assert gain == pytest.approx(voice.gain)
+        assert string == pytest.approx(note.string, rel=1e-12)
+        assert hammer[:4] == pytest.approx(note.hammer[:4], rel=1e-9)
+        assert geometry == pytest.approx(note.geometry, rel=1e-12)
+        assert gain == pytest.approx(note.gain)
 
 
 def test_uncalibrated_keys_come_onto_one_velocity_scale(tmp_path):
     """(K_H, mu, v_H0, gain) -> (K_H s^(1-p), mu/s, s v_H0, gain/s) is not heard: nor does it change the instrument."""
-    s, voice = 1.7, true_voice(60)
-    h = voice.hammer
-    scaled = voice._replace(
-        hammer=h._replace(K_H=h.K_H * s ** (1 - h.p), mu=h.mu / s, v_H0=h.v_H0 * s), gain=voice.gain / s
+    s, note = 1.7, true_note(60)
+    h = note.hammer
+    scaled = note._replace(
+        hammer=h._replace(K_H=h.K_H * s ** (1 - h.p), mu=h.mu / s, v_H0=h.v_H0 * s), gain=note.gain / s
     )
     files = [
-        write_fit(tmp_path, 60, fit_document(voice, ERRORS, (1.0, 4.0)), "a"),
+        write_fit(tmp_path, 60, fit_document(note, ERRORS, (1.0, 4.0)), "a"),
         write_fit(tmp_path, 60, fit_document(scaled, ERRORS, (1.7, 6.8)), "b"),
     ]
     first, second = (load_keys([file])[0] for file in files)
     assert first.velocities == pytest.approx(second.velocities) == (1.0, LOUDEST)
-    assert first.voice.hammer == pytest.approx(second.voice.hammer, rel=1e-9)
-    assert first.voice.gain == pytest.approx(second.voice.gain, rel=1e-9)
+    assert first.note.hammer == pytest.approx(second.note.hammer, rel=1e-9)
+    assert first.note.gain == pytest.approx(second.note.gain, rel=1e-9)
 
 
 @pytest.mark.parametrize("s", [0.6, 1.0, 1.7])
 def test_the_felts_error_is_that_of_its_force_on_the_common_scale(tmp_path, s):
     """Known to 5 % at 0.5 mm and 4 m/s, whatever the scale of the fit's velocities is; the exponent to 0.1."""
-    voice, sd_p, at = true_voice(60), 0.1 / true_voice(60).hammer.p, 0.5e-3
-    h = voice.hammer
-    scaled = voice._replace(hammer=h._replace(K_H=h.K_H * s ** (1 - h.p), mu=h.mu / s, v_H0=h.v_H0 * s))
+    note, sd_p, at = true_note(60), 0.1 / true_note(60).hammer.p, 0.5e-3
+    h = note.hammer
+    scaled = note._replace(hammer=h._replace(K_H=h.K_H * s ** (1 - h.p), mu=h.mu / s, v_H0=h.v_H0 * s))
     document = fit_document(scaled, ERRORS | {"K_H": 3.0, "p": sd_p}, (s, 4.0 * s))
     document["invariants"]["F/M_S"] = force_entry(scaled, s * at, 0.05)
     (key,) = load_keys([write_fit(tmp_path, 60, document)])
@@ -207,11 +207,11 @@ def test_the_felts_error_is_that_of_its_force_on_the_common_scale(tmp_path, s):
 @pytest.mark.parametrize("r", [-0.9, 0.0, 0.7])
 @pytest.mark.parametrize("known", ["gain_status", "v_H0_status"])
 def test_a_known_velocity_lets_k_say_how_force_and_exponent_trade_off(tmp_path, r, known):
-    voice, at, e, sd_p = true_voice(60), 0.5e-3, 0.05, 0.1
+    note, at, e, sd_p = true_note(60), 0.5e-3, 0.05, 0.1
     far, near = (math.log(u / at) for u in (1.0, reference_compression(60)))
     spread = {x: math.sqrt(e**2 + (x * sd_p) ** 2 + 2 * x * r * e * sd_p) for x in (far, near)}
-    document = fit_document(voice, ERRORS | {"K_H": spread[far], "p": sd_p / voice.hammer.p}, (1.0, 3.0))
-    document["invariants"]["F/M_S"] = force_entry(voice, at, e)
+    document = fit_document(note, ERRORS | {"K_H": spread[far], "p": sd_p / note.hammer.p}, (1.0, 3.0))
+    document["invariants"]["F/M_S"] = force_entry(note, at, e)
     document["parameters"]["v_H0"]["status"] = "fitted"
     for take in document["takes"]:
         take |= {"v_H0_status": "fitted", known: "given"}
@@ -221,8 +221,8 @@ def test_a_known_velocity_lets_k_say_how_force_and_exponent_trade_off(tmp_path, 
 
 
 def test_files_of_the_first_schema_are_still_understood(tmp_path):
-    voice = true_voice(60)
-    document = fit_document(voice, ERRORS | {"K_H": math.hypot(0.05, 0.1 * math.log(1e3)), "p": 0.1 / voice.hammer.p})
+    note = true_note(60)
+    document = fit_document(note, ERRORS | {"K_H": math.hypot(0.05, 0.1 * math.log(1e3)), "p": 0.1 / note.hammer.p})
     new = {name: document.pop(name) for name in ("claims", "invariants", "minima")}
     old = document | {"schema": 1, "verdict": new["claims"]}
     old["derived"] = {"max_compression_mm": 1.0, "felt_force_relative_error": 0.05}
@@ -244,7 +244,7 @@ def test_files_of_the_first_schema_are_still_understood(tmp_path):
 
 
 def test_a_blow_at_two_microphones_is_one_layer_and_the_gain_is_that_of_the_path(tmp_path):
-    document = fit_document(true_voice(60), ERRORS, (1.0, 4.0))
+    document = fit_document(true_note(60), ERRORS, (1.0, 4.0))
     soft, loud = (take | {"group": 0, "strike": i} for i, take in enumerate(document["takes"]))
     soft, loud = soft | {"first": True}, loud | {"first": False}
     room = [take | {"group": 1, "gain": 50.0, "first": False} for take in (soft, loud)]
@@ -253,7 +253,7 @@ def test_a_blow_at_two_microphones_is_one_layer_and_the_gain_is_that_of_the_path
         for name, takes in (("one", [soft, loud]), ("both", [*room, soft, loud]))
     )
     assert both.velocities == one.velocities == (1.0, LOUDEST)
-    assert both.voice.gain == one.voice.gain
+    assert both.note.gain == one.note.gain
 
 
 def test_midi_velocities_rise_with_the_layers():
@@ -273,7 +273,7 @@ def test_what_is_no_library_is_refused(tmp_path):
     with pytest.raises(FitError, match="holds no keys"):
         find_fits([tmp_path])
     library(tmp_path, [60, 64])
-    write_fit(tmp_path, 60, fit_document(true_voice(60), ERRORS), "other")
+    write_fit(tmp_path, 60, fit_document(true_note(60), ERRORS), "other")
     with pytest.raises(FitError, match="several instruments, other, twin"):
         find_fits([tmp_path])
     with pytest.raises(FitError, match="no key begins so; there are 'other', 'twin'"):
@@ -282,18 +282,18 @@ def test_what_is_no_library_is_refused(tmp_path):
     twice = [*find_fits([tmp_path], "other"), *find_fits([tmp_path], "twin")]
     with pytest.raises(FitError, match=r"is C4, and so is .*leave one out"):
         load_keys(twice)
-    mixed = fit_document(true_voice(67)._replace(quantity="bridge-force"), ERRORS)
+    mixed = fit_document(true_note(67)._replace(quantity="bridge-force"), ERRORS)
     with pytest.raises(FitError, match="one instrument needs one quantity"):
         load_keys([*find_fits([tmp_path], "twin"), write_fit(tmp_path, 67, mixed)])
 
 
 def test_a_piano_out_of_tune_keeps_its_keys(tmp_path):
     """80 cents flat: the folder's name says which key it is."""
-    voice = true_voice(60)
-    flat = voice._replace(string=voice.string._replace(c=voice.string.c * 2 ** (-80 / 1200)))
+    note = true_note(60)
+    flat = note._replace(string=note.string._replace(c=note.string.c * 2 ** (-80 / 1200)))
     key = load_keys([write_fit(tmp_path, 60, fit_document(flat, ERRORS))])[0]
     assert key.midi == 60
-    assert invariants(key.voice, 60)["cents"] == pytest.approx(-80, abs=1)
+    assert invariants(key.note, 60)["cents"] == pytest.approx(-80, abs=1)
     bare = tmp_path / "fit.json"
     bare.write_text(json.dumps(fit_document(flat, ERRORS)))
     assert load_keys([Path(bare)])[0].midi == 59

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from instrument_cases import true_instrument, true_voice, uneven_voice
+from instrument_cases import true_instrument, true_note, uneven_note
 
 from pianofit.errors import FitError, ParameterError, RecordingError
 from pianofit.model import simulate
@@ -35,7 +35,7 @@ def song(*notes: tuple[float, float, int, int], pedal: tuple[tuple[float, bool],
 
 def played(*notes: tuple[float, float, int, int], pedal: tuple[tuple[float, bool], ...] = ()) -> np.ndarray:
     """A song far below the limiter, 5 s."""
-    quiet = PIANO._replace(voices={m: v._replace(gain=1e-2 * v.gain) for m, v in PIANO.voices.items()})
+    quiet = PIANO._replace(notes={m: v._replace(gain=1e-2 * v.gain) for m, v in PIANO.notes.items()})
     done = perform(quiet, song(*notes, pedal=pedal), RATE)
     assert done.gain_db == done.limited_db == 0
     return np.pad(done.samples, (0, 12 * RATE))[: 12 * RATE]
@@ -47,10 +47,10 @@ def rms_db(samples: np.ndarray, start: float, stop: float) -> float:
 
 @pytest.mark.parametrize("midi", [21, 45, 60, 84, 108])
 def test_a_blow_at_rest_is_what_render_plays(midi):
-    voice = uneven_voice(midi)
-    expected, _ = voice.play(RATE, RATE, touch=0)
-    string = PlayedString(voice, midi, RATE)
-    head = string.strike(voice.hammer.v_H0)
+    note = uneven_note(midi)
+    expected, _ = note.play(RATE, RATE, touch=0)
+    string = PlayedString(note, midi, RATE)
+    head = string.strike(note.hammer.v_H0)
     sound = string.heard(np.concatenate([head, string.ring(RATE - len(head))]))[:RATE]
     assert np.abs(sound - expected).max() < 1e-6 * np.abs(expected).max()
 
@@ -58,37 +58,37 @@ def test_a_blow_at_rest_is_what_render_plays(midi):
 @pytest.mark.parametrize(("midi", "after"), [(28, 0.013), (60, 0.1), (79, 0.05)])
 def test_a_blow_on_a_moving_string_is_the_models(midi, after):
     """`simulate` from the same displacement and velocity, whose contact and waveform are other code."""
-    voice = uneven_voice(midi)
-    string = PlayedString(voice, midi, RATE)
+    note = uneven_note(midi)
+    string = PlayedString(note, midi, RATE)
     head = string.strike(4.0)
     string.ring(max(round(after * RATE) - len(head), 0))
     state = string.state.copy()
     law = np.asarray(string.table.modes.pole)
     q, v = state.real, (law * state).real
     moving = simulate(
-        voice.string, voice.hammer._replace(v_H0=1.5), voice.geometry, rate=RATE, quantity="pressure",
+        note.string, note.hammer._replace(v_H0=1.5), note.geometry, rate=RATE, quantity="pressure",
         n_modes=len(q), displacement=q, velocity=v,
     )  # fmt: skip
     own = string.pole.real / law.real  # each partial's own decay
     assert np.ptp(own) > 0.5
-    assert own == pytest.approx(voice.path.decay_at(law.imag / (2 * np.pi)))
+    assert own == pytest.approx(note.path.decay_at(law.imag / (2 * np.pi)))
     heard = moving.modes._replace(
-        pickup=np.asarray(moving.modes.pickup) * voice.gain, pole=string.pole,
-        free_pickup=np.asarray(moving.modes.free_pickup) * voice.gain,
+        pickup=np.asarray(moving.modes.pickup) * note.gain, pole=string.pole,
+        free_pickup=np.asarray(moving.modes.free_pickup) * note.gain,
     )  # fmt: skip
     expected = moving._replace(modes=heard).waveform(RATE, RATE // 2)
     head = string.strike(1.5)
     sound = np.concatenate([head, string.ring(RATE // 2 - len(head))])
     assert np.abs(sound - expected).max() < 1e-6 * np.abs(expected).max()
     # And it is not the sum of the old sound and a blow at rest: the hammer met a moving string.
-    rest = PlayedString(voice, midi, RATE)
+    rest = PlayedString(note, midi, RATE)
     alone = np.concatenate([head := rest.strike(1.5), rest.ring(RATE // 2 - len(head))])
     rest.state = state
     assert np.abs(sound - alone - rest.ring(RATE // 2)).max() > 1e-4 * np.abs(expected).max()
 
 
 def test_a_damper_adds_its_rate_to_every_mode():
-    free, damped = (PlayedString(true_voice(50), 50, RATE) for _ in range(2))
+    free, damped = (PlayedString(true_note(50), 50, RATE) for _ in range(2))
     for string in (free, damped):
         string.strike(2.0)
     damped.damped = True
@@ -246,7 +246,7 @@ def test_what_cannot_be_played_is_refused():
         perform(PIANO, song((0.0, 1.0, 60, 80)), 100)
     with pytest.raises(ParameterError, match="too long; cut the song to 694 s"):
         perform(PIANO, song((0.0, 1700.0, 60, 80)), RATE)
-    stuck = true_voice(60)
-    stuck = PIANO._replace(voices={60: stuck._replace(hammer=stuck.hammer._replace(M_H=0.1, K_H=1e4, p=5.0))})
+    stuck = true_note(60)
+    stuck = PIANO._replace(notes={60: stuck._replace(hammer=stuck.hammer._replace(M_H=0.1, K_H=1e4, p=5.0))})
     with pytest.raises(FitError, match=r"key 60: at v_H0=.* m/s the hammer is still on the string"):
         perform(stuck, song((0.0, 1.0, 60, 1)), RATE)

@@ -12,17 +12,17 @@ import pytest
 import soundfile
 from hypothesis import given
 from hypothesis import strategies as st
-from instrument_cases import ERRORS, library, true_instrument, true_voice
+from instrument_cases import ERRORS, library, true_instrument, true_note
 
 from pianofit.analysis import midi_to_note
 from pianofit.cli import main
 from pianofit.errors import OutputError, ParameterError
+from pianofit.inference.align import lag
 from pianofit.keyboard import build_instrument, find_fits, load_instrument, load_keys
 from pianofit.keyboard.velocity import hammer_velocity
 from pianofit.model.modes import mode_frequencies
 from pianofit.play import export_sfz, parse_keys
 from pianofit.play.sfz import layers_of, spans_of
-from pianofit.voice import lag
 
 RATE = 48_000
 KEYS = [28, 55, 79]
@@ -64,8 +64,8 @@ def player(sampler) -> Callable[[int, int], np.ndarray]:
 
 def levels(sound: np.ndarray, midi: int) -> np.ndarray:
     """Of the partials, dB, over a second."""
-    voice = true_voice(midi)
-    frequency = mode_frequencies(voice.string, voice.geometry.length, 80)
+    note = true_note(midi)
+    frequency = mode_frequencies(note.string, note.geometry.length, 80)
     size = np.abs(np.fft.rfft(sound[2400 : 2400 + RATE] * np.hanning(RATE)))
     nearest = [size[round(f) - 3 : round(f) + 4].max() for f in frequency[frequency < 12_000]]
     return 20 * np.log10(np.array(nearest) + 1e-12)

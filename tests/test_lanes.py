@@ -10,9 +10,9 @@ from model_cases import HAMMER, STRING
 from pianofit.inference.coordinates import ABSENT, NAMES, SHARED, STRING_SIZE
 from pianofit.inference.lanes import Cfg, Scene, in_lanes, levels, own_levels, own_slopes, slopes
 from pianofit.model import simulate
+from pianofit.model.note import arrival
 from pianofit.model.response import level_db, ringing
 from pianofit.parameters import Geometry, Hammer, MemoryHammer
-from pianofit.voice import arrival
 
 RATE, N_MODES, STEPS, ROWS, SIZE = 88_200.0, 64, 512, 24, 4
 LOG_U = np.log(3e-4)

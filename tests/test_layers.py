@@ -20,26 +20,24 @@ FILES = sorted(SOURCE.rglob("*.py"))
 USES = {
     "threads": "",
     "errors": "",
-    "parameters": "",
     "io": "",
+    "parameters": "",
     "progress": "",
-    "published": "parameters",
-    "model": "parameters",
     "tables": "io",
     "recording": "io",
+    "published": "parameters",
     "setup": "io parameters",
     "analysis": "recording tables",
     "criterion": "analysis",
-    "voice": "criterion model parameters recording",
-    "render": "criterion io model parameters recording voice",
-    "inference": "analysis criterion io model parameters progress published recording"
-    " render setup tables threads voice",
+    "model": "criterion parameters recording",
+    "render": "io model parameters recording",
+    "inference": "analysis criterion io model parameters progress published recording render setup tables threads",
     "report": "analysis inference io parameters",
-    "paper": "analysis criterion inference io model parameters published recording report setup voice",
-    "keyboard": "analysis criterion io model parameters published render report voice",
+    "paper": "analysis criterion inference io model parameters published recording report setup",
+    "keyboard": "analysis io model parameters published render report",
     "fitting": "analysis inference io paper parameters progress recording setup",
-    "play": "analysis io keyboard model parameters recording render threads voice",
-    "workflow": "analysis fitting inference io model recording render setup voice",
+    "play": "analysis io keyboard model parameters recording render threads",
+    "workflow": "analysis fitting inference io model recording render setup",
     "batch": "analysis fitting io model parameters recording",
     "cli": "analysis batch fitting inference io keyboard model paper parameters play progress"
     " published recording render report setup workflow",
@@ -55,7 +53,7 @@ def by_file() -> pytest.MarkDecorator:
 
 
 def imports(file: Path) -> Iterator[str]:
-    """Every imported name in full, such as "jax.numpy" or "pianofit.voice.Voice", wherever the import stands."""
+    """Every imported name in full, such as "jax.numpy" or "pianofit.model.note.Note", wherever the import stands."""
     package = ("pianofit", *file.relative_to(SOURCE).parts)[:-1]
     for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):

@@ -12,6 +12,8 @@ from table_cases import PHI, SHAPES, SMALL, dense, dense_nodes, noise, point, sh
 import pianofit.model  # noqa: F401  (float64)
 from pianofit.inference.likelihood import Table, curvature, latent, next_weights, objective, report
 
+pytestmark = pytest.mark.usefixtures("float64")
+
 F = jax.jit(objective)
 ONE_NODE = [name for name, shape in SHAPES.items() if shape[4] == 1]
 

@@ -50,7 +50,7 @@ def test_the_shared_velocity_is_found_and_shown_alike():
 
 def test_every_microphone_has_a_path_of_its_own():
     result = path_fit(MICROPHONES)
-    close, also, _, room = (take.fitted.voice.path for take in result.takes)
+    close, also, _, room = (take.fitted.note.path for take in result.takes)
     np.testing.assert_array_equal(close.db, also.db)
     assert len(room.db) != len(close.db) or np.abs(room.db - close.db).max() > 3.0
 
@@ -67,7 +67,7 @@ def test_one_stroke_at_two_microphones_does_not_fix_the_felt():
 
 
 def test_leaving_a_take_out_leaves_out_its_stroke(monkeypatch):
-    """With the voices of the fit of all instead of four more fits: who is left out, and what is compared with whom."""
+    """With the notes of the fit of all instead of four more fits: who is left out, and what is compared with whom."""
     recordings, analyses = through(MICROPHONES)
     fits = []
 

@@ -13,6 +13,8 @@ from model_cases import GEOMETRY, HAMMER, RATE, STRING
 from pianofit import model
 from pianofit.parameters import Geometry, Hammer, String
 
+pytestmark = pytest.mark.usefixtures("float64")
+
 FILE_RATE = 44_100
 FINE = 16 * FILE_RATE
 WINDOWS = {

@@ -15,6 +15,8 @@ from pianofit import model
 from pianofit.errors import FitError, PianofitError
 from pianofit.parameters import PARAMETERS, Geometry, Hammer, String
 
+pytestmark = pytest.mark.usefixtures("float64")
+
 
 def _relative(found, expected) -> float:
     found, expected = np.asarray(found), np.asarray(expected)

@@ -11,6 +11,8 @@ from model_cases import GEOMETRY, HAMMER, RATE, STRING
 
 from pianofit import model
 
+pytestmark = pytest.mark.usefixtures("float64")
+
 LOSSLESS = STRING._replace(b1=0.0, b2=0.0)
 ELASTIC = HAMMER._replace(mu=0.0)
 

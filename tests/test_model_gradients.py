@@ -17,6 +17,8 @@ from model_cases import GEOMETRY, HAMMER, RATE, STRING
 from pianofit import model
 from pianofit.parameters import FIT_NAMES, Hammer, String
 
+pytestmark = pytest.mark.usefixtures("float64")
+
 STEPS, MODES, SIGMA = 512, 64, 300.0
 STEP, ROUNDING = 5e-6, 1e-12
 NAMES = (*FIT_NAMES, "strike", "width")

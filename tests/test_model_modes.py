@@ -12,6 +12,8 @@ from model_cases import GEOMETRY, HAMMER, RATE, STRING
 from pianofit import model
 from pianofit.errors import ParameterError
 
+pytestmark = pytest.mark.usefixtures("float64")
+
 
 def _scheme_poles(modes) -> np.ndarray:
     """Poles, 1/s, of the one-step matrix of Crank-Nicolson, from the table's ω̃² and α̃ [modes]."""

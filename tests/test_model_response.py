@@ -13,6 +13,8 @@ from pianofit import model
 from pianofit.errors import ParameterError
 from pianofit.model.response import damped_circle
 
+pytestmark = pytest.mark.usefixtures("float64")
+
 QUANTITIES = ("velocity", "displacement", "bridge-force")
 spectrum = jax.jit(model.spectrum)
 mobility = jax.jit(model.mobility)

@@ -13,6 +13,8 @@ from pianofit.inference.likelihood import Report, next_weights
 from pianofit.inference.posterior import Posterior, _without_nuisances
 from pianofit.inference.reports import report
 
+pytestmark = pytest.mark.usefixtures("float64")
+
 
 def at(t, residual, jacobian, phi, w) -> Report:
     found = report(t, residual[None], jacobian[None], phi[None], w[None])

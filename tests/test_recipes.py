@@ -16,11 +16,11 @@ from pianofit.cli import main
 from pianofit.criterion import band_values, line_sigma, measure
 from pianofit.inference.start import Start, starting_values
 from pianofit.model import simulate
+from pianofit.model.note import arrival
 from pianofit.paper import steps
 from pianofit.paper.recipes import RECIPES, Found, check_recipe, claims, fit_by_paper
 from pianofit.paper.twin import LEAD, make_twin, setup_text
 from pianofit.parameters import FIT_NAMES, Hammer, String
-from pianofit.voice import arrival
 
 FEW = 600
 
@@ -307,8 +307,8 @@ def test_the_command_line_from_end_to_end(tmp_path, capsys):
     assert whole["diagnostics"]["evaluations"] >= FEW // 2
     assert all(p["interval"] is None for p in whole["parameters"].values())
     assert "recipe “paper”" in (out / "report.html").read_text()
-    voice, _ = pianofit.load_voice(out / "fit.json")
-    assert whole["parameters"]["K_H"]["value"] == voice.hammer.K_H
+    note, _ = pianofit.load_note(out / "fit.json")
+    assert whole["parameters"]["K_H"]["value"] == note.hammer.K_H
 
 
 @pytest.mark.slow

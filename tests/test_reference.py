@@ -29,6 +29,8 @@ from pianofit.model.exponentials import ring
 from pianofit.paper import appendix, grid, reference
 from pianofit.parameters import FIT_NAMES, HAMMER_NAMES, PARAMETERS, Geometry, Hammer, String
 
+pytestmark = pytest.mark.usefixtures("float64")
+
 SIGNALS, DERIVATIVES = 1e-9, 1e-8
 HARDLY = 1e-2  # of the signal
 WELL_CONDITIONED = 1e4

@@ -17,6 +17,7 @@ from scipy.signal import resample_poly
 
 from pianofit.inference.coordinates import VALUES as NAMES
 from pianofit.inference.quantities import Quantities
+from pianofit.model.note import Note
 from pianofit.parameters import Geometry, Hammer, MemoryHammer, String
 from pianofit.report.build_felt import felt_of, known_of
 from pianofit.report.build_recordings import paths_of, recordings_of, strokes_of
@@ -24,7 +25,6 @@ from pianofit.report.curves import Felt, Known
 from pianofit.report.known import held_out_rows, identified
 from pianofit.report.page import write_report
 from pianofit.report.sound import make_clips
-from pianofit.voice import Voice
 
 HOSTILE = "</script><script>alert(1)</script>\"'><img src=x onerror=alert(2)>\n{{ 7 * 7 }} $\\frac$ &amp; \udcff"
 
@@ -201,15 +201,15 @@ class FakeFit(SimpleNamespace):
 
 
 def fake_fit(velocities=(3.0, 0.75, 1.5), first=0, memory=False, free=("c", "kappa", "K_H", "p", "M_H")) -> Any:
-    """A fit's result that was never fitted: strokes of one voice."""
+    """A fit's result that was never fitted: strokes of one note."""
     string = String(*(VALUES[n] for n in NAMES[:4]))
     recordings = []
     for i, v in enumerate(velocities):
         hammer = Hammer(VALUES["K_H"], 0.0 if memory else VALUES["mu"], VALUES["p"], VALUES["M_H"], v)
-        voice = Voice(string, MemoryHammer(*hammer, 0.3, 2e-4) if memory else hammer, GEOMETRY, "velocity", 2.0, None)
-        samples, simulation = voice.play(22050, 22050)
+        note = Note(string, MemoryHammer(*hammer, 0.3, 2e-4) if memory else hammer, GEOMETRY, "velocity", 2.0, None)
+        samples, simulation = note.play(22050, 22050)
         number = np.arange(1, 6 + i)
-        fitted = SimpleNamespace(voice=voice, samples=samples, simulation=simulation, level=np.zeros(len(number)))
+        fitted = SimpleNamespace(note=note, samples=samples, simulation=simulation, level=np.zeros(len(number)))
         recordings.append(SimpleNamespace(
             partials=SimpleNamespace(number=number, level_error=np.full(len(number), 0.1)), level=np.zeros(len(number)),
             fitted=fitted, recording=SimpleNamespace(rate=22050, onset=100 * i, samples=samples),
@@ -222,7 +222,7 @@ def fake_fit(velocities=(3.0, 0.75, 1.5), first=0, memory=False, free=("c", "kap
         "takes": [{"group": 0, "strike": i} for i, _ in enumerate(recordings)],
     }  # fmt: skip
     return FakeFit(
-        document=document, takes=tuple(recordings), first=first, note=recordings[first].fitted.voice,
+        document=document, takes=tuple(recordings), first=first, note=recordings[first].fitted.note,
         covariance=SimpleNamespace(matrix=covariance(free, len(velocities))),
         fitted=recordings[first].fitted, recording=recordings[first].recording,
     )  # fmt: skip
@@ -285,7 +285,7 @@ def test_a_fit_without_intervals_claims_no_band():
     np.testing.assert_array_equal(felt.force[2], felt.force[0])
 
 
-def test_the_slider_ends_at_the_takes_and_plays_the_fitted_voice():
+def test_the_slider_ends_at_the_takes_and_plays_the_fitted_note():
     result = fake_fit(first=2)
     strokes = strokes_of(result)
     assert strokes is not None

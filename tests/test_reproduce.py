@@ -14,6 +14,7 @@ import soundfile as sf
 from report_cases import Page
 
 from pianofit.errors import ParameterError
+from pianofit.model.note import Note
 from pianofit.paper.reproduce import QUICK, claims, limits
 from pianofit.paper.reproduce.band3 import Hammers, landscape, race
 from pianofit.paper.reproduce.book import Book
@@ -22,7 +23,6 @@ from pianofit.paper.reproduce.descriptors import attack_time, centroid
 from pianofit.paper.reproduce.direct import strikes
 from pianofit.paper.reproduce.studies import spread_of
 from pianofit.published import preset
-from pianofit.voice import Voice
 
 RATE = 44_100
 
@@ -316,12 +316,12 @@ def known_fit(case, recipe, seed, annealing=None, tries=1):
     softer = {"paper": 0.9, "read": 0.95, "global": 0.4, "default": 1.0}[recipe] * (1 + 0.01 * (seed % 7))
     struck = case.measurement.nominal_velocity
     hammer = last.hammer._replace(v_H0=struck, K_H=softer * last.hammer.K_H)
-    voices = [
-        SimpleNamespace(voice=Voice(string, hammer, last.geometry, "velocity", 0.2, None))
+    notes = [
+        SimpleNamespace(note=Note(string, hammer, last.geometry, "velocity", 0.2, None))
         for string, hammer in ((first.string, first.hammer._replace(v_H0=struck)), (last.string, hammer))
     ]
     values = last.string._asdict() | hammer._asdict()
-    return Known({"parameters": {k: {"value": v, "interval": (0.9 * v, 1.1 * v)} for k, v in values.items()}}, *voices)
+    return Known({"parameters": {k: {"value": v, "interval": (0.9 * v, 1.1 * v)} for k, v in values.items()}}, *notes)
 
 
 def test_a_quick_run_of_the_command_makes_all_files(tmp_path, capsys, monkeypatch):

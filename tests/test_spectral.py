@@ -17,6 +17,8 @@ from pianofit.paper.spectral import damped_spectrum, miss, spectral_goal
 from pianofit.paper.struck import Cfg, Scene, hammer_costs, hammer_residuals, hold, struck_gradients
 from pianofit.parameters import Geometry, Hammer, String
 
+pytestmark = pytest.mark.usefixtures("float64")
+
 RATE, MODES, STEPS = 88_200, 64, 512
 TRUE, OTHER = preset("bensa-final"), preset("bensa-initial")
 F0 = TRUE.string.c / 2

@@ -92,8 +92,8 @@ def test_groups_and_gain_groups_are_the_setups():
 
 def test_a_recording_that_was_left_out_is_predicted():
     result = without_the_middle()
-    voices = list(zip(result.shares, (minimum[0] for minimum in result.notes), strict=True))
-    found = predict_take(voices, through(SEVERAL)[1][1])
+    notes = list(zip(result.shares, (minimum[0] for minimum in result.notes), strict=True))
+    found = predict_take(notes, through(SEVERAL)[1][1])
     assert found.velocity == pytest.approx(VELOCITIES[1], rel=0.02)
     assert found.error_db < 0.3
 

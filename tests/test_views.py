@@ -24,6 +24,8 @@ from pianofit.inference.search import Search
 from pianofit.inference.views import check_intervals, open_messages, reported, view_of
 from pianofit.paper.twin import make_twin, setup_text
 
+pytestmark = pytest.mark.usefixtures("float64")
+
 # What levels alone tell: there a profile is nearly a parabola. The string's values rest on a few frequencies and decays
 # each, whose heavy tails and unknown excess Laplace's parabola does not have.
 HAMMER = ("K_H", "p", "mu", "M_H", "v_H0")

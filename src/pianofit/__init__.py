@@ -20,7 +20,9 @@ __all__ = [
     "Prediction", "predict_take", "cross_validate",
     # The model: parameters to motion to sound.
     "String", "Hammer", "MemoryHammer", "Geometry", "PARAMETERS", "Preset", "preset", "Typical", "typical",
-    "Simulation", "simulate", "Voice", "load_voice", "encode_wav",
+    "Simulation", "simulate", "Note", "load_note", "encode_wav",
+    # Its parts, for your own JAX programs: a table of modes, what excites it, and what is heard of it.
+    "Modes", "mode_table", "strike", "pluck", "FeltLaw", "Parameter", "levels", "spectrum", "waveform",
     # What can go wrong with an input.
     "PianofitError", "RecordingError", "SetupError", "ParameterError", "AnalysisError", "FitError", "OutputError",
     "__version__",
@@ -33,13 +35,24 @@ if TYPE_CHECKING:
     from .inference import Covariance, Quantities, Quantity, Result
     from .inference.predict import Prediction, cross_validate, predict_take
     from .io import encode_wav
-    from .model import Simulation, simulate
-    from .parameters import PARAMETERS, Geometry, Hammer, MemoryHammer, String
+    from .model import (  # fmt: skip
+        FeltLaw,
+        Modes,
+        Note,
+        Simulation,
+        levels,
+        mode_table,
+        pluck,
+        simulate,
+        spectrum,
+        strike,
+        waveform,
+    )
+    from .parameters import PARAMETERS, Geometry, Hammer, MemoryHammer, Parameter, String
     from .published import Preset, Typical, preset, typical
     from .recording import Recording, load_recording, recording_from_samples
-    from .render import load_voice
+    from .render import load_note
     from .setup import Layer, Setup, load_setup, setup_from_dict
-    from .voice import Voice
 
 _HOMES = {
     "analysis": ("Analysis", "Partials", "analyse"),
@@ -47,14 +60,25 @@ _HOMES = {
     "fitting": ("fit",),
     "inference": ("Covariance", "Quantities", "Quantity", "Result"),
     "inference.predict": ("Prediction", "cross_validate", "predict_take"),
-    "model": ("Simulation", "simulate"),
-    "parameters": ("PARAMETERS", "Geometry", "Hammer", "MemoryHammer", "String"),
+    "model": (
+        "FeltLaw",
+        "Modes",
+        "Note",
+        "Simulation",
+        "levels",
+        "mode_table",
+        "pluck",
+        "simulate",
+        "spectrum",
+        "strike",
+        "waveform",
+    ),
+    "parameters": ("PARAMETERS", "Geometry", "Hammer", "MemoryHammer", "Parameter", "String"),
     "published": ("Preset", "Typical", "preset", "typical"),
     "recording": ("Recording", "load_recording", "recording_from_samples"),
     "io": ("encode_wav",),
-    "render": ("load_voice",),
+    "render": ("load_note",),
     "setup": ("Layer", "Setup", "load_setup", "setup_from_dict"),
-    "voice": ("Voice",),
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 

@@ -8,6 +8,7 @@ tuples, and so JAX pytrees: they pass through `jit`, `vmap` and `grad` as they a
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from .errors import ParameterError
@@ -113,8 +114,10 @@ FELT_LAWS: dict[str, tuple[str, ...]] = {
 DEFAULT_LAW = "hunt-crossley"
 
 
-def check(values: dict[str, float], where: str = "argument") -> dict[str, float]:
-    """Return `values` as finite floats within the box of `PARAMETERS`.
+def check(
+    values: Mapping[str, float], where: str = "argument", boxes: Mapping[str, Parameter] = PARAMETERS
+) -> dict[str, float]:
+    """Return `values` as finite floats within their `boxes`.
 
     Raises
     ------
@@ -122,9 +125,9 @@ def check(values: dict[str, float], where: str = "argument") -> dict[str, float]
         Naming `where`, the parameter, its value, and the range with its unit.
     """
     for name, value in values.items():
-        if name not in PARAMETERS:
-            raise ParameterError(f"{where}: no parameter is called {name!r}; known: {', '.join(PARAMETERS)}")
-        box = PARAMETERS[name]
+        if name not in boxes:
+            raise ParameterError(f"{where}: no parameter is called {name!r}; known: {', '.join(boxes)}")
+        box = boxes[name]
         if not (isinstance(value, int | float) and math.isfinite(value) and box.lower <= value <= box.upper):
             raise ParameterError(
                 f"{where}: {name}={value!r} must be a number from {box.lower:g} to {box.upper:g} {box.unit}"
@@ -133,8 +136,15 @@ def check(values: dict[str, float], where: str = "argument") -> dict[str, float]
 
 
 def check_hammer(hammer: Hammer | MemoryHammer, where: str = "hammer") -> None:
-    """Refuse a hammer outside the box, as `check` does; μ = 0 is a felt without that loss."""
+    """Refuse a hammer outside the box, as `check` does; μ = 0 is a felt without that loss.
+
+    A hammer of a `FeltLaw` has the boxes of its law.
+    """
     values = {name: float(value) for name, value in hammer._asdict().items()}
+    law = getattr(type(hammer), "law", None)
+    if law is not None:
+        check(values, where, law.boxes)
+        return
     check({name: value for name, value in values.items() if (name, value) != ("mu", 0.0)}, where)
 
 

@@ -11,15 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from .criterion import OutputPath
 from .errors import FitError, ParameterError
 from .io import FIT_SCHEMA, finite, load_json, one_line, table_of
 from .model.modes import QUANTITIES
+from .model.note import Note
+from .model.path import OutputPath
 from .model.simulate import check_geometry
 from .parameters import (  # fmt: skip
     FIT_NAMES,
     MEMORY_NAMES,
-    PARAMETERS,
     STRING_NAMES,
     Geometry,
     String,
@@ -28,15 +28,11 @@ from .parameters import (  # fmt: skip
     make_hammer,
 )
 from .recording import RATES
-from .voice import Voice
 
-__all__ = ["MOST_SECONDS", "check_render", "limited", "load_mixture", "load_voice", "mixture_of", "read_fit"]
+__all__ = ["CEILING", "limited", "load_mixture", "load_note", "mixture_of", "read_fit"]
 
 LARGEST_FIT = 2**24
 WAY_OUT = "give the file that pianofit fit wrote"
-MOST_SECONDS = 600.0
-# More would not fit into an ordinary machine's memory while it is computed.
-MOST_SAMPLES = 2**25
 # A peak above this is brought down to it; -1 dB leaves room for players that resample.
 CEILING = 10 ** (-1 / 20)
 
@@ -58,20 +54,20 @@ def read_fit(path: str | os.PathLike[str]) -> dict[str, Any]:
     return document
 
 
-def load_voice(path: str | os.PathLike[str]) -> tuple[Voice, int]:
-    """The voice that a `fit.json` describes at its best minimum, and the rate of the recording it was fitted to, Hz.
+def load_note(path: str | os.PathLike[str]) -> tuple[Note, int]:
+    """The note that a `fit.json` describes at its best minimum, and the rate of the recording it was fitted to, Hz.
 
-    A file of the first schema has the same voice.
+    A file of the first schema has the same note.
 
     Raises
     ------
     FitError
         Naming the file and the entry that is missing, of another kind, or out of range.
     """
-    return _voice_of(read_fit(path), one_line(path))
+    return _note_of(read_fit(path), one_line(path))
 
 
-def _voice_of(document: dict[str, Any], name: str) -> tuple[Voice, int]:
+def _note_of(document: dict[str, Any], name: str) -> tuple[Note, int]:
     table = table_of(document, "parameters", name, WAY_OUT)
     values = {key: _number(table, key, name) for key in FIT_NAMES}
     values |= {key: _number(table, key, name) for key in MEMORY_NAMES if key in table}
@@ -93,57 +89,57 @@ def _voice_of(document: dict[str, Any], name: str) -> tuple[Voice, int]:
     gain, rate = (finite(takes[at].get(key), f"{name}: takes[{at}].{key}", WAY_OUT) for key in ("gain", "rate"))
     if not RATES[0] <= rate <= RATES[1]:
         raise FitError(f"{name}: takes[{at}].rate={rate:g} Hz must be from {RATES[0]} to {RATES[1]}")
-    voice = Voice(
+    note = Note(
         String(*(values[n] for n in STRING_NAMES)), hammer,
         _geometry(table, quantity, name), quantity, gain, _path(pickup.get("path"), name),
     )  # fmt: skip
-    return voice, int(rate)
+    return note, int(rate)
 
 
-def load_mixture(path: str | os.PathLike[str]) -> list[tuple[float, Voice]]:
-    """The voices of all minima that a `fit.json` describes, with their shares, the best first.
+def load_mixture(path: str | os.PathLike[str]) -> list[tuple[float, Note]]:
+    """The notes of all minima that a `fit.json` describes, with their shares, the best first.
 
     Raises
     ------
     FitError
-        As `load_voice`.
+        As `load_note`.
     """
     return mixture_of(read_fit(path), one_line(path))
 
 
-def mixture_of(document: dict[str, Any], name: str) -> list[tuple[float, Voice]]:
+def mixture_of(document: dict[str, Any], name: str) -> list[tuple[float, Note]]:
     """`load_mixture` of what a file held; `name` opens every error."""
-    voice, _ = _voice_of(document, name)
+    note, _ = _note_of(document, name)
     minima = document.get("minima")
     if not isinstance(minima, list) or len(minima) < 2:
-        return [(1.0, voice)]
+        return [(1.0, note)]
     mixture = []
     for at, entry in enumerate(minima):
         where = f"{name}: minima[{at}]"
         if not isinstance(entry, dict) or not isinstance(entry.get("parameters"), dict):
             raise FitError(f"{where} has no parameters; {WAY_OUT}")
-        mixture.append((finite(entry.get("share"), f"{where}.share", WAY_OUT), _of_minimum(voice, entry, where)))
+        mixture.append((finite(entry.get("share"), f"{where}.share", WAY_OUT), _of_minimum(note, entry, where)))
     return mixture
 
 
-def _of_minimum(voice: Voice, entry: dict, where: str) -> Voice:
-    """`voice` with one minimum's string, hammer, strike position and path."""
+def _of_minimum(note: Note, entry: dict, where: str) -> Note:
+    """`note` with one minimum's string, hammer, strike position and path."""
     values = {n: finite(x, f"{where}.parameters.{n}", WAY_OUT) for n, x in entry["parameters"].items()}
-    values = {"mu": 0.0, "v_H0": float(voice.hammer.v_H0)} | values
+    values = {"mu": 0.0, "v_H0": float(note.hammer.v_H0)} | values
     try:
         hammer = make_hammer(values, where)
         check_hammer(hammer, where)
         string = String(*(check({n: values[n] for n in STRING_NAMES}, where)[n] for n in STRING_NAMES))
-        geometry = voice.geometry._replace(strike=values["x0"], width=values["width"])
-        check_geometry(geometry, voice.quantity)
+        geometry = note.geometry._replace(strike=values["x0"], width=values["width"])
+        check_geometry(geometry, note.quantity)
     except KeyError as missing:
         raise FitError(f"{where}.parameters lacks {missing}; {WAY_OUT}") from None
     except ParameterError as error:
         raise FitError(str(error)) from None
-    path = voice.path
+    path = note.path
     if path is not None:
         path = _path({"frequency": path.frequency, "db": entry.get("path_db"), "decay": path.decay}, where)
-    return voice._replace(string=string, hammer=hammer, geometry=geometry, path=path)
+    return note._replace(string=string, hammer=hammer, geometry=geometry, path=path)
 
 
 def _geometry(table: dict[str, Any], quantity: str, name: str) -> Geometry:
@@ -178,27 +174,6 @@ def _path(path: Any, name: str) -> OutputPath | None:
     if not (rising and np.isfinite([frequency, db, decay]).all() and (decay > 0).all()):
         raise wrong
     return OutputPath(frequency, db, decay)
-
-
-def check_render(velocity: float | None, seconds: float, rate: int) -> None:
-    """Refuse what cannot be rendered.
-
-    Raises
-    ------
-    ParameterError
-        Naming the argument, its value and its range.
-    """
-    box = PARAMETERS["v_H0"]
-    if velocity is not None and not box.lower <= velocity <= box.upper:
-        raise ParameterError(f"velocity={velocity} m/s must be from {box.lower:g} to {box.upper:g}")
-    if not 0.01 <= seconds <= MOST_SECONDS:
-        raise ParameterError(f"seconds={seconds} must be from 0.01 to {MOST_SECONDS:g}")
-    if not RATES[0] <= rate <= RATES[1]:
-        raise ParameterError(f"rate={rate} Hz must be from {RATES[0]} to {RATES[1]}")
-    if seconds * rate > MOST_SAMPLES:
-        raise ParameterError(
-            f"seconds={seconds} at rate={rate} Hz is too long; ask for {MOST_SAMPLES // rate} s or less"
-        )
 
 
 def limited(samples: np.ndarray) -> tuple[np.ndarray, float]:

@@ -11,9 +11,9 @@ from .errors import AnalysisError, FitError, WrongNoteError
 from .io import encode_wav, json_text, one_line, replace_file, write_file
 
 if TYPE_CHECKING:
+    from .model.note import Note
     from .recording import Recording
     from .setup import Setup
-    from .voice import Voice
 
 __all__ = ["cross_validate_files", "predict_file"]
 
@@ -30,23 +30,23 @@ def predict_file(fit: Path, file: Path, out: Path | None, *, channel: str = "ave
     from .render import load_mixture
 
     mixture = load_mixture(fit)
-    voice = mixture[0][1]
+    note = mixture[0][1]
     recording = load_recording(file, channel=channel)
     from .analysis import analyse
+    from .inference.align import touched
     from .inference.predict import predict_take
     from .model.cache import keep_programs
-    from .voice import strike_voice, touched
 
     keep_programs()
     try:
-        analysis = analyse(recording, f0=voice.string.c / (2 * voice.geometry.length))
+        analysis = analyse(recording, f0=note.string.c / (2 * note.geometry.length))
     except WrongNoteError:
-        raise FitError(_other_key(recording, voice, fit)) from None
+        raise FitError(_other_key(recording, note, fit)) from None
     found = predict_take(mixture, analysis)
     if out is not None:
-        strike = strike_voice(found.voice, recording.rate)
-        touch = touched(found.voice, strike, recording)
-        samples = found.voice.heard(strike, recording.rate, len(recording.samples), touch)
+        strike = found.note.strike(recording.rate)
+        touch = touched(found.note, strike, recording)
+        samples = found.note.heard(strike, recording.rate, len(recording.samples), touch)
         write_file(out, encode_wav(samples, recording.rate), force)
     return {
         "file": recording.path, "sha256": recording.sha256, "predicted_db": found.error_db,
@@ -55,11 +55,11 @@ def predict_file(fit: Path, file: Path, out: Path | None, *, channel: str = "ave
     }  # fmt: skip
 
 
-def _other_key(recording: Recording, voice: Voice, fit: Path) -> str:
+def _other_key(recording: Recording, note: Note, fit: Path) -> str:
     """Says that a recording is not of the key that was fitted, and what it sounds like."""
     from .analysis import analyse, hz_to_note
 
-    f0 = voice.string.c / (2 * voice.geometry.length)
+    f0 = note.string.c / (2 * note.geometry.length)
     like = ""
     with contextlib.suppress(AnalysisError):
         found = analyse(recording).f0

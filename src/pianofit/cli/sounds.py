@@ -46,7 +46,7 @@ def simulate(
 
     check_sound_target(out, force)
     from ..model.cache import keep_programs
-    from ..render import check_render
+    from ..model.note import check_render
 
     check_render(velocity, seconds, rate or 44_100)
     keep_programs()
@@ -99,13 +99,14 @@ def render(
 
     check_sound_target(out, force)
     from ..model.cache import keep_programs
-    from ..render import check_render, limited, load_voice
+    from ..model.note import check_render
+    from ..render import limited, load_note
 
     check_render(velocity, seconds, rate or 44_100)
-    voice, own_rate = load_voice(fit_json)
+    note, own_rate = load_note(fit_json)
     rate = rate or own_rate
     keep_programs()
-    played = voice._replace(hammer=voice.hammer._replace(v_H0=velocity))
+    played = note._replace(hammer=note.hammer._replace(v_H0=velocity))
     samples, strike = played.play(rate, round(seconds * rate))
     samples, gain = limited(samples)
     write_file(out, encode_wav(samples, rate), force)

@@ -5,15 +5,17 @@ from __future__ import annotations
 import numpy as np
 
 from ..analysis import Partials
-from ..criterion import OutputPath
 from ..io import FIT_SCHEMA
+from ..model.note import Note
+from ..model.path import OutputPath
 from ..parameters import FIT_NAMES, MEMORY_NAMES
-from ..voice import Voice, lag, placed
+from .align import lag, placed
 from .coordinates import FORCE, SHARED, STRING_SIZE, VALUES, WIDTH, P
 from .entries import absent, derived, is_memory, path_document, sizes, versions
 from .estimate import Estimate, beginning
 from .lanes import in_lanes, own_levels
 from .listener import Listener, level_errors, together, worse_bands
+from .notes import latents, note_of
 from .posterior import Posterior
 from .problem import Problem
 from .quantities import UNITS, Covariance
@@ -22,7 +24,6 @@ from .result import Heard, Result
 from .search import OWN_LANES
 from .statements import claims, correlated, messages, statuses, velocity_statuses
 from .views import View
-from .voices import latents, voice_of
 
 __all__ = ["conclude"]
 
@@ -57,7 +58,7 @@ def conclude(problem: Problem, found: Estimate, seed: int, view: View | None = N
         parameters = {name: entry | view.entries.get(name, {}) for name, entry in parameters.items()}
         said, diagnostics = [*said, *view.messages], diagnostics | view.diagnostics
     notes = tuple(
-        tuple(voice_of(problem, found.minima, b, i)._replace(gain=t.fitted.voice.gain) for i, t in enumerate(takes))
+        tuple(note_of(problem, found.minima, b, i)._replace(gain=t.fitted.note.gain) for i, t in enumerate(takes))
         for b in range(len(found.minima.F))
     )
     document = {
@@ -67,9 +68,9 @@ def conclude(problem: Problem, found: Estimate, seed: int, view: View | None = N
         "invariants": invariants(problem, found),
         "parameters": parameters,
         "takes": [_take(problem, found, i, heard) for i, heard in enumerate(takes)],
-        "pickup": {"quantity": problem.start.quantity, "path": path_document(reference.fitted.voice.path)},
+        "pickup": {"quantity": problem.start.quantity, "path": path_document(reference.fitted.note.path)},
         "minima": _minima(problem, found, notes),
-        "derived": derived(reference.fitted.voice, reference.fitted.simulation, problem.analyses[problem.reference]),
+        "derived": derived(reference.fitted.note, reference.fitted.simulation, problem.analyses[problem.reference]),
         "criterion": reference.criterion,
         "levels": levels,
         "diagnostics": diagnostics,
@@ -92,8 +93,8 @@ def _heard(problem: Problem, found: Estimate, i: int) -> Heard:
     gain = None if problem.start.scale is None else 1.0 / problem.start.scale
     first = beginning(problem, found.z[:STRING_SIZE])
     fitted_level, integrated = _fitted_level(problem, found, i)
-    fitted = voice_of(problem, found.minima, 0, i)
-    initial = _initial_voice(problem, first, i)
+    fitted = note_of(problem, found.minima, 0, i)
+    initial = _initial_note(problem, first, i)
     begins = None if gain is None else _touch(problem, fitted._replace(gain=gain), i)
     if gain is None:
         gain = 10 ** (_gain_db(problem, integrated, i) / 20)
@@ -118,20 +119,20 @@ def _in_noise(level: np.ndarray, p: Partials, measured: np.ndarray) -> np.ndarra
     return 10 / np.log(10) * np.logaddexp(level * np.log(10) / 10, (measured - p.snr) * np.log(10) / 10)
 
 
-def _initial_voice(problem: Problem, z: np.ndarray, i: int) -> Voice:
+def _initial_note(problem: Problem, z: np.ndarray, i: int) -> Note:
     """What the starting values give, before any fit."""
     u = problem.unknowns
     hammer = u.hammer(z, problem.layout.stroke[i])
     start = problem.start
     string = u.string(z)._replace(**{n: start.initial[n] for n in ("c", "kappa", "b1", "b2") if n in start.initial})
-    return Voice(string, hammer, u.struck(z), start.quantity, 1.0, None)
+    return Note(string, hammer, u.struck(z), start.quantity, 1.0, None)
 
 
-def _touch(problem: Problem, voice: Voice, i: int) -> int:
+def _touch(problem: Problem, note: Note, i: int) -> int:
     """The sample at which the hammer touched a calibrated string, by laying the model's attack on the recording's."""
     recording = problem.recordings[i]
     count = round(ATTACK * recording.rate)
-    model, _ = voice.play(recording.rate, count)
+    model, _ = note.play(recording.rate, count)
     begin = max(recording.onset - count, 0)
     sound = recording.samples[begin : recording.onset + 2 * count]
     if len(sound) <= count:
@@ -294,7 +295,7 @@ def _take(problem: Problem, found: Estimate, i: int, heard: Heard) -> dict:
     return {
         "file": recording.path, "sha256": recording.sha256, "rate": recording.rate,
         "onset_s": recording.onset / recording.rate, "v_H0": speed["value"], "v_H0_interval": speed["interval"],
-        "v_H0_status": speed["status"], "gain": heard.fitted.voice.gain,
+        "v_H0_status": speed["status"], "gain": heard.fitted.note.gain,
         "gain_status": "fitted" if problem.start.scale is None else "given", "first": i == problem.reference,
         "cents": float(cents), "group": problem.layout.group[i], "strike": stroke,
         "criterion": heard.criterion, "levels": heard.levels,

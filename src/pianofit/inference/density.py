@@ -75,7 +75,7 @@ def given(problem: Problem, found: Estimate) -> Given:
         minima.offsets[0], search.there, search.stroke, search.columns, cents,
         (o.string_number, o.law, float(problem.start.geometry.length)), problem.scene,
     )  # fmt: skip
-    return Given(*jax.tree.map(jnp.asarray, everything))
+    return Given(*jax.tree.map(np.asarray, everything))
 
 
 def _white(problem: Problem, found: Estimate) -> np.ndarray:
@@ -121,6 +121,7 @@ def start(at: Given, key, apart: float) -> Point:
 
 def log_density(at: Given, point: Point, cfg: Cfg):
     """-F; minus infinity where a contact does not end."""
+    at = jax.tree.map(jnp.asarray, at)
     z = folded(at, point.theta)
     level, ended = _law(at, cfg)(z)
     o = at.tables[0]

@@ -8,10 +8,10 @@ import numpy as np
 
 from .. import __version__
 from ..analysis import Analysis
-from ..criterion import OutputPath
 from ..model import Simulation
+from ..model.note import Note
+from ..model.path import OutputPath
 from ..parameters import MEMORY_NAMES
-from ..voice import Voice
 from .quantities import UNITS
 from .start import Start
 
@@ -49,18 +49,18 @@ def sizes(start: Start) -> dict[str, dict]:
     return table
 
 
-def derived(voice: Voice, simulation: Simulation, analysis: Analysis) -> dict:
+def derived(note: Note, simulation: Simulation, analysis: Analysis) -> dict:
     """What follows from the parameters, and what the stroke did."""
-    pulse, g = simulation.pulse, voice.geometry
-    f0 = voice.string.c / (2 * g.length)
-    B = (voice.string.kappa * np.pi / (voice.string.c * g.length)) ** 2
+    pulse, g = simulation.pulse, note.geometry
+    f0 = note.string.c / (2 * g.length)
+    B = (note.string.kappa * np.pi / (note.string.c * g.length)) ** 2
     u = float(pulse.compression.max())
     return {
-        "f0": float(f0), "B": float(B), "f1": float(f0 * np.sqrt(1 + B)), "M_H/M_S": float(voice.hammer.M_H / g.mass),
+        "f0": float(f0), "B": float(B), "f1": float(f0 * np.sqrt(1 + B)), "M_H/M_S": float(note.hammer.M_H / g.mass),
         "x0/L": float(g.strike / g.length), "contact_ms": 1e3 * simulation.contact_time,
         "later_contacts": [again.document() for again in simulation.contacts[1:]],
         "max_force_N": float(pulse.force.max()), "max_compression_mm": 1e3 * u,
-        "felt_force_N": float(voice.hammer.K_H * u**voice.hammer.p),
+        "felt_force_N": float(note.hammer.K_H * u**note.hammer.p),
         "glide_cents": float(analysis.glide_cents),
         "glide": [{"start_s": a, "stop_s": b, "f0": f} for a, b, f in analysis.glide],
     }  # fmt: skip

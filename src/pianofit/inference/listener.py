@@ -18,8 +18,9 @@ from ..criterion import (
     line_sigma,
     measure,
 )
+from ..model.note import Note
 from ..recording import Recording
-from ..voice import Voice, strike_voice, touched
+from .align import touched
 from .result import Sound
 
 __all__ = ["Listener", "level_errors", "scored", "together", "worse_bands"]
@@ -76,21 +77,21 @@ class Listener:
         a, r = self.analysis, self.recording
         return measure(samples[r.onset :], r.rate, a.f0, a.B, self.last, self.sigma)[1]
 
-    def play(self, voice: Voice, gain: float | None, begins: int | None, level: np.ndarray) -> Sound:
-        """A voice laid on the recording, with the gain that the criterion likes best if none is given.
+    def play(self, note: Note, gain: float | None, begins: int | None, level: np.ndarray) -> Sound:
+        """A note laid on the recording, with the gain that the criterion likes best if none is given.
 
         Parameters
         ----------
         begins : the sample at which the hammer touches; where its sound would be seen at the onset if None.
         level : dB, [partials], through a gain of 1.
         """
-        strike = strike_voice(voice, self.recording.rate)
-        begins = touched(voice, strike, self.recording) if begins is None else begins
-        samples = voice.heard(strike, self.recording.rate, len(self.recording.samples), begins)
+        strike = note.strike(self.recording.rate)
+        begins = touched(note, strike, self.recording) if begins is None else begins
+        samples = note.heard(strike, self.recording.rate, len(self.recording.samples), begins)
         if gain is None:
             gain = float(np.sqrt(closed_form_gain(self.hear(samples), self.energy, self.spacing[:, None])))
             level = level + 20 * np.log10(max(gain, 1e-15))
-        return Sound(voice._replace(gain=gain), samples * gain, strike, level)
+        return Sound(note._replace(gain=gain), samples * gain, strike, level)
 
     def criterion(self, initial: Sound, fitted: Sound) -> dict:
         """Eq. 19 per band on the sounds themselves, from the onset on; bands without a partial are dropped."""

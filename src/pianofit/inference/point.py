@@ -10,10 +10,10 @@ from ..analysis import Analysis
 from ..criterion import BANDS
 from ..io import FIT_SCHEMA
 from ..model import Simulation
+from ..model.note import Note, arrival
 from ..model.response import level_db, ringing
 from ..parameters import FIT_NAMES, Hammer, String
 from ..recording import Recording
-from ..voice import Voice, arrival
 from .coordinates import VALUES
 from .entries import derived, given, sizes, versions
 from .listener import Listener, level_errors, together, worse_bands
@@ -43,14 +43,14 @@ def point_result(
     unit, gain = (20 * np.log10(start.scale), 1.0 / start.scale) if start.scale is not None else (0.0, None)
     begins = recording.onset - round(delay * recording.rate) if calibrated else None
     values = start.values | start.initial
-    first = Voice(
+    first = Note(
         String(*(values[n] for n in String._fields)), Hammer(*(values[n] for n in Hammer._fields)), start.geometry,
         start.quantity, 1.0, None,
     )  # fmt: skip
     last = first._replace(string=string, hammer=hammer)
     before, after = (listener.play(v, gain, begins, np.zeros(len(analysis.partials))) for v in (first, last))
     levels = {
-        name: _levels(sound.voice, sound.simulation, analysis)
+        name: _levels(sound.note, sound.simulation, analysis)
         for name, sound in (("initial_db", before), ("fitted_db", after))
     }
     measured = analysis.partials.level + unit
@@ -73,13 +73,13 @@ def point_result(
         "takes": [{
             "file": recording.path, "sha256": recording.sha256, "rate": recording.rate,
             "onset_s": recording.onset / recording.rate, "v_H0": float(hammer.v_H0), "v_H0_interval": None,
-            "v_H0_status": _status(start, "v_H0", at_bound, calibrated), "gain": after.voice.gain,
+            "v_H0_status": _status(start, "v_H0", at_bound, calibrated), "gain": after.note.gain,
             "gain_status": "given" if calibrated else "fitted", "first": True, "cents": 0.0, "group": 0, "strike": 0,
             "criterion": criterion, "levels": errors,
         }],
         "pickup": {"quantity": start.quantity, "path": None},
         "minima": [],
-        "derived": derived(after.voice, after.simulation, analysis),
+        "derived": derived(after.note, after.simulation, analysis),
         "criterion": criterion,
         "levels": together([errors]),
         "diagnostics": {"evaluations": evaluations, "partials": len(analysis.partials), "correlated": []},
@@ -87,13 +87,13 @@ def point_result(
     }  # fmt: skip
     names = (*VALUES, "v_H0")
     nothing = Covariance(names, np.zeros((len(names), len(names))))
-    return Result(document, (heard,), 0, nothing, ((after.voice,),), (1.0,))
+    return Result(document, (heard,), 0, nothing, ((after.note,),), (1.0,))
 
 
-def _levels(voice: Voice, simulation: Simulation, analysis: Analysis) -> np.ndarray:
+def _levels(note: Note, simulation: Simulation, analysis: Analysis) -> np.ndarray:
     """Levels of the recording's partials by the model, dB [partials]."""
     pole = np.asarray(simulation.modes.pole)
-    delay = arrival(voice.string, voice.geometry, voice.quantity)
+    delay = arrival(note.string, note.geometry, note.quantity)
     decay = -np.real(pole)
     amplitude = np.asarray(ringing(simulation.modes, simulation.pulse.drive)) * np.exp(-decay * delay)
     level = np.asarray(level_db(amplitude, decay, np))

@@ -9,26 +9,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import fminbound
 
 from ..analysis import Analysis
-from ..criterion import SAME_PARTIAL, level_error_db
+from ..criterion import level_error_db
 from ..errors import FitError
-from ..model.contact import strike
-from ..model.modes import mode_table
-from ..model.response import level_db, ringing
-from ..model.simulate import contact_rate, count_modes, simulate
+from ..model.note import SLOWEST, Note
+from ..model.path import SAME_PARTIAL
 from ..parameters import PARAMETERS
 from ..recording import Recording
 from ..setup import Setup
 from ..threads import one_blas_thread
-from ..voice import Voice, arrival
 from . import Result
 from .fit import fit_takes
 from .listener import scored
@@ -36,8 +30,8 @@ from .observations import string_law
 
 __all__ = ["Prediction", "cross_validate", "predict_take"]
 
-# Velocities that are tried before the best is refined, m/s.
-SLOWEST, FASTEST, TRIED = 0.05, 12.0, 48
+# Velocities up to this, m/s, and so many, are tried before the best is refined; they begin at `SLOWEST`.
+FASTEST, TRIED = 12.0, 48
 # As a ratio: nearer to an end of their range than this is at the end.
 SAME = 1.001
 FEWEST = 3
@@ -53,35 +47,35 @@ class Prediction:
     error_db: float  # rms over partials, one gain removed
     partials: int
     level: np.ndarray  # dB, predicted [partials]
-    voice: Voice
+    note: Note
     at_end: bool = False  # whether the velocity is an end of the range that was searched, and no finding
 
 
 @one_blas_thread()
-def predict_take(voices: Voice | Sequence[tuple[float, Voice]], analysis: Analysis) -> Prediction:
+def predict_take(notes: Note | Sequence[tuple[float, Note]], analysis: Analysis) -> Prediction:
     """Play a fit at the velocity that suits a recording's levels best.
 
     Parameters
     ----------
-    voices : one voice, or those of several minima with their shares. Each is struck at the velocity that suits it; the
-        prediction is the mean of their levels, dB, by their shares, and the voice, velocity and pitch are the first's.
+    notes : one note, or those of several minima with their shares. Each is struck at the velocity that suits it; the
+        prediction is the mean of their levels, dB, by their shares, and the note, velocity and pitch are the first's.
 
     Raises
     ------
     FitError
         If too few partials stand above the noise, or no velocity gives a finite sound.
     """
-    mixture = [(1.0, voices)] if isinstance(voices, Voice) else list(voices)
+    mixture = [(1.0, notes)] if isinstance(notes, Note) else list(notes)
     p, (_, first) = analysis.partials, mixture[0]
     chosen = scored(p.frequency, p.level) & _heard(first, p.number)
     if chosen.sum() < FEWEST:
         raise FitError(f"only {int(chosen.sum())} partials of the fit stand above the noise; {FEWEST} are needed")
-    played = [(share, *_at_best(voice, analysis, chosen)) for share, voice in mixture]
+    played = [(share, *_at_best(note, analysis, chosen)) for share, note in mixture]
     total = sum(share for share, *_ in played)
     level = np.sum([share / total * (one + gain) for share, _, one, gain in played], axis=0)
     _, velocity, _, gain = played[0]
     cents = 1200 * float(np.log2(analysis.f0 / _pitch(first)))
-    voice = first._replace(
+    note = first._replace(
         string=first.string._replace(c=first.string.c * 2 ** (cents / 1200)),
         hammer=first.hammer._replace(v_H0=velocity),
         gain=first.gain * 10 ** (gain / 20),
@@ -89,7 +83,7 @@ def predict_take(voices: Voice | Sequence[tuple[float, Voice]], analysis: Analys
     found = level_error_db(level[chosen], p.level[chosen])
     slowest, fastest = _range()
     at_end = not slowest * SAME < velocity < fastest / SAME
-    return Prediction(velocity, gain, cents, found, int(chosen.sum()), level, voice, at_end)
+    return Prediction(velocity, gain, cents, found, int(chosen.sum()), level, note, at_end)
 
 
 def _range() -> tuple[float, float]:
@@ -97,10 +91,13 @@ def _range() -> tuple[float, float]:
     return max(SLOWEST, PARAMETERS["v_H0"].lower), min(FASTEST, PARAMETERS["v_H0"].upper)
 
 
-def _at_best(voice: Voice, analysis: Analysis, chosen: np.ndarray) -> tuple[float, np.ndarray, float]:
-    """The velocity at which a voice's levels are nearest, m/s, those levels, dB [partials], and what gain they lack."""
+def _at_best(note: Note, analysis: Analysis, chosen: np.ndarray) -> tuple[float, np.ndarray, float]:
+    """The velocity at which a note's levels are nearest, m/s, those levels, dB [partials], and what gain they lack."""
     p = analysis.partials
-    levels = _levels_of(voice, analysis)
+
+    def levels(velocity: np.ndarray) -> np.ndarray:
+        """Of the recording's partials [velocities, partials]."""
+        return note.levels(velocity, int(p.number.max()))[:, p.number - 1]
 
     def error(log_velocity: float) -> float:
         level = levels(np.array([np.exp(log_velocity)]))[0]
@@ -118,52 +115,20 @@ def _at_best(voice: Voice, analysis: Analysis, chosen: np.ndarray) -> tuple[floa
     return velocity, level, float((p.level - level)[chosen].mean())
 
 
-def _heard(voice: Voice, number: np.ndarray) -> np.ndarray:
+def _heard(note: Note, number: np.ndarray) -> np.ndarray:
     """Which partials the fit heard [partials]: of the others nobody knows how loud the path lets them through."""
-    if voice.path is None:
+    if note.path is None:
         return np.ones(len(number), bool)
-    return np.abs(np.log(_frequency(voice, number)[:, None] / voice.path.frequency)).min(axis=1) < SAME_PARTIAL
+    return np.abs(np.log(_frequency(note, number)[:, None] / note.path.frequency)).min(axis=1) < SAME_PARTIAL
 
 
-def _frequency(voice: Voice, number: np.ndarray) -> np.ndarray:
-    """Where the voice's string has partials, Hz; real ones lie beside it, the higher the further."""
-    return string_law(np.log(np.array(voice.string)), number, voice.geometry.length)[0][0]
+def _frequency(note: Note, number: np.ndarray) -> np.ndarray:
+    """Where the note's string has partials, Hz; real ones lie beside it, the higher the further."""
+    return string_law(np.log(np.array(note.string)), number, note.geometry.length)[0][0]
 
 
-def _pitch(voice: Voice) -> float:
-    return voice.string.c / (2 * voice.geometry.length)
-
-
-def _levels_of(voice: Voice, analysis: Analysis) -> Callable[[np.ndarray], np.ndarray]:
-    """Levels, dB in file units, of the recording's partials [velocities, partials], of velocities in m/s."""
-    p, g = analysis.partials, voice.geometry
-    rate = contact_rate(voice.string, g, 44_100.0)
-    rows = max(count_modes(voice.string, g, rate), 64 * int(np.ceil(p.number.max() / 64)))
-    # The slowest hammer stays longest.
-    slow = simulate(voice.string, voice.hammer._replace(v_H0=SLOWEST), g, quantity=voice.quantity)
-    steps = 256 * int(np.ceil(1.3 * slow.last_touch * rate / 256))
-    path = 0.0 if voice.path is None else voice.path.at(_frequency(voice, p.number))
-    own = 20 * np.log10(voice.gain) + path
-    delay = arrival(voice.string, g, voice.quantity)
-
-    def levels(velocity: np.ndarray) -> np.ndarray:
-        played = _played(voice.string, voice.hammer, g, jnp.asarray(velocity), rate, delay, rows, steps, voice.quantity)
-        return np.asarray(played)[:, p.number - 1] + own
-
-    return levels
-
-
-@partial(jax.jit, static_argnums=(6, 7, 8))
-def _played(string, hammer, geometry, velocity, rate, delay, rows, steps, quantity):
-    """Levels of all modes [velocities, modes], dB in the pickup's unit; infinite where the contact does not end."""
-    modes = mode_table(string, geometry, rate=rate, n_modes=rows, quantity=quantity)
-
-    def one(v):
-        pulse = strike(modes, hammer._replace(v_H0=v), steps=steps)
-        level = level_db(ringing(modes, pulse.drive) * jnp.exp(modes.pole.real * delay), -modes.pole.real)
-        return jnp.where(pulse.compression[-1] <= 0, level, jnp.inf)
-
-    return jax.vmap(one)(velocity)
+def _pitch(note: Note) -> float:
+    return note.string.c / (2 * note.geometry.length)
 
 
 def cross_validate(
@@ -207,8 +172,8 @@ def cross_validate(
         rest = [j for j in range(count) if heard[j]["strike"] != stroke]
         fit = fit_takes([recordings[j] for j in rest], [analyses[j] for j in rest], setup, seed=seed)
         for i in (j for j in range(count) if heard[j]["strike"] == stroke):
-            voices = _voices_for(fit, whole, rest, i)
-            predicted[i] = predict_take(voices, analyses[i]) if voices else None
+            notes = _notes_for(fit, whole, rest, i)
+            predicted[i] = predict_take(notes, analyses[i]) if notes else None
     order = sorted(range(count), key=lambda i: heard[i]["v_H0"])
     rows = [_row(i, predicted[i], _around(i, order, heard), heard, analyses) for i in order]
     inner = [row["predicted_db"] for row in rows if row["inner"]]
@@ -253,12 +218,12 @@ def _row(i: int, found: Prediction | None, around: list[int], heard: list[dict],
     }
 
 
-def _voices_for(fit: Result, whole: Result, rest: list[int], left_out: int) -> list[tuple[float, Voice]]:
-    """The minima's voices through the path of the recording left out; none if no other went through it."""
+def _notes_for(fit: Result, whole: Result, rest: list[int], left_out: int) -> list[tuple[float, Note]]:
+    """The minima's notes through the path of the recording left out; none if no other went through it."""
     takes = whole.document["takes"]
     for place, j in enumerate(rest):
         if takes[j]["group"] == takes[left_out]["group"]:
-            return [(share, voices[place]) for share, voices in zip(fit.shares, fit.notes, strict=True)]
+            return [(share, notes[place]) for share, notes in zip(fit.shares, fit.notes, strict=True)]
     return []
 
 

@@ -16,10 +16,10 @@ from ..analysis import Analysis, Partials
 from ..errors import FitError
 from ..io import one_line
 from ..model import Simulation
+from ..model.note import Note
 from ..recording import Recording
 from ..render import mixture_of, read_fit
 from ..tables import optional
-from ..voice import Voice
 from .quantities import Covariance, Quantities
 
 __all__ = ["Heard", "Result", "Sound"]
@@ -32,13 +32,13 @@ STATEMENT = 300
 class Sound:
     """One set of parameters, as it sounds."""
 
-    voice: Voice
+    note: Note
     samples: np.ndarray  # file units, as long as the recording
     simulation: Simulation
     level: np.ndarray  # dB, [partials], gain and path included, in the recording's unit
 
     def __repr__(self) -> str:
-        return f"Sound of {len(self.samples)} samples, {self.voice.hammer.v_H0:.3g} m/s"
+        return f"Sound of {len(self.samples)} samples, {self.note.hammer.v_H0:.3g} m/s"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -76,7 +76,7 @@ class Result:
     takes: tuple[Heard, ...]
     first: int
     log_covariance: Covariance | None
-    notes: tuple[tuple[Voice, ...], ...]
+    notes: tuple[tuple[Note, ...], ...]
     shares: tuple[float, ...]
     draws: dict[str, np.ndarray] | None = None
 
@@ -101,12 +101,12 @@ class Result:
         return Quantities.of(self.document["invariants"])
 
     @property
-    def note(self) -> Voice:
+    def note(self) -> Note:
         """What renders and predicts: the best minimum's string, hammer and path, at the reference's velocity."""
         return self.notes[0][self.first]
 
     @property
-    def mixture(self) -> list[tuple[float, Voice]]:
+    def mixture(self) -> list[tuple[float, Note]]:
         """The notes of all minima with their shares, the best first: what `predict_take` takes."""
         return [(share, notes[self.first]) for share, notes in zip(self.shares, self.notes, strict=True)]
 

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..errors import ParameterError
+from ..model.precision import float64, scope
 from .density import Given, folded, given, log_density, start
 from .estimate import Estimate
 from .lanes import Cfg, pool
@@ -62,11 +63,16 @@ def draws(problem: Problem, found: Estimate, seed: int) -> View:
     """
     check_sampler()
     at, u = given(problem, found), problem.unknowns
-    keys = np.asarray(jax.random.split(jax.random.PRNGKey(seed % 2**32), CHAINS))
+    with scope():
+        keys = np.asarray(jax.random.split(jax.random.PRNGKey(seed % 2**32), CHAINS))
+        # Compiled before the threads begin: else each would.
+        run = jax.jit(_chain, static_argnums=2).lower(keys[0], at, (problem.cfg, WARMUP, DRAWS)).compile()
 
-    # Compiled before the threads begin: else each would.
-    run = jax.jit(_chain, static_argnums=2).lower(keys[0], at, (problem.cfg, WARMUP, DRAWS)).compile()
-    parts = list(pool().map(lambda key: [np.asarray(x) for x in run(key, at)], keys))
+    def chain(key: np.ndarray) -> list[np.ndarray]:
+        with scope():
+            return [np.asarray(x) for x in run(key, at)]
+
+    parts = list(pool().map(chain, keys))
     z, acceptance, divergent, steps = (np.stack(column) for column in zip(*parts, strict=True))
     logs, names = u.log_values(z), reported(problem)
     entries = {name: _entry(problem, i, logs[..., i]) for name, i in names.items()}
@@ -125,6 +131,7 @@ def _entry(problem: Problem, i: int, log: np.ndarray) -> dict:
     return {"interval": np.exp(ends).tolist(), "interval_by": "posterior", "interval_open": sides}
 
 
+@float64
 def _mixing(names: dict[str, int], logs: np.ndarray) -> dict[str, dict[str, float]]:
     """R-hat, and effective sample sizes of middle and tails (Vehtari et al. 2021)."""
     import blackjax

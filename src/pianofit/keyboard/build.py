@@ -15,8 +15,8 @@ import numpy as np
 
 from .. import __version__
 from ..analysis.notes import midi_to_note
-from ..criterion import OutputPath
 from ..errors import ParameterError
+from ..model.path import OutputPath
 from ..parameters import PARAMETERS, Geometry, Hammer, String
 from .gather import (
     HIGHEST_KEY,
@@ -68,14 +68,14 @@ def build_instrument(keys: Sequence[KeyFit], name: str = "") -> dict[str, Any]:
     """
     if not keys:
         raise ParameterError("no key was given; an instrument needs at least one fit.json")
-    own = [invariants(key.voice, key.midi) for key in keys]
+    own = [invariants(key.note, key.midi) for key in keys]
     known = np.array([key.midi for key in keys])
     base = {n: np.array([literature(int(m)).get(n, 1.0) for m in KEYS]) for n in NAMES}
     base["gain"] = _same_gain(keys, own, base)
     laws = {n: _law(n, known, own, keys, base[n]) for n in NAMES}
     values = {n: _values(n, laws[n], known, base[n]) for n in NAMES}
-    quantity = keys[0].voice.quantity
-    sign = math.copysign(1.0, sum(math.copysign(1.0, key.voice.gain) for key in keys) or 1.0)
+    quantity = keys[0].note.quantity
+    sign = math.copysign(1.0, sum(math.copysign(1.0, key.note.gain) for key in keys) or 1.0)
     paths = _path_law(keys)
     rows = [_key(i, int(midi), values, laws, keys, own, base, quantity, sign, paths) for i, midi in enumerate(KEYS)]
     return {
@@ -90,7 +90,7 @@ def build_instrument(keys: Sequence[KeyFit], name: str = "") -> dict[str, Any]:
 
 def _same_gain(keys: Sequence[KeyFit], own: list[dict], base: dict[str, np.ndarray]) -> np.ndarray:
     """What stands for the literature's gain [88]: the same for all keys, the mean of the known ones'."""
-    mass = base["M_S/L"] * base["L"] if of_force(keys[0].voice.quantity) else np.ones(len(KEYS))
+    mass = base["M_S/L"] * base["L"] if of_force(keys[0].note.quantity) else np.ones(len(KEYS))
     known = [math.log(o["gain"] / mass[key.midi - LOWEST_KEY]) for o, key in zip(own, keys, strict=True)]
     return mass * math.exp(np.mean(known))
 
@@ -122,7 +122,7 @@ def _key(i, midi, values, laws, keys, own, base, quantity, sign, paths) -> dict[
     at = {n: float(values[n][i]) for n in NAMES}
     string, hammer, geometry, gain = assemble(midi, at, quantity)
     j = next((j for j, key in enumerate(keys) if key.midi == midi), None)
-    path = paths(midi) if j is None else keys[j].voice.path
+    path = paths(midi) if j is None else keys[j].note.path
     states = {} if j is None else {n: _state(n, laws[n], j, own[j], keys[j], base[n][i]) for n in NAMES}
     told = {
         n: {"value": at[n], "interval": _interval(n, at[n], _sd(laws[n], i, j)), "law": _law_at(n, laws, base, i)}
@@ -216,7 +216,7 @@ def _path_law(keys: Sequence[KeyFit]):
 
     A key's own path is kept as it is, with its residuals; only the smooth part passes on to its neighbours.
     """
-    points = [(key.midi, *point) for key in keys if key.voice.path is not None for point in _thirds(key.voice.path)]
+    points = [(key.midi, *point) for key in keys if key.note.path is not None for point in _thirds(key.note.path)]
     if not points:
         return lambda _: None
     midi, octave, db, count = np.array(points).T

@@ -8,13 +8,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..analysis.notes import midi_to_note
-from ..criterion import OutputPath
 from ..errors import FitError, ParameterError
 from ..io import finite, load_json, one_line, shown, table_of
 from ..model.modes import QUANTITIES
+from ..model.note import Note
+from ..model.path import OutputPath
 from ..model.simulate import check_geometry
 from ..parameters import PARAMETERS, Geometry, Hammer, String, check
-from ..voice import Voice
 from .build import SCHEMA
 from .gather import HIGHEST_KEY, LOWEST_KEY
 from .velocity import hammer_velocity
@@ -31,11 +31,11 @@ class Instrument(NamedTuple):
     """What can be played."""
 
     name: str
-    voices: dict[int, Voice]  # by MIDI key
+    notes: dict[int, Note]  # by MIDI key
     at_64: float  # hammer velocity at MIDI velocity 64, m/s
     rise: float  # of its logarithm from there to 127
 
-    def voice(self, midi: int, velocity: float) -> Voice:
+    def note(self, midi: int, velocity: float) -> Note:
         """The key `midi` struck at MIDI velocity `velocity`, 1 to 127.
 
         Raises
@@ -43,15 +43,15 @@ class Instrument(NamedTuple):
         ParameterError
             If the instrument has no such key.
         """
-        if midi not in self.voices:
-            raise ParameterError(f"key {midi} is not on this instrument; it has {_span(self.voices)}")
-        voice = self.voices[midi]
+        if midi not in self.notes:
+            raise ParameterError(f"key {midi} is not on this instrument; it has {_span(self.notes)}")
+        note = self.notes[midi]
         v = hammer_velocity(velocity, self.at_64, self.rise)
-        return voice._replace(hammer=voice.hammer._replace(v_H0=v))
+        return note.struck(v)
 
 
-def _span(voices: dict[int, Voice]) -> str:
-    return f"{midi_to_note(min(voices))} to {midi_to_note(max(voices))}"
+def _span(notes: dict[int, Note]) -> str:
+    return f"{midi_to_note(min(notes))} to {midi_to_note(max(notes))}"
 
 
 def load_instrument(path: str | os.PathLike[str]) -> Instrument:
@@ -82,22 +82,22 @@ def read_instrument(document: Any, name: str = "instrument") -> Instrument:
     rows = document.get("keys")
     if not (isinstance(rows, list) and 0 < len(rows) <= HIGHEST_KEY - LOWEST_KEY + 1):
         raise FitError(f"{name}: keys is no list of 1 to 88 keys; {WAY_OUT}")
-    voices: dict[int, Voice] = {}
+    notes: dict[int, Note] = {}
     for i, row in enumerate(rows):
-        midi, voice = _key(row, quantity, f"{name}: keys[{i}]")
-        if midi in voices:
+        midi, note = _key(row, quantity, f"{name}: keys[{i}]")
+        if midi in notes:
             raise FitError(f"{name}: keys[{i}].midi={midi} is there twice; {WAY_OUT}")
-        voices[midi] = voice
+        notes[midi] = note
     velocity = table_of(document, "velocity", name, WAY_OUT)
     at_64, rise = (finite(velocity.get(key), f"{name}: velocity.{key}", WAY_OUT) for key in ("at_64", "rise"))
     box = PARAMETERS["v_H0"]
     if not (box.lower <= at_64 <= box.upper and 0 < rise <= 10):
         raise FitError(f"{name}: velocity at_64={at_64:g} m/s, rise={rise:g} is no rising law; {WAY_OUT}")
     called = document.get("name")
-    return Instrument(one_line(called) if isinstance(called, str) else "", voices, at_64, rise)
+    return Instrument(one_line(called) if isinstance(called, str) else "", notes, at_64, rise)
 
 
-def _key(row: Any, quantity: str, where: str) -> tuple[int, Voice]:
+def _key(row: Any, quantity: str, where: str) -> tuple[int, Note]:
     if not isinstance(row, dict):
         raise FitError(f"{where} is no table; {WAY_OUT}")
     midi = row.get("midi")
@@ -118,7 +118,7 @@ def _key(row: Any, quantity: str, where: str) -> tuple[int, Voice]:
     gain = finite(row.get("gain"), f"{where}.gain", WAY_OUT)
     if not abs(gain) <= LARGEST_GAIN:
         raise FitError(f"{where}.gain={gain:g} must be from -{LARGEST_GAIN:g} to {LARGEST_GAIN:g}")
-    return midi, Voice(String(**parts["string"]), hammer, geometry, quantity, gain, _path(row.get("path"), where))
+    return midi, Note(String(**parts["string"]), hammer, geometry, quantity, gain, _path(row.get("path"), where))
 
 
 def _path(path: Any, where: str) -> OutputPath | None:

@@ -20,10 +20,10 @@ import numpy as np
 from ..analysis.notes import midi_to_note, note_to_midi
 from ..errors import AnalysisError, FitError
 from ..io import LARGEST, one_line
+from ..model.note import Note
 from ..parameters import FIT_NAMES, PARAMETERS, Hammer
 from ..published import PICKUP, typical
-from ..render import load_voice
-from ..voice import Voice
+from ..render import load_note
 
 __all__ = [
     "HIGHEST_KEY", "LOUDEST", "LOWEST_KEY", "NAMES", "KeyFit", "find_fits", "invariants", "literature",
@@ -50,7 +50,7 @@ class KeyFit(NamedTuple):
 
     midi: int
     file: str
-    voice: Voice  # the loudest recording's gain; loudest velocity
+    note: Note  # the loudest recording's gain; loudest velocity
     sd: dict[str, float]  # by `NAMES`
     velocities: tuple[float, ...]  # of the recordings, ascending, m/s
     levels_db: float | None  # rms error of the partials' levels
@@ -69,14 +69,14 @@ def reference_compression(midi: float) -> float:
     return float((0.5 * (h.p + 1) * h.M_H * 2.0**2 / h.K_H) ** (1 / (h.p + 1)))
 
 
-def invariants(voice: Voice, midi: int) -> dict[str, float]:
+def invariants(note: Note, midi: int) -> dict[str, float]:
     """What a recording measures of a key, by `NAMES`.
 
     Deviation of f0 from equal temperament (cents), B, b1 and d2 = b2 π²/L² (decay b1 + d2 k², 1/s), ratios to the
     string's mass and length, the felt's force at u_ref over the string's mass (N/kg), p, μ (s/m), and the gain, times
     M_S where the force on the bridge is heard.
     """
-    s, h, g = voice.string, voice.hammer, voice.geometry
+    s, h, g = note.string, note.hammer, note.geometry
     f0 = s.c / (2 * g.length)
     return {
         "cents": 1200 * math.log2(f0 / 440.0) - 100 * (midi - 69),
@@ -92,7 +92,7 @@ def invariants(voice: Voice, midi: int) -> dict[str, float]:
         "L": g.length,
         "M_S/L": g.mass / g.length,
         "pickup/L": g.pickup / g.length,
-        "gain": abs(voice.gain) * (g.mass if of_force(voice.quantity) else 1.0),
+        "gain": abs(note.gain) * (g.mass if of_force(note.quantity) else 1.0),
     }
 
 
@@ -101,7 +101,7 @@ def literature(midi: int) -> dict[str, float]:
     it = typical(midi)
     width = min(it.geometry.width, 0.1 * it.geometry.length)
     geometry = it.geometry._replace(width=width, pickup=PICKUP * it.geometry.length)
-    return invariants(Voice(it.string, it.hammer, geometry, "velocity", 1.0, None), midi)
+    return invariants(Note(it.string, it.hammer, geometry, "velocity", 1.0, None), midi)
 
 
 def find_fits(paths: Sequence[Path], prefix: str | None = None) -> list[Path]:
@@ -172,44 +172,44 @@ def load_keys(files: Sequence[Path]) -> list[KeyFit]:
                 "instrument by --prefix"
             )
         keys[key.midi] = key
-    kinds = sorted({key.voice.quantity for key in keys.values()})
+    kinds = sorted({key.note.quantity for key in keys.values()})
     if len(kinds) > 1:
         raise FitError(f"{one_line(files[0])}: the keys heard {' and '.join(kinds)}; one instrument needs one quantity")
     return [keys[midi] for midi in sorted(keys)]
 
 
 def _load_key(file: Path) -> KeyFit:
-    voice, _ = load_voice(file)
+    note, _ = load_note(file)
     document = json.loads(file.read_bytes())
     name = one_line(file)
-    midi = _midi(voice, file)
+    midi = _midi(note, file)
     takes = [take for take in document["takes"] if isinstance(take, dict)]
     path = next((take for take in takes if take.get("first") is True), takes[0]).get("group")
-    # The voice has the reference's path, and a gain belongs to a path.
+    # The note has the reference's path, and a gain belongs to a path.
     own = [i for i, take in enumerate(takes) if take.get("group") == path]
     loud = max(own, key=lambda i: _positive(takes[i].get("v_H0"), f"takes[{i}].v_H0", name))
     gain = _positive(takes[loud].get("gain"), f"takes[{loud}].gain", name, signed=True)
     velocities = np.unique([_positive(take.get("v_H0"), f"takes[{i}].v_H0", name) for i, take in enumerate(takes)])
     calibrated = any(take.get(key) in KNOWN for take in takes for key in ("gain_status", "v_H0_status"))
-    if not isinstance(voice.hammer, Hammer):
+    if not isinstance(note.hammer, Hammer):
         raise FitError(f"{name}: a felt with memory cannot be carried over a keyboard; fit with --felt hunt-crossley")
     # A felt without loss is one with next to none: the law is in log μ.
-    h = voice.hammer._replace(v_H0=float(velocities[-1]), mu=max(voice.hammer.mu, PARAMETERS["mu"].lower))
+    h = note.hammer._replace(v_H0=float(velocities[-1]), mu=max(note.hammer.mu, PARAMETERS["mu"].lower))
     scale = 1.0 if calibrated else LOUDEST / h.v_H0
     hammer = h._replace(K_H=h.K_H * scale ** (1 - h.p), mu=h.mu / scale, v_H0=h.v_H0 * scale)
     levels = document.get("levels")
     error: Any = levels.get("fitted_db") if isinstance(levels, dict) else None
     converged = document.get("converged") is True
-    told = _deviations(document, voice, midi, converged, scale)
+    told = _deviations(document, note, midi, converged, scale)
     return KeyFit(
-        midi, name, voice._replace(hammer=hammer, gain=gain / scale), told, tuple((velocities * scale).tolist()),
+        midi, name, note._replace(hammer=hammer, gain=gain / scale), told, tuple((velocities * scale).tolist()),
         float(error) if _finite(error) else None, converged, len(takes),
     )  # fmt: skip
 
 
-def _midi(voice: Voice, file: Path) -> int:
+def _midi(note: Note, file: Path) -> int:
     """The folder's note where it is within 1.5 semitones of the pitch, for pianos out of tune; else the nearest."""
-    pitch = 69 + 12 * math.log2(voice.string.c / (2 * voice.geometry.length) / 440.0)
+    pitch = 69 + 12 * math.log2(note.string.c / (2 * note.geometry.length) / 440.0)
     _, named = _key_of(file)
     midi = named if named is not None and abs(named - pitch) < 1.5 else round(pitch)
     if not LOWEST_KEY <= midi <= HIGHEST_KEY:
@@ -227,14 +227,14 @@ def _positive(x: Any, key: str, name: str, *, signed: bool = False) -> float:
     return float(x)
 
 
-def _deviations(document: dict, voice: Voice, midi: int, converged: bool, scale: float) -> dict[str, float]:
+def _deviations(document: dict, note: Note, midi: int, converged: bool, scale: float) -> dict[str, float]:
     """Standard deviations of `invariants` (logarithms; cents), from the 95 % intervals."""
     s = {name: _spread(document["parameters"].get(name)) for name in (*FIT_NAMES, "x0")}
     told: dict[str, float | None] = {
         "cents": None if s["c"] is None else 1200 / math.log(2) * s["c"],
         "B": None if s["kappa"] is None else 2 * math.hypot(s["kappa"], s["c"] or 0.0),
         "b1": s["b1"], "d2": s["b2"], "M_H/M_S": s["M_H"], "p": s["p"], "mu": s["mu"], "x0/L": s["x0"],
-        "K/M_S": _felt_spread(s, document, voice, midi, scale),
+        "K/M_S": _felt_spread(s, document, note, midi, scale),
     }  # fmt: skip
     wider = 1.0 if converged else UNSETTLED
     found = {name: told.get(name) for name in NAMES}
@@ -249,7 +249,7 @@ def _spread(entry: Any) -> float | None:
     return math.log(span[1] / span[0]) / (2 * 1.96)
 
 
-def _felt_spread(s: dict[str, float | None], document: dict, voice: Voice, midi: int, scale: float) -> float | None:
+def _felt_spread(s: dict[str, float | None], document: dict, note: Note, midi: int, scale: float) -> float | None:
     """Of log K(u_ref), on the scale of `LOUDEST`: the felt is known best where strokes press it.
 
     From the compression u at which its force has the error e to u_ref,
@@ -259,11 +259,11 @@ def _felt_spread(s: dict[str, float | None], document: dict, voice: Voice, midi:
     and var log K_H says the covariance, unless the velocities' common scale is in it: then there is none, since u is
     where force and exponent part.
     """
-    there = _force_error(document, voice)
+    there = _force_error(document, note)
     if s["K_H"] is None or s["p"] is None or there is None:
         return s["K_H"]
     at, error = math.log(there[0]), there[1]
-    p, covariance = s["p"] * float(voice.hammer.p), 0.0
+    p, covariance = s["p"] * float(note.hammer.p), 0.0
     velocity = document["parameters"].get("v_H0")
     if not (isinstance(velocity, dict) and velocity.get("status") == "scaled"):
         covariance = (error**2 + (at * p) ** 2 - s["K_H"] ** 2) / (2 * at)
@@ -272,14 +272,14 @@ def _felt_spread(s: dict[str, float | None], document: dict, voice: Voice, midi:
     return math.sqrt(max(error**2 + (away * p) ** 2 + 2 * away * covariance, 1e-6))
 
 
-def _force_error(document: dict, voice: Voice) -> tuple[float, float] | None:
+def _force_error(document: dict, note: Note) -> tuple[float, float] | None:
     """Where the felt's force is known best: the compression, m, and the standard deviation of the force's logarithm."""
     invariants, derived = (x if isinstance(x, dict) else {} for x in map(document.get, ("invariants", "derived")))
     entry: Any = invariants.get("F/M_S")
     error: Any = _spread(entry)
     if error is not None and _finite(entry.get("value")) and entry["value"] > 0:
-        h = voice.hammer
-        u = float((entry["value"] * voice.geometry.mass / h.K_H) ** (1 / h.p))
+        h = note.hammer
+        u = float((entry["value"] * note.geometry.mass / h.K_H) ** (1 / h.p))
     else:  # the first schema
         deepest, error = (derived.get(key) for key in ("max_compression_mm", "felt_force_relative_error"))
         if not (_finite(deepest) and _finite(error)):

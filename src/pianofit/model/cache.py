@@ -18,6 +18,8 @@ from pathlib import Path
 import jax
 from jax.core import Tracer
 
+from .precision import scope
+
 __all__ = ["LOADED", "cache_folder", "keep_programs", "kept"]
 
 # Shapes of a function whose programs stay in memory: those of one fit. A program takes some hundred memory mappings, of
@@ -61,8 +63,9 @@ def keep_programs() -> None:
 def kept(function: Callable) -> Callable:
     """`function(*arrays, cfg)` as `jax.jit` makes it, static in `cfg`, its traced programs kept in JAX's folder.
 
-    Arguments are trees of arrays, `cfg` a tuple with a faithful `repr`, the result a tuple of arrays. Without a folder,
-    and inside other transformations, this is `jax.jit`. The programs of the last `LOADED` shapes stay in memory.
+    Arguments are trees of arrays, of float64 or integers, `cfg` a tuple with a faithful `repr`, the result a tuple of
+    arrays. Without a folder, and inside other transformations, this is `jax.jit`. The programs of the last `LOADED`
+    shapes stay in memory.
     """
     jitted = jax.jit(function, static_argnums=-1)
     alone = threading.Lock()  # two threads that need one program wait for it, and do not both make it
@@ -79,11 +82,12 @@ def kept(function: Callable) -> Callable:
         *trees, cfg = args
         leaves, tree = jax.tree.flatten(trees)
         folder = jax.config.values["jax_compilation_cache_dir"]
-        if not folder or any(isinstance(x, Tracer) for x in leaves):
-            return jitted(*args)
-        with alone:
-            chosen = program(folder, cfg, tree, tuple((x.shape, x.dtype) for x in leaves))
-        return chosen(*leaves)
+        with scope():
+            if not folder or any(isinstance(x, Tracer) for x in leaves):
+                return jitted(*args)
+            with alone:
+                chosen = program(folder, cfg, tree, tuple((x.shape, x.dtype) for x in leaves))
+            return chosen(*leaves)
 
     return call
 
@@ -111,6 +115,6 @@ def _sources() -> str:
     """What a program is made by: this package's code and JAX."""
     package = Path(__file__).parents[1]
     code = hashlib.sha256(jax.__version__.encode())
-    for part in sorted(package.glob("*.py")) + sorted(package.glob("*/*.py")):
+    for part in sorted(package.rglob("*.py")):
         code.update(part.read_bytes())
     return code.hexdigest()

@@ -11,6 +11,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Complex, Float
 
+from .precision import float64
+
 __all__ = ["BLOCK", "real_powers", "ring", "transform"]
 
 # Steps taken at once, here and in the contact.
@@ -40,6 +42,7 @@ def _ring_jvp(primal, tangent):
     return _ring(amplitude, log_z, n), _ring(d_amplitude, log_z, n) + n * _ring(amplitude * d_log_z, log_z, n)
 
 
+@float64
 def ring(amplitude: Complex[Array, " rows"], log_z: Complex[Array, " rows"], steps: int) -> Float[Array, " steps"]:
     """Σ_k Re(A_k z_k^n), n < steps."""
     return _ring(amplitude, log_z, jnp.arange(steps, dtype=float))
@@ -61,6 +64,7 @@ def _transform_jvp(primal, tangent):
     return _transform(signal, log_z, n), _transform(d_signal, log_z, n) + d_log_z * _transform(n * signal, log_z, n)
 
 
+@float64
 def transform(signal: Float[Array, " steps"], log_z: Complex[Array, " rows"]) -> Complex[Array, " rows"]:
     """Σ_n s_n z_k^n."""
     return _transform(signal, log_z, jnp.arange(signal.shape[0], dtype=float))

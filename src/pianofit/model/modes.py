@@ -22,6 +22,7 @@ from jaxtyping import Array, Complex, Float
 
 from ..errors import ParameterError
 from ..parameters import Geometry, String
+from .precision import float64
 
 __all__ = ["QUANTITIES", "Modes", "mode_frequencies", "mode_table", "project", "window_weights"]
 
@@ -63,6 +64,7 @@ def raised_cosine_weights(geometry: Geometry, n_modes: int, xp=jnp) -> Float[Arr
     return xp.sin(beta * geometry.strike) * (xp.sinc(s) + 0.5 * xp.sinc(s + 1) + 0.5 * xp.sinc(s - 1))
 
 
+@float64
 def window_weights(window: Callable, geometry: Geometry, n_modes: int) -> Float[Array, " modes"]:
     """Φ_k of any contact window.
 
@@ -80,6 +82,7 @@ def window_weights(window: Callable, geometry: Geometry, n_modes: int) -> Float[
     return jnp.sin(beta[:, None] * (geometry.strike + x)) @ g / g.sum()
 
 
+@float64
 def project(shape: Callable | np.ndarray, length: float, n_modes: int) -> Float[Array, " modes"]:
     """Modal coordinates of an initial shape or velocity: y(x) = Σ q_k sin(β_k x).
 
@@ -102,6 +105,7 @@ def project(shape: Callable | np.ndarray, length: float, n_modes: int) -> Float[
     return jnp.sin(jnp.pi * jnp.arange(1, n_modes + 1)[:, None] * i) @ values * (2 / (values.shape[0] + 1))
 
 
+@float64
 def mode_table(
     string: String,
     geometry: Geometry,
@@ -112,10 +116,11 @@ def mode_table(
     kind: str = "continuous",
     strike_weights: Array | None = None,
 ) -> Modes:
-    """Fill the table.
+    """Fill the table: the string, and where it is struck and heard, one row a mode.
 
     Parameters
     ----------
+    string, geometry : in SI units; see `String` and `Geometry`.
     rate : steps per second of the contact, Hz.
     n_modes : rows; for `finite_difference` also the N points of the paper's grid, h = L/(N + 1).
     quantity : what is heard: `velocity` or `displacement` at the pickup, or the `bridge-force` at x = L; `pressure` is
@@ -123,10 +128,22 @@ def mode_table(
     kind : `continuous` (prewarped) or `finite_difference` (paper eq. 16-18, as it stands).
     strike_weights : Φ_k [modes] of another contact window than the default, see `window_weights`.
 
+    Returns
+    -------
+    `Modes`, a pytree of arrays [modes]. Modes at or above 0.4 of `rate` weigh nothing; 30 or more below it suit a note.
+
     Raises
     ------
     ParameterError
-        For an unknown `quantity` or `kind`.
+        For an unknown `quantity` or `kind`, and where it is traced in float32 (`precision`).
+
+    Examples
+    --------
+    >>> import pianofit
+    >>> it = pianofit.preset("bensa-final")
+    >>> modes = pianofit.mode_table(it.string, it.geometry, rate=88_200.0, n_modes=64, quantity="bridge-force")
+    >>> modes.pole.shape, str(modes.pole.dtype)
+    ((64,), 'complex128')
     """
     if quantity not in QUANTITIES:
         raise ParameterError(f"quantity={quantity!r} must be one of {', '.join(QUANTITIES)}")

@@ -17,8 +17,9 @@ from ..errors import ParameterError
 from .contact import FreeMotion, impulse_amplitude
 from .exponentials import transform
 from .modes import Modes
+from .precision import float64
 
-__all__ = ["level_db", "mobility", "pulse_transform", "ringing", "spectrum", "string_energy", "waveform"]
+__all__ = ["level_db", "levels", "mobility", "pulse_transform", "ringing", "spectrum", "string_energy", "waveform"]
 
 # A partial's level is its energy in the first LEVEL_SPAN seconds under exp(-LEVEL_DECAY t).
 LEVEL_SPAN, LEVEL_DECAY = 0.35, 8.0
@@ -26,16 +27,19 @@ LEVEL_SPAN, LEVEL_DECAY = 0.35, 8.0
 MOST_RISE = 300.0
 
 
+@float64
 def damped_circle(frequency: Array, sigma: float, step: Array) -> Complex[Array, " bins"]:
     """ζ at frequencies in Hz [bins] and σ in 1/s."""
     return jnp.exp(-(sigma + 2j * jnp.pi * frequency) * step)
 
 
+@float64
 def pulse_transform(drive: Float[Array, " steps"], log_zeta: Array) -> Complex[Array, " bins"]:
     """T̂ = Σ_n T^n ζ^n, N, at log ζ, complex [bins]. At log ζ = -p_k δt it is what rings in mode k."""
     return transform(drive, log_zeta)
 
 
+@float64
 def mobility(modes: Modes, zeta: Complex[Array, " bins"], amplitude: Array | None = None) -> Complex[Array, " bins"]:
     """H(ζ) = Σ_n h_n ζ^n of the response h to a unit `T` (or to free modal `amplitude`s), per step.
 
@@ -50,10 +54,23 @@ def mobility(modes: Modes, zeta: Complex[Array, " bins"], amplitude: Array | Non
     return (upper / lower).sum(axis=1)
 
 
+@float64
 def spectrum(
     modes: Modes, drive: Float[Array, " steps"], frequency: Array, sigma: float, free: FreeMotion | None = None
 ) -> Complex[Array, " bins"]:
-    """Y at `frequency`, Hz [bins], on the damped circle of `sigma`, 1/s: ∫ y exp(-(σ + jω)t) dt, signal unit · s."""
+    """Y at `frequency`, Hz [bins], on the damped circle of `sigma`, 1/s: ∫ y exp(-(σ + jω)t) dt, signal unit · s.
+
+    σ is the width of every peak, σ/2π Hz: 30 is broad and smooth, 3 shows partials that beat.
+
+    Examples
+    --------
+    >>> import numpy as np, pianofit
+    >>> it = pianofit.preset("bensa-final")
+    >>> modes = pianofit.mode_table(it.string, it.geometry, rate=88_200.0, n_modes=64)
+    >>> pulse = pianofit.strike(modes, it.hammer, steps=1024)
+    >>> pianofit.spectrum(modes, pulse.drive, np.array([152.1, 228.0]), 30.0).shape
+    (2,)
+    """
     zeta = damped_circle(frequency, sigma, modes.step)
     total = pulse_transform(drive, jnp.log(zeta)) * mobility(modes, zeta)
     if free is not None:
@@ -61,6 +78,7 @@ def spectrum(
     return total * modes.step
 
 
+@float64
 def ringing(modes: Modes, drive: Float[Array, " steps"], free: FreeMotion | None = None) -> Complex[Array, " modes"]:
     """A_k: after the contact the signal is Σ_k Re(A_k exp(p_k t)), t from the first touch."""
     total = modes.pickup * impulse_amplitude(modes) * pulse_transform(drive, _back(modes, len(drive)))
@@ -73,6 +91,7 @@ def _back(modes: Modes, steps: int) -> Array:
     return jnp.minimum(log_zeta.real, MOST_RISE / steps) + 1j * log_zeta.imag
 
 
+@float64
 def string_energy(modes: Modes, drive: Float[Array, " steps"]) -> Float[Array, " modes"]:
     """Energy of every mode after the pulse, J, carried back to t = 0 as if it had rung since."""
     amplitude = impulse_amplitude(modes) * pulse_transform(drive, _back(modes, len(drive)))
@@ -81,6 +100,20 @@ def string_energy(modes: Modes, drive: Float[Array, " steps"]) -> Float[Array, "
     return 0.5 * mass * modes.omega2 * jnp.abs(amplitude) ** 2
 
 
+@float64
+def levels(
+    modes: Modes, drive: Float[Array | np.ndarray, " steps"] | None = None, *, free: FreeMotion | None = None
+) -> Float[Array, " modes"]:
+    """Levels of all partials after the contact, dB re (signal unit)² · s [modes], by pulse, free motion or both.
+
+    A level is the energy in the first 0.35 s under exp(-8t), as if every partial had rung since the first contact; see
+    `level_db`. Modes without weight are at the smallest number, -3077 dB.
+    """
+    drive = jnp.zeros(1) if drive is None else jnp.asarray(drive)
+    return level_db(ringing(modes, drive, free), -modes.pole.real)
+
+
+@float64
 def level_db(
     amplitude: Complex[Array | np.ndarray, " modes"], decay: Float[Array | np.ndarray, " modes"], xp=jnp
 ) -> Float[Array, " modes"]:
@@ -93,15 +126,16 @@ def level_db(
     return 10 * xp.log10(xp.maximum(energy, np.finfo(float).tiny))
 
 
+@float64
 def waveform(
     modes: Modes,
-    drive: Float[Array | np.ndarray, " steps"],
+    drive: Float[Array | np.ndarray, " steps"] | None = None,
     *,
     rate: float,
     samples: int,
     free: FreeMotion | None = None,
 ) -> np.ndarray:
-    """The signal [samples] at `rate` from the first touch on, in the pickup's unit.
+    """The signal [samples] at `rate`, Hz, from the first contact on, in the pickup's unit, as an array of NumPy.
 
     During the contact the pulse is convolved with the string's response at the contact's rate, of which `rate` must be
     a whole fraction; afterwards the modes below half of `rate` ring by themselves.
@@ -110,7 +144,17 @@ def waveform(
     ------
     ParameterError
         If `rate` is no whole fraction of the contact's rate.
+
+    Examples
+    --------
+    >>> import pianofit
+    >>> it = pianofit.preset("bensa-final")
+    >>> modes = pianofit.mode_table(it.string, it.geometry, rate=88_200.0, n_modes=64)
+    >>> pulse = pianofit.strike(modes, it.hammer, steps=1024)
+    >>> pianofit.waveform(modes, pulse.drive, rate=44_100.0, samples=1000).shape
+    (1000,)
     """
+    drive = np.zeros(1) if drive is None else drive
     contact = 1.0 / float(modes.step)
     ratio = round(contact / rate)
     if ratio < 1 or abs(contact / rate - ratio) > 1e-6:

@@ -13,6 +13,7 @@ from ..errors import FitError, ParameterError
 from ..parameters import Geometry, Hammer, MemoryHammer, String, check, check_hammer
 from .contact import FreeMotion, Pulse, free_motion, strike
 from .modes import HIGHEST, QUANTITIES, Modes, mode_frequencies, mode_table, raised_cosine_weights
+from .precision import float64
 from .response import waveform
 
 __all__ = ["Contact", "Simulation", "contact_rate", "count_modes", "simulate"]
@@ -43,7 +44,7 @@ class Contact(NamedTuple):
 
 
 class Simulation(NamedTuple):
-    """A strike that is over: the table it was made with and the pulse."""
+    """A strike that is over: the table it was made with and the pulse, as arrays of NumPy."""
 
     modes: Modes
     pulse: Pulse
@@ -118,6 +119,7 @@ def _strike(string, hammer, geometry, rate, weights, start, *, n_modes, steps, q
     return modes, strike(modes, hammer, steps=steps, free=free), free
 
 
+@float64
 def simulate(
     string: String,
     hammer: Hammer | MemoryHammer,
@@ -172,7 +174,7 @@ def simulate(
             n_modes=rows, steps=steps, quantity=quantity, kind=kind,
         )  # fmt: skip
         if bool(pulse.over):
-            return Simulation(modes, pulse, free)
+            return Simulation(*jax.tree.map(np.asarray, (modes, pulse, free)))
         steps *= 4
     raise FitError(
         f"v_H0={float(hammer.v_H0):g} m/s, M_H={float(hammer.M_H):g} kg: the hammer is still on the string after "

@@ -11,16 +11,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from ..analysis import Analysis
 from ..criterion import band_of, line_sigma
+from ..inference.align import lag, placed
 from ..inference.start import Start
 from ..model import simulate
+from ..model.note import arrival
 from ..parameters import FELT_LAWS, FIT_NAMES, PARAMETERS, Geometry, Hammer, String
 from ..recording import Recording
-from ..voice import arrival, lag, placed
 from .spectral import Goal, spectral_goal
 from .struck import Cfg, Scene
 
@@ -111,7 +111,7 @@ class Problem:
         """What stays while parameters are searched; a stiffness that is known needs no bounds."""
         geometry = Geometry(*map(np.float64, self.start.geometry))
         stiff = np.log([self.lower[K], self.upper[K]]) if self.free[K] else np.array([-np.inf, np.inf])
-        return Scene(*jax.tree.map(jnp.asarray, (geometry, self.rate, self.log_u, stiff)))
+        return Scene(*jax.tree.map(np.asarray, (geometry, self.rate, self.log_u, stiff)))
 
     def x(self, values: np.ndarray) -> np.ndarray:
         """The point [9] of natural `values` [9]."""

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -30,16 +30,20 @@ BLOCK = 1024
 FINE = 1e-6
 
 
+# Arrays: NumPy's outside of compiled programs, traced inside.
+Values = Any
+
+
 class Goal(NamedTuple):
     """|S|² of a recording on the cells of some partials, padded with rows of weight 0."""
 
-    frequency: Array  # Hz, [rows, nodes]
-    energy: Array  # |S|², unit² · s², [rows, nodes]
-    weight: Array  # [rows, nodes]: Σ (weight · difference)² is C
-    sigma: Array  # 1/s
-    factor: Array  # on the model's energy: of a sound that began before the recording's first sample
-    span: Array  # s, from where the model's sound begins to where the recording is cut
-    calibrated: Array  # 1: the gain is 1; 0: the gain is free
+    frequency: Values  # Hz, [rows, nodes]
+    energy: Values  # |S|², unit² · s², [rows, nodes]
+    weight: Values  # [rows, nodes]: Σ (weight · difference)² is C
+    sigma: Values  # 1/s
+    factor: Values  # on the model's energy: of a sound that began before the recording's first sample
+    span: Values  # s, from where the model's sound begins to where the recording is cut
+    calibrated: Values  # 1: the gain is 1; 0: the gain is free
 
 
 def spectral_goal(
@@ -78,7 +82,7 @@ def spectral_goal(
         np.pad(np.tile(weight[:, None], frequency.shape[1]), ((0, more), (0, 0))),
         sigma, math.exp(2 * sigma * delay), n / rate + delay, float(calibrated),
     )  # fmt: skip
-    return Goal(*(jnp.asarray(x, float) for x in fields))
+    return Goal(*(np.asarray(x, float) for x in fields))
 
 
 def damped_spectrum(samples: np.ndarray, rate: float, frequency: np.ndarray, sigma: float) -> np.ndarray:

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-import jax.numpy as jnp
 import numpy as np
 
 from ..criterion import band_of
@@ -86,7 +85,7 @@ class Search:
         held, goal, scene = self._held(x)
         lower, upper = self.problem.box(x, HAMMER_REACH, HAMMER_NAMES)
         end = descend(
-            lambda z: hammer_residuals(jnp.asarray(z), held, goal, scene, self.problem.cfg), x[None, STRING:],
+            lambda z: hammer_residuals(z, held, goal, scene, self.problem.cfg), x[None, STRING:],
             Box(lower[STRING:], upper[STRING:]), iterations=ITERATIONS, tolerance=TOLERANCE,
         )  # fmt: skip
         self.evaluations += end.evaluations
@@ -104,7 +103,7 @@ class Search:
         held, goal, scene = self._held(x)
         lower, upper = self.problem.box(x, HAMMER_REACH, HAMMER_NAMES)
         found = anneal(
-            lambda z: hammer_costs(jnp.asarray(z), held, goal, scene, self.problem.cfg)[0], lower[STRING:],
+            lambda z: hammer_costs(z, held, goal, scene, self.problem.cfg)[0], lower[STRING:],
             upper[STRING:], chains=CHAINS, evaluations=evaluations, seed=seed, start=x[STRING:],
         )  # fmt: skip
         self.evaluations += found.evaluations
@@ -116,12 +115,12 @@ class Search:
         """The string of `x`, with the goal of the hammer's band."""
         problem = self.problem
         goal, scene = problem.goal((problem.band(2),), problem.sigma), problem.scene()
-        return hold(jnp.asarray(logs(x)), goal, scene, problem.cfg), goal, scene
+        return hold(logs(x), goal, scene, problem.cfg), goal, scene
 
     def _overlap(self, x: np.ndarray, goal: Goal) -> float:
         """∫ |Y|² |S|² dω over the root of ∫ |Y|⁴ dω ∫ |S|⁴ dω: eq. 19 with the best gain is 1 less its square."""
-        free, problem = goal._replace(calibrated=jnp.zeros_like(goal.calibrated)), self.problem
-        cost = float(struck_gradients(jnp.asarray(logs(x))[None], free, problem.scene(), problem.cfg)[0][0])
+        free, problem = goal._replace(calibrated=np.zeros_like(goal.calibrated)), self.problem
+        cost = float(struck_gradients(logs(x)[None], free, problem.scene(), problem.cfg)[0][0])
         return max(1 - cost, 0.0) ** 0.5
 
     def _reach(self, x: np.ndarray, goal: Goal, bands: Sequence[int]) -> np.ndarray:
@@ -144,7 +143,7 @@ class Search:
         """Down the gradient of `function(z [1, 9])`, which knows logarithms only."""
 
         def by_point(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            cost, slope = (np.asarray(a) for a in function(jnp.asarray(logs(points))))
+            cost, slope = (np.asarray(a) for a in function(logs(points)))
             return cost, slope / np.where(LINEAR, points, 1.0)
 
         end = gradient_descent(by_point, x[None], *box, iterations=iterations, tolerance=TOLERANCE)

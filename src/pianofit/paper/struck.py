@@ -160,7 +160,7 @@ def struck_gradients(z, goal: Goal, scene: Scene, cfg: Cfg):
     return jax.vmap(jax.value_and_grad(lambda x: _struck(x, goal, scene, cfg)))(z)
 
 
-def hold(z: Float[Array, " 9"], goal: Goal, scene: Scene, cfg: Cfg) -> Held:
+def hold(z: Float[Array | np.ndarray, " 9"], goal: Goal, scene: Scene, cfg: Cfg) -> Held:
     """The string of `z`, once for a whole search."""
     mobility, real, imag, rows, *modes = held_string(z, goal, scene, cfg)
     return Held(Modes(*modes), mobility, real, imag, rows)

@@ -11,13 +11,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..errors import FitError
+from ..errors import FitError, ParameterError
 from ..model.cache import kept
 from ..model.contact import free_motion, impulse_amplitude, strike
+from ..model.felt import own_law
 from ..model.modes import HIGHEST, Modes, mode_table
+from ..model.note import Note
+from ..model.path import impulse, through
 from ..model.simulate import FIRST_STEPS, MOST_STEPS, contact_rate, count_modes
 from ..parameters import Hammer, MemoryHammer
-from ..voice import Voice, impulse, through
 
 __all__ = ["Table", "stroke", "table_of"]
 
@@ -34,7 +36,7 @@ class Table(NamedTuple):
     drive: np.ndarray  # complex: the same in file units, before the path
     pickup: np.ndarray  # complex: signal = Re(pickup · a) before the path, for a displacement q = Re(a)
     loudness: np.ndarray  # |pickup| behind the path
-    path: np.ndarray | None  # [samples] at the signals' rate: what the signal goes through, see `voice.impulse`
+    path: np.ndarray | None  # [samples] at the signals' rate: what the signal goes through, see `note.impulse`
 
 
 @kept
@@ -52,24 +54,24 @@ def _stroke(modes, hammer, displacement, velocity, cfg):
     return pulse.drive, pulse.over
 
 
-def table_of(voice: Voice, rate: float) -> Table:
+def table_of(note: Note, rate: float) -> Table:
     """The table of a string for signals at `rate`, with the gain, and the path's response."""
-    contact = contact_rate(voice.string, voice.geometry, rate)
+    contact = contact_rate(note.string, note.geometry, rate)
     rows = LEAST_MODES
-    while rows < count_modes(voice.string, voice.geometry, contact):
+    while rows < count_modes(note.string, note.geometry, contact):
         rows *= 2
-    string, geometry = (type(x)(*map(np.float64, x)) for x in (voice.string, voice.geometry))
+    string, geometry = (type(x)(*map(np.float64, x)) for x in (note.string, note.geometry))
     columns: list[Any]
-    *columns, unit = (np.asarray(x) for x in _table(string, geometry, np.float64(contact), (rows, voice.quantity)))
+    *columns, unit = (np.asarray(x) for x in _table(string, geometry, np.float64(contact), (rows, note.quantity)))
     modes = Modes(*columns)
     own = np.asarray(modes.pole)
     size, turn = np.abs(own), np.imag(own)
-    path, pole = through(voice.path, own)
+    path, pole = through(note.path, own)
     # The scheme's displacement is the string's own up to this factor, see `mode_table`.
     angle = np.minimum(0.5 * size / contact, HIGHEST * np.pi)
     warp = angle / (np.sin(angle) * np.cos(angle))
     below = turn < np.pi * rate
-    gain = np.where(below, voice.gain, 0.0)
+    gain = np.where(below, note.gain, 0.0)
     pickup = gain * modes.free_pickup
     loudness = np.abs(pickup) * (1.0 if path is None else 10 ** (path.db / 20))
     return Table(modes, pole, contact, unit * warp, gain * modes.pickup * unit, pickup, loudness, impulse(path, rate))
@@ -82,7 +84,11 @@ def stroke(table: Table, hammer: Hammer | MemoryHammer, state: np.ndarray, where
     ------
     FitError
         Naming `where` if the hammer stays on the string.
+    ParameterError
+        For a hammer whose felt is not one of the package's own.
     """
+    if law := own_law(hammer):  # its code may change between runs, and the programs of playing are kept
+        raise ParameterError(f"{where}: felt law {law.name} cannot be played; use Note.render, or one of the package's")
     hammer = type(hammer)(*map(np.float64, hammer))
     velocity = np.real(np.asarray(table.modes.pole) * state)
     steps = FIRST_STEPS

@@ -13,8 +13,9 @@ import numpy as np
 
 from ..errors import ParameterError
 from ..keyboard.document import Instrument
+from ..model.note import MOST_SAMPLES
 from ..recording import RATES
-from ..render import CEILING, MOST_SAMPLES
+from ..render import CEILING
 from ..threads import one_blas_thread
 from .midi import Song
 from .strings import BLOCK, CHUNK, PlayedString
@@ -66,10 +67,10 @@ def perform(
             f"{MOST_SAMPLES / rate - LAST_RING:.0f} s, or ask for a lower --rate"
         )
     for key in song.keys:
-        instrument.voice(key, 64)  # refused before anything is computed
+        instrument.note(key, 64)  # refused before anything is computed
     total, strikes, moving, last = np.zeros(size), 0, 0, 0
     for key in sorted(song.keys):
-        string = PlayedString(instrument.voice(key, 64), key, rate)
+        string = PlayedString(instrument.note(key, 64), key, rate)
         for at, sound, struck in _joined(_sounds(string, instrument, _events(song, key, rate), size)):
             sound = string.heard(sound)[: size - at]
             total[at : at + len(sound)] += sound
@@ -115,7 +116,7 @@ def _sounds(
         string.damped = event.damped
         if event.velocity:
             struck = 2 if string.sounding else 1
-            v = instrument.voice(string.midi, event.velocity).hammer.v_H0
+            v = instrument.note(string.midi, event.velocity).hammer.v_H0
             sound = string.strike(v)[: size - at]
             yield at, sound, struck
             at += len(sound)

@@ -24,10 +24,10 @@ from ..errors import AnalysisError, OutputError, ParameterError
 from ..io import interrupted_by, one_line
 from ..keyboard.document import Instrument
 from ..keyboard.gather import HIGHEST_KEY, LOWEST_KEY
+from ..model.note import arrival
 from ..recording import RATES
 from ..render import CEILING
 from ..threads import one_blas_thread
-from ..voice import arrival
 from .strings import PlayedString, damper_rate
 
 __all__ = ["FORMATS", "Layer", "export_sfz", "layers_of", "parse_keys", "spans_of"]
@@ -147,7 +147,7 @@ def _check(instrument: Instrument, keys: Sequence[int], layers: int, rate: int, 
             "ask for fewer --layers, --keys or --seconds"
         )
     for key in keys:
-        instrument.voice(key, 64)
+        instrument.note(key, 64)
 
 
 def _check_target(out: Path, force: bool) -> None:
@@ -206,17 +206,17 @@ def _strings(instrument: Instrument, jobs: Sequence[tuple[int, Layer]], rate: in
     string = None
     for key, layer in jobs:
         if string is None or string.midi != key:
-            string = PlayedString(instrument.voice(key, 64), key, rate)
+            string = PlayedString(instrument.note(key, 64), key, rate)
         yield key, string, layer
 
 
 def _note(instrument: Instrument, string: PlayedString, layer: Layer, seconds: float) -> np.ndarray:
     """One stroke on the string at rest, from just before its sound arrives [samples]."""
-    voice = instrument.voice(string.midi, layer.middle)
+    note = instrument.note(string.midi, layer.middle)
     string.state = np.zeros_like(string.state)
     # The way to the pickup comes on top.
-    samples = round((seconds + arrival(voice.string, voice.geometry, voice.quantity)) * string.rate)
-    head = string.strike(voice.hammer.v_H0)
+    samples = round((seconds + arrival(note.string, note.geometry, note.quantity)) * string.rate)
+    head = string.strike(note.hammer.v_H0)
     sound = string.heard(np.concatenate([head, string.ring(max(samples - len(head), 0))]))[: max(samples, len(head))]
     level = np.abs(sound)
     first = max(int(np.argmax(level > level.max() * 10 ** (-BEGINS_DB / 20))) - BEFORE, 0)

@@ -12,7 +12,8 @@ import math
 
 import numpy as np
 
-from ..voice import Voice, convolved
+from ..model.note import Note
+from ..model.path import filtered
 from .contact import Table, stroke, table_of
 
 __all__ = ["BLOCK", "FAINT", "LAST_DAMPER", "PlayedString", "damper_rate"]
@@ -38,9 +39,9 @@ def damper_rate(midi: int) -> float:
 class PlayedString:
     """One key's string at one rate, silent at first; what it gives is still to go through its path."""
 
-    def __init__(self, voice: Voice, midi: int, rate: int) -> None:
-        self.voice, self.midi, self.rate = voice, midi, rate
-        self.table: Table = table_of(voice, rate)
+    def __init__(self, note: Note, midi: int, rate: int) -> None:
+        self.note, self.midi, self.rate = note, midi, rate
+        self.table: Table = table_of(note, rate)
         self.ratio = round(self.table.rate / rate)
         self.pole = self.table.pole
         self.state = np.zeros(len(self.pole), complex)
@@ -51,13 +52,13 @@ class PlayedString:
 
     def strike(self, velocity: float) -> np.ndarray:
         """The sound [samples] of the contact with a hammer of `velocity`, m/s; then the string rings, undamped."""
-        hammer = self.voice.hammer._replace(v_H0=velocity)
+        hammer = self.note.hammer._replace(v_H0=velocity)
         drive = stroke(self.table, hammer, self.state, f"key {self.midi}")
         samples = max(-(-len(drive) // self.ratio), 1)
         drive = np.pad(drive, (0, samples * self.ratio - len(drive)))
         self.damped = False
         free = self.ring(samples)  # moves the state on to the contact's end
-        head = convolved(self._kernel(len(drive)), drive)[: len(drive) : self.ratio]
+        head = filtered(self._kernel(len(drive)), drive)[: len(drive) : self.ratio]
         self.state = self.state + self.table.unit * _left(drive, self.pole / self.table.rate)
         return free + head
 
@@ -85,7 +86,7 @@ class PlayedString:
 
     def heard(self, sound: np.ndarray) -> np.ndarray:
         """A sound of this string [samples] through its path, and what that rings on."""
-        return convolved(sound, self.table.path)
+        return filtered(sound, self.table.path)
 
     @property
     def sounding(self) -> bool:

@@ -30,7 +30,7 @@ def _recording(place: int, heard) -> RecordingCurves:
     thin = slice(0, last, max(1, last // LOOP_POINTS))
     touching = np.where(compression > 0, 1.0, np.nan)[thin]
     return RecordingCurves(
-        place, float(heard.fitted.voice.hammer.v_H0), heard.levels["fitted_db"],
+        place, float(heard.fitted.note.hammer.v_H0), heard.levels["fitted_db"],
         p.number, heard.level, p.level_error, heard.fitted.level,
         1e3 * compression[thin] * touching, force[thin] * touching,
         recording.rate, recording.onset / recording.rate, recording.samples, heard.fitted.samples,
@@ -41,24 +41,24 @@ def paths_of(result: Result) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
     """The output path of each group at its partials: Hz and dB; none for a known pickup."""
     found = {}
     for heard, recording in zip(result.takes, result.document["takes"], strict=True):
-        path = heard.fitted.voice.path
+        path = heard.fitted.note.path
         if path is not None:
             found.setdefault(recording["group"], (path.frequency, path.db))
     return tuple(found[group] for group in sorted(found))
 
 
 def strokes_of(result: Result) -> Strokes | None:
-    """The reference's voice from the softest recording's velocity to the loudest's; of one, to half and to double."""
-    own = np.array([heard.fitted.voice.hammer.v_H0 for heard in result.takes])
+    """The reference's note from the softest recording's velocity to the loudest's; of one, to half and to double."""
+    own = np.array([heard.fitted.note.hammer.v_H0 for heard in result.takes])
     low, high = float(own.min()), float(own.max())
     inside = high / low > NARROW
     if not inside:
         middle, box = np.sqrt(low * high), PARAMETERS["v_H0"]
         low, high = max(middle / WIDER, box.lower), min(middle * WIDER, box.upper)
-    voice, recording = result.note, result.recording
+    note, recording = result.note, result.recording
     played = []
     for velocity in np.geomspace(low, high, STROKES):
-        struck = voice._replace(hammer=voice.hammer._replace(v_H0=float(velocity)))
+        struck = note._replace(hammer=note.hammer._replace(v_H0=float(velocity)))
         try:
             played.append((float(velocity), struck.play(recording.rate, int(SECONDS * recording.rate))[0]))
         except (FitError, ParameterError):  # a contact that does not end is no sound to choose
@@ -66,5 +66,5 @@ def strokes_of(result: Result) -> Strokes | None:
     if len(played) < 2:
         return None
     velocities = np.array([velocity for velocity, _ in played])
-    first = int(np.abs(np.log(velocities / voice.hammer.v_H0)).argmin())
+    first = int(np.abs(np.log(velocities / note.hammer.v_H0)).argmin())
     return Strokes(velocities, tuple(sound for _, sound in played), recording.rate, first, inside)

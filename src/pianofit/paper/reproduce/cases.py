@@ -17,10 +17,10 @@ from ...criterion import BANDS, band_of, band_values, line_sigma, measure
 from ...inference import Result
 from ...inference.fit import fit_takes
 from ...inference.start import starting_values
+from ...model.note import Note
 from ...parameters import FIT_NAMES, STRING_NAMES
 from ...recording import Recording, recording_from_samples
 from ...setup import Setup, setup_from_dict
-from ...voice import Voice
 from ..laboratory import Laboratory, Measurement, setup_text
 from ..laboratory import measure as record
 from ..recipes import fit_by_recipe
@@ -114,13 +114,13 @@ def values_of(result: Result) -> dict[str, float]:
     return {name: float(result.document["parameters"][name]["value"]) for name in FIT_NAMES}
 
 
-def played(voice: Voice, case: Case, velocity: float | None = None) -> np.ndarray:
-    """A voice, at another hammer velocity if one is given, laid over a measurement's onset: m/s [samples]."""
+def played(note: Note, case: Case, velocity: float | None = None) -> np.ndarray:
+    """A note, at another hammer velocity if one is given, laid over a measurement's onset: m/s [samples]."""
     if velocity is not None:
-        voice = voice._replace(hammer=voice.hammer._replace(v_H0=velocity))
+        note = note.struck(velocity)
     rate, onset = case.recording.rate, case.recording.onset
-    samples, _ = voice.play(rate, len(case.recording.samples), case.measurement.onset)
-    return samples[onset:] / voice.gain
+    samples, _ = note.play(rate, len(case.recording.samples), case.measurement.onset)
+    return samples[onset:] / note.gain
 
 
 def closeness(sound: np.ndarray, case: Case) -> Closeness:

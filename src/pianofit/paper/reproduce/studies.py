@@ -170,15 +170,15 @@ def _stroke_at(plan: Plan, lab: Laboratory, velocity: float, seed: int, recipes:
     case = make_case(lab, velocity, seed)
     results = {recipe: fitted(case, recipe, seed, plan.annealing, plan.tries) for recipe in recipes}
     first = next(iter(results.values()))
-    sounds = {"measured": case.heard, "initial": played(first.initial.voice, case)}
-    sounds |= {RECIPES[recipe]: played(result.fitted.voice, case) for recipe, result in results.items()}
+    sounds = {"measured": case.heard, "initial": played(first.initial.note, case)}
+    sounds |= {RECIPES[recipe]: played(result.fitted.note, case) for recipe, result in results.items()}
     return Stroke(case, results, sounds, {name: closeness(sound, case) for name, sound in sounds.items()})
 
 
 def _prediction(origin: Stroke, other: Stroke) -> Prediction:
     """The three-band fits at `origin`, struck as the sensor read it at the other velocity."""
     struck = other.case.measurement.nominal_velocity
-    sounds = {r: played(origin.results[r].fitted.voice, other.case, struck) for r in STRINGS}
+    sounds = {r: played(origin.results[r].fitted.note, other.case, struck) for r in STRINGS}
     heard, size = origin.case.heard, len(other.case.heard)
     instead = np.pad(heard, (0, max(size - len(heard), 0)))[:size]
     return Prediction(

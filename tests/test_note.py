@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import jax
 import numpy as np
 import pytest
-from instrument_cases import true_voice, uneven_voice
+from instrument_cases import true_note, uneven_note
 
 from pianofit import recording_from_samples
-from pianofit.criterion import OutputPath
+from pianofit.errors import ParameterError
+from pianofit.inference.align import lag, placed, touched
 from pianofit.model.modes import mode_frequencies
-from pianofit.voice import convolved, impulse, lag, placed, touched
+from pianofit.model.note import Note, arrival
+from pianofit.model.path import OutputPath, filtered, impulse
+from pianofit.model.response import level_db, ringing
 
 RATE, PERIOD = 10_000, 270  # of A♯1, 27 ms: an attack of 50 ms holds not two
 
@@ -37,10 +41,10 @@ def steep(midi):
 
 
 def test_a_strike_that_begins_in_the_file_is_not_cut():
-    sound, _ = true_voice(24)._replace(path=steep(24)).play(44_100, 4410, touch=200)
+    sound, _ = true_note(24)._replace(path=steep(24)).play(44_100, 4410, touch=200)
     assert not sound[:200].any()
     assert abs(sound[200]) < 1e-3 * np.abs(sound).max()
-    cut, _ = true_voice(24)._replace(path=steep(24)).play(44_100, 4410, touch=-200)
+    cut, _ = true_note(24)._replace(path=steep(24)).play(44_100, 4410, touch=-200)
     np.testing.assert_allclose(cut[: 4410 - 400], sound[400:], atol=1e-9 * np.abs(sound).max())
 
 
@@ -48,40 +52,40 @@ def test_a_strike_that_begins_in_the_file_is_not_cut():
 @pytest.mark.parametrize("midi", [24, 48, 84])
 @pytest.mark.parametrize("noise_db", [-80, -50])
 def test_the_touch_is_found_from_what_is_seen_of_it_in_the_noise(colour, midi, noise_db):
-    voice, rate, touch = true_voice(midi)._replace(path=steep(midi)), 44_100, 20_000
-    sound, strike = voice.play(rate, 2 * rate, touch)
+    note, rate, touch = true_note(midi)._replace(path=steep(midi)), 44_100, 20_000
+    sound, strike = note.play(rate, 2 * rate, touch)
     noise = np.random.default_rng(midi).normal(size=2 * rate)
     for n in range(1, len(noise)):
         noise[n] += colour * noise[n - 1]
     noise *= np.abs(sound).max() * 10 ** (noise_db / 20) / noise.std()
     recording = recording_from_samples(0.5 * (sound + noise) / np.abs(sound).max(), rate)
     assert recording.onset >= touch
-    assert abs(touched(voice, strike, recording) - touch) < 0.002 * rate
+    assert abs(touched(note, strike, recording) - touch) < 0.002 * rate
 
 
 @pytest.mark.parametrize("midi", [40, 60, 84])
 def test_every_partial_is_as_loud_as_the_path_says(midi):
     """Where the criterion hears it, on the damped circle, and though each partial has a decay of its own."""
-    voice = uneven_voice(midi)
+    note = uneven_note(midi)
     rate = 44_100
-    through, _ = voice.play(rate, 2 * rate)
-    plain, _ = voice._replace(path=None).play(rate, 2 * rate)
+    through, _ = note.play(rate, 2 * rate)
+    plain, _ = note._replace(path=None).play(rate, 2 * rate)
     damped = np.exp(-30.0 * np.arange(2 * rate) / rate)
     energy = np.abs(np.fft.rfft(np.stack([through, plain]) * damped)) ** 2
-    f, bins = voice.path.frequency, np.fft.rfftfreq(2 * rate, 1 / rate)
+    f, bins = note.path.frequency, np.fft.rfftfreq(2 * rate, 1 / rate)
     lines = np.abs(bins - f[:, None]) < 0.2 * f[0]
     found = 10 * np.log10((lines @ energy[0]) / (lines @ energy[1]))
     # On that circle a line is 5 Hz wide, and of neighbours 82 Hz apart it reaches into the steps of the path.
-    np.testing.assert_allclose(found, voice.path.db, atol=0.4)
+    np.testing.assert_allclose(found, note.path.db, atol=0.4)
 
 
 def test_a_slow_push_goes_through_the_path_at_its_own_frequency():
     """A soft hammer presses longer than a period lasts: no mode's own frequency is in that, nor its level."""
-    voice, k = true_voice(84), np.arange(1, 16)
-    soft = voice.hammer._replace(v_H0=0.05, K_H=1e-2 * voice.hammer.K_H)
-    rises = OutputPath(mode_frequencies(voice.string, voice.geometry.length, len(k)), -30.0 + 3 * k)
-    through, strike = voice._replace(hammer=soft, path=rises).play(44_100, 4410)
-    plain, _ = voice._replace(hammer=soft, path=None).play(44_100, 4410)
+    note, k = true_note(84), np.arange(1, 16)
+    soft = note.hammer._replace(v_H0=0.05, K_H=1e-2 * note.hammer.K_H)
+    rises = OutputPath(mode_frequencies(note.string, note.geometry.length, len(k)), -30.0 + 3 * k)
+    through, strike = note._replace(hammer=soft, path=rises).play(44_100, 4410)
+    plain, _ = note._replace(hammer=soft, path=None).play(44_100, 4410)
     assert strike.contact_time > 1 / rises.frequency[0]
     through, plain = np.fft.rfft(through), np.fft.rfft(plain)
     slow = (np.fft.rfftfreq(4410, 1 / 44_100) < 0.7 * rises.frequency[0]) & (np.abs(plain) > 0.1 * np.abs(plain[0]))
@@ -105,4 +109,41 @@ def test_a_long_sound_goes_through_a_filter_block_by_block():
     random = np.random.default_rng(3)
     for length in (1, 50, 1000, 20_000):
         sound, response = random.normal(size=length), random.normal(size=300)
-        np.testing.assert_allclose(convolved(sound, response), np.convolve(sound, response), atol=1e-10)
+        np.testing.assert_allclose(filtered(sound, response), np.convolve(sound, response), atol=1e-10)
+
+
+def test_a_note_is_a_pytree_whose_quantity_is_static():
+    note = true_note(60)
+    leaves, tree = jax.tree.flatten(note)
+    assert not any(isinstance(leaf, str) for leaf in leaves)
+    again = jax.tree.unflatten(tree, leaves)
+    assert isinstance(again, Note)
+    assert (again.quantity, again.hammer, again.gain) == (note.quantity, note.hammer, note.gain)
+    assert jax.jit(lambda n: n._replace(gain=2 * n.gain))(note).quantity == "pressure"
+
+
+def test_a_note_renders_at_any_velocity_and_refuses_others():
+    note = true_note(60)
+    soft, loud = note.render(0.5, seconds=0.2), note.render(4.0, seconds=0.2, rate=48_000)
+    assert soft.shape == (8820,)
+    assert loud.shape == (9600,)
+    assert np.abs(loud).max() > 5 * np.abs(soft).max()
+    np.testing.assert_array_equal(note.render(seconds=0.2), note.play(44_100, 8820)[0])
+    with pytest.raises(ParameterError, match=r"velocity=100.0 m/s must be from 0.01 to 20"):
+        note.render(100.0)
+
+
+def test_levels_are_those_of_the_sound_after_the_contact():
+    """Of the velocity, the path and the gain; against the stroke that plays."""
+    note = true_note(60)
+    by_velocity = note.levels(np.array([0.5, 4.0]), 20)
+    assert by_velocity.shape == (2, 20)
+    np.testing.assert_allclose(note.levels(4.0, 20), by_velocity[1], atol=1e-9)
+    np.testing.assert_allclose(note.levels(count=20), by_velocity[1], atol=1e-9)
+    strike = note.strike(44_100)
+    decay = -strike.modes.pole.real[:20]
+    amplitude = np.asarray(ringing(strike.modes, strike.pulse.drive))[:20]
+    amplitude = amplitude * np.exp(-decay * arrival(note.string, note.geometry, note.quantity))
+    assert note.path is not None
+    played = level_db(amplitude, decay, np) + note.path.at(note.frequencies(20)) + 20 * np.log10(note.gain)
+    np.testing.assert_allclose(by_velocity[1], played, atol=1e-6)

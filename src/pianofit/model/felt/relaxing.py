@@ -1,4 +1,4 @@
-"""Felt laws, as one formula and one equation a step.
+"""The package's own laws of the felt, as one formula and one equation a step.
 
     F = K_H [u^p (1 + μ u̇) - ε c], never below 0,     τ ċ = u^p - c
 
@@ -23,7 +23,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from ..parameters import Hammer, MemoryHammer
+from ...parameters import Hammer, MemoryHammer
+from ..precision import float64
 
 __all__ = ["Weights", "compression", "felt_force", "force", "memory_weights", "remember"]
 
@@ -55,6 +56,7 @@ def felt_force(u: Array, w: Array, hammer: Hammer | MemoryHammer, memory=0.0, sh
     return jnp.where((u > 0) & (law > 0), law, 0.0)
 
 
+@float64
 def memory_weights(hammer: Hammer | MemoryHammer, step: Array) -> Weights | None:
     """The weights of a step, s, to rounding for any τ; None for a felt without memory."""
     if not isinstance(hammer, MemoryHammer):

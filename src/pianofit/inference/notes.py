@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..criterion import OutputPath
-from ..voice import Voice
+from ..model.note import Note
+from ..model.path import OutputPath
 from .coordinates import STRING_SIZE
 from .finish import Minima
 from .likelihood import Latent
@@ -14,7 +14,7 @@ from .problem import Problem
 from .reports import latent
 from .string import string_residuals
 
-__all__ = ["latents", "path_of", "voice_of"]
+__all__ = ["latents", "path_of", "note_of"]
 
 
 def latents(minima: Minima, which: int) -> Latent:
@@ -51,11 +51,11 @@ def _decays(problem: Problem, minima: Minima, which: int, number: np.ndarray) ->
     return by_number[number]
 
 
-def voice_of(problem: Problem, minima: Minima, which: int, recording: int) -> Voice:
+def note_of(problem: Problem, minima: Minima, which: int, recording: int) -> Note:
     """The fitted string, and the hammer at the velocity of a recording's stroke; without a gain."""
     u, z = problem.unknowns, minima.people.z[which]
     cents = 1200 * np.log2(problem.analyses[recording].f0 / problem.analyses[problem.reference].f0)
     string = u.string(z)
     string = string._replace(c=string.c * 2 ** (cents / 1200))
     hammer = u.hammer(z, problem.layout.stroke[recording])
-    return Voice(string, hammer, u.struck(z), problem.start.quantity, 1.0, path_of(problem, minima, which, recording))
+    return Note(string, hammer, u.struck(z), problem.start.quantity, 1.0, path_of(problem, minima, which, recording))

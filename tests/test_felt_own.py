@@ -1,0 +1,137 @@
+"""A law of the felt from outside of the package: struck as the package's own, checked, differentiated, rendered."""
+
+from __future__ import annotations
+
+import doctest
+import importlib
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from felt_cases import RETURNING
+from model_cases import GEOMETRY, HAMMER, RATE, STRING
+
+import pianofit
+from pianofit import FeltLaw, Parameter, ParameterError, model
+from pianofit.parameters import PARAMETERS
+from pianofit.play.contact import blow, table_of
+
+pytestmark = pytest.mark.usefixtures("float64")
+
+BOXES = {name: PARAMETERS[name] for name in ("K_H", "mu", "p")}
+
+
+def hunt_crossley(u, w, felt):
+    return felt.K_H * u**felt.p * jnp.maximum(1 + felt.mu * w, 0.0)
+
+
+def spring(u, felt):
+    return felt.K_H * u ** (felt.p + 1) / (felt.p + 1)
+
+
+# The package's own law once more, as an outsider would write it.
+AGAIN = FeltLaw("Again", BOXES, hunt_crossley, spring)
+
+
+def again(hammer):
+    return AGAIN.kind(*hammer[:3], hammer.M_H, hammer.v_H0)
+
+
+HARD, LINEAR = HAMMER._replace(v_H0=5.0, p=3.5, K_H=1e13), HAMMER._replace(p=1.0, K_H=1e4)
+
+
+@pytest.mark.parametrize("hammer", [HAMMER, HARD, LINEAR])
+@pytest.mark.parametrize("kind", ["continuous", "finite_difference"])
+def test_a_law_written_outside_strikes_as_the_same_law_inside(hammer, kind):
+    modes = model.mode_table(STRING, GEOMETRY, rate=RATE, n_modes=48, kind=kind)
+    inside, outside = (model.strike(modes, h, steps=1024, whole=False) for h in (hammer, again(hammer)))
+    for name in ("drive", "compression", "hammer"):
+        a, b = getattr(inside, name), getattr(outside, name)
+        np.testing.assert_allclose(b, a, atol=1e-11 * np.abs(a).max(), err_msg=name)
+
+
+def test_a_felt_that_touches_again_does_so_by_an_outside_law():
+    modes = model.mode_table(STRING, GEOMETRY, rate=RATE, n_modes=64)
+    inside, outside = (model.strike(modes, h, steps=1024, whole=False) for h in (RETURNING, again(RETURNING)))
+    assert (np.diff((np.asarray(inside.force) > 0).astype(int)) == 1).sum() > 1
+    np.testing.assert_allclose(outside.force, inside.force, atol=1e-9 * np.abs(inside.force).max())
+
+
+def test_its_derivatives_are_those_of_the_law():
+    modes = model.mode_table(STRING, GEOMETRY, rate=RATE, n_modes=32)
+
+    def level(hammer):
+        return model.levels(modes, model.strike(modes, hammer, steps=512).drive)[4]
+
+    inside, outside = (jax.grad(level)(jax.tree.map(float, h)) for h in (HAMMER, again(HAMMER)))
+    for name in HAMMER._fields:
+        assert float(getattr(outside, name)) == pytest.approx(float(getattr(inside, name)), rel=1e-7), name
+
+
+def test_a_law_without_loss_keeps_the_energy_of_hammer_and_string():
+    """What the hammer loses the string has: nothing stays in a felt that has sprung back."""
+    law = FeltLaw("Tanh", BOXES, lambda u, _, felt: felt.K_H * u * (1 + jnp.tanh(u / 1e-4)))  # stiffer, then straight
+    felt = law.hammer(K_H=2e4, mu=0.1, p=1.0, M_H=5e-3, v_H0=1.5)
+    struck = model.simulate(STRING._replace(b1=1e-3, b2=1e-12), felt, GEOMETRY, oversampling=32)
+    before, after = (0.5 * felt.M_H * float(v) ** 2 for v in (felt.v_H0, struck.pulse.hammer[-1, 1]))
+    assert after + float(struck.pulse.work) == pytest.approx(before, rel=1e-5)
+
+
+def test_a_note_with_it_renders_and_has_levels():
+    felt = AGAIN.hammer(**{name: getattr(HAMMER, name) for name in HAMMER._fields})
+    own, outside = (pianofit.Note(STRING, h, GEOMETRY, "velocity", 0.1) for h in (HAMMER, felt))
+    np.testing.assert_allclose(outside.render(2.0, seconds=0.1), own.render(2.0, seconds=0.1), atol=1e-9)
+    np.testing.assert_allclose(outside.levels([0.5, 3.0], 10), own.levels([0.5, 3.0], 10), atol=1e-6)
+
+
+def active(u, w, felt):
+    """Pushes harder while it springs back than while it is pressed."""
+    return felt.K_H * u**felt.p * (1 - 0.1 * felt.mu * w)
+
+
+GOOD = {name: getattr(HAMMER, name) for name in HAMMER._fields}
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda: AGAIN.hammer(K_H=1e9), "felt law Again: a hammer needs mu, p, M_H, v_H0 too"),
+        (lambda: AGAIN.hammer(**GOOD | {"p": 9.0}), "felt law Again: p=9.0 must be a number from 1 to 5 1"),
+        (lambda: AGAIN.hammer(**GOOD, colour=1.0), "felt law Again: no parameter is called 'colour'"),
+        (lambda: FeltLaw("My felt", BOXES, hunt_crossley), "felt law 'My felt': 'My felt' must be a name"),
+        (
+            lambda: FeltLaw("F", {"M_H": Parameter("kg", "", 0.0, 1.0)}, hunt_crossley),
+            "'M_H' must be a name other than M_H, v_H0",
+        ),
+        (
+            lambda: FeltLaw("Gives", BOXES, active, spring).hammer(**GOOD),
+            "felt law Gives: at u=.* the felt would give more than its storage holds",
+        ),
+        (
+            lambda: blow(
+                table_of(pianofit.Note(STRING, HAMMER, GEOMETRY, "velocity", 1.0), 44_100),
+                AGAIN.hammer(**GOOD), np.zeros(64), "C4",
+            ),
+            "C4: felt law Again cannot be played",
+        ),
+    ],
+    ids=["missing", "box", "unknown", "name", "clash", "active", "played"],
+)  # fmt: skip
+def test_what_is_no_felt_is_refused(make, said):
+    with pytest.raises(ParameterError, match=said):
+        make()
+
+
+def test_a_pulse_that_is_cut_off_is_refused_and_marked_where_traced():
+    modes = model.mode_table(STRING, GEOMETRY, rate=RATE, n_modes=32)
+    with pytest.raises(ParameterError, match=r"steps=64: the contact is not proven to be over after .* s; give more"):
+        model.strike(modes, HAMMER, steps=64)
+    assert not model.strike(modes, HAMMER, steps=64, whole=False).over
+    assert not jax.jit(lambda h: model.strike(modes, h, steps=64).over)(HAMMER)
+
+
+@pytest.mark.parametrize("module", ["contact", "modes", "note", "response"])
+def test_the_examples_in_docstrings_run(module):
+    found = doctest.testmod(importlib.import_module(f"pianofit.model.{module}"))
+    assert (found.attempted > 0, found.failed) == (True, 0)
