@@ -62,7 +62,7 @@ def mass_for_contact(contact: float, velocity: float) -> float:
     low, high = 0.2 * it.hammer.M_H, 5.0 * it.hammer.M_H
     for _ in range(20):
         middle = float(np.sqrt(low * high))
-        stays = _simulate(it, velocity, middle).last_touch
+        stays = _simulate(it, velocity, middle).contact_time
         low, high = (middle, high) if stays < contact else (low, middle)
     return high
 
