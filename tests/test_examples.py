@@ -17,7 +17,7 @@ import pianofit
 from pianofit.parameters import FIT_NAMES
 
 # Rooms that an example is about, or has its twin from.
-ROOMS = ("keyboard", "play", "twin")
+ROOMS = ("keyboard", "play", "paper.twin")
 EXAMPLES = Path(__file__).parent.parent / "examples"
 
 
@@ -90,7 +90,7 @@ def test_a_felt_of_one_s_own_is_found_again(monkeypatch, capsys):
 
 
 def test_hammers_in_a_batch_come_nearer_in_float32(monkeypatch, capsys):
-    text = printed("06_hammers_in_a_batch.py", monkeypatch, capsys)
+    text = printed("07_hammers_in_a_batch.py", monkeypatch, capsys)
     losses = [float(x) for x in re.findall(r"^step +\d+: +(\S+) dB², gradients float32$", text, re.MULTILINE)]
     assert len(losses) == 3
     assert losses[2] < losses[1] < 0.5 * losses[0]
@@ -114,7 +114,7 @@ def test_a_prelude_is_played(monkeypatch, capsys, tmp_path):
 
 def test_the_cells_of_a_notebook_run(monkeypatch, capsys, tmp_path):
     monkeypatch.chdir(tmp_path)
-    text = printed("05_notebook.py", monkeypatch, capsys)
+    text = printed("06_notebook.py", monkeypatch, capsys)
     g, hammer = (getattr(pianofit.preset("chabassier-F3"), name) for name in ("geometry", "hammer"))
     found, low, high = map(float, re.search(r"mass: (\S+), 95 % interval (\S+) to (\S+)$", text, re.MULTILINE).groups())
     assert low < found < high

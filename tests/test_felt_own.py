@@ -15,7 +15,7 @@ from model_cases import GEOMETRY, HAMMER, RATE, STRING
 import pianofit
 from pianofit import FeltLaw, Parameter, ParameterError, model
 from pianofit.parameters import PARAMETERS
-from pianofit.play.contact import blow, table_of
+from pianofit.play.contact import stroke, table_of
 
 pytestmark = pytest.mark.usefixtures("float64")
 
@@ -109,7 +109,7 @@ GOOD = {name: getattr(HAMMER, name) for name in HAMMER._fields}
             "felt law Gives: at u=.* the felt would give more than its storage holds",
         ),
         (
-            lambda: blow(
+            lambda: stroke(
                 table_of(pianofit.Note(STRING, HAMMER, GEOMETRY, "velocity", 1.0), 44_100),
                 AGAIN.hammer(**GOOD), np.zeros(64), "C4",
             ),

@@ -52,6 +52,7 @@ def test_what_is_absent_stands_at_its_bound():
     assert calibrated.level.variance[0, 1] == priors.ABSENT_MARGIN**2
 
 
+@pytest.mark.usefixtures("float64")
 def test_padding_says_nothing(monkeypatch):
     residual, w, phi = (
         3 * np.random.default_rng(0).normal(size=(2, 64)),

@@ -53,7 +53,7 @@ sound = np.pad(sound, (4410, 0))
 sound = 0.5 * sound / np.abs(sound).max() + np.random.default_rng(0).normal(0.0, 1e-5, len(sound))
 recording = pianofit.recording_from_samples(sound, 44_100)
 analysis = pianofit.analyse(recording)
-result = pianofit.fit_recording(recording, analysis, pianofit.Setup())
+result = pianofit.fit(recording, analyses=[analysis])
 assert np.isfinite(result.fitted.samples).all()
 """
 

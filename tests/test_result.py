@@ -189,7 +189,10 @@ def test_tables_for_pandas():
     assert partials.index.name == "number"
 
 
-def test_draws_for_arviz():
+def test_draws_for_arviz(monkeypatch):
+    # Other tests put benchmarks/ on the path, whose coverage.py numba would take for the package of that name.
+    monkeypatch.delitem(sys.modules, "coverage", raising=False)
+    monkeypatch.setattr(sys, "path", [place for place in sys.path if not place.endswith("benchmarks")])
     with pytest.raises(FitError, match="intervals='posterior'"):
         result().to_arviz()
     with warnings.catch_warnings(action="ignore"):  # of its own plans

@@ -25,12 +25,22 @@ __all__ = [
     "Modes", "mode_table", "strike", "pluck", "FeltLaw", "Parameter", "levels", "spectrum", "waveform",
     # What can go wrong with an input.
     "PianofitError", "RecordingError", "SetupError", "ParameterError", "AnalysisError", "FitError", "OutputError",
+    "WrongNoteError",
     "__version__",
 ]  # fmt: skip
 
 if TYPE_CHECKING:
     from .analysis import Analysis, Partials, analyse
-    from .errors import AnalysisError, FitError, OutputError, ParameterError, PianofitError, RecordingError, SetupError
+    from .errors import (
+        AnalysisError,
+        FitError,
+        OutputError,
+        ParameterError,
+        PianofitError,
+        RecordingError,
+        SetupError,
+        WrongNoteError,
+    )
     from .fitting import fit
     from .inference import Covariance, Quantities, Quantity, Result
     from .inference.predict import Prediction, cross_validate, predict_take

@@ -1,7 +1,7 @@
 """Soft, middle and loud recordings of a key, fitted together: the cells of a notebook, which run as a program too.
 
-python examples/05_notebook.py                                  three layers that the program makes
-python examples/05_notebook.py F#2 soft.flac mezzo.flac ff.flac recordings of yours
+python examples/06_notebook.py                                  three layers that the program makes
+python examples/06_notebook.py F#2 soft.flac mezzo.flac ff.flac recordings of yours
 """
 
 # %% Load: here a published string and hammer, struck at three velocities, behind the same unknown gain.
