@@ -32,6 +32,7 @@ USES = {
     "model": "criterion parameters recording",
     "render": "io model parameters recording",
     "inference": "analysis criterion io model parameters progress published recording render setup tables threads",
+    "ringing": "analysis inference model recording",
     "report": "analysis inference io parameters",
     "paper": "analysis criterion inference io model parameters published recording report setup",
     "keyboard": "analysis io model parameters published render report",

@@ -49,6 +49,7 @@ class Recording:
     """One struck note, as every later step sees it."""
 
     samples: np.ndarray  # float64 [samples], mono, offset removed, ±1 = digital full scale
+    frames: np.ndarray  # float64 [channels, samples], of the channels that `samples` is the mean of, likewise
     rate: int  # Hz
     onset: int  # index of the first sample of the attack
     noise_rms: float  # of the noise floor, full scale = 1
@@ -239,8 +240,10 @@ def _measure(used: np.ndarray, rate: int, step: float, **facts) -> Recording:
         warnings += ("the file begins inside the note: the onset is its first sample, and the attack is incomplete",)
     if abs(dc) > 0.01:
         warnings += (f"an offset of {dc:.3g} of full scale was removed",)
-    samples.setflags(write=False)
-    return Recording(samples, rate, onset, max(noise, step / 12**0.5), dc, clipped, warnings=warnings, **facts)
+    frames = samples[None] if used.shape[1] == 1 else np.stack([x - _offset(x) for x in used.T])
+    for held in (samples, frames):
+        held.setflags(write=False)
+    return Recording(samples, frames, rate, onset, max(noise, step / 12**0.5), dc, clipped, warnings=warnings, **facts)
 
 
 def _audible(used: np.ndarray, rate: int, step: float) -> np.ndarray:

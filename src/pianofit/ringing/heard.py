@@ -1,0 +1,71 @@
+"""The layers of a key made ready: cut at their onsets, at one rate, of one length, and without their glide."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import signal
+from scipy.interpolate import CubicSpline
+
+from ..analysis import Analysis
+from ..recording import Recording
+
+__all__ = ["SPAN", "Heard", "hear"]
+
+# What is kept before the onset, s: a knock can begin there.
+BEFORE = 0.012
+# How long after the onset modes are looked for, s: most of an aftersound has shown its decay by then.
+SPAN = 3.3
+# Standard errors by which a pitch must fall to be taken for a fall.
+SURE = 3.0
+
+
+@dataclass(frozen=True)
+class Heard:
+    """The layers of a key, cut at their onsets, at one rate and of one length."""
+
+    samples: np.ndarray  # full scale = 1 [layers, channels, samples]
+    before: np.ndarray  # what precedes them, `BEFORE` s [layers, channels, samples]
+    rate: int  # Hz
+    seconds: np.ndarray  # of each layer, before silence was appended [layers]
+
+
+def hear(recordings: Sequence[Recording], analyses: Sequence[Analysis]) -> Heard:
+    """Cut at the onsets, all at the first one's rate and of one length, at most `SPAN`; without their glide."""
+    rate = recordings[0].rate
+    lead, most = round(BEFORE * rate), round((SPAN + 0.2) * rate)
+    cut = []
+    for recording, analysis in zip(recordings, analyses, strict=True):
+        x, onset = recording.frames, recording.onset
+        if recording.rate != rate:
+            by = np.gcd(rate, recording.rate)
+            x = signal.resample_poly(x, rate // by, recording.rate // by, axis=-1)
+            onset = round(onset * rate / recording.rate)
+        x = np.pad(x, ((0, 0), (max(lead - onset, 0), 0)))
+        cut.append(_level_pitch(x[:, max(onset - lead, 0) :][:, : lead + most], rate, lead, analysis))
+    channels, longest = max(len(x) for x in cut), max(x.shape[-1] for x in cut)
+    whole = np.stack([
+        np.pad(np.broadcast_to(x, (channels, x.shape[-1])) if len(x) == 1 else x, ((0, 0), (0, longest - x.shape[-1])))
+        for x in cut
+    ])  # fmt: skip
+    seconds = np.array([(x.shape[-1] - lead) / rate for x in cut])
+    return Heard(whole[..., lead:], whole[..., :lead], rate, seconds)
+
+
+def _level_pitch(x: np.ndarray, rate: int, lead: int, analysis: Analysis) -> np.ndarray:
+    """The sound at its own pitch from begin to end [channels, samples]: played faster where it is flat.
+
+    A string's tension falls as it decays, and all its partials with it, by one factor. A pitch that rises is none of
+    that but a beat, and one that is not surely another stays.
+    """
+    if analysis.glide_start <= SURE * analysis.glide_error:
+        return x
+    middle = np.array([0.5 * (start + stop) for start, stop, _ in analysis.glide])
+    pitch = np.array([f0 for *_, f0 in analysis.glide])
+    time = np.arange(x.shape[-1]) / rate
+    sharp = np.interp(np.log(np.maximum(time - lead / rate, 0.01)), np.log(middle), pitch / analysis.f0 - 1)
+    ahead = np.cumsum(sharp) / rate
+    fine = signal.resample_poly(x, 2, 1, axis=-1)
+    return CubicSpline(np.arange(fine.shape[-1]) / (2 * rate), fine, axis=-1)(time - ahead)

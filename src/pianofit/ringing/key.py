@@ -1,0 +1,207 @@
+"""How a key rings: its modes and its knock, each driven by the hammer's force.
+
+    sound_l(t) = g_l F_l(t) ∗ (Re Σ_m P_m e^{p_m t} + knock(t))
+
+What lies between the force and the file is the key's and is the same at every velocity: poles p, patterns P (one
+complex number a mode and channel) and a knock, a short kernel that holds what no mode does: the soundboard's and the
+key's own thump, and what lies below the lowest partial. F_l is the force of layer l's stroke, from the fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy import signal
+
+from .heard import Heard
+from .modes import PartialModes, common_pattern, ring
+
+__all__ = ["Force", "Ringing", "key_of"]
+
+# The knock may begin so long before the contact, s: an onset is found a little late,
+LEAD = 0.012
+# and lasts so long after it, s: beyond this it gains little (the knee of the distance over its length).
+KNOCK = 0.4
+# Part of it, at its end, in which it fades.
+FADE = 1 / 3
+# Regularisation, share of the force's power spectrum smoothed over `SMOOTH` bins: where no force was, nothing is told.
+RIDGE = 0.05
+SMOOTH = 41
+# A mode that the force drives so much less than another, amplitude, lies where its spectrum is nought: what it shows
+# there is not the force's.
+DRIVEN = 0.003
+# A force whose spectrum lies so far below its largest, amplitude, is the model's smoothness and drives no knock: other
+# sounds than the model's lie as far below the loudest partial (the likelihood's prior of η).
+FLOOR = 0.002
+# Onsets of layers may differ so much from the contact's, s.
+LATEST = 0.025
+# What a delay's attack says over what its phases say.
+ATTACK = 1.5
+# What the largest delay costs on that scale: onsets are mostly right.
+FAR = 0.5
+# Sweeps of the two-way fit of levels.
+SWEEPS = 20
+# Length, s, of the attacks that are correlated.
+ALIGNED = 0.08
+
+
+class Force(NamedTuple):
+    """A stroke's force, from the first touch on."""
+
+    newton: np.ndarray  # [steps]
+    step: float  # s
+
+    def drive(self, pole: np.ndarray) -> np.ndarray:
+        """∫ F e^{-pole t} dt, N s, complex [modes]: how far a stroke sets modes ringing."""
+        return np.exp(-np.outer(pole, self.step * np.arange(len(self.newton)))) @ self.newton * self.step
+
+    def at(self, rate: int) -> np.ndarray:
+        """The impulse of every sample at `rate`, N s [samples], band-limited; `EDGE` samples before the touch."""
+        by = round(1 / (self.step * rate))
+        if by < 1 or abs(by * self.step * rate - 1) > 1e-6:
+            fine = np.arange(0, len(self.newton) * self.step, 1 / (8 * rate))
+            return Force(np.interp(fine, self.step * np.arange(len(self.newton)), self.newton), 1 / (8 * rate)).at(rate)
+        edge = EDGE * by
+        return signal.resample_poly(np.pad(self.newton, (edge, edge)), 1, by) / rate
+
+
+# Samples before a force's touch that a band-limited force needs.
+EDGE = 8
+
+
+class Ringing(NamedTuple):
+    """What lies between the force on a key's strings and the file."""
+
+    number: np.ndarray  # int, partial of each mode [modes]
+    pole: np.ndarray  # 1/s, complex [modes]
+    pole_error: np.ndarray  # standard error of its real and imaginary part, 1/s [modes]
+    pattern: np.ndarray  # P, file units over N s, complex [channels, modes]
+    knock: np.ndarray  # file units over N s [channels, samples] at `rate`, from `LEAD` before the contact
+    rate: int  # Hz
+
+    def response(self, rate: int, count: int, *, knock: bool = True) -> np.ndarray:
+        """To a unit impulse at the contact [channels, LEAD + count samples], from `LEAD` before it."""
+        lead = round(LEAD * rate)
+        rung = ring(self.pole, self.pattern, rate, count)
+        out = np.pad(rung, ((0, 0), (lead, 0)))
+        if knock and self.knock.shape[-1]:
+            own = self.knock
+            if rate != self.rate:
+                by = np.gcd(rate, self.rate)
+                own = signal.resample_poly(own, rate // by, self.rate // by, axis=-1) * (self.rate / rate)
+            size = min(own.shape[-1], out.shape[-1])
+            out[:, :size] += own[:, :size]
+        return out
+
+    def sound(self, force: Force, rate: int, count: int, *, knock: bool = True) -> np.ndarray:
+        """A stroke in file units [channels, count], from `LEAD` before its first touch."""
+        driven = signal.oaconvolve(self.response(rate, count, knock=knock), force.at(rate)[None], axes=-1)
+        return driven[:, EDGE : EDGE + count]
+
+
+def key_of(heard: Heard, modes: Sequence[PartialModes], forces: Sequence[Force]) -> Ringing:
+    """The key that these layers, by these forces, show; gains of layers are taken out."""
+    delay, gain, pattern = _patterns(heard, modes, forces)
+    pole = np.concatenate([m.poles for m in modes])
+    found = Ringing(
+        np.concatenate([np.full(len(m.pole), m.number) for m in modes]), pole,
+        np.concatenate([m.pole_error for m in modes]), pattern, np.zeros((pattern.shape[0], 0)), heard.rate,
+    )  # fmt: skip
+    return found._replace(knock=_knock(heard, modes, found, forces, delay, gain))
+
+
+def _patterns(
+    heard: Heard, modes: Sequence[PartialModes], forces: Sequence[Force]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """When each layer's contact was after its onset, s; its gain; and P [channels, modes]."""
+    layers = len(forces)
+    strongest = np.array([m.poles[np.argmax(np.abs(m.amplitude).sum((0, 1)))] for m in modes])
+    drive = np.stack([force.drive(strongest) for force in forces], axis=1)
+    loud = np.array([np.abs(m.amplitude).sum(-1).max() for m in modes])
+    weight = np.stack([np.clip((m.snr - 10) / 20, 0, 1) for m in modes]) * loud[:, None] ** 0.3
+    factor = np.stack([common_pattern(m.at_onset, m.noise)[1] for m in modes])
+    omega = 2 * np.pi * np.array([m.frequency for m in modes])
+    delay = np.array([_delay(heard, factor / drive, weight, omega, i) for i in range(layers)])
+    delay -= delay.min()  # no contact is before its onset, and of one layer it is there
+    each = []
+    for j, m in enumerate(modes):
+        turn = np.exp(np.multiply.outer(delay, m.poles))[:, None, :]
+        pattern, factor[j] = common_pattern(m.at_onset * turn, m.noise)
+        each.append(pattern)
+    ratio = factor / drive
+    log = np.log(np.maximum(np.abs(ratio), 1e-30))
+    gain, level = np.zeros(layers), np.zeros(len(modes))
+    for _ in range(SWEEPS):
+        level = (weight * (log - gain)).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-9)
+        gain = (weight * (log - level[:, None])).sum(axis=0) / np.maximum(weight.sum(axis=0), 1e-9)
+    phase = np.angle((weight * ratio / np.maximum(np.abs(ratio), 1e-30)).sum(axis=1))
+    scaled = [p * np.exp(x + 1j * a) for p, x, a in zip(each, level, phase, strict=True)]
+    return delay, np.exp(gain), np.concatenate(scaled, axis=-1)
+
+
+def _delay(heard: Heard, ratio: np.ndarray, weight: np.ndarray, omega: np.ndarray, layer: int) -> float:
+    """How much later a layer's contact lies after its onset than the last one's, s.
+
+    Phases alone are ambiguous in the treble, where partials are few: the attacks' correlation has a say as well.
+    """
+    tried = np.arange(-LATEST, LATEST, 4e-6)
+    turn = ratio[:, layer] * ratio[:, -1].conj()
+    turn = turn / np.maximum(np.abs(turn), 1e-30) * weight[:, layer]
+    phases = (np.exp(1j * np.outer(tried, omega)) @ turn).real / max(weight[:, layer].sum(), 1e-12)
+    size = round(ALIGNED * heard.rate)
+    a, b = heard.samples[layer, :, :size], heard.samples[-1, :, :size]
+    cross = np.fft.irfft(np.fft.rfft(a, 2 * size) * np.fft.rfft(b, 2 * size).conj()).sum(axis=0)
+    alike = np.abs(signal.hilbert(np.roll(cross, size))) / np.sqrt((a**2).sum() * (b**2).sum())
+    attacks = np.interp(tried * heard.rate + size, np.arange(2 * size), alike)
+    return float(tried[np.argmax(phases + ATTACK * attacks - FAR * np.abs(tried) / LATEST)])
+
+
+def _knock(
+    heard: Heard, modes: Sequence[PartialModes], key: Ringing, forces: Sequence[Force], delay: np.ndarray,
+    gain: np.ndarray,
+) -> np.ndarray:  # fmt: skip
+    """Σ w F* R / (Σ w |F|² + λ) over layers [channels, samples].
+
+    R is what a layer's modes leave by the amplitudes that the layer itself shows, from its contact on: what the common
+    pattern misses of a partial is no knock.
+    """
+    amplitude = np.concatenate([m.at_onset for m in modes], axis=-1)
+    rate, lead = heard.rate, round(LEAD * heard.rate)
+    size = round((LEAD + KNOCK) * rate)
+    count = 1 << int(np.ceil(np.log2(2 * size)))
+    fade, last = np.ones(size), round(FADE * size)
+    fade[-last:] = 0.5 + 0.5 * np.cos(np.pi * np.arange(last) / last)
+    turn = 2j * np.pi * np.fft.rfftfreq(count)
+    above = np.zeros((heard.samples.shape[1], count // 2 + 1), complex)
+    below = np.zeros(count // 2 + 1)
+    for x, before, own, force, late, g in zip(heard.samples, heard.before, amplitude, forces, delay, gain, strict=True):
+        # Every layer from `LEAD` before its contact.
+        around = np.concatenate([before[:, before.shape[-1] - lead :], x], axis=-1)
+        seen = _shifted(around[:, : 2 * size], -late * rate)[:, :size]
+        rest = seen - _alone(key, own * np.exp(key.pole * late), force, rate, size)
+        spectrum = g * np.fft.rfft(force.at(rate), count) * np.exp(turn * EDGE)
+        weight = 1 / np.sum(seen**2)
+        above += weight * spectrum.conj() * np.fft.rfft(rest * fade, count)
+        below += weight * np.abs(spectrum) ** 2
+    smooth = np.exp(
+        signal.convolve(np.pad(np.log(below + 1e-300), SMOOTH // 2, "edge"), np.ones(SMOOTH) / SMOOTH, "valid")
+    )
+    return np.fft.irfft(above / (below + RIDGE * smooth + FLOOR**2 * below.max()), count)[:, :size] * fade
+
+
+def _alone(key: Ringing, amplitude: np.ndarray, force: Force, rate: int, size: int) -> np.ndarray:
+    """Modes of these amplitudes at the contact, driven by the force where it drives them and begun there otherwise."""
+    drive = force.drive(key.pole)
+    driven = amplitude * drive.conj() / (np.abs(drive) ** 2 + (DRIVEN * np.abs(drive).max()) ** 2)
+    lead = round(LEAD * rate)
+    begun = ring(key.pole, amplitude - driven * drive, rate, size - lead)
+    return key._replace(pattern=driven).sound(force, rate, size, knock=False) + np.pad(begun, ((0, 0), (lead, 0)))
+
+
+def _shifted(x: np.ndarray, samples: float) -> np.ndarray:
+    """x later by so many samples, a fraction of one too."""
+    size = x.shape[-1] + 2048
+    turn = np.exp(-2j * np.pi * np.fft.rfftfreq(size) * samples)
+    return np.fft.irfft(np.fft.rfft(x, size) * turn, size)[..., : x.shape[-1]]

@@ -1,0 +1,347 @@
+"""The modes that every partial of a key rings with, common to all its layers and channels.
+
+A partial of a real note is no single damped mode: unison strings, two polarisations and the soundboard give it up to
+four, which beat and leave an aftersound. The poles are the key's, not the stroke's; what a stroke does is excite them.
+So all layers are fitted together, each relative to its own envelope and even in the logarithm of time, which is what
+makes the aftersound count. How many modes a partial has is decided by what they explain in a layer whose pattern the
+other layers gave, and by what they explain in that layer by itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import signal
+
+from ..analysis import Analysis, law_frequency
+from .bands import Band, band, kernel_gain, kernel_seconds
+from .heard import SPAN, Heard
+from .subspace import Signals, amplitudes, poles_by_subspace, refined, standard_errors
+
+__all__ = ["PartialModes", "common_pattern", "modes_of", "ring"]
+
+# Time, s, that is counted even in its logarithm from here on.
+EVEN = 0.1
+# How many modes a partial can have.
+ORDERS = (1, 2, 3, 4)
+# Every mode more has to lower the misfit's power by this factor, or it is not the key's.
+PENALTY = 1.25
+# Lifts of the subspace's start, in decay rates of the single mode: 0 favours the attack, 1 the aftersound.
+LIFTS = (0.0, 0.4, 0.8)
+# What lies so far below a band's largest, dB, is not fitted however clean: other strings ring along there.
+RANGE = 48.0
+# A layer whose band stands less above its noise, dB, says nothing of its poles.
+LEAST_SNR = 10.0
+# A partial whose modes lie so far below the strongest partial's, dB, is none.
+FAINTEST = -65.0
+# A layer's partial is followed where its phase against the loudest layer's keeps this coherence.
+COHERENT = 0.6
+# Partials that tell a layer's pitch, and how far from the last layer's it is looked for, relative: five cents.
+TUNED = 16
+DETUNED = 3e-3
+# Slowest decay of a mode, 1/s: T60 of two minutes.
+SLOWEST = 0.05
+# Length of the envelope's average, s.
+ENVELOPE = 0.06
+# Part of a misfit's power that nothing explains, lest perfect fits decide by rounding.
+LEFT = 0.002
+# Frames of a band say the same as their neighbours: its rate is twice its kernel's main lobe, at the least.
+CORRELATED = 2.0
+
+
+@dataclass(frozen=True)
+class PartialModes:
+    """One partial's modes; amplitudes are those at `start`."""
+
+    number: int  # k
+    frequency: float  # Hz, that poles are about
+    spacing: float  # Hz, to the next partial
+    start: float  # s after the onset
+    pole: np.ndarray  # 1/s about the frequency, complex [modes]
+    pole_error: np.ndarray  # standard error of real and imaginary part, 1/s [modes]
+    amplitude: np.ndarray  # complex, full scale = 1 [layers, channels, modes]
+    offset: np.ndarray  # Hz, of each layer over the loudest [layers]
+    noise: np.ndarray  # of the band [layers, channels]
+    snr: np.ndarray  # dB, of the band's largest over its noise [layers]
+    misfit: float  # share of the power, relative to the envelope, that the modes leave
+    carried: float  # the same with the pattern of the other layers; `misfit` where one layer is alone
+
+    @property
+    def poles(self) -> np.ndarray:
+        """Absolute, 1/s, complex [modes]."""
+        return self.pole + 2j * np.pi * self.frequency
+
+    @property
+    def at_onset(self) -> np.ndarray:
+        """Amplitudes carried back to the onset [layers, channels, modes]."""
+        return self.amplitude * np.exp(-self.pole * self.start)
+
+
+def modes_of(heard: Heard, analyses: Sequence[Analysis]) -> list[PartialModes]:
+    """The modes of every partial that any analysis found, of the layers `heard`; louder layers last.
+
+    A second pass takes out of each partial's band what the first found in its neighbours'.
+    """
+    count = heard.samples.shape[-1]
+    spectrum = np.fft.rfft(heard.samples)
+    partials = _partials(analyses, heard.rate)
+    pitch = _pitches(spectrum, count, heard, partials[:TUNED])
+    found: list[PartialModes] = []
+    for number, frequency, spacing in partials:
+        modes = _fit(spectrum, count, heard, (number, frequency, spacing), pitch, None, quick=True)
+        found += [modes] if modes else []
+    found = _loud(found)
+    if not found:
+        return []
+    rest = np.fft.rfft(heard.samples - sounded(found, heard))
+    again = [
+        _fit(rest, count, heard, (modes.number, modes.frequency, modes.spacing), pitch, modes, quick=False)
+        for modes in found
+    ]
+    return _loud([modes for modes in again if modes])
+
+
+def _partials(analyses: Sequence[Analysis], rate: int) -> list[tuple[int, float, float]]:
+    """Number, frequency in the last layer's pitch and spacing of the partials that any layer shows."""
+    last = analyses[-1]
+    seen: dict[int, list[float]] = {}
+    for a in analyses:
+        for k, f in zip(a.partials.number, a.partials.frequency, strict=True):
+            seen.setdefault(int(k), []).append(f * last.f0 / a.f0)
+    rows = [
+        (k, float(np.median(f)), float(np.diff(law_frequency(last.f0, last.B, np.array([k, k + 1])))[0]))
+        for k, f in sorted(seen.items())
+    ]
+    return [row for row in rows if row[1] + row[2] < 0.45 * rate]
+
+
+def _pitches(
+    spectrum: np.ndarray, count: int, heard: Heard, partials: Sequence[tuple[int, float, float]]
+) -> np.ndarray:
+    """How much higher each layer sounds than the last, relative [layers]: the median of where its partials cohere.
+
+    Each layer's own law will not do: its partials beat, and a layer's beats move its f0 by a cent.
+    """
+    offset, weight = [], []
+    for _, frequency, spacing in partials:
+        b = band(spectrum, count, heard.rate, frequency, kernel_seconds(spacing))
+        away, coherence = _offsets(b.values, b.time, np.zeros(len(b.values)), DETUNED * frequency)
+        offset.append(away / frequency)
+        weight.append(np.where(coherence > 0.5, coherence**2, 1e-9))
+    pitch = np.zeros(len(heard.samples))
+    for i, (x, w) in enumerate(zip(np.array(offset).T, np.array(weight).T, strict=True)):
+        order = np.argsort(x)
+        total = np.cumsum(w[order])
+        pitch[i] = x[order][np.searchsorted(total, total[-1] / 2)]
+    return pitch
+
+
+def _loud(found: list[PartialModes]) -> list[PartialModes]:
+    level = [np.abs(modes.amplitude).sum(-1).max() for modes in found]
+    return [m for m, x in zip(found, level, strict=True) if x > max(level) * 10 ** (FAINTEST / 20)]
+
+
+def sounded(found: Sequence[PartialModes], heard: Heard) -> np.ndarray:
+    """What the modes sound like in every layer [layers, channels, samples]."""
+    layers, channels, count = heard.samples.shape
+    out = np.zeros((layers, channels, count))
+    for i in range(layers):
+        pole = np.concatenate([m.poles + 2j * np.pi * m.offset[i] for m in found])
+        out[i] = ring(pole, np.concatenate([m.at_onset[i] for m in found], axis=-1), heard.rate, count)
+    return out
+
+
+def ring(pole: np.ndarray, amplitude: np.ndarray, rate: float, count: int) -> np.ndarray:
+    """Re Σ amplitude exp(pole t), [channels, count], of amplitudes [channels, modes].
+
+    Time is cut into blocks: a block's begin times the way through a block is one matrix product.
+    """
+    block = 1 << int(np.ceil(np.log2(np.sqrt(count))))
+    begins = np.exp(np.outer(np.arange(-(-count // block)) * (block / rate), pole))
+    inside = np.exp(np.outer(pole, np.arange(block) / rate))
+    rows = (amplitude[:, None, :] * begins) @ inside
+    return np.real(rows).reshape(len(amplitude), -1)[:, :count]
+
+
+def _offsets(z: np.ndarray, time: np.ndarray, expected: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
+    """How far each layer's partial lies above the last layer's, Hz, within `reach`; and how coherent they are."""
+    at = (time > 0.08) & (time < 2.5)
+    found = np.zeros((2, len(z)))
+    for i in range(len(z)):
+        turn = (z[i] * z[-1].conj())[:, at]
+        turn = turn / np.sqrt(np.abs(turn) + 1e-30)
+        tried = expected[i] + np.linspace(-1, 1, 121) * reach
+        sums = np.abs(turn @ np.exp(-2j * np.pi * np.outer(time[at], tried))).sum(axis=0)
+        best = int(np.argmax(sums))
+        found[:, i] = tried[best], sums[best] / max(np.abs(turn).sum(), 1e-30)
+    return found[0], found[1]
+
+
+@dataclass(frozen=True)
+class _Band:
+    """What is fitted of a band: which layers and channels, from when, and what is a deviation of 1."""
+
+    live: list[tuple[int, int]]
+    signals: Signals
+    scale: list[float]
+    start: float
+    noise: np.ndarray  # [layers, channels]
+    snr: np.ndarray  # [layers]
+
+
+def _prepare(b: Band, z: np.ndarray, beside: np.ndarray, ends: np.ndarray) -> _Band | None:
+    """Cut a band to where it is heard.
+
+    Parameters
+    ----------
+    z : the band [layers, channels, frames]; `beside`: magnitude of the band half a spacing above, likewise.
+    ends : s, of each layer.
+    """
+    layers, channels, _ = z.shape
+    quiet = [(b.time > 0.8 * end) & (b.time < end - b.kernel) for end in ends]
+    noise = np.stack([1.2 * np.median(beside[i][:, at], axis=-1) for i, at in enumerate(quiet)]) + 1e-9
+    width = max(1, int(ENVELOPE / b.step))
+    smooth = np.ones((1, 1, width)) / width
+    envelope = np.sqrt(signal.convolve(np.abs(z) ** 2, smooth, "same").clip(0))
+    first = int(np.ceil((b.kernel / 2 + 0.003) / b.step))
+    stop = [int((min(SPAN, end - 0.01) - b.kernel / 2) / b.step) for end in ends]
+    top = envelope[..., first : first + 6].max(axis=-1)
+    snr = 20 * np.log10(top / noise)
+    floor = np.maximum(noise, top * 10 ** (-RANGE / 20))
+    live = [(i, c) for i in range(layers) for c in range(channels) if snr[i, c] > LEAST_SNR and stop[i] > first + 8]
+    if not live:
+        return None
+    values, size, scale = [], [], []
+    for i, c in live:
+        low = np.flatnonzero(envelope[i, c, first : stop[i]] < 2 * floor[i, c])
+        last = first + max(int(low[0]) if len(low) else stop[i] - first, 24, int(0.1 / b.step))
+        at = slice(first, min(last, z.shape[-1]))
+        values.append(z[i, c, at])
+        # The root counts equal ratios of time alike.
+        even = np.sqrt((b.time[at] + EVEN) / (b.time[first] + EVEN))
+        size.append((envelope[i, c, at] + 2 * floor[i, c]) * even)
+        scale.append(max(floor[i, c], envelope[i, c, first] * 10 ** (-40 / 20)))
+    return _Band(live, Signals(values, size, b.step), scale, first * b.step, floor, snr.max(axis=1))
+
+
+def _fit(
+    spectrum: np.ndarray, count: int, heard: Heard, where: tuple[int, float, float], pitch: np.ndarray,
+    own: PartialModes | None, *, quick: bool,
+) -> PartialModes | None:  # fmt: skip
+    """Modes of one partial of all layers; None where no layer shows it.
+
+    Parameters
+    ----------
+    own : what an earlier pass found, and took out of `spectrum` with all others.
+    quick : one and three modes from the subspace alone, for such an earlier pass.
+    """
+    number, frequency, spacing = where
+    b = band(spectrum, count, heard.rate, frequency, kernel_seconds(spacing))
+    z = b.values
+    if own is not None:
+        z = z + np.stack([_within(own, i, b) for i in range(len(z))])
+    beside = np.abs(band(spectrum, count, heard.rate, frequency + spacing / 2, b.kernel).values)
+    expected = frequency * pitch
+    offset, coherence = _offsets(z, b.time, expected, 0.03 + 2e-4 * frequency)
+    offset = np.where(coherence > COHERENT, offset, expected)
+    z = z * np.exp(-2j * np.pi * offset[:, None, None] * b.time)
+    cut = _prepare(b, z, beside, heard.seconds)
+    if cut is None:
+        return None
+    chosen = _chosen(cut, z.shape[:2], spacing, b.kernel, quick)
+    if chosen is None:
+        return None
+    pole, amplitude, misfit, carried = chosen
+    error = standard_errors(pole, cut.signals, CORRELATED)
+    return PartialModes(
+        number, frequency, spacing, cut.start, pole, error, amplitude * 2 / kernel_gain(pole, b.kernel), offset,
+        cut.noise, cut.snr, misfit, carried,
+    )  # fmt: skip
+
+
+def _within(own: PartialModes, layer: int, b: Band) -> np.ndarray:
+    """What modes are in their band, after the kernel's edge [channels, frames]."""
+    each = own.amplitude[layer] * kernel_gain(own.pole, b.kernel) / 2
+    turn = np.exp(2j * np.pi * own.offset[layer] * b.time)
+    return each @ np.exp(np.outer(own.pole, b.time - own.start)) * turn
+
+
+def _chosen(
+    cut: _Band, shape: tuple[int, int], spacing: float, kernel: float, quick: bool
+) -> tuple[np.ndarray, np.ndarray, float, float] | None:
+    """Poles and amplitudes of the order that carries over best, and its misfits."""
+    one = poles_by_subspace(cut.signals, cut.scale, [1], 0.0).get(1)
+    if one is None:
+        return None
+    box = _box(max(30.0, -5 * float(one[0].real)), 2 * np.pi * min(0.4 * spacing, 0.7 / kernel))
+    starts: dict[int, tuple[float, np.ndarray]] = {}
+    for lift in LIFTS[1:] if quick else LIFTS:
+        orders = ORDERS[::2] if quick else ORDERS
+        for order, pole in poles_by_subspace(
+            cut.signals, cut.scale, orders, lift * max(-float(one[0].real), 0)
+        ).items():
+            pole = box(pole)
+            carried = _judged(pole, cut, shape)[2]
+            if order not in starts or carried < starts[order][0]:
+                starts[order] = carried, pole
+    best = None
+    for order, (_, start) in starts.items():
+        pole = start if quick else refined(start, cut.signals, box)
+        amplitude, misfit, carried = _judged(pole, cut, shape)
+        score = np.sqrt(misfit * carried) * PENALTY**order
+        if best is None or score < best[0]:
+            best = score, (pole, amplitude, misfit, carried)
+    return None if best is None else best[1]
+
+
+def _box(fastest: float, widest: float) -> Callable[[np.ndarray], np.ndarray]:
+    return lambda pole: np.clip(np.real(pole), -fastest, -SLOWEST) + 1j * np.clip(np.imag(pole), -widest, widest)
+
+
+def _judged(pole: np.ndarray, cut: _Band, shape: tuple[int, int]) -> tuple[np.ndarray, float, float]:
+    """Amplitudes [layers, channels, modes], and the geometric means over layers of two misfits.
+
+    The first is by a layer's own amplitudes, the second by the pattern of the others, with one complex gain.
+    """
+    each = amplitudes(pole, cut.signals)
+    full = np.zeros((*shape, len(pole)), complex)
+    for (i, c), a in zip(cut.live, each, strict=True):
+        full[i, c] = a
+    longest = np.exp(np.outer(cut.signals.step * np.arange(max(map(len, cut.signals.values))), pole))
+    layers = sorted({i for i, _ in cut.live})
+    misfits = []
+    for layer in layers:
+        others = [i for i in layers if i != layer] or [layer]
+        pattern = common_pattern(full[others], cut.noise[others])[0]
+        here = [(n, c) for n, (i, c) in enumerate(cut.live) if i == layer]
+        size = [cut.signals.size[n] for n, _ in here]
+        seen = np.concatenate([cut.signals.values[n] / s for (n, _), s in zip(here, size, strict=True)])
+        own = _stacked(longest, [full[layer, c] for _, c in here], size)
+        theirs = _stacked(longest, [pattern[c] for _, c in here], size)
+        gain = np.vdot(theirs, seen) / max(np.vdot(theirs, theirs).real, 1e-300)
+        misfits.append((_misfit(seen - own, seen), _misfit(seen - gain * theirs, seen)))
+    own, carried = np.exp(np.mean(np.log(misfits), axis=0))
+    return full, float(own), float(carried)
+
+
+def _stacked(longest: np.ndarray, each: Sequence[np.ndarray], size: Sequence[np.ndarray]) -> np.ndarray:
+    return np.concatenate([longest[: len(s)] @ a / s for a, s in zip(each, size, strict=True)])
+
+
+def _misfit(left: np.ndarray, seen: np.ndarray) -> float:
+    """Share of the power that is left, at most four times a sample's own."""
+    return float(np.minimum(np.abs(left) ** 2, 4 * np.abs(seen) ** 2).sum() / (np.abs(seen) ** 2).sum()) + LEFT
+
+
+def common_pattern(amplitude: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The pattern [channels, modes] that all layers share, and each layer's complex factor on it [layers].
+
+    The first singular vector over [layers, (channels, modes)], every layer over its noise, but none more than 30 dB
+    ahead of its own size.
+    """
+    rows = amplitude.reshape(len(amplitude), -1)
+    weight = 1 / np.maximum(noise.mean(axis=1), np.linalg.norm(rows, axis=1) * 10 ** (-30 / 20) + 1e-12)
+    u, s, v = np.linalg.svd(rows * weight[:, None], full_matrices=False)
+    return v[0].reshape(amplitude.shape[1:]), u[:, 0] * s[0] / weight
