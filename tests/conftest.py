@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from hypothesis import settings
+from threadpoolctl import threadpool_limits
 
 settings.register_profile("pianofit", derandomize=True, deadline=None)
 settings.load_profile("pianofit")
@@ -27,6 +28,16 @@ def _compiled_programs() -> None:
     from pianofit.model.cache import keep_programs
 
     keep_programs()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _one_blas_thread() -> Iterator[None]:
+    """One thread for BLAS: the tests run in as many processes as there are cores, and would wait for each other."""
+    import numpy  # noqa: F401 - loaded before they are limited
+    import scipy.linalg  # noqa: F401
+
+    with threadpool_limits(limits=1, user_api="blas"):
+        yield
 
 
 @pytest.fixture

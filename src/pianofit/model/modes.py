@@ -54,7 +54,7 @@ def mode_frequencies(string: String, length: float, n_modes: int) -> np.ndarray:
     return np.sqrt(string.c**2 * beta2 + string.kappa**2 * beta2**2) / (2 * np.pi)
 
 
-def raised_cosine_weights(geometry: Geometry, n_modes: int, xp=jnp) -> Float[Array, " modes"]:
+def raised_cosine_weights(geometry: Geometry, n_modes: int, xp=jnp) -> Float[Array | np.ndarray, " modes"]:
     """Φ_k of the default window, ĝ = (1 + cos(2π(x - x0)/width))/width within ± width/2, in closed form.
 
     `xp` is the array library: NumPy where nothing is to be compiled.

@@ -28,7 +28,7 @@ MOST_RISE = 300.0
 
 
 @float64
-def damped_circle(frequency: Array, sigma: float, step: Array) -> Complex[Array, " bins"]:
+def damped_circle(frequency: Array, sigma: float | Array, step: Array) -> Complex[Array, " bins"]:
     """ζ at frequencies in Hz [bins] and σ in 1/s."""
     return jnp.exp(-(sigma + 2j * jnp.pi * frequency) * step)
 
@@ -56,7 +56,7 @@ def mobility(modes: Modes, zeta: Complex[Array, " bins"], amplitude: Array | Non
 
 @float64
 def spectrum(
-    modes: Modes, drive: Float[Array, " steps"], frequency: Array, sigma: float, free: FreeMotion | None = None
+    modes: Modes, drive: Float[Array, " steps"], frequency: Array, sigma: float | Array, free: FreeMotion | None = None
 ) -> Complex[Array, " bins"]:
     """Y at `frequency`, Hz [bins], on the damped circle of `sigma`, 1/s: ∫ y exp(-(σ + jω)t) dt, signal unit · s.
 
