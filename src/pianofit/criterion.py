@@ -9,8 +9,7 @@ above (IV.B). Borders lie midway between inharmonic partials, at k = 0.5, 1.5 an
 come from the analysis and stay fixed during a fit. Between partials there is next to no energy to compare, so each
 cell reaches only a number of linewidths from its partial, or to its borders.
 
-**Levels** in dB go through an output path: a pickup, a soundboard, a microphone multiply every partial by a level of
-its own.
+**Levels** in dB are compared with one gain removed; what lies between string and file is in `model.path`.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ import numpy as np
 from .analysis import law_frequency
 
 __all__ = [
-    "BANDS", "ENOUGH_DAMPING", "NODES", "SAME_PARTIAL", "WIDEST_SIGMA", "Cells", "OutputPath", "band_of",
+    "BANDS", "ENOUGH_DAMPING", "NODES", "WIDEST_SIGMA", "Cells", "band_of",
     "band_values", "borders", "cell_grid", "closed_form_gain", "level_error_db", "line_sigma", "measure",
 ]  # fmt: skip
 
@@ -37,8 +36,6 @@ WIDEST_SIGMA = 30.0
 APART = 16.0
 # exp(-σT) of the signal is left where it is cut; -σT = 14 leaves 1e-6.
 ENOUGH_DAMPING = 14.0
-# A frequency within this, relative, of a partial's is that partial's: the pitch of recordings differs by cents.
-SAME_PARTIAL = 0.005
 
 
 class Cells(NamedTuple):
@@ -114,35 +111,6 @@ def band_values(model: np.ndarray, measured: np.ndarray, spacing: np.ndarray) ->
         if (band == index).any():
             values[name] = float(miss[band == index].sum() / full[band == index].sum())
     return values
-
-
-class OutputPath(NamedTuple):
-    """A path known at some partials' frequencies, Hz, ascending.
-
-    In between it is linear in log frequency, beyond it is level.
-    """
-
-    frequency: np.ndarray
-    db: np.ndarray
-    decay: np.ndarray | None = None  # of each partial's decay rate over that of the string's law
-
-    def at(self, frequency: np.ndarray) -> np.ndarray:
-        """The path in dB at `frequency`, Hz [any number]: a partial's own, if it is one that is known."""
-        between = np.interp(np.log(np.maximum(frequency, 1e-9)), np.log(self.frequency), self.db)
-        nearest, near = self._nearest(frequency)
-        return np.where(near, self.db[nearest], between)
-
-    def decay_at(self, frequency: np.ndarray) -> np.ndarray:
-        """Decay rate over the law's at `frequency`, Hz: a partial's own, and 1 where none was heard."""
-        if self.decay is None:
-            return np.ones(len(frequency))
-        nearest, near = self._nearest(frequency)
-        return np.where(near, self.decay[nearest], 1.0)
-
-    def _nearest(self, frequency: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Which of the path's partials is next to each `frequency`, and whether it is the same."""
-        nearest = np.abs(frequency[:, None] - self.frequency).argmin(axis=1)
-        return nearest, np.abs(frequency / self.frequency[nearest] - 1) < SAME_PARTIAL
 
 
 def level_error_db(model: np.ndarray, measured: np.ndarray) -> float:
