@@ -215,7 +215,7 @@ def test_the_parameters_given_choose_the_felt():
     values = {**STRING._asdict(), **HAMMER._asdict()}
     assert make_hammer(values) == HAMMER
     assert make_hammer(values | {"mu": 0.0, "epsilon": 0.4, "tau": 60e-6}) == STULOV
-    with pytest.raises(ParameterError, match="--set: a felt with memory needs both epsilon and tau"):
+    with pytest.raises(ParameterError, match="--set: a relaxing felt needs both epsilon and tau"):
         make_hammer(values | {"tau": 1e-5}, "--set")
 
 

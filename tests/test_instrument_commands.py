@@ -236,7 +236,7 @@ def test_other_laws_of_the_felt(tmp_path):
     read_instrument(build_instrument(load_keys([write_fit(tmp_path, 60, power)])))
     stulov = fit_document(true_note(60), ERRORS)
     stulov["parameters"] |= {"epsilon": {"value": 0.5}, "tau": {"value": 1e-5}}
-    with pytest.raises(FitError, match="a felt with memory cannot be carried over a keyboard"):
+    with pytest.raises(FitError, match="a relaxing felt cannot be carried over a keyboard"):
         load_keys([write_fit(tmp_path, 60, stulov)])
 
 

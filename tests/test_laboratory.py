@@ -129,7 +129,7 @@ def test_the_same_seed_gives_the_same_samples_and_another_only_other_noise():
 def test_the_truth_names_the_nine_parameters_and_what_is_left_out():
     assert tuple(measure(Laboratory.ideal(**SHORT), V).true) == FIT_NAMES
     everything = measure(Laboratory(**SHORT), V).true
-    assert set(FIT_NAMES) - set(everything) == {"mu"}  # a felt with memory has none
+    assert set(FIT_NAMES) - set(everything) == {"mu"}  # a relaxing felt has none
     assert everything["v_H0"] == V
     assert {"felt.eps", "felt.tau", "polarisation.angle", "bridge.5.quality"} < set(everything)
 

@@ -408,3 +408,18 @@ def test_unwritable_places_are_named_and_nothing_is_left(tmp_path, curves, monke
         write_report(place, example_fit(), curves, "a")
     assert [entry.name for entry in tmp_path.iterdir()] == ["report.html"]
     assert place.read_text() == "before"
+
+
+def test_a_start_that_strikes_on_a_node_does_not_flatten_the_levels(curves):
+    import matplotlib.pyplot as plt
+
+    from pianofit.report.figures import draw_levels
+
+    initial = curves.level_initial.copy()
+    initial[3] = -380.0
+    axes = plt.figure().add_subplot()
+    draw_levels(axes, dataclasses.replace(curves, level_initial=initial))
+    low, high = axes.get_ylim()
+    plt.close("all")
+    assert -150 < low < min(curves.level.min(), curves.level_fitted.min())
+    assert high > max(curves.level.max(), curves.level_fitted.max())

@@ -13,7 +13,7 @@ import numpy as np
 from .analysis import Analysis, analyse
 from .errors import ParameterError, SetupError
 from .io import shown
-from .parameters import PARAMETERS
+from .parameters import check_velocity
 from .progress import Progress, progress_bar
 from .recording import Recording, load_recording, recording_from_samples
 from .setup import Setup, load_setup, setup_from_dict
@@ -138,9 +138,7 @@ def _check(
         raise ParameterError("no recording was given; name one, or several of one key")
     if analyses is not None and len(analyses) != len(recordings):
         raise ParameterError(f"{len(analyses)} analyses were given of {len(recordings)} recordings; give one of each")
-    box = PARAMETERS["v_H0"]
-    if velocity is not None and not box.lower <= velocity <= box.upper:
-        raise ParameterError(f"velocity={velocity} m/s must be from {box.lower:g} to {box.upper:g}")
+    check_velocity(velocity)
     if velocity is not None and len(recordings) > 1:
         raise ParameterError(
             f"velocity={velocity} m/s is of one recording; give each its own in the setup's [[recording]]"

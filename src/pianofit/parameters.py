@@ -27,6 +27,7 @@ __all__ = [
     "String",
     "check",
     "check_hammer",
+    "check_velocity",
     "make_hammer",
 ]
 
@@ -135,6 +136,19 @@ def check(
     return {name: float(value) for name, value in values.items()}
 
 
+def check_velocity(velocity: float | None) -> None:
+    """Refuse a hammer velocity, m/s, outside the box; None is one that was not given.
+
+    Raises
+    ------
+    ParameterError
+        Naming its value and its range.
+    """
+    box = PARAMETERS["v_H0"]
+    if velocity is not None and not box.lower <= velocity <= box.upper:
+        raise ParameterError(f"velocity={velocity} m/s must be from {box.lower:g} to {box.upper:g}")
+
+
 def check_hammer(hammer: Hammer | MemoryHammer, where: str = "hammer") -> None:
     """Refuse a hammer outside the box, as `check` does; μ = 0 is a felt without that loss.
 
@@ -159,5 +173,5 @@ def make_hammer(values: dict[str, float], where: str = "argument") -> Hammer | M
     five = [values[name] for name in HAMMER_NAMES]
     memory = [values[name] for name in MEMORY_NAMES if name in values]
     if len(memory) == 1:
-        raise ParameterError(f"{where}: a felt with memory needs both epsilon and tau; give the other one too")
+        raise ParameterError(f"{where}: a relaxing felt needs both epsilon and tau; give the other one too")
     return MemoryHammer(*five, *memory) if memory else Hammer(*five)

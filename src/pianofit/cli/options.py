@@ -23,11 +23,9 @@ def check_common(velocity: float | None, seed: int = 0) -> None:
     ParameterError
         Naming the argument, its value and its range.
     """
-    from ..parameters import PARAMETERS
+    from ..parameters import check_velocity
 
-    box = PARAMETERS["v_H0"]
-    if velocity is not None and not box.lower <= velocity <= box.upper:
-        raise ParameterError(f"velocity={velocity} m/s must be from {box.lower:g} to {box.upper:g}")
+    check_velocity(velocity)
     if seed < 0:
         raise ParameterError(f"seed={seed} must not be negative")
 

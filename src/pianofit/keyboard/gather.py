@@ -192,7 +192,7 @@ def _load_key(file: Path) -> KeyFit:
     velocities = np.unique([_positive(take.get("v_H0"), f"takes[{i}].v_H0", name) for i, take in enumerate(takes)])
     calibrated = any(take.get(key) in KNOWN for take in takes for key in ("gain_status", "v_H0_status"))
     if not isinstance(note.hammer, Hammer):
-        raise FitError(f"{name}: a felt with memory cannot be carried over a keyboard; fit with --felt hunt-crossley")
+        raise FitError(f"{name}: a relaxing felt cannot be carried over a keyboard; fit with --felt hunt-crossley")
     # A felt without loss is one with next to none: the law is in log μ.
     h = note.hammer._replace(v_H0=float(velocities[-1]), mu=max(note.hammer.mu, PARAMETERS["mu"].lower))
     scale = 1.0 if calibrated else LOUDEST / h.v_H0

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..errors import ParameterError
-from ..parameters import PARAMETERS, Geometry, Hammer, MemoryHammer, String
+from ..parameters import Geometry, Hammer, MemoryHammer, String, check_velocity
 from ..recording import RATES
 from .contact import strike
 from .modes import mode_frequencies, mode_table
@@ -148,9 +148,7 @@ def check_render(velocity: float | None, seconds: float, rate: int) -> None:
     ParameterError
         Naming the argument, its value and its range.
     """
-    box = PARAMETERS["v_H0"]
-    if velocity is not None and not box.lower <= velocity <= box.upper:
-        raise ParameterError(f"velocity={velocity} m/s must be from {box.lower:g} to {box.upper:g}")
+    check_velocity(velocity)
     if not 0.01 <= seconds <= MOST_SECONDS:
         raise ParameterError(f"seconds={seconds} must be from 0.01 to {MOST_SECONDS:g}")
     if not RATES[0] <= rate <= RATES[1]:

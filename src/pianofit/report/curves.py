@@ -32,7 +32,7 @@ class RecordingCurves:
 class Felt:
     """The static law over the compressions reached, with its 95 % band; without one, the ends are the law itself.
 
-    A felt with memory has two laws: to a sudden stroke, and to a slow one.
+    A relaxing felt has two laws: to a sudden stroke, and to a slow one.
     """
 
     compression: np.ndarray  # [n], mm

@@ -44,6 +44,7 @@ BANDS = {"band1": "band 1: fundamental", "band2": "band 2: partials 2 to 8", "ba
 
 # Of the largest force: where the heads on a loop stand, apart from each other.
 RISING, FALLING = 0.6, 0.35
+NODE = 60.0  # dB below all other levels, where an initial one is not drawn
 HEAD = np.array([1.0, -0.7 + 0.45j, -0.4, -0.7 - 0.45j, 1.0])  # its outline, pointing right
 
 
@@ -237,9 +238,8 @@ def _levels(curves: Curves) -> list[Figure]:
     legend(levels, axes)
     path = curves.path
     residuals, (error, *below) = panel(*((HEIGHT,) if path is None else (0.6 * HEIGHT, 0.4 * HEIGHT - 0.12)))
-    for name, marker in (("initial", "s"), ("fitted", "o")):
-        off = getattr(curves, f"level_{name}") - curves.level
-        error.plot(curves.number, off, marker=marker, ms=3.4, label=name, **LINES[name])
+    for name, marker, values in (("initial", "s", _without_nodes(curves)), ("fitted", "o", curves.level_fitted)):
+        error.plot(curves.number, values - curves.level, marker=marker, ms=3.4, label=name, **LINES[name])
     error.axhline(0.0, color=MEASURED, lw=1)
     error.set(title="Residuals", ylabel="minus measured (dB)")
     if path is not None:
@@ -252,11 +252,17 @@ def _levels(curves: Curves) -> list[Figure]:
 
 
 def _draw_levels(axes: Axes, curves: Curves) -> None:
-    axes.plot(curves.number, curves.level_initial, marker="s", ms=3.4, label="initial", **LINES["initial"])
+    axes.plot(curves.number, _without_nodes(curves), marker="s", ms=3.4, label="initial", **LINES["initial"])
     axes.plot(curves.number, curves.level_fitted, marker="o", ms=3.4, label="fitted", **LINES["fitted"])
     points(axes, curves.number, curves.level, curves.level_error)
     axes.set_ylabel("level (dB)")
     number_axis(axes, curves.number)
+
+
+def _without_nodes(curves: Curves) -> np.ndarray:
+    """The initial levels, nan where far below all others, dB: a start can strike exactly on a node."""
+    low, _ = span(curves.level, curves.level_fitted)
+    return np.where(curves.level_initial > low - NODE, curves.level_initial, np.nan)
 
 
 def _force(curves: Curves) -> list[Figure]:

@@ -12,7 +12,7 @@ from scipy.interpolate import CubicSpline
 from ..analysis import Analysis
 from ..recording import Recording
 
-__all__ = ["SPAN", "Heard", "hear"]
+__all__ = ["BEFORE", "SPAN", "Heard", "hear"]
 
 # What is kept before the onset, s: a knock can begin there.
 BEFORE = 0.012

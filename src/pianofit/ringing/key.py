@@ -15,14 +15,14 @@ from typing import NamedTuple
 import numpy as np
 from scipy import signal
 
-from .heard import Heard
+from .heard import BEFORE, Heard
 from .modes import PartialModes, common_pattern, ring
 
 __all__ = ["Force", "Ringing", "key_of"]
 
-# The knock may begin so long before the contact, s: an onset is found a little late,
-LEAD = 0.012
-# and lasts so long after it, s: beyond this it gains little (the knee of the distance over its length).
+# The knock may begin so long before the contact, s: an onset is found a little late.
+LEAD = BEFORE
+# It lasts so long after it, s: beyond this it gains little (the knee of the distance over its length).
 KNOCK = 0.4
 # Part of it, at its end, in which it fades.
 FADE = 1 / 3
@@ -33,7 +33,8 @@ SMOOTH = 41
 # there is not the force's.
 DRIVEN = 0.003
 # A force whose spectrum lies so far below its largest, amplitude, is the model's smoothness and drives no knock: other
-# sounds than the model's lie as far below the loudest partial (the likelihood's prior of η).
+# sounds than the model's lie as far below the loudest partial (the likelihood's prior of η). Without any floor the
+# kernel explodes; where it lies makes no difference.
 FLOOR = 0.002
 # Onsets of layers may differ so much from the contact's, s.
 LATEST = 0.025

@@ -7,7 +7,7 @@ string and hammer, with the final values of its Tables II and III, meet in a lab
   the hammer: beating, and decay in two stages (`polarisation`);
 - a support that gives way at the string's end, five damped resonators in both directions: some partials decay faster
   and shift by fractions of a cent (`bridge`);
-- a felt with memory (Stulov) in place of the paper's Hunt-Crossley law (`felt`);
+- a relaxing felt (Stulov) in place of the paper's Hunt-Crossley law (`felt`);
 - noise of the vibrometer, white with some 1/f below 100 Hz (`noise_db`);
 - a sensor that reads the hammer's velocity a few per cent wrong (`velocity_error`).
 

@@ -61,7 +61,7 @@ RESONATORS = (
     Resonator(2560.0, 1.5, 30.0, 30.0),
 )
 
-# The felt with memory (Stulov 1995). Slow compressions feel K (1 - ε) u^p, so K (1 - ε) is the paper's K_H, and lose
+# The relaxing felt (Stulov 1995). Slow compressions feel K (1 - ε) u^p, so K (1 - ε) is the paper's K_H, and lose
 # energy as K_H α d(u^p)/dt with α = ετ/(1 - ε) = 20 µs: the paper's μ at a compression of pα/μ = 0.26 mm, the usual one
 # at its velocities. (Stulov's own hammers are said to have some ten times that: they are not the paper's hammer.) τ is
 # long enough to be felt by the ripple that reflections from the near end leave on the force: sudden compressions feel a

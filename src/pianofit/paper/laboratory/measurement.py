@@ -50,8 +50,8 @@ class Laboratory:
     seconds: float = chosen.SECONDS  # after the stroke
     rate: int = chosen.RATE  # Hz
     contact_rate: float = chosen.CONTACT_RATE  # steps per second of the contact, at least, Hz
-    eps: float = chosen.EPS  # of the felt with memory
-    tau: float = chosen.TAU  # s, of the felt with memory
+    eps: float = chosen.EPS  # of the relaxing felt
+    tau: float = chosen.TAU  # s, of the relaxing felt
 
     def __post_init__(self):
         if self.felt not in FELTS:
@@ -80,7 +80,7 @@ class Measurement(NamedTuple):
     scale: float  # m/s at full scale
     onset: int  # sample of the first touch
     nominal_velocity: float  # what the sensor read, m/s
-    true: dict[str, float]  # the nine parameters (no mu for a felt with memory), and those of what the model leaves out
+    true: dict[str, float]  # the nine parameters (no mu for a relaxing felt), and those of what the model leaves out
     clean: np.ndarray  # `samples` without noise
     force: np.ndarray  # of the felt, N [steps], constant over each step from the first touch on
     force_rate: float  # Hz

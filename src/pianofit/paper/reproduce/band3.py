@@ -55,7 +55,7 @@ class Hammers(NamedTuple):
     lower: np.ndarray
     upper: np.ndarray
     initial: np.ndarray
-    true: np.ndarray  # of the laboratory's hammer; mu is the initial one for a felt with memory, which has none
+    true: np.ndarray  # of the laboratory's hammer; mu is the initial one for a relaxing felt, which has none
 
     def gradient(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Criteria [n] and their gradients [n, 5]."""

@@ -15,7 +15,7 @@ NOISE_DB = 60.0  # the laboratory's own, and left in the ideal one
 EFFECTS: dict[str, dict[str, Any]] = {
     "second polarisation": {"polarisation": True},
     "yielding bridge": {"bridge": True},
-    "felt with memory": {"felt": "memory"},
+    "relaxing felt": {"felt": "memory"},
 }
 
 
@@ -55,7 +55,7 @@ class Plan:
 
 FULL = Plan()
 QUICK = Plan(
-    velocities=(0.844, 1.1), heard=(0.844,), repeats=2, effects=("felt with memory",), effect_recipes=("paper", "read"),
+    velocities=(0.844, 1.1), heard=(0.844,), repeats=2, effects=("relaxing felt",), effect_recipes=("paper", "read"),
     grid=13, starts=2, iterations=10, evaluations=640, noises=2, losses=8, annealing=500, tries=1, seconds=1.0,
     contact_rate=2e5,
 )  # fmt: skip
