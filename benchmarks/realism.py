@@ -48,7 +48,8 @@ def brightness(analysis) -> float:
 def rungs(note: str, files: list[Path], setup, tool: ModuleType) -> dict:
     """Distances of the layer in the middle, by what it is made of."""
     from pianofit import analyse, fit, load_recording, predict_take
-    from pianofit.ringing import force_of, ringing_of
+    from pianofit.model.modal import force_of
+    from pianofit.ringing import ringing_of
 
     pairs = [(recording, analyse(recording, note=note)) for recording in map(load_recording, files)]
     order = sorted(range(len(files)), key=lambda i: brightness(pairs[i][1]))
@@ -72,7 +73,7 @@ def rungs(note: str, files: list[Path], setup, tool: ModuleType) -> dict:
     best = min(near, key=lambda x: x["distance_db"])
     return {
         "law": distance(played.heard(stroke, rate, count, round(0.01 * rate))),
-        "modes": distance(key.sound(force, rate, count, knock=False).mean(axis=0)),
+        "modes": distance(key.without_knock().sound(force, rate, count).mean(axis=0)),
         "modes and knock": distance(key.sound(force, rate, count).mean(axis=0)),
         "nearest layer": {"distance": best["distance_db"], **best["logmel_db"], "loudness": best["loudness_rms_db"]},
         "modes_count": len(key.pole),

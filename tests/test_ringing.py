@@ -9,10 +9,10 @@ import pytest
 from scipy import signal
 
 from pianofit.analysis import analyse
+from pianofit.model.modal import Force, Ringing, ring
 from pianofit.recording import Recording, recording_from_samples
-from pianofit.ringing import Force, Heard, PartialModes, Ringing, hear, key_of, modes_of
+from pianofit.ringing import Heard, PartialModes, hear, key_of, modes_of
 from pianofit.ringing.bands import band, kernel_gain
-from pianofit.ringing.modes import ring
 from pianofit.ringing.subspace import Signals, poles_by_subspace, refined, standard_errors
 
 RATE, SECONDS, LEAD, F0 = 22_050, 4.0, 0.1, 220.0
@@ -114,7 +114,7 @@ def test_a_layer_that_took_no_part_sounds_as_it_should():
     gain = (true @ played) / (played @ played)
     error = lambda x: 10 * np.log10(np.sum((true - gain * x) ** 2) / np.sum(true**2))  # noqa: E731
     assert error(played) < -12
-    without = np.roll(key.sound(force, RATE, count, knock=False)[0], lag)
+    without = np.roll(key.without_knock().sound(force, RATE, count)[0], lag)
     first = slice(0, round(0.05 * RATE))
     attack = lambda x: np.sum((true - gain * x)[first] ** 2)  # noqa: E731
     assert attack(played) < 0.7 * attack(without)

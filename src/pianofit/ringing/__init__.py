@@ -6,9 +6,9 @@
 stands between the fitted forces and the recordings. `ringing_of` does all of it for a finished fit.
 """
 
-from .fitted import force_of, ringing_of
+from .fitted import ringing_of
 from .heard import Heard, hear
-from .key import Force, Ringing, key_of
+from .key import key_of
 from .modes import PartialModes, modes_of
 
-__all__ = ["Force", "Heard", "PartialModes", "Ringing", "force_of", "hear", "key_of", "modes_of", "ringing_of"]
+__all__ = ["Heard", "PartialModes", "hear", "key_of", "modes_of", "ringing_of"]

@@ -6,17 +6,12 @@ import numpy as np
 
 from ..errors import FitError
 from ..inference import Result
-from ..model import Simulation
+from ..model.modal import Ringing, force_of
 from .heard import hear
-from .key import Force, Ringing, key_of
+from .key import key_of
 from .modes import modes_of
 
-__all__ = ["force_of", "ringing_of"]
-
-
-def force_of(stroke: Simulation) -> Force:
-    """The force of a stroke on the string."""
-    return Force(np.asarray(stroke.pulse.force), float(stroke.modes.step))
+__all__ = ["ringing_of"]
 
 
 def ringing_of(result: Result) -> Ringing:

@@ -10,12 +10,11 @@ from scipy import signal
 from scipy.interpolate import CubicSpline
 
 from ..analysis import Analysis
+from ..model.modal import LEAD
 from ..recording import Recording
 
-__all__ = ["BEFORE", "SPAN", "Heard", "hear"]
+__all__ = ["SPAN", "Heard", "hear"]
 
-# What is kept before the onset, s: a knock can begin there.
-BEFORE = 0.012
 # How long after the onset modes are looked for, s: most of an aftersound has shown its decay by then.
 SPAN = 3.3
 # Standard errors by which a pitch must fall to be taken for a fall.
@@ -27,7 +26,7 @@ class Heard:
     """The layers of a key, cut at their onsets, at one rate and of one length."""
 
     samples: np.ndarray  # full scale = 1 [layers, channels, samples]
-    before: np.ndarray  # what precedes them, `BEFORE` s [layers, channels, samples]
+    before: np.ndarray  # what precedes them, `LEAD` s [layers, channels, samples]
     rate: int  # Hz
     seconds: np.ndarray  # of each layer, before silence was appended [layers]
 
@@ -35,7 +34,7 @@ class Heard:
 def hear(recordings: Sequence[Recording], analyses: Sequence[Analysis]) -> Heard:
     """Cut at the onsets, all at the first one's rate and of one length, at most `SPAN`; without their glide."""
     rate = recordings[0].rate
-    lead, most = round(BEFORE * rate), round((SPAN + 0.2) * rate)
+    lead, most = round(LEAD * rate), round((SPAN + 0.2) * rate)
     cut = []
     for recording, analysis in zip(recordings, analyses, strict=True):
         x, onset = recording.frames, recording.onset

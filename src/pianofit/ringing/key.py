@@ -1,28 +1,19 @@
-"""How a key rings: its modes and its knock, each driven by the hammer's force.
-
-    sound_l(t) = g_l F_l(t) ∗ (Re Σ_m P_m e^{p_m t} + knock(t))
-
-What lies between the force and the file is the key's and is the same at every velocity: poles p, patterns P (one
-complex number a mode and channel) and a knock, a short kernel that holds what no mode does: the soundboard's and the
-key's own thump, and what lies below the lowest partial. F_l is the force of layer l's stroke, from the fit.
-"""
+"""What lies between the forces of several strokes and their recordings, found: patterns, knock, gains, contact times."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 from scipy import signal
 
-from .heard import BEFORE, Heard
-from .modes import PartialModes, common_pattern, ring
+from ..model.modal import EDGE, LEAD, Force, Ringing, ring
+from .heard import Heard
+from .modes import PartialModes, common_pattern
 
-__all__ = ["Force", "Ringing", "key_of"]
+__all__ = ["key_of"]
 
-# The knock may begin so long before the contact, s: an onset is found a little late.
-LEAD = BEFORE
-# It lasts so long after it, s: beyond this it gains little (the knee of the distance over its length).
+# The knock lasts so long after the contact, s: beyond this it gains little (the knee of the distance over its length).
 KNOCK = 0.4
 # Part of it, at its end, in which it fades.
 FADE = 1 / 3
@@ -46,60 +37,6 @@ FAR = 0.5
 SWEEPS = 20
 # Length, s, of the attacks that are correlated.
 ALIGNED = 0.08
-
-
-class Force(NamedTuple):
-    """A stroke's force, from the first touch on."""
-
-    newton: np.ndarray  # [steps]
-    step: float  # s
-
-    def drive(self, pole: np.ndarray) -> np.ndarray:
-        """∫ F e^{-pole t} dt, N s, complex [modes]: how far a stroke sets modes ringing."""
-        return np.exp(-np.outer(pole, self.step * np.arange(len(self.newton)))) @ self.newton * self.step
-
-    def at(self, rate: int) -> np.ndarray:
-        """The impulse of every sample at `rate`, N s [samples], band-limited; `EDGE` samples before the touch."""
-        by = round(1 / (self.step * rate))
-        if by < 1 or abs(by * self.step * rate - 1) > 1e-6:
-            fine = np.arange(0, len(self.newton) * self.step, 1 / (8 * rate))
-            return Force(np.interp(fine, self.step * np.arange(len(self.newton)), self.newton), 1 / (8 * rate)).at(rate)
-        edge = EDGE * by
-        return signal.resample_poly(np.pad(self.newton, (edge, edge)), 1, by) / rate
-
-
-# Samples before a force's touch that a band-limited force needs.
-EDGE = 8
-
-
-class Ringing(NamedTuple):
-    """What lies between the force on a key's strings and the file."""
-
-    number: np.ndarray  # int, partial of each mode [modes]
-    pole: np.ndarray  # 1/s, complex [modes]
-    pole_error: np.ndarray  # standard error of its real and imaginary part, 1/s [modes]
-    pattern: np.ndarray  # P, file units over N s, complex [channels, modes]
-    knock: np.ndarray  # file units over N s [channels, samples] at `rate`, from `LEAD` before the contact
-    rate: int  # Hz
-
-    def response(self, rate: int, count: int, *, knock: bool = True) -> np.ndarray:
-        """To a unit impulse at the contact [channels, LEAD + count samples], from `LEAD` before it."""
-        lead = round(LEAD * rate)
-        rung = ring(self.pole, self.pattern, rate, count)
-        out = np.pad(rung, ((0, 0), (lead, 0)))
-        if knock and self.knock.shape[-1]:
-            own = self.knock
-            if rate != self.rate:
-                by = np.gcd(rate, self.rate)
-                own = signal.resample_poly(own, rate // by, self.rate // by, axis=-1) * (self.rate / rate)
-            size = min(own.shape[-1], out.shape[-1])
-            out[:, :size] += own[:, :size]
-        return out
-
-    def sound(self, force: Force, rate: int, count: int, *, knock: bool = True) -> np.ndarray:
-        """A stroke in file units [channels, count], from `LEAD` before its first touch."""
-        driven = signal.oaconvolve(self.response(rate, count, knock=knock), force.at(rate)[None], axes=-1)
-        return driven[:, EDGE : EDGE + count]
 
 
 def key_of(heard: Heard, modes: Sequence[PartialModes], forces: Sequence[Force]) -> Ringing:
@@ -198,7 +135,7 @@ def _alone(key: Ringing, amplitude: np.ndarray, force: Force, rate: int, size: i
     driven = amplitude * drive.conj() / (np.abs(drive) ** 2 + (DRIVEN * np.abs(drive).max()) ** 2)
     lead = round(LEAD * rate)
     begun = ring(key.pole, amplitude - driven * drive, rate, size - lead)
-    return key._replace(pattern=driven).sound(force, rate, size, knock=False) + np.pad(begun, ((0, 0), (lead, 0)))
+    return key._replace(pattern=driven).sound(force, rate, size) + np.pad(begun, ((0, 0), (lead, 0)))
 
 
 def _shifted(x: np.ndarray, samples: float) -> np.ndarray:

@@ -16,11 +16,12 @@ import numpy as np
 from scipy import signal
 
 from ..analysis import Analysis, law_frequency
+from ..model.modal import ring
 from .bands import Band, band, kernel_gain, kernel_seconds
 from .heard import SPAN, Heard
 from .subspace import Signals, amplitudes, poles_by_subspace, refined, standard_errors
 
-__all__ = ["PartialModes", "common_pattern", "modes_of", "ring"]
+__all__ = ["PartialModes", "common_pattern", "modes_of"]
 
 # Time, s, that is counted even in its logarithm from here on.
 EVEN = 0.1
@@ -151,18 +152,6 @@ def sounded(found: Sequence[PartialModes], heard: Heard) -> np.ndarray:
         pole = np.concatenate([m.poles + 2j * np.pi * m.offset[i] for m in found])
         out[i] = ring(pole, np.concatenate([m.at_onset[i] for m in found], axis=-1), heard.rate, count)
     return out
-
-
-def ring(pole: np.ndarray, amplitude: np.ndarray, rate: float, count: int) -> np.ndarray:
-    """Re Σ amplitude exp(pole t), [channels, count], of amplitudes [channels, modes].
-
-    Time is cut into blocks: a block's begin times the way through a block is one matrix product.
-    """
-    block = 1 << int(np.ceil(np.log2(np.sqrt(count))))
-    begins = np.exp(np.outer(np.arange(-(-count // block)) * (block / rate), pole))
-    inside = np.exp(np.outer(pole, np.arange(block) / rate))
-    rows = (amplitude[:, None, :] * begins) @ inside
-    return np.real(rows).reshape(len(amplitude), -1)[:, :count]
 
 
 def _offsets(z: np.ndarray, time: np.ndarray, expected: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
