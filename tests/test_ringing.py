@@ -93,7 +93,7 @@ def test_errors_of_poles_are_those_of_repeated_experiments(order):
         random = np.random.default_rng(seed)
         z = np.exp(np.outer(t, true)).sum(axis=1)
         z = z + 0.02 * (random.normal(size=len(t)) + 1j * random.normal(size=len(t))) / np.sqrt(2)
-        signals = Signals([z], [size], 1 / 200)
+        signals = Signals(z[None], 1 / size[None], 1 / 200)
         thin = signals.thinned()
         pole = refined(poles_by_subspace(signals, [1.0], [order], 0.0)[order], signals, lambda p: p)
         pole = pole[[int(np.argmin(np.abs(pole - p))) for p in true]]
@@ -172,3 +172,4 @@ def test_a_pitch_that_falls_is_levelled():
         return float(np.ptp(angle - np.polyval(np.polyfit(z.time[at], angle, 1), z.time[at])))
 
     assert drift(straight) < 0.3 * drift(raw)
+    assert np.abs(straight[-200:]).max() < 2 * np.abs(raw[-200:]).max()

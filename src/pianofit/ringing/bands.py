@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from scipy.fft import next_fast_len
 
 __all__ = ["Band", "band", "kernel_gain", "kernel_seconds"]
 
@@ -43,7 +44,8 @@ def kernel_gain(pole: np.ndarray, seconds: float) -> np.ndarray:
 def band(spectrum: np.ndarray, samples: int, rate: float, centre: float, seconds: float) -> Band:
     """The band about `centre` Hz of signals with these half spectra [..., bins], smoothed by a Hann kernel.
 
-    A frame is valid if the kernel about it lies within the signal.
+    A frame is valid if the kernel about it lies within the signal. Frames follow each other just fast enough for the
+    kernel's main lobe, which is all of it that is kept.
     """
     reach = int(np.ceil(2.0 / seconds * samples / rate))
     middle = round(centre * samples / rate)
@@ -51,7 +53,7 @@ def band(spectrum: np.ndarray, samples: int, rate: float, centre: float, seconds
     u = (at * rate / samples - centre) * seconds
     with np.errstate(all="ignore"):
         weight = np.where(np.abs(np.abs(u) - 1) < 1e-6, 0.5, np.sinc(u) / (1 - u * u))
-    size = 1 << int(np.ceil(np.log2(2 * (2 * reach + 1))))
+    size = next_fast_len(2 * reach + 1)
     inside = (at >= 0) & (at < samples // 2)
     wrapped = np.zeros((*spectrum.shape[:-1], size), complex)
     wrapped[..., (at - middle) % size] = np.where(inside, spectrum[..., np.clip(at, 0, samples // 2)], 0) * weight

@@ -1,4 +1,4 @@
-"""What lies between the forces of several strokes and their recordings, found: patterns, knock, gains, contact times."""
+"""What lies between the forces of strokes and their recordings, found: patterns, knock, gains, contact times."""
 
 from __future__ import annotations
 

@@ -27,8 +27,6 @@ __all__ = ["PartialModes", "common_pattern", "modes_of"]
 EVEN = 0.1
 # How many modes a partial can have.
 ORDERS = (1, 2, 3, 4)
-# Every mode more has to lower the misfit's power by this factor, or it is not the key's.
-PENALTY = 1.25
 # Lifts of the subspace's start, in decay rates of the single mode: 0 favours the attack, 1 the aftersound.
 LIFTS = (0.0, 0.4, 0.8)
 # What lies so far below a band's largest, dB, is not fitted however clean: other strings ring along there.
@@ -42,14 +40,22 @@ COHERENT = 0.6
 # Partials that tell a layer's pitch, and how far from the last layer's it is looked for, relative: five cents.
 TUNED = 16
 DETUNED = 3e-3
+# Fastest decay of a mode, 1/s, and over that of the one mode that a partial has at first sight, where that is more.
+FASTEST = 30.0
+FASTER = 5.0
 # Slowest decay of a mode, 1/s: T60 of two minutes.
 SLOWEST = 0.05
 # Length of the envelope's average, s.
 ENVELOPE = 0.06
-# Part of a misfit's power that nothing explains, lest perfect fits decide by rounding.
-LEFT = 0.002
-# Frames of a band say the same as their neighbours: its rate is twice its kernel's main lobe, at the least.
-CORRELATED = 2.0
+# A signal is fitted for so many frames and so long, s, at the least, however soon it is lost in the noise.
+FEWEST = 12
+SHORTEST = 0.1
+# Frames at the begin whose largest is the band's.
+TOP = 3
+# Part of a misfit's power that is rounding.
+ROUNDING = 1e-9
+# Of a Hann kernel, over its length: frames that follow each other faster say the same.
+NOISE_BANDWIDTH = 1.5
 
 
 @dataclass(frozen=True)
@@ -157,25 +163,22 @@ def sounded(found: Sequence[PartialModes], heard: Heard) -> np.ndarray:
 def _offsets(z: np.ndarray, time: np.ndarray, expected: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
     """How far each layer's partial lies above the last layer's, Hz, within `reach`; and how coherent they are."""
     at = (time > 0.08) & (time < 2.5)
-    found = np.zeros((2, len(z)))
-    for i in range(len(z)):
-        turn = (z[i] * z[-1].conj())[:, at]
-        turn = turn / np.sqrt(np.abs(turn) + 1e-30)
-        tried = expected[i] + np.linspace(-1, 1, 121) * reach
-        sums = np.abs(turn @ np.exp(-2j * np.pi * np.outer(time[at], tried))).sum(axis=0)
-        best = int(np.argmax(sums))
-        found[:, i] = tried[best], sums[best] / max(np.abs(turn).sum(), 1e-30)
-    return found[0], found[1]
+    turn = z[..., at] * z[-1, :, at].T.conj() * np.exp(-2j * np.pi * expected[:, None, None] * time[at])
+    turn = turn / np.sqrt(np.abs(turn) + 1e-30)
+    tried = np.linspace(-1, 1, 121) * reach
+    sums = np.abs(turn @ np.exp(-2j * np.pi * np.outer(time[at], tried))).sum(axis=1)
+    best = np.argmax(sums, axis=1)
+    return expected + tried[best], sums.max(axis=1) / np.maximum(np.abs(turn).sum(axis=(1, 2)), 1e-30)
 
 
 @dataclass(frozen=True)
 class _Band:
     """What is fitted of a band: which layers and channels, from when, and what is a deviation of 1."""
 
-    live: list[tuple[int, int]]
-    signals: Signals
-    scale: list[float]
-    start: float
+    live: np.ndarray  # bool [layers, channels]
+    signals: Signals  # the live ones
+    scale: np.ndarray  # [signals]
+    start: float  # s
     noise: np.ndarray  # [layers, channels]
     snr: np.ndarray  # [layers]
 
@@ -188,31 +191,30 @@ def _prepare(b: Band, z: np.ndarray, beside: np.ndarray, ends: np.ndarray) -> _B
     z : the band [layers, channels, frames]; `beside`: magnitude of the band half a spacing above, likewise.
     ends : s, of each layer.
     """
-    layers, channels, _ = z.shape
     quiet = [(b.time > 0.8 * end) & (b.time < end - b.kernel) for end in ends]
     noise = np.stack([1.2 * np.median(beside[i][:, at], axis=-1) for i, at in enumerate(quiet)]) + 1e-9
-    width = max(1, int(ENVELOPE / b.step))
+    width = max(1, round(ENVELOPE / b.step))
     smooth = np.ones((1, 1, width)) / width
     envelope = np.sqrt(signal.convolve(np.abs(z) ** 2, smooth, "same").clip(0))
     first = int(np.ceil((b.kernel / 2 + 0.003) / b.step))
-    stop = [int((min(SPAN, end - 0.01) - b.kernel / 2) / b.step) for end in ends]
-    top = envelope[..., first : first + 6].max(axis=-1)
+    stop = np.array([int((min(SPAN, end - 0.01) - b.kernel / 2) / b.step) for end in ends])
+    top = envelope[..., first : first + TOP].max(axis=-1)
     snr = 20 * np.log10(top / noise)
     floor = np.maximum(noise, top * 10 ** (-RANGE / 20))
-    live = [(i, c) for i in range(layers) for c in range(channels) if snr[i, c] > LEAST_SNR and stop[i] > first + 8]
-    if not live:
+    live = (snr > LEAST_SNR) & (stop > first + FEWEST)[:, None]
+    if not live.any():
         return None
-    values, size, scale = [], [], []
-    for i, c in live:
-        low = np.flatnonzero(envelope[i, c, first : stop[i]] < 2 * floor[i, c])
-        last = first + max(int(low[0]) if len(low) else stop[i] - first, 24, int(0.1 / b.step))
-        at = slice(first, min(last, z.shape[-1]))
-        values.append(z[i, c, at])
-        # The root counts equal ratios of time alike.
-        even = np.sqrt((b.time[at] + EVEN) / (b.time[first] + EVEN))
-        size.append((envelope[i, c, at] + 2 * floor[i, c]) * even)
-        scale.append(max(floor[i, c], envelope[i, c, first] * 10 ** (-40 / 20)))
-    return _Band(live, Signals(values, size, b.step), scale, first * b.step, floor, snr.max(axis=1))
+    frame = np.arange(first, stop.max())
+    low = (envelope[..., frame] < 2 * floor[..., None]) | (frame >= stop[:, None, None])
+    length = np.where(low.any(axis=-1), low.argmax(axis=-1), len(frame))
+    length = np.maximum(length, max(FEWEST, int(SHORTEST / b.step)))[live]
+    frame = frame[: length.max()]
+    # The root counts equal ratios of time alike.
+    even = np.sqrt((b.time[frame] + EVEN) / (b.time[first] + EVEN))
+    weight = 1 / ((envelope[:, :, frame] + 2 * floor[..., None]) * even)[live]
+    weight[np.arange(len(frame)) >= length[:, None]] = 0.0
+    scale = np.maximum(floor, envelope[..., first] * 10 ** (-40 / 20))[live]
+    return _Band(live, Signals(z[:, :, frame][live], weight, b.step), scale, first * b.step, floor, snr.max(axis=1))
 
 
 def _fit(
@@ -239,11 +241,11 @@ def _fit(
     cut = _prepare(b, z, beside, heard.seconds)
     if cut is None:
         return None
-    chosen = _chosen(cut, z.shape[:2], spacing, b.kernel, quick)
+    chosen = _chosen(cut, spacing, b.kernel, quick)
     if chosen is None:
         return None
     pole, amplitude, misfit, carried = chosen
-    error = standard_errors(pole, cut.signals, CORRELATED)
+    error = standard_errors(pole, cut.signals, max(1.0, b.kernel / (NOISE_BANDWIDTH * b.step)))
     return PartialModes(
         number, frequency, spacing, cut.start, pole, error, amplitude * 2 / kernel_gain(pole, b.kernel), offset,
         cut.noise, cut.snr, misfit, carried,
@@ -258,13 +260,14 @@ def _within(own: PartialModes, layer: int, b: Band) -> np.ndarray:
 
 
 def _chosen(
-    cut: _Band, shape: tuple[int, int], spacing: float, kernel: float, quick: bool
+    cut: _Band, spacing: float, kernel: float, quick: bool
 ) -> tuple[np.ndarray, np.ndarray, float, float] | None:
-    """Poles and amplitudes of the order that carries over best, and its misfits."""
+    """Poles and amplitudes of the order with the most evidence, and its misfits."""
     one = poles_by_subspace(cut.signals, cut.scale, [1], 0.0).get(1)
     if one is None:
         return None
-    box = _box(max(30.0, -5 * float(one[0].real)), 2 * np.pi * min(0.4 * spacing, 0.7 / kernel))
+    fastest = max(FASTEST, -FASTER * float(one[0].real))
+    box = _box(fastest, 2 * np.pi * min(0.4 * spacing, 0.7 / kernel))
     starts: dict[int, tuple[float, np.ndarray]] = {}
     for lift in LIFTS[1:] if quick else LIFTS:
         orders = ORDERS[::2] if quick else ORDERS
@@ -272,56 +275,70 @@ def _chosen(
             cut.signals, cut.scale, orders, lift * max(-float(one[0].real), 0)
         ).items():
             pole = box(pole)
-            carried = _judged(pole, cut, shape)[2]
+            carried = _judged(pole, cut)[2]
             if order not in starts or carried < starts[order][0]:
                 starts[order] = carried, pole
     best = None
     for order, (_, start) in starts.items():
         pole = start if quick else refined(start, cut.signals, box)
-        amplitude, misfit, carried = _judged(pole, cut, shape)
-        score = np.sqrt(misfit * carried) * PENALTY**order
-        if best is None or score < best[0]:
+        amplitude, misfit, carried = _judged(pole, cut)
+        score = _evidence(misfit, carried, order, cut, kernel)
+        # What would decay faster still is the knock's.
+        if best is None or (score > best[0] and pole.real.min() > -fastest):
             best = score, (pole, amplitude, misfit, carried)
     return None if best is None else best[1]
+
+
+def _evidence(misfit: float, carried: float, order: int, cut: _Band, kernel: float) -> float:
+    """Log evidence of an order (Schwarz 1978), the mean of what a layer's own and the others' amplitudes leave.
+
+    n samples whose variance is not known have the log likelihood -n log misfit; a mode more costs log n for its pole
+    and for its amplitude in every signal.
+    """
+    samples = cut.signals.length.sum() * min(1.0, NOISE_BANDWIDTH * cut.signals.step / kernel)
+    return -samples * np.log(misfit * carried) / 2 - order * (len(cut.signals.values) + 1) * np.log(samples)
 
 
 def _box(fastest: float, widest: float) -> Callable[[np.ndarray], np.ndarray]:
     return lambda pole: np.clip(np.real(pole), -fastest, -SLOWEST) + 1j * np.clip(np.imag(pole), -widest, widest)
 
 
-def _judged(pole: np.ndarray, cut: _Band, shape: tuple[int, int]) -> tuple[np.ndarray, float, float]:
+def _judged(pole: np.ndarray, cut: _Band) -> tuple[np.ndarray, float, float]:
     """Amplitudes [layers, channels, modes], and the geometric means over layers of two misfits.
 
     The first is by a layer's own amplitudes, the second by the pattern of the others, with one complex gain.
     """
-    each = amplitudes(pole, cut.signals)
-    full = np.zeros((*shape, len(pole)), complex)
-    for (i, c), a in zip(cut.live, each, strict=True):
-        full[i, c] = a
-    longest = np.exp(np.outer(cut.signals.step * np.arange(max(map(len, cut.signals.values))), pole))
-    layers = sorted({i for i, _ in cut.live})
-    misfits = []
-    for layer in layers:
-        others = [i for i in layers if i != layer] or [layer]
-        pattern = common_pattern(full[others], cut.noise[others])[0]
-        here = [(n, c) for n, (i, c) in enumerate(cut.live) if i == layer]
-        size = [cut.signals.size[n] for n, _ in here]
-        seen = np.concatenate([cut.signals.values[n] / s for (n, _), s in zip(here, size, strict=True)])
-        own = _stacked(longest, [full[layer, c] for _, c in here], size)
-        theirs = _stacked(longest, [pattern[c] for _, c in here], size)
-        gain = np.vdot(theirs, seen) / max(np.vdot(theirs, theirs).real, 1e-300)
-        misfits.append((_misfit(seen - own, seen), _misfit(seen - gain * theirs, seen)))
-    own, carried = np.exp(np.mean(np.log(misfits), axis=0))
-    return full, float(own), float(carried)
+    full = np.zeros((*cut.live.shape, len(pole)), complex)
+    full[cut.live] = amplitudes(pole, cut.signals)
+    layers = np.flatnonzero(cut.live.any(axis=1))
+    theirs = full if len(layers) == 1 else np.zeros_like(full)
+    if len(layers) > 1:
+        for layer in layers:
+            others = layers[layers != layer]
+            theirs[layer] = common_pattern(full[others], cut.noise[others])[0]
+    shape = np.exp(np.outer(cut.signals.time, pole)).T
+    weight = cut.signals.weight
+    seen, own, alike = (
+        _by_layer(x * weight, cut.live) for x in (cut.signals.values, full[cut.live] @ shape, theirs[cut.live] @ shape)
+    )
+    gain = (alike.conj() * seen).sum(axis=-1) / np.maximum((np.abs(alike) ** 2).sum(axis=-1), 1e-300)
+    own, carried = (
+        float(np.exp(np.mean(np.log(_misfit(seen - x, seen)[layers])))) for x in (own, gain[:, None] * alike)
+    )
+    return full, own, carried
 
 
-def _stacked(longest: np.ndarray, each: Sequence[np.ndarray], size: Sequence[np.ndarray]) -> np.ndarray:
-    return np.concatenate([longest[: len(s)] @ a / s for a, s in zip(each, size, strict=True)])
+def _by_layer(x: np.ndarray, live: np.ndarray) -> np.ndarray:
+    """Live signals behind each other, those that are not silent [layers, channels times frames]."""
+    out = np.zeros((*live.shape, x.shape[-1]), complex)
+    out[live] = x
+    return out.reshape(len(live), -1)
 
 
-def _misfit(left: np.ndarray, seen: np.ndarray) -> float:
-    """Share of the power that is left, at most four times a sample's own."""
-    return float(np.minimum(np.abs(left) ** 2, 4 * np.abs(seen) ** 2).sum() / (np.abs(seen) ** 2).sum()) + LEFT
+def _misfit(left: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """Share of the power that is left, at most four times a sample's own [layers]."""
+    power = np.abs(seen) ** 2
+    return np.minimum(np.abs(left) ** 2, 4 * power).sum(axis=-1) / np.maximum(power.sum(axis=-1), 1e-300) + ROUNDING
 
 
 def common_pattern(amplitude: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import eigh
 
 __all__ = ["Signals", "amplitudes", "poles_by_subspace", "refined", "standard_errors"]
 
@@ -26,23 +27,31 @@ DAMPING = 1e-3
 LAST_DAMPING = 1e6
 # Singular values of the exponentials below this share of the largest are not told apart by a signal.
 RANK = 3e-3
+# The same where only the direction of a step depends on it.
+STEP_RANK = 1e-6
 
 
 class Signals(NamedTuple):
     """Complex signals at one step, each beginning at time 0."""
 
-    values: Sequence[np.ndarray]  # complex [samples of each]
-    size: Sequence[np.ndarray]  # what is a deviation of 1 in each [samples of each]
+    values: np.ndarray  # complex [signals, samples]
+    weight: np.ndarray  # over a deviation of 1; from a signal's end on 0 [signals, samples]
     step: float  # s
 
     def thinned(self) -> Signals:
         """About `LOOKED_AT` samples of the longest."""
-        by = max(1, max(map(len, self.values)) // LOOKED_AT)
-        return Signals([z[::by] for z in self.values], [s[::by] for s in self.size], self.step * by)
+        by = max(1, self.values.shape[-1] // LOOKED_AT)
+        return Signals(self.values[:, ::by], self.weight[:, ::by], self.step * by)
 
-    def times(self, which: int) -> np.ndarray:
-        """Of one signal's samples, s."""
-        return self.step * np.arange(len(self.values[which]))
+    @property
+    def time(self) -> np.ndarray:
+        """Of the samples, s."""
+        return self.step * np.arange(self.values.shape[-1])
+
+    @property
+    def length(self) -> np.ndarray:
+        """How many samples each signal has [signals]."""
+        return (self.weight > 0).sum(axis=-1)
 
 
 def poles_by_subspace(
@@ -56,50 +65,69 @@ def poles_by_subspace(
     lift : 1/s; signals are multiplied by exp(lift t), so that what decays slowly counts late as well.
     """
     thin = signals.thinned()
-    columns = max(LEAST_COLUMNS, max(map(len, thin.values)) // 2)
-    covariance = np.zeros((columns, columns), complex)
-    for i, (z, w) in enumerate(zip(thin.values, scale, strict=True)):
-        if len(z) > columns + 2:
-            lifted = z * np.exp(lift * thin.times(i)) / w
-            rows = np.lib.stride_tricks.sliding_window_view(lifted, columns)
-            covariance += rows.T @ rows.conj()
-    if not covariance.any():
+    columns = max(LEAST_COLUMNS, thin.values.shape[-1] // 2)
+    lifted = thin.values * np.exp(lift * thin.time) / np.asarray(scale)[:, None]
+    cut = [z[:size] for z, size in zip(lifted, thin.length, strict=True) if size > columns + 2]
+    most = min(max(orders), columns - 3)
+    if not cut or most < 1:
         return {}
-    basis = np.linalg.eigh(covariance)[1]
+    basis = eigh(_hankel_covariance(cut, columns), subset_by_index=[columns - most, columns - 1])[1]
     found = {}
     for order in orders:
-        if order + 2 < columns:
+        if order <= most:
             u = basis[:, -order:]
             turn = np.linalg.eigvals(np.linalg.pinv(u[:-1]) @ u[1:])
             found[order] = np.log(turn) / thin.step - lift
     return found
 
 
+def _hankel_covariance(signals: Sequence[np.ndarray], columns: int) -> np.ndarray:
+    """Σ_n z[n + i] z*[n + j] over all whole windows of all signals [columns, columns].
+
+    Along a diagonal an entry differs from the last by the window's last product more and its first less.
+    """
+    last = [len(z) - columns + 1 for z in signals]
+    first_row = np.sum([np.correlate(z, z[:rows], "valid") for z, rows in zip(signals, last, strict=True)], axis=0)
+    ends = np.stack([z[rows : rows + columns - 1] for z, rows in zip(signals, last, strict=True)])
+    begins = np.stack([z[: columns - 1] for z in signals])
+    more = ends.T @ ends.conj() - begins.T @ begins.conj()
+    covariance = np.empty((columns, columns), complex)
+    covariance[0], covariance[:, 0] = first_row.conj(), first_row
+    for i in range(columns - 1):
+        covariance[i + 1, 1:] = covariance[i, :-1] + more[i]
+    return covariance
+
+
+def _inverse(v: np.ndarray, rank: float) -> tuple[np.ndarray, np.ndarray]:
+    """Orthonormal columns of v, and the pseudo-inverse of the triangle beside them."""
+    q, r = np.linalg.qr(v)
+    return q, np.linalg.pinv(r, rcond=rank)
+
+
+def _adjoint(q: np.ndarray) -> np.ndarray:
+    return q.conj().swapaxes(-1, -2)
+
+
 def amplitudes(pole: np.ndarray, signals: Signals) -> np.ndarray:
     """Of every signal, at its begin, by weighted least squares [signals, modes]."""
-    longest = np.exp(np.outer(signals.step * np.arange(max(map(len, signals.values))), pole))
-    scale = np.linalg.norm(longest, axis=0)
-    return np.stack([
-        np.linalg.lstsq(longest[: len(z)] / scale / s[:, None], z / s, rcond=RANK)[0] / scale
-        for z, s in zip(signals.values, signals.size, strict=True)
-    ])  # fmt: skip
+    v = np.exp(np.outer(signals.time, pole))
+    scale = np.linalg.norm(v, axis=0)
+    q, inverse = _inverse(signals.weight[..., None] * (v / scale), RANK)
+    return (inverse @ (_adjoint(q) @ (signals.values * signals.weight)[..., None]))[..., 0] / scale
 
 
 def _projected(pole: np.ndarray, signals: Signals) -> tuple[float, np.ndarray, np.ndarray]:
     """Cost, residual [all samples] and Kaufman's Jacobian of its negative by the poles [all samples, modes]."""
-    residuals, jacobians = [], []
-    for i, (z, s) in enumerate(zip(signals.values, signals.size, strict=True)):
-        t = signals.times(i)
-        v = np.exp(np.outer(t, pole)) / s[:, None]
-        q, r = np.linalg.qr(v)
-        y, each = z / s, 1 / np.sqrt(len(z))
-        along = q.conj().T @ y
-        a = np.linalg.lstsq(r, along, rcond=1e-6)[0]
-        moved = t[:, None] * v * a
-        residuals.append((y - q @ along) * each)
-        jacobians.append((moved - q @ (q.conj().T @ moved)) * each)
-    residual = np.concatenate(residuals)
-    return float(np.vdot(residual, residual).real), residual, np.concatenate(jacobians)
+    time = signals.time
+    v = np.exp(np.outer(time, pole)) * signals.weight[..., None]
+    q, inverse = _inverse(v, STEP_RANK)
+    y = (signals.values * signals.weight)[..., None]
+    along = _adjoint(q) @ y
+    moved = time[:, None] * v * (inverse @ along).swapaxes(-1, -2)
+    each = 1 / np.sqrt(signals.length)[:, None, None]
+    residual = ((y - q @ along) * each).ravel()
+    jacobian = ((moved - q @ (_adjoint(q) @ moved)) * each).reshape(-1, len(pole))
+    return float(np.vdot(residual, residual).real), residual, jacobian
 
 
 def refined(pole: np.ndarray, signals: Signals, box: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
