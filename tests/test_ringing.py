@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import functools
+import importlib.util
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ from pianofit.ringing import Heard, PartialModes, hear, key_of, modes_of
 from pianofit.ringing.bands import band, kernel_gain
 from pianofit.ringing.subspace import Signals, poles_by_subspace, refined, standard_errors
 
+STUDY = Path(__file__).parents[1] / "benchmarks" / "ringing_study.py"
 RATE, SECONDS, LEAD, F0 = 22_050, 4.0, 0.1, 220.0
 VELOCITIES = (0.6, 1.0, 1.7)
 # Per partial: (offset from k f0, Hz; decay, 1/s; amplitude) of each mode. A beat, a double decay, both, and one alone.
@@ -95,7 +98,7 @@ def test_errors_of_poles_are_those_of_repeated_experiments(order):
         z = z + 0.02 * (random.normal(size=len(t)) + 1j * random.normal(size=len(t))) / np.sqrt(2)
         signals = Signals(z[None], 1 / size[None], 1 / 200)
         thin = signals.thinned()
-        pole = refined(poles_by_subspace(signals, [1.0], [order], 0.0)[order], signals, lambda p: p)
+        pole = refined(poles_by_subspace(signals, np.ones(1), [order], 0.0)[order], signals, lambda p: p)
         pole = pole[[int(np.argmin(np.abs(pole - p))) for p in true]]
         return pole - true, standard_errors(pole, thin, 1.0)
 
@@ -173,3 +176,16 @@ def test_a_pitch_that_falls_is_levelled():
 
     assert drift(straight) < 0.3 * drift(raw)
     assert np.abs(straight[-200:]).max() < 2 * np.abs(raw[-200:]).max()
+
+
+def test_orders_are_right_where_modes_are_clear_and_poles_near_their_bound():
+    spec = importlib.util.spec_from_file_location("ringing_study", STUDY)
+    assert spec is not None
+    assert spec.loader is not None
+    study = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(study)
+    rows = [row for seed in (0, 2, 6) for row in study.study(seed) if row["clear_db"] > study.CLEAR]
+    assert {row["order"] for row in rows} == {1, 2, 3, 4}
+    assert np.mean([row["found"] == row["order"] for row in rows]) > 0.9
+    over = np.concatenate([row["over_bound"] for row in rows if "over_bound" in row])
+    assert 0.5 < np.median(over) / 0.67 < 2.5  # even weights in log time are not the noise's

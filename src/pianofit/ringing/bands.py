@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 from scipy.fft import next_fast_len
@@ -53,7 +53,7 @@ def band(spectrum: np.ndarray, samples: int, rate: float, centre: float, seconds
     u = (at * rate / samples - centre) * seconds
     with np.errstate(all="ignore"):
         weight = np.where(np.abs(np.abs(u) - 1) < 1e-6, 0.5, np.sinc(u) / (1 - u * u))
-    size = next_fast_len(2 * reach + 1)
+    size = cast(int, next_fast_len(2 * reach + 1))
     inside = (at >= 0) & (at < samples // 2)
     wrapped = np.zeros((*spectrum.shape[:-1], size), complex)
     wrapped[..., (at - middle) % size] = np.where(inside, spectrum[..., np.clip(at, 0, samples // 2)], 0) * weight

@@ -284,7 +284,7 @@ def _chosen(
         amplitude, misfit, carried = _judged(pole, cut)
         score = _evidence(misfit, carried, order, cut, kernel)
         # What would decay faster still is the knock's.
-        if best is None or (score > best[0] and pole.real.min() > -fastest):
+        if best is None or (score > best[0] and np.real(pole).min() > -fastest):
             best = score, (pole, amplitude, misfit, carried)
     return None if best is None else best[1]
 

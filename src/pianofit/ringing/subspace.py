@@ -54,19 +54,17 @@ class Signals(NamedTuple):
         return (self.weight > 0).sum(axis=-1)
 
 
-def poles_by_subspace(
-    signals: Signals, scale: Sequence[float], orders: Sequence[int], lift: float
-) -> dict[int, np.ndarray]:
+def poles_by_subspace(signals: Signals, scale: np.ndarray, orders: Sequence[int], lift: float) -> dict[int, np.ndarray]:
     """Poles, 1/s, for every order that the signals are long enough for.
 
     Parameters
     ----------
-    scale : of each signal; its covariance is divided by the square.
+    scale : of each signal [signals]; its covariance is divided by the square.
     lift : 1/s; signals are multiplied by exp(lift t), so that what decays slowly counts late as well.
     """
     thin = signals.thinned()
     columns = max(LEAST_COLUMNS, thin.values.shape[-1] // 2)
-    lifted = thin.values * np.exp(lift * thin.time) / np.asarray(scale)[:, None]
+    lifted = thin.values * np.exp(lift * thin.time) / scale[:, None]
     cut = [z[:size] for z, size in zip(lifted, thin.length, strict=True) if size > columns + 2]
     most = min(max(orders), columns - 3)
     if not cut or most < 1:
