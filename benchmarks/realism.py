@@ -40,7 +40,7 @@ MISSED = 1.4
 CONSTANTS = {
     "bands": ("KERNEL",),
     "modes": ("EVEN", "RANGE", "LEAST_SNR", "COHERENT", "FASTEST", "ENVELOPE"),
-    "key": ("KNOCK", "FADE", "RIDGE", "SMOOTH", "DRIVEN", "FLOOR", "ATTACK", "FAR"),
+    "key": ("KNOCK", "FADE", "FLOOR", "ATTACK", "FAR"),
 }
 
 

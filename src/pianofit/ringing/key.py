@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import signal
 
-from ..model.modal import EDGE, LEAD, Force, Ringing, ring
+from ..model.modal import EDGE, LEAD, Force, Ringing
 from .heard import Heard
 from .modes import PartialModes, common_pattern
 
@@ -17,12 +17,6 @@ __all__ = ["key_of"]
 KNOCK = 0.4
 # Part of it, at its end, in which it fades.
 FADE = 1 / 3
-# Regularisation, share of the force's power spectrum smoothed over `SMOOTH` bins: where no force was, nothing is told.
-RIDGE = 0.05
-SMOOTH = 41
-# A mode that the force drives so much less than another, amplitude, lies where its spectrum is nought: what it shows
-# there is not the force's.
-DRIVEN = 0.003
 # A force whose spectrum lies so far below its largest, amplitude, is the model's smoothness and drives no knock: other
 # sounds than the model's lie as far below the loudest partial (the likelihood's prior of η). Without any floor the
 # kernel explodes; where it lies makes no difference.
@@ -100,7 +94,7 @@ def _knock(
     heard: Heard, modes: Sequence[PartialModes], key: Ringing, forces: Sequence[Force], delay: np.ndarray,
     gain: np.ndarray,
 ) -> np.ndarray:  # fmt: skip
-    """Σ w F* R / (Σ w |F|² + λ) over layers [channels, samples].
+    """Σ w F* R / (Σ w |F|² + floor) over layers [channels, samples].
 
     R is what a layer's modes leave by the amplitudes that the layer itself shows, from its contact on: what the common
     pattern misses of a partial is no knock.
@@ -118,24 +112,13 @@ def _knock(
         # Every layer from `LEAD` before its contact.
         around = np.concatenate([before[:, before.shape[-1] - lead :], x], axis=-1)
         seen = _shifted(around[:, : 2 * size], -late * rate)[:, :size]
-        rest = seen - _alone(key, own * np.exp(key.pole * late), force, rate, size)
+        alone = key._replace(pattern=own * np.exp(key.pole * late) / force.drive(key.pole))
+        rest = seen - alone.sound(force, rate, size)
         spectrum = g * np.fft.rfft(force.at(rate), count) * np.exp(turn * EDGE)
         weight = 1 / np.sum(seen**2)
         above += weight * spectrum.conj() * np.fft.rfft(rest * fade, count)
         below += weight * np.abs(spectrum) ** 2
-    smooth = np.exp(
-        signal.convolve(np.pad(np.log(below + 1e-300), SMOOTH // 2, "edge"), np.ones(SMOOTH) / SMOOTH, "valid")
-    )
-    return np.fft.irfft(above / (below + RIDGE * smooth + FLOOR**2 * below.max()), count)[:, :size] * fade
-
-
-def _alone(key: Ringing, amplitude: np.ndarray, force: Force, rate: int, size: int) -> np.ndarray:
-    """Modes of these amplitudes at the contact, driven by the force where it drives them and begun there otherwise."""
-    drive = force.drive(key.pole)
-    driven = amplitude * drive.conj() / (np.abs(drive) ** 2 + (DRIVEN * np.abs(drive).max()) ** 2)
-    lead = round(LEAD * rate)
-    begun = ring(key.pole, amplitude - driven * drive, rate, size - lead)
-    return key._replace(pattern=driven).sound(force, rate, size) + np.pad(begun, ((0, 0), (lead, 0)))
+    return np.fft.irfft(above / (below + FLOOR**2 * below.max()), count)[:, :size] * fade
 
 
 def _shifted(x: np.ndarray, samples: float) -> np.ndarray:
