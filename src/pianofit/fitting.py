@@ -82,8 +82,10 @@ def fit(
                 progress=report,
             )  # fmt: skip
         from .inference.fit import fit_takes
+        from .ringing import make_ring
 
-        return fit_takes(sounds, heard, known, velocity=velocity, intervals=intervals, seed=seed, progress=report)
+        found = fit_takes(sounds, heard, known, velocity=velocity, intervals=intervals, seed=seed, progress=report)
+        return make_ring(found, report)
 
 
 def read(recordings: Sequence[Source], channel: str = "average") -> list[Recording]:

@@ -28,7 +28,7 @@ __all__ = [
 # Larger numbers overflow when they are squared.
 LARGEST = 1e300
 # Schema of the fit.json that this version writes.
-FIT_SCHEMA = 2
+FIT_SCHEMA = 3
 
 
 def one_line(text: object) -> str:
@@ -225,14 +225,16 @@ def json_text(document: dict) -> str:
 
 
 def encode_wav(samples: np.ndarray, rate: int) -> bytes:
-    """A mono WAV file of 32 bit floats: nothing is rounded, and a level above full scale survives.
+    """A WAV file of 32 bit floats: nothing is rounded, and a level above full scale survives.
+
+    Of samples [samples] or [channels, samples].
 
     Not by libsndfile, which puts the time of day into such files: the same sound is the same bytes.
     """
     from scipy.io import wavfile
 
     stream = io.BytesIO()
-    wavfile.write(stream, rate, samples.astype(np.float32))
+    wavfile.write(stream, rate, samples.T.astype(np.float32))
     return stream.getvalue()
 
 

@@ -7,6 +7,7 @@ velocity it gives the sound of the same string, hammer and path, struck harder o
 from __future__ import annotations
 
 import os
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,7 @@ from .parameters import (  # fmt: skip
     make_hammer,
 )
 from .recording import RATES
+from .ringing_file import read_ringing
 
 __all__ = ["CEILING", "limited", "load_mixture", "load_note", "mixture_of", "read_fit"]
 
@@ -64,10 +66,11 @@ def load_note(path: str | os.PathLike[str]) -> tuple[Note, int]:
     FitError
         Naming the file and the entry that is missing, of another kind, or out of range.
     """
-    return _note_of(read_fit(path), one_line(path))
+    return _note_of(read_fit(path), Path(path))
 
 
-def _note_of(document: dict[str, Any], name: str) -> tuple[Note, int]:
+def _note_of(document: dict[str, Any], path: Path) -> tuple[Note, int]:
+    name = one_line(path)
     table = table_of(document, "parameters", name, WAY_OUT)
     values = {key: _number(table, key, name) for key in FIT_NAMES}
     values |= {key: _number(table, key, name) for key in MEMORY_NAMES if key in table}
@@ -92,6 +95,7 @@ def _note_of(document: dict[str, Any], name: str) -> tuple[Note, int]:
     note = Note(
         String(*(values[n] for n in STRING_NAMES)), hammer,
         _geometry(table, quantity, name), quantity, gain, _path(pickup.get("path"), name),
+        read_ringing(document.get("ringing"), path.parent, name),
     )  # fmt: skip
     return note, int(rate)
 
@@ -104,12 +108,13 @@ def load_mixture(path: str | os.PathLike[str]) -> list[tuple[float, Note]]:
     FitError
         As `load_note`.
     """
-    return mixture_of(read_fit(path), one_line(path))
+    return mixture_of(read_fit(path), Path(path))
 
 
-def mixture_of(document: dict[str, Any], name: str) -> list[tuple[float, Note]]:
-    """`load_mixture` of what a file held; `name` opens every error."""
-    note, _ = _note_of(document, name)
+def mixture_of(document: dict[str, Any], path: Path) -> list[tuple[float, Note]]:
+    """`load_mixture` of what the file at `path` held. Only the best note rings by the key's modes, see `ringing`."""
+    note, _ = _note_of(document, path)
+    name = one_line(path)
     minima = document.get("minima")
     if not isinstance(minima, list) or len(minima) < 2:
         return [(1.0, note)]
@@ -118,7 +123,10 @@ def mixture_of(document: dict[str, Any], name: str) -> list[tuple[float, Note]]:
         where = f"{name}: minima[{at}]"
         if not isinstance(entry, dict) or not isinstance(entry.get("parameters"), dict):
             raise FitError(f"{where} has no parameters; {WAY_OUT}")
-        mixture.append((finite(entry.get("share"), f"{where}.share", WAY_OUT), _of_minimum(note, entry, where)))
+        own = _of_minimum(note, entry, where)
+        mixture.append(
+            (finite(entry.get("share"), f"{where}.share", WAY_OUT), own._replace(ringing=None) if at else own)
+        )
     return mixture
 
 

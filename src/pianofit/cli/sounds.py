@@ -107,8 +107,8 @@ def render(
     rate = rate or own_rate
     keep_programs()
     played = note._replace(hammer=note.hammer._replace(v_H0=velocity))
-    samples, strike = played.play(rate, round(seconds * rate))
-    samples, gain = limited(samples)
-    write_file(out, encode_wav(samples, rate), force)
+    strike = played.strike(rate)
+    samples, gain = limited(played.frames(strike, rate, round(seconds * rate), round(played.lead * rate)))
+    write_file(out, encode_wav(samples[0] if len(samples) == 1 else samples, rate), force)
     turned = f", brought down by a factor {gain:.3g} to stay below full scale" if gain < 1 else ""
     typer.echo(f"{out}: {seconds:g} s at {velocity:g} m/s, {contact_of(strike)}{turned}")

@@ -75,11 +75,7 @@ def predict_take(notes: Note | Sequence[tuple[float, Note]], analysis: Analysis)
     level = np.sum([share / total * (one + gain) for share, _, one, gain in played], axis=0)
     _, velocity, _, gain = played[0]
     cents = 1200 * float(np.log2(analysis.f0 / _pitch(first)))
-    note = first._replace(
-        string=first.string._replace(c=first.string.c * 2 ** (cents / 1200)),
-        hammer=first.hammer._replace(v_H0=velocity),
-        gain=first.gain * 10 ** (gain / 20),
-    )
+    note = first.tuned(cents).struck(velocity)._replace(gain=first.gain * 10 ** (gain / 20))
     found = level_error_db(level[chosen], p.level[chosen])
     slowest, fastest = _range()
     at_end = not slowest * SAME < velocity < fastest / SAME

@@ -36,6 +36,7 @@ class Sound:
     samples: np.ndarray  # file units, as long as the recording
     simulation: Simulation
     level: np.ndarray  # dB, [partials], gain and path included, in the recording's unit
+    frames: np.ndarray | None = None  # `samples` is their mean [channels, samples]; None for one channel
 
     def __repr__(self) -> str:
         return f"Sound of {len(self.samples)} samples, {self.note.hammer.v_H0:.3g} m/s"
@@ -52,9 +53,16 @@ class Heard:
     analysis: Analysis
     criterion: dict
     levels: dict
+    ringing: Sound | None = None  # `fitted` as the key rings; itself is by the string's law
 
     def __repr__(self) -> str:
         return f"Heard: {self.recording!r}, levels {self.levels['fitted_db']:.2f} dB off after the fit"
+
+    @property
+    def sound(self) -> np.ndarray:
+        """The fit as it plays this recording [samples], or [channels, samples]."""
+        played = self.ringing or self.fitted
+        return played.samples if played.frames is None or len(played.frames) == 1 else played.frames
 
     @property
     def partials(self) -> Partials:
@@ -249,7 +257,7 @@ class Result:
         """
         path = Path(folder) / "fit.json" if Path(folder).is_dir() else Path(folder)
         document, name = read_fit(path), one_line(path)
-        mixture = mixture_of(document, name)
+        mixture = mixture_of(document, path)
         shares, notes = zip(*mixture, strict=True)
         result = cls(document, (), 0, None, tuple((note,) for note in notes), shares)
         try:
