@@ -72,7 +72,7 @@ def rungs(note: str, files: list[Path], setup, tool: ModuleType) -> dict:
     near = [tool.compare(target, tool.load(str(files[i]))) for i in (out - 1, out + 1)]
     best = min(near, key=lambda x: x["distance_db"])
     return {
-        "law": distance(played.heard(stroke, rate, count, round(0.01 * rate))),
+        "law": distance(played._replace(ringing=None).heard(stroke, rate, count, round(0.01 * rate))),
         "modes": distance(key.without_knock().sound(force, rate, count).mean(axis=0)),
         "modes and knock": distance(key.sound(force, rate, count).mean(axis=0)),
         "nearest layer": {"distance": best["distance_db"], **best["logmel_db"], "loudness": best["loudness_rms_db"]},

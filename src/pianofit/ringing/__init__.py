@@ -8,9 +8,12 @@ brings layers nearer that took no part.
 """
 
 from .distance import log_mel_distance
-from .fitted import make_ring
+from .fitted import make_ring, ringing_of
 from .heard import Heard, hear
 from .key import Key, key_of
 from .modes import PartialModes, modes_of
 
-__all__ = ["Heard", "Key", "PartialModes", "hear", "key_of", "log_mel_distance", "make_ring", "modes_of"]
+__all__ = [
+    "Heard", "Key", "PartialModes", "hear", "key_of", "log_mel_distance", "make_ring", "modes_of",
+    "ringing_of",
+]  # fmt: skip

@@ -24,7 +24,7 @@ from .heard import Heard, hear
 from .key import Key, key_of
 from .modes import PartialModes, modes_of
 
-__all__ = ["RUNGS", "make_ring"]
+__all__ = ["RUNGS", "make_ring", "ringing_of"]
 
 # What a key can ring by, the simplest first.
 RUNGS = ("law", "modes", "modes and knock")
@@ -38,6 +38,10 @@ class _Layers(NamedTuple):
     heard: Heard
     forces: list[Force]
 
+    def modes(self) -> list[PartialModes]:
+        """Of all partials."""
+        return modes_of(self.heard, [layer.analysis for layer in self.fitted])
+
 
 @one_blas_thread()
 def make_ring(result: Result, progress: Callable[[str, float], None] = lambda *_: None) -> Result:
@@ -50,13 +54,24 @@ def make_ring(result: Result, progress: Callable[[str, float], None] = lambda *_
         return result
     progress("ringing", 0.95)
     layers = _layers(result)
-    modes = modes_of(layers.heard, [layer.analysis for layer in layers.fitted])
+    modes = layers.modes()
     if not modes:
         return result
     key = key_of(layers.heard, modes, layers.forces)
     distances = _left_out(layers, modes, key)
     rung = min(RUNGS, key=lambda name: distances[name]) if distances else RUNGS[-1]
     return _attached(result, layers, key, rung, distances)
+
+
+@one_blas_thread()
+def ringing_of(result: Result) -> Ringing | None:
+    """Modes and knock of a fitted key, in file units without the gains of layers, whether or not they bring it nearer.
+
+    None where no partial stands above the noise long enough to show its modes.
+    """
+    layers = _layers(result)
+    modes = layers.modes()
+    return key_of(layers.heard, modes, layers.forces).ringing if modes else None
 
 
 def _layers(result: Result) -> _Layers:
