@@ -29,8 +29,8 @@ from pianofit.inference.start import starting_values
 from pianofit.model import simulate
 from pianofit.model.cache import keep_programs
 from pianofit.paper.laboratory import Laboratory, measure, setup_text
-from pianofit.paper.problem import pose, split
 from pianofit.paper.recipes import fit_by_paper
+from pianofit.paper.search import pose, split
 from pianofit.paper.twin import make_twin
 from pianofit.paper.twin import setup_text as demo_setup
 from pianofit.parameters import FIT_NAMES

@@ -17,7 +17,7 @@ from pianofit.criterion import band_values, line_sigma, measure
 from pianofit.inference.start import Start, starting_values
 from pianofit.model import simulate
 from pianofit.model.note import arrival
-from pianofit.paper import steps
+from pianofit.paper import search as searching
 from pianofit.paper.recipes import RECIPES, Found, check_recipe, claims, fit_by_paper
 from pianofit.paper.twin import LEAD, make_twin, setup_text
 from pianofit.parameters import FIT_NAMES, Hammer, String
@@ -147,7 +147,7 @@ def test_the_same_seed_gives_the_same_result():
 
 
 def test_the_global_criterion_goes_down_and_leaves_the_brightness_behind(monkeypatch):
-    monkeypatch.setattr(steps, "ITERATIONS", 25)
+    monkeypatch.setattr(searching, "ITERATIONS", 25)
     found = search(recipe="global")
     after = final(found)
     assert after["global"] < 0.1 * initial()["global"]
@@ -231,7 +231,7 @@ def test_no_interval_is_claimed_and_that_is_said():
 
 
 def test_a_search_that_stopped_is_said(monkeypatch):
-    monkeypatch.setattr(steps, "ITERATIONS", 5)
+    monkeypatch.setattr(searching, "ITERATIONS", 5)
     whole = document(recipe="global")
     assert not whole["converged"]
     assert any("stopped before it" in said for said in whole["messages"])

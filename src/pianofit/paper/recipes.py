@@ -12,7 +12,6 @@ the hammer on the σ at which the criterion is reported.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import NamedTuple
 
 from ..analysis import Analysis
@@ -23,8 +22,7 @@ from ..inference.start import Start, starting_values
 from ..parameters import FELT_LAWS, FIT_NAMES, MEMORY_NAMES, Hammer, String
 from ..recording import Recording
 from ..setup import Setup
-from .problem import pose, split
-from .steps import ALL, Search
+from .search import ALL, pose, split
 
 __all__ = ["RECIPES", "Found", "check_recipe", "claims", "fit_by_paper", "fit_by_recipe"]
 
@@ -134,25 +132,23 @@ def fit_by_paper(
     """
     if set(MEMORY_NAMES) & set(FELT_LAWS[start.felt]):
         raise ParameterError(f"recipe={recipe!r} has no felt={start.felt!r}: the paper's felt has no memory")
-    search = Search(pose(recording, analysis, start))
-    x = search.problem.x(search.problem.values)
+    search = pose(recording, analysis, start)
+    x = search.x(search.values)
     progress("string", 0.1)
     if recipe == "global":
         x = search.down(x, FIT_NAMES, ALL)
     else:
-        x = search.down(x, ("c", "b1"), (search.problem.band(0),))
-        x = search.down(x, ("kappa", "b2"), (search.problem.band(1),))
+        x = search.down(x, ("c", "b1"), (search.band(0),))
+        x = search.down(x, ("kappa", "b2"), (search.band(1),))
         progress("hammer", 0.2)
         x = search.annealed(x, evaluations or EVALUATIONS, seed) if hammer == "annealing" else search.hammer_down(x)
     progress("gradient", 0.7)
-    if search.problem.calibrated:
-        delay = search.problem.first_contact(search.problem.natural(x))
-        search.problem = replace(search.problem, delay=delay)
+    if search.calibrated:
+        search.delay = search.first_contact(search.natural(x))
     if recipe == "global":
         x = search.finely_down(x, FIT_NAMES, ALL)
     else:
         x = search.hammer_finished(x) if hammer == "annealing" else search.hammer_down(x)
     progress("done", 1.0)
-    values = search.problem.natural(x)
-    at_bound = search.problem.at_bound(values)
-    return Found(*split(values), search.problem.delay, search.converged, search.evaluations, at_bound)
+    values = search.natural(x)
+    return Found(*split(values), search.delay, search.converged, search.evaluations, search.at_bound(values))

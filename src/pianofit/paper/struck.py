@@ -8,7 +8,8 @@ nothing but T̂ changes.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -21,9 +22,10 @@ from ..model.contact import Pulse, impulse_amplitude, kernel_rows, strike
 from ..model.modes import Modes, mode_table
 from ..model.response import pulse_transform
 from ..parameters import Geometry, Hammer, String
+from .descent import LeastSquares
 from .spectral import Goal, miss
 
-__all__ = ["Cfg", "Held", "Scene", "hammer_costs", "hammer_residuals", "hold", "struck_gradients"]
+__all__ = ["Cfg", "Scene", "hold", "struck_gradients"]
 
 # Chebyshev nodes a cell.
 SMOOTH = 12
@@ -31,6 +33,8 @@ SMOOTH = 12
 NEAREST = 5
 # The steps are some 1.6 contacts long; the force is largest here.
 MIDDLE = 0.3
+# Hammers of one call at most: so many share a compiled program.
+BATCH = 32
 
 
 class Cfg(NamedTuple):
@@ -160,10 +164,22 @@ def struck_gradients(z, goal: Goal, scene: Scene, cfg: Cfg):
     return jax.vmap(jax.value_and_grad(lambda x: _struck(x, goal, scene, cfg)))(z)
 
 
-def hold(z: Float[Array | np.ndarray, " 9"], goal: Goal, scene: Scene, cfg: Cfg) -> Held:
-    """The string of `z`, once for a whole search."""
+def hold(z: Float[Array | np.ndarray, " 9"], goal: Goal, scene: Scene, cfg: Cfg) -> LeastSquares:
+    """C of hammers [n, 5] on the string of `z`, which is computed once for a whole search."""
     mobility, real, imag, rows, *modes = held_string(z, goal, scene, cfg)
-    return Held(Modes(*modes), mobility, real, imag, rows)
+    held = Held(Modes(*modes), mobility, real, imag, rows)
+    return LeastSquares(
+        lambda z: _in_batches(hammer_costs, z, held, goal, scene, cfg)[0],
+        lambda z: _in_batches(hammer_residuals, z, held, goal, scene, cfg),
+    )
+
+
+def _in_batches(function: Callable, z: np.ndarray, *rest: Any) -> tuple[np.ndarray, ...]:
+    """`function` of all rows of `z`, as many at once as `BATCH`; the last batch is filled up with its last row."""
+    size = min(BATCH, len(z))
+    full = np.concatenate([z, np.repeat(z[-1:], -len(z) % size, axis=0)])
+    parts = [function(full[i : i + size], *rest) for i in range(0, len(full), size)]
+    return tuple(np.concatenate([np.asarray(x) for x in column])[: len(z)] for column in zip(*parts, strict=True))
 
 
 @kept

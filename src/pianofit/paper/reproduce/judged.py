@@ -6,7 +6,7 @@ import numpy as np
 
 from . import claims
 from .band3 import WITHIN
-from .cases import RECIPES, level_differences, rms, shares
+from .cases import RECIPES, rms
 from .claims import Claim, or_else
 from .studies import STRINGS, Findings, spread_of
 
@@ -14,7 +14,8 @@ __all__ = ["SPANS", "THREE", "WHOLE", "judge"]
 
 SEVENTH = 7  # the paper's "first seven components"
 SPANS = ((0.0, 0.015), (0.040, 0.055))  # s, of Figure 7
-THREE, WHOLE = RECIPES["paper"], RECIPES["global"]
+THREE = RECIPES["paper"]
+WHOLE = RECIPES["global"]
 
 
 def judge(f: Findings) -> dict[str, Claim]:
@@ -40,7 +41,7 @@ def _searches(f: Findings) -> dict[str, Claim]:
     printed = {name: value for name, value in t.printed_final.items() if name in t.printed_initial}
     reached = {kind: run.reached(kind) for kind in ("gradient", "squares", "annealed", "polished")}
     return {
-        "string_found": claims.string_found(t.true, found[0], shares(f.origin.case)),
+        "string_found": claims.string_found(t.true, found[0], f.origin.case.shares()),
         "changes_as_printed": or_else(*(claims.changes_as_printed(t.printed_initial, printed, x) for x in found)),
         "local_minima": claims.local_minima([m.cost for m in f.plane.minima], [m.cost for m in run.minima]),
         "annealing_escapes": claims.annealing_escapes(len(run.start), reached, WITHIN),
@@ -63,7 +64,7 @@ def _results(f: Findings) -> dict[str, Claim]:
 
 def _partials(f: Findings, name: str) -> Claim:
     """What Figure 6 shows, of one of the sounds."""
-    partial, off = level_differences(f.origin.sounds[name], f.origin.case)
+    partial, off = f.origin.case.level_differences(f.origin.sounds[name])
     high = off[partial > SEVENTH]
     return claims.high_partials_differ(rms(off[partial <= SEVENTH]), rms(high), float(high.mean()))
 
@@ -91,7 +92,7 @@ def _predicts(f: Findings, recipe: str) -> Claim:
 
 
 def _explained(f: Findings, recipe: str) -> Claim:
-    left = {one.name: one.remains[recipe]["band3"] for one in f.effects}
+    left = {one.name: one.closeness[recipe].criterion["band3"] for one in f.effects}
     everything, nothing = left.pop("all"), left.pop("none")
     return claims.explained(left, everything, nothing)
 

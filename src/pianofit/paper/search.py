@@ -1,7 +1,10 @@
-"""What the paper's recipes search: one recording, the nine parameters' box, and how the contact is computed.
+"""The paper's searches on eq. 19 of one recording: down the gradient with σ falling, or by annealing over hammers.
 
-A point `x` [9] holds the felt's log force at a reference compression, losses as they are, and the logarithms of the
-rest: K_H and p trade off along equal force at the compressions that a stroke really reaches.
+A point `x` [9], in the order of `FIT_NAMES`, holds the felt's log force at a reference compression, losses as they are,
+and the logarithms of the rest: K_H and p trade off along equal force at the compressions that a stroke really reaches.
+
+How far a step looks to either side of a point is counted in widths of the lines that rule the criterion for the string,
+and in spreads of the literature's hammers for the hammer; the gradient takes its scale from that.
 """
 
 from __future__ import annotations
@@ -15,21 +18,26 @@ import numpy as np
 
 from ..analysis import Analysis
 from ..criterion import band_of, line_sigma
+from ..errors import FitError
 from ..inference.align import lag, placed
-from ..inference.start import Start
+from ..inference.start import HAMMER_SPREAD, Start
 from ..model import simulate
 from ..model.note import arrival
-from ..parameters import FELT_LAWS, FIT_NAMES, PARAMETERS, Geometry, Hammer, String
+from ..parameters import FELT_LAWS, FIT_NAMES, HAMMER_NAMES, PARAMETERS, STRING_NAMES, Geometry, Hammer, String
 from ..recording import Recording
+from .annealing import anneal
+from .descent import Descended, LeastSquares, gradient_descent
 from .spectral import Goal, spectral_goal
-from .struck import Cfg, Scene
+from .struck import Cfg, Scene, hold, struck_gradients
 
-__all__ = ["LINEAR", "Problem", "logs", "pose", "split"]
+__all__ = ["ALL", "Search", "pose", "split"]
 
+ALL = (0, 1, 2)
 # Which of the nine are searched as they are, not by their logarithm.
 LINEAR = np.isin(FIT_NAMES, ("b1", "b2"))
 K = FIT_NAMES.index("K_H")
 P = FIT_NAMES.index("p")
+STRING = len(STRING_NAMES)
 # A loss coefficient that the felt's law does not have is held at this on its log scale, s/m.
 ABSENT = 1e-12
 # The contact may last this many times as long as that of the literature's hammer,
@@ -50,13 +58,27 @@ GLIDES = 8.0
 CENT = math.log(2.0) / 1200
 # A parameter is on an edge of the box within this part of the box's logarithmic width.
 EDGE = 1e-6
+# Overlap of the spectra of two lines that lie one linewidth apart.
+MEETING = 0.8
+# Widths of a line to either side.
+LINES = 10.0
+# Spreads of the literature's hammers to either side.
+SPREADS = 2.5
+HAMMER_REACH = np.array([SPREADS * HAMMER_SPREAD[n] if n in HAMMER_NAMES else 0.0 for n in FIT_NAMES])
+# Steps of the gradient at one σ,
+ITERATIONS = 60
+# and where it ends a search.
+LAST_ITERATIONS = 400
+TOLERANCE = 1e-7
+CHAINS = 32
+NO_HAMMER = "no hammer within the bounds gives a finite sound; widen [bounds] or check [known] in the setup"
 
 
-@dataclass(frozen=True)
-class Problem:
-    """One recording, and the box in which string and hammer are searched; arrays are [9], in the order of `FIT_NAMES`.
+@dataclass
+class Search:
+    """One recording, the box in which string and hammer are searched, and what the search has cost so far.
 
-    `start` holds quantity, scale and geometry; the strike position is held.
+    Arrays are [9]. `start` holds quantity, scale and geometry; the strike position is held.
     """
 
     recording: Recording
@@ -70,6 +92,8 @@ class Problem:
     log_u: float  # log of the reference compression, m; of 1 m where the stiffness is known, which is then the force
     delay: float  # s, from the first contact to the recording's onset
     cfg: Cfg
+    evaluations: int = 0
+    converged: bool = True
 
     @property
     def calibrated(self) -> bool:
@@ -82,17 +106,13 @@ class Problem:
         return int(self.analysis.partials.number.max())
 
     @property
-    def sigma(self) -> float:
-        """σ of the reported criterion, 1/s."""
-        return line_sigma(self.analysis.f0)
-
-    @property
     def sigmas(self) -> list[float]:
         """σ of the string's steps, 1/s, falling: no finer than the recording's length or its glide allow."""
         seconds = (len(self.recording.samples) - self.recording.onset) / self.recording.rate
         glide = 2 * np.pi * abs(self.analysis.glide_cents) * CENT * self.analysis.f0
-        least = min(max(LEAST_SIGMA / seconds, GLIDES * glide), self.sigma)
-        return [*(s for s in self.sigma * SIGMAS if s > least), least]
+        reported = line_sigma(self.analysis.f0)
+        least = min(max(LEAST_SIGMA / seconds, GLIDES * glide), reported)
+        return [*(s for s in reported * SIGMAS if s > least), least]
 
     def band(self, wanted: int) -> int:
         """The band wanted, or the next with a partial in it."""
@@ -112,6 +132,8 @@ class Problem:
         geometry = Geometry(*map(np.float64, self.start.geometry))
         stiff = np.log([self.lower[K], self.upper[K]]) if self.free[K] else np.array([-np.inf, np.inf])
         return Scene(*jax.tree.map(np.asarray, (geometry, self.rate, self.log_u, stiff)))
+
+    # --- points and the box -------------------------------------------------------------------------------------------
 
     def x(self, values: np.ndarray) -> np.ndarray:
         """The point [9] of natural `values` [9]."""
@@ -154,9 +176,96 @@ class Problem:
         late = first + at + lag(model, sign * near[at:][:samples])
         return (onset - late) / rate
 
+    # --- the steps ----------------------------------------------------------------------------------------------------
 
-def pose(recording: Recording, analysis: Analysis, start: Start) -> Problem:
-    """The problem from the user's initial values; the contact's rate and length are from a stroke with these.
+    def down(self, x: np.ndarray, names: Sequence[str], bands: Sequence[int]) -> np.ndarray:
+        """Down the gradient of eq. 19 on some bands with σ falling; only `names` move.
+
+        It begins at the finest σ at which the model's lines still meet the recording's. Wider ones meet from afar, but
+        while the hammer is wrong they bend the string to excuse it, farther than narrow ones find back.
+        """
+        goals = [self.goal(bands, sigma) for sigma in self.sigmas]
+        apart = [i for i, goal in enumerate(goals) if self._overlap(x, goal) < MEETING]
+        first = min(apart, default=len(goals))
+        for goal in goals[max(first - 1, 0) :]:
+            x = self._string_down(x, names, bands, goal)
+        return x
+
+    def finely_down(self, x: np.ndarray, names: Sequence[str], bands: Sequence[int]) -> np.ndarray:
+        """The same at the finest σ alone."""
+        return self._string_down(x, names, bands, self.goal(bands, self.sigmas[-1]))
+
+    def hammer_down(self, x: np.ndarray) -> np.ndarray:
+        """The hammer alone, down the gradient of eq. 19 in its band."""
+        string, *box = self._hammers(x)
+        end = gradient_descent(string.slopes, x[None, STRING:], *box, iterations=LAST_ITERATIONS, tolerance=TOLERANCE)
+        return np.append(x[:STRING], self._counted(end))
+
+    def hammer_finished(self, x: np.ndarray) -> np.ndarray:
+        """The hammer alone, to the floor of its basin, by least squares on the same criterion."""
+        string, *box = self._hammers(x)
+        end = string.finished(x[STRING:], *box, evaluations=ITERATIONS, tolerance=TOLERANCE)
+        return np.append(x[:STRING], self._counted(end))
+
+    def annealed(self, x: np.ndarray, evaluations: int, seed: int) -> np.ndarray:
+        """The hammer alone, by annealing on eq. 19 in its band, starting from `x` and from points all over the box.
+
+        Raises
+        ------
+        FitError
+            If no hammer has a finite criterion.
+        """
+        string, *box = self._hammers(x)
+        found = anneal(string.costs, *box, chains=CHAINS, evaluations=evaluations, seed=seed, start=x[STRING:])
+        self.evaluations += found.evaluations
+        if not np.isfinite(found.cost):
+            raise FitError(NO_HAMMER)
+        return np.append(x[:STRING], found.z)
+
+    def _hammers(self, x: np.ndarray) -> tuple[LeastSquares, np.ndarray, np.ndarray]:
+        """Hammers [n, 5] in their band, on the string of `x`, and the edges between which they may move."""
+        goal = self.goal((self.band(2),), line_sigma(self.analysis.f0))
+        lower, upper = self.box(x, HAMMER_REACH, HAMMER_NAMES)
+        return hold(logs(x), goal, self.scene(), self.cfg), lower[STRING:], upper[STRING:]
+
+    def _overlap(self, x: np.ndarray, goal: Goal) -> float:
+        """∫ |Y|² |S|² dω over the root of ∫ |Y|⁴ dω ∫ |S|⁴ dω: eq. 19 with the best gain is 1 less its square."""
+        free = goal._replace(calibrated=np.zeros_like(goal.calibrated))
+        cost = float(struck_gradients(logs(x)[None], free, self.scene(), self.cfg)[0][0])
+        return max(1 - cost, 0.0) ** 0.5
+
+    def _reach(self, x: np.ndarray, goal: Goal, bands: Sequence[int]) -> np.ndarray:
+        """How far to look [9]: what moves the lines, each with its share in eq. 19, by some of their widths."""
+        c, kappa, b1, b2, *_ = self.natural(x)
+        k = np.arange(1, self.last + 1)
+        k = k[np.isin(band_of(k), bands)]
+        beta2 = (k * np.pi / self.start.geometry.length) ** 2
+        omega = np.sqrt(c**2 * beta2 + kappa**2 * beta2**2)
+        width = float(goal.sigma) + b1 + b2 * beta2
+        share = np.asarray((goal.weight * goal.energy) ** 2).sum(axis=1)[: len(k)]
+        moved = np.stack([c**2 * beta2 / omega, kappa**2 * beta2**2 / omega, np.ones(len(k)), beta2]) / width
+        return HAMMER_REACH + np.append(LINES / np.sqrt((share * moved**2).sum(axis=1)), np.zeros(len(HAMMER_NAMES)))
+
+    def _string_down(self, x: np.ndarray, names: Sequence[str], bands: Sequence[int], goal: Goal) -> np.ndarray:
+        """Down the gradient of eq. 19 by all that `names` may move of the nine."""
+        scene = self.scene()
+
+        def by_point(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            cost, slope = (np.asarray(a) for a in struck_gradients(logs(points), goal, scene, self.cfg))
+            return cost, slope / np.where(LINEAR, points, 1.0)
+
+        box = self.box(x, self._reach(x, goal, bands), names)
+        return self._counted(gradient_descent(by_point, x[None], *box, iterations=ITERATIONS, tolerance=TOLERANCE))
+
+    def _counted(self, end: Descended) -> np.ndarray:
+        """Where it ended; what it took is added."""
+        self.evaluations += end.evaluations
+        self.converged = bool(end.converged[0])
+        return end.z[0]
+
+
+def pose(recording: Recording, analysis: Analysis, start: Start) -> Search:
+    """The search from the user's initial values; the contact's rate and length are from a stroke with these.
 
     Raises
     ------
@@ -171,11 +280,9 @@ def pose(recording: Recording, analysis: Analysis, start: Start) -> Problem:
     steps = STEPS * math.ceil(longest * rate / STEPS)
     rows = ROWS * math.ceil(int(analysis.partials.number.max()) / ROWS)
     log_u = float(np.log(0.5 * first.pulse.compression.max())) if free[K] else 0.0
-    return Problem(
-        recording, analysis, start, values, lower, upper, free, rate, log_u,
-        arrival(string, start.geometry, start.quantity),
-        Cfg(max(first.modes.pole.shape[0], rows), steps, start.quantity),
-    )  # fmt: skip
+    cfg = Cfg(max(first.modes.pole.shape[0], rows), steps, start.quantity)
+    delay = arrival(string, start.geometry, start.quantity)
+    return Search(recording, analysis, start, values, lower, upper, free, rate, log_u, delay, cfg)
 
 
 def logs(x: np.ndarray) -> np.ndarray:
@@ -185,7 +292,7 @@ def logs(x: np.ndarray) -> np.ndarray:
 
 def split(values: np.ndarray) -> tuple[String, Hammer]:
     """String and hammer of natural `values` [9]."""
-    string, hammer = String(*map(float, values[: len(String._fields)])), Hammer(*map(float, values[K:]))
+    string, hammer = String(*map(float, values[:STRING])), Hammer(*map(float, values[STRING:]))
     return string, hammer._replace(mu=hammer.mu if hammer.mu > ABSENT else 0.0)
 
 
