@@ -253,16 +253,11 @@ def test_points_stay_in_the_box_batches_keep_their_shape_and_the_lowest_is_retur
     assert end.cost == costs.min()
     if end.cost < np.inf:
         assert end.cost in costs[(tried == end.z).all(axis=1)]
-    count, least = np.array(end.trace).reshape(-1, 2).T
-    assert (np.diff(count) >= 0).all()
-    assert (np.diff(least) < 0).all()
-    assert [*least[-1:]] == [end.cost] * (end.cost < np.inf)
 
 
 def test_where_no_cost_is_finite_the_result_says_so():
     end = anneal(lambda z: np.full(len(z), np.nan), *box(3), evaluations=500)
     assert end.cost == np.inf
-    assert end.trace == ()
 
 
 def test_a_finite_island_is_found_and_searched():

@@ -64,7 +64,6 @@ class AnnealingState:
     steps: int  # k of the parameters
     length: int  # steps planned
     evaluations: int
-    trace: tuple[tuple[int, float], ...]  # evaluations and lowest cost, whenever that fell
 
 
 class Annealed(NamedTuple):
@@ -74,7 +73,6 @@ class Annealed(NamedTuple):
     cost: float  # inf where no finite one was met
     state: AnnealingState
     evaluations: int
-    trace: tuple[tuple[int, float], ...]  # evaluations and lowest cost, whenever that fell
 
 
 class _Box(NamedTuple):
@@ -95,7 +93,7 @@ def anneal(cost: Callable[[np.ndarray], Any], lower: np.ndarray, upper: np.ndarr
     state = deque(annealing(cost, lower, upper, **how), maxlen=1).pop()
     best = int(np.argmin(state.best_cost))
     lowest = state.best_z[best].copy(), float(state.best_cost[best])
-    return Annealed(*lowest, state, state.evaluations, state.trace)
+    return Annealed(*lowest, state, state.evaluations)
 
 
 def annealing(
@@ -238,14 +236,8 @@ def _rise(new: np.ndarray, old: np.ndarray) -> np.ndarray:
 
 def _with_best(state: AnnealingState, z: np.ndarray, cost: np.ndarray) -> AnnealingState:
     lower = cost < state.best_cost
-    if not lower.any():
-        return state
-    best_cost = np.where(lower, cost, state.best_cost)
-    trace, least = state.trace, float(best_cost.min())
-    if not trace or least < trace[-1][1]:
-        trace = (*trace, (state.evaluations, least))
     best_z = np.where(lower[:, None], z, state.best_z)
-    return replace(state, best_z=best_z, best_cost=best_cost, trace=trace)
+    return replace(state, best_z=best_z, best_cost=np.where(lower, cost, state.best_cost))
 
 
 # --- re-annealing ----------------------------------------------------------------------------------------------------
@@ -307,12 +299,11 @@ def _first(
     left = (evaluations - costs.size) / chains
     if schedule.reanneal and schedule.stretch > 0:
         left /= 1 + len(box.free) / schedule.reanneal
-    state = AnnealingState(
-        z=z[here], cost=costs[here], best_z=z[lowest], best_cost=np.full(chains, np.inf),
+    return AnnealingState(
+        z=z[here], cost=costs[here], best_z=z[lowest], best_cost=costs[lowest],
         width=np.ones((chains, len(box.free))), cost_start=np.full(chains, warm), accepted=np.ones(chains), steps=1,
-        length=max(int(left), 1), evaluations=costs.size, trace=(),
+        length=max(int(left), 1), evaluations=costs.size,
     )  # fmt: skip
-    return _with_best(state, z[lowest], costs[lowest])
 
 
 def _spread(costs: np.ndarray) -> float:

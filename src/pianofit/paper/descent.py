@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -100,7 +100,7 @@ class LeastSquares(NamedTuple):
     """A cost that is half a sum of squares, of many points at once."""
 
     costs: Callable[[np.ndarray], np.ndarray]  # z [n, D] -> [n]
-    residuals: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]  # z [n, D] -> [n, bins] and [n, bins, D]
+    residuals: Callable[[np.ndarray], tuple[np.ndarray, ...]]  # z [n, D] -> [n, bins] and [n, bins, D]
 
     def slopes(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Costs [n] and their gradients [n, D], of z [n, D]."""
@@ -126,9 +126,11 @@ class LeastSquares(NamedTuple):
         residual, _ = at(z[free].tobytes())
         cost, converged, count = 0.5 * float(residual @ residual), False, 1
         if np.isfinite(cost) and free.any():
+            # A function, too, is what SciPy takes for a Jacobian; its annotation says str.
+            slopes: Any = lambda part: at(part.tobytes())[1]  # noqa: E731
             end = least_squares(
-                lambda part: at(part.tobytes())[0], z[free], lambda part: at(part.tobytes())[1], method="dogbox",
-                bounds=(lower[free], upper[free]), x_scale="jac", ftol=tolerance, max_nfev=evaluations,
+                lambda part: at(part.tobytes())[0], z[free], slopes, method="dogbox", x_scale="jac",
+                bounds=(lower[free], upper[free]), ftol=tolerance, max_nfev=evaluations,
             )  # fmt: skip
             z[free], cost, converged, count = end.x, float(end.cost), bool(end.status > 0), int(end.nfev)
         return Descended(z[None], np.array([cost]), np.zeros((1, len(z))), np.array([converged]), count)

@@ -19,10 +19,10 @@ import numpy as np
 from ..analysis import Analysis
 from ..criterion import band_of, line_sigma
 from ..errors import FitError
-from ..inference.align import lag, placed
+from ..inference.align import laid
 from ..inference.start import HAMMER_SPREAD, Start
 from ..model import simulate
-from ..model.note import arrival
+from ..model.note import Note, arrival
 from ..parameters import FELT_LAWS, FIT_NAMES, HAMMER_NAMES, PARAMETERS, STRING_NAMES, Geometry, Hammer, String
 from ..recording import Recording
 from .annealing import anneal
@@ -47,8 +47,6 @@ RETURNS = 2.0
 # Steps of a contact and rows of the table come in whole multiples of these, so that notes share compiled programs.
 STEPS = 256
 ROWS = 64
-# How much of the attack shows when the hammer touched, s.
-ATTACK = 0.05
 # σ of the string's steps in units of the criterion's.
 SIGMAS = np.array([1.0, 1 / 3, 0.1, 1 / 30, 0.01])
 # The least σ in units of 1/s over the recording's length,
@@ -65,10 +63,8 @@ LINES = 10.0
 # Spreads of the literature's hammers to either side.
 SPREADS = 2.5
 HAMMER_REACH = np.array([SPREADS * HAMMER_SPREAD[n] if n in HAMMER_NAMES else 0.0 for n in FIT_NAMES])
-# Steps of the gradient at one σ,
+# Steps of the gradient at one σ, and evaluations by the least squares that end a search.
 ITERATIONS = 60
-# and where it ends a search.
-LAST_ITERATIONS = 400
 TOLERANCE = 1e-7
 CHAINS = 32
 NO_HAMMER = "no hammer within the bounds gives a finite sound; widen [bounds] or check [known] in the setup"
@@ -162,19 +158,12 @@ class Search:
         return tuple(name for name, here in zip(FIT_NAMES, on, strict=True) if here)
 
     def first_contact(self, values: np.ndarray) -> float:
-        """Time from the first contact to the onset, s: the attack of `values` [9] is laid on the recorded one.
+        """Time from the first contact to the onset, s, of `values` [9]. For calibrated recordings.
 
-        The onset is where a sound is first seen; the attack says when the hammer touched. For calibrated recordings.
+        The onset is where a sound is first seen; the attack says when the hammer touched.
         """
-        rate, onset, samples = self.recording.rate, self.recording.onset, int(ATTACK * self.recording.rate)
-        sound = simulate(*split(values), self.start.geometry, rate=rate, quantity=self.start.quantity)
-        model, recorded = sound.waveform(rate, samples), self.recording.samples * (self.start.scale or 1.0)
-        # From one length of the attack before the guess to one after it.
-        first = onset - round(self.delay * rate) - samples
-        near = np.pad(recorded, (max(-first, 0), 3 * samples))[max(first, 0) :][: 3 * samples]
-        at, sign = placed(model, near)
-        late = first + at + lag(model, sign * near[at:][:samples])
-        return (onset - late) / rate
+        note = Note(*split(values), self.start.geometry, self.start.quantity, 1.0 / (self.start.scale or 1.0), None)
+        return (self.recording.onset - laid(note, self.recording)) / self.recording.rate
 
     # --- the steps ----------------------------------------------------------------------------------------------------
 
@@ -194,12 +183,6 @@ class Search:
     def finely_down(self, x: np.ndarray, names: Sequence[str], bands: Sequence[int]) -> np.ndarray:
         """The same at the finest σ alone."""
         return self._string_down(x, names, bands, self.goal(bands, self.sigmas[-1]))
-
-    def hammer_down(self, x: np.ndarray) -> np.ndarray:
-        """The hammer alone, down the gradient of eq. 19 in its band."""
-        string, *box = self._hammers(x)
-        end = gradient_descent(string.slopes, x[None, STRING:], *box, iterations=LAST_ITERATIONS, tolerance=TOLERANCE)
-        return np.append(x[:STRING], self._counted(end))
 
     def hammer_finished(self, x: np.ndarray) -> np.ndarray:
         """The hammer alone, to the floor of its basin, by least squares on the same criterion."""

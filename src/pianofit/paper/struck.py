@@ -23,7 +23,7 @@ from ..model.modes import Modes, mode_table
 from ..model.response import pulse_transform
 from ..parameters import Geometry, Hammer, String
 from .descent import LeastSquares
-from .spectral import Goal, miss
+from .spectral import Goal, Values, miss
 
 __all__ = ["Cfg", "Scene", "hold", "struck_gradients"]
 
@@ -49,9 +49,9 @@ class Scene(NamedTuple):
     """What stays while a string and a hammer are searched."""
 
     geometry: Geometry
-    rate: Array  # of the contact, Hz
-    log_u: Array  # log of the compression, m, at which the felt's force is searched
-    stiff: Array  # [2], logs of the least and the largest stiffness
+    rate: Values  # of the contact, Hz
+    log_u: Values  # log of the compression, m, at which the felt's force is searched
+    stiff: Values  # [2], logs of the least and the largest stiffness
 
 
 class Held(NamedTuple):

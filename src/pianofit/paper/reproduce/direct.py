@@ -6,7 +6,7 @@ losses nor the velocities but for 2 and 4 m/s. Here they are those of the preset
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import brentq
@@ -63,7 +63,8 @@ def mass_for_contact(contact: float, velocity: float) -> float:
     """M_H, kg, with which the hammer would stay for `contact`, s; the rest as it is."""
     it = preset(NOTE)
     mass = float(it.hammer.M_H)
-    return brentq(lambda m: _simulate(it, velocity, m).contact_time - contact, 0.2 * mass, 5.0 * mass, rtol=1e-5)
+    found: Any = brentq(lambda m: _simulate(it, velocity, m).contact_time - contact, 0.2 * mass, 5.0 * mass, xtol=1e-9)
+    return float(found)
 
 
 def _simulate(it: Preset, velocity: float, mass: float | None = None) -> Simulation:

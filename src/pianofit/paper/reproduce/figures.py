@@ -17,7 +17,7 @@ from .band3 import WITHIN
 from .cases import RECIPES
 from .claims import SYMBOLS
 from .judged import SPANS
-from .studies import STRINGS, Findings
+from .studies import PRINTED, STRINGS, Findings
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -285,7 +285,7 @@ def predicted_levels(f: Findings) -> Figure:
 def repeated_values(f: Findings) -> Figure:
     """Every repeated fit's values over the truth; over the paper's, drawn hollow, where there is no truth."""
     made, (axes,) = figure(4.6)
-    true, printed = f.tables.true, f.tables.printed_final
+    true, printed = f.tables["full"].true, PRINTED["final"]
     for side, recipe in enumerate(STRINGS):
         rows = f.repeated[recipe]
         for n, name in enumerate(SYMBOLS):

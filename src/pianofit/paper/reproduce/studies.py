@@ -10,17 +10,30 @@ import numpy as np
 
 from ...inference import Result
 from ...parameters import FIT_NAMES
-from ...published import Preset, preset
+from ...published import preset
 from ..laboratory import FINAL, INITIAL, Laboratory, chosen
 from .band3 import Landscape, Race, hammers, landscape, race
 from .cases import RECIPES, Case, Closeness, fitted, make_case, values_of
 from .direct import NOTE, VELOCITIES, Strike, mass_for_contact, round_trip, strikes
 from .limits import ALL, BAND2, Bend, Blindness, bends, blindness, inverse_bend
 
-__all__ = ["FULL", "QUICK", "STRINGS", "Effect", "Findings", "Plan", "Prediction", "Stroke", "compute", "spread_of"]
+__all__ = [
+    "FULL",
+    "PRINTED",
+    "QUICK",
+    "STRINGS",
+    "Effect",
+    "Findings",
+    "Plan",
+    "Prediction",
+    "Stroke",
+    "compute",
+    "spread_of",
+]
 
 # The paper's process as printed, and its third step on a string that was read.
 STRINGS = ("paper", "read")
+ALL_RECIPES = (*STRINGS, "global", "default")
 LONG = 3e-3  # s, the contact that the paper names
 NOISE_DB = 60.0  # the laboratory's own, and left in the ideal one
 # What the laboratory has and the paper's model has not, each to be tried alone beside the noise.
@@ -28,6 +41,12 @@ EFFECTS: dict[str, dict[str, Any]] = {
     "second polarisation": {"polarisation": True},
     "yielding bridge": {"bridge": True},
     "relaxing felt": {"felt": "memory"},
+}
+
+# Tables II and III as printed; initially the paper has no κ.
+PRINTED = {
+    column: {n: float(v) for n, v in zip(FIT_NAMES, (*it.string, *it.hammer), strict=True) if n not in missing}
+    for column, it, missing in (("initial", INITIAL, ("kappa",)), ("final", FINAL, ()))
 }
 
 Tick = Callable[[str], None]
@@ -75,16 +94,6 @@ QUICK = Plan(
 )  # fmt: skip
 
 
-class Tables(NamedTuple):
-    """Tables II and III: values by name in each column."""
-
-    printed_initial: dict[str, float]  # no κ: the paper has none
-    printed_final: dict[str, float]
-    true: dict[str, float]  # no μ: the laboratory's felt has memory instead
-    found: dict[str, dict[str, float]]  # column -> values
-    intervals: dict[str, dict[str, tuple[float, float] | None]]  # of the default recipe's columns
-
-
 class Stroke(NamedTuple):
     """One velocity: its measurement, fits by recipe, and the sounds by the names of `RECIPES`."""
 
@@ -92,6 +101,11 @@ class Stroke(NamedTuple):
     results: dict[str, Result]
     sounds: dict[str, np.ndarray]  # m/s, from the onset on; `measured` and `initial` too
     closeness: dict[str, Closeness]
+
+    @property
+    def true(self) -> dict[str, float]:
+        """Those of the nine parameters that the laboratory has: a relaxing felt has no μ."""
+        return {name: v for name, v in self.case.measurement.true.items() if name in FIT_NAMES}
 
 
 class Prediction(NamedTuple):
@@ -121,7 +135,7 @@ class Findings:
     trip: float  # of the wave to the agraffe and back, s
     hammer_mass: float  # kg
     needed_mass: float  # for a contact of `LONG`, kg
-    tables: Tables
+    tables: dict[str, Stroke]  # II and III: laboratory -> the paper's final values, measured and fitted
     strokes: list[Stroke]  # the plan's velocities
     predictions: list[Prediction]
     repeated: dict[str, list[dict[str, float]]]
@@ -145,7 +159,7 @@ class Findings:
 def compute(plan: Plan, seed: int, progress: Callable[[str, float], None]) -> Findings:
     """Run all studies; the same seed gives the same findings."""
     done = 0
-    count = 3 + 6 + len(plan.velocities) + plan.repeats + len(plan.effects) + 1 + 2
+    count = 3 + 2 + len(plan.velocities) + plan.repeats + len(plan.effects) + 1 + 2
 
     def tick(stage: str) -> None:
         nonlocal done
@@ -158,12 +172,16 @@ def compute(plan: Plan, seed: int, progress: Callable[[str, float], None]) -> Fi
     bent = {"fitted to band 2": bends(BAND2), f"fitted to partials 1 to {ALL[-1]}": bends(ALL)}
     tick("the criterion over b2")
     blind = blindness(plan.ideal(), seed, repeats=plan.noises, values=plan.losses)
-    by_table = _tables(plan, seed, tick)
+    by_table = {}
+    for name, lab, recipes in (("ideal", plan.ideal(), ("paper", "default")), ("full", plan.laboratory(), ALL_RECIPES)):
+        tick(f"tables: {name} laboratory")
+        case = make_case(lab, PRINTED["final"]["v_H0"], seed, start=PRINTED["initial"]["v_H0"])
+        by_table[name] = _fits(plan, case, seed, recipes)
     strokes = []
     for velocity in plan.velocities:
         tick(f"a stroke of {velocity:g} m/s")
-        recipes = (*STRINGS, "global", "default") if velocity == plan.origin else (*STRINGS, "global")
-        strokes.append(_stroke_at(plan, plan.laboratory(), velocity, seed, recipes))
+        recipes = ALL_RECIPES if velocity == plan.origin else ALL_RECIPES[:-1]
+        strokes.append(_fits(plan, make_case(plan.laboratory(), velocity, seed), seed, recipes))
     origin = next(stroke for stroke in strokes if stroke.case.velocity == plan.origin)
     again = _repeated(plan, seed, tick)
     one_by_one = _effects(plan, seed, origin, tick)
@@ -180,35 +198,8 @@ def compute(plan: Plan, seed: int, progress: Callable[[str, float], None]) -> Fi
     )  # fmt: skip
 
 
-def _tables(plan: Plan, seed: int, tick: Tick) -> Tables:
-    """The string and hammer of the paper's final values, measured and fitted from its initial ones."""
-
-    def nine(it: Preset) -> dict[str, float]:
-        return {name: float(value) for name, value in zip(FIT_NAMES, (*it.string, *it.hammer), strict=True)}
-
-    first, last = nine(INITIAL), nine(FINAL)
-    found, intervals, true = {}, {}, {}
-    for lab, name, recipes in (
-        (plan.ideal(), "ideal", ("paper", "default")),
-        (plan.laboratory(), "full", ("paper", "read", "global", "default")),
-    ):
-        case = make_case(lab, last["v_H0"], seed, start=first["v_H0"])
-        true = {name: v for name, v in case.measurement.true.items() if name in FIT_NAMES}
-        for recipe in recipes:
-            tick(f"tables: {name} laboratory, {RECIPES[recipe]}")
-            result = fitted(case, recipe, seed, plan.annealing, plan.tries)
-            column = f"{name}: {RECIPES[recipe]}"
-            found[column] = values_of(result)
-            if recipe == "default":
-                table = result.document["parameters"]
-                intervals[column] = {name: table[name]["interval"] for name in FIT_NAMES}
-    del first["kappa"]
-    return Tables(first, last, true, found, intervals)
-
-
-def _stroke_at(plan: Plan, lab: Laboratory, velocity: float, seed: int, recipes: tuple[str, ...]) -> Stroke:
-    """Measure at one velocity, fit by `recipes`, and listen."""
-    case = make_case(lab, velocity, seed)
+def _fits(plan: Plan, case: Case, seed: int, recipes: tuple[str, ...]) -> Stroke:
+    """Fit one measurement by `recipes`, and listen."""
     results = {recipe: fitted(case, recipe, seed, plan.annealing, plan.tries) for recipe in recipes}
     first = next(iter(results.values()))
     sounds = {"measured": case.heard, "initial": case.played(first.initial.note)}
@@ -252,8 +243,8 @@ def _effects(plan: Plan, seed: int, full: Stroke, tick: Tick) -> list[Effect]:
     strokes = {}
     for name in ("none", *plan.effects):
         tick(f"effects: {name}")
-        lab = plan.ideal(**EFFECTS.get(name, {}))
-        strokes[name] = _stroke_at(plan, lab, plan.origin, seed, plan.effect_recipes)
+        case = make_case(plan.ideal(**EFFECTS.get(name, {})), plan.origin, seed)
+        strokes[name] = _fits(plan, case, seed, plan.effect_recipes)
     return [
         Effect(name, {recipe: stroke.closeness[RECIPES[recipe]] for recipe in plan.effect_recipes})
         for name, stroke in (strokes | {"all": full}).items()

@@ -6,9 +6,9 @@ from typing import Any, NamedTuple
 
 from ...parameters import FIT_NAMES, HAMMER_NAMES, STRING_NAMES
 from ..laboratory import FINAL, INITIAL, Laboratory, chosen
-from .cases import RECIPES
+from .cases import RECIPES, values_of
 from .judged import SPANS, THREE, WHOLE
-from .studies import STRINGS, Findings
+from .studies import PRINTED, STRINGS, Findings
 
 __all__ = ["Table", "tables"]
 
@@ -66,15 +66,19 @@ def _direct(f: Findings) -> dict[str, Table]:
 
 def _parameters(f: Findings) -> dict[str, Table]:
     """Tables II and III, what rules the criterion, and what the default recipe says of its own certainty."""
-    t = f.tables
-    columns = {"paper: initial": t.printed_initial, "paper: final": t.printed_final, "truth": t.true} | t.found
+    fits = {
+        f"{lab}: {RECIPES[r]}": (r, result) for lab, stroke in f.tables.items() for r, result in stroke.results.items()
+    }
+    columns = {f"paper: {column}": values for column, values in PRINTED.items()} | {"truth": f.tables["full"].true}
+    columns |= {column: values_of(result) for column, (_, result) in fits.items()}
     both = {
         name: Table(("parameter", *columns), [(p, *(column.get(p) for column in columns.values())) for p in parameters])
         for name, parameters in (("table-2", STRING_NAMES), ("table-3", HAMMER_NAMES))
     }
     every = [(band, k, share) for band, by in f.origin.case.shares().items() for k, share in by.items()]
-    ends = [f"{column}, {end}" for column in t.intervals for end in ("from", "to")]
-    rows = [(p, *(x for by in t.intervals.values() for x in (by[p] or (None, None)))) for p in FIT_NAMES]
+    own = {column: result.document["parameters"] for column, (recipe, result) in fits.items() if recipe == "default"}
+    ends = [f"{column}, {end}" for column in own for end in ("from", "to")]
+    rows = [(p, *(x for table in own.values() for x in (table[p]["interval"] or (None, None)))) for p in FIT_NAMES]
     return both | {
         "shares": Table(("band", "partial", "share"), every),
         "intervals": Table(("parameter", *ends), rows),
