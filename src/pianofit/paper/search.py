@@ -184,9 +184,15 @@ class Search:
         """The same at the finest σ alone."""
         return self._string_down(x, names, bands, self.goal(bands, self.sigmas[-1]))
 
+    def hammers(self, x: np.ndarray) -> tuple[LeastSquares, np.ndarray, np.ndarray]:
+        """Hammers [n, 5] in their band, on the string of `x`, and the edges between which they may move."""
+        goal = self.goal((self.band(2),), line_sigma(self.analysis.f0))
+        lower, upper = self.box(x, HAMMER_REACH, HAMMER_NAMES)
+        return hold(logs(x), goal, self.scene(), self.cfg), lower[STRING:], upper[STRING:]
+
     def hammer_finished(self, x: np.ndarray) -> np.ndarray:
         """The hammer alone, to the floor of its basin, by least squares on the same criterion."""
-        string, *box = self._hammers(x)
+        string, *box = self.hammers(x)
         end = string.finished(x[STRING:], *box, evaluations=ITERATIONS, tolerance=TOLERANCE)
         return np.append(x[:STRING], self._counted(end))
 
@@ -198,18 +204,12 @@ class Search:
         FitError
             If no hammer has a finite criterion.
         """
-        string, *box = self._hammers(x)
+        string, *box = self.hammers(x)
         found = anneal(string.costs, *box, chains=CHAINS, evaluations=evaluations, seed=seed, start=x[STRING:])
         self.evaluations += found.evaluations
         if not np.isfinite(found.cost):
             raise FitError(NO_HAMMER)
         return np.append(x[:STRING], found.z)
-
-    def _hammers(self, x: np.ndarray) -> tuple[LeastSquares, np.ndarray, np.ndarray]:
-        """Hammers [n, 5] in their band, on the string of `x`, and the edges between which they may move."""
-        goal = self.goal((self.band(2),), line_sigma(self.analysis.f0))
-        lower, upper = self.box(x, HAMMER_REACH, HAMMER_NAMES)
-        return hold(logs(x), goal, self.scene(), self.cfg), lower[STRING:], upper[STRING:]
 
     def _overlap(self, x: np.ndarray, goal: Goal) -> float:
         """∫ |Y|² |S|² dω over the root of ∫ |Y|⁴ dω ∫ |S|⁴ dω: eq. 19 with the best gain is 1 less its square."""

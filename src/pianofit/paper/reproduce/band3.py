@@ -1,15 +1,13 @@
 """Band 3, where the paper saw local minima: its landscape, and who finds the way out of it.
 
-The string is held at its truth, so that nothing but the hammer's five parameters is at issue. All searches see the same
-criterion (eq. 19 over partials from the ninth on), the same box about the paper's initial values, and the same starts:
-the paper's own, and others at random in the box.
+The string is held at its truth, so that nothing but the hammer's five parameters is at issue. It is the third step of
+the recipe `paper`, criterion and box about the paper's initial values and all; all searches have the same starts: the
+paper's own, and others at random in the box.
 
 - Gradient descent with a line search, as in the paper (IV.C.1), and a stronger method that the paper did not have,
   least squares: what traps both is the landscape, not the method.
 - Annealing (ASA, as the paper's step 3) from the same starts, each with a seed of its own; and what least squares make
   of where it ended.
-
-The felt's stiffness is searched as its force at a reference compression, since K_H and p trade off along equal force.
 """
 
 from __future__ import annotations
@@ -19,27 +17,19 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import minimum_filter
 
-from ...parameters import Geometry, Hammer
+from ...inference.start import starting_values
+from ...parameters import STRING_NAMES
 from ..annealing import anneal
 from ..descent import LeastSquares, gradient_descent
 from ..laboratory import FINAL, INITIAL
-from ..spectral import spectral_goal
-from ..struck import Cfg, Scene, hold
+from ..search import pose
 from .cases import Case
 
 __all__ = ["WITHIN", "Basin", "Hammers", "Landscape", "Race", "hammers", "landscape", "race"]
 
-HAMMERS = ("F", "mu", "p", "M_H", "v_H0")  # coordinates, all as logarithms; F: the force at the reference compression
-REFERENCE = 1e-4  # m
-# The box: factors e^± about the paper's initial values.
-REACH = np.array([3.0, 2.0, 0.35, 1.0, 0.7])
+HAMMERS = ("F", "mu", "p", "M_H", "v_H0")  # coordinates, all as logarithms; F: the force at a compression of the stroke
 CHAINS = 16
 SQUARES = 120  # evaluations by least squares, at most
-RATE = 88_200.0  # of the contact, Hz
-STEPS = 1024  # of the contact
-MODES = 128
-SIGMA = 30.0  # 1/s
-BAND = 2
 # A search has succeeded that ends within this factor of the lowest criterion any of them found.
 WITHIN = 2.0
 # The plane shown, and how far it reaches to either side of the truth, in logarithms.
@@ -99,26 +89,12 @@ class Race(NamedTuple):
 
 def hammers(case: Case) -> Hammers:
     """The hammer's problem on one measurement."""
-    a, recording = case.analysis, case.recording
-    goal = spectral_goal(
-        recording.samples[recording.onset :], recording.rate, a.f0, a.B, int(a.partials.number.max()), SIGMA,
-        bands=(BAND,), delay=(recording.onset - case.measurement.onset) / recording.rate, unit=case.measurement.scale,
-    )  # fmt: skip
-    # The box is in the force; the stiffness itself needs no bounds of its own.
-    given = np.asarray(RATE), np.log(np.asarray(REFERENCE)), np.array([-np.inf, np.inf])
-    scene = Scene(Geometry(*map(np.float64, FINAL.geometry)), *given)
-    initial = _coordinates(INITIAL.hammer._replace(v_H0=case.setup.initial["v_H0"]))
-    true = _coordinates(
-        FINAL.hammer._replace(v_H0=case.velocity, mu=case.measurement.true.get("mu", INITIAL.hammer.mu))
-    )
-    string = hold(np.append(np.log([*FINAL.string]), true), goal, scene, Cfg(MODES, STEPS, "velocity"))
-    return Hammers(string, initial - REACH, initial + REACH, initial, true)
-
-
-def _coordinates(hammer: Hammer) -> np.ndarray:
-    z = np.log([*hammer])
-    z[0] += hammer.p * np.log(REFERENCE)
-    return z
+    search = pose(case.recording, case.analysis, starting_values(case.analysis, case.setup))
+    search.delay = (case.recording.onset - case.measurement.onset) / case.recording.rate
+    hammer = FINAL.hammer._replace(v_H0=case.velocity, mu=case.measurement.true.get("mu", INITIAL.hammer.mu))
+    string, true = np.split(search.x(np.array([*FINAL.string, *hammer])), [len(STRING_NAMES)])
+    initial = search.x(search.values)[len(STRING_NAMES) :]
+    return Hammers(*search.hammers(np.append(string, initial)), initial, true)
 
 
 def landscape(problem: Hammers, points: int) -> Landscape:

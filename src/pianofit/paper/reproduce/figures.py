@@ -6,7 +6,7 @@ grey and by colour-blind eyes (Okabe and Ito's colours).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -48,7 +48,7 @@ THREE = (
 TRUTH = {"color": INK, "lw": 1.0, "ls": (0, (3, 2))}
 TOP = 6000.0  # Hz of the spectra
 EDGES = (1e-3, 1e3)  # what is further off than this, as a factor, is drawn here
-AXES = {"F": "felt's stiffness over the true one (as force at 0.1 mm)", "M_H": "hammer's mass over the true one"}
+AXES = {"F": "felt's stiffness over the true one (as its force)", "M_H": "hammer's mass over the true one"}
 
 
 def figure(height: float, rows: int = 1, columns: int = 1, **shared: Any) -> tuple[Figure, list[Any]]:
@@ -66,9 +66,16 @@ def keyed(made: Figure) -> Figure:
     return made
 
 
-def said(axes: Any, text: str) -> None:
-    """`text` in the upper right corner."""
-    axes.text(0.99, 0.95, text, transform=axes.transAxes, ha="right", va="top", fontsize=11)
+def stacked(height: float, depth: float, shown: Sequence[tuple[str, np.ndarray, np.ndarray, str]]) -> Figure:
+    """Spectra one below the other, each a name, Hz, dB and colour, down to `depth` below the highest level, dB."""
+    made, rows = figure(height, len(shown), sharex=True, sharey=True)
+    top = max(level.max() for _, _, level, _ in shown)
+    for axes, (name, frequency, level, color) in zip(rows, shown, strict=True):
+        axes.plot(1e-3 * frequency, level, color=color, lw=0.9)
+        axes.text(0.99, 0.95, name, transform=axes.transAxes, ha="right", va="top", fontsize=11)
+        axes.set(ylim=(top - depth, top + 6), ylabel="level (dB)")
+    rows[-1].set_xlabel("frequency (kHz)")
+    return made
 
 
 def marks(name: str) -> dict[str, Any]:
@@ -114,16 +121,13 @@ def force_over_compression(f: Findings) -> Figure:
 
 
 def velocity_spectra(f: Findings) -> Figure:
-    """Figure 4, one below the other."""
-    made, rows = figure(6.6, len(f.strikes), sharex=True, sharey=True)
-    top = max(s.level.max() for s in f.strikes)
-    for axes, stroke, look in zip(rows, f.strikes, THREE, strict=True):
-        axes.plot(1e-3 * stroke.frequency, stroke.level, **(look | {"ls": "-", "lw": 1.0}))
-        axes.axvline(1e-3 * stroke.centroid, **TRUTH)
-        axes.text(1e-3 * stroke.centroid + 0.03, top + 2, f"centroid {stroke.centroid:.0f} Hz", va="top", fontsize=9)
-        said(axes, f"{stroke.velocity:g} m/s")
-        axes.set(ylim=(top - 100, top + 6), ylabel="level (dB)")
-    rows[-1].set_xlabel("frequency (kHz)")
+    """Figure 4, with the spectral centroids."""
+    looks = zip(f.strikes, THREE, strict=True)
+    made = stacked(6.6, 100, [(f"{s.velocity:g} m/s", s.frequency, s.level, look["color"]) for s, look in looks])
+    for axes, stroke in zip(made.axes, f.strikes, strict=True):
+        at, across = 1e-3 * stroke.centroid, axes.get_xaxis_transform()
+        axes.axvline(at, **TRUTH)
+        axes.text(at + 0.03, 0.96, f"centroid {stroke.centroid:.0f} Hz", va="top", fontsize=9, transform=across)
     return made
 
 
@@ -214,15 +218,8 @@ def searches(f: Findings) -> Figure:
 def spectra(f: Findings) -> Figure:
     """Figure 6: measured above, the fits below."""
     sounds, rate = f.origin.sounds, f.origin.case.recording.rate
-    levels = {name: spectrum_db(sounds[name], rate, TOP) for name in ("measured", "three bands", READ)}
-    made, rows = figure(7.2, len(levels), sharex=True, sharey=True)
-    top = max(level.max() for _, level in levels.values())
-    for axes, (name, (frequency, level)) in zip(rows, levels.items(), strict=True):
-        axes.plot(1e-3 * frequency, level, **(LINES[name] | {"lw": 0.9, "ls": "-"}))
-        said(axes, name)
-        axes.set(ylim=(top - 90, top + 6), ylabel="level (dB)")
-    rows[-1].set_xlabel("frequency (kHz)")
-    return made
+    names = ("measured", "three bands", READ)
+    return stacked(7.2, 90, [(n, *spectrum_db(sounds[n], rate, TOP), LINES[n]["color"]) for n in names])
 
 
 def waveforms(f: Findings) -> Figure:
@@ -266,14 +263,15 @@ def predicted_levels(f: Findings) -> Figure:
     made, (axes,) = figure(4.4)
     done, origin = f.predictions, f.plan.origin
     kinds = (
-        ("initial values", INITIAL, [p.initial for p in done]),
-        (f"the recording at {origin:g} m/s itself", GREY, [p.nearest for p in done]),
-        (f"three bands at {origin:g} m/s", FITTED, [p.predicted["paper"] for p in done]),
-        (f"{READ}, at {origin:g} m/s", PURPLE, [p.predicted["read"] for p in done]),
+        ("initial", "initial values", INITIAL),
+        ("nearest", f"the recording at {origin:g} m/s itself", GREY),
+        ("paper", f"three bands at {origin:g} m/s", FITTED),
+        ("read", f"{READ}, at {origin:g} m/s", PURPLE),
     )
     at = np.arange(len(done))
-    for n, (label, color, near) in enumerate(kinds):
-        bars = axes.bar(at + 0.2 * (n - 1.5), [c.level_db for c in near], 0.18, color=color, label=label)
+    for n, (kind, label, color) in enumerate(kinds):
+        value = [p.closeness[kind].level_db for p in done]
+        bars = axes.bar(at + 0.2 * (n - 1.5), value, 0.18, color=color, label=label)
         axes.bar_label(bars, fmt="%.2g", fontsize=8.5, padding=2)
     axes.set_xticks(at, [f"{p.velocity:g} m/s" for p in done])
     axes.set(ylabel="error of the partials' levels (dB, rms)")

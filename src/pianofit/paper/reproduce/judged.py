@@ -79,8 +79,8 @@ def _kept(f: Findings, three: str) -> Claim:
 
 
 def _predicts(f: Findings, recipe: str) -> Claim:
-    rows = [(p.predicted[recipe].level_db, p.initial.level_db, p.nearest.level_db) for p in f.predictions]
-    return claims.predicts([p.velocity for p in f.predictions], f.plan.origin, *zip(*rows, strict=True))
+    errors = ([p.closeness[kind].level_db for p in f.predictions] for kind in (recipe, "initial", "nearest"))
+    return claims.predicts([p.velocity for p in f.predictions], f.plan.origin, *errors)
 
 
 def _explained(f: Findings, recipe: str) -> Claim:

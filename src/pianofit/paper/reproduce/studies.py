@@ -109,13 +109,14 @@ class Stroke(NamedTuple):
 
 
 class Prediction(NamedTuple):
-    """A velocity that was not fitted. Closeness and sounds, m/s, are by recipe: of its fit at another velocity."""
+    """A velocity that was not fitted, by the recipe of a fit at another one.
+
+    `initial`: by the initial values; `nearest`: the recording at that other velocity, in its place.
+    """
 
     velocity: float
-    predicted: dict[str, Closeness]
-    initial: Closeness
-    nearest: Closeness  # the recording at that other velocity, in its place
-    sounds: dict[str, np.ndarray]
+    closeness: dict[str, Closeness]
+    sounds: dict[str, np.ndarray]  # m/s
 
 
 class Effect(NamedTuple):
@@ -212,14 +213,9 @@ def _prediction(origin: Stroke, other: Stroke) -> Prediction:
     case, heard, size = other.case, origin.case.heard, len(other.case.heard)
     struck = case.measurement.nominal_velocity
     sounds = {r: case.played(origin.results[r].fitted.note, struck) for r in STRINGS}
-    instead = np.pad(heard, (0, max(size - len(heard), 0)))[:size]
-    return Prediction(
-        velocity=case.velocity,
-        predicted={r: case.closeness(sound) for r, sound in sounds.items()},
-        initial=other.closeness["initial"],
-        nearest=case.closeness(instead),
-        sounds=sounds,
-    )
+    sounds["nearest"] = np.pad(heard, (0, max(size - len(heard), 0)))[:size]
+    closeness = {name: case.closeness(sound) for name, sound in sounds.items()}
+    return Prediction(case.velocity, closeness | {"initial": other.closeness["initial"]}, sounds)
 
 
 def _repeated(plan: Plan, seed: int, tick: Tick) -> dict[str, list[dict[str, float]]]:

@@ -120,10 +120,8 @@ def _sounds(f: Findings) -> dict[str, Table]:
 
 def _others(f: Findings) -> dict[str, Table]:
     """Velocities that were not fitted, repeated measurements, and what the model lacks."""
-    predicted = [
-        (p.velocity, p.initial.level_db, p.nearest.level_db, *(p.predicted[r].level_db for r in STRINGS))
-        for p in f.predictions
-    ]
+    kinds = ("initial", "nearest", *STRINGS)
+    predicted = [(p.velocity, *(p.closeness[kind].level_db for kind in kinds)) for p in f.predictions]
     repeated = [(recipe, *(row[name] for name in FIT_NAMES)) for recipe in STRINGS for row in f.repeated[recipe]]
     effects = [
         (one.name, recipe, *(c.criterion[b] for b in BANDS), c.level_db)
@@ -131,7 +129,7 @@ def _others(f: Findings) -> dict[str, Table]:
         for recipe, c in one.closeness.items()
     ]
     return {
-        "predictions": Table(("velocity_m_s", "initial", "nearest", *STRINGS), predicted),
+        "predictions": Table(("velocity_m_s", *kinds), predicted),
         "repeated": Table(("recipe", *FIT_NAMES), repeated),
         "effects": Table(("effect", "recipe", *BANDS, "levels_dB"), effects),
     }
