@@ -14,13 +14,13 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Complex, Float
+from jaxtyping import Array, Float
 
 from ..criterion import NODES
 from ..model.cache import kept
 from ..model.contact import Pulse, impulse_amplitude, kernel_rows, strike
 from ..model.modes import Modes, mode_table
-from ..model.response import pulse_transform
+from ..model.response import pulse_transform, ringing_transform
 from ..parameters import Geometry, Hammer, String
 from .descent import LeastSquares
 from .spectral import Goal, Values, miss
@@ -85,15 +85,6 @@ def _smooth_frequency(goal: Goal) -> Float[Array, "rows smooth"]:
     return (first + last) / 2 + (last - first) / 2 * PLACES
 
 
-def _sum_over(residue: Array, log_z: Array, log_zeta: Array) -> Complex[Array, "rows nodes"]:
-    """Σ_k of h_k = Re-pair ½ R/(1 - zζ) + ½ R̄/(1 - z̄ζ); `residue` and `log_z` [rows, 1, modes]."""
-    zeta = jnp.exp(log_zeta)[..., None]
-    rise, turn = jnp.expm1(log_z), jnp.expm1(log_zeta)[..., None]
-    upper = residue.real - (residue * jnp.exp(log_z).conj()).real * zeta
-    lower = (rise + turn + rise * turn) * (rise.conj() + turn + rise.conj() * turn)
-    return (upper / lower).sum(axis=-1)
-
-
 def string_mobility(modes: Modes, goal: Goal, pulse: float) -> Float[Array, "rows nodes"]:
     """|H|² δt² of a string struck by a pulse whose middle comes after so many steps."""
     residue, log_z = modes.pickup * impulse_amplitude(modes), modes.pole * modes.step
@@ -102,13 +93,13 @@ def string_mobility(modes: Modes, goal: Goal, pulse: float) -> Float[Array, "row
     nearest = jnp.clip(nearest, 0, len(residue) - NEAREST)[:, None] + jnp.arange(NEAREST)
     far = jnp.ones((len(middle), len(residue))).at[jnp.arange(len(middle))[:, None], nearest].set(0.0)
     rough = _log_zeta(_smooth_frequency(goal), goal.sigma, modes.step)
-    background = _sum_over((far * residue)[:, None, :], log_z[None, None, :], rough) @ SPREAD_OUT.T
+    background = ringing_transform((far * residue)[:, None, :], log_z[None, None, :], rough) @ SPREAD_OUT.T
     fine = _log_zeta(goal.frequency, goal.sigma, modes.step)
     near, log_near = residue[nearest][:, None, :], log_z[nearest][:, None, :]
     # What is cut off where the recording ends, as if the whole pulse had come in its middle.
     steps = goal.span / modes.step - pulse
-    tail = jnp.exp(steps * fine) * _sum_over(near * jnp.exp(steps * log_near), log_near, fine)
-    total = background + _sum_over(near, log_near, fine) - tail
+    tail = jnp.exp(steps * fine) * ringing_transform(near * jnp.exp(steps * log_near), log_near, fine)
+    total = background + ringing_transform(near, log_near, fine) - tail
     return (total.real**2 + total.imag**2) * modes.step**2
 
 
