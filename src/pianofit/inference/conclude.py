@@ -9,7 +9,7 @@ from ..io import FIT_SCHEMA
 from ..model.note import Note
 from ..model.path import OutputPath
 from ..parameters import FIT_NAMES, MEMORY_NAMES
-from .align import lag, placed
+from .align import laid
 from .coordinates import FORCE, SHARED, STRING_SIZE, VALUES, WIDTH, P
 from .entries import absent, derived, is_memory, path_document, sizes, versions
 from .estimate import Estimate, beginning
@@ -27,8 +27,6 @@ from .views import View
 
 __all__ = ["conclude"]
 
-# How much of the attack, s, tells when the hammer touched.
-ATTACK = 0.05
 DB = 20 / np.log(10)
 # In the paper's order, then what lies between hammer and string.
 PARAMETERS_FIRST = (*FIT_NAMES, "x0", "width", *MEMORY_NAMES)
@@ -95,7 +93,7 @@ def _heard(problem: Problem, found: Estimate, i: int) -> Heard:
     fitted_level, integrated = _fitted_level(problem, found, i)
     fitted = note_of(problem, found.minima, 0, i)
     initial = _initial_note(problem, first, i)
-    begins = None if gain is None else _touch(problem, fitted._replace(gain=gain), i)
+    begins = None if gain is None else round(laid(fitted._replace(gain=gain), problem.recordings[i]))
     if gain is None:
         gain = 10 ** (_gain_db(problem, integrated, i) / 20)
         fitted = fitted._replace(gain=1.0)
@@ -126,19 +124,6 @@ def _initial_note(problem: Problem, z: np.ndarray, i: int) -> Note:
     start = problem.start
     string = u.string(z)._replace(**{n: start.initial[n] for n in ("c", "kappa", "b1", "b2") if n in start.initial})
     return Note(string, hammer, u.struck(z), start.quantity, 1.0, None)
-
-
-def _touch(problem: Problem, note: Note, i: int) -> int:
-    """The sample at which the hammer touched a calibrated string, by laying the model's attack on the recording's."""
-    recording = problem.recordings[i]
-    count = round(ATTACK * recording.rate)
-    model, _ = note.play(recording.rate, count)
-    begin = max(recording.onset - count, 0)
-    sound = recording.samples[begin : recording.onset + 2 * count]
-    if len(sound) <= count:
-        return recording.onset
-    at, sign = placed(model, sound)
-    return begin + at + round(lag(model, sign * sound[at : at + count]))
 
 
 def _columns(problem: Problem, i: int) -> np.ndarray:

@@ -41,17 +41,22 @@ def pulse_transform(drive: Float[Array, " steps"], log_zeta: Array) -> Complex[A
 
 @float64
 def mobility(modes: Modes, zeta: Complex[Array, " bins"], amplitude: Array | None = None) -> Complex[Array, " bins"]:
-    """H(ζ) = Σ_n h_n ζ^n of the response h to a unit `T` (or to free modal `amplitude`s), per step.
-
-    A mode Re(R z^n) transforms to (Re R - Re(R z̄) ζ)/(1 - 2 Re z ζ + |z|² ζ²).
-    """
+    """H(ζ) = Σ_n h_n ζ^n of the response h to a unit `T` (or to free modal `amplitude`s), per step."""
     residue = modes.pickup * impulse_amplitude(modes) if amplitude is None else modes.free_pickup * amplitude
-    z = jnp.exp(modes.pole * modes.step)
-    upper = residue.real - (residue * z.conj()).real * zeta[:, None]
+    return ringing_transform(residue, modes.pole * modes.step, jnp.log(zeta))
+
+
+@float64
+def ringing_transform(residue: Array, log_z: Array, log_zeta: Array) -> Array:
+    """Σ_k of the transforms at ζ of what rings as Re(R_k z_k^n); `residue` and `log_z` have the modes as a last axis.
+
+    A mode transforms to (Re R - Re(R z̄) ζ)/(1 - 2 Re z ζ + |z|² ζ²).
+    """
+    upper = residue.real - (residue * jnp.exp(log_z).conj()).real * jnp.exp(log_zeta)[..., None]
     # (1 - zζ)(1 - z̄ζ), each formed from what is left after the ones have cancelled.
-    rise, turn = jnp.expm1(modes.pole * modes.step), zeta[:, None] - 1
+    rise, turn = jnp.expm1(log_z), jnp.expm1(log_zeta)[..., None]
     lower = (rise + turn + rise * turn) * (rise.conj() + turn + rise.conj() * turn)
-    return (upper / lower).sum(axis=1)
+    return (upper / lower).sum(axis=-1)
 
 
 @float64

@@ -20,7 +20,7 @@ from jaxtyping import Array, Float
 
 from ..criterion import BANDS, ENOUGH_DAMPING, band_of, cell_grid, closed_form_gain
 
-__all__ = ["Goal", "damped_spectrum", "miss", "spectral_goal"]
+__all__ = ["Goal", "Values", "damped_spectrum", "miss", "spectral_goal"]
 
 # Rows of a goal come in whole multiples of this, so that notes share compiled programs; the first band has one row.
 ROWS = 16
