@@ -154,12 +154,27 @@ class Typical:
 
 
 def preset(name: str) -> Preset:
-    """Return the preset of that name.
+    """Return a string and a hammer of the literature.
+
+    Parameters
+    ----------
+    name : of the preset, such as "chabassier-F3"; the error for an unknown one lists all.
+
+    Returns
+    -------
+    A `Preset`: string, hammer and geometry in SI units, with their source.
 
     Raises
     ------
     ParameterError
         Naming the nearest, and all, names.
+
+    Examples
+    --------
+    >>> import pianofit
+    >>> it = pianofit.preset("chabassier-F3")
+    >>> f"{it.note}, {it.f0:.1f} Hz, hammer {1e3 * it.hammer.M_H:.1f} g"
+    'F3, 175.0 Hz, hammer 9.1 g'
     """
     if name in PRESETS:
         return PRESETS[name]
@@ -178,13 +193,23 @@ def typical(midi: float) -> Typical:
 
     Parameters
     ----------
-    midi
-        From 15 to 114: the piano's 21 to 108 and half an octave to either side.
+    midi : from 15 to 114: the piano's 21 to 108 and half an octave to either side.
+
+    Returns
+    -------
+    A `Typical`: string, hammer and geometry in SI units, and f0 in Hz.
 
     Raises
     ------
     ParameterError
         Outside that range.
+
+    Examples
+    --------
+    >>> import pianofit
+    >>> it = pianofit.typical(60)
+    >>> f"{it.f0:.1f} Hz, {it.geometry.length:.2f} m, hammer {1e3 * it.hammer.M_H:.1f} g"
+    '261.6 Hz, 0.69 m, hammer 8.7 g'
     """
     if not 15 <= midi <= 114:
         raise ParameterError(f"midi={midi!r} must be from 15 to 114; 60 is C4")
