@@ -252,25 +252,21 @@ TABLES: dict[str, list[tuple[float, float]]] = {
 def _curve(name: str) -> Callable[[float], float]:
     """Return one table as a function of the note number: a monotone cubic between its rows, straight beyond them.
 
-    The slope at a row is the weighted harmonic mean of its neighbours' (Fritsch and Butland 1984), so that the cubic
-    never overshoots; at either end it is the next interval's own.
+    The slope at a row is that of PCHIP (Fritsch and Butland 1984), so that the cubic never overshoots; at either end it
+    is the next interval's own.
     """
+    from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
+
     midi, values = np.array(TABLES[name]).T
     heights = values if name == "p" else np.log(values)
-    gaps, chords = np.diff(midi), np.diff(heights) / np.diff(midi)
-    left, right = 2 * gaps[1:] + gaps[:-1], gaps[1:] + 2 * gaps[:-1]
-    same = chords[:-1] * chords[1:] > 0
-    means = (left + right) / (left / np.where(same, chords[:-1], 1) + right / np.where(same, chords[1:], 1))
-    slopes = np.concatenate([chords[:1], np.where(same, means, 0.0), chords[-1:]])
+    slopes = PchipInterpolator(midi, heights).derivative()(midi)
+    slopes[[0, -1]] = (np.diff(heights) / np.diff(midi))[[0, -1]]
+    within = CubicHermiteSpline(midi, heights, slopes)
 
     def at(x: float) -> float:
         inside = float(np.clip(x, midi[0], midi[-1]))
-        k = min(int(np.searchsorted(midi, inside, "right")) - 1, len(gaps) - 1)
-        t, gap = (inside - midi[k]) / gaps[k], gaps[k]
-        base = heights[k] + (heights[k + 1] - heights[k]) * t * t * (3 - 2 * t)
-        bend = gap * t * (1 - t) * (slopes[k] * (1 - t) - slopes[k + 1] * t)
         beyond = 0.0 if name == "tension" else slopes[0 if x < inside else -1] * (x - inside)
-        height = float(base + bend + beyond)
+        height = float(within(inside) + beyond)
         return height if name == "p" else math.exp(height)
 
     return at

@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
+from scipy.signal import oaconvolve
 
 from ..errors import ParameterError
 from .contact import FreeMotion, impulse_amplitude
@@ -225,7 +226,7 @@ def waveform(
 
     steps = len(drive)
     during = np.exp(pole[:, None] * np.arange(steps) / contact)
-    head = _convolve(np.real(unit @ during), np.asarray(drive))
+    head = oaconvolve(np.real(unit @ during), drive)[:steps]
     if free is not None:
         head = head + np.real(release @ during)
     head = head[::ratio][:samples]
@@ -237,12 +238,6 @@ def waveform(
 def _heard(modes: Modes, drive: AnyArray, free: FreeMotion | None):
     """What a unit `T` at step 0, and what the whole pulse, makes ring at the pickup: two amplitudes [modes]."""
     return modes.pickup * impulse_amplitude(modes), ringing(modes, drive, free)
-
-
-def _convolve(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """The first len(a) samples of a * b."""
-    size = len(a) + len(b)
-    return np.fft.irfft(np.fft.rfft(a, size) * np.fft.rfft(b, size), size)[: len(a)]
 
 
 def _ring(amplitude: np.ndarray, log_z: np.ndarray, samples: int) -> np.ndarray:
