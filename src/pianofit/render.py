@@ -61,10 +61,27 @@ def load_note(path: str | os.PathLike[str]) -> tuple[Note, int]:
 
     A file of the first schema has the same note.
 
+    Parameters
+    ----------
+    path : of a `fit.json`, written by `pianofit fit` or `Result.save`.
+
+    Returns
+    -------
+    A `Note`, and the rate, Hz.
+
     Raises
     ------
     FitError
         Naming the file and the entry that is missing, of another kind, or out of range.
+
+    Examples
+    --------
+    With the folder that the example of `fit` saves:
+
+    >>> import pianofit
+    >>> note, rate = pianofit.load_note("fit/fit.json")
+    >>> note.render(3.0, seconds=0.5, rate=rate).shape
+    (22050,)
     """
     return _note_of(read_fit(path), Path(path))
 

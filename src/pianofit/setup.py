@@ -109,12 +109,29 @@ class Setup:
 
 
 def load_setup(path: str | os.PathLike[str], felt: str | None = None) -> Setup:
-    """Read a `setup.toml`; `felt` is a law of the felt that goes before the file's.
+    """Read a `setup.toml`.
+
+    Parameters
+    ----------
+    path : of the file; its tables and keys, with units, are those of docs/files.md.
+    felt : a law of the felt that goes before the file's.
+
+    Returns
+    -------
+    A `Setup`, all values in SI units.
 
     Raises
     ------
     SetupError
         Naming the file, the key, the value, and the way out.
+
+    Examples
+    --------
+    >>> import pianofit
+    >>> from pathlib import Path
+    >>> _ = Path("setup.toml").write_text("string.length = 0.96")
+    >>> pianofit.load_setup("setup.toml").length
+    0.96
     """
     name = one_line(os.fspath(path))
     data = read_file(path, MAX_BYTES, SetupError)
@@ -131,12 +148,27 @@ def load_setup(path: str | os.PathLike[str], felt: str | None = None) -> Setup:
 
 
 def setup_from_dict(data: Mapping[str, Any], where: str) -> Setup:
-    """Make a setup of nested dicts with the tables and keys of a `setup.toml`; `where` opens every error.
+    """Make a setup of nested dicts.
+
+    Parameters
+    ----------
+    data : tables and keys as in a `setup.toml`, SI units.
+    where : what every error begins with.
+
+    Returns
+    -------
+    A `Setup`.
 
     Raises
     ------
     SetupError
         As `load_setup`.
+
+    Examples
+    --------
+    >>> import pianofit
+    >>> pianofit.setup_from_dict({"string": {"length": 0.96}, "known": {"M_H": 0.0087}}, "my grand").known
+    {'M_H': 0.0087}
     """
     with _named(where):
         tables = {name: _entries(name, content) for name, content in data.items()}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.signal import correlate
 
 from ..model.note import Note
 from ..model.simulate import Simulation
@@ -67,8 +68,6 @@ def placed(model: np.ndarray, sound: np.ndarray) -> tuple[int, float]:
     its first period behind. The sign is -1 for a pickup of the other polarity.
     """
     energy = np.concatenate([[0.0], np.cumsum(sound**2)])
-    size = 2 ** int(np.ceil(np.log2(len(sound))))
-    cross = np.fft.irfft(np.fft.rfft(sound, size) * np.fft.rfft(model, size).conj(), size)
-    cross = cross[: len(sound) - len(model) + 1]
+    cross = correlate(sound, model, "valid", "fft")
     at = int(np.argmin(energy[len(model) :] - energy[: -len(model)] - 2 * np.abs(cross)))
     return at, float(np.sign(cross[at]))

@@ -59,11 +59,26 @@ def predict_take(notes: Note | Sequence[tuple[float, Note]], analysis: Analysis)
     ----------
     notes : one note, or those of several minima with their shares. Each is struck at the velocity that suits it; the
         prediction is the mean of their levels, dB, by their shares, and the note, velocity and pitch are the first's.
+    analysis : of the recording, see `analyse`.
+
+    Returns
+    -------
+    A `Prediction`: velocity in m/s, predicted levels [partials] and their rms error in dB.
 
     Raises
     ------
     FitError
         If too few partials stand above the noise, or no velocity gives a finite sound.
+
+    Examples
+    --------
+    >>> import pianofit
+    >>> it = pianofit.typical(53)
+    >>> note = pianofit.Note(it.string, it.hammer, it.geometry, "bridge-force", gain=0.01)
+    >>> recording = pianofit.recording_from_samples(note.render(3.0, seconds=2.0), 44_100)
+    >>> found = pianofit.predict_take(note, pianofit.analyse(recording, note="F3"))
+    >>> f"{found.velocity:.1f} m/s, {found.error_db:.1f} dB"
+    '3.0 m/s, 0.0 dB'
     """
     mixture = [(1.0, notes)] if isinstance(notes, Note) else list(notes)
     p, (_, first) = analysis.partials, mixture[0]
@@ -140,6 +155,13 @@ def cross_validate(
     A stroke's other recordings share its velocity, so they are left out with it. Neighbours are of the same group: how
     loud another microphone hears each partial says nothing of this one.
 
+    Parameters
+    ----------
+    recordings, analyses : three or more of one key, each with its analysis, see `load_recording` and `analyse`.
+    setup : what was known beforehand.
+    seed : of the searches.
+    progress : called with what is being fitted, and the fraction done.
+
     Returns
     -------
     `takes`, in order of velocity, each with `file`, `v_H0` (in the fit of all), `predicted_v_H0`, `predicted_db` and
@@ -150,7 +172,14 @@ def cross_validate(
     Raises
     ------
     FitError
-        For fewer than three strokes, and as `fit_takes` does.
+        For fewer than three strokes, and as `fit` does.
+
+    Examples
+    --------
+    >>> recordings = [pianofit.load_recording(name) for name in ("soft.wav", "mezzo.wav", "loud.wav")]
+    >>> analyses = [pianofit.analyse(recording, note="F#2") for recording in recordings]
+    >>> found, result = pianofit.cross_validate(recordings, analyses, pianofit.Setup())  # four fits
+    >>> found["median_inner_db"]
     """
     count = len(recordings)
     if count < 3:

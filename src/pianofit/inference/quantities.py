@@ -64,7 +64,7 @@ class Quantity:
 
 @dataclass(frozen=True, repr=False)
 class Quantities(Mapping[str, Quantity]):
-    """Quantities by name, in order: `table["K_H"]`, `table.K_H`, `table.items()`."""
+    """Quantities by name, in order: a mapping, `table["K_H"]`, whose names are attributes too."""
 
     entries: dict[str, Quantity]
 

@@ -12,7 +12,7 @@ import hashlib
 import os
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from pathlib import Path
 
 import jax
@@ -63,7 +63,7 @@ def keep_programs() -> None:
 def kept(function: Callable) -> Callable:
     """`function(*arrays, cfg)` as `jax.jit` makes it, static in `cfg`, its traced programs kept in JAX's folder.
 
-    Arguments are trees of arrays, of float64 or integers, `cfg` a tuple with a faithful `repr`, the result a tuple of
+    Arguments are trees of arrays, of float64 or integers, `cfg` hashable with a faithful `repr`, the result a tuple of
     arrays. Without a folder, and inside other transformations, this is `jax.jit`. The programs of the last `LOADED`
     shapes stay in memory.
     """
@@ -71,7 +71,7 @@ def kept(function: Callable) -> Callable:
     alone = threading.Lock()  # two threads that need one program wait for it, and do not both make it
 
     @functools.lru_cache(maxsize=LOADED)
-    def program(folder: str, cfg: tuple, tree, shapes: tuple) -> Callable:
+    def program(folder: str, cfg: Hashable, tree, shapes: tuple) -> Callable:
         key = (cfg, tree, *shapes)
         named = hashlib.sha256(repr((_sources(), jax.default_backend(), function.__name__, key)).encode())
         file = Path(folder) / f"pianofit-{function.__name__}-{named.hexdigest()}.program"

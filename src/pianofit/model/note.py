@@ -125,15 +125,15 @@ class Note(NamedTuple):
         return filtered(sound, impulse(path, rate))[:count]
 
     def frequencies(self, count: int) -> np.ndarray:
-        """Where the string has partials 1 to `count`, Hz [partials]; real ones lie beside it."""
+        """Where the string has its first partials, Hz [partials]; real ones lie beside it."""
         return mode_frequencies(self.string, self.geometry.length, count)
 
     def levels(self, velocity: float | np.ndarray | None = None, count: int = 32) -> np.ndarray:
-        """Levels of partials 1 to `count` at one or many hammer velocities, m/s, from the wave's arrival on.
+        """Levels of the first partials at one or many hammer velocities, m/s, from the wave's arrival on.
 
         Returns
         -------
-        dB in file units [..., partials], the leading axes being those of `velocity`; see `response.level_db`. Infinite
+        dB in file units [..., partials], the leading axes being those of `velocity`; as of `levels`. Infinite
         where the contact does not end.
         """
         g, v = self.geometry, np.asarray(self.hammer.v_H0 if velocity is None else velocity, float)

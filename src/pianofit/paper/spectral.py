@@ -95,7 +95,7 @@ def damped_spectrum(samples: np.ndarray, rate: float, frequency: np.ndarray, sig
     return total.reshape(frequency.shape)
 
 
-def miss(energy: Float[Array, "rows nodes"], goal: Goal) -> Float[Array, " bins"]:
+def miss(energy: Float[Array | np.ndarray, "rows nodes"], goal: Goal) -> Float[Array, " bins"]:
     """Residuals, of which half the sum of squares is C (eq. 19, dimensionless), from the model's |Y|².
 
     A recording that is not calibrated leaves the gain free: it is the one that makes C least.

@@ -94,16 +94,12 @@ def _excerpt(samples: np.ndarray, rate: int, begin: float, seconds: float, facto
     kept = samples[start : start + round(seconds * rate)].copy()
     fade = round(FADE * rate)
     kept[-fade:] *= np.linspace(1.0, 0.0, fade)[-len(kept) :]
-    return kept if factor == 1 else _brought_down(kept, factor)
+    if factor == 1:
+        return kept
+    from scipy.signal import resample  # by Fourier's transform: both ends are silent, so none wraps around
 
-
-def _brought_down(samples: np.ndarray, factor: int) -> np.ndarray:
-    """Every `factor`-th sample of what lies below half of the new rate; both ends are silent, so none wraps around."""
-    size = -(-len(samples) // factor)
-    spectrum = np.fft.rfft(samples, size * factor)[: size // 2 + 1]
-    if size % 2 == 0:
-        spectrum[-1] = 0.0  # at half of the new rate the phase has no place
-    return np.fft.irfft(spectrum, size) / factor
+    size = -(-len(kept) // factor)
+    return np.asarray(resample(np.pad(kept, (0, size * factor - len(kept))), size))
 
 
 def _wav_uri(samples: np.ndarray, rate: int) -> str:
