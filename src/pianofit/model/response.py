@@ -52,7 +52,7 @@ def mobility(
 
 
 @float64
-def ringing_transform(residue: AnyArray, log_z: AnyArray, log_zeta: AnyArray) -> Array:
+def ringing_transform(residue: Array, log_z: Array, log_zeta: Array) -> Array:
     """Σ_k of the transforms at ζ of what rings as Re(R_k z_k^n); `residue` and `log_z` have the modes as a last axis.
 
     A mode transforms to (Re R - Re(R z̄) ζ)/(1 - 2 Re z ζ + |z|² ζ²).
