@@ -19,7 +19,8 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Complex, Float
 
 from ..errors import ParameterError
-from ..parameters import Hammer, MemoryHammer
+from ..felt import MemoryHammer
+from ..parameters import Hammer
 from .exponentials import BLOCK, real_powers, ring
 from .felt import compression, force, memory_weights, remember
 from .modes import Modes

@@ -19,7 +19,7 @@ from ..inference.align import lag, placed
 from ..inference.start import Start
 from ..model import simulate
 from ..model.note import arrival
-from ..parameters import FELT_LAWS, FIT_NAMES, PARAMETERS, Geometry, Hammer, String
+from ..parameters import FIT_NAMES, PARAMETERS, Geometry, Hammer, String
 from ..recording import Recording
 from .spectral import Goal, spectral_goal
 from .struck import Cfg, Scene
@@ -191,7 +191,7 @@ def split(values: np.ndarray) -> tuple[String, Hammer]:
 
 def _box(start: Start) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Values, edges and what is free, each [9]; what is held has no width."""
-    absent = np.array([name == "mu" and name not in FELT_LAWS[start.felt] for name in FIT_NAMES])
+    absent = np.array([name == "mu" and name not in start.law.parameters for name in FIT_NAMES])
     free = np.array([name not in start.fixed for name in FIT_NAMES]) & ~absent
     bounds = np.array([start.bounds.get(n, (PARAMETERS[n].lower, PARAMETERS[n].upper)) for n in FIT_NAMES])
     given = np.array([(start.values if n in start.fixed else start.initial)[n] for n in FIT_NAMES], float)

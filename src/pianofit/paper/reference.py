@@ -28,7 +28,8 @@ import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from ..errors import FitError, ParameterError
-from ..parameters import FIT_NAMES, Geometry, Hammer, MemoryHammer, String
+from ..felt import MemoryHammer
+from ..parameters import FIT_NAMES, Geometry, Hammer, String
 from .appendix import Sensitivity, advance_derivatives, initial_derivatives
 from .grid import Scheme, Shape, State, assemble, elastic_pull, grid_points, grid_window
 

@@ -14,7 +14,8 @@ import numpy as np
 
 from ..criterion import band_of
 from ..errors import FitError
-from ..inference.start import HAMMER_SPREAD
+from ..felt import DEFAULT_LAW
+from ..inference.priors import HAMMER_SPREAD
 from ..parameters import FIT_NAMES, HAMMER_NAMES, STRING_NAMES
 from .annealing import anneal
 from .gradient import gradient_descent
@@ -39,7 +40,9 @@ LAST_ITERATIONS = 400
 TOLERANCE = 1e-7
 CHAINS = 32
 STRING = len(STRING_NAMES)
-HAMMER_REACH = np.array([SPREADS * HAMMER_SPREAD[n] if n in HAMMER_NAMES else 0.0 for n in FIT_NAMES])
+# Of the logarithm of v_H0 no more is said.
+SPREAD = HAMMER_SPREAD | {n: p.deviation for n, p in DEFAULT_LAW.parameters.items()} | {"v_H0": 1.0}
+HAMMER_REACH = np.array([SPREADS * SPREAD[n] if n in HAMMER_NAMES else 0.0 for n in FIT_NAMES])
 NO_HAMMER = "no hammer within the bounds gives a finite sound; widen [bounds] or check [known] in the setup"
 
 
