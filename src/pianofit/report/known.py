@@ -8,11 +8,11 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from ..felt import DEFAULT_LAW, LAWS
+from ..felt import DEFAULT_LAW, LAWS, FeltLaw
 from .numbers import is_number, number
 from .words import INVARIANTS, VELOCITY_RATIO, felt_names
 
-__all__ = ["felt_scale", "half_interval", "held_out_rows", "identified", "open_scale"]
+__all__ = ["a_power", "felt_scale", "half_interval", "held_out_rows", "identified", "open_scale"]
 
 FIXED = "Fixed by the data, as far as the brackets say (95 %)"
 WITHIN, OPEN = "Fixed only if the model and its path are all there is", "Not fixed by the data"
@@ -178,10 +178,21 @@ def _not_told(fit: dict[str, Any]) -> list[str]:
     return said
 
 
+def _law(fit: dict[str, Any]) -> FeltLaw | None:
+    """The felt's law; None for one from outside, which a file only names."""
+    return LAWS.get(str(fit.get("felt") or DEFAULT_LAW.name))
+
+
+def a_power(fit: dict[str, Any]) -> bool:
+    """Whether the felt's static force is K_H u^p."""
+    law = _law(fit)
+    return law is not None and law.power is not None
+
+
 def _scaled(fit: dict[str, Any]) -> str:
     """What follows a common scale of the velocities."""
-    law = LAWS.get(str(fit.get("felt") or DEFAULT_LAW.name))
-    if law is None or law.power != ("K_H", "p"):
+    law = _law(fit)
+    if law is None or law.power is None:
         return "the gain changes along, as does every parameter of the felt with m or N in its unit"
     also, stay = (", μ", "K_H vᵖ⁻¹ and μ v stay") if "mu" in law.parameters else ("", "K_H vᵖ⁻¹ stays")
     return f"K_H{also} and the gain change along, so that {stay}"
