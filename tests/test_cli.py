@@ -321,5 +321,11 @@ def test_force_fits_into_a_folder_and_keeps_what_is_not_its_own(fitted, run):
     run(*common, code=1)
     assert (folder / "report.html").exists()
     run(*common, "--force")
-    assert sorted(p.name for p in folder.iterdir()) == ["fit.json", "fitted.wav", "initial.wav", "knock.flac", "notes.txt"]
+    assert sorted(p.name for p in folder.iterdir()) == [
+        "fit.json",
+        "fitted.wav",
+        "initial.wav",
+        "knock.flac",
+        "notes.txt",
+    ]
     assert (folder / "notes.txt").read_text() == "mine"

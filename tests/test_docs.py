@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from pianofit.parameters import FELT_LAWS, PARAMETERS
+from pianofit.felt import BOXES, LAWS
 from pianofit.setup import KEYS, PICKUPS, RANGES, load_setup
 
 ROOT = Path(__file__).parent.parent
@@ -106,12 +106,12 @@ def rows(columns: int) -> list[list[str]]:
 def test_every_key_of_a_setup_is_in_its_table_with_its_range():
     found = {(table, key): span for table, key, span, *_ in rows(5)}
     for table, keys in KEYS.items():
-        if keys == tuple(PARAMETERS):
+        if keys == tuple(BOXES):
             assert f"`[{table}]`" in FILES.read_text(encoding="utf-8")
             continue
         for key in keys:
             assert (f"[{table}]" if table != "recording" else "[[recording]]", key) in found
-    assert found["[felt]", "law"].split(", ") == sorted(FELT_LAWS)
+    assert found["[felt]", "law"].split(", ") == sorted(LAWS)
     for table in ("string", "strike", "pickup"):
         for key in set(KEYS[table]) & set(RANGES):
             lower, upper, _ = RANGES[key]
@@ -120,7 +120,7 @@ def test_every_key_of_a_setup_is_in_its_table_with_its_range():
 
 def test_every_parameter_is_in_its_table_with_its_unit_and_range():
     found = {name: (unit, span) for name, unit, span, _ in rows(4)}
-    for name, parameter in PARAMETERS.items():
+    for name, parameter in BOXES.items():
         unit, span = found[name]
         assert unit == parameter.unit
         assert [float(x) for x in span.split(" to ")] == [parameter.lower, parameter.upper], name
@@ -152,9 +152,10 @@ CONSTANTS = re.compile(r"<!-- constants -->\n(.*?)<!-- end of constants -->", re
 
 
 def test_every_constant_of_the_table_is_in_the_code():
-    """By name, in the room's priors or its search: a constant that goes takes its row with it."""
-    room = ROOT / "src" / "pianofit" / "inference"
-    source = "".join((room / name).read_text(encoding="utf-8") for name in ("priors.py", "search.py"))
+    """By name, in the priors, the search or a law of the felt: a constant that goes takes its row with it."""
+    room = ROOT / "src" / "pianofit"
+    files = (room / "inference" / "priors.py", room / "inference" / "search.py", *(room / "felt").glob("*.py"))
+    source = "".join(file.read_text(encoding="utf-8") for file in files)
     (table,) = CONSTANTS.findall((ROOT / "docs" / "fitting.md").read_text(encoding="utf-8"))
     names = re.findall(r"`([A-Z_]+)`", "".join(re.findall(r"^\| (`.*?) \|", table, re.MULTILINE)))
     assert len(set(names)) > 20

@@ -98,10 +98,10 @@ GOOD = {name: getattr(HAMMER, name) for name in HAMMER._fields}
         (lambda: AGAIN.hammer(K_H=1e9), "felt law Again: a hammer needs mu, p, M_H, v_H0 too"),
         (lambda: AGAIN.hammer(**GOOD | {"p": 9.0}), "felt law Again: p=9.0 must be a number from 1 to 5 1"),
         (lambda: AGAIN.hammer(**GOOD, colour=1.0), "felt law Again: no parameter is called 'colour'"),
-        (lambda: FeltLaw("My felt", BOXES, hunt_crossley), "felt law 'My felt': 'My felt' must be a name"),
+        (lambda: FeltLaw("My felt", BOXES, hunt_crossley), "felt law 'My felt': the name must be letters"),
         (
             lambda: FeltLaw("F", {"M_H": Parameter("kg", "", 0.0, 1.0)}, hunt_crossley),
-            "'M_H' must be a name other than M_H, v_H0",
+            "'M_H' must be a name other than L, M_H",
         ),
         (
             lambda: FeltLaw("Gives", BOXES, active, spring).hammer(**GOOD),

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..analysis import Analysis, Partials
 from ..errors import FitError
+from ..felt import FeltLaw
 from ..io import one_line
 from ..model import Simulation
 from ..model.note import Note
@@ -247,8 +248,10 @@ class Result:
         return _report("save").write_page(self, Path(path), title, held_out)
 
     @classmethod
-    def load(cls, folder: str | os.PathLike[str]) -> Result:
+    def load(cls, folder: str | os.PathLike[str], felt: FeltLaw | None = None) -> Result:
         """A fit read back from the folder it was saved to, or from its `fit.json`: without its recordings.
+
+        `felt` is the felt's law, where the fit was by one of your own.
 
         Raises
         ------
@@ -257,7 +260,7 @@ class Result:
         """
         path = Path(folder) / "fit.json" if Path(folder).is_dir() else Path(folder)
         document, name = read_fit(path), one_line(path)
-        mixture = mixture_of(document, path)
+        mixture = mixture_of(document, path, felt)
         shares, notes = zip(*mixture, strict=True)
         result = cls(document, (), 0, None, tuple((note,) for note in notes), shares)
         try:

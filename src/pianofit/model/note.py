@@ -10,7 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..errors import ParameterError
-from ..parameters import Geometry, Hammer, MemoryHammer, String, check_velocity
+from ..felt import MemoryHammer
+from ..parameters import Geometry, Hammer, String, check_velocity
 from ..recording import RATES
 from .contact import strike
 from .modal import LEAD, Ringing, force_of

@@ -10,7 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..errors import FitError, ParameterError
-from ..parameters import Geometry, String, check, check_hammer
+from ..felt import check_hammer
+from ..parameters import Geometry, String, check
 from .contact import FreeMotion, Pulse, free_motion, strike
 from .modes import HIGHEST, QUANTITIES, Modes, mode_frequencies, mode_table, raised_cosine_weights
 from .precision import float64

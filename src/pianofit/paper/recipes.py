@@ -16,10 +16,11 @@ from typing import NamedTuple
 
 from ..analysis import Analysis
 from ..errors import ParameterError
+from ..felt import DEFAULT_LAW
 from ..inference import Progress, Result
 from ..inference.point import point_result
 from ..inference.start import Start, starting_values
-from ..parameters import FELT_LAWS, FIT_NAMES, MEMORY_NAMES, Hammer, String
+from ..parameters import FIT_NAMES, Hammer, String
 from ..recording import Recording
 from ..setup import Setup
 from .search import ALL, pose, split
@@ -124,8 +125,8 @@ def fit_by_paper(
     FitError
         If no hammer gives a finite criterion, or a contact does not end.
     """
-    if set(MEMORY_NAMES) & set(FELT_LAWS[start.felt]):
-        raise ParameterError(f"recipe={recipe!r} has no felt={start.felt!r}: the paper's felt has no memory")
+    if start.law.kind is not Hammer:
+        raise ParameterError(f"recipe={recipe!r} has no felt={start.law.name!r}: the paper's is {DEFAULT_LAW.name}")
     search = pose(recording, analysis, start)
     x = search.x(search.values)
     progress("string", 0.1)

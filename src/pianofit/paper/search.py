@@ -19,11 +19,13 @@ import numpy as np
 from ..analysis import Analysis
 from ..criterion import band_of, line_sigma
 from ..errors import FitError
+from ..felt import DEFAULT_LAW
 from ..inference.align import laid
-from ..inference.start import HAMMER_SPREAD, Start
+from ..inference.priors import HAMMER_SPREAD
+from ..inference.start import Start
 from ..model import simulate
 from ..model.note import Note, arrival
-from ..parameters import FELT_LAWS, FIT_NAMES, HAMMER_NAMES, PARAMETERS, STRING_NAMES, Geometry, Hammer, String
+from ..parameters import FIT_NAMES, HAMMER_NAMES, PARAMETERS, STRING_NAMES, Geometry, Hammer, String
 from ..recording import Recording
 from .annealing import anneal
 from .descent import Descended, LeastSquares, gradient_descent
@@ -62,7 +64,9 @@ MEETING = 0.8
 LINES = 10.0
 # Spreads of the literature's hammers to either side.
 SPREADS = 2.5
-HAMMER_REACH = np.array([SPREADS * HAMMER_SPREAD[n] if n in HAMMER_NAMES else 0.0 for n in FIT_NAMES])
+# Of the logarithm of v_H0 no more is said.
+SPREAD = HAMMER_SPREAD | {n: p.deviation for n, p in DEFAULT_LAW.parameters.items()} | {"v_H0": 1.0}
+HAMMER_REACH = np.array([SPREADS * SPREAD[n] if n in HAMMER_NAMES else 0.0 for n in FIT_NAMES])
 # Steps of the gradient at one σ, and evaluations by the least squares that end a search.
 ITERATIONS = 60
 TOLERANCE = 1e-7
@@ -281,7 +285,7 @@ def split(values: np.ndarray) -> tuple[String, Hammer]:
 
 def _box(start: Start) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Values, edges and what is free, each [9]; what is held has no width."""
-    absent = np.array([name == "mu" and name not in FELT_LAWS[start.felt] for name in FIT_NAMES])
+    absent = np.array([name == "mu" and name not in start.law.parameters for name in FIT_NAMES])
     free = np.array([name not in start.fixed for name in FIT_NAMES]) & ~absent
     bounds = np.array([start.bounds.get(n, (PARAMETERS[n].lower, PARAMETERS[n].upper)) for n in FIT_NAMES])
     given = np.array([(start.values if n in start.fixed else start.initial)[n] for n in FIT_NAMES], float)

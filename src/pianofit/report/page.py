@@ -83,6 +83,7 @@ def write_report(
         identified=identified,
         felt_scale=known.felt_scale(fit),
         scale_open=known.open_scale(fit),
+        a_power=known.a_power(fit),
         stulov=curves.felt is not None and curves.felt.slow is not None,
         held_out=left_out,
         path_groups=len(curves.paths),

@@ -9,13 +9,13 @@ import math
 from pathlib import PurePath
 from typing import Any
 
-from ..parameters import PARAMETERS
+from ..felt import BOXES
 from .figures import BANDS
 from .numbers import is_number, number, with_interval
 
 __all__ = [
-    "again_in_words", "bands", "comparison", "glide", "groups", "how_sure", "invariants", "minima", "notices", "rows",
-    "tiles",
+    "again_in_words", "bands", "comparison", "felt_names", "glide", "groups", "how_sure", "invariants", "minima",
+    "notices", "rows", "tiles",
 ]  # fmt: skip
 
 STATUS = {  # word -> mark, explanation
@@ -35,7 +35,7 @@ SYMBOLS = {
     "epsilon": "ε",
     "tau": "τ",
 }  # the page lowers what follows the "_"
-MEANINGS = {name: parameter.meaning for name, parameter in PARAMETERS.items()} | {
+MEANINGS = {name: parameter.meaning for name, parameter in BOXES.items()} | {
     "b1": "loss, the same for all partials",
     "b2": "loss that grows with frequency",
     "M_S": "mass of the string",
@@ -53,11 +53,16 @@ INVARIANTS = {
     "F/M_S": ("F/M_S", "static force of the felt over the mass of the string"),
 }
 VELOCITY_RATIO = "v/v_ref "
-# What tells one minimum's hammer from another's.
-HAMMER = ("K_H", "p", "mu", "epsilon", "tau", "M_H", "x0")
+# What every fit has beside its felt.
+BESIDE_THE_FELT = {"c", "kappa", "b1", "b2", "M_H", "v_H0", "x0", "width", "M_S", "L", "pickup"}
 UNSETTLED = (
     "The search ended before it converged. Take every number on this page as a stage on the way, not as a result."
 )
+
+
+def felt_names(fit: dict[str, Any]) -> list[str]:
+    """The parameters of the felt's law."""
+    return [name for name in fit.get("parameters", {}) if name not in BESIDE_THE_FELT]
 
 
 def rows(fit: dict[str, Any]) -> list[dict[str, str]]:
@@ -69,7 +74,7 @@ def _row(name: str, entry: dict[str, Any]) -> dict[str, str]:
     status = entry.get("status") or "fitted"
     return {
         "name": SYMBOLS.get(name, name),
-        "meaning": MEANINGS.get(name, ""),
+        "meaning": str(entry.get("meaning") or MEANINGS.get(name, "")),
         **_measured(entry),
         "initial": number(entry.get("initial")),
         "status": status,
@@ -105,7 +110,8 @@ def minima(fit: dict[str, Any]) -> dict[str, Any] | None:
     if len(found) < 2:
         return None
     values = [entry.get("parameters") or {} for entry in found]
-    names = [name for name in HAMMER if len({v.get(name) for v in values}) > 1]
+    # What tells one minimum's hammer from another's.
+    names = [name for name in (*felt_names(fit), "M_H", "x0") if len({v.get(name) for v in values}) > 1]
     units = {name: str((fit.get("parameters", {}).get(name) or {}).get("unit") or "") for name in names}
     best = found[0].get("F")
     return {

@@ -23,7 +23,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from ...parameters import Hammer, MemoryHammer
+from ...felt import MemoryHammer
+from ...parameters import Hammer
 from ..precision import AnyArray, float64
 
 __all__ = ["Weights", "compression", "felt_force", "force", "memory_weights", "remember"]
