@@ -34,7 +34,7 @@ USES = {
     "render": "io model parameters recording ringing_file",
     "inference": "analysis criterion io model parameters progress published recording render setup tables threads",
     "ringing": "analysis inference model recording ringing_file threads",
-    "report": "analysis inference io parameters ringing_file",
+    "report": "analysis inference io model parameters ringing ringing_file",
     "paper": "analysis criterion inference io model parameters published recording report setup",
     "keyboard": "analysis io model parameters published render report",
     "fitting": "analysis inference io paper parameters progress recording ringing setup",
