@@ -35,7 +35,7 @@ def ringing_curves(result: Result) -> RingingCurves | None:
         mel_power(x[:last], recording.rate, recording.onset, n, BANDS)
         for x in (recording.samples, heard.played.samples)
     )
-    frames = time < min(SHOWN, time[-1] - WINDOW)
+    frames = time <= max(min(SHOWN, time[-1] - WINDOW), 0.0)  # one at the least, of a very short recording
     time, one, other = time[frames], one[frames], other[frames]
     floor = max(float(one.max()), 1e-30) * 10 ** (-HEARD / 10)
     return RingingCurves(
