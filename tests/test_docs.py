@@ -13,6 +13,8 @@ from typing import Any
 import pytest
 
 from pianofit.felt import BOXES, LAWS
+from pianofit.io import FIT_SCHEMA
+from pianofit.ringing_file import ringing_document
 from pianofit.setup import KEYS, PICKUPS, RANGES, load_setup
 
 ROOT = Path(__file__).parent.parent
@@ -142,10 +144,22 @@ def missing(shown: Any, real: Any, where: str = "") -> list[str]:
     return [where] if real is ... else []
 
 
-def test_the_fit_shown_has_the_keys_of_a_real_one(tmp_path, monkeypatch):
+def ringing_of_a_fit() -> dict[str, Any]:
+    """What a fit says of ringing, with the knock that was found, whether or not it was kept."""
+    space = run(ROOT / "docs" / "ringing.md")
+    return space["result"].document["ringing"] | ringing_document(space["key"])
+
+
+def test_the_fits_shown_have_the_keys_of_real_ones(tmp_path, monkeypatch):
+    """The whole of one that is calibrated, and how a key rings of one that is not."""
     monkeypatch.chdir(tmp_path)
-    (shown,) = fenced(FILES, "json")
-    assert missing(json.loads(shown), run(ROOT / "docs" / "fitting.md")["result"].document) == []
+    whole, ringing = map(json.loads, fenced(FILES, "json"))
+    assert missing(whole, run(ROOT / "docs" / "fitting.md")["result"].document) == []
+    real = ringing_of_a_fit()
+    assert missing(ringing, real) == []
+    assert {*ringing["layers"][0]} == {*real["layers"][0]}
+    assert {*ringing["pattern"][0]} == {*real["pattern"][0]}
+    assert whole["schema"] == FIT_SCHEMA
 
 
 CONSTANTS = re.compile(r"<!-- constants -->\n(.*?)<!-- end of constants -->", re.DOTALL)
@@ -169,4 +183,7 @@ def test_every_key_of_a_fit_is_explained(tmp_path, monkeypatch):
     whole = ("invariants", "parameters", "pickup", "derived", "criterion", "levels", "diagnostics", "versions")
     parts = [document, *(document[part] for part in whole), document["diagnostics"]["excess"]]
     parts += [document["takes"][0], document["minima"][0], document["parameters"]["c"], document["invariants"]["f0"]]
+    ringing = ringing_of_a_fit()
+    parts += [ringing, *(ringing[part] for part in ("modes", "knock", "left_out_db"))]
+    parts += [ringing["layers"][0], ringing["pattern"][0], {"ringing": ringing}]
     assert sorted({key for part in parts for key in part if f"`{key}`" not in text}) == []

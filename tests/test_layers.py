@@ -35,7 +35,7 @@ USES = {
     "render": "felt io model parameters recording ringing_file",
     "inference": "analysis criterion felt io model parameters progress published recording render setup tables threads",
     "ringing": "analysis inference model recording ringing_file threads",
-    "report": "analysis felt inference io model parameters ringing_file",
+    "report": "analysis felt inference io model parameters ringing ringing_file",
     "paper": "analysis criterion felt inference io model parameters published recording report setup",
     "keyboard": "analysis io model parameters published render report",
     "fitting": "analysis inference io paper parameters progress recording ringing setup",

@@ -12,7 +12,15 @@ from typing import Any
 import numpy as np
 import pytest
 import soundfile as sf
-from report_cases import Page, example_curves, example_fit, example_held_out, fit_of_recordings, with_recordings
+from report_cases import (
+    Page,
+    example_curves,
+    example_fit,
+    example_held_out,
+    fit_of_recordings,
+    with_recordings,
+    with_ringing,
+)
 from scipy.signal import resample_poly
 
 from pianofit.felt import LAWS, MemoryHammer
@@ -105,6 +113,7 @@ def test_one_recording_has_a_felt_and_a_slider_but_no_recordings(tmp_path, curve
 def test_page_of_five_long_takes_stays_small(tmp_path):
     long = with_recordings(example_curves(rate=48000, seconds=8.1, count=5), (0.5, 1.0, 2.0, 3.0, 4.0))
     assert len(written(tmp_path, fit_of_recordings(5), long, example_held_out(5))) < 8e6
+    assert len(written(tmp_path, fit_of_recordings(5), with_ringing(long), example_held_out(5))) < 8.5e6
 
 
 def test_hostile_names_of_takes_stay_text(tmp_path, curves):
@@ -214,7 +223,7 @@ def fake_fit(velocities=(3.0, 0.75, 1.5), first=0, memory=False, free=("c", "kap
         fitted = SimpleNamespace(note=note, samples=samples, simulation=simulation, level=np.zeros(len(number)))
         recordings.append(SimpleNamespace(
             partials=SimpleNamespace(number=number, level_error=np.full(len(number), 0.1)), level=np.zeros(len(number)),
-            fitted=fitted, recording=SimpleNamespace(rate=22050, onset=100 * i, samples=samples),
+            fitted=fitted, played=fitted, recording=SimpleNamespace(rate=22050, onset=100 * i, samples=samples),
             levels={"fitted_db": 0.5},
         ))  # fmt: skip
     table = {name: {"value": 1.0, "interval": [0.9, 1.1], "status": "fitted"} for name in free}

@@ -60,10 +60,15 @@ class Heard:
         return f"Heard: {self.recording!r}, levels {self.levels['fitted_db']:.2f} dB off after the fit"
 
     @property
+    def played(self) -> Sound:
+        """The fit as it plays this recording: as the key rings, or by the string's law."""
+        return self.ringing or self.fitted
+
+    @property
     def sound(self) -> np.ndarray:
-        """The fit as it plays this recording [samples], or [channels, samples]."""
-        played = self.ringing or self.fitted
-        return played.samples if played.frames is None or len(played.frames) == 1 else played.frames
+        """`played` as a file has it [samples], or [channels, samples]."""
+        frames = self.played.frames
+        return self.played.samples if frames is None or len(frames) == 1 else frames
 
     @property
     def partials(self) -> Partials:

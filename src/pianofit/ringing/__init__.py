@@ -7,13 +7,14 @@ stands between the fitted forces and the recordings. `make_ring` does all of it 
 brings layers nearer that took no part.
 """
 
-from .distance import log_mel_distance
+from .bands import band, kernel_seconds
+from .distance import HEARD, log_mel_distance, mel_edges, mel_power
 from .fitted import make_ring, ringing_of
 from .heard import Heard, hear
 from .key import Key, key_of
 from .modes import PartialModes, modes_of
 
 __all__ = [
-    "Heard", "Key", "PartialModes", "hear", "key_of", "log_mel_distance", "make_ring", "modes_of",
-    "ringing_of",
+    "HEARD", "Heard", "Key", "PartialModes", "band", "hear", "kernel_seconds", "key_of", "log_mel_distance",
+    "make_ring", "mel_edges", "mel_power", "modes_of", "ringing_of",
 ]  # fmt: skip

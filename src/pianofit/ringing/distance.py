@@ -10,7 +10,7 @@ import functools
 
 import numpy as np
 
-__all__ = ["PARTS", "log_mel_distance"]
+__all__ = ["HEARD", "PARTS", "log_mel_distance", "mel_edges", "mel_power"]
 
 # Parts of a note, s from its onset.
 PARTS = {"attack": (0.0, 0.05), "early": (0.05, 0.5), "late": (0.5, 3.0)}
@@ -35,7 +35,7 @@ def log_mel_distance(one: np.ndarray, other: np.ndarray, rate: float, onset: int
     parts: dict[str, list[float]] = {name: [] for name in PARTS}
     for length, bands in WINDOWS:
         n = 2 * round(length * rate / 2)
-        time, p, q = (*_levels(a, rate, onset, n, bands), _levels(b, rate, onset, n, bands)[1])
+        time, p, q = (*mel_power(a, rate, onset, n, bands), mel_power(b, rate, onset, n, bands)[1])
         floor, loud = max(p.max(), 1e-30) * 10 ** (-HEARD / 10), np.maximum(p, q)
         away, weight = 10 * np.log10((p + floor) / (q + floor)), loud**WEIGHT * (loud > floor)
         for name, (start, stop) in PARTS.items():
@@ -46,8 +46,8 @@ def log_mel_distance(one: np.ndarray, other: np.ndarray, rate: float, onset: int
     return float(np.mean([np.mean(values) for values in parts.values() if values]))
 
 
-def _levels(x: np.ndarray, rate: float, onset: int, n: int, bands: int) -> tuple[np.ndarray, np.ndarray]:
-    """Times of frames, s from the onset, and their power in mel bands [frames, bands]."""
+def mel_power(x: np.ndarray, rate: float, onset: int, n: int, bands: int) -> tuple[np.ndarray, np.ndarray]:
+    """Times of frames of `n` samples, s from the onset, and their power in mel bands [frames, bands]."""
     hop = round(HOP * rate)
     x = np.pad(x, (n, n))
     first = onset + n - n // 2
@@ -58,10 +58,15 @@ def _levels(x: np.ndarray, rate: float, onset: int, n: int, bands: int) -> tuple
     return np.arange(len(frames)) * hop / rate, power @ _mel(n, bands, rate).T
 
 
+def mel_edges(n: int, bands: int, rate: float) -> np.ndarray:
+    """Edges of the bands of windows of `n` samples, Hz [bands + 2]: a band reaches over two intervals."""
+    low, high = max(LOWEST, rate / n), min(HIGHEST, 0.45 * rate)
+    return 700 * np.expm1(np.linspace(np.log1p(low / 700), np.log1p(high / 700), bands + 2))
+
+
 @functools.cache
 def _mel(n: int, bands: int, rate: float) -> np.ndarray:
     """Triangles [bands, bins] even on the mel scale, at least three bins wide."""
-    hz, low = np.fft.rfftfreq(n, 1 / rate), max(LOWEST, rate / n)
-    edge = 700 * np.expm1(np.linspace(np.log1p(low / 700), np.log1p(min(HIGHEST, 0.45 * rate) / 700), bands + 2))
+    hz, edge = np.fft.rfftfreq(n, 1 / rate), mel_edges(n, bands, rate)
     half, middle = np.maximum(np.diff(edge), 1.5 * rate / n)[:, None], edge[1:-1, None]
     return np.maximum(0, np.minimum(1 - (middle - hz) / half[:-1], 1 - (hz - middle) / half[1:]))
