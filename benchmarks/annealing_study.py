@@ -34,8 +34,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import dual_annealing, minimize
 
-from pianofit.paper.annealing import anneal
-from pianofit.paper.annealing_state import Schedule
+from pianofit.paper.annealing import Schedule, anneal
 
 NEAR = 1e-3
 COLUMNS = {"asa1": "ASA, 1 chain", "asa16": "ASA, 16 chains", "da_plain": "DA, no local", "da": "DA", "cma": "CMA-ES"}

@@ -21,8 +21,23 @@ from typing import Any
 
 import numpy as np
 
+from pianofit.felt import DEFAULT_LAW
+
 NOTES = ("cp80-Fs2", "headroom-C4-close")
 TWINS = (4, 5, 9)
+
+
+class _Felt:
+    """The priors' spreads of the felt's parameters, as one attribute."""
+
+    @property
+    def spread(self) -> dict[str, float]:
+        return {name: parameter.deviation for name, parameter in DEFAULT_LAW.parameters.items()}
+
+    @spread.setter
+    def spread(self, spread: dict[str, float]) -> None:
+        own: Any = DEFAULT_LAW.parameters
+        own |= {name: parameter._replace(spread=spread[name]) for name, parameter in own.items()}
 
 
 def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
@@ -53,6 +68,7 @@ def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
         "VELOCITY": (priors, "VELOCITY", plain),
         "VELOCITY_SPREAD": (priors, "VELOCITY_SPREAD", plain),
         "HAMMER_SPREAD": (priors, "HAMMER_SPREAD", spreads),
+        "SPREAD": (_Felt(), "spread", spreads),
         "LEVEL excess": (priors, "LEVEL", hyper(0)),
         "LEVEL smooth": (priors, "LEVEL", hyper(1)),
         "LEVEL octaves": (priors, "LEVEL", hyper(2)),

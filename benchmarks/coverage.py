@@ -138,18 +138,14 @@ def gain_from_truth(problem: Problem, minima: Minima, true: Values, velocities: 
 
 def point_of(problem: Problem, best: np.ndarray, true: Values, velocities: Sequence[float]) -> np.ndarray:
     """The truth as a point of the search [size]; what has no truth, and what is held, is as in `best`."""
-    from pianofit.inference.coordinates import FORCE, NAMES, SHARED, P
-
     u = problem.unknowns
     values = np.exp(u.log_values(best))
-    values[SHARED:] = velocities
-    named = {"K_H": FORCE} | {name: i for i, name in enumerate(NAMES)}
+    values[u.shared :] = velocities
+    named = {name: i for i, name in enumerate(u.names)}
     for name, value in true.items():
         if name in named:
             values[named[name]] = nearest(value, values[named[name]])
-    z = np.log(values)
-    z[FORCE] += values[P] * u.log_u
-    return u.project(np.where(u.free, z, best))
+    return u.project(np.where(u.free, u.from_log_values(np.log(values)), best))
 
 
 def fitted_before(file: Path | None, kind: str) -> dict[int, dict]:

@@ -32,7 +32,8 @@ from typing import NamedTuple
 import numpy as np
 import scipy.signal
 
-from pianofit.inference.start import HAMMER_SPREAD
+from pianofit.felt import DEFAULT_LAW
+from pianofit.inference import priors
 from pianofit.parameters import Geometry, Hammer, String
 from pianofit.published import typical
 from pianofit.recording import Recording, recording_from_samples
@@ -45,6 +46,7 @@ MOST_RECORDINGS = 5
 # MIDI: A0, D2, F#3, A#4, C6. Compiled programs depend on the key and the number of recordings: few keys, few programs.
 KEYS = (21, 38, 54, 70, 84)
 SLOWEST, FASTEST = 0.5, 5.0  # m/s
+HAMMER_SPREAD = priors.HAMMER_SPREAD | {name: p.deviation for name, p in DEFAULT_LAW.parameters.items()}
 # Of the spreads that a fit grants the literature's hammer, and of those for length, B, b1 and b2 below.
 SHARE = 0.5
 STRING_SCATTER = {"length": 0.2, "B": 0.6, "b1": 0.6, "b2": 0.6}

@@ -5,8 +5,7 @@
     python benchmarks/realism.py --constants           what halving and doubling each constant of the ringing does
 
 Of every note with three layers or more one inner layer is left out entirely: string, hammer, modes and knock come from
-the others. Its velocity is the one at which the fit's partials suit it best, by the likelihood's prior: three partials
-alone can suit a velocity that nobody plays. The distance is that of `../shared/tools/realism.py` (or of the file that
+the others, its velocity from `predict_take`. The distance is that of `../shared/tools/realism.py` (or of the file that
 PIANOFIT_REALISM names), dB: the mean of three log-mel distances, attack, early and late, blind to gain and shift.
 Beside it stands the nearer of the two neighbouring recordings. Recordings are found as `crossval.py` finds them.
 Constants are judged on every second note and checked on the others.
@@ -35,8 +34,6 @@ if TYPE_CHECKING:
 TOOL = Path(__file__).parents[2] / "shared" / "tools" / "realism.py"
 SECONDS = 3.3
 RUNGS = ("law", "modes", "modes and knock", "nearest layer")
-# What a partial of a layer that was left out misses its prediction by, dB: the median that `crossval.py` finds.
-MISSED = 1.4
 CONSTANTS = {
     "bands": ("KERNEL",),
     "modes": ("EVEN", "RANGE", "LEAST_SNR", "COHERENT", "FASTEST", "ENVELOPE"),
@@ -71,20 +68,6 @@ def brightness(analysis) -> float:
     return float((amplitude * analysis.partials.frequency).sum() / amplitude.sum())
 
 
-def velocity(note, analysis) -> float:
-    """At which the levels of a fitted note suit a recording best, m/s, its prior counted."""
-    from pianofit.inference.listener import scored
-    from pianofit.inference.priors import STUDENT, VELOCITY, VELOCITY_SPREAD
-
-    tried, partials = np.geomspace(0.1, 12.0, 200), analysis.partials
-    off = note.levels(tried, int(partials.number.max()))[:, partials.number - 1] - partials.level
-    off = off[:, scored(partials.frequency, partials.level)]
-    off = off - np.median(off, axis=1, keepdims=True)
-    cost = (STUDENT + 1) / 2 * np.log1p((off / MISSED) ** 2 / STUDENT).sum(axis=1)
-    cost += 0.5 * (np.log(tried / VELOCITY) / VELOCITY_SPREAD) ** 2
-    return float(tried[np.nanargmin(cost)])
-
-
 def left_out(note: str, files: list[Path], setup, tool: ModuleType) -> LeftOut:
     """The layer in the middle left out, the others fitted."""
     from pianofit import analyse, fit, load_recording, predict_take
@@ -99,12 +82,11 @@ def left_out(note: str, files: list[Path], setup, tool: ModuleType) -> LeftOut:
     rest = [i for i in range(len(files)) if i != out]
     result = fit(*(recordings[i] for i in rest), analyses=[analyses[i] for i in rest], setup=setup)
     played = predict_take(result.mixture, analyses[out]).note
-    played = played.struck(velocity(played, analyses[out]))
     rate, target = recordings[out].rate, tool.load(str(files[out]))
     stroke = played.strike(rate)
     near = [tool.compare(target, tool.load(str(files[i]))) for i in (out - 1, out + 1)]
     best = min(near, key=lambda x: x["distance_db"])
-    law = played.heard(stroke, rate, round(SECONDS * rate), round(0.01 * rate))
+    law = played._replace(ringing=None).heard(stroke, rate, round(SECONDS * rate), round(0.01 * rate))
     return LeftOut(
         lambda: ringing_of(result), force_of(stroke), law, rate, target,
         {"distance": best["distance_db"], **best["logmel_db"]},

@@ -4,10 +4,9 @@
     python benchmarks/recipes_study.py --seeds 3 --evaluations 5000 --json study.json
 
 For each measurement: the criterion (eq. 19, 0 equal, 1 silence) in each band, on the sounds, and how far the parameters
-are off, in per cent. `paper` is `--recipe paper`, over seeds of its annealing: medians, then the least and the largest.
-`gradient` is the same with the hammer searched by the paper's gradient from the same start; it has no seed, nor has
-`global`. μ is compared only where the measurement's felt has one. Times are of the fit alone, in a warm process: take
-them on an idle machine.
+are off, in per cent. `paper` is `--recipe paper`, over seeds of its annealing: medians, then the least and the largest;
+`global` has no seed. μ is compared only where the measurement's felt has one. Times are of the fit alone, in a warm
+process: take them on an idle machine.
 """
 
 from __future__ import annotations
@@ -29,8 +28,8 @@ from pianofit.inference.start import starting_values
 from pianofit.model import simulate
 from pianofit.model.cache import keep_programs
 from pianofit.paper.laboratory import Laboratory, measure, setup_text
-from pianofit.paper.problem import pose, split
 from pianofit.paper.recipes import fit_by_paper
+from pianofit.paper.search import pose, split
 from pianofit.paper.twin import make_twin
 from pianofit.paper.twin import setup_text as demo_setup
 from pianofit.parameters import FIT_NAMES
@@ -77,13 +76,12 @@ class Closeness(NamedTuple):
 
 
 def fit(one: Measured, recipe: str, seed: int, evaluations: int) -> np.ndarray:
-    """The nine parameters by a recipe, or by `gradient`."""
+    """The nine parameters by a recipe."""
     if recipe == "default":
         table = pianofit.fit(one.recording, analyses=[one.analysis], setup=one.setup, seed=seed).parameters
         return np.array([table[name].value for name in FIT_NAMES])
     start, more = starting_values(one.analysis, one.setup), evaluations if recipe == "paper" else None
-    hammer, name = ("gradient", "paper") if recipe == "gradient" else ("annealing", recipe)
-    found = fit_by_paper(one.recording, one.analysis, start, name, hammer=hammer, evaluations=more, seed=seed)
+    found = fit_by_paper(one.recording, one.analysis, start, recipe, evaluations=more, seed=seed)
     return np.array([*found.string, *found.hammer])
 
 
@@ -146,7 +144,7 @@ def main() -> None:
         fit(one, "default", 0, 500)
         results = {
             recipe: study(one, recipe, arguments.seeds, arguments.evaluations)
-            for recipe in ("default", "paper", "gradient", "global")
+            for recipe in ("default", "paper", "global")
         }
         everything[one.name] = results
         names = [*results["paper"]["criterion"], *results["paper"]["errors"]]
@@ -154,8 +152,6 @@ def main() -> None:
         print(f"\n{one.name}\n{'':9}" + "".join(f"{n:>{w}}" for n, w in zip(names, width, strict=True)))
         for recipe, result in results.items():
             print(line(recipe, result), flush=True)
-        worst, gradient = max(results["paper"]["criterion"]["band3"]), results["gradient"]["criterion"]["band3"][0]
-        print(f"band 3, paper at worst {worst:.3g}, gradient only {gradient:.3g}")
     if arguments.json:
         arguments.json.write_text(json.dumps(everything, indent=1))
 

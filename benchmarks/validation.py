@@ -267,7 +267,7 @@ def witnesses() -> str:
 
 Derivatives of the pickup velocity and of the force by the nine parameters, a string like the paper's on a grid of
 {references.POINTS} points, {references.STEPS} steps: forward mode through the fast path (`jax.jvp`), against the
-paper's appendix (`paper/reference.py`), and against central differences of {STEP:g} in the logarithm. The
+paper's appendix (`paper/scheme.py`), and against central differences of {STEP:g} in the logarithm. The
 largest difference, of the largest value of that derivative. The size is that of the derivative by the logarithm, of
 full scale: what differences leave is rounding over their step, a large share where a parameter hardly acts.
 

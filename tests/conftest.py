@@ -8,7 +8,19 @@ from pathlib import Path
 
 import pytest
 from hypothesis import settings
+from jaxtyping import install_import_hook
 from threadpoolctl import threadpool_limits
+
+# Modules that write shapes in their signatures: every call is checked against them. An int is a float too (PEP 484).
+CHECKED = [
+    "pianofit.model",
+    "pianofit.inference.density",
+    "pianofit.inference.lanes",
+    "pianofit.inference.likelihood",
+    "pianofit.paper.spectral",
+    "pianofit.paper.struck",
+]
+install_import_hook(CHECKED, "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))")
 
 settings.register_profile("pianofit", derandomize=True, deadline=None)
 settings.load_profile("pianofit")

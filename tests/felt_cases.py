@@ -12,7 +12,8 @@ import scipy.integrate
 import scipy.optimize
 from model_cases import GEOMETRY, HAMMER, RATE, STRING
 
-from pianofit.parameters import Hammer, MemoryHammer
+from pianofit.felt import MemoryHammer
+from pianofit.parameters import Hammer
 
 LOSSLESS = STRING._replace(b1=0.0, b2=0.0)
 ELASTIC = HAMMER._replace(mu=0.0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from model_cases import GEOMETRY, HAMMER, STRING
 
-from pianofit.paper import reference
+from pianofit.paper import scheme
 from pianofit.parameters import Geometry, Hammer, String
 
 POINTS, STEPS = 48, 512
@@ -13,8 +13,8 @@ X = np.arange(1, POINTS + 1) / (POINTS + 1)
 WIDE = GEOMETRY._replace(width=0.06)
 
 
-def solve(case: dict, **more) -> reference.Reference:
-    return reference.solve(**case, steps=STEPS, points=POINTS, **more)
+def solve(case: dict, **more) -> scheme.Reference:
+    return scheme.solve(**case, steps=STEPS, points=POINTS, **more)
 
 
 def relative(found, expected) -> float:

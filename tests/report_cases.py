@@ -8,7 +8,8 @@ from html.parser import HTMLParser
 
 import numpy as np
 
-from pianofit.report.curves import Felt, Known, RecordingCurves, Strokes
+from pianofit.model.decay import PartialDecay
+from pianofit.report.curves import Envelope, Felt, Known, RecordingCurves, RingingCurves, Strokes
 from pianofit.report.page import Curves
 
 NAMES = ("original", "initial", "fitted")
@@ -100,6 +101,37 @@ def with_recordings(curves, velocities=(3.2, 0.6, 1.5), count=7):
         curves, recordings=tuple(recordings), first=0, paths=((60.0 * k, 3 * np.sin(k / 3)), (60.0 * k, np.cos(k / 5))),
         felt=Felt(u, law, 0.7 * law), known=Known(names, correlation, reaches), strokes=strokes,
     )  # fmt: skip
+
+
+def with_ringing(curves):
+    """The same, of a key that rings by modes and knock, in stereo."""
+    time, frames = np.linspace(0.0, 3.0, 200), np.linspace(0.0, 3.0, 80, endpoint=False)
+    bands = np.geomspace(60.0, 6000.0, 24)
+    envelopes = tuple(
+        Envelope(k, 92.0 * k, time, -10 * k - 9 * time, -10 * k - 20 * time, -9.5 * k - 9 * time) for k in range(1, 7)
+    )
+    level = -20 - 8 * frames - np.arange(24)[:, None]
+    decays = (
+        PartialDecay(1, 92.331, 3, 4.25, 12.5, 0.75, 6.5, (0.0125, 0.25)),
+        PartialDecay(2, 184.9, 1, 3.0, 3.0, np.nan, np.nan, (0.02, 0.02)),
+    )
+
+    def stereo(x):
+        return np.stack([x, 0.5 * np.roll(x, 9)])
+
+    return dataclasses.replace(
+        curves, sound_original=stereo(curves.sound_original), sound_fitted=stereo(curves.sound_fitted),
+        sound_law=curves.sound_initial,
+        ringing=RingingCurves(envelopes, frames, bands, level, level + 3 * np.sin(5 * frames), decays),
+    )  # fmt: skip
+
+
+def ringing_entry(by="modes and knock", left_out=(8.2, 3.9, 2.6)):
+    """What `fit.json` says of such a key."""
+    away = dict(zip(("law", "modes", "modes and knock"), left_out, strict=True)) if left_out else None
+    said = {"by": by, "left_out_db": away, "layers": [{"file": "/a folder/a.wav", "contact_s": 0.002, "gain_db": 1.5}]}
+    modes = {"partial": [1, 1, 1, 2]}
+    return said if by == "law" else said | {"modes": modes, "pattern": [], "knock": None}
 
 
 def fit_of_recordings(count=3, **changes):

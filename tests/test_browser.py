@@ -11,7 +11,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 import soundfile as sf
-from report_cases import NAMES, example_curves, example_fit, example_held_out, fit_of_recordings, with_recordings
+from report_cases import (
+    NAMES,
+    example_curves,
+    example_fit,
+    example_held_out,
+    fit_of_recordings,
+    ringing_entry,
+    with_recordings,
+    with_ringing,
+)
 
 from pianofit.report.page import write_report
 from pianofit.report.sound import k_weighted_mean_square
@@ -345,3 +354,46 @@ def test_each_recording_is_played_and_only_one_player_at_a_time(recordings_page,
     assert difference < 1e-6
     recordings_page.keyboard.press("3")  # it has no third sound
     assert states(recordings_page)["recording-3"]["chosen"] == "original"
+
+
+# ---- a key that rings ----
+
+
+@pytest.fixture(scope="module")
+def report_of_ringing(tmp_path_factory):
+    path = tmp_path_factory.mktemp("ringing") / "report.html"
+    curves = with_ringing(example_curves(rate=RATE, seconds=5.0))
+    write_report(path, example_fit(ringing=ringing_entry()), curves, "a key that rings")
+    return path
+
+
+@pytest.mark.parametrize(("width", "scheme"), [(1600, "light"), (400, "dark")])
+def test_a_key_that_rings_is_shown_and_heard_in_both_channels(browser, report_of_ringing, width, scheme):
+    page = browser.new_page(viewport={"width": width, "height": 800}, color_scheme=scheme)
+    complaints, requests = [], []
+    page.on("console", lambda message: complaints.append(message.text))
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    page.on("request", lambda request: requests.append(request.url[:5]))
+    page.goto(report_of_ringing.as_uri())
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    sizes = page.evaluate(
+        "[...document.images].map((image) => [image.complete, image.naturalWidth, image.clientWidth])"
+    )
+    assert len(sizes) == 19
+    assert all(complete and shown > 0.65 * natural > 325 for complete, natural, shown in sizes)
+    assert max(shown for *_, shown in sizes) - min(shown for *_, shown in sizes) <= 1
+    page.evaluate(LISTEN, 0)
+    page.keyboard.press("2")
+    page.keyboard.press("Space")
+    assert page.get_by_role("status").inner_text() == "Playing fitted"
+    wait_until(page, 1.0)
+    fitted = sounds_of(report_of_ringing, "note")["fitted"]
+    assert fitted.shape[1] == 2
+    # An analyser hears the mean of the channels.
+    _, difference = locate(heard(page)[-6000:], fitted.mean(axis=1))
+    assert difference < 1e-6
+    page.keyboard.press("3")
+    assert page.get_by_role("status").inner_text() == "Playing law"
+    page.close()
+    assert complaints == []
+    assert {*requests} <= {"file:", "data:"}

@@ -8,10 +8,15 @@ import numpy as np
 import pytest
 from model_cases import GEOMETRY
 
-from pianofit.inference.coordinates import ABSENT, FORCE, MU, NAMES, SHARED, VALUES, X0, P, Unknowns
-from pianofit.parameters import PARAMETERS, Hammer, MemoryHammer, check, check_hammer
+from pianofit.felt import LAWS, MemoryHammer, check_hammer
+from pianofit.inference.coordinates import ABSENT, Unknowns, names_of
+from pianofit.parameters import PARAMETERS, Hammer, check
 
 STROKES = 2
+LAW = LAWS["hunt-crossley"]
+VALUES = names_of(LAW)
+SHARED = len(VALUES)
+FORCE, P, MU, X0 = (VALUES.index(name) for name in ("K_H", "p", "mu", "x0"))
 VALUE = {
     "c": 304.0, "kappa": 1.7, "b1": 0.5, "b2": 2e-4, "K_H": 1e10, "p": 2.5, "mu": 0.2, "M_H": 5e-3, "x0": 0.12,
     "width": 0.02, "epsilon": 0.5, "tau": 1e-4,
@@ -24,10 +29,10 @@ def unknowns() -> Unknowns:
     mean = np.log([VALUE[name] for name in VALUES] + [1.0, 2.0])
     mean[FORCE] += VALUE["p"] * LOG_U
     sd = np.full(len(mean), 0.5)
-    sd[[NAMES.index("epsilon"), NAMES.index("tau")]] = 0.0
+    sd[[VALUES.index("epsilon"), VALUES.index("tau")]] = 0.0
     lower, upper = mean - 0.7, mean + 0.7
     lower[FORCE], upper[FORCE] = -np.inf, np.inf
-    return Unknowns(mean, sd, lower, upper, LOG_U, (np.log(5e9), np.log(2e10)), GEOMETRY, False)
+    return Unknowns(mean, sd, lower, upper, LOG_U, (np.log(5e9), np.log(2e10)), GEOMETRY, LAW)
 
 
 def points(count: int = 40) -> np.ndarray:
@@ -96,7 +101,7 @@ def test_values_are_those_of_a_string_and_a_hammer():
     assert isinstance(hammer, Hammer)
     assert hammer._asdict() == pytest.approx({n: VALUE[n] for n in ("K_H", "mu", "p", "M_H")} | {"v_H0": 2.0})
     assert u.struck(u.mean)[2:4] == pytest.approx((VALUE["x0"], VALUE["width"]))
-    relaxing = replace(u, memory=True)
+    relaxing = replace(u, law=LAWS["stulov"])
     z = u.mean.copy()
     z[MU] = ABSENT
     hammer = relaxing.hammer(z, 0)

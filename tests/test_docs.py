@@ -12,7 +12,9 @@ from typing import Any
 
 import pytest
 
-from pianofit.parameters import FELT_LAWS, PARAMETERS
+from pianofit.felt import BOXES, LAWS
+from pianofit.io import FIT_SCHEMA
+from pianofit.ringing_file import ringing_document
 from pianofit.setup import KEYS, PICKUPS, RANGES, load_setup
 
 ROOT = Path(__file__).parent.parent
@@ -106,12 +108,12 @@ def rows(columns: int) -> list[list[str]]:
 def test_every_key_of_a_setup_is_in_its_table_with_its_range():
     found = {(table, key): span for table, key, span, *_ in rows(5)}
     for table, keys in KEYS.items():
-        if keys == tuple(PARAMETERS):
+        if keys == tuple(BOXES):
             assert f"`[{table}]`" in FILES.read_text(encoding="utf-8")
             continue
         for key in keys:
             assert (f"[{table}]" if table != "recording" else "[[recording]]", key) in found
-    assert found["[felt]", "law"].split(", ") == sorted(FELT_LAWS)
+    assert found["[felt]", "law"].split(", ") == sorted(LAWS)
     for table in ("string", "strike", "pickup"):
         for key in set(KEYS[table]) & set(RANGES):
             lower, upper, _ = RANGES[key]
@@ -120,7 +122,7 @@ def test_every_key_of_a_setup_is_in_its_table_with_its_range():
 
 def test_every_parameter_is_in_its_table_with_its_unit_and_range():
     found = {name: (unit, span) for name, unit, span, _ in rows(4)}
-    for name, parameter in PARAMETERS.items():
+    for name, parameter in BOXES.items():
         unit, span = found[name]
         assert unit == parameter.unit
         assert [float(x) for x in span.split(" to ")] == [parameter.lower, parameter.upper], name
@@ -142,19 +144,32 @@ def missing(shown: Any, real: Any, where: str = "") -> list[str]:
     return [where] if real is ... else []
 
 
-def test_the_fit_shown_has_the_keys_of_a_real_one(tmp_path, monkeypatch):
+def ringing_of_a_fit() -> dict[str, Any]:
+    """What a fit says of ringing, with the knock that was found, whether or not it was kept."""
+    space = run(ROOT / "docs" / "ringing.md")
+    return space["result"].document["ringing"] | ringing_document(space["key"])
+
+
+def test_the_fits_shown_have_the_keys_of_real_ones(tmp_path, monkeypatch):
+    """The whole of one that is calibrated, and how a key rings of one that is not."""
     monkeypatch.chdir(tmp_path)
-    (shown,) = fenced(FILES, "json")
-    assert missing(json.loads(shown), run(ROOT / "docs" / "fitting.md")["result"].document) == []
+    whole, ringing = map(json.loads, fenced(FILES, "json"))
+    assert missing(whole, run(ROOT / "docs" / "fitting.md")["result"].document) == []
+    real = ringing_of_a_fit()
+    assert missing(ringing, real) == []
+    assert {*ringing["layers"][0]} == {*real["layers"][0]}
+    assert {*ringing["pattern"][0]} == {*real["pattern"][0]}
+    assert whole["schema"] == FIT_SCHEMA
 
 
 CONSTANTS = re.compile(r"<!-- constants -->\n(.*?)<!-- end of constants -->", re.DOTALL)
 
 
 def test_every_constant_of_the_table_is_in_the_code():
-    """By name, in the room's priors or its search: a constant that goes takes its row with it."""
-    room = ROOT / "src" / "pianofit" / "inference"
-    source = "".join((room / name).read_text(encoding="utf-8") for name in ("priors.py", "search.py"))
+    """By name, in the priors, the search or a law of the felt: a constant that goes takes its row with it."""
+    room = ROOT / "src" / "pianofit"
+    files = (room / "inference" / "priors.py", room / "inference" / "search.py", *(room / "felt").glob("*.py"))
+    source = "".join(file.read_text(encoding="utf-8") for file in files)
     (table,) = CONSTANTS.findall((ROOT / "docs" / "fitting.md").read_text(encoding="utf-8"))
     names = re.findall(r"`([A-Z_]+)`", "".join(re.findall(r"^\| (`.*?) \|", table, re.MULTILINE)))
     assert len(set(names)) > 20
@@ -168,4 +183,7 @@ def test_every_key_of_a_fit_is_explained(tmp_path, monkeypatch):
     whole = ("invariants", "parameters", "pickup", "derived", "criterion", "levels", "diagnostics", "versions")
     parts = [document, *(document[part] for part in whole), document["diagnostics"]["excess"]]
     parts += [document["takes"][0], document["minima"][0], document["parameters"]["c"], document["invariants"]["f0"]]
+    ringing = ringing_of_a_fit()
+    parts += [ringing, *(ringing[part] for part in ("modes", "knock", "left_out_db"))]
+    parts += [ringing["layers"][0], ringing["pattern"][0], {"ringing": ringing}]
     assert sorted({key for part in parts for key in part if f"`{key}`" not in text}) == []

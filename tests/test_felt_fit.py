@@ -11,8 +11,9 @@ import pytest
 
 from pianofit import analyse, fit, load_note, recording_from_samples, setup_from_dict
 from pianofit.errors import FitError, SetupError
+from pianofit.felt import LAWS, MemoryHammer
 from pianofit.paper.laboratory import Laboratory, measure, setup_text
-from pianofit.parameters import FELT_LAWS, Hammer, MemoryHammer
+from pianofit.parameters import Hammer
 from pianofit.setup import load_setup
 
 VELOCITY = 1.299
@@ -62,12 +63,12 @@ def test_the_right_law_fits_better_than_another():
     assert fitted("memory", "power")["diagnostics"]["excess"]["level_db"] > 0.05
 
 
-@pytest.mark.parametrize("law", FELT_LAWS)
+@pytest.mark.parametrize("law", LAWS)
 def test_what_a_law_does_not_have_is_not_in_its_fit(law, tmp_path):
     document = json.loads(json.dumps(fitted("power", law)))
     table = document["parameters"]
-    assert {"epsilon", "tau"} & set(table) == {"epsilon", "tau"} & set(FELT_LAWS[law])
-    if "mu" not in FELT_LAWS[law]:
+    assert {"epsilon", "tau"} & set(table) == {"epsilon", "tau"} & set(LAWS[law].parameters)
+    if "mu" not in LAWS[law].parameters:
         assert table["mu"] == {
             "value": 0.0, "unit": "s/m", "interval": None, "interval_by": None, "interval_open": [], "status": "given",
             "initial": 0.0,

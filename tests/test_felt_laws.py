@@ -17,8 +17,9 @@ from model_cases import GEOMETRY, HAMMER, RATE, STRING
 
 from pianofit import model
 from pianofit.errors import ParameterError
+from pianofit.felt import BOXES, LAWS, MemoryHammer, make_hammer
 from pianofit.model.felt import relaxing as felt
-from pianofit.parameters import FELT_LAWS, PARAMETERS, Geometry, Hammer, MemoryHammer, String, make_hammer
+from pianofit.parameters import Geometry, Hammer, String
 
 pytestmark = pytest.mark.usefixtures("float64")
 
@@ -26,7 +27,7 @@ pytestmark = pytest.mark.usefixtures("float64")
 
 
 def _log(name: str):
-    box = PARAMETERS[name]
+    box = BOXES[name]
     return st.floats(math.log(box.lower), math.log(box.upper)).map(
         lambda x: min(max(math.exp(x), box.lower), box.upper)
     )
@@ -219,11 +220,11 @@ def test_the_parameters_given_choose_the_felt():
         make_hammer(values | {"tau": 1e-5}, "--set")
 
 
-@pytest.mark.parametrize("name", FELT_LAWS)
+@pytest.mark.parametrize("name", LAWS)
 def test_each_law_has_the_parameters_that_it_is_said_to_have(name):
     """The force depends on these alone: the others are those of the blow, or 0."""
     hammer = {"power": ELASTIC, "hunt-crossley": HAMMER, "stulov": STULOV}[name]
-    assert set(FELT_LAWS[name]) <= set(PARAMETERS)
+    assert set(LAWS[name].parameters) <= set(BOXES)
     blow, u, w = ("M_H", "v_H0"), jnp.asarray(1e-4), jnp.asarray(0.5)
-    assert {n for n, value in hammer._asdict().items() if value and n not in blow} == set(FELT_LAWS[name])
+    assert {n for n, value in hammer._asdict().items() if value and n not in blow} == set(LAWS[name].parameters)
     assert float(model.felt_force(u, w, hammer, 1e-11)) == pytest.approx(float(law(1e-4, 0.5, 1e-11, hammer)))

@@ -20,10 +20,11 @@ from felt_cases import (
 )  # fmt: skip
 from model_cases import GEOMETRY, RATE, STRING
 
+from pianofit.felt import MemoryHammer
 from pianofit.paper.laboratory.body import Axis, make_body
 from pianofit.paper.laboratory.felt import Felt
 from pianofit.paper.laboratory.strike import strike as laboratory_strike
-from pianofit.parameters import Hammer, MemoryHammer
+from pianofit.parameters import Hammer
 
 pytestmark = pytest.mark.usefixtures("float64")
 

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import doctest
-import importlib
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -82,7 +79,9 @@ def test_a_note_with_it_renders_and_has_levels():
     felt = AGAIN.hammer(**{name: getattr(HAMMER, name) for name in HAMMER._fields})
     own, outside = (pianofit.Note(STRING, h, GEOMETRY, "velocity", 0.1) for h in (HAMMER, felt))
     np.testing.assert_allclose(outside.render(2.0, seconds=0.1), own.render(2.0, seconds=0.1), atol=1e-9)
-    np.testing.assert_allclose(outside.levels([0.5, 3.0], 10), own.levels([0.5, 3.0], 10), atol=1e-6)
+    np.testing.assert_allclose(
+        outside.levels(np.array([0.5, 3.0]), 10), own.levels(np.array([0.5, 3.0]), 10), atol=1e-6
+    )
 
 
 def active(u, w, felt):
@@ -99,10 +98,10 @@ GOOD = {name: getattr(HAMMER, name) for name in HAMMER._fields}
         (lambda: AGAIN.hammer(K_H=1e9), "felt law Again: a hammer needs mu, p, M_H, v_H0 too"),
         (lambda: AGAIN.hammer(**GOOD | {"p": 9.0}), "felt law Again: p=9.0 must be a number from 1 to 5 1"),
         (lambda: AGAIN.hammer(**GOOD, colour=1.0), "felt law Again: no parameter is called 'colour'"),
-        (lambda: FeltLaw("My felt", BOXES, hunt_crossley), "felt law 'My felt': 'My felt' must be a name"),
+        (lambda: FeltLaw("My felt", BOXES, hunt_crossley), "felt law 'My felt': the name must be letters"),
         (
             lambda: FeltLaw("F", {"M_H": Parameter("kg", "", 0.0, 1.0)}, hunt_crossley),
-            "'M_H' must be a name other than M_H, v_H0",
+            "'M_H' must be a name other than L, M_H",
         ),
         (
             lambda: FeltLaw("Gives", BOXES, active, spring).hammer(**GOOD),
@@ -129,9 +128,3 @@ def test_a_pulse_that_is_cut_off_is_refused_and_marked_where_traced():
         model.strike(modes, HAMMER, steps=64)
     assert not model.strike(modes, HAMMER, steps=64, whole=False).over
     assert not jax.jit(lambda h: model.strike(modes, h, steps=64).over)(HAMMER)
-
-
-@pytest.mark.parametrize("module", ["contact", "modes", "note", "response"])
-def test_the_examples_in_docstrings_run(module):
-    found = doctest.testmod(importlib.import_module(f"pianofit.model.{module}"))
-    assert (found.attempted > 0, found.failed) == (True, 0)

@@ -21,6 +21,7 @@ from pianofit.cli.instrument import register
 from pianofit.errors import FitError
 from pianofit.keyboard import build_instrument, find_fits, load_instrument, load_keys, read_instrument
 from pianofit.keyboard.page import write_page
+from pianofit.model.modal import Ringing
 
 APP = typer.Typer()
 register(APP)
@@ -84,10 +85,33 @@ def test_a_page_shows_every_key_and_trusts_no_name(document, tmp_path):
     assert "<script" not in page
     assert "<img src=x>" not in page
     assert "&lt;script&gt;alert(1)" in page
+    assert "Mistuning" not in page
     assert len(re.findall(r'<tr><th scope="row">', page)) == 88
     assert page.count("data:image/svg+xml;base64,") == 16
     assert not re.search(r'(src|href)="(?!data:|#)', page)
     assert "default-src 'none'" in page
+
+
+def test_a_page_shows_how_the_partials_of_keys_split_and_decay(fits, tmp_path):
+    """A key whose first partial has two modes six cents apart, and whose second has one."""
+    pole = np.array([-4.0 + 2j * np.pi * 200.0, -0.5 + 2j * np.pi * 200.0 * 2 ** (6 / 1200), -2.0 + 2j * np.pi * 400.0])
+    ringing = Ringing(
+        np.array([1, 1, 2]), pole, np.full(3, 0.1), np.array([[1.0, 0.05, 1.0]], complex), np.zeros((1, 0)), 44_100
+    )
+    keys = load_keys(find_fits([fits]))
+    keys[1] = keys[1]._replace(note=keys[1].note._replace(ringing=ringing))
+    document = build_instrument(keys, "twin")
+    told = {key["midi"]: key["fit"]["partials"] for key in document["keys"] if key["fit"]}
+    assert [told[midi] for midi in KEYS if midi != KEYS[1]] == [[]] * 4
+    one, two = told[KEYS[1]]
+    assert (one["partial"], two["partial"]) == (1, 2)
+    assert one["split_cents"] == pytest.approx(6.0, rel=0.01)
+    assert one["late_over_early"] > 4
+    assert (two["split_cents"], two["late_over_early"]) == (None, pytest.approx(1.0))
+    write_page(tmp_path / "instrument.html", document)
+    page = (tmp_path / "instrument.html").read_text()
+    assert page.count("data:image/svg+xml;base64,") == 18
+    assert page.count("Mistuning and double decay") == 2  # its heading, and that in the contents
 
 
 def test_a_melody_is_played(built, melody, tmp_path):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import subprocess
 import sys
 import tomllib
@@ -166,34 +165,11 @@ def test_a_velocity_can_be_where_the_fit_starts():
 # What cannot be.
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"felt": "wool"}, "felt='wool' must be one of hunt-crossley, memory, power"),
-        ({"bridge": 1}, "bridge=1 must be True or False"),
-        ({"polarisation": None}, "polarisation=None must be True or False"),
-        ({"noise_db": math.nan}, "noise_db=nan must be a number from -20 to 200 dB below the first second's rms"),
-        ({"velocity_error": -0.01}, "velocity_error=-0.01 must be a number from 0 to 0.2 of the velocity"),
-        ({"seconds": 0}, "seconds=0 must be a number from 0.1 to 60 s"),
-        ({"rate": 44_100.0}, "rate=44100.0 must be a whole number from 8000 to 384000 Hz"),
-        ({"contact_rate": 44_100}, "contact_rate=44100 must be a number from 100000 to 2e+07 Hz"),
-        ({"eps": 1.0}, "eps=1.0 must be a number from 0 to 0.99"),
-        ({"tau": "60e-6"}, "tau='60e-6' must be a number from 1e-07 to 0.1 s"),
-    ],
-)
-def test_a_laboratory_that_cannot_be_is_refused(arguments, message):
-    with pytest.raises(ParameterError) as caught:
-        Laboratory(**arguments)
-    assert message in str(caught.value)
-
-
-def test_a_measurement_that_cannot_be_is_refused():
-    with pytest.raises(ParameterError, match=r"velocity=5.0 must be a number from 0.05 to 3.5 m/s"):
+def test_what_cannot_be_is_refused():
+    with pytest.raises(ParameterError, match="felt='wool' must be one of hunt-crossley, memory, power"):
+        Laboratory(felt="wool")
+    with pytest.raises(ParameterError, match=r"velocity=5.0 must be from 0.05 to 3.5 m/s"):
         measure(Laboratory(), 5.0)
-    with pytest.raises(ParameterError, match=r"seed=-1 must be a whole number from 0 to 4.29497e\+09$"):
-        measure(Laboratory(), V, -1)
-    with pytest.raises(ParameterError, match=r"velocity='soft' must be a number from 0.05 to 3.5 m/s"):
-        measure(Laboratory(), "soft")
 
 
 def test_measuring_needs_no_jax():

@@ -7,17 +7,19 @@ import pytest
 from model_cases import GEOMETRY as TENTHS
 from model_cases import HAMMER, STRING
 
-from pianofit.inference.coordinates import ABSENT, NAMES, SHARED, STRING_SIZE
+from pianofit.felt import LAWS, FeltLaw, MemoryHammer
+from pianofit.inference.coordinates import ABSENT, STRING_SIZE
 from pianofit.inference.lanes import Cfg, Scene, in_lanes, levels, own_levels, own_slopes, slopes
 from pianofit.model import simulate
 from pianofit.model.note import arrival
 from pianofit.model.response import level_db, ringing
-from pianofit.parameters import Geometry, Hammer, MemoryHammer
+from pianofit.parameters import Geometry, Hammer
 
 RATE, N_MODES, STEPS, ROWS, SIZE = 88_200.0, 64, 512, 24, 4
 LOG_U = np.log(3e-4)
 GEOMETRY = TENTHS._replace(pickup=0.309)  # on no node: there levels are rounding
-LANE = (*NAMES[STRING_SIZE:], "v_H0")
+LAW = LAWS["hunt-crossley"]
+LANE = (*LAW.columns, "v_H0")
 # Two others than the first in everything.
 HAMMERS = (
     (HAMMER, GEOMETRY),
@@ -30,7 +32,7 @@ STULOV = MemoryHammer(*HAMMER._replace(mu=0.0), epsilon=0.4, tau=6e-5)
 def lane(hammer: Hammer | MemoryHammer, geometry: Geometry) -> np.ndarray:
     """A hammer and where it strikes, as a lane has them; K_H as its force at the reference compression."""
     values = dict.fromkeys(LANE, np.exp(ABSENT)) | hammer._asdict() | {"x0": geometry.strike, "width": geometry.width}
-    values |= {"force": hammer.K_H * np.exp(hammer.p * LOG_U)}
+    values |= {"K_H": hammer.K_H * np.exp(hammer.p * LOG_U)}
     return np.log([max(float(values[name]), np.exp(ABSENT)) for name in LANE])
 
 
@@ -43,8 +45,8 @@ def scene() -> Scene:
     return Scene(Geometry(*map(np.float64, GEOMETRY)), np.float64(RATE), np.float64(LOG_U))
 
 
-def cfg(quantity: str = "velocity", memory: bool = False, free: tuple[int, ...] = ()) -> Cfg:
-    return Cfg(N_MODES, STEPS, ROWS, quantity, memory, free)
+def cfg(quantity: str = "velocity", law: FeltLaw = LAW, free: tuple[int, ...] = ()) -> Cfg:
+    return Cfg(N_MODES, STEPS, ROWS, quantity, law, free)
 
 
 def played(string, hammer, geometry: Geometry, quantity: str) -> np.ndarray:
@@ -67,7 +69,7 @@ def test_levels_are_those_of_what_is_played(quantity):
 
 def test_a_felt_with_memory_sounds_as_it_is_played():
     lanes = lane(STULOV, GEOMETRY)[None]
-    found, ended = in_lanes(levels, (np.log(STRING), lanes), scene(), cfg(memory=True), SIZE)
+    found, ended = in_lanes(levels, (np.log(STRING), lanes), scene(), cfg(law=LAWS["stulov"]), SIZE)
     assert ended.all()
     np.testing.assert_allclose(found[0], played(STRING, STULOV, GEOMETRY, "velocity"), atol=1e-6)
 
@@ -79,7 +81,7 @@ def test_every_lane_may_have_a_string_of_its_own():
         np.testing.assert_allclose(level, played(one, hammer, geometry, "velocity"), atol=1e-6)
 
 
-FREE = (*range(6), SHARED - STRING_SIZE)  # force to width, and the velocity
+FREE = (*range(6), len(LAW.columns))  # force to width, and the velocity
 
 
 def differences(of, at: np.ndarray, entries: tuple[int, ...]) -> np.ndarray:

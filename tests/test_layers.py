@@ -22,25 +22,27 @@ USES = {
     "errors": "",
     "io": "",
     "parameters": "",
+    "felt": "parameters published",
     "progress": "",
     "tables": "io",
     "recording": "io",
     "published": "parameters",
-    "setup": "io parameters",
+    "setup": "felt io parameters",
     "analysis": "recording tables",
     "criterion": "analysis",
-    "model": "criterion parameters recording",
-    "render": "io model parameters recording",
-    "inference": "analysis criterion io model parameters progress published recording render setup tables threads",
-    "ringing": "analysis inference model recording",
-    "report": "analysis inference io parameters",
-    "paper": "analysis criterion inference io model parameters published recording report setup",
+    "model": "criterion felt parameters recording",
+    "ringing_file": "io model recording",
+    "render": "felt io model parameters recording ringing_file",
+    "inference": "analysis criterion felt io model parameters progress published recording render setup tables threads",
+    "ringing": "analysis inference model recording ringing_file threads",
+    "report": "analysis felt inference io model parameters ringing ringing_file",
+    "paper": "analysis criterion felt inference io model parameters published recording report setup",
     "keyboard": "analysis io model parameters published render report",
-    "fitting": "analysis inference io paper parameters progress recording setup",
-    "play": "analysis io keyboard model parameters recording render threads",
+    "fitting": "analysis inference io paper parameters progress recording ringing setup",
+    "play": "analysis felt io keyboard model parameters recording render threads",
     "workflow": "analysis fitting inference io model recording render setup",
     "batch": "analysis fitting io model parameters recording",
-    "cli": "analysis batch fitting inference io keyboard model paper parameters play progress"
+    "cli": "analysis batch felt fitting inference io keyboard model paper parameters play progress"
     " published recording render report setup workflow",
     "__main__": "cli",
 }
@@ -138,7 +140,9 @@ def loaded_by(code: str) -> set[str]:
     return set(json.loads(done.stdout.splitlines()[-1]))
 
 
-@pytest.mark.parametrize("module", ["", ".cli", ".parameters", ".published", ".recording", ".setup", ".analysis"])
+@pytest.mark.parametrize(
+    "module", ["", ".cli", ".felt", ".parameters", ".published", ".recording", ".setup", ".analysis"]
+)
 def test_what_needs_no_jax_does_not_load_it(module):
     assert "jax" not in loaded_by(f"import pianofit{module}")
 

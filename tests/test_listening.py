@@ -168,7 +168,7 @@ def test_each_button_plays_its_own_sound_from_the_start(page, path):
         page.keyboard.press(key)
         heard = page.evaluate("""() => {
           const deck = window.pianofitListening.deck;
-          return [deck.chosen, deck.now < 0.2, Array.from(deck.clips[deck.chosen].samples.slice(0, 3000))];
+          return [deck.chosen, deck.now < 0.2, Array.from(deck.clips[deck.chosen].channels[0].slice(0, 3000))];
         }""")
         samples = np.frombuffer(base64.b64decode(test["sounds"][trial[role]])[44:], "<i2") / 32768
         assert heard[:2] == [("reference", "a", "b").index(role), True]

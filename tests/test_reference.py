@@ -26,7 +26,7 @@ from reference_cases import CASES, POINTS, STEPS, WIDE, X, relative, solve, touc
 from pianofit import model
 from pianofit.model.contact import free_motion, impulse_amplitude
 from pianofit.model.exponentials import ring
-from pianofit.paper import appendix, grid, reference
+from pianofit.paper import scheme
 from pianofit.parameters import FIT_NAMES, HAMMER_NAMES, PARAMETERS, Geometry, Hammer, String
 
 pytestmark = pytest.mark.usefixtures("float64")
@@ -81,7 +81,7 @@ def _fast(case: dict, window: np.ndarray) -> tuple[dict, dict]:
 # --- the comparison ---------------------------------------------------------------------------------------------------
 
 
-def _condition(case: dict, found: reference.Reference) -> float:
+def _condition(case: dict, found: scheme.Reference) -> float:
     """How many times a relative change of all parameters comes back in velocity or force, of full scale."""
     total = {"velocity": 0.0, "force": 0.0}
     for name, value in zip(FIT_NAMES, (*case["string"], *case["hammer"]), strict=True):
@@ -91,7 +91,7 @@ def _condition(case: dict, found: reference.Reference) -> float:
     return max(total.values())
 
 
-def _errors(case: dict, slow: reference.Reference) -> dict[str, float]:
+def _errors(case: dict, slow: scheme.Reference) -> dict[str, float]:
     """Each error over what is allowed."""
     fast, tangents = _fast(case, slow.window)
     size = {kind: np.abs(getattr(slow.signals, kind)).max() for kind in ("velocity", "force", "compression")}
@@ -169,7 +169,7 @@ def test_fast_path_is_the_papers_scheme_all_over_the_box(case):
 def test_simulate_and_its_waveform(points, quantity):
     """The public door with its own default window, on other grids, with a pickup between points."""
     rate, samples = 44_100.0, 1500
-    slow = reference.solve(STRING, HAMMER, WIDE, step=1 / rate, steps=samples, points=points).signals
+    slow = scheme.solve(STRING, HAMMER, WIDE, step=1 / rate, steps=samples, points=points).signals
     fast = model.simulate(
         STRING, HAMMER, WIDE, rate=rate, quantity=quantity, kind="finite_difference", n_modes=points, oversampling=1
     )
@@ -188,12 +188,12 @@ def _flipped_b2(string, second, one):
     return 2 * string.b1 * one + 2 * string.b2 * second
 
 
-def _flipped_window(weights, hammer):
-    return np.insert(weights, hammer, 1.0)
+def _flipped_window(weights):
+    return np.append(weights, 1.0)
 
 
 def _no_virtual_nodes(points, h):
-    return grid._diagonals([1.0, -4.0, 6.0, -4.0, 1.0], points) / h**4
+    return scheme._diagonals([1.0, -4.0, 6.0, -4.0, 1.0], points) / h**4
 
 
 def _flipped_mu(u, du, hammer):
@@ -210,18 +210,18 @@ def _flipped_row(function, name: str):
     return wrong
 
 
-_FELT = reference.felt
+_FELT = scheme.felt
 PLANTED = {
-    "window": (grid, "compression_row", _flipped_window),
-    "b2": (grid, "losses", _flipped_b2),
-    "virtual nodes": (grid, "fourth_difference", _no_virtual_nodes),
-    "mu": (reference, "felt", _flipped_mu),
+    "window": (scheme, "compression_row", _flipped_window),
+    "b2": (scheme, "losses", _flipped_b2),
+    "virtual nodes": (scheme, "fourth_difference", _no_virtual_nodes),
+    "mu": (scheme, "felt", _flipped_mu),
     **{
-        f"appendix: {name}": (appendix, "coefficient_terms", _flipped_row(appendix.coefficient_terms, name))
+        f"appendix: {name}": (scheme, "coefficient_terms", _flipped_row(scheme.coefficient_terms, name))
         for name in ("c", "kappa", "b1", "b2", "M_H")
     },
     **{
-        f"appendix: {name}": (appendix, "felt_derivatives", _flipped_row(appendix.felt_derivatives, name))
+        f"appendix: {name}": (scheme, "felt_derivatives", _flipped_row(scheme.felt_derivatives, name))
         for name in ("K_H", "mu", "p")
     },
 }

@@ -14,7 +14,7 @@ import soundfile as sf
 from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.image import imread
-from report_cases import NAMES, Page, example_curves, example_fit, minimum
+from report_cases import NAMES, Page, example_curves, example_fit, minimum, ringing_entry, with_ringing
 from scipy.signal import lfilter
 
 from pianofit.errors import OutputError
@@ -23,7 +23,7 @@ from pianofit.report.figures import _headings, write_picture
 from pianofit.report.numbers import number
 from pianofit.report.page import Curves, write_report
 from pianofit.report.sound import k_weighted_mean_square, make_clips
-from pianofit.report.words import STATUS, again_in_words, invariants, minima, rows
+from pianofit.report.words import STATUS, again_in_words, invariants, minima, ringing, ringing_line, rows
 
 
 @pytest.fixture(scope="module")
@@ -257,8 +257,9 @@ def with_nothing(curves):
         lambda c: dataclasses.replace(c, attack_measured=1e-9 * c.attack_measured, sound_fitted=1e30 * c.sound_fitted),
         lambda c: dataclasses.replace(c, level_error=nothing(c.level), frequency_cents_error=nothing(c.level)),
         lambda _: example_curves(rate=8000, seconds=0.6, count=1, f0=1760.0, path=False),
+        lambda c: dataclasses.replace(c, sound_original=np.tile(c.sound_original, (5, 1))),
     ],
-    ids=["whole", "nan", "no path", "one band", "no contact", "magnitudes", "no errors", "one partial"],
+    ids=["whole", "nan", "no path", "one band", "no contact", "magnitudes", "no errors", "one partial", "channels"],
 )
 def test_page_and_picture_stand_what_a_fit_may_lack(tmp_path, curves, case):
     lacking = case(curves)
@@ -394,6 +395,21 @@ def test_picture_is_a_small_png_with_all_three_colours(tmp_path, curves):
         assert np.sum(np.all(pixels == colour, axis=-1)) > 2000, colour
 
 
+@pytest.mark.parametrize(
+    "lost", [lambda x: np.full_like(x, np.nan), lambda x: 0 * x, lambda x: x[..., :1]], ids=["nan", "silent", "short"]
+)
+def test_page_stands_a_ringing_that_says_nothing(tmp_path, curves, lost):
+    whole = with_ringing(curves).ringing
+    envelopes = tuple(
+        dataclasses.replace(one, time=lost(one.time), measured=lost(one.measured), law=lost(one.law), fitted=None)
+        for one in whole.envelopes
+    )
+    empty = dataclasses.replace(
+        whole, envelopes=envelopes, measured=lost(whole.measured), played=lost(whole.played), decays=()
+    )
+    assert written(tmp_path, {}, dataclasses.replace(curves, ringing=empty))
+
+
 def test_unwritable_places_are_named_and_nothing_is_left(tmp_path, curves, monkeypatch):
     with pytest.raises(OutputError, match=r"nowhere/report\.html: cannot be written \(No such file.*choose"):
         write_report(tmp_path / "nowhere" / "report.html", example_fit(), curves, "a")
@@ -423,3 +439,57 @@ def test_a_start_that_strikes_on_a_node_does_not_flatten_the_levels(curves):
     plt.close("all")
     assert -150 < low < min(curves.level.min(), curves.level_fitted.min())
     assert high > max(curves.level.max(), curves.level_fitted.max())
+
+
+def test_how_a_note_rings_is_shown_said_and_heard(tmp_path, curves):
+    html = written(tmp_path, example_fit(ringing=ringing_entry()), with_ringing(curves))
+    page = Page(html)
+    assert len(page.all("img")) == PANELS + 9  # six envelopes; recorded, played and their difference
+    for words in (
+        "Layers that took no part are 8.2 dB from their recordings by the string’s law, 3.9 by its modes, and 2.6 by "
+        "modes and knock; so it rings by 4 modes and a knock.",
+        "1 92.33 3 4.2 12 0.75 6.5 0.013 to 0.25 2 184.90 1 3 3 – – 0.02", "By the law", "as the fit plays it",
+    ):  # fmt: skip
+        assert words in page.text.replace("\u00a0", " "), words
+    drawn = [base64.b64decode(image["src"].split(",")[1]).decode() for image in page.all("img")]
+    assert sum(svg.count("data:image/png") for svg in drawn) == 3 * 2  # levels and their scales are rasters
+    assert all(f">{word}<" in " ".join(drawn) for word in ("played minus recorded", "partial 3, 276 Hz", "law"))
+    sounds = sounds_of(page)
+    assert {name: x.ndim for name, (x, *_) in sounds.items()} == {"original": 2, "fitted": 2, "law": 1}
+    loudness = [10 * np.log10(np.mean([k_weighted_mean_square(c[:16000], 16000) for c in np.atleast_2d(x.T)]))
+                for x, *_ in sounds.values()]  # fmt: skip
+    assert np.ptp(loudness) < 0.1  # as two loudspeakers play them, mono in both
+
+
+@pytest.mark.parametrize(
+    ("entry", "words", "line"),
+    [
+        (ringing_entry("modes", (8.0, 3.0, 3.5)), "so it rings by 4 modes.",
+         "rings by 4 modes: 3.0 dB from layers left out (8.0 by the law, 3.5 by modes and knock)"),
+        (ringing_entry("law", (4.0, 4.5, 5.0)), "What other layers show brings a layer no nearer to its recording",
+         "rings by the law: 4.0 dB from layers left out (4.5 by modes, 5.0 by modes and knock)"),
+        (ringing_entry(left_out=None), "It rings by 4 modes and a knock. One recording: not tested on another stroke.",
+         "rings by 4 modes and a knock; one recording: not tested on another stroke"),
+        (None, "", ""),
+        ({"by": "bells"}, "", ""),
+        ({"by": "modes", "left_out_db": {"law": "x"}, "modes": 3}, "It rings by 0 modes",
+         "rings by 0 modes; one recording: not tested on another stroke"),
+    ],
+    ids=["modes", "law", "one recording", "nothing", "unknown", "broken"],
+)  # fmt: skip
+def test_what_a_key_rings_by_is_said(entry, words, line):
+    said = ringing({"ringing": entry})
+    assert words in said if words else not said
+    assert ringing_line({"ringing": entry}) == line
+
+
+def test_a_key_that_rings_by_its_law_has_no_table_and_no_third_line(tmp_path, curves):
+    whole = with_ringing(curves)
+    envelopes = tuple(dataclasses.replace(one, fitted=None) for one in whole.ringing.envelopes)
+    by_law = dataclasses.replace(whole.ringing, envelopes=envelopes, decays=())
+    html = written(tmp_path, example_fit(ringing=ringing_entry("law")), dataclasses.replace(curves, ringing=by_law))
+    page = Page(html)
+    assert "This note plays by the string’s law." in page.text
+    assert "Decays and beats" not in page.text
+    assert set(sounds_of(page)) == set(NAMES)
+    assert len(page.all("img")) == PANELS + 9

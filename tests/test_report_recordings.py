@@ -12,13 +12,22 @@ from typing import Any
 import numpy as np
 import pytest
 import soundfile as sf
-from report_cases import Page, example_curves, example_fit, example_held_out, fit_of_recordings, with_recordings
+from report_cases import (
+    Page,
+    example_curves,
+    example_fit,
+    example_held_out,
+    fit_of_recordings,
+    with_recordings,
+    with_ringing,
+)
 from scipy.signal import resample_poly
 
-from pianofit.inference.coordinates import VALUES as NAMES
+from pianofit.felt import LAWS, MemoryHammer
+from pianofit.inference.coordinates import names_of
 from pianofit.inference.quantities import Quantities
 from pianofit.model.note import Note
-from pianofit.parameters import Geometry, Hammer, MemoryHammer, String
+from pianofit.parameters import Geometry, Hammer, String
 from pianofit.report.build_felt import felt_of, known_of
 from pianofit.report.build_recordings import paths_of, recordings_of, strokes_of
 from pianofit.report.curves import Felt, Known
@@ -104,6 +113,7 @@ def test_one_recording_has_a_felt_and_a_slider_but_no_recordings(tmp_path, curve
 def test_page_of_five_long_takes_stays_small(tmp_path):
     long = with_recordings(example_curves(rate=48000, seconds=8.1, count=5), (0.5, 1.0, 2.0, 3.0, 4.0))
     assert len(written(tmp_path, fit_of_recordings(5), long, example_held_out(5))) < 8e6
+    assert len(written(tmp_path, fit_of_recordings(5), with_ringing(long), example_held_out(5))) < 8.5e6
 
 
 def test_hostile_names_of_takes_stay_text(tmp_path, curves):
@@ -174,6 +184,7 @@ def test_page_stands_what_takes_may_lack(tmp_path, curves, case):
 
 # ---- arrays from a fit ----
 
+NAMES = names_of(LAWS["hunt-crossley"])
 VALUES = dict(zip(NAMES, (180.0, 0.9, 0.5, 4e-4, 5e9, 2.5, 0.2, 6e-3, 0.12, 0.02, 0.3, 2e-4), strict=True))
 GEOMETRY = Geometry(1.0, 0.02, 0.12, 0.02, 0.3)
 
@@ -212,7 +223,7 @@ def fake_fit(velocities=(3.0, 0.75, 1.5), first=0, memory=False, free=("c", "kap
         fitted = SimpleNamespace(note=note, samples=samples, simulation=simulation, level=np.zeros(len(number)))
         recordings.append(SimpleNamespace(
             partials=SimpleNamespace(number=number, level_error=np.full(len(number), 0.1)), level=np.zeros(len(number)),
-            fitted=fitted, recording=SimpleNamespace(rate=22050, onset=100 * i, samples=samples),
+            fitted=fitted, played=fitted, recording=SimpleNamespace(rate=22050, onset=100 * i, samples=samples),
             levels={"fitted_db": 0.5},
         ))  # fmt: skip
     table = {name: {"value": 1.0, "interval": [0.9, 1.1], "status": "fitted"} for name in free}
@@ -223,7 +234,8 @@ def fake_fit(velocities=(3.0, 0.75, 1.5), first=0, memory=False, free=("c", "kap
     }  # fmt: skip
     return FakeFit(
         document=document, takes=tuple(recordings), first=first, note=recordings[first].fitted.note,
-        covariance=SimpleNamespace(matrix=covariance(free, len(velocities))),
+        covariance=SimpleNamespace(names=(*NAMES, "v_H0", *("v_H0 2", "v_H0 3")[: len(velocities) - 1]),
+                                   matrix=covariance(free, len(velocities))),
         fitted=recordings[first].fitted, recording=recordings[first].recording,
     )  # fmt: skip
 
@@ -265,7 +277,9 @@ def test_how_well_things_are_known_is_what_the_intervals_say():
 
 def test_an_unmeasured_scale_of_velocities_hides_nothing_of_the_felt():
     plain, scaled = fake_fit(), fake_fit()
-    scaled.covariance = SimpleNamespace(matrix=scaled_by_velocity(plain.covariance.matrix))
+    scaled.covariance = SimpleNamespace(
+        names=plain.covariance.names, matrix=scaled_by_velocity(plain.covariance.matrix)
+    )
     scaled.document["parameters"]["v_H0"] = {"value": 3.0, "interval": [1.0, 9.0], "status": "scaled"}
     wide = fake_fit()
     wide.covariance = scaled.covariance

@@ -15,13 +15,15 @@ from report_cases import Page
 
 from pianofit.errors import ParameterError
 from pianofit.model.note import Note
+from pianofit.paper.descent import LeastSquares
 from pianofit.paper.reproduce import QUICK, claims, limits
 from pianofit.paper.reproduce.band3 import Hammers, landscape, race
-from pianofit.paper.reproduce.book import Book
 from pianofit.paper.reproduce.claims import or_else
 from pianofit.paper.reproduce.descriptors import attack_time, centroid
 from pianofit.paper.reproduce.direct import strikes
+from pianofit.paper.reproduce.run import Book
 from pianofit.paper.reproduce.studies import spread_of
+from pianofit.paper.reproduce.tables import Table
 from pianofit.published import preset
 
 RATE = 44_100
@@ -197,7 +199,7 @@ def made_up(deep: float = 0.0) -> Hammers:
         return 0.5 * (residuals(z)[0] ** 2).sum(axis=1)
 
     box = np.array([2.0, 1.0, 1.0, 1.0, 1.0])
-    return Hammers(cost, residuals, -box, box, np.array([1.5, 0.3, 0.0, 0.0, 0.0]), np.zeros(5))
+    return Hammers(LeastSquares(cost, residuals), -box, box, np.array([1.5, 0.3, 0.0, 0.0, 0.0]), np.zeros(5))
 
 
 def test_the_landscape_finds_its_minima_and_no_other():
@@ -261,7 +263,7 @@ def test_spread_is_relative_and_by_name():
 
 def test_tables_keep_all_digits_and_sounds_their_level(tmp_path):
     book = Book(tmp_path)
-    book.tabulate("a", ("x", "y"), [(1 / 3, None), ("kept, as text", 2)])
+    book.tabulate("a", Table(("x", "y"), [(np.float64(1 / 3), None), ("kept, as text", 2)]))
     rows = list(csv.reader(io.StringIO((tmp_path / "data/a.csv").read_text())))
     assert rows == [["x", "y"], [repr(1 / 3), ""], ["kept, as text", "2"]]
     sound = np.sin(np.arange(8000) / 5)

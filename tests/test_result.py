@@ -18,7 +18,7 @@ import soundfile
 from twin_cases import FIRST, record_model, setup_of
 
 import pianofit
-from pianofit.errors import FitError, OutputError
+from pianofit.errors import FitError, OutputError, ParameterError
 from pianofit.inference.statements import STATUSES
 from pianofit.parameters import FIT_NAMES, PARAMETERS
 
@@ -123,7 +123,7 @@ def test_what_a_notebook_shows_is_escaped():
     assert seen._repr_html_().count("<tr>") == len(seen.partials) + 6
 
 
-@pytest.mark.parametrize("name", ["spectrum", "force", "levels", "correlations"])
+@pytest.mark.parametrize("name", ["spectrum", "force", "levels", "correlations", "envelopes"])
 def test_a_figure_is_drawn_on_new_axes_or_on_given_ones(name):
     plt = pytest.importorskip("matplotlib.pyplot")
     plt.switch_backend("Agg")
@@ -148,6 +148,10 @@ def test_the_figures_show_this_fit():
     assert {text.get_text() for text in result().plot.spectrum().get_legend().get_texts()} == {
         "measured", "initial", "fitted",
     }  # fmt: skip
+    lines = {line.get_label(): line for line in result().plot.envelopes(number=2).lines}
+    assert "partial 2, " in lines["law"].axes.get_title(loc="left")
+    with pytest.raises(ParameterError, match=r"number=0 is no partial of this recording; choose one of \[1, 2"):
+        result().plot.envelopes(number=0)
     plt.close("all")
 
 

@@ -69,7 +69,7 @@ def found(velocities: tuple[float, ...] = (0.6, 1.7)) -> tuple[Heard, list[Parti
     analyses = [analyse(r, f0=F0) for r in recordings]
     heard = hear(recordings, analyses)
     modes = modes_of(heard, analyses)
-    return heard, modes, key_of(heard, modes, [force_at(v) for v in velocities])
+    return heard, modes, key_of(heard, modes, [force_at(v) for v in velocities]).ringing
 
 
 def test_every_partial_has_the_modes_that_it_was_given():

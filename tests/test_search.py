@@ -9,7 +9,6 @@ import pytest
 from observed_cases import GEOMETRY, HAMMER, STRING, played, setup, tone
 
 from pianofit.inference import Problem, estimate, pose
-from pianofit.inference.coordinates import FORCE, NAMES, SHARED, VALUES
 from pianofit.inference.search import Search, distinct
 from pianofit.inference.string import string_minimum
 
@@ -70,14 +69,15 @@ def test_a_descent_sorts_and_ends_where_F_is_flat():
 
 def test_the_hammer_is_found_without_an_error_of_the_steps():
     z = found().z
-    values = dict(zip(VALUES, np.exp(problem().unknowns.log_values(z)), strict=False)) | {"v_H0": np.exp(z[SHARED])}
+    values = dict(zip(problem().unknowns.names, np.exp(problem().unknowns.log_values(z)), strict=False))
+    values |= {"v_H0": np.exp(z[problem().unknowns.shared])}
     assert values["M_H"] == pytest.approx(HAMMER.M_H, rel=1e-3)
     assert values["v_H0"] == pytest.approx(HAMMER.v_H0, rel=1e-3)
     assert values["p"] == pytest.approx(HAMMER.p, rel=2e-3)
     assert values["mu"] == pytest.approx(HAMMER.mu, rel=1e-2)
     assert values["width"] == pytest.approx(GEOMETRY.width, rel=1e-2)
     u = np.exp(problem().unknowns.log_u)
-    assert np.exp(z[FORCE]) == pytest.approx(HAMMER.K_H * u**HAMMER.p, rel=5e-3)
+    assert np.exp(z[problem().unknowns.at("K_H")]) == pytest.approx(HAMMER.K_H * u**HAMMER.p, rel=5e-3)
     assert found().minima.converged[0]
 
 
@@ -94,9 +94,9 @@ def test_the_same_seed_gives_the_same_result_and_another_the_same_minimum():
 def test_minima_are_told_apart_by_where_they_are():
     search, u = Search(problem(), string()), problem().unknowns
     z = np.tile(u.mean, (4, 1))
-    z[1, NAMES.index("M_H")] += 0.001 * u.sd[NAMES.index("M_H")]
-    z[2, NAMES.index("M_H")] += 0.5 * u.sd[NAMES.index("M_H")]
-    z[3, NAMES.index("p")] += 0.5 * u.sd[NAMES.index("p")]
+    z[1, u.at("M_H")] += 0.001 * u.sd[u.at("M_H")]
+    z[2, u.at("M_H")] += 0.5 * u.sd[u.at("M_H")]
+    z[3, u.at("p")] += 0.5 * u.sd[u.at("p")]
     people = search.begun(u.project(z), search.wide())
     scores = np.array([1.0, 0.9, 0.0, 9.0])[: len(people)]
     assert len(people) == 4

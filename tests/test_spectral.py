@@ -14,7 +14,7 @@ from pianofit.model import mode_table, simulate
 from pianofit.model.contact import strike as contact
 from pianofit.model.response import spectrum
 from pianofit.paper.spectral import damped_spectrum, miss, spectral_goal
-from pianofit.paper.struck import Cfg, Scene, hammer_costs, hammer_residuals, hold, struck_gradients
+from pianofit.paper.struck import Cfg, Scene, hold, struck_gradients
 from pianofit.parameters import Geometry, Hammer, String
 
 pytestmark = pytest.mark.usefixtures("float64")
@@ -104,8 +104,7 @@ def test_the_fast_path_meets_the_sum_over_samples_also_where_the_recording_is_cu
     # The window ends for all of a stroke where it ends for its middle.
     assert float(cost[0]) == pytest.approx(expected, rel=2e-4, abs=2e-6)
     held = hold(jnp.asarray(searched(it)), g, SCENE, CFG)
-    (again,) = hammer_costs(searched(it)[None, 4:], held, g, SCENE, CFG)
-    assert float(again[0]) == pytest.approx(float(cost[0]), rel=1e-9, abs=1e-13)
+    assert float(held.costs(searched(it)[None, 4:])[0]) == pytest.approx(float(cost[0]), rel=1e-9, abs=1e-13)
 
 
 def test_the_fast_path_is_the_plain_one():
@@ -207,8 +206,10 @@ def test_the_fast_paths_derivatives_agree_with_differences():
     slope = np.asarray(struck_gradients(z[None], g, SCENE, CFG)[1])[0]
     np.testing.assert_allclose(slope, central(nine, z, 1e-6), rtol=1e-5, atol=1e-7)
     held = hold(jnp.asarray(z), g, SCENE, CFG)
-    residual, jacobian = (np.asarray(x)[0] for x in hammer_residuals(z[None, 4:], held, g, SCENE, CFG))
+    residual, jacobian = (np.asarray(x)[0] for x in held.residuals(z[None, 4:]))
     np.testing.assert_allclose(residual @ jacobian, slope[4:], rtol=1e-8, atol=1e-10)
+    many = z[4:] + 0.01 * np.random.default_rng(0).normal(size=(40, 5))
+    np.testing.assert_allclose(held.slopes(many)[0], held.costs(many), rtol=1e-9)
 
 
 def test_a_contact_that_does_not_end_and_a_felt_out_of_bounds_are_infinitely_bad():
@@ -217,6 +218,6 @@ def test_a_contact_that_does_not_end_and_a_felt_out_of_bounds_are_infinitely_bad
     held = hold(jnp.asarray(z), g, SCENE, CFG)
     heavy = z[4:] + np.array([0.0, 0.0, 0.0, np.log(100.0), 0.0])
     narrow = SCENE._replace(stiff=np.log([1e3, 1e9]))
-    assert np.isinf(float(hammer_costs(heavy[None], held, g, SCENE, CFG)[0][0]))
-    assert np.isinf(float(hammer_costs(z[None, 4:], held, g, narrow, CFG)[0][0]))
-    assert np.isfinite(float(hammer_costs(z[None, 4:], held, g, SCENE, CFG)[0][0]))
+    assert np.isinf(held.costs(heavy[None])[0])
+    assert np.isinf(hold(jnp.asarray(z), g, narrow, CFG).costs(z[None, 4:])[0])
+    assert np.isfinite(held.costs(z[None, 4:])[0])

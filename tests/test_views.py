@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 
 from pianofit import ParameterError, analyse, fit, recording_from_samples, setup_from_dict
+from pianofit.felt import DEFAULT_LAW
 from pianofit.inference import estimate, pose, sampler
-from pianofit.inference.coordinates import FORCE, STRING_SIZE, P
+from pianofit.inference.coordinates import STRING_SIZE, names_of
 from pianofit.inference.density import folded, given, log_density, start
 from pianofit.inference.estimate import Estimate
 from pianofit.inference.posterior import laplace
@@ -24,6 +25,7 @@ from pianofit.inference.search import Search
 from pianofit.inference.views import check_intervals, open_messages, reported, view_of
 from pianofit.paper.twin import make_twin, setup_text
 
+FORCE, P = (names_of(DEFAULT_LAW).index(name) for name in ("K_H", "p"))
 pytestmark = pytest.mark.usefixtures("float64")
 
 # What levels alone tell: there a profile is nearly a parabola. The string's values rest on a few frequencies and decays

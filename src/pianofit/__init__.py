@@ -41,12 +41,12 @@ if TYPE_CHECKING:
         SetupError,
         WrongNoteError,
     )
+    from .felt import FeltLaw, MemoryHammer
     from .fitting import fit
     from .inference import Covariance, Quantities, Quantity, Result
     from .inference.predict import Prediction, cross_validate, predict_take
     from .io import encode_wav
     from .model import (  # fmt: skip
-        FeltLaw,
         Modes,
         Note,
         Simulation,
@@ -58,7 +58,7 @@ if TYPE_CHECKING:
         strike,
         waveform,
     )
-    from .parameters import PARAMETERS, Geometry, Hammer, MemoryHammer, Parameter, String
+    from .parameters import PARAMETERS, Geometry, Hammer, Parameter, String
     from .published import Preset, Typical, preset, typical
     from .recording import Recording, load_recording, recording_from_samples
     from .render import load_note
@@ -70,8 +70,8 @@ _HOMES = {
     "fitting": ("fit",),
     "inference": ("Covariance", "Quantities", "Quantity", "Result"),
     "inference.predict": ("Prediction", "cross_validate", "predict_take"),
+    "felt": ("FeltLaw", "MemoryHammer"),
     "model": (
-        "FeltLaw",
         "Modes",
         "Note",
         "Simulation",
@@ -83,7 +83,7 @@ _HOMES = {
         "strike",
         "waveform",
     ),
-    "parameters": ("PARAMETERS", "Geometry", "Hammer", "MemoryHammer", "Parameter", "String"),
+    "parameters": ("PARAMETERS", "Geometry", "Hammer", "Parameter", "String"),
     "published": ("Preset", "Typical", "preset", "typical"),
     "recording": ("Recording", "load_recording", "recording_from_samples"),
     "io": ("encode_wav",),

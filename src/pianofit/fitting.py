@@ -61,12 +61,29 @@ def fit(
         notebook if None.
     analyses : of the recordings, in their order, if they were analysed before.
 
+    Returns
+    -------
+    A `Result`: every parameter with unit, 95 % interval and status, and a `Note` that plays. A fit that did not
+    converge says so in its messages.
+
     Raises
     ------
     PianofitError
         For any input that cannot be used: of its classes `ParameterError` for an argument, `SetupError`,
         `RecordingError`, `AnalysisError`; and `FitError` if a recording is given twice, is of another key or all
         noise, if no hammer gives a finite sound, or a contact does not end.
+
+    Examples
+    --------
+    >>> import pianofit
+    >>> it = pianofit.preset("chabassier-F3")
+    >>> sound = pianofit.simulate(it.string, it.hammer, it.geometry, quantity="bridge-force").waveform(44_100, 88_200)
+    >>> samples = 0.5 * sound / abs(sound).max()
+    >>> setup = pianofit.Setup(length=0.96)
+    >>> result = pianofit.fit((samples, 44_100), setup=setup, note="F3", velocity=2.0, progress=False)
+    >>> result.parameters.c.unit, result.parameters.c.status, abs(result.parameters.c.value / it.string.c - 1) < 0.01
+    ('m/s', 'fitted', True)
+    >>> _ = result.save("fit", page=False)  # fit.json and the sounds
     """
     _check(recordings, analyses, velocity, intervals, recipe, evaluations)
     known = _setup(setup)
@@ -82,8 +99,10 @@ def fit(
                 progress=report,
             )  # fmt: skip
         from .inference.fit import fit_takes
+        from .ringing import make_ring
 
-        return fit_takes(sounds, heard, known, velocity=velocity, intervals=intervals, seed=seed, progress=report)
+        found = fit_takes(sounds, heard, known, velocity=velocity, intervals=intervals, seed=seed, progress=report)
+        return make_ring(found, report)
 
 
 def read(recordings: Sequence[Source], channel: str = "average") -> list[Recording]:

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from .errors import FitError, OutputError, PianofitError
+from .errors import FitError, OutputError, ParameterError, PianofitError
 
 __all__ = [
     "FIT_SCHEMA",
@@ -28,7 +28,7 @@ __all__ = [
 # Larger numbers overflow when they are squared.
 LARGEST = 1e300
 # Schema of the fit.json that this version writes.
-FIT_SCHEMA = 2
+FIT_SCHEMA = 3
 
 
 def one_line(text: object) -> str:
@@ -225,14 +225,42 @@ def json_text(document: dict) -> str:
 
 
 def encode_wav(samples: np.ndarray, rate: int) -> bytes:
-    """A mono WAV file of 32 bit floats: nothing is rounded, and a level above full scale survives.
+    """A WAV file of 32 bit floats: nothing is rounded, and a level above full scale survives.
+
+    Of samples [samples] or [channels, samples].
 
     Not by libsndfile, which puts the time of day into such files: the same sound is the same bytes.
+
+    Parameters
+    ----------
+    samples : [samples], ±1 = full scale.
+    rate : Hz.
+
+    Returns
+    -------
+    The file's bytes.
+
+    Raises
+    ------
+    ParameterError
+        Where `samples` are not floats, or not one row of them.
+
+    Examples
+    --------
+    >>> import numpy as np, pianofit
+    >>> len(pianofit.encode_wav(np.zeros(44_100), 44_100))
+    176458
     """
     from scipy.io import wavfile
 
+    samples = np.asarray(samples)
+    if samples.ndim != 1 or not np.issubdtype(samples.dtype, np.floating):
+        raise ParameterError(
+            f"samples of shape {samples.shape} and type {samples.dtype} must be floats [samples]; average the "
+            "channels, divide integers by their full scale"
+        )
     stream = io.BytesIO()
-    wavfile.write(stream, rate, samples.astype(np.float32))
+    wavfile.write(stream, rate, samples.T.astype(np.float32))
     return stream.getvalue()
 
 

@@ -1,36 +1,34 @@
 """What a struck string is made of, in numbers: names, units, bounds and scale, in one place.
 
-`String` and `Hammer` together are the paper's nine parameters (eq. 20). A `MemoryHammer` has two more; which of the two
-a hammer is chooses the felt's law. `Geometry` is what the paper measures with a ruler and a balance. All are named
-tuples, and so JAX pytrees: they pass through `jit`, `vmap` and `grad` as they are, and this module needs no JAX.
+`String` and `Hammer` together are the paper's nine parameters (eq. 20); hammers with other felts are those of `felt`.
+`Geometry` is what the paper measures with a ruler and a balance. All are named tuples, and so JAX pytrees: they pass
+through `jit`, `vmap` and `grad` as they are, and this module needs no JAX.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 from .errors import ParameterError
 
 __all__ = [
-    "FELT_LAWS",
     "FIT_NAMES",
     "HAMMER_NAMES",
-    "MEMORY_NAMES",
     "PARAMETERS",
     "STRING_NAMES",
     "Geometry",
     "Hammer",
-    "MemoryHammer",
+    "Number",
     "Parameter",
     "String",
     "check",
-    "check_hammer",
     "check_velocity",
-    "make_hammer",
 ]
 
+# A box that says nothing else is the 95 % of its prior: so many standard deviations, 2 · 1.96.
+BOX_WIDTH = 3.92
 # A field holds a number, or an array or tracer of the same meaning inside a computation.
 Number = Any
 
@@ -54,21 +52,6 @@ class Hammer(NamedTuple):
     v_H0: Number  # initial hammer velocity, m/s
 
 
-class MemoryHammer(NamedTuple):
-    """A hammer whose felt remembers: F = K_H [u^p (1 + μ u̇) - ε c], τ ċ = u^p - c; with μ = 0 Stulov's felt.
-
-    From a hammer of the same stiffness: `MemoryHammer(*hammer._replace(mu=0.0), epsilon, tau)`.
-    """
-
-    K_H: Number  # felt stiffness to a sudden compression, N/m^p; a slow one feels K_H (1 - ε)
-    mu: Number  # felt loss coefficient, s/m
-    p: Number  # stiffness exponent, 1
-    M_H: Number  # hammer mass, kg
-    v_H0: Number  # initial hammer velocity, m/s
-    epsilon: Number  # share of the stiffness that relaxes, 1
-    tau: Number  # relaxation time, s
-
-
 class Geometry(NamedTuple):
     """The string's size, and where it is struck and heard. Positions are measured from the agraffe."""
 
@@ -80,12 +63,45 @@ class Geometry(NamedTuple):
 
 
 class Parameter(NamedTuple):
-    """One parameter's unit, meaning and box. All are searched on a log scale: all are positive and span decades."""
+    """One parameter's unit, meaning and box, and for fits its prior: log-normal, within the box.
+
+    All are searched on a log scale: all are positive and span decades.
+    """
 
     unit: str
     meaning: str
     lower: float
     upper: float
+    # Of the prior; a function of the MIDI key where it changes over the keyboard, the middle of the box if None,
+    median: float | Callable[[float], float] | None = None
+    # and the standard deviation of the logarithm; if None the box is its 95 %.
+    spread: float | None = None
+
+    def usual(self, midi: float) -> float:
+        """The prior's median at a key."""
+        if self.median is None:
+            return math.sqrt(self.lower * self.upper)
+        return float(self.median(midi) if callable(self.median) else self.median)
+
+    @property
+    def deviation(self) -> float:
+        """The prior's standard deviation of the logarithm."""
+        return math.log(self.upper / self.lower) / BOX_WIDTH if self.spread is None else self.spread
+
+    def check(self, where: str) -> None:
+        """Refuse a box that is none, and a prior outside of it.
+
+        Raises
+        ------
+        ParameterError
+            Naming `where`, what is wrong, and the values.
+        """
+        if not 0 < self.lower < self.upper < math.inf:
+            raise ParameterError(f"{where}: bounds {self.lower!r} to {self.upper!r} must rise from above 0")
+        if not (self.median is None or callable(self.median) or self.lower <= self.median <= self.upper):
+            raise ParameterError(f"{where}: median={self.median!r} must be from {self.lower:g} to {self.upper:g}")
+        if not (self.spread is None or 0 < self.spread < math.inf):
+            raise ParameterError(f"{where}: spread={self.spread!r} must be above 0; hold a value by [known]")
 
 
 PARAMETERS: dict[str, Parameter] = {
@@ -98,21 +114,10 @@ PARAMETERS: dict[str, Parameter] = {
     "p": Parameter("1", "stiffness exponent", 1.0, 5.0),
     "M_H": Parameter("kg", "hammer mass", 1e-4, 1e-1),
     "v_H0": Parameter("m/s", "initial hammer velocity", 1e-2, 2e1),
-    "epsilon": Parameter("1", "share of the felt's stiffness that relaxes", 1e-3, 0.99),
-    "tau": Parameter("s", "relaxation time of the felt", 1e-6, 1e-2),
 }
 STRING_NAMES = String._fields
 HAMMER_NAMES = Hammer._fields
 FIT_NAMES = STRING_NAMES + HAMMER_NAMES  # the paper's nine
-MEMORY_NAMES = ("epsilon", "tau")
-# The parameters of each law of the felt; the others are 0.
-FELT_LAWS: dict[str, tuple[str, ...]] = {
-    "power": ("K_H", "p"),
-    "hunt-crossley": ("K_H", "mu", "p"),
-    "stulov": ("K_H", "p", "epsilon", "tau"),
-}
-# The law unless the setup names one: the paper's.
-DEFAULT_LAW = "hunt-crossley"
 
 
 def check(
@@ -147,31 +152,3 @@ def check_velocity(velocity: float | None) -> None:
     box = PARAMETERS["v_H0"]
     if velocity is not None and not box.lower <= velocity <= box.upper:
         raise ParameterError(f"velocity={velocity} m/s must be from {box.lower:g} to {box.upper:g}")
-
-
-def check_hammer(hammer: Hammer | MemoryHammer, where: str = "hammer") -> None:
-    """Refuse a hammer outside the box, as `check` does; μ = 0 is a felt without that loss.
-
-    A hammer of a `FeltLaw` has the boxes of its law.
-    """
-    values = {name: float(value) for name, value in hammer._asdict().items()}
-    law = getattr(type(hammer), "law", None)
-    if law is not None:
-        check(values, where, law.boxes)
-        return
-    check({name: value for name, value in values.items() if (name, value) != ("mu", 0.0)}, where)
-
-
-def make_hammer(values: dict[str, float], where: str = "argument") -> Hammer | MemoryHammer:
-    """Return the hammer that `values` speak of: one with memory where they have epsilon and tau.
-
-    Raises
-    ------
-    ParameterError
-        If only one of the two is there.
-    """
-    five = [values[name] for name in HAMMER_NAMES]
-    memory = [values[name] for name in MEMORY_NAMES if name in values]
-    if len(memory) == 1:
-        raise ParameterError(f"{where}: a relaxing felt needs both epsilon and tau; give the other one too")
-    return MemoryHammer(*five, *memory) if memory else Hammer(*five)

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+import itertools
 import math
 import os
 import struct
@@ -23,9 +24,7 @@ import numpy as np
 from .errors import ParameterError, RecordingError
 from .io import one_line, read_file
 
-__all__ = [
-    "CHANNELS", "RATES", "Recording", "find_onset", "load_recording", "recording_from_samples",
-]  # fmt: skip
+__all__ = ["CHANNELS", "RATES", "Recording", "find_onset", "load_recording", "recording_from_samples"]
 
 RATES = (8_000, 384_000)  # Hz
 CHANNELS = ("average", "left", "right", *"12345678")
@@ -78,8 +77,12 @@ def load_recording(path: str | os.PathLike[str], *, channel: str = "average") ->
 
     Parameters
     ----------
-    channel
-        "average", "left", "right", or the channel's number, "1" to "8".
+    path : of the file.
+    channel : "average", "left", "right", or the channel's number, "1" to "8".
+
+    Returns
+    -------
+    A `Recording`: samples [samples], ±1 = full scale, rate in Hz, onset and noise floor.
 
     Raises
     ------
@@ -87,6 +90,13 @@ def load_recording(path: str | os.PathLike[str], *, channel: str = "average") ->
         Naming the file, what is wrong with it, and the way out.
     ParameterError
         When `channel` is none of the above.
+
+    Examples
+    --------
+    >>> import pathlib, numpy as np, pianofit
+    >>> _ = pathlib.Path("tone.wav").write_bytes(pianofit.encode_wav(np.sin(np.arange(44_100) / 30), 44_100))
+    >>> pianofit.load_recording("tone.wav")
+    Recording tone.wav: 1.00 s at 44100 Hz, mono (FLOAT)
     """
     if channel not in CHANNELS:
         raise ParameterError(f"channel={one_line(channel)!r} must be average, left, right, or a number from 1 to 8")
@@ -101,12 +111,28 @@ def load_recording(path: str | os.PathLike[str], *, channel: str = "average") ->
 
 
 def recording_from_samples(samples: np.ndarray, rate: int, *, name: str = "samples") -> Recording:
-    """Make a `Recording` of a real array [samples], ±1 = full scale, at `rate` Hz; the same checks as a file's.
+    """Make a `Recording` of an array; the same checks as a file's.
+
+    Parameters
+    ----------
+    samples : real floats [samples], ±1 = full scale.
+    rate : Hz, 8,000 to 384,000.
+    name : what messages call it.
+
+    Returns
+    -------
+    A `Recording`, as `load_recording` makes it.
 
     Raises
     ------
     RecordingError
         Naming `name`, what is wrong, and the way out.
+
+    Examples
+    --------
+    >>> import numpy as np, pianofit
+    >>> pianofit.recording_from_samples(np.sin(np.arange(44_100) / 30), 44_100, name="a tone").seconds
+    1.0
     """
     array, name = np.asarray(samples), one_line(name)
     if array.ndim != 1:
@@ -137,7 +163,9 @@ def _decode(data: bytes) -> tuple[np.ndarray, int, str]:
             _check_layout(file.channels, file.samplerate, file.frames)
             if file.format == "FLAC" and file.subtype not in STEPS:
                 raise RecordingError(f"holds {file.subtype} samples, must be 16 or 24 bit; {RESAVE}")
-            frames = np.concatenate(list(_blocks(file)))
+            # Block by block [block, channels], so that a false length cannot claim memory.
+            blocks = (file.read(2**18, dtype="float64", always_2d=True) for _ in itertools.count())
+            frames = np.concatenate([*itertools.takewhile(len, blocks)])
             promised, rate, subtype = file.frames, file.samplerate, file.subtype
     except (soundfile.SoundFileError, ValueError) as problem:
         reason = one_line(getattr(problem, "error_string", problem)).strip(" .")
@@ -145,12 +173,6 @@ def _decode(data: bytes) -> tuple[np.ndarray, int, str]:
     if len(frames) < promised:
         raise RecordingError(f"is truncated: {len(frames)} of {promised} samples; copy or export it again")
     return frames, rate, subtype
-
-
-def _blocks(file):
-    """Yield blocks of frames [block, channels], so that a false length cannot claim memory."""
-    while len(block := file.read(2**18, dtype="float64", always_2d=True)):
-        yield block
 
 
 def _check_layout(channels: int, rate: int, frames: int) -> None:
@@ -264,10 +286,7 @@ def _audible(used: np.ndarray, rate: int, step: float) -> np.ndarray:
 
 
 def _offset(x: np.ndarray) -> float:
-    """Mean under a Hann window: of a partial of angular frequency ω, T seconds long, it takes about 4π²/(ωT)³ in.
-
-    A plain mean takes 1/(ωT): 750 times more at 27.5 Hz and 1 s.
-    """
+    """Mean under a Hann window: it takes 4π²/(ωT)³ of a partial ω in, a plain one 1/(ωT), 750 times more at 27.5 Hz."""
     window = np.hanning(len(x) + 2)[1:-1]
     return float(window @ x / window.sum())
 

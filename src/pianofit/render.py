@@ -7,27 +7,21 @@ velocity it gives the sound of the same string, hammer and path, struck harder o
 from __future__ import annotations
 
 import os
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from .errors import FitError, ParameterError
+from .felt import BOXES, LAWS, FeltLaw, check_hammer, make_hammer
 from .io import FIT_SCHEMA, finite, load_json, one_line, table_of
 from .model.modes import QUANTITIES
 from .model.note import Note
 from .model.path import OutputPath
 from .model.simulate import check_geometry
-from .parameters import (  # fmt: skip
-    FIT_NAMES,
-    MEMORY_NAMES,
-    STRING_NAMES,
-    Geometry,
-    String,
-    check,
-    check_hammer,
-    make_hammer,
-)
+from .parameters import HAMMER_NAMES, STRING_NAMES, Geometry, String, check
 from .recording import RATES
+from .ringing_file import read_ringing
 
 __all__ = ["CEILING", "limited", "load_mixture", "load_note", "mixture_of", "read_fit"]
 
@@ -54,25 +48,58 @@ def read_fit(path: str | os.PathLike[str]) -> dict[str, Any]:
     return document
 
 
-def load_note(path: str | os.PathLike[str]) -> tuple[Note, int]:
+def load_note(path: str | os.PathLike[str], felt: FeltLaw | None = None) -> tuple[Note, int]:
     """The note that a `fit.json` describes at its best minimum, and the rate of the recording it was fitted to, Hz.
 
-    A file of the first schema has the same note.
+    A file of the first schema has the same note. Of a fit with a felt law of your own, which a file only names, `felt`
+    is that law.
+
+    Parameters
+    ----------
+    path : of a `fit.json`, written by `pianofit fit` or `Result.save`.
+
+    Returns
+    -------
+    A `Note`, and the rate, Hz.
 
     Raises
     ------
     FitError
         Naming the file and the entry that is missing, of another kind, or out of range.
+
+    Examples
+    --------
+    With the folder that the example of `fit` saves:
+
+    >>> import pianofit
+    >>> note, rate = pianofit.load_note("fit/fit.json")
+    >>> note.render(3.0, seconds=0.5, rate=rate).shape
+    (22050,)
     """
-    return _note_of(read_fit(path), one_line(path))
+    return _note_of(read_fit(path), Path(path), felt)
 
 
-def _note_of(document: dict[str, Any], name: str) -> tuple[Note, int]:
-    table = table_of(document, "parameters", name, WAY_OUT)
-    values = {key: _number(table, key, name) for key in FIT_NAMES}
-    values |= {key: _number(table, key, name) for key in MEMORY_NAMES if key in table}
+def _law_of(document: dict[str, Any], name: str, felt: FeltLaw | None) -> FeltLaw | None:
+    """The law that a file names, which for one from outside of the package must be handed in."""
+    named = document.get("felt")
+    if felt is not None and named != felt.name:
+        raise FitError(f"{name}: its felt's law is {named!r}, not {felt.name!r}; give the law it was fitted with")
+    if felt is None and named is not None and named not in LAWS:
+        raise FitError(
+            f"{name}: its felt's law, {one_line(repr(named))[:60]}, is not the package's; hand it in, "
+            "as load_note(path, felt=law), or Result.load(folder, felt=law)"
+        )
+    return LAWS.get(str(named)) if felt is None else felt
+
+
+def _note_of(document: dict[str, Any], path: Path, felt: FeltLaw | None = None) -> tuple[Note, int]:
+    name = one_line(path)
+    table, law = table_of(document, "parameters", name, WAY_OUT), _law_of(document, name, felt)
+    needed = (*STRING_NAMES, *(HAMMER_NAMES if law is None or law.hammers else law.boxes))
+    values = {key: _number(table, key, name) for key in needed}
+    values |= {key: _number(table, key, name) for key in BOXES if key in table and key not in values}
     try:
-        hammer = make_hammer(values, name)
+        hammer = make_hammer(values, name, law)
         check({key: values[key] for key in STRING_NAMES}, name)
         check_hammer(hammer, name)
     except ParameterError as error:
@@ -92,24 +119,28 @@ def _note_of(document: dict[str, Any], name: str) -> tuple[Note, int]:
     note = Note(
         String(*(values[n] for n in STRING_NAMES)), hammer,
         _geometry(table, quantity, name), quantity, gain, _path(pickup.get("path"), name),
+        read_ringing(document.get("ringing"), path.parent, name),
     )  # fmt: skip
     return note, int(rate)
 
 
-def load_mixture(path: str | os.PathLike[str]) -> list[tuple[float, Note]]:
+def load_mixture(path: str | os.PathLike[str], felt: FeltLaw | None = None) -> list[tuple[float, Note]]:
     """The notes of all minima that a `fit.json` describes, with their shares, the best first.
+
+    `felt` is that of `load_note`.
 
     Raises
     ------
     FitError
         As `load_note`.
     """
-    return mixture_of(read_fit(path), one_line(path))
+    return mixture_of(read_fit(path), Path(path), felt)
 
 
-def mixture_of(document: dict[str, Any], name: str) -> list[tuple[float, Note]]:
-    """`load_mixture` of what a file held; `name` opens every error."""
-    note, _ = _note_of(document, name)
+def mixture_of(document: dict[str, Any], path: Path, felt: FeltLaw | None = None) -> list[tuple[float, Note]]:
+    """`load_mixture` of what the file at `path` held. Only the best note rings by the key's modes, see `ringing`."""
+    (note, _), name = _note_of(document, path, felt), one_line(path)
+    law = _law_of(document, name, felt)
     minima = document.get("minima")
     if not isinstance(minima, list) or len(minima) < 2:
         return [(1.0, note)]
@@ -118,16 +149,19 @@ def mixture_of(document: dict[str, Any], name: str) -> list[tuple[float, Note]]:
         where = f"{name}: minima[{at}]"
         if not isinstance(entry, dict) or not isinstance(entry.get("parameters"), dict):
             raise FitError(f"{where} has no parameters; {WAY_OUT}")
-        mixture.append((finite(entry.get("share"), f"{where}.share", WAY_OUT), _of_minimum(note, entry, where)))
+        own = _of_minimum(note, entry, where, law)
+        mixture.append(
+            (finite(entry.get("share"), f"{where}.share", WAY_OUT), own._replace(ringing=None) if at else own)
+        )
     return mixture
 
 
-def _of_minimum(note: Note, entry: dict, where: str) -> Note:
+def _of_minimum(note: Note, entry: dict, where: str, law: FeltLaw | None) -> Note:
     """`note` with one minimum's string, hammer, strike position and path."""
     values = {n: finite(x, f"{where}.parameters.{n}", WAY_OUT) for n, x in entry["parameters"].items()}
     values = {"mu": 0.0, "v_H0": float(note.hammer.v_H0)} | values
     try:
-        hammer = make_hammer(values, where)
+        hammer = make_hammer(values, where, law)
         check_hammer(hammer, where)
         string = String(*(check({n: values[n] for n in STRING_NAMES}, where)[n] for n in STRING_NAMES))
         geometry = note.geometry._replace(strike=values["x0"], width=values["width"])

@@ -17,8 +17,9 @@ from numbers import Real
 from typing import Any
 
 from .errors import SetupError
+from .felt import BOXES, DEFAULT_LAW, LAWS, FeltLaw, is_own
 from .io import one_line, read_file
-from .parameters import DEFAULT_LAW, FELT_LAWS, FIT_NAMES, MEMORY_NAMES, PARAMETERS
+from .parameters import Parameter
 
 __all__ = ["PICKUPS", "Layer", "Setup", "load_setup", "setup_from_dict"]
 
@@ -39,11 +40,13 @@ KEYS: dict[str, tuple[str, ...]] = {
     "strike": ("position", "width"),
     "pickup": ("quantity", "position", "scale"),
     "felt": ("law",),
-    "known": FIT_NAMES + MEMORY_NAMES,
-    "initial": FIT_NAMES + MEMORY_NAMES,
-    "bounds": FIT_NAMES + MEMORY_NAMES,
+    "known": tuple(BOXES),
+    "initial": tuple(BOXES),
+    "bounds": tuple(BOXES),
     "recording": ("file", "v_H0", "group", "gain_group", "strike"),
 }
+# What belongs to the felt of some law.
+FELT_NAMES = {name for law in LAWS.values() for name in law.parameters}
 OLDER = {"take": "recording"}  # what a table was called in older files -> what it is called
 # Where the attributes of a `Setup` stand in a file; the others have tables of their own.
 PLACES = {
@@ -86,7 +89,7 @@ class Setup:
     initial: dict[str, float] = field(default_factory=dict)  # starting values
     bounds: dict[str, tuple[float, float]] = field(default_factory=dict)
     recordings: tuple[Layer, ...] = ()
-    felt: str | None = None  # one of FELT_LAWS
+    felt: str | FeltLaw | None = None  # the name of one of `felt.LAWS`, or a law of your own
 
     def __post_init__(self) -> None:
         checked: dict[str, Any] = {}
@@ -94,11 +97,11 @@ class Setup:
             if key in RANGES and getattr(self, name) is not None:
                 checked[name] = _number(getattr(self, name), key, *RANGES[key], f"[{table}]")
         _one_of(self.pickup_quantity, PICKUPS, "[pickup] quantity")
-        if self.felt is not None:
-            _one_of(self.felt, tuple(FELT_LAWS), "[felt] law")
+        _law(self.felt)
+        boxes = BOXES | self.law.boxes
         for name, check in (("known", _parameter), ("initial", _parameter), ("bounds", _pair)):
-            table = _table(name, getattr(self, name))
-            checked[name] = {key: check(value, key, f"[{name}]") for key, value in table.items()}
+            table = _table(name, getattr(self, name), tuple(boxes))
+            checked[name] = {key: check(value, key, f"[{name}]", boxes[key]) for key, value in table.items()}
         if not isinstance(self.recordings, list | tuple):
             raise SetupError(f"recordings = {_show(self.recordings)} must be a list of Layer")
         checked["recordings"] = tuple(_layer(entry, n) for n, entry in enumerate(self.recordings, 1))
@@ -107,14 +110,36 @@ class Setup:
         for contradiction in _contradictions(self):
             raise SetupError(contradiction)
 
+    @property
+    def law(self) -> FeltLaw:
+        """The felt's law."""
+        return self.felt if isinstance(self.felt, FeltLaw) else LAWS.get(self.felt or "", DEFAULT_LAW)
+
 
 def load_setup(path: str | os.PathLike[str], felt: str | None = None) -> Setup:
-    """Read a `setup.toml`; `felt` is a law of the felt that goes before the file's.
+    """Read a `setup.toml`.
+
+    Parameters
+    ----------
+    path : of the file; its tables and keys, with units, are those of docs/files.md.
+    felt : a law of the felt that goes before the file's.
+
+    Returns
+    -------
+    A `Setup`, all values in SI units.
 
     Raises
     ------
     SetupError
         Naming the file, the key, the value, and the way out.
+
+    Examples
+    --------
+    >>> import pianofit
+    >>> from pathlib import Path
+    >>> _ = Path("setup.toml").write_text("string.length = 0.96")
+    >>> pianofit.load_setup("setup.toml").length
+    0.96
     """
     name = one_line(os.fspath(path))
     data = read_file(path, MAX_BYTES, SetupError)
@@ -131,12 +156,27 @@ def load_setup(path: str | os.PathLike[str], felt: str | None = None) -> Setup:
 
 
 def setup_from_dict(data: Mapping[str, Any], where: str) -> Setup:
-    """Make a setup of nested dicts with the tables and keys of a `setup.toml`; `where` opens every error.
+    """Make a setup of nested dicts.
+
+    Parameters
+    ----------
+    data : tables and keys as in a `setup.toml`, SI units.
+    where : what every error begins with.
+
+    Returns
+    -------
+    A `Setup`.
 
     Raises
     ------
     SetupError
         As `load_setup`.
+
+    Examples
+    --------
+    >>> import pianofit
+    >>> pianofit.setup_from_dict({"string": {"length": 0.96}, "known": {"M_H": 0.0087}}, "my grand").known
+    {'M_H': 0.0087}
     """
     with _named(where):
         tables = {name: _entries(name, content) for name, content in data.items()}
@@ -159,6 +199,8 @@ def _entries(name: str, content: object) -> Any:
     kind = OLDER.get(name, name)
     if kind not in KEYS:
         raise SetupError(f"{_show(name)} is not known; {_suggest(name, tuple(KEYS))}")
+    if kind in ("known", "initial", "bounds"):
+        return content  # by the felt's law, which another table names
     if kind != "recording":
         return _table(kind, content)
     if not isinstance(content, list):
@@ -166,15 +208,16 @@ def _entries(name: str, content: object) -> Any:
     return [_table(name, entry) for entry in content]
 
 
-def _table(name: str, content: object) -> Mapping[str, Any]:
-    """A table whose keys all have a meaning."""
+def _table(name: str, content: object, keys: tuple[str, ...] = ()) -> Mapping[str, Any]:
+    """A table whose keys all have a meaning: of `keys`, or of those that a file's table of this name has."""
     kind = OLDER.get(name, name)
+    allowed = keys or KEYS[kind]
     if not isinstance(content, Mapping):
         header = f"[[{name}]]" if kind == "recording" else f"[{name}]"
         raise SetupError(f"{name} = {_show(content)} must be a table; begin it with a line {header}")
     for key in content:
-        if key not in KEYS[kind]:
-            raise SetupError(f"[{name}] {_show(key)} is not known; {_suggest(key, KEYS[kind])}")
+        if key not in allowed:
+            raise SetupError(f"[{name}] {_show(key)} is not known; {_suggest(key, allowed)}")
     return content
 
 
@@ -214,15 +257,24 @@ def _one_of(value: object, allowed: tuple[str, ...], where: str) -> None:
         raise SetupError(f"{where} = {_show(value)} must be one of {', '.join(allowed)}")
 
 
-def _parameter(value: object, key: str, where: str) -> float:
-    box = PARAMETERS[key]
+def _law(felt: object) -> None:
+    """Refuse what is no law, and a law from outside by the name of one of the package's."""
+    if felt is None:
+        return
+    if not isinstance(felt, FeltLaw):
+        _one_of(felt, tuple(LAWS), "[felt] law")
+    elif felt.name in LAWS and not is_own(felt):
+        raise SetupError(f"[felt] law = {_show(felt.name)} is one of the package's own; give yours another name")
+
+
+def _parameter(value: object, key: str, where: str, box: Parameter) -> float:
     return _number(value, key, box.lower, box.upper, box.unit, where)
 
 
-def _pair(pair: object, key: str, where: str) -> tuple[float, float]:
+def _pair(pair: object, key: str, where: str, box: Parameter) -> tuple[float, float]:
     if not isinstance(pair, list | tuple) or len(pair) != 2:
         raise SetupError(f"{where} {key} = {_show(pair)} must be two numbers, [lower, upper]")
-    lower, upper = (_parameter(value, key, where) for value in pair)
+    lower, upper = (_parameter(value, key, where, box) for value in pair)
     if lower >= upper:
         raise SetupError(f"{where} {key} = {_show([*pair])}: lower must be below upper; to hold a value, use [known]")
     return lower, upper
@@ -234,7 +286,7 @@ def _layer(entry: object, number: int) -> Layer:
     table = {key: value for key, value in said.items() if value is not None}
     for key, value in table.items():
         if key == "v_H0":
-            table[key] = _parameter(value, key, where)
+            table[key] = _parameter(value, key, where, BOXES[key])
         elif not (isinstance(value, str) and value.strip()):
             raise SetupError(f"{where} {key} = {_show(value)} must be a text in quotes, not empty")
     if not table:
@@ -281,14 +333,15 @@ def _pickup(setup: Setup) -> Iterator[str]:
 
 def _values(setup: Setup) -> Iterator[str]:
     """A value both known and free, one that the felt's law does not have, or a start outside its bounds."""
-    law = setup.felt or DEFAULT_LAW
+    law = setup.law
     for name in setup.known:
         for table, given in (("initial", setup.initial), ("bounds", setup.bounds)):
             if name in given:
                 yield f"{name} is in [known], held fixed, and in [{table}]; remove one of them"
     for name in (*setup.known, *setup.initial, *setup.bounds):
-        if name in ("mu", *MEMORY_NAMES) and name not in FELT_LAWS[law]:
-            yield f"{name} is no parameter of the felt's law, {law}, which has {', '.join(FELT_LAWS[law])}; remove it"
+        if name in FELT_NAMES and name not in law.parameters:
+            has = ", ".join(law.parameters)
+            yield f"{name} is no parameter of the felt's law, {law.name}, which has {has}; remove it"
     for name, (lower, upper) in setup.bounds.items():
         if not lower <= (value := setup.initial.get(name, lower)) <= upper:
             yield f"[initial] {name} = {value:g} is outside its [bounds] {lower:g} to {upper:g}; correct one"

@@ -39,17 +39,27 @@ def analyse(recording: Recording, *, note: str | None = None, f0: float | None =
 
     Parameters
     ----------
-    recording : Recording
-        Mono samples with the onset known.
-    note : str, optional
-        Note name such as "F#2"; the pitch is then sought within a semitone of it.
-    f0 : float, optional
-        The same, in Hz; takes precedence over `note`.
+    recording : mono samples with the onset known, see `load_recording`.
+    note : its name, such as "F#2"; the pitch is then sought within a semitone of it.
+    f0 : the same, in Hz; goes before `note`.
+
+    Returns
+    -------
+    An `Analysis`: f0 in Hz, B, b1 and d2 in 1/s with standard errors, and the table of `Partials` [partials].
 
     Raises
     ------
     AnalysisError
         When the recording is too short, or enough of its partials are not there; a WrongNoteError when the note is not.
+
+    Examples
+    --------
+    >>> import pianofit
+    >>> it = pianofit.preset("chabassier-F3")
+    >>> sound = pianofit.simulate(it.string, it.hammer, it.geometry, quantity="bridge-force").waveform(44_100, 88_200)
+    >>> found = pianofit.analyse(pianofit.recording_from_samples(0.5 * sound / abs(sound).max(), 44_100), note="F3")
+    >>> f"{found.f0:.1f} Hz, B = {found.B:.2g}, {len(found.partials)} partials"
+    '175.0 Hz, B = 0.00017, 55 partials'
     """
     rate = recording.rate
     samples = np.asarray(recording.samples, float)[recording.onset :][: int(_LONGEST * rate)]

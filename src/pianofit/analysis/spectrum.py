@@ -52,14 +52,16 @@ def spectrum(
     samples: np.ndarray, rate: int, seconds: float, *, span: float = 160.0, floor_db: float = -200.0
 ) -> Spectrum:
     """Spectrum of the first `seconds` of `samples`, floor taken over `span` Hz."""
+    from scipy.signal import find_peaks
+
     piece = samples[: max(64, int(seconds * rate))]
     power, step = _density(piece, rate, 4)
     level = 10 * np.log10(power + 1e-40)
     level = np.maximum(level, max(floor_db, float(level.max()) - 140.0))
     # 10 dB above the 30 % quantile: chance maxima of noise rarely reach it
     prominence = np.clip(level - _floor(level, step, max(span, 40 * step)) - 10.0, 0.0, _CAP)
-    inner = level[1:-1]
-    at = np.flatnonzero((inner > level[:-2]) & (inner >= level[2:]) & (prominence[1:-1] > 0)) + 1
+    at = find_peaks(level)[0]
+    at = at[prominence[at] > 0]
     left, middle, right = level[at - 1], level[at], level[at + 1]
     bend = left - 2 * middle + right
     shift = np.where(bend < 0, 0.5 * (left - right) / np.minimum(bend, -1e-12), 0.0)

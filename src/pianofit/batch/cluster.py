@@ -1,4 +1,4 @@
-"""A running dask.distributed cluster as workers: the same units, sent to a scheduler, results back to the one ledger.
+"""A running dask.distributed cluster as workers: the same units, sent to a scheduler, results back to the one batch.
 
 A worker that is lost is the scheduler's to notice; it gives the unit to another. A scheduler that is lost ends the
 batch with what is finished kept. No more units are sent ahead than keep the workers busy, so that recordings sent by

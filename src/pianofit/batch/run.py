@@ -1,14 +1,13 @@
 """A batch: units that are not done, through workers, into the folder and the ledger. The loop is written once.
 
 What the workers are (`local.py`, `cluster.py`) it does not know. Only this process writes: first a key's folder, in one
-step, then its row. Killed at any moment in between, the next run finds the folder whole or missing, and brings the
-ledger in line with it.
+step, then its entry. Killed at any moment in between, the next run finds the folder whole or missing, and that is what
+counts.
 """
 
 from __future__ import annotations
 
 import contextlib
-import json
 import statistics
 import time
 from collections import Counter, deque
@@ -18,9 +17,9 @@ from typing import Any, NamedTuple, Protocol
 
 from ..errors import OutputError, RecordingError
 from ..io import one_line
-from .ledger import Entry, Ledger, read_ledger
+from .ledger import Entry, Ledger
 from .local import Lost
-from .store import LEDGER, Store, is_locked, locked, opened
+from .store import Store, is_locked, locked, opened
 from .units import Outcome, Unit
 
 __all__ = ["Progress", "Workers", "plan", "run_batch", "status"]
@@ -77,26 +76,24 @@ def plan(units: Sequence[Unit], folder: Path, retry_failed: bool = False) -> dic
     dict
         By key: "done", "failed: REASON" (which a run leaves alone), or "to do: WHY".
     """
-    entries: dict[str, Entry] = {}
-    with contextlib.suppress(OutputError):  # none yet, or one that a run would renew
-        entries = read_ledger(folder)
-    store = Store(folder)
-    return {u.key: _standing(u, store.record(u.key), entries.get(u.key), retry_failed) for u in units}
+    ledger = Ledger(Store(folder))
+    return {unit.key: _standing(unit, ledger, retry_failed)[0] for unit in units}
 
 
-def _standing(unit: Unit, record: dict | None, entry: Entry | None, retry_failed: bool) -> str:
+def _standing(unit: Unit, ledger: Ledger, retry_failed: bool) -> tuple[str, Entry]:
     """Where a unit stands: the folder proves what is done, the ledger knows what has failed."""
-    if record is not None and record.get("hash") == unit.hash:
-        return "done"
-    if entry is not None and entry.state == "failed" and entry.hash == unit.hash:
-        return f"to do: failed before ({entry.reason})" if retry_failed else f"failed: {entry.reason}"
-    if record is not None:
-        before = record.get("parts", {})
+    said, fresh = ledger.store.said(unit.key), Entry(unit.key, unit.note, unit.hash, "waiting", len(unit.sources))
+    entry = ledger.entry(unit.key, said)
+    known = entry if entry is not None and entry.hash == unit.hash else fresh
+    if known.state == "done":
+        return ("done", known) if ledger.store.record(unit.key) else ("to do: its folder was changed", fresh)
+    if known.state == "failed":
+        return (f"to do: failed before ({known.reason})", fresh) if retry_failed else (f"failed: {known.reason}", known)
+    if said is not None:
+        before = said.get("parts", {})
         changed = [name for name, digest in unit.parts.items() if before.get(name) != digest]
-        return f"to do: {' and '.join(changed)} changed"
-    if entry is not None and entry.state == "done" and entry.hash == unit.hash:
-        return "to do: its folder is missing or was changed"
-    return "to do: new"
+        return f"to do: {' and '.join(changed) or 'something'} changed", fresh
+    return "to do: new", fresh
 
 
 def run_batch(
@@ -120,25 +117,22 @@ def run_batch(
         stays, and the same call goes on.
     """
     store = opened(folder)
-    with locked(folder), Ledger(folder / LEDGER) as ledger:
+    with locked(folder):
         store.tidy()
-        if ledger.set_aside:
-            tell(Progress(len(units), 0, 0, 0, None, ledger.set_aside))
-        batch = _Batch(units, store, ledger, tell)
+        batch = _Batch(units, store, tell)
         batch.settle(retry_failed)
         if batch.queue:
             with workers(store) as at_work:
                 batch.run(at_work)
-        entries = ledger.entries()
-        strangers = sorted(store.finished() - {u.key for u in units if entries[u.key].state == "done"})
-    return _document(folder, [entries[u.key] for u in units]) | {"strangers": strangers}
+        strangers = sorted(store.finished() - {key for key, row in batch.rows.items() if row.state == "done"})
+    return _document(folder, [*batch.rows.values()]) | {"strangers": strangers}
 
 
 class _Batch:
     """The state of a run."""
 
-    def __init__(self, units: Sequence[Unit], store: Store, ledger: Ledger, tell: Tell) -> None:
-        self.units, self.store, self.ledger, self.tell = units, store, ledger, tell
+    def __init__(self, units: Sequence[Unit], store: Store, tell: Tell) -> None:
+        self.units, self.store, self.ledger, self.tell = units, store, Ledger(store), tell
         self.rows: dict[str, Entry] = {}
         self.queue: deque[Unit] = deque()
         self.attempts: Counter[str] = Counter()
@@ -146,21 +140,14 @@ class _Batch:
 
     def settle(self, retry_failed: bool) -> None:
         """Bring the ledger in line with the folders, and queue what is to do."""
-        held = self.ledger.entries()
         for unit in self.units:
-            record, entry = self.store.record(unit.key), held.get(unit.key)
-            standing = _standing(unit, record, entry, retry_failed)
-            known = entry if entry is not None and entry.hash == unit.hash else _fresh(unit)
-            if standing == "done" and record is not None:
-                known = known._replace(state="done", reason="", sounds_like="", detail="", **_measured(record))
-            elif not standing.startswith("failed"):
-                known = _fresh(unit)
+            standing, self.rows[unit.key] = _standing(unit, self.ledger, retry_failed)
+            if standing.startswith("to do"):
                 self.queue.append(unit)
-            if entry is not None and entry.state == "done" and known.state != "done":
+            if standing.endswith("changed"):
                 self._say(f"{unit.key}: {standing.removeprefix('to do: ')}, so it is fitted anew")
-            self.rows[unit.key] = known
+            self.ledger.write(self.rows[unit.key])
         self.seconds = [r.seconds for r in self.rows.values() if r.state == "done" and r.seconds]
-        self.ledger.write(*(r for r in self.rows.values() if held.get(r.key) != r))
 
     def run(self, workers: Workers) -> None:
         """Work until nothing is left."""
@@ -173,7 +160,9 @@ class _Batch:
                 self._say("", workers)
         except BaseException:  # also Ctrl-C: nothing stays "running"
             with contextlib.suppress(OutputError):
-                self.ledger.write(*(r._replace(state="waiting") for r in self.rows.values() if r.state == "running"))
+                for row in self.rows.values():
+                    if row.state == "running":
+                        self.ledger.write(row._replace(state="waiting"))
             raise
 
     def _begin(self, workers: Workers, unit: Unit) -> None:
@@ -196,8 +185,7 @@ class _Batch:
             full = "No space" in outcome.error or "full" in outcome.error
             hint = "make room and run the same command" if full else "then run the same command"
             raise OutputError(f"{unit.key}: {outcome.error}; what is finished is kept: {hint}")
-        left_out = json.dumps(outcome.left_out)
-        facts = {"seconds": round(outcome.seconds, 3), "memory": outcome.memory, "left_out": left_out}
+        facts = {"seconds": round(outcome.seconds, 3), "memory": outcome.memory, "left_out": _left_out(outcome)}
         if outcome.error:
             facts |= {"reason": outcome.error, "sounds_like": outcome.sounds_like, "detail": outcome.detail}
             self._row(unit, state="failed", **facts)
@@ -239,21 +227,15 @@ def time_left(seconds: Sequence[float], waiting: int, running: Sequence[float], 
     return max((waiting * each + sum(rest)) / slots, max(rest, default=0.0))
 
 
-def _fresh(unit: Unit) -> Entry:
-    return Entry(unit.key, unit.note, unit.hash, "waiting", takes=len(unit.sources))
-
-
-def _measured(record: dict) -> dict[str, Any]:
-    """What a folder's record says of the fit that made it."""
-    left_out = json.dumps([[x["file"], x["reason"]] for x in record.get("left_out", [])])
-    return {"left_out": left_out, "seconds": record.get("seconds", 0.0), "memory": record.get("memory", 0)}
+def _left_out(outcome: Outcome) -> tuple[dict[str, str], ...]:
+    return tuple({"file": file, "reason": reason} for file, reason in outcome.left_out)
 
 
 def _record(unit: Unit, outcome: Outcome) -> dict[str, Any]:
     return {
         "key": unit.key, "note": unit.note, "hash": unit.hash, "parts": unit.parts, "versions": unit.versions,
         "settings": unit.settings._asdict(), "recordings": [s._asdict() for s in unit.sources],
-        "left_out": [{"file": f, "reason": r} for f, r in outcome.left_out],
+        "left_out": _left_out(outcome),
         "seconds": round(outcome.seconds, 3), "memory": outcome.memory, "finished": round(time.time(), 3),
     }  # fmt: skip
 
@@ -265,14 +247,14 @@ def _reason(entry: Entry) -> str:
 
 
 def status(folder: Path) -> dict[str, Any]:
-    """What the ledger in `folder` says, with whether a batch is at work there.
+    """What folders and ledger in `folder` say, with whether a batch is at work there.
 
     Raises
     ------
     OutputError
-        If there is no ledger.
+        If it is no batch's.
     """
-    entries, at_work = list(read_ledger(folder).values()), is_locked(folder)
+    entries, at_work = Ledger(Store(folder)).entries(), is_locked(folder)
     if not at_work:  # what a killed batch was at is not running any more
         entries = [e._replace(state="waiting") if e.state == "running" else e for e in entries]
     return _document(folder, entries) | {"at_work": at_work}

@@ -1,4 +1,4 @@
-"""The folder of a batch: `keys/KEY/` for every finished key, `ledger`, `lock`, and nothing half-written.
+"""The folder of a batch: `keys/KEY/` for every finished key, `ledger/` for all else, and nothing half-written.
 
 A key's folder is written in another place, flushed to the disk, and renamed: it is there whole or not at all. Its
 `record.json` holds the hash of the unit it is the result of and the digest of every file, so that a folder proves by
@@ -22,10 +22,11 @@ from ..errors import OutputError
 from ..io import one_line
 from .units import NO_ROOM
 
-__all__ = ["LEDGER", "RECORD", "Store", "locked", "opened"]
+__all__ = ["LEDGER", "RECORD", "Store", "is_locked", "locked", "opened", "unwritable"]
 
-LEDGER, LOCK, KEYS, RECORD = "ledger", "lock", "keys", "record.json"
-SCRATCH, UNFINISHED = ".scratch", ".unfinished"  # of the workers, and of this process; gone after a run
+LEDGER, KEYS, RECORD = "ledger", "keys", "record.json"
+LOCK = "lock"  # in the ledger's folder, as are these, of the workers and of this process, which are gone after a run
+SCRATCH, UNFINISHED = "scratch", "unfinished"
 
 
 class Store:
@@ -34,13 +35,16 @@ class Store:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.keys = folder / KEYS
-        self.scratch = folder / SCRATCH
-        self._unfinished = folder / UNFINISHED
+        self.ledger = folder / LEDGER
+        self.scratch = self.ledger / SCRATCH
+        self._unfinished = self.ledger / UNFINISHED
 
     def tidy(self) -> None:
         """Take away what an interrupted run left unfinished."""
         for left in (self.scratch, self._unfinished):
             shutil.rmtree(left, ignore_errors=True)
+        for file in self.ledger.glob(".*.tmp"):
+            file.unlink(missing_ok=True)
 
     def install(self, key: str, files: dict[str, bytes], record: dict[str, Any]) -> None:
         """Make `files` and their record the folder of `key`, in one step.
@@ -67,15 +71,22 @@ class Store:
         finally:
             shutil.rmtree(self._unfinished, ignore_errors=True)
 
+    def said(self, key: str) -> dict[str, Any] | None:
+        """The record of a finished key, as its folder says it; None if there is none."""
+        try:
+            record = json.loads((self.keys / key / RECORD).read_bytes())
+            return record if isinstance(record["hash"], str) and isinstance(record["files"], dict) else None
+        except (OSError, ValueError, KeyError, TypeError, RecursionError):
+            return None
+
     def record(self, key: str) -> dict[str, Any] | None:
         """The record of a finished key; None if its folder is missing or is not what its record says."""
-        folder = self.keys / key
+        record = self.said(key)
         try:
-            record = json.loads((folder / RECORD).read_bytes())
-            for name, digest in record["files"].items():
-                if hashlib.sha256((folder / Path(name).name).read_bytes()).hexdigest() != digest:
+            for name, digest in ({} if record is None else record["files"]).items():
+                if hashlib.sha256((self.keys / key / Path(name).name).read_bytes()).hexdigest() != digest:
                     return None
-        except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        except OSError:
             return None
         return record
 
@@ -104,7 +115,7 @@ def _flush(folder: Path) -> None:
             os.close(handle)
 
 
-def unwritable(folder: Path, error: OSError | sqlite3.Error) -> OutputError:
+def unwritable(folder: Path, error: Exception) -> OutputError:
     """What to tell of a folder that does not let itself be written."""
     name, full = one_line(folder), "full" in str(error)
     if full or getattr(error, "errno", None) in NO_ROOM[:2]:
@@ -126,10 +137,12 @@ def opened(folder: Path) -> Store:
         raise OutputError(f"{name}: is a file; give a folder as --out")
     try:
         held = {p.name for p in folder.iterdir()} if folder.is_dir() else set()
-        if held - {LOCK, f"{LOCK}-journal"} and not held & {LEDGER, KEYS}:
+        if held and not held & {LEDGER, KEYS}:
             raise OutputError(f"{name}: the folder is not empty and holds no batch; give another --out")
-        (folder / KEYS).mkdir(parents=True, exist_ok=True)
-        for place in (folder, folder / KEYS):
+        if (folder / LEDGER).is_file():
+            raise OutputError(f"{name}: ledger is a file, of an older pianofit; remove it, finished keys are kept")
+        for place in (folder / KEYS, folder / LEDGER):
+            place.mkdir(parents=True, exist_ok=True)
             if not os.access(place, os.W_OK | os.X_OK):
                 raise PermissionError(errno.EACCES, "it is read-only, or another's")
     except OSError as error:
@@ -146,7 +159,9 @@ def locked(folder: Path) -> Iterator[None]:
     OutputError
         If another batch holds it.
     """
-    connection = sqlite3.connect(folder / LOCK, isolation_level=None, timeout=1.0)
+    lock = folder / LEDGER / LOCK
+    lock.parent.mkdir(exist_ok=True)
+    connection = sqlite3.connect(lock, isolation_level=None, timeout=1.0)
     try:
         try:
             connection.execute("BEGIN EXCLUSIVE")
@@ -157,7 +172,7 @@ def locked(folder: Path) -> Iterator[None]:
                 ) from None
             raise unwritable(folder, error) from error
         except sqlite3.DatabaseError as error:
-            raise OutputError(f"{one_line(folder / LOCK)}: is not the lock of a batch ({error}); remove it") from None
+            raise OutputError(f"{one_line(lock)}: is not the lock of a batch ({error}); remove it") from None
         yield
     finally:
         connection.close()
@@ -165,9 +180,10 @@ def locked(folder: Path) -> Iterator[None]:
 
 def is_locked(folder: Path) -> bool:
     """Tell whether a batch is at work in `folder`."""
-    if not (folder / LOCK).exists():
+    lock = folder / LEDGER / LOCK
+    if not lock.exists():
         return False
-    connection = sqlite3.connect((folder / LOCK).resolve().as_uri() + "?mode=ro", uri=True, timeout=0.0)
+    connection = sqlite3.connect(lock.resolve().as_uri() + "?mode=ro", uri=True, timeout=0.0)
     try:
         connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
     except sqlite3.OperationalError as error:

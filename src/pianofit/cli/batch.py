@@ -46,7 +46,7 @@ Manifest = Annotated[
     ),
 ]
 Out = Annotated[
-    Path, typer.Option(metavar="DIR", help="The folder of the batch: keys/KEY/ for every key, and the ledger.")
+    Path, typer.Option(metavar="DIR", help="The folder of the batch: keys/KEY/ for every key that is done.")
 ]
 Pattern = Annotated[
     str | None,

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from ..errors import ParameterError
+from ..felt import LAWS
 
 __all__ = [
     "Channel", "Evaluations", "Felt", "File", "Force", "Intervals", "Json", "Known", "Note", "Pitch",
@@ -67,10 +68,8 @@ def _intervals(text: str) -> str:
 
 
 def _felt(text: str) -> str:
-    from ..parameters import FELT_LAWS
-
-    if text not in FELT_LAWS:
-        raise typer.BadParameter(f"{text!r} is none of {', '.join(FELT_LAWS)}")
+    if text not in LAWS:
+        raise typer.BadParameter(f"{text!r} is none of {', '.join(LAWS)}")
     return text
 
 
@@ -101,7 +100,7 @@ Sound = Annotated[Path, typer.Option(metavar="FILE.WAV", help="The WAV file to w
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 Felt = Annotated[
     str | None,
-    typer.Option(parser=_felt, metavar="LAW", help="The felt's law: hunt-crossley, power or stulov."),
+    typer.Option(parser=_felt, metavar="LAW", help=f"The felt's law: {', '.join(LAWS)}."),
 ]
 Force = Annotated[bool, typer.Option("--force", help="Replace what --out holds.")]
 Velocity = Annotated[float | None, typer.Option(parser=number, metavar="M/S", help="Hammer velocity in m/s.")]

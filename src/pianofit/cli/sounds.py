@@ -56,8 +56,9 @@ def simulate(
 
 
 def _struck(preset: str, change: list[str], velocity: float | None, seconds: float, rate: int, quantity: str):
+    from ..felt import BOXES, make_hammer
     from ..model import simulate as run
-    from ..parameters import check, make_hammer
+    from ..parameters import check
     from ..published import preset as find
     from ..render import CEILING
 
@@ -65,7 +66,7 @@ def _struck(preset: str, change: list[str], velocity: float | None, seconds: flo
     values = it.string._asdict() | it.hammer._asdict() | _assignments(change)
     if velocity is not None:
         values["v_H0"] = velocity
-    check({name: value for name, value in values.items() if (name, value) != ("mu", 0.0)}, "--set")
+    check({name: value for name, value in values.items() if (name, value) != ("mu", 0.0)}, "--set", BOXES)
     string = it.string._replace(**{k: values[k] for k in it.string._fields})
     hammer = make_hammer(values, "--set")
     strike = run(string, hammer, it.geometry, rate=rate, quantity=quantity)
@@ -107,8 +108,8 @@ def render(
     rate = rate or own_rate
     keep_programs()
     played = note._replace(hammer=note.hammer._replace(v_H0=velocity))
-    samples, strike = played.play(rate, round(seconds * rate))
-    samples, gain = limited(samples)
-    write_file(out, encode_wav(samples, rate), force)
+    strike = played.strike(rate)
+    samples, gain = limited(played.frames(strike, rate, round(seconds * rate), round(played.lead * rate)))
+    write_file(out, encode_wav(samples[0] if len(samples) == 1 else samples, rate), force)
     turned = f", brought down by a factor {gain:.3g} to stay below full scale" if gain < 1 else ""
     typer.echo(f"{out}: {seconds:g} s at {velocity:g} m/s, {contact_of(strike)}{turned}")

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..report.numbers import bracketed
-from ..report.words import again_in_words
+from ..report.words import again_in_words, ringing_line
 
 if TYPE_CHECKING:
     from ..model import Simulation
@@ -43,6 +43,7 @@ def summary(document: dict, folder: Path) -> str:
     only = "" if levels["path_only_db"] is None else f", path alone {levels['path_only_db']:.1f} dB"
     lines.append(f"levels of {levels['partials']} partials: start {levels['initial_db']:.2f} dB{only}, "
                  f"fitted {levels['fitted_db']:.2f} dB")  # fmt: skip
+    lines += [line] if (line := ringing_line(document)) else []
     if len(document["takes"]) > 1:
         lines += [_line_of(recording) for recording in document["takes"]]
     for name in ("global", "band1", "band2", "band3"):

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.signal import correlate
 
 from ..model.note import Note
 from ..model.simulate import Simulation
 from ..recording import Recording, find_onset
 
-__all__ = ["lag", "placed", "touched"]
+__all__ = ["lag", "laid", "placed", "touched"]
 
 # How much of an attack, s, is played to see where it begins, with how much noise before it, of which the recording
 # should have at least so much.
 ATTACK = 0.15
 BEFORE = 0.05
 HEARD = 0.02
+# How much of it, s, tells when the hammer touched a string whose sound is calibrated.
+LAID = 0.05
 
 
 def touched(note: Note, strike: Simulation, recording: Recording) -> int:
@@ -32,6 +35,18 @@ def touched(note: Note, strike: Simulation, recording: Recording) -> int:
         noise = np.random.default_rng(0).normal(0.0, recording.noise_rms, len(sound))
     seen = find_onset(np.resize(np.append(noise, noise[::-1]), len(sound)) + sound, rate, 0.0)
     return onset - max(seen - before, 0)
+
+
+def laid(note: Note, recording: Recording) -> float:
+    """Where in a calibrated recording the hammer touched, in samples: the note's attack is laid on the recorded one."""
+    count = round(LAID * recording.rate)
+    model, _ = note.play(recording.rate, count)
+    begin = max(recording.onset - count, 0)
+    sound = recording.samples[begin : recording.onset + 2 * count]
+    if len(sound) <= count:
+        return recording.onset
+    at, sign = placed(model, sound)
+    return begin + at + lag(model, sign * sound[at : at + count])
 
 
 def lag(model: np.ndarray, sound: np.ndarray) -> float:
@@ -53,8 +68,6 @@ def placed(model: np.ndarray, sound: np.ndarray) -> tuple[int, float]:
     its first period behind. The sign is -1 for a pickup of the other polarity.
     """
     energy = np.concatenate([[0.0], np.cumsum(sound**2)])
-    size = 2 ** int(np.ceil(np.log2(len(sound))))
-    cross = np.fft.irfft(np.fft.rfft(sound, size) * np.fft.rfft(model, size).conj(), size)
-    cross = cross[: len(sound) - len(model) + 1]
+    cross = correlate(sound, model, "valid", "fft")
     at = int(np.argmin(energy[len(model) :] - energy[: -len(model)] - 2 * np.abs(cross)))
     return at, float(np.sign(cross[at]))

@@ -8,10 +8,10 @@ from ..analysis import Partials
 from ..io import FIT_SCHEMA
 from ..model.note import Note
 from ..model.path import OutputPath
-from ..parameters import FIT_NAMES, MEMORY_NAMES
-from .align import lag, placed
-from .coordinates import FORCE, SHARED, STRING_SIZE, VALUES, WIDTH, P
-from .entries import absent, derived, is_memory, path_document, sizes, versions
+from ..parameters import FIT_NAMES
+from .align import laid
+from .coordinates import STRING_SIZE
+from .entries import absent, derived, described, path_document, sizes, versions
 from .estimate import Estimate, beginning
 from .lanes import in_lanes, own_levels
 from .listener import Listener, level_errors, together, worse_bands
@@ -27,11 +27,9 @@ from .views import View
 
 __all__ = ["conclude"]
 
-# How much of the attack, s, tells when the hammer touched.
-ATTACK = 0.05
 DB = 20 / np.log(10)
-# In the paper's order, then what lies between hammer and string.
-PARAMETERS_FIRST = (*FIT_NAMES, "x0", "width", *MEMORY_NAMES)
+# In the paper's order, then what lies between hammer and string; last what only some felts have.
+PARAMETERS_FIRST = (*FIT_NAMES, "x0", "width")
 
 
 def conclude(problem: Problem, found: Estimate, seed: int, view: View | None = None) -> Result:
@@ -62,7 +60,7 @@ def conclude(problem: Problem, found: Estimate, seed: int, view: View | None = N
         for b in range(len(found.minima.F))
     )
     document = {
-        "schema": FIT_SCHEMA, "program": "pianofit", "recipe": "default", "felt": problem.start.felt, "seed": seed,
+        "schema": FIT_SCHEMA, "program": "pianofit", "recipe": "default", "felt": problem.start.law.name, "seed": seed,
         "converged": bool(found.minima.converged[0]), "claims": claims(problem, found, states, levels),
         "messages": said,
         "invariants": invariants(problem, found),
@@ -95,7 +93,7 @@ def _heard(problem: Problem, found: Estimate, i: int) -> Heard:
     fitted_level, integrated = _fitted_level(problem, found, i)
     fitted = note_of(problem, found.minima, 0, i)
     initial = _initial_note(problem, first, i)
-    begins = None if gain is None else _touch(problem, fitted._replace(gain=gain), i)
+    begins = None if gain is None else round(laid(fitted._replace(gain=gain), problem.recordings[i]))
     if gain is None:
         gain = 10 ** (_gain_db(problem, integrated, i) / 20)
         fitted = fitted._replace(gain=1.0)
@@ -126,19 +124,6 @@ def _initial_note(problem: Problem, z: np.ndarray, i: int) -> Note:
     start = problem.start
     string = u.string(z)._replace(**{n: start.initial[n] for n in ("c", "kappa", "b1", "b2") if n in start.initial})
     return Note(string, hammer, u.struck(z), start.quantity, 1.0, None)
-
-
-def _touch(problem: Problem, note: Note, i: int) -> int:
-    """The sample at which the hammer touched a calibrated string, by laying the model's attack on the recording's."""
-    recording = problem.recordings[i]
-    count = round(ATTACK * recording.rate)
-    model, _ = note.play(recording.rate, count)
-    begin = max(recording.onset - count, 0)
-    sound = recording.samples[begin : recording.onset + 2 * count]
-    if len(sound) <= count:
-        return recording.onset
-    at, sign = placed(model, sound)
-    return begin + at + round(lag(model, sign * sound[at : at + count]))
 
 
 def _columns(problem: Problem, i: int) -> np.ndarray:
@@ -182,7 +167,8 @@ def _literature_level(problem: Problem, found: Estimate, first: np.ndarray, i: i
     """Levels that the initial hammer gives at the fitted velocities, through gain and path that suit it, dB."""
     search, people = found.minima.search, found.minima.people
     z = first.copy()
-    z[SHARED:] = found.z[SHARED:]
+    shared = problem.unknowns.shared
+    z[shared:] = found.z[shared:]
     residual, _, good = search.model(z[None])
     if not good[0]:
         return np.full(len(problem.analyses[i].partials), -300.0)
@@ -198,7 +184,7 @@ def _covariance(problem: Problem, found: Estimate) -> Covariance:
     """Of all logarithms by name; `v_H0` is the reference stroke's velocity, `v_H0 N` that of stroke N."""
     reference = problem.layout.stroke[problem.reference]
     strokes = ("v_H0" if i == reference else f"v_H0 {i + 1}" for i in range(problem.layout.strokes))
-    return Covariance((*VALUES, *strokes), found.posterior.covariance[0])
+    return Covariance((*problem.unknowns.names, *strokes), found.posterior.covariance[0])
 
 
 def _parameters(problem: Problem, found: Estimate, states: dict[str, str]) -> dict:
@@ -207,82 +193,86 @@ def _parameters(problem: Problem, found: Estimate, states: dict[str, str]) -> di
     values, initial = np.exp(found.posterior.mean[0]), np.exp(u.log_values(beginning(problem, found.z[:STRING_SIZE])))
     reference = problem.layout.stroke[problem.reference]
     unscaled = not problem.calibrated and all(v is None for v in problem.speed)
+    moving = u.law.scaling("N m") if unscaled else ()
     table: dict[str, dict] = {}
-    for i, name in enumerate(VALUES):
-        if is_memory(name) and not u.memory:
-            continue
+    for name in u.reported:
+        i = u.at(name)
         if name == "x0":
-            table["v_H0"] = _velocity(problem, found, reference) | {"initial": float(initial[SHARED + reference])}
+            table["v_H0"] = _velocity(problem, found, reference) | {"initial": float(initial[u.shared + reference])}
         if values[i] < 1e-100:
-            table[name] = absent(name, start.felt)
+            table[name] = absent(name, u.law.name)
             continue
         rests = [f"the assumed {x}" for x in start.rests_on.get(name, ())]
-        rests += ["the velocities"] * (unscaled and name in ("K_H", "mu"))
+        rests += ["the velocities"] * (name in moving)
         note = f"scales with {' and '.join(rests)}" if rests and states[name] == "scaled" else ""
-        if name == "width" and u.free[WIDTH]:
+        if name == "width" and u.free[i]:
             note = "effective: of the raised cosine that acts as the felt's own window does"
         # What is held is shown as it was given, to the last digit.
         value = float(values[i] if u.free[i] else start.values[name])
         table[name] = _entry(
-            found.posterior, np.eye(u.size)[i], value, UNITS[name], states[name],
+            found.posterior, np.eye(u.size)[i], value, described(name, u.law), states[name],
             float(start.initial[name] if name in start.initial else initial[i]), note,
         )  # fmt: skip
     order = [n for n in PARAMETERS_FIRST if n in table]
-    return {n: table[n] for n in order} | sizes(start)
+    return {n: table[n] for n in order} | {n: e for n, e in table.items() if n not in order} | sizes(start)
 
 
 def _entry(
-    posterior: Posterior, change: np.ndarray, value: float, unit: str, status: str, initial: float, note: str
+    posterior: Posterior, change: np.ndarray, value: float, said: dict[str, str], status: str, initial: float, note: str
 ) -> dict:
     span = posterior.interval(change)
     # The interval of a sum of logarithms about the value that is shown.
     offset = np.log(value) - float(posterior.mean[0] @ change)
     interval = None if span is None else [float(np.exp(min(x + offset, 700.0))) for x in span]
     return {
-        "value": value, "unit": unit, "interval": interval, "interval_by": None if span is None else "laplace",
+        "value": value, **said, "interval": interval, "interval_by": None if span is None else "laplace",
         "interval_open": [], "status": status, "initial": initial, "note": note,
     }  # fmt: skip
 
 
 def _velocity(problem: Problem, found: Estimate, stroke: int) -> dict:
-    at = SHARED + stroke
+    at = problem.unknowns.shared + stroke
     measured = problem.speed[stroke]
     value = float(np.exp(found.z[at])) if measured is None else float(measured)
     status = velocity_statuses(problem, found)[stroke]
     note = "its scale is the prior's" if status == "scaled" else ""
-    return _entry(found.posterior, np.eye(problem.unknowns.size)[at], value, "m/s", status, value, note)
+    return _entry(
+        found.posterior, np.eye(problem.unknowns.size)[at], value, {"unit": UNITS["v_H0"]}, status, value, note
+    )
 
 
 def invariants(problem: Problem, found: Estimate) -> dict:
     """What no assumed length, mass or velocity scale enters: value, unit and 95 % interval by name."""
     u, g = problem.unknowns, problem.start.geometry
     unit = np.eye(u.size)
-    c, kappa, mass, at = (unit[VALUES.index(n)] for n in ("c", "kappa", "M_H", "x0"))
+    c, kappa, mass, at = (unit[u.at(n)] for n in ("c", "kappa", "M_H", "x0"))
     stroke = problem.layout.stroke[problem.reference]
     scaled = not problem.calibrated and all(v is None for v in problem.speed)
-    held = found.posterior.given(unit[SHARED + stroke]) if scaled else found.posterior
+    held = found.posterior.given(unit[u.shared + stroke]) if scaled else found.posterior
     z, log = found.z, found.posterior.mean[0]
     string = np.exp(log[:STRING_SIZE])
-    p = float(np.exp(z[P]))
-    force = unit[VALUES.index("K_H")] + p * u.log_u * unit[VALUES.index("p")]
     table = {
-        "f0": _entry(held, c, string[0] / (2 * g.length), "Hz", "fitted", 0.0, ""),
-        "B": _entry(held, 2 * kappa - 2 * c, (string[1] * np.pi / (string[0] * g.length)) ** 2, "1", "fitted", 0.0, ""),
-        "M_H/M_S": _entry(held, mass, float(np.exp(log @ mass)) / g.mass, "1", "fitted", 0.0, ""),
-        "x0/L": _entry(held, at, float(np.exp(log @ at)) / g.length, "1", "fitted", 0.0, ""),
+        "f0": _entry(held, c, string[0] / (2 * g.length), {"unit": "Hz"}, "fitted", 0.0, ""),
+        "B": _entry(
+            held, 2 * kappa - 2 * c, (string[1] * np.pi / (string[0] * g.length)) ** 2, {"unit": "1"}, "fitted", 0.0, ""
+        ),
+        "M_H/M_S": _entry(held, mass, float(np.exp(log @ mass)) / g.mass, {"unit": "1"}, "fitted", 0.0, ""),
+        "x0/L": _entry(held, at, float(np.exp(log @ at)) / g.length, {"unit": "1"}, "fitted", 0.0, ""),
     }
-    if u.free[FORCE]:  # a given K_H has no compression of reference
+    if u.power and u.free[u.power[0]]:  # a given K_H has no compression of reference
+        stiffness, p = u.power
+        force = unit[stiffness] + float(np.exp(z[p])) * u.log_u * unit[p]
         table["F/M_S"] = _entry(
-            held, force, float(np.exp(z[FORCE])) / g.mass, "N/kg", "fitted", 0.0,
+            held, force, float(np.exp(z[stiffness])) / g.mass, {"unit": "N/kg"}, "fitted", 0.0,
             f"static force of the felt at {1e3 * np.exp(u.log_u):.3g} mm"
             + (", at the reference velocity shown" if scaled else ""),
         )  # fmt: skip
     for other in range(problem.layout.strokes):
         if other != stroke:
-            ratio = unit[SHARED + other] - unit[SHARED + stroke]
+            ratio = unit[u.shared + other] - unit[u.shared + stroke]
             name = problem.recordings[problem.layout.stroke.index(other)].path
             table[f"v/v_ref {other + 1}"] = _entry(
-                found.posterior, ratio, float(np.exp(z @ ratio)), "1", "fitted", 0.0, name
+                found.posterior, ratio, float(np.exp(z @ ratio)), {"unit": "1"}, "fitted", 0.0, name
             )
     return {n: {k: e[k] for k in ("value", "unit", "interval", "note")} for n, e in table.items()}
 
@@ -307,12 +297,12 @@ def _minima(problem: Problem, found: Estimate, notes) -> list[dict]:
     u = problem.unknowns
     rows = []
     for b, share in enumerate(found.posterior.share):
-        values = dict(zip(VALUES, np.exp(found.posterior.mean[b, :SHARED]).tolist(), strict=True))
-        values = {n: x for n, x in values.items() if x > 1e-100 and (u.memory or not is_memory(n))}
+        values = dict(zip(u.names, np.exp(found.posterior.mean[b, : u.shared]).tolist(), strict=True))
+        values = {n: values[n] for n in u.reported if values[n] > 1e-100}
         path: OutputPath | None = notes[b][problem.reference].path
         rows.append({
             "share": float(share), "F": float(found.minima.F[b]), "parameters": values,
-            "velocities": np.exp(found.minima.people.z[b, SHARED:]).tolist(),
+            "velocities": np.exp(found.minima.people.z[b, u.shared :]).tolist(),
             "path_db": None if path is None else path.db.tolist(),
         })  # fmt: skip
     return rows
@@ -329,5 +319,5 @@ def _diagnostics(problem: Problem, found: Estimate) -> dict:
                    "decay_relative": float(np.exp(strings.phi[1][0])), "level_db": float(phi[0])},
         "path": {"smooth_db": float(phi[1]), "octaves": float(phi[2])} if problem.path else None,
         "floor": float(phi[3]),
-        "correlated": [{"pair": [a, b], "correlation": r} for a, b, r in correlated(found.posterior)],
+        "correlated": [{"pair": [a, b], "correlation": r} for a, b, r in correlated(problem, found.posterior)],
     }  # fmt: skip

@@ -1,28 +1,32 @@
 """The unknowns of a fit, all on a log scale: string, felt, hammer and contact, then the velocity of every stroke.
 
-The felt's stiffness is searched as its static force at a reference compression, F = K_H u_ref^p: strokes fix the force
-where they compress the felt, while K_H alone, whose unit changes with p, trades off against p. No stroke is the first:
-with no velocity measured, the scaling (K_H, μ, v) → (K_H s^(1-p), μ/s, s v) is one wide direction of the prior.
+Where the felt's law has a power, its stiffness is searched as the static force at a reference compression,
+F = K_H u_ref^p: strokes fix the force where they compress the felt, while K_H alone, whose unit changes with p, trades
+off against p. All other parameters of a law are logarithms of their values. No stroke is the first: with no velocity
+measured, the scaling (K_H, μ, v) → (K_H s^(1-p), μ/s, s v) is one wide direction of the prior.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
-from ..parameters import PARAMETERS, Geometry, Hammer, MemoryHammer, String
+from ..felt import BOXES, FeltLaw
+from ..parameters import STRING_NAMES, Geometry, Parameter, String
 
-__all__ = ["FORCE", "NAMES", "P", "SHARED", "STRING_SIZE", "VALUES", "WIDTH", "X0", "Unknowns"]
+__all__ = ["ABSENT", "STRING_SIZE", "Unknowns", "names_of"]
 
-NAMES = ("c", "kappa", "b1", "b2", "force", "p", "mu", "M_H", "x0", "width", "epsilon", "tau")
-# The same with what is reported in the force's place.
-VALUES = tuple("K_H" if name == "force" else name for name in NAMES)
-SHARED = len(NAMES)
-STRING_SIZE = 4
-FORCE, P, MU, X0, WIDTH = (NAMES.index(name) for name in ("force", "p", "mu", "x0", "width"))
+STRING_SIZE = len(STRING_NAMES)
 # A loss that the felt's law does not have is held at this, log: its square is still a number.
 ABSENT = -300.0
+
+
+def names_of(law: FeltLaw) -> tuple[str, ...]:
+    """What all strokes share, by name, in order: the string, then felt, hammer mass and contact."""
+    return STRING_NAMES + law.columns
 
 
 @dataclass(frozen=True)
@@ -34,9 +38,34 @@ class Unknowns:
     lower: np.ndarray
     upper: np.ndarray
     log_u: float  # log of the reference compression, m
-    stiffness: tuple[float, float]  # log of the least and the largest K_H
+    stiffness: tuple[float, float]  # log of the least and the largest K_H; of no use to a law without a power
     geometry: Geometry  # strike and width are unknowns
-    memory: bool  # whether the felt relaxes
+    law: FeltLaw
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Of what all strokes share."""
+        return names_of(self.law)
+
+    @property
+    def shared(self) -> int:
+        """How many all strokes share; then come the velocities."""
+        return len(self.names)
+
+    def at(self, name: str) -> int:
+        """Where an unknown stands."""
+        return self.names.index(name)
+
+    @cached_property
+    def power(self) -> tuple[int, int] | None:
+        """Where the force at the reference compression stands, in the stiffness's place, and the exponent."""
+        return None if self.law.power is None else (self.at(self.law.power[0]), self.at(self.law.power[1]))
+
+    @cached_property
+    def reported(self) -> tuple[str, ...]:
+        """The names that mean something to this law's hammers; the others are held."""
+        own = (*STRING_NAMES, *self.law.kind._fields, "x0", "width")
+        return tuple(name for name in self.names if name in own)
 
     @property
     def size(self) -> int:
@@ -46,7 +75,7 @@ class Unknowns:
     @property
     def strokes(self) -> int:
         """How many velocities."""
-        return self.size - SHARED
+        return self.size - self.shared
 
     @property
     def free(self) -> np.ndarray:
@@ -56,17 +85,19 @@ class Unknowns:
     def project(self, z: np.ndarray) -> np.ndarray:
         """The nearest point of the box [..., size]; a force whose K_H would leave its own bounds goes to the edge."""
         z = np.where(self.free, np.clip(z, self.lower, self.upper), self.mean)
-        if self.free[FORCE]:
-            low, high = (k + np.exp(z[..., P]) * self.log_u for k in self.stiffness)
-            z[..., FORCE] = np.clip(z[..., FORCE], low, high)
+        if self.power and self.free[self.power[0]]:
+            force, p = self.power
+            low, high = (k + np.exp(z[..., p]) * self.log_u for k in self.stiffness)
+            z[..., force] = np.clip(z[..., force], low, high)
         return z
 
     def edges(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The ends of every unknown's range at `z` [..., size]."""
         lower, upper = (np.broadcast_to(x, z.shape).copy() for x in (self.lower, self.upper))
-        if self.free[FORCE]:
-            shift = np.exp(z[..., P]) * self.log_u
-            lower[..., FORCE], upper[..., FORCE] = self.stiffness[0] + shift, self.stiffness[1] + shift
+        if self.power and self.free[self.power[0]]:
+            force, p = self.power
+            shift = np.exp(z[..., p]) * self.log_u
+            lower[..., force], upper[..., force] = self.stiffness[0] + shift, self.stiffness[1] + shift
         return lower, upper
 
     def at_bound(self, z: np.ndarray) -> np.ndarray:
@@ -76,23 +107,26 @@ class Unknowns:
 
     def range(self, i: int) -> tuple[float, float]:
         """The box of a value, logarithms; of K_H in the force's place."""
-        return self.stiffness if i == FORCE else (float(self.lower[i]), float(self.upper[i]))
+        return self.stiffness if self._is_force(i) else (float(self.lower[i]), float(self.upper[i]))
 
     def along_edges(self, z: np.ndarray, active: np.ndarray) -> np.ndarray:
         """d z/d(what moves) [B, size, size] at `z`: where K_H is on an edge the force follows p, as in `project`."""
         out = np.tile(np.eye(self.size), (len(z), 1, 1))
-        out[:, FORCE, P] = np.where(active[:, FORCE] & self.free[P], np.exp(z[:, P]) * self.log_u, 0.0)
+        if self.power:
+            force, p = self.power
+            out[:, force, p] = np.where(active[:, force] & self.free[p], np.exp(z[:, p]) * self.log_u, 0.0)
         return out
 
     def from_log_values(self, x: np.ndarray) -> np.ndarray:
         """The point whose `log_values` are `x` [..., size]."""
         out = np.array(x, float)
-        out[..., FORCE] = x[..., FORCE] + np.exp(x[..., P]) * self.log_u
+        if self.power:
+            out[..., self.power[0]] += np.exp(x[..., self.power[1]]) * self.log_u
         return out
 
     def held(self, name: int, log: float) -> Unknowns:
         """With one unknown, or K_H at the force's place, held at a logarithm: its box is a point."""
-        if name == FORCE:
+        if self._is_force(name):
             return replace(self, stiffness=(log, log))
         lower, upper = self.lower.copy(), self.upper.copy()
         lower[name] = upper[name] = log
@@ -100,42 +134,37 @@ class Unknowns:
 
     def string(self, z: np.ndarray) -> String:
         """The string at `z` [size]."""
-        return String(*(_inside(n, float(x)) for n, x in zip(String._fields, np.exp(z[:STRING_SIZE]), strict=True)))
+        return String(
+            *(_inside(BOXES[n], float(x)) for n, x in zip(STRING_NAMES, np.exp(z[:STRING_SIZE]), strict=True))
+        )
 
-    def hammer(self, z: np.ndarray, stroke: int) -> Hammer | MemoryHammer:
+    def hammer(self, z: np.ndarray, stroke: int) -> Any:
         """The hammer at `z` [size] at the velocity of one stroke."""
-        force, p, mu, mass = z[FORCE], np.exp(z[P]), np.exp(z[MU]), np.exp(z[NAMES.index("M_H")])
-        values = np.exp(force - p * self.log_u), mu, p, mass, np.exp(z[SHARED + stroke])
-        five = [_inside(n, float(x)) for n, x in zip(Hammer._fields, values, strict=True)]
-        if z[MU] <= ABSENT:
-            five[Hammer._fields.index("mu")] = 0.0
-        if not self.memory:
-            return Hammer(*five)
-        memory = zip(("epsilon", "tau"), np.exp(z[NAMES.index("epsilon") : SHARED]), strict=True)
-        return MemoryHammer(*five, *(_inside(n, float(x)) for n, x in memory))
+        logs = dict(zip(self.names, self.log_values(z), strict=False)) | {"v_H0": z[self.shared + stroke]}
+        return self.law.of({n: _inside(box, float(np.exp(logs[n]))) for n, box in self.law.boxes.items()})
 
     def struck(self, z: np.ndarray) -> Geometry:
         """The geometry with the strike position and contact width at `z` [size]."""
-        return self.geometry._replace(strike=float(np.exp(z[X0])), width=float(np.exp(z[WIDTH])))
+        return self.geometry._replace(strike=float(np.exp(z[self.at("x0")])), width=float(np.exp(z[self.at("width")])))
 
     def log_values(self, z: np.ndarray) -> np.ndarray:
         """The same with log K_H in the force's place [..., size]."""
         out = np.array(z, float)
-        out[..., FORCE] = z[..., FORCE] - np.exp(z[..., P]) * self.log_u
+        if self.power:
+            out[..., self.power[0]] -= np.exp(z[..., self.power[1]]) * self.log_u
         return out
 
     def tangent(self, z: np.ndarray) -> np.ndarray:
         """d(log values)/dz [size, size] at `z` [size]."""
         out = np.eye(self.size)
-        out[FORCE, P] = -np.exp(z[P]) * self.log_u
+        if self.power:
+            out[self.power] = -np.exp(z[self.power[1]]) * self.log_u
         return out
 
+    def _is_force(self, i: int) -> bool:
+        return self.power is not None and i == self.power[0]
 
-def _inside(name: str, value: float) -> float:
+
+def _inside(box: Parameter, value: float) -> float:
     """The value within its range: the exponential of an edge's logarithm can round to beyond it."""
-    return min(max(value, PARAMETERS[name].lower), PARAMETERS[name].upper)
-
-
-def box(name: str) -> tuple[float, float]:
-    """The range of a parameter, logarithms."""
-    return float(np.log(PARAMETERS[name].lower)), float(np.log(PARAMETERS[name].upper))
+    return min(max(value, box.lower), box.upper)

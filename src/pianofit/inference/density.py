@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from .coordinates import FORCE, SHARED, STRING_SIZE, P
+from .coordinates import STRING_SIZE
 from .estimate import Estimate
 from .lanes import Cfg, Scene, own_levels, own_slopes
 from .likelihood import Table, objective
@@ -45,6 +45,7 @@ class Given(NamedTuple):
     z: Any  # [size]
     white: Any  # from unit normals to z [size, free]
     box: tuple[Any, Any]  # [size] each
+    power: Any  # where the force stands, and the exponent; None for a law without a power
     stiffness: Any  # least and largest log K_H
     log_u: Any
     prior: tuple[Any, Any]  # mean and precision [size]
@@ -69,8 +70,8 @@ def given(problem: Problem, found: Estimate) -> Given:
     cents = search.own_lanes(best.z[:1])[1]
     precision = np.where(u.free, 1 / np.where(u.free, u.sd, 1.0) ** 2, 0.0)
     everything = (
-        best.z[0], _white(problem, found), (u.lower, u.upper), np.array(u.stiffness), u.log_u, (u.mean, precision),
-        tables, (best.phi[0], *strings.phi), (best.w[0], *strings.w),
+        best.z[0], _white(problem, found), (u.lower, u.upper), u.power, np.array(u.stiffness), u.log_u,
+        (u.mean, precision), tables, (best.phi[0], *strings.phi), (best.w[0], *strings.w),
         tuple(np.argwhere(np.asarray(t.found) > 0) for t in tables),
         minima.offsets[0], search.there, search.stroke, search.columns, cents,
         (o.string_number, o.law, float(problem.start.geometry.length)), problem.scene,
@@ -97,9 +98,12 @@ def folded(at: Given, theta):
     moves = (at.white != 0).any(axis=1)
     z = at.z + at.white @ theta
     plain = jnp.where(moves, _fold(z, *at.box), z)
-    shift = jnp.exp(plain[P]) * at.log_u
-    force = _fold(z[FORCE], at.stiffness[0] + shift, at.stiffness[1] + shift)
-    return plain.at[FORCE].set(jnp.where(moves[FORCE], force, z[FORCE]))
+    if at.power is None:
+        return plain
+    i, p = at.power
+    shift = jnp.exp(plain[p]) * at.log_u
+    force = _fold(z[i], at.stiffness[0] + shift, at.stiffness[1] + shift)
+    return plain.at[i].set(jnp.where(moves[i], force, z[i]))
 
 
 def _fold(x, low, high):
@@ -149,10 +153,11 @@ def _law(at: Given, cfg: Cfg):
 
     def lanes(z):
         strokes = len(at.cents)
-        velocity = z[SHARED:, None]
+        shared = len(z) - strokes
+        velocity = z[shared:, None]
         return (
             jnp.tile(z[:STRING_SIZE], (strokes, 1)), at.cents,
-            jnp.concatenate([jnp.tile(z[STRING_SIZE:SHARED], (strokes, 1)), velocity], axis=1),
+            jnp.concatenate([jnp.tile(z[STRING_SIZE:shared], (strokes, 1)), velocity], axis=1),
         )  # fmt: skip
 
     @jax.custom_jvp
@@ -164,7 +169,7 @@ def _law(at: Given, cfg: Cfg):
         level, slope, ended = own_slopes(*lanes(primal[0]), at.scene, cfg)
         (dz,) = tangent
         shared = jnp.append(dz[:STRING_SIZE], dz[jnp.array(cfg.free[:-1], int) + STRING_SIZE])
-        moved = slope[..., :-1] @ shared + slope[..., -1] * dz[SHARED:, None]
+        moved = slope[..., :-1] @ shared + slope[..., -1] * dz[len(dz) - len(at.cents) :, None]
         return (level, ended), (moved, np.zeros(ended.shape, jax.dtypes.float0))
 
     return law

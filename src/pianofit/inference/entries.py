@@ -8,14 +8,14 @@ import numpy as np
 
 from .. import __version__
 from ..analysis import Analysis
-from ..model import Simulation
+from ..felt import FeltLaw, is_own
+from ..model import Simulation, felt_force
 from ..model.note import Note
 from ..model.path import OutputPath
-from ..parameters import MEMORY_NAMES
 from .quantities import UNITS
 from .start import Start
 
-__all__ = ["absent", "derived", "given", "is_memory", "path_document", "sizes", "versions"]
+__all__ = ["absent", "derived", "described", "given", "path_document", "sizes", "versions"]
 
 
 def versions() -> dict[str, str]:
@@ -60,7 +60,7 @@ def derived(note: Note, simulation: Simulation, analysis: Analysis) -> dict:
         "x0/L": float(g.strike / g.length), "contact_ms": 1e3 * simulation.contact_time,
         "later_contacts": [again.document() for again in simulation.contacts[1:]],
         "max_force_N": float(pulse.force.max()), "max_compression_mm": 1e3 * u,
-        "felt_force_N": float(note.hammer.K_H * u**note.hammer.p),
+        "felt_force_N": float(felt_force(u, 0.0, note.hammer)),
         "glide_cents": float(analysis.glide_cents),
         "glide": [{"start_s": a, "stop_s": b, "f0": f} for a, b, f in analysis.glide],
     }  # fmt: skip
@@ -78,6 +78,8 @@ def absent(name: str, felt: str) -> dict:
     return given(0.0, name, "given") | {"note": f"the felt's law, {felt}, has none"}
 
 
-def is_memory(name: str) -> bool:
-    """Whether only a felt that relaxes has this parameter."""
-    return name in MEMORY_NAMES
+def described(name: str, law: FeltLaw) -> dict[str, str]:
+    """Unit of a parameter; and what it means, where only a law from outside says so."""
+    if name not in law.parameters:
+        return {"unit": UNITS[name]}
+    return {"unit": law.parameters[name].unit} | ({} if is_own(law) else {"meaning": law.parameters[name].meaning})

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..progress import Progress
-from .coordinates import FORCE, NAMES, SHARED, STRING_SIZE, P
+from .coordinates import STRING_SIZE
 from .finish import Minima, finished
 from .posterior import Posterior, laplace
 from .problem import Problem
@@ -77,13 +77,13 @@ def beginning(problem: Problem, string: np.ndarray) -> np.ndarray:
     """The point that a setup's starting values give, and the prior's means where it says nothing [size]."""
     u, start = problem.unknowns, problem.start
     z = u.mean.copy()
-    for i, name in enumerate(NAMES):
+    for i, name in enumerate(u.names):
         if name in start.initial and u.free[i]:
             z[i] = np.log(start.initial[name])
-    if u.free[FORCE]:
-        z[FORCE] = np.log(start.initial["K_H"]) + np.exp(z[P]) * u.log_u
+    if u.power and u.free[u.power[0]]:
+        z[u.power[0]] += np.exp(z[u.power[1]]) * u.log_u
     z[:STRING_SIZE] = string
-    reference = SHARED + problem.layout.stroke[problem.reference]
+    reference = u.shared + problem.layout.stroke[problem.reference]
     if u.free[reference] and "v_H0" in start.initial:
         z[reference] = np.log(start.initial["v_H0"])
     return u.project(z)

@@ -1,8 +1,8 @@
 """Levels of partials by the model, in lanes: one lane is one string struck by one hammer at one velocity.
 
 Whatever is fitted, one recording or many, is a number of lanes, so all fits share the same compiled programs. A lane
-[9] holds the unknowns of the hammer and its contact, as `coordinates.NAMES` has them after the string's, and the
-logarithm of the velocity.
+[lane] holds the unknowns of the hammer and its contact, as the law of the felt has them after the string's
+(`coordinates.names_of`), and the logarithm of the velocity.
 """
 
 from __future__ import annotations
@@ -18,11 +18,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..felt import FeltLaw
 from ..model.cache import kept
 from ..model.contact import leave
 from ..model.modes import mode_table
 from ..model.response import LEVEL_DECAY, LEVEL_SPAN
-from ..parameters import Geometry, Hammer, MemoryHammer, String
+from ..parameters import Geometry, String
 from .coordinates import STRING_SIZE
 
 __all__ = ["LANES", "Cfg", "Scene", "in_lanes", "levels", "own_levels", "own_slopes", "pool", "slopes"]
@@ -39,7 +40,7 @@ class Cfg(NamedTuple):
     steps: int  # in which a contact must end
     rows: int  # partials whose levels are wanted, 1 to rows
     quantity: str
-    memory: bool  # of the felt
+    law: FeltLaw
     free: tuple[int, ...] = ()  # entries of a lane by which `slopes` differentiates
 
 
@@ -55,10 +56,13 @@ def _level(log_string: Array, cents: Array | float, lane: Float[Array, " lane"],
     """Levels, dB [rows], from the moment at which the wave reaches the pickup, and whether the contact ended."""
     c, *rest = jnp.exp(log_string)
     string = String(c * jnp.exp2(cents / 1200), *rest)
-    _, p, mu, mass, at, width, epsilon, tau, velocity = jnp.exp(lane)
-    hammer = Hammer(jnp.exp(lane[0] - p * scene.log_u), mu, p, mass, velocity)
-    if cfg.memory:
-        hammer = MemoryHammer(*hammer._replace(mu=jnp.zeros_like(p)), epsilon, tau)
+    logs = dict(zip((*cfg.law.columns, "v_H0"), lane, strict=True))
+    if cfg.law.power:
+        stiffness, p = cfg.law.power
+        logs[stiffness] = logs[stiffness] - jnp.exp(logs[p]) * scene.log_u
+    values = {name: jnp.exp(log) for name, log in logs.items()}
+    hammer = cfg.law.of(values, jnp.zeros_like(values["v_H0"]))
+    at, width = values["x0"], values["width"]
     geometry = scene.geometry._replace(strike=at, width=width)
     modes = mode_table(string, geometry, rate=scene.rate, n_modes=cfg.n_modes, quantity=cfg.quantity)
     struck = leave(modes, hammer, steps=cfg.steps)

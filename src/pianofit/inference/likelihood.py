@@ -27,6 +27,8 @@ from jax.scipy.special import logsumexp
 from jax.scipy.stats import norm
 from jaxtyping import Array, Float
 
+from ..model.precision import AnyArray
+
 __all__ = ["Latent", "Report", "Table", "curvature", "latent", "next_weights", "objective", "report"]
 
 # A NumPy array outside of a computation, JAX's inside.
@@ -74,7 +76,7 @@ class Latent(NamedTuple):
     variance: Values  # of a + Σ c B at each entry [R, K]
 
 
-def _each_matrix(function, *stacks: Array) -> Array:
+def _each_matrix(function, *stacks: AnyArray) -> Array:
     """`function` of matrices in stacks [..., n, n], one by one.
 
     XLA's batched LAPACK waits inside its own pool of threads and, called from several, for ever.
@@ -85,17 +87,17 @@ def _each_matrix(function, *stacks: Array) -> Array:
     return out.reshape(*lead, *out.shape[1:])
 
 
-def _cholesky(x: Array) -> Array:
+def _cholesky(x: AnyArray) -> Array:
     return _each_matrix(lambda a: cholesky(a, lower=True), x)
 
 
-def _variance(table: Table, phi: Array, w: Array) -> Array:
+def _variance(table: Table, phi: AnyArray, w: AnyArray) -> Array:
     """var/w [R, K]; φ = (log σ, log A, log ℓ, log η)."""
     added = jnp.exp(phi[3]) * ADDED * table.ratio
     return (table.variance + jnp.exp(2 * phi[0]) * table.growth + added**2) / w
 
 
-def _root(table: Table, phi: Array) -> Array:
+def _root(table: Table, phi: AnyArray) -> Array:
     """Cholesky factors of the common part's prior covariance [T, G, K, K]."""
     near = jnp.isfinite(table.apart)
     d = jnp.sqrt(3.0) * jnp.where(near, table.apart, 0.0) * jnp.exp(-phi[2])
@@ -106,7 +108,7 @@ def _root(table: Table, phi: Array) -> Array:
     return _cholesky(cov)
 
 
-def _gathered(table: Table, root: Array, x: Array) -> Array:
+def _gathered(table: Table, root: Array, x: AnyArray) -> Array:
     """Bᵀ x [T, GK + Q, ...] of x [R, K, ...], already weighted."""
     common = jnp.einsum("rg,rk...->gk...", table.group, x)
     common = jnp.einsum("tgkl,gk...->tgl...", root, common)
@@ -115,7 +117,7 @@ def _gathered(table: Table, root: Array, x: Array) -> Array:
     return jnp.concatenate([common.reshape(root.shape[0], -1, *x.shape[2:]), columns], axis=1)
 
 
-def factored(table: Table, phi: Array, w: Array) -> Pieces:
+def factored(table: Table, phi: AnyArray, w: AnyArray) -> Pieces:
     """The covariance at φ and w, factored."""
     precision = table.found / _variance(table, phi, w)
     root = _root(table, phi)
@@ -133,14 +135,14 @@ def factored(table: Table, phi: Array, w: Array) -> Pieces:
     return Pieces(precision, root, _cholesky(whole + jnp.eye(whole.shape[-1])))
 
 
-def _solve(lower: Array, x: Array) -> Array:
+def _solve(lower: Array, x: AnyArray) -> Array:
     """L⁻¹ x for stacks [T, n, n] and [T, n] or [T, n, m]."""
     if x.ndim == lower.ndim - 1:
         return _solve(lower, x[..., None])[..., 0]
     return _each_matrix(lambda a, b: solve_triangular(a, b, lower=True), lower, x)
 
 
-def _whitened(table: Table, pieces: Pieces, at: Array) -> Array:
+def _whitened(table: Table, pieces: Pieces, at: AnyArray) -> Array:
     """L⁻¹ b of entries `at` [N, 2]: b are an entry's loadings on paths and columns; [T, GK + Q, N]."""
     nodes, groups, size, _ = pieces.root.shape
     if not len(at):
@@ -154,12 +156,12 @@ def _whitened(table: Table, pieces: Pieces, at: Array) -> Array:
 class _Censored(NamedTuple):
     """What is absent, by its predictive distribution given all that is there; [T, N]."""
 
-    z: Array  # bound less mean, in standard deviations
+    z: AnyArray  # bound less mean, in standard deviations
     spread: Array
     rows: Array  # [T, GK + Q, N]
 
 
-def _censored(table: Table, residual: Array, phi: Array, pieces: Pieces, q: Array) -> _Censored:
+def _censored(table: Table, residual: AnyArray, phi: AnyArray, pieces: Pieces, q: AnyArray) -> _Censored:
     r, k = table.absent[:, 0], table.absent[:, 1]
     rows = _whitened(table, pieces, table.absent)
     own = _variance(table, phi, jnp.ones_like(residual))[r, k]
@@ -167,7 +169,7 @@ def _censored(table: Table, residual: Array, phi: Array, pieces: Pieces, q: Arra
     return _Censored((residual[r, k] - jnp.einsum("tmn,tm->tn", rows, q)) / spread, spread, rows)
 
 
-def _each(table: Table, residual: Array, phi: Array, w: Array) -> tuple[Array, Pieces, Array, _Censored]:
+def _each(table: Table, residual: AnyArray, phi: AnyArray, w: AnyArray) -> tuple[Array, Pieces, Array, _Censored]:
     """F without the priors of φ and w for every node of τ [T], and what it is made of."""
     pieces = factored(table, phi, w)
     q = _solve(pieces.cholesky, _gathered(table, pieces.root, pieces.precision * residual))
@@ -178,7 +180,9 @@ def _each(table: Table, residual: Array, phi: Array, w: Array) -> tuple[Array, P
     return 0.5 * quadratic + half_log - norm.logcdf(censored.z).sum(axis=1), pieces, q, censored
 
 
-def objective(table: Table, residual: Float[Array, "R K"], phi: Float[Array, " 4"], w: Float[Array, "R K"]) -> Array:
+def objective(
+    table: Table, residual: Float[AnyArray, "R K"], phi: Float[AnyArray, " hyper"], w: Float[AnyArray, "R K"]
+) -> Float[Array, ""]:
     """F at a residual: y - law where a partial is found, bound - law where it is absent."""
     each, *_ = _each(table, residual, phi, w)
     mean, sd = table.prior
@@ -187,8 +191,9 @@ def objective(table: Table, residual: Float[Array, "R K"], phi: Float[Array, " 4
 
 
 def curvature(
-    table: Table, residual: Array, jacobian: Float[Array, "R K n"], phi: Array, w: Array
-) -> tuple[Float[Array, " n"], Float[Array, "n n"]]:
+    table: Table, residual: Float[AnyArray, "R K"], jacobian: Float[AnyArray, "R K n"], phi: AnyArray,
+    w: Float[AnyArray, "R K"],
+) -> tuple[Float[Array, " n"], Float[Array, "n n"]]:  # fmt: skip
     """Gradient of F and Gauss and Newton's curvature by what moves the law by `jacobian`, averaged over nodes of τ."""
     each, pieces, q, censored = _each(table, residual, phi, w)
     responsible = jax.nn.softmax(table.share - each)
@@ -216,7 +221,7 @@ class Report(NamedTuple):
     by_log_w: Values  # gradient [R, K]
 
 
-def report(table: Table, residual: Array, jacobian: Array, phi: Array, w: Array) -> Report:
+def report(table: Table, residual: AnyArray, jacobian: Array, phi: AnyArray, w: AnyArray) -> Report:
     """F at one point, its gradient by everything, and its curvature by what moves the law by `jacobian` [R, K, n]."""
     value, (by_phi, by_log_w) = jax.value_and_grad(
         lambda p, x: objective(table, residual, p, jnp.exp(x)), argnums=(0, 1)
@@ -234,7 +239,7 @@ def next_weights(table: Table, by_log_w: np.ndarray, w: np.ndarray) -> np.ndarra
     return np.where(np.asarray(table.found) > 0, (student + 1) / (student + square), 1.0)
 
 
-def latent(table: Table, residual: Array, phi: Array, w: Array) -> Latent:
+def latent(table: Table, residual: AnyArray, phi: AnyArray, w: AnyArray) -> Latent:
     """Posterior means at φ and w, averaged over nodes of τ."""
     each, pieces, q, _ = _each(table, residual, phi, w)
     responsible = jax.nn.softmax(table.share - each)

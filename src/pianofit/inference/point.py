@@ -14,7 +14,7 @@ from ..model.note import Note, arrival
 from ..model.response import level_db, ringing
 from ..parameters import FIT_NAMES, Hammer, String
 from ..recording import Recording
-from .coordinates import VALUES
+from .coordinates import names_of
 from .entries import derived, given, sizes, versions
 from .listener import Listener, level_errors, together, worse_bands
 from .quantities import UNITS, Covariance
@@ -22,8 +22,6 @@ from .result import Heard, Result
 from .start import Start
 
 __all__ = ["point_result"]
-
-FELT = ("K_H", "mu", "p")
 
 
 def point_result(
@@ -66,7 +64,7 @@ def point_result(
     said += [f"No partial above the noise in {' and '.join(missing)}; dropped, and the next band used."] * bool(missing)
     found = dict(zip(FIT_NAMES, (*string, *hammer), strict=True))
     document = {
-        "schema": FIT_SCHEMA, "program": "pianofit", "recipe": recipe, "felt": start.felt, "seed": seed,
+        "schema": FIT_SCHEMA, "program": "pianofit", "recipe": recipe, "felt": start.law.name, "seed": seed,
         "converged": converged, "claims": opening, "messages": [*said, *recording.warnings, *analysis.warnings],
         "invariants": {},
         "parameters": _parameters(start, found, values, at_bound, calibrated),
@@ -85,7 +83,7 @@ def point_result(
         "diagnostics": {"evaluations": evaluations, "partials": len(analysis.partials), "correlated": []},
         "versions": versions(),
     }  # fmt: skip
-    names = (*VALUES, "v_H0")
+    names = (*names_of(start.law), "v_H0")
     nothing = Covariance(names, np.zeros((len(names), len(names))))
     return Result(document, (heard,), 0, nothing, ((after.note,),), (1.0,))
 
@@ -105,7 +103,7 @@ def _status(start: Start, name: str, at_bound: Sequence[str], calibrated: bool) 
         return "assumed" if start.fixed[name] == "assumed" else "given"
     if name in at_bound:
         return "at-bound"
-    if not calibrated and name in FELT:
+    if not calibrated and name in start.law.parameters:
         return "not-identifiable"
     return "scaled" if start.rests_on.get(name) else "fitted"
 

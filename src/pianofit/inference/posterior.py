@@ -36,7 +36,7 @@ TAIL = 0.025
 
 @dataclass(frozen=True)
 class Posterior:
-    """A mixture of Gaussians in the logarithms of values: `coordinates.NAMES` with K_H, then velocities."""
+    """A mixture of Gaussians in the logarithms of values: what is shared, K_H in the force's place, then velocities."""
 
     mean: np.ndarray  # [B, size]
     covariance: np.ndarray  # [B, size, size]; 0 for what is held

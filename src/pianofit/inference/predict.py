@@ -27,6 +27,7 @@ from . import Result
 from .fit import fit_takes
 from .listener import scored
 from .observations import string_law
+from .priors import LEVEL, VELOCITY, VELOCITY_SPREAD
 
 __all__ = ["Prediction", "cross_validate", "predict_take"]
 
@@ -35,6 +36,8 @@ FASTEST, TRIED = 12.0, 48
 # As a ratio: nearer to an end of their range than this is at the end.
 SAME = 1.001
 FEWEST = 3
+# Of a velocity with a contact that does not end, beside others.
+WORST = 1e6
 
 
 @dataclass(frozen=True)
@@ -59,11 +62,26 @@ def predict_take(notes: Note | Sequence[tuple[float, Note]], analysis: Analysis)
     ----------
     notes : one note, or those of several minima with their shares. Each is struck at the velocity that suits it; the
         prediction is the mean of their levels, dB, by their shares, and the note, velocity and pitch are the first's.
+    analysis : of the recording, see `analyse`.
+
+    Returns
+    -------
+    A `Prediction`: velocity in m/s, predicted levels [partials] and their rms error in dB.
 
     Raises
     ------
     FitError
         If too few partials stand above the noise, or no velocity gives a finite sound.
+
+    Examples
+    --------
+    >>> import pianofit
+    >>> it = pianofit.typical(53)
+    >>> note = pianofit.Note(it.string, it.hammer, it.geometry, "bridge-force", gain=0.01)
+    >>> recording = pianofit.recording_from_samples(note.render(3.0, seconds=2.0), 44_100)
+    >>> found = pianofit.predict_take(note, pianofit.analyse(recording, note="F3"))
+    >>> f"{found.velocity:.1f} m/s, {found.error_db:.1f} dB"
+    '3.0 m/s, 0.0 dB'
     """
     mixture = [(1.0, notes)] if isinstance(notes, Note) else list(notes)
     p, (_, first) = analysis.partials, mixture[0]
@@ -75,11 +93,7 @@ def predict_take(notes: Note | Sequence[tuple[float, Note]], analysis: Analysis)
     level = np.sum([share / total * (one + gain) for share, _, one, gain in played], axis=0)
     _, velocity, _, gain = played[0]
     cents = 1200 * float(np.log2(analysis.f0 / _pitch(first)))
-    note = first._replace(
-        string=first.string._replace(c=first.string.c * 2 ** (cents / 1200)),
-        hammer=first.hammer._replace(v_H0=velocity),
-        gain=first.gain * 10 ** (gain / 20),
-    )
+    note = first.tuned(cents).struck(velocity)._replace(gain=first.gain * 10 ** (gain / 20))
     found = level_error_db(level[chosen], p.level[chosen])
     slowest, fastest = _range()
     at_end = not slowest * SAME < velocity < fastest / SAME
@@ -92,25 +106,32 @@ def _range() -> tuple[float, float]:
 
 
 def _at_best(note: Note, analysis: Analysis, chosen: np.ndarray) -> tuple[float, np.ndarray, float]:
-    """The velocity at which a note's levels are nearest, m/s, those levels, dB [partials], and what gain they lack."""
+    """The velocity that levels and its prior make likeliest, m/s, the note's levels, dB [partials], and their gain.
+
+    Many partials leave the prior no say; three can suit a velocity that nobody plays.
+    """
     p = analysis.partials
 
     def levels(velocity: np.ndarray) -> np.ndarray:
         """Of the recording's partials [velocities, partials]."""
         return note.levels(velocity, int(p.number.max()))[:, p.number - 1]
 
-    def error(log_velocity: float) -> float:
-        level = levels(np.array([np.exp(log_velocity)]))[0]
-        return level_error_db(level[chosen], p.level[chosen]) if np.isfinite(level).all() else 1e3
+    def cost(log_velocity: float, level: np.ndarray) -> float:
+        if not np.isfinite(level).all():
+            return np.inf
+        misfit = chosen.sum() * (level_error_db(level[chosen], p.level[chosen]) / LEVEL.median[0]) ** 2
+        return 0.5 * (misfit + ((log_velocity - np.log(VELOCITY)) / VELOCITY_SPREAD) ** 2)
+
+    def at(log_velocity: float) -> float:
+        return min(cost(log_velocity, levels(np.array([np.exp(log_velocity)]))[0]), WORST)
 
     tried = np.geomspace(*_range(), TRIED)
-    table = levels(tried)
-    errors = [level_error_db(x[chosen], p.level[chosen]) if np.isfinite(x).all() else np.inf for x in table]
-    best = int(np.argmin(errors))
-    if not np.isfinite(errors[best]):
+    costs = [cost(np.log(v), level) for v, level in zip(tried, levels(tried), strict=True)]
+    best = int(np.argmin(costs))
+    if not np.isfinite(costs[best]):
         raise FitError("no velocity gives a finite sound; is this the fit of the same key?")
     around = np.log(tried[[max(best - 1, 0), min(best + 1, TRIED - 1)]])
-    velocity = float(np.exp(fminbound(error, *around, xtol=1e-4)))
+    velocity = float(np.exp(fminbound(at, *around, xtol=1e-4)))
     level = levels(np.array([velocity]))[0]
     return velocity, level, float((p.level - level)[chosen].mean())
 
@@ -144,6 +165,13 @@ def cross_validate(
     A stroke's other recordings share its velocity, so they are left out with it. Neighbours are of the same group: how
     loud another microphone hears each partial says nothing of this one.
 
+    Parameters
+    ----------
+    recordings, analyses : three or more of one key, each with its analysis, see `load_recording` and `analyse`.
+    setup : what was known beforehand.
+    seed : of the searches.
+    progress : called with what is being fitted, and the fraction done.
+
     Returns
     -------
     `takes`, in order of velocity, each with `file`, `v_H0` (in the fit of all), `predicted_v_H0`, `predicted_db` and
@@ -154,7 +182,14 @@ def cross_validate(
     Raises
     ------
     FitError
-        For fewer than three strokes, and as `fit_takes` does.
+        For fewer than three strokes, and as `fit` does.
+
+    Examples
+    --------
+    >>> recordings = [pianofit.load_recording(name) for name in ("soft.wav", "mezzo.wav", "loud.wav")]
+    >>> analyses = [pianofit.analyse(recording, note="F#2") for recording in recordings]
+    >>> found, result = pianofit.cross_validate(recordings, analyses, pianofit.Setup())  # four fits
+    >>> found["median_inner_db"]
     """
     count = len(recordings)
     if count < 3:

@@ -12,10 +12,10 @@ import numpy as np
 
 __all__ = ["Hyperprior"]
 
-# --- hammer: about the literature's for the key (published.typical) ---------------------------------------------------
-# Felts of neighbouring instruments differ by factors, hammer masses by tens of percent (Chaigne and Askenfelt 1994;
-# Chabassier): standard deviations of log(value).
-HAMMER_SPREAD = {"force": 1.5, "p": 0.2, "mu": 1.5, "M_H": 0.4, "x0": 0.2, "width": 0.3, "epsilon": 0.7, "tau": 1.5}
+# --- hammer: about the literature's for the key (published.typical); the felt's parameters have theirs in its law -----
+# Hammer masses of neighbouring instruments differ by tens of percent (Chaigne and Askenfelt 1994; Chabassier): standard
+# deviations of log(value).
+HAMMER_SPREAD = {"M_H": 0.4, "x0": 0.2, "width": 0.3}
 # Hammer velocity at the string, m/s: pianissimo to fortissimo is 0.3 to 6 (Askenfelt and Jansson 1991).
 VELOCITY = 1.5
 VELOCITY_SPREAD = 0.8

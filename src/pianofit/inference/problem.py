@@ -10,13 +10,14 @@ import numpy as np
 
 from ..analysis import Analysis
 from ..errors import FitError
+from ..felt import BOXES
 from ..io import one_line
 from ..model import simulate
-from ..parameters import FELT_LAWS, PARAMETERS, Hammer, String
+from ..parameters import STRING_NAMES, String
 from ..recording import Recording
 from ..setup import Layer, Setup
 from . import priors
-from .coordinates import ABSENT, NAMES, SHARED, STRING_SIZE, Unknowns, box
+from .coordinates import ABSENT, STRING_SIZE, Unknowns, names_of
 from .lanes import Cfg, Scene
 from .observations import Layout, Observed, observe
 from .start import Start, starting_values
@@ -154,55 +155,48 @@ def _model(
     start: Start, speed: Sequence[float | None], observed: Observed, rate: float, path: bool
 ) -> tuple[Unknowns, Scene, Cfg]:
     """Priors and boxes of the unknowns, and what the model is run at."""
-    values, geometry = start.values, start.geometry
-    string = String(*(values[n] for n in String._fields))
-    hammer = Hammer(*(values[n] for n in Hammer._fields))._replace(v_H0=2.0)
-    first = simulate(string, hammer, geometry, rate=rate, quantity=start.quantity)
+    geometry = start.geometry
+    string = String(*(start.values[n] for n in STRING_NAMES))
+    first = simulate(string, start.usual._replace(v_H0=2.0), geometry, rate=rate, quantity=start.quantity)
     # A stiffness that is known is held as it is: at 1 m it is the force.
-    log_u = 0.0 if "K_H" in start.fixed else float(np.log(0.5 * first.pulse.compression.max()))
-    memory = "epsilon" in FELT_LAWS[start.felt]
-    unknowns = _unknowns(start, speed, log_u, memory, path)
+    held = start.law.power is None or start.law.power[0] in start.fixed
+    log_u = 0.0 if held else float(np.log(0.5 * first.pulse.compression.max()))
+    unknowns = _unknowns(start, speed, log_u, path)
     contact_rate = 1.0 / float(first.modes.step)
     longest = max(LONGEST * first.last_touch, 2 * RETURNS * geometry.strike / string.c)
     steps = STEPS * int(np.ceil(longest * contact_rate / STEPS))
     rows = ROWS * int(np.ceil(observed.number.max() / ROWS))
     size = tuple(map(np.float64, geometry))
     scene = Scene(type(geometry)(*size), np.float64(contact_rate), np.float64(log_u))  # pyright: ignore[reportArgumentType]
-    free = tuple(int(i) - STRING_SIZE for i in np.flatnonzero(unknowns.free[:SHARED]) if i >= STRING_SIZE)
+    free = tuple(int(i) - STRING_SIZE for i in np.flatnonzero(unknowns.free[: unknowns.shared]) if i >= STRING_SIZE)
     n_modes = max(first.modes.pole.shape[0], rows)
-    cfg = Cfg(n_modes, steps, rows, start.quantity, memory, (*free, SHARED - STRING_SIZE))
+    cfg = Cfg(n_modes, steps, rows, start.quantity, start.law, (*free, unknowns.shared - STRING_SIZE))
     return unknowns, scene, cfg
 
 
-def _unknowns(start: Start, speed: Sequence[float | None], log_u: float, memory: bool, path: bool) -> Unknowns:
-    values, geometry = start.values, start.geometry
-    spread = priors.STRING_SPREAD | priors.HAMMER_SPREAD
-    named = {n: values["K_H" if n == "force" else n] for n in NAMES}
-    mean = np.array([np.log(max(named[n], 1e-300)) for n in NAMES])
-    mean[NAMES.index("force")] += values["p"] * log_u
-    sd = np.array([spread[n] for n in NAMES])
-    held = {("force" if n == "K_H" else n) for n, why in start.fixed.items() if why == "fixed"}
-    law = FELT_LAWS[start.felt]
-    for i, name in enumerate(NAMES):
-        if name in ("mu", "epsilon", "tau") and name not in law:
-            mean[i], sd[i] = ABSENT, 0.0
-        elif name in held and name != "width":
-            sd[i] = 0.0
+def _unknowns(start: Start, speed: Sequence[float | None], log_u: float, path: bool) -> Unknowns:
+    values, geometry, law = start.values, start.geometry, start.law
+    names, boxes = names_of(law), BOXES | law.boxes
+    spread = priors.STRING_SPREAD | priors.HAMMER_SPREAD | {n: p.deviation for n, p in law.parameters.items()}
+    # A loss that the law does not have has no spread, and is held.
+    mean = np.array([np.log(max(values[n], 1e-300)) if n in spread else ABSENT for n in names])
+    sd = np.array([0.0 if n != "width" and start.fixed.get(n) == "fixed" else spread.get(n, 0.0) for n in names])
     if path or "width" in start.bounds:  # through a path the width tells nothing: what it does, the path would
-        sd[NAMES.index("width")] = 0.0
+        sd[names.index("width")] = 0.0
     length, width = geometry.length, geometry.width
-    edges = {n: box(n) for n in NAMES if n in PARAMETERS}
+    edges = {n: (float(np.log(box.lower)), float(np.log(box.upper))) for n, box in boxes.items()}
     edges["x0"] = float(np.log(max(STRIKE[0] * length, 0.51 * width))), float(np.log(STRIKE[1] * length))
     edges["width"] = tuple(np.log(np.array(WIDTHS) * width).tolist())
     edges |= {n: tuple(np.log(pair).tolist()) for n, pair in start.bounds.items()}
-    stiffness = edges.pop("K_H", box("K_H"))
-    speeds = edges.pop("v_H0", box("v_H0"))
-    edges["force"] = (-np.inf, np.inf)
+    stiffness = (-np.inf, np.inf)
+    if law.power is not None:  # it is the force that is searched, and K_H that has bounds
+        stiff, exponent = law.power
+        mean[names.index(stiff)] += values[exponent] * log_u
+        stiffness, edges[stiff] = edges[stiff], stiffness
     known = [v is not None for v in speed]
     velocities = [np.log(priors.VELOCITY if v is None else v) for v in speed]
-    lower = np.array([edges[n][0] for n in NAMES] + [speeds[0]] * len(speed))
-    upper = np.array([edges[n][1] for n in NAMES] + [speeds[1]] * len(speed))
+    lower, upper = np.array([edges[n] for n in names] + [edges["v_H0"]] * len(speed)).T
     mean = np.append(mean, velocities)
     sd = np.append(sd, [0.0 if k else priors.VELOCITY_SPREAD for k in known])
     mean = np.where(sd > 0, np.clip(mean, lower, upper), mean)
-    return Unknowns(mean, sd, lower, upper, log_u, stiffness, geometry, memory)
+    return Unknowns(mean, sd, lower, upper, log_u, stiffness, geometry, law)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ..parameters import PARAMETERS
+from ..felt import BOXES
 from ..tables import data_frame, html_table, write_csv
 
 __all__ = ["UNITS", "Covariance", "Quantities", "Quantity"]
@@ -23,8 +23,8 @@ SIZES = {
     "L": ("m", "length of the string"),
     "pickup": ("m", "position of the pickup, from the agraffe"),
 }
-UNITS = {name: p.unit for name, p in PARAMETERS.items()} | {name: unit for name, (unit, _) in SIZES.items()}
-MEANINGS = {name: p.meaning for name, p in PARAMETERS.items()} | {name: text for name, (_, text) in SIZES.items()} | {
+UNITS = {name: p.unit for name, p in BOXES.items()} | {name: unit for name, (unit, _) in SIZES.items()}
+MEANINGS = {name: p.meaning for name, p in BOXES.items()} | {name: text for name, (_, text) in SIZES.items()} | {
     "f0": "fundamental frequency of the string without stiffness",
     "B": "inharmonicity",
     "M_H/M_S": "hammer mass over string mass",
@@ -64,7 +64,7 @@ class Quantity:
 
 @dataclass(frozen=True, repr=False)
 class Quantities(Mapping[str, Quantity]):
-    """Quantities by name, in order: `table["K_H"]`, `table.K_H`, `table.items()`."""
+    """Quantities by name, in order: a mapping, `table["K_H"]`, whose names are attributes too."""
 
     entries: dict[str, Quantity]
 
@@ -127,7 +127,8 @@ class Quantities(Mapping[str, Quantity]):
 
 def _quantity(name: str, entry: Mapping[str, Any]) -> Quantity:
     interval = entry.get("interval")
-    meaning = "velocity of a stroke over the reference's" if name.startswith("v/v_ref") else MEANINGS.get(name, "")
+    usual = "velocity of a stroke over the reference's" if name.startswith("v/v_ref") else MEANINGS.get(name, "")
+    meaning = str(entry.get("meaning", usual))  # of a felt law from outside its own
     return Quantity(
         name, entry["value"], entry.get("unit", ""), None if interval is None else (interval[0], interval[1]),
         entry.get("status", "fitted"), meaning, entry.get("note", ""), entry.get("initial"),

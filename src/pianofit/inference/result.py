@@ -14,6 +14,7 @@ import numpy as np
 
 from ..analysis import Analysis, Partials
 from ..errors import FitError
+from ..felt import FeltLaw
 from ..io import one_line
 from ..model import Simulation
 from ..model.note import Note
@@ -36,6 +37,7 @@ class Sound:
     samples: np.ndarray  # file units, as long as the recording
     simulation: Simulation
     level: np.ndarray  # dB, [partials], gain and path included, in the recording's unit
+    frames: np.ndarray | None = None  # `samples` is their mean [channels, samples]; None for one channel
 
     def __repr__(self) -> str:
         return f"Sound of {len(self.samples)} samples, {self.note.hammer.v_H0:.3g} m/s"
@@ -52,9 +54,21 @@ class Heard:
     analysis: Analysis
     criterion: dict
     levels: dict
+    ringing: Sound | None = None  # `fitted` as the key rings; itself is by the string's law
 
     def __repr__(self) -> str:
         return f"Heard: {self.recording!r}, levels {self.levels['fitted_db']:.2f} dB off after the fit"
+
+    @property
+    def played(self) -> Sound:
+        """The fit as it plays this recording: as the key rings, or by the string's law."""
+        return self.ringing or self.fitted
+
+    @property
+    def sound(self) -> np.ndarray:
+        """`played` as a file has it [samples], or [channels, samples]."""
+        frames = self.played.frames
+        return self.played.samples if frames is None or len(frames) == 1 else frames
 
     @property
     def partials(self) -> Partials:
@@ -239,8 +253,10 @@ class Result:
         return _report("save").write_page(self, Path(path), title, held_out)
 
     @classmethod
-    def load(cls, folder: str | os.PathLike[str]) -> Result:
+    def load(cls, folder: str | os.PathLike[str], felt: FeltLaw | None = None) -> Result:
         """A fit read back from the folder it was saved to, or from its `fit.json`: without its recordings.
+
+        `felt` is the felt's law, where the fit was by one of your own.
 
         Raises
         ------
@@ -249,7 +265,7 @@ class Result:
         """
         path = Path(folder) / "fit.json" if Path(folder).is_dir() else Path(folder)
         document, name = read_fit(path), one_line(path)
-        mixture = mixture_of(document, name)
+        mixture = mixture_of(document, path, felt)
         shares, notes = zip(*mixture, strict=True)
         result = cls(document, (), 0, None, tuple((note,) for note in notes), shares)
         try:

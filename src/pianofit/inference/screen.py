@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..model.cache import kept
-from .coordinates import SHARED
 from .likelihood import Table, factored
 
 if TYPE_CHECKING:
@@ -54,8 +53,8 @@ def screen(search: Search, z: np.ndarray, grid: np.ndarray, level: np.ndarray, e
     (Q,) = precision_matrix(table, search.wide(), np.ones_like(table.value), None)
     R, K = table.value.shape
     Q = np.asarray(Q).reshape(R, K, R, K)
-    free, strokes = u.free[SHARED:], u.strokes
-    mean, sd = u.mean[SHARED:], np.where(free, u.sd[SHARED:], 1.0)
+    free, strokes = u.free[u.shared :], u.strokes
+    mean, sd = u.mean[u.shared :], np.where(free, u.sd[u.shared :], 1.0)
     belief = 0.5 * ((grid - mean[:, None]) / sd[:, None]) ** 2
     belief = np.where(free[:, None], belief, np.where(np.abs(grid - mean[:, None]) < 1e-9, 0.0, np.inf))
     of = [np.flatnonzero(search.stroke == s) for s in range(strokes)]
@@ -86,7 +85,7 @@ def screen(search: Search, z: np.ndarray, grid: np.ndarray, level: np.ndarray, e
         best[better], chosen[better] = cost[better], v[better]
     best = best + search.known(z)[0]
     z = z.copy()
-    z[:, SHARED:] = np.where(free, grid[chosen], u.mean[SHARED:])
+    z[:, u.shared :] = np.where(free, grid[chosen], u.mean[u.shared :])
     order = np.argsort(best, kind="stable")
     return z[order[np.isfinite(best[order])]]
 

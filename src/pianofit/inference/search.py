@@ -14,7 +14,7 @@ import numpy as np
 from scipy.stats import norm, qmc
 
 from ..errors import FitError
-from .coordinates import SHARED, STRING_SIZE, X0, Unknowns
+from .coordinates import STRING_SIZE, Unknowns
 from .lanes import in_lanes, levels, own_levels, own_slopes, slopes
 from .likelihood import Report, next_weights
 from .population import Population
@@ -104,8 +104,9 @@ class Search:
 
     def lanes_of(self, z: np.ndarray) -> np.ndarray:
         """One lane a stroke [B · strokes, lane]."""
-        shared = np.repeat(z[:, STRING_SIZE:SHARED], self.unknowns.strokes, axis=0)
-        return np.concatenate([shared, z[:, SHARED:].reshape(-1, 1)], axis=1)
+        u = self.unknowns
+        hammers = np.repeat(z[:, STRING_SIZE : u.shared], u.strokes, axis=0)
+        return np.concatenate([hammers, z[:, u.shared :].reshape(-1, 1)], axis=1)
 
     def own_lanes(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Strings, tensions and lanes of every stroke [B · strokes, ...]."""
@@ -129,7 +130,7 @@ class Search:
         jacobian = np.zeros((*level.shape, self.unknowns.size))
         jacobian[..., shared] = slope[..., :-1]
         for r, stroke in enumerate(self.stroke):
-            jacobian[:, r, :, SHARED + stroke] = slope[:, r, :, -1]
+            jacobian[:, r, :, self.unknowns.shared + stroke] = slope[:, r, :, -1]
         jacobian *= self.there[..., None] * self.moves
         residual = (self.table.value - level - self.offset) * self.there
         good = np.logical_and(ended.reshape(len(z), strokes).all(axis=1), np.isfinite(jacobian).all(axis=(1, 2, 3)))
@@ -275,7 +276,7 @@ class Search:
     def samples(self, seed: int) -> np.ndarray:
         """Sobol's points of the prior's hammers [samples, size]; velocities at their means."""
         u = self.unknowns
-        at = np.flatnonzero(u.free[:SHARED] & (np.arange(SHARED) >= STRING_SIZE))
+        at = STRING_SIZE + np.flatnonzero(u.free[STRING_SIZE : u.shared])
         z = np.tile(u.mean, (SAMPLES, 1))
         z[:, :STRING_SIZE] = self.string
         if len(at):
@@ -295,10 +296,11 @@ class Search:
 
         z = self.samples(seed)
         # Measured velocities have columns of their own.
-        grid = np.append(np.log(VELOCITIES), self.unknowns.mean[SHARED:][~self.unknowns.free[SHARED:]])
+        shared = self.unknowns.shared
+        grid = np.append(np.log(VELOCITIES), self.unknowns.mean[shared:][~self.unknowns.free[shared:]])
         # Velocity by velocity: lanes of one call then have contacts of like lengths.
         lanes = np.concatenate(
-            [np.tile(z[:, STRING_SIZE:SHARED], (len(grid), 1)), np.repeat(grid, len(z))[:, None]], axis=1
+            [np.tile(z[:, STRING_SIZE:shared], (len(grid), 1)), np.repeat(grid, len(z))[:, None]], axis=1
         )
         self.lanes += len(lanes)
         p = self.problem
@@ -333,7 +335,7 @@ class Search:
         for _ in range(ROUNDS):
             before = self._lowest(people)
             people = self._restarted(people, self._nearby(people, random))
-            if self.unknowns.free[X0]:
+            if self.unknowns.free[self.unknowns.at("x0")]:
                 people = self._restarted(people, self._moved(people))
             if self._lowest(people) > before - GAIN:
                 break
@@ -353,7 +355,7 @@ class Search:
     def _moved(self, people: Population) -> np.ndarray:
         """The best with its strike moved [2 · len(SCAN), size]."""
         z = np.repeat(people.z[:1], 2 * len(SCAN), axis=0)
-        z[:, X0] += np.outer([1, -1], SCAN).ravel()
+        z[:, self.unknowns.at("x0")] += np.outer([1, -1], SCAN).ravel()
         return self.unknowns.project(z)
 
     def _restarted(self, people: Population, z: np.ndarray) -> Population:

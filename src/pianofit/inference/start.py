@@ -13,29 +13,22 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..analysis import Analysis
-from ..parameters import DEFAULT_LAW, FELT_LAWS, PARAMETERS, Geometry
+from ..felt import BOXES, COMMON, DEFAULT_LAW, FeltLaw
+from ..parameters import HAMMER_NAMES, Geometry, Hammer
 from ..published import typical
 from ..setup import Setup
 
 __all__ = ["Start", "starting_values"]
 
-# Standard deviations of log(value) about the literature's hammer: felts differ by factors, masses by tens of percent.
-HAMMER_SPREAD = {"K_H": 1.5, "mu": 1.5, "p": 0.2, "M_H": 0.4, "v_H0": 1.0, "x0": 0.2, "width": 0.3,
-                 "epsilon": 0.7, "tau": 1.5}  # fmt: skip
-# A string parameter that the recording does not show stays within some factor of where it started.
-STRING_SPREAD = {"c": math.inf, "kappa": 2.0, "b1": 2.0, "b2": 3.0}
-# Where the memory of a felt that has one starts.
-MEMORY = {"epsilon": 0.5, "tau": 1e-4}
 # The hammer of an uncalibrated recording is assumed to arrive at this velocity, m/s, a moderate forte.
 ASSUMED_VELOCITY = 2.0
 
 
 @dataclass(frozen=True)
 class Start:
-    """Where a fit starts. Values and spreads are by name: the nine parameters and `x0`."""
+    """Where a fit starts, by name: the string, the felt's parameters, hammer mass and velocity, strike and contact."""
 
     values: dict[str, float]
-    spread: dict[str, float]  # standard deviation of log(value); inf where the recording alone decides
     initial: dict[str, float]  # what is reported as initial: `values`, save where the user gave a value
     fixed: dict[str, str]  # name -> "fixed" (measured, known) or "assumed"
     rests_on: dict[str, tuple[str, ...]]  # name -> the assumed quantities its SI value rests on
@@ -44,7 +37,8 @@ class Start:
     assumed: tuple[str, ...]  # of length, mass, width
     quantity: str
     scale: float | None  # units at digital full scale; None when uncalibrated
-    felt: str = DEFAULT_LAW  # one of `FELT_LAWS`
+    usual: Hammer  # the literature's for the key, by which contacts are measured, with what is known of it
+    law: FeltLaw = DEFAULT_LAW
 
 
 def starting_values(analysis: Analysis, setup: Setup, velocity: float | None = None) -> Start:
@@ -55,14 +49,15 @@ def starting_values(analysis: Analysis, setup: Setup, velocity: float | None = N
     velocity : measured hammer velocity, m/s, which overrides the setup's.
     """
     midi = 69 + 12 * math.log2(analysis.f0 / 440.0)
-    usual = typical(float(np.clip(midi, 21, 108)))
+    key = float(np.clip(midi, 21, 108))
+    usual, law = typical(key), setup.law
     geometry, assumed = _geometry(setup, usual.geometry)
     calibrated = setup.pickup_scale is not None
     values = _string_values(analysis, geometry.length)
-    values |= dict(zip(usual.hammer._fields, map(float, usual.hammer), strict=True))
-    values |= {"v_H0": ASSUMED_VELOCITY, "x0": geometry.strike, "width": geometry.width} | MEMORY
-    hammer_given = {k: v for k, v in setup.initial.items() if k not in values or k in HAMMER_SPREAD}
-    values |= hammer_given | setup.known
+    hammer = {name: float(value) for name, value in usual.hammer._asdict().items()} | {"v_H0": ASSUMED_VELOCITY}
+    given = {k: v for k, v in setup.initial.items() if k not in values} | setup.known
+    values |= hammer | {"x0": geometry.strike, "width": geometry.width}
+    values |= {name: parameter.usual(key) for name, parameter in law.parameters.items()} | given
     fixed = dict.fromkeys(setup.known, "fixed") | {"width": "assumed" if "width" in assumed else "fixed"}
     measured = velocity if velocity is not None else next((t.v_H0 for t in setup.recordings if t.v_H0), None)
     if measured is not None:
@@ -71,24 +66,25 @@ def starting_values(analysis: Analysis, setup: Setup, velocity: float | None = N
         fixed["v_H0"] = "assumed"
     if setup.strike_position is not None:
         fixed["x0"] = "fixed"
-    felt = setup.felt or DEFAULT_LAW
-    fixed |= {name: "fixed" for name in ("mu", *MEMORY) if name not in FELT_LAWS[felt]}
-    for name in set(values) & set(PARAMETERS):
-        box = PARAMETERS[name]
+    fixed |= {name: "fixed" for name in BOXES if name in law.columns and name not in (*law.parameters, *COMMON)}
+    boxes = BOXES | law.boxes
+    for name in set(values) & set(boxes):
+        box = boxes[name]
         low, high = setup.bounds.get(name, (box.lower, box.upper))
         values[name] = min(max(values[name], low), high)
     return Start(
         values=values,
-        spread=STRING_SPREAD | HAMMER_SPREAD,
         initial=values | setup.initial,
         fixed=fixed,
-        rests_on=_rests_on(assumed),
+        rests_on=_rests_on(assumed, law),
         bounds=dict(setup.bounds),
         geometry=geometry,
         assumed=assumed,
         quantity=setup.pickup_quantity,
         scale=setup.pickup_scale,
-        felt=felt,
+        # A law from outside may mean something else by the literature's names.
+        usual=Hammer(**hammer | {name: values[name] for name in (COMMON if law.hammers is None else HAMMER_NAMES)}),
+        law=law,
     )
 
 
@@ -116,10 +112,10 @@ def _string_values(analysis: Analysis, length: float) -> dict[str, float]:
     }
 
 
-def _rests_on(assumed: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
+def _rests_on(assumed: tuple[str, ...], law: FeltLaw) -> dict[str, tuple[str, ...]]:
     rests: dict[str, tuple[str, ...]] = {}
     if "length" in assumed:
         rests |= dict.fromkeys(("c", "kappa", "b2", "x0"), ("length",))
     if "mass" in assumed:
-        rests |= dict.fromkeys(("K_H", "M_H"), ("mass",))
+        rests |= dict.fromkeys((*law.scaling("N"), "M_H"), ("mass",))
     return rests

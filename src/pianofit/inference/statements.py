@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ..io import one_line
-from .coordinates import FORCE, SHARED, STRING_SIZE, VALUES, WIDTH
+from .coordinates import STRING_SIZE
 from .estimate import Estimate
 from .posterior import Posterior
 from .problem import Problem
@@ -16,7 +16,6 @@ from .problem import Problem
 __all__ = ["STATUSES", "claims", "correlated", "messages", "statuses", "velocity_statuses"]
 
 STATUSES = ("fitted", "scaled", "given", "assumed", "at-bound", "not-identifiable")
-FELT = ("K_H", "mu", "p", "epsilon", "tau")
 # A parameter whose posterior is this wide, over its prior, has learned next to nothing from the recording.
 LEARNED = 0.7
 # A standard deviation of log(value) above this is no knowledge.
@@ -59,7 +58,7 @@ def statuses(problem: Problem, found: Estimate) -> dict[str, str]:
     bound = u.at_bound(found.z)
     prior = prior_spread(problem, found.z)
     result = {}
-    for i, name in enumerate(VALUES):
+    for i, name in enumerate(u.names):
         change = np.eye(u.size)[i]
         if not u.free[i]:
             result[name] = "assumed" if start.fixed.get(name) == "assumed" else "given"
@@ -69,21 +68,22 @@ def statuses(problem: Problem, found: Estimate) -> dict[str, str]:
             sd = found.posterior.deviation(change)
             vague = sd > (LOOSE if i < STRING_SIZE else min(LEARNED * prior[i], LOOSE))
             result[name] = "not-identifiable" if vague else "scaled" if start.rests_on.get(name) else "fitted"
+    felt = tuple(u.law.parameters)
     if problem.calibrated:
         excess = float(np.exp(found.minima.people.phi[0, 0]))
-        lost = () if excess <= STRAINED else FELT if excess <= POOR else (*FELT, "M_H")
+        lost = () if excess <= STRAINED else felt if excess <= POOR else (*felt, "M_H")
     else:
-        lost = () if problem.layout.compared else (*FELT, "M_H") if problem.path else FELT
+        lost = () if problem.layout.compared else (*felt, "M_H") if problem.path else felt
     for name in lost:
         if result.get(name) in ("fitted", "scaled"):
             result[name] = "not-identifiable"
     # Without a measured velocity what scales with it is known by its prior alone.
     if not problem.calibrated and all(v is None for v in problem.speed):
-        for name in ("K_H", "mu"):
+        for name in u.law.scaling("N m"):
             if problem.layout.compared and result[name] in ("fitted", "scaled", "not-identifiable"):
                 gauge = _at_reference(problem, found.posterior)
-                sd = gauge.deviation(np.eye(u.size)[VALUES.index(name)])
-                result[name] = "scaled" if sd < min(LEARNED * prior[VALUES.index(name)], LOOSE) else "not-identifiable"
+                sd = gauge.deviation(np.eye(u.size)[u.at(name)])
+                result[name] = "scaled" if sd < min(LEARNED * prior[u.at(name)], LOOSE) else "not-identifiable"
     return result
 
 
@@ -101,7 +101,9 @@ def velocity_statuses(problem: Problem, found: Estimate) -> list[str]:
 
 def _at_reference(problem: Problem, posterior: Posterior) -> Posterior:
     """Gauge-fixed: the reference stroke's velocity held."""
-    return posterior.given(np.eye(problem.unknowns.size)[SHARED + problem.layout.stroke[problem.reference]])
+    return posterior.given(
+        np.eye(problem.unknowns.size)[problem.unknowns.shared + problem.layout.stroke[problem.reference]]
+    )
 
 
 def claims(problem: Problem, found: Estimate, states: dict[str, str], levels: dict) -> str:
@@ -114,11 +116,11 @@ def claims(problem: Problem, found: Estimate, states: dict[str, str], levels: di
             missed = f"the model misses its levels by {excess:.2f} dB beyond the noise"
             return f"Calibrated recording, but {missed}: {what} values are no finding."
         lost = [n for n, state in states.items() if state == "not-identifiable" and n != "width"]
-        pairs = correlated(found.posterior)
+        pairs = correlated(problem, found.posterior)
         if lost:
             return f"Calibrated recording. Not identifiable from it: {', '.join(lost)}."
         if pairs:
-            together = "; ".join(f"{a} and {b} mostly together, as {_identified(found.posterior, a, b)}"
+            together = "; ".join(f"{a} and {b} mostly together, as {_identified(problem, found.posterior, a, b)}"
                                  for a, b, _ in pairs)  # fmt: skip
             return f"Calibrated recording: all free parameters are identified, {together}."
         return "Calibrated recording: all free parameters are identified."
@@ -132,40 +134,45 @@ def claims(problem: Problem, found: Estimate, states: dict[str, str], levels: di
     if not problem.layout.compared:
         text += " The felt's values are one possibility under the prior of the path, not a finding."
     if all(v is None for v in problem.speed):
+        moving = (name.replace("mu", "μ") for name in problem.unknowns.law.scaling("N m"))
         text += (
-            " No hammer velocity was measured: velocities, K_H and μ are known up to one common scale, "
+            f" No hammer velocity was measured: {_listed('velocities', *moving)} are known up to one common scale, "
             "and their intervals are the prior's; the ratios and products listed first do not depend on it."
         )
     return text
 
 
-def correlated(posterior: Posterior) -> list[tuple[str, str, float]]:
+def _listed(*names: str) -> str:
+    return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
+
+
+def correlated(problem: Problem, posterior: Posterior) -> list[tuple[str, str, float]]:
     """Pairs of parameters that the recordings do not tell apart, with their correlation."""
-    cov = posterior.covariance[0]
+    names, cov = problem.unknowns.names, posterior.covariance[0]
     sd = np.sqrt(np.diag(cov))
     return [
-        (VALUES[j], VALUES[i], float(r))
-        for i in range(len(VALUES))
+        (names[j], names[i], float(r))
+        for i in range(len(names))
         for j in range(i)
         if sd[i] > 0 and sd[j] > 0 and abs(r := cov[i, j] / (sd[i] * sd[j])) > STRONG
     ]
 
 
-def _identified(posterior: Posterior, a: str, b: str) -> str:
+def _identified(problem: Problem, posterior: Posterior, a: str, b: str) -> str:
     """The combination of two correlated parameters that is known best, and how well.
 
     With log b known, log a − s log b has the least variance at s = cov(a, b)/var(b). Of K_H and p it is the felt's
     static force K_H u^p, at the compression u where that is known best: d log(K_H u^p) = d log K_H + log(u) p d log p.
     """
-    i, j = VALUES.index(a), VALUES.index(b)
+    i, j = problem.unknowns.at(a), problem.unknowns.at(b)
     cov, mean = posterior.covariance[0], posterior.mean[0]
     slope = cov[i, j] / cov[j, j]
     half = NORMAL * float(np.sqrt(max(cov[i, i] - slope * cov[i, j], 0.0)))
     reach = f"± {100 * half:.2g} %"
-    if (a, b) == ("K_H", "p"):
+    if (a, b) == problem.unknowns.law.power:
         p = float(np.exp(mean[j]))
         u = float(np.exp(-slope / p))
-        return f"the felt's force at {1e3 * u:.2g} mm, K_H u^p = {np.exp(mean[i]) * u**p:.3g} N ({reach})"
+        return f"the felt's force at {1e3 * u:.2g} mm, {a} u^{b} = {np.exp(mean[i]) * u**p:.3g} N ({reach})"
     return f"the product {a} · {b}^{-slope:.2g} ({reach})"
 
 
@@ -182,8 +189,8 @@ def messages(problem: Problem, found: Estimate, states: dict[str, str], worse: S
         said.append(f"At the edge of the box, so their values are the box's: {', '.join(bound)}.")
     said += [
         f"{a} and {b} are strongly correlated ({r:+.3f}): better identified than either is "
-        f"{_identified(found.posterior, a, b)}."
-        for a, b, r in correlated(found.posterior)
+        f"{_identified(problem, found.posterior, a, b)}."
+        for a, b, r in correlated(problem, found.posterior)
     ]
     rests = sorted({x for names in problem.start.rests_on.values() for x in names})
     if rests:
@@ -191,10 +198,10 @@ def messages(problem: Problem, found: Estimate, states: dict[str, str], worse: S
             f"The string's {' and '.join(rests)} were not given and are the literature's for this key; "
             f"the SI values of {', '.join(problem.start.rests_on)} scale with them."
         )
-    if problem.unknowns.free[WIDTH]:
+    if problem.unknowns.free[width := problem.unknowns.at("width")]:
         said.append(
             "The shape of the contact's window is not known, so its width is fitted along: an effective "
-            f"{1e3 * np.exp(found.z[WIDTH]):.2f} mm (given or assumed: {1e3 * problem.start.geometry.width:.2f} mm)."
+            f"{1e3 * np.exp(found.z[width]):.2f} mm (given or assumed: {1e3 * problem.start.geometry.width:.2f} mm)."
         )
     phi, strings = np.exp(found.minima.people.phi[0]), found.minima.strings[0]
     said.append(
@@ -215,9 +222,10 @@ def _mixture(problem: Problem, found: Estimate) -> list[str]:
     u, people = problem.unknowns, found.minima.people
     other = 1 + int(np.argmax(share[1:]))
     apart = np.abs(found.posterior.mean[other] - found.posterior.mean[0])
-    apart[FORCE] = abs(people.z[other, FORCE] - people.z[0, FORCE])
-    at = int(np.argmax(np.where(u.free[:SHARED], apart[:SHARED], 0.0)))
-    name = VALUES[at]
+    if u.power:
+        apart[u.power[0]] = abs(people.z[other, u.power[0]] - people.z[0, u.power[0]])
+    at = int(np.argmax(np.where(u.free[: u.shared], apart[: u.shared], 0.0)))
+    name = u.names[at]
     values = np.exp(found.posterior.mean[[0, other], at])
     return [
         f"The best minimum has {100 * share[0]:.0f} % of the posterior's weight. A second hammer, with "

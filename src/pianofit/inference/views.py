@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..errors import ParameterError
-from .coordinates import SHARED, VALUES
 from .estimate import Estimate, Progress
 from .problem import Problem
 
@@ -61,9 +60,9 @@ def view_of(problem: Problem, found: Estimate, means: str, seed: int, progress: 
 
 def reported(problem: Problem) -> dict[str, int]:
     """What is free and shared, and the reference stroke's velocity: places in z by name."""
-    stroke = SHARED + problem.layout.stroke[problem.reference]
-    free = problem.unknowns.free
-    return {VALUES[i] if i < SHARED else "v_H0": int(i) for i in (*range(SHARED), stroke) if free[i]}
+    u = problem.unknowns
+    stroke = u.shared + problem.layout.stroke[problem.reference]
+    return {u.names[i] if i < u.shared else "v_H0": int(i) for i in (*range(u.shared), stroke) if u.free[i]}
 
 
 def open_messages(entries: dict[str, dict]) -> list[str]:

@@ -16,6 +16,8 @@ import numpy as np
 from .. import __version__
 from ..analysis.notes import midi_to_note
 from ..errors import ParameterError
+from ..model.decay import partial_decays
+from ..model.note import Note
 from ..model.path import OutputPath
 from ..parameters import PARAMETERS, Geometry, Hammer, String
 from .gather import (
@@ -34,6 +36,8 @@ from .velocity import velocity_map
 __all__ = ["KINDS", "SCHEMA", "build_instrument"]
 
 SCHEMA, KINDS = 1, ("fitted", "pulled", "outlier", "interpolated", "extrapolated")
+# Partials, from the first, whose beats and decays are listed of each key.
+LOWEST_PARTIALS = 4
 KEYS = np.arange(LOWEST_KEY, HIGHEST_KEY + 1)
 # How far instruments are from the literature's grand: offset, tilt, and the spread of smooth deviations, in logarithms
 # (cents for the tuning). Chosen once, after the spreads of `initial`.
@@ -134,13 +138,23 @@ def _key(i, midi, values, laws, keys, own, base, quantity, sign, paths) -> dict[
     state = ("interpolated" if inner else "extrapolated") if j is None else _worst(states)
     fit = None if j is None else {
         "file": keys[j].file, "takes": keys[j].takes, "levels_db": keys[j].levels_db, "converged": keys[j].converged,
-        "velocities": list(keys[j].velocities),
+        "velocities": list(keys[j].velocities), "partials": _partials(keys[j].note),
     }  # fmt: skip
     return {
         "midi": midi, "note": midi_to_note(midi), "state": state, "string": string._asdict(),
         "hammer": {n: getattr(hammer, n) for n in ("K_H", "mu", "p", "M_H")}, "geometry": geometry._asdict(),
         "gain": sign * gain, "path": _path_document(path), "told": told, "fit": fit,
     }  # fmt: skip
+
+
+def _partials(note: Note) -> list[dict[str, Any]]:
+    """Of the lowest partials: how far the two modes that beat lie apart, cents, and the late T60 over the early one."""
+    decays = [] if note.ringing is None else partial_decays(note.ringing)
+    return [
+        {"partial": one.number, "late_over_early": one.late / one.early, "split_cents": None
+         if math.isnan(one.beat_frequency) else 1200 * math.log2(1 + one.beat_frequency / one.frequency)}
+        for one in decays if one.number <= LOWEST_PARTIALS
+    ]  # fmt: skip
 
 
 def assemble(midi: int, at: dict[str, float], quantity: str) -> tuple[String, Hammer, Geometry, float]:

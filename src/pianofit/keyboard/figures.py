@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..report.drawing import FITTED, HEIGHT, INITIAL, MEASURED, legend, panel, styled, svg
+from ..report.figures_recordings import GROUPS as COLOURS
 from .gather import HIGHEST_KEY, LOWEST_KEY
 from .velocity import hammer_velocity
 from .words import TITLES
@@ -22,6 +23,7 @@ __all__ = ["draw"]
 
 LITERATURE, LAW, BAND, WRONG = INITIAL, FITTED, "#cfe3f1", "#a3123a"
 CS = {24: "C1", 36: "C2", 48: "C3", 60: "C4", 72: "C5", 84: "C6", 96: "C7", 108: "C8"}
+MARKERS = "osD^"
 GROUPS = {
     "string": ("cents", "B", "b1", "d2"),
     "hammer": ("M_H/M_S", "K/M_S", "p", "mu"),
@@ -34,6 +36,9 @@ def draw(document: dict[str, Any]) -> dict[str, list[bytes]]:
     with styled():
         figures = {name: [_law_panel(document, law) for law in names] for name, names in GROUPS.items()}
         figures["sound"] = _sound(document)
+        rows = [(key["midi"], one) for key in document["keys"] for one in (key["fit"] or {}).get("partials", ())]
+        if rows:
+            figures["ringing"] = _ringing(rows)
         return {name: [svg(figure) for figure in panels] for name, panels in figures.items()}
 
 
@@ -105,6 +110,27 @@ def _sound(document: dict[str, Any]) -> list[Figure]:
     quality.set_ylim(bottom=0)
     _keyboard(quality)
     return [gain, *others]
+
+
+def _ringing(rows: list[tuple[int, dict[str, Any]]]) -> list[Figure]:
+    """What beats and how it decays, of the lowest partials of the keys whose modes are known."""
+    titles = {
+        "split_cents": "split of the two modes that beat (cents)",
+        "late_over_early": "late T60 over early T60",
+    }
+    drawn = []
+    for name, title in titles.items():
+        figure, (axes,) = panel(HEIGHT)
+        for partial in sorted({one["partial"] for _, one in rows}):
+            shown = [(midi, one[name]) for midi, one in rows if one["partial"] == partial and one[name] is not None]
+            axes.plot(*np.reshape(shown, (-1, 2)).T, marker=MARKERS[(partial - 1) % len(MARKERS)], ls="none", ms=5,
+                      color=COLOURS[(partial - 1) % len(COLOURS)], label=f"partial {partial}")  # fmt: skip
+        axes.set_title(title)
+        _keyboard(axes)
+        _log(axes, [one[name] for _, one in rows if one[name] is not None] or [1.0])
+        legend(figure, axes)
+        drawn.append(figure)
+    return drawn
 
 
 def _velocities(axes: Axes, law: dict[str, Any]) -> None:

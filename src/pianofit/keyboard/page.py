@@ -22,6 +22,7 @@ CONTENTS = (
     ("hammer", "The hammer"),
     ("sizes", "Sizes"),
     ("sound", "The output path and velocity"),
+    ("ringing", "Mistuning and double decay"),
     ("keys", "The keys"),
 )
 
@@ -34,15 +35,15 @@ def write_page(path: str | os.PathLike[str], document: dict[str, Any]) -> None:
     OutputError
         If `path` cannot be written.
     """
-    found = counts(document)
+    found, figures = counts(document), draw(document)
     kit.write_page(
         path, "page.html.j2", package="pianofit.keyboard", strict=False, title=document["name"] or "Instrument",
-        contents=CONTENTS,
+        contents=[(at, words) for at, words in CONTENTS if at != "ringing" or "ringing" in figures],
         doc=document,
         quantity=document["quantity"],
         known=sum(key["fit"] is not None for key in document["keys"]),
         states=[(state, found[state], words) for state, words in STATES.items() if found[state]],
-        figures={name: kit.picture(panels) for name, panels in draw(document).items()},
+        figures={name: kit.picture(panels) for name, panels in figures.items()},
         rows=[_row(key) for key in document["keys"]],
         outlying=f"{OUTLYING:g}", loudest=f"{LOUDEST:g}",
         u_low=1e3 * reference_compression(LOWEST_KEY), u_high=1e3 * reference_compression(HIGHEST_KEY),

@@ -6,7 +6,7 @@ A string is a table of modes (`modes`), contact is one scalar equation per step 
 
 from .contact import Pulse, kernel, strike
 from .excitation import pluck
-from .felt import FeltLaw, felt_force
+from .felt import felt_force, static_force
 from .modes import Modes, mode_frequencies, mode_table, project, window_weights
 from .note import Note
 from .path import OutputPath
@@ -14,7 +14,6 @@ from .response import level_db, levels, mobility, pulse_transform, ringing, spec
 from .simulate import Simulation, contact_rate, simulate
 
 __all__ = [
-    "FeltLaw",
     "Modes",
     "Note",
     "OutputPath",
@@ -34,6 +33,7 @@ __all__ = [
     "ringing",
     "simulate",
     "spectrum",
+    "static_force",
     "strike",
     "string_energy",
     "waveform",

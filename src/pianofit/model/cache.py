@@ -12,12 +12,13 @@ import hashlib
 import os
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from pathlib import Path
 
 import jax
 from jax.core import Tracer
 
+from ..felt import FeltLaw, is_own
 from .precision import scope
 
 __all__ = ["LOADED", "cache_folder", "keep_programs", "kept"]
@@ -63,15 +64,16 @@ def keep_programs() -> None:
 def kept(function: Callable) -> Callable:
     """`function(*arrays, cfg)` as `jax.jit` makes it, static in `cfg`, its traced programs kept in JAX's folder.
 
-    Arguments are trees of arrays, of float64 or integers, `cfg` a tuple with a faithful `repr`, the result a tuple of
-    arrays. Without a folder, and inside other transformations, this is `jax.jit`. The programs of the last `LOADED`
+    Arguments are trees of arrays, of float64 or integers, `cfg` hashable with a faithful `repr`, the result a tuple of
+    arrays. Without a folder, inside other transformations, and for a felt law from outside, whose code may change
+    between runs, this is `jax.jit`. The programs of the last `LOADED`
     shapes stay in memory.
     """
     jitted = jax.jit(function, static_argnums=-1)
     alone = threading.Lock()  # two threads that need one program wait for it, and do not both make it
 
     @functools.lru_cache(maxsize=LOADED)
-    def program(folder: str, cfg: tuple, tree, shapes: tuple) -> Callable:
+    def program(folder: str, cfg: Hashable, tree, shapes: tuple) -> Callable:
         key = (cfg, tree, *shapes)
         named = hashlib.sha256(repr((_sources(), jax.default_backend(), function.__name__, key)).encode())
         file = Path(folder) / f"pianofit-{function.__name__}-{named.hexdigest()}.program"
@@ -83,13 +85,18 @@ def kept(function: Callable) -> Callable:
         leaves, tree = jax.tree.flatten(trees)
         folder = jax.config.values["jax_compilation_cache_dir"]
         with scope():
-            if not folder or any(isinstance(x, Tracer) for x in leaves):
+            if not folder or not _lasting(cfg) or any(isinstance(x, Tracer) for x in leaves):
                 return jitted(*args)
             with alone:
                 chosen = program(folder, cfg, tree, tuple((x.shape, x.dtype) for x in leaves))
             return chosen(*leaves)
 
     return call
+
+
+def _lasting(cfg: tuple | None) -> bool:
+    """Whether `cfg` will mean the same in the next run."""
+    return all(is_own(part) for part in cfg or () if isinstance(part, FeltLaw))
 
 
 def _program(file: Path, function: Callable, shapes: tuple) -> Callable:

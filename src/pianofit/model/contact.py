@@ -11,7 +11,7 @@ with the law of `felt` for F: a convex, rising function of `u_n`.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -19,11 +19,10 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Complex, Float
 
 from ..errors import ParameterError
-from ..parameters import Hammer, MemoryHammer
 from .exponentials import BLOCK, real_powers, ring
 from .felt import compression, force, memory_weights, remember
 from .modes import Modes
-from .precision import float64
+from .precision import AnyArray, float64
 
 __all__ = [
     "FreeMotion",
@@ -60,15 +59,15 @@ class Struck(NamedTuple):
 class FreeMotion(NamedTuple):
     """A string that moves by itself: q = Re(amplitude · z^n), y at the strike [steps], and its energy."""
 
-    amplitude: Array  # complex [modes], m
+    amplitude: Complex[Array, " modes"]  # m
     under_hammer: Float[Array, " steps"]  # m
     speed: Float[Array, ""]  # of the string under the hammer at t = 0, m/s, the scheme's
     energy: Float[Array, ""]  # J
 
 
 @float64
-def impulse_amplitude(modes: Modes) -> Array:
-    """C_k, complex [modes]: a unit `T` at step 0 leaves the mode at q_n = Re(C_k z_k^n), n ≥ 0. m/N."""
+def impulse_amplitude(modes: Modes) -> Complex[Array, " modes"]:
+    """C_k: a unit `T` at step 0 leaves the mode at q_n = Re(C_k z_k^n), n ≥ 0. m/N."""
     a = modes.step / 2
     v = a * modes.drive / (1 + 2 * a * modes.alpha + a**2 * modes.omega2)
     q = a * v
@@ -89,7 +88,9 @@ def kernel_rows(modes: Modes, steps: int) -> Float[Array, "32 steps"]:
 
 
 @float64
-def free_motion(modes: Modes, displacement: Array, velocity: Array, steps: int) -> FreeMotion:
+def free_motion(
+    modes: Modes, displacement: Float[AnyArray, " modes"], velocity: Float[AnyArray, " modes"], steps: int
+) -> FreeMotion:
     """The motion of a string released at t = 0 with modal `displacement`, m, and `velocity`, m/s [modes]."""
     rate = modes.free_rate
     amplitude = displacement - 1j * (velocity - rate.real * displacement) / rate.imag
@@ -100,13 +101,13 @@ def free_motion(modes: Modes, displacement: Array, velocity: Array, steps: int) 
     z_1 = jnp.expm1(modes.pole * modes.step)
     velocity = (amplitude * z_1 / (2 + z_1)).real * (2 / modes.step)
     energy = 0.5 * (mass * (velocity**2 + modes.omega2 * displacement**2)).sum()
-    return FreeMotion(amplitude, under, (modes.strike * velocity).sum(), energy)
+    return FreeMotion(jnp.asarray(amplitude), under, (modes.strike * velocity).sum(), energy)
 
 
 @float64
 def strike(
-    modes: Modes, hammer: Hammer | MemoryHammer, *, steps: int, free: FreeMotion | None = None,
-    rows: Array | None = None, whole: bool = True,
+    modes: Modes, hammer: Any, *, steps: int, free: FreeMotion | None = None,
+    rows: AnyArray | None = None, whole: bool = True,
 ) -> Pulse:  # fmt: skip
     """The hammer on the string from the first contact on, for `steps` steps of the table's own δt.
 
@@ -117,7 +118,7 @@ def strike(
     Parameters
     ----------
     modes : the table, see `mode_table`. Its rate sets the step's error, of second order: 88,200 Hz leaves 1e-3.
-    hammer : K_H, mu, p, M_H, v_H0 in SI units; a `MemoryHammer`, or a hammer of a `FeltLaw`.
+    hammer : a `Hammer`, K_H, mu, p, M_H, v_H0 in SI units; a `MemoryHammer`, or a hammer of a `FeltLaw`.
     steps : how long to follow the hammer; a multiple of 32. Contacts last 1 to 8 ms: 1024 steps at 88,200 Hz suit the
         middle, the bass needs more. What it costs is linear in steps and in modes.
     free : motion of a string that already sounds, see `pluck`; at rest by default.
@@ -161,7 +162,7 @@ def strike(
 
 
 @float64
-def leave(modes: Modes, hammer: Hammer | MemoryHammer, *, steps: int) -> Struck:
+def leave(modes: Modes, hammer: Any, *, steps: int) -> Struck:
     """What `strike` leaves in the modes of a string at rest, marching only until the contact is proven to be over.
 
     Parameters
@@ -189,13 +190,13 @@ def leave(modes: Modes, hammer: Hammer | MemoryHammer, *, steps: int) -> Struck:
     return Struck(amplitude, jnp.asarray(count * BLOCK + 1), apart)
 
 
-def _reach(modes: Modes, energy: Array) -> Array:
+def _reach(modes: Modes, energy: AnyArray) -> Array:
     """The farthest a string of this energy can be from rest under the hammer, m (Cauchy-Schwarz over the modes)."""
     compliance = (modes.strike * modes.drive / modes.omega2).sum()
     return jnp.sqrt(2 * jnp.maximum(energy, 0.0) * compliance)
 
 
-def _blocks(modes: Modes, hammer: Hammer | MemoryHammer, y_string: Array, speed: Array | float, rows: Array | None):
+def _blocks(modes: Modes, hammer: Any, y_string: AnyArray, speed: AnyArray | float, rows: AnyArray | None):
     """A function that steps the hammer over a block of steps, and the state it begins with; symbols as at the top.
 
     The sum over past forces is split: those of the present block are summed with the kernel, step by step; all earlier
@@ -244,7 +245,7 @@ def _blocks(modes: Modes, hammer: Hammer | MemoryHammer, y_string: Array, speed:
     return block, (zero, v - speed, zero, y, v, None if weights is None else zero)
 
 
-def _march(modes: Modes, hammer: Hammer | MemoryHammer, under: Array, speed: Array | float, rows: Array | None):
+def _march(modes: Modes, hammer: Any, under: Float[AnyArray, " steps"], speed: AnyArray | float, rows: AnyArray | None):
     """Step the hammer over the string as long as `under` [steps]: drive, force, u, y_H and v_H [steps]."""
     block, state = _blocks(modes, hammer, under[0], speed, rows)
     # The first block starts at step 1, with nothing ringing yet.

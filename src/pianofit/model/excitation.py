@@ -13,8 +13,30 @@ __all__ = ["pluck"]
 
 @float64
 def pluck(modes: Modes, force: float = 1.0) -> FreeMotion:
-    """The motion after a steady `force`, N, on the table's contact window is let go.
+    """The motion after a steady force on the table's contact window is let go.
 
     Of a mode under a steady force no more is left than its compliance. For `levels`, `waveform` and `spectrum`.
+
+    Parameters
+    ----------
+    modes : the table, see `mode_table`.
+    force : N.
+
+    Returns
+    -------
+    The free motion: `amplitude`, complex, m [modes]; `under_hammer`, m [1]; `speed`, m/s; `energy`, J.
+
+    Raises
+    ------
+    ParameterError
+        Where it is traced in float32.
+
+    Examples
+    --------
+    >>> import pianofit
+    >>> it = pianofit.preset("bensa-final")
+    >>> modes = pianofit.mode_table(it.string, it.geometry, rate=88_200.0, n_modes=64)
+    >>> f"{1e6 * pianofit.pluck(modes, 2.0).energy:.1f} μJ"
+    '356.6 μJ'
     """
     return free_motion(modes, force * modes.drive / modes.omega2, jnp.zeros_like(modes.omega2), 1)

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Complex, Float
 
-from .precision import float64
+from .precision import AnyArray, float64
 
 __all__ = ["BLOCK", "real_powers", "ring", "transform"]
 
@@ -19,10 +19,10 @@ __all__ = ["BLOCK", "real_powers", "ring", "transform"]
 BLOCK = 32
 
 
-def real_powers(log_z: Array, count: int, stride: int) -> tuple[Array, Array]:
+def real_powers(log_z: Complex[AnyArray, " rows"], count: int, stride: int) -> tuple[Array, Array]:
     """Real and imaginary part of z^(stride i), i < count: [rows, count]. Complex products are slow on a CPU."""
     n = stride * jnp.arange(count)
-    size, angle = jnp.exp(log_z.real[:, None] * n), log_z.imag[:, None] * n
+    size, angle = jnp.exp(jnp.real(log_z)[:, None] * n), jnp.imag(log_z)[:, None] * n
     return size * jnp.cos(angle), size * jnp.sin(angle)
 
 
@@ -43,7 +43,9 @@ def _ring_jvp(primal, tangent):
 
 
 @float64
-def ring(amplitude: Complex[Array, " rows"], log_z: Complex[Array, " rows"], steps: int) -> Float[Array, " steps"]:
+def ring(
+    amplitude: Complex[AnyArray, " rows"], log_z: Complex[AnyArray, " rows"], steps: int
+) -> Float[Array, " steps"]:
     """Σ_k Re(A_k z_k^n), n < steps."""
     return _ring(amplitude, log_z, jnp.arange(steps, dtype=float))
 
@@ -65,6 +67,6 @@ def _transform_jvp(primal, tangent):
 
 
 @float64
-def transform(signal: Float[Array, " steps"], log_z: Complex[Array, " rows"]) -> Complex[Array, " rows"]:
+def transform(signal: Float[AnyArray, " steps"], log_z: Complex[AnyArray, " rows"]) -> Complex[Array, " rows"]:
     """Σ_n s_n z_k^n."""
     return _transform(signal, log_z, jnp.arange(signal.shape[0], dtype=float))

@@ -71,6 +71,10 @@ class Ringing(NamedTuple):
         """The same key through another gain."""
         return self._replace(pattern=gain * self.pattern, knock=gain * self.knock)
 
+    def sharper(self, ratio: float) -> Ringing:
+        """The same key with all frequencies times `ratio`."""
+        return self._replace(pole=np.real(self.pole) + 1j * ratio * np.imag(self.pole))
+
     def without_knock(self) -> Ringing:
         """The modes alone."""
         return self._replace(knock=self.knock[:, :0])
@@ -88,7 +92,7 @@ class Ringing(NamedTuple):
         While the force lasts, modes are convolved with it; afterwards they ring in closed form.
         """
         pulse, lead = force.at(rate), round(LEAD * rate)
-        below = self.pole.imag < np.pi * rate
+        below = np.imag(self.pole) < np.pi * rate
         pole, pattern = self.pole[below], self.pattern[:, below]
         out = np.zeros((self.channels, max(count, lead - EDGE) + len(pulse)))
         begin, head = lead - EDGE, len(pulse)
@@ -112,5 +116,5 @@ def ring(pole: np.ndarray, amplitude: np.ndarray, rate: float, count: int) -> np
     begins = np.exp(np.outer(np.arange(-(-count // block)) * (block / rate), pole))
     inside = np.exp(np.outer(pole, np.arange(block) / rate))
     start = amplitude[:, None, :] * begins
-    rows = start.real @ inside.real - start.imag @ inside.imag
+    rows = np.real(start) @ np.real(inside) - np.imag(start) @ np.imag(inside)
     return rows.reshape(len(amplitude), -1)[:, :count]

@@ -22,7 +22,7 @@ from jaxtyping import Array, Complex, Float
 
 from ..errors import ParameterError
 from ..parameters import Geometry, String
-from .precision import float64
+from .precision import AnyArray, float64
 
 __all__ = ["QUANTITIES", "Modes", "mode_frequencies", "mode_table", "project", "window_weights"]
 
@@ -54,7 +54,7 @@ def mode_frequencies(string: String, length: float, n_modes: int) -> np.ndarray:
     return np.sqrt(string.c**2 * beta2 + string.kappa**2 * beta2**2) / (2 * np.pi)
 
 
-def raised_cosine_weights(geometry: Geometry, n_modes: int, xp=jnp) -> Float[Array | np.ndarray, " modes"]:
+def raised_cosine_weights(geometry: Geometry, n_modes: int, xp=jnp) -> Float[AnyArray, " modes"]:
     """Φ_k of the default window, ĝ = (1 + cos(2π(x - x0)/width))/width within ± width/2, in closed form.
 
     `xp` is the array library: NumPy where nothing is to be compiled.
@@ -110,11 +110,11 @@ def mode_table(
     string: String,
     geometry: Geometry,
     *,
-    rate: float | Array,
+    rate: float | AnyArray,
     n_modes: int,
     quantity: str = "velocity",
     kind: str = "continuous",
-    strike_weights: Array | None = None,
+    strike_weights: Float[AnyArray, " modes"] | None = None,
 ) -> Modes:
     """Fill the table: the string, and where it is struck and heard, one row a mode.
 
@@ -126,7 +126,7 @@ def mode_table(
     quantity : what is heard: `velocity` or `displacement` at the pickup, or the `bridge-force` at x = L; `pressure` is
         the bridge force too, before the unknown path.
     kind : `continuous` (prewarped) or `finite_difference` (paper eq. 16-18, as it stands).
-    strike_weights : Φ_k [modes] of another contact window than the default, see `window_weights`.
+    strike_weights : Φ_k [modes] of another contact window than the default, by `pianofit.model.window_weights`.
 
     Returns
     -------
@@ -176,7 +176,7 @@ def _grid_weights(geometry: Geometry, n: int) -> Float[Array, " modes"]:
     return jnp.sin(jnp.arange(1, n + 1)[:, None] * (jnp.pi / geometry.length) * x) @ g / g.sum()
 
 
-def _pickup(string: String, geometry: Geometry, beta: Array, quantity: str) -> tuple[Array, bool]:
+def _pickup(string: String, geometry: Geometry, beta: AnyArray, quantity: str) -> tuple[Array, bool]:
     """ψ_k, and whether it reads the displacement (else the velocity)."""
     if quantity in ("velocity", "displacement"):
         return jnp.sin(beta * geometry.pickup), quantity == "displacement"

@@ -1,4 +1,4 @@
-"""A note: string, hammer, geometry, and the path to a file. The only thing that renders, predicts and plays."""
+"""A note: string, hammer, geometry, and what lies between them and a file. Only notes render, predict and play."""
 
 from __future__ import annotations
 
@@ -10,9 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..errors import ParameterError
-from ..parameters import Geometry, Hammer, MemoryHammer, String, check_velocity
+from ..felt import MemoryHammer
+from ..parameters import Geometry, Hammer, String, check_velocity
 from ..recording import RATES
 from .contact import strike
+from .modal import LEAD, Ringing, force_of
 from .modes import mode_frequencies, mode_table
 from .path import OutputPath, filtered, impulse, through
 from .precision import float64
@@ -50,13 +52,33 @@ class Note(NamedTuple):
     quantity: str  # what is heard, see `mode_table`
     gain: float  # file units (full scale = 1) per unit of the pickup
     path: OutputPath | None = None  # dB over frequency, beside the gain
+    ringing: Ringing | None = None  # what sounds in place of string and path, per unit of gain; they keep the levels
 
     def struck(self, velocity: float) -> Note:
         """The same note with another hammer velocity, m/s."""
         return self._replace(hammer=self.hammer._replace(v_H0=velocity))
 
-    def render(self, velocity: float | None = None, *, seconds: float = 3.0, rate: int = 44_100) -> np.ndarray:
-        """The sound [samples] in file units from the first contact on, at another hammer velocity, m/s, if given.
+    def tuned(self, cents: float) -> Note:
+        """The same note at another pitch."""
+        ratio = 2 ** (cents / 1200)
+        ringing = None if self.ringing is None else self.ringing.sharper(ratio)
+        return self._replace(string=self.string._replace(c=self.string.c * ratio), ringing=ringing)
+
+    @property
+    def lead(self) -> float:
+        """How long before the contact the sound can begin, s."""
+        return 0.0 if self.ringing is None else LEAD
+
+    def render(
+        self, velocity: float | None = None, *, seconds: float = 3.0, rate: int = 44_100, mono: bool = True
+    ) -> np.ndarray:
+        """The sound in file units, at another hammer velocity, m/s, if given.
+
+        It begins `lead` seconds before the first contact.
+
+        Returns
+        -------
+        [samples], the mean of the channels; [channels, samples] if not `mono`.
 
         Raises
         ------
@@ -67,7 +89,8 @@ class Note(NamedTuple):
         """
         check_render(velocity, seconds, rate)
         note = self if velocity is None else self.struck(velocity)
-        return note.play(rate, round(seconds * rate))[0]
+        frames = note.frames(note.strike(rate), rate, round(seconds * rate), round(note.lead * rate))
+        return frames.mean(axis=0) if mono else frames
 
     def play(self, rate: float, samples: int, touch: int = 0) -> tuple[np.ndarray, Simulation]:
         """The sound [samples] in file units, and the stroke behind it; the contact begins at the index `touch`."""
@@ -79,27 +102,39 @@ class Note(NamedTuple):
         return simulate(self.string, self.hammer, self.geometry, rate=rate, quantity=self.quantity)
 
     def heard(self, strike: Simulation, rate: float, samples: int, touch: int = 0) -> np.ndarray:
-        """A stroke of this note in file units [samples].
+        """A stroke of this note in file units, the mean of its channels [samples]; see `frames`."""
+        return self.frames(strike, rate, samples, touch).mean(axis=0)
+
+    def frames(self, strike: Simulation, rate: float, samples: int, touch: int = 0) -> np.ndarray:
+        """A stroke of this note in file units [channels, samples].
 
         The index `touch` may lie before the first sample: then the sound is cut. A stiff string is heard long before
         its main wave arrives, so only what begins at the touch begins with silence.
         """
+        begin = touch - round(self.lead * rate)
+        count = max(samples - begin, 0)
+        sound = self._by_law(strike, rate, count)[None] if self.ringing is None else (
+            self.gain * self.ringing.sound(force_of(strike), round(rate), count)
+        )  # fmt: skip
+        return np.pad(sound[:, max(-begin, 0) :], ((0, 0), (max(begin, 0), 0)))[:, :samples]
+
+    def _by_law(self, strike: Simulation, rate: float, count: int) -> np.ndarray:
+        """The string's own modes through the path, from the contact on [count]."""
         path, pole = through(self.path, np.asarray(strike.modes.pole))
         own = strike.modes._replace(pickup=np.asarray(strike.modes.pickup) * self.gain, pole=pole)
-        sound = strike._replace(modes=own).waveform(rate, max(samples - touch, 0))
-        sound = filtered(sound, impulse(path, rate))[: len(sound)]
-        return np.pad(sound[max(-touch, 0) :], (max(touch, 0), 0))[:samples]
+        sound = strike._replace(modes=own).waveform(rate, count)
+        return filtered(sound, impulse(path, rate))[:count]
 
     def frequencies(self, count: int) -> np.ndarray:
-        """Where the string has partials 1 to `count`, Hz [partials]; real ones lie beside it."""
+        """Where the string has its first partials, Hz [partials]; real ones lie beside it."""
         return mode_frequencies(self.string, self.geometry.length, count)
 
     def levels(self, velocity: float | np.ndarray | None = None, count: int = 32) -> np.ndarray:
-        """Levels of partials 1 to `count` at one or many hammer velocities, m/s, from the wave's arrival on.
+        """Levels of the first partials at one or many hammer velocities, m/s, from the wave's arrival on.
 
         Returns
         -------
-        dB in file units [..., partials], the leading axes being those of `velocity`; see `response.level_db`. Infinite
+        dB in file units [..., partials], the leading axes being those of `velocity`; as of `levels`. Infinite
         where the contact does not end.
         """
         g, v = self.geometry, np.asarray(self.hammer.v_H0 if velocity is None else velocity, float)
@@ -115,8 +150,8 @@ class Note(NamedTuple):
 
 jax.tree_util.register_pytree_node(
     Note,
-    lambda note: ((note.string, note.hammer, note.geometry, note.gain, note.path), note.quantity),
-    lambda quantity, x: Note(x[0], x[1], x[2], quantity, x[3], x[4]),
+    lambda note: ((note.string, note.hammer, note.geometry, note.gain, note.path, note.ringing), note.quantity),
+    lambda quantity, x: Note(*x[:3], quantity, *x[3:]),
 )
 
 

@@ -19,10 +19,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
+from jaxtyping import Array
 
 from ..errors import ParameterError
 
-__all__ = ["float64", "scope"]
+__all__ = ["AnyArray", "float64", "scope"]
+
+# What is computed with: arrays of JAX, traced ones among them, or of NumPy.
+AnyArray = Array | np.ndarray
 
 P = ParamSpec("P")
 R = TypeVar("R")

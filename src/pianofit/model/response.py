@@ -12,12 +12,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
+from scipy.signal import oaconvolve
 
 from ..errors import ParameterError
 from .contact import FreeMotion, impulse_amplitude
 from .exponentials import transform
 from .modes import Modes
-from .precision import float64
+from .precision import AnyArray, float64
 
 __all__ = ["level_db", "levels", "mobility", "pulse_transform", "ringing", "spectrum", "string_energy", "waveform"]
 
@@ -28,39 +29,66 @@ MOST_RISE = 300.0
 
 
 @float64
-def damped_circle(frequency: Array, sigma: float | Array, step: Array) -> Complex[Array, " bins"]:
+def damped_circle(
+    frequency: Float[AnyArray, " bins"], sigma: float | AnyArray, step: AnyArray
+) -> Complex[Array, " bins"]:
     """ζ at frequencies in Hz [bins] and σ in 1/s."""
     return jnp.exp(-(sigma + 2j * jnp.pi * frequency) * step)
 
 
 @float64
-def pulse_transform(drive: Float[Array, " steps"], log_zeta: Array) -> Complex[Array, " bins"]:
+def pulse_transform(drive: Float[AnyArray, " steps"], log_zeta: Complex[AnyArray, " bins"]) -> Complex[Array, " bins"]:
     """T̂ = Σ_n T^n ζ^n, N, at log ζ, complex [bins]. At log ζ = -p_k δt it is what rings in mode k."""
     return transform(drive, log_zeta)
 
 
 @float64
-def mobility(modes: Modes, zeta: Complex[Array, " bins"], amplitude: Array | None = None) -> Complex[Array, " bins"]:
-    """H(ζ) = Σ_n h_n ζ^n of the response h to a unit `T` (or to free modal `amplitude`s), per step.
-
-    A mode Re(R z^n) transforms to (Re R - Re(R z̄) ζ)/(1 - 2 Re z ζ + |z|² ζ²).
-    """
+def mobility(
+    modes: Modes, zeta: Complex[AnyArray, " bins"], amplitude: Complex[AnyArray, " modes"] | None = None
+) -> Complex[Array, " bins"]:
+    """H(ζ) = Σ_n h_n ζ^n of the response h to a unit `T` (or to free modal `amplitude`s), per step."""
     residue = modes.pickup * impulse_amplitude(modes) if amplitude is None else modes.free_pickup * amplitude
-    z = jnp.exp(modes.pole * modes.step)
-    upper = residue.real - (residue * z.conj()).real * zeta[:, None]
+    return ringing_transform(residue, modes.pole * modes.step, jnp.log(zeta))
+
+
+@float64
+def ringing_transform(residue: Array, log_z: Array, log_zeta: Array) -> Array:
+    """Σ_k of the transforms at ζ of what rings as Re(R_k z_k^n); `residue` and `log_z` have the modes as a last axis.
+
+    A mode transforms to (Re R - Re(R z̄) ζ)/(1 - 2 Re z ζ + |z|² ζ²).
+    """
+    upper = residue.real - (residue * jnp.exp(log_z).conj()).real * jnp.exp(log_zeta)[..., None]
     # (1 - zζ)(1 - z̄ζ), each formed from what is left after the ones have cancelled.
-    rise, turn = jnp.expm1(modes.pole * modes.step), zeta[:, None] - 1
+    rise, turn = jnp.expm1(log_z), jnp.expm1(log_zeta)[..., None]
     lower = (rise + turn + rise * turn) * (rise.conj() + turn + rise.conj() * turn)
-    return (upper / lower).sum(axis=1)
+    return (upper / lower).sum(axis=-1)
 
 
 @float64
 def spectrum(
-    modes: Modes, drive: Float[Array, " steps"], frequency: Array, sigma: float | Array, free: FreeMotion | None = None
-) -> Complex[Array, " bins"]:
+    modes: Modes, drive: Float[AnyArray, " steps"], frequency: Float[AnyArray, " bins"], sigma: float | AnyArray,
+    free: FreeMotion | None = None,
+) -> Complex[Array, " bins"]:  # fmt: skip
     """Y at `frequency`, Hz [bins], on the damped circle of `sigma`, 1/s: ∫ y exp(-(σ + jω)t) dt, signal unit · s.
 
     σ is the width of every peak, σ/2π Hz: 30 is broad and smooth, 3 shows partials that beat.
+
+    Parameters
+    ----------
+    modes : the table, see `mode_table`.
+    drive : of a pulse, N [steps], see `strike`.
+    frequency : Hz [bins].
+    sigma : 1/s.
+    free : motion of the string itself, see `pluck`.
+
+    Returns
+    -------
+    Y, complex, signal unit · s [bins].
+
+    Raises
+    ------
+    ParameterError
+        Where it is traced in float32.
 
     Examples
     --------
@@ -79,7 +107,7 @@ def spectrum(
 
 
 @float64
-def ringing(modes: Modes, drive: Float[Array, " steps"], free: FreeMotion | None = None) -> Complex[Array, " modes"]:
+def ringing(modes: Modes, drive: Float[AnyArray, " steps"], free: FreeMotion | None = None) -> Complex[Array, " modes"]:
     """A_k: after the contact the signal is Σ_k Re(A_k exp(p_k t)), t from the first touch."""
     total = modes.pickup * impulse_amplitude(modes) * pulse_transform(drive, _back(modes, len(drive)))
     return total if free is None else total + modes.free_pickup * free.amplitude
@@ -92,7 +120,7 @@ def _back(modes: Modes, steps: int) -> Array:
 
 
 @float64
-def string_energy(modes: Modes, drive: Float[Array, " steps"]) -> Float[Array, " modes"]:
+def string_energy(modes: Modes, drive: Float[AnyArray, " steps"]) -> Float[Array, " modes"]:
     """Energy of every mode after the pulse, J, carried back to t = 0 as if it had rung since."""
     amplitude = impulse_amplitude(modes) * pulse_transform(drive, _back(modes, len(drive)))
     silent = modes.drive == 0
@@ -102,12 +130,35 @@ def string_energy(modes: Modes, drive: Float[Array, " steps"]) -> Float[Array, "
 
 @float64
 def levels(
-    modes: Modes, drive: Float[Array | np.ndarray, " steps"] | None = None, *, free: FreeMotion | None = None
-) -> Float[Array, " modes"]:
+    modes: Modes, drive: Float[AnyArray, " steps"] | None = None, *, free: FreeMotion | None = None
+) -> Float[AnyArray, " modes"]:
     """Levels of all partials after the contact, dB re (signal unit)² · s [modes], by pulse, free motion or both.
 
-    A level is the energy in the first 0.35 s under exp(-8t), as if every partial had rung since the first contact; see
-    `level_db`. Modes without weight are at the smallest number, -3077 dB.
+    A level is the energy in the first 0.35 s under exp(-8t), as if every partial had rung since the first contact.
+    Modes without weight are at the smallest number, -3077 dB.
+
+    Parameters
+    ----------
+    modes : the table, see `mode_table`.
+    drive : of a pulse, N [steps], see `strike`.
+    free : motion of the string itself, see `pluck`.
+
+    Returns
+    -------
+    Levels, dB [modes].
+
+    Raises
+    ------
+    ParameterError
+        Where it is traced in float32.
+
+    Examples
+    --------
+    >>> import pianofit
+    >>> it = pianofit.preset("bensa-final")
+    >>> modes = pianofit.mode_table(it.string, it.geometry, rate=88_200.0, n_modes=64)
+    >>> pianofit.levels(modes, pianofit.strike(modes, it.hammer, steps=1024).drive)[:3].round()
+    array([-21., -24., -41.])
     """
     drive = jnp.zeros(1) if drive is None else jnp.asarray(drive)
     return level_db(ringing(modes, drive, free), -modes.pole.real)
@@ -115,8 +166,8 @@ def levels(
 
 @float64
 def level_db(
-    amplitude: Complex[Array | np.ndarray, " modes"], decay: Float[Array | np.ndarray, " modes"], xp=jnp
-) -> Float[Array, " modes"]:
+    amplitude: Complex[AnyArray, " modes"], decay: Float[AnyArray, " modes"], xp=jnp
+) -> Float[AnyArray, " modes"]:
     """Energy of each damped partial Re(A exp(-αt + jωt)) in the first 0.35 s under exp(-8t), dB re unit² · s.
 
     `xp` is the array library: NumPy where nothing is to be compiled, whose arrays then come back.
@@ -129,7 +180,7 @@ def level_db(
 @float64
 def waveform(
     modes: Modes,
-    drive: Float[Array | np.ndarray, " steps"] | None = None,
+    drive: Float[AnyArray, " steps"] | None = None,
     *,
     rate: float,
     samples: int,
@@ -139,6 +190,18 @@ def waveform(
 
     During the contact the pulse is convolved with the string's response at the contact's rate, of which `rate` must be
     a whole fraction; afterwards the modes below half of `rate` ring by themselves.
+
+    Parameters
+    ----------
+    modes : the table, see `mode_table`.
+    drive : of a pulse, N [steps], see `strike`.
+    rate : Hz.
+    samples : how many.
+    free : motion of the string itself, see `pluck`.
+
+    Returns
+    -------
+    The signal [samples], in the pickup's unit: m/s, m or N.
 
     Raises
     ------
@@ -168,7 +231,7 @@ def waveform(
 
     steps = len(drive)
     during = np.exp(pole[:, None] * np.arange(steps) / contact)
-    head = _convolve(np.real(unit @ during), np.asarray(drive))
+    head = oaconvolve(np.real(unit @ during), drive)[:steps]
     if free is not None:
         head = head + np.real(release @ during)
     head = head[::ratio][:samples]
@@ -177,15 +240,9 @@ def waveform(
 
 
 @jax.jit
-def _heard(modes: Modes, drive: Array, free: FreeMotion | None):
+def _heard(modes: Modes, drive: AnyArray, free: FreeMotion | None):
     """What a unit `T` at step 0, and what the whole pulse, makes ring at the pickup: two amplitudes [modes]."""
     return modes.pickup * impulse_amplitude(modes), ringing(modes, drive, free)
-
-
-def _convolve(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """The first len(a) samples of a * b."""
-    size = len(a) + len(b)
-    return np.fft.irfft(np.fft.rfft(a, size) * np.fft.rfft(b, size), size)[: len(a)]
 
 
 def _ring(amplitude: np.ndarray, log_z: np.ndarray, samples: int) -> np.ndarray:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ..errors import FitError, ParameterError
-from ..parameters import Geometry, Hammer, MemoryHammer, String, check, check_hammer
+from ..felt import check_hammer
+from ..parameters import Geometry, String, check
 from .contact import FreeMotion, Pulse, free_motion, strike
 from .modes import HIGHEST, QUANTITIES, Modes, mode_frequencies, mode_table, raised_cosine_weights
 from .precision import float64
@@ -51,7 +52,7 @@ class Simulation(NamedTuple):
     free: FreeMotion | None
 
     def waveform(self, rate: float, samples: int) -> np.ndarray:
-        """The signal [samples] from the first touch on; see `response.waveform`."""
+        """The signal [samples] from the first touch on; see `waveform`."""
         return waveform(self.modes, self.pulse.drive, rate=rate, samples=samples, free=self.free)
 
     @property
@@ -122,7 +123,7 @@ def _strike(string, hammer, geometry, rate, weights, start, *, n_modes, steps, q
 @float64
 def simulate(
     string: String,
-    hammer: Hammer | MemoryHammer,
+    hammer: Any,
     geometry: Geometry,
     *,
     rate: float = 44_100.0,
@@ -138,10 +139,18 @@ def simulate(
 
     Parameters
     ----------
-    rate : of the signal, Hz; the contact's is `oversampling` times this, or chosen by `contact_rate`.
+    string, geometry : in SI units.
+    hammer : a `Hammer`, a `MemoryHammer`, or a hammer of a `FeltLaw`.
+    rate : of the signal, Hz.
+    oversampling : the contact's rate over that of the signal; as high as the string needs if None.
     quantity, kind, strike_weights : see `mode_table`; `finite_difference` needs `n_modes`, the paper's N.
-    displacement, velocity : modal coordinates [modes] of the string at t = 0, m and m/s, see `project`; at rest by
-        default.
+    n_modes : rows of the table; as many as matter if None.
+    displacement, velocity : modal coordinates [modes] of the string at t = 0, m and m/s, by `pianofit.model.project`;
+        at rest by default.
+
+    Returns
+    -------
+    A `Simulation`: the table of modes [modes] and the pulse [steps], SI units; its `waveform` is the signal.
 
     Raises
     ------
@@ -149,6 +158,14 @@ def simulate(
         For values outside their range.
     FitError
         If the contact does not end within 65,536 steps.
+
+    Examples
+    --------
+    >>> import pianofit
+    >>> it = pianofit.preset("chabassier-F3")
+    >>> strike = pianofit.simulate(it.string, it.hammer, it.geometry, quantity="bridge-force")
+    >>> f"{1e3 * strike.contact_time:.1f} ms", strike.waveform(44_100, 1000).shape
+    ('3.9 ms', (1000,))
     """
     check(dict(zip(String._fields, map(float, string), strict=True)), "string")
     check_hammer(hammer)

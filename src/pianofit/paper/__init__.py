@@ -1,9 +1,9 @@
 """All that is only the paper's (Bensa, Gipouloux and Kronland-Martinet 2005); nothing but the command line needs it.
 
-- `grid`, `reference`, `appendix`: its scheme, grid and matrices and all, and the derivatives of its appendix: a witness
-  that shares nothing with the model but the parameters' names.
-- `spectral`, `struck`: eq. 19 as a search sees it. `gradient`, `annealing`, `levenberg`: what searches. `problem`,
-  `steps`, `recipes`: the three steps of IV.C, and the criterion over the whole spectrum. `recipes` is their door.
+- `scheme`: its grid, matrices and all, and the derivatives of its appendix: a witness that shares nothing with the
+  model but the parameters' names.
+- `spectral`, `struck`: eq. 19 as a search sees it. `descent`, `annealing`: what searches. `search`, `recipes`: the
+  three steps of IV.C, and the criterion over the whole spectrum. `recipes` is their door.
 - `twin`, `laboratory`: measurements whose truth is known, for the paper's are not public.
 - `reproduce`: the page that tests its tables, figures and claims on them.
 

@@ -2,9 +2,10 @@
 
 A chain jumps about the box. It takes every jump downhill, and one uphill with a probability that falls as it cools. The
 jumps have a fat tail: all lengths between the temperature and the box are about equally likely on a log scale, so that
-a parameter may cool exponentially in k^(1/D) and still get out. Now and then the annealing is set anew: parameters
-to which the cost is insensitive are searched more widely, and the acceptance gets a temperature of the size of what
-there is still to gain.
+a parameter may cool exponentially in k^(1/D) and still get out: T = T_0 exp(-c k^(1/D)), where k counts steps for the
+parameters and jumps taken for the acceptance, and c is such that the coldest temperature is reached where the plan
+ends. Now and then the annealing is set anew: parameters to which the cost is insensitive are searched more widely, and
+the acceptance gets a temperature of the size of what there is still to gain.
 
 The chains go in lockstep, so that `cost` always gets a batch of the same shape, [chains, D]; the more of the plan is
 done, the more often a chain looks at another one and jumps to where that is.
@@ -15,16 +16,54 @@ ASA 30, sections 5.2.2 to 5.2.4. Where this departs from them stands at the line
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..errors import ParameterError
-from .annealing_state import AnnealingState, Schedule, acceptance, cost_temperature, generate, temperatures
 
-__all__ = ["Annealed", "AnnealingState", "Schedule", "anneal"]
+__all__ = [
+    "Annealed", "AnnealingState", "Schedule", "anneal", "annealing", "cost_temperature", "generate", "jump_cdf",
+    "temperatures",
+]  # fmt: skip
+
+# Below this a jump is lost in the rounding of the coordinates, box widths.
+COLDEST = 1e-15
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """How an annealing cools. The defaults do well over many functions (benchmarks/annealing_study.py)."""
+
+    start: float = 1.0  # T_0 of every parameter, box widths
+    end: float = 1e-7  # what it cools to by the end of the plan, box widths (ASA: Temperature_Ratio_Scale)
+    cost_start: float | None = None  # acceptance, units of cost; None: the spread of the first samples
+    cost_end: float = 1e-9  # what it would cool to by the end of the plan were all jumps taken, relative
+    samples: int = 16  # uniform points before the first jump; each chain starts at its lowest
+    reanneal: int = 100  # steps between re-annealings, 0 for none (ASA: Acceptance_Frequency_Modulus)
+    probe: float = 1e-3  # displacement by which sensitivities are measured, box widths (ASA: Delta_X)
+    stretch: float = 0.5  # temperatures go as sensitivity^-stretch; Ingber's is 1
+    widest: float = 1e3  # no parameter is searched more than this factor more widely
+    meetings: float = 80.0  # how often, on average, a chain looks at another during the plan
+
+
+@dataclass(frozen=True)
+class AnnealingState:
+    """All that the next step depends on. Arrays are [chains, D] or [chains]."""
+
+    z: np.ndarray
+    cost: np.ndarray  # at z
+    best_z: np.ndarray
+    best_cost: np.ndarray
+    width: np.ndarray  # [chains, D]: factors on the parameters' temperatures, by sensitivity
+    cost_start: np.ndarray  # [chains]: T_0 of the acceptance, units of cost
+    accepted: np.ndarray  # [chains]: jumps taken since that T_0 was set, k of the acceptance
+    steps: int  # k of the parameters
+    length: int  # steps planned
+    evaluations: int
 
 
 class Annealed(NamedTuple):
@@ -34,7 +73,6 @@ class Annealed(NamedTuple):
     cost: float  # inf where no finite one was met
     state: AnnealingState
     evaluations: int
-    trace: tuple[tuple[int, float], ...]  # evaluations and lowest cost, whenever that fell
 
 
 class _Box(NamedTuple):
@@ -47,58 +85,91 @@ class _Box(NamedTuple):
         return self.upper - self.lower
 
 
-def anneal(
-    cost: Callable[[np.ndarray], Any],
-    lower: np.ndarray,
-    upper: np.ndarray,
-    *,
-    chains: int = 16,
-    evaluations: int,
-    seed: int = 0,
-    state: AnnealingState | None = None,
-    start: np.ndarray | None = None,
-    schedule: Schedule | None = None,
-    pause: int | None = None,
-) -> Annealed:
-    """Search the box `lower` <= z <= `upper` [D] for the lowest `cost(z [chains, D]) -> [chains]`.
+def anneal(cost: Callable[[np.ndarray], Any], lower: np.ndarray, upper: np.ndarray, **how: Any) -> Annealed:
+    """Search the box `lower` <= z <= `upper` [D] for the lowest `cost(z [chains, D]) -> [chains]`, to the plan's end.
+
+    A cost that is not finite is infinitely bad. If none is finite the result's cost is inf. `how`: see `annealing`.
+    """
+    state = deque(annealing(cost, lower, upper, **how), maxlen=1).pop()
+    best = int(np.argmin(state.best_cost))
+    lowest = state.best_z[best].copy(), float(state.best_cost[best])
+    return Annealed(*lowest, state, state.evaluations)
+
+
+def annealing(
+    cost: Callable[[np.ndarray], Any], lower: np.ndarray, upper: np.ndarray, *, chains: int = 16, evaluations: int,
+    seed: int = 0, start: np.ndarray | None = None, schedule: Schedule | None = None,
+) -> Iterator[AnnealingState]:  # fmt: skip
+    """The same step by step; the same seed gives the same states.
 
     Parameters
     ----------
     lower, upper : finite; where they are equal the coordinate is held.
-    evaluations : points at which the cost may be computed in all, those before `state` among them. The cooling is
-        planned for it at the beginning; more, given later, goes on where the plan ends.
-    state : of an annealing to go on with. `seed`, `start` and `chains` then come from it. With the same `evaluations`
-        and `schedule`, stopping and going on changes no bit of the result.
+    evaluations : points at which the cost may be computed in all; the cooling is planned for it.
     start : where the first chains start, [D] or [n, D]; the others start at uniform points.
     schedule : `Schedule()` if None.
-    pause : return at the first step that reaches so many evaluations.
-
-    A cost that is not finite is infinitely bad. If none is finite the result's cost is inf.
 
     Raises
     ------
     ParameterError
-        If an argument is out of range or the shapes do not fit together.
+        If the box is not finite or empty, or the evaluations are too few.
     """
-    box, schedule = _box(lower, upper), schedule or Schedule()
-    if state is None:
-        state = _first(cost, box, chains, evaluations, seed, start, schedule)
-    else:
-        _check_fit(state, box)
-    rng = np.random.Generator(np.random.PCG64())
-    rng.bit_generator.state = state.random
-    chains = len(state.z)
-    end = evaluations if len(box.free) else 0
-    while state.evaluations + chains <= end and (pause is None or state.evaluations < pause):
+    lower, upper, schedule = np.array(lower, float), np.array(upper, float), schedule or Schedule()
+    if not (np.isfinite(upper - lower).all() and (lower <= upper).all()):
+        raise ParameterError(f"lower={lower} and upper={upper} of an annealing must be a finite box")
+    box, rounds = _Box(lower, upper, np.flatnonzero(upper > lower)), -(-schedule.samples // max(chains, 1))
+    if chains < 1 or evaluations < rounds * chains:
+        raise ParameterError(f"chains={chains}, evaluations={evaluations}: needs one chain, {schedule.samples} samples")
+    rng = np.random.Generator(np.random.PCG64(seed))
+    state = _first(cost, box, (rounds, chains), evaluations, rng, start, schedule)
+    yield state
+    while len(box.free) and state.evaluations + chains <= evaluations:
         state = _step(cost, box, state, schedule, rng)
         if schedule.reanneal and state.steps % schedule.reanneal == 0:
-            if state.evaluations + chains * len(box.free) <= end and schedule.stretch > 0:
+            if state.evaluations + chains * len(box.free) <= evaluations and schedule.stretch > 0:
                 state = _widened(cost, box, state, schedule)
             state = _cost_reannealed(state, schedule, len(box.free))
-    state = replace(state, random=dict(rng.bit_generator.state))
-    best = int(np.argmin(state.best_cost))
-    lowest = state.best_z[best].copy(), float(state.best_cost[best])
-    return Annealed(*lowest, state, state.evaluations, state.trace)
+        yield state
+
+
+# --- the laws --------------------------------------------------------------------------------------------------------
+
+
+def jump_cdf(y: np.ndarray, temperature: np.ndarray) -> np.ndarray:
+    """Return the probability of a jump of at most `y`, box widths, from -1 to 1.
+
+    Its density is 1/(2 (|y| + T) ln(1 + 1/T)) (Ingber 1989; section 5.2.2 of the manual omits the logarithm).
+    """
+    return 0.5 + 0.5 * np.sign(y) * np.log1p(np.abs(y) / temperature) / np.log1p(1 / temperature)
+
+
+def generate(u: np.ndarray, x: np.ndarray, temperature: np.ndarray) -> np.ndarray:
+    """Jump from `x` in [0, 1] to another point in [0, 1], by uniform `u` in [0, 1).
+
+    y = sgn(v) T ((1 + 1/T)^|v| - 1), v = 2u - 1 (Ingber 1989). He draws anew while x + y lies outside; here u is
+    drawn from what leads inside, which is the same distribution and takes one draw.
+    """
+    low, high = jump_cdf(-x, temperature), jump_cdf(1 - x, temperature)
+    v = 2 * (low + u * (high - low)) - 1
+    y = np.sign(v) * temperature * np.expm1(np.abs(v) * np.log1p(1 / temperature))
+    return np.clip(x + y, 0.0, 1.0)
+
+
+def acceptance(rise: np.ndarray, temperature: np.ndarray) -> np.ndarray:
+    """Return exp(-ΔE/T), at most 1 (manual, section 5.2.3; in 1989 it was 1/(1 + exp(ΔE/T)), shy downhill too)."""
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        return np.where(rise > 0, np.exp(-np.maximum(rise, 0.0) / temperature), 1.0)
+
+
+def temperatures(state: AnnealingState, schedule: Schedule, dimensions: int) -> np.ndarray:
+    """T_i = T_0 exp(-c k^(1/D)), times the width found by re-annealing, at most T_0; box widths, [chains, D]."""
+    fall = np.log(schedule.start / schedule.end) * (state.steps / state.length) ** (1 / dimensions)
+    return np.clip(schedule.start * np.exp(-fall) * state.width, min(COLDEST, schedule.end), schedule.start)
+
+
+def cost_temperature(state: AnnealingState, schedule: Schedule, dimensions: int) -> np.ndarray:
+    """T = T_0 exp(-c k^(1/D)), k the number of jumps taken (manual, section 5.2.4); units of cost, [chains]."""
+    return state.cost_start * schedule.cost_end ** ((state.accepted / state.length) ** (1 / dimensions))
 
 
 # --- one step --------------------------------------------------------------------------------------------------------
@@ -165,14 +236,8 @@ def _rise(new: np.ndarray, old: np.ndarray) -> np.ndarray:
 
 def _with_best(state: AnnealingState, z: np.ndarray, cost: np.ndarray) -> AnnealingState:
     lower = cost < state.best_cost
-    if not lower.any():
-        return state
-    best_cost = np.where(lower, cost, state.best_cost)
-    trace, least = state.trace, float(best_cost.min())
-    if not trace or least < trace[-1][1]:
-        trace = (*trace, (state.evaluations, least))
     best_z = np.where(lower[:, None], z, state.best_z)
-    return replace(state, best_z=best_z, best_cost=best_cost, trace=trace)
+    return replace(state, best_z=best_z, best_cost=np.where(lower, cost, state.best_cost))
 
 
 # --- re-annealing ----------------------------------------------------------------------------------------------------
@@ -216,36 +281,17 @@ def _cost_reannealed(state: AnnealingState, schedule: Schedule, dimensions: int)
 # --- the beginning ---------------------------------------------------------------------------------------------------
 
 
-def _box(lower: np.ndarray, upper: np.ndarray) -> _Box:
-    lower, upper = np.array(lower, float), np.array(upper, float)
-    if lower.ndim != 1 or lower.shape != upper.shape:
-        raise ParameterError(f"lower and upper must be of one length, not of shapes {lower.shape} and {upper.shape}")
-    if not (np.isfinite(lower).all() and np.isfinite(upper).all() and np.isfinite(upper - lower).all()):
-        raise ParameterError("lower and upper must be finite: an annealing needs a box")
-    if (lower > upper).any():
-        i = int(np.argmax(lower > upper))
-        raise ParameterError(f"lower[{i}]={lower[i]} lies above upper[{i}]={upper[i]}")
-    return _Box(lower, upper, np.flatnonzero(upper > lower))
-
-
-def _check_fit(state: AnnealingState, box: _Box) -> None:
-    shape = (len(state.z), len(box.free))
-    inside = state.z.shape[1:] == box.lower.shape and (state.z == np.clip(state.z, box.lower, box.upper)).all()
-    if not inside or state.width.shape != shape:
-        raise ParameterError(f"state holds {state.z.shape[1]} numbers a point, or points outside the box of {shape[1]}")
-
-
-def _first(cost, box: _Box, chains: int, evaluations: int, seed: int, start, schedule: Schedule) -> AnnealingState:
+def _first(
+    cost: Callable, box: _Box, shape: tuple[int, int], evaluations: int, rng: np.random.Generator, start,
+    schedule: Schedule,
+) -> AnnealingState:  # fmt: skip
     """Uniform samples; each chain starts at its lowest, and their spread is the first temperature of the acceptance."""
-    rounds = -(-schedule.samples // max(chains, 1))
-    if chains < 1 or evaluations < rounds * chains:
-        raise ParameterError(f"chains={chains}, evaluations={evaluations}: needs one chain, {schedule.samples} samples")
-    rng = np.random.Generator(np.random.PCG64(seed))
-    z = np.clip(box.lower + box.size * rng.random((rounds, chains, len(box.lower))), box.lower, box.upper)
+    chains = shape[1]
+    z = np.clip(box.lower + box.size * rng.random((*shape, len(box.lower))), box.lower, box.upper)
     begun = np.zeros(chains, bool)
     if start is not None:
-        given = _starts(start, box, chains)
-        z[0, : len(given)], begun[: len(given)] = given, True
+        given = np.atleast_2d(np.asarray(start, float))
+        z[0, : len(given)], begun[: len(given)] = np.clip(given, box.lower, box.upper), True
     costs = np.array([_evaluate(cost, batch) for batch in z])
     lowest = costs.argmin(axis=0), np.arange(chains)
     here = np.where(begun, 0, lowest[0]), lowest[1]
@@ -253,19 +299,11 @@ def _first(cost, box: _Box, chains: int, evaluations: int, seed: int, start, sch
     left = (evaluations - costs.size) / chains
     if schedule.reanneal and schedule.stretch > 0:
         left /= 1 + len(box.free) / schedule.reanneal
-    state = AnnealingState(
-        z=z[here], cost=costs[here], best_z=z[lowest], best_cost=np.full(chains, np.inf),
+    return AnnealingState(
+        z=z[here], cost=costs[here], best_z=z[lowest], best_cost=costs[lowest],
         width=np.ones((chains, len(box.free))), cost_start=np.full(chains, warm), accepted=np.ones(chains), steps=1,
-        length=max(int(left), 1), evaluations=costs.size, trace=(), random=dict(rng.bit_generator.state),
+        length=max(int(left), 1), evaluations=costs.size,
     )  # fmt: skip
-    return _with_best(state, z[lowest], costs[lowest])
-
-
-def _starts(start: np.ndarray, box: _Box, chains: int) -> np.ndarray:
-    given = np.atleast_2d(np.asarray(start, float))
-    if given.shape[1:] != box.lower.shape or len(given) > chains or not np.isfinite(given).all():
-        raise ParameterError(f"start of shape {np.shape(start)} for {chains} chains of {len(box.lower)} numbers")
-    return np.clip(given, box.lower, box.upper)
 
 
 def _spread(costs: np.ndarray) -> float:
@@ -279,6 +317,4 @@ def _spread(costs: np.ndarray) -> float:
 
 def _evaluate(cost: Callable, z: np.ndarray) -> np.ndarray:
     value = np.asarray(cost(z.copy()), float)
-    if value.shape != (len(z),):
-        raise ParameterError(f"cost must return {len(z)} numbers for {len(z)} points, not shape {value.shape}")
     return np.where(np.isfinite(value), value, np.inf)

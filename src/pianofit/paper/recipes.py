@@ -12,21 +12,20 @@ the hammer on the σ at which the criterion is reported.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import NamedTuple
 
 from ..analysis import Analysis
 from ..errors import ParameterError
+from ..felt import DEFAULT_LAW
 from ..inference import Progress, Result
 from ..inference.point import point_result
 from ..inference.start import Start, starting_values
-from ..parameters import FELT_LAWS, FIT_NAMES, MEMORY_NAMES, Hammer, String
+from ..parameters import FIT_NAMES, Hammer, String
 from ..recording import Recording
 from ..setup import Setup
-from .problem import pose, split
-from .steps import ALL, Search
+from .search import ALL, pose, split
 
-__all__ = ["RECIPES", "Found", "check_recipe", "claims", "fit_by_paper", "fit_by_recipe"]
+__all__ = ["RECIPES", "Found", "check_recipe", "fit_by_paper", "fit_by_recipe"]
 
 RECIPES = ("default", "paper", "global")
 # Evaluations by the annealing: unless others are asked for,
@@ -75,11 +74,6 @@ def check_recipe(recipe: str, evaluations: int | None) -> None:
         raise ParameterError(f"evaluations={evaluations} must be from {FEWEST} to {MOST}")
 
 
-def claims(recipe: str, calibrated: bool) -> tuple[str, tuple[str, ...]]:
-    """How a result of `paper` or `global` words the recipe: its opening sentence, and messages."""
-    return OPENING[recipe] + ("" if calibrated else FELT_UNKNOWN), (NO_INTERVALS,)
-
-
 def fit_by_recipe(
     recording: Recording, analysis: Analysis, setup: Setup | None, recipe: str, *, velocity: float | None = None,
     evaluations: int | None = None, seed: int = 0, progress: Progress = lambda *_: None,
@@ -104,23 +98,22 @@ def fit_by_recipe(
     measured = velocity if velocity is not None else next((t.v_H0 for t in setup.recordings if t.v_H0), None)
     start = starting_values(analysis, setup, measured)
     found = fit_by_paper(recording, analysis, start, recipe, evaluations=evaluations, seed=seed, progress=progress)
-    opening, messages = claims(recipe, start.scale is not None)
+    opening = OPENING[recipe] + (FELT_UNKNOWN if start.scale is None else "")
     return point_result(
         recording, analysis, start, found.string, found.hammer, recipe=recipe, seed=seed, delay=found.delay,
         converged=found.converged, evaluations=found.evaluations, at_bound=found.at_bound, opening=opening,
-        messages=messages,
+        messages=(NO_INTERVALS,),
     )  # fmt: skip
 
 
 def fit_by_paper(
-    recording: Recording, analysis: Analysis, start: Start, recipe: str = "paper", *, hammer: str = "annealing",
-    evaluations: int | None = None, seed: int = 0, progress: Progress = lambda *_: None,
+    recording: Recording, analysis: Analysis, start: Start, recipe: str = "paper", *, evaluations: int | None = None,
+    seed: int = 0, progress: Progress = lambda *_: None,
 ) -> Found:  # fmt: skip
     """Search as the paper does; `recipe` is `paper` or `global`.
 
     Parameters
     ----------
-    hammer : how the recipe `paper` searches it: `annealing`, or `gradient`, down from where the annealing would start.
     evaluations : of the criterion by the annealing; 20,000 unless given.
     seed : of the annealing. The same seed gives the same result.
     progress : called with a stage's name and the fraction done.
@@ -132,27 +125,22 @@ def fit_by_paper(
     FitError
         If no hammer gives a finite criterion, or a contact does not end.
     """
-    if set(MEMORY_NAMES) & set(FELT_LAWS[start.felt]):
-        raise ParameterError(f"recipe={recipe!r} has no felt={start.felt!r}: the paper's felt has no memory")
-    search = Search(pose(recording, analysis, start))
-    x = search.problem.x(search.problem.values)
+    if start.law.kind is not Hammer:
+        raise ParameterError(f"recipe={recipe!r} has no felt={start.law.name!r}: the paper's is {DEFAULT_LAW.name}")
+    search = pose(recording, analysis, start)
+    x = search.x(search.values)
     progress("string", 0.1)
     if recipe == "global":
         x = search.down(x, FIT_NAMES, ALL)
     else:
-        x = search.down(x, ("c", "b1"), (search.problem.band(0),))
-        x = search.down(x, ("kappa", "b2"), (search.problem.band(1),))
+        x = search.down(x, ("c", "b1"), (search.band(0),))
+        x = search.down(x, ("kappa", "b2"), (search.band(1),))
         progress("hammer", 0.2)
-        x = search.annealed(x, evaluations or EVALUATIONS, seed) if hammer == "annealing" else search.hammer_down(x)
+        x = search.annealed(x, evaluations or EVALUATIONS, seed)
     progress("gradient", 0.7)
-    if search.problem.calibrated:
-        delay = search.problem.first_contact(search.problem.natural(x))
-        search.problem = replace(search.problem, delay=delay)
-    if recipe == "global":
-        x = search.finely_down(x, FIT_NAMES, ALL)
-    else:
-        x = search.hammer_finished(x) if hammer == "annealing" else search.hammer_down(x)
+    if search.calibrated:
+        search.delay = search.first_contact(search.natural(x))
+    x = search.finely_down(x, FIT_NAMES, ALL) if recipe == "global" else search.hammer_finished(x)
     progress("done", 1.0)
-    values = search.problem.natural(x)
-    at_bound = search.problem.at_bound(values)
-    return Found(*split(values), search.problem.delay, search.converged, search.evaluations, at_bound)
+    values = search.natural(x)
+    return Found(*split(values), search.delay, search.converged, search.evaluations, search.at_bound(values))

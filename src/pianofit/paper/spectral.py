@@ -20,7 +20,7 @@ from jaxtyping import Array, Float
 
 from ..criterion import BANDS, ENOUGH_DAMPING, band_of, cell_grid, closed_form_gain
 
-__all__ = ["Goal", "damped_spectrum", "miss", "spectral_goal"]
+__all__ = ["Goal", "Values", "damped_spectrum", "miss", "spectral_goal"]
 
 # Rows of a goal come in whole multiples of this, so that notes share compiled programs; the first band has one row.
 ROWS = 16
@@ -95,7 +95,7 @@ def damped_spectrum(samples: np.ndarray, rate: float, frequency: np.ndarray, sig
     return total.reshape(frequency.shape)
 
 
-def miss(energy: Float[Array, "rows nodes"], goal: Goal) -> Float[Array, " bins"]:
+def miss(energy: Float[Array | np.ndarray, "rows nodes"], goal: Goal) -> Float[Array, " bins"]:
     """Residuals, of which half the sum of squares is C (eq. 19, dimensionless), from the model's |Y|².
 
     A recording that is not calibrated leaves the gain free: it is the one that makes C least.

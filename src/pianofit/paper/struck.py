@@ -8,22 +8,24 @@ nothing but T̂ changes.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Complex, Float
+from jaxtyping import Array, Float
 
 from ..criterion import NODES
 from ..model.cache import kept
 from ..model.contact import Pulse, impulse_amplitude, kernel_rows, strike
 from ..model.modes import Modes, mode_table
-from ..model.response import pulse_transform
+from ..model.response import pulse_transform, ringing_transform
 from ..parameters import Geometry, Hammer, String
-from .spectral import Goal, miss
+from .descent import LeastSquares
+from .spectral import Goal, Values, miss
 
-__all__ = ["Cfg", "Held", "Scene", "hammer_costs", "hammer_residuals", "hold", "struck_gradients"]
+__all__ = ["Cfg", "Scene", "hold", "struck_gradients"]
 
 # Chebyshev nodes a cell.
 SMOOTH = 12
@@ -31,6 +33,8 @@ SMOOTH = 12
 NEAREST = 5
 # The steps are some 1.6 contacts long; the force is largest here.
 MIDDLE = 0.3
+# Hammers of one call at most: so many share a compiled program.
+BATCH = 32
 
 
 class Cfg(NamedTuple):
@@ -45,9 +49,9 @@ class Scene(NamedTuple):
     """What stays while a string and a hammer are searched."""
 
     geometry: Geometry
-    rate: Array  # of the contact, Hz
-    log_u: Array  # log of the compression, m, at which the felt's force is searched
-    stiff: Array  # [2], logs of the least and the largest stiffness
+    rate: Values  # of the contact, Hz
+    log_u: Values  # log of the compression, m, at which the felt's force is searched
+    stiff: Values  # [2], logs of the least and the largest stiffness
 
 
 class Held(NamedTuple):
@@ -81,15 +85,6 @@ def _smooth_frequency(goal: Goal) -> Float[Array, "rows smooth"]:
     return (first + last) / 2 + (last - first) / 2 * PLACES
 
 
-def _sum_over(residue: Array, log_z: Array, log_zeta: Array) -> Complex[Array, "rows nodes"]:
-    """Σ_k of h_k = Re-pair ½ R/(1 - zζ) + ½ R̄/(1 - z̄ζ); `residue` and `log_z` [rows, 1, modes]."""
-    zeta = jnp.exp(log_zeta)[..., None]
-    rise, turn = jnp.expm1(log_z), jnp.expm1(log_zeta)[..., None]
-    upper = residue.real - (residue * jnp.exp(log_z).conj()).real * zeta
-    lower = (rise + turn + rise * turn) * (rise.conj() + turn + rise.conj() * turn)
-    return (upper / lower).sum(axis=-1)
-
-
 def string_mobility(modes: Modes, goal: Goal, pulse: float) -> Float[Array, "rows nodes"]:
     """|H|² δt² of a string struck by a pulse whose middle comes after so many steps."""
     residue, log_z = modes.pickup * impulse_amplitude(modes), modes.pole * modes.step
@@ -98,13 +93,13 @@ def string_mobility(modes: Modes, goal: Goal, pulse: float) -> Float[Array, "row
     nearest = jnp.clip(nearest, 0, len(residue) - NEAREST)[:, None] + jnp.arange(NEAREST)
     far = jnp.ones((len(middle), len(residue))).at[jnp.arange(len(middle))[:, None], nearest].set(0.0)
     rough = _log_zeta(_smooth_frequency(goal), goal.sigma, modes.step)
-    background = _sum_over((far * residue)[:, None, :], log_z[None, None, :], rough) @ SPREAD_OUT.T
+    background = ringing_transform((far * residue)[:, None, :], log_z[None, None, :], rough) @ SPREAD_OUT.T
     fine = _log_zeta(goal.frequency, goal.sigma, modes.step)
     near, log_near = residue[nearest][:, None, :], log_z[nearest][:, None, :]
     # What is cut off where the recording ends, as if the whole pulse had come in its middle.
     steps = goal.span / modes.step - pulse
-    tail = jnp.exp(steps * fine) * _sum_over(near * jnp.exp(steps * log_near), log_near, fine)
-    total = background + _sum_over(near, log_near, fine) - tail
+    tail = jnp.exp(steps * fine) * ringing_transform(near * jnp.exp(steps * log_near), log_near, fine)
+    total = background + ringing_transform(near, log_near, fine) - tail
     return (total.real**2 + total.imag**2) * modes.step**2
 
 
@@ -160,10 +155,22 @@ def struck_gradients(z, goal: Goal, scene: Scene, cfg: Cfg):
     return jax.vmap(jax.value_and_grad(lambda x: _struck(x, goal, scene, cfg)))(z)
 
 
-def hold(z: Float[Array | np.ndarray, " 9"], goal: Goal, scene: Scene, cfg: Cfg) -> Held:
-    """The string of `z`, once for a whole search."""
+def hold(z: Float[Array | np.ndarray, " 9"], goal: Goal, scene: Scene, cfg: Cfg) -> LeastSquares:
+    """C of hammers [n, 5] on the string of `z`, which is computed once for a whole search."""
     mobility, real, imag, rows, *modes = held_string(z, goal, scene, cfg)
-    return Held(Modes(*modes), mobility, real, imag, rows)
+    held = Held(Modes(*modes), mobility, real, imag, rows)
+    return LeastSquares(
+        lambda z: _in_batches(hammer_costs, z, held, goal, scene, cfg)[0],
+        lambda z: _in_batches(hammer_residuals, z, held, goal, scene, cfg),
+    )
+
+
+def _in_batches(function: Callable, z: np.ndarray, *rest: Any) -> tuple[np.ndarray, ...]:
+    """`function` of all rows of `z`, as many at once as `BATCH`; the last batch is filled up with its last row."""
+    size = min(BATCH, len(z))
+    full = np.concatenate([z, np.repeat(z[-1:], -len(z) % size, axis=0)])
+    parts = [function(full[i : i + size], *rest) for i in range(0, len(full), size)]
+    return tuple(np.concatenate([np.asarray(x) for x in column])[: len(z)] for column in zip(*parts, strict=True))
 
 
 @kept

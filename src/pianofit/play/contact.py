@@ -12,14 +12,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..errors import FitError, ParameterError
+from ..felt import MemoryHammer, is_own, law_of
 from ..model.cache import kept
 from ..model.contact import free_motion, impulse_amplitude, strike
-from ..model.felt import own_law
 from ..model.modes import HIGHEST, Modes, mode_table
 from ..model.note import Note
 from ..model.path import impulse, through
 from ..model.simulate import FIRST_STEPS, MOST_STEPS, contact_rate, count_modes
-from ..parameters import Hammer, MemoryHammer
+from ..parameters import Hammer
 
 __all__ = ["Table", "stroke", "table_of"]
 
@@ -87,7 +87,7 @@ def stroke(table: Table, hammer: Hammer | MemoryHammer, state: np.ndarray, where
     ParameterError
         For a hammer whose felt is not one of the package's own.
     """
-    if law := own_law(hammer):  # its code may change between runs, and the programs of playing are kept
+    if not is_own(law := law_of(hammer)):  # its code may change between runs, and the programs of playing are kept
         raise ParameterError(f"{where}: felt law {law.name} cannot be played; use Note.render, or one of the package's")
     hammer = type(hammer)(*map(np.float64, hammer))
     velocity = np.real(np.asarray(table.modes.pole) * state)

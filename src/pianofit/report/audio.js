@@ -5,7 +5,7 @@ class Deck {
   static contexts = new Map(); // one for each rate, so that no sound is resampled
   static open = null; // the deck that sounds; only one does
 
-  // texts(): WAV files of 16 bits, one channel, with a header of 44 bytes, as base64, decoded when first needed.
+  // texts(): WAV files of 16 bits, with a header of 44 bytes, as base64, decoded when first needed.
   // changed(words): called when the sound ends, or stops because another deck starts.
   constructor(texts, changed, seconds) {
     this.texts = texts;
@@ -20,9 +20,10 @@ class Deck {
   static decode(base64) {
     const text = atob(base64);
     const bytes = new DataView(Uint8Array.from(text, (letter) => letter.charCodeAt(0)).buffer);
-    const samples = new Float32Array((bytes.byteLength - 44) / 2);
-    for (let i = 0; i < samples.length; i++) samples[i] = bytes.getInt16(44 + 2 * i, true) / 32768;
-    return { rate: bytes.getUint32(24, true), samples };
+    const count = bytes.getUint16(22, true), length = (bytes.byteLength - 44) / 2 / count;
+    const channels = Array.from({ length: count }, (_, channel) =>
+      Float32Array.from({ length }, (_, i) => bytes.getInt16(44 + 2 * (i * count + channel), true) / 32768));
+    return { rate: bytes.getUint32(24, true), length, channels };
   }
 
   static contextOf(rate) { // only a user's action may start sound
@@ -36,7 +37,7 @@ class Deck {
 
   get clips() { return (this.decoded ??= this.texts().map(Deck.decode)); }
 
-  get seconds() { return (this.length ??= Math.min(...this.clips.map((clip) => clip.samples.length / clip.rate))); }
+  get seconds() { return (this.length ??= Math.min(...this.clips.map((clip) => clip.length / clip.rate))); }
 
   get playing() { return Boolean(this.voice); }
 
@@ -51,8 +52,8 @@ class Deck {
     this.output = this.context.createGain();
     this.output.connect(this.context.destination);
     for (const clip of this.clips) {
-      clip.buffer = this.context.createBuffer(1, clip.samples.length, clip.rate);
-      clip.buffer.copyToChannel(clip.samples, 0);
+      clip.buffer = this.context.createBuffer(clip.channels.length, clip.length, clip.rate);
+      clip.channels.forEach((samples, channel) => clip.buffer.copyToChannel(samples, channel));
     }
   }
 

@@ -10,6 +10,7 @@ from ..analysis import law_frequency
 from ..inference import Result
 from .build_felt import felt_of, known_of
 from .build_recordings import paths_of, recordings_of, strokes_of
+from .build_ringing import ringing_curves
 from .curves import Curves
 
 __all__ = ["curves_of", "reference_curves", "spectrum_db"]
@@ -23,7 +24,7 @@ def curves_of(result: Result) -> Curves:
     """Everything the page shows of one fit."""
     return replace(
         reference_curves(result), recordings=recordings_of(result), first=result.first, paths=paths_of(result),
-        felt=felt_of(result), known=known_of(result), strokes=strokes_of(result),
+        felt=felt_of(result), known=known_of(result), strokes=strokes_of(result), ringing=ringing_curves(result),
     )  # fmt: skip
 
 
@@ -50,7 +51,7 @@ def reference_curves(result: Result) -> Curves:
         frequency=spectra[0][0], measured_db=spectra[0][1], initial_db=spectra[1][1], fitted_db=spectra[2][1],
         borders=tuple(result.document["criterion"]["borders"]),
         attack_ms=1e3 * np.arange(len(r.samples[attack])) / rate, attack_measured=r.samples[attack],
-        attack_initial=result.initial.samples[attack], attack_fitted=result.fitted.samples[attack],
+        attack_initial=result.initial.samples[attack], attack_fitted=heard.played.samples[attack],
         number=k,
         frequency_cents=_cents(p.frequency, k * f0),
         frequency_cents_error=1200 / np.log(2) * p.frequency_error / p.frequency,
@@ -63,8 +64,9 @@ def reference_curves(result: Result) -> Curves:
         force_initial=_pad(first.pulse.force, len(steps)), force_fitted=_pad(last.pulse.force, len(steps)),
         compression_initial=1e3 * _pad(first.pulse.compression, len(steps)),
         compression_fitted=1e3 * _pad(last.pulse.compression, len(steps)),
-        sound_rate=rate, sound_original=r.samples, sound_initial=result.initial.samples,
-        sound_fitted=result.fitted.samples,
+        sound_rate=rate, sound_original=r.samples if heard.played.frames is None else r.frames,
+        sound_initial=result.initial.samples, sound_fitted=heard.sound,
+        sound_law=None if heard.ringing is None else heard.fitted.samples,
     )  # fmt: skip
 
 

@@ -1,16 +1,17 @@
 """From a fit's intervals and covariance to the felt's band, to how well each thing is known, and to correlations.
 
 The covariance is that of logarithms, so what is a product of powers is known to the length of one vector: the felt's
-static force K_H u^p at compression u has log F = log K_H + p log u, whose change with log p is p log u.
+static force K_H u^p at compression u has log F = log K_H + p log u, whose change with log p is p log u. Of other laws
+the curve is as well known as its own changes by its parameters say.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from ..felt import law_of
 from ..inference import Result
-from ..inference.coordinates import VALUES as NAMES
-from ..parameters import MemoryHammer
+from ..model import static_force
 from .curves import Felt, Known
 from .known import half_interval
 
@@ -35,32 +36,34 @@ def felt_of(result: Result) -> Felt:
     hammer = result.note.hammer
     reached = max(float(np.max(heard.fitted.simulation.pulse.compression)) for heard in result.takes)
     u = reached * np.linspace(0.0, 1.0, POINTS + 1)[1:]
-    change = np.zeros((len(u), len(NAMES)))
-    change[:, NAMES.index("K_H")], change[:, NAMES.index("p")] = 1.0, hammer.p * np.log(u)
-    force, slow = hammer.K_H * u**hammer.p, None
-    cov = _shared(result) if has_intervals(result) else 0 * _shared(result)
-    if isinstance(hammer, MemoryHammer):
-        relaxed = change.copy()
-        relaxed[:, NAMES.index("epsilon")] = -hammer.epsilon / (1 - hammer.epsilon)
-        slow = _band((1 - hammer.epsilon) * force, relaxed, cov)
-    return Felt(1e3 * u, _band(force, change, cov), slow)
+    names, cov = _shared(result)
+    cov = cov if has_intervals(result) else 0 * cov
+
+    def curve(slow: bool) -> np.ndarray:
+        force, slopes = static_force(u, hammer, slow)
+        zero = np.zeros(len(u))
+        return _band(force, np.stack([slopes.get(name, zero) for name in names], axis=1), cov)
+
+    return Felt(1e3 * u, curve(False), curve(True) if law_of(hammer).slow else None)
 
 
-def _shared(result: Result) -> np.ndarray:
-    """The covariance of what all strokes share: gauge-fixed at the reference velocity, where no velocity was measured.
+def _shared(result: Result) -> tuple[tuple[str, ...], np.ndarray]:
+    """Names and covariance of what all strokes share.
 
-    One common scale of the velocities, known by its prior alone, would else hide what the recordings say of the felt.
+    Gauge-fixed at the reference velocity, where no velocity was measured: one common scale of the velocities, known by
+    its prior alone, would else hide what the recordings say of the felt.
     """
     given = result.covariance.matrix
+    names = tuple(name for name in result.covariance.names if not name.startswith("v_H0"))
     cov = given
     velocity = result.parameters.get("v_H0")
     if velocity is not None and velocity.status == "scaled":
-        held = len(NAMES) + result.document["takes"][result.first]["strike"]
+        held = len(names) + result.document["takes"][result.first]["strike"]
         if cov[held, held] > 0:
             cov = cov - np.outer(cov[held], cov[held]) / cov[held, held]
             # What the scale alone moved is held now, but for rounding.
             cov = np.where(np.diag(cov) > HELD * np.diag(given), cov, 0.0)
-    return cov[: len(NAMES), : len(NAMES)]
+    return names, cov[: len(names), : len(names)]
 
 
 def _band(value: np.ndarray, change: np.ndarray, cov: np.ndarray) -> np.ndarray:
@@ -75,7 +78,7 @@ def _deviation(change: np.ndarray, cov: np.ndarray) -> np.ndarray:
 
 def known_of(result: Result) -> Known | None:
     """How well the parameters, and what needs no assumed scale, are known; None without intervals."""
-    cov = _shared(result)
+    names, cov = _shared(result)
     free = np.flatnonzero(np.diag(cov) > 0)
     if not (has_intervals(result) and len(free)):
         return None
@@ -86,6 +89,6 @@ def known_of(result: Result) -> Known | None:
     entries += [(name, entry, False) for name, entry in document["parameters"].items() if name not in COMBINED]
     reaches = [(name, half_interval(entry), combined) for name, entry, combined in entries]
     return Known(
-        tuple(NAMES[i] for i in free), correlation,
+        tuple(names[i] for i in free), correlation,
         tuple((name, reach, combined) for name, reach, combined in reaches if reach is not None),
     )  # fmt: skip

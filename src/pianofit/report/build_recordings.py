@@ -33,7 +33,7 @@ def _recording(place: int, heard) -> RecordingCurves:
         place, float(heard.fitted.note.hammer.v_H0), heard.levels["fitted_db"],
         p.number, heard.level, p.level_error, heard.fitted.level,
         1e3 * compression[thin] * touching, force[thin] * touching,
-        recording.rate, recording.onset / recording.rate, recording.samples, heard.fitted.samples,
+        recording.rate, recording.onset / recording.rate, recording.samples, heard.played.samples,
     )  # fmt: skip
 
 
@@ -48,7 +48,10 @@ def paths_of(result: Result) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
 
 
 def strokes_of(result: Result) -> Strokes | None:
-    """The reference's note from the softest recording's velocity to the loudest's; of one, to half and to double."""
+    """The reference's note from the softest recording's velocity to the loudest's; of one, to half and to double.
+
+    The mean of its channels, as it rings, from its `lead` before the contact.
+    """
     own = np.array([heard.fitted.note.hammer.v_H0 for heard in result.takes])
     low, high = float(own.min()), float(own.max())
     inside = high / low > NARROW
@@ -60,7 +63,8 @@ def strokes_of(result: Result) -> Strokes | None:
     for velocity in np.geomspace(low, high, STROKES):
         struck = note._replace(hammer=note.hammer._replace(v_H0=float(velocity)))
         try:
-            played.append((float(velocity), struck.play(recording.rate, int(SECONDS * recording.rate))[0]))
+            touch = round(struck.lead * recording.rate)
+            played.append((float(velocity), struck.play(recording.rate, int(SECONDS * recording.rate), touch)[0]))
         except (FitError, ParameterError):  # a contact that does not end is no sound to choose
             continue
     if len(played) < 2:

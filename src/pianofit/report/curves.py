@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-__all__ = ["Curves", "Felt", "Known", "Strokes", "RecordingCurves"]
+if TYPE_CHECKING:
+    from ..model.decay import PartialDecay
+
+__all__ = ["Curves", "Envelope", "Felt", "Known", "RecordingCurves", "RingingCurves", "Strokes"]
 
 
 @dataclass(frozen=True)
@@ -62,6 +66,30 @@ class Strokes:
 
 
 @dataclass(frozen=True)
+class Envelope:
+    """How one partial falls; levels in dB, full scale = 0."""
+
+    number: int  # k
+    frequency: float  # Hz
+    time: np.ndarray  # s from the onset [n]
+    measured: np.ndarray  # [n]
+    law: np.ndarray  # [n], by the string's law
+    fitted: np.ndarray | None = None  # [n], as the key rings; None where that is by its law
+
+
+@dataclass(frozen=True)
+class RingingCurves:
+    """The reference recording beside the note as it plays, over time and frequency."""
+
+    envelopes: tuple[Envelope, ...]
+    time: np.ndarray  # s from the onset [frames]
+    frequency: np.ndarray  # middle of the mel bands, Hz [bands]
+    measured: np.ndarray  # dB [bands, frames], down to a floor
+    played: np.ndarray
+    decays: tuple[PartialDecay, ...] = ()  # of every partial that has modes
+
+
+@dataclass(frozen=True)
 class Curves:
     """One fit's curves and sounds. Frequencies in Hz, decays in 1/s; NaN where there is no value.
 
@@ -97,12 +125,14 @@ class Curves:
     compression_initial: np.ndarray  # [m], mm
     compression_fitted: np.ndarray
     sound_rate: int  # Hz
-    sound_original: np.ndarray  # [samples], full scale = 1
+    sound_original: np.ndarray  # [samples] or [channels, samples], full scale = 1
     sound_initial: np.ndarray
-    sound_fitted: np.ndarray
+    sound_fitted: np.ndarray  # as the key rings
     recordings: tuple[RecordingCurves, ...] = ()  # in the order given
     first: int = 0  # the recording that the curves above are of
     paths: tuple[tuple[np.ndarray, np.ndarray], ...] = ()  # of each group: Hz and dB, [partials]
     felt: Felt | None = None
     known: Known | None = None
     strokes: Strokes | None = None
+    sound_law: np.ndarray | None = None  # by the string's law; None where the fitted sound is that
+    ringing: RingingCurves | None = None

@@ -1,4 +1,4 @@
-"""The look of the page's pictures: measured is black, initial is dashed orange, fitted is blue.
+"""The look of the page's pictures: measured is black, initial is dashed orange, law is dashed green, fitted is blue.
 
 The colours are Okabe and Ito's, which stay apart for colour-blind eyes; line style and order tell them apart in grey.
 Figures for the page are SVG, whose letters stay letters; that was both quicker and sharper than PNG at twice the
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = [
-    "FAINT", "FITTED", "HEIGHT", "INITIAL", "INK", "LINES", "MEASURED", "STYLE",
+    "FAINT", "FITTED", "HEIGHT", "INITIAL", "INK", "LAW", "LINES", "MEASURED", "STYLE",
     "legend", "number_axis", "panel", "points", "span", "svg",
 ]  # fmt: skip
 
-INK, MEASURED, INITIAL, FITTED, FAINT = "#333333", "#1a1a1a", "#d55e00", "#0072b2", "#eeeeee"
+INK, MEASURED, INITIAL, LAW, FITTED, FAINT = "#333333", "#1a1a1a", "#d55e00", "#009e73", "#0072b2", "#eeeeee"
 # Inches. A figure is one panel, whose letters can be read on a telephone; a page puts panels side by side.
 WIDTH = 5.6
 HEIGHT = 3.1
@@ -34,6 +34,7 @@ LEGEND = 0.28  # a line of the legend
 LINES: dict[str, dict[str, Any]] = {
     "measured": {"color": MEASURED, "lw": 1.1, "zorder": 2},
     "initial": {"color": INITIAL, "lw": 1.2, "ls": (0, (4, 1.6)), "zorder": 3},
+    "law": {"color": LAW, "lw": 1.2, "ls": (0, (6, 1.6)), "zorder": 3},
     "fitted": {"color": FITTED, "lw": 1.5, "zorder": 4},
 }
 STYLE: dict[Any, Any] = {
@@ -134,7 +135,7 @@ def number_axis(axes: Axes, number: np.ndarray) -> None:
 
 
 def legend(figure: Figure, *sources: Axes | None, columns: int = 4) -> None:
-    """One legend for the figure, below it, in the order measured, initial, fitted, then as drawn."""
+    """One legend for the figure, below it, in the order of `LINES`, then as drawn."""
     found: dict[str, Any] = {}
     for axes in sources:
         if axes is not None:

@@ -30,6 +30,7 @@ from .drawing import (
 )
 from .figures_known import draw_felt, draw_known
 from .figures_recordings import draw_held_out, draw_paths, draw_recordings
+from .figures_ringing import draw_ringing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -42,6 +43,8 @@ __all__ = [
 
 BANDS = {"band1": "band 1: fundamental", "band2": "band 2: partials 2 to 8", "band3": "band 3: partials from 9"}
 
+# Of what most pictures have all three.
+COMPARED = ("measured", "initial", "fitted")
 # Of the largest force: where the heads on a loop stand, apart from each other.
 RISING, FALLING = 0.6, 0.35
 NODE = 60.0  # dB below all other levels, where an initial one is not drawn
@@ -66,6 +69,8 @@ def draw_figures(
             figures["felt"] = draw_felt(curves.felt, curves.recordings)
         if curves.known is not None:
             figures["known"] = draw_known(curves.known)
+        if curves.ringing is not None:
+            figures |= draw_ringing(curves.ringing)
         return {name: [svg(figure) for figure in panels] for name, panels in figures.items()}
 
 
@@ -92,7 +97,7 @@ def write_picture(path: str | os.PathLike[str], fit: dict[str, Any], curves: Cur
         _draw_spectra(spectra, curves, edges[0][0], edges[-1][1])
         _shade_bands(spectra, [(low, high, "", left_out) for low, high, _, left_out in edges])
         spectra.set(title="Spectra and the bands of the fit", ylabel="level (dB)")
-        _draw_attack(attack, curves, ("measured", "initial", "fitted"))
+        _draw_attack(attack, curves, COMPARED)
         attack.set(title="Attack", xlabel="time from the onset (ms)")
         _draw_levels(levels, curves)
         levels.set(title="Levels of the partials", xlabel="partial number")
@@ -124,8 +129,8 @@ def _spectra(curves: Curves, dropped: tuple[str, ...]) -> list[Figure]:
 
 
 def _draw_spectra(axes: Axes, curves: Curves, low: float, high: float) -> None:
-    for name, line in LINES.items():
-        axes.plot(curves.frequency, getattr(curves, f"{name}_db"), label=name, **line)
+    for name in COMPARED:
+        axes.plot(curves.frequency, getattr(curves, f"{name}_db"), label=name, **LINES[name])
     bottom, top = span(curves.measured_db, curves.fitted_db)
     axes.set(xlim=(low, high), ylim=(max(bottom, top - 110) - 6, top + 12), xlabel="frequency (Hz)")
 
@@ -186,7 +191,7 @@ def _shade_bands(axes: Axes, edges: list[tuple[float, float, str, bool]]) -> Non
 
 
 def _attack(curves: Curves) -> list[Figure]:
-    limits = span(*(getattr(curves, f"attack_{name}") for name in LINES))
+    limits = span(*(getattr(curves, f"attack_{name}") for name in COMPARED))
     room = 0.05 * max(limits[1] - limits[0], 1e-12)
     figures = []
     for name, title in (("initial", "start values"), ("fitted", "after the fit")):

@@ -8,13 +8,12 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from ..parameters import DEFAULT_LAW, FELT_LAWS
+from ..felt import DEFAULT_LAW, LAWS, FeltLaw
 from .numbers import is_number, number
-from .words import INVARIANTS, VELOCITY_RATIO
+from .words import INVARIANTS, VELOCITY_RATIO, felt_names
 
-__all__ = ["felt_scale", "half_interval", "held_out_rows", "identified", "open_scale"]
+__all__ = ["a_power", "felt_scale", "half_interval", "held_out_rows", "identified", "open_scale"]
 
-FELT = ("K_H", "mu", "p", "epsilon", "tau")
 FIXED = "Fixed by the data, as far as the brackets say (95 %)"
 WITHIN, OPEN = "Fixed only if the model and its path are all there is", "Not fixed by the data"
 # Half of a 95 % interval, as a logarithm, up to which a combination counts as fixed at all: a factor of two.
@@ -133,7 +132,7 @@ def felt_scale(fit: dict[str, Any]) -> str:
 def _questioned(fit: dict[str, Any]) -> bool:
     """Whether the claims take back what the intervals say of the felt: then nothing of it counts as identified."""
     parameters = fit.get("parameters", {})
-    states = [_status(fit, name) for name in FELT if (parameters.get(name) or {}).get("interval")]
+    states = [_status(fit, name) for name in felt_names(fit) if (parameters.get(name) or {}).get("interval")]
     return bool(states) and all(state == "not-identifiable" for state in states)
 
 
@@ -168,17 +167,35 @@ def _not_told(fit: dict[str, Any]) -> list[str]:
             a, b = map(_plain, pair)
             said.append(f"{a} and {b} apart: they can move {way} (correlation {r:+.4f}).".replace("-", "−"))
     if open_scale(fit):
-        loses = "mu" in FELT_LAWS.get(fit.get("felt", ""), FELT_LAWS[DEFAULT_LAW])
-        also, stay = (", μ", "K_H vᵖ⁻¹ and μ v stay") if loses else ("", "K_H vᵖ⁻¹ stays")
         said.append(
-            f"The common scale of the velocities: with all of them faster, K_H{also} and the gain change along, so "
-            f"that {stay}, and nothing sounds different. The intervals of these are those of the prior."
+            f"The common scale of the velocities: with all of them faster, {_scaled(fit)}, and nothing sounds "
+            "different. The intervals of these are those of the prior."
         )
     assumed = [words for name, words in (("L", "length"), ("M_S", "mass")) if _status(fit, name) == "assumed"]
     if assumed:
         them = "them" if len(assumed) > 1 else "it"
         said.append(f"The string’s {' and '.join(assumed)}: only ratios to {them} are heard.")
     return said
+
+
+def _law(fit: dict[str, Any]) -> FeltLaw | None:
+    """The felt's law; None for one from outside, which a file only names."""
+    return LAWS.get(str(fit.get("felt") or DEFAULT_LAW.name))
+
+
+def a_power(fit: dict[str, Any]) -> bool:
+    """Whether the felt's static force is K_H u^p."""
+    law = _law(fit)
+    return law is not None and law.power is not None
+
+
+def _scaled(fit: dict[str, Any]) -> str:
+    """What follows a common scale of the velocities."""
+    law = _law(fit)
+    if law is None or law.power is None:
+        return "the gain changes along, as does every parameter of the felt with m or N in its unit"
+    also, stay = (", μ", "K_H vᵖ⁻¹ and μ v stay") if "mu" in law.parameters else ("", "K_H vᵖ⁻¹ stays")
+    return f"K_H{also} and the gain change along, so that {stay}"
 
 
 def held_out_rows(held_out: dict[str, Any] | None) -> dict[str, Any] | None:

@@ -10,15 +10,19 @@ import os
 from pathlib import PurePath
 from typing import Any
 
+import numpy as np
+
 from . import known, numbers, words
 from .curves import Curves, RecordingCurves, Strokes
 from .figures import draw_figures
 from .kit import picture, write_page
-from .sound import Clip, make_clips
+from .sound import SECONDS, Clip, make_clips
 
 __all__ = ["Curves", "write_report"]
 
-# Of the sounds beside the three of the first recording: up to this rate, and as long as leaves the page some megabytes.
+# Of the first recording, where a sound has two channels.
+STEREO_SECONDS = 5.0
+# Of the sounds beside them: up to this rate, and as long as leaves the page some megabytes.
 LIGHT_RATE, LIGHT_SECONDS, SHORTEST, LIGHT_SAMPLES = 32_000, 4.0, 1.5, 1_000_000
 
 
@@ -49,11 +53,6 @@ def write_report(
     fit = {key: _named(names, entry) for key, entry in fit.items() if entry is not None}
     held_out = _named(names, held_out)
     onset = _onset(fit.get("takes", []))
-    sounds = {
-        "original": curves.sound_original,
-        "initial": curves.sound_initial,
-        "fitted": curves.sound_fitted,
-    }
     left_out = known.held_out_rows(held_out)
     figures = draw_figures(
         curves, tuple(fit.get("criterion", {}).get("dropped") or ()), tuple(left_out["takes"]) if left_out else ()
@@ -65,7 +64,7 @@ def write_report(
         scripts=("audio.js", "player.js"),
         strict=False,
         title=title,
-        contents=_contents(fit, bool(identified or figures.get("known")), bool(left_out)),
+        contents=_contents(fit, bool(identified or figures.get("known")), bool(left_out), curves.ringing is not None),
         fit=fit,
         notices=words.notices(fit),
         tiles=words.tiles(fit),
@@ -77,12 +76,14 @@ def write_report(
         rows=words.rows(fit),
         minima=words.minima(fit),
         how_sure=words.how_sure(fit),
-        clips=make_clips(sounds, curves.sound_rate, onset),
+        clips=_clips(curves, onset),
+        ringing=_ringing(fit, curves),
         strokes=_strokes(curves.strokes),
         players=_players(curves, fit.get("takes", [])),
         identified=identified,
         felt_scale=known.felt_scale(fit),
         scale_open=known.open_scale(fit),
+        a_power=known.a_power(fit),
         stulov=curves.felt is not None and curves.felt.slow is not None,
         held_out=left_out,
         path_groups=len(curves.paths),
@@ -92,7 +93,7 @@ def write_report(
     )
 
 
-def _contents(fit: dict[str, Any], identified: bool, left_out: bool) -> list[tuple[str, str]]:
+def _contents(fit: dict[str, Any], identified: bool, left_out: bool, ringing: bool) -> list[tuple[str, str]]:
     """The page's headings: (id, words)."""
     several = len(fit.get("takes") or ()) > 1
     headings = (
@@ -103,6 +104,7 @@ def _contents(fit: dict[str, Any], identified: bool, left_out: bool) -> list[tup
         ("evidence", "How well it fits", True),
         ("left-out", "Recordings left out", left_out),
         ("hammer", "The hammer", True),
+        ("ringing", "How the note rings", ringing),
         ("made", "How this was made", True),
     )
     return [(anchor, words) for anchor, words, there in headings if there]
@@ -136,6 +138,35 @@ def _onset(recordings: list[dict[str, Any]]) -> float:
     """When the note of the first recording begins, s."""
     ordered = sorted(recordings, key=lambda recording: not recording.get("first"))
     return next((recording["onset_s"] for recording in ordered if recording.get("onset_s") is not None), 0.0)
+
+
+def _clips(curves: Curves, onset: float) -> list[Clip]:
+    """The first recording's sounds: beside it the fit as it rings and by its law, or before and after the fit."""
+    fitted = {"fitted": curves.sound_fitted}
+    others = {"initial": curves.sound_initial} | fitted if curves.sound_law is None else (
+        fitted | {"law": curves.sound_law}
+    )  # fmt: skip
+    sounds = {name: _in_two(x) for name, x in ({"original": curves.sound_original} | others).items()}
+    mono = all(x.ndim == 1 for x in sounds.values())
+    return make_clips(sounds, curves.sound_rate, onset, seconds=SECONDS if mono else STEREO_SECONDS)
+
+
+def _in_two(x: np.ndarray) -> np.ndarray:
+    """One channel or two as they are; the mean of more, for which a listener has no loudspeakers."""
+    return x if x.ndim == 1 or len(x) <= 2 else x.mean(axis=0)
+
+
+def _ringing(fit: dict[str, Any], curves: Curves) -> dict[str, Any] | None:
+    """What is said of how the note rings, and the table of its decays."""
+    if curves.ringing is None:
+        return None
+    rows = [
+        [str(d.number), f"{d.frequency:.2f}", str(d.modes),
+         *(numbers.number(x, 2) for x in (d.early, d.late, d.beat_frequency, d.beat_depth)),
+         " to ".join(dict.fromkeys(numbers.number(x, 2) for x in d.error))]
+        for d in curves.ringing.decays
+    ]  # fmt: skip
+    return {"words": words.ringing(fit), "rows": rows}
 
 
 def _strokes(strokes: Strokes | None) -> dict[str, Any] | None:

@@ -47,11 +47,12 @@
       draw();
     }
 
-    function outline(clip, width) { // largest magnitude under each pixel
+    function outline(clip, width) { // largest magnitude of all channels under each pixel
       if (clip.outline?.length === width) return clip.outline;
       const share = (seconds * clip.rate) / width;
       clip.outline = Array.from({ length: width }, (_, x) =>
-        clip.samples.subarray(Math.floor(x * share), Math.floor((x + 1) * share)).reduce((most, y) => Math.max(most, Math.abs(y)), 0));
+        clip.channels.reduce((most, samples) => samples.subarray(Math.floor(x * share), Math.floor((x + 1) * share))
+          .reduce((larger, y) => Math.max(larger, Math.abs(y)), most), 0));
       return clip.outline;
     }
 

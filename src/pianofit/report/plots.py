@@ -6,13 +6,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from ..errors import FitError
+from ..errors import FitError, ParameterError
 from ..inference import Result
 from .build import reference_curves
 from .build_felt import known_of
+from .build_ringing import envelopes_of
 from .drawing import STYLE
 from .figures import draw_force, draw_levels, draw_spectrum
 from .figures_known import draw_correlations
+from .figures_ringing import draw_envelope
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -46,6 +48,27 @@ class Plots:
         """Levels of the partials, dB, measured with 95 % bars, initial and fitted."""
         curves = reference_curves(self.result)
         return _drawn(ax, lambda axes: draw_levels(axes, curves))
+
+    def envelopes(self, ax: Axes | None = None, *, number: int | None = None) -> Axes:
+        """Level of partial `number`, the strongest if None, dB over s: measured, by the string's law, as the key rings.
+
+        Raises
+        ------
+        ParameterError
+            If no such partial was found.
+        """
+        heard = self.result.reference
+        known = heard.partials.number
+        own = int(known[heard.level.argmax()]) if number is None else number
+        if own not in known:
+            raise ParameterError(f"number={number} is no partial of this recording; choose one of {known.tolist()}")
+        (envelope,) = envelopes_of(self.result, [own])
+
+        def draw(axes: Axes) -> None:
+            draw_envelope(axes, envelope)
+            axes.legend()
+
+        return _drawn(ax, draw)
 
     def correlations(self, ax: Axes | None = None) -> Axes:
         """Correlations of the estimates, %; without a measured velocity, those at the reference's velocity as shown.

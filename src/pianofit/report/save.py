@@ -7,6 +7,7 @@ from pathlib import Path
 
 from ..inference import Result
 from ..io import encode_wav, json_text, one_line, output_folder, replace_file
+from ..ringing_file import KNOCK_FILE, encode_knock
 from .build import curves_of
 from .page import write_report
 
@@ -55,14 +56,17 @@ def _title(result: Result) -> str:
 
 def _write_sounds(result: Result, folder: Path) -> None:
     """What was before and after the fit, in sound; what an earlier fit left of its page and sounds goes."""
-    for old in (folder / "report.html", *folder.glob("fitted-*.wav")):
+    for old in (folder / "report.html", folder / KNOCK_FILE, *folder.glob("fitted-*.wav")):
         with contextlib.suppress(FileNotFoundError):
             old.unlink()
     rate = result.recording.rate
     replace_file(folder / "initial.wav", encode_wav(result.initial.samples, rate))
-    replace_file(folder / "fitted.wav", encode_wav(result.fitted.samples, rate))
+    replace_file(folder / "fitted.wav", encode_wav(result.reference.sound, rate))
+    ringing = result.note.ringing
+    if ringing is not None and (knock := encode_knock(ringing)):
+        replace_file(folder / KNOCK_FILE, knock)
     stems = [Path(heard.recording.path).stem for heard in result.takes]
     for place, (stem, heard) in enumerate(zip(stems, result.takes, strict=True), 1):
         if len(stems) > 1:
             name = stem if stems.count(stem) == 1 else f"{stem}-{place}"  # of one name in two folders
-            replace_file(folder / f"fitted-{name}.wav", encode_wav(heard.fitted.samples, heard.recording.rate))
+            replace_file(folder / f"fitted-{name}.wav", encode_wav(heard.sound, heard.recording.rate))

@@ -1,10 +1,10 @@
 """Sounds made ready for the page: cut to the note, equally loud, 16 bits, as text a browser can play.
 
 The three sounds are compared by ear, and the louder of two sounds seems the better one. So all get the same loudness:
-the mean square of the first second after the K-weighting of ITU-R BS.1770 (its two filters, as analogue prototypes, so
-that they mean the same at every rate). One more gain, the same for all, keeps the highest peak 1 dB below full scale:
-nothing clips, also while two sounds are blended into each other. Sounds that are to show how loud they are get this
-gain alone.
+the mean square, over the channels and the first second, after the K-weighting of ITU-R BS.1770 (its two filters, as
+analogue prototypes, so that they mean the same at every rate). One more gain, the same for all, keeps the highest peak
+1 dB below full scale: nothing clips, also while two sounds are blended into each other. Sounds that are to show how
+loud they are get this gain alone.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 
 __all__ = ["Clip", "k_weighted_mean_square", "make_clips"]
 
-SECONDS = 8.0  # of each sound are kept; a page of three such sounds at 48 kHz has 3 MB
+SECONDS = 8.0  # of each sound are kept; three such sounds of one channel at 48 kHz have 3 MB
 LEAD_IN = 0.05  # s kept before the onset
 FADE = 0.05  # s, at the end: many recordings are cut off
 PEAK = 10 ** (-1 / 20)
@@ -43,14 +43,15 @@ class Clip:
 
 
 def k_weighted_mean_square(samples: np.ndarray, rate: float) -> float:
-    """Mean square of `samples` [samples] after the K-weighting of ITU-R BS.1770-4, annex 1."""
-    power = np.abs(np.fft.rfft(samples)) ** 2
-    s = 2j * np.pi * np.fft.rfftfreq(len(samples), 1 / rate)
+    """Mean square of `samples` [..., samples], over all, after the K-weighting of ITU-R BS.1770-4, annex 1."""
+    power = np.mean(np.abs(np.fft.rfft(np.atleast_2d(samples))) ** 2, axis=0)
+    count = np.shape(samples)[-1]
+    s = 2j * np.pi * np.fft.rfftfreq(count, 1 / rate)
     w1, q1, high = 2 * np.pi * 1681.974, 0.7071752, 10 ** (3.999844 / 20)  # shelf: +4 dB above 1.7 kHz, the head
     w2, q2 = 2 * np.pi * 38.13547, 0.5003270  # high-pass
     shelf = (high * s**2 + high**0.4996668 * w1 / q1 * s + w1**2) / (s**2 + w1 / q1 * s + w1**2)
     highpass = s**2 / (s**2 + w2 / q2 * s + w2**2)
-    return float(2 * np.sum(power * np.abs(shelf * highpass) ** 2) / len(samples) ** 2)
+    return float(2 * np.sum(power * np.abs(shelf * highpass) ** 2) / count**2)
 
 
 def make_clips(
@@ -63,7 +64,7 @@ def make_clips(
     highest_rate: int = HIGHEST_RATE,
     matched: bool = True,
 ) -> list[Clip]:
-    """Cut, match and encode `sounds`: name -> [samples], all at `rate` Hz and aligned; `onset` in seconds.
+    """Cut, match and encode `sounds`: name -> [samples] or [channels, samples], at `rate` Hz and aligned; `onset` in s.
 
     Parameters
     ----------
@@ -74,43 +75,41 @@ def make_clips(
     factor = math.ceil(rate / highest_rate)
     cut = {name: _excerpt(samples, rate, onset - lead_in, seconds, factor) for name, samples in sounds.items()}
     rate = round(rate / factor)
-    powers = {name: k_weighted_mean_square(samples[:rate], rate) if matched else 0.0 for name, samples in cut.items()}
+    powers = {
+        name: k_weighted_mean_square(samples[:, :rate], rate) if matched else 0.0 for name, samples in cut.items()
+    }
     gains = {name: power**-0.5 if power > 0 else 1.0 for name, power in powers.items()}
     highest = max(gains[name] * np.max(np.abs(samples)) for name, samples in cut.items())
     common = PEAK / highest if highest > 0 else 1.0
     return [
         Clip(name, _wav_uri(samples * gains[name] * common, rate), 20 * math.log10(gains[name] * common), rate,
-             len(samples) / rate)
+             samples.shape[-1] / rate)
         for name, samples in cut.items()
     ]  # fmt: skip
 
 
 def _excerpt(samples: np.ndarray, rate: int, begin: float, seconds: float, factor: int) -> np.ndarray:
-    """From `begin`, s, at most `seconds`, faded out, at the rate divided by `factor`."""
-    samples = np.nan_to_num(np.asarray(samples, dtype=np.float64), posinf=0.0, neginf=0.0)
-    samples = samples if len(samples) else np.zeros(1)
+    """From `begin`, s, at most `seconds`, faded out, at the rate divided by `factor` [channels, samples]."""
+    samples = np.atleast_2d(np.nan_to_num(np.asarray(samples, dtype=np.float64), posinf=0.0, neginf=0.0))
+    samples = samples if samples.size else np.zeros((1, 1))
     start = max(0, round(begin * rate))
-    start = start if start < len(samples) else 0
-    kept = samples[start : start + round(seconds * rate)].copy()
+    start = start if start < samples.shape[-1] else 0
+    kept = samples[:, start : start + round(seconds * rate)].copy()
     fade = round(FADE * rate)
-    kept[-fade:] *= np.linspace(1.0, 0.0, fade)[-len(kept) :]
-    return kept if factor == 1 else _brought_down(kept, factor)
+    kept[:, -fade:] *= np.linspace(1.0, 0.0, fade)[-kept.shape[-1] :]
+    if factor == 1:
+        return kept
+    from scipy.signal import resample  # by Fourier's transform: both ends are silent, so none wraps around
 
-
-def _brought_down(samples: np.ndarray, factor: int) -> np.ndarray:
-    """Every `factor`-th sample of what lies below half of the new rate; both ends are silent, so none wraps around."""
-    size = -(-len(samples) // factor)
-    spectrum = np.fft.rfft(samples, size * factor)[: size // 2 + 1]
-    if size % 2 == 0:
-        spectrum[-1] = 0.0  # at half of the new rate the phase has no place
-    return np.fft.irfft(spectrum, size) / factor
+    size = -(-kept.shape[-1] // factor)
+    return np.asarray(resample(np.pad(kept, ((0, 0), (0, size * factor - kept.shape[-1]))), size, axis=-1))
 
 
 def _wav_uri(samples: np.ndarray, rate: int) -> str:
     file = io.BytesIO()
     with wave.open(file, "wb") as out:
-        out.setnchannels(1)
+        out.setnchannels(len(samples))
         out.setsampwidth(2)
         out.setframerate(rate)
-        out.writeframes(np.round(samples * 32768).astype("<i2").tobytes())
+        out.writeframes(np.round(samples.T * 32768).astype("<i2").tobytes())
     return "data:audio/wav;base64," + base64.b64encode(file.getvalue()).decode()

@@ -9,13 +9,13 @@ import math
 from pathlib import PurePath
 from typing import Any
 
-from ..parameters import PARAMETERS
+from ..felt import BOXES
 from .figures import BANDS
 from .numbers import is_number, number, with_interval
 
 __all__ = [
-    "again_in_words", "bands", "comparison", "glide", "groups", "how_sure", "invariants", "minima", "notices", "rows",
-    "tiles",
+    "again_in_words", "bands", "comparison", "felt_names", "glide", "groups", "how_sure", "invariants", "minima",
+    "notices", "ringing", "ringing_line", "rows", "tiles",
 ]  # fmt: skip
 
 STATUS = {  # word -> mark, explanation
@@ -35,7 +35,7 @@ SYMBOLS = {
     "epsilon": "ε",
     "tau": "τ",
 }  # the page lowers what follows the "_"
-MEANINGS = {name: parameter.meaning for name, parameter in PARAMETERS.items()} | {
+MEANINGS = {name: parameter.meaning for name, parameter in BOXES.items()} | {
     "b1": "loss, the same for all partials",
     "b2": "loss that grows with frequency",
     "M_S": "mass of the string",
@@ -53,11 +53,18 @@ INVARIANTS = {
     "F/M_S": ("F/M_S", "static force of the felt over the mass of the string"),
 }
 VELOCITY_RATIO = "v/v_ref "
-# What tells one minimum's hammer from another's.
-HAMMER = ("K_H", "p", "mu", "epsilon", "tau", "M_H", "x0")
+# What every fit has beside its felt.
+BESIDE_THE_FELT = {"c", "kappa", "b1", "b2", "M_H", "v_H0", "x0", "width", "M_S", "L", "pickup"}
+# What a key can ring by, as `fit.json` names it, and in words.
+RINGS_BY = {"law": "the law", "modes": "modes", "modes and knock": "modes and knock"}
 UNSETTLED = (
     "The search ended before it converged. Take every number on this page as a stage on the way, not as a result."
 )
+
+
+def felt_names(fit: dict[str, Any]) -> list[str]:
+    """The parameters of the felt's law."""
+    return [name for name in fit.get("parameters", {}) if name not in BESIDE_THE_FELT]
 
 
 def rows(fit: dict[str, Any]) -> list[dict[str, str]]:
@@ -69,7 +76,7 @@ def _row(name: str, entry: dict[str, Any]) -> dict[str, str]:
     status = entry.get("status") or "fitted"
     return {
         "name": SYMBOLS.get(name, name),
-        "meaning": MEANINGS.get(name, ""),
+        "meaning": str(entry.get("meaning") or MEANINGS.get(name, "")),
         **_measured(entry),
         "initial": number(entry.get("initial")),
         "status": status,
@@ -105,7 +112,8 @@ def minima(fit: dict[str, Any]) -> dict[str, Any] | None:
     if len(found) < 2:
         return None
     values = [entry.get("parameters") or {} for entry in found]
-    names = [name for name in HAMMER if len({v.get(name) for v in values}) > 1]
+    # What tells one minimum's hammer from another's.
+    names = [name for name in (*felt_names(fit), "M_H", "x0") if len({v.get(name) for v in values}) > 1]
     units = {name: str((fit.get("parameters", {}).get(name) or {}).get("unit") or "") for name in names}
     best = found[0].get("F")
     return {
@@ -274,3 +282,49 @@ def comparison(fit: dict[str, Any]) -> str:
         f"A smooth output path alone, with a hammer from the literature, would leave an error of {path:.1f} dB in the "
         f"partials’ levels; the fit leaves {fitted:.1f} dB. {meaning}"
     )
+
+
+def ringing(fit: dict[str, Any]) -> str:
+    """Say what the key rings by, and how that was decided; empty where nothing is said of it."""
+    said = fit.get("ringing") or {}
+    by, away = said.get("by"), _left_out(said)
+    if by not in RINGS_BY:
+        return ""
+    if away is None:
+        return f"It rings by {_modes(said)}. One recording: not tested on another stroke."
+    law, modes, knock = (f"{x:.1f}" for x in away.values())
+    tested = (
+        f"Layers that took no part are {law} dB from their recordings by the string’s law, {modes} by its modes, and "
+        f"{knock} by modes and knock"
+    )
+    if by == "law":
+        return f"{tested}. What other layers show brings a layer no nearer to its recording, so it rings by the law."
+    return f"{tested}; so it rings by {_modes(said)}."
+
+
+def ringing_line(fit: dict[str, Any]) -> str:
+    """Say the same in a line for a terminal."""
+    said = fit.get("ringing") or {}
+    by, away = said.get("by"), _left_out(said)
+    if by not in RINGS_BY:
+        return ""
+    line = f"rings by {RINGS_BY[by] if by == 'law' else _modes(said)}"
+    if away is None:
+        return f"{line}; one recording: not tested on another stroke"
+    others = ", ".join(f"{x:.1f} by {RINGS_BY[name]}" for name, x in away.items() if name != by)
+    return f"{line}: {away[by]:.1f} dB from layers left out ({others})"
+
+
+def _modes(said: dict[str, Any]) -> str:
+    """How many modes, with the knock if there is one."""
+    found = said.get("modes")
+    count = len(found.get("partial") or ()) if isinstance(found, dict) else 0
+    return f"{count} modes" + (" and a knock" if said.get("by") == "modes and knock" else "")
+
+
+def _left_out(said: dict[str, Any]) -> dict[str, float] | None:
+    """Distances of layers left out, dB, by what they ring by; None where none was left out."""
+    away = said.get("left_out_db")
+    if not (isinstance(away, dict) and all(is_number(away.get(name)) for name in RINGS_BY)):
+        return None
+    return {name: away[name] for name in RINGS_BY}

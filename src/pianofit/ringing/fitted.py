@@ -1,36 +1,162 @@
-"""From a finished fit to how its key rings."""
+"""A finished fit made to ring: the modes and the knock of its key, kept where they bring unheard layers nearer.
+
+What a layer's own recording gave would always bring its synthesis nearer to that recording. So every inner layer is
+left out in turn: the patterns and the knock of the others, driven by the force of that layer's stroke, are laid beside
+its recording, and the key rings by its modes, or by its modes and its knock, only if that is nearer than its law.
+"""
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
 import numpy as np
+from scipy.signal import resample_poly
 
-from ..errors import FitError
-from ..inference import Result
-from ..model.modal import Ringing, force_of
-from .heard import hear
-from .key import key_of
-from .modes import modes_of
+from ..inference import Heard as Fitted
+from ..inference import Result, Sound
+from ..model.modal import LEAD, Force, Ringing, force_of
+from ..ringing_file import ringing_document
+from ..threads import one_blas_thread
+from .distance import log_mel_distance
+from .heard import Heard, hear
+from .key import Key, key_of
+from .modes import PartialModes, modes_of
 
-__all__ = ["ringing_of"]
+__all__ = ["RUNGS", "make_ring", "ringing_of"]
+
+# What a key can ring by, the simplest first.
+RUNGS = ("law", "modes", "modes and knock")
 
 
-def ringing_of(result: Result) -> Ringing:
-    """The modes and the knock of a fitted key, from the recordings that share the reference's path.
+class _Layers(NamedTuple):
+    """The recordings of a key that went through one path, by hammer velocity; the loudest, the last, leads."""
 
-    With one recording nothing says which of its modes another stroke would excite alike: all that it shows is taken.
+    place: list[int]  # in the fit
+    fitted: list[Fitted]
+    heard: Heard
+    forces: list[Force]
 
-    Raises
-    ------
-    FitError
-        If the fit was read back without its recordings, or no partial stands above the noise.
+    def modes(self) -> list[PartialModes]:
+        """Of all partials."""
+        return modes_of(self.heard, [layer.analysis for layer in self.fitted])
+
+
+@one_blas_thread()
+def make_ring(result: Result, progress: Callable[[str, float], None] = lambda *_: None) -> Result:
+    """The fit with notes that ring as its recordings do: with their aftersound, beats, knock and channels.
+
+    A calibrated fit keeps its law: between its string and its file lies nothing that is unknown. So does one whose
+    partials stand too little above the noise to show modes.
     """
-    group = result.reference and result.document["takes"][result.first]["group"]
-    rows = zip(result.takes, result.document["takes"], strict=True)
-    layers = [layer for layer, row in rows if row["group"] == group]
-    layers.sort(key=lambda layer: layer.fitted.note.hammer.v_H0)  # the loudest last: it says where partials are
-    analyses = [layer.analysis for layer in layers]
-    heard = hear([layer.recording for layer in layers], analyses)
-    modes = modes_of(heard, analyses)
+    if result.document["takes"][result.first]["gain_status"] == "given":
+        return result
+    progress("ringing", 0.95)
+    layers = _layers(result)
+    modes = layers.modes()
     if not modes:
-        raise FitError(f"{result.recording.path}: no partial stands above the noise long enough to show its modes")
-    return key_of(heard, modes, [force_of(layer.fitted.simulation) for layer in layers])
+        return result
+    key = key_of(layers.heard, modes, layers.forces)
+    distances = _left_out(layers, modes, key)
+    rung = min(RUNGS, key=lambda name: distances[name]) if distances else RUNGS[-1]
+    return _attached(result, layers, key, rung, distances)
+
+
+@one_blas_thread()
+def ringing_of(result: Result) -> Ringing | None:
+    """Modes and knock of a fitted key, in file units without the gains of layers, whether or not they bring it nearer.
+
+    None where no partial stands above the noise long enough to show its modes.
+    """
+    layers = _layers(result)
+    modes = layers.modes()
+    return key_of(layers.heard, modes, layers.forces).ringing if modes else None
+
+
+def _layers(result: Result) -> _Layers:
+    rows = result.document["takes"]
+    group = rows[result.first]["group"]
+    place = [i for i, row in enumerate(rows) if row["group"] == group]
+    place.sort(key=lambda i: result.takes[i].fitted.note.hammer.v_H0)
+    fitted = [result.takes[i] for i in place]
+    heard = hear([layer.recording for layer in fitted], [layer.analysis for layer in fitted])
+    return _Layers(place, fitted, heard, [force_of(layer.fitted.simulation) for layer in fitted])
+
+
+def _left_out(layers: _Layers, modes: Sequence[PartialModes], key: Key) -> dict[str, float]:
+    """Mean distance, dB, of layers that gave neither patterns nor knock, by what they ring by; of one layer none."""
+    count = len(layers.fitted)
+    inner = range(1, count - 1) if count > 2 else range(count) if count > 1 else ()
+    rows = [_distances(layers, modes, key, i) for i in inner]
+    return {rung: float(np.mean([row[rung] for row in rows])) for rung in RUNGS} if rows else {}
+
+
+def _distances(layers: _Layers, modes: Sequence[PartialModes], key: Key, out: int) -> dict[str, float]:
+    heard, rest = layers.heard, [i for i in range(len(layers.fitted)) if i != out]
+    others = Heard(heard.samples[rest], heard.before[rest], heard.rate, heard.seconds[rest])
+    known = [_of_layers(m, rest) for m in modes]
+    without = key_of(others, known, [layers.forces[i] for i in rest])
+    ringing, rate, lead = without.ringing, heard.rate, round(LEAD * heard.rate)
+    count = round(heard.seconds[out] * rate)
+    target = np.concatenate([heard.before[out], heard.samples[out]], axis=-1).mean(axis=0)[: lead + count]
+    late = max(round((key.delay[out] - float(np.median(key.delay[rest] - without.delay))) * rate), 0)
+
+    def of(one: Ringing) -> np.ndarray:
+        sound = one.sound(layers.forces[out], rate, lead + count).mean(axis=0)
+        return np.pad(sound, (late, 0))[: len(target)]
+
+    sounds = (_by_law(layers.fitted[out], rate, lead), of(ringing.without_knock()), of(ringing))
+    return {
+        rung: log_mel_distance(target, sound, rate, lead) for rung, sound in zip(RUNGS, sounds, strict=True)
+    }  # fmt: skip
+
+
+def _of_layers(modes: PartialModes, which: list[int]) -> PartialModes:
+    """The modes as these layers alone show them."""
+    return dataclasses.replace(
+        modes, **{name: getattr(modes, name)[which] for name in ("amplitude", "offset", "noise", "snr")}
+    )
+
+
+def _by_law(layer: Fitted, rate: int, lead: int) -> np.ndarray:
+    """The layer as the string's law plays it, from `lead` samples before its onset."""
+    recording, sound = layer.recording, layer.fitted.samples
+    onset = recording.onset
+    if recording.rate != rate:
+        by = np.gcd(rate, recording.rate)
+        sound = resample_poly(sound, rate // by, recording.rate // by)
+        onset = round(onset * rate / recording.rate)
+    return np.pad(sound, (lead, 0))[onset:]
+
+
+def _attached(result: Result, layers: _Layers, key: Key, rung: str, distances: dict[str, float]) -> Result:
+    """The result with the key's ringing in its notes, sounds and document; per unit of the reference's gain."""
+    rows = [
+        {"file": layer.recording.path, "contact_s": float(late), "gain_db": float(20 * np.log10(gain))}
+        for layer, late, gain in zip(layers.fitted, key.delay, key.gain, strict=True)
+    ]
+    said: dict = {"by": rung, "left_out_db": distances or None, "layers": rows}
+    if rung == "law":
+        return dataclasses.replace(result, document=result.document | {"ringing": said})
+    ringing = key.ringing if rung == RUNGS[-1] else key.ringing.without_knock()
+    takes, best = list(result.takes), list(result.notes[0])
+    for place, gain, late in zip(layers.place, key.gain, key.delay, strict=True):
+        own = ringing.louder(gain / takes[place].fitted.note.gain)
+        best[place] = best[place]._replace(ringing=own)
+        takes[place] = _as_it_rings(takes[place], own, late)
+        if place == result.first:
+            said |= ringing_document(own)
+    notes = (tuple(best), *result.notes[1:])
+    return dataclasses.replace(
+        result, document=result.document | {"ringing": said}, takes=tuple(takes), notes=notes
+    )  # fmt: skip
+
+
+def _as_it_rings(take: Fitted, ringing: Ringing, late: float) -> Fitted:
+    """A recording beside a note that rings."""
+    law, recording = take.fitted, take.recording
+    note = law.note._replace(ringing=ringing)
+    touch = recording.onset + round(late * recording.rate)
+    frames = note.frames(law.simulation, recording.rate, len(recording.samples), touch)
+    return dataclasses.replace(take, ringing=Sound(note, frames.mean(axis=0), law.simulation, law.level, frames))

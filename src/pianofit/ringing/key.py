@@ -1,8 +1,9 @@
-"""What lies between the forces of strokes and their recordings, found: patterns, knock, gains, contact times."""
+"""What lies between the forces of several strokes and their recordings: patterns, knock, gains and contact times."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from scipy import signal
@@ -11,7 +12,7 @@ from ..model.modal import EDGE, LEAD, Force, Ringing
 from .heard import Heard
 from .modes import PartialModes, common_pattern
 
-__all__ = ["key_of"]
+__all__ = ["Key", "key_of"]
 
 # The knock lasts so long after the contact, s: beyond this it gains little (the knee of the distance over its length).
 KNOCK = 0.4
@@ -33,15 +34,23 @@ SWEEPS = 20
 ALIGNED = 0.08
 
 
-def key_of(heard: Heard, modes: Sequence[PartialModes], forces: Sequence[Force]) -> Ringing:
-    """The key that these layers, by these forces, show; gains of layers are taken out."""
+class Key(NamedTuple):
+    """What the layers of a key have in common, and each has of its own."""
+
+    ringing: Ringing  # gains of layers taken out
+    gain: np.ndarray  # of each layer [layers]
+    delay: np.ndarray  # of its contact after its onset, s [layers]
+
+
+def key_of(heard: Heard, modes: Sequence[PartialModes], forces: Sequence[Force]) -> Key:
+    """The key that these layers, by these forces, show."""
     delay, gain, pattern = _patterns(heard, modes, forces)
     pole = np.concatenate([m.poles for m in modes])
     found = Ringing(
         np.concatenate([np.full(len(m.pole), m.number) for m in modes]), pole,
         np.concatenate([m.pole_error for m in modes]), pattern, np.zeros((pattern.shape[0], 0)), heard.rate,
     )  # fmt: skip
-    return found._replace(knock=_knock(heard, modes, found, forces, delay, gain))
+    return Key(found._replace(knock=_knock(heard, modes, found, forces, delay, gain)), gain, delay)
 
 
 def _patterns(

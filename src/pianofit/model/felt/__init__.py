@@ -1,6 +1,6 @@
-"""Laws of the felt: the three that a fit knows (`relaxing`), and any other as one object (`own`)."""
+"""How a felt is stepped: its laws are data (`pianofit.felt`), three of them with a solver of their own (`relaxing`)."""
 
-from .own import FeltLaw, own_law
+from .passive import static_force
 from .step import compression, felt_force, force, memory_weights, remember
 
-__all__ = ["FeltLaw", "compression", "felt_force", "force", "memory_weights", "own_law", "remember"]
+__all__ = ["compression", "felt_force", "force", "memory_weights", "remember", "static_force"]

@@ -23,8 +23,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from ...parameters import Hammer, MemoryHammer
-from ..precision import float64
+from ...felt import MemoryHammer
+from ...parameters import Hammer
+from ..precision import AnyArray, float64
 
 __all__ = ["Weights", "compression", "felt_force", "force", "memory_weights", "remember"]
 
@@ -57,7 +58,7 @@ def felt_force(u: Array, w: Array, hammer: Hammer | MemoryHammer, memory=0.0, sh
 
 
 @float64
-def memory_weights(hammer: Hammer | MemoryHammer, step: Array) -> Weights | None:
+def memory_weights(hammer: Any, step: AnyArray) -> Weights | None:
     """The weights of a step, s, to rounding for any τ; None for a felt without memory."""
     if not isinstance(hammer, MemoryHammer):
         return None
@@ -75,7 +76,7 @@ def memory_weights(hammer: Hammer | MemoryHammer, step: Array) -> Weights | None
     )
 
 
-def remember(u: Array, hammer: Hammer | MemoryHammer, weights: Weights | None, memory: Any) -> Array | None:
+def remember(u: Array, hammer: Any, weights: Weights | None, memory: Any) -> Array | None:
     """What of the memory comes from before the next step: k c_n + w0 a_n, from `u` of this one and its own `memory`."""
     if weights is None:
         return None

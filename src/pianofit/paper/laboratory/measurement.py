@@ -9,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 
 from ...errors import ParameterError
-from ...recording import RATES
 from .. import twin
 from . import chosen
 from .body import Body, make_axes, make_body
@@ -18,18 +17,7 @@ from .strike import Stroke, ring, strike
 
 __all__ = ["Laboratory", "Measurement", "stroke_of", "felt_of", "measure", "setup_text"]
 
-# name -> lower, upper, unit.
-LIMITS = {
-    "velocity": (0.05, chosen.FASTEST, "m/s"),
-    "noise_db": (-20.0, 200.0, "dB below the first second's rms, or None"),
-    "velocity_error": (0.0, 0.2, "of the velocity"),
-    "seconds": (0.1, 60.0, "s"),
-    "rate": (*RATES, "Hz"),
-    "contact_rate": (1e5, 2e7, "Hz"),
-    "eps": (0.0, 0.99, "(1)"),
-    "tau": (1e-7, 1e-1, "s"),
-    "seed": (0, 2**32, "(1)"),
-}
+SLOWEST = 0.05  # m/s
 
 
 @dataclass(frozen=True)
@@ -39,7 +27,7 @@ class Laboratory:
     Raises
     ------
     ParameterError
-        For a value outside its range.
+        For a felt that it has not.
     """
 
     polarisation: bool = True  # a second one
@@ -56,14 +44,6 @@ class Laboratory:
     def __post_init__(self):
         if self.felt not in FELTS:
             raise ParameterError(f"felt={self.felt!r} must be one of {', '.join(FELTS)}")
-        for name in ("polarisation", "bridge"):
-            if not isinstance(getattr(self, name), bool):
-                raise ParameterError(f"{name}={getattr(self, name)!r} must be True or False")
-        for name in ("velocity_error", "seconds", "contact_rate", "eps", "tau"):
-            within(name, getattr(self, name))
-        within("rate", self.rate, whole=True)
-        if self.noise_db is not None:
-            within("noise_db", self.noise_db)
 
     @classmethod
     def ideal(cls, **switches) -> Laboratory:
@@ -92,9 +72,10 @@ def measure(lab: Laboratory, velocity: float, seed: int = 0) -> Measurement:
     Raises
     ------
     ParameterError
-        For a velocity or a seed outside its range.
+        For a velocity at which the vibrometer hears nothing, or leaves its range.
     """
-    velocity, seed = within("velocity", velocity), int(within("seed", seed, whole=True))
+    if not SLOWEST <= velocity <= chosen.FASTEST:
+        raise ParameterError(f"velocity={velocity!r} must be from {SLOWEST} to {chosen.FASTEST} m/s")
     body, stroke = stroke_of(lab, velocity)
     onset = round(chosen.LEAD * lab.rate)
     clean = np.pad(ring(body, stroke, lab.rate, round(lab.seconds * lab.rate)) / chosen.SCALE, (onset, 0))
@@ -118,9 +99,8 @@ def setup_text(measurement: Measurement, *, hold_velocity: bool = True) -> str:
     read = measurement.nominal_velocity
     if not hold_velocity:
         return twin.setup_text(measurement.scale, v_H0=read)
-    return (
-        twin.setup_text(measurement.scale, v_H0=None) + f"\n[[take]]\nv_H0 = {read!r}  # m/s, as the sensor read it\n"
-    )
+    held = f"\n[[take]]\nv_H0 = {read!r}  # m/s, as the sensor read it\n"
+    return twin.setup_text(measurement.scale, v_H0=None) + held
 
 
 def stroke_of(lab: Laboratory, velocity: float) -> tuple[Body, Stroke]:
@@ -147,14 +127,10 @@ def _truth(lab: Laboratory, velocity: float) -> dict[str, float]:
         del true["mu"]
         true |= {"felt.eps": lab.eps, "felt.tau": lab.tau}
     if lab.polarisation:
-        true |= {
-            "polarisation.angle": chosen.ANGLE,
-            "polarisation.cents": chosen.CENTS,
-            "polarisation.slower": chosen.SLOWER,
-        }
-    if lab.bridge:
-        for n, resonator in enumerate(chosen.RESONATORS, 1):
-            true |= {f"bridge.{n}.{name}": value for name, value in resonator._asdict().items()}
+        turned = {"angle": chosen.ANGLE, "cents": chosen.CENTS, "slower": chosen.SLOWER}
+        true |= {f"polarisation.{name}": value for name, value in turned.items()}
+    for n, resonator in enumerate(chosen.RESONATORS if lab.bridge else (), 1):
+        true |= {f"bridge.{n}.{name}": value for name, value in resonator._asdict().items()}
     return {name: float(value) for name, value in true.items()}
 
 
@@ -173,13 +149,3 @@ def _noise(samples: int, rate: int, random: np.random.Generator) -> np.ndarray:
 def _random(seed: int, purpose: str) -> np.random.Generator:
     """A stream of its own for each purpose: switching one off leaves the other as it was."""
     return np.random.default_rng([("noise", "velocity").index(purpose), seed])
-
-
-def within(name: str, value: object, whole: bool = False) -> float:
-    """`value`, if it is a number (a whole one) within its limits; an error that names it, if not."""
-    low, high, unit = LIMITS[name]
-    kinds = (int, np.integer) if whole else (int, float, np.integer, np.floating)
-    if isinstance(value, bool) or not isinstance(value, kinds) or not low <= float(value) <= high:
-        number = "a whole number" if whole else "a number"
-        raise ParameterError(f"{name}={value!r} must be {number} from {low:g} to {high:g} {unit}".removesuffix(" (1)"))
-    return float(value)

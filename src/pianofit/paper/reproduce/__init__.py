@@ -7,7 +7,7 @@ the page is also in a file: every figure as PNG, every table as CSV, every sound
 """
 
 from .claims import Claim
-from .plan import FULL, QUICK, Plan
 from .run import reproduce
+from .studies import FULL, QUICK, Plan
 
 __all__ = ["FULL", "QUICK", "Claim", "Plan", "reproduce"]

@@ -1,16 +1,20 @@
 """What came of each of the paper's claims, by rules: numbers in, an outcome out.
 
-Every function takes what was measured in this run, and nothing else, and decides by the rule in its docstring. A claim
-made of several parts comes out in part when only some of them do. How the numbers are worded, and what explains a claim
-that did not come out, is written once, in `claims.j2`, in blocks of the functions' names and those with `_why`.
+Every rule takes what was measured in this run, and nothing else, and says which parts of its claim came out, as its
+docstring has it; what it takes, and what it may return beside, are the numbers of its sentence. How they are worded,
+and what explains a claim that did not come out, is written once, in `claims.j2`, in blocks of the rules' names and
+those with `_why`. Velocities are in m/s, times in s, energies in J, masses in kg.
 """
 
+# What a rule does not decide by, its sentence says.
+# ruff: noqa: ARG001
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import inspect
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
-from typing import TYPE_CHECKING, Any
+from functools import cache, wraps
+from typing import TYPE_CHECKING, Any, ParamSpec
 
 import numpy as np
 
@@ -35,6 +39,10 @@ STILL = {"p": 0.05}
 NEAR = {"c": 1e-3, "kappa": 0.05, "b1": 0.2}
 # Repeated measurements give a parameter alike if the standard deviation of its logarithm is at most this.
 ALIKE = 0.05
+
+P = ParamSpec("P")
+# Which parts of a claim came out; and numbers that its sentence needs beside those that the rule was given.
+Parts = Sequence[Any] | tuple[Sequence[Any], dict[str, Any]]
 
 
 @dataclass(frozen=True)
@@ -64,162 +72,128 @@ def or_else(first: Claim, second: Claim) -> Claim:
     return first if first.outcome == "yes" else replace(first, otherwise=second)
 
 
-def contact_lasts(velocities: Sequence[float], contact: Sequence[float], mass: float, needed: float) -> Claim:
-    """Contact near 3 ms, that is nearer to 3 than to 2 or 4 ms.
+def rule(where: str, claim: str) -> Callable[[Callable[P, Parts]], Callable[P, Claim]]:
+    """What decides a `claim` that stands at `where`: all, some or none of its parts came out."""
 
-    Parameters
-    ----------
-    velocities, contact : m/s and s [strokes].
-    mass, needed : of the hammer, and of one that would stay for 3 ms at the middle velocity, kg.
-    """
-    return _judged(
-        "contact_lasts", "The contact of hammer and string lasts about 3 ms.", "III.C, Figure 2",
-        [2.5e-3 <= t < 3.5e-3 for t in contact],
-        velocities=velocities, contact=contact, mass=mass, needed=needed,
-    )  # fmt: skip
+    def of(parts: Callable[P, Parts]) -> Callable[P, Claim]:
+        names = inspect.signature(parts)
 
+        @wraps(parts)
+        def judged(*given: P.args, **named: P.kwargs) -> Claim:
+            found = parts(*given, **named)
+            came, more = found if isinstance(found, tuple) else (found, {})
+            numbers = names.bind(*given, **named).arguments | more
+            outcome = "yes" if all(came) else "part" if any(came) else "no"
+            why = "" if outcome == "yes" else _worded(f"{parts.__name__}_why", numbers)
+            return Claim(claim, where, outcome, _worded(parts.__name__, numbers), why)
 
-def contact_shortens(velocities: Sequence[float], contact: Sequence[float]) -> Claim:
-    """Contact, s, shorter from each velocity, m/s, to the next."""
-    return _judged(
-        "contact_shortens", "The contact is shorter when the hammer is faster.", "III.C, Figure 2",
-        [change < 0 for change in np.diff(contact)], velocities=velocities, contact=contact,
-    )  # fmt: skip
+        return judged
+
+    return of
 
 
-def reflections(velocities: Sequence[float], humps: Sequence[np.ndarray], trip: float) -> Claim:
+@rule("III.C, Figure 2", "The contact of hammer and string lasts about 3 ms.")
+def contact_lasts(velocities: Sequence[float], contact: Sequence[float], mass: float, needed: float) -> Parts:
+    """Nearer to 3 than to 2 or 4 ms; a hammer of mass `needed` would stay for 3 ms at the middle velocity."""
+    return [2.5e-3 <= t < 3.5e-3 for t in contact]
+
+
+@rule("III.C, Figure 2", "The contact is shorter when the hammer is faster.")
+def contact_shortens(velocities: Sequence[float], contact: Sequence[float]) -> Parts:
+    """Shorter from each velocity to the next."""
+    return [change < 0 for change in np.diff(contact)]
+
+
+@rule("III.C, Figure 2", "Reflections from the agraffe show in the force, at 2 and 4 m/s above all.")
+def reflections(velocities: Sequence[float], humps: Sequence[np.ndarray], trip: float) -> Parts:
     """From 2 m/s on, two or more maxima of the force, as far apart as the wave's way to the agraffe and back (± 15 %).
 
-    Parameters
-    ----------
-    humps : when the force has its maxima, s, for each velocity.
-    trip : the wave's time to the agraffe and back, s.
+    `humps` are the times of the maxima at each velocity, `trip` is the wave's.
     """
     spacing = [float(np.mean(np.diff(at))) if len(at) > 1 else None for at in humps]
-    return _judged(
-        "reflections", "Reflections from the agraffe show in the force, at 2 and 4 m/s above all.", "III.C, Figure 2",
-        [s is not None and abs(s / trip - 1) <= 0.15 for v, s in zip(velocities, spacing, strict=True) if v >= 2],
-        velocities=velocities, counts=[len(at) for at in humps], spacing=spacing, trip=trip,
-    )  # fmt: skip
+    seen = [s is not None and abs(s / trip - 1) <= 0.15 for v, s in zip(velocities, spacing, strict=True) if v >= 2]
+    return seen, {"counts": [len(at) for at in humps], "spacing": spacing}
 
 
-def felt_loses(loop: float, balance: float, energy: float) -> Claim:
-    """A loop run through clockwise, whose area is what hammer and string lose, to 1e-6 of the hammer's energy.
+@rule("III.C, Figure 3", "Force over compression is a loop; its area is what the felt takes.")
+def felt_loses(loop: float, balance: float, energy: float) -> Parts:
+    """A `loop` ∮ F du run through clockwise, that is what hammer and string lose (`balance`) to 1e-6 of the energy."""
+    return [loop > 0, abs(loop - balance) <= 1e-6 * energy]
 
-    Parameters
-    ----------
-    loop : ∮ F du, J.
-    balance : the hammer's energy before, less that after and the work done on the string, J.
-    energy : of the hammer before, J.
+
+@rule("III.C, Figure 4", "The sound is brighter when the hammer is faster.")
+def brighter(velocities: Sequence[float], centroids: Sequence[float]) -> Parts:
+    """A higher centroid, Hz, from each velocity to the next."""
+    return [rise > 0 for rise in np.diff(centroids)]
+
+
+@rule("V, Table II", "The κ that is fitted is the string's.")
+def bends_kappa(own: float, found: float, meant: float, points: int, rate: float) -> Parts:
+    """κ `found` through the paper's grid of `points` at `rate`, Hz, is the string's `own` to 2 %, m²/s.
+
+    `meant` is the κ of the continuous string whose partials the scheme has at `own`.
     """
-    return _judged(
-        "felt_loses", "Force over compression is a loop; its area is what the felt takes.", "III.C, Figure 3",
-        [loop > 0, abs(loop - balance) <= 1e-6 * energy], loop=loop, balance=balance, energy=energy,
-    )  # fmt: skip
+    return [abs(found / own - 1) <= 0.02]
 
 
-def brighter(velocities: Sequence[float], centroids: Sequence[float]) -> Claim:
-    """A higher centroid, Hz, from each velocity, m/s, to the next."""
-    return _judged(
-        "brighter", "The sound is brighter when the hammer is faster.", "III.C, Figure 4",
-        [rise > 0 for rise in np.diff(centroids)], velocities=velocities, centroids=centroids,
-    )  # fmt: skip
+@rule("IV.B, Table II", "b2 is found in band 2.")
+def b2_seen(b2: float, change: float, noise: float, remaining: float, visible: float | None, most: float) -> Parts:
+    """Between no `b2` and the paper's, the criterion of band 2 changes by more than its standard deviation by noise.
 
-
-def bends_kappa(true: float, found: float, meant: float, points: int, rate: float) -> Claim:
-    """κ fitted through the paper's grid is the string's own, to 2 %.
-
-    Parameters
-    ----------
-    true : κ of a continuous string, m²/s.
-    found : the κ with which the paper's scheme has the same partials.
-    meant : κ of the continuous string whose partials the scheme has at `true`.
-    points, rate : N and Hz of the scheme.
+    `remaining` of it is left after a fit of the full laboratory. From `visible` on, m²/s, a b2 stands out from noise;
+    None if not even the largest tried does, `most`.
     """
-    return _judged(
-        "bends_kappa", "The κ that is fitted is the string's.", "V, Table II", [abs(found / true - 1) <= 0.02],
-        own=true, found=found, meant=meant, points=points, rate=rate,
-    )  # fmt: skip
+    return [change > noise]
 
 
-def b2_seen(b2: float, change: float, noise: float, remaining: float, visible: float | None, most: float) -> Claim:
-    """Between no b2 and the paper's, the criterion of band 2 changes by more than noise alone does.
-
-    Parameters
-    ----------
-    b2 : the paper's, m²/s.
-    change : of the criterion between the smallest b2 tried and the paper's.
-    noise : standard deviation of the criterion over measurements that differ in their noise alone.
-    remaining : of the criterion after a fit of the full laboratory.
-    visible : the b2 from which on the criterion rises by more than `noise`, m²/s; None if none of those tried.
-    most : the largest b2 tried, m²/s.
-    """
-    return _judged(
-        "b2_seen", "b2 is found in band 2.", "IV.B, Table II", [change > noise], b2=b2, change=change, noise=noise,
-        remaining=remaining, visible=visible, most=most,
-    )  # fmt: skip
-
-
-def local_minima(in_plane: Sequence[float], in_all: Sequence[float]) -> Claim:
+@rule("IV.C", "Band 3 has local minima.")
+def local_minima(in_plane: Sequence[float], in_all: Sequence[float]) -> Parts:
     """More than one minimum in the plane shown, and more than one over all five parameters; criteria at each."""
-    return _judged(
-        "local_minima", "Band 3 has local minima.", "IV.C", [len(in_plane) > 1, len(in_all) > 1],
-        in_plane=in_plane, in_all=in_all,
-    )  # fmt: skip
+    return [len(in_plane) > 1, len(in_all) > 1]
 
 
-def annealing_escapes(starts: int, reached: Mapping[str, int], within: float) -> Claim:
+@rule("IV.C", "A gradient alone fails from some starts where annealing does not.")
+def annealing_escapes(starts: int, reached: Mapping[str, int], within: float) -> Parts:
     """The gradient fails from some starts, and the annealing from none.
 
-    Parameters
-    ----------
-    reached : `gradient`, `squares`, `annealed` and `polished` -> from how many starts it reached the deepest minimum.
-    within : of the lowest criterion found by any, a factor.
+    `reached`: method -> from how many starts it came `within` a factor of the lowest criterion found by any.
     """
-    return _judged(
-        "annealing_escapes", "A gradient alone fails from some starts where annealing does not.", "IV.C",
-        [reached["gradient"] < starts, reached["annealed"] == starts], starts=starts, reached=reached, within=within,
-    )  # fmt: skip
+    return [reached["gradient"] < starts, reached["annealed"] == starts]
 
 
-def three_bands_better(errors: Mapping[str, Mapping[str, Sequence[float]]], velocities: Sequence[float]) -> Claim:
+@rule("IV.B, VI", "Three bands keep attack and brightness better than a global criterion.")
+def three_bands_better(errors: Mapping[str, Mapping[str, Sequence[float]]], velocities: Sequence[float]) -> Parts:
     """Three bands nearer the measured sound than the global criterion, on average over velocities, in both measures.
 
-    Parameters
-    ----------
-    errors : "attack" and "centroid" -> "three bands" and "global criterion" -> relative errors [velocities].
+    `errors`: "attack" and "centroid" -> "three bands" and "global criterion" -> relative errors [velocities].
     """
     three, whole = (
-        {m: np.asarray(errors[m][name], float) for m in errors} for name in ("three bands", "global criterion")
+        {m: np.abs(np.asarray(by[name], float)) for m, by in errors.items()}
+        for name in ("three bands", "global criterion")
     )
-    return _judged(
-        "three_bands_better", "Three bands keep attack and brightness better than a global criterion.", "IV.B, VI",
-        [np.abs(three[m]).mean() < np.abs(whole[m]).mean() for m in ("attack", "centroid")],
-        three={m: float(np.abs(x).mean()) for m, x in three.items()},
-        whole={m: float(np.abs(x).mean()) for m, x in whole.items()},
-        nearer={m: int((np.abs(x) < np.abs(whole[m])).sum()) for m, x in three.items()},
-        of=len(velocities), lost=float(np.mean(whole["centroid"])),
-    )  # fmt: skip
+    return [three[m].mean() < whole[m].mean() for m in ("attack", "centroid")], {
+        "three": {m: float(x.mean()) for m, x in three.items()},
+        "whole": {m: float(x.mean()) for m, x in whole.items()},
+        "nearer": {m: int((x < whole[m]).sum()) for m, x in three.items()},
+        "of": len(velocities), "lost": float(np.mean(errors["centroid"]["global criterion"])),
+    }  # fmt: skip
 
 
+@rule("IV.C, Table II", "A gradient in bands 1 and 2 finds the string.")
 def string_found(
     true: Mapping[str, float], found: Mapping[str, float], shares: Mapping[str, Mapping[int, float]]
-) -> Claim:
-    """c, κ and b1 within `NEAR` of the truth; b2 is a claim of its own.
-
-    Parameters
-    ----------
-    shares : band -> partial -> its share in the criterion.
-    """
+) -> Parts:
+    """c, κ and b1 within `NEAR` of the truth; `shares`: band -> partial -> its share in the criterion."""
     off = {name: abs(found[name] / true[name] - 1) for name in NEAR}
     strongest, share = max(shares["band2"].items(), key=lambda item: item[1])
-    return _judged(
-        "string_found", "A gradient in bands 1 and 2 finds the string.", "IV.C, Table II",
-        [off[name] <= near for name, near in NEAR.items()], off=off, strongest=strongest, share=share,
-    )  # fmt: skip
+    return [off[name] <= near for name, near in NEAR.items()], {"off": off, "strongest": strongest, "share": share}
 
 
-def changes_as_printed(initial: Mapping[str, float], printed: Mapping[str, float], found: Mapping[str, float]) -> Claim:
+@rule(
+    "V, Tables II and III",
+    "The felt gets stiffer and loses more, the hammer lighter and faster, p stays; the string loses more.",
+)
+def changes_as_printed(initial: Mapping[str, float], printed: Mapping[str, float], found: Mapping[str, float]) -> Parts:
     """Every parameter moved from its start as in the paper: up, down, or hardly at all (`MOVED`, `STILL`)."""
 
     def direction(name: str, after: float) -> int:
@@ -227,85 +201,50 @@ def changes_as_printed(initial: Mapping[str, float], printed: Mapping[str, float
         return 0 if abs(share) <= STILL.get(name, MOVED) else 1 if share > 0 else -1
 
     same = {name: direction(name, found[name]) == direction(name, printed[name]) for name in printed}
-    return _judged(
-        "changes_as_printed",
-        "The felt gets stiffer and loses more, the hammer lighter and faster, p stays; the string loses more.",
-        "V, Tables II and III", [*same.values()], same=same, initial=initial, printed=printed, found=found,
-    )  # fmt: skip
+    return [*same.values()], {"same": same}
 
 
-def high_partials_differ(low_db: float, high_db: float, excess_db: float) -> Claim:
-    """Partials to the seventh agree to 1 dB, those above differ more.
-
-    Parameters
-    ----------
-    low_db, high_db : rms differences in level, dB, of partials to the seventh, and above.
-    excess_db : mean of model over measurement above the seventh, dB.
-    """
-    return _judged(
-        "high_partials_differ", "The first seven partials agree, those above differ.", "V, Figure 6",
-        [low_db <= 1.0, high_db > low_db], low_db=low_db, high_db=high_db, excess_db=excess_db,
-    )  # fmt: skip
+@rule("V, Figure 6", "The first seven partials agree, those above differ.")
+def high_partials_differ(low_db: float, high_db: float, excess_db: float) -> Parts:
+    """Levels to the seventh agree to 1 dB rms, those above differ more, and on average by `excess_db`."""
+    return [low_db <= 1.0, high_db > low_db]
 
 
-def waveforms_nearer(before: float, after: float) -> Claim:
+@rule("V, Figure 7", "The waveform comes clearly nearer the measured one.")
+def waveforms_nearer(before: float, after: float) -> Parts:
     """The difference from the measured waveform is less than half of what it was; both relative to its rms."""
-    return _judged(
-        "waveforms_nearer", "The waveform comes clearly nearer the measured one.", "V, Figure 7",
-        [after < 0.5 * before], before=before, after=after,
-    )  # fmt: skip
+    return [after < 0.5 * before]
 
 
+@rule("V", "Parameters from one velocity predict other velocities.")
 def predicts(
     velocities: Sequence[float], origin: float, predicted: Sequence[float], initial: Sequence[float],
     nearest: Sequence[float],
-) -> Claim:  # fmt: skip
+) -> Parts:  # fmt: skip
     """Parameters of one velocity meet another's levels better than the initial values, and than the recording itself.
 
-    Parameters
-    ----------
-    origin : velocity at which they were fitted, m/s.
-    predicted, initial, nearest : rms errors of the partials' levels [velocities], dB: by the fit at `origin`, by the
-        initial values, and of the recording at `origin` taken for the other.
+    Rms errors of the partials' levels [velocities], dB: by the fit at `origin`, by the initial values, and of the
+    recording at `origin` taken for the other.
     """
-    return _judged(
-        "predicts", "Parameters from one velocity predict other velocities.", "V",
-        [p < i and p < n for p, i, n in zip(predicted, initial, nearest, strict=True)],
-        velocities=velocities, origin=origin, predicted=predicted, initial=initial, nearest=nearest,
-    )  # fmt: skip
+    return [p < i and p < n for p, i, n in zip(predicted, initial, nearest, strict=True)]
 
 
-def repeats(spread: Mapping[str, float], count: int) -> Claim:
+@rule("V", "Repeated measurements give very similar parameters.")
+def repeats(spread: Mapping[str, float], count: int) -> Parts:
     """Every parameter's standard deviation over `count` measurements, of its logarithm, is at most `ALIKE`."""
-    return _judged(
-        "repeats", "Repeated measurements give very similar parameters.", "V",
-        [share <= ALIKE for share in spread.values()], spread=spread, count=count,
-    )  # fmt: skip
+    return [share <= ALIKE for share in spread.values()]
 
 
-def explained(alone: Mapping[str, float], everything: float, nothing: float) -> Claim:
+@rule("V, VI", "What remains after the fit is what the model lacks.")
+def explained(alone: Mapping[str, float], everything: float, nothing: float) -> Parts:
     """Without what the model lacks hardly anything remains (a tenth), and some effect alone leaves a tenth of it all.
 
-    Parameters
-    ----------
-    alone : effect -> criterion that remains after a fit, with it alone.
-    everything, nothing : with all effects, and with none.
+    Criteria that remain after a fit: with each effect `alone`, with all, and with none.
     """
-    return _judged(
-        "explained", "What remains after the fit is what the model lacks.", "V, VI",
-        [nothing < 0.1 * everything, max(alone.values()) >= 0.1 * everything],
-        alone=sorted(alone.items(), key=lambda item: -item[1]), everything=everything, nothing=nothing,
-    )  # fmt: skip
+    return [nothing < 0.1 * everything, max(alone.values()) >= 0.1 * everything]
 
 
 # --- in words --------------------------------------------------------------------------------------------------------
-
-
-def _judged(name: str, claim: str, where: str, parts: Sequence[bool], **numbers: Any) -> Claim:
-    """Whether all, some or none of the claim's `parts` came out, worded by the blocks of that `name`."""
-    outcome = "yes" if all(parts) else "part" if any(parts) else "no"
-    why = "" if outcome == "yes" else _worded(f"{name}_why", numbers)
-    return Claim(claim, where, outcome, _worded(name, numbers), why)
 
 
 def _worded(block: str, numbers: dict[str, Any]) -> str:
@@ -318,16 +257,13 @@ def _worded(block: str, numbers: dict[str, Any]) -> str:
 
 @cache
 def _texts() -> Template:
-    filters = {"listed": _listed, "joined": _joined, "percent": _percent, "factor": _factor, "symbol": SYMBOLS.get}
+    filters = {"listed": _listed, "percent": _percent, "factor": _factor, "symbol": SYMBOLS.get}
     return templates("pianofit.paper.reproduce", filters=filters).get_template("claims.j2")
 
 
-def _joined(texts: Sequence[str]) -> str:
-    return texts[0] if len(texts) == 1 else f"{', '.join(texts[:-1])} and {texts[-1]}"
-
-
 def _listed(values: Sequence[float], digits: int = 3, scale: float = 1) -> str:
-    return _joined([number(scale * float(v), digits) for v in values])
+    *most, last = [number(scale * float(v), digits) for v in values]
+    return f"{', '.join(most)} and {last}" if most else last
 
 
 def _percent(share: float, digits: int = 2) -> str:

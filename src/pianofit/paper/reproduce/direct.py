@@ -6,9 +6,10 @@ losses nor the velocities but for 2 and 4 m/s. Here they are those of the preset
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.optimize import brentq
 from scipy.signal import find_peaks
 
 from ...model import Simulation, simulate
@@ -20,7 +21,9 @@ __all__ = ["NOTE", "VELOCITIES", "Strike", "mass_for_contact", "round_trip", "st
 
 NOTE = "chaigne-askenfelt-C4"
 VELOCITIES = (1.0, 2.0, 4.0)  # m/s; the paper names the last two
-RATE, OVERSAMPLING, SECONDS = 44_100, 16, 1.0
+RATE = 44_100  # Hz
+OVERSAMPLING = 16
+SECONDS = 1.0
 # A reflection counts as visible where the force dips by this share of its maximum.
 VISIBLE = 0.01
 # Hz of the spectra shown.
@@ -57,14 +60,11 @@ def round_trip(note: str = NOTE) -> float:
 
 
 def mass_for_contact(contact: float, velocity: float) -> float:
-    """M_H, kg, with which the hammer would stay for `contact`, s; the rest as it is. By bisection."""
+    """M_H, kg, with which the hammer would stay for `contact`, s; the rest as it is."""
     it = preset(NOTE)
-    low, high = 0.2 * it.hammer.M_H, 5.0 * it.hammer.M_H
-    for _ in range(20):
-        middle = float(np.sqrt(low * high))
-        stays = _simulate(it, velocity, middle).contact_time
-        low, high = (middle, high) if stays < contact else (low, middle)
-    return high
+    mass = float(it.hammer.M_H)
+    found: Any = brentq(lambda m: _simulate(it, velocity, m).contact_time - contact, 0.2 * mass, 5.0 * mass, xtol=1e-9)
+    return float(found)
 
 
 def _simulate(it: Preset, velocity: float, mass: float | None = None) -> Simulation:

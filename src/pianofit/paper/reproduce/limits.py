@@ -18,21 +18,19 @@ from scipy.optimize import least_squares
 
 from ...criterion import band_values, line_sigma, measure
 from ...model import mode_table, simulate
-from ...parameters import Geometry, String
-from ..laboratory import Laboratory
+from ...parameters import String
+from ..laboratory import FINAL, Laboratory
 from ..laboratory import measure as record
-from ..laboratory.chosen import FINAL
 
-__all__ = ["DECADES", "GRIDS", "Bend", "Blindness", "bends", "blindness", "inverse_bend", "partials_of", "string_of"]
+__all__ = ["ALL", "BAND2", "GRIDS", "Bend", "Blindness", "bends", "blindness", "inverse_bend"]
 
 # (N, rate in Hz) of the paper's scheme; the paper gives neither. The first is what is asked about.
 GRIDS = ((100, 44_100.0), (100, 88_200.0), (200, 44_100.0), (200, 88_200.0), (400, 176_400.0))
-# A prewarped table of so many modes at the first rate, for comparison.
-CONTINUOUS = (100, 44_100.0)
-# Prewarped, a table has the continuous string's partials wherever they lie well below the rate.
+# Prewarped, a table of so many modes has the continuous string's partials wherever they lie well below the rate.
 FINE = (64, 441_000.0)
 # Partials on which κ is fitted: the paper's band 2, and all to about 4 kHz.
-BAND2, ALL = np.arange(2, 9), np.arange(1, 25)
+BAND2 = np.arange(2, 9)
+ALL = np.arange(1, 25)
 # b2, m²/s: decades about the paper's 1.6e-6.
 DECADES = (-10, -3)
 # Steps of the model's contact for each sample: enough that noise, not the step, is what is left.
@@ -42,10 +40,11 @@ OVERSAMPLING = 8
 class Bend(NamedTuple):
     """What a scheme makes of a string's partials."""
 
-    kind: str  # of the table: finite_difference or continuous
+    prewarped: bool  # the table's kind: continuous, or finite_difference
     points: int  # N
     rate: float  # Hz
-    partials: tuple[int, int]  # first and last, on which it was fitted
+    first: int  # partial on which it was fitted
+    last: int
     c: float  # m/s, found
     kappa: float  # m²/s, found
     kappa_true: float
@@ -67,43 +66,35 @@ class Blindness(NamedTuple):
     true: float
 
 
-def partials_of(string: String, geometry: Geometry, kind: str, points: int, rate: float) -> np.ndarray:
-    """Frequencies of the partials that a table of modes really has, Hz [modes]."""
-    table = mode_table(string, geometry, rate=rate, n_modes=points, kind=kind)
-    return np.imag(np.asarray(table.pole)) / (2 * np.pi)
-
-
-def string_of(
-    frequency: np.ndarray, number: np.ndarray, start: String, geometry: Geometry, kind: str, points: int, rate: float
-) -> tuple[String, float]:
-    """The string whose table lies closest to partials at `frequency`, Hz, in cents; and the rms of what is left."""
-
-    def cents(log: np.ndarray) -> np.ndarray:
-        string = start._replace(c=np.exp(log[0]), kappa=np.exp(log[1]))
-        return 1200 * np.log2(partials_of(string, geometry, kind, points, rate)[number - 1] / frequency)
-
-    found = least_squares(cents, np.log([start.c, start.kappa]), x_scale=[1e-3, 0.1], xtol=1e-10, ftol=1e-10)
-    c, kappa = np.exp(found.x)
-    return start._replace(c=float(c), kappa=float(kappa)), float(np.sqrt(np.mean(found.fun**2)))
+def partials(string: String, number: np.ndarray, prewarped: bool, points: int, rate: float) -> np.ndarray:
+    """Frequencies of the partials `number` that a table of modes really has, Hz."""
+    kind = "continuous" if prewarped else "finite_difference"
+    table = mode_table(string, FINAL.geometry, rate=rate, n_modes=points, kind=kind)
+    return np.imag(np.asarray(table.pole))[number - 1] / (2 * np.pi)
 
 
 def bends(number: np.ndarray = BAND2) -> list[Bend]:
     """κ by the paper's scheme from a continuous string's partials `number`, grid by grid; the last is prewarped."""
-    exact = partials_of(FINAL.string, FINAL.geometry, "continuous", *FINE)[number - 1]
-    schemes = [("finite_difference", *grid) for grid in GRIDS] + [("continuous", *CONTINUOUS)]
-    return [_bend(exact, number, *scheme) for scheme in schemes]
+    exact = partials(FINAL.string, number, True, *FINE)
+    return [_bend(exact, number, False, *grid) for grid in GRIDS] + [_bend(exact, number, True, *GRIDS[0])]
 
 
 def inverse_bend(number: np.ndarray = BAND2) -> Bend:
     """The continuous string that sounds as the paper's scheme does with the paper's κ, on the first of `GRIDS`."""
-    heard = partials_of(FINAL.string, FINAL.geometry, "finite_difference", *GRIDS[0])[number - 1]
-    return _bend(heard, number, "continuous", *FINE)
+    return _bend(partials(FINAL.string, number, False, *GRIDS[0]), number, True, *FINE)
 
 
-def _bend(frequency: np.ndarray, number: np.ndarray, kind: str, points: int, rate: float) -> Bend:
-    found, left = string_of(frequency, number, FINAL.string, FINAL.geometry, kind, points, rate)
-    ends = int(number[0]), int(number[-1])
-    return Bend(kind, points, rate, ends, float(found.c), float(found.kappa), float(FINAL.string.kappa), left)
+def _bend(frequency: np.ndarray, number: np.ndarray, prewarped: bool, points: int, rate: float) -> Bend:
+    """The string whose table lies closest to partials at `frequency`, Hz, in cents."""
+    start = FINAL.string
+
+    def cents(log: np.ndarray) -> np.ndarray:
+        string = start._replace(c=np.exp(log[0]), kappa=np.exp(log[1]))
+        return 1200 * np.log2(partials(string, number, prewarped, points, rate) / frequency)
+
+    found = least_squares(cents, np.log([start.c, start.kappa]), x_scale=[1e-3, 0.1], xtol=1e-10, ftol=1e-10)
+    (c, kappa), left = np.exp(found.x).tolist(), float(np.sqrt(np.mean(found.fun**2)))
+    return Bend(prewarped, points, rate, int(number[0]), int(number[-1]), c, kappa, float(start.kappa), left)
 
 
 def blindness(lab: Laboratory, seed: int, *, repeats: int, values: int) -> Blindness:
@@ -113,33 +104,28 @@ def blindness(lab: Laboratory, seed: int, *, repeats: int, values: int) -> Blind
     ----------
     repeats : measurements that differ in their noise alone.
     """
-    b2 = np.logspace(*DECADES, values)
-    true = float(FINAL.string.b2)
+    c, kappa, _, true = FINAL.string
+    length, f0, B = round(lab.seconds * lab.rate), float(FINAL.f0), (kappa * np.pi / (c * FINAL.geometry.length)) ** 2
+
+    def energies(sound: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        cells, energy = measure(sound, lab.rate, f0, float(B), int(ALL[-1]), line_sigma(f0))
+        return cells.spacing, energy
+
+    def by_model(b2: float) -> tuple[np.ndarray, np.ndarray]:
+        string = FINAL.string._replace(b2=b2)
+        done = simulate(string, FINAL.hammer, FINAL.geometry, rate=lab.rate, oversampling=OVERSAMPLING)
+        return energies(done.waveform(lab.rate, length))
+
     measured = [record(lab, float(FINAL.hammer.v_H0), seed + n) for n in range(repeats)]
-    rate, length = lab.rate, round(lab.seconds * lab.rate)
-    heard = [_energies(m.samples[m.onset :] * m.scale, rate)[1] for m in measured]
-    spacing, truth = _energies(_sound(true, rate, length), rate)
-    table = [band_values(_energies(_sound(value, rate, length), rate)[1], heard[0], spacing) for value in b2]
+    heard = [energies(m.samples[m.onset :] * m.scale)[1] for m in measured]
+    spacing, truth = by_model(float(true))
+    b2 = np.logspace(*DECADES, values)
+    table = [band_values(by_model(value)[1], heard[0], spacing) for value in b2]
     by_noise = [band_values(truth, energy, spacing) for energy in heard]
     return Blindness(
         b2=b2,
         criterion={name: np.array([row[name] for row in table]) for name in table[0]},
         noise={name: float(np.mean([row[name] for row in by_noise])) for name in table[0]},
         spread={name: float(np.std([row[name] for row in by_noise], ddof=1)) for name in table[0]},
-        true=true,
+        true=float(true),
     )
-
-
-def _sound(b2: float, rate: int, samples: int) -> np.ndarray:
-    """The paper's string and hammer with another b2, m/s [samples]."""
-    string = FINAL.string._replace(b2=b2)
-    done = simulate(string, FINAL.hammer, FINAL.geometry, rate=rate, oversampling=OVERSAMPLING)
-    return done.waveform(rate, samples)
-
-
-def _energies(sound: np.ndarray, rate: int) -> tuple[np.ndarray, np.ndarray]:
-    """Spacing, Hz [partials], and |Y|² [partials, nodes] of the cells of the true partials."""
-    c, kappa, *_ = FINAL.string
-    f0, B = float(FINAL.f0), float((kappa * np.pi / (c * FINAL.geometry.length)) ** 2)
-    cells, energy = measure(sound, rate, f0, B, int(ALL[-1]), line_sigma(f0))
-    return cells.spacing, energy

@@ -2,31 +2,90 @@
 
 from __future__ import annotations
 
+import csv
+import io
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ... import __version__
+from ...errors import OutputError
+from ...io import encode_wav, replace_file
 from ...model.cache import keep_programs
 from ...parameters import PARAMETERS
-from ...report.kit import write_page
+from ...report.drawing import png, styled, svg
+from ...report.kit import data_uri, write_page
 from ...report.listening import Heard, Question, write_listening
+from ...report.sound import Clip, make_clips
 from ..laboratory import chosen
-from . import figures_fit, figures_model, figures_search
-from .book import Book
 from .cases import RECIPES
-from .claims import SYMBOLS, Claim
-from .judged import SPANS, judge
-from .plan import FULL, Plan
-from .studies import STRINGS, Findings, compute
-from .tables import write_tables
+from .claims import SYMBOLS, WORDS, Claim
+from .figures import FIGURES
+from .judged import judge
+from .studies import FULL, Findings, Plan, compute
+from .tables import Table, tables
 
-__all__ = ["reproduce"]
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["Book", "reproduce"]
 
 MEASURED = "measured"
-# s of the sounds in the listening test, and of silence before them.
-SECONDS, LEAD = 2.2, 0.05
+SECONDS = 2.2  # of each sound that a page plays
+LEAD = 0.05  # s of silence before those of the listening test
+
+
+@dataclass
+class Book:
+    """What the page shows, and the same beside it as files: figures as PNG, tables as CSV, sounds as WAV."""
+
+    folder: Path
+    figures: dict[str, str] = field(default_factory=dict)  # name -> address within the page
+    tables: dict[str, Table] = field(default_factory=dict)
+    players: dict[str, list[Clip]] = field(default_factory=dict)  # name -> sounds, equally loud
+    files: list[str] = field(default_factory=list)
+
+    def draw(self, name: str, figure: Callable[[], Figure]) -> None:
+        """Keep a figure for the page and write its PNG."""
+        with styled():
+            made = figure()
+            self.figures[name] = data_uri("image/svg+xml", svg(made))
+            self._write(f"figures/{name}.png", png(made))
+
+    def tabulate(self, name: str, table: Table) -> None:
+        """Keep a table for the page and write it as CSV, numbers with all their digits."""
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(table.columns)
+        writer.writerows([float(x) if isinstance(x, np.floating) else x for x in row] for row in table.rows)
+        self._write(f"data/{name}.csv", text.getvalue().encode())
+        self.tables[name] = table
+
+    def play(self, name: str, sounds: dict[str, np.ndarray], rate: int, full_scale: float) -> None:
+        """Write sounds, m/s [samples], as they are, and keep equally loud ones for the page.
+
+        Parameters
+        ----------
+        full_scale : m/s at digital full scale of the files.
+        """
+        for label, samples in sounds.items():
+            words = "".join(c if c.isalnum() or c == "." else " " for c in f"{name} {label}".lower()).split()
+            self._write(f"sounds/{'-'.join(words)}.wav", encode_wav(samples / full_scale, rate))
+        self.players[name] = make_clips({label: _cut(samples, rate) for label, samples in sounds.items()}, rate)
+
+    def _write(self, name: str, content: bytes) -> None:
+        target = self.folder / name
+        try:
+            target.parent.mkdir(exist_ok=True)
+        except OSError as error:
+            raise OutputError(
+                f"{target.parent}: no folder can be made here ({error.strerror}); choose another"
+            ) from None
+        replace_file(target, content)
+        self.files.append(name)
 
 
 def reproduce(
@@ -49,15 +108,17 @@ def reproduce(
     found = compute(plan, seed, progress)
     progress("pages", 0.99)
     book, claims = Book(folder), judge(found)
-    write_tables(book, found)
-    _draw(book, found)
+    for name, table in tables(found).items():
+        book.tabulate(name, table)
+    for name, figure in FIGURES.items():
+        book.draw(name, lambda figure=figure: figure(found))
     _play(book, found)
     _write_test(folder, found)
     write_page(
         folder / "index.html", "index.html.j2", package="pianofit.paper.reproduce", styles=("claims.css",),
         scripts=("audio.js", "player.js"), filters={"symbol": _symbol},
         title="Parameter fitting for piano sound synthesis, reproduced", version=__version__, f=found, claims=claims,
-        book=book, recipes=RECIPES, scale=chosen.SCALE,
+        words=WORDS, book=book, recipes=RECIPES, scale=chosen.SCALE,
     )  # fmt: skip
     progress("done", 1.0)
     return [*claims.values()]
@@ -71,35 +132,10 @@ def _symbol(name: str) -> str:
     return RECIPES.get(name, name)
 
 
-def _draw(book: Book, f: Findings) -> None:
-    """All figures."""
-    named = {RECIPES[recipe]: f.repeated[recipe] for recipe in STRINGS}
-    errors = {kind: [getattr(p, kind).level_db for p in f.predictions] for kind in ("initial", "nearest")}
-    errors |= {recipe: [p.predicted[recipe].level_db for p in f.predictions] for recipe in STRINGS}
-    velocities, true = [p.velocity for p in f.predictions], f.origin.case.measurement.true
-    shown = {recipe: RECIPES[recipe] for recipe in f.plan.effect_recipes}
-    for name, figure in {
-        "figure-2": lambda: figures_model.force_over_time(f.strikes, f.trip),
-        "figure-3": lambda: figures_model.force_over_compression(f.strikes[-1]),
-        "figure-4": lambda: figures_model.velocity_spectra(f.strikes),
-        "band-3": lambda: figures_search.plane(f.plane),
-        "searches": lambda: figures_search.searches(f.race),
-        "figure-6": lambda: figures_fit.spectra(f.origin),
-        "figure-7": lambda: figures_fit.waveforms(f.at(f.plan.waveform), SPANS),
-        "descriptors": lambda: figures_fit.descriptors(f.strokes),
-        "predictions": lambda: figures_fit.predicted_levels(errors, velocities, f.plan.origin),
-        "repeated": lambda: figures_fit.repeated_values(named, true, f.tables.printed_final),
-        "effects": lambda: figures_fit.remains(f.effects, shown),
-        "kappa": lambda: figures_model.kappa_by_grid(f.bends),
-        "b2": lambda: figures_model.b2_over_decades(f.blindness),
-    }.items():
-        book.draw(name, figure)
-
-
 def _play(book: Book, f: Findings) -> None:
     """Sounds as files and for the players: the fitted velocity, and those that were predicted from it."""
     rate, origin = f.origin.case.recording.rate, f.plan.origin
-    order = (MEASURED, "initial", *(RECIPES[recipe] for recipe in ("global", "paper", "read", "default")))
+    order = (MEASURED, "initial", *RECIPES.values())
     book.play(f"{origin:.3f}", {name: f.origin.sounds[name] for name in order}, rate, chosen.SCALE)
     for one in f.predictions:
         own = f.at(one.velocity).sounds
@@ -114,11 +150,11 @@ def _write_test(folder: Path, f: Findings) -> None:
     """Write `listening.html`."""
     questions, rate = [], f.origin.case.recording.rate
     three, read, whole, default = (RECIPES[recipe] for recipe in ("paper", "read", "global", "default"))
-    for stroke in f.strokes:
-        velocity = stroke.case.velocity
-        if velocity not in f.plan.heard:
-            continue
-        heard = {name: Heard(name, velocity, _cut(samples, rate)) for name, samples in stroke.sounds.items()}
+    for stroke in (f.at(velocity) for velocity in f.plan.heard):
+        heard = {
+            name: Heard(name, stroke.case.velocity, np.pad(_cut(samples, rate), (int(LEAD * rate), 0)))
+            for name, samples in stroke.sounds.items()
+        }
         pairs = [(three, "initial"), (three, whole), (read, "initial"), (read, whole)]
         pairs += [(default, read)] if default in heard else []
         questions += [Question(heard[MEASURED], (heard[a], heard[b])) for a, b in pairs]
@@ -131,4 +167,4 @@ def _write_test(folder: Path, f: Findings) -> None:
 
 
 def _cut(samples: np.ndarray, rate: int) -> np.ndarray:
-    return np.pad(samples[: int(SECONDS * rate)], (int(LEAD * rate), 0))
+    return samples[: int(SECONDS * rate)]

@@ -1,4 +1,4 @@
-"""Gradient descent, against what theory guarantees on convex costs, SciPy's minima and its own promises."""
+"""Ways down in a box: gradient descent against what theory guarantees and SciPy's minima, and least squares."""
 
 from itertools import pairwise
 
@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize
 
-from pianofit.errors import ParameterError
-from pianofit.paper.gradient import LONGER, SHARE, SHORTER, gradient_descent
+from pianofit.paper.descent import LONGER, SHARE, SHORTER, LeastSquares, gradient_descent
 
 
 def parabola(hessian: np.ndarray, middle: np.ndarray, seen: list | None = None):
@@ -191,18 +190,50 @@ def test_small_gains_of_the_first_small_steps_are_not_taken_for_the_end():
     assert end.cost[0] - 1e4 < 0.2
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"z": np.zeros(3)}, "must be [starts, D]"),
-        ({"lower": np.zeros(2)}, "must be [starts, D]"),
-        ({"lower": np.full(3, -np.inf)}, "finite"),
-        ({"lower": np.full(3, 2.0)}, "not above"),
-        ({"z": np.full((1, 3), np.nan)}, "z must be finite"),
-        ({"value_and_gradient": lambda z: (np.zeros(3), z)}, "do not fit"),
-    ],
-)
-def test_arguments_that_do_not_fit_are_named(change, message):
-    given = {"value_and_gradient": parabola(np.eye(3), np.zeros(3)), "z": np.zeros((1, 3))}
-    with pytest.raises(ParameterError, match=message.replace("[", r"\[")):
-        gradient_descent(**{**given, "lower": np.zeros(3), "upper": np.ones(3), "iterations": 3, **change})
+# --- least squares ----------------------------------------------------------------------------------------------------
+
+
+def exponential(t: np.ndarray, data: np.ndarray, seen: list) -> LeastSquares:
+    """a exp(-b t) + c against `data`; the coordinates are the logarithms of a, b and c."""
+
+    def residuals(z):
+        seen.append(z.copy())
+        a, b, c = np.exp(z).T[:, :, None]
+        fall = a * np.exp(-b * t)
+        return fall + c - data, np.stack([fall, -b * t * fall, np.broadcast_to(c, fall.shape)], axis=2)
+
+    return LeastSquares(lambda z: 0.5 * (residuals(z)[0] ** 2).sum(axis=1), residuals)
+
+
+def test_least_squares_find_what_made_the_data_and_lie_on_an_edge_exactly():
+    t, true, seen = np.linspace(0, 4, 30), np.log([2.0, 0.7, 0.3]), []
+    problem = exponential(t, 2.0 * np.exp(-0.7 * t) + 0.3, seen)
+    lower, upper = np.full(3, -3.0), np.full(3, 3.0)
+    end = problem.finished(np.zeros(3), lower, upper, evaluations=100, tolerance=1e-14)
+    np.testing.assert_allclose(end.z[0], true, atol=1e-6)
+    assert end.converged[0]
+    upper[0], lower[1] = np.log(1.5), 0.0
+    upper[1] = 0.0
+    end = problem.finished(np.zeros(3), lower, upper, evaluations=100)
+    assert end.z[0, 0] == upper[0]
+    assert end.z[0, 1] == 0.0
+    tried = np.concatenate(seen[-end.evaluations :])
+    assert ((tried >= lower) & (tried <= upper)).all()
+    assert end.cost[0] == pytest.approx(problem.costs(end.z)[0])
+
+
+def test_least_squares_from_a_wall_stay_there_and_unfinished_ones_say_so():
+    def walled(z):
+        residual = np.where(z > 0.5, np.inf, z - 1.0)
+        return residual, np.ones((1, 1, 1))
+
+    problem = LeastSquares(lambda z: 0.5 * (walled(z)[0] ** 2).sum(axis=1), walled)
+    end = problem.finished(np.ones(1), np.zeros(1), np.ones(1), evaluations=50)
+    assert (end.z[0, 0], end.cost[0], end.converged[0]) == (1.0, np.inf, False)
+    near = problem.finished(np.zeros(1), np.zeros(1), np.ones(1), evaluations=50)
+    assert 0.0 < near.z[0, 0] <= 0.5
+    t = np.linspace(0, 4, 30)
+    short = exponential(t, 9.0 * np.exp(-3 * t) + 0.3, []).finished(
+        np.zeros(3), -np.ones(3), np.full(3, 9.0), evaluations=2
+    )
+    assert not short.converged[0]

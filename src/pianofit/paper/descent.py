@@ -1,24 +1,25 @@
-"""Gradient descent in a box with a line search that guarantees decrease, from many starts at once.
+"""Two ways down in a box: the paper's gradient, and least squares to the floor of a basin.
 
 The paper's algorithm (IV.C.1) moves by an h with C + ∇C·h <= C. To first order that holds for every step against the
 gradient, and promises nothing of the cost itself: too long a step raises it. So each step must lower the cost by a
 share of what the slope foretells (Armijo, Pacific J. Math. 16 (1966) 1-3; along the projected gradient after Bertsekas,
 IEEE Trans. Autom. Control 21 (1976) 174-184). A step that does not is halved, one that does lets the next be longer.
-
 Coordinates are measured in widths of the box, so that a change of their units changes nothing. The starts share every
 evaluation and nothing else.
+
+Least squares are SciPy's, a dogleg in the box (Voglis and Lagaris 2004): it lays points on the edges exactly.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from functools import lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.optimize import least_squares
 
-from ..errors import ParameterError
-
-__all__ = ["GradientDescent", "gradient_descent"]
+__all__ = ["Descended", "LeastSquares", "gradient_descent"]
 
 # The share of the foretold decrease that a step must bring. Below 1/2, so that a parabola's exact minimum is accepted.
 SHARE = 0.3
@@ -31,7 +32,7 @@ FIRST = 0.01
 LEAST = 1e-13
 
 
-class GradientDescent(NamedTuple):
+class Descended(NamedTuple):
     """Where the starts ended: points [starts, D], their costs, gradients, and whether each has converged [starts]."""
 
     z: np.ndarray
@@ -42,14 +43,9 @@ class GradientDescent(NamedTuple):
 
 
 def gradient_descent(
-    value_and_gradient: Callable,
-    z: np.ndarray,
-    lower: np.ndarray,
-    upper: np.ndarray,
-    *,
-    iterations: int,
+    value_and_gradient: Callable, z: np.ndarray, lower: np.ndarray, upper: np.ndarray, *, iterations: int,
     tolerance: float = 1e-9,
-) -> GradientDescent:
+) -> Descended:  # fmt: skip
     """Lower `value_and_gradient(z [starts, D]) -> (cost [starts], gradient [starts, D])` from every row of `z`.
 
     Costs never rise, and no point outside `lower` <= z <= `upper` [D] is tried. Every iteration evaluates one trial
@@ -61,14 +57,8 @@ def gradient_descent(
     lower, upper : finite; where they are equal the coordinate is held.
     tolerance : a start has converged when a step of a length that fits the slope gains less than this part of its cost,
         or when no step moves it.
-
-    Raises
-    ------
-    ParameterError
-        If the shapes do not fit together, or the box is empty or not finite.
     """
-    z, lower, upper = _checked(z, lower, upper)
-    size = upper - lower
+    z, size = np.clip(z, lower, upper), upper - lower
     cost, gradient = _evaluate(value_and_gradient, z)
     step = FIRST * _longest(z, gradient, lower, upper)
     fitted = np.zeros(len(z), bool)  # whether a step was once too long, so that its length is the slope's
@@ -90,7 +80,7 @@ def gradient_descent(
         cost = np.where(better, new_cost, cost)
         step = np.minimum(step * np.where(better, LONGER, SHORTER), _longest(z, gradient, lower, upper))
         converged |= fitted & better & (gain <= tolerance * np.abs(cost))
-    return GradientDescent(z, cost, gradient, converged, evaluations)
+    return Descended(z, cost, gradient, converged, evaluations)
 
 
 def _longest(z: np.ndarray, gradient: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
@@ -102,18 +92,45 @@ def _longest(z: np.ndarray, gradient: np.ndarray, lower: np.ndarray, upper: np.n
 
 def _evaluate(value_and_gradient: Callable, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     cost, gradient = (np.asarray(x, float) for x in value_and_gradient(z.copy()))
-    if cost.shape != z.shape[:1] or gradient.shape != z.shape:
-        raise ParameterError(f"cost {cost.shape} and gradient {gradient.shape} do not fit points of shape {z.shape}")
     good = np.isfinite(cost) & np.isfinite(gradient).all(axis=1)
     return np.where(good, cost, np.inf), np.where(good[:, None], gradient, 0.0)
 
 
-def _checked(z: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    z, lower, upper = (np.array(x, float) for x in (z, lower, upper))
-    if z.ndim != 2 or z.shape[1:] != lower.shape or lower.shape != upper.shape:
-        raise ParameterError(f"z {z.shape}, lower {lower.shape}, upper {upper.shape}: must be [starts, D], [D], [D]")
-    if not (np.isfinite(lower).all() and np.isfinite(upper).all() and (lower <= upper).all()):
-        raise ParameterError("lower and upper must be finite, and lower not above upper")
-    if not np.isfinite(z).all():
-        raise ParameterError("z must be finite")
-    return np.clip(z, lower, upper), lower, upper
+class LeastSquares(NamedTuple):
+    """A cost that is half a sum of squares, of many points at once."""
+
+    costs: Callable[[np.ndarray], np.ndarray]  # z [n, D] -> [n]
+    residuals: Callable[[np.ndarray], tuple[np.ndarray, ...]]  # z [n, D] -> [n, bins] and [n, bins, D]
+
+    def slopes(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Costs [n] and their gradients [n, D], of z [n, D]."""
+        residual, jacobian = self.residuals(z)
+        return 0.5 * (residual**2).sum(axis=1), np.einsum("nr,nri->ni", residual, jacobian)
+
+    def finished(
+        self, z: np.ndarray, lower: np.ndarray, upper: np.ndarray, *, evaluations: int, tolerance: float = 1e-7
+    ) -> Descended:
+        """Least squares from one point [D] in the box, to where a step gains less than `tolerance` of the cost.
+
+        A point without finite residuals stays where it is.
+        """
+        z, free = np.clip(z, lower, upper), upper > lower
+
+        @lru_cache(maxsize=2)
+        def at(part: bytes) -> tuple[np.ndarray, np.ndarray]:
+            whole = z.copy()
+            whole[free] = np.frombuffer(part)
+            residual, jacobian = self.residuals(whole[None])
+            return residual[0], jacobian[0][:, free]
+
+        residual, _ = at(z[free].tobytes())
+        cost, converged, count = 0.5 * float(residual @ residual), False, 1
+        if np.isfinite(cost) and free.any():
+            # A function, too, is what SciPy takes for a Jacobian; its annotation says str.
+            slopes: Any = lambda part: at(part.tobytes())[1]  # noqa: E731
+            end = least_squares(
+                lambda part: at(part.tobytes())[0], z[free], slopes, method="dogbox", x_scale="jac",
+                bounds=(lower[free], upper[free]), ftol=tolerance, max_nfev=evaluations,
+            )  # fmt: skip
+            z[free], cost, converged, count = end.x, float(end.cost), bool(end.status > 0), int(end.nfev)
+        return Descended(z[None], np.array([cost]), np.zeros((1, len(z))), np.array([converged]), count)

@@ -1,0 +1,93 @@
+"""How a key rings, as files hold it: the modes in `fit.json`, the knock as a sound beside it."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .errors import FitError
+from .io import finite, read_file
+from .model.modal import Ringing
+from .recording import RATES
+
+__all__ = ["KNOCK_FILE", "encode_knock", "read_ringing", "ringing_document"]
+
+KNOCK_FILE = "knock.flac"
+# Bytes of a knock at the most: half a second of eight channels at the highest rate.
+LARGEST_KNOCK = 2**23
+# Modes at the most, and channels, that a file may hold.
+MOST_MODES, MOST_CHANNELS = 4096, 8
+WAY_OUT = "give the files that pianofit fit wrote"
+COLUMNS = ("partial", "frequency", "frequency_error", "decay", "decay_error")
+
+
+def ringing_document(ringing: Ringing) -> dict[str, Any]:
+    """The modes as columns, Hz and 1/s, patterns per channel, and what is known of the knock beside the file."""
+    pole, error = ringing.pole, ringing.pole_error
+    modes = {
+        "partial": ringing.number, "frequency": np.imag(pole) / (2 * np.pi), "frequency_error": error / (2 * np.pi),
+        "decay": -np.real(pole), "decay_error": error,
+    }  # fmt: skip
+    pattern = [{"real": np.real(row).tolist(), "imag": np.imag(row).tolist()} for row in ringing.pattern]
+    size = float(np.abs(ringing.knock).max(initial=0.0))
+    knock = {"file": KNOCK_FILE, "scale": size, "rate": ringing.rate} if size else None
+    return {"modes": {name: column.tolist() for name, column in modes.items()}, "pattern": pattern, "knock": knock}
+
+
+def encode_knock(ringing: Ringing) -> bytes | None:
+    """The knock over its largest sample as FLAC of 24 bits; None without one."""
+    import soundfile
+
+    size = float(np.abs(ringing.knock).max(initial=0.0))
+    if not size:
+        return None
+    stream = io.BytesIO()
+    soundfile.write(stream, ringing.knock.T / size, ringing.rate, format="FLAC", subtype="PCM_24")
+    return stream.getvalue()
+
+
+def read_ringing(entry: Any, folder: Path, name: str) -> Ringing | None:
+    """What `ringing_document` wrote, with the knock that lies in `folder`; None where a key rings by its law.
+
+    Raises
+    ------
+    FitError
+        Opening with `name`, if an entry or the knock is missing, of another kind, or out of range.
+    """
+    if not isinstance(entry, dict) or "modes" not in entry:
+        return None
+    modes, pattern = entry["modes"], entry.get("pattern") or ()
+    try:
+        table = np.array([modes[column] for column in COLUMNS], float)
+        amplitude = np.array([np.array(row["real"], float) + 1j * np.array(row["imag"], float) for row in pattern])
+    except (KeyError, OverflowError, TypeError, ValueError):
+        raise FitError(f"{name}: ringing has no whole table of modes and patterns; {WAY_OUT}") from None
+    known = table.ndim == amplitude.ndim == 2 and 1 <= table.shape[-1] == amplitude.shape[-1] <= MOST_MODES
+    if not (known and len(amplitude) <= MOST_CHANNELS and np.isfinite(table).all() and np.isfinite(amplitude).all()):
+        raise FitError(f"{name}: ringing needs as many finite numbers in every column and pattern; {WAY_OUT}")
+    number, frequency, _, decay, error = table
+    if not ((frequency > 0).all() and (decay > 0).all()):
+        raise FitError(f"{name}: ringing has frequencies or decays that are not above 0; {WAY_OUT}")
+    knock, rate = _knock(entry.get("knock"), folder, len(amplitude), name)
+    return Ringing(number.astype(int), -decay + 2j * np.pi * frequency, error, amplitude, knock, rate)
+
+
+def _knock(entry: Any, folder: Path, channels: int, name: str) -> tuple[np.ndarray, int]:
+    if entry is None:
+        return np.zeros((channels, 0)), RATES[0]
+    import soundfile
+
+    if not isinstance(entry, dict):
+        raise FitError(f"{name}: ringing.knock must be a table; {WAY_OUT}")
+    scale = finite(entry.get("scale"), f"{name}: ringing.knock.scale", WAY_OUT)
+    path = folder / KNOCK_FILE  # wherever the document says, no other file is opened
+    try:
+        samples, rate = soundfile.read(io.BytesIO(read_file(path, LARGEST_KNOCK, FitError)), always_2d=True)
+    except soundfile.LibsndfileError as problem:
+        raise FitError(f"{path}: cannot be read ({problem.error_string}); {WAY_OUT}") from None
+    if samples.shape[1] != channels or not RATES[0] <= rate <= RATES[1]:
+        raise FitError(f"{path}: has {samples.shape[1]} channels at {rate} Hz and is not this fit's knock; {WAY_OUT}")
+    return scale * samples.T, rate

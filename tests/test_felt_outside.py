@@ -1,0 +1,176 @@
+"""A law of the felt from outside of the package: from recordings through fit, fit.json and page, and back."""
+
+from __future__ import annotations
+
+import functools
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pianofit
+from pianofit import FeltLaw, FitError, Layer, Note, Parameter, ParameterError, Setup, SetupError
+from pianofit.felt import LAWS
+from pianofit.felt.relaxing import STULOV, force, storage
+
+# Harder than a power as it is pressed, and losing.
+FOAM = FeltLaw(
+    "foam",
+    {
+        "K": Parameter("N/m²", "stiffness of the soft beginning", 1e5, 1e11, 3e7, 1.5),
+        "s": Parameter("m", "compression at which it has doubled", 1e-5, 1e-2, lambda midi: 0.018 / midi, 1.0),
+        "d": Parameter("s/m", "loss of the foam", 1e-3, 1e1),
+    },
+    lambda u, w, felt: felt.K * u**2 * (1 + u / felt.s) * (1 + felt.d * w),
+    lambda u, felt: felt.K * (u**3 / 3 + u**4 / (4 * felt.s)),
+)
+VELOCITIES = (0.6, 1.5, 4.0)
+PRESET = pianofit.preset("chabassier-F3")
+TRUE = FOAM.hammer(K=8e7, s=2e-4, d=0.2, M_H=PRESET.hammer.M_H, v_H0=VELOCITIES[-1])
+NOISE = 3e-5  # of full scale: 40 to 60 dB below the recordings' peaks
+
+
+@functools.cache
+def fitted() -> pianofit.Result:
+    """Three layers of a string struck with the foam."""
+    random, note = np.random.default_rng(0), Note(PRESET.string, TRUE, PRESET.geometry, "bridge-force", 0.002)
+    recordings = [
+        pianofit.recording_from_samples(x + random.normal(0.0, NOISE, len(x)), 44_100, name=f"{v}.wav")
+        for v in VELOCITIES
+        for x in [note.render(v, seconds=1.5)]
+    ]
+    layers = [Layer(file=f"{v}.wav", v_H0=v) for v in VELOCITIES]
+    geometry = PRESET.geometry
+    setup = Setup(length=geometry.length, mass=geometry.mass, felt=FOAM, recordings=tuple(layers))
+    return pianofit.fit(*recordings, setup=setup, progress=False)
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory) -> Path:
+    return fitted().save(tmp_path_factory.mktemp("fit") / "out")
+
+
+def test_its_parameters_are_found_within_their_intervals():
+    result = fitted()
+    assert result.document["converged"]
+    for name in ("K", "s", "d", "M_H"):
+        found = result.parameters[name]
+        assert found.interval is not None
+        low, high = found.interval
+        assert (low < getattr(TRUE, name) < high, found.status) == (True, "fitted"), found
+        assert high / low < 1.3, found  # of the prior's factor of 50 and more
+    assert result.parameters.d.meaning == "loss of the foam"
+    assert not {"K_H", "mu", "p"} & {*result.parameters}
+
+
+def test_its_file_and_page_have_its_name_and_curve(saved):
+    document = json.loads((saved / "fit.json").read_text())
+    assert document["felt"] == "foam"
+    page = (saved / "report.html").read_text()
+    assert "static law of the felt “foam”" in page
+    assert "loss of the foam" in page
+    assert "u<sup>p</sup>" not in page
+
+
+def test_a_file_of_it_plays_with_the_law_and_says_so_without(saved):
+    note, rate = pianofit.load_note(saved / "fit.json", felt=FOAM)
+    assert (type(note.hammer), rate) == (FOAM.kind, 44_100)
+    np.testing.assert_allclose(note.render(3.0, seconds=0.1), fitted().note.render(3.0, seconds=0.1), atol=1e-9)
+    assert pianofit.Result.load(saved, felt=FOAM).parameters.d.interval == fitted().parameters.d.interval
+    with pytest.raises(FitError, match=r"'foam', is not the package's; hand it in, as load_note\(path, felt=law\)"):
+        pianofit.load_note(saved / "fit.json")
+    with pytest.raises(FitError, match="law is 'foam', not 'stulov'"):
+        pianofit.load_note(saved / "fit.json", felt=STULOV)
+
+
+SMALL = {"a": Parameter("N", "", 1.0, 2.0)}
+
+
+def law(name: str = "foam", **changes) -> FeltLaw:
+    return FeltLaw(**{"name": name, "parameters": SMALL, "force": lambda u, _, felt: felt.a * u} | changes)
+
+
+@pytest.mark.parametrize(
+    ("make", "error", "said"),
+    [
+        (lambda: Setup(felt=law("power")), SetupError, "one of the package's own"),
+        (lambda: Setup(felt=FOAM, known={"d": 20.0}), SetupError, r"\[known\] d = 20.0 must be .* 0.001 to 10 s/m"),
+        (lambda: Setup(felt=FOAM, known={"K_H": 1e9}), SetupError, "K_H is no parameter of the felt's law, foam, .* d"),
+        (lambda: law(parameters={"a": Parameter("N", "", 2.0, 1.0)}), ParameterError, "foam: a: bounds 2.0 to 1.0"),
+        (lambda: law(parameters={"a": Parameter("N", "", 1.0, 2.0, 3.0)}), ParameterError, "a: median=3.0 must be"),
+        (lambda: law(parameters={"a": Parameter("N", "", 1.0, 2.0, None, 0.0)}), ParameterError, "spread=0.0 must be"),
+        (lambda: law(power=("a", "q")), ParameterError, "must name two of its parameters"),
+    ],
+)
+def test_what_cannot_be_fitted_is_refused(make, error, said):
+    with pytest.raises(error, match=said):
+        make()
+
+
+def test_the_papers_recipes_have_the_papers_felt():
+    sound = Note(PRESET.string, PRESET.hammer, PRESET.geometry, "bridge-force", 0.002).render(seconds=0.5)
+    with pytest.raises(ParameterError, match="recipe='paper' has no felt='foam'"):
+        pianofit.fit((sound, 44_100), setup=Setup(felt=FOAM), recipe="paper", progress=False)
+
+
+def test_a_prior_that_says_nothing_is_the_box():
+    loss = FOAM.parameters["d"]
+    assert loss.usual(60) == pytest.approx(0.1)
+    assert loss.usual(60) * np.exp(1.96 * loss.deviation) == pytest.approx(loss.upper)
+
+
+def test_what_scales_with_lengths_and_masses_follows_from_the_units():
+    assert (FOAM.scaling("N m"), FOAM.scaling("N")) == (("K", "s", "d"), ("K",))
+    assert [law.scaling("N m") for law in LAWS.values()] == [("K_H", "mu"), ("K_H",), ("K_H",)]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_relaxing_felt_stores_no_more_than_it_takes(seed):
+    """Along a random path of compression, the memory by its own equation in fine steps."""
+    random = np.random.default_rng(seed)
+    felt = STULOV.of({"K_H": 1e9, "p": 2.5, "epsilon": 0.6, "tau": 2e-4, "M_H": 5e-3, "v_H0": 1.0})
+    t = np.linspace(0.0, 2e-3, 40_001)
+    waves = sum(random.normal() * np.sin(np.pi * k * t / t[-1]) for k in range(1, 8))
+    u = 3e-4 * np.abs(waves)
+    c, step = np.zeros_like(u), t[1]
+    for n in range(len(u) - 1):
+        c[n + 1] = c[n] + (u[n] ** felt.p - c[n]) * -np.expm1(-step / felt.tau)
+    push = force(u, 0.0, felt, c)
+    taken = np.append(0.0, np.cumsum(0.5 * (push[1:] + push[:-1]) * np.diff(u)))
+    lost = taken - (storage(u, felt, c) - storage(u[0], felt, c[0]))
+    assert np.diff(lost).min() > -1e-6 * lost[-1]
+    assert lost[-1] > 0
+
+
+LAW_FILE = """
+from ..parameters import Parameter
+from .law import FeltLaw
+
+LAWS = (FeltLaw("straw", {"k": Parameter("N/m", "stiffness", 1e3, 1e6)}, lambda u, w, felt: felt.k * u),)
+"""
+USE = """
+import pianofit
+from pianofit.felt import LAWS
+
+straw = LAWS["straw"]
+assert pianofit.setup_from_dict({"felt": {"law": "straw"}, "known": {"k": 2e4}}, "here").law is straw
+it = pianofit.typical(60)
+hammer = straw.hammer(k=2e4, M_H=it.hammer.M_H, v_H0=1.0)
+assert pianofit.simulate(it.string, hammer, it.geometry).pulse.force.max() > 1
+"""
+
+
+def test_a_law_of_the_package_is_one_file(tmp_path):
+    package = Path(pianofit.__file__).parent
+    shutil.copytree(package, tmp_path / "pianofit", ignore=shutil.ignore_patterns("__pycache__"))
+    (tmp_path / "pianofit" / "felt" / "straw.py").write_text(LAW_FILE)
+    subprocess.run([sys.executable, "-c", USE], check=True, env={"PYTHONPATH": str(tmp_path)}, timeout=300)
+    shown = [sys.executable, "-m", "pianofit", "fit", "--help"]
+    done = subprocess.run(
+        shown, capture_output=True, text=True, check=True, env={"PYTHONPATH": str(tmp_path), "COLUMNS": "200"}
+    )
+    assert "straw" in done.stdout

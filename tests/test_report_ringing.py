@@ -1,0 +1,94 @@
+"""What the page shows of how a note rings, of sounds whose envelopes and levels are known."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pianofit.model.modal import Ringing
+from pianofit.report.build_ringing import ringing_curves
+from pianofit.report.figures_ringing import draw_ringing
+
+RATE, ONSET, F0 = 16_000, 800, 200.0
+NUMBER = np.arange(1, 9)
+DECAY, LEVEL = 0.5 + 0.3 * NUMBER, -20.0 - 4.0 * NUMBER
+
+
+def sound(seconds: float, decay: np.ndarray, gain: float = 1.0) -> np.ndarray:
+    """Damped partials from the onset on."""
+    t = np.arange(round(seconds * RATE)) / RATE
+    shape = np.exp(-np.outer(decay, t)) * np.cos(2 * np.pi * F0 * np.outer(NUMBER, t))
+    return np.pad(gain * 10 ** (LEVEL / 20) @ shape, (ONSET, 0))
+
+
+def fake_result(seconds: float = 4.0, rings: bool = True) -> Any:
+    """A fit whose law decays twice as fast as the recording, and whose ringing is 6 dB too loud."""
+    recorded, law = sound(seconds, DECAY), SimpleNamespace(samples=sound(seconds, 2 * DECAY))
+    played = SimpleNamespace(samples=sound(seconds, DECAY, 2.0)) if rings else None
+    heard = SimpleNamespace(
+        recording=SimpleNamespace(samples=recorded, rate=RATE, onset=ONSET), fitted=law, ringing=played,
+        played=played or law, level=LEVEL, partials=SimpleNamespace(number=NUMBER, frequency=F0 * NUMBER),
+    )  # fmt: skip
+    pole = -DECAY + 2j * np.pi * F0 * NUMBER
+    ringing = Ringing(NUMBER, pole, np.full(8, 0.1), np.ones((1, 8), complex), np.zeros((1, 0)), RATE)
+    return SimpleNamespace(
+        document={"ringing": {}}, reference=heard, note=SimpleNamespace(ringing=ringing if rings else None),
+        analysis=SimpleNamespace(f0=F0, B=0.0),
+    )  # fmt: skip
+
+
+def test_envelopes_are_those_of_the_strongest_partials():
+    curves = ringing_curves(fake_result())
+    assert curves is not None
+    assert [one.number for one in curves.envelopes] == [1, 2, 3, 4, 5, 6]
+    for one in curves.envelopes:
+        assert (one.time[0], one.time[-1]) == pytest.approx((0.0, 3.0), abs=0.02)
+        after = one.time > 0.05  # where no kernel reaches before the onset
+        fall = LEVEL[one.number - 1] - 20 / np.log(10) * np.outer([1.0, 2.0], DECAY[one.number - 1] * one.time[after])
+        assert one.fitted is not None
+        for shown, expected in ((one.measured, fall[0]), (one.law, fall[1]), (one.fitted, fall[0] + 20 * np.log10(2))):
+            heard = expected > -80  # below lie the side lobes of the kernel
+            np.testing.assert_allclose(shown[after][heard], expected[heard], atol=0.05)
+
+
+def test_levels_over_time_and_frequency_are_where_the_partials_are():
+    curves = ringing_curves(fake_result())
+    assert curves is not None
+    assert curves.measured.shape == curves.played.shape == (len(curves.frequency), len(curves.time))
+    assert 2.9 < curves.time[-1] <= 3.0
+    loud = np.argmax(curves.measured, axis=0)
+    assert np.ptp(curves.frequency[loud]) == 0
+    assert curves.frequency[loud[0]] == pytest.approx(F0, rel=0.1)
+    difference = (curves.played - curves.measured)[loud[0]]
+    np.testing.assert_allclose(difference, 20 * np.log10(2), atol=0.05)
+    assert np.all(curves.measured >= curves.measured.max() - 60.1)
+
+
+def test_decays_are_those_of_the_modes():
+    curves = ringing_curves(fake_result())
+    assert curves is not None
+    np.testing.assert_allclose([one.early for one in curves.decays], np.log(1e3) / DECAY)
+
+
+def test_a_key_by_its_law_has_two_envelopes_and_no_decays():
+    curves = ringing_curves(fake_result(rings=False))
+    assert curves is not None
+    assert curves.decays == ()
+    assert all(one.fitted is None for one in curves.envelopes)
+    assert (curves.played - curves.measured)[:, -1].min() < -3
+
+
+@pytest.mark.parametrize("seconds", [0.1, 0.5])
+def test_a_short_recording_is_drawn(seconds):
+    curves = ringing_curves(fake_result(seconds))
+    assert curves is not None
+    assert {name: len(panels) for name, panels in draw_ringing(curves).items()} == {"envelopes": 6, "spectrograms": 3}
+
+
+def test_a_fit_that_looked_for_no_modes_shows_none():
+    result = fake_result()
+    result.document = {}
+    assert ringing_curves(result) is None
