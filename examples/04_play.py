@@ -72,7 +72,7 @@ def main() -> None:
     Path("prelude.wav").write_bytes(pianofit.encode_wav(done.samples, 48_000))
     print(f"{song.notes} notes, {done.on_moving} of them on a string that still sounds")
     print(
-        f"{len(done.samples) / 48_000:.1f} s, peak {abs(done.samples).max():.3f}, limited by {done.limited_db:.1f} dB"
+        f"{done.samples.shape[-1] / 48_000:.1f} s, peak {abs(done.samples).max():.3f}, limited by {done.limited_db:.1f} dB"
     )
 
 

@@ -35,6 +35,16 @@ class Instrument(NamedTuple):
     at_64: float  # hammer velocity at MIDI velocity 64, m/s
     rise: float  # of its logarithm from there to 127
 
+    @property
+    def channels(self) -> int:
+        """How many its sound has: those of the key that has most."""
+        return max(1 if note.ringing is None else note.ringing.channels for note in self.notes.values())
+
+    @property
+    def lead(self) -> float:
+        """How long before a contact its sound can begin, s."""
+        return max(note.lead for note in self.notes.values())
+
     def note(self, midi: int, velocity: float) -> Note:
         """The key `midi` struck at MIDI velocity `velocity`, 1 to 127.
 
