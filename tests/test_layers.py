@@ -36,7 +36,7 @@ USES = {
     "ringing": "analysis inference model recording ringing_file threads",
     "report": "analysis inference io parameters ringing_file",
     "paper": "analysis criterion inference io model parameters published recording report setup",
-    "keyboard": "analysis io model parameters published render report",
+    "keyboard": "analysis criterion io model parameters published render report ringing_file",
     "fitting": "analysis inference io paper parameters progress recording ringing setup",
     "play": "analysis io keyboard model parameters recording render threads",
     "workflow": "analysis fitting inference io model recording render setup",

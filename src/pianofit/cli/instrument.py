@@ -136,7 +136,8 @@ def _play(built: Path, song: Path, out: Path, rate: int, force: bool, progress: 
     write_file(out, encode_pcm24(done.samples, rate), force)
     seconds = done.samples.shape[-1] / rate
     return {
-        "file": str(out), "seconds": seconds, "rate": rate, "channels": len(done.samples), "notes": notes.notes, "strikes": done.strikes,
+        "file": str(out), "seconds": seconds, "rate": rate, "channels": len(done.samples), "notes": notes.notes,
+        "strikes": done.strikes,
         "on_moving_strings": done.on_moving, "gain_db": done.gain_db, "limited_db": done.limited_db,
         "peak": float(abs(done.samples).max(initial=0.0)), "computed_in_s": took, "real_time_factor": took / seconds,
     }  # fmt: skip

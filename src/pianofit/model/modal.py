@@ -20,7 +20,7 @@ __all__ = ["EDGE", "FAINT", "LEAD", "Force", "Ringing", "force_of", "ring", "unt
 
 # The knock may begin so long before the contact, s: an onset is found a little late.
 LEAD = 0.012
-# Samples before a force's touch and after its end that a band-limited force needs: so far the resampling filter reaches.
+# Samples before a force's touch and after its end that a band-limited one needs: so far the resampling filter reaches.
 EDGE = 10
 # Steps a sample of a force whose own step is no whole part of one.
 FINE = 8
@@ -142,7 +142,9 @@ class Ringing(NamedTuple):
         return out
 
 
-def ring(pole: np.ndarray, amplitude: np.ndarray, rate: float, count: int, faint: np.ndarray | None = None) -> np.ndarray:
+def ring(
+    pole: np.ndarray, amplitude: np.ndarray, rate: float, count: int, faint: np.ndarray | None = None
+) -> np.ndarray:
     """Re Σ amplitude exp(pole t), [channels, count], of amplitudes [channels, modes] that decay.
 
     Time is cut into blocks: a block's begin times the way through a block is one matrix product.
