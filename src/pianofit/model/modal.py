@@ -27,7 +27,9 @@ FINE = 8
 # Modes so far below the loudest at its begin, amplitude, are left out: -160 dB.
 FAINT = 1e-8
 # Blocks of time at once, between looks at what still sounds.
-CHUNK = 16
+CHUNK = 32
+# Samples of a block: more would not stay in a processor's cache.
+LARGEST_BLOCK = 512
 
 
 class Force(NamedTuple):
@@ -117,7 +119,8 @@ class Ringing(NamedTuple):
         rate, lead = self.rate, round(LEAD * self.rate)
         pulse = force.at(rate)
         size = max(len(pulse), end + EDGE)
-        state = np.exp(np.outer(self.pole / rate, end + EDGE - np.arange(len(pulse)))) @ pulse
+        log_z, last = self.pole / rate, end + EDGE - (len(pulse) - 1)  # samples from the pulse's last one to `end`
+        state = np.exp(log_z * last) * (_powers(log_z, len(pulse)) @ pulse[::-1])
         onset = np.zeros((self.channels, max(lead - EDGE + size, self.knock.shape[-1] + len(pulse) - 1 - EDGE)))
         head = onset[:, lead - EDGE : lead - EDGE + size]
         head += oaconvolve(ring(self.pole, self.pattern, rate, size), pulse[None], axes=-1)[:, :size]
@@ -156,20 +159,24 @@ def ring(
     out = np.zeros((len(amplitude), count))
     if not (count and amplitude.size):
         return out
-    block = 1 << int(np.ceil(np.log2(np.sqrt(count))))
+    block = min(1 << int(np.ceil(np.log2(np.sqrt(count)))), LARGEST_BLOCK)
+    blocks = min(-(-count // block), CHUNK)
     faint = np.full(len(pole), FAINT * np.abs(amplitude).max()) if faint is None else faint
     inside = _powers(pole / rate, block)
     inside = np.stack([np.real(inside), -np.imag(inside)], axis=1)  # [modes, 2, block]
-    for first in range(0, count, CHUNK * block):
-        loud = np.flatnonzero((np.abs(amplitude) > faint).any(axis=0))
-        if not loud.size:
+    begins = _powers(pole * (block / rate), blocks + 1)  # [modes, blocks and the next chunk's first]
+    for first in range(0, count, blocks * block):
+        loud = (np.abs(amplitude) > faint).any(axis=0)
+        if not loud.any():
             break
-        here = out[:, first : first + CHUNK * block]
-        blocks = -(-here.shape[-1] // block)
-        begins = amplitude[:, None, loud] * _powers(pole[loud] * (block / rate), blocks).T
-        rows = np.ascontiguousarray(begins).view(float) @ inside[loud].reshape(-1, block)
+        if not loud.all():
+            pole, amplitude, faint = pole[loud], amplitude[:, loud], faint[loud]
+            inside, begins = inside[loud], begins[loud]
+        here = out[:, first : first + blocks * block]
+        starts = amplitude[:, None] * begins[:, :-1].T
+        rows = np.ascontiguousarray(starts).view(float) @ inside.reshape(-1, block)
         here[:] = rows.reshape(len(amplitude), -1)[:, : here.shape[-1]]
-        amplitude = amplitude * np.exp(pole * (CHUNK * block / rate))
+        amplitude = amplitude * begins[:, -1]
     return out
 
 

@@ -166,7 +166,8 @@ class PlayedString:
 
 def _sum(sound: np.ndarray, more: np.ndarray, at: int) -> np.ndarray:
     """A sound [channels, samples] and another that begins at the index `at`, as long as either needs."""
-    out = np.pad(sound, ((0, 0), (0, max(at + more.shape[-1] - sound.shape[-1], 0))))
+    out = np.zeros((len(sound), max(at + more.shape[-1], sound.shape[-1])))
+    out[:, : sound.shape[-1]] = sound
     out[:, at : at + more.shape[-1]] += more
     return out
 
