@@ -71,9 +71,8 @@ def main() -> None:
     done = perform(instrument, song, rate=48_000)
     Path("prelude.wav").write_bytes(pianofit.encode_wav(done.samples, 48_000))
     print(f"{song.notes} notes, {done.on_moving} of them on a string that still sounds")
-    print(
-        f"{len(done.samples) / 48_000:.1f} s, peak {abs(done.samples).max():.3f}, limited by {done.limited_db:.1f} dB"
-    )
+    seconds = done.samples.shape[-1] / 48_000
+    print(f"{seconds:.1f} s, peak {abs(done.samples).max():.3f}, limited by {done.limited_db:.1f} dB")
 
 
 if __name__ == "__main__":

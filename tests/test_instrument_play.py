@@ -1,9 +1,10 @@
-"""Songs on strings: blows against the model itself, dampers and pedal against what they should do, MIDI, limiter."""
+"""Songs on strings: strokes against the model itself, dampers and pedal against what they should do, MIDI, limiter."""
 
 from __future__ import annotations
 
 import contextlib
 import io
+from types import SimpleNamespace
 
 import mido
 import numpy as np
@@ -13,7 +14,11 @@ from hypothesis import strategies as st
 from instrument_cases import true_instrument, true_note, uneven_note
 
 from pianofit.errors import FitError, ParameterError, RecordingError
+from pianofit.keyboard import Instrument
 from pianofit.model import simulate
+from pianofit.model.modal import Ringing
+from pianofit.model.modes import mode_frequencies
+from pianofit.model.note import Note
 from pianofit.play import Song, limit, load_song, perform
 from pianofit.play.midi import MOST_NOTES, read_song
 from pianofit.play.strings import LAST_DAMPER, PlayedString, damper_rate
@@ -38,65 +43,120 @@ def played(*notes: tuple[float, float, int, int], pedal: tuple[tuple[float, bool
     quiet = PIANO._replace(notes={m: v._replace(gain=1e-2 * v.gain) for m, v in PIANO.notes.items()})
     done = perform(quiet, song(*notes, pedal=pedal), RATE)
     assert done.gain_db == done.limited_db == 0
-    return np.pad(done.samples, (0, 12 * RATE))[: 12 * RATE]
+    assert len(done.samples) == 1
+    return np.pad(done.samples[0], (0, 12 * RATE))[: 12 * RATE]
 
 
 def rms_db(samples: np.ndarray, start: float, stop: float) -> float:
     return 10 * np.log10(np.mean(samples[round(start * RATE) : round(stop * RATE)] ** 2) + 1e-30)
 
 
+def rung_note(midi: int) -> Note:
+    """The key with a beat, an aftersound and a knock of its own, in two channels; nothing of it is the law's."""
+    note, random = uneven_note(midi), np.random.default_rng(midi)
+    law = mode_frequencies(note.string, note.geometry.length, 12)
+    law = law[law < 16_000]
+    number = np.repeat(np.arange(len(law)) + 1, 3)
+    pole = -np.tile([8.0, 2.0, 1.3], len(law)) + 2j * np.pi * (np.repeat(law, 3) + np.tile([0.4, 0.0, 0.9], len(law)))
+    pattern = random.normal(size=(2, len(pole))) + 1j * random.normal(size=(2, len(pole)))
+    knock = random.normal(size=(2, 9_000)) * np.exp(-np.arange(9_000) / 1_500)
+    rung = Ringing(number, pole, np.zeros(len(pole)), pattern * 100, knock * 20, 44_100)
+    return note._replace(ringing=rung)
+
+
+def stroke_and_ring(string: PlayedString, velocity: float, samples: int) -> np.ndarray:
+    """[channels, samples] from the stroke on, from `lead` before its contact."""
+    head = string.strike(velocity)
+    return string.heard(np.concatenate([head, string.ring(samples - head.shape[-1])], axis=-1))[:, :samples]
+
+
+@pytest.mark.parametrize("kind", [uneven_note, rung_note])
 @pytest.mark.parametrize("midi", [21, 45, 60, 84, 108])
-def test_a_blow_at_rest_is_what_render_plays(midi):
-    note = uneven_note(midi)
-    expected, _ = note.play(RATE, RATE, touch=0)
-    string = PlayedString(note, midi, RATE)
-    head = string.strike(note.hammer.v_H0)
-    sound = string.heard(np.concatenate([head, string.ring(RATE - len(head))]))[:RATE]
+def test_a_stroke_at_rest_is_what_render_plays(midi, kind):
+    note = kind(midi)
+    expected = note.frames(note.strike(RATE), RATE, RATE, round(note.lead * RATE))
+    sound = stroke_and_ring(PlayedString(note, midi, RATE), note.hammer.v_H0, RATE)
+    assert sound.shape == expected.shape
     assert np.abs(sound - expected).max() < 1e-6 * np.abs(expected).max()
 
 
 @pytest.mark.parametrize(("midi", "after"), [(28, 0.013), (60, 0.1), (79, 0.05)])
-def test_a_blow_on_a_moving_string_is_the_models(midi, after):
+def test_a_stroke_on_a_moving_string_is_the_models(midi, after):
     """`simulate` from the same displacement and velocity, whose contact and waveform are other code."""
     note = uneven_note(midi)
     string = PlayedString(note, midi, RATE)
     head = string.strike(4.0)
-    string.ring(max(round(after * RATE) - len(head), 0))
-    state = string.state.copy()
+    string.ring(max(round(after * RATE) - head.shape[-1], 0))
+    state = string.string.state.copy()
     law = np.asarray(string.table.modes.pole)
     q, v = state.real, (law * state).real
     moving = simulate(
         note.string, note.hammer._replace(v_H0=1.5), note.geometry, rate=RATE, quantity="pressure",
         n_modes=len(q), displacement=q, velocity=v,
     )  # fmt: skip
-    own = string.pole.real / law.real  # each partial's own decay
+    own = string.string.pole.real / law.real  # each partial's own decay
     assert np.ptp(own) > 0.5
     assert own == pytest.approx(note.path.decay_at(law.imag / (2 * np.pi)))
     heard = moving.modes._replace(
-        pickup=np.asarray(moving.modes.pickup) * note.gain, pole=string.pole,
+        pickup=np.asarray(moving.modes.pickup) * note.gain, pole=string.string.pole,
         free_pickup=np.asarray(moving.modes.free_pickup) * note.gain,
     )  # fmt: skip
     expected = moving._replace(modes=heard).waveform(RATE, RATE // 2)
     head = string.strike(1.5)
-    sound = np.concatenate([head, string.ring(RATE // 2 - len(head))])
+    sound = np.concatenate([head, string.ring(RATE // 2 - head.shape[-1])], axis=-1)
     assert np.abs(sound - expected).max() < 1e-6 * np.abs(expected).max()
-    # And it is not the sum of the old sound and a blow at rest: the hammer met a moving string.
+    # And it is not the sum of the old sound and a stroke at rest: the hammer met a moving string.
     rest = PlayedString(note, midi, RATE)
-    alone = np.concatenate([head := rest.strike(1.5), rest.ring(RATE // 2 - len(head))])
-    rest.state = state
+    alone = np.concatenate([head := rest.strike(1.5), rest.ring(RATE // 2 - head.shape[-1])], axis=-1)
+    rest.string.state = state
     assert np.abs(sound - alone - rest.ring(RATE // 2)).max() > 1e-4 * np.abs(expected).max()
 
 
-def test_a_damper_adds_its_rate_to_every_mode():
-    free, damped = (PlayedString(true_note(50), 50, RATE) for _ in range(2))
+def test_what_rings_is_linear_in_the_forces():
+    """A restrike is heard as the sum of both strokes' forces, each by itself through modes and knock."""
+    note, forces = rung_note(45), []
+    string = PlayedString(note, 45, RATE)
+    struck = string.ringing.struck
+    string.ringing = SimpleNamespace(struck=lambda force, end: forces.append(force) or struck(force, end))
+    between = round(0.05 * RATE)
+    sound = np.zeros((2, RATE))
+    sound[:, :between] = stroke_and_ring(string, 2.0, between)
+    sound[:, between:] = stroke_and_ring(string, 1.0, RATE - between)
+    expected = sum(
+        np.pad(note.gain * note.ringing.sound(force, RATE, RATE - at), ((0, 0), (at, 0)))
+        for force, at in zip(forces, (0, between), strict=True)
+    )
+    assert np.abs(sound - expected).max() < 1e-6 * np.abs(expected).max()
+    rest = note.struck(1.0).frames(note.struck(1.0).strike(RATE), RATE, RATE - between, string.lead)
+    alone = note.struck(2.0).frames(note.struck(2.0).strike(RATE), RATE, RATE, string.lead)
+    alone[:, between:] += rest
+    assert np.abs(sound - alone).max() > 1e-4 * np.abs(expected).max()  # the second hammer met a moving string
+
+
+@pytest.mark.parametrize("kind", [true_note, rung_note])
+def test_a_damper_adds_its_rate_to_every_mode(kind):
+    free, damped = (PlayedString(kind(50), 50, RATE) for _ in range(2))
     for string in (free, damped):
-        string.strike(2.0)
+        stroke_and_ring(string, 2.0, RATE // 2)  # the knock is over
     damped.damped = True
-    n = 4800
-    expected = free.ring(n) * np.exp(-damper_rate(50) * np.arange(n) / RATE)
-    assert damped.ring(n) == pytest.approx(expected, abs=1e-7)  # modes end where they are inaudible
+    n, late = 4800, free.lead
+    expected = free.ring(n + late)[:, late:] * np.exp(-damper_rate(50) * np.arange(n) / RATE)
+    assert damped.ring(n + late)[:, late:] == pytest.approx(expected, abs=1e-7)  # modes end where they are inaudible
     assert damper_rate(21) < damper_rate(60) < damper_rate(LAST_DAMPER)
     assert damper_rate(LAST_DAMPER + 1) == 0
+
+
+def test_one_channel_is_heard_in_both_and_strokes_stay_together():
+    piano = Instrument("", {45: rung_note(45), 60: uneven_note(60)}, at_64=1.3, rise=1.5)
+    both = perform(piano, song((0.0, 0.4, 45, 60), (0.1, 0.4, 60, 60)), RATE).samples
+    one, two = (perform(piano._replace(notes={m: piano.notes[m]}), song(x), RATE).samples
+                for m, x in ((45, (0.0, 0.4, 45, 60)), (60, (0.1, 0.4, 60, 60))))  # fmt: skip
+    assert (len(both), len(one), len(two)) == (2, 2, 1)
+    lead = round(piano.lead * RATE)
+    assert lead == round(0.012 * RATE)
+    expected = one[:, : RATE // 2].copy()
+    expected[:, lead:] += two[:, : RATE // 2 - lead]
+    assert both[:, : RATE // 2] == pytest.approx(expected, abs=1e-9)
 
 
 def test_keys_and_pedal_move_the_dampers():
@@ -135,9 +195,9 @@ def test_keys_sound_together_as_they_do_alone():
 
 def test_what_is_held_at_the_end_is_let_go():
     done = perform(PIANO, Song({40: [(0.0, 80)], 100: [(0.0, 80)]}, [(0.0, True)], 0.1, 2), RATE)
-    assert len(done.samples) <= 5.1 * RATE
-    assert np.abs(done.samples[-20:]).max() < 1e-4
-    assert rms_db(done.samples, 2.9, 3.0) > rms_db(done.samples, 3.4, 3.6) + 20
+    assert done.samples.shape[-1] <= 5.1 * RATE
+    assert np.abs(done.samples[:, -20:]).max() < 1e-4
+    assert rms_db(done.samples[0], 2.9, 3.0) > rms_db(done.samples[0], 3.4, 3.6) + 20
 
 
 def test_repeated_notes_are_counted():
@@ -153,7 +213,7 @@ def test_a_trill_faster_than_the_contact_is_played_in_turn():
 @pytest.mark.parametrize("loud", [0.5, 1.0, 3.0, 100.0])
 def test_the_limiter_never_lets_through(loud):
     random = np.random.default_rng(1)
-    sound = loud * 0.4 * random.normal(size=RATE) * (1 + 4 * (random.random(RATE) > 0.9995))
+    sound = loud * 0.4 * random.normal(size=(2, RATE)) * (1 + 4 * (random.random((2, RATE)) > 0.9995))
     out, gain_db, limited_db = limit(sound, RATE)
     assert np.abs(out).max() <= CEILING
     assert gain_db <= 0 <= limited_db <= 3.0001
@@ -161,14 +221,15 @@ def test_the_limiter_never_lets_through(loud):
     assert (out == again).all()
     gain = out / sound
     assert np.abs(np.diff(gain)).max() < 2e-3 * gain.max()  # a gain, no clipper
+    assert gain[0] == pytest.approx(gain[1], rel=1e-12)  # the same for both channels: nothing moves sideways
 
 
 def test_the_limiter_leaves_alone_what_fits():
-    sound = 0.8 * np.sin(np.arange(RATE) / 30)
+    sound = 0.8 * np.sin(np.arange(RATE) / 30)[None]
     out, gain_db, limited_db = limit(sound, RATE)
     assert (out == sound).all()
     assert gain_db == limited_db == 0
-    assert limit(np.zeros(10), RATE)[0].tolist() == [0.0] * 10
+    assert limit(np.zeros((1, 10)), RATE)[0].tolist() == [[0.0] * 10]
 
 
 def midi_bytes(*messages: mido.Message | mido.MetaMessage, **options: int) -> bytes:

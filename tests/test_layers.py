@@ -37,7 +37,7 @@ USES = {
     "ringing": "analysis inference model recording ringing_file threads",
     "report": "analysis felt inference io model parameters ringing ringing_file",
     "paper": "analysis criterion felt inference io model parameters published recording report setup",
-    "keyboard": "analysis io model parameters published render report",
+    "keyboard": "analysis criterion io model parameters published render report ringing_file",
     "fitting": "analysis inference io paper parameters progress recording ringing setup",
     "play": "analysis felt io keyboard model parameters recording render threads",
     "workflow": "analysis fitting inference io model recording render setup",

@@ -265,9 +265,9 @@ def encode_wav(samples: np.ndarray, rate: int) -> bytes:
 
 
 def encode_pcm24(samples: np.ndarray, rate: int) -> bytes:
-    """A mono WAV file, 24 bit; samples [samples] must lie within ±1."""
+    """A WAV file, 24 bit; samples [channels, samples] must lie within ±1."""
     import soundfile
 
     stream = io.BytesIO()
-    soundfile.write(stream, samples, rate, format="WAV", subtype="PCM_24")
+    soundfile.write(stream, samples.T, rate, format="WAV", subtype="PCM_24")
     return stream.getvalue()

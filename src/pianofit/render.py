@@ -57,6 +57,7 @@ def load_note(path: str | os.PathLike[str], felt: FeltLaw | None = None) -> tupl
     Parameters
     ----------
     path : of a `fit.json`, written by `pianofit fit` or `Result.save`.
+    felt : the law of the felt, if it is one of your own.
 
     Returns
     -------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import io
 from pathlib import Path
 from typing import Any
@@ -18,39 +19,50 @@ __all__ = ["KNOCK_FILE", "encode_knock", "read_ringing", "ringing_document"]
 KNOCK_FILE = "knock.flac"
 # Bytes of a knock at the most: half a second of eight channels at the highest rate.
 LARGEST_KNOCK = 2**23
+# Samples of one at the most: half a second at the highest rate, however few bytes they take.
+MOST_FRAMES = RATES[1] // 2
 # Modes at the most, and channels, that a file may hold.
 MOST_MODES, MOST_CHANNELS = 4096, 8
 WAY_OUT = "give the files that pianofit fit wrote"
 COLUMNS = ("partial", "frequency", "frequency_error", "decay", "decay_error")
 
 
-def ringing_document(ringing: Ringing) -> dict[str, Any]:
-    """The modes as columns, Hz and 1/s, patterns per channel, and what is known of the knock beside the file."""
+def ringing_document(ringing: Ringing, *, whole: bool = False) -> dict[str, Any]:
+    """The modes as columns, Hz and 1/s, patterns per channel, and the knock: the file beside it, or the `whole` of it.
+
+    A knock within the document is FLAC of 16 bits in base64: half of what 24 bits take, and what is lost lies 80 dB or
+    more below a note's peak.
+    """
     pole, error = ringing.pole, ringing.pole_error
     modes = {
         "partial": ringing.number, "frequency": np.imag(pole) / (2 * np.pi), "frequency_error": error / (2 * np.pi),
         "decay": -np.real(pole), "decay_error": error,
     }  # fmt: skip
     pattern = [{"real": np.real(row).tolist(), "imag": np.imag(row).tolist()} for row in ringing.pattern]
-    size = float(np.abs(ringing.knock).max(initial=0.0))
-    knock = {"file": KNOCK_FILE, "scale": size, "rate": ringing.rate} if size else None
+    flac = encode_knock(ringing, "PCM_16" if whole else "PCM_24")
+    knock = None
+    if flac is not None:
+        held = {"flac": base64.b64encode(flac).decode()} if whole else {"file": KNOCK_FILE}
+        knock = held | {"scale": float(np.abs(ringing.knock).max()), "rate": ringing.rate}
     return {"modes": {name: column.tolist() for name, column in modes.items()}, "pattern": pattern, "knock": knock}
 
 
-def encode_knock(ringing: Ringing) -> bytes | None:
-    """The knock over its largest sample as FLAC of 24 bits; None without one."""
+def encode_knock(ringing: Ringing, bits: str = "PCM_24") -> bytes | None:
+    """The knock over its largest sample as FLAC; None without one."""
     import soundfile
 
     size = float(np.abs(ringing.knock).max(initial=0.0))
     if not size:
         return None
     stream = io.BytesIO()
-    soundfile.write(stream, ringing.knock.T / size, ringing.rate, format="FLAC", subtype="PCM_24")
+    soundfile.write(stream, ringing.knock.T / size, ringing.rate, format="FLAC", subtype=bits)
     return stream.getvalue()
 
 
-def read_ringing(entry: Any, folder: Path, name: str) -> Ringing | None:
-    """What `ringing_document` wrote, with the knock that lies in `folder`; None where a key rings by its law.
+def read_ringing(entry: Any, folder: Path | None, name: str) -> Ringing | None:
+    """What `ringing_document` wrote; None where a key rings by its law.
+
+    The knock lies in `folder`, or, if that is None, in the document.
 
     Raises
     ------
@@ -75,7 +87,7 @@ def read_ringing(entry: Any, folder: Path, name: str) -> Ringing | None:
     return Ringing(number.astype(int), -decay + 2j * np.pi * frequency, error, amplitude, knock, rate)
 
 
-def _knock(entry: Any, folder: Path, channels: int, name: str) -> tuple[np.ndarray, int]:
+def _knock(entry: Any, folder: Path | None, channels: int, name: str) -> tuple[np.ndarray, int]:
     if entry is None:
         return np.zeros((channels, 0)), RATES[0]
     import soundfile
@@ -83,11 +95,22 @@ def _knock(entry: Any, folder: Path, channels: int, name: str) -> tuple[np.ndarr
     if not isinstance(entry, dict):
         raise FitError(f"{name}: ringing.knock must be a table; {WAY_OUT}")
     scale = finite(entry.get("scale"), f"{name}: ringing.knock.scale", WAY_OUT)
-    path = folder / KNOCK_FILE  # wherever the document says, no other file is opened
+    # Wherever the document says, no other file is opened.
+    path = f"{name}: ringing.knock.flac" if folder is None else folder / KNOCK_FILE
+    held = _decoded(entry.get("flac"), str(path)) if folder is None else read_file(path, LARGEST_KNOCK, FitError)
     try:
-        samples, rate = soundfile.read(io.BytesIO(read_file(path, LARGEST_KNOCK, FitError)), always_2d=True)
+        samples, rate = soundfile.read(io.BytesIO(held), frames=MOST_FRAMES, always_2d=True)
     except soundfile.LibsndfileError as problem:
         raise FitError(f"{path}: cannot be read ({problem.error_string}); {WAY_OUT}") from None
     if samples.shape[1] != channels or not RATES[0] <= rate <= RATES[1]:
         raise FitError(f"{path}: has {samples.shape[1]} channels at {rate} Hz and is not this fit's knock; {WAY_OUT}")
     return scale * samples.T, rate
+
+
+def _decoded(text: Any, where: str) -> bytes:
+    try:
+        if isinstance(text, str) and len(text) <= LARGEST_KNOCK:
+            return base64.b64decode(text, validate=True)
+    except ValueError:
+        pass
+    raise FitError(f"{where} is no base64 of at most {LARGEST_KNOCK / 2**20:g} MiB; {WAY_OUT}")

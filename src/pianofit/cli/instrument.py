@@ -134,9 +134,10 @@ def _play(built: Path, song: Path, out: Path, rate: int, force: bool, progress: 
     done = perform(played, notes, rate, progress)
     took = time.perf_counter() - start
     write_file(out, encode_pcm24(done.samples, rate), force)
-    seconds = len(done.samples) / rate
+    seconds = done.samples.shape[-1] / rate
     return {
-        "file": str(out), "seconds": seconds, "rate": rate, "notes": notes.notes, "strikes": done.strikes,
+        "file": str(out), "seconds": seconds, "rate": rate, "channels": len(done.samples), "notes": notes.notes,
+        "strikes": done.strikes,
         "on_moving_strings": done.on_moving, "gain_db": done.gain_db, "limited_db": done.limited_db,
         "peak": float(abs(done.samples).max(initial=0.0)), "computed_in_s": took, "real_time_factor": took / seconds,
     }  # fmt: skip

@@ -28,6 +28,8 @@ from .views import View
 __all__ = ["conclude"]
 
 DB = 20 / np.log(10)
+# A value below is that of a parameter that the felt's law does not have.
+ABSENT = 1e-100
 # In the paper's order, then what lies between hammer and string; last what only some felts have.
 PARAMETERS_FIRST = (*FIT_NAMES, "x0", "width")
 
@@ -190,7 +192,7 @@ def _covariance(problem: Problem, found: Estimate) -> Covariance:
 def _parameters(problem: Problem, found: Estimate, states: dict[str, str]) -> dict:
     """Every parameter with value, unit, interval and status."""
     u, start = problem.unknowns, problem.start
-    values, initial = np.exp(found.posterior.mean[0]), np.exp(u.log_values(beginning(problem, found.z[:STRING_SIZE])))
+    log, initial = found.posterior.mean[0], np.exp(u.log_values(beginning(problem, found.z[:STRING_SIZE])))
     reference = problem.layout.stroke[problem.reference]
     unscaled = not problem.calibrated and all(v is None for v in problem.speed)
     moving = u.law.scaling("N m") if unscaled else ()
@@ -199,7 +201,7 @@ def _parameters(problem: Problem, found: Estimate, states: dict[str, str]) -> di
         i = u.at(name)
         if name == "x0":
             table["v_H0"] = _velocity(problem, found, reference) | {"initial": float(initial[u.shared + reference])}
-        if values[i] < 1e-100:
+        if np.exp(log[i]) < ABSENT:
             table[name] = absent(name, u.law.name)
             continue
         rests = [f"the assumed {x}" for x in start.rests_on.get(name, ())]
@@ -208,7 +210,7 @@ def _parameters(problem: Problem, found: Estimate, states: dict[str, str]) -> di
         if name == "width" and u.free[i]:
             note = "effective: of the raised cosine that acts as the felt's own window does"
         # What is held is shown as it was given, to the last digit.
-        value = float(values[i] if u.free[i] else start.values[name])
+        value = u.value(name, log[i]) if u.free[i] else float(start.values[name])
         table[name] = _entry(
             found.posterior, np.eye(u.size)[i], value, described(name, u.law), states[name],
             float(start.initial[name] if name in start.initial else initial[i]), note,
@@ -297,8 +299,8 @@ def _minima(problem: Problem, found: Estimate, notes) -> list[dict]:
     u = problem.unknowns
     rows = []
     for b, share in enumerate(found.posterior.share):
-        values = dict(zip(u.names, np.exp(found.posterior.mean[b, : u.shared]).tolist(), strict=True))
-        values = {n: values[n] for n in u.reported if values[n] > 1e-100}
+        log = dict(zip(u.names, found.posterior.mean[b, : u.shared], strict=True))
+        values = {n: u.value(n, log[n]) for n in u.reported if np.exp(log[n]) > ABSENT}
         path: OutputPath | None = notes[b][problem.reference].path
         rows.append({
             "share": float(share), "F": float(found.minima.F[b]), "parameters": values,

@@ -143,6 +143,11 @@ class Unknowns:
         logs = dict(zip(self.names, self.log_values(z), strict=False)) | {"v_H0": z[self.shared + stroke]}
         return self.law.of({n: _inside(box, float(np.exp(logs[n]))) for n, box in self.law.boxes.items()})
 
+    def value(self, name: str, log: float) -> float:
+        """A value from its logarithm, within its range if it has one."""
+        boxes = BOXES | self.law.boxes
+        return _inside(boxes[name], float(np.exp(log))) if name in boxes else float(np.exp(log))
+
     def struck(self, z: np.ndarray) -> Geometry:
         """The geometry with the strike position and contact width at `z` [size]."""
         return self.geometry._replace(strike=float(np.exp(z[self.at("x0")])), width=float(np.exp(z[self.at("width")])))

@@ -20,6 +20,7 @@ from ..model.decay import partial_decays
 from ..model.note import Note
 from ..model.path import OutputPath
 from ..parameters import PARAMETERS, Geometry, Hammer, String
+from ..ringing_file import ringing_document
 from .gather import (
     HIGHEST_KEY,
     LOWEST_KEY,
@@ -33,9 +34,12 @@ from .gather import (
 from .laws import Law, Prior, fit_law
 from .velocity import velocity_map
 
-__all__ = ["KINDS", "SCHEMA", "build_instrument"]
+__all__ = ["KINDS", "NEIGHBOURS", "SCHEMA", "build_instrument"]
 
-SCHEMA, KINDS = 1, ("fitted", "pulled", "outlier", "interpolated", "extrapolated")
+SCHEMA = 2
+KINDS = ("fitted", "pulled", "outlier", "interpolated", "extrapolated")
+# What stands for the ringing of a key that was never recorded, see `inferred`.
+NEIGHBOURS = "neighbours"
 # Partials, from the first, whose beats and decays are listed of each key.
 LOWEST_PARTIALS = 4
 KEYS = np.arange(LOWEST_KEY, HIGHEST_KEY + 1)
@@ -123,13 +127,15 @@ def _values(name: str, law: Law, known: np.ndarray, base: np.ndarray) -> np.ndar
 
 def _key(i, midi, values, laws, keys, own, base, quantity, sign, paths) -> dict[str, Any]:
     """One key of the document."""
-    at = {n: float(values[n][i]) for n in NAMES}
-    string, hammer, geometry, gain = assemble(midi, at, quantity)
     j = next((j for j, key in enumerate(keys) if key.midi == midi), None)
+    kept = {n for n in NAMES if j is not None and _keeps(keys[j], n)}
+    at = {n: float(own[j][n] if n in kept else values[n][i]) for n in NAMES}
+    string, hammer, geometry, gain = assemble(midi, at, quantity)
     path = paths(midi) if j is None else keys[j].note.path
-    states = {} if j is None else {n: _state(n, laws[n], j, own[j], keys[j], base[n][i]) for n in NAMES}
+    states = {} if j is None else {n: _state(n, laws[n], j, own[j], keys[j], base[n][i], n in kept) for n in NAMES}
     told = {
-        n: {"value": at[n], "interval": _interval(n, at[n], _sd(laws[n], i, j)), "law": _law_at(n, laws, base, i)}
+        n: {"value": at[n], "interval": _interval(n, at[n], keys[j].sd[n] if n in kept else _sd(laws[n], i, j)),
+            "law": _law_at(n, laws, base, i)}
         | ({} if j is None else {"own": own[j][n], "own_interval": _interval(n, own[j][n], keys[j].sd[n]),
                                  "state": states[n], "z": float(laws[n].z[j])})
         for n in NAMES
@@ -143,7 +149,8 @@ def _key(i, midi, values, laws, keys, own, base, quantity, sign, paths) -> dict[
     return {
         "midi": midi, "note": midi_to_note(midi), "state": state, "string": string._asdict(),
         "hammer": {n: getattr(hammer, n) for n in ("K_H", "mu", "p", "M_H")}, "geometry": geometry._asdict(),
-        "gain": sign * gain, "path": _path_document(path), "told": told, "fit": fit,
+        "gain": sign * gain, "path": _path_document(path), "ringing": _ringing_document(None if j is None else keys[j]),
+        "told": told, "fit": fit,
     }  # fmt: skip
 
 
@@ -179,9 +186,16 @@ def _boxed(values: dict[str, float]) -> dict[str, float]:
     return {n: float(np.clip(x, PARAMETERS[n].lower, PARAMETERS[n].upper)) for n, x in values.items()}
 
 
-def _state(name: str, law: Law, j: int, own: dict, key: KeyFit, base: float) -> str:
+def _keeps(key: KeyFit, name: str) -> bool:
+    """Whether a key plays its own value, whatever the law says: its modes and knock are those of its own force."""
+    return name in KEPT or key.note.ringing is not None
+
+
+def _state(name: str, law: Law, j: int, own: dict, key: KeyFit, base: float, kept: bool) -> str:
     if law.outlier[j]:
         return "outlier"
+    if kept:
+        return "fitted"
     moved = law.value[j] - (_scale(name, own[name]) - _scale(name, base))
     return "pulled" if abs(moved) > PULLED * key.sd[name] else "fitted"
 
@@ -216,6 +230,13 @@ def _law_document(name: str, law: Law, base: np.ndarray, known: np.ndarray) -> d
         "scatter": law.scatter, "length_keys": law.length,
         "outliers": [midi_to_note(int(m)) for m in known[law.outlier]],
     }  # fmt: skip
+
+
+def _ringing_document(key: KeyFit | None) -> dict[str, Any] | str | None:
+    """What a key rings with: its own modes and knock, its neighbours', or nothing but its law."""
+    if key is None:
+        return NEIGHBOURS
+    return None if key.note.ringing is None else ringing_document(key.note.ringing, whole=True)
 
 
 def _path_document(path: OutputPath | None) -> dict[str, list[float]] | None:
@@ -259,9 +280,9 @@ def _thirds(path: OutputPath) -> list[tuple[float, float, int]]:
 def _messages(keys: Sequence[KeyFit], laws: dict[str, Law], known: np.ndarray) -> list[str]:
     said = [
         f"{midi_to_note(int(m))}: {n} lies {abs(z):.1f} standard deviations {'above' if z > 0 else 'below'} what the "
-        f"other keys say; {'it is kept' if n in KEPT else 'the law is played'}"
+        f"other keys say; {'it is kept' if _keeps(key, n) else 'the law is played'}"
         for n, law in laws.items()
-        for m, z, out in zip(known, law.z, law.outlier, strict=True)
+        for m, z, out, key in zip(known, law.z, law.outlier, keys, strict=True)
         if out
     ]
     unsettled = [midi_to_note(key.midi) for key in keys if not key.converged]

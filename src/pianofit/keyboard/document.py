@@ -15,8 +15,10 @@ from ..model.note import Note
 from ..model.path import OutputPath
 from ..model.simulate import check_geometry
 from ..parameters import PARAMETERS, Geometry, Hammer, String, check
-from .build import SCHEMA
+from ..ringing_file import read_ringing
+from .build import NEIGHBOURS, SCHEMA
 from .gather import HIGHEST_KEY, LOWEST_KEY
+from .inferred import inferred
 from .velocity import hammer_velocity
 
 __all__ = ["Instrument", "load_instrument", "read_instrument"]
@@ -34,6 +36,16 @@ class Instrument(NamedTuple):
     notes: dict[int, Note]  # by MIDI key
     at_64: float  # hammer velocity at MIDI velocity 64, m/s
     rise: float  # of its logarithm from there to 127
+
+    @property
+    def channels(self) -> int:
+        """How many its sound has: those of the key that has most."""
+        return max(1 if note.ringing is None else note.ringing.channels for note in self.notes.values())
+
+    @property
+    def lead(self) -> float:
+        """How long before a contact its sound can begin, s."""
+        return max(note.lead for note in self.notes.values())
 
     def note(self, midi: int, velocity: float) -> Note:
         """The key `midi` struck at MIDI velocity `velocity`, 1 to 127.
@@ -74,8 +86,12 @@ def read_instrument(document: Any, name: str = "instrument") -> Instrument:
     FitError
         As `load_instrument`.
     """
-    if not isinstance(document, dict) or document.get("kind") != "instrument" or document.get("schema") != SCHEMA:
-        raise FitError(f"{name}: is no instrument of schema {SCHEMA}; {WAY_OUT}")
+    if (
+        not isinstance(document, dict)
+        or document.get("kind") != "instrument"
+        or document.get("schema") not in (1, SCHEMA)
+    ):
+        raise FitError(f"{name}: is no instrument of schema 1 or {SCHEMA}; {WAY_OUT}")
     quantity = document.get("quantity")
     if quantity not in QUANTITIES:
         raise FitError(f"{name}: quantity={shown(quantity)} must be one of {', '.join(QUANTITIES)}")
@@ -88,6 +104,7 @@ def read_instrument(document: Any, name: str = "instrument") -> Instrument:
         if midi in notes:
             raise FitError(f"{name}: keys[{i}].midi={midi} is there twice; {WAY_OUT}")
         notes[midi] = note
+    notes |= inferred(notes, [row["midi"] for row in rows if row.get("ringing") == NEIGHBOURS])
     velocity = table_of(document, "velocity", name, WAY_OUT)
     at_64, rise = (finite(velocity.get(key), f"{name}: velocity.{key}", WAY_OUT) for key in ("at_64", "rise"))
     box = PARAMETERS["v_H0"]
@@ -118,7 +135,8 @@ def _key(row: Any, quantity: str, where: str) -> tuple[int, Note]:
     gain = finite(row.get("gain"), f"{where}.gain", WAY_OUT)
     if not abs(gain) <= LARGEST_GAIN:
         raise FitError(f"{where}.gain={gain:g} must be from -{LARGEST_GAIN:g} to {LARGEST_GAIN:g}")
-    return midi, Note(String(**parts["string"]), hammer, geometry, quantity, gain, _path(row.get("path"), where))
+    path, ringing = _path(row.get("path"), where), read_ringing(row.get("ringing"), None, where)
+    return midi, Note(String(**parts["string"]), hammer, geometry, quantity, gain, path, ringing)
 
 
 def _path(path: Any, where: str) -> OutputPath | None:

@@ -16,14 +16,20 @@ from scipy.signal import oaconvolve, resample_poly
 
 from .simulate import Simulation
 
-__all__ = ["EDGE", "LEAD", "Force", "Ringing", "force_of", "ring"]
+__all__ = ["EDGE", "FAINT", "LEAD", "Force", "Ringing", "force_of", "ring", "until_last"]
 
 # The knock may begin so long before the contact, s: an onset is found a little late.
 LEAD = 0.012
-# Samples before a force's touch that a band-limited force needs.
-EDGE = 8
+# Samples before a force's touch and after its end that a band-limited one needs: so far the resampling filter reaches.
+EDGE = 10
 # Steps a sample of a force whose own step is no whole part of one.
 FINE = 8
+# Modes so far below the loudest at its begin, amplitude, are left out: -160 dB.
+FAINT = 1e-8
+# Blocks of time at once, between looks at what still sounds.
+CHUNK = 32
+# Samples of a block: more would not stay in a processor's cache.
+LARGEST_BLOCK = 512
 
 
 class Force(NamedTuple):
@@ -36,8 +42,12 @@ class Force(NamedTuple):
         """∫ F e^{-pole t} dt, N s, complex [modes]: how far a stroke sets modes ringing."""
         return np.exp(-np.outer(pole, self.step * np.arange(len(self.newton)))) @ self.newton * self.step
 
+    def samples(self, rate: int) -> int:
+        """How long it lasts at `rate`, in whole samples."""
+        return max(int(np.ceil(len(self.newton) * self.step * rate - 1e-6)), 1)
+
     def at(self, rate: int) -> np.ndarray:
-        """The impulse of every sample at `rate`, N s [samples], band-limited; `EDGE` samples before the touch."""
+        """The impulse of every sample at `rate`, N s [samples], band-limited, from `EDGE` samples before the touch."""
         by = round(1 / (self.step * rate))
         if by < 1 or abs(by * self.step * rate - 1) > 1e-6:
             step = 1 / (FINE * rate)
@@ -49,7 +59,12 @@ class Force(NamedTuple):
 
 def force_of(stroke: Simulation) -> Force:
     """The force of a stroke on the string."""
-    return Force(np.asarray(stroke.pulse.force), float(stroke.modes.step))
+    return Force(until_last(np.asarray(stroke.pulse.force)), float(stroke.modes.step))
+
+
+def until_last(pulse: np.ndarray) -> np.ndarray:
+    """A pulse [steps] without the zeros at its end."""
+    return pulse[: np.flatnonzero(pulse)[-1] + 1] if pulse.any() else pulse[:1]
 
 
 class Ringing(NamedTuple):
@@ -79,42 +94,95 @@ class Ringing(NamedTuple):
         """The modes alone."""
         return self._replace(knock=self.knock[:, :0])
 
-    def knock_at(self, rate: int) -> np.ndarray:
-        """The knock at another rate [channels, samples], of the same impulse."""
-        if rate == self.rate or not self.knock.shape[-1]:
-            return self.knock
-        by = np.gcd(rate, self.rate)
-        return resample_poly(self.knock, rate // by, self.rate // by, axis=-1) * (self.rate / rate)
+    def at(self, rate: int) -> Ringing:
+        """The same for files of another rate: the knock of the same impulse, and the modes below half of it."""
+        below = np.imag(self.pole) < np.pi * rate
+        columns = (self.number[below], self.pole[below], self.pole_error[below], self.pattern[:, below])
+        knock = self.knock
+        if rate != self.rate and knock.shape[-1]:
+            by = np.gcd(rate, self.rate)
+            knock = resample_poly(knock, rate // by, self.rate // by, axis=-1) * (self.rate / rate)
+        return Ringing(*columns, knock, rate)
+
+    def struck(self, force: Force, end: int) -> tuple[np.ndarray, np.ndarray]:
+        """What a stroke leaves ringing, and what else of it is heard, at the own `rate`.
+
+        Parameters
+        ----------
+        end : samples after the first touch, no fewer than the force lasts, from which on the modes ring by themselves.
+
+        Returns
+        -------
+        How far the stroke has set each mode ringing at `end`, N s, complex [modes]: then `pattern` times it rings. And
+        the sound [channels, samples], from `LEAD` before the touch, of knock and modes while the force lasts.
+        """
+        rate, lead = self.rate, round(LEAD * self.rate)
+        pulse = force.at(rate)
+        size = max(len(pulse), end + EDGE)
+        log_z, last = self.pole / rate, end + EDGE - (len(pulse) - 1)  # samples from the pulse's last one to `end`
+        state = np.exp(log_z * last) * (_powers(log_z, len(pulse)) @ pulse[::-1])
+        onset = np.zeros((self.channels, max(lead - EDGE + size, self.knock.shape[-1] + len(pulse) - 1 - EDGE)))
+        head = onset[:, lead - EDGE : lead - EDGE + size]
+        head += oaconvolve(ring(self.pole, self.pattern, rate, size), pulse[None], axes=-1)[:, :size]
+        # A band-limited force goes on for some samples, in which the modes already ring.
+        head[:, end + EDGE :] -= ring(self.pole, self.pattern * state, rate, size - end - EDGE)
+        if self.knock.shape[-1]:
+            knock = oaconvolve(self.knock, pulse[None], axes=-1)[:, EDGE:]
+            onset[:, : knock.shape[-1]] += knock
+        return state, onset
 
     def sound(self, force: Force, rate: int, count: int) -> np.ndarray:
         """A stroke in file units [channels, count], from `LEAD` before its first touch.
 
         While the force lasts, modes are convolved with it; afterwards they ring in closed form.
         """
-        pulse, lead = force.at(rate), round(LEAD * rate)
-        below = np.imag(self.pole) < np.pi * rate
-        pole, pattern = self.pole[below], self.pattern[:, below]
-        out = np.zeros((self.channels, max(count, lead - EDGE) + len(pulse)))
-        begin, head = lead - EDGE, len(pulse)
-        left = np.exp(-np.outer(pole, np.arange(head) / rate)) @ pulse
-        rung = ring(pole, pattern * left, rate, out.shape[-1] - begin)
-        rung[:, :head] = oaconvolve(ring(pole, pattern, rate, head), pulse[None], axes=-1)[:, :head]
-        out[:, begin:] = rung
-        if self.knock.shape[-1]:
-            knock = oaconvolve(self.knock_at(rate), pulse[None], axes=-1)[:, EDGE:]
-            size = min(knock.shape[-1], out.shape[-1])
-            out[:, :size] += knock[:, :size]
-        return out[:, :count]
+        own = self.at(rate)
+        end = force.samples(rate)
+        state, onset = own.struck(force, end)
+        begin = round(LEAD * rate) + end
+        out = np.pad(onset, ((0, 0), (0, max(count - onset.shape[-1], 0))))[:, :count]
+        out[:, begin:] += ring(own.pole, own.pattern * state, rate, max(count - begin, 0))
+        return out
 
 
-def ring(pole: np.ndarray, amplitude: np.ndarray, rate: float, count: int) -> np.ndarray:
-    """Re Σ amplitude exp(pole t), [channels, count], of amplitudes [channels, modes].
+def ring(
+    pole: np.ndarray, amplitude: np.ndarray, rate: float, count: int, faint: np.ndarray | None = None
+) -> np.ndarray:
+    """Re Σ amplitude exp(pole t), [channels, count], of amplitudes [channels, modes] that decay.
 
     Time is cut into blocks: a block's begin times the way through a block is one matrix product.
+
+    Parameters
+    ----------
+    faint : amplitudes below which modes are left out [modes]; `FAINT` times the largest by default.
     """
-    block = 1 << int(np.ceil(np.log2(np.sqrt(max(count, 1)))))
-    begins = np.exp(np.outer(np.arange(-(-count // block)) * (block / rate), pole))
-    inside = np.exp(np.outer(pole, np.arange(block) / rate))
-    start = amplitude[:, None, :] * begins
-    rows = np.real(start) @ np.real(inside) - np.imag(start) @ np.imag(inside)
-    return rows.reshape(len(amplitude), -1)[:, :count]
+    out = np.zeros((len(amplitude), count))
+    if not (count and amplitude.size):
+        return out
+    block = min(1 << int(np.ceil(np.log2(np.sqrt(count)))), LARGEST_BLOCK)
+    blocks = min(-(-count // block), CHUNK)
+    faint = np.full(len(pole), FAINT * np.abs(amplitude).max()) if faint is None else faint
+    inside = _powers(pole / rate, block)
+    inside = np.stack([np.real(inside), -np.imag(inside)], axis=1)  # [modes, 2, block]
+    begins = _powers(pole * (block / rate), blocks + 1)  # [modes, blocks and the next chunk's first]
+    for first in range(0, count, blocks * block):
+        loud = (np.abs(amplitude) > faint).any(axis=0)
+        if not loud.any():
+            break
+        if not loud.all():
+            pole, amplitude, faint = pole[loud], amplitude[:, loud], faint[loud]
+            inside, begins = inside[loud], begins[loud]
+        here = out[:, first : first + blocks * block]
+        starts = amplitude[:, None] * begins[:, :-1].T
+        rows = np.ascontiguousarray(starts).view(float) @ inside.reshape(-1, block)
+        here[:] = rows.reshape(len(amplitude), -1)[:, : here.shape[-1]]
+        amplitude = amplitude * begins[:, -1]
+    return out
+
+
+def _powers(log_z: np.ndarray, count: int) -> np.ndarray:
+    """z^n, n < count, complex [modes, count]: what is there, times its next power, is as much again."""
+    powers = np.ones((len(log_z), 1), complex)
+    while powers.shape[-1] < count:
+        powers = np.concatenate([powers, powers * np.exp(log_z * powers.shape[-1])[:, None]], axis=-1)
+    return powers[:, :count]

@@ -52,12 +52,12 @@ def mobility(
 
 
 @float64
-def ringing_transform(residue: Array, log_z: Array, log_zeta: Array) -> Array:
+def ringing_transform(residue: AnyArray, log_z: AnyArray, log_zeta: AnyArray) -> Array:
     """Σ_k of the transforms at ζ of what rings as Re(R_k z_k^n); `residue` and `log_z` have the modes as a last axis.
 
     A mode transforms to (Re R - Re(R z̄) ζ)/(1 - 2 Re z ζ + |z|² ζ²).
     """
-    upper = residue.real - (residue * jnp.exp(log_z).conj()).real * jnp.exp(log_zeta)[..., None]
+    upper = jnp.real(residue) - jnp.real(residue * jnp.exp(log_z).conj()) * jnp.exp(log_zeta)[..., None]
     # (1 - zζ)(1 - z̄ζ), each formed from what is left after the ones have cancelled.
     rise, turn = jnp.expm1(log_z), jnp.expm1(log_zeta)[..., None]
     lower = (rise + turn + rise * turn) * (rise.conj() + turn + rise.conj() * turn)

@@ -15,6 +15,7 @@ from ..errors import FitError, ParameterError
 from ..felt import MemoryHammer, is_own, law_of
 from ..model.cache import kept
 from ..model.contact import free_motion, impulse_amplitude, strike
+from ..model.modal import FAINT, Force, until_last
 from ..model.modes import HIGHEST, Modes, mode_table
 from ..model.note import Note
 from ..model.path import impulse, through
@@ -35,7 +36,7 @@ class Table(NamedTuple):
     unit: np.ndarray  # complex: what a unit T leaves ringing, m/N, in the string's own displacement
     drive: np.ndarray  # complex: the same in file units, before the path
     pickup: np.ndarray  # complex: signal = Re(pickup · a) before the path, for a displacement q = Re(a)
-    loudness: np.ndarray  # |pickup| behind the path
+    faint: np.ndarray  # |pickup · a| of a mode that is not heard behind the path, file units: -160 dB
     path: np.ndarray | None  # [samples] at the signals' rate: what the signal goes through, see `note.impulse`
 
 
@@ -51,7 +52,7 @@ def _stroke(modes, hammer, displacement, velocity, cfg):
     (steps,) = cfg
     free = free_motion(modes, displacement, velocity, steps)
     pulse = strike(modes, hammer, steps=steps, free=free)
-    return pulse.drive, pulse.over
+    return pulse.drive, pulse.force, pulse.over
 
 
 def table_of(note: Note, rate: float) -> Table:
@@ -73,12 +74,12 @@ def table_of(note: Note, rate: float) -> Table:
     below = turn < np.pi * rate
     gain = np.where(below, note.gain, 0.0)
     pickup = gain * modes.free_pickup
-    loudness = np.abs(pickup) * (1.0 if path is None else 10 ** (path.db / 20))
-    return Table(modes, pole, contact, unit * warp, gain * modes.pickup * unit, pickup, loudness, impulse(path, rate))
+    faint = np.full(len(own), FAINT) if path is None else FAINT * 10 ** (-path.db / 20)
+    return Table(modes, pole, contact, unit * warp, gain * modes.pickup * unit, pickup, faint, impulse(path, rate))
 
 
-def stroke(table: Table, hammer: Hammer | MemoryHammer, state: np.ndarray, where: str) -> np.ndarray:
-    """T [steps] of a hammer on a string that moves as q = Re(state · exp(p t)), complex [modes]; until it is over.
+def stroke(table: Table, hammer: Hammer | MemoryHammer, state: np.ndarray, where: str) -> tuple[np.ndarray, Force]:
+    """What a hammer gives a string that moves as q = Re(state · exp(p t)), complex [modes]: T [steps], and the force.
 
     Raises
     ------
@@ -93,10 +94,9 @@ def stroke(table: Table, hammer: Hammer | MemoryHammer, state: np.ndarray, where
     velocity = np.real(np.asarray(table.modes.pole) * state)
     steps = FIRST_STEPS
     while steps <= MOST_STEPS:
-        drive, over = _stroke(table.modes, hammer, np.real(state), velocity, (steps,))
+        drive, newton, over = _stroke(table.modes, hammer, np.real(state), velocity, (steps,))
         if bool(over):
-            drive = np.asarray(drive)
-            return drive[: np.flatnonzero(drive)[-1] + 1] if drive.any() else drive[:1]
+            return until_last(np.asarray(drive)), Force(until_last(np.asarray(newton)), 1 / table.rate)
         steps *= 4
     raise FitError(
         f"{where}: at v_H0={float(hammer.v_H0):g} m/s the hammer is still on the string after "

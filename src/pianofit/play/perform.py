@@ -18,7 +18,7 @@ from ..recording import RATES
 from ..render import CEILING
 from ..threads import one_blas_thread
 from .midi import Song
-from .strings import BLOCK, CHUNK, PlayedString
+from .strings import PlayedString
 
 __all__ = ["MOST_LIMITED_DB", "Performance", "limit", "perform"]
 
@@ -26,6 +26,8 @@ __all__ = ["MOST_LIMITED_DB", "Performance", "limit", "perform"]
 LAST_HELD, LAST_RING, LAST_FADE = 3.0, 5.0, 0.5
 # The part of a too loud passage that the limiter takes; what is more is taken from the whole song.
 MOST_LIMITED_DB = 3.0
+# Samples of a string that rings by itself, at once.
+PIECE = 2**16
 # The limiter looks this far ahead and behind, s.
 LOOK = 0.02
 
@@ -33,7 +35,7 @@ LOOK = 0.02
 class Performance(NamedTuple):
     """What was played."""
 
-    samples: np.ndarray  # within ± `CEILING`
+    samples: np.ndarray  # within ± `CEILING` [channels, samples]
     gain_db: float  # given to the whole song, never above 0
     limited_db: float  # the most that the limiter took anywhere, beside that
     strikes: int
@@ -53,6 +55,8 @@ def perform(
 ) -> Performance:  # fmt: skip
     """Play a song.
 
+    A knock may begin before its stroke: the song begins so much after the first sample as the instrument needs.
+
     Raises
     ------
     ParameterError
@@ -60,7 +64,8 @@ def perform(
     """
     if not RATES[0] <= rate <= RATES[1]:
         raise ParameterError(f"rate={rate} Hz must be from {RATES[0]} to {RATES[1]}")
-    size = int((song.seconds + LAST_RING) * rate)
+    lead = round(instrument.lead * rate)
+    size = int((song.seconds + LAST_RING) * rate) + lead
     if size > MOST_SAMPLES:
         raise ParameterError(
             f"{song.seconds:.0f} s at rate={rate} Hz is too long; cut the song to "
@@ -68,19 +73,21 @@ def perform(
         )
     for key in song.keys:
         instrument.note(key, 64)  # refused before anything is computed
-    total, strikes, moving, last = np.zeros(size), 0, 0, 0
+    total, strikes, moving, last = np.zeros((instrument.channels, size)), 0, 0, 0
     for key in sorted(song.keys):
         string = PlayedString(instrument.note(key, 64), key, rate)
         for at, sound, struck in _joined(_sounds(string, instrument, _events(song, key, rate), size)):
-            sound = string.heard(sound)[: size - at]
-            total[at : at + len(sound)] += sound
-            last = max(last, at + len(sound))
+            begin = at + lead - string.lead
+            sound = string.heard(sound)[:, : size - begin]
+            end = begin + sound.shape[-1]
+            total[:, begin:end] += sound  # one channel is heard in all
+            last = max(last, end)
             strikes += len(struck)
             moving += sum(kind > 1 for kind in struck)
             progress("playing", 0.98 * strikes / song.notes)
     fade = round(LAST_FADE * rate)  # the treble has no dampers
-    total[-fade:] *= 0.5 * (1 + np.cos(np.pi * np.arange(1, fade + 1) / fade))
-    samples, gain_db, limited_db = limit(total[:last], rate)
+    total[:, -fade:] *= 0.5 * (1 + np.cos(np.pi * np.arange(1, fade + 1) / fade))
+    samples, gain_db, limited_db = limit(total[:, :last], rate)
     return Performance(samples, gain_db, limited_db, strikes, moving)
 
 
@@ -115,11 +122,11 @@ def _sounds(
             return
         string.damped = event.damped
         if event.velocity:
-            struck = 2 if string.sounding else 1
+            struck = 2 if string.moving else 1
             v = instrument.note(string.midi, event.velocity).hammer.v_H0
-            sound = string.strike(v)[: size - at]
+            sound = string.strike(v)[:, : size - at]
             yield at, sound, struck
-            at += len(sound)
+            at += sound.shape[-1]
     yield from _ringing(string, at, size)
 
 
@@ -131,31 +138,31 @@ def _joined(pieces: Iterator[tuple[int, np.ndarray, int]]) -> Iterator[tuple[int
     begin, end, sounds, kinds = 0, 0, [], []
     for at, sound, struck in pieces:
         if at > end and sounds:
-            yield begin, np.concatenate(sounds), kinds
+            yield begin, np.concatenate(sounds, axis=-1), kinds
             sounds, kinds = [], []
         begin = begin if sounds else at
         sounds.append(sound)
         kinds += [struck] if struck else []
-        end = at + len(sound)
+        end = at + sound.shape[-1]
     if sounds:
-        yield begin, np.concatenate(sounds), kinds
+        yield begin, np.concatenate(sounds, axis=-1), kinds
 
 
 def _ringing(string: PlayedString, start: int, stop: int) -> Iterator[tuple[int, np.ndarray, int]]:
     """The string by itself in pieces, until `stop` or until it is silent."""
-    piece = 4 * BLOCK * CHUNK
     while start < stop and string.sounding:
-        count = min(piece, stop - start)
+        count = min(PIECE, stop - start)
         yield start, string.ring(count), 0
         start += count
 
 
 def limit(samples: np.ndarray, rate: int) -> tuple[np.ndarray, float, float]:
-    """Sound whose every sample lies within ± `CEILING`; the gain given to all of it, dB, and the most limited, dB.
+    """Sound [channels, samples] within ± `CEILING`; the gain given to all of it, dB, and the most limited, dB.
 
     A sound that is too loud by more than `MOST_LIMITED_DB` is first turned down as a whole. What peaks are left are
     taken by a gain that looks ahead: the smallest gain any sample within `LOOK` needs, averaged twice over half of
-    that; an average holds only gains that the sample itself may have, so nothing can pass. The same in, the same out.
+    that; an average holds only gains that the sample itself may have, so nothing can pass. All channels have one gain.
+    The same in, the same out.
     """
     from scipy.ndimage import minimum_filter1d, uniform_filter1d
 
@@ -165,7 +172,7 @@ def limit(samples: np.ndarray, rate: int) -> tuple[np.ndarray, float, float]:
     samples = gain * samples
     if peak * gain <= CEILING:
         return samples, 0.0, 0.0
-    needed = np.minimum(1.0, CEILING / np.maximum(np.abs(samples), 1e-30))
+    needed = np.minimum(1.0, CEILING / np.maximum(np.abs(samples).max(axis=0), 1e-30))
     half = max(int(LOOK * rate / 2), 1)
     smooth = minimum_filter1d(needed, 4 * half + 1, mode="nearest")
     for _ in range(2):

@@ -194,8 +194,8 @@ def _write(
     for i, (key, string, layer) in enumerate(_strings(instrument, jobs, rate)):
         sound = np.clip(gain * _faded(_note(instrument, string, layer, seconds), rate), -1.0, 1.0)
         stream = io.BytesIO()
-        soundfile.write(stream, sound, rate, format=form, subtype=subtype)
-        total, size = total + len(sound), size + (work / _sample(key, layer, kind)).write_bytes(stream.getvalue())
+        soundfile.write(stream, sound.T, rate, format=form, subtype=subtype)
+        total, size = total + sound.shape[-1], size + (work / _sample(key, layer, kind)).write_bytes(stream.getvalue())
         progress("samples", 0.3 + 0.7 * i / len(jobs))
     (work / f"{_file_name(instrument.name)}.sfz").write_text(_text(instrument, keys, layers, kind), encoding="utf-8")
     return {"samples": len(jobs), "seconds": total / rate, "bytes": size, "gain_db": 20 * math.log10(gain)}
@@ -211,25 +211,30 @@ def _strings(instrument: Instrument, jobs: Sequence[tuple[int, Layer]], rate: in
 
 
 def _note(instrument: Instrument, string: PlayedString, layer: Layer, seconds: float) -> np.ndarray:
-    """One stroke on the string at rest, from just before its sound arrives [samples]."""
+    """One stroke on the string at rest, from just before its sound arrives [channels, samples].
+
+    What begins before the contact begins so long before it in every sample: layers and keys stay together.
+    """
     note = instrument.note(string.midi, layer.middle)
-    string.state = np.zeros_like(string.state)
+    string.still()
     # The way to the pickup comes on top.
     samples = round((seconds + arrival(note.string, note.geometry, note.quantity)) * string.rate)
     head = string.strike(note.hammer.v_H0)
-    sound = string.heard(np.concatenate([head, string.ring(max(samples - len(head), 0))]))[: max(samples, len(head))]
-    level = np.abs(sound)
+    sound = np.concatenate([head, string.ring(max(samples - head.shape[-1], 0))], axis=-1)
+    sound = string.heard(sound)[:, : max(samples, head.shape[-1])]
+    level = np.abs(sound).max(axis=0)
     first = max(int(np.argmax(level > level.max() * 10 ** (-BEGINS_DB / 20))) - BEFORE, 0)
-    return sound[first : first + round(seconds * string.rate)]
+    first = 0 if string.lead else first
+    return sound[:, first : first + round(seconds * string.rate)]
 
 
 def _faded(sound: np.ndarray, rate: int) -> np.ndarray:
     """Cut where it has become silent, and faded out to its end."""
-    level = np.abs(sound)
+    level = np.abs(sound).max(axis=0)
     loud = np.flatnonzero(level > level.max() * 10 ** (-SILENT_DB / 20))
-    sound = sound[: max(int(loud[-1]) + 1 if loud.size else 1, rate // 20)].copy()
-    fade = max(int(FADE * len(sound)), 2)
-    sound[-fade:] *= 0.5 * (1 + np.cos(np.pi * np.arange(1, fade + 1) / fade))
+    sound = sound[:, : max(int(loud[-1]) + 1 if loud.size else 1, rate // 20)].copy()
+    fade = max(int(FADE * sound.shape[-1]), 2)
+    sound[:, -fade:] *= 0.5 * (1 + np.cos(np.pi * np.arange(1, fade + 1) / fade))
     return sound
 
 

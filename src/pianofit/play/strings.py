@@ -1,9 +1,12 @@
-"""A string while it is played: modes that ring, a hammer that sets them ringing, a damper that falls on them.
+"""One string as it is played: it rings, is damped, is struck again while it moves.
 
-All that is left of the past is one complex amplitude a mode, `q = Re(a exp(p t))`. Between events the sound is the sum
-of damped exponentials in closed form; a damper adds to their decay and changes nothing else, so nothing clicks. A
-hammer meets the string as it moves: the contact is solved with that motion under the hammer, its pulse is convolved
-with the string's response while it lasts, and then joins the amplitudes.
+Between strokes every mode decays by itself, in closed form. Its state is one complex amplitude, which goes on from
+event to event: a damper adds to its decay and changes nothing else, so nothing clicks. A hammer meets the string as it
+moves: the contact is solved with that motion under the hammer.
+
+Where the key's ringing is known (`model.modal`), that is heard instead of the string: the string is only followed for
+the next hammer's sake. Either way what a stroke makes heard while it lasts is convolved with the stroke, and afterwards
+the modes ring on. A knock may begin before the stroke, so all of a string is heard `lead` samples late.
 """
 
 from __future__ import annotations
@@ -12,15 +15,13 @@ import math
 
 import numpy as np
 
+from ..model.modal import FAINT, Force, ring
 from ..model.note import Note
 from ..model.path import filtered
 from .contact import Table, stroke, table_of
 
-__all__ = ["BLOCK", "FAINT", "LAST_DAMPER", "PlayedString", "damper_rate"]
+__all__ = ["LAST_DAMPER", "PlayedString", "damper_rate"]
 
-BLOCK = 256  # samples whose powers are kept
-CHUNK = 64  # blocks at once, between looks at what still sounds
-FAINT = 1e-8  # of full scale: modes below are left out, -160 dB
 LAST_DAMPER = 90  # F#6; the strings above have none
 # What a damper adds to every mode's decay, 1/s, at the lowest key and at the last that has one: about 0.3 s to 0.12 s
 # for 60 dB. Chosen once; no fit sees a damper.
@@ -36,81 +37,139 @@ def damper_rate(midi: int) -> float:
     return DAMPER[0] * (DAMPER[1] / DAMPER[0]) ** x
 
 
+class FreeModes:
+    """Modes that ring by themselves, at rest at first: Re(pattern · state), which decays and turns by `pole`."""
+
+    def __init__(self, pole: np.ndarray, pattern: np.ndarray, faint: np.ndarray, rate: int) -> None:
+        self.pole = pole  # 1/s, complex [modes]
+        self.pattern = pattern  # file units per unit of state, complex [channels, modes]
+        self.faint = faint  # what is not heard, file units [modes]
+        self.rate = rate  # Hz
+        self.still()
+
+    def still(self) -> None:
+        """Stop them."""
+        self.state = np.zeros(len(self.pole), complex)
+
+    @property
+    def sounding(self) -> bool:
+        """Whether anything is left to hear."""
+        return bool((np.abs(self.pattern * self.state) > self.faint).any())
+
+    def ring(self, samples: int, extra: float) -> np.ndarray:
+        """What is heard [channels, samples] with so much extra decay, 1/s; modes end where they are inaudible."""
+        sound = ring(self.pole - extra, self.pattern * self.state, self.rate, samples, self.faint)
+        self.wait(samples, extra)
+        return sound
+
+    def wait(self, samples: int, extra: float) -> None:
+        """Move on, unheard."""
+        self.state = self.state * np.exp((self.pole - extra) * (samples / self.rate))
+        if not self.sounding:
+            self.still()
+
+
 class PlayedString:
-    """One key's string at one rate, silent at first; what it gives is still to go through its path."""
+    """One key's string at one rate, silent at first; what it gives is still to go through `heard`."""
 
     def __init__(self, note: Note, midi: int, rate: int) -> None:
         self.note, self.midi, self.rate = note, midi, rate
         self.table: Table = table_of(note, rate)
         self.ratio = round(self.table.rate / rate)
-        self.pole = self.table.pole
-        self.state = np.zeros(len(self.pole), complex)
+        self.string = FreeModes(self.table.pole, self.table.pickup[None], self.table.faint, rate)
+        self.ringing, self.modes = None, self.string
+        if note.ringing is not None:
+            self.ringing = note.ringing.louder(note.gain).at(rate)
+            faint = np.full(len(self.ringing.pole), FAINT)
+            self.modes = FreeModes(self.ringing.pole, self.ringing.pattern, faint, rate)
+        self.lead = round(note.lead * rate)
         self.damped = False
         self._decay = damper_rate(midi)
-        self._powers: dict[bool, np.ndarray] = {}
         self._response = np.zeros(0)
+        self.still()
+
+    def still(self) -> None:
+        """Stop it."""
+        self.string.still()
+        self.modes.still()
+        # What is sure to be heard, from now on; later samples are nought.
+        self._late = np.zeros((len(self.modes.pattern), self.lead))
 
     def strike(self, velocity: float) -> np.ndarray:
-        """The sound [samples] of the contact with a hammer of `velocity`, m/s; then the string rings, undamped."""
+        """The sound [channels, samples] in the time of the contact with a hammer of `velocity`, m/s.
+
+        Then the string rings, undamped.
+        """
         hammer = self.note.hammer._replace(v_H0=velocity)
-        drive = stroke(self.table, hammer, self.state, f"key {self.midi}")
+        drive, force = stroke(self.table, hammer, self.string.state, f"key {self.midi}")
         samples = max(-(-len(drive) // self.ratio), 1)
         drive = np.pad(drive, (0, samples * self.ratio - len(drive)))
         self.damped = False
-        free = self.ring(samples)  # moves the state on to the contact's end
-        head = filtered(self._kernel(len(drive)), drive)[: len(drive) : self.ratio]
-        self.state = self.state + self.table.unit * _left(drive, self.pole / self.table.rate)
-        return free + head
+        sound = self._free(samples)  # moves all states on to the contact's end
+        self.string.state = self.string.state + self.table.unit * _left(drive, self.string.pole / self.table.rate)
+        onset = self._onset(drive, force, samples)
+        self._late = _sum(self._late, sound, self.lead)
+        self._late = _sum(self._late, onset, 0)
+        return self._next(samples)
 
     def ring(self, samples: int) -> np.ndarray:
-        """The string by itself [samples]; ends early, with what is left out taken for zero, once it is inaudible."""
-        out = np.zeros(samples)
-        done = 0
-        pole = self.pole - (self._decay if self.damped else 0.0)
-        while done < samples:
-            loud = np.flatnonzero(self.table.loudness * np.abs(self.state) > FAINT)
-            if not loud.size:
-                self.state = np.zeros_like(self.state)
-                break
-            rows = slice(0, int(loud[-1]) + 1)
-            count = min(samples - done, CHUNK * BLOCK)
-            blocks = -(-count // BLOCK)
-            starts = np.exp(np.outer(np.arange(blocks) * BLOCK, pole[rows] / self.rate))
-            starts *= (self.table.pickup * self.state)[rows]
-            re, im = self._fine(rows)
-            sound = (np.real(starts) @ re - np.imag(starts) @ im).ravel()
-            out[done : done + count] = sound[:count]
-            self.state = self.state * np.exp(pole * (count / self.rate))
-            done += count
-        return out
+        """The string by itself [channels, samples]."""
+        self._late = _sum(self._late, self._free(samples), self.lead)
+        return self._next(samples)
 
     def heard(self, sound: np.ndarray) -> np.ndarray:
-        """A sound of this string [samples] through its path, and what that rings on."""
-        return filtered(sound, self.table.path)
+        """A sound of this string [channels, samples] through its path, if any, and what that rings on."""
+        return sound if self.ringing is not None else filtered(sound[0], self.table.path)[None]
 
     @property
     def sounding(self) -> bool:
         """Whether anything is left to hear."""
-        return bool((self.table.loudness * np.abs(self.state) > FAINT).any())
+        return self.modes.sounding or bool((np.abs(self._late) > FAINT).any())
 
-    def _fine(self, rows: slice) -> tuple[np.ndarray, np.ndarray]:
-        """Real and imaginary part of z^j, j < BLOCK [rows, BLOCK]."""
-        if self.damped not in self._powers:
-            pole = self.pole - (self._decay if self.damped else 0.0)
-            powers = np.exp(np.outer(pole / self.rate, np.arange(BLOCK)))
-            self._powers[self.damped] = np.stack([np.real(powers), np.imag(powers)])
-        re, im = self._powers[self.damped]
-        return re[rows], im[rows]
+    @property
+    def moving(self) -> bool:
+        """Whether a hammer meets it moving, by so much that it would be heard."""
+        return self.string.sounding
+
+    def _free(self, samples: int) -> np.ndarray:
+        """What the modes give by themselves [channels, samples]."""
+        extra = self._decay if self.damped else 0.0
+        if self.ringing is not None:
+            self.string.wait(samples, extra)
+        return self.modes.ring(samples, extra)
+
+    def _onset(self, drive: np.ndarray, force: Force, samples: int) -> np.ndarray:
+        """What a stroke makes heard beside the modes that ring by themselves after it, from `lead` before it on."""
+        if self.ringing is None:
+            return filtered(self._kernel(len(drive)), drive)[None, : len(drive) : self.ratio]
+        state, onset = self.ringing.struck(force, samples)
+        self.modes.state = self.modes.state + state
+        return onset
+
+    def _next(self, samples: int) -> np.ndarray:
+        """Take the next samples [channels, samples] of what is sure."""
+        sound, self._late = self._late[:, :samples], self._late[:, samples:]
+        if not self.sounding:
+            self._late = np.zeros((len(sound), self.lead))
+        return sound
 
     def _kernel(self, steps: int) -> np.ndarray:
         """What a unit T makes heard, at the contact's rate [steps]."""
         if len(self._response) < steps:
             size = max(2 * len(self._response), 1 << math.ceil(math.log2(steps)))
-            log_z = self.pole / self.table.rate
+            log_z = self.string.pole / self.table.rate
             coarse = self.table.drive * np.exp(np.outer(np.arange(-(-size // _FINE)) * _FINE, log_z))
             fine = np.exp(np.outer(log_z, np.arange(_FINE)))
             self._response = (np.real(coarse) @ np.real(fine) - np.imag(coarse) @ np.imag(fine)).ravel()
         return self._response[:steps]
+
+
+def _sum(sound: np.ndarray, more: np.ndarray, at: int) -> np.ndarray:
+    """A sound [channels, samples] and another that begins at the index `at`, as long as either needs."""
+    out = np.zeros((len(sound), max(at + more.shape[-1], sound.shape[-1])))
+    out[:, : sound.shape[-1]] = sound
+    out[:, at : at + more.shape[-1]] += more
+    return out
 
 
 def _left(drive: np.ndarray, log_z: np.ndarray) -> np.ndarray:

@@ -1,0 +1,162 @@
+"""An instrument whose recorded keys ring by their own modes and knock, and lend them to keys that never were."""
+
+from __future__ import annotations
+
+import copy
+import json
+
+import mido
+import numpy as np
+import pytest
+import soundfile
+import typer
+from instrument_cases import ERRORS, fit_document, true_note, write_fit
+from typer.testing import CliRunner
+
+from pianofit.cli.instrument import register
+from pianofit.errors import FitError
+from pianofit.keyboard import build_instrument, find_fits, load_keys, read_instrument
+from pianofit.keyboard.inferred import REACH, inferred
+from pianofit.model.modal import Ringing, force_of
+from pianofit.model.modes import mode_frequencies
+from pianofit.model.note import Note
+from pianofit.play import export_sfz
+from pianofit.ringing_file import encode_knock, ringing_document
+
+RATE = 44_100
+# Of every partial: decay over the law's, and amplitude over the prompt part's.
+PARTS = ((1.5, 1.0), (0.3, 0.2))
+
+
+def rung(midi: int, partials: int = 10) -> Note:
+    """The key with two decays a partial, of known ratios to its law's, levels of its own, and a knock."""
+    note, random = true_note(midi), np.random.default_rng(midi)
+    length, k = note.geometry.length, np.arange(1, partials + 1)
+    law = note.string.b1 + note.string.b2 * (k * np.pi / length) ** 2
+    frequency = mode_frequencies(note.string, length, partials)
+    ratio, part = np.array(PARTS).T
+    pole = -np.outer(law, ratio) + 2j * np.pi * frequency[:, None]
+    level = 100 * np.exp(1j * (random.uniform(0, 6, partials) + np.array([[0.0], [0.7]]))) / k
+    pattern = (level[..., None] * part).reshape(2, -1)
+    knock = random.normal(size=(2, 9_000)) * np.exp(-np.arange(9_000) / 1_000)
+    ringing = Ringing(np.repeat(k, 2), pole.ravel(), np.full(2 * partials, 0.1), pattern, 5 * knock, RATE)
+    return note._replace(ringing=ringing)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Fits of D3, which rings, and of G5, which does not."""
+    place = tmp_path_factory.mktemp("fits")
+    note = rung(50)
+    file = write_fit(place, 50, fit_document(note, ERRORS) | {"schema": 3, "ringing": ringing_document(note.ringing)})
+    (file.parent / "knock.flac").write_bytes(encode_knock(note.ringing))
+    write_fit(place, 79, fit_document(true_note(79), ERRORS))
+    return place
+
+
+@pytest.fixture(scope="module")
+def document(folder):
+    return json.loads(json.dumps(build_instrument(load_keys(find_fits([folder])), "twin")))
+
+
+def test_a_recorded_key_sounds_as_its_fit(folder, document):
+    """To the rounding of a knock of 16 bits, at any velocity: no law changes the force that its modes were found by."""
+    fit = load_keys(find_fits([folder]))[0].note
+    played = read_instrument(document).notes[50]
+    for velocity in (0.5, 4.0):
+        expected, sound = (x.render(velocity, seconds=1.0, mono=False) for x in (fit, played))
+        assert np.abs(sound - expected).max() < 1e-4 * np.abs(expected).max()
+        assert np.abs(sound - expected)[:, RATE // 2 :].max() < 1e-9 * np.abs(expected).max()
+
+
+def test_keys_within_reach_borrow_and_others_ring_by_their_law(document):
+    notes = read_instrument(document).notes
+    assert {m for m, note in notes.items() if note.ringing is not None} == {*range(50 - REACH, 50 + REACH + 1)}
+    assert notes[79].ringing is None
+    assert notes[51].lead > 0
+
+
+def test_a_borrowed_partial_has_its_laws_energy_and_its_neighbours_decay_curve():
+    own, near = true_note(52), rung(50)
+    found = inferred({50: near, 52: own}, [52])[52].ringing
+    law = own.string.b1 + own.string.b2 * (np.arange(1, 11) * np.pi / own.geometry.length) ** 2
+    frequency = mode_frequencies(own.string, own.geometry.length, 10)
+    times = np.array([0.0, 0.1, 0.3, 1.0, 3.0])  # in units of 1/(the law's decay)
+    ratio, part = np.array(PARTS).T
+    truth = 10 * np.log10(np.exp(-2 * np.outer(times, ratio)) @ part**2)  # beats do not count
+    for k in range(1, 9):
+        at = found.number == k
+        assert np.imag(found.pole[at]) / (2 * np.pi) == pytest.approx(frequency[k - 1], rel=1e-9)
+        parts = np.exp(np.outer(times, np.real(found.pole[at]) / law[k - 1]))
+        curve = 20 * np.log10(np.abs(parts @ found.pattern[0, at]))
+        # The root of a sum of powers is no sum of exponentials: this is as near as positive ones come.
+        assert curve - curve[0] == pytest.approx(truth - truth[0], abs=0.5)
+    # Its energy on the damped circle, in the mean of the channels, against a stroke by the law alone, whose sound is
+    # other code.
+    bare, sigma = own._replace(path=None), 30.0
+    lent = inferred({50: near, 52: bare}, [52])[52].ringing
+    alone, stroke = bare.play(RATE, 2 * RATE)
+    seconds = np.arange(len(alone)) / RATE
+    for k in range(1, 8):
+        at = lent.number == k
+        part = np.abs(lent.pattern[:, at].mean(axis=0) * force_of(stroke).drive(lent.pole[at])) * bare.gain
+        found = ((np.exp(np.outer(seconds, np.real(lent.pole[at]))) @ part) ** 2 * np.exp(-2 * sigma * seconds)).sum()
+        size = np.abs(alone @ np.exp(-(sigma + 2j * np.pi * frequency[k - 1]) * seconds)) / RATE * 2
+        expected = (size * (sigma + law[k - 1])) ** 2 / (2 * (sigma + law[k - 1])) * RATE
+        assert 10 * np.log10(found / expected) == pytest.approx(0.0, abs=0.5)
+
+
+BAD = {
+    "modes": ({"modes": 1}, "no whole table"),
+    "uneven": ({"modes": {"partial": [1]}}, "no whole table"),
+    "no base64": ({"knock": {"flac": "?", "scale": 1.0}}, "is no base64"),
+    "no sound": ({"knock": {"flac": "AAAA", "scale": 1.0}}, "cannot be read"),
+    "text": ({"knock": {"flac": 7, "scale": 1.0}}, "is no base64"),
+    "scale": ({"knock": {"flac": "", "scale": None}}, "knock.scale"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_a_hostile_ringing_is_refused(name, document):
+    change, message = BAD[name]
+    bad = copy.deepcopy(document)
+    bad["keys"][50 - 21]["ringing"] |= change
+    with pytest.raises(FitError, match=message) as caught:
+        read_instrument(bad, "bad.json")
+    assert str(caught.value).startswith("bad.json: ")
+
+
+def test_an_older_instrument_rings_by_its_law(document):
+    old = copy.deepcopy(document) | {"schema": 1}
+    for key in old["keys"]:
+        del key["ringing"]
+    piano = read_instrument(old)
+    assert (piano.channels, piano.lead) == (1, 0.0)
+
+
+def test_a_song_is_written_in_as_many_channels(document, tmp_path):
+    app = typer.Typer()
+    register(app)
+    (tmp_path / "i.json").write_text(json.dumps(document))
+    track = mido.MidiTrack([mido.Message("note_on", note=50, velocity=80), mido.Message("note_off", note=50, time=480)])
+    mido.MidiFile(tracks=[track]).save(tmp_path / "a.mid")
+    words = ["play", tmp_path / "i.json", tmp_path / "a.mid", "--out", tmp_path / "a.wav", "--json"]
+    done = CliRunner().invoke(app, [str(word) for word in words])
+    assert done.exit_code == 0, done.output
+    assert json.loads(done.stdout)["channels"] == 2
+    sound, _ = soundfile.read(tmp_path / "a.wav")
+    assert sound.shape[1] == 2
+    assert np.abs(sound[:, 0] - sound[:, 1]).max() > 0.1 * np.abs(sound).max()
+
+
+def test_samples_begin_so_long_before_the_contact_in_every_layer(document, tmp_path):
+    piano = read_instrument(document)
+    export_sfz(piano, tmp_path / "out", [50, 79], 2, seconds=0.3, rate=RATE, kind="wav")
+    soft, loud = (soundfile.read(tmp_path / "out" / "samples" / f"050-D3-v{v}.wav")[0].T for v in ("063", "127"))
+    note = piano.note(50, 95.5)
+    expected = note.frames(note.strike(RATE), RATE, loud.shape[-1], round(note.lead * RATE))
+    first = slice(0, round(0.05 * RATE))
+    gain = np.vdot(expected[:, first], loud[:, first]) / np.vdot(expected[:, first], expected[:, first])
+    assert np.abs(loud - gain * expected)[:, first].max() < 1e-5 * np.abs(loud).max()
+    assert soft.shape[0] == loud.shape[0] == 2
+    assert soundfile.info(tmp_path / "out" / "samples" / "079-G5-v127.wav").channels == 1
