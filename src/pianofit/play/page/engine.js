@@ -132,7 +132,7 @@ function longer(list, length, room = Math.max(2 * list.length, length)) {
 }
 
 /** Σ_k strike_k Re(amplitude_k z_k^n), the displacement under the hammer of modes that move freely, step by step. */
-class Motion {
+export class Motion {
   constructor({ strike, pole, step }, { re, im }) {
     Object.assign(this, { values: new Float64Array(0), work: recursions(strike.length) });
     this.re = strike.map((x, k) => x * re[k]);
@@ -237,7 +237,7 @@ function compression(upper, old, speed, c, a, K_H, mu, p) {
 /** A stroke's force as impulses of every sample, band-limited, N s; from `edge` samples before the touch. */
 class Impulses {
   constructor({ smooth, heard, string }, rate) {
-    Object.assign(this, { smooth, edge: heard.edge, ratio: string.ratio, rate, values: new Float64Array(512), done: 0 });
+    Object.assign(this, { smooth, edge: heard.edge, ratio: string.ratio, rate, values: new Float64Array(BLOCK), done: 0 });
   }
 
   upTo(count, contact) {
@@ -324,8 +324,7 @@ function addConvolved(out, drive, first, last, kernel, ratio, own) {
 /** The whole instrument: tables of `prepare` by key, and what is played on them. */
 export class Engine {
   constructor(rate) {
-    Object.assign(this, { rate, tables: new Map(), voices: new Map(), released: [], held: new Set(), pedal: false,
-      lead: 0 });
+    Object.assign(this, { rate, tables: new Map(), voices: new Map(), released: [], held: new Set(), lead: 0 });
     this.own = [new Float64Array(BLOCK), new Float64Array(BLOCK)];
   }
 
@@ -356,8 +355,7 @@ export class Engine {
   }
 
   noteOff(midi) {
-    this.held.delete(midi);
-    this._dampers();
+    if (this.held.delete(midi)) this._dampers();
   }
 
   setPedal(down) {
@@ -367,13 +365,17 @@ export class Engine {
 
   /** Silence at once. */
   panic() {
-    this.voices.clear();
-    this.held.clear();
+    [this.voices, this.held].forEach((all) => all.clear());
     this.released = [];
   }
 
   _dampers() {
     for (const [midi, voice] of this.voices) voice.damped = !(this.pedal || this.held.has(midi));
+  }
+
+  /** How many strings sound. */
+  get sounding() {
+    return [...this.voices.values(), ...this.released].filter((voice) => !voice.silent).length;
   }
 
   /** One block of both channels [128]. */

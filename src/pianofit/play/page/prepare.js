@@ -9,6 +9,8 @@
 //
 // No DOM, and no timing: for the page, for node and for a notebook alike.
 
+import { BLOCK } from "./engine.js";
+
 const LOWEST_RATE = 88000; // Hz, of the contact, see model/simulate.py
 const HIGHEST = 0.4; // modes at or above this part of the contact's rate stay out
 const ENOUGH_MODES = 30;
@@ -23,30 +25,45 @@ const WIDEST_SIGMA = 30.0; // 1/s, see criterion.py
 const LEFT_OVER = 6e-12;
 // A mode's gain through the path sums the response until the mode has decayed by exp of this.
 const MOST_DECAY = 12;
-const BLOCK = 128; // samples at once in the engine
-export const LEAD = 0.012; // s, a knock begins so long before the contact, see model/modal.py
-export const EDGE = 10; // samples that the band-limited force begins before its touch
+const LEAD = 0.012; // s, a knock begins so long before the contact, see model/modal.py
+const EDGE = 10; // samples that the band-limited force begins before its touch
 
-/** 32 bit or 64 bit numbers, little endian, from base64. */
-export function numbers(text, kind = Float32Array) {
-  const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
-  return new kind(bytes.buffer);
+/** Numbers, little endian, from base64. */
+function numbers(text, kind = Float32Array) {
+  return Float64Array.from(new kind(Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer));
 }
 
-const turns = new Map(); // by size of a transform: what it turns by
+const SHARED = 256; // samples of a knock that share a scale, see payload.py
 
-function turnsOf(size) {
-  if (!turns.has(size)) {
-    const angle = Float64Array.from({ length: size / 2 }, (_, k) => (2 * Math.PI * k) / size);
-    turns.set(size, [angle.map(Math.cos), angle.map(Math.sin)]);
+/** A key as `prepare` takes it, of an entry that payload.py wrote. */
+export function decode(entry) {
+  const { path, ringing, ...key } = entry, pair = ({ re, im }) => ({ re: numbers(re), im: numbers(im) });
+  if (path) key.path = Object.fromEntries(Object.entries(path).map(([name, text]) => [name, numbers(text)]));
+  if (ringing) {
+    const knock = ({ scale, whole }) => {
+      const by = numbers(scale);
+      return numbers(whole, ringing.bits === 8 ? Int8Array : Int16Array).map((x, n) => x * by[Math.floor(n / SHARED)]);
+    };
+    const pole = { re: numbers(ringing.decay).map((x) => -x), im: numbers(ringing.omega, Float64Array) };
+    key.ringing = { pole, pattern: ringing.pattern.map(pair), knock: ringing.knock.map(knock), rate: ringing.rate };
   }
-  return turns.get(size);
+  return key;
+}
+
+const circles = new Map(); // by size of a transform: cosines and sines
+
+function circleOf(size) {
+  if (!circles.has(size)) {
+    const angle = Float64Array.from({ length: size / 2 }, (_, k) => (2 * Math.PI * k) / size);
+    circles.set(size, [angle.map(Math.cos), angle.map(Math.sin)]);
+  }
+  return circles.get(size);
 }
 
 /** In place, of a power of two: the transform of re + i im; `sign` +1 is the inverse, not divided by the size. */
-export function fft(re, im, sign = -1) {
+function fft(re, im, sign = -1) {
   const size = re.length;
-  const [cos, sin] = turnsOf(size);
+  const [cos, sin] = circleOf(size);
   for (let i = 1, j = 0; i < size; i++) {
     let bit = size >> 1;
     for (; j & bit; bit >>= 1) j ^= bit;
@@ -85,7 +102,7 @@ function convolve(a, b, count) {
 }
 
 /** Kaiser's lowpass with β = 5, as scipy.signal.resample_poly designs it: [2 · 10 max(up, down) + 1]. */
-export function lowpass(up, down) {
+function lowpass(up, down) {
   const most = Math.max(up, down), half = 10 * most, h = new Float64Array(2 * half + 1);
   const bessel = (x) => {
     let sum = 1, term = 1;
@@ -102,7 +119,7 @@ export function lowpass(up, down) {
 }
 
 /** A sound of the rate `from` at the rate `to`, Hz, both whole. */
-export function resample(x, from, to) {
+function resample(x, from, to) {
   let a = from, b = to;
   while (b) [a, b] = [b, a % b];
   const up = to / a, down = from / a;
@@ -300,7 +317,7 @@ function byLaw(key, t, pole, path, rate, ratio) {
 /** What was measured between the force on the string and the file. */
 function byRinging({ ringing }, rate) {
   const below = Array.from(ringing.pole.im.keys()).filter((k) => ringing.pole.im[k] < Math.PI * rate);
-  const chosen = (pair) => ({ re: Float64Array.from(below, (k) => pair.re[k]), im: Float64Array.from(below, (k) => pair.im[k]) });
+  const chosen = ({ re, im }) => ({ re: Float64Array.from(below, (k) => re[k]), im: Float64Array.from(below, (k) => im[k]) });
   const pole = chosen(ringing.pole), gain = ringing.pattern.map(chosen), log = logs(pole, rate);
   const ones = { re: pole.re.map(() => 1), im: pole.re.map(() => 0) };
   const kernel = ringing.knock.map((x) => resample(x, ringing.rate, rate).map((y) => (y * ringing.rate) / rate));
