@@ -38,7 +38,7 @@ USES = {
     "paper": "analysis criterion inference io model parameters published recording report setup",
     "keyboard": "analysis io model parameters published render report",
     "fitting": "analysis inference io paper parameters progress recording ringing setup",
-    "play": "analysis io keyboard model parameters recording render threads",
+    "play": "analysis io keyboard model parameters recording render report threads",
     "workflow": "analysis fitting inference io model recording render setup",
     "batch": "analysis fitting io model parameters recording",
     "cli": "analysis batch fitting inference io keyboard model paper parameters play progress"

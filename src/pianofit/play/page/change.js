@@ -1,6 +1,6 @@
 // A key with something changed, and what a stroke on it does, as numbers to draw.
 
-import { Contact, Motion } from "./engine.js";
+import { Contact, Motion } from "./contact.js";
 import { strikeWeights } from "./prepare.js";
 
 const DRAWN = 65536; // steps of a contact

@@ -52,11 +52,11 @@ def payload(instrument: Instrument, most_bytes: int) -> tuple[dict[str, Any], Kn
     ParameterError
         If a felt's law cannot be played, or nothing is left of `most_bytes`.
     """
-    knocks = any(note.ringing is not None and note.ringing.knock.size for note in instrument.notes.values())
-    for kept in LADDER if knocks else LADDER[:1]:
+    rates = [n.ringing.rate for n in instrument.notes.values() if n.ringing is not None and n.ringing.knock.size]
+    for kept in LADDER if rates else LADDER[:1]:
         document = _document(instrument, kept)
         if len(json.dumps(document)) <= most_bytes:
-            return document, kept if knocks else None
+            return document, kept._replace(rate=min(kept.rate, max(rates))) if rates else None
     raise ParameterError(
         f"the instrument's tables take {len(json.dumps(document)) / 1e6:.2f} MB, and the page has room for "
         f"{most_bytes / 1e6:.2f} MB; take fewer keys, or fit its keys with fewer modes"

@@ -9,7 +9,7 @@
 //
 // No DOM, and no timing: for the page, for node and for a notebook alike.
 
-import { BLOCK } from "./engine.js";
+import { BLOCK } from "./contact.js";
 
 const LOWEST_RATE = 88000; // Hz, of the contact, see model/simulate.py
 const HIGHEST = 0.4; // modes at or above this part of the contact's rate stay out

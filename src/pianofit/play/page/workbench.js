@@ -180,7 +180,7 @@ function paint(id, [left, right, across], [low, high, up], draw, logarithmic = f
     pen.fillText(i === ticks.length - 1 ? `${v} ${across}` : String(v), Math.min(x(v), width - 24), height - 7);
   });
   pen.textAlign = "right";
-  round(low, high, 4).forEach((v, i, all) => {
+  round(low, high, 6).forEach((v, i, all) => {
     line([edge, y(v)], [width - 12, y(v)]);
     pen.fillText(i === all.length - 1 ? `${v} ${up}` : String(v), edge - 5, y(v) + 4);
   });
