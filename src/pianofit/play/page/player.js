@@ -81,6 +81,8 @@ class Player {
     if (message.do === "on") {
       await this.start();
       this.send(message.midi);
+    } else if (this.started) {
+      await this.started.catch(() => {}); // what comes after a stroke stays after it
     }
     this._log(message);
     this.port?.postMessage(message);
@@ -125,7 +127,9 @@ class Player {
 
   _log(message) {
     const now = performance.now() / 1000;
-    if (message.do === "on" && !this.record.length && this.pedal) this.record.push({ at: now, do: "pedal", down: true });
+    if (message.do === "on" && !this.record.length) {
+      this.record.push({ at: now, do: "pedal", down: this.pedal }, { at: now, do: "volume", volume: this.volume });
+    }
     if (message.do === "on" || this.record.length) this.record.push({ ...message, at: now });
     const first = this.record.findIndex(({ at }) => at > now - LONGEST);
     this.record = first < 0 ? [] : this.record.slice(first);
@@ -138,7 +142,6 @@ class Player {
     const sound = [0, 1].map(() => new Float32Array(blocks * this.BLOCK));
     const block = [0, 1].map(() => new Float64Array(this.BLOCK));
     for (const { midi } of record) if (midi && !engine.tables.has(midi)) engine.setKey(midi, this.table(midi));
-    output.volume = output.reached = this.volume;
     for (let i = 0, next = 0; i < blocks; i++) {
       for (; next < record.length && record[next].at - first <= (i * this.BLOCK) / RATE; next++) {
         const event = record[next];
