@@ -62,7 +62,7 @@ def rung(midi: int, modes: int) -> Note:
     return Note(it.string, it.hammer, it.geometry, "bridge-force", 0.1, None, ringing)
 
 
-def by_law(midi: int, modes: int) -> Note:
+def by_law(midi: int, _: int) -> Note:
     """The literature's key; it has as many modes as it has."""
     it = typical(midi)
     return Note(it.string, it.hammer, it.geometry, "bridge-force", 0.1)

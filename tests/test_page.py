@@ -126,7 +126,7 @@ def test_a_saved_sound_is_a_wav_file():
     ((data,),), (sound,) = run([job(entry, struck(2.0), wav=True)]), play([job(entry, struck(2.0))])
     read, rate = sf.read(io.BytesIO(data))
     assert rate == RATE
-    assert read.T == pytest.approx(sound, abs=1e-6)
+    assert np.abs(read.T - sound).max() < 1e-6
 
 
 def test_a_changed_key_is_the_changed_note():
@@ -174,7 +174,7 @@ def test_a_page_of_88_keys_with_knocks_keeps_its_size(tmp_path):
     assert done.knocks in (Knocks(12_000, 8), Knocks(8_000, 8))
     one = payload(rung._replace(notes={60: rung.notes[60]}), 1_000_000)
     assert one[1] == Knocks(44_100, 16)
-    with pytest.raises(ParameterError, match="the page has room for 0.10 MB"):
+    with pytest.raises(ParameterError, match=r"the page has room for 0\.10 MB"):
         payload(rung, 100_000)
 
 
@@ -184,7 +184,8 @@ def test_a_knock_in_fewer_bits_is_the_same_below_its_rate():
     knock = np.zeros_like(note.ringing.knock)
     knock[0, 600:900] = np.hanning(300)  # below 1 kHz
     note = note._replace(ringing=note.ringing._replace(pattern=0 * note.ringing.pattern, knock=40 * knock))
-    best, least = play([job(encode_note(note, 60, kept), struck(3.0)) for kept in (Knocks(44_100, 16), Knocks(8000, 8))])
+    kept = Knocks(44_100, 16), Knocks(8000, 8)
+    best, least = play([job(encode_note(note, 60, how), struck(3.0)) for how in kept])
     assert error_db(best, note.render(3.0, seconds=1.0, rate=RATE, mono=False)) < WITHIN
     assert -80 < error_db(least, best) < -40
 

@@ -93,7 +93,7 @@ def page(
     force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """Write an instrument to play in a browser: one HTML file of at most 1.5 MB, which needs no server and no network."""
+    """Write an instrument to play in a browser: one HTML file of at most 1.5 MB that needs no server and no network."""
     done = _page(built, out, force)
     typer.echo(_json(done) if as_json else _written(done), nl=False)
 

@@ -26,7 +26,8 @@ export function changed(key, changes) {
   const out = { ...key };
   out.hammer = { p, mu: hammer.mu * c.mu, M_H: hammer.M_H * c.mass,
     K_H: hammer.K_H * c.force * key.compression ** (hammer.p - p) };
-  const edge = geometry.width / 2, strike = Math.min(Math.max(geometry.strike * c.strike, edge), geometry.length - edge);
+  const edge = geometry.width / 2, wanted = geometry.strike * c.strike;
+  const strike = Math.min(Math.max(wanted, edge), geometry.length - edge);
   out.geometry = { ...geometry, strike };
   out.string = { ...string, b1: string.b1 * c.loss, b2: string.b2 * c.loss,
     kappa: string.kappa * Math.sqrt(c.inharmonicity) };
@@ -45,16 +46,18 @@ export function changed(key, changes) {
       const ratio = after[k - 1] / before[k - 1];
       return Math.sign(ratio) * Math.min(Math.abs(ratio), MOST_LEVEL) || 0;
     });
+    const louder = (column) => column.map((x, m) => x * level[m]);
     out.ringing = { ...key.ringing,
       pole: { re: pole.re.map((x) => x * c.loss), im: pole.im.map((x, m) => x * moved(f[m])) },
-      pattern: pattern.map(({ re, im }) => ({ re: re.map((x, m) => x * level[m]), im: im.map((x, m) => x * level[m]) })) };
+      pattern: pattern.map(({ re, im }) => ({ re: louder(re), im: louder(im) })) };
   }
   return out;
 }
 
 /** A stroke at rest: force, N, every `step` s, and of each mode its frequency, Hz, and its level at the begin, dB. */
 export function stroke(table, velocity) {
-  const { string, heard } = table, contact = new Contact(string, new Motion(string, string.unit), table.hammer, velocity);
+  const { string, heard, hammer } = table;
+  const contact = new Contact(string, new Motion(string, string.unit), hammer, velocity);
   for (let steps = 1024; !contact.over && steps <= DRAWN; steps *= 2) contact.advance(steps);
   const drive = table.rings ? contact.force : contact.drive, unit = table.rings ? string.step : 1;
   const { pole, left, gain } = heard, frequency = pole.im.map((x) => x / (2 * Math.PI));

@@ -1,5 +1,5 @@
-// A hammer on a string that may still move, step by step: one scalar equation a step (model/contact.py). With the kernel
-// g of the string at the strike,
+// A hammer on a string that may still move: one scalar equation a step (model/contact.py). With the kernel g of the
+// string at the strike,
 //
 //   e_n = y_H + 2a v_H - Σ_{m<n} g_{n-m} T_m - free motion     u_n = e_n - C T_n     F_n = K_H u_n^p (1 + μ w_n)
 

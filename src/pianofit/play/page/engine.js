@@ -7,6 +7,7 @@
 import { BLOCK, Contact, Motion, addDamped, longer, recursions, reversed, turns } from "./contact.js";
 
 const FAINT = 1e-8; // of full scale, -160 dB: modes below are left out
+const GONE = 1e-40; // a state's square, m² or (N s)²
 
 /** Modes that ring: amplitudes re + i im, per mode, of which each channel hears gain · amplitude. */
 class Bank {
@@ -55,12 +56,12 @@ class Bank {
     const z = this.block[Number(damped)], { re, im } = this;
     let size = 0;
     for (let k = 0; k < this.count; k++) {
-      const x = re[k] * z.re[k] - im[k] * z.im[k];
-      im[k] = re[k] * z.im[k] + im[k] * z.re[k];
-      re[k] = x;
-      size += x * x + im[k] * im[k];
+      const x = re[k] * z.re[k] - im[k] * z.im[k], y = re[k] * z.im[k] + im[k] * z.re[k], power = x * x + y * y;
+      re[k] = power < GONE ? 0 : x; // numbers near the least there are take long
+      im[k] = power < GONE ? 0 : y;
+      size += power;
     }
-    if (size < 1e-40) this.stop();
+    if (size < GONE) this.stop();
   }
 
   /** Let steps `first` to before `last` of a drive set the modes ringing, as they are at its end. */
@@ -93,7 +94,8 @@ class Bank {
 /** A stroke's force as impulses of every sample, band-limited, N s; from `edge` samples before the touch. */
 class Impulses {
   constructor({ smooth, heard, string }, rate) {
-    Object.assign(this, { smooth, edge: heard.edge, ratio: string.ratio, rate, values: new Float64Array(BLOCK), done: 0 });
+    Object.assign(this, { smooth, edge: heard.edge, ratio: string.ratio, rate, done: 0 });
+    this.values = new Float64Array(BLOCK);
   }
 
   upTo(count, contact) {
@@ -116,8 +118,8 @@ class Voice {
     const silent = { pole: string.own, left: string.left, gain: heard.gain };
     this.string = new Bank(table.rings ? { ...silent, gain: [] } : silent, rate, string.ratio, damper);
     this.modes = table.rings ? new Bank(heard, rate, 1, damper) : this.string;
-    Object.assign(this, { table, rate, hammer: table.hammer, kernel: new Motion(string, string.unit), contact: null, strokes: [],
-      waiting: [], damped: false });
+    this.kernel = new Motion(string, string.unit);
+    Object.assign(this, { table, rate, hammer: table.hammer, contact: null, strokes: [], waiting: [], damped: false });
   }
 
   get silent() {

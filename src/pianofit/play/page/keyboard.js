@@ -34,7 +34,7 @@ class Keyboard {
   }
 
   _key({ midi, note, recorded }) {
-    const key = document.createElement("button"), name = document.createElement("span"), letter = document.createElement("kbd");
+    const [key, name, letter] = ["button", "span", "kbd"].map((kind) => document.createElement(kind));
     key.type = "button";
     key.className = `key ${BLACK.includes(midi % 12) ? "black" : "white"}${recorded ? " recorded" : ""}`;
     key.dataset.midi = midi;
@@ -76,7 +76,7 @@ class Keyboard {
   }
 
   _pointers() {
-    const keyAt = (event) => Number(document.elementFromPoint(event.clientX, event.clientY)?.closest(".key")?.dataset.midi);
+    const keyAt = ({ clientX: x, clientY: y }) => Number(document.elementFromPoint(x, y)?.closest(".key")?.dataset.midi);
     const to = (id, midi) => {
       const before = this.pointers.get(id);
       if (before === midi) return;
@@ -231,6 +231,7 @@ Player.open(instrument).then(
   (player) => (window.pianofitKeyboard = new Keyboard(player, instrument.keys)),
   (error) => {
     one("refused").hidden = false;
-    one("refused").textContent = `This page cannot play here: ${error.message}. Its script must be allowed to load its own parts, from blob: addresses.`;
+    one("refused").textContent =
+      `This page cannot play here: ${error.message}. Its script must be allowed to load its own parts, from blob: addresses.`;
   },
 );

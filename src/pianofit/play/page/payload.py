@@ -1,6 +1,6 @@
-"""An instrument as the page holds it: numbers as they are, tables as base64, a knock in as many bits as there is room for.
+"""An instrument as the page holds it: numbers as they are, tables as base64.
 
-A knock takes most of the room. It is kept at the highest rate and with the most bits that the page's size allows.
+Knocks take most of the room. They are kept at the highest rate and with the most bits that the page's size allows.
 """
 
 from __future__ import annotations
@@ -53,13 +53,15 @@ def payload(instrument: Instrument, most_bytes: int) -> tuple[dict[str, Any], Kn
         If a felt's law cannot be played, or nothing is left of `most_bytes`.
     """
     rates = [n.ringing.rate for n in instrument.notes.values() if n.ringing is not None and n.ringing.knock.size]
+    size = 0
     for kept in LADDER if rates else LADDER[:1]:
         document = _document(instrument, kept)
-        if len(json.dumps(document)) <= most_bytes:
+        size = len(json.dumps(document))
+        if size <= most_bytes:
             return document, kept._replace(rate=min(kept.rate, max(rates))) if rates else None
     raise ParameterError(
-        f"the instrument's tables take {len(json.dumps(document)) / 1e6:.2f} MB, and the page has room for "
-        f"{most_bytes / 1e6:.2f} MB; take fewer keys, or fit its keys with fewer modes"
+        f"the instrument's tables take {size / 1e6:.2f} MB, and the page has room for {most_bytes / 1e6:.2f} MB; "
+        "take fewer keys"
     )
 
 
@@ -85,8 +87,8 @@ def encode_note(note: Note, midi: int, knocks: Knocks = LADDER[0]) -> dict[str, 
     """
     if type(note.hammer) is not Hammer:
         raise ParameterError(
-            f"key {midi_to_note(midi)}: a page plays the felt of Hunt and Crossley, not a {type(note.hammer).__name__}; "
-            "fit the key with --felt hunt-crossley"
+            f"key {midi_to_note(midi)}: a page plays the felt of Hunt and Crossley, not a "
+            f"{type(note.hammer).__name__}; fit the key with --felt hunt-crossley"
         )
     hammer = {name: float(x) for name, x in note.hammer._asdict().items() if name != "v_H0"}
     entry: dict[str, Any] = {
@@ -114,7 +116,7 @@ def _ringing(ringing: Ringing, knocks: Knocks) -> dict[str, Any]:
         knock = resample_poly(knock, rate // by, ringing.rate // by, axis=-1) * (ringing.rate / rate)
     return {
         "decay": _base64(-np.real(ringing.pole)), "omega": _base64(np.imag(ringing.pole), "<f8"),
-        "pattern": [{"re": _base64(np.real(row)), "im": _base64(np.imag(row))} for row in ringing.pattern[:MOST_CHANNELS]],
+        "pattern": [{"re": _base64(np.real(x)), "im": _base64(np.imag(x))} for x in ringing.pattern[:MOST_CHANNELS]],
         "rate": rate, "bits": knocks.bits, "knock": [dict(_rounded(row, knocks.bits)) for row in knock],
     }  # fmt: skip
 

@@ -138,7 +138,8 @@ class Player {
   /** What was played last, as a WAV file by the same engine; `progress` is told the part that is done. */
   async render(progress) {
     const engine = new this.Engine(RATE), output = new this.Output(RATE, this.BLOCK), { record } = this;
-    const [first, last] = [record[0].at, record.at(-1).at], blocks = Math.ceil(((last - first + TAIL) * RATE) / this.BLOCK);
+    const first = record[0].at, seconds = record.at(-1).at - first + TAIL;
+    const blocks = Math.ceil((seconds * RATE) / this.BLOCK);
     const sound = [0, 1].map(() => new Float32Array(blocks * this.BLOCK));
     const block = [0, 1].map(() => new Float64Array(this.BLOCK));
     for (const { midi } of record) if (midi && !engine.tables.has(midi)) engine.setKey(midi, this.table(midi));

@@ -135,17 +135,14 @@ function resample(x, from, to) {
   return out;
 }
 
-/** Σ_k Re(amplitude_k z_k^n), n from `first` to before `last`, of z = exp(log): a kernel. */
-function damped(amplitude, log, first, last) {
-  const BLOCK = 64, out = new Float64Array(last - first);
+/** Σ_k Re(amplitude_k z_k^n), n < count, of z = exp(log): a kernel. */
+function damped(amplitude, log, count) {
+  const LOOK = 64, OVER = 1e-60, out = new Float64Array(count); // every so many steps: is it over?
   for (let k = 0; k < log.re.length; k++) {
-    if (amplitude.re[k] === 0 && amplitude.im[k] === 0) continue;
     const decay = Math.exp(log.re[k]), c = decay * Math.cos(log.im[k]), s = decay * Math.sin(log.im[k]);
-    const size = Math.exp(log.re[k] * first), angle = log.im[k] * first;
-    let x = size * (amplitude.re[k] * Math.cos(angle) - amplitude.im[k] * Math.sin(angle));
-    let y = size * (amplitude.re[k] * Math.sin(angle) + amplitude.im[k] * Math.cos(angle));
-    for (let n = 0; n < out.length; n++) {
-      if (n % BLOCK === 0 && x * x + y * y < 1e-60) break;
+    let x = amplitude.re[k], y = amplitude.im[k];
+    for (let n = 0; n < count; n++) {
+      if (n % LOOK === 0 && x * x + y * y < OVER) break;
       out[n] += x;
       const turned = x * c - y * s;
       y = x * s + y * c;
@@ -300,28 +297,29 @@ function byLaw(key, t, pole, path, rate, ratio) {
   const gain = cut(scaled(t.pickup, new Float64Array(t.pickup.re.length).fill(key.gain)), count);
   const left = cut(t.left, count), log = logs(cut(pole, count), rate), fine = logs(cut(pole, count), rate * ratio);
   if (!path) {
-    return { pole: cut(pole, count), left, gain: [gain], direct: [damped(times(gain, left), fine, 0, BLOCK * ratio)],
+    return { pole: cut(pole, count), left, gain: [gain], direct: [damped(times(gain, left), fine, BLOCK * ratio)],
       kernel: [new Float64Array(0)], ratio, lead: 0, edge: 0 };
   }
   const response = impulse(path, rate), through = times(gain, gains(response, log));
   const size = response.length, kernel = new Float64Array(size * ratio);
-  const own = damped(times(gain, left), fine, 0, size * ratio), rung = damped(times(through, left), fine, 0, size * ratio);
+  const [own, rung] = [gain, through].map((g) => damped(times(g, left), fine, size * ratio));
   for (let phase = 0; phase < ratio; phase++) {
     const dry = Float64Array.from({ length: size }, (_, j) => own[j * ratio + phase]);
     convolve(dry, response, size).forEach((x, j) => (kernel[j * ratio + phase] = x - rung[j * ratio + phase]));
   }
   return { pole: cut(pole, count), left, gain: [through], kernel: [kernel], ratio, lead: 0, edge: 0,
-    direct: [damped(times(through, left), fine, 0, BLOCK * ratio)] };
+    direct: [damped(times(through, left), fine, BLOCK * ratio)] };
 }
 
 /** What was measured between the force on the string and the file. */
 function byRinging({ ringing }, rate) {
   const below = Array.from(ringing.pole.im.keys()).filter((k) => ringing.pole.im[k] < Math.PI * rate);
-  const chosen = ({ re, im }) => ({ re: Float64Array.from(below, (k) => re[k]), im: Float64Array.from(below, (k) => im[k]) });
+  const column = (values) => Float64Array.from(below, (k) => values[k]);
+  const chosen = ({ re, im }) => ({ re: column(re), im: column(im) });
   const pole = chosen(ringing.pole), gain = ringing.pattern.map(chosen), log = logs(pole, rate);
   const ones = { re: pole.re.map(() => 1), im: pole.re.map(() => 0) };
   const kernel = ringing.knock.map((x) => resample(x, ringing.rate, rate).map((y) => (y * ringing.rate) / rate));
-  return { pole, left: ones, gain, direct: gain.map((g) => damped(g, log, 0, BLOCK)), kernel, ratio: 1,
+  return { pole, left: ones, gain, direct: gain.map((g) => damped(g, log, BLOCK)), kernel, ratio: 1,
     lead: Math.round(LEAD * rate), edge: EDGE };
 }
 

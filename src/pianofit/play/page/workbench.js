@@ -120,8 +120,9 @@ class Workbench {
     if (!player.own.has(midi)) player.own.set(midi, player.prepare(player.keys.get(midi), RATE));
     const own = player.stroke(player.own.get(midi), velocity), touched = Object.keys(this.changesOf(midi)).length > 0;
     const peak = Math.max(...now.force), end = Math.max(now.force.length, own.force.length) * now.step;
+    const shown = (x) => x.toPrecision(3), lasts = 1e3 * now.force.length * now.step;
     document.getElementById("pulse-words").textContent =
-      `Force pulse at ${velocity.toPrecision(3)} m/s: ${peak.toPrecision(3)} N at most, over after ${(1e3 * now.force.length * now.step).toPrecision(3)} ms.`;
+      `Force pulse at ${shown(velocity)} m/s: ${shown(peak)} N at most, over after ${shown(lasts)} ms.`;
     const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name);
     const both = [...(touched ? [[own, colour("--edge")]] : []), [now, colour("--fitted")]];
     const most = 1.05 * Math.max(peak, ...own.force);
@@ -196,5 +197,6 @@ function paint(id, [left, right, across], [low, high, up], draw, logarithmic = f
 function round(low, high, count) {
   const rough = (high - low) / count, ten = 10 ** Math.floor(Math.log10(rough));
   const step = [1, 2, 5, 10].map((n) => n * ten).find((n) => n >= rough), first = Math.ceil(low / step);
-  return Array.from({ length: Math.floor(high / step) - first + 1 }, (_, i) => Number(((first + i) * step).toPrecision(6)));
+  const many = Math.floor(high / step) - first + 1;
+  return Array.from({ length: many }, (_, i) => Number(((first + i) * step).toPrecision(6)));
 }

@@ -19,6 +19,7 @@ LARGEST_PAGE = 1_500_000
 OWN = 100_000
 # Modules that know of no page; they become one, which the page's own thread and the audio thread both load.
 ENGINE = ("contact.js", "engine.js", "prepare.js", "output.js", "change.js")
+SCRIPTS = ("player.js", "workbench.js", "keyboard.js")
 IMPORT = re.compile(r'^import .* from "\./\w+\.js";\n', re.MULTILINE)
 PACKAGE = "pianofit.play.page"
 
@@ -48,7 +49,7 @@ def write_page(path: str | os.PathLike[str], instrument: Instrument) -> Page:
         "recorded": sum(key["recorded"] for key in document["keys"]),
     }  # fmt: skip
     kit.write_page(
-        path, "page.html.j2", package=PACKAGE, styles=("keyboard.css",), scripts=("player.js", "workbench.js", "keyboard.js"),
+        path, "page.html.j2", package=PACKAGE, styles=("keyboard.css",), scripts=SCRIPTS,
         title=instrument.name or "Piano", **content,
     )  # fmt: skip
     return Page(len(document["keys"]), content["recorded"], knocks)
