@@ -1,6 +1,6 @@
 // A key with something changed, and what a stroke on it does, as numbers to draw.
 
-import { Contact, Motion } from "./contact.js";
+import { Contact, Motion, struck } from "./contact.js";
 import { strikeWeights } from "./prepare.js";
 
 const DRAWN = 65536; // steps of a contact
@@ -57,7 +57,7 @@ export function changed(key, changes) {
 /** A stroke at rest: force, N, every `step` s, and of each mode its frequency, Hz, and its level at the begin, dB. */
 export function stroke(table, velocity) {
   const { string, heard, hammer } = table;
-  const contact = new Contact(string, new Motion(string, string.unit), hammer, velocity);
+  const contact = new Contact(string, new Motion(string, struck(string)), hammer, velocity);
   for (let steps = 1024; !contact.over && steps <= DRAWN; steps *= 2) contact.advance(steps);
   const drive = table.rings ? contact.force : contact.drive, unit = table.rings ? string.step : 1;
   const { pole, left, gain } = heard, frequency = pole.im.map((x) => x / (2 * Math.PI));

@@ -5,7 +5,9 @@
 
 export const BLOCK = 128; // samples, or steps, at once
 const MOST_STEPS = 65536; // of a contact; a hammer that stays longer is taken away
-const ITERATIONS = 100;
+const ITERATIONS = 100; // of Newton, at the most
+const NEAR = 1e-9; // relative: the next iteration would only change rounding
+const WORTH = 4; // steps of a sum over forces that take as long as a mode's going on by one
 const STRIDE = 4; // modes at once: the processor works on them side by side
 
 /** exp(pole t) of modes with `extra` decay, 1/s. */
@@ -40,6 +42,31 @@ export function addDamped([a, b, c, d], count, out, size) {
   }
 }
 
+/** Let steps `first` to before `last` of a drive add left · Σ drive_n z^(last - n) to modes; whether there was any. */
+export function addDriven({ re, im }, left, z, drive, first, last) {
+  let begin = Math.max(first, 0);
+  const end = Math.min(last, drive.length), count = re.length;
+  while (begin < end && drive[begin] === 0) begin++;
+  if (begin >= end) return false;
+  for (let k = 0; k < count; k += 2) { // two at a time
+    const l = Math.min(k + 1, count - 1), c = z.re[k], s = z.im[k], d = z.re[l], e = z.im[l];
+    let x = 0, y = 0, u = 0, v = 0;
+    for (let n = begin; n < last; n++) {
+      const f = n < end ? drive[n] : 0, t = x + f, w = u + f;
+      x = t * c - y * s;
+      y = t * s + y * c;
+      u = w * d - v * e;
+      v = w * e + v * d;
+    }
+    re[k] += left.re[k] * x - left.im[k] * y;
+    im[k] += left.re[k] * y + left.im[k] * x;
+    if (l === k) break;
+    re[l] += left.re[l] * u - left.im[l] * v;
+    im[l] += left.re[l] * v + left.im[l] * u;
+  }
+  return true;
+}
+
 /** Σ a_{i+m} b_{j-m} of `count`, four sums side by side. */
 export function reversed(a, i, b, j, count) {
   let w = 0, x = 0, y = 0, z = 0, m = 0;
@@ -61,12 +88,16 @@ export function longer(list, length, room = Math.max(2 * list.length, length)) {
   return more;
 }
 
-/** Σ_k strike_k Re(amplitude_k z_k^n), the displacement under the hammer of modes that move freely, step by step. */
+/** Amplitudes [modes] as the hammer meets them. */
+const under = ({ strike }, { re, im }) => ({ re: strike.map((x, k) => x * re[k]), im: strike.map((x, k) => x * im[k]) });
+
+/** What a unit drive leaves under the hammer. */
+export const struck = (string) => under(string, string.unit);
+
+/** Σ_k Re(amplitude_k z_k^n), the displacement under the hammer of modes that move freely, step by step. */
 export class Motion {
-  constructor({ strike, pole, step }, { re, im }) {
-    Object.assign(this, { values: new Float64Array(0), work: recursions(strike.length) });
-    this.re = strike.map((x, k) => x * re[k]);
-    this.im = strike.map((x, k) => x * im[k]);
+  constructor({ pole, step }, { re, im }) {
+    Object.assign(this, { re, im, values: new Float64Array(0), work: recursions(re.length) });
     [this.one, this.block] = [turns(pole, step), turns(pole, step * BLOCK)];
   }
 
@@ -95,10 +126,13 @@ export class Contact {
   constructor(string, kernel, hammer, velocity, state = null) {
     const a = string.step / 2;
     Object.assign(this, { string, kernel, hammer, a, steps: 1, last: 0, over: false, work: 0, own: 0, energy: 0 });
+    // Steps whose forces are summed one by one: until all modes' going on takes less time, and then only a block's.
+    this.window = BLOCK * Math.ceil((WORTH * string.strike.length) / BLOCK);
+    Object.assign(this, { since: 1, left: null, origin: 0, struck: struck(string) });
     this.drive = new Float64Array(1024);
     this.force = new Float64Array(1024);
     this.compliance = a * a / hammer.M_H + kernel.upTo(1)[0];
-    this.free = state && new Motion(string, state);
+    this.free = state && new Motion(string, under(string, state));
     const speed = state ? this._meet(state) : 0;
     Object.assign(this, { y: state ? this.free.upTo(1)[0] : 0, v: velocity, u: 0, w: velocity - speed, f: 0 });
   }
@@ -108,8 +142,8 @@ export class Contact {
     const { strike, mass, omega2, step } = this.string, { one } = this.free;
     let speed = 0;
     for (let k = 0; k < strike.length; k++) {
-      const x = one.re[k] - 1, y = one.im[k], under = (2 + x) ** 2 + y * y;
-      const velocity = ((re[k] * (x * (2 + x) + y * y) - im[k] * 2 * y) / under) * (2 / step);
+      const x = one.re[k] - 1, y = one.im[k], power = (2 + x) ** 2 + y * y;
+      const velocity = ((re[k] * (x * (2 + x) + y * y) - im[k] * 2 * y) / power) * (2 / step);
       speed += strike[k] * velocity;
       this.energy += 0.5 * mass[k] * (velocity ** 2 + omega2[k] * re[k] ** 2);
     }
@@ -118,12 +152,14 @@ export class Contact {
 
   /** Go on until `steps` steps are done, or until the hammer can no longer touch the string. */
   advance(steps) {
-    const { a, hammer, compliance: c } = this, { K_H, mu, p, M_H } = hammer, g = this.kernel.upTo(steps + 1);
+    const { a, hammer, compliance: c } = this, { K_H, mu, p, M_H } = hammer, g = this.kernel.upTo(this.window + BLOCK);
     this.drive = longer(this.drive, steps);
     this.force = longer(this.force, steps);
-    const { drive, force } = this, under = this.free?.upTo(steps);
+    const { drive, force } = this, moved = this.free?.upTo(steps);
     for (let n = this.steps; n < steps && !this.over; n++) {
-      const past = (under ? under[n] : 0) + reversed(drive, 1, g, n - 1, Math.min(this.last, n - 1));
+      if (n % BLOCK === 0) this._putBehind(n);
+      const { since } = this, near = reversed(drive, since, g, n - since, Math.min(this.last, n - 1) - since + 1);
+      const past = near + (moved ? moved[n] : 0) + (this.left ? this.left.values[n - this.origin] : 0);
       const upper = this.y + 2 * a * this.v - past - c * this.f;
       const u = upper > 0 ? compression(upper, this.u, this.w, c, a, K_H, mu, p) : upper;
       const w = (u - this.u) / a - this.w;
@@ -131,15 +167,30 @@ export class Contact {
       const before = this.v;
       this.v -= (a / M_H) * t;
       this.y += a * (before + this.v);
-      Object.assign(this, { u, w, f, steps: n + 1 });
+      this.u = u;
+      this.w = w;
+      this.f = f;
+      this.steps = n + 1;
       if (t > 0) this.last = n;
       drive[n] = t;
       force[n] = f;
-      const own = this.y - u - (under ? under[n] : 0);
+      const own = this.y - u - (moved ? moved[n] : 0);
       this.work += 0.5 * t * (own - this.own);
       this.own = own;
       this.over = (u <= 0 && this.v <= 0 && this.y + this._reach() <= 0) || n > MOST_STEPS;
     }
+  }
+
+  /** Forces longer ago than the window have set the modes going: the sum over them ends, and the modes go on. */
+  _putBehind(n) {
+    if (n - this.since >= this.window) {
+      const still = () => new Float64Array(this.struck.re.length);
+      if (!this.left) Object.assign(this, { left: new Motion(this.string, { re: still(), im: still() }), origin: n });
+      this.window = BLOCK;
+      addDriven(this.left, this.struck, this.left.one, this.drive, this.since, n);
+      this.since = n;
+    }
+    this.left?.upTo(n - this.origin + BLOCK);
   }
 
   /** The farthest the string can be from rest under the hammer, m (Cauchy-Schwarz over the modes). */
@@ -158,7 +209,7 @@ function compression(upper, old, speed, c, a, K_H, mu, p) {
     const push = loss > 0 ? stiff * u * loss : 0, slope = loss > 0 ? stiff * (p * loss + (u * mu) / a) : 0;
     const next = Math.min(Math.max(u - (u - upper + push) / (1 + slope), 0), upper), change = Math.abs(next - u);
     u = next;
-    if (change <= 1e-13 * upper) break;
+    if (change <= NEAR * u) break;
   }
   return u;
 }

@@ -4,7 +4,7 @@
 // drive T, or force F where the key's ringing is known, sets resonators going and passes through a short kernel
 // (prepare.js says which). Between strokes nothing is left but one complex amplitude a mode. All numbers are 64 bit.
 
-import { BLOCK, Contact, Motion, addDamped, longer, recursions, reversed, turns } from "./contact.js";
+import { BLOCK, Contact, Motion, addDamped, addDriven, longer, recursions, reversed, struck, turns } from "./contact.js";
 
 const FAINT = 1e-8; // of full scale, -160 dB: modes below are left out
 const GONE = 1e-40; // a state's square, m² or (N s)²
@@ -66,28 +66,7 @@ class Bank {
 
   /** Let steps `first` to before `last` of a drive set the modes ringing, as they are at its end. */
   fold(drive, first, last) {
-    let begin = Math.max(first, 0);
-    const end = Math.min(last, drive.length);
-    while (begin < end && drive[begin] === 0) begin++;
-    if (begin >= end) return;
-    this.still = false;
-    const { re, im, left, step } = this;
-    for (let k = 0; k < this.count; k += 2) { // two at a time; beyond the last mode the same once more
-      const l = Math.min(k + 1, this.count - 1), c = step.re[k], s = step.im[k], d = step.re[l], e = step.im[l];
-      let x = 0, y = 0, u = 0, v = 0;
-      for (let n = begin; n < last; n++) {
-        const f = n < end ? drive[n] : 0, t = x + f, w = u + f;
-        x = t * c - y * s;
-        y = t * s + y * c;
-        u = w * d - v * e;
-        v = w * e + v * d;
-      }
-      re[k] += left.re[k] * x - left.im[k] * y;
-      im[k] += left.re[k] * y + left.im[k] * x;
-      if (l === k) break;
-      re[l] += left.re[l] * u - left.im[l] * v;
-      im[l] += left.re[l] * v + left.im[l] * u;
-    }
+    if (addDriven(this, this.left, this.step, drive, first, last)) this.still = false;
   }
 }
 
@@ -118,7 +97,7 @@ class Voice {
     const silent = { pole: string.own, left: string.left, gain: heard.gain };
     this.string = new Bank(table.rings ? { ...silent, gain: [] } : silent, rate, string.ratio, damper);
     this.modes = table.rings ? new Bank(heard, rate, 1, damper) : this.string;
-    this.kernel = new Motion(string, string.unit);
+    this.kernel = new Motion(string, struck(string));
     Object.assign(this, { table, rate, hammer: table.hammer, contact: null, strokes: [], waiting: [], damped: false });
   }
 

@@ -41,7 +41,7 @@ class Keyboard {
     key.tabIndex = -1;
     key.setAttribute("aria-label", `${note.replace("#", " sharp ")}, ${recorded ? "recorded" : "inferred"}`);
     key.title = `${note}, ${recorded ? "recorded" : "inferred"}`;
-    name.textContent = midi % 12 === 0 || recorded ? note : "";
+    name.textContent = midi % 12 === 0 || (recorded && !BLACK.includes(midi % 12)) ? note : "";
     key.append(letter, name);
     one("keys").append(key);
     this.keys.set(midi, { key, letter, note });

@@ -3,6 +3,7 @@
 const RATE = 48000; // Hz, whatever the device has: the browser converts
 const LONGEST = 60; // s of what was played that can be saved
 const TAIL = 6; // s that it rings on in the file
+const PAUSE = 20; // ms between tables that are sent while it may play
 
 const text = (id) => document.getElementById(id).textContent;
 const blob = (...parts) => URL.createObjectURL(new Blob(parts, { type: "text/javascript" }));
@@ -65,8 +66,16 @@ class Player {
     node.onprocessorerror = () => this.onerror?.(new Error("the audio thread has stopped; open the page again"));
     Object.assign(this, { context, node, port: node.port });
     this.port.postMessage({ do: "volume", volume: this.volume });
-    for (const midi of this.tables.keys()) this.send(midi);
     await context.resume();
+    this._sendAll();
+  }
+
+  /** What is ready, one by one: the audio thread is not to be kept from its work. */
+  async _sendAll() {
+    for (const midi of [...this.tables.keys()]) {
+      await new Promise((go) => setTimeout(go, PAUSE));
+      this.send(midi);
+    }
   }
 
   /** Give the audio thread a key. */
