@@ -16,8 +16,8 @@ export function turns(pole, seconds, extra = 0) {
   return { re: size.map((x, k) => x * Math.cos(turn[k])), im: size.map((x, k) => x * Math.sin(turn[k])) };
 }
 
-/** Room for the recursions of `addDamped`. */
-export const recursions = (count) => Array.from({ length: 4 }, () => new Float64Array(count + STRIDE));
+/** Room for the workspace of `addDamped`. */
+export const workspace = (count) => Array.from({ length: 4 }, () => new Float64Array(count + STRIDE));
 
 /** Add Σ_k of `count` damped exponentials, each by its recursion from work = [first, second, c, d], to out [size]. */
 export function addDamped([a, b, c, d], count, out, size) {
@@ -89,7 +89,9 @@ export function longer(list, length, room = Math.max(2 * list.length, length)) {
 }
 
 /** Amplitudes [modes] as the hammer meets them. */
-const under = ({ strike }, { re, im }) => ({ re: strike.map((x, k) => x * re[k]), im: strike.map((x, k) => x * im[k]) });
+function under({ strike }, { re, im }) {
+  return { re: strike.map((x, k) => x * re[k]), im: strike.map((x, k) => x * im[k]) };
+}
 
 /** What a unit drive leaves under the hammer. */
 export const struck = (string) => under(string, string.unit);
@@ -97,7 +99,7 @@ export const struck = (string) => under(string, string.unit);
 /** Σ_k Re(amplitude_k z_k^n), the displacement under the hammer of modes that move freely, step by step. */
 export class Motion {
   constructor({ pole, step }, { re, im }) {
-    Object.assign(this, { re, im, values: new Float64Array(0), work: recursions(re.length) });
+    Object.assign(this, { re, im, values: new Float64Array(0), work: workspace(re.length) });
     [this.one, this.block] = [turns(pole, step), turns(pole, step * BLOCK)];
   }
 

@@ -4,7 +4,7 @@
 // drive T, or force F where the key's ringing is known, sets resonators going and passes through a short kernel
 // (prepare.js says which). Between strokes nothing is left but one complex amplitude a mode. All numbers are 64 bit.
 
-import { BLOCK, Contact, Motion, addDamped, addDriven, longer, recursions, reversed, struck, turns } from "./contact.js";
+import { BLOCK, Contact, Motion, addDamped, addDriven, longer, reversed, struck, turns, workspace } from "./contact.js";
 
 const FAINT = 1e-8; // of full scale, -160 dB: modes below are left out
 const GONE = 1e-40; // a state's square, m² or (N s)²
@@ -18,7 +18,7 @@ class Bank {
     this.sample = [0, damper].map((extra) => turns(pole, 1 / rate, extra));
     this.block = [0, damper].map((extra) => turns(pole, BLOCK / rate, extra));
     this.step = turns(pole, 1 / (rate * ratio));
-    this.work = recursions(count);
+    this.work = workspace(count);
   }
 
   stop() {

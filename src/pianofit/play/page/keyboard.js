@@ -76,7 +76,8 @@ class Keyboard {
   }
 
   _pointers() {
-    const keyAt = ({ clientX: x, clientY: y }) => Number(document.elementFromPoint(x, y)?.closest(".key")?.dataset.midi);
+    const at = ({ clientX, clientY }) => document.elementFromPoint(clientX, clientY);
+    const keyAt = (event) => Number(at(event)?.closest(".key")?.dataset.midi);
     const to = (id, midi) => {
       const before = this.pointers.get(id);
       if (before === midi) return;
@@ -100,7 +101,7 @@ class Keyboard {
   }
 
   _typed() {
-    const elsewhere = ({ target }) => target.closest?.("input, select, summary, a, button:not(.key)");
+    const elsewhere = ({ target }) => target.closest?.("input:not([type=range]), summary, a, button:not(.key)");
     addEventListener("keydown", (event) => {
       if (event.ctrlKey || event.metaKey || event.altKey) return;
       const on = event.target.closest?.(".key"), midi = Number(on?.dataset.midi), { code } = event;
@@ -232,6 +233,6 @@ Player.open(instrument).then(
   (error) => {
     one("refused").hidden = false;
     one("refused").textContent =
-      `This page cannot play here: ${error.message}. Its script must be allowed to load its own parts, from blob: addresses.`;
+      `This page cannot play here: ${error.message}. Its script must be allowed to load its parts, from blob: addresses.`;
   },
 );

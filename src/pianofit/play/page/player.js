@@ -89,6 +89,7 @@ class Player {
   async act(message) {
     if (message.do === "on") {
       await this.start();
+      if (this.context.state !== "running") this.context.resume(); // a telephone call may have stopped it
       this.send(message.midi);
     } else if (this.started) {
       await this.started.catch(() => {}); // what comes after a stroke stays after it
