@@ -39,7 +39,7 @@ USES = {
     "paper": "analysis criterion felt inference io model parameters published recording report setup",
     "keyboard": "analysis criterion io model parameters published render report ringing_file",
     "fitting": "analysis inference io paper parameters progress recording ringing setup",
-    "play": "analysis felt io keyboard model parameters recording render threads",
+    "play": "analysis felt io keyboard model parameters recording render report threads",
     "workflow": "analysis fitting inference io model recording render setup",
     "batch": "analysis fitting io model parameters recording",
     "cli": "analysis batch felt fitting inference io keyboard model paper parameters play progress"

@@ -1,4 +1,4 @@
-"""The commands of an instrument: put one together, play it, hand it to a sampler."""
+"""The commands of an instrument: put one together, play it, hand it to a sampler or to a browser."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ def register(app: typer.Typer) -> None:
     add(app, instrument, "pianofit instrument library --prefix cp80 --out cp80")
     add(app, play, "pianofit play cp80/instrument.json song.mid --out song.wav")
     add(app, export, "pianofit export cp80/instrument.json --keys 'every 3' --layers 4 --out sampler")
+    add(app, page, "pianofit page cp80/instrument.json --out piano.html")
 
 
 def instrument(
@@ -84,6 +85,17 @@ def export(
         _json(done) if as_json else f"{out}: {done['samples']} samples, {done['seconds']:.0f} s, "
         f"{done['bytes'] / 1e6:.1f} MB, one gain of {done['gain_db']:+.1f} dB for all\n", nl=False,
     )  # fmt: skip
+
+
+def page(
+    built: Built,
+    out: Annotated[Path, typer.Option(metavar="FILE.HTML", help="The HTML file to write.")],
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Write an instrument to play in a browser: one HTML file of at most 1.5 MB that needs no server and no network."""
+    done = _page(built, out, force)
+    typer.echo(_json(done) if as_json else _written(done), nl=False)
 
 
 def _json(document: dict) -> str:
@@ -170,4 +182,29 @@ def _export(
     keep_programs()
     return export_sfz(
         played, out, chosen, layers, rate=rate, seconds=seconds, kind=samples, force=force, progress=progress
+    )
+
+
+def _page(built: Path, out: Path, force: bool) -> dict[str, Any]:
+    from ..errors import OutputError
+    from ..io import check_target, one_line
+    from ..keyboard import load_instrument
+    from ..play.page import write_page
+
+    if out.suffix.lower() not in (".html", ".htm"):
+        raise OutputError(f"{one_line(out)}: a page is an HTML file; give --out a name that ends in .html")
+    check_target(out, force)
+    done = write_page(out, load_instrument(built))
+    knocks = None if done.knocks is None else {"bits": done.knocks.bits, "rate": done.knocks.rate}
+    return {
+        "file": str(out), "bytes": out.stat().st_size, "keys": done.keys, "recorded": done.recorded, "knocks": knocks,
+    }  # fmt: skip
+
+
+def _written(done: dict[str, Any]) -> str:
+    kept = done["knocks"]
+    knocks = f", knocks at {kept['rate']:g} Hz and {kept['bits']} bits" if kept else ""
+    return (
+        f"{done['file']}: {done['keys']} keys, {done['recorded']} of them recorded{knocks}, "
+        f"{done['bytes'] / 1e6:.2f} MB; open it in a browser\n"
     )

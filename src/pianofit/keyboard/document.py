@@ -36,6 +36,7 @@ class Instrument(NamedTuple):
     notes: dict[int, Note]  # by MIDI key
     at_64: float  # hammer velocity at MIDI velocity 64, m/s
     rise: float  # of its logarithm from there to 127
+    recorded: frozenset[int] = frozenset()  # keys that have a fit of their own; the others are the laws'
 
     @property
     def channels(self) -> int:
@@ -111,7 +112,8 @@ def read_instrument(document: Any, name: str = "instrument") -> Instrument:
     if not (box.lower <= at_64 <= box.upper and 0 < rise <= 10):
         raise FitError(f"{name}: velocity at_64={at_64:g} m/s, rise={rise:g} is no rising law; {WAY_OUT}")
     called = document.get("name")
-    return Instrument(one_line(called) if isinstance(called, str) else "", notes, at_64, rise)
+    recorded = frozenset(row["midi"] for row in rows if isinstance(row.get("fit"), dict))
+    return Instrument(one_line(called) if isinstance(called, str) else "", notes, at_64, rise, recorded)
 
 
 def _key(row: Any, quantity: str, where: str) -> tuple[int, Note]:

@@ -1,8 +1,8 @@
 """What all pages have in common: one file that holds everything it shows, and loads nothing.
 
 Pictures, sounds, style and script are inside the file. Its content security policy (`kit.html.j2`) lets nothing be
-loaded from anywhere and runs no script but its own, named by its hash. All text from outside goes through Jinja's
-autoescape, and none of it into a script.
+loaded from anywhere and runs no script but its own, named by its hash, and the parts that this one makes itself. All
+text from outside goes through Jinja's autoescape, and none of it into a script.
 """
 
 from __future__ import annotations

@@ -1,0 +1,73 @@
+// A key with something changed, and what a stroke on it does, as numbers to draw.
+
+import { Contact, Motion, struck } from "./contact.js";
+import { strikeWeights } from "./prepare.js";
+
+const DRAWN = 65536; // steps of a contact
+// The strike weight of a mode at a node is next to nothing; a measured level is changed by no more than this factor.
+const MOST_LEVEL = 10;
+const BOUNDS = { p: [1, 5] }; // of the felt's exponent, as fits have it
+
+/** What `changed` may be told: factors, but `p`, which is added. */
+export const UNCHANGED = { force: 1, p: 0, mu: 1, mass: 1, strike: 1, loss: 1, inharmonicity: 1 };
+
+/** Which partial of a string f is, a number that need not be whole: f = k f0 √(1 + B k²). */
+function partialOf(f, f0, B) {
+  return Math.sqrt(B > 1e-12 ? (Math.sqrt(1 + 4 * B * (f / f0) ** 2) - 1) / (2 * B) : (f / f0) ** 2);
+}
+
+/**
+ * The key with changes: force (of the felt at the reference compression), p, mu, mass (of the hammer), strike (its
+ * position), loss and inharmonicity. Partials that were measured move with the string's, and keep their own decays.
+ */
+export function changed(key, changes) {
+  const c = { ...UNCHANGED, ...changes }, { hammer, geometry, string } = key;
+  const p = Math.min(Math.max(hammer.p + c.p, BOUNDS.p[0]), BOUNDS.p[1]);
+  const out = { ...key };
+  out.hammer = { p, mu: hammer.mu * c.mu, M_H: hammer.M_H * c.mass,
+    K_H: hammer.K_H * c.force * key.compression ** (hammer.p - p) };
+  const edge = geometry.width / 2, wanted = geometry.strike * c.strike;
+  const strike = Math.min(Math.max(wanted, edge), geometry.length - edge);
+  out.geometry = { ...geometry, strike };
+  out.string = { ...string, b1: string.b1 * c.loss, b2: string.b2 * c.loss,
+    kappa: string.kappa * Math.sqrt(c.inharmonicity) };
+  if (c.strike === 1 && c.loss === 1 && c.inharmonicity === 1) return out;
+  const f0 = string.c / (2 * geometry.length), B = ((string.kappa * Math.PI) / (string.c * geometry.length)) ** 2;
+  const moved = (f) => {
+    const k = partialOf(f, f0, B);
+    return Math.sqrt((1 + B * c.inharmonicity * k * k) / (1 + B * k * k));
+  };
+  if (key.path) out.path = { ...key.path, frequency: key.path.frequency.map((f) => f * moved(f)) };
+  if (key.ringing) {
+    const { pole, pattern } = key.ringing, f = pole.im.map((x) => x / (2 * Math.PI));
+    const number = f.map((x) => Math.max(Math.round(partialOf(x, f0, B)), 1)), most = Math.max(1, ...number);
+    const [before, after] = [geometry, out.geometry].map((g) => strikeWeights(g, most));
+    const level = number.map((k) => {
+      const ratio = after[k - 1] / before[k - 1];
+      return Math.sign(ratio) * Math.min(Math.abs(ratio), MOST_LEVEL) || 0;
+    });
+    const louder = (column) => column.map((x, m) => x * level[m]);
+    out.ringing = { ...key.ringing,
+      pole: { re: pole.re.map((x) => x * c.loss), im: pole.im.map((x, m) => x * moved(f[m])) },
+      pattern: pattern.map(({ re, im }) => ({ re: louder(re), im: louder(im) })) };
+  }
+  return out;
+}
+
+/** A stroke at rest: force, N, every `step` s, and of each mode its frequency, Hz, and its level at the begin, dB. */
+export function stroke(table, velocity) {
+  const { string, heard, hammer } = table;
+  const contact = new Contact(string, new Motion(string, struck(string)), hammer, velocity);
+  for (let steps = 1024; !contact.over && steps <= DRAWN; steps *= 2) contact.advance(steps);
+  const drive = table.rings ? contact.force : contact.drive, unit = table.rings ? string.step : 1;
+  const { pole, left, gain } = heard, frequency = pole.im.map((x) => x / (2 * Math.PI));
+  const level = frequency.map((_, k) => {
+    const size = Math.exp(-pole.re[k] * string.step), angle = -pole.im[k] * string.step;
+    const c = size * Math.cos(angle), s = size * Math.sin(angle);
+    let re = 0, im = 0;
+    for (let n = contact.last; n >= 0; n--) [re, im] = [re * c - im * s + drive[n], re * s + im * c];
+    const power = gain.reduce((sum, g) => sum + g.re[k] ** 2 + g.im[k] ** 2, 0) / gain.length;
+    return 10 * Math.log10(power * (left.re[k] ** 2 + left.im[k] ** 2) * (re * re + im * im) * unit ** 2 + 1e-30);
+  });
+  return { force: contact.force.slice(0, contact.last + 2), step: string.step, frequency, level };
+}

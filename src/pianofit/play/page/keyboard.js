@@ -1,0 +1,238 @@
+// The page: a keyboard under mouse, fingers, letters and MIDI, and what is around it.
+
+const LETTERS = ["KeyA", "KeyW", "KeyS", "KeyE", "KeyD", "KeyF", "KeyT", "KeyG", "KeyY", "KeyH", "KeyU", "KeyJ", "KeyK",
+  "KeyO", "KeyL", "KeyP", "Semicolon"];
+const BLACK = [1, 3, 6, 8, 10]; // of the twelve from C
+const SUSTAIN = 64; // MIDI controllers
+const ALL_OFF = [120, 123];
+
+const one = (id) => document.getElementById(id);
+
+class Keyboard {
+  constructor(player, entries) {
+    Object.assign(this, { player, keys: new Map(), octave: 60, letters: new Map(), pointers: new Map() });
+    this.bench = new Workbench(player, (words) => this.say(words));
+    player.onerror = (error) => this.refuse(error);
+    entries.forEach((entry) => this._key(entry));
+    this._pointers();
+    this._typed();
+    this._controls();
+    this._reachable(this.keys.has(60) ? 60 : entries[0].midi);
+    this._mark();
+    this._view(60);
+    player.prepareAll((part) => (one("ready").value = part)).then(() => (one("ready").hidden = true));
+    setInterval(() => (one("sounding").textContent = player.sounding), 200);
+  }
+
+  say(words) {
+    one("said").textContent = words;
+  }
+
+  refuse(error) {
+    one("refused").hidden = false;
+    one("refused").textContent = `No sound: ${error.message}.`;
+  }
+
+  _key({ midi, note, recorded }) {
+    const [key, name, letter] = ["button", "span", "kbd"].map((kind) => document.createElement(kind));
+    key.type = "button";
+    key.className = `key ${BLACK.includes(midi % 12) ? "black" : "white"}${recorded ? " recorded" : ""}`;
+    key.dataset.midi = midi;
+    key.tabIndex = -1;
+    key.setAttribute("aria-label", `${note.replace("#", " sharp ")}, ${recorded ? "recorded" : "inferred"}`);
+    key.title = `${note}, ${recorded ? "recorded" : "inferred"}`;
+    name.textContent = midi % 12 === 0 || (recorded && !BLACK.includes(midi % 12)) ? note : "";
+    key.append(letter, name);
+    one("keys").append(key);
+    this.keys.set(midi, { key, letter, note });
+  }
+
+  async play(midi, velocity = Number(one("velocity").value)) {
+    const it = this.keys.get(midi);
+    if (!it) return;
+    it.key.classList.add("down");
+    try {
+      await this.player.on(midi, velocity);
+      one("save").disabled = false;
+      this.bench.show(midi, it.note, this.player.speed(velocity));
+    } catch (error) {
+      this.refuse(error);
+    }
+  }
+
+  release(midi) {
+    this.keys.get(midi)?.key.classList.remove("down");
+    this.player.off(midi);
+  }
+
+  setPedal(down) {
+    this.player.setPedal(down);
+    one("pedal").setAttribute("aria-pressed", String(down));
+  }
+
+  /** One key is reached by Tab, the others from there by arrows. */
+  _reachable(midi) {
+    for (const [other, { key }] of this.keys) key.tabIndex = other === midi ? 0 : -1;
+  }
+
+  _pointers() {
+    const at = ({ clientX, clientY }) => document.elementFromPoint(clientX, clientY);
+    const keyAt = (event) => Number(at(event)?.closest(".key")?.dataset.midi);
+    const to = (id, midi) => {
+      const before = this.pointers.get(id);
+      if (before === midi) return;
+      if (before) this.release(before);
+      this.pointers.set(id, midi);
+      if (midi) this.play(midi);
+    };
+    one("keys").addEventListener("pointerdown", (event) => {
+      if (event.button !== 0 || !keyAt(event)) return;
+      event.target.releasePointerCapture(event.pointerId); // a finger may slide on
+      this._reachable(keyAt(event));
+      to(event.pointerId, keyAt(event));
+    });
+    addEventListener("pointermove", (event) => this.pointers.has(event.pointerId) && to(event.pointerId, keyAt(event)));
+    for (const end of ["pointerup", "pointercancel"]) {
+      addEventListener(end, ({ pointerId }) => {
+        to(pointerId, NaN);
+        this.pointers.delete(pointerId);
+      });
+    }
+  }
+
+  _typed() {
+    const elsewhere = ({ target }) => target.closest?.("input:not([type=range]), summary, a, button:not(.key)");
+    addEventListener("keydown", (event) => {
+      if (event.ctrlKey || event.metaKey || event.altKey) return;
+      const on = event.target.closest?.(".key"), midi = Number(on?.dataset.midi), { code } = event;
+      const at = LETTERS.indexOf(code);
+      if (code === "Space" && !elsewhere(event)) {
+        event.preventDefault();
+        if (!event.repeat) this.setPedal(!this.player.pedal);
+      } else if (at >= 0 && !event.repeat) {
+        this.letters.set(code, this.octave + at);
+        this.play(this.octave + at);
+      } else if ((code === "KeyZ" || code === "KeyX") && !event.repeat) {
+        this._shift(code === "KeyX" ? 12 : -12);
+      } else if (code === "Escape") {
+        this.panic();
+      } else if (on && code === "Enter") {
+        event.preventDefault();
+        if (!event.repeat) this.play(midi);
+      } else if (on && ["ArrowLeft", "ArrowRight"].includes(code)) {
+        event.preventDefault();
+        const next = this.keys.get(midi + (code === "ArrowRight" ? 1 : -1));
+        if (next) this._reachable(Number(next.key.dataset.midi));
+        next?.key.focus();
+      }
+    });
+    addEventListener("keyup", (event) => {
+      if (this.letters.has(event.code)) this.release(this.letters.get(event.code));
+      this.letters.delete(event.code);
+      const on = event.target.closest?.(".key");
+      if (on && event.code === "Enter") this.release(Number(on.dataset.midi));
+      if (on && event.code === "Space") event.preventDefault();
+    });
+    addEventListener("blur", () => this._letGo());
+  }
+
+  _letGo() {
+    for (const midi of [...this.letters.values(), ...this.pointers.values()]) if (midi) this.release(midi);
+    this.letters.clear();
+    this.pointers.clear();
+  }
+
+  panic() {
+    this._letGo();
+    this.setPedal(false);
+    this.player.panic();
+    for (const { key } of this.keys.values()) key.classList.remove("down");
+    one("save").disabled = true;
+    this.say("Silence.");
+  }
+
+  _shift(by) {
+    this.octave = Math.min(Math.max(this.octave + by, 24), 96);
+    this._mark();
+    this._view(this.octave);
+    this.say(`Letters play from ${this.keys.get(this.octave)?.note ?? "C"} on.`);
+  }
+
+  /** Letters on the keys that they play. */
+  _mark() {
+    const signs = "AWSEDFTGYHUJKOLP;";
+    for (const [midi, { letter }] of this.keys) letter.textContent = signs[midi - this.octave] ?? "";
+  }
+
+  _view(midi) {
+    const key = this.keys.get(midi)?.key, frame = one("frame");
+    if (key) frame.scrollLeft = key.offsetLeft - Math.max((frame.clientWidth - 12 * key.offsetWidth) / 2, 8);
+  }
+
+  _controls() {
+    const velocity = () => {
+      const { value } = one("velocity"), words = `${value}, ${this.player.speed(Number(value)).toPrecision(2)} m/s`;
+      one("velocity-words").textContent = words;
+      one("velocity").setAttribute("aria-valuetext", words);
+    };
+    const volume = () => {
+      one("volume-words").textContent = `${one("volume").value} dB`;
+      this.player.setVolume(Number(one("volume").value));
+    };
+    one("velocity").addEventListener("input", velocity);
+    one("volume").addEventListener("input", volume);
+    velocity();
+    volume();
+    one("pedal").onclick = () => this.setPedal(!this.player.pedal);
+    one("panic").onclick = () => this.panic();
+    one("lower").onclick = () => this._shift(-12);
+    one("higher").onclick = () => this._shift(12);
+    one("midi").onclick = () => this._midi();
+    one("save").onclick = () => this._save();
+  }
+
+  async _midi() {
+    try {
+      if (!navigator.requestMIDIAccess) throw new Error("this browser has no Web MIDI");
+      const access = await navigator.requestMIDIAccess();
+      const listen = () => {
+        for (const input of access.inputs.values()) input.onmidimessage = ({ data }) => this._message(data);
+        const names = [...access.inputs.values()].map(({ name }) => name);
+        this.say(names.length ? `Plays: ${names.join(", ")}.` : "No MIDI keyboard is connected; plug one in.");
+      };
+      access.onstatechange = listen;
+      listen();
+    } catch (error) {
+      this.say(`No MIDI: ${error.message}`);
+    }
+  }
+
+  _message([status, data, value]) {
+    const kind = status & 0xf0;
+    if (kind === 0x90 && value > 0) this.play(data, value);
+    else if (kind === 0x80 || kind === 0x90) this.release(data);
+    else if (kind === 0xb0 && data === SUSTAIN) this.setPedal(value >= 64);
+    else if (kind === 0xb0 && ALL_OFF.includes(data)) this.panic();
+  }
+
+  async _save() {
+    one("save").disabled = true;
+    const wav = await this.player.render((part) => this.say(`Rendering, ${Math.round(100 * part)} %.`));
+    const link = document.createElement("a");
+    Object.assign(link, { href: URL.createObjectURL(new Blob([wav], { type: "audio/wav" })), download: "piano.wav" });
+    link.click();
+    setTimeout(() => URL.revokeObjectURL(link.href), 60e3);
+    one("save").disabled = false;
+    this.say(`Saved: ${(wav.length / 1e6).toFixed(1)} MB.`);
+  }
+}
+
+const instrument = JSON.parse(text("instrument"));
+Player.open(instrument).then(
+  (player) => (window.pianofitKeyboard = new Keyboard(player, instrument.keys)),
+  (error) => {
+    one("refused").hidden = false;
+    one("refused").textContent =
+      `This page cannot play here: ${error.message}. Its script must be allowed to load its parts, from blob: addresses.`;
+  },
+);

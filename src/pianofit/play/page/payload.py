@@ -1,0 +1,134 @@
+"""An instrument as the page holds it: numbers as they are, tables as base64.
+
+Knocks take most of the room. They are kept at the highest rate and with the most bits that the page's size allows.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.signal import resample_poly
+
+from ...analysis.notes import midi_to_note
+from ...errors import ParameterError
+from ...keyboard.document import Instrument
+from ...keyboard.gather import reference_compression
+from ...model.modal import Ringing
+from ...model.note import Note
+from ...parameters import Hammer
+from ..strings import damper_rate
+
+__all__ = ["Knocks", "encode_note", "payload"]
+
+# Channels that a page plays: a listener has two ears.
+MOST_CHANNELS = 2
+# Samples of a knock that share a scale.
+SHARED = 256
+
+
+class Knocks(NamedTuple):
+    """How knocks are kept."""
+
+    rate: float  # the highest sample rate, Hz
+    bits: int  # 8 or 16, of the largest sample within `SHARED`
+
+
+# From the best to the smallest; a knock's own rate is never exceeded.
+LADDER = (
+    Knocks(math.inf, 16), Knocks(24_000, 16), Knocks(24_000, 8), Knocks(16_000, 8), Knocks(12_000, 8), Knocks(8_000, 8),
+)  # fmt: skip
+
+
+def payload(instrument: Instrument, most_bytes: int) -> tuple[dict[str, Any], Knocks | None]:
+    """What the page's script reads, and how knocks are kept in it, if there are any.
+
+    Raises
+    ------
+    ParameterError
+        If a felt's law cannot be played, or nothing is left of `most_bytes`.
+    """
+    rates = [n.ringing.rate for n in instrument.notes.values() if n.ringing is not None and n.ringing.knock.size]
+    size = 0
+    for kept in LADDER if rates else LADDER[:1]:
+        document = _document(instrument, kept)
+        size = len(json.dumps(document))
+        if size <= most_bytes:
+            return document, kept._replace(rate=min(kept.rate, max(rates))) if rates else None
+    raise ParameterError(
+        f"the instrument's tables take {size / 1e6:.2f} MB, and the page has room for {most_bytes / 1e6:.2f} MB; "
+        "take fewer keys"
+    )
+
+
+def _document(instrument: Instrument, knocks: Knocks) -> dict[str, Any]:
+    return {
+        "name": instrument.name,
+        "velocity": {"at_64": instrument.at_64, "rise": instrument.rise},
+        "keys": [
+            {"midi": midi, "note": midi_to_note(midi), "recorded": midi in instrument.recorded}
+            | encode_note(note, midi, knocks)
+            for midi, note in sorted(instrument.notes.items())
+        ],
+    }
+
+
+def encode_note(note: Note, midi: int, knocks: Knocks = LADDER[0]) -> dict[str, Any]:
+    """One key, as prepare.js reads it.
+
+    Raises
+    ------
+    ParameterError
+        For a felt other than Hunt and Crossley's, or the power law.
+    """
+    if type(note.hammer) is not Hammer:
+        raise ParameterError(
+            f"key {midi_to_note(midi)}: a page plays the felt of Hunt and Crossley, not a "
+            f"{type(note.hammer).__name__}; fit the key with --felt hunt-crossley"
+        )
+    hammer = {name: float(x) for name, x in note.hammer._asdict().items() if name != "v_H0"}
+    entry: dict[str, Any] = {
+        "string": {name: float(x) for name, x in note.string._asdict().items()},
+        "hammer": hammer,
+        "geometry": {name: float(x) for name, x in note.geometry._asdict().items()},
+        "quantity": note.quantity, "gain": float(note.gain), "damper": damper_rate(midi),
+        "compression": reference_compression(midi),
+    }  # fmt: skip
+    if note.ringing is not None:
+        entry["ringing"] = _ringing(note.ringing.louder(float(note.gain)), knocks)
+    elif note.path is not None:
+        path = note.path
+        decay = np.ones(len(path.frequency)) if path.decay is None else path.decay
+        entry["path"] = {"frequency": _base64(path.frequency), "db": _base64(path.db), "decay": _base64(decay)}
+    return entry
+
+
+def _ringing(ringing: Ringing, knocks: Knocks) -> dict[str, Any]:
+    """Frequencies with 64 bits: with 32 they would drift by a tenth of a radian a minute in the treble."""
+    knock, rate = ringing.knock[:MOST_CHANNELS], ringing.rate
+    if knock.shape[-1] and rate > knocks.rate:
+        rate = int(knocks.rate)
+        by = math.gcd(rate, ringing.rate)
+        knock = resample_poly(knock, rate // by, ringing.rate // by, axis=-1) * (ringing.rate / rate)
+    return {
+        "decay": _base64(-np.real(ringing.pole)), "omega": _base64(np.imag(ringing.pole), "<f8"),
+        "pattern": [{"re": _base64(np.real(x)), "im": _base64(np.imag(x))} for x in ringing.pattern[:MOST_CHANNELS]],
+        "rate": rate, "bits": knocks.bits, "knock": [dict(_rounded(row, knocks.bits)) for row in knock],
+    }  # fmt: skip
+
+
+def _rounded(samples: np.ndarray, bits: int) -> Iterator[tuple[str, Any]]:
+    """Whole numbers, a scale for every `SHARED` of them, and how many there are."""
+    rows = np.pad(samples, (0, -len(samples) % SHARED)).reshape(-1, SHARED)
+    scale = (np.abs(rows).max(axis=1) / (2 ** (bits - 1) - 1)).astype("<f4")
+    whole = np.round(rows / np.where(scale > 0, scale, 1.0)[:, None]).ravel()[: len(samples)]
+    yield "scale", _base64(scale)
+    yield "whole", _base64(whole, f"<i{bits // 8}")
+
+
+def _base64(values: np.ndarray, kind: str = "<f4") -> str:
+    return base64.b64encode(np.ascontiguousarray(values, kind).tobytes()).decode()

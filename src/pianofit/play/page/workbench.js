@@ -1,0 +1,202 @@
+// The parameters of the key that was played last: sliders, undo, and a picture of what a stroke does.
+
+// What `changed` takes; every slider but the exponent's is a factor, on a logarithmic scale.
+const SLIDERS = [
+  { name: "force", words: "Felt force at the reference compression", from: 0.125, to: 8, unit: "N" },
+  { name: "p", words: "Felt exponent p", from: -1, to: 1, unit: "" },
+  { name: "mu", words: "Felt loss μ", from: 0.125, to: 8, unit: "s/m" },
+  { name: "mass", words: "Hammer mass", from: 0.25, to: 4, unit: "g" },
+  { name: "strike", words: "Strike position", from: 0.25, to: 4, unit: "of the length" },
+  { name: "loss", words: "String losses", from: 0.125, to: 8, unit: "1/s for partial 1" },
+  { name: "inharmonicity", words: "Inharmonicity B", from: 0.125, to: 8, unit: "" },
+];
+const STEPS = 100; // of a slider, each way
+
+/** What a slider shows: the key's own value. */
+const SHOWN = {
+  force: ({ hammer, compression }) => hammer.K_H * compression ** hammer.p,
+  p: ({ hammer }) => hammer.p,
+  mu: ({ hammer }) => hammer.mu,
+  mass: ({ hammer }) => 1e3 * hammer.M_H,
+  strike: ({ geometry }) => geometry.strike / geometry.length,
+  loss: ({ string, geometry }) => string.b1 + string.b2 * (Math.PI / geometry.length) ** 2,
+  inharmonicity: ({ string, geometry }) => ((string.kappa * Math.PI) / (string.c * geometry.length)) ** 2,
+};
+
+class Workbench {
+  constructor(player, said) {
+    Object.assign(this, { player, said, midi: null, all: {}, single: new Map(), past: [] });
+    this.root = document.getElementById("workbench");
+    this.forAll = document.getElementById("for-all");
+    this.inputs = new Map(SLIDERS.map((slider) => [slider.name, this._slider(slider)]));
+    document.getElementById("undo").onclick = () => this.undo();
+    document.getElementById("reset").onclick = () => this.reset();
+    this.buttons();
+    new ResizeObserver(() => this.draw()).observe(document.getElementById("pulse"));
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.draw());
+  }
+
+  _slider({ name, words, from, to }) {
+    const label = document.createElement("label"), input = document.createElement("input");
+    const title = document.createElement("span"), value = document.createElement("output");
+    title.textContent = words;
+    Object.assign(input, { type: "range", min: -STEPS, max: STEPS, step: 1, value: 0, id: `change-${name}` });
+    label.append(title, value, input);
+    this.root.querySelector(".sliders").append(label);
+    const scale = (n) => (from < 0 ? (n / STEPS) * to : to ** (n / STEPS));
+    input.addEventListener("pointerdown", () => (this.begun = false));
+    input.addEventListener("input", () => this._move(name, scale(Number(input.value))));
+    input.addEventListener("change", () => (this.begun = false));
+    const back = (x) => Math.round(from < 0 ? (x / to) * STEPS : (Math.log(x) / Math.log(to)) * STEPS);
+    return { input, value, back };
+  }
+
+  /** A slider has moved; one drag is one step back. */
+  _move(name, value) {
+    if (this.midi === null) return;
+    if (!this.begun) this._remember();
+    this.begun = true;
+    const to = this.forAll.checked ? this.all : this.single.get(this.midi) ?? {};
+    to[name] = value;
+    if (this.forAll.checked) for (const own of this.single.values()) delete own[name];
+    else this.single.set(this.midi, to);
+    this.apply(this.forAll.checked ? [...this.player.keys.keys()] : [this.midi]);
+  }
+
+  _remember() {
+    this.past.push(structuredClone({ all: this.all, single: this.single }));
+  }
+
+  changesOf(midi) {
+    return { ...this.all, ...this.single.get(midi) };
+  }
+
+  apply(keys) {
+    for (const midi of keys) this.player.change(midi, this.changesOf(midi));
+    this.buttons();
+    this.show(this.midi);
+  }
+
+  undo() {
+    if (this.past.length) Object.assign(this, this.past.pop());
+    this.begun = false;
+    this.apply([...this.player.keys.keys()]);
+    this.said("One change taken back.");
+  }
+
+  reset() {
+    this._remember();
+    Object.assign(this, { all: {}, single: new Map(), begun: false });
+    this.apply([...this.player.keys.keys()]);
+    this.said("All keys are as they were fitted.");
+  }
+
+  buttons() {
+    document.getElementById("undo").disabled = !this.past.length;
+    document.getElementById("reset").disabled = !Object.keys(this.all).length && !this.single.size;
+  }
+
+  /** Take up a key. */
+  show(midi, name = this.name, velocity = this.velocity) {
+    if (midi === null) return;
+    Object.assign(this, { midi, name, velocity });
+    this.root.hidden = false;
+    document.getElementById("which").textContent = name;
+    const key = this.player.now[midi], changes = { ...this.player.UNCHANGED, ...this.changesOf(midi) };
+    for (const { name: what, unit } of SLIDERS) {
+      const { input, value, back } = this.inputs.get(what);
+      value.textContent = `${Number(SHOWN[what](key).toPrecision(3))} ${unit}`.trim();
+      input.value = back(changes[what]);
+      input.setAttribute("aria-valuetext", value.textContent);
+    }
+    cancelAnimationFrame(this.frame);
+    this.frame = requestAnimationFrame(() => this.draw());
+  }
+
+  draw() {
+    const { player, midi, velocity } = this;
+    if (midi === null) return;
+    const now = player.stroke(player.table(midi), velocity);
+    if (!player.own.has(midi)) player.own.set(midi, player.prepare(player.keys.get(midi), RATE));
+    const own = player.stroke(player.own.get(midi), velocity), touched = Object.keys(this.changesOf(midi)).length > 0;
+    const peak = Math.max(...now.force), end = Math.max(now.force.length, own.force.length) * now.step;
+    const shown = (x) => x.toPrecision(3), lasts = 1e3 * now.force.length * now.step;
+    document.getElementById("pulse-words").textContent =
+      `Force pulse at ${shown(velocity)} m/s: ${shown(peak)} N at most, over after ${shown(lasts)} ms.`;
+    const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name);
+    const both = [...(touched ? [[own, colour("--edge")]] : []), [now, colour("--fitted")]];
+    const most = 1.05 * Math.max(peak, ...own.force);
+    paint("pulse", [0, 1e3 * end, "ms"], [0, most, "N"], (pen, x, y) => {
+      for (const [{ force, step }, ink] of both) {
+        pen.strokeStyle = ink;
+        pen.lineWidth = 2;
+        pen.beginPath();
+        force.forEach((f, n) => pen.lineTo(x(1e3 * n * step), y(f)));
+        pen.stroke();
+      }
+    });
+    const top = Math.max(...now.level, ...own.level), high = Math.min(20000, 1.1 * Math.max(...now.frequency));
+    paint("levels", [0.8 * now.frequency[0], high, "Hz"], [top - 80, top + 4, "dB"], (pen, x, y) => {
+      for (const [{ frequency, level }, ink] of both) {
+        pen.strokeStyle = pen.fillStyle = ink;
+        pen.lineWidth = 1.5;
+        frequency.forEach((f, k) => {
+          if (level[k] < top - 80) return;
+          pen.beginPath();
+          pen.moveTo(x(f), y(top - 80));
+          pen.lineTo(x(f), y(level[k]));
+          pen.stroke();
+          pen.fillRect(x(f) - 2, y(level[k]) - 2, 4, 4);
+        });
+      }
+    }, true);
+  }
+}
+
+/** Axes on a canvas, and within them what `draw(pen, x, y)` draws. */
+function paint(id, [left, right, across], [low, high, up], draw, logarithmic = false) {
+  const canvas = document.getElementById(id), pen = canvas.getContext("2d"), by = devicePixelRatio;
+  const width = canvas.clientWidth, height = canvas.clientHeight, edge = 46, foot = 24;
+  [canvas.width, canvas.height] = [width * by, height * by];
+  pen.scale(by, by);
+  const soft = getComputedStyle(document.documentElement).getPropertyValue("--soft");
+  const scale = logarithmic ? Math.log : (v) => v;
+  const x = (v) => edge + ((width - edge - 12) * (scale(v) - scale(left))) / (scale(right) - scale(left));
+  const y = (v) => 8 + ((height - foot - 8) * (high - v)) / (high - low);
+  pen.fillStyle = soft;
+  pen.font = "12px system-ui, sans-serif";
+  pen.strokeStyle = getComputedStyle(document.documentElement).getPropertyValue("--line");
+  pen.lineWidth = 1;
+  const line = (...points) => {
+    pen.beginPath();
+    points.forEach(([a, b]) => pen.lineTo(a, b));
+    pen.stroke();
+  };
+  const ticks = logarithmic
+    ? [20, 50, 100, 200, 500, 1000, 2000, 5000, 10000, 20000].filter((v) => v > left && v < right)
+    : round(left, right, Math.max(2, width / 90));
+  pen.textAlign = "center";
+  ticks.forEach((v, i) => {
+    line([x(v), 8], [x(v), height - foot]);
+    pen.fillText(i === ticks.length - 1 ? `${v} ${across}` : String(v), Math.min(x(v), width - 24), height - 7);
+  });
+  pen.textAlign = "right";
+  round(low, high, 6).forEach((v, i, all) => {
+    line([edge, y(v)], [width - 12, y(v)]);
+    pen.fillText(i === all.length - 1 ? `${v} ${up}` : String(v), edge - 5, y(v) + 4);
+  });
+  pen.save();
+  pen.beginPath();
+  pen.rect(edge, 0, width - edge, height - foot);
+  pen.clip();
+  draw(pen, x, y);
+  pen.restore();
+}
+
+/** Round numbers between two, some `count`. */
+function round(low, high, count) {
+  const rough = (high - low) / count, ten = 10 ** Math.floor(Math.log10(rough));
+  const step = [1, 2, 5, 10].map((n) => n * ten).find((n) => n >= rough), first = Math.ceil(low / step);
+  const many = Math.floor(high / step) - first + 1;
+  return Array.from({ length: many }, (_, i) => Number(((first + i) * step).toPrecision(6)));
+}

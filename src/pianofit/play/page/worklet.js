@@ -1,0 +1,41 @@
+// The engine in the browser's audio thread. What it is told: messages {do, ...}; see `act`.
+
+const REPORT = 16; // blocks between reports of how many strings sound: some 40 ms
+
+class Piano extends AudioWorkletProcessor {
+  constructor() {
+    super();
+    this.engine = new Engine(sampleRate);
+    this.output = new Output(sampleRate, BLOCK);
+    this.block = [new Float64Array(BLOCK), new Float64Array(BLOCK)];
+    this.count = 0;
+    this.port.onmessage = ({ data }) => this.act(data);
+  }
+
+  act(message) {
+    const { engine } = this;
+    if (message.do === "key") engine.setKey(message.midi, message.table);
+    else if (message.do === "hammer") engine.setHammer(message.midi, message.hammer);
+    else if (message.do === "on") engine.noteOn(message.midi, message.velocity);
+    else if (message.do === "off") engine.noteOff(message.midi);
+    else if (message.do === "pedal") engine.setPedal(message.down);
+    else if (message.do === "volume") this.output.volume = message.volume;
+    else if (message.do === "panic") this.fading = true;
+  }
+
+  process(inputs, [channels]) {
+    const [left, right] = this.block;
+    this.engine.render(left, right);
+    if (this.fading) { // within one block
+      for (const x of this.block) for (let n = 0; n < BLOCK; n++) x[n] *= 1 - (n + 1) / BLOCK;
+      this.engine.panic();
+      this.fading = false;
+    }
+    const out = this.output.pass(this.block);
+    channels.forEach((channel, i) => channel.set(out[Math.min(i, 1)].subarray(0, channel.length)));
+    if (++this.count % REPORT === 0) this.port.postMessage({ sounding: this.engine.sounding });
+    return true;
+  }
+}
+
+registerProcessor("piano", Piano);

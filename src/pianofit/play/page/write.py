@@ -1,0 +1,60 @@
+"""One HTML file that is an instrument: keyboard, engine and the numbers of every key; it loads nothing."""
+
+from __future__ import annotations
+
+import os
+import re
+from importlib.resources import files
+from typing import Any, NamedTuple
+
+from ...keyboard.document import Instrument
+from ...report import kit
+from .payload import Knocks, payload
+
+__all__ = ["LARGEST_PAGE", "Page", "write_page"]
+
+# Bytes: what a mail takes, and a browser opens at once.
+LARGEST_PAGE = 1_500_000
+# Of them, the script, the style and the words.
+OWN = 100_000
+# Modules that know of no page; they become one, which the page's own thread and the audio thread both load.
+ENGINE = ("contact.js", "engine.js", "prepare.js", "output.js", "change.js")
+SCRIPTS = ("player.js", "workbench.js", "keyboard.js")
+IMPORT = re.compile(r'^import .* from "\./\w+\.js";\n', re.MULTILINE)
+PACKAGE = "pianofit.play.page"
+
+
+class Page(NamedTuple):
+    """What was written."""
+
+    keys: int
+    recorded: int
+    knocks: Knocks | None  # how they are kept, if the instrument has any
+
+
+def write_page(path: str | os.PathLike[str], instrument: Instrument) -> Page:
+    """Write an instrument's page, of at most 1.5 MB, whole or not at all.
+
+    Raises
+    ------
+    ParameterError
+        For a felt that a page cannot play, or an instrument that does not fit.
+    OutputError
+        If `path` cannot be written.
+    """
+    document, knocks = payload(instrument, LARGEST_PAGE - OWN)
+    content: dict[str, Any] = {
+        "instrument": document,
+        "modules": {"engine": IMPORT.sub("", "".join(map(source, ENGINE))), "worklet": source("worklet.js")},
+        "recorded": sum(key["recorded"] for key in document["keys"]),
+    }  # fmt: skip
+    kit.write_page(
+        path, "page.html.j2", package=PACKAGE, styles=("keyboard.css",), scripts=SCRIPTS,
+        title=instrument.name or "Piano", **content,
+    )  # fmt: skip
+    return Page(len(document["keys"]), content["recorded"], knocks)
+
+
+def source(name: str) -> str:
+    """One of the scripts beside this file."""
+    return files(PACKAGE).joinpath(name).read_text(encoding="utf-8")

@@ -1,0 +1,88 @@
+"""The page's engine under node, and a key that rings, to compare with the model's own sound."""
+
+from __future__ import annotations
+
+import base64
+import json
+import shutil
+import subprocess
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+import pytest
+from instrument_cases import true_note
+
+from pianofit.model.modal import Ringing
+from pianofit.model.note import Note
+
+RATE = 48_000
+BLOCK = 128  # samples at whose begins events take effect
+SCRIPTS = Path(str(files("pianofit.play.page")))
+# Reads {rate, jobs: [{key, changes?, events: [[block, what, value]], blocks}]}; writes every job's channels.
+PROGRAM = """
+import { readFileSync } from "node:fs";
+const names = ["prepare", "contact", "engine", "output", "change"];
+const parts = await Promise.all(names.map((name) => import(`${process.argv[1]}/${name}.js`)));
+const { BLOCK, Engine, Output, changed, decode, encodeWav, prepare } = Object.assign({}, ...parts);
+const { rate, jobs } = JSON.parse(readFileSync(0, "utf8"));
+const base64 = (bytes) => Buffer.from(bytes.buffer).toString("base64");
+const played = jobs.map(({ keys, changes, events, blocks, output, wav }) => {
+  const engine = new Engine(rate), out = new Output(rate, BLOCK);
+  const sound = [0, 1].map(() => new Float64Array(blocks * BLOCK));
+  for (const [midi, entry] of Object.entries(keys)) {
+    const key = decode(entry);
+    engine.setKey(Number(midi), prepare(changes ? changed(key, changes) : key, rate));
+  }
+  for (let i = 0; i < blocks; i++) {
+    for (const [block, what, ...value] of events) if (block === i) engine[what](...value);
+    const here = sound.map((x) => x.subarray(i * BLOCK, (i + 1) * BLOCK));
+    engine.render(...here);
+    if (output) out.pass(here).forEach((x, c) => here[c].set(x));
+  }
+  return wav ? [base64(encodeWav(sound, rate))] : sound.map(base64);
+});
+console.log(JSON.stringify(played));
+"""
+
+
+def node() -> str:
+    """The program; skips, saying so, where there is none."""
+    found = shutil.which("node")
+    if found is None:
+        pytest.skip("node is not installed (Debian: apt-get install nodejs)")
+    return found
+
+
+def run(jobs: list[dict], rate: int = RATE) -> list[list[bytes]]:
+    """What the engine makes of jobs, see `PROGRAM`."""
+    command = [node(), "--input-type=module", "-e", PROGRAM, str(SCRIPTS)]
+    done = subprocess.run(command, input=json.dumps({"rate": rate, "jobs": jobs}), capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return [[base64.b64decode(text) for text in job] for job in json.loads(done.stdout)]
+
+
+def play(jobs: list[dict], rate: int = RATE) -> list[np.ndarray]:
+    """Both channels of every job [2, samples]."""
+    return [np.stack([np.frombuffer(data) for data in job]) for job in run(jobs, rate)]
+
+
+def error_db(sound: np.ndarray, expected: np.ndarray) -> float:
+    """The largest difference over the largest sample."""
+    size = min(sound.shape[-1], expected.shape[-1])
+    return 20 * np.log10(np.abs(sound[..., :size] - expected[..., :size]).max() / np.abs(expected).max())
+
+
+def ringing_note(midi: int, channels: int = 2, rate: int = 44_100) -> Note:
+    """A key with two modes a partial, of different decays, and a knock that begins before the touch."""
+    random, note = np.random.default_rng(midi), true_note(midi)
+    partials = note.frequencies(40)
+    partials = partials[partials < 16_000]
+    k = np.repeat(np.arange(1, len(partials) + 1), 2)
+    pole = -np.tile([1.0, 8.0], len(partials)) * (1 + 0.1 * k) + 2j * np.pi * partials[k - 1] * (
+        1 + 1e-3 * random.normal(size=len(k))
+    )
+    pattern = random.normal(size=(channels, len(k))) + 1j * random.normal(size=(channels, len(k)))
+    knock = random.normal(size=(channels, round(0.412 * rate))) * np.exp(-np.arange(round(0.412 * rate)) / rate / 0.05)
+    ringing = Ringing(k, pole, np.zeros(len(k)), 2 * pattern / k, 40 * knock, rate)
+    return note._replace(gain=1.5, ringing=ringing)

@@ -1,0 +1,226 @@
+"""The page's engine, in node: its sound is the model's, and what it is made of fits into a page."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+import pytest
+import soundfile as sf
+from instrument_cases import true_instrument, true_note, uneven_note
+from page_cases import BLOCK, RATE, error_db, play, ringing_note, run
+
+from pianofit.cli import main
+from pianofit.errors import ParameterError
+from pianofit.io import json_text
+from pianofit.keyboard.document import read_instrument
+from pianofit.model.modes import mode_frequencies
+from pianofit.parameters import MemoryHammer
+from pianofit.play.page import write_page
+from pianofit.play.page.payload import Knocks, encode_note, payload
+from pianofit.play.strings import PlayedString, damper_rate
+
+BLOCKS = 375  # 1 s
+WITHIN = -80.0  # dB
+
+
+def job(entry: dict, *events: list, **more: object) -> dict:
+    return {"keys": {60: entry}, "events": list(events), "blocks": BLOCKS, **more}
+
+
+def struck(velocity: float, block: int = 0) -> list:
+    return [block, "noteOn", 60, velocity]
+
+
+@pytest.mark.parametrize("velocity", [0.8, 4.0])
+@pytest.mark.parametrize("midi", [24, 60, 96])
+def test_a_key_that_rings_by_its_law_sounds_as_the_model_does(midi, velocity):
+    note = uneven_note(midi)
+    (sound,) = play([job(encode_note(note, midi), struck(velocity))])
+    assert error_db(sound, note.render(velocity, seconds=1.0, rate=RATE)) < WITHIN
+
+
+@pytest.mark.parametrize("quantity", ["velocity", "bridge-force"])
+def test_every_pickup_sounds_as_the_model_does(quantity):
+    note = true_note(52)._replace(quantity=quantity, path=None, gain=0.1)
+    (sound,) = play([job(encode_note(note, 52), struck(2.0))])
+    assert error_db(sound, note.render(2.0, seconds=1.0, rate=RATE)) < WITHIN
+
+
+@pytest.mark.parametrize("velocity", [0.8, 4.0])
+@pytest.mark.parametrize("midi", [28, 72])
+def test_a_key_with_its_own_ringing_sounds_as_the_model_does(midi, velocity):
+    note = ringing_note(midi)
+    (sound,) = play([job(encode_note(note, midi), struck(velocity))])
+    assert error_db(sound, note.render(velocity, seconds=1.0, rate=RATE, mono=False)) < WITHIN
+
+
+@pytest.mark.parametrize("midi", [28, 60])
+def test_a_stroke_on_a_moving_string_is_the_players(midi):
+    note, again = uneven_note(midi), 40
+    string = PlayedString(note, midi, RATE)
+    head = string.strike(4.0)
+    rest = string.ring(again * BLOCK - head.shape[-1])
+    second = string.strike(1.5)
+    last = string.ring(RATE - again * BLOCK - second.shape[-1])
+    expected = string.heard(np.concatenate([head, rest, second, last], axis=-1))[..., :RATE]
+    (sound,) = play([job(encode_note(note, midi), struck(4.0), struck(1.5, again))])
+    assert error_db(sound, expected) < WITHIN
+    # And it is not what a stroke at rest would have added.
+    apart = play([job(encode_note(note, midi), struck(4.0)), job(encode_note(note, midi), struck(1.5, again))])
+    assert error_db(sum(apart), expected) > -60
+
+
+def test_a_stroke_within_a_contact_waits_for_its_end():
+    (sound,) = play([job(encode_note(true_note(30), 30), *[struck(3.0, block) for block in range(8)])])
+    assert np.isfinite(sound).all()
+    assert np.abs(sound).max() > 0.1 * np.abs(true_note(30).render(3.0, seconds=1.0, rate=RATE)).max()
+
+
+def test_a_damper_adds_its_rate_and_does_not_click():
+    note, at = true_note(50)._replace(path=None), 150
+    entry = encode_note(note, 50)
+    free, damped, caught = play([
+        job(entry, struck(3.0)), job(entry, struck(3.0), [at, "noteOff", 60]),
+        job(entry, struck(3.0), [at - 1, "setPedal", True], [at, "noteOff", 60]),
+    ])  # fmt: skip
+    after = np.arange(RATE - at * BLOCK) / RATE
+    assert damped[:, : at * BLOCK] == pytest.approx(free[:, : at * BLOCK], abs=1e-12)
+    expected = free[:, at * BLOCK :] * np.exp(-damper_rate(50) * after)
+    assert damped[:, at * BLOCK :] == pytest.approx(expected, abs=1e-6)  # modes end where they are inaudible
+    assert (caught == free).all()
+    bend = np.abs(np.diff(damped[0], 2))
+    assert bend[at * BLOCK - 3 : at * BLOCK + 24].max() <= 1.05 * bend[at * BLOCK - 2400 : at * BLOCK - 3].max()
+
+
+def test_keys_sound_together_as_they_do_alone_and_silence_is_silent():
+    low, high = encode_note(true_note(40), 40), encode_note(true_note(47), 47)
+    both = {"keys": {40: low, 47: high}, "blocks": 100}
+    first, second = [0, "noteOn", 40, 3.0], [7, "noteOn", 47, 1.0]
+    together, a, b, stopped = play([
+        {**both, "events": [first, second]}, {**both, "events": [first]}, {**both, "events": [second]},
+        {**both, "events": [first, second, [50, "panic"]]},
+    ])  # fmt: skip
+    assert together == pytest.approx(a + b, abs=1e-12)
+    assert not stopped[:, 50 * BLOCK :].any()
+
+
+def test_a_key_without_knock_waits_for_those_that_have_one():
+    own, law = ringing_note(60), true_note(72)
+    (sound,) = play([{"keys": {60: encode_note(own, 60), 72: encode_note(law, 72)}, "events": [[0, "noteOn", 72, 2.0]],
+                      "blocks": 40}])  # fmt: skip
+    begin = np.flatnonzero(sound[0])[0]
+    assert abs(begin - own.lead * RATE) <= BLOCK
+
+
+@pytest.mark.parametrize("loud", [0.3, 30.0])
+def test_the_output_never_passes_its_ceiling_and_leaves_alone_what_fits(loud):
+    entry = encode_note(true_note(60)._replace(gain=loud), 60)
+    free, limited = play([job(entry, struck(4.0)), job(entry, struck(4.0), output=True)])
+    if loud > 1:
+        assert 0.5 < np.abs(limited).max() <= 0.892 < np.abs(free).max()
+    assert np.abs(free).max() > 0.892 or limited[:, BLOCK:] == pytest.approx(free[:, :-BLOCK], abs=1e-12)
+
+
+def test_a_saved_sound_is_a_wav_file():
+    entry = encode_note(true_note(60), 60)
+    ((data,),), (sound,) = run([job(entry, struck(2.0), wav=True)]), play([job(entry, struck(2.0))])
+    read, rate = sf.read(io.BytesIO(data))
+    assert rate == RATE
+    assert np.abs(read.T - sound).max() < 1e-6
+
+
+def test_a_changed_key_is_the_changed_note():
+    note = true_note(52)._replace(path=None)
+    entry, c = encode_note(note, 52), {"force": 2.0, "p": 0.3, "mu": 0.5, "mass": 1.3, "strike": 0.8, "loss": 2.0}
+    c["inharmonicity"] = 1.7
+    s, h, g = note.string, note.hammer, note.geometry
+    p = h.p + c["p"]
+    other = note._replace(
+        string=s._replace(b1=2 * s.b1, b2=2 * s.b2, kappa=s.kappa * np.sqrt(1.7)),
+        hammer=h._replace(
+            p=p, mu=0.5 * h.mu, M_H=1.3 * h.M_H, K_H=2 * h.K_H * entry["compression"] ** (h.p - p)
+        ),
+        geometry=g._replace(strike=0.8 * g.strike),
+    )  # fmt: skip
+    (sound,) = play([job(entry, struck(2.0), changes=c)])
+    assert error_db(sound, other.render(2.0, seconds=1.0, rate=RATE)) < WITHIN
+
+
+def test_changes_of_the_string_move_measured_partials_with_it():
+    note = true_note(52)
+    f0, count = note.string.c / (2 * note.geometry.length), 12
+    stiffer = note.string._replace(kappa=note.string.kappa * np.sqrt(3))
+    before, after = (mode_frequencies(s, note.geometry.length, count) for s in (note.string, stiffer))
+    ringing = ringing_note(52, channels=1).ringing
+    pattern = np.zeros((1, 2), complex)
+    pattern[0, 0] = 1.0
+    one = ringing._replace(number=np.array([count, 1]), pole=-0.01 + 2j * np.pi * np.array([before[-1], f0]),
+                           pattern=pattern, knock=ringing.knock[:, :0])  # fmt: skip
+    (sound,) = play([job(encode_note(note._replace(ringing=one), 52), struck(2.0), changes={"inharmonicity": 3.0})])
+    spectrum = np.abs(np.fft.rfft(sound[0] * np.hanning(sound.shape[-1])))
+    assert np.argmax(spectrum) * RATE / sound.shape[-1] == pytest.approx(after[-1], abs=1.0)
+    assert after[-1] > 1.01 * before[-1]
+
+
+def test_a_page_of_88_keys_with_knocks_keeps_its_size(tmp_path):
+    piano = true_instrument()
+    law = write_page(tmp_path / "law.html", piano)
+    assert law.knocks is None
+    assert (tmp_path / "law.html").stat().st_size < 500_000
+    rung = piano._replace(notes={midi: ringing_note(midi) for midi in piano.notes}, recorded=frozenset([60]))
+    done = write_page(tmp_path / "rung.html", rung)
+    assert (tmp_path / "rung.html").stat().st_size <= 1_500_000
+    assert (done.keys, done.recorded) == (88, 1)
+    assert done.knocks in (Knocks(12_000, 8), Knocks(8_000, 8))
+    one = payload(rung._replace(notes={60: rung.notes[60]}), 1_000_000)
+    assert one[1] == Knocks(44_100, 16)
+    with pytest.raises(ParameterError, match=r"the page has room for 0\.10 MB"):
+        payload(rung, 100_000)
+
+
+def test_a_knock_in_fewer_bits_is_the_same_below_its_rate():
+    note = ringing_note(60, channels=1)
+    assert note.ringing is not None
+    knock = np.zeros_like(note.ringing.knock)
+    knock[0, 600:900] = np.hanning(300)  # below 1 kHz
+    note = note._replace(ringing=note.ringing._replace(pattern=0 * note.ringing.pattern, knock=40 * knock))
+    kept = Knocks(44_100, 16), Knocks(8000, 8)
+    best, least = play([job(encode_note(note, 60, how), struck(3.0)) for how in kept])
+    assert error_db(best, note.render(3.0, seconds=1.0, rate=RATE, mono=False)) < WITHIN
+    assert -80 < error_db(least, best) < -40
+
+
+def test_a_felt_that_the_page_does_not_know_is_refused():
+    note = true_note(60)
+    with pytest.raises(ParameterError, match="key C4: a page plays the felt of Hunt and Crossley, not a MemoryHammer"):
+        encode_note(note._replace(hammer=MemoryHammer(*note.hammer, 0.3, 1e-4)), 60)
+
+
+def document() -> dict:
+    """An instrument of two keys, the lower recorded."""
+    rows = []
+    for midi in (59, 60):
+        n = true_note(midi)
+        row = {"midi": midi, "string": n.string._asdict(), "hammer": n.hammer._asdict(), "gain": n.gain,
+               "geometry": n.geometry._asdict(), "path": None, "fit": {} if midi == 59 else None}  # fmt: skip
+        rows.append(row)
+    return {"schema": 1, "kind": "instrument", "name": "</script><b>", "quantity": "pressure", "keys": rows,
+            "velocity": {"at_64": 1.3, "rise": 1.5}}  # fmt: skip
+
+
+def test_the_command_writes_a_page_and_replaces_none_unasked(tmp_path, capsys):
+    assert read_instrument(document()).recorded == {59}
+    built, out = tmp_path / "instrument.json", tmp_path / "piano.html"
+    built.write_text(json_text(document()))
+    assert main(["page", str(built), "--out", str(out)]) == 0
+    assert "2 keys, 1 of them recorded" in capsys.readouterr().out
+    html = out.read_text()
+    assert "</script><b>" not in html
+    assert html.count("</script>") == html.count("<script")
+    assert main(["page", str(built), "--out", str(out)]) != 0
+    assert "exists; give another --out, or --force" in capsys.readouterr().err
+    assert main(["page", str(built), "--out", str(out), "--force"]) == 0
+    assert main(["page", str(built), "--out", str(tmp_path / "piano.txt")]) != 0
+    assert "give --out a name that ends in .html" in capsys.readouterr().err
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["instrument.json", "piano.html"]

@@ -1,0 +1,220 @@
+"""The page to play, in a real browser: it opens from a file, asks for nothing, and sounds."""
+
+from __future__ import annotations
+
+import io
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soundfile as sf
+from instrument_cases import true_instrument, uneven_note
+from page_cases import ringing_note
+
+from pianofit.play.page import write_page
+
+sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+CHROMIUM = shutil.which("chromium") or "/usr/bin/chromium"
+if not Path(CHROMIUM).exists():
+    pytest.skip("chromium is not installed (Debian: apt-get install chromium)", allow_module_level=True)
+ARGUMENTS = (
+    "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking "
+    "--disable-component-update --disable-sync"
+)
+HEARD = 32768  # samples that an analyser holds: 0.7 s
+
+# An analyser behind the engine holds the last samples that were played; `heard` returns them.
+LISTEN = f"""() => {{
+  const {{ player }} = window.pianofitKeyboard;
+  const analyser = new AnalyserNode(player.context, {{ fftSize: {HEARD} }});
+  player.node.connect(analyser);
+  window.heard = () => {{
+    const samples = new Float32Array({HEARD});
+    analyser.getFloatTimeDomainData(samples);
+    return Array.from(samples);
+  }};
+}}"""
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with sync_api.sync_playwright() as play:
+        browser = play.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS.split())
+        yield browser
+        browser.close()
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    piano = true_instrument(range(48, 73))
+    notes = piano.notes | {60: uneven_note(60), 64: ringing_note(64)}
+    path = tmp_path_factory.mktemp("page") / "a piano #1?.html"
+    write_page(path, piano._replace(name="</script>'\"", notes=notes, recorded=frozenset([60, 64])))
+    return path
+
+
+@pytest.fixture
+def page(browser, written):
+    """Open the page, which by the end must have asked for nothing and complained of nothing."""
+    page = browser.new_page(viewport={"width": 1280, "height": 900})
+    complaints, requests = [], []
+    page.on("console", lambda message: complaints.append(message.text))
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    page.on("request", lambda request: requests.append(request.url))
+    page.goto(written.as_uri())
+    page.wait_for_function("() => Boolean(window.pianofitKeyboard)")
+    yield page
+    page.close()
+    assert complaints == []
+    elsewhere = [url for url in requests if not url.startswith(("blob:", "data:"))]
+    assert elsewhere == [written.as_uri()]
+
+
+def sounding(page, count):
+    page.wait_for_function("n => window.pianofitKeyboard.player.sounding === n", arg=count, timeout=60_000)
+
+
+def at(page, midi):
+    key = page.locator(f'.key[data-midi="{midi}"]')
+    key.scroll_into_view_if_needed()
+    box = key.bounding_box()
+    return box["x"] + box["width"] / 2, box["y"] + 0.9 * box["height"]
+
+
+def test_a_pressed_key_sounds_and_is_damped(page):
+    page.mouse.move(*at(page, 60))
+    page.mouse.down()
+    sounding(page, 1)
+    page.evaluate(LISTEN)
+    page.wait_for_function("() => window.heard().some((x) => Math.abs(x) > 1e-4)")
+    assert page.locator('.key[data-midi="60"]').evaluate("key => key.classList.contains('down')")
+    page.mouse.up()
+    sounding(page, 0)
+    page.wait_for_function("() => window.heard().every((x) => Math.abs(x) < 1e-6)")
+
+
+def test_a_damper_does_not_click(page):
+    """Once the stroke is over the sound's bend, in spans of 4 ms, never rises above the three before by a third."""
+    page.mouse.click(*at(page, 60))  # the audio thread starts, and this first stroke is not lost, nor its end
+    page.wait_for_function("() => Boolean(window.pianofitKeyboard.player.context)")
+    page.evaluate(LISTEN)
+    page.wait_for_function("() => window.heard().some((x) => Math.abs(x) > 1e-4)")
+    page.wait_for_function("() => window.heard().every((x) => Math.abs(x) < 1e-6)")
+    page.evaluate("""async () => {
+      const keys = window.pianofitKeyboard;
+      await keys.play(55, 90);
+      const { context } = keys.player, begin = context.currentTime;
+      while (context.currentTime < begin + 0.25) await new Promise((go) => setTimeout(go, 5));
+      keys.release(55);
+      while (context.currentTime < begin + 0.45) await new Promise((go) => setTimeout(go, 5));
+    }""")
+    sound = np.array(page.evaluate("() => window.heard()"))
+    bend = np.abs(np.diff(sound, 2))
+    spans = bend[: len(bend) // 192 * 192].reshape(-1, 192).max(axis=1)
+    struck = int(np.argmax(spans)) + 5
+    before = np.max([spans[struck + i : len(spans) - 3 + i] for i in range(3)], axis=0)  # the largest of three
+    assert len(before) > 60
+    assert spans[-1] < 0.1 * spans[struck]  # it was damped
+    assert np.max(spans[struck + 3 :] / before) < 1.3
+
+
+def test_letters_play_and_what_was_played_is_saved(page, tmp_path):
+    page.keyboard.press("Space")
+    assert page.locator("#pedal").get_attribute("aria-pressed") == "true"
+    page.keyboard.down("KeyA")
+    sounding(page, 1)
+    page.keyboard.up("KeyA")
+    page.keyboard.press("KeyD")  # E4, which has its own ringing
+    sounding(page, 2)
+    page.keyboard.press("Space")
+    sounding(page, 0)
+    with page.expect_download() as download:
+        page.locator("#save").click()
+    download.value.save_as(tmp_path / "piano.wav")
+    sound, rate = sf.read(io.BytesIO((tmp_path / "piano.wav").read_bytes()))
+    assert rate == 48_000
+    assert 1e-3 < np.abs(sound).max() <= 0.892
+    assert np.abs(sound[-rate:]).max() < 1e-6  # the dampers have fallen
+
+
+def test_keys_are_named_and_reached_without_a_mouse(page):
+    names = page.locator(".key").evaluate_all("keys => keys.map((key) => key.getAttribute('aria-label'))")
+    assert len(names) == 25
+    assert (names[12], names[13]) == ("C4, recorded", "C sharp 4, inferred")
+    assert page.locator(".key[tabindex='0']").count() == 1
+    page.locator(".key[tabindex='0']").focus()
+    page.keyboard.press("ArrowRight")
+    page.keyboard.down("Enter")
+    sounding(page, 1)
+    assert page.locator("#which").inner_text() == "C#4"
+    page.keyboard.up("Enter")
+    sounding(page, 0)
+    page.keyboard.press("Escape")
+
+
+def test_a_midi_keyboard_plays_with_velocity_and_pedal(page):
+    page.mouse.click(*at(page, 48))  # sound needs a gesture
+    page.wait_for_function("() => Boolean(window.pianofitKeyboard.player.context)")
+    sounding(page, 0)
+    send = "(messages) => messages.forEach((bytes) => window.pianofitKeyboard._message(bytes))"
+    page.evaluate(send, [[0xB0, 64, 127], [0x90, 62, 20], [0x90, 67, 120], [0x80, 62, 0], [0x90, 67, 0]])
+    sounding(page, 2)
+    assert page.locator("#pedal").get_attribute("aria-pressed") == "true"
+    speeds = page.evaluate("() => window.pianofitKeyboard.player.record.map((it) => it.velocity).filter(Boolean)")
+    assert speeds[1:] == pytest.approx([1.3 * np.exp(1.5 * (velocity - 64) / 63) for velocity in (20, 120)])
+    page.evaluate(send, [[0xB0, 64, 0], [0x90, 20, 64]])  # a key that the instrument does not have does nothing
+    sounding(page, 0)
+
+
+def test_a_slider_changes_one_key_or_all_and_is_taken_back(page):
+    page.mouse.click(*at(page, 60))
+    page.wait_for_function("() => !document.getElementById('workbench').hidden")
+    masses = "() => [60, 62].map((midi) => window.pianofitKeyboard.player.now[midi].hammer.M_H)"
+    own = page.evaluate(masses)
+    page.locator("#change-mass").focus()
+    page.keyboard.press("End")
+    assert page.evaluate(masses) == pytest.approx([4 * own[0], own[1]])
+    page.locator("#for-all").check()
+    page.locator("#change-mass").focus()
+    page.keyboard.press("Home")
+    assert page.evaluate(masses) == pytest.approx([own[0] / 4, own[1] / 4])
+    page.locator("#undo").click()
+    assert page.evaluate(masses) == pytest.approx([4 * own[0], own[1]])
+    page.locator("#reset").click()
+    assert page.evaluate(masses) == pytest.approx(own)
+    drawn = page.locator("#pulse").evaluate(
+        "c => c.getContext('2d').getImageData(0, 0, c.width, c.height).data.some((x) => x)"
+    )
+    assert drawn
+    page.locator("#change-strike").focus()  # a new table, while the key sounds on
+    page.mouse.move(*at(page, 60))
+    page.mouse.down()
+    sounding(page, 1)
+    page.locator("#change-strike").press("End")
+    page.mouse.up()
+    page.mouse.click(*at(page, 60))
+    sounding(page, 0)
+
+
+@pytest.mark.parametrize("width", [400, 1600])
+def test_the_page_fits_its_width(page, width):
+    page.set_viewport_size({"width": width, "height": 900})
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    assert page.locator("h1").inner_text() == "</script>'\""
+    box = page.locator('.key[data-midi="60"]').bounding_box()
+    assert box["width"] >= 28
+    assert 0 <= box["x"] < width - 28
+
+
+def test_where_the_audio_thread_is_forbidden_the_page_says_why(browser, written, tmp_path):
+    strict = tmp_path / "strict.html"
+    html = written.read_text().replace(" blob: data:;", " blob:;")
+    strict.write_text(html)
+    page = browser.new_page()
+    page.goto(strict.as_uri())
+    page.wait_for_function("() => Boolean(window.pianofitKeyboard)")
+    page.mouse.click(*at(page, 60))
+    page.locator("#refused").wait_for(state="visible")
+    assert "No sound: " in page.locator("#refused").inner_text()
+    page.close()
