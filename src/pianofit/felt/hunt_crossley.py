@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 from ..parameters import PARAMETERS, Hammer, Parameter
-from ..published import typical
 from .law import FeltLaw
 
 __all__ = ["COLUMNS", "HUNT_CROSSLEY", "LAWS", "POWER", "literature"]
@@ -20,7 +19,13 @@ COLUMNS = ("K_H", "p", "mu", "M_H", "x0", "width", "epsilon", "tau")
 
 def literature(name: str) -> Parameter:
     """One of K_H, p and μ: the paper's box, and the literature's value for the key as the prior's median."""
-    return PARAMETERS[name]._replace(median=lambda midi: getattr(typical(midi).hammer, name), spread=SPREAD[name])
+
+    def median(midi: float) -> float:
+        from ..published import typical  # its curves need SciPy, which a command's help does without
+
+        return getattr(typical(midi).hammer, name)
+
+    return PARAMETERS[name]._replace(median=median, spread=SPREAD[name])
 
 
 def force(u: Any, w: Any, felt: Any) -> Any:
