@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import doctest
 import inspect
+import io
 import pydoc
 import re
 import shlex
@@ -16,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import soundfile
 
 import pianofit
 
@@ -81,10 +83,17 @@ def test_the_examples_run(tmp_path, monkeypatch):
     assert {*FUNCTIONS} - TOO_LONG <= {*ran}
 
 
-@pytest.mark.parametrize("samples", [[[0.0, 0.1]], [1, 2]])
+@pytest.mark.parametrize("samples", [np.zeros((44, 2)), np.zeros((1, 2, 3)), [1, 2]])
 def test_what_is_no_row_of_floats_is_no_sound(samples):
     with pytest.raises(pianofit.ParameterError, match=r"samples of shape .* must be floats \[samples\]"):
         pianofit.encode_wav(np.array(samples), 44_100)
+
+
+def test_every_channel_is_written():
+    samples = np.random.default_rng(0).uniform(-2.0, 2.0, (2, 100))
+    read, rate = soundfile.read(io.BytesIO(pianofit.encode_wav(samples, 48_000)))
+    assert rate == 48_000
+    np.testing.assert_array_equal(read.T, samples.astype(np.float32))
 
 
 def leads_somewhere(reference: str, of: str) -> bool:

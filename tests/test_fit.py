@@ -31,6 +31,7 @@ from pianofit.fitting import fit
 from pianofit.inference import pose
 from pianofit.inference.fit import fit_takes
 from pianofit.inference.statements import STATUSES
+from pianofit.io import FIT_SCHEMA
 from pianofit.parameters import FIT_NAMES, PARAMETERS, check
 from pianofit.recording import load_recording
 from pianofit.setup import setup_from_dict
@@ -88,7 +89,7 @@ def test_the_document_is_what_the_design_says():
         "schema", "program", "recipe", "felt", "seed", "converged", "claims", "messages", "invariants", "parameters",
         "takes", "pickup", "minima", "derived", "criterion", "levels", "diagnostics", "versions",
     } <= set(document)  # fmt: skip
-    assert document["schema"] == 2
+    assert document["schema"] == FIT_SCHEMA
     for name, parameter in document["parameters"].items():
         assert {"value", "unit", "interval", "interval_by", "interval_open", "status", "initial", "note"} <= {
             *parameter

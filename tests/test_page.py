@@ -12,10 +12,10 @@ from page_cases import BLOCK, RATE, error_db, play, ringing_note, run
 
 from pianofit.cli import main
 from pianofit.errors import ParameterError
+from pianofit.felt import MemoryHammer
 from pianofit.io import json_text
 from pianofit.keyboard.document import read_instrument
 from pianofit.model.modes import mode_frequencies
-from pianofit.parameters import MemoryHammer
 from pianofit.play.page import write_page
 from pianofit.play.page.payload import Knocks, encode_note, payload
 from pianofit.play.strings import PlayedString, damper_rate

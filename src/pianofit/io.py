@@ -19,14 +19,15 @@ import numpy as np
 from .errors import FitError, OutputError, ParameterError, PianofitError
 
 __all__ = [
-    "FIT_SCHEMA",
-    "LARGEST", "check_sound_target", "check_target", "encode_pcm24", "encode_wav", "finite", "interrupted_by",
-    "json_text", "load_json", "one_line", "output_folder", "read_file", "replace_file", "shown", "table_of",
+    "FIT_SCHEMA", "LARGEST", "MOST_CHANNELS", "check_sound_target", "check_target", "encode_pcm24", "encode_wav", "finite",
+    "interrupted_by", "json_text", "load_json", "one_line", "output_folder", "read_file", "replace_file", "shown", "table_of",
     "write_file",
 ]  # fmt: skip
 
 # Larger numbers overflow when they are squared.
 LARGEST = 1e300
+# Channels of a sound at the most.
+MOST_CHANNELS = 8
 # Schema of the fit.json that this version writes.
 FIT_SCHEMA = 3
 
@@ -227,13 +228,11 @@ def json_text(document: dict) -> str:
 def encode_wav(samples: np.ndarray, rate: int) -> bytes:
     """A WAV file of 32 bit floats: nothing is rounded, and a level above full scale survives.
 
-    Of samples [samples] or [channels, samples].
-
     Not by libsndfile, which puts the time of day into such files: the same sound is the same bytes.
 
     Parameters
     ----------
-    samples : [samples], ±1 = full scale.
+    samples : [samples] or [channels, samples], ±1 = full scale.
     rate : Hz.
 
     Returns
@@ -243,7 +242,7 @@ def encode_wav(samples: np.ndarray, rate: int) -> bytes:
     Raises
     ------
     ParameterError
-        Where `samples` are not floats, or not one row of them.
+        Where `samples` are not floats, or are no rows of them, a channel each.
 
     Examples
     --------
@@ -254,10 +253,11 @@ def encode_wav(samples: np.ndarray, rate: int) -> bytes:
     from scipy.io import wavfile
 
     samples = np.asarray(samples)
-    if samples.ndim != 1 or not np.issubdtype(samples.dtype, np.floating):
+    rows = np.atleast_2d(samples)
+    if rows.ndim != 2 or len(rows) > MOST_CHANNELS or not np.issubdtype(samples.dtype, np.floating):
         raise ParameterError(
-            f"samples of shape {samples.shape} and type {samples.dtype} must be floats [samples]; average the "
-            "channels, divide integers by their full scale"
+            f"samples of shape {samples.shape} and type {samples.dtype} must be floats [samples] or [channels, samples] "
+            f"of at most {MOST_CHANNELS} channels; transpose them, divide integers by their full scale"
         )
     stream = io.BytesIO()
     wavfile.write(stream, rate, samples.T.astype(np.float32))

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from .errors import FitError
-from .io import finite, read_file
+from .io import MOST_CHANNELS, finite, read_file
 from .model.modal import Ringing
 from .recording import RATES
 
@@ -21,8 +21,8 @@ KNOCK_FILE = "knock.flac"
 LARGEST_KNOCK = 2**23
 # Samples of one at the most: half a second at the highest rate, however few bytes they take.
 MOST_FRAMES = RATES[1] // 2
-# Modes at the most, and channels, that a file may hold.
-MOST_MODES, MOST_CHANNELS = 4096, 8
+# Modes at the most that a file may hold.
+MOST_MODES = 4096
 WAY_OUT = "give the files that pianofit fit wrote"
 COLUMNS = ("partial", "frequency", "frequency_error", "decay", "decay_error")
 

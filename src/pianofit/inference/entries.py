@@ -8,8 +8,8 @@ import numpy as np
 
 from .. import __version__
 from ..analysis import Analysis
-from ..felt import FeltLaw, is_own
-from ..model import Simulation, felt_force
+from ..felt import FeltLaw, is_own, law_of
+from ..model import Simulation
 from ..model.note import Note
 from ..model.path import OutputPath
 from .quantities import UNITS
@@ -60,7 +60,7 @@ def derived(note: Note, simulation: Simulation, analysis: Analysis) -> dict:
         "x0/L": float(g.strike / g.length), "contact_ms": 1e3 * simulation.contact_time,
         "later_contacts": [again.document() for again in simulation.contacts[1:]],
         "max_force_N": float(pulse.force.max()), "max_compression_mm": 1e3 * u,
-        "felt_force_N": float(felt_force(u, 0.0, note.hammer)),
+        "felt_force_N": float(law_of(note.hammer).force(u, 0.0, note.hammer)),
         "glide_cents": float(analysis.glide_cents),
         "glide": [{"start_s": a, "stop_s": b, "f0": f} for a, b, f in analysis.glide],
     }  # fmt: skip

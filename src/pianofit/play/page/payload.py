@@ -26,7 +26,7 @@ from ..strings import damper_rate
 __all__ = ["Knocks", "encode_note", "payload"]
 
 # Channels that a page plays: a listener has two ears.
-MOST_CHANNELS = 2
+HEARD_CHANNELS = 2
 # Samples of a knock that share a scale.
 SHARED = 256
 
@@ -109,14 +109,14 @@ def encode_note(note: Note, midi: int, knocks: Knocks = LADDER[0]) -> dict[str, 
 
 def _ringing(ringing: Ringing, knocks: Knocks) -> dict[str, Any]:
     """Frequencies with 64 bits: with 32 they would drift by a tenth of a radian a minute in the treble."""
-    knock, rate = ringing.knock[:MOST_CHANNELS], ringing.rate
+    knock, rate = ringing.knock[:HEARD_CHANNELS], ringing.rate
     if knock.shape[-1] and rate > knocks.rate:
         rate = int(knocks.rate)
         by = math.gcd(rate, ringing.rate)
         knock = resample_poly(knock, rate // by, ringing.rate // by, axis=-1) * (ringing.rate / rate)
     return {
         "decay": _base64(-np.real(ringing.pole)), "omega": _base64(np.imag(ringing.pole), "<f8"),
-        "pattern": [{"re": _base64(np.real(x)), "im": _base64(np.imag(x))} for x in ringing.pattern[:MOST_CHANNELS]],
+        "pattern": [{"re": _base64(np.real(x)), "im": _base64(np.imag(x))} for x in ringing.pattern[:HEARD_CHANNELS]],
         "rate": rate, "bits": knocks.bits, "knock": [dict(_rounded(row, knocks.bits)) for row in knock],
     }  # fmt: skip
 
