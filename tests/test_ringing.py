@@ -11,8 +11,9 @@ import pytest
 from scipy import signal
 
 from pianofit.analysis import analyse
+from pianofit.io import encode_wav
 from pianofit.model.modal import Force, Ringing, ring
-from pianofit.recording import Recording, recording_from_samples
+from pianofit.recording import Recording, load_recording, recording_from_samples
 from pianofit.ringing import Heard, PartialModes, hear, key_of, modes_of
 from pianofit.ringing.bands import band, kernel_gain
 from pianofit.ringing.subspace import Signals, poles_by_subspace, refined, standard_errors
@@ -121,6 +122,46 @@ def test_a_layer_that_took_no_part_sounds_as_it_should():
     first = slice(0, round(0.05 * RATE))
     attack = lambda x: np.sum((true - gain * x)[first] ** 2)  # noqa: E731
     assert attack(played) < 0.7 * attack(without)
+
+
+@pytest.mark.parametrize("rate", [24_000, 96_000])
+def test_a_stroke_sounds_alike_at_every_rate(rate):
+    """Where the begin before the contact is a whole number of samples."""
+    force, seconds = force_at(1.0), 0.3
+    here, there = (truth().sound(force, r, round(seconds * r))[0] for r in (48_000, rate))
+    there = signal.resample_poly(there, 48_000 // 1000, rate // 1000)
+    low = signal.butter(6, 4000, fs=48_000, output="sos")  # where no filter of a change of rate reaches
+    one, two = (signal.sosfiltfilt(low, x)[200:-600] for x in (here, there))
+    assert np.abs(one - two).max() < 0.03 * np.abs(one).max()  # filters of a change of rate differ by 0.01
+
+
+def test_layers_that_lie_cents_apart_leave_nothing_for_the_knock():
+    """Of a key without a knock; the second layer is three cents sharper."""
+    size = round(SECONDS * RATE)
+    number = np.arange(1, 9)
+    pole, pattern = -1.5 + 2j * np.pi * F0 * number, np.exp(1j * number)[None] / number
+    recordings = []
+    for velocity, cents in ((0.6, 3.0), (1.7, 0.0)):
+        key = Ringing(number, pole, np.zeros(8), pattern, np.zeros((1, 0)), RATE).sharper(2 ** (cents / 1200))
+        sound = np.pad(30 * key.sound(force_at(velocity), RATE, size)[0], (round(LEAD * RATE), 0))
+        noise = 1e-5 * np.random.default_rng(int(10 * velocity)).normal(size=len(sound))
+        recordings.append(recording_from_samples(sound + np.abs(sound).max() * noise, RATE))
+    analyses = [analyse(r, f0=F0) for r in recordings]
+    heard = hear(recordings, analyses)
+    found = key_of(heard, modes_of(heard, analyses), [force_at(0.6), force_at(1.7)]).ringing
+    with_knock, without = (x.sound(force_at(1.0), RATE, size // 2)[0] for x in (found, found.without_knock()))
+    assert np.sum((with_knock - without) ** 2) < 10 ** (-25 / 10) * np.sum(without**2)
+
+
+def test_channels_are_averaged_where_recordings_have_other_numbers_of_them(tmp_path):
+    recordings = {}
+    for channels in (2, 3):
+        file = tmp_path / f"{channels}.wav"
+        file.write_bytes(encode_wav(0.01 * np.tile(recorded(0.6).samples, (channels, 1)), RATE))
+        recordings[channels] = load_recording(file)
+    analyses = [analyse(recording, f0=F0) for recording in recordings.values()]
+    assert hear([recordings[2], recordings[3]], analyses).samples.shape[1] == 1
+    assert hear([recordings[2], recordings[2]], analyses).samples.shape[1] == 2
 
 
 def test_the_knock_begins_and_ends_in_silence_and_is_short():

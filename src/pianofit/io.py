@@ -19,9 +19,9 @@ import numpy as np
 from .errors import FitError, OutputError, ParameterError, PianofitError
 
 __all__ = [
-    "FIT_SCHEMA", "LARGEST", "MOST_CHANNELS", "check_sound_target", "check_target", "encode_pcm24", "encode_wav", "finite",
-    "interrupted_by", "json_text", "load_json", "one_line", "output_folder", "read_file", "replace_file", "shown", "table_of",
-    "write_file",
+    "FIT_SCHEMA", "LARGEST", "MOST_CHANNELS",
+    "check_sound_target", "check_target", "encode_pcm24", "encode_wav", "finite", "interrupted_by", "json_text",
+    "load_json", "one_line", "output_folder", "read_file", "replace_file", "shown", "table_of", "write_file",
 ]  # fmt: skip
 
 # Larger numbers overflow when they are squared.
@@ -256,8 +256,8 @@ def encode_wav(samples: np.ndarray, rate: int) -> bytes:
     rows = np.atleast_2d(samples)
     if rows.ndim != 2 or len(rows) > MOST_CHANNELS or not np.issubdtype(samples.dtype, np.floating):
         raise ParameterError(
-            f"samples of shape {samples.shape} and type {samples.dtype} must be floats [samples] or [channels, samples] "
-            f"of at most {MOST_CHANNELS} channels; transpose them, divide integers by their full scale"
+            f"samples of shape {samples.shape} and type {samples.dtype} must be floats [samples] or [channels, "
+            f"samples] of at most {MOST_CHANNELS} channels; transpose them, divide integers by their full scale"
         )
     stream = io.BytesIO()
     wavfile.write(stream, rate, samples.T.astype(np.float32))

@@ -69,9 +69,11 @@ def read_ringing(entry: Any, folder: Path | None, name: str) -> Ringing | None:
     FitError
         Opening with `name`, if an entry or the knock is missing, of another kind, or out of range.
     """
-    if not isinstance(entry, dict) or "modes" not in entry:
+    if entry is None or (isinstance(entry, dict) and entry.get("by") == "law"):
         return None
-    modes, pattern = entry["modes"], entry.get("pattern") or ()
+    if not isinstance(entry, dict):
+        raise FitError(f"{name}: ringing must be a table; {WAY_OUT}")
+    modes, pattern = entry.get("modes") or {}, entry.get("pattern") or ()
     try:
         table = np.array([modes[column] for column in COLUMNS], float)
         amplitude = np.array([np.array(row["real"], float) + 1j * np.array(row["imag"], float) for row in pattern])
@@ -81,8 +83,10 @@ def read_ringing(entry: Any, folder: Path | None, name: str) -> Ringing | None:
     if not (known and len(amplitude) <= MOST_CHANNELS and np.isfinite(table).all() and np.isfinite(amplitude).all()):
         raise FitError(f"{name}: ringing needs as many finite numbers in every column and pattern; {WAY_OUT}")
     number, frequency, _, decay, error = table
-    if not ((frequency > 0).all() and (decay > 0).all()):
-        raise FitError(f"{name}: ringing has frequencies or decays that are not above 0; {WAY_OUT}")
+    if not ((frequency > 0).all() and (decay > 0).all() and (error >= 0).all()):
+        raise FitError(f"{name}: ringing has frequencies, decays or errors that are not above 0; {WAY_OUT}")
+    if not ((number % 1 == 0) & (number >= 1) & (number <= MOST_MODES)).all():
+        raise FitError(f"{name}: ringing has partials whose numbers are not 1, 2, 3 ...; {WAY_OUT}")
     knock, rate = _knock(entry.get("knock"), folder, len(amplitude), name)
     return Ringing(number.astype(int), -decay + 2j * np.pi * frequency, error, amplitude, knock, rate)
 
@@ -102,6 +106,8 @@ def _knock(entry: Any, folder: Path | None, channels: int, name: str) -> tuple[n
         samples, rate = soundfile.read(io.BytesIO(held), frames=MOST_FRAMES, always_2d=True)
     except soundfile.LibsndfileError as problem:
         raise FitError(f"{path}: cannot be read ({problem.error_string}); {WAY_OUT}") from None
+    if not (scale > 0 and np.isfinite(samples).all()):
+        raise FitError(f"{path}: has samples that are no finite numbers, or a scale that is not above 0; {WAY_OUT}")
     if samples.shape[1] != channels or not RATES[0] <= rate <= RATES[1]:
         raise FitError(f"{path}: has {samples.shape[1]} channels at {rate} Hz and is not this fit's knock; {WAY_OUT}")
     return scale * samples.T, rate

@@ -137,7 +137,8 @@ def _key(row: Any, quantity: str, where: str) -> tuple[int, Note]:
     gain = finite(row.get("gain"), f"{where}.gain", WAY_OUT)
     if not abs(gain) <= LARGEST_GAIN:
         raise FitError(f"{where}.gain={gain:g} must be from -{LARGEST_GAIN:g} to {LARGEST_GAIN:g}")
-    path, ringing = _path(row.get("path"), where), read_ringing(row.get("ringing"), None, where)
+    path, entry = _path(row.get("path"), where), row.get("ringing")
+    ringing = None if entry == NEIGHBOURS else read_ringing(entry, None, where)
     return midi, Note(String(**parts["string"]), hammer, geometry, quantity, gain, path, ringing)
 
 

@@ -95,13 +95,13 @@ class Ringing(NamedTuple):
         return self._replace(knock=self.knock[:, :0])
 
     def at(self, rate: int) -> Ringing:
-        """The same for files of another rate: the knock of the same impulse, and the modes below half of it."""
+        """The same for files of another rate: the knock sampled there, and the modes below half of it."""
         below = np.imag(self.pole) < np.pi * rate
         columns = (self.number[below], self.pole[below], self.pole_error[below], self.pattern[:, below])
         knock = self.knock
         if rate != self.rate and knock.shape[-1]:
             by = np.gcd(rate, self.rate)
-            knock = resample_poly(knock, rate // by, self.rate // by, axis=-1) * (self.rate / rate)
+            knock = resample_poly(knock, rate // by, self.rate // by, axis=-1)
         return Ringing(*columns, knock, rate)
 
     def struck(self, force: Force, end: int) -> tuple[np.ndarray, np.ndarray]:

@@ -32,23 +32,24 @@ class Heard:
 
 
 def hear(recordings: Sequence[Recording], analyses: Sequence[Analysis]) -> Heard:
-    """Cut at the onsets, all at the first one's rate and of one length, at most `SPAN`; without their glide."""
-    rate = recordings[0].rate
+    """Cut at the onsets, all at the highest rate and of one length, a little over `SPAN` at most; without their glide.
+
+    Channels are kept apart where all recordings have as many, and averaged otherwise.
+    """
+    rate = max(recording.rate for recording in recordings)
+    apart = len({len(recording.frames) for recording in recordings}) == 1
     lead, most = round(LEAD * rate), round((SPAN + 0.2) * rate)
     cut = []
     for recording, analysis in zip(recordings, analyses, strict=True):
-        x, onset = recording.frames, recording.onset
+        x, onset = recording.frames if apart else recording.samples[None], recording.onset
         if recording.rate != rate:
             by = np.gcd(rate, recording.rate)
             x = signal.resample_poly(x, rate // by, recording.rate // by, axis=-1)
             onset = round(onset * rate / recording.rate)
         x = np.pad(x, ((0, 0), (max(lead - onset, 0), 0)))
         cut.append(_level_pitch(x[:, max(onset - lead, 0) :][:, : lead + most], rate, lead, analysis))
-    channels, longest = max(len(x) for x in cut), max(x.shape[-1] for x in cut)
-    whole = np.stack([
-        np.pad(np.broadcast_to(x, (channels, x.shape[-1])) if len(x) == 1 else x, ((0, 0), (0, longest - x.shape[-1])))
-        for x in cut
-    ])  # fmt: skip
+    longest = max(x.shape[-1] for x in cut)
+    whole = np.stack([np.pad(x, ((0, 0), (0, longest - x.shape[-1]))) for x in cut])
     seconds = np.array([(x.shape[-1] - lead) / rate for x in cut])
     return Heard(whole[..., lead:], whole[..., :lead], rate, seconds)
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import signal
 
-from ..model.modal import EDGE, LEAD, Force, Ringing
+from ..model.modal import EDGE, LEAD, Force, Ringing, ring
 from .heard import Heard
 from .modes import PartialModes, common_pattern
 
@@ -18,6 +18,9 @@ __all__ = ["Key", "key_of"]
 KNOCK = 0.4
 # Part of it, at its end, in which it fades.
 FADE = 1 / 3
+# A mode that the force drives so much less than another, amplitude, lies where its spectrum is nought: what it shows
+# there is not the force's, and would be lifted to any size. Any value from a third to ten times this does the same.
+DRIVEN = 0.003
 # A force whose spectrum lies so far below its largest, amplitude, is the model's smoothness and drives no knock: other
 # sounds than the model's lie as far below the loudest partial (the likelihood's prior of η). Without any floor the
 # kernel explodes; where it lies makes no difference.
@@ -109,6 +112,8 @@ def _knock(
     pattern misses of a partial is no knock.
     """
     amplitude = np.concatenate([m.at_onset for m in modes], axis=-1)
+    # Each layer at its own pitch: a cent beside it, its partials would be left for the knock.
+    pole = np.concatenate([m.poles + 2j * np.pi * m.offset[:, None] for m in modes], axis=-1)
     rate, lead = heard.rate, round(LEAD * heard.rate)
     size = round((LEAD + KNOCK) * rate)
     count = 1 << int(np.ceil(np.log2(2 * size)))
@@ -117,17 +122,26 @@ def _knock(
     turn = 2j * np.pi * np.fft.rfftfreq(count)
     above = np.zeros((heard.samples.shape[1], count // 2 + 1), complex)
     below = np.zeros(count // 2 + 1)
-    for x, before, own, force, late, g in zip(heard.samples, heard.before, amplitude, forces, delay, gain, strict=True):
+    rows = zip(heard.samples, heard.before, amplitude, pole, forces, delay, gain, strict=True)
+    for x, before, own, poles, force, late, g in rows:
         # Every layer from `LEAD` before its contact.
         around = np.concatenate([before[:, before.shape[-1] - lead :], x], axis=-1)
         seen = _shifted(around[:, : 2 * size], -late * rate)[:, :size]
-        alone = key._replace(pattern=own * np.exp(key.pole * late) / force.drive(key.pole))
-        rest = seen - alone.sound(force, rate, size)
+        rest = seen - _alone(key._replace(pole=poles), own * np.exp(poles * late), force, size)
         spectrum = g * np.fft.rfft(force.at(rate), count) * np.exp(turn * EDGE)
         weight = 1 / np.sum(seen**2)
         above += weight * spectrum.conj() * np.fft.rfft(rest * fade, count)
         below += weight * np.abs(spectrum) ** 2
     return np.fft.irfft(above / (below + FLOOR**2 * below.max()), count)[:, :size] * fade
+
+
+def _alone(key: Ringing, amplitude: np.ndarray, force: Force, size: int) -> np.ndarray:
+    """Modes of these amplitudes at the contact, driven by the force where it drives them and begun there otherwise."""
+    drive = force.drive(key.pole)
+    driven = amplitude * drive.conj() / (np.abs(drive) ** 2 + (DRIVEN * np.abs(drive).max()) ** 2)
+    lead = round(LEAD * key.rate)
+    begun = ring(key.pole, amplitude - driven * drive, key.rate, size - lead)
+    return key._replace(pattern=driven).sound(force, key.rate, size) + np.pad(begun, ((0, 0), (lead, 0)))
 
 
 def _shifted(x: np.ndarray, samples: float) -> np.ndarray:

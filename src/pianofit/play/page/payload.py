@@ -113,7 +113,7 @@ def _ringing(ringing: Ringing, knocks: Knocks) -> dict[str, Any]:
     if knock.shape[-1] and rate > knocks.rate:
         rate = int(knocks.rate)
         by = math.gcd(rate, ringing.rate)
-        knock = resample_poly(knock, rate // by, ringing.rate // by, axis=-1) * (ringing.rate / rate)
+        knock = resample_poly(knock, rate // by, ringing.rate // by, axis=-1)
     return {
         "decay": _base64(-np.real(ringing.pole)), "omega": _base64(np.imag(ringing.pole), "<f8"),
         "pattern": [{"re": _base64(np.real(x)), "im": _base64(np.imag(x))} for x in ringing.pattern[:HEARD_CHANNELS]],

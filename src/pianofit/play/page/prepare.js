@@ -318,7 +318,7 @@ function byRinging({ ringing }, rate) {
   const chosen = ({ re, im }) => ({ re: column(re), im: column(im) });
   const pole = chosen(ringing.pole), gain = ringing.pattern.map(chosen), log = logs(pole, rate);
   const ones = { re: pole.re.map(() => 1), im: pole.re.map(() => 0) };
-  const kernel = ringing.knock.map((x) => resample(x, ringing.rate, rate).map((y) => (y * ringing.rate) / rate));
+  const kernel = ringing.knock.map((x) => resample(x, ringing.rate, rate));
   return { pole, left: ones, gain, direct: gain.map((g) => damped(g, log, BLOCK)), kernel, ratio: 1,
     lead: Math.round(LEAD * rate), edge: EDGE };
 }
