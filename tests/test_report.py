@@ -446,8 +446,8 @@ def test_how_a_note_rings_is_shown_said_and_heard(tmp_path, curves):
     page = Page(html)
     assert len(page.all("img")) == PANELS + 9  # six envelopes; recorded, played and their difference
     for words in (
-        "Layers that took no part are 8.2 dB from their recordings by the string’s law, 3.9 by its modes, and 2.6 by "
-        "modes and knock; so it rings by 4 modes and a knock.",
+        "With patterns and knock of the others, inner layers are 8.2 dB from their recordings by the string’s law, 3.9 "
+        "by its modes, and 2.6 by modes and knock; so it rings by 4 modes and a knock.",
         "1 92.33 3 4.2 12 0.75 6.5 0.013 to 0.25 2 184.90 1 3 3 – – 0.02", "By the law", "as the fit plays it",
     ):  # fmt: skip
         assert words in page.text.replace("\u00a0", " "), words

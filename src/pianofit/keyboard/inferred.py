@@ -12,7 +12,7 @@ and the laws over the keyboard say it. So a partial of a key has
     phases      in every channel those of the neighbour's nearest partial
 
 The neighbour's knock is left out, and keys farther from a recorded one than `REACH` ring by their law:
-`benchmarks/unrecorded.py` finds recordings farther away otherwise (docs/ringing.md).
+`benchmarks/unrecorded.py` finds recordings farther away otherwise (docs/instrument.md).
 """
 
 from __future__ import annotations

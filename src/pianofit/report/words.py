@@ -294,8 +294,8 @@ def ringing(fit: dict[str, Any]) -> str:
         return f"It rings by {_modes(said)}. One recording: not tested on another stroke."
     law, modes, knock = (f"{x:.1f}" for x in away.values())
     tested = (
-        f"Layers that took no part are {law} dB from their recordings by the string’s law, {modes} by its modes, and "
-        f"{knock} by modes and knock"
+        f"With patterns and knock of the others, inner layers are {law} dB from their recordings by the string’s law, "
+        f"{modes} by its modes, and {knock} by modes and knock"
     )
     if by == "law":
         return f"{tested}. What other layers show brings a layer no nearer to its recording, so it rings by the law."

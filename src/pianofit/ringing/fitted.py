@@ -1,4 +1,4 @@
-"""A finished fit made to ring: the modes and the knock of its key, kept where they bring unheard layers nearer.
+"""A finished fit made to ring: the modes and the knock of its key, kept where they bring layers nearer that gave none.
 
 What a layer's own recording gave would always bring its synthesis nearer to that recording. So every inner layer is
 left out in turn: the patterns and the knock of the others, driven by the force of that layer's stroke, are laid beside
