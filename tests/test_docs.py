@@ -14,6 +14,7 @@ import pytest
 
 from pianofit.felt import BOXES, LAWS
 from pianofit.io import FIT_SCHEMA
+from pianofit.ringing import ringing_of
 from pianofit.ringing_file import ringing_document
 from pianofit.setup import KEYS, PICKUPS, RANGES, load_setup
 
@@ -146,8 +147,10 @@ def missing(shown: Any, real: Any, where: str = "") -> list[str]:
 
 def ringing_of_a_fit() -> dict[str, Any]:
     """What a fit says of ringing, with the knock that was found, whether or not it was kept."""
-    space = run(ROOT / "docs" / "ringing.md")
-    return space["result"].document["ringing"] | ringing_document(space["key"])
+    result = run(ROOT / "docs" / "ringing.md")["result"]
+    found = ringing_of(result)
+    assert found is not None
+    return result.document["ringing"] | ringing_document(found)
 
 
 def test_the_fits_shown_have_the_keys_of_real_ones(tmp_path, monkeypatch):
