@@ -1,19 +1,19 @@
-"""What a second microphone on the same blows says: of the string, and of blows that were left out.
+"""What a second microphone on the same strokes says: of the string, and of strokes that were left out.
 
     python benchmarks/microphones.py                      both tables
     python benchmarks/microphones.py --pairs              only the first, in about a minute
     python benchmarks/microphones.py --json microphones.json
 
 The recordings are in ../shared/recordings, or where PIANOFIT_RECORDINGS says, with a `recordings.csv`. Rows with one
-instrument, note and velocity layer are one blow; what follows the layer in a file's name is the microphone. Every key
-with such a blow is taken.
+instrument, note and velocity layer are one stroke; what follows the layer in a file's name is the microphone. Every key
+with such a stroke is taken.
 
-1. Each recording of such a blow fitted alone. The string is the same, so its parameters should agree: `apart` is the
+1. Each recording of such a stroke fitted alone. The string is the same, so its parameters should agree: `apart` is the
    difference of their logarithms over the two 95 % reaches together, and beyond 1 they do not. Beside it, how far the
    partials that both hear are apart, how far each table scatters about the string's laws, and what agrees when only
-   partials that both hear are looked at. Then the same for two blows at one microphone.
-2. The key's microphone with most takes alone, and with the others' takes of the same blows: each blow left out in turn,
-   errors of the first microphone's takes. A blow is scored where it lies between others.
+   partials that both hear are looked at. Then the same for two strokes at one microphone.
+2. The key's microphone with most takes alone, and with the others' takes of the same strokes: each stroke left out in
+   turn, errors of the first microphone's takes. A stroke is scored where it lies between others.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class Heard(NamedTuple):
 
 
 def keys(folder: Path) -> dict[tuple[str, str], list[Heard]]:
-    """Instrument and note of every key that has a blow at two microphones, with all its recordings."""
+    """Instrument and note of every key that has a stroke at two microphones, with all its recordings."""
     found: dict[tuple[str, str], list[Heard]] = {}
     with (folder / "recordings.csv").open(encoding="utf-8") as table:
         for row in csv.DictReader(table):
@@ -60,7 +60,7 @@ def keys(folder: Path) -> dict[tuple[str, str], list[Heard]]:
 
 
 def pairs_of(heard: list[Heard]) -> list[tuple[Heard, Heard]]:
-    """Recordings of one blow at two microphones."""
+    """Recordings of one stroke at two microphones."""
     return [(a, b) for a, b in combinations(heard, 2) if a.strike == b.strike and a.mic != b.mic]
 
 
@@ -72,7 +72,7 @@ def alone(heard: Heard, note: str) -> tuple[dict, Analysis]:
 
 
 def compared(pair: tuple[Heard, Heard], note: str) -> dict:
-    """The two fits of one blow beside each other."""
+    """The two fits of one stroke beside each other."""
     (one, first), (other, second) = (alone(heard, note) for heard in pair)
     rows = {}
     for name in STRING:
@@ -120,7 +120,7 @@ def left_out(heard: list[Heard], note: str, mic: str) -> dict[str, dict]:
 
 
 def predictions(heard: list[Heard], note: str) -> dict:
-    """One microphone alone and with the others' takes of its blows."""
+    """One microphone alone and with the others' takes of its strokes."""
     mics = [h.mic for h in heard]
     mic = max(sorted(set(mics)), key=mics.count)
     own = [h for h in heard if h.mic == mic]
@@ -136,7 +136,7 @@ def predictions(heard: list[Heard], note: str) -> dict:
 
 
 def print_pair(found: dict) -> None:
-    """A blow's table."""
+    """A stroke's table."""
     print(
         f"\n{' and '.join(found['files'])}: {found['common']} partials in common, apart by {found['cents']:.2f} cents"
     )
@@ -151,20 +151,20 @@ def print_pair(found: dict) -> None:
 
 
 def print_blows(heard: list[Heard], note: str) -> None:
-    """For comparison, different blows at one microphone, of those that were heard at several."""
+    """For comparison, different strokes at one microphone, of those that were heard at several."""
     shared = sorted({h for pair in pairs_of(heard) for h in pair})
     for a, b in combinations(shared, 2):
         if a.mic == b.mic:
             found = _partials(*(analyse(load_recording(h.file), note=note) for h in (a, b)))
             print(
-                f"  two blows at one place, {a.file.name} and {b.file.name}: {found['common']} partials in common, "
+                f"  two strokes at one place, {a.file.name} and {b.file.name}: {found['common']} partials in common, "
                 f"{found['cents']:.2f} cents and a factor of {np.exp(found['log_decay']):.2f} in decay apart"
             )
 
 
 def print_predictions(key: tuple[str, str], found: dict) -> None:
     """A key's table."""
-    print(f"\n{key[1]}, {key[0]}: each blow left out, dB a partial; with {', '.join(found['others'])} "
+    print(f"\n{key[1]}, {key[0]}: each stroke left out, dB a partial; with {', '.join(found['others'])} "
           f"({found['seconds']:.0f} s)")  # fmt: skip
     print(f"  {'':28}{'alone':>8}{'with':>8}{'nearest':>9}")
     for row in found["takes"]:

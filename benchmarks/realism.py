@@ -36,8 +36,8 @@ SECONDS = 3.3
 RUNGS = ("law", "modes", "modes and knock", "nearest layer")
 CONSTANTS = {
     "bands": ("KERNEL",),
-    "modes": ("EVEN", "RANGE", "LEAST_SNR", "COHERENT", "FASTEST", "ENVELOPE"),
-    "key": ("KNOCK", "FADE", "FLOOR", "ATTACK", "FAR"),
+    "modes": ("EVEN", "RANGE", "LEAST_SNR", "COHERENT", "FASTEST", "FASTER", "ENVELOPE", "DETUNED", "FAINTEST"),
+    "key": ("KNOCK", "FADE", "DRIVEN", "FLOOR", "ATTACK", "FAR", "LATEST", "ALIGNED"),
 }
 
 

@@ -36,6 +36,13 @@ def test_a_fast_and_a_slow_mode_make_a_double_decay():
     assert np.isnan(found.beat_frequency)  # one beat would last ten seconds
 
 
+def test_a_decay_that_its_errors_exceed_is_not_given():
+    """The late T60 rests on the slow mode, whose decay of 0.05 1/s nobody could tell from none."""
+    (found,) = partial_decays(key([440.0, 440.1], [8.0, 0.05], [1.0, 0.01], error=[0.3, 0.2]))
+    assert found.early == pytest.approx(LOG / 8.0, rel=0.05)
+    assert np.isnan(found.late)
+
+
 @pytest.mark.parametrize("weaker", [0.2, 0.5, 0.9])
 def test_two_modes_that_decay_alike_beat_as_deep_as_their_levels_say(weaker):
     (found,) = partial_decays(key([440.0, 442.5], [0.6, 0.6], [1.0, 1j * weaker]))

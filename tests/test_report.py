@@ -126,7 +126,7 @@ def test_a_fit_that_failed_says_so(tmp_path, curves, claims):
     fit = example_fit(claims=claims, converged=False)
     fit["criterion"]["global"] = {"initial": 0.1, "final": 0.13}
     text = Page(written(tmp_path, fit, curves)).text
-    order = [text.index(words) for words in ([claims] if claims else []) + ["Not converged", "Worse than the start"]]
+    order = [text.index(words) for words in ([claims] if claims else []) + ["Not converged", "Higher on the paper’s criterion"]]
     assert order == sorted(order)
     assert "✓" not in text
     assert "1.3 times larger (+1.1 dB)" in text
@@ -446,8 +446,8 @@ def test_how_a_note_rings_is_shown_said_and_heard(tmp_path, curves):
     page = Page(html)
     assert len(page.all("img")) == PANELS + 9  # six envelopes; recorded, played and their difference
     for words in (
-        "With patterns and knock of the others, inner layers are 8.2 dB from their recordings by the string’s law, 3.9 "
-        "by its modes, and 2.6 by modes and knock; so it rings by 4 modes and a knock.",
+        "Played with the patterns and the knock of the others, layers are 8.2 dB from their recordings by the string’s "
+        "law, 3.9 by its modes, and 2.6 by modes and knock; so it rings by 4 modes and a knock.",
         "1 92.33 3 4.2 12 0.75 6.5 0.013 to 0.25 2 184.90 1 3 3 – – 0.02", "By the law", "as the fit plays it",
     ):  # fmt: skip
         assert words in page.text.replace("\u00a0", " "), words

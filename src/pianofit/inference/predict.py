@@ -106,7 +106,7 @@ def _range() -> tuple[float, float]:
 
 
 def _at_best(note: Note, analysis: Analysis, chosen: np.ndarray) -> tuple[float, np.ndarray, float]:
-    """The velocity that levels and its prior make likeliest, m/s, the note's levels, dB [partials], and their gain.
+    """The most probable velocity by levels and its prior, m/s, the note's levels, dB [partials], and their gain.
 
     Many partials leave the prior no say; three can suit a velocity that nobody plays.
     """

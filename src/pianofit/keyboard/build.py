@@ -158,10 +158,15 @@ def _partials(note: Note) -> list[dict[str, Any]]:
     """Of the lowest partials: how far the two modes that beat lie apart, cents, and the late T60 over the early one."""
     decays = [] if note.ringing is None else partial_decays(note.ringing)
     return [
-        {"partial": one.number, "late_over_early": one.late / one.early, "split_cents": None
-         if math.isnan(one.beat_frequency) else 1200 * math.log2(1 + one.beat_frequency / one.frequency)}
+        {"partial": one.number, "late_over_early": _known(one.late / one.early),
+         "split_cents": _known(1200 * math.log2(1 + one.beat_frequency / one.frequency))}
         for one in decays if one.number <= LOWEST_PARTIALS
     ]  # fmt: skip
+
+
+def _known(value: float) -> float | None:
+    """JSON has no NaN."""
+    return None if math.isnan(value) else value
 
 
 def assemble(midi: int, at: dict[str, float], quantity: str) -> tuple[String, Hammer, Geometry, float]:

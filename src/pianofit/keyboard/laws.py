@@ -71,14 +71,14 @@ def fit_law(x: np.ndarray, y: np.ndarray, sd: np.ndarray, at: np.ndarray, prior:
     keep : whether keys keep their own values whatever the law says.
     """
     inside = ~_suspects(x, y, sd, prior) if len(x) >= ENOUGH_KEYS else np.ones(len(x), bool)
-    shape = _likeliest(x[inside], y[inside], sd[inside], prior)
+    shape = _most_probable(x[inside], y[inside], sd[inside], prior)
     z = _surprise(x, y, sd, inside, shape, prior)
     for _ in range(len(x)):
         now = np.abs(z) <= OUTLYING
         if len(x) < ENOUGH_KEYS or now.sum() < ENOUGH_KEYS or (now == inside).all():
             break
         inside = now if now.sum() > inside.sum() else inside & now
-        shape = _likeliest(x[inside], y[inside], sd[inside], prior)
+        shape = _most_probable(x[inside], y[inside], sd[inside], prior)
         z = _surprise(x, y, sd, inside, shape, prior)
     mean, variance = _predict(x, y, sd, inside, at, shape, prior)
     value, value_var = _own(x, y, sd, inside, shape, prior)
@@ -95,7 +95,7 @@ def _covariance(a: np.ndarray, b: np.ndarray, shape: _Shape, prior: Prior) -> np
     return prior.offset**2 + prior.tilt**2 * tilt + shape.smooth**2 * near
 
 
-def _likeliest(x: np.ndarray, y: np.ndarray, sd: np.ndarray, prior: Prior) -> _Shape:
+def _most_probable(x: np.ndarray, y: np.ndarray, sd: np.ndarray, prior: Prior) -> _Shape:
     """Size, scatter and length of the highest marginal likelihood."""
     best, top = None, -np.inf
     for length in LENGTHS:

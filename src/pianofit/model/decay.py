@@ -29,7 +29,7 @@ class PartialDecay(NamedTuple):
     number: int  # k
     frequency: float  # of its strongest mode, Hz
     modes: int  # how many
-    early: float  # T60 of its energy over `EARLY`, s
+    early: float  # T60 of its energy over `EARLY`, s; NaN where its modes' errors exceed the decay
     late: float  # the same over `LATE`, s
     beat_frequency: float  # of the two modes that interfere most, Hz; NaN where none beat within `LATE`
     beat_depth: float  # from the deepest trough to the highest peak that interference makes, dB; NaN without beats
@@ -48,7 +48,8 @@ def _decay(ringing: Ringing, number: int) -> PartialDecay:
     strongest = np.argmax(power * -np.expm1(-2 * rate * LATE[1]) / rate)  # by energy to the end of `LATE`
     centre, error = float(np.imag(pole[strongest])), ringing.pole_error[own]
     return PartialDecay(
-        number, centre / (2 * np.pi), len(pole), _t60(rate, power, *EARLY), _t60(rate, power, *LATE),
+        number, centre / (2 * np.pi), len(pole), _t60(rate, error, power, *EARLY),
+        _t60(rate, error, power, *LATE),
         *_beats(pole - 1j * centre, pattern), (float(error.min()), float(error.max())),
     )  # fmt: skip
 
@@ -59,9 +60,13 @@ def _energy(rate: np.ndarray, power: np.ndarray, time: np.ndarray) -> np.ndarray
     return 10 / np.log(10) * np.logaddexp.reduce(exponent, axis=1)
 
 
-def _t60(rate: np.ndarray, power: np.ndarray, start: float, stop: float) -> float:
-    """Of the line of least squares through the energy, s."""
+def _t60(rate: np.ndarray, error: np.ndarray, power: np.ndarray, start: float, stop: float) -> float:
+    """Of the line of least squares through the energy, s; NaN where it is not known to fall, by one standard error."""
     time = np.arange(start, stop, STEP)
+    share = power * np.exp(-(start + stop) * rate)
+    share = share / share.sum()
+    if np.hypot.reduce(share * error) >= share @ rate:
+        return float("nan")
     return -60 / float(np.polyfit(time, _energy(rate, power, time), 1)[0])
 
 

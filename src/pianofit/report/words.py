@@ -172,7 +172,12 @@ def notices(fit: dict[str, Any]) -> list[tuple[str, str, str]]:
     if not converged:
         notices.append(("warn", "⚠ Not converged", UNSETTLED))
     if worse:
-        notices.append(("warn", "⚠ Worse than the start", "The fit ends further from the recording than it began."))
+        text = f"By the paper’s criterion the spectrum ends further off, {final:.3g}, than it began, {initial:.3g}."
+        if fit.get("recipe") == "default":
+            text += (
+                " That is reported and not minimised: what was fitted are levels, frequencies and decays of partials."
+            )
+        notices.append(("warn", "⚠ Higher on the paper’s criterion", text))
     if not notices and "converged" in fit:
         mind = "" if measured else " Not every number below is measured: mind the marks beside them."
         notices.append(("good", "✓ Converged", "The search converged." + mind))
@@ -294,8 +299,8 @@ def ringing(fit: dict[str, Any]) -> str:
         return f"It rings by {_modes(said)}. One recording: not tested on another stroke."
     law, modes, knock = (f"{x:.1f}" for x in away.values())
     tested = (
-        f"With patterns and knock of the others, inner layers are {law} dB from their recordings by the string’s law, "
-        f"{modes} by its modes, and {knock} by modes and knock"
+        f"Played with the patterns and the knock of the others, layers are {law} dB from their recordings by the "
+        f"string’s law, {modes} by its modes, and {knock} by modes and knock"
     )
     if by == "law":
         return f"{tested}. What other layers show brings a layer no nearer to its recording, so it rings by the law."

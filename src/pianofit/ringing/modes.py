@@ -72,8 +72,6 @@ class PartialModes:
     offset: np.ndarray  # Hz, of each layer over the loudest [layers]
     noise: np.ndarray  # of the band [layers, channels]
     snr: np.ndarray  # dB, of the band's largest over its noise [layers]
-    misfit: float  # share of the power, relative to the envelope, that the modes leave
-    carried: float  # the same with the pattern of the other layers; `misfit` where one layer is alone
 
     @property
     def poles(self) -> np.ndarray:
@@ -244,11 +242,11 @@ def _fit(
     chosen = _chosen(cut, spacing, b.kernel, quick)
     if chosen is None:
         return None
-    pole, amplitude, misfit, carried = chosen
+    pole, amplitude = chosen
     error = standard_errors(pole, cut.signals, max(1.0, b.kernel / (NOISE_BANDWIDTH * b.step)))
     return PartialModes(
         number, frequency, spacing, cut.start, pole, error, amplitude * 2 / kernel_gain(pole, b.kernel), offset,
-        cut.noise, cut.snr, misfit, carried,
+        cut.noise, cut.snr,
     )  # fmt: skip
 
 
@@ -259,10 +257,8 @@ def _within(own: PartialModes, layer: int, b: Band) -> np.ndarray:
     return each @ np.exp(np.outer(own.pole, b.time - own.start)) * turn
 
 
-def _chosen(
-    cut: _Band, spacing: float, kernel: float, quick: bool
-) -> tuple[np.ndarray, np.ndarray, float, float] | None:
-    """Poles and amplitudes of the order with the most evidence, and its misfits."""
+def _chosen(cut: _Band, spacing: float, kernel: float, quick: bool) -> tuple[np.ndarray, np.ndarray] | None:
+    """Poles and amplitudes of the order with the most evidence."""
     one = poles_by_subspace(cut.signals, cut.scale, [1], 0.0).get(1)
     if one is None:
         return None
@@ -283,9 +279,9 @@ def _chosen(
         pole = start if quick else refined(start, cut.signals, box)
         amplitude, misfit, carried = _judged(pole, cut)
         score = _evidence(misfit, carried, order, cut, kernel)
-        # What would decay faster still is the knock's.
+        # Of several modes none may decay faster still: that is the knock's. Order 1 comes first.
         if best is None or (score > best[0] and np.real(pole).min() > -fastest):
-            best = score, (pole, amplitude, misfit, carried)
+            best = score, (pole, amplitude)
     return None if best is None else best[1]
 
 
