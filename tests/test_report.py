@@ -126,7 +126,8 @@ def test_a_fit_that_failed_says_so(tmp_path, curves, claims):
     fit = example_fit(claims=claims, converged=False)
     fit["criterion"]["global"] = {"initial": 0.1, "final": 0.13}
     text = Page(written(tmp_path, fit, curves)).text
-    order = [text.index(words) for words in ([claims] if claims else []) + ["Not converged", "Higher on the paper’s criterion"]]
+    said = ["Not converged", "Higher on the paper’s criterion"]
+    order = [text.index(words) for words in ([claims] if claims else []) + said]
     assert order == sorted(order)
     assert "✓" not in text
     assert "1.3 times larger (+1.1 dB)" in text
