@@ -36,8 +36,10 @@ SECONDS = 3.3
 RUNGS = ("law", "modes", "modes and knock", "nearest layer")
 CONSTANTS = {
     "bands": ("KERNEL",),
-    "modes": ("EVEN", "RANGE", "LEAST_SNR", "COHERENT", "FASTEST", "FASTER", "ENVELOPE", "DETUNED", "FAINTEST"),
-    "key": ("KNOCK", "FADE", "DRIVEN", "FLOOR", "ATTACK", "FAR", "LATEST", "ALIGNED"),
+    "tuning": ("COHERENT", "DETUNED", "TUNED", "HALF_COHERENT"),
+    "cut": ("EVEN", "RANGE", "LEAST_SNR", "ENVELOPE", "CONTACT", "LOST", "FINE"),
+    "modes": ("FASTEST", "FASTER", "FAINTEST", "AHEAD", "OF_SPACING", "OF_BAND"),
+    "key": ("KNOCK", "FADE", "DRIVEN", "FLOOR", "ATTACK", "FAR", "LATEST", "ALIGNED", "LOUDNESS"),
 }
 
 

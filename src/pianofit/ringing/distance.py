@@ -10,7 +10,7 @@ import functools
 
 import numpy as np
 
-__all__ = ["HEARD", "PARTS", "log_mel_distance", "mel_edges", "mel_power"]
+__all__ = ["HEARD", "log_mel_distance", "mel_edges", "mel_power"]
 
 # Parts of a note, s from its onset.
 PARTS = {"attack": (0.0, 0.05), "early": (0.05, 0.5), "late": (0.5, 3.0)}

@@ -27,10 +27,16 @@ DRIVEN = 0.003
 FLOOR = 0.002
 # Onsets of layers may differ so much from the contact's, s.
 LATEST = 0.025
+# Between delays tried, s: a tenth of a period of the highest partials.
+FINEST = 4e-6
 # What a delay's attack says over what its phases say.
 ATTACK = 1.5
 # What the largest delay costs on that scale: onsets are mostly right.
 FAR = 0.5
+# Of partials that tell gains and delays: nothing at the first of these over the noise, dB, all at the second; and by
+# their amplitude to this power, as loudness goes.
+TELLING = 10.0, 30.0
+LOUDNESS = 0.3
 # Sweeps of the two-way fit of levels.
 SWEEPS = 20
 # Length, s, of the attacks that are correlated.
@@ -64,7 +70,7 @@ def _patterns(
     strongest = np.array([m.poles[np.argmax(np.abs(m.amplitude).sum((0, 1)))] for m in modes])
     drive = np.stack([force.drive(strongest) for force in forces], axis=1)
     loud = np.array([np.abs(m.amplitude).sum(-1).max() for m in modes])
-    weight = np.stack([np.clip((m.snr - 10) / 20, 0, 1) for m in modes]) * loud[:, None] ** 0.3
+    weight = np.stack([np.interp(m.snr, TELLING, (0, 1)) for m in modes]) * loud[:, None] ** LOUDNESS
     factor = np.stack([common_pattern(m.at_onset, m.noise)[1] for m in modes])
     omega = 2 * np.pi * np.array([m.frequency for m in modes])
     delay = np.array([_delay(heard, factor / drive, weight, omega, i) for i in range(layers)])
@@ -90,7 +96,7 @@ def _delay(heard: Heard, ratio: np.ndarray, weight: np.ndarray, omega: np.ndarra
 
     Phases alone are ambiguous in the treble, where partials are few: the attacks' correlation has a say as well.
     """
-    tried = np.arange(-LATEST, LATEST, 4e-6)
+    tried = np.arange(-LATEST, LATEST, FINEST)
     turn = ratio[:, layer] * ratio[:, -1].conj()
     turn = turn / np.maximum(np.abs(turn), 1e-30) * weight[:, layer]
     phases = (np.exp(1j * np.outer(tried, omega)) @ turn).real / max(weight[:, layer].sum(), 1e-12)

@@ -13,45 +13,33 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import signal
 
 from ..analysis import Analysis, law_frequency
 from ..model.modal import ring
 from .bands import Band, band, kernel_gain, kernel_seconds
-from .heard import SPAN, Heard
-from .subspace import Signals, amplitudes, poles_by_subspace, refined, standard_errors
+from .cut import Cut, cut_band
+from .heard import Heard
+from .subspace import amplitudes, poles_by_subspace, refined, standard_errors
+from .tuning import followed, pitches
 
 __all__ = ["PartialModes", "common_pattern", "modes_of"]
 
-# Time, s, that is counted even in its logarithm from here on.
-EVEN = 0.1
 # How many modes a partial can have.
 ORDERS = (1, 2, 3, 4)
 # Lifts of the subspace's start, in decay rates of the single mode: 0 favours the attack, 1 the aftersound.
 LIFTS = (0.0, 0.4, 0.8)
-# What lies so far below a band's largest, dB, is not fitted however clean: other strings ring along there.
-RANGE = 48.0
-# A layer whose band stands less above its noise, dB, says nothing of its poles.
-LEAST_SNR = 10.0
 # A partial whose modes lie so far below the strongest partial's, dB, is none.
 FAINTEST = -65.0
-# A layer's partial is followed where its phase against the loudest layer's keeps this coherence.
-COHERENT = 0.6
-# Partials that tell a layer's pitch, and how far from the last layer's it is looked for, relative: five cents.
-TUNED = 16
-DETUNED = 3e-3
 # Fastest decay of a mode, 1/s, and over that of the one mode that a partial has at first sight, where that is more.
 FASTEST = 30.0
 FASTER = 5.0
 # Slowest decay of a mode, 1/s: T60 of two minutes.
 SLOWEST = 0.05
-# Length of the envelope's average, s.
-ENVELOPE = 0.06
-# A signal is fitted for so many frames and so long, s, at the least, however soon it is lost in the noise.
-FEWEST = 12
-SHORTEST = 0.1
-# Frames at the begin whose largest is the band's.
-TOP = 3
+# In one pattern of layers weighed by their noise none goes further ahead of its own size than this, dB.
+AHEAD = 30.0
+# Poles keep within so much of the spacing of partials, and of the kernel's band.
+OF_SPACING = 0.4
+OF_BAND = 0.7
 # Part of a misfit's power that is rounding.
 ROUNDING = 1e-9
 # Of a Hann kernel, over its length: frames that follow each other faster say the same.
@@ -92,7 +80,7 @@ def modes_of(heard: Heard, analyses: Sequence[Analysis]) -> list[PartialModes]:
     count = heard.samples.shape[-1]
     spectrum = np.fft.rfft(heard.samples)
     partials = _partials(analyses, heard.rate)
-    pitch = _pitches(spectrum, count, heard, partials[:TUNED])
+    pitch = pitches(spectrum, count, heard, partials)
     found: list[PartialModes] = []
     for number, frequency, spacing in partials:
         modes = _fit(spectrum, count, heard, (number, frequency, spacing), pitch, None, quick=True)
@@ -122,27 +110,6 @@ def _partials(analyses: Sequence[Analysis], rate: int) -> list[tuple[int, float,
     return [row for row in rows if row[1] + row[2] < 0.45 * rate]
 
 
-def _pitches(
-    spectrum: np.ndarray, count: int, heard: Heard, partials: Sequence[tuple[int, float, float]]
-) -> np.ndarray:
-    """How much higher each layer sounds than the last, relative [layers]: the median of where its partials cohere.
-
-    Each layer's own law will not do: its partials beat, and a layer's beats move its f0 by a cent.
-    """
-    offset, weight = [], []
-    for _, frequency, spacing in partials:
-        b = band(spectrum, count, heard.rate, frequency, kernel_seconds(spacing))
-        away, coherence = _offsets(b.values, b.time, np.zeros(len(b.values)), DETUNED * frequency)
-        offset.append(away / frequency)
-        weight.append(np.where(coherence > 0.5, coherence**2, 1e-9))
-    pitch = np.zeros(len(heard.samples))
-    for i, (x, w) in enumerate(zip(np.array(offset).T, np.array(weight).T, strict=True)):
-        order = np.argsort(x)
-        total = np.cumsum(w[order])
-        pitch[i] = x[order][np.searchsorted(total, total[-1] / 2)]
-    return pitch
-
-
 def _loud(found: list[PartialModes]) -> list[PartialModes]:
     level = [np.abs(modes.amplitude).sum(-1).max() for modes in found]
     return [m for m, x in zip(found, level, strict=True) if x > max(level) * 10 ** (FAINTEST / 20)]
@@ -156,63 +123,6 @@ def sounded(found: Sequence[PartialModes], heard: Heard) -> np.ndarray:
         pole = np.concatenate([m.poles + 2j * np.pi * m.offset[i] for m in found])
         out[i] = ring(pole, np.concatenate([m.at_onset[i] for m in found], axis=-1), heard.rate, count)
     return out
-
-
-def _offsets(z: np.ndarray, time: np.ndarray, expected: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
-    """How far each layer's partial lies above the last layer's, Hz, within `reach`; and how coherent they are."""
-    at = (time > 0.08) & (time < 2.5)
-    turn = z[..., at] * z[-1, :, at].T.conj() * np.exp(-2j * np.pi * expected[:, None, None] * time[at])
-    turn = turn / np.sqrt(np.abs(turn) + 1e-30)
-    tried = np.linspace(-1, 1, 121) * reach
-    sums = np.abs(turn @ np.exp(-2j * np.pi * np.outer(time[at], tried))).sum(axis=1)
-    best = np.argmax(sums, axis=1)
-    return expected + tried[best], sums.max(axis=1) / np.maximum(np.abs(turn).sum(axis=(1, 2)), 1e-30)
-
-
-@dataclass(frozen=True)
-class _Band:
-    """What is fitted of a band: which layers and channels, from when, and what is a deviation of 1."""
-
-    live: np.ndarray  # bool [layers, channels]
-    signals: Signals  # the live ones
-    scale: np.ndarray  # [signals]
-    start: float  # s
-    noise: np.ndarray  # [layers, channels]
-    snr: np.ndarray  # [layers]
-
-
-def _prepare(b: Band, z: np.ndarray, beside: np.ndarray, ends: np.ndarray) -> _Band | None:
-    """Cut a band to where it is heard.
-
-    Parameters
-    ----------
-    z : the band [layers, channels, frames]; `beside`: magnitude of the band half a spacing above, likewise.
-    ends : s, of each layer.
-    """
-    quiet = [(b.time > 0.8 * end) & (b.time < end - b.kernel) for end in ends]
-    noise = np.stack([1.2 * np.median(beside[i][:, at], axis=-1) for i, at in enumerate(quiet)]) + 1e-9
-    width = max(1, round(ENVELOPE / b.step))
-    smooth = np.ones((1, 1, width)) / width
-    envelope = np.sqrt(signal.convolve(np.abs(z) ** 2, smooth, "same").clip(0))
-    first = int(np.ceil((b.kernel / 2 + 0.003) / b.step))
-    stop = np.array([int((min(SPAN, end - 0.01) - b.kernel / 2) / b.step) for end in ends])
-    top = envelope[..., first : first + TOP].max(axis=-1)
-    snr = 20 * np.log10(top / noise)
-    floor = np.maximum(noise, top * 10 ** (-RANGE / 20))
-    live = (snr > LEAST_SNR) & (stop > first + FEWEST)[:, None]
-    if not live.any():
-        return None
-    frame = np.arange(first, stop.max())
-    low = (envelope[..., frame] < 2 * floor[..., None]) | (frame >= stop[:, None, None])
-    length = np.where(low.any(axis=-1), low.argmax(axis=-1), len(frame))
-    length = np.maximum(length, max(FEWEST, int(SHORTEST / b.step)))[live]
-    frame = frame[: length.max()]
-    # The root counts equal ratios of time alike.
-    even = np.sqrt((b.time[frame] + EVEN) / (b.time[first] + EVEN))
-    weight = 1 / ((envelope[:, :, frame] + 2 * floor[..., None]) * even)[live]
-    weight[np.arange(len(frame)) >= length[:, None]] = 0.0
-    scale = np.maximum(floor, envelope[..., first] * 10 ** (-40 / 20))[live]
-    return _Band(live, Signals(z[:, :, frame][live], weight, b.step), scale, first * b.step, floor, snr.max(axis=1))
 
 
 def _fit(
@@ -232,11 +142,9 @@ def _fit(
     if own is not None:
         z = z + np.stack([_within(own, i, b) for i in range(len(z))])
     beside = np.abs(band(spectrum, count, heard.rate, frequency + spacing / 2, b.kernel).values)
-    expected = frequency * pitch
-    offset, coherence = _offsets(z, b.time, expected, 0.03 + 2e-4 * frequency)
-    offset = np.where(coherence > COHERENT, offset, expected)
+    offset = followed(z, b.time, frequency, pitch)
     z = z * np.exp(-2j * np.pi * offset[:, None, None] * b.time)
-    cut = _prepare(b, z, beside, heard.seconds)
+    cut = cut_band(b, z, beside, heard.seconds)
     if cut is None:
         return None
     chosen = _chosen(cut, spacing, b.kernel, quick)
@@ -257,13 +165,13 @@ def _within(own: PartialModes, layer: int, b: Band) -> np.ndarray:
     return each @ np.exp(np.outer(own.pole, b.time - own.start)) * turn
 
 
-def _chosen(cut: _Band, spacing: float, kernel: float, quick: bool) -> tuple[np.ndarray, np.ndarray] | None:
+def _chosen(cut: Cut, spacing: float, kernel: float, quick: bool) -> tuple[np.ndarray, np.ndarray] | None:
     """Poles and amplitudes of the order with the most evidence."""
     one = poles_by_subspace(cut.signals, cut.scale, [1], 0.0).get(1)
     if one is None:
         return None
     fastest = max(FASTEST, -FASTER * float(one[0].real))
-    box = _box(fastest, 2 * np.pi * min(0.4 * spacing, 0.7 / kernel))
+    box = _box(fastest, 2 * np.pi * min(OF_SPACING * spacing, OF_BAND / kernel))
     starts: dict[int, tuple[float, np.ndarray]] = {}
     for lift in LIFTS[1:] if quick else LIFTS:
         orders = ORDERS[::2] if quick else ORDERS
@@ -285,7 +193,7 @@ def _chosen(cut: _Band, spacing: float, kernel: float, quick: bool) -> tuple[np.
     return None if best is None else best[1]
 
 
-def _evidence(misfit: float, carried: float, order: int, cut: _Band, kernel: float) -> float:
+def _evidence(misfit: float, carried: float, order: int, cut: Cut, kernel: float) -> float:
     """Log evidence of an order (Schwarz 1978), the mean of what a layer's own and the others' amplitudes leave.
 
     n samples whose variance is not known have the log likelihood -n log misfit; a mode more costs log n for its pole
@@ -299,7 +207,7 @@ def _box(fastest: float, widest: float) -> Callable[[np.ndarray], np.ndarray]:
     return lambda pole: np.clip(np.real(pole), -fastest, -SLOWEST) + 1j * np.clip(np.imag(pole), -widest, widest)
 
 
-def _judged(pole: np.ndarray, cut: _Band) -> tuple[np.ndarray, float, float]:
+def _judged(pole: np.ndarray, cut: Cut) -> tuple[np.ndarray, float, float]:
     """Amplitudes [layers, channels, modes], and the geometric means over layers of two misfits.
 
     The first is by a layer's own amplitudes, the second by the pattern of the others, with one complex gain.
@@ -340,10 +248,10 @@ def _misfit(left: np.ndarray, seen: np.ndarray) -> np.ndarray:
 def common_pattern(amplitude: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The pattern [channels, modes] that all layers share, and each layer's complex factor on it [layers].
 
-    The first singular vector over [layers, (channels, modes)], every layer over its noise, but none more than 30 dB
-    ahead of its own size.
+    The first singular vector over [layers, (channels, modes)], every layer over its noise, but none more than `AHEAD`
+    of its own size.
     """
     rows = amplitude.reshape(len(amplitude), -1)
-    weight = 1 / np.maximum(noise.mean(axis=1), np.linalg.norm(rows, axis=1) * 10 ** (-30 / 20) + 1e-12)
+    weight = 1 / np.maximum(noise.mean(axis=1), np.linalg.norm(rows, axis=1) * 10 ** (-AHEAD / 20) + 1e-12)
     u, s, v = np.linalg.svd(rows * weight[:, None], full_matrices=False)
     return v[0].reshape(amplitude.shape[1:]), u[:, 0] * s[0] / weight
