@@ -11,9 +11,9 @@ from .conclude import conclude
 from .estimate import Estimate, Progress, estimate
 from .problem import Problem, pose
 from .quantities import Covariance, Quantities, Quantity
-from .result import Heard, Result, Sound
+from .result import FittedRecording, Result, Sound
 
 __all__ = [
-    "Covariance", "Estimate", "Heard", "Problem", "Progress", "Quantities", "Quantity", "Result", "Sound", "conclude",
-    "estimate", "pose",
+    "Covariance", "Estimate", "FittedRecording", "Problem", "Progress", "Quantities", "Quantity", "Result", "Sound",
+    "conclude", "estimate", "pose",
 ]  # fmt: skip

@@ -20,7 +20,7 @@ from .posterior import Posterior
 from .problem import Problem
 from .quantities import UNITS, Covariance
 from .reports import latent
-from .result import Heard, Result
+from .result import FittedRecording, Result
 from .search import OWN_LANES
 from .statements import claims, correlated, messages, statuses, velocity_statuses
 from .views import View
@@ -85,7 +85,7 @@ def conclude(problem: Problem, found: Estimate, seed: int, view: View | None = N
 # --- sounds -----------------------------------------------------------------------------------------------------------
 
 
-def _heard(problem: Problem, found: Estimate, i: int) -> Heard:
+def _heard(problem: Problem, found: Estimate, i: int) -> FittedRecording:
     """One recording before and after, on the criterion and in its levels."""
     recording, analysis = problem.recordings[i], problem.analyses[i]
     listener = Listener.of(recording, analysis)
@@ -108,7 +108,7 @@ def _heard(problem: Problem, found: Estimate, i: int) -> Heard:
         name: None if level is None else _in_noise(level, analysis.partials, measured)
         for name, level in (("initial_db", before.level), ("fitted_db", after.level), ("path_only_db", literature))
     }
-    return Heard(
+    return FittedRecording(
         before, after, measured, recording, analysis, listener.criterion(before, after),
         level_errors(levels, analysis.partials, measured),
     )  # fmt: skip
@@ -279,7 +279,7 @@ def invariants(problem: Problem, found: Estimate) -> dict:
     return {n: {k: e[k] for k in ("value", "unit", "interval", "note")} for n, e in table.items()}
 
 
-def _take(problem: Problem, found: Estimate, i: int, heard: Heard) -> dict:
+def _take(problem: Problem, found: Estimate, i: int, heard: FittedRecording) -> dict:
     """What one recording has of its own."""
     recording, stroke = problem.recordings[i], problem.layout.stroke[i]
     speed = _velocity(problem, found, stroke)

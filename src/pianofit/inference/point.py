@@ -18,7 +18,7 @@ from .coordinates import names_of
 from .entries import derived, given, sizes, versions
 from .listener import Listener, level_errors, together, worse_bands
 from .quantities import UNITS, Covariance
-from .result import Heard, Result
+from .result import FittedRecording, Result
 from .start import Start
 
 __all__ = ["point_result"]
@@ -54,7 +54,7 @@ def point_result(
     measured = analysis.partials.level + unit
     criterion = listener.criterion(before, after)
     errors = level_errors(levels | {"path_only_db": None}, analysis.partials, measured)
-    heard = Heard(before, after, measured, recording, analysis, criterion, errors)
+    heard = FittedRecording(before, after, measured, recording, analysis, criterion, errors)
     missing = [f"band {i + 1}" for i, name in enumerate(BANDS) if name in criterion["dropped"]]
     said = [] if converged else ["The search stopped before it converged; no value is a result."]
     said += messages

@@ -23,7 +23,7 @@ from ..render import mixture_of, read_fit
 from ..tables import optional
 from .quantities import Covariance, Quantities
 
-__all__ = ["Heard", "Result", "Sound"]
+__all__ = ["FittedRecording", "Result", "Sound"]
 
 # Of the identifiability statement, in characters, that a `repr` shows.
 STATEMENT = 300
@@ -44,7 +44,7 @@ class Sound:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Heard:
+class FittedRecording:
     """One recording beside what the model makes of it."""
 
     initial: Sound
@@ -57,7 +57,7 @@ class Heard:
     ringing: Sound | None = None  # `fitted` as the key rings; itself is by the string's law
 
     def __repr__(self) -> str:
-        return f"Heard: {self.recording!r}, levels {self.levels['fitted_db']:.2f} dB off after the fit"
+        return f"FittedRecording: {self.recording!r}, levels {self.levels['fitted_db']:.2f} dB off after the fit"
 
     @property
     def played(self) -> Sound:
@@ -87,7 +87,7 @@ class Result:
     """
 
     document: dict
-    takes: tuple[Heard, ...]
+    takes: tuple[FittedRecording, ...]
     first: int
     log_covariance: Covariance | None
     notes: tuple[tuple[Note, ...], ...]
@@ -138,7 +138,7 @@ class Result:
         return self.log_covariance
 
     @property
-    def reference(self) -> Heard:
+    def reference(self) -> FittedRecording:
         """The reference recording beside what the model makes of it.
 
         Raises

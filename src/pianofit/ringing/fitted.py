@@ -14,8 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import resample_poly
 
-from ..inference import Heard as Fitted
-from ..inference import Result, Sound
+from ..inference import FittedRecording, Result, Sound
 from ..model.modal import LEAD, Force, Ringing, force_of
 from ..ringing_file import ringing_document
 from ..threads import one_blas_thread
@@ -34,7 +33,7 @@ class _Layers(NamedTuple):
     """The recordings of a key that went through one path, by hammer velocity; the loudest, the last, leads."""
 
     place: list[int]  # in the fit
-    fitted: list[Fitted]
+    fitted: list[FittedRecording]
     heard: Heard
     forces: list[Force]
 
@@ -119,7 +118,7 @@ def _of_layers(modes: PartialModes, which: list[int]) -> PartialModes:
     )
 
 
-def _by_law(layer: Fitted, rate: int, lead: int) -> np.ndarray:
+def _by_law(layer: FittedRecording, rate: int, lead: int) -> np.ndarray:
     """The layer as the string's law plays it, from `lead` samples before its onset."""
     recording, sound = layer.recording, layer.fitted.samples
     onset = recording.onset
@@ -153,7 +152,7 @@ def _attached(result: Result, layers: _Layers, key: Key, rung: str, distances: d
     )  # fmt: skip
 
 
-def _as_it_rings(take: Fitted, ringing: Ringing, late: float) -> Fitted:
+def _as_it_rings(take: FittedRecording, ringing: Ringing, late: float) -> FittedRecording:
     """A recording beside a note that rings."""
     law, recording = take.fitted, take.recording
     note = law.note._replace(ringing=ringing)
