@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import io
+import json
 
 import numpy as np
 import pytest
 import soundfile as sf
-from instrument_cases import true_instrument, true_note, uneven_note
+from instrument_cases import ERRORS, fit_document, library, true_instrument, true_note, uneven_note, write_fit
 from page_cases import BLOCK, RATE, error_db, play, ringing_note, run
 
 from pianofit.cli import main
@@ -209,12 +210,43 @@ def document() -> dict:
             "velocity": {"at_64": 1.3, "rise": 1.5}}  # fmt: skip
 
 
+def test_a_batchs_folder_becomes_a_page_that_counts_its_guesses(tmp_path, capsys):
+    library(tmp_path, [40, 45])
+    assert main(["page", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    assert (
+        f"{tmp_path / 'piano.html'}: 88 keys, 2 of them recorded; 86 are guesses: 4 between recorded keys, 82" in said
+    )
+    html = (tmp_path / "piano.html").read_text()
+    assert "Of the keys 86 are guesses: 4 between recorded keys, 82 beyond them." in html
+    library(tmp_path, [50])
+    assert main(["page", str(tmp_path), "--prefix", "twin", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["guesses"] == {"between": 8, "beyond": 77}
+    assert main(["page", str(tmp_path)]) == 0  # its own file, with one key more
+    assert "3 of them recorded" in capsys.readouterr().out
+    write_fit(tmp_path, 60, fit_document(true_note(60), ERRORS), "other")
+    for more, said in (
+        ([], "holds several instruments, other, twin; choose one"),
+        (["--prefix", "a/b"], "there are 'oth"),
+    ):
+        assert main(["page", str(tmp_path), *more]) == 1
+        assert said in capsys.readouterr().err
+
+
+def test_an_instrument_in_a_folder_is_taken_as_it_is(tmp_path, capsys):
+    (tmp_path / "instrument.json").write_text(json_text(document()))
+    assert main(["page", str(tmp_path)]) == 0
+    assert "2 keys, 1 of them recorded; 1 is a guess: 1 beyond them" in capsys.readouterr().out
+    assert main(["page", str(tmp_path), "--prefix", "cp80"]) == 1
+    assert "holds one instrument" in capsys.readouterr().err
+
+
 def test_the_command_writes_a_page_and_replaces_none_unasked(tmp_path, capsys):
     assert read_instrument(document()).recorded == {59}
     built, out = tmp_path / "instrument.json", tmp_path / "piano.html"
     built.write_text(json_text(document()))
     assert main(["page", str(built), "--out", str(out)]) == 0
-    assert "2 keys, 1 of them recorded" in capsys.readouterr().out
+    assert "2 keys, 1 of them recorded; 1 is a guess: 1 beyond them" in capsys.readouterr().out
     html = out.read_text()
     assert "</script><b>" not in html
     assert html.count("</script>") == html.count("<script")

@@ -140,7 +140,7 @@ def test_letters_play_and_what_was_played_is_saved(page, tmp_path):
 def test_keys_are_named_and_reached_without_a_mouse(page):
     names = page.locator(".key").evaluate_all("keys => keys.map((key) => key.getAttribute('aria-label'))")
     assert len(names) == 25
-    assert (names[12], names[13]) == ("C4, recorded", "C sharp 4, inferred")
+    assert (names[12], names[13]) == ("C4, recorded", "C sharp 4, a guess")
     assert page.locator(".key[tabindex='0']").count() == 1
     page.locator(".key[tabindex='0']").focus()
     page.keyboard.press("ArrowRight")

@@ -1,8 +1,9 @@
-"""`instrument.json` as it is read back: nothing in it is trusted before it was checked."""
+"""`instrument.json` as it is read back, nothing in it trusted before it was checked; or made of a folder of fits."""
 
 from __future__ import annotations
 
 import os
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,12 +17,14 @@ from ..model.path import OutputPath
 from ..model.simulate import check_geometry
 from ..parameters import PARAMETERS, Geometry, Hammer, String, check
 from ..ringing_file import read_ringing
-from .build import NEIGHBOURS, SCHEMA
-from .gather import HIGHEST_KEY, LOWEST_KEY
+from .build import NEIGHBOURS, SCHEMA, build_instrument
+from .gather import HIGHEST_KEY, LOWEST_KEY, find_fits, load_keys, owner
 from .inferred import inferred
 from .velocity import hammer_velocity
 
-__all__ = ["Instrument", "load_instrument", "read_instrument"]
+__all__ = ["FILE", "Instrument", "load_instrument", "read_instrument"]
+
+FILE = "instrument.json"
 
 LARGEST_FILE = 2**25
 LARGEST_GAIN = 1e12
@@ -42,6 +45,13 @@ class Instrument(NamedTuple):
     def channels(self) -> int:
         """How many its sound has: those of the key that has most."""
         return max(1 if note.ringing is None else note.ringing.channels for note in self.notes.values())
+
+    @property
+    def guesses(self) -> tuple[int, int]:
+        """How many keys were never recorded: between recorded ones, and beyond them."""
+        guessed = self.notes.keys() - self.recorded
+        between = sum(min(self.recorded) < midi < max(self.recorded) for midi in guessed) if self.recorded else 0
+        return between, len(guessed) - between
 
     @property
     def lead(self) -> float:
@@ -67,16 +77,30 @@ def _span(notes: dict[int, Note]) -> str:
     return f"{midi_to_note(min(notes))} to {midi_to_note(max(notes))}"
 
 
-def load_instrument(path: str | os.PathLike[str]) -> Instrument:
-    """The instrument in a file.
+def load_instrument(path: str | os.PathLike[str], prefix: str | None = None) -> Instrument:
+    """The instrument in a file; or in a folder, where that is its `instrument.json` or what its fits make.
+
+    Parameters
+    ----------
+    prefix : which instrument, if a folder's fits are of several.
 
     Raises
     ------
     FitError
-        Naming the file and the entry that is missing, of another kind, or out of range.
+        Naming the file and the entry that is missing, of another kind, or out of range; or the folder, if it holds no
+        fits, or several instruments' and none is named.
     """
-    document = load_json(path, LARGEST_FILE, "an instrument.json", WAY_OUT)
-    return read_instrument(document, one_line(path))
+    path = Path(path)
+    if path.is_dir() and not (path / FILE).is_file():
+        files = find_fits([path], prefix)
+        name = prefix or owner(files[0]) or path.resolve().name
+        return read_instrument(build_instrument(load_keys(files), one_line(name)), one_line(path))
+    if prefix is not None:
+        raise ParameterError(
+            f"--prefix {shown(prefix)} chooses among a folder's fits, and {one_line(path)} holds one instrument"
+        )
+    file = path / FILE if path.is_dir() else path
+    return read_instrument(load_json(file, LARGEST_FILE, "an instrument.json", WAY_OUT), one_line(file))
 
 
 def read_instrument(document: Any, name: str = "instrument") -> Instrument:

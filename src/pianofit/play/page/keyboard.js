@@ -39,8 +39,8 @@ class Keyboard {
     key.className = `key ${BLACK.includes(midi % 12) ? "black" : "white"}${recorded ? " recorded" : ""}`;
     key.dataset.midi = midi;
     key.tabIndex = -1;
-    key.setAttribute("aria-label", `${note.replace("#", " sharp ")}, ${recorded ? "recorded" : "inferred"}`);
-    key.title = `${note}, ${recorded ? "recorded" : "inferred"}`;
+    key.setAttribute("aria-label", `${note.replace("#", " sharp ")}, ${recorded ? "recorded" : "a guess"}`);
+    key.title = `${note}, ${recorded ? "recorded" : "a guess"}`;
     name.textContent = midi % 12 === 0 || (recorded && !BLACK.includes(midi % 12)) ? note : "";
     key.append(letter, name);
     one("keys").append(key);

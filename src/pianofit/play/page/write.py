@@ -8,6 +8,7 @@ from importlib.resources import files
 from typing import Any, NamedTuple
 
 from ...keyboard.document import Instrument
+from ...keyboard.words import guessed
 from ...report import kit
 from .payload import Knocks, payload
 
@@ -29,6 +30,8 @@ class Page(NamedTuple):
 
     keys: int
     recorded: int
+    between: int  # keys that are guesses, between recorded ones
+    beyond: int  # and beyond them
     knocks: Knocks | None  # how they are kept, if the instrument has any
 
 
@@ -42,17 +45,19 @@ def write_page(path: str | os.PathLike[str], instrument: Instrument) -> Page:
     OutputError
         If `path` cannot be written.
     """
+    between, beyond = instrument.guesses
     document, knocks = payload(instrument, LARGEST_PAGE - OWN)
     content: dict[str, Any] = {
         "instrument": document,
         "modules": {"engine": IMPORT.sub("", "".join(map(source, ENGINE))), "worklet": source("worklet.js")},
         "recorded": sum(key["recorded"] for key in document["keys"]),
+        "guesses": guessed(between, beyond),
     }  # fmt: skip
     kit.write_page(
         path, "page.html.j2", package=PACKAGE, styles=("keyboard.css",), scripts=SCRIPTS,
         title=instrument.name or "Piano", **content,
     )  # fmt: skip
-    return Page(len(document["keys"]), content["recorded"], knocks)
+    return Page(len(document["keys"]), content["recorded"], between, beyond, knocks)
 
 
 def source(name: str) -> str:
