@@ -41,7 +41,7 @@ USES = {
     "fitting": "analysis inference io paper parameters progress recording ringing setup",
     "play": "analysis felt io keyboard model parameters recording render report threads",
     "workflow": "analysis fitting inference io model recording render setup",
-    "batch": "analysis fitting io model parameters recording",
+    "batch": "analysis fitting io model parameters recording report",
     "cli": "analysis batch felt fitting inference io keyboard model paper parameters play progress"
     " published recording render report setup workflow",
     "__main__": "cli",
