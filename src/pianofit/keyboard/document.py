@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..analysis.notes import midi_to_note
 from ..errors import FitError, ParameterError
-from ..io import finite, load_json, one_line, shown, table_of
+from ..io import LARGEST, finite, load_json, one_line, shown, table_of
 from ..model.modes import QUANTITIES
 from ..model.note import Note
 from ..model.path import OutputPath
@@ -18,7 +20,7 @@ from ..model.simulate import check_geometry
 from ..parameters import PARAMETERS, Geometry, Hammer, String, check
 from ..ringing_file import read_ringing
 from .build import NEIGHBOURS, SCHEMA, build_instrument
-from .gather import HIGHEST_KEY, LOWEST_KEY, find_fits, load_keys, owner
+from .gather import HIGHEST_KEY, LOWEST_KEY, NAMES, find_fits, load_keys, owner
 from .inferred import inferred
 from .velocity import hammer_velocity
 
@@ -40,6 +42,8 @@ class Instrument(NamedTuple):
     at_64: float  # hammer velocity at MIDI velocity 64, m/s
     rise: float  # of its logarithm from there to 127
     recorded: frozenset[int] = frozenset()  # keys that have a fit of their own; the others are the laws'
+    # By key and law of `gather.NAMES`: the value and both ends of its 95 % interval, where they are known.
+    told: Mapping[int, Mapping[str, tuple[float, float, float]]] = MappingProxyType({})
 
     @property
     def channels(self) -> int:
@@ -137,7 +141,8 @@ def read_instrument(document: Any, name: str = "instrument") -> Instrument:
         raise FitError(f"{name}: velocity at_64={at_64:g} m/s, rise={rise:g} is no rising law; {WAY_OUT}")
     called = document.get("name")
     recorded = frozenset(row["midi"] for row in rows if isinstance(row.get("fit"), dict))
-    return Instrument(one_line(called) if isinstance(called, str) else "", notes, at_64, rise, recorded)
+    told = {row["midi"]: _told(row.get("told")) for row in rows}
+    return Instrument(one_line(called) if isinstance(called, str) else "", notes, at_64, rise, recorded, told)
 
 
 def _key(row: Any, quantity: str, where: str) -> tuple[int, Note]:
@@ -164,6 +169,18 @@ def _key(row: Any, quantity: str, where: str) -> tuple[int, Note]:
     path, entry = _path(row.get("path"), where), row.get("ringing")
     ringing = None if entry == NEIGHBOURS else read_ringing(entry, None, where)
     return midi, Note(String(**parts["string"]), hammer, geometry, quantity, gain, path, ringing)
+
+
+def _told(table: Any) -> dict[str, tuple[float, float, float]]:
+    """Values with their intervals; what is none is left out, for it is only shown."""
+    found = {}
+    for name, entry in table.items() if isinstance(table, dict) else ():
+        entry = entry if isinstance(entry, dict) else {}
+        span = entry.get("interval")
+        row = (entry.get("value"), *(span if isinstance(span, list) else ()))
+        if name in NAMES and len(row) == 3 and all(isinstance(x, int | float) and abs(x) < LARGEST for x in row):
+            found[name] = tuple(map(float, row))
+    return found
 
 
 def _path(path: Any, where: str) -> OutputPath | None:

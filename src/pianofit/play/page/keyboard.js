@@ -218,10 +218,7 @@ class Keyboard {
   async _save() {
     one("save").disabled = true;
     const wav = await this.player.render((part) => this.say(`Rendering, ${Math.round(100 * part)} %.`));
-    const link = document.createElement("a");
-    Object.assign(link, { href: URL.createObjectURL(new Blob([wav], { type: "audio/wav" })), download: "piano.wav" });
-    link.click();
-    setTimeout(() => URL.revokeObjectURL(link.href), 60e3);
+    save("piano.wav", wav, "audio/wav");
     one("save").disabled = false;
     this.say(`Saved: ${(wav.length / 1e6).toFixed(1)} MB.`);
   }

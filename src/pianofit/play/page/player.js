@@ -8,6 +8,14 @@ const PAUSE = 20; // ms between tables that are sent while it may play
 const text = (id) => document.getElementById(id).textContent;
 const blob = (...parts) => URL.createObjectURL(new Blob(parts, { type: "text/javascript" }));
 
+/** Hand a file to the user. */
+function save(name, content, type) {
+  const link = document.createElement("a");
+  Object.assign(link, { href: URL.createObjectURL(new Blob([content], { type })), download: name });
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 60e3);
+}
+
 /** Give the audio thread its code: by a blob or, for Chromium takes none of a page from a file, within the address. */
 async function addModule(context, code) {
   try {
@@ -22,8 +30,8 @@ class Player {
     return new Player(instrument, await import(blob(text("engine"))));
   }
 
-  constructor({ keys, velocity }, modules) {
-    Object.assign(this, modules, { velocity, pedal: false, volume: 1, record: [], tables: new Map(), sent: new Set(),
+  constructor({ name, keys, velocity }, modules) {
+    Object.assign(this, modules, { name, velocity, pedal: false, volume: 1, record: [], tables: new Map(), sent: new Set(),
       own: new Map(), sounding: 0, port: null });
     this.keys = new Map(keys.map((entry) => [entry.midi, this.decode(entry)]));
     this.now = { ...Object.fromEntries(this.keys) }; // with the workbench's changes
@@ -119,6 +127,14 @@ class Player {
   panic() {
     this.record = [];
     return this.act({ do: "panic" });
+  }
+
+  /** A key as it is played now, as a document; see note.js. */
+  noteOf(midi, velocity, touched) {
+    const { note, recorded } = this.keys.get(midi);
+    const claims = `${note} of ${this.name || "a piano"}, ${recorded ? "recorded" : "a guess"}, as the page plays it, ` +
+      `${touched ? "changed by hand" : "unchanged"}. No fit: intervals are in the instrument and its fits.`;
+    return this.noteDocument(this.now[midi], { velocity, rate: RATE, claims });
   }
 
   /** A key with changes; only the hammer's need no new table. */

@@ -19,7 +19,7 @@ LARGEST_PAGE = 1_500_000
 # Of them, the script, the style and the words.
 OWN = 100_000
 # Modules that know of no page; they become one, which the page's own thread and the audio thread both load.
-ENGINE = ("contact.js", "engine.js", "prepare.js", "output.js", "change.js")
+ENGINE = ("contact.js", "engine.js", "prepare.js", "output.js", "change.js", "note.js")
 SCRIPTS = ("player.js", "workbench.js", "keyboard.js")
 IMPORT = re.compile(r'^import .* from "\./\w+\.js";\n', re.MULTILINE)
 PACKAGE = "pianofit.play.page"
