@@ -103,11 +103,15 @@ def page(
         typer.Option(metavar="FILE.HTML", help=f"The HTML file to write; {PAGE} beside the instrument if not given."),
     ] = None,
     prefix: Prefix = None,
+    recordings: Annotated[
+        bool,
+        typer.Option("--recordings", help="Put the recordings into the page, to switch between them and the keys."),
+    ] = False,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
     """Write an instrument to play in a browser: one HTML file of at most 1.5 MB that needs no server and no network."""
-    done = _page(built, prefix, out, force)
+    done = _page(built, prefix, out, recordings, force)
     typer.echo(_json(done) if as_json else _written(done), nl=False)
 
 
@@ -200,7 +204,7 @@ def _export(
     )
 
 
-def _page(built: Path, prefix: str | None, out: Path | None, force: bool) -> dict[str, Any]:
+def _page(built: Path, prefix: str | None, out: Path | None, recordings: bool, force: bool) -> dict[str, Any]:
     from ..errors import OutputError
     from ..io import check_target, one_line
     from ..keyboard import load_instrument
@@ -213,11 +217,11 @@ def _page(built: Path, prefix: str | None, out: Path | None, force: bool) -> dic
     loaded = load_instrument(built, prefix)
     # Without --out the file is the command's own, made anew when there are more keys.
     own = (built if built.is_dir() else built.parent) / (f"piano-{prefix}.html" if prefix else PAGE)
-    done = write_page(out := out or own, loaded)
+    done = write_page(out := out or own, loaded, recordings)
     knocks = None if done.knocks is None else {"bits": done.knocks.bits, "rate": done.knocks.rate}
     return {
         "file": str(out), "bytes": out.stat().st_size, "keys": done.keys, "recorded": done.recorded,
-        "guesses": {"between": done.between, "beyond": done.beyond}, "knocks": knocks,
+        "guesses": {"between": done.between, "beyond": done.beyond}, "knocks": knocks, "layers": done.layers,
     }  # fmt: skip
 
 
@@ -226,6 +230,7 @@ def _written(done: dict[str, Any]) -> str:
 
     kept = done["knocks"]
     knocks = f"; knocks at {kept['rate']:g} Hz and {kept['bits']} bits" if kept else ""
+    knocks += f"; {done['layers']} recordings beside them" if done["layers"] else ""
     return (
         f"{done['file']}: {done['keys']} keys, {done['recorded']} of them recorded; {guessed(**done['guesses'])}"
         f"{knocks}; {done['bytes'] / 1e6:.2f} MB, open it in a browser\n"

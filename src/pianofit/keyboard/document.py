@@ -20,7 +20,7 @@ from ..model.simulate import check_geometry
 from ..parameters import PARAMETERS, Geometry, Hammer, String, check
 from ..ringing_file import read_ringing
 from .build import NEIGHBOURS, SCHEMA, build_instrument
-from .gather import HIGHEST_KEY, LOWEST_KEY, NAMES, find_fits, load_keys, owner
+from .gather import HIGHEST_KEY, LOWEST_KEY, NAMES, Layer, find_fits, load_keys, owner
 from .inferred import inferred
 from .velocity import hammer_velocity
 
@@ -31,6 +31,7 @@ FILE = "instrument.json"
 LARGEST_FILE = 2**25
 LARGEST_GAIN = 1e12
 MOST_POINTS = 4096
+LONGEST = 600.0  # s, of a recording
 WAY_OUT = "give the instrument.json that pianofit instrument wrote"
 
 
@@ -44,6 +45,7 @@ class Instrument(NamedTuple):
     recorded: frozenset[int] = frozenset()  # keys that have a fit of their own; the others are the laws'
     # By key and law of `gather.NAMES`: the value and both ends of its 95 % interval, where they are known.
     told: Mapping[int, Mapping[str, tuple[float, float, float]]] = MappingProxyType({})
+    layers: Mapping[int, tuple[Layer, ...]] = MappingProxyType({})  # recordings of the recorded keys, soft to loud
 
     @property
     def channels(self) -> int:
@@ -142,7 +144,8 @@ def read_instrument(document: Any, name: str = "instrument") -> Instrument:
     called = document.get("name")
     recorded = frozenset(row["midi"] for row in rows if isinstance(row.get("fit"), dict))
     told = {row["midi"]: _told(row.get("told")) for row in rows}
-    return Instrument(one_line(called) if isinstance(called, str) else "", notes, at_64, rise, recorded, told)
+    layers = {row["midi"]: _layers(row["fit"].get("layers")) for row in rows if row["midi"] in recorded}
+    return Instrument(one_line(called) if isinstance(called, str) else "", notes, at_64, rise, recorded, told, layers)
 
 
 def _key(row: Any, quantity: str, where: str) -> tuple[int, Note]:
@@ -169,6 +172,20 @@ def _key(row: Any, quantity: str, where: str) -> tuple[int, Note]:
     path, entry = _path(row.get("path"), where), row.get("ringing")
     ringing = None if entry == NEIGHBOURS else read_ringing(entry, None, where)
     return midi, Note(String(**parts["string"]), hammer, geometry, quantity, gain, path, ringing)
+
+
+def _layers(rows: Any) -> tuple[Layer, ...]:
+    """The recordings of a key; a row that is none is left out, for without them it plays as well."""
+    box = PARAMETERS["v_H0"]
+    found = []
+    for row in rows if isinstance(rows, list) else ():
+        texts = [row.get(name) for name in ("file", "sha256")] if isinstance(row, dict) else []
+        numbers = [row.get(name) for name in ("contact", "velocity")] if isinstance(row, dict) else []
+        if all(isinstance(x, str) for x in texts) and numbers and all(isinstance(x, int | float) for x in numbers):
+            contact, velocity = map(float, numbers)
+            if abs(contact) < LONGEST and box.lower <= velocity <= box.upper:
+                found.append(Layer(*texts, contact, velocity))
+    return tuple(found)
 
 
 def _told(table: Any) -> dict[str, tuple[float, float, float]]:

@@ -12,6 +12,10 @@ class Keyboard {
   constructor(player, entries) {
     Object.assign(this, { player, keys: new Map(), octave: 60, letters: new Map(), pointers: new Map() });
     this.bench = new Workbench(player, (words) => this.say(words));
+    const recordings = one("recordings");
+    if (recordings) {
+      this.compare = new Compare(player, JSON.parse(recordings.textContent), (key) => this.bench.changesOf(key));
+    }
     player.onerror = (error) => this.refuse(error);
     entries.forEach((entry) => this._key(entry));
     this._pointers();
@@ -55,6 +59,7 @@ class Keyboard {
       await this.player.on(midi, velocity);
       one("save").disabled = false;
       this.bench.show(midi, it.note, this.player.speed(velocity));
+      this.compare?.show(midi, it.note);
     } catch (error) {
       this.refuse(error);
     }
