@@ -104,9 +104,12 @@ def _knock(entry: Any, folder: Path | None, channels: int, name: str) -> tuple[n
     scale = finite(entry.get("scale"), f"{name}: ringing.knock.scale", WAY_OUT)
     # Wherever the document says, no other file is opened.
     kind = "wav" if "wav" in entry else "flac"
-    inside = folder is None or kind in entry
-    path = f"{name}: ringing.knock.{kind}" if inside else folder / KNOCK_FILE
-    held = _decoded(entry.get(kind), str(path)) if inside else read_file(path, LARGEST_KNOCK, FitError)
+    if folder is None or kind in entry:
+        path = f"{name}: ringing.knock.{kind}"
+        held = _decoded(entry.get(kind), path)
+    else:
+        path = folder / KNOCK_FILE
+        held = read_file(path, LARGEST_KNOCK, FitError)
     try:
         samples, rate = soundfile.read(io.BytesIO(held), frames=MOST_FRAMES, always_2d=True)
     except soundfile.LibsndfileError as problem:

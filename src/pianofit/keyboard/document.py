@@ -176,15 +176,12 @@ def _key(row: Any, quantity: str, where: str) -> tuple[int, Note]:
 
 def _layers(rows: Any) -> tuple[Layer, ...]:
     """The recordings of a key; a row that is none is left out, for without them it plays as well."""
-    box = PARAMETERS["v_H0"]
-    found = []
+    box, found = PARAMETERS["v_H0"], []
     for row in rows if isinstance(rows, list) else ():
-        texts = [row.get(name) for name in ("file", "sha256")] if isinstance(row, dict) else []
-        numbers = [row.get(name) for name in ("contact", "velocity")] if isinstance(row, dict) else []
-        if all(isinstance(x, str) for x in texts) and numbers and all(isinstance(x, int | float) for x in numbers):
-            contact, velocity = map(float, numbers)
-            if abs(contact) < LONGEST and box.lower <= velocity <= box.upper:
-                found.append(Layer(*texts, contact, velocity))
+        match row:
+            case {"file": str(file), "sha256": str(sha256), "contact": float(contact), "velocity": float(velocity)}:
+                if abs(contact) < LONGEST and box.lower <= velocity <= box.upper:
+                    found.append(Layer(file, sha256, contact, velocity))
     return tuple(found)
 
 
@@ -192,11 +189,10 @@ def _told(table: Any) -> dict[str, tuple[float, float, float]]:
     """Values with their intervals; what is none is left out, for it is only shown."""
     found = {}
     for name, entry in table.items() if isinstance(table, dict) else ():
-        entry = entry if isinstance(entry, dict) else {}
-        span = entry.get("interval")
-        row = (entry.get("value"), *(span if isinstance(span, list) else ()))
-        if name in NAMES and len(row) == 3 and all(isinstance(x, int | float) and abs(x) < LARGEST for x in row):
-            found[name] = tuple(map(float, row))
+        match entry:
+            case {"value": int() | float() as value, "interval": [int() | float() as low, int() | float() as high]}:
+                if name in NAMES and max(map(abs, (value, low, high))) < LARGEST:
+                    found[name] = (float(value), float(low), float(high))
     return found
 
 
