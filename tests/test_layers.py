@@ -113,6 +113,7 @@ def test_a_module_uses_only_declared_packages(file):
         *project["optional-dependencies"]["bayes"],
         *project["optional-dependencies"]["cluster"],
         *project["optional-dependencies"]["notebook"],
+        *project["optional-dependencies"]["widget"],
     ]
     declared = {"dask", *(requirement.split(">")[0].lower() for requirement in needed)}
     for name in imports(file):

@@ -179,9 +179,14 @@ def _layers(rows: Any) -> tuple[Layer, ...]:
     box, found = PARAMETERS["v_H0"], []
     for row in rows if isinstance(rows, list) else ():
         match row:
-            case {"file": str(file), "sha256": str(sha256), "contact": float(contact), "velocity": float(velocity)}:
+            case {
+                "file": str(file),
+                "sha256": str(sha256),
+                "contact": int() | float() as contact,
+                "velocity": int() | float() as velocity,
+            }:
                 if abs(contact) < LONGEST and box.lower <= velocity <= box.upper:
-                    found.append(Layer(file, sha256, contact, velocity))
+                    found.append(Layer(file, sha256, float(contact), float(velocity)))
     return tuple(found)
 
 
@@ -191,7 +196,7 @@ def _told(table: Any) -> dict[str, tuple[float, float, float]]:
     for name, entry in table.items() if isinstance(table, dict) else ():
         match entry:
             case {"value": int() | float() as value, "interval": [int() | float() as low, int() | float() as high]}:
-                if name in NAMES and max(map(abs, (value, low, high))) < LARGEST:
+                if name in NAMES and all(abs(x) < LARGEST for x in (value, low, high)):
                     found[name] = (float(value), float(low), float(high))
     return found
 

@@ -229,8 +229,9 @@ class Keyboard {
   }
 }
 
+const text = (id) => one(id).textContent;
 const instrument = JSON.parse(text("instrument"));
-Player.open(instrument).then(
+Player.open(instrument, { engine: text("engine"), worklet: text("worklet") }).then(
   (player) => (window.pianofitKeyboard = new Keyboard(player, instrument.keys)),
   (error) => {
     one("refused").hidden = false;

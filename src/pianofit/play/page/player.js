@@ -5,7 +5,6 @@ const LONGEST = 60; // s of what was played that can be saved
 const TAIL = 6; // s that it rings on in the file
 const PAUSE = 20; // ms between tables that are sent while it may play
 
-const text = (id) => document.getElementById(id).textContent;
 const blob = (...parts) => URL.createObjectURL(new Blob(parts, { type: "text/javascript" }));
 
 /** Hand a file to the user. */
@@ -26,12 +25,13 @@ async function addModule(context, code) {
 }
 
 class Player {
-  static async open(instrument) {
-    return new Player(instrument, await import(blob(text("engine"))));
+  /** code: the scripts `engine` and `worklet`, as text. */
+  static async open(instrument, code) {
+    return new Player(instrument, code, await import(blob(code.engine)));
   }
 
-  constructor({ name, keys, velocity }, modules) {
-    Object.assign(this, modules, { name, velocity, pedal: false, volume: 1, record: [], tables: new Map(), sent: new Set(),
+  constructor({ name, keys, velocity }, code, modules) {
+    Object.assign(this, modules, { code, name, velocity, pedal: false, volume: 1, record: [], tables: new Map(), sent: new Set(),
       own: new Map(), sounding: 0, port: null });
     this.keys = new Map(keys.map((entry) => [entry.midi, this.decode(entry)]));
     this.now = { ...Object.fromEntries(this.keys) }; // with the workbench's changes
@@ -67,7 +67,7 @@ class Player {
   async _start() {
     if (!window.AudioWorkletNode) throw new Error("this browser has no AudioWorklet; take a newer one");
     const context = new AudioContext({ sampleRate: RATE, latencyHint: "interactive" });
-    await addModule(context, text("engine") + text("worklet"));
+    await addModule(context, this.code.engine + this.code.worklet);
     const node = new AudioWorkletNode(context, "piano", { numberOfInputs: 0, outputChannelCount: [2] });
     node.connect(context.destination);
     node.port.onmessage = ({ data }) => (this.sounding = data.sounding);
@@ -76,6 +76,11 @@ class Player {
     this.port.postMessage({ do: "volume", volume: this.volume });
     await context.resume();
     this._sendAll();
+  }
+
+  /** Be silent for ever. */
+  close() {
+    this.context?.close();
   }
 
   /** What is ready, one by one: the audio thread is not to be kept from its work. */

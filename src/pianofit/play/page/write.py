@@ -13,7 +13,7 @@ from ...report import kit
 from .payload import Knocks, payload
 from .recordings import recorded_layers
 
-__all__ = ["LARGEST_PAGE", "Page", "write_page"]
+__all__ = ["LARGEST_PAGE", "Page", "engine", "source", "write_page"]
 
 # Bytes: what a mail takes, and a browser opens at once.
 LARGEST_PAGE = 1_500_000
@@ -59,7 +59,7 @@ def write_page(path: str | os.PathLike[str], instrument: Instrument, recordings:
     document, knocks = payload(instrument, LARGEST_PAGE - OWN)
     content: dict[str, Any] = {
         "instrument": document,
-        "modules": {"engine": IMPORT.sub("", "".join(map(source, ENGINE))), "worklet": source("worklet.js")},
+        "modules": {"engine": engine(), "worklet": source("worklet.js")},
         "recorded": sum(key["recorded"] for key in document["keys"]),
         "guesses": guessed(between, beyond),
         "layers": recorded_layers(instrument) if recordings else {},
@@ -71,6 +71,11 @@ def write_page(path: str | os.PathLike[str], instrument: Instrument, recordings:
     return Page(
         len(document["keys"]), content["recorded"], between, beyond, knocks, sum(map(len, content["layers"].values()))
     )
+
+
+def engine() -> str:
+    """The modules that know of no page, as one."""
+    return IMPORT.sub("", "".join(map(source, ENGINE)))
 
 
 def source(name: str) -> str:
