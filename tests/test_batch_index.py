@@ -88,6 +88,14 @@ def test_the_page_shows_every_key_and_what_can_be_heard(store):
     assert loud[0] == pytest.approx(loud[1], abs=0.02)  # their files are 14 dB apart
 
 
+def test_a_damaged_record_hides_no_other_key(store):
+    store.install("odd", {"fit.json": b"[1, 2"}, {"hash": "x", "note": "H9"})
+    Index(store).write()
+    rows = list(csv.DictReader(io.StringIO((store.folder / "keys.csv").read_text(encoding="utf-8"))))
+    assert [row["key"] for row in rows if row["c"]] == ["grand-Fs2", "grand-C4"]
+    assert (store.folder / "index.html").read_text().count("keys/odd/fit.json") == 1
+
+
 def test_a_recording_that_is_another_one_now_is_not_played(store, tmp_path):
     (tmp_path / "grand-C4.wav").write_bytes(encode_wav(np.random.default_rng(1).normal(0, 0.1, RATE), RATE))
     Index(store).write()

@@ -15,7 +15,7 @@ from typing import Any
 from urllib.parse import quote
 
 from ..analysis.notes import note_to_midi
-from ..errors import PianofitError
+from ..errors import AnalysisError, PianofitError
 from ..io import one_line, read_file, replace_file
 from ..recording import MAX_BYTES, load_recording
 from ..report import kit
@@ -104,7 +104,10 @@ class Index:
 
 def _order(entry: Entry) -> tuple[str, int]:
     """By instrument, then by pitch."""
-    midi = note_to_midi(entry.note) if entry.note else 0
+    try:
+        midi = note_to_midi(entry.note)
+    except AnalysisError:  # a damaged record
+        midi = 0
     return entry.key.removesuffix(entry.note.replace("#", "s")), midi
 
 
