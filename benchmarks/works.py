@@ -225,7 +225,7 @@ def sounds(seconds: float = 10.0, rate: int = 48_000) -> Works:
     it = pianofit.preset("chabassier-C2")
     path = OutputPath(np.array([50.0, 500.0, 5000.0]), np.array([-20.0, 0.0, -10.0]))
     note = pianofit.Note(it.string, it.hammer, it.geometry, "pressure", 1.0, path)
-    works: Works = {"pianofit": lambda: note.play(rate, round(seconds * rate))}
+    works: Works = {"pianofit": lambda: note.stroke(rate, round(seconds * rate))}
     if shutil.which("csound"):
         works["csound prepiano"] = lambda: _csound(seconds)
     return works

@@ -46,7 +46,7 @@ def main() -> None:
     note = result.note
     for name, factor in (("softer.wav", 0.5), ("louder.wav", 2.0)):
         velocity = factor * note.hammer.v_H0
-        samples, strike = note.struck(velocity).play(recording.rate, 2 * recording.rate)
+        samples, strike = note.struck(velocity).stroke(recording.rate, 2 * recording.rate)
         Path(name).write_bytes(pianofit.encode_wav(samples, recording.rate))
         print(f"{name}: {velocity:.3g} m/s, contact {1e3 * strike.contact_time:.2f} ms")
 

@@ -127,7 +127,7 @@ def record_key(
     for i, velocity in enumerate(layers):
         note = true_note(midi)
         struck = note._replace(hammer=note.hammer._replace(v_H0=velocity))
-        sound = struck.play(2 * RATE, 8 * RATE, touch=RATE // 10)[0][::2]
+        sound = struck.stroke(2 * RATE, 8 * RATE, touch=RATE // 10)[0][::2]
         noise = 10 ** (noise_db / 20) * np.sqrt(np.mean(sound[:RATE] ** 2))
         files.append(folder / f"{midi}-{i}.wav")
         files[-1].write_bytes(encode_wav(sound + random.normal(0.0, noise, len(sound)), RATE))

@@ -22,12 +22,16 @@ SCRIPTS = Path(str(files("pianofit.play.page")))
 # Reads {rate, jobs: [{key, changes?, events: [[block, what, value]], blocks}]}; writes every job's channels.
 PROGRAM = """
 import { readFileSync } from "node:fs";
-const names = ["prepare", "contact", "engine", "output", "change"];
+const names = ["prepare", "contact", "engine", "output", "change", "note"];
 const parts = await Promise.all(names.map((name) => import(`${process.argv[1]}/${name}.js`)));
-const { BLOCK, Engine, Output, changed, decode, encodeWav, prepare } = Object.assign({}, ...parts);
+const { BLOCK, Engine, Output, changed, decode, encodeWav, noteDocument, prepare } = Object.assign({}, ...parts);
 const { rate, jobs } = JSON.parse(readFileSync(0, "utf8"));
 const base64 = (bytes) => Buffer.from(bytes.buffer).toString("base64");
-const played = jobs.map(({ keys, changes, events, blocks, output, wav }) => {
+const played = jobs.map(({ keys, changes, events, blocks, output, wav, note }) => {
+  if (note) {
+    const key = decode(keys[60]);
+    return [Buffer.from(JSON.stringify(noteDocument(changes ? changed(key, changes) : key, note))).toString("base64")];
+  }
   const engine = new Engine(rate), out = new Output(rate, BLOCK);
   const sound = [0, 1].map(() => new Float64Array(blocks * BLOCK));
   for (const [midi, entry] of Object.entries(keys)) {

@@ -17,7 +17,7 @@ import pytest
 from batch_cases import DRIVE, TESTS, killed, library, python, quick_work, results
 
 from pianofit.batch import Local, plan, run_batch, status
-from pianofit.batch.run import suggestions, time_left
+from pianofit.batch.state import suggestions, time_left
 from pianofit.batch.store import Store, locked, opened
 from pianofit.errors import OutputError
 
@@ -44,7 +44,7 @@ def whole(tmp_path_factory):
 
 def test_the_folder_is_exactly_what_it_is_said_to_be(whole):
     place, units, found = whole
-    assert {p.name for p in (place / "out").iterdir()} == {"keys", "ledger"}
+    assert {p.name for p in (place / "out").iterdir()} == {"index.html", "keys", "keys.csv", "ledger"}
     assert {p.name for p in (place / "out/ledger").iterdir()} == {"lock"}, "what is done needs no ledger"
     assert list(found) == sorted(u.key for u in units)
     assert set(found["A0"]) == {"fit.json", "fitted.wav", "record"}
@@ -304,7 +304,7 @@ def test_killed_at_random_moments_a_batch_goes_on_and_ends_the_same(whole, tmp_p
     assert last.returncode == 0, errors
     assert json.loads(output.splitlines()[-1])["done"] == len(units)
     assert results(tmp_path / "out") == found
-    assert {p.name for p in (tmp_path / "out").iterdir()} == {"keys", "ledger"}
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {"index.html", "keys", "keys.csv", "ledger"}
 
 
 def children(pid: int) -> list[int]:

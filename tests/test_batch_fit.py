@@ -99,6 +99,7 @@ def test_recordings_that_cannot_be_used_are_left_out_and_told(batch, tmp_path):
     assert [t["file"] for t in document["takes"]] == [str(tmp_path / f"grand-C4-{x}.wav") for x in "fp"]
     alone = json.loads((place / "out/keys/grand-C4/fit.json").read_bytes())
     assert document["parameters"] == alone["parameters"]  # another process, the same numbers
+    assert "scratch" not in outcome.files["fit.json"].decode()  # nor in any note: that name is another one every time
 
 
 def test_a_name_is_wrong_from_a_semitone_on():

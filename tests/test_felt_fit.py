@@ -78,7 +78,7 @@ def test_what_a_law_does_not_have_is_not_in_its_fit(law, tmp_path):
     note, _ = load_note(tmp_path / "fit.json")
     assert isinstance(note.hammer, MemoryHammer if law == "stulov" else Hammer)
     assert note.hammer.mu == table["mu"]["value"]
-    assert np.isfinite(note.play(44_100, 4410)[0]).all()
+    assert np.isfinite(note.stroke(44_100, 4410)[0]).all()
 
 
 def test_half_a_memory_is_no_felt(tmp_path):

@@ -95,7 +95,7 @@ def test_a_borrowed_partial_has_its_laws_energy_and_its_neighbours_decay_curve()
     # other code.
     bare, sigma = own._replace(path=None), 30.0
     lent = inferred({50: near, 52: bare}, [52])[52].ringing
-    alone, stroke = bare.play(RATE, 2 * RATE)
+    alone, stroke = bare.stroke(RATE, 2 * RATE)
     seconds = np.arange(len(alone)) / RATE
     for k in range(1, 8):
         at = lent.number == k

@@ -41,7 +41,7 @@ USES = {
     "fitting": "analysis inference io paper parameters progress recording ringing setup",
     "play": "analysis felt io keyboard model parameters recording render report threads",
     "workflow": "analysis fitting inference io model recording render setup",
-    "batch": "analysis fitting io model parameters recording",
+    "batch": "analysis fitting io model parameters recording report",
     "cli": "analysis batch felt fitting inference io keyboard model paper parameters play progress"
     " published recording render report setup workflow",
     "__main__": "cli",
@@ -113,6 +113,7 @@ def test_a_module_uses_only_declared_packages(file):
         *project["optional-dependencies"]["bayes"],
         *project["optional-dependencies"]["cluster"],
         *project["optional-dependencies"]["notebook"],
+        *project["optional-dependencies"]["widget"],
     ]
     declared = {"dask", *(requirement.split(">")[0].lower() for requirement in needed)}
     for name in imports(file):

@@ -41,10 +41,10 @@ def steep(midi):
 
 
 def test_a_strike_that_begins_in_the_file_is_not_cut():
-    sound, _ = true_note(24)._replace(path=steep(24)).play(44_100, 4410, touch=200)
+    sound, _ = true_note(24)._replace(path=steep(24)).stroke(44_100, 4410, touch=200)
     assert not sound[:200].any()
     assert abs(sound[200]) < 1e-3 * np.abs(sound).max()
-    cut, _ = true_note(24)._replace(path=steep(24)).play(44_100, 4410, touch=-200)
+    cut, _ = true_note(24)._replace(path=steep(24)).stroke(44_100, 4410, touch=-200)
     np.testing.assert_allclose(cut[: 4410 - 400], sound[400:], atol=1e-9 * np.abs(sound).max())
 
 
@@ -53,7 +53,7 @@ def test_a_strike_that_begins_in_the_file_is_not_cut():
 @pytest.mark.parametrize("noise_db", [-80, -50])
 def test_the_touch_is_found_from_what_is_seen_of_it_in_the_noise(colour, midi, noise_db):
     note, rate, touch = true_note(midi)._replace(path=steep(midi)), 44_100, 20_000
-    sound, strike = note.play(rate, 2 * rate, touch)
+    sound, strike = note.stroke(rate, 2 * rate, touch)
     noise = np.random.default_rng(midi).normal(size=2 * rate)
     for n in range(1, len(noise)):
         noise[n] += colour * noise[n - 1]
@@ -68,8 +68,8 @@ def test_every_partial_is_as_loud_as_the_path_says(midi):
     """Where the criterion hears it, on the damped circle, and though each partial has a decay of its own."""
     note = uneven_note(midi)
     rate = 44_100
-    through, _ = note.play(rate, 2 * rate)
-    plain, _ = note._replace(path=None).play(rate, 2 * rate)
+    through, _ = note.stroke(rate, 2 * rate)
+    plain, _ = note._replace(path=None).stroke(rate, 2 * rate)
     damped = np.exp(-30.0 * np.arange(2 * rate) / rate)
     energy = np.abs(np.fft.rfft(np.stack([through, plain]) * damped)) ** 2
     f, bins = note.path.frequency, np.fft.rfftfreq(2 * rate, 1 / rate)
@@ -84,8 +84,8 @@ def test_a_slow_push_goes_through_the_path_at_its_own_frequency():
     note, k = true_note(84), np.arange(1, 16)
     soft = note.hammer._replace(v_H0=0.05, K_H=1e-2 * note.hammer.K_H)
     rises = OutputPath(mode_frequencies(note.string, note.geometry.length, len(k)), -30.0 + 3 * k)
-    through, strike = note._replace(hammer=soft, path=rises).play(44_100, 4410)
-    plain, _ = note._replace(hammer=soft, path=None).play(44_100, 4410)
+    through, strike = note._replace(hammer=soft, path=rises).stroke(44_100, 4410)
+    plain, _ = note._replace(hammer=soft, path=None).stroke(44_100, 4410)
     assert strike.contact_time > 1 / rises.frequency[0]
     through, plain = np.fft.rfft(through), np.fft.rfft(plain)
     slow = (np.fft.rfftfreq(4410, 1 / 44_100) < 0.7 * rises.frequency[0]) & (np.abs(plain) > 0.1 * np.abs(plain[0]))
@@ -128,7 +128,7 @@ def test_a_note_renders_at_any_velocity_and_refuses_others():
     assert soft.shape == (8820,)
     assert loud.shape == (9600,)
     assert np.abs(loud).max() > 5 * np.abs(soft).max()
-    np.testing.assert_array_equal(note.render(seconds=0.2), note.play(44_100, 8820)[0])
+    np.testing.assert_array_equal(note.render(seconds=0.2), note.stroke(44_100, 8820)[0])
     with pytest.raises(ParameterError, match=r"velocity=100.0 m/s must be from 0.01 to 20"):
         note.render(100.0)
 

@@ -3,25 +3,29 @@
 from __future__ import annotations
 
 import io
+import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 import soundfile as sf
-from instrument_cases import true_instrument, true_note, uneven_note
+from instrument_cases import ERRORS, fit_document, library, true_instrument, true_note, uneven_note, write_fit
 from page_cases import BLOCK, RATE, error_db, play, ringing_note, run
 
 from pianofit.cli import main
-from pianofit.errors import ParameterError
+from pianofit.errors import FitError, ParameterError
 from pianofit.felt import MemoryHammer
 from pianofit.io import json_text
 from pianofit.keyboard.document import read_instrument
 from pianofit.model.modes import mode_frequencies
 from pianofit.play.page import write_page
-from pianofit.play.page.payload import Knocks, encode_note, payload
+from pianofit.play.page.payload import Knocks, encode_note, intervals, payload
 from pianofit.play.strings import PlayedString, damper_rate
+from pianofit.render import load_note
 
 BLOCKS = 375  # 1 s
 WITHIN = -80.0  # dB
+CHANGES = {"force": 2.0, "p": 0.3, "mu": 0.5, "mass": 1.3, "strike": 0.8, "loss": 2.0, "inharmonicity": 1.7}
 
 
 def job(entry: dict, *events: list, **more: object) -> dict:
@@ -132,8 +136,7 @@ def test_a_saved_sound_is_a_wav_file():
 
 def test_a_changed_key_is_the_changed_note():
     note = true_note(52)._replace(path=None)
-    entry, c = encode_note(note, 52), {"force": 2.0, "p": 0.3, "mu": 0.5, "mass": 1.3, "strike": 0.8, "loss": 2.0}
-    c["inharmonicity"] = 1.7
+    entry, c = encode_note(note, 52), CHANGES
     s, h, g = note.string, note.hammer, note.geometry
     p = h.p + c["p"]
     other = note._replace(
@@ -145,6 +148,63 @@ def test_a_changed_key_is_the_changed_note():
     )  # fmt: skip
     (sound,) = play([job(entry, struck(2.0), changes=c)])
     assert error_db(sound, other.render(2.0, seconds=1.0, rate=RATE)) < WITHIN
+
+
+def saved(entry: dict, folder: Path, **more: object) -> Path:
+    """The note.json that the page makes of a key."""
+    about = {"velocity": 2.5, "rate": RATE, "claims": "A note."}
+    (folder / "note.json").write_bytes(run([{"keys": {60: entry}, "note": about, **more}])[0][0])
+    return folder / "note.json"
+
+
+@pytest.mark.parametrize("changes", [None, CHANGES])
+@pytest.mark.parametrize("make", [uneven_note, ringing_note])
+def test_a_saved_note_is_rendered_as_the_page_plays_it(tmp_path, make, changes):
+    entry, more = encode_note(make(52), 52), {} if changes is None else {"changes": changes}
+    (sound,) = play([job(entry, struck(2.5), **more)])
+    note, rate = load_note(saved(entry, tmp_path, **more))
+    assert (rate, note.hammer.v_H0, note.quantity) == (RATE, 2.5, "pressure")
+    assert error_db(sound, note.render(seconds=1.0, rate=RATE, mono=False)) < WITHIN
+    if changes is None:
+        assert note.gain == make(52).gain
+
+
+def test_the_render_command_takes_a_saved_note(tmp_path, capsys):
+    file = saved(encode_note(ringing_note(60), 60), tmp_path)
+    assert main(["render", str(file), "--velocity", "3", "--seconds", "0.5", "--out", str(tmp_path / "note.wav")]) == 0
+    assert "0.5 s at 3 m/s" in capsys.readouterr().out
+    assert sf.info(tmp_path / "note.wav").samplerate == RATE
+
+
+@pytest.mark.parametrize("changes", [dict.fromkeys(CHANGES, 50.0) | {"strike": 1.0}, dict.fromkeys(CHANGES, 1e-3)])
+def test_no_slider_leads_where_a_note_is_refused(tmp_path, changes):
+    load_note(saved(encode_note(true_note(90), 90), tmp_path, changes=changes))
+
+
+def test_a_knock_in_a_note_is_checked(tmp_path):
+    file = saved(encode_note(ringing_note(60), 60), tmp_path)
+    document = json.loads(file.read_text())
+    for knock, said in (("no base64", "ringing.knock.wav is no base64"), ("AAAA", "ringing.knock.wav: cannot be read")):
+        document["ringing"]["knock"]["wav"] = knock
+        file.write_text(json.dumps(document))
+        with pytest.raises(FitError, match=said):
+            load_note(file)
+
+
+def test_the_sliders_have_the_intervals_of_the_instrument():
+    told = {"K/M_S": (100.0, 50.0, 200.0), "p": (2.5, 2.4, 2.7), "B": (1e-3, 9e-4, 1.2e-3), "x0/L": (0.1, 0.2, 0.3)}
+    assert intervals(told) == {
+        "force": [0.5, 2.0],
+        "p": pytest.approx([-0.1, 0.2]),
+        "inharmonicity": pytest.approx([0.9, 1.2]),
+    }
+    even = {"b1": (0.3, 0.3 / 1.5, 0.3 * 1.5), "d2": (0.3, 0.3 / 1.5, 0.3 * 1.5)}
+    assert intervals(even)["loss"][1] == pytest.approx(1.5 ** (1 / np.sqrt(2)))  # of two errors, half in quadrature
+    piano = read_instrument(document() | {"keys": [row | {"told": {"mu": {"value": 0.2, "interval": [0.1, 0.4]},
+        "p": {"value": "x", "interval": [1, 2]}, "B": {"value": 1, "interval": None}, "q": 3}}
+        for row in document()["keys"]]})  # fmt: skip
+    assert piano.told[60] == {"mu": (0.2, 0.1, 0.4)}
+    assert payload(piano, 1_000_000)[0]["keys"][1]["intervals"] == {"mu": [0.5, 2.0]}
 
 
 def test_changes_of_the_string_move_measured_partials_with_it():
@@ -209,12 +269,43 @@ def document() -> dict:
             "velocity": {"at_64": 1.3, "rise": 1.5}}  # fmt: skip
 
 
+def test_a_batchs_folder_becomes_a_page_that_counts_its_guesses(tmp_path, capsys):
+    library(tmp_path, [40, 45])
+    assert main(["page", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    assert (
+        f"{tmp_path / 'piano.html'}: 88 keys, 2 of them recorded; 86 are guesses: 4 between recorded keys, 82" in said
+    )
+    html = (tmp_path / "piano.html").read_text()
+    assert "Of the keys 86 are guesses: 4 between recorded keys, 82 beyond them." in html
+    library(tmp_path, [50])
+    assert main(["page", str(tmp_path), "--prefix", "twin", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["guesses"] == {"between": 8, "beyond": 77}
+    assert main(["page", str(tmp_path)]) == 0  # its own file, with one key more
+    assert "3 of them recorded" in capsys.readouterr().out
+    write_fit(tmp_path, 60, fit_document(true_note(60), ERRORS), "other")
+    for more, said in (
+        ([], "holds several instruments, other, twin; choose one"),
+        (["--prefix", "a/b"], "there are 'oth"),
+    ):
+        assert main(["page", str(tmp_path), *more]) == 1
+        assert said in capsys.readouterr().err
+
+
+def test_an_instrument_in_a_folder_is_taken_as_it_is(tmp_path, capsys):
+    (tmp_path / "instrument.json").write_text(json_text(document()))
+    assert main(["page", str(tmp_path)]) == 0
+    assert "2 keys, 1 of them recorded; 1 is a guess: 1 beyond them" in capsys.readouterr().out
+    assert main(["page", str(tmp_path), "--prefix", "cp80"]) == 1
+    assert "holds one instrument" in capsys.readouterr().err
+
+
 def test_the_command_writes_a_page_and_replaces_none_unasked(tmp_path, capsys):
     assert read_instrument(document()).recorded == {59}
     built, out = tmp_path / "instrument.json", tmp_path / "piano.html"
     built.write_text(json_text(document()))
     assert main(["page", str(built), "--out", str(out)]) == 0
-    assert "2 keys, 1 of them recorded" in capsys.readouterr().out
+    assert "2 keys, 1 of them recorded; 1 is a guess: 1 beyond them" in capsys.readouterr().out
     html = out.read_text()
     assert "</script><b>" not in html
     assert html.count("</script>") == html.count("<script")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import shutil
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from instrument_cases import true_instrument, uneven_note
 from page_cases import ringing_note
 
 from pianofit.play.page import write_page
+from pianofit.render import load_note
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 CHROMIUM = shutil.which("chromium") or "/usr/bin/chromium"
@@ -50,7 +52,8 @@ def written(tmp_path_factory):
     piano = true_instrument(range(48, 73))
     notes = piano.notes | {60: uneven_note(60), 64: ringing_note(64)}
     path = tmp_path_factory.mktemp("page") / "a piano #1?.html"
-    write_page(path, piano._replace(name="</script>'\"", notes=notes, recorded=frozenset([60, 64])))
+    told = {60: {"M_H/M_S": (1.0, 0.5, 2.0), "p": (2.0, 1.9, 2.2)}}
+    write_page(path, piano._replace(name="</script>'\"", notes=notes, recorded=frozenset([60, 64]), told=told))
     return path
 
 
@@ -140,7 +143,7 @@ def test_letters_play_and_what_was_played_is_saved(page, tmp_path):
 def test_keys_are_named_and_reached_without_a_mouse(page):
     names = page.locator(".key").evaluate_all("keys => keys.map((key) => key.getAttribute('aria-label'))")
     assert len(names) == 25
-    assert (names[12], names[13]) == ("C4, recorded", "C sharp 4, inferred")
+    assert (names[12], names[13]) == ("C4, recorded", "C sharp 4, a guess")
     assert page.locator(".key[tabindex='0']").count() == 1
     page.locator(".key[tabindex='0']").focus()
     page.keyboard.press("ArrowRight")
@@ -194,6 +197,45 @@ def test_a_slider_changes_one_key_or_all_and_is_taken_back(page):
     page.mouse.up()
     page.mouse.click(*at(page, 60))
     sounding(page, 0)
+
+
+def test_a_slider_shows_the_interval_where_it_is_known(page):
+    page.mouse.click(*at(page, 60))
+    page.locator("#change-mass").wait_for()
+    shown = """name => {
+      const input = document.getElementById(`change-${name}`), band = input.previousElementSibling;
+      const [a, b] = [input, band].map((it) => it.getBoundingClientRect());
+      return [(b.left - a.left - 8) / (a.width - 16), (b.right - a.left - 8) / (a.width - 16)];
+    }"""
+    assert page.evaluate(shown, "mass") == pytest.approx([0.25, 0.75], abs=0.01)  # 1/2 and 2 of 1/4 to 4
+    assert page.evaluate(shown, "p") == pytest.approx([0.45, 0.6], abs=0.01)
+    mass = 1e3 * true_instrument(range(60, 61)).notes[60].hammer.M_H
+    words = page.locator("label", has=page.locator("#change-mass")).locator("small").inner_text()
+    assert [float(x) for x in words.removeprefix("95 %: ").removesuffix(" g").split(" to ")] == pytest.approx(
+        [0.5 * mass, 2 * mass], rel=5e-3
+    )
+    page.mouse.click(*at(page, 62))
+    page.wait_for_function("() => document.getElementById('which').textContent === 'D4'")
+    assert not page.locator(".sliders small:visible").count()
+
+
+def test_a_key_is_saved_as_a_note_that_render_reads(page, tmp_path):
+    page.mouse.click(*at(page, 64))
+    page.locator("#change-mass").focus()
+    page.keyboard.press("End")
+    with page.expect_download() as download:
+        page.locator("#save-note").click()
+    assert download.value.suggested_filename == "note.json"
+    download.value.save_as(tmp_path / "note.json")
+    note, rate = load_note(tmp_path / "note.json")
+    own = ringing_note(64)
+    assert rate == 48_000
+    assert pytest.approx(4 * own.hammer.M_H) == note.hammer.M_H
+    assert own.ringing is not None
+    assert note.ringing is not None
+    np.testing.assert_array_equal(note.ringing.number, own.ringing.number)
+    claims = json.loads((tmp_path / "note.json").read_text())["claims"]
+    assert claims.startswith("E4 of </script>'\", recorded, as the page plays it, changed by hand.")
 
 
 @pytest.mark.parametrize("width", [400, 1600])

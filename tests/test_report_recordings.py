@@ -218,7 +218,7 @@ def fake_fit(velocities=(3.0, 0.75, 1.5), first=0, memory=False, free=("c", "kap
     for i, v in enumerate(velocities):
         hammer = Hammer(VALUES["K_H"], 0.0 if memory else VALUES["mu"], VALUES["p"], VALUES["M_H"], v)
         note = Note(string, MemoryHammer(*hammer, 0.3, 2e-4) if memory else hammer, GEOMETRY, "velocity", 2.0, None)
-        samples, simulation = note.play(22050, 22050)
+        samples, simulation = note.stroke(22050, 22050)
         number = np.arange(1, 6 + i)
         fitted = SimpleNamespace(note=note, samples=samples, simulation=simulation, level=np.zeros(len(number)))
         recordings.append(SimpleNamespace(

@@ -24,7 +24,8 @@ MOST_FRAMES = RATES[1] // 2
 # Modes at the most that a file may hold.
 MOST_MODES = 4096
 WAY_OUT = "give the files that pianofit fit wrote"
-COLUMNS = ("partial", "frequency", "frequency_error", "decay", "decay_error")
+ERRORS = ("frequency_error", "decay_error")
+COLUMNS = ("partial", "frequency", ERRORS[0], "decay", ERRORS[1])
 
 
 def ringing_document(ringing: Ringing, *, whole: bool = False) -> dict[str, Any]:
@@ -62,7 +63,8 @@ def encode_knock(ringing: Ringing, bits: str = "PCM_24") -> bytes | None:
 def read_ringing(entry: Any, folder: Path | None, name: str) -> Ringing | None:
     """What `ringing_document` wrote; None where a key rings by its law.
 
-    The knock lies in `folder`, or, if that is None, in the document.
+    The knock lies in the document, as FLAC or WAV in base64, or else in `folder`, unless that is None. Modes may lack
+    their errors, which then count as none.
 
     Raises
     ------
@@ -75,7 +77,8 @@ def read_ringing(entry: Any, folder: Path | None, name: str) -> Ringing | None:
         raise FitError(f"{name}: ringing must be a table; {WAY_OUT}")
     modes, pattern = entry.get("modes") or {}, entry.get("pattern") or ()
     try:
-        table = np.array([modes[column] for column in COLUMNS], float)
+        exact = dict.fromkeys(ERRORS, [0.0] * len(modes["partial"]))
+        table = np.array([(exact | modes)[column] for column in COLUMNS], float)
         amplitude = np.array([np.array(row["real"], float) + 1j * np.array(row["imag"], float) for row in pattern])
     except (KeyError, OverflowError, TypeError, ValueError):
         raise FitError(f"{name}: ringing has no whole table of modes and patterns; {WAY_OUT}") from None
@@ -100,8 +103,13 @@ def _knock(entry: Any, folder: Path | None, channels: int, name: str) -> tuple[n
         raise FitError(f"{name}: ringing.knock must be a table; {WAY_OUT}")
     scale = finite(entry.get("scale"), f"{name}: ringing.knock.scale", WAY_OUT)
     # Wherever the document says, no other file is opened.
-    path = f"{name}: ringing.knock.flac" if folder is None else folder / KNOCK_FILE
-    held = _decoded(entry.get("flac"), str(path)) if folder is None else read_file(path, LARGEST_KNOCK, FitError)
+    kind = "wav" if "wav" in entry else "flac"
+    if folder is None or kind in entry:
+        path = f"{name}: ringing.knock.{kind}"
+        held = _decoded(entry.get(kind), path)
+    else:
+        path = folder / KNOCK_FILE
+        held = read_file(path, LARGEST_KNOCK, FitError)
     try:
         samples, rate = soundfile.read(io.BytesIO(held), frames=MOST_FRAMES, always_2d=True)
     except soundfile.LibsndfileError as problem:

@@ -3,7 +3,8 @@
 from .cluster import Cluster
 from .local import Local
 from .manifest import DEFAULT_PATTERN, Key, Sample, read_keys
-from .run import Progress, plan, run_batch, status
+from .run import Progress, plan, run_batch
+from .state import status
 from .units import Settings, Unit, make_unit
 
 __all__ = [

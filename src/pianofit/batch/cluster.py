@@ -17,13 +17,14 @@ from pathlib import Path
 from ..errors import OutputError, ParameterError, RecordingError
 from ..io import one_line, read_file
 from ..recording import MAX_BYTES
-from .local import Lost, Work, one_thread
+from .local import AtWork, Lost, Work, one_thread
 from .units import Outcome, Unit, fit_unit
 
 __all__ = ["Cluster"]
 
 PATIENCE = 10.0  # s, for the scheduler to answer
 AHEAD = 2  # units sent for every thread
+TOPIC = "pianofit-batch"  # of the events by which workers tell their stages
 
 
 class Cluster:
@@ -63,6 +64,8 @@ class Cluster:
                 f"--scheduler {self._address}: no scheduler answers there ({reason}); check the address"
             )
         self._begun: dict = {}  # future -> (unit, when)
+        self._stage: dict[str, str] = {}  # by the unit's hash
+        self._client.subscribe_topic(TOPIC, self._told)
         self._ended: queue.Queue = queue.Queue()
         self._token = secrets.token_hex(4)
         self.slots = 0
@@ -85,11 +88,16 @@ class Cluster:
         """Count the units that were sent and have not ended."""
         return len(self._begun)
 
-    def running(self) -> dict[str, float]:
-        """Keys at work and the seconds since each was sent; those sent ahead are not counted."""
+    def running(self) -> dict[str, AtWork]:
+        """Keys at work, the seconds since each was sent, and its stage; those sent ahead are not counted."""
         now = time.monotonic()
         oldest = list(self._begun.values())[: self.slots]
-        return {unit.key: now - since for unit, since in oldest}
+        return {unit.key: AtWork(now - since, self._stage.get(unit.hash, "")) for unit, since in oldest}
+
+    def _told(self, event) -> None:
+        """A worker's stage: (when, (hash of its unit, stage))."""
+        _, (digest, stage) = event
+        self._stage[digest] = stage
 
     def room(self) -> bool:
         """Tell whether another unit should be sent."""
@@ -166,5 +174,9 @@ def on_worker(work: Work, unit: Unit, contents: list[bytes] | None) -> Outcome:
     """Run a unit on a worker of the cluster, in the worker's own scratch folder."""
     from distributed import get_worker
 
+    worker = get_worker()
     with one_thread():  # for what is imported only now
-        return work(unit, contents, str(Path(get_worker().local_directory)))
+        return work(
+            unit, contents, str(Path(worker.local_directory)),
+            lambda stage: worker.log_event(TOPIC, (unit.hash, stage)),
+        )  # fmt: skip

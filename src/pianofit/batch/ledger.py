@@ -32,6 +32,8 @@ class Entry(NamedTuple):
     left_out: tuple[dict[str, str], ...] = ()  # file and reason of each
     seconds: float = 0.0  # of the fit
     memory: int = 0  # bytes
+    stage: str = ""  # of the fit, while it is running
+    began: float = 0.0  # when, s since 1970, while it is running
 
     def document(self) -> dict[str, Any]:
         """The entry as JSON says it."""

@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 
 from .units import Outcome, Unit, fit_unit
 
-__all__ = ["Local", "Lost", "Work"]
+__all__ = ["AtWork", "Local", "Lost", "Work"]
 
 RECYCLE = 16  # units
 # One thread for each library that would take all cores; read when it is first imported.
@@ -34,7 +34,8 @@ ONE_THREAD = {
 }  # fmt: skip
 XLA_FLAG = "--xla_cpu_multi_thread_eigen=false"
 
-Work = Callable[[Unit, list[bytes] | None, str | None], Outcome]
+# Of a unit, its recordings' bytes, a scratch folder, and a function that is told the stages.
+Work = Callable[[Unit, list[bytes] | None, str | None, Callable[[str], None]], Outcome]
 
 
 class Lost(NamedTuple):
@@ -43,12 +44,20 @@ class Lost(NamedTuple):
     reason: str
 
 
+class AtWork(NamedTuple):
+    """A unit that is being fitted."""
+
+    seconds: float  # since it began
+    stage: str  # what is done of it now; empty if that is not known
+
+
 @dataclass
 class _Worker:
     process: Any
     pipe: connection.Connection
     unit: Unit | None = None
     since: float = 0.0
+    stage: str = ""
     served: int = 0
 
 
@@ -86,10 +95,10 @@ class Local:
         """Count the units that were begun and have not ended."""
         return sum(w.unit is not None for w in self._workers)
 
-    def running(self) -> dict[str, float]:
-        """Keys at work and the seconds each has taken."""
+    def running(self) -> dict[str, AtWork]:
+        """Keys at work, the seconds each has taken, and its stage."""
         now = time.monotonic()
-        return {w.unit.key: now - w.since for w in self._workers if w.unit is not None}
+        return {w.unit.key: AtWork(now - w.since, w.stage) for w in self._workers if w.unit is not None}
 
     def room(self) -> bool:
         """Tell whether another unit can be begun."""
@@ -98,7 +107,7 @@ class Local:
     def submit(self, unit: Unit) -> None:
         """Begin a unit on a worker that is free, or on a new one."""
         worker = next((w for w in self._workers if w.unit is None), None) or self._start()
-        worker.unit, worker.since = unit, time.monotonic()
+        worker.unit, worker.since, worker.stage = unit, time.monotonic(), ""
         with contextlib.suppress(OSError):  # a worker that is gone is found by its end
             worker.pipe.send((unit, None, str(self._scratch)))
 
@@ -108,25 +117,30 @@ class Local:
         ready = set(connection.wait([x for w in busy for x in (w.pipe, w.process.sentinel)], timeout))
         found = []
         for worker in busy:
+            unit, outcome = worker.unit, None
             if worker.pipe in ready or worker.process.sentinel in ready:
-                found.append(self._collect(worker))
-            elif time.monotonic() - worker.since > self._limit:
-                found.append((worker.unit, self._stopped(worker)))
+                outcome = self._collect(worker, gone=worker.process.sentinel in ready)
+            if outcome is None and time.monotonic() - worker.since > self._limit:
+                outcome = self._stopped(worker)
+            if unit is not None and outcome is not None:
+                worker.unit = None
+                found.append((unit, outcome))
         return found
 
-    def _collect(self, worker: _Worker) -> tuple[Unit, Outcome | Lost]:
-        unit, worker.unit = worker.unit, None
-        assert unit is not None  # noqa: S101
+    def _collect(self, worker: _Worker, gone: bool) -> Outcome | Lost | None:
+        """What a worker has said: the end of its unit, or None where that goes on and only a stage was told."""
         try:
-            outcome = worker.pipe.recv() if worker.pipe.poll() else None
+            while worker.pipe.poll():
+                said = worker.pipe.recv()
+                if isinstance(said, Outcome):
+                    worker.served += 1
+                    if worker.served >= RECYCLE:
+                        self._retire(worker)
+                    return said
+                worker.stage = said
         except (EOFError, OSError):
-            outcome = None
-        if outcome is None:
-            return unit, Lost(self._retire(worker))
-        worker.served += 1
-        if worker.served >= RECYCLE:
-            self._retire(worker)
-        return unit, outcome
+            gone = True
+        return Lost(self._retire(worker)) if gone else None
 
     def _stopped(self, worker: _Worker) -> Outcome:
         """End a worker whose unit takes too long."""
@@ -189,7 +203,7 @@ def _serve(pipe: connection.Connection, work: Work, memory: int) -> None:
             unit, contents, scratch = pipe.recv()
         except EOFError:
             return
-        pipe.send(work(unit, contents, scratch))
+        pipe.send(work(unit, contents, scratch, pipe.send))
 
 
 def _end_with_parent() -> None:

@@ -8,7 +8,6 @@ counts.
 from __future__ import annotations
 
 import contextlib
-import statistics
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
@@ -17,12 +16,14 @@ from typing import Any, NamedTuple, Protocol
 
 from ..errors import OutputError, RecordingError
 from ..io import one_line
+from .index import Index
 from .ledger import Entry, Ledger
-from .local import Lost
-from .store import Store, is_locked, locked, opened
+from .local import AtWork, Lost
+from .state import document, time_left
+from .store import Store, locked, opened
 from .units import Outcome, Unit
 
-__all__ = ["Progress", "Workers", "plan", "run_batch", "status"]
+__all__ = ["Progress", "Workers", "plan", "run_batch"]
 
 ATTEMPTS = 2  # of a unit whose worker is lost
 BEAT = 0.5  # s between two looks at the clock
@@ -37,8 +38,8 @@ class Workers(Protocol):
         """Count the units that were submitted and have not ended."""
         ...
 
-    def running(self) -> dict[str, float]:
-        """Keys at work and the seconds that each has taken."""
+    def running(self) -> dict[str, AtWork]:
+        """Keys at work, the seconds that each has taken, and what is done of it now."""
         ...
 
     def room(self) -> bool:
@@ -60,7 +61,7 @@ class Progress(NamedTuple):
     total: int
     done: int
     failed: int
-    running: int
+    running: tuple[tuple[str, str], ...]  # keys at work, and the stage of each
     left: float | None  # s, None before it can be told
     event: str = ""  # what just happened, a line; else empty
 
@@ -124,8 +125,9 @@ def run_batch(
         if batch.queue:
             with workers(store) as at_work:
                 batch.run(at_work)
+        batch.index.close()
         strangers = sorted(store.finished() - {key for key, row in batch.rows.items() if row.state == "done"})
-    return _document(folder, [*batch.rows.values()]) | {"strangers": strangers}
+    return document(folder, [*batch.rows.values()]) | {"strangers": strangers}
 
 
 class _Batch:
@@ -136,6 +138,7 @@ class _Batch:
         self.rows: dict[str, Entry] = {}
         self.queue: deque[Unit] = deque()
         self.attempts: Counter[str] = Counter()
+        self.index = Index(store)
         self.seconds: list[float] = []
 
     def settle(self, retry_failed: bool) -> None:
@@ -157,17 +160,28 @@ class _Batch:
                     self._begin(workers, self.queue.popleft())
                 for unit, outcome in workers.finished(BEAT):
                     self._end(unit, outcome, workers)
+                self._stages(workers.running())
                 self._say("", workers)
+                self.index.show()
         except BaseException:  # also Ctrl-C: nothing stays "running"
             with contextlib.suppress(OutputError):
                 for row in self.rows.values():
                     if row.state == "running":
-                        self.ledger.write(row._replace(state="waiting"))
+                        self.ledger.write(row._replace(state="waiting", stage="", began=0.0))
+                self.index.close()
             raise
+
+    def _stages(self, running: dict[str, AtWork]) -> None:
+        """Let the ledger know what is done of each key now."""
+        for key, at in running.items():
+            row = self.rows[key]
+            if row.state == "running" and row.stage != at.stage:
+                self.rows[key] = row._replace(stage=at.stage)
+                self.ledger.write(self.rows[key])
 
     def _begin(self, workers: Workers, unit: Unit) -> None:
         self.attempts[unit.key] += 1
-        self._row(unit, state="running", attempts=self.attempts[unit.key])
+        self._row(unit, state="running", attempts=self.attempts[unit.key], stage="", began=round(time.time(), 3))
         try:
             workers.submit(unit)
         except RecordingError as error:
@@ -198,6 +212,9 @@ class _Batch:
         self._say(f"{unit.key}: done in {outcome.seconds:.1f} s{without}", workers)
 
     def _row(self, unit: Unit, **facts: Any) -> None:
+        if facts["state"] != "running":
+            facts |= {"stage": "", "began": 0.0}
+            self.index.changed()
         self.rows[unit.key] = self.rows[unit.key]._replace(**facts)
         self.ledger.write(self.rows[unit.key])
 
@@ -205,26 +222,9 @@ class _Batch:
         count = Counter(r.state for r in self.rows.values())
         running = {} if workers is None else workers.running()
         waiting, slots = len(self.queue), 0 if workers is None else workers.slots
-        left = time_left(self.seconds, waiting, list(running.values()), slots)
-        self.tell(Progress(len(self.units), count["done"], count["failed"], len(running), left, one_line(event)))
-
-
-def time_left(seconds: Sequence[float], waiting: int, running: Sequence[float], slots: int) -> float | None:
-    """Seconds until all is done: the median of finished units for each that waits, shared among the workers.
-
-    A unit at work is given what it lacks of the median, and never less than a quarter of what it has taken: one that
-    is over its time is not about to end.
-
-    Parameters
-    ----------
-    seconds : of the units that are done.
-    running : seconds that each running unit has taken so far.
-    """
-    if not seconds or not slots:
-        return None
-    each = statistics.median(seconds)
-    rest = [max(each - r, r / 4) for r in running]
-    return max((waiting * each + sum(rest)) / slots, max(rest, default=0.0))
+        left = time_left(self.seconds, waiting, [at.seconds for at in running.values()], slots)
+        stages = tuple((key, at.stage) for key, at in running.items())
+        self.tell(Progress(len(self.units), count["done"], count["failed"], stages, left, one_line(event)))
 
 
 def _left_out(outcome: Outcome) -> tuple[dict[str, str], ...]:
@@ -244,47 +244,3 @@ def _reason(entry: Entry) -> str:
     """Why a key failed, with what its pitch suggests."""
     told = not entry.sounds_like or entry.sounds_like in entry.reason
     return entry.reason if told else f"{entry.reason} (it sounds like {entry.sounds_like})"
-
-
-def status(folder: Path) -> dict[str, Any]:
-    """What folders and ledger in `folder` say, with whether a batch is at work there.
-
-    Raises
-    ------
-    OutputError
-        If it is no batch's.
-    """
-    entries, at_work = Ledger(Store(folder)).entries(), is_locked(folder)
-    if not at_work:  # what a killed batch was at is not running any more
-        entries = [e._replace(state="waiting") if e.state == "running" else e for e in entries]
-    return _document(folder, entries) | {"at_work": at_work}
-
-
-def _document(folder: Path, entries: Sequence[Entry]) -> dict[str, Any]:
-    count = Counter(e.state for e in entries)
-    seconds = [e.seconds for e in entries if e.state == "done"]
-    return {
-        "folder": str(folder),
-        "counts": {state: count[state] for state in ("done", "failed", "running", "waiting")},
-        "median_seconds": round(statistics.median(seconds), 3) if seconds else None,
-        "largest_memory": max((e.memory for e in entries), default=0),
-        "suggestions": suggestions(entries),
-        "keys": [e.document() for e in entries],
-    }
-
-
-def suggestions(entries: Sequence[Entry]) -> list[str]:
-    """What the pitches say about the names of the notes."""
-    from ..analysis.notes import note_to_midi
-
-    wrong = [e for e in entries if e.sounds_like]
-    offset = Counter(note_to_midi(e.sounds_like) - note_to_midi(e.note) for e in wrong)
-    if not offset:
-        return []
-    semitones, times = offset.most_common(1)[0]
-    if times > 2 and 2 * times > len(entries):
-        return [
-            f"{times} of {len(entries)} keys sound {abs(semitones)} semitones {'above' if semitones > 0 else 'below'} "
-            f"their names: the library counts otherwise; run with --transpose {semitones} and another --out"
-        ]
-    return [f"{e.key}: its name says {e.note}, its pitch {e.sounds_like}; correct its note" for e in wrong]

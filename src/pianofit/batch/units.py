@@ -18,11 +18,11 @@ import sys
 import tempfile
 import time
 import traceback
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib import metadata
 from math import log2
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from .. import __version__
 from ..analysis.notes import hz_to_note, note_to_hz, note_to_midi
@@ -162,20 +162,26 @@ def _names(key: Key) -> list[str]:
     return names
 
 
-def fit_unit(unit: Unit, contents: Sequence[bytes] | None = None, scratch: str | None = None) -> Outcome:
+def fit_unit(
+    unit: Unit,
+    contents: Sequence[bytes] | None = None,
+    scratch: str | None = None,
+    tell: Callable[[str], None] = lambda _: None,
+) -> Outcome:
     """Fit one unit and return its files; never raises for what the unit is at fault for.
 
     Parameters
     ----------
     contents : the recordings' bytes; None to read them at their paths.
     scratch : a folder for a temporary one; the system's if None.
+    tell : called with the name of every stage as it begins.
     """
     began = time.monotonic()
     try:
         if other := _other_versions(unit):
             return Outcome({}, other, stop=True)
         with tempfile.TemporaryDirectory(dir=scratch, prefix="pianofit-") as place:
-            found = _fit_in(Path(place), unit, contents)
+            found = _fit_in(Path(place), unit, contents, tell)
     except PianofitError as error:
         full = isinstance(error.__cause__, OSError) and error.__cause__.errno in NO_ROOM
         found = Outcome({}, str(error), stop=full)
@@ -207,22 +213,23 @@ def _other_versions(unit: Unit) -> str:
     return ""
 
 
-def _fit_in(place: Path, unit: Unit, contents: Sequence[bytes] | None) -> Outcome:
+def _fit_in(place: Path, unit: Unit, contents: Sequence[bytes] | None, tell: Callable[[str], None]) -> Outcome:
     """Fit in the folder `place`; recordings that cannot be used are left out if others can."""
     files = _stage(place, unit, contents)
     (out := place / "out").mkdir()
     left_out: list[tuple[Path, str]] = []
     try:
         try:
-            _fit(unit, files, place, out)
+            _fit(unit, files, place, out, tell)
         except OutputError:
             raise
         except PianofitError:
+            tell("each recording alone")
             left_out = _unusable(files, unit)
             files = [f for f in files if f not in [bad for bad, _ in left_out]]
             if not left_out or not files:
                 raise
-            _fit(unit, files, place, out)
+            _fit(unit, files, place, out, tell)
     except OutputError:
         raise
     except PianofitError as error:
@@ -250,7 +257,7 @@ def _stage(place: Path, unit: Unit, contents: Sequence[bytes] | None) -> list[Pa
     return files
 
 
-def _fit(unit: Unit, files: list[Path], place: Path, out: Path) -> None:
+def _fit(unit: Unit, files: list[Path], place: Path, out: Path, tell: Callable[[str], None]) -> None:
     """Fit `files` into `out`, where they have their own paths again.
 
     Raises
@@ -267,15 +274,15 @@ def _fit(unit: Unit, files: list[Path], place: Path, out: Path) -> None:
         setup.write_text(unit.setup, encoding="utf-8")
     keep_programs()
     result = fit(
-        *files, setup=setup, note=unit.note, channel=unit.settings.channel, seed=unit.settings.seed, progress=False
-    )
+        *files, setup=setup, note=unit.note, channel=unit.settings.channel, seed=unit.settings.seed,
+        progress=_changes(tell),
+    )  # fmt: skip
     if wrong := _astray(unit.note, result.document["derived"]["f0"]):
         raise AnalysisError(wrong)
-    paths = {s.name: s.path for s in unit.sources}
-    for take in result.document["takes"]:
-        take["file"] = paths[Path(take["file"]).name]
+    result.document.update(_own(result.document, place, unit))
     result.save(out, force=True, page=False)
     if unit.settings.page:
+        tell("page")
         result.report(out, title=f"{unit.key}: " + ", ".join(one_line(file.name) for file in files))
 
 
@@ -318,6 +325,28 @@ def _astray(note: str, f0: float) -> str:
         return ""
     return (f"note {note} is {note_to_hz(note):.1f} Hz, but the string sounds at {f0:.1f} Hz, {cents:+.0f} cents from "
             f"it: {hz_to_note(f0)}")  # fmt: skip
+
+
+def _changes(tell: Callable[[str], None]) -> Callable[[str, float], None]:
+    """What tells every stage once, as it begins."""
+    last = ""
+
+    def progress(stage: str, _: float) -> None:
+        nonlocal last
+        if stage != last:
+            last = stage
+            tell(stage)
+
+    return progress
+
+
+def _own(value: Any, place: Path, unit: Unit) -> Any:
+    """A document in which recordings have their own paths, as in `_told`, and so no name that changes by the run."""
+    if isinstance(value, dict):
+        return {name: _own(x, place, unit) for name, x in value.items()}
+    if isinstance(value, list | tuple):
+        return [_own(x, place, unit) for x in value]
+    return _told(value, place, unit) if isinstance(value, str) else value
 
 
 def _told(reason: str, place: Path, unit: Unit) -> str:

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import contextlib
 import os
+import shlex
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 __all__ = ["register"]
 
 LISTED = 20  # failures spelt out where a person reads
+NAMED = 4  # keys at work that a line names
 
 
 def _one_of(*words: str) -> Callable[[str], str]:
@@ -46,7 +48,10 @@ Manifest = Annotated[
     ),
 ]
 Out = Annotated[
-    Path, typer.Option(metavar="DIR", help="The folder of the batch: keys/KEY/ for every key that is done.")
+    Path,
+    typer.Option(
+        metavar="DIR", help="The folder of the batch: index.html, keys.csv, and keys/KEY/ for every key that is done."
+    ),
 ]
 Pattern = Annotated[
     str | None,
@@ -232,9 +237,20 @@ def _workers(workers: int | None, memory: float, time_limit: float, scheduler: s
 def _line(p: Progress) -> str:
     """How far a batch is, on one line."""
     failed = f", {p.failed} failed" if p.failed else ""
-    rest = p.total - p.done - p.failed
-    left = "" if not rest else f", {_span(p.left)} left" if p.left is not None else ", time left not known yet"
-    return f"{p.done} of {p.total} keys done{failed}, {p.running} running{left}"
+    running = f"; {_at_work(p.running)}" if p.running else ""
+    return f"{p.done} of {p.total} keys done{failed}{_left(p.total - p.done - p.failed, p.left)}{running}"
+
+
+def _left(keys: int, seconds: float | None) -> str:
+    if not keys:
+        return ""
+    return f", {_span(seconds)} left" if seconds is not None else ", time left known once a key is done"
+
+
+def _at_work(running: Sequence[tuple[str, str]]) -> str:
+    """Keys and their stages, such as "cp80-C4: hammer"."""
+    named = [f"{key}: {stage}" if stage else key for key, stage in running[:NAMED]]
+    return ", ".join(named) + (f" and {len(running) - NAMED} more" if len(running) > NAMED else "")
 
 
 def _span(seconds: float) -> str:
@@ -283,11 +299,16 @@ def _summary(found: dict[str, Any]) -> str:
     from ..io import one_line
 
     count = {state: n for state, n in found["counts"].items() if n}
-    at_work = "" if "at_work" not in found else f"; {'a' if found['at_work'] else 'no'} batch is at work"
+    left = _left(count.get("running", 0) + count.get("waiting", 0), found.get("seconds_left"))
+    at_work = (
+        "" if "at_work" not in found else f"; a batch is at work{left}" if found["at_work"] else "; no batch is at work"
+    )
     lines = [", ".join(f"{n} {state}" for state, n in count.items()) + f" of {len(found['keys'])} keys{at_work}"]
     if found["median_seconds"]:
         lines.append(f"median {found['median_seconds']:.1f} s a key, at most {found['largest_memory'] / 2**30:.2f} GiB "
                      "a process")  # fmt: skip
+    if running := [(k["key"], k["stage"]) for k in found["keys"] if k["state"] == "running"]:
+        lines.append(f"at work: {_at_work(running)}")
     bad = [k for k in found["keys"] if k["state"] == "failed"]
     for key in bad[:LISTED]:
         told = not key["sounds_like"] or key["sounds_like"] in key["reason"]
@@ -300,5 +321,7 @@ def _summary(found: dict[str, Any]) -> str:
     lines += found["suggestions"][:LISTED]
     if found.get("strangers"):
         lines.append(f"also in keys/, of an earlier run: {', '.join(found['strangers'][:LISTED])}")
-    lines.append(f"{found['folder']}: keys/KEY/fit.json for every key that is done")
+    if count.get("done"):
+        lines.append(f"{found['folder']}: index.html shows every key, keys.csv has the numbers, keys/KEY/ all of each")
+        lines.append(f"to play them: pianofit page {one_line(shlex.quote(found['folder']))}")
     return "\n".join(lines) + "\n"

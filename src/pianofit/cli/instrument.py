@@ -15,7 +15,16 @@ from .terminal import add
 
 __all__ = ["register"]
 
-Built = Annotated[Path, typer.Argument(metavar="INSTRUMENT.JSON", help="The instrument.json of pianofit instrument.")]
+Built = Annotated[
+    Path,
+    typer.Argument(
+        metavar="DIR|INSTRUMENT.JSON", help="What pianofit batch wrote, or the instrument.json of pianofit instrument."
+    ),
+]
+Prefix = Annotated[
+    str | None, typer.Option(metavar="PREFIX", help="Which instrument, if DIR holds several, such as cp80.")
+]
+PAGE = "piano.html"
 At = Annotated[int, typer.Option("--rate", parser=whole, metavar="HZ", help="Sample rate in Hz.")]
 
 
@@ -24,7 +33,7 @@ def register(app: typer.Typer) -> None:
     add(app, instrument, "pianofit instrument library --prefix cp80 --out cp80")
     add(app, play, "pianofit play cp80/instrument.json song.mid --out song.wav")
     add(app, export, "pianofit export cp80/instrument.json --keys 'every 3' --layers 4 --out sampler")
-    add(app, page, "pianofit page cp80/instrument.json --out piano.html")
+    add(app, page, "pianofit page library --prefix cp80")
 
 
 def instrument(
@@ -32,9 +41,7 @@ def instrument(
         list[Path], typer.Argument(metavar="DIR|FIT.JSON...", help="What pianofit batch wrote, or single fits.")
     ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="The folder for instrument.json and instrument.html.")],
-    prefix: Annotated[
-        str | None, typer.Option(metavar="PREFIX", help="Which instrument, if DIR holds several, such as cp80.")
-    ] = None,
+    prefix: Prefix = None,
     name: Annotated[
         str | None, typer.Option(metavar="NAME", help="What it is called; else the prefix, or the folder.")
     ] = None,
@@ -50,19 +57,21 @@ def play(
     built: Built,
     song: Annotated[Path, typer.Argument(metavar="SONG.MID", help="A standard MIDI file.")],
     out: Sound,
+    prefix: Prefix = None,
     rate: At = 48_000,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
     """Play a MIDI file on a fitted instrument."""
     with progress_bar() as bar:
-        done = _play(built, song, out, rate, force, bar)
+        done = _play(built, prefix, song, out, rate, force, bar)
     typer.echo(_json(done) if as_json else _played(out, done), nl=False)
 
 
 def export(
     built: Built,
     out: Annotated[Path, typer.Option(metavar="DIR", help="The folder to write, with the .sfz and its samples.")],
+    prefix: Prefix = None,
     to: Annotated[str, typer.Option("--format", metavar="FORMAT", help="The sampler's format: sfz.")] = "sfz",
     layers: Annotated[int, typer.Option(parser=whole, metavar="N", help="How many velocity layers.")] = 4,
     keys: Annotated[
@@ -80,7 +89,7 @@ def export(
 ) -> None:
     """Write a sampler instrument that any SFZ player loads."""
     with progress_bar() as bar:
-        done = _export(built, out, to, layers, keys, samples, seconds, rate, force, bar)
+        done = _export(built, prefix, out, to, layers, keys, samples, seconds, rate, force, bar)
     typer.echo(
         _json(done) if as_json else f"{out}: {done['samples']} samples, {done['seconds']:.0f} s, "
         f"{done['bytes'] / 1e6:.1f} MB, one gain of {done['gain_db']:+.1f} dB for all\n", nl=False,
@@ -89,12 +98,20 @@ def export(
 
 def page(
     built: Built,
-    out: Annotated[Path, typer.Option(metavar="FILE.HTML", help="The HTML file to write.")],
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.HTML", help=f"The HTML file to write; {PAGE} beside the instrument if not given."),
+    ] = None,
+    prefix: Prefix = None,
+    recordings: Annotated[
+        bool,
+        typer.Option("--recordings", help="Put the recordings into the page, to switch between them and the keys."),
+    ] = False,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
     """Write an instrument to play in a browser: one HTML file of at most 1.5 MB that needs no server and no network."""
-    done = _page(built, out, force)
+    done = _page(built, prefix, out, recordings, force)
     typer.echo(_json(done) if as_json else _written(done), nl=False)
 
 
@@ -133,14 +150,16 @@ def _called(fits: list[Path]) -> str:
     return one_line(fits[0].resolve().name if fits[0].is_dir() else fits[0].resolve().parent.name)
 
 
-def _play(built: Path, song: Path, out: Path, rate: int, force: bool, progress: Callable) -> dict[str, Any]:
+def _play(
+    built: Path, prefix: str | None, song: Path, out: Path, rate: int, force: bool, progress: Callable
+) -> dict[str, Any]:
     from ..io import check_sound_target, encode_pcm24, write_file
     from ..keyboard import load_instrument
     from ..model.cache import keep_programs
     from ..play import load_song, perform
 
     check_sound_target(out, force)
-    played, notes = load_instrument(built), load_song(song)
+    played, notes = load_instrument(built, prefix), load_song(song)
     keep_programs()
     start = time.perf_counter()
     done = perform(played, notes, rate, progress)
@@ -166,8 +185,8 @@ def _played(out: Path, done: dict[str, Any]) -> str:
 
 
 def _export(
-    built: Path, out: Path, to: str, layers: int, keys: str, samples: str, seconds: float, rate: int, force: bool,
-    progress: Callable,
+    built: Path, prefix: str | None, out: Path, to: str, layers: int, keys: str, samples: str, seconds: float,
+    rate: int, force: bool, progress: Callable,
 ) -> dict[str, float]:  # fmt: skip
     from ..errors import ParameterError
 
@@ -178,33 +197,41 @@ def _export(
     from ..play import export_sfz, parse_keys
 
     chosen = parse_keys(keys)
-    played = load_instrument(built)
+    played = load_instrument(built, prefix)
     keep_programs()
     return export_sfz(
         played, out, chosen, layers, rate=rate, seconds=seconds, kind=samples, force=force, progress=progress
     )
 
 
-def _page(built: Path, out: Path, force: bool) -> dict[str, Any]:
+def _page(built: Path, prefix: str | None, out: Path | None, recordings: bool, force: bool) -> dict[str, Any]:
     from ..errors import OutputError
     from ..io import check_target, one_line
     from ..keyboard import load_instrument
     from ..play.page import write_page
 
-    if out.suffix.lower() not in (".html", ".htm"):
-        raise OutputError(f"{one_line(out)}: a page is an HTML file; give --out a name that ends in .html")
-    check_target(out, force)
-    done = write_page(out, load_instrument(built))
+    if out is not None:
+        if out.suffix.lower() not in (".html", ".htm"):
+            raise OutputError(f"{one_line(out)}: a page is an HTML file; give --out a name that ends in .html")
+        check_target(out, force)
+    loaded = load_instrument(built, prefix)
+    # Without --out the file is the command's own, made anew when there are more keys.
+    own = (built if built.is_dir() else built.parent) / (f"piano-{prefix}.html" if prefix else PAGE)
+    done = write_page(out := out or own, loaded, recordings)
     knocks = None if done.knocks is None else {"bits": done.knocks.bits, "rate": done.knocks.rate}
     return {
-        "file": str(out), "bytes": out.stat().st_size, "keys": done.keys, "recorded": done.recorded, "knocks": knocks,
+        "file": str(out), "bytes": out.stat().st_size, "keys": done.keys, "recorded": done.recorded,
+        "guesses": {"between": done.between, "beyond": done.beyond}, "knocks": knocks, "layers": done.layers,
     }  # fmt: skip
 
 
 def _written(done: dict[str, Any]) -> str:
+    from ..keyboard.words import guessed
+
     kept = done["knocks"]
-    knocks = f", knocks at {kept['rate']:g} Hz and {kept['bits']} bits" if kept else ""
+    knocks = f"; knocks at {kept['rate']:g} Hz and {kept['bits']} bits" if kept else ""
+    knocks += f"; {done['layers']} recordings beside them" if done["layers"] else ""
     return (
-        f"{done['file']}: {done['keys']} keys, {done['recorded']} of them recorded{knocks}, "
-        f"{done['bytes'] / 1e6:.2f} MB; open it in a browser\n"
+        f"{done['file']}: {done['keys']} keys, {done['recorded']} of them recorded; {guessed(**done['guesses'])}"
+        f"{knocks}; {done['bytes'] / 1e6:.2f} MB, open it in a browser\n"
     )

@@ -40,7 +40,7 @@ def touched(note: Note, strike: Simulation, recording: Recording) -> int:
 def laid(note: Note, recording: Recording) -> float:
     """Where in a calibrated recording the hammer touched, in samples: the note's attack is laid on the recorded one."""
     count = round(LAID * recording.rate)
-    model, _ = note.play(recording.rate, count)
+    model, _ = note.stroke(recording.rate, count)
     begin = max(recording.onset - count, 0)
     sound = recording.samples[begin : recording.onset + 2 * count]
     if len(sound) <= count:

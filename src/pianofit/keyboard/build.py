@@ -144,7 +144,8 @@ def _key(i, midi, values, laws, keys, own, base, quantity, sign, paths) -> dict[
     state = ("interpolated" if inner else "extrapolated") if j is None else _worst(states)
     fit = None if j is None else {
         "file": keys[j].file, "takes": keys[j].takes, "levels_db": keys[j].levels_db, "converged": keys[j].converged,
-        "velocities": list(keys[j].velocities), "partials": _partials(keys[j].note),
+        "velocities": list(keys[j].velocities), "layers": [layer._asdict() for layer in keys[j].layers],
+        "partials": _partials(keys[j].note),
     }  # fmt: skip
     return {
         "midi": midi, "note": midi_to_note(midi), "state": state, "string": string._asdict(),

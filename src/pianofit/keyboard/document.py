@@ -1,31 +1,37 @@
-"""`instrument.json` as it is read back: nothing in it is trusted before it was checked."""
+"""`instrument.json` as it is read back, nothing in it trusted before it was checked; or made of a folder of fits."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
+from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..analysis.notes import midi_to_note
 from ..errors import FitError, ParameterError
-from ..io import finite, load_json, one_line, shown, table_of
+from ..io import LARGEST, finite, load_json, one_line, shown, table_of
 from ..model.modes import QUANTITIES
 from ..model.note import Note
 from ..model.path import OutputPath
 from ..model.simulate import check_geometry
 from ..parameters import PARAMETERS, Geometry, Hammer, String, check
 from ..ringing_file import read_ringing
-from .build import NEIGHBOURS, SCHEMA
-from .gather import HIGHEST_KEY, LOWEST_KEY
+from .build import NEIGHBOURS, SCHEMA, build_instrument
+from .gather import HIGHEST_KEY, LOWEST_KEY, NAMES, Layer, find_fits, load_keys, owner
 from .inferred import inferred
 from .velocity import hammer_velocity
 
-__all__ = ["Instrument", "load_instrument", "read_instrument"]
+__all__ = ["FILE", "Instrument", "load_instrument", "read_instrument"]
+
+FILE = "instrument.json"
 
 LARGEST_FILE = 2**25
 LARGEST_GAIN = 1e12
 MOST_POINTS = 4096
+LONGEST = 600.0  # s, of a recording
 WAY_OUT = "give the instrument.json that pianofit instrument wrote"
 
 
@@ -37,11 +43,21 @@ class Instrument(NamedTuple):
     at_64: float  # hammer velocity at MIDI velocity 64, m/s
     rise: float  # of its logarithm from there to 127
     recorded: frozenset[int] = frozenset()  # keys that have a fit of their own; the others are the laws'
+    # By key and law of `gather.NAMES`: the value and both ends of its 95 % interval, where they are known.
+    told: Mapping[int, Mapping[str, tuple[float, float, float]]] = MappingProxyType({})
+    layers: Mapping[int, tuple[Layer, ...]] = MappingProxyType({})  # recordings of the recorded keys, soft to loud
 
     @property
     def channels(self) -> int:
         """How many its sound has: those of the key that has most."""
         return max(1 if note.ringing is None else note.ringing.channels for note in self.notes.values())
+
+    @property
+    def guesses(self) -> tuple[int, int]:
+        """How many keys were never recorded: between recorded ones, and beyond them."""
+        guessed = self.notes.keys() - self.recorded
+        between = sum(min(self.recorded) < midi < max(self.recorded) for midi in guessed) if self.recorded else 0
+        return between, len(guessed) - between
 
     @property
     def lead(self) -> float:
@@ -67,16 +83,30 @@ def _span(notes: dict[int, Note]) -> str:
     return f"{midi_to_note(min(notes))} to {midi_to_note(max(notes))}"
 
 
-def load_instrument(path: str | os.PathLike[str]) -> Instrument:
-    """The instrument in a file.
+def load_instrument(path: str | os.PathLike[str], prefix: str | None = None) -> Instrument:
+    """The instrument in a file; or in a folder, where that is its `instrument.json` or what its fits make.
+
+    Parameters
+    ----------
+    prefix : which instrument, if a folder's fits are of several.
 
     Raises
     ------
     FitError
-        Naming the file and the entry that is missing, of another kind, or out of range.
+        Naming the file and the entry that is missing, of another kind, or out of range; or the folder, if it holds no
+        fits, or several instruments' and none is named.
     """
-    document = load_json(path, LARGEST_FILE, "an instrument.json", WAY_OUT)
-    return read_instrument(document, one_line(path))
+    path = Path(path)
+    if path.is_dir() and not (path / FILE).is_file():
+        files = find_fits([path], prefix)
+        name = prefix or owner(files[0]) or path.resolve().name
+        return read_instrument(build_instrument(load_keys(files), one_line(name)), one_line(path))
+    if prefix is not None:
+        raise ParameterError(
+            f"--prefix {shown(prefix)} chooses among a folder's fits, and {one_line(path)} holds one instrument"
+        )
+    file = path / FILE if path.is_dir() else path
+    return read_instrument(load_json(file, LARGEST_FILE, "an instrument.json", WAY_OUT), one_line(file))
 
 
 def read_instrument(document: Any, name: str = "instrument") -> Instrument:
@@ -113,7 +143,9 @@ def read_instrument(document: Any, name: str = "instrument") -> Instrument:
         raise FitError(f"{name}: velocity at_64={at_64:g} m/s, rise={rise:g} is no rising law; {WAY_OUT}")
     called = document.get("name")
     recorded = frozenset(row["midi"] for row in rows if isinstance(row.get("fit"), dict))
-    return Instrument(one_line(called) if isinstance(called, str) else "", notes, at_64, rise, recorded)
+    told = {row["midi"]: _told(row.get("told")) for row in rows}
+    layers = {row["midi"]: _layers(row["fit"].get("layers")) for row in rows if row["midi"] in recorded}
+    return Instrument(one_line(called) if isinstance(called, str) else "", notes, at_64, rise, recorded, told, layers)
 
 
 def _key(row: Any, quantity: str, where: str) -> tuple[int, Note]:
@@ -140,6 +172,33 @@ def _key(row: Any, quantity: str, where: str) -> tuple[int, Note]:
     path, entry = _path(row.get("path"), where), row.get("ringing")
     ringing = None if entry == NEIGHBOURS else read_ringing(entry, None, where)
     return midi, Note(String(**parts["string"]), hammer, geometry, quantity, gain, path, ringing)
+
+
+def _layers(rows: Any) -> tuple[Layer, ...]:
+    """The recordings of a key; a row that is none is left out, for without them it plays as well."""
+    box, found = PARAMETERS["v_H0"], []
+    for row in rows if isinstance(rows, list) else ():
+        match row:
+            case {
+                "file": str(file),
+                "sha256": str(sha256),
+                "contact": int() | float() as contact,
+                "velocity": int() | float() as velocity,
+            }:
+                if abs(contact) < LONGEST and box.lower <= velocity <= box.upper:
+                    found.append(Layer(file, sha256, float(contact), float(velocity)))
+    return tuple(found)
+
+
+def _told(table: Any) -> dict[str, tuple[float, float, float]]:
+    """Values with their intervals; what is none is left out, for it is only shown."""
+    found = {}
+    for name, entry in table.items() if isinstance(table, dict) else ():
+        match entry:
+            case {"value": int() | float() as value, "interval": [int() | float() as low, int() | float() as high]}:
+                if name in NAMES and all(abs(x) < LARGEST for x in (value, low, high)):
+                    found[name] = (float(value), float(low), float(high))
+    return found
 
 
 def _path(path: Any, where: str) -> OutputPath | None:

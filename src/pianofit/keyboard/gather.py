@@ -26,7 +26,7 @@ from ..published import PICKUP, typical
 from ..render import load_note
 
 __all__ = [
-    "HIGHEST_KEY", "LOUDEST", "LOWEST_KEY", "NAMES", "KeyFit", "find_fits", "invariants", "literature",
+    "HIGHEST_KEY", "LOUDEST", "LOWEST_KEY", "NAMES", "KeyFit", "Layer", "find_fits", "invariants", "literature",
     "load_keys", "of_force", "owner",
 ]  # fmt: skip
 
@@ -45,6 +45,15 @@ KNOWN = ("given", "fixed")
 _KEY = re.compile(r"(.*?)[-_ ]?([A-Ga-g])([#sb♯♭]?)(-1|\d)")
 
 
+class Layer(NamedTuple):
+    """One recording that a key was fitted to."""
+
+    file: str
+    sha256: str  # of its bytes
+    contact: float  # when the hammer touches the string, s
+    velocity: float  # of the hammer, m/s
+
+
 class KeyFit(NamedTuple):
     """One key's own fit."""
 
@@ -56,6 +65,7 @@ class KeyFit(NamedTuple):
     levels_db: float | None  # rms error of the partials' levels
     converged: bool
     takes: int  # recordings
+    layers: tuple[Layer, ...] = ()  # those of them that are named, soft to loud
 
 
 def of_force(quantity: str) -> bool:
@@ -203,8 +213,20 @@ def _load_key(file: Path) -> KeyFit:
     told = _deviations(document, note, midi, converged, scale)
     return KeyFit(
         midi, name, note._replace(hammer=hammer, gain=gain / scale), told, tuple((velocities * scale).tolist()),
-        float(error) if _finite(error) else None, converged, len(takes),
+        float(error) if _finite(error) else None, converged, len(takes), _layers(document, takes, scale),
     )  # fmt: skip
+
+
+def _layers(document: dict, takes: list[dict], scale: float) -> tuple[Layer, ...]:
+    """The recordings that a fit names, with their velocities on the instrument's scale."""
+    ringing = document.get("ringing") or {}
+    after = {one.get("file"): one.get("contact_s") for one in ringing.get("layers") or () if isinstance(one, dict)}
+    found = [
+        Layer(take["file"], str(take.get("sha256")), float(take["onset_s"] + (after.get(take["file"]) or 0.0)),
+              float(take["v_H0"] * scale))
+        for take in takes if isinstance(take.get("file"), str) and _finite(take.get("onset_s"))
+    ]  # fmt: skip
+    return tuple(sorted(found, key=lambda layer: layer.velocity))
 
 
 def _midi(note: Note, file: Path) -> int:

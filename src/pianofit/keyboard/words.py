@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-__all__ = ["STATES", "TITLES", "counts", "summary"]
+__all__ = ["STATES", "TITLES", "counts", "guessed", "summary"]
 
 # name -> (title, unit of the axis)
 TITLES = {
@@ -35,6 +35,17 @@ STATES = {
 def counts(document: dict[str, Any]) -> dict[str, int]:
     """How many keys are in each state."""
     return {state: sum(key["state"] == state for key in document["keys"]) for state in STATES}
+
+
+def guessed(between: int, beyond: int) -> str:
+    """How many keys are guesses: of `Instrument.guesses`."""
+    parts = [f"{n} {where}" for n, where in ((between, "between recorded keys"), (beyond, "beyond them")) if n]
+    one = between + beyond == 1
+    return (
+        f"{between + beyond} {'is a guess' if one else 'are guesses'}: {', '.join(parts)}"
+        if parts
+        else "none is a guess"
+    )
 
 
 def summary(document: dict[str, Any]) -> str:

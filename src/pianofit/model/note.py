@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import NamedTuple
+from importlib import import_module
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -92,7 +93,18 @@ class Note(NamedTuple):
         frames = note.frames(note.strike(rate), rate, round(seconds * rate), round(note.lead * rate))
         return frames.mean(axis=0) if mono else frames
 
-    def play(self, rate: float, samples: int, touch: int = 0) -> tuple[np.ndarray, Simulation]:
+    def play(self) -> Any:
+        """The note to strike in a notebook (Jupyter, marimo), at any velocity: a widget, by the extra `widget`.
+
+        Raises
+        ------
+        ParameterError
+            If anywidget is not installed, or the felt is none that a page plays.
+        """
+        # That room knows notes, so a note calls it by name alone.
+        return import_module("..play.page.widget", __package__).widget(self)
+
+    def stroke(self, rate: float, samples: int, touch: int = 0) -> tuple[np.ndarray, Simulation]:
         """The sound [samples] in file units, and the stroke behind it; the contact begins at the index `touch`."""
         simulation = self.strike(rate)
         return self.heard(simulation, rate, samples, touch), simulation

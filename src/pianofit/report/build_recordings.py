@@ -64,7 +64,7 @@ def strokes_of(result: Result) -> Strokes | None:
         struck = note._replace(hammer=note.hammer._replace(v_H0=float(velocity)))
         try:
             touch = round(struck.lead * recording.rate)
-            played.append((float(velocity), struck.play(recording.rate, int(SECONDS * recording.rate), touch)[0]))
+            played.append((float(velocity), struck.stroke(recording.rate, int(SECONDS * recording.rate), touch)[0]))
         except (FitError, ParameterError):  # a contact that does not end is no sound to choose
             continue
     if len(played) < 2:

@@ -74,7 +74,7 @@ class Case:
     def played(self, note: Note, velocity: float | None = None) -> np.ndarray:
         """A note, at another hammer velocity if one is given, laid over the measurement's onset: m/s [samples]."""
         note = note if velocity is None else note.struck(velocity)
-        samples, _ = note.play(self.recording.rate, len(self.recording.samples), self.measurement.onset)
+        samples, _ = note.stroke(self.recording.rate, len(self.recording.samples), self.measurement.onset)
         return samples[self.recording.onset :] / note.gain
 
     def closeness(self, sound: np.ndarray) -> Closeness:

@@ -6,13 +6,15 @@ import { strikeWeights } from "./prepare.js";
 const DRAWN = 65536; // steps of a contact
 // The strike weight of a mode at a node is next to nothing; a measured level is changed by no more than this factor.
 const MOST_LEVEL = 10;
-const BOUNDS = { p: [1, 5] }; // of the felt's exponent, as fits have it
+// Ranges of what changes, as fits have them (parameters.py); a felt without loss stays one.
+const BOUNDS = { p: [1, 5], mu: [1e-3, 10], K_H: [1e4, 1e16], M_H: [1e-4, 0.1], b1: [1e-3, 100], b2: [1e-12, 0.1],
+  kappa: [1e-3, 100] };
 
 /** What `changed` may be told: factors, but `p`, which is added. */
 export const UNCHANGED = { force: 1, p: 0, mu: 1, mass: 1, strike: 1, loss: 1, inharmonicity: 1 };
 
 /** Which partial of a string f is, a number that need not be whole: f = k f0 √(1 + B k²). */
-function partialOf(f, f0, B) {
+export function partialOf(f, f0, B) {
   return Math.sqrt(B > 1e-12 ? (Math.sqrt(1 + 4 * B * (f / f0) ** 2) - 1) / (2 * B) : (f / f0) ** 2);
 }
 
@@ -22,15 +24,15 @@ function partialOf(f, f0, B) {
  */
 export function changed(key, changes) {
   const c = { ...UNCHANGED, ...changes }, { hammer, geometry, string } = key;
-  const p = Math.min(Math.max(hammer.p + c.p, BOUNDS.p[0]), BOUNDS.p[1]);
-  const out = { ...key };
-  out.hammer = { p, mu: hammer.mu * c.mu, M_H: hammer.M_H * c.mass,
-    K_H: hammer.K_H * c.force * key.compression ** (hammer.p - p) };
+  const within = (name, x) => x && Math.min(Math.max(x, BOUNDS[name][0]), BOUNDS[name][1]);
+  const p = within("p", hammer.p + c.p), out = { ...key };
+  out.hammer = { p, mu: within("mu", hammer.mu * c.mu), M_H: within("M_H", hammer.M_H * c.mass),
+    K_H: within("K_H", hammer.K_H * c.force * key.compression ** (hammer.p - p)) };
   const edge = geometry.width / 2, wanted = geometry.strike * c.strike;
   const strike = Math.min(Math.max(wanted, edge), geometry.length - edge);
   out.geometry = { ...geometry, strike };
-  out.string = { ...string, b1: string.b1 * c.loss, b2: string.b2 * c.loss,
-    kappa: string.kappa * Math.sqrt(c.inharmonicity) };
+  out.string = { ...string, b1: within("b1", string.b1 * c.loss), b2: within("b2", string.b2 * c.loss),
+    kappa: within("kappa", string.kappa * Math.sqrt(c.inharmonicity)) };
   if (c.strike === 1 && c.loss === 1 && c.inharmonicity === 1) return out;
   const f0 = string.c / (2 * geometry.length), B = ((string.kappa * Math.PI) / (string.c * geometry.length)) ** 2;
   const moved = (f) => {

@@ -12,6 +12,10 @@ class Keyboard {
   constructor(player, entries) {
     Object.assign(this, { player, keys: new Map(), octave: 60, letters: new Map(), pointers: new Map() });
     this.bench = new Workbench(player, (words) => this.say(words));
+    const recordings = one("recordings");
+    if (recordings) {
+      this.compare = new Compare(player, JSON.parse(recordings.textContent), (key) => this.bench.changesOf(key));
+    }
     player.onerror = (error) => this.refuse(error);
     entries.forEach((entry) => this._key(entry));
     this._pointers();
@@ -39,8 +43,8 @@ class Keyboard {
     key.className = `key ${BLACK.includes(midi % 12) ? "black" : "white"}${recorded ? " recorded" : ""}`;
     key.dataset.midi = midi;
     key.tabIndex = -1;
-    key.setAttribute("aria-label", `${note.replace("#", " sharp ")}, ${recorded ? "recorded" : "inferred"}`);
-    key.title = `${note}, ${recorded ? "recorded" : "inferred"}`;
+    key.setAttribute("aria-label", `${note.replace("#", " sharp ")}, ${recorded ? "recorded" : "a guess"}`);
+    key.title = `${note}, ${recorded ? "recorded" : "a guess"}`;
     name.textContent = midi % 12 === 0 || (recorded && !BLACK.includes(midi % 12)) ? note : "";
     key.append(letter, name);
     one("keys").append(key);
@@ -55,6 +59,7 @@ class Keyboard {
       await this.player.on(midi, velocity);
       one("save").disabled = false;
       this.bench.show(midi, it.note, this.player.speed(velocity));
+      this.compare?.show(midi, it.note);
     } catch (error) {
       this.refuse(error);
     }
@@ -218,17 +223,15 @@ class Keyboard {
   async _save() {
     one("save").disabled = true;
     const wav = await this.player.render((part) => this.say(`Rendering, ${Math.round(100 * part)} %.`));
-    const link = document.createElement("a");
-    Object.assign(link, { href: URL.createObjectURL(new Blob([wav], { type: "audio/wav" })), download: "piano.wav" });
-    link.click();
-    setTimeout(() => URL.revokeObjectURL(link.href), 60e3);
+    save("piano.wav", wav, "audio/wav");
     one("save").disabled = false;
     this.say(`Saved: ${(wav.length / 1e6).toFixed(1)} MB.`);
   }
 }
 
+const text = (id) => one(id).textContent;
 const instrument = JSON.parse(text("instrument"));
-Player.open(instrument).then(
+Player.open(instrument, { engine: text("engine"), worklet: text("worklet") }).then(
   (player) => (window.pianofitKeyboard = new Keyboard(player, instrument.keys)),
   (error) => {
     one("refused").hidden = false;

@@ -8,7 +8,7 @@ from __future__ import annotations
 import base64
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,12 +23,15 @@ from ...model.note import Note
 from ...parameters import Hammer
 from ..strings import damper_rate
 
-__all__ = ["Knocks", "encode_note", "payload"]
+__all__ = ["Knocks", "encode_note", "intervals", "payload"]
 
 # Channels that a page plays: a listener has two ears.
 HEARD_CHANNELS = 2
 # Samples of a knock that share a scale.
 SHARED = 256
+# The workbench's sliders that are factors of one law's value (`keyboard.gather.NAMES`), and the laws of its losses.
+SLIDERS = {"force": "K/M_S", "mu": "mu", "mass": "M_H/M_S", "strike": "x0/L", "inharmonicity": "B"}
+LOSSES = ("b1", "d2")
 
 
 class Knocks(NamedTuple):
@@ -72,9 +75,28 @@ def _document(instrument: Instrument, knocks: Knocks) -> dict[str, Any]:
         "keys": [
             {"midi": midi, "note": midi_to_note(midi), "recorded": midi in instrument.recorded}
             | encode_note(note, midi, knocks)
+            | {"intervals": intervals(instrument.told.get(midi, {}))}
             for midi, note in sorted(instrument.notes.items())
         ],
     }
+
+
+def intervals(told: Mapping[str, tuple[float, float, float]]) -> dict[str, list[float]]:
+    """The 95 % intervals of what the page's sliders change, in their units: factors, and differences of p.
+
+    The losses' is that of partial 1, b1 + d2, the two errors taken as independent.
+    """
+    found = {slider: [low / value, high / value] for slider, law in SLIDERS.items() if law in told
+             for value, low, high in [told[law]] if 0 < low <= value <= high}  # fmt: skip
+    if "p" in told:
+        value, low, high = told["p"]
+        found["p"] = [low - value, high - value]
+    parts = [told[law] for law in LOSSES if law in told]
+    if len(parts) == len(LOSSES) and all(0 < low <= value <= high for value, low, high in parts):
+        size = math.hypot(*(value * math.log(high / low) / 2 for value, low, high in parts))
+        spread = math.exp(size / sum(value for value, _, _ in parts))
+        found["loss"] = [1 / spread, spread]
+    return found
 
 
 def encode_note(note: Note, midi: int, knocks: Knocks = LADDER[0]) -> dict[str, Any]:

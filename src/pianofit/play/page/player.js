@@ -5,8 +5,15 @@ const LONGEST = 60; // s of what was played that can be saved
 const TAIL = 6; // s that it rings on in the file
 const PAUSE = 20; // ms between tables that are sent while it may play
 
-const text = (id) => document.getElementById(id).textContent;
 const blob = (...parts) => URL.createObjectURL(new Blob(parts, { type: "text/javascript" }));
+
+/** Hand a file to the user. */
+function save(name, content, type) {
+  const link = document.createElement("a");
+  Object.assign(link, { href: URL.createObjectURL(new Blob([content], { type })), download: name });
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 60e3);
+}
 
 /** Give the audio thread its code: by a blob or, for Chromium takes none of a page from a file, within the address. */
 async function addModule(context, code) {
@@ -18,12 +25,13 @@ async function addModule(context, code) {
 }
 
 class Player {
-  static async open(instrument) {
-    return new Player(instrument, await import(blob(text("engine"))));
+  /** code: the scripts `engine` and `worklet`, as text. */
+  static async open(instrument, code) {
+    return new Player(instrument, code, await import(blob(code.engine)));
   }
 
-  constructor({ keys, velocity }, modules) {
-    Object.assign(this, modules, { velocity, pedal: false, volume: 1, record: [], tables: new Map(), sent: new Set(),
+  constructor({ name, keys, velocity }, code, modules) {
+    Object.assign(this, modules, { code, name, velocity, pedal: false, volume: 1, record: [], tables: new Map(), sent: new Set(),
       own: new Map(), sounding: 0, port: null });
     this.keys = new Map(keys.map((entry) => [entry.midi, this.decode(entry)]));
     this.now = { ...Object.fromEntries(this.keys) }; // with the workbench's changes
@@ -59,7 +67,7 @@ class Player {
   async _start() {
     if (!window.AudioWorkletNode) throw new Error("this browser has no AudioWorklet; take a newer one");
     const context = new AudioContext({ sampleRate: RATE, latencyHint: "interactive" });
-    await addModule(context, text("engine") + text("worklet"));
+    await addModule(context, this.code.engine + this.code.worklet);
     const node = new AudioWorkletNode(context, "piano", { numberOfInputs: 0, outputChannelCount: [2] });
     node.connect(context.destination);
     node.port.onmessage = ({ data }) => (this.sounding = data.sounding);
@@ -68,6 +76,11 @@ class Player {
     this.port.postMessage({ do: "volume", volume: this.volume });
     await context.resume();
     this._sendAll();
+  }
+
+  /** Be silent for ever. */
+  close() {
+    this.context?.close();
   }
 
   /** What is ready, one by one: the audio thread is not to be kept from its work. */
@@ -119,6 +132,14 @@ class Player {
   panic() {
     this.record = [];
     return this.act({ do: "panic" });
+  }
+
+  /** A key as it is played now, as a document; see note.js. */
+  noteOf(midi, velocity, touched) {
+    const { note, recorded } = this.keys.get(midi);
+    const claims = `${note} of ${this.name || "a piano"}, ${recorded ? "recorded" : "a guess"}, as the page plays it, ` +
+      `${touched ? "changed by hand" : "unchanged"}. No fit: intervals are in the instrument and its fits.`;
+    return this.noteDocument(this.now[midi], { velocity, rate: RATE, claims });
   }
 
   /** A key with changes; only the hammer's need no new table. */

@@ -61,7 +61,7 @@ function circleOf(size) {
 }
 
 /** In place, of a power of two: the transform of re + i im; `sign` +1 is the inverse, not divided by the size. */
-function fft(re, im, sign = -1) {
+export function fft(re, im, sign = -1) {
   const size = re.length;
   const [cos, sin] = circleOf(size);
   for (let i = 1, j = 0; i < size; i++) {

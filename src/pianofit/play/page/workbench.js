@@ -31,6 +31,7 @@ class Workbench {
     this.inputs = new Map(SLIDERS.map((slider) => [slider.name, this._slider(slider)]));
     document.getElementById("undo").onclick = () => this.undo();
     document.getElementById("reset").onclick = () => this.reset();
+    document.getElementById("save-note").onclick = () => this.save();
     this.buttons();
     new ResizeObserver(() => this.draw()).observe(document.getElementById("pulse"));
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.draw());
@@ -38,17 +39,33 @@ class Workbench {
 
   _slider({ name, words, from, to }) {
     const label = document.createElement("label"), input = document.createElement("input");
-    const title = document.createElement("span"), value = document.createElement("output");
+    const [title, track, band, known] = ["span", "span", "i", "small"].map((kind) => document.createElement(kind));
+    const value = document.createElement("output");
     title.textContent = words;
+    track.className = "track";
+    track.append(band, input);
     Object.assign(input, { type: "range", min: -STEPS, max: STEPS, step: 1, value: 0, id: `change-${name}` });
-    label.append(title, value, input);
+    label.append(title, value, track, known);
     this.root.querySelector(".sliders").append(label);
     const scale = (n) => (from < 0 ? (n / STEPS) * to : to ** (n / STEPS));
     input.addEventListener("pointerdown", () => (this.begun = false));
     input.addEventListener("input", () => this._move(name, scale(Number(input.value))));
     input.addEventListener("change", () => (this.begun = false));
-    const back = (x) => Math.round(from < 0 ? (x / to) * STEPS : (Math.log(x) / Math.log(to)) * STEPS);
-    return { input, value, back };
+    const back = (x) => (from < 0 ? x / to : Math.log(x) / Math.log(to)) * STEPS;
+    return { input, value, back, band, known };
+  }
+
+  /** The 95 % interval of the key's own value: a band on the slider, cut at its ends, and in words. */
+  _interval(what, unit) {
+    const { band, known, back } = this.inputs.get(what), own = this.player.keys.get(this.midi);
+    const span = own.intervals?.[what];
+    band.hidden = known.hidden = !span;
+    if (!span) return;
+    const [left, right] = span.map((x) => Math.min(Math.max(back(x) / (2 * STEPS) + 0.5, 0), 1));
+    band.style.setProperty("--left", left);
+    band.style.setProperty("--right", right);
+    const shown = span.map((x) => Number((what === "p" ? SHOWN.p(own) + x : SHOWN[what](own) * x).toPrecision(3)));
+    known.textContent = `95 %: ${shown.join(" to ")} ${unit}`.trim();
   }
 
   /** A slider has moved; one drag is one step back. */
@@ -91,6 +108,13 @@ class Workbench {
     this.said("All keys are as they were fitted.");
   }
 
+  save() {
+    const touched = Object.keys(this.changesOf(this.midi)).length > 0;
+    const content = this.player.noteOf(this.midi, this.velocity, touched);
+    save("note.json", `${JSON.stringify(content, null, 1)}\n`, "application/json");
+    this.said(`Saved: note.json, ${this.name}${touched ? ", changed by hand" : ""}.`);
+  }
+
   buttons() {
     document.getElementById("undo").disabled = !this.past.length;
     document.getElementById("reset").disabled = !Object.keys(this.all).length && !this.single.size;
@@ -106,7 +130,8 @@ class Workbench {
     for (const { name: what, unit } of SLIDERS) {
       const { input, value, back } = this.inputs.get(what);
       value.textContent = `${Number(SHOWN[what](key).toPrecision(3))} ${unit}`.trim();
-      input.value = back(changes[what]);
+      input.value = Math.round(back(changes[what]));
+      this._interval(what, unit);
       input.setAttribute("aria-valuetext", value.textContent);
     }
     cancelAnimationFrame(this.frame);

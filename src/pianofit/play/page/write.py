@@ -8,17 +8,21 @@ from importlib.resources import files
 from typing import Any, NamedTuple
 
 from ...keyboard.document import Instrument
+from ...keyboard.words import guessed
 from ...report import kit
 from .payload import Knocks, payload
+from .recordings import recorded_layers
 
-__all__ = ["LARGEST_PAGE", "Page", "write_page"]
+__all__ = ["LARGEST_PAGE", "Page", "engine", "source", "write_page"]
 
 # Bytes: what a mail takes, and a browser opens at once.
 LARGEST_PAGE = 1_500_000
 # Of them, the script, the style and the words.
 OWN = 100_000
 # Modules that know of no page; they become one, which the page's own thread and the audio thread both load.
-ENGINE = ("contact.js", "engine.js", "prepare.js", "output.js", "change.js")
+ENGINE = ("contact.js", "engine.js", "prepare.js", "output.js", "change.js", "note.js", "loudness.js")
+# Where recordings are beside the instrument; the first is the kit's.
+COMPARING = ("audio.js", "compare.js")
 SCRIPTS = ("player.js", "workbench.js", "keyboard.js")
 IMPORT = re.compile(r'^import .* from "\./\w+\.js";\n', re.MULTILINE)
 PACKAGE = "pianofit.play.page"
@@ -29,30 +33,49 @@ class Page(NamedTuple):
 
     keys: int
     recorded: int
+    between: int  # keys that are guesses, between recorded ones
+    beyond: int  # and beyond them
     knocks: Knocks | None  # how they are kept, if the instrument has any
+    layers: int  # recordings that are in it
 
 
-def write_page(path: str | os.PathLike[str], instrument: Instrument) -> Page:
+def write_page(path: str | os.PathLike[str], instrument: Instrument, recordings: bool = False) -> Page:
     """Write an instrument's page, of at most 1.5 MB, whole or not at all.
+
+    Parameters
+    ----------
+    recordings : put every recorded layer into it, to be heard beside its key; they come on top of the 1.5 MB.
 
     Raises
     ------
     ParameterError
-        For a felt that a page cannot play, or an instrument that does not fit.
+        For a felt that a page cannot play, or an instrument or recordings that do not fit.
+    FitError
+        If recordings are wanted, and are not there.
     OutputError
         If `path` cannot be written.
     """
+    between, beyond = instrument.guesses
     document, knocks = payload(instrument, LARGEST_PAGE - OWN)
     content: dict[str, Any] = {
         "instrument": document,
-        "modules": {"engine": IMPORT.sub("", "".join(map(source, ENGINE))), "worklet": source("worklet.js")},
+        "modules": {"engine": engine(), "worklet": source("worklet.js")},
         "recorded": sum(key["recorded"] for key in document["keys"]),
+        "guesses": guessed(between, beyond),
+        "layers": recorded_layers(instrument) if recordings else {},
     }  # fmt: skip
     kit.write_page(
-        path, "page.html.j2", package=PACKAGE, styles=("keyboard.css",), scripts=SCRIPTS,
-        title=instrument.name or "Piano", **content,
+        path, "page.html.j2", package=PACKAGE, styles=("keyboard.css",),
+        scripts=(*COMPARING, *SCRIPTS) if recordings else SCRIPTS, title=instrument.name or "Piano", **content,
     )  # fmt: skip
-    return Page(len(document["keys"]), content["recorded"], knocks)
+    return Page(
+        len(document["keys"]), content["recorded"], between, beyond, knocks, sum(map(len, content["layers"].values()))
+    )
+
+
+def engine() -> str:
+    """The modules that know of no page, as one."""
+    return IMPORT.sub("", "".join(map(source, ENGINE)))
 
 
 def source(name: str) -> str:

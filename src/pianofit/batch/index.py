@@ -1,0 +1,203 @@
+"""What a batch found, to look at and to compute with: `index.html` and `keys.csv` in its folder.
+
+Both are made of the keys' folders and the ledger, and can be lost. They are written anew while the batch goes on, and
+at its end. A recording is heard beside its fit as long as it lies where it was fitted, and is the same.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import time
+from collections.abc import Sequence
+from typing import Any
+from urllib.parse import quote
+
+from ..analysis.notes import note_to_midi
+from ..errors import AnalysisError, PianofitError
+from ..io import one_line, read_file, replace_file
+from ..recording import MAX_BYTES, load_recording
+from ..report import kit
+from ..report.numbers import is_number, number, with_interval
+from ..report.sound import Clip, make_clips
+from .ledger import Entry, Ledger
+from .state import document
+from .store import Store
+
+__all__ = ["CSV_FILE", "INDEX_FILE", "Index"]
+
+INDEX_FILE, CSV_FILE = "index.html", "keys.csv"
+# Between two writings while a batch is at work, s.
+EVERY = 60.0
+# What of a key leads on, where it is there.
+PAGES = ("report.html", "fit.json")
+# What needs no assumed size: the page's columns, the table's first. By name in fit.json: symbol, words, unit
+INVARIANTS = {
+    "f0": ("f_0", "pitch", "Hz"),
+    "B": ("B", "inharmonicity", ""),
+    "M_H/M_S": ("M_H/M_S", "hammer over string mass", ""),
+    "x0/L": ("x_0/L", "strike position", ""),
+    "F/M_S": ("F/M_S", "felt’s force", "N/kg"),
+}
+# Sounds of the page: up to this rate, Hz, this long, s, or shorter, so that all have some 8 MB.
+RATE, LONGEST, SHORTEST, SAMPLES = 32_000, 3.0, 1.0, 4_000_000
+
+
+class Index:
+    """The two files of a batch's folder, written when something has changed."""
+
+    def __init__(self, store: Store) -> None:
+        self.store, self._stale, self._written = store, False, time.monotonic()
+        self._clips: dict[str, tuple[tuple, list[Clip]]] = {}
+
+    def changed(self) -> None:
+        """Note that a key has ended."""
+        self._stale = True
+
+    def show(self) -> None:
+        """Write, if something has changed and the last time is a while ago."""
+        if self._stale and time.monotonic() - self._written > EVERY:
+            self.write()
+
+    def close(self) -> None:
+        """Write, if something has changed or nothing is there."""
+        if self._stale or not all((self.store.folder / name).is_file() for name in (INDEX_FILE, CSV_FILE)):
+            self.write()
+
+    def write(self) -> None:
+        """Write both.
+
+        Raises
+        ------
+        OutputError
+            If the folder cannot be written to.
+        """
+        entries = sorted(Ledger(self.store).entries(), key=_order)
+        found = {e.key: (e, self._fit(e.key)) for e in entries if e.state == "done"}
+        replace_file(self.store.folder / CSV_FILE, table(entries, {key: fit for key, (_, fit) in found.items()}))
+        seconds = max(SHORTEST, min(LONGEST, SAMPLES / (2 * max(len(entries), 1) * RATE)))
+        kit.write_page(
+            self.store.folder / INDEX_FILE, "index.html.j2", package="pianofit.batch", styles=("index.css",),
+            scripts=("audio.js", "player.js"), strict=False, title=one_line(self.store.folder.resolve().name),
+            told=document(self.store.folder, entries), columns=list(INVARIANTS.values()),
+            rows=[_row(self.store, entry, fit) | {"clips": self._sounds(entry, fit, seconds)}
+                  for entry, fit in found.values()],
+            failed=[e for e in entries if e.state == "failed"],
+        )  # fmt: skip
+        self._stale, self._written = False, time.monotonic()
+
+    def _fit(self, key: str) -> dict[str, Any]:
+        try:
+            fit = json.loads((self.store.keys / key / "fit.json").read_bytes())
+        except (OSError, ValueError, RecursionError):
+            return {}
+        return fit if isinstance(fit, dict) else {}
+
+    def _sounds(self, entry: Entry, fit: dict[str, Any], seconds: float) -> list[Clip]:
+        """The reference recording and its fit, kept until the key is fitted anew."""
+        what = (entry.hash, seconds)
+        if self._clips.get(entry.key, (None,))[0] != what:
+            self._clips[entry.key] = what, _heard(self.store, entry.key, fit, seconds)
+        return self._clips[entry.key][1]
+
+
+def _order(entry: Entry) -> tuple[str, int]:
+    """By instrument, then by pitch."""
+    try:
+        midi = note_to_midi(entry.note)
+    except AnalysisError:  # a damaged record
+        midi = 0
+    return entry.key.removesuffix(entry.note.replace("#", "s")), midi
+
+
+def _reference(fit: dict[str, Any]) -> dict[str, Any]:
+    takes = [take for take in fit.get("takes") or () if isinstance(take, dict)]
+    return next((take for take in takes if take.get("first")), takes[0] if takes else {})
+
+
+def _heard(store: Store, key: str, fit: dict[str, Any], seconds: float) -> list[Clip]:
+    """Recording and fit, cut and equally loud; nothing where one of them is not there any more."""
+    import soundfile
+
+    take, channel = _reference(fit), (store.said(key) or {}).get("settings", {}).get("channel", "average")
+    try:
+        recording = load_recording(str(take.get("file")), channel=channel)
+        data = read_file(store.keys / key / "fitted.wav", MAX_BYTES, PianofitError)
+        fitted, rate = soundfile.read(io.BytesIO(data), always_2d=True)
+    except (PianofitError, soundfile.LibsndfileError):
+        return []
+    if recording.sha256 != take.get("sha256") or rate != recording.rate:
+        return []
+    sounds = {"original": recording.samples, "fitted": fitted.mean(axis=1)}
+    return make_clips(sounds, rate, recording.onset / rate, seconds=seconds, highest_rate=RATE)
+
+
+def _row(store: Store, entry: Entry, fit: dict[str, Any]) -> dict[str, Any]:
+    """What the page says of a key."""
+    folder, invariants = store.keys / entry.key, _tables(fit.get("invariants"))
+    measured = [with_interval(x.get("value"), x.get("interval")) for x in (invariants.get(n, {}) for n in INVARIANTS)]
+    levels, out = fit.get("levels") or {}, _left_out_db(fit)
+    return {
+        "key": entry.key, "note": entry.note, "takes": entry.takes, "left_out": entry.left_out,
+        "link": next((f"keys/{quote(entry.key)}/{n}" for n in PAGES if (folder / n).is_file()), ""),
+        "measured": measured, "converged": fit.get("converged") is not False, "statuses": _statuses(fit),
+        "messages": len(fit.get("messages") or ()), "levels": number(levels.get("fitted_db"), 2),
+        "out": number(out, 2),
+    }  # fmt: skip
+
+
+def _statuses(fit: dict[str, Any]) -> list[str]:
+    """Which parameters are how sure, such as "assumed: L, M_S"."""
+    found: dict[str, list[str]] = {}
+    for name, entry in _tables(fit.get("parameters")).items():
+        found.setdefault(str(entry.get("status")).replace("-", " "), []).append(name)
+    return [f"{status}: {', '.join(names)}" for status, names in sorted(found.items(), key=lambda x: _certainty(x[0]))]
+
+
+def _certainty(status: str) -> int:
+    """Of a status; what is least certain comes first."""
+    order = ("not identifiable", "at bound", "assumed", "scaled", "fitted")
+    return order.index(status) if status in order else len(order)
+
+
+def _left_out_db(fit: dict[str, Any]) -> Any:
+    """How far layers that took no part are from their recordings, as the key is played, dB."""
+    ringing = fit.get("ringing") or {}
+    return (ringing.get("left_out_db") or {}).get(ringing.get("by"))
+
+
+def _tables(value: Any) -> dict[str, dict[str, Any]]:
+    return {name: x for name, x in value.items() if isinstance(x, dict)} if isinstance(value, dict) else {}
+
+
+def table(entries: Sequence[Entry], fits: dict[str, dict[str, Any]]) -> bytes:
+    """All keys as CSV, UTF-8: a row each, every number with its 95 % interval, in SI units."""
+    names = dict.fromkeys(name for fit in fits.values() for name in _tables(fit.get("parameters")))
+    columns = [f"{name}{end}" for name in (*INVARIANTS, *names) for end in ("", " low", " high")]
+    about = ["key", "note", "state", "reason", "recordings", "recordings left out", "converged", "levels dB",
+             "layers left out dB", "rings by", "seconds"]  # fmt: skip
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow([*about, *columns, *(f"{name} status" for name in names)])
+    for entry in entries:
+        fit = fits.get(entry.key, {})
+        values = _tables(fit.get("invariants")) | _tables(fit.get("parameters"))
+        cells = [values.get(name, {}) for name in (*INVARIANTS, *names)]
+        writer.writerow([
+            entry.key, entry.note, entry.state, one_line(entry.reason), entry.takes, len(entry.left_out),
+            fit.get("converged", ""), _cell((fit.get("levels") or {}).get("fitted_db")), _cell(_left_out_db(fit)),
+            (fit.get("ringing") or {}).get("by", "law") if fit else "", _cell(entry.seconds or None),
+            *(x for cell in cells for x in (_cell(cell.get("value")), *_ends(cell.get("interval")))),
+            *(values.get(name, {}).get("status", "") for name in names),
+        ])  # fmt: skip
+    return stream.getvalue().encode()
+
+
+def _cell(value: Any) -> Any:
+    return value if is_number(value) else ""
+
+
+def _ends(interval: Any) -> tuple[Any, Any]:
+    known = isinstance(interval, list) and len(interval) == 2
+    return (_cell(interval[0]), _cell(interval[1])) if known else ("", "")

@@ -1,0 +1,127 @@
+// A recorded key beside its recordings: every layer and the instrument struck as hard, at one loudness, in one deck.
+
+const CEILING = 0.891; // full scale: -1 dB
+const WAYS = ["Recording", "Instrument"]; // of a layer
+
+class Compare {
+  constructor(player, recordings, changesOf) {
+    Object.assign(this, { player, recordings, changesOf, midi: null, deck: null, layer: 0, way: 0, decoded: new Map() });
+    this.root = document.getElementById("compare");
+    this.find("play").onclick = () => this.toggle();
+    this.ways = WAYS.map((words, way) => this._button("ways", words, () => this.choose(this.layer, way)));
+    addEventListener("keydown", ({ key, target, ctrlKey, metaKey, altKey }) => {
+      const way = ["1", "2"].indexOf(key), typed = target.closest?.("input:not([type=range])");
+      if (way >= 0 && this.deck && !(ctrlKey || metaKey || altKey || typed)) this.choose(this.layer, way);
+    });
+  }
+
+  find(id) {
+    return document.getElementById(`compare-${id}`);
+  }
+
+  _button(where, words, act) {
+    const button = document.createElement("button");
+    Object.assign(button, { type: "button", textContent: words, onclick: act });
+    this.find(where).append(button);
+    return button;
+  }
+
+  /** Take up a key, if it was recorded. */
+  show(midi, name) {
+    if (midi === this.midi) return;
+    this.deck?.stop();
+    const layers = this.recordings[midi];
+    this.root.hidden = !layers;
+    Object.assign(this, { midi, deck: null, stamp: null, layer: 0 });
+    if (!layers) return;
+    this.find("which").textContent = name;
+    this.find("layers").replaceChildren();
+    this.layers = layers.map(({ velocity }, i) =>
+      this._button("layers", `${velocity.toPrecision(2)} m/s`, () => this.choose(i, this.way)));
+    this.layers.forEach((button, i) => (button.title = layers[i].name));
+    this._mark("Press Play.");
+  }
+
+  async toggle() {
+    if (this.deck?.playing) {
+      this.deck.stop();
+      return this._mark("Paused.");
+    }
+    Deck.contextOf(RATE).resume(); // within the user's gesture
+    const { midi } = this;
+    this._mark("Rendering.");
+    const deck = await this._ready(midi);
+    if (midi !== this.midi) return; // another key was played meanwhile
+    this.deck = deck;
+    deck.choose(this._index());
+    deck.start();
+    this._mark();
+  }
+
+  choose(layer, way) {
+    Object.assign(this, { layer, way });
+    if (this.deck && this.stamp !== this._stamp()) { // a slider has moved since
+      const { playing } = this.deck;
+      this.deck.stop();
+      if (playing) return this.toggle();
+    }
+    this.deck?.choose(this._index());
+    this._mark();
+  }
+
+  _stamp() {
+    return JSON.stringify(this.changesOf(this.midi));
+  }
+
+  _index() {
+    return WAYS.length * this.layer + this.way;
+  }
+
+  /** A deck of all layers, each as recorded and as the instrument plays it now, in turn. */
+  async _ready(midi) {
+    const stamp = this._stamp(), position = this.deck?.position ?? 0;
+    if (this.deck && this.stamp === stamp) return this.deck;
+    const recorded = await this._decoded(midi), length = Math.min(...recorded.map(([channel]) => channel.length));
+    const sounds = recorded.flatMap((channels, i) => [
+      channels.map((x) => x.subarray(0, length)), this._struck(midi, this.recordings[midi][i].velocity, length),
+    ]);
+    const gains = this.player.matched(sounds, RATE, CEILING);
+    const clips = sounds.map((channels, i) => ({ rate: RATE, length, channels: channels.map((x) => x.map((y) => y * gains[i])) }));
+    const deck = new Deck(() => [], (words) => this._mark(`${words}.`), length / RATE);
+    Object.assign(deck, { decoded: clips, position });
+    this.stamp = stamp;
+    return deck;
+  }
+
+  async _decoded(midi) {
+    if (!this.decoded.has(midi)) {
+      const bytes = ({ flac }) => Uint8Array.from(atob(flac), (c) => c.charCodeAt(0)).buffer;
+      const reader = new OfflineAudioContext(1, 1, RATE);
+      const buffers = await Promise.all(this.recordings[midi].map((one) => reader.decodeAudioData(bytes(one))));
+      this.decoded.set(midi, buffers.map((b) => Array.from({ length: b.numberOfChannels }, (_, c) => b.getChannelData(c))));
+    }
+    return this.decoded.get(midi);
+  }
+
+  /** The key struck at `velocity`, by the engine, both channels [length]. */
+  _struck(midi, velocity, length) {
+    const { Engine, BLOCK } = this.player, engine = new Engine(RATE), size = Math.ceil(length / BLOCK) * BLOCK;
+    const sound = [0, 1].map(() => new Float32Array(size)), block = [0, 1].map(() => new Float64Array(BLOCK));
+    engine.setKey(midi, this.player.table(midi));
+    engine.noteOn(midi, velocity);
+    for (let at = 0; at < size; at += BLOCK) {
+      engine.render(...block);
+      sound.forEach((x, c) => x.set(block[c], at));
+    }
+    return sound.map((x) => x.subarray(0, length));
+  }
+
+  _mark(words) {
+    const playing = Boolean(this.deck?.playing), { velocity, name } = this.recordings[this.midi]?.[this.layer] ?? {};
+    this.find("play").textContent = playing ? "❚❚ Pause" : "▶ Play";
+    this.layers?.forEach((button, i) => button.setAttribute("aria-pressed", String(i === this.layer)));
+    this.ways.forEach((button, i) => button.setAttribute("aria-pressed", String(i === this.way)));
+    const what = this.way ? `the instrument at ${velocity?.toPrecision(2)} m/s` : name;
+    this.find("said").textContent = words ?? `${playing ? "Playing" : "Chosen"}: ${what}.`;
+  }
+}

@@ -1,0 +1,50 @@
+// A key as a note.json, which has the entries of fit.json that `pianofit render` and its like read.
+
+import { partialOf } from "./change.js";
+import { encodeWav } from "./output.js";
+
+const SCHEMA = 3; // of fit.json, see io.py
+
+/** Bytes as base64; by parts, for a call takes only so many arguments. */
+function base64(bytes) {
+  const PART = 8192;
+  let text = "";
+  for (let i = 0; i < bytes.length; i += PART) text += String.fromCharCode(...bytes.subarray(i, i + PART));
+  return btoa(text);
+}
+
+/** How a key rings, over its gain, with the knock as a WAV file of 32 bit floats. */
+function ringingOf({ ringing, string, geometry, gain }) {
+  const { pole, pattern, knock, rate } = ringing, list = (column, by = 1) => Array.from(column, (x) => x * by);
+  const f0 = string.c / (2 * geometry.length), B = ((string.kappa * Math.PI) / (string.c * geometry.length)) ** 2;
+  const frequency = list(pole.im, 1 / (2 * Math.PI));
+  return {
+    by: knock[0]?.length ? "modes and knock" : "modes",
+    modes: { partial: frequency.map((f) => Math.max(Math.round(partialOf(f, f0, B)), 1)), frequency,
+      decay: list(pole.re, -1) },
+    pattern: pattern.map(({ re, im }) => ({ real: list(re, 1 / gain), imag: list(im, 1 / gain) })),
+    knock: knock[0]?.length
+      ? { wav: base64(encodeWav(knock.map((x) => x.map((y) => y / gain)), rate)), scale: 1, rate }
+      : null,
+  };
+}
+
+/**
+ * The document of a key, as `changed` left it, struck at `velocity`, m/s.
+ *
+ * claims: a sentence that says where it is from; rate: Hz, of the sounds that are made of it if nobody asks otherwise.
+ */
+export function noteDocument(key, { velocity, rate, claims }) {
+  const { string, hammer, geometry, quantity, gain, path } = key;
+  const values = { ...string, ...hammer, v_H0: velocity, x0: geometry.strike, width: geometry.width, M_S: geometry.mass,
+    L: geometry.length, pickup: geometry.pickup };
+  const given = (value) => ({ value, interval: null, status: "given" });
+  return {
+    schema: SCHEMA, program: "pianofit", kind: "note", claims, messages: [],
+    felt: hammer.mu === 0 ? "power" : "hunt-crossley",
+    parameters: Object.fromEntries(Object.entries(values).map(([name, value]) => [name, given(value)])),
+    takes: [{ rate, v_H0: velocity, v_H0_status: "given", gain, gain_status: "given", first: true }],
+    pickup: { quantity, path: path ? Object.fromEntries(Object.entries(path).map(([n, x]) => [n, Array.from(x)])) : null },
+    ringing: key.ringing ? ringingOf(key) : { by: "law" },
+  };
+}

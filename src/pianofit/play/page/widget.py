@@ -1,0 +1,68 @@
+"""A note to play in a notebook: the page's engine and player as a widget of Jupyter, marimo and their like.
+
+The front end is one module, made of the page's own scripts; anywidget carries it into the notebook.
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+import math
+from typing import Any
+
+from ...errors import ParameterError
+from ...keyboard.gather import HIGHEST_KEY, LOWEST_KEY
+from ...model.note import Note
+from .payload import encode_note
+from .write import engine, source
+
+__all__ = ["front_end", "instrument_of", "widget"]
+
+
+def widget(note: Note) -> Any:
+    """A widget that strikes `note`.
+
+    Raises
+    ------
+    ParameterError
+        If anywidget is not installed, or the note has a felt that a page cannot play.
+    """
+    return _kind()(instrument=instrument_of(note))
+
+
+@functools.cache
+def _kind() -> type:
+    """The class, made once and only for those who ask for it."""
+    try:
+        import anywidget
+        import traitlets
+    except ImportError:
+        raise ParameterError(
+            "a note is played in a notebook by anywidget, which is not installed; pip install 'pianofit[widget]'"
+        ) from None
+
+    class NoteWidget(anywidget.AnyWidget):
+        """What the front end reads, and the front end."""
+
+        _esm = front_end()
+        _css = source("widget.css")
+        instrument = traitlets.Dict().tag(sync=True)
+
+    return NoteWidget
+
+
+def front_end() -> str:
+    """The module that anywidget loads."""
+    code = json.dumps({"engine": engine(), "worklet": source("worklet.js")})
+    return f"const CODE = {code};\n{source('player.js')}\n{source('widget.js')}"
+
+
+def instrument_of(note: Note) -> dict[str, Any]:
+    """An instrument of one key, that nearest to the note's pitch, as the player reads it."""
+    pitch = 69 + 12 * math.log2(float(note.string.c) / (2 * float(note.geometry.length)) / 440.0)
+    midi = min(max(round(pitch), LOWEST_KEY), HIGHEST_KEY)
+    name = f"{float(note.string.c) / (2 * float(note.geometry.length)):.2f} Hz"
+    return {
+        "name": "a note in Python", "velocity": {"at_64": float(note.hammer.v_H0), "rise": 1.5},
+        "keys": [{"midi": midi, "note": name, "recorded": True} | encode_note(note, midi)],
+    }  # fmt: skip

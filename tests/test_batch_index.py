@@ -1,0 +1,179 @@
+"""What a batch says of itself: its page and its table, and what it and `status` tell while it is at work."""
+
+from __future__ import annotations
+
+import base64
+import csv
+import hashlib
+import io
+import json
+import re
+import shutil
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from batch_cases import library, quick_work
+from instrument_cases import ERRORS, fit_document, true_note
+
+from pianofit.batch import Local, run_batch, status
+from pianofit.batch.index import Index
+from pianofit.batch.ledger import Entry, Ledger
+from pianofit.batch.store import Store, opened
+from pianofit.cli.batch import _line, _summary
+from pianofit.io import encode_wav
+from pianofit.report.sound import k_weighted_mean_square
+
+RATE = 22_050
+
+
+@pytest.fixture
+def store(tmp_path) -> Store:
+    """Two keys that are done, one of them beside its recording, and one that has failed."""
+    store = opened(tmp_path / "out")
+    for midi, key in ((60, "grand-C4"), (42, "grand-Fs2")):
+        note = true_note(midi)
+        sound = np.pad(note.render(3.0, seconds=1.5, rate=RATE), (RATE // 20, 0))
+        file = tmp_path / f"{key}.wav"
+        file.write_bytes(encode_wav(0.5 * sound / np.abs(sound).max(), RATE))
+        document = fit_document(note, ERRORS)
+        span = [200.0, 300.0]
+        document["invariants"] = {"f0": {"value": note.string.c / (2 * note.geometry.length), "interval": span}}
+        digest = hashlib.sha256(file.read_bytes()).hexdigest()
+        document["takes"] = [{"file": str(file), "sha256": digest, "first": True, "rate": RATE}]
+        files = {"fit.json": json.dumps(document).encode(), "fitted.wav": encode_wav(0.1 * sound, RATE)}
+        name = midi_name(midi)
+        store.install(key, files, {"hash": key, "note": name, "recordings": [1], "seconds": 20.0})
+    (tmp_path / "grand-Fs2.wav").unlink()
+    Ledger(store).write(Entry("grand-D4", "D4", "x", "failed", 1, reason="<script>alert(1)</script>"))
+    return store
+
+
+def midi_name(midi: int) -> str:
+    return {60: "C4", 42: "F#2"}[midi]
+
+
+def test_the_table_has_the_numbers_of_every_key(store):
+    Index(store).write()
+    rows = list(csv.DictReader(io.StringIO((store.folder / "keys.csv").read_text(encoding="utf-8"))))
+    assert [(row["key"], row["state"]) for row in rows] == [
+        ("grand-Fs2", "done"), ("grand-C4", "done"), ("grand-D4", "failed"),
+    ]  # fmt: skip
+    assert rows[2]["reason"] == "<script>alert(1)</script>"
+    assert rows[2]["c"] == ""
+    for row in rows[:2]:
+        fit = json.loads((store.keys / row["key"] / "fit.json").read_text())
+        for name, entry in (fit["parameters"] | fit["invariants"]).items():
+            assert float(row[name]) == entry["value"]
+            ends = [float(x) if x else None for x in (row[f"{name} low"], row[f"{name} high"])]
+            assert ends == (entry["interval"] or [None, None])
+        assert row["K_H status"] == "scaled"
+
+
+def test_the_page_shows_every_key_and_what_can_be_heard(store):
+    Index(store).write()
+    html = (store.folder / "index.html").read_text()
+    assert "<script>alert(1)" not in html
+    assert "&lt;script&gt;alert(1)" in html
+    assert html.count('href="keys/grand-C4/fit.json"') == html.count('href="keys/grand-Fs2/fit.json"') == 1
+    assert "its recording is not where it was fitted" in html  # of F#2
+    assert "200.0 to 300.0" in html or "200 to 300" in html
+    clips = re.findall(r'data-name="(original|fitted)"[^>]*href="data:audio/wav;base64,([^"]+)"', html)
+    assert [name for name, _ in clips] == ["original", "fitted"]
+    loud = []
+    for _, text in clips:
+        samples = np.frombuffer(base64.b64decode(text)[44:], "<i2") / 32768
+        loud.append(10 * np.log10(k_weighted_mean_square(samples[:RATE], RATE)))
+    assert loud[0] == pytest.approx(loud[1], abs=0.02)  # their files are 14 dB apart
+
+
+def test_a_damaged_record_hides_no_other_key(store):
+    store.install("odd", {"fit.json": b"[1, 2"}, {"hash": "x", "note": "H9"})
+    Index(store).write()
+    rows = list(csv.DictReader(io.StringIO((store.folder / "keys.csv").read_text(encoding="utf-8"))))
+    assert [row["key"] for row in rows if row["c"]] == ["grand-Fs2", "grand-C4"]
+    assert (store.folder / "index.html").read_text().count("keys/odd/fit.json") == 1
+
+
+def test_a_recording_that_is_another_one_now_is_not_played(store, tmp_path):
+    (tmp_path / "grand-C4.wav").write_bytes(encode_wav(np.random.default_rng(1).normal(0, 0.1, RATE), RATE))
+    Index(store).write()
+    assert (store.folder / "index.html").read_text().count("its recording is not where it was fitted") == 2
+
+
+def test_the_page_asks_for_nothing_and_complains_of_nothing(store):
+    sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    chromium = shutil.which("chromium") or "/usr/bin/chromium"
+    if not Path(chromium).exists():
+        pytest.skip("chromium is not installed (Debian: apt-get install chromium)")
+    Index(store).write()
+    page_of = (store.folder / "index.html").as_uri()
+    said, requests = [], []
+    with sync_api.sync_playwright() as play:
+        browser = play.chromium.launch(executable_path=chromium, args=["--no-sandbox", "--disable-gpu"])
+        page = browser.new_page(viewport={"width": 400, "height": 800})
+        page.on("console", lambda message: said.append(message.text))
+        page.on("pageerror", lambda error: said.append(str(error)))
+        page.on("request", lambda request: requests.append(request.url))
+        page.goto(page_of)
+        assert page.evaluate("document.documentElement.scrollWidth") <= 400
+        page.locator(".play").click()
+        page.locator(".choice").nth(1).click()
+        page.wait_for_function("() => pianofitPlayer.state.playing && pianofitPlayer.state.chosen === 'fitted'")
+        browser.close()
+    assert said == []
+    assert [url for url in requests if not url.startswith("data:")] == [page_of]
+
+
+def test_it_is_written_while_the_batch_goes_on_and_when_it_is_interrupted(tmp_path, monkeypatch):
+    monkeypatch.setattr("pianofit.batch.index.EVERY", 0.0)
+    units, seen = library(tmp_path / "in", ["one", "two", "hang"]), []
+
+    def tell(progress):
+        page = tmp_path / "out/index.html"
+        if page.exists() and progress.done == 2:
+            seen.append((page.read_text(), status(tmp_path / "out"), progress))
+            if progress.running and progress.running[0][1]:
+                raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_batch(units, tmp_path / "out", lambda s: Local(1, 2**31, 60.0, s.scratch, work=quick_work), tell=tell)
+    html, told, progress = seen[-1]
+    assert "It is not at its end" in html
+    assert told["at_work"]
+    (running,) = [key for key in told["keys"] if key["state"] == "running"]
+    assert progress.running == (("B0", "hammer"),)
+    assert (running["key"], running["stage"]) == ("B0", "hammer")
+    assert 0 <= time.time() - running["began"] < 60
+    after = status(tmp_path / "out")
+    assert [key["stage"] for key in after["keys"]] == ["", "", ""]
+    assert after["seconds_left"] is None
+
+
+def test_status_gives_the_time_left_and_names_keys_and_stages(tmp_path, monkeypatch):
+    store = opened(tmp_path)
+    store.install("A0", {"fit.json": b"{}"}, {"hash": "a", "note": "A0", "recordings": [1], "seconds": 100.0})
+    now = time.time()
+    for key, state, stage, began in (("B0", "running", "hammer", now - 40), ("C1", "running", "", now - 10),
+                                     ("D1", "waiting", "", 0.0), ("E1", "waiting", "", 0.0)):  # fmt: skip
+        Ledger(store).write(Entry(key, key, "x", state, stage=stage, began=began))
+    monkeypatch.setattr("pianofit.batch.state.is_locked", lambda _: True)
+    found = status(tmp_path)
+    assert found["seconds_left"] == pytest.approx((2 * 100 + 60 + 90) / 2, abs=1.0)
+    said = _summary(found)
+    assert said.startswith("1 done, 2 running, 2 waiting of 5 keys; a batch is at work, about 3 min left\n")
+    assert "at work: B0: hammer, C1\n" in said
+    monkeypatch.setattr("pianofit.batch.state.is_locked", lambda _: False)
+    assert _summary(status(tmp_path)).startswith("1 done, 4 waiting of 5 keys; no batch is at work\n")
+
+
+def test_a_line_of_progress_names_the_first_keys():
+    from pianofit.batch import Progress
+
+    keys = tuple((f"C{i}", "hammer") for i in range(6))
+    assert _line(Progress(9, 2, 1, keys, 300.0)) == (
+        "2 of 9 keys done, 1 failed, about 5 min left; C0: hammer, C1: hammer, C2: hammer, C3: hammer and 2 more"
+    )
+    assert _line(Progress(9, 0, 0, (("C4", ""),), None)) == ("0 of 9 keys done, time left known once a key is done; C4")
+    assert _line(Progress(2, 2, 0, (), 0.0)) == "2 of 2 keys done"
