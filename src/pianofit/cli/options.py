@@ -11,7 +11,7 @@ from ..errors import ParameterError
 from ..felt import LAWS
 
 __all__ = [
-    "Channel", "Evaluations", "Felt", "File", "Force", "Intervals", "Json", "Known", "Note", "Pitch",
+    "Built", "Channel", "Evaluations", "Felt", "File", "Force", "Intervals", "Json", "Known", "Note", "Pitch",
     "Rate", "Recipe", "Recordings", "Seconds", "Seed", "Sound", "Velocity", "check_common", "number", "whole",
 ]  # fmt: skip
 
@@ -73,6 +73,7 @@ def _felt(text: str) -> str:
     return text
 
 
+Built = Annotated[Path, typer.Argument(metavar="INSTRUMENT.JSON", help="The instrument.json of pianofit instrument.")]
 File = Annotated[Path, typer.Argument(metavar="FILE", help="A recording of one struck note, WAV or FLAC.")]
 Note = Annotated[
     str | None,
