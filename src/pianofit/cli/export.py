@@ -24,7 +24,7 @@ def register(app: typer.Typer) -> None:
 def export(
     built: Built,
     out: Annotated[Path, typer.Option(metavar="DIR", help="The folder to write: a text, samples and a readme.")],
-    to: Annotated[str, typer.Option("--format", metavar="FORMAT", help="The sampler's format: sfz.")] = "sfz",
+    to: Annotated[str, typer.Option("--format", metavar="FORMAT", help="For what: sfz or decent-sampler.")] = "sfz",
     layers: Annotated[int, typer.Option(parser=whole, metavar="N", help="How many velocity layers.")] = 8,
     keys: Annotated[
         str, typer.Option(metavar="KEYS", help="Keys to sample: A0-C8, or C2,E2,G2, or 'every 3' (semitones).")

@@ -24,6 +24,7 @@ from ..keyboard.document import Instrument
 from ..recording import RATES
 from ..render import CEILING
 from ..threads import one_blas_thread
+from .decent import dspreset_text
 from .layers import SampledKey, spans_of, velocities_of
 from .readme import readme_text, unrecorded
 from .samples import Measured, measured, sample
@@ -44,7 +45,10 @@ class Sampler(NamedTuple):
     text: Callable[[str, Sequence[SampledKey]], str]  # of a title and the keys
 
 
-SAMPLERS = {"sfz": Sampler(".sfz", "flac", sfz_text)}
+SAMPLERS = {
+    "sfz": Sampler(".sfz", "flac", sfz_text),
+    "decent-sampler": Sampler(".dspreset", "wav", dspreset_text),  # FLAC only from version 1.19 on
+}
 README = "README.txt"
 MOST_LAYERS = 127
 MOST_SAMPLE_SECONDS = 40_000.0  # all samples together: some 5 GB

@@ -32,7 +32,8 @@ def readme_text(instrument: Instrument, file: str, keys: Sequence[SampledKey], l
 {"=" * (len(one_line(instrument.name)) or 13)}
 
 Load {file} in a sampler. Every sample is computed by pianofit from the instrument's strings, hammers and modes; none is
-a recording. A key has {len(keys[0].zones)} layers. Between two of them both are heard, together as loud as the velocity asks.
+a recording. A key has {len(keys[0].zones)} layers. Between two of them both are heard, together as loud
+as the velocity asks.
 
 Licence
 -------
