@@ -146,7 +146,7 @@ def test_a_sampler_is_exported(built, tmp_path):
 
 
 @pytest.mark.parametrize(("words", "message"), [
-    (("export", "@", "--out", "x", "--format", "sf2"), "--format 'sf2' must be sfz or decent-sampler"),
+    (("export", "@", "--out", "x", "--format", "sf2"), "--format 'sf2' must be one of sfz, decent-sampler, faust"),
     (("export", "@", "--out", "x.mp3"), "x.mp3: is called like a file; give --out the name of a folder"),
     (("export", "@", "--out", "x", "--keys", "H4"), "'H4' is no key"),
     (("export", "@", "--out", "x", "--layers", "0"), "layers=0 must be from 1 to 127"),

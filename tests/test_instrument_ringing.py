@@ -10,37 +10,17 @@ import numpy as np
 import pytest
 import soundfile
 import typer
-from instrument_cases import ERRORS, fit_document, true_note, write_fit
+from instrument_cases import ERRORS, PARTS, RATE, fit_document, rung, true_note, write_fit
 from typer.testing import CliRunner
 
 from pianofit.cli.instrument import register
 from pianofit.errors import FitError
 from pianofit.keyboard import build_instrument, find_fits, load_keys, read_instrument
 from pianofit.keyboard.inferred import REACH, inferred
-from pianofit.model.modal import Ringing, force_of
+from pianofit.model.modal import force_of
 from pianofit.model.modes import mode_frequencies
-from pianofit.model.note import Note
 from pianofit.play import Asked, export_sampler
 from pianofit.ringing_file import encode_knock, ringing_document
-
-RATE = 44_100
-# Of every partial: decay over the law's, and amplitude over the prompt part's.
-PARTS = ((1.5, 1.0), (0.3, 0.2))
-
-
-def rung(midi: int, partials: int = 10) -> Note:
-    """The key with two decays a partial, of known ratios to its law's, levels of its own, and a knock."""
-    note, random = true_note(midi), np.random.default_rng(midi)
-    length, k = note.geometry.length, np.arange(1, partials + 1)
-    law = note.string.b1 + note.string.b2 * (k * np.pi / length) ** 2
-    frequency = mode_frequencies(note.string, length, partials)
-    ratio, part = np.array(PARTS).T
-    pole = -np.outer(law, ratio) + 2j * np.pi * frequency[:, None]
-    level = 100 * np.exp(1j * (random.uniform(0, 6, partials) + np.array([[0.0], [0.7]]))) / k
-    pattern = (level[..., None] * part).reshape(2, -1)
-    knock = random.normal(size=(2, 9_000)) * np.exp(-np.arange(9_000) / 1_000)
-    ringing = Ringing(np.repeat(k, 2), pole.ravel(), np.full(2 * partials, 0.1), pattern, 5 * knock, RATE)
-    return note._replace(ringing=ringing)
 
 
 @pytest.fixture(scope="module")
