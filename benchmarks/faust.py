@@ -72,7 +72,7 @@ def main() -> None:
         place = Path(folder)
         done = write_faust(place / "program.dsp", load_instrument(asked.instrument), parse_keys(asked.keys))
         begin = time.perf_counter()
-        subprocess.run(["faust", "program.dsp", "-o", "program.cpp"], cwd=place, check=True)
+        subprocess.run(["faust", "-t", "0", "program.dsp", "-o", "program.cpp"], cwd=place, check=True)
         took, used = time.perf_counter() - begin, resource.getrusage(resource.RUSAGE_CHILDREN)
         (place / "player.cpp").write_text(PLAYER)
         subprocess.run(["g++", *asked.flags.split(), "player.cpp", "-o", "player"], cwd=place, check=True)

@@ -150,10 +150,10 @@ def test_the_command_writes_one_file_and_says_what_is_a_guess(tmp_path, monkeypa
 
 
 def test_knocks_give_way_where_there_is_no_room(tmp_path, monkeypatch):
-    monkeypatch.setattr(write, "MOST_NUMBERS", 9_000)
+    monkeypatch.setattr(write, "MOST_NUMBERS", 8_000)
     done = write_faust(tmp_path / "a.dsp", piano(), [OWN])
     assert done.knock_rate is None
-    assert done.numbers <= 9_000
+    assert done.numbers <= 8_000
     assert not re.search(r"^knock_0 =", (tmp_path / "a.dsp").read_text(), re.MULTILINE)
     monkeypatch.setattr(write, "MOST_NUMBERS", 100)
     with pytest.raises(ParameterError, match="ask for fewer --keys"):

@@ -28,10 +28,10 @@ __all__ = ["MODES", "Program", "write_faust"]
 MODES = 128
 # Channels of the program at the most.
 CHANNELS = 2
-# Numbers of all tables: Faust 2.54 compiles half as many in 20 s of a core.
-MOST_NUMBERS = 400_000
+# Numbers of all tables: Faust takes the longer the more there are, and gives up after two minutes by default.
+MOST_NUMBERS = 240_000
 # Rates of the knocks, Hz, whole parts of `RATE`: the highest that leaves room is taken.
-KNOCK_RATES = (24_000, 16_000, 12_000, 8_000, 6_000)
+KNOCK_RATES = (24_000, 16_000, 12_000, 8_000, 6_000, 4_000)
 # The loudest moment of a note lies within this time, s.
 LOUDEST_WITHIN = 1.0
 MIDI_KEYS = 128
