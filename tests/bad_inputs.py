@@ -182,6 +182,7 @@ COMMANDS = [
     command("render-out-flac", "render @/good.wav --velocity 1 --out @/x.flac", ".wav"),
     command("predict-out-bare", "predict @/good.wav @/good.wav --out @/x", ".wav"),
     command("play-out-mp3", "play @/good.wav @/good.wav --out @/x.mp3", ".wav"),
+    command("export-out-mp3", "export @/good.wav --out @/x.mp3", "called like a file"),
     command("demo-out-not-empty", "demo --out @/out", "--force", build=occupied),
     command("demo-out-under-a-file", "demo --out @/file/out", "file", build=occupied),
     command("demo-noise-nan", "demo --out @/out --noise nan", "noise=nan"),

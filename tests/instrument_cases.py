@@ -17,6 +17,7 @@ from pianofit.analysis import midi_to_note
 from pianofit.io import encode_wav
 from pianofit.keyboard import Instrument
 from pianofit.keyboard.gather import NAMES, invariants
+from pianofit.model.modal import Ringing
 from pianofit.model.modes import mode_frequencies
 from pianofit.model.note import Note
 from pianofit.model.path import OutputPath
@@ -25,6 +26,8 @@ from pianofit.published import typical
 
 RATE = 44_100
 LAYERS = (0.7, 1.7, 4.0)  # m/s
+# Of every partial: decay over the law's, and amplitude over the prompt part's.
+PARTS = ((1.5, 1.0), (0.3, 0.2))
 # Of the logarithms, as a fit of an uncalibrated key finds them.
 ERRORS = {"c": 2e-4, "kappa": 5e-3, "b1": 0.1, "b2": 0.1, "K_H": 0.3, "mu": 0.2, "p": 0.04, "M_H": 0.03, "x0": 5e-3}
 
@@ -49,6 +52,21 @@ def uneven_note(midi: int) -> Note:
     note, k = true_note(midi), np.arange(1, 16)
     frequency = mode_frequencies(note.string, note.geometry.length, len(k))
     return note._replace(path=OutputPath(frequency, 3 * np.sin(1.7 * k), 1 + 0.4 * np.cos(2.3 * k)))
+
+
+def rung(midi: int, partials: int = 10) -> Note:
+    """The key with two decays a partial, of known ratios to its law's, levels of its own, and a knock."""
+    note, random = true_note(midi), np.random.default_rng(midi)
+    length, k = note.geometry.length, np.arange(1, partials + 1)
+    law = note.string.b1 + note.string.b2 * (k * np.pi / length) ** 2
+    frequency = mode_frequencies(note.string, length, partials)
+    ratio, part = np.array(PARTS).T
+    pole = -np.outer(law, ratio) + 2j * np.pi * frequency[:, None]
+    level = 100 * np.exp(1j * (random.uniform(0, 6, partials) + np.array([[0.0], [0.7]]))) / k
+    pattern = (level[..., None] * part).reshape(2, -1)
+    knock = random.normal(size=(2, 9_000)) * np.exp(-np.arange(9_000) / 1_000)
+    ringing = Ringing(np.repeat(k, 2), pole.ravel(), np.full(2 * partials, 0.1), pattern, 5 * knock, RATE)
+    return note._replace(ringing=ringing)
 
 
 def true_instrument(keys: range = range(21, 109)) -> Instrument:

@@ -17,14 +17,15 @@ import typer
 from instrument_cases import ERRORS, fit_document, library, true_note, uneven_note, write_fit
 from typer.testing import CliRunner, Result
 
-from pianofit.cli.instrument import register
+from pianofit.cli import export, instrument
 from pianofit.errors import FitError
 from pianofit.keyboard import build_instrument, find_fits, load_instrument, load_keys, read_instrument
 from pianofit.keyboard.page import write_page
 from pianofit.model.modal import Ringing
 
 APP = typer.Typer()
-register(APP)
+instrument.register(APP)
+export.register(APP)
 KEYS = [30, 42, 54, 66, 78]
 
 
@@ -136,15 +137,17 @@ def test_a_melody_is_played(built, melody, tmp_path):
 
 
 def test_a_sampler_is_exported(built, tmp_path):
-    done = run("export", built, "--out", tmp_path / "sampler", "--layers", 2, "--keys", "C4,E4", "--seconds", 0.3)
+    done = run("export", built, "--out", tmp_path / "sampler", "--layers", 2, "--keys", "F#3,A#3", "--seconds", 0.3)
     assert done.exit_code == 0, done.output
+    assert "2 keys sampled, 1 of them a guess (never recorded); 6 transposed from them" in done.output
     assert "4 samples, 1 s" in done.output
     assert len(list((tmp_path / "sampler" / "samples").iterdir())) == 4
     assert (tmp_path / "sampler" / "twin.sfz").is_file()
 
 
 @pytest.mark.parametrize(("words", "message"), [
-    (("export", "@", "--out", "x", "--format", "sf2"), "--format 'sf2' must be sfz"),
+    (("export", "@", "--out", "x", "--format", "sf2"), "--format 'sf2' must be one of sfz, decent-sampler, faust"),
+    (("export", "@", "--out", "x.mp3"), "x.mp3: is called like a file; give --out the name of a folder"),
     (("export", "@", "--out", "x", "--keys", "H4"), "'H4' is no key"),
     (("export", "@", "--out", "x", "--layers", "0"), "layers=0 must be from 1 to 127"),
     (("export", "none.json", "--out", "x"), "none.json: no such file"),

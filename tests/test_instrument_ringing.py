@@ -10,37 +10,17 @@ import numpy as np
 import pytest
 import soundfile
 import typer
-from instrument_cases import ERRORS, fit_document, true_note, write_fit
+from instrument_cases import ERRORS, PARTS, RATE, fit_document, rung, true_note, write_fit
 from typer.testing import CliRunner
 
 from pianofit.cli.instrument import register
 from pianofit.errors import FitError
 from pianofit.keyboard import build_instrument, find_fits, load_keys, read_instrument
 from pianofit.keyboard.inferred import REACH, inferred
-from pianofit.model.modal import Ringing, force_of
+from pianofit.model.modal import force_of
 from pianofit.model.modes import mode_frequencies
-from pianofit.model.note import Note
-from pianofit.play import export_sfz
+from pianofit.play import Asked, export_sampler
 from pianofit.ringing_file import encode_knock, ringing_document
-
-RATE = 44_100
-# Of every partial: decay over the law's, and amplitude over the prompt part's.
-PARTS = ((1.5, 1.0), (0.3, 0.2))
-
-
-def rung(midi: int, partials: int = 10) -> Note:
-    """The key with two decays a partial, of known ratios to its law's, levels of its own, and a knock."""
-    note, random = true_note(midi), np.random.default_rng(midi)
-    length, k = note.geometry.length, np.arange(1, partials + 1)
-    law = note.string.b1 + note.string.b2 * (k * np.pi / length) ** 2
-    frequency = mode_frequencies(note.string, length, partials)
-    ratio, part = np.array(PARTS).T
-    pole = -np.outer(law, ratio) + 2j * np.pi * frequency[:, None]
-    level = 100 * np.exp(1j * (random.uniform(0, 6, partials) + np.array([[0.0], [0.7]]))) / k
-    pattern = (level[..., None] * part).reshape(2, -1)
-    knock = random.normal(size=(2, 9_000)) * np.exp(-np.arange(9_000) / 1_000)
-    ringing = Ringing(np.repeat(k, 2), pole.ravel(), np.full(2 * partials, 0.1), pattern, 5 * knock, RATE)
-    return note._replace(ringing=ringing)
 
 
 @pytest.fixture(scope="module")
@@ -149,14 +129,30 @@ def test_a_song_is_written_in_as_many_channels(document, tmp_path):
     assert np.abs(sound[:, 0] - sound[:, 1]).max() > 0.1 * np.abs(sound).max()
 
 
-def test_samples_begin_so_long_before_the_contact_in_every_layer(document, tmp_path):
+def test_samples_are_the_models_strokes_in_stereo_with_their_contacts_aligned(document, tmp_path):
+    """Each is the stroke moved by whole samples, the soft one to earlier; a player plays both channels."""
+    from pysfizz import Synth
+
     piano = read_instrument(document)
-    export_sfz(piano, tmp_path / "out", [50, 79], 2, seconds=0.3, rate=RATE, kind="wav")
-    soft, loud = (soundfile.read(tmp_path / "out" / "samples" / f"050-D3-v{v}.wav")[0].T for v in ("063", "127"))
-    note = piano.note(50, 95.5)
-    expected = note.frames(note.strike(RATE), RATE, loud.shape[-1], round(note.lead * RATE))
-    first = slice(0, round(0.05 * RATE))
-    gain = np.vdot(expected[:, first], loud[:, first]) / np.vdot(expected[:, first], expected[:, first])
-    assert np.abs(loud - gain * expected)[:, first].max() < 1e-5 * np.abs(loud).max()
-    assert soft.shape[0] == loud.shape[0] == 2
+    export_sampler(piano, tmp_path / "out", [50, 79], Asked(2, 0.3, RATE, "wav"))
+    moved, first = [], round(0.1 * RATE)
+    for velocity in (1, 127):
+        sound = soundfile.read(tmp_path / "out" / "samples" / f"050-D3-v{velocity:03}.wav")[0].T
+        note = piano.note(50, velocity)
+        expected = note.frames(note.strike(RATE), RATE, 2 * first, round(note.lead * RATE))
+        tried = range(-RATE // 500, RATE // 500)
+        products = [np.vdot(np.roll(expected, m, axis=1)[:, :first], sound[:, :first]) for m in tried]
+        moved.append(tried[int(np.argmax(products))])
+        part = slice(abs(moved[-1]), first)
+        same = np.roll(expected, moved[-1], axis=1)[:, part]
+        gain = np.vdot(same, sound[:, part]) / np.vdot(same, same)
+        assert np.abs(sound[:, part] - gain * same).max() < 1e-5 * np.abs(sound).max()
+        assert len(sound) == 2
+    assert -RATE // 1000 <= moved[0] - moved[1] <= 0
+    synth = Synth(sample_rate=RATE, block_size=512)
+    assert synth.load_sfz_file(tmp_path / "out" / "twin.sfz", quiet=False)
+    played = synth.render_note(50, 127, 0.3, 0.3)[:, :first]
+    alike = np.corrcoef(np.concatenate([played, sound[:, :first]]))
+    assert min(alike[0, 2], alike[1, 3]) > 0.999
+    assert alike[0, 1] < 0.9
     assert soundfile.info(tmp_path / "out" / "samples" / "079-G5-v127.wav").channels == 1

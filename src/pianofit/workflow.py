@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from .errors import AnalysisError, FitError, WrongNoteError
-from .io import encode_wav, json_text, one_line, replace_file, write_file
+from .io import check_sound_target, encode_wav, json_text, one_line, replace_file, write_file
 
 if TYPE_CHECKING:
     from .model.note import Note
@@ -29,6 +29,8 @@ def predict_file(fit: Path, file: Path, out: Path | None, *, channel: str = "ave
     from .recording import load_recording
     from .render import load_mixture
 
+    if out is not None:
+        check_sound_target(out, force)
     mixture = load_mixture(fit)
     note = mixture[0][1]
     recording = load_recording(file, channel=channel)

@@ -146,11 +146,9 @@ def predict(
     as_json: Json = False,
 ) -> None:
     """Predict a recording that took no part in the fit: only velocity, gain and pitch are free."""
-    from ..io import check_sound_target, json_text
+    from ..io import json_text
     from ..workflow import predict_file
 
-    if out is not None:
-        check_sound_target(out, force)
     found = predict_file(fit, recording, out, channel=channel, force=force)
     if as_json:
         typer.echo(json_text(found), nl=False)

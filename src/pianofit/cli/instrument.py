@@ -1,4 +1,4 @@
-"""The commands of an instrument: put one together, play it, hand it to a sampler or to a browser."""
+"""The commands of an instrument: put one together, play it, hand it to a browser."""
 
 from __future__ import annotations
 
@@ -10,20 +10,11 @@ from typing import Annotated, Any
 import typer
 
 from ..progress import progress_bar
-from .options import Force, Json, Sound, number, whole
+from .options import Built, Force, Json, Prefix, Sound, whole
 from .terminal import add
 
 __all__ = ["register"]
 
-Built = Annotated[
-    Path,
-    typer.Argument(
-        metavar="DIR|INSTRUMENT.JSON", help="What pianofit batch wrote, or the instrument.json of pianofit instrument."
-    ),
-]
-Prefix = Annotated[
-    str | None, typer.Option(metavar="PREFIX", help="Which instrument, if DIR holds several, such as cp80.")
-]
 PAGE = "piano.html"
 At = Annotated[int, typer.Option("--rate", parser=whole, metavar="HZ", help="Sample rate in Hz.")]
 
@@ -32,7 +23,6 @@ def register(app: typer.Typer) -> None:
     """Add the commands to `app`."""
     add(app, instrument, "pianofit instrument library --prefix cp80 --out cp80")
     add(app, play, "pianofit play cp80/instrument.json song.mid --out song.wav")
-    add(app, export, "pianofit export cp80/instrument.json --keys 'every 3' --layers 4 --out sampler")
     add(app, page, "pianofit page library --prefix cp80")
 
 
@@ -66,34 +56,6 @@ def play(
     with progress_bar() as bar:
         done = _play(built, prefix, song, out, rate, force, bar)
     typer.echo(_json(done) if as_json else _played(out, done), nl=False)
-
-
-def export(
-    built: Built,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="The folder to write, with the .sfz and its samples.")],
-    prefix: Prefix = None,
-    to: Annotated[str, typer.Option("--format", metavar="FORMAT", help="The sampler's format: sfz.")] = "sfz",
-    layers: Annotated[int, typer.Option(parser=whole, metavar="N", help="How many velocity layers.")] = 4,
-    keys: Annotated[
-        str, typer.Option(metavar="KEYS", help="Keys to sample: A0-C8, or C2,E2,G2, or 'every 3' (semitones).")
-    ] = "every 3",
-    samples: Annotated[
-        str, typer.Option(metavar="flac|wav", help="Files of the samples, 24 bit: flac or wav.")
-    ] = "flac",
-    seconds: Annotated[
-        float, typer.Option(parser=number, metavar="S", help="Length of the longest sample in seconds.")
-    ] = 8.0,
-    rate: At = 48_000,
-    force: Force = False,
-    as_json: Json = False,
-) -> None:
-    """Write a sampler instrument that any SFZ player loads."""
-    with progress_bar() as bar:
-        done = _export(built, prefix, out, to, layers, keys, samples, seconds, rate, force, bar)
-    typer.echo(
-        _json(done) if as_json else f"{out}: {done['samples']} samples, {done['seconds']:.0f} s, "
-        f"{done['bytes'] / 1e6:.1f} MB, one gain of {done['gain_db']:+.1f} dB for all\n", nl=False,
-    )  # fmt: skip
 
 
 def page(
@@ -181,26 +143,6 @@ def _played(out: Path, done: dict[str, Any]) -> str:
         f"{out}: {done['seconds']:.1f} s at {done['rate']} Hz, {done['notes']} notes, {done['on_moving_strings']} of "
         f"them on a string still sounding{turned}{limited}\ncomputed in {done['computed_in_s']:.1f} s, "
         f"{done['real_time_factor']:.2f} of real time\n"
-    )
-
-
-def _export(
-    built: Path, prefix: str | None, out: Path, to: str, layers: int, keys: str, samples: str, seconds: float,
-    rate: int, force: bool, progress: Callable,
-) -> dict[str, float]:  # fmt: skip
-    from ..errors import ParameterError
-
-    if to != "sfz":
-        raise ParameterError(f"--format {to!r} must be sfz")
-    from ..keyboard import load_instrument
-    from ..model.cache import keep_programs
-    from ..play import export_sfz, parse_keys
-
-    chosen = parse_keys(keys)
-    played = load_instrument(built, prefix)
-    keep_programs()
-    return export_sfz(
-        played, out, chosen, layers, rate=rate, seconds=seconds, kind=samples, force=force, progress=progress
     )
 
 

@@ -11,7 +11,7 @@ from ..errors import ParameterError
 from ..felt import LAWS
 
 __all__ = [
-    "Channel", "Evaluations", "Felt", "File", "Force", "Intervals", "Json", "Known", "Note", "Pitch",
+    "Built", "Channel", "Evaluations", "Felt", "File", "Force", "Intervals", "Json", "Known", "Note", "Pitch", "Prefix",
     "Rate", "Recipe", "Recordings", "Seconds", "Seed", "Sound", "Velocity", "check_common", "number", "whole",
 ]  # fmt: skip
 
@@ -73,6 +73,15 @@ def _felt(text: str) -> str:
     return text
 
 
+Built = Annotated[
+    Path,
+    typer.Argument(
+        metavar="DIR|INSTRUMENT.JSON", help="What pianofit batch wrote, or the instrument.json of pianofit instrument."
+    ),
+]
+Prefix = Annotated[
+    str | None, typer.Option(metavar="PREFIX", help="Which instrument, if DIR holds several, such as cp80.")
+]
 File = Annotated[Path, typer.Argument(metavar="FILE", help="A recording of one struck note, WAV or FLAC.")]
 Note = Annotated[
     str | None,

@@ -1,7 +1,11 @@
-"""An instrument played: `perform` plays a `midi` song on its `strings`, `sfz` writes a sampler's folder."""
+"""An instrument played: `perform` plays a `midi` song on its `strings`, `export` writes a sampler's folder."""
 
+from .export import SAMPLERS, Asked, Exported, export_sampler
+from .layers import parse_keys
 from .midi import Song, load_song
 from .perform import Performance, limit, perform
-from .sfz import export_sfz, parse_keys
 
-__all__ = ["Performance", "Song", "export_sfz", "limit", "load_song", "parse_keys", "perform"]
+__all__ = [
+    "SAMPLERS", "Asked", "Exported", "Performance", "Song", "export_sampler", "limit", "load_song", "parse_keys",
+    "perform",
+]  # fmt: skip

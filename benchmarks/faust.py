@@ -1,0 +1,87 @@
+"""How much of a core's time 16 voices of an instrument's Faust program take, compiled by Faust and a C++ compiler.
+
+    python benchmarks/faust.py INSTRUMENT.JSON [--keys "every 3"] [--flags "-O3"]
+
+All voices play at once for four seconds in blocks of 512 samples at 48 kHz. Counted is the processor's time; the least
+of several runs is printed, with the time and memory that Faust takes to compile the program.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import subprocess
+import tempfile
+import time
+from pathlib import Path
+
+from pianofit.keyboard import load_instrument
+from pianofit.play import parse_keys
+from pianofit.play.faust import write_faust
+
+RUNS = 3
+PLAYER = r"""
+#include <cmath>
+#include <cstdio>
+#include <ctime>
+#include <map>
+#include <string>
+#include <vector>
+#define FAUSTFLOAT float
+struct Meta { void declare(const char*, const char*) {} };
+struct UI {
+  std::map<std::string, float*> at;
+  void openVerticalBox(const char*) {}
+  void closeBox() {}
+  void declare(float*, const char*, const char*) {}
+  void addButton(const char* name, float* zone) { at[name] = zone; }
+  void addHorizontalSlider(const char* name, float* zone, float, float, float, float) { at[name] = zone; }
+};
+struct dsp { virtual ~dsp() {} };
+#include "program.cpp"
+int main() {
+  const int voices = 16, block = 512, rate = 48000, blocks = 4 * rate / block;
+  std::vector<mydsp> voice(voices);
+  std::vector<UI> ui(voices);
+  std::vector<float> left(block), right(block);
+  float* out[2] = {left.data(), right.data()};
+  for (int i = 0; i < voices; i++) {
+    voice[i].init(rate);
+    voice[i].buildUserInterface(&ui[i]);
+    voice[i].compute(block, nullptr, out);
+    *ui[i].at["freq"] = 440 * std::pow(2.0f, (36 + 3 * i - 69) / 12.0f);
+    *ui[i].at["gain"] = 0.8f;
+    *ui[i].at["gate"] = 1;
+  }
+  const std::clock_t begin = std::clock();
+  for (int k = 0; k < blocks; k++)
+    for (auto& one : voice) one.compute(block, nullptr, out);
+  std::printf("%g\n", double(std::clock() - begin) / CLOCKS_PER_SEC / (double(blocks) * block / rate));
+}
+"""
+
+
+def main() -> None:
+    """Print one line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("instrument", type=Path)
+    parser.add_argument("--keys", default="every 3")
+    parser.add_argument("--flags", default="-O3")
+    asked = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        place = Path(folder)
+        done = write_faust(place / "program.dsp", load_instrument(asked.instrument), parse_keys(asked.keys))
+        begin = time.perf_counter()
+        subprocess.run(["faust", "-t", "0", "program.dsp", "-o", "program.cpp"], cwd=place, check=True)
+        took, used = time.perf_counter() - begin, resource.getrusage(resource.RUSAGE_CHILDREN)
+        (place / "player.cpp").write_text(PLAYER)
+        subprocess.run(["g++", *asked.flags.split(), "player.cpp", "-o", "player"], cwd=place, check=True)
+        runs = [float(subprocess.check_output([place / "player"])) for _ in range(RUNS)]
+    print(
+        f"{done}\nFaust: {took:.0f} s ({used.ru_utime:.0f} s of a core), {used.ru_maxrss / 2**10:.0f} MiB; "
+        f"16 voices take {100 * min(runs):.0f} % of a core's time"
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,126 @@
+"""The command that hands an instrument to other programs."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from ..progress import progress_bar
+from .options import Built, Force, Json, Prefix, number, whole
+from .terminal import add
+
+__all__ = ["register"]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to `app`."""
+    add(app, export, "pianofit export cp80/instrument.json --format sfz --out sampler")
+
+
+def export(
+    built: Built,
+    out: Annotated[
+        Path, typer.Option(metavar="DIR|FILE.DSP", help="The folder of a sampler to write, or Faust's program.")
+    ],
+    prefix: Prefix = None,
+    to: Annotated[
+        str, typer.Option("--format", metavar="FORMAT", help="For what: sfz, decent-sampler or faust.")
+    ] = "sfz",
+    keys: Annotated[
+        str, typer.Option(metavar="KEYS", help="Keys of their own: A0-C8, or C2,E2,G2, or 'every 3' (semitones).")
+    ] = "every 3",
+    licence: Annotated[
+        str | None, typer.Option(metavar="WORDS", help="Licence of the recordings, to be named in what is written.")
+    ] = None,
+    layers: Annotated[
+        int | None, typer.Option(parser=whole, metavar="N", help="How many velocity layers a sampler has; 8.")
+    ] = None,
+    samples: Annotated[
+        str | None,
+        typer.Option(metavar="flac|wav", help="Files of a sampler, 24 bit; by default what its players read."),
+    ] = None,
+    seconds: Annotated[
+        float | None, typer.Option(parser=number, metavar="S", help="Length of the longest sample in seconds; 8.")
+    ] = None,
+    rate: Annotated[
+        int | None, typer.Option("--rate", parser=whole, metavar="HZ", help="Sample rate of a sampler in Hz; 48000.")
+    ] = None,
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Write an instrument for other programs: a sampler's folder, or a program in Faust."""
+    given = {"layers": layers, "seconds": seconds, "rate": rate, "kind": samples}
+    asked = {name: value for name, value in given.items() if value is not None}
+    with progress_bar() as bar:
+        if to == "faust":
+            done, words = _faust(built, prefix, out, keys, asked, licence, force, bar)
+        else:
+            done, words = _sampler(built, prefix, out, to, keys, asked, licence, force, bar)
+    if as_json:
+        from ..io import json_text
+
+        words = json_text(done)
+    typer.echo(words, nl=False)
+
+
+def _sampler(
+    built: Path, prefix: str | None, out: Path, to: str, keys: str, asked: dict[str, Any], licence: str | None,
+    force: bool, progress: Callable,
+) -> tuple[dict[str, Any], str]:  # fmt: skip
+    from ..errors import OutputError, ParameterError
+    from ..io import one_line
+    from ..keyboard import load_instrument
+    from ..model.cache import keep_programs
+    from ..play import SAMPLERS, Asked, export_sampler, parse_keys
+
+    if to not in SAMPLERS:
+        raise ParameterError(f"--format {to!r} must be one of {', '.join(SAMPLERS)}, faust")
+    if re.fullmatch(r"\.[A-Za-z]\w*", out.suffix):
+        raise OutputError(f"{one_line(out)}: is called like a file; give --out the name of a folder")
+    chosen, played = parse_keys(keys), load_instrument(built, prefix)
+    keep_programs()
+    wanted = Asked(kind=SAMPLERS[to].kind)._replace(**asked)
+    done = export_sampler(played, out, chosen, wanted, to=to, licence=licence, force=force, progress=progress)
+    return done._asdict(), (
+        f"{out}: {done.keys} keys sampled, {_guesses(done.guesses)}; {done.transposed} transposed from them\n"
+        f"{done.samples} samples, {done.seconds:.0f} s, {done.bytes / 1e6:.1f} MB, one gain of {done.gain_db:+.1f} dB "
+        "for all\n"
+    )
+
+
+def _faust(
+    built: Path, prefix: str | None, out: Path, keys: str, asked: dict[str, Any], licence: str | None, force: bool,
+    progress: Callable,
+) -> tuple[dict[str, Any], str]:  # fmt: skip
+    from ..errors import OutputError, ParameterError
+    from ..io import check_target, one_line
+    from ..keyboard import load_instrument
+    from ..model.cache import keep_programs
+    from ..play import parse_keys
+    from ..play.faust import write_faust
+
+    if asked:
+        raise ParameterError(f"--format faust has no samples; leave out {', '.join(map(_option, asked))}")
+    if out.suffix.lower() != ".dsp":
+        raise OutputError(f"{one_line(out)}: Faust's programs are files; give --out a name that ends in .dsp")
+    check_target(out, force)
+    chosen, played = parse_keys(keys), load_instrument(built, prefix)
+    keep_programs()
+    done = write_faust(out, played, chosen, licence=licence, progress=progress)
+    knocks = f"knocks at {done.knock_rate} Hz" if done.knock_rate else "no knocks"
+    return done._asdict(), (
+        f"{out}: {done.keys} keys with tables, {_guesses(done.guesses)}\n{done.modes} resonators a voice, "
+        f"{done.left_out} modes left out, {knocks}, {done.numbers} numbers, one gain of {done.gain_db:+.1f} dB\n"
+    )
+
+
+def _option(name: str) -> str:
+    return "--samples" if name == "kind" else f"--{name}"
+
+
+def _guesses(count: int) -> str:
+    return f"{count} of them {'a guess' if count == 1 else 'guesses'} (never recorded)" if count else "all recorded"

@@ -1,0 +1,217 @@
+"""An instrument as a sampler's: a folder with one text, a readme, and a sample for every key and layer asked for.
+
+All samples share one gain, so that soft and loud, bass and treble keep their levels. Keys that have no sample of their
+own are played from the nearest one, transposed.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import os
+import re
+import shutil
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ..analysis.notes import midi_to_note
+from ..errors import OutputError, ParameterError
+from ..io import interrupted_by, one_line
+from ..keyboard.document import Instrument
+from ..recording import RATES
+from ..render import CEILING
+from ..threads import one_blas_thread
+from .decent import dspreset_text
+from .layers import SampledKey, spans_of, velocities_of
+from .readme import readme_text, unrecorded
+from .samples import Measured, measured, sample
+from .sfz import sfz_text
+from .strings import PlayedString, damper_rate
+
+__all__ = ["SAMPLERS", "Asked", "Exported", "export_sampler"]
+
+# Kinds of samples: the format and subtype of libsndfile.
+KINDS = {"flac": ("FLAC", "PCM_24"), "wav": ("WAV", "PCM_24")}
+
+
+class Sampler(NamedTuple):
+    """A format of samplers."""
+
+    ending: str  # of its text's name
+    kind: str  # of samples that all its players read
+    text: Callable[[str, Sequence[SampledKey]], str]  # of a title and the keys
+
+
+SAMPLERS = {
+    "sfz": Sampler(".sfz", "flac", sfz_text),
+    "decent-sampler": Sampler(".dspreset", "wav", dspreset_text),  # FLAC only from version 1.19 on
+}
+README = "README.txt"
+MOST_LAYERS = 127
+MOST_SAMPLE_SECONDS = 40_000.0  # all samples together: some 5 GB
+# Of the time an export takes, that to strike all keys for their levels.
+LEVELS_SHARE = 0.5
+
+
+class Exported(NamedTuple):
+    """What was written."""
+
+    keys: int  # with samples of their own
+    guesses: int  # of them, never recorded
+    transposed: int  # keys played from another's samples
+    samples: int
+    seconds: float  # of all samples
+    bytes: int  # of all samples
+    gain_db: float  # of all samples
+
+
+class Asked(NamedTuple):
+    """Which samples are wanted."""
+
+    layers: int = 8  # of velocity
+    seconds: float = 8.0  # at the most
+    rate: int = 48_000  # Hz
+    kind: str = "flac"
+
+
+@one_blas_thread()
+def export_sampler(
+    instrument: Instrument, out: Path, keys: Sequence[int], asked: Asked | None = None, *, to: str = "sfz",
+    licence: str | None = None, force: bool = False, progress: Callable[[str, float], None] = lambda *_: None,
+) -> Exported:  # fmt: skip
+    """Write the folder `out`, whole or not at all.
+
+    Parameters
+    ----------
+    keys : MIDI keys that have samples of their own, ascending.
+    to : one of `SAMPLERS`.
+    licence : of the source, in the user's words, for the readme.
+
+    Raises
+    ------
+    ParameterError
+        For layers, seconds, a rate or a kind out of range, or a key the instrument does not have.
+    OutputError
+        If `out` exists and is no earlier export, or `force` is not given, or cannot be written.
+    """
+    if to not in SAMPLERS:
+        raise ParameterError(f"to={to!r} must be one of {', '.join(SAMPLERS)}")
+    asked = asked or Asked(kind=SAMPLERS[to].kind)
+    _check(instrument, keys, asked)
+    try:
+        out = out.resolve()
+        _check_target(out, force)
+        work = out.with_name(f".{out.name}.{os.getpid()}.tmp")
+        with interrupted_by(lambda: shutil.rmtree(work, ignore_errors=True)):
+            try:
+                (work / "samples").mkdir(parents=True)
+                done, written = _samples(instrument, work, keys, asked, progress)
+                file = _file_name(instrument.name) + SAMPLERS[to].ending
+                (work / file).write_text(SAMPLERS[to].text(Path(file).stem, written), encoding="utf-8")
+                (work / README).write_text(readme_text(instrument, file, written, licence), encoding="utf-8")
+                _put(work, out)
+            finally:
+                shutil.rmtree(work, ignore_errors=True)
+    except OSError as error:
+        reason = error.strerror or error
+        raise OutputError(f"{one_line(out)}: cannot be written ({reason}); choose another --out") from error
+    return done
+
+
+def _check(instrument: Instrument, keys: Sequence[int], asked: Asked) -> None:
+    if not 1 <= asked.layers <= MOST_LAYERS:
+        raise ParameterError(f"layers={asked.layers} must be from 1 to {MOST_LAYERS}")
+    if not RATES[0] <= asked.rate <= min(RATES[1], 192_000):
+        raise ParameterError(f"rate={asked.rate} Hz must be from {RATES[0]} to 192000")
+    if not 0.1 <= asked.seconds <= 120:
+        raise ParameterError(f"seconds={asked.seconds} must be from 0.1 to 120")
+    if asked.kind not in KINDS:
+        raise ParameterError(f"samples={asked.kind!r} must be one of {', '.join(KINDS)}")
+    if len(keys) * asked.layers * asked.seconds > MOST_SAMPLE_SECONDS:
+        raise ParameterError(
+            f"{len(keys)} keys × {asked.layers} layers × {asked.seconds:g} s are more than {MOST_SAMPLE_SECONDS:,.0f} "
+            "s; ask for fewer --layers, --keys or --seconds"
+        )
+    for key in keys:
+        instrument.note(key, 64)
+
+
+def _check_target(out: Path, force: bool) -> None:
+    """An export may replace an export, and nothing else."""
+    name = one_line(out)
+    if not out.parent.is_dir():
+        raise OutputError(f"{name}: there is no folder {one_line(out.parent)}; make it, or give another --out")
+    if not out.exists():
+        return
+    held = sorted(path.name for path in out.iterdir()) if out.is_dir() else None
+    if held is None or not all(map(_ours, held)):
+        raise OutputError(f"{name}: is there and is no earlier export; give another --out")
+    if held and not force:
+        raise OutputError(f"{name}: the folder is not empty; give another --out, or --force to replace an export in it")
+
+
+def _put(work: Path, out: Path) -> None:
+    old = out.with_name(f".{out.name}.{os.getpid()}.old")
+    if out.exists():
+        out.rename(old)
+    try:
+        work.rename(out)
+    except OSError:
+        if old.exists():
+            old.rename(out)
+        raise
+    shutil.rmtree(old, ignore_errors=True)
+
+
+def _ours(name: str) -> bool:
+    """Whether an export writes such a file or folder."""
+    return name in ("samples", README) or any(name.endswith(sampler.ending) for sampler in SAMPLERS.values())
+
+
+def _samples(
+    instrument: Instrument, work: Path, keys: Sequence[int], asked: Asked, progress: Callable[[str, float], None]
+) -> tuple[Exported, list[SampledKey]]:
+    """Write the samples, all with one gain."""
+    known: list[Measured] = []
+    for i, key in enumerate(keys):
+        string = PlayedString(instrument.note(key, 64), key, asked.rate)
+        known.append(measured(instrument, string, velocities_of(asked.layers), asked.seconds))
+        progress("levels", LEVELS_SHARE * (i + 1) / len(keys))
+    peak = max(key.peak for key in known)
+    gain = CEILING / peak if peak > 0 else 1.0
+    written, frames, size = [], 0, 0
+    for i, (key, (low, high), found) in enumerate(zip(keys, spans_of(keys), known, strict=True)):
+        string, files = PlayedString(instrument.note(key, 64), key, asked.rate), []
+        for zone, begin in zip(found.zones, found.begin, strict=True):
+            sound = np.clip(gain * sample(instrument, string, zone.velocity, begin, asked.seconds), -1.0, 1.0)
+            files.append(f"samples/{_sample_name(key, zone.velocity)}.{asked.kind}")
+            size += (work / files[-1]).write_bytes(_encoded(sound, asked))
+            frames += sound.shape[-1]
+        written.append(SampledKey(key, low, high, damper_rate(key), found.zones, files))
+        progress("samples", LEVELS_SHARE + (1 - LEVELS_SHARE) * (i + 1) / len(keys))
+    done = Exported(
+        len(keys), len(unrecorded(instrument, keys)), sum(k.high - k.low for k in written),
+        len(keys) * asked.layers, frames / asked.rate, size, 20 * math.log10(gain),
+    )  # fmt: skip
+    return done, written
+
+
+def _encoded(sound: np.ndarray, asked: Asked) -> bytes:
+    import soundfile
+
+    stream, (form, subtype) = io.BytesIO(), KINDS[asked.kind]
+    soundfile.write(stream, sound.T, asked.rate, format=form, subtype=subtype)
+    return stream.getvalue()
+
+
+def _file_name(name: str) -> str:
+    """A name of plain letters: whatever the instrument is called, the file stays in its folder."""
+    return re.sub(r"[^A-Za-z0-9_-]+", "-", name).strip("-")[:64] or "instrument"
+
+
+def _sample_name(key: int, velocity: int) -> str:
+    # "#" begins a directive in SFZ.
+    return f"{key:03}-{midi_to_note(key).replace('#', 's')}-v{velocity:03}"

@@ -1,0 +1,162 @@
+"""An instrument as a Faust program, compiled by Debian's Faust, and rendered by DawDreamer's."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import typer
+from instrument_cases import rung, true_instrument, true_note
+from typer.testing import CliRunner
+
+from pianofit.cli import export
+from pianofit.errors import ParameterError
+from pianofit.keyboard import Instrument
+from pianofit.play.faust import tables, write, write_faust
+from pianofit.play.strings import damper_rate
+
+RATE = 48_000
+OWN, LAW = 50, 67
+
+
+def piano() -> Instrument:
+    """A key that rings by modes and a knock in two channels, and one that rings by its law through a path in one."""
+    note = rung(OWN)
+    assert note.ringing is not None
+    short = note._replace(ringing=note.ringing._replace(knock=note.ringing.knock[:, :2_000]))
+    return Instrument('a "piano"\n', {OWN: short, LAW: true_note(LAW)}, 1.3, 1.5, frozenset({OWN}))
+
+
+@pytest.fixture(scope="module")
+def program(tmp_path_factory) -> tuple[Path, write.Program]:
+    file = tmp_path_factory.mktemp("out") / "piano.dsp"
+    return file, write_faust(file, piano(), [OWN, LAW], licence="CC0")
+
+
+@pytest.fixture(scope="module")
+def player(program) -> Callable[..., np.ndarray]:
+    """[(key, MIDI velocity, begin, end)], seconds -> what Faust's program plays [channels, samples]."""
+    dawdreamer = pytest.importorskip("dawdreamer")
+    engine = dawdreamer.RenderEngine(RATE, 512)
+    voice = engine.make_faust_processor("piano")
+    voice.num_voices = 4
+    voice.dynamic_voices = False  # else a voice is taken away 30 ms after its release
+    assert voice.set_dsp_string(program[0].read_text())
+    assert voice.compile()
+    engine.load_graph([(voice, [])])
+
+    def play(notes: list[tuple[int, int, float, float]], seconds: float) -> np.ndarray:
+        voice.clear_midi()
+        for key, velocity, begin, end in notes:
+            voice.add_midi_note(key, velocity, begin, end - begin)
+        engine.render(seconds)
+        return voice.get_audio()
+
+    return play
+
+
+def levels(sound: np.ndarray, frequencies: np.ndarray) -> np.ndarray:
+    """Of partials, dB [channels, partials], over a second from 0.1 s on."""
+    size = np.abs(np.fft.rfft(sound[:, RATE // 10 : RATE // 10 + RATE] * np.hanning(RATE), axis=-1))
+    near = [size[:, round(f) - 3 : round(f) + 4].max(axis=-1) for f in frequencies]
+    return 20 * np.log10(np.array(near).T + 1e-12)
+
+
+@pytest.mark.skipif(shutil.which("faust") is None, reason="needs the faust compiler")
+def test_debians_faust_compiles_it(program, tmp_path):
+    made = subprocess.run(
+        ["faust", "-lang", "cpp", str(program[0]), "-o", str(tmp_path / "piano.cpp")], capture_output=True, text=True
+    )
+    assert made.returncode == 0, made.stderr
+    text = (tmp_path / "piano.cpp").read_text()
+    assert "getNumOutputs() {\n\t\treturn 2;" in text
+    for control in ("freq", "gain", "gate"):
+        assert f'"{control}"' in text
+    assert "[nvoices:16]" in text
+
+
+@pytest.mark.parametrize("velocity", [25, 64, 127])
+@pytest.mark.parametrize("key", [OWN, LAW])
+def test_every_partial_has_renders_level(program, player, key, velocity):
+    """Within 60 dB of the strongest, by 0.1 dB, in every channel; 64 is between the velocities of the tables."""
+    gain = 10 ** (program[1].gain_db / 20)
+    note = piano().note(key, velocity)
+    expected = gain * np.atleast_2d(note.render(seconds=1.5, rate=RATE, mono=False)) * np.ones((2, 1))
+    found = player([(key, velocity, 0.0, 1.9)], 2.0)
+    late = 0 if key == OWN else round(0.012 * RATE)
+    frequencies = note.frequencies(10 if key == OWN else 40)
+    frequencies = frequencies[frequencies < 20_000]
+    a, b = levels(expected, frequencies), levels(found[:, late:], frequencies)
+    strong = a > a.max() - 60
+    assert strong.sum() >= 10
+    assert np.abs(b - a)[strong].max() < 0.1
+    assert np.mean((found[:, late : late + RATE] - expected[:, :RATE]) ** 2) < 1e-3 * np.mean(expected[:, :RATE] ** 2)
+
+
+def test_a_damper_is_a_faster_decay(player):
+    held, released = player([(LAW, 90, 0.0, 1.5)], 2.0)[0], player([(LAW, 90, 0.0, 0.5)], 2.0)[0]
+    at = (np.array([0.56, 0.60]) * RATE).astype(int)
+    ratio = [np.sqrt(np.mean(released[i:][:960] ** 2) / np.mean(held[i:][:960] ** 2)) for i in at]
+    assert np.log(ratio[0] / ratio[1]) / 0.04 == pytest.approx(damper_rate(LAW), rel=0.03)
+
+
+def test_voices_add_and_other_keys_are_transposed(player):
+    alone = [player([(key, 80, 0.2, 0.9)], 1.0) for key in (OWN, LAW)]
+    both = player([(OWN, 80, 0.2, 0.9), (LAW, 80, 0.2, 0.9)], 1.0)
+    assert np.abs(both - alone[0] - alone[1]).max() < 1e-4 * np.abs(both).max()
+    assert np.abs(both[:, : RATE // 5 - 600]).max() < 1e-6
+    found = player([(LAW + 2, 80, 0.0, 1.4)], 1.5)
+    f1 = true_note(LAW).frequencies(1)[0] * 2 ** (2 / 12)
+    size = np.abs(np.fft.rfft(found[0, :RATE] * np.hanning(RATE)))
+    assert np.argmax(size[round(f1) - 20 : round(f1) + 21]) - 20 + round(f1) == pytest.approx(f1, abs=1)
+
+
+def test_a_fast_decay_through_a_slow_path_has_no_gain_without_bounds():
+    path, pole = np.exp(-np.arange(20_000) / 2_000), np.array([-5_000.0 + 2e4j, -1.0 + 2e3j])
+    gain = tables._gain(path, pole)
+    assert np.abs(gain).max() < np.exp(tables.MOST_GROWN) * path.sum()
+    exact = 1 / (1 - np.exp(-1 / 2_000 - pole[1] / tables.RATE))
+    assert abs(gain[1] / exact - 1) < 1e-3
+
+
+def test_the_command_writes_one_file_and_says_what_is_a_guess(tmp_path, monkeypatch):
+    app = typer.Typer()
+    export.register(app)
+    app.command("nothing")(lambda: None)
+    monkeypatch.setattr("pianofit.keyboard.load_instrument", lambda _: piano())
+    words = ["export", "i.json", "--format", "faust", "--keys", "G4", "--out"]
+    done = CliRunner().invoke(app, [*words, str(tmp_path / "a.dsp")])
+    assert done.exit_code == 0, done.output
+    assert "1 keys with tables, 1 of them a guess (never recorded)" in done.output
+    text = (tmp_path / "a.dsp").read_text()
+    assert "declare name \"a 'piano'/n\";" in text
+    assert [file.name for file in tmp_path.iterdir()] == ["a.dsp"]
+    assert CliRunner().invoke(app, [*words, str(tmp_path / "a.dsp")]).exit_code == 1
+    done = CliRunner().invoke(app, [*words, str(tmp_path / "a.dsp"), "--force", "--json"])
+    assert json.loads(done.stdout)["guesses"] == 1
+    for more, message in (
+        (["a.cpp"], "a.cpp: Faust's programs are files; give --out a name that ends in .dsp"),
+        (["b.dsp", "--layers", "4", "--samples", "wav"], "leave out --layers, --samples"),
+    ):
+        refused = CliRunner().invoke(app, [*words, str(tmp_path / more[0]), *more[1:]])
+        assert refused.exit_code == 1
+        assert message in refused.output
+
+
+def test_knocks_give_way_where_there_is_no_room(tmp_path, monkeypatch):
+    monkeypatch.setattr(write, "MOST_NUMBERS", 8_000)
+    done = write_faust(tmp_path / "a.dsp", piano(), [OWN])
+    assert done.knock_rate is None
+    assert done.numbers <= 8_000
+    assert not re.search(r"^knock_0 =", (tmp_path / "a.dsp").read_text(), re.MULTILINE)
+    monkeypatch.setattr(write, "MOST_NUMBERS", 100)
+    with pytest.raises(ParameterError, match="ask for fewer --keys"):
+        write_faust(tmp_path / "a.dsp", piano(), [OWN])
+    with pytest.raises(ParameterError, match="key 20 is not on this instrument"):
+        write_faust(tmp_path / "a.dsp", true_instrument(), [20])
