@@ -103,6 +103,18 @@ def result(name: str, content: object, message: str) -> BadInput:
     return BadInput(f"listen-result-{name}", fit_file(content), ("listen", "--result", "@/fit.json"), message)
 
 
+def rings(imag: float, knock: dict | None = None) -> dict:
+    """Return a fit.json's content with one mode of one channel."""
+    columns = {name: [1.0] for name in ("partial", "frequency", "frequency_error", "decay", "decay_error")}
+    return fit_dict() | {"ringing": {"modes": columns, "pattern": [{"real": [1.0], "imag": [imag]}], "knock": knock}}
+
+
+def foreign_knock(folder: Path) -> None:
+    """Build a fit.json whose knock is called FLAC, and is an MP3."""
+    fit_file(rings(0.0, {"file": "knock.flac", "scale": 1.0, "rate": 44_100}))(folder)
+    (folder / "knock.flac").write_bytes(b"ID3\x03" + bytes(400))
+
+
 FALLING = {"frequency": [200.0, 100.0], "db": [0.0, 0.0]}
 FIT = "fit @/good.wav --note A4 --out @/out"
 SIMULATE = "simulate --preset bensa-final --out @/a.wav"
@@ -203,6 +215,8 @@ COMMANDS = [
     render("gain-null", take_dict(gain=None), "takes[0].gain"),
     render("rate-zero", take_dict(rate=0), "rate=0 Hz"),
     render("rate-absurd", take_dict(rate=1e12), "rate=1e+12 Hz"),
+    render("ringing-infinite", rings(float("inf")), "needs as many finite numbers"),
+    command("render-knock-mp3", f"{RENDER} --velocity 1", "knock.flac: is no FLAC file", build=foreign_knock),
     command("simulate-out-mp3", "simulate --preset bensa-final --out @/x.mp3", ".wav"),
     command("render-out-flac", "render @/good.wav --velocity 1 --out @/x.flac", ".wav"),
     command("predict-out-bare", "predict @/good.wav @/good.wav --out @/x", ".wav"),

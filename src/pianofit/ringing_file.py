@@ -76,13 +76,14 @@ def read_ringing(entry: Any, folder: Path | None, name: str) -> Ringing | None:
     modes, pattern = entry.get("modes") or {}, entry.get("pattern") or ()
     try:
         table = np.array([modes[column] for column in COLUMNS], float)
-        amplitude = np.array([np.array(row["real"], float) + 1j * np.array(row["imag"], float) for row in pattern])
+        parts = np.array([[row["real"], row["imag"]] for row in pattern], float)
     except (KeyError, OverflowError, TypeError, ValueError):
         raise FitError(f"{name}: ringing has no whole table of modes and patterns; {WAY_OUT}") from None
-    known = table.ndim == amplitude.ndim == 2 and 1 <= table.shape[-1] == amplitude.shape[-1] <= MOST_MODES
-    if not (known and len(amplitude) <= MOST_CHANNELS and np.isfinite(table).all() and np.isfinite(amplitude).all()):
+    known = table.ndim == 2 and parts.ndim == 3 and 1 <= table.shape[-1] == parts.shape[-1] <= MOST_MODES
+    if not (known and len(parts) <= MOST_CHANNELS and np.isfinite(table).all() and np.isfinite(parts).all()):
         raise FitError(f"{name}: ringing needs as many finite numbers in every column and pattern; {WAY_OUT}")
     number, frequency, _, decay, error = table
+    amplitude = parts[:, 0] + 1j * parts[:, 1]
     if not ((frequency > 0).all() and (decay > 0).all() and (error >= 0).all()):
         raise FitError(f"{name}: ringing has frequencies, decays or errors that are not above 0; {WAY_OUT}")
     if not ((number % 1 == 0) & (number >= 1) & (number <= MOST_MODES)).all():
@@ -102,6 +103,8 @@ def _knock(entry: Any, folder: Path | None, channels: int, name: str) -> tuple[n
     # Wherever the document says, no other file is opened.
     path = f"{name}: ringing.knock.flac" if folder is None else folder / KNOCK_FILE
     held = _decoded(entry.get("flac"), str(path)) if folder is None else read_file(path, LARGEST_KNOCK, FitError)
+    if held[:4] != b"fLaC":  # no other decoder is let near it
+        raise FitError(f"{path}: is no FLAC file; {WAY_OUT}")
     try:
         samples, rate = soundfile.read(io.BytesIO(held), frames=MOST_FRAMES, always_2d=True)
     except soundfile.LibsndfileError as problem:
