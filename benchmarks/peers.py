@@ -186,9 +186,23 @@ def measured(samples: np.ndarray, to: Target, tool: Any) -> dict[str, float]:
 
 def resolution(own: np.ndarray, other: np.ndarray, n: int) -> float:
     """Spectral convergence plus the mean L1 of log magnitudes, windows of `n` samples."""
-    stft = signal.ShortTimeFFT(signal.get_window("hann", n), n // HOP, 1.0)
+    stft = signal.ShortTimeFFT(np.hanning(n + 1)[:-1], n // HOP, 1.0)
     a, b = (np.sqrt(np.maximum(np.abs(stft.stft(x)) ** 2, LEAST)) for x in (own, other))
     return float(np.linalg.norm(a - b) / np.linalg.norm(a) + np.mean(np.abs(np.log(a / b))))
+
+
+def likeness(key: str) -> None:
+    """Print how nearly the nets' sounds are their sources with another gain: the correlation, sample by sample."""
+    from pianofit import load_recording
+
+    for wanted, source in (("v100", "low"), ("v23", "v111")):
+        for net in ("S6", "LSTM"):
+            pair = [load_recording(folder() / f"bivib-{key}-{name}.flac").samples
+                    for name in (source, f"{wanted}-by-{net}")]  # fmt: skip
+            size = min(map(len, pair))
+            print(
+                f"{key} {wanted} by {net}: correlation with {source} {np.corrcoef([x[:size] for x in pair])[0, 1]:.4f}"
+            )
 
 
 def distances(keys: list[str]) -> dict[str, dict[str, dict]]:
@@ -196,6 +210,7 @@ def distances(keys: list[str]) -> dict[str, dict[str, dict]]:
     tool = realism.measure() if realism.TOOL.is_file() or "PIANOFIT_REALISM" in os.environ else None
     found: dict[str, dict[str, dict]] = {}
     for key in keys:
+        likeness(key)
         for wanted, to, made in strokes(key):
             print(f"\n{key} {wanted}, {len(to.partials)} partials" + "".join(f"{m:>10}" for m in MEASURES), flush=True)
             for one in made:

@@ -103,9 +103,9 @@ def result(name: str, content: object, message: str) -> BadInput:
     return BadInput(f"listen-result-{name}", fit_file(content), ("listen", "--result", "@/fit.json"), message)
 
 
-def rings(imag: float, knock: dict | None = None) -> dict:
+def rings(imag: float, knock: dict | None = None, mode: float = 1.0) -> dict:
     """Return a fit.json's content with one mode of one channel."""
-    columns = {name: [1.0] for name in ("partial", "frequency", "frequency_error", "decay", "decay_error")}
+    columns = {name: [mode] for name in ("partial", "frequency", "frequency_error", "decay", "decay_error")}
     return fit_dict() | {"ringing": {"modes": columns, "pattern": [{"real": [1.0], "imag": [imag]}], "knock": knock}}
 
 
@@ -215,7 +215,8 @@ COMMANDS = [
     render("gain-null", take_dict(gain=None), "takes[0].gain"),
     render("rate-zero", take_dict(rate=0), "rate=0 Hz"),
     render("rate-absurd", take_dict(rate=1e12), "rate=1e+12 Hz"),
-    render("ringing-infinite", rings(float("inf")), "needs as many finite numbers"),
+    render("ringing-infinite", rings(float("inf")), "needs as many numbers"),
+    render("ringing-overflows", rings(0.0, mode=1e308), "up to 1e+12"),
     command("render-knock-mp3", f"{RENDER} --velocity 1", "knock.flac: is no FLAC file", build=foreign_knock),
     command("simulate-out-mp3", "simulate --preset bensa-final --out @/x.mp3", ".wav"),
     command("render-out-flac", "render @/good.wav --velocity 1 --out @/x.flac", ".wav"),

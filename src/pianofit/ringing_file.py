@@ -23,6 +23,8 @@ LARGEST_KNOCK = 2**23
 MOST_FRAMES = RATES[1] // 2
 # Modes at the most that a file may hold.
 MOST_MODES = 4096
+# Frequencies, Hz, decays, 1/s, and patterns at the most, far beyond any: what is computed of them stays finite.
+LARGEST_NUMBER = 1e12
 WAY_OUT = "give the files that pianofit fit wrote"
 COLUMNS = ("partial", "frequency", "frequency_error", "decay", "decay_error")
 
@@ -80,8 +82,12 @@ def read_ringing(entry: Any, folder: Path | None, name: str) -> Ringing | None:
     except (KeyError, OverflowError, TypeError, ValueError):
         raise FitError(f"{name}: ringing has no whole table of modes and patterns; {WAY_OUT}") from None
     known = table.ndim == 2 and parts.ndim == 3 and 1 <= table.shape[-1] == parts.shape[-1] <= MOST_MODES
-    if not (known and len(parts) <= MOST_CHANNELS and np.isfinite(table).all() and np.isfinite(parts).all()):
-        raise FitError(f"{name}: ringing needs as many finite numbers in every column and pattern; {WAY_OUT}")
+    # Not greater, and no NaN.
+    sound = known and (np.abs(table) <= LARGEST_NUMBER).all() and (np.abs(parts) <= LARGEST_NUMBER).all()
+    if not (sound and len(parts) <= MOST_CHANNELS):
+        raise FitError(
+            f"{name}: ringing needs as many numbers up to {LARGEST_NUMBER:g} in every column and pattern; {WAY_OUT}"
+        )
     number, frequency, _, decay, error = table
     amplitude = parts[:, 0] + 1j * parts[:, 1]
     if not ((frequency > 0).all() and (decay > 0).all() and (error >= 0).all()):
