@@ -32,8 +32,8 @@ from made import make_notes
 PROGRAM = (sys.executable, "-m", "pianofit")
 # Entries of a JSON file that tell of the run and not of the result: where it lay, when, how long.
 OF_THE_RUN = ("seconds", "when", "host", "started", "ended", "time", "pid")
-# A user that owns nothing, for folders that cannot be written to: root may write anywhere.
-NOBODY = 65_534
+# In front of a command: root without its right to write anywhere.
+BOUND = ("setpriv", "--bounding-set", "-dac_override,-dac_read_search", "--inh-caps", "-dac_override,-dac_read_search")
 
 
 class Work(NamedTuple):
@@ -45,9 +45,9 @@ class Work(NamedTuple):
     fresh: bool = False  # whether every kill begins from nothing, and is followed by a run to the end
 
 
-def run(arguments: list[str], **options) -> subprocess.CompletedProcess:
+def run(arguments: list[str], before: tuple[str, ...] = ()) -> subprocess.CompletedProcess:
     """A command to its end."""
-    return subprocess.run([*PROGRAM, *arguments], capture_output=True, text=True, check=False, **options)
+    return subprocess.run([*before, *PROGRAM, *arguments], capture_output=True, text=True, check=False)
 
 
 def contents(out: Path) -> dict[str, bytes]:
@@ -143,17 +143,13 @@ def clear(out: Path) -> None:
 
 
 def read_only(folder: Path, commands: list[tuple[str, Callable[[Path], list[str]]]]) -> list[str]:
-    """Each command into a folder that may not be written to, as a user who owns nothing: one line, nothing written."""
-    if os.geteuid():
-        options = {}
-    else:
-        options = {"user": NOBODY, "group": NOBODY, "env": os.environ | {"HOME": "/tmp", "PIANOFIT_CACHE": ""}}  # noqa: S108
-    faults = []
+    """Each command into a folder that may not be written to: one line, and nothing written."""
+    faults, before = [], () if os.geteuid() else BOUND
     locked = folder / "locked"
     locked.mkdir()
     locked.chmod(0o555)
     for name, arguments in commands:
-        done = run(arguments(locked / "out"), **options)
+        done = run(arguments(locked / "out"), before)
         lines = done.stderr.strip().splitlines()
         if done.returncode != 1 or len(lines) != 1 or "locked" not in lines[0]:
             faults.append(f"{name} into a read-only folder: {done.returncode}, {done.stderr.strip()[-300:]}")
@@ -210,25 +206,28 @@ def main() -> None:
     """Kill, look, and say what was found."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--kills", type=int, default=50, help="over all commands")
+    parser.add_argument("--commands", default="page,export,fit,batch", help="separated by commas")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
-    draw, faults = np.random.default_rng(options.seed), []
+    draw, faults = np.random.default_rng(options.seed), list[str]()
     with tempfile.TemporaryDirectory() as name:
         place = Path(name)
         place.chmod(0o755)
-        every = works(place)
+        every = [work for work in works(place) if work.name.split()[0] in options.commands.split(",")]
         shares = [options.kills // len(every) + (n < options.kills % len(every)) for n in range(len(every))]
         for work, kills in zip(every, shares, strict=True):
             found, figures = tried(work, kills, draw)
             twice = together(work)
             print(f"{work.name:12} {figures}; {len(found)} faults, twice at once: {len(twice)}", flush=True)
             faults += found + twice
-        locked = [(work.name, lambda out, w=work: [str(out) if x == str(w.out) else x for x in w.arguments])
-                  for work in every]  # fmt: skip
+            print(*(f"  {fault}" for fault in (*found, *twice)), sep="\n", flush=True)
+        locked = [
+            (work.name, lambda out, w=work: [f"{out}{w.out.suffix}" if x == str(w.out) else x for x in w.arguments])
+            for work in every
+        ]
         found = read_only(place, locked)
         print(f"read-only folders: {len(every)} commands, {len(found)} faults")
-    for fault in (*faults, *found):
-        print(f"  {fault}")
+    print(*(f"  {fault}" for fault in found), sep="\n")
     sys.exit(1 if faults or found else 0)
 
 
