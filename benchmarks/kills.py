@@ -220,14 +220,16 @@ def main() -> None:
             twice = together(work)
             print(f"{work.name:12} {figures}; {len(found)} faults, twice at once: {len(twice)}", flush=True)
             faults += found + twice
-            print(*(f"  {fault}" for fault in (*found, *twice)), sep="\n", flush=True)
+            for fault in (*found, *twice):
+                print(f"  {fault}", flush=True)
         locked = [
             (work.name, lambda out, w=work: [f"{out}{w.out.suffix}" if x == str(w.out) else x for x in w.arguments])
             for work in every
         ]
         found = read_only(place, locked)
         print(f"read-only folders: {len(every)} commands, {len(found)} faults")
-    print(*(f"  {fault}" for fault in found), sep="\n")
+    for fault in found:
+        print(f"  {fault}")
     sys.exit(1 if faults or found else 0)
 
 
