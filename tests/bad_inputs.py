@@ -12,6 +12,7 @@ import shlex
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 from bad_files import AUDIO, PATHS, SETUPS, BadInput, encoded, file, good, note, pcm16, wav
 
 __all__ = ["BAD_INPUTS", "BadInput", "encoded", "fit_dict", "note", "pcm16", "wav"]
@@ -76,6 +77,42 @@ def slow_hammer(folder: Path) -> None:
 def short_bass(folder: Path) -> None:
     """Build 60 ms of an A0: less than two periods."""
     (folder / "short.wav").write_bytes(encoded(note(27.5, 0.06, lead=0.0)))
+
+
+def two_sides(folder: Path) -> None:
+    """Build sides of a listening test: a/ and b/ go together, others do not."""
+    sides = {
+        "a": encoded(note()), "b": encoded(0.5 * note()), "slower": encoded(note(rate=16_000), rate=16_000),
+        "stereo": encoded(np.stack([note(), note()], axis=1)), "clipped": encoded(np.clip(3 * note(), -1, 0.95)),
+    }  # fmt: skip
+    for side, content in sides.items():
+        (folder / side).mkdir()
+        (folder / side / "note.wav").write_bytes(content)
+    (folder / "other").mkdir()
+    (folder / "other" / "tone.wav").write_bytes(sides["a"])
+
+
+def answered(folder: Path) -> None:
+    """Build the answers of a listening test."""
+    trial = {"condition": "ABX", "chosen": "a", "hit": "b"}
+    (folder / "answers.json").write_text(json.dumps({"schema": 2, "trials": [trial]}))
+
+
+def result(name: str, content: object, message: str) -> BadInput:
+    """Return an entry that counts a bad file of answers."""
+    return BadInput(f"listen-result-{name}", fit_file(content), ("listen", "--result", "@/fit.json"), message)
+
+
+def rings(imag: float, knock: dict | None = None, mode: float = 1.0) -> dict:
+    """Return a fit.json's content with one mode of one channel."""
+    columns = {name: [mode] for name in ("partial", "frequency", "frequency_error", "decay", "decay_error")}
+    return fit_dict() | {"ringing": {"modes": columns, "pattern": [{"real": [1.0], "imag": [imag]}], "knock": knock}}
+
+
+def foreign_knock(folder: Path) -> None:
+    """Build a fit.json whose knock is called FLAC, and is an MP3."""
+    fit_file(rings(0.0, {"file": "knock.flac", "scale": 1.0, "rate": 44_100}))(folder)
+    (folder / "knock.flac").write_bytes(b"ID3\x03" + bytes(400))
 
 
 FALLING = {"frequency": [200.0, 100.0], "db": [0.0, 0.0]}
@@ -178,6 +215,9 @@ COMMANDS = [
     render("gain-null", take_dict(gain=None), "takes[0].gain"),
     render("rate-zero", take_dict(rate=0), "rate=0 Hz"),
     render("rate-absurd", take_dict(rate=1e12), "rate=1e+12 Hz"),
+    render("ringing-infinite", rings(float("inf")), "needs as many numbers"),
+    render("ringing-overflows", rings(0.0, mode=1e308), "up to 1e+12"),
+    command("render-knock-mp3", f"{RENDER} --velocity 1", "knock.flac: is no FLAC file", build=foreign_knock),
     command("simulate-out-mp3", "simulate --preset bensa-final --out @/x.mp3", ".wav"),
     command("render-out-flac", "render @/good.wav --velocity 1 --out @/x.flac", ".wav"),
     command("predict-out-bare", "predict @/good.wav @/good.wav --out @/x", ".wav"),
@@ -188,6 +228,32 @@ COMMANDS = [
     command("demo-noise-nan", "demo --out @/out --noise nan", "noise=nan"),
     command("demo-noise-word", "demo --out @/out --noise much", "much", 2),
     command("demo-unknown-option", "demo --out @/out --loud", "--loud", 2),
+    command("listen-nothing", "listen", "--result", 2),
+    command("listen-no-out", "listen @/a @/b", "--out", 2, build=two_sides),
+    command("listen-missing", "listen @/a @/none --out @/out", "none: is no folder", build=two_sides),
+    command("listen-file-missing", "listen @/good.wav @/none.wav --out @/out", "none.wav: no such file"),
+    command("listen-twice", "listen @/a @/a --out @/out", "is given twice", build=two_sides),
+    command("listen-no-pair", "listen @/a @/other --out @/out", "no file name in common", build=two_sides),
+    command("listen-clipped", "listen @/a @/clipped --out @/out", "note.wav: gate clipping", build=two_sides),
+    command("listen-none-left", "listen @/a @/clipped --out @/out --leave-out", "gate clipping", build=two_sides),
+    command("listen-rates", "listen @/a @/slower --out @/out", "note.wav: has 16000 Hz", build=two_sides),
+    command("listen-channels", "listen @/a @/stereo --out @/out", "note.wav: has 2 channels", build=two_sides),
+    command("listen-trials", "listen @/a @/b --out @/out --trials 0", "trials=0", build=two_sides),
+    command("listen-seconds", "listen @/a @/b --out @/out --seconds nan", "seconds=nan", build=two_sides),
+    command("listen-seed", "listen @/a @/b --out @/out --seed -1", "seed=-1", build=two_sides),
+    command("listen-out-not-empty", "listen @/good.wav @/sound.wav --out @/out", "--force", build=occupied),
+    command("listen-json-alone", "listen @/a @/b --out @/out --json", "--result", 2, build=two_sides),
+    command("listen-result-and-out", "listen --result @/fit.json --out @/out", "stands alone", build=occupied),
+    command("listen-result-missing", "listen --result @/none.json", "none.json: no such file"),
+    result("text", b"not json", "no answers"),
+    result("list", [1], "schema none"),
+    result("schema", {"schema": 1, "trials": []}, "schema 1"),
+    result("no-trials", {"schema": 2}, "schema 2"),
+    result("empty-trials", {"schema": 2, "trials": []}, "no question was answered"),
+    result("trial-number", {"schema": 2, "trials": [7]}, "trials[0] is 7"),
+    result("chosen", {"schema": 2, "trials": [{"condition": "x", "chosen": ["a"], "hit": "a"}]}, "chosen ['a']"),
+    result("nested", b"[" * 100_000, "no answers"),
+    command("listen-result-twice", "listen --result @/answers.json --result @/answers.json", "same", build=answered),
     command("unknown-command", "tune", "tune", 2),
 ]
 

@@ -80,8 +80,8 @@ def test_a_bad_input_in_a_process_of_its_own(bad, tmp_path):
 
 
 def test_the_corpus_is_large_and_meets_every_command():
-    assert len(BAD_INPUTS) >= 60
-    assert {"fit", "analyse", "simulate", "render", "demo"} <= {bad.args[0] for bad in BAD_INPUTS}
+    assert len(BAD_INPUTS) >= 200
+    assert {"fit", "analyse", "simulate", "render", "demo", "listen"} <= {bad.args[0] for bad in BAD_INPUTS}
     assert len(AS_PROCESSES) == len([bad for bad in BAD_INPUTS if bad.id in AS_PROCESSES])
 
 

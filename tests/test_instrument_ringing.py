@@ -90,7 +90,8 @@ BAD = {
     "modes": ({"modes": 1}, "no whole table"),
     "uneven": ({"modes": {"partial": [1]}}, "no whole table"),
     "no base64": ({"knock": {"flac": "?", "scale": 1.0}}, "is no base64"),
-    "no sound": ({"knock": {"flac": "AAAA", "scale": 1.0}}, "cannot be read"),
+    "no sound": ({"knock": {"flac": "AAAA", "scale": 1.0}}, "is no FLAC file"),
+    "cut": ({"knock": {"flac": "ZkxhQwAAAA==", "scale": 1.0}}, "cannot be read"),
     "text": ({"knock": {"flac": 7, "scale": 1.0}}, "is no base64"),
     "scale": ({"knock": {"flac": "", "scale": None}}, "knock.scale"),
 }

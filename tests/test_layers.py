@@ -36,13 +36,14 @@ USES = {
     "inference": "analysis criterion felt io model parameters progress published recording render setup tables threads",
     "ringing": "analysis inference model recording ringing_file threads",
     "report": "analysis felt inference io model parameters ringing ringing_file",
-    "paper": "analysis criterion felt inference io model parameters published recording report setup",
+    "listening": "io recording report",
+    "paper": "analysis criterion felt inference io listening model parameters published recording report setup",
     "keyboard": "analysis criterion io model parameters published render report ringing_file",
     "fitting": "analysis inference io paper parameters progress recording ringing setup",
     "play": "analysis felt io keyboard model parameters recording render report threads",
     "workflow": "analysis fitting inference io model recording render setup",
     "batch": "analysis fitting io model parameters recording report",
-    "cli": "analysis batch felt fitting inference io keyboard model paper parameters play progress"
+    "cli": "analysis batch felt fitting inference io keyboard listening model paper parameters play progress"
     " published recording render report setup workflow",
     "__main__": "cli",
 }

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 from report_cases import Page
 
-from pianofit.report.listening import Heard, Question, write_listening
+from pianofit.listening.page import Heard, Question, write_listening
+from pianofit.listening.result import count_answers
 from pianofit.report.sound import k_weighted_mean_square
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
@@ -28,24 +29,36 @@ NAMES = ("initial", "global criterion", "three bands")
 def questions() -> list[Question]:
     asked = []
     for velocity in (0.6, 0.8):
-        t = np.arange(RATE) / RATE
+        t, f = np.arange(RATE) / RATE, 2000 * velocity
         sounds = {
             name: Heard(
-                name, velocity, np.pad((n + 1) * np.exp(-3 * t) * np.sin(2000 * velocity * (n + 1) * t), (400, 0))
+                name,
+                f"{velocity} m/s",
+                np.pad((n + 1) * np.exp(-3 * t) * np.sin(f * (n + 1) * t), (400, 0)),
             )
             for n, name in enumerate((MEASURED, *NAMES))
         }
         reference, three = sounds[MEASURED], sounds["three bands"]
         asked += [Question(reference, (three, sounds[name])) for name in ("initial", "global criterion")]
         asked.append(Question(reference, (reference, sounds["initial"]), 1))
+        asked.append(Question(reference, (reference, sounds["three bands"]), 3, "abx"))
     return asked
+
+
+def write(path: Path, seed: int = 3, origin: str = "made-up") -> dict:
+    """Write the page and return its key."""
+    write_listening(
+        path, questions(), RATE, LEAD, seed, program="pianofit reproduce", about="some sounds", origin=origin,
+        key=path.with_suffix(".key"),
+    )  # fmt: skip
+    return json.loads(path.with_suffix(".key").read_text(encoding="utf-8"))
 
 
 @pytest.fixture(scope="module")
 def path(tmp_path_factory):
     path = tmp_path_factory.mktemp("listening") / "listening.html"
     made = "made-up sounds </script><b>"
-    write_listening(path, questions(), RATE, LEAD, 3, program="pianofit reproduce", about="some sounds", origin=made)
+    write(path, origin=made)
     return path
 
 
@@ -81,9 +94,9 @@ def answered(page, keys: str = "a") -> dict:
     """Take the whole test by keyboard and return what is saved; `keys` is how to answer, again and again."""
     page.locator("#begin").focus()
     page.keyboard.press("Enter")
-    count = len(page.evaluate("window.pianofitListening.trials"))
-    for n in range(count):
-        for key in "rab":
+    trials = page.evaluate("window.pianofitListening.trials")
+    for n, trial in enumerate(trials):
+        for key in "xab" if trial["kind"] == "abx" else "rab":
             page.keyboard.press(key)
         page.keyboard.press("ArrowLeft" if keys[n % len(keys)] == "a" else "ArrowRight")
     with page.expect_download() as download:
@@ -106,10 +119,47 @@ def test_what_a_sound_is_cannot_be_read_on_the_page_nor_in_its_data(page, path):
     page.locator("#begin").click()
     shown.append(page.locator("body").inner_text())
     test = contents(path)
-    shown.append(json.dumps({name: test[name] for name in ("questions", "key")} | {"sounds": [*test["sounds"]]}))
-    assert not [name for name in NAMES for text in shown if name in text]
-    pairs = [set(question["pair"]) for question in test["questions"]]
-    assert all(len(pair) == 2 for pair in pairs)
+    shown.append(json.dumps(test | {"sounds": [*test["sounds"]]}))
+    assert not [name for name in (*NAMES, "hidden reference", "ABX:") for text in shown if name in text]
+    # The names, and the order the sounds stand in, go with nothing: sorted, and numbered by lot.
+    assert [*test["sounds"]] == [f"s{n:03d}" for n in range(8)]
+    whats = [json.loads(path.with_suffix(".key").read_text())["sounds"][name]["what"] for name in test["sounds"]]
+    assert whats not in ([*(MEASURED, *NAMES) * 2], sorted(whats))
+
+
+def test_the_key_says_what_was_hidden(page, path):
+    key = json.loads(path.with_suffix(".key").read_text(encoding="utf-8"))
+    assert page.evaluate("window.pianofitListening.trials") == key["trials"]
+    assert sorted({sound["what"] for sound in key["sounds"].values()}) == sorted((MEASURED, *NAMES))
+    assert [trial["kind"] for trial in key["trials"]] == ["abx"] * 6 + ["nearer"] * 10
+    for trial in key["trials"]:
+        assert (trial["reference"] in (trial["a"], trial["b"])) == (not trial["condition"].startswith("nearer"))
+
+
+def test_the_seed_draws_order_sides_and_x(path, tmp_path):
+    """Fair to within six standard deviations over 200 seeds, and the same seed gives the same page."""
+    keys = [write(tmp_path / "one.html", seed) for seed in range(200)]
+    trials = [key["trials"] for key in keys]
+    whats = [{name: sound["what"] for name, sound in key["sounds"].items()} for key in keys]
+    assert len({json.dumps(one) for one in trials}) == 200
+    spread = 6 * 0.5
+    for kind, expected in (("abx", 1200), ("nearer", 2000)):
+        measured = [
+            what[t["a"]] == MEASURED for one, what in zip(trials, whats, strict=True) for t in one
+            if t["kind"] == kind and MEASURED in (what[t["a"]], what[t["b"]])
+        ]  # fmt: skip
+        assert len(measured) == (expected if kind == "abx" else 400)
+        assert abs(np.mean(measured) - 0.5) < spread / np.sqrt(len(measured))
+    x = [what[t["reference"]] == MEASURED for one, what in zip(trials, whats, strict=True) for t in one[:6]]
+    assert abs(np.mean(x) - 0.5) < spread / np.sqrt(len(x))
+    on_a = [t["reference"] == t["a"] for one in trials for t in one[:6]]
+    assert abs(np.mean(on_a) - 0.5) < spread / np.sqrt(len(on_a))
+    first = [key["sounds"][one[-1]["reference"]]["case"] == "0.6 m/s" for one, key in zip(trials, keys, strict=True)]
+    assert abs(np.mean(first) - 0.5) < spread / np.sqrt(200)
+    again = tmp_path / "again.html"
+    assert write(again) == json.loads(path.with_suffix(".key").read_text())
+    write(tmp_path / "page.html")
+    assert again.read_bytes() == (tmp_path / "page.html").read_bytes()
 
 
 def test_all_sounds_are_equally_loud(path):
@@ -122,41 +172,51 @@ def test_all_sounds_are_equally_loud(path):
     assert max(loudness) - min(loudness) < 0.1
 
 
-def test_answers_are_saved_as_json_with_what_was_hidden(page):
+def test_answers_are_saved_as_json_with_what_was_hidden(page, path, tmp_path):
     page.locator("#listener").fill("a listener")
     saved = answered(page, "ab")
-    assert saved["schema"] == 1
+    key = json.loads(path.with_suffix(".key").read_text(encoding="utf-8"))
+    what = {name: sound["what"] for name, sound in key["sounds"].items()}
+    assert saved["schema"] == 2
     assert saved["program"] == "pianofit reproduce"
     assert saved["seed"] == 3
     assert saved["listener"] == "a listener"
-    assert saved["asked"] == saved["answered"] == len(saved["trials"]) == 10
-    assert saved["control"]["of"] == 2
-    for n, trial in enumerate(saved["trials"]):
+    assert saved["asked"] == saved["answered"] == len(saved["trials"]) == 16
+    for n, (trial, drawn) in enumerate(zip(saved["trials"], key["trials"], strict=True)):
         assert trial["number"] == n + 1
-        assert trial["chosen"] == trial["ab"[n % 2]]
-        assert trial["reference"] == MEASURED
-        assert trial["velocity"] in (0.6, 0.8)
+        assert trial["chosen"] == "ab"[n % 2]
+        assert [trial[role] for role in ("reference", "a", "b")] == [what[drawn[r]] for r in ("reference", "a", "b")]
+        assert trial["case"] in ("0.6 m/s", "0.8 m/s")
         assert trial["played"] == {"reference": 1, "a": 1, "b": 1}
         assert trial["seconds"] >= 0
-    rows = {(row["first"], row["second"]): row for row in saved["comparisons"]}
-    assert set(rows) == {("three bands", "initial"), ("three bands", "global criterion")}
-    for (first, second), row in rows.items():
-        own = [t for t in saved["trials"] if {t["a"], t["b"]} == {first, second}]
-        assert row["of"] == len(own) == 4
-        assert row["first_nearer"] == sum(t["chosen"] == first for t in own)
+        assert drawn[trial["hit"]] == drawn["hit"]
+        right = "three bands" if trial["condition"].startswith("nearer") else trial["reference"]
+        assert trial[trial["hit"]] == right
+    rows = {row["condition"]: row for row in saved["conditions"]}
+    assert rows.keys() == {
+        "ABX: measured or three bands", "hidden reference: measured beside initial",
+        "nearer to measured: three bands than initial", "nearer to measured: three bands than global criterion",
+    }  # fmt: skip
+    # What the page counts is what the program counts.
+    (tmp_path / "answers.json").write_text(json.dumps(saved))
+    for count in count_answers([tmp_path / "answers.json"]):
+        row = rows[count.condition]
+        assert (row["hits"], row["of"], row["p"]) == (count.hits, count.of, pytest.approx(count.p))
+    assert [rows[condition]["of"] for condition in sorted(rows)] == [6, 2, 4, 4]
 
 
 def test_an_answer_waits_until_all_three_were_heard(page):
     page.locator("#begin").click()
+    assert page.locator("#asked").inner_text() == "Which is X?"
     page.keyboard.press("ArrowLeft")
     page.keyboard.press("r")
     page.keyboard.press("a")
     page.keyboard.press("ArrowRight")
-    assert page.locator("#count").inner_text() == "Question 1 of 10"
+    assert page.locator("#count").inner_text() == "Question 1 of 16"
     assert "first" in page.get_by_role("status").inner_text()
     page.keyboard.press("b")
     page.keyboard.press("ArrowRight")
-    assert page.locator("#count").inner_text() == "Question 2 of 10"
+    assert page.locator("#count").inner_text() == "Question 2 of 16"
     page.locator("#stop").click()
     assert page.evaluate("window.pianofitListening.results.answered") == 1
 
@@ -175,22 +235,6 @@ def test_each_button_plays_its_own_sound_from_the_start(page, path):
         np.testing.assert_allclose(heard[2], samples[:3000], atol=1e-6)
     page.keyboard.press("Space")
     assert not page.evaluate("window.pianofitListening.deck.playing")
-
-
-def test_sides_and_order_are_drawn_anew(page):
-    drawn = page.evaluate("""() => {
-      const begin = document.getElementById("begin"), seen = [];
-      for (let n = 0; n < 200; n++) { begin.click(); seen.push(window.pianofitListening.trials); }
-      return seen;
-    }""")
-    first = [trials[0]["reference"] for trials in drawn]
-    orders = {json.dumps(trials) for trials in drawn}
-    assert len(orders) == 200
-    # Fair to within six standard deviations.
-    share = np.mean([reference == max(first) for reference in first])
-    assert abs(share - 0.5) < 6 * 0.5 / np.sqrt(200)
-    sides = [trial["a"] < trial["b"] for trials in drawn for trial in trials]
-    assert abs(np.mean(sides) - 0.5) < 6 * 0.5 / np.sqrt(len(sides))
 
 
 def test_chance_is_that_of_a_fair_coin(page):

@@ -23,6 +23,10 @@ LARGEST_KNOCK = 2**23
 MOST_FRAMES = RATES[1] // 2
 # Modes at the most that a file may hold.
 MOST_MODES = 4096
+# Frequencies, Hz, decays, 1/s, and patterns at the most, far beyond any: what is computed of them stays finite.
+LARGEST_NUMBER = 1e12
+# What the files begin with that may hold a knock: a page writes WAV, a fit FLAC.
+MAGIC = {"flac": b"fLaC", "wav": b"RIFF"}
 WAY_OUT = "give the files that pianofit fit wrote"
 ERRORS = ("frequency_error", "decay_error")
 COLUMNS = ("partial", "frequency", ERRORS[0], "decay", ERRORS[1])
@@ -79,13 +83,18 @@ def read_ringing(entry: Any, folder: Path | None, name: str) -> Ringing | None:
     try:
         exact = dict.fromkeys(ERRORS, [0.0] * len(modes["partial"]))
         table = np.array([(exact | modes)[column] for column in COLUMNS], float)
-        amplitude = np.array([np.array(row["real"], float) + 1j * np.array(row["imag"], float) for row in pattern])
+        parts = np.array([[row["real"], row["imag"]] for row in pattern], float)
     except (KeyError, OverflowError, TypeError, ValueError):
         raise FitError(f"{name}: ringing has no whole table of modes and patterns; {WAY_OUT}") from None
-    known = table.ndim == amplitude.ndim == 2 and 1 <= table.shape[-1] == amplitude.shape[-1] <= MOST_MODES
-    if not (known and len(amplitude) <= MOST_CHANNELS and np.isfinite(table).all() and np.isfinite(amplitude).all()):
-        raise FitError(f"{name}: ringing needs as many finite numbers in every column and pattern; {WAY_OUT}")
+    known = table.ndim == 2 and parts.ndim == 3 and 1 <= table.shape[-1] == parts.shape[-1] <= MOST_MODES
+    # Not greater, and no NaN.
+    sound = known and (np.abs(table) <= LARGEST_NUMBER).all() and (np.abs(parts) <= LARGEST_NUMBER).all()
+    if not (sound and len(parts) <= MOST_CHANNELS):
+        raise FitError(
+            f"{name}: ringing needs as many numbers up to {LARGEST_NUMBER:g} in every column and pattern; {WAY_OUT}"
+        )
     number, frequency, _, decay, error = table
+    amplitude = parts[:, 0] + 1j * parts[:, 1]
     if not ((frequency > 0).all() and (decay > 0).all() and (error >= 0).all()):
         raise FitError(f"{name}: ringing has frequencies, decays or errors that are not above 0; {WAY_OUT}")
     if not ((number % 1 == 0) & (number >= 1) & (number <= MOST_MODES)).all():
@@ -110,6 +119,8 @@ def _knock(entry: Any, folder: Path | None, channels: int, name: str) -> tuple[n
     else:
         path = folder / KNOCK_FILE
         held = read_file(path, LARGEST_KNOCK, FitError)
+    if held[:4] != MAGIC[kind]:  # no other decoder is let near it
+        raise FitError(f"{path}: is no {kind.upper()} file; {WAY_OUT}")
     try:
         samples, rate = soundfile.read(io.BytesIO(held), frames=MOST_FRAMES, always_2d=True)
     except soundfile.LibsndfileError as problem:

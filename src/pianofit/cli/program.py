@@ -15,7 +15,7 @@ import typer
 
 from ..errors import ParameterError
 from ..progress import progress_bar
-from . import batch, export, fits, instrument, sounds
+from . import batch, export, fits, instrument, listening, sounds
 from .options import Force, Json, Seed, check_common, number
 from .terminal import add, complain
 
@@ -105,7 +105,7 @@ def reproduce(
     typer.echo(f"\nwritten to {folder}: open index.html, and listening.html for the blind test")
 
 
-for group in (fits, batch, instrument, export, sounds):
+for group in (fits, batch, instrument, export, sounds, listening):
     group.register(app)
 add(app, demo, "pianofit demo --out demo")
 add(app, reproduce, "pianofit reproduce --out paper")

@@ -14,11 +14,11 @@ import numpy as np
 from ... import __version__
 from ...errors import OutputError
 from ...io import encode_wav, replace_file
+from ...listening.page import Heard, Question, write_listening
 from ...model.cache import keep_programs
 from ...parameters import PARAMETERS
 from ...report.drawing import png, styled, svg
 from ...report.kit import data_uri, write_page
-from ...report.listening import Heard, Question, write_listening
 from ...report.sound import Clip, make_clips
 from ..laboratory import chosen
 from .cases import RECIPES
@@ -152,7 +152,7 @@ def _write_test(folder: Path, f: Findings) -> None:
     three, read, whole, default = (RECIPES[recipe] for recipe in ("paper", "read", "global", "default"))
     for stroke in (f.at(velocity) for velocity in f.plan.heard):
         heard = {
-            name: Heard(name, stroke.case.velocity, np.pad(_cut(samples, rate), (int(LEAD * rate), 0)))
+            name: Heard(name, f"{stroke.case.velocity:g} m/s", np.pad(_cut(samples, rate), (int(LEAD * rate), 0)))
             for name, samples in stroke.sounds.items()
         }
         pairs = [(three, "initial"), (three, whole), (read, "initial"), (read, whole)]
@@ -163,6 +163,7 @@ def _write_test(folder: Path, f: Findings) -> None:
         folder / "listening.html", questions, rate, LEAD, f.seed, program="pianofit reproduce",
         about="the sounds of “pianofit reproduce”",
         origin="measurements of pianofit's own laboratory, which stand for the paper's: those are not public",
+        key=folder / "listening-key.json",
     )  # fmt: skip
 
 

@@ -1,0 +1,347 @@
+"""Hostile files for every reader: valid ones, spoilt by a seeded hand, must be read or refused in one line.
+
+    python benchmarks/fuzz.py                          3,000 of each kind, about a quarter of an hour
+    python benchmarks/fuzz.py --kinds midi,setup --count 500 --seed 7
+    python benchmarks/fuzz.py --keep faults            what went wrong, as files to look at
+
+Of each case the reader may return, or raise a `PianofitError` whose message is one line that names the file. Anything
+else is a fault: another exception, a warning, more than LONGEST seconds, more memory than MOST allows, a file that was
+not there before. Text is spoilt by its tokens, JSON by its values too, bytes by bits, cuts, repeats and lengths.
+Kinds: wav, flac, setup (TOML), fit, fit-knock and instrument (JSON, FLAC), midi, sfz, csv, answers (JSON), keys (fits
+that an instrument is made of).
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import functools
+import io
+import json
+import resource
+import signal
+import sys
+import tempfile
+import time
+import traceback
+import warnings
+from collections import Counter
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+# Of one case, s; and of the process with all its libraries, bytes of address space beyond what it has at the begin.
+LONGEST, MOST = 5.0, 2**30
+# What stands in the place of numbers, texts and lengths.
+NUMBERS = (
+    0, -1, 1, 127, 128, 255, 256, 2**15, 2**16, 2**31, 2**32 - 1, 2**53, 10**400, 0.0, -0.0, 1e-320, 1e308, -1e308,
+    float("nan"), float("inf"), float("-inf"), 0.1, 1e9,
+)  # fmt: skip
+TEXTS = ("", " ", "\0", "a\nb", "\x1b[31m", "../../x", "é" * 300, "9" * 5000, "nan", "[[", "{", "\udc80", "1e999", "-")
+VALUES: tuple[Any, ...] = (*NUMBERS, *TEXTS, None, True, [], {}, [[[]]], [None] * 3, {"value": None}, "0x10")
+
+
+class Kind(NamedTuple):
+    """A format: a valid file, and who reads it."""
+
+    name: str  # of the file
+    valid: bytes
+    read: Callable[[Path], Any]
+    text: bool = False
+    beside: dict[str, bytes] = {}  # noqa: RUF012 - other files of the folder, never changed
+
+
+class SlowCaseError(Exception):
+    """A case that took too long."""
+
+
+# --- how files are spoilt ---------------------------------------------------------------------------------------------
+
+
+def spoilt_bytes(data: bytes, draw: np.random.Generator) -> bytes:
+    """One to four changes of bytes, most of them near the begin, where the headers are."""
+    out = bytearray(data)
+    for _ in range(draw.integers(1, 5)):
+        at = int(len(out) * draw.random() ** (6 if draw.random() < 0.7 else 1)) if out else 0
+        what, size = draw.integers(7), int(2 ** (draw.random() * 8))
+        if what == 0 and out:
+            out[at % len(out)] ^= 1 << int(draw.integers(8))
+        elif what == 1:
+            del out[at : at + size]
+        elif what == 2:
+            out[at:at] = draw.bytes(size)
+        elif what == 3:
+            out[at:at] = out[at : at + size] * int(draw.integers(1, 50))
+        elif what == 4:
+            del out[at:]
+        else:
+            width = int(draw.choice([1, 2, 4, 8]))
+            number = int(draw.choice([0, 1, 2**15, 2**31 - 1, 2**31, 2**32 - 1, 2**63]))
+            out[at : at + width] = (number % 2 ** (8 * width)).to_bytes(width, "little" if what == 5 else "big")
+    return bytes(out)
+
+
+def spoilt_text(data: bytes, draw: np.random.Generator) -> bytes:
+    """Tokens replaced, lines moved, repeated or lost."""
+    lines = data.decode().split("\n")
+    for _ in range(draw.integers(1, 4)):
+        at = int(draw.integers(len(lines)))
+        what = draw.integers(5)
+        if what == 0:
+            lines.insert(at, lines[int(draw.integers(len(lines)))])
+        elif what == 1 and len(lines) > 1:
+            del lines[at]
+        elif what == 2:
+            lines[at] = lines[at] * min(int(draw.integers(2, 200)), 1 + 2**20 // (1 + len(lines[at])))
+        else:
+            words = lines[at].replace("=", " = ").replace(",", " , ").split(" ")
+            words[int(draw.integers(len(words)))] = str(VALUES[int(draw.integers(len(VALUES)))])
+            lines[at] = " ".join(words).replace(" = ", "=" if what == 3 else " = ").replace(" , ", ",")
+    return "\n".join(lines).encode("utf-8", errors="surrogateescape")
+
+
+def spoilt_json(data: bytes, draw: np.random.Generator) -> bytes:
+    """Values replaced, moved, repeated or lost, anywhere."""
+    document = json.loads(data)
+    for _ in range(draw.integers(1, 4)):
+        places = list(_places(document))
+        if not places:
+            break
+        # First how deep, then where: else the long columns of a table would have all.
+        depth = draw.choice(sorted({len(place[2]) for place in places}))
+        of = [place for place in places if len(place[2]) == depth]
+        holder, key, _ = of[int(draw.integers(len(of)))]
+        what = draw.integers(4)
+        if what == 0:
+            del holder[key]
+        elif what == 1:
+            other, name, _ = places[int(draw.integers(len(places)))]
+            holder[key] = json.loads(json.dumps(other[name]))
+        else:
+            holder[key] = VALUES[int(draw.integers(len(VALUES)))]
+    return json.dumps(document).encode("utf-8", errors="surrogateescape")
+
+
+def _places(document: Any, path: tuple = ()) -> Iterator[tuple[Any, Any, tuple]]:
+    if not isinstance(document, dict | list):
+        return
+    for key, value in list(document.items() if isinstance(document, dict) else enumerate(document))[:40]:
+        yield document, key, (*path, key)
+        yield from _places(value, (*path, key))
+
+
+def spoilt(kind: Kind, draw: np.random.Generator) -> bytes:
+    """The file, spoilt in one of the ways that suit it."""
+    ways = [spoilt_bytes]
+    if kind.text:
+        ways = [spoilt_text, spoilt_text, spoilt_bytes]
+    if kind.name.endswith(".json"):
+        ways = [spoilt_json] * 8 + [spoilt_text, spoilt_bytes]
+    return ways[int(draw.integers(len(ways)))](kind.valid, draw)
+
+
+# --- the formats ------------------------------------------------------------------------------------------------------
+
+
+def _sound(file_format: str, subtype: str) -> bytes:
+    import soundfile
+
+    rate = 8_000
+    t = np.arange(rate // 2) / rate
+    note = np.pad(0.5 * np.exp(-3 * t) * np.sin(2 * np.pi * 220 * t), (100, 0))
+    stream = io.BytesIO()
+    soundfile.write(stream, np.stack([note, 0.9 * note], axis=1), rate, format=file_format, subtype=subtype)
+    return stream.getvalue()
+
+
+def _song() -> bytes:
+    import mido
+
+    file = mido.MidiFile(ticks_per_beat=480)
+    track = mido.MidiTrack()
+    file.tracks.append(track)
+    track.append(mido.MetaMessage("set_tempo", tempo=400_000))
+    track.append(mido.Message("control_change", control=64, value=127))
+    for key in (60, 64, 67):
+        track.append(mido.Message("note_on", note=key, velocity=80, time=0))
+        track.append(mido.Message("note_off", note=key, velocity=0, time=240))
+    stream = io.BytesIO()
+    file.save(file=stream)
+    return stream.getvalue()
+
+
+@functools.cache
+def _documents() -> tuple[bytes, bytes, bytes]:
+    """A fit.json that rings, its knock, and an instrument.json."""
+    sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+    from instrument_cases import (  # pyright: ignore[reportMissingImports]
+        ERRORS,
+        fit_document,
+        library,
+        true_note,
+    )
+    from page_cases import ringing_note  # pyright: ignore[reportMissingImports]
+
+    from pianofit.keyboard.build import build_instrument
+    from pianofit.keyboard.gather import find_fits, load_keys
+    from pianofit.ringing_file import encode_knock, ringing_document
+
+    note = ringing_note(60)
+    fit = fit_document(true_note(60), ERRORS)
+    ringing = ringing_document(note.ringing)
+    fit["ringing"] = {"by": "modes", **ringing}
+    with tempfile.TemporaryDirectory() as folder:
+        keys = load_keys(find_fits([library(Path(folder), [48, 60])]))
+    instrument = build_instrument(keys, "fuzz")
+    instrument["keys"] = instrument["keys"][36:44]
+    instrument["keys"][3]["ringing"] = ringing_document(note.ringing, whole=True)
+    return json.dumps(fit).encode(), encode_knock(note.ringing) or b"", json.dumps(instrument).encode()
+
+
+def kinds() -> dict[str, Kind]:
+    """Every format that is read."""
+    import pianofit
+    from pianofit.batch.manifest import read_keys
+    from pianofit.keyboard import load_instrument
+    from pianofit.keyboard.gather import load_keys
+    from pianofit.listening.result import count_answers
+    from pianofit.play import load_song
+    from pianofit.render import load_mixture
+
+    fit, knock, instrument = _documents()
+    wav, flac = _sound("WAV", "PCM_16"), _sound("FLAC", "PCM_16")
+    setup = (
+        b'felt.law = "stulov"\n[string]\nlength = 1.2\nmass = 0.006\n[strike]\nposition = 0.12\nwidth = 0.02\n'
+        b'[pickup]\nquantity = "velocity"\nposition = 0.3\nscale = 2.0\n[known]\nM_H = 0.008\n'
+        b"[initial]\nc = 310.0\n[bounds]\n"
+        b'K_H = [1e8, 1e12]\n[[recording]]\nfile = "a.wav"\nv_H0 = 2.0\ngroup = "close"\nstrike = "one"\n'
+    )
+    table = b"file,note,instrument,layer,velocity,group\na.wav,A3,grand,1,1.5,close\nb.wav,A3,grand,2,3.0,close\n"
+    sfz = (
+        b"#define $KEY 57\n<control> default_path=./\n<global> amp_veltrack=0\n<group> lovel=1 hivel=64\n"
+        b"<region> sample=a.wav key=$KEY\n<group> lovel=65 hivel=127\n<region> sample=b.wav lokey=57 hikey=57 "
+        b"pitch_keycenter=57\n// end\n"
+    )
+    trials = [{"condition": "ABX", "chosen": "a", "hit": "b", "case": "A3"}] * 3
+    sounds = {"a.wav": wav, "b.wav": wav}
+    return {
+        "wav": Kind("case.wav", wav, pianofit.load_recording),
+        "flac": Kind("case.flac", flac, pianofit.load_recording),
+        "setup": Kind("case.toml", setup, pianofit.load_setup, text=True),
+        "fit": Kind(
+            "case.json", fit, lambda path: (pianofit.load_note(path), load_mixture(path)), beside={"knock.flac": knock}
+        ),
+        "fit-knock": Kind(
+            "knock.flac", knock, lambda path: pianofit.load_note(path.with_name("fit.json")), beside={"fit.json": fit}
+        ),
+        "keys": Kind("fit.json", fit, lambda path: load_keys([path]), beside={"knock.flac": knock}),
+        "instrument": Kind("case.json", instrument, load_instrument),
+        "midi": Kind("case.mid", _song(), load_song),
+        "sfz": Kind("case.sfz", sfz, read_keys, text=True, beside=sounds),
+        "csv": Kind("case.csv", table, read_keys, text=True, beside=sounds),
+        "answers": Kind(
+            "case.json", json.dumps({"schema": 2, "trials": trials}).encode(), lambda path: count_answers([path])
+        ),
+    }  # fmt: skip
+
+
+# --- the trial --------------------------------------------------------------------------------------------------------
+
+
+def fault(kind: Kind, data: bytes, folder: Path) -> str | None:
+    """What a reader does wrong with a file, in a line; None where it reads or refuses it as it should."""
+    from pianofit.errors import PianofitError
+
+    path = folder / kind.name
+    path.write_bytes(data)
+    before, began = sorted(folder.rglob("*")), time.perf_counter()
+    found = None
+    try:
+        with warnings.catch_warnings(), _within(LONGEST):
+            warnings.simplefilter("error")
+            kind.read(path)
+    except PianofitError as error:
+        words = str(error)
+        if not words.isprintable():
+            found = f"a message of several lines or with controls: {words!r:.200}"
+        elif not any(name in words for name in (path.stem, *kind.beside)):
+            found = f"a message that names no file: {words:.200}"
+    except SlowCaseError:
+        found = f"more than {LONGEST} s"
+    except BaseException as error:
+        if isinstance(error, KeyboardInterrupt):
+            raise
+        own = [frame for frame in traceback.extract_tb(error.__traceback__) if "pianofit" in frame.filename]
+        at = f"{Path(own[-1].filename).name}:{own[-1].lineno}" if own else "?"
+        found = f"{type(error).__name__} at {at}: {str(error)[:150]!r}"
+    if found is None and time.perf_counter() - began > LONGEST:
+        found = f"more than {LONGEST} s"
+    if found is None and sorted(folder.rglob("*")) != before:
+        found = "it wrote something"
+    return found
+
+
+@contextlib.contextmanager
+def _within(seconds: float) -> Iterator[None]:
+    def late(*_: object) -> None:
+        raise SlowCaseError
+
+    signal.signal(signal.SIGALRM, late)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+
+
+def _hold_memory() -> None:
+    """Let no case take more than MOST beyond what the process has."""
+    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (used + MOST, used + MOST))
+
+
+def main() -> None:
+    """Spoil, read, count."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--kinds", default="", help="separated by commas; all if not given")
+    parser.add_argument("--count", type=int, default=3000, help="of each kind")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--keep", type=Path, help="a folder for the files that show a fault")
+    options = parser.parse_args()
+    every = kinds()
+    chosen = [x for x in options.kinds.split(",") if x] or list(every)
+    _hold_memory()
+    total = 0
+    for name in chosen:
+        kind, faults, slowest, began = every[name], Counter[str](), 0.0, time.perf_counter()
+        draw = np.random.default_rng([options.seed, *name.encode()])
+        with tempfile.TemporaryDirectory() as place:
+            folder = Path(place)
+            for other, content in kind.beside.items():
+                (folder / other).write_bytes(content)
+            if wrong := fault(kind, kind.valid, folder):
+                sys.exit(f"{name}: the valid file is not read: {wrong}")
+            for n in range(options.count):
+                data = spoilt(kind, draw)
+                start = time.perf_counter()
+                found = fault(kind, data, folder)
+                slowest = max(slowest, time.perf_counter() - start)
+                if found:
+                    faults[found] += 1
+                    if options.keep and faults[found] == 1:
+                        options.keep.mkdir(parents=True, exist_ok=True)
+                        (options.keep / f"{name}-{n}-{kind.name}").write_bytes(data)
+        total += faults.total()
+        took = time.perf_counter() - began
+        print(f"{name}: {options.count} cases, {faults.total()} faults, slowest {slowest:.2f} s, {took:.0f} s in all")
+        for words, times in faults.most_common(20):
+            print(f"  {times:5} {words}", flush=True)
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**10
+    print(f"{total} faults; the process had at most {peak:.0f} MiB, {sys.platform}")
+    sys.exit(1 if total else 0)
+
+
+if __name__ == "__main__":
+    main()

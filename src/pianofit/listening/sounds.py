@@ -1,0 +1,179 @@
+"""A test of two folders: files of one name are a pair, and a page asks whether they can be told apart.
+
+All sounds are cut to their onset, those of one name to one length, and made equally loud, so that they differ in
+nothing but how they sound.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ..errors import ParameterError, RecordingError
+from ..io import one_line
+from ..recording import Recording, load_recording
+from .gates import failures
+from .mushra import write_experiment
+from .page import Heard, Question, write_listening
+
+__all__ = ["Made", "listening_test"]
+
+SUFFIXES = (".wav", ".flac")
+# Before the onset, s: a knock may begin 12 ms earlier. Half of it fades in.
+LEAD = 0.02
+# Names at the most: with 4 s in stereo at 48 kHz a page of 160 MB, which browsers still open.
+MOST = 80
+# Questions of a condition at the most: some two hours.
+MOST_TRIALS = 500
+
+
+class Made(NamedTuple):
+    """What a test is made of."""
+
+    names: list[str]  # of the sounds that are asked about
+    alone: list[str]  # of those that one folder lacks
+    failed: list[str]  # what failed a gate, one line each
+    trials: int
+
+
+def listening_test(
+    a: Path, b: Path, folder: Path, *, reference: Path | None = None, trials: int = 16, seconds: float = 4.0,
+    seed: int = 0, leave_out: bool = False,
+) -> Made:  # fmt: skip
+    """Write `listen.html`, its key, and the same as a webMUSHRA experiment.
+
+    Parameters
+    ----------
+    a, b : folders of WAV and FLAC files with the same names, but for the ending; or two files.
+    folder : exists, and is to be written to.
+    reference : likewise; then it is also asked which of A and B is nearer to it. Without, A is the reference.
+    trials : of each condition; the names are taken in turn.
+    seconds : what is heard of each sound at most, s.
+    seed : of all that is drawn.
+    leave_out : names of which a sound fails a gate are left out; otherwise they are an error.
+
+    Raises
+    ------
+    ParameterError
+        Where `trials` or `seconds` is out of range.
+    RecordingError
+        Where a sound cannot be read or fails a gate, or sounds that are compared differ in rate or channels.
+    OutputError
+        If a file cannot be written.
+    """
+    if not 1 <= trials <= MOST_TRIALS:
+        raise ParameterError(f"trials={trials} must be from 1 to {MOST_TRIALS}")
+    if not 0.25 <= seconds <= 30:
+        raise ParameterError(f"seconds={seconds:g} must be from 0.25 to 30")
+    labels = _labels([a, b] if reference is None else [a, b, reference])
+    groups, alone = _named([a, b] if reference is None else [a, b, reference])
+    draw = np.random.default_rng(seed)
+    loaded = {name: [load_recording(path) for path in files] for name, files in groups.items()}
+    failed = [f"{one_line(r.path)}: {words}" for group in loaded.values() for r in group for words in failures(r)]
+    kept = {name: group for name, group in loaded.items() if not any(map(failures, group))}
+    if failed and not (leave_out and kept):
+        raise RecordingError(f"{'; '.join(failed)} (or give --leave-out, where other sounds remain)")
+    rate = _common(list(kept.values()))
+    heard = [_heard(name, labels, kept[name], seconds) for name in sorted(draw.permutation([*kept])[:trials].tolist())]
+    questions = [question for order in _conditions(heard) for question in _in_turn(order, trials, draw)]
+    clips = write_listening(
+        folder / "listen.html", questions, rate, LEAD, seed, program="pianofit listen",
+        about=f"{len(heard)} sounds, each in two versions", key=folder / "key.json", seconds=seconds,
+        origin=f"the same sounds in {'a third version' if reference else 'one of the two versions'}",
+    )  # fmt: skip
+    write_experiment(folder / "webmushra", clips, labels[-1] if reference else labels[0])
+    return Made([one[0].case for one in heard], alone, failed, sum(question.times for question in questions))
+
+
+def _named(sides: list[Path]) -> tuple[dict[str, list[Path]], list[str]]:
+    """The files of each name that all sides have, and the names that some lack."""
+    if not any(side.is_dir() for side in sides):
+        return {one_line(sides[0].stem): sides}, []
+    found = [_files(side) for side in sides]
+    names = sorted(set.intersection(*map(set, found)))
+    if not names:
+        raise RecordingError(
+            f"{one_line(sides[0])} and {one_line(sides[1])}: no file name in common; pairs are by name"
+        )
+    if len(names) > MOST:
+        raise RecordingError(f"{one_line(sides[0])}: {len(names)} pairs are more than {MOST}; take fewer")
+    alone = sorted(set.union(*map(set, found)) - {*names})
+    return {one_line(name): [side[name] for side in found] for name in names}, [one_line(name) for name in alone]
+
+
+def _files(folder: Path) -> dict[str, Path]:
+    """The sounds of a folder by name, without the ending."""
+    if not folder.is_dir():
+        raise RecordingError(f"{one_line(folder)}: is no folder; give folders only, or files only")
+    found: dict[str, Path] = {}
+    try:
+        for path in sorted(folder.iterdir()):
+            if path.suffix.lower() in SUFFIXES and found.setdefault(path.stem, path) != path:
+                raise RecordingError(
+                    f"{one_line(path)}: {one_line(found[path.stem].name)} has this name too; remove one"
+                )
+    except OSError as error:
+        raise RecordingError(f"{one_line(folder)}: cannot be read ({error.strerror}); check it") from None
+    return found
+
+
+def _labels(sides: list[Path]) -> list[str]:
+    """What the sides are called: their names, or where these are the same, their paths."""
+    for labels in ([side.stem for side in sides], [str(side) for side in sides]):
+        if len({*labels}) == len(labels) and all(labels):
+            return [one_line(label) for label in labels]
+    raise RecordingError(f"{one_line(sides[0])}: is given twice; two different folders or files are compared")
+
+
+def _common(groups: list[list[Recording]]) -> int:
+    """The rate of all, Hz."""
+    first = groups[0][0]
+    for group in groups:
+        for one in group:
+            if one.rate != first.rate:
+                raise RecordingError(
+                    f"{one_line(one.path)}: has {one.rate} Hz, {one_line(first.path)} {first.rate}; resample one"
+                )
+            if len(one.frames) != len(group[0].frames):
+                raise RecordingError(
+                    f"{one_line(one.path)}: has {len(one.frames)} channels, {one_line(group[0].path)} "
+                    f"{len(group[0].frames)}: that alone would tell them apart; make them alike"
+                )
+    return first.rate
+
+
+def _heard(name: str, labels: list[str], group: list[Recording], seconds: float) -> list[Heard]:
+    """The sounds of one name, cut to their onsets and to one length."""
+    rate = group[0].rate
+    lead = round(LEAD * rate)
+    size = min(lead + min(len(one.samples) - one.onset for one in group), round(seconds * rate))
+    fade = np.hanning(lead)[: lead // 2]
+    found = []
+    for label, one in zip(labels, group, strict=True):
+        begin = one.onset - lead
+        cut = np.pad(one.frames[:, max(begin, 0) : begin + size], ((0, 0), (max(-begin, 0), 0)))
+        cut[:, : len(fade)] *= fade
+        found.append(Heard(label, name, cut))
+    return found
+
+
+def _conditions(heard: list[list[Heard]]) -> list[list[Question]]:
+    """What is asked of each name, condition by condition."""
+    if len(heard[0]) == 2:
+        return [[Question(a, (a, b), kind="abx") for a, b in heard], [Question(a, (a, b)) for a, b in heard]]
+    return [
+        [Question(a, (a, b), kind="abx") for a, b, _ in heard],
+        [Question(r, (a, b)) for a, b, r in heard],
+        [Question(r, (r, a)) for a, _, r in heard],
+        [Question(r, (r, b)) for _, b, r in heard],
+    ]
+
+
+def _in_turn(questions: list[Question], trials: int, draw: np.random.Generator) -> list[Question]:
+    """`questions` asked `trials` times in all, each as often as the others or once more."""
+    each, more = divmod(trials, len(questions))
+    often = dict.fromkeys(draw.permutation(len(questions))[:more].tolist(), each + 1)
+    asked = [question._replace(times=often.get(n, each)) for n, question in enumerate(questions)]
+    return [question for question in asked if question.times]
