@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -122,6 +122,11 @@ def _knock(
     pole = np.concatenate([m.poles + 2j * np.pi * m.offset[:, None] for m in modes], axis=-1)
     rate, lead = heard.rate, round(LEAD * heard.rate)
     size = round((LEAD + KNOCK) * rate)
+    still = _still(key.pole / rate, size - lead)
+
+    def unheard(pattern: np.ndarray) -> np.ndarray:
+        return np.pad(np.real(pattern @ still), ((0, 0), (lead, 0)))
+
     count = 1 << int(np.ceil(np.log2(2 * size)))
     fade, last = np.ones(size), round(FADE * size)
     fade[-last:] = 0.5 + 0.5 * np.cos(np.pi * np.arange(last) / last)
@@ -133,21 +138,38 @@ def _knock(
         # Every layer from `LEAD` before its contact.
         around = np.concatenate([before[:, before.shape[-1] - lead :], x], axis=-1)
         seen = _shifted(around[:, : 2 * size], -late * rate)[:, :size]
-        rest = seen - _alone(key._replace(pole=poles), own * np.exp(poles * late), force, size)
+        rest = seen - _alone(key._replace(pole=poles), own * np.exp(poles * late), force, size, unheard)
         spectrum = g * np.fft.rfft(force.at(rate), count) * np.exp(turn * EDGE)
         weight = 1 / np.sum(seen**2)
         above += weight * spectrum.conj() * np.fft.rfft(rest * fade, count)
         below += weight * np.abs(spectrum) ** 2
-    return np.fft.irfft(above / (below + FLOOR**2 * below.max()), count)[:, :size] * fade
+    return np.fft.irfft(above / (below + FLOOR**2 * below.max()), count)[:, :size] * fade + unheard(key.pattern)
 
 
-def _alone(key: Ringing, amplitude: np.ndarray, force: Force, size: int) -> np.ndarray:
+def _still(log_z: np.ndarray, count: int) -> np.ndarray:
+    """What is added to each mode's z^n, lest a push that holds it aside be heard, complex [modes, count].
+
+    A slow force holds a mode of higher frequency aside by as much as it pushes. What is heard of a mode is its
+    acceleration: with ((1 - ζ)/(1 - q ζ))², over its value at the pole, as a factor to 1/(1 - z ζ), a constant force is
+    silent, the mode's residue stays, and a double real pole q, as fast as the mode, is added.
+    """
+    z, q = np.exp(log_z), np.exp(-np.abs(log_z))
+    scale = ((1 - q / z) / (1 - 1 / z)) ** 2
+    double = scale * (1 - 1 / q) ** 2 / (1 - z / q)
+    n = np.arange(count)
+    return ((scale - 1 - double)[:, None] + double[:, None] * (n + 1)) * np.exp(-np.outer(np.abs(log_z), n))
+
+
+def _alone(
+    key: Ringing, amplitude: np.ndarray, force: Force, size: int, unheard: Callable[[np.ndarray], np.ndarray]
+) -> np.ndarray:
     """Modes of these amplitudes at the contact, driven by the force where it drives them and begun there otherwise."""
     drive = force.drive(key.pole)
     driven = amplitude * drive.conj() / (np.abs(drive) ** 2 + (DRIVEN * np.abs(drive).max()) ** 2)
     lead = round(LEAD * key.rate)
     begun = ring(key.pole, amplitude - driven * drive, key.rate, size - lead)
-    return key._replace(pattern=driven).sound(force, key.rate, size) + np.pad(begun, ((0, 0), (lead, 0)))
+    sound = key._replace(pattern=driven, knock=unheard(driven)).sound(force, key.rate, size)
+    return sound + np.pad(begun, ((0, 0), (lead, 0)))
 
 
 def _shifted(x: np.ndarray, samples: float) -> np.ndarray:
