@@ -11,7 +11,7 @@ from scipy.interpolate import PchipInterpolator
 
 from pianofit.errors import ParameterError
 from pianofit.parameters import FIT_NAMES, PARAMETERS, check
-from pianofit.published import HAMMERS, LOSSES, PRESETS, STRINGS, TABLES, preset, typical
+from pianofit.published import CHAIGNE_HAMMERS, HAMMERS, LOSSES, PRESETS, STRINGS, TABLES, preset, typical
 
 KEYBOARD = range(21, 109)
 SEMITONES = {"C": -9, "C#": -8, "D#": -6, "F": -4, "F#": -3, "G": -2, "A": 0}
@@ -138,7 +138,7 @@ def test_every_key_is_possible():
         ("b2", lambda t: t.string.b2, 1, 1e-5, 1e-2),
         ("K_H", lambda t: t.hammer.K_H, 1, 1e7, 1e13),
         ("p", lambda t: t.hammer.p, 1, 2.0, 3.5),
-        ("M_H", lambda t: t.hammer.M_H, -1, 4e-3, 13e-3),
+        ("M_H", lambda t: t.hammer.M_H, -1, 1.9e-3, 13e-3),
         ("M_H/M_S", lambda t: t.hammer.M_H / t.geometry.mass, 1, 0.02, 40),
     ],
 )
@@ -159,7 +159,7 @@ def test_inharmonicity_falls_to_the_wound_strings_and_rises_again():
 def test_no_key_jumps():
     for of in (lambda t: t.geometry.length, lambda t: t.hammer.K_H, lambda t: t.string.b2, lambda t: t.string.kappa):
         steps = np.diff(np.log(curve(of)))
-        assert np.abs(np.diff(steps)).max() < 0.03
+        assert np.abs(np.diff(steps)).max() < 0.04  # most where one string becomes two
 
 
 def test_the_tables_are_met_where_they_have_rows():
@@ -171,10 +171,21 @@ def test_the_tables_are_met_where_they_have_rows():
         assert entry.geometry.mass == pytest.approx(row.mass, rel=0.006)
     for hammer in HAMMERS:
         felt = typical(hammer.midi).hammer
-        assert (felt.M_H, felt.p, felt.K_H) == pytest.approx((hammer.M_H, hammer.p, hammer.K_H), rel=1e-12)
+        whole = hammer.M_H / felt.M_H
+        assert (felt.p, whole * felt.K_H) == pytest.approx((hammer.p, hammer.K_H), rel=1e-12)
+        assert 2 - 1e-12 <= whole <= 3 + 1e-12
     for loss in LOSSES:
         string = typical(loss.midi).string
         assert (string.b1, string.b2) == pytest.approx((loss.b1, loss.b2), rel=1e-12)
+
+
+def test_a_string_is_struck_by_its_share_of_the_hammer():
+    """The whole mass is one source's, the shares another's: half of it at C2, a third at C4 and C7."""
+    for share in CHAIGNE_HAMMERS:
+        found = typical(share.midi).hammer.M_H
+        assert found == pytest.approx(share.M_H, rel=0.05)
+    found = typical(24).hammer.M_H  # a string of its own
+    assert found == pytest.approx(0.0110, rel=0.02)
 
 
 def test_the_interpolation_is_the_usual_monotone_cubic():

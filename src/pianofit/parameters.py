@@ -112,7 +112,7 @@ PARAMETERS: dict[str, Parameter] = {
     "K_H": Parameter("N/m^p", "felt stiffness", 1e4, 1e16),
     "mu": Parameter("s/m", "felt loss coefficient", 1e-3, 1e1),
     "p": Parameter("1", "stiffness exponent", 1.0, 5.0),
-    "M_H": Parameter("kg", "hammer mass", 1e-4, 1e-1),
+    "M_H": Parameter("kg", "hammer mass, one string's share", 1e-4, 1e-1),
     "v_H0": Parameter("m/s", "initial hammer velocity", 1e-2, 2e1),
 }
 STRING_NAMES = String._fields

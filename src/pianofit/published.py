@@ -71,7 +71,7 @@ class PublishedString:
 
 @dataclass(frozen=True)
 class PublishedHammer:
-    """A hammer's mass and static felt law F = K_H u^p. It strikes all strings of its note."""
+    """A hammer's mass and static felt law F = K_H u^p, of the whole hammer, which strikes all strings of its note."""
 
     note: str
     midi: int
@@ -110,7 +110,10 @@ HAMMERS = (
     PublishedHammer("C5", 72, 7.96e-3, 2.593, 2.532e10),
     PublishedHammer("A5", 81, 7.40e-3, 2.771, 7.611e10),
 )
-# One string's share of a hammer, a third of the mass above: for comparison, not mixed into the table.
+# Strings that a hammer strikes together, over the note number, in grand pianos: from a few single ones in the bass to
+# three. Each has its share of the hammer's mass and of its felt's force: what a model of one string is struck by.
+COURSES = [(21, 1), (27, 1), (36, 2), (53, 3), (96, 3)]
+# One string's share of a hammer: half of the mass above at C2, a third at C4 and C7. For comparison, not in the table.
 CHAIGNE_HAMMERS = (
     PublishedHammer("C2", 36, 4.9e-3, 2.3, 4e8, CHAIGNE),
     PublishedHammer("C4", 60, 2.97e-3, 2.5, 4.5e9, CHAIGNE),
@@ -174,7 +177,7 @@ def preset(name: str) -> Preset:
     >>> import pianofit
     >>> it = pianofit.preset("chabassier-F3")
     >>> f"{it.note}, {it.f0:.1f} Hz, hammer {1e3 * it.hammer.M_H:.1f} g"
-    'F3, 175.0 Hz, hammer 9.1 g'
+    'F3, 175.0 Hz, hammer 3.0 g'
     """
     if name in PRESETS:
         return PRESETS[name]
@@ -186,10 +189,11 @@ def preset(name: str) -> Preset:
 def typical(midi: float) -> Typical:
     """Return what a grand piano usually has at a note, smooth in `midi` (60 = C4; fractions allowed).
 
-    Length, tension, inharmonicity, losses, hammer mass and felt are interpolated by monotone cubics over the note
-    number, on a log scale but for p; mass, c and κ follow from them, so that c = 2 L f0 holds at every note. Beyond its
-    rows the tension keeps its last value and the others go on with their last slope: at C7 p is 3.07, where Chaigne and
-    Askenfelt have 3.0. The hammer is a whole one, striking all strings of its note.
+    Length, tension, inharmonicity, losses, strings, hammer mass and felt are interpolated by monotone cubics over the
+    note number, on a log scale but for p; mass, c and κ follow from them, so that c = 2 L f0 holds at every note.
+    Beyond its rows the tension keeps its last value and the others go on with their last slope: at C7 p is 3.07,
+    where Chaigne and Askenfelt have 3.0. The hammer is one string's share of it, mass and stiffness over the number
+    of strings that it strikes: one to D#1, two at C2, three from F3 on, and interpolated between.
 
     Parameters
     ----------
@@ -209,7 +213,7 @@ def typical(midi: float) -> Typical:
     >>> import pianofit
     >>> it = pianofit.typical(60)
     >>> f"{it.f0:.1f} Hz, {it.geometry.length:.2f} m, hammer {1e3 * it.hammer.M_H:.1f} g"
-    '261.6 Hz, 0.69 m, hammer 8.7 g'
+    '261.6 Hz, 0.69 m, hammer 2.9 g'
     """
     if not 15 <= midi <= 114:
         raise ParameterError(f"midi={midi!r} must be from 15 to 114; 60 is C4")
@@ -221,7 +225,7 @@ def typical(midi: float) -> Typical:
         midi=float(midi),
         f0=f0,
         string=String(c, kappa, at["b1"], at["b2"]),
-        hammer=Hammer(at["K_H"], TYPICAL_MU, at["p"], at["M_H"], TYPICAL_VELOCITY),
+        hammer=Hammer(at["K_H"] / at["strings"], TYPICAL_MU, at["p"], at["M_H"] / at["strings"], TYPICAL_VELOCITY),
         geometry=_geometry(length, at["tension"] * length / c**2),
     )
 
@@ -242,6 +246,7 @@ TABLES: dict[str, list[tuple[float, float]]] = {
     "B": [(s.midi, _inharmonicity(s)) for s in STRINGS],
     "b1": [(loss.midi, loss.b1) for loss in LOSSES],
     "b2": [(loss.midi, loss.b2) for loss in LOSSES],
+    "strings": COURSES,
     "M_H": [(h.midi, h.M_H) for h in HAMMERS],
     "K_H": [(h.midi, h.K_H) for h in HAMMERS],
     "p": [(h.midi, h.p) for h in HAMMERS],
@@ -286,7 +291,10 @@ def _after_chabassier(row: PublishedString) -> Preset:
     usual = typical(row.midi)
     string = usual.string._replace(c=row.c, kappa=row.kappa)
     name = f"chabassier-{row.note.replace('#', 's')}"
-    completed = "hammer interpolated from the same source; mu, window, pickup: chosen once; losses: Bensa et al. (2003)"
+    completed = (
+        "one string's share of a hammer interpolated from the same source; mu, window, pickup: chosen once; losses: "
+        "Bensa et al. (2003)"
+    )
     geometry = _geometry(row.length, row.mass, row.strike)
     return Preset(name, row.note, string, usual.hammer, geometry, row.source, row.reading, completed)
 
