@@ -48,8 +48,8 @@ def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
     def plain(value: Any, factor: float) -> Any:
         return type(value)(value * factor) if not isinstance(value, int) else max(1, round(value * factor))
 
-    def median(value: Any, factor: float) -> Any:
-        return (value[0] * factor, value[1])
+    def place(which: int) -> Callable[[Any, float], Any]:
+        return lambda value, factor: tuple(x * factor if i == which else x for i, x in enumerate(value))
 
     def hyper(place: int) -> Callable[[Any, float], Any]:
         def scaled(value: Any, factor: float) -> Any:
@@ -62,8 +62,11 @@ def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
 
     return {
         "STUDENT": (priors, "STUDENT", plain),
-        "PATH": (priors, "PATH", median),
+        "PATH": (priors, "PATH", place(0)),
         "ONSET": (priors, "ONSET", plain),
+        "ONSET_PERIODS": (priors, "ONSET_PERIODS", plain),
+        "GAINS_APART one": (priors, "GAINS_APART", place(0)),
+        "GAINS_APART levelled": (priors, "GAINS_APART", place(1)),
         "ABSENT_MARGIN": (priors, "ABSENT_MARGIN", plain),
         "VELOCITY": (priors, "VELOCITY", plain),
         "VELOCITY_SPREAD": (priors, "VELOCITY_SPREAD", plain),

@@ -36,6 +36,7 @@ def table(shape: str, seed: int = 0) -> Table:
     made = Table(
         value=random.normal(size=(R, K)), variance=0.1 + random.random((R, K)), found=found, absent=absent,
         group=np.eye(groups)[np.arange(R) % groups], columns=2 * random.normal(size=(columns, R, K)),
+        scale=0.5 + random.random((nodes, columns)),
         systematic=0.1 * np.exp(-np.abs(np.subtract.outer(np.arange(K), np.arange(K)))),
         apart=np.abs(octave[:, None] - octave), smooth=np.full(groups, float(path)), common=common,
         share=np.log(share / share.sum()), growth=1 + random.random(K), ratio=5 * random.random((R, K)),
@@ -68,7 +69,7 @@ def shared(t: Table, phi: np.ndarray, node: int) -> np.ndarray:
                 g = int(np.argmax(t.group[i]))
                 own = np.exp(2 * t.common[node, g]) + JITTER
                 total[i, :, j, :] = t.smooth[g] * matern + t.systematic + own * np.eye(K)
-    columns = np.asarray(t.columns).reshape(len(t.columns), -1)
+    columns = np.asarray(t.scale[node])[:, None] * np.asarray(t.columns).reshape(len(t.columns), -1)
     return total.reshape(R * K, R * K) + columns.T @ columns
 
 

@@ -80,7 +80,8 @@ def tiny() -> Table:
     random = np.random.default_rng(0)
     changed = {
         "value": np.zeros((2, 2)), "variance": 0.5 + random.random((2, 2)), "found": found, "absent": absent,
-        "group": np.ones((2, 1)), "columns": random.normal(size=(1, 2, 2)), "systematic": t.systematic[:2, :2],
+        "group": np.ones((2, 1)), "columns": random.normal(size=(1, 2, 2)), "scale": np.array([[0.4], [1.6]]),
+        "systematic": t.systematic[:2, :2],
         "apart": t.apart[:2, :2], "smooth": np.ones(1), "common": np.log([[0.5], [1.5]]), "share": np.log([0.3, 0.7]),
         "growth": np.ones(2), "ratio": np.ones((2, 2)),
     }  # fmt: skip
@@ -102,7 +103,7 @@ def test_what_is_integrated_out_is_the_integral():
         for node, share in enumerate(np.exp(np.asarray(t.share))):
             own = shared(t._replace(columns=jnp.zeros((1, 2, 2))), phi, node)[:2, :2]
             level = (grid[:, :2] @ np.linalg.cholesky(own).T)[:, None, :] + grid[:, 2, None, None] * np.asarray(
-                t.columns
+                t.scale[node, 0] * t.columns
             )
             e = residual - level
             seen = np.prod(np.where(t.found, np.exp(-0.5 * e**2 / var) / np.sqrt(var), 1.0), axis=(1, 2))
@@ -117,7 +118,8 @@ def test_weights_integrated_out_leave_students_t():
     changed = {
         "value": np.zeros(size), "variance": np.full(size, 0.6), "found": np.ones(size),
         "absent": np.zeros((0, 2), int),
-        "group": np.ones(size), "columns": np.zeros((0, 1, 1)), "systematic": np.zeros(size), "apart": np.zeros(size),
+        "group": np.ones(size), "columns": np.zeros((0, 1, 1)), "scale": np.zeros((1, 0)), "systematic": np.zeros(size),
+        "apart": np.zeros(size),
         "smooth": np.zeros(1), "common": np.full(size, SMALL), "share": np.zeros(1), "growth": np.ones(1),
         "ratio": np.zeros(size),
     }  # fmt: skip

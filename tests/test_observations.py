@@ -76,16 +76,32 @@ def test_padding_says_nothing(monkeypatch):
 
 def test_columns_are_gains_and_onsets():
     alpha = B1 + D2 * np.arange(1, 6.0) ** 2
-    columns = observed().level.columns[:, :, :5]
-    gain, onset = columns[:2], columns[2:]
-    np.testing.assert_allclose(gain, priors.GAIN * np.eye(2)[:, :, None] * np.ones(5))
-    # An onset that is late by 1 ms has let every partial decay by its own α.
-    np.testing.assert_allclose(onset, np.eye(2)[:, :, None] * 20 * np.log10(np.exp(priors.ONSET * alpha)))
-    shared = observed(Layout((0, 1), (0, 0), (0, 0))).level.columns
-    assert len(shared) == 3
-    np.testing.assert_allclose(shared[0, :, :5], priors.GAIN)
-    calibrated = observed(path=False, gains=False).level.columns
-    np.testing.assert_allclose(calibrated[:, :, :5], onset)
+    table = observed().level
+    path, gain, onset = np.split(table.columns[:, :, :5], [1, 3])
+    np.testing.assert_allclose(path, np.ones((1, 2, 5)))
+    np.testing.assert_allclose(gain, np.eye(2)[:, :, None] * np.ones(5))
+    # An onset that is late by 1 s has let every partial decay by its own α.
+    np.testing.assert_allclose(onset, np.eye(2)[:, :, None] * 20 * np.log10(np.exp(alpha)))
+    late = np.hypot(priors.ONSET, priors.ONSET_PERIODS / F0)
+    apart = [[priors.GAIN, x, x, late, late] for x in priors.GAINS_APART]
+    np.testing.assert_allclose(table.scale, apart * priors.PATH_NODES)
+    shared = observed(Layout((0, 1), (0, 0), (0, 0))).level
+    np.testing.assert_allclose(shared.scale, [[priors.GAIN, late, late]] * priors.PATH_NODES)
+    np.testing.assert_allclose(shared.columns[0, :, :5], 1.0)
+    calibrated = observed(path=False, gains=False).level
+    np.testing.assert_allclose(calibrated.columns[:, :, :5], onset)
+    np.testing.assert_allclose(calibrated.scale, [[late, late]])
+
+
+def test_nodes_are_of_paths_and_of_gains():
+    """Every τ with gains that are one and gains that are not, each as likely; the screening takes the middle one."""
+    table = observed().level
+    nodes, weight = priors.path_nodes()
+    np.testing.assert_allclose(np.exp(table.share).reshape(-1, 2), weight[:, None] / 2 * np.ones(2))
+    np.testing.assert_allclose(table.common[:, 0].reshape(-1, 2), nodes[:, None] * np.ones(2))
+    middle = len(table.share) // 2
+    assert (table.common[middle, 0], table.scale[middle, 1]) == (nodes[1], priors.GAINS_APART[1])
+    assert observed(MICROPHONES).level.scale.shape == (priors.PATH_NODES, 2 + 2)  # two paths, and nothing to share
 
 
 def test_two_microphones_share_a_stroke_and_no_path():
@@ -109,10 +125,11 @@ def test_the_residual_of_every_path_is_integrated_over():
     assert weight @ (x - np.log(priors.PATH[0])) ** 2 == pytest.approx(priors.PATH[1] ** 2)
     for layout in (ALONE, TWO):
         level = observed(layout).level
-        np.testing.assert_allclose(level.common, np.repeat(x[:, None], layout.groups, axis=1))
-        np.testing.assert_allclose(np.exp(level.share), weight)
+        regimes = len(layout.stroke)  # of one recording, and of gains that are one or are not
+        np.testing.assert_allclose(level.common, np.repeat(x, regimes)[:, None])
+        np.testing.assert_allclose(np.exp(level.share), np.repeat(weight, regimes) / regimes)
     both = observe([LOUD, SOFT, LOUD], Layout((0, 1, 0), (0, 0, 1), (0, 1, 2)), 0, 0.0, True, True).level
-    np.testing.assert_allclose(both.common, np.repeat(x[:, None], 2, axis=1))
+    np.testing.assert_allclose(both.common, np.repeat(x, 2)[:, None] * np.ones(2))
     calibrated = observed(path=False, gains=False).level
     assert not calibrated.smooth.any()
     assert (calibrated.common <= observations.NONE).all()

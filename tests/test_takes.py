@@ -88,8 +88,8 @@ def test_groups_and_gain_groups_are_the_setups():
     assert len(set(layout.group)) == 3
     assert layout.gain[0] == layout.gain[1] != layout.gain[2]
     assert not layout.compared
-    # Two gains and three onsets.
-    assert len(problem.observed.level.columns) == 2 + 3
+    # Three paths, each with a gain, and three onsets: gains of several recordings through one path are nowhere.
+    assert len(problem.observed.level.columns) == 3 + 3
 
 
 def test_a_recording_that_was_left_out_is_predicted():

@@ -12,7 +12,8 @@ others, so that weighting anew is descent on the same function:
 
 with C = Z Zᵀ + diag(var/w), factored by Woodbury's identity in the size of paths and columns. Partials that are absent
 are censored: the predictive distribution of each, given all that are there, lies below the bound of its band. τ, of
-which one velocity tells nothing by itself, is summed over the nodes of its prior, however many velocities there are.
+which one velocity tells nothing by itself, and whether recordings share a gain are summed over the nodes of their
+prior, however many recordings there are.
 """
 
 from __future__ import annotations
@@ -47,12 +48,13 @@ class Table(NamedTuple):
     found: Values  # 1 where observed [R, K]
     absent: Values  # int, recording and partial of what is absent, where `value` is a bound [N, 2]
     group: Values  # one-hot [R, G]
-    columns: Values  # B, scaled to a unit prior [Q, R, K]
+    columns: Values  # B [Q, R, K]
+    scale: Values  # prior standard deviations of their coefficients [T, Q]
     systematic: Values  # S [K, K]
     apart: Values  # distance of partials, octaves [K, K]; infinite from padding
     smooth: Values  # 1 where the group's path is unknown [G]
     common: Values  # log τ [T, G]
-    share: Values  # log prior weight of the nodes [T]
+    share: Values  # log prior weight of the nodes, of `scale` and `common` together [T]
     growth: Values  # u, of σ² [K]
     ratio: Values  # R: amplitude of the loudest partial over that of each [R, K]
     prior: tuple[Values, Values]  # of φ: means and standard deviations of logarithms
@@ -112,8 +114,7 @@ def _gathered(table: Table, root: Array, x: AnyArray) -> Array:
     """Bᵀ x [T, GK + Q, ...] of x [R, K, ...], already weighted."""
     common = jnp.einsum("rg,rk...->gk...", table.group, x)
     common = jnp.einsum("tgkl,gk...->tgl...", root, common)
-    columns = jnp.einsum("qrk,rk...->q...", table.columns, x)
-    columns = jnp.broadcast_to(columns, (root.shape[0], *columns.shape))
+    columns = jnp.einsum("tq,qrk,rk...->tq...", table.scale, table.columns, x)
     return jnp.concatenate([common.reshape(root.shape[0], -1, *x.shape[2:]), columns], axis=1)
 
 
@@ -125,10 +126,11 @@ def factored(table: Table, phi: AnyArray, w: AnyArray) -> Pieces:
     diagonal = jnp.einsum("rg,rk->gk", table.group, precision)
     inner = jnp.einsum("tgkl,gk,tgkm->tglm", root, diagonal, root)
     cross = jnp.einsum("rg,qrk,rk,tgkl->tglq", table.group, table.columns, precision, root)
+    cross = cross * table.scale[:, None, None, :]
     rest = jnp.einsum("qrk,rk,prk->qp", table.columns, precision, table.columns)
+    rest = rest * table.scale[:, :, None] * table.scale[:, None, :]
     blocks = jnp.einsum("tglm,gh->tglhm", inner, jnp.eye(groups)).reshape(nodes, groups * size, groups * size)
     cross = cross.reshape(nodes, groups * size, -1)
-    rest = jnp.broadcast_to(rest, (nodes, *rest.shape))
     whole = jnp.concatenate(
         [jnp.concatenate([blocks, cross], axis=2), jnp.concatenate([cross.swapaxes(1, 2), rest], axis=2)], axis=1
     )
@@ -149,7 +151,7 @@ def _whitened(table: Table, pieces: Pieces, at: AnyArray) -> Array:
         return jnp.zeros((nodes, pieces.cholesky.shape[-1], 0))
     r, k = at[:, 0], at[:, 1]
     loadings = jnp.einsum("ng,tgnl->tgln", table.group[r], pieces.root[:, :, k, :]).reshape(nodes, groups * size, -1)
-    columns = jnp.broadcast_to(table.columns[:, r, k], (nodes, table.columns.shape[0], len(at)))
+    columns = table.scale[:, :, None] * table.columns[:, r, k]
     return _solve(pieces.cholesky, jnp.concatenate([loadings, columns], axis=1))
 
 
@@ -246,7 +248,7 @@ def latent(table: Table, residual: AnyArray, phi: AnyArray, w: AnyArray) -> Late
     nodes, groups, size, _ = pieces.root.shape
     u = _each_matrix(lambda a, b: solve_triangular(a, b, lower=True, trans=1), pieces.cholesky, q[..., None])[..., 0]
     common = jnp.einsum("tgkl,tgl->tgk", pieces.root, u[:, : groups * size].reshape(nodes, groups, size))
-    columns = jnp.einsum("tq,qrk->trk", u[:, groups * size :], table.columns)
+    columns = jnp.einsum("tq,qrk->trk", table.scale * u[:, groups * size :], table.columns)
     own = residual - jnp.einsum("rg,tgk->trk", table.group, common) - columns
     every = jnp.stack(jnp.meshgrid(*map(jnp.arange, residual.shape), indexing="ij"), axis=-1).reshape(-1, 2)
     spread = (_whitened(table, pieces, every) ** 2).sum(axis=1).reshape(nodes, *residual.shape)

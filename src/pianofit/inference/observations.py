@@ -180,6 +180,8 @@ def _levels(
     loudest = np.nanmax(level, axis=1, keepdims=True)
     nodes, weight = _path_nodes(layout.groups, path)
     alpha = ref.b1 + ref.d2 * number.astype(float) ** 2
+    columns, scale = _columns(layout, alpha, gains, ref.f0)
+    regimes = len(scale)
     hyper = priors.LEVEL
     value = np.nan_to_num(level + unit)
     value[0, -1] = OPEN
@@ -189,12 +191,13 @@ def _levels(
         found=found.astype(float),
         absent=_filled(np.argwhere(absent), len(number) - 1),
         group=_one_hot(layout.group),
-        columns=_columns(layout, alpha, gains),
+        columns=columns,
+        scale=np.tile(scale, (len(nodes), 1)),
         systematic=_covariance([t.level_systematic for t in tables], [t.number for t in tables], number),
         apart=_apart(frequency, number),
         smooth=np.full(layout.groups, float(path)),
-        common=nodes,
-        share=np.log(weight),
+        common=np.repeat(nodes, regimes, axis=0),
+        share=np.log(np.repeat(weight, regimes) / regimes),
         growth=np.ones(len(number)),
         ratio=np.nan_to_num(10 ** ((loudest - level) / 20)),
         prior=(hyper.log_median, np.array(hyper.spread)),
@@ -207,15 +210,25 @@ def _filled(absent: np.ndarray, padding: int) -> np.ndarray:
     return np.concatenate([absent, np.tile([0, padding], (-len(absent) % ROWS, 1))])
 
 
-def _columns(layout: Layout, alpha: np.ndarray, gains: bool) -> np.ndarray:
-    """Gains, if they are unknown, and every recording's onset, scaled to a unit prior [Q, R, K]."""
-    own = np.eye(len(layout.stroke))[:, :, None]
-    onset = own * (20 / np.log(10) * priors.ONSET * alpha)
+def _columns(layout: Layout, alpha: np.ndarray, gains: bool, f0: float) -> tuple[np.ndarray, np.ndarray]:
+    """Columns [Q, R, K] and prior standard deviations of their coefficients at every node of the gains [nodes, Q].
+
+    Every recording's onset, in s; if gains are unknown, each path's, and how far apart those of its recordings are, dB.
+    """
+    recordings = len(layout.stroke)
+    onset = np.eye(recordings)[:, :, None] * (20 / np.log(10) * alpha)
+    late = np.full((1, recordings), np.hypot(priors.ONSET, priors.ONSET_PERIODS / f0))
     if not gains:
-        return onset
-    gain = _one_hot(layout.gain).T
-    gain = gain[gain.any(axis=1)]
-    return np.concatenate([priors.GAIN * np.broadcast_to(gain[:, :, None], (*gain.shape, len(alpha))), onset])
+        return onset, late
+    path, own = _one_hot(layout.group).T, _one_hot(layout.gain).T
+    several = [len({g for g, p in zip(layout.gain, layout.group, strict=True) if p == q}) > 1 for q in layout.group]
+    own = own[(own * several).any(axis=1)]
+    apart = np.array(priors.GAINS_APART if len(own) else [0.0])[:, None]
+    wide = np.concatenate([path, own])[:, :, None] * np.ones_like(alpha)
+    one = np.ones_like(apart)
+    return np.concatenate([wide, onset]), np.concatenate(
+        [one * np.full(len(path), priors.GAIN), apart * np.ones(len(own)), one * late], axis=1
+    )
 
 
 def _path_nodes(groups: int, path: bool) -> tuple[np.ndarray, np.ndarray]:
@@ -281,7 +294,7 @@ def _string_table(number, law, value, variance, systematic, growth, columns, hyp
     mean = np.append(hyper.log_median[0], [0.0, 0.0, NONE])
     return Table(
         value=_wide(value[None]), variance=_wide(variance[None], 1.0), found=(padded > 0)[None].astype(float),
-        absent=np.zeros((0, 2), int), group=np.ones((1, 1)), columns=_wide(columns),
+        absent=np.zeros((0, 2), int), group=np.ones((1, 1)), columns=_wide(columns), scale=np.ones((1, 1)),
         systematic=np.pad(systematic, (0, more)), apart=_apart(frequency, padded), smooth=np.zeros(1),
         common=np.full((1, 1), NONE), share=np.zeros(1), growth=_wide(growth, 1.0), ratio=np.zeros((1, len(padded))),
         prior=(mean, np.array([hyper.spread[0], 1.0, 1.0, 1.0])), student=np.float64(priors.STUDENT),

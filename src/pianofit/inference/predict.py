@@ -27,7 +27,7 @@ from . import Result
 from .fit import fit_takes
 from .listener import scored
 from .observations import string_law
-from .priors import LEVEL, VELOCITY, VELOCITY_SPREAD
+from .priors import LEVEL, VELOCITY, VELOCITY_SPREAD, log_gain
 
 __all__ = ["Prediction", "cross_validate", "predict_take"]
 
@@ -106,9 +106,10 @@ def _range() -> tuple[float, float]:
 
 
 def _at_best(note: Note, analysis: Analysis, chosen: np.ndarray) -> tuple[float, np.ndarray, float]:
-    """The most probable velocity by levels and its prior, m/s, the note's levels, dB [partials], and their gain.
+    """The most probable velocity by levels and priors, m/s, the note's levels, dB [partials], and their gain.
 
-    Many partials leave the prior no say; three can suit a velocity that nobody plays.
+    Many partials leave priors no say; three can suit a velocity that nobody plays. Recordings mostly share a gain: then
+    how loud one is tells how hard it was struck.
     """
     p = analysis.partials
 
@@ -116,11 +117,15 @@ def _at_best(note: Note, analysis: Analysis, chosen: np.ndarray) -> tuple[float,
         """Of the recording's partials [velocities, partials]."""
         return note.levels(velocity, int(p.number.max()))[:, p.number - 1]
 
+    def gain(level: np.ndarray) -> float:
+        return float((p.level - level)[chosen].mean())
+
     def cost(log_velocity: float, level: np.ndarray) -> float:
         if not np.isfinite(level).all():
             return np.inf
         misfit = chosen.sum() * (level_error_db(level[chosen], p.level[chosen]) / LEVEL.median[0]) ** 2
-        return 0.5 * (misfit + ((log_velocity - np.log(VELOCITY)) / VELOCITY_SPREAD) ** 2)
+        belief = ((log_velocity - np.log(VELOCITY)) / VELOCITY_SPREAD) ** 2
+        return 0.5 * (misfit + belief) - log_gain(gain(level))
 
     def at(log_velocity: float) -> float:
         return min(cost(log_velocity, levels(np.array([np.exp(log_velocity)]))[0]), WORST)
@@ -133,7 +138,7 @@ def _at_best(note: Note, analysis: Analysis, chosen: np.ndarray) -> tuple[float,
     around = np.log(tried[[max(best - 1, 0), min(best + 1, TRIED - 1)]])
     velocity = float(np.exp(fminbound(at, *around, xtol=1e-4)))
     level = levels(np.array([velocity]))[0]
-    return velocity, level, float((p.level - level)[chosen].mean())
+    return velocity, level, gain(level)
 
 
 def _heard(note: Note, number: np.ndarray) -> np.ndarray:

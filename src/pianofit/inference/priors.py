@@ -9,6 +9,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import logsumexp
+from scipy.stats import norm
 
 __all__ = ["Hyperprior"]
 
@@ -23,10 +25,15 @@ VELOCITY_SPREAD = 0.8
 STRING_SPREAD = {"c": 0.01, "kappa": 2.0, "b1": 2.0, "b2": 3.0}
 
 # --- what lies between string and table of partials -------------------------------------------------------------------
-# A gain is unknown, dB.
+# The gain of a path is unknown, dB.
 GAIN = 60.0
-# A detected onset may lie this far from the arrival of the wave, s.
+# Gains of recordings through one path are as likely to be one, but for what a stroke's loudness has of its own, as to
+# have been levelled one by one: standard deviations from their mean, dB.
+GAINS_APART = (1.0, 20.0)
+# A detected onset may lie this far from the arrival of the wave, s,
 ONSET = 1e-3
+# and so many periods: of a stiff string what arrives first is faint, and the largest of the first period is seen.
+ONSET_PERIODS = 0.5
 # Degrees of freedom of Student's t: with 4 a search discards the fundamental and stays there.
 STUDENT = 10.0
 # Residual standard deviation τ of a path, dB, median and spread: of the notes recorded at several velocities, as
@@ -65,3 +72,8 @@ def path_nodes() -> tuple[np.ndarray, np.ndarray]:
     """Nodes of log τ and their weights: Gauss-Hermite over the log-normal prior."""
     x, weight = np.polynomial.hermite_e.hermegauss(PATH_NODES)
     return np.log(PATH[0]) + PATH[1] * x, weight / weight.sum()
+
+
+def log_gain(apart: float) -> float:
+    """Log prior density of a recording's gain that lies so far from the others', dB."""
+    return float(logsumexp(norm.logpdf(apart, 0, GAINS_APART)) - np.log(len(GAINS_APART)))

@@ -28,14 +28,15 @@ ENDLESS = 1e6
 
 @kept
 def precision_matrix(table: Table, phi, w, _):
-    """C⁻¹ of what is found, as a matrix over recordings and partials [RK, RK], of the middle node of τ."""
+    """C⁻¹ of what is found, over recordings and partials [RK, RK], at the node of the middle τ and gains apart."""
     pieces = factored(table, phi, w)
     middle = pieces.root.shape[0] // 2
     root, lower = pieces.root[middle], pieces.cholesky[middle]
     groups, size, _ = root.shape
     recordings = table.value.shape[0]
     loadings = jnp.einsum("rg,gkl->glrk", table.group, root).reshape(groups * size, recordings * size)
-    b = jnp.concatenate([loadings, table.columns.reshape(-1, recordings * size)])
+    columns = table.scale[middle][:, None] * table.columns.reshape(-1, recordings * size)
+    b = jnp.concatenate([loadings, columns])
     d = pieces.precision.ravel()
     solved = jax.scipy.linalg.solve_triangular(lower, b * d, lower=True)
     return (jnp.diag(d) - solved.T @ solved,)

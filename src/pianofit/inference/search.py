@@ -73,8 +73,8 @@ MOST_MODES = 512
 # A minimum is reached when a step gains less than this, F: a tenth of a percent of a likelihood.
 CONVERGED = 1e-3
 NO_HAMMER = "no hammer within the bounds gives a finite sound; widen [bounds] or check [known] in the setup"
-# Hyperparameters stay within so many standard deviations of their priors.
-HYPER_REACH = 5.0
+# Hyperparameters stay within so many standard deviations of their priors: a clean sound's excess may sink to nothing.
+HYPER_REACH = 12.0
 # Minima closer than this in every unknown, in the prior's standard deviations, are one.
 SAME = 0.02
 
