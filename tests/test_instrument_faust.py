@@ -129,7 +129,7 @@ def test_the_command_writes_one_file_and_says_what_is_a_guess(tmp_path, monkeypa
     app = typer.Typer()
     export.register(app)
     app.command("nothing")(lambda: None)
-    monkeypatch.setattr("pianofit.keyboard.load_instrument", lambda _: piano())
+    monkeypatch.setattr("pianofit.keyboard.load_instrument", lambda *_: piano())
     words = ["export", "i.json", "--format", "faust", "--keys", "G4", "--out"]
     done = CliRunner().invoke(app, [*words, str(tmp_path / "a.dsp")])
     assert done.exit_code == 0, done.output

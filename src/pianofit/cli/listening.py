@@ -16,7 +16,7 @@ __all__ = ["register"]
 
 def register(app: typer.Typer) -> None:
     """Add the command to `app`."""
-    add(app, listen, "pianofit listen recorded fitted --out test\n  pianofit listen --result listening.json")
+    add(app, listen, "pianofit listen recorded fitted --out test")
 
 
 def listen(

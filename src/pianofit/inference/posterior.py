@@ -30,6 +30,8 @@ __all__ = ["Posterior", "laplace"]
 STEP = 1e-4
 # Curvatures by φ and log w below this share of the largest are rounding.
 FLOOR = 1e-8
+# An eigenvalue of a curvature so far below 0, over what it is with φ and w known, is no rounding.
+NEGATIVE = 1e-3
 # Of a two-sided 95 % interval.
 TAIL = 0.025
 
@@ -133,7 +135,11 @@ def _without_nuisances(
     value = np.maximum(value, FLOOR * value.max())
     projected = vector.T @ cross
     curvature = there.curvature - (projected / value[:, None]).T @ projected
+    # In units in which each unknown's own curvature is 1: of clean sounds they are decades apart.
+    unit = np.sqrt(np.maximum(np.diag(there.curvature), np.finfo(float).tiny))
+    share, along = np.linalg.eigh(curvature / np.outer(unit, unit))
     # A curvature that is not positive says only that the parabola ends here: then φ and w count as known.
-    if np.linalg.eigvalsh(curvature)[0] < -1e-6 * np.abs(there.curvature).max():
-        curvature = there.curvature
-    return curvature, float(np.log(value).sum())
+    if share[0] < -NEGATIVE:
+        return there.curvature, float(np.log(value).sum())
+    root = unit[:, None] * along * np.sqrt(np.maximum(share, 0.0))
+    return root @ root.T, float(np.log(value).sum())

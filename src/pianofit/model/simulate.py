@@ -165,7 +165,7 @@ def simulate(
     >>> it = pianofit.preset("chabassier-F3")
     >>> strike = pianofit.simulate(it.string, it.hammer, it.geometry, quantity="bridge-force")
     >>> f"{1e3 * strike.contact_time:.1f} ms", strike.waveform(44_100, 1000).shape
-    ('3.9 ms', (1000,))
+    ('2.4 ms', (1000,))
     """
     check(dict(zip(String._fields, map(float, string), strict=True)), "string")
     check_hammer(hammer)
