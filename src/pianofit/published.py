@@ -112,7 +112,7 @@ HAMMERS = (
 )
 # Strings that a hammer strikes together, over the note number, in grand pianos: from a few single ones in the bass to
 # three. Each has its share of the hammer's mass and of its felt's force: what a model of one string is struck by.
-COURSES = [(21, 1), (27, 1), (36, 2), (53, 3), (96, 3)]
+COURSES = [(21.0, 1.0), (27.0, 1.0), (36.0, 2.0), (53.0, 3.0), (96.0, 3.0)]
 # One string's share of a hammer: half of the mass above at C2, a third at C4 and C7. For comparison, not in the table.
 CHAIGNE_HAMMERS = (
     PublishedHammer("C2", 36, 4.9e-3, 2.3, 4e8, CHAIGNE),
