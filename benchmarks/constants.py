@@ -43,7 +43,7 @@ class _Felt:
 def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
     """By name: the module, the attribute, and how its value is scaled."""
     from pianofit.analysis import fits, inharmonicity, partials
-    from pianofit.inference import finish, observations, priors, search
+    from pianofit.inference import finish, observations, posterior, priors, search
 
     def plain(value: Any, factor: float) -> Any:
         return type(value)(value * factor) if not isinstance(value, int) else max(1, round(value * factor))
@@ -84,6 +84,8 @@ def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
         "GAIN": (search, "GAIN", plain),
         "LONGEST_STEP": (search, "LONGEST_STEP", plain),
         "LONGEST_PHI": (search, "LONGEST_PHI", plain),
+        "HYPER_REACH": (search, "HYPER_REACH", plain),
+        "NEGATIVE": (posterior, "NEGATIVE", plain),
         "WITHIN": (finish, "WITHIN", plain),
         "LEFT": (finish, "LEFT", plain),
         "TRUSTED": (inharmonicity, "TRUSTED", plain),

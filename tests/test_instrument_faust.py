@@ -154,6 +154,10 @@ def test_knocks_give_way_where_there_is_no_room(tmp_path, monkeypatch):
     done = write_faust(tmp_path / "a.dsp", piano(), [OWN])
     assert done.knock_rate is None
     assert done.numbers <= 8_000
+    tables = [line for line in (tmp_path / "a.dsp").read_text().splitlines() if "waveform{" in line]
+    held = sum(line.count(",") + 1 for line in tables)
+    # Beside the key of every MIDI note, and where the rows of each table begin.
+    assert done.numbers <= held <= done.numbers + 128 + 4 * len(tables)
     assert not re.search(r"^knock_0 =", (tmp_path / "a.dsp").read_text(), re.MULTILINE)
     monkeypatch.setattr(write, "MOST_NUMBERS", 100)
     with pytest.raises(ParameterError, match="ask for fewer --keys"):

@@ -192,6 +192,16 @@ def test_an_export_replaces_an_export_and_nothing_else(tmp_path):
     (tmp_path / "file").write_text("mine")
     with pytest.raises(OutputError, match="no earlier export"):
         export_sampler(PIANO, tmp_path / "file", [60], SHORT, force=True)
+    (tmp_path / "mine" / "samples").mkdir(parents=True)
+    for name in ("samples/kick.wav", "README.txt", "drums.sfz"):
+        (tmp_path / "mine" / name).write_text("mine")
+    with pytest.raises(OutputError, match="no earlier export"):
+        export_sampler(PIANO, tmp_path / "mine", [60], SHORT, force=True)
+    (out / "letters.txt").unlink()
+    (out / "samples" / "kick.wav").write_text("mine")
+    with pytest.raises(OutputError, match="no earlier export"):
+        export_sampler(PIANO, out, [60], SHORT, force=True)
+    assert (out / "samples" / "kick.wav").read_text() == "mine"
     with pytest.raises(OutputError, match="there is no folder"):
         export_sampler(PIANO, tmp_path / "none" / "sampler", [60], SHORT)
     assert not list(tmp_path.glob(".*"))
@@ -240,7 +250,7 @@ def test_layers_that_cross_over_have_the_models_level(count, seed):
     for v in range(1, 128):
         heard = [(i, zone) for i, zone in enumerate(zones) if zone.low <= v <= zone.high]
         assert 1 <= len(heard) <= 2
-        a = [10 ** (level_db[zone.velocity] / 20) * zone.gain[v - zone.low] for _, zone in heard]
+        a = [10 ** (level_db[z.velocity] / 20) * z.loudest * z.gain[v - z.low] for _, z in heard]
         power = sum(x**2 for x in a) + (2 * a[0] * a[1] * alike[heard[0][0]] if len(a) == 2 else 0)
         assert 10 * np.log10(power) == pytest.approx(level_db[v], abs=1e-9)
 
@@ -256,3 +266,22 @@ def test_spans_do_not_meet(keys):
 def test_every_third_key_leaves_no_key_out():
     covered = [key for low, high in spans_of(parse_keys("every 3")) for key in range(low, high + 1)]
     assert covered == list(range(21, 109))
+
+
+def test_an_export_of_nothing_is_refused(tmp_path):
+    with pytest.raises(ParameterError, match="give the MIDI keys"):
+        export_sampler(PIANO, tmp_path / "none", [], SHORT)
+
+
+def test_one_layer_is_called_one_layer(tmp_path):
+    export_sampler(PIANO, tmp_path / "one", [60], SHORT)
+    assert "A key has one layer," in (tmp_path / "one" / "README.txt").read_text()
+
+
+def test_few_layers_are_raised_in_their_samples_not_by_the_player():
+    """Between two strokes 60 dB apart the soft one has to be far louder than it was struck."""
+    level = np.linspace(-60.0, 0.0, 128)
+    soft, loud = crossfaded([1, 127], level, [0.9])
+    assert soft.loudest > 10
+    assert loud.loudest == 1
+    assert soft.gain.max() == loud.gain.max() == 1

@@ -59,19 +59,21 @@ def read_file(path: str | os.PathLike[str], limit: int, error: type[PianofitErro
     return data
 
 
-def load_json(path: str | os.PathLike[str], most: int, kind: str, way_out: str) -> Any:
+def load_json(
+    path: str | os.PathLike[str], most: int, kind: str, way_out: str, error: type[PianofitError] = FitError
+) -> Any:
     """What a file of at most `most` bytes holds.
 
     Raises
     ------
-    FitError
+    error
         Naming the file, `kind` and the `way_out`.
     """
     try:
-        return json.loads(read_file(path, most, FitError).decode("utf-8"))
-    except (ValueError, RecursionError) as error:
-        reason = one_line(str(error).splitlines()[0])
-        raise FitError(f"{one_line(path)}: not {kind} ({reason}); {way_out}") from None
+        return json.loads(read_file(path, most, error).decode("utf-8"))
+    except (ValueError, RecursionError) as problem:
+        reason = one_line(str(problem).splitlines()[0])
+        raise error(f"{one_line(path)}: not {kind} ({reason}); {way_out}") from None
 
 
 def table_of(document: dict, key: str, where: str, way_out: str) -> dict[str, Any]:

@@ -120,6 +120,7 @@ class Cluster:
             contents = [read_file(s.path, MAX_BYTES, RecordingError) for s in unit.sources]
         key = f"pianofit-{unit.key}-{unit.hash[:8]}-{self._token}-{len(self._begun)}-{time.monotonic_ns()}"
         future = self._client.submit(on_worker, self._work, unit, contents, key=key, pure=False)
+        self._stage.pop(unit.hash, None)  # of an attempt before
         self._begun[future] = unit, time.monotonic()
         future.add_done_callback(self._ended.put)
 
@@ -145,6 +146,7 @@ class Cluster:
             outcome = self._result(future)
         finally:
             del self._begun[future]
+            self._stage.pop(unit.hash, None)
             future.release()
         return [(unit, outcome)]
 

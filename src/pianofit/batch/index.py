@@ -40,6 +40,8 @@ INVARIANTS = {
     "x0/L": ("x_0/L", "strike position", ""),
     "F/M_S": ("F/M_S", "felt’s force", "N/kg"),
 }
+# Entries of a fit.json that are read here, and what each is; a damaged one is left out.
+READ = {"invariants": dict, "parameters": dict, "levels": dict, "ringing": dict, "takes": list, "messages": list}
 # Sounds of the page: up to this rate, Hz, this long, s, or shorter, so that all have some 8 MB.
 RATE, LONGEST, SHORTEST, SAMPLES = 32_000, 3.0, 1.0, 4_000_000
 
@@ -92,7 +94,8 @@ class Index:
             fit = json.loads((self.store.keys / key / "fit.json").read_bytes())
         except (OSError, ValueError, RecursionError):
             return {}
-        return fit if isinstance(fit, dict) else {}
+        entries = fit.items() if isinstance(fit, dict) else ()
+        return {name: entry for name, entry in entries if isinstance(entry, READ.get(name, object))}
 
     def _sounds(self, entry: Entry, fit: dict[str, Any], seconds: float) -> list[Clip]:
         """The reference recording and its fit, kept until the key is fitted anew."""

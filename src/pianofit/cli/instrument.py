@@ -151,15 +151,18 @@ def _page(built: Path, prefix: str | None, out: Path | None, recordings: bool, f
     from ..io import check_target, one_line
     from ..keyboard import load_instrument
     from ..play.page import write_page
+    from ..report.kit import is_page
 
     if out is not None:
         if out.suffix.lower() not in (".html", ".htm"):
             raise OutputError(f"{one_line(out)}: a page is an HTML file; give --out a name that ends in .html")
         check_target(out, force)
     loaded = load_instrument(built, prefix)
-    # Without --out the file is the command's own, made anew when there are more keys.
-    own = (built if built.is_dir() else built.parent) / (f"piano-{prefix}.html" if prefix else PAGE)
-    done = write_page(out := out or own, loaded, recordings)
+    if out is None:
+        # The command's own file, made anew when there are more keys.
+        out = (built if built.is_dir() else built.parent) / (f"piano-{prefix}.html" if prefix else PAGE)
+        check_target(out, force or is_page(out))
+    done = write_page(out, loaded, recordings)
     knocks = None if done.knocks is None else {"bits": done.knocks.bits, "rate": done.knocks.rate}
     return {
         "file": str(out), "bytes": out.stat().st_size, "keys": done.keys, "recorded": done.recorded,

@@ -154,7 +154,7 @@ def _fitted_level(problem: Problem, found: Estimate, i: int):
 def _gain_db(problem: Problem, integrated, i: int) -> float:
     """A recording's own gain, dB: the level of its columns where the onset's share is least."""
     count = problem.observed.number > 0
-    return float(np.median(integrated.columns[i][count]))
+    return float(integrated.columns[i][count][0])  # the lowest partial decays least
 
 
 def _level(problem: Problem, found: Estimate, z: np.ndarray, i: int) -> np.ndarray:

@@ -86,7 +86,8 @@ def laplace(problem: Problem, minima: Minima) -> Posterior:
         scale = 1 / np.sqrt(np.diag(inner))
         covariance[np.ix_(moves, moves)] = np.linalg.inv(inner * np.outer(scale, scale)) * np.outer(scale, scale)
         tangent = u.tangent(people.z[i])
-        covariances.append(tangent @ covariance @ tangent.T)
+        covariance = tangent @ covariance @ tangent.T
+        covariances.append(0.5 * (covariance + covariance.T))  # to the last bit
         volumes.append(-0.5 * (np.linalg.slogdet(inner)[1] + log_det))
         logs.append(u.log_values(people.z[i]))
     score = -minima.F + np.array(volumes)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -52,10 +52,14 @@ class Instrument(NamedTuple):
         """How many its sound has: those of the key that has most."""
         return max(1 if note.ringing is None else note.ringing.channels for note in self.notes.values())
 
+    def unrecorded(self, keys: Iterable[int]) -> list[int]:
+        """Which of these MIDI keys were never recorded: they are the laws' guess."""
+        return sorted(set(keys) - self.recorded)
+
     @property
     def guesses(self) -> tuple[int, int]:
         """How many keys were never recorded: between recorded ones, and beyond them."""
-        guessed = self.notes.keys() - self.recorded
+        guessed = self.unrecorded(self.notes)
         between = sum(min(self.recorded) < midi < max(self.recorded) for midi in guessed) if self.recorded else 0
         return between, len(guessed) - between
 

@@ -14,8 +14,6 @@ from ..recording import Recording
 
 __all__ = ["GATES", "clicks", "clipping", "failures", "inside", "offset"]
 
-# Samples in flat runs at an extreme: a single flat run is a distortion that the other sound does not have.
-CLIPPED = 0
 # Offset over the peak, 1: −40 dB. Where a sound begins and ends it is a step, a tick; whole recordings have 0.0008.
 OFFSET = 0.01
 # The first sample over the peak, 1: a note that was cut into begins with a step. `recording.py` warns at the same.
@@ -32,9 +30,9 @@ HAMMER = 0.05
 
 
 def clipping(recording: Recording) -> str | None:
-    """Samples cut off at an extreme."""
-    if recording.clipped > CLIPPED:
-        return f"{recording.clipped} samples are cut off, at most {CLIPPED} may be; record it with less gain"
+    """Samples cut off at an extreme: a single flat run is a distortion that the other sound does not have."""
+    if recording.clipped:
+        return f"{recording.clipped} samples are cut off, none may be; record it with less gain"
     return None
 
 

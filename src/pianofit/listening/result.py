@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ..errors import ParameterError
-from ..io import one_line, read_file, shown
+from ..io import load_json, one_line, shown
 from .page import ANSWERS
 
 __all__ = ["Count", "count_answers"]
@@ -60,11 +60,7 @@ def count_answers(files: Sequence[Path]) -> list[Count]:
 def _trials(path: Path) -> tuple[list[tuple[str, bool]], str]:
     """Of each answer what was asked and whether it was a hit; and the file's content in one form."""
     where = one_line(path)
-    try:
-        content = json.loads(read_file(path, LARGEST_FILE, ParameterError).decode("utf-8"))
-    except (ValueError, RecursionError) as error:
-        reason = one_line(str(error).splitlines()[0])
-        raise ParameterError(f"{where}: no answers of a listening test ({reason}); {WAY_OUT}") from None
+    content = load_json(path, LARGEST_FILE, "answers of a listening test", WAY_OUT, ParameterError)
     if not isinstance(content, dict) or content.get("schema") != ANSWERS or not isinstance(content.get("trials"), list):
         found = shown(content.get("schema")) if isinstance(content, dict) else "none"
         raise ParameterError(f"{where}: no answers of a listening test (schema {found}, must be {ANSWERS}); {WAY_OUT}")

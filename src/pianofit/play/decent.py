@@ -23,7 +23,7 @@ RELEASED = math.log(1000)
 def dspreset_text(title: str, keys: Sequence[SampledKey]) -> str:
     """The `.dspreset`, as XML."""
     root = ElementTree.Element("DecentSampler", minVersion=VERSION)
-    root.append(ElementTree.Comment(f" {title.replace('--', '-')}: strings and hammers, played by pianofit "))
+    root.append(ElementTree.Comment(f" {title}: strings and hammers, played by pianofit "))
     groups = ElementTree.SubElement(root, "groups", attack="0", decay="0", sustain="1")
     modulators = ElementTree.SubElement(root, "modulators")
     velocity = ElementTree.SubElement(modulators, "midiVelocity", scope="voice", modAmount="1.0")

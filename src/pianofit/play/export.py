@@ -26,7 +26,7 @@ from ..render import CEILING
 from ..threads import one_blas_thread
 from .decent import dspreset_text
 from .layers import SampledKey, spans_of, velocities_of
-from .readme import readme_text, unrecorded
+from .readme import MARK, readme_text
 from .samples import Measured, measured, sample
 from .sfz import sfz_text
 from .strings import PlayedString, damper_rate
@@ -50,6 +50,8 @@ SAMPLERS = {
     "decent-sampler": Sampler(".dspreset", "wav", dspreset_text),  # FLAC only from version 1.19 on
 }
 README = "README.txt"
+# Names of samples: key, note, velocity.
+SAMPLE = re.compile(r"\d{3}-[A-G]s?-?\d-v\d{3}\.(flac|wav)")
 MOST_LAYERS = 127
 MOST_SAMPLE_SECONDS = 40_000.0  # all samples together: some 5 GB
 # Of the time an export takes, that to strike all keys for their levels.
@@ -105,16 +107,26 @@ def export_sampler(
         out = out.resolve()
         _check_target(out, force)
         work = out.with_name(f".{out.name}.{os.getpid()}.tmp")
-        with interrupted_by(lambda: shutil.rmtree(work, ignore_errors=True)):
+        old = work.with_suffix(".old")
+
+        def tidy() -> None:
+            shutil.rmtree(work, ignore_errors=True)
+            if old.exists() and not out.exists():  # interrupted between two names
+                old.rename(out)
+            shutil.rmtree(old, ignore_errors=True)
+
+        with interrupted_by(tidy):
             try:
                 (work / "samples").mkdir(parents=True)
                 done, written = _samples(instrument, work, keys, asked, progress)
                 file = _file_name(instrument.name) + SAMPLERS[to].ending
                 (work / file).write_text(SAMPLERS[to].text(Path(file).stem, written), encoding="utf-8")
                 (work / README).write_text(readme_text(instrument, file, written, licence), encoding="utf-8")
-                _put(work, out)
+                if out.exists():
+                    out.rename(old)
+                work.rename(out)
             finally:
-                shutil.rmtree(work, ignore_errors=True)
+                tidy()
     except OSError as error:
         reason = error.strerror or error
         raise OutputError(f"{one_line(out)}: cannot be written ({reason}); choose another --out") from error
@@ -135,6 +147,8 @@ def _check(instrument: Instrument, keys: Sequence[int], asked: Asked) -> None:
             f"{len(keys)} keys × {asked.layers} layers × {asked.seconds:g} s are more than {MOST_SAMPLE_SECONDS:,.0f} "
             "s; ask for fewer --layers, --keys or --seconds"
         )
+    if not keys:
+        raise ParameterError("keys=[]: give the MIDI keys that are to have samples of their own")
     for key in keys:
         instrument.note(key, 64)
 
@@ -146,29 +160,24 @@ def _check_target(out: Path, force: bool) -> None:
         raise OutputError(f"{name}: there is no folder {one_line(out.parent)}; make it, or give another --out")
     if not out.exists():
         return
-    held = sorted(path.name for path in out.iterdir()) if out.is_dir() else None
-    if held is None or not all(map(_ours, held)):
+    held = out.is_dir() and any(out.iterdir())
+    if not out.is_dir() or (held and not _earlier(out)):
         raise OutputError(f"{name}: is there and is no earlier export; give another --out")
     if held and not force:
         raise OutputError(f"{name}: the folder is not empty; give another --out, or --force to replace an export in it")
 
 
-def _put(work: Path, out: Path) -> None:
-    old = out.with_name(f".{out.name}.{os.getpid()}.old")
-    if out.exists():
-        out.rename(old)
-    try:
-        work.rename(out)
-    except OSError:
-        if old.exists():
-            old.rename(out)
-        raise
-    shutil.rmtree(old, ignore_errors=True)
-
-
-def _ours(name: str) -> bool:
-    """Whether an export writes such a file or folder."""
-    return name in ("samples", README) or any(name.endswith(sampler.ending) for sampler in SAMPLERS.values())
+def _earlier(folder: Path) -> bool:
+    """Whether a folder holds an export and nothing else: its own readme, one text, and samples."""
+    names = {path.name for path in folder.iterdir()} - {"samples"}
+    endings = tuple(sampler.ending for sampler in SAMPLERS.values())
+    if not (folder / "samples").is_dir() or README not in names or len(names) != 2:
+        return False
+    return (
+        (names - {README}).pop().endswith(endings)
+        and MARK in (folder / README).read_text(encoding="utf-8", errors="replace")
+        and all(SAMPLE.fullmatch(path.name) for path in (folder / "samples").iterdir())
+    )
 
 
 def _samples(
@@ -186,14 +195,15 @@ def _samples(
     for i, (key, (low, high), found) in enumerate(zip(keys, spans_of(keys), known, strict=True)):
         string, files = PlayedString(instrument.note(key, 64), key, asked.rate), []
         for zone, begin in zip(found.zones, found.begin, strict=True):
-            sound = np.clip(gain * sample(instrument, string, zone.velocity, begin, asked.seconds), -1.0, 1.0)
+            loud = gain * zone.loudest
+            sound = np.clip(loud * sample(instrument, string, zone.velocity, begin, asked.seconds), -1.0, 1.0)
             files.append(f"samples/{_sample_name(key, zone.velocity)}.{asked.kind}")
             size += (work / files[-1]).write_bytes(_encoded(sound, asked))
             frames += sound.shape[-1]
         written.append(SampledKey(key, low, high, damper_rate(key), found.zones, files))
         progress("samples", LEVELS_SHARE + (1 - LEVELS_SHARE) * (i + 1) / len(keys))
     done = Exported(
-        len(keys), len(unrecorded(instrument, keys)), sum(k.high - k.low for k in written),
+        len(keys), len(instrument.unrecorded(keys)), sum(k.high - k.low for k in written),
         len(keys) * asked.layers, frames / asked.rate, size, 20 * math.log10(gain),
     )  # fmt: skip
     return done, written
@@ -209,7 +219,7 @@ def _encoded(sound: np.ndarray, asked: Asked) -> bytes:
 
 def _file_name(name: str) -> str:
     """A name of plain letters: whatever the instrument is called, the file stays in its folder."""
-    return re.sub(r"[^A-Za-z0-9_-]+", "-", name).strip("-")[:64] or "instrument"
+    return re.sub(r"[^A-Za-z0-9_]+", "-", name).strip("-")[:64] or "instrument"
 
 
 def _sample_name(key: int, velocity: int) -> str:

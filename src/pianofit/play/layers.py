@@ -36,7 +36,8 @@ class Zone(NamedTuple):
     velocity: int  # MIDI, it was struck at
     low: int  # velocities at which it is heard
     high: int
-    gain: np.ndarray  # amplitude at each of them [high - low + 1]
+    gain: np.ndarray  # amplitude at each of them, at most 1 [high - low + 1]
+    loudest: float  # what the sample is raised by for that: between far layers a soft one may have to be louder
 
 
 class SampledKey(NamedTuple):
@@ -111,7 +112,7 @@ def crossfaded(velocities: Sequence[int], level_db: np.ndarray, alike: Sequence[
             gain[heard < own] *= _share(heard[heard < own], edges[i], own, alike[i - 1])
         if i < len(velocities) - 1:
             gain[heard > own] *= _share(heard[heard > own], edges[i + 2], own, alike[i])
-        zones.append(Zone(own, low, high, gain))
+        zones.append(Zone(own, low, high, gain / gain.max(), float(gain.max())))
     return zones
 
 

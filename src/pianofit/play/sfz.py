@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 from .layers import SampledKey, Zone
@@ -25,8 +24,5 @@ def sfz_text(title: str, keys: Sequence[SampledKey]) -> str:
 
 
 def _region(zone: Zone, file: str) -> str:
-    # A curve goes no higher than 1.
-    largest = zone.gain.max()
-    curve = [f"amp_velcurve_{zone.low + i}={gain / largest:.5g}" for i, gain in enumerate(zone.gain)]
-    volume = f"volume={20 * math.log10(largest):.4f}"
-    return f"<region> lovel={zone.low} hivel={zone.high} sample={file} {volume} {' '.join(curve)}"
+    curve = [f"amp_velcurve_{zone.low + i}={gain:.5g}" for i, gain in enumerate(zone.gain)]
+    return f"<region> lovel={zone.low} hivel={zone.high} sample={file} {' '.join(curve)}"

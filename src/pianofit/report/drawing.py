@@ -28,7 +28,7 @@ INK, MEASURED, INITIAL, LAW, FITTED, FAINT = "#333333", "#1a1a1a", "#d55e00", "#
 # Inches. A figure is one panel, whose letters can be read on a telephone; a page puts panels side by side.
 WIDTH = 5.6
 HEIGHT = 3.1
-LEFT, RIGHT, TOP, GAP = 0.72, 0.08, 0.3, 0.12
+LEFT, RIGHT, TOP, GAP = 0.72, 0.16, 0.3, 0.12
 BELOW = 0.52  # the ticks and the label of x
 LEGEND = 0.28  # a line of the legend
 LINES: dict[str, dict[str, Any]] = {

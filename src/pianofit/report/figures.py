@@ -218,7 +218,7 @@ def _partials(curves: Curves) -> list[Figure]:
     cents.set(title="Frequency", ylabel="cents above k·f₀")
     points(rest, curves.number, curves.frequency_cents - curves.frequency_cents_law, curves.frequency_cents_error)
     rest.axhline(0.0, **LINES["fitted"])
-    rest.set(ylabel="residual\n(cents)", xlabel="partial number k")
+    rest.set(ylabel="cents off", xlabel="partial number k")
     losses, (decay,) = panel(HEIGHT + 0.12)
     points(decay, curves.number, curves.decay, curves.decay_error)
     decay.plot(curves.number, curves.decay_law, label="law of the fitted string", **LINES["fitted"])

@@ -12,6 +12,7 @@ import hashlib
 import os
 from collections.abc import Callable, Sequence
 from importlib.resources import files
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..io import replace_file
@@ -19,9 +20,11 @@ from ..io import replace_file
 if TYPE_CHECKING:
     from jinja2 import Environment
 
-__all__ = ["data_uri", "picture", "templates", "write_page"]
+__all__ = ["data_uri", "is_page", "picture", "templates", "write_page"]
 
 KIT = "pianofit.report"
+# What a page of this kit has in its first bytes.
+GENERATOR, FIRST = b'<meta name="generator" content="pianofit">', 256
 
 
 def write_page(
@@ -55,6 +58,15 @@ def write_page(
         **content,
     )  # fmt: skip
     replace_file(path, html.encode("utf-8", errors="replace"))
+
+
+def is_page(path: str | os.PathLike[str]) -> bool:
+    """Whether a file is a page of this kit."""
+    try:
+        with Path(path).open("rb") as file:
+            return GENERATOR in file.read(FIRST)
+    except OSError:
+        return False
 
 
 def templates(package: str, *, strict: bool = True, filters: dict[str, Callable] | None = None) -> Environment:

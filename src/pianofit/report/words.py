@@ -262,9 +262,11 @@ def again_in_words(contacts: Any) -> str:
 
 
 def glide(fit: dict[str, Any]) -> str:
-    """Say how the pitch moves while the note decays; empty where that is not known."""
+    """Say how the pitch moves while the note decays; empty where that is not known, or is nothing."""
     cents = fit.get("derived", {}).get("glide_cents")
-    return f"{'falls' if cents >= 0 else 'rises'} by {abs(cents):.1f} cents" if is_number(cents) else ""
+    if not is_number(cents) or f"{abs(cents):.1f}" == "0.0":
+        return ""
+    return f"{'falls' if cents >= 0 else 'rises'} by {abs(cents):.1f} cents"
 
 
 def groups(fit: dict[str, Any]) -> list[tuple[str, str, str, list[str]]]:

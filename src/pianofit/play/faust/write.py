@@ -18,7 +18,6 @@ from ...model.modal import EDGE
 from ...render import CEILING
 from ...threads import one_blas_thread
 from ..layers import LOUDEST
-from ..readme import unrecorded
 from ..strings import PlayedString, damper_rate
 from .tables import KNOCK_SHAPES, MARGIN, RATE, SHAPES, VELOCITIES, Key, kept_at, key_of
 
@@ -64,6 +63,8 @@ def write_faust(
     OutputError
         If `path` cannot be written.
     """
+    if not keys:
+        raise ParameterError("keys=[]: give the MIDI keys that are to have tables of their own")
     for key in keys:
         instrument.note(key, 64)
     channels, peak, found = min(instrument.channels, CHANNELS), 0.0, []
@@ -77,7 +78,7 @@ def write_faust(
     text = _text(instrument, keys, kept, channels, modes, gain, licence)
     replace_file(path, text.encode())
     return Program(
-        len(keys), len(unrecorded(instrument, keys)), modes, sum(key.left_out for key in kept),
+        len(keys), len(instrument.unrecorded(keys)), modes, sum(key.left_out for key in kept),
         kept[0].knock_rate if _knocks(kept) else None, numbers, 20 * math.log10(gain),
     )  # fmt: skip
 
@@ -97,12 +98,18 @@ def _within(found: Sequence[Key], keys: Sequence[int]) -> tuple[list[Key], int]:
     size = 0
     for rate in (*KNOCK_RATES, None):
         kept = [kept_at(key, rate) for key in found]
-        size = sum(sum(column.size for column in key[1:6]) + 2 * len(key.pole) for key in kept)
+        size = sum(_numbers(key, _knocks(kept)) for key in kept)
         if size <= MOST_NUMBERS:
             return kept, size
     raise ParameterError(
         f"{len(keys)} keys need {size:,} numbers, and Faust compiles {MOST_NUMBERS:,}; ask for fewer --keys"
     )
+
+
+def _numbers(key: Key, knocks: bool) -> int:
+    """How many a key has in the tables: complex ones count twice."""
+    knock = knocks * (key.knock.size + key.knock_weights.size)
+    return 2 * key.pole.size + 2 * key.pattern.size + key.shapes.size + key.weights.size + knock
 
 
 def _text(
@@ -115,7 +122,7 @@ def _text(
     through = ", ".join(["_"] * channels)
     lead = instrument.lead
     return Template(files(PACKAGE).joinpath("instrument.dsp").read_text(encoding="utf-8")).substitute(
-        name=_quoted(instrument.name or "piano"), licence=_quoted(licence or "as the recordings"),
+        name=_quoted(instrument.name or "piano"), licence=_quoted(licence or "none was given"),
         modes=modes, rank=SHAPES, knocks=KNOCK_SHAPES, velocities=len(VELOCITIES), rate=RATE,
         knock_rate=kept[0].knock_rate, touch=_digits(max(lead - EDGE / RATE, 0.0) - MARGIN / RATE),
         tables="\n".join(_tables(keys, kept, channels, gain, knocks)), heard=", ".join(heard),
