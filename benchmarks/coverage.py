@@ -79,7 +79,7 @@ def _demo(seed: int, noise_db: float | None) -> dict:
 
 
 def _drawn(kind: str, seed: int) -> dict:
-    """One twin of `coverage_twins`, by the same steps as `fit_takes`, which keep the problem and its minima."""
+    """One twin of `coverage_twins`, by the same steps as `fit_recordings`, which keep the problem and its minima."""
     import coverage_twins
 
     from pianofit.analysis import analyse

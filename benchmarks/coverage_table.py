@@ -29,9 +29,9 @@ def score(document: dict, true: dict, velocities: list[float]) -> list[dict]:
         for name in true
         if name in table
     ]
-    for take, v in zip(document["takes"], velocities, strict=False):
-        if not take["first"]:
-            rows.append(row(OTHERS, take["v_H0"], take["v_H0_interval"], take["v_H0_status"], v))
+    for own, v in zip(document["recordings"], velocities, strict=False):
+        if not own["first"]:
+            rows.append(row(OTHERS, own["v_H0"], own["v_H0_interval"], own["v_H0_status"], v))
     return rows
 
 

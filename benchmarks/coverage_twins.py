@@ -198,7 +198,7 @@ def make(kind: str, seed: int) -> Twin:
         sounds = [g * x / (5 * loudest) for g, x in zip(truth.gains, sounds, strict=True)]
     noise = np.random.default_rng([KINDS.index(kind), seed, 1])
     recordings = [
-        recording_from_samples(_noisy(x, truth.noise_db, RATE, noise), RATE, name=f"take-{n}")
+        recording_from_samples(_noisy(x, truth.noise_db, RATE, noise), RATE, name=f"layer-{n}")
         for n, x in enumerate(sounds, 1)
     ]
     return Twin(kind, seed, design, truth, recordings, _setup(design, truth, scale), values_of(kind, truth))
@@ -280,8 +280,8 @@ def _setup(design: Design, truth: Truth, scale: float | None) -> Setup:
     if design.calibrated:
         tables["pickup"] = {"quantity": "velocity", "position": g.pickup, "scale": scale}
         return setup_from_dict(tables, "twin")
-    known = {"file": f"take-{hardest}", "v_H0": truth.velocities[-1]}
-    return setup_from_dict(tables | {"take": [known]}, "twin")
+    known = {"file": f"layer-{hardest}", "v_H0": truth.velocities[-1]}
+    return setup_from_dict(tables | {"recording": [known]}, "twin")
 
 
 def values_of(kind: str, truth: Truth, recording: int = -1) -> Values:

@@ -55,12 +55,12 @@ def notes(folder: Path) -> dict[str, tuple[str, list[Path], Setup]]:
         stem = row["file"].rsplit(".", 1)[0]
         group = [] if row.get("blow") else stem.split("-")[3:]
         instrument, note = row["file"].split("-")[:2]
-        _, files, takes = found.setdefault("-".join([instrument, note, *group]), (note.replace("s", "#"), [], []))
+        _, files, layers = found.setdefault("-".join([instrument, note, *group]), (note.replace("s", "#"), [], []))
         files.append(folder / row["file"])
-        takes.append(Layer(file=row["file"], gain_group="machine" if row.get("blow") else None))
+        layers.append(Layer(file=row["file"], gain_group="machine" if row.get("blow") else None))
     return {
-        key: (note, sorted(files), Setup(recordings=tuple(takes)))
-        for key, (note, files, takes) in sorted(found.items())
+        key: (note, sorted(files), Setup(recordings=tuple(layers)))
+        for key, (note, files, layers) in sorted(found.items())
         if len(files) >= 3
     }
 
@@ -77,35 +77,35 @@ def validate(job: tuple[str, str, list[Path], Setup, str, int]) -> dict:
     found, whole = cross_validate(
         recordings, [analyse(r, note=note) for r in recordings], replace(setup, felt=law), seed=seed
     )
-    velocities = {Path(take["file"]).stem: take["v_H0"] for take in whole.document["takes"]}
+    velocities = {Path(row["file"]).stem: row["v_H0"] for row in whole.document["recordings"]}
     seconds = time.perf_counter() - begun
     return {"note": key, "law": law, "seed": seed, "seconds": seconds, "velocities": velocities} | found
 
 
 def scored(result: dict) -> list[dict]:
     """The layers that count."""
-    return [t for t in result["takes"] if t["inner"] and t["partials"] >= FEWEST and len(result["takes"]) > 3]
+    return [t for t in result["recordings"] if t["inner"] and t["partials"] >= FEWEST and len(result["recordings"]) > 3]
 
 
 def line(result: dict) -> str:
     """A note's row."""
     counts = scored(result)
     cells = []
-    for take in result["takes"]:
-        text = f"{take['predicted_db']:.2f}/{take['nearest_db']:.2f}"
-        cells.append(text if take in counts else f"({text})")
+    for row in result["recordings"]:
+        text = f"{row['predicted_db']:.2f}/{row['nearest_db']:.2f}"
+        cells.append(text if row in counts else f"({text})")
     return f"{result['note']:20} {result['law']:14} {' '.join(f'{c:>13}' for c in cells)}   {result['seconds']:.0f} s"
 
 
 def summary(results: list[dict], law: str, seed: int) -> str:
     """What one law reaches over all notes."""
-    takes = [take for r in results if (r["law"], r["seed"]) == (law, seed) for take in scored(r)]
-    if not takes:
+    rows = [row for r in results if (r["law"], r["seed"]) == (law, seed) for row in scored(r)]
+    if not rows:
         return f"{law}: nothing scored"
-    errors = [take["predicted_db"] for take in takes]
-    over = sum(take["predicted_db"] > take["nearest_db"] + MORE for take in takes)
+    errors = [row["predicted_db"] for row in rows]
+    over = sum(row["predicted_db"] > row["nearest_db"] + MORE for row in rows)
     return (
-        f"{law}, seed {seed}: {len(takes)} layers, median {statistics.median(errors):.2f} dB (wanted {MEDIAN}), mean "
+        f"{law}, seed {seed}: {len(rows)} layers, median {statistics.median(errors):.2f} dB (wanted {MEDIAN}), mean "
         f"{statistics.mean(errors):.2f} (wanted {MEAN}), worst {max(errors):.2f} (wanted {WORST}), {over} more than "
         f"{MORE} dB above the nearest layer"
     )

@@ -12,7 +12,7 @@ VELOCITIES = (0.8, 1.3, 2.0, 2.9, 4.0)  # m/s
 
 
 def make_notes(folder: Path, velocities: tuple[float, ...] = VELOCITIES, seconds: float = SECONDS) -> list[Path]:
-    """Write takes of a note as a microphone might give them: the force on the bridge, a path that wanders, and noise.
+    """Write recordings of a note as of a microphone: the force on the bridge, a path that wanders, and noise.
 
     The contact is computed at 16 times the file's rate.
     """
@@ -33,7 +33,7 @@ def make_notes(folder: Path, velocities: tuple[float, ...] = VELOCITIES, seconds
         samples = np.pad(heard, (round(LEAD * RATE), 0))
         samples *= 0.5 / np.abs(samples).max()
         samples += np.random.default_rng(turn).normal(0.0, 1e-5, len(samples))
-        files.append(folder / f"take-{turn + 1}.wav")
+        files.append(folder / f"layer-{turn + 1}.wav")
         files[-1].write_bytes(pianofit.encode_wav(samples, RATE))
     return files
 

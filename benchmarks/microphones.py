@@ -12,8 +12,8 @@ with such a stroke is taken.
    difference of their logarithms over the two 95 % reaches together, and beyond 1 they do not. Beside it, how far the
    partials that both hear are apart, how far each table scatters about the string's laws, and what agrees when only
    partials that both hear are looked at. Then the same for two strokes at one microphone.
-2. The key's microphone with most takes alone, and with the others' takes of the same strokes: each stroke left out in
-   turn, errors of the first microphone's takes. A stroke is scored where it lies between others.
+2. The key's microphone with most recordings alone, and with the others' recordings of the same strokes: each stroke
+   left out in turn, errors of the first microphone's recordings. A stroke is scored where it lies between others.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Heard(NamedTuple):
     """One recording of a key."""
 
     file: Path
-    strike: str
+    stroke: str
     mic: str
 
 
@@ -61,7 +61,7 @@ def keys(folder: Path) -> dict[tuple[str, str], list[Heard]]:
 
 def pairs_of(heard: list[Heard]) -> list[tuple[Heard, Heard]]:
     """Recordings of one stroke at two microphones."""
-    return [(a, b) for a, b in combinations(heard, 2) if a.strike == b.strike and a.mic != b.mic]
+    return [(a, b) for a, b in combinations(heard, 2) if a.stroke == b.stroke and a.mic != b.mic]
 
 
 def alone(heard: Heard, note: str) -> tuple[dict, Analysis]:
@@ -113,18 +113,18 @@ def _deviation(x: np.ndarray) -> float:
 def left_out(heard: list[Heard], note: str, mic: str) -> dict[str, dict]:
     """`cross_validate` of these recordings: what came of those of one microphone, by file."""
     recordings = [load_recording(h.file) for h in heard]
-    takes = tuple(Layer(h.file.name, None, h.mic, None, h.strike) for h in heard)
-    found, _ = cross_validate(recordings, [analyse(r, note=note) for r in recordings], Setup(recordings=takes))
+    layers = tuple(Layer(h.file.name, None, h.mic, None, h.stroke) for h in heard)
+    found, _ = cross_validate(recordings, [analyse(r, note=note) for r in recordings], Setup(recordings=layers))
     names = {str(h.file): h for h in heard}
-    return {Path(row["file"]).name: row for row in found["takes"] if names[row["file"]].mic == mic}
+    return {Path(row["file"]).name: row for row in found["recordings"] if names[row["file"]].mic == mic}
 
 
 def predictions(heard: list[Heard], note: str) -> dict:
-    """One microphone alone and with the others' takes of its strokes."""
+    """One microphone alone and with the others' recordings of its strokes."""
     mics = [h.mic for h in heard]
     mic = max(sorted(set(mics)), key=mics.count)
     own = [h for h in heard if h.mic == mic]
-    others = [h for h in heard if h.mic != mic and h.strike in {o.strike for o in own}]
+    others = [h for h in heard if h.mic != mic and h.stroke in {o.stroke for o in own}]
     begun = time.perf_counter()
     without, beside = left_out(own, note, mic), left_out(own + others, note, mic)
     rows = [
@@ -132,7 +132,7 @@ def predictions(heard: list[Heard], note: str) -> dict:
          "nearest_db": row["nearest_db"]}
         for name, row in without.items()
     ]  # fmt: skip
-    return {"takes": rows, "others": [h.file.name for h in others], "seconds": time.perf_counter() - begun}
+    return {"recordings": rows, "others": [h.file.name for h in others], "seconds": time.perf_counter() - begun}
 
 
 def print_pair(found: dict) -> None:
@@ -167,10 +167,10 @@ def print_predictions(key: tuple[str, str], found: dict) -> None:
     print(f"\n{key[1]}, {key[0]}: each stroke left out, dB a partial; with {', '.join(found['others'])} "
           f"({found['seconds']:.0f} s)")  # fmt: skip
     print(f"  {'':28}{'alone':>8}{'with':>8}{'nearest':>9}")
-    for row in found["takes"]:
+    for row in found["recordings"]:
         print(f"  {row['file']:28}{row['alone_db']:8.2f}{row['both_db']:8.2f}{row['nearest_db']:9.2f}"
               f"{'' if row['inner'] else '  (beyond the others)'}")  # fmt: skip
-    inner = [row for row in found["takes"] if row["inner"]]
+    inner = [row for row in found["recordings"] if row["inner"]]
     one, both = (statistics.median(row[name] for row in inner) for name in ("alone_db", "both_db"))
     print(f"  median of the {len(inner)} between others: {one:.2f} dB alone, {both:.2f} dB with both")
 

@@ -96,7 +96,7 @@ def strokes(key: str) -> Iterator[tuple[str, Target, list[Made]]]:
 
 def ringing(heard: dict, analyses: dict, by: list[str], wanted: str, steps: tuple[str, int] | None = None) -> Made:
     """A stroke as pianofit plays it from others; `steps`: at so many MIDI steps from a layer, or else as it was hit."""
-    from pianofit import Layer, Setup, fit, predict_take
+    from pianofit import Layer, Setup, fit, predict_recording
     from pianofit.model.modal import force_of
     from pianofit.ringing import ringing_of
 
@@ -105,10 +105,10 @@ def ringing(heard: dict, analyses: dict, by: list[str], wanted: str, steps: tupl
     result = fit(*(heard[name] for name in by), analyses=[analyses[name] for name in by], setup=setup)
     rate, count = heard[wanted].rate, round((SPAN + 0.3) * heard[wanted].rate)
     if steps is None:
-        note = predict_take(result.mixture, analyses[wanted]).note
+        note = predict_recording(result.mixture, analyses[wanted]).note
         given = "the target's partial levels, for its velocity, and its gain"
     else:
-        own = next(take["v_H0"] for take in result.document["takes"] if f"-{steps[0]}." in take["file"])
+        own = next(row["v_H0"] for row in result.document["recordings"] if f"-{steps[0]}." in row["file"])
         note = result.note.struck(own * float(np.exp(RISE * steps[1])))
         given = "the target's MIDI velocity, and its gain"
     stroke, key = note.strike(rate), ringing_of(result)

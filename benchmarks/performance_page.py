@@ -129,7 +129,7 @@ def _commands(document: dict[str, Any]) -> str:
     gain = evaluations * inner / table["paper's recipe"]["median"]
     return f"""## Whole commands
 
-A made note of {effort["seconds"]:g} s; the joint fit has {effort["takes"]} recordings of it, the paper's recipe
+A made note of {effort["seconds"]:g} s; the joint fit has {effort["recordings"]} recordings of it, the paper's recipe
 {evaluations:,} evaluations by annealing on the demo's twin. Each runs in a process of its own, Python's start and all
 imports included, without the page unless it says so. Warm ones have the programs of earlier fits; the cold one has an
 empty cache.

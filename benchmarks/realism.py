@@ -5,8 +5,8 @@
     python benchmarks/realism.py --constants           what halving and doubling each constant of the ringing does
 
 Of every note with three layers or more one inner layer is left out entirely: string, hammer, modes and knock come from
-the others, its velocity from `predict_take`. The distance is that of `../shared/tools/realism.py` (or of the file that
-PIANOFIT_REALISM names), dB: the mean of three log-mel distances, attack, early and late, blind to gain and shift.
+the others, its velocity from `predict_recording`. The distance is that of `../shared/tools/realism.py` (or of the file
+that PIANOFIT_REALISM names), dB: the mean of three log-mel distances, attack, early and late, blind to gain and shift.
 Beside it stands the nearer of the two neighbouring recordings. Recordings are found as `crossval.py` finds them.
 Constants are judged on every second note and checked on the others.
 """
@@ -72,7 +72,7 @@ def brightness(analysis) -> float:
 
 def left_out(note: str, files: list[Path], setup, tool: ModuleType) -> LeftOut:
     """The layer in the middle left out, the others fitted."""
-    from pianofit import analyse, fit, load_recording, predict_take
+    from pianofit import analyse, fit, load_recording, predict_recording
     from pianofit.model.modal import force_of
     from pianofit.ringing import ringing_of
 
@@ -83,7 +83,7 @@ def left_out(note: str, files: list[Path], setup, tool: ModuleType) -> LeftOut:
     out = (len(files) - 1) // 2
     rest = [i for i in range(len(files)) if i != out]
     result = fit(*(recordings[i] for i in rest), analyses=[analyses[i] for i in rest], setup=setup)
-    played = predict_take(result.mixture, analyses[out]).note
+    played = predict_recording(result.mixture, analyses[out]).note
     rate, target = recordings[out].rate, tool.load(str(files[out]))
     stroke = played.strike(rate)
     near = [tool.compare(target, tool.load(str(files[i]))) for i in (out - 1, out + 1)]

@@ -68,7 +68,7 @@ def inner(effort: Effort, folder: Path) -> dict[str, Any]:
 
 def commands(effort: Effort, folder: Path) -> dict[str, Any]:
     """Whole commands, warm ones in turn: seconds and the largest memory."""
-    files = [str(x) for x in made.make_notes(folder, made.VELOCITIES[-effort.takes :], effort.seconds)]
+    files = [str(x) for x in made.make_notes(folder, made.VELOCITIES[-effort.recordings :], effort.seconds)]
     twin, setup = made.make_measurement(folder)
     out = ["--out", str(folder / "out"), "--force"]
     note = ["--note", made.NOTE]

@@ -42,11 +42,11 @@ def main() -> None:
 
     def distances(note, key) -> dict[str, float]:
         document = json.loads(Path(key.file).read_text(encoding="utf-8"))
-        takes = sorted(document["takes"], key=lambda take: take["v_H0"])
+        rows = sorted(document["recordings"], key=lambda row: row["v_H0"])
         rows = []
-        for take, velocity in zip(takes, key.velocities, strict=True):
+        for row, velocity in zip(rows, key.velocities, strict=True):
             sound = note.struck(velocity).render(seconds=SECONDS, rate=RATE)
-            target = tool.load(str(options.recordings / Path(take["file"]).name))
+            target = tool.load(str(options.recordings / Path(row["file"]).name))
             by = np.gcd(tool.RATE, RATE)
             sound = signal.resample_poly(np.pad(sound, (round(BEFORE * RATE), 0)), tool.RATE // by, RATE // by)
             there = tool.compare(target, sound)

@@ -25,11 +25,11 @@ def fit_dict(**values: object) -> dict:
         "M_S": 6.18e-3, "L": 1.0, "x0": 0.12, "width": 0.02, "pickup": 0.3,
     } | values  # fmt: skip
     facts = {"unit": "", "interval": None, "status": "fitted", "note": ""}
-    take = {"file": "a.wav", "sha256": "0" * 64, "rate": 44100, "onset_s": 0.0, "v_H0": 0.8, "gain": 1.0}
+    row = {"file": "a.wav", "sha256": "0" * 64, "rate": 44100, "onset_s": 0.0, "v_H0": 0.8, "gain": 1.0}
     return {
-        "schema": 2, "program": "pianofit", "recipe": "default", "seed": 0, "converged": True, "messages": [],
+        "schema": 4, "program": "pianofit", "recipe": "default", "seed": 0, "converged": True, "messages": [],
         "parameters": {name: {"value": value, "initial": value, **facts} for name, value in values.items()},
-        "takes": [take | {"gain_status": "fitted", "v_H0_status": "fitted"}],
+        "recordings": [row | {"gain_status": "fitted", "v_H0_status": "fitted"}],
         "pickup": {"quantity": "velocity", "path": None},
         "derived": {"f0": 152.05, "B": 3e-4}, "claims": "", "invariants": {}, "minima": [],
         "criterion": {"global": {"initial": 1.0, "final": 0.1}, "dropped": [], "sigma": 30, "borders": []},
@@ -38,9 +38,9 @@ def fit_dict(**values: object) -> dict:
 
 
 def take_dict(**values: object) -> dict:
-    """Return a fit.json's content, with some facts of its take changed."""
+    """Return a fit.json's content, with some facts of its recording changed."""
     content = fit_dict()
-    return content | {"takes": [content["takes"][0] | values]}
+    return content | {"recordings": [content["recordings"][0] | values]}
 
 
 def fit_file(content: object) -> Callable[[Path], None]:
@@ -137,9 +137,9 @@ COMMANDS = [
     command("fit-unknown-option", f"{FIT} --speed", "--speed", 2),
     command("fit-no-out", "fit @/good.wav --note A4", "--out", 2),
     command("fit-no-file", "fit --note A4 --out @/out", "RECORDING", 2),
-    command("fit-take-twice", "fit @/good.wav @/good.wav --note A4 --out @/out", "good.wav and good.wav are the same"),
-    command("fit-takes-one-velocity", "fit @/good.wav @/b.wav --note A4 --velocity 2 --out @/out", "[[recording]]"),
-    command("fit-takes-one-missing", "fit @/good.wav @/none.wav --note A4 --out @/out", "none.wav"),
+    command("fit-recording-twice", "fit @/good.wav @/good.wav --note A4 --out @/out", "good.wav are the same"),
+    command("fit-several-one-velocity", "fit @/good.wav @/b.wav --note A4 --velocity 2 --out @/out", "[[recording]]"),
+    command("fit-several-one-missing", "fit @/good.wav @/none.wav --note A4 --out @/out", "none.wav"),
     command("crossval-one", "crossval @/good.wav --note A4", "1 recordings are too few"),
     command("crossval-none", "crossval --note A4", "RECORDING", 2),
     command("predict-no-fit", "predict @/none.json @/good.wav", "none.json"),
@@ -211,8 +211,8 @@ COMMANDS = [
     render("quantity", fit_dict() | {"pickup": {"quantity": "light"}}, "quantity='light'"),
     render("path-falling", fit_dict() | {"pickup": {"quantity": "pressure", "path": FALLING}}, "pickup.path"),
     render("path-text", fit_dict() | {"pickup": {"quantity": "pressure", "path": "flat"}}, "pickup.path"),
-    render("no-takes", fit_dict() | {"takes": []}, "takes is empty"),
-    render("gain-null", take_dict(gain=None), "takes[0].gain"),
+    render("no-recordings", fit_dict() | {"recordings": []}, "recordings is empty"),
+    render("gain-null", take_dict(gain=None), "recordings[0].gain"),
     render("rate-zero", take_dict(rate=0), "rate=0 Hz"),
     render("rate-absurd", take_dict(rate=1e12), "rate=1e+12 Hz"),
     render("ringing-infinite", rings(float("inf")), "needs as many numbers"),

@@ -87,10 +87,10 @@ def fit_document(note: Note, errors: dict[str, float], velocities: tuple[float, 
 
     path = note.path
     return {
-        "schema": 2, "program": "pianofit", "converged": True, "claims": "", "messages": [], "invariants": {},
+        "schema": 4, "program": "pianofit", "converged": True, "claims": "", "messages": [], "invariants": {},
         "minima": [],
         "parameters": {name: entry(name, value) for name, value in values.items()},
-        "takes": [
+        "recordings": [
             {"file": f"{v}.wav", "rate": RATE, "v_H0": v, "gain": note.gain, "first": v == velocities[-1],
              "gain_status": "fitted", "v_H0_status": "scaled"} for v in velocities
         ],

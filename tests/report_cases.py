@@ -136,7 +136,7 @@ def ringing_entry(by="modes and knock", left_out=(8.2, 3.9, 2.6)):
 
 def fit_of_recordings(count=3, **changes):
     """The document of such a fit."""
-    one = example_fit()["takes"][0]
+    one = example_fit()["recordings"][0]
     recordings = [
         one | {"file": f"/a folder/recording-{i}.flac", "v_H0": 4.0 / i, "v_H0_interval": [3.6 / i, 4.4 / i],
                "first": i == 1, "cents": -0.5 * i, "group": i % 2, "levels": {"initial_db": 9.0, "fitted_db": 1.0 + i}}
@@ -151,7 +151,7 @@ def fit_of_recordings(count=3, **changes):
         }
         for i in range(2, count + 1)
     }
-    fit = example_fit(takes=recordings, minima=[minimum(0.7, 0.0), minimum(0.3, 1.25)])
+    fit = example_fit(recordings=recordings, minima=[minimum(0.7, 0.0), minimum(0.3, 1.25)])
     return fit | {"invariants": fit["invariants"] | ratios} | changes
 
 
@@ -175,7 +175,7 @@ def example_held_out(count=3):
          "inner": 1 < i < count}
         for i in range(1, count + 1)
     ]  # fmt: skip
-    return {"takes": rows, "median_inner_db": 1.5, "worst_inner_db": 1.625}
+    return {"recordings": rows, "median_inner_db": 1.5, "worst_inner_db": 1.625}
 
 
 def example_fit(**changes):
@@ -187,7 +187,7 @@ def example_fit(**changes):
 
     length = "rests on an assumed length of 1 m"
     fit = {
-        "schema": 2,
+        "schema": 4,
         "program": "pianofit",
         "recipe": "default",
         "seed": 0,
@@ -216,7 +216,7 @@ def example_fit(**changes):
             "L": entry(1.0, "m", None, "assumed", None),
             "x0": entry(0.12, "m", None, "given", None),
         },
-        "takes": [{"file": "cp80-Fs2-FF.flac", "sha256": "ab" * 32, "rate": 44100, "onset_s": 0.03, "v_H0": 4.0,
+        "recordings": [{"file": "cp80-Fs2-FF.flac", "sha256": "ab" * 32, "rate": 44100, "onset_s": 0.03, "v_H0": 4.0,
                    "gain": 0.0123, "gain_status": "fitted", "v_H0_status": "scaled"}],
         "minima": [],
         "derived": {"f0": 92.331, "B": 2.3e-4, "f1": 92.34, "contact_ms": 2.214, "max_force_N": 33.42,

@@ -24,7 +24,7 @@ import pianofit
 ROOT = Path(__file__).parent.parent
 FUNCTIONS = [name for name in pianofit.__all__ if inspect.isfunction(getattr(pianofit, name))]
 CLASSES = [name for name in pianofit.__all__ if inspect.isclass(getattr(pianofit, name))]
-# What takes minutes is run elsewhere: `tests/test_takes.py` runs this.
+# What takes minutes is run elsewhere: `tests/test_fit_recordings.py` runs this.
 TOO_LONG = {"cross_validate"}
 # `word`, `Word.word`; file names, which end as these do, are none.
 REFERENCE = re.compile(r"(?<!`)`([A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*)`(?!`)")

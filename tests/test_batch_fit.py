@@ -96,7 +96,7 @@ def test_recordings_that_cannot_be_used_are_left_out_and_told(batch, tmp_path):
     assert [Path(f).name for f, _ in outcome.left_out] == ["grand-C4-noise.wav", "grand-C4-text.wav"]
     assert "is text" in outcome.left_out[1][1]
     document = json.loads(outcome.files["fit.json"])
-    assert [t["file"] for t in document["takes"]] == [str(tmp_path / f"grand-C4-{x}.wav") for x in "fp"]
+    assert [t["file"] for t in document["recordings"]] == [str(tmp_path / f"grand-C4-{x}.wav") for x in "fp"]
     alone = json.loads((place / "out/keys/grand-C4/fit.json").read_bytes())
     assert document["parameters"] == alone["parameters"]  # another process, the same numbers
     assert "scratch" not in outcome.files["fit.json"].decode()  # nor in any note: that name is another one every time

@@ -41,7 +41,7 @@ def store(tmp_path) -> Store:
         span = [200.0, 300.0]
         document["invariants"] = {"f0": {"value": note.string.c / (2 * note.geometry.length), "interval": span}}
         digest = hashlib.sha256(file.read_bytes()).hexdigest()
-        document["takes"] = [{"file": str(file), "sha256": digest, "first": True, "rate": RATE}]
+        document["recordings"] = [{"file": str(file), "sha256": digest, "first": True, "rate": RATE}]
         files = {"fit.json": json.dumps(document).encode(), "fitted.wav": encode_wav(0.1 * sound, RATE)}
         name = midi_name(midi)
         store.install(key, files, {"hash": key, "note": name, "recordings": [1], "seconds": 20.0})

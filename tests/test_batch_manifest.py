@@ -63,13 +63,13 @@ def test_one_layer_at_two_microphones_is_one_strike(tmp_path):
     touch(tmp_path, *(f"grand-A0-{layer}-{mic}.flac" for layer in ("L2", "L4") for mic in ("close", "decca")),
           "grand-A0-L3-close.flac")  # fmt: skip
     (key,), _ = read_keys(tmp_path, pattern="{instrument}-{note}-{layer}-{mic}.flac")
-    assert [(s.group, s.strike) for s in key.samples] == [
+    assert [(s.group, s.stroke) for s in key.samples] == [
         ("close", "L2"), ("decca", "L2"), ("close", ""), ("close", "L4"), ("decca", "L4"),
     ]  # fmt: skip
     unit = make_unit(key, Settings())
     (tmp_path / "setup.toml").write_text(unit.setup, encoding="utf-8")
-    takes = load_setup(tmp_path / "setup.toml").recordings
-    assert [(t.file, t.group, t.strike) for t in takes][:3] == [
+    layers = load_setup(tmp_path / "setup.toml").recordings
+    assert [(t.file, t.group, t.stroke) for t in layers][:3] == [
         ("grand-A0-L2-close.flac", "close", "L2"), ("grand-A0-L2-decca.flac", "decca", "L2"),
         ("grand-A0-L3-close.flac", "close", None),
     ]  # fmt: skip
@@ -80,7 +80,7 @@ def test_one_layer_at_two_microphones_is_one_strike(tmp_path):
 def test_a_layer_of_one_microphone_is_no_strike_of_another_key(tmp_path):
     touch(tmp_path, "C4-p.wav", "D4-p.wav")
     keys, _ = read_keys(tmp_path, pattern="{note}-{layer}")
-    assert [s.strike for key in keys for s in key.samples] == ["", ""]
+    assert [s.stroke for key in keys for s in key.samples] == ["", ""]
 
 
 def test_a_folder_is_read_by_the_names_of_its_files(tmp_path):

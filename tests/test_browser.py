@@ -261,7 +261,7 @@ VELOCITIES = (3.2, 0.6, 1.5)
 @pytest.fixture(scope="module")
 def report_of_recordings(tmp_path_factory):
     curves = with_recordings(example_curves(rate=RATE, seconds=4.0, count=12), VELOCITIES)
-    path = tmp_path_factory.mktemp("takes") / "report.html"
+    path = tmp_path_factory.mktemp("recordings") / "report.html"
     write_report(path, fit_of_recordings(), curves, "three recordings", example_held_out())
     return path
 

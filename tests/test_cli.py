@@ -254,7 +254,7 @@ def test_fit_writes_what_it_promises(fitted):
     assert sorted(p.name for p in (fitted / "out").iterdir()) == ["fit.json", "fitted.wav", "initial.wav", "knock.flac"]
     assert document["parameters"]["v_H0"]["status"] == "given"
     assert document["parameters"]["v_H0"]["value"] == 1.5
-    assert document["takes"][0]["file"] == str(fitted / "note.wav")
+    assert document["recordings"][0]["file"] == str(fitted / "note.wav")
     string = preset("bensa-final").string
     assert document["derived"]["f0"] == pytest.approx(string.c / 2, rel=1e-4)
     assert document["derived"]["B"] == pytest.approx((string.kappa * np.pi / string.c) ** 2, rel=0.02)
@@ -264,7 +264,7 @@ def test_fit_writes_what_it_promises(fitted):
 
 
 def test_render_at_the_fitted_velocity_is_the_fitted_sound(fitted, run):
-    velocity = json.loads((fitted / "out" / "fit.json").read_text(encoding="utf-8"))["takes"][0]["v_H0"]
+    velocity = json.loads((fitted / "out" / "fit.json").read_text(encoding="utf-8"))["recordings"][0]["v_H0"]
     out = fitted / "again.wav"
     run("render", fitted / "out" / "fit.json", "--velocity", repr(velocity), "--seconds", 1.5, "--out", out)
     (again, rate), (first, _) = soundfile.read(out), soundfile.read(fitted / "out" / "fitted.wav")

@@ -185,7 +185,8 @@ def test_every_key_of_a_fit_is_explained(tmp_path, monkeypatch):
     document = run(ROOT / "docs" / "fitting.md")["result"].document
     whole = ("invariants", "parameters", "pickup", "derived", "criterion", "levels", "diagnostics", "versions")
     parts = [document, *(document[part] for part in whole), document["diagnostics"]["excess"]]
-    parts += [document["takes"][0], document["minima"][0], document["parameters"]["c"], document["invariants"]["f0"]]
+    parts += [document["recordings"][0], document["minima"][0]]
+    parts += [document["parameters"]["c"], document["invariants"]["f0"]]
     ringing = ringing_of_a_fit()
     parts += [ringing, *(ringing[part] for part in ("modes", "knock", "left_out_db"))]
     parts += [ringing["layers"][0], ringing["pattern"][0], {"ringing": ringing}]

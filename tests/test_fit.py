@@ -29,7 +29,7 @@ from pianofit.analysis import analyse
 from pianofit.felt import DEFAULT_LAW
 from pianofit.fitting import fit
 from pianofit.inference import pose
-from pianofit.inference.fit import fit_takes
+from pianofit.inference.fit import fit_recordings
 from pianofit.inference.statements import STATUSES
 from pianofit.io import FIT_SCHEMA
 from pianofit.parameters import FIT_NAMES, PARAMETERS, check
@@ -44,8 +44,8 @@ def test_a_calibrated_strike_is_read_back():
     assert not misses(document, FIRST), errors(document, FIRST)
     assert document["converged"]
     assert all(document["parameters"][name]["status"] == "fitted" for name in ALLOWED)
-    assert document["takes"][0]["gain_status"] == "given"
-    assert document["takes"][0]["gain"] == pytest.approx(1 / FIRST.scale)
+    assert document["recordings"][0]["gain_status"] == "given"
+    assert document["recordings"][0]["gain"] == pytest.approx(1 / FIRST.scale)
 
 
 def test_the_twin_really_is_another_string_than_the_start():
@@ -87,7 +87,7 @@ def test_the_document_is_what_the_design_says():
     document = json.loads(json.dumps(calibrated().document, allow_nan=False))
     assert {
         "schema", "program", "recipe", "felt", "seed", "converged", "claims", "messages", "invariants", "parameters",
-        "takes", "pickup", "minima", "derived", "criterion", "levels", "diagnostics", "versions",
+        "recordings", "pickup", "minima", "derived", "criterion", "levels", "diagnostics", "versions",
     } <= set(document)  # fmt: skip
     assert document["schema"] == FIT_SCHEMA
     for name, parameter in document["parameters"].items():
@@ -100,7 +100,7 @@ def test_the_document_is_what_the_design_says():
         if name in PARAMETERS:
             assert parameter["unit"] == PARAMETERS[name].unit
     check({name: document["parameters"][name]["value"] for name in FIT_NAMES})
-    assert {"file", "sha256", "v_H0", "gain"} <= set(document["takes"][0])
+    assert {"file", "sha256", "v_H0", "gain"} <= set(document["recordings"][0])
     assert document["criterion"]["dropped"] == []
     assert all(isinstance(said, str) and said.isprintable() for said in (*document["messages"], document["claims"]))
 
@@ -119,7 +119,7 @@ def test_one_uncalibrated_recording_does_not_fix_the_felt_and_says_so_first():
     assert all(states[name] == "scaled" for name in ("c", "kappa", "b2"))
     assert "length" in document["parameters"]["c"]["note"]
     assert states["b1"] == "fitted"
-    assert document["takes"][0]["gain_status"] == "fitted"
+    assert document["recordings"][0]["gain_status"] == "fitted"
     assert document["levels"]["path_only_db"] is not None
 
 
@@ -147,11 +147,11 @@ def test_a_fit_improves_on_its_start():
 def test_invariants_need_no_measured_velocity():
     """Three strokes through a path with no velocity measured: only ratios and products are known, and they are."""
     recordings, analyses = through(SEVERAL)
-    document = fit_takes(recordings, analyses, strokes_of(SEVERAL, measured=False)).document
+    document = fit_recordings(recordings, analyses, strokes_of(SEVERAL, measured=False)).document
     invariants, g = document["invariants"], FIRST.geometry
     pressed = float(invariants["F/M_S"]["note"].split(" at ")[1].split(" mm")[0]) / 1e3
     # The scale is the velocity's own: a force at a compression goes with its square.
-    scale = next(t["v_H0"] for t in document["takes"] if t["first"]) / VELOCITIES[2]
+    scale = next(t["v_H0"] for t in document["recordings"] if t["first"]) / VELOCITIES[2]
     true = {
         "f0": FIRST.f0,
         "B": (FIRST.string.kappa * np.pi / (FIRST.string.c * g.length)) ** 2,
@@ -171,7 +171,7 @@ def test_invariants_need_no_measured_velocity():
     low, high = document["parameters"]["v_H0"]["interval"]
     assert np.log(high / low) > 1.0
     states = {name: p["status"] for name, p in document["parameters"].items()}
-    assert {t["v_H0_status"] for t in document["takes"]} == {"scaled"}
+    assert {t["v_H0_status"] for t in document["recordings"]} == {"scaled"}
     assert states["K_H"] == states["mu"] == "scaled"
     assert states["p"] == "fitted"
     assert "No hammer velocity was measured" in document["claims"]
@@ -212,7 +212,7 @@ def test_known_values_and_bounds_hold_exactly():
 
 def test_a_measured_velocity_overrides_the_setups():
     recording = record(FIRST, quantity="pressure")
-    problem = pose([recording], [analyse(recording)], setup_from_dict({"take": [{"v_H0": 0.9}]}, "here"), 1.4)
+    problem = pose([recording], [analyse(recording)], setup_from_dict({"recording": [{"v_H0": 0.9}]}, "here"), 1.4)
     assert problem.speed == (1.4,)
     assert np.exp(problem.unknowns.mean[-1]) == pytest.approx(1.4)
     assert not problem.unknowns.free[-1]

@@ -33,7 +33,7 @@ def asked(monkeypatch) -> list[SimpleNamespace]:
         calls.append(SimpleNamespace(recordings=recordings, analyses=analyses, setup=setup, **more))
         return "fitted"
 
-    monkeypatch.setattr("pianofit.inference.fit.fit_takes", estimator)
+    monkeypatch.setattr("pianofit.inference.fit.fit_recordings", estimator)
     monkeypatch.setattr("pianofit.ringing.make_ring", lambda found, _: found)
     return calls
 

@@ -15,8 +15,8 @@ from twin_cases import ALONE, FIRST, MICROPHONES, SEVERAL, VELOCITIES, calibrate
 
 from pianofit.analysis import analyse
 from pianofit.inference import Result
-from pianofit.inference.fit import fit_takes
-from pianofit.inference.predict import predict_take
+from pianofit.inference.fit import fit_recordings
+from pianofit.inference.predict import predict_recording
 from pianofit.recording import load_recording
 
 FOLDER = Path(os.environ.get("PIANOFIT_RECORDINGS", Path(__file__).parents[2] / "shared" / "recordings"))
@@ -55,7 +55,7 @@ def test_the_truth_is_found_and_intervals_reach_it(case, by):
 @pytest.mark.parametrize("by", ["brute-force", "model"])
 @pytest.mark.parametrize("case", ["several", "microphones"])
 def test_velocities_that_were_not_measured_are_found(case, by):
-    for row, (stroke, _) in zip(fit(case, by).document["takes"], STROKES[case], strict=True):
+    for row, (stroke, _) in zip(fit(case, by).document["recordings"], STROKES[case], strict=True):
         error = np.log(row["v_H0"] / VELOCITIES[stroke])
         assert abs(error) < VELOCITY
         if row["v_H0_status"] == "fitted":
@@ -77,7 +77,7 @@ def test_velocities_that_were_not_measured_are_found(case, by):
 )  # fmt: skip
 def test_a_layer_that_was_left_out_is_predicted(note, layers, left_out, worst_db):
     recordings = [load_recording(FOLDER / f"{name}.flac") for name in layers]
-    result = fit_takes(recordings, [analyse(r, note=note) for r in recordings])
+    result = fit_recordings(recordings, [analyse(r, note=note) for r in recordings])
     analysis = analyse(load_recording(FOLDER / f"{left_out}.flac"), note=note)
     notes = list(zip(result.shares, (minimum[0] for minimum in result.notes), strict=True))
-    assert predict_take(notes, analysis).error_db < worst_db
+    assert predict_recording(notes, analysis).error_db < worst_db

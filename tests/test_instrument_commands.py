@@ -171,9 +171,9 @@ def test_bad_input_gets_one_line_and_nothing_is_written(words, message, built, m
 def test_a_hostile_fit_is_refused(tmp_path):
     good = fit_document(true_note(60), ERRORS)
     for change, message in (
-        ({"takes": [good["takes"][0] | {"v_H0": "fast"}]}, r"takes\[0\].v_H0 is 'fast'"),
-        ({"takes": [good["takes"][0] | {"v_H0": -1.0}]}, r"takes\[0\].v_H0 is -1.0"),
-        ({"takes": [good["takes"][0] | {"gain": 0.0}]}, r"takes\[0\].gain is 0.0"),
+        ({"recordings": [good["recordings"][0] | {"v_H0": "fast"}]}, r"recordings\[0\].v_H0 is 'fast'"),
+        ({"recordings": [good["recordings"][0] | {"v_H0": -1.0}]}, r"recordings\[0\].v_H0 is -1.0"),
+        ({"recordings": [good["recordings"][0] | {"gain": 0.0}]}, r"recordings\[0\].gain is 0.0"),
     ):
         with pytest.raises(FitError, match=message):
             load_keys([write_fit(tmp_path, 60, good | change)])

@@ -213,8 +213,8 @@ def test_a_known_velocity_lets_k_say_how_force_and_exponent_trade_off(tmp_path, 
     document = fit_document(note, ERRORS | {"K_H": spread[far], "p": sd_p / note.hammer.p}, (1.0, 3.0))
     document["invariants"]["F/M_S"] = force_entry(note, at, e)
     document["parameters"]["v_H0"]["status"] = "fitted"
-    for take in document["takes"]:
-        take |= {"v_H0_status": "fitted", known: "given"}
+    for row in document["recordings"]:
+        row |= {"v_H0_status": "fitted", known: "given"}
     (key,) = load_keys([write_fit(tmp_path, 60, document)])
     assert key.velocities == (1.0, 3.0)  # nothing is put on another scale
     assert key.sd["K/M_S"] == pytest.approx(spread[near], rel=1e-6)
@@ -224,6 +224,7 @@ def test_files_of_the_first_schema_are_still_understood(tmp_path):
     note = true_note(60)
     document = fit_document(note, ERRORS | {"K_H": math.hypot(0.05, 0.1 * math.log(1e3)), "p": 0.1 / note.hammer.p})
     new = {name: document.pop(name) for name in ("claims", "invariants", "minima")}
+    recordings = document.pop("recordings")
     old = document | {"schema": 1, "verdict": new["claims"]}
     old["derived"] = {"max_compression_mm": 1.0, "felt_force_relative_error": 0.05}
     for entry in old["parameters"].values():
@@ -233,10 +234,8 @@ def test_files_of_the_first_schema_are_still_understood(tmp_path):
         ("fixed", "free", (0.35, 0.85, 2.0)),
         ("free", "fixed", (0.35, 0.85, 2.0)),
     ):  # fmt: skip
-        takes = [
-            take | {"gain_status": gain, "v_H0_status": velocity, "v_H0": 0.5 * take["v_H0"]} for take in old["takes"]
-        ]
-        (key,) = load_keys([write_fit(tmp_path, 60, old | {"takes": takes})])
+        rows = [row | {"gain_status": gain, "v_H0_status": velocity, "v_H0": 0.5 * row["v_H0"]} for row in recordings]
+        (key,) = load_keys([write_fit(tmp_path, 60, old | {"takes": rows})])
         assert key.velocities == pytest.approx(velocities)
         scale = key.velocities[-1] / 2.0
         away = math.log(reference_compression(60) / (1e-3 * scale))
@@ -245,12 +244,12 @@ def test_files_of_the_first_schema_are_still_understood(tmp_path):
 
 def test_a_blow_at_two_microphones_is_one_layer_and_the_gain_is_that_of_the_path(tmp_path):
     document = fit_document(true_note(60), ERRORS, (1.0, 4.0))
-    soft, loud = (take | {"group": 0, "strike": i} for i, take in enumerate(document["takes"]))
+    soft, loud = (row | {"group": 0, "stroke": i} for i, row in enumerate(document["recordings"]))
     soft, loud = soft | {"first": True}, loud | {"first": False}
-    room = [take | {"group": 1, "gain": 50.0, "first": False} for take in (soft, loud)]
+    room = [row | {"group": 1, "gain": 50.0, "first": False} for row in (soft, loud)]
     one, both = (
-        load_keys([write_fit(tmp_path, 60, document | {"takes": takes}, name)])[0]
-        for name, takes in (("one", [soft, loud]), ("both", [*room, soft, loud]))
+        load_keys([write_fit(tmp_path, 60, document | {"recordings": rows}, name)])[0]
+        for name, rows in (("one", [soft, loud]), ("both", [*room, soft, loud]))
     )
     assert both.velocities == one.velocities == (1.0, LOUDEST)
     assert both.note.gain == one.note.gain

@@ -11,7 +11,7 @@ from twin_cases import MICROPHONES, VELOCITIES, path_fit, strokes_of, through
 from pianofit.cli.summary import cross_validation
 from pianofit.errors import FitError
 from pianofit.inference import pose
-from pianofit.inference.fit import fit_takes
+from pianofit.inference.fit import fit_recordings
 from pianofit.inference.predict import cross_validate
 
 # Stroke 1 is recorded by both microphones, which stand behind two rooms; the last one's velocity was measured.
@@ -37,20 +37,20 @@ def test_a_velocity_measured_at_one_microphone_is_that_of_the_stroke():
 
 
 def test_the_shared_velocity_is_found_and_shown_alike():
-    rows = path_fit(MICROPHONES).document["takes"]
+    rows = path_fit(MICROPHONES).document["recordings"]
     np.testing.assert_allclose([row["v_H0"] for row in rows], [VELOCITIES[s] for s, _ in MICROPHONES], rtol=0.01)
     one, other = rows[1], rows[3]
-    for name in ("v_H0", "v_H0_interval", "v_H0_status", "strike"):
+    for name in ("v_H0", "v_H0_interval", "v_H0_status", "stroke"):
         assert one[name] == other[name]
     assert one["v_H0_interval"][0] < one["v_H0"] < one["v_H0_interval"][1]
-    assert [row["strike"] for row in rows].count(one["strike"]) == 2
+    assert [row["stroke"] for row in rows].count(one["stroke"]) == 2
     assert one["group"] != other["group"]
     assert one["levels"]["fitted_db"] < 0.2 > other["levels"]["fitted_db"]
 
 
 def test_every_microphone_has_a_path_of_its_own():
     result = path_fit(MICROPHONES)
-    close, also, _, room = (take.fitted.note.path for take in result.takes)
+    close, also, _, room = (heard.fitted.note.path for heard in result.recordings)
     np.testing.assert_array_equal(close.db, also.db)
     assert len(room.db) != len(close.db) or np.abs(room.db - close.db).max() > 3.0
 
@@ -58,12 +58,12 @@ def test_every_microphone_has_a_path_of_its_own():
 @pytest.mark.slow
 def test_one_stroke_at_two_microphones_does_not_fix_the_felt():
     recordings, analyses = ([x[i] for i in (1, 3)] for x in through(MICROPHONES))
-    document = fit_takes(recordings, analyses, strokes_of(MICROPHONES)).document
+    document = fit_recordings(recordings, analyses, strokes_of(MICROPHONES)).document
     assert document["claims"].startswith(
         "2 uncalibrated recordings, but none shares a path with a recording of another"
     )
     assert {document["parameters"][n]["status"] for n in ("K_H", "p")} <= {"not-identifiable", "at-bound"}
-    assert document["takes"][0]["v_H0"] == document["takes"][1]["v_H0"]
+    assert document["recordings"][0]["v_H0"] == document["recordings"][1]["v_H0"]
 
 
 def test_leaving_a_take_out_leaves_out_its_stroke(monkeypatch):
@@ -75,20 +75,20 @@ def test_leaving_a_take_out_leaves_out_its_stroke(monkeypatch):
         fits.append([r.path for r in some])
         return replace(
             path_fit(MICROPHONES),
-            takes=tuple(h for h in path_fit(MICROPHONES).takes if h.recording.path in fits[-1]),
+            recordings=tuple(h for h in path_fit(MICROPHONES).recordings if h.recording.path in fits[-1]),
             first=0,
         )
 
-    monkeypatch.setattr("pianofit.inference.predict.fit_takes", instead)
+    monkeypatch.setattr("pianofit.inference.predict.fit_recordings", instead)
     found, _ = cross_validate(recordings, analyses, strokes_of(MICROPHONES))
     everything = {f"{b}-{m}.wav" for b, m in MICROPHONES}
     assert [everything - set(files) for files in fits] == [
         set(), {"0-close.wav"}, {"1-close.wav", "1-room.wav"}, {"2-close.wav"},
     ]  # fmt: skip
-    rows = {row["file"]: row for row in found["takes"]}
+    rows = {row["file"]: row for row in found["recordings"]}
     assert len(rows) == 4
     middle, lone = rows["1-close.wav"], rows["1-room.wav"]
-    assert [row["file"] for row in found["takes"] if row["inner"]] == ["1-close.wav"]
+    assert [row["file"] for row in found["recordings"] if row["inner"]] == ["1-close.wav"]
     assert middle["predicted_db"] == found["median_inner_db"] < 0.5 * middle["nearest_db"]
     # The other microphone heard nothing else: its path is unknown, and so is what its levels would be.
     assert [lone[n] for n in ("predicted_v_H0", "predicted_db", "partials", "nearest_db", "blend_db")] == [None] * 5
@@ -101,10 +101,10 @@ def test_leaving_a_take_out_leaves_out_its_stroke(monkeypatch):
 def test_without_a_take_between_others_there_is_no_median(monkeypatch):
     """Three strokes, each at a microphone of its own, as in a setup that gives every take its group."""
     recordings, analyses = ([x[i] for i in range(3)] for x in through(MICROPHONES))
-    rows = [row | {"group": i} for i, row in enumerate(path_fit(MICROPHONES).document["takes"][:3])]
-    whole = replace(path_fit(MICROPHONES), document=path_fit(MICROPHONES).document | {"takes": rows})
-    fits = iter([whole, *[replace(whole, takes=whole.takes[:2])] * 3])
-    monkeypatch.setattr("pianofit.inference.predict.fit_takes", lambda *_, **__: next(fits))
+    rows = [row | {"group": i} for i, row in enumerate(path_fit(MICROPHONES).document["recordings"][:3])]
+    whole = replace(path_fit(MICROPHONES), document=path_fit(MICROPHONES).document | {"recordings": rows})
+    fits = iter([whole, *[replace(whole, recordings=whole.recordings[:2])] * 3])
+    monkeypatch.setattr("pianofit.inference.predict.fit_recordings", lambda *_, **__: next(fits))
     found, _ = cross_validate(recordings, analyses, strokes_of(MICROPHONES))
     assert [found["median_inner_db"], found["worst_inner_db"]] == [None, None]
     assert len(found["messages"]) == 3
@@ -113,8 +113,8 @@ def test_without_a_take_between_others_there_is_no_median(monkeypatch):
 
 def test_too_few_strokes_to_leave_one_out(monkeypatch):
     recordings, analyses = ([x[i] for i in (1, 2, 3)] for x in through(MICROPHONES))
-    rows = [path_fit(MICROPHONES).document["takes"][i] for i in (1, 2, 3)]
-    whole = replace(path_fit(MICROPHONES), document=path_fit(MICROPHONES).document | {"takes": rows})
-    monkeypatch.setattr("pianofit.inference.predict.fit_takes", lambda *_, **__: whole)
+    rows = [path_fit(MICROPHONES).document["recordings"][i] for i in (1, 2, 3)]
+    whole = replace(path_fit(MICROPHONES), document=path_fit(MICROPHONES).document | {"recordings": rows})
+    monkeypatch.setattr("pianofit.inference.predict.fit_recordings", lambda *_, **__: whole)
     with pytest.raises(FitError, match="3 recordings of 2 strokes are too few to leave one stroke out"):
         cross_validate(recordings, analyses, strokes_of(MICROPHONES))

@@ -81,16 +81,17 @@ def test_recordings_are_shortened_before_they_are_too_much(piano, monkeypatch):
 
 def test_the_layers_of_a_fit_come_with_its_instrument(tmp_path, capsys):
     document = fit_document(true_note(60), ERRORS)
-    for i, take in enumerate(document["takes"]):
-        take |= {"file": f"/take {i}.wav", "sha256": str(i), "onset_s": 0.1}
+    for i, row in enumerate(document["recordings"]):
+        row |= {"file": f"/take {i}.wav", "sha256": str(i), "onset_s": 0.1}
     document["ringing"] = {"by": "law", "layers": [{"file": "/take 0.wav", "contact_s": 0.002}]}
     write_fit(tmp_path, 60, document)
     (layers,) = load_instrument(tmp_path).layers.values()
     assert [(layer.file, layer.contact) for layer in layers] == [
         ("/take 0.wav", pytest.approx(0.102)), ("/take 1.wav", 0.1), ("/take 2.wav", 0.1),
     ]  # fmt: skip
-    scale = 4.0 / document["takes"][-1]["v_H0"]  # the loudest is at 4 m/s
-    assert [layer.velocity for layer in layers] == pytest.approx([scale * take["v_H0"] for take in document["takes"]])
+    scale = 4.0 / document["recordings"][-1]["v_H0"]  # the loudest is at 4 m/s
+    true = [scale * row["v_H0"] for row in document["recordings"]]
+    assert [layer.velocity for layer in layers] == pytest.approx(true)
     assert main(["page", str(tmp_path), "--recordings"]) == 1
     assert "/take 0.wav: no such file" in capsys.readouterr().err
     assert not (tmp_path / "piano.html").exists()

@@ -182,7 +182,7 @@ def test_later_contacts_are_told_apart_from_the_first(tmp_path, curves):
 
 def test_a_page_names_files_and_no_folders(tmp_path, curves):
     fit = example_fit(messages=["/home/somebody/notes/a.wav: the pitch falls"])
-    fit["takes"][0] |= {"file": "/home/somebody/notes/a.wav"}
+    fit["recordings"][0] |= {"file": "/home/somebody/notes/a.wav"}
     html = written(tmp_path, fit, curves)
     assert "somebody" not in html
     assert "a.wav: the pitch falls" in Page(html).text
@@ -273,7 +273,7 @@ def test_page_and_picture_stand_what_a_fit_may_lack(tmp_path, curves, case):
 def test_fit_of_nothing_known(tmp_path, curves):
     assert written(tmp_path, dict.fromkeys(example_fit()), curves)
     nothing_known = {"criterion": {"dropped": ["band1", "band3"]}, "levels": {"fitted_db": None}}
-    fit = example_fit(**nothing_known, derived={"f0": float("nan")}, takes=[{"file": "a.wav", "onset_s": None}])
+    fit = example_fit(**nothing_known, derived={"f0": float("nan")}, recordings=[{"file": "a.wav", "onset_s": None}])
     fit["parameters"] = {
         name: {"value": None, "interval": [None, 1.0], "status": "fitted"} for name in fit["parameters"]
     }

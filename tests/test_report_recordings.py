@@ -119,7 +119,7 @@ def test_page_of_five_long_takes_stays_small(tmp_path):
 def test_hostile_names_of_takes_stay_text(tmp_path, curves):
     tame = Page(written(tmp_path, fit_of_recordings(), curves, example_held_out()))
     fit, held_out = fit_of_recordings(), example_held_out()
-    for recording in (*fit["takes"], *held_out["takes"]):
+    for recording in (*fit["recordings"], *held_out["recordings"]):
         recording["file"] = HOSTILE
     fit["diagnostics"] = {"correlated": [{"pair": [HOSTILE, HOSTILE], "correlation": 0.99}]}
     page = Page(written(tmp_path, fit, curves, held_out))
@@ -178,7 +178,7 @@ def nothing(array):
     ids=["nan felt", "no felt", "wild felt", "one unknown", "nan correlation", "nan", "empty", "many"],
 )  # fmt: skip
 def test_page_stands_what_takes_may_lack(tmp_path, curves, case):
-    held_out = {"takes": [{"file": None, "predicted_db": None}, {"v_H0": "x", "nearest_db": float("nan")}, 3]}
+    held_out = {"recordings": [{"file": None, "predicted_db": None}, {"v_H0": "x", "nearest_db": float("nan")}, 3]}
     assert written(tmp_path, {}, case(curves), held_out)
 
 
@@ -230,10 +230,10 @@ def fake_fit(velocities=(3.0, 0.75, 1.5), first=0, memory=False, free=("c", "kap
     invariants = {"f0": {"interval": [99.0, 101.0]}, "x0/L": {"interval": None}, "F/M_S": {"interval": [80.0, 125.0]}}
     document = {
         "parameters": table, "invariants": invariants,
-        "takes": [{"group": 0, "strike": i} for i, _ in enumerate(recordings)],
+        "recordings": [{"group": 0, "stroke": i} for i, _ in enumerate(recordings)],
     }  # fmt: skip
     return FakeFit(
-        document=document, takes=tuple(recordings), first=first, note=recordings[first].fitted.note,
+        document=document, recordings=tuple(recordings), first=first, note=recordings[first].fitted.note,
         covariance=SimpleNamespace(names=(*NAMES, "v_H0", *("v_H0 2", "v_H0 3")[: len(velocities) - 1]),
                                    matrix=covariance(free, len(velocities))),
         fitted=recordings[first].fitted, recording=recordings[first].recording,
@@ -244,7 +244,7 @@ def fake_fit(velocities=(3.0, 0.75, 1.5), first=0, memory=False, free=("c", "kap
 def test_the_felts_band_is_what_chance_gives(memory):
     result = fake_fit(memory=memory, free=("K_H", "p", "M_H", *(("epsilon", "tau") if memory else ("mu",))))
     felt = felt_of(result)
-    deepest = max(np.max(recording.fitted.simulation.pulse.compression) for recording in result.takes)
+    deepest = max(np.max(recording.fitted.simulation.pulse.compression) for recording in result.recordings)
     assert felt.compression[-1] == pytest.approx(1e3 * float(deepest))
     cov = result.covariance.matrix
     drawn = np.random.default_rng(0).multivariate_normal(np.zeros(len(cov)), cov, 40_000)
@@ -309,7 +309,7 @@ def test_the_slider_ends_at_the_takes_and_plays_the_fitted_note():
     for index, recording in ((0, 1), (3, 2), (-1, 0)):
         played = strokes.sounds[index]
         assert len(played) == round(2.5 * 22050)
-        np.testing.assert_allclose(played[:22050], result.takes[recording].fitted.samples, atol=1e-9)
+        np.testing.assert_allclose(played[:22050], result.recordings[recording].fitted.samples, atol=1e-9)
     power = [np.mean(sound**2) for sound in strokes.sounds]
     assert np.all(np.diff(power) > 0)
 
@@ -326,7 +326,7 @@ def test_every_take_comes_with_its_own_loop_and_place():
     recordings = recordings_of(result)
     assert [recording.place for recording in recordings] == [1, 2, 3]
     assert [recording.velocity for recording in recordings] == [3.0, 0.75, 1.5]
-    for recording, heard in zip(recordings, result.takes, strict=True):
+    for recording, heard in zip(recordings, result.recordings, strict=True):
         pulse = heard.fitted.simulation.pulse
         assert np.nanmax(recording.compression) == pytest.approx(1e3 * float(np.max(pulse.compression)), rel=1e-2)
         assert np.nanmax(recording.force) == pytest.approx(float(np.max(pulse.force)), rel=1e-2)
@@ -384,7 +384,7 @@ def test_what_is_fixed_and_what_is_not_is_said():
 def test_no_scale_is_open_where_gain_or_velocity_were_given(known):
     fit = fit_of_recordings()
     fit["parameters"]["v_H0"] |= {"status": "fitted"}
-    for recording in fit["takes"]:
+    for recording in fit["recordings"]:
         recording[known] = "given"
     words = said(fit)
     assert "Velocities of the strokes (the least certain ± 10 %)" in words["Fixed by the data"]
@@ -395,7 +395,7 @@ def test_a_scale_is_open_where_not_even_ratios_are_identified():
     fit = example_fit()
     fit["parameters"]["v_H0"] |= {"status": "not-identifiable"}
     assert "The common scale of the velocities" in said(fit)["Not fixed by the data"]
-    fit["takes"][0]["gain_status"] = "given"
+    fit["recordings"][0]["gain_status"] = "given"
     assert "common scale" not in said(fit)["Not fixed by the data"]
 
 
@@ -419,4 +419,4 @@ def test_what_the_claims_question_is_not_called_fixed():
 def test_nothing_known_is_nothing_said():
     assert identified({}) == []
     assert held_out_rows(None) is None
-    assert held_out_rows({"takes": []}) is None
+    assert held_out_rows({"recordings": []}) is None

@@ -260,7 +260,7 @@ def test_every_recording_has_a_sound_of_its_own(tmp_path):
     first = result().reference
     other = replace(first, recording=replace(first.recording, path="soft/a.wav"))
     alike = replace(first, recording=replace(first.recording, path="loud/a.wav", rate=44_100))
-    three = replace(result(), takes=(first, other, alike))
+    three = replace(result(), recordings=(first, other, alike))
     names = sorted(file.name for file in three.save(tmp_path / "fit", page=False).glob("fitted-*"))
     assert names == ["fitted-a-2.wav", "fitted-a-3.wav", "fitted-twin.wav"]
     assert soundfile.info(tmp_path / "fit" / "fitted-a-3.wav").samplerate == 44_100

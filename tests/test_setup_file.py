@@ -92,7 +92,7 @@ def test_every_pickup_has_one_complete_form(quantity):
     )
 
 
-def test_takes_may_have_velocities_of_their_own():
+def test_recordings_may_have_velocities_of_their_own():
     setup = setup_from_dict(
         {"take": [{"file": "a.wav", "v_H0": 1}, {"file": "b.wav", "v_H0": 2.5}, {"v_H0": 1}]}, "here"
     )

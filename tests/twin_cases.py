@@ -15,7 +15,7 @@ from brute_force import make_twin, matched_width
 
 from pianofit.analysis import Analysis, analyse
 from pianofit.inference import Result
-from pianofit.inference.fit import fit_takes
+from pianofit.inference.fit import fit_recordings
 from pianofit.model import simulate
 from pianofit.parameters import FIT_NAMES, Geometry, Hammer, String
 from pianofit.recording import Recording, recording_from_samples
@@ -102,7 +102,7 @@ def record(
 
 
 def fit_twin(recording: Recording, setup: Setup, *, seed: int = 0) -> Result:
-    return fit_takes([recording], [analyse(recording)], setup, seed=seed)
+    return fit_recordings([recording], [analyse(recording)], setup, seed=seed)
 
 
 def errors(document: dict, truth: Truth) -> dict[str, float]:
@@ -198,7 +198,7 @@ def uncalibrated() -> Result:
 @functools.cache
 def path_fit(strokes: tuple[tuple[int, str], ...], by: str = "brute-force") -> Result:
     """The fit of strokes at microphones."""
-    return fit_takes(*through(strokes, by), strokes_of(strokes))
+    return fit_recordings(*through(strokes, by), strokes_of(strokes))
 
 
 def standard_errors(document: dict, truth: dict[str, float]) -> dict[str, tuple[float, float]]:

@@ -17,7 +17,7 @@ __all__ = [
     # What was known beforehand, and the fit.
     "Setup", "Layer", "load_setup", "setup_from_dict", "fit", "Result", "Quantity", "Quantities", "Covariance",
     # How well it foretells what it has not heard.
-    "Prediction", "predict_take", "cross_validate",
+    "Prediction", "predict_recording", "cross_validate",
     # The model: parameters to motion to sound.
     "String", "Hammer", "MemoryHammer", "Geometry", "PARAMETERS", "Preset", "preset", "Typical", "typical",
     "Simulation", "simulate", "Note", "load_note", "encode_wav",
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from .felt import FeltLaw, MemoryHammer
     from .fitting import fit
     from .inference import Covariance, Quantities, Quantity, Result
-    from .inference.predict import Prediction, cross_validate, predict_take
+    from .inference.predict import Prediction, cross_validate, predict_recording
     from .io import encode_wav
     from .model import (  # fmt: skip
         Modes,
@@ -69,7 +69,7 @@ _HOMES = {
     "errors": tuple(name for name in __all__ if name.endswith("Error")),
     "fitting": ("fit",),
     "inference": ("Covariance", "Quantities", "Quantity", "Result"),
-    "inference.predict": ("Prediction", "cross_validate", "predict_take"),
+    "inference.predict": ("Prediction", "cross_validate", "predict_recording"),
     "felt": ("FeltLaw", "MemoryHammer"),
     "model": (
         "Modes",

@@ -98,10 +98,10 @@ def fit(
                 sounds[0], heard[0], known, recipe, velocity=velocity, evaluations=evaluations, seed=seed,
                 progress=report,
             )  # fmt: skip
-        from .inference.fit import fit_takes
+        from .inference.fit import fit_recordings
         from .ringing import make_ring
 
-        found = fit_takes(sounds, heard, known, velocity=velocity, intervals=intervals, seed=seed, progress=report)
+        found = fit_recordings(sounds, heard, known, velocity=velocity, intervals=intervals, seed=seed, progress=report)
         return make_ring(found, report)
 
 

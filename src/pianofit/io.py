@@ -29,7 +29,7 @@ LARGEST = 1e300
 # Channels of a sound at the most.
 MOST_CHANNELS = 8
 # Schema of the fit.json that this version writes.
-FIT_SCHEMA = 3
+FIT_SCHEMA = 4
 
 
 def one_line(text: object) -> str:

@@ -45,6 +45,16 @@ def read_fit(path: str | os.PathLike[str]) -> dict[str, Any]:
         raise FitError(
             f"{one_line(path)}: schema {found!r} is not 1 to {FIT_SCHEMA}; fit again with this version of pianofit"
         )
+    return _renamed(document)
+
+
+def _renamed(document: dict[str, Any]) -> dict[str, Any]:
+    """A document of an older schema, up to 3, by today's names."""
+    if document["schema"] < FIT_SCHEMA and "takes" in document:
+        document["recordings"] = document.pop("takes")
+        for row in document["recordings"] if isinstance(document["recordings"], list) else ():
+            if isinstance(row, dict) and "strike" in row:
+                row["stroke"] = row.pop("strike")
     return document
 
 
@@ -109,14 +119,14 @@ def _note_of(document: dict[str, Any], path: Path, felt: FeltLaw | None = None) 
     quantity = pickup.get("quantity")
     if quantity not in QUANTITIES:
         raise FitError(f"{name}: pickup.quantity={quantity!r} must be one of {', '.join(QUANTITIES)}")
-    takes = document.get("takes")
-    if not (isinstance(takes, list) and takes and isinstance(takes[0], dict)):
-        raise FitError(f"{name}: takes is empty; {WAY_OUT}")
+    rows = document.get("recordings")
+    if not (isinstance(rows, list) and rows and isinstance(rows[0], dict)):
+        raise FitError(f"{name}: recordings is empty; {WAY_OUT}")
     # v_H0 is the reference recording's, which need not be the first that was given.
-    at = next((i for i, take in enumerate(takes) if isinstance(take, dict) and take.get("first") is True), 0)
-    gain, rate = (finite(takes[at].get(key), f"{name}: takes[{at}].{key}", WAY_OUT) for key in ("gain", "rate"))
+    at = next((i for i, row in enumerate(rows) if isinstance(row, dict) and row.get("first") is True), 0)
+    gain, rate = (finite(rows[at].get(key), f"{name}: recordings[{at}].{key}", WAY_OUT) for key in ("gain", "rate"))
     if not RATES[0] <= rate <= RATES[1]:
-        raise FitError(f"{name}: takes[{at}].rate={rate:g} Hz must be from {RATES[0]} to {RATES[1]}")
+        raise FitError(f"{name}: recordings[{at}].rate={rate:g} Hz must be from {RATES[0]} to {RATES[1]}")
     note = Note(
         String(*(values[n] for n in STRING_NAMES)), hammer,
         _geometry(table, quantity, name), quantity, gain, _path(pickup.get("path"), name),

@@ -43,11 +43,12 @@ KEYS: dict[str, tuple[str, ...]] = {
     "known": tuple(BOXES),
     "initial": tuple(BOXES),
     "bounds": tuple(BOXES),
-    "recording": ("file", "v_H0", "group", "gain_group", "strike"),
+    "recording": ("file", "v_H0", "group", "gain_group", "stroke"),
 }
 # What belongs to the felt of some law.
 FELT_NAMES = {name for law in LAWS.values() for name in law.parameters}
-OLDER = {"take": "recording"}  # what a table was called in older files -> what it is called
+# What older files call the table of recordings, and the stroke in its entries.
+OLDER_TABLE, OLDER_STROKE = "take", "strike"
 # Where the attributes of a `Setup` stand in a file; the others have tables of their own.
 PLACES = {
     "length": ("string", "length"), "mass": ("string", "mass"),
@@ -65,7 +66,7 @@ class Layer:
     v_H0: float | None = None  # m/s, measured
     group: str | None = None  # recordings of a group share one output path
     gain_group: str | None = None  # recordings of a gain group share one gain
-    strike: str | None = None  # recordings of one strike are one hammer stroke at several microphones
+    stroke: str | None = None  # recordings of one hammer stroke at several microphones have one
 
 
 @dataclass(frozen=True)
@@ -179,10 +180,10 @@ def setup_from_dict(data: Mapping[str, Any], where: str) -> Setup:
     {'M_H': 0.0087}
     """
     with _named(where):
-        tables = {name: _entries(name, content) for name, content in data.items()}
+        tables = {name: _entries(name, content) for name, content in _renamed(data).items()}
         said = {name: tables[table][key] for name, (table, key) in PLACES.items() if key in tables.get(table, ())}
         said |= {name: tables[name] for name in ("known", "initial", "bounds") if name in tables}
-        return Setup(**said, recordings=(*tables.get("recording", ()), *tables.get("take", ())))
+        return Setup(**said, recordings=tuple(tables.get("recording", ())))
 
 
 @contextlib.contextmanager
@@ -194,15 +195,29 @@ def _named(where: str) -> Iterator[None]:
         raise SetupError(f"{where}: {error}") from None
 
 
+def _renamed(data: Mapping[str, Any]) -> dict[str, Any]:
+    """An older file's tables and keys by today's names."""
+    tables = dict(data)
+    if OLDER_TABLE in tables:
+        older, newer = tables.pop(OLDER_TABLE), tables.get("recording", [])
+        tables["recording"] = [*newer, *older] if isinstance(older, list) and isinstance(newer, list) else older
+    if isinstance(tables.get("recording"), list):
+        tables["recording"] = [
+            {"stroke" if key == OLDER_STROKE else key: value for key, value in entry.items()}
+            if isinstance(entry, Mapping) and "stroke" not in entry else entry
+            for entry in tables["recording"]
+        ]  # fmt: skip
+    return tables
+
+
 def _entries(name: str, content: object) -> Any:
     """A table of a file, or the list of its entries, with no key that has no meaning."""
-    kind = OLDER.get(name, name)
-    if kind not in KEYS:
+    if name not in KEYS:
         raise SetupError(f"{_show(name)} is not known; {_suggest(name, tuple(KEYS))}")
-    if kind in ("known", "initial", "bounds"):
+    if name in ("known", "initial", "bounds"):
         return content  # by the felt's law, which another table names
-    if kind != "recording":
-        return _table(kind, content)
+    if name != "recording":
+        return _table(name, content)
     if not isinstance(content, list):
         raise SetupError(f"{name} = {_show(content)} must be a table; begin it with a line [[{name}]]")
     return [_table(name, entry) for entry in content]
@@ -210,10 +225,9 @@ def _entries(name: str, content: object) -> Any:
 
 def _table(name: str, content: object, keys: tuple[str, ...] = ()) -> Mapping[str, Any]:
     """A table whose keys all have a meaning: of `keys`, or of those that a file's table of this name has."""
-    kind = OLDER.get(name, name)
-    allowed = keys or KEYS[kind]
+    allowed = keys or KEYS[name]
     if not isinstance(content, Mapping):
-        header = f"[[{name}]]" if kind == "recording" else f"[{name}]"
+        header = f"[[{name}]]" if name == "recording" else f"[{name}]"
         raise SetupError(f"{name} = {_show(content)} must be a table; begin it with a line {header}")
     for key in content:
         if key not in allowed:
@@ -367,13 +381,13 @@ def _strokes(setup: Setup) -> Iterator[str]:
     observed: dict[tuple[str, str | None], int] = {}
     struck: dict[str, float] = {}
     for number, layer in enumerate(setup.recordings, 1):
-        if layer.strike is None:
+        if layer.stroke is None:
             continue
-        entry = f'[[recording]] {number} strike = "{one_line(layer.strike)}"'
-        other = observed.setdefault((layer.strike, layer.group), number)
+        entry = f'[[recording]] {number} stroke = "{one_line(layer.stroke)}"'
+        other = observed.setdefault((layer.stroke, layer.group), number)
         if other != number:
             group = "neither has a group" if layer.group is None else f'both have group = "{one_line(layer.group)}"'
             yield (f"{entry} is that of [[recording]] {other}, and {group}; a microphone observes a stroke once: give "
-                   "each its own group, or another strike")  # fmt: skip
-        if layer.v_H0 is not None and (first := struck.setdefault(layer.strike, layer.v_H0)) != layer.v_H0:
+                   "each its own group, or another stroke")  # fmt: skip
+        if layer.v_H0 is not None and (first := struck.setdefault(layer.stroke, layer.v_H0)) != layer.v_H0:
             yield f"{entry} has v_H0 = {layer.v_H0:g} and {first:g}; one stroke has one velocity: correct one"

@@ -36,7 +36,7 @@ def predict_file(fit: Path, file: Path, out: Path | None, *, channel: str = "ave
     recording = load_recording(file, channel=channel)
     from .analysis import analyse
     from .inference.align import touched
-    from .inference.predict import predict_take
+    from .inference.predict import predict_recording
     from .model.cache import keep_programs
 
     keep_programs()
@@ -44,7 +44,7 @@ def predict_file(fit: Path, file: Path, out: Path | None, *, channel: str = "ave
         analysis = analyse(recording, f0=note.string.c / (2 * note.geometry.length))
     except WrongNoteError:
         raise FitError(_other_key(recording, note, fit)) from None
-    found = predict_take(mixture, analysis)
+    found = predict_recording(mixture, analysis)
     if out is not None:
         strike = found.note.strike(recording.rate)
         touch = touched(found.note, strike, recording)

@@ -41,7 +41,7 @@ INVARIANTS = {
     "F/M_S": ("F/M_S", "felt’s force", "N/kg"),
 }
 # Entries of a fit.json that are read here, and what each is; a damaged one is left out.
-READ = {"invariants": dict, "parameters": dict, "levels": dict, "ringing": dict, "takes": list, "messages": list}
+READ = {"invariants": dict, "parameters": dict, "levels": dict, "ringing": dict, "recordings": list, "messages": list}
 # Sounds of the page: up to this rate, Hz, this long, s, or shorter, so that all have some 8 MB.
 RATE, LONGEST, SHORTEST, SAMPLES = 32_000, 3.0, 1.0, 4_000_000
 
@@ -115,22 +115,22 @@ def _order(entry: Entry) -> tuple[str, int]:
 
 
 def _reference(fit: dict[str, Any]) -> dict[str, Any]:
-    takes = [take for take in fit.get("takes") or () if isinstance(take, dict)]
-    return next((take for take in takes if take.get("first")), takes[0] if takes else {})
+    rows = [row for row in fit.get("recordings") or () if isinstance(row, dict)]
+    return next((row for row in rows if row.get("first")), rows[0] if rows else {})
 
 
 def _heard(store: Store, key: str, fit: dict[str, Any], seconds: float) -> list[Clip]:
     """Recording and fit, cut and equally loud; nothing where one of them is not there any more."""
     import soundfile
 
-    take, channel = _reference(fit), (store.said(key) or {}).get("settings", {}).get("channel", "average")
+    row, channel = _reference(fit), (store.said(key) or {}).get("settings", {}).get("channel", "average")
     try:
-        recording = load_recording(str(take.get("file")), channel=channel)
+        recording = load_recording(str(row.get("file")), channel=channel)
         data = read_file(store.keys / key / "fitted.wav", MAX_BYTES, PianofitError)
         fitted, rate = soundfile.read(io.BytesIO(data), always_2d=True)
     except (PianofitError, soundfile.LibsndfileError):
         return []
-    if recording.sha256 != take.get("sha256") or rate != recording.rate:
+    if recording.sha256 != row.get("sha256") or rate != recording.rate:
         return []
     sounds = {"original": recording.samples, "fitted": fitted.mean(axis=1)}
     return make_clips(sounds, rate, recording.onset / rate, seconds=seconds, highest_rate=RATE)
@@ -142,7 +142,7 @@ def _row(store: Store, entry: Entry, fit: dict[str, Any]) -> dict[str, Any]:
     measured = [with_interval(x.get("value"), x.get("interval")) for x in (invariants.get(n, {}) for n in INVARIANTS)]
     levels, out = fit.get("levels") or {}, _left_out_db(fit)
     return {
-        "key": entry.key, "note": entry.note, "takes": entry.takes, "left_out": entry.left_out,
+        "key": entry.key, "note": entry.note, "recordings": entry.recordings, "left_out": entry.left_out,
         "link": next((f"keys/{quote(entry.key)}/{n}" for n in PAGES if (folder / n).is_file()), ""),
         "measured": measured, "converged": fit.get("converged") is not False, "statuses": _statuses(fit),
         "messages": len(fit.get("messages") or ()), "levels": number(levels.get("fitted_db"), 2),
@@ -188,7 +188,7 @@ def table(entries: Sequence[Entry], fits: dict[str, dict[str, Any]]) -> bytes:
         values = _tables(fit.get("invariants")) | _tables(fit.get("parameters"))
         cells = [values.get(name, {}) for name in (*INVARIANTS, *names)]
         writer.writerow([
-            entry.key, entry.note, entry.state, one_line(entry.reason), entry.takes, len(entry.left_out),
+            entry.key, entry.note, entry.state, one_line(entry.reason), entry.recordings, len(entry.left_out),
             fit.get("converged", ""), _cell((fit.get("levels") or {}).get("fitted_db")), _cell(_left_out_db(fit)),
             (fit.get("ringing") or {}).get("by", "law") if fit else "", _cell(entry.seconds or None),
             *(x for cell in cells for x in (_cell(cell.get("value")), *_ends(cell.get("interval")))),

@@ -24,7 +24,7 @@ class Entry(NamedTuple):
     note: str
     hash: str
     state: str  # waiting, running, done or failed
-    takes: int = 0  # recordings
+    recordings: int = 0
     attempts: int = 0
     reason: str = ""
     sounds_like: str = ""

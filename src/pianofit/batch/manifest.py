@@ -57,7 +57,7 @@ class Sample(NamedTuple):
     layer: str
     velocity: float | None  # m/s, measured
     group: str  # recordings of a group share one path, such as a microphone
-    strike: str = ""  # recordings of one hammer stroke, by several microphones
+    stroke: str = ""  # recordings of one hammer stroke, by several microphones
 
 
 @dataclass(frozen=True)
@@ -269,7 +269,7 @@ def _keys(name: str, rows: list[Row], base: Path, root: Path, transpose: int) ->
 def _with_strikes(samples: list[Sample]) -> list[Sample]:
     """Samples of a key; those of one layer are one stroke, which the groups tell apart."""
     layers = [s.layer for s in samples if s.layer]
-    return [s._replace(strike=s.layer if layers.count(s.layer) > 1 else "") for s in samples]
+    return [s._replace(stroke=s.layer if layers.count(s.layer) > 1 else "") for s in samples]
 
 
 def _listed(problems: Iterable[str]) -> str:

@@ -61,7 +61,7 @@ class Source(NamedTuple):
     sha256: str
     velocity: float | None = None  # m/s
     group: str = ""
-    strike: str = ""
+    stroke: str = ""
 
 
 class Unit(NamedTuple):
@@ -76,7 +76,7 @@ class Unit(NamedTuple):
     @property
     def parts(self) -> dict[str, str]:
         """Hashes of the inputs, the settings and the versions."""
-        inputs = [self.note, [(s.name, s.sha256, s.velocity, s.group, s.strike) for s in self.sources]]
+        inputs = [self.note, [(s.name, s.sha256, s.velocity, s.group, s.stroke) for s in self.sources]]
         return {"inputs": _hash(inputs), "settings": _hash(self.settings), "versions": _hash(self.versions)}
 
     @property
@@ -90,8 +90,8 @@ class Unit(NamedTuple):
         entries = [
             "\n[[recording]]\n" + "".join(f"{k} = {json.dumps(v)}\n" for k, v in entry.items() if v not in (None, ""))
             for s in self.sources
-            if (s.velocity, s.group, s.strike) != (None, "", "")
-            for entry in [{"file": s.name, "v_H0": s.velocity, "group": s.group, "strike": s.strike}]
+            if (s.velocity, s.group, s.stroke) != (None, "", "")
+            for entry in [{"file": s.name, "v_H0": s.velocity, "group": s.group, "stroke": s.stroke}]
         ]
         return self.settings.setup + "".join(entries)
 
@@ -145,7 +145,7 @@ def make_unit(key: Key, settings: Settings) -> Unit:
                 raise RecordingError(
                     f"{one_line(sample.file)} and {one_line(other.path)} are the same recording; list it once"
                 )
-        sources.append(Source(str(sample.file), name, digest, sample.velocity, sample.group, sample.strike))
+        sources.append(Source(str(sample.file), name, digest, sample.velocity, sample.group, sample.stroke))
     return Unit(key.name, key.note, tuple(sources), settings, versions())
 
 

@@ -44,8 +44,8 @@ def summary(document: dict, folder: Path) -> str:
     lines.append(f"levels of {levels['partials']} partials: start {levels['initial_db']:.2f} dB{only}, "
                  f"fitted {levels['fitted_db']:.2f} dB")  # fmt: skip
     lines += [line] if (line := ringing_line(document)) else []
-    if len(document["takes"]) > 1:
-        lines += [_line_of(recording) for recording in document["takes"]]
+    if len(document["recordings"]) > 1:
+        lines += [_line_of(recording) for recording in document["recordings"]]
     for name in ("global", "band1", "band2", "band3"):
         if name in document["criterion"]:
             c = document["criterion"][name]
@@ -92,7 +92,7 @@ def _line_of(recording: dict) -> str:
 def cross_validation(document: dict) -> str:
     """Each recording left out and predicted, beside what needs no model."""
     lines = [f"{'':32}{'v_H0, m/s':>10}{'predicted':>11}{'nearest':>9}{'blend':>7}   dB a partial"]
-    for row in document["takes"]:
+    for row in document["recordings"]:
         predicted, nearest, blend = (
             "-" if row[key] is None else f"{row[key]:.2f}" for key in ("predicted_db", "nearest_db", "blend_db")
         )

@@ -46,10 +46,10 @@ def conclude(problem: Problem, found: Estimate, seed: int, view: View | None = N
     FitError
         If an initial or a final contact does not end.
     """
-    takes = tuple(_heard(problem, found, i) for i in range(len(problem.recordings)))
+    fitted = tuple(_heard(problem, found, i) for i in range(len(problem.recordings)))
     states = statuses(problem, found)
-    levels = together([t.levels for t in takes])
-    reference = takes[problem.reference]
+    levels = together([t.levels for t in fitted])
+    reference = fitted[problem.reference]
     worse = worse_bands(reference.criterion)
     parameters = _parameters(problem, found, states)
     said = messages(problem, found, states, worse)
@@ -58,7 +58,7 @@ def conclude(problem: Problem, found: Estimate, seed: int, view: View | None = N
         parameters = {name: entry | view.entries.get(name, {}) for name, entry in parameters.items()}
         said, diagnostics = [*said, *view.messages], diagnostics | view.diagnostics
     notes = tuple(
-        tuple(note_of(problem, found.minima, b, i)._replace(gain=t.fitted.note.gain) for i, t in enumerate(takes))
+        tuple(note_of(problem, found.minima, b, i)._replace(gain=t.fitted.note.gain) for i, t in enumerate(fitted))
         for b in range(len(found.minima.F))
     )
     document = {
@@ -67,7 +67,7 @@ def conclude(problem: Problem, found: Estimate, seed: int, view: View | None = N
         "messages": said,
         "invariants": invariants(problem, found),
         "parameters": parameters,
-        "takes": [_take(problem, found, i, heard) for i, heard in enumerate(takes)],
+        "recordings": [_row(problem, found, i, heard) for i, heard in enumerate(fitted)],
         "pickup": {"quantity": problem.start.quantity, "path": path_document(reference.fitted.note.path)},
         "minima": _minima(problem, found, notes),
         "derived": derived(reference.fitted.note, reference.fitted.simulation, problem.analyses[problem.reference]),
@@ -77,7 +77,7 @@ def conclude(problem: Problem, found: Estimate, seed: int, view: View | None = N
         "versions": versions(),
     }  # fmt: skip
     return Result(
-        document, takes, problem.reference, _covariance(problem, found), notes,
+        document, fitted, problem.reference, _covariance(problem, found), notes,
         tuple(found.posterior.share.tolist()), None if view is None else view.draws,
     )  # fmt: skip
 
@@ -279,7 +279,7 @@ def invariants(problem: Problem, found: Estimate) -> dict:
     return {n: {k: e[k] for k in ("value", "unit", "interval", "note")} for n, e in table.items()}
 
 
-def _take(problem: Problem, found: Estimate, i: int, heard: FittedRecording) -> dict:
+def _row(problem: Problem, found: Estimate, i: int, heard: FittedRecording) -> dict:
     """What one recording has of its own."""
     recording, stroke = problem.recordings[i], problem.layout.stroke[i]
     speed = _velocity(problem, found, stroke)
@@ -289,7 +289,7 @@ def _take(problem: Problem, found: Estimate, i: int, heard: FittedRecording) -> 
         "onset_s": recording.onset / recording.rate, "v_H0": speed["value"], "v_H0_interval": speed["interval"],
         "v_H0_status": speed["status"], "gain": heard.fitted.note.gain,
         "gain_status": "fitted" if problem.start.scale is None else "given", "first": i == problem.reference,
-        "cents": float(cents), "group": problem.layout.group[i], "strike": stroke,
+        "cents": float(cents), "group": problem.layout.group[i], "stroke": stroke,
         "criterion": heard.criterion, "levels": heard.levels,
     }  # fmt: skip
 

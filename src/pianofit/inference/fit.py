@@ -14,11 +14,11 @@ from .problem import pose
 from .result import Result
 from .views import check_intervals, view_of
 
-__all__ = ["fit_takes"]
+__all__ = ["fit_recordings"]
 
 
 @one_blas_thread()
-def fit_takes(
+def fit_recordings(
     recordings: Sequence[Recording],
     analyses: Sequence[Analysis],
     setup: Setup | None = None,

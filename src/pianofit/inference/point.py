@@ -68,11 +68,11 @@ def point_result(
         "converged": converged, "claims": opening, "messages": [*said, *recording.warnings, *analysis.warnings],
         "invariants": {},
         "parameters": _parameters(start, found, values, at_bound, calibrated),
-        "takes": [{
+        "recordings": [{
             "file": recording.path, "sha256": recording.sha256, "rate": recording.rate,
             "onset_s": recording.onset / recording.rate, "v_H0": float(hammer.v_H0), "v_H0_interval": None,
             "v_H0_status": _status(start, "v_H0", at_bound, calibrated), "gain": after.note.gain,
-            "gain_status": "given" if calibrated else "fitted", "first": True, "cents": 0.0, "group": 0, "strike": 0,
+            "gain_status": "given" if calibrated else "fitted", "first": True, "cents": 0.0, "group": 0, "stroke": 0,
             "criterion": criterion, "levels": errors,
         }],
         "pickup": {"quantity": start.quantity, "path": None},

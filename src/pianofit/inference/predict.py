@@ -24,12 +24,12 @@ from ..recording import Recording
 from ..setup import Setup
 from ..threads import one_blas_thread
 from . import Result
-from .fit import fit_takes
+from .fit import fit_recordings
 from .listener import scored
 from .observations import string_law
 from .priors import LEVEL, VELOCITY, VELOCITY_SPREAD, log_gain
 
-__all__ = ["Prediction", "cross_validate", "predict_take"]
+__all__ = ["Prediction", "cross_validate", "predict_recording"]
 
 # Velocities up to this, m/s, and so many, are tried before the best is refined; they begin at `SLOWEST`.
 FASTEST, TRIED = 12.0, 48
@@ -55,7 +55,7 @@ class Prediction:
 
 
 @one_blas_thread()
-def predict_take(notes: Note | Sequence[tuple[float, Note]], analysis: Analysis) -> Prediction:
+def predict_recording(notes: Note | Sequence[tuple[float, Note]], analysis: Analysis) -> Prediction:
     """Play a fit at the velocity that suits a recording's levels best.
 
     Parameters
@@ -79,7 +79,7 @@ def predict_take(notes: Note | Sequence[tuple[float, Note]], analysis: Analysis)
     >>> it = pianofit.typical(53)
     >>> note = pianofit.Note(it.string, it.hammer, it.geometry, "bridge-force", gain=0.01)
     >>> recording = pianofit.recording_from_samples(note.render(3.0, seconds=2.0), 44_100)
-    >>> found = pianofit.predict_take(note, pianofit.analyse(recording, note="F3"))
+    >>> found = pianofit.predict_recording(note, pianofit.analyse(recording, note="F3"))
     >>> f"{found.velocity:.1f} m/s, {found.error_db:.1f} dB"
     '3.0 m/s, 0.0 dB'
     """
@@ -179,8 +179,8 @@ def cross_validate(
 
     Returns
     -------
-    `takes`, in order of velocity, each with `file`, `v_H0` (in the fit of all), `predicted_v_H0`, `predicted_db` and
-    `partials` (None where no other recording shares the path), `nearest_db` (None without a neighbour), `blend_db`
+    `recordings`, in order of velocity, each with `file`, `v_H0` (in the fit of all), `predicted_v_H0`, `predicted_db`
+    and `partials` (None where no other recording shares the path), `nearest_db` (None without a neighbour), `blend_db`
     (None at a group's ends) and `inner`; `median_inner_db` and `worst_inner_db` (None without an inner recording);
     `messages`. With it the fit of all recordings.
 
@@ -199,26 +199,26 @@ def cross_validate(
     count = len(recordings)
     if count < 3:
         raise FitError(f"{count} recordings are too few to leave one out; give three or more")
-    whole = fit_takes(recordings, analyses, setup, seed=seed)
-    heard = whole.document["takes"]
-    strikes = list(dict.fromkeys(take["strike"] for take in heard))
-    if len(strikes) < 3:
+    whole = fit_recordings(recordings, analyses, setup, seed=seed)
+    heard = whole.document["recordings"]
+    strokes = list(dict.fromkeys(row["stroke"] for row in heard))
+    if len(strokes) < 3:
         raise FitError(
-            f"{count} recordings of {len(strikes)} strokes are too few to leave one stroke out; give three or more"
+            f"{count} recordings of {len(strokes)} strokes are too few to leave one stroke out; give three or more"
         )
     predicted: dict[int, Prediction | None] = {}
-    for place, stroke in enumerate(strikes):
-        progress(f"without stroke {place + 1} of {len(strikes)}", (place + 1) / (len(strikes) + 1))
-        rest = [j for j in range(count) if heard[j]["strike"] != stroke]
-        fit = fit_takes([recordings[j] for j in rest], [analyses[j] for j in rest], setup, seed=seed)
-        for i in (j for j in range(count) if heard[j]["strike"] == stroke):
+    for place, stroke in enumerate(strokes):
+        progress(f"without stroke {place + 1} of {len(strokes)}", (place + 1) / (len(strokes) + 1))
+        rest = [j for j in range(count) if heard[j]["stroke"] != stroke]
+        fit = fit_recordings([recordings[j] for j in rest], [analyses[j] for j in rest], setup, seed=seed)
+        for i in (j for j in range(count) if heard[j]["stroke"] == stroke):
             notes = _notes_for(fit, whole, rest, i)
-            predicted[i] = predict_take(notes, analyses[i]) if notes else None
+            predicted[i] = predict_recording(notes, analyses[i]) if notes else None
     order = sorted(range(count), key=lambda i: heard[i]["v_H0"])
     rows = [_row(i, predicted[i], _around(i, order, heard), heard, analyses) for i in order]
     inner = [row["predicted_db"] for row in rows if row["inner"]]
     found = {
-        "takes": rows,
+        "recordings": rows,
         "median_inner_db": float(np.median(inner)) if inner else None,
         "worst_inner_db": float(max(inner)) if inner else None,
         "messages": [
@@ -260,9 +260,9 @@ def _row(i: int, found: Prediction | None, around: list[int], heard: list[dict],
 
 def _notes_for(fit: Result, whole: Result, rest: list[int], left_out: int) -> list[tuple[float, Note]]:
     """The minima's notes through the path of the recording left out; none if no other went through it."""
-    takes = whole.document["takes"]
+    rows = whole.document["recordings"]
     for place, j in enumerate(rest):
-        if takes[j]["group"] == takes[left_out]["group"]:
+        if rows[j]["group"] == rows[left_out]["group"]:
             return [(share, notes[place]) for share, notes in zip(fit.shares, fit.notes, strict=True)]
     return []
 

@@ -134,7 +134,7 @@ def _layout(entries: Sequence[Layer]) -> Layout:
 
     alone = [("", i) for i in range(len(entries))]
     return Layout(
-        index([own if e.strike is None else e.strike for e, own in zip(entries, alone, strict=True)]),
+        index([own if e.stroke is None else e.stroke for e, own in zip(entries, alone, strict=True)]),
         index([e.group or "" for e in entries]),
         index([own if e.gain_group is None else e.gain_group for e, own in zip(entries, alone, strict=True)]),
     )

@@ -80,14 +80,14 @@ class FittedRecording:
 class Result:
     """A finished fit, or one that was read back from its `fit.json`.
 
-    `document` is what `fit.json` holds, `takes` are in the order in which they were given, none for one that was read
-    back. What is shown of one recording is that of the `first`, the reference. `notes` are what plays each minimum,
-    for every recording, and `shares` their weights. `draws` are the posterior's, where it was asked for: values
-    [chains, draws] by name.
+    `document` is what `fit.json` holds, `recordings` are in the order in which they were given, none for one that was
+    read back. What is shown of one recording is that of the `first`, the reference. `notes` are what plays each
+    minimum, for every recording, and `shares` their weights. `draws` are the posterior's, where it was asked for:
+    values [chains, draws] by name.
     """
 
     document: dict
-    takes: tuple[FittedRecording, ...]
+    recordings: tuple[FittedRecording, ...]
     first: int
     log_covariance: Covariance | None
     notes: tuple[tuple[Note, ...], ...]
@@ -121,7 +121,7 @@ class Result:
 
     @property
     def mixture(self) -> list[tuple[float, Note]]:
-        """The notes of all minima with their shares, the best first: what `predict_take` takes."""
+        """The notes of all minima with their shares, the best first: what `predict_recording` takes."""
         return [(share, notes[self.first]) for share, notes in zip(self.shares, self.notes, strict=True)]
 
     @property
@@ -146,9 +146,9 @@ class Result:
         FitError
             If the fit was read back: a file holds no recordings.
         """
-        if not self.takes:
+        if not self.recordings:
             raise FitError("this result was read from fit.json, which holds no recordings; fit them again")
-        return self.takes[self.first]
+        return self.recordings[self.first]
 
     @property
     def initial(self) -> Sound:
@@ -173,7 +173,7 @@ class Result:
     # --- to look at ---------------------------------------------------------------------------------------------------
 
     def __repr__(self) -> str:
-        count, statement = len(self.document["takes"]), self.claims
+        count, statement = len(self.document["recordings"]), self.claims
         state = "converged" if self.document["converged"] else "NOT CONVERGED"
         short = statement if len(statement) <= STATEMENT else statement[: STATEMENT - 3] + "..."
         lines = [f"Result of {count} recording{'s' * (count != 1)}, {self.document['recipe']} recipe, {state}", short]

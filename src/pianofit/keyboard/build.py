@@ -143,7 +143,8 @@ def _key(i, midi, values, laws, keys, own, base, quantity, sign, paths) -> dict[
     inner = keys[0].midi < midi < keys[-1].midi
     state = ("interpolated" if inner else "extrapolated") if j is None else _worst(states)
     fit = None if j is None else {
-        "file": keys[j].file, "takes": keys[j].takes, "levels_db": keys[j].levels_db, "converged": keys[j].converged,
+        "file": keys[j].file, "recordings": keys[j].recordings, "levels_db": keys[j].levels_db,
+        "converged": keys[j].converged,
         "velocities": list(keys[j].velocities), "layers": [layer._asdict() for layer in keys[j].layers],
         "partials": _partials(keys[j].note),
     }  # fmt: skip

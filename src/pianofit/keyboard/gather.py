@@ -64,7 +64,7 @@ class KeyFit(NamedTuple):
     velocities: tuple[float, ...]  # of the recordings, ascending, m/s
     levels_db: float | None  # rms error of the partials' levels
     converged: bool
-    takes: int  # recordings
+    recordings: int
     layers: tuple[Layer, ...] = ()  # those of them that are named, soft to loud
 
 
@@ -193,14 +193,14 @@ def _load_key(file: Path) -> KeyFit:
     document = json.loads(file.read_bytes())
     name = one_line(file)
     midi = _midi(note, file)
-    takes = [take for take in document["takes"] if isinstance(take, dict)]
-    path = next((take for take in takes if take.get("first") is True), takes[0]).get("group")
+    rows = [row for row in document["recordings"] if isinstance(row, dict)]
+    path = next((row for row in rows if row.get("first") is True), rows[0]).get("group")
     # The note has the reference's path, and a gain belongs to a path.
-    own = [i for i, take in enumerate(takes) if take.get("group") == path]
-    loud = max(own, key=lambda i: _positive(takes[i].get("v_H0"), f"takes[{i}].v_H0", name))
-    gain = _positive(takes[loud].get("gain"), f"takes[{loud}].gain", name, signed=True)
-    velocities = np.unique([_positive(take.get("v_H0"), f"takes[{i}].v_H0", name) for i, take in enumerate(takes)])
-    calibrated = any(take.get(key) in KNOWN for take in takes for key in ("gain_status", "v_H0_status"))
+    own = [i for i, row in enumerate(rows) if row.get("group") == path]
+    loud = max(own, key=lambda i: _positive(rows[i].get("v_H0"), f"recordings[{i}].v_H0", name))
+    gain = _positive(rows[loud].get("gain"), f"recordings[{loud}].gain", name, signed=True)
+    velocities = np.unique([_positive(row.get("v_H0"), f"recordings[{i}].v_H0", name) for i, row in enumerate(rows)])
+    calibrated = any(row.get(key) in KNOWN for row in rows for key in ("gain_status", "v_H0_status"))
     if not isinstance(note.hammer, Hammer):
         raise FitError(f"{name}: a relaxing felt cannot be carried over a keyboard; fit with --felt hunt-crossley")
     # A felt without loss is one with next to none: the law is in log μ.
@@ -213,18 +213,18 @@ def _load_key(file: Path) -> KeyFit:
     told = _deviations(document, note, midi, converged, scale)
     return KeyFit(
         midi, name, note._replace(hammer=hammer, gain=gain / scale), told, tuple((velocities * scale).tolist()),
-        float(error) if _finite(error) else None, converged, len(takes), _layers(document, takes, scale),
+        float(error) if _finite(error) else None, converged, len(rows), _layers(document, rows, scale),
     )  # fmt: skip
 
 
-def _layers(document: dict, takes: list[dict], scale: float) -> tuple[Layer, ...]:
+def _layers(document: dict, rows: list[dict], scale: float) -> tuple[Layer, ...]:
     """The recordings that a fit names, with their velocities on the instrument's scale."""
     ringing = document.get("ringing") or {}
     after = {one.get("file"): one.get("contact_s") for one in ringing.get("layers") or () if isinstance(one, dict)}
     found = [
-        Layer(take["file"], str(take.get("sha256")), float(take["onset_s"] + (after.get(take["file"]) or 0.0)),
-              float(take["v_H0"] * scale))
-        for take in takes if isinstance(take.get("file"), str) and _finite(take.get("onset_s"))
+        Layer(row["file"], str(row.get("sha256")), float(row["onset_s"] + (after.get(row["file"]) or 0.0)),
+              float(row["v_H0"] * scale))
+        for row in rows if isinstance(row.get("file"), str) and _finite(row.get("onset_s"))
     ]  # fmt: skip
     return tuple(sorted(found, key=lambda layer: layer.velocity))
 

@@ -55,7 +55,7 @@ def _row(key: dict[str, Any]) -> dict[str, Any]:
     cells = [
         f"{s['c'] / (2 * g['length']):.2f}", f"{key['told']['B']['value']:.3g}", f"{s['b1']:.3g}", f"{s['b2']:.2e}",
         f"{1e3 * h['M_H']:.3g}", f"{1e3 * g['mass']:.3g}", f"{h['K_H']:.2e}", f"{h['p']:.3f}", f"{h['mu']:.2g}",
-        str(fit["takes"]) if fit else "–",
+        str(fit["recordings"]) if fit else "–",
         f"{fit['levels_db']:.2f}" if fit and fit["levels_db"] is not None else "–",
     ]  # fmt: skip
     moved = [f"{n} ({t['state']})" if t["state"] == "outlier" else n for n, t in key["told"].items()

@@ -34,7 +34,7 @@ def has_intervals(result: Result) -> bool:
 def felt_of(result: Result) -> Felt:
     """The static law to the largest compression of all recordings, with its band if the fit has one."""
     hammer = result.note.hammer
-    reached = max(float(np.max(heard.fitted.simulation.pulse.compression)) for heard in result.takes)
+    reached = max(float(np.max(heard.fitted.simulation.pulse.compression)) for heard in result.recordings)
     u = reached * np.linspace(0.0, 1.0, POINTS + 1)[1:]
     names, cov = _shared(result)
     cov = cov if has_intervals(result) else 0 * cov
@@ -58,7 +58,7 @@ def _shared(result: Result) -> tuple[tuple[str, ...], np.ndarray]:
     cov = given
     velocity = result.parameters.get("v_H0")
     if velocity is not None and velocity.status == "scaled":
-        held = len(names) + result.document["takes"][result.first]["strike"]
+        held = len(names) + result.document["recordings"][result.first]["stroke"]
         if cov[held, held] > 0:
             cov = cov - np.outer(cov[held], cov[held]) / cov[held, held]
             # What the scale alone moved is held now, but for rounding.

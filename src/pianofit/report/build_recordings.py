@@ -20,7 +20,7 @@ LOOP_POINTS = 400
 
 def recordings_of(result: Result) -> tuple[RecordingCurves, ...]:
     """Every recording, in the order given."""
-    return tuple(_recording(place, heard) for place, heard in enumerate(result.takes, start=1))
+    return tuple(_recording(place, heard) for place, heard in enumerate(result.recordings, start=1))
 
 
 def _recording(place: int, heard) -> RecordingCurves:
@@ -40,7 +40,7 @@ def _recording(place: int, heard) -> RecordingCurves:
 def paths_of(result: Result) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
     """The output path of each group at its partials: Hz and dB; none for a known pickup."""
     found = {}
-    for heard, recording in zip(result.takes, result.document["takes"], strict=True):
+    for heard, recording in zip(result.recordings, result.document["recordings"], strict=True):
         path = heard.fitted.note.path
         if path is not None:
             found.setdefault(recording["group"], (path.frequency, path.db))
@@ -52,7 +52,7 @@ def strokes_of(result: Result) -> Strokes | None:
 
     The mean of its channels, as it rings, from its `lead` before the contact.
     """
-    own = np.array([heard.fitted.note.hammer.v_H0 for heard in result.takes])
+    own = np.array([heard.fitted.note.hammer.v_H0 for heard in result.recordings])
     low, high = float(own.min()), float(own.max())
     inside = high / low > NARROW
     if not inside:

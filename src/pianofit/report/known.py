@@ -109,7 +109,7 @@ def open_scale(fit: dict[str, Any]) -> bool:
     """Whether velocities are known up to one common scale: neither one of them nor the gain was given."""
     if _status(fit, "v_H0") in ("scaled", "assumed"):
         return True
-    recordings = fit.get("takes") or ()
+    recordings = fit.get("recordings") or ()
     given = any("given" in (recording.get("gain_status"), recording.get("v_H0_status")) for recording in recordings)
     return _status(fit, "v_H0") == "not-identifiable" and not given
 
@@ -143,7 +143,7 @@ def _velocities(fit: dict[str, Any]) -> list[str]:
         entries = [entry for name, entry in (fit.get("invariants") or {}).items() if name.startswith(VELOCITY_RATIO)]
     else:
         of = "Velocities of the strokes"
-        recordings = fit.get("takes") or ()
+        recordings = fit.get("recordings") or ()
         entries = (
             [{"interval": recording.get("v_H0_interval")} for recording in recordings] if len(recordings) > 1 else []
         )
@@ -200,14 +200,14 @@ def _scaled(fit: dict[str, Any]) -> str:
 
 def held_out_rows(held_out: dict[str, Any] | None) -> dict[str, Any] | None:
     """What `predict.cross_validate` returned, for the page; None without recordings."""
-    recordings = [recording for recording in (held_out or {}).get("takes") or () if isinstance(recording, dict)]
+    recordings = [recording for recording in (held_out or {}).get("recordings") or () if isinstance(recording, dict)]
     if held_out is None or not recordings:
         return None
     numbers = ("v_H0", "predicted_v_H0", "partials", "predicted_db", "nearest_db", "blend_db")
     median, worst = (held_out.get(key) for key in ("median_inner_db", "worst_inner_db"))
     shown = is_number(median) and is_number(worst)
     return {
-        "takes": [
+        "recordings": [
             {"file": str(recording.get("file") or "")}
             | {n: recording.get(n) if is_number(recording.get(n)) else None for n in numbers}
             for recording in recordings

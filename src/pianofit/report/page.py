@@ -52,10 +52,10 @@ def write_report(
     names = _names(fit, held_out)
     fit = {key: _named(names, entry) for key, entry in fit.items() if entry is not None}
     held_out = _named(names, held_out)
-    onset = _onset(fit.get("takes", []))
+    onset = _onset(fit.get("recordings", []))
     left_out = known.held_out_rows(held_out)
     figures = draw_figures(
-        curves, tuple(fit.get("criterion", {}).get("dropped") or ()), tuple(left_out["takes"]) if left_out else ()
+        curves, tuple(fit.get("criterion", {}).get("dropped") or ()), tuple(left_out["recordings"]) if left_out else ()
     )
     identified = known.identified(fit)
     write_page(
@@ -79,7 +79,7 @@ def write_report(
         clips=_clips(curves, onset),
         ringing=_ringing(fit, curves),
         strokes=_strokes(curves.strokes),
-        players=_players(curves, fit.get("takes", [])),
+        players=_players(curves, fit.get("recordings", [])),
         identified=identified,
         felt_scale=known.felt_scale(fit),
         scale_open=known.open_scale(fit),
@@ -95,7 +95,7 @@ def write_report(
 
 def _contents(fit: dict[str, Any], identified: bool, left_out: bool, ringing: bool) -> list[tuple[str, str]]:
     """The page's headings: (id, words)."""
-    several = len(fit.get("takes") or ()) > 1
+    several = len(fit.get("recordings") or ()) > 1
     headings = (
         ("recordings", "The recordings", several),
         ("listen", "Listen", True),
@@ -115,7 +115,7 @@ def _names(*documents: dict[str, Any] | None) -> dict[str, str]:
     recordings = [
         recording
         for document in documents
-        for recording in (document or {}).get("takes") or ()
+        for recording in (document or {}).get("recordings") or ()
         if isinstance(recording, dict)
     ]
     files = {str(recording.get("file") or "") for recording in recordings}

@@ -50,7 +50,7 @@ def write_page(result: Result, path: Path, title: str | None, held_out: dict | N
 
 def _title(result: Result) -> str:
     """The names of the recordings, and the note if one was given."""
-    names = ", ".join(one_line(Path(heard.recording.path).name) for heard in result.takes)
+    names = ", ".join(one_line(Path(heard.recording.path).name) for heard in result.recordings)
     return names + (f", {result.analysis.note}" if result.analysis.note else "")
 
 
@@ -65,8 +65,8 @@ def _write_sounds(result: Result, folder: Path) -> None:
     ringing = result.note.ringing
     if ringing is not None and (knock := encode_knock(ringing)):
         replace_file(folder / KNOCK_FILE, knock)
-    stems = [Path(heard.recording.path).stem for heard in result.takes]
-    for place, (stem, heard) in enumerate(zip(stems, result.takes, strict=True), 1):
+    stems = [Path(heard.recording.path).stem for heard in result.recordings]
+    for place, (stem, heard) in enumerate(zip(stems, result.recordings, strict=True), 1):
         if len(stems) > 1:
             name = stem if stems.count(stem) == 1 else f"{stem}-{place}"  # of one name in two folders
             replace_file(folder / f"fitted-{name}.wav", encode_wav(heard.sound, heard.recording.rate))

@@ -49,7 +49,7 @@ def make_ring(result: Result, progress: Callable[[str, float], None] = lambda *_
     A calibrated fit keeps its law: between its string and its file lies nothing that is unknown. So does one whose
     partials stand too little above the noise to show modes.
     """
-    if result.document["takes"][result.first]["gain_status"] == "given":
+    if result.document["recordings"][result.first]["gain_status"] == "given":
         return result
     progress("ringing", 0.95)
     layers = _layers(result)
@@ -74,11 +74,11 @@ def ringing_of(result: Result) -> Ringing | None:
 
 
 def _layers(result: Result) -> _Layers:
-    rows = result.document["takes"]
+    rows = result.document["recordings"]
     group = rows[result.first]["group"]
     place = [i for i, row in enumerate(rows) if row["group"] == group]
-    place.sort(key=lambda i: result.takes[i].fitted.note.hammer.v_H0)
-    fitted = [result.takes[i] for i in place]
+    place.sort(key=lambda i: result.recordings[i].fitted.note.hammer.v_H0)
+    fitted = [result.recordings[i] for i in place]
     heard = hear([layer.recording for layer in fitted], [layer.analysis for layer in fitted])
     return _Layers(place, fitted, heard, [force_of(layer.fitted.simulation) for layer in fitted])
 
@@ -139,23 +139,23 @@ def _attached(result: Result, layers: _Layers, key: Key, rung: str, distances: d
     if rung == "law":
         return dataclasses.replace(result, document=result.document | {"ringing": said})
     ringing = key.ringing if rung == RUNGS[-1] else key.ringing.without_knock()
-    takes, best = list(result.takes), list(result.notes[0])
+    recordings, best = list(result.recordings), list(result.notes[0])
     for place, gain, late in zip(layers.place, key.gain, key.delay, strict=True):
-        own = ringing.louder(gain / takes[place].fitted.note.gain)
+        own = ringing.louder(gain / recordings[place].fitted.note.gain)
         best[place] = best[place]._replace(ringing=own)
-        takes[place] = _as_it_rings(takes[place], own, late)
+        recordings[place] = _as_it_rings(recordings[place], own, late)
         if place == result.first:
             said |= ringing_document(own)
     notes = (tuple(best), *result.notes[1:])
     return dataclasses.replace(
-        result, document=result.document | {"ringing": said}, takes=tuple(takes), notes=notes
+        result, document=result.document | {"ringing": said}, recordings=tuple(recordings), notes=notes
     )  # fmt: skip
 
 
-def _as_it_rings(take: FittedRecording, ringing: Ringing, late: float) -> FittedRecording:
+def _as_it_rings(heard: FittedRecording, ringing: Ringing, late: float) -> FittedRecording:
     """A recording beside a note that rings."""
-    law, recording = take.fitted, take.recording
+    law, recording = heard.fitted, heard.recording
     note = law.note._replace(ringing=ringing)
     touch = recording.onset + round(late * recording.rate)
     frames = note.frames(law.simulation, recording.rate, len(recording.samples), touch)
-    return dataclasses.replace(take, ringing=Sound(note, frames.mean(axis=0), law.simulation, law.level, frames))
+    return dataclasses.replace(heard, ringing=Sound(note, frames.mean(axis=0), law.simulation, law.level, frames))

@@ -99,7 +99,7 @@ def setup_text(measurement: Measurement, *, hold_velocity: bool = True) -> str:
     read = measurement.nominal_velocity
     if not hold_velocity:
         return twin.setup_text(measurement.scale, v_H0=read)
-    held = f"\n[[take]]\nv_H0 = {read!r}  # m/s, as the sensor read it\n"
+    held = f"\n[[recording]]\nv_H0 = {read!r}  # m/s, as the sensor read it\n"
     return twin.setup_text(measurement.scale, v_H0=None) + held
 
 

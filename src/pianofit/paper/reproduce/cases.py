@@ -16,7 +16,7 @@ import numpy as np
 from ...analysis import Analysis, analyse, law_frequency
 from ...criterion import BANDS, Cells, band_of, band_values, line_sigma, measure
 from ...inference import Result
-from ...inference.fit import fit_takes
+from ...inference.fit import fit_recordings
 from ...inference.start import starting_values
 from ...model.note import Note
 from ...parameters import FIT_NAMES, STRING_NAMES
@@ -135,7 +135,7 @@ def fitted(case: Case, recipe: str, seed: int, annealing: int | None = None, tri
     """
     heard, setup = (case.recording, case.analysis), case.setup
     if recipe == "default":
-        return fit_takes([case.recording], [case.analysis], setup, seed=seed)
+        return fit_recordings([case.recording], [case.analysis], setup, seed=seed)
     if recipe == "global":
         return fit_by_recipe(*heard, setup, recipe, seed=seed)
     if recipe == "read":

@@ -43,7 +43,7 @@ export function noteDocument(key, { velocity, rate, claims }) {
     schema: SCHEMA, program: "pianofit", kind: "note", claims, messages: [],
     felt: hammer.mu === 0 ? "power" : "hunt-crossley",
     parameters: Object.fromEntries(Object.entries(values).map(([name, value]) => [name, given(value)])),
-    takes: [{ rate, v_H0: velocity, v_H0_status: "given", gain, gain_status: "given", first: true }],
+    recordings: [{ rate, v_H0: velocity, v_H0_status: "given", gain, gain_status: "given", first: true }],
     pickup: { quantity, path: path ? Object.fromEntries(Object.entries(path).map(([n, x]) => [n, Array.from(x)])) : null },
     ringing: key.ringing ? ringingOf(key) : { by: "law" },
   };

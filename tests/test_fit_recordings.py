@@ -13,8 +13,8 @@ from twin_cases import FIRST, SEVERAL, VELOCITIES, path_fit, record, setup_of, s
 from pianofit.analysis import Partials, analyse
 from pianofit.errors import FitError
 from pianofit.inference import Result, pose
-from pianofit.inference.fit import fit_takes
-from pianofit.inference.predict import cross_validate, predict_take
+from pianofit.inference.fit import fit_recordings
+from pianofit.inference.predict import cross_validate, predict_recording
 from pianofit.setup import Layer, Setup
 
 FILES = [f"{stroke}-{microphone}.wav" for stroke, microphone in SEVERAL]
@@ -30,7 +30,7 @@ def blas_threads() -> list[int]:
 @functools.cache
 def without_the_middle() -> Result:
     recordings, analyses = through(SEVERAL)
-    return fit_takes(
+    return fit_recordings(
         [recordings[0], recordings[2]], [analyses[0], analyses[2]], strokes_of(SEVERAL),
         progress=lambda *_: BLAS_THREADS.extend(blas_threads()),
     )  # fmt: skip
@@ -47,24 +47,26 @@ def test_a_fit_keeps_blas_to_one_thread_and_gives_back_what_the_caller_had():
 
 def test_every_recording_is_shown_with_its_own():
     document = path_fit(SEVERAL).document
-    assert [take["file"] for take in document["takes"]] == FILES
-    assert [take["first"] for take in document["takes"]] == [False, False, True]
-    assert [take["v_H0_status"] for take in document["takes"]] == ["fitted", "fitted", "given"]
+    assert [row["file"] for row in document["recordings"]] == FILES
+    assert [row["first"] for row in document["recordings"]] == [False, False, True]
+    assert [row["v_H0_status"] for row in document["recordings"]] == ["fitted", "fitted", "given"]
     assert document["parameters"]["v_H0"] == document["parameters"]["v_H0"] | {"value": 3.2, "status": "given"}
     assert document["claims"].startswith("3 uncalibrated recordings of one key")
-    for take in document["takes"]:
-        assert take["criterion"]["global"]["final"] < min(0.05, take["criterion"]["global"]["initial"])
-        assert take["levels"]["fitted_db"] < 0.2
-        assert take["gain_status"] == "fitted"
+    for row in document["recordings"]:
+        assert row["criterion"]["global"]["final"] < min(0.05, row["criterion"]["global"]["initial"])
+        assert row["levels"]["fitted_db"] < 0.2
+        assert row["gain_status"] == "fitted"
     assert {document["parameters"][n]["status"] for n in ("K_H", "mu", "p", "M_H")} == {"fitted"}
 
 
 def test_the_order_of_files_changes_nothing():
     recordings, analyses = through(SEVERAL)
-    first, other = path_fit(SEVERAL).document, fit_takes(recordings[::-1], analyses[::-1], strokes_of(SEVERAL)).document
-    assert [t["file"] for t in other["takes"]] == FILES[::-1]
+    first = path_fit(SEVERAL).document
+    other = fit_recordings(recordings[::-1], analyses[::-1], strokes_of(SEVERAL)).document
+    velocities = [[row["v_H0"] for row in document["recordings"]] for document in (first, other)]
+    assert [t["file"] for t in other["recordings"]] == FILES[::-1]
     # The search draws other samples for strokes in another order, and ends where F gains less than a thousandth.
-    assert [t["v_H0"] for t in other["takes"]] == pytest.approx([t["v_H0"] for t in first["takes"]][::-1], rel=2e-3)
+    assert velocities[1] == pytest.approx(velocities[0][::-1], rel=2e-3)
     for name, p in first["parameters"].items():
         assert other["parameters"][name]["value"] == pytest.approx(p["value"], rel=2e-2 if name == "K_H" else 2e-3), (
             name
@@ -95,7 +97,7 @@ def test_groups_and_gain_groups_are_the_setups():
 def test_a_recording_that_was_left_out_is_predicted():
     result = without_the_middle()
     notes = list(zip(result.shares, (minimum[0] for minimum in result.notes), strict=True))
-    found = predict_take(notes, through(SEVERAL)[1][1])
+    found = predict_recording(notes, through(SEVERAL)[1][1])
     assert found.velocity == pytest.approx(VELOCITIES[1], rel=0.02)
     assert found.error_db < 0.3
 
@@ -103,12 +105,12 @@ def test_a_recording_that_was_left_out_is_predicted():
 @pytest.mark.slow
 def test_cross_validation_beats_the_nearest_layer():
     found, whole = cross_validate(*through(SEVERAL), strokes_of(SEVERAL))
-    assert whole.document["takes"][0]["v_H0"] == pytest.approx(found["takes"][0]["v_H0"])
-    assert [take["inner"] for take in found["takes"]] == [False, True, False]
-    middle = found["takes"][1]
+    assert whole.document["recordings"][0]["v_H0"] == pytest.approx(found["recordings"][0]["v_H0"])
+    assert [row["inner"] for row in found["recordings"]] == [False, True, False]
+    middle = found["recordings"][1]
     assert middle["predicted_db"] == found["median_inner_db"] == found["worst_inner_db"]
     assert middle["predicted_db"] < 0.5 * middle["nearest_db"]
-    assert found["takes"][0]["blend_db"] is None
+    assert found["recordings"][0]["blend_db"] is None
 
 
 @pytest.mark.parametrize("number", [1, 2])
@@ -126,8 +128,8 @@ def test_a_string_that_was_tenser_when_it_was_struck():
         replace(record(FIRST, seed=1), path="soft"),
         replace(record(hard, seed=2, glide_cents=6.0, glide_seconds=0.5), path="hard"),
     ]
-    found = fit_takes(recordings, [analyse(r, f0=FIRST.f0) for r in recordings], setup_of(FIRST)).document
-    np.testing.assert_allclose([take["v_H0"] for take in found["takes"]], [1.4, 4.0], rtol=3e-3)
+    found = fit_recordings(recordings, [analyse(r, f0=FIRST.f0) for r in recordings], setup_of(FIRST)).document
+    np.testing.assert_allclose([row["v_H0"] for row in found["recordings"]], [1.4, 4.0], rtol=3e-3)
     assert found["parameters"]["M_H"]["value"] == pytest.approx(FIRST.hammer.M_H, rel=2e-3)
     assert found["diagnostics"]["excess"]["level_db"] < 0.05
 
@@ -135,13 +137,13 @@ def test_a_string_that_was_tenser_when_it_was_struck():
 def test_recordings_that_do_not_belong_are_named():
     recordings, analyses = through(SEVERAL)
     with pytest.raises(FitError, match=r"0-close\.wav and 0-close\.wav are the same recording"):
-        fit_takes([recordings[0]] * 2, [analyses[0]] * 2)
+        fit_recordings([recordings[0]] * 2, [analyses[0]] * 2)
     sharp = replace(analyses[1], f0=analyses[1].f0 * 2 ** (1 / 12))
     with pytest.raises(FitError, match=r"1-close\.wav: its pitch.* cents from that of the other recordings"):
-        fit_takes(recordings, [analyses[0], sharp, analyses[2]])
+        fit_recordings(recordings, [analyses[0], sharp, analyses[2]])
     p = analyses[1].partials
     cut = {f.name: getattr(p, f.name) for f in fields(Partials)}
     cut = {n: x[:2, :2] if x.ndim == 2 else x if n.startswith("absent") else x[:2] for n, x in cut.items()}
     thin = replace(analyses[1], partials=Partials(**cut))
     with pytest.raises(FitError, match=r"1-close\.wav: only 2 partials stand above its noise"):
-        fit_takes(recordings, [analyses[0], thin, analyses[2]])
+        fit_recordings(recordings, [analyses[0], thin, analyses[2]])
