@@ -29,7 +29,7 @@ from .coordinates import STRING_SIZE
 __all__ = ["LANES", "Cfg", "Scene", "in_lanes", "levels", "own_levels", "own_slopes", "pool", "slopes"]
 
 # Lanes of one call: enough to fill vector units; more would make the fast ones wait for the slow ones.
-LANES = 24
+LANES = 8
 DB = 20 / np.log(10)
 
 
