@@ -14,8 +14,8 @@ sound, and nothing else:
 
 Every second twin is calibrated: a velocity pickup of known place and scale. The others are observed at the bridge
 through an unknown path: a minimum-phase filter whose level wanders smoothly, and more from one partial to the next, by
-what is drawn from the priors of both; and with another gain in every recording. White noise lies 40 to 70 dB below each recording's
-first second.
+what is drawn from the priors of both; and with another gain in every recording. White noise lies 40 to 70 dB below
+each recording's first second.
 
 The setup says what a laboratory would know: length, mass, strike and, where there is a path, the velocity of the
 hardest stroke, since no recording through a path tells it. Of every second twin with a path the strike's position is

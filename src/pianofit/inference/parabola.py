@@ -1,8 +1,8 @@
 """F of residuals while φ and w are held: one parabola for any number of candidates.
 
-With C at the nodes of τ and of the gains, F = -log Σ_t share_t exp(-½ rᵀC_t⁻¹r - ...) is concave in the parabolas, so it
-lies below ½ rᵀQr + constant, Q = Σ_t p_t C_t⁻¹ with the nodes' weights p at a residual, and touches it there: what lowers
-the parabola lowers F. Partials that are absent are not in it.
+With C at the nodes of τ and of the gains, F = -log Σ_t share_t exp(-½ rᵀC_t⁻¹r - ...) is concave in the parabolas, so
+it lies below ½ rᵀQr + constant, Q = Σ_t p_t C_t⁻¹ with the nodes' weights p at a residual, and touches it there: what
+lowers the parabola lowers F. Partials that are absent are not in it.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def middle_matrix(table: Table, phi, w, _):
 
 def _averaged(table: Table, phi, w, weight):
     pieces = factored(table, phi, w)
-    nodes, groups, size, _ = pieces.root.shape
+    _, groups, size, _ = pieces.root.shape
     recordings = table.value.shape[0]
     d = pieces.precision.ravel()
     flat = table.columns.reshape(-1, recordings * size)

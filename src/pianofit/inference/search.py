@@ -12,7 +12,6 @@ While φ and w are held, F of many candidates is one parabola of their residuals
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 from scipy.stats import norm, qmc
@@ -234,14 +233,9 @@ class Search:
         return people.take(np.argsort(self.total(people.z, people.report), kind="stable"))
 
     def _lift(self, people: Population, floor: float) -> None:
-        """Put φ where a floor that has risen allows it, F higher or not, and w where EM takes it."""
-        lower, upper = self._range(floor)
-        w = next_weights(self.table, people.report.by_log_w, people.w)
-        phi = np.clip(people.phi, lower, upper)
-        found = report(self.table, people.residual, people.jacobian, phi, w)
-        better = (found.F <= people.report.F) | (phi != people.phi).any(axis=1)
-        chosen = np.flatnonzero(better)
-        people.put(chosen, replace(people.take(chosen), phi=phi[better], w=w[better], report=found.take(better)))
+        """F where φ is put that a floor which has risen no longer allows."""
+        people.phi = np.clip(people.phi, *self._range(floor))
+        people.report = report(self.table, people.residual, people.jacobian, people.phi, people.w)
 
     def _range(self, floor: float) -> tuple[np.ndarray, np.ndarray]:
         """Least and largest φ, with σ above `floor`, dB."""
@@ -264,10 +258,9 @@ class Search:
         people.damping[on] = np.clip(now.damping * np.where(better, 0.2, 8.0), LEAST_DAMPING, 8 * MOST_DAMPING)
         gained = np.where(better, before - np.where(better, after, 0.0), np.inf)
         people.gained[on] = np.where(stuck, 0.0, gained)
-        people.inverse[on] = np.where(
-            better[:, None, None], _bfgs(now.inverse, phi - now.phi, found.by_phi - now.report.by_phi),
-            0.3 * now.inverse,
-        )  # fmt: skip
+        if parabola is None:
+            inverse = _bfgs(now.inverse, phi - now.phi, found.by_phi - now.report.by_phi)
+            people.inverse[on] = np.where(better[:, None, None], inverse, 0.3 * now.inverse)
         chosen = on[better]
         people.put(chosen, Population(
             z[better], phi[better], w[better], residual[better], jacobian[better], found.take(better),
@@ -335,9 +328,7 @@ class Search:
         self.lanes += len(lanes)
         p = self.problem
         scene = p.scene._replace(rate=p.scene.rate / COARSER)
-        cfg = p.cfg._replace(
-            steps=p.cfg.steps // COARSER, n_modes=max(p.cfg.rows, p.cfg.n_modes // COARSER), free=()
-        )
+        cfg = p.cfg._replace(steps=p.cfg.steps // COARSER, n_modes=max(p.cfg.rows, p.cfg.n_modes // COARSER), free=())
         level, ended = in_lanes(levels, (self.string, lanes), scene, cfg, MANY_LANES)
         level = level.reshape(len(grid), len(z), -1)[..., self.columns].swapaxes(0, 1)
         return screen(self, z, grid, level, ended.reshape(len(grid), len(z)).T)
@@ -366,10 +357,7 @@ class Search:
         for stage, (count, iterations, floor) in enumerate(STAGES):
             progress("hammer", 0.4 + 0.1 * stage)
             going = distinct(people, self.unknowns, self.total(people.z, people.report), np.inf, ONE_VALLEY)
-            people = people.take(np.array(going[:count]))
-            if stage == 0:
-                people.report = report(self.table, people.residual, people.jacobian, people.phi, people.w)
-            people = self.descend(people, floor, iterations)
+            people = self.descend(people.take(np.array(going[:count])), floor, iterations)
         progress("restarts", 0.6)
         random = np.random.default_rng(seed)
         for _ in range(ROUNDS):
@@ -406,12 +394,10 @@ class Search:
         if not len(more):
             return people
         more = self.descend(more, 0.0, TRIAL, parabola=parabola)
-        bound = parabola(people.residual[:1], people.jacobian[:1])
-        lowest = float(self.total(people.z[:1], bound)[0])
+        lowest = self.total(people.z[:1], parabola(people.residual[:1], people.jacobian[:1]))[0]
         going = np.flatnonzero(self.total(more.z, more.report) < lowest + NEAR)[:GOING]
         if len(going):
-            more = self.begun(more.z[going], phi, w)
-            people = people.join(self.descend(more, 0.0, STAGES[-1][1]))
+            people = people.join(self.descend(more.take(going), 0.0, STAGES[-1][1]))
         return people.take(np.argsort(self.total(people.z, people.report), kind="stable"))
 
 
