@@ -9,14 +9,17 @@ nothing but T̂ changes.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from numpy.polynomial.chebyshev import chebpts1, chebvander
 
 from ..criterion import NODES
+from ..inference.lanes import in_lanes
 from ..model.cache import kept
 from ..model.contact import Pulse, impulse_amplitude, kernel_rows, strike
 from ..model.modes import Modes, mode_table
@@ -35,6 +38,9 @@ NEAREST = 5
 MIDDLE = 0.3
 # Hammers of one call at most: so many share a compiled program.
 BATCH = 32
+# Where a cell is sampled, in [-1, 1], and the matrix from values there to values at the cell's own nodes.
+PLACES = chebpts1(SMOOTH)
+SPREAD_OUT = chebvander(np.linspace(-1, 1, NODES), SMOOTH - 1) @ np.linalg.inv(chebvander(PLACES, SMOOTH - 1))
 
 
 class Cfg(NamedTuple):
@@ -62,18 +68,6 @@ class Held(NamedTuple):
     real: Array  # of ζ^n at the Chebyshev nodes [steps, rows · SMOOTH]: T̂ is then one matrix product
     imag: Array
     rows: Array  # of the kernel
-
-
-def _chebyshev() -> tuple[np.ndarray, np.ndarray]:
-    """Nodes in [-1, 1], and the matrix [NODES, SMOOTH] from values there to values at the cell's own nodes."""
-    order = np.arange(SMOOTH)
-    angle = (2 * order + 1) * np.pi / (2 * SMOOTH)
-    at = np.cos(np.outer(np.arccos(np.linspace(-1, 1, NODES)), order))
-    back = np.cos(np.outer(order, angle)) * np.where(order == 0, 1.0, 2.0)[:, None] / SMOOTH
-    return np.cos(angle), at @ back
-
-
-PLACES, SPREAD_OUT = _chebyshev()
 
 
 def _log_zeta(frequency: Array, sigma: Array, step: Array) -> Array:
@@ -105,8 +99,7 @@ def string_mobility(modes: Modes, goal: Goal, pulse: float) -> Float[Array, "row
 
 def pulse_energy(real: Array, imag: Array) -> Float[Array, "rows nodes"]:
     """|T̂|² on the cells, from T̂ at their Chebyshev nodes [rows · SMOOTH]."""
-    spread_out = [part.reshape(-1, SMOOTH) @ SPREAD_OUT.T for part in (real, imag)]
-    return spread_out[0] ** 2 + spread_out[1] ** 2
+    return sum((part.reshape(-1, SMOOTH) @ SPREAD_OUT.T) ** 2 for part in (real, imag))
 
 
 def _smooth_transform(drive: Float[Array, " steps"], log_zeta: Array) -> tuple[Array, Array]:
@@ -159,18 +152,11 @@ def hold(z: Float[Array | np.ndarray, " 9"], goal: Goal, scene: Scene, cfg: Cfg)
     """C of hammers [n, 5] on the string of `z`, which is computed once for a whole search."""
     mobility, real, imag, rows, *modes = held_string(z, goal, scene, cfg)
     held = Held(Modes(*modes), mobility, real, imag, rows)
-    return LeastSquares(
-        lambda z: _in_batches(hammer_costs, z, held, goal, scene, cfg)[0],
-        lambda z: _in_batches(hammer_residuals, z, held, goal, scene, cfg),
-    )
 
+    def each(program: Callable, z: np.ndarray) -> tuple[np.ndarray, ...]:
+        return in_lanes(partial(program, held, goal), (z,), scene, cfg, min(BATCH, len(z)))
 
-def _in_batches(function: Callable, z: np.ndarray, *rest: Any) -> tuple[np.ndarray, ...]:
-    """`function` of all rows of `z`, as many at once as `BATCH`; the last batch is filled up with its last row."""
-    size = min(BATCH, len(z))
-    full = np.concatenate([z, np.repeat(z[-1:], -len(z) % size, axis=0)])
-    parts = [function(full[i : i + size], *rest) for i in range(0, len(full), size)]
-    return tuple(np.concatenate([np.asarray(x) for x in column])[: len(z)] for column in zip(*parts, strict=True))
+    return LeastSquares(lambda z: each(hammer_costs, z)[0], lambda z: each(hammer_residuals, z))
 
 
 @kept
@@ -184,13 +170,13 @@ def held_string(z, goal: Goal, scene: Scene, cfg: Cfg):
 
 
 @kept
-def hammer_costs(z, held: Held, goal: Goal, scene: Scene, cfg: Cfg):
+def hammer_costs(held: Held, goal: Goal, z, scene: Scene, cfg: Cfg):
     """C [chains] of hammers `z` [chains, 5] on a string that is held."""
     return (jax.vmap(lambda x: 0.5 * (_on_held(x, held, goal, scene, cfg) ** 2).sum())(z),)
 
 
 @kept
-def hammer_residuals(z, held: Held, goal: Goal, scene: Scene, cfg: Cfg):
+def hammer_residuals(held: Held, goal: Goal, z, scene: Scene, cfg: Cfg):
     """Residuals [starts, bins], of which half the sum of squares is C, and their Jacobian [starts, bins, 5]."""
 
     def both(x: Array) -> tuple[Array, Array]:
