@@ -18,10 +18,10 @@ import numpy as np
 from scipy.ndimage import minimum_filter
 
 from ...inference.start import starting_values
-from ...parameters import STRING_NAMES
+from ...parameters import FIT_NAMES, STRING_NAMES
 from ..annealing import anneal
 from ..descent import LeastSquares, gradient_descent
-from ..laboratory import FINAL, INITIAL
+from ..laboratory import INITIAL
 from ..search import pose
 from .cases import Case
 
@@ -89,8 +89,8 @@ def hammers(case: Case) -> Hammers:
     """The hammer's problem on one measurement."""
     search = pose(case.recording, case.analysis, starting_values(case.analysis, case.setup))
     search.delay = (case.recording.onset - case.measurement.onset) / case.recording.rate
-    hammer = FINAL.hammer._replace(v_H0=case.velocity, mu=case.measurement.true.get("mu", INITIAL.hammer.mu))
-    string, true = np.split(search.x(np.array([*FINAL.string, *hammer])), [len(STRING_NAMES)])
+    values = {"mu": float(INITIAL.hammer.mu)} | case.measurement.true
+    string, true = np.split(search.x(np.array([values[name] for name in FIT_NAMES])), [len(STRING_NAMES)])
     initial = search.x(search.values)[len(STRING_NAMES) :]
     return Hammers(*search.hammers(np.append(string, initial)), initial, true)
 

@@ -18,6 +18,7 @@ from ...analysis import Analysis, analyse, law_frequency
 from ...criterion import BANDS, Cells, band_of, band_values, line_sigma, measure
 from ...inference import Result
 from ...inference.fit import fit_recordings
+from ...inference.listener import scored
 from ...inference.start import starting_values
 from ...model.note import Note
 from ...parameters import FIT_NAMES, STRING_NAMES
@@ -35,10 +36,6 @@ RECIPES = {
     "global": "global criterion", "paper": "three bands", "read": "three bands, string read",
     "default": "default recipe",
 }  # fmt: skip
-# Levels are compared over partials to this frequency, Hz,
-LEVEL_TOP = 6000.0
-# within so many dB of the strongest.
-LEVEL_RANGE = 60.0
 # From the seed of one annealing to that of the next; measurements have the seeds in between.
 NEXT_TRY = 10_000
 
@@ -56,7 +53,6 @@ class Closeness(NamedTuple):
 class Case:
     """One measurement as a fit meets it. Sounds are m/s [samples] from the onset on."""
 
-    velocity: float  # true, m/s
     measurement: Measurement
     recording: Recording
     analysis: Analysis
@@ -96,8 +92,8 @@ class Case:
         )
         number = np.arange(1, len(measured) + 1)
         frequency = law_frequency(self.analysis.f0, self.analysis.B, number)
-        scored = (frequency <= LEVEL_TOP) & (measured >= measured.max() - LEVEL_RANGE)
-        return number[scored], (own - measured)[scored]
+        compared = scored(frequency, measured)
+        return number[compared], (own - measured)[compared]
 
     def shares(self) -> dict[str, dict[int, float]]:
         """Share of each partial in its band's ∫ |S|⁴, by which eq. 19 weighs: band -> partial -> share."""
@@ -117,7 +113,7 @@ def make_case(lab: Laboratory, velocity: float, seed: int, start: float | None =
     setup = setup_from_dict(tomllib.loads(setup_text(measured, hold_velocity=False)), "laboratory")
     if start is not None:
         setup = replace(setup, initial=setup.initial | {"v_H0": start})
-    return Case(velocity, measured, recording, analyse(recording), setup)
+    return Case(measured, recording, analyse(recording), setup)
 
 
 def fitted(case: Case, recipe: str, seed: int, annealing: int | None = None, tries: int = 1) -> Result:

@@ -258,7 +258,7 @@ def predicted_levels(f: Findings, axes: Any) -> None:
 @drawn("repeated", 4.6, yscale="log", ylabel="found, over the truth")
 def repeated_values(f: Findings, axes: Any) -> None:
     """Every repeated fit's values over the truth; over the paper's, drawn hollow, where there is no truth."""
-    true, printed = f.tables["full"].true, PRINTED["final"]
+    true, printed = f.true, PRINTED["final"]
     for side, recipe in enumerate(STRINGS):
         look = LINES[recipe] | {"ls": "none", "marker": MARKERS[recipe], "ms": 6}
         for n, name in enumerate(SYMBOLS):

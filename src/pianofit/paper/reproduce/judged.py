@@ -22,8 +22,7 @@ SPANS = ((0.0, 0.015), (0.040, 0.055))  # s, of Figure 7
 def judge(f: Findings) -> dict[str, Claim]:
     """Every claim by the name of its rule, in the order of the page."""
     velocity, contact, hardest = [s.velocity for s in f.strikes], [s.contact for s in f.strikes], f.strikes[-1]
-    full = f.tables["full"]
-    found = {recipe: values_of(full.results[recipe]) for recipe in STRINGS}
+    found = {recipe: values_of(f.tables["full"].results[recipe]) for recipe in STRINGS}
     printed = {name: PRINTED["final"][name] for name in PRINTED["initial"]}
     bent = f.bends["fitted to band 2"][0]
     reached = {method: f.race.reached(method) for method in f.race.ends}
@@ -33,7 +32,7 @@ def judge(f: Findings) -> dict[str, Claim]:
         "reflections": claims.reflections(velocity, [s.humps for s in f.strikes], ROUND_TRIP),
         "felt_loses": claims.felt_loses(hardest.loop, hardest.balance, hardest.hammer_energy),
         "brighter": claims.brighter(velocity, [s.centroid for s in f.strikes]),
-        "string_found": claims.string_found(full.true, found["paper"], f.origin.case.shares()),
+        "string_found": claims.string_found(f.true, found["paper"], f.origin.case.shares()),
         "changes_as_printed": _either(lambda r: claims.changes_as_printed(PRINTED["initial"], printed, found[r])),
         "local_minima": claims.local_minima([m.cost for m in f.plane.minima], [m.cost for m in f.race.minima]),
         "annealing_escapes": claims.annealing_escapes(f.plan.starts, reached, WITHIN),

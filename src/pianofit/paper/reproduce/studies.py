@@ -10,7 +10,7 @@ import numpy as np
 
 from ...inference import Result
 from ...parameters import FIT_NAMES
-from ..laboratory import FINAL, INITIAL, Laboratory, chosen
+from ..laboratory import FINAL, INITIAL, Laboratory
 from .band3 import Landscape, Race, hammers, landscape, race
 from .cases import Case, Closeness, fitted, make_case, values_of
 from .direct import VELOCITIES, Strike, mass_for_contact, strikes
@@ -56,8 +56,8 @@ class Plan:
     evaluations: int = 10_000
     noises: int = 5  # measurements that differ in their noise alone, for b2
     losses: int = 36  # values of b2
-    seconds: float = chosen.SECONDS  # of a measurement
-    contact_rate: float = chosen.CONTACT_RATE  # Hz
+    seconds: float = Laboratory.seconds  # of a measurement
+    contact_rate: float = Laboratory.contact_rate  # Hz
 
     @property
     def laboratory(self) -> Laboratory:
@@ -85,11 +85,6 @@ class Stroke(NamedTuple):
     sounds: dict[str, np.ndarray]  # m/s, from the onset on
     closeness: dict[str, Closeness]
 
-    @property
-    def true(self) -> dict[str, float]:
-        """Those of the nine parameters that the laboratory has: a relaxing felt has no μ."""
-        return {name: v for name, v in self.case.measurement.true.items() if name in FIT_NAMES}
-
 
 @dataclass(frozen=True)
 class Findings:
@@ -110,6 +105,11 @@ class Findings:
     bends: dict[str, list[Bend]]
     inverse: Bend
     blindness: Blindness
+
+    @property
+    def true(self) -> dict[str, float]:
+        """Of the nine parameters, at the paper's final values: a relaxing felt has no μ."""
+        return self.tables["full"].case.measurement.true
 
     @property
     def origin(self) -> Stroke:

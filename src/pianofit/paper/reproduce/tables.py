@@ -67,7 +67,7 @@ def _direct(f: Findings) -> dict[str, Table]:
 def _parameters(f: Findings) -> dict[str, Table]:
     """Tables II and III, what rules the criterion, and what the default recipe says of its own certainty."""
     fits = {f"{lab}: {RECIPES[r]}": result for lab, stroke in f.tables.items() for r, result in stroke.results.items()}
-    values = {f"paper: {column}": printed for column, printed in PRINTED.items()} | {"truth": f.tables["full"].true}
+    values = {f"paper: {column}": printed for column, printed in PRINTED.items()} | {"truth": f.true}
     values |= {column: values_of(result) for column, result in fits.items()}
     own = {column: fits[column].document["parameters"] for column in fits if column.endswith(RECIPES["default"])}
     ends = [f"{column}, {end}" for column in own for end in ("from", "to")]
