@@ -96,8 +96,8 @@ def _bend(frequency: np.ndarray, number: np.ndarray, *table: *tuple[str, int, fl
         return 1200 * np.log2(partials(string, number, *table) / frequency)
 
     found = least_squares(cents, np.log([start.c, start.kappa]), x_scale=[1e-3, 0.1], xtol=1e-10, ftol=1e-10)
-    left = float(np.sqrt(np.mean(found.fun**2)))
-    return Bend(*table, int(number[0]), int(number[-1]), *np.exp(found.x).tolist(), float(start.kappa), left)
+    (c, kappa), left = np.exp(found.x).tolist(), float(np.sqrt(np.mean(found.fun**2)))
+    return Bend(*table, int(number[0]), int(number[-1]), c, kappa, float(start.kappa), left)
 
 
 def blindness(lab: Laboratory, seed: int, *, repeats: int, values: int) -> Blindness:

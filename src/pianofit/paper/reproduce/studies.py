@@ -119,7 +119,7 @@ class Findings:
 
 def compute(plan: Plan, seed: int, progress: Callable[[str, float], None]) -> Findings:
     """Run all studies; the same seed gives the same findings."""
-    done, count = 0, 8 + len(plan.velocities) + plan.repeats + len(plan.effects)
+    done, count = 0, 7 + len(plan.velocities) + plan.repeats + len(plan.effects)
 
     def tick(stage: str) -> None:
         nonlocal done
