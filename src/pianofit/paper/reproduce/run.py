@@ -109,9 +109,10 @@ def reproduce(
         book.tabulate(name, table)
     for name, figure in FIGURES.items():
         book.draw(name, lambda figure=figure: figure(found))
-    _play(book, plan.origin, found.origin, RECIPES)
+    _play(book, plan.origin, found.origin, {"initial": "initial"} | RECIPES)
     for velocity, stroke in found.predictions.items():
-        _play(book, velocity, stroke, {"paper": "predicted, three bands", "read": "predicted, string read"})
+        names = {"paper": "predicted, three bands", "read": "predicted, string read", "initial": "initial"}
+        _play(book, velocity, stroke, names)
     _write_test(folder, found)
     write_page(
         folder / "index.html", "index.html.j2", package="pianofit.paper.reproduce", styles=("claims.css",),
@@ -132,9 +133,8 @@ def _symbol(name: str) -> str:
 
 
 def _play(book: Book, velocity: float, stroke: Stroke, names: dict[str, str]) -> None:
-    """Sounds of one stroke as files and for the player; `names`: recipe -> what its sound is called."""
-    sounds = {"measured": "measured", "initial": "initial"} | names
-    made = {label: stroke.sounds[name] for name, label in sounds.items()}
+    """Sounds of one stroke as files and for the player, the measured one first; `names`: sound -> what it is called."""
+    made = {label: stroke.sounds[name] for name, label in ({"measured": "measured"} | names).items()}
     book.play(f"{velocity:.3f}", made, stroke.case.recording.rate, chosen.SCALE)
 
 
