@@ -129,7 +129,7 @@ def pool() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(cores)
 
 
-def in_lanes(program: Callable, lanes: tuple, scene: Scene, cfg: Cfg, size: int = LANES) -> tuple[np.ndarray, ...]:
+def in_lanes(program: Callable, lanes: tuple, scene: Any, cfg: Any, size: int = LANES) -> tuple[np.ndarray, ...]:
     """`program` of any number of lanes, `size` at a time, on all cores.
 
     Parameters
