@@ -128,14 +128,16 @@ class Search:
         """Residuals [B, R, K], the law's derivatives [B, R, K, size], and whether all contacts ended [B]."""
         p, strokes = self.problem, self.unknowns.strokes
         self.lanes += len(z) * strokes
+        free = p.scene.free[p.scene.free >= 0]
         if self.strings is None:
             level, slope, ended = in_lanes(slopes, (self.string, self.lanes_of(z)), p.scene, p.cfg)
-            shared = np.array(p.cfg.free[:-1], int) + STRING_SIZE
+            shared = free[:-1] + STRING_SIZE
         else:
             level, slope, ended = in_lanes(own_slopes, self.own_lanes(z), p.scene, p.cfg, OWN_LANES)
-            shared = np.append(np.arange(STRING_SIZE), np.array(p.cfg.free[:-1], int) + STRING_SIZE)
+            shared = np.append(np.arange(STRING_SIZE), free[:-1] + STRING_SIZE)
         level = level.reshape(len(z), strokes, -1)[:, self.stroke][..., self.columns]
         slope = slope.reshape(len(z), strokes, *slope.shape[1:])[:, self.stroke][:, :, self.columns]
+        slope = slope[..., : len(shared) + 1]
         jacobian = np.zeros((*level.shape, self.unknowns.size))
         jacobian[..., shared] = slope[..., :-1]
         for r, stroke in enumerate(self.stroke):
@@ -148,14 +150,14 @@ class Search:
     def step_error(self, z: np.ndarray) -> np.ndarray:
         """What a contact stepped without end adds to the levels at `z` [size], dB [R, K]: the error is of order 2."""
         p = self.problem
-        lanes = self.own_lanes(z[None])
-        fine = p.scene._replace(rate=p.scene.rate * FINER)
-        cfg = p.cfg._replace(steps=p.cfg.steps * FINER, n_modes=MOST_MODES, free=())
-        coarse, finer = (
-            in_lanes(own_levels, lanes, scene, c, OWN_LANES)[0][self.stroke][:, self.columns]
-            for scene, c in ((p.scene, p.cfg._replace(free=())), (fine, cfg))
-        )
-        return (finer - coarse) * FINER**2 / (FINER**2 - 1) * self.there
+        fine = p.scene._replace(rate=p.scene.rate * FINER, steps=p.scene.steps * FINER)
+        finer = in_lanes(own_levels, self.own_lanes(z[None]), fine, p.cfg._replace(n_modes=MOST_MODES), OWN_LANES)[0]
+        change = (finer - self.level(z))[self.stroke][:, self.columns]
+        return change * FINER**2 / (FINER**2 - 1) * self.there
+
+    def level(self, z: np.ndarray) -> np.ndarray:
+        """Levels by the model at `z` [size], dB [strokes, rows], by the descent's program: that is compiled anyway."""
+        return in_lanes(own_slopes, self.own_lanes(z[None]), self.problem.scene, self.problem.cfg, OWN_LANES)[0]
 
     def known(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Of F, what levels do not say: value [B], gradient [B, size] and curvature [B, size, size].
