@@ -21,6 +21,7 @@ import numpy as np
 
 from .errors import ParameterError
 from .parameters import Geometry, Hammer, String
+from .units import hertz_of
 
 __all__ = ["HAMMERS", "LOSSES", "PRESETS", "STRINGS", "Preset", "Typical", "preset", "typical"]
 
@@ -217,7 +218,7 @@ def typical(midi: float) -> Typical:
     """
     if not 15 <= midi <= 114:
         raise ParameterError(f"midi={midi!r} must be from 15 to 114; 60 is C4")
-    f0 = 440.0 * 2 ** ((midi - 69) / 12)
+    f0 = hertz_of(midi)
     at = {name: _curve(name)(midi) for name in TABLES}
     length, c = at["length"], 2 * at["length"] * f0
     kappa = c * length * math.sqrt(at["B"]) / math.pi  # B = κ² π²/(c² L²)

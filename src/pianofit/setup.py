@@ -18,7 +18,7 @@ from typing import Any
 
 from .errors import SetupError
 from .felt import BOXES, DEFAULT_LAW, LAWS, FeltLaw, is_own
-from .io import one_line, read_file
+from .io import one_line, read_text
 from .parameters import Parameter
 
 __all__ = ["PICKUPS", "Layer", "Setup", "load_setup", "setup_from_dict"]
@@ -143,14 +143,8 @@ def load_setup(path: str | os.PathLike[str], felt: str | None = None) -> Setup:
     0.96
     """
     name = one_line(os.fspath(path))
-    data = read_file(path, MAX_BYTES, SetupError)
     try:
-        table = tomllib.loads(data.decode("utf-8-sig"))
-    except UnicodeDecodeError as problem:
-        line = data.count(b"\n", 0, problem.start) + 1
-        raise SetupError(
-            f"{name}: byte 0x{data[problem.start]:02x} on line {line} is not UTF-8; save as UTF-8"
-        ) from None
+        table = tomllib.loads(read_text(path, MAX_BYTES, SetupError))
     except (ValueError, RecursionError) as problem:  # RecursionError: brackets nested without end
         raise SetupError(f"{name}: not valid TOML: {one_line(problem)[:200]}; correct that place") from None
     return setup_from_dict(table if felt is None else table | {"felt": {"law": felt}}, name)

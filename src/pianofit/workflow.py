@@ -26,12 +26,12 @@ def predict_file(fit: Path, file: Path, out: Path | None, *, channel: str = "ave
     PianofitError
         For any input that cannot be used; nothing is then written.
     """
+    from .fit_file import mixture_of, read_fit
     from .recording import load_recording
-    from .render import load_mixture
 
     if out is not None:
         check_sound_target(out, force)
-    mixture = load_mixture(fit)
+    mixture = mixture_of(read_fit(fit), fit)
     note = mixture[0][1]
     recording = load_recording(file, channel=channel)
     from .analysis import analyse

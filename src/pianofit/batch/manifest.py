@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 from ..analysis.notes import midi_to_note, note_to_midi
 from ..errors import AnalysisError, SetupError
-from ..io import one_line, read_file
+from ..io import one_line, read_text
 from ..parameters import PARAMETERS
 
 __all__ = ["DEFAULT_PATTERN", "Key", "Sample", "read_keys"]
@@ -105,26 +105,11 @@ def read_keys(
 
 
 def manifest_text(source: Path) -> str:
-    """The text of a manifest, which must be UTF-8.
-
-    Raises
-    ------
-    SetupError
-        Naming the file, and the line that is not UTF-8.
-    """
-    name, data = one_line(source), read_file(source, MAX_BYTES, SetupError)
-    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        raise SetupError(f"{name}: is UTF-16 text; save it as UTF-8")
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError as problem:
-        line = data.count(b"\n", 0, problem.start) + 1
-        raise SetupError(
-            f"{name}: byte 0x{data[problem.start]:02x} on line {line} is not UTF-8; save it as UTF-8"
-        ) from None
+    """The text of a manifest, which must be UTF-8 without zero bytes."""
+    text = read_text(source, MAX_BYTES, SetupError)
     if "\0" in text:
-        raise SetupError(f"{name}: has a zero byte on line {text.count(chr(10), 0, text.index(chr(0))) + 1}; "
-                         "it is no text file")  # fmt: skip
+        line = text.count("\n", 0, text.index("\0")) + 1
+        raise SetupError(f"{one_line(source)}: has a zero byte on line {line}; it is no text file")
     return text
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..progress import progress_bar
+from ..units import NORMAL
 from .options import (
     Channel,
     Evaluations,
@@ -33,9 +34,6 @@ if TYPE_CHECKING:
     from ..setup import Setup
 
 __all__ = ["register"]
-
-# Standard errors to either side of a value in its 95 % interval.
-NORMAL = 1.96
 
 
 def register(app: typer.Typer) -> None:

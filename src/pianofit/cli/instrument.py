@@ -115,7 +115,7 @@ def _called(fits: list[Path]) -> str:
 def _play(
     built: Path, prefix: str | None, song: Path, out: Path, rate: int, force: bool, progress: Callable
 ) -> dict[str, Any]:
-    from ..io import check_sound_target, encode_pcm24, write_file
+    from ..io import check_sound_target, encode_pcm, write_file
     from ..keyboard import load_instrument
     from ..model.cache import keep_programs
     from ..play import load_song, perform
@@ -126,7 +126,7 @@ def _play(
     start = time.perf_counter()
     done = perform(played, notes, rate, progress)
     took = time.perf_counter() - start
-    write_file(out, encode_pcm24(done.samples, rate), force)
+    write_file(out, encode_pcm(done.samples, rate), force)
     seconds = done.samples.shape[-1] / rate
     return {
         "file": str(out), "seconds": seconds, "rate": rate, "channels": len(done.samples), "notes": notes.notes,

@@ -21,6 +21,7 @@ from ..model.note import Note
 from ..model.path import OutputPath
 from ..parameters import PARAMETERS, Geometry, Hammer, String
 from ..ringing_file import ringing_document
+from ..units import NORMAL, hertz_of
 from .gather import (
     HIGHEST_KEY,
     LOWEST_KEY,
@@ -67,13 +68,7 @@ THIRDS = 20.0 * 2 ** (np.arange(31) / 3)  # Hz
 
 
 def build_instrument(keys: Sequence[KeyFit], name: str = "") -> dict[str, Any]:
-    """The document of an instrument, from at least one key's fit.
-
-    Raises
-    ------
-    ParameterError
-        Without any key.
-    """
+    """The document of an instrument, from at least one key's fit; a `ParameterError` without any."""
     if not keys:
         raise ParameterError("no key was given; an instrument needs at least one fit.json")
     own = [invariants(key.note, key.midi) for key in keys]
@@ -175,7 +170,7 @@ def assemble(midi: int, at: dict[str, float], quantity: str) -> tuple[String, Ha
     """String, hammer (at 2 m/s), geometry and gain of a key's values by `NAMES`, within the boxes of `PARAMETERS`."""
     length = at["L"]
     mass = at["M_S/L"] * length
-    f0 = 440.0 * 2 ** ((midi - 69) / 12 + at["cents"] / 1200)
+    f0 = hertz_of(midi + at["cents"] / 100)
     c = 2 * length * f0
     strike = at["x0/L"] * length
     string = {"c": c, "kappa": c * length * math.sqrt(at["B"]) / math.pi, "b1": at["b1"],
@@ -224,8 +219,8 @@ def _law_at(name: str, laws: dict[str, Law], base: dict[str, np.ndarray], i: int
 def _interval(name: str, value: float, sd: float) -> list[float]:
     """95 %."""
     if name == "cents":
-        return [value - 1.96 * sd, value + 1.96 * sd]
-    return [value * math.exp(-1.96 * sd), value * math.exp(1.96 * sd)]
+        return [value - NORMAL * sd, value + NORMAL * sd]
+    return [value * math.exp(-NORMAL * sd), value * math.exp(NORMAL * sd)]
 
 
 def _law_document(name: str, law: Law, base: np.ndarray, known: np.ndarray) -> dict[str, Any]:
@@ -233,7 +228,8 @@ def _law_document(name: str, law: Law, base: np.ndarray, known: np.ndarray) -> d
     return {
         "unit": UNITS[name], "scale": "linear" if name == "cents" else "log",
         "literature": None if name == "gain" else base.tolist(), "value": _unscale(name, center).tolist(),
-        "low": _unscale(name, center - 1.96 * law.sd).tolist(), "high": _unscale(name, center + 1.96 * law.sd).tolist(),
+        "low": _unscale(name, center - NORMAL * law.sd).tolist(),
+        "high": _unscale(name, center + NORMAL * law.sd).tolist(),
         "scatter": law.scatter, "length_keys": law.length,
         "outliers": [midi_to_note(int(m)) for m in known[law.outlier]],
     }  # fmt: skip
@@ -249,7 +245,7 @@ def _ringing_document(key: KeyFit | None) -> dict[str, Any] | str | None:
 def _path_document(path: OutputPath | None) -> dict[str, list[float]] | None:
     return None if path is None else {
         "frequency": path.frequency.tolist(), "db": path.db.tolist(),
-        "decay": np.broadcast_to(path.decay_at(path.frequency), path.frequency.shape).tolist(),
+        "decay": path.decay_at(path.frequency).tolist(),
     }  # fmt: skip
 
 

@@ -115,7 +115,7 @@ def write_listening(
         ],
     }  # fmt: skip
     test = facts | {
-        "sounds": {clip.name: clip.uri.split(",", 1)[1] for clip in sorted(clips, key=lambda c: c.name)},
+        "sounds": {clip.name: clip.text for clip in sorted(clips, key=lambda c: c.name)},
         "hidden": base64.b64encode(json.dumps(hidden).encode()).decode(),
     }
     counts = {kind: sum(t.question.kind == kind for t in trials) for kind in ("abx", "nearer")}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import partial
-from importlib import import_module
 from typing import Any, NamedTuple
 
 import jax
@@ -101,8 +100,9 @@ class Note(NamedTuple):
         ParameterError
             If anywidget is not installed, or the felt is none that a page plays.
         """
-        # That room knows notes, so a note calls it by name alone.
-        return import_module("..play.page.widget", __package__).widget(self)
+        from ..play.page.widget import widget
+
+        return widget(self)
 
     def stroke(self, rate: float, samples: int, touch: int = 0) -> tuple[np.ndarray, Simulation]:
         """The sound [samples] in file units, and the stroke behind it; the contact begins at the index `touch`."""

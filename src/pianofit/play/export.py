@@ -6,7 +6,6 @@ own are played from the nearest one, transposed.
 
 from __future__ import annotations
 
-import io
 import math
 import os
 import re
@@ -19,10 +18,9 @@ import numpy as np
 
 from ..analysis.notes import midi_to_note
 from ..errors import OutputError, ParameterError
-from ..io import interrupted_by, one_line
+from ..io import CEILING, encode_pcm, interrupted_by, one_line
 from ..keyboard.document import Instrument
 from ..recording import RATES
-from ..render import CEILING
 from ..threads import one_blas_thread
 from .decent import dspreset_text
 from .layers import SampledKey, spans_of, velocities_of
@@ -33,8 +31,8 @@ from .strings import PlayedString, damper_rate
 
 __all__ = ["SAMPLERS", "Asked", "Exported", "export_sampler"]
 
-# Kinds of samples: the format and subtype of libsndfile.
-KINDS = {"flac": ("FLAC", "PCM_24"), "wav": ("WAV", "PCM_24")}
+# Kinds of samples.
+KINDS = ("flac", "wav")
 
 
 class Sampler(NamedTuple):
@@ -198,7 +196,7 @@ def _samples(
             loud = gain * zone.loudest
             sound = np.clip(loud * sample(instrument, string, zone.velocity, begin, asked.seconds), -1.0, 1.0)
             files.append(f"samples/{_sample_name(key, zone.velocity)}.{asked.kind}")
-            size += (work / files[-1]).write_bytes(_encoded(sound, asked))
+            size += (work / files[-1]).write_bytes(encode_pcm(sound, asked.rate, asked.kind))
             frames += sound.shape[-1]
         written.append(SampledKey(key, low, high, damper_rate(key), found.zones, files))
         progress("samples", LEVELS_SHARE + (1 - LEVELS_SHARE) * (i + 1) / len(keys))
@@ -207,14 +205,6 @@ def _samples(
         len(keys) * asked.layers, frames / asked.rate, size, 20 * math.log10(gain),
     )  # fmt: skip
     return done, written
-
-
-def _encoded(sound: np.ndarray, asked: Asked) -> bytes:
-    import soundfile
-
-    stream, (form, subtype) = io.BytesIO(), KINDS[asked.kind]
-    soundfile.write(stream, sound.T, asked.rate, format=form, subtype=subtype)
-    return stream.getvalue()
 
 
 def _file_name(name: str) -> str:

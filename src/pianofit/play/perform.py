@@ -12,10 +12,10 @@ from typing import NamedTuple
 import numpy as np
 
 from ..errors import ParameterError
+from ..io import CEILING
 from ..keyboard.document import Instrument
 from ..model.note import MOST_SAMPLES
 from ..recording import RATES
-from ..render import CEILING
 from ..threads import one_blas_thread
 from .midi import Song
 from .strings import PlayedString

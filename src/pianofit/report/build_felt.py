@@ -12,12 +12,12 @@ import numpy as np
 from ..felt import law_of
 from ..inference import Result
 from ..model import static_force
+from ..units import NORMAL
 from .curves import Felt, Known
 from .known import half_interval
 
 __all__ = ["felt_of", "has_intervals", "known_of"]
 
-NORMAL = 1.96
 POINTS = 48
 FARTHEST = 300.0  # of an exponent
 # A variance below this share of what it was is rounding.

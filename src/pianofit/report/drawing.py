@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..units import NORMAL
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -120,8 +122,8 @@ def png(figure: Figure) -> bytes:
 
 
 def points(axes: Axes, number: np.ndarray, value: np.ndarray, error: np.ndarray) -> None:
-    """Measured values, with bars of 95 % (1.96 standard deviations)."""
-    axes.errorbar(number, value, yerr=1.96 * np.nan_to_num(np.abs(error)), fmt="o", ms=3.6, color=MEASURED, lw=1,
+    """Measured values, with bars of 95 %."""
+    axes.errorbar(number, value, yerr=NORMAL * np.nan_to_num(np.abs(error)), fmt="o", ms=3.6, color=MEASURED, lw=1,
                   label="measured", zorder=5)  # fmt: skip
 
 

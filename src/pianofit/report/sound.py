@@ -10,31 +10,41 @@ loud they are get this gain alone.
 from __future__ import annotations
 
 import base64
-import io
 import math
-import wave
 from dataclasses import dataclass
 
 import numpy as np
+
+from ..io import CEILING, encode_pcm
+from .kit import data_uri
 
 __all__ = ["Clip", "k_weighted_mean_square", "make_clips"]
 
 SECONDS = 8.0  # of each sound are kept; three such sounds of one channel at 48 kHz have 3 MB
 LEAD_IN = 0.05  # s kept before the onset
 FADE = 0.05  # s, at the end: many recordings are cut off
-PEAK = 10 ** (-1 / 20)
 HIGHEST_RATE = 96_000  # Hz; what every browser's Web Audio must play
 
 
 @dataclass(frozen=True)
 class Clip:
-    """One sound of the page: a WAV file as a `data:` address, and the gain in dB that it was given."""
+    """One sound of the page: a WAV file of 16 bits, and the gain in dB that it was given."""
 
     name: str
-    uri: str
+    wav: bytes
     gain_db: float
     rate: int
     seconds: float
+
+    @property
+    def uri(self) -> str:
+        """The file as an address within the page."""
+        return data_uri("audio/wav", self.wav)
+
+    @property
+    def text(self) -> str:
+        """The file as base64."""
+        return base64.b64encode(self.wav).decode()
 
     @property
     def file(self) -> str:
@@ -80,10 +90,10 @@ def make_clips(
     }
     gains = {name: power**-0.5 if power > 0 else 1.0 for name, power in powers.items()}
     highest = max(gains[name] * np.max(np.abs(samples)) for name, samples in cut.items())
-    common = PEAK / highest if highest > 0 else 1.0
+    common = CEILING / highest if highest > 0 else 1.0
     return [
-        Clip(name, _wav_uri(samples * gains[name] * common, rate), 20 * math.log10(gains[name] * common), rate,
-             samples.shape[-1] / rate)
+        Clip(name, encode_pcm(np.round(samples * gains[name] * common * 2**15).astype(np.int16), rate, bits=16),
+             20 * math.log10(gains[name] * common), rate, samples.shape[-1] / rate)
         for name, samples in cut.items()
     ]  # fmt: skip
 
@@ -103,13 +113,3 @@ def _excerpt(samples: np.ndarray, rate: int, begin: float, seconds: float, facto
 
     size = -(-kept.shape[-1] // factor)
     return np.asarray(resample(np.pad(kept, ((0, 0), (0, size * factor - kept.shape[-1]))), size, axis=-1))
-
-
-def _wav_uri(samples: np.ndarray, rate: int) -> str:
-    file = io.BytesIO()
-    with wave.open(file, "wb") as out:
-        out.setnchannels(len(samples))
-        out.setsampwidth(2)
-        out.setframerate(rate)
-        out.writeframes(np.round(samples.T * 32768).astype("<i2").tobytes())
-    return "data:audio/wav;base64," + base64.b64encode(file.getvalue()).decode()

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import base64
-import io
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ...errors import FitError, ParameterError
-from ...io import one_line
+from ...io import encode_pcm, one_line
 from ...keyboard.document import Instrument
 from ...keyboard.gather import Layer
 from ...model.note import Note
 from ...recording import load_recording
-from .payload import HEARD_CHANNELS
+from ..strings import CHANNELS
 
 __all__ = ["recorded_layers"]
 
@@ -67,7 +66,7 @@ def _read(layer: Layer, note: Note) -> tuple[np.ndarray, int]:
     recording = load_recording(layer.file)
     if recording.sha256 != layer.sha256:
         raise FitError(f"{one_line(layer.file)}: is not the recording that was fitted; run pianofit batch again")
-    channels = 1 if note.ringing is None else min(note.ringing.channels, HEARD_CHANNELS)
+    channels = 1 if note.ringing is None else min(note.ringing.channels, CHANNELS)
     samples = recording.samples[None] if channels == 1 else recording.frames[:channels]
     begin = round((layer.contact - note.lead) * recording.rate)
     return np.pad(samples, ((0, 0), (max(-begin, 0), 0)))[:, max(begin, 0) :], recording.rate
@@ -75,7 +74,6 @@ def _read(layer: Layer, note: Note) -> tuple[np.ndarray, int]:
 
 def _encoded(samples: np.ndarray, rate: int, seconds: float) -> str:
     """Its first seconds, faded out, with its peak at full scale: what it is compared with gets its loudness."""
-    import soundfile
     from scipy.signal import resample_poly
 
     if rate > HIGHEST_RATE:
@@ -83,7 +81,5 @@ def _encoded(samples: np.ndarray, rate: int, seconds: float) -> str:
     kept = samples[:, : round(seconds * rate)].copy()
     fade = min(round(FADE * rate), kept.shape[-1])
     kept[:, -fade:] *= np.linspace(1.0, 0.0, fade)
-    stream = io.BytesIO()
     kept /= max(float(np.abs(kept).max(initial=0.0)), 1e-12)
-    soundfile.write(stream, kept.T, rate, format="FLAC", subtype="PCM_16")
-    return base64.b64encode(stream.getvalue()).decode()
+    return base64.b64encode(encode_pcm(kept, rate, "flac", 16)).decode()

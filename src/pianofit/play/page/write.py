@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-from importlib.resources import files
 from typing import Any, NamedTuple
 
 from ...keyboard.document import Instrument
@@ -80,4 +79,4 @@ def engine() -> str:
 
 def source(name: str) -> str:
     """One of the scripts beside this file."""
-    return files(PACKAGE).joinpath(name).read_text(encoding="utf-8")
+    return kit.asset(name, PACKAGE)
