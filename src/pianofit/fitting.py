@@ -108,12 +108,8 @@ def fit(
 def read(recordings: Sequence[Source], channel: str = "average") -> list[Recording]:
     """Recordings from files, from arrays with their rates, and as they are.
 
-    Raises
-    ------
-    RecordingError
-        For a sound that cannot be used.
-    ParameterError
-        For what is no recording, or another channel.
+    Raises `RecordingError` for a sound that cannot be used; `ParameterError` for what is no recording, or another
+    channel.
     """
     return [_recording(source, channel, f"recording {at}") for at, source in enumerate(recordings, 1)]
 
@@ -133,10 +129,7 @@ def _recording(source: Source, channel: str, name: str) -> Recording:
 def listen(recordings: Sequence[Recording], note: str | None = None, f0: float | None = None) -> list[Analysis]:
     """The analyses of recordings of one note, on all cores.
 
-    Raises
-    ------
-    AnalysisError
-        If one is too short, or its note, or enough of its partials, is not there.
+    Raises `AnalysisError` if one is too short, or its note, or enough of its partials, is not there.
     """
     with ThreadPoolExecutor(os.cpu_count()) as threads:
         return list(threads.map(lambda recording: analyse(recording, note=note, f0=f0), recordings))

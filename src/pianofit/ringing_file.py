@@ -64,10 +64,7 @@ def read_ringing(entry: Any, folder: Path | None, name: str) -> Ringing | None:
     The knock lies in the document, as FLAC or WAV in base64, or else in `folder`, unless that is None. Modes may lack
     their errors, which then count as none.
 
-    Raises
-    ------
-    FitError
-        Opening with `name`, if an entry or the knock is missing, of another kind, or out of range.
+    Raises `FitError`, opening with `name`, if an entry or the knock is missing, of another kind, or out of range.
     """
     if entry is None or (isinstance(entry, dict) and entry.get("by") == "law"):
         return None

@@ -20,7 +20,7 @@ from ..recording import load_recording
 from ..report import kit
 from ..report.numbers import is_number, number, with_interval
 from ..report.sound import Clip, make_clips
-from ..report.words import STATUS
+from ..report.words import STATUS, SYMBOLS
 from ..tables import write_csv
 from .ledger import Entry, Ledger
 from .state import document
@@ -33,14 +33,11 @@ INDEX_FILE, CSV_FILE = "index.html", "keys.csv"
 EVERY = 60.0
 # What of a key leads on, where it is there.
 PAGES = ("report.html", "fit.json")
-# What needs no assumed size: the page's columns, the table's first. By name in fit.json: symbol, words, unit
+# What needs no assumed size: the page's columns, the table's first. By name in fit.json: words for a column, unit
 INVARIANTS = {
-    "f0": ("f_0", "pitch", "Hz"),
-    "B": ("B", "inharmonicity", ""),
-    "M_H/M_S": ("M_H/M_S", "hammer over string mass", ""),
-    "x0/L": ("x_0/L", "strike position", ""),
-    "F/M_S": ("F/M_S", "felt’s force", "N/kg"),
-}
+    "f0": ("pitch", "Hz"), "B": ("inharmonicity", ""), "M_H/M_S": ("hammer over string mass", ""),
+    "x0/L": ("strike position", ""), "F/M_S": ("felt’s force", "N/kg"),
+}  # fmt: skip
 # Entries of a fit.json that are read here, and what each is; a damaged one is left out.
 READ = {"invariants": dict, "parameters": dict, "levels": dict, "ringing": dict, "recordings": list, "messages": list}
 # Sounds of the page: up to this rate, Hz, this long, s, or shorter, so that all have some 8 MB.
@@ -77,7 +74,8 @@ class Index:
         kit.write_page(
             self.store.folder / INDEX_FILE, "index.html.j2", package="pianofit.batch", styles=("index.css",),
             scripts=("audio.js", "player.js"), strict=False, title=one_line(self.store.folder.resolve().name),
-            told=document(self.store.folder, entries), columns=list(INVARIANTS.values()),
+            told=document(self.store.folder, entries),
+            columns=[(SYMBOLS.get(name, name), *about) for name, about in INVARIANTS.items()],
             rows=[_row(self.store, entry, fit) | {"clips": self._sounds(entry, fit, seconds)}
                   for entry, fit in found.values()],
             failed=[e for e in entries if e.state == "failed"],

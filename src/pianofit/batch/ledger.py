@@ -68,10 +68,7 @@ class Ledger:
     def entries(self) -> list[Entry]:
         """Of all keys that were ever asked for in this folder, by name.
 
-        Raises
-        ------
-        OutputError
-            If it is no batch's.
+        Raises `OutputError` if it is no batch's.
         """
         if not self.store.ledger.is_dir() and not self.store.keys.is_dir():
             raise OutputError(f"{one_line(self.store.folder)}: holds no batch; check the path")
@@ -82,10 +79,7 @@ class Ledger:
     def write(self, entry: Entry) -> None:
         """Keep an entry in place of the key's last; that of a key that is done goes.
 
-        Raises
-        ------
-        OutputError
-            If the disk is full or the folder cannot be written to.
+        Raises `OutputError` if the disk is full or the folder cannot be written to.
         """
         file = self.store.ledger / f"{entry.key}.json"
         try:

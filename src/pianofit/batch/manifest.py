@@ -82,10 +82,7 @@ def read_keys(
     root : the folder that all files must lie in; by default that of the manifest.
     transpose : semitones added to every note, for a library that counts octaves otherwise.
 
-    Raises
-    ------
-    SetupError
-        Naming the manifest and every row (up to five) that cannot be used.
+    Raises `SetupError`, naming the manifest and every row (up to five) that cannot be used.
     """
     name = one_line(source)
     if pattern is not None and not source.is_dir():

@@ -111,11 +111,8 @@ def run_batch(
     ----------
     workers : makes the workers, once the folder is held.
 
-    Raises
-    ------
-    OutputError
-        If the folder is in use, is not a batch's, or cannot be written to, or the cluster is gone. What is finished
-        stays, and the same call goes on.
+    Raises `OutputError` if the folder is in use, is not a batch's, or cannot be written to, or the cluster is gone.
+    What is finished stays, and the same call goes on.
     """
     store = opened(folder)
     with locked(folder):

@@ -18,10 +18,7 @@ __all__ = ["document", "status", "suggestions", "time_left"]
 def status(folder: Path) -> dict[str, Any]:
     """What folders and ledger in `folder` say; whether a batch is at work there, and for how long still.
 
-    Raises
-    ------
-    OutputError
-        If it is no batch's.
+    Raises `OutputError` if it is no batch's.
     """
     entries, at_work = Ledger(Store(folder)).entries(), is_locked(folder)
     if not at_work:  # what a killed batch was at is not running any more

@@ -132,10 +132,7 @@ def versions() -> dict[str, str]:
 def make_unit(key: Key, settings: Settings) -> Unit:
     """A key with the contents of its recordings hashed.
 
-    Raises
-    ------
-    RecordingError
-        When a recording cannot be read, or two of the key are the same.
+    Raises `RecordingError` when a recording cannot be read, or two of the key are the same.
     """
     sources: list[Source] = []
     for sample, name in zip(key.samples, _names(key), strict=True):
@@ -260,10 +257,7 @@ def _stage(place: Path, unit: Unit, contents: Sequence[bytes] | None) -> list[Pa
 def _fit(unit: Unit, files: list[Path], place: Path, out: Path, tell: Callable[[str], None]) -> None:
     """Fit `files` into `out`, where they have their own paths again.
 
-    Raises
-    ------
-    AnalysisError
-        If the string does not sound at its note.
+    Raises `AnalysisError` if the string does not sound at its note.
     """
     from ..fitting import fit
     from ..model.cache import keep_programs

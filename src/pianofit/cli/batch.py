@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..errors import ParameterError, PianofitError, SetupError
-from .options import Channel, Json, Seed, number, whole
+from .options import Channel, Json, Seed, check_common, number, one_of, whole
 from .terminal import add
 
 if TYPE_CHECKING:
@@ -28,15 +28,6 @@ __all__ = ["register"]
 
 LISTED = 20  # failures spelt out where a person reads
 NAMED = 4  # keys at work that a line names
-
-
-def _one_of(*words: str) -> Callable[[str], str]:
-    def parse(text: str) -> str:
-        if text not in words:
-            raise typer.BadParameter(f"{text!r} is not {' or '.join(words)}")
-        return text
-
-    return parse
 
 
 Manifest = Annotated[
@@ -85,12 +76,12 @@ Scheduler = Annotated[
 Files = Annotated[
     str,
     typer.Option(
-        parser=_one_of("value", "shared"), metavar="value|shared",
+        parser=one_of("value", "shared"), metavar="value|shared",
         help="With --scheduler: send the recordings, or let the workers read them at the same paths.",
     ),
 ]  # fmt: skip
 Retry = Annotated[
-    str | None, typer.Option(parser=_one_of("failed"), metavar="failed", help="Try again what has failed before.")
+    str | None, typer.Option(parser=one_of("failed"), metavar="failed", help="Try again what has failed before.")
 ]
 
 
@@ -179,8 +170,7 @@ def _check(workers: int | None, memory: float, time_limit: float, seed: int, cha
         raise ParameterError(f"--memory {memory:g} GiB must be from 1 to 4096; a fit takes about 1.5")
     if not 1 <= time_limit <= 1e6:
         raise ParameterError(f"--time-limit {time_limit:g} s must be from 1 to 1e6")
-    if seed < 0:
-        raise ParameterError(f"seed={seed} must not be negative")
+    check_common(None, seed)
     if channel not in CHANNELS:
         raise ParameterError(f"channel={one_line(channel)!r} must be average, left, right, or a number from 1 to 8")
 

@@ -83,11 +83,8 @@ def load_instrument(path: str | os.PathLike[str], prefix: str | None = None) -> 
     ----------
     prefix : which instrument, if a folder's fits are of several.
 
-    Raises
-    ------
-    FitError
-        Naming the file and the entry that is missing, of another kind, or out of range; or the folder, if it holds no
-        fits, or several instruments' and none is named.
+    Raises `FitError`, naming the file and the entry that is missing, of another kind, or out of range; or the folder,
+    if it holds no fits, or several instruments' and none is named.
     """
     path = Path(path)
     if path.is_dir() and not (path / FILE).is_file():

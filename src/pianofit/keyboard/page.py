@@ -30,10 +30,7 @@ CONTENTS = (
 def write_page(path: str | os.PathLike[str], document: dict[str, Any]) -> None:
     """Write the page of a document of `build_instrument`, whole or not at all.
 
-    Raises
-    ------
-    OutputError
-        If `path` cannot be written.
+    Raises `OutputError` if `path` cannot be written.
     """
     found, figures = counts(document), draw(document)
     kit.write_page(

@@ -33,10 +33,7 @@ def write_experiment(folder: Path, clips: list[tuple[Heard, Clip]], reference: s
     folder : is made.
     reference : what the references are; a page of BS.1116 and a forced pair for each other sound of a case.
 
-    Raises
-    ------
-    OutputError
-        If a file cannot be written.
+    Raises `OutputError` if a file cannot be written.
     """
     sounds = folder / SOUNDS
     try:

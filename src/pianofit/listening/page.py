@@ -95,10 +95,7 @@ def write_listening(
     -------
     The sounds, and each as it is heard, under the name it goes by.
 
-    Raises
-    ------
-    OutputError
-        If a file cannot be written.
+    Raises `OutputError` if a file cannot be written.
     """
     draw = np.random.default_rng(seed)
     sounds = list({id(h): h for q in questions for h in (q.reference, *q.pair)}.values())

@@ -54,14 +54,8 @@ def listening_test(
     seed : of all that is drawn.
     leave_out : names of which a sound fails a gate are left out; otherwise they are an error.
 
-    Raises
-    ------
-    ParameterError
-        Where `trials` or `seconds` is out of range.
-    RecordingError
-        Where a sound cannot be read or fails a gate, or sounds that are compared differ in rate or channels.
-    OutputError
-        If a file cannot be written.
+    Raises `ParameterError` where `trials` or `seconds` is out of range; `RecordingError` where a sound cannot be read
+    or fails a gate, or sounds that are compared differ in rate or channels; `OutputError` if a file cannot be written.
     """
     if not 1 <= trials <= MOST_TRIALS:
         raise ParameterError(f"trials={trials} must be from 1 to {MOST_TRIALS}")

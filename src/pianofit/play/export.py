@@ -90,12 +90,8 @@ def export_sampler(
     to : one of `SAMPLERS`.
     licence : of the source, in the user's words, for the readme.
 
-    Raises
-    ------
-    ParameterError
-        For layers, seconds, a rate or a kind out of range, or a key the instrument does not have.
-    OutputError
-        If `out` exists and is no earlier export, or `force` is not given, or cannot be written.
+    Raises `ParameterError` for layers, seconds, a rate or a kind out of range, or a key the instrument does not have;
+    `OutputError` if `out` exists and is no earlier export, or `force` is not given, or cannot be written.
     """
     if to not in SAMPLERS:
         raise ParameterError(f"to={to!r} must be one of {', '.join(SAMPLERS)}")

@@ -57,10 +57,7 @@ def perform(
 
     A knock may begin before its stroke: the song begins so much after the first sample as the instrument needs.
 
-    Raises
-    ------
-    ParameterError
-        For a rate out of range, a song too long for it, or a key the instrument does not have.
+    Raises `ParameterError` for a rate out of range, a song too long for it, or a key the instrument does not have.
     """
     if not RATES[0] <= rate <= RATES[1]:
         raise ParameterError(f"rate={rate} Hz must be from {RATES[0]} to {RATES[1]}")

@@ -31,10 +31,7 @@ def curves_of(result: Result) -> Curves:
 def reference_curves(result: Result) -> Curves:
     """What is shown of the reference recording alone.
 
-    Raises
-    ------
-    FitError
-        If the fit was read back from a file, which holds no recordings.
+    Raises `FitError` if the fit was read back from a file, which holds no recordings.
     """
     r, a, heard = result.recording, result.analysis, result.reference
     rate, onset, p, k = r.rate, r.onset, heard.partials, heard.partials.number

@@ -44,10 +44,7 @@ def write_report(
     held_out
         What `predict.cross_validate` returned of the same recordings, to be shown beside their fit.
 
-    Raises
-    ------
-    OutputError
-        If `path` cannot be written.
+    Raises `OutputError` if `path` cannot be written.
     """
     names = _names(fit, held_out)
     fit = {key: _named(names, entry) for key, entry in fit.items() if entry is not None}

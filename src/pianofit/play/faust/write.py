@@ -49,12 +49,8 @@ def write_faust(
 ) -> Program:  # fmt: skip
     """Write `path`, a .dsp, whole or not at all; the loudest stroke of the loudest key peaks at -1 dBFS.
 
-    Raises
-    ------
-    ParameterError
-        For a key that the instrument does not have, a felt that cannot be played, or more keys than there is room for.
-    OutputError
-        If `path` cannot be written.
+    Raises `ParameterError` for a key that the instrument does not have, a felt that cannot be played, or more keys than
+    there is room for; `OutputError` if `path` cannot be written.
     """
     if not keys:
         raise ParameterError("keys=[]: give the MIDI keys that are to have tables of their own")

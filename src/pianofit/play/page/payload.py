@@ -46,10 +46,7 @@ LADDER = (Knocks(math.inf, 16), Knocks(KNOCK_RATES[0], 16), *(Knocks(rate, 8) fo
 def payload(instrument: Instrument, most_bytes: int) -> tuple[dict[str, Any], Knocks | None]:
     """What the page's script reads, and how knocks are kept in it, if there are any.
 
-    Raises
-    ------
-    ParameterError
-        If a felt's law cannot be played, or nothing is left of `most_bytes`.
+    Raises `ParameterError` if a felt's law cannot be played, or nothing is left of `most_bytes`.
     """
     rates = [n.ringing.rate for n in instrument.notes.values() if n.ringing is not None and n.ringing.knock.size]
     size = 0
@@ -98,10 +95,7 @@ def intervals(told: Mapping[str, tuple[float, float, float]]) -> dict[str, list[
 def encode_note(note: Note, midi: int, knocks: Knocks = LADDER[0]) -> dict[str, Any]:
     """One key, as prepare.js reads it.
 
-    Raises
-    ------
-    ParameterError
-        For a felt other than Hunt and Crossley's, or the power law.
+    Raises `ParameterError` for a felt other than Hunt and Crossley's, or the power law.
     """
     if type(note.hammer) is not Hammer:
         raise ParameterError(

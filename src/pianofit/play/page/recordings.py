@@ -31,12 +31,8 @@ def recorded_layers(instrument: Instrument) -> dict[int, list[dict[str, Any]]]:
 
     A sound begins when that of the instrument's key does whose hammer touches the string at the same time.
 
-    Raises
-    ------
-    FitError
-        If no layer is known, or a recording is not there any more.
-    ParameterError
-        If they take too much room.
+    Raises `FitError` if no layer is known, or a recording is not there any more; `ParameterError` if they take too much
+    room.
     """
     if not any(instrument.layers.values()):
         raise FitError("--recordings: the fits name no recordings; give the folder that pianofit batch wrote")

@@ -22,10 +22,7 @@ __all__ = ["front_end", "instrument_of", "widget"]
 def widget(note: Note) -> Any:
     """A widget that strikes `note`.
 
-    Raises
-    ------
-    ParameterError
-        If anywidget is not installed, or the note has a felt that a page cannot play.
+    Raises `ParameterError` if anywidget is not installed, or the note has a felt that a page cannot play.
     """
     return _kind()(instrument=instrument_of(note))
 
