@@ -72,16 +72,7 @@ _HOMES = {
     "inference.predict": ("Prediction", "cross_validate", "predict_recording"),
     "felt": ("FeltLaw", "MemoryHammer"),
     "model": (
-        "Modes",
-        "Note",
-        "Simulation",
-        "levels",
-        "mode_table",
-        "pluck",
-        "simulate",
-        "spectrum",
-        "strike",
-        "waveform",
+        "Modes", "Note", "Simulation", "levels", "mode_table", "pluck", "simulate", "spectrum", "strike", "waveform",
     ),
     "parameters": ("PARAMETERS", "Geometry", "Hammer", "Parameter", "String"),
     "published": ("Preset", "Typical", "preset", "typical"),
@@ -89,7 +80,7 @@ _HOMES = {
     "io": ("encode_wav",),
     "fit_file": ("load_note",),
     "setup": ("Layer", "Setup", "load_setup", "setup_from_dict"),
-}
+}  # fmt: skip
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 
 

@@ -5,15 +5,9 @@ The command line prints the message and exits with 1; it never shows a traceback
 """
 
 __all__ = [
-    "PianofitError",
-    "RecordingError",
-    "SetupError",
-    "ParameterError",
-    "AnalysisError",
-    "FitError",
-    "OutputError",
+    "PianofitError", "RecordingError", "SetupError", "ParameterError", "AnalysisError", "FitError", "OutputError",
     "WrongNoteError",
-]
+]  # fmt: skip
 
 
 class PianofitError(Exception):

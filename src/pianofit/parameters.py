@@ -14,18 +14,9 @@ from typing import Any, NamedTuple
 from .errors import ParameterError
 
 __all__ = [
-    "FIT_NAMES",
-    "HAMMER_NAMES",
-    "PARAMETERS",
-    "STRING_NAMES",
-    "Geometry",
-    "Hammer",
-    "Number",
-    "Parameter",
-    "String",
-    "check",
-    "check_velocity",
-]
+    "FIT_NAMES", "HAMMER_NAMES", "PARAMETERS", "STRING_NAMES", "Geometry", "Hammer", "Number", "Parameter", "String",
+    "check", "check_velocity",
+]  # fmt: skip
 
 # A box that says nothing else is the 95 % of its prior: so many standard deviations, 2 · 1.96.
 BOX_WIDTH = 3.92

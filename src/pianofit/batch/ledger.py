@@ -35,10 +35,6 @@ class Entry(NamedTuple):
     stage: str = ""  # of the fit, while it is running
     began: float = 0.0  # when, s since 1970, while it is running
 
-    def document(self) -> dict[str, Any]:
-        """The entry as JSON says it."""
-        return self._asdict() | {"left_out": [*self.left_out]}
-
 
 class Ledger:
     """The entries beside a store's folders; whoever writes holds the folder's lock."""
@@ -86,7 +82,7 @@ class Ledger:
             if entry.state == "done":
                 file.unlink(missing_ok=True)
             else:
-                replace_file(file, json_text(entry.document()).encode())
+                replace_file(file, json_text(entry._asdict()).encode())
         except (OSError, OutputError) as error:
             reason = error.__cause__ if isinstance(error.__cause__, OSError) else error
             raise unwritable(self.store.folder, reason) from error

@@ -36,7 +36,7 @@ def document(folder: Path, entries: Sequence[Entry]) -> dict[str, Any]:
         "median_seconds": round(statistics.median(seconds), 3) if seconds else None,
         "largest_memory": max((e.memory for e in entries), default=0),
         "suggestions": suggestions(entries),
-        "keys": [e.document() for e in entries],
+        "keys": [e._asdict() for e in entries],
     }
 
 

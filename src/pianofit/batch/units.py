@@ -102,7 +102,7 @@ class Outcome(NamedTuple):
     files: dict[str, bytes]
     error: str = ""  # the reason, empty if it was fitted
     sounds_like: str = ""  # the note that it sounds like, where that is not its name
-    left_out: tuple[tuple[str, str], ...] = ()  # recordings that could not be used, and why
+    left_out: tuple[dict[str, str], ...] = ()  # recordings that could not be used: file, and reason
     detail: str = ""  # a traceback, where the program is at fault
     seconds: float = 0.0
     memory: int = 0  # largest resident set of the worker so far, bytes
@@ -114,19 +114,15 @@ def _hash(document: object) -> str:
 
 
 @functools.cache
-def _versions() -> tuple[tuple[str, str], ...]:
+def versions() -> dict[str, str]:
+    """Versions of the program, its code, and the libraries that make the numbers."""
     package, code = Path(__file__).parents[1], hashlib.sha256()
     for part in NUMBERS:
         place = package / part
         for file in [place] if place.is_file() else sorted(place.glob("*.py")):
             code.update(file.read_bytes())
     found = {name: metadata.version(name) for name in ("jax", "jaxlib", "numpy", "scipy")}
-    return tuple({"pianofit": __version__, "code": code.hexdigest()[:16], **found}.items())
-
-
-def versions() -> dict[str, str]:
-    """Versions of the program, its code, and the libraries that make the numbers."""
-    return dict(_versions())
+    return {"pianofit": __version__, "code": code.hexdigest()[:16], **found}
 
 
 def make_unit(key: Key, settings: Settings) -> Unit:
@@ -238,7 +234,8 @@ def _fit_in(place: Path, unit: Unit, contents: Sequence[bytes] | None, tell: Cal
     if unit.setup:
         outputs["setup.toml"] = unit.setup.encode()
     paths = {s.name: s.path for s in unit.sources}
-    return Outcome(outputs, left_out=tuple((paths[f.name], _told(reason, place, unit)) for f, reason in left_out))
+    named = ({"file": paths[f.name], "reason": _told(reason, place, unit)} for f, reason in left_out)
+    return Outcome(outputs, left_out=tuple(named))
 
 
 def _stage(place: Path, unit: Unit, contents: Sequence[bytes] | None) -> list[Path]:

@@ -197,6 +197,7 @@ def _units(manifest: Path, keys: list, settings: Settings) -> list[Unit]:
     import tomllib
 
     from ..batch import make_unit
+    from ..batch.manifest import listed
     from ..io import one_line
     from ..setup import setup_from_dict
 
@@ -209,8 +210,7 @@ def _units(manifest: Path, keys: list, settings: Settings) -> list[Unit]:
         except PianofitError as error:
             problems.append(str(error))
     if problems:
-        more = f"; and {len(problems) - 5} more" if len(problems) > 5 else ""
-        raise SetupError(f"{one_line(manifest)}: {'; '.join(problems[:5])}{more}; nothing was started")
+        raise SetupError(f"{one_line(manifest)}: {listed(problems)}; nothing was started")
     return units
 
 

@@ -34,6 +34,7 @@ from .gather import (
 )
 from .laws import Law, Prior, fit_law
 from .velocity import velocity_map
+from .words import TITLES
 
 __all__ = ["KINDS", "NEIGHBOURS", "SCHEMA", "build_instrument"]
 
@@ -57,10 +58,6 @@ PRIORS = {
 KEPT = ("cents", "L", "M_S/L", "pickup/L")
 # A value is called pulled when the law moved it by more than this many of its own standard deviations.
 PULLED = 0.5
-UNITS = {
-    "cents": "cents", "B": "1", "b1": "1/s", "d2": "1/s", "M_H/M_S": "1", "K/M_S": "N/kg", "p": "1", "mu": "s/m",
-    "x0/L": "1", "width/L": "1", "L": "m", "M_S/L": "kg/m", "pickup/L": "1", "gain": "",
-}  # fmt: skip
 # The output path's law, dB: what all keys share, how it drifts over the keyboard, the residuals of single partials.
 COMMON_DB, DRIFT_DB, ROUGH_DB = 6.0, 4.0, 4.0
 OCTAVES, DRIFT_KEYS = 1.0, 15.0
@@ -226,7 +223,7 @@ def _interval(name: str, value: float, sd: float) -> list[float]:
 def _law_document(name: str, law: Law, base: np.ndarray, known: np.ndarray) -> dict[str, Any]:
     center = _scale(name, base) + law.mean
     return {
-        "unit": UNITS[name], "scale": "linear" if name == "cents" else "log",
+        "unit": TITLES[name][1] if name != "gain" else "", "scale": "linear" if name == "cents" else "log",
         "literature": None if name == "gain" else base.tolist(), "value": _unscale(name, center).tolist(),
         "low": _unscale(name, center - NORMAL * law.sd).tolist(),
         "high": _unscale(name, center + NORMAL * law.sd).tolist(),

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "FAINT", "FITTED", "HEIGHT", "INITIAL", "INK", "LAW", "LINES", "MEASURED", "STYLE",
-    "legend", "number_axis", "panel", "points", "span", "svg",
+    "legend", "log_axis", "number_axis", "panel", "points", "span", "svg",
 ]  # fmt: skip
 
 INK, MEASURED, INITIAL, LAW, FITTED, FAINT = "#333333", "#1a1a1a", "#d55e00", "#009e73", "#0072b2", "#eeeeee"
@@ -134,6 +134,15 @@ def number_axis(axes: Axes, number: np.ndarray) -> None:
     low, high = span(number)
     axes.set_xlim(low - 0.7, high + 0.7)
     axes.xaxis.set_major_locator(MaxNLocator(nbins=10, integer=True, min_n_ticks=1))
+
+
+def log_axis(axis: Any, subs: tuple[int, ...] = (1, 2, 5)) -> None:
+    """Mark a logarithmic axis at so many places of each decade, with plain numbers."""
+    from matplotlib.ticker import LogLocator, NullFormatter
+
+    axis.set_major_locator(LogLocator(subs=subs))
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_formatter(NullFormatter())
 
 
 def legend(figure: Figure, *sources: Axes | None, columns: int = 4) -> None:

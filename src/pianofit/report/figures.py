@@ -16,6 +16,7 @@ from .drawing import (
     LINES,
     MEASURED,
     legend,
+    log_axis,
     number_axis,
     panel,
     points,
@@ -165,8 +166,6 @@ def draw_attack(axes: Axes, curves: Curves, names: tuple[str, ...]) -> None:
 
 
 def _partials(curves: Curves) -> list[Figure]:
-    from matplotlib.ticker import LogLocator, NullFormatter
-
     law, (cents, rest) = panel(0.68 * HEIGHT, 0.32 * HEIGHT)
     points(cents, curves.number, curves.frequency_cents, curves.frequency_cents_error)
     cents.plot(curves.number, curves.frequency_cents_law, label="law of the fitted string", **LINES["fitted"])
@@ -180,9 +179,7 @@ def _partials(curves: Curves) -> list[Figure]:
     positive = curves.decay[np.isfinite(curves.decay)]
     if len(positive) and np.min(positive) > 0:
         decay.set_yscale("log")
-        decay.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-        decay.yaxis.set_major_formatter("{x:g}")
-        decay.yaxis.set_minor_formatter(NullFormatter())
+        log_axis(decay.yaxis)
     decay.set(title="Decay of the amplitude", ylabel="decay rate α (1/s)", xlabel="partial number k")
     for figure, axes in ((law, cents), (losses, decay)):
         number_axis(axes, curves.number)

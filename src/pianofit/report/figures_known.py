@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .curves import Felt, Known, RecordingCurves
-from .drawing import FITTED, HEIGHT, INITIAL, INK, LINES, MEASURED, legend, panel, span
+from .drawing import FITTED, HEIGHT, INITIAL, INK, LINES, MEASURED, legend, log_axis, panel, span
 from .words import SYMBOLS
 
 if TYPE_CHECKING:
@@ -56,8 +56,6 @@ def _law(axes: Axes, u: np.ndarray, force: np.ndarray, look: dict, name: str) ->
 
 def _logarithmic(axes: Axes, felt: Felt, deepest: list[float]) -> None:
     """Over one and a half decades of compression, where a power law is a line; marks at the axis: the deepest."""
-    from matplotlib.ticker import LogLocator, NullFormatter
-
     u, law = felt.compression[-1], felt.force[0, -1]
     if not (u > 0 and law > 0 and np.isfinite(law)):
         return
@@ -67,10 +65,8 @@ def _logarithmic(axes: Axes, felt: Felt, deepest: list[float]) -> None:
     axes.set_ylim(max(ends[0].min() / 30, ends[1].min() / 2, law * 1e-9), min(30 * law, 2 * ends[2].max()))
     across = axes.get_xaxis_transform()
     axes.plot(deepest, [0.03] * len(deepest), "|", color=MEASURED, ms=13, mew=2, transform=across, zorder=5)
-    for axis in (axes.xaxis, axes.yaxis):
-        axis.set_minor_formatter(NullFormatter())
-        axis.set_major_formatter("{x:g}")
-    axes.xaxis.set_major_locator(LogLocator(subs=(1, 3)))
+    log_axis(axes.xaxis, (1, 3))
+    log_axis(axes.yaxis, (1,))
 
 
 def draw_known(known: Known) -> list[Figure]:

@@ -61,7 +61,7 @@ def write_report(
         scripts=("audio.js", "player.js"),
         strict=False,
         title=title,
-        contents=_contents(fit, bool(identified or figures.get("known")), bool(left_out), curves.ringing is not None),
+        contents=True,
         fit=fit,
         notices=words.notices(fit),
         tiles=words.tiles(fit),
@@ -88,23 +88,6 @@ def write_report(
         has_path=curves.path is not None,
         data=json.dumps(fit, indent=2, ensure_ascii=False, default=str),
     )
-
-
-def _contents(fit: dict[str, Any], identified: bool, left_out: bool, ringing: bool) -> list[tuple[str, str]]:
-    """The page's headings: (id, words)."""
-    several = len(fit.get("recordings") or ()) > 1
-    headings = (
-        ("recordings", "The recordings", several),
-        ("listen", "Listen", True),
-        ("parameters", "Parameters", True),
-        ("known", "What the data fix", identified),
-        ("evidence", "How well it fits", True),
-        ("left-out", "Recordings left out", left_out),
-        ("hammer", "The hammer", True),
-        ("ringing", "How the note rings", ringing),
-        ("made", "How this was made", True),
-    )
-    return [(anchor, words) for anchor, words, there in headings if there]
 
 
 def _names(*documents: dict[str, Any] | None) -> dict[str, str]:

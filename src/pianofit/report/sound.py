@@ -18,7 +18,7 @@ import numpy as np
 from ..io import CEILING, encode_pcm
 from .kit import data_uri
 
-__all__ = ["Clip", "k_weighted_mean_square", "make_clips"]
+__all__ = ["Clip", "excerpt", "k_weighted_mean_square", "make_clips"]
 
 SECONDS = 8.0  # of each sound are kept; three such sounds of one channel at 48 kHz have 3 MB
 LEAD_IN = 0.05  # s kept before the onset
@@ -83,7 +83,7 @@ def make_clips(
     matched : whether all get the same loudness, or keep theirs to each other; a silent sound keeps its level.
     """
     factor = math.ceil(rate / highest_rate)
-    cut = {name: _excerpt(samples, rate, onset - lead_in, seconds, factor) for name, samples in sounds.items()}
+    cut = {name: excerpt(samples, rate, onset - lead_in, seconds, factor) for name, samples in sounds.items()}
     rate = round(rate / factor)
     powers = {
         name: k_weighted_mean_square(samples[:, :rate], rate) if matched else 0.0 for name, samples in cut.items()
@@ -98,7 +98,7 @@ def make_clips(
     ]  # fmt: skip
 
 
-def _excerpt(samples: np.ndarray, rate: int, begin: float, seconds: float, factor: int) -> np.ndarray:
+def excerpt(samples: np.ndarray, rate: int, begin: float, seconds: float, factor: int) -> np.ndarray:
     """From `begin`, s, at most `seconds`, faded out, at the rate divided by `factor` [channels, samples]."""
     samples = np.atleast_2d(np.nan_to_num(np.asarray(samples, dtype=np.float64), posinf=0.0, neginf=0.0))
     samples = samples if samples.size else np.zeros((1, 1))

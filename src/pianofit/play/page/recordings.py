@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import math
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from ...keyboard.document import Instrument
 from ...keyboard.gather import Layer
 from ...model.note import Note
 from ...recording import load_recording
+from ...report.sound import excerpt
 from ..strings import CHANNELS
 
 __all__ = ["recorded_layers"]
@@ -21,9 +23,8 @@ __all__ = ["recorded_layers"]
 # Seconds that are kept of every layer: the most that leaves all of them `ROOM`, bytes of the page.
 LENGTHS = (4.0, 3.0, 2.0)
 ROOM = 30_000_000
-# At the end, s.
-FADE = 0.05
-HIGHEST_RATE = 48_000  # Hz: the page's own
+# Hz, the page's own: what has more is brought down by a whole factor.
+HIGHEST_RATE = 48_000
 
 
 def recorded_layers(instrument: Instrument) -> dict[int, list[dict[str, Any]]]:
@@ -70,12 +71,7 @@ def _read(layer: Layer, note: Note) -> tuple[np.ndarray, int]:
 
 def _encoded(samples: np.ndarray, rate: int, seconds: float) -> str:
     """Its first seconds, faded out, with its peak at full scale: what it is compared with gets its loudness."""
-    from scipy.signal import resample_poly
-
-    if rate > HIGHEST_RATE:
-        samples, rate = resample_poly(samples, HIGHEST_RATE, rate, axis=-1), HIGHEST_RATE
-    kept = samples[:, : round(seconds * rate)].copy()
-    fade = min(round(FADE * rate), kept.shape[-1])
-    kept[:, -fade:] *= np.linspace(1.0, 0.0, fade)
+    factor = math.ceil(rate / HIGHEST_RATE)
+    kept = excerpt(samples, rate, 0.0, seconds, factor)
     kept /= max(float(np.abs(kept).max(initial=0.0)), 1e-12)
-    return base64.b64encode(encode_pcm(kept, rate, "flac", 16)).decode()
+    return base64.b64encode(encode_pcm(kept, round(rate / factor), "flac", 16)).decode()
