@@ -11,7 +11,7 @@ import signal
 import stat
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,7 @@ __all__ = [
     "CEILING", "FIT_SCHEMA", "LARGEST", "MOST_CHANNELS",
     "check_sound_target", "check_target", "encode_pcm", "encode_wav", "finite", "interrupted_by", "is_number",
     "json_text", "limited", "load_json", "one_line", "output_folder", "read_file", "read_text", "replace_file", "shown",
-    "table_of", "write_file",
+    "table_of", "with_names", "write_file",
 ]  # fmt: skip
 
 # Larger numbers overflow when they are squared.
@@ -104,6 +104,18 @@ def finite(value: Any, where: str, way_out: str) -> float:
 def is_number(value: Any) -> bool:
     """Whether what a file holds is a number that can be computed with."""
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < LARGEST
+
+
+def with_names(value: Any, names: Mapping[str, str]) -> Any:
+    """A document in all whose texts one name stands for another: a path for another path, or a name for a path."""
+    if isinstance(value, dict):
+        return {key: with_names(entry, names) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [with_names(entry, names) for entry in value]
+    if isinstance(value, str):
+        for old, new in names.items():
+            value = value.replace(old, new)
+    return value
 
 
 def shown(value: Any) -> str:

@@ -22,12 +22,12 @@ from collections.abc import Callable, Sequence
 from importlib import metadata
 from math import log2
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from .. import __version__
 from ..analysis.notes import hz_to_note, note_to_hz, note_to_midi
 from ..errors import AnalysisError, OutputError, PianofitError, RecordingError
-from ..io import one_line, read_file
+from ..io import one_line, read_file, with_names
 from ..recording import MAX_BYTES
 from .manifest import Key
 
@@ -229,13 +229,17 @@ def _fit_in(place: Path, unit: Unit, contents: Sequence[bytes] | None, tell: Cal
         astray = left_out[0][1] if left_out and not files else str(error)
         every = f"none of its {len(left_out)} recordings can be used: " if len(left_out) > 1 and not files else ""
         like = _sounds_like(unit, files or [f for f, _ in left_out])
-        return Outcome({}, every + _told(astray, place, unit), sounds_like=like)
+        return Outcome({}, with_names(every + astray, _paths(place, unit)), sounds_like=like)
     outputs = {file.name: file.read_bytes() for file in sorted(out.iterdir())}
     if unit.setup:
         outputs["setup.toml"] = unit.setup.encode()
-    paths = {s.name: s.path for s in unit.sources}
-    named = ({"file": paths[f.name], "reason": _told(reason, place, unit)} for f, reason in left_out)
-    return Outcome(outputs, left_out=tuple(named))
+    named = [{"file": str(file), "reason": reason} for file, reason in left_out]
+    return Outcome(outputs, left_out=tuple(with_names(named, _paths(place, unit))))
+
+
+def _paths(place: Path, unit: Unit) -> dict[str, str]:
+    """The recordings' own paths by those that they have in the scratch folder, whose name changes by the run."""
+    return {str(place / "in" / source.name): source.path for source in unit.sources}
 
 
 def _stage(place: Path, unit: Unit, contents: Sequence[bytes] | None) -> list[Path]:
@@ -270,7 +274,7 @@ def _fit(unit: Unit, files: list[Path], place: Path, out: Path, tell: Callable[[
     )  # fmt: skip
     if wrong := _astray(unit.note, result.document["derived"]["f0"]):
         raise AnalysisError(wrong)
-    result.document.update(_own(result.document, place, unit))
+    result.document.update(with_names(result.document, _paths(place, unit)))
     result.save(out, force=True, page=False)
     if unit.settings.page:
         tell("page")
@@ -329,19 +333,3 @@ def _changes(tell: Callable[[str], None]) -> Callable[[str, float], None]:
             tell(stage)
 
     return progress
-
-
-def _own(value: Any, place: Path, unit: Unit) -> Any:
-    """A document in which recordings have their own paths, as in `_told`, and so no name that changes by the run."""
-    if isinstance(value, dict):
-        return {name: _own(x, place, unit) for name, x in value.items()}
-    if isinstance(value, list | tuple):
-        return [_own(x, place, unit) for x in value]
-    return _told(value, place, unit) if isinstance(value, str) else value
-
-
-def _told(reason: str, place: Path, unit: Unit) -> str:
-    """A reason with the recordings' own paths instead of those they had in the scratch folder."""
-    for source in unit.sources:
-        reason = reason.replace(str(place / "in" / source.name), source.path)
-    return reason

@@ -161,8 +161,7 @@ def predict(
 def crossval(
     recordings: Recordings,
     out: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="A folder for the fit of all recordings and its page, if wanted."),
+        Path | None, typer.Option(metavar="DIR", help="A folder for the fit of all recordings and its page, if wanted.")
     ] = None,
     note: Note = None,
     f0: Pitch = None,

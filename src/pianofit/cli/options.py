@@ -68,13 +68,11 @@ File = Annotated[Path, typer.Argument(metavar="FILE", help="A recording of one s
 Note = Annotated[
     str | None,
     typer.Option(
-        metavar="NOTE",
-        help="The note: F#2, Fs2, Gb2 or its MIDI number, 42; found from the recording if not given.",
+        metavar="NOTE", help="The note: F#2, Fs2, Gb2 or its MIDI number, 42; found from the recording if not given."
     ),
 ]
 Pitch = Annotated[
-    float | None,
-    typer.Option("--f0", parser=number, metavar="HZ", help="The note's pitch in Hz, instead of its name."),
+    float | None, typer.Option("--f0", parser=number, metavar="HZ", help="The note's pitch in Hz, instead of its name.")
 ]
 Channel = Annotated[
     str, typer.Option(metavar="CHANNEL", help="Which channel of a file: average, left, right, or a number from 1.")
@@ -90,8 +88,7 @@ Known = Annotated[
 Sound = Annotated[Path, typer.Option(metavar="FILE.WAV", help="The WAV file to write.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 Felt = Annotated[
-    str | None,
-    typer.Option(parser=one_of(*LAWS), metavar="LAW", help=f"The felt's law: {', '.join(LAWS)}."),
+    str | None, typer.Option(parser=one_of(*LAWS), metavar="LAW", help=f"The felt's law: {', '.join(LAWS)}.")
 ]
 Force = Annotated[bool, typer.Option("--force", help="Replace what --out holds.")]
 Velocity = Annotated[float | None, typer.Option(parser=number, metavar="M/S", help="Hammer velocity in m/s.")]

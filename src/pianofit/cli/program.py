@@ -83,8 +83,7 @@ def demo(
 
 def reproduce(
     out: Annotated[
-        Path,
-        typer.Option(metavar="DIR", help="The folder for the page, index.html, and the files behind it."),
+        Path, typer.Option(metavar="DIR", help="The folder for the page, index.html, and the files behind it.")
     ],
     seed: Seed = 0,
     force: Force = False,

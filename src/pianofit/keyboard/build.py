@@ -22,16 +22,7 @@ from ..model.path import OutputPath
 from ..parameters import PARAMETERS, Geometry, Hammer, String
 from ..ringing_file import ringing_document
 from ..units import NORMAL, hertz_of
-from .gather import (
-    HIGHEST_KEY,
-    LOWEST_KEY,
-    NAMES,
-    KeyFit,
-    invariants,
-    literature,
-    of_force,
-    reference_compression,
-)
+from .gather import HIGHEST_KEY, LOWEST_KEY, NAMES, KeyFit, invariants, literature, of_force, reference_compression
 from .laws import Law, Prior, fit_law
 from .velocity import velocity_map
 from .words import TITLES

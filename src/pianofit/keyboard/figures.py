@@ -110,10 +110,7 @@ def _sound(document: dict[str, Any]) -> list[Figure]:
 
 def _ringing(rows: list[tuple[int, dict[str, Any]]]) -> list[Figure]:
     """What beats and how it decays, of the lowest partials of the keys whose modes are known."""
-    titles = {
-        "split_cents": "split of the two modes that beat (cents)",
-        "late_over_early": "late T60 over early T60",
-    }
+    titles = {"split_cents": "split of the two modes that beat (cents)", "late_over_early": "late T60 over early T60"}
     drawn = []
     for name, title in titles.items():
         figure, (axes,) = panel(HEIGHT)

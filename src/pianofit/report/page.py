@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from ..io import with_names
 from . import known, numbers, words
 from .curves import Curves, RecordingCurves, Strokes
 from .figures import draw_figures
@@ -46,9 +47,10 @@ def write_report(
 
     Raises `OutputError` if `path` cannot be written.
     """
+    # A page is shown to others, who need not know any folder.
     names = _names(fit, held_out)
-    fit = {key: _named(names, entry) for key, entry in fit.items() if entry is not None}
-    held_out = _named(names, held_out)
+    fit = {key: with_names(entry, names) for key, entry in fit.items() if entry is not None}
+    held_out = with_names(held_out, names)
     onset = _onset(fit.get("recordings", []))
     left_out = known.held_out_rows(held_out)
     figures = draw_figures(
@@ -100,18 +102,6 @@ def _names(*documents: dict[str, Any] | None) -> dict[str, str]:
     ]
     files = {str(recording.get("file") or "") for recording in recordings}
     return {file: PurePath(file).name for file in sorted(files, key=len, reverse=True) if PurePath(file).name}
-
-
-def _named(names: dict[str, str], value: Any) -> Any:
-    """`value` with names instead of paths in all text: a page is shown to others, who need not know any folder."""
-    if isinstance(value, dict):
-        return {key: _named(names, entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [_named(names, entry) for entry in value]
-    if isinstance(value, str):
-        for path, name in names.items():
-            value = value.replace(path, name)
-    return value
 
 
 def _onset(recordings: list[dict[str, Any]]) -> float:

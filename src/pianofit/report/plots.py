@@ -8,9 +8,7 @@ from typing import TYPE_CHECKING
 
 from ..errors import FitError, ParameterError
 from ..inference import Result
-from .build import reference_curves
-from .build_felt import known_of
-from .build_ringing import envelopes_of
+from .build import envelopes_of, known_of, reference_curves
 from .drawing import STYLE
 from .figures import draw_force, draw_levels, draw_spectrum
 from .figures_known import draw_correlations

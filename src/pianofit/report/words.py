@@ -214,30 +214,18 @@ def tiles(fit: dict[str, Any]) -> list[tuple[str, str, str]]:
     again = again_in_words(derived.get("later_contacts"))
     force, depth = number(derived.get("max_force_N"), 3), number(derived.get("max_compression_mm"), 3)
     tiles = (
-        (
-            "Error of the partials’ levels",
-            (levels.get("fitted_db"), 2, "dB"),
-            f"{number(levels.get('initial_db'), 2)} dB at the start; rms over {count} partials",
-        ),
-        (
-            "Criterion",
-            (overall.get("final"), 3, ""),
-            f"{number(start, 3)} at the start, {_change(start, overall.get('final'))}",
-        ),
-        (
-            "Pitch f₀",
-            (derived.get("f0"), 5, "Hz"),
-            f"inharmonicity B = {number(derived.get('B'), 3)}" + (f"; it {moves} as the note decays" if moves else ""),
-        ),
-        (
-            "Contact of the hammer",
-            (derived.get("contact_ms"), 3, "ms"),
-            f"up to {force} N, felt pressed in by {depth} mm" + (f"; {again}" if again else ""),
-        ),
-    )
+        ("Error of the partials’ levels", levels.get("fitted_db"), 2, "dB",
+         f"{number(levels.get('initial_db'), 2)} dB at the start; rms over {count} partials"),
+        ("Criterion", overall.get("final"), 3, "",
+         f"{number(start, 3)} at the start, {_change(start, overall.get('final'))}"),
+        ("Pitch f₀", derived.get("f0"), 5, "Hz",
+         f"inharmonicity B = {number(derived.get('B'), 3)}" + (f"; it {moves} as the note decays" if moves else "")),
+        ("Contact of the hammer", derived.get("contact_ms"), 3, "ms",
+         f"up to {force} N, felt pressed in by {depth} mm" + (f"; {again}" if again else "")),
+    )  # fmt: skip
     return [
         (what, f"{number(value, digits)} {unit}", explanation)
-        for what, (value, digits, unit), explanation in tiles
+        for what, value, digits, unit, explanation in tiles
         if is_number(value)
     ]
 
