@@ -19,7 +19,7 @@ from functools import cache
 
 import numpy as np
 
-from .errors import ParameterError
+from .errors import ParameterError, check_range
 from .parameters import Geometry, Hammer, String
 from .units import hertz_of
 
@@ -216,8 +216,7 @@ def typical(midi: float) -> Typical:
     >>> f"{it.f0:.1f} Hz, {it.geometry.length:.2f} m, hammer {1e3 * it.hammer.M_H:.1f} g"
     '261.6 Hz, 0.69 m, hammer 2.9 g'
     """
-    if not 15 <= midi <= 114:
-        raise ParameterError(f"midi={midi!r} must be from 15 to 114; 60 is C4")
+    check_range("midi=", midi, 15, 114, hint="; 60 is C4")
     f0 = hertz_of(midi)
     at = {name: _curve(name)(midi) for name in TABLES}
     length, c = at["length"], 2 * at["length"] * f0

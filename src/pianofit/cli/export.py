@@ -11,7 +11,7 @@ import typer
 from ..errors import OutputError, ParameterError
 from ..progress import progress_bar
 from .options import Built, Force, Json, Prefix, number, whole
-from .terminal import add
+from .terminal import add, tell
 
 if TYPE_CHECKING:
     from ..play import Exported
@@ -57,7 +57,6 @@ def export(
     as_json: Json = False,
 ) -> None:
     """Write an instrument for other programs: a sampler's folder, or a program in Faust."""
-    from ..io import json_text
     from ..keyboard import load_instrument
     from ..model.cache import keep_programs
     from ..play import SAMPLERS, Asked, export_sampler, parse_keys
@@ -78,7 +77,7 @@ def export(
             wanted = Asked(kind=SAMPLERS[to].kind)._replace(**asked)
             done = export_sampler(played, out, chosen, wanted, to=to, licence=licence, force=force, progress=bar)
             words = _sampled(done)
-    typer.echo(json_text(done._asdict()) if as_json else f"{out}: {words}", nl=False)
+    tell(done._asdict(), f"{out}: {words}", as_json)
 
 
 def _check_target(to: str, out: Path, asked: dict[str, Any], force: bool) -> None:

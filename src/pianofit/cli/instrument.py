@@ -11,7 +11,7 @@ import typer
 from ..errors import OutputError
 from ..progress import progress_bar
 from .options import Built, Force, Json, Prefix, Sound, whole
-from .terminal import add
+from .terminal import add, tell
 
 __all__ = ["register"]
 
@@ -53,7 +53,7 @@ def instrument(
         replace_file(folder / "instrument.json", json_text(document).encode())
         if page:
             write_page(folder / "instrument.html", document)
-    typer.echo(json_text(document) if as_json else f"{summary(document)}\nwritten to {out}\n", nl=False)
+    tell(document, f"{summary(document)}\nwritten to {out}\n", as_json)
 
 
 def play(
@@ -66,7 +66,7 @@ def play(
     as_json: Json = False,
 ) -> None:
     """Play a MIDI file on a fitted instrument."""
-    from ..io import check_sound_target, encode_pcm, json_text, write_file
+    from ..io import check_sound_target, encode_pcm, write_file
     from ..keyboard import load_instrument
     from ..model.cache import keep_programs
     from ..play import load_song, perform
@@ -86,7 +86,7 @@ def play(
         "on_moving_strings": found.on_moving, "gain_db": found.gain_db, "limited_db": found.limited_db,
         "peak": float(abs(found.samples).max(initial=0.0)), "computed_in_s": took, "real_time_factor": took / seconds,
     }  # fmt: skip
-    typer.echo(json_text(done) if as_json else _played(out, done), nl=False)
+    tell(done, _played(out, done), as_json)
 
 
 def _played(out: Path, done: dict[str, Any]) -> str:
@@ -114,7 +114,7 @@ def page(
     as_json: Json = False,
 ) -> None:
     """Write an instrument to play in a browser: one HTML file of at most 1.5 MB that needs no server and no network."""
-    from ..io import check_target, json_text, one_line
+    from ..io import check_target, one_line
     from ..keyboard import load_instrument
     from ..play.page import write_page
     from ..report.kit import is_page
@@ -135,7 +135,7 @@ def page(
         "knocks": None if found.knocks is None else {"bits": found.knocks.bits, "rate": found.knocks.rate},
         "layers": found.layers,
     }  # fmt: skip
-    typer.echo(json_text(done) if as_json else _written(done), nl=False)
+    tell(done, _written(done), as_json)
 
 
 def _written(done: dict[str, Any]) -> str:

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..errors import ParameterError
+from ..errors import ParameterError, check_range
 from ..felt import MemoryHammer
 from ..parameters import Geometry, Hammer, String, check_velocity
 from ..recording import RATES
@@ -196,10 +196,8 @@ def check_render(velocity: float | None, seconds: float, rate: int) -> None:
         Naming the argument, its value and its range.
     """
     check_velocity(velocity)
-    if not 0.01 <= seconds <= MOST_SECONDS:
-        raise ParameterError(f"seconds={seconds} must be from 0.01 to {MOST_SECONDS:g}")
-    if not RATES[0] <= rate <= RATES[1]:
-        raise ParameterError(f"rate={rate} Hz must be from {RATES[0]} to {RATES[1]}")
+    check_range("seconds=", seconds, 0.01, MOST_SECONDS)
+    check_range("rate=", rate, *RATES, " Hz")
     if seconds * rate > MOST_SAMPLES:
         raise ParameterError(
             f"seconds={seconds} at rate={rate} Hz is too long; ask for {MOST_SAMPLES // rate} s or less"

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..analysis.notes import midi_to_note
-from ..errors import OutputError, ParameterError
+from ..errors import OutputError, ParameterError, check_range
 from ..io import CEILING, encode_pcm, interrupted_by, one_line
 from ..keyboard.document import Instrument
 from ..recording import RATES
@@ -51,6 +51,7 @@ README = "README.txt"
 # Names of samples: key, note, velocity.
 SAMPLE = re.compile(r"\d{3}-[A-G]s?-?\d-v\d{3}\.(flac|wav)")
 MOST_LAYERS = 127
+HIGHEST_RATE = 192_000  # Hz: samplers read no higher
 MOST_SAMPLE_SECONDS = 40_000.0  # all samples together: some 5 GB
 # Of the time an export takes, that to strike all keys for their levels.
 LEVELS_SHARE = 0.5
@@ -128,12 +129,9 @@ def export_sampler(
 
 
 def _check(instrument: Instrument, keys: Sequence[int], asked: Asked) -> None:
-    if not 1 <= asked.layers <= MOST_LAYERS:
-        raise ParameterError(f"layers={asked.layers} must be from 1 to {MOST_LAYERS}")
-    if not RATES[0] <= asked.rate <= min(RATES[1], 192_000):
-        raise ParameterError(f"rate={asked.rate} Hz must be from {RATES[0]} to 192000")
-    if not 0.1 <= asked.seconds <= 120:
-        raise ParameterError(f"seconds={asked.seconds} must be from 0.1 to 120")
+    check_range("layers=", asked.layers, 1, MOST_LAYERS)
+    check_range("rate=", asked.rate, RATES[0], HIGHEST_RATE, " Hz")
+    check_range("seconds=", asked.seconds, 0.1, 120)
     if asked.kind not in KINDS:
         raise ParameterError(f"samples={asked.kind!r} must be one of {', '.join(KINDS)}")
     if len(keys) * asked.layers * asked.seconds > MOST_SAMPLE_SECONDS:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..errors import ParameterError
+from ..errors import ParameterError, check_range
 from ..io import CEILING
 from ..keyboard.document import Instrument
 from ..model.note import MOST_SAMPLES
@@ -59,8 +59,7 @@ def perform(
 
     Raises `ParameterError` for a rate out of range, a song too long for it, or a key the instrument does not have.
     """
-    if not RATES[0] <= rate <= RATES[1]:
-        raise ParameterError(f"rate={rate} Hz must be from {RATES[0]} to {RATES[1]}")
+    check_range("rate=", rate, *RATES, " Hz")
     lead = round(instrument.lead * rate)
     size = int((song.seconds + LAST_RING) * rate) + lead
     if size > MOST_SAMPLES:
