@@ -19,7 +19,7 @@ from ..io import one_line
 from ..recording import load_recording
 from ..report import kit
 from ..report.numbers import is_number, number, with_interval
-from ..report.sound import Clip, make_clips
+from ..report.sound import LIGHT_RATE, Clip, make_clips, seconds_each
 from ..report.words import STATUS, SYMBOLS
 from ..tables import write_csv
 from .ledger import Entry, Ledger
@@ -40,8 +40,10 @@ INVARIANTS = {
 }  # fmt: skip
 # Entries of a fit.json that are read here, and what each is; a damaged one is left out.
 READ = {"invariants": dict, "parameters": dict, "levels": dict, "ringing": dict, "recordings": list, "messages": list}
-# Sounds of the page: up to this rate, Hz, this long, s, or shorter, so that all have some 8 MB.
-RATE, LONGEST, SHORTEST, SAMPLES = 32_000, 3.0, 1.0, 4_000_000
+# Of the page's sounds all together: 8 MB.
+SAMPLES = 4_000_000
+LONGEST = 3.0  # s, of each of them,
+SHORTEST = 1.0  # s, however many there are
 
 
 class Index:
@@ -70,7 +72,7 @@ class Index:
         entries = sorted(Ledger(self.store).entries(), key=_order)
         found = {e.key: (e, self._fit(e.key)) for e in entries if e.state == "done"}
         write_csv(self.store.folder / CSV_FILE, *table(entries, {key: fit for key, (_, fit) in found.items()}))
-        seconds = max(SHORTEST, min(LONGEST, SAMPLES / (2 * max(len(entries), 1) * RATE)))
+        seconds = seconds_each(len(entries), SAMPLES, LONGEST, SHORTEST)
         kit.write_page(
             self.store.folder / INDEX_FILE, "index.html.j2", package="pianofit.batch", styles=("index.css",),
             scripts=("audio.js", "player.js"), strict=False, title=one_line(self.store.folder.resolve().name),
@@ -118,7 +120,7 @@ def _heard(store: Store, key: str, fit: dict[str, Any], seconds: float) -> list[
     if recording.sha256 != row.get("sha256") or fitted.rate != recording.rate:
         return []
     sounds, rate = {"original": recording.samples, "fitted": fitted.samples}, recording.rate
-    return make_clips(sounds, rate, recording.onset / rate, seconds=seconds, highest_rate=RATE)
+    return make_clips(sounds, rate, recording.onset / rate, seconds=seconds, highest_rate=LIGHT_RATE)
 
 
 def _row(store: Store, entry: Entry, fit: dict[str, Any]) -> dict[str, Any]:

@@ -17,14 +17,16 @@ from . import known, numbers, words
 from .curves import Curves, RecordingCurves, Strokes
 from .figures import draw_figures
 from .kit import picture, write_page
-from .sound import SECONDS, Clip, make_clips
+from .sound import LIGHT_RATE, SECONDS, Clip, make_clips, seconds_each
 
 __all__ = ["Curves", "write_report"]
 
 # Of the first recording, where a sound has two channels.
 STEREO_SECONDS = 5.0
-# Of the sounds beside them: up to this rate, and as long as leaves the page some megabytes.
-LIGHT_RATE, LIGHT_SECONDS, SHORTEST, LIGHT_SAMPLES = 32_000, 4.0, 1.5, 1_000_000
+# Of the other recordings' sounds all together: 2 MB.
+LIGHT_SAMPLES = 1_000_000
+LONGEST = 4.0  # s, of each of them,
+SHORTEST = 1.5  # s, however many there are
 
 
 def write_report(
@@ -151,7 +153,7 @@ def _strokes(strokes: Strokes | None) -> dict[str, Any] | None:
 def _players(curves: Curves, recordings: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Recorded and fitted sound of every recording but the first, which has its own player."""
     others = [recording for i, recording in enumerate(curves.recordings) if i != curves.first]
-    seconds = max(SHORTEST, min(LIGHT_SECONDS, LIGHT_SAMPLES / (2 * max(len(others), 1) * LIGHT_RATE)))
+    seconds = seconds_each(len(others), LIGHT_SAMPLES, LONGEST, SHORTEST)
     names = {
         i: PurePath(str(recording.get("file") or f"recording {i}")).name
         for i, recording in enumerate(recordings, start=1)

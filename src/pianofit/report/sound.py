@@ -18,12 +18,13 @@ import numpy as np
 from ..io import CEILING, encode_pcm
 from .kit import data_uri
 
-__all__ = ["Clip", "excerpt", "k_weighted_mean_square", "make_clips"]
+__all__ = ["LIGHT_RATE", "Clip", "excerpt", "k_weighted_mean_square", "make_clips", "seconds_each"]
 
 SECONDS = 8.0  # of each sound are kept; three such sounds of one channel at 48 kHz have 3 MB
 LEAD_IN = 0.05  # s kept before the onset
 FADE = 0.05  # s, at the end: many recordings are cut off
 HIGHEST_RATE = 96_000  # Hz; what every browser's Web Audio must play
+LIGHT_RATE = 32_000  # Hz, of sounds that a page has many of: to 16 kHz
 
 
 @dataclass(frozen=True)
@@ -96,6 +97,11 @@ def make_clips(
              20 * math.log10(gains[name] * common), rate, samples.shape[-1] / rate)
         for name, samples in cut.items()
     ]  # fmt: skip
+
+
+def seconds_each(pairs: int, samples: int, longest: float, shortest: float) -> float:
+    """How long the sounds of so many pairs may be at `LIGHT_RATE`, s, so that all together have some `samples`."""
+    return max(shortest, min(longest, samples / (2 * max(pairs, 1) * LIGHT_RATE)))
 
 
 def excerpt(samples: np.ndarray, rate: int, begin: float, seconds: float, factor: int) -> np.ndarray:
