@@ -44,7 +44,7 @@ USES = {
     "fitting": "analysis inference io paper parameters progress recording ringing setup",
     "play": "analysis felt io keyboard model parameters recording report threads",
     "workflow": "analysis fit_file fitting inference io model recording setup",
-    "batch": "analysis fit_file fitting io model parameters recording report tables",
+    "batch": "analysis fitting io model parameters recording report tables",
     "cli": "analysis batch felt fit_file fitting inference io keyboard listening model paper parameters play progress"
     " published recording report setup workflow",
     "__main__": "cli",

@@ -14,7 +14,7 @@ import numpy as np
 
 from .errors import FitError, ParameterError
 from .felt import BOXES, LAWS, FeltLaw, check_hammer, make_hammer
-from .io import FIT_SCHEMA, finite, is_number, load_json, one_line, shown, table_of
+from .io import FIT_SCHEMA, finite, is_number, load_json, one_line, reference_of, shown, table_of
 from .model.modes import QUANTITIES
 from .model.note import Note
 from .model.path import OutputPath
@@ -23,7 +23,7 @@ from .parameters import HAMMER_NAMES, STRING_NAMES, Geometry, String, check
 from .recording import RATES
 from .ringing_file import read_ringing
 
-__all__ = ["load_note", "mixture_of", "note_of", "read_fit", "read_path", "reference_of"]
+__all__ = ["load_note", "mixture_of", "note_of", "read_fit", "read_path"]
 
 LARGEST_FIT = 2**24  # bytes
 # Points of a path at the most: far more than a string has partials.
@@ -118,12 +118,6 @@ def note_of(document: dict[str, Any], path: Path, felt: FeltLaw | None = None) -
         read_ringing(document.get("ringing"), path.parent, name),
     )  # fmt: skip
     return note, int(rate)
-
-
-def reference_of(rows: Any) -> tuple[int, dict[str, Any]]:
-    """Place and row of the reference, whose v_H0 the fit has: the one marked so, or the first; empty without any."""
-    found = [(at, row) for at, row in enumerate(rows if isinstance(rows, list) else ()) if isinstance(row, dict)]
-    return next((one for one in found if one[1].get("first") is True), found[0] if found else (0, {}))
 
 
 def _law_of(document: dict[str, Any], name: str, felt: FeltLaw | None) -> FeltLaw | None:

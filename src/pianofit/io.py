@@ -22,8 +22,8 @@ from .errors import FitError, OutputError, ParameterError, PianofitError
 __all__ = [
     "CEILING", "FIT_SCHEMA", "LARGEST", "MOST_CHANNELS",
     "check_sound_target", "check_target", "encode_pcm", "encode_wav", "finite", "interrupted_by", "is_number",
-    "json_text", "limited", "load_json", "one_line", "output_folder", "read_file", "read_text", "replace_file", "shown",
-    "table_of", "with_names", "write_file",
+    "json_text", "limited", "load_json", "one_line", "output_folder", "read_file", "read_text", "reference_of",
+    "replace_file", "shown", "table_of", "with_names", "write_file",
 ]  # fmt: skip
 
 # Larger numbers overflow when they are squared.
@@ -92,6 +92,12 @@ def table_of(document: dict, key: str, where: str, way_out: str) -> dict[str, An
     if not isinstance(table, dict):
         raise FitError(f"{where}: {key} is missing or no table; {way_out}")
     return table
+
+
+def reference_of(rows: Any) -> tuple[int, dict[str, Any]]:
+    """Place and row of the reference, whose v_H0 the fit has: the one marked so, or the first; empty without any."""
+    found = [(at, row) for at, row in enumerate(rows if isinstance(rows, list) else ()) if isinstance(row, dict)]
+    return next((one for one in found if one[1].get("first") is True), found[0] if found else (0, {}))
 
 
 def finite(value: Any, where: str, way_out: str) -> float:

@@ -14,8 +14,7 @@ from urllib.parse import quote
 
 from ..analysis.notes import note_to_midi
 from ..errors import AnalysisError, PianofitError
-from ..fit_file import reference_of
-from ..io import one_line
+from ..io import one_line, reference_of
 from ..recording import load_recording
 from ..report import kit
 from ..report.numbers import is_number, number, with_interval
