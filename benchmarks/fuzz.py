@@ -204,11 +204,11 @@ def kinds() -> dict[str, Kind]:
     """Every format that is read."""
     import pianofit
     from pianofit.batch.manifest import read_keys
+    from pianofit.fit_file import mixture_of, read_fit
     from pianofit.keyboard import load_instrument
     from pianofit.keyboard.gather import load_keys
     from pianofit.listening.result import count_answers
     from pianofit.play import load_song
-    from pianofit.render import load_mixture
 
     fit, knock, instrument = _documents()
     wav, flac = _sound("WAV", "PCM_16"), _sound("FLAC", "PCM_16")
@@ -231,7 +231,8 @@ def kinds() -> dict[str, Kind]:
         "flac": Kind("case.flac", flac, pianofit.load_recording),
         "setup": Kind("case.toml", setup, pianofit.load_setup, text=True),
         "fit": Kind(
-            "case.json", fit, lambda path: (pianofit.load_note(path), load_mixture(path)), beside={"knock.flac": knock}
+            "case.json", fit, lambda path: (pianofit.load_note(path), mixture_of(read_fit(path), path)),
+            beside={"knock.flac": knock},
         ),
         "fit-knock": Kind(
             "knock.flac", knock, lambda path: pianofit.load_note(path.with_name("fit.json")), beside={"fit.json": fit}

@@ -93,8 +93,8 @@ def test_recordings_that_cannot_be_used_are_left_out_and_told(batch, tmp_path):
     (key,), _ = read_keys(tmp_path, pattern=PATTERN)
     outcome = in_a_worker(make_unit(key, Settings(page=False)), tmp_path)
     assert outcome.error == ""
-    assert [Path(f).name for f, _ in outcome.left_out] == ["grand-C4-noise.wav", "grand-C4-text.wav"]
-    assert "is text" in outcome.left_out[1][1]
+    assert [Path(one["file"]).name for one in outcome.left_out] == ["grand-C4-noise.wav", "grand-C4-text.wav"]
+    assert "is text" in outcome.left_out[1]["reason"]
     document = json.loads(outcome.files["fit.json"])
     assert [t["file"] for t in document["recordings"]] == [str(tmp_path / f"grand-C4-{x}.wav") for x in "fp"]
     alone = json.loads((place / "out/keys/grand-C4/fit.json").read_bytes())

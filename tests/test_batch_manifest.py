@@ -73,7 +73,7 @@ def test_one_layer_at_two_microphones_is_one_strike(tmp_path):
         ("grand-A0-L2-close.flac", "close", "L2"), ("grand-A0-L2-decca.flac", "decca", "L2"),
         ("grand-A0-L3-close.flac", "close", None),
     ]  # fmt: skip
-    apart = unit._replace(sources=tuple(s._replace(strike="") for s in unit.sources))
+    apart = unit._replace(sources=tuple(s._replace(stroke="") for s in unit.sources))
     assert apart.hash != unit.hash
 
 

@@ -19,8 +19,8 @@ import typer
 from bad_inputs import BAD_INPUTS, BadInput, encoded, note
 
 from pianofit.cli import app, main
+from pianofit.io import CEILING
 from pianofit.published import PRESETS, preset
-from pianofit.render import CEILING
 
 PROGRAM = (sys.executable, "-m", "pianofit")
 AS_PROCESSES = (

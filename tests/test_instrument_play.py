@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from instrument_cases import true_instrument, true_note, uneven_note
 
 from pianofit.errors import FitError, ParameterError, RecordingError
+from pianofit.io import CEILING
 from pianofit.keyboard import Instrument
 from pianofit.model import simulate
 from pianofit.model.modal import Ringing
@@ -22,7 +23,6 @@ from pianofit.model.note import Note
 from pianofit.play import Song, limit, load_song, perform
 from pianofit.play.midi import MOST_NOTES, read_song
 from pianofit.play.strings import LAST_DAMPER, PlayedString, damper_rate
-from pianofit.render import CEILING
 
 RATE = 48_000
 PIANO = true_instrument()

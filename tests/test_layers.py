@@ -16,10 +16,11 @@ import pytest
 ROOT = Path(__file__).parent.parent
 SOURCE = ROOT / "src" / "pianofit"
 FILES = sorted(SOURCE.rglob("*.py"))
-# Which rooms each may use, beside its own and `errors`.
+# Which rooms each may use, beside its own, `errors` and `units`.
 USES = {
     "threads": "",
     "errors": "",
+    "units": "",
     "io": "",
     "parameters": "",
     "felt": "parameters published",
@@ -32,22 +33,28 @@ USES = {
     "criterion": "analysis",
     "model": "criterion felt parameters recording",
     "ringing_file": "io model recording",
-    "render": "felt io model parameters recording ringing_file",
-    "inference": "analysis criterion felt io model parameters progress published recording render setup tables threads",
+    "fit_file": "felt io model parameters recording ringing_file",
+    "inference": "analysis criterion felt fit_file io model parameters progress published recording setup tables"
+    " threads",
     "ringing": "analysis inference model recording ringing_file threads",
     "report": "analysis felt inference io model parameters ringing ringing_file",
     "listening": "io recording report",
     "paper": "analysis criterion felt inference io listening model parameters published recording report setup",
-    "keyboard": "analysis criterion io model parameters published render report ringing_file",
+    "keyboard": "analysis criterion fit_file io model parameters published report ringing_file",
     "fitting": "analysis inference io paper parameters progress recording ringing setup",
-    "play": "analysis felt io keyboard model parameters recording render report threads",
-    "workflow": "analysis fitting inference io model recording render setup",
-    "batch": "analysis fitting io model parameters recording report",
-    "cli": "analysis batch felt fitting inference io keyboard listening model paper parameters play progress"
-    " published recording render report setup workflow",
+    "play": "analysis felt io keyboard model parameters recording report threads",
+    "workflow": "analysis fit_file fitting inference io model recording setup",
+    "batch": "analysis fitting io model parameters recording report tables",
+    "cli": "analysis batch felt fit_file fitting inference io keyboard listening model paper parameters play progress"
+    " published recording report setup workflow",
     "__main__": "cli",
 }
-WITH_JAX = ("model", "inference", "paper", "render", "predict")
+# What a method of a public type enters when it is called, against these arrows, by an import of its own.
+CALLS = {"felt": "model", "model": "play", "inference": "report"}
+EVERYWHERE = {"errors", "units"}
+# Who loads modules by names: the public names, the felt's laws, packages that only some need.
+BY_NAME = ("__init__.py", "felt/__init__.py", "tables.py")
+WITH_JAX = ("model", "inference", "paper")
 HEAVY = ("jax", "scipy", "matplotlib", "soundfile", "jinja2")
 LONGEST = 400  # lines
 
@@ -56,10 +63,13 @@ def by_file() -> pytest.MarkDecorator:
     return pytest.mark.parametrize("file", FILES, ids=lambda file: str(file.relative_to(SOURCE)))
 
 
-def imports(file: Path) -> Iterator[str]:
-    """Every imported name in full, such as "jax.numpy" or "pianofit.model.note.Note", wherever the import stands."""
+def imports(file: Path, called: bool = True) -> Iterator[str]:
+    """Imported names in full, such as "jax.numpy" or "pianofit.model.note.Note"; those in functions too if `called`."""
     package = ("pianofit", *file.relative_to(SOURCE).parts)[:-1]
-    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+    tree = ast.parse(file.read_text(encoding="utf-8"))
+    functions = [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
+    within = set() if called else {inner for function in functions for inner in ast.walk(function)}
+    for node in {*ast.walk(tree)} - within:
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -75,9 +85,9 @@ def clean(name: str) -> tuple[str, ...]:
     return tuple(part for part in name.split(".") if part)
 
 
-def used(file: Path) -> Iterator[str]:
-    """The rooms a file imports from."""
-    for name in imports(file):
+def used(file: Path, called: bool = True) -> Iterator[str]:
+    """The rooms a file imports from, with those that its functions enter if `called`."""
+    for name in imports(file, called):
         parts = clean(name)
         if parts[0] == "pianofit" and not parts[1].startswith("__"):
             yield parts[1]
@@ -97,11 +107,20 @@ def test_a_module_imports_only_from_the_rooms_it_may_use(file):
     own = room_of(file)
     if own == "__init__":
         return  # the package lists the public names of all rooms
-    assert {*used(file)} <= {own, "errors", *USES[own].split()}
+    downward = {own, *EVERYWHERE, *USES[own].split()}
+    assert {*used(file, called=False)} <= downward
+    assert {*used(file)} <= {*downward, *CALLS.get(own, "").split()}
+
+
+@by_file()
+def test_no_room_is_entered_by_a_name_that_is_put_together(file):
+    names = {node.id for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))) if isinstance(node, ast.Name)}
+    assert "import_module" not in names or file.relative_to(SOURCE).as_posix() in BY_NAME
 
 
 def test_no_room_may_use_what_it_does_not():
-    for room, others in USES.items():
+    for room in USES:
+        others = f"{USES[room]} {CALLS.get(room, '')}"
         found = {name for file in FILES if room_of(file) == room for name in used(file)}
         assert {*others.split()} <= found, f"{room} no longer uses {', '.join({*others.split()} - found)}"
 

@@ -15,13 +15,13 @@ from page_cases import BLOCK, RATE, error_db, play, ringing_note, run
 from pianofit.cli import main
 from pianofit.errors import FitError, ParameterError
 from pianofit.felt import MemoryHammer
+from pianofit.fit_file import load_note
 from pianofit.io import json_text
 from pianofit.keyboard.document import read_instrument
 from pianofit.model.modes import mode_frequencies
 from pianofit.play.page import write_page
 from pianofit.play.page.payload import Knocks, encode_note, intervals, payload
 from pianofit.play.strings import PlayedString, damper_rate
-from pianofit.render import load_note
 
 BLOCKS = 375  # 1 s
 WITHIN = -80.0  # dB

@@ -13,8 +13,8 @@ import soundfile as sf
 from instrument_cases import true_instrument, uneven_note
 from page_cases import ringing_note
 
+from pianofit.fit_file import load_note
 from pianofit.play.page import write_page
-from pianofit.render import load_note
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 CHROMIUM = shutil.which("chromium") or "/usr/bin/chromium"

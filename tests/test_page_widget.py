@@ -16,8 +16,8 @@ from instrument_cases import uneven_note
 from page_cases import error_db, node, ringing_note
 
 from pianofit.errors import ParameterError
+from pianofit.fit_file import load_note
 from pianofit.play.page import widget
-from pianofit.render import load_note
 
 RATE = 48_000
 BLOCK = 128

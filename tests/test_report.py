@@ -13,7 +13,6 @@ import pytest
 import soundfile as sf
 from hypothesis import given
 from hypothesis import strategies as st
-from matplotlib.image import imread
 from report_cases import (
     NAMES,
     Page,
@@ -28,7 +27,7 @@ from scipy.signal import lfilter
 
 from pianofit.errors import OutputError
 from pianofit.inference.statements import STATUSES
-from pianofit.report.figures import _headings, write_picture
+from pianofit.report.figures import _headings
 from pianofit.report.numbers import number
 from pianofit.report.page import Curves, write_report
 from pianofit.report.sound import k_weighted_mean_square, make_clips
@@ -276,12 +275,11 @@ def with_nothing(curves):
     ],
     ids=["whole", "nan", "no path", "one band", "no contact", "magnitudes", "no errors", "one partial", "channels"],
 )
-def test_page_and_picture_stand_what_a_fit_may_lack(tmp_path, curves, case):
+def test_page_stands_what_a_fit_may_lack(tmp_path, curves, case):
     lacking = case(curves)
     page = Page(written(tmp_path, {}, lacking))
     assert len(page.all("img")) in (PANELS - 1, PANELS)  # the spectra need a second scale or not
     assert set(sounds_of(page)) == set(NAMES)
-    write_picture(tmp_path / "picture.png", {}, lacking)
 
 
 def test_fit_of_nothing_known(tmp_path, curves):
@@ -396,18 +394,6 @@ def test_silence_and_broken_samples_are_kept_silent():
     for clip in clips:
         samples, _ = sf.read(io.BytesIO(base64.b64decode(clip.uri.split(",")[1])))
         assert not samples.any()
-
-
-def test_picture_is_a_small_png_with_all_three_colours(tmp_path, curves):
-    path = tmp_path / "picture.png"
-    write_picture(path, example_fit(), curves)
-    content = path.read_bytes()
-    assert content[:8] == b"\x89PNG\r\n\x1a\n"
-    assert (int.from_bytes(content[16:20]), int.from_bytes(content[20:24])) == (1400, 900)
-    assert len(content) < 250_000
-    pixels = np.round(255 * imread(path)[..., :3]).astype(int)
-    for colour in ((0x11, 0x11, 0x11), (0xDD, 0x55, 0x00), (0x00, 0x77, 0xBB)):
-        assert np.sum(np.all(pixels == colour, axis=-1)) > 2000, colour
 
 
 @pytest.mark.parametrize(

@@ -29,8 +29,7 @@ from pianofit.inference.coordinates import names_of
 from pianofit.inference.quantities import Quantities
 from pianofit.model.note import Note
 from pianofit.parameters import Geometry, Hammer, String
-from pianofit.report.build_felt import felt_of, known_of
-from pianofit.report.build_recordings import paths_of, recordings_of, strokes_of
+from pianofit.report.build import felt_of, known_of, paths_of, recordings_of, strokes_of
 from pianofit.report.curves import Felt, Known
 from pianofit.report.known import held_out_rows, identified
 from pianofit.report.page import write_report

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pianofit.model.modal import Ringing
-from pianofit.report.build_ringing import ringing_curves
+from pianofit.report.build import ringing_curves
 from pianofit.report.figures_ringing import draw_ringing
 
 RATE, ONSET, F0 = 16_000, 800, 200.0

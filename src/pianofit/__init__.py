@@ -42,6 +42,7 @@ if TYPE_CHECKING:
         WrongNoteError,
     )
     from .felt import FeltLaw, MemoryHammer
+    from .fit_file import load_note
     from .fitting import fit
     from .inference import Covariance, Quantities, Quantity, Result
     from .inference.predict import Prediction, cross_validate, predict_recording
@@ -61,7 +62,6 @@ if TYPE_CHECKING:
     from .parameters import PARAMETERS, Geometry, Hammer, Parameter, String
     from .published import Preset, Typical, preset, typical
     from .recording import Recording, load_recording, recording_from_samples
-    from .render import load_note
     from .setup import Layer, Setup, load_setup, setup_from_dict
 
 _HOMES = {
@@ -72,24 +72,15 @@ _HOMES = {
     "inference.predict": ("Prediction", "cross_validate", "predict_recording"),
     "felt": ("FeltLaw", "MemoryHammer"),
     "model": (
-        "Modes",
-        "Note",
-        "Simulation",
-        "levels",
-        "mode_table",
-        "pluck",
-        "simulate",
-        "spectrum",
-        "strike",
-        "waveform",
+        "Modes", "Note", "Simulation", "levels", "mode_table", "pluck", "simulate", "spectrum", "strike", "waveform",
     ),
     "parameters": ("PARAMETERS", "Geometry", "Hammer", "Parameter", "String"),
     "published": ("Preset", "Typical", "preset", "typical"),
     "recording": ("Recording", "load_recording", "recording_from_samples"),
     "io": ("encode_wav",),
-    "render": ("load_note",),
+    "fit_file": ("load_note",),
     "setup": ("Layer", "Setup", "load_setup", "setup_from_dict"),
-}
+}  # fmt: skip
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 
 

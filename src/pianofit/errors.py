@@ -5,15 +5,9 @@ The command line prints the message and exits with 1; it never shows a traceback
 """
 
 __all__ = [
-    "PianofitError",
-    "RecordingError",
-    "SetupError",
-    "ParameterError",
-    "AnalysisError",
-    "FitError",
-    "OutputError",
-    "WrongNoteError",
-]
+    "PianofitError", "RecordingError", "SetupError", "ParameterError", "AnalysisError", "FitError", "OutputError",
+    "WrongNoteError", "check_range",
+]  # fmt: skip
 
 
 class PianofitError(Exception):
@@ -46,3 +40,9 @@ class FitError(PianofitError):
 
 class OutputError(PianofitError):
     """A place that cannot be written to, or that holds something which would be lost."""
+
+
+def check_range(what: str, value: float, low: float, high: float, unit: str = "", hint: str = "") -> None:
+    """Refuse a `value` out of its range, or no number, by a `ParameterError`; `what` stands before it, as "layers="."""
+    if not low <= value <= high:
+        raise ParameterError(f"{what}{value}{unit} must be from {low:g} to {high:g}{hint}")

@@ -94,7 +94,9 @@ def fit(
         report("partials", 0.02)
         heard = listen(sounds, note, f0) if analyses is None else list(analyses)
         if recipe != "default":
-            return _paper().fit_by_recipe(
+            from .paper.recipes import fit_by_recipe
+
+            return fit_by_recipe(
                 sounds[0], heard[0], known, recipe, velocity=velocity, evaluations=evaluations, seed=seed,
                 progress=report,
             )  # fmt: skip
@@ -108,12 +110,8 @@ def fit(
 def read(recordings: Sequence[Source], channel: str = "average") -> list[Recording]:
     """Recordings from files, from arrays with their rates, and as they are.
 
-    Raises
-    ------
-    RecordingError
-        For a sound that cannot be used.
-    ParameterError
-        For what is no recording, or another channel.
+    Raises `RecordingError` for a sound that cannot be used; `ParameterError` for what is no recording, or another
+    channel.
     """
     return [_recording(source, channel, f"recording {at}") for at, source in enumerate(recordings, 1)]
 
@@ -133,10 +131,7 @@ def _recording(source: Source, channel: str, name: str) -> Recording:
 def listen(recordings: Sequence[Recording], note: str | None = None, f0: float | None = None) -> list[Analysis]:
     """The analyses of recordings of one note, on all cores.
 
-    Raises
-    ------
-    AnalysisError
-        If one is too short, or its note, or enough of its partials, is not there.
+    Raises `AnalysisError` if one is too short, or its note, or enough of its partials, is not there.
     """
     with ThreadPoolExecutor(os.cpu_count()) as threads:
         return list(threads.map(lambda recording: analyse(recording, note=note, f0=f0), recordings))
@@ -163,7 +158,9 @@ def _check(
             f"velocity={velocity} m/s is of one recording; give each its own in the setup's [[recording]]"
         )
     if recipe != "default" or evaluations is not None:
-        _paper().check_recipe(recipe, evaluations)
+        from .paper.recipes import check_recipe
+
+        check_recipe(recipe, evaluations)
         if recipe != "default" and len(recordings) > 1:
             raise ParameterError(f"recipe={recipe!r} fits one recording; {len(recordings)} were given")
     if intervals != "laplace":
@@ -179,10 +176,3 @@ def _check_bounds(known: Setup, velocity: float | None) -> None:
         raise SetupError(
             f"velocity={velocity} m/s lies outside the setup's [bounds] v_H0 = [{low:g}, {high:g}]; change one of them"
         )
-
-
-def _paper() -> Any:
-    """The paper's recipes, for those who ask for them."""
-    from .paper import recipes
-
-    return recipes

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import contextlib
 import io
 import json
@@ -10,7 +11,7 @@ import signal
 import stat
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,15 +20,18 @@ import numpy as np
 from .errors import FitError, OutputError, ParameterError, PianofitError
 
 __all__ = [
-    "FIT_SCHEMA", "LARGEST", "MOST_CHANNELS",
-    "check_sound_target", "check_target", "encode_pcm24", "encode_wav", "finite", "interrupted_by", "json_text",
-    "load_json", "one_line", "output_folder", "read_file", "replace_file", "shown", "table_of", "write_file",
+    "CEILING", "FIT_SCHEMA", "LARGEST", "MOST_CHANNELS",
+    "check_sound_target", "check_target", "encode_pcm", "encode_wav", "finite", "interrupted_by", "is_number",
+    "json_text", "limited", "load_json", "one_line", "output_folder", "read_file", "read_text", "reference_of",
+    "replace_file", "shown", "table_of", "with_names", "write_file",
 ]  # fmt: skip
 
 # Larger numbers overflow when they are squared.
 LARGEST = 1e300
 # Channels of a sound at the most.
 MOST_CHANNELS = 8
+# Largest sample of what is written to be heard, full scale = 1: -1 dB leaves room for players that resample.
+CEILING = 10 ** (-1 / 20)
 # Schema of the fit.json that this version writes.
 FIT_SCHEMA = 4
 
@@ -59,16 +63,22 @@ def read_file(path: str | os.PathLike[str], limit: int, error: type[PianofitErro
     return data
 
 
+def read_text(path: str | os.PathLike[str], limit: int, error: type[PianofitError]) -> str:
+    """`read_file` of UTF-8 text; a byte that is none raises `error`, naming its line."""
+    data = read_file(path, limit, error)
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as problem:
+        line = data.count(b"\n", 0, problem.start) + 1
+        wrong = f"byte 0x{data[problem.start]:02x} on line {line} is not UTF-8"
+        wrong = "is UTF-16 text" if data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE) else wrong
+        raise error(f"{one_line(path)}: {wrong}; save it as UTF-8") from None
+
+
 def load_json(
     path: str | os.PathLike[str], most: int, kind: str, way_out: str, error: type[PianofitError] = FitError
 ) -> Any:
-    """What a file of at most `most` bytes holds.
-
-    Raises
-    ------
-    error
-        Naming the file, `kind` and the `way_out`.
-    """
+    """What a file of at most `most` bytes holds, or an `error` that names the file, `kind` and the `way_out`."""
     try:
         return json.loads(read_file(path, most, error).decode("utf-8"))
     except (ValueError, RecursionError) as problem:
@@ -84,11 +94,34 @@ def table_of(document: dict, key: str, where: str, way_out: str) -> dict[str, An
     return table
 
 
+def reference_of(rows: Any) -> tuple[int, dict[str, Any]]:
+    """Place and row of the reference, whose v_H0 the fit has: the one marked so, or the first; empty without any."""
+    found = [(at, row) for at, row in enumerate(rows if isinstance(rows, list) else ()) if isinstance(row, dict)]
+    return next((one for one in found if one[1].get("first") is True), found[0] if found else (0, {}))
+
+
 def finite(value: Any, where: str, way_out: str) -> float:
     """A number that can be computed with, or a `FitError`."""
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < LARGEST:
+    if not is_number(value):
         raise FitError(f"{where} is {shown(value)}, no finite number; {way_out}")
     return float(value)
+
+
+def is_number(value: Any) -> bool:
+    """Whether what a file holds is a number that can be computed with."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < LARGEST
+
+
+def with_names(value: Any, names: Mapping[str, str]) -> Any:
+    """A document in all whose texts one name stands for another: a path for another path, or a name for a path."""
+    if isinstance(value, dict):
+        return {key: with_names(entry, names) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [with_names(entry, names) for entry in value]
+    if isinstance(value, str):
+        for old, new in names.items():
+            value = value.replace(old, new)
+    return value
 
 
 def shown(value: Any) -> str:
@@ -98,13 +131,7 @@ def shown(value: Any) -> str:
 
 
 def replace_file(path: str | os.PathLike[str], content: bytes) -> None:
-    """Write `content` to `path`, replacing what was there in one step.
-
-    Raises
-    ------
-    OutputError
-        If the folder is missing, is no folder, or does not let us write; nothing is left behind.
-    """
+    """Write `content` to `path`, replacing what was there in one step, or raise an `OutputError`; nothing is left."""
     target = Path(path)
     temporary = target.with_name(f".{target.name}.{os.getpid()}.tmp")
     try:
@@ -124,10 +151,7 @@ def replace_file(path: str | os.PathLike[str], content: bytes) -> None:
 def output_folder(path: Path, force: bool) -> Iterator[Path]:
     """A folder to write to, made if need be; taken away again if nothing came of it.
 
-    Raises
-    ------
-    OutputError
-        If it cannot be made, is a file, or holds something and `force` is not given.
+    An `OutputError` if it cannot be made, is a file, or holds something and `force` is not given.
     """
     name = one_line(path)
     try:
@@ -180,12 +204,9 @@ def interrupted_by(tidy: Callable[[], None]) -> Iterator[None]:
 
 
 def check_target(path: Path, force: bool) -> None:
-    """Refuse a file that could not be written, before anything is computed for it.
+    """Refuse a file that could not be written, before anything is computed for it: by an `OutputError`.
 
-    Raises
-    ------
-    OutputError
-        If it exists and `force` is not given, is a folder, or has no folder to be in.
+    It exists and `force` is not given, is a folder, or has no folder to be in.
     """
     if path.is_dir():
         raise OutputError(f"{one_line(path)}: is a folder; give a file name")
@@ -198,26 +219,14 @@ def check_target(path: Path, force: bool) -> None:
 
 
 def check_sound_target(path: Path, force: bool) -> None:
-    """`check_target` of a sound.
-
-    Raises
-    ------
-    OutputError
-        Also if its name does not end in .wav.
-    """
+    """`check_target` of a sound, whose name must end in .wav."""
     if path.suffix.lower() != ".wav":
         raise OutputError(f"{one_line(path)}: sounds are written as WAV files; give --out a name that ends in .wav")
     check_target(path, force)
 
 
 def write_file(path: Path, content: bytes, force: bool) -> None:
-    """Write one file, whole or not at all.
-
-    Raises
-    ------
-    OutputError
-        If it exists and `force` is not given, or cannot be written.
-    """
+    """Write one file, whole or not at all, if `check_target` lets it."""
     check_target(path, force)
     replace_file(path, content)
 
@@ -266,10 +275,17 @@ def encode_wav(samples: np.ndarray, rate: int) -> bytes:
     return stream.getvalue()
 
 
-def encode_pcm24(samples: np.ndarray, rate: int) -> bytes:
-    """A WAV file, 24 bit; samples [channels, samples] must lie within ±1."""
+def encode_pcm(samples: np.ndarray, rate: int, kind: str = "wav", bits: int = 24) -> bytes:
+    """A WAV or FLAC file of whole numbers of so many bits: of them, or of floats within ±1 [channels, samples]."""
     import soundfile
 
     stream = io.BytesIO()
-    soundfile.write(stream, samples.T, rate, format="WAV", subtype="PCM_24")
+    soundfile.write(stream, samples.T, rate, format=kind.upper(), subtype=f"PCM_{bits}")
     return stream.getvalue()
+
+
+def limited(samples: np.ndarray) -> tuple[np.ndarray, float]:
+    """A sound whose peak is `CEILING` at the most, and the gain that took."""
+    peak = float(np.abs(samples).max(initial=0.0))
+    gain = CEILING / peak if peak > CEILING else 1.0
+    return samples * gain, gain

@@ -11,21 +11,12 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
-from .errors import ParameterError
+from .errors import ParameterError, check_range
 
 __all__ = [
-    "FIT_NAMES",
-    "HAMMER_NAMES",
-    "PARAMETERS",
-    "STRING_NAMES",
-    "Geometry",
-    "Hammer",
-    "Number",
-    "Parameter",
-    "String",
-    "check",
-    "check_velocity",
-]
+    "FIT_NAMES", "HAMMER_NAMES", "PARAMETERS", "STRING_NAMES", "Geometry", "Hammer", "Number", "Parameter", "String",
+    "check", "check_velocity",
+]  # fmt: skip
 
 # A box that says nothing else is the 95 % of its prior: so many standard deviations, 2 · 1.96.
 BOX_WIDTH = 3.92
@@ -149,6 +140,5 @@ def check_velocity(velocity: float | None) -> None:
     ParameterError
         Naming its value and its range.
     """
-    box = PARAMETERS["v_H0"]
-    if velocity is not None and not box.lower <= velocity <= box.upper:
-        raise ParameterError(f"velocity={velocity} m/s must be from {box.lower:g} to {box.upper:g}")
+    if velocity is not None:
+        check_range("velocity=", velocity, PARAMETERS["v_H0"].lower, PARAMETERS["v_H0"].upper, " m/s")

@@ -19,8 +19,9 @@ from functools import cache
 
 import numpy as np
 
-from .errors import ParameterError
+from .errors import ParameterError, check_range
 from .parameters import Geometry, Hammer, String
+from .units import hertz_of
 
 __all__ = ["HAMMERS", "LOSSES", "PRESETS", "STRINGS", "Preset", "Typical", "preset", "typical"]
 
@@ -215,9 +216,8 @@ def typical(midi: float) -> Typical:
     >>> f"{it.f0:.1f} Hz, {it.geometry.length:.2f} m, hammer {1e3 * it.hammer.M_H:.1f} g"
     '261.6 Hz, 0.69 m, hammer 2.9 g'
     """
-    if not 15 <= midi <= 114:
-        raise ParameterError(f"midi={midi!r} must be from 15 to 114; 60 is C4")
-    f0 = 440.0 * 2 ** ((midi - 69) / 12)
+    check_range("midi=", midi, 15, 114, hint="; 60 is C4")
+    f0 = hertz_of(midi)
     at = {name: _curve(name)(midi) for name in TABLES}
     length, c = at["length"], 2 * at["length"] * f0
     kappa = c * length * math.sqrt(at["B"]) / math.pi  # B = κ² π²/(c² L²)

@@ -24,13 +24,14 @@ import numpy as np
 from .errors import ParameterError, RecordingError
 from .io import one_line, read_file
 
-__all__ = ["CHANNELS", "RATES", "Recording", "find_onset", "load_recording", "recording_from_samples"]
+__all__ = ["CHANNELS", "INSIDE", "RATES", "Recording", "find_onset", "load_recording", "recording_from_samples"]
 
 RATES = (8_000, 384_000)  # Hz
 CHANNELS = ("average", "left", "right", *"12345678")
 MAX_BYTES = 2**30
 MAX_VALUES = 2**27  # samples times channels: 1 GiB of float64
 MAX_SECONDS = 600.0
+INSIDE = 0.05  # the first sample over the peak: a note that was cut into begins with a step
 MIN_SECONDS = 0.05  # after the onset: less than two periods of the lowest key
 RESAVE = "save it as WAV (PCM 16, 24, 32 or float) or FLAC"
 CODECS = {1: "PCM", 2: "MS ADPCM", 3: "float", 6: "A-law", 7: "u-law", 17: "IMA ADPCM", 49: "GSM", 85: "MP3"}
@@ -258,7 +259,7 @@ def _measure(used: np.ndarray, rate: int, step: float, **facts) -> Recording:
         left = 1000 * (len(samples) - onset) / rate
         raise RecordingError(f"ends {left:.1f} ms after its onset; at least {1000 * MIN_SECONDS:g} ms are needed")
     clipped, warnings = _clipping(used, onset, rate)
-    if abs(samples[0]) > 0.05 * np.abs(samples).max():
+    if abs(samples[0]) > INSIDE * np.abs(samples).max():
         warnings += ("the file begins inside the note: the onset is its first sample, and the attack is incomplete",)
     if abs(dc) > 0.01:
         warnings += (f"an offset of {dc:.3g} of full scale was removed",)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from .errors import FitError
-from .io import MOST_CHANNELS, finite, read_file
+from .io import MOST_CHANNELS, encode_pcm, finite, read_file
 from .model.modal import Ringing
 from .recording import RATES
 
@@ -44,7 +44,7 @@ def ringing_document(ringing: Ringing, *, whole: bool = False) -> dict[str, Any]
         "decay": -np.real(pole), "decay_error": error,
     }  # fmt: skip
     pattern = [{"real": np.real(row).tolist(), "imag": np.imag(row).tolist()} for row in ringing.pattern]
-    flac = encode_knock(ringing, "PCM_16" if whole else "PCM_24")
+    flac = encode_knock(ringing, 16 if whole else 24)
     knock = None
     if flac is not None:
         held = {"flac": base64.b64encode(flac).decode()} if whole else {"file": KNOCK_FILE}
@@ -52,16 +52,10 @@ def ringing_document(ringing: Ringing, *, whole: bool = False) -> dict[str, Any]
     return {"modes": {name: column.tolist() for name, column in modes.items()}, "pattern": pattern, "knock": knock}
 
 
-def encode_knock(ringing: Ringing, bits: str = "PCM_24") -> bytes | None:
+def encode_knock(ringing: Ringing, bits: int = 24) -> bytes | None:
     """The knock over its largest sample as FLAC; None without one."""
-    import soundfile
-
     size = float(np.abs(ringing.knock).max(initial=0.0))
-    if not size:
-        return None
-    stream = io.BytesIO()
-    soundfile.write(stream, ringing.knock.T / size, ringing.rate, format="FLAC", subtype=bits)
-    return stream.getvalue()
+    return encode_pcm(ringing.knock / size, ringing.rate, "flac", bits) if size else None
 
 
 def read_ringing(entry: Any, folder: Path | None, name: str) -> Ringing | None:
@@ -70,10 +64,7 @@ def read_ringing(entry: Any, folder: Path | None, name: str) -> Ringing | None:
     The knock lies in the document, as FLAC or WAV in base64, or else in `folder`, unless that is None. Modes may lack
     their errors, which then count as none.
 
-    Raises
-    ------
-    FitError
-        Opening with `name`, if an entry or the knock is missing, of another kind, or out of range.
+    Raises `FitError`, opening with `name`, if an entry or the knock is missing, of another kind, or out of range.
     """
     if entry is None or (isinstance(entry, dict) and entry.get("by") == "law"):
         return None

@@ -7,7 +7,6 @@ words of the file. All values are in SI units; a length in centimetres or a mass
 
 from __future__ import annotations
 
-import contextlib
 import difflib
 import os
 import tomllib
@@ -18,7 +17,7 @@ from typing import Any
 
 from .errors import SetupError
 from .felt import BOXES, DEFAULT_LAW, LAWS, FeltLaw, is_own
-from .io import one_line, read_file
+from .io import one_line, read_text
 from .parameters import Parameter
 
 __all__ = ["PICKUPS", "Layer", "Setup", "load_setup", "setup_from_dict"]
@@ -108,8 +107,9 @@ class Setup:
         checked["recordings"] = tuple(_layer(entry, n) for n, entry in enumerate(self.recordings, 1))
         for name, value in checked.items():
             object.__setattr__(self, name, value)  # the numbers as floats; frozen from here on
-        for contradiction in _contradictions(self):
-            raise SetupError(contradiction)
+        for contradictions in (_strike, _pickup, _values, _velocities, _strokes):
+            for contradiction in contradictions(self):
+                raise SetupError(contradiction)
 
     @property
     def law(self) -> FeltLaw:
@@ -143,14 +143,8 @@ def load_setup(path: str | os.PathLike[str], felt: str | None = None) -> Setup:
     0.96
     """
     name = one_line(os.fspath(path))
-    data = read_file(path, MAX_BYTES, SetupError)
     try:
-        table = tomllib.loads(data.decode("utf-8-sig"))
-    except UnicodeDecodeError as problem:
-        line = data.count(b"\n", 0, problem.start) + 1
-        raise SetupError(
-            f"{name}: byte 0x{data[problem.start]:02x} on line {line} is not UTF-8; save as UTF-8"
-        ) from None
+        table = tomllib.loads(read_text(path, MAX_BYTES, SetupError))
     except (ValueError, RecursionError) as problem:  # RecursionError: brackets nested without end
         raise SetupError(f"{name}: not valid TOML: {one_line(problem)[:200]}; correct that place") from None
     return setup_from_dict(table if felt is None else table | {"felt": {"law": felt}}, name)
@@ -179,18 +173,11 @@ def setup_from_dict(data: Mapping[str, Any], where: str) -> Setup:
     >>> pianofit.setup_from_dict({"string": {"length": 0.96}, "known": {"M_H": 0.0087}}, "my grand").known
     {'M_H': 0.0087}
     """
-    with _named(where):
+    try:
         tables = {name: _entries(name, content) for name, content in _renamed(data).items()}
         said = {name: tables[table][key] for name, (table, key) in PLACES.items() if key in tables.get(table, ())}
         said |= {name: tables[name] for name in ("known", "initial", "bounds") if name in tables}
         return Setup(**said, recordings=tuple(tables.get("recording", ())))
-
-
-@contextlib.contextmanager
-def _named(where: str) -> Iterator[None]:
-    """Errors that begin with the file they are in."""
-    try:
-        yield
     except SetupError as error:
         raise SetupError(f"{where}: {error}") from None
 
@@ -308,13 +295,7 @@ def _layer(entry: object, number: int) -> Layer:
     return Layer(**table)
 
 
-def _contradictions(setup: Setup) -> Iterator[str]:
-    """What of a setup cannot be true together, each with the way out."""
-    yield from _strike(setup)
-    yield from _pickup(setup)
-    yield from _values(setup)
-    yield from _velocities(setup)
-    yield from _strokes(setup)
+# What of a setup cannot be true together, each with the way out.
 
 
 def _strike(setup: Setup) -> Iterator[str]:

@@ -32,10 +32,7 @@ def _shown(cell: Any) -> str:
 def write_csv(path: str | os.PathLike[str], header: Sequence[str], rows: Rows) -> None:
     """Write a table as CSV (UTF-8, numbers in full, None as an empty cell), replacing what was there.
 
-    Raises
-    ------
-    OutputError
-        If it cannot be written.
+    Raises `OutputError` if it cannot be written.
     """
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows([header, *rows])
@@ -45,10 +42,7 @@ def write_csv(path: str | os.PathLike[str], header: Sequence[str], rows: Rows) -
 def data_frame(header: Sequence[str], rows: Rows) -> Any:
     """The table as a pandas data frame, its first column the index.
 
-    Raises
-    ------
-    OutputError
-        If pandas is not installed.
+    Raises `OutputError` if pandas is not installed.
     """
     pandas = optional("pandas", "a data frame")
     return pandas.DataFrame(list(rows), columns=list(header)).set_index(header[0])
@@ -57,10 +51,7 @@ def data_frame(header: Sequence[str], rows: Rows) -> Any:
 def optional(package: str, what: str) -> Any:
     """A package that only some need.
 
-    Raises
-    ------
-    OutputError
-        If it is not installed, saying how to.
+    Raises `OutputError` if it is not installed, saying how to.
     """
     from importlib import import_module
 

@@ -21,17 +21,14 @@ __all__ = ["cross_validate_files", "predict_file"]
 def predict_file(fit: Path, file: Path, out: Path | None, *, channel: str = "average", force: bool = False) -> dict:
     """Predict a recording from a `fit.json`, write the sound if asked to, and return what came of it.
 
-    Raises
-    ------
-    PianofitError
-        For any input that cannot be used; nothing is then written.
+    Raises `PianofitError` for any input that cannot be used; nothing is then written.
     """
+    from .fit_file import mixture_of, read_fit
     from .recording import load_recording
-    from .render import load_mixture
 
     if out is not None:
         check_sound_target(out, force)
-    mixture = load_mixture(fit)
+    mixture = mixture_of(read_fit(fit), fit)
     note = mixture[0][1]
     recording = load_recording(file, channel=channel)
     from .analysis import analyse
@@ -87,10 +84,7 @@ def cross_validate_files(
 
     To the folder `out`, if there is one, go the fit of all and its page, with what came of it.
 
-    Raises
-    ------
-    PianofitError
-        For any input that cannot be used.
+    Raises `PianofitError` for any input that cannot be used.
     """
     from .fitting import listen, read
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import math
 import re
 
 from ..errors import AnalysisError
+from ..units import hertz_of, midi_of
 
 __all__ = ["hz_to_note", "midi_to_note", "note_to_hz", "note_to_midi"]
 
@@ -40,12 +40,12 @@ def note_to_midi(name: str) -> int:
 
 def note_to_hz(name: str) -> float:
     """Frequency of a note in Hz, A4 = 440 Hz."""
-    return 440.0 * 2.0 ** ((note_to_midi(name) - 69) / 12)
+    return hertz_of(note_to_midi(name))
 
 
 def hz_to_note(frequency: float) -> str:
     """Name of the note nearest to `frequency` (Hz)."""
-    return midi_to_note(round(69 + 12 * math.log2(frequency / 440.0)))
+    return midi_to_note(round(midi_of(frequency)))
 
 
 def midi_to_note(midi: int) -> str:

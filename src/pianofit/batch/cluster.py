@@ -35,10 +35,7 @@ class Cluster:
     by_value : send recordings along; else workers read them at the same paths.
     work : what a worker does with a unit.
 
-    Raises
-    ------
-    ParameterError
-        If dask.distributed is missing, or there is no scheduler.
+    Raises `ParameterError` if dask.distributed is missing, or there is no scheduler.
     """
 
     def __init__(self, address: str, by_value: bool, work: Work = fit_unit) -> None:
@@ -106,12 +103,8 @@ class Cluster:
     def submit(self, unit: Unit) -> None:
         """Send a unit.
 
-        Raises
-        ------
-        RecordingError
-            If a recording that is to be sent cannot be read.
-        OutputError
-            If the scheduler is gone.
+        Raises `RecordingError` if a recording that is to be sent cannot be read; `OutputError` if the scheduler is
+        gone.
         """
         if self._client.status != "running":
             raise self._gone()
@@ -127,10 +120,7 @@ class Cluster:
     def finished(self, timeout: float) -> list[tuple[Unit, Outcome | Lost]]:
         """Units that ended, waiting up to `timeout` seconds for the first.
 
-        Raises
-        ------
-        OutputError
-            If the scheduler is gone.
+        Raises `OutputError` if the scheduler is gone.
         """
         try:
             future = self._ended.get(timeout=timeout)

@@ -6,21 +6,21 @@ at its end. A recording is heard beside its fit as long as it lies where it was 
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 from urllib.parse import quote
 
 from ..analysis.notes import note_to_midi
 from ..errors import AnalysisError, PianofitError
-from ..io import one_line, read_file, replace_file
-from ..recording import MAX_BYTES, load_recording
+from ..io import one_line, reference_of
+from ..recording import load_recording
 from ..report import kit
 from ..report.numbers import is_number, number, with_interval
-from ..report.sound import Clip, make_clips
+from ..report.sound import LIGHT_RATE, Clip, make_clips, seconds_each
+from ..report.words import STATUS, SYMBOLS
+from ..tables import write_csv
 from .ledger import Entry, Ledger
 from .state import document
 from .store import Store
@@ -32,18 +32,17 @@ INDEX_FILE, CSV_FILE = "index.html", "keys.csv"
 EVERY = 60.0
 # What of a key leads on, where it is there.
 PAGES = ("report.html", "fit.json")
-# What needs no assumed size: the page's columns, the table's first. By name in fit.json: symbol, words, unit
+# What needs no assumed size: the page's columns, the table's first. By name in fit.json: words for a column, unit
 INVARIANTS = {
-    "f0": ("f_0", "pitch", "Hz"),
-    "B": ("B", "inharmonicity", ""),
-    "M_H/M_S": ("M_H/M_S", "hammer over string mass", ""),
-    "x0/L": ("x_0/L", "strike position", ""),
-    "F/M_S": ("F/M_S", "felt’s force", "N/kg"),
-}
+    "f0": ("pitch", "Hz"), "B": ("inharmonicity", ""), "M_H/M_S": ("hammer over string mass", ""),
+    "x0/L": ("strike position", ""), "F/M_S": ("felt’s force", "N/kg"),
+}  # fmt: skip
 # Entries of a fit.json that are read here, and what each is; a damaged one is left out.
 READ = {"invariants": dict, "parameters": dict, "levels": dict, "ringing": dict, "recordings": list, "messages": list}
-# Sounds of the page: up to this rate, Hz, this long, s, or shorter, so that all have some 8 MB.
-RATE, LONGEST, SHORTEST, SAMPLES = 32_000, 3.0, 1.0, 4_000_000
+# Of the page's sounds all together: 8 MB.
+SAMPLES = 4_000_000
+LONGEST = 3.0  # s, of each of them,
+SHORTEST = 1.0  # s, however many there are
 
 
 class Index:
@@ -68,21 +67,16 @@ class Index:
             self.write()
 
     def write(self) -> None:
-        """Write both.
-
-        Raises
-        ------
-        OutputError
-            If the folder cannot be written to.
-        """
+        """Write both; an `OutputError` if the folder cannot be written to."""
         entries = sorted(Ledger(self.store).entries(), key=_order)
         found = {e.key: (e, self._fit(e.key)) for e in entries if e.state == "done"}
-        replace_file(self.store.folder / CSV_FILE, table(entries, {key: fit for key, (_, fit) in found.items()}))
-        seconds = max(SHORTEST, min(LONGEST, SAMPLES / (2 * max(len(entries), 1) * RATE)))
+        write_csv(self.store.folder / CSV_FILE, *table(entries, {key: fit for key, (_, fit) in found.items()}))
+        seconds = seconds_each(len(entries), SAMPLES, LONGEST, SHORTEST)
         kit.write_page(
             self.store.folder / INDEX_FILE, "index.html.j2", package="pianofit.batch", styles=("index.css",),
             scripts=("audio.js", "player.js"), strict=False, title=one_line(self.store.folder.resolve().name),
-            told=document(self.store.folder, entries), columns=list(INVARIANTS.values()),
+            told=document(self.store.folder, entries),
+            columns=[(SYMBOLS.get(name, name), *about) for name, about in INVARIANTS.items()],
             rows=[_row(self.store, entry, fit) | {"clips": self._sounds(entry, fit, seconds)}
                   for entry, fit in found.values()],
             failed=[e for e in entries if e.state == "failed"],
@@ -114,26 +108,18 @@ def _order(entry: Entry) -> tuple[str, int]:
     return entry.key.removesuffix(entry.note.replace("#", "s")), midi
 
 
-def _reference(fit: dict[str, Any]) -> dict[str, Any]:
-    rows = [row for row in fit.get("recordings") or () if isinstance(row, dict)]
-    return next((row for row in rows if row.get("first")), rows[0] if rows else {})
-
-
 def _heard(store: Store, key: str, fit: dict[str, Any], seconds: float) -> list[Clip]:
     """Recording and fit, cut and equally loud; nothing where one of them is not there any more."""
-    import soundfile
-
-    row, channel = _reference(fit), (store.said(key) or {}).get("settings", {}).get("channel", "average")
+    (_, row), settings = reference_of(fit.get("recordings")), (store.said(key) or {}).get("settings", {})
     try:
-        recording = load_recording(str(row.get("file")), channel=channel)
-        data = read_file(store.keys / key / "fitted.wav", MAX_BYTES, PianofitError)
-        fitted, rate = soundfile.read(io.BytesIO(data), always_2d=True)
-    except (PianofitError, soundfile.LibsndfileError):
+        recording = load_recording(str(row.get("file")), channel=settings.get("channel", "average"))
+        fitted = load_recording(store.keys / key / "fitted.wav")
+    except PianofitError:
         return []
-    if recording.sha256 != row.get("sha256") or rate != recording.rate:
+    if recording.sha256 != row.get("sha256") or fitted.rate != recording.rate:
         return []
-    sounds = {"original": recording.samples, "fitted": fitted.mean(axis=1)}
-    return make_clips(sounds, rate, recording.onset / rate, seconds=seconds, highest_rate=RATE)
+    sounds, rate = {"original": recording.samples, "fitted": fitted.samples}, recording.rate
+    return make_clips(sounds, rate, recording.onset / rate, seconds=seconds, highest_rate=LIGHT_RATE)
 
 
 def _row(store: Store, entry: Entry, fit: dict[str, Any]) -> dict[str, Any]:
@@ -154,14 +140,10 @@ def _statuses(fit: dict[str, Any]) -> list[str]:
     """Which parameters are how sure, such as "assumed: L, M_S"."""
     found: dict[str, list[str]] = {}
     for name, entry in _tables(fit.get("parameters")).items():
-        found.setdefault(str(entry.get("status")).replace("-", " "), []).append(name)
-    return [f"{status}: {', '.join(names)}" for status, names in sorted(found.items(), key=lambda x: _certainty(x[0]))]
-
-
-def _certainty(status: str) -> int:
-    """Of a status; what is least certain comes first."""
-    order = ("not identifiable", "at bound", "assumed", "scaled", "fitted")
-    return order.index(status) if status in order else len(order)
+        found.setdefault(str(entry.get("status")), []).append(name)
+    # What is least certain comes first.
+    order = sorted(found, key=lambda status: -[*STATUS].index(status) if status in STATUS else 1)
+    return [f"{status.replace('-', ' ')}: {', '.join(found[status])}" for status in order]
 
 
 def _left_out_db(fit: dict[str, Any]) -> Any:
@@ -174,33 +156,32 @@ def _tables(value: Any) -> dict[str, dict[str, Any]]:
     return {name: x for name, x in value.items() if isinstance(x, dict)} if isinstance(value, dict) else {}
 
 
-def table(entries: Sequence[Entry], fits: dict[str, dict[str, Any]]) -> bytes:
-    """All keys as CSV, UTF-8: a row each, every number with its 95 % interval, in SI units."""
+def table(entries: Sequence[Entry], fits: dict[str, dict[str, Any]]) -> tuple[list[str], Iterator[list[Any]]]:
+    """The header and a row for every key, every number with its 95 % interval, in SI units."""
     names = dict.fromkeys(name for fit in fits.values() for name in _tables(fit.get("parameters")))
     columns = [f"{name}{end}" for name in (*INVARIANTS, *names) for end in ("", " low", " high")]
     about = ["key", "note", "state", "reason", "recordings", "recordings left out", "converged", "levels dB",
              "layers left out dB", "rings by", "seconds"]  # fmt: skip
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow([*about, *columns, *(f"{name} status" for name in names)])
-    for entry in entries:
+
+    def row(entry: Entry) -> list[Any]:
         fit = fits.get(entry.key, {})
         values = _tables(fit.get("invariants")) | _tables(fit.get("parameters"))
         cells = [values.get(name, {}) for name in (*INVARIANTS, *names)]
-        writer.writerow([
+        return [
             entry.key, entry.note, entry.state, one_line(entry.reason), entry.recordings, len(entry.left_out),
             fit.get("converged", ""), _cell((fit.get("levels") or {}).get("fitted_db")), _cell(_left_out_db(fit)),
             (fit.get("ringing") or {}).get("by", "law") if fit else "", _cell(entry.seconds or None),
             *(x for cell in cells for x in (_cell(cell.get("value")), *_ends(cell.get("interval")))),
             *(values.get(name, {}).get("status", "") for name in names),
-        ])  # fmt: skip
-    return stream.getvalue().encode()
+        ]  # fmt: skip
+
+    return [*about, *columns, *(f"{name} status" for name in names)], map(row, entries)
 
 
 def _cell(value: Any) -> Any:
-    return value if is_number(value) else ""
+    return value if is_number(value) else None
 
 
 def _ends(interval: Any) -> tuple[Any, Any]:
     known = isinstance(interval, list) and len(interval) == 2
-    return (_cell(interval[0]), _cell(interval[1])) if known else ("", "")
+    return (_cell(interval[0]), _cell(interval[1])) if known else (None, None)

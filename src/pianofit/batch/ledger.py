@@ -35,10 +35,6 @@ class Entry(NamedTuple):
     stage: str = ""  # of the fit, while it is running
     began: float = 0.0  # when, s since 1970, while it is running
 
-    def document(self) -> dict[str, Any]:
-        """The entry as JSON says it."""
-        return self._asdict() | {"left_out": [*self.left_out]}
-
 
 class Ledger:
     """The entries beside a store's folders; whoever writes holds the folder's lock."""
@@ -68,10 +64,7 @@ class Ledger:
     def entries(self) -> list[Entry]:
         """Of all keys that were ever asked for in this folder, by name.
 
-        Raises
-        ------
-        OutputError
-            If it is no batch's.
+        Raises `OutputError` if it is no batch's.
         """
         if not self.store.ledger.is_dir() and not self.store.keys.is_dir():
             raise OutputError(f"{one_line(self.store.folder)}: holds no batch; check the path")
@@ -82,17 +75,14 @@ class Ledger:
     def write(self, entry: Entry) -> None:
         """Keep an entry in place of the key's last; that of a key that is done goes.
 
-        Raises
-        ------
-        OutputError
-            If the disk is full or the folder cannot be written to.
+        Raises `OutputError` if the disk is full or the folder cannot be written to.
         """
         file = self.store.ledger / f"{entry.key}.json"
         try:
             if entry.state == "done":
                 file.unlink(missing_ok=True)
             else:
-                replace_file(file, json_text(entry.document()).encode())
+                replace_file(file, json_text(entry._asdict()).encode())
         except (OSError, OutputError) as error:
             reason = error.__cause__ if isinstance(error.__cause__, OSError) else error
             raise unwritable(self.store.folder, reason) from error

@@ -11,17 +11,17 @@ import csv
 import io
 import os
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
 from ..analysis.notes import midi_to_note, note_to_midi
 from ..errors import AnalysisError, SetupError
-from ..io import one_line, read_file
+from ..io import one_line, read_text
 from ..parameters import PARAMETERS
 
-__all__ = ["DEFAULT_PATTERN", "Key", "Sample", "read_keys"]
+__all__ = ["DEFAULT_PATTERN", "Key", "Sample", "listed", "manifest_text", "read_keys"]
 
 DEFAULT_PATTERN = "{instrument}-{note}[-{layer}]"
 COLUMNS = ("file", "note", "instrument", "take", "layer", "velocity", "group", "mic")
@@ -82,10 +82,7 @@ def read_keys(
     root : the folder that all files must lie in; by default that of the manifest.
     transpose : semitones added to every note, for a library that counts octaves otherwise.
 
-    Raises
-    ------
-    SetupError
-        Naming the manifest and every row (up to five) that cannot be used.
+    Raises `SetupError`, naming the manifest and every row (up to five) that cannot be used.
     """
     name = one_line(source)
     if pattern is not None and not source.is_dir():
@@ -105,26 +102,11 @@ def read_keys(
 
 
 def manifest_text(source: Path) -> str:
-    """The text of a manifest, which must be UTF-8.
-
-    Raises
-    ------
-    SetupError
-        Naming the file, and the line that is not UTF-8.
-    """
-    name, data = one_line(source), read_file(source, MAX_BYTES, SetupError)
-    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        raise SetupError(f"{name}: is UTF-16 text; save it as UTF-8")
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError as problem:
-        line = data.count(b"\n", 0, problem.start) + 1
-        raise SetupError(
-            f"{name}: byte 0x{data[problem.start]:02x} on line {line} is not UTF-8; save it as UTF-8"
-        ) from None
+    """The text of a manifest, which must be UTF-8 without zero bytes."""
+    text = read_text(source, MAX_BYTES, SetupError)
     if "\0" in text:
-        raise SetupError(f"{name}: has a zero byte on line {text.count(chr(10), 0, text.index(chr(0))) + 1}; "
-                         "it is no text file")  # fmt: skip
+        line = text.count("\n", 0, text.index("\0")) + 1
+        raise SetupError(f"{one_line(source)}: has a zero byte on line {line}; it is no text file")
     return text
 
 
@@ -251,43 +233,30 @@ def _keys(name: str, rows: list[Row], base: Path, root: Path, transpose: int) ->
         f"{k}: {len(s)} recordings, more than {MAX_TAKES}" for k, (_, _, s) in keys.items() if len(s) > MAX_TAKES
     ]
     if problems:
-        raise SetupError(f"{name}: {_listed(problems)}; nothing was started")
+        raise SetupError(f"{name}: {listed(problems)}; nothing was started")
     if not keys:
         raise SetupError(f"{name}: lists no recording; add rows")
     ordered = sorted(keys.values(), key=lambda k: (k[0].casefold(), k[1]))
-    return [
-        Key(
-            _folder_name(i, midi_to_note(m)),
-            i,
-            midi_to_note(m),
-            tuple(sorted(_with_strikes(s), key=lambda x: x.file.as_posix())),
-        )
-        for i, m, s in ordered
-    ]
+    return [Key(_folder_name(i, midi_to_note(m)), i, midi_to_note(m), _with_strokes(s)) for i, m, s in ordered]
 
 
-def _with_strikes(samples: list[Sample]) -> list[Sample]:
-    """Samples of a key; those of one layer are one stroke, which the groups tell apart."""
+def _with_strokes(samples: list[Sample]) -> tuple[Sample, ...]:
+    """Samples of a key by name; those of one layer are one stroke, which the groups tell apart."""
     layers = [s.layer for s in samples if s.layer]
-    return [s._replace(stroke=s.layer if layers.count(s.layer) > 1 else "") for s in samples]
+    told = (s._replace(stroke=s.layer if layers.count(s.layer) > 1 else "") for s in samples)
+    return tuple(sorted(told, key=lambda s: s.file.as_posix()))
 
 
-def _listed(problems: Iterable[str]) -> str:
-    problems = list(problems)
+def listed(problems: Sequence[str]) -> str:
+    """The first of many problems, and how many more there are."""
     more = f"; and {len(problems) - TOLD} more" if len(problems) > TOLD else ""
     return "; ".join(problems[:TOLD]) + more
 
 
 def _folder_name(instrument: str, note: str) -> str:
     """A folder's name that any file system takes."""
-    safe = "".join(_runs(instrument)).strip("-.")[:60]
+    safe = re.sub(r"[^\w.]+", "-", instrument).strip("-.")[:60]
     return f"{safe}-{note.replace('#', 's')}" if safe else note.replace("#", "s")
-
-
-def _runs(text: str) -> Iterator[str]:
-    """Letters and digits as they are, anything else one dash for a run of it."""
-    for run in re.findall(r"[\w.]+|[^\w.]+", text):
-        yield run if re.fullmatch(r"[\w.]+", run) else "-"
 
 
 def _sample(row: Row, base: Path, fence: Path) -> Sample:

@@ -12,47 +12,22 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 from ..errors import OutputError, RecordingError
 from ..io import one_line
+from .cluster import Cluster
 from .index import Index
 from .ledger import Entry, Ledger
-from .local import AtWork, Lost
+from .local import AtWork, Local, Lost
 from .state import document, time_left
 from .store import Store, locked, opened
 from .units import Outcome, Unit
 
-__all__ = ["Progress", "Workers", "plan", "run_batch"]
+__all__ = ["Progress", "plan", "run_batch"]
 
 ATTEMPTS = 2  # of a unit whose worker is lost
 BEAT = 0.5  # s between two looks at the clock
-
-
-class Workers(Protocol):
-    """Who does the work."""
-
-    slots: int
-
-    def pending(self) -> int:
-        """Count the units that were submitted and have not ended."""
-        ...
-
-    def running(self) -> dict[str, AtWork]:
-        """Keys at work, the seconds that each has taken, and what is done of it now."""
-        ...
-
-    def room(self) -> bool:
-        """Tell whether another unit should be submitted."""
-        ...
-
-    def submit(self, unit: Unit) -> None:
-        """Begin a unit; RecordingError if its recordings cannot be sent."""
-        ...
-
-    def finished(self, timeout: float) -> list[tuple[Unit, Outcome | Lost]]:
-        """Units that ended, waiting up to `timeout` seconds for the first."""
-        ...
 
 
 class Progress(NamedTuple):
@@ -67,6 +42,7 @@ class Progress(NamedTuple):
 
 
 Tell = Callable[[Progress], None]
+Workers = Local | Cluster
 
 
 def plan(units: Sequence[Unit], folder: Path, retry_failed: bool = False) -> dict[str, str]:
@@ -111,11 +87,8 @@ def run_batch(
     ----------
     workers : makes the workers, once the folder is held.
 
-    Raises
-    ------
-    OutputError
-        If the folder is in use, is not a batch's, or cannot be written to, or the cluster is gone. What is finished
-        stays, and the same call goes on.
+    Raises `OutputError` if the folder is in use, is not a batch's, or cannot be written to, or the cluster is gone.
+    What is finished stays, and the same call goes on.
     """
     store = opened(folder)
     with locked(folder):
@@ -199,7 +172,7 @@ class _Batch:
             full = "No space" in outcome.error or "full" in outcome.error
             hint = "make room and run the same command" if full else "then run the same command"
             raise OutputError(f"{unit.key}: {outcome.error}; what is finished is kept: {hint}")
-        facts = {"seconds": round(outcome.seconds, 3), "memory": outcome.memory, "left_out": _left_out(outcome)}
+        facts = {"seconds": round(outcome.seconds, 3), "memory": outcome.memory, "left_out": outcome.left_out}
         if outcome.error:
             facts |= {"reason": outcome.error, "sounds_like": outcome.sounds_like, "detail": outcome.detail}
             self._row(unit, state="failed", **facts)
@@ -227,15 +200,11 @@ class _Batch:
         self.tell(Progress(len(self.units), count["done"], count["failed"], stages, left, one_line(event)))
 
 
-def _left_out(outcome: Outcome) -> tuple[dict[str, str], ...]:
-    return tuple({"file": file, "reason": reason} for file, reason in outcome.left_out)
-
-
 def _record(unit: Unit, outcome: Outcome) -> dict[str, Any]:
     return {
         "key": unit.key, "note": unit.note, "hash": unit.hash, "parts": unit.parts, "versions": unit.versions,
         "settings": unit.settings._asdict(), "recordings": [s._asdict() for s in unit.sources],
-        "left_out": _left_out(outcome),
+        "left_out": outcome.left_out,
         "seconds": round(outcome.seconds, 3), "memory": outcome.memory, "finished": round(time.time(), 3),
     }  # fmt: skip
 

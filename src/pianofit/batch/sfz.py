@@ -28,10 +28,7 @@ _DIRECTIVE = re.compile(r"""#include\s+"([^"]+)"|#define\s+(\$\w+)\s+(\S+)""")
 def sfz_rows(source: Path, root: Path) -> tuple[list[Row], list[str]]:
     """Rows of an SFZ file, one for each key and sample, and remarks.
 
-    Raises
-    ------
-    SetupError
-        Naming the file and the region that cannot be understood.
+    Raises `SetupError`, naming the file and the region that cannot be understood.
     """
     name = one_line(source)
     rows: dict[tuple[str, str], Row] = {}

@@ -18,10 +18,7 @@ __all__ = ["document", "status", "suggestions", "time_left"]
 def status(folder: Path) -> dict[str, Any]:
     """What folders and ledger in `folder` say; whether a batch is at work there, and for how long still.
 
-    Raises
-    ------
-    OutputError
-        If it is no batch's.
+    Raises `OutputError` if it is no batch's.
     """
     entries, at_work = Ledger(Store(folder)).entries(), is_locked(folder)
     if not at_work:  # what a killed batch was at is not running any more
@@ -39,7 +36,7 @@ def document(folder: Path, entries: Sequence[Entry]) -> dict[str, Any]:
         "median_seconds": round(statistics.median(seconds), 3) if seconds else None,
         "largest_memory": max((e.memory for e in entries), default=0),
         "suggestions": suggestions(entries),
-        "keys": [e.document() for e in entries],
+        "keys": [e._asdict() for e in entries],
     }
 
 

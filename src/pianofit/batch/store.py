@@ -49,10 +49,7 @@ class Store:
     def install(self, key: str, files: dict[str, bytes], record: dict[str, Any]) -> None:
         """Make `files` and their record the folder of `key`, in one step.
 
-        Raises
-        ------
-        OutputError
-            If they cannot be written; nothing is left behind.
+        Raises `OutputError` if they cannot be written; nothing is left behind.
         """
         digests = {name: hashlib.sha256(content).hexdigest() for name, content in files.items()}
         content = json.dumps(record | {"files": digests}, indent=2).encode() + b"\n"
@@ -127,10 +124,7 @@ def unwritable(folder: Path, error: Exception) -> OutputError:
 def opened(folder: Path) -> Store:
     """The folder of a new batch or of one to be continued, made if need be.
 
-    Raises
-    ------
-    OutputError
-        If it cannot be made or written to, or holds something else than a batch.
+    Raises `OutputError` if it cannot be made or written to, or holds something else than a batch.
     """
     name = one_line(folder)
     if folder.exists() and not folder.is_dir():
@@ -154,10 +148,7 @@ def opened(folder: Path) -> Store:
 def locked(folder: Path) -> Iterator[None]:
     """Hold the folder for one batch. The lock is SQLite's on an empty file: the system frees it with the process.
 
-    Raises
-    ------
-    OutputError
-        If another batch holds it.
+    Raises `OutputError` if another batch holds it.
     """
     lock = folder / LEDGER / LOCK
     lock.parent.mkdir(exist_ok=True)

@@ -22,12 +22,12 @@ from collections.abc import Callable, Sequence
 from importlib import metadata
 from math import log2
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from .. import __version__
 from ..analysis.notes import hz_to_note, note_to_hz, note_to_midi
 from ..errors import AnalysisError, OutputError, PianofitError, RecordingError
-from ..io import one_line, read_file
+from ..io import one_line, read_file, with_names
 from ..recording import MAX_BYTES
 from .manifest import Key
 
@@ -37,7 +37,7 @@ SCHEMA = 1
 # Code that a number in fit.json or a sample of a sound can depend on.
 NUMBERS = (
     "parameters.py", "published.py", "recording.py", "setup.py", "analysis", "model", "criterion.py",
-    "inference", "fitting.py", "render.py", "report/save.py", "batch/units.py",
+    "inference", "fitting.py", "fit_file.py", "report/save.py", "batch/units.py",
 )  # fmt: skip
 # A name is wrong when the string sounds further from it than this, cents; old pianos and stretched trebles do not.
 ASTRAY = 60.0
@@ -102,7 +102,7 @@ class Outcome(NamedTuple):
     files: dict[str, bytes]
     error: str = ""  # the reason, empty if it was fitted
     sounds_like: str = ""  # the note that it sounds like, where that is not its name
-    left_out: tuple[tuple[str, str], ...] = ()  # recordings that could not be used, and why
+    left_out: tuple[dict[str, str], ...] = ()  # recordings that could not be used: file, and reason
     detail: str = ""  # a traceback, where the program is at fault
     seconds: float = 0.0
     memory: int = 0  # largest resident set of the worker so far, bytes
@@ -114,28 +114,21 @@ def _hash(document: object) -> str:
 
 
 @functools.cache
-def _versions() -> tuple[tuple[str, str], ...]:
+def versions() -> dict[str, str]:
+    """Versions of the program, its code, and the libraries that make the numbers."""
     package, code = Path(__file__).parents[1], hashlib.sha256()
     for part in NUMBERS:
         place = package / part
         for file in [place] if place.is_file() else sorted(place.glob("*.py")):
             code.update(file.read_bytes())
     found = {name: metadata.version(name) for name in ("jax", "jaxlib", "numpy", "scipy")}
-    return tuple({"pianofit": __version__, "code": code.hexdigest()[:16], **found}.items())
-
-
-def versions() -> dict[str, str]:
-    """Versions of the program, its code, and the libraries that make the numbers."""
-    return dict(_versions())
+    return {"pianofit": __version__, "code": code.hexdigest()[:16], **found}
 
 
 def make_unit(key: Key, settings: Settings) -> Unit:
     """A key with the contents of its recordings hashed.
 
-    Raises
-    ------
-    RecordingError
-        When a recording cannot be read, or two of the key are the same.
+    Raises `RecordingError` when a recording cannot be read, or two of the key are the same.
     """
     sources: list[Source] = []
     for sample, name in zip(key.samples, _names(key), strict=True):
@@ -236,12 +229,17 @@ def _fit_in(place: Path, unit: Unit, contents: Sequence[bytes] | None, tell: Cal
         astray = left_out[0][1] if left_out and not files else str(error)
         every = f"none of its {len(left_out)} recordings can be used: " if len(left_out) > 1 and not files else ""
         like = _sounds_like(unit, files or [f for f, _ in left_out])
-        return Outcome({}, every + _told(astray, place, unit), sounds_like=like)
+        return Outcome({}, with_names(every + astray, _paths(place, unit)), sounds_like=like)
     outputs = {file.name: file.read_bytes() for file in sorted(out.iterdir())}
     if unit.setup:
         outputs["setup.toml"] = unit.setup.encode()
-    paths = {s.name: s.path for s in unit.sources}
-    return Outcome(outputs, left_out=tuple((paths[f.name], _told(reason, place, unit)) for f, reason in left_out))
+    named = [{"file": str(file), "reason": reason} for file, reason in left_out]
+    return Outcome(outputs, left_out=tuple(with_names(named, _paths(place, unit))))
+
+
+def _paths(place: Path, unit: Unit) -> dict[str, str]:
+    """The recordings' own paths by those that they have in the scratch folder, whose name changes by the run."""
+    return {str(place / "in" / source.name): source.path for source in unit.sources}
 
 
 def _stage(place: Path, unit: Unit, contents: Sequence[bytes] | None) -> list[Path]:
@@ -260,10 +258,7 @@ def _stage(place: Path, unit: Unit, contents: Sequence[bytes] | None) -> list[Pa
 def _fit(unit: Unit, files: list[Path], place: Path, out: Path, tell: Callable[[str], None]) -> None:
     """Fit `files` into `out`, where they have their own paths again.
 
-    Raises
-    ------
-    AnalysisError
-        If the string does not sound at its note.
+    Raises `AnalysisError` if the string does not sound at its note.
     """
     from ..fitting import fit
     from ..model.cache import keep_programs
@@ -279,7 +274,7 @@ def _fit(unit: Unit, files: list[Path], place: Path, out: Path, tell: Callable[[
     )  # fmt: skip
     if wrong := _astray(unit.note, result.document["derived"]["f0"]):
         raise AnalysisError(wrong)
-    result.document.update(_own(result.document, place, unit))
+    result.document.update(with_names(result.document, _paths(place, unit)))
     result.save(out, force=True, page=False)
     if unit.settings.page:
         tell("page")
@@ -338,19 +333,3 @@ def _changes(tell: Callable[[str], None]) -> Callable[[str, float], None]:
             tell(stage)
 
     return progress
-
-
-def _own(value: Any, place: Path, unit: Unit) -> Any:
-    """A document in which recordings have their own paths, as in `_told`, and so no name that changes by the run."""
-    if isinstance(value, dict):
-        return {name: _own(x, place, unit) for name, x in value.items()}
-    if isinstance(value, list | tuple):
-        return [_own(x, place, unit) for x in value]
-    return _told(value, place, unit) if isinstance(value, str) else value
-
-
-def _told(reason: str, place: Path, unit: Unit) -> str:
-    """A reason with the recordings' own paths instead of those they had in the scratch folder."""
-    for source in unit.sources:
-        reason = reason.replace(str(place / "in" / source.name), source.path)
-    return reason

@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..errors import ParameterError, PianofitError, SetupError
-from .options import Channel, Json, Seed, number, whole
-from .terminal import add
+from ..errors import ParameterError, PianofitError, SetupError, check_range
+from .options import Channel, Json, Seed, check_common, number, one_of, whole
+from .terminal import add, tell
 
 if TYPE_CHECKING:
     from ..batch import Progress, Settings, Unit
@@ -28,15 +28,6 @@ __all__ = ["register"]
 
 LISTED = 20  # failures spelt out where a person reads
 NAMED = 4  # keys at work that a line names
-
-
-def _one_of(*words: str) -> Callable[[str], str]:
-    def parse(text: str) -> str:
-        if text not in words:
-            raise typer.BadParameter(f"{text!r} is not {' or '.join(words)}")
-        return text
-
-    return parse
 
 
 Manifest = Annotated[
@@ -85,12 +76,12 @@ Scheduler = Annotated[
 Files = Annotated[
     str,
     typer.Option(
-        parser=_one_of("value", "shared"), metavar="value|shared",
+        parser=one_of("value", "shared"), metavar="value|shared",
         help="With --scheduler: send the recordings, or let the workers read them at the same paths.",
     ),
 ]  # fmt: skip
 Retry = Annotated[
-    str | None, typer.Option(parser=_one_of("failed"), metavar="failed", help="Try again what has failed before.")
+    str | None, typer.Option(parser=one_of("failed"), metavar="failed", help="Try again what has failed before.")
 ]
 
 
@@ -141,19 +132,18 @@ def batch(
     with _ended_as_interrupted():
         _check(workers, memory, time_limit, seed, channel)
         from ..batch import plan, read_keys, run_batch
-        from ..io import json_text
 
         keys, remarks = read_keys(manifest, pattern=pattern, root=root, transpose=transpose)
         for remark in remarks:
             typer.echo(f"pianofit: {remark}", err=True)
         units = _units(manifest, keys, _settings(setup, channel, seed, page))
         if dry_run:
-            typer.echo(_planned(units, plan(units, out, retry == "failed"), as_json), nl=False)
+            _tell_planned(units, plan(units, out, retry == "failed"), as_json)
             return
-        with _told() as tell:
+        with _told() as progress:
             made = _workers(workers, memory, time_limit, scheduler, files == "value")
-            found = run_batch(units, out, made, retry_failed=retry == "failed", tell=tell)
-        typer.echo(json_text(found) if as_json else _summary(found), nl=False)
+            found = run_batch(units, out, made, retry_failed=retry == "failed", tell=progress)
+        tell(found, _summary(found), as_json)
     if found["counts"]["failed"]:
         raise typer.Exit(3)
 
@@ -163,24 +153,19 @@ def status(
 ) -> None:
     """Say how far a batch is, and why keys failed; also while it is at work."""
     from ..batch import status as run
-    from ..io import json_text
 
     found = run(folder)
-    typer.echo(json_text(found) if as_json else _summary(found), nl=False)
+    tell(found, _summary(found), as_json)
 
 
 def _check(workers: int | None, memory: float, time_limit: float, seed: int, channel: str) -> None:
     from ..io import one_line
     from ..recording import CHANNELS
 
-    if workers is not None and not 1 <= workers <= 1024:
-        raise ParameterError(f"--workers {workers} must be from 1 to 1024")
-    if not 1 <= memory <= 4096:
-        raise ParameterError(f"--memory {memory:g} GiB must be from 1 to 4096; a fit takes about 1.5")
-    if not 1 <= time_limit <= 1e6:
-        raise ParameterError(f"--time-limit {time_limit:g} s must be from 1 to 1e6")
-    if seed < 0:
-        raise ParameterError(f"seed={seed} must not be negative")
+    check_range("--workers ", 1 if workers is None else workers, 1, 1024)
+    check_range("--memory ", memory, 1, 4096, " GiB", "; a fit takes about 1.5")
+    check_range("--time-limit ", time_limit, 1, 1e6, " s")
+    check_common(None, seed)
     if channel not in CHANNELS:
         raise ParameterError(f"channel={one_line(channel)!r} must be average, left, right, or a number from 1 to 8")
 
@@ -207,6 +192,7 @@ def _units(manifest: Path, keys: list, settings: Settings) -> list[Unit]:
     import tomllib
 
     from ..batch import make_unit
+    from ..batch.manifest import listed
     from ..io import one_line
     from ..setup import setup_from_dict
 
@@ -219,8 +205,7 @@ def _units(manifest: Path, keys: list, settings: Settings) -> list[Unit]:
         except PianofitError as error:
             problems.append(str(error))
     if problems:
-        more = f"; and {len(problems) - 5} more" if len(problems) > 5 else ""
-        raise SetupError(f"{one_line(manifest)}: {'; '.join(problems[:5])}{more}; nothing was started")
+        raise SetupError(f"{one_line(manifest)}: {listed(problems)}; nothing was started")
     return units
 
 
@@ -278,20 +263,16 @@ def _told() -> Iterator[Callable[[Progress], None]]:
         yield tell
 
 
-def _planned(units: list[Unit], standing: dict[str, str], as_json: bool) -> str:
-    """What a run would do."""
-    if as_json:
-        from ..io import json_text
-
-        rows = [
-            {"key": u.key, "note": u.note, "hash": u.hash, "standing": standing[u.key],
-             "recordings": [s._asdict() for s in u.sources]}
-            for u in units
-        ]  # fmt: skip
-        return json_text({"keys": rows})
-    lines = [f"{u.key:32} {len(u.sources):3} recordings  {standing[u.key]}" for u in units]
+def _tell_planned(units: list[Unit], standing: dict[str, str], as_json: bool) -> None:
+    """Print what a run would do."""
+    rows = [
+        {"key": u.key, "note": u.note, "hash": u.hash, "standing": standing[u.key],
+         "recordings": [s._asdict() for s in u.sources]}
+        for u in units
+    ]  # fmt: skip
+    lines = [f"{u.key:32} {len(u.sources):3} recordings  {standing[u.key]}\n" for u in units]
     todo = sum(s.startswith("to do") for s in standing.values())
-    return "\n".join([*lines, f"{todo} of {len(units)} keys to do; nothing was written"]) + "\n"
+    tell({"keys": rows}, "".join(lines) + f"{todo} of {len(units)} keys to do; nothing was written\n", as_json)
 
 
 def _summary(found: dict[str, Any]) -> str:

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ..errors import OutputError, ParameterError
 from ..progress import progress_bar
 from .options import Built, Force, Json, Prefix, number, whole
-from .terminal import add
+from .terminal import add, tell
+
+if TYPE_CHECKING:
+    from ..play import Exported
+    from ..play.faust import Program
 
 __all__ = ["register"]
 
@@ -53,73 +57,59 @@ def export(
     as_json: Json = False,
 ) -> None:
     """Write an instrument for other programs: a sampler's folder, or a program in Faust."""
-    given = {"layers": layers, "seconds": seconds, "rate": rate, "kind": samples}
-    asked = {name: value for name, value in given.items() if value is not None}
-    with progress_bar() as bar:
-        if to == "faust":
-            done, words = _faust(built, prefix, out, keys, asked, licence, force, bar)
-        else:
-            done, words = _sampler(built, prefix, out, to, keys, asked, licence, force, bar)
-    if as_json:
-        from ..io import json_text
-
-        words = json_text(done)
-    typer.echo(words, nl=False)
-
-
-def _sampler(
-    built: Path, prefix: str | None, out: Path, to: str, keys: str, asked: dict[str, Any], licence: str | None,
-    force: bool, progress: Callable,
-) -> tuple[dict[str, Any], str]:  # fmt: skip
-    from ..errors import OutputError, ParameterError
-    from ..io import one_line
     from ..keyboard import load_instrument
     from ..model.cache import keep_programs
     from ..play import SAMPLERS, Asked, export_sampler, parse_keys
+    from ..play.faust import write_faust
 
-    if to not in SAMPLERS:
+    given = {"layers": layers, "seconds": seconds, "rate": rate, "kind": samples}
+    asked = {name: value for name, value in given.items() if value is not None}
+    if to not in (*SAMPLERS, "faust"):
         raise ParameterError(f"--format {to!r} must be one of {', '.join(SAMPLERS)}, faust")
-    if re.fullmatch(r"\.[A-Za-z]\w*", out.suffix):
-        raise OutputError(f"{one_line(out)}: is called like a file; give --out the name of a folder")
+    _check_target(to, out, asked, force)
     chosen, played = parse_keys(keys), load_instrument(built, prefix)
     keep_programs()
-    wanted = Asked(kind=SAMPLERS[to].kind)._replace(**asked)
-    done = export_sampler(played, out, chosen, wanted, to=to, licence=licence, force=force, progress=progress)
-    return done._asdict(), (
-        f"{out}: {done.keys} keys sampled, {_guesses(done.guesses)}; {done.transposed} transposed from them\n"
+    with progress_bar() as bar:
+        if to == "faust":
+            done = write_faust(out, played, chosen, licence=licence, progress=bar)
+            words = _programmed(done)
+        else:
+            wanted = Asked(kind=SAMPLERS[to].kind)._replace(**asked)
+            done = export_sampler(played, out, chosen, wanted, to=to, licence=licence, force=force, progress=bar)
+            words = _sampled(done)
+    tell(done._asdict(), f"{out}: {words}", as_json)
+
+
+def _check_target(to: str, out: Path, asked: dict[str, Any], force: bool) -> None:
+    """Refuse a name that what is written cannot have, and for Faust what is only a sampler's."""
+    from ..io import check_target, one_line
+
+    name = one_line(out)
+    if to != "faust" and re.fullmatch(r"\.[A-Za-z]\w*", out.suffix):
+        raise OutputError(f"{name}: is called like a file; give --out the name of a folder")
+    if to == "faust" and asked:
+        options = ("--samples" if option == "kind" else f"--{option}" for option in asked)
+        raise ParameterError(f"--format faust has no samples; leave out {', '.join(options)}")
+    if to == "faust":
+        if out.suffix.lower() != ".dsp":
+            raise OutputError(f"{name}: Faust's programs are files; give --out a name that ends in .dsp")
+        check_target(out, force)
+
+
+def _sampled(done: Exported) -> str:
+    return (
+        f"{done.keys} keys sampled, {_guesses(done.guesses)}; {done.transposed} transposed from them\n"
         f"{done.samples} samples, {done.seconds:.0f} s, {done.bytes / 1e6:.1f} MB, one gain of {done.gain_db:+.1f} dB "
         "for all\n"
     )
 
 
-def _faust(
-    built: Path, prefix: str | None, out: Path, keys: str, asked: dict[str, Any], licence: str | None, force: bool,
-    progress: Callable,
-) -> tuple[dict[str, Any], str]:  # fmt: skip
-    from ..errors import OutputError, ParameterError
-    from ..io import check_target, one_line
-    from ..keyboard import load_instrument
-    from ..model.cache import keep_programs
-    from ..play import parse_keys
-    from ..play.faust import write_faust
-
-    if asked:
-        raise ParameterError(f"--format faust has no samples; leave out {', '.join(map(_option, asked))}")
-    if out.suffix.lower() != ".dsp":
-        raise OutputError(f"{one_line(out)}: Faust's programs are files; give --out a name that ends in .dsp")
-    check_target(out, force)
-    chosen, played = parse_keys(keys), load_instrument(built, prefix)
-    keep_programs()
-    done = write_faust(out, played, chosen, licence=licence, progress=progress)
+def _programmed(done: Program) -> str:
     knocks = f"knocks at {done.knock_rate} Hz" if done.knock_rate else "no knocks"
-    return done._asdict(), (
-        f"{out}: {done.keys} keys with tables, {_guesses(done.guesses)}\n{done.modes} resonators a voice, "
+    return (
+        f"{done.keys} keys with tables, {_guesses(done.guesses)}\n{done.modes} resonators a voice, "
         f"{done.left_out} modes left out, {knocks}, {done.numbers} numbers, one gain of {done.gain_db:+.1f} dB\n"
     )
-
-
-def _option(name: str) -> str:
-    return "--samples" if name == "kind" else f"--{name}"
 
 
 def _guesses(count: int) -> str:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..progress import progress_bar
+from ..units import NORMAL
 from .options import (
     Channel,
     Evaluations,
@@ -26,16 +27,13 @@ from .options import (
     Velocity,
     check_common,
 )
-from .terminal import add
+from .terminal import add, tell
 
 if TYPE_CHECKING:
     from ..analysis import Analysis
     from ..setup import Setup
 
 __all__ = ["register"]
-
-# Standard errors to either side of a value in its 95 % interval.
-NORMAL = 1.96
 
 
 def register(app: typer.Typer) -> None:
@@ -52,11 +50,10 @@ def analyse(
     """Read pitch, inharmonicity, losses and partials off a recording, without a hammer."""
     from ..analysis import analyse as run
     from ..analysis import as_dict
-    from ..io import json_text
     from ..recording import load_recording
 
     found = run(load_recording(file, channel=channel), note=note, f0=f0)
-    typer.echo(json_text(as_dict(found)) if as_json else _table(found), nl=False)
+    tell(as_dict(found), _table(found), as_json)
 
 
 def _table(found: Analysis) -> str:
@@ -82,14 +79,12 @@ def _table(found: Analysis) -> str:
                  for column in COLUMNS),
     ]  # fmt: skip
     for row in rows(found):
-        cells, at = [], 0
-        while at < len(COLUMNS):
-            if at + 1 < len(COLUMNS) and COLUMNS[at + 1].error:
+        cells = []
+        for at, column in enumerate(COLUMNS):
+            if COLUMNS[at + 1 : at + 2] and COLUMNS[at + 1].error:
                 cells += with_standard_error(row[at], row[at + 1])
-                at += 2
-            else:
-                cells.append(f"{row[at]:.{COLUMNS[at].digits}f}")
-                at += 1
+            elif not column.error:
+                cells.append(f"{row[at]:.{column.digits}f}")
         lines.append(" ".join(f"{cell:>{column.width}}" for cell, column in zip(cells, COLUMNS, strict=True)))
     return "\n".join([*lines, *found.warnings]) + "\n"
 
@@ -113,7 +108,7 @@ def fit(
 ) -> None:
     """Find the string's and the hammer's parameters behind one recording, or behind several of one key."""
     from ..fitting import fit as run
-    from ..io import json_text, output_folder
+    from ..io import output_folder
     from ..model.cache import keep_programs
     from .summary import summary
 
@@ -127,7 +122,7 @@ def fit(
         )  # fmt: skip
         progress("page", 0.95)
         result.save(folder, force=True, page=page)
-    typer.echo(json_text(result.document) if as_json else summary(result.document, folder), nl=False)
+    tell(result.document, summary(result.document, folder), as_json)
 
 
 def _known(setup: Path | None, felt: str | None) -> Setup:
@@ -146,25 +141,21 @@ def predict(
     as_json: Json = False,
 ) -> None:
     """Predict a recording that took no part in the fit: only velocity, gain and pitch are free."""
-    from ..io import json_text
     from ..workflow import predict_file
 
     found = predict_file(fit, recording, out, channel=channel, force=force)
-    if as_json:
-        typer.echo(json_text(found), nl=False)
-        return
     end = ", an end of the range searched: the velocity is not found" if found["v_H0_at_end"] else ""
-    typer.echo(
+    words = (
         f"{found['predicted_db']:.2f} dB over {found['partials']} partials, {found['cents']:+.2f} cents from the fit, "
-        f"at {found['v_H0']:.3g} m/s{end}"
+        f"at {found['v_H0']:.3g} m/s{end}\n"
     )
+    tell(found, words, as_json)
 
 
 def crossval(
     recordings: Recordings,
     out: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="A folder for the fit of all recordings and its page, if wanted."),
+        Path | None, typer.Option(metavar="DIR", help="A folder for the fit of all recordings and its page, if wanted.")
     ] = None,
     note: Note = None,
     f0: Pitch = None,
@@ -176,7 +167,7 @@ def crossval(
     as_json: Json = False,
 ) -> None:
     """Leave out each recording of a key in turn, fit the others, and predict it."""
-    from ..io import json_text, output_folder
+    from ..io import output_folder
     from ..workflow import cross_validate_files
     from .summary import cross_validation
 
@@ -185,4 +176,4 @@ def crossval(
         found = cross_validate_files(
             recordings, folder, _known(setup, felt), note=note, f0=f0, channel=channel, seed=seed, progress=progress
         )
-    typer.echo(json_text(found) if as_json else cross_validation(found), nl=False)
+    tell(found, cross_validation(found), as_json)

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
+from ..errors import OutputError
 from ..progress import progress_bar
 from .options import Built, Force, Json, Prefix, Sound, whole
-from .terminal import add
+from .terminal import add, tell
 
 __all__ = ["register"]
 
@@ -40,7 +40,20 @@ def instrument(
     as_json: Json = False,
 ) -> None:
     """Put the fits of single keys together: one instrument, every key of it, by smooth laws over the keyboard."""
-    _instrument(fits, out, prefix, name, page, force, as_json)
+    from ..io import json_text, one_line, output_folder, replace_file
+    from ..keyboard import build_instrument, find_fits, load_keys, owner
+    from ..keyboard.page import write_page
+    from ..keyboard.words import summary
+
+    files, first = find_fits(fits, prefix), fits[0].resolve()
+    keys = load_keys(files)
+    folder_name = one_line(first.name if first.is_dir() else first.parent.name)
+    document = build_instrument(keys, name or prefix or owner(files[0]) or folder_name)
+    with output_folder(out, force) as folder:
+        replace_file(folder / "instrument.json", json_text(document).encode())
+        if page:
+            write_page(folder / "instrument.html", document)
+    tell(document, f"{summary(document)}\nwritten to {out}\n", as_json)
 
 
 def play(
@@ -53,9 +66,37 @@ def play(
     as_json: Json = False,
 ) -> None:
     """Play a MIDI file on a fitted instrument."""
+    from ..io import check_sound_target, encode_pcm, write_file
+    from ..keyboard import load_instrument
+    from ..model.cache import keep_programs
+    from ..play import load_song, perform
+
     with progress_bar() as bar:
-        done = _play(built, prefix, song, out, rate, force, bar)
-    typer.echo(_json(done) if as_json else _played(out, done), nl=False)
+        check_sound_target(out, force)
+        played, notes = load_instrument(built, prefix), load_song(song)
+        keep_programs()
+        start = time.perf_counter()
+        found = perform(played, notes, rate, bar)
+        took = time.perf_counter() - start
+    write_file(out, encode_pcm(found.samples, rate), force)
+    seconds = found.samples.shape[-1] / rate
+    done = {
+        "file": str(out), "seconds": seconds, "rate": rate, "channels": len(found.samples), "notes": notes.notes,
+        "strikes": found.strikes,
+        "on_moving_strings": found.on_moving, "gain_db": found.gain_db, "limited_db": found.limited_db,
+        "peak": float(abs(found.samples).max(initial=0.0)), "computed_in_s": took, "real_time_factor": took / seconds,
+    }  # fmt: skip
+    tell(done, _played(out, done), as_json)
+
+
+def _played(out: Path, done: dict[str, Any]) -> str:
+    turned = f", turned down by {-done['gain_db']:.1f} dB" if done["gain_db"] < 0 else ""
+    limited = f", peaks limited by up to {done['limited_db']:.1f} dB" if done["limited_db"] > 0 else ""
+    return (
+        f"{out}: {done['seconds']:.1f} s at {done['rate']} Hz, {done['notes']} notes, {done['on_moving_strings']} of "
+        f"them on a string still sounding{turned}{limited}\ncomputed in {done['computed_in_s']:.1f} s, "
+        f"{done['real_time_factor']:.2f} of real time\n"
+    )
 
 
 def page(
@@ -73,81 +114,6 @@ def page(
     as_json: Json = False,
 ) -> None:
     """Write an instrument to play in a browser: one HTML file of at most 1.5 MB that needs no server and no network."""
-    done = _page(built, prefix, out, recordings, force)
-    typer.echo(_json(done) if as_json else _written(done), nl=False)
-
-
-def _json(document: dict) -> str:
-    from ..io import json_text
-
-    return json_text(document)
-
-
-def _instrument(
-    fits: list[Path], out: Path, prefix: str | None, name: str | None, page: bool, force: bool, as_json: bool
-) -> None:
-    from ..io import output_folder, replace_file
-    from ..keyboard import build_instrument, find_fits, load_keys, owner
-
-    files = find_fits(fits, prefix)
-    keys = load_keys(files)
-    document = build_instrument(keys, name or prefix or owner(files[0]) or _called(fits))
-    with output_folder(out, force) as folder:
-        replace_file(folder / "instrument.json", _json(document).encode())
-        if page:
-            from ..keyboard.page import write_page
-
-            write_page(folder / "instrument.html", document)
-    if as_json:
-        typer.echo(_json(document), nl=False)
-        return
-    from ..keyboard.words import summary
-
-    typer.echo(summary(document) + f"\nwritten to {out}")
-
-
-def _called(fits: list[Path]) -> str:
-    from ..io import one_line
-
-    return one_line(fits[0].resolve().name if fits[0].is_dir() else fits[0].resolve().parent.name)
-
-
-def _play(
-    built: Path, prefix: str | None, song: Path, out: Path, rate: int, force: bool, progress: Callable
-) -> dict[str, Any]:
-    from ..io import check_sound_target, encode_pcm24, write_file
-    from ..keyboard import load_instrument
-    from ..model.cache import keep_programs
-    from ..play import load_song, perform
-
-    check_sound_target(out, force)
-    played, notes = load_instrument(built, prefix), load_song(song)
-    keep_programs()
-    start = time.perf_counter()
-    done = perform(played, notes, rate, progress)
-    took = time.perf_counter() - start
-    write_file(out, encode_pcm24(done.samples, rate), force)
-    seconds = done.samples.shape[-1] / rate
-    return {
-        "file": str(out), "seconds": seconds, "rate": rate, "channels": len(done.samples), "notes": notes.notes,
-        "strikes": done.strikes,
-        "on_moving_strings": done.on_moving, "gain_db": done.gain_db, "limited_db": done.limited_db,
-        "peak": float(abs(done.samples).max(initial=0.0)), "computed_in_s": took, "real_time_factor": took / seconds,
-    }  # fmt: skip
-
-
-def _played(out: Path, done: dict[str, Any]) -> str:
-    turned = f", turned down by {-done['gain_db']:.1f} dB" if done["gain_db"] < 0 else ""
-    limited = f", peaks limited by up to {done['limited_db']:.1f} dB" if done["limited_db"] > 0 else ""
-    return (
-        f"{out}: {done['seconds']:.1f} s at {done['rate']} Hz, {done['notes']} notes, {done['on_moving_strings']} of "
-        f"them on a string still sounding{turned}{limited}\ncomputed in {done['computed_in_s']:.1f} s, "
-        f"{done['real_time_factor']:.2f} of real time\n"
-    )
-
-
-def _page(built: Path, prefix: str | None, out: Path | None, recordings: bool, force: bool) -> dict[str, Any]:
-    from ..errors import OutputError
     from ..io import check_target, one_line
     from ..keyboard import load_instrument
     from ..play.page import write_page
@@ -162,12 +128,14 @@ def _page(built: Path, prefix: str | None, out: Path | None, recordings: bool, f
         # The command's own file, made anew when there are more keys.
         out = (built if built.is_dir() else built.parent) / (f"piano-{prefix}.html" if prefix else PAGE)
         check_target(out, force or is_page(out))
-    done = write_page(out, loaded, recordings)
-    knocks = None if done.knocks is None else {"bits": done.knocks.bits, "rate": done.knocks.rate}
-    return {
-        "file": str(out), "bytes": out.stat().st_size, "keys": done.keys, "recorded": done.recorded,
-        "guesses": {"between": done.between, "beyond": done.beyond}, "knocks": knocks, "layers": done.layers,
+    found = write_page(out, loaded, recordings)
+    done = {
+        "file": str(out), "bytes": out.stat().st_size, "keys": found.keys, "recorded": found.recorded,
+        "guesses": {"between": found.between, "beyond": found.beyond},
+        "knocks": None if found.knocks is None else {"bits": found.knocks.bits, "rate": found.knocks.rate},
+        "layers": found.layers,
     }  # fmt: skip
+    tell(done, _written(done), as_json)
 
 
 def _written(done: dict[str, Any]) -> str:

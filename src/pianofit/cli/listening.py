@@ -9,7 +9,7 @@ import typer
 
 from ..errors import ParameterError
 from .options import Force, Json, Seed, check_common, number, whole
-from .terminal import add, complain
+from .terminal import add, complain, tell
 
 __all__ = ["register"]
 
@@ -73,17 +73,14 @@ def listen(
 
 
 def _count(files: list[Path], as_json: bool) -> None:
-    from ..io import json_text
     from ..listening.result import count_answers
 
     counts = count_answers(files)
-    if as_json:
-        typer.echo(json_text({"files": [str(f) for f in files], "conditions": [c._asdict() for c in counts]}), nl=False)
-        return
     width = max(len(count.condition) for count in counts)
-    typer.echo(f"{'':{width}}  hits   of   share  95 % interval    p, two-sided")
+    lines = [f"{'':{width}}  hits   of   share  95 % interval    p, two-sided"]
     for c in counts:
         low, high = c.interval
-        typer.echo(
-            f"{c.condition:{width}} {c.hits:5} {c.of:4} {c.hits / c.of:7.3f}  [{low:.3f}, {high:.3f}]  {c.p:12.4g}"
-        )
+        share = f"{c.hits / c.of:7.3f}  [{low:.3f}, {high:.3f}]"
+        lines.append(f"{c.condition:{width}} {c.hits:5} {c.of:4} {share}  {c.p:12.4g}")
+    document = {"files": [str(file) for file in files], "conditions": [c._asdict() for c in counts]}
+    tell(document, "\n".join(lines) + "\n", as_json)

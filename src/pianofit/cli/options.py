@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -12,17 +13,14 @@ from ..felt import LAWS
 
 __all__ = [
     "Built", "Channel", "Evaluations", "Felt", "File", "Force", "Intervals", "Json", "Known", "Note", "Pitch", "Prefix",
-    "Rate", "Recipe", "Recordings", "Seconds", "Seed", "Sound", "Velocity", "check_common", "number", "whole",
+    "Rate", "Recipe", "Recordings", "Seconds", "Seed", "Sound", "Velocity", "check_common", "number", "one_of", "whole",
 ]  # fmt: skip
 
 
 def check_common(velocity: float | None, seed: int = 0) -> None:
     """Refuse a velocity, m/s, or a seed outside its range.
 
-    Raises
-    ------
-    ParameterError
-        Naming the argument, its value and its range.
+    Raises `ParameterError`, naming the argument, its value and its range.
     """
     from ..parameters import check_velocity
 
@@ -31,46 +29,30 @@ def check_common(velocity: float | None, seed: int = 0) -> None:
         raise ParameterError(f"seed={seed} must not be negative")
 
 
-def number(text: str | float) -> float:
-    """A number, or a usage error."""
-    try:
-        return float(text)
-    except ValueError:
-        raise typer.BadParameter(f"{text!r} is no number") from None
+def read_as(kind: Callable[[str], Any], words: str) -> Callable[[str], Any]:
+    """What makes a number of a text, or a usage error that names it."""
+
+    def parse(text: str) -> Any:
+        try:
+            return kind(text)
+        except ValueError:
+            raise typer.BadParameter(f"{text!r} is no {words}") from None
+
+    return parse
 
 
-def whole(text: str | int) -> int:
-    """A whole number, or a usage error."""
-    try:
-        return int(text)
-    except ValueError:
-        raise typer.BadParameter(f"{text!r} is no whole number") from None
+number, whole = read_as(float, "number"), read_as(int, "whole number")
 
 
-def _recipe(text: str) -> str:
-    if text == "default":
+def one_of(*words: str) -> Callable[[str], str]:
+    """What takes one of the words, or makes a usage error of another."""
+
+    def parse(text: str) -> str:
+        if text not in words:
+            raise typer.BadParameter(f"{text!r} is not {' or '.join(words)}")
         return text
-    from ..paper.recipes import RECIPES
 
-    if text not in RECIPES:
-        raise typer.BadParameter(f"{text!r} is none of {', '.join(RECIPES)}")
-    return text
-
-
-def _intervals(text: str) -> str:
-    if text == "laplace":
-        return text
-    from ..inference.views import MEANS
-
-    if text not in MEANS:
-        raise typer.BadParameter(f"{text!r} is none of {', '.join(MEANS)}")
-    return text
-
-
-def _felt(text: str) -> str:
-    if text not in LAWS:
-        raise typer.BadParameter(f"{text!r} is none of {', '.join(LAWS)}")
-    return text
+    return parse
 
 
 Built = Annotated[
@@ -86,13 +68,11 @@ File = Annotated[Path, typer.Argument(metavar="FILE", help="A recording of one s
 Note = Annotated[
     str | None,
     typer.Option(
-        metavar="NOTE",
-        help="The note: F#2, Fs2, Gb2 or its MIDI number, 42; found from the recording if not given.",
+        metavar="NOTE", help="The note: F#2, Fs2, Gb2 or its MIDI number, 42; found from the recording if not given."
     ),
 ]
 Pitch = Annotated[
-    float | None,
-    typer.Option("--f0", parser=number, metavar="HZ", help="The note's pitch in Hz, instead of its name."),
+    float | None, typer.Option("--f0", parser=number, metavar="HZ", help="The note's pitch in Hz, instead of its name.")
 ]
 Channel = Annotated[
     str, typer.Option(metavar="CHANNEL", help="Which channel of a file: average, left, right, or a number from 1.")
@@ -108,8 +88,7 @@ Known = Annotated[
 Sound = Annotated[Path, typer.Option(metavar="FILE.WAV", help="The WAV file to write.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 Felt = Annotated[
-    str | None,
-    typer.Option(parser=_felt, metavar="LAW", help=f"The felt's law: {', '.join(LAWS)}."),
+    str | None, typer.Option(parser=one_of(*LAWS), metavar="LAW", help=f"The felt's law: {', '.join(LAWS)}.")
 ]
 Force = Annotated[bool, typer.Option("--force", help="Replace what --out holds.")]
 Velocity = Annotated[float | None, typer.Option(parser=number, metavar="M/S", help="Hammer velocity in m/s.")]
@@ -119,7 +98,11 @@ Seed = Annotated[
 ]
 Recipe = Annotated[
     str,
-    typer.Option(parser=_recipe, metavar="NAME", help="default; or, for comparison, the paper's own: paper or global."),
+    typer.Option(
+        parser=one_of("default", "paper", "global"),
+        metavar="NAME",
+        help="default; or, for comparison, the paper's own: paper or global.",
+    ),
 ]
 Evaluations = Annotated[
     int | None,
@@ -128,7 +111,7 @@ Evaluations = Annotated[
 Intervals = Annotated[
     str,
     typer.Option(
-        parser=_intervals, metavar="METHOD",
+        parser=one_of("laplace", "profile", "posterior"), metavar="METHOD",
         help="How intervals are found: laplace; profile, which takes some seconds more; or posterior, sampled by NUTS, "
         "which takes minutes and needs the extra bayes.",
     ),

@@ -13,11 +13,11 @@ from typing import Annotated
 
 import typer
 
-from ..errors import ParameterError
+from ..errors import check_range
 from ..progress import progress_bar
 from . import batch, export, fits, instrument, listening, sounds
 from .options import Force, Json, Seed, check_common, number
-from .terminal import add, complain
+from .terminal import add, complain, tell
 
 __all__ = ["app", "main"]
 
@@ -64,27 +64,22 @@ def demo(
     as_json: Json = False,
 ) -> None:
     """Make a measurement whose truth is known, fit it from the paper's initial values, and compare."""
-    from ..io import json_text, output_folder
+    from ..io import output_folder
     from .summary import comparison, summary
 
     check_common(None, seed)
-    if not 0 <= noise <= 200:
-        raise ParameterError(f"noise={noise} dB must be from 0 to 200")
+    check_range("noise=", noise, 0, 200, " dB")
     with output_folder(out, force) as folder, progress_bar() as progress:
         from .demo import run_demo
 
         result, true = run_demo(folder, None if no_noise else noise, seed, progress)
-    if as_json:
-        typer.echo(json_text(result.document | {"true": true}), nl=False)
-        return
-    typer.echo(comparison(result.document, true))
-    typer.echo(summary(result.document, folder), nl=False)
+    words = f"{comparison(result.document, true)}\n{summary(result.document, folder)}"
+    tell(result.document | {"true": true}, words, as_json)
 
 
 def reproduce(
     out: Annotated[
-        Path,
-        typer.Option(metavar="DIR", help="The folder for the page, index.html, and the files behind it."),
+        Path, typer.Option(metavar="DIR", help="The folder for the page, index.html, and the files behind it.")
     ],
     seed: Seed = 0,
     force: Force = False,

@@ -57,10 +57,10 @@ def simulate(
 
 def _struck(preset: str, change: list[str], velocity: float | None, seconds: float, rate: int, quantity: str):
     from ..felt import BOXES, make_hammer
+    from ..io import CEILING
     from ..model import simulate as run
     from ..parameters import check
     from ..published import preset as find
-    from ..render import CEILING
 
     it = find(preset)
     values = it.string._asdict() | it.hammer._asdict() | _assignments(change)
@@ -96,12 +96,12 @@ def render(
     force: Force = False,
 ) -> None:
     """Play a fitted string and hammer at any velocity, through its gain and path."""
-    from ..io import check_sound_target, encode_wav, write_file
+    from ..io import check_sound_target, encode_wav, limited, write_file
 
     check_sound_target(out, force)
+    from ..fit_file import load_note
     from ..model.cache import keep_programs
     from ..model.note import check_render
-    from ..render import limited, load_note
 
     check_render(velocity, seconds, rate or 44_100)
     note, own_rate = load_note(fit_json)

@@ -13,7 +13,7 @@ from typer.core import TyperCommand
 
 from ..errors import PianofitError
 
-__all__ = ["add", "complain", "plainly"]
+__all__ = ["add", "complain", "plainly", "tell"]
 
 
 class _Command(TyperCommand):
@@ -43,10 +43,18 @@ def add(app: typer.Typer, command: Callable, example: str, interrupted: str = "n
     app.command(cls=_Command, short_help=first, epilog=f"\b\nExample:\n  {example}")(plainly(command, interrupted))
 
 
+def tell(document: dict[str, Any], words: str, as_json: bool) -> None:
+    """Print what came of a command: as JSON, or in words, whose last line ends."""
+    from ..io import json_text
+
+    typer.echo(json_text(document) if as_json else words, nl=False)
+
+
 def complain(message: str) -> None:
     """Say what is wrong, on one line whatever is in it."""
-    words = " ".join(message.split())
-    typer.echo("pianofit: " + "".join(c if c.isprintable() else repr(c)[1:-1] for c in words), err=True)
+    from ..io import one_line
+
+    typer.echo("pianofit: " + one_line(" ".join(message.split())), err=True)
 
 
 def plainly(command: Callable, interrupted: str = "nothing more is written") -> Callable:

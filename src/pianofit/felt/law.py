@@ -12,7 +12,6 @@ from collections import namedtuple
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from importlib import import_module
 from typing import Any
 
 from ..errors import ParameterError
@@ -115,6 +114,7 @@ class FeltLaw:
             raise ParameterError(f"felt law {self.name}: a hammer needs {', '.join(missing)} too")
         hammer = self.of(check(values, f"felt law {self.name}", self.boxes))
         if self.storage is not None and self.hammers is None:
-            # The room that computes knows laws, so a law calls it by name alone.
-            import_module("..model.felt.passive", __package__).check_passive(self, hammer)
+            from ..model.felt.passive import check_passive
+
+            check_passive(self, hammer)
         return hammer

@@ -6,7 +6,6 @@ import copy
 import os
 from dataclasses import dataclass
 from html import escape
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +14,11 @@ import numpy as np
 from ..analysis import Analysis, Partials
 from ..errors import FitError
 from ..felt import FeltLaw
+from ..fit_file import mixture_of, read_fit
 from ..io import one_line
 from ..model import Simulation
 from ..model.note import Note
 from ..recording import Recording
-from ..render import mixture_of, read_fit
 from ..tables import optional
 from .quantities import Covariance, Quantities
 
@@ -191,7 +190,9 @@ class Result:
     @property
     def plot(self) -> Any:
         """Figures: `plot.spectrum()`, `plot.force()`, `plot.levels()`, `plot.correlations()`; each returns its Axes."""
-        return _report("plots").Plots(self)
+        from ..report.plots import Plots
+
+        return Plots(self)
 
     # --- to take elsewhere --------------------------------------------------------------------------------------------
 
@@ -233,7 +234,9 @@ class Result:
         FitError
             If the fit was read back.
         """
-        return _report("save").save(self, Path(folder), force=force, page=page)
+        from ..report.save import save
+
+        return save(self, Path(folder), force=force, page=page)
 
     def report(self, path: str | os.PathLike[str], *, title: str | None = None, held_out: dict | None = None) -> Path:
         """Write the page to `path`, a file or a folder for `report.html`, and return where it is.
@@ -250,7 +253,9 @@ class Result:
         FitError
             If the fit was read back.
         """
-        return _report("save").write_page(self, Path(path), title, held_out)
+        from ..report.save import write_page
+
+        return write_page(self, Path(path), title, held_out)
 
     @classmethod
     def load(cls, folder: str | os.PathLike[str], felt: FeltLaw | None = None) -> Result:
@@ -275,8 +280,3 @@ class Result:
                 f"{name}: is not whole ({one_line(repr(missing))}); give the file that pianofit fit wrote"
             ) from None
         return result
-
-
-def _report(part: str) -> Any:
-    """A module of the room that draws and writes: it knows results, so a result calls it by name alone."""
-    return import_module(f"..report.{part}", __package__)

@@ -17,6 +17,7 @@ from ..felt import BOXES, COMMON, DEFAULT_LAW, FeltLaw
 from ..parameters import HAMMER_NAMES, Geometry, Hammer
 from ..published import typical
 from ..setup import Setup
+from ..units import midi_of
 
 __all__ = ["Start", "starting_values"]
 
@@ -48,7 +49,7 @@ def starting_values(analysis: Analysis, setup: Setup, velocity: float | None = N
     ----------
     velocity : measured hammer velocity, m/s, which overrides the setup's.
     """
-    midi = 69 + 12 * math.log2(analysis.f0 / 440.0)
+    midi = midi_of(analysis.f0)
     key = float(np.clip(midi, 21, 108))
     usual, law = typical(key), setup.law
     geometry, assumed = _geometry(setup, usual.geometry)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ..io import one_line
+from ..units import NORMAL
 from .coordinates import STRING_SIZE
 from .estimate import Estimate
 from .posterior import Posterior
@@ -27,8 +28,6 @@ STRONG = 0.99
 STRAINED = 0.1
 # beyond this, dB, the hammer itself may be another.
 POOR = 0.5
-# Standard deviations to either side in a 95 % interval.
-NORMAL = 1.96
 # A second minimum with this share of the posterior is named.
 NAMED = 0.1
 ONE_VELOCITY = (

@@ -21,18 +21,11 @@ from ..model.note import Note
 from ..model.path import OutputPath
 from ..parameters import PARAMETERS, Geometry, Hammer, String
 from ..ringing_file import ringing_document
-from .gather import (
-    HIGHEST_KEY,
-    LOWEST_KEY,
-    NAMES,
-    KeyFit,
-    invariants,
-    literature,
-    of_force,
-    reference_compression,
-)
+from ..units import NORMAL, hertz_of
+from .gather import HIGHEST_KEY, LOWEST_KEY, NAMES, KeyFit, invariants, literature, of_force, reference_compression
 from .laws import Law, Prior, fit_law
 from .velocity import velocity_map
+from .words import TITLES
 
 __all__ = ["KINDS", "NEIGHBOURS", "SCHEMA", "build_instrument"]
 
@@ -56,10 +49,6 @@ PRIORS = {
 KEPT = ("cents", "L", "M_S/L", "pickup/L")
 # A value is called pulled when the law moved it by more than this many of its own standard deviations.
 PULLED = 0.5
-UNITS = {
-    "cents": "cents", "B": "1", "b1": "1/s", "d2": "1/s", "M_H/M_S": "1", "K/M_S": "N/kg", "p": "1", "mu": "s/m",
-    "x0/L": "1", "width/L": "1", "L": "m", "M_S/L": "kg/m", "pickup/L": "1", "gain": "",
-}  # fmt: skip
 # The output path's law, dB: what all keys share, how it drifts over the keyboard, the residuals of single partials.
 COMMON_DB, DRIFT_DB, ROUGH_DB = 6.0, 4.0, 4.0
 OCTAVES, DRIFT_KEYS = 1.0, 15.0
@@ -67,13 +56,7 @@ THIRDS = 20.0 * 2 ** (np.arange(31) / 3)  # Hz
 
 
 def build_instrument(keys: Sequence[KeyFit], name: str = "") -> dict[str, Any]:
-    """The document of an instrument, from at least one key's fit.
-
-    Raises
-    ------
-    ParameterError
-        Without any key.
-    """
+    """The document of an instrument, from at least one key's fit; a `ParameterError` without any."""
     if not keys:
         raise ParameterError("no key was given; an instrument needs at least one fit.json")
     own = [invariants(key.note, key.midi) for key in keys]
@@ -175,7 +158,7 @@ def assemble(midi: int, at: dict[str, float], quantity: str) -> tuple[String, Ha
     """String, hammer (at 2 m/s), geometry and gain of a key's values by `NAMES`, within the boxes of `PARAMETERS`."""
     length = at["L"]
     mass = at["M_S/L"] * length
-    f0 = 440.0 * 2 ** ((midi - 69) / 12 + at["cents"] / 1200)
+    f0 = hertz_of(midi + at["cents"] / 100)
     c = 2 * length * f0
     strike = at["x0/L"] * length
     string = {"c": c, "kappa": c * length * math.sqrt(at["B"]) / math.pi, "b1": at["b1"],
@@ -224,16 +207,17 @@ def _law_at(name: str, laws: dict[str, Law], base: dict[str, np.ndarray], i: int
 def _interval(name: str, value: float, sd: float) -> list[float]:
     """95 %."""
     if name == "cents":
-        return [value - 1.96 * sd, value + 1.96 * sd]
-    return [value * math.exp(-1.96 * sd), value * math.exp(1.96 * sd)]
+        return [value - NORMAL * sd, value + NORMAL * sd]
+    return [value * math.exp(-NORMAL * sd), value * math.exp(NORMAL * sd)]
 
 
 def _law_document(name: str, law: Law, base: np.ndarray, known: np.ndarray) -> dict[str, Any]:
     center = _scale(name, base) + law.mean
     return {
-        "unit": UNITS[name], "scale": "linear" if name == "cents" else "log",
+        "unit": TITLES[name][1] if name != "gain" else "", "scale": "linear" if name == "cents" else "log",
         "literature": None if name == "gain" else base.tolist(), "value": _unscale(name, center).tolist(),
-        "low": _unscale(name, center - 1.96 * law.sd).tolist(), "high": _unscale(name, center + 1.96 * law.sd).tolist(),
+        "low": _unscale(name, center - NORMAL * law.sd).tolist(),
+        "high": _unscale(name, center + NORMAL * law.sd).tolist(),
         "scatter": law.scatter, "length_keys": law.length,
         "outliers": [midi_to_note(int(m)) for m in known[law.outlier]],
     }  # fmt: skip
@@ -249,7 +233,7 @@ def _ringing_document(key: KeyFit | None) -> dict[str, Any] | str | None:
 def _path_document(path: OutputPath | None) -> dict[str, list[float]] | None:
     return None if path is None else {
         "frequency": path.frequency.tolist(), "db": path.db.tolist(),
-        "decay": np.broadcast_to(path.decay_at(path.frequency), path.frequency.shape).tolist(),
+        "decay": path.decay_at(path.frequency).tolist(),
     }  # fmt: skip
 
 

@@ -8,14 +8,12 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from ..analysis.notes import midi_to_note
 from ..errors import FitError, ParameterError
+from ..fit_file import read_path
 from ..io import LARGEST, finite, load_json, one_line, shown, table_of
 from ..model.modes import QUANTITIES
 from ..model.note import Note
-from ..model.path import OutputPath
 from ..model.simulate import check_geometry
 from ..parameters import PARAMETERS, Geometry, Hammer, String, check
 from ..ringing_file import read_ringing
@@ -30,7 +28,6 @@ FILE = "instrument.json"
 
 LARGEST_FILE = 2**25
 LARGEST_GAIN = 1e12
-MOST_POINTS = 4096
 LONGEST = 600.0  # s, of a recording
 WAY_OUT = "give the instrument.json that pianofit instrument wrote"
 
@@ -71,20 +68,12 @@ class Instrument(NamedTuple):
     def note(self, midi: int, velocity: float) -> Note:
         """The key `midi` struck at MIDI velocity `velocity`, 1 to 127.
 
-        Raises
-        ------
-        ParameterError
-            If the instrument has no such key.
+        A `ParameterError` if the instrument has no such key.
         """
         if midi not in self.notes:
-            raise ParameterError(f"key {midi} is not on this instrument; it has {_span(self.notes)}")
-        note = self.notes[midi]
-        v = hammer_velocity(velocity, self.at_64, self.rise)
-        return note.struck(v)
-
-
-def _span(notes: dict[int, Note]) -> str:
-    return f"{midi_to_note(min(notes))} to {midi_to_note(max(notes))}"
+            span = f"{midi_to_note(min(self.notes))} to {midi_to_note(max(self.notes))}"
+            raise ParameterError(f"key {midi} is not on this instrument; it has {span}")
+        return self.notes[midi].struck(hammer_velocity(velocity, self.at_64, self.rise))
 
 
 def load_instrument(path: str | os.PathLike[str], prefix: str | None = None) -> Instrument:
@@ -94,11 +83,8 @@ def load_instrument(path: str | os.PathLike[str], prefix: str | None = None) -> 
     ----------
     prefix : which instrument, if a folder's fits are of several.
 
-    Raises
-    ------
-    FitError
-        Naming the file and the entry that is missing, of another kind, or out of range; or the folder, if it holds no
-        fits, or several instruments' and none is named.
+    Raises `FitError`, naming the file and the entry that is missing, of another kind, or out of range; or the folder,
+    if it holds no fits, or several instruments' and none is named.
     """
     path = Path(path)
     if path.is_dir() and not (path / FILE).is_file():
@@ -114,18 +100,9 @@ def load_instrument(path: str | os.PathLike[str], prefix: str | None = None) -> 
 
 
 def read_instrument(document: Any, name: str = "instrument") -> Instrument:
-    """The instrument in a document; `name` is what errors call it.
-
-    Raises
-    ------
-    FitError
-        As `load_instrument`.
-    """
-    if (
-        not isinstance(document, dict)
-        or document.get("kind") != "instrument"
-        or document.get("schema") not in (1, SCHEMA)
-    ):
+    """The instrument in a document; `name` is what errors, those of `load_instrument`, call it."""
+    kind, schema = map(document.get, ("kind", "schema")) if isinstance(document, dict) else (None, None)
+    if kind != "instrument" or schema not in (1, SCHEMA):
         raise FitError(f"{name}: is no instrument of schema 1 or {SCHEMA}; {WAY_OUT}")
     quantity = document.get("quantity")
     if quantity not in QUANTITIES:
@@ -173,7 +150,7 @@ def _key(row: Any, quantity: str, where: str) -> tuple[int, Note]:
     gain = finite(row.get("gain"), f"{where}.gain", WAY_OUT)
     if not abs(gain) <= LARGEST_GAIN:
         raise FitError(f"{where}.gain={gain:g} must be from -{LARGEST_GAIN:g} to {LARGEST_GAIN:g}")
-    path, entry = _path(row.get("path"), where), row.get("ringing")
+    path, entry = read_path(row.get("path"), f"{where}.path", WAY_OUT), row.get("ringing")
     ringing = None if entry == NEIGHBOURS else read_ringing(entry, None, where)
     return midi, Note(String(**parts["string"]), hammer, geometry, quantity, gain, path, ringing)
 
@@ -203,29 +180,3 @@ def _told(table: Any) -> dict[str, tuple[float, float, float]]:
                 if name in NAMES and all(abs(x) < LARGEST for x in (value, low, high)):
                     found[name] = (float(value), float(low), float(high))
     return found
-
-
-def _path(path: Any, where: str) -> OutputPath | None:
-    if path is None:
-        return None
-    wrong = FitError(f"{where}.path needs frequency, rising, db, and decay, as many, at most {MOST_POINTS}; {WAY_OUT}")
-    if not isinstance(path, dict):
-        raise wrong
-    columns: list[Any] = [path.get("frequency"), path.get("db")]
-    columns += [path["decay"]] if "decay" in path else []
-    if not all(isinstance(column, list) and 0 < len(column) <= MOST_POINTS for column in columns):
-        raise wrong
-    if not all(isinstance(x, int | float) and not isinstance(x, bool) for column in columns for x in column):
-        raise wrong
-    try:
-        frequency, db, *more = np.array(columns, float)
-    except (OverflowError, ValueError):
-        raise wrong from None
-    if not (np.isfinite([frequency, db]).all() and frequency[0] > 0 and (np.diff(frequency) > 0).all()):
-        raise wrong
-    decay = more[0] if more else np.ones(len(frequency))
-    if not (np.isfinite(decay).all() and (decay >= 1e-3).all() and (decay <= 1e3).all()):
-        raise FitError(f"{where}.path.decay must hold factors from 0.001 to 1000; {WAY_OUT}")
-    if np.abs(db).max() > 300:
-        raise FitError(f"{where}.path.db reaches {np.abs(db).max():.3g} dB; {WAY_OUT}")
-    return OutputPath(frequency, db, decay)

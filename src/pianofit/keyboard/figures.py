@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..report.drawing import FITTED, HEIGHT, INITIAL, MEASURED, legend, panel, styled, svg
+from ..report.drawing import FITTED, HEIGHT, INITIAL, MEASURED, legend, log_axis, panel, styled, svg
 from ..report.figures_recordings import GROUPS as COLOURS
 from .gather import HIGHEST_KEY, LOWEST_KEY
 from .velocity import hammer_velocity
@@ -80,17 +80,13 @@ def _keyboard(axes: Axes) -> None:
 
 
 def _log(axes: Axes, shown: list[float]) -> None:
-    from matplotlib.ticker import LogLocator, NullFormatter
-
     low, high = min(shown), max(shown)
     decades = np.log10(high / low)
     if decades < 0.6:
         return
     axes.set_yscale("log")
     axes.set_ylim(low * 10 ** (-0.05 * decades - 0.02), high * 10 ** (0.05 * decades + 0.02))
-    axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if decades < 2.5 else (1,)))
-    axes.yaxis.set_major_formatter("{x:g}")
-    axes.yaxis.set_minor_formatter(NullFormatter())
+    log_axis(axes.yaxis, (1, 2, 5) if decades < 2.5 else (1,))
 
 
 def _sound(document: dict[str, Any]) -> list[Figure]:
@@ -114,10 +110,7 @@ def _sound(document: dict[str, Any]) -> list[Figure]:
 
 def _ringing(rows: list[tuple[int, dict[str, Any]]]) -> list[Figure]:
     """What beats and how it decays, of the lowest partials of the keys whose modes are known."""
-    titles = {
-        "split_cents": "split of the two modes that beat (cents)",
-        "late_over_early": "late T60 over early T60",
-    }
+    titles = {"split_cents": "split of the two modes that beat (cents)", "late_over_early": "late T60 over early T60"}
     drawn = []
     for name, title in titles.items():
         figure, (axes,) = panel(HEIGHT)

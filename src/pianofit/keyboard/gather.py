@@ -8,7 +8,6 @@ every key the loudest recording is set to `LOUDEST`, which puts all keys on one 
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from collections.abc import Sequence
@@ -19,11 +18,13 @@ import numpy as np
 
 from ..analysis.notes import midi_to_note, note_to_midi
 from ..errors import AnalysisError, FitError
-from ..io import LARGEST, one_line
+from ..fit_file import note_of, read_fit
+from ..io import is_number, one_line, reference_of
 from ..model.note import Note
 from ..parameters import FIT_NAMES, PARAMETERS, Hammer
 from ..published import PICKUP, typical
-from ..render import load_note
+from ..report.known import half_interval
+from ..units import NORMAL, midi_of
 
 __all__ = [
     "HIGHEST_KEY", "LOUDEST", "LOWEST_KEY", "NAMES", "KeyFit", "Layer", "find_fits", "invariants", "literature",
@@ -89,7 +90,7 @@ def invariants(note: Note, midi: int) -> dict[str, float]:
     s, h, g = note.string, note.hammer, note.geometry
     f0 = s.c / (2 * g.length)
     return {
-        "cents": 1200 * math.log2(f0 / 440.0) - 100 * (midi - 69),
+        "cents": 100 * (midi_of(f0) - midi),
         "B": (s.kappa * math.pi / (s.c * g.length)) ** 2,
         "b1": s.b1,
         "d2": s.b2 * (math.pi / g.length) ** 2,
@@ -117,10 +118,7 @@ def literature(midi: int) -> dict[str, float]:
 def find_fits(paths: Sequence[Path], prefix: str | None = None) -> list[Path]:
     """The `fit.json` files that are meant: given as they are, or as `keys/KEY/fit.json` in one folder.
 
-    Raises
-    ------
-    FitError
-        If there is none, or a folder holds several instruments and none is named.
+    A `FitError` if there is none, or a folder holds several instruments and none is named.
     """
     found: list[Path] = []
     for path in paths:
@@ -168,10 +166,7 @@ def _key_of(file: Path) -> tuple[str, int | None]:
 def load_keys(files: Sequence[Path]) -> list[KeyFit]:
     """Every file's key, ascending.
 
-    Raises
-    ------
-    FitError
-        For a file that is no `fit.json`, two of one key, keys beyond the keyboard, or recordings of different kinds.
+    A `FitError` for what is no `fit.json`, two of one key, keys beyond the keyboard, or recordings of different kinds.
     """
     keys: dict[int, KeyFit] = {}
     for file in files:
@@ -189,12 +184,11 @@ def load_keys(files: Sequence[Path]) -> list[KeyFit]:
 
 
 def _load_key(file: Path) -> KeyFit:
-    note, _ = load_note(file)
-    document = json.loads(file.read_bytes())
-    name = one_line(file)
+    document, name = read_fit(file), one_line(file)
+    note, _ = note_of(document, file)
     midi = _midi(note, file)
     rows = [row for row in document["recordings"] if isinstance(row, dict)]
-    path = next((row for row in rows if row.get("first") is True), rows[0]).get("group")
+    path = reference_of(rows)[1].get("group")
     # The note has the reference's path, and a gain belongs to a path.
     own = [i for i, row in enumerate(rows) if row.get("group") == path]
     loud = max(own, key=lambda i: _positive(rows[i].get("v_H0"), f"recordings[{i}].v_H0", name))
@@ -213,7 +207,7 @@ def _load_key(file: Path) -> KeyFit:
     told = _deviations(document, note, midi, converged, scale)
     return KeyFit(
         midi, name, note._replace(hammer=hammer, gain=gain / scale), told, tuple((velocities * scale).tolist()),
-        float(error) if _finite(error) else None, converged, len(rows), _layers(document, rows, scale),
+        float(error) if is_number(error) else None, converged, len(rows), _layers(document, rows, scale),
     )  # fmt: skip
 
 
@@ -224,14 +218,14 @@ def _layers(document: dict, rows: list[dict], scale: float) -> tuple[Layer, ...]
     found = [
         Layer(row["file"], str(row.get("sha256")), float(row["onset_s"] + (after.get(row["file"]) or 0.0)),
               float(row["v_H0"] * scale))
-        for row in rows if isinstance(row.get("file"), str) and _finite(row.get("onset_s"))
+        for row in rows if isinstance(row.get("file"), str) and is_number(row.get("onset_s"))
     ]  # fmt: skip
     return tuple(sorted(found, key=lambda layer: layer.velocity))
 
 
 def _midi(note: Note, file: Path) -> int:
     """The folder's note where it is within 1.5 semitones of the pitch, for pianos out of tune; else the nearest."""
-    pitch = 69 + 12 * math.log2(note.string.c / (2 * note.geometry.length) / 440.0)
+    pitch = midi_of(note.string.c / (2 * note.geometry.length))
     _, named = _key_of(file)
     midi = named if named is not None and abs(named - pitch) < 1.5 else round(pitch)
     if not LOWEST_KEY <= midi <= HIGHEST_KEY:
@@ -239,12 +233,8 @@ def _midi(note: Note, file: Path) -> int:
     return midi
 
 
-def _finite(x: Any) -> bool:
-    return isinstance(x, int | float) and not isinstance(x, bool) and abs(x) < LARGEST
-
-
 def _positive(x: Any, key: str, name: str, *, signed: bool = False) -> float:
-    if not _finite(x) or x == 0 or (x < 0 and not signed):
+    if not is_number(x) or x == 0 or (x < 0 and not signed):
         raise FitError(f"{name}: {key} is {x!r}, no usable number; give the file that pianofit fit wrote")
     return float(x)
 
@@ -265,10 +255,8 @@ def _deviations(document: dict, note: Note, midi: int, converged: bool, scale: f
 
 def _spread(entry: Any) -> float | None:
     """Standard deviation of the logarithm that an interval means."""
-    span = entry.get("interval") if isinstance(entry, dict) else None
-    if not (isinstance(span, list) and len(span) == 2 and all(map(_finite, span)) and 0 < span[0] < span[1]):
-        return None
-    return math.log(span[1] / span[0]) / (2 * 1.96)
+    half = half_interval(entry)
+    return None if half is None else half / NORMAL
 
 
 def _felt_spread(s: dict[str, float | None], document: dict, note: Note, midi: int, scale: float) -> float | None:
@@ -299,12 +287,12 @@ def _force_error(document: dict, note: Note) -> tuple[float, float] | None:
     invariants, derived = (x if isinstance(x, dict) else {} for x in map(document.get, ("invariants", "derived")))
     entry: Any = invariants.get("F/M_S")
     error: Any = _spread(entry)
-    if error is not None and _finite(entry.get("value")) and entry["value"] > 0:
+    if error is not None and is_number(entry.get("value")) and entry["value"] > 0:
         h = note.hammer
         u = float((entry["value"] * note.geometry.mass / h.K_H) ** (1 / h.p))
     else:  # the first schema
         deepest, error = (derived.get(key) for key in ("max_compression_mm", "felt_force_relative_error"))
-        if not (_finite(deepest) and _finite(error)):
+        if not (is_number(deepest) and is_number(error)):
             return None
         u = 1e-3 * float(deepest)  # type: ignore[arg-type]
     return (u, error) if 0 < u < 1 and error > 0 else None

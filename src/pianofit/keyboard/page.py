@@ -16,29 +16,16 @@ from .words import STATES, counts
 
 __all__ = ["write_page"]
 
-CONTENTS = (
-    ("laws", "Every parameter over the keyboard"),
-    ("string", "The string"),
-    ("hammer", "The hammer"),
-    ("sizes", "Sizes"),
-    ("sound", "The output path and velocity"),
-    ("ringing", "Mistuning and double decay"),
-    ("keys", "The keys"),
-)
-
 
 def write_page(path: str | os.PathLike[str], document: dict[str, Any]) -> None:
     """Write the page of a document of `build_instrument`, whole or not at all.
 
-    Raises
-    ------
-    OutputError
-        If `path` cannot be written.
+    Raises `OutputError` if `path` cannot be written.
     """
     found, figures = counts(document), draw(document)
     kit.write_page(
         path, "page.html.j2", package="pianofit.keyboard", strict=False, title=document["name"] or "Instrument",
-        contents=[(at, words) for at, words in CONTENTS if at != "ringing" or "ringing" in figures],
+        contents=True,
         doc=document,
         quantity=document["quantity"],
         known=sum(key["fit"] is not None for key in document["keys"]),

@@ -10,14 +10,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..recording import Recording
+from ..recording import INSIDE, Recording
 
 __all__ = ["GATES", "clicks", "clipping", "failures", "inside", "offset"]
 
 # Offset over the peak, 1: −40 dB. Where a sound begins and ends it is a step, a tick; whole recordings have 0.0008.
 OFFSET = 0.01
-# The first sample over the peak, 1: a note that was cut into begins with a step. `recording.py` warns at the same.
-INSIDE = 0.05
 # A jump over the rms of what surrounds it, 1: of noise no sample in a million exceeds 5 and whole recordings have at
 # most 6.1; a jump of one sample by −40 dB of the peak has some hundred on a note that has faded.
 JUMP = 12.0

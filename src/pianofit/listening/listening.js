@@ -97,7 +97,7 @@
     const found = results();
     byId("trial").hidden = true;
     byId("outcome").hidden = false;
-    const body = byId("conditions");
+    const body = byId("outcome").querySelector("tbody");
     for (const { condition, hits, of, p } of found.conditions) {
       const line = body.insertRow();
       for (const text of [condition, `${hits} of ${of}`, p === null ? "–" : p.toFixed(3)]) line.insertCell().textContent = text;

@@ -6,7 +6,6 @@ Research Software 6, 2018) is a server of its own. What stands here is what it r
 
 from __future__ import annotations
 
-import base64
 import json
 from pathlib import Path
 from typing import Any
@@ -34,10 +33,7 @@ def write_experiment(folder: Path, clips: list[tuple[Heard, Clip]], reference: s
     folder : is made.
     reference : what the references are; a page of BS.1116 and a forced pair for each other sound of a case.
 
-    Raises
-    ------
-    OutputError
-        If a file cannot be written.
+    Raises `OutputError` if a file cannot be written.
     """
     sounds = folder / SOUNDS
     try:
@@ -46,7 +42,7 @@ def write_experiment(folder: Path, clips: list[tuple[Heard, Clip]], reference: s
         raise OutputError(f"{one_line(sounds)}: no folder can be made ({error.strerror}); choose another") from None
     cases: dict[str, dict[str, str]] = {}
     for heard, clip in clips:
-        replace_file(sounds / f"{clip.name}.wav", base64.b64decode(clip.uri.split(",", 1)[1]))
+        replace_file(sounds / f"{clip.name}.wav", clip.wav)
         cases.setdefault(heard.case, {})[heard.what] = f"{SOUNDS}/{clip.name}.wav"
     pages: list[Any] = ["random"]
     for n, case in enumerate(cases.values(), 1):

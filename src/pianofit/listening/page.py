@@ -95,10 +95,7 @@ def write_listening(
     -------
     The sounds, and each as it is heard, under the name it goes by.
 
-    Raises
-    ------
-    OutputError
-        If a file cannot be written.
+    Raises `OutputError` if a file cannot be written.
     """
     draw = np.random.default_rng(seed)
     sounds = list({id(h): h for q in questions for h in (q.reference, *q.pair)}.values())
@@ -115,7 +112,7 @@ def write_listening(
         ],
     }  # fmt: skip
     test = facts | {
-        "sounds": {clip.name: clip.uri.split(",", 1)[1] for clip in sorted(clips, key=lambda c: c.name)},
+        "sounds": {clip.name: clip.text for clip in sorted(clips, key=lambda c: c.name)},
         "hidden": base64.b64encode(json.dumps(hidden).encode()).decode(),
     }
     counts = {kind: sum(t.question.kind == kind for t in trials) for kind in ("abx", "nearer")}

@@ -33,10 +33,7 @@ class Count(NamedTuple):
 def count_answers(files: Sequence[Path]) -> list[Count]:
     """Counts over all files, condition by condition.
 
-    Raises
-    ------
-    ParameterError
-        Where a file holds no answers, or two hold the same.
+    Raises `ParameterError` where a file holds no answers, or two hold the same.
     """
     from scipy.stats import binomtest
 

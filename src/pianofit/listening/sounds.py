@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..errors import ParameterError, RecordingError
+from ..errors import RecordingError, check_range
 from ..io import one_line
 from ..recording import Recording, load_recording
 from .gates import failures
@@ -54,19 +54,11 @@ def listening_test(
     seed : of all that is drawn.
     leave_out : names of which a sound fails a gate are left out; otherwise they are an error.
 
-    Raises
-    ------
-    ParameterError
-        Where `trials` or `seconds` is out of range.
-    RecordingError
-        Where a sound cannot be read or fails a gate, or sounds that are compared differ in rate or channels.
-    OutputError
-        If a file cannot be written.
+    Raises `ParameterError` where `trials` or `seconds` is out of range; `RecordingError` where a sound cannot be read
+    or fails a gate, or sounds that are compared differ in rate or channels; `OutputError` if a file cannot be written.
     """
-    if not 1 <= trials <= MOST_TRIALS:
-        raise ParameterError(f"trials={trials} must be from 1 to {MOST_TRIALS}")
-    if not 0.25 <= seconds <= 30:
-        raise ParameterError(f"seconds={seconds:g} must be from 0.25 to 30")
+    check_range("trials=", trials, 1, MOST_TRIALS)
+    check_range("seconds=", seconds, 0.25, 30)
     labels = _labels([a, b] if reference is None else [a, b, reference])
     groups, alone = _named([a, b] if reference is None else [a, b, reference])
     draw = np.random.default_rng(seed)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from functools import partial
-from importlib import import_module
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..errors import ParameterError
+from ..errors import ParameterError, check_range
 from ..felt import MemoryHammer
 from ..parameters import Geometry, Hammer, String, check_velocity
 from ..recording import RATES
@@ -101,8 +100,9 @@ class Note(NamedTuple):
         ParameterError
             If anywidget is not installed, or the felt is none that a page plays.
         """
-        # That room knows notes, so a note calls it by name alone.
-        return import_module("..play.page.widget", __package__).widget(self)
+        from ..play.page.widget import widget
+
+        return widget(self)
 
     def stroke(self, rate: float, samples: int, touch: int = 0) -> tuple[np.ndarray, Simulation]:
         """The sound [samples] in file units, and the stroke behind it; the contact begins at the index `touch`."""
@@ -196,10 +196,8 @@ def check_render(velocity: float | None, seconds: float, rate: int) -> None:
         Naming the argument, its value and its range.
     """
     check_velocity(velocity)
-    if not 0.01 <= seconds <= MOST_SECONDS:
-        raise ParameterError(f"seconds={seconds} must be from 0.01 to {MOST_SECONDS:g}")
-    if not RATES[0] <= rate <= RATES[1]:
-        raise ParameterError(f"rate={rate} Hz must be from {RATES[0]} to {RATES[1]}")
+    check_range("seconds=", seconds, 0.01, MOST_SECONDS)
+    check_range("rate=", rate, *RATES, " Hz")
     if seconds * rate > MOST_SAMPLES:
         raise ParameterError(
             f"seconds={seconds} at rate={rate} Hz is too long; ask for {MOST_SAMPLES // rate} s or less"

@@ -81,12 +81,8 @@ def table_of(note: Note, rate: float) -> Table:
 def stroke(table: Table, hammer: Hammer | MemoryHammer, state: np.ndarray, where: str) -> tuple[np.ndarray, Force]:
     """What a hammer gives a string that moves as q = Re(state · exp(p t)), complex [modes]: T [steps], and the force.
 
-    Raises
-    ------
-    FitError
-        Naming `where` if the hammer stays on the string.
-    ParameterError
-        For a hammer whose felt is not one of the package's own.
+    Raises `FitError`, naming `where` if the hammer stays on the string; `ParameterError` for a hammer whose felt is not
+    one of the package's own.
     """
     if not is_own(law := law_of(hammer)):  # its code may change between runs, and the programs of playing are kept
         raise ParameterError(f"{where}: felt law {law.name} cannot be played; use Note.render, or one of the package's")

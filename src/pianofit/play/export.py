@@ -6,7 +6,6 @@ own are played from the nearest one, transposed.
 
 from __future__ import annotations
 
-import io
 import math
 import os
 import re
@@ -18,11 +17,10 @@ from typing import NamedTuple
 import numpy as np
 
 from ..analysis.notes import midi_to_note
-from ..errors import OutputError, ParameterError
-from ..io import interrupted_by, one_line
+from ..errors import OutputError, ParameterError, check_range
+from ..io import CEILING, encode_pcm, interrupted_by, one_line
 from ..keyboard.document import Instrument
 from ..recording import RATES
-from ..render import CEILING
 from ..threads import one_blas_thread
 from .decent import dspreset_text
 from .layers import SampledKey, spans_of, velocities_of
@@ -33,8 +31,8 @@ from .strings import PlayedString, damper_rate
 
 __all__ = ["SAMPLERS", "Asked", "Exported", "export_sampler"]
 
-# Kinds of samples: the format and subtype of libsndfile.
-KINDS = {"flac": ("FLAC", "PCM_24"), "wav": ("WAV", "PCM_24")}
+# Kinds of samples.
+KINDS = ("flac", "wav")
 
 
 class Sampler(NamedTuple):
@@ -53,6 +51,7 @@ README = "README.txt"
 # Names of samples: key, note, velocity.
 SAMPLE = re.compile(r"\d{3}-[A-G]s?-?\d-v\d{3}\.(flac|wav)")
 MOST_LAYERS = 127
+HIGHEST_RATE = 192_000  # Hz: samplers read no higher
 MOST_SAMPLE_SECONDS = 40_000.0  # all samples together: some 5 GB
 # Of the time an export takes, that to strike all keys for their levels.
 LEVELS_SHARE = 0.5
@@ -92,12 +91,8 @@ def export_sampler(
     to : one of `SAMPLERS`.
     licence : of the source, in the user's words, for the readme.
 
-    Raises
-    ------
-    ParameterError
-        For layers, seconds, a rate or a kind out of range, or a key the instrument does not have.
-    OutputError
-        If `out` exists and is no earlier export, or `force` is not given, or cannot be written.
+    Raises `ParameterError` for layers, seconds, a rate or a kind out of range, or a key the instrument does not have;
+    `OutputError` if `out` exists and is no earlier export, or `force` is not given, or cannot be written.
     """
     if to not in SAMPLERS:
         raise ParameterError(f"to={to!r} must be one of {', '.join(SAMPLERS)}")
@@ -134,12 +129,9 @@ def export_sampler(
 
 
 def _check(instrument: Instrument, keys: Sequence[int], asked: Asked) -> None:
-    if not 1 <= asked.layers <= MOST_LAYERS:
-        raise ParameterError(f"layers={asked.layers} must be from 1 to {MOST_LAYERS}")
-    if not RATES[0] <= asked.rate <= min(RATES[1], 192_000):
-        raise ParameterError(f"rate={asked.rate} Hz must be from {RATES[0]} to 192000")
-    if not 0.1 <= asked.seconds <= 120:
-        raise ParameterError(f"seconds={asked.seconds} must be from 0.1 to 120")
+    check_range("layers=", asked.layers, 1, MOST_LAYERS)
+    check_range("rate=", asked.rate, RATES[0], HIGHEST_RATE, " Hz")
+    check_range("seconds=", asked.seconds, 0.1, 120)
     if asked.kind not in KINDS:
         raise ParameterError(f"samples={asked.kind!r} must be one of {', '.join(KINDS)}")
     if len(keys) * asked.layers * asked.seconds > MOST_SAMPLE_SECONDS:
@@ -198,7 +190,7 @@ def _samples(
             loud = gain * zone.loudest
             sound = np.clip(loud * sample(instrument, string, zone.velocity, begin, asked.seconds), -1.0, 1.0)
             files.append(f"samples/{_sample_name(key, zone.velocity)}.{asked.kind}")
-            size += (work / files[-1]).write_bytes(_encoded(sound, asked))
+            size += (work / files[-1]).write_bytes(encode_pcm(sound, asked.rate, asked.kind))
             frames += sound.shape[-1]
         written.append(SampledKey(key, low, high, damper_rate(key), found.zones, files))
         progress("samples", LEVELS_SHARE + (1 - LEVELS_SHARE) * (i + 1) / len(keys))
@@ -207,14 +199,6 @@ def _samples(
         len(keys) * asked.layers, frames / asked.rate, size, 20 * math.log10(gain),
     )  # fmt: skip
     return done, written
-
-
-def _encoded(sound: np.ndarray, asked: Asked) -> bytes:
-    import soundfile
-
-    stream, (form, subtype) = io.BytesIO(), KINDS[asked.kind]
-    soundfile.write(stream, sound.T, asked.rate, format=form, subtype=subtype)
-    return stream.getvalue()
 
 
 def _file_name(name: str) -> str:

@@ -54,10 +54,7 @@ class SampledKey(NamedTuple):
 def parse_keys(text: str) -> list[int]:
     """Keys named on a command line: A0-C8, C2,E2,G2, "every 3" (semitones from A0), or a mixture by commas.
 
-    Raises
-    ------
-    ParameterError
-        Naming the part that is no key.
+    Raises `ParameterError`, naming the part that is no key.
     """
     keys: set[int] = set()
     for part in (piece.strip() for piece in text.split(",")):

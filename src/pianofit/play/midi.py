@@ -37,10 +37,8 @@ class Song(NamedTuple):
 def load_song(path: str | os.PathLike[str]) -> Song:
     """The song in a standard MIDI file (type 0 or 1), of at most 100,000 notes and 30 min.
 
-    Raises
-    ------
-    RecordingError
-        Naming the file and what is wrong: no MIDI, no notes, too many, too long, or keys no piano has.
+    Raises `RecordingError`, naming the file and what is wrong: no MIDI, no notes, too many, too long, or keys no piano
+    has.
     """
     data = read_file(path, LARGEST_SONG, RecordingError)
     return read_song(data, one_line(path))

@@ -11,11 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..errors import ParameterError
+from ..errors import ParameterError, check_range
+from ..io import CEILING
 from ..keyboard.document import Instrument
 from ..model.note import MOST_SAMPLES
 from ..recording import RATES
-from ..render import CEILING
 from ..threads import one_blas_thread
 from .midi import Song
 from .strings import PlayedString
@@ -57,13 +57,9 @@ def perform(
 
     A knock may begin before its stroke: the song begins so much after the first sample as the instrument needs.
 
-    Raises
-    ------
-    ParameterError
-        For a rate out of range, a song too long for it, or a key the instrument does not have.
+    Raises `ParameterError` for a rate out of range, a song too long for it, or a key the instrument does not have.
     """
-    if not RATES[0] <= rate <= RATES[1]:
-        raise ParameterError(f"rate={rate} Hz must be from {RATES[0]} to {RATES[1]}")
+    check_range("rate=", rate, *RATES, " Hz")
     lead = round(instrument.lead * rate)
     size = int((song.seconds + LAST_RING) * rate) + lead
     if size > MOST_SAMPLES:

@@ -12,12 +12,10 @@ from scipy.interpolate import PchipInterpolator
 from ..keyboard.document import Instrument
 from ..model.note import arrival
 from .layers import LOUDEST, SOFTEST, Zone, crossfaded
-from .strings import PlayedString
+from .strings import CHANNELS, PlayedString
 
-__all__ = ["Measured", "measured", "sample"]
+__all__ = ["LEVEL_SECONDS", "Measured", "measured", "sample", "stroke"]
 
-# Channels that a sampler plays.
-CHANNELS = 2
 # A sample ends when it is this far below its peak, dB, or after the seconds asked for, with a fade of this part of it.
 SILENT_DB = 110.0
 FADE = 0.05
@@ -39,7 +37,7 @@ class Measured(NamedTuple):
     """What is known of a key before its samples are written."""
 
     zones: list[Zone]
-    begin: list[int]  # sample of `_stroke` at which each zone's begins; negative where silence comes first
+    begin: list[int]  # sample of `stroke` at which each zone's begins; negative where silence comes first
     peak: float  # of the loudest, file units
 
 
@@ -48,7 +46,7 @@ def measured(instrument: Instrument, string: PlayedString, velocities: Sequence[
     tried = sorted({*velocities, *(int(v) for v in np.round(np.linspace(SOFTEST, LOUDEST, LEVELS)))})
     sounds, level_db = {}, []
     for velocity in tried:
-        sound = _stroke(instrument, string, velocity, min(seconds, LEVEL_SECONDS))
+        sound = stroke(instrument, string, velocity, min(seconds, LEVEL_SECONDS))
         level_db.append(10 * np.log10(max(np.mean(sound**2, axis=-1).sum(), 1e-30)))
         if velocity in velocities:
             sounds[velocity] = sound
@@ -64,12 +62,12 @@ def measured(instrument: Instrument, string: PlayedString, velocities: Sequence[
 
 def sample(instrument: Instrument, string: PlayedString, velocity: int, begin: int, seconds: float) -> np.ndarray:
     """A stroke [channels, samples] from the sample `begin` on, faded out."""
-    sound = _stroke(instrument, string, velocity, seconds + max(begin, 0) / string.rate)
+    sound = stroke(instrument, string, velocity, seconds + max(begin, 0) / string.rate)
     sound = np.pad(sound[:, max(begin, 0) :], ((0, 0), (max(-begin, 0), 0)))
     return _faded(sound[:, : round(seconds * string.rate)], string.rate)
 
 
-def _stroke(instrument: Instrument, string: PlayedString, velocity: int, seconds: float) -> np.ndarray:
+def stroke(instrument: Instrument, string: PlayedString, velocity: int, seconds: float) -> np.ndarray:
     """One stroke on the string at rest [channels, samples], from its contact on, or a knock's begin before it."""
     note = instrument.note(string.midi, velocity)
     string.still()

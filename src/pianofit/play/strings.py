@@ -20,8 +20,12 @@ from ..model.note import Note
 from ..model.path import filtered
 from .contact import Table, stroke, table_of
 
-__all__ = ["LAST_DAMPER", "PlayedString", "damper_rate"]
+__all__ = ["CHANNELS", "KNOCK_RATES", "LAST_DAMPER", "PlayedString", "damper_rate"]
 
+# Channels of what is handed to other programs and pages: a listener has two ears.
+CHANNELS = 2
+# Rates at which they hold knocks, Hz, where there is no room for more: whole parts of 48,000 Hz, the best first.
+KNOCK_RATES = (24_000, 16_000, 12_000, 8_000, 6_000, 4_000)
 LAST_DAMPER = 90  # F#6; the strings above have none
 # What a damper adds to every mode's decay, 1/s, at the lowest key and at the last that has one: about 0.3 s to 0.12 s
 # for 60 dB. Chosen once; no fit sees a damper.

@@ -1,4 +1,9 @@
-"""From a fit's result to what the page draws: arrays only, all computed before."""
+"""From a fit's result to what the page draws: arrays only, all computed before.
+
+The covariance of a fit is that of logarithms, so what is a product of powers is known to the length of one vector: the
+felt's static force K_H u^p at compression u has log F = log K_H + p log u, whose change with log p is p log u. Of other
+laws the curve is as well known as its own changes by its parameters say.
+"""
 
 from __future__ import annotations
 
@@ -7,17 +12,52 @@ from dataclasses import replace
 import numpy as np
 
 from ..analysis import law_frequency
+from ..errors import FitError, ParameterError
+from ..felt import law_of
 from ..inference import Result
-from .build_felt import felt_of, known_of
-from .build_recordings import paths_of, recordings_of, strokes_of
-from .build_ringing import ringing_curves
-from .curves import Curves
+from ..model import static_force
+from ..model.decay import partial_decays
+from ..parameters import PARAMETERS
+from ..ringing import HEARD, band, kernel_seconds, mel_edges, mel_power
+from ..units import NORMAL
+from .curves import Curves, Envelope, Felt, Known, RecordingCurves, RingingCurves, Strokes
+from .known import half_interval
 
-__all__ = ["curves_of", "reference_curves", "spectrum_db"]
+__all__ = [
+    "curves_of", "envelopes_of", "felt_of", "has_intervals", "known_of", "paths_of", "recordings_of",
+    "reference_curves", "ringing_curves", "spectrum_db", "strokes_of",
+]  # fmt: skip
 
 ATTACK = 0.03  # s
 SPECTRUM_SIGMA = 8.0  # 1/s: lines fine enough to tell partials apart, wide enough to see
-TOP = 12_000.0  # Hz
+TOP = 12_000.0  # Hz, of the spectra: little is above
+STROKES = 7  # of the slider over velocities
+SECONDS = 2.5  # of each of them
+# Recordings closer than this in velocity, as a ratio, give no range;
+NARROW = 1.3
+# the slider then goes so far down and up, as a ratio.
+WIDER = 2.0
+# Points of the felt's loop and of its law, more than a picture shows.
+LOOP_POINTS = 400
+FELT_POINTS = 48
+FARTHEST = 300.0  # of an exponent: e to it is no overflow
+# A variance below this share of what it was is rounding.
+HELD = 1e-10
+# Parameters that an invariant stands for.
+COMBINED = ("c", "kappa", "M_H", "x0")
+# Partials whose envelopes are shown.
+PARTIALS = 6
+# How long after the onset, s, and how much more of a sound is cut at both ends, for the windows.
+SHOWN = 3.0
+MORE = 0.2
+# Points of an envelope, which is smoother than they are apart.
+ENVELOPE_POINTS = 400
+# Window, s, of the picture over time and frequency: between a knock's time and a partial's width.
+WINDOW = 0.09
+BANDS = 96  # of it, mel
+
+
+# --- the reference recording ------------------------------------------------------------------------------------------
 
 
 def curves_of(result: Result) -> Curves:
@@ -31,10 +71,7 @@ def curves_of(result: Result) -> Curves:
 def reference_curves(result: Result) -> Curves:
     """What is shown of the reference recording alone.
 
-    Raises
-    ------
-    FitError
-        If the fit was read back from a file, which holds no recordings.
+    Raises `FitError` if the fit was read back from a file, which holds no recordings.
     """
     r, a, heard = result.recording, result.analysis, result.reference
     rate, onset, p, k = r.rate, r.onset, heard.partials, heard.partials.number
@@ -92,3 +129,186 @@ def _pad(values, size: int) -> np.ndarray:
     """`values` [size]: cut, or filled with what nothing looks like."""
     values = np.asarray(values)[:size]
     return np.pad(values, (0, size - len(values)), constant_values=np.nan)
+
+
+# --- every recording, and the note between them -----------------------------------------------------------------------
+
+
+def recordings_of(result: Result) -> tuple[RecordingCurves, ...]:
+    """Every recording, in the order given."""
+    return tuple(_recording(place, heard) for place, heard in enumerate(result.recordings, start=1))
+
+
+def _recording(place: int, heard) -> RecordingCurves:
+    p, recording, pulse = heard.partials, heard.recording, heard.fitted.simulation.pulse
+    compression, force = np.asarray(pulse.compression), np.asarray(pulse.force)
+    last = int(np.flatnonzero(compression > 0)[-1]) + 2 if (compression > 0).any() else 0
+    thin = slice(0, last, max(1, last // LOOP_POINTS))
+    touching = np.where(compression > 0, 1.0, np.nan)[thin]
+    return RecordingCurves(
+        place, float(heard.fitted.note.hammer.v_H0), heard.levels["fitted_db"],
+        p.number, heard.level, p.level_error, heard.fitted.level,
+        1e3 * compression[thin] * touching, force[thin] * touching,
+        recording.rate, recording.onset / recording.rate, recording.samples, heard.played.samples,
+    )  # fmt: skip
+
+
+def paths_of(result: Result) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+    """The output path of each group at its partials: Hz and dB; none for a known pickup."""
+    found = {}
+    for heard, recording in zip(result.recordings, result.document["recordings"], strict=True):
+        path = heard.fitted.note.path
+        if path is not None:
+            found.setdefault(recording["group"], (path.frequency, path.db))
+    return tuple(found[group] for group in sorted(found))
+
+
+def strokes_of(result: Result) -> Strokes | None:
+    """The reference's note from the softest recording's velocity to the loudest's; of one, to half and to double.
+
+    The mean of its channels, as it rings, from its `lead` before the contact.
+    """
+    own = np.array([heard.fitted.note.hammer.v_H0 for heard in result.recordings])
+    low, high = float(own.min()), float(own.max())
+    inside = high / low > NARROW
+    if not inside:
+        middle, box = np.sqrt(low * high), PARAMETERS["v_H0"]
+        low, high = max(middle / WIDER, box.lower), min(middle * WIDER, box.upper)
+    note, recording = result.note, result.recording
+    played = []
+    for velocity in np.geomspace(low, high, STROKES):
+        struck = note._replace(hammer=note.hammer._replace(v_H0=float(velocity)))
+        try:
+            touch = round(struck.lead * recording.rate)
+            played.append((float(velocity), struck.stroke(recording.rate, int(SECONDS * recording.rate), touch)[0]))
+        except (FitError, ParameterError):  # a contact that does not end is no sound to choose
+            continue
+    if len(played) < 2:
+        return None
+    velocities = np.array([velocity for velocity, _ in played])
+    first = int(np.abs(np.log(velocities / note.hammer.v_H0)).argmin())
+    return Strokes(velocities, tuple(sound for _, sound in played), recording.rate, first, inside)
+
+
+# --- the felt, and how well each thing is known -----------------------------------------------------------------------
+
+
+def has_intervals(result: Result) -> bool:
+    """Whether this fit says how far off it may be; the paper's recipes do not."""
+    return any(quantity.interval for quantity in result.parameters.values())
+
+
+def felt_of(result: Result) -> Felt:
+    """The static law to the largest compression of all recordings, with its band if the fit has one."""
+    hammer = result.note.hammer
+    reached = max(float(np.max(heard.fitted.simulation.pulse.compression)) for heard in result.recordings)
+    u = reached * np.linspace(0.0, 1.0, FELT_POINTS + 1)[1:]
+    names, cov = _shared(result)
+    cov = cov if has_intervals(result) else 0 * cov
+
+    def curve(slow: bool) -> np.ndarray:
+        force, slopes = static_force(u, hammer, slow)
+        zero = np.zeros(len(u))
+        return _band(force, np.stack([slopes.get(name, zero) for name in names], axis=1), cov)
+
+    return Felt(1e3 * u, curve(False), curve(True) if law_of(hammer).slow else None)
+
+
+def _shared(result: Result) -> tuple[tuple[str, ...], np.ndarray]:
+    """Names and covariance of what all strokes share.
+
+    Gauge-fixed at the reference velocity, where no velocity was measured: one common scale of the velocities, known by
+    its prior alone, would else hide what the recordings say of the felt.
+    """
+    given = result.covariance.matrix
+    names = tuple(name for name in result.covariance.names if not name.startswith("v_H0"))
+    cov = given
+    velocity = result.parameters.get("v_H0")
+    if velocity is not None and velocity.status == "scaled":
+        held = len(names) + result.document["recordings"][result.first]["stroke"]
+        if cov[held, held] > 0:
+            cov = cov - np.outer(cov[held], cov[held]) / cov[held, held]
+            # What the scale alone moved is held now, but for rounding.
+            cov = np.where(np.diag(cov) > HELD * np.diag(given), cov, 0.0)
+    return names, cov[: len(names), : len(names)]
+
+
+def _band(value: np.ndarray, change: np.ndarray, cov: np.ndarray) -> np.ndarray:
+    """`value` [n] and the ends of its 95 % interval, from the `change` [n, names] of its logarithm: [3, n]."""
+    reach = np.minimum(NORMAL * _deviation(change, cov), FARTHEST)
+    return value * np.exp(np.stack([0 * reach, -reach, reach]))
+
+
+def _deviation(change: np.ndarray, cov: np.ndarray) -> np.ndarray:
+    return np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", change, cov, change), 0.0))
+
+
+def known_of(result: Result) -> Known | None:
+    """How well the parameters, and what needs no assumed scale, are known; None without intervals."""
+    names, cov = _shared(result)
+    free = np.flatnonzero(np.diag(cov) > 0)
+    if not (has_intervals(result) and len(free)):
+        return None
+    sd = np.sqrt(np.diag(cov)[free])
+    correlation = np.clip(cov[np.ix_(free, free)] / np.outer(sd, sd), -1.0, 1.0)
+    document = result.document
+    entries = [(name, entry, True) for name, entry in document["invariants"].items()]
+    entries += [(name, entry, False) for name, entry in document["parameters"].items() if name not in COMBINED]
+    reaches = [(name, half_interval(entry), combined) for name, entry, combined in entries]
+    return Known(
+        tuple(names[i] for i in free), correlation,
+        tuple((name, reach, combined) for name, reach, combined in reaches if reach is not None),
+    )  # fmt: skip
+
+
+# --- how the note rings -----------------------------------------------------------------------------------------------
+
+
+def ringing_curves(result: Result) -> RingingCurves | None:
+    """What the page shows of it, of the reference recording; None where the fit did not look for modes."""
+    if "ringing" not in result.document:
+        return None
+    heard = result.reference
+    recording, ringing = heard.recording, result.note.ringing
+    n = 2 * round(WINDOW * recording.rate / 2)
+    last = recording.onset + round((SHOWN + MORE) * recording.rate)
+    (time, one), (_, other) = (
+        mel_power(x[:last], recording.rate, recording.onset, n, BANDS)
+        for x in (recording.samples, heard.played.samples)
+    )
+    frames = time <= max(min(SHOWN, time[-1] - WINDOW), 0.0)  # one at the least, of a very short recording
+    time, one, other = time[frames], one[frames], other[frames]
+    floor = max(float(one.max()), 1e-30) * 10 ** (-HEARD / 10)
+    return RingingCurves(
+        envelopes_of(result, _strongest(result)), time, mel_edges(n, BANDS, recording.rate)[1:-1],
+        10 * np.log10(one + floor).T, 10 * np.log10(other + floor).T,
+        () if ringing is None else tuple(partial_decays(ringing)),
+    )  # fmt: skip
+
+
+def _strongest(result: Result) -> list[int]:
+    """Numbers of the strongest partials, rising."""
+    number = result.reference.partials.number
+    return sorted(number[np.argsort(result.reference.level)[-PARTIALS:]].tolist())
+
+
+def envelopes_of(result: Result, numbers: list[int]) -> tuple[Envelope, ...]:
+    """The envelopes of these partials of the reference, of the mean of its channels: recorded, by law, as it rings."""
+    heard = result.reference
+    rate, onset, partials = heard.recording.rate, heard.recording.onset, heard.partials
+    begin = max(onset - round(MORE * rate), 0)
+    cut = slice(begin, onset + round((SHOWN + MORE) * rate))
+    sounds = [heard.recording.samples, heard.fitted.samples] + ([heard.ringing.samples] if heard.ringing else [])
+    x = np.stack([sound[cut] for sound in sounds])
+    spectrum, count, f0, B = np.fft.rfft(x), x.shape[-1], result.analysis.f0, result.analysis.B
+    found = []
+    for k in numbers:
+        centre = float(partials.frequency[partials.number == k][0])
+        spacing = float(np.diff(law_frequency(f0, B, np.array([k, k + 1])))[0])
+        b = band(spectrum, count, rate, centre, kernel_seconds(spacing))
+        time = b.time - (onset - begin) / rate
+        at = np.flatnonzero((time >= 0) & (time <= min(SHOWN, (count - onset + begin) / rate - b.kernel)))
+        at = at[:: max(1, len(at) // ENVELOPE_POINTS)]
+        db = 20 * np.log10(np.maximum(2 * np.abs(b.values[:, at]), 1e-15))
+        found.append(Envelope(k, centre, time[at], db[0], db[1], db[2] if len(db) > 2 else None))
+    return tuple(found)

@@ -15,13 +15,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..units import NORMAL
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 __all__ = [
     "FAINT", "FITTED", "HEIGHT", "INITIAL", "INK", "LAW", "LINES", "MEASURED", "STYLE",
-    "legend", "number_axis", "panel", "points", "span", "svg",
+    "legend", "log_axis", "number_axis", "panel", "points", "span", "svg",
 ]  # fmt: skip
 
 INK, MEASURED, INITIAL, LAW, FITTED, FAINT = "#333333", "#1a1a1a", "#d55e00", "#009e73", "#0072b2", "#eeeeee"
@@ -120,8 +122,8 @@ def png(figure: Figure) -> bytes:
 
 
 def points(axes: Axes, number: np.ndarray, value: np.ndarray, error: np.ndarray) -> None:
-    """Measured values, with bars of 95 % (1.96 standard deviations)."""
-    axes.errorbar(number, value, yerr=1.96 * np.nan_to_num(np.abs(error)), fmt="o", ms=3.6, color=MEASURED, lw=1,
+    """Measured values, with bars of 95 %."""
+    axes.errorbar(number, value, yerr=NORMAL * np.nan_to_num(np.abs(error)), fmt="o", ms=3.6, color=MEASURED, lw=1,
                   label="measured", zorder=5)  # fmt: skip
 
 
@@ -132,6 +134,15 @@ def number_axis(axes: Axes, number: np.ndarray) -> None:
     low, high = span(number)
     axes.set_xlim(low - 0.7, high + 0.7)
     axes.xaxis.set_major_locator(MaxNLocator(nbins=10, integer=True, min_n_ticks=1))
+
+
+def log_axis(axis: Any, subs: tuple[int, ...] = (1, 2, 5)) -> None:
+    """Mark a logarithmic axis at so many places of each decade, with plain numbers."""
+    from matplotlib.ticker import LogLocator, NullFormatter
+
+    axis.set_major_locator(LogLocator(subs=subs))
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_formatter(NullFormatter())
 
 
 def legend(figure: Figure, *sources: Axes | None, columns: int = 4) -> None:

@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-import io
-import os
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..io import replace_file
 from .curves import Curves
 from .drawing import (
     FAINT,
     FITTED,
     HEIGHT,
-    INITIAL,
     INK,
     LINES,
     MEASURED,
-    STYLE,
     legend,
+    log_axis,
     number_axis,
     panel,
     points,
@@ -31,17 +27,15 @@ from .drawing import (
 from .figures_known import draw_felt, draw_known
 from .figures_recordings import draw_held_out, draw_paths, draw_recordings
 from .figures_ringing import draw_ringing
+from .words import BANDS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 __all__ = [
-    "BANDS", "FITTED", "INITIAL", "INK", "MEASURED", "STYLE",
-    "draw_figures", "draw_force", "draw_levels", "draw_spectrum", "write_picture",
+    "COMPARED", "draw_attack", "draw_figures", "draw_force", "draw_levels", "draw_loop", "draw_spectrum",
 ]  # fmt: skip
-
-BANDS = {"band1": "band 1: fundamental", "band2": "band 2: partials 2 to 8", "band3": "band 3: partials from 9"}
 
 # Of what most pictures have all three.
 COMPARED = ("measured", "initial", "fitted")
@@ -74,44 +68,6 @@ def draw_figures(
         return {name: [svg(figure) for figure in panels] for name, panels in figures.items()}
 
 
-def write_picture(path: str | os.PathLike[str], fit: dict[str, Any], curves: Curves) -> None:
-    """Write one PNG of 1400 × 900 pixels: spectra, attack, partial levels and the felt's loop.
-
-    Raises
-    ------
-    OutputError
-        If `path` cannot be written.
-    """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-    from matplotlib.image import imsave
-
-    with styled():
-        figure = Figure(figsize=(14, 9))
-        spectra, attack, levels, loop = (
-            figure.add_axes((left, bottom, width, 0.38))
-            for bottom in (0.58, 0.10)
-            for left, width in ((0.05, 0.42), (0.55, 0.43))
-        )
-        edges = _band_edges(curves, tuple((fit.get("criterion") or {}).get("dropped") or ()))
-        _draw_spectra(spectra, curves, edges[0][0], edges[-1][1])
-        _shade_bands(spectra, [(low, high, "", left_out) for low, high, _, left_out in edges])
-        spectra.set(title="Spectra and the bands of the fit", ylabel="level (dB)")
-        _draw_attack(attack, curves, COMPARED)
-        attack.set(title="Attack", xlabel="time from the onset (ms)")
-        _draw_levels(levels, curves)
-        levels.set(title="Levels of the partials", xlabel="partial number")
-        _draw_loop(loop, curves)
-        loop.set(title="Felt: force over compression")
-        legend(figure, attack)
-        figure.set_dpi(100)
-        canvas = FigureCanvasAgg(figure)
-        canvas.draw()
-        file = io.BytesIO()  # 16 levels of each colour: half the size, and no eye sees it in lines on white
-        imsave(file, (np.asarray(canvas.buffer_rgba()) // 16 * 17).astype(np.uint8), format="png")
-    replace_file(path, file.getvalue())
-
-
 def _spectra(curves: Curves, dropped: tuple[str, ...]) -> list[Figure]:
     """Two scales when there is much above band 2, so that the first partials are not a sliver."""
     edges = _band_edges(curves, dropped)
@@ -122,7 +78,6 @@ def _spectra(curves: Curves, dropped: tuple[str, ...]) -> list[Figure]:
         figure, (axes,) = panel(HEIGHT)
         _draw_spectra(axes, curves, start, stop)
         _shade_bands(axes, edges)
-        axes.set_ylabel("level (dB)")
         legend(figure, axes)
         figures.append(figure)
     return figures
@@ -133,6 +88,7 @@ def _draw_spectra(axes: Axes, curves: Curves, low: float, high: float) -> None:
         axes.plot(curves.frequency, getattr(curves, f"{name}_db"), label=name, **LINES[name])
     bottom, top = span(curves.measured_db, curves.fitted_db)
     axes.set(xlim=(low, high), ylim=(max(bottom, top - 110) - 6, top + 12), xlabel="frequency (Hz)")
+    axes.set_ylabel("level (dB)")
 
 
 def _band_edges(curves: Curves, dropped: tuple[str, ...]) -> list[tuple[float, float, str, bool]]:
@@ -148,28 +104,27 @@ def _band_edges(curves: Curves, dropped: tuple[str, ...]) -> list[tuple[float, f
 
 
 def draw_spectrum(axes: Axes, curves: Curves, dropped: tuple[str, ...]) -> None:
-    """Draw measured, initial and fitted spectrum, and the bands of the paper's criterion, on axes of a notebook."""
+    """Draw measured, initial and fitted spectrum, and the bands of the paper's criterion."""
     edges = _band_edges(curves, dropped)
     _draw_spectra(axes, curves, edges[0][0], edges[-1][1])
     _shade_bands(axes, [(low, high, "", left_out) for low, high, _, left_out in edges])
-    axes.set_ylabel("level (dB)")
-    axes.legend()
 
 
 def draw_force(axes: Axes, curves: Curves) -> None:
-    """Draw the hammer's force over time before and after the fit, on axes of a notebook."""
+    """Draw the hammer's force over time before and after the fit."""
     for name in ("initial", "fitted"):
         axes.plot(curves.force_ms, getattr(curves, f"force_{name}"), label=name, **LINES[name])
     axes.set(xlabel="time from the first touch (ms)", ylabel="force (N)")
     axes.set_ylim(bottom=0.0)
-    axes.legend()
 
 
 def draw_levels(axes: Axes, curves: Curves) -> None:
-    """Draw the partials' levels, measured, initial and fitted, on axes of a notebook."""
-    _draw_levels(axes, curves)
-    axes.set_xlabel("partial number k")
-    axes.legend()
+    """Draw the partials' levels, measured, initial and fitted."""
+    axes.plot(curves.number, _without_nodes(curves), marker="s", ms=3.4, label="initial", **LINES["initial"])
+    axes.plot(curves.number, curves.level_fitted, marker="o", ms=3.4, label="fitted", **LINES["fitted"])
+    points(axes, curves.number, curves.level, curves.level_error)
+    axes.set(xlabel="partial number k", ylabel="level (dB)")
+    number_axis(axes, curves.number)
 
 
 def _shade_bands(axes: Axes, edges: list[tuple[float, float, str, bool]]) -> None:
@@ -196,22 +151,21 @@ def _attack(curves: Curves) -> list[Figure]:
     figures = []
     for name, title in (("initial", "start values"), ("fitted", "after the fit")):
         figure, (axes,) = panel(HEIGHT)
-        _draw_attack(axes, curves, ("measured", name))
+        draw_attack(axes, curves, ("measured", name))
         axes.set(title=title, xlabel="time from the onset (ms)", ylim=(limits[0] - room, limits[1] + room))
         legend(figure, axes)
         figures.append(figure)
     return figures
 
 
-def _draw_attack(axes: Axes, curves: Curves, names: tuple[str, ...]) -> None:
+def draw_attack(axes: Axes, curves: Curves, names: tuple[str, ...]) -> None:
+    """Draw the waveforms of the first milliseconds."""
     for name in names:
         axes.plot(curves.attack_ms, getattr(curves, f"attack_{name}"), label=name, **LINES[name])
     axes.set_ylabel("signal (full scale = 1)")
 
 
 def _partials(curves: Curves) -> list[Figure]:
-    from matplotlib.ticker import LogLocator, NullFormatter
-
     law, (cents, rest) = panel(0.68 * HEIGHT, 0.32 * HEIGHT)
     points(cents, curves.number, curves.frequency_cents, curves.frequency_cents_error)
     cents.plot(curves.number, curves.frequency_cents_law, label="law of the fitted string", **LINES["fitted"])
@@ -225,9 +179,7 @@ def _partials(curves: Curves) -> list[Figure]:
     positive = curves.decay[np.isfinite(curves.decay)]
     if len(positive) and np.min(positive) > 0:
         decay.set_yscale("log")
-        decay.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-        decay.yaxis.set_major_formatter("{x:g}")
-        decay.yaxis.set_minor_formatter(NullFormatter())
+        log_axis(decay.yaxis)
     decay.set(title="Decay of the amplitude", ylabel="decay rate α (1/s)", xlabel="partial number k")
     for figure, axes in ((law, cents), (losses, decay)):
         number_axis(axes, curves.number)
@@ -238,8 +190,8 @@ def _partials(curves: Curves) -> list[Figure]:
 def _levels(curves: Curves) -> list[Figure]:
     """Levels, and beside them their residuals and the path if there is one."""
     levels, (axes,) = panel(HEIGHT)
-    _draw_levels(axes, curves)
-    axes.set(title="Levels", xlabel="partial number k")
+    draw_levels(axes, curves)
+    axes.set_title("Levels")
     legend(levels, axes)
     path = curves.path
     residuals, (error, *below) = panel(*((HEIGHT,) if path is None else (0.6 * HEIGHT, 0.4 * HEIGHT - 0.12)))
@@ -256,14 +208,6 @@ def _levels(curves: Curves) -> list[Figure]:
     return [levels, residuals]
 
 
-def _draw_levels(axes: Axes, curves: Curves) -> None:
-    axes.plot(curves.number, _without_nodes(curves), marker="s", ms=3.4, label="initial", **LINES["initial"])
-    axes.plot(curves.number, curves.level_fitted, marker="o", ms=3.4, label="fitted", **LINES["fitted"])
-    points(axes, curves.number, curves.level, curves.level_error)
-    axes.set_ylabel("level (dB)")
-    number_axis(axes, curves.number)
-
-
 def _without_nodes(curves: Curves) -> np.ndarray:
     """The initial levels, nan where far below all others, dB: a start can strike exactly on a node."""
     low, _ = span(curves.level, curves.level_fitted)
@@ -272,18 +216,16 @@ def _without_nodes(curves: Curves) -> np.ndarray:
 
 def _force(curves: Curves) -> list[Figure]:
     (first, (time,)), (second, (loop,)) = panel(HEIGHT), panel(HEIGHT)
-    for name in ("initial", "fitted"):
-        time.plot(curves.force_ms, getattr(curves, f"force_{name}"), label=name, **LINES[name])
-    time.set(title="Force over time", xlabel="time from the first touch (ms)", ylabel="force (N)")
-    time.set_ylim(bottom=0.0)
-    _draw_loop(loop, curves)
+    draw_force(time, curves)
+    time.set_title("Force over time")
+    draw_loop(loop, curves)
     loop.set(title="Force over compression")
     legend(first, time)
     legend(second, loop)
     return [first, second]
 
 
-def _draw_loop(axes: Axes, curves: Curves) -> None:
+def draw_loop(axes: Axes, curves: Curves) -> None:
     """Draw force over compression, with heads on the curve that say which way it runs."""
     for name in ("initial", "fitted"):
         x, force = getattr(curves, f"compression_{name}"), getattr(curves, f"force_{name}")

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from .curves import Felt, Known, RecordingCurves
-from .drawing import FITTED, HEIGHT, INITIAL, INK, LINES, MEASURED, legend, panel, span
+from .drawing import FITTED, HEIGHT, INITIAL, INK, LINES, MEASURED, legend, log_axis, panel, span
+from .words import SYMBOLS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -16,11 +18,6 @@ if TYPE_CHECKING:
 
 __all__ = ["draw_correlations", "draw_felt", "draw_known"]
 
-SYMBOLS = {
-    "kappa": "κ", "mu": "μ", "epsilon": "ε", "tau": "τ", "b1": "b₁", "b2": "b₂", "x0": "x₀", "f0": "f₀",
-    "M_H": "$M_H$", "K_H": "$K_H$", "v_H0": "$v_{H0}$", "M_H/M_S": "$M_H/M_S$", "x0/L": "x₀/L",
-    "F/M_S": "$F/M_S$",
-}  # fmt: skip
 WIDEST = 10.0  # half an interval, as a logarithm, beyond which a bar ends in an arrow: a factor of 22,000
 NARROWEST = 1e-12
 FAR = 1e6  # of a law, beyond which its band is not drawn
@@ -59,8 +56,6 @@ def _law(axes: Axes, u: np.ndarray, force: np.ndarray, look: dict, name: str) ->
 
 def _logarithmic(axes: Axes, felt: Felt, deepest: list[float]) -> None:
     """Over one and a half decades of compression, where a power law is a line; marks at the axis: the deepest."""
-    from matplotlib.ticker import LogLocator, NullFormatter
-
     u, law = felt.compression[-1], felt.force[0, -1]
     if not (u > 0 and law > 0 and np.isfinite(law)):
         return
@@ -68,20 +63,10 @@ def _logarithmic(axes: Axes, felt: Felt, deepest: list[float]) -> None:
     ends = felt.force[:, seen]
     axes.set(xscale="log", yscale="log", xlim=(u / 32, 1.15 * u))
     axes.set_ylim(max(ends[0].min() / 30, ends[1].min() / 2, law * 1e-9), min(30 * law, 2 * ends[2].max()))
-    axes.plot(
-        deepest,
-        [0.03] * len(deepest),
-        "|",
-        color=MEASURED,
-        ms=13,
-        mew=2,
-        transform=axes.get_xaxis_transform(),
-        zorder=5,
-    )
-    for axis in (axes.xaxis, axes.yaxis):
-        axis.set_minor_formatter(NullFormatter())
-        axis.set_major_formatter("{x:g}")
-    axes.xaxis.set_major_locator(LogLocator(subs=(1, 3)))
+    across = axes.get_xaxis_transform()
+    axes.plot(deepest, [0.03] * len(deepest), "|", color=MEASURED, ms=13, mew=2, transform=across, zorder=5)
+    log_axis(axes.xaxis, (1, 3))
+    log_axis(axes.yaxis, (1,))
 
 
 def draw_known(known: Known) -> list[Figure]:
@@ -89,13 +74,8 @@ def draw_known(known: Known) -> list[Figure]:
     height = 0.32 * max(len(known.reaches), len(known.names), 5)
     (first, (reaches,)), (second, (correlations,)) = (panel(height, left=0.9, legend_rows=0) for _ in range(2))
     _reaches(reaches, known)
-    _correlations(correlations, known)
+    draw_correlations(correlations, known)
     return [first, second]
-
-
-def draw_correlations(axes: Axes, known: Known) -> None:
-    """Draw the table of correlations on axes of a notebook."""
-    _correlations(axes, known)
 
 
 def _reaches(axes: Axes, known: Known) -> None:
@@ -117,8 +97,10 @@ def _reaches(axes: Axes, known: Known) -> None:
 
 
 def _symbol(name: str) -> str:
-    stroke = name.removeprefix("v/v_ref ")
-    return SYMBOLS.get(name, name) if stroke == name else f"$v/v_{{ref}}$, {stroke}"
+    """As mathtext, with what stands behind it in words."""
+    symbol, _, stroke = SYMBOLS.get(name, name).partition(" ")
+    lowered = re.sub(r"_(\w+)", r"_{\1}", symbol)
+    return (f"${lowered}$" if "_" in symbol else symbol) + (f", {stroke}" if stroke else "")
 
 
 def _factor(reach: float) -> str:
@@ -129,11 +111,11 @@ def _factor(reach: float) -> str:
     return f"± {100 * reach:.2g} %" if reach < 0.2 else f"× or ÷ {factor:g}"
 
 
-def _correlations(axes: Axes, known: Known) -> None:
-    """Blue together, orange against each other, the darker the more; the number in each cell, in hundredths."""
+def draw_correlations(axes: Axes, known: Known) -> None:
+    """Draw the table of correlations, in hundredths: blue together, orange against each other, the darker the more."""
     from matplotlib.colors import LinearSegmentedColormap
 
-    names, n = [SYMBOLS.get(name, name) for name in known.names], max(len(known.names), 2)
+    names, n = [_symbol(name) for name in known.names], max(len(known.names), 2)
     shades = LinearSegmentedColormap.from_list("correlation", [INITIAL, "#ffffff", FITTED], 64)
     below = np.where(np.tri(len(names), k=-1, dtype=bool), known.correlation, np.nan)
     axes.pcolormesh(

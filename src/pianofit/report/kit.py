@@ -10,6 +10,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import os
+import re
 from collections.abc import Callable, Sequence
 from importlib.resources import files
 from pathlib import Path
@@ -20,39 +21,36 @@ from ..io import replace_file
 if TYPE_CHECKING:
     from jinja2 import Environment
 
-__all__ = ["data_uri", "is_page", "picture", "templates", "write_page"]
+__all__ = ["asset", "data_uri", "is_page", "picture", "templates", "write_page"]
 
 KIT = "pianofit.report"
 # What a page of this kit has in its first bytes.
 GENERATOR, FIRST = b'<meta name="generator" content="pianofit">', 256
+# A heading that can be led to: its id and its words.
+HEADING = re.compile(r'<h[23] id="([^"]+)">([^<]+)</h[23]>')
 
 
 def write_page(
     path: str | os.PathLike[str], template: str, *, package: str = KIT, styles: tuple[str, ...] = (),
     scripts: tuple[str, ...] = (), filters: dict[str, Callable] | None = None, strict: bool = True, title: str,
-    contents: Sequence[tuple[str, str]] = (), **content: Any,
+    contents: bool = False, **content: Any,
 ) -> None:  # fmt: skip
-    """Write one self-contained page, whole or not at all.
+    """Write one self-contained page, whole or not at all; an `OutputError` where it cannot be.
 
     Parameters
     ----------
     title : plain text.
     template : a file of `package` that extends `kit.html.j2`.
-    contents : of the page: (id of the heading, words).
+    contents : whether the page lists its headings, those that have an id.
     styles, scripts : names of files; the styles follow `page.css`, and the scripts are run as one.
     filters : of the template, beside `number`.
     strict : a missing entry of `content` is an error; otherwise it is empty.
-
-    Raises
-    ------
-    OutputError
-        If `path` cannot be written.
     """
-    script = "".join(_asset(name, package) for name in scripts)
+    script = "".join(asset(name, package) for name in scripts)
     html = templates(package, strict=strict, filters=filters).get_template(template).render(
         title=title,
         contents=contents,
-        style="".join(_asset(name, package) for name in ("page.css", *styles)),
+        style="".join(asset(name, package) for name in ("page.css", *styles)),
         script=script,
         script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
         **content,
@@ -76,10 +74,10 @@ def templates(package: str, *, strict: bool = True, filters: dict[str, Callable]
     from .numbers import number
 
     environment = Environment(
-        loader=FunctionLoader(lambda name: _asset(name, package)), autoescape=True, trim_blocks=True,
+        loader=FunctionLoader(lambda name: asset(name, package)), autoescape=True, trim_blocks=True,
         lstrip_blocks=True, undefined=StrictUndefined if strict else Undefined,
     )  # fmt: skip
-    environment.filters |= {"number": number} | (filters or {})
+    environment.filters |= {"number": number, "headings": HEADING.findall} | (filters or {})
     return environment
 
 
@@ -93,7 +91,7 @@ def data_uri(kind: str, content: bytes) -> str:
     return f"data:{kind};base64,{base64.b64encode(content).decode()}"
 
 
-def _asset(name: str, package: str) -> str:
+def asset(name: str, package: str) -> str:
     """A file of `package`, or else of the kit."""
     own = files(package).joinpath(name)
     return (own if own.is_file() else files(KIT).joinpath(name)).read_text(encoding="utf-8")

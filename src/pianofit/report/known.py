@@ -10,7 +10,7 @@ from typing import Any
 
 from ..felt import DEFAULT_LAW, LAWS, FeltLaw
 from .numbers import is_number, number
-from .words import INVARIANTS, VELOCITY_RATIO, felt_names
+from .words import INVARIANTS, SYMBOLS, VELOCITY_RATIO, felt_names
 
 __all__ = ["a_power", "felt_scale", "half_interval", "held_out_rows", "identified", "open_scale"]
 
@@ -40,7 +40,8 @@ def _status(fit: dict[str, Any], name: str) -> str:
 
 
 def _plain(name: Any) -> str:
-    return {"kappa": "κ", "mu": "μ", "epsilon": "ε", "tau": "τ"}.get(str(name), str(name))
+    """A symbol in running text."""
+    return SYMBOLS[name].replace("_", "") if name in SYMBOLS else str(name)
 
 
 def half_interval(entry: Any) -> float | None:
@@ -87,7 +88,7 @@ def _string(fit: dict[str, Any]) -> list[str]:
 def _ratio(fit: dict[str, Any], name: str) -> str:
     if not _shown(fit, name):
         return ""
-    words = INVARIANTS[name][1]
+    words = INVARIANTS[name]
     return f"{words[0].upper()}{words[1:]}: {name} = {number(_value(fit, name), 3)} ({_within(_reach(fit, name))})."
 
 

@@ -6,7 +6,7 @@ place all three (JCGM 100:2008, GUM, 7.2.6), so that an end never rounds to the 
 
 from __future__ import annotations
 
-import math
+import sys
 from collections.abc import Sequence
 from decimal import Decimal
 from typing import Any
@@ -23,7 +23,7 @@ RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 def is_number(value: Any) -> bool:
     """Whether `value` is a finite number."""
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
 
 
 def number(value: Any, digits: int = 4) -> str:

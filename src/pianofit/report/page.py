@@ -12,18 +12,21 @@ from typing import Any
 
 import numpy as np
 
+from ..io import with_names
 from . import known, numbers, words
 from .curves import Curves, RecordingCurves, Strokes
 from .figures import draw_figures
 from .kit import picture, write_page
-from .sound import SECONDS, Clip, make_clips
+from .sound import LIGHT_RATE, SECONDS, Clip, make_clips, seconds_each
 
 __all__ = ["Curves", "write_report"]
 
 # Of the first recording, where a sound has two channels.
 STEREO_SECONDS = 5.0
-# Of the sounds beside them: up to this rate, and as long as leaves the page some megabytes.
-LIGHT_RATE, LIGHT_SECONDS, SHORTEST, LIGHT_SAMPLES = 32_000, 4.0, 1.5, 1_000_000
+# Of the other recordings' sounds all together: 2 MB.
+LIGHT_SAMPLES = 1_000_000
+LONGEST = 4.0  # s, of each of them,
+SHORTEST = 1.5  # s, however many there are
 
 
 def write_report(
@@ -44,14 +47,12 @@ def write_report(
     held_out
         What `predict.cross_validate` returned of the same recordings, to be shown beside their fit.
 
-    Raises
-    ------
-    OutputError
-        If `path` cannot be written.
+    Raises `OutputError` if `path` cannot be written.
     """
+    # A page is shown to others, who need not know any folder.
     names = _names(fit, held_out)
-    fit = {key: _named(names, entry) for key, entry in fit.items() if entry is not None}
-    held_out = _named(names, held_out)
+    fit = {key: with_names(entry, names) for key, entry in fit.items() if entry is not None}
+    held_out = with_names(held_out, names)
     onset = _onset(fit.get("recordings", []))
     left_out = known.held_out_rows(held_out)
     figures = draw_figures(
@@ -64,7 +65,7 @@ def write_report(
         scripts=("audio.js", "player.js"),
         strict=False,
         title=title,
-        contents=_contents(fit, bool(identified or figures.get("known")), bool(left_out), curves.ringing is not None),
+        contents=True,
         fit=fit,
         notices=words.notices(fit),
         tiles=words.tiles(fit),
@@ -93,23 +94,6 @@ def write_report(
     )
 
 
-def _contents(fit: dict[str, Any], identified: bool, left_out: bool, ringing: bool) -> list[tuple[str, str]]:
-    """The page's headings: (id, words)."""
-    several = len(fit.get("recordings") or ()) > 1
-    headings = (
-        ("recordings", "The recordings", several),
-        ("listen", "Listen", True),
-        ("parameters", "Parameters", True),
-        ("known", "What the data fix", identified),
-        ("evidence", "How well it fits", True),
-        ("left-out", "Recordings left out", left_out),
-        ("hammer", "The hammer", True),
-        ("ringing", "How the note rings", ringing),
-        ("made", "How this was made", True),
-    )
-    return [(anchor, words) for anchor, words, there in headings if there]
-
-
 def _names(*documents: dict[str, Any] | None) -> dict[str, str]:
     """The path of every recording -> its name; the longest path first."""
     recordings = [
@@ -120,18 +104,6 @@ def _names(*documents: dict[str, Any] | None) -> dict[str, str]:
     ]
     files = {str(recording.get("file") or "") for recording in recordings}
     return {file: PurePath(file).name for file in sorted(files, key=len, reverse=True) if PurePath(file).name}
-
-
-def _named(names: dict[str, str], value: Any) -> Any:
-    """`value` with names instead of paths in all text: a page is shown to others, who need not know any folder."""
-    if isinstance(value, dict):
-        return {key: _named(names, entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [_named(names, entry) for entry in value]
-    if isinstance(value, str):
-        for path, name in names.items():
-            value = value.replace(path, name)
-    return value
 
 
 def _onset(recordings: list[dict[str, Any]]) -> float:
@@ -181,7 +153,7 @@ def _strokes(strokes: Strokes | None) -> dict[str, Any] | None:
 def _players(curves: Curves, recordings: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Recorded and fitted sound of every recording but the first, which has its own player."""
     others = [recording for i, recording in enumerate(curves.recordings) if i != curves.first]
-    seconds = max(SHORTEST, min(LIGHT_SECONDS, LIGHT_SAMPLES / (2 * max(len(others), 1) * LIGHT_RATE)))
+    seconds = seconds_each(len(others), LIGHT_SAMPLES, LONGEST, SHORTEST)
     names = {
         i: PurePath(str(recording.get("file") or f"recording {i}")).name
         for i, recording in enumerate(recordings, start=1)

@@ -8,9 +8,7 @@ from typing import TYPE_CHECKING
 
 from ..errors import FitError, ParameterError
 from ..inference import Result
-from .build import reference_curves
-from .build_felt import known_of
-from .build_ringing import envelopes_of
+from .build import envelopes_of, known_of, reference_curves
 from .drawing import STYLE
 from .figures import draw_force, draw_levels, draw_spectrum
 from .figures_known import draw_correlations
@@ -26,10 +24,7 @@ __all__ = ["Plots"]
 class Plots:
     """Figures of one fit, of its reference recording. Each goes to `ax`, or to new axes, which are returned.
 
-    Raises
-    ------
-    FitError
-        If the fit was read back from a file, which holds no recordings.
+    Raises `FitError` if the fit was read back from a file, which holds no recordings.
     """
 
     result: Result
@@ -52,10 +47,7 @@ class Plots:
     def envelopes(self, ax: Axes | None = None, *, number: int | None = None) -> Axes:
         """Level of partial `number`, the strongest if None, dB over s: measured, by the string's law, as the key rings.
 
-        Raises
-        ------
-        ParameterError
-            If no such partial was found.
+        Raises `ParameterError` if no such partial was found.
         """
         heard = self.result.reference
         known = heard.partials.number
@@ -63,20 +55,12 @@ class Plots:
         if own not in known:
             raise ParameterError(f"number={number} is no partial of this recording; choose one of {known.tolist()}")
         (envelope,) = envelopes_of(self.result, [own])
-
-        def draw(axes: Axes) -> None:
-            draw_envelope(axes, envelope)
-            axes.legend()
-
-        return _drawn(ax, draw)
+        return _drawn(ax, lambda axes: draw_envelope(axes, envelope))
 
     def correlations(self, ax: Axes | None = None) -> Axes:
         """Correlations of the estimates, %; without a measured velocity, those at the reference's velocity as shown.
 
-        Raises
-        ------
-        FitError
-            If the fit has no intervals, as the paper's recipes have none.
+        Raises `FitError` if the fit has no intervals, as the paper's recipes have none.
         """
         _ = self.result.covariance
         known = known_of(self.result)
@@ -91,4 +75,6 @@ def _drawn(ax: Axes | None, draw: Callable[[Axes], None], size: tuple[float, flo
     with plt.rc_context(STYLE):
         axes = plt.subplots(figsize=size, layout="constrained")[1] if ax is None else ax
         draw(axes)
+        if axes.get_legend_handles_labels()[0]:
+            axes.legend()
     return axes

@@ -17,12 +17,8 @@ __all__ = ["save", "write_page"]
 def save(result: Result, folder: Path, *, force: bool, page: bool) -> Path:
     """Write the sounds, `fit.json` and, last, the page; of several recordings `fitted-NAME.wav` is each one's own.
 
-    Raises
-    ------
-    OutputError
-        If the folder cannot be written, or holds something and `force` is not given.
-    FitError
-        If the fit was read back, without its recordings.
+    Raises `OutputError` if the folder cannot be written, or holds something and `force` is not given; `FitError` if the
+    fit was read back, without its recordings.
     """
     _ = result.reference  # refused before anything is written
     with output_folder(folder, force):
@@ -36,12 +32,7 @@ def save(result: Result, folder: Path, *, force: bool, page: bool) -> Path:
 def write_page(result: Result, path: Path, title: str | None, held_out: dict | None) -> Path:
     """Write the page to `path`, or to `report.html` in it.
 
-    Raises
-    ------
-    OutputError
-        If it cannot be written.
-    FitError
-        If the fit was read back, without its recordings.
+    Raises `OutputError` if it cannot be written; `FitError` if the fit was read back, without its recordings.
     """
     path = path / "report.html" if path.is_dir() else path
     write_report(path, result.document, curves_of(result), title or _title(result), held_out=held_out)

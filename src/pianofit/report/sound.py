@@ -10,31 +10,42 @@ loud they are get this gain alone.
 from __future__ import annotations
 
 import base64
-import io
 import math
-import wave
 from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["Clip", "k_weighted_mean_square", "make_clips"]
+from ..io import CEILING, encode_pcm
+from .kit import data_uri
+
+__all__ = ["LIGHT_RATE", "Clip", "excerpt", "k_weighted_mean_square", "make_clips", "seconds_each"]
 
 SECONDS = 8.0  # of each sound are kept; three such sounds of one channel at 48 kHz have 3 MB
 LEAD_IN = 0.05  # s kept before the onset
 FADE = 0.05  # s, at the end: many recordings are cut off
-PEAK = 10 ** (-1 / 20)
 HIGHEST_RATE = 96_000  # Hz; what every browser's Web Audio must play
+LIGHT_RATE = 32_000  # Hz, of sounds that a page has many of: to 16 kHz
 
 
 @dataclass(frozen=True)
 class Clip:
-    """One sound of the page: a WAV file as a `data:` address, and the gain in dB that it was given."""
+    """One sound of the page: a WAV file of 16 bits, and the gain in dB that it was given."""
 
     name: str
-    uri: str
+    wav: bytes
     gain_db: float
     rate: int
     seconds: float
+
+    @property
+    def uri(self) -> str:
+        """The file as an address within the page."""
+        return data_uri("audio/wav", self.wav)
+
+    @property
+    def text(self) -> str:
+        """The file as base64."""
+        return base64.b64encode(self.wav).decode()
 
     @property
     def file(self) -> str:
@@ -73,22 +84,27 @@ def make_clips(
     matched : whether all get the same loudness, or keep theirs to each other; a silent sound keeps its level.
     """
     factor = math.ceil(rate / highest_rate)
-    cut = {name: _excerpt(samples, rate, onset - lead_in, seconds, factor) for name, samples in sounds.items()}
+    cut = {name: excerpt(samples, rate, onset - lead_in, seconds, factor) for name, samples in sounds.items()}
     rate = round(rate / factor)
     powers = {
         name: k_weighted_mean_square(samples[:, :rate], rate) if matched else 0.0 for name, samples in cut.items()
     }
     gains = {name: power**-0.5 if power > 0 else 1.0 for name, power in powers.items()}
     highest = max(gains[name] * np.max(np.abs(samples)) for name, samples in cut.items())
-    common = PEAK / highest if highest > 0 else 1.0
+    common = CEILING / highest if highest > 0 else 1.0
     return [
-        Clip(name, _wav_uri(samples * gains[name] * common, rate), 20 * math.log10(gains[name] * common), rate,
-             samples.shape[-1] / rate)
+        Clip(name, encode_pcm(np.round(samples * gains[name] * common * 2**15).astype(np.int16), rate, bits=16),
+             20 * math.log10(gains[name] * common), rate, samples.shape[-1] / rate)
         for name, samples in cut.items()
     ]  # fmt: skip
 
 
-def _excerpt(samples: np.ndarray, rate: int, begin: float, seconds: float, factor: int) -> np.ndarray:
+def seconds_each(pairs: int, samples: int, longest: float, shortest: float) -> float:
+    """How long the sounds of so many pairs may be at `LIGHT_RATE`, s, so that all together have some `samples`."""
+    return max(shortest, min(longest, samples / (2 * max(pairs, 1) * LIGHT_RATE)))
+
+
+def excerpt(samples: np.ndarray, rate: int, begin: float, seconds: float, factor: int) -> np.ndarray:
     """From `begin`, s, at most `seconds`, faded out, at the rate divided by `factor` [channels, samples]."""
     samples = np.atleast_2d(np.nan_to_num(np.asarray(samples, dtype=np.float64), posinf=0.0, neginf=0.0))
     samples = samples if samples.size else np.zeros((1, 1))
@@ -103,13 +119,3 @@ def _excerpt(samples: np.ndarray, rate: int, begin: float, seconds: float, facto
 
     size = -(-kept.shape[-1] // factor)
     return np.asarray(resample(np.pad(kept, ((0, 0), (0, size * factor - kept.shape[-1]))), size, axis=-1))
-
-
-def _wav_uri(samples: np.ndarray, rate: int) -> str:
-    file = io.BytesIO()
-    with wave.open(file, "wb") as out:
-        out.setnchannels(len(samples))
-        out.setsampwidth(2)
-        out.setframerate(rate)
-        out.writeframes(np.round(samples.T * 32768).astype("<i2").tobytes())
-    return "data:audio/wav;base64," + base64.b64encode(file.getvalue()).decode()

@@ -10,7 +10,6 @@ from pathlib import PurePath
 from typing import Any
 
 from ..felt import BOXES
-from .figures import BANDS
 from .numbers import is_number, number, with_interval
 
 __all__ = [
@@ -26,15 +25,11 @@ STATUS = {  # word -> mark, explanation
     "at-bound": ("▲", "stopped at the edge of its range"),
     "not-identifiable": ("✕", "the recording does not identify it"),
 }
+# Pages and pictures lower what follows the "_"; what is not here is a symbol as it is.
 SYMBOLS = {
-    "kappa": "κ",
-    "b1": "b_1",
-    "b2": "b_2",
-    "mu": "μ",
-    "x0": "x_0",
-    "epsilon": "ε",
-    "tau": "τ",
-}  # the page lowers what follows the "_"
+    "kappa": "κ", "mu": "μ", "epsilon": "ε", "tau": "τ", "b1": "b_1", "b2": "b_2", "x0": "x_0", "x0/L": "x_0/L",
+    "f0": "f_0",
+}  # fmt: skip
 MEANINGS = {name: parameter.meaning for name, parameter in BOXES.items()} | {
     "b1": "loss, the same for all partials",
     "b2": "loss that grows with frequency",
@@ -44,14 +39,16 @@ MEANINGS = {name: parameter.meaning for name, parameter in BOXES.items()} | {
     "width": "width of the contact",
     "pickup": "pickup position",
 }
-# What no assumed length, mass or velocity scale enters: its symbol, and what it is.
+# What no assumed length, mass or velocity scale enters.
 INVARIANTS = {
-    "f0": ("f_0", "pitch of the flexible string"),
-    "B": ("B", "inharmonicity"),
-    "M_H/M_S": ("M_H/M_S", "mass of the hammer over that of the string"),
-    "x0/L": ("x_0/L", "strike position over the length of the string"),
-    "F/M_S": ("F/M_S", "static force of the felt over the mass of the string"),
+    "f0": "pitch of the flexible string",
+    "B": "inharmonicity",
+    "M_H/M_S": "mass of the hammer over that of the string",
+    "x0/L": "strike position over the length of the string",
+    "F/M_S": "static force of the felt over the mass of the string",
 }
+# Of the paper's criterion.
+BANDS = {"band1": "band 1: fundamental", "band2": "band 2: partials 2 to 8", "band3": "band 3: partials from 9"}
 VELOCITY_RATIO = "v/v_ref "
 # What every fit has beside its felt.
 BESIDE_THE_FELT = {"c", "kappa", "b1", "b2", "M_H", "v_H0", "x0", "width", "M_S", "L", "pickup"}
@@ -102,7 +99,7 @@ def _invariant(name: str, entry: dict[str, Any]) -> dict[str, str]:
     if name.startswith(VELOCITY_RATIO):
         symbol, meaning, note = "v/v_ref", "velocity of a stroke over that of the reference", PurePath(note).name
     else:
-        symbol, meaning = INVARIANTS.get(name, (name, ""))
+        symbol, meaning = SYMBOLS.get(name, name), INVARIANTS.get(name, "")
     return {"name": symbol, "meaning": meaning, **_measured(entry), "note": note}
 
 
@@ -217,30 +214,18 @@ def tiles(fit: dict[str, Any]) -> list[tuple[str, str, str]]:
     again = again_in_words(derived.get("later_contacts"))
     force, depth = number(derived.get("max_force_N"), 3), number(derived.get("max_compression_mm"), 3)
     tiles = (
-        (
-            "Error of the partials’ levels",
-            (levels.get("fitted_db"), 2, "dB"),
-            f"{number(levels.get('initial_db'), 2)} dB at the start; rms over {count} partials",
-        ),
-        (
-            "Criterion",
-            (overall.get("final"), 3, ""),
-            f"{number(start, 3)} at the start, {_change(start, overall.get('final'))}",
-        ),
-        (
-            "Pitch f₀",
-            (derived.get("f0"), 5, "Hz"),
-            f"inharmonicity B = {number(derived.get('B'), 3)}" + (f"; it {moves} as the note decays" if moves else ""),
-        ),
-        (
-            "Contact of the hammer",
-            (derived.get("contact_ms"), 3, "ms"),
-            f"up to {force} N, felt pressed in by {depth} mm" + (f"; {again}" if again else ""),
-        ),
-    )
+        ("Error of the partials’ levels", levels.get("fitted_db"), 2, "dB",
+         f"{number(levels.get('initial_db'), 2)} dB at the start; rms over {count} partials"),
+        ("Criterion", overall.get("final"), 3, "",
+         f"{number(start, 3)} at the start, {_change(start, overall.get('final'))}"),
+        ("Pitch f₀", derived.get("f0"), 5, "Hz",
+         f"inharmonicity B = {number(derived.get('B'), 3)}" + (f"; it {moves} as the note decays" if moves else "")),
+        ("Contact of the hammer", derived.get("contact_ms"), 3, "ms",
+         f"up to {force} N, felt pressed in by {depth} mm" + (f"; {again}" if again else "")),
+    )  # fmt: skip
     return [
         (what, f"{number(value, digits)} {unit}", explanation)
-        for what, (value, digits, unit), explanation in tiles
+        for what, value, digits, unit, explanation in tiles
         if is_number(value)
     ]
 

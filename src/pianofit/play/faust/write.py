@@ -5,36 +5,29 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Iterator, Sequence
-from importlib.resources import files
 from string import Template
 from typing import NamedTuple
 
 import numpy as np
 
 from ...errors import ParameterError
-from ...io import one_line, replace_file
+from ...io import CEILING, one_line, replace_file
 from ...keyboard.document import Instrument
 from ...model.modal import EDGE
-from ...render import CEILING
+from ...report.kit import asset
 from ...threads import one_blas_thread
 from ..layers import LOUDEST
-from ..strings import PlayedString, damper_rate
+from ..samples import LEVEL_SECONDS, stroke
+from ..strings import CHANNELS, KNOCK_RATES, PlayedString, damper_rate
 from .tables import KNOCK_SHAPES, MARGIN, RATE, SHAPES, VELOCITIES, Key, kept_at, key_of
 
 __all__ = ["MODES", "Program", "write_faust"]
 
 # Resonators of a voice: 16 voices then take less than a core's time, see benchmarks/faust.py.
 MODES = 128
-# Channels of the program at the most.
-CHANNELS = 2
 # Numbers of all tables: Faust takes the longer the more there are, and gives up after two minutes by default.
 MOST_NUMBERS = 240_000
-# Rates of the knocks, Hz, whole parts of `RATE`: the highest that leaves room is taken.
-KNOCK_RATES = (24_000, 16_000, 12_000, 8_000, 6_000, 4_000)
-# The loudest moment of a note lies within this time, s.
-LOUDEST_WITHIN = 1.0
 MIDI_KEYS = 128
-PACKAGE = "pianofit.play.faust"
 
 
 class Program(NamedTuple):
@@ -56,12 +49,8 @@ def write_faust(
 ) -> Program:  # fmt: skip
     """Write `path`, a .dsp, whole or not at all; the loudest stroke of the loudest key peaks at -1 dBFS.
 
-    Raises
-    ------
-    ParameterError
-        For a key that the instrument does not have, a felt that cannot be played, or more keys than there is room for.
-    OutputError
-        If `path` cannot be written.
+    Raises `ParameterError` for a key that the instrument does not have, a felt that cannot be played, or more keys than
+    there is room for; `OutputError` if `path` cannot be written.
     """
     if not keys:
         raise ParameterError("keys=[]: give the MIDI keys that are to have tables of their own")
@@ -69,7 +58,8 @@ def write_faust(
         instrument.note(key, 64)
     channels, peak, found = min(instrument.channels, CHANNELS), 0.0, []
     for i, midi in enumerate(keys):
-        peak = max(peak, _peak(instrument, midi))
+        string = PlayedString(instrument.note(midi, LOUDEST), midi, RATE)
+        peak = max(peak, float(np.abs(stroke(instrument, string, LOUDEST, LEVEL_SECONDS)).max()))
         found.append(key_of(instrument, midi, MODES, channels))
         progress("tables", 0.98 * (i + 1) / len(keys))
     gain = CEILING / peak if peak > 0 else 1.0
@@ -85,12 +75,6 @@ def write_faust(
 
 def _knocks(keys: Sequence[Key]) -> bool:
     return any(key.knock.any() for key in keys)
-
-
-def _peak(instrument: Instrument, midi: int) -> float:
-    string = PlayedString(instrument.note(midi, LOUDEST), midi, RATE)
-    head = string.strike(float(string.note.hammer.v_H0))
-    return float(np.abs(string.heard(np.concatenate([head, string.ring(round(LOUDEST_WITHIN * RATE))], axis=-1))).max())
 
 
 def _within(found: Sequence[Key], keys: Sequence[int]) -> tuple[list[Key], int]:
@@ -121,7 +105,7 @@ def _text(
     added = [f"+(knock(knock_{c}))" if knocks else "_" for c in range(channels)]
     through = ", ".join(["_"] * channels)
     lead = instrument.lead
-    return Template(files(PACKAGE).joinpath("instrument.dsp").read_text(encoding="utf-8")).substitute(
+    return Template(asset("instrument.dsp", "pianofit.play.faust")).substitute(
         name=_quoted(instrument.name or "piano"), licence=_quoted(licence or "none was given"),
         modes=modes, rank=SHAPES, knocks=KNOCK_SHAPES, velocities=len(VELOCITIES), rate=RATE,
         knock_rate=kept[0].knock_rate, touch=_digits(max(lead - EDGE / RATE, 0.0) - MARGIN / RATE),

@@ -21,12 +21,10 @@ from ...keyboard.gather import reference_compression
 from ...model.modal import Ringing
 from ...model.note import Note
 from ...parameters import Hammer
-from ..strings import damper_rate
+from ..strings import CHANNELS, KNOCK_RATES, damper_rate
 
 __all__ = ["Knocks", "encode_note", "intervals", "payload"]
 
-# Channels that a page plays: a listener has two ears.
-HEARD_CHANNELS = 2
 # Samples of a knock that share a scale.
 SHARED = 256
 # The workbench's sliders that are factors of one law's value (`keyboard.gather.NAMES`), and the laws of its losses.
@@ -42,18 +40,13 @@ class Knocks(NamedTuple):
 
 
 # From the best to the smallest; a knock's own rate is never exceeded.
-LADDER = (
-    Knocks(math.inf, 16), Knocks(24_000, 16), Knocks(24_000, 8), Knocks(16_000, 8), Knocks(12_000, 8), Knocks(8_000, 8),
-)  # fmt: skip
+LADDER = (Knocks(math.inf, 16), Knocks(KNOCK_RATES[0], 16), *(Knocks(rate, 8) for rate in KNOCK_RATES))
 
 
 def payload(instrument: Instrument, most_bytes: int) -> tuple[dict[str, Any], Knocks | None]:
     """What the page's script reads, and how knocks are kept in it, if there are any.
 
-    Raises
-    ------
-    ParameterError
-        If a felt's law cannot be played, or nothing is left of `most_bytes`.
+    Raises `ParameterError` if a felt's law cannot be played, or nothing is left of `most_bytes`.
     """
     rates = [n.ringing.rate for n in instrument.notes.values() if n.ringing is not None and n.ringing.knock.size]
     size = 0
@@ -102,10 +95,7 @@ def intervals(told: Mapping[str, tuple[float, float, float]]) -> dict[str, list[
 def encode_note(note: Note, midi: int, knocks: Knocks = LADDER[0]) -> dict[str, Any]:
     """One key, as prepare.js reads it.
 
-    Raises
-    ------
-    ParameterError
-        For a felt other than Hunt and Crossley's, or the power law.
+    Raises `ParameterError` for a felt other than Hunt and Crossley's, or the power law.
     """
     if type(note.hammer) is not Hammer:
         raise ParameterError(
@@ -131,14 +121,14 @@ def encode_note(note: Note, midi: int, knocks: Knocks = LADDER[0]) -> dict[str, 
 
 def _ringing(ringing: Ringing, knocks: Knocks) -> dict[str, Any]:
     """Frequencies with 64 bits: with 32 they would drift by a tenth of a radian a minute in the treble."""
-    knock, rate = ringing.knock[:HEARD_CHANNELS], ringing.rate
+    knock, rate = ringing.knock[:CHANNELS], ringing.rate
     if knock.shape[-1] and rate > knocks.rate:
         rate = int(knocks.rate)
         by = math.gcd(rate, ringing.rate)
         knock = resample_poly(knock, rate // by, ringing.rate // by, axis=-1)
     return {
         "decay": _base64(-np.real(ringing.pole)), "omega": _base64(np.imag(ringing.pole), "<f8"),
-        "pattern": [{"re": _base64(np.real(x)), "im": _base64(np.imag(x))} for x in ringing.pattern[:HEARD_CHANNELS]],
+        "pattern": [{"re": _base64(np.real(x)), "im": _base64(np.imag(x))} for x in ringing.pattern[:CHANNELS]],
         "rate": rate, "bits": knocks.bits, "knock": [dict(_rounded(row, knocks.bits)) for row in knock],
     }  # fmt: skip
 

@@ -3,28 +3,28 @@
 from __future__ import annotations
 
 import base64
-import io
+import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ...errors import FitError, ParameterError
-from ...io import one_line
+from ...io import encode_pcm, one_line
 from ...keyboard.document import Instrument
 from ...keyboard.gather import Layer
 from ...model.note import Note
 from ...recording import load_recording
-from .payload import HEARD_CHANNELS
+from ...report.sound import excerpt
+from ..strings import CHANNELS
 
 __all__ = ["recorded_layers"]
 
 # Seconds that are kept of every layer: the most that leaves all of them `ROOM`, bytes of the page.
 LENGTHS = (4.0, 3.0, 2.0)
 ROOM = 30_000_000
-# At the end, s.
-FADE = 0.05
-HIGHEST_RATE = 48_000  # Hz: the page's own
+# Hz, the page's own: what has more is brought down by a whole factor.
+HIGHEST_RATE = 48_000
 
 
 def recorded_layers(instrument: Instrument) -> dict[int, list[dict[str, Any]]]:
@@ -32,12 +32,8 @@ def recorded_layers(instrument: Instrument) -> dict[int, list[dict[str, Any]]]:
 
     A sound begins when that of the instrument's key does whose hammer touches the string at the same time.
 
-    Raises
-    ------
-    FitError
-        If no layer is known, or a recording is not there any more.
-    ParameterError
-        If they take too much room.
+    Raises `FitError` if no layer is known, or a recording is not there any more; `ParameterError` if they take too much
+    room.
     """
     if not any(instrument.layers.values()):
         raise FitError("--recordings: the fits name no recordings; give the folder that pianofit batch wrote")
@@ -67,7 +63,7 @@ def _read(layer: Layer, note: Note) -> tuple[np.ndarray, int]:
     recording = load_recording(layer.file)
     if recording.sha256 != layer.sha256:
         raise FitError(f"{one_line(layer.file)}: is not the recording that was fitted; run pianofit batch again")
-    channels = 1 if note.ringing is None else min(note.ringing.channels, HEARD_CHANNELS)
+    channels = 1 if note.ringing is None else min(note.ringing.channels, CHANNELS)
     samples = recording.samples[None] if channels == 1 else recording.frames[:channels]
     begin = round((layer.contact - note.lead) * recording.rate)
     return np.pad(samples, ((0, 0), (max(-begin, 0), 0)))[:, max(begin, 0) :], recording.rate
@@ -75,15 +71,7 @@ def _read(layer: Layer, note: Note) -> tuple[np.ndarray, int]:
 
 def _encoded(samples: np.ndarray, rate: int, seconds: float) -> str:
     """Its first seconds, faded out, with its peak at full scale: what it is compared with gets its loudness."""
-    import soundfile
-    from scipy.signal import resample_poly
-
-    if rate > HIGHEST_RATE:
-        samples, rate = resample_poly(samples, HIGHEST_RATE, rate, axis=-1), HIGHEST_RATE
-    kept = samples[:, : round(seconds * rate)].copy()
-    fade = min(round(FADE * rate), kept.shape[-1])
-    kept[:, -fade:] *= np.linspace(1.0, 0.0, fade)
-    stream = io.BytesIO()
+    factor = math.ceil(rate / HIGHEST_RATE)
+    kept = excerpt(samples, rate, 0.0, seconds, factor)
     kept /= max(float(np.abs(kept).max(initial=0.0)), 1e-12)
-    soundfile.write(stream, kept.T, rate, format="FLAC", subtype="PCM_16")
-    return base64.b64encode(stream.getvalue()).decode()
+    return base64.b64encode(encode_pcm(kept, round(rate / factor), "flac", 16)).decode()

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import functools
 import json
-import math
 from typing import Any
 
 from ...errors import ParameterError
 from ...keyboard.gather import HIGHEST_KEY, LOWEST_KEY
 from ...model.note import Note
+from ...units import midi_of
 from .payload import encode_note
 from .write import engine, source
 
@@ -22,10 +22,7 @@ __all__ = ["front_end", "instrument_of", "widget"]
 def widget(note: Note) -> Any:
     """A widget that strikes `note`.
 
-    Raises
-    ------
-    ParameterError
-        If anywidget is not installed, or the note has a felt that a page cannot play.
+    Raises `ParameterError` if anywidget is not installed, or the note has a felt that a page cannot play.
     """
     return _kind()(instrument=instrument_of(note))
 
@@ -59,10 +56,9 @@ def front_end() -> str:
 
 def instrument_of(note: Note) -> dict[str, Any]:
     """An instrument of one key, that nearest to the note's pitch, as the player reads it."""
-    pitch = 69 + 12 * math.log2(float(note.string.c) / (2 * float(note.geometry.length)) / 440.0)
-    midi = min(max(round(pitch), LOWEST_KEY), HIGHEST_KEY)
-    name = f"{float(note.string.c) / (2 * float(note.geometry.length)):.2f} Hz"
+    f0 = float(note.string.c) / (2 * float(note.geometry.length))
+    midi = min(max(round(midi_of(f0)), LOWEST_KEY), HIGHEST_KEY)
     return {
         "name": "a note in Python", "velocity": {"at_64": float(note.hammer.v_H0), "rise": 1.5},
-        "keys": [{"midi": midi, "note": name, "recorded": True} | encode_note(note, midi)],
+        "keys": [{"midi": midi, "note": f"{f0:.2f} Hz", "recorded": True} | encode_note(note, midi)],
     }  # fmt: skip

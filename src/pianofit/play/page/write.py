@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-from importlib.resources import files
 from typing import Any, NamedTuple
 
 from ...keyboard.document import Instrument
@@ -46,14 +45,8 @@ def write_page(path: str | os.PathLike[str], instrument: Instrument, recordings:
     ----------
     recordings : put every recorded layer into it, to be heard beside its key; they come on top of the 1.5 MB.
 
-    Raises
-    ------
-    ParameterError
-        For a felt that a page cannot play, or an instrument or recordings that do not fit.
-    FitError
-        If recordings are wanted, and are not there.
-    OutputError
-        If `path` cannot be written.
+    Raises `ParameterError` for a felt that a page cannot play, or an instrument or recordings that do not fit;
+    `FitError` if recordings are wanted, and are not there; `OutputError` if `path` cannot be written.
     """
     between, beyond = instrument.guesses
     document, knocks = payload(instrument, LARGEST_PAGE - OWN)
@@ -80,4 +73,4 @@ def engine() -> str:
 
 def source(name: str) -> str:
     """One of the scripts beside this file."""
-    return files(PACKAGE).joinpath(name).read_text(encoding="utf-8")
+    return kit.asset(name, PACKAGE)

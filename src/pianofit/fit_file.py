@@ -1,7 +1,7 @@
-"""From a fit, or from parameters, to a sound file.
+"""A `fit.json` read back: the note that it describes, at its best minimum or at all of them.
 
-A `fit.json` holds all that is needed: string, hammer, geometry, what was heard, gain and path. Played at another
-velocity it gives the sound of the same string, hammer and path, struck harder or softer.
+The file holds all that a note needs: string, hammer, geometry, what was heard, gain and path. Nothing in it is trusted
+before it was checked.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 
 from .errors import FitError, ParameterError
 from .felt import BOXES, LAWS, FeltLaw, check_hammer, make_hammer
-from .io import FIT_SCHEMA, finite, load_json, one_line, table_of
+from .io import FIT_SCHEMA, finite, is_number, load_json, one_line, reference_of, shown, table_of
 from .model.modes import QUANTITIES
 from .model.note import Note
 from .model.path import OutputPath
@@ -23,22 +23,20 @@ from .parameters import HAMMER_NAMES, STRING_NAMES, Geometry, String, check
 from .recording import RATES
 from .ringing_file import read_ringing
 
-__all__ = ["CEILING", "limited", "load_mixture", "load_note", "mixture_of", "read_fit"]
+__all__ = ["load_note", "mixture_of", "note_of", "read_fit", "read_path"]
 
-LARGEST_FIT = 2**24
+LARGEST_FIT = 2**24  # bytes
+# Points of a path at the most: far more than a string has partials.
+MOST_POINTS = 4096
+# Of a path, dB, at the most: beyond, amplitudes are lost in rounding.
+LARGEST_DB = 300.0
+# A partial's decay over its law's, at the least and at the most: beyond, it is no partial.
+DECAYS = (1e-3, 1e3)
 WAY_OUT = "give the file that pianofit fit wrote"
-# A peak above this is brought down to it; -1 dB leaves room for players that resample.
-CEILING = 10 ** (-1 / 20)
 
 
 def read_fit(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """What a `fit.json` holds, of this schema or an older one.
-
-    Raises
-    ------
-    FitError
-        Naming the file, if it is none.
-    """
+    """What a `fit.json` holds, of this schema or an older one; a `FitError` that names the file, if it is none."""
     document = load_json(path, LARGEST_FIT, "a fit.json", WAY_OUT)
     if not isinstance(document, dict) or document.get("schema") not in range(1, FIT_SCHEMA + 1):
         found = document.get("schema") if isinstance(document, dict) else type(document).__name__
@@ -87,23 +85,11 @@ def load_note(path: str | os.PathLike[str], felt: FeltLaw | None = None) -> tupl
     >>> note.render(3.0, seconds=0.5, rate=rate).shape
     (22050,)
     """
-    return _note_of(read_fit(path), Path(path), felt)
+    return note_of(read_fit(path), Path(path), felt)
 
 
-def _law_of(document: dict[str, Any], name: str, felt: FeltLaw | None) -> FeltLaw | None:
-    """The law that a file names, which for one from outside of the package must be handed in."""
-    named = document.get("felt")
-    if felt is not None and named != felt.name:
-        raise FitError(f"{name}: its felt's law is {named!r}, not {felt.name!r}; give the law it was fitted with")
-    if felt is None and named is not None and named not in LAWS:
-        raise FitError(
-            f"{name}: its felt's law, {one_line(repr(named))[:60]}, is not the package's; hand it in, "
-            "as load_note(path, felt=law), or Result.load(folder, felt=law)"
-        )
-    return LAWS.get(str(named)) if felt is None else felt
-
-
-def _note_of(document: dict[str, Any], path: Path, felt: FeltLaw | None = None) -> tuple[Note, int]:
+def note_of(document: dict[str, Any], path: Path, felt: FeltLaw | None = None) -> tuple[Note, int]:
+    """`load_note` of what the file at `path` held."""
     name = one_line(path)
     table, law = table_of(document, "parameters", name, WAY_OUT), _law_of(document, name, felt)
     needed = (*STRING_NAMES, *(HAMMER_NAMES if law is None or law.hammers else law.boxes))
@@ -119,38 +105,40 @@ def _note_of(document: dict[str, Any], path: Path, felt: FeltLaw | None = None) 
     quantity = pickup.get("quantity")
     if quantity not in QUANTITIES:
         raise FitError(f"{name}: pickup.quantity={quantity!r} must be one of {', '.join(QUANTITIES)}")
-    rows = document.get("recordings")
-    if not (isinstance(rows, list) and rows and isinstance(rows[0], dict)):
+    at, row = reference_of(document.get("recordings"))
+    if not row:
         raise FitError(f"{name}: recordings is empty; {WAY_OUT}")
-    # v_H0 is the reference recording's, which need not be the first that was given.
-    at = next((i for i, row in enumerate(rows) if isinstance(row, dict) and row.get("first") is True), 0)
-    gain, rate = (finite(rows[at].get(key), f"{name}: recordings[{at}].{key}", WAY_OUT) for key in ("gain", "rate"))
+    gain, rate = (finite(row.get(key), f"{name}: recordings[{at}].{key}", WAY_OUT) for key in ("gain", "rate"))
     if not RATES[0] <= rate <= RATES[1]:
         raise FitError(f"{name}: recordings[{at}].rate={rate:g} Hz must be from {RATES[0]} to {RATES[1]}")
     note = Note(
         String(*(values[n] for n in STRING_NAMES)), hammer,
-        _geometry(table, quantity, name), quantity, gain, _path(pickup.get("path"), name),
+        _geometry(table, quantity, name), quantity, gain,
+        read_path(pickup.get("path"), f"{name}: pickup.path", WAY_OUT),
         read_ringing(document.get("ringing"), path.parent, name),
     )  # fmt: skip
     return note, int(rate)
 
 
-def load_mixture(path: str | os.PathLike[str], felt: FeltLaw | None = None) -> list[tuple[float, Note]]:
-    """The notes of all minima that a `fit.json` describes, with their shares, the best first.
-
-    `felt` is that of `load_note`.
-
-    Raises
-    ------
-    FitError
-        As `load_note`.
-    """
-    return mixture_of(read_fit(path), Path(path), felt)
+def _law_of(document: dict[str, Any], name: str, felt: FeltLaw | None) -> FeltLaw | None:
+    """The law that a file names, which for one from outside of the package must be handed in."""
+    named = document.get("felt")
+    if felt is not None and named != felt.name:
+        raise FitError(f"{name}: its felt's law is {named!r}, not {felt.name!r}; give the law it was fitted with")
+    if felt is None and named is not None and named not in LAWS:
+        raise FitError(
+            f"{name}: its felt's law, {shown(named)}, is not the package's; hand it in, "
+            "as load_note(path, felt=law), or Result.load(folder, felt=law)"
+        )
+    return LAWS.get(str(named)) if felt is None else felt
 
 
 def mixture_of(document: dict[str, Any], path: Path, felt: FeltLaw | None = None) -> list[tuple[float, Note]]:
-    """`load_mixture` of what the file at `path` held. Only the best note rings by the key's modes, see `ringing`."""
-    (note, _), name = _note_of(document, path, felt), one_line(path)
+    """The notes of all minima in the document of `path`, with their shares, the best first; errors as of `load_note`.
+
+    Only the best note rings by the key's modes, see `ringing`.
+    """
+    (note, _), name = note_of(document, path, felt), one_line(path)
     law = _law_of(document, name, felt)
     minima = document.get("minima")
     if not isinstance(minima, list) or len(minima) < 2:
@@ -183,7 +171,9 @@ def _of_minimum(note: Note, entry: dict, where: str, law: FeltLaw | None) -> Not
         raise FitError(str(error)) from None
     path = note.path
     if path is not None:
-        path = _path({"frequency": path.frequency, "db": entry.get("path_db"), "decay": path.decay}, where)
+        own = {"frequency": path.frequency.tolist(), "db": entry.get("path_db")}
+        own |= {} if path.decay is None else {"decay": path.decay.tolist()}
+        path = read_path(own, f"{where}.path", WAY_OUT)
     return note._replace(string=string, hammer=hammer, geometry=geometry, path=path)
 
 
@@ -204,25 +194,20 @@ def _number(table: dict, key: str, name: str) -> float:
     return finite(value, f"{name}: parameters.{key}", WAY_OUT)
 
 
-def _path(path: Any, name: str) -> OutputPath | None:
-    if path is None:
+def read_path(entry: Any, where: str, way_out: str) -> OutputPath | None:
+    """An output path as files have it, or None; a `FitError` that begins with `where` if it is neither."""
+    if entry is None:
         return None
-    wrong = FitError(
-        f"{name}: pickup.path needs frequency, rising, db and decay, above 0, as many; give the file that fit wrote"
-    )
-    try:
-        law = [1.0] * len(path["frequency"])
-        frequency, db, decay = np.array([path["frequency"], path["db"], path.get("decay", law)], float)
-    except (KeyError, OverflowError, TypeError, ValueError):
-        raise wrong from None
-    rising = frequency.ndim == 1 and frequency.size and frequency[0] > 0 and bool((np.diff(frequency) > 0).all())
-    if not (rising and np.isfinite([frequency, db, decay]).all() and (decay > 0).all()):
-        raise wrong
+    table: dict[str, Any] = entry if isinstance(entry, dict) else {}
+    columns: list[Any] = [table.get("frequency"), table.get("db"), *([table["decay"]] if "decay" in table else [])]
+    whole = all(isinstance(x, list) and 0 < len(x) <= MOST_POINTS and all(map(is_number, x)) for x in columns)
+    if not whole or len({*map(len, columns)}) > 1 or columns[0][0] <= 0 or not (np.diff(columns[0]) > 0).all():
+        raise FitError(
+            f"{where} needs frequency, rising, db and decay, above 0, as many, at most {MOST_POINTS}; {way_out}"
+        )
+    frequency, db, decay = (*np.array(columns, float), np.ones(len(columns[0])))[:3]
+    if not ((decay >= DECAYS[0]) & (decay <= DECAYS[1])).all():
+        raise FitError(f"{where}.decay must hold factors from {DECAYS[0]:g} to {DECAYS[1]:g}; {way_out}")
+    if np.abs(db).max() > LARGEST_DB:
+        raise FitError(f"{where}.db reaches {np.abs(db).max():.3g} dB, at most {LARGEST_DB:g}; {way_out}")
     return OutputPath(frequency, db, decay)
-
-
-def limited(samples: np.ndarray) -> tuple[np.ndarray, float]:
-    """The sound with its peak at most -1 dBFS, and the gain that took."""
-    peak = float(np.abs(samples).max(initial=0.0))
-    gain = CEILING / peak if peak > CEILING else 1.0
-    return samples * gain, gain

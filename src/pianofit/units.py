@@ -1,0 +1,22 @@
+"""Units and scales that every room reads alike: pitch in equal temperament, intervals of 95 %."""
+
+from __future__ import annotations
+
+import math
+
+__all__ = ["NORMAL", "hertz_of", "midi_of"]
+
+# Standard deviations from the mean to either end of a normal distribution's 95 %.
+NORMAL = 1.96
+A4 = 440.0  # Hz
+A4_MIDI = 69
+
+
+def midi_of(frequency: float) -> float:
+    """MIDI number of a frequency, Hz, with its fraction."""
+    return A4_MIDI + 12 * math.log2(frequency / A4)
+
+
+def hertz_of(midi: float) -> float:
+    """Frequency of a MIDI number, which need not be whole, Hz."""
+    return A4 * 2 ** ((midi - A4_MIDI) / 12)
