@@ -55,6 +55,7 @@ def test_its_parameters_are_found_within_their_intervals(example):
     result = pianofit.Result.load(folder, felt=names["HARDENING"])
     assert result.document["converged"]
     assert {result.parameters[name].status for name in ("K", "s", "mu", "M_H")} == {"fitted"}
+    assert result.parameters.M_H.interval is not None
     low, high = result.parameters.M_H.interval
     assert low < PRESET.hammer.M_H < high < 1.3 * low
     assert result.parameters.K.meaning == "stiffness of the soft beginning"
