@@ -53,7 +53,7 @@ def counts(seconds: float, noise_db: float | None = 30.0) -> dict[str, Any]:
         "physics": sum(name in PHYSICS for name in names),
         "compilations_of_the_result": events[COMPILED] - searched[COMPILED],
         "strikes": fit.lanes, "contact_rate_Hz": round(float(problem.scene.rate), 6),
-        "modes": problem.cfg.n_modes, "steps": problem.cfg.steps,
+        "modes": problem.cfg.n_modes, "steps": int(problem.scene.steps),
         "partials": int(np.asarray(problem.observed.level.found).sum()), "minima": len(fit.minima.F),
     }  # fmt: skip
 

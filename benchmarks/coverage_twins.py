@@ -1,8 +1,9 @@
 """Twins for `coverage.py`: recordings of strings, hammers and paths that are drawn at random, and so are known.
 
-A twin is one of five keys from A0 to C6, struck one to five times. String and hammer are the literature's for the key
-(`published.typical`) with scatter: half of the spreads that a fit grants them (`SHARE`). Two kinds differ in what turns
-them into sound, and nothing else:
+A twin is one of five keys from A0 to C6, struck one to five times. Its hammer is drawn from the prior that a fit has,
+about the literature's for the key (`published.typical`), its string with some scatter: intervals that are right then
+hold 95 % of the truths whatever the recordings say (Talts and others 2018). Two kinds differ in what turns them into
+sound, and nothing else:
 
 - `model`: the program's own string and hammer, at a contact rate no fit uses. What is tested is the statistics.
 - `brute-force`: `tests/brute_force.py`, which steps the wave equation on a fine grid with another window, and
@@ -12,9 +13,9 @@ them into sound, and nothing else:
   the sound is their sum. So every fourth has both.
 
 Every second twin is calibrated: a velocity pickup of known place and scale. The others are observed at the bridge
-through an unknown path: a minimum-phase filter whose level wanders smoothly by 3 dB rms, and by 0.5 to 4 dB more from
-one partial to the next, and with another gain in every recording. White noise lies 40 to 70 dB below each recording's
-first second.
+through an unknown path: a minimum-phase filter whose level wanders smoothly, and more from one partial to the next, by
+what is drawn from the priors of both; and with another gain in every recording. White noise lies 40 to 70 dB below
+each recording's first second.
 
 The setup says what a laboratory would know: length, mass, strike and, where there is a path, the velocity of the
 hardest stroke, since no recording through a path tells it. Of every second twin with a path the strike's position is
@@ -47,18 +48,16 @@ MOST_RECORDINGS = 5
 KEYS = (21, 38, 54, 70, 84)
 SLOWEST, FASTEST = 0.5, 5.0  # m/s
 HAMMER_SPREAD = priors.HAMMER_SPREAD | {name: p.deviation for name, p in DEFAULT_LAW.parameters.items()}
-# Of the spreads that a fit grants the literature's hammer, and of those for length, B, b1 and b2 below.
-SHARE = 0.5
-STRING_SCATTER = {"length": 0.2, "B": 0.6, "b1": 0.6, "b2": 0.6}
+STRING_SCATTER = {"length": 0.1, "B": 0.3, "b1": 0.3, "b2": 0.3}  # of logarithms
+FARTHEST = 2.0  # standard deviations: what lies beyond may be no hammer at all
 NOISE = (40.0, 70.0)  # dB
-SMOOTH, ROUGH = 3.0, (0.5, 4.0)  # dB rms
 GLIDE, GLIDE_SECONDS = (1.0, 6.0), (0.3, 0.9)  # cents at the hardest stroke, s
 BEAT, BEAT_LEVEL = (0.5, 3.0), (0.1, 0.4)  # cents, of the first polarisation's amplitude
 SECONDS, LEAD = 3.0, 0.05  # s
 RATE = 44_100  # Hz; the witness steps at 706 kHz and filters
 OVERSAMPLING = 32  # of the model's contact
 # Taps of a path. Levels may differ from one partial of A0 to the next, 27.5 Hz away, so it must last longer than 36 ms.
-TAPS = 4096
+TAPS = 16384
 # Pitch is that of 0.2 to 1.0 s, as an analysis says.
 HEARD = (0.2, 1.0)
 CONTACT = 0.01  # s, at most
@@ -86,6 +85,7 @@ class Truth(NamedTuple):
     velocities: tuple[float, ...]  # m/s, rising
     noise_db: float  # below each recording's first second
     gains: tuple[float, ...]  # of the recordings through a path
+    smooth_db: float  # of the path, rms
     rough_db: float
     glide_cents: float  # at the hardest stroke
     glide_seconds: float
@@ -138,7 +138,8 @@ def draw(kind: str, seed: int) -> Truth:
         string, _drawn_hammer(usual.hammer, velocities[-1], scattered), geometry, velocities,
         noise_db=random.uniform(*NOISE),
         gains=tuple(np.exp(random.normal(0, 0.5, design.recordings)).tolist()),
-        rough_db=random.uniform(*ROUGH),
+        smooth_db=scattered(priors.LEVEL.median[1], priors.LEVEL.spread[1]),
+        rough_db=scattered(*priors.PATH),
         glide_cents=random.uniform(*GLIDE) * design.glide,
         glide_seconds=random.uniform(*GLIDE_SECONDS),
         beat_cents=random.uniform(*BEAT) * random.choice([-1, 1]) * design.beats,
@@ -147,8 +148,8 @@ def draw(kind: str, seed: int) -> Truth:
 
 
 def _scattered(random: np.random.Generator, value: float, spread: float) -> float:
-    """Around `value`, by `SHARE` of `spread` on a log scale, and by no more than twice that."""
-    return float(value * np.exp(SHARE * spread * np.clip(random.normal(), -2, 2)))
+    """Around `value`, by `spread` on a log scale, and by no more than `FARTHEST` of it."""
+    return float(value * np.exp(spread * np.clip(random.normal(), -FARTHEST, FARTHEST)))
 
 
 def _drawn_string(usual: String, size: Geometry, scattered) -> tuple[String, Geometry]:
@@ -246,7 +247,7 @@ def _points(truth: Truth, steps: float) -> int:
 
 
 def output_path(truth: Truth, rate: float, seed: int) -> np.ndarray:
-    """A minimum-phase filter [TAPS] whose level wanders smoothly by `SMOOTH` dB, and by `rough_db` at each partial."""
+    """A minimum-phase filter [TAPS] whose level wanders smoothly by `smooth_db`, and by `rough_db` at each partial."""
     f = np.fft.rfftfreq(2 * TAPS, 1 / rate)
     cepstrum = np.fft.irfft(_path_db(truth, seed, f) / 20 * math.log(10))
     cepstrum[1:TAPS] *= 2
@@ -264,7 +265,7 @@ def _path_db(truth: Truth, seed: int, f: np.ndarray) -> np.ndarray:
     B = (truth.string.kappa * math.pi / (truth.string.c * truth.geometry.length)) ** 2
     partials = k * truth.f0 * np.sqrt(1 + B * k**2)
     rough = np.interp(f, partials, truth.rough_db * random.normal(size=k.size))
-    return SMOOTH * (smooth - smooth.mean()) / smooth.std() + rough
+    return truth.smooth_db * (smooth - smooth.mean()) / smooth.std() + rough
 
 
 def _noisy(samples: np.ndarray, noise_db: float, rate: int, random: np.random.Generator) -> np.ndarray:

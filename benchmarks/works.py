@@ -139,7 +139,7 @@ def search(files: Sequence[Path], note: str) -> tuple[Works, dict[str, int]]:
     at = people.residual, people.jacobian, people.phi, people.w
     sizes = {
         "recordings": len(files), "hammers": len(many), "lanes": len(some), "points": len(people),
-        "modes": problem.cfg.n_modes, "steps": problem.cfg.steps,
+        "modes": problem.cfg.n_modes, "steps": int(problem.scene.steps),
         "partials": int(np.asarray(problem.observed.level.found).sum()),
     }  # fmt: skip
     return {

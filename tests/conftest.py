@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import settings
@@ -25,6 +26,14 @@ install_import_hook(CHECKED, "beartype.beartype(conf=beartype.BeartypeConf(is_pe
 settings.register_profile("pianofit", derandomize=True, deadline=None)
 settings.load_profile("pianofit")
 
+# Files that begin first, the longest first, so that no worker is left with one of them at the end.
+FIRST = (
+    "gate", "api", "docs", "felt_fit", "examples", "batch_fit", "views", "counts", "cli", "felt_outside", "felt_laws",
+    "coverage", "recipes", "reproduce", "result", "felt_own", "analysis",
+)  # fmt: skip
+# Files whose tests share the fits of `twin_cases`, which are kept in memory: one worker runs them all.
+SHARED = ("gate", "fit", "fit_recordings", "microphones")
+
 RECORDINGS = Path(os.environ.get("PIANOFIT_RECORDINGS", Path(__file__).parents[2] / "shared" / "recordings"))
 
 
@@ -32,6 +41,34 @@ def pytest_configure(config: pytest.Config) -> None:
     """Leave the studies out, unless `-m` asks for something."""
     if not config.option.markexpr:
         config.option.markexpr = "not slow"
+
+
+def _name(node: str) -> str:
+    """What a test's file is of: tests/test_gate.py -> gate."""
+    return Path(node.partition("::")[0]).stem.removeprefix("test_")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The long files first, in their order, then the others."""
+
+    def place(item: pytest.Item) -> int:
+        name = "gate" if _name(item.nodeid) in SHARED else _name(item.nodeid)
+        return FIRST.index(name) if name in FIRST else len(FIRST)
+
+    items.sort(key=place)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """A file, or files that share fits, is one worker's: two would both make what its tests share."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    class Files(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            return "shared" if _name(nodeid) in SHARED else _name(nodeid)
+
+    config.option.loadscopereorder = False
+    return Files(config, log)
 
 
 @pytest.fixture(scope="session", autouse=True)

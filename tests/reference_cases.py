@@ -57,7 +57,7 @@ CASES = {  # case, touches at least
     ),
     "window of another shape": (
         {"string": STRING, "hammer": HAMMER, "geometry": WIDE._replace(width=0.1), "step": 1 / 60_000,
-         "window": _parabola}, 1,
+         "window": _parabola(X - WIDE.strike)}, 1,
     ),
     "window of given weights": (
         {"string": STRING, "hammer": HAMMER, "geometry": WIDE, "step": 1 / 60_000,

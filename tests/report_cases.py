@@ -10,6 +10,7 @@ import numpy as np
 
 from pianofit.model.decay import PartialDecay
 from pianofit.report.curves import Envelope, Felt, Known, RecordingCurves, RingingCurves, Strokes
+from pianofit.report.figures import draw_figures
 from pianofit.report.page import Curves
 
 NAMES = ("original", "initial", "fitted")
@@ -229,6 +230,17 @@ def example_fit(**changes):
         "versions": {"pianofit": "0.1.0", "python": "3.12.4", "jax": "0.10.0"},
     }  # fmt: skip
     return fit | changes
+
+
+_DRAWN: dict = {}
+
+
+def drawn_once(curves, dropped=(), held_out=()):
+    """In place of `draw_figures`: what it draws of these very curves, drawn when first asked for."""
+    key = id(curves), dropped, repr(held_out)
+    if key not in _DRAWN:
+        _DRAWN[key] = curves, draw_figures(curves, dropped, held_out)  # the curves are held: their id stays theirs
+    return _DRAWN[key][1]
 
 
 class Page(HTMLParser):

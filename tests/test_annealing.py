@@ -106,11 +106,11 @@ def test_temperatures_fall_as_the_root_of_k_says(size):
     c, c_cost = np.log(0.8 / 1e-5) / 300 ** (1 / size), np.log(1e3) / 300 ** (1 / size)
     for k in (1, 7, 150, 300):
         at = replace(state, steps=k, accepted=np.array([k / 2]), width=np.ones((1, size)))
-        np.testing.assert_allclose(temperatures(at, schedule, size), 0.8 * np.exp(-c * k ** (1 / size)), rtol=1e-10)
+        np.testing.assert_allclose(temperatures(at, schedule), 0.8 * np.exp(-c * k ** (1 / size)), rtol=1e-10)
         expected = state.cost_start * np.exp(-c_cost * (k / 2) ** (1 / size))
-        np.testing.assert_allclose(cost_temperature(at, schedule, size), expected, rtol=1e-10)
+        np.testing.assert_allclose(cost_temperature(at, schedule), expected, rtol=1e-10)
     wide = replace(at, width=np.full((1, size), 1e9))
-    np.testing.assert_array_equal(temperatures(wide, schedule, size), 0.8)
+    np.testing.assert_array_equal(temperatures(wide, schedule), 0.8)
 
 
 # --- acceptance ------------------------------------------------------------------------------------------------------
@@ -164,7 +164,7 @@ def test_reannealing_searches_insensitive_parameters_more_widely(stretch):
     # Per box width the slopes are 1, 100, 20, none, 1e-6; what tells nothing stays as it is.
     expected = np.minimum((100 / np.array([1, 100, 20, 100, 1e-6])) ** stretch, 500.0)
     np.testing.assert_allclose(state.width, np.tile(expected, (3, 1)), rtol=1e-6)
-    warm = temperatures(state, schedule, 5)
+    warm = temperatures(state, schedule)
     assert (warm[:, 0] > warm[:, 2]).all()
     assert (warm[:, 2] > warm[:, 1]).all()
 
@@ -179,7 +179,7 @@ def test_reannealing_sets_the_acceptance_to_what_there_is_still_to_gain():
             np.testing.assert_array_equal(state.cost_start, before.cost_start)
             continue
         accepted = before.accepted + (state.z != before.z).any(axis=1)
-        now = cost_temperature(replace(before, accepted=accepted), schedule, 3)
+        now = cost_temperature(replace(before, accepted=accepted), schedule)
         choices = np.stack([now, state.cost - state.best_cost, before.cost_start])
         np.testing.assert_allclose(state.cost_start, np.sort(choices, axis=0)[1])  # the middle one: now <= start
         np.testing.assert_array_equal(state.accepted, 1.0)

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-import functools
+import contextlib
+import io
 import json
+import re
+import runpy
 import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import pianofit
-from pianofit import FeltLaw, FitError, Layer, Note, Parameter, ParameterError, Setup, SetupError
+from pianofit import FeltLaw, FitError, Note, Parameter, ParameterError, Setup, SetupError
 from pianofit.felt import LAWS
 from pianofit.felt.relaxing import STULOV, force, storage
 
@@ -28,63 +32,61 @@ FOAM = FeltLaw(
     lambda u, w, felt: felt.K * u**2 * (1 + u / felt.s) * (1 + felt.d * w),
     lambda u, felt: felt.K * (u**3 / 3 + u**4 / (4 * felt.s)),
 )
-VELOCITIES = (0.6, 1.5, 4.0)
 PRESET = pianofit.preset("chabassier-F3")
-TRUE = FOAM.hammer(K=8e7, s=2e-4, d=0.2, M_H=PRESET.hammer.M_H, v_H0=VELOCITIES[-1])
-NOISE = 3e-5  # of full scale: 40 to 60 dB below the recordings' peaks
-
-
-@functools.cache
-def fitted() -> pianofit.Result:
-    """Three layers of a string struck with the foam."""
-    random, note = np.random.default_rng(0), Note(PRESET.string, TRUE, PRESET.geometry, "bridge-force", 0.002)
-    recordings = [
-        pianofit.recording_from_samples(x + random.normal(0.0, NOISE, len(x)), 44_100, name=f"{v}.wav")
-        for v in VELOCITIES
-        for x in [note.render(v, seconds=1.5)]
-    ]
-    layers = [Layer(file=f"{v}.wav", v_H0=v) for v in VELOCITIES]
-    geometry = PRESET.geometry
-    setup = Setup(length=geometry.length, mass=geometry.mass, felt=FOAM, recordings=tuple(layers))
-    return pianofit.fit(*recordings, setup=setup, progress=False)
+EXAMPLE = Path(__file__).parent.parent / "examples" / "05_own_felt_law.py"
 
 
 @pytest.fixture(scope="module")
-def saved(tmp_path_factory) -> Path:
-    return fitted().save(tmp_path_factory.mktemp("fit") / "out")
+def example(tmp_path_factory) -> tuple[str, dict[str, Any], Path]:
+    """What the example of a felt of one's own prints, its names, and the folder of its fit of three layers."""
+    folder, printed = tmp_path_factory.mktemp("example"), io.StringIO()
+    with contextlib.chdir(folder), contextlib.redirect_stdout(printed):
+        names = runpy.run_path(str(EXAMPLE), run_name="__main__")
+    return printed.getvalue(), names, folder / "hardening"
 
 
-def test_its_parameters_are_found_within_their_intervals():
-    result = fitted()
+def test_its_parameters_are_found_within_their_intervals(example):
+    text, names, folder = example
+    rows = re.findall(r"^(\w+) +true (\S+) +found \S+ \[(\S+), (\S+)\]", text, re.MULTILINE)
+    assert [row[0] for row in rows] == ["K", "s", "mu"]
+    for name, true, low, high in rows:
+        assert float(low) < float(true) < float(high), name
+        assert float(high) / float(low) < 1.3, name  # of the prior's factor of 50 and more
+    result = pianofit.Result.load(folder, felt=names["HARDENING"])
     assert result.document["converged"]
-    for name in ("K", "s", "d", "M_H"):
-        found = result.parameters[name]
-        assert found.interval is not None
-        low, high = found.interval
-        assert (low < getattr(TRUE, name) < high, found.status) == (True, "fitted"), found
-        assert high / low < 1.3, found  # of the prior's factor of 50 and more
-    assert result.parameters.d.meaning == "loss of the foam"
-    assert not {"K_H", "mu", "p"} & {*result.parameters}
+    assert {result.parameters[name].status for name in ("K", "s", "mu", "M_H")} == {"fitted"}
+    low, high = result.parameters.M_H.interval
+    assert low < PRESET.hammer.M_H < high < 1.3 * low
+    assert result.parameters.K.meaning == "stiffness of the soft beginning"
+    assert not {"K_H", "p"} & {*result.parameters}
 
 
-def test_its_file_and_page_have_its_name_and_curve(saved):
-    document = json.loads((saved / "fit.json").read_text())
-    assert document["felt"] == "foam"
-    page = (saved / "report.html").read_text()
-    assert "static law of the felt “foam”" in page
-    assert "loss of the foam" in page
+def test_its_file_and_page_have_its_name_and_curve(example):
+    *_, folder = example
+    assert json.loads((folder / "fit.json").read_text())["felt"] == "hardening"
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    assert "static law of the felt “hardening”" in page
+    assert "compression at which it has doubled" in page
     assert "u<sup>p</sup>" not in page
 
 
-def test_a_file_of_it_plays_with_the_law_and_says_so_without(saved):
-    note, rate = pianofit.load_note(saved / "fit.json", felt=FOAM)
-    assert (type(note.hammer), rate) == (FOAM.kind, 44_100)
-    np.testing.assert_allclose(note.render(3.0, seconds=0.1), fitted().note.render(3.0, seconds=0.1), atol=1e-9)
-    assert pianofit.Result.load(saved, felt=FOAM).parameters.d.interval == fitted().parameters.d.interval
-    with pytest.raises(FitError, match=r"'foam', is not the package's; hand it in, as load_note\(path, felt=law\)"):
-        pianofit.load_note(saved / "fit.json")
-    with pytest.raises(FitError, match="law is 'foam', not 'stulov'"):
-        pianofit.load_note(saved / "fit.json", felt=STULOV)
+def test_a_file_of_it_plays_with_the_law_and_says_so_without(example):
+    text, names, folder = example
+    law = names["HARDENING"]
+    assert "rendered: 44100 samples" in text
+    note, rate = pianofit.load_note(folder / "fit.json", felt=law)
+    assert (type(note.hammer), rate) == (law.kind, 44_100)
+    table = json.loads((folder / "fit.json").read_text())["parameters"]
+    assert {name: getattr(note.hammer, name) for name in law.parameters} == {
+        name: table[name]["value"] for name in law.parameters
+    }
+    assert np.abs(note.render(3.0, seconds=0.1)).max() > 0
+    with pytest.raises(
+        FitError, match=r"'hardening', is not the package's; hand it in, as load_note\(path, felt=law\)"
+    ):
+        pianofit.load_note(folder / "fit.json")
+    with pytest.raises(FitError, match="law is 'hardening', not 'stulov'"):
+        pianofit.load_note(folder / "fit.json", felt=STULOV)
 
 
 SMALL = {"a": Parameter("N", "", 1.0, 2.0)}
@@ -121,6 +123,7 @@ def test_a_prior_that_says_nothing_is_the_box():
     loss = FOAM.parameters["d"]
     assert loss.usual(60) == pytest.approx(0.1)
     assert loss.usual(60) * np.exp(1.96 * loss.deviation) == pytest.approx(loss.upper)
+    assert FOAM.parameters["s"].usual(60) == pytest.approx(3e-4)  # one that says something may go by the key
 
 
 def test_what_scales_with_lengths_and_masses_follows_from_the_units():

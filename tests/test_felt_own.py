@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from felt_cases import RETURNING
-from model_cases import GEOMETRY, HAMMER, RATE, STRING
+from model_cases import GEOMETRY, HAMMER, RATE, STRING, strike, table
 
 import pianofit
 from pianofit import FeltLaw, Parameter, ParameterError, model
@@ -41,22 +41,22 @@ HARD, LINEAR = HAMMER._replace(v_H0=5.0, p=3.5, K_H=1e13), HAMMER._replace(p=1.0
 @pytest.mark.parametrize("hammer", [HAMMER, HARD, LINEAR])
 @pytest.mark.parametrize("kind", ["continuous", "finite_difference"])
 def test_a_law_written_outside_strikes_as_the_same_law_inside(hammer, kind):
-    modes = model.mode_table(STRING, GEOMETRY, rate=RATE, n_modes=48, kind=kind)
-    inside, outside = (model.strike(modes, h, steps=1024, whole=False) for h in (hammer, again(hammer)))
+    modes = table(STRING, GEOMETRY, rate=RATE, n_modes=48, kind=kind)
+    inside, outside = (strike(modes, h, steps=1024) for h in (hammer, again(hammer)))
     for name in ("drive", "compression", "hammer"):
         a, b = getattr(inside, name), getattr(outside, name)
         np.testing.assert_allclose(b, a, atol=1e-11 * np.abs(a).max(), err_msg=name)
 
 
 def test_a_felt_that_touches_again_does_so_by_an_outside_law():
-    modes = model.mode_table(STRING, GEOMETRY, rate=RATE, n_modes=64)
-    inside, outside = (model.strike(modes, h, steps=1024, whole=False) for h in (RETURNING, again(RETURNING)))
+    modes = table(STRING, GEOMETRY, rate=RATE, n_modes=48)
+    inside, outside = (strike(modes, h, steps=1024) for h in (RETURNING, again(RETURNING)))
     assert (np.diff((np.asarray(inside.force) > 0).astype(int)) == 1).sum() > 1
     np.testing.assert_allclose(outside.force, inside.force, atol=1e-9 * np.abs(inside.force).max())
 
 
 def test_its_derivatives_are_those_of_the_law():
-    modes = model.mode_table(STRING, GEOMETRY, rate=RATE, n_modes=32)
+    modes = table(STRING, GEOMETRY, rate=RATE, n_modes=32)
 
     def level(hammer):
         return model.levels(modes, model.strike(modes, hammer, steps=512).drive)[4]

@@ -41,12 +41,13 @@ TENSE = np.log(STRING) + np.array([[0.0, 0.0, 0.0, 0.0], [0.02, 0.1, -0.2, 0.3],
 CENTS = np.array([0.0, 3.0, -2.0])
 
 
-def scene() -> Scene:
-    return Scene(Geometry(*map(np.float64, GEOMETRY)), np.float64(RATE), np.float64(LOG_U))
+def scene(free: tuple[int, ...] = ()) -> Scene:
+    size = Geometry(*map(np.float64, GEOMETRY))
+    return Scene(size, np.float64(RATE), np.float64(LOG_U), np.int64(STEPS), np.array(free, int))
 
 
-def cfg(quantity: str = "velocity", law: FeltLaw = LAW, free: tuple[int, ...] = ()) -> Cfg:
-    return Cfg(N_MODES, STEPS, ROWS, quantity, law, free)
+def cfg(quantity: str = "velocity", law: FeltLaw = LAW) -> Cfg:
+    return Cfg(N_MODES, ROWS, quantity, law)
 
 
 def played(string, hammer, geometry: Geometry, quantity: str) -> np.ndarray:
@@ -95,7 +96,7 @@ def differences(of, at: np.ndarray, entries: tuple[int, ...]) -> np.ndarray:
 
 
 def test_slopes_are_those_of_the_levels():
-    level, slope, ended = in_lanes(slopes, (np.log(STRING), LANES), scene(), cfg(free=FREE), SIZE)
+    level, slope, ended = in_lanes(slopes, (np.log(STRING), LANES), scene(FREE), cfg(), SIZE)
 
     def of(lanes: np.ndarray) -> np.ndarray:
         return in_lanes(levels, (np.log(STRING), lanes), scene(), cfg(), SIZE)[0]
@@ -108,7 +109,7 @@ def test_slopes_are_those_of_the_levels():
 
 def test_slopes_by_the_string_too():
     args = TENSE, CENTS, LANES
-    level, slope, _ = in_lanes(own_slopes, args, scene(), cfg(free=FREE), SIZE)
+    level, slope, _ = in_lanes(own_slopes, args, scene(FREE), cfg(), SIZE)
 
     def of(strings: np.ndarray) -> np.ndarray:
         return in_lanes(own_levels, (strings, CENTS, LANES), scene(), cfg(), SIZE)[0]
@@ -116,7 +117,7 @@ def test_slopes_by_the_string_too():
     np.testing.assert_allclose(level, of(TENSE), atol=1e-9)
     wanted = differences(of, TENSE, tuple(range(STRING_SIZE)))
     np.testing.assert_allclose(slope[..., :STRING_SIZE], wanted, rtol=2e-4, atol=2e-3)
-    _, alone, _ = in_lanes(slopes, (TENSE[0], LANES), scene(), cfg(free=FREE), SIZE)
+    _, alone, _ = in_lanes(slopes, (TENSE[0], LANES), scene(FREE), cfg(), SIZE)
     np.testing.assert_allclose(slope[0, :, STRING_SIZE:], alone[0], rtol=1e-8, atol=1e-8)
 
 

@@ -11,6 +11,7 @@ from table_cases import PHI, SHAPES, SMALL, dense, dense_nodes, noise, point, sh
 
 import pianofit.model  # noqa: F401  (float64)
 from pianofit.inference.likelihood import Table, curvature, latent, next_weights, objective, report
+from pianofit.inference.parabola import Parabola
 
 pytestmark = pytest.mark.usefixtures("float64")
 
@@ -57,6 +58,27 @@ def test_a_report_has_the_derivatives_of_the_objective():
         down[r, k] *= np.exp(-step)
         slope = (dense(t, residual, PHI, up) - dense(t, residual, PHI, down)) / (2 * step)
         assert float(found.by_log_w[r, k]) == pytest.approx(slope, rel=1e-5, abs=1e-6)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_the_parabola_touches_F_from_above(shape):
+    """Where it was made it has F's slope and curvature; what lowers it lowers F, while φ and w are held."""
+    t = table(shape)._replace(absent=jnp.zeros((0, 2), int))
+    residual, w = point(shape)
+    random = np.random.default_rng(3)
+    jacobian = random.normal(size=(*residual.shape, 3))
+    parabola = Parabola.of(t, PHI, w, residual)
+    here = parabola(residual[None], jacobian[None])
+    gradient, hessian = curvature(t, jnp.asarray(residual), jnp.asarray(jacobian), PHI, w)
+    np.testing.assert_allclose(here.gradient[0], gradient, rtol=1e-8)
+    np.testing.assert_allclose(here.curvature[0], hessian, rtol=1e-8, atol=1e-10)
+    moved = residual + 3 * random.normal(size=(60, *residual.shape)) * np.exp(random.normal(size=(60, 1, 1)))
+    rise = parabola(moved, np.zeros((60, *residual.shape, 3))).F - here.F
+    value = jax.jit(lambda r: objective(t, r, PHI, w))
+    F = np.array([value(jnp.asarray(r)) for r in (residual, *moved)])
+    assert (F[1:] - F[0] <= rise + 1e-9 * np.abs(rise)).all()
+    if len(t.share) == 1:
+        np.testing.assert_allclose(F[1:] - F[0], rise, rtol=1e-8, atol=1e-8)
 
 
 @pytest.mark.parametrize("shape", ["one recording", "no path", "five nodes"])

@@ -14,6 +14,7 @@ import pytest
 import soundfile as sf
 from report_cases import (
     Page,
+    drawn_once,
     example_curves,
     example_fit,
     example_held_out,
@@ -40,6 +41,11 @@ HOSTILE = "</script><script>alert(1)</script>\"'><img src=x onerror=alert(2)>\n{
 @pytest.fixture(scope="module")
 def curves():
     return with_recordings(example_curves(rate=16000, seconds=2.0, count=12))
+
+
+@pytest.fixture(autouse=True)
+def _drawn_once(monkeypatch):
+    monkeypatch.setattr("pianofit.report.page.draw_figures", drawn_once)
 
 
 def written(folder, fit, curves, held_out=None):

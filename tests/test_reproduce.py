@@ -213,13 +213,14 @@ def test_the_landscape_finds_its_minima_and_no_other():
 
 def test_the_race_counts_who_found_the_deepest_minimum():
     run = race(made_up(0.2), 6, 1, iterations=400, evaluations=640)
-    trapped = run.gradient > 0.1
+    trapped = run.ends["gradient"] > 0.1
     assert trapped[0], "the first start is the initial point, in the shallow basin"
     assert 0 < trapped.sum() < 6
     assert run.reached("polished") == 6
     assert len(run.minima) == 2
-    assert (run.polished <= run.annealed + 1e-12).all()
-    assert race(made_up(0.2), 6, 1, iterations=400, evaluations=640).annealed.tolist() == run.annealed.tolist()
+    assert (run.ends["polished"] <= run.ends["annealed"] + 1e-12).all()
+    again = race(made_up(0.2), 6, 1, iterations=400, evaluations=640)
+    assert again.ends["annealed"].tolist() == run.ends["annealed"].tolist()
 
 
 # --- limits -----------------------------------------------------------------------------------------------------------

@@ -13,7 +13,6 @@ from .align import laid
 from .coordinates import STRING_SIZE
 from .entries import absent, derived, described, path_document, sizes, versions
 from .estimate import Estimate, beginning
-from .lanes import in_lanes, own_levels
 from .listener import Listener, level_errors, together, worse_bands
 from .notes import latents, note_of
 from .posterior import Posterior
@@ -21,7 +20,6 @@ from .problem import Problem
 from .quantities import UNITS, Covariance
 from .reports import latent
 from .result import FittedRecording, Result
-from .search import OWN_LANES
 from .statements import claims, correlated, messages, statuses, velocity_statuses
 from .views import View
 
@@ -159,9 +157,7 @@ def _gain_db(problem: Problem, integrated, i: int) -> float:
 
 def _level(problem: Problem, found: Estimate, z: np.ndarray, i: int) -> np.ndarray:
     """Levels of a recording's partials at `z` [size] by the model alone, dB."""
-    search = found.minima.search
-    lanes = search.own_lanes(z[None])
-    level = in_lanes(own_levels, lanes, problem.scene, problem.cfg._replace(free=()), OWN_LANES)[0]
+    level = found.minima.search.level(z)
     return level[problem.layout.stroke[i], problem.analyses[i].partials.number.clip(max=problem.cfg.rows) - 1]
 
 
@@ -316,7 +312,7 @@ def _diagnostics(problem: Problem, found: Estimate) -> dict:
         "F": float(found.minima.F[0]), "evaluations": found.lanes,
         "partials": int(np.asarray(problem.observed.level.found).sum()),
         "absent": int((np.asarray(problem.observed.level.value)[tuple(problem.observed.level.absent.T)] < 1e5).sum()),
-        "contact_rate_Hz": float(problem.scene.rate), "modes": problem.cfg.n_modes, "steps": problem.cfg.steps,
+        "contact_rate_Hz": float(problem.scene.rate), "modes": problem.cfg.n_modes, "steps": int(problem.scene.steps),
         "excess": {"frequency_cents": float(np.exp(strings.phi[0][0])),
                    "decay_relative": float(np.exp(strings.phi[1][0])), "level_db": float(phi[0])},
         "path": {"smooth_db": float(phi[1]), "octaves": float(phi[2])} if problem.path else None,

@@ -168,8 +168,9 @@ def _law(at: Given, cfg: Cfg):
     def _jvp(primal, tangent):
         level, slope, ended = own_slopes(*lanes(primal[0]), at.scene, cfg)
         (dz,) = tangent
-        shared = jnp.append(dz[:STRING_SIZE], dz[jnp.array(cfg.free[:-1], int) + STRING_SIZE])
-        moved = slope[..., :-1] @ shared + slope[..., -1] * dz[len(dz) - len(at.cents) :, None]
+        string, _, lane = lanes(dz)
+        moved = (slope[..., :STRING_SIZE] * string[:, None]).sum(axis=-1)
+        moved += (slope[..., STRING_SIZE:] * lane[:, None, at.scene.free]).sum(axis=-1)
         return (level, ended), (moved, np.zeros(ended.shape, jax.dtypes.float0))
 
     return law

@@ -29,7 +29,7 @@ from .coordinates import STRING_SIZE
 __all__ = ["LANES", "Cfg", "Scene", "in_lanes", "levels", "own_levels", "own_slopes", "pool", "slopes"]
 
 # Lanes of one call: enough to fill vector units; more would make the fast ones wait for the slow ones.
-LANES = 24
+LANES = 8
 DB = 20 / np.log(10)
 
 
@@ -37,11 +37,9 @@ class Cfg(NamedTuple):
     """What a compiled program is specialised to."""
 
     n_modes: int
-    steps: int  # in which a contact must end
     rows: int  # partials whose levels are wanted, 1 to rows
     quantity: str
     law: FeltLaw
-    free: tuple[int, ...] = ()  # entries of a lane by which `slopes` differentiates
 
 
 class Scene(NamedTuple):
@@ -50,6 +48,8 @@ class Scene(NamedTuple):
     geometry: Geometry  # strike and width come from the lane
     rate: Any  # of the contact, Hz
     log_u: Any  # log of the reference compression, m
+    steps: Any  # in which a contact must end, a multiple of 32
+    free: Any  # int, entries of a lane by which `slopes` differentiates, and -1, by which nothing moves [directions]
 
 
 def _level(log_string: Array, cents: Array | float, lane: Float[Array, " lane"], scene: Scene, cfg: Cfg):
@@ -65,7 +65,7 @@ def _level(log_string: Array, cents: Array | float, lane: Float[Array, " lane"],
     at, width = values["x0"], values["width"]
     geometry = scene.geometry._replace(strike=at, width=width)
     modes = mode_table(string, geometry, rate=scene.rate, n_modes=cfg.n_modes, quantity=cfg.quantity)
-    struck = leave(modes, hammer, steps=cfg.steps)
+    struck = leave(modes, hammer, steps=scene.steps)
     end = geometry.length if cfg.quantity in ("bridge-force", "pressure") else geometry.pickup
     delay = jnp.maximum(jnp.abs(end - at) - width / 2, 0.0) / string.c
     # What rings after the contact, carried back to the arrival.
@@ -86,18 +86,15 @@ def levels(string: Float[Array, " 4"], lanes: Float[Array, "lanes lane"], scene:
 
 @kept
 def slopes(string: Float[Array, " 4"], lanes: Float[Array, "lanes lane"], scene: Scene, cfg: Cfg):
-    """The same, and between them the derivatives of the levels by the entries `cfg.free`, [lanes, rows, free]."""
-    free = np.array(cfg.free)
+    """The same, and between them the levels' derivatives by the entries `scene.free` [lanes, rows, directions]."""
+    along = jax.nn.one_hot(scene.free, lanes.shape[-1])
+    return jax.vmap(lambda lane: _along(lambda x: _level(string, 0.0, x, scene, cfg), lane, along))(lanes)
 
-    def one(lane):
-        def twice(x):
-            level, ended = _level(string, 0.0, lane.at[free].set(x), scene, cfg)
-            return level, (level, ended)
 
-        slope, (level, ended) = jax.jacfwd(twice, has_aux=True)(lane[free])
-        return level, slope, ended
-
-    return jax.vmap(one)(lanes)
+def _along(function: Callable, at, directions):
+    """Of `function`, whose second result has no derivatives: value, derivatives in the last axis, second result."""
+    push = functools.partial(jax.jvp, function, (at,), has_aux=True)
+    return jax.vmap(lambda direction: push((direction,)), out_axes=(None, -1, None))(directions)
 
 
 @kept
@@ -108,16 +105,16 @@ def own_levels(strings, cents, lanes, scene: Scene, cfg: Cfg):
 
 @kept
 def own_slopes(strings, cents, lanes, scene: Scene, cfg: Cfg):
-    """As `own_levels`, with derivatives by the string and the entries `cfg.free`, [lanes, rows, 4 + free]."""
-    free = np.array(cfg.free)
+    """As `own_levels`, with derivatives by the string and the entries `scene.free` [lanes, rows, 4 + directions]."""
+    size = STRING_SIZE + lanes.shape[-1]
+    entries = jnp.where(scene.free < 0, -1, scene.free + STRING_SIZE)
+    along = jax.nn.one_hot(jnp.concatenate([jnp.arange(STRING_SIZE), entries]), size)
 
     def one(string, c, lane):
-        def twice(x):
-            level, ended = _level(x[:STRING_SIZE], c, lane.at[free].set(x[STRING_SIZE:]), scene, cfg)
-            return level, (level, ended)
+        def level(x):
+            return _level(x[:STRING_SIZE], c, x[STRING_SIZE:], scene, cfg)
 
-        slope, (level, ended) = jax.jacfwd(twice, has_aux=True)(jnp.concatenate([string, lane[free]]))
-        return level, slope, ended
+        return _along(level, jnp.concatenate([string, lane]), along)
 
     return jax.vmap(one)(strings, cents, lanes)
 
@@ -129,7 +126,7 @@ def pool() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(cores)
 
 
-def in_lanes(program: Callable, lanes: tuple, scene: Scene, cfg: Cfg, size: int = LANES) -> tuple[np.ndarray, ...]:
+def in_lanes(program: Callable, lanes: tuple, scene: Any, cfg: Any, size: int = LANES) -> tuple[np.ndarray, ...]:
     """`program` of any number of lanes, `size` at a time, on all cores.
 
     Parameters

@@ -182,6 +182,11 @@ def _each(table: Table, residual: AnyArray, phi: AnyArray, w: AnyArray) -> tuple
     return 0.5 * quadratic + half_log - norm.logcdf(censored.z).sum(axis=1), pieces, q, censored
 
 
+def responsibilities(table: Table, residual: AnyArray, phi: AnyArray, w: AnyArray) -> Array:
+    """How much of the posterior each node of τ and of the gains has [T]."""
+    return jax.nn.softmax(table.share - _each(table, residual, phi, w)[0])
+
+
 def objective(
     table: Table, residual: Float[AnyArray, "R K"], phi: Float[AnyArray, " hyper"], w: Float[AnyArray, "R K"]
 ) -> Float[Array, ""]:
@@ -221,6 +226,10 @@ class Report(NamedTuple):
     curvature: Values  # Gauss and Newton's, by θ [n, n]
     by_phi: Values  # gradient [4]
     by_log_w: Values  # gradient [R, K]
+
+    def take(self, which: np.ndarray) -> Report:
+        """Of some of many points."""
+        return Report(*(x[which] for x in self))
 
 
 def report(table: Table, residual: AnyArray, jacobian: Array, phi: AnyArray, w: AnyArray) -> Report:

@@ -34,7 +34,7 @@ class Population:
     def take(self, which: np.ndarray) -> Population:
         """Some of them, in this order."""
         fields = {name: getattr(self, name)[which] for name in ARRAYS}
-        return Population(**fields, report=Report(*(x[which] for x in self.report)))
+        return Population(**fields, report=self.report.take(which))
 
     def put(self, which: np.ndarray, other: Population) -> None:
         """Replace some by `other`'s."""

@@ -28,8 +28,11 @@ __all__ = ["Problem", "pose"]
 SAME_KEY = 40.0
 # A recording with fewer partials above its noise says nothing of the hammer.
 FEWEST = 3
-# A search's contacts last a whole number of times this many steps, so that notes share compiled programs.
+# A search's contacts may last a whole number of times this many steps: of a bound no more need be known.
 STEPS = 256
+# Directions in which a compiled program differentiates come in whole multiples of this, so that fits of which more or
+# less is known share them: one too many costs a tenth of the derivatives' time.
+DIRECTIONS = 2
 # A contact has this many times as long as that of the literature's hammer at 2 m/s (softer, heavier and slower hammers
 # stay longer), and until the reflection from the agraffe has come back twice, which in the bass throws it off.
 LONGEST = 2.5
@@ -167,11 +170,10 @@ def _model(
     steps = STEPS * int(np.ceil(longest * contact_rate / STEPS))
     rows = ROWS * int(np.ceil(observed.number.max() / ROWS))
     size = tuple(map(np.float64, geometry))
-    scene = Scene(type(geometry)(*size), np.float64(contact_rate), np.float64(log_u))  # pyright: ignore[reportArgumentType]
-    free = tuple(int(i) - STRING_SIZE for i in np.flatnonzero(unknowns.free[: unknowns.shared]) if i >= STRING_SIZE)
-    n_modes = max(first.modes.pole.shape[0], rows)
-    cfg = Cfg(n_modes, steps, rows, start.quantity, start.law, (*free, unknowns.shared - STRING_SIZE))
-    return unknowns, scene, cfg
+    free = np.append(np.flatnonzero(unknowns.free[STRING_SIZE : unknowns.shared]), unknowns.shared - STRING_SIZE)
+    free = np.pad(free, (0, -len(free) % DIRECTIONS), constant_values=-1)
+    scene = Scene(type(geometry)(*size), np.float64(contact_rate), np.float64(log_u), np.int64(steps), free)  # pyright: ignore[reportArgumentType]
+    return unknowns, scene, Cfg(max(first.modes.pole.shape[0], rows), rows, start.quantity, start.law)
 
 
 def _unknowns(start: Start, speed: Sequence[float | None], log_u: float, path: bool) -> Unknowns:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from ..model.cache import kept
@@ -17,9 +18,17 @@ TOGETHER = 6
 
 
 @kept
-def reports(table: Table, residual, jacobian, phi, w, _):
-    """`likelihood.report` of a batch of points."""
-    return tuple(jax.lax.map(lambda point: likelihood.report(table, *point), (residual, jacobian, phi, w)))
+def reports(table: Table, count, residual, jacobian, phi, w, _):
+    """`likelihood.report` of the first `count` of a batch of points."""
+    points = residual, jacobian, phi, w
+
+    def one(i):
+        return tuple(likelihood.report(table, *(x[i] for x in points)))
+
+    blank = tuple(jnp.zeros((len(residual), *x.shape), x.dtype) for x in jax.eval_shape(one, 0))
+    return jax.lax.fori_loop(
+        0, count, lambda i, out: tuple(x.at[i].set(y) for x, y in zip(out, one(i), strict=True)), blank
+    )
 
 
 def report(table: Table, residual: np.ndarray, jacobian: np.ndarray, phi: np.ndarray, w: np.ndarray) -> Report:
@@ -29,7 +38,8 @@ def report(table: Table, residual: np.ndarray, jacobian: np.ndarray, phi: np.nda
     padded = [np.concatenate([x, np.repeat(x[-1:], -count % TOGETHER, axis=0)]) for x in args]
 
     def some(first: int) -> list[np.ndarray]:
-        return [np.asarray(x) for x in reports(table, *(x[first : first + TOGETHER] for x in padded), None)]
+        now = np.int64(min(count - first, TOGETHER))
+        return [np.asarray(x) for x in reports(table, now, *(x[first : first + TOGETHER] for x in padded), None)]
 
     parts = list(pool().map(some, range(0, len(padded[0]), TOGETHER)))
     return Report(*(np.concatenate(column)[:count] for column in zip(*parts, strict=True)))

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
-from ..model.cache import kept
-from .likelihood import Table, factored
+from .parabola import Parabola
 
 if TYPE_CHECKING:
     from .search import Search
@@ -26,22 +23,6 @@ ROUNDS = 8
 ENDLESS = 1e6
 
 
-@kept
-def precision_matrix(table: Table, phi, w, _):
-    """C⁻¹ of what is found, over recordings and partials [RK, RK], at the node of the middle τ and gains apart."""
-    pieces = factored(table, phi, w)
-    middle = pieces.root.shape[0] // 2
-    root, lower = pieces.root[middle], pieces.cholesky[middle]
-    groups, size, _ = root.shape
-    recordings = table.value.shape[0]
-    loadings = jnp.einsum("rg,gkl->glrk", table.group, root).reshape(groups * size, recordings * size)
-    columns = table.scale[middle][:, None] * table.columns.reshape(-1, recordings * size)
-    b = jnp.concatenate([loadings, columns])
-    d = pieces.precision.ravel()
-    solved = jax.scipy.linalg.solve_triangular(lower, b * d, lower=True)
-    return (jnp.diag(d) - solved.T @ solved,)
-
-
 def screen(search: Search, z: np.ndarray, grid: np.ndarray, level: np.ndarray, ended: np.ndarray) -> np.ndarray:
     """The hammers with their best velocities, the best first [S, size].
 
@@ -51,9 +32,8 @@ def screen(search: Search, z: np.ndarray, grid: np.ndarray, level: np.ndarray, e
     grid : log velocities [V], at which `level` [S, V, K] are theirs, dB, and `ended` [S, V].
     """
     table, u = search.table, search.unknowns
-    (Q,) = precision_matrix(table, search.wide(), np.ones_like(table.value), None)
     R, K = table.value.shape
-    Q = np.asarray(Q).reshape(R, K, R, K)
+    Q = Parabola.of(table, search.wide()).whole(R * K).reshape(R, K, R, K)
     free, strokes = u.free[u.shared :], u.strokes
     mean, sd = u.mean[u.shared :], np.where(free, u.sd[u.shared :], 1.0)
     belief = 0.5 * ((grid - mean[:, None]) / sd[:, None]) ** 2

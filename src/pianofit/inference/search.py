@@ -2,8 +2,11 @@
 
 Everything here lowers, or compares, one function (likelihood.py): the hammers of the prior are scored by it at wide
 hyperparameters, each with the velocities that suit it; the best go down by Levenberg and Marquardt's method while the
-excess σ is held above a falling floor, which smooths the landscape; and the lowest are started again from nearby.
-Steps of θ are followed by steps of φ and w on the same F.
+excess σ is held above a falling floor, which smooths the landscape; and the lowest are started again from nearby. A
+step goes by θ, φ and w together.
+
+While φ and w are held, F of many candidates is one parabola of their residuals, whose matrix is computed once
+(`Parabola`): so the many go down first, and restarts begin.
 """
 
 from __future__ import annotations
@@ -17,6 +20,7 @@ from ..errors import FitError
 from .coordinates import STRING_SIZE, Unknowns
 from .lanes import in_lanes, levels, own_levels, own_slopes, slopes
 from .likelihood import Report, next_weights
+from .parabola import Parabola
 from .population import Population
 from .problem import Problem
 from .reports import report
@@ -32,8 +36,10 @@ VELOCITIES = np.geomspace(0.15, 8.0, 16)
 TAIL = 0.01
 # σ, A, ℓ, η before anything is known: excess of levels, dB, and a path as the prior has it.
 WIDE_EXCESS = 2.0
-# How many go on, for how many steps, with σ held above this, dB.
-STAGES = ((96, 4, 3.0), (24, 6, 1.0), (6, 25, 0.0))
+# How many go on at wide φ, for how many steps;
+FIRST, FIRST_STEPS = 96, 4
+# then how many, for how many steps, with σ held above this, dB.
+STAGES = ((24, 6, 1.0), (6, 25, 0.0))
 # Candidates that come closer than this on their way down, in the prior's standard deviations, go on as one.
 ONE_VALLEY = 0.2
 # Rounds of restarts about the best go on until one gains less than this, F: a likelihood of 1.6 is no better hammer,
@@ -70,6 +76,9 @@ MANY_LANES = 64
 FINER = 4
 # with as many modes as the model takes.
 MOST_MODES = 512
+# The prior's hammers are screened at a step so many times as long: what that moves, some 0.1 dB, is little beside the
+# excess they are screened at.
+COARSER = 2
 # A minimum is reached when a step gains less than this, F: a tenth of a percent of a likelihood.
 CONVERGED = 1e-3
 NO_HAMMER = "no hammer within the bounds gives a finite sound; widen [bounds] or check [known] in the setup"
@@ -119,14 +128,16 @@ class Search:
         """Residuals [B, R, K], the law's derivatives [B, R, K, size], and whether all contacts ended [B]."""
         p, strokes = self.problem, self.unknowns.strokes
         self.lanes += len(z) * strokes
+        free = p.scene.free[p.scene.free >= 0]
         if self.strings is None:
             level, slope, ended = in_lanes(slopes, (self.string, self.lanes_of(z)), p.scene, p.cfg)
-            shared = np.array(p.cfg.free[:-1], int) + STRING_SIZE
+            shared = free[:-1] + STRING_SIZE
         else:
             level, slope, ended = in_lanes(own_slopes, self.own_lanes(z), p.scene, p.cfg, OWN_LANES)
-            shared = np.append(np.arange(STRING_SIZE), np.array(p.cfg.free[:-1], int) + STRING_SIZE)
+            shared = np.append(np.arange(STRING_SIZE), free[:-1] + STRING_SIZE)
         level = level.reshape(len(z), strokes, -1)[:, self.stroke][..., self.columns]
         slope = slope.reshape(len(z), strokes, *slope.shape[1:])[:, self.stroke][:, :, self.columns]
+        slope = slope[..., : len(shared) + 1]
         jacobian = np.zeros((*level.shape, self.unknowns.size))
         jacobian[..., shared] = slope[..., :-1]
         for r, stroke in enumerate(self.stroke):
@@ -139,14 +150,14 @@ class Search:
     def step_error(self, z: np.ndarray) -> np.ndarray:
         """What a contact stepped without end adds to the levels at `z` [size], dB [R, K]: the error is of order 2."""
         p = self.problem
-        lanes = self.own_lanes(z[None])
-        fine = p.scene._replace(rate=p.scene.rate * FINER)
-        cfg = p.cfg._replace(steps=p.cfg.steps * FINER, n_modes=MOST_MODES, free=())
-        coarse, finer = (
-            in_lanes(own_levels, lanes, scene, c, OWN_LANES)[0][self.stroke][:, self.columns]
-            for scene, c in ((p.scene, p.cfg._replace(free=())), (fine, cfg))
-        )
-        return (finer - coarse) * FINER**2 / (FINER**2 - 1) * self.there
+        fine = p.scene._replace(rate=p.scene.rate * FINER, steps=p.scene.steps * FINER)
+        finer = in_lanes(own_levels, self.own_lanes(z[None]), fine, p.cfg._replace(n_modes=MOST_MODES), OWN_LANES)[0]
+        change = (finer - self.level(z))[self.stroke][:, self.columns]
+        return change * FINER**2 / (FINER**2 - 1) * self.there
+
+    def level(self, z: np.ndarray) -> np.ndarray:
+        """Levels by the model at `z` [size], dB [strokes, rows], by the descent's program: that is compiled anyway."""
+        return in_lanes(own_slopes, self.own_lanes(z[None]), self.problem.scene, self.problem.cfg, OWN_LANES)[0]
 
     def known(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Of F, what levels do not say: value [B], gradient [B, size] and curvature [B, size, size].
@@ -171,8 +182,10 @@ class Search:
         """F with the prior of θ [B]."""
         return report.F + self.known(z)[0]
 
-    def begun(self, z: np.ndarray, phi: np.ndarray, w: np.ndarray | None = None) -> Population:
-        """Candidates at `z` [B, size]; those whose contact does not end are left out."""
+    def begun(
+        self, z: np.ndarray, phi: np.ndarray, w: np.ndarray | None = None, parabola: Parabola | None = None
+    ) -> Population:
+        """Candidates at `z` [B, size]; those whose contact does not end are left out. See `_judged` of `parabola`."""
         residual, jacobian, good = self.model(z)
         z, residual, jacobian = z[good], residual[good], jacobian[good]
         count = len(z)
@@ -181,7 +194,7 @@ class Search:
         if not count:
             empty = Report(*(np.zeros((0, 0)),) * 5)
             return Population(z, phi, w, residual, jacobian, empty, np.zeros(0), np.zeros((0, 4, 4)), np.zeros(0))
-        found = report(self.table, residual, jacobian, phi, w)
+        found = self._judged(residual, jacobian, phi, w, parabola)
         return Population(
             z, phi, w, residual, jacobian, found, np.full(count, FIRST_DAMPING),
             np.tile(self._first_inverse(), (count, 1, 1)), np.full(count, np.inf),
@@ -196,37 +209,74 @@ class Search:
 
     # --- descent ------------------------------------------------------------------------------------------------------
 
-    def descend(self, people: Population, floor: float, iterations: int, tolerance: float = CONVERGED) -> Population:
-        """Lower F from every candidate with σ held above `floor`, dB; sorted, the lowest first."""
+    def _judged(
+        self, residual: np.ndarray, jacobian: np.ndarray, phi: np.ndarray, w: np.ndarray, parabola: Parabola | None
+    ) -> Report:
+        """F, or its parabola while φ and w are held, of candidates."""
+        return report(self.table, residual, jacobian, phi, w) if parabola is None else parabola(residual, jacobian)
+
+    def descend(
+        self, people: Population, floor: float, iterations: int, tolerance: float = CONVERGED,
+        parabola: Parabola | None = None,
+    ) -> Population:  # fmt: skip
+        """Lower F from every candidate, sorted, the lowest first; σ is held above `floor`, dB, or φ and w as they are.
+
+        With a `parabola` it alone is lowered, and φ and w stay.
+        """
         people.gained = np.full(len(people), np.inf)
         people.damping = np.minimum(people.damping, FIRST_DAMPING)
-        self._hyper(people, np.arange(len(people)), floor)
+        if parabola is None:
+            self._lift(people, floor)
         for _ in range(iterations):
             on = np.flatnonzero(people.gained > tolerance)
             if not len(on):
                 break
-            self._step(people, on)
-            self._hyper(people, on, floor)
+            self._step(people, on, floor, parabola)
         return people.take(np.argsort(self.total(people.z, people.report), kind="stable"))
 
-    def _step(self, people: Population, on: np.ndarray) -> None:
-        """One step of θ by Levenberg and Marquardt, of the candidates `on`."""
+    def _lift(self, people: Population, floor: float) -> None:
+        """F where φ is put that a floor which has risen no longer allows."""
+        people.phi = np.clip(people.phi, *self._range(floor))
+        people.report = report(self.table, people.residual, people.jacobian, people.phi, people.w)
+
+    def _range(self, floor: float) -> tuple[np.ndarray, np.ndarray]:
+        """Least and largest φ, with σ above `floor`, dB."""
+        mean, sd = (np.asarray(x) for x in self.table.prior)
+        lower, upper = mean - HYPER_REACH * sd, mean + HYPER_REACH * sd
+        lower[0] = max(lower[0], np.log(max(floor, 1e-9)))
+        return lower, np.maximum(upper, lower)
+
+    def _step(self, people: Population, on: np.ndarray, floor: float, parabola: Parabola | None) -> None:
+        """One step of the candidates `on`: of θ by Levenberg and Marquardt, of φ by BFGS and of w by EM."""
         now = people.take(on)
         before = self.total(now.z, now.report)
-        trial = self.unknowns.project(now.z + self._direction(now))
-        residual, jacobian, good = self.model(trial)
-        found = report(self.table, residual, jacobian, now.phi, now.w)
-        after = np.where(good, self.total(trial, found), np.inf)
+        z = self.unknowns.project(now.z + self._direction(now))
+        phi, w = (now.phi, now.w) if parabola else self._hyper(now, floor)
+        residual, jacobian, good = self.model(z)
+        found = self._judged(residual, jacobian, phi, w, parabola)
+        after = np.where(good, self.total(z, found), np.inf)
         better = after < before
         stuck = ~better & (now.damping >= MOST_DAMPING)
         people.damping[on] = np.clip(now.damping * np.where(better, 0.2, 8.0), LEAST_DAMPING, 8 * MOST_DAMPING)
         gained = np.where(better, before - np.where(better, after, 0.0), np.inf)
         people.gained[on] = np.where(stuck, 0.0, gained)
+        if parabola is None:
+            inverse = _bfgs(now.inverse, phi - now.phi, found.by_phi - now.report.by_phi)
+            people.inverse[on] = np.where(better[:, None, None], inverse, 0.3 * now.inverse)
         chosen = on[better]
         people.put(chosen, Population(
-            trial[better], now.phi[better], now.w[better], residual[better], jacobian[better],
-            Report(*(x[better] for x in found)), people.damping[chosen], now.inverse[better], people.gained[chosen],
+            z[better], phi[better], w[better], residual[better], jacobian[better], found.take(better),
+            people.damping[chosen], people.inverse[chosen], people.gained[chosen],
         ))  # fmt: skip
+
+    def _hyper(self, now: Population, floor: float) -> tuple[np.ndarray, np.ndarray]:
+        """φ and w to go on to."""
+        lower, upper = self._range(floor)
+        slope = now.report.by_phi
+        active = ((now.phi <= lower) & (slope > 0)) | ((now.phi >= upper) & (slope < 0))
+        step = -np.einsum("bij,bj->bi", now.inverse, np.where(active, 0.0, slope))
+        step = np.clip(np.where(active, 0.0, step), -LONGEST_PHI, LONGEST_PHI)
+        return np.clip(now.phi + step, lower, upper), next_weights(self.table, now.report.by_log_w, now.w)
 
     def _direction(self, now: Population) -> np.ndarray:
         """Steps of θ [B, size]; an unknown on an edge that a step would leave stays."""
@@ -245,31 +295,6 @@ class Search:
         step = np.linalg.solve(lhs, np.where(moves, -gradient, 0.0)[..., None])[..., 0]
         size = (np.abs(step) / np.where(u.free, np.minimum(u.sd, 1.0), 1.0)).max(axis=1)
         return step * np.minimum(1.0, LONGEST_STEP / np.maximum(size, 1e-12))[:, None]
-
-    def _hyper(self, people: Population, on: np.ndarray, floor: float) -> None:
-        """One step of φ (BFGS) and of w (EM) on the same F, of the candidates `on`."""
-        now = people.take(on)
-        mean, sd = (np.asarray(x) for x in self.table.prior)
-        lower, upper = mean - HYPER_REACH * sd, mean + HYPER_REACH * sd
-        lower[0] = max(lower[0], np.log(max(floor, 1e-9)))
-        upper = np.maximum(upper, lower)
-        start = np.clip(now.phi, lower, upper)
-        slope = now.report.by_phi
-        active = ((start <= lower) & (slope > 0)) | ((start >= upper) & (slope < 0))
-        step = -np.einsum("bij,bj->bi", now.inverse, np.where(active, 0.0, slope))
-        phi = np.clip(start + np.clip(np.where(active, 0.0, step), -LONGEST_PHI, LONGEST_PHI), lower, upper)
-        w = next_weights(self.table, now.report.by_log_w, now.w)
-        found = report(self.table, now.residual, now.jacobian, phi, w)
-        # A floor that has risen may have to be met uphill.
-        better = (found.F <= now.report.F) | (now.phi < lower).any(axis=1)
-        inverse = _bfgs(now.inverse, phi - now.phi, found.by_phi - slope)
-        people.inverse[on] = np.where(better[:, None, None], inverse, 0.3 * now.inverse)
-        chosen = on[better]
-        gained = people.gained[on] + np.where(better, now.report.F - found.F, 0.0)
-        people.gained[on] = np.where(better, gained, people.gained[on])
-        people.phi[chosen], people.w[chosen] = phi[better], w[better]
-        for mine, new in zip(people.report, found, strict=True):
-            mine[chosen] = new[better]
 
     # --- where to begin -----------------------------------------------------------------------------------------------
 
@@ -304,7 +329,9 @@ class Search:
         )
         self.lanes += len(lanes)
         p = self.problem
-        level, ended = in_lanes(levels, (self.string, lanes), p.scene, p.cfg, MANY_LANES)
+        scene = p.scene._replace(rate=p.scene.rate / COARSER)
+        cfg = p.cfg._replace(steps=p.cfg.steps // COARSER, n_modes=max(p.cfg.rows, p.cfg.n_modes // COARSER), free=())
+        level, ended = in_lanes(levels, (self.string, lanes), scene, cfg, MANY_LANES)
         level = level.reshape(len(grid), len(z), -1)[..., self.columns].swapaxes(0, 1)
         return screen(self, z, grid, level, ended.reshape(len(grid), len(z)).T)
 
@@ -322,12 +349,15 @@ class Search:
         FitError
             If no hammer gives a finite sound.
         """
-        z = np.concatenate([first[None], self.screened(seed)[: STAGES[0][0]]])
-        people = self.begun(z, self.wide())
+        z = np.concatenate([first[None], self.screened(seed)[:FIRST]])
+        parabola = Parabola.of(self.table, self.wide())
+        people = self.begun(z, self.wide(), parabola=parabola)
         if not len(people):
             raise FitError(NO_HAMMER)
+        progress("hammer", 0.3)
+        people = self.descend(people, 0.0, FIRST_STEPS, parabola=parabola)
         for stage, (count, iterations, floor) in enumerate(STAGES):
-            progress("hammer", 0.3 + 0.1 * stage)
+            progress("hammer", 0.4 + 0.1 * stage)
             going = distinct(people, self.unknowns, self.total(people.z, people.report), np.inf, ONE_VALLEY)
             people = self.descend(people.take(np.array(going[:count])), floor, iterations)
         progress("restarts", 0.6)
@@ -359,12 +389,15 @@ class Search:
         return self.unknowns.project(z)
 
     def _restarted(self, people: Population, z: np.ndarray) -> Population:
-        """With the minima that are reached from `z`."""
-        more = self.begun(z, people.phi[0])
+        """With the minima that are reached from `z`, at first with φ and w of the lowest."""
+        phi, w = people.phi[0], people.w[0]
+        parabola = Parabola.of(self.table, phi, w, people.residual[0])
+        more = self.begun(z, phi, w, parabola)
         if not len(more):
             return people
-        more = self.descend(more, 0.0, TRIAL)
-        going = np.flatnonzero(self.total(more.z, more.report) < self._lowest(people) + NEAR)[:GOING]
+        more = self.descend(more, 0.0, TRIAL, parabola=parabola)
+        lowest = self.total(people.z[:1], parabola(people.residual[:1], people.jacobian[:1]))[0]
+        going = np.flatnonzero(self.total(more.z, more.report) < lowest + NEAR)[:GOING]
         if len(going):
             people = people.join(self.descend(more.take(going), 0.0, STAGES[-1][1]))
         return people.take(np.argsort(self.total(people.z, people.report), kind="stable"))

@@ -162,14 +162,14 @@ def strike(
 
 
 @float64
-def leave(modes: Modes, hammer: Any, *, steps: int) -> Struck:
+def leave(modes: Modes, hammer: Any, *, steps: int | AnyArray) -> Struck:
     """What `strike` leaves in the modes of a string at rest, marching only until the contact is proven to be over.
 
     Parameters
     ----------
-    steps : the march ends here whether or not it is over; a multiple of 32.
+    steps : the march ends here whether or not it is over; a multiple of 32, which may be traced: it costs no program.
     """
-    if steps % BLOCK:
+    if not isinstance(steps, Tracer) and steps % BLOCK:
         raise ParameterError(f"steps={steps} must be a multiple of {BLOCK}")
     block, first = _blocks(modes, hammer, jnp.zeros(()), 0.0, None)
 

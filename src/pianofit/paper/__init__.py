@@ -1,11 +1,11 @@
-"""All that is only the paper's (Bensa, Gipouloux and Kronland-Martinet 2005); nothing but the command line needs it.
+"""All that is only the paper's (Bensa, Gipouloux and Kronland-Martinet 2005), in its order; only commands need it.
 
-- `scheme`: its grid, matrices and all, and the derivatives of its appendix: a witness that shares nothing with the
-  model but the parameters' names.
-- `spectral`, `struck`: eq. 19 as a search sees it. `descent`, `annealing`: what searches. `search`, `recipes`: the
-  three steps of IV.C, and the criterion over the whole spectrum. `recipes` is their door.
-- `twin`, `laboratory`: measurements whose truth is known, for the paper's are not public.
-- `reproduce`: the page that tests its tables, figures and claims on them.
+- III, and the appendix: `scheme`, eq. 9 to 18 with their matrices, and the derivatives of A7 to A13: a witness that
+  shares nothing with the model, whose string and hammer are those of eq. 1 to 8, but the parameters' names.
+- IV.A, whose measurements are not public: `twin` and `laboratory` make some whose truth is known.
+- IV.B: eq. 19 in its bands, `spectral` of a recording, `struck` of the string and hammer that are searched.
+- IV.C: `descent`, the gradient (1); `annealing` (2); `search`, the three steps by both, and `recipes`, their door.
+- III.C and V: `reproduce`, the page that tests the tables, figures and claims.
 
 Nothing is imported here, so that a measurement does not load what a search needs.
 """

@@ -58,12 +58,18 @@ class AnnealingState:
     cost: np.ndarray  # at z
     best_z: np.ndarray
     best_cost: np.ndarray
-    width: np.ndarray  # [chains, D]: factors on the parameters' temperatures, by sensitivity
+    width: np.ndarray  # [chains, free]: factors on the parameters' temperatures, by sensitivity
     cost_start: np.ndarray  # [chains]: T_0 of the acceptance, units of cost
     accepted: np.ndarray  # [chains]: jumps taken since that T_0 was set, k of the acceptance
     steps: int  # k of the parameters
     length: int  # steps planned
     evaluations: int
+
+    def lowered(self, which: np.ndarray, z: np.ndarray, cost: np.ndarray) -> AnnealingState:
+        """The same with better bests, where `which` chains' `cost` at `z` is lower."""
+        lower = which & (cost < self.best_cost)
+        best_z = np.where(lower[:, None], z, self.best_z)
+        return replace(self, best_z=best_z, best_cost=np.where(lower, cost, self.best_cost))
 
 
 class Annealed(NamedTuple):
@@ -75,14 +81,16 @@ class Annealed(NamedTuple):
     evaluations: int
 
 
-class _Box(NamedTuple):
+class _Problem(NamedTuple):
+    """What stays while a box is searched."""
+
+    cost: Callable[[np.ndarray], np.ndarray]
     lower: np.ndarray
+    size: np.ndarray
     upper: np.ndarray
     free: np.ndarray  # indices of what may move
-
-    @property
-    def size(self) -> np.ndarray:
-        return self.upper - self.lower
+    schedule: Schedule
+    rng: np.random.Generator
 
 
 def anneal(cost: Callable[[np.ndarray], Any], lower: np.ndarray, upper: np.ndarray, **how: Any) -> Annealed:
@@ -92,8 +100,7 @@ def anneal(cost: Callable[[np.ndarray], Any], lower: np.ndarray, upper: np.ndarr
     """
     state = deque(annealing(cost, lower, upper, **how), maxlen=1).pop()
     best = int(np.argmin(state.best_cost))
-    lowest = state.best_z[best].copy(), float(state.best_cost[best])
-    return Annealed(*lowest, state, state.evaluations)
+    return Annealed(state.best_z[best].copy(), float(state.best_cost[best]), state, state.evaluations)
 
 
 def annealing(
@@ -107,28 +114,32 @@ def annealing(
     lower, upper : finite; where they are equal the coordinate is held.
     evaluations : points at which the cost may be computed in all; the cooling is planned for it.
     start : where the first chains start, [D] or [n, D]; the others start at uniform points.
-    schedule : `Schedule()` if None.
 
     Raises
     ------
     ParameterError
         If the box is not finite or empty, or the evaluations are too few.
     """
+
+    def finite(z: np.ndarray) -> np.ndarray:
+        value = np.asarray(cost(z.copy()), float)
+        return np.where(np.isfinite(value), value, np.inf)
+
     lower, upper, schedule = np.array(lower, float), np.array(upper, float), schedule or Schedule()
     if not (np.isfinite(upper - lower).all() and (lower <= upper).all()):
         raise ParameterError(f"lower={lower} and upper={upper} of an annealing must be a finite box")
-    box, rounds = _Box(lower, upper, np.flatnonzero(upper > lower)), -(-schedule.samples // max(chains, 1))
+    rounds, free = -(-schedule.samples // max(chains, 1)), np.flatnonzero(upper > lower)
     if chains < 1 or evaluations < rounds * chains:
         raise ParameterError(f"chains={chains}, evaluations={evaluations}: needs one chain, {schedule.samples} samples")
-    rng = np.random.Generator(np.random.PCG64(seed))
-    state = _first(cost, box, (rounds, chains), evaluations, rng, start, schedule)
+    on = _Problem(finite, lower, upper - lower, upper, free, schedule, np.random.Generator(np.random.PCG64(seed)))
+    state = _first(on, (rounds, chains), evaluations, start)
     yield state
-    while len(box.free) and state.evaluations + chains <= evaluations:
-        state = _step(cost, box, state, schedule, rng)
+    while len(free) and state.evaluations + chains <= evaluations:
+        state = _step(on, state)
         if schedule.reanneal and state.steps % schedule.reanneal == 0:
-            if state.evaluations + chains * len(box.free) <= evaluations and schedule.stretch > 0:
-                state = _widened(cost, box, state, schedule)
-            state = _cost_reannealed(state, schedule, len(box.free))
+            if state.evaluations + chains * len(free) <= evaluations and schedule.stretch > 0:
+                state = _widened(on, state)
+            state = _cost_reannealed(on, state)
         yield state
 
 
@@ -161,71 +172,62 @@ def acceptance(rise: np.ndarray, temperature: np.ndarray) -> np.ndarray:
         return np.where(rise > 0, np.exp(-np.maximum(rise, 0.0) / temperature), 1.0)
 
 
-def temperatures(state: AnnealingState, schedule: Schedule, dimensions: int) -> np.ndarray:
+def temperatures(state: AnnealingState, schedule: Schedule) -> np.ndarray:
     """T_i = T_0 exp(-c k^(1/D)), times the width found by re-annealing, at most T_0; box widths, [chains, D]."""
-    fall = np.log(schedule.start / schedule.end) * (state.steps / state.length) ** (1 / dimensions)
+    fall = np.log(schedule.start / schedule.end) * (state.steps / state.length) ** (1 / state.width.shape[1])
     return np.clip(schedule.start * np.exp(-fall) * state.width, min(COLDEST, schedule.end), schedule.start)
 
 
-def cost_temperature(state: AnnealingState, schedule: Schedule, dimensions: int) -> np.ndarray:
+def cost_temperature(state: AnnealingState, schedule: Schedule) -> np.ndarray:
     """T = T_0 exp(-c k^(1/D)), k the number of jumps taken (manual, section 5.2.4); units of cost, [chains]."""
-    return state.cost_start * schedule.cost_end ** ((state.accepted / state.length) ** (1 / dimensions))
+    return state.cost_start * schedule.cost_end ** ((state.accepted / state.length) ** (1 / state.width.shape[1]))
 
 
 # --- one step --------------------------------------------------------------------------------------------------------
 
 
-def _step(cost: Callable, box: _Box, state: AnnealingState, schedule: Schedule, rng: np.random.Generator):
+def _step(on: _Problem, state: AnnealingState) -> AnnealingState:
     """Every chain tries one jump and, now and then, looks at another chain."""
-    chains, dimensions = len(state.z), len(box.free)
-    u = rng.random((chains, 2 * dimensions + 5))  # always as many, so that nothing depends on what came before
-    warm = cost_temperature(state, schedule, dimensions)
-    z = _trial(box, state, temperatures(state, schedule, dimensions), u[:, :dimensions], u[:, dimensions:-3])
-    new = _evaluate(cost, z)
+    chains, free = state.width.shape
+    u = on.rng.random((chains, 2 * free + 5))  # always as many, so that nothing depends on what came before
+    warm = cost_temperature(state, on.schedule)
+    z = _trial(on, state, u[:, :free], u[:, free:-3])
+    new = on.cost(z)
     taken = u[:, -3] < acceptance(_rise(new, state.cost), warm)
     z, new = np.where(taken[:, None], z, state.z), np.where(taken, new, state.cost)
     state = replace(
         state, z=z, cost=new, accepted=state.accepted + taken, steps=state.steps + 1,
         evaluations=state.evaluations + chains,
-    )  # fmt: skip
-    state = _with_best(state, z, new)
+    ).lowered(taken, z, new)  # fmt: skip
     # Rarely at first, so that the chains search apart, and most at the end, so that they refine together.
-    often = 2 * schedule.meetings * state.steps / state.length**2
-    return _met(state, warm, u[:, -2] < often, u[:, -1], rng) if chains > 1 and schedule.meetings else state
+    often = 2 * on.schedule.meetings * state.steps / state.length**2
+    return _met(on, state, warm, u[:, -2] < often, u[:, -1]) if chains > 1 and on.schedule.meetings else state
 
 
-def _trial(box: _Box, state: AnnealingState, temperature: np.ndarray, u: np.ndarray, which: np.ndarray) -> np.ndarray:
+def _trial(on: _Problem, state: AnnealingState, u: np.ndarray, which: np.ndarray) -> np.ndarray:
     """Jump in a random subset of the free coordinates, of any size with equal chance; `which` [chains, D + 2].
 
     Ingber moves all or one at a time. All at once hardly ever meets a small improvement; one at a time cannot follow a
     valley across the axes.
     """
-    dimensions = len(box.free)
-    moved = which[:, :dimensions] < which[:, -2:-1]
-    moved |= np.arange(dimensions) == (which[:, -1:] * dimensions).astype(int)
-    lower, size = box.lower[box.free], box.size[box.free]
-    here = state.z[:, box.free]
-    there = lower + size * generate(u, np.clip((here - lower) / size, 0.0, 1.0), temperature)
+    free = on.free
+    moved = which[:, : len(free)] < which[:, -2:-1]
+    moved |= np.arange(len(free)) == (which[:, -1:] * len(free)).astype(int)
+    lower, size, here = on.lower[free], on.size[free], state.z[:, free]
+    there = lower + size * generate(u, np.clip((here - lower) / size, 0.0, 1.0), temperatures(state, on.schedule))
     z = state.z.copy()
-    z[:, box.free] = np.where(moved, np.clip(there, lower, box.upper[box.free]), here)
+    z[:, free] = np.where(moved, np.clip(there, lower, on.upper[free]), here)
     return z
 
 
-def _met(state: AnnealingState, warm: np.ndarray, looks: np.ndarray, u: np.ndarray, rng: np.random.Generator):
+def _met(on: _Problem, state: AnnealingState, warm: np.ndarray, looks: np.ndarray, u: np.ndarray) -> AnnealingState:
     """A chain that looks at another jumps to where that is, by the rule for all jumps, and learns its best point."""
     chains = len(state.z)
-    other = (np.arange(chains) + rng.integers(1, chains, chains)) % chains
+    other = (np.arange(chains) + on.rng.integers(1, chains, chains)) % chains
     joins = looks & (u < acceptance(_rise(state.cost[other], state.cost), warm))
-    if not joins.any():
-        return state
     z = np.where(joins[:, None], state.z[other], state.z)
-    state = replace(state, z=z, cost=np.where(joins, state.cost[other], state.cost))
-    lower = joins & (state.best_cost[other] < state.best_cost)
-    return replace(
-        state,
-        best_z=np.where(lower[:, None], state.best_z[other], state.best_z),
-        best_cost=np.where(lower, state.best_cost[other], state.best_cost),
-    )
+    joined = replace(state, z=z, cost=np.where(joins, state.cost[other], state.cost))
+    return joined.lowered(joins, state.best_z[other], state.best_cost[other])
 
 
 def _rise(new: np.ndarray, old: np.ndarray) -> np.ndarray:
@@ -234,32 +236,25 @@ def _rise(new: np.ndarray, old: np.ndarray) -> np.ndarray:
     return np.where(known, new - np.where(known, old, 0.0), -np.inf)
 
 
-def _with_best(state: AnnealingState, z: np.ndarray, cost: np.ndarray) -> AnnealingState:
-    lower = cost < state.best_cost
-    best_z = np.where(lower[:, None], z, state.best_z)
-    return replace(state, best_z=best_z, best_cost=np.where(lower, cost, state.best_cost))
-
-
 # --- re-annealing ----------------------------------------------------------------------------------------------------
 
 
-def _widened(cost: Callable, box: _Box, state: AnnealingState, schedule: Schedule) -> AnnealingState:
+def _widened(on: _Problem, state: AnnealingState) -> AnnealingState:
     """Widths (s_max/s_i)^stretch from sensitivities s_i, differences of cost about each chain's best point.
 
     Ingber's exponent, 1, makes steps of equal cost on a slope. The best point soon lies in a minimum, where a
     difference measures curvature, and steps of equal cost go as its root. He lets the factors of successive
     re-annealings pile up (T_i ← T_i s_max/s_i); here they are taken afresh from the common schedule.
     """
-    best, least = state.best_z, state.best_cost
+    best, least, schedule = state.best_z, state.best_cost, on.schedule
     sensitivity = np.zeros_like(state.width)
-    for column, i in enumerate(box.free):
+    for column, i in enumerate(on.free):
         z = best.copy()
-        inward = np.where(best[:, i] > box.lower[i] + 0.5 * box.size[i], -1.0, 1.0)
-        z[:, i] = np.clip(best[:, i] + inward * schedule.probe * box.size[i], box.lower[i], box.upper[i])
-        new = _evaluate(cost, z)
+        inward = np.where(best[:, i] > on.lower[i] + 0.5 * on.size[i], -1.0, 1.0)
+        z[:, i] = np.clip(best[:, i] + inward * schedule.probe * on.size[i], on.lower[i], on.upper[i])
+        new = on.cost(z)
         sensitivity[:, column] = np.abs(_rise(new, least))
-        state = replace(state, evaluations=state.evaluations + len(z))
-        state = _with_best(state, z, new)
+        state = replace(state, evaluations=state.evaluations + len(z)).lowered(np.full(len(z), True), z, new)
     sensitivity = np.nan_to_num(sensitivity, posinf=0.0)  # a wall says nothing
     most = sensitivity.max(axis=1, keepdims=True)
     ratio = np.divide(sensitivity, most, out=np.ones_like(sensitivity), where=most > 0)
@@ -267,41 +262,38 @@ def _widened(cost: Callable, box: _Box, state: AnnealingState, schedule: Schedul
     return replace(state, width=np.where(sensitivity > 0, known**-schedule.stretch, 1.0))
 
 
-def _cost_reannealed(state: AnnealingState, schedule: Schedule, dimensions: int) -> AnnealingState:
+def _cost_reannealed(on: _Problem, state: AnnealingState) -> AnnealingState:
     """The acceptance starts anew from what there is to gain: the gap between where a chain is and its best.
 
     After the manual's section 5.2.4, less the sizes of the costs themselves: adding a constant to the cost must change
     nothing. Never warmer than it started, never colder than it is.
     """
     gap = np.where(np.isfinite(state.cost), _rise(state.cost, state.best_cost), 0.0)
-    anew = np.minimum(state.cost_start, np.maximum(gap, cost_temperature(state, schedule, dimensions)))
+    anew = np.minimum(state.cost_start, np.maximum(gap, cost_temperature(state, on.schedule)))
     return replace(state, cost_start=anew, accepted=np.ones_like(state.accepted))
 
 
 # --- the beginning ---------------------------------------------------------------------------------------------------
 
 
-def _first(
-    cost: Callable, box: _Box, shape: tuple[int, int], evaluations: int, rng: np.random.Generator, start,
-    schedule: Schedule,
-) -> AnnealingState:  # fmt: skip
+def _first(on: _Problem, shape: tuple[int, int], evaluations: int, start: np.ndarray | None) -> AnnealingState:
     """Uniform samples; each chain starts at its lowest, and their spread is the first temperature of the acceptance."""
-    chains = shape[1]
-    z = np.clip(box.lower + box.size * rng.random((*shape, len(box.lower))), box.lower, box.upper)
+    chains, schedule = shape[1], on.schedule
+    z = np.clip(on.lower + on.size * on.rng.random((*shape, len(on.lower))), on.lower, on.upper)
     begun = np.zeros(chains, bool)
     if start is not None:
         given = np.atleast_2d(np.asarray(start, float))
-        z[0, : len(given)], begun[: len(given)] = np.clip(given, box.lower, box.upper), True
-    costs = np.array([_evaluate(cost, batch) for batch in z])
+        z[0, : len(given)], begun[: len(given)] = np.clip(given, on.lower, on.upper), True
+    costs = np.array([on.cost(batch) for batch in z])
     lowest = costs.argmin(axis=0), np.arange(chains)
     here = np.where(begun, 0, lowest[0]), lowest[1]
     warm = _spread(costs[np.isfinite(costs)]) if schedule.cost_start is None else schedule.cost_start
     left = (evaluations - costs.size) / chains
     if schedule.reanneal and schedule.stretch > 0:
-        left /= 1 + len(box.free) / schedule.reanneal
+        left /= 1 + len(on.free) / schedule.reanneal
     return AnnealingState(
         z=z[here], cost=costs[here], best_z=z[lowest], best_cost=costs[lowest],
-        width=np.ones((chains, len(box.free))), cost_start=np.full(chains, warm), accepted=np.ones(chains), steps=1,
+        width=np.ones((chains, len(on.free))), cost_start=np.full(chains, warm), accepted=np.ones(chains), steps=1,
         length=max(int(left), 1), evaluations=costs.size,
     )  # fmt: skip
 
@@ -313,8 +305,3 @@ def _spread(costs: np.ndarray) -> float:
     middle = float(np.median(costs))
     candidates = float(np.median(np.abs(costs - middle))), float(np.ptp(costs)), abs(middle)
     return next((c for c in candidates if 0 < c < np.inf), 1.0)
-
-
-def _evaluate(cost: Callable, z: np.ndarray) -> np.ndarray:
-    value = np.asarray(cost(z.copy()), float)
-    return np.where(np.isfinite(value), value, np.inf)

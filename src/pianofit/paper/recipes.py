@@ -59,13 +59,7 @@ class Found(NamedTuple):
 
 
 def check_recipe(recipe: str, evaluations: int | None) -> None:
-    """Refuse a recipe that does not exist, and evaluations that it cannot have.
-
-    Raises
-    ------
-    ParameterError
-        Naming the argument and its value.
-    """
+    """Refuse a recipe that does not exist, and evaluations that it cannot have, by a `ParameterError`."""
     if recipe not in RECIPES:
         raise ParameterError(f"recipe={recipe!r} must be one of {', '.join(RECIPES)}")
     if evaluations is not None and recipe != "paper":
@@ -94,14 +88,11 @@ def fit_by_recipe(
         If no hammer gives a finite criterion, or a contact does not end.
     """
     check_recipe(recipe, evaluations)
-    setup = setup or Setup()
-    measured = velocity if velocity is not None else next((t.v_H0 for t in setup.recordings if t.v_H0), None)
-    start = starting_values(analysis, setup, measured)
+    start = starting_values(analysis, setup or Setup(), velocity)
     found = fit_by_paper(recording, analysis, start, recipe, evaluations=evaluations, seed=seed, progress=progress)
     opening = OPENING[recipe] + (FELT_UNKNOWN if start.scale is None else "")
     return point_result(
-        recording, analysis, start, found.string, found.hammer, recipe=recipe, seed=seed, delay=found.delay,
-        converged=found.converged, evaluations=found.evaluations, at_bound=found.at_bound, opening=opening,
+        recording, analysis, start, **found._asdict(), recipe=recipe, seed=seed, opening=opening,
         messages=(NO_INTERVALS,),
     )  # fmt: skip
 
@@ -110,20 +101,13 @@ def fit_by_paper(
     recording: Recording, analysis: Analysis, start: Start, recipe: str = "paper", *, evaluations: int | None = None,
     seed: int = 0, progress: Progress = lambda *_: None,
 ) -> Found:  # fmt: skip
-    """Search as the paper does; `recipe` is `paper` or `global`.
+    """The search behind `fit_by_recipe`, from any start.
 
     Parameters
     ----------
     evaluations : of the criterion by the annealing; 20,000 unless given.
     seed : of the annealing. The same seed gives the same result.
     progress : called with a stage's name and the fraction done.
-
-    Raises
-    ------
-    ParameterError
-        For a felt that relaxes, which the paper does not have.
-    FitError
-        If no hammer gives a finite criterion, or a contact does not end.
     """
     if start.law.kind is not Hammer:
         raise ParameterError(f"recipe={recipe!r} has no felt={start.law.name!r}: the paper's is {DEFAULT_LAW.name}")
@@ -140,7 +124,7 @@ def fit_by_paper(
     progress("gradient", 0.7)
     if search.calibrated:
         search.delay = search.first_contact(search.natural(x))
-    x = search.finely_down(x, FIT_NAMES, ALL) if recipe == "global" else search.hammer_finished(x)
+    x = search.down(x, FIT_NAMES, ALL, finest=True) if recipe == "global" else search.hammer_finished(x)
     progress("done", 1.0)
     values = search.natural(x)
     return Found(*split(values), search.delay, search.converged, search.evaluations, search.at_bound(values))

@@ -38,7 +38,6 @@ that of v_H by v_H0, which is 1 (A11, A13); initial shapes do not depend on the 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -53,9 +52,6 @@ __all__ = ["Reference", "Signals", "solve"]
 MOST_ITERATIONS = 500
 # Solved: what is left of every line, over the sum of the sizes of its terms.
 ROUNDING = 8 * float(np.finfo(float).eps)
-
-# Values at the points [points], or a function of the position.
-Shape = Callable[[np.ndarray], Any] | np.ndarray | None
 
 
 class Signals(NamedTuple):
@@ -116,7 +112,8 @@ class Scheme(NamedTuple):
 
 def solve(
     string: String, hammer: Hammer, geometry: Geometry, *, step: float, steps: int, points: int = 100,
-    window: Shape = None, displacement: Shape = None, velocity: Shape = None, derivatives: bool = False,
+    window: np.ndarray | None = None, displacement: np.ndarray | None = None, velocity: np.ndarray | None = None,
+    derivatives: bool = False,
 ) -> Reference:  # fmt: skip
     """Follow string and hammer for `steps` steps from t = 0, when the felt touches the string uncompressed (eq. 14).
 
@@ -125,9 +122,9 @@ def solve(
     string, hammer : also outside the box of `PARAMETERS`, such as without losses; K_H = 0 is a string left alone.
     step : δt, s.
     points : N, the inner points of the grid.
-    window : of the contact: weights at the inner points [points], or a function of x - x0, m, which is cut off beyond
-        ± width/2; neither need be normalised. A raised cosine by default.
-    displacement, velocity : y_s0, m, and v_s0, m/s: values at the inner points [points] or functions of x, m.
+    window : of the contact: weights at the inner points [points], which need not be normalised; a raised cosine of the
+        geometry's width if None.
+    displacement, velocity : y_s0, m, and v_s0, m/s, at the inner points [points]; at rest if None.
     derivatives : solve the appendix's system too (A7-A13).
 
     Raises
@@ -137,10 +134,9 @@ def solve(
     FitError
         If Newton-Raphson does not converge.
     """
-    x = np.arange(1, points + 1) * (geometry.length / (points + 1))
-    weights = contact_weights(geometry, x, window)
+    weights = raised_cosine(geometry, points) if window is None else window / window.sum()
     scheme = assemble(string, hammer, geometry, step, weights)
-    y_s, v_s = _at(displacement, x), _at(velocity, x)
+    y_s, v_s = (np.zeros(points) if given is None else given for given in (displacement, velocity))
     y, v = np.append(y_s, weights @ y_s), np.append(v_s, float(hammer.v_H0))
     state = State(y, v, 0.0, scheme.second @ y, scheme.fourth @ y)
     nothing = np.zeros((points + 1, len(FIT_NAMES)))
@@ -163,21 +159,16 @@ def solve(
 # --- the grid ---------------------------------------------------------------------------------------------------------
 
 
-def contact_weights(geometry: Geometry, x: np.ndarray, window: Shape) -> np.ndarray:
-    """The contact's weights h ĝ(x - x0) at the points `x` [points], m, of sum 1."""
-    if window is None or callable(window):
-        shape = window or (lambda x: 1 + np.cos(2 * np.pi * x / geometry.width))
-        from_middle = x - geometry.strike
-        inside = np.abs(from_middle) < geometry.width / 2
-        weights = np.zeros(x.size)
-        weights[inside] = shape(from_middle[inside])
-    else:
-        weights = np.array(window, float)
-    if weights.sum() == 0:
+def raised_cosine(geometry: Geometry, points: int) -> np.ndarray:
+    """The contact's weights h ĝ(x - x0) at the inner points [points], of sum 1."""
+    from_middle = np.arange(1, points + 1) * (geometry.length / (points + 1)) - geometry.strike
+    inside = np.abs(from_middle) < geometry.width / 2
+    if not inside.any():
         raise ParameterError(
-            f"points={x.size}: none lies under the window, {geometry.width} m wide around {geometry.strike} m; "
+            f"points={points}: none lies under the window, {geometry.width} m wide around {geometry.strike} m; "
             "use more points or a wider window"
         )
+    weights = np.where(inside, 1 + np.cos(2 * np.pi * from_middle / geometry.width), 0.0)
     return weights / weights.sum()
 
 
@@ -346,12 +337,7 @@ def coefficient_terms(scheme: Scheme, string: String, hammer: Hammer, old: State
     return np.stack(list(by.values()), axis=1)
 
 
-# --- what goes in and what comes out ----------------------------------------------------------------------------------
-
-
-def _at(shape: Shape, x: np.ndarray) -> np.ndarray:
-    """Initial values at the inner points [points]."""
-    return np.zeros(x.size) if shape is None else np.array(shape(x) if callable(shape) else shape, float)
+# --- what comes out ---------------------------------------------------------------------------------------------------
 
 
 def _read(scheme: Scheme, state: State | Sensitivity) -> Signals:

@@ -24,6 +24,7 @@ from ..inference.align import laid
 from ..inference.priors import HAMMER_SPREAD
 from ..inference.start import Start
 from ..model import simulate
+from ..model.modes import mode_frequencies
 from ..model.note import Note, arrival
 from ..parameters import FIT_NAMES, HAMMER_NAMES, PARAMETERS, STRING_NAMES, Geometry, Hammer, String
 from ..recording import Recording
@@ -159,7 +160,7 @@ class Search:
         """Names of the free parameters whose `values` [9] lie on an edge of the box."""
         value, low, high = np.log([values, self.lower, self.upper])
         on = self.free & (np.minimum(value - low, high - value) <= EDGE * (high - low))
-        return tuple(name for name, here in zip(FIT_NAMES, on, strict=True) if here)
+        return tuple(np.array(FIT_NAMES)[on].tolist())
 
     def first_contact(self, values: np.ndarray) -> float:
         """Time from the first contact to the onset, s, of `values` [9]. For calibrated recordings.
@@ -171,22 +172,17 @@ class Search:
 
     # --- the steps ----------------------------------------------------------------------------------------------------
 
-    def down(self, x: np.ndarray, names: Sequence[str], bands: Sequence[int]) -> np.ndarray:
-        """Down the gradient of eq. 19 on some bands with σ falling; only `names` move.
+    def down(self, x: np.ndarray, names: Sequence[str], bands: Sequence[int], *, finest: bool = False) -> np.ndarray:
+        """Down the gradient of eq. 19 on some bands with σ falling, or at the finest alone; only `names` move.
 
         It begins at the finest σ at which the model's lines still meet the recording's. Wider ones meet from afar, but
         while the hammer is wrong they bend the string to excuse it, farther than narrow ones find back.
         """
-        goals = [self.goal(bands, sigma) for sigma in self.sigmas]
-        apart = [i for i, goal in enumerate(goals) if self._overlap(x, goal) < MEETING]
-        first = min(apart, default=len(goals))
-        for goal in goals[max(first - 1, 0) :]:
+        goals = [self.goal(bands, sigma) for sigma in self.sigmas[-1 if finest else 0 :]]
+        apart = (i for i, goal in enumerate(goals) if self._overlap(x, goal) < MEETING)
+        for goal in goals[max(next(apart, len(goals)) - 1, 0) :]:
             x = self._string_down(x, names, bands, goal)
         return x
-
-    def finely_down(self, x: np.ndarray, names: Sequence[str], bands: Sequence[int]) -> np.ndarray:
-        """The same at the finest σ alone."""
-        return self._string_down(x, names, bands, self.goal(bands, self.sigmas[-1]))
 
     def hammers(self, x: np.ndarray) -> tuple[LeastSquares, np.ndarray, np.ndarray]:
         """Hammers [n, 5] in their band, on the string of `x`, and the edges between which they may move."""
@@ -223,14 +219,12 @@ class Search:
 
     def _reach(self, x: np.ndarray, goal: Goal, bands: Sequence[int]) -> np.ndarray:
         """How far to look [9]: what moves the lines, each with its share in eq. 19, by some of their widths."""
-        c, kappa, b1, b2, *_ = self.natural(x)
-        k = np.arange(1, self.last + 1)
+        (string, _), length, k = split(self.natural(x)), self.start.geometry.length, np.arange(1, self.last + 1)
         k = k[np.isin(band_of(k), bands)]
-        beta2 = (k * np.pi / self.start.geometry.length) ** 2
-        omega = np.sqrt(c**2 * beta2 + kappa**2 * beta2**2)
-        width = float(goal.sigma) + b1 + b2 * beta2
+        beta2, omega = (k * np.pi / length) ** 2, 2 * np.pi * mode_frequencies(string, length, self.last)[k - 1]
         share = np.asarray((goal.weight * goal.energy) ** 2).sum(axis=1)[: len(k)]
-        moved = np.stack([c**2 * beta2 / omega, kappa**2 * beta2**2 / omega, np.ones(len(k)), beta2]) / width
+        by = [string.c**2 * beta2 / omega, string.kappa**2 * beta2**2 / omega, np.ones(len(k)), beta2]
+        moved = np.stack(by) / (float(goal.sigma) + string.b1 + string.b2 * beta2)
         return HAMMER_REACH + np.append(LINES / np.sqrt((share * moved**2).sum(axis=1)), np.zeros(len(HAMMER_NAMES)))
 
     def _string_down(self, x: np.ndarray, names: Sequence[str], bands: Sequence[int], goal: Goal) -> np.ndarray:

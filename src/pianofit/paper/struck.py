@@ -9,16 +9,19 @@ nothing but T̂ changes.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from numpy.polynomial.chebyshev import chebpts1, chebvander
 
 from ..criterion import NODES
+from ..inference.lanes import in_lanes
 from ..model.cache import kept
-from ..model.contact import Pulse, impulse_amplitude, kernel_rows, strike
+from ..model.contact import impulse_amplitude, kernel_rows, strike
 from ..model.modes import Modes, mode_table
 from ..model.response import pulse_transform, ringing_transform
 from ..parameters import Geometry, Hammer, String
@@ -35,6 +38,9 @@ NEAREST = 5
 MIDDLE = 0.3
 # Hammers of one call at most: so many share a compiled program.
 BATCH = 32
+# Where a cell is sampled, in [-1, 1], and the matrix from values there to values at the cell's own nodes.
+PLACES = chebpts1(SMOOTH)
+SPREAD_OUT = chebvander(np.linspace(-1, 1, NODES), SMOOTH - 1) @ np.linalg.inv(chebvander(PLACES, SMOOTH - 1))
 
 
 class Cfg(NamedTuple):
@@ -64,25 +70,19 @@ class Held(NamedTuple):
     rows: Array  # of the kernel
 
 
-def _chebyshev() -> tuple[np.ndarray, np.ndarray]:
-    """Nodes in [-1, 1], and the matrix [NODES, SMOOTH] from values there to values at the cell's own nodes."""
-    order = np.arange(SMOOTH)
-    angle = (2 * order + 1) * np.pi / (2 * SMOOTH)
-    at = np.cos(np.outer(np.arccos(np.linspace(-1, 1, NODES)), order))
-    back = np.cos(np.outer(order, angle)) * np.where(order == 0, 1.0, 2.0)[:, None] / SMOOTH
-    return np.cos(angle), at @ back
+def _table(z: Array, scene: Scene, cfg: Cfg) -> Modes:
+    string = String(*jnp.exp(z[:4]))
+    return mode_table(string, scene.geometry, rate=scene.rate, n_modes=cfg.n_modes, quantity=cfg.quantity)
 
 
-PLACES, SPREAD_OUT = _chebyshev()
+def _log_zeta(frequency: Array, goal: Goal, step: Array) -> Array:
+    return -(goal.sigma + 2j * jnp.pi * frequency) * step
 
 
-def _log_zeta(frequency: Array, sigma: Array, step: Array) -> Array:
-    return -(sigma + 2j * jnp.pi * frequency) * step
-
-
-def _smooth_frequency(goal: Goal) -> Float[Array, "rows smooth"]:
+def _smooth_log_zeta(goal: Goal, step: Array) -> Array:
+    """At the Chebyshev nodes [rows, SMOOTH]."""
     first, last = goal.frequency[:, :1], goal.frequency[:, -1:]
-    return (first + last) / 2 + (last - first) / 2 * PLACES
+    return _log_zeta((first + last) / 2 + (last - first) / 2 * PLACES, goal, step)
 
 
 def string_mobility(modes: Modes, goal: Goal, pulse: float) -> Float[Array, "rows nodes"]:
@@ -92,9 +92,8 @@ def string_mobility(modes: Modes, goal: Goal, pulse: float) -> Float[Array, "row
     nearest = jnp.searchsorted(modes.pole.imag, 2 * jnp.pi * middle) - (NEAREST + 1) // 2
     nearest = jnp.clip(nearest, 0, len(residue) - NEAREST)[:, None] + jnp.arange(NEAREST)
     far = jnp.ones((len(middle), len(residue))).at[jnp.arange(len(middle))[:, None], nearest].set(0.0)
-    rough = _log_zeta(_smooth_frequency(goal), goal.sigma, modes.step)
+    rough, fine = _smooth_log_zeta(goal, modes.step), _log_zeta(goal.frequency, goal, modes.step)
     background = ringing_transform((far * residue)[:, None, :], log_z[None, None, :], rough) @ SPREAD_OUT.T
-    fine = _log_zeta(goal.frequency, goal.sigma, modes.step)
     near, log_near = residue[nearest][:, None, :], log_z[nearest][:, None, :]
     # What is cut off where the recording ends, as if the whole pulse had come in its middle.
     steps = goal.span / modes.step - pulse
@@ -103,50 +102,40 @@ def string_mobility(modes: Modes, goal: Goal, pulse: float) -> Float[Array, "row
     return (total.real**2 + total.imag**2) * modes.step**2
 
 
-def pulse_energy(real: Array, imag: Array) -> Float[Array, "rows nodes"]:
-    """|T̂|² on the cells, from T̂ at their Chebyshev nodes [rows · SMOOTH]."""
-    spread_out = [part.reshape(-1, SMOOTH) @ SPREAD_OUT.T for part in (real, imag)]
-    return spread_out[0] ** 2 + spread_out[1] ** 2
+def _residuals(
+    z: Float[Array, " 5"], modes: Modes, mobility: Array, rows: Array | None, transform: Callable, goal: Goal,
+    scene: Scene, cfg: Cfg,
+) -> Float[Array, " bins"]:  # fmt: skip
+    """Of a hammer on a string; `transform` gives T̂'s real and imaginary part at the Chebyshev nodes.
 
-
-def _smooth_transform(drive: Float[Array, " steps"], log_zeta: Array) -> tuple[Array, Array]:
-    """T̂ at the Chebyshev nodes, from about the pulse's middle, where its phase turns least."""
-    transform = pulse_transform(drive, log_zeta) * jnp.exp(-1j * log_zeta.imag * MIDDLE * drive.shape[0])
-    return transform.real, transform.imag
-
-
-def _hammer(z: Float[Array, " 5"], scene: Scene) -> Hammer:
+    Infinite for a contact that does not end, and for a felt that is out of bounds.
+    """
     _, mu, p, mass, velocity = jnp.exp(z)
-    return Hammer(jnp.exp(z[0] - p * scene.log_u), mu, p, mass, velocity)
-
-
-def _allowed(value: Array, hammer: Hammer, pulse: Pulse, scene: Scene) -> Array:
-    """`value`; infinite for a contact that does not end, and for a felt that is out of bounds."""
-    stiffness = jnp.log(hammer.K_H)
+    stiffness = z[0] - p * scene.log_u
+    pulse = strike(modes, Hammer(jnp.exp(stiffness), mu, p, mass, velocity), steps=cfg.steps, rows=rows)
+    energy = mobility * sum((part.reshape(-1, SMOOTH) @ SPREAD_OUT.T) ** 2 for part in transform(pulse.drive))
     inside = (stiffness >= scene.stiff[0]) & (stiffness <= scene.stiff[1])
-    return jnp.where((pulse.compression[-1] <= 0) & inside, value, jnp.inf)
+    return jnp.where((pulse.compression[-1] <= 0) & inside, miss(energy, goal), jnp.inf)
+
+
+def _on_held(z: Float[Array, " 5"], held: Held, goal: Goal, scene: Scene, cfg: Cfg) -> Float[Array, " bins"]:
+    def transform(drive: Array) -> tuple[Array, Array]:
+        return drive @ held.real, drive @ held.imag
+
+    return _residuals(z, held.modes, held.mobility, held.rows, transform, goal, scene, cfg)
 
 
 def _struck(z: Float[Array, " 9"], goal: Goal, scene: Scene, cfg: Cfg) -> Array:
-    modes, hammer = _table(z, scene, cfg), _hammer(z[4:], scene)
-    pulse = strike(modes, hammer, steps=cfg.steps)
-    log_zeta = _log_zeta(_smooth_frequency(goal), goal.sigma, modes.step).ravel()
-    energy = pulse_energy(*_smooth_transform(pulse.drive, log_zeta)) * string_mobility(modes, goal, MIDDLE * cfg.steps)
-    return _allowed(0.5 * (miss(energy, goal) ** 2).sum(), hammer, pulse, scene)
+    modes = _table(z, scene, cfg)
+    log_zeta = _smooth_log_zeta(goal, modes.step).ravel()
 
+    def transform(drive: Array) -> tuple[Array, Array]:
+        # From about the pulse's middle, where its phase turns least.
+        turned = pulse_transform(drive, log_zeta) * jnp.exp(-1j * log_zeta.imag * MIDDLE * cfg.steps)
+        return turned.real, turned.imag
 
-def _table(z: Array, scene: Scene, cfg: Cfg) -> Modes:
-    return mode_table(
-        String(*jnp.exp(z[:4])), scene.geometry, rate=scene.rate, n_modes=cfg.n_modes, quantity=cfg.quantity
-    )
-
-
-def _on_held(z: Float[Array, " 5"], held: Held, goal: Goal, scene: Scene, cfg: Cfg) -> Array:
-    """Residuals of a hammer on a string that is held."""
-    hammer = _hammer(z, scene)
-    pulse = strike(held.modes, hammer, steps=cfg.steps, rows=held.rows)
-    energy = pulse_energy(pulse.drive @ held.real, pulse.drive @ held.imag) * held.mobility
-    return _allowed(miss(energy, goal), hammer, pulse, scene)
+    mobility = string_mobility(modes, goal, MIDDLE * cfg.steps)
+    return 0.5 * (_residuals(z[4:], modes, mobility, None, transform, goal, scene, cfg) ** 2).sum()
 
 
 @kept
@@ -159,46 +148,35 @@ def hold(z: Float[Array | np.ndarray, " 9"], goal: Goal, scene: Scene, cfg: Cfg)
     """C of hammers [n, 5] on the string of `z`, which is computed once for a whole search."""
     mobility, real, imag, rows, *modes = held_string(z, goal, scene, cfg)
     held = Held(Modes(*modes), mobility, real, imag, rows)
-    return LeastSquares(
-        lambda z: _in_batches(hammer_costs, z, held, goal, scene, cfg)[0],
-        lambda z: _in_batches(hammer_residuals, z, held, goal, scene, cfg),
-    )
 
+    def each(program: Callable, z: np.ndarray) -> tuple[np.ndarray, ...]:
+        return in_lanes(partial(program, held, goal), (z,), scene, cfg, min(BATCH, len(z)))
 
-def _in_batches(function: Callable, z: np.ndarray, *rest: Any) -> tuple[np.ndarray, ...]:
-    """`function` of all rows of `z`, as many at once as `BATCH`; the last batch is filled up with its last row."""
-    size = min(BATCH, len(z))
-    full = np.concatenate([z, np.repeat(z[-1:], -len(z) % size, axis=0)])
-    parts = [function(full[i : i + size], *rest) for i in range(0, len(full), size)]
-    return tuple(np.concatenate([np.asarray(x) for x in column])[: len(z)] for column in zip(*parts, strict=True))
+    return LeastSquares(lambda z: each(hammer_costs, z)[0], lambda z: each(hammer_residuals, z))
 
 
 @kept
 def held_string(z, goal: Goal, scene: Scene, cfg: Cfg):
     """The parts of `Held`, its table last."""
-    modes = _table(z, scene, cfg)
-    log_zeta = _log_zeta(_smooth_frequency(goal), goal.sigma, modes.step).ravel()
-    powers = jnp.exp(jnp.arange(cfg.steps)[:, None] * log_zeta - 1j * log_zeta.imag * MIDDLE * cfg.steps)
-    rows = kernel_rows(modes, cfg.steps)
-    return (string_mobility(modes, goal, MIDDLE * cfg.steps), powers.real, powers.imag, rows, *modes)
+    modes, middle = _table(z, scene, cfg), MIDDLE * cfg.steps
+    log_zeta = _smooth_log_zeta(goal, modes.step).ravel()
+    powers = jnp.exp(jnp.arange(cfg.steps)[:, None] * log_zeta - 1j * log_zeta.imag * middle)
+    return string_mobility(modes, goal, middle), powers.real, powers.imag, kernel_rows(modes, cfg.steps), *modes
 
 
 @kept
-def hammer_costs(z, held: Held, goal: Goal, scene: Scene, cfg: Cfg):
+def hammer_costs(held: Held, goal: Goal, z, scene: Scene, cfg: Cfg):
     """C [chains] of hammers `z` [chains, 5] on a string that is held."""
     return (jax.vmap(lambda x: 0.5 * (_on_held(x, held, goal, scene, cfg) ** 2).sum())(z),)
 
 
 @kept
-def hammer_residuals(z, held: Held, goal: Goal, scene: Scene, cfg: Cfg):
+def hammer_residuals(held: Held, goal: Goal, z, scene: Scene, cfg: Cfg):
     """Residuals [starts, bins], of which half the sum of squares is C, and their Jacobian [starts, bins, 5]."""
 
-    def both(x: Array) -> tuple[Array, Array]:
-        def twice(y: Array) -> tuple[Array, Array]:
-            value = _on_held(y, held, goal, scene, cfg)
-            return value, value
+    def twice(x: Array) -> tuple[Array, Array]:
+        value = _on_held(x, held, goal, scene, cfg)
+        return value, value
 
-        jacobian, value = jax.jacfwd(twice, has_aux=True)(x)
-        return value, jacobian
-
-    return jax.vmap(both)(z)
+    jacobian, value = jax.vmap(jax.jacfwd(twice, has_aux=True))(z)
+    return value, jacobian

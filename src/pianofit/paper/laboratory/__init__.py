@@ -21,7 +21,7 @@ ring. No line is shared with `pianofit.model`, which has another scheme, so that
 witnesses of each other. No energy is made, at any step.
 """
 
-from .chosen import FINAL, INITIAL, VELOCITIES
+from .chosen import FINAL, INITIAL
 from .measurement import Laboratory, Measurement, measure, setup_text
 
-__all__ = ["FINAL", "INITIAL", "VELOCITIES", "Laboratory", "Measurement", "measure", "setup_text"]
+__all__ = ["FINAL", "INITIAL", "Laboratory", "Measurement", "measure", "setup_text"]

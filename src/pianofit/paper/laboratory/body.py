@@ -45,14 +45,6 @@ class Body(NamedTuple):
     matrix: np.ndarray  # real [2 dof, 2 dof], whose symmetric part is not positive
 
 
-class _Forms(NamedTuple):
-    """The matrices M, C, K [dof, dof]."""
-
-    mass: np.ndarray
-    loss: np.ndarray
-    stiffness: np.ndarray
-
-
 def make_axes(string: String, polarisation: bool) -> tuple[Axis, ...]:
     """The string alone, or turned by `ANGLE` and with its second axis."""
     if not polarisation:
@@ -65,11 +57,18 @@ def make_axes(string: String, polarisation: bool) -> tuple[Axis, ...]:
 @lru_cache(maxsize=8)
 def make_body(axes: tuple[Axis, ...], geometry: Geometry, modes: int, resonators: tuple[Resonator, ...]) -> Body:
     """The whole system; without `resonators` the string's end is at rest."""
-    forms = _forms(axes, geometry, modes, resonators)
+    angle, shares = np.radians([r.direction for r in resonators]), np.array([axis.share for axis in axes])
+    # How far a unit motion of each resonator moves the bridge along each axis [axes, resonators].
+    moved = np.stack([np.cos(angle), np.sin(angle)])[: len(axes)]
+
+    def across(sines: np.ndarray, at: float) -> np.ndarray:
+        """What weighs the motion along the hammer's direction at one position [dof]."""
+        return np.concatenate([*(share * sines for share in shares), at / geometry.length * shares @ moved])
+
     beta = np.arange(1, modes + 1) * (math.pi / geometry.length)
-    push = _across(axes, window_weights(geometry, modes), geometry.strike / geometry.length, resonators)
-    read = _across(axes, np.sin(beta * geometry.pickup), geometry.pickup / geometry.length, resonators)
-    return _exponentials(forms, push, read)
+    push = across(window_weights(geometry, modes), geometry.strike)
+    read = across(np.sin(beta * geometry.pickup), geometry.pickup)
+    return _exponentials(_forms(axes, geometry, modes, resonators, moved), push, read)
 
 
 def window_weights(geometry: Geometry, modes: int) -> np.ndarray:
@@ -81,35 +80,26 @@ def window_weights(geometry: Geometry, modes: int) -> np.ndarray:
     )
 
 
-def _directions(axes: tuple[Axis, ...], resonators: tuple[Resonator, ...]) -> np.ndarray:
-    """How far a unit motion of each resonator moves the bridge along each axis [axes, resonators]."""
-    angle = np.radians([r.direction for r in resonators])
-    return np.stack([np.cos(angle), np.sin(angle)])[: len(axes)]
+def _forms(
+    axes: tuple[Axis, ...], geometry: Geometry, modes: int, resonators: tuple[Resonator, ...], moved: np.ndarray
+) -> list[np.ndarray]:
+    """M, C, K [dof, dof] of all modes, axis by axis, and the resonators."""
+    # Each field by itself has its modes and its ramp; the ramps follow the resonators.
+    inner = len(axes) * modes
+    toward = np.zeros((len(axes) * (modes + 1), inner + len(resonators)))
+    toward[:, :inner] = block_diag(*(np.eye(modes + 1)[:, :modes] for _ in axes))
+    toward[modes :: modes + 1, inner:] = moved
+    frequency, mass, quality, _ = np.array(resonators).reshape(-1, len(Resonator._fields)).T
+    omega = 2 * math.pi * frequency
+    bridge = (mass, mass * omega / quality, mass * omega**2)
+    fields = zip(*(_field_forms(axis.string, geometry, modes) for axis in axes), strict=True)
+    return [
+        toward.T @ np.asarray(block_diag(*parts)) @ toward + np.diag([*np.zeros(inner), *own])
+        for parts, own in zip(fields, bridge, strict=True)
+    ]
 
 
-def _across(axes: tuple[Axis, ...], sines: np.ndarray, ramp: float, resonators: tuple[Resonator, ...]) -> np.ndarray:
-    """The vector that weighs the motion along the hammer's direction at one position [dof]."""
-    bridge = np.zeros(len(resonators))
-    if resonators:
-        bridge = ramp * np.array([axis.share for axis in axes]) @ _directions(axes, resonators)
-    return np.concatenate([*(axis.share * sines for axis in axes), bridge])
-
-
-def _forms(axes: tuple[Axis, ...], geometry: Geometry, modes: int, resonators: tuple[Resonator, ...]) -> _Forms:
-    blocks = [_field_forms(axis.string, geometry, modes) for axis in axes]
-    # The last column of each block is the ramp; the bridge's resonators move it.
-    toward = np.asarray(block_diag(*(np.eye(modes + 1)[:, :modes] for _ in axes)))
-    if resonators:
-        ramps = np.zeros((len(axes) * (modes + 1), len(resonators)))
-        ramps[modes :: modes + 1] = _directions(axes, resonators)
-        toward = np.hstack([toward, ramps])
-    own = _resonator_forms(resonators, len(axes) * modes)
-    return _Forms(
-        *(toward.T @ np.asarray(block_diag(*parts)) @ toward + o for *parts, o in zip(*blocks, own, strict=True))
-    )
-
-
-def _field_forms(string: String, geometry: Geometry, modes: int) -> _Forms:
+def _field_forms(string: String, geometry: Geometry, modes: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """M, C, K of one polarisation, for (q_1 ... q_modes, w): ρ∫ẏ², 2 b1 ρ∫ẏ² + 2 b2 ρ∫ẏ'², ρ∫(c² y'² + κ² y''²)."""
     k = np.arange(1, modes + 1)
     beta2 = (k * (math.pi / geometry.length)) ** 2
@@ -118,22 +108,15 @@ def _field_forms(string: String, geometry: Geometry, modes: int) -> _Forms:
     mass[:-1, -1] = mass[-1, :-1] = geometry.mass * np.where(k % 2, 1, -1) / (k * math.pi)  # ρ ∫ sin(β x) x/L dx
     slope = np.diag([*(half * beta2), geometry.mass / geometry.length**2])
     bend = np.diag([*(half * beta2**2), 0.0])
-    return _Forms(mass, 2 * string.b1 * mass + 2 * string.b2 * slope, string.c**2 * slope + string.kappa**2 * bend)
+    return mass, 2 * string.b1 * mass + 2 * string.b2 * slope, string.c**2 * slope + string.kappa**2 * bend
 
 
-def _resonator_forms(resonators: tuple[Resonator, ...], before: int) -> _Forms:
-    """M, C, K of the bridge by itself, after `before` rows of zeros."""
-    mass = np.array([r.mass for r in resonators])
-    omega = 2 * math.pi * np.array([r.frequency for r in resonators])
-    loss = mass * omega / np.array([r.quality for r in resonators])
-    return _Forms(*(np.diag([*np.zeros(before), *own]) for own in (mass, loss, mass * omega**2)))
-
-
-def _exponentials(forms: _Forms, push: np.ndarray, read: np.ndarray) -> Body:
+def _exponentials(forms: list[np.ndarray], push: np.ndarray, read: np.ndarray) -> Body:
     """The system in energy coordinates, and its eigenvectors."""
-    low, stiff = cholesky(forms.mass, lower=True), cholesky(forms.stiffness, lower=True)
+    mass, loss, stiffness = forms
+    low, stiff = cholesky(mass, lower=True), cholesky(stiffness, lower=True)
     turn = solve_triangular(low, stiff, lower=True)  # L⁻¹ G
-    loss = solve_triangular(low, solve_triangular(low, forms.loss, lower=True).T, lower=True)
+    loss = solve_triangular(low, solve_triangular(low, loss, lower=True).T, lower=True)
     none = np.zeros(push.size)
     matrix = np.block([[np.zeros_like(loss), turn.T], [-turn, -(loss + loss.T) / 2]])
     force = np.concatenate([none, solve_triangular(low, push, lower=True)])
@@ -141,12 +124,6 @@ def _exponentials(forms: _Forms, push: np.ndarray, read: np.ndarray) -> Body:
     drive = np.linalg.solve(vectors, force)
     upper = np.imag(poles) >= 0
     twice = np.where(np.imag(poles[upper]) > 0, 2.0, 1.0)
-    return Body(
-        poles=poles[upper],
-        drive=drive[upper],
-        vectors=vectors[:, upper] * twice,
-        under=np.concatenate([solve_triangular(stiff, push, lower=True), none]),
-        pickup=np.concatenate([none, solve_triangular(low, read, lower=True)]),
-        force=force,
-        matrix=matrix,
-    )
+    under = np.concatenate([solve_triangular(stiff, push, lower=True), none])
+    pickup = np.concatenate([none, solve_triangular(low, read, lower=True)])
+    return Body(poles[upper], drive[upper], vectors[:, upper] * twice, under, pickup, force, matrix)

@@ -15,9 +15,7 @@ from .body import Body, make_axes, make_body
 from .felt import FELTS, Felt
 from .strike import Stroke, ring, strike
 
-__all__ = ["Laboratory", "Measurement", "stroke_of", "felt_of", "measure", "setup_text"]
-
-SLOWEST = 0.05  # m/s
+__all__ = ["Laboratory", "Measurement", "felt_of", "measure", "setup_text", "stroke_of"]
 
 
 @dataclass(frozen=True)
@@ -35,8 +33,8 @@ class Laboratory:
     felt: str = "memory"  # memory | hunt-crossley (the paper's) | power (elastic)
     noise_db: float | None = 60.0  # rms of the first second over that of the noise; None for no noise
     velocity_error: float = 0.02  # standard deviation of what the sensor reads, relative
-    seconds: float = chosen.SECONDS  # after the stroke
-    rate: int = chosen.RATE  # Hz
+    seconds: float = twin.SECONDS  # after the stroke
+    rate: int = twin.RATE  # Hz
     contact_rate: float = chosen.CONTACT_RATE  # steps per second of the contact, at least, Hz
     eps: float = chosen.EPS  # of the relaxing felt
     tau: float = chosen.TAU  # s, of the relaxing felt
@@ -60,10 +58,8 @@ class Measurement(NamedTuple):
     scale: float  # m/s at full scale
     onset: int  # sample of the first touch
     nominal_velocity: float  # what the sensor read, m/s
-    true: dict[str, float]  # the nine parameters (no mu for a relaxing felt), and those of what the model leaves out
+    true: dict[str, float]  # the nine parameters; no mu for a relaxing felt
     clean: np.ndarray  # `samples` without noise
-    force: np.ndarray  # of the felt, N [steps], constant over each step from the first touch on
-    force_rate: float  # Hz
 
 
 def measure(lab: Laboratory, velocity: float, seed: int = 0) -> Measurement:
@@ -74,27 +70,28 @@ def measure(lab: Laboratory, velocity: float, seed: int = 0) -> Measurement:
     ParameterError
         For a velocity at which the vibrometer hears nothing, or leaves its range.
     """
-    if not SLOWEST <= velocity <= chosen.FASTEST:
-        raise ParameterError(f"velocity={velocity!r} must be from {SLOWEST} to {chosen.FASTEST} m/s")
+    if not chosen.SLOWEST <= velocity <= chosen.FASTEST:
+        raise ParameterError(f"velocity={velocity!r} must be from {chosen.SLOWEST} to {chosen.FASTEST} m/s")
     body, stroke = stroke_of(lab, velocity)
-    onset = round(chosen.LEAD * lab.rate)
-    clean = np.pad(ring(body, stroke, lab.rate, round(lab.seconds * lab.rate)) / chosen.SCALE, (onset, 0))
-    samples = clean
+    # Streams of their own: switching one off leaves the other as it was.
+    noise, sensor = (np.random.default_rng([stream, seed]) for stream in range(2))
+    onset = round(twin.LEAD * lab.rate)
+    samples = clean = np.pad(ring(body, stroke, lab.rate, round(lab.seconds * lab.rate)) / chosen.SCALE, (onset, 0))
     if lab.noise_db is not None:
         rms = math.sqrt(np.mean(clean[onset : onset + lab.rate] ** 2))
-        samples = clean + rms * 10 ** (-lab.noise_db / 20) * _noise(len(clean), lab.rate, _random(seed, "noise"))
-    nominal = velocity * (1 + lab.velocity_error * _random(seed, "velocity").normal())
-    true = _truth(lab, velocity)
-    return Measurement(samples, lab.rate, chosen.SCALE, onset, nominal, true, clean, stroke.force, 1 / stroke.step)
+        samples = clean + rms * 10 ** (-lab.noise_db / 20) * _noise(len(clean), lab.rate, noise)
+    nominal = velocity * (1 + lab.velocity_error * sensor.normal())
+    values = chosen.FINAL.string._asdict() | chosen.FINAL.hammer._asdict() | {"v_H0": velocity}
+    values |= {"mu": felt_of(lab).mu}
+    true = {name: float(value) for name, value in values.items() if name != "mu" or lab.felt != "memory"}
+    return Measurement(samples, lab.rate, chosen.SCALE, onset, nominal, true, clean)
 
 
 def setup_text(measurement: Measurement, *, hold_velocity: bool = True) -> str:
     """The `setup.toml` of one measurement: what the laboratory knew, and the paper's initial values.
 
-    Parameters
-    ----------
-    hold_velocity : the velocity that the sensor read is held fixed, as `pianofit` does with a measured one; otherwise
-        it is where the fit starts, as in the paper.
+    `hold_velocity`: the velocity that the sensor read is held fixed, as `pianofit` does with a measured one; otherwise
+    it is where the fit starts, as in the paper.
     """
     read = measurement.nominal_velocity
     if not hold_velocity:
@@ -119,21 +116,6 @@ def felt_of(lab: Laboratory) -> Felt:
     return Felt(hammer.K_H, hammer.p, mu=hammer.mu if lab.felt == "hunt-crossley" else 0.0)
 
 
-def _truth(lab: Laboratory, velocity: float) -> dict[str, float]:
-    true = chosen.FINAL.string._asdict() | chosen.FINAL.hammer._asdict() | {"v_H0": velocity}
-    if lab.felt == "power":
-        true["mu"] = 0.0
-    if lab.felt == "memory":
-        del true["mu"]
-        true |= {"felt.eps": lab.eps, "felt.tau": lab.tau}
-    if lab.polarisation:
-        turned = {"angle": chosen.ANGLE, "cents": chosen.CENTS, "slower": chosen.SLOWER}
-        true |= {f"polarisation.{name}": value for name, value in turned.items()}
-    for n, resonator in enumerate(chosen.RESONATORS if lab.bridge else (), 1):
-        true |= {f"bridge.{n}.{name}": value for name, value in resonator._asdict().items()}
-    return {name: float(value) for name, value in true.items()}
-
-
 def _noise(samples: int, rate: int, random: np.random.Generator) -> np.ndarray:
     """Noise of power 1 in the mean: white, and 1/f below `CORNER`."""
     frequency = np.maximum(np.fft.rfftfreq(samples, 1 / rate), chosen.FLOOR)
@@ -144,8 +126,3 @@ def _noise(samples: int, rate: int, random: np.random.Generator) -> np.ndarray:
     both[0], both[-1] = 1.0, 1.0 if samples % 2 == 0 else 2.0
     shape /= math.sqrt((both * shape**2).sum() / samples)
     return np.fft.irfft(np.fft.rfft(random.normal(size=samples)) * shape, samples)
-
-
-def _random(seed: int, purpose: str) -> np.random.Generator:
-    """A stream of its own for each purpose: switching one off leaves the other as it was."""
-    return np.random.default_rng([("noise", "velocity").index(purpose), seed])

@@ -18,10 +18,10 @@ import numpy as np
 from scipy.ndimage import minimum_filter
 
 from ...inference.start import starting_values
-from ...parameters import STRING_NAMES
+from ...parameters import FIT_NAMES, STRING_NAMES
 from ..annealing import anneal
 from ..descent import LeastSquares, gradient_descent
-from ..laboratory import FINAL, INITIAL
+from ..laboratory import INITIAL
 from ..search import pose
 from .cases import Case
 
@@ -34,8 +34,11 @@ SQUARES = 120  # evaluations by least squares, at most
 WITHIN = 2.0
 # The plane shown, and how far it reaches to either side of the truth, in logarithms.
 SEEN = {"F": 1.5, "M_H": 0.85}
+PLANE = [HAMMERS.index(name) for name in SEEN]
 # Two minima are two if they lie this far apart, in logarithms.
 APART = 0.03
+# A minimum on an edge of the box, to this, is none.
+EDGE = 1e-6
 
 
 class Hammers(NamedTuple):
@@ -56,9 +59,8 @@ class Basin(NamedTuple):
 
 
 class Landscape(NamedTuple):
-    """The criterion over two coordinates, the other three at their truth."""
+    """The criterion over the two coordinates of `SEEN`, the other three at their truth."""
 
-    names: tuple[str, ...]
     first: np.ndarray  # log of the first coordinate over its truth [n]
     second: np.ndarray
     criterion: np.ndarray  # [n, n]
@@ -66,51 +68,70 @@ class Landscape(NamedTuple):
 
 
 class Race(NamedTuple):
-    """Where every start [starts] ended, by each method."""
+    """Where every start ended, by each method."""
 
-    start: np.ndarray  # criterion at the starts
-    gradient: np.ndarray
-    converged: np.ndarray  # which of the gradient's had
-    squares: np.ndarray  # least squares
-    annealed: np.ndarray
-    polished: np.ndarray  # annealed, then least squares
+    ends: dict[str, np.ndarray]  # start, gradient, squares, annealed, polished (by squares) -> criteria [starts]
+    converged: int  # how many of the gradient's had
     minima: list[Basin]  # distinct ones within the box at which least squares came to rest
     evaluations: dict[str, int]
 
     @property
     def least(self) -> float:
         """The lowest criterion that any of them found."""
-        return float(min(x.min() for x in (self.gradient, self.squares, self.annealed, self.polished)))
+        return float(min(x.min() for method, x in self.ends.items() if method != "start"))
 
-    def reached(self, which: str) -> int:
+    def reached(self, method: str) -> int:
         """How many of a method's searches ended at the deepest minimum."""
-        return int((getattr(self, which) <= WITHIN * self.least).sum())
+        return int((self.ends[method] <= WITHIN * self.least).sum())
 
 
 def hammers(case: Case) -> Hammers:
     """The hammer's problem on one measurement."""
     search = pose(case.recording, case.analysis, starting_values(case.analysis, case.setup))
     search.delay = (case.recording.onset - case.measurement.onset) / case.recording.rate
-    hammer = FINAL.hammer._replace(v_H0=case.velocity, mu=case.measurement.true.get("mu", INITIAL.hammer.mu))
-    string, true = np.split(search.x(np.array([*FINAL.string, *hammer])), [len(STRING_NAMES)])
+    values = {"mu": float(INITIAL.hammer.mu)} | case.measurement.true
+    string, true = np.split(search.x(np.array([values[name] for name in FIT_NAMES])), [len(STRING_NAMES)])
     initial = search.x(search.values)[len(STRING_NAMES) :]
     return Hammers(*search.hammers(np.append(string, initial)), initial, true)
 
 
 def landscape(problem: Hammers, points: int) -> Landscape:
     """The criterion on a grid of `points` by `points`."""
-    plane = [HAMMERS.index(name) for name in SEEN]
     first, second = (np.linspace(-reach, reach, points) for reach in SEEN.values())
     z = np.repeat(problem.true[None], points**2, axis=0)
-    z[:, plane] += np.stack(np.meshgrid(first, second, indexing="ij"), axis=-1).reshape(-1, 2)
+    z[:, PLANE] += np.stack(np.meshgrid(first, second, indexing="ij"), axis=-1).reshape(-1, 2)
     value = problem.search.costs(z).reshape(points, points)
     # Inner points that lie below all eight around them.
     around = np.array([[True] * 3, [True, False, True], [True] * 3])
     low = value < minimum_filter(value, footprint=around, mode="constant", cval=-np.inf)
-    ends = _descended(problem, z[low.ravel()], np.isin(np.arange(len(HAMMERS)), plane))
-    minima = _distinct([Basin((end.z - problem.true)[plane], end.cost) for end in ends])
+    ends = _descended(problem, z[low.ravel()], np.isin(np.arange(len(HAMMERS)), PLANE))
+    minima = _distinct([Basin((end.z - problem.true)[PLANE], end.cost) for end in ends])
     inside = [m for m in minima if abs(m.z[0]) < first[-1] and abs(m.z[1]) < second[-1]]
-    return Landscape(tuple(SEEN), first, second, value, inside)
+    return Landscape(first, second, value, inside)
+
+
+def race(problem: Hammers, starts: int, seed: int, *, iterations: int, evaluations: int) -> Race:
+    """All methods from the same starts: `iterations` of the gradient, `evaluations` by each annealing."""
+    search, lower, upper = problem.search, problem.lower, problem.upper
+    z = np.random.default_rng(seed).uniform(lower, upper, (starts, len(HAMMERS)))
+    z[0] = problem.initial
+    down = gradient_descent(search.slopes, z, lower, upper, iterations=iterations)
+    squares = _descended(problem, z)
+    hot = [
+        anneal(search.costs, lower, upper, chains=CHAINS, evaluations=evaluations, seed=seed + n, start=row)
+        for n, row in enumerate(z)
+    ]
+    polished = _descended(problem, np.array([one.z for one in hot]))
+    inside = [end for end in squares if ((end.z > lower + EDGE) & (end.z < upper - EDGE)).all()]
+    ends = {"start": search.costs(z), "gradient": down.cost}
+    ends |= {
+        method: np.array([end.cost for end in found])
+        for method, found in (("squares", squares), ("annealed", hot), ("polished", polished))
+    }
+    return Race(
+        ends, int(down.converged.sum()), _distinct([end for end in inside if np.isfinite(end.cost)]),
+        {"gradient": down.evaluations, "annealing": max(one.evaluations for one in hot)},
+    )  # fmt: skip
 
 
 def _descended(problem: Hammers, z: np.ndarray, free: np.ndarray | bool = True) -> list[Basin]:
@@ -130,34 +151,3 @@ def _distinct(basins: list[Basin]) -> list[Basin]:
         if all(np.abs(basin.z - other.z).max() > APART for other in kept):
             kept.append(basin)
     return kept
-
-
-def race(problem: Hammers, starts: int, seed: int, *, iterations: int, evaluations: int) -> Race:
-    """All methods from the same starts.
-
-    Parameters
-    ----------
-    iterations : of the gradient descent.
-    evaluations : of the criterion, for each annealing.
-    """
-    search, box = problem.search, (problem.lower, problem.upper)
-    z = np.random.default_rng(seed).uniform(*box, (starts, len(HAMMERS)))
-    z[0] = problem.initial
-    down = gradient_descent(search.slopes, z, *box, iterations=iterations)
-    squares = _descended(problem, z)
-    hot = [
-        anneal(search.costs, *box, chains=CHAINS, evaluations=evaluations, seed=seed + n, start=row)
-        for n, row in enumerate(z)
-    ]
-    cooled = _descended(problem, np.array([one.z for one in hot]))
-    inside = [e for e in squares if ((e.z > problem.lower + 1e-6) & (e.z < problem.upper - 1e-6)).all()]
-    return Race(
-        start=search.costs(z),
-        gradient=down.cost,
-        converged=down.converged,
-        squares=np.array([end.cost for end in squares]),
-        annealed=np.array([one.cost for one in hot]),
-        polished=np.array([end.cost for end in cooled]),
-        minima=_distinct([end for end in inside if np.isfinite(end.cost)]),
-        evaluations={"gradient": down.evaluations, "annealing": max(one.evaluations for one in hot)},
-    )

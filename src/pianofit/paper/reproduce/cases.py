@@ -1,7 +1,8 @@
-"""Measurements of the laboratory as a fit meets them, their fits, and how near a sound comes to one.
+"""A measurement of the laboratory as a fit meets it, its fits, and how near a sound comes to it.
 
-A `Case` is a measurement as a fit meets it. Its setup holds what the laboratory knew, and as initial values the paper's
-(Tables II and III), with the hammer's velocity as the sensor read it, which the paper's recipes fit like the rest.
+The setup holds what the laboratory knew, and as initial values the paper's (Tables II and III), with the hammer's
+velocity as the sensor read it, which the paper's recipes fit like the rest. Sounds go by `measured`, `initial` and the
+names of `RECIPES`.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from ...analysis import Analysis, analyse, law_frequency
 from ...criterion import BANDS, Cells, band_of, band_values, line_sigma, measure
 from ...inference import Result
 from ...inference.fit import fit_recordings
+from ...inference.listener import scored
 from ...inference.start import starting_values
 from ...model.note import Note
 from ...parameters import FIT_NAMES, STRING_NAMES
@@ -34,10 +36,6 @@ RECIPES = {
     "global": "global criterion", "paper": "three bands", "read": "three bands, string read",
     "default": "default recipe",
 }  # fmt: skip
-# Levels are compared over partials to this frequency, Hz,
-LEVEL_TOP = 6000.0
-# within so many dB of the strongest.
-LEVEL_RANGE = 60.0
 # From the seed of one annealing to that of the next; measurements have the seeds in between.
 NEXT_TRY = 10_000
 
@@ -53,9 +51,8 @@ class Closeness(NamedTuple):
 
 @dataclass(frozen=True)
 class Case:
-    """One measurement as a fit meets it."""
+    """One measurement as a fit meets it. Sounds are m/s [samples] from the onset on."""
 
-    velocity: float  # true, m/s
     measurement: Measurement
     recording: Recording
     analysis: Analysis
@@ -63,45 +60,44 @@ class Case:
 
     @cached_property
     def heard(self) -> np.ndarray:
-        """The recording from its onset on, m/s [samples]."""
+        """What was measured."""
         return self.recording.samples[self.recording.onset :] * self.measurement.scale
 
+    @cached_property
+    def measured(self) -> tuple[Cells, np.ndarray]:
+        """The criterion's cells, and |S|² [partials, nodes] there."""
+        return self.energies(self.heard)
+
     def energies(self, sound: np.ndarray) -> tuple[Cells, np.ndarray]:
-        """The criterion's cells, and |Y|² [partials, nodes] there of a sound, m/s [samples] from the onset on."""
+        """The same of another sound."""
         a = self.analysis
         return measure(sound, self.recording.rate, a.f0, a.B, int(a.partials.number.max()), line_sigma(a.f0))
 
-    def played(self, note: Note, velocity: float | None = None) -> np.ndarray:
-        """A note, at another hammer velocity if one is given, laid over the measurement's onset: m/s [samples]."""
-        note = note if velocity is None else note.struck(velocity)
+    def played(self, note: Note) -> np.ndarray:
+        """A note, laid over the measurement's onset."""
         samples, _ = note.stroke(self.recording.rate, len(self.recording.samples), self.measurement.onset)
         return samples[self.recording.onset :] / note.gain
 
     def closeness(self, sound: np.ndarray) -> Closeness:
-        """Compare `sound`, m/s [samples] from the onset on, with the measurement."""
-        cells, energy = self.energies(self.heard)
-        shape = self.recording.rate, self.analysis.f0
-        return Closeness(
-            criterion=band_values(self.energies(sound)[1], energy, cells.spacing),
-            level_db=rms(self.level_differences(sound)[1]),
-            attack=attack_time(sound, *shape),
-            centroid=centroid(sound, *shape),
-        )
+        """Compare a sound with the measurement."""
+        (cells, energy), at = self.measured, (self.recording.rate, self.analysis.f0)
+        criterion, (_, off) = band_values(self.energies(sound)[1], energy, cells.spacing), self.level_differences(sound)
+        return Closeness(criterion, rms(off), attack_time(sound, *at), centroid(sound, *at))
 
     def level_differences(self, sound: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Numbers of the partials to 6 kHz within 60 dB of the strongest, and how far `sound` is above them, dB."""
         measured, own = (
             10 * np.log10((energy * cells.spacing[:, None]).sum(axis=1))
-            for cells, energy in (self.energies(self.heard), self.energies(sound))
+            for cells, energy in (self.measured, self.energies(sound))
         )
         number = np.arange(1, len(measured) + 1)
         frequency = law_frequency(self.analysis.f0, self.analysis.B, number)
-        scored = (frequency <= LEVEL_TOP) & (measured >= measured.max() - LEVEL_RANGE)
-        return number[scored], (own - measured)[scored]
+        compared = scored(frequency, measured)
+        return number[compared], (own - measured)[compared]
 
     def shares(self) -> dict[str, dict[int, float]]:
         """Share of each partial in its band's ∫ |S|⁴, by which eq. 19 weighs: band -> partial -> share."""
-        cells, energy = self.energies(self.heard)
+        cells, energy = self.measured
         weight = (cells.spacing[:, None] * energy**2).sum(axis=1)
         band = band_of(np.arange(1, len(weight) + 1))
         return {
@@ -110,19 +106,14 @@ class Case:
         }
 
 
-def make_case(lab: Laboratory, velocity: float, seed: int, *, start: float | None = None) -> Case:
-    """Measure a stroke of `velocity`, m/s, and analyse it.
-
-    Parameters
-    ----------
-    start : the hammer velocity at which a fit starts, m/s; what the sensor read if None.
-    """
+def make_case(lab: Laboratory, velocity: float, seed: int, start: float | None = None) -> Case:
+    """Measure a stroke of `velocity`, m/s, and analyse it; a fit starts at what the sensor read, or at `start`, m/s."""
     measured = record(lab, velocity, seed)
     recording = recording_from_samples(measured.samples, measured.rate, name=f"{velocity:g} m/s")
     setup = setup_from_dict(tomllib.loads(setup_text(measured, hold_velocity=False)), "laboratory")
     if start is not None:
         setup = replace(setup, initial=setup.initial | {"v_H0": start})
-    return Case(velocity, measured, recording, analyse(recording), setup)
+    return Case(measured, recording, analyse(recording), setup)
 
 
 def fitted(case: Case, recipe: str, seed: int, annealing: int | None = None, tries: int = 1) -> Result:

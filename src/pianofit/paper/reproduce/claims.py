@@ -1,9 +1,9 @@
 """What came of each of the paper's claims, by rules: numbers in, an outcome out.
 
-Every rule takes what was measured in this run, and nothing else, and says which parts of its claim came out, as its
-docstring has it; what it takes, and what it may return beside, are the numbers of its sentence. How they are worded,
-and what explains a claim that did not come out, is written once, in `claims.j2`, in blocks of the rules' names and
-those with `_why`. Velocities are in m/s, times in s, energies in J, masses in kg.
+A rule takes what was measured in this run, and says which parts of its claim came out, as its docstring has it; what it
+takes, and what it may return beside, are the numbers of its sentence. How they are worded, and what explains a claim
+that did not come out, is written once, in `claims.j2`, in blocks of the rules' names and those with `_why`. Velocities
+are in m/s, times in s, energies in J, masses in kg.
 """
 
 # What a rule does not decide by, its sentence says.
@@ -19,15 +19,14 @@ from typing import TYPE_CHECKING, Any, ParamSpec
 import numpy as np
 
 from ...report.kit import templates
-from ...report.words import number
+from ...report.numbers import number
 
 if TYPE_CHECKING:
     from jinja2 import Template
 
-__all__ = ["READ_INSTEAD", "SYMBOLS", "WORDS", "Claim", "or_else"]
+__all__ = ["SYMBOLS", "WORDS", "Claim", "or_else"]
 
 WORDS = {"yes": "came out", "part": "came out in part", "no": "did not come out"}
-READ_INSTEAD = "string read"
 SYMBOLS = {
     "c": "c", "kappa": "κ", "b1": "b₁", "b2": "b₂", "K_H": "K_H", "mu": "μ", "p": "p", "M_H": "M_H", "v_H0": "v₀",
 }  # fmt: skip
@@ -64,7 +63,7 @@ class Claim:
     @property
     def instead(self) -> str:
         """What became of it otherwise, in a few words."""
-        return "" if self.otherwise is None else f"{READ_INSTEAD}: {self.otherwise.word}"
+        return "" if self.otherwise is None else f"string read: {self.otherwise.word}"
 
 
 def or_else(first: Claim, second: Claim) -> Claim:
@@ -76,13 +75,11 @@ def rule(where: str, claim: str) -> Callable[[Callable[P, Parts]], Callable[P, C
     """What decides a `claim` that stands at `where`: all, some or none of its parts came out."""
 
     def of(parts: Callable[P, Parts]) -> Callable[P, Claim]:
-        names = inspect.signature(parts)
-
         @wraps(parts)
         def judged(*given: P.args, **named: P.kwargs) -> Claim:
             found = parts(*given, **named)
             came, more = found if isinstance(found, tuple) else (found, {})
-            numbers = names.bind(*given, **named).arguments | more
+            numbers = inspect.signature(parts).bind(*given, **named).arguments | more
             outcome = "yes" if all(came) else "part" if any(came) else "no"
             why = "" if outcome == "yes" else _worded(f"{parts.__name__}_why", numbers)
             return Claim(claim, where, outcome, _worded(parts.__name__, numbers), why)
@@ -106,10 +103,7 @@ def contact_shortens(velocities: Sequence[float], contact: Sequence[float]) -> P
 
 @rule("III.C, Figure 2", "Reflections from the agraffe show in the force, at 2 and 4 m/s above all.")
 def reflections(velocities: Sequence[float], humps: Sequence[np.ndarray], trip: float) -> Parts:
-    """From 2 m/s on, two or more maxima of the force, as far apart as the wave's way to the agraffe and back (± 15 %).
-
-    `humps` are the times of the maxima at each velocity, `trip` is the wave's.
-    """
+    """From 2 m/s on, the force has maxima (at `humps`) as far apart as a wave's way to the agraffe and back, ±15 %."""
     spacing = [float(np.mean(np.diff(at))) if len(at) > 1 else None for at in humps]
     seen = [s is not None and abs(s / trip - 1) <= 0.15 for v, s in zip(velocities, spacing, strict=True) if v >= 2]
     return seen, {"counts": [len(at) for at in humps], "spacing": spacing}
@@ -125,58 +119,6 @@ def felt_loses(loop: float, balance: float, energy: float) -> Parts:
 def brighter(velocities: Sequence[float], centroids: Sequence[float]) -> Parts:
     """A higher centroid, Hz, from each velocity to the next."""
     return [rise > 0 for rise in np.diff(centroids)]
-
-
-@rule("V, Table II", "The κ that is fitted is the string's.")
-def bends_kappa(own: float, found: float, meant: float, points: int, rate: float) -> Parts:
-    """κ `found` through the paper's grid of `points` at `rate`, Hz, is the string's `own` to 2 %, m²/s.
-
-    `meant` is the κ of the continuous string whose partials the scheme has at `own`.
-    """
-    return [abs(found / own - 1) <= 0.02]
-
-
-@rule("IV.B, Table II", "b2 is found in band 2.")
-def b2_seen(b2: float, change: float, noise: float, remaining: float, visible: float | None, most: float) -> Parts:
-    """Between no `b2` and the paper's, the criterion of band 2 changes by more than its standard deviation by noise.
-
-    `remaining` of it is left after a fit of the full laboratory. From `visible` on, m²/s, a b2 stands out from noise;
-    None if not even the largest tried does, `most`.
-    """
-    return [change > noise]
-
-
-@rule("IV.C", "Band 3 has local minima.")
-def local_minima(in_plane: Sequence[float], in_all: Sequence[float]) -> Parts:
-    """More than one minimum in the plane shown, and more than one over all five parameters; criteria at each."""
-    return [len(in_plane) > 1, len(in_all) > 1]
-
-
-@rule("IV.C", "A gradient alone fails from some starts where annealing does not.")
-def annealing_escapes(starts: int, reached: Mapping[str, int], within: float) -> Parts:
-    """The gradient fails from some starts, and the annealing from none.
-
-    `reached`: method -> from how many starts it came `within` a factor of the lowest criterion found by any.
-    """
-    return [reached["gradient"] < starts, reached["annealed"] == starts]
-
-
-@rule("IV.B, VI", "Three bands keep attack and brightness better than a global criterion.")
-def three_bands_better(errors: Mapping[str, Mapping[str, Sequence[float]]], velocities: Sequence[float]) -> Parts:
-    """Three bands nearer the measured sound than the global criterion, on average over velocities, in both measures.
-
-    `errors`: "attack" and "centroid" -> "three bands" and "global criterion" -> relative errors [velocities].
-    """
-    three, whole = (
-        {m: np.abs(np.asarray(by[name], float)) for m, by in errors.items()}
-        for name in ("three bands", "global criterion")
-    )
-    return [three[m].mean() < whole[m].mean() for m in ("attack", "centroid")], {
-        "three": {m: float(x.mean()) for m, x in three.items()},
-        "whole": {m: float(x.mean()) for m, x in whole.items()},
-        "nearer": {m: int((x < whole[m]).sum()) for m, x in three.items()},
-        "of": len(velocities), "lost": float(np.mean(errors["centroid"]["global criterion"])),
-    }  # fmt: skip
 
 
 @rule("IV.C, Table II", "A gradient in bands 1 and 2 finds the string.")
@@ -196,12 +138,27 @@ def string_found(
 def changes_as_printed(initial: Mapping[str, float], printed: Mapping[str, float], found: Mapping[str, float]) -> Parts:
     """Every parameter moved from its start as in the paper: up, down, or hardly at all (`MOVED`, `STILL`)."""
 
-    def direction(name: str, after: float) -> int:
+    def direction(name: str, after: float) -> float:
         share = after / initial[name] - 1
-        return 0 if abs(share) <= STILL.get(name, MOVED) else 1 if share > 0 else -1
+        return 0.0 if abs(share) <= STILL.get(name, MOVED) else np.sign(share)
 
     same = {name: direction(name, found[name]) == direction(name, printed[name]) for name in printed}
     return [*same.values()], {"same": same}
+
+
+@rule("IV.C", "Band 3 has local minima.")
+def local_minima(in_plane: Sequence[float], in_all: Sequence[float]) -> Parts:
+    """More than one minimum in the plane shown, and more than one over all five parameters; criteria at each."""
+    return [len(in_plane) > 1, len(in_all) > 1]
+
+
+@rule("IV.C", "A gradient alone fails from some starts where annealing does not.")
+def annealing_escapes(starts: int, reached: Mapping[str, int], within: float) -> Parts:
+    """The gradient fails from some starts, and the annealing from none.
+
+    `reached`: method -> from how many starts it came `within` a factor of the lowest criterion found by any.
+    """
+    return [reached["gradient"] < starts, reached["annealed"] == starts]
 
 
 @rule("V, Figure 6", "The first seven partials agree, those above differ.")
@@ -216,15 +173,32 @@ def waveforms_nearer(before: float, after: float) -> Parts:
     return [after < 0.5 * before]
 
 
+@rule("IV.B, VI", "Three bands keep attack and brightness better than a global criterion.")
+def three_bands_better(errors: Mapping[str, Mapping[str, Sequence[float]]], velocities: Sequence[float]) -> Parts:
+    """Three bands nearer the measured sound than the global criterion, on average over velocities, in both measures.
+
+    `errors`: "attack" and "centroid" -> "three bands" and "global criterion" -> relative errors [velocities].
+    """
+    three, whole = (
+        {m: np.abs(np.asarray(by[name], float)) for m, by in errors.items()}
+        for name in ("three bands", "global criterion")
+    )
+    return [three[m].mean() < whole[m].mean() for m in errors], {
+        "three": {m: float(x.mean()) for m, x in three.items()},
+        "whole": {m: float(x.mean()) for m, x in whole.items()},
+        "nearer": {m: int((x < whole[m]).sum()) for m, x in three.items()},
+        "of": len(velocities), "lost": float(np.mean(errors["centroid"]["global criterion"])),
+    }  # fmt: skip
+
+
 @rule("V", "Parameters from one velocity predict other velocities.")
 def predicts(
     velocities: Sequence[float], origin: float, predicted: Sequence[float], initial: Sequence[float],
     nearest: Sequence[float],
 ) -> Parts:  # fmt: skip
-    """Parameters of one velocity meet another's levels better than the initial values, and than the recording itself.
+    """The fit at `origin` meets another velocity's levels better than initial values, and than the recording itself.
 
-    Rms errors of the partials' levels [velocities], dB: by the fit at `origin`, by the initial values, and of the
-    recording at `origin` taken for the other.
+    Rms errors of the partials' levels [velocities], dB; `nearest`: of the recording at `origin` taken for the other.
     """
     return [p < i and p < n for p, i, n in zip(predicted, initial, nearest, strict=True)]
 
@@ -242,6 +216,25 @@ def explained(alone: Mapping[str, float], everything: float, nothing: float) -> 
     Criteria that remain after a fit: with each effect `alone`, with all, and with none.
     """
     return [nothing < 0.1 * everything, max(alone.values()) >= 0.1 * everything]
+
+
+@rule("V, Table II", "The κ that is fitted is the string's.")
+def bends_kappa(own: float, found: float, meant: float, points: int, rate: float) -> Parts:
+    """κ `found` through the paper's grid of `points` at `rate`, Hz, is the string's `own` to 2 %, m²/s.
+
+    `meant` is the κ of the continuous string whose partials the scheme has at `own`.
+    """
+    return [abs(found / own - 1) <= 0.02]
+
+
+@rule("IV.B, Table II", "b2 is found in band 2.")
+def b2_seen(b2: float, change: float, noise: float, remaining: float, visible: float | None, most: float) -> Parts:
+    """Between no `b2` and the paper's, the criterion of band 2 changes by more than its standard deviation by noise.
+
+    `remaining` of it is left after a fit of the full laboratory. From `visible` on, m²/s, a b2 stands out from noise;
+    None if not even the largest tried does, `most`.
+    """
+    return [change > noise]
 
 
 # --- in words --------------------------------------------------------------------------------------------------------
@@ -266,8 +259,8 @@ def _listed(values: Sequence[float], digits: int = 3, scale: float = 1) -> str:
     return f"{', '.join(most)} and {last}" if most else last
 
 
-def _percent(share: float, digits: int = 2) -> str:
-    return f"{number(100 * share, digits)} %"
+def _percent(share: float) -> str:
+    return f"{number(100 * share, 2)} %"
 
 
 def _factor(deviation: float) -> str:

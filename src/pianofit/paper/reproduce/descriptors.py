@@ -17,22 +17,17 @@ from ...errors import ParameterError
 __all__ = ["attack_time", "centroid"]
 
 # The attack runs from the first to the second of these shares of the first wave's height.
-FOOT, TOP = 0.1, 0.9
-# s under a Hann window, whose skirts hide no partial, and Hz: above, the noise of a measurement begins to count.
-SPAN, HIGHEST = 0.35, 6000.0
+FOOT = 0.1
+TOP = 0.9
+SPAN = 0.35  # s under a Hann window, whose skirts hide no partial
+HIGHEST = 6000.0  # Hz: above, the noise of a measurement begins to count
 
 
 def attack_time(samples: np.ndarray, rate: float, f0: float) -> float:
     """Time in which the first wave rises from 10 to 90 % of its height, s.
 
-    Parameters
-    ----------
-    samples : from the onset on [samples]; the first half period of `f0`, Hz, is looked at.
-
-    Raises
-    ------
-    ParameterError
-        If there is no half period, or nothing in it.
+    `samples` [samples] are from the onset on; the first half period of `f0`, Hz, is looked at. A `ParameterError`
+    if there is none, or nothing in it.
     """
     head = np.abs(np.asarray(samples, float)[: int(0.5 * rate / f0) + 1])
     if head.size < 2 or head.max() == 0:
@@ -44,16 +39,8 @@ def attack_time(samples: np.ndarray, rate: float, f0: float) -> float:
 def centroid(samples: np.ndarray, rate: float, f0: float) -> float:
     """Σ f A / Σ A of the partials to 6 kHz over the first 0.35 s, Hz.
 
-    A partial is the highest line of an interval as wide as `f0`, Hz, so that none counts twice.
-
-    Parameters
-    ----------
-    samples : from the onset on [samples].
-
-    Raises
-    ------
-    ParameterError
-        If they are silent.
+    A partial is the highest line of an interval as wide as `f0`, Hz, so that none counts twice. `samples` [samples]
+    are from the onset on; a `ParameterError` if they are silent.
     """
     samples = np.asarray(samples, float)[: int(SPAN * rate)]
     size = 2 ** int(np.ceil(np.log2(max(len(samples), 2))) + 2)
@@ -69,7 +56,5 @@ def centroid(samples: np.ndarray, rate: float, f0: float) -> float:
 def _crossing(rising: np.ndarray, height: float) -> float:
     """Where `rising` [samples] first comes to `height`, in samples, on the straight line between two of them."""
     after = int(np.argmax(rising >= height))
-    if after == 0:
-        return 0.0
-    low, high = rising[after - 1], rising[after]
-    return after - 1 + float((height - low) / (high - low))
+    low, high = rising[max(after - 1, 0)], rising[after]
+    return after - 1 + float((height - low) / (high - low)) if after else 0.0

@@ -13,14 +13,16 @@ from scipy.optimize import brentq
 from scipy.signal import find_peaks
 
 from ...model import Simulation, simulate
-from ...published import Preset, preset
+from ...published import preset
 from ...report.build import spectrum_db
 from .descriptors import centroid
 
-__all__ = ["NOTE", "VELOCITIES", "Strike", "mass_for_contact", "round_trip", "strikes"]
+__all__ = ["NOTE", "ROUND_TRIP", "VELOCITIES", "Strike", "mass_for_contact", "strikes"]
 
-NOTE = "chaigne-askenfelt-C4"
-VELOCITIES = (1.0, 2.0, 4.0)  # m/s; the paper names the last two
+NOTE = preset("chaigne-askenfelt-C4")
+# Of a wave, from the hammer to the agraffe and back, 2 x0/c, s.
+ROUND_TRIP = float(2 * NOTE.geometry.strike / NOTE.string.c)
+VELOCITIES = (1.0, 2.0, 4.0)  # m/s, soft to hard; the paper names the last two
 RATE = 44_100  # Hz
 OVERSAMPLING = 16
 SECONDS = 1.0
@@ -42,57 +44,41 @@ class Strike(NamedTuple):
     loop: float  # ∮ F du, J
     balance: float  # energy of the hammer before, less that after and the work done on the string, J
     hammer_energy: float  # before, J
-    mu: float  # of the felt, s/m
     frequency: np.ndarray  # Hz
     level: np.ndarray  # dB of (m/s) s
     centroid: float  # Hz
 
 
-def strikes(velocities: tuple[float, ...] = VELOCITIES) -> list[Strike]:
-    """The note at each velocity, m/s."""
-    return [_strike(preset(NOTE), velocity) for velocity in velocities]
-
-
-def round_trip(note: str = NOTE) -> float:
-    """From the hammer to the agraffe and back, 2 x0/c, s."""
-    it = preset(note)
-    return float(2 * it.geometry.strike / it.string.c)
-
-
 def mass_for_contact(contact: float, velocity: float) -> float:
     """M_H, kg, with which the hammer would stay for `contact`, s; the rest as it is."""
-    it = preset(NOTE)
-    mass = float(it.hammer.M_H)
-    found: Any = brentq(lambda m: _simulate(it, velocity, m).contact_time - contact, 0.2 * mass, 5.0 * mass, xtol=1e-9)
+    mass = float(NOTE.hammer.M_H)
+    found: Any = brentq(lambda m: _simulate(velocity, m).contact_time - contact, 0.2 * mass, 5.0 * mass, xtol=1e-9)
     return float(found)
 
 
-def _simulate(it: Preset, velocity: float, mass: float | None = None) -> Simulation:
-    hammer = it.hammer._replace(v_H0=velocity, M_H=mass or it.hammer.M_H)
-    return simulate(it.string, hammer, it.geometry, rate=RATE, oversampling=OVERSAMPLING)
+def strikes(velocities: tuple[float, ...] = VELOCITIES) -> list[Strike]:
+    """The note at each velocity, m/s."""
+    return [_strike(velocity) for velocity in velocities]
 
 
-def _strike(it: Preset, velocity: float) -> Strike:
-    done = _simulate(it, velocity)
+def _simulate(velocity: float, mass: float) -> Simulation:
+    hammer = NOTE.hammer._replace(v_H0=velocity, M_H=mass)
+    return simulate(NOTE.string, hammer, NOTE.geometry, rate=RATE, oversampling=OVERSAMPLING)
+
+
+def _strike(velocity: float) -> Strike:
+    mass = float(NOTE.hammer.M_H)
+    done = _simulate(velocity, mass)
     step, pulse = float(done.modes.step), done.pulse
     force, gap, speed = (np.asarray(x) for x in (pulse.force, pulse.compression, pulse.hammer[:, 1]))
     shown = slice(0, int(1.1 * done.last_touch / step) + 2)
-    energy = 0.5 * float(it.hammer.M_H) * velocity**2
-    after = 0.5 * float(it.hammer.M_H) * float(speed[-1]) ** 2
+    before, after = 0.5 * mass * velocity**2, 0.5 * mass * float(speed[-1]) ** 2
     sound = done.waveform(RATE, int(SECONDS * RATE))
     frequency, level = spectrum_db(sound, RATE, SHOWN)
     return Strike(
-        velocity=velocity,
-        time=step * np.arange(len(force))[shown],
-        force=force[shown],
-        compression=gap[shown],
-        contact=done.contact_time,
-        humps=step * find_peaks(force, prominence=VISIBLE * force.max())[0],
+        velocity=velocity, time=step * np.arange(len(force))[shown], force=force[shown], compression=gap[shown],
+        contact=done.contact_time, humps=step * find_peaks(force, prominence=VISIBLE * force.max())[0],
         loop=float(0.5 * ((force[1:] + force[:-1]) * np.diff(gap)).sum()),
-        balance=energy - after - float(pulse.work),
-        hammer_energy=energy,
-        mu=float(it.hammer.mu),
-        frequency=frequency,
-        level=level,
-        centroid=centroid(sound, RATE, float(it.f0)),
-    )
+        balance=before - after - float(pulse.work), hammer_energy=before,
+        frequency=frequency, level=level, centroid=centroid(sound, RATE, float(NOTE.f0)),
+    )  # fmt: skip

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import least_squares
 
-from ...criterion import band_values, line_sigma, measure
+from ...criterion import Cells, band_values, line_sigma, measure
 from ...model import mode_table, simulate
 from ...parameters import String
 from ..laboratory import FINAL, Laboratory
@@ -24,10 +24,14 @@ from ..laboratory import measure as record
 
 __all__ = ["ALL", "BAND2", "GRIDS", "Bend", "Blindness", "bends", "blindness", "inverse_bend"]
 
-# (N, rate in Hz) of the paper's scheme; the paper gives neither. The first is what is asked about.
-GRIDS = ((100, 44_100.0), (100, 88_200.0), (200, 44_100.0), (200, 88_200.0), (400, 176_400.0))
+# (kind of table, N, rate in Hz). The paper gives neither N nor rate; the first is what is asked about.
+GRIDS = tuple(
+    ("finite_difference", points, rate)
+    for points, rate in ((100, 44_100.0), (100, 88_200.0), (200, 44_100.0), (200, 88_200.0), (400, 176_400.0))
+)
+PREWARPED = ("continuous", *GRIDS[0][1:])
 # Prewarped, a table of so many modes has the continuous string's partials wherever they lie well below the rate.
-FINE = (64, 441_000.0)
+FINE = ("continuous", 64, 441_000.0)
 # Partials on which κ is fitted: the paper's band 2, and all to about 4 kHz.
 BAND2 = np.arange(2, 9)
 ALL = np.arange(1, 25)
@@ -40,7 +44,7 @@ OVERSAMPLING = 8
 class Bend(NamedTuple):
     """What a scheme makes of a string's partials."""
 
-    prewarped: bool  # the table's kind: continuous, or finite_difference
+    kind: str  # of table: continuous, or finite_difference
     points: int  # N
     rate: float  # Hz
     first: int  # partial on which it was fitted
@@ -66,66 +70,62 @@ class Blindness(NamedTuple):
     true: float
 
 
-def partials(string: String, number: np.ndarray, prewarped: bool, points: int, rate: float) -> np.ndarray:
+def partials(string: String, number: np.ndarray, kind: str, points: int, rate: float) -> np.ndarray:
     """Frequencies of the partials `number` that a table of modes really has, Hz."""
-    kind = "continuous" if prewarped else "finite_difference"
     table = mode_table(string, FINAL.geometry, rate=rate, n_modes=points, kind=kind)
     return np.imag(np.asarray(table.pole))[number - 1] / (2 * np.pi)
 
 
 def bends(number: np.ndarray = BAND2) -> list[Bend]:
     """κ by the paper's scheme from a continuous string's partials `number`, grid by grid; the last is prewarped."""
-    exact = partials(FINAL.string, number, True, *FINE)
-    return [_bend(exact, number, False, *grid) for grid in GRIDS] + [_bend(exact, number, True, *GRIDS[0])]
+    exact = partials(FINAL.string, number, *FINE)
+    return [_bend(exact, number, *grid) for grid in (*GRIDS, PREWARPED)]
 
 
 def inverse_bend(number: np.ndarray = BAND2) -> Bend:
     """The continuous string that sounds as the paper's scheme does with the paper's κ, on the first of `GRIDS`."""
-    return _bend(partials(FINAL.string, number, False, *GRIDS[0]), number, True, *FINE)
+    return _bend(partials(FINAL.string, number, *GRIDS[0]), number, *FINE)
 
 
-def _bend(frequency: np.ndarray, number: np.ndarray, prewarped: bool, points: int, rate: float) -> Bend:
+def _bend(frequency: np.ndarray, number: np.ndarray, *table: *tuple[str, int, float]) -> Bend:
     """The string whose table lies closest to partials at `frequency`, Hz, in cents."""
     start = FINAL.string
 
     def cents(log: np.ndarray) -> np.ndarray:
         string = start._replace(c=np.exp(log[0]), kappa=np.exp(log[1]))
-        return 1200 * np.log2(partials(string, number, prewarped, points, rate) / frequency)
+        return 1200 * np.log2(partials(string, number, *table) / frequency)
 
     found = least_squares(cents, np.log([start.c, start.kappa]), x_scale=[1e-3, 0.1], xtol=1e-10, ftol=1e-10)
     (c, kappa), left = np.exp(found.x).tolist(), float(np.sqrt(np.mean(found.fun**2)))
-    return Bend(prewarped, points, rate, int(number[0]), int(number[-1]), c, kappa, float(start.kappa), left)
+    return Bend(*table, int(number[0]), int(number[-1]), c, kappa, float(start.kappa), left)
 
 
 def blindness(lab: Laboratory, seed: int, *, repeats: int, values: int) -> Blindness:
     """Eq. 19 over so many `values` of b2, on a measurement of the ideal laboratory: the model lacks nothing but noise.
 
-    Parameters
-    ----------
-    repeats : measurements that differ in their noise alone.
+    `repeats` measurements differ in their noise alone.
     """
-    c, kappa, _, true = FINAL.string
-    length, f0, B = round(lab.seconds * lab.rate), float(FINAL.f0), (kappa * np.pi / (c * FINAL.geometry.length)) ** 2
+    c, kappa, _, true = map(float, FINAL.string)
+    f0, B = float(FINAL.f0), (kappa * np.pi / (c * FINAL.geometry.length)) ** 2
 
-    def energies(sound: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        cells, energy = measure(sound, lab.rate, f0, float(B), int(ALL[-1]), line_sigma(f0))
-        return cells.spacing, energy
+    def energies(sound: np.ndarray) -> tuple[Cells, np.ndarray]:
+        return measure(sound, lab.rate, f0, B, int(ALL[-1]), line_sigma(f0))
 
-    def by_model(b2: float) -> tuple[np.ndarray, np.ndarray]:
+    def by_model(b2: float) -> tuple[Cells, np.ndarray]:
         string = FINAL.string._replace(b2=b2)
         done = simulate(string, FINAL.hammer, FINAL.geometry, rate=lab.rate, oversampling=OVERSAMPLING)
-        return energies(done.waveform(lab.rate, length))
+        return energies(done.waveform(lab.rate, round(lab.seconds * lab.rate)))
 
     measured = [record(lab, float(FINAL.hammer.v_H0), seed + n) for n in range(repeats)]
     heard = [energies(m.samples[m.onset :] * m.scale)[1] for m in measured]
-    spacing, truth = by_model(float(true))
-    b2 = np.logspace(*DECADES, values)
-    table = [band_values(by_model(value)[1], heard[0], spacing) for value in b2]
-    by_noise = [band_values(truth, energy, spacing) for energy in heard]
+    b2, (cells, truth) = np.logspace(*DECADES, values), by_model(true)
+    curve = _columns([band_values(by_model(value)[1], heard[0], cells.spacing) for value in b2])
+    by_noise = _columns([band_values(truth, energy, cells.spacing) for energy in heard])
     return Blindness(
-        b2=b2,
-        criterion={name: np.array([row[name] for row in table]) for name in table[0]},
-        noise={name: float(np.mean([row[name] for row in by_noise])) for name in table[0]},
-        spread={name: float(np.std([row[name] for row in by_noise], ddof=1)) for name in table[0]},
-        true=float(true),
-    )
+        b2, curve, {name: float(x.mean()) for name, x in by_noise.items()},
+        {name: float(x.std(ddof=1)) for name, x in by_noise.items()}, true,
+    )  # fmt: skip
+
+
+def _columns(rows: list[dict[str, float]]) -> dict[str, np.ndarray]:
+    return {name: np.array([row[name] for row in rows]) for name in rows[0]}

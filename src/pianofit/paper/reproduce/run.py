@@ -23,9 +23,10 @@ from ...report.sound import Clip, make_clips
 from ..laboratory import chosen
 from .cases import RECIPES
 from .claims import SYMBOLS, WORDS, Claim
+from .direct import NOTE
 from .figures import FIGURES
 from .judged import judge
-from .studies import FULL, Findings, Plan, compute
+from .studies import FULL, Findings, Plan, Stroke, compute
 from .tables import Table, tables
 
 if TYPE_CHECKING:
@@ -33,9 +34,10 @@ if TYPE_CHECKING:
 
 __all__ = ["Book", "reproduce"]
 
-MEASURED = "measured"
 SECONDS = 2.2  # of each sound that a page plays
 LEAD = 0.05  # s of silence before those of the listening test
+# What the listening test asks of a stroke: which of two is nearer the measured one; and of one of them also the last.
+PAIRS = (("paper", "initial"), ("paper", "global"), ("read", "initial"), ("read", "global"), ("default", "read"))
 
 
 @dataclass
@@ -65,12 +67,7 @@ class Book:
         self.tables[name] = table
 
     def play(self, name: str, sounds: dict[str, np.ndarray], rate: int, full_scale: float) -> None:
-        """Write sounds, m/s [samples], as they are, and keep equally loud ones for the page.
-
-        Parameters
-        ----------
-        full_scale : m/s at digital full scale of the files.
-        """
+        """Write sounds, m/s [samples], as files of this full scale, m/s, and keep equally loud ones for the page."""
         for label, samples in sounds.items():
             words = "".join(c if c.isalnum() or c == "." else " " for c in f"{name} {label}".lower()).split()
             self._write(f"sounds/{'-'.join(words)}.wav", encode_wav(samples / full_scale, rate))
@@ -112,13 +109,16 @@ def reproduce(
         book.tabulate(name, table)
     for name, figure in FIGURES.items():
         book.draw(name, lambda figure=figure: figure(found))
-    _play(book, found)
+    _play(book, plan.origin, found.origin, {"initial": "initial"} | RECIPES)
+    for velocity, stroke in found.predictions.items():
+        names = {"paper": "predicted, three bands", "read": "predicted, string read", "initial": "initial"}
+        _play(book, velocity, stroke, names)
     _write_test(folder, found)
     write_page(
         folder / "index.html", "index.html.j2", package="pianofit.paper.reproduce", styles=("claims.css",),
         scripts=("audio.js", "player.js"), filters={"symbol": _symbol},
         title="Parameter fitting for piano sound synthesis, reproduced", version=__version__, f=found, claims=claims,
-        words=WORDS, book=book, recipes=RECIPES, scale=chosen.SCALE,
+        words=WORDS, book=book, recipes=RECIPES, note=NOTE, scale=chosen.SCALE,
     )  # fmt: skip
     progress("done", 1.0)
     return [*claims.values()]
@@ -132,33 +132,23 @@ def _symbol(name: str) -> str:
     return RECIPES.get(name, name)
 
 
-def _play(book: Book, f: Findings) -> None:
-    """Sounds as files and for the players: the fitted velocity, and those that were predicted from it."""
-    rate, origin = f.origin.case.recording.rate, f.plan.origin
-    order = (MEASURED, "initial", *RECIPES.values())
-    book.play(f"{origin:.3f}", {name: f.origin.sounds[name] for name in order}, rate, chosen.SCALE)
-    for one in f.predictions:
-        own = f.at(one.velocity).sounds
-        sounds = {
-            MEASURED: own[MEASURED], "predicted, three bands": one.sounds["paper"],
-            "predicted, string read": one.sounds["read"], "initial": own["initial"],
-        }  # fmt: skip
-        book.play(f"{one.velocity:.3f}", sounds, rate, chosen.SCALE)
+def _play(book: Book, velocity: float, stroke: Stroke, names: dict[str, str]) -> None:
+    """Sounds of one stroke as files and for the player, the measured one first; `names`: sound -> what it is called."""
+    made = {label: stroke.sounds[name] for name, label in ({"measured": "measured"} | names).items()}
+    book.play(f"{velocity:.3f}", made, stroke.case.recording.rate, chosen.SCALE)
 
 
 def _write_test(folder: Path, f: Findings) -> None:
     """Write `listening.html`."""
     questions, rate = [], f.origin.case.recording.rate
-    three, read, whole, default = (RECIPES[recipe] for recipe in ("paper", "read", "global", "default"))
-    for stroke in (f.at(velocity) for velocity in f.plan.heard):
+    for velocity in f.plan.heard:
         heard = {
-            name: Heard(name, f"{stroke.case.velocity:g} m/s", np.pad(_cut(samples, rate), (int(LEAD * rate), 0)))
-            for name, samples in stroke.sounds.items()
+            name: Heard(RECIPES.get(name, name), f"{velocity:g} m/s", np.pad(_cut(x, rate), (int(LEAD * rate), 0)))
+            for name, x in f.strokes[velocity].sounds.items()
         }
-        pairs = [(three, "initial"), (three, whole), (read, "initial"), (read, whole)]
-        pairs += [(default, read)] if default in heard else []
-        questions += [Question(heard[MEASURED], (heard[a], heard[b])) for a, b in pairs]
-        questions.append(Question(heard[MEASURED], (heard[MEASURED], heard["initial"]), 1))
+        asked = [(heard[a], heard[b]) for a, b in PAIRS if a in heard]
+        questions += [Question(heard["measured"], pair) for pair in asked]
+        questions.append(Question(heard["measured"], (heard["measured"], heard["initial"]), 1))
     write_listening(
         folder / "listening.html", questions, rate, LEAD, f.seed, program="pianofit reproduce",
         about="the sounds of “pianofit reproduce”",

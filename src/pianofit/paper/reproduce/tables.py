@@ -6,13 +6,13 @@ from typing import Any, NamedTuple
 
 from ...parameters import FIT_NAMES, HAMMER_NAMES, STRING_NAMES
 from ..laboratory import FINAL, INITIAL, Laboratory, chosen
+from .band3 import SEEN
 from .cases import RECIPES, values_of
-from .judged import SPANS, THREE, WHOLE
+from .judged import SPANS
 from .studies import PRINTED, STRINGS, Findings
 
 __all__ = ["Table", "tables"]
 
-READ = RECIPES["read"]
 BANDS = ("global", "band1", "band2", "band3")
 
 
@@ -38,7 +38,7 @@ def _chosen(f: Findings) -> Table:
         ("pickup position, m", g.pickup, "near no node of the first partials"),
         ("initial κ, m²/s", float(INITIAL.string.kappa), "the final one: Table II has no other"),
         ("length of the signals, s", f.plan.seconds, "chosen once"),
-        ("sampling rate, Hz", chosen.RATE, "a common one; the paper names a digital tape"),
+        ("sampling rate, Hz", lab.rate, "a common one; the paper names a digital tape"),
         ("steps of the laboratory's contact, Hz, at least", f.plan.contact_rate, "far above any fit's"),
         ("second polarisation: turned by, degrees", chosen.ANGLE, "an aftersound as pianos often have"),
         ("second polarisation: sharp by, cents", chosen.CENTS, "slow beats"),
@@ -66,53 +66,49 @@ def _direct(f: Findings) -> dict[str, Table]:
 
 def _parameters(f: Findings) -> dict[str, Table]:
     """Tables II and III, what rules the criterion, and what the default recipe says of its own certainty."""
-    fits = {
-        f"{lab}: {RECIPES[r]}": (r, result) for lab, stroke in f.tables.items() for r, result in stroke.results.items()
-    }
-    columns = {f"paper: {column}": values for column, values in PRINTED.items()} | {"truth": f.tables["full"].true}
-    columns |= {column: values_of(result) for column, (_, result) in fits.items()}
-    both = {
-        name: Table(("parameter", *columns), [(p, *(column.get(p) for column in columns.values())) for p in parameters])
-        for name, parameters in (("table-2", STRING_NAMES), ("table-3", HAMMER_NAMES))
-    }
-    every = [(band, k, share) for band, by in f.origin.case.shares().items() for k, share in by.items()]
-    own = {column: result.document["parameters"] for column, (recipe, result) in fits.items() if recipe == "default"}
+    fits = {f"{lab}: {RECIPES[r]}": result for lab, stroke in f.tables.items() for r, result in stroke.results.items()}
+    values = {f"paper: {column}": printed for column, printed in PRINTED.items()} | {"truth": f.true}
+    values |= {column: values_of(result) for column, result in fits.items()}
+    own = {column: fits[column].document["parameters"] for column in fits if column.endswith(RECIPES["default"])}
     ends = [f"{column}, {end}" for column in own for end in ("from", "to")]
-    rows = [(p, *(x for table in own.values() for x in (table[p]["interval"] or (None, None)))) for p in FIT_NAMES]
-    return both | {
+    within = [(p, *(x for table in own.values() for x in (table[p]["interval"] or (None, None)))) for p in FIT_NAMES]
+    every = [(band, k, share) for band, by in f.origin.case.shares().items() for k, share in by.items()]
+    return {
+        name: Table(("parameter", *values), [(p, *(column.get(p) for column in values.values())) for p in parameters])
+        for name, parameters in (("table-2", STRING_NAMES), ("table-3", HAMMER_NAMES))
+    } | {
         "shares": Table(("band", "partial", "share"), every),
-        "intervals": Table(("parameter", *ends), rows),
-    }
+        "intervals": Table(("parameter", *ends), within),
+    }  # fmt: skip
 
 
 def _band3(f: Findings) -> dict[str, Table]:
     """The landscape, and where the searches ended."""
-    plane = f.plane
+    plane, ends = f.plane, f.race.ends
     grid = [(a, b, plane.criterion[i, j]) for i, a in enumerate(plane.first) for j, b in enumerate(plane.second)]
-    kinds = ("start", "gradient", "squares", "annealed", "polished")
     return {
-        "band-3": Table((*(f"log_{name}_over_true" for name in plane.names), "criterion"), grid),
-        "searches": Table(kinds, list(zip(*(getattr(f.race, kind) for kind in kinds), strict=True))),
+        "band-3": Table((*(f"log_{name}_over_true" for name in SEEN), "criterion"), grid),
+        "searches": Table((*ends,), [*zip(*ends.values(), strict=True)]),
     }
 
 
 def _sounds(f: Findings) -> dict[str, Table]:
     """Figures 6 and 7, and how near every sound comes to what was measured."""
-    names, wave, origin = ("measured", "initial", THREE, READ), f.at(f.plan.waveform), f.origin
-    rate = wave.case.recording.rate
-    waves = zip(*(wave.sounds[name][: int(SPANS[-1][1] * rate)] for name in names), strict=True)
-    (partial, three), (_, read) = (origin.case.level_differences(origin.sounds[name]) for name in (THREE, READ))
+    wave, origin, names = f.strokes[f.plan.waveform], f.origin, {recipe: RECIPES[recipe] for recipe in STRINGS}
+    rate, shown = wave.case.recording.rate, {"measured": "measured", "initial": "initial"} | names
+    waves = zip(*(wave.sounds[name][: int(SPANS[-1][1] * rate)] for name in shown), strict=True)
+    (partial, three), (_, read) = (origin.case.level_differences(origin.sounds[recipe]) for recipe in STRINGS)
     near = [
-        (s.case.velocity, name, s.closeness[name])
-        for s in f.strokes
-        for name in ("measured", "initial", WHOLE, *names[2:])
+        (v, RECIPES.get(name, name), stroke.closeness[name])
+        for v, stroke in f.strokes.items()
+        for name in ("measured", "initial", "global", *STRINGS)
     ]
     rows = [(v, name, c.attack, c.centroid, c.level_db, *(c.criterion[b] for b in BANDS)) for v, name, c in near]
     return {
-        "figure-7": Table(("time_s", *names), [(n / rate, *row) for n, row in enumerate(waves)]),
+        "figure-7": Table(("time_s", *shown.values()), [(n / rate, *row) for n, row in enumerate(waves)]),
         "figure-6": Table(
-            ("partial", *(f"{name}, dB over measured" for name in (THREE, READ))),
-            list(zip(partial.tolist(), three, read, strict=True)),
+            ("partial", *(f"{name}, dB over measured" for name in names.values())),
+            [*zip(partial.tolist(), three, read, strict=True)],
         ),
         "descriptors": Table(("velocity_m_s", "sound", "attack_s", "centroid_Hz", "levels_dB", *BANDS), rows),
     }
@@ -121,13 +117,10 @@ def _sounds(f: Findings) -> dict[str, Table]:
 def _others(f: Findings) -> dict[str, Table]:
     """Velocities that were not fitted, repeated measurements, and what the model lacks."""
     kinds = ("initial", "nearest", *STRINGS)
-    predicted = [(p.velocity, *(p.closeness[kind].level_db for kind in kinds)) for p in f.predictions]
+    predicted = [(v, *(one.closeness[kind].level_db for kind in kinds)) for v, one in f.predictions.items()]
     repeated = [(recipe, *(row[name] for name in FIT_NAMES)) for recipe in STRINGS for row in f.repeated[recipe]]
-    effects = [
-        (one.name, recipe, *(c.criterion[b] for b in BANDS), c.level_db)
-        for one in f.effects
-        for recipe, c in one.closeness.items()
-    ]
+    left = [(name, r, stroke.closeness[r]) for name, stroke in f.effects.items() for r in f.plan.effect_recipes]
+    effects = [(name, recipe, *(c.criterion[b] for b in BANDS), c.level_db) for name, recipe, c in left]
     return {
         "predictions": Table(("velocity_m_s", *kinds), predicted),
         "repeated": Table(("recipe", *FIT_NAMES), repeated),
@@ -138,7 +131,9 @@ def _others(f: Findings) -> dict[str, Table]:
 def _limits(f: Findings) -> dict[str, Table]:
     """κ and b2."""
     columns = ("kind", "points", "rate_Hz", "first", "last", "c_m_s", "kappa_m2_s", "kappa_true_m2_s", "rms_cents")
-    rows = [("continuous" if b.prewarped else "finite_difference", *b[1:]) for bends in f.bends.values() for b in bends]
     seen = f.blindness
-    values = list(zip(seen.b2, *seen.criterion.values(), strict=True))
-    return {"kappa": Table(columns, rows), "b2": Table(("b2_m2_s", *seen.criterion), values)}
+    values = [*zip(seen.b2, *seen.criterion.values(), strict=True)]
+    return {
+        "kappa": Table(columns, [tuple(bend) for bends in f.bends.values() for bend in bends]),
+        "b2": Table(("b2_m2_s", *seen.criterion), values),
+    }
