@@ -329,8 +329,8 @@ class Search:
         )
         self.lanes += len(lanes)
         p = self.problem
-        scene = p.scene._replace(rate=p.scene.rate / COARSER)
-        cfg = p.cfg._replace(steps=p.cfg.steps // COARSER, n_modes=max(p.cfg.rows, p.cfg.n_modes // COARSER), free=())
+        scene = p.scene._replace(rate=p.scene.rate / COARSER, steps=p.scene.steps // COARSER)
+        cfg = p.cfg._replace(n_modes=max(p.cfg.rows, p.cfg.n_modes // COARSER))
         level, ended = in_lanes(levels, (self.string, lanes), scene, cfg, MANY_LANES)
         level = level.reshape(len(grid), len(z), -1)[..., self.columns].swapaxes(0, 1)
         return screen(self, z, grid, level, ended.reshape(len(grid), len(z)).T)
