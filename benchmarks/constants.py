@@ -43,7 +43,7 @@ class _Felt:
 def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
     """By name: the module, the attribute, and how its value is scaled."""
     from pianofit.analysis import fits, inharmonicity, partials
-    from pianofit.inference import finish, observations, posterior, priors, search
+    from pianofit.inference import descent, finish, observations, posterior, priors, screen, search
 
     def plain(value: Any, factor: float) -> Any:
         return type(value)(value * factor) if not isinstance(value, int) else max(1, round(value * factor))
@@ -77,14 +77,14 @@ def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
         "LEVEL octaves": (priors, "LEVEL", hyper(2)),
         "LEVEL floor": (priors, "LEVEL", hyper(3)),
         "HIGHEST": (observations, "HIGHEST", plain),
-        "SAMPLES": (search, "SAMPLES", plain),
-        "WIDE_EXCESS": (search, "WIDE_EXCESS", plain),
+        "SAMPLES": (screen, "SAMPLES", plain),
+        "WIDE_EXCESS": (screen, "WIDE_EXCESS", plain),
         "REACH": (search, "REACH", plain),
         "ONE_VALLEY": (search, "ONE_VALLEY", plain),
         "GAIN": (search, "GAIN", plain),
-        "LONGEST_STEP": (search, "LONGEST_STEP", plain),
-        "LONGEST_PHI": (search, "LONGEST_PHI", plain),
-        "HYPER_REACH": (search, "HYPER_REACH", plain),
+        "LONGEST_STEP": (descent, "LONGEST_STEP", plain),
+        "LONGEST_PHI": (descent, "LONGEST_PHI", plain),
+        "HYPER_REACH": (descent, "HYPER_REACH", plain),
         "NEGATIVE": (posterior, "NEGATIVE", plain),
         "WITHIN": (finish, "WITHIN", plain),
         "LEFT": (finish, "LEFT", plain),

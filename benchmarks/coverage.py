@@ -124,12 +124,12 @@ def gain_from_truth(problem: Problem, minima: Minima, true: Values, velocities: 
     ----------
     velocities : m/s, of every recording; each is of a stroke of its own.
     """
+    from pianofit.inference.descent import Descent
     from pianofit.inference.finish import finish
-    from pianofit.inference.search import Search
 
     people = minima.people
     z = point_of(problem, people.z[0], true, velocities)
-    begun = Search(problem, z[:4], minima.strings[0]).begun(z[None], people.phi[0], people.w[0])
+    begun = Descent(problem, z[:4], minima.strings[0]).begun(z[None], people.phi[0], people.w[0])
     if not len(begun):
         return None
     F = finish(problem, begun, minima.strings[0]).F

@@ -31,7 +31,7 @@ def residual_of(found) -> float:
     """τ of one fit, dB."""
     import jax.numpy as jnp
 
-    people, table = found.minima.people, found.minima.search.table
+    people, table = found.minima.people, found.minima.descent.table
     phi, w, residual = (jnp.asarray(x[0]) for x in (people.phi, people.w, people.residual))
 
     def F(x: np.ndarray) -> float:

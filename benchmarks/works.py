@@ -124,18 +124,19 @@ def search(files: Sequence[Path], note: str) -> tuple[Works, dict[str, int]]:
     """
     import pianofit
     from pianofit.inference import pose
+    from pianofit.inference.descent import Descent
     from pianofit.inference.lanes import LANES, in_lanes, levels, slopes
     from pianofit.inference.reports import report
-    from pianofit.inference.search import MANY_LANES, Search
+    from pianofit.inference.screen import MANY_LANES, samples, wide
     from pianofit.inference.string import string_minimum
 
     recordings = [pianofit.load_recording(x) for x in files]
     problem = pose(recordings, [pianofit.analyse(one, note=note) for one in recordings], pianofit.Setup())
     string, _ = string_minimum(problem)
-    held = Search(problem, string)
-    z = held.samples(0)
+    held = Descent(problem, string)
+    z = samples(held, 0)
     many, some = held.lanes_of(z), held.lanes_of(z)[:LANES]
-    people = held.begun(z[:POINTS], held.wide())
+    people = held.begun(z[:POINTS], wide(held))
     at = people.residual, people.jacobian, people.phi, people.w
     sizes = {
         "recordings": len(files), "hammers": len(many), "lanes": len(some), "points": len(people),

@@ -1,4 +1,4 @@
-"""The search, on tables that an analysis without errors would make: where it ends, and how it gets there."""
+"""The descent, on tables that an analysis without errors would make: where it ends, and how it gets there."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ import pytest
 from observed_cases import GEOMETRY, HAMMER, STRING, played, setup, tone
 
 from pianofit.inference import Problem, estimate, pose
-from pianofit.inference.search import Search, distinct
+from pianofit.inference.descent import Descent
+from pianofit.inference.screen import screened, wide
+from pianofit.inference.search import distinct
 from pianofit.inference.string import string_minimum
 
 
@@ -37,31 +39,31 @@ def test_the_string_is_read_off_its_partials():
 
 def test_a_descent_never_raises_F():
     p = problem()
-    search = Search(p, string())
-    z = search.screened(3)[:24]
-    people = search.begun(z, search.wide())
+    descent = Descent(p, string())
+    z = screened(descent, 3)[:24]
+    people = descent.begun(z, wide(descent))
     assert len(people) > 8
     every, before = np.arange(len(people)), np.full(len(people), np.inf)
     for _ in range(6):
-        search._step(people, every, 0.0, None)
-        now = search.total(people.z, people.report)
+        descent._step(people, every, 0.0, None)
+        now = descent.total(people.z, people.report)
         assert (now <= before + 1e-9).all()
         before = now
     # What it says of F is F: of a candidate made anew at the same point.
-    anew = search.begun(people.z, people.phi, people.w)
-    np.testing.assert_allclose(search.total(anew.z, anew.report), search.total(people.z, people.report), rtol=1e-10)
+    anew = descent.begun(people.z, people.phi, people.w)
+    np.testing.assert_allclose(descent.total(anew.z, anew.report), descent.total(people.z, people.report), rtol=1e-10)
     low, high = p.unknowns.edges(people.z)
     assert ((people.z >= low) & (people.z <= high))[:, p.unknowns.free].all()
 
 
 def test_a_descent_sorts_and_ends_where_F_is_flat():
-    search = Search(problem(), string())
-    people = search.descend(search.begun(search.screened(3)[:6], search.wide()), 0.0, 60)
-    F = search.total(people.z, people.report)
+    descent = Descent(problem(), string())
+    people = descent.descend(descent.begun(screened(descent, 3)[:6], wide(descent)), 0.0, 60)
+    F = descent.total(people.z, people.report)
     assert (np.diff(F) >= 0).all()
-    gradient = search.known(people.z)[1] + people.report.gradient
-    curvature = search.known(people.z)[2] + people.report.curvature
-    free = search.moves & ~problem().unknowns.at_bound(people.z[0])
+    gradient = descent.known(people.z)[1] + people.report.gradient
+    curvature = descent.known(people.z)[2] + people.report.curvature
+    free = descent.moves & ~problem().unknowns.at_bound(people.z[0])
     g, H = gradient[0][free], curvature[0][np.ix_(free, free)]
     assert 0.5 * g @ np.linalg.solve(H, g) < 1e-2  # what F could still fall by
 
@@ -91,12 +93,12 @@ def test_the_same_seed_gives_the_same_result_and_another_the_same_minimum():
 
 
 def test_minima_are_told_apart_by_where_they_are():
-    search, u = Search(problem(), string()), problem().unknowns
+    descent, u = Descent(problem(), string()), problem().unknowns
     z = np.tile(u.mean, (4, 1))
     z[1, u.at("M_H")] += 0.001 * u.sd[u.at("M_H")]
     z[2, u.at("M_H")] += 0.5 * u.sd[u.at("M_H")]
     z[3, u.at("p")] += 0.5 * u.sd[u.at("p")]
-    people = search.begun(u.project(z), search.wide())
+    people = descent.begun(u.project(z), wide(descent))
     scores = np.array([1.0, 0.9, 0.0, 9.0])[: len(people)]
     assert len(people) == 4
     assert distinct(people, u, scores, 6.0) == [2, 1]

@@ -17,11 +17,11 @@ from pianofit.felt import DEFAULT_LAW
 from pianofit.inference import estimate, pose, sampler
 from pianofit.inference.coordinates import STRING_SIZE, names_of
 from pianofit.inference.density import folded, given, log_density, start
+from pianofit.inference.descent import Descent
 from pianofit.inference.estimate import Estimate
 from pianofit.inference.posterior import laplace
 from pianofit.inference.problem import Problem
 from pianofit.inference.profile import RISE, _Profile, profiles
-from pianofit.inference.search import Search
 from pianofit.inference.views import check_intervals, open_messages, reported, view_of
 from pianofit.paper.twin import make_twin, setup_text
 
@@ -210,7 +210,7 @@ def known_excess() -> tuple[Problem, Estimate]:
     pairs = zip((o.level, o.frequency, o.decay), phis, strict=True)
     tables = [table._replace(prior=(phi, np.full(4, 0.01))) for table, phi in pairs]
     problem = replace(problem, observed=replace(o, level=tables[0], frequency=tables[1], decay=tables[2]))
-    search = Search(problem, fitted().z[:STRING_SIZE], strings)
+    search = Descent(problem, fitted().z[:STRING_SIZE], strings)
     search.offset = minima.offsets[0]
     people = search.descend(search.begun(fitted().z[None], phis[0], minima.people.w[0]), 0.0, 60)
     minima = minima._replace(search=search, people=people, F=search.total(people.z, people.report))

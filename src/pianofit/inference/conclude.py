@@ -143,7 +143,7 @@ def _spread_out(problem: Problem, i: int, values: np.ndarray, otherwise: np.ndar
 def _fitted_level(problem: Problem, found: Estimate, i: int):
     """Levels of a recording's partials through gain and path, dB [partials], and what was integrated out."""
     integrated = latents(found.minima, 0)
-    table = found.minima.search.table
+    table = found.minima.descent.table
     level = np.asarray(table.value)[i] - integrated.own[i]
     unit = 0.0 if problem.start.scale is None else DB * np.log(problem.start.scale)
     return _spread_out(problem, i, level, problem.analyses[i].partials.level + unit), integrated
@@ -157,21 +157,21 @@ def _gain_db(problem: Problem, integrated, i: int) -> float:
 
 def _level(problem: Problem, found: Estimate, z: np.ndarray, i: int) -> np.ndarray:
     """Levels of a recording's partials at `z` [size] by the model alone, dB."""
-    level = found.minima.search.level(z)
+    level = found.minima.descent.level(z)
     return level[problem.layout.stroke[i], problem.analyses[i].partials.number.clip(max=problem.cfg.rows) - 1]
 
 
 def _literature_level(problem: Problem, found: Estimate, first: np.ndarray, i: int) -> np.ndarray:
     """Levels that the initial hammer gives at the fitted velocities, through gain and path that suit it, dB."""
-    search, people = found.minima.search, found.minima.people
+    descent, people = found.minima.descent, found.minima.people
     z = first.copy()
     shared = problem.unknowns.shared
     z[shared:] = found.z[shared:]
-    residual, _, good = search.model(z[None])
+    residual, _, good = descent.model(z[None])
     if not good[0]:
         return np.full(len(problem.analyses[i].partials), -300.0)
-    integrated = latent(search.table, residual[0], people.phi[0], people.w[0])
-    level = np.asarray(search.table.value)[i] - integrated.own[i]
+    integrated = latent(descent.table, residual[0], people.phi[0], people.w[0])
+    level = np.asarray(descent.table.value)[i] - integrated.own[i]
     return _spread_out(problem, i, level, problem.analyses[i].partials.level)
 
 

@@ -16,11 +16,11 @@ import numpy as np
 from jaxtyping import Array
 
 from .coordinates import STRING_SIZE
+from .descent import HYPER_REACH
 from .estimate import Estimate
 from .lanes import Cfg, Scene, own_levels, own_slopes
 from .likelihood import Table, objective
 from .problem import Problem
-from .search import HYPER_REACH
 from .string import residuals_of
 
 __all__ = ["Given", "Point", "folded", "given", "log_density", "start"]
@@ -65,15 +65,15 @@ class Given(NamedTuple):
 def given(problem: Problem, found: Estimate) -> Given:
     """What the density needs, about the best minimum."""
     u, o, minima = problem.unknowns, problem.observed, found.minima
-    search, best, strings = minima.search, minima.people, minima.strings[0]
+    descent, best, strings = minima.descent, minima.people, minima.strings[0]
     tables = o.level, o.frequency, o.decay
-    cents = search.own_lanes(best.z[:1])[1]
+    cents = descent.own_lanes(best.z[:1])[1]
     precision = np.where(u.free, 1 / np.where(u.free, u.sd, 1.0) ** 2, 0.0)
     everything = (
         best.z[0], _white(problem, found), (u.lower, u.upper), u.power, np.array(u.stiffness), u.log_u,
         (u.mean, precision), tables, (best.phi[0], *strings.phi), (best.w[0], *strings.w),
         tuple(np.argwhere(np.asarray(t.found) > 0) for t in tables),
-        minima.offsets[0], search.there, search.stroke, search.columns, cents,
+        minima.offsets[0], descent.there, descent.stroke, descent.columns, cents,
         (o.string_number, o.law, float(problem.start.geometry.length)), problem.scene,
     )  # fmt: skip
     return Given(*jax.tree.map(np.asarray, everything))

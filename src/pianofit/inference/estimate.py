@@ -8,10 +8,11 @@ import numpy as np
 
 from ..progress import Progress
 from .coordinates import STRING_SIZE
+from .descent import Descent
 from .finish import Minima, finished
 from .posterior import Posterior, laplace
 from .problem import Problem
-from .search import Search
+from .search import searched
 from .string import string_minimum
 
 __all__ = ["Estimate", "Progress", "estimate"]
@@ -44,12 +45,12 @@ def estimate(problem: Problem, seed: int = 0, progress: Progress = lambda *_: No
     progress("string", 0.05)
     string, strings = string_minimum(problem)
     progress("hammer", 0.15)
-    held = Search(problem, string)
-    found = held.run(seed, beginning(problem, string), progress)
+    held = Descent(problem, string)
+    found = searched(held, seed, beginning(problem, string), progress)
     progress("string and hammer", 0.75)
     minima = finished(problem, found, held, strings)
     progress("intervals", 0.88)
-    return Estimate(*_apart(minima, laplace(problem, minima)), held.lanes + minima.search.lanes)
+    return Estimate(*_apart(minima, laplace(problem, minima)), held.lanes + minima.descent.lanes)
 
 
 def _apart(minima: Minima, posterior: Posterior) -> tuple[Minima, Posterior]:

@@ -7,8 +7,10 @@ from typing import NamedTuple
 import numpy as np
 
 from .coordinates import STRING_SIZE
+from .descent import Descent
+from .population import Population
 from .problem import Problem
-from .search import Population, Search, distinct
+from .search import distinct
 from .string import StringState, hyper_step, string_report
 
 __all__ = ["Finished", "Minima", "finish", "finished"]
@@ -30,7 +32,7 @@ ITERATIONS = 25
 class Minima(NamedTuple):
     """Minima of F, the lowest first; [B, ...]."""
 
-    search: Search  # with the string free, and the best minimum's step error
+    descent: Descent  # with the string free, and the best minimum's step error
     people: Population
     F: np.ndarray  # with everything
     offsets: np.ndarray  # dB, the step error of each [B, R, K]
@@ -38,7 +40,7 @@ class Minima(NamedTuple):
     converged: np.ndarray
 
 
-def finished(problem: Problem, found: Population, held: Search, strings: StringState) -> Minima:
+def finished(problem: Problem, found: Population, held: Descent, strings: StringState) -> Minima:
     """Every distinct minimum near the lowest, finished on F with all its unknowns."""
     scores = held.total(found.z, found.report)
     chosen = distinct(found, held.unknowns, scores, WITHIN)[:MOST]
@@ -50,7 +52,7 @@ def finished(problem: Problem, found: Population, held: Search, strings: StringS
     # Two that were distinct may have come to the same minimum: it counts once.
     kept = distinct(people, held.unknowns, F, WITHIN)
     return Minima(
-        ends[kept[0]].search, people.take(np.array(kept)), F[kept], np.stack([ends[i].search.offset for i in kept]),
+        ends[kept[0]].descent, people.take(np.array(kept)), F[kept], np.stack([ends[i].descent.offset for i in kept]),
         [ends[i].strings for i in kept], np.array([ends[i].converged for i in kept]),
     )  # fmt: skip
 
@@ -58,7 +60,7 @@ def finished(problem: Problem, found: Population, held: Search, strings: StringS
 class Finished(NamedTuple):
     """One minimum of F with all its unknowns."""
 
-    search: Search
+    descent: Descent
     people: Population  # it alone
     F: float
     converged: bool
@@ -68,19 +70,19 @@ class Finished(NamedTuple):
 def finish(problem: Problem, one: Population, strings: StringState) -> Finished:
     """Lower F from one candidate with the string free and the contact's step error taken out, in turn."""
     string, state = one.z[0, :STRING_SIZE], strings
-    search = Search(problem, string, state)
+    descent = Descent(problem, string, state)
     converged = False
     for _ in range(READINGS):
-        before = search.offset
-        search.offset = search.step_error(one.z[0])
-        one = search.begun(one.z, one.phi[0], one.w[0])
-        one = search.descend(one, 0.0, ITERATIONS)
+        before = descent.offset
+        descent.offset = descent.step_error(one.z[0])
+        one = descent.begun(one.z, one.phi[0], one.w[0])
+        one = descent.descend(one, 0.0, ITERATIONS)
         converged = bool(one.gained[0] < NEARLY)
         string = one.z[0, :STRING_SIZE]
         state, _ = hyper_step(problem, string, state, string_report(problem, string, state))
-        search.strings = state
-        sd = np.sqrt(np.asarray(search.table.variance) + np.exp(2 * one.phi[0, 0]))
-        moved = (search.offset - before) / sd * np.asarray(search.table.found)
-        if np.sqrt((moved**2).sum() / max(np.asarray(search.table.found).sum(), 1)) < LEFT:
+        descent.strings = state
+        sd = np.sqrt(np.asarray(descent.table.variance) + np.exp(2 * one.phi[0, 0]))
+        moved = (descent.offset - before) / sd * np.asarray(descent.table.found)
+        if np.sqrt((moved**2).sum() / max(np.asarray(descent.table.found).sum(), 1)) < LEFT:
             break
-    return Finished(search, one, float(search.total(one.z, one.report)[0]), converged, state)
+    return Finished(descent, one, float(descent.total(one.z, one.report)[0]), converged, state)

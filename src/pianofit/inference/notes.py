@@ -19,8 +19,8 @@ __all__ = ["latents", "path_of", "note_of"]
 
 def latents(minima: Minima, which: int) -> Latent:
     """What F integrated out, at one minimum."""
-    people, search = minima.people, minima.search
-    return latent(search.table, people.residual[which], people.phi[which], people.w[which])
+    people, descent = minima.people, minima.descent
+    return latent(descent.table, people.residual[which], people.phi[which], people.w[which])
 
 
 def path_of(problem: Problem, minima: Minima, which: int, recording: int) -> OutputPath | None:

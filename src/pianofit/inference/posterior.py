@@ -81,7 +81,7 @@ def laplace(problem: Problem, minima: Minima) -> Posterior:
     for i in range(len(people)):
         precision, log_det = _precision(problem, minima, i)
         covariance = np.zeros((u.size, u.size))
-        moves = minima.search.moves & ~u.at_bound(people.z[i])
+        moves = minima.descent.moves & ~u.at_bound(people.z[i])
         inner = precision[np.ix_(moves, moves)]
         scale = 1 / np.sqrt(np.diag(inner))
         covariance[np.ix_(moves, moves)] = np.linalg.inv(inner * np.outer(scale, scale)) * np.outer(scale, scale)
@@ -98,10 +98,10 @@ def laplace(problem: Problem, minima: Minima) -> Posterior:
 def _precision(problem: Problem, minima: Minima, i: int) -> tuple[np.ndarray, float]:
     """Of θ [size, size] with φ and w of all tables integrated out, and the logarithm of the volume these had."""
     u, people = problem.unknowns, minima.people
-    precision = np.diag(np.where(minima.search.moves, 1 / np.where(u.free, u.sd, 1.0) ** 2, 0.0))
+    precision = np.diag(np.where(minima.descent.moves, 1 / np.where(u.free, u.sd, 1.0) ** 2, 0.0))
     there = Report(*(x[i] for x in people.report))
     more, volume = _without_nuisances(
-        minima.search.table, people.residual[i], people.jacobian[i], people.phi[i], people.w[i], there, 4
+        minima.descent.table, people.residual[i], people.jacobian[i], people.phi[i], people.w[i], there, 4
     )
     precision += more
     string, state = people.z[i, :STRING_SIZE], minima.strings[i]

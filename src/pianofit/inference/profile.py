@@ -19,9 +19,9 @@ from typing import NamedTuple
 import numpy as np
 
 from .coordinates import STRING_SIZE
+from .descent import Descent
 from .estimate import Estimate
 from .problem import Problem
-from .search import Search
 from .string import StringState, hyper_step, string_report
 from .views import View, open_messages, reported
 
@@ -108,7 +108,7 @@ class _Profile:
         """The minimum of F with the unknowns of `problem`, from `near`; infinite if a contact does not end there."""
         u = problem.unknowns
         z = u.project(u.from_log_values(near.x))
-        search = Search(problem, z[:STRING_SIZE], strings := near.strings)
+        search = Descent(problem, z[:STRING_SIZE], strings := near.strings)
         search.offset = self.offset
         one = search.begun(z[None], near.phi, near.w)
         if not len(one):

@@ -2,17 +2,29 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from scipy.stats import norm, qmc
 
+from .coordinates import STRING_SIZE
+from .descent import Descent
+from .lanes import in_lanes, levels
 from .parabola import Parabola
 
-if TYPE_CHECKING:
-    from .search import Search
+__all__ = ["samples", "screened", "wide"]
 
-__all__ = ["screen"]
-
+# Samples of the prior's hammers: a power of two, as Sobol's points want it.
+SAMPLES = 1024
+# Velocities at which each is struck, m/s: neighbours differ by 30 %, which a descent bridges.
+VELOCITIES = np.geomspace(0.15, 8.0, 16)
+# Of the prior of each: the outermost hundredth is not sampled.
+TAIL = 0.01
+# σ, A, ℓ, η before anything is known: excess of levels, dB, and a path as the prior has it.
+WIDE_EXCESS = 2.0
+# The prior's hammers are screened at a step so many times as long: what that moves, some 0.1 dB, is little beside the
+# excess they are screened at.
+COARSER = 2
+# Lanes of one call where there are thousands: enough to fill matrix products.
+MANY_LANES = 64
 # Velocities to begin with, from the brightest stroke down, m/s: a forte,
 FASTEST = 4.0
 # and the factor from stroke to stroke, of layers far apart and of layers close together.
@@ -23,7 +35,45 @@ ROUNDS = 8
 ENDLESS = 1e6
 
 
-def screen(search: Search, z: np.ndarray, grid: np.ndarray, level: np.ndarray, ended: np.ndarray) -> np.ndarray:
+def samples(descent: Descent, seed: int) -> np.ndarray:
+    """Sobol's points of the prior's hammers [samples, size]; velocities at their means."""
+    u = descent.unknowns
+    at = STRING_SIZE + np.flatnonzero(u.free[STRING_SIZE : u.shared])
+    z = np.tile(u.mean, (SAMPLES, 1))
+    z[:, :STRING_SIZE] = descent.string
+    if len(at):
+        points = qmc.Sobol(len(at), rng=np.random.default_rng(seed)).random(SAMPLES)
+        z[:, at] += u.sd[at] * norm.ppf(TAIL + (1 - 2 * TAIL) * points)
+    return u.project(z)
+
+
+def wide(descent: Descent) -> np.ndarray:
+    """φ while nothing is known."""
+    mean = np.asarray(descent.table.prior[0]).copy()
+    mean[0] = np.log(WIDE_EXCESS)
+    return mean
+
+
+def screened(descent: Descent, seed: int) -> np.ndarray:
+    """The prior's hammers, each with the velocities that suit it best, by F at wide φ; the best first."""
+    z = samples(descent, seed)
+    # Measured velocities have columns of their own.
+    shared = descent.unknowns.shared
+    grid = np.append(np.log(VELOCITIES), descent.unknowns.mean[shared:][~descent.unknowns.free[shared:]])
+    # Velocity by velocity: lanes of one call then have contacts of like lengths.
+    lanes = np.concatenate(
+        [np.tile(z[:, STRING_SIZE:shared], (len(grid), 1)), np.repeat(grid, len(z))[:, None]], axis=1
+    )
+    descent.lanes += len(lanes)
+    p = descent.problem
+    scene = p.scene._replace(rate=p.scene.rate / COARSER, steps=p.scene.steps // COARSER)
+    cfg = p.cfg._replace(n_modes=max(p.cfg.rows, p.cfg.n_modes // COARSER))
+    level, ended = in_lanes(levels, (descent.string, lanes), scene, cfg, MANY_LANES)
+    level = level.reshape(len(grid), len(z), -1)[..., descent.columns].swapaxes(0, 1)
+    return _scored(descent, z, grid, level, ended.reshape(len(grid), len(z)).T)
+
+
+def _scored(descent: Descent, z: np.ndarray, grid: np.ndarray, level: np.ndarray, ended: np.ndarray) -> np.ndarray:
     """The hammers with their best velocities, the best first [S, size].
 
     Parameters
@@ -31,14 +81,14 @@ def screen(search: Search, z: np.ndarray, grid: np.ndarray, level: np.ndarray, e
     z : hammers of the prior [S, size].
     grid : log velocities [V], at which `level` [S, V, K] are theirs, dB, and `ended` [S, V].
     """
-    table, u = search.table, search.unknowns
+    table, u = descent.table, descent.unknowns
     R, K = table.value.shape
-    Q = Parabola.of(table, search.wide()).whole(R * K).reshape(R, K, R, K)
+    Q = Parabola.of(table, wide(descent)).whole(R * K).reshape(R, K, R, K)
     free, strokes = u.free[u.shared :], u.strokes
     mean, sd = u.mean[u.shared :], np.where(free, u.sd[u.shared :], 1.0)
     belief = 0.5 * ((grid - mean[:, None]) / sd[:, None]) ** 2
     belief = np.where(free[:, None], belief, np.where(np.abs(grid - mean[:, None]) < 1e-9, 0.0, np.inf))
-    of = [np.flatnonzero(search.stroke == s) for s in range(strokes)]
+    of = [np.flatnonzero(descent.stroke == s) for s in range(strokes)]
     # Residuals of every recording, had its stroke that velocity [S, V, R, K].
     T = (table.value - level[:, :, None]) * table.found
     own = np.empty((len(z), len(grid), strokes))
@@ -47,36 +97,36 @@ def screen(search: Search, z: np.ndarray, grid: np.ndarray, level: np.ndarray, e
         own[:, :, s] = 0.5 * (push * T[:, :, rs]).sum(axis=(2, 3)) + belief[s] + np.where(ended, 0.0, ENDLESS)
     S = np.arange(len(z))
     best, chosen = np.full(len(z), np.inf), np.zeros((len(z), strokes), int)
-    for begin in _ladders(search, grid, mean, free):
+    for begin in _ladders(descent, grid, mean, free):
         v = np.tile(begin, (len(z), 1))
         for _ in range(ROUNDS):
             before = v.copy()
             for s, rs in enumerate(of):
-                rest = T[S[:, None], v[:, search.stroke], np.arange(R)]  # [S, R, K]
+                rest = T[S[:, None], v[:, descent.stroke], np.arange(R)]  # [S, R, K]
                 rest[:, rs] = 0.0
                 push = np.einsum("sqk,qkrl->srl", rest, Q[:, :, rs], optimize=True)
                 v[:, s] = (own[:, :, s] + np.einsum("svrk,srk->sv", T[:, :, rs], push, optimize=True)).argmin(axis=1)
             if (v == before).all():
                 break
-        rest = T[S[:, None], v[:, search.stroke], np.arange(R)]
+        rest = T[S[:, None], v[:, descent.stroke], np.arange(R)]
         push = np.einsum("sqk,qkrl->srl", rest, Q, optimize=True)
         cost = 0.5 * (push * rest).sum(axis=(1, 2))
         cost += sum(belief[s][v[:, s]] + np.where(ended[S, v[:, s]], 0.0, ENDLESS) for s in range(strokes))
         better = cost < best
         best[better], chosen[better] = cost[better], v[better]
-    best = best + search.known(z)[0]
+    best = best + descent.known(z)[0]
     z = z.copy()
     z[:, u.shared :] = np.where(free, grid[chosen], u.mean[u.shared :])
     order = np.argsort(best, kind="stable")
     return z[order[np.isfinite(best[order])]]
 
 
-def _ladders(search: Search, grid: np.ndarray, mean: np.ndarray, free: np.ndarray) -> list[np.ndarray]:
+def _ladders(descent: Descent, grid: np.ndarray, mean: np.ndarray, free: np.ndarray) -> list[np.ndarray]:
     """Velocities to begin with: falling by a factor from the brightest stroke to the softest; indices [strokes]."""
     strokes = len(mean)
-    p = search.problem
+    p = descent.problem
     bright = np.zeros(strokes)
-    for stroke, analysis in zip(search.stroke, p.analyses, strict=True):
+    for stroke, analysis in zip(descent.stroke, p.analyses, strict=True):
         amplitude = 10 ** (analysis.partials.level / 20)
         value = float((analysis.partials.number * amplitude).sum() / amplitude.sum())
         bright[stroke] = max(bright[stroke], value)
