@@ -171,7 +171,8 @@ CONSTANTS = re.compile(r"<!-- constants -->\n(.*?)<!-- end of constants -->", re
 def test_every_constant_of_the_table_is_in_the_code():
     """By name, in the priors, the search or a law of the felt: a constant that goes takes its row with it."""
     room = ROOT / "src" / "pianofit"
-    files = (room / "inference" / "priors.py", room / "inference" / "search.py", *(room / "felt").glob("*.py"))
+    files = [room / "inference" / f"{name}.py" for name in ("priors", "screen", "descent", "search")]
+    files += (room / "felt").glob("*.py")
     source = "".join(file.read_text(encoding="utf-8") for file in files)
     (table,) = CONSTANTS.findall((ROOT / "docs" / "fitting.md").read_text(encoding="utf-8"))
     names = re.findall(r"`([A-Z_]+)`", "".join(re.findall(r"^\| (`.*?) \|", table, re.MULTILINE)))
