@@ -105,7 +105,7 @@ def ringing(heard: dict, analyses: dict, by: list[str], wanted: str, steps: tupl
     result = fit(*(heard[name] for name in by), analyses=[analyses[name] for name in by], setup=setup)
     rate, count = heard[wanted].rate, round((SPAN + 0.3) * heard[wanted].rate)
     if steps is None:
-        note = predict_recording(result.mixture, analyses[wanted]).note
+        note = predict_recording(result.mixture, analyses[wanted], gains=result.gains).note
         given = "the target's partial levels, for its velocity, and its gain"
     else:
         own = next(row["v_H0"] for row in result.document["recordings"] if f"-{steps[0]}." in row["file"])

@@ -83,7 +83,7 @@ def left_out(note: str, files: list[Path], setup, tool: ModuleType) -> LeftOut:
     out = (len(files) - 1) // 2
     rest = [i for i in range(len(files)) if i != out]
     result = fit(*(recordings[i] for i in rest), analyses=[analyses[i] for i in rest], setup=setup)
-    played = predict_recording(result.mixture, analyses[out]).note
+    played = predict_recording(result.mixture, analyses[out], gains=result.gains).note
     rate, target = recordings[out].rate, tool.load(str(files[out]))
     stroke = played.strike(rate)
     near = [tool.compare(target, tool.load(str(files[i]))) for i in (out - 1, out + 1)]

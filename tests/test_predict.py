@@ -8,6 +8,7 @@ from observed_cases import analysis
 
 import pianofit
 from pianofit.inference.predict import predict_recording
+from pianofit.inference.priors import log_gain
 
 
 @pytest.mark.parametrize("velocity", [0.4, 1.3])
@@ -20,3 +21,17 @@ def test_a_treble_note_is_played_at_its_velocity(velocity):
     found = predict_recording(note, analysis(number, level, f0=it.string.c / (2 * it.geometry.length)))
     assert found.velocity == pytest.approx(velocity, rel=0.01)
     assert found.gain_db == pytest.approx(0.0, abs=0.5)
+
+
+def test_gains_that_agree_answer_for_the_next():
+    """A density of the next gain; the others say whether it is one gain, as their joint density does."""
+    grid = np.linspace(-200, 200, 80_001)
+    for others in ((0.0,), (0.0, 0.4, -0.3, 0.1), (0.0, -14.0, 9.0)):
+        density = np.exp([log_gain(gain, others) for gain in grid])
+        assert np.trapezoid(density, grid) == pytest.approx(1.0, abs=1e-6)
+    away = [log_gain(15.0, others) for others in ((0.0, 0.4, -0.3, 0.1), (0.0,), (0.0, -14.0, 9.0))]
+    assert away[0] < away[1] - 5
+    assert away[1] < away[2]
+    # By Bayes: p(a, b, c) is the same in whichever order gains are learned.
+    one = log_gain(3.0, (0.0,)) + log_gain(-1.0, (0.0, 3.0))
+    assert one == pytest.approx(log_gain(-1.0, (0.0,)) + log_gain(3.0, (0.0, -1.0)), abs=1e-9)

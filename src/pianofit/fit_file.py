@@ -23,7 +23,7 @@ from .parameters import HAMMER_NAMES, STRING_NAMES, Geometry, String, check
 from .recording import RATES
 from .ringing_file import read_ringing
 
-__all__ = ["load_note", "mixture_of", "note_of", "read_fit", "read_path"]
+__all__ = ["load_note", "gains_of", "mixture_of", "note_of", "read_fit", "read_path"]
 
 LARGEST_FIT = 2**24  # bytes
 # Points of a path at the most: far more than a string has partials.
@@ -131,6 +131,16 @@ def _law_of(document: dict[str, Any], name: str, felt: FeltLaw | None) -> FeltLa
             "as load_note(path, felt=law), or Result.load(folder, felt=law)"
         )
     return LAWS.get(str(named)) if felt is None else felt
+
+
+def gains_of(document: dict[str, Any], at: int | None = None) -> tuple[float, ...]:
+    """Gains of the recordings through one recording's path, dB over its own: the reference's, or that of row `at`."""
+    rows = [row for row in document.get("recordings") or () if isinstance(row, dict)]
+    row = reference_of(rows)[1] if at is None else rows[at]
+    own = [row.get("gain"), *(other.get("gain") for other in rows if other.get("group") == row.get("group"))]
+    size = [abs(float(gain)) if is_number(gain) and gain else np.nan for gain in own]
+    gains = 20 * np.log10(np.array(size[1:]) / size[0])
+    return tuple(gains[np.isfinite(gains)].tolist()) or (0.0,)
 
 
 def mixture_of(document: dict[str, Any], path: Path, felt: FeltLaw | None = None) -> list[tuple[float, Note]]:

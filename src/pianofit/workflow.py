@@ -23,12 +23,13 @@ def predict_file(fit: Path, file: Path, out: Path | None, *, channel: str = "ave
 
     Raises `PianofitError` for any input that cannot be used; nothing is then written.
     """
-    from .fit_file import mixture_of, read_fit
+    from .fit_file import gains_of, mixture_of, read_fit
     from .recording import load_recording
 
     if out is not None:
         check_sound_target(out, force)
-    mixture = mixture_of(read_fit(fit), fit)
+    document = read_fit(fit)
+    mixture, gains = mixture_of(document, fit), gains_of(document)
     note = mixture[0][1]
     recording = load_recording(file, channel=channel)
     from .analysis import analyse
@@ -41,7 +42,7 @@ def predict_file(fit: Path, file: Path, out: Path | None, *, channel: str = "ave
         analysis = analyse(recording, f0=note.string.c / (2 * note.geometry.length))
     except WrongNoteError:
         raise FitError(_other_key(recording, note, fit)) from None
-    found = predict_recording(mixture, analysis)
+    found = predict_recording(mixture, analysis, gains=gains)
     if out is not None:
         strike = found.note.strike(recording.rate)
         touch = touched(found.note, strike, recording)

@@ -17,6 +17,7 @@ from scipy.optimize import fminbound
 from ..analysis import Analysis
 from ..criterion import level_error_db
 from ..errors import FitError
+from ..fit_file import gains_of
 from ..model.note import SLOWEST, Note
 from ..model.path import SAME_PARTIAL
 from ..parameters import PARAMETERS
@@ -58,7 +59,9 @@ class Prediction:
 
 
 @one_blas_thread()
-def predict_recording(notes: Note | Sequence[tuple[float, Note]], analysis: Analysis) -> Prediction:
+def predict_recording(
+    notes: Note | Sequence[tuple[float, Note]], analysis: Analysis, *, gains: Sequence[float] = (0.0,)
+) -> Prediction:
     """Play a fit at the velocity that suits a recording's levels best.
 
     Parameters
@@ -66,6 +69,8 @@ def predict_recording(notes: Note | Sequence[tuple[float, Note]], analysis: Anal
     notes : one note, or those of several minima with their shares. Each is struck at the velocity that suits it; the
         prediction is the mean of their levels, dB, by their shares, and the note, velocity and pitch are the first's.
     analysis : of the recording, see `analyse`.
+    gains : of the recordings that were fitted through the same path, dB over the note's own (`Result.gains`): where
+        they agree, how loud the recording is tells how hard the string was struck.
 
     Returns
     -------
@@ -91,7 +96,7 @@ def predict_recording(notes: Note | Sequence[tuple[float, Note]], analysis: Anal
     chosen = scored(p.frequency, p.level) & _heard(first, p.number)
     if chosen.sum() < FEWEST:
         raise FitError(f"only {int(chosen.sum())} partials of the fit stand above the noise; {FEWEST} are needed")
-    played = [(share, *_at_best(note, analysis, chosen)) for share, note in mixture]
+    played = [(share, *_at_best(note, analysis, chosen, gains)) for share, note in mixture]
     total = sum(share for share, *_ in played)
     level = np.sum([share / total * (one + gain) for share, _, one, gain in played], axis=0)
     _, velocity, _, gain = played[0]
@@ -108,11 +113,12 @@ def _range() -> tuple[float, float]:
     return max(SLOWEST, PARAMETERS["v_H0"].lower), min(FASTEST, PARAMETERS["v_H0"].upper)
 
 
-def _at_best(note: Note, analysis: Analysis, chosen: np.ndarray) -> tuple[float, np.ndarray, float]:
+def _at_best(
+    note: Note, analysis: Analysis, chosen: np.ndarray, gains: Sequence[float]
+) -> tuple[float, np.ndarray, float]:
     """The most probable velocity by levels and priors, m/s, the note's levels, dB [partials], and their gain.
 
-    Many partials leave priors no say; three can suit a velocity that nobody plays. Recordings mostly share a gain: then
-    how loud one is tells how hard it was struck.
+    Many partials leave priors no say; three can suit a velocity that nobody plays.
     """
     p = analysis.partials
 
@@ -128,7 +134,7 @@ def _at_best(note: Note, analysis: Analysis, chosen: np.ndarray) -> tuple[float,
             return np.inf
         misfit = chosen.sum() * (level_error_db(level[chosen], p.level[chosen]) / LEVEL.median[0]) ** 2
         belief = ((log_velocity - np.log(VELOCITY)) / VELOCITY_SPREAD) ** 2
-        return 0.5 * (misfit + belief) - log_gain(gain(level))
+        return 0.5 * (misfit + belief) - log_gain(gain(level), gains)
 
     def at(log_velocity: float) -> float:
         return min(cost(log_velocity, levels(np.array([np.exp(log_velocity)]))[0]), WORST)
@@ -215,8 +221,7 @@ def cross_validate(
         rest = [j for j in range(count) if heard[j]["stroke"] != stroke]
         fit = fit_recordings([recordings[j] for j in rest], [analyses[j] for j in rest], setup, seed=seed)
         for i in (j for j in range(count) if heard[j]["stroke"] == stroke):
-            notes = _notes_for(fit, whole, rest, i)
-            predicted[i] = predict_recording(notes, analyses[i]) if notes else None
+            predicted[i] = _predicted(fit, whole, rest, i, analyses[i])
     order = sorted(range(count), key=lambda i: heard[i]["v_H0"])
     rows = [_row(i, predicted[i], _around(i, order, heard), heard, analyses) for i in order]
     inner = [row["predicted_db"] for row in rows if row["inner"]]
@@ -261,13 +266,14 @@ def _row(i: int, found: Prediction | None, around: list[int], heard: list[dict],
     }
 
 
-def _notes_for(fit: Result, whole: Result, rest: list[int], left_out: int) -> list[tuple[float, Note]]:
-    """The minima's notes through the path of the recording left out; none if no other went through it."""
+def _predicted(fit: Result, whole: Result, rest: list[int], left_out: int, analysis: Analysis) -> Prediction | None:
+    """The recording left out by the minima's notes through its path; None if no other went through it."""
     rows = whole.document["recordings"]
     for place, j in enumerate(rest):
         if rows[j]["group"] == rows[left_out]["group"]:
-            return [(share, notes[place]) for share, notes in zip(fit.shares, fit.notes, strict=True)]
-    return []
+            notes = [(share, notes[place]) for share, notes in zip(fit.shares, fit.notes, strict=True)]
+            return predict_recording(notes, analysis, gains=gains_of(fit.document, place))
+    return None
 
 
 def _common(analysis: Analysis, others: Sequence[Analysis]) -> tuple[np.ndarray, list[np.ndarray]]:

@@ -6,10 +6,10 @@ the recordings at hand; `benchmarks/path_prior.py` compares τ's with notes reco
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import logsumexp
 from scipy.stats import norm
 
 __all__ = ["Hyperprior"]
@@ -74,6 +74,13 @@ def path_nodes() -> tuple[np.ndarray, np.ndarray]:
     return np.log(PATH[0]) + PATH[1] * x, weight / weight.sum()
 
 
-def log_gain(apart: float) -> float:
-    """Log prior density of a recording's gain that lies so far from the others', dB."""
-    return float(logsumexp(norm.logpdf(apart, 0, GAINS_APART)) - np.log(len(GAINS_APART)))
+def log_gain(gain: float, others: Sequence[float] = (0.0,)) -> float:
+    """Log predictive density of a recording's gain, dB, where those of `others` through its path are known.
+
+    Whether recordings of a path share a gain is one question for all of them: the others answer it, as they do in F.
+    """
+    known, sd = np.asarray(others, float), np.array(GAINS_APART)
+    square = ((known - known.mean()) ** 2).sum()
+    regime = -(len(known) - 1) * np.log(sd) - 0.5 * square / sd**2
+    each = norm.logpdf(gain, known.mean(), sd * np.sqrt(1 + 1 / len(known)))
+    return float(np.logaddexp.reduce(regime + each) - np.logaddexp.reduce(regime))

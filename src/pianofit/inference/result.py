@@ -14,7 +14,7 @@ import numpy as np
 from ..analysis import Analysis, Partials
 from ..errors import FitError
 from ..felt import FeltLaw
-from ..fit_file import mixture_of, read_fit
+from ..fit_file import gains_of, mixture_of, read_fit
 from ..io import one_line
 from ..model import Simulation
 from ..model.note import Note
@@ -122,6 +122,11 @@ class Result:
     def mixture(self) -> list[tuple[float, Note]]:
         """The notes of all minima with their shares, the best first: what `predict_recording` takes."""
         return [(share, notes[self.first]) for share, notes in zip(self.shares, self.notes, strict=True)]
+
+    @property
+    def gains(self) -> tuple[float, ...]:
+        """Of the recordings through the reference's path, dB over the reference's."""
+        return gains_of(self.document)
 
     @property
     def covariance(self) -> Covariance:
