@@ -81,7 +81,7 @@ def fit_document(note: Note, errors: dict[str, float], velocities: tuple[float, 
 
     def entry(name: str, value: float) -> dict:
         sd = errors.get(name)
-        span = None if sd is None else [value * math.exp(-1.96 * sd), value * math.exp(1.96 * sd)]
+        span = None if sd is None else [value * math.exp(-1.959964 * sd), value * math.exp(1.959964 * sd)]
         status = "scaled" if name in ("v_H0", "K_H", "mu") else "fitted"
         return {"value": float(value), "unit": "", "interval": span, "status": status, "note": ""}
 
@@ -103,7 +103,7 @@ def fit_document(note: Note, errors: dict[str, float], velocities: tuple[float, 
 def force_entry(note: Note, at: float, sd: float) -> dict:
     """What such a fit would write of the felt's force at the compression `at`, m."""
     value = note.hammer.K_H * at**note.hammer.p / note.geometry.mass
-    span = [value * math.exp(-1.96 * sd), value * math.exp(1.96 * sd)] if sd else None
+    span = [value * math.exp(-1.959964 * sd), value * math.exp(1.959964 * sd)] if sd else None
     return {"value": value, "unit": "N/kg", "interval": span, "note": ""}
 
 

@@ -37,7 +37,7 @@ def test_a_law_is_the_truth_within_its_intervals(piano, name):
     """Over all keys but the outermost, most of them never recorded: it errs less than a single fit does."""
     law, inside = piano["laws"][name], slice(3, 79)
     error = (scale(name, law["value"]) - truth(name, ALL))[inside]
-    sd = ((scale(name, law["high"]) - scale(name, law["low"])) / (2 * 1.96))[inside]
+    sd = ((scale(name, law["high"]) - scale(name, law["low"])) / (2 * 1.959964))[inside]
     single = {"B": 0.01, "b1": 0.1, "d2": 0.1, "M_H/M_S": 0.03, "K/M_S": 0.1, "p": 0.04, "mu": 0.2, "x0/L": 0.005}
     assert np.sqrt(np.mean(error**2)) < 0.75 * single[name]
     assert np.abs(error / sd).max() < 4

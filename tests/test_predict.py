@@ -7,6 +7,7 @@ import pytest
 from observed_cases import analysis
 
 import pianofit
+from pianofit.fit_file import gains_of
 from pianofit.inference.predict import predict_recording
 from pianofit.inference.priors import log_gain
 
@@ -35,3 +36,13 @@ def test_gains_that_agree_answer_for_the_next():
     # By Bayes: p(a, b, c) is the same in whichever order gains are learned.
     one = log_gain(3.0, (0.0,)) + log_gain(-1.0, (0.0, 3.0))
     assert one == pytest.approx(log_gain(-1.0, (0.0,)) + log_gain(3.0, (0.0, -1.0)), abs=1e-9)
+
+
+def test_gains_are_those_of_one_path():
+    rows = [
+        {"gain": 0.1, "group": 0, "first": False}, {"gain": -1.0, "group": 0, "first": True},
+        {"gain": 5.0, "group": 1}, {"gain": None, "group": 0}, {"gain": 50.0, "group": 1},
+    ]  # fmt: skip
+    assert gains_of({"recordings": rows}) == pytest.approx((-20.0, 0.0))
+    assert gains_of({"recordings": rows}, 2) == pytest.approx((0.0, 20.0))
+    assert gains_of({}) == (0.0,)

@@ -10,6 +10,7 @@ from observed_cases import GEOMETRY, HAMMER, STRING, played, setup, tone
 
 from pianofit.inference import Problem, estimate, pose
 from pianofit.inference.descent import Descent
+from pianofit.inference.parabola import Parabola
 from pianofit.inference.screen import screened, wide
 from pianofit.inference.search import distinct
 from pianofit.inference.string import string_minimum
@@ -40,7 +41,7 @@ def test_the_string_is_read_off_its_partials():
 def test_a_descent_never_raises_F():
     p = problem()
     descent = Descent(p, string())
-    z = screened(descent, 3)[:24]
+    z = screened(descent, 3, Parabola.of(descent.table, wide(descent)))[:24]
     people = descent.begun(z, wide(descent))
     assert len(people) > 8
     every, before = np.arange(len(people)), np.full(len(people), np.inf)
@@ -58,7 +59,9 @@ def test_a_descent_never_raises_F():
 
 def test_a_descent_sorts_and_ends_where_F_is_flat():
     descent = Descent(problem(), string())
-    people = descent.descend(descent.begun(screened(descent, 3)[:6], wide(descent)), 0.0, 60)
+    people = descent.descend(
+        descent.begun(screened(descent, 3, Parabola.of(descent.table, wide(descent)))[:6], wide(descent)), 0.0, 60
+    )
     F = descent.total(people.z, people.report)
     assert (np.diff(F) >= 0).all()
     gradient = descent.known(people.z)[1] + people.report.gradient

@@ -7,7 +7,7 @@ import math
 __all__ = ["NORMAL", "hertz_of", "midi_of"]
 
 # Standard deviations from the mean to either end of a normal distribution's 95 %.
-NORMAL = 1.96
+NORMAL = 1.959964
 A4 = 440.0  # Hz
 A4_MIDI = 69
 

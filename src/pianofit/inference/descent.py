@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..model.simulate import MOST_MODES
 from .coordinates import STRING_SIZE
 from .lanes import in_lanes, own_levels, own_slopes, slopes
 from .likelihood import Report, next_weights
@@ -31,10 +32,8 @@ LONGEST_STEP = 1.5
 LONGEST_PHI = 1.0
 # Lanes of one call where each has a string of its own: the strokes of an ordinary fit,
 OWN_LANES = 4
-# The contact's step error is read off a step so many times finer,
+# The contact's step error is read off a step so many times finer, with as many modes as the model takes.
 FINER = 4
-# with as many modes as the model takes.
-MOST_MODES = 512
 # A minimum is reached when a step gains less than this, F: a tenth of a percent of a likelihood.
 CONVERGED = 1e-3
 # Hyperparameters stay within so many standard deviations of their priors: a clean sound's excess may sink to nothing.

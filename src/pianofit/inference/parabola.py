@@ -21,35 +21,23 @@ __all__ = ["Parabola"]
 
 
 @kept
-def precision_matrix(table: Table, phi, w, residual, _):
-    """Q of what is found, over recordings and partials [RK, RK], with the nodes' weights at `residual` [R, K]."""
-    weight = responsibilities(table, residual, phi, w)
-    return (_averaged(table, phi, w, weight),)
-
-
-@kept
-def middle_matrix(table: Table, phi, w, _):
-    """Q at the node of the middle τ and of gains apart: before anything is known of a residual."""
-    nodes = len(table.share)
-    return (_averaged(table, phi, w, jnp.zeros(nodes).at[nodes // 2].set(1.0)),)
-
-
-def _averaged(table: Table, phi, w, weight):
+def precisions(table: Table, phi, w, residual, _):
+    """C⁻¹ of what is found, over recordings and partials, at every node [T, RK, RK]; their weights at `residual`."""
     pieces = factored(table, phi, w)
     _, groups, size, _ = pieces.root.shape
     recordings = table.value.shape[0]
     d = pieces.precision.ravel()
-    flat = table.columns.reshape(-1, recordings * size)
+    columns = table.columns.reshape(-1, recordings * size)
 
-    def add(total, node):
-        root, lower, scale, share = node
+    def one(node):
+        root, lower, scale = node
         loadings = jnp.einsum("rg,gkl->glrk", table.group, root).reshape(groups * size, recordings * size)
-        b = jnp.concatenate([loadings, scale[:, None] * flat])
+        b = jnp.concatenate([loadings, scale[:, None] * columns])
         solved = jax.scipy.linalg.solve_triangular(lower, b * d, lower=True)
-        return total + share * (jnp.diag(d) - solved.T @ solved), None
+        return jnp.diag(d) - solved.T @ solved
 
-    start = jnp.zeros((recordings * size, recordings * size))
-    return jax.lax.scan(add, start, (pieces.root, pieces.cholesky, table.scale, weight))[0]
+    each = jax.lax.map(one, (pieces.root, pieces.cholesky, table.scale))
+    return each, responsibilities(table, residual, phi, w)
 
 
 class Parabola(NamedTuple):
@@ -60,12 +48,16 @@ class Parabola(NamedTuple):
 
     @classmethod
     def of(cls, table: Table, phi: np.ndarray, w: np.ndarray | None = None, residual: np.ndarray | None = None):
-        """At φ and w, 1 if None; the nodes' weights at `residual` [R, K], if there is one."""
+        """At φ and w, 1 if None; the nodes' weights are those at `residual` [R, K].
+
+        Before a residual is known, all is at the node of the middle τ and of gains apart.
+        """
         w = np.ones_like(table.value) if w is None else w
-        program = (middle_matrix, ()) if residual is None else (precision_matrix, (residual,))
-        (Q,) = program[0](table, phi, w, *program[1], None)
+        each, weight = precisions(table, phi, w, np.zeros_like(w) if residual is None else residual, None)
+        if residual is None:
+            weight = np.eye(len(weight))[len(weight) // 2]
         at = np.flatnonzero(np.asarray(table.found))
-        return cls(np.asarray(Q)[np.ix_(at, at)], at)
+        return cls(np.tensordot(weight, np.asarray(each), 1)[np.ix_(at, at)], at)
 
     def whole(self, count: int) -> np.ndarray:
         """Q [count, count], 0 where nothing was found."""

@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..units import NORMAL
 from .coordinates import STRING_SIZE
 from .descent import Descent
 from .estimate import Estimate
@@ -28,7 +29,7 @@ from .views import View, open_messages, reported
 __all__ = ["RISE", "profiles"]
 
 # Of F, at the ends of a 95 % interval: half the square of the normal's quantile.
-RISE = 1.959964**2 / 2
+RISE = NORMAL**2 / 2
 # Walks at a time: a step of one is mostly a single program on a single core.
 WALKERS = 4
 # Values on one side.

@@ -15,6 +15,7 @@ import numpy as np
 
 from ..errors import ParameterError
 from ..model.precision import float64, scope
+from ..units import NORMAL
 from .density import Given, folded, given, log_density, start
 from .estimate import Estimate
 from .lanes import Cfg, pool
@@ -39,7 +40,7 @@ MOST_RHAT, LEAST_ESS = 1.01, 400
 TAILS = 0.025, 0.975
 # Bins of a histogram of what lies between, and the share of its highest that a density has at a normal's ends: next to
 # an edge that cuts it off it has more.
-BINS, CUT = 20, float(np.exp(-0.5 * 1.96**2))
+BINS, CUT = 20, float(np.exp(-0.5 * NORMAL**2))
 
 
 def check_sampler() -> None:

@@ -54,8 +54,8 @@ def wide(descent: Descent) -> np.ndarray:
     return mean
 
 
-def screened(descent: Descent, seed: int) -> np.ndarray:
-    """The prior's hammers, each with the velocities that suit it best, by F at wide φ; the best first."""
+def screened(descent: Descent, seed: int, parabola: Parabola) -> np.ndarray:
+    """The prior's hammers, each with the velocities that suit it best, by `parabola` and the prior; the best first."""
     z = samples(descent, seed)
     # Measured velocities have columns of their own.
     shared = descent.unknowns.shared
@@ -70,10 +70,12 @@ def screened(descent: Descent, seed: int) -> np.ndarray:
     cfg = p.cfg._replace(n_modes=max(p.cfg.rows, p.cfg.n_modes // COARSER))
     level, ended = in_lanes(levels, (descent.string, lanes), scene, cfg, MANY_LANES)
     level = level.reshape(len(grid), len(z), -1)[..., descent.columns].swapaxes(0, 1)
-    return _scored(descent, z, grid, level, ended.reshape(len(grid), len(z)).T)
+    return _scored(descent, parabola, z, grid, level, ended.reshape(len(grid), len(z)).T)
 
 
-def _scored(descent: Descent, z: np.ndarray, grid: np.ndarray, level: np.ndarray, ended: np.ndarray) -> np.ndarray:
+def _scored(
+    descent: Descent, parabola: Parabola, z: np.ndarray, grid: np.ndarray, level: np.ndarray, ended: np.ndarray
+) -> np.ndarray:
     """The hammers with their best velocities, the best first [S, size].
 
     Parameters
@@ -83,7 +85,7 @@ def _scored(descent: Descent, z: np.ndarray, grid: np.ndarray, level: np.ndarray
     """
     table, u = descent.table, descent.unknowns
     R, K = table.value.shape
-    Q = Parabola.of(table, wide(descent)).whole(R * K).reshape(R, K, R, K)
+    Q = parabola.whole(R * K).reshape(R, K, R, K)
     free, strokes = u.free[u.shared :], u.strokes
     mean, sd = u.mean[u.shared :], np.where(free, u.sd[u.shared :], 1.0)
     belief = 0.5 * ((grid - mean[:, None]) / sd[:, None]) ** 2

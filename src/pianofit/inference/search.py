@@ -62,9 +62,10 @@ def searched(
     FitError
         If no hammer gives a finite sound.
     """
-    z = np.concatenate([first[None], screened(descent, seed)[:FIRST]])
-    parabola = Parabola.of(descent.table, wide(descent))
-    people = descent.begun(z, wide(descent), parabola=parabola)
+    phi = wide(descent)
+    parabola = Parabola.of(descent.table, phi)
+    z = np.concatenate([first[None], screened(descent, seed, parabola)[:FIRST]])
+    people = descent.begun(z, phi, parabola=parabola)
     if not len(people):
         raise FitError(NO_HAMMER)
     progress("hammer", 0.3)
