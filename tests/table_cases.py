@@ -12,13 +12,13 @@ from pianofit.inference.likelihood import ADDED, JITTER, Table
 from pianofit.inference.priors import STUDENT
 
 SMALL = -50.0  # log τ of no τ
-# R, K, groups, columns, nodes of τ, whether the path is unknown, most partials absent.
+# R, K, groups, columns, nodes of τ and of the gains, whether the path is unknown, most partials absent.
 SHAPES = {
-    "one recording": (1, 9, 1, 1, 3, True, 2),
-    "two microphones": (4, 8, 2, 5, 1, True, 4),
-    "no path": (3, 8, 1, 4, 1, False, 3),
-    "nothing absent": (3, 8, 1, 2, 2, True, 0),
-    "five nodes": (2, 7, 2, 2, 5, True, 3),
+    "one recording": (1, 9, 1, 1, (3, 1), True, 2),
+    "two microphones": (4, 8, 2, 5, (1, 1), True, 4),
+    "no path": (3, 8, 1, 4, (1, 1), False, 3),
+    "nothing absent": (3, 8, 1, 2, (1, 2), True, 0),
+    "ten nodes": (2, 7, 2, 2, (5, 2), True, 3),
 }
 PHI = np.array([-0.3, 1.2, -0.4, -5.0])
 
@@ -31,12 +31,12 @@ def table(shape: str, seed: int = 0) -> Table:
     absent = np.argwhere(random.random((R, K)) < 0.3)[:most]
     found = np.ones((R, K))
     found[tuple(absent.T)] = 0.0
-    common = np.log(0.3 + 2 * random.random((nodes, groups))) if path else np.full((nodes, groups), SMALL)
+    common = np.log(0.3 + 2 * random.random((nodes[0], groups))) if path else np.full((nodes[0], groups), SMALL)
     share = random.random(nodes)
     made = Table(
         value=random.normal(size=(R, K)), variance=0.1 + random.random((R, K)), found=found, absent=absent,
         group=np.eye(groups)[np.arange(R) % groups], columns=2 * random.normal(size=(columns, R, K)),
-        scale=0.5 + random.random((nodes, columns)),
+        scale=0.5 + random.random((nodes[1], columns)),
         systematic=0.1 * np.exp(-np.abs(np.subtract.outer(np.arange(K), np.arange(K)))),
         apart=np.abs(octave[:, None] - octave), smooth=np.full(groups, float(path)), common=common,
         share=np.log(share / share.sum()), growth=1 + random.random(K), ratio=5 * random.random((R, K)),
@@ -57,7 +57,7 @@ def noise(t: Table, phi: np.ndarray) -> np.ndarray:
     return np.asarray(t.variance + np.exp(2 * phi[0]) * t.growth + (np.exp(phi[3]) * ADDED * t.ratio) ** 2)
 
 
-def shared(t: Table, phi: np.ndarray, node: int) -> np.ndarray:
+def shared(t: Table, phi: np.ndarray, node: tuple[int, int]) -> np.ndarray:
     """The covariance of paths and columns over all entries [RK, RK], entry by entry."""
     R, K = t.value.shape
     d = np.sqrt(3) * np.asarray(t.apart) / np.exp(phi[2])
@@ -67,16 +67,16 @@ def shared(t: Table, phi: np.ndarray, node: int) -> np.ndarray:
         for j in range(R):
             if (t.group[i] == t.group[j]).all():
                 g = int(np.argmax(t.group[i]))
-                own = np.exp(2 * t.common[node, g]) + JITTER
+                own = np.exp(2 * t.common[node[0], g]) + JITTER
                 total[i, :, j, :] = t.smooth[g] * matern + t.systematic + own * np.eye(K)
-    columns = np.asarray(t.scale[node])[:, None] * np.asarray(t.columns).reshape(len(t.columns), -1)
+    columns = np.asarray(t.scale[node[1]])[:, None] * np.asarray(t.columns).reshape(len(t.columns), -1)
     return total.reshape(R * K, R * K) + columns.T @ columns
 
 
 def dense_nodes(t: Table, residual: np.ndarray, phi: np.ndarray, w: np.ndarray) -> np.ndarray:
-    """Minus the log density of everything at each node of τ [T], weights of nodes included."""
-    there, out = np.asarray(t.found).ravel() > 0, []
-    for node, share in enumerate(t.share):
+    """Minus the log density of everything at each node [T, M], weights of nodes included."""
+    there, out = np.asarray(t.found).ravel() > 0, np.empty(np.shape(t.share))
+    for node, share in np.ndenumerate(t.share):
         latent, own = shared(t, phi, node), noise(t, phi).ravel()
         full = latent + np.diag(own / w.ravel())
         inside, y = full[np.ix_(there, there)], residual.ravel()[there]
@@ -86,8 +86,8 @@ def dense_nodes(t: Table, residual: np.ndarray, phi: np.ndarray, w: np.ndarray) 
             pull = np.linalg.solve(inside, latent[there, at])
             sd = np.sqrt(latent[at, at] + own[at] - pull @ latent[there, at])
             minus -= norm.logcdf((residual.ravel()[at] - pull @ y) / sd)
-        out.append(minus - share)
-    return np.array(out)
+        out[node] = minus - share
+    return out
 
 
 def dense(t: Table, residual: np.ndarray, phi: np.ndarray, w: np.ndarray) -> float:

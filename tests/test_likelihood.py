@@ -10,13 +10,13 @@ import scipy.stats
 from table_cases import PHI, SHAPES, SMALL, dense, dense_nodes, noise, point, shared, table
 
 import pianofit.model  # noqa: F401  (float64)
-from pianofit.inference.likelihood import Table, curvature, latent, next_weights, objective, report
+from pianofit.inference.likelihood import Table, latent, next_weights, objective, report
 from pianofit.inference.parabola import Parabola
 
 pytestmark = pytest.mark.usefixtures("float64")
 
 F = jax.jit(objective)
-ONE_NODE = [name for name, shape in SHAPES.items() if shape[4] == 1]
+ONE_NODE = [name for name, shape in SHAPES.items() if shape[4] == (1, 1)]
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -32,7 +32,7 @@ def test_the_gradient_is_the_automatic_one(shape):
     t, (residual, w) = table(shape), point(shape)
     jacobian = np.random.default_rng(3).normal(size=(*residual.shape, 4))
     automatic = jax.jit(jax.grad(lambda d: objective(t, jnp.asarray(residual) - jacobian @ d, PHI, w)))
-    gradient, hessian = jax.jit(curvature)(t, residual, jacobian, PHI, w)
+    _, gradient, hessian, *_ = jax.jit(report)(t, residual, jacobian, PHI, w)
     np.testing.assert_allclose(gradient, automatic(np.zeros(4)), rtol=1e-9, atol=1e-9)
     assert np.linalg.eigvalsh(hessian)[0] > -1e-10 * np.abs(hessian).max()
     step = 1e-5
@@ -43,24 +43,18 @@ def test_the_gradient_is_the_automatic_one(shape):
         assert np.linalg.eigvalsh(hessian - exact)[0] > -1e-7
 
 
-def test_a_report_has_the_derivatives_of_the_objective():
-    shape = "two microphones"
+@pytest.mark.parametrize("shape", SHAPES)
+def test_a_report_has_the_derivatives_of_the_objective(shape):
     t, (residual, w) = table(shape), point(shape)
     found = jax.jit(report)(t, residual, np.ones((*residual.shape, 1)), PHI, w)
-    step = 1e-5
-    for i in range(4):
-        e = step * np.eye(4)[i]
-        slope = (dense(t, residual, PHI + e, w) - dense(t, residual, PHI - e, w)) / (2 * step)
-        assert float(found.by_phi[i]) == pytest.approx(slope, rel=1e-5, abs=1e-6)
-    for r, k in np.argwhere(np.asarray(t.found) > 0)[::3]:
-        up, down = w.copy(), w.copy()
-        up[r, k] *= np.exp(step)
-        down[r, k] *= np.exp(-step)
-        slope = (dense(t, residual, PHI, up) - dense(t, residual, PHI, down)) / (2 * step)
-        assert float(found.by_log_w[r, k]) == pytest.approx(slope, rel=1e-5, abs=1e-6)
+    both = jax.jit(jax.value_and_grad(lambda p, x: objective(t, jnp.asarray(residual), p, jnp.exp(x)), argnums=(0, 1)))
+    value, (by_phi, by_log_w) = both(PHI, np.log(w))
+    assert float(found.F) == pytest.approx(float(value), rel=1e-12)
+    np.testing.assert_allclose(found.by_phi, by_phi, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(found.by_log_w, by_log_w, rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.parametrize("shape", ["no path", "five nodes"])
+@pytest.mark.parametrize("shape", ["no path", "ten nodes"])
 def test_the_parabola_touches_F_from_above(shape):
     """Where it was made it has F's slope and curvature; what lowers it lowers F, while φ and w are held."""
     t = table(shape)._replace(absent=jnp.zeros((0, 2), int))
@@ -69,7 +63,7 @@ def test_the_parabola_touches_F_from_above(shape):
     jacobian = random.normal(size=(*residual.shape, 3))
     parabola = Parabola.of(t, PHI, w, residual)
     here = parabola(residual[None], jacobian[None])
-    gradient, hessian = curvature(t, jnp.asarray(residual), jnp.asarray(jacobian), PHI, w)
+    _, gradient, hessian, *_ = report(t, jnp.asarray(residual), jnp.asarray(jacobian), PHI, w)
     np.testing.assert_allclose(here.gradient[0], gradient, rtol=1e-8)
     np.testing.assert_allclose(here.curvature[0], hessian, rtol=1e-8, atol=1e-10)
     moved = residual + 3 * random.normal(size=(60, *residual.shape)) * np.exp(random.normal(size=(60, 1, 1)))
@@ -81,7 +75,7 @@ def test_the_parabola_touches_F_from_above(shape):
         np.testing.assert_allclose(F[1:] - F[0], rise, rtol=1e-8, atol=1e-8)
 
 
-@pytest.mark.parametrize("shape", ["one recording", "no path", "five nodes"])
+@pytest.mark.parametrize("shape", ["one recording", "no path", "ten nodes"])
 def test_weighting_anew_is_descent_to_a_stationary_point(shape):
     t, (residual, w) = table(shape), point(shape)
     both = jax.jit(jax.value_and_grad(lambda x: objective(t, jnp.asarray(residual), PHI, jnp.exp(x))))
@@ -103,8 +97,8 @@ def tiny() -> Table:
     changed = {
         "value": np.zeros((2, 2)), "variance": 0.5 + random.random((2, 2)), "found": found, "absent": absent,
         "group": np.ones((2, 1)), "columns": random.normal(size=(1, 2, 2)), "scale": np.array([[0.4], [1.6]]),
-        "systematic": t.systematic[:2, :2],
-        "apart": t.apart[:2, :2], "smooth": np.ones(1), "common": np.log([[0.5], [1.5]]), "share": np.log([0.3, 0.7]),
+        "systematic": t.systematic[:2, :2], "apart": t.apart[:2, :2], "smooth": np.ones(1),
+        "common": np.log([[0.5], [1.5]]), "share": np.log([[0.2, 0.1], [0.4, 0.3]]),
         "growth": np.ones(2), "ratio": np.ones((2, 2)),
     }  # fmt: skip
     return t._replace(**{name: jnp.asarray(x) for name, x in changed.items()})
@@ -122,10 +116,10 @@ def test_what_is_integrated_out_is_the_integral():
     for seed in range(3):
         residual = 1.5 * np.random.default_rng(seed).normal(size=(2, 2))
         density = 0.0
-        for node, share in enumerate(np.exp(np.asarray(t.share))):
+        for node, share in np.ndenumerate(np.exp(np.asarray(t.share))):
             own = shared(t._replace(columns=jnp.zeros((1, 2, 2))), phi, node)[:2, :2]
             level = (grid[:, :2] @ np.linalg.cholesky(own).T)[:, None, :] + grid[:, 2, None, None] * np.asarray(
-                t.scale[node, 0] * t.columns
+                t.scale[node[1], 0] * t.columns
             )
             e = residual - level
             seen = np.prod(np.where(t.found, np.exp(-0.5 * e**2 / var) / np.sqrt(var), 1.0), axis=(1, 2))
@@ -140,9 +134,9 @@ def test_weights_integrated_out_leave_students_t():
     changed = {
         "value": np.zeros(size), "variance": np.full(size, 0.6), "found": np.ones(size),
         "absent": np.zeros((0, 2), int),
-        "group": np.ones(size), "columns": np.zeros((0, 1, 1)), "scale": np.zeros((1, 0)), "systematic": np.zeros(size),
+        "group": np.ones(size), "columns": np.zeros((1, 1, 1)), "scale": np.ones((1, 1)), "systematic": np.zeros(size),
         "apart": np.zeros(size),
-        "smooth": np.zeros(1), "common": np.full(size, SMALL), "share": np.zeros(1), "growth": np.ones(1),
+        "smooth": np.zeros(1), "common": np.full(size, SMALL), "share": np.zeros(size), "growth": np.ones(1),
         "ratio": np.zeros(size),
     }  # fmt: skip
     t = t._replace(**{name: jnp.asarray(x) for name, x in changed.items()})
@@ -167,7 +161,7 @@ def test_what_was_integrated_out_is_estimated_as_a_dense_gaussian_would(shape):
     each = dense_nodes(t, residual, PHI, w)
     responsible = np.exp(each.min() - each)
     mean, variance = 0.0, 0.0
-    for node, share in enumerate(responsible / responsible.sum()):
+    for node, share in np.ndenumerate(responsible / responsible.sum()):
         cov = shared(t, PHI, node)
         pull = np.linalg.solve((cov + np.diag((noise(t, PHI) / w).ravel()))[np.ix_(there, there)], cov[there]).T
         mean = mean + share * pull @ residual.ravel()[there]

@@ -84,9 +84,9 @@ def test_columns_are_gains_and_onsets():
     np.testing.assert_allclose(onset, np.eye(2)[:, :, None] * 20 * np.log10(np.exp(alpha)))
     late = np.hypot(priors.ONSET, priors.ONSET_PERIODS / F0)
     apart = [[priors.GAIN, x, x, late, late] for x in priors.GAINS_APART]
-    np.testing.assert_allclose(table.scale, apart * priors.PATH_NODES)
+    np.testing.assert_allclose(table.scale, apart)
     shared = observed(Layout((0, 1), (0, 0), (0, 0))).level
-    np.testing.assert_allclose(shared.scale, [[priors.GAIN, late, late]] * priors.PATH_NODES)
+    np.testing.assert_allclose(shared.scale, [[priors.GAIN, late, late]])
     np.testing.assert_allclose(shared.columns[0, :, :5], 1.0)
     calibrated = observed(path=False, gains=False).level
     np.testing.assert_allclose(calibrated.columns[:, :, :5], onset)
@@ -97,11 +97,10 @@ def test_nodes_are_of_paths_and_of_gains():
     """Every τ with gains that are one and gains that are not, each as likely; the screening takes the middle one."""
     table = observed().level
     nodes, weight = priors.path_nodes()
-    np.testing.assert_allclose(np.exp(table.share).reshape(-1, 2), weight[:, None] / 2 * np.ones(2))
-    np.testing.assert_allclose(table.common[:, 0].reshape(-1, 2), nodes[:, None] * np.ones(2))
-    middle = len(table.share) // 2
-    assert (table.common[middle, 0], table.scale[middle, 1]) == (nodes[1], priors.GAINS_APART[1])
-    assert observed(MICROPHONES).level.scale.shape == (priors.PATH_NODES, 2 + 2)  # two paths, and nothing to share
+    np.testing.assert_allclose(np.exp(table.share), weight[:, None] / 2 * np.ones(2))
+    np.testing.assert_allclose(table.common[:, 0], nodes)
+    assert (table.common[len(nodes) // 2, 0], table.scale[-1, 1]) == (nodes[1], priors.GAINS_APART[1])
+    assert observed(MICROPHONES).level.scale.shape == (1, 2 + 2)  # two paths, and nothing to share
 
 
 def test_two_microphones_share_a_stroke_and_no_path():
@@ -126,10 +125,10 @@ def test_the_residual_of_every_path_is_integrated_over():
     for layout in (ALONE, TWO):
         level = observed(layout).level
         regimes = len(layout.stroke)  # of one recording, and of gains that are one or are not
-        np.testing.assert_allclose(level.common, np.repeat(x, regimes)[:, None])
-        np.testing.assert_allclose(np.exp(level.share), np.repeat(weight, regimes) / regimes)
+        np.testing.assert_allclose(level.common, x[:, None])
+        np.testing.assert_allclose(np.exp(level.share), weight[:, None] / regimes * np.ones(regimes))
     both = observe([LOUD, SOFT, LOUD], Layout((0, 1, 0), (0, 0, 1), (0, 1, 2)), 0, 0.0, True, True).level
-    np.testing.assert_allclose(both.common, np.repeat(x, 2)[:, None] * np.ones(2))
+    np.testing.assert_allclose(both.common, x[:, None] * np.ones(2))
     calibrated = observed(path=False, gains=False).level
     assert not calibrated.smooth.any()
     assert (calibrated.common <= observations.NONE).all()

@@ -181,7 +181,6 @@ def _levels(
     nodes, weight = _path_nodes(layout.groups, path)
     alpha = ref.b1 + ref.d2 * number.astype(float) ** 2
     columns, scale = _columns(layout, alpha, gains, ref.f0)
-    regimes = len(scale)
     hyper = priors.LEVEL
     value = np.nan_to_num(level + unit)
     value[0, -1] = OPEN
@@ -192,12 +191,12 @@ def _levels(
         absent=_filled(np.argwhere(absent), len(number) - 1),
         group=_one_hot(layout.group),
         columns=columns,
-        scale=np.tile(scale, (len(nodes), 1)),
+        scale=scale,
         systematic=_covariance([t.level_systematic for t in tables], [t.number for t in tables], number),
         apart=_apart(frequency, number),
         smooth=np.full(layout.groups, float(path)),
-        common=np.repeat(nodes, regimes, axis=0),
-        share=np.log(np.repeat(weight, regimes) / regimes),
+        common=nodes,
+        share=np.log(weight[:, None] * np.full(len(scale), 1 / len(scale))),
         growth=np.ones(len(number)),
         ratio=np.nan_to_num(10 ** ((loudest - level) / 20)),
         prior=(hyper.log_median, np.array(hyper.spread)),
@@ -296,6 +295,7 @@ def _string_table(number, law, value, variance, systematic, growth, columns, hyp
         value=_wide(value[None]), variance=_wide(variance[None], 1.0), found=(padded > 0)[None].astype(float),
         absent=np.zeros((0, 2), int), group=np.ones((1, 1)), columns=_wide(columns), scale=np.ones((1, 1)),
         systematic=np.pad(systematic, (0, more)), apart=_apart(frequency, padded), smooth=np.zeros(1),
-        common=np.full((1, 1), NONE), share=np.zeros(1), growth=_wide(growth, 1.0), ratio=np.zeros((1, len(padded))),
+        common=np.full((1, 1), NONE), share=np.zeros((1, 1)), growth=_wide(growth, 1.0),
+        ratio=np.zeros((1, len(padded))),
         prior=(mean, np.array([hyper.spread[0], 1.0, 1.0, 1.0])), student=np.float64(priors.STUDENT),
     )  # fmt: skip

@@ -9,35 +9,13 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
-from ..model.cache import kept
 from .lanes import pool
-from .likelihood import Report, Table, factored, responsibilities
+from .likelihood import Report, Table
+from .reports import opened
 
 __all__ = ["Parabola"]
-
-
-@kept
-def precisions(table: Table, phi, w, residual, _):
-    """C⁻¹ of what is found, over recordings and partials, at every node [T, RK, RK]; their weights at `residual`."""
-    pieces = factored(table, phi, w)
-    _, groups, size, _ = pieces.root.shape
-    recordings = table.value.shape[0]
-    d = pieces.precision.ravel()
-    columns = table.columns.reshape(-1, recordings * size)
-
-    def one(node):
-        root, lower, scale = node
-        loadings = jnp.einsum("rg,gkl->glrk", table.group, root).reshape(groups * size, recordings * size)
-        b = jnp.concatenate([loadings, scale[:, None] * columns])
-        solved = jax.scipy.linalg.solve_triangular(lower, b * d, lower=True)
-        return jnp.diag(d) - solved.T @ solved
-
-    each = jax.lax.map(one, (pieces.root, pieces.cholesky, table.scale))
-    return each, responsibilities(table, residual, phi, w)
 
 
 class Parabola(NamedTuple):
@@ -52,12 +30,13 @@ class Parabola(NamedTuple):
 
         Before a residual is known, all is at the node of the middle τ and of gains apart.
         """
-        w = np.ones_like(table.value) if w is None else w
-        each, weight = precisions(table, phi, w, np.zeros_like(w) if residual is None else residual, None)
+        one = np.ones_like(table.value)
+        each, weight, *_ = opened(table, 0 * one if residual is None else residual, phi, one if w is None else w)
         if residual is None:
-            weight = np.eye(len(weight))[len(weight) // 2]
+            weight = np.zeros_like(weight)
+            weight[len(weight) // 2, -1] = 1.0
         at = np.flatnonzero(np.asarray(table.found))
-        return cls(np.tensordot(weight, np.asarray(each), 1)[np.ix_(at, at)], at)
+        return cls(np.tensordot(weight, each, 2)[np.ix_(at, at)], at)
 
     def whole(self, count: int) -> np.ndarray:
         """Q [count, count], 0 where nothing was found."""

@@ -19,19 +19,14 @@ from scipy.stats import norm
 
 from .coordinates import STRING_SIZE
 from .finish import Minima
-from .likelihood import Report, Table
+from .likelihood import Report
+from .nuisances import without_nuisances
 from .problem import Problem
 from .reports import report
 from .string import string_residuals
 
 __all__ = ["Posterior", "laplace"]
 
-# Step of the differences of F's exact gradient.
-STEP = 1e-4
-# Curvatures by φ and log w below this share of the largest are rounding.
-FLOOR = 1e-8
-# An eigenvalue of a curvature so far below 0, over what it is with φ and w known, is no rounding.
-NEGATIVE = 1e-3
 # Of a two-sided 95 % interval.
 TAIL = 0.025
 
@@ -100,7 +95,7 @@ def _precision(problem: Problem, minima: Minima, i: int) -> tuple[np.ndarray, fl
     u, people = problem.unknowns, minima.people
     precision = np.diag(np.where(minima.descent.moves, 1 / np.where(u.free, u.sd, 1.0) ** 2, 0.0))
     there = Report(*(x[i] for x in people.report))
-    more, volume = _without_nuisances(
+    more, volume = without_nuisances(
         minima.descent.table, people.residual[i], people.jacobian[i], people.phi[i], people.w[i], there, 4
     )
     precision += more
@@ -109,38 +104,7 @@ def _precision(problem: Problem, minima: Minima, i: int) -> tuple[np.ndarray, fl
     tables = problem.observed.frequency, problem.observed.decay
     for table, r, s, phi, w in zip(tables, residuals, slopes, state.phi, state.w, strict=True):
         found = report(table, r[None], s[None], phi[None], w[None])
-        more, own = _without_nuisances(table, r, s, phi, w, Report(*(x[0] for x in found)), 1)
+        more, own = without_nuisances(table, r, s, phi, w, Report(*(x[0] for x in found)), 1)
         precision[:STRING_SIZE, :STRING_SIZE] += more
         volume += own
     return precision, volume
-
-
-def _without_nuisances(
-    table: Table, residual: np.ndarray, jacobian: np.ndarray, phi: np.ndarray, w: np.ndarray, there: Report, hyper: int
-) -> tuple[np.ndarray, float]:
-    """Curvature by θ once the first `hyper` of φ and all log-weights have been integrated out, and their log volume.
-
-    Differences of the exact gradient give the Hessian's columns by φ and log w; by θ it is Gauss and Newton's.
-    """
-    at = np.argwhere(np.asarray(table.found) > 0)
-    count = hyper + len(at)
-    phis, ws = np.tile(phi, (count, 1)), np.tile(w, (count, 1, 1))
-    phis[np.arange(hyper), np.arange(hyper)] += STEP
-    ws[np.arange(hyper, count), at[:, 0], at[:, 1]] *= np.exp(STEP)
-    moved = report(table, np.tile(residual, (count, 1, 1)), np.tile(jacobian, (count, 1, 1, 1)), phis, ws)
-    cross = (moved.gradient - there.gradient) / STEP
-    own = np.concatenate(
-        [(moved.by_phi - there.by_phi)[:, :hyper], (moved.by_log_w - there.by_log_w)[:, at[:, 0], at[:, 1]]], axis=1
-    ) / STEP  # fmt: skip
-    value, vector = np.linalg.eigh(0.5 * (own + own.T))
-    value = np.maximum(value, FLOOR * value.max())
-    projected = vector.T @ cross
-    curvature = there.curvature - (projected / value[:, None]).T @ projected
-    # In units in which each unknown's own curvature is 1: of clean sounds they are decades apart.
-    unit = np.sqrt(np.maximum(np.diag(there.curvature), np.finfo(float).tiny))
-    share, along = np.linalg.eigh(curvature / np.outer(unit, unit))
-    # A curvature that is not positive says only that the parabola ends here: then φ and w count as known.
-    if share[0] < -NEGATIVE:
-        return there.curvature, float(np.log(value).sum())
-    root = unit[:, None] * along * np.sqrt(np.maximum(share, 0.0))
-    return root @ root.T, float(np.log(value).sum())

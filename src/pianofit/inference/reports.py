@@ -1,6 +1,8 @@
-"""F of many points at once, on all cores, and what F integrated out at one of them: as programs that are kept."""
+"""F of many points at once, on all cores, and what F is made of at one of them: as programs that are kept."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +13,7 @@ from . import likelihood
 from .lanes import pool
 from .likelihood import Latent, Report, Table
 
-__all__ = ["latent", "report"]
+__all__ = ["Opened", "latent", "opened", "report"]
 
 # Points of one call.
 TOGETHER = 6
@@ -54,3 +56,31 @@ def latents(table: Table, residual, phi, w, _):
 def latent(table: Table, residual: np.ndarray, phi: np.ndarray, w: np.ndarray) -> Latent:
     """`likelihood.latent` of one point, as arrays of NumPy."""
     return Latent(*(np.asarray(x) for x in latents(table, residual, phi, w, None)))
+
+
+class Opened(NamedTuple):
+    """F at every node of τ and of the gains, opened; see `likelihood.Solved`."""
+
+    inverse: np.ndarray  # C⁻¹ [T, M, RK, RK]
+    weight: np.ndarray  # of the nodes at this residual [T, M]
+    variance: np.ndarray  # var/w [R, K]
+    push: np.ndarray  # C⁻¹r [T, M, R, K]
+    pull: np.ndarray  # of what is absent: derivatives of its mean by the residual [T, M, N, R, K],
+    z: np.ndarray  # bound less mean, in standard deviations [T, M, N],
+    spread: np.ndarray  # these deviations, dB,
+    hazard: np.ndarray  # and minus the slope of -log Φ(z)
+
+
+@kept
+def opens(table: Table, residual, phi, w, _):
+    """`Opened` of one point."""
+    s = likelihood.solved(table, residual, phi, w)
+    return (
+        likelihood.inverse(table, s.pieces), likelihood.responsible(table, s.each),
+        likelihood.variance(table, phi, w), s.push, likelihood.pulled(table, s), s.z, s.spread, likelihood.hazard(s.z),
+    )  # fmt: skip
+
+
+def opened(table: Table, residual: np.ndarray, phi: np.ndarray, w: np.ndarray) -> Opened:
+    """F at one point, opened, as arrays of NumPy."""
+    return Opened(*(np.asarray(x) for x in opens(table, residual, phi, w, None)))
