@@ -10,7 +10,9 @@ from observed_cases import GEOMETRY, HAMMER, STRING, played, setup, tone
 
 from pianofit.inference import Problem, estimate, pose
 from pianofit.inference.descent import Descent
+from pianofit.inference.estimate import _apart
 from pianofit.inference.parabola import Parabola
+from pianofit.inference.posterior import Posterior
 from pianofit.inference.screen import screened, wide
 from pianofit.inference.search import distinct
 from pianofit.inference.string import string_minimum
@@ -105,3 +107,16 @@ def test_minima_are_told_apart_by_where_they_are():
     scores = np.array([1.0, 0.9, 0.0, 9.0])[: len(people)]
     assert len(people) == 4
     assert distinct(people, u, scores, 6.0) == [2, 1]
+
+
+def test_the_heaviest_minimum_is_the_first_and_what_lies_within_another_is_none():
+    one = found()
+    mean, covariance = np.repeat(one.posterior.mean[:1], 3, axis=0), np.repeat(one.posterior.covariance[:1], 3, axis=0)
+    deviation = np.sqrt(covariance[0].diagonal())
+    mean[1] += 0.5 * deviation  # within the first
+    mean[2] += 5.0 * deviation
+    minima = one.minima.take(np.zeros(3, int))._replace(F=np.array([1.0, 1.5, 1.2]))
+    kept, posterior = _apart(minima, Posterior(mean, covariance, np.array([0.2, 0.4, 0.4])))
+    np.testing.assert_array_equal(kept.F, [1.2, 1.0])
+    np.testing.assert_allclose(posterior.share, [2 / 3, 1 / 3])
+    np.testing.assert_array_equal(posterior.mean, mean[[2, 0]])

@@ -73,7 +73,7 @@ def given(problem: Problem, found: Estimate) -> Given:
         best.z[0], _white(problem, found), (u.lower, u.upper), u.power, np.array(u.stiffness), u.log_u,
         (u.mean, precision), tables, (best.phi[0], *strings.phi), (best.w[0], *strings.w),
         tuple(np.argwhere(np.asarray(t.found) > 0) for t in tables),
-        minima.offsets[0], descent.there, descent.stroke, descent.columns, cents,
+        descent.offset, descent.there, descent.stroke, descent.columns, cents,
         (o.string_number, o.law, float(problem.start.geometry.length)), problem.scene,
     )  # fmt: skip
     return Given(*jax.tree.map(np.asarray, everything))

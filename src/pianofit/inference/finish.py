@@ -30,14 +30,23 @@ ITERATIONS = 25
 
 
 class Minima(NamedTuple):
-    """Minima of F, the lowest first; [B, ...]."""
+    """Minima of F, the one that is shown first; [B, ...]."""
 
-    descent: Descent  # with the string free, and the best minimum's step error
     people: Population
     F: np.ndarray  # with everything
-    offsets: np.ndarray  # dB, the step error of each [B, R, K]
+    descents: list[Descent]  # with the string free: each has its minimum's step error
     strings: list[StringState]
     converged: np.ndarray
+
+    @property
+    def descent(self) -> Descent:
+        """Of the first."""
+        return self.descents[0]
+
+    def take(self, which: np.ndarray) -> Minima:
+        """Some of them, in this order."""
+        descents, strings = ([x[i] for i in which] for x in (self.descents, self.strings))
+        return Minima(self.people.take(which), self.F[which], descents, strings, self.converged[which])
 
 
 def finished(problem: Problem, found: Population, held: Descent, strings: StringState) -> Minima:
@@ -50,11 +59,11 @@ def finished(problem: Problem, found: Population, held: Descent, strings: String
         people = people.join(end.people)
     F = np.array([end.F for end in ends])
     # Two that were distinct may have come to the same minimum: it counts once.
-    kept = distinct(people, held.unknowns, F, WITHIN)
-    return Minima(
-        ends[kept[0]].descent, people.take(np.array(kept)), F[kept], np.stack([ends[i].descent.offset for i in kept]),
-        [ends[i].strings for i in kept], np.array([ends[i].converged for i in kept]),
+    every = Minima(
+        people, F, [end.descent for end in ends], [end.strings for end in ends],
+        np.array([end.converged for end in ends]),
     )  # fmt: skip
+    return every.take(np.array(distinct(people, held.unknowns, F, WITHIN)))
 
 
 class Finished(NamedTuple):

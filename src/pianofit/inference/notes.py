@@ -19,7 +19,7 @@ __all__ = ["latents", "path_of", "note_of"]
 
 def latents(minima: Minima, which: int) -> Latent:
     """What F integrated out, at one minimum."""
-    people, descent = minima.people, minima.descent
+    people, descent = minima.people, minima.descents[which]
     return latent(descent.table, people.residual[which], people.phi[which], people.w[which])
 
 

@@ -80,7 +80,7 @@ def profiles(problem: Problem, found: Estimate) -> View:
         points = sorted([*low.points, *high.points[1:]], key=lambda point: point.log)
         rises = [[float(np.exp(p.log)), p.F - profile.start.F] for p in points if np.isfinite(p.F)]
         told[name] = {"points": rises, "evaluations": len(points)}
-        lower[name] = float(found.minima.F[0]) - min(p.F for p in points)
+        lower[name] = float(found.minima.F.min()) - min(p.F for p in points)
     return View(entries, (*_messages(lower), *open_messages(entries)), {"profile": told})
 
 
@@ -98,7 +98,7 @@ class _Profile:
 
     def __init__(self, problem: Problem, found: Estimate) -> None:
         self.problem, self.unknowns = problem, problem.unknowns
-        self.offset = found.minima.offsets[0]
+        self.offset = found.minima.descent.offset
         self.mean, self.covariance = found.posterior.mean[0], found.posterior.covariance[0]
         best = found.minima.people
         at = _Point(0.0, self.mean, best.phi[0], best.w[0], found.minima.strings[0], float(found.minima.F[0]))

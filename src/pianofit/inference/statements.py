@@ -214,7 +214,7 @@ def messages(problem: Problem, found: Estimate, states: dict[str, str], worse: S
 
 
 def _mixture(problem: Problem, found: Estimate) -> list[str]:
-    """How much weight the lowest minimum has, which need not be the widest, and another hammer about as probable."""
+    """How much weight the heaviest minimum has, and another hammer about as probable."""
     share = found.posterior.share
     if len(share) == 1 or share[0] > 1 - NAMED:
         return []
@@ -227,7 +227,7 @@ def _mixture(problem: Problem, found: Estimate) -> list[str]:
     name = u.names[at]
     values = np.exp(found.posterior.mean[[0, other], at])
     return [
-        f"The lowest minimum, which is shown, has {100 * share[0]:.0f} % of the posterior's weight. Another hammer, "
+        f"The minimum that is shown has the largest share of the posterior, {100 * share[0]:.0f} %. Another hammer, "
         f"with {100 * share[other]:.0f} %, differs most in {name}: {values[1]:.4g} instead of {values[0]:.4g}. "
         "Intervals and predictions are those of the mixture."
     ]

@@ -112,7 +112,7 @@ def minima(fit: dict[str, Any]) -> dict[str, Any] | None:
     # What tells one minimum's hammer from another's.
     names = [name for name in (*felt_names(fit), "M_H", "x0") if len({v.get(name) for v in values}) > 1]
     units = {name: str((fit.get("parameters", {}).get(name) or {}).get("unit") or "") for name in names}
-    best = found[0].get("F")
+    best = min((entry["F"] for entry in found if is_number(entry.get("F"))), default=None)
     return {
         "names": [
             (SYMBOLS.get(name, name), "" if units[name] == "1" else units[name].replace("^p", "ᵖ")) for name in names
