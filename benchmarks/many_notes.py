@@ -18,7 +18,8 @@ from pathlib import Path
 import numpy as np
 
 RATE, LEAD = 44_100, 0.05
-LOWEST, HIGHEST = 36, 95  # MIDI numbers: C2 to B6; strings beyond have more modes or faster contacts, and fits take longer
+# MIDI numbers: C2 to B6. Strings below have more modes, those above faster contacts: their fits take longer.
+LOWEST, HIGHEST = 36, 95
 SECONDS = (0.5, 1.0)  # of sound, drawn between them
 
 
