@@ -14,6 +14,7 @@ import sys
 import threading
 from collections.abc import Callable, Hashable
 from pathlib import Path
+from typing import Any
 
 import jax
 from jax.core import Tracer
@@ -103,7 +104,7 @@ def _lasting(cfg: tuple | None) -> bool:
     return all(is_own(part) for part in cfg or () if isinstance(part, FeltLaw))
 
 
-def _program(file: Path, function: Callable, leaves: list[jax.ShapeDtypeStruct]) -> Callable:
+def _program(file: Path, function: Any, leaves: list[jax.ShapeDtypeStruct]) -> Callable:
     """`function`, jitted, of such arrays, compiled; traced if `file` does not hold it whole."""
     from jax import export
 
