@@ -1,6 +1,6 @@
 """Whether one process can fit any number of notes: what each fit leaves in memory, as in a long notebook.
 
-    python benchmarks/many_notes.py                    60 notes of different keys, about half an hour
+    python benchmarks/many_notes.py                    60 notes of different keys, about an hour on a busy machine
     python benchmarks/many_notes.py --count 5 --seed 7
 
 Every note is made of what a piano usually has at its key, with a pitch, a velocity and a length of sound of its own, so
