@@ -134,9 +134,3 @@ def test_no_scheduler_is_one_clear_message(monkeypatch):
         Cluster("tcp://127.0.0.1:9", True)
     with pytest.raises(PianofitError, match="no scheduler answers there"):
         Cluster("nonsense", True)
-
-
-def test_without_the_extra_it_says_how_to_install_it(monkeypatch):
-    monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(ParameterError, match=r"pip install 'pianofit\[cluster\]'"):
-        Cluster("tcp://127.0.0.1:9", True)

@@ -225,14 +225,27 @@ def test_the_help_of_every_command_has_an_example_that_parses_and_no_types(comma
         assert all(option.help or option.hidden for option in command.params), name
 
 
-@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_a_shell_completes_commands(shell):
-    asked = {"COMP_WORDS": "pianofit cross", "COMP_CWORD": "1"} if shell == "bash" else {
-        "_TYPER_COMPLETE_ARGS": "pianofit cross", "_TYPER_COMPLETE_FISH_ACTION": "get-args"
+SHELLS = ("bash", "zsh", "fish")
+
+
+@pytest.mark.parametrize("shell", SHELLS)
+def test_a_shell_completes_every_command_each_on_a_line(shell, commands):
+    asked = {"COMP_WORDS": "pianofit ", "COMP_CWORD": "1"} if shell == "bash" else {
+        "_TYPER_COMPLETE_ARGS": "pianofit ", "_TYPER_COMPLETE_FISH_ACTION": "get-args"
     }  # fmt: skip
     environment = os.environ | {"_PIANOFIT_COMPLETE": f"complete_{shell}"} | asked
     done = subprocess.run(PROGRAM, capture_output=True, text=True, check=False, env=environment)
-    assert "crossval" in done.stdout
+    assert not done.returncode
+    lines = done.stdout.replace("_arguments '*: :((", "").splitlines()
+    assert {re.match(r'"?(\w*)', line)[1] for line in lines} == {*commands}  # pyright: ignore[reportOptionalSubscript]
+
+
+@pytest.mark.parametrize("shell", SHELLS)
+def test_the_script_that_teaches_a_shell_is_for_that_shell(shell, monkeypatch, capsys):
+    monkeypatch.setattr("shellingham.detect_shell", lambda: (shell, f"/bin/{shell}"))
+    with pytest.raises(SystemExit, match=r"^0$"):
+        main(["--show-completion"])
+    assert f"_PIANOFIT_COMPLETE=complete_{shell}" in capsys.readouterr().out
 
 
 # --- from a recording to parameters and back to sound -----------------------------------------------------------------

@@ -1,6 +1,6 @@
 """A sample library as one batch: a manifest, a ledger, and workers on this machine or on a cluster."""
 
-from .cluster import Cluster
+from .cluster import Cluster, check_cluster
 from .local import Local
 from .manifest import DEFAULT_PATTERN, Key, Sample, read_keys
 from .run import Progress, plan, run_batch
@@ -10,5 +10,5 @@ from .units import Settings, Unit, make_unit
 __all__ = [
     "DEFAULT_PATTERN", "Key", "Sample", "read_keys",
     "Settings", "Unit", "make_unit",
-    "Local", "Cluster", "Progress", "plan", "run_batch", "status",
+    "Local", "Cluster", "check_cluster", "Progress", "plan", "run_batch", "status",
 ]  # fmt: skip

@@ -12,6 +12,7 @@ import logging
 import queue
 import secrets
 import time
+from importlib.util import find_spec
 from pathlib import Path
 
 from ..errors import OutputError, ParameterError, RecordingError
@@ -20,11 +21,19 @@ from ..recording import MAX_BYTES
 from .local import AtWork, Lost, Work, one_thread
 from .units import Outcome, Unit, fit_unit
 
-__all__ = ["Cluster"]
+__all__ = ["Cluster", "check_cluster"]
 
 PATIENCE = 10.0  # s, for the scheduler to answer
 AHEAD = 2  # units sent for every thread
 TOPIC = "pianofit-batch"  # of the events by which workers tell their stages
+
+
+def check_cluster() -> None:
+    """Refuse where dask.distributed is not installed: `ParameterError`, saying what to install."""
+    if find_spec("distributed") is None:
+        raise ParameterError(
+            "--scheduler needs dask.distributed, which is not installed; pip install 'pianofit[cluster]'"
+        )
 
 
 class Cluster:
@@ -39,13 +48,10 @@ class Cluster:
     """
 
     def __init__(self, address: str, by_value: bool, work: Work = fit_unit) -> None:
-        try:
-            from dask import config
-            from distributed import Client
-        except ImportError:
-            raise ParameterError(
-                "--scheduler needs dask.distributed, which is not installed; pip install 'pianofit[cluster]'"
-            ) from None
+        check_cluster()
+        from dask import config
+        from distributed import Client
+
         self._by_value, self._work, self._address = by_value, work, one_line(address)
         logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what it would say is said here in one line
         # Recordings sent along are part of the task: kept by the scheduler, they outlive any worker.

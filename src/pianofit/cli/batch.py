@@ -131,8 +131,10 @@ def batch(
     """Fit every key of a sample library; run again, it goes on where it was."""
     with _ended_as_interrupted():
         _check(workers, memory, time_limit, seed, channel)
-        from ..batch import plan, read_keys, run_batch
+        from ..batch import check_cluster, plan, read_keys, run_batch
 
+        if scheduler is not None:
+            check_cluster()
         keys, remarks = read_keys(manifest, pattern=pattern, root=root, transpose=transpose)
         for remark in remarks:
             typer.echo(f"pianofit: {remark}", err=True)

@@ -6,6 +6,7 @@ that cannot be understood, 130 interrupted.
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -21,8 +22,9 @@ from .terminal import add, complain, tell
 
 __all__ = ["app", "main"]
 
-# Columns that a help text fills, where the terminal has them.
-WIDEST = 120
+# Columns that a help text fills, where the terminal has them; and of a description that a shell shows beside what it
+# completes: a line each, which a narrow terminal would break in two, and fish would take the second for a command.
+WIDEST, UNBROKEN = 120, 10_000
 
 app = typer.Typer(
     pretty_exceptions_enable=False, rich_markup_mode=None,
@@ -109,6 +111,8 @@ add(app, reproduce, "pianofit reproduce --out paper")
 def main(arguments: Sequence[str] | None = None) -> int:
     """The program's entry point: run the command line `arguments` and return the exit code."""
     arguments = sys.argv[1:] if arguments is None else arguments
+    if "_PIANOFIT_COMPLETE" in os.environ:
+        os.environ["COLUMNS"] = str(UNBROKEN)
     try:
         return app(args=list(arguments) or ["--help"], prog_name="pianofit", standalone_mode=False) or 0
     except UsageError as error:

@@ -14,6 +14,7 @@ import sys
 import threading
 from collections.abc import Callable, Hashable
 from pathlib import Path
+from typing import Any
 
 import jax
 from jax.core import Tracer
@@ -62,33 +63,37 @@ def keep_programs() -> None:
 
 
 def kept(function: Callable) -> Callable:
-    """`function(*arrays, cfg)` as `jax.jit` makes it, static in `cfg`, its traced programs kept in JAX's folder.
+    """`function(*arrays, cfg)` as `jax.jit` makes it, static in `cfg`, with the programs of the last `LOADED` shapes.
 
     Arguments are trees of arrays, of float64 or integers, `cfg` hashable with a faithful `repr`, the result a tuple of
-    arrays. Without a folder, inside other transformations, and for a felt law from outside, whose code may change
-    between runs, this is `jax.jit`. The programs of the last `LOADED`
-    shapes stay in memory.
+    arrays. Traced programs are kept in JAX's folder too, where there is one, but for those of a felt law from outside,
+    whose code may change between runs. Inside other transformations this is `jax.jit`.
     """
     jitted = jax.jit(function, static_argnums=-1)
     alone = threading.Lock()  # two threads that need one program wait for it, and do not both make it
 
     @functools.lru_cache(maxsize=LOADED)
-    def program(folder: str, cfg: Hashable, tree, shapes: tuple) -> Callable:
+    def program(folder: str | None, cfg: Hashable, tree, shapes: tuple) -> Callable:
+        whole = jax.jit(lambda *x: function(*jax.tree.unflatten(tree, x), cfg))
+        leaves = [jax.ShapeDtypeStruct(*shape) for shape in shapes]
+        if folder is None:
+            return whole.lower(*leaves).compile()
         key = (cfg, tree, *shapes)
         named = hashlib.sha256(repr((_sources(), jax.default_backend(), function.__name__, key)).encode())
         file = Path(folder) / f"pianofit-{function.__name__}-{named.hexdigest()}.program"
-        return _program(file, lambda *x: jitted(*jax.tree.unflatten(tree, x), cfg), shapes)
+        return _program(file, whole, leaves)
 
     @functools.wraps(function)
     def call(*args):
         *trees, cfg = args
         leaves, tree = jax.tree.flatten(trees)
-        folder = jax.config.values["jax_compilation_cache_dir"]
+        folder = jax.config.values["jax_compilation_cache_dir"] or None
         with scope():
-            if not folder or not _lasting(cfg) or any(isinstance(x, Tracer) for x in leaves):
+            if any(isinstance(x, Tracer) for x in leaves):
                 return jitted(*args)
             with alone:
-                chosen = program(folder, cfg, tree, tuple((x.shape, x.dtype) for x in leaves))
+                shapes = tuple((x.shape, x.dtype) for x in leaves)
+                chosen = program(folder if _lasting(cfg) else None, cfg, tree, shapes)
             return chosen(*leaves)
 
     return call
@@ -99,16 +104,15 @@ def _lasting(cfg: tuple | None) -> bool:
     return all(is_own(part) for part in cfg or () if isinstance(part, FeltLaw))
 
 
-def _program(file: Path, function: Callable, shapes: tuple) -> Callable:
-    """`function` of arrays of these shapes and types, compiled; traced if `file` does not hold it whole."""
+def _program(file: Path, function: Any, leaves: list[jax.ShapeDtypeStruct]) -> Callable:
+    """`function`, jitted, of such arrays, compiled; traced if `file` does not hold it whole."""
     from jax import export
 
-    leaves = [jax.ShapeDtypeStruct(*shape) for shape in shapes]
     with contextlib.suppress(OSError):
         digest, content = (held := file.read_bytes())[:32], held[32:]
         if hashlib.sha256(content).digest() == digest:
             return jax.jit(export.deserialize(bytearray(content)).call).lower(*leaves).compile()
-    traced = export.export(jax.jit(function))(*leaves)
+    traced = export.export(function)(*leaves)
     content = traced.serialize()
     unfinished = file.with_suffix(f".{os.getpid()}-{threading.get_ident()}.tmp")
     with contextlib.suppress(OSError):
