@@ -133,7 +133,7 @@ def gain_from_truth(problem: Problem, minima: Minima, true: Values, velocities: 
     if not len(begun):
         return None
     F = finish(problem, begun, minima.strings[0]).F
-    return float(minima.F[0]) - F
+    return float(minima.F.min()) - F
 
 
 def point_of(problem: Problem, best: np.ndarray, true: Values, velocities: Sequence[float]) -> np.ndarray:
