@@ -2,6 +2,7 @@
 
     python benchmarks/realism.py                       all notes of the recordings
     python benchmarks/realism.py --notes C4,A0 --json realism.json
+    python benchmarks/realism.py --notes A6 --velocity 2        played at 2 m/s, whatever the prediction's velocity
     python benchmarks/realism.py --constants           what halving and doubling each constant of the ringing does
 
 Of every note with three layers or more one inner layer is left out entirely: string, hammer, modes and knock come from
@@ -119,18 +120,18 @@ def fitted(note: str, files: list[Path], setup: Setup) -> Fitted:
     return Fitted(recordings, analyses, out, result)
 
 
-def left_out(fit: Fitted, tool: ModuleType) -> LeftOut:
-    """What the others say of the layer that was left out."""
+def left_out(fit: Fitted, tool: ModuleType, velocity: float | None = None) -> LeftOut:
+    """What the others say of the layer that was left out; played at `velocity`, m/s, or at the prediction's."""
     from pianofit import predict_recording
     from pianofit.ringing import ringing_of
 
     recordings, analyses, out, result = fit
-    found = predict_recording(result.mixture, analyses[out], gains=result.gains)
-
+    played = predict_recording(result.mixture, analyses[out], gains=result.gains).note
+    played = played if velocity is None else played.struck(velocity)
     recording, analysis = recordings[out], analyses[out]
     others, partials = [x.recording for x in result.recordings], analysis.partials
     left = LeftOut(
-        lambda: found.note._replace(ringing=ringing_of(result)), found.note.strike(recording.rate), recording.rate,
+        lambda: played._replace(ringing=ringing_of(result)), played.strike(recording.rate), recording.rate,
         noise(others, analysis.f0, recording.rate), tool.load(recording.path),
         partials.frequency[partials.level > partials.level.max() - RANGE], analysis.f0, {},
     )  # fmt: skip
@@ -258,6 +259,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--notes", default="", help="only notes whose names contain one of these, separated by commas")
     parser.add_argument("--constants", action="store_true", help="what each constant of the ringing does")
+    parser.add_argument("--velocity", type=float, help="m/s; by default what the prediction finds")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     from pianofit.model.cache import keep_programs
@@ -275,7 +277,10 @@ def main() -> None:
         if options.constants:
             found = constants({name: left_out(fitted(*job), tool) for name, job in chosen.items()}, tool)
         else:
-            found = table({name: (lambda job=job: left_out(fitted(*job), tool)) for name, job in chosen.items()}, tool)
+            jobs = {
+                name: (lambda job=job: left_out(fitted(*job), tool, options.velocity)) for name, job in chosen.items()
+            }
+            found = table(jobs, tool)
     if options.json:
         options.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
 
