@@ -2,13 +2,28 @@
 
     python benchmarks/realism.py                       all notes of the recordings
     python benchmarks/realism.py --notes C4,A0 --json realism.json
+    python benchmarks/realism.py --notes A6 --velocity 2        played at 2 m/s, whatever the prediction's velocity
     python benchmarks/realism.py --constants           what halving and doubling each constant of the ringing does
 
 Of every note with three layers or more one inner layer is left out entirely: string, hammer, modes and knock come from
-the others, its velocity from `predict_recording`. The distance is that of `../shared/tools/realism.py` (or of the file
-that PIANOFIT_REALISM names), dB: the mean of three log-mel distances, attack, early and late, blind to gain and shift.
-Beside it stands the nearer of the two neighbouring recordings. Recordings are found as `crossval.py` finds them.
-Constants are judged on every second note and checked on the others.
+the others, its velocity and gain from `predict_recording`. The distance is that of `../shared/tools/realism.py`
+(or of the file that PIANOFIT_REALISM names), dB: the mean of three log-mel distances, attack, early and late, blind to
+gain and shift. Beside it stands the nearer of the two neighbouring recordings. A recording holds noise, which no model
+plays; so the last rung adds noise to the synthesis, with the spectrum that the other layers show between their partials
+at their ends, to tell how much of a distance is noise. Recordings are found as `crossval.py` finds them. Constants are
+judged on every second note and checked on the others.
+
+A second table, dB, once both are aligned in time and loudness by the same tool:
+
+- envelope: of a partial, rms over 3 s (frames of 20 ms) of the difference of the levels of the bands about it, raised
+  to a floor 10 dB above the recording's noise there, but to 60 dB below its loudest band at least; frames where neither
+  is above it do not count. The median over partials, one gain a note taken out; in brackets one gain a partial, which
+  leaves the envelope's shape.
+- loudness: rms over 3 s of the difference of K-weighted levels, frames of 50 ms, down to 60 dB below the loudest.
+- gain: K-weighted level of the synthesis over the recording's before they were aligned. The prediction knows the
+  recording's levels of partials, and takes its gain from them.
+- low: energy from 10 ms before the onset to 30 ms after it below 0.7 of the lowest partial's frequency, synthesis over
+  recording; for notes whose periods are short beside that, from C5 up.
 """
 
 from __future__ import annotations
@@ -27,13 +42,25 @@ from typing import TYPE_CHECKING, NamedTuple
 import crossval
 import numpy as np
 from scipy import signal
+from scipy.ndimage import median_filter
 
 if TYPE_CHECKING:
-    from pianofit.model.modal import Force, Ringing
+    from pianofit import Analysis, Recording, Result, Setup
+    from pianofit.model import Note, Simulation
 
 TOOL = Path(__file__).parents[2] / "shared" / "tools" / "realism.py"
 SECONDS = 3.3
-RUNGS = ("law", "modes", "modes and knock", "nearest layer")
+RUNGS = ("law", "modes", "modes and knock", "nearest layer", "and noise")
+# Partials of the recording that count lie within so many dB of the strongest.
+RANGE = 50.0
+# Envelopes: between frames, s, and the floor over the recording's noise, dB.
+FRAME, ABOVE = 0.02, 10.0
+# Loudness: the window of its curve, s.
+LOUDNESS = 0.05
+# Noise: the end of a recording that shows it, s, the window of its spectrum, s, and over how much it is smoothed, Hz.
+END, WINDOW, SMOOTH = 1.5, 0.37, 200.0
+# Notes from here on, Hz, whose lowest partial has 15 periods in 30 ms, say how loud it is below.
+TREBLE = 500.0
 CONSTANTS = {
     "bands": ("KERNEL",),
     "tuning": ("COHERENT", "DETUNED", "TUNED", "HALF_COHERENT"),
@@ -43,14 +70,25 @@ CONSTANTS = {
 }
 
 
+class Fitted(NamedTuple):
+    """A note's layers, soft to loud, and the fit of all but one."""
+
+    recordings: tuple[Recording, ...]
+    analyses: tuple[Analysis, ...]
+    out: int  # which was left out
+    result: Result
+
+
 class LeftOut(NamedTuple):
     """A layer that was left out, and what the others say of it."""
 
-    key: Callable[[], Ringing]  # how the others ring
-    force: Force  # of the stroke that was left out
-    law: np.ndarray  # what its partials by the string's law sound like [samples]
+    note: Callable[[], Note]  # as the others ring, at the stroke that was left out
+    stroke: Simulation
     rate: int  # Hz
-    target: np.ndarray  # the recording [samples]
+    noise: np.ndarray  # as the others hold it [samples]
+    target: np.ndarray  # the recording at the tool's rate [samples]
+    partials: np.ndarray  # Hz, those that it shows
+    f0: float  # Hz
     near: dict  # distances of the nearer neighbour
 
 
@@ -70,48 +108,121 @@ def brightness(analysis) -> float:
     return float((amplitude * analysis.partials.frequency).sum() / amplitude.sum())
 
 
-def left_out(note: str, files: list[Path], setup, tool: ModuleType) -> LeftOut:
+def fitted(note: str, files: list[Path], setup: Setup) -> Fitted:
     """The layer in the middle left out, the others fitted."""
-    from pianofit import analyse, fit, load_recording, predict_recording
-    from pianofit.model.modal import force_of
-    from pianofit.ringing import ringing_of
+    from pianofit import analyse, fit, load_recording
 
     pairs = [(recording, analyse(recording, note=note)) for recording in map(load_recording, files)]
-    order = sorted(range(len(files)), key=lambda i: brightness(pairs[i][1]))
-    files, pairs = [files[i] for i in order], [pairs[i] for i in order]
-    recordings, analyses = zip(*pairs, strict=True)
+    recordings, analyses = zip(*sorted(pairs, key=lambda pair: brightness(pair[1])), strict=True)
     out = (len(files) - 1) // 2
     rest = [i for i in range(len(files)) if i != out]
     result = fit(*(recordings[i] for i in rest), analyses=[analyses[i] for i in rest], setup=setup)
+    return Fitted(recordings, analyses, out, result)
+
+
+def left_out(fit: Fitted, tool: ModuleType, velocity: float | None = None) -> LeftOut:
+    """What the others say of the layer that was left out; played at `velocity`, m/s, or at the prediction's."""
+    from pianofit import predict_recording
+    from pianofit.ringing import ringing_of
+
+    recordings, analyses, out, result = fit
     played = predict_recording(result.mixture, analyses[out], gains=result.gains).note
-    rate, target = recordings[out].rate, tool.load(str(files[out]))
-    stroke = played.strike(rate)
-    near = [tool.compare(target, tool.load(str(files[i]))) for i in (out - 1, out + 1)]
-    best = min(near, key=lambda x: x["distance_db"])
-    law = played._replace(ringing=None).heard(stroke, rate, round(SECONDS * rate), round(0.01 * rate))
-    return LeftOut(
-        lambda: ringing_of(result), force_of(stroke), law, rate, target,
-        {"distance": best["distance_db"], **best["logmel_db"]},
+    played = played if velocity is None else played.struck(velocity)
+    recording, analysis = recordings[out], analyses[out]
+    others, partials = [x.recording for x in result.recordings], analysis.partials
+    left = LeftOut(
+        lambda: played._replace(ringing=ringing_of(result)), played.strike(recording.rate), recording.rate,
+        noise(others, analysis.f0, recording.rate), tool.load(recording.path),
+        partials.frequency[partials.level > partials.level.max() - RANGE], analysis.f0, {},
     )  # fmt: skip
+    near = [distances(tool.load(recordings[i].path), left, tool) for i in (out - 1, out + 1)]
+    return left._replace(near=min(near, key=lambda x: x["distance"]))
 
 
-def distance(samples: np.ndarray, left: LeftOut, tool: ModuleType) -> dict[str, float]:
-    """Of a synthesis from the recording, dB: mean, attack, early and late."""
+def noise(recordings: list[Recording], f0: float, rate: int) -> np.ndarray:
+    """Noise with the mean spectrum, in dB, that recordings have at their ends between the partials.
+
+    From half of f0 on a level is the median over two spacings of partials, but no more than `SMOOTH`.
+    """
+    levels = []
+    for recording in recordings:
+        end = recording.samples[-round(END * recording.rate) :]
+        hz, power = signal.welch(end, recording.rate, nperseg=round(WINDOW * recording.rate))
+        between = median_filter(power, round(min(2 * f0, SMOOTH) * WINDOW) | 1)
+        levels.append(np.log(np.where(hz < f0 / 2, power, between) + 1e-30))
+    white = np.random.default_rng(0).normal(size=round(SECONDS * rate))
+    shape = np.interp(np.fft.rfftfreq(len(white), 1 / rate), hz, np.exp(np.mean(levels, axis=0) / 2))
+    return np.fft.irfft(np.fft.rfft(white) * shape * np.sqrt(rate / 2), len(white))
+
+
+def sound(note: Note, left: LeftOut, tool: ModuleType, beside: float = 0.0) -> np.ndarray:
+    """The stroke that was left out by this note at the tool's rate, with so much of the noise [samples]."""
     by = np.gcd(tool.RATE, left.rate)
-    recorded, played, *_ = tool.align(left.target, signal.resample_poly(samples, tool.RATE // by, left.rate // by))
+    samples = note.heard(left.stroke, left.rate, round(SECONDS * left.rate), round(0.012 * left.rate))
+    return signal.resample_poly(samples + beside * left.noise, tool.RATE // by, left.rate // by)
+
+
+def distances(samples: np.ndarray, left: LeftOut, tool: ModuleType) -> dict[str, float | None]:
+    """Of a sound at the tool's rate from the recording, dB."""
+    recorded, played, _, gain = tool.align(left.target, samples)
     mean, parts = tool.logmel(recorded, played)
-    return {"distance": mean, **parts}
+    curves = (tool.envelope(tool.k_weighted(x), LOUDNESS) for x in (recorded, played))
+    own, other = (20 * np.log10(x[:: round(LOUDNESS / 2 * tool.RATE)].clip(1e-10)) for x in curves)
+    apart = (own - np.maximum(other, own.max() - tool.RANGE - 20))[own > own.max() - tool.RANGE]
+    envelope, shape = envelopes(recorded, played, left, tool)
+    return {
+        "distance": mean, **parts, "envelope": envelope, "shape": shape, "gain": -gain,
+        "loudness": float(np.sqrt(np.mean(apart**2))), "low": low(recorded, played, left.f0, tool),
+    }  # fmt: skip
+
+
+def envelopes(recorded: np.ndarray, played: np.ndarray, left: LeftOut, tool: ModuleType) -> tuple[float, float]:
+    """Medians over partials of the rms difference of envelopes, one gain a note and one a partial taken out, dB."""
+    length = round(float(np.clip(4 / left.f0, 0.03, 0.16)) * tool.RATE) | 1
+    window = np.hanning(length + 2)[1:-1]
+    frames = slice(round(tool.PRE * tool.RATE) + length // 2, None, round(FRAME * tool.RATE))
+
+    def power(x: np.ndarray, hz: float) -> np.ndarray:
+        turned = x * np.exp(-2j * np.pi * hz / tool.RATE * np.arange(len(x)))
+        return np.abs(signal.oaconvolve(turned, window / window.sum(), "same")) ** 2
+
+    end = left.target[-round(END * tool.RATE) :]
+    bands = [[power(x, hz)[frames] for x in (recorded, played)] for hz in left.partials]
+    least = max(own.max() for own, _ in bands) * 10 ** (-tool.RANGE / 10)
+    away = []
+    for hz, (own, other) in zip(left.partials, bands, strict=True):
+        floor = max(10 ** (ABOVE / 10) * float(np.mean(power(end, hz + left.f0 / 2)[length:-length])), least)
+        there = np.maximum(own, other) > floor
+        if there.any():
+            away.append(10 * np.log10((own[there] + floor) / (other[there] + floor)))
+    gain = np.median([x.mean() for x in away])
+    return (
+        float(np.median([np.sqrt(np.mean((x - gain) ** 2)) for x in away])),
+        float(np.median([x.std() for x in away])),
+    )
+
+
+def low(recorded: np.ndarray, played: np.ndarray, f0: float, tool: ModuleType) -> float | None:
+    """Energy below the lowest partial in the first 30 ms, synthesis over recording, dB; None in the bass."""
+    if f0 < TREBLE:
+        return None
+    below = signal.butter(8, 0.7 * f0, fs=tool.RATE, output="sos")
+    first = slice(0, round((tool.PRE + 0.03) * tool.RATE))
+    own, other = (np.sum(signal.sosfiltfilt(below, x)[first] ** 2) for x in (recorded, played))
+    return float(10 * np.log10(other / own))
 
 
 def rungs(left: LeftOut, tool: ModuleType) -> dict:
     """Distances of the layer that was left out, by what it is made of."""
-    key, count = left.key(), round(SECONDS * left.rate)
+    note = left.note()
+    knockless = note._replace(ringing=note.ringing and note.ringing.without_knock())
     return {
-        "law": distance(left.law, left, tool),
-        "modes": distance(key.without_knock().sound(left.force, left.rate, count).mean(axis=0), left, tool),
-        "modes and knock": distance(key.sound(left.force, left.rate, count).mean(axis=0), left, tool),
+        "law": distances(sound(note._replace(ringing=None), left, tool), left, tool),
+        "modes": distances(sound(knockless, left, tool), left, tool),
+        "modes and knock": distances(sound(note, left, tool), left, tool),
         "nearest layer": left.near,
-        "modes_count": len(key.pole),
+        "and noise": distances(sound(note, left, tool, beside=1.0), left, tool),
+        "modes_count": 0 if note.ringing is None else len(note.ringing.pole),
     }
 
 
@@ -119,10 +230,7 @@ def constants(left: dict[str, LeftOut], tool: ModuleType) -> dict:
     """Mean distances of both halves of the notes with each constant halved and doubled."""
 
     def halves() -> list[float]:
-        each = [
-            distance(x.key().sound(x.force, x.rate, round(SECONDS * x.rate)).mean(axis=0), x, tool)["distance"]
-            for x in left.values()
-        ]
+        each = [distances(sound(x.note(), x, tool), x, tool)["distance"] for x in left.values()]
         return [float(np.mean(each[half::2])) for half in (0, 1)]
 
     judged, checked = list(left)[::2], list(left)[1::2]
@@ -151,9 +259,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--notes", default="", help="only notes whose names contain one of these, separated by commas")
     parser.add_argument("--constants", action="store_true", help="what each constant of the ringing does")
+    parser.add_argument("--velocity", type=float, help="m/s; by default what the prediction finds")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     from pianofit.model.cache import keep_programs
+    from pianofit.threads import one_blas_thread
 
     keep_programs()
     tool, wanted = measure(), [x for x in options.notes.split(",") if x]
@@ -163,10 +273,14 @@ def main() -> None:
         for name, job in crossval.notes(folder).items()
         if not wanted or any(x in name for x in wanted)
     }
-    if options.constants:
-        found = constants({name: left_out(*job, tool) for name, job in chosen.items()}, tool)
-    else:
-        found = table({name: (lambda job=job: left_out(*job, tool)) for name, job in chosen.items()}, tool)
+    with one_blas_thread():
+        if options.constants:
+            found = constants({name: left_out(fitted(*job), tool) for name, job in chosen.items()}, tool)
+        else:
+            jobs = {
+                name: (lambda job=job: left_out(fitted(*job), tool, options.velocity)) for name, job in chosen.items()
+            }
+            found = table(jobs, tool)
     if options.json:
         options.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
 
@@ -181,7 +295,22 @@ def table(jobs: dict[str, Callable[[], LeftOut]], tool: ModuleType) -> dict:
         print(f"{name:20}" + "".join(f"{cell:>18}" for cell in cells), flush=True)
     for how, of in (("mean", statistics.mean), ("median", statistics.median), ("worst", max)):
         print(f"{how:20}" + "".join(f"{of(x[r]['distance'] for x in found.values()):>18.2f}" for r in RUNGS))
+    shown = ("law", "modes and knock", "nearest layer")
+    print("\n" + " " * 20 + "".join(f"{rung:>34}" for rung in shown))
+    print(" " * 20 + f"{'envelope':>14}{'loudness':>9}{'gain':>6}{'low':>5}" * len(shown) + "   dB")
+    for name, row in found.items():
+        cells = [_seconds(row[r]) for r in shown]
+        print(f"{name:20}" + "".join(cells))
+    for what in ("envelope", "shape", "loudness"):
+        middle = [statistics.median(row[r][what] for row in found.values()) for r in shown]
+        print(f"{'median ' + what:20}" + "".join(f"{x:>34.2f}" for x in middle))
     return found
+
+
+def _seconds(x: dict) -> str:
+    """A rung's cells of the second table."""
+    below = "" if x["low"] is None else f"{x['low']:+.1f}"
+    return f"{x['envelope']:8.2f} ({x['shape']:.1f}){x['loudness']:8.1f}{x['gain']:+7.1f}{below:>6}"
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
     python benchmarks/ringing_study.py                         24 drawn notes, orders and errors of poles
     python benchmarks/ringing_study.py --seeds 100 --json ringing_study.json
+    python benchmarks/ringing_study.py --time headroom-C4-close     how long the modes of a key take, and memory
 
 Notes of eight partials are drawn: one to four modes each, beats of 0.05 to 5 Hz, double decays of ratio 2 to 16, every
 mode up to 30 dB below its partial's strongest, three strokes that excite each partial as a whole, white noise 40 to 70
@@ -19,6 +20,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import time
 from pathlib import Path
 from types import SimpleNamespace
 from typing import NamedTuple
@@ -148,12 +150,45 @@ def study(seed: int) -> list[dict]:
     return rows
 
 
+def take_time(key: str) -> None:
+    """Print the seconds that the modes of a recorded key take, and the process's largest memory before and after."""
+    import resource
+
+    import crossval
+
+    from pianofit import analyse, load_recording
+    from pianofit.ringing import hear, modes_of
+    from pianofit.threads import one_blas_thread
+
+    known = {name: job for folder in crossval.folders() for name, job in crossval.notes(folder).items()}
+    if key not in known:
+        raise SystemExit(f"--time {key}: no such key; there are {', '.join(known)}")
+    note, files, _ = known[key]
+    recordings = [load_recording(file) for file in files]
+    analyses = [analyse(recording, note=note) for recording in recordings]
+    before, begun = resource.getrusage(resource.RUSAGE_SELF), time.perf_counter()
+    with one_blas_thread():
+        heard = hear(recordings, analyses)
+        found = modes_of(heard, analyses)
+    wall, after = time.perf_counter() - begun, resource.getrusage(resource.RUSAGE_SELF)
+    layers, channels, _ = heard.samples.shape
+    print(
+        f"{key}: {layers} layers, {channels} channels, {len(found)} partials, {sum(len(m.pole) for m in found)} modes: "
+        f"{wall:.1f} s, of processors {after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime:.1f} s; "
+        f"{before.ru_maxrss / 1e3:.0f} MB before, {after.ru_maxrss / 1e3:.0f} MB at the most (Linux)"
+    )
+
+
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=24, help="how many notes")
     parser.add_argument("--json", type=Path)
+    parser.add_argument("--time", metavar="KEY", help="only how long the modes of this recorded key take")
     options = parser.parse_args()
+    if options.time:
+        take_time(options.time)
+        return
     rows = [row for seed in range(options.seeds) for row in study(seed)]
     print(f"{'modes':>24}{'partials':>10}{'right':>8}{'fewer':>8}{'more':>8}{'over bound':>12}{'z':>8}")
     groups = [(f"{n}, clear", [r for r in rows if r["order"] == n and r["clear_db"] > CLEAR]) for n in ORDERS]

@@ -64,13 +64,16 @@ def make_ring(result: Result, progress: Callable[[str, float], None] = lambda *_
 
 @one_blas_thread()
 def ringing_of(result: Result) -> Ringing | None:
-    """Modes and knock of a fitted key, in file units without the gains of layers, whether or not they bring it nearer.
+    """Modes and knock of a fitted key, as the result's note would hold them, whether or not they bring it nearer.
 
     None where no partial stands above the noise long enough to show its modes.
     """
     layers = _layers(result)
     modes = layers.modes()
-    return key_of(layers.heard, modes, layers.forces).ringing if modes else None
+    if not modes:
+        return None
+    key = key_of(layers.heard, modes, layers.forces)
+    return key.ringing.louder(key.gain[layers.place.index(result.first)] / result.note.gain)
 
 
 def _layers(result: Result) -> _Layers:

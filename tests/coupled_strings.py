@@ -1,0 +1,77 @@
+"""Two strings of a unison on one bridge by finite differences: the witness for modes, which shares no code with them.
+
+Each string moves across and along the soundboard, so there are four lines of masses between springs, hinged at one
+end, stiff, and all ending on a bridge of two degrees of freedom, a mass, a spring and a damper each, which a spring
+couples. Strings are mistuned and polarisations slightly different in tension, so that a partial has four modes: some
+fast, because the bridge takes their energy, some slow, because it hardly moves. Poles are the eigenvalues of the
+system's matrix; its sound is made without them, by powers of the matrix's exponential. SI units.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.linalg
+import scipy.signal
+
+POINTS = 24  # masses on a line
+LENGTH, DENSITY = 0.62, 6e-3  # m, kg/m
+KAPPA = 2.0  # m²/s
+LOSS, DRAG = 0.25, 2e-5  # b1, 1/s, and b2, m²/s
+STRIKE = 0.12  # of the length
+# The lines: frequency over the first's, direction of the bridge, and the share of the stroke.
+LINES = ((1.0, 0, 1.0), (1.002, 0, 0.8), (1.0008, 1, 0.2), (1.0022, 1, 0.1))
+# The bridge across and along the soundboard: mass, kg; frequency, Hz; damping, kg/s; how much its velocity is heard.
+BRIDGE = ((0.08, 600.0, 400.0, 1.0), (0.6, 900.0, 400.0, 3.0))
+COUPLED = 0.3  # stiffness between both directions over their own's geometric mean
+
+
+class Unison:
+    """The matrix A of z' = A z + push F, heard as read z; z holds displacements, then velocities."""
+
+    def __init__(self, f0: float, bridge: tuple[tuple[float, float, float, float], ...] = BRIDGE):
+        h, free = LENGTH / (POINTS + 1), 4 * POINTS + 2
+        mass, stiff, lossy = np.full(free, DENSITY * h), np.zeros((free, free)), np.zeros((free, free))
+        push, read = np.zeros(2 * free), np.zeros(2 * free)
+        for line, (ratio, direction, share) in enumerate(LINES):
+            own = np.arange(line * POINTS, (line + 1) * POINTS)
+            stretch = np.zeros((POINTS + 1, free))
+            stretch[np.arange(POINTS + 1), [*own, 4 * POINTS + direction]] = 1
+            stretch[np.arange(1, POINTS + 1), own] -= 1
+            bend = np.diff(stretch, axis=0)
+            tension = DENSITY * (2 * LENGTH * f0 * ratio) ** 2
+            stiff += tension / h * stretch.T @ stretch + DENSITY * KAPPA**2 / h**3 * bend.T @ bend
+            lossy += 2 * DENSITY * DRAG / h * stretch.T @ stretch
+            lossy[own, own] += 2 * LOSS * DENSITY * h
+            push[free + own[round(STRIKE * (POINTS + 1)) - 1]] = share / (DENSITY * h)
+        ends = 4 * POINTS + np.arange(2)
+        mass[ends], frequency, damping, read[free + ends] = np.array(bridge).T
+        spring = mass[ends] * (2 * np.pi * frequency) ** 2
+        stiff[ends, ends] += spring
+        stiff[ends, ends[::-1]] += COUPLED * np.sqrt(spring.prod())
+        lossy[ends, ends] += damping
+        self.A = np.block([[np.zeros((free, free)), np.eye(free)], [-stiff / mass[:, None], -lossy / mass[:, None]]])
+        self.push, self.read = push, read
+
+    def poles(self) -> np.ndarray:
+        """Of all modes, 1/s, complex."""
+        return scipy.linalg.eigvals(self.A)
+
+    def response(self, rate: float, count: int) -> np.ndarray:
+        """What is heard of an impulse of 1 N s [count]."""
+        step, block = scipy.linalg.expm(self.A / rate), int(np.sqrt(count)) + 1
+        rows = [self.read]
+        for _ in range(block):
+            rows.append(rows[-1] @ step)
+        inside, jump = np.array(rows[:-1]), np.linalg.matrix_power(step, block)
+        state, out = self.push, []
+        for _ in range(-(-count // block)):
+            out.append(inside @ state)
+            state = jump @ state
+        return np.concatenate(out)[:count]
+
+
+def stroke(impulse: np.ndarray, rate: float, velocity: float) -> np.ndarray:
+    """The sound of a pulse that is shorter and higher after a harder stroke, by the response to an impulse."""
+    t = np.arange(0.0, 0.003 * velocity**-0.3, 1 / rate)
+    force = velocity * np.sin(np.pi * t / (t[-1] + 1 / rate)) ** 2 / rate
+    return scipy.signal.oaconvolve(impulse, force)[: len(impulse)]
