@@ -43,7 +43,7 @@ class _Felt:
 def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
     """By name: the module, the attribute, and how its value is scaled."""
     from pianofit.analysis import fits, inharmonicity, partials
-    from pianofit.inference import descent, finish, nuisances, observations, priors, screen, search
+    from pianofit.inference import descent, finish, nuisances, observations, predict, priors, screen, search
 
     def plain(value: Any, factor: float) -> Any:
         return type(value)(value * factor) if not isinstance(value, int) else max(1, round(value * factor))
@@ -87,6 +87,7 @@ def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
         "HYPER_REACH": (descent, "HYPER_REACH", plain),
         "NEGATIVE": (nuisances, "NEGATIVE", plain),
         "WITHIN": (finish, "WITHIN", plain),
+        "PULSE": (predict, "PULSE", plain),
         "LEFT": (finish, "LEFT", plain),
         "TRUSTED": (inharmonicity, "TRUSTED", plain),
         "NEIGHBOURS": (inharmonicity, "NEIGHBOURS", plain),

@@ -42,9 +42,9 @@ def main() -> None:
 
     def distances(note, key) -> dict[str, float]:
         document = json.loads(Path(key.file).read_text(encoding="utf-8"))
-        rows = sorted(document["recordings"], key=lambda row: row["v_H0"])
+        recorded = sorted(document["recordings"], key=lambda row: row["v_H0"])
         rows = []
-        for row, velocity in zip(rows, key.velocities, strict=True):
+        for row, velocity in zip(recorded, key.velocities, strict=True):
             sound = note.struck(velocity).render(seconds=SECONDS, rate=RATE)
             target = tool.load(str(options.recordings / Path(row["file"]).name))
             by = np.gcd(tool.RATE, RATE)

@@ -255,6 +255,25 @@ def test_a_folder_in_use_is_kept(saved):
     assert (saved / "fit.json").read_bytes() == before
 
 
+def test_an_earlier_page_is_there_until_the_new_one_is(saved, monkeypatch):
+    """To make a page takes seconds: a process that is killed meanwhile leaves the whole of what was there."""
+    from pianofit.report import save
+
+    (saved / "report.html").write_text("of an earlier fit")
+    before = {file.name: file.read_bytes() for file in saved.iterdir()}
+    seen = []
+
+    def write_report(path, *_, **__):
+        seen.append({file.name: file.read_bytes() for file in saved.iterdir()})
+        path.write_text("new")
+
+    monkeypatch.setattr(save, "write_report", write_report)
+    result().save(saved, force=True)
+    assert seen == [before]
+    assert (saved / "report.html").read_text() == "new"
+    assert {file.name for file in saved.iterdir()} == set(before)
+
+
 def test_every_recording_has_a_sound_of_its_own(tmp_path):
     """Also where two of them have one name in two folders."""
     first = result().reference

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
+import os
 from pathlib import Path
 
 from ..inference import Result
@@ -15,17 +15,24 @@ __all__ = ["save", "write_page"]
 
 
 def save(result: Result, folder: Path, *, force: bool, page: bool) -> Path:
-    """Write the sounds, `fit.json` and, last, the page; of several recordings `fitted-NAME.wav` is each one's own.
+    """Write the sounds, `fit.json` and the page; of several recordings `fitted-NAME.wav` is each one's own.
+
+    What an earlier fit left stays until what replaces it is there: the page, which takes seconds, is made first.
 
     Raises `OutputError` if the folder cannot be written, or holds something and `force` is not given; `FitError` if the
     fit was read back, without its recordings.
     """
     _ = result.reference  # refused before anything is written
     with output_folder(folder, force):
-        _write_sounds(result, folder)
+        made = write_page(result, folder / f".report.html.{os.getpid()}.tmp", None, None) if page else None
+        written = _write_sounds(result, folder)
         replace_file(folder / "fit.json", json_text(result.document).encode())
-        if page:
-            write_page(result, folder, None, None)
+        if made is not None:
+            replace_file(folder / "report.html", made.read_bytes())
+            written.add("report.html")
+        for old in (folder / "report.html", folder / KNOCK_FILE, *folder.glob("fitted-*.wav")):
+            if old.name not in written:
+                old.unlink(missing_ok=True)
     return folder
 
 
@@ -45,19 +52,20 @@ def _title(result: Result) -> str:
     return names + (f", {result.analysis.note}" if result.analysis.note else "")
 
 
-def _write_sounds(result: Result, folder: Path) -> None:
-    """What was before and after the fit, in sound; what an earlier fit left of its page and sounds goes."""
-    for old in (folder / "report.html", folder / KNOCK_FILE, *folder.glob("fitted-*.wav")):
-        with contextlib.suppress(FileNotFoundError):
-            old.unlink()
+def _write_sounds(result: Result, folder: Path) -> set[str]:
+    """What was before and after the fit, in sound; the files' names."""
     rate = result.recording.rate
-    replace_file(folder / "initial.wav", encode_wav(result.initial.samples, rate))
-    replace_file(folder / "fitted.wav", encode_wav(result.reference.sound, rate))
+    files = {
+        "initial.wav": encode_wav(result.initial.samples, rate), "fitted.wav": encode_wav(result.reference.sound, rate)
+    }  # fmt: skip
     ringing = result.note.ringing
     if ringing is not None and (knock := encode_knock(ringing)):
-        replace_file(folder / KNOCK_FILE, knock)
+        files[KNOCK_FILE] = knock
     stems = [Path(heard.recording.path).stem for heard in result.recordings]
     for place, (stem, heard) in enumerate(zip(stems, result.recordings, strict=True), 1):
         if len(stems) > 1:
             name = stem if stems.count(stem) == 1 else f"{stem}-{place}"  # of one name in two folders
-            replace_file(folder / f"fitted-{name}.wav", encode_wav(heard.sound, heard.recording.rate))
+            files[f"fitted-{name}.wav"] = encode_wav(heard.sound, heard.recording.rate)
+    for name, content in files.items():
+        replace_file(folder / name, content)
+    return set(files)
