@@ -221,6 +221,7 @@ def test_a_slider_shows_the_interval_where_it_is_known(page):
 
 def test_a_key_is_saved_as_a_note_that_render_reads(page, tmp_path):
     page.mouse.click(*at(page, 64))
+    page.locator("#change-mass").wait_for()  # the workbench is there once the key has sounded
     page.locator("#change-mass").focus()
     page.keyboard.press("End")
     with page.expect_download() as download:
