@@ -70,7 +70,15 @@ def test_a_descent_sorts_and_ends_where_F_is_flat():
     curvature = descent.known(people.z)[2] + people.report.curvature
     free = descent.moves & ~problem().unknowns.at_bound(people.z[0])
     g, H = gradient[0][free], curvature[0][np.ix_(free, free)]
-    assert 0.5 * g @ np.linalg.solve(H, g) < 1e-2  # what F could still fall by
+    left = 0.5 * g @ np.linalg.solve(H, g)
+    assert left < 1e-2  # what F could still fall by
+    assert descent.promised(people)[0] == pytest.approx(left)
+    # Half a standard deviation off along any unknown, as if others were known: F promises to fall by what it rose.
+    away = np.repeat(people.z[:1], free.sum(), axis=0)
+    away[:, free] += 0.5 * np.diag(1 / np.sqrt(np.diag(H)))
+    people = descent.begun(away, people.phi[0], people.w[0])
+    rose = descent.total(people.z, people.report) - F[0]
+    np.testing.assert_allclose(descent.promised(people), rose, rtol=0.2, atol=0.02)
 
 
 def test_the_hammer_is_found_without_an_error_of_the_steps():

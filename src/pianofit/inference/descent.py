@@ -199,39 +199,49 @@ class Descent:
         return lower, np.maximum(upper, lower)
 
     def _step(self, people: Population, on: np.ndarray, floor: float, parabola: Parabola | None) -> None:
-        """One step of the candidates `on`: of θ by Levenberg and Marquardt, of φ by BFGS and of w by EM."""
+        """One step of the candidates `on`: of θ by Levenberg and Marquardt, then of φ by BFGS and of w by EM."""
         now = people.take(on)
         before = self.total(now.z, now.report)
-        z = self.unknowns.project(now.z + self._direction(now))
-        phi, w = (now.phi, now.w) if parabola else self._hyper(now, floor)
+        z = self.unknowns.project(now.z + self._direction(now, now.damping)[0])
         residual, jacobian, good = self.model(z)
-        found = self._judged(residual, jacobian, phi, w, parabola)
-        after = np.where(good, self.total(z, found), np.inf)
-        better = after < before
+        found = self._judged(residual, jacobian, now.phi, now.w, parabola)
+        better = np.where(good, self.total(z, found), np.inf) < before
         stuck = ~better & (now.damping >= MOST_DAMPING)
-        people.damping[on] = np.clip(now.damping * np.where(better, 0.2, 8.0), LEAST_DAMPING, 8 * MOST_DAMPING)
-        gained = np.where(better, before - np.where(better, after, 0.0), np.inf)
-        people.gained[on] = np.where(stuck, 0.0, gained)
-        if parabola is None:
-            inverse = _bfgs(now.inverse, phi - now.phi, found.by_phi - now.report.by_phi)
-            people.inverse[on] = np.where(better[:, None, None], inverse, 0.3 * now.inverse)
-        chosen = on[better]
-        people.put(chosen, Population(
-            z[better], phi[better], w[better], residual[better], jacobian[better], found.take(better),
-            people.damping[chosen], people.inverse[chosen], people.gained[chosen],
+        damping = np.clip(now.damping * np.where(better, 0.2, 8.0), LEAST_DAMPING, 8 * MOST_DAMPING)
+        now.damping = damping
+        now.put(np.flatnonzero(better), Population(
+            z[better], now.phi[better], now.w[better], residual[better], jacobian[better], found.take(better),
+            damping[better], now.inverse[better], now.gained[better],
         ))  # fmt: skip
+        if parabola is None:
+            self._settle(now, floor)
+        now.gained = np.where(better | stuck, before - self.total(now.z, now.report), np.inf)
+        people.put(on, now)
 
-    def _hyper(self, now: Population, floor: float) -> tuple[np.ndarray, np.ndarray]:
-        """φ and w to go on to."""
+    def _settle(self, now: Population, floor: float) -> None:
+        """A step of φ by BFGS and of w by EM, where it lowers F."""
         lower, upper = self._range(floor)
         slope = now.report.by_phi
         active = ((now.phi <= lower) & (slope > 0)) | ((now.phi >= upper) & (slope < 0))
         step = -np.einsum("bij,bj->bi", now.inverse, np.where(active, 0.0, slope))
         step = np.clip(np.where(active, 0.0, step), -LONGEST_PHI, LONGEST_PHI)
-        return np.clip(now.phi + step, lower, upper), next_weights(self.table, now.report.by_log_w, now.w)
+        phi = np.clip(now.phi + step, lower, upper)
+        w = next_weights(self.table, now.report.by_log_w, now.w)
+        found = report(self.table, now.residual, now.jacobian, phi, w)
+        inverse = _bfgs(now.inverse, phi - now.phi, found.by_phi - slope)
+        better = found.F < now.report.F
+        now.inverse = np.where(better[:, None, None], inverse, 0.3 * now.inverse)
+        now.phi = np.where(better[:, None], phi, now.phi)
+        now.w = np.where(better[:, None, None], w, now.w)
+        for mine, new in zip(now.report, found, strict=True):
+            mine[better] = new[better]
 
-    def _direction(self, now: Population) -> np.ndarray:
-        """Steps of θ [B, size]; an unknown on an edge that a step would leave stays."""
+    def promised(self, people: Population) -> np.ndarray:
+        """What a step of θ would gain if F were its parabola [B]."""
+        return self._direction(people, np.zeros(len(people)))[1]
+
+    def _direction(self, now: Population, damping: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Steps of θ [B, size], an unknown on an edge that a step would leave stays; and half their slope [B]."""
         u = self.unknowns
         _, gradient, curvature = self.known(now.z)
         gradient, curvature = gradient + now.report.gradient, curvature + now.report.curvature
@@ -242,11 +252,11 @@ class Descent:
         curvature = np.einsum("bki,bkl,blj->bij", along, curvature, along)
         active |= ((now.z <= lower) & (gradient > 0)) | ((now.z >= upper) & (gradient < 0))
         moves = self.moves & ~active
-        lhs = curvature + (now.damping[:, None] * np.einsum("bii->bi", curvature))[..., None] * np.eye(u.size)
+        lhs = curvature + (damping[:, None] * np.einsum("bii->bi", curvature))[..., None] * np.eye(u.size)
         lhs = np.where(moves[:, :, None] & moves[:, None, :], lhs, np.eye(u.size))
         step = np.linalg.solve(lhs, np.where(moves, -gradient, 0.0)[..., None])[..., 0]
         size = (np.abs(step) / np.where(u.free, np.minimum(u.sd, 1.0), 1.0)).max(axis=1)
-        return step * np.minimum(1.0, LONGEST_STEP / np.maximum(size, 1e-12))[:, None]
+        return step * np.minimum(1.0, LONGEST_STEP / np.maximum(size, 1e-12))[:, None], -0.5 * (gradient * step).sum(1)
 
 
 def _bfgs(inverse: np.ndarray, step: np.ndarray, change: np.ndarray) -> np.ndarray:

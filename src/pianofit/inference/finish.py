@@ -17,7 +17,7 @@ __all__ = ["Finished", "Minima", "finish", "finished"]
 
 # Minima whose F is higher by more than this have no share: exp(-6) is a quarter of a percent.
 WITHIN = 6.0
-# A descent that still gained more than this, F, in its last step has not converged.
+# A descent that in its last step gained more than this, F, and might gain as much again has not converged.
 NEARLY = 1.0
 # So many at most are finished.
 MOST = 4
@@ -86,7 +86,7 @@ def finish(problem: Problem, one: Population, strings: StringState) -> Finished:
         descent.offset = descent.step_error(one.z[0])
         one = descent.begun(one.z, one.phi[0], one.w[0])
         one = descent.descend(one, 0.0, ITERATIONS)
-        converged = bool(one.gained[0] < NEARLY)
+        converged = bool(min(one.gained[0], descent.promised(one)[0]) < NEARLY)
         string = one.z[0, :STRING_SIZE]
         state, _ = hyper_step(problem, string, state, string_report(problem, string, state))
         descent.strings = state
