@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal, norm
@@ -33,7 +31,7 @@ def table(shape: str, seed: int = 0) -> Table:
     found[tuple(absent.T)] = 0.0
     common = np.log(0.3 + 2 * random.random((nodes[0], groups))) if path else np.full((nodes[0], groups), SMALL)
     share = random.random(nodes)
-    made = Table(
+    return Table(
         value=random.normal(size=(R, K)), variance=0.1 + random.random((R, K)), found=found, absent=absent,
         group=np.eye(groups)[np.arange(R) % groups], columns=2 * random.normal(size=(columns, R, K)),
         scale=0.5 + random.random((nodes[1], columns)),
@@ -42,7 +40,6 @@ def table(shape: str, seed: int = 0) -> Table:
         share=np.log(share / share.sum()), growth=1 + random.random(K), ratio=5 * random.random((R, K)),
         prior=(np.log([0.7, 8, 0.7, 0.002]), np.array([0.7, 0.4, 0.4, 0.9])), student=np.float64(STUDENT),
     )  # fmt: skip
-    return jax.tree.map(jnp.asarray, made)
 
 
 def point(shape: str, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:

@@ -9,10 +9,10 @@ import pytest
 from table_cases import PHI, dense, noise, point, shared, table
 
 import pianofit.model  # noqa: F401  (float64)
-from pianofit.inference.likelihood import Report, next_weights
+from pianofit.inference.likelihood import next_weights
 from pianofit.inference.nuisances import without_nuisances
 from pianofit.inference.posterior import Posterior
-from pianofit.inference.reports import report
+from pianofit.inference.reports import Report, report
 
 pytestmark = pytest.mark.usefixtures("float64")
 

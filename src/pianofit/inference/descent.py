@@ -11,11 +11,11 @@ import numpy as np
 from ..model.simulate import MOST_MODES
 from .coordinates import STRING_SIZE
 from .lanes import in_lanes, own_levels, own_slopes, slopes
-from .likelihood import Report, next_weights
+from .likelihood import next_weights
 from .parabola import Parabola
 from .population import Population
 from .problem import Problem
-from .reports import report
+from .reports import Report, report
 from .string import StringState, string_report
 
 __all__ = ["Descent"]
@@ -38,6 +38,9 @@ FINER = 4
 CONVERGED = 1e-3
 # Hyperparameters stay within so many standard deviations of their priors: a clean sound's excess may sink to nothing.
 HYPER_REACH = 12.0
+
+# Value [B], gradient [B, size] and curvature [B, size, size].
+Known = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 class Descent:
@@ -111,7 +114,7 @@ class Descent:
         """Levels by the model at `z` [size], dB [strokes, rows], by the descent's program: that is compiled anyway."""
         return in_lanes(own_slopes, self.own_lanes(z[None]), self.problem.scene, self.problem.cfg, OWN_LANES)[0]
 
-    def known(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def known(self, z: np.ndarray) -> Known:
         """Of F, what levels do not say: value [B], gradient [B, size] and curvature [B, size, size].
 
         That is the prior of θ and, where the string is searched, its frequencies and decays.
@@ -201,11 +204,13 @@ class Descent:
     def _step(self, people: Population, on: np.ndarray, floor: float, parabola: Parabola | None) -> None:
         """One step of the candidates `on`: of θ by Levenberg and Marquardt, then of φ by BFGS and of w by EM."""
         now = people.take(on)
-        before = self.total(now.z, now.report)
-        z = self.unknowns.project(now.z + self._direction(now, now.damping)[0])
+        known = self.known(now.z)
+        before = now.report.F + known[0]
+        z = self.unknowns.project(now.z + self._direction(now, known, now.damping)[0])
         residual, jacobian, good = self.model(z)
         found = self._judged(residual, jacobian, now.phi, now.w, parabola)
-        better = np.where(good, self.total(z, found), np.inf) < before
+        elsewhere = self.known(z)[0]
+        better = np.where(good, found.F + elsewhere, np.inf) < before
         stuck = ~better & (now.damping >= MOST_DAMPING)
         damping = np.clip(now.damping * np.where(better, 0.2, 8.0), LEAST_DAMPING, 8 * MOST_DAMPING)
         now.damping = damping
@@ -215,7 +220,7 @@ class Descent:
         ))  # fmt: skip
         if parabola is None:
             self._settle(now, floor)
-        now.gained = np.where(better | stuck, before - self.total(now.z, now.report), np.inf)
+        now.gained = np.where(better | stuck, before - now.report.F - np.where(better, elsewhere, known[0]), np.inf)
         people.put(on, now)
 
     def _settle(self, now: Population, floor: float) -> None:
@@ -238,13 +243,12 @@ class Descent:
 
     def promised(self, people: Population) -> np.ndarray:
         """What a step of θ would gain if F were its parabola [B]."""
-        return self._direction(people, np.zeros(len(people)))[1]
+        return self._direction(people, self.known(people.z), np.zeros(len(people)))[1]
 
-    def _direction(self, now: Population, damping: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _direction(self, now: Population, known: Known, damping: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Steps of θ [B, size], an unknown on an edge that a step would leave stays; and half their slope [B]."""
         u = self.unknowns
-        _, gradient, curvature = self.known(now.z)
-        gradient, curvature = gradient + now.report.gradient, curvature + now.report.curvature
+        gradient, curvature = known[1] + now.report.gradient, known[2] + now.report.curvature
         lower, upper = u.edges(now.z)
         active = ((now.z <= lower) & (gradient > 0)) | ((now.z >= upper) & (gradient < 0))
         along = u.along_edges(now.z, active)

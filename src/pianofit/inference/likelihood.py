@@ -20,6 +20,9 @@ D = Σ_r d over a path's recordings; what lies about the mean does not know of i
     C₀⁻¹x = d (x - x̄) + d/D N x̄,      N = (A + 1/D)⁻¹,      A the path's prior covariance
 
 and with them C⁻¹ = C₀⁻¹ - UᵀU, U = L⁻¹ S B C₀⁻¹, L Lᵀ = I + S B C₀⁻¹Bᵀ S (Woodbury). Only N knows τ, only S the gains.
+
+All this is written once for NumPy, in which the search runs, and for JAX, whose derivatives the sampler takes. The
+search has its derivatives in closed form (reports.py).
 """
 
 from __future__ import annotations
@@ -30,36 +33,41 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.scipy.linalg import cholesky, solve_triangular
-from jax.scipy.special import logsumexp
-from jax.scipy.stats import norm
-from jaxtyping import Array, Float
+from jax.scipy.special import log_ndtr as jax_log_ndtr
+from jaxtyping import Float
+from scipy.linalg import get_lapack_funcs
+from scipy.special import log_ndtr
 
 from ..model.precision import AnyArray
 
 __all__ = [
-    "Latent",
-    "Report",
+    "ADDED",
+    "Pieces",
+    "Predicted",
     "Solved",
     "Table",
+    "added",
+    "before_columns",
     "factored",
-    "hazard",
-    "inverse",
-    "latent",
     "next_weights",
     "objective",
-    "pulled",
-    "report",
+    "path_mean",
+    "predicted",
     "responsible",
     "solved",
     "variance",
+    "whole",
 ]
 
-# A NumPy array outside of a computation, JAX's inside.
+# Arrays of NumPy or of JAX, and the one or the other as a module.
 Values = Any
+Space = Any
 # Keeps a common part without any variance positive definite, in the table's unit squared.
 JITTER = 1e-10
 # 20/log 10 over √2: what an amplitude η R that adds at any phase does to a level, dB.
 ADDED = 20 / np.log(10) / np.sqrt(2)
+# LAPACK's inverse of a triangle.
+_trtri: Any = get_lapack_funcs("trtri", dtype=np.float64)
 
 
 class Table(NamedTuple):
@@ -89,271 +97,179 @@ class Table(NamedTuple):
 class Pieces(NamedTuple):
     """C at φ and w, in pieces."""
 
-    precision: Array  # d [R, K]; 0 where nothing was found
-    share: Array  # d/D [R, K]
-    prior: Array  # A [T, G, K, K]
-    path: Array  # N [T, G, K, K]
-    columns: Array  # B C₀⁻¹ [T, Q, R, K]
-    cholesky: Array  # L [T, M, Q, Q]
-    own: Array  # U [T, M, Q, R, K]
-    half_log: Array  # ½ log|C| [T, M]
+    precision: Values  # d [R, K]; 0 where nothing was found
+    share: Values  # d/D [R, K]
+    smooth: tuple[Values, Values]  # A² M(ℓ), and its derivative by log ℓ [K, K]
+    prior: Values  # A [T, G, K, K]
+    path: Values  # N [T, G, K, K]
+    root: Values  # L⁻¹S [T, M, Q, Q]
+    own: Values  # U [T, M, Q, R, K]
+    half_log: Values  # ½ log|C| [T, M]
 
 
-class Latent(NamedTuple):
-    """Posterior means of what is integrated out, and of e."""
+def _factor(x: Values, xp: Space) -> tuple[Values, Values]:
+    """L and L⁻¹ of matrices L Lᵀ in a stack [..., n, n], one by one.
 
-    common: Values  # a [G, K]
-    columns: Values  # Σ c_q B_q [R, K]
-    own: Values  # e [R, K]
-    variance: Values  # of a + Σ c B at each entry [R, K]
-
-
-def _each_matrix(function, *stacks: AnyArray) -> Array:
-    """`function` of matrices in stacks [..., n, n], one by one.
-
-    XLA's batched LAPACK waits inside its own pool of threads and, called from several, for ever.
+    NumPy's stacks have no triangular solver. XLA's wait inside its own pool of threads and, called from several of
+    ours, for ever.
     """
-    lead = stacks[0].shape[:-2]
-    flat = [x.reshape(-1, *x.shape[-2:]) for x in stacks]
-    out = jax.lax.map(lambda x: function(*x), tuple(flat))
-    return out.reshape(*lead, *out.shape[1:])
+    shape, each = x.shape, x.reshape(-1, *x.shape[-2:])
+    if xp is np:
+        lower = np.linalg.cholesky(each)
+        inverse = [_trtri(a, lower=1)[0] for a in lower]
+        return lower.reshape(shape), np.array(inverse).reshape(shape)
+    eye = jnp.eye(shape[-1])
+
+    def one(a: AnyArray) -> tuple[jax.Array, jax.Array]:
+        lower = cholesky(a, lower=True)
+        return lower, solve_triangular(lower, eye, lower=True)
+
+    lower, inverse = jax.lax.map(one, each)
+    return lower.reshape(shape), inverse.reshape(shape)
 
 
-def _cholesky(x: AnyArray) -> Array:
-    return _each_matrix(lambda a: cholesky(a, lower=True), x)
+def _log_diagonal(lower: Values, xp: Space) -> Values:
+    """Log determinants [...] of triangles [..., n, n]."""
+    return xp.log(xp.diagonal(lower, axis1=-2, axis2=-1)).sum(axis=-1)
 
 
-def _solve(lower: Array, x: AnyArray) -> Array:
-    """L⁻¹ x for stacks [..., n, n] and [..., n, m]."""
-    x = jnp.asarray(x)
-    return _each_matrix(lambda a, b: solve_triangular(a, b, lower=True), lower, x) if x.size else x
-
-
-def _added(table: Table, phi: AnyArray) -> Array:
+def added(table: Table, phi: Values, xp: Space = np) -> Values:
     """What other sounds do to a level, dB [R, K]."""
-    return jnp.exp(phi[3]) * ADDED * table.ratio
+    return xp.exp(phi[3]) * ADDED * table.ratio
 
 
-def variance(table: Table, phi: AnyArray, w: AnyArray) -> Array:
+def variance(table: Table, phi: Values, w: Values, xp: Space = np) -> Values:
     """var/w [R, K]; φ = (log σ, log A, log ℓ, log η)."""
-    return (table.variance + jnp.exp(2 * phi[0]) * table.growth + _added(table, phi) ** 2) / w
+    return (table.variance + xp.exp(2 * phi[0]) * table.growth + added(table, phi, xp) ** 2) / w
 
 
-def _matern(table: Table, phi: AnyArray) -> tuple[Array, Array]:
+def _matern(table: Table, phi: Values, xp: Space = np) -> tuple[Values, Values]:
     """A² M(ℓ) between partials, and its derivative by log ℓ [K, K]."""
-    near = jnp.isfinite(table.apart)
-    d = jnp.sqrt(3.0) * jnp.where(near, table.apart, 0.0) * jnp.exp(-phi[2])
-    decay = jnp.where(near, jnp.exp(2 * phi[1] - d), 0.0)
+    near = xp.isfinite(table.apart)
+    d = np.sqrt(3.0) * xp.where(near, table.apart, 0.0) * xp.exp(-phi[2])
+    decay = xp.where(near, xp.exp(2 * phi[1] - d), 0.0)
     return (1 + d) * decay, d**2 * decay
 
 
-def factored(table: Table, phi: AnyArray, w: AnyArray) -> Pieces:
+def factored(table: Table, phi: Values, w: Values, xp: Space = np) -> Pieces:
     """The covariance at φ and w, factored."""
-    alone = variance(table, phi, w)
+    alone = variance(table, phi, w, xp)
     precision = table.found / alone
-    total = jnp.einsum("rg,rk->gk", table.group, precision)
+    total = table.group.T @ precision
     there = total > 0
-    own = jnp.exp(2 * table.common)[..., None, None]
-    eye = jnp.eye(len(table.apart))
-    prior = table.smooth[:, None, None] * _matern(table, phi)[0] + table.systematic + (own + JITTER) * eye
-    root = jnp.where(there, jnp.sqrt(jnp.where(there, total, 1.0)), 0.0)
-    lower = _cholesky(eye + root[:, :, None] * prior * root[:, None, :])
-    inverse = _solve(lower, jnp.broadcast_to(root[:, None, :] * eye, prior.shape))
-    path = jnp.einsum("tgml,tgmk->tglk", inverse, inverse)
-    share = precision / jnp.einsum("rg,gk->rk", table.group, jnp.where(there, total, 1.0))
-    half_log = jnp.log(jnp.diagonal(lower, axis1=2, axis2=3)).sum(axis=(1, 2))
-    half_log = half_log + 0.5 * (table.found * jnp.log(alone)).sum()
+    eye = xp.eye(len(table.apart))
+    smooth = _matern(table, phi, xp)
+    prior = table.smooth[:, None, None] * smooth[0] + table.systematic
+    prior = prior + (xp.exp(2 * table.common)[..., None, None] + JITTER) * eye
+    root = xp.where(there, xp.sqrt(xp.where(there, total, 1.0)), 0.0)
+    lower, inverse = _factor(eye + root[:, :, None] * prior * root[:, None, :], xp)
+    inverse = inverse * root[:, None, :]
+    path = xp.swapaxes(inverse, -1, -2) @ inverse
+    share = precision / (table.group @ xp.where(there, total, 1.0))
+    half_log = _log_diagonal(lower, xp).sum(axis=1) + 0.5 * (table.found * xp.log(alone)).sum()
 
-    columns = _before_columns(table, precision, share, path, table.columns)
-    size = table.scale.shape[1]
-    inner = jnp.einsum("mq,qrk,tprk,mp->tmqp", table.scale, table.columns, columns, table.scale)
-    lower = _cholesky(inner + jnp.eye(size))
-    scaled = table.scale[:, :, None] * columns.reshape(len(prior), 1, size, -1)
-    u = _solve(lower, scaled).reshape(*lower.shape[:3], *precision.shape)
-    half_log = half_log[:, None] + jnp.log(jnp.diagonal(lower, axis1=2, axis2=3)).sum(axis=2)
-    return Pieces(precision, share, prior, path, columns, lower, u, half_log)
+    size, shape = table.scale.shape[1], precision.shape
+    columns = before_columns(table, precision, share, path, table.columns).reshape(len(prior), 1, size, -1)
+    inner = table.columns.reshape(size, -1) @ xp.swapaxes(columns, -1, -2)
+    lower, inverse = _factor(table.scale[:, :, None] * inner * table.scale[:, None, :] + xp.eye(size), xp)
+    root = inverse * table.scale[:, None, :]
+    own = (root @ columns).reshape(*root.shape[:3], *shape)
+    return Pieces(precision, share, smooth, prior, path, root, own, half_log[:, None] + _log_diagonal(lower, xp))
 
 
-def _mean(table: Table, share: Array, x: AnyArray) -> Array:
+def path_mean(table: Table, share: Values, x: Values) -> Values:
     """x̄ of every path [..., G, K] of x [..., R, K]."""
-    return jnp.einsum("rg,rk,...rk->...gk", table.group, share, x)
+    return table.group.T @ (share * x)
 
 
-def _before_columns(table: Table, precision: Array, share: Array, path: Array, x: AnyArray) -> Array:
+def before_columns(table: Table, precision: Values, share: Values, path: Values, x: Values) -> Values:
     """C₀⁻¹x [T, n, R, K] of x [n, R, K]."""
-    mean = _mean(table, share, x)
-    about = precision * (x - jnp.einsum("rg,ngk->nrk", table.group, mean))
-    return about + share * jnp.einsum("rg,tgkl,ngl->tnrk", table.group, path, mean)
-
-
-def inverse(table: Table, pieces: Pieces) -> Array:
-    """C⁻¹ of all entries, 0 where nothing was found [T, M, RK, RK]."""
-    shape = pieces.precision.shape
-    count = shape[0] * shape[1]
-    every = jnp.eye(count).reshape(count, *shape)
-    before = _before_columns(table, pieces.precision, pieces.share, pieces.path, every).reshape(-1, 1, count, count)
-    u = pieces.own.reshape(*pieces.own.shape[:3], count)
-    return before - jnp.einsum("tmqi,tmqj->tmij", u, u)
+    mean = path_mean(table, share, x)
+    pulled = (mean.swapaxes(0, 1) @ path).swapaxes(1, 2)
+    return precision * (x - table.group @ mean) + share * (table.group @ pulled)
 
 
 class Predicted(NamedTuple):
     """Entries' paths and columns given all that is there [T, M, N]."""
 
-    mean: Array
-    variance: Array
-    by: Array  # ρ: the coefficients' part of each, in units of L [T, M, Q, N]
+    mean: Values
+    variance: Values
+    pull: Values  # A N: what a path is, by the mean of its recordings [T, G, N, K]
+    by: Values  # ρ: the coefficients' part of each, in units of L [T, M, Q, N]
 
 
-def _predicted(table: Table, pieces: Pieces, mean: Array, q: Array, at: AnyArray) -> Predicted:
+def predicted(table: Table, p: Pieces, mean: Values, q: Values, at: Values) -> Predicted:
     """Of entries `at` [N, 2]; `mean` is the residual's x̄ [G, K], q = U r [T, M, Q]."""
     r, k = at[:, 0], at[:, 1]
-    group = table.group[r]
-    # A N: what a path is, by the mean of its recordings.
-    pull = jnp.einsum("ng,tgnl,tglm->tngm", group, pieces.prior[:, :, k, :], pieces.path)
-    known = jnp.einsum("tngl,tgnl->tn", pull, pieces.prior[:, :, k, :])
-    spread = jnp.einsum("ng,tgnn->tn", group, pieces.prior[:, :, k][:, :, :, k]) - known
-    left = table.columns[:, r, k] - jnp.einsum("tngl,qgl->tqn", pull, _mean(table, pieces.share, table.columns))
-    by = _solve(pieces.cholesky, table.scale[:, :, None] * left[:, None])
+    group = table.group[r].T
+    rows = p.prior[:, :, k]
+    pull = group[:, :, None] * (rows @ p.path)
+    known = (pull * rows).sum(axis=(1, 3))
+    spread = (group * p.prior[:, :, k, k]).sum(axis=1) - known
+    flat = pull.swapaxes(1, 2).reshape(len(pull), len(k), mean.size)
+    theirs = flat @ path_mean(table, p.share, table.columns).reshape(-1, mean.size).T
+    by = p.root @ (table.columns[:, r, k] - theirs.swapaxes(1, 2))[:, None]
     return Predicted(
-        jnp.einsum("tngl,gl->tn", pull, mean)[:, None] + jnp.einsum("tmqn,tmq->tmn", by, q),
-        spread[:, None] + (by**2).sum(axis=2), by,
+        (flat @ mean.reshape(-1))[:, None] + (q[:, :, None] @ by)[:, :, 0], spread[:, None] + (by**2).sum(axis=2),
+        pull, by,
     )  # fmt: skip
 
 
 class Solved(NamedTuple):
     """F at every node without the priors of φ and w, and what it is made of."""
 
-    each: Array  # F [T, M]
+    each: Values  # F [T, M]
     pieces: Pieces
-    push: Array  # C⁻¹r [T, M, R, K]
-    q: Array  # U r [T, M, Q]
-    z: AnyArray  # of what is absent: bound less mean, in standard deviations [T, M, N]
-    spread: Array  # these deviations, dB [T, M, N]
-    by: Array  # see `Predicted`
+    push: Values  # C⁻¹r [T, M, R, K]
+    q: Values  # U r [T, M, Q]
+    absent: Predicted
+    z: Values  # of what is absent: bound less mean, in standard deviations [T, M, N]
+    spread: Values  # these deviations, dB
 
 
-def solved(table: Table, residual: AnyArray, phi: AnyArray, w: AnyArray) -> Solved:
+def solved(table: Table, residual: Values, phi: Values, w: Values, xp: Space = np) -> Solved:
     """F at every node, and the pieces."""
-    p = factored(table, phi, w)
-    before = _before_columns(table, p.precision, p.share, p.path, residual[None])[:, 0]
-    q = jnp.einsum("tmqrk,rk->tmq", p.own, residual)
-    push = before[:, None] - jnp.einsum("tmqrk,tmq->tmrk", p.own, q)
-    about = residual - jnp.einsum("rg,gk->rk", table.group, mean := _mean(table, p.share, residual))
-    square = (p.precision * about**2).sum() + jnp.einsum("gk,tgkl,gl->t", mean, p.path, mean)
+    p = factored(table, phi, w, xp)
+    before = before_columns(table, p.precision, p.share, p.path, residual[None])[:, 0]
+    own = p.own.reshape(*p.own.shape[:3], -1)
+    q = own @ residual.reshape(-1)
+    push = before[:, None] - (q[:, :, None] @ own).reshape(*q.shape[:2], *residual.shape)
+    mean = path_mean(table, p.share, residual)
+    square = (p.precision * (residual - table.group @ mean) ** 2).sum()
+    square = square + ((mean[:, None] @ p.path)[:, :, 0] * mean).sum(axis=(1, 2))
     at = table.absent
-    absent = _predicted(table, p, mean, q, at)
-    spread = jnp.sqrt(absent.variance + variance(table, phi, jnp.ones_like(residual))[at[:, 0], at[:, 1]])
+    absent = predicted(table, p, mean, q, at)
+    alone = variance(table, phi, xp.ones_like(residual), xp)
+    spread = xp.sqrt(absent.variance + alone[at[:, 0], at[:, 1]])
     z = (residual[at[:, 0], at[:, 1]] - absent.mean) / spread
-    each = 0.5 * (square[:, None] - (q**2).sum(axis=2)) + p.half_log - norm.logcdf(z).sum(axis=2)
-    return Solved(each, p, push, q, z, spread, absent.by)
+    below = (log_ndtr if xp is np else jax_log_ndtr)(z).sum(axis=2)
+    each = 0.5 * (square[:, None] - (q**2).sum(axis=2)) + p.half_log - below
+    return Solved(each, p, push, q, absent, z, spread)
 
 
-def responsible(table: Table, each: Array) -> Array:
+def responsible(table: Table, each: Values) -> Values:
     """How much of the posterior each node has [T, M]."""
-    return jax.nn.softmax(table.share - each, axis=(0, 1))
+    share = table.share - each
+    share = np.exp(share - share.max())
+    return share / share.sum()
 
 
 def objective(
-    table: Table, residual: Float[AnyArray, "R K"], phi: Float[AnyArray, " hyper"], w: Float[AnyArray, "R K"]
-) -> Float[Array, ""]:
+    table: Table, residual: Float[AnyArray, "R K"], phi: Float[AnyArray, " hyper"], w: Float[AnyArray, "R K"],
+    xp: Space = jnp,
+) -> Values:  # fmt: skip
     """F at a residual: y - law where a partial is found, bound - law where it is absent."""
-    return _whole(table, solved(table, residual, phi, w).each, phi, w)
+    return whole(table, solved(table, residual, phi, w, xp).each, phi, w, xp)
 
 
-def _whole(table: Table, each: Array, phi: AnyArray, w: AnyArray) -> Array:
+def whole(table: Table, each: Values, phi: Values, w: Values, xp: Space = np) -> Values:
+    """F, of what it is at every node [T, M]."""
     mean, sd = table.prior
-    mixture = 0.5 * table.student * (table.found * (w - 1 - jnp.log(w))).sum()
-    return -logsumexp(table.share - each) + mixture + 0.5 * (((phi - mean) / sd) ** 2).sum()
-
-
-class Report(NamedTuple):
-    """F and what a descent on it needs."""
-
-    F: Values
-    gradient: Values  # by θ [n]
-    curvature: Values  # Gauss and Newton's, by θ [n, n]
-    by_phi: Values  # gradient [4]
-    by_log_w: Values  # gradient [R, K]
-
-    def take(self, which: np.ndarray) -> Report:
-        """Of some of many points."""
-        return Report(*(x[which] for x in self))
-
-
-def pulled(table: Table, s: Solved) -> Array:
-    """What moves the means of absent entries: their derivatives by the residual [T, M, N, R, K]."""
-    r, k = table.absent[:, 0], table.absent[:, 1]
-    p = s.pieces
-    path = jnp.einsum("ng,tgnl,tglm,rg,rm->tnrm", table.group[r], p.prior[:, :, k], p.path, table.group, p.share)
-    return path[:, None] + jnp.einsum("tmqn,tmqrk->tmnrk", s.by, p.own)
-
-
-def hazard(z: AnyArray) -> Array:
-    """Minus the derivative of -log Φ(z)."""
-    return jnp.exp(norm.logpdf(z) - norm.logcdf(z))
-
-
-def report(
-    table: Table, residual: Float[AnyArray, "R K"], jacobian: Float[AnyArray, "R K n"], phi: Float[AnyArray, " hyper"],
-    w: Float[AnyArray, "R K"],
-) -> Report:  # fmt: skip
-    """F at one point, its gradient by everything, and its curvature by what moves the law by `jacobian`.
-
-    The curvature is Gauss and Newton's, averaged over nodes.
-    """
-    s = solved(table, residual, phi, w)
-    weight, p = responsible(table, s.each), s.pieces
-    pull, steep, z = pulled(table, s), hazard(s.z), s.z
-
-    # By what moves the law. An absent partial's bound stays, and what is there takes its predicted mean along.
-    J = jnp.moveaxis(jacobian, -1, 0)
-    before = _before_columns(table, p.precision, p.share, p.path, J)
-    through = jnp.einsum("tmqrk,nrk->tmqn", p.own, J)
-    moved = jnp.einsum("tmark,nrk->tman", pull, J) - jacobian[table.absent[:, 0], table.absent[:, 1]]
-    moved = moved / s.spread[..., None]
-    gradient = -jnp.einsum("tmrk,nrk->tmn", s.push, J) - jnp.einsum("tma,tman->tmn", steep, moved)
-    curvature = jnp.einsum("nrk,tlrk->tnl", J, before)[:, None] - jnp.einsum("tmqn,tmql->tmnl", through, through)
-    curvature = curvature + jnp.einsum("tma,tman,tmal->tmnl", jnp.maximum(steep * (steep + z), 0.0), moved, moved)
-
-    # By what changes C: F's derivative by each entry's own variance, and by each path's covariance.
-    alone = p.precision * (1 - p.share)
-    diagonal = jnp.einsum("rg,tgkk->trk", table.group, p.path) * p.share**2 + alone
-    diagonal = diagonal[:, None] - (p.own**2).sum(axis=2)
-    far, near = steep / s.spread, 0.5 * steep * z / s.spread**2  # by an absent one's mean, and by its variance
-    by_variance = 0.5 * (diagonal - s.push**2)
-    by_variance = by_variance - jnp.einsum("tma,tmark,tmrk->tmrk", far, pull, s.push)
-    by_variance = jnp.einsum("tm,tmrk->rk", weight, by_variance + jnp.einsum("tma,tmark->tmrk", near, pull**2))
-    absent = (
-        jnp.zeros_like(residual).at[table.absent[:, 0], table.absent[:, 1]].add(jnp.einsum("tm,tma->a", weight, near))
-    )
-    push = jnp.einsum("rg,tmrk->tmgk", table.group, s.push)
-    u = jnp.einsum("rg,tmqrk->tmqgk", table.group, p.own)
-    # What of a path an absent partial has that the others' mean has not.
-    one_hot = table.group[table.absent[:, 0]][:, :, None] * jnp.eye(residual.shape[1])[table.absent[:, 1]][:, None]
-    apart = one_hot - jnp.einsum("rg,tmark->tmagk", table.group, pull)
-    by_path = 0.5 * (
-        jnp.einsum("tm,tgkl->gkl", weight, p.path)
-        - jnp.einsum("tm,tmqgk,tmqgl->gkl", weight, u, u)
-        - jnp.einsum("tm,tmgk,tmgl->gkl", weight, push, push)
-    )
-    by_path = by_path + jnp.einsum("tm,tma,tmagk,tmgl->gkl", weight, far, apart, push)
-    by_path = by_path + jnp.einsum("tm,tma,tmagk,tmagl->gkl", weight, near, apart, apart)
-
-    smooth = jnp.einsum("g,gkl->kl", table.smooth, by_path)
-    matern, by_length = _matern(table, phi)
-    excess, added = 2 * jnp.exp(2 * phi[0]) * table.growth, 2 * _added(table, phi) ** 2
-    changed = by_variance / w + absent
-    mean, sd = table.prior
-    by_phi = jnp.stack(
-        [(changed * excess).sum(), 2 * (smooth * matern).sum(), (smooth * by_length).sum(), (changed * added).sum()]
-    )
-    return Report(
-        _whole(table, s.each, phi, w),
-        jnp.einsum("tm,tmn->n", weight, gradient),
-        jnp.einsum("tm,tmnl->nl", weight, curvature),
-        by_phi + (phi - mean) / sd**2,
-        table.found * (0.5 * table.student * (w - 1) - variance(table, phi, w) * by_variance),
-    )
+    mixture = 0.5 * table.student * (table.found * (w - 1 - xp.log(w))).sum()
+    score = table.share - each
+    most = score.max()
+    nodes = most + xp.log(xp.exp(score - most).sum())
+    return mixture - nodes + 0.5 * (((phi - mean) / sd) ** 2).sum()
 
 
 def next_weights(table: Table, by_log_w: np.ndarray, w: np.ndarray) -> np.ndarray:
@@ -364,20 +280,3 @@ def next_weights(table: Table, by_log_w: np.ndarray, w: np.ndarray) -> np.ndarra
     student = float(table.student)
     square = np.maximum((1 + 2 * (by_log_w - 0.5 * student * (w - 1))) / w, 0.0)
     return np.where(np.asarray(table.found) > 0, (student + 1) / (student + square), 1.0)
-
-
-def latent(table: Table, residual: AnyArray, phi: AnyArray, w: AnyArray) -> Latent:
-    """Posterior means at φ and w, averaged over nodes."""
-    s = solved(table, residual, phi, w)
-    weight, p = responsible(table, s.each), s.pieces
-    coefficients = table.scale * _each_matrix(
-        lambda a, b: solve_triangular(a, b, lower=True, trans=1), p.cholesky, s.q[..., None]
-    )[..., 0]  # fmt: skip
-    columns = jnp.einsum("tmq,qrk->tmrk", coefficients, table.columns)
-    mean = _mean(table, p.share, residual - columns)
-    common = jnp.einsum("tgkl,tglj,tmgj->tmgk", p.prior, p.path, mean)
-    own = residual - jnp.einsum("rg,tmgk->tmrk", table.group, common) - columns
-    every = jnp.stack(jnp.meshgrid(*map(jnp.arange, residual.shape), indexing="ij"), axis=-1).reshape(-1, 2)
-    spread = _predicted(table, p, _mean(table, p.share, residual), s.q, every).variance
-    spread = spread.reshape(*weight.shape, *residual.shape)
-    return Latent(*(jnp.einsum("tm,tm...->...", weight, x) for x in (common, columns, own, spread)))

@@ -8,10 +8,9 @@ from ..model.note import Note
 from ..model.path import OutputPath
 from .coordinates import STRING_SIZE
 from .finish import Minima
-from .likelihood import Latent
 from .observations import string_law
 from .problem import Problem
-from .reports import latent
+from .reports import Latent, latent
 from .string import string_residuals
 
 __all__ = ["latents", "path_of", "note_of"]

@@ -17,8 +17,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from .likelihood import Report, Table
-from .reports import Opened, opened, report
+from .likelihood import Table
+from .reports import Opened, Report, opened, report
 
 __all__ = ["without_nuisances"]
 

@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from .lanes import pool
-from .likelihood import Report, Table
-from .reports import opened
+from .likelihood import Table
+from .reports import Report, opened
 
 __all__ = ["Parabola"]
 

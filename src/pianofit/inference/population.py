@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .likelihood import Report
+from .reports import Report
 
 __all__ = ["Population"]
 

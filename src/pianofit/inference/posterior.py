@@ -19,10 +19,9 @@ from scipy.stats import norm
 
 from .coordinates import STRING_SIZE
 from .finish import Minima
-from .likelihood import Report
 from .nuisances import without_nuisances
 from .problem import Problem
-from .reports import report
+from .reports import Report, report
 from .string import string_residuals
 
 __all__ = ["Posterior", "laplace"]

@@ -1,67 +1,180 @@
-"""F of many points at once, on all cores, and what F is made of at one of them: as programs that are kept."""
+"""F's derivatives in closed form, and what F is made of, at points of a search.
+
+With s = C⁻¹r at one node of τ and of the gains, F changes by a level law's derivatives J as -Jᵀs, by an entry's own
+variance as ½ (C⁻¹_ii - s_i²), and by a path's covariance as ½ (N - Σ UᵀU - s sᵀ) summed over its recordings. An absent
+partial adds -log Φ(z), z = (bound - m)/√V, whose mean m and variance V change with all three.
+"""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
+from scipy.special import log_ndtr
 
-from ..model.cache import kept
-from . import likelihood
-from .lanes import pool
-from .likelihood import Latent, Report, Table
+from .likelihood import (
+    Pieces,
+    Predicted,
+    Solved,
+    Table,
+    added,
+    before_columns,
+    path_mean,
+    predicted,
+    responsible,
+    solved,
+    variance,
+    whole,
+)
 
-__all__ = ["Opened", "latent", "opened", "report"]
-
-# Points of one call.
-TOGETHER = 6
+__all__ = ["Latent", "Opened", "Report", "latent", "opened", "report"]
 
 
-@kept
-def reports(table: Table, count, residual, jacobian, phi, w, _):
-    """`likelihood.report` of the first `count` of a batch of points."""
-    points = residual, jacobian, phi, w
+class Report(NamedTuple):
+    """F and what a descent on it needs, of one point or of many [B, ...]."""
 
-    def one(i):
-        return tuple(likelihood.report(table, *(x[i] for x in points)))
+    F: np.ndarray
+    gradient: np.ndarray  # by θ [n]
+    curvature: np.ndarray  # Gauss and Newton's, by θ [n, n]
+    by_phi: np.ndarray  # gradient [4]
+    by_log_w: np.ndarray  # gradient [R, K]
 
-    blank = tuple(jnp.zeros((len(residual), *x.shape), x.dtype) for x in jax.eval_shape(one, 0))
-    return jax.lax.fori_loop(
-        0, count, lambda i, out: tuple(x.at[i].set(y) for x, y in zip(out, one(i), strict=True)), blank
-    )
+    def take(self, which: np.ndarray) -> Report:
+        """Of some of many points."""
+        return Report(*(x[which] for x in self))
+
+
+def _pulled(table: Table, p: Pieces, absent: Predicted) -> np.ndarray:
+    """What moves the means of absent entries: their derivatives by the residual [T, M, N, R, K]."""
+    path = p.share * (table.group @ absent.pull.swapaxes(1, 2))
+    columns = absent.by.swapaxes(2, 3) @ p.own.reshape(*p.own.shape[:3], -1)
+    return path[:, None] + columns.reshape(*columns.shape[:3], *p.precision.shape)
+
+
+def _hazard(z: np.ndarray) -> np.ndarray:
+    """Minus the derivative of -log Φ(z)."""
+    return np.exp(-0.5 * z**2 - log_ndtr(z)) / np.sqrt(2 * np.pi)
 
 
 def report(table: Table, residual: np.ndarray, jacobian: np.ndarray, phi: np.ndarray, w: np.ndarray) -> Report:
-    """`reports` of any number of points [B, ...], `TOGETHER` at a time, on all cores."""
-    count = len(residual)
-    args = residual, jacobian, phi, w
-    padded = [np.concatenate([x, np.repeat(x[-1:], -count % TOGETHER, axis=0)]) for x in args]
+    """F at points [B, R, K], [B, R, K, n], [B, 4] and [B, R, K], its gradient by everything, its curvature by θ.
 
-    def some(first: int) -> list[np.ndarray]:
-        now = np.int64(min(count - first, TOGETHER))
-        return [np.asarray(x) for x in reports(table, now, *(x[first : first + TOGETHER] for x in padded), None)]
-
-    parts = list(pool().map(some, range(0, len(padded[0]), TOGETHER)))
-    return Report(*(np.concatenate(column)[:count] for column in zip(*parts, strict=True)))
+    The curvature is Gauss and Newton's, by what moves the law by `jacobian`, averaged over nodes.
+    """
+    points = [_report(table, *point) for point in zip(residual, jacobian, phi, w, strict=True)]
+    return Report(*(np.array(column) for column in zip(*points, strict=True)))
 
 
-@kept
-def latents(table: Table, residual, phi, w, _):
-    """`likelihood.latent` of one point."""
-    return tuple(likelihood.latent(table, residual, phi, w))
+def _report(table: Table, residual: np.ndarray, jacobian: np.ndarray, phi: np.ndarray, w: np.ndarray) -> tuple:
+    s = solved(table, residual, phi, w)
+    weight, p = responsible(table, s.each), s.pieces
+    pull, steep, z = _pulled(table, p, s.absent), _hazard(s.z), s.z
+    far, near = steep / s.spread, 0.5 * steep * z / s.spread**2  # by an absent one's mean, and by its variance
+    mean, sd = table.prior
+    by_theta = _by_theta(table, s, weight, pull, steep, jacobian)
+    by_variance, absent = _by_variance(table, s, weight, pull, far, near)
+    smooth = _by_path(table, s, weight, pull, far, near)
+    own, by_length = p.smooth
+    excess, others = 2 * np.exp(2 * phi[0]) * table.growth, 2 * added(table, phi) ** 2
+    changed = by_variance / w + absent
+    by_phi = [(changed * excess).sum(), 2 * (smooth * own).sum(), (smooth * by_length).sum(), (changed * others).sum()]
+    return (
+        whole(table, s.each, phi, w), *by_theta, np.array(by_phi) + (phi - mean) / sd**2,
+        table.found * (0.5 * table.student * (w - 1) - variance(table, phi, w) * by_variance),
+    )  # fmt: skip
+
+
+def _by_theta(
+    table: Table, s: Solved, weight: np.ndarray, pull: np.ndarray, steep: np.ndarray, jacobian: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Gradient [n] and curvature [n, n]. An absent partial's bound stays, what is there takes its mean along."""
+    p, size = s.pieces, jacobian.shape[-1]
+    J = np.moveaxis(jacobian, -1, 0)
+    flat = jacobian.reshape(-1, size)
+    before = before_columns(table, p.precision, p.share, p.path, J)
+    through = p.own.reshape(*p.own.shape[:3], -1) @ flat
+    moved = pull.reshape(*pull.shape[:3], len(flat)) @ flat - jacobian[table.absent[:, 0], table.absent[:, 1]]
+    moved /= s.spread[..., None]
+    gradient = -np.tensordot(weight, s.push, 2).reshape(-1) @ flat - np.tensordot(weight[..., None] * steep, moved, 3)
+    bend = weight[..., None] * np.maximum(steep * (steep + s.z), 0.0)
+    return gradient, (
+        np.tensordot(weight.sum(axis=1), before, 1).reshape(size, -1) @ flat
+        - np.tensordot(weight[..., None, None] * through, through, ((0, 1, 2), (0, 1, 2)))
+        + np.tensordot(bend[..., None] * moved, moved, ((0, 1, 2), (0, 1, 2)))
+    )  # fmt: skip
+
+
+def _by_variance(
+    table: Table, s: Solved, weight: np.ndarray, pull: np.ndarray, far: np.ndarray, near: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """By the variance of each entry that is there, and of each that is absent [R, K]."""
+    p = s.pieces
+    alone = p.precision * (1 - p.share)
+    path = np.tensordot(weight.sum(axis=1), np.diagonal(p.path, axis1=2, axis2=3), 1)
+    there = 0.5 * ((table.group @ path) * p.share**2 + alone)
+    there -= 0.5 * np.tensordot(weight, (p.own**2).sum(axis=2) + s.push**2, 2)
+    absent = np.zeros(there.shape)
+    if pull.shape[2]:
+        flat = pull.reshape(*pull.shape[:3], -1)
+        drawn = (far[:, :, None] @ flat).reshape(s.push.shape)
+        there -= np.tensordot(weight, drawn * s.push, 2)
+        there += np.tensordot(weight[..., None] * near, pull**2, 3)
+        np.add.at(absent, tuple(table.absent.T), np.tensordot(weight, near, 2))
+    return there, absent
+
+
+def _by_path(
+    table: Table, s: Solved, weight: np.ndarray, pull: np.ndarray, far: np.ndarray, near: np.ndarray
+) -> np.ndarray:
+    """By the covariance of the paths that are unknown, together [K, K]."""
+    p, K = s.pieces, len(table.apart)
+    smooth = table.smooth
+
+    def square(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Σ of outer products of rows [..., G, K], for paths that are unknown."""
+        return (smooth[:, None] * x).reshape(-1, K).T @ y.reshape(-1, K)
+
+    push, u = table.group.T @ s.push, table.group.T @ p.own
+    out = 0.5 * np.tensordot(weight.sum(axis=1)[:, None] * smooth, p.path, 2)
+    out -= 0.5 * square(weight[..., None, None, None] * u, u) + 0.5 * square(weight[..., None, None] * push, push)
+    if pull.shape[2]:
+        # What of a path an absent partial has that the others' mean has not.
+        apart = -(table.group.T @ pull)
+        n = np.arange(pull.shape[2])
+        apart[:, :, n, :, table.absent[:, 1]] += table.group[table.absent[:, 0]][:, None, None]
+        drawn = (far[:, :, None] @ apart.reshape(*apart.shape[:3], -1)).reshape(push.shape)
+        out += square(weight[..., None, None] * drawn, push)
+        out += square((weight[..., None] * near)[..., None, None] * apart, apart)
+    return out
+
+
+class Latent(NamedTuple):
+    """Posterior means of what is integrated out, and of e."""
+
+    common: np.ndarray  # a [G, K]
+    columns: np.ndarray  # Σ c_q B_q [R, K]
+    own: np.ndarray  # e [R, K]
+    variance: np.ndarray  # of a + Σ c B at each entry [R, K]
 
 
 def latent(table: Table, residual: np.ndarray, phi: np.ndarray, w: np.ndarray) -> Latent:
-    """`likelihood.latent` of one point, as arrays of NumPy."""
-    return Latent(*(np.asarray(x) for x in latents(table, residual, phi, w, None)))
+    """Posterior means at φ and w, averaged over nodes."""
+    s = solved(table, residual, phi, w)
+    weight, p = responsible(table, s.each), s.pieces
+    columns = np.tensordot((s.q[:, :, None] @ p.root)[:, :, 0], table.columns, 1)
+    mean = path_mean(table, p.share, residual - columns)
+    common = (mean[..., None, :] @ p.path[:, None] @ p.prior[:, None])[..., 0, :]
+    own = residual - table.group @ common - columns
+    every = np.argwhere(np.ones(residual.shape))
+    spread = predicted(table, p, path_mean(table, p.share, residual), s.q, every).variance
+    spread = spread.reshape(*weight.shape, *residual.shape)
+    return Latent(*(np.tensordot(weight, x, 2) for x in (common, columns, own, spread)))
 
 
 class Opened(NamedTuple):
     """F at every node of τ and of the gains, opened; see `likelihood.Solved`."""
 
-    inverse: np.ndarray  # C⁻¹ [T, M, RK, RK]
+    inverse: np.ndarray  # C⁻¹ of all entries, 0 where nothing was found [T, M, RK, RK]
     weight: np.ndarray  # of the nodes at this residual [T, M]
     variance: np.ndarray  # var/w [R, K]
     push: np.ndarray  # C⁻¹r [T, M, R, K]
@@ -71,16 +184,14 @@ class Opened(NamedTuple):
     hazard: np.ndarray  # and minus the slope of -log Φ(z)
 
 
-@kept
-def opens(table: Table, residual, phi, w, _):
-    """`Opened` of one point."""
-    s = likelihood.solved(table, residual, phi, w)
-    return (
-        likelihood.inverse(table, s.pieces), likelihood.responsible(table, s.each),
-        likelihood.variance(table, phi, w), s.push, likelihood.pulled(table, s), s.z, s.spread, likelihood.hazard(s.z),
-    )  # fmt: skip
-
-
 def opened(table: Table, residual: np.ndarray, phi: np.ndarray, w: np.ndarray) -> Opened:
-    """F at one point, opened, as arrays of NumPy."""
-    return Opened(*(np.asarray(x) for x in opens(table, residual, phi, w, None)))
+    """F at one point, opened."""
+    s = solved(table, residual, phi, w)
+    p, count = s.pieces, residual.size
+    every = np.eye(count).reshape(count, *residual.shape)
+    before = before_columns(table, p.precision, p.share, p.path, every).reshape(-1, 1, count, count)
+    u = p.own.reshape(*p.own.shape[:3], count)
+    return Opened(
+        before - u.swapaxes(2, 3) @ u, responsible(table, s.each), variance(table, phi, w), s.push,
+        _pulled(table, p, s.absent), s.z, s.spread, _hazard(s.z),
+    )  # fmt: skip

@@ -7,10 +7,10 @@ from typing import NamedTuple
 import numpy as np
 
 from .coordinates import STRING_SIZE
-from .likelihood import Report, next_weights
+from .likelihood import next_weights
 from .observations import CENTS, string_law
 from .problem import Problem
-from .reports import report
+from .reports import Report, report
 
 __all__ = ["StringState", "hyper_step", "residuals_of", "string_minimum", "string_report", "string_residuals"]
 
