@@ -58,7 +58,7 @@ def shared(t: Table, phi: np.ndarray, node: tuple[int, int]) -> np.ndarray:
     """The covariance of paths and columns over all entries [RK, RK], entry by entry."""
     R, K = t.value.shape
     d = np.sqrt(3) * np.asarray(t.apart) / np.exp(phi[2])
-    matern = np.where(np.isfinite(d), np.exp(2 * phi[1]) * (1 + d) * np.exp(-d), 0.0)
+    matern = np.exp(2 * phi[1]) * (1 + d) * np.exp(-d)
     total = np.zeros((R, K, R, K))
     for i in range(R):
         for j in range(R):

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import jax
 import numpy as np
 import pytest
 from observed_cases import B1, D2, F0, analysis, frequency
 
 import pianofit.model  # noqa: F401  (float64)
 from pianofit.inference import observations, priors
-from pianofit.inference.likelihood import objective
 from pianofit.inference.observations import Layout, observe, string_law
 
 LOUD = analysis([1, 2, 3, 5], [0.0, -10.0, -20.0, -40.0], absent=[4], bound=[-70.0], systematic=0.3)
@@ -25,15 +23,14 @@ def observed(layout: Layout = TWO, *, path: bool = True, gains: bool = True, uni
 
 
 def bounds(table) -> dict[tuple[int, int], float]:
-    """What is absent, by recording and column; without the entries that pad."""
-    return {(r, k): table.value[r, k] for r, k in map(tuple, table.absent) if table.value[r, k] < observations.OPEN / 2}
+    """What is absent, by recording and column."""
+    return {(r, k): table.value[r, k] for r, k in map(tuple, table.absent)}
 
 
 def test_levels_stand_in_their_columns():
     o = observed(unit=6.0)
-    assert o.number.tolist() == [1, 2, 3, 4, 5] + [0] * 11
-    np.testing.assert_array_equal(o.level.found[:, :5], [[1, 1, 1, 0, 1], [1, 1, 0, 1, 0]])
-    assert not o.level.found[:, 5:].any()
+    assert o.number.tolist() == [1, 2, 3, 4, 5]
+    np.testing.assert_array_equal(o.level.found, [[1, 1, 1, 0, 1], [1, 1, 0, 1, 0]])
     np.testing.assert_allclose(o.level.value[0, [0, 1, 2, 4]], [6.0, -4.0, -14.0, -34.0])
     np.testing.assert_allclose(o.level.value[1, [0, 1, 3]], [-6.0, -19.0, -44.0])
     np.testing.assert_allclose(o.level.variance[o.level.found > 0], 0.01)
@@ -47,37 +44,15 @@ def test_what_is_absent_stands_at_its_bound():
     # Through a path, what no recording has says nothing; without one it says that the hammer does not give it.
     assert bounds(observe([nowhere], ALONE, 0, 0.0, True, True).level) == {}
     calibrated = observe([nowhere], ALONE, 0, 0.0, False, False)
-    assert calibrated.number[:3].tolist() == [1, 2, 3]
+    assert calibrated.number.tolist() == [1, 2, 3]
     assert bounds(calibrated.level) == {(0, 1): -50.0}
     assert calibrated.level.variance[0, 1] == priors.ABSENT_MARGIN**2
-
-
-@pytest.mark.usefixtures("float64")
-def test_padding_says_nothing(monkeypatch):
-    residual, w, phi = (
-        3 * np.random.default_rng(0).normal(size=(2, 64)),
-        np.ones((2, 64)),
-        priors.LEVEL.log_median + 0.1,
-    )
-    found = []
-    for rows in (16, 32):
-        monkeypatch.setattr(observations, "ROWS", rows)
-        table = observed().level
-        size = table.value.shape[1]
-        assert size == rows
-        # What pads the list of absent partials is a bound far above anything.
-        own = np.where(table.value > observations.OPEN / 2, table.value, residual[:, :size])
-        F = jax.jit(objective)
-        found.append(float(F(table, own, phi, w[:, :size])))
-        other = np.where((table.found > 0) | (table.value != 0), own, 1e3)
-        assert float(F(table, other, phi, w[:, :size])) == pytest.approx(found[-1], abs=1e-9)
-    assert found[0] == pytest.approx(found[1], abs=1e-9)
 
 
 def test_columns_are_gains_and_onsets():
     alpha = B1 + D2 * np.arange(1, 6.0) ** 2
     table = observed().level
-    path, gain, onset = np.split(table.columns[:, :, :5], [1, 3])
+    path, gain, onset = np.split(table.columns, [1, 3])
     np.testing.assert_allclose(path, np.ones((1, 2, 5)))
     np.testing.assert_allclose(gain, np.eye(2)[:, :, None] * np.ones(5))
     # An onset that is late by 1 s has let every partial decay by its own α.
@@ -87,7 +62,7 @@ def test_columns_are_gains_and_onsets():
     np.testing.assert_allclose(table.scale, apart)
     shared = observed(Layout((0, 1), (0, 0), (0, 0))).level
     np.testing.assert_allclose(shared.scale, [[priors.GAIN, late, late]])
-    np.testing.assert_allclose(shared.columns[0, :, :5], 1.0)
+    np.testing.assert_allclose(shared.columns[0], 1.0)
     calibrated = observed(path=False, gains=False).level
     np.testing.assert_allclose(calibrated.columns[:, :, :5], onset)
     np.testing.assert_allclose(calibrated.scale, [[late, late]])
@@ -144,9 +119,8 @@ def test_a_systematic_error_is_the_mean_over_recordings():
 def test_recordings_are_laid_on_one_law():
     o = observed()
     assert o.cents == pytest.approx([0.0, 2.0])
-    there = o.string_number > 0
-    np.testing.assert_allclose(o.frequency.value[0][there], 0.0, atol=1e-9)
-    np.testing.assert_allclose(o.decay.value[0][there], 1.0)
+    np.testing.assert_allclose(o.frequency.value[0], 0.0, atol=1e-9)
+    np.testing.assert_allclose(o.decay.value[0], 1.0)
     # Two recordings are known better than one by noise, and each partial once.
     assert o.frequency.variance[0, 0] == pytest.approx(0.5 * o.frequency.variance[0, 2])
     sharp = analysis([1, 2], [0.0, -10.0], f0=F0, glide_start=1.5)

@@ -95,7 +95,7 @@ def _heard(problem: Problem, found: Estimate, i: int) -> FittedRecording:
     initial = _initial_note(problem, first, i)
     begins = None if gain is None else round(laid(fitted._replace(gain=gain), problem.recordings[i]))
     if gain is None:
-        gain = 10 ** (_gain_db(problem, integrated, i) / 20)
+        gain = 10 ** (_gain_db(integrated, i) / 20)
         fitted = fitted._replace(gain=1.0)
     after = listener.play(fitted, gain, begins, fitted_level)
     # The criterion's own gain on the initial sound: its level is not what is judged.
@@ -130,7 +130,7 @@ def _columns(problem: Problem, i: int) -> np.ndarray:
     """Where a recording's partials stand in the table of levels; -1 for those above its top."""
     number = problem.observed.number
     by_number = np.full(max(number.max(), problem.analyses[i].partials.number.max()) + 1, -1)
-    by_number[number[number > 0]] = np.flatnonzero(number > 0)
+    by_number[number] = np.arange(len(number))
     return by_number[problem.analyses[i].partials.number]
 
 
@@ -149,10 +149,9 @@ def _fitted_level(problem: Problem, found: Estimate, i: int):
     return _spread_out(problem, i, level, problem.analyses[i].partials.level + unit), integrated
 
 
-def _gain_db(problem: Problem, integrated, i: int) -> float:
+def _gain_db(integrated, i: int) -> float:
     """A recording's own gain, dB: the level of its columns where the onset's share is least."""
-    count = problem.observed.number > 0
-    return float(integrated.columns[i][count][0])  # the lowest partial decays least
+    return float(integrated.columns[i][0])  # the lowest partial decays least
 
 
 def _level(problem: Problem, found: Estimate, z: np.ndarray, i: int) -> np.ndarray:

@@ -57,7 +57,7 @@ class Descent:
         self.string, self.strings = string, strings
         self.offset = np.zeros_like(self.table.value)
         self.stroke = np.array(problem.layout.stroke)
-        self.columns = np.maximum(problem.observed.number - 1, 0)
+        self.columns = problem.observed.number - 1
         self.there = self.table.found + 0.0
         self.there[tuple(self.table.absent.T)] = 1.0
         self.moves = self.unknowns.free.copy()

@@ -84,7 +84,7 @@ class Table(NamedTuple):
     columns: Values  # B [Q, R, K]
     scale: Values  # S, prior standard deviations of their coefficients [M, Q]
     systematic: Values  # S [K, K]
-    apart: Values  # distance of partials, octaves [K, K]; infinite from padding
+    apart: Values  # distance of partials, octaves [K, K]
     smooth: Values  # 1 where the group's path is unknown [G]
     common: Values  # log τ [T, G]
     share: Values  # log prior weight of the nodes, of `common` and `scale` together [T, M]
@@ -145,9 +145,8 @@ def variance(table: Table, phi: Values, w: Values, xp: Space = np) -> Values:
 
 def _matern(table: Table, phi: Values, xp: Space = np) -> tuple[Values, Values]:
     """A² M(ℓ) between partials, and its derivative by log ℓ [K, K]."""
-    near = xp.isfinite(table.apart)
-    d = np.sqrt(3.0) * xp.where(near, table.apart, 0.0) * xp.exp(-phi[2])
-    decay = xp.where(near, xp.exp(2 * phi[1] - d), 0.0)
+    d = np.sqrt(3.0) * table.apart * xp.exp(-phi[2])
+    decay = xp.exp(2 * phi[1] - d)
     return (1 + d) * decay, d**2 * decay
 
 

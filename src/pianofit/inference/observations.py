@@ -15,10 +15,6 @@ __all__ = ["Layout", "Observed", "observe", "string_law"]
 
 # Partials above this, Hz, stand in no table: few hammers and fewer microphones reach them.
 HIGHEST = 10_000.0
-# Partials come in whole multiples of this, so that notes share compiled programs.
-ROWS = 16
-# A bound on nothing, dB.
-OPEN = 1e6
 # A τ that is not there, log dB.
 NONE = -50.0
 CENTS = 1200 / np.log(2)
@@ -56,7 +52,7 @@ class Layout:
 class Observed:
     """The tables, and what their columns are."""
 
-    number: np.ndarray  # int, k of the levels' columns [K]; 0 for padding
+    number: np.ndarray  # int, k of the levels' columns [K]
     level: Table
     frequency: Table  # of one virtual recording, cents over the reference's law
     decay: Table  # likewise, over that law
@@ -72,7 +68,7 @@ def string_law(string, number: np.ndarray, length: float, xp=np):
     the decay. `xp` is NumPy, or JAX's.
     """
     c, kappa, b1, b2 = xp.exp(string)
-    s = (xp.maximum(number, 1) * xp.pi / length) ** 2
+    s = (number * xp.pi / length) ** 2
     omega2, alpha = c**2 * s + kappa**2 * s**2, b1 + b2 * s
     frequency = xp.sqrt(omega2 - xp.minimum(alpha, 0.9 * xp.sqrt(omega2)) ** 2) / (2 * xp.pi)
     zero = xp.zeros_like(s)
@@ -99,7 +95,7 @@ def observe(
     heard = np.unique(np.concatenate([a.partials.number for a in analyses]))
     law = np.stack([_frequency(ref, heard), ref.b1 + ref.d2 * heard**2])
     frequency, decay = _string_tables(analyses, heard, law, ref)
-    return Observed(number, level, frequency, decay, _padded(heard), _wide(law, 1.0), cents)
+    return Observed(number, level, frequency, decay, heard, law, cents)
 
 
 def _frequency(a: Analysis, k: np.ndarray) -> np.ndarray:
@@ -107,52 +103,34 @@ def _frequency(a: Analysis, k: np.ndarray) -> np.ndarray:
 
 
 def _numbers(analyses: Sequence[Analysis], ref: Analysis, absent: bool) -> np.ndarray:
-    """Partials that were found in any recording, and those that were not, padded with 0 [K]."""
+    """Partials that were found in any recording, and those that were not [K]."""
     found = np.unique(np.concatenate([a.partials.number for a in analyses]))
     number = np.arange(1, found.max() + 1) if absent else found
-    return _padded(number[_frequency(ref, number) < HIGHEST])
-
-
-def _more(count: int) -> int:
-    """Columns of padding, at least one."""
-    return ROWS - count % ROWS
-
-
-def _padded(number: np.ndarray) -> np.ndarray:
-    return np.pad(number, (0, _more(len(number))))
-
-
-def _wide(x: np.ndarray, fill: float = 0.0) -> np.ndarray:
-    """The last axis padded to whole multiples of `ROWS`."""
-    return np.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, _more(x.shape[-1]))], constant_values=fill)
+    return number[_frequency(ref, number) < HIGHEST]
 
 
 def _placed(table: np.ndarray, numbers: np.ndarray, number: np.ndarray, fill: float) -> np.ndarray:
     """Values `table` of partials `numbers`, where `number` has them [K]."""
     by_number = np.full(max(numbers.max(initial=0), number.max()) + 1, fill)
     by_number[numbers] = table
-    return np.where(number > 0, by_number[number], fill)
+    return by_number[number]
 
 
 def _covariance(matrices: Sequence[np.ndarray], numbers: Sequence[np.ndarray], number: np.ndarray) -> np.ndarray:
     """Mean of the recordings' systematic covariances [K, K]; each entry of those that have it."""
     total, count = np.zeros((len(number), len(number))), np.zeros(len(number))
     for matrix, own in zip(matrices, numbers, strict=True):
-        at = np.searchsorted(number[number > 0], own)
-        inside = (own <= number.max()) & np.isin(own, number)
+        at, inside = np.searchsorted(number, own), np.isin(own, number)
         total[np.ix_(at[inside], at[inside])] += matrix[np.ix_(inside, inside)]
         count[at[inside]] += 1
     scale = 1 / np.sqrt(np.maximum(count, 1))
     return total * np.outer(scale, scale)
 
 
-def _apart(frequency: np.ndarray, number: np.ndarray) -> np.ndarray:
-    """Octaves between partials [K, K]; infinite from padding."""
+def _apart(frequency: np.ndarray) -> np.ndarray:
+    """Octaves between partials [K, K]."""
     x = np.log2(frequency)
-    there = number > 0
-    apart = np.where(there[:, None] & there, np.abs(x[:, None] - x), np.inf)
-    np.fill_diagonal(apart, 0.0)
-    return apart
+    return np.abs(x[:, None] - x)
 
 
 def _one_hot(index: Sequence[int]) -> np.ndarray:
@@ -169,7 +147,7 @@ def _levels(
     gains: bool,
 ) -> Table:
     tables = [a.partials for a in analyses]
-    frequency = _frequency(ref, np.maximum(number, 1))
+    frequency = _frequency(ref, number)
     value = np.stack([_placed(t.level, t.number, number, np.nan) for t in tables])
     bound = np.stack([_placed(t.absent_bound, t.absent, number, np.nan) for t in tables])
     error = np.stack([_placed(t.level_error, t.number, number, 1.0) for t in tables])
@@ -182,18 +160,16 @@ def _levels(
     alpha = ref.b1 + ref.d2 * number.astype(float) ** 2
     columns, scale = _columns(layout, alpha, gains, ref.f0)
     hyper = priors.LEVEL
-    value = np.nan_to_num(level + unit)
-    value[0, -1] = OPEN
     return Table(
-        value=value,
+        value=np.nan_to_num(level + unit),
         variance=np.where(found, error**2, priors.ABSENT_MARGIN**2),
         found=found.astype(float),
-        absent=_filled(np.argwhere(absent), len(number) - 1),
+        absent=np.argwhere(absent),
         group=_one_hot(layout.group),
         columns=columns,
         scale=scale,
         systematic=_covariance([t.level_systematic for t in tables], [t.number for t in tables], number),
-        apart=_apart(frequency, number),
+        apart=_apart(frequency),
         smooth=np.full(layout.groups, float(path)),
         common=nodes,
         share=np.log(weight[:, None] * np.full(len(scale), 1 / len(scale))),
@@ -202,11 +178,6 @@ def _levels(
         prior=(hyper.log_median, np.array(hyper.spread)),
         student=np.float64(priors.STUDENT),
     )
-
-
-def _filled(absent: np.ndarray, padding: int) -> np.ndarray:
-    """Entries of what is absent in whole multiples of `ROWS`; the others point to a bound that bounds nothing."""
-    return np.concatenate([absent, np.tile([0, padding], (-len(absent) % ROWS, 1))])
 
 
 def _columns(layout: Layout, alpha: np.ndarray, gains: bool, f0: float) -> tuple[np.ndarray, np.ndarray]:
@@ -268,8 +239,8 @@ def _string_tables(
     growth = 1 + (number / priors.LAW_REACH) ** 6
     known = np.full((1, 1, len(number)), max(ref.glide_error, 1e-9))
     return (
-        _string_table(number, law, *pitch, growth, known, priors.FREQUENCY),
-        _string_table(number, law, *loss, np.ones(len(number)), 0 * known, priors.DECAY),
+        _string_table(law, *pitch, growth, known, priors.FREQUENCY),
+        _string_table(law, *loss, np.ones(len(number)), 0 * known, priors.DECAY),
     )
 
 
@@ -285,17 +256,13 @@ def _joined(number, numbers, values, errors, systematics) -> tuple[np.ndarray, n
     return total / weight, noise / weight**2, _covariance(systematics, numbers, number)
 
 
-def _string_table(number, law, value, variance, systematic, growth, columns, hyper: priors.Hyperprior) -> Table:
-    more = _more(len(number))
-    padded = _padded(number)
-    frequency = np.pad(law[0], (0, more), constant_values=1.0)
+def _string_table(law, value, variance, systematic, growth, columns, hyper: priors.Hyperprior) -> Table:
     # Of the four hyperparameters only the excess means something here; the others rest at their priors.
     mean = np.append(hyper.log_median[0], [0.0, 0.0, NONE])
+    one = np.ones((1, len(value)))
     return Table(
-        value=_wide(value[None]), variance=_wide(variance[None], 1.0), found=(padded > 0)[None].astype(float),
-        absent=np.zeros((0, 2), int), group=np.ones((1, 1)), columns=_wide(columns), scale=np.ones((1, 1)),
-        systematic=np.pad(systematic, (0, more)), apart=_apart(frequency, padded), smooth=np.zeros(1),
-        common=np.full((1, 1), NONE), share=np.zeros((1, 1)), growth=_wide(growth, 1.0),
-        ratio=np.zeros((1, len(padded))),
+        value=value[None], variance=variance[None], found=one, absent=np.zeros((0, 2), int), group=np.ones((1, 1)),
+        columns=columns, scale=np.ones((1, 1)), systematic=systematic, apart=_apart(law[0]), smooth=np.zeros(1),
+        common=np.full((1, 1), NONE), share=np.zeros((1, 1)), growth=growth, ratio=0 * one,
         prior=(mean, np.array([hyper.spread[0], 1.0, 1.0, 1.0])), student=np.float64(priors.STUDENT),
     )  # fmt: skip

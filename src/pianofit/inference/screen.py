@@ -7,7 +7,7 @@ from scipy.stats import norm, qmc
 
 from .coordinates import STRING_SIZE
 from .descent import Descent
-from .lanes import in_lanes, levels
+from .lanes import in_lanes, levels, pool
 from .parabola import Parabola
 
 __all__ = ["samples", "screened", "wide"]
@@ -31,6 +31,8 @@ FASTEST = 4.0
 FACTORS = (0.5, 0.75)
 # Rounds of coordinate descent over strokes.
 ROUNDS = 8
+# Hammers of one core at a time: what they need fits its cache.
+BLOCK = 64
 # What a contact that does not end costs.
 ENDLESS = 1e6
 
@@ -83,44 +85,65 @@ def _scored(
     z : hammers of the prior [S, size].
     grid : log velocities [V], at which `level` [S, V, K] are theirs, dB, and `ended` [S, V].
     """
-    table, u = descent.table, descent.unknowns
+    u = descent.unknowns
+    free, mean = u.free[u.shared :], u.mean[u.shared :]
+    belief = 0.5 * ((grid - mean[:, None]) / np.where(free, u.sd[u.shared :], 1.0)[:, None]) ** 2
+    belief = np.where(free[:, None], belief, np.where(np.abs(grid - mean[:, None]) < 1e-9, 0.0, np.inf))
+    ladders = _ladders(descent, grid, mean, free)
+
+    def suited(some: slice) -> tuple[np.ndarray, np.ndarray]:
+        costs = np.where(ended[some], 0.0, ENDLESS)[:, None] + belief
+        return _suited(descent, parabola, level[some], costs, ladders)
+
+    parts = list(pool().map(suited, [slice(i, i + BLOCK) for i in range(0, len(z), BLOCK)]))
+    best, chosen = (np.concatenate(column) for column in zip(*parts, strict=True))
+    best = best + descent.known(z)[0]
+    z = z.copy()
+    z[:, u.shared :] = np.where(free, grid[chosen], mean)
+    order = np.argsort(best, kind="stable")
+    return z[order[np.isfinite(best[order])]]
+
+
+def _suited(
+    descent: Descent, parabola: Parabola, level: np.ndarray, costs: np.ndarray, ladders: list[np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
+    """The least parabola of hammers [S], and the velocities that give it [S, strokes], by coordinate descent.
+
+    Parameters
+    ----------
+    level : at every velocity, dB [S, V, K].
+    costs : what each velocity of each stroke costs besides [S, strokes, V].
+    ladders : velocities to begin with, each [strokes].
+    """
+    table, stroke = descent.table, descent.stroke
     R, K = table.value.shape
     Q = parabola.whole(R * K).reshape(R, K, R, K)
-    free, strokes = u.free[u.shared :], u.strokes
-    mean, sd = u.mean[u.shared :], np.where(free, u.sd[u.shared :], 1.0)
-    belief = 0.5 * ((grid - mean[:, None]) / sd[:, None]) ** 2
-    belief = np.where(free[:, None], belief, np.where(np.abs(grid - mean[:, None]) < 1e-9, 0.0, np.inf))
-    of = [np.flatnonzero(descent.stroke == s) for s in range(strokes)]
+    of = [np.flatnonzero(stroke == s) for s in range(descent.unknowns.strokes)]
     # Residuals of every recording, had its stroke that velocity [S, V, R, K].
     T = (table.value - level[:, :, None]) * table.found
-    own = np.empty((len(z), len(grid), strokes))
+    own = np.empty_like(costs)
     for s, rs in enumerate(of):
         push = np.einsum("svqk,qkrl->svrl", T[:, :, rs], Q[rs][:, :, rs], optimize=True)
-        own[:, :, s] = 0.5 * (push * T[:, :, rs]).sum(axis=(2, 3)) + belief[s] + np.where(ended, 0.0, ENDLESS)
-    S = np.arange(len(z))
-    best, chosen = np.full(len(z), np.inf), np.zeros((len(z), strokes), int)
-    for begin in _ladders(descent, grid, mean, free):
-        v = np.tile(begin, (len(z), 1))
+        own[:, s] = 0.5 * (push * T[:, :, rs]).sum(axis=(2, 3)) + costs[:, s]
+    S = np.arange(len(T))
+    best, chosen = np.full(len(T), np.inf), np.zeros((len(T), len(of)), int)
+    for begin in ladders:
+        v = np.tile(begin, (len(T), 1))
         for _ in range(ROUNDS):
             before = v.copy()
             for s, rs in enumerate(of):
-                rest = T[S[:, None], v[:, descent.stroke], np.arange(R)]  # [S, R, K]
+                rest = T[S[:, None], v[:, stroke], np.arange(R)]  # [S, R, K]
                 rest[:, rs] = 0.0
                 push = np.einsum("sqk,qkrl->srl", rest, Q[:, :, rs], optimize=True)
-                v[:, s] = (own[:, :, s] + np.einsum("svrk,srk->sv", T[:, :, rs], push, optimize=True)).argmin(axis=1)
+                v[:, s] = (own[:, s] + np.einsum("svrk,srk->sv", T[:, :, rs], push, optimize=True)).argmin(axis=1)
             if (v == before).all():
                 break
-        rest = T[S[:, None], v[:, descent.stroke], np.arange(R)]
+        rest = T[S[:, None], v[:, stroke], np.arange(R)]
         push = np.einsum("sqk,qkrl->srl", rest, Q, optimize=True)
-        cost = 0.5 * (push * rest).sum(axis=(1, 2))
-        cost += sum(belief[s][v[:, s]] + np.where(ended[S, v[:, s]], 0.0, ENDLESS) for s in range(strokes))
+        cost = 0.5 * (push * rest).sum(axis=(1, 2)) + costs[S[:, None], np.arange(len(of)), v].sum(axis=1)
         better = cost < best
         best[better], chosen[better] = cost[better], v[better]
-    best = best + descent.known(z)[0]
-    z = z.copy()
-    z[:, u.shared :] = np.where(free, grid[chosen], u.mean[u.shared :])
-    order = np.argsort(best, kind="stable")
-    return z[order[np.isfinite(best[order])]]
+    return best, chosen
 
 
 def _ladders(descent: Descent, grid: np.ndarray, mean: np.ndarray, free: np.ndarray) -> list[np.ndarray]:

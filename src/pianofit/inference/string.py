@@ -38,9 +38,7 @@ def residuals_of(string, measured, number, law, length, xp=np):
     value, slope = string_law(string, number, length, xp)
     laws = CENTS * xp.log(value[0] / law[0]), value[1] / law[1]
     slopes = CENTS * slope[0], slope[1] / law[1][:, None]
-    there = number > 0
-    residuals = [xp.where(there, y - own, 0.0)[None] for y, own in zip(measured, laws, strict=True)]
-    return residuals, [xp.where(there[:, None], s, 0.0)[None] for s in slopes]
+    return [(y - own)[None] for y, own in zip(measured, laws, strict=True)], [s[None] for s in slopes]
 
 
 def string_report(problem: Problem, string: np.ndarray, state: StringState) -> tuple[Report, Report]:
