@@ -3,7 +3,7 @@
     python benchmarks/constants.py                               all constants, on the panel
     python benchmarks/constants.py --names STUDENT,ONSET --page docs/fitting.md
 
-The panel: the inner layers of `NOTES`, each predicted from the others, where the recordings are there (see
+The panel: the layers `LAYERS`, each predicted from the others of its note, where the recordings are there (see
 `crossval.py`), and the model twins `TWINS` of `coverage_twins.py`. Shown are the median error of the predictions, dB,
 and the rms of the twins' misses in standard errors. A constant that moves neither may be wrong by a factor and nobody
 would notice; one that moves them has its reason beside it in `inference/` or `analysis/`.
@@ -12,10 +12,12 @@ would notice; one that moves them has its reason beside it in `inference/` or `a
 from __future__ import annotations
 
 import argparse
+import multiprocessing
 import os
 import statistics
 import sys
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +25,7 @@ import numpy as np
 
 from pianofit.felt import DEFAULT_LAW
 
-NOTES = ("cp80-Fs2", "headroom-C4-close")
+LAYERS = {"cp80-Fs2": ("MP", "F"), "headroom-C4-close": ("L2", "L3", "L4")}
 TWINS = (4, 5, 9)
 
 
@@ -41,7 +43,7 @@ class _Felt:
 
 
 def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
-    """By name: the module, the attribute, and how its value is scaled."""
+    """By the first cell of its row in docs/fitting.md: the module, the attribute, and how its value is scaled."""
     from pianofit.analysis import fits, inharmonicity, partials
     from pianofit.inference import descent, finish, nuisances, observations, predict, priors, screen, search
 
@@ -49,51 +51,78 @@ def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
         return type(value)(value * factor) if not isinstance(value, int) else max(1, round(value * factor))
 
     def place(which: int) -> Callable[[Any, float], Any]:
-        return lambda value, factor: tuple(x * factor if i == which else x for i, x in enumerate(value))
+        return lambda value, factor: tuple(plain(x, factor) if i == which else x for i, x in enumerate(value))
 
-    def hyper(place: int) -> Callable[[Any, float], Any]:
-        def scaled(value: Any, factor: float) -> Any:
-            return value._replace(median=tuple(m * factor if i == place else m for i, m in enumerate(value.median)))
+    def median(which: int) -> Callable[[Any, float], Any]:
+        return lambda value, factor: value._replace(median=place(which)(value.median, factor))
 
-        return scaled
+    def spread(value: Any, factor: float) -> Any:
+        return value._replace(spread=tuple(x * factor for x in value.spread))
 
-    def spreads(value: dict[str, float], factor: float) -> dict[str, float]:
+    def every(value: dict[str, float], factor: float) -> dict[str, float]:
         return {name: x * factor for name, x in value.items()}
 
+    def steps(which: int, part: int) -> Callable[[Any, float], Any]:
+        return lambda value, factor: tuple(
+            place(part)(stage, factor) if i == which else stage for i, stage in enumerate(value)
+        )
+
+    def whole(value: Any, factor: float) -> Any:
+        return tuple(x * factor for x in value)
+
     return {
-        "STUDENT": (priors, "STUDENT", plain),
-        "PATH": (priors, "PATH", place(0)),
-        "ONSET": (priors, "ONSET", plain),
-        "ONSET_PERIODS": (priors, "ONSET_PERIODS", plain),
-        "GAINS_APART one": (priors, "GAINS_APART", place(0)),
-        "GAINS_APART levelled": (priors, "GAINS_APART", place(1)),
-        "ABSENT_MARGIN": (priors, "ABSENT_MARGIN", plain),
-        "VELOCITY": (priors, "VELOCITY", plain),
-        "VELOCITY_SPREAD": (priors, "VELOCITY_SPREAD", plain),
-        "HAMMER_SPREAD": (priors, "HAMMER_SPREAD", spreads),
-        "SPREAD": (_Felt(), "spread", spreads),
-        "LEVEL excess": (priors, "LEVEL", hyper(0)),
-        "LEVEL smooth": (priors, "LEVEL", hyper(1)),
-        "LEVEL octaves": (priors, "LEVEL", hyper(2)),
-        "LEVEL floor": (priors, "LEVEL", hyper(3)),
-        "HIGHEST": (observations, "HIGHEST", plain),
-        "SAMPLES": (screen, "SAMPLES", plain),
-        "WIDE_EXCESS": (screen, "WIDE_EXCESS", plain),
-        "REACH": (search, "REACH", plain),
-        "ONE_VALLEY": (search, "ONE_VALLEY", plain),
-        "GAIN": (search, "GAIN", plain),
-        "LONGEST_STEP": (descent, "LONGEST_STEP", plain),
-        "LONGEST_PHI": (descent, "LONGEST_PHI", plain),
-        "HYPER_REACH": (descent, "HYPER_REACH", plain),
-        "NEGATIVE": (nuisances, "NEGATIVE", plain),
-        "WITHIN": (finish, "WITHIN", plain),
-        "PULSE": (predict, "PULSE", plain),
-        "LEFT": (finish, "LEFT", plain),
-        "TRUSTED": (inharmonicity, "TRUSTED", plain),
-        "NEIGHBOURS": (inharmonicity, "NEIGHBOURS", plain),
-        "LONG": (fits, "LONG", plain),
-        "FAST": (partials, "_FAST", plain),
-        "SLOW": (partials, "_SLOW", plain),
+        "`SPREAD`, all of the felt": (_Felt(), "spread", every),
+        "`HAMMER_SPREAD`, all": (priors, "HAMMER_SPREAD", every),
+        "`VELOCITY`": (priors, "VELOCITY", plain),
+        "`VELOCITY_SPREAD`": (priors, "VELOCITY_SPREAD", plain),
+        "`STRING_SPREAD`, all": (priors, "STRING_SPREAD", every),
+        "`GAIN`": (priors, "GAIN", plain),
+        "`GAINS_APART`, one gain": (priors, "GAINS_APART", place(0)),
+        "`GAINS_APART`, levelled": (priors, "GAINS_APART", place(1)),
+        "`ONSET`": (priors, "ONSET", plain),
+        "`ONSET_PERIODS`": (priors, "ONSET_PERIODS", plain),
+        "`STUDENT`": (priors, "STUDENT", plain),
+        "`PATH`, median": (priors, "PATH", place(0)),
+        "`PATH`, spread": (priors, "PATH", place(1)),
+        "`ABSENT_MARGIN`": (priors, "ABSENT_MARGIN", plain),
+        "`LEVEL`, σ": (priors, "LEVEL", median(0)),
+        "`LEVEL`, A": (priors, "LEVEL", median(1)),
+        "`LEVEL`, ℓ": (priors, "LEVEL", median(2)),
+        "`LEVEL`, η": (priors, "LEVEL", median(3)),
+        "`LEVEL`, all spreads": (priors, "LEVEL", spread),
+        "`FREQUENCY`, σ": (priors, "FREQUENCY", median(0)),
+        "`DECAY`, σ": (priors, "DECAY", median(0)),
+        "`LAW_REACH`": (priors, "LAW_REACH", plain),
+        "`HIGHEST`": (observations, "HIGHEST", plain),
+        "`SAMPLES`": (screen, "SAMPLES", plain),
+        "`TAIL`": (screen, "TAIL", plain),
+        "`WIDE_EXCESS`": (screen, "WIDE_EXCESS", plain),
+        "`COARSER`": (screen, "COARSER", plain),
+        "`FIRST`": (search, "FIRST", plain),
+        "`FIRST_STEPS`": (search, "FIRST_STEPS", plain),
+        "`STAGES`, candidates": (search, "STAGES", steps(0, 0)),
+        "`STAGES`, floor of σ": (search, "STAGES", steps(0, 2)),
+        "`ONE_VALLEY`": (search, "ONE_VALLEY", plain),
+        "`GAIN` of a round": (search, "GAIN", plain),
+        "`RESTARTS`": (search, "RESTARTS", plain),
+        "`REACH`": (search, "REACH", plain),
+        "`SCAN`": (search, "SCAN", whole),
+        "`NEAR`": (search, "NEAR", plain),
+        "`GOING`": (search, "GOING", plain),
+        "`LONGEST_STEP`": (descent, "LONGEST_STEP", plain),
+        "`LONGEST_PHI`": (descent, "LONGEST_PHI", plain),
+        "`FINER`": (descent, "FINER", plain),
+        "`CONVERGED`": (descent, "CONVERGED", plain),
+        "`HYPER_REACH`": (descent, "HYPER_REACH", plain),
+        "`NEGATIVE`": (nuisances, "NEGATIVE", plain),
+        "`WITHIN`": (finish, "WITHIN", plain),
+        "`LEFT`": (finish, "LEFT", plain),
+        "`PULSE`": (predict, "PULSE", plain),
+        "`TRUSTED`": (inharmonicity, "TRUSTED", plain),
+        "`NEIGHBOURS`": (inharmonicity, "NEIGHBOURS", plain),
+        "`LONG`": (fits, "LONG", plain),
+        "`_FAST`": (partials, "_FAST", plain),
+        "`_SLOW`": (partials, "_SLOW", plain),
     }
 
 
@@ -102,55 +131,100 @@ def panel() -> tuple[float, float]:
     import coverage
     import crossval
 
-    layers = []
+    errors = []
     if os.environ.get("PIANOFIT_RECORDINGS") or Path(crossval.FOLDERS.split(":")[0]).is_dir():
         for folder in crossval.folders():
             for key, note in crossval.notes(folder).items():
-                if key in NOTES:
-                    layers += crossval.scored(crossval.validate((key, *note, "hunt-crossley", 0)))
+                errors += predicted(*note, LAYERS.get(key, ()))
     misses = [
         row["miss"]
         for seed in TWINS
         for row in coverage.judge(("model", seed, 0.0)).get("rows", [])
         if row["miss"] is not None and row["status"] in ("fitted", "scaled")
     ]
-    error = statistics.median(layer["predicted_db"] for layer in layers) if layers else float("nan")
+    error = statistics.median(errors) if errors else float("nan")
     return error, float(np.sqrt(np.mean(np.square(misses)))) if misses else float("nan")
+
+
+def predicted(note: str, files: list[Path], setup: Any, layers: tuple[str, ...]) -> list[float]:
+    """Errors, dB, of the layers whose files' names hold one of `layers`, each predicted from all others."""
+    from pianofit import analyse, load_recording, predict_recording
+    from pianofit.fit_file import gains_of
+    from pianofit.inference import fit_recordings
+
+    if not layers:
+        return []
+    recordings = [load_recording(file) for file in files]
+    analyses = [analyse(recording, note=note) for recording in recordings]
+    errors = []
+    for i, file in enumerate(files):
+        if not set(layers) & set(file.stem.split("-")):
+            continue
+        rest = [j for j in range(len(files)) if j != i]
+        fit = fit_recordings([recordings[j] for j in rest], [analyses[j] for j in rest], setup)
+        notes = [(share, each[0]) for share, each in zip(fit.shares, fit.notes, strict=True)]
+        errors.append(predict_recording(notes, analyses[i], gains=gains_of(fit.document, 0)).error_db)
+    return errors
+
+
+def scaled_panel(job: tuple[str, float]) -> tuple[float, float]:
+    """The panel with one constant times a factor; as it is if the factor is 1."""
+    from pianofit.model.cache import keep_programs
+
+    keep_programs()
+    name, factor = job
+    if factor == 1.0:
+        return panel()
+    module, attribute, scaled = constants()[name]
+    value = getattr(module, attribute)
+    setattr(module, attribute, scaled(value, factor))
+    try:
+        return panel()
+    finally:
+        setattr(module, attribute, value)
 
 
 def main() -> None:
     """Print the table, and put it into a page."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--names", default="", help="separated by commas; all if not given")
-    parser.add_argument("--page", type=Path, help="put what is printed between this page's markers")
+    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--page", type=Path, help="fill the last columns of this page's table")
     options = parser.parse_args()
     known = constants()
     wanted = [n for n in options.names.split(",") if n] or list(known)
     if unknown := set(wanted) - set(known):
         sys.exit(f"--names: {', '.join(sorted(unknown))} is none of {', '.join(known)}")
-    lines = [f"{'constant':18}{'value':>26}{'half: dB':>10}{'σ':>6}{'as it is':>14}{'σ':>6}{'twice: dB':>11}{'σ':>6}"]
-    usual = panel()
-    print(lines[0], flush=True)
-    for name in wanted:
-        module, attribute, scaled = known[name]
-        value, found = getattr(module, attribute), []
-        for factor in (0.5, 2.0):
-            setattr(module, attribute, scaled(value, factor))
-            try:
-                found.append(panel())
-            finally:
-                setattr(module, attribute, value)
-        shown = str(value if not hasattr(value, "median") else value.median)
-        shown = "several" if len(shown) > 24 else shown
-        lines.append(
-            f"{name:18}{shown:>26}{found[0][0]:10.2f}{found[0][1]:6.2f}{usual[0]:14.2f}{usual[1]:6.2f}"
-            f"{found[1][0]:11.2f}{found[1][1]:6.2f}"
-        )
-        print(lines[-1], flush=True)
+    jobs = [("", 1.0), *((name, factor) for name in wanted for factor in (0.5, 2.0))]
+    rows: dict[str, tuple[str, str]] = {}
+    with ProcessPoolExecutor(options.workers, mp_context=multiprocessing.get_context("spawn")) as pool:
+        found = pool.map(scaled_panel, jobs)
+        usual = cell(next(found))
+        print(f"{'median error, dB; rms miss of twins, standard errors':32}\nas it is: {usual}", flush=True)
+        for name in wanted:
+            rows[name] = cell(next(found)), cell(next(found))
+            print(f"{name:28} half: {rows[name][0]:12} twice: {rows[name][1]}", flush=True)
     if options.page:
-        from coverage_table import into_page
+        fill(options.page, usual, rows)
 
-        into_page(options.page, "constants", lines)
+
+def cell(found: tuple[float, float]) -> str:
+    """A panel's two numbers."""
+    return f"{found[0]:.2f}; {found[1]:.2f}"
+
+
+def fill(page: Path, usual: str, rows: dict[str, tuple[str, str]]) -> None:
+    """Put what was found into the last two cells of the rows of these constants, and what is usual below."""
+    lines = page.read_text(encoding="utf-8").splitlines()
+    for i, line in enumerate(lines):
+        cells = [part.strip() for part in line.strip("|").split("|")]
+        if line.startswith("|") and cells[0] in rows:
+            lines[i] = "| " + " | ".join([*cells[:-2], *rows.pop(cells[0])]) + " |"
+        if line.startswith("As it is: "):
+            lines[i] = f"As it is: {usual} (`python benchmarks/constants.py --page docs/fitting.md`)."
+    if rows:
+        sys.exit(f"{page}: no row for {', '.join(rows)}; write one in the table of constants")
+    page.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

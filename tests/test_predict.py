@@ -30,8 +30,8 @@ def test_a_level_with_any_gain_is_a_gaussian_without_its_mean():
     sd = np.hypot(LEVEL.median[0], PULSE * slope)
     grid = np.linspace(-60.0, 60.0, 200_001)
     density = np.exp(-0.5 * (((residual - grid[:, None]) / sd) ** 2).sum(axis=1)) / sd.prod()
-    unlikely, gain = mismatch(residual, slope)
-    assert unlikely == pytest.approx(0.5 * np.log(2 * np.pi) - np.log(np.trapezoid(density, grid)), abs=1e-6)
+    cost, gain = mismatch(residual, slope)
+    assert cost == pytest.approx(0.5 * np.log(2 * np.pi) - np.log(np.trapezoid(density, grid)), abs=1e-6)
     assert gain == pytest.approx(grid[np.argmax(density)], abs=1e-3)
 
 

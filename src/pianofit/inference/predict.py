@@ -133,9 +133,9 @@ def _at_best(
 
     def cost(log_velocity: np.ndarray, level: np.ndarray, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Minus the log posterior, and the gain, dB [velocities]."""
-        unlikely, gain = mismatch((p.level - level)[:, chosen], slope[:, chosen])
+        value, gain = mismatch((p.level - level)[:, chosen], slope[:, chosen])
         belief = 0.5 * ((log_velocity - np.log(VELOCITY)) / VELOCITY_SPREAD) ** 2
-        return unlikely + belief - np.array([log_gain(x, gains) for x in gain]), gain
+        return value + belief - np.array([log_gain(x, gains) for x in gain]), gain
 
     tried = np.log(np.geomspace(*_range(), TRIED))
     level = levels(np.exp(tried))
