@@ -67,6 +67,9 @@ def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
             place(part)(stage, factor) if i == which else stage for i, stage in enumerate(value)
         )
 
+    def points(value: Any, factor: float) -> Any:
+        return np.geomspace(value[0], value[-1], round(factor * len(value)))
+
     def whole(value: Any, factor: float) -> Any:
         return tuple(x * factor for x in value)
 
@@ -95,6 +98,8 @@ def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
         "`LAW_REACH`": (priors, "LAW_REACH", plain),
         "`HIGHEST`": (observations, "HIGHEST", plain),
         "`SAMPLES`": (screen, "SAMPLES", plain),
+        "`VELOCITIES`": (screen, "VELOCITIES", points),
+        "`FINE_VELOCITIES`": (screen, "FINE_VELOCITIES", points),
         "`TAIL`": (screen, "TAIL", plain),
         "`WIDE_EXCESS`": (screen, "WIDE_EXCESS", plain),
         "`COARSER`": (screen, "COARSER", plain),

@@ -10,12 +10,14 @@ from .descent import Descent
 from .lanes import in_lanes, levels, pool
 from .parabola import Parabola
 
-__all__ = ["samples", "screened", "wide"]
+__all__ = ["samples", "screened", "struck_anew", "wide"]
 
 # Samples of the prior's hammers: a power of two, as Sobol's points want it.
 SAMPLES = 1024
 # Velocities at which each is struck, m/s: neighbours differ by 30 %, which a descent bridges.
 VELOCITIES = np.geomspace(0.15, 8.0, 16)
+# Those at which one hammer is struck anew, m/s: 1.6 % apart, closer than the lobes of a treble force's spectrum.
+FINE_VELOCITIES = np.geomspace(0.15, 8.0, 256)
 # Of the prior of each: the outermost hundredth is not sampled.
 TAIL = 0.01
 # σ, A, ℓ, η before anything is known: excess of levels, dB, and a path as the prior has it.
@@ -58,10 +60,23 @@ def wide(descent: Descent) -> np.ndarray:
 
 def screened(descent: Descent, seed: int, parabola: Parabola) -> np.ndarray:
     """The prior's hammers, each with the velocities that suit it best, by `parabola` and the prior; the best first."""
-    z = samples(descent, seed)
+    return _with_velocities(descent, samples(descent, seed), np.log(VELOCITIES), parabola)
+
+
+def struck_anew(descent: Descent, z: np.ndarray, parabola: Parabola) -> np.ndarray:
+    """Hammers `z` [S, size], each with the velocities of a fine grid that suit it best; the best first.
+
+    In the treble a contact lasts for several periods of a partial, the spectrum of its force has lobes, and a velocity
+    in the wrong one is a minimum for every hammer near.
+    """
+    return _with_velocities(descent, z, np.log(FINE_VELOCITIES), parabola)
+
+
+def _with_velocities(descent: Descent, z: np.ndarray, grid: np.ndarray, parabola: Parabola) -> np.ndarray:
+    """Hammers [S, size] with the best of the log velocities `grid`; the best first."""
     # Measured velocities have columns of their own.
     shared = descent.unknowns.shared
-    grid = np.append(np.log(VELOCITIES), descent.unknowns.mean[shared:][~descent.unknowns.free[shared:]])
+    grid = np.append(grid, descent.unknowns.mean[shared:][~descent.unknowns.free[shared:]])
     # Velocity by velocity: lanes of one call then have contacts of like lengths.
     lanes = np.concatenate(
         [np.tile(z[:, STRING_SIZE:shared], (len(grid), 1)), np.repeat(grid, len(z))[:, None]], axis=1
@@ -72,28 +87,31 @@ def screened(descent: Descent, seed: int, parabola: Parabola) -> np.ndarray:
     cfg = p.cfg._replace(n_modes=max(p.cfg.rows, p.cfg.n_modes // COARSER))
     level, ended = in_lanes(levels, (descent.string, lanes), scene, cfg, MANY_LANES)
     level = level.reshape(len(grid), len(z), -1)[..., descent.columns].swapaxes(0, 1)
-    return _scored(descent, parabola, z, grid, level, ended.reshape(len(grid), len(z)).T)
+    own = np.abs(grid - z[:, shared:, None]).argmin(axis=2)
+    begins = [own, *(np.tile(each, (len(z), 1)) for each in _ladders(descent, grid))]
+    return _scored(descent, parabola, z, grid, level, ended.reshape(len(grid), len(z)).T, begins)
 
 
 def _scored(
-    descent: Descent, parabola: Parabola, z: np.ndarray, grid: np.ndarray, level: np.ndarray, ended: np.ndarray
-) -> np.ndarray:
+    descent: Descent, parabola: Parabola, z: np.ndarray, grid: np.ndarray, level: np.ndarray, ended: np.ndarray,
+    begins: list[np.ndarray],
+) -> np.ndarray:  # fmt: skip
     """The hammers with their best velocities, the best first [S, size].
 
     Parameters
     ----------
-    z : hammers of the prior [S, size].
+    z : hammers [S, size].
     grid : log velocities [V], at which `level` [S, V, K] are theirs, dB, and `ended` [S, V].
+    begins : velocities to begin with, of the grid [S, strokes].
     """
     u = descent.unknowns
     free, mean = u.free[u.shared :], u.mean[u.shared :]
     belief = 0.5 * ((grid - mean[:, None]) / np.where(free, u.sd[u.shared :], 1.0)[:, None]) ** 2
     belief = np.where(free[:, None], belief, np.where(np.abs(grid - mean[:, None]) < 1e-9, 0.0, np.inf))
-    ladders = _ladders(descent, grid, mean, free)
 
     def suited(some: slice) -> tuple[np.ndarray, np.ndarray]:
         costs = np.where(ended[some], 0.0, ENDLESS)[:, None] + belief
-        return _suited(descent, parabola, level[some], costs, ladders)
+        return _suited(descent, parabola, level[some], costs, [begin[some] for begin in begins])
 
     parts = list(pool().map(suited, [slice(i, i + BLOCK) for i in range(0, len(z), BLOCK)]))
     best, chosen = (np.concatenate(column) for column in zip(*parts, strict=True))
@@ -105,7 +123,7 @@ def _scored(
 
 
 def _suited(
-    descent: Descent, parabola: Parabola, level: np.ndarray, costs: np.ndarray, ladders: list[np.ndarray]
+    descent: Descent, parabola: Parabola, level: np.ndarray, costs: np.ndarray, begins: list[np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
     """The least parabola of hammers [S], and the velocities that give it [S, strokes], by coordinate descent.
 
@@ -113,7 +131,7 @@ def _suited(
     ----------
     level : at every velocity, dB [S, V, K].
     costs : what each velocity of each stroke costs besides [S, strokes, V].
-    ladders : velocities to begin with, each [strokes].
+    begins : velocities to begin with [S, strokes].
     """
     table, stroke = descent.table, descent.stroke
     R, K = table.value.shape
@@ -127,8 +145,8 @@ def _suited(
         own[:, s] = 0.5 * (push * T[:, :, rs]).sum(axis=(2, 3)) + costs[:, s]
     S = np.arange(len(T))
     best, chosen = np.full(len(T), np.inf), np.zeros((len(T), len(of)), int)
-    for begin in ladders:
-        v = np.tile(begin, (len(T), 1))
+    for begin in begins:
+        v = begin.copy()
         for _ in range(ROUNDS):
             before = v.copy()
             for s, rs in enumerate(of):
@@ -146,10 +164,10 @@ def _suited(
     return best, chosen
 
 
-def _ladders(descent: Descent, grid: np.ndarray, mean: np.ndarray, free: np.ndarray) -> list[np.ndarray]:
+def _ladders(descent: Descent, grid: np.ndarray) -> list[np.ndarray]:
     """Velocities to begin with: falling by a factor from the brightest stroke to the softest; indices [strokes]."""
-    strokes = len(mean)
-    p = descent.problem
+    p, u = descent.problem, descent.unknowns
+    free, mean, strokes = u.free[u.shared :], u.mean[u.shared :], u.strokes
     bright = np.zeros(strokes)
     for stroke, analysis in zip(descent.stroke, p.analyses, strict=True):
         amplitude = 10 ** (analysis.partials.level / 20)

@@ -17,7 +17,7 @@ from .coordinates import STRING_SIZE, Unknowns
 from .descent import Descent
 from .parabola import Parabola
 from .population import Population
-from .screen import screened, wide
+from .screen import screened, struck_anew, wide
 
 __all__ = ["distinct", "searched"]
 
@@ -64,26 +64,35 @@ def searched(
     """
     phi = wide(descent)
     parabola = Parabola.of(descent.table, phi)
-    z = np.concatenate([first[None], screened(descent, seed, parabola)[:FIRST]])
-    people = descent.begun(z, phi, parabola=parabola)
+
+    def lowered(z: np.ndarray) -> Population:
+        return descent.descend(descent.begun(z, phi, parabola=parabola), 0.0, FIRST_STEPS, parabola=parabola)
+
+    people = lowered(np.concatenate([first[None], screened(descent, seed, parabola)[:FIRST]]))
     if not len(people):
         raise FitError(NO_HAMMER)
     progress("hammer", 0.3)
-    people = descent.descend(people, 0.0, FIRST_STEPS, parabola=parabola)
+    people = people.join(lowered(struck_anew(descent, _going(descent, people, STAGES[0][0]).z, parabola)))
     for stage, (count, iterations, floor) in enumerate(STAGES):
         progress("hammer", 0.4 + 0.1 * stage)
-        going = distinct(people, descent.unknowns, descent.total(people.z, people.report), np.inf, ONE_VALLEY)
-        people = descent.descend(people.take(np.array(going[:count])), floor, iterations)
+        people = descent.descend(_going(descent, people, count), floor, iterations)
     progress("restarts", 0.6)
     random = np.random.default_rng(seed)
     for _ in range(ROUNDS):
         before = _lowest(descent, people)
         people = _restarted(descent, people, _nearby(descent, people, random))
+        people = _restarted(descent, people, _struck(descent, people))
         if descent.unknowns.free[descent.unknowns.at("x0")]:
             people = _restarted(descent, people, _moved(descent, people))
         if _lowest(descent, people) > before - GAIN:
             break
     return people
+
+
+def _going(descent: Descent, people: Population, count: int) -> Population:
+    """The lowest, of those that have come together one."""
+    scores = descent.total(people.z, people.report)
+    return people.take(np.array(distinct(people, descent.unknowns, scores, np.inf, ONE_VALLEY)[:count], int))
 
 
 def _lowest(descent: Descent, people: Population) -> float:
@@ -104,6 +113,12 @@ def _moved(descent: Descent, people: Population) -> np.ndarray:
     z = np.repeat(people.z[:1], 2 * len(SCAN), axis=0)
     z[:, descent.unknowns.at("x0")] += np.outer([1, -1], SCAN).ravel()
     return descent.unknowns.project(z)
+
+
+def _struck(descent: Descent, people: Population) -> np.ndarray:
+    """The best with the velocities that suit its hammer best [1, size]."""
+    parabola = Parabola.of(descent.table, people.phi[0], people.w[0], people.residual[0])
+    return struck_anew(descent, people.z[:1], parabola)
 
 
 def _restarted(descent: Descent, people: Population, z: np.ndarray) -> Population:
