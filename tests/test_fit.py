@@ -87,7 +87,7 @@ def test_the_document_is_what_the_design_says():
     document = json.loads(json.dumps(calibrated().document, allow_nan=False))
     assert {
         "schema", "program", "recipe", "felt", "seed", "converged", "claims", "messages", "invariants", "parameters",
-        "recordings", "pickup", "minima", "derived", "criterion", "levels", "diagnostics", "versions",
+        "recordings", "pickup", "minima", "covariance", "derived", "criterion", "levels", "diagnostics", "versions",
     } <= set(document)  # fmt: skip
     assert document["schema"] == FIT_SCHEMA
     for name, parameter in document["parameters"].items():
@@ -119,6 +119,10 @@ def test_one_uncalibrated_recording_does_not_fix_the_felt_and_says_so_first():
     assert all(states[name] == "scaled" for name in ("c", "kappa", "b2"))
     assert "length" in document["parameters"]["c"]["note"]
     assert states["b1"] == "fitted"
+    assert {name: entry["status"] for name, entry in document["invariants"].items()} == {
+        "f0": "fitted", "B": "fitted", "M_H/M_S": "not-identifiable", "x0/L": states["x0"].replace("scaled", "fitted"),
+        "F/M_S": "not-identifiable",
+    }  # fmt: skip
     assert document["recordings"][0]["gain_status"] == "fitted"
     assert document["levels"]["path_only_db"] is not None
 
@@ -162,6 +166,9 @@ def test_invariants_need_no_measured_velocity():
         "F/M_S": FIRST.hammer.K_H * (pressed / scale) ** FIRST.hammer.p * scale / g.mass,
     }
     assert set(invariants) == set(true)
+    # The strike's position was given.
+    given = {"x0/L": "given"}
+    assert {name: entry["status"] for name, entry in invariants.items()} == dict.fromkeys(true, "fitted") | given
     for name, value in true.items():
         assert invariants[name]["value"] == pytest.approx(value, rel=0.03 if name == "F/M_S" else 0.01), name
     for name in ("v/v_ref 1", "v/v_ref 2", "M_H/M_S"):

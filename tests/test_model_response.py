@@ -194,3 +194,31 @@ def test_a_mode_that_dies_within_the_contact_has_finite_levels():
     modes, pulse = cases.hit(string, hammer, GEOMETRY._replace(mass=0.002), RATE, n_modes=128, steps=4096)
     assert np.isfinite(np.asarray(model.ringing(modes, pulse.drive))).all()
     assert np.isfinite(np.asarray(model.string_energy(modes, pulse.drive))).all()
+
+
+@pytest.mark.parametrize("quantity", ["velocity", "bridge-force"])
+def test_a_waveform_is_traced_and_has_the_derivatives_of_differences(quantity):
+    samples = 900
+
+    def sound(hammer):
+        modes = model.mode_table(STRING, GEOMETRY, rate=2 * RATE, n_modes=60, quantity=quantity)
+        drive = model.strike(modes, hammer, steps=2048).drive
+        return model.waveform(modes, drive, rate=RATE, samples=samples, oversampling=2)
+
+    plain = sound(HAMMER)
+    hammer = jax.tree.map(float, HAMMER)
+    np.testing.assert_allclose(jax.jit(sound)(hammer), plain, rtol=1e-9, atol=1e-9 * np.abs(plain).max())
+    many = jax.tree.map(lambda x: jnp.stack([x, 1.1 * x]), jax.tree.map(jnp.asarray, hammer))
+    np.testing.assert_allclose(jax.vmap(sound)(many)[0], plain, rtol=1e-9, atol=1e-9 * np.abs(plain).max())
+    slope = jax.jacfwd(sound)(hammer).v_H0
+    up, down = (sound(hammer._replace(v_H0=hammer.v_H0 * (1 + h))) for h in (1e-5, -1e-5))
+    np.testing.assert_allclose(slope, (up - down) / (2e-5 * hammer.v_H0), atol=1e-5 * np.abs(slope).max())
+    loss = jax.grad(lambda h: (sound(h) ** 2).sum())(hammer)
+    assert np.isfinite(jax.tree.leaves(loss)).all()
+    with pytest.raises(ParameterError, match="oversampling="):
+        jax.jit(
+            lambda h: model.waveform(
+                m := model.mode_table(STRING, GEOMETRY, rate=2 * RATE, n_modes=60),
+                model.strike(m, h, steps=2048).drive, rate=RATE, samples=samples,
+            )
+        )(hammer)  # fmt: skip

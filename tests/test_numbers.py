@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pianofit.report.numbers import bracketed, with_interval, with_standard_error
+from pianofit.numbers import bracketed, with_interval, with_standard_error
 
 RAISED = str.maketrans("−⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "--0123456789", "\u00a0")
 

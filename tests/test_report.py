@@ -27,8 +27,8 @@ from scipy.signal import lfilter
 
 from pianofit.errors import OutputError
 from pianofit.inference.statements import STATUSES
+from pianofit.numbers import number
 from pianofit.report.figures import _headings
-from pianofit.report.numbers import number
 from pianofit.report.page import Curves, write_report
 from pianofit.report.sound import k_weighted_mean_square, make_clips
 from pianofit.report.words import STATUS, again_in_words, invariants, minima, ringing, ringing_line, rows
@@ -218,9 +218,9 @@ def test_every_status_of_a_fit_has_a_mark():
 def test_invariants_come_before_the_values_that_rest_on_guesses(tmp_path, curves):
     text = Page(written(tmp_path, example_fit(), curves)).text.replace("\u00a0", " ")
     order = [text.index(words) for words in (
-        "What no assumption enters", "f 0 pitch of the flexible string 92.331 Hz 92.321 to 92.341",
+        "What no assumption enters", "f 0 pitch of the flexible string 92.331 Hz 92.321 to 92.341 ● fitted",
         "M H / M S mass of the hammer over that of the string 0.920 0.893 to 0.948", "x 0 / L",
-        "118.0 N/kg 112.2 to 124.0 static force of the felt at 0.5 mm, at the reference velocity shown", "In SI units",
+        "118.0 N/kg 112.2 to 124.0 ● fitted static force of the felt at 0.5 mm, at the reference velocity shown", "In SI units",
         "◐ scaled", "184.6610 m/s")]  # fmt: skip
     assert order == sorted(order)
     without = Page(written(tmp_path, example_fit(invariants={}), curves)).text

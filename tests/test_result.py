@@ -241,9 +241,15 @@ def test_what_a_file_does_not_hold_is_said(saved):
     for call in calls:
         with pytest.raises(FitError, match=r"fit\.json, which holds no recordings"):
             call()
-    for call in (lambda: back.covariance, back.plot.correlations):
+    assert back.covariance.names == result().covariance.names
+    np.testing.assert_allclose(back.covariance.matrix, result().covariance.matrix, rtol=1e-12)
+    assert back.plot.correlations().get_title() == result().plot.correlations().get_title()
+    for held in (None, {"names": ["c"], "matrix": [[1.0, 0.0]]}, {"names": ["c"], "matrix": [["x"]]}):
+        older = json.loads((saved / "fit.json").read_text()) | {"covariance": held}
+        (saved / "older.json").write_text(json.dumps(older))
         with pytest.raises(FitError, match="covariance"):
-            call()
+            _ = pianofit.Result.load(saved / "older.json").covariance
+    (saved / "older.json").unlink()
     assert sorted(file.name for file in saved.iterdir()) == ["fit.json", "fitted.wav", "initial.wav"]
 
 

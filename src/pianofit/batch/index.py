@@ -15,9 +15,9 @@ from urllib.parse import quote
 from ..analysis.notes import note_to_midi
 from ..errors import AnalysisError, PianofitError
 from ..io import one_line, reference_of
+from ..numbers import is_number, number, with_interval
 from ..recording import load_recording
 from ..report import kit
-from ..report.numbers import is_number, number, with_interval
 from ..report.sound import LIGHT_RATE, Clip, make_clips, seconds_each
 from ..report.words import STATUS, SYMBOLS
 from ..tables import write_csv

@@ -59,7 +59,7 @@ def analyse(
 def _table(found: Analysis) -> str:
     """The string's laws with 95 % intervals, then a line for every partial with standard errors."""
     from ..analysis import COLUMNS, rows
-    from ..report.numbers import bracketed, with_standard_error
+    from ..numbers import bracketed, with_standard_error
 
     laws = (
         ("f0", found.f0, found.f0_error, "Hz", ""),

@@ -83,7 +83,11 @@ Recordings = Annotated[
 ]
 Known = Annotated[
     Path | None,
-    typer.Option(metavar="SETUP.TOML", help="What was known beforehand: lengths, masses, velocities, the pickup."),
+    typer.Option(
+        metavar="SETUP.TOML",
+        help="What was known beforehand, in SI units: [string] length, mass; [strike] position, width; "
+        "[pickup] quantity, position, scale; [known], [initial], [bounds] by parameter (docs/files.md).",
+    ),
 ]
 Sound = Annotated[Path, typer.Option(metavar="FILE.WAV", help="The WAV file to write.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]

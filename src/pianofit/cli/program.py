@@ -75,7 +75,11 @@ def demo(
         from .demo import run_demo
 
         result, true = run_demo(folder, None if no_noise else noise, seed, progress)
-    words = f"{comparison(result.document, true)}\n{summary(result.document, folder)}"
+    words = (
+        f"{comparison(result.document, true)}\n{summary(result.document, folder)}the page is {folder / 'report.html'}; "
+        f"the same fit from its files:\n"
+        f"pianofit fit {folder / 'twin.wav'} --setup {folder / 'setup.toml'} --out another\n"
+    )
     tell(result.document | {"true": true}, words, as_json)
 
 

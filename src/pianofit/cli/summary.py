@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..report.numbers import bracketed
+from ..numbers import beside, bracketed
 from ..report.words import again_in_words, ringing_line
 
 if TYPE_CHECKING:
@@ -18,13 +18,17 @@ ONLY = {"low": "below", "high": "above"}
 
 def comparison(document: dict, true: dict[str, float]) -> str:
     """True values beside found ones."""
-    lines = [f"{'':8}{'initial':>12}{'true':>12}{'found':>14}{'off by':>10}   95 % interval"]
+    lines = [
+        f"{'':8}{'initial':>12}{'true':>14}{'found':>14}{'off by':>11}   95 % interval, and whether it holds the truth"
+    ]
     for name, value in true.items():
         p = document["parameters"][name]
         found, span = bracketed(p["value"], p["interval"])
         off = 100 * (p["value"] / value - 1)
-        note = "" if p["status"] == "fitted" else f"  {p['status']}"
-        lines.append(f"{name:8}{p['initial']:12.5g}{value:12.5g}{found:>14}{off:+9.3f} %  {span}{note}")
+        holds = "-" if p["interval"] is None else "yes" if p["interval"][0] <= value <= p["interval"][1] else "NO"
+        note = "" if p["status"] == "fitted" else f", {p['status']}"
+        truth = beside(value, p["value"], p["interval"])
+        lines.append(f"{name:8}{p['initial']:12.5g}{truth:>14}{found:>14}{off:+9.1g} %   {span} {holds}{note}")
     return "\n".join(lines) + "\n"
 
 
@@ -73,10 +77,11 @@ def _invariants(table: dict) -> list[str]:
     """What no assumed size or velocity enters, before the SI values."""
     if not table:
         return []
-    lines = [f"{'':12}{'value':>14}  {'unit':8}95 % interval"]
+    lines = [f"{'':12}{'value':>14}  {'unit':8}{'95 % interval':28}status"]
     for name, p in table.items():
         value, span = bracketed(p["value"], p["interval"])
-        lines.append(f"{name:12}{value:>14}  {p['unit']:8}{span}")
+        stroke = f"  {Path(p['note']).name}" if name.startswith("v/v_ref") else ""
+        lines.append(f"{name:12}{value:>14}  {p['unit']:8}{span:28}{p['status']}{stroke}")
     return [*lines, ""]
 
 

@@ -20,7 +20,7 @@ from .problem import Problem
 from .quantities import UNITS, Covariance
 from .reports import latent
 from .result import FittedRecording, Result
-from .statements import claims, correlated, messages, statuses, velocity_statuses
+from .statements import claims, correlated, invariant_statuses, messages, statuses, velocity_statuses
 from .views import View
 
 __all__ = ["conclude"]
@@ -63,11 +63,12 @@ def conclude(problem: Problem, found: Estimate, seed: int, view: View | None = N
         "schema": FIT_SCHEMA, "program": "pianofit", "recipe": "default", "felt": problem.start.law.name, "seed": seed,
         "converged": bool(found.minima.converged[0]), "claims": claims(problem, found, states, levels),
         "messages": said,
-        "invariants": invariants(problem, found),
+        "invariants": invariants(problem, found, states),
         "parameters": parameters,
         "recordings": [_row(problem, found, i, heard) for i, heard in enumerate(fitted)],
         "pickup": {"quantity": problem.start.quantity, "path": path_document(reference.fitted.note.path)},
         "minima": _minima(problem, found, notes),
+        "covariance": (covariance := _covariance(problem, found)).document(),
         "derived": derived(reference.fitted.note, reference.fitted.simulation, problem.analyses[problem.reference]),
         "criterion": reference.criterion,
         "levels": levels,
@@ -75,7 +76,7 @@ def conclude(problem: Problem, found: Estimate, seed: int, view: View | None = N
         "versions": versions(),
     }  # fmt: skip
     return Result(
-        document, fitted, problem.reference, _covariance(problem, found), notes,
+        document, fitted, problem.reference, covariance, notes,
         tuple(found.posterior.share.tolist()), None if view is None else view.draws,
     )  # fmt: skip
 
@@ -238,8 +239,8 @@ def _velocity(problem: Problem, found: Estimate, stroke: int) -> dict:
     )
 
 
-def invariants(problem: Problem, found: Estimate) -> dict:
-    """What no assumed length, mass or velocity scale enters: value, unit and 95 % interval by name."""
+def invariants(problem: Problem, found: Estimate, states: dict[str, str]) -> dict:
+    """What no assumed length, mass or velocity scale enters: value, unit, 95 % interval and status by name."""
     u, g = problem.unknowns, problem.start.geometry
     unit = np.eye(u.size)
     c, kappa, mass, at = (unit[u.at(n)] for n in ("c", "kappa", "M_H", "x0"))
@@ -256,9 +257,11 @@ def invariants(problem: Problem, found: Estimate) -> dict:
         "M_H/M_S": _entry(held, mass, float(np.exp(log @ mass)) / g.mass, {"unit": "1"}, "fitted", 0.0, ""),
         "x0/L": _entry(held, at, float(np.exp(log @ at)) / g.length, {"unit": "1"}, "fitted", 0.0, ""),
     }
+    spread = 0.0
     if u.power and u.free[u.power[0]]:  # a given K_H has no compression of reference
         stiffness, p = u.power
         force = unit[stiffness] + float(np.exp(z[p])) * u.log_u * unit[p]
+        spread = held.deviation(force)
         table["F/M_S"] = _entry(
             held, force, float(np.exp(z[stiffness])) / g.mass, {"unit": "N/kg"}, "fitted", 0.0,
             f"static force of the felt at {1e3 * np.exp(u.log_u):.3g} mm"
@@ -271,7 +274,11 @@ def invariants(problem: Problem, found: Estimate) -> dict:
             table[f"v/v_ref {other + 1}"] = _entry(
                 found.posterior, ratio, float(np.exp(z @ ratio)), {"unit": "1"}, "fitted", 0.0, name
             )
-    return {n: {k: e[k] for k in ("value", "unit", "interval", "note")} for n, e in table.items()}
+    status = invariant_statuses(problem, found, states, spread)
+    return {
+        n: {k: e[k] for k in ("value", "unit", "interval", "note")} | {"status": status[n.partition(" ")[0]]}
+        for n, e in table.items()
+    }
 
 
 def _row(problem: Problem, found: Estimate, i: int, heard: FittedRecording) -> dict:
@@ -310,7 +317,7 @@ def _diagnostics(problem: Problem, found: Estimate) -> dict:
     return {
         "F": float(found.minima.F[0]), "evaluations": found.lanes,
         "partials": int(np.asarray(problem.observed.level.found).sum()),
-        "absent": int((np.asarray(problem.observed.level.value)[tuple(problem.observed.level.absent.T)] < 1e5).sum()),
+        "absent": len(problem.observed.level.absent),
         "contact_rate_Hz": float(problem.scene.rate), "modes": problem.cfg.n_modes, "steps": int(problem.scene.steps),
         "excess": {"frequency_cents": float(np.exp(strings.phi[0][0])),
                    "decay_relative": float(np.exp(strings.phi[1][0])), "level_db": float(phi[0])},

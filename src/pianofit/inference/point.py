@@ -85,6 +85,7 @@ def point_result(
     }  # fmt: skip
     names = (*names_of(start.law), "v_H0")
     nothing = Covariance(names, np.zeros((len(names), len(names))))
+    document |= {"covariance": nothing.document()}
     return Result(document, (heard,), 0, nothing, ((after.note,),), (1.0,))
 
 

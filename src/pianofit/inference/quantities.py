@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..felt import BOXES
+from ..numbers import bracketed
 from ..tables import data_frame, html_table, write_csv
 
 __all__ = ["UNITS", "Covariance", "Quantities", "Quantity"]
@@ -51,9 +52,9 @@ class Quantity:
     interval_open: tuple[str, ...] = ()  # the ends, low or high, that are the range's and not the recording's
 
     def __str__(self) -> str:
-        span = "" if self.interval is None else f" [{self.interval[0]:.5g}, {self.interval[1]:.5g}]"
+        value, span = bracketed(self.value, self.interval)
         unit = "" if self.unit == "1" else f" {self.unit}"
-        return f"{self.name} = {self.value:.5g}{unit}{span}, {self.status}"
+        return f"{self.name} = {value}{unit}{'' if self.interval is None else ' ' + span}, {self.status}"
 
     @property
     def row(self) -> tuple:
@@ -146,6 +147,19 @@ class Covariance:
     def __getitem__(self, pair: tuple[str, str]) -> float:
         row, column = (self.names.index(name) for name in pair)
         return float(self.matrix[row, column])
+
+    @classmethod
+    def of(cls, entry: Any) -> Covariance | None:
+        """What `document` wrote; None of anything else."""
+        try:
+            names, matrix = tuple(map(str, entry["names"])), np.array(entry["matrix"], float)
+        except (KeyError, OverflowError, TypeError, ValueError):
+            return None
+        return cls(names, matrix) if matrix.shape == (len(names),) * 2 and np.isfinite(matrix).all() else None
+
+    def document(self) -> dict[str, Any]:
+        """As `fit.json` holds it."""
+        return {"names": list(self.names), "matrix": self.matrix.tolist()}
 
     def __repr__(self) -> str:
         return f"Covariance of log {', '.join(self.names)}"

@@ -135,10 +135,10 @@ class Result:
         Raises
         ------
         FitError
-            If the fit was read back: a file holds no covariance.
+            If the fit was read back from a file that holds none.
         """
         if self.log_covariance is None:
-            raise FitError("covariance: fit.json does not hold it; fit the recordings again")
+            raise FitError("covariance: this fit.json does not hold it; fit the recordings again")
         return self.log_covariance
 
     @property
@@ -184,6 +184,9 @@ class Result:
         lines += [", ".join(f"{q.name} {q.value:.5g}" for q in table.values()) for table in
                   (self.invariants, self.parameters)]  # fmt: skip
         return "\n".join(line for line in lines if line)
+
+    def __str__(self) -> str:
+        return "\n\n".join(filter(None, [self.claims, str(self.invariants), str(self.parameters)]))
 
     def _repr_html_(self) -> str:
         notes = "".join(f"<li>{escape(message)}</li>" for message in self.messages)
@@ -277,7 +280,8 @@ class Result:
         document, name = read_fit(path), one_line(path)
         mixture = mixture_of(document, path, felt)
         shares, notes = zip(*mixture, strict=True)
-        result = cls(document, (), 0, None, tuple((note,) for note in notes), shares)
+        covariance = Covariance.of(document.get("covariance"))
+        result = cls(document, (), 0, covariance, tuple((note,) for note in notes), shares)
         try:
             _ = repr(result), result._repr_html_()
         except (AttributeError, IndexError, KeyError, TypeError, ValueError) as missing:

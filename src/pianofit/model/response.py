@@ -8,11 +8,13 @@ pickup, and H stays while the string stays. Evaluating at σ > 0 is the same as 
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Complex, Float
-from scipy.signal import oaconvolve
 
 from ..errors import ParameterError
 from .contact import FreeMotion, impulse_amplitude
@@ -185,11 +187,12 @@ def waveform(
     rate: float,
     samples: int,
     free: FreeMotion | None = None,
-) -> np.ndarray:
-    """The signal [samples] at `rate`, Hz, from the first contact on, in the pickup's unit, as an array of NumPy.
+    oversampling: int | None = None,
+) -> AnyArray:
+    """The signal [samples] at `rate`, Hz, from the first contact on, in the pickup's unit.
 
     During the contact the pulse is convolved with the string's response at the contact's rate, of which `rate` must be
-    a whole fraction; afterwards the modes below half of `rate` ring by themselves.
+    a whole fraction; afterwards the modes below half of `rate` ring by themselves. Under `jit`, `vmap` and `grad` too.
 
     Parameters
     ----------
@@ -198,6 +201,7 @@ def waveform(
     rate : Hz.
     samples : how many.
     free : motion of the string itself, see `pluck`.
+    oversampling : the contact's steps in a sample. It is read off `modes`, and has to be said where that is traced.
 
     Returns
     -------
@@ -206,7 +210,7 @@ def waveform(
     Raises
     ------
     ParameterError
-        If `rate` is no whole fraction of the contact's rate.
+        If `rate` is no whole fraction of the contact's rate, or the table is traced and `oversampling` not given.
 
     Examples
     --------
@@ -217,26 +221,42 @@ def waveform(
     >>> pianofit.waveform(modes, pulse.drive, rate=44_100.0, samples=1000).shape
     (1000,)
     """
+    traced = any(isinstance(x, Tracer) for x in jax.tree.leaves((modes, drive, free)))
+    ratio = _ratio(modes, rate) if oversampling is None else oversampling
     drive = np.zeros(1) if drive is None else drive
+    parts = (modes.pole, *_heard(modes, drive, free))
+    if free is not None:
+        parts = (*parts, modes.free_pickup * free.amplitude)
+    below = jnp.abs(jnp.imag(modes.pole)) < jnp.pi * rate
+    if traced:
+        xp, (pole, *parts) = jnp, [jnp.where(below, x, -1.0 if i == 0 else 0.0) for i, x in enumerate(parts)]
+    else:
+        xp, (pole, *parts) = np, [np.asarray(x)[np.asarray(below)] for x in parts]
+        drive = np.asarray(drive)
+    unit, amplitude, *release = parts
+
+    steps, log_z = len(drive), pole / (ratio * rate)
+    convolved = xp.fft.rfft(_ring(unit, log_z, steps, xp), 2 * steps) * xp.fft.rfft(drive, 2 * steps)
+    head = xp.fft.irfft(convolved, 2 * steps)[:steps]
+    if release:
+        head = head + _ring(release[0], log_z, steps, xp)
+    head = head[::ratio][:samples]
+    tail = _ring(amplitude * xp.exp(pole * (len(head) / rate)), pole / rate, samples - len(head), xp)
+    return xp.concatenate([head, tail])
+
+
+def _ratio(modes: Modes, rate: float) -> int:
+    """Steps of the contact in a sample."""
+    if isinstance(modes.step, Tracer):
+        raise ParameterError(
+            "waveform is traced with its table: say oversampling=, the contact's steps in a sample (mode_table's rate "
+            "over the waveform's)"
+        )
     contact = 1.0 / float(modes.step)
     ratio = round(contact / rate)
     if ratio < 1 or abs(contact / rate - ratio) > 1e-6:
         raise ParameterError(f"rate={rate} Hz must be a whole fraction of the contact's rate, {contact:g} Hz")
-    pole = np.asarray(modes.pole)
-    heard = np.abs(np.imag(pole)) < np.pi * rate
-    drive = np.asarray(drive)
-    unit, amplitude = (np.asarray(x)[heard] for x in _heard(modes, drive, free))
-    pole = pole[heard]
-    release = np.zeros(0) if free is None else np.asarray(modes.free_pickup)[heard] * np.asarray(free.amplitude)[heard]
-
-    steps = len(drive)
-    during = np.exp(pole[:, None] * np.arange(steps) / contact)
-    head = oaconvolve(np.real(unit @ during), drive)[:steps]
-    if free is not None:
-        head = head + np.real(release @ during)
-    head = head[::ratio][:samples]
-    tail = _ring(amplitude * np.exp(pole * (len(head) / rate)), pole / rate, samples - len(head))
-    return np.concatenate([head, tail])
+    return ratio
 
 
 @jax.jit
@@ -245,10 +265,10 @@ def _heard(modes: Modes, drive: AnyArray, free: FreeMotion | None):
     return modes.pickup * impulse_amplitude(modes), ringing(modes, drive, free)
 
 
-def _ring(amplitude: np.ndarray, log_z: np.ndarray, samples: int) -> np.ndarray:
+def _ring(amplitude: AnyArray, log_z: AnyArray, samples: int, xp: Any) -> Any:
     """Σ_k Re(A_k z_k^n), n < samples: z^(block·i + j) = z^(block·i) z^j makes it one matrix product."""
     block = 512
     blocks = -(-max(samples, 0) // block)
-    starts = np.exp(np.outer(np.arange(blocks) * block, log_z)) * amplitude
-    within = np.exp(np.outer(log_z, np.arange(block)))
-    return (np.real(starts) @ np.real(within) - np.imag(starts) @ np.imag(within)).ravel()[:samples]
+    starts = xp.exp(xp.outer(xp.arange(blocks) * block, log_z)) * amplitude
+    within = xp.exp(xp.outer(log_z, xp.arange(block)))
+    return (xp.real(starts) @ xp.real(within) - xp.imag(starts) @ xp.imag(within)).ravel()[:samples]

@@ -53,7 +53,7 @@ class Simulation(NamedTuple):
 
     def waveform(self, rate: float, samples: int) -> np.ndarray:
         """The signal [samples] from the first touch on; see `waveform`."""
-        return waveform(self.modes, self.pulse.drive, rate=rate, samples=samples, free=self.free)
+        return np.asarray(waveform(self.modes, self.pulse.drive, rate=rate, samples=samples, free=self.free))
 
     @property
     def contacts(self) -> tuple[Contact, ...]:

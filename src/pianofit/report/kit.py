@@ -71,7 +71,7 @@ def templates(package: str, *, strict: bool = True, filters: dict[str, Callable]
     """The templates of a package and those of the kit, with numbers as a reader likes them."""
     from jinja2 import Environment, FunctionLoader, StrictUndefined, Undefined
 
-    from .numbers import number
+    from ..numbers import number
 
     environment = Environment(
         loader=FunctionLoader(lambda name: asset(name, package)), autoescape=True, trim_blocks=True,

@@ -9,7 +9,7 @@ import math
 from typing import Any
 
 from ..felt import DEFAULT_LAW, LAWS, FeltLaw
-from .numbers import is_number, number
+from ..numbers import is_number, number
 from .words import INVARIANTS, SYMBOLS, VELOCITY_RATIO, felt_names
 
 __all__ = ["a_power", "felt_scale", "half_interval", "held_out_rows", "identified", "open_scale"]

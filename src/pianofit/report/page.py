@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from .. import numbers
 from ..io import with_names
-from . import known, numbers, words
+from . import known, words
 from .curves import Curves, RecordingCurves, Strokes
 from .figures import draw_figures
 from .kit import picture, write_page

@@ -10,7 +10,7 @@ from pathlib import PurePath
 from typing import Any
 
 from ..felt import BOXES
-from .numbers import is_number, number, with_interval
+from ..numbers import is_number, number, with_interval
 
 __all__ = [
     "again_in_words", "bands", "comparison", "felt_names", "glide", "groups", "how_sure", "invariants", "minima",
@@ -100,7 +100,9 @@ def _invariant(name: str, entry: dict[str, Any]) -> dict[str, str]:
         symbol, meaning, note = "v/v_ref", "velocity of a stroke over that of the reference", PurePath(note).name
     else:
         symbol, meaning = SYMBOLS.get(name, name), INVARIANTS.get(name, "")
-    return {"name": symbol, "meaning": meaning, **_measured(entry), "note": note}
+    status = str(entry.get("status") or "fitted")
+    return {"name": symbol, "meaning": meaning, **_measured(entry), "status": status,
+            "mark": STATUS.get(status, ("·", ""))[0], "note": note}  # fmt: skip
 
 
 def minima(fit: dict[str, Any]) -> dict[str, Any] | None:

@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Any, ParamSpec
 
 import numpy as np
 
+from ...numbers import number
 from ...report.kit import templates
-from ...report.numbers import number
 
 if TYPE_CHECKING:
     from jinja2 import Template

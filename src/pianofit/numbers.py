@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from decimal import Decimal
 from typing import Any
 
-__all__ = ["bracketed", "is_number", "number", "with_interval", "with_standard_error"]
+__all__ = ["beside", "bracketed", "is_number", "number", "with_interval", "with_standard_error"]
 
 FEWEST, MOST = 3, 15  # significant digits of a value with an interval; a float has 15 to 17
 # Ends of an interval that differ by more than this factor are written each with its own power of ten.
@@ -56,6 +56,12 @@ def bracketed(value: float, interval: Sequence[float] | None) -> tuple[str, str]
         return f"{value:.5g}", "[{:.3g}, {:.3g}]".format(*interval)
     place = digits - 1 - _exponent(value)  # decimals of the last digit
     return _to_place(value, place), f"[{', '.join(_to_place(end, place) for end in interval)}]"
+
+
+def beside(other: float, value: float, interval: Sequence[float] | None) -> str:
+    """Another value to the decimal place of `value` and its interval, as `bracketed` writes these."""
+    digits = _supported(value, interval) if interval and all(map(is_number, interval)) else None
+    return f"{other:.5g}" if digits is None else _to_place(other, digits - 1 - _exponent(value))
 
 
 def with_standard_error(value: float, error: float) -> tuple[str, str]:
