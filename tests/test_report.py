@@ -220,8 +220,8 @@ def test_invariants_come_before_the_values_that_rest_on_guesses(tmp_path, curves
     order = [text.index(words) for words in (
         "What no assumption enters", "f 0 pitch of the flexible string 92.331 Hz 92.321 to 92.341 ● fitted",
         "M H / M S mass of the hammer over that of the string 0.920 0.893 to 0.948", "x 0 / L",
-        "118.0 N/kg 112.2 to 124.0 ● fitted static force of the felt at 0.5 mm, at the reference velocity shown", "In SI units",
-        "◐ scaled", "184.6610 m/s")]  # fmt: skip
+        "118.0 N/kg 112.2 to 124.0 ● fitted static force of the felt at 0.5 mm, at the reference velocity shown",
+        "In SI units", "◐ scaled", "184.6610 m/s")]  # fmt: skip
     assert order == sorted(order)
     without = Page(written(tmp_path, example_fit(invariants={}), curves)).text
     assert "What no assumption enters" not in without
