@@ -174,6 +174,8 @@ def predicted(note: str, files: list[Path], setup: Any, layers: tuple[str, ...])
 
 def scaled_panel(job: tuple[str, float]) -> tuple[float, float]:
     """The panel with one constant times a factor; as it is if the factor is 1."""
+    import coverage_twins  # noqa: F401 - its twins are drawn by the priors as they are
+
     from pianofit.model.cache import keep_programs
 
     keep_programs()
