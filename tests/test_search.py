@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 from observed_cases import GEOMETRY, HAMMER, STRING, played, setup, tone
 
+from pianofit.errors import FitError
 from pianofit.inference import Problem, estimate, pose
 from pianofit.inference.descent import Descent
 from pianofit.inference.estimate import _apart
 from pianofit.inference.parabola import Parabola
 from pianofit.inference.posterior import Posterior
-from pianofit.inference.screen import screened, wide
-from pianofit.inference.search import distinct
+from pianofit.inference.screen import screened, struck_anew, wide
+from pianofit.inference.search import distinct, searched
 from pianofit.inference.string import string_minimum
 
 
@@ -128,3 +129,25 @@ def test_the_heaviest_minimum_is_the_first_and_what_lies_within_another_is_none(
     np.testing.assert_array_equal(kept.F, [1.2, 1.0])
     np.testing.assert_allclose(posterior.share, [2 / 3, 1 / 3])
     np.testing.assert_array_equal(posterior.mean, mean[[2, 0]])
+
+
+def test_a_search_in_which_no_contact_ends_says_so(monkeypatch):
+    descent = Descent(problem(), string())
+    model = descent.model
+    monkeypatch.setattr(descent, "model", lambda z: (*model(z)[:2], np.zeros(len(z), bool)))
+    with pytest.raises(FitError, match="no hammer within the bounds gives a finite sound"):
+        searched(descent, 0, problem().unknowns.mean)
+
+
+def test_a_stroke_in_the_wrong_lobe_is_struck_anew():
+    """The hammer is right and its velocity is not: the best of the fine grid is the one that was played."""
+    p = problem()
+    descent = Descent(p, string())
+    z = found().z.copy()
+    z[: len(string())] = string()
+    parabola = Parabola.of(descent.table, wide(descent))
+    at = p.unknowns.shared
+    for factor in (0.2, 0.5, 3.0):
+        away = z.copy()
+        away[at] += np.log(factor)
+        assert struck_anew(descent, away[None], parabola)[0, at] == pytest.approx(z[at], abs=0.01)

@@ -74,9 +74,10 @@ def struck_anew(descent: Descent, z: np.ndarray, parabola: Parabola) -> np.ndarr
 
 def _with_velocities(descent: Descent, z: np.ndarray, grid: np.ndarray, parabola: Parabola) -> np.ndarray:
     """Hammers [S, size] with the best of the log velocities `grid`; the best first."""
-    # Measured velocities have columns of their own.
     shared = descent.unknowns.shared
-    grid = np.append(grid, descent.unknowns.mean[shared:][~descent.unknowns.free[shared:]])
+    free = descent.unknowns.free[shared:]
+    # Measured velocities have columns of their own.
+    grid = np.append(grid if free.any() else (), descent.unknowns.mean[shared:][~free])
     # Velocity by velocity: lanes of one call then have contacts of like lengths.
     lanes = np.concatenate(
         [np.tile(z[:, STRING_SIZE:shared], (len(grid), 1)), np.repeat(grid, len(z))[:, None]], axis=1

@@ -66,13 +66,15 @@ def searched(
     parabola = Parabola.of(descent.table, phi)
 
     def lowered(z: np.ndarray) -> Population:
-        return descent.descend(descent.begun(z, phi, parabola=parabola), 0.0, FIRST_STEPS, parabola=parabola)
+        begun = descent.begun(z, phi, parabola=parabola)
+        return descent.descend(begun, 0.0, FIRST_STEPS, parabola=parabola) if len(begun) else begun
 
     people = lowered(np.concatenate([first[None], screened(descent, seed, parabola)[:FIRST]]))
     if not len(people):
         raise FitError(NO_HAMMER)
     progress("hammer", 0.3)
-    people = people.join(lowered(struck_anew(descent, _going(descent, people, STAGES[0][0]).z, parabola)))
+    anew = lowered(struck_anew(descent, _going(descent, people, STAGES[0][0]).z, parabola))
+    people = people.join(anew) if len(anew) else people
     for stage, (count, iterations, floor) in enumerate(STAGES):
         progress("hammer", 0.4 + 0.1 * stage)
         people = descent.descend(_going(descent, people, count), floor, iterations)
