@@ -126,7 +126,7 @@ def search(files: Sequence[Path], note: str) -> tuple[Works, dict[str, int]]:
     from pianofit.inference import pose
     from pianofit.inference.descent import Descent
     from pianofit.inference.lanes import LANES, in_lanes, levels, slopes
-    from pianofit.inference.reports import report
+    from pianofit.inference.reports import reports
     from pianofit.inference.screen import MANY_LANES, samples, wide
     from pianofit.inference.string import string_minimum
 
@@ -146,7 +146,7 @@ def search(files: Sequence[Path], note: str) -> tuple[Works, dict[str, int]]:
     return {
         HAMMERS: lambda: in_lanes(levels, (string, many), problem.scene, problem.cfg, MANY_LANES),
         SLOPES: lambda: in_lanes(slopes, (string, some), problem.scene, problem.cfg),
-        OBJECTIVE: lambda: report(held.table, *at),
+        OBJECTIVE: lambda: reports(held.table, *at),
     }, sizes
 
 

@@ -12,17 +12,12 @@ from table_cases import PHI, SHAPES, SMALL, dense, dense_nodes, noise, point, sh
 import pianofit.model  # noqa: F401  (float64)
 from pianofit.inference.likelihood import Table, next_weights, objective
 from pianofit.inference.parabola import Parabola
-from pianofit.inference.reports import Report, latent, report
+from pianofit.inference.reports import latent, report
 
 pytestmark = pytest.mark.usefixtures("float64")
 
 F = jax.jit(objective)
 ONE_NODE = [name for name, shape in SHAPES.items() if shape[4] == (1, 1)]
-
-
-def at(t: Table, residual: np.ndarray, jacobian: np.ndarray, w: np.ndarray) -> Report:
-    """The report of one point."""
-    return Report(*(x[0] for x in report(t, residual[None], jacobian[None], PHI[None], w[None])))
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -39,7 +34,7 @@ def test_the_gradient_is_the_automatic_one(shape):
     t, (residual, w) = table(shape), point(shape)
     jacobian = np.random.default_rng(3).normal(size=(*residual.shape, 4))
     automatic = jax.jit(jax.grad(lambda d: objective(t, jnp.asarray(residual) - jacobian @ d, PHI, w)))
-    _, gradient, hessian, *_ = at(t, residual, jacobian, w)
+    _, gradient, hessian, *_ = report(t, residual, jacobian, PHI, w)
     np.testing.assert_allclose(gradient, automatic(np.zeros(4)), rtol=1e-9, atol=1e-9)
     assert np.linalg.eigvalsh(hessian)[0] > -1e-10 * np.abs(hessian).max()
     step = 1e-5
@@ -53,7 +48,7 @@ def test_the_gradient_is_the_automatic_one(shape):
 @pytest.mark.parametrize("shape", SHAPES)
 def test_a_report_has_the_derivatives_of_the_objective(shape):
     t, (residual, w) = table(shape), point(shape)
-    found = at(t, residual, np.ones((*residual.shape, 1)), w)
+    found = report(t, residual, np.ones((*residual.shape, 1)), PHI, w)
     both = jax.jit(jax.value_and_grad(lambda p, x: objective(t, jnp.asarray(residual), p, jnp.exp(x)), argnums=(0, 1)))
     value, (by_phi, by_log_w) = both(PHI, np.log(w))
     assert float(found.F) == pytest.approx(float(value), rel=1e-12)
@@ -70,7 +65,7 @@ def test_the_parabola_touches_F_from_above(shape):
     jacobian = random.normal(size=(*residual.shape, 3))
     parabola = Parabola.of(t, PHI, w, residual)
     here = parabola(residual[None], jacobian[None])
-    _, gradient, hessian, *_ = at(t, residual, jacobian, w)
+    _, gradient, hessian, *_ = report(t, residual, jacobian, PHI, w)
     np.testing.assert_allclose(here.gradient[0], gradient, rtol=1e-8)
     np.testing.assert_allclose(here.curvature[0], hessian, rtol=1e-8, atol=1e-10)
     moved = residual + 3 * random.normal(size=(60, *residual.shape)) * np.exp(random.normal(size=(60, 1, 1)))

@@ -215,10 +215,13 @@ def test_a_waveform_is_traced_and_has_the_derivatives_of_differences(quantity):
     np.testing.assert_allclose(slope, (up - down) / (2e-5 * hammer.v_H0), atol=1e-5 * np.abs(slope).max())
     loss = jax.grad(lambda h: (sound(h) ** 2).sum())(hammer)
     assert np.isfinite(jax.tree.leaves(loss)).all()
-    with pytest.raises(ParameterError, match="oversampling="):
+    with pytest.raises(ParameterError, match="oversampling=None: waveform is traced"):
         jax.jit(
             lambda h: model.waveform(
                 m := model.mode_table(STRING, GEOMETRY, rate=2 * RATE, n_modes=60),
                 model.strike(m, h, steps=2048).drive, rate=RATE, samples=samples,
             )
         )(hammer)  # fmt: skip
+    modes = model.mode_table(STRING, GEOMETRY, rate=2 * RATE, n_modes=60)
+    with pytest.raises(ParameterError, match="oversampling=3: the table has 2 steps"):
+        model.waveform(modes, rate=RATE, samples=10, oversampling=3)

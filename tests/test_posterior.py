@@ -12,14 +12,9 @@ import pianofit.model  # noqa: F401  (float64)
 from pianofit.inference.likelihood import next_weights
 from pianofit.inference.nuisances import without_nuisances
 from pianofit.inference.posterior import Posterior
-from pianofit.inference.reports import Report, report
+from pianofit.inference.reports import report
 
 pytestmark = pytest.mark.usefixtures("float64")
-
-
-def at(t, residual, jacobian, phi, w) -> Report:
-    found = report(t, residual[None], jacobian[None], phi[None], w[None])
-    return Report(*(x[0] for x in found))
 
 
 def test_a_linear_gaussian_problem_is_described_exactly():
@@ -28,7 +23,7 @@ def test_a_linear_gaussian_problem_is_described_exactly():
     t = table("no path")._replace(student=jnp.asarray(1e9), absent=jnp.zeros((0, 2), int), prior=known)
     residual, _ = point("no path")
     w, jacobian = np.ones_like(residual), np.random.default_rng(5).normal(size=(*residual.shape, 3))
-    found, _ = without_nuisances(t, residual, jacobian, PHI, w, at(t, residual, jacobian, PHI, w), 1)
+    found, _ = without_nuisances(t, residual, jacobian, PHI, w, report(t, residual, jacobian, PHI, w), 1)
     there = np.asarray(t.found).ravel() > 0
     whole = (shared(t, PHI, (0, 0)) + np.diag(noise(t, PHI).ravel()))[np.ix_(there, there)]
     rows = jacobian.reshape(-1, 3)[there]
@@ -40,7 +35,7 @@ def lowest(shape: str):
     t, residual = table(shape), 0.4 * point(shape)[0]
     w, jacobian = np.ones_like(residual), np.random.default_rng(5).normal(size=(*residual.shape, 3))
     for _ in range(40):
-        found = at(t, residual, jacobian, PHI, w)
+        found = report(t, residual, jacobian, PHI, w)
         residual = residual - jacobian @ np.linalg.solve(found.curvature, -found.gradient)
         w = next_weights(t, found.by_log_w, w)
     return t, jacobian, residual, w
@@ -53,7 +48,7 @@ def test_hyperparameters_and_weights_are_integrated_out(shape):
     By θ alone the curvature is Gauss and Newton's, which has a test of its own.
     """
     t, jacobian, residual, w = lowest(shape)
-    there = at(t, residual, jacobian, PHI, w)
+    there = report(t, residual, jacobian, PHI, w)
     where = tuple(np.argwhere(np.asarray(t.found) > 0).T)
     plain = jax.tree.map(np.asarray, t)
 

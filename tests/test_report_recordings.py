@@ -394,6 +394,9 @@ def test_no_scale_is_open_where_gain_or_velocity_were_given(known):
     words = said(fit)
     assert "Velocities of the strokes (the least certain ± 10 %)" in words["Fixed by the data"]
     assert "common scale" not in " ".join(words.values())
+    for recording in fit["recordings"]:
+        recording["v_H0_status"] = "not-identifiable"
+    assert "Velocities of the strokes" not in " ".join(said(fit).values())
 
 
 def test_a_scale_is_open_where_not_even_ratios_are_identified():
@@ -408,6 +411,8 @@ def test_what_the_claims_question_is_not_called_fixed():
     fit = fit_reaching(F_over_M_S=0.05, M_H_over_M_S=0.03)
     for name in ("K_H", "mu", "p", "M_H"):
         fit["parameters"][name] = {"status": "not-identifiable", "interval": [1.0, 1.1]}
+    for name in ("F/M_S", "M_H/M_S"):
+        fit["invariants"][name]["status"] = "not-identifiable"
     words = said(fit)
     within = words["Fixed only if the model and its path are all there is"]
     assert "118 N/kg" in within
@@ -416,6 +421,8 @@ def test_what_the_claims_question_is_not_called_fixed():
     assert "M_H/M_S" not in words["Fixed by the data"]
     assert "Not identifiable by themselves: K_H, μ, p, M_H." in words["Not fixed by the data"]
     vague = fit_reaching(F_over_M_S=1.5, M_H_over_M_S=12.0) | {"parameters": fit["parameters"]}
+    for name in ("F/M_S", "M_H/M_S"):
+        vague["invariants"][name]["status"] = "not-identifiable"
     assert "Fixed only if" not in " ".join(said(vague))
     assert "to a factor of 4.5" in said(vague)["Not fixed by the data"]
     assert "to many powers of ten" in said(vague)["Not fixed by the data"]

@@ -20,7 +20,15 @@ from .problem import Problem
 from .quantities import UNITS, Covariance
 from .reports import latent
 from .result import FittedRecording, Result
-from .statements import claims, correlated, invariant_statuses, messages, statuses, velocity_statuses
+from .statements import (
+    claims,
+    correlated,
+    invariant_status,
+    messages,
+    statuses,
+    taken_back,
+    velocity_statuses,
+)
 from .views import View
 
 __all__ = ["conclude"]
@@ -59,6 +67,7 @@ def conclude(problem: Problem, found: Estimate, seed: int, view: View | None = N
         tuple(note_of(problem, found.minima, b, i)._replace(gain=t.fitted.note.gain) for i, t in enumerate(fitted))
         for b in range(len(found.minima.F))
     )
+    covariance = _covariance(problem, found)
     document = {
         "schema": FIT_SCHEMA, "program": "pianofit", "recipe": "default", "felt": problem.start.law.name, "seed": seed,
         "converged": bool(found.minima.converged[0]), "claims": claims(problem, found, states, levels),
@@ -68,7 +77,7 @@ def conclude(problem: Problem, found: Estimate, seed: int, view: View | None = N
         "recordings": [_row(problem, found, i, heard) for i, heard in enumerate(fitted)],
         "pickup": {"quantity": problem.start.quantity, "path": path_document(reference.fitted.note.path)},
         "minima": _minima(problem, found, notes),
-        "covariance": (covariance := _covariance(problem, found)).document(),
+        "covariance": covariance.document(),
         "derived": derived(reference.fitted.note, reference.fitted.simulation, problem.analyses[problem.reference]),
         "criterion": reference.criterion,
         "levels": levels,
@@ -108,7 +117,7 @@ def _heard(problem: Problem, found: Estimate, i: int) -> FittedRecording:
         for name, level in (("initial_db", before.level), ("fitted_db", after.level), ("path_only_db", literature))
     }
     return FittedRecording(
-        before, after, measured, recording, analysis, listener.criterion(before, after),
+        before, after, measured, recording, analysis, listener.criterion(before, after, problem.calibrated),
         level_errors(levels, analysis.partials, measured),
     )  # fmt: skip
 
@@ -249,36 +258,40 @@ def invariants(problem: Problem, found: Estimate, states: dict[str, str]) -> dic
     held = found.posterior.given(unit[u.shared + stroke]) if scaled else found.posterior
     z, log = found.z, found.posterior.mean[0]
     string = np.exp(log[:STRING_SIZE])
+
+    def entry(
+        change: np.ndarray, value: float, its_unit: str, own: list[str], note: str = "", by: Posterior = held
+    ) -> dict:
+        status = invariant_status(own, by.deviation(change))
+        whole = _entry(by, change, value, {"unit": its_unit}, status, 0.0, note)
+        return {k: whole[k] for k in ("value", "unit", "interval", "note", "status")}
+
     table = {
-        "f0": _entry(held, c, string[0] / (2 * g.length), {"unit": "Hz"}, "fitted", 0.0, ""),
-        "B": _entry(
-            held, 2 * kappa - 2 * c, (string[1] * np.pi / (string[0] * g.length)) ** 2, {"unit": "1"}, "fitted", 0.0, ""
+        "f0": entry(c, string[0] / (2 * g.length), "Hz", [states["c"]]),
+        "B": entry(
+            2 * kappa - 2 * c, (string[1] * np.pi / (string[0] * g.length)) ** 2, "1", [states["c"], states["kappa"]]
         ),
-        "M_H/M_S": _entry(held, mass, float(np.exp(log @ mass)) / g.mass, {"unit": "1"}, "fitted", 0.0, ""),
-        "x0/L": _entry(held, at, float(np.exp(log @ at)) / g.length, {"unit": "1"}, "fitted", 0.0, ""),
+        "M_H/M_S": entry(mass, float(np.exp(log @ mass)) / g.mass, "1", [states["M_H"]]),
+        "x0/L": entry(at, float(np.exp(log @ at)) / g.length, "1", [states["x0"]]),
     }
-    spread = 0.0
     if u.power and u.free[u.power[0]]:  # a given K_H has no compression of reference
         stiffness, p = u.power
-        force = unit[stiffness] + float(np.exp(z[p])) * u.log_u * unit[p]
-        spread = held.deviation(force)
-        table["F/M_S"] = _entry(
-            held, force, float(np.exp(z[stiffness])) / g.mass, {"unit": "N/kg"}, "fitted", 0.0,
+        lost = u.names[stiffness] in taken_back(problem, found)
+        table["F/M_S"] = entry(
+            unit[stiffness] + float(np.exp(z[p])) * u.log_u * unit[p], float(np.exp(z[stiffness])) / g.mass, "N/kg",
+            ["not-identifiable"] * lost,
             f"static force of the felt at {1e3 * np.exp(u.log_u):.3g} mm"
             + (", at the reference velocity shown" if scaled else ""),
         )  # fmt: skip
+    velocities = velocity_statuses(problem, found)
     for other in range(problem.layout.strokes):
         if other != stroke:
             ratio = unit[u.shared + other] - unit[u.shared + stroke]
             name = problem.recordings[problem.layout.stroke.index(other)].path
-            table[f"v/v_ref {other + 1}"] = _entry(
-                found.posterior, ratio, float(np.exp(z @ ratio)), {"unit": "1"}, "fitted", 0.0, name
+            table[f"v/v_ref {other + 1}"] = entry(
+                ratio, float(np.exp(z @ ratio)), "1", [velocities[other], velocities[stroke]], name, found.posterior
             )
-    status = invariant_statuses(problem, found, states, spread)
-    return {
-        n: {k: e[k] for k in ("value", "unit", "interval", "note")} | {"status": status[n.partition(" ")[0]]}
-        for n, e in table.items()
-    }
+    return table
 
 
 def _row(problem: Problem, found: Estimate, i: int, heard: FittedRecording) -> dict:

@@ -15,7 +15,7 @@ from .likelihood import next_weights
 from .parabola import Parabola
 from .population import Population
 from .problem import Problem
-from .reports import Report, report
+from .reports import Report, reports
 from .string import StringState, string_report
 
 __all__ = ["Descent"]
@@ -168,7 +168,7 @@ class Descent:
         self, residual: np.ndarray, jacobian: np.ndarray, phi: np.ndarray, w: np.ndarray, parabola: Parabola | None
     ) -> Report:
         """F, or its parabola while φ and w are held, of candidates."""
-        return report(self.table, residual, jacobian, phi, w) if parabola is None else parabola(residual, jacobian)
+        return reports(self.table, residual, jacobian, phi, w) if parabola is None else parabola(residual, jacobian)
 
     def descend(
         self, people: Population, floor: float, iterations: int, tolerance: float = CONVERGED,
@@ -192,7 +192,7 @@ class Descent:
     def _lift(self, people: Population, floor: float) -> None:
         """F where φ is put that a floor which has risen no longer allows."""
         people.phi = np.clip(people.phi, *self._range(floor))
-        people.report = report(self.table, people.residual, people.jacobian, people.phi, people.w)
+        people.report = reports(self.table, people.residual, people.jacobian, people.phi, people.w)
 
     def _range(self, floor: float) -> tuple[np.ndarray, np.ndarray]:
         """Least and largest φ, with σ above `floor`, dB."""
@@ -212,11 +212,10 @@ class Descent:
         elsewhere = self.known(z)[0]
         better = np.where(good, found.F + elsewhere, np.inf) < before
         stuck = ~better & (now.damping >= MOST_DAMPING)
-        damping = np.clip(now.damping * np.where(better, 0.2, 8.0), LEAST_DAMPING, 8 * MOST_DAMPING)
-        now.damping = damping
+        now.damping = np.clip(now.damping * np.where(better, 0.2, 8.0), LEAST_DAMPING, 8 * MOST_DAMPING)
         now.put(np.flatnonzero(better), Population(
             z[better], now.phi[better], now.w[better], residual[better], jacobian[better], found.take(better),
-            damping[better], now.inverse[better], now.gained[better],
+            now.damping[better], now.inverse[better], now.gained[better],
         ))  # fmt: skip
         if parabola is None:
             self._settle(now, floor)
@@ -232,7 +231,7 @@ class Descent:
         step = np.clip(np.where(active, 0.0, step), -LONGEST_PHI, LONGEST_PHI)
         phi = np.clip(now.phi + step, lower, upper)
         w = next_weights(self.table, now.report.by_log_w, now.w)
-        found = report(self.table, now.residual, now.jacobian, phi, w)
+        found = reports(self.table, now.residual, now.jacobian, phi, w)
         inverse = _bfgs(now.inverse, phi - now.phi, found.by_phi - slope)
         better = found.F < now.report.F
         now.inverse = np.where(better[:, None, None], inverse, 0.3 * now.inverse)

@@ -107,30 +107,22 @@ class Pieces(NamedTuple):
     half_log: Values  # ½ log|C| [T, M]
 
 
-def _factor(x: Values, xp: Space) -> tuple[Values, Values]:
-    """L and L⁻¹ of matrices L Lᵀ in a stack [..., n, n], one by one.
+def _whitening(x: Values, xp: Space) -> Values:
+    """L⁻¹ of matrices L Lᵀ in a stack [..., n, n], one by one.
 
     NumPy's stacks have no triangular solver. XLA's wait inside its own pool of threads and, called from several of
     ours, for ever.
     """
     shape, each = x.shape, x.reshape(-1, *x.shape[-2:])
     if xp is np:
-        lower = np.linalg.cholesky(each)
-        inverse = [_trtri(a, lower=1)[0] for a in lower]
-        return lower.reshape(shape), np.array(inverse).reshape(shape)
+        return np.array([_trtri(a, lower=1)[0] for a in np.linalg.cholesky(each)]).reshape(shape)
     eye = jnp.eye(shape[-1])
-
-    def one(a: AnyArray) -> tuple[jax.Array, jax.Array]:
-        lower = cholesky(a, lower=True)
-        return lower, solve_triangular(lower, eye, lower=True)
-
-    lower, inverse = jax.lax.map(one, each)
-    return lower.reshape(shape), inverse.reshape(shape)
+    return jax.lax.map(lambda a: solve_triangular(cholesky(a, lower=True), eye, lower=True), each).reshape(shape)
 
 
-def _log_diagonal(lower: Values, xp: Space) -> Values:
-    """Log determinants [...] of triangles [..., n, n]."""
-    return xp.log(xp.diagonal(lower, axis1=-2, axis2=-1)).sum(axis=-1)
+def _half_log(whitening: Values, xp: Space) -> Values:
+    """½ log|L Lᵀ| [...], of L⁻¹ [..., n, n]."""
+    return -xp.log(xp.diagonal(whitening, axis1=-2, axis2=-1)).sum(axis=-1)
 
 
 def added(table: Table, phi: Values, xp: Space = np) -> Values:
@@ -161,19 +153,19 @@ def factored(table: Table, phi: Values, w: Values, xp: Space = np) -> Pieces:
     prior = table.smooth[:, None, None] * smooth[0] + table.systematic
     prior = prior + (xp.exp(2 * table.common)[..., None, None] + JITTER) * eye
     root = xp.where(there, xp.sqrt(xp.where(there, total, 1.0)), 0.0)
-    lower, inverse = _factor(eye + root[:, :, None] * prior * root[:, None, :], xp)
-    inverse = inverse * root[:, None, :]
-    path = xp.swapaxes(inverse, -1, -2) @ inverse
+    whitening = _whitening(eye + root[:, :, None] * prior * root[:, None, :], xp)
+    half_log = _half_log(whitening, xp).sum(axis=1) + 0.5 * (table.found * xp.log(alone)).sum()
+    whitening = whitening * root[:, None, :]
+    path = xp.swapaxes(whitening, -1, -2) @ whitening
     share = precision / (table.group @ xp.where(there, total, 1.0))
-    half_log = _log_diagonal(lower, xp).sum(axis=1) + 0.5 * (table.found * xp.log(alone)).sum()
 
     size, shape = table.scale.shape[1], precision.shape
     columns = before_columns(table, precision, share, path, table.columns).reshape(len(prior), 1, size, -1)
     inner = table.columns.reshape(size, -1) @ xp.swapaxes(columns, -1, -2)
-    lower, inverse = _factor(table.scale[:, :, None] * inner * table.scale[:, None, :] + xp.eye(size), xp)
-    root = inverse * table.scale[:, None, :]
+    whitening = _whitening(table.scale[:, :, None] * inner * table.scale[:, None, :] + xp.eye(size), xp)
+    root = whitening * table.scale[:, None, :]
     own = (root @ columns).reshape(*root.shape[:3], *shape)
-    return Pieces(precision, share, smooth, prior, path, root, own, half_log[:, None] + _log_diagonal(lower, xp))
+    return Pieces(precision, share, smooth, prior, path, root, own, half_log[:, None] + _half_log(whitening, xp))
 
 
 def path_mean(table: Table, share: Values, x: Values) -> Values:

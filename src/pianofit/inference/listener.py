@@ -93,9 +93,18 @@ class Listener:
             level = level + 20 * np.log10(max(gain, 1e-15))
         return Sound(note._replace(gain=gain), samples * gain, strike, level)
 
-    def criterion(self, initial: Sound, fitted: Sound) -> dict:
-        """Eq. 19 per band on the sounds themselves, from the onset on; bands without a partial are dropped."""
-        before, after = (band_values(self.hear(s.samples), self.energy, self.spacing) for s in (initial, fitted))
+    def criterion(self, initial: Sound, fitted: Sound, calibrated: bool) -> dict:
+        """Eq. 19 per band on the sounds themselves, from the onset on; bands without a partial are dropped.
+
+        Unless their levels are known, `calibrated`, each has the gain that the criterion likes best.
+        """
+
+        def of(sound: Sound) -> dict[str, float]:
+            heard, weight = self.hear(sound.samples), self.spacing[:, None]
+            square = 1.0 if calibrated else closed_form_gain(heard, self.energy, weight)
+            return band_values(square * heard, self.energy, self.spacing)
+
+        before, after = of(initial), of(fitted)
         kept = {"global", *self.occupied}
         values = {name: {"initial": before[name], "final": after[name]} for name in before if name in kept}
         return values | {

@@ -18,7 +18,7 @@ from __future__ import annotations
 import numpy as np
 
 from .likelihood import Table
-from .reports import Opened, Report, opened, report
+from .reports import Opened, Report, opened, reports
 
 __all__ = ["without_nuisances"]
 
@@ -44,7 +44,7 @@ def without_nuisances(
     found = np.asarray(table.found) > 0
     cross, by_weights = _by_weights(table, residual, jacobian, phi, w)
     r, J, phis, ws = (np.repeat(x[None], hyper, axis=0) for x in (residual, jacobian, phi, w))
-    moved = report(table, r, J, phis + STEP * np.eye(len(phi))[:hyper], ws)
+    moved = reports(table, r, J, phis + STEP * np.eye(len(phi))[:hyper], ws)
     by_both = (moved.by_log_w - there.by_log_w)[:, found] / STEP
     by_phi = (moved.by_phi - there.by_phi)[:, :hyper] / STEP
     cross = np.concatenate([(moved.gradient - there.gradient) / STEP, cross])

@@ -52,7 +52,7 @@ def point_result(
         for name, sound in (("initial_db", before), ("fitted_db", after))
     }
     measured = analysis.partials.level + unit
-    criterion = listener.criterion(before, after)
+    criterion = listener.criterion(before, after, calibrated)
     errors = level_errors(levels | {"path_only_db": None}, analysis.partials, measured)
     heard = FittedRecording(before, after, measured, recording, analysis, criterion, errors)
     missing = [f"band {i + 1}" for i, name in enumerate(BANDS) if name in criterion["dropped"]]

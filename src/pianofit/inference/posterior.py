@@ -102,8 +102,7 @@ def _precision(problem: Problem, minima: Minima, i: int) -> tuple[np.ndarray, fl
     residuals, slopes = string_residuals(problem, string)
     tables = problem.observed.frequency, problem.observed.decay
     for table, r, s, phi, w in zip(tables, residuals, slopes, state.phi, state.w, strict=True):
-        found = report(table, r[None], s[None], phi[None], w[None])
-        more, own = without_nuisances(table, r, s, phi, w, Report(*(x[0] for x in found)), 1)
+        more, own = without_nuisances(table, r, s, phi, w, report(table, r, s, phi, w), 1)
         precision[:STRING_SIZE, :STRING_SIZE] += more
         volume += own
     return precision, volume

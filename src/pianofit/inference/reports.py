@@ -27,7 +27,7 @@ from .likelihood import (
     whole,
 )
 
-__all__ = ["Latent", "Opened", "Report", "latent", "opened", "report"]
+__all__ = ["Latent", "Opened", "Report", "latent", "opened", "report", "reports"]
 
 
 class Report(NamedTuple):
@@ -56,16 +56,19 @@ def _hazard(z: np.ndarray) -> np.ndarray:
     return np.exp(-0.5 * z**2 - log_ndtr(z)) / np.sqrt(2 * np.pi)
 
 
-def report(table: Table, residual: np.ndarray, jacobian: np.ndarray, phi: np.ndarray, w: np.ndarray) -> Report:
-    """F at points [B, R, K], [B, R, K, n], [B, 4] and [B, R, K], its gradient by everything, its curvature by θ.
-
-    The curvature is Gauss and Newton's, by what moves the law by `jacobian`, averaged over nodes.
-    """
-    points = [_report(table, *point) for point in zip(residual, jacobian, phi, w, strict=True)]
+def reports(table: Table, residual: np.ndarray, jacobian: np.ndarray, phi: np.ndarray, w: np.ndarray) -> Report:
+    """`report` of many points, one or more [B, ...]."""
+    points = [report(table, *point) for point in zip(residual, jacobian, phi, w, strict=True)]
     return Report(*(np.array(column) for column in zip(*points, strict=True)))
 
 
-def _report(table: Table, residual: np.ndarray, jacobian: np.ndarray, phi: np.ndarray, w: np.ndarray) -> tuple:
+def report(table: Table, residual: np.ndarray, jacobian: np.ndarray, phi: np.ndarray, w: np.ndarray) -> Report:
+    """F at one point, its gradient by everything, and its curvature by θ: Gauss and Newton's, averaged over nodes.
+
+    Parameters
+    ----------
+    residual, jacobian, phi, w : [R, K], what moves the law [R, K, n], [4], [R, K].
+    """
     s = solved(table, residual, phi, w)
     weight, p = responsible(table, s.each), s.pieces
     pull, steep, z = _pulled(table, p, s.absent), _hazard(s.z), s.z
@@ -78,7 +81,7 @@ def _report(table: Table, residual: np.ndarray, jacobian: np.ndarray, phi: np.nd
     excess, others = 2 * np.exp(2 * phi[0]) * table.growth, 2 * added(table, phi) ** 2
     changed = by_variance / w + absent
     by_phi = [(changed * excess).sum(), 2 * (smooth * own).sum(), (smooth * by_length).sum(), (changed * others).sum()]
-    return (
+    return Report(
         whole(table, s.each, phi, w), *by_theta, np.array(by_phi) + (phi - mean) / sd**2,
         table.found * (0.5 * table.student * (w - 1) - variance(table, phi, w) * by_variance),
     )  # fmt: skip

@@ -82,10 +82,10 @@ def searched(
     random = np.random.default_rng(seed)
     for _ in range(ROUNDS):
         before = _lowest(descent, people)
-        people = _restarted(descent, people, _nearby(descent, people, random))
-        people = _restarted(descent, people, _struck(descent, people))
+        people = _restarted(descent, people, lambda best, _: _nearby(descent, best, random))
+        people = _restarted(descent, people, lambda best, parabola: struck_anew(descent, best[None], parabola))
         if descent.unknowns.free[descent.unknowns.at("x0")]:
-            people = _restarted(descent, people, _moved(descent, people))
+            people = _restarted(descent, people, lambda best, _: _moved(descent, best))
         if _lowest(descent, people) > before - GAIN:
             break
     return people
@@ -102,32 +102,28 @@ def _lowest(descent: Descent, people: Population) -> float:
     return float(descent.total(people.z[:1], people.take(np.array([0])).report)[0])
 
 
-def _nearby(descent: Descent, people: Population, random: np.random.Generator) -> np.ndarray:
-    """Points about the best in everything [restarts, size]."""
+def _nearby(descent: Descent, best: np.ndarray, random: np.random.Generator) -> np.ndarray:
+    """Points about the best [size] in everything [restarts, size]."""
     u = descent.unknowns
-    z = people.z[0] + random.normal(size=(RESTARTS, u.size)) * REACH * u.sd
+    z = best + random.normal(size=(RESTARTS, u.size)) * REACH * u.sd
     z[:, :STRING_SIZE] = descent.string
     return u.project(z)
 
 
-def _moved(descent: Descent, people: Population) -> np.ndarray:
-    """The best with its strike moved [2 · len(SCAN), size]."""
-    z = np.repeat(people.z[:1], 2 * len(SCAN), axis=0)
+def _moved(descent: Descent, best: np.ndarray) -> np.ndarray:
+    """The best [size] with its strike moved [2 · len(SCAN), size]."""
+    z = np.tile(best, (2 * len(SCAN), 1))
     z[:, descent.unknowns.at("x0")] += np.outer([1, -1], SCAN).ravel()
     return descent.unknowns.project(z)
 
 
-def _struck(descent: Descent, people: Population) -> np.ndarray:
-    """The best with the velocities that suit its hammer best [1, size]."""
-    parabola = Parabola.of(descent.table, people.phi[0], people.w[0], people.residual[0])
-    return struck_anew(descent, people.z[:1], parabola)
-
-
-def _restarted(descent: Descent, people: Population, z: np.ndarray) -> Population:
-    """With the minima that are reached from `z`, at first with φ and w of the lowest."""
+def _restarted(
+    descent: Descent, people: Population, points: Callable[[np.ndarray, Parabola], np.ndarray]
+) -> Population:
+    """With the minima reached from `points` of the lowest [size], at first on the parabola at its φ and w."""
     phi, w = people.phi[0], people.w[0]
     parabola = Parabola.of(descent.table, phi, w, people.residual[0])
-    more = descent.begun(z, phi, w, parabola)
+    more = descent.begun(points(people.z[0], parabola), phi, w, parabola)
     if not len(more):
         return people
     more = descent.descend(more, 0.0, TRIAL, parabola=parabola)

@@ -15,7 +15,7 @@ from .posterior import Posterior
 from .problem import Problem
 
 __all__ = [
-    "STATUSES", "claims", "correlated", "invariant_statuses", "messages", "statuses", "velocity_statuses",
+    "STATUSES", "claims", "correlated", "invariant_status", "messages", "statuses", "taken_back", "velocity_statuses",
 ]  # fmt: skip
 
 STATUSES = ("fitted", "scaled", "given", "assumed", "at-bound", "not-identifiable")
@@ -69,7 +69,7 @@ def statuses(problem: Problem, found: Estimate) -> dict[str, str]:
             sd = found.posterior.deviation(change)
             vague = sd > (LOOSE if i < STRING_SIZE else min(LEARNED * prior[i], LOOSE))
             result[name] = "not-identifiable" if vague else "scaled" if start.rests_on.get(name) else "fitted"
-    for name in _taken_back(problem, found):
+    for name in taken_back(problem, found):
         if result.get(name) in ("fitted", "scaled"):
             result[name] = "not-identifiable"
     # Without a measured velocity what scales with it is known by its prior alone.
@@ -82,7 +82,7 @@ def statuses(problem: Problem, found: Estimate) -> dict[str, str]:
     return result
 
 
-def _taken_back(problem: Problem, found: Estimate) -> tuple[str, ...]:
+def taken_back(problem: Problem, found: Estimate) -> tuple[str, ...]:
     """What the statement takes back, however narrow its interval."""
     felt = tuple(problem.unknowns.law.parameters)
     if problem.calibrated:
@@ -91,22 +91,14 @@ def _taken_back(problem: Problem, found: Estimate) -> tuple[str, ...]:
     return () if problem.layout.compared else (*felt, "M_H") if problem.path else felt
 
 
-def invariant_statuses(problem: Problem, found: Estimate, states: dict[str, str], force: float) -> dict[str, str]:
-    """Statuses of the invariants, whose units scale with nothing; `force` is the deviation of the felt's log force."""
-
-    def of(*names: str) -> str:
-        own = [states[name] for name in names]
-        worst = next((s for s in ("not-identifiable", "at-bound") if s in own), None)
-        searched = [s for s in own if s in ("fitted", "scaled")]
-        return worst or ("fitted" if searched else "assumed" if "assumed" in own else "given")
-
-    felt = set(_taken_back(problem, found)) & set(problem.unknowns.law.parameters)
-    ratio = "fitted" if problem.calibrated or problem.layout.compared else "not-identifiable"
-    vague = bool(felt) or force > LOOSE
-    return {
-        "f0": of("c"), "B": of("c", "kappa"), "M_H/M_S": of("M_H"), "x0/L": of("x0"),
-        "F/M_S": "not-identifiable" if vague else "fitted", "v/v_ref": ratio,
-    }  # fmt: skip
+def invariant_status(states: Sequence[str], deviation: float) -> str:
+    """Of a ratio or product of values with these statuses, whose logarithm has this standard deviation."""
+    for lost in ("not-identifiable", "at-bound"):
+        if lost in states:
+            return lost
+    if not deviation:
+        return "assumed" if "assumed" in states else "given"
+    return "not-identifiable" if deviation > LOOSE else "fitted"
 
 
 def velocity_statuses(problem: Problem, found: Estimate) -> list[str]:

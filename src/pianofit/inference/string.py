@@ -45,11 +45,8 @@ def string_report(problem: Problem, string: np.ndarray, state: StringState) -> t
     """F of frequencies and of decays, without the prior of θ."""
     residuals, slopes = string_residuals(problem, string)
     tables = problem.observed.frequency, problem.observed.decay
-    found = [
-        report(t, r[None], s[None], p[None], w[None])
-        for t, r, s, p, w in zip(tables, residuals, slopes, state.phi, state.w, strict=True)
-    ]
-    return Report(*(x[0] for x in found[0])), Report(*(x[0] for x in found[1]))
+    pitch, loss = (report(*each) for each in zip(tables, residuals, slopes, state.phi, state.w, strict=True))
+    return pitch, loss
 
 
 def string_minimum(problem: Problem) -> tuple[np.ndarray, StringState]:

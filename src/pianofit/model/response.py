@@ -222,18 +222,18 @@ def waveform(
     (1000,)
     """
     traced = any(isinstance(x, Tracer) for x in jax.tree.leaves((modes, drive, free)))
-    ratio = _ratio(modes, rate) if oversampling is None else oversampling
+    ratio = _ratio(modes, rate, oversampling)
     drive = np.zeros(1) if drive is None else drive
-    parts = (modes.pole, *_heard(modes, drive, free))
+    pole, amplitudes = modes.pole, _heard(modes, drive, free)
     if free is not None:
-        parts = (*parts, modes.free_pickup * free.amplitude)
-    below = jnp.abs(jnp.imag(modes.pole)) < jnp.pi * rate
+        amplitudes = (*amplitudes, modes.free_pickup * free.amplitude)
+    below = jnp.abs(jnp.imag(pole)) < jnp.pi * rate
     if traced:
-        xp, (pole, *parts) = jnp, [jnp.where(below, x, -1.0 if i == 0 else 0.0) for i, x in enumerate(parts)]
-    else:
-        xp, (pole, *parts) = np, [np.asarray(x)[np.asarray(below)] for x in parts]
-        drive = np.asarray(drive)
-    unit, amplitude, *release = parts
+        xp, amplitudes = jnp, [x * below for x in amplitudes]
+    else:  # what is above is not computed
+        xp, kept, drive = np, np.asarray(below), np.asarray(drive)
+        pole, *amplitudes = (np.asarray(x)[kept] for x in (pole, *amplitudes))
+    unit, amplitude, *release = amplitudes
 
     steps, log_z = len(drive), pole / (ratio * rate)
     convolved = xp.fft.rfft(_ring(unit, log_z, steps, xp), 2 * steps) * xp.fft.rfft(drive, 2 * steps)
@@ -245,17 +245,21 @@ def waveform(
     return xp.concatenate([head, tail])
 
 
-def _ratio(modes: Modes, rate: float) -> int:
-    """Steps of the contact in a sample."""
+def _ratio(modes: Modes, rate: float, oversampling: int | None) -> int:
+    """Steps of the contact in a sample: read off the table, or as told where that is traced."""
     if isinstance(modes.step, Tracer):
-        raise ParameterError(
-            "waveform is traced with its table: say oversampling=, the contact's steps in a sample (mode_table's rate "
-            "over the waveform's)"
-        )
+        if oversampling is None or oversampling < 1:
+            raise ParameterError(
+                f"oversampling={oversampling}: waveform is traced with its table; say how many steps of the contact "
+                "are in a sample (mode_table's rate over the waveform's)"
+            )
+        return oversampling
     contact = 1.0 / float(modes.step)
     ratio = round(contact / rate)
     if ratio < 1 or abs(contact / rate - ratio) > 1e-6:
         raise ParameterError(f"rate={rate} Hz must be a whole fraction of the contact's rate, {contact:g} Hz")
+    if oversampling not in (None, ratio):
+        raise ParameterError(f"oversampling={oversampling}: the table has {ratio} steps in a sample at rate={rate} Hz")
     return ratio
 
 

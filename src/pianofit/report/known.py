@@ -10,26 +10,23 @@ from typing import Any
 
 from ..felt import DEFAULT_LAW, LAWS, FeltLaw
 from ..numbers import is_number, number
-from .words import INVARIANTS, SYMBOLS, VELOCITY_RATIO, felt_names
+from .words import INVARIANTS, SYMBOLS, VELOCITY_RATIO
 
 __all__ = ["a_power", "felt_scale", "half_interval", "held_out_rows", "identified", "open_scale"]
 
 FIXED = "Fixed by the data, as far as the brackets say (95 %)"
 WITHIN, OPEN = "Fixed only if the model and its path are all there is", "Not fixed by the data"
-# Half of a 95 % interval, as a logarithm, up to which a combination counts as fixed at all: a factor of two.
+# Half of a 95 % interval, as a logarithm, up to which what the statement takes back would else be known: a factor of 2.
 LOOSE = math.log(2.0)
 
 
 def identified(fit: dict[str, Any]) -> list[tuple[str, list[str]]]:
     """(Heading, sentences): the combinations that are fixed, those that rest on the model, and what is not."""
     lists: dict[str, list[str]] = {FIXED: _string(fit), WITHIN: [], OPEN: []}
-    felt = _felt_force(fit)
-    if felt:
-        lists[OPEN if _reach(fit, "F/M_S") > LOOSE else WITHIN if _questioned(fit) else FIXED].append(felt)
-    mass = _ratio(fit, "M_H/M_S")
-    if mass:
-        lost = _status(fit, "M_H") == "not-identifiable"
-        lists[OPEN if _reach(fit, "M_H/M_S") > LOOSE else WITHIN if lost else FIXED].append(mass)
+    for name, said in (("F/M_S", _felt_force(fit)), ("M_H/M_S", _ratio(fit, "M_H/M_S"))):
+        if said:
+            lost = (fit["invariants"][name].get("status") or "") == "not-identifiable"
+            lists[FIXED if not lost else WITHIN if _reach(fit, name) <= LOOSE else OPEN].append(said)
     lists[FIXED] += _velocities(fit)
     lists[OPEN] += _not_told(fit)
     return [(heading, sentences) for heading, sentences in lists.items() if sentences]
@@ -130,13 +127,6 @@ def felt_scale(fit: dict[str, Any]) -> str:
     )
 
 
-def _questioned(fit: dict[str, Any]) -> bool:
-    """Whether the claims take back what the intervals say of the felt: then nothing of it counts as identified."""
-    parameters = fit.get("parameters", {})
-    states = [_status(fit, name) for name in felt_names(fit) if (parameters.get(name) or {}).get("interval")]
-    return bool(states) and all(state == "not-identifiable" for state in states)
-
-
 def _velocities(fit: dict[str, Any]) -> list[str]:
     """How well the strokes' velocities are known; without a measured one, their ratios."""
     if open_scale(fit):
@@ -145,11 +135,11 @@ def _velocities(fit: dict[str, Any]) -> list[str]:
     else:
         of = "Velocities of the strokes"
         recordings = fit.get("recordings") or ()
-        entries = (
-            [{"interval": recording.get("v_H0_interval")} for recording in recordings] if len(recordings) > 1 else []
-        )
+        entries = [{"interval": r.get("v_H0_interval"), "status": r.get("v_H0_status")} for r in recordings]
+        entries = entries if len(entries) > 1 else []
+    entries = [entry for entry in entries if entry.get("status") != "not-identifiable"]
     reaches = [reach for entry in entries if (reach := half_interval(entry)) is not None]
-    return [f"{of} (the least certain {_within(max(reaches))})."] if reaches and max(reaches) <= LOOSE else []
+    return [f"{of} (the least certain {_within(max(reaches))})."] if reaches else []
 
 
 def _not_told(fit: dict[str, Any]) -> list[str]:

@@ -285,7 +285,7 @@ def ringing(fit: dict[str, Any]) -> str:
     if by not in RINGS_BY:
         return ""
     if away is None:
-        return f"It rings by {_modes(said)}. One recording: not tested on another stroke."
+        return f"It rings by {_modes(said)}. One recording through its path: not tested on another stroke."
     law, modes, knock = (f"{x:.1f}" for x in away.values())
     tested = (
         f"Played with the patterns and the knock of the others, layers are {law} dB from their recordings by the "
@@ -304,7 +304,7 @@ def ringing_line(fit: dict[str, Any]) -> str:
         return ""
     line = f"rings by {RINGS_BY[by] if by == 'law' else _modes(said)}"
     if away is None:
-        return f"{line}; one recording: not tested on another stroke"
+        return f"{line}; one recording through its path: not tested on another stroke"
     others = ", ".join(f"{x:.1f} by {RINGS_BY[name]}" for name, x in away.items() if name != by)
     return f"{line}: {away[by]:.1f} dB from layers left out ({others})"
 
