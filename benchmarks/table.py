@@ -41,7 +41,7 @@ class Effort(NamedTuple):
     commands: int  # rounds of warm commands
     cold: int
     seconds: float  # of the notes
-    takes: int
+    recordings: int
     evaluations: int
 
 
