@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pianofit.numbers import bracketed, with_interval, with_standard_error
+from pianofit.numbers import bracketed, columns, with_interval, with_standard_error
 
 RAISED = str.maketrans("−⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "--0123456789", "\u00a0")
 
@@ -54,3 +54,9 @@ def test_intervals_for_a_terminal(value, interval, texts):
 )  # fmt: skip
 def test_standard_errors_for_a_terminal(value, error, texts):
     assert with_standard_error(value, error) == texts
+
+
+def test_columns_are_as_wide_as_what_they_hold():
+    assert columns([("", "value", "status"), ("kappa", "209.79888838", "fitted"), ("p", "3", "")], right=1) == [
+        "              value  status", "kappa  209.79888838  fitted", "p                 3",
+    ]  # fmt: skip

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from decimal import Decimal
 from typing import Any
 
-__all__ = ["beside", "bracketed", "is_number", "number", "with_interval", "with_standard_error"]
+__all__ = ["beside", "bracketed", "columns", "is_number", "number", "with_interval", "with_standard_error"]
 
 FEWEST, MOST = 3, 15  # significant digits of a value with an interval; a float has 15 to 17
 # Ends of an interval that differ by more than this factor are written each with its own power of ten.
@@ -72,6 +72,15 @@ def with_standard_error(value: float, error: float) -> tuple[str, str]:
     if value and _exponent(value) + place > MOST:
         place = MOST - _exponent(value)
     return _to_place(value, place), f"{error:.1e}" if _far(error) else f"{error:.{max(0, place)}f}"
+
+
+def columns(rows: Sequence[Sequence[str]], right: int) -> list[str]:
+    """Rows of text as lines: columns as wide as their longest entry, two spaces apart, that at `right` flush right."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        "  ".join(f"{x:>{w}}" if i == right else f"{x:{w}}" for i, (x, w) in enumerate(zip(row, widths, strict=True)))
+        .rstrip() for row in rows
+    ]  # fmt: skip
 
 
 def _supported(value: float, interval: Sequence[float]) -> int | None:

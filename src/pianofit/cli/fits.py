@@ -59,7 +59,7 @@ def analyse(
 def _table(found: Analysis) -> str:
     """The string's laws with 95 % intervals, then a line for every partial with standard errors."""
     from ..analysis import COLUMNS, rows
-    from ..numbers import bracketed, with_standard_error
+    from ..numbers import bracketed, columns, with_standard_error
 
     laws = (
         ("f0", found.f0, found.f0_error, "Hz", ""),
@@ -67,11 +67,13 @@ def _table(found: Analysis) -> str:
         ("b1", found.b1, found.b1_error, "1/s", "decay rate of partial k: b1 + d2 k²"),
         ("d2", found.d2, found.d2_error, "1/s", ""),
     )
+    law_rows = [
+        (name, *bracketed(value, (value - NORMAL * error, value + NORMAL * error)), unit, note)
+        for name, value, error, unit, note in laws
+    ]
     lines = [found.note] if found.note else []
-    for name, value, error, unit, note in laws:
-        text, span = bracketed(value, (value - NORMAL * error, value + NORMAL * error))
-        lines.append(f"{name:3}{text:>12} {unit:4} {span:26} {note}".rstrip())
     lines += [
+        *columns([(name, text, unit, span, note) for name, text, span, unit, note in law_rows], right=1),
         f"the pitch falls by {found.glide_cents:.1f} cents; partials scatter by {found.scatter_cents:.2f} cents",
         "",
         "In brackets 95 % intervals, after ± one standard error.",

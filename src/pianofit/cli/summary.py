@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..numbers import beside, bracketed
+from ..numbers import beside, bracketed, columns
 from ..report.words import again_in_words, ringing_line
 
 if TYPE_CHECKING:
@@ -35,15 +35,10 @@ def comparison(document: dict, true: dict[str, float]) -> str:
 def summary(document: dict, folder: Path) -> str:
     """What was found, in a screenful."""
     lines = [document["claims"], ""] if document["claims"] else []
-    lines += _invariants(document["invariants"])
-    lines.append(f"{'':8}{'value':>14}  {'unit':8}{'95 % interval':28}status")
-    for name, p in document["parameters"].items():
-        value, span = bracketed(p["value"], p["interval"])
-        open_at = ", ".join(f"{ONLY[end]}: the box" for end in p["interval_open"])
-        status = p["status"] + (f" ({open_at})" if open_at else "")
-        lines.append(f"{name:8}{value:>14}  {p['unit']:8}{span:28}{status}")
+    # What no assumed size or velocity enters comes before the SI values.
+    lines += [x for table in (document["invariants"], document["parameters"]) for x in _found(table)]
     d, levels = document["derived"], document["levels"]
-    lines += ["", f"f0 {d['f0']:.3f} Hz, B {d['B']:.4g}, {contact(d)}"]
+    lines.append(f"f0 {d['f0']:.3f} Hz, B {d['B']:.4g}, {contact(d)}")
     only = "" if levels["path_only_db"] is None else f", path alone {levels['path_only_db']:.1f} dB"
     lines.append(f"levels of {levels['partials']} partials: start {levels['initial_db']:.2f} dB{only}, "
                  f"fitted {levels['fitted_db']:.2f} dB")  # fmt: skip
@@ -73,16 +68,16 @@ def contact_of(strike: Simulation) -> str:
     return contact({"contact_ms": 1e3 * strike.contact_time, "later_contacts": again})
 
 
-def _invariants(table: dict) -> list[str]:
-    """What no assumed size or velocity enters, before the SI values."""
-    if not table:
-        return []
-    lines = [f"{'':12}{'value':>14}  {'unit':8}{'95 % interval':28}status"]
+def _found(table: dict) -> list[str]:
+    """Values with their intervals and statuses, a line each, and an empty one; nothing of nothing."""
+    rows = [("", "value", "unit", "95 % interval", "status")] if table else []
     for name, p in table.items():
-        value, span = bracketed(p["value"], p["interval"])
+        open_at = ", ".join(f"{ONLY[end]}: the box" for end in p.get("interval_open", ()))
+        status = p["status"] + (f" ({open_at})" if open_at else "")
         stroke = f"  {Path(p['note']).name}" if name.startswith("v/v_ref") else ""
-        lines.append(f"{name:12}{value:>14}  {p['unit']:8}{span:28}{p['status']}{stroke}")
-    return [*lines, ""]
+        value, span = bracketed(p["value"], p["interval"])
+        rows.append((name, value, "" if p["unit"] == "1" else p["unit"], span, status + stroke))
+    return [*columns(rows, right=1), ""] if rows else []
 
 
 def _line_of(recording: dict) -> str:
