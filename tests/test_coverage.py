@@ -133,6 +133,7 @@ def test_a_miss_is_counted_in_standard_errors():
     assert (entry["fitted"], entry["held"], entry["not_identifiable"], entry["beyond_four"]) == (2, 1, 1, 1)
 
 
+@pytest.mark.slow
 def test_a_small_study_from_end_to_end(tmp_path, monkeypatch, capsys):
     kept, found = tmp_path / "runs.jsonl", tmp_path / "coverage.json"
     refused = {

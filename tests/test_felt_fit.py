@@ -53,6 +53,7 @@ def test_a_felt_with_memory_is_found():
     assert epsilon * tau / (1 - epsilon) == pytest.approx(lab.eps * lab.tau / (1 - lab.eps), rel=0.1)
 
 
+@pytest.mark.slow  # four fits, each by a program of its own
 def test_the_right_law_fits_better_than_another():
     for felt, law in SAME.items():
         own = fitted(felt, law)["diagnostics"]["excess"]["level_db"]

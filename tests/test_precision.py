@@ -56,7 +56,6 @@ TRANSFORMED = {
     "jit": jax.jit(level),
     "vmap": lambda v: jax.vmap(level)(jnp.stack([v, v])),
     "vmap of jit": lambda v: jax.vmap(jax.jit(level))(jnp.stack([v, v])),
-    "grad": jax.grad(level),
     "jit of jacfwd": jax.jit(jax.jacfwd(level)),
     "grad of a batch": jax.jit(jax.grad(many)),
 }

@@ -226,6 +226,7 @@ def test_the_race_counts_who_found_the_deepest_minimum():
 # --- limits -----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow  # every grid's modes by its own matrices
 def test_kappa_through_the_grid_agrees_with_the_closed_form():
     """For the scheme (2/δt tan ωδt/2)² = c² s + κ² s² holds on every mode, from which κ follows by least squares."""
     it, number = preset("bensa-final"), np.arange(2, 9)

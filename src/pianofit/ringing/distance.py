@@ -9,6 +9,7 @@ from __future__ import annotations
 import functools
 
 import numpy as np
+from scipy.fft import next_fast_len, rfft
 
 __all__ = ["HEARD", "log_mel_distance", "mel_edges", "mel_power"]
 
@@ -54,8 +55,9 @@ def mel_power(x: np.ndarray, rate: float, onset: int, n: int, bands: int) -> tup
     count = max((len(x) - first - n) // hop, 1)
     frames = np.lib.stride_tricks.sliding_window_view(x, n)[first : first + count * hop : hop]
     window = np.hanning(n + 1)[:-1]
-    power = np.abs(np.fft.rfft(frames * window)) ** 2 / window.sum() ** 2
-    return np.arange(len(frames)) * hop / rate, power @ _mel(n, bands, rate).T
+    size = next_fast_len(n, real=True)
+    power = np.abs(rfft(frames * window, size)) ** 2 / window.sum() ** 2
+    return np.arange(len(frames)) * hop / rate, power @ _mel(n, size, bands, rate).T
 
 
 def mel_edges(n: int, bands: int, rate: float) -> np.ndarray:
@@ -65,8 +67,8 @@ def mel_edges(n: int, bands: int, rate: float) -> np.ndarray:
 
 
 @functools.cache
-def _mel(n: int, bands: int, rate: float) -> np.ndarray:
-    """Triangles [bands, bins] even on the mel scale, at least three bins wide."""
-    hz, edge = np.fft.rfftfreq(n, 1 / rate), mel_edges(n, bands, rate)
+def _mel(n: int, size: int, bands: int, rate: float) -> np.ndarray:
+    """Triangles [bands, bins of `size`] even on the mel scale, at least three bins of a window's `n` samples wide."""
+    hz, edge = np.fft.rfftfreq(size, 1 / rate), mel_edges(n, bands, rate)
     half, middle = np.maximum(np.diff(edge), 1.5 * rate / n)[:, None], edge[1:-1, None]
     return np.maximum(0, np.minimum(1 - (middle - hz) / half[:-1], 1 - (hz - middle) / half[1:]))
