@@ -63,7 +63,7 @@ class Problem(NamedTuple):
 # --- the functions ---------------------------------------------------------------------------------------------------
 
 
-def rastrigin(z, weight=1.0):  # noqa: D103
+def rastrigin(z, weight: float | np.ndarray = 1.0):  # noqa: D103
     return (weight * (z**2 - 10 * np.cos(2 * np.pi * z) + 10)).sum(-1)
 
 

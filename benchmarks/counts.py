@@ -27,7 +27,7 @@ def counts(seconds: float, noise_db: float | None = 30.0) -> dict[str, Any]:
     import jax
 
     events: Counter = Counter()
-    jax.monitoring.register_event_duration_secs_listener(lambda name, *_, **__: events.update([name]))
+    jax.monitoring.register_event_duration_secs_listener(lambda event, *_, **__: events.update([event]))
     import pianofit
     from pianofit.analysis import analyse
     from pianofit.inference import conclude, estimate, pose

@@ -109,7 +109,8 @@ def study(fit: realism.Fitted, left: realism.LeftOut, tool: ModuleType) -> dict[
     key = key_of(layers.heard, modes, layers.forces)
     changed = follow(layers, modes, key, note.hammer.v_H0)
     rows = [note.ringing, in_the_note(known)]
-    found = dict(zip(COLUMNS, [*map(rung_by, rows), of(own, 0.0)], strict=False))
+    found: dict[str, tuple[float, float, float]] = {}
+    found.update(zip(COLUMNS, [*map(rung_by, rows), of(own, 0.0)], strict=False))
     for name, pattern in zip(Changed._fields, changed, strict=True):
         found[name] = rung_by(in_the_note(key._replace(ringing=key.ringing._replace(pattern=pattern))))
     return found

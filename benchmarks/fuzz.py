@@ -176,28 +176,23 @@ def _song() -> bytes:
 def _documents() -> tuple[bytes, bytes, bytes]:
     """A fit.json that rings, its knock, and an instrument.json."""
     sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-    from instrument_cases import (  # pyright: ignore[reportMissingImports]
-        ERRORS,
-        fit_document,
-        library,
-        true_note,
-    )
-    from page_cases import ringing_note  # pyright: ignore[reportMissingImports]
+    from instrument_cases import ERRORS, fit_document, library, true_note
+    from page_cases import ringing_note
 
     from pianofit.keyboard.build import build_instrument
     from pianofit.keyboard.gather import find_fits, load_keys
     from pianofit.ringing_file import encode_knock, ringing_document
 
-    note = ringing_note(60)
+    ringing = ringing_note(60).ringing
+    assert ringing is not None  # noqa: S101
     fit = fit_document(true_note(60), ERRORS)
-    ringing = ringing_document(note.ringing)
-    fit["ringing"] = {"by": "modes", **ringing}
+    fit["ringing"] = {"by": "modes", **ringing_document(ringing)}
     with tempfile.TemporaryDirectory() as folder:
         keys = load_keys(find_fits([library(Path(folder), [48, 60])]))
     instrument = build_instrument(keys, "fuzz")
     instrument["keys"] = instrument["keys"][36:44]
-    instrument["keys"][3]["ringing"] = ringing_document(note.ringing, whole=True)
-    return json.dumps(fit).encode(), encode_knock(note.ringing) or b"", json.dumps(instrument).encode()
+    instrument["keys"][3]["ringing"] = ringing_document(ringing, whole=True)
+    return json.dumps(fit).encode(), encode_knock(ringing) or b"", json.dumps(instrument).encode()
 
 
 def kinds() -> dict[str, Kind]:

@@ -95,7 +95,7 @@ def _partials(first: Analysis, second: Analysis) -> dict:
     cents = 1200 * np.log2(b.frequency[j] / a.frequency[i])
     fades = np.log(np.maximum(b.decay, b.decay_error)[j] / np.maximum(a.decay, a.decay_error)[i])
     laws = [frequency_law(p.number[at], p.frequency[at], p.frequency_error[at]) for p, at in ((a, i), (b, j))]
-    reach = 1.96 * np.hypot(*(law.B_error / law.B for law in laws))
+    reach = 1.96 * np.hypot(laws[0].B_error / laws[0].B, laws[1].B_error / laws[1].B)
     return {
         "common": len(i), "cents": _deviation(cents), "log_decay": _deviation(fades), "decays": _median(fades),
         "common_B_apart": float(abs(np.log(laws[1].B / laws[0].B)) / reach),

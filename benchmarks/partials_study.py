@@ -26,6 +26,7 @@ import time
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pianofit.analysis import analyse, energy_level, hz_to_note
 from pianofit.analysis.demodulate import demodulate
@@ -55,6 +56,13 @@ class Truth:
     level: np.ndarray
 
 
+def amplitudes(count: int, rng: np.random.Generator) -> NDArray[np.complex128]:
+    """Of partials up to 40 dB apart, with random phases [count]."""
+    size = 0.05 * 10 ** (-rng.uniform(0, 40, count) / 20)
+    turned: NDArray[np.complex128] = np.exp(2j * np.pi * rng.random(count))
+    return size * turned
+
+
 def synthesise(string: tuple[float, float, int, float, float], case: str, seed: int) -> tuple[Recording, Truth]:
     """One note and the truth about it. Partials rise over 3 ms, as under a hammer; phases and levels are random."""
     rng = np.random.default_rng(seed)
@@ -63,8 +71,7 @@ def synthesise(string: tuple[float, float, int, float, float], case: str, seed: 
     k = k[k % 8 != 0] if case == "missing" else k
     k = k[1:] if case == "missing" and f0 < 50 else k
     f, decay = k * f0 * np.sqrt(1 + B * k**2), b1 + d2 * k**2
-    size = 0.05 * 10 ** (-rng.uniform(0, 40, len(k)) / 20)
-    c = (size * np.exp(2j * np.pi * rng.random(len(k))))[:, None]
+    c = amplitudes(len(k), rng)[:, None]
     p = (-decay + 2j * np.pi * f)[:, None]
     if case == "beating":
         second = 10 ** (-rng.uniform(1, 12, len(k)) / 20) * np.exp(2j * np.pi * rng.random(len(k)))
@@ -74,7 +81,8 @@ def synthesise(string: tuple[float, float, int, float, float], case: str, seed: 
     t = np.arange(int(SECONDS * RATE)) / RATE
     # 3 cents of glide, dying away with 1 s, the same for all partials
     bend = 3 * np.log(2) / 1200 * (1 - np.exp(-t)) if case == "glide" else 0.0
-    x = sum((a * np.exp(s.real * t + 1j * s.imag * (t + bend))).real for a, s in zip(c.flat, p.flat, strict=True))
+    tones = ((a * np.exp(s.real * t + 1j * s.imag * (t + bend))).real for a, s in zip(c.flat, p.flat, strict=True))
+    x = sum(tones, np.zeros(len(t)))
     x[: RATE * 3 // 1000] *= np.sin(np.linspace(0, np.pi / 2, RATE * 3 // 1000)) ** 2
     x = np.concatenate([np.zeros(int(LEAD * RATE)), x])
     if case != "clean":
@@ -90,7 +98,7 @@ def by_pencil(recording: Recording, truth: Truth) -> tuple[np.ndarray, ...]:
     x, f0 = recording.samples[recording.onset :], float(np.min(np.diff(truth.frequency, prepend=0)))
     bands = demodulate(x, RATE, truth.frequency, min(0.97 * f0, 100.0), 0.005)
     cut = bands.cut(0.0, 2.0)
-    pole, amplitude = np.empty(len(truth.number), complex), np.empty(len(truth.number), complex)
+    pole, amplitude = np.empty(len(truth.number), np.complex128), np.empty(len(truth.number), np.complex128)
     for i, z in enumerate(bands.z[:, cut]):
         hankel = np.lib.stride_tricks.sliding_window_view(z, len(z) // 3)
         vector = np.linalg.svd(hankel, full_matrices=False)[2][0].conj()
@@ -156,10 +164,10 @@ def single(f0: float, B: float, count: int, down: float, seed: int) -> tuple[Rec
     rng = np.random.default_rng([seed, count])
     k = np.arange(1, count + 1)
     f, decay = k * f0 * np.sqrt(1 + B * k**2), 0.5 * 40 ** (((k - 1) / (count - 1)) ** 1.5)
-    c = 0.05 * 10 ** (-rng.uniform(0, 40, count) / 20) * np.exp(2j * np.pi * rng.random(count))
+    c = amplitudes(count, rng)
     p = -decay + 2j * np.pi * f
     t = np.arange(3 * RATE) / RATE
-    x = sum((a * np.exp(s * t)).real for a, s in zip(c, p, strict=True))
+    x = sum(((a * np.exp(s * t)).real for a, s in zip(c, p, strict=True)), np.zeros(len(t)))
     noise = 10 ** (-down / 20) * np.sqrt(np.mean(x[:RATE] ** 2))
     x = np.concatenate([np.zeros(int(LEAD * RATE)), x])
     x += noise * rng.standard_normal(len(x))

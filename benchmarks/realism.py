@@ -37,7 +37,7 @@ import statistics
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import crossval
 import numpy as np
@@ -144,7 +144,7 @@ def noise(recordings: list[Recording], f0: float, rate: int) -> np.ndarray:
 
     From half of f0 on a level is the median over two spacings of partials, but no more than `SMOOTH`.
     """
-    levels = []
+    hz, levels = np.empty(0), []
     for recording in recordings:
         end = recording.samples[-round(END * recording.rate) :]
         hz, power = signal.welch(end, recording.rate, nperseg=round(WINDOW * recording.rate))
@@ -162,8 +162,8 @@ def sound(note: Note, left: LeftOut, tool: ModuleType, beside: float = 0.0) -> n
     return signal.resample_poly(samples + beside * left.noise, tool.RATE // by, left.rate // by)
 
 
-def distances(samples: np.ndarray, left: LeftOut, tool: ModuleType) -> dict[str, float | None]:
-    """Of a sound at the tool's rate from the recording, dB."""
+def distances(samples: np.ndarray, left: LeftOut, tool: ModuleType) -> dict[str, Any]:
+    """Of a sound at the tool's rate from the recording, dB; `low` is None in the bass."""
     recorded, played, _, gain = tool.align(left.target, samples)
     mean, parts = tool.logmel(recorded, played)
     curves = (tool.envelope(tool.k_weighted(x), LOUDNESS) for x in (recorded, played))

@@ -21,9 +21,10 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -89,13 +90,11 @@ def found(drawn: Drawn):
         (a, b, drawn.f0 * (1 + drawn.glide * np.exp(-m / 0.5)))
         for a, b, m in zip(ends[:-1], ends[1:], middle, strict=True)
     ]
-    analysis = SimpleNamespace(
+    analysis: Any = SimpleNamespace(  # as much of an `Analysis` as is read
         f0=drawn.f0, B=0.0, partials=SimpleNamespace(number=number, frequency=number * drawn.f0),
         glide=glide, glide_start=1731 * drawn.glide, glide_error=0.1,
     )  # fmt: skip
-    each = [recording_from_samples(x, RATE) for x in drawn.samples]
-    onset = round(LEAD * RATE)
-    recordings = [SimpleNamespace(frames=r.frames, rate=RATE, onset=onset) for r in each]
+    recordings = [replace(recording_from_samples(x, RATE), onset=round(LEAD * RATE)) for x in drawn.samples]
     return {m.number: m for m in modes_of(hear(recordings, [analysis] * STROKES), [analysis] * STROKES)}
 
 
@@ -106,7 +105,7 @@ def bound(pole: np.ndarray, amplitude: np.ndarray, noise: float, start: float) -
     time = np.linspace(start, SPAN, 1200)
     # A complex amplitude known from n real samples of this noise has variance 4 noise²/n.
     per = RATE * (time[1] - time[0]) / (4 * noise**2)
-    e = np.exp(np.outer(time, pole - 1j * pole.imag.mean()))
+    e = np.exp(np.outer(time, pole - 1j * np.imag(pole).mean()))
     moved = time[:, None] * e
 
     def without(x: np.ndarray, basis: np.ndarray) -> np.ndarray:
@@ -141,7 +140,7 @@ def study(seed: int) -> list[dict]:
         if m and len(m.pole) == len(pole):
             nearest = np.abs(m.poles[:, None] - pole).argmin(axis=0)
             away = m.poles[nearest] - pole
-            parts = np.abs(np.concatenate([away.real, away.imag]))
+            parts = np.abs(np.concatenate([np.real(away), np.imag(away)]))
             row |= {
                 "over_bound": (parts / np.tile(errors, 2)).tolist(),
                 "z": (parts / np.tile(m.pole_error[nearest], 2)).tolist(),

@@ -121,9 +121,9 @@ def instructions(steps: int = works.STEPS, batch: int = 64) -> dict[str, Any]:
         return found
     script = "import sys; sys.path.insert(0, sys.argv[1]); import works, jax; run = works.contact_batch()\n"
     script += f"many = works.hammers({batch})\nfor _ in range(int(sys.argv[2])): jax.block_until_ready(run(many))"
-    counts = [_perf([sys.executable, "-c", script, str(HERE), str(times)]) for times in (20, 220)]
-    if None not in counts:
-        found["perf"] = (counts[1] - counts[0]) / 200 / steps / batch  # pyright: ignore[reportOptionalOperand]
+    fewer, more = (_perf([sys.executable, "-c", script, str(HERE), str(times)]) for times in (20, 220))
+    if fewer is not None and more is not None:
+        found["perf"] = (more - fewer) / 200 / steps / batch
     return found
 
 

@@ -16,7 +16,7 @@ RATE = 88_200.0
 PARTIALS = 12
 
 
-def levels(log_values: Array, geometry: pianofit.Geometry) -> Array:
+def levels(log_values: Array, geometry: pianofit.Geometry):
     """Levels of the first partials, dB [partials], of the logarithms of the nine parameters [9]."""
     values = jnp.exp(log_values)
     string, hammer = pianofit.String(*values[:4]), pianofit.Hammer(*values[4:])

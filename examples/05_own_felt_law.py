@@ -64,7 +64,7 @@ def main() -> None:
     result = pianofit.fit(*recordings, setup=setup, progress=False)
     for name in HARDENING.parameters:
         found = result.parameters[name]
-        low, high = found.interval
+        low, high = found.interval or (np.nan, np.nan)  # None where a value was given
         print(f"{name:3} true {getattr(true, name):.4g}   found {found.value:.4g} [{low:.4g}, {high:.4g}] {found.unit}")
 
     folder = result.save(Path("hardening"), force=True)  # fit.json, the sounds, and the page with the felt's curve

@@ -14,10 +14,10 @@ import pianofit as pf
 note, files = (sys.argv[1], sys.argv[2:]) if len(sys.argv) > 2 else ("F3", [])
 if not files:
     p, random = pf.preset("chabassier-F3"), np.random.default_rng(0)
-    for velocity in (1.0, 2.0, 4.0):
-        strike = pf.simulate(p.string, p.hammer._replace(v_H0=velocity), p.geometry, quantity="bridge-force")
-        sound = np.pad(strike.waveform(44_100, 88_200), (4_410, 0)) / 100  # full scale is 100 N
-        files.append((sound + 1e-5 * random.standard_normal(len(sound)), 44_100))
+    hammers = [p.hammer._replace(v_H0=velocity) for velocity in (1.0, 2.0, 4.0)]
+    strikes = [pf.simulate(p.string, hammer, p.geometry, quantity="bridge-force") for hammer in hammers]
+    sounds = [np.pad(strike.waveform(44_100, 88_200), (4_410, 0)) / 100 for strike in strikes]  # full scale is 100 N
+    files = [(sound + 1e-5 * random.standard_normal(len(sound)), 44_100) for sound in sounds]
 
 # %% Fit, and look: in a notebook `result` alone, as the last line of a cell, is the statement and its tables.
 result = pf.fit(*files, note=note)
@@ -26,7 +26,8 @@ print(result.parameters)
 
 # %% One number, with what is known of it.
 hammer = result.invariants["M_H/M_S"]
-print(f"{hammer.meaning}: {hammer.value:.4g}, 95 % interval {hammer.interval[0]:.4g} to {hammer.interval[1]:.4g}")
+low, high = hammer.interval or (np.nan, np.nan)  # None where nothing was fitted
+print(f"{hammer.meaning}: {hammer.value:.4g}, 95 % interval {low:.4g} to {high:.4g}")
 print(f"K_H is {result.parameters.K_H.status}; {result.claims.splitlines()[0]}")
 
 # %% Which estimates go together, and how well the levels of the partials are met.

@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 
 import numpy as np
-from scipy.fft import next_fast_len, rfft
+from scipy.fft import next_fast_len
 
 __all__ = ["HEARD", "log_mel_distance", "mel_edges", "mel_power"]
 
@@ -56,7 +56,7 @@ def mel_power(x: np.ndarray, rate: float, onset: int, n: int, bands: int) -> tup
     frames = np.lib.stride_tricks.sliding_window_view(x, n)[first : first + count * hop : hop]
     window = np.hanning(n + 1)[:-1]
     size = next_fast_len(n, real=True)
-    power = np.abs(rfft(frames * window, size)) ** 2 / window.sum() ** 2
+    power = np.abs(np.fft.rfft(frames * window, size)) ** 2 / window.sum() ** 2
     return np.arange(len(frames)) * hop / rate, power @ _mel(n, size, bands, rate).T
 
 
