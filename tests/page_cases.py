@@ -71,6 +71,11 @@ def play(jobs: list[dict], rate: int = RATE) -> list[np.ndarray]:
     return [np.stack([np.frombuffer(data) for data in job]) for job in run(jobs, rate)]
 
 
+def early(note: Note) -> int:
+    """Samples that the engine needs before a sound of the note begins: its lead is in whole blocks."""
+    return -round(note.lead * RATE) % BLOCK
+
+
 def error_db(sound: np.ndarray, expected: np.ndarray) -> float:
     """The largest difference over the largest sample."""
     size = min(sound.shape[-1], expected.shape[-1])

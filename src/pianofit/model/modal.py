@@ -9,6 +9,7 @@ the lowest partial. F is the force of a stroke, from string, hammer and felt.
 
 from __future__ import annotations
 
+import functools
 from typing import NamedTuple
 
 import numpy as np
@@ -30,6 +31,8 @@ FAINT = 1e-8
 CHUNK = 32
 # Samples of a block: more would not stay in a processor's cache.
 LARGEST_BLOCK = 512
+# Strings whose blocks are kept: one that is played rings from event to event, free and damped.
+STRINGS = 4
 
 
 class Force(NamedTuple):
@@ -162,8 +165,7 @@ def ring(
     block = min(1 << int(np.ceil(np.log2(np.sqrt(count)))), LARGEST_BLOCK)
     blocks = min(-(-count // block), CHUNK)
     faint = np.full(len(pole), FAINT * np.abs(amplitude).max()) if faint is None else faint
-    inside = _powers(pole / rate, block)
-    inside = np.stack([np.real(inside), -np.imag(inside)], axis=1)  # [modes, 2, block]
+    inside = _inside(np.asarray(pole / rate, complex).tobytes(), block)
     begins = _powers(pole * (block / rate), blocks + 1)  # [modes, blocks and the next chunk's first]
     for first in range(0, count, blocks * block):
         loud = (np.abs(amplitude) > faint).any(axis=0)
@@ -178,6 +180,15 @@ def ring(
         here[:] = rows.reshape(len(amplitude), -1)[:, : here.shape[-1]]
         amplitude = amplitude * begins[:, -1]
     return out
+
+
+@functools.lru_cache(maxsize=STRINGS)
+def _inside(log_z: bytes, block: int) -> np.ndarray:
+    """Real part and negative imaginary part of z^n, n < block [modes, 2, block], of logarithms as bytes."""
+    powers = _powers(np.frombuffer(log_z, complex), block)
+    found = np.stack([np.real(powers), -np.imag(powers)], axis=1)
+    found.flags.writeable = False
+    return found
 
 
 def _powers(log_z: np.ndarray, count: int) -> np.ndarray:

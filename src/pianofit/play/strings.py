@@ -78,7 +78,8 @@ class PlayedString:
 
     def __init__(self, note: Note, midi: int, rate: int) -> None:
         self.note, self.midi, self.rate = note, midi, rate
-        self.table: Table = table_of(note, rate)
+        # Where the key's ringing is known nothing goes through the path: the string, unheard, rings by its law.
+        self.table: Table = table_of(note if note.ringing is None else note._replace(path=None), rate)
         self.ratio = round(self.table.rate / rate)
         self.string = FreeModes(self.table.pole, self.table.pickup[None], self.table.faint, rate)
         self.ringing, self.modes = None, self.string

@@ -105,15 +105,16 @@ class Compare {
 
   /** The key struck at `velocity`, by the engine, both channels [length]. */
   _struck(midi, velocity, length) {
-    const { Engine, BLOCK } = this.player, engine = new Engine(RATE), size = Math.ceil(length / BLOCK) * BLOCK;
+    const { Engine, BLOCK } = this.player, engine = new Engine(RATE), table = this.player.table(midi), { early } = table.heard;
+    const size = Math.ceil((early + length) / BLOCK) * BLOCK;
     const sound = [0, 1].map(() => new Float32Array(size)), block = [0, 1].map(() => new Float64Array(BLOCK));
-    engine.setKey(midi, this.player.table(midi));
+    engine.setKey(midi, table);
     engine.noteOn(midi, velocity);
     for (let at = 0; at < size; at += BLOCK) {
       engine.render(...block);
       sound.forEach((x, c) => x.set(block[c], at));
     }
-    return sound.map((x) => x.subarray(0, length));
+    return sound.map((x) => x.subarray(early, early + length));
   }
 
   _mark(words) {

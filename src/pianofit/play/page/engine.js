@@ -90,15 +90,28 @@ class Impulses {
   }
 }
 
-/** One key while it sounds. */
+/** A damper's moves, so many blocks later. */
+class Later {
+  constructor(blocks) {
+    this.values = new Array(blocks).fill(false);
+  }
+
+  pass(value) {
+    this.values.push(value);
+    return this.values.shift();
+  }
+}
+
+/** One key while it sounds: all that happens to it happens `delay` blocks later, and is heard later by its own lead. */
 class Voice {
-  constructor(table, rate) {
+  constructor(table, rate, delay) {
     const { string, heard, damper } = table;
     const silent = { pole: string.own, left: string.left, gain: heard.gain };
     this.string = new Bank(table.rings ? { ...silent, gain: [] } : silent, rate, string.ratio, damper);
     this.modes = table.rings ? new Bank(heard, rate, 1, damper) : this.string;
     this.kernel = new Motion(string, struck(string));
-    Object.assign(this, { table, rate, hammer: table.hammer, contact: null, strokes: [], waiting: [], damped: false });
+    Object.assign(this, { table, rate, delay, hammer: table.hammer, contact: null, strokes: [], waiting: [] });
+    Object.assign(this, { damped: false, felt: new Later(delay), heard: new Later(heard.lead / BLOCK) });
   }
 
   get silent() {
@@ -117,9 +130,9 @@ class Voice {
     const { string, modes, table } = this, { ratio } = table.string;
     this.waiting.forEach((stroke) => stroke.blocks--);
     if (!this.contact && this.waiting[0]?.blocks < 0) this._begin(this.waiting.shift().velocity);
-    const damped = this.damped && !this.contact;
+    const damped = this.felt.pass(this.damped) && !this.contact;
     if (table.rings) string.wait(damped);
-    modes.ring(out, damped);
+    modes.ring(out, this.heard.pass(damped));
     for (const stroke of this.strokes) this._stroke(stroke, out);
     const { contact } = this, now = contact && this.strokes.find((stroke) => stroke.contact === contact);
     if (contact?.over && now.at * ratio > contact.last) this.contact = null;
@@ -183,9 +196,10 @@ export class Engine {
     const table = this.tables.get(midi);
     if (!table) return;
     this.held.add(midi);
-    if (!this.voices.has(midi)) this.voices.set(midi, new Voice(table, this.rate));
+    const delay = (this.lead - table.heard.lead) / BLOCK;
+    if (!this.voices.has(midi)) this.voices.set(midi, new Voice(table, this.rate, delay));
     const voice = this.voices.get(midi);
-    voice.waiting.push({ velocity, blocks: Math.round((this.lead - table.heard.lead) / BLOCK) });
+    voice.waiting.push({ velocity, blocks: voice.delay });
     this._dampers();
   }
 

@@ -271,6 +271,13 @@ function impulse({ frequency, db }, rate) {
   return re.slice(0, end).map((x) => x / size);
 }
 
+/** Samples behind so much silence. */
+function after(silence, samples) {
+  const out = new Float64Array(silence + samples.length);
+  out.set(samples, silence);
+  return out;
+}
+
 const scaled = (pair, by) => ({ re: pair.re.map((x, k) => x * by[k]), im: pair.im.map((x, k) => x * by[k]) });
 const times = (a, b) => ({
   re: a.re.map((x, k) => x * b.re[k] - a.im[k] * b.im[k]), im: a.im.map((x, k) => x * b.re[k] + a.re[k] * b.im[k]),
@@ -298,7 +305,7 @@ function byLaw(key, t, pole, path, rate, ratio) {
   const left = cut(t.left, count), log = logs(cut(pole, count), rate), fine = logs(cut(pole, count), rate * ratio);
   if (!path) {
     return { pole: cut(pole, count), left, gain: [gain], direct: [damped(times(gain, left), fine, BLOCK * ratio)],
-      kernel: [new Float64Array(0)], ratio, lead: 0, edge: 0 };
+      kernel: [new Float64Array(0)], ratio, lead: 0, early: 0, edge: 0 };
   }
   const response = impulse(path, rate), through = times(gain, gains(response, log));
   const size = response.length, kernel = new Float64Array(size * ratio);
@@ -307,7 +314,7 @@ function byLaw(key, t, pole, path, rate, ratio) {
     const dry = Float64Array.from({ length: size }, (_, j) => own[j * ratio + phase]);
     convolve(dry, response, size).forEach((x, j) => (kernel[j * ratio + phase] = x - rung[j * ratio + phase]));
   }
-  return { pole: cut(pole, count), left, gain: [through], kernel: [kernel], ratio, lead: 0, edge: 0,
+  return { pole: cut(pole, count), left, gain: [through], kernel: [kernel], ratio, lead: 0, early: 0, edge: 0,
     direct: [damped(times(through, left), fine, BLOCK * ratio)] };
 }
 
@@ -318,9 +325,11 @@ function byRinging({ ringing }, rate) {
   const chosen = ({ re, im }) => ({ re: column(re), im: column(im) });
   const pole = chosen(ringing.pole), gain = ringing.pattern.map(chosen), log = logs(pole, rate);
   const ones = { re: pole.re.map(() => 1), im: pole.re.map(() => 0) };
-  const kernel = ringing.knock.map((x) => resample(x, ringing.rate, rate));
+  // In whole blocks, at whose begins dampers move.
+  const own = Math.round(LEAD * rate), lead = BLOCK * Math.ceil(own / BLOCK), early = lead - own;
+  const kernel = ringing.knock.map((x) => after(early, resample(x, ringing.rate, rate)));
   return { pole, left: ones, gain, direct: gain.map((g) => damped(g, log, BLOCK)), kernel, ratio: 1,
-    lead: Math.round(LEAD * rate), edge: EDGE };
+    lead, early, edge: EDGE };
 }
 
 /**

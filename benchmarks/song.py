@@ -1,0 +1,110 @@
+"""A piece on an instrument: how fast `pianofit play` computes it, and how near the page's engine comes to it.
+
+    python benchmarks/song.py INSTRUMENT.JSON                  two minutes, ten notes a second
+    python benchmarks/song.py INSTRUMENT.JSON --page           and the page's engine, under node, beside them
+
+The piece is drawn by --seed: notes over seven octaves at all velocities, held for 0.1 to 2 s, with a pedal that is
+raised half of the time, so that strings are struck again while they sound. Its events lie on the blocks of 128 samples
+at whose begins the page's take effect. Printed are the song's length over the processor's time, and with --page the
+largest difference of any sample before the limiter, over the largest sample, with knocks as they are (16 bits) and as
+the page of this instrument holds them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from pianofit.keyboard import Instrument, load_instrument
+from pianofit.model.cache import keep_programs
+from pianofit.play import Song, perform
+
+RATE, BLOCK = 48_000, 128
+LOWEST, HIGHEST = 24, 108  # keys
+SOFTEST, LOUDEST = 20, 120  # MIDI velocities
+SHORTEST, LONGEST = 0.1, 2.0  # of notes, s
+# Of a key, s: a stroke within the last one's contact would wait, here for its end and there for the block after it.
+APART = 0.1
+PEDAL = 2.0  # between its movements, s
+# So quiet that nothing is limited.
+QUIET = 1e-2
+
+
+def drawn(seconds: float, rate: float, keys: list[int], seed: int) -> Song:
+    """A piece of so many notes a second."""
+    random = np.random.default_rng(seed)
+
+    def on_block(t: float) -> float:
+        return round(t * RATE / BLOCK) * BLOCK / RATE
+
+    notes: dict[int, list[tuple[float, float, int]]] = {}
+    for t in np.sort(random.uniform(0, seconds - LONGEST, round(seconds * rate))):
+        key, velocity = int(random.choice(keys)), int(random.integers(SOFTEST, LOUDEST))
+        begin, end = on_block(t), on_block(t + random.uniform(SHORTEST, LONGEST))
+        before = notes.setdefault(key, [])
+        if before and before[-1][0] + APART > begin:
+            continue
+        if before and before[-1][1] > begin - APART / 2:  # the finger leaves the key before it strikes again
+            first, _, force = before[-1]
+            before[-1] = first, on_block(begin - APART / 2), force
+        before.append((begin, end, velocity))
+    events = {k: [e for a, b, v in each for e in ((a, v), (b, 0))] for k, each in notes.items()}
+    pedal = [(on_block(t), i % 2 == 0) for i, t in enumerate(np.arange(0.0, seconds, PEDAL))]
+    return Song(events, pedal, seconds, sum(map(len, notes.values())))
+
+
+def by_page(instrument: Instrument, song: Song, whole: bool) -> np.ndarray:
+    """What the page's engine makes of it [2, samples], with knocks as they are or as the page holds them."""
+    sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+    from page_cases import early, play
+
+    from pianofit.play.page.payload import LADDER, encode_note, payload
+    from pianofit.play.page.write import LARGEST_PAGE, OWN
+
+    knocks = LADDER[0] if whole else payload(instrument, LARGEST_PAGE - OWN)[1] or LADDER[0]
+    rows: list[tuple] = [(t, 0, "setPedal", down) for t, down in song.pedal]
+    for key, events in song.keys.items():
+        for t, v in events:
+            note = instrument.note(key, v or 1)
+            rows.append((t, 1, "noteOn", key, note.hammer.v_H0) if v else (t, 0, "noteOff", key))
+    events = [[round(t * RATE / BLOCK), what, *value] for t, _, what, *value in sorted(rows, key=lambda row: row[:2])]
+    keys = {key: encode_note(instrument.notes[key], key, knocks) for key in song.keys}
+    (sound,) = play([{"keys": keys, "events": events, "blocks": round(song.seconds * RATE / BLOCK)}])
+    return sound[:, max(early(note) for note in instrument.notes.values()) :]
+
+
+def main() -> None:
+    """Print a line each."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("instrument", type=Path)
+    parser.add_argument("--seconds", type=float, default=120.0)
+    parser.add_argument("--notes", type=float, default=10.0, help="a second")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--page", action="store_true", help="beside the page's engine")
+    asked = parser.parse_args()
+    keep_programs()
+    given = load_instrument(asked.instrument)
+    quiet = given._replace(notes={k: n._replace(gain=QUIET * n.gain) for k, n in given.notes.items()})
+    keys = [k for k in given.notes if LOWEST <= k < HIGHEST]
+    song = drawn(asked.seconds, asked.notes, keys, asked.seed)
+    perform(quiet, song, RATE)  # compiles what an earlier run has not
+    begin = time.process_time()
+    played = perform(quiet, song, RATE)
+    took = time.process_time() - begin
+    print(
+        f"{song.seconds:.0f} s, {song.notes} notes, {played.on_moving} of them on a string that sounds, "
+        f"{len(played.samples)} channels: {song.seconds / took:.1f} times faster than real time"
+    )
+    for whole in (True, False) if asked.page else ():
+        sound = by_page(quiet, song, whole)
+        size = min(sound.shape[-1], played.samples.shape[-1])
+        away = np.abs(sound[:, :size] - played.samples[:, :size]).max() / np.abs(played.samples).max()
+        print(f"the page, knocks {'as they are' if whole else 'as it holds them'}: {20 * np.log10(away):.1f} dB")
+
+
+if __name__ == "__main__":
+    main()
