@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -30,7 +31,7 @@ from pianofit.felt import DEFAULT_LAW
 from pianofit.fitting import fit
 from pianofit.inference import pose
 from pianofit.inference.fit import fit_recordings
-from pianofit.inference.statements import STATUSES
+from pianofit.inference.statements import STATUSES, _beyond_a_pianist
 from pianofit.io import FIT_SCHEMA
 from pianofit.parameters import FIT_NAMES, PARAMETERS, check
 from pianofit.recording import load_recording
@@ -143,6 +144,20 @@ def test_a_fit_improves_on_its_start():
         # The string's own band is right from the start; a path that differs from partial to partial delays it by 1 ms.
         assert values["final"] < max(values["initial"], 0.03)
     assert document["criterion"]["global"]["final"] < 0.3 * document["criterion"]["global"]["initial"]
+
+
+@pytest.mark.parametrize(
+    ("ratio", "spread", "said"), [(19.0, 0.1, ""), (40.0, 0.5, ""), (60.0, 0.1, "60 times (49.3 to 73")]
+)
+def test_strokes_farther_apart_than_a_pianists_are_told(ratio, spread, said):
+    problem = SimpleNamespace(unknowns=SimpleNamespace(size=5, shared=2), layout=SimpleNamespace(strokes=3))
+    found = SimpleNamespace(
+        z=np.array([9.0, -9.0, 0.3, 0.1, 0.1 + np.log(ratio)]),
+        posterior=SimpleNamespace(deviation=lambda change: spread * (change.tolist() == [0, 0, 0, -1, 1])),
+    )
+    text = _beyond_a_pianist(problem, found)
+    assert said in text
+    assert bool(text) == bool(said)
 
 
 # --- what no assumption enters ----------------------------------------------------------------------------------------

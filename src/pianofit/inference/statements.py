@@ -30,6 +30,8 @@ STRONG = 0.99
 STRAINED = 0.1
 # beyond this, dB, the hammer itself may be another.
 POOR = 0.5
+# Hammer velocities of a pianist, fortissimo over pianissimo: 6 over 0.3 m/s (Askenfelt and Jansson 1991).
+VELOCITIES = 20.0
 # A second minimum with this share of the posterior is named.
 NAMED = 0.1
 ONE_VELOCITY = (
@@ -147,6 +149,7 @@ def claims(problem: Problem, found: Estimate, states: dict[str, str], levels: di
     )
     if not problem.layout.compared:
         text += " The felt's values are one possibility under the prior of the path, not a finding."
+    text += _beyond_a_pianist(problem, found) if problem.layout.compared else ""
     if all(v is None for v in problem.speed):
         moving = (name.replace("mu", "μ") for name in problem.unknowns.law.scaling("N m"))
         text += (
@@ -154,6 +157,24 @@ def claims(problem: Problem, found: Estimate, states: dict[str, str], levels: di
             "and their intervals are the prior's; the ratios and products listed first do not depend on it."
         )
     return text
+
+
+def _beyond_a_pianist(problem: Problem, found: Estimate) -> str:
+    """That the strokes' velocities differ by more than a pianist's, where that is certain."""
+    u = problem.unknowns
+    log_v = found.z[u.shared : u.shared + problem.layout.strokes]
+    change = np.zeros(u.size)
+    change[u.shared + np.argmax(log_v)] += 1
+    change[u.shared + np.argmin(log_v)] -= 1
+    ratio, reach = float(found.z @ change), NORMAL * found.posterior.deviation(change)
+    if ratio - reach <= np.log(VELOCITIES):
+        return ""
+    low, most, high = np.exp([ratio - reach, ratio, ratio + reach])
+    return (
+        f" The fastest stroke is found {most:.3g} times ({low:.3g} to {high:.3g}) as fast as the slowest, and a "
+        f"pianist's differ by {VELOCITIES:.0f} times: these layers differ by something that the model does not have, "
+        "and the felt takes it up."
+    )
 
 
 def _listed(*names: str) -> str:
