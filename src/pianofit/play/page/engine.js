@@ -111,7 +111,7 @@ class Voice {
     this.modes = table.rings ? new Bank(heard, rate, 1, damper) : this.string;
     this.kernel = new Motion(string, struck(string));
     Object.assign(this, { table, rate, delay, hammer: table.hammer, contact: null, strokes: [], waiting: [] });
-    Object.assign(this, { damped: false, felt: new Later(delay), heard: new Later(heard.lead / BLOCK) });
+    Object.assign(this, { damped: false, dampers: [delay, heard.lead / BLOCK].map((blocks) => new Later(blocks)) });
   }
 
   get silent() {
@@ -127,12 +127,12 @@ class Voice {
 
   /** Add a block to out [channels]. */
   render(out) {
-    const { string, modes, table } = this, { ratio } = table.string;
+    const { string, modes, table } = this, { ratio } = table.string, [onString, asHeard] = this.dampers;
     this.waiting.forEach((stroke) => stroke.blocks--);
     if (!this.contact && this.waiting[0]?.blocks < 0) this._begin(this.waiting.shift().velocity);
-    const damped = this.felt.pass(this.damped) && !this.contact;
+    const damped = onString.pass(this.damped) && !this.contact;
     if (table.rings) string.wait(damped);
-    modes.ring(out, this.heard.pass(damped));
+    modes.ring(out, asHeard.pass(damped));
     for (const stroke of this.strokes) this._stroke(stroke, out);
     const { contact } = this, now = contact && this.strokes.find((stroke) => stroke.contact === contact);
     if (contact?.over && now.at * ratio > contact.last) this.contact = null;
