@@ -2,6 +2,8 @@
 
     python benchmarks/peers.py                          both tables
     python benchmarks/peers.py --notes C2 --json peers.json
+    python benchmarks/peers.py --docs docs/peers.md     puts the tables of distances there
+    python benchmarks/peers.py --from peers.json --docs docs/peers.md         those of an earlier run
     python benchmarks/peers.py --speed                  only how long 1 s of sound takes
 
 Strokes: the folder ../shared/disklavier, or what PIANOFIT_PEERS names, with its `recordings.csv`: four keys of an
@@ -248,13 +250,52 @@ def speeds() -> dict[str, dict]:
     return {name: taken[name] | {"seconds": rows[name][1]} for name in rows}
 
 
+def into_page(page: Path, distances: dict[str, dict[str, Any]]) -> None:
+    """The medians and every key between the page's marks."""
+    rows = {name: {key: by for key, by in each.items() if key != "given"} for name, each in distances.items()}
+    digits = {measure: 2 if measure == "MR" else 1 for measure in MEASURES}
+
+    def cell(measure: str, value: float) -> str:
+        return f"{value:.{digits[measure]}f}"
+
+    medians = ["| stroke | in its place | level | envelope | MR | realism |", "|---|---|---|---|---|---|"]
+    for name, by in rows.items():
+        level, envelope, mr, mine, witness = (
+            cell(measure, statistics.median(one[measure] for one in by.values())) for measure in MEASURES
+        )
+        medians.append(f"| {name.replace(': ', ' | ', 1)} | {level} | {envelope} | {mr} | {mine} ({witness}) |")
+    keys: list[str] = []
+    for words, first, second in (("Realism, then level", "realism", "level"), ("Envelope, then MR", "envelope", "MR")):
+        there = list(next(iter(rows.values())))
+        keys += ["", f"{words} in brackets{', dB' if second == 'level' else ''}:", ""]
+        keys += [f"| stroke | in its place | {' | '.join(there)} |", "|---|---|" + "---|" * len(there)]
+        for name, by in rows.items():
+            cells = [f"{cell(first, one[first])} ({cell(second, one[second])})" for one in by.values()]
+            keys.append(f"| {name.replace(': ', ' | ', 1)} | {' | '.join(cells)} |")
+    text = page.read_text(encoding="utf-8")
+    for mark, lines in (("medians", medians), ("keys", keys[1:])):
+        before, _, rest = text.partition(f"<!-- {mark} -->\n")
+        _, end, after = rest.partition(f"<!-- end of {mark} -->")
+        if not end:
+            raise SystemExit(f"{page}: no <!-- {mark} --> and <!-- end of {mark} --> in it")
+        text = f"{before}<!-- {mark} -->\n{chr(10).join(lines)}\n{end}{after}"
+    page.write_text(text, encoding="utf-8")
+
+
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--notes", default=",".join(KEYS), help="separated by commas")
     parser.add_argument("--speed", action="store_true", help="only how long things take")
     parser.add_argument("--json", type=Path)
+    parser.add_argument("--docs", type=Path, help="the page whose tables of distances are made anew")
+    parser.add_argument("--from", dest="source", type=Path, help="measure nothing: take the numbers of an earlier run")
     options = parser.parse_args()
+    if options.source:
+        found = json.loads(options.source.read_text(encoding="utf-8"))
+        if options.docs:
+            into_page(options.docs, found["distances"])
+        return
     import works  # noqa: F401 - float64 in this process, before JAX is loaded
 
     from pianofit.model.cache import keep_programs
@@ -264,6 +305,8 @@ def main() -> None:
     found["speed"] = speeds()
     if options.json:
         options.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    if options.docs and not options.speed:
+        into_page(options.docs, found["distances"])
 
 
 if __name__ == "__main__":
