@@ -14,6 +14,7 @@ import pianofit
 from pianofit import ParameterError, analyse, recording_from_samples, setup_from_dict
 from pianofit.cli import main
 from pianofit.criterion import band_values, line_sigma, measure
+from pianofit.errors import SetupError
 from pianofit.inference.start import Start, starting_values
 from pianofit.model import simulate
 from pianofit.model.note import arrival
@@ -74,6 +75,25 @@ def of_four_partials():
 
 def start(given=None) -> Start:
     return starting_values(analysis(), given or setup())
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"length": 1.0, "known": {"c": 400.0}}, r"c = 400 m/s and \[string\] length = 1 m make 200.0 Hz, and the rec"),
+        (
+            {"known": {"c": 2000.0}},
+            r"m, the literature's, make \d+\.\d Hz, and the recordings sound at 152\.\d Hz; correct",
+        ),
+        (
+            {"length": 0.03},
+            r"length = 0.03 m would need a wave speed of 9.12 m/s where the recordings sound at 152\.\d Hz",
+        ),
+    ],
+)
+def test_a_string_of_another_pitch_is_refused(given, said):
+    with pytest.raises(SetupError, match=said):
+        start(pianofit.Setup(**given))
 
 
 def search(given=None, recipe: str = "paper", **more: Any) -> Found:

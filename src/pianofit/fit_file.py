@@ -23,8 +23,9 @@ from .parameters import HAMMER_NAMES, STRING_NAMES, Geometry, String, check
 from .recording import RATES
 from .ringing_file import read_ringing
 
-__all__ = ["load_note", "gains_of", "mixture_of", "note_of", "read_fit", "read_path"]
+__all__ = ["FIT_FILE", "fit_path", "load_note", "gains_of", "mixture_of", "note_of", "read_fit", "read_path"]
 
+FIT_FILE = "fit.json"
 LARGEST_FIT = 2**24  # bytes
 # Points of a path at the most: far more than a string has partials.
 MOST_POINTS = 4096
@@ -33,6 +34,11 @@ LARGEST_DB = 300.0
 # A partial's decay over its law's, at the least and at the most: beyond, it is no partial.
 DECAYS = (1e-3, 1e3)
 WAY_OUT = "give the file that pianofit fit wrote"
+
+
+def fit_path(path: str | os.PathLike[str]) -> Path:
+    """The `fit.json` in a folder, or the file itself."""
+    return Path(path) / FIT_FILE if Path(path).is_dir() else Path(path)
 
 
 def read_fit(path: str | os.PathLike[str]) -> dict[str, Any]:
@@ -64,7 +70,7 @@ def load_note(path: str | os.PathLike[str], felt: FeltLaw | None = None) -> tupl
 
     Parameters
     ----------
-    path : of a `fit.json`, written by `pianofit fit` or `Result.save`.
+    path : of a `fit.json`, or the folder it is in, written by `pianofit fit` or `Result.save`.
     felt : the law of the felt, if it is one of your own.
 
     Returns
@@ -85,7 +91,7 @@ def load_note(path: str | os.PathLike[str], felt: FeltLaw | None = None) -> tupl
     >>> note.render(3.0, seconds=0.5, rate=rate).shape
     (22050,)
     """
-    return note_of(read_fit(path), Path(path), felt)
+    return note_of(read_fit(fit_path(path)), fit_path(path), felt)
 
 
 def note_of(document: dict[str, Any], path: Path, felt: FeltLaw | None = None) -> tuple[Note, int]:

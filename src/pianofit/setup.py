@@ -243,9 +243,8 @@ def _number(value: Any, key: str, lower: float, upper: float, unit: str, where: 
     """Return a number within its range; comparing first keeps integers too large for a float out."""
     if not _is_number(value) or not lower <= value <= upper:
         unit = "" if unit == "1" else f" {unit}"
-        raise SetupError(
-            f"{where} {key} = {_show(value)} must be a number from {lower:g} to {upper:g}{unit} (no quotes)"
-        )
+        quotes = " (no quotes)" if isinstance(value, str) else ""
+        raise SetupError(f"{where} {key} = {_show(value)} must be a number from {lower:g} to {upper:g}{unit}{quotes}")
     return float(value)
 
 

@@ -23,11 +23,12 @@ def predict_file(fit: Path, file: Path, out: Path | None, *, channel: str = "ave
 
     Raises `PianofitError` for any input that cannot be used; nothing is then written.
     """
-    from .fit_file import gains_of, mixture_of, read_fit
+    from .fit_file import fit_path, gains_of, mixture_of, read_fit
     from .recording import load_recording
 
     if out is not None:
         check_sound_target(out, force)
+    fit = fit_path(fit)
     document = read_fit(fit)
     mixture, gains = mixture_of(document, fit), gains_of(document)
     note = mixture[0][1]
@@ -48,9 +49,11 @@ def predict_file(fit: Path, file: Path, out: Path | None, *, channel: str = "ave
         touch = touched(found.note, strike, recording)
         samples = found.note.heard(strike, recording.rate, len(recording.samples), touch)
         write_file(out, encode_wav(samples, recording.rate), force)
+    rows = document.get("recordings")
+    known = {row.get("sha256") for row in rows if isinstance(row, dict)} if isinstance(rows, list) else set()
     return {
-        "file": recording.path, "sha256": recording.sha256, "predicted_db": found.error_db,
-        "partials": found.partials, "v_H0": found.velocity, "v_H0_at_end": found.at_end,
+        "file": recording.path, "sha256": recording.sha256, "was_fitted": recording.sha256 in known,
+        "predicted_db": found.error_db, "partials": found.partials, "v_H0": found.velocity, "v_H0_at_end": found.at_end,
         "gain_db": found.gain_db, "cents": found.cents,
     }  # fmt: skip
 

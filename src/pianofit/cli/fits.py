@@ -135,7 +135,7 @@ def _known(setup: Path | None, felt: str | None) -> Setup:
 
 
 def predict(
-    fit: Annotated[Path, typer.Argument(metavar="FIT.JSON", help="What pianofit fit wrote.")],
+    fit: Annotated[Path, typer.Argument(metavar="FIT.JSON", help="What pianofit fit wrote, or its folder.")],
     recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="A recording of the same key.")],
     out: Annotated[Path | None, typer.Option(metavar="FILE.WAV", help="The predicted sound, if wanted.")] = None,
     channel: Channel = "average",
@@ -151,6 +151,8 @@ def predict(
         f"{found['predicted_db']:.2f} dB over {found['partials']} partials, {found['cents']:+.2f} cents from the fit, "
         f"at {found['v_H0']:.3g} m/s{end}\n"
     )
+    if found["was_fitted"]:
+        words += "This recording took part in the fit: how near it comes is no prediction.\n"
     tell(found, words, as_json)
 
 

@@ -262,7 +262,7 @@ def invariants(problem: Problem, found: Estimate, states: dict[str, str]) -> dic
     def entry(
         change: np.ndarray, value: float, its_unit: str, own: list[str], note: str = "", by: Posterior = held
     ) -> dict:
-        status = invariant_status(own, by.deviation(change))
+        status = invariant_status(own, by.spread(change))
         whole = _entry(by, change, value, {"unit": its_unit}, status, 0.0, note)
         return {k: whole[k] for k in ("value", "unit", "interval", "note", "status")}
 

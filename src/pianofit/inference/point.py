@@ -59,7 +59,7 @@ def point_result(
     said = [] if converged else ["The search stopped before it converged; no value is a result."]
     said += messages
     worse = worse_bands(criterion)
-    said += [f"No lower on the paper's criterion than at the start: {', '.join(worse)}."] * bool(worse)
+    said += [f"The paper's criterion is no lower than at the start: {', '.join(worse)}."] * bool(worse)
     said += [f"At the edge of the box, so their values are the box's: {', '.join(at_bound)}."] * bool(at_bound)
     said += [f"No partial above the noise in {' and '.join(missing)}; dropped, and the next band used."] * bool(missing)
     found = dict(zip(FIT_NAMES, (*string, *hammer), strict=True))

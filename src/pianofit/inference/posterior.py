@@ -17,6 +17,7 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.stats import norm
 
+from ..units import NORMAL
 from .coordinates import STRING_SIZE
 from .finish import Minima
 from .nuisances import without_nuisances
@@ -57,6 +58,11 @@ class Posterior:
             return float(root)
 
         return end(TAIL), end(1 - TAIL)
+
+    def spread(self, change: np.ndarray) -> float:
+        """The standard deviation of a Gaussian with the same 95 % interval; 0 for what is held."""
+        low, high = self.interval(change) or (0.0, 0.0)
+        return (high - low) / (2 * NORMAL)
 
     def given(self, held: np.ndarray) -> Posterior:
         """The same with the sum of logarithms `held` [size] fixed at each minimum's value: gauge-fixed."""

@@ -14,7 +14,7 @@ import numpy as np
 from ..analysis import Analysis, Partials
 from ..errors import FitError
 from ..felt import FeltLaw
-from ..fit_file import gains_of, mixture_of, read_fit
+from ..fit_file import fit_path, gains_of, mixture_of, read_fit
 from ..io import one_line
 from ..model import Simulation
 from ..model.note import Note
@@ -276,7 +276,7 @@ class Result:
         FitError
             Naming the file and what is wrong with it.
         """
-        path = Path(folder) / "fit.json" if Path(folder).is_dir() else Path(folder)
+        path = fit_path(folder)
         document, name = read_fit(path), one_line(path)
         mixture = mixture_of(document, path, felt)
         shares, notes = zip(*mixture, strict=True)

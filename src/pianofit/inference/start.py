@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..analysis import Analysis
+from ..errors import SetupError
 from ..felt import BOXES, COMMON, DEFAULT_LAW, FeltLaw
-from ..parameters import HAMMER_NAMES, Geometry, Hammer
+from ..parameters import HAMMER_NAMES, PARAMETERS, Geometry, Hammer
 from ..published import typical
 from ..setup import Setup
 from ..units import midi_of
@@ -23,6 +24,8 @@ __all__ = ["Start", "starting_values"]
 
 # The hammer of an uncalibrated recording is assumed to arrive at this velocity, m/s, a moderate forte.
 ASSUMED_VELOCITY = 2.0
+# A wave speed and a length that were given make the pitch that is heard within half a semitone, cents.
+ANOTHER_PITCH = 50.0
 
 
 @dataclass(frozen=True)
@@ -55,6 +58,7 @@ def starting_values(analysis: Analysis, setup: Setup, velocity: float | None = N
     geometry, assumed = _geometry(setup, usual.geometry)
     calibrated = setup.pickup_scale is not None
     values = _string_values(analysis, geometry.length)
+    _check_pitch(analysis, setup, geometry.length)
     hammer = {name: float(value) for name, value in usual.hammer._asdict().items()} | {"v_H0": ASSUMED_VELOCITY}
     given = {k: v for k, v in setup.initial.items() if k not in values} | setup.known
     values |= hammer | {"x0": geometry.strike, "width": geometry.width}
@@ -99,6 +103,24 @@ def _geometry(setup: Setup, usual: Geometry) -> tuple[Geometry, tuple[str, ...]]
     pickup = setup.pickup_position or 0.5 * length
     given = {"length": setup.length, "mass": setup.mass, "width": setup.strike_width}
     return Geometry(length, mass, strike, width, pickup), tuple(k for k, v in given.items() if v is None)
+
+
+def _check_pitch(analysis: Analysis, setup: Setup, length: float) -> None:
+    """Refuse a length, or a length and a wave speed, that make no string of the pitch that is heard."""
+    box, heard = PARAMETERS["c"], f"the recordings sound at {analysis.f0:.1f} Hz"
+    told = f"length = {length:g} m" + ("" if setup.length else ", the literature's,")
+    c, correct = setup.known.get("c"), "correct one of them"
+    if c is None:
+        needed = 2 * length * analysis.f0
+        if not box.lower <= needed <= box.upper:
+            raise SetupError(
+                f"[string] {told} would need a wave speed of {needed:.3g} m/s where {heard}, and {box.lower:g} to "
+                f"{box.upper:g} m/s can be; correct the length"
+            )
+    elif abs(1200 * math.log2(c / (2 * length) / analysis.f0)) > ANOTHER_PITCH:
+        raise SetupError(
+            f"[known] c = {c:g} m/s and [string] {told} make {c / (2 * length):.1f} Hz, and {heard}; {correct}"
+        )
 
 
 def _string_values(analysis: Analysis, length: float) -> dict[str, float]:

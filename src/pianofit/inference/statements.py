@@ -34,6 +34,7 @@ POOR = 0.5
 VELOCITIES = 20.0
 # A second minimum with this share of the posterior is named.
 NAMED = 0.1
+WORSE = "The paper's criterion, which this fit does not minimise, is no lower than at the start: {}."
 ONE_VELOCITY = (
     "One uncalibrated recording does not fix the felt: any hammer's spectrum can be traded for an output path, and a "
     "softer felt struck faster sounds the same through another gain. "
@@ -68,7 +69,7 @@ def statuses(problem: Problem, found: Estimate) -> dict[str, str]:
         elif bound[i]:
             result[name] = "at-bound"
         else:
-            sd = found.posterior.deviation(change)
+            sd = found.posterior.spread(change)
             vague = sd > (LOOSE if i < STRING_SIZE else min(LEARNED * prior[i], LOOSE))
             result[name] = "not-identifiable" if vague else "scaled" if start.rests_on.get(name) else "fitted"
     for name in taken_back(problem, found):
@@ -79,7 +80,7 @@ def statuses(problem: Problem, found: Estimate) -> dict[str, str]:
         for name in u.law.scaling("N m"):
             if problem.layout.compared and result[name] in ("fitted", "scaled", "not-identifiable"):
                 gauge = _at_reference(problem, found.posterior)
-                sd = gauge.deviation(np.eye(u.size)[u.at(name)])
+                sd = gauge.spread(np.eye(u.size)[u.at(name)])
                 result[name] = "scaled" if sd < min(LEARNED * prior[u.at(name)], LOOSE) else "not-identifiable"
     return result
 
@@ -218,7 +219,7 @@ def messages(problem: Problem, found: Estimate, states: dict[str, str], worse: S
         said.append("The search stopped before it converged; no value is a result.")
     said += _mixture(problem, found)
     if worse:
-        said.append(f"No lower on the paper's criterion than at the start: {', '.join(worse)}.")
+        said.append(WORSE.format(", ".join(worse)))
     bound = [n for n, s in states.items() if s == "at-bound"]
     if bound:
         said.append(f"At the edge of the box, so their values are the box's: {', '.join(bound)}.")
@@ -230,7 +231,8 @@ def messages(problem: Problem, found: Estimate, states: dict[str, str], worse: S
     rests = sorted({x for names in problem.start.rests_on.values() for x in names})
     if rests:
         said.append(
-            f"The string's {' and '.join(rests)} were not given and are the literature's for this key; "
+            f"The string's {' and '.join(rests)} {'was' if len(rests) == 1 else 'were'} not given and taken from the "
+            "literature for this key; "
             f"the SI values of {', '.join(problem.start.rests_on)} scale with them."
         )
     if problem.unknowns.free[width := problem.unknowns.at("width")]:

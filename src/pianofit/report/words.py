@@ -121,7 +121,7 @@ def minima(fit: dict[str, Any]) -> dict[str, Any] | None:
         ],
         "rows": [
             {
-                "share": f"{100 * entry['share']:.0f} %" if is_number(entry.get("share")) else "–",
+                "share": _share(entry.get("share")),
                 "above": number(entry["F"] - best, 2) if is_number(entry.get("F")) and is_number(best) else "–",
                 "values": [number(v.get(name), 4) for name in names],
                 "velocities": ", ".join(number(x, 3) for x in entry.get("velocities") or ()),
@@ -129,6 +129,12 @@ def minima(fit: dict[str, Any]) -> dict[str, Any] | None:
             for entry, v in zip(found, values, strict=True)
         ],
     }
+
+
+def _share(value: Any) -> str:
+    if not is_number(value):
+        return "–"
+    return "< 1 %" if value < 0.005 else f"{100 * value:.0f} %"
 
 
 def _unbounded(entry: dict[str, Any]) -> str:
