@@ -53,7 +53,7 @@ def bracketed(value: float, interval: Sequence[float] | None) -> tuple[str, str]
         return f"{value:.5g}", "-"
     digits = _supported(value, interval)
     if digits is None:
-        return f"{value:.5g}", "[{:.3g}, {:.3g}]".format(*interval)
+        return f"{value:.3g}" if interval[0] < interval[1] else f"{value:.5g}", "[{:.3g}, {:.3g}]".format(*interval)
     place = digits - 1 - _exponent(value)  # decimals of the last digit
     return _to_place(value, place), f"[{', '.join(_to_place(end, place) for end in interval)}]"
 

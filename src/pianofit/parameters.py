@@ -25,32 +25,57 @@ Number = Any
 
 
 class String(NamedTuple):
-    """The string's wave equation (paper eq. 1)."""
+    """The string's wave equation (paper eq. 1).
 
-    c: Number  # transverse wave speed, m/s
-    kappa: Number  # stiffness coefficient, m²/s
-    b1: Number  # loss parameter, 1/s
-    b2: Number  # loss parameter, m²/s; a mode decays at α = b1 + b2 β²
+    Parameters
+    ----------
+    c : transverse wave speed, m/s.
+    kappa : stiffness coefficient, m²/s.
+    b1, b2 : loss parameters, 1/s and m²/s: a mode of wave number β decays at b1 + b2 β².
+    """
+
+    c: Number
+    kappa: Number
+    b1: Number
+    b2: Number
 
 
 class Hammer(NamedTuple):
-    """The hammer and its felt (paper eq. 5 and 8), F = K_H u^p (1 + μ u̇); with μ = 0 the power law."""
+    """The hammer and its felt (paper eq. 5 and 8), F = K_H u^p (1 + μ u̇); with μ = 0 the power law.
 
-    K_H: Number  # felt stiffness, N/m^p
-    mu: Number  # felt loss coefficient, s/m
-    p: Number  # stiffness exponent, 1
-    M_H: Number  # hammer mass, kg
-    v_H0: Number  # initial hammer velocity, m/s
+    Parameters
+    ----------
+    K_H : felt stiffness, N/m^p.
+    mu : felt loss coefficient, s/m.
+    p : stiffness exponent.
+    M_H : hammer mass, kg.
+    v_H0 : hammer velocity at the first touch, m/s.
+    """
+
+    K_H: Number
+    mu: Number
+    p: Number
+    M_H: Number
+    v_H0: Number
 
 
 class Geometry(NamedTuple):
-    """The string's size, and where it is struck and heard. Positions are measured from the agraffe."""
+    """The string's size, and where it is struck and heard; positions are measured from the agraffe.
 
-    length: Number  # L, m
-    mass: Number  # M_S, of the whole string, kg
-    strike: Number  # x0, centre of the contact window, m
-    width: Number  # full width of the contact window, m
-    pickup: Number  # x_m, m; ignored by a pickup at the bridge
+    Parameters
+    ----------
+    length : L, m.
+    mass : M_S, of the whole string, kg.
+    strike : x0, centre of the contact window, m.
+    width : full width of the contact window, m.
+    pickup : x_m, m; ignored by a pickup at the bridge.
+    """
+
+    length: Number
+    mass: Number
+    strike: Number
+    width: Number
+    pickup: Number
 
 
 class Parameter(NamedTuple):

@@ -40,10 +40,12 @@ def summary(document: dict, folder: Path) -> str:
     d, levels = document["derived"], document["levels"]
     lines.append(f"f0 {d['f0']:.3f} Hz, B {d['B']:.4g}, {contact(d)}")
     only = "" if levels["path_only_db"] is None else f", path alone {levels['path_only_db']:.1f} dB"
-    lines.append(f"levels of {levels['partials']} partials: start {levels['initial_db']:.2f} dB{only}, "
+    count = len(document["recordings"])
+    where = "levels of partials" + (f" in {count} recordings" if count > 1 else "")
+    lines.append(f"{levels['partials']} {where}: start {levels['initial_db']:.2f} dB{only}, "
                  f"fitted {levels['fitted_db']:.2f} dB")  # fmt: skip
     lines += [line] if (line := ringing_line(document)) else []
-    if len(document["recordings"]) > 1:
+    if count > 1:
         lines += [_line_of(recording) for recording in document["recordings"]]
     for name in ("global", "band1", "band2", "band3"):
         if name in document["criterion"]:
@@ -81,9 +83,9 @@ def _found(table: dict) -> list[str]:
 
 
 def _line_of(recording: dict) -> str:
-    levels = recording["levels"]
+    levels, reference = recording["levels"], " (the reference)" * bool(recording["first"])
     return (
-        f"{Path(recording['file']).name}: {recording['v_H0']:.3g} m/s, gain {recording['gain']:.3g}, "
+        f"{Path(recording['file']).name}{reference}: {recording['v_H0']:.3g} m/s, gain {recording['gain']:.3g}, "
         f"{recording['cents']:+.2f} cents, "
         f"levels {levels['initial_db']:.1f} -> {levels['fitted_db']:.2f} dB"
     )
