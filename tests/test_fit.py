@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from types import SimpleNamespace
 
@@ -35,6 +36,7 @@ from pianofit.inference.statements import STATUSES, _beyond_a_pianist
 from pianofit.io import FIT_SCHEMA
 from pianofit.parameters import FIT_NAMES, PARAMETERS, check
 from pianofit.recording import load_recording
+from pianofit.report.build import known_of
 from pianofit.setup import setup_from_dict
 
 # --- calibrated -------------------------------------------------------------------------------------------------------
@@ -166,7 +168,12 @@ def test_strokes_farther_apart_than_a_pianists_are_told(ratio, spread, said):
 def test_invariants_need_no_measured_velocity():
     """Three strokes through a path with no velocity measured: only ratios and products are known, and they are."""
     recordings, analyses = through(SEVERAL)
-    document = fit_recordings(recordings, analyses, strokes_of(SEVERAL, measured=False)).document
+    found = fit_recordings(recordings, analyses, strokes_of(SEVERAL, measured=False))
+    document = found.document
+    # Read back it has no recordings, and the correlations of its page: at the velocity of the same reference.
+    back = dataclasses.replace(found, recordings=(), first=0)
+    assert found.first > 0
+    np.testing.assert_array_equal(known_of(back).correlation, known_of(found).correlation)
     invariants, g = document["invariants"], FIRST.geometry
     pressed = float(invariants["F/M_S"]["note"].split(" at ")[1].split(" mm")[0]) / 1e3
     # The scale is the velocity's own: a force at a compression goes with its square.

@@ -55,11 +55,12 @@ def summary(document: dict[str, Any]) -> str:
     lines = [
         f"{document['name'] or 'instrument'}: {known} key{'s' if known != 1 else ''} known, "
         + ", ".join(f"{n} {state}" for state, n in found.items() if n),
-        "", f"{'':26}{'between keys':>14}{'law over':>12}   outliers",
+        "", f"{'':26}{'key to key':>14}{'smooth over':>12}   outliers",
     ]  # fmt: skip
     for name, law in document["laws"].items():
         scatter = f"{law['scatter']:.2g} cents" if name == "cents" else f"{100 * law['scatter']:.2g} %"
-        lines.append(f"{name + (', ' + law['unit'] if law['unit'] not in ('', '1') else ''):26}{scatter:>14}"
+        label = "tuning" if name == "cents" else name
+        lines.append(f"{label + (', ' + law['unit'] if law['unit'] not in ('', '1') else ''):26}{scatter:>14}"
                      f"{law['length_keys']:>7.0f} keys   {', '.join(law['outliers']) or '-'}")  # fmt: skip
     v = document["velocity"]
     lines += ["", f"MIDI velocity 64 is {v['at_64']:.3g} m/s, from the {v['from']}"]

@@ -15,6 +15,7 @@ from ..analysis import law_frequency
 from ..errors import FitError, ParameterError
 from ..felt import law_of
 from ..inference import Result
+from ..io import reference_of
 from ..model import static_force
 from ..model.decay import partial_decays
 from ..parameters import PARAMETERS
@@ -225,7 +226,7 @@ def _shared(result: Result) -> tuple[tuple[str, ...], np.ndarray]:
     cov = given
     velocity = result.parameters.get("v_H0")
     if velocity is not None and velocity.status == "scaled":
-        held = len(names) + result.document["recordings"][result.first]["stroke"]
+        held = len(names) + reference_of(result.document["recordings"])[1]["stroke"]
         if cov[held, held] > 0:
             cov = cov - np.outer(cov[held], cov[held]) / cov[held, held]
             # What the scale alone moved is held now, but for rounding.
