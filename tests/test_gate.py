@@ -83,6 +83,9 @@ def test_a_layer_that_was_left_out_is_predicted(note, layers, left_out, worst_db
         # Of eq. 19 only the whole: a cent of pitch decides over the narrow peaks of band 1, and has no part in the fit.
         assert row["criterion"]["global"]["final"] < row["criterion"]["global"]["initial"]
     assert result.document["claims"]
-    analysis = analyse(load_recording(FOLDER / f"{left_out}.flac"), note=note)
+    recording = load_recording(FOLDER / f"{left_out}.flac")
+    analysis = analyse(recording, note=note)
     notes = list(zip(result.shares, (minimum[0] for minimum in result.notes), strict=True))
     assert predict_recording(notes, analysis).error_db < worst_db
+    whole = predict_recording(result.mixture, analysis, gains=result.gains)
+    assert predict_recording(result, recording).error_db == pytest.approx(whole.error_db, abs=0.02)

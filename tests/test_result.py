@@ -90,6 +90,8 @@ def test_the_covariance_is_that_of_the_intervals():
     assert covariance.names[:2] == ("c", "kappa")
     assert covariance.names[-1] == "v_H0"
     assert covariance["c", "kappa"] == covariance["kappa", "c"]
+    with pytest.raises(KeyError, match="'kapa' is not there; did you mean kappa"):
+        _ = covariance["c", "kapa"]
     for name in ("c", "b1", "M_H", "v_H0"):
         low, high = result().parameters[name].interval
         assert np.log(high / low) == pytest.approx(2 * 1.96 * covariance[name, name] ** 0.5, rel=0.05), name

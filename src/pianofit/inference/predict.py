@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import fminbound
 
-from ..analysis import Analysis
+from ..analysis import Analysis, analyse
 from ..criterion import level_error_db
 from ..errors import FitError
 from ..fit_file import gains_of
@@ -65,17 +65,22 @@ class Prediction:
 
 @one_blas_thread()
 def predict_recording(
-    notes: Note | Sequence[tuple[float, Note]], analysis: Analysis, *, gains: Sequence[float] = (0.0,)
+    notes: Result | Note | Sequence[tuple[float, Note]],
+    analysis: Analysis | Recording,
+    *,
+    gains: Sequence[float] | None = None,
 ) -> Prediction:
     """Play a fit at the velocity that suits a recording's levels best.
 
     Parameters
     ----------
-    notes : one note, or those of several minima with their shares. Each is struck at the velocity that suits it; the
-        prediction is the mean of their levels, dB, by their shares, and the note, velocity and pitch are the first's.
-    analysis : of the recording, see `analyse`.
-    gains : of the recordings that were fitted through the same path, dB over the note's own (`Result.gains`): where
-        they agree, how loud the recording is tells how hard the string was struck.
+    notes : a fit, one note, or those of several minima with their shares. Each is struck at the velocity that suits it;
+        the prediction is the mean of their levels, dB, by their shares, and the note, velocity and pitch are the
+        first's.
+    analysis : of the recording, see `analyse`, or the recording.
+    gains : of the recordings that were fitted through the same path, dB over the note's own: where they agree, how loud
+        the recording is tells how hard the string was struck. A fit has its own (`Result.gains`); of notes alone none
+        are known.
 
     Returns
     -------
@@ -85,6 +90,8 @@ def predict_recording(
     ------
     FitError
         If too few partials stand above the noise, or no velocity gives a finite sound.
+    AnalysisError
+        If the recording is too short, or of another key.
 
     Examples
     --------
@@ -92,12 +99,16 @@ def predict_recording(
     >>> it = pianofit.typical(53)
     >>> note = pianofit.Note(it.string, it.hammer, it.geometry, "bridge-force", gain=0.01)
     >>> recording = pianofit.recording_from_samples(note.render(3.0, seconds=2.0), 44_100)
-    >>> found = pianofit.predict_recording(note, pianofit.analyse(recording, note="F3"))
+    >>> found = pianofit.predict_recording(note, recording)
     >>> f"{found.velocity:.1f} m/s, {found.error_db:.1f} dB"
     '3.0 m/s, 0.0 dB'
     """
+    if isinstance(notes, Result):
+        notes, gains = notes.mixture, notes.gains if gains is None else gains
     mixture = [(1.0, notes)] if isinstance(notes, Note) else list(notes)
-    p, (_, first) = analysis.partials, mixture[0]
+    gains, (_, first) = gains or (0.0,), mixture[0]
+    analysis = analyse(analysis, f0=_pitch(first)) if isinstance(analysis, Recording) else analysis
+    p = analysis.partials
     chosen = scored(p.frequency, p.level) & _heard(first, p.number)
     if chosen.sum() < FEWEST:
         raise FitError(f"only {int(chosen.sum())} partials of the fit stand above the noise; {FEWEST} are needed")

@@ -145,6 +145,11 @@ class Covariance:
     matrix: np.ndarray  # [names, names], 1
 
     def __getitem__(self, pair: tuple[str, str]) -> float:
+        for name in pair:
+            if name not in self.names:
+                near = difflib.get_close_matches(str(name), self.names, 1)
+                hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(self.names)}"
+                raise KeyError(f"{name!r} is not there; {hint}")
         row, column = (self.names.index(name) for name in pair)
         return float(self.matrix[row, column])
 
