@@ -30,7 +30,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from coverage_table import STATUS, into_page, nearest, progress, report, score
+from coverage_table import STATUS, nearest, progress, report, score
+from measuring import into_page
 
 if TYPE_CHECKING:
     from coverage_twins import Values
@@ -201,7 +202,7 @@ def main() -> None:
     lines = [f"{options.seeds} {options.twins} twins:", *lines]
     print(*lines, sep="\n")
     if options.page:
-        into_page(options.page, options.twins, lines)
+        into_page(options.page, options.twins, ["```text", *lines, "```"])
     if options.json:
         options.json.write_text(json.dumps(document | more, indent=1) + "\n", encoding="utf-8")
 

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 import sys
-from pathlib import Path
 
 import numpy as np
 
-__all__ = ["DEEPER", "STATUS", "entry", "into_page", "nearest", "progress", "report", "row", "score"]
+__all__ = ["DEEPER", "STATUS", "entry", "nearest", "progress", "report", "row", "score"]
 
 REACH = 1.96  # standard errors to either side of a 95 % interval
 DEEPER = 1.0  # of F, a log density: more than this is a minimum that the search missed
@@ -138,14 +137,3 @@ def progress(run: dict) -> str:
     basin = ", minimum missed" if (run["deeper"] or 0.0) > DEEPER else ""
     cell = f"{run['recordings']} recorded, {'calibrated' if run['calibrated'] else 'path'}"
     return f"{head}{cell}, largest miss {worst['miss']:+.2f} σ ({worst['name']}){basin}"
-
-
-def into_page(page: Path, kind: str, lines: list[str]) -> None:
-    """Put `lines` between the marks `<!-- KIND -->` and `<!-- end of KIND -->` of a page."""
-    text = page.read_text(encoding="utf-8")
-    before, _, rest = text.partition(f"<!-- {kind} -->\n")
-    _, mark, after = rest.partition(f"<!-- end of {kind} -->")
-    if not mark:
-        sys.exit(f"{page}: no <!-- {kind} --> and <!-- end of {kind} --> in it; write both where the table belongs")
-    block = "\n".join(["```text", *(line.rstrip() for line in lines), "```"])
-    page.write_text(f"{before}<!-- {kind} -->\n{block}\n{mark}{after}", encoding="utf-8")

@@ -1,4 +1,7 @@
-"""How everything is timed: works in turn, whole commands in processes of their own, and what the machine is."""
+"""How everything is timed: works in turn, whole commands in processes of their own, and what the machine is.
+
+And how tables come into a page of the docs.
+"""
 
 from __future__ import annotations
 
@@ -103,3 +106,14 @@ def _version(name: str) -> str | None:
         return importlib.metadata.version(name)
     except importlib.metadata.PackageNotFoundError:
         return None
+
+
+def into_page(page: Path, mark: str, lines: list[str]) -> None:
+    """Put `lines` between `<!-- MARK -->` and `<!-- end of MARK -->` of a page."""
+    text = page.read_text(encoding="utf-8")
+    before, _, rest = text.partition(f"<!-- {mark} -->\n")
+    _, end, after = rest.partition(f"<!-- end of {mark} -->")
+    if not end:
+        sys.exit(f"{page}: no <!-- {mark} --> and <!-- end of {mark} --> in it; write both where the table belongs")
+    block = "\n".join(line.rstrip() for line in lines)
+    page.write_text(f"{before}<!-- {mark} -->\n{block}\n{end}{after}", encoding="utf-8")

@@ -31,6 +31,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import realism
+from measuring import into_page
 from scipy import signal
 
 FOLDER = Path(__file__).parents[2] / "shared" / "disklavier"
@@ -107,7 +108,7 @@ def ringing(heard: dict, analyses: dict, by: list[str], wanted: str, steps: tupl
     result = fit(*(heard[name] for name in by), analyses=[analyses[name] for name in by], setup=setup)
     rate, count = heard[wanted].rate, round((SPAN + 0.3) * heard[wanted].rate)
     if steps is None:
-        note = predict_recording(result.mixture, analyses[wanted], gains=result.gains).note
+        note = predict_recording(result, analyses[wanted]).note
         given = "the target's partial levels, for its velocity, and its gain"
     else:
         own = next(row["v_H0"] for row in result.document["recordings"] if f"-{steps[0]}." in row["file"])
@@ -250,7 +251,7 @@ def speeds() -> dict[str, dict]:
     return {name: taken[name] | {"seconds": rows[name][1]} for name in rows}
 
 
-def into_page(page: Path, distances: dict[str, dict[str, Any]]) -> None:
+def write_tables(page: Path, distances: dict[str, dict[str, Any]]) -> None:
     """The medians and every key between the page's marks."""
     rows = {name: {key: by for key, by in each.items() if key != "given"} for name, each in distances.items()}
     digits = {measure: 2 if measure == "MR" else 1 for measure in MEASURES}
@@ -272,14 +273,8 @@ def into_page(page: Path, distances: dict[str, dict[str, Any]]) -> None:
         for name, by in rows.items():
             cells = [f"{cell(first, one[first])} ({cell(second, one[second])})" for one in by.values()]
             keys.append(f"| {name.replace(': ', ' | ', 1)} | {' | '.join(cells)} |")
-    text = page.read_text(encoding="utf-8")
-    for mark, lines in (("medians", medians), ("keys", keys[1:])):
-        before, _, rest = text.partition(f"<!-- {mark} -->\n")
-        _, end, after = rest.partition(f"<!-- end of {mark} -->")
-        if not end:
-            raise SystemExit(f"{page}: no <!-- {mark} --> and <!-- end of {mark} --> in it")
-        text = f"{before}<!-- {mark} -->\n{chr(10).join(lines)}\n{end}{after}"
-    page.write_text(text, encoding="utf-8")
+    into_page(page, "medians", medians)
+    into_page(page, "keys", keys[1:])
 
 
 def main() -> None:
@@ -294,7 +289,7 @@ def main() -> None:
     if options.source:
         found = json.loads(options.source.read_text(encoding="utf-8"))
         if options.docs:
-            into_page(options.docs, found["distances"])
+            write_tables(options.docs, found["distances"])
         return
     import works  # noqa: F401 - float64 in this process, before JAX is loaded
 
@@ -306,7 +301,7 @@ def main() -> None:
     if options.json:
         options.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     if options.docs and not options.speed:
-        into_page(options.docs, found["distances"])
+        write_tables(options.docs, found["distances"])
 
 
 if __name__ == "__main__":

@@ -126,7 +126,7 @@ def left_out(fit: Fitted, tool: ModuleType, velocity: float | None = None) -> Le
     from pianofit.ringing import ringing_of
 
     recordings, analyses, out, result = fit
-    played = predict_recording(result.mixture, analyses[out], gains=result.gains).note
+    played = predict_recording(result, analyses[out]).note
     played = played if velocity is None else played.struck(velocity)
     recording, analysis = recordings[out], analyses[out]
     others, partials = [x.recording for x in result.recordings], analysis.partials

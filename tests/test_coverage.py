@@ -17,6 +17,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 import coverage
 import coverage_table
 import coverage_twins as twins
+from measuring import into_page
 
 # One calibrated recording of C6, which is soon made and fitted.
 CHEAP = 40
@@ -166,8 +167,8 @@ def test_a_small_study_from_end_to_end(tmp_path, monkeypatch, capsys):
 def test_a_table_takes_its_place_in_a_page(tmp_path):
     page = tmp_path / "page.md"
     page.write_text("before\n<!-- model -->\nold\n<!-- end of model -->\nafter\n")
-    coverage_table.into_page(page, "model", ["one ", "two"])
-    coverage_table.into_page(page, "model", ["new"])
-    assert page.read_text() == "before\n<!-- model -->\n```text\nnew\n```\n<!-- end of model -->\nafter\n"
+    into_page(page, "model", ["one ", "two"])
+    into_page(page, "model", ["new "])
+    assert page.read_text() == "before\n<!-- model -->\nnew\n<!-- end of model -->\nafter\n"
     with pytest.raises(SystemExit, match="write both"):
-        coverage_table.into_page(page, "brute-force", ["new"])
+        into_page(page, "brute-force", ["new"])

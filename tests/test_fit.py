@@ -32,6 +32,7 @@ from pianofit.felt import DEFAULT_LAW
 from pianofit.fitting import fit
 from pianofit.inference import pose
 from pianofit.inference.fit import fit_recordings
+from pianofit.inference.posterior import Posterior
 from pianofit.inference.statements import STATUSES, _beyond_a_pianist
 from pianofit.io import FIT_SCHEMA
 from pianofit.parameters import FIT_NAMES, PARAMETERS, check
@@ -153,10 +154,8 @@ def test_a_fit_improves_on_its_start():
 )
 def test_strokes_farther_apart_than_a_pianists_are_told(ratio, spread, said):
     problem = SimpleNamespace(unknowns=SimpleNamespace(size=5, shared=2), layout=SimpleNamespace(strokes=3))
-    found = SimpleNamespace(
-        z=np.array([9.0, -9.0, 0.3, 0.1, 0.1 + np.log(ratio)]),
-        posterior=SimpleNamespace(deviation=lambda change: spread * (change.tolist() == [0, 0, 0, -1, 1])),
-    )
+    z = np.array([9.0, -9.0, 0.3, 0.1, 0.1 + np.log(ratio)])
+    found = SimpleNamespace(z=z, posterior=Posterior(z[None], np.diag([9, 9, 9, 0, spread**2])[None], np.ones(1)))
     text = _beyond_a_pianist(problem, found)
     assert said in text
     assert bool(text) == bool(said)

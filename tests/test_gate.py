@@ -87,5 +87,5 @@ def test_a_layer_that_was_left_out_is_predicted(note, layers, left_out, worst_db
     analysis = analyse(recording, note=note)
     notes = list(zip(result.shares, (minimum[0] for minimum in result.notes), strict=True))
     assert predict_recording(notes, analysis).error_db < worst_db
-    whole = predict_recording(result.mixture, analysis, gains=result.gains)
+    whole = predict_recording(result, analysis)
     assert predict_recording(result, recording).error_db == pytest.approx(whole.error_db, abs=0.02)

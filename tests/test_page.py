@@ -137,6 +137,18 @@ def test_a_piece_with_strings_struck_again_dampers_and_pedal_is_the_players():
     assert error_db(sound[:, early(notes[52]) :], expected.samples) < -60
 
 
+def test_a_damper_through_a_path_is_nearly_the_players():
+    """A mode keeps the path's gain of its free decay, where the player's path filters what is damped."""
+    note, at, end = uneven_note(52), BLOCK / RATE, 150
+    piano = true_instrument((52,))._replace(notes={52: note})
+    song = Song({52: [(0.0, 90), (end * at, 0)]}, [], 400 * at, 52)
+    expected = perform(piano, song, RATE).samples
+    events = [[0, "noteOn", 52, piano.note(52, 90).hammer.v_H0], [end, "noteOff", 52]]
+    (sound,) = play([{"keys": {52: encode_note(note, 52)}, "events": events, "blocks": 400}])
+    assert error_db(sound[:, : end * BLOCK], expected[:, : end * BLOCK]) < WITHIN
+    assert error_db(sound, expected) < -40
+
+
 def test_a_key_without_knock_waits_for_those_that_have_one():
     own, law = ringing_note(60), true_note(72)
     (sound,) = play([{"keys": {60: encode_note(own, 60), 72: encode_note(law, 72)}, "events": [[0, "noteOn", 72, 2.0]],

@@ -23,9 +23,8 @@ from .parameters import HAMMER_NAMES, STRING_NAMES, Geometry, String, check
 from .recording import RATES
 from .ringing_file import read_ringing
 
-__all__ = ["FIT_FILE", "fit_path", "load_note", "gains_of", "mixture_of", "note_of", "read_fit", "read_path"]
+__all__ = ["fit_path", "load_note", "gains_of", "mixture_of", "note_of", "read_fit", "read_path"]
 
-FIT_FILE = "fit.json"
 LARGEST_FIT = 2**24  # bytes
 # Points of a path at the most: far more than a string has partials.
 MOST_POINTS = 4096
@@ -38,7 +37,7 @@ WAY_OUT = "give the file that pianofit fit wrote"
 
 def fit_path(path: str | os.PathLike[str]) -> Path:
     """The `fit.json` in a folder, or the file itself."""
-    return Path(path) / FIT_FILE if Path(path).is_dir() else Path(path)
+    return Path(path) / "fit.json" if Path(path).is_dir() else Path(path)
 
 
 def read_fit(path: str | os.PathLike[str]) -> dict[str, Any]:

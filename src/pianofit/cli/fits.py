@@ -67,13 +67,13 @@ def _table(found: Analysis) -> str:
         ("b1", found.b1, found.b1_error, "1/s", "decay rate of partial k: b1 + d2 k²"),
         ("d2", found.d2, found.d2_error, "1/s", ""),
     )
-    law_rows = [
-        (name, *bracketed(value, (value - NORMAL * error, value + NORMAL * error)), unit, note)
-        for name, value, error, unit, note in laws
-    ]
+    cells = []
+    for name, value, error, unit, note in laws:
+        text, span = bracketed(value, (value - NORMAL * error, value + NORMAL * error))
+        cells.append((name, text, unit, span, note))
     lines = [found.note] if found.note else []
     lines += [
-        *columns([(name, text, unit, span, note) for name, text, span, unit, note in law_rows], right=1),
+        *columns(cells, right=1),
         f"the pitch falls by {found.glide_cents:.1f} cents; partials scatter by {found.scatter_cents:.2f} cents",
         "",
         "In brackets 95 % intervals, after ± one standard error.",

@@ -39,10 +39,6 @@ class Posterior:
     covariance: np.ndarray  # [B, size, size]; 0 for what is held
     share: np.ndarray  # [B]
 
-    def deviation(self, change: np.ndarray) -> float:
-        """Standard deviation of the sum of logarithms `change` [size] at the best minimum."""
-        return float(np.sqrt(max(change @ self.covariance[0] @ change, 0.0)))
-
     def interval(self, change: np.ndarray) -> tuple[float, float] | None:
         """The 95 % interval of the sum of logarithms `change` [size]; None for what is held."""
         centre = self.mean @ change

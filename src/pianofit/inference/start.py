@@ -24,7 +24,8 @@ __all__ = ["Start", "starting_values"]
 
 # The hammer of an uncalibrated recording is assumed to arrive at this velocity, m/s, a moderate forte.
 ASSUMED_VELOCITY = 2.0
-# A wave speed and a length that were given make the pitch that is heard within half a semitone, cents.
+# A wave speed and a length that were given make the pitch that is heard within half a semitone, cents: a ruler and a
+# stretched octave are no farther off, and beyond it is the neighbouring key's.
 ANOTHER_PITCH = 50.0
 
 
@@ -109,7 +110,7 @@ def _check_pitch(analysis: Analysis, setup: Setup, length: float) -> None:
     """Refuse a length, or a length and a wave speed, that make no string of the pitch that is heard."""
     box, heard = PARAMETERS["c"], f"the recordings sound at {analysis.f0:.1f} Hz"
     told = f"length = {length:g} m" + ("" if setup.length else ", the literature's,")
-    c, correct = setup.known.get("c"), "correct one of them"
+    c = setup.known.get("c")
     if c is None:
         needed = 2 * length * analysis.f0
         if not box.lower <= needed <= box.upper:
@@ -119,7 +120,8 @@ def _check_pitch(analysis: Analysis, setup: Setup, length: float) -> None:
             )
     elif abs(1200 * math.log2(c / (2 * length) / analysis.f0)) > ANOTHER_PITCH:
         raise SetupError(
-            f"[known] c = {c:g} m/s and [string] {told} make {c / (2 * length):.1f} Hz, and {heard}; {correct}"
+            f"[known] c = {c:g} m/s and [string] {told} make {c / (2 * length):.1f} Hz, and {heard}; "
+            "correct one of them"
         )
 
 
