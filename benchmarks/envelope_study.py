@@ -59,7 +59,7 @@ def follow(layers, modes, key, velocity: float) -> Changed:
         strongest = m.poles[[np.argmax(np.abs(m.amplitude).sum((0, 1)))]]
         drive = np.array([force.drive(strongest)[0] for force in layers.forces])
         own = m.at_onset * np.exp(np.multiply.outer(key.delay, m.poles))[:, None, :]
-        own = own / (drive * key.gain)[:, None, None]
+        own = own / (drive * layers.gain)[:, None, None]
         along = (own * common.conj()).sum((1, 2)) / np.sum(np.abs(common) ** 2)
         told = (m.snr > TELLING) & (np.abs(along) > 0)
         limit = MOST / 20 * np.log(10)
@@ -93,26 +93,23 @@ def study(fit: realism.Fitted, left: realism.LeftOut, tool: ModuleType) -> dict[
     def rung_by(ringing) -> tuple[float, float, float]:
         return of(realism.sound(note._replace(ringing=ringing), left, tool), lag)
 
-    def in_the_note(key):
-        return key.ringing.louder(key.gain[layers.place.index(result.first)] / result.note.gain)
-
     recordings = [fit.recordings[out], *(layer.recording for layer in layers.fitted)]
     analyses = [fit.analyses[out], *(layer.analysis for layer in layers.fitted)]
     heard = hear(recordings, analyses)
     together, rest = modes_of(heard, analyses), list(range(1, len(analyses)))
     others = Heard(heard.samples[rest], heard.before[rest], heard.rate, heard.seconds[rest])
-    known = key_of(others, [_of_layers(m, rest) for m in together], layers.forces)
+    known = key_of(others, [_of_layers(m, rest) for m in together], layers.forces, layers.gain)
     by = np.gcd(tool.RATE, heard.rate)
     own = signal.resample_poly(sounded(together, heard)[0].mean(axis=0), tool.RATE // by, heard.rate // by)
     own = np.pad(own, (round(recordings[0].onset / recordings[0].rate * tool.RATE), 0))
     modes = layers.modes()
-    key = key_of(layers.heard, modes, layers.forces)
+    key = key_of(layers.heard, modes, layers.forces, layers.gain)
     changed = follow(layers, modes, key, note.hammer.v_H0)
-    rows = [note.ringing, in_the_note(known)]
+    rows = [note.ringing, known.ringing]
     found: dict[str, tuple[float, float, float]] = {}
     found.update(zip(COLUMNS, [*map(rung_by, rows), of(own, 0.0)], strict=False))
     for name, pattern in zip(Changed._fields, changed, strict=True):
-        found[name] = rung_by(in_the_note(key._replace(ringing=key.ringing._replace(pattern=pattern))))
+        found[name] = rung_by(key.ringing._replace(pattern=pattern))
     return found
 
 

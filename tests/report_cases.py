@@ -130,7 +130,7 @@ def with_ringing(curves):
 def ringing_entry(by="modes and knock", left_out=(8.2, 3.9, 2.6)):
     """What `fit.json` says of such a key."""
     away = dict(zip(("law", "modes", "modes and knock"), left_out, strict=True)) if left_out else None
-    said = {"by": by, "left_out_db": away, "layers": [{"file": "/a folder/a.wav", "contact_s": 0.002, "gain_db": 1.5}]}
+    said = {"by": by, "left_out_db": away, "layers": [{"file": "/a folder/a.wav", "contact_s": 0.002}]}
     modes = {"partial": [1, 1, 1, 2]}
     return said if by == "law" else said | {"modes": modes, "pattern": [], "knock": None}
 

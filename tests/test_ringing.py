@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import importlib.util
 from pathlib import Path
@@ -70,7 +71,7 @@ def found(velocities: tuple[float, ...] = (0.6, 1.7)) -> tuple[Heard, list[Parti
     analyses = [analyse(r, f0=F0) for r in recordings]
     heard = hear(recordings, analyses)
     modes = modes_of(heard, analyses)
-    return heard, modes, key_of(heard, modes, [force_at(v) for v in velocities]).ringing
+    return heard, modes, key_of(heard, modes, [force_at(v) for v in velocities], np.full(len(velocities), 30.0)).ringing
 
 
 def test_every_partial_has_the_modes_that_it_was_given():
@@ -118,10 +119,24 @@ def test_a_layer_that_took_no_part_sounds_as_it_should():
     gain = (true @ played) / (played @ played)
     error = lambda x: 10 * np.log10(np.sum((true - gain * x) ** 2) / np.sum(true**2))  # noqa: E731
     assert error(played) < -12
+    assert abs(20 * np.log10(gain)) < 1.0
     without = np.roll(key.without_knock().sound(force, RATE, count)[0], lag)
     first = slice(0, round(0.05 * RATE))
     attack = lambda x: np.sum((true - gain * x)[first] ** 2)  # noqa: E731
     assert attack(played) < 0.7 * attack(without)
+
+
+def test_what_a_layer_hardly_shows_says_little_of_a_partials_level():
+    """A soft stroke's highest partial, 80 dB lower than its force would make it."""
+    heard, modes, _ = found()
+    faint = np.array([1e-4, 1.0])[:, None, None]
+    changed = [*modes[:-1], dataclasses.replace(modes[-1], amplitude=faint * modes[-1].amplitude)]
+    patterns = [
+        key_of(heard, m, [force_at(0.6), force_at(1.7)], np.full(2, 30.0)).ringing.pattern for m in (modes, changed)
+    ]
+    loud = [20 * np.log10(np.abs(p[:, -len(modes[-1].pole) :]).sum()) for p in patterns]
+    assert abs(loud[1] - loud[0]) < 6
+    np.testing.assert_allclose(patterns[1][:, : len(modes[0].pole)], patterns[0][:, : len(modes[0].pole)], rtol=0.02)
 
 
 @pytest.mark.parametrize("rate", [24_000, 96_000])
@@ -148,7 +163,7 @@ def test_layers_that_lie_cents_apart_leave_nothing_for_the_knock():
         recordings.append(recording_from_samples(sound + np.abs(sound).max() * noise, RATE))
     analyses = [analyse(r, f0=F0) for r in recordings]
     heard = hear(recordings, analyses)
-    found = key_of(heard, modes_of(heard, analyses), [force_at(0.6), force_at(1.7)]).ringing
+    found = key_of(heard, modes_of(heard, analyses), [force_at(0.6), force_at(1.7)], np.full(2, 30.0)).ringing
     with_knock, without = (x.sound(force_at(1.0), RATE, size // 2)[0] for x in (found, found.without_knock()))
     assert np.sum((with_knock - without) ** 2) < 10 ** (-25 / 10) * np.sum(without**2)
 

@@ -36,6 +36,7 @@ class _Layers(NamedTuple):
     fitted: list[FittedRecording]
     heard: Heard
     forces: list[Force]
+    gain: np.ndarray  # that the fit found for each [layers]
 
     def modes(self) -> list[PartialModes]:
         """Of all partials."""
@@ -56,7 +57,7 @@ def make_ring(result: Result, progress: Callable[[str, float], None] = lambda *_
     modes = layers.modes()
     if not modes:
         return result
-    key = key_of(layers.heard, modes, layers.forces)
+    key = key_of(layers.heard, modes, layers.forces, layers.gain)
     distances = _left_out(layers, modes, key)
     rung = min(RUNGS, key=lambda name: distances[name]) if distances else RUNGS[-1]
     return _attached(result, layers, key, rung, distances)
@@ -72,8 +73,8 @@ def ringing_of(result: Result) -> Ringing | None:
     modes = layers.modes()
     if not modes:
         return None
-    key = key_of(layers.heard, modes, layers.forces)
-    return key.ringing.louder(key.gain[layers.place.index(result.first)] / result.note.gain)
+    key = key_of(layers.heard, modes, layers.forces, layers.gain)
+    return key.ringing
 
 
 def _layers(result: Result) -> _Layers:
@@ -83,7 +84,8 @@ def _layers(result: Result) -> _Layers:
     place.sort(key=lambda i: result.recordings[i].fitted.note.hammer.v_H0)
     fitted = [result.recordings[i] for i in place]
     heard = hear([layer.recording for layer in fitted], [layer.analysis for layer in fitted])
-    return _Layers(place, fitted, heard, [force_of(layer.fitted.simulation) for layer in fitted])
+    gain = np.array([layer.fitted.note.gain for layer in fitted])
+    return _Layers(place, fitted, heard, [force_of(layer.fitted.simulation) for layer in fitted], gain)
 
 
 def _left_out(layers: _Layers, modes: Sequence[PartialModes], key: Key) -> dict[str, float]:
@@ -98,7 +100,7 @@ def _distances(layers: _Layers, modes: Sequence[PartialModes], key: Key, out: in
     heard, rest = layers.heard, [i for i in range(len(layers.fitted)) if i != out]
     others = Heard(heard.samples[rest], heard.before[rest], heard.rate, heard.seconds[rest])
     known = [_of_layers(m, rest) for m in modes]
-    without = key_of(others, known, [layers.forces[i] for i in rest])
+    without = key_of(others, known, [layers.forces[i] for i in rest], layers.gain[rest])
     ringing, rate, lead = without.ringing, heard.rate, round(LEAD * heard.rate)
     count = round(heard.seconds[out] * rate)
     target = np.concatenate([heard.before[out], heard.samples[out]], axis=-1).mean(axis=0)[: lead + count]
@@ -133,22 +135,20 @@ def _by_law(layer: FittedRecording, rate: int, lead: int) -> np.ndarray:
 
 
 def _attached(result: Result, layers: _Layers, key: Key, rung: str, distances: dict[str, float]) -> Result:
-    """The result with the key's ringing in its notes, sounds and document; per unit of the reference's gain."""
+    """The result with the key's ringing in its notes, sounds and document; per unit of a recording's gain."""
     rows = [
-        {"file": layer.recording.path, "contact_s": float(late), "gain_db": float(20 * np.log10(gain))}
-        for layer, late, gain in zip(layers.fitted, key.delay, key.gain, strict=True)
+        {"file": layer.recording.path, "contact_s": float(late)}
+        for layer, late in zip(layers.fitted, key.delay, strict=True)
     ]
     said: dict = {"by": rung, "left_out_db": distances or None, "layers": rows}
     if rung == "law":
         return dataclasses.replace(result, document=result.document | {"ringing": said})
     ringing = key.ringing if rung == RUNGS[-1] else key.ringing.without_knock()
     recordings, best = list(result.recordings), list(result.notes[0])
-    for place, gain, late in zip(layers.place, key.gain, key.delay, strict=True):
-        own = ringing.louder(gain / recordings[place].fitted.note.gain)
-        best[place] = best[place]._replace(ringing=own)
-        recordings[place] = _as_it_rings(recordings[place], own, late)
-        if place == result.first:
-            said |= ringing_document(own)
+    for place, late in zip(layers.place, key.delay, strict=True):
+        best[place] = best[place]._replace(ringing=ringing)
+        recordings[place] = _as_it_rings(recordings[place], ringing, late)
+    said |= ringing_document(ringing)
     notes = (tuple(best), *result.notes[1:])
     return dataclasses.replace(
         result, document=result.document | {"ringing": said}, recordings=tuple(recordings), notes=notes

@@ -1,4 +1,4 @@
-"""What lies between the forces of several strokes and their recordings: patterns, knock, gains and contact times."""
+"""What lies between the forces of several strokes and their recordings: patterns, knock and contact times."""
 
 from __future__ import annotations
 
@@ -33,44 +33,41 @@ FINEST = 4e-6
 ATTACK = 1.5
 # What the largest delay costs on that scale: onsets are mostly right.
 FAR = 0.5
-# Of partials that tell gains and delays: nothing at the first of these over the noise, dB, all at the second; and by
-# their amplitude to this power, as loudness goes.
+# Of a layer's partials that tell levels and delays: nothing at the first of these over the noise, dB, all at the
+# second; and by their amplitude in that layer to this power, as loudness goes.
 TELLING = 10.0, 30.0
 LOUDNESS = 0.3
-# Sweeps of the two-way fit of levels.
-SWEEPS = 20
 # Length, s, of the attacks that are correlated.
 ALIGNED = 0.08
 
 
 class Key(NamedTuple):
-    """What the layers of a key have in common, and each has of its own."""
+    """What the layers of a key have in common, and when each was touched."""
 
     ringing: Ringing  # gains of layers taken out
-    gain: np.ndarray  # of each layer [layers]
     delay: np.ndarray  # of its contact after its onset, s [layers]
 
 
-def key_of(heard: Heard, modes: Sequence[PartialModes], forces: Sequence[Force]) -> Key:
-    """The key that these layers, by these forces, show."""
-    delay, gain, pattern = _patterns(heard, modes, forces)
+def key_of(heard: Heard, modes: Sequence[PartialModes], forces: Sequence[Force], gain: np.ndarray) -> Key:
+    """The key that these layers, by these forces and through these gains [layers], show."""
+    delay, pattern = _patterns(heard, modes, forces, gain)
     pole = np.concatenate([m.poles for m in modes])
     found = Ringing(
         np.concatenate([np.full(len(m.pole), m.number) for m in modes]), pole,
         np.concatenate([m.pole_error for m in modes]), pattern, np.zeros((pattern.shape[0], 0)), heard.rate,
     )  # fmt: skip
-    return Key(found._replace(knock=_knock(heard, modes, found, forces, delay, gain)), gain, delay)
+    return Key(found._replace(knock=_knock(heard, modes, found, forces, delay, gain)), delay)
 
 
 def _patterns(
-    heard: Heard, modes: Sequence[PartialModes], forces: Sequence[Force]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """When each layer's contact was after its onset, s; its gain; and P [channels, modes]."""
+    heard: Heard, modes: Sequence[PartialModes], forces: Sequence[Force], gain: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """When each layer's contact was after its onset, s, and P [channels, modes]."""
     layers = len(forces)
     strongest = np.array([m.poles[np.argmax(np.abs(m.amplitude).sum((0, 1)))] for m in modes])
-    drive = np.stack([force.drive(strongest) for force in forces], axis=1)
-    loud = np.array([np.abs(m.amplitude).sum(-1).max() for m in modes])
-    weight = np.stack([np.interp(m.snr, TELLING, (0, 1)) for m in modes]) * loud[:, None] ** LOUDNESS
+    drive = np.stack([g * force.drive(strongest) for g, force in zip(gain, forces, strict=True)], axis=1)
+    loud = np.stack([np.abs(m.amplitude).sum(-1).max(axis=-1) for m in modes])
+    weight = np.stack([np.interp(m.snr, TELLING, (0, 1)) for m in modes]) * loud**LOUDNESS
     factor = np.stack([common_pattern(m.at_onset, m.noise)[1] for m in modes])
     omega = 2 * np.pi * np.array([m.frequency for m in modes])
     delay = np.array([_delay(heard, factor / drive, weight, omega, i) for i in range(layers)])
@@ -82,13 +79,10 @@ def _patterns(
         each.append(pattern)
     ratio = factor / drive
     log = np.log(np.maximum(np.abs(ratio), 1e-30))
-    gain, level = np.zeros(layers), np.zeros(len(modes))
-    for _ in range(SWEEPS):
-        level = (weight * (log - gain)).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-9)
-        gain = (weight * (log - level[:, None])).sum(axis=0) / np.maximum(weight.sum(axis=0), 1e-9)
+    level = (weight * log).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-9)
     phase = np.angle((weight * ratio / np.maximum(np.abs(ratio), 1e-30)).sum(axis=1))
     scaled = [p * np.exp(x + 1j * a) for p, x, a in zip(each, level, phase, strict=True)]
-    return delay, np.exp(gain), np.concatenate(scaled, axis=-1)
+    return delay, np.concatenate(scaled, axis=-1)
 
 
 def _delay(heard: Heard, ratio: np.ndarray, weight: np.ndarray, omega: np.ndarray, layer: int) -> float:
