@@ -247,7 +247,8 @@ def messages(problem: Problem, found: Estimate, states: dict[str, str], worse: S
     )
     for recording, analysis in zip(problem.recordings, problem.analyses, strict=True):
         about = f"{one_line(Path(recording.path).name)}: " if len(problem.recordings) > 1 else ""
-        said += [about + warning for warning in (*recording.warnings, *analysis.warnings)]
+        seen = "; ".join((*recording.warnings, *analysis.warnings))
+        said += [about + seen] if seen else []
     return said
 
 
