@@ -126,5 +126,7 @@ def test_a_pulse_that_is_cut_off_is_refused_and_marked_where_traced():
     modes = model.mode_table(STRING, GEOMETRY, rate=RATE, n_modes=32)
     with pytest.raises(ParameterError, match=r"steps=64: the contact is not proven to be over after .* s; give more"):
         model.strike(modes, HAMMER, steps=64)
+    with pytest.raises(ParameterError, match=r"; no hammer has K_H=-1e\+10$"):
+        model.strike(modes, HAMMER._replace(K_H=-1e10), steps=640)
     assert not model.strike(modes, HAMMER, steps=64, whole=False).over
     assert not jax.jit(lambda h: model.strike(modes, h, steps=64).over)(HAMMER)

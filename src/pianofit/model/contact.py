@@ -155,9 +155,9 @@ def strike(
     reach = _reach(modes, work) + (0.0 if free is None else _reach(modes, free.energy))
     over = (u[-1] <= 0) & (v_hammer[-1] <= 0) & (y_hammer[-1] + reach <= 0)
     if whole and not isinstance(over, Tracer) and not over:
-        raise ParameterError(
-            f"steps={steps}: the contact is not proven to be over after {float(steps * modes.step):.2g} s; give more"
-        )
+        after = f"steps={steps}: the contact is not proven to be over after {float(steps * modes.step):.2g} s"
+        wrong = [f"{name}={value:g}" for name, value in hammer._asdict().items() if not value >= 0]
+        raise ParameterError(f"{after}; " + (f"no hammer has {', '.join(wrong)}" if wrong else "give more"))
     return Pulse(drive, force, u, jnp.stack([y_hammer, v_hammer], axis=-1), work, over)
 
 
