@@ -170,7 +170,7 @@ def _beyond_a_pianist(problem: Problem, found: Estimate) -> str:
     interval = found.posterior.interval(change)
     if interval is None or interval[0] <= np.log(VELOCITIES):
         return ""
-    low, most, high = np.exp([interval[0], found.z @ change, interval[1]])
+    low, most, high = np.exp([interval[0], float(found.z @ change), interval[1]])
     return (
         f" The fastest stroke is found {most:.3g} times ({low:.3g} to {high:.3g}) as fast as the slowest, and a "
         f"pianist's differ by {VELOCITIES:.0f} times: these layers differ by something that the model does not have, "
