@@ -99,6 +99,7 @@ def test_a_string_of_another_pitch_is_refused(given, said):
 
 @pytest.mark.parametrize(("cents", "refused"), [(-60, True), (-40, False), (40, False), (60, True)])
 def test_a_wave_speed_and_a_length_may_be_less_than_half_a_semitone_off(cents, refused):
+    """`ANOTHER_PITCH`, from both sides."""
     given = pianofit.Setup(length=1.0, known={"c": 2 * analysis().f0 * 2 ** (cents / 1200)})
     with pytest.raises(SetupError, match="correct one of them") if refused else contextlib.nullcontext():
         start(given)

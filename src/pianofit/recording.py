@@ -282,7 +282,7 @@ def _audible(used: np.ndarray, rate: int, step: float) -> np.ndarray:
     if np.ptp(mono) <= flat < np.ptp(used, axis=0).max() / 2:
         raise RecordingError("its channels cancel when averaged; choose channel left, right or a number")
     if np.ptp(mono) <= flat:
-        raise RecordingError(f"is silent (all samples lie within {np.ptp(mono):.2g} of full scale); record it again")
+        raise RecordingError(f"is silent (peak to peak {np.ptp(mono):.2g} of full scale); record it again")
     return mono
 
 

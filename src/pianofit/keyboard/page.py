@@ -40,9 +40,9 @@ def write_page(path: str | os.PathLike[str], document: dict[str, Any]) -> None:
 
 def _row(key: dict[str, Any]) -> dict[str, Any]:
     s, h, g, fit = key["string"], key["hammer"], key["geometry"], key["fit"]
-    three = [key["told"]["B"]["value"], s["b1"], s["b2"], 1e3 * h["M_H"], 1e3 * g["mass"], h["K_H"]]
+    rounded = [key["told"]["B"]["value"], s["b1"], s["b2"], 1e3 * h["M_H"], 1e3 * g["mass"], h["K_H"]]
     cells = [
-        f"{s['c'] / (2 * g['length']):.2f}", *(number(x, 3) for x in three), f"{h['p']:.3f}", number(h["mu"], 2),
+        f"{s['c'] / (2 * g['length']):.2f}", *(number(x, 3) for x in rounded), f"{h['p']:.3f}", number(h["mu"], 2),
         str(fit["recordings"]) if fit else "–",
         f"{fit['levels_db']:.2f}" if fit and fit["levels_db"] is not None else "–",
     ]  # fmt: skip

@@ -19,6 +19,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Complex, Float
 
 from ..errors import ParameterError
+from ..parameters import HAMMER_NAMES
 from .exponentials import BLOCK, real_powers, ring
 from .felt import compression, force, memory_weights, remember
 from .modes import Modes
@@ -156,7 +157,8 @@ def strike(
     over = (u[-1] <= 0) & (v_hammer[-1] <= 0) & (y_hammer[-1] + reach <= 0)
     if whole and not isinstance(over, Tracer) and not over:
         after = f"steps={steps}: the contact is not proven to be over after {float(steps * modes.step):.2g} s"
-        wrong = [f"{name}={value:g}" for name, value in hammer._asdict().items() if not value >= 0]
+        given = hammer._asdict()
+        wrong = [f"{name}={given[name]:g}" for name in HAMMER_NAMES if name in given and not given[name] >= 0]
         raise ParameterError(f"{after}; " + (f"no hammer has {', '.join(wrong)}" if wrong else "give more"))
     return Pulse(drive, force, u, jnp.stack([y_hammer, v_hammer], axis=-1), work, over)
 
