@@ -6,16 +6,12 @@
 As in `realism.py` one inner layer of every note is left out, and the envelope is its measure: dB, in brackets the
 shape alone. Beside the key's modes and knock stand
 
-- poles: of all layers, the left-out one too; patterns of the others,
-- amplitudes: of all layers' poles, and the amplitudes that the layer itself shows,
-- levels: partials as much louder or softer than the key's pattern as the two layers of neighbouring velocity are,
-  interpolated in the logarithm of the velocity,
-- shapes: the ratios of a partial's modes, and their phases, interpolated likewise,
-- both.
+- one pattern: at every velocity that of the key, without what its strokes show of their participation,
+- poles: of all layers, the left-out one too; patterns and participation of the others,
+- amplitudes: of all layers' poles, and the amplitudes that the layer itself shows.
 
-The first two know the recording and say what could be reached; the others do not. The last columns are the distances of
-`realism.py`, dB, with the key's pattern and with both interpolated. Medians are of all notes, of every second one,
-and of the others.
+The last two know the recording and say what could be reached. The last columns are distances of `realism.py`, dB, as
+it is and with one pattern. Medians are of all notes, of every second one, and of the others.
 """
 
 from __future__ import annotations
@@ -25,51 +21,13 @@ import json
 import statistics
 from pathlib import Path
 from types import ModuleType
-from typing import NamedTuple
 
 import crossval
 import numpy as np
 import realism
 from scipy import signal
 
-# A layer's partial tells its level and shape from here on, dB over the noise; a level differs by so much at the most.
-TELLING = 20.0
-MOST = 20.0
-# A shape whose projection on the key's is a smaller part of it is taken for the key's.
-ALIKE = 0.5
-COLUMNS = ("as it is", "poles", "amplitudes", "levels", "shapes", "both")
-
-
-class Changed(NamedTuple):
-    """Patterns [channels, modes] for one velocity."""
-
-    levels: np.ndarray
-    shapes: np.ndarray
-    both: np.ndarray
-
-
-def follow(layers, modes, key, velocity: float) -> Changed:
-    """The key's patterns, moved to where those of the layers of neighbouring velocity lie."""
-    known = np.array([layer.fitted.note.hammer.v_H0 for layer in layers.fitted])
-    low = int(np.clip(np.searchsorted(known, velocity) - 1, 0, len(known) - 2))
-    share = float(np.clip(np.log(velocity / known[low]) / np.log(known[low + 1] / known[low]), 0, 1))
-    parts: list[Changed] = []
-    ends = np.cumsum([len(m.pole) for m in modes])
-    for m, common in zip(modes, np.split(key.ringing.pattern, ends[:-1], axis=-1), strict=True):
-        strongest = m.poles[[np.argmax(np.abs(m.amplitude).sum((0, 1)))]]
-        drive = np.array([force.drive(strongest)[0] for force in layers.forces])
-        own = m.at_onset * np.exp(np.multiply.outer(key.delay, m.poles))[:, None, :]
-        own = own / (drive * layers.gain)[:, None, None]
-        along = (own * common.conj()).sum((1, 2)) / np.sum(np.abs(common) ** 2)
-        told = (m.snr > TELLING) & (np.abs(along) > 0)
-        limit = MOST / 20 * np.log(10)
-        level = np.where(told, np.log(np.abs(along) + 1e-30), 0.0).clip(-limit, limit)
-        alike = np.abs(along) * np.linalg.norm(common) > ALIKE * np.linalg.norm(own, axis=(1, 2))
-        shape = np.where((told & alike)[:, None, None], own / np.where(told, along, 1)[:, None, None], common)
-        louder = np.exp((1 - share) * level[low] + share * level[low + 1])
-        moved = (1 - share) * shape[low] + share * shape[low + 1]
-        parts.append(Changed(louder * common, moved, louder * moved))
-    return Changed(*(np.concatenate(each, axis=-1) for each in zip(*parts, strict=True)))
+COLUMNS = ("as it is", "one pattern", "poles", "amplitudes")
 
 
 def study(fit: realism.Fitted, left: realism.LeftOut, tool: ModuleType) -> dict[str, tuple[float, float, float]]:
@@ -102,21 +60,14 @@ def study(fit: realism.Fitted, left: realism.LeftOut, tool: ModuleType) -> dict[
     by = np.gcd(tool.RATE, heard.rate)
     own = signal.resample_poly(sounded(together, heard)[0].mean(axis=0), tool.RATE // by, heard.rate // by)
     own = np.pad(own, (round(recordings[0].onset / recordings[0].rate * tool.RATE), 0))
-    modes = layers.modes()
-    key = key_of(layers.heard, modes, layers.forces, layers.gain)
-    changed = follow(layers, modes, key, note.hammer.v_H0)
-    rows = [note.ringing, known.ringing]
-    found: dict[str, tuple[float, float, float]] = {}
-    found.update(zip(COLUMNS, [*map(rung_by, rows), of(own, 0.0)], strict=False))
-    for name, pattern in zip(Changed._fields, changed, strict=True):
-        found[name] = rung_by(key.ringing._replace(pattern=pattern))
-    return found
+    rows = [note.ringing, note.ringing._replace(participation=None), known.ringing]
+    return dict(zip(COLUMNS, [*map(rung_by, rows), of(own, 0.0)], strict=True))
 
 
 def line(name: str, row: dict) -> str:
     """A row of the table."""
     cells = [f"{row[c][0]:.2f} ({row[c][1]:.2f})" for c in COLUMNS]
-    return f"{name:20}" + "".join(f"{x:>14}" for x in cells) + f"{row[COLUMNS[0]][2]:8.2f}{row[COLUMNS[-1]][2]:8.2f}"
+    return f"{name:20}" + "".join(f"{x:>14}" for x in cells) + f"{row[COLUMNS[0]][2]:8.2f}{row[COLUMNS[1]][2]:8.2f}"
 
 
 def main() -> None:
@@ -145,7 +96,7 @@ def main() -> None:
 
 def header() -> None:
     """Print the names of the columns."""
-    print(f"{'':20}" + "".join(f"{c:>14}" for c in COLUMNS) + f"{'as is':>8}{'both':>8}", flush=True)
+    print(f"{'':20}" + "".join(f"{c:>14}" for c in COLUMNS) + f"{'as is':>8}{'one':>8}", flush=True)
 
 
 def medians(found: dict[str, dict]) -> None:

@@ -109,6 +109,14 @@ def rings(imag: float, knock: dict | None = None, mode: float = 1.0) -> dict:
     return fit_dict() | {"ringing": {"modes": columns, "pattern": [{"real": [1.0], "imag": [imag]}], "knock": knock}}
 
 
+def participates(velocity: list[float], parts: int = 1, size: float = 1.0) -> dict:
+    """Return a fit.json's content with one mode, which takes part in strokes of these velocities."""
+    content = rings(0.0)
+    strokes = [{"real": [size] * parts, "imag": [0.0] * parts} for _ in velocity]
+    content["ringing"]["participation"] = {"velocity": velocity, "strokes": strokes}
+    return content
+
+
 def foreign_knock(folder: Path) -> None:
     """Build a fit.json whose knock is called FLAC, and is an MP3."""
     fit_file(rings(0.0, {"file": "knock.flac", "scale": 1.0, "rate": 44_100}))(folder)
@@ -216,6 +224,11 @@ COMMANDS = [
     render("rate-zero", take_dict(rate=0), "rate=0 Hz"),
     render("rate-absurd", take_dict(rate=1e12), "rate=1e+12 Hz"),
     render("ringing-infinite", rings(float("inf")), "needs as many numbers"),
+    render("participation-falls", participates([2.0, 1.0]), "must rise from above 0"),
+    render("participation-negative", participates([-1.0, 1.0]), "must rise from above 0"),
+    render("participation-empty", participates([]), "for each of 1 to 256 velocities"),
+    render("participation-short", participates([1.0], parts=2), "for every mode"),
+    render("participation-infinite", participates([1.0], size=float("inf")), "up to 1e+06"),
     render("ringing-overflows", rings(0.0, mode=1e308), "up to 1e+12"),
     command("render-knock-mp3", f"{RENDER} --velocity 1", "knock.flac: is no FLAC file", build=foreign_knock),
     command("simulate-out-mp3", "simulate --preset bensa-final --out @/x.mp3", ".wav"),

@@ -17,7 +17,7 @@ from pianofit.analysis import midi_to_note
 from pianofit.io import encode_wav
 from pianofit.keyboard import Instrument
 from pianofit.keyboard.gather import NAMES, invariants
-from pianofit.model.modal import Ringing
+from pianofit.model.modal import Participation, Ringing
 from pianofit.model.modes import mode_frequencies
 from pianofit.model.note import Note
 from pianofit.model.path import OutputPath
@@ -65,7 +65,8 @@ def rung(midi: int, partials: int = 10) -> Note:
     level = 100 * np.exp(1j * (random.uniform(0, 6, partials) + np.array([[0.0], [0.7]]))) / k
     pattern = (level[..., None] * part).reshape(2, -1)
     knock = random.normal(size=(2, 9_000)) * np.exp(-np.arange(9_000) / 1_000)
-    ringing = Ringing(np.repeat(k, 2), pole.ravel(), np.full(2 * partials, 0.1), pattern, 5 * knock, RATE)
+    part = Participation(np.array([0.5, 4.0]), np.array([[1.0], [1.3 + 0.2j]]) * np.ones(2 * partials))
+    ringing = Ringing(np.repeat(k, 2), pole.ravel(), np.full(2 * partials, 0.1), pattern, 5 * knock, RATE, part)
     return note._replace(ringing=ringing)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from instrument_cases import true_note
 
-from pianofit.model.modal import Ringing
+from pianofit.model.modal import Participation, Ringing
 from pianofit.model.note import Note
 
 RATE = 48_000
@@ -93,5 +93,7 @@ def ringing_note(midi: int, channels: int = 2, rate: int = 44_100) -> Note:
     )
     pattern = random.normal(size=(channels, len(k))) + 1j * random.normal(size=(channels, len(k)))
     knock = random.normal(size=(channels, round(0.412 * rate))) * np.exp(-np.arange(round(0.412 * rate)) / rate / 0.05)
-    ringing = Ringing(k, pole, np.zeros(len(k)), 2 * pattern / k, 40 * knock, rate)
+    factor = 1 + 0.2 * (random.normal(size=(3, len(k))) + 1j * random.normal(size=(3, len(k))))
+    part = Participation(np.array([0.5, 1.5, 4.0]), factor)
+    ringing = Ringing(k, pole, np.zeros(len(k)), 2 * pattern / k, 40 * knock, rate, part)
     return note._replace(gain=1.5, ringing=ringing)

@@ -79,7 +79,10 @@ def test_a_borrowed_partial_has_its_laws_energy_and_its_neighbours_decay_curve()
     seconds = np.arange(len(alone)) / RATE
     for k in range(1, 8):
         at = lent.number == k
-        part = np.abs(lent.pattern[:, at].mean(axis=0) * force_of(stroke).drive(lent.pole[at])) * bare.gain
+        part = (
+            np.abs(lent.pattern[:, at].mean(axis=0) * force_of(stroke, float(bare.hammer.v_H0)).drive(lent.pole[at]))
+            * bare.gain
+        )
         found = ((np.exp(np.outer(seconds, np.real(lent.pole[at]))) @ part) ** 2 * np.exp(-2 * sigma * seconds)).sum()
         size = np.abs(alone @ np.exp(-(sigma + 2j * np.pi * frequency[k - 1]) * seconds)) / RATE * 2
         expected = (size * (sigma + law[k - 1])) ** 2 / (2 * (sigma + law[k - 1])) * RATE

@@ -11,7 +11,7 @@ import numpy as np
 
 from .errors import FitError
 from .io import MOST_CHANNELS, encode_pcm, finite, read_file
-from .model.modal import Ringing
+from .model.modal import Participation, Ringing
 from .recording import RATES
 
 __all__ = ["KNOCK_FILE", "encode_knock", "read_ringing", "ringing_document"]
@@ -23,6 +23,10 @@ LARGEST_KNOCK = 2**23
 MOST_FRAMES = RATES[1] // 2
 # Modes at the most that a file may hold.
 MOST_MODES = 4096
+# Strokes at the most: a library has some dozens of layers.
+MOST_STROKES = 256
+# Parts that modes take in a stroke at the most: far more than hammers differ by.
+MOST_PART = 1e6
 # Frequencies, Hz, decays, 1/s, and patterns at the most, far beyond any: what is computed of them stays finite.
 LARGEST_NUMBER = 1e12
 # What the files begin with that may hold a knock: a page writes WAV, a fit FLAC.
@@ -33,7 +37,9 @@ COLUMNS = ("partial", "frequency", ERRORS[0], "decay", ERRORS[1])
 
 
 def ringing_document(ringing: Ringing, *, whole: bool = False) -> dict[str, Any]:
-    """The modes as columns, Hz and 1/s, patterns per channel, and the knock: the file beside it, or the `whole` of it.
+    """The modes as columns, Hz and 1/s, patterns per channel, participation per stroke, and the knock.
+
+    The knock is the file beside the document, or the `whole` of it.
 
     A knock within the document is FLAC of 16 bits in base64: half of what 24 bits take, and what is lost lies 80 dB or
     more below a note's peak.
@@ -43,13 +49,22 @@ def ringing_document(ringing: Ringing, *, whole: bool = False) -> dict[str, Any]
         "partial": ringing.number, "frequency": np.imag(pole) / (2 * np.pi), "frequency_error": error / (2 * np.pi),
         "decay": -np.real(pole), "decay_error": error,
     }  # fmt: skip
-    pattern = [{"real": np.real(row).tolist(), "imag": np.imag(row).tolist()} for row in ringing.pattern]
+    part = ringing.participation
+    strokes = None if part is None else {"velocity": part.velocity.tolist(), "strokes": _rows(part.factor)}
     flac = encode_knock(ringing, 16 if whole else 24)
     knock = None
     if flac is not None:
         held = {"flac": base64.b64encode(flac).decode()} if whole else {"file": KNOCK_FILE}
         knock = held | {"scale": float(np.abs(ringing.knock).max()), "rate": ringing.rate}
-    return {"modes": {name: column.tolist() for name, column in modes.items()}, "pattern": pattern, "knock": knock}
+    return {
+        "modes": {name: column.tolist() for name, column in modes.items()}, "pattern": _rows(ringing.pattern),
+        "participation": strokes, "knock": knock,
+    }  # fmt: skip
+
+
+def _rows(values: np.ndarray) -> list[dict[str, list[float]]]:
+    """Complex rows, in JSON."""
+    return [{"real": np.real(row).tolist(), "imag": np.imag(row).tolist()} for row in values]
 
 
 def encode_knock(ringing: Ringing, bits: int = 24) -> bytes | None:
@@ -62,7 +77,7 @@ def read_ringing(entry: Any, folder: Path | None, name: str) -> Ringing | None:
     """What `ringing_document` wrote; None where a key rings by its law.
 
     The knock lies in the document, as FLAC or WAV in base64, or else in `folder`, unless that is None. Modes may lack
-    their errors, which then count as none.
+    their errors, which then count as none, and a participation.
 
     Raises `FitError`, opening with `name`, if an entry or the knock is missing, of another kind, or out of range.
     """
@@ -74,7 +89,7 @@ def read_ringing(entry: Any, folder: Path | None, name: str) -> Ringing | None:
     try:
         exact = dict.fromkeys(ERRORS, [0.0] * len(modes["partial"]))
         table = np.array([(exact | modes)[column] for column in COLUMNS], float)
-        parts = np.array([[row["real"], row["imag"]] for row in pattern], float)
+        parts = _parts(pattern)
     except (KeyError, OverflowError, TypeError, ValueError):
         raise FitError(f"{name}: ringing has no whole table of modes and patterns; {WAY_OUT}") from None
     known = table.ndim == 2 and parts.ndim == 3 and 1 <= table.shape[-1] == parts.shape[-1] <= MOST_MODES
@@ -85,13 +100,37 @@ def read_ringing(entry: Any, folder: Path | None, name: str) -> Ringing | None:
             f"{name}: ringing needs as many numbers up to {LARGEST_NUMBER:g} in every column and pattern; {WAY_OUT}"
         )
     number, frequency, _, decay, error = table
-    amplitude = parts[:, 0] + 1j * parts[:, 1]
     if not ((frequency > 0).all() and (decay > 0).all() and (error >= 0).all()):
         raise FitError(f"{name}: ringing has frequencies, decays or errors that are not above 0; {WAY_OUT}")
     if not ((number % 1 == 0) & (number >= 1) & (number <= MOST_MODES)).all():
         raise FitError(f"{name}: ringing has partials whose numbers are not 1, 2, 3 ...; {WAY_OUT}")
-    knock, rate = _knock(entry.get("knock"), folder, len(amplitude), name)
-    return Ringing(number.astype(int), -decay + 2j * np.pi * frequency, error, amplitude, knock, rate)
+    part = _participation(entry.get("participation"), len(number), name)
+    pole, pattern = -decay + 2j * np.pi * frequency, parts[:, 0] + 1j * parts[:, 1]
+    knock, rate = _knock(entry.get("knock"), folder, len(parts), name)
+    return Ringing(number.astype(int), pole, error, pattern, knock, rate, part)
+
+
+def _parts(rows: Any) -> np.ndarray:
+    """What `_rows` wrote [rows, real and imaginary, columns]."""
+    return np.array([[row["real"], row["imag"]] for row in rows], float)
+
+
+def _participation(entry: Any, modes: int, name: str) -> Participation | None:
+    if entry is None:
+        return None
+    try:
+        velocity, parts = np.array(entry["velocity"], float), _parts(entry["strokes"])
+    except (KeyError, OverflowError, TypeError, ValueError):
+        raise FitError(f"{name}: participation needs velocities, and parts of strokes; {WAY_OUT}") from None
+    strokes = len(velocity) if velocity.ndim == 1 else 0
+    if not (1 <= strokes <= MOST_STROKES and parts.shape == (strokes, 2, modes) and (np.abs(parts) <= MOST_PART).all()):
+        raise FitError(
+            f"{name}: participation needs, for each of 1 to {MOST_STROKES} velocities, a number up to {MOST_PART:g} "
+            f"for every mode; {WAY_OUT}"
+        )
+    if not (velocity[0] > 0 and (np.diff(velocity) > 0).all() and velocity[-1] <= LARGEST_NUMBER):
+        raise FitError(f"{name}: velocities of participation must rise from above 0; {WAY_OUT}")
+    return Participation(velocity, parts[:, 0] + 1j * parts[:, 1])
 
 
 def _knock(entry: Any, folder: Path | None, channels: int, name: str) -> tuple[np.ndarray, int]:

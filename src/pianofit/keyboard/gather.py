@@ -205,9 +205,11 @@ def _load_key(file: Path) -> KeyFit:
     error: Any = levels.get("fitted_db") if isinstance(levels, dict) else None
     converged = document.get("converged") is True
     told = _deviations(document, note, midi, converged, scale)
+    ringing = None if note.ringing is None else note.ringing.faster(scale)
     return KeyFit(
-        midi, name, note._replace(hammer=hammer, gain=gain / scale), told, tuple((velocities * scale).tolist()),
-        float(error) if is_number(error) else None, converged, len(rows), _layers(document, rows, scale),
+        midi, name, note._replace(hammer=hammer, gain=gain / scale, ringing=ringing), told,
+        tuple((velocities * scale).tolist()), float(error) if is_number(error) else None, converged, len(rows),
+        _layers(document, rows, scale),
     )  # fmt: skip
 
 

@@ -1,10 +1,11 @@
 """How a note rings: what lies between the hammer's force and the file, measured once a key.
 
-    sound(t) = g F(t) ∗ (Re Σ_m P_m e^{p_m t} + knock(t))
+    sound(t) = g F(t) ∗ (Re Σ_m a_m(v) P_m e^{p_m t} + knock(t))
 
 Poles p, patterns P (one complex number a mode and channel) and the knock are the key's and the same at every velocity.
 The knock is a short kernel that holds what no mode does: the soundboard's and the key's own thump, and what lies below
-the lowest partial. F is the force of a stroke, from string, hammer and felt.
+the lowest partial. F is the force of a stroke, from string, hammer and felt; the participation a, one complex number a
+mode that is 1 where the force says all, is what strokes of velocity v show beyond it.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from scipy.signal import oaconvolve, resample_poly
 
 from .simulate import Simulation
 
-__all__ = ["EDGE", "FAINT", "LEAD", "Force", "Ringing", "force_of", "ring", "until_last"]
+__all__ = ["EDGE", "FAINT", "LEAD", "Force", "Participation", "Ringing", "force_of", "ring", "until_last"]
 
 # The knock may begin so long before the contact, s: an onset is found a little late.
 LEAD = 0.012
@@ -40,6 +41,7 @@ class Force(NamedTuple):
 
     newton: np.ndarray  # [steps]
     step: float  # s
+    velocity: float  # of the hammer, m/s
 
     def drive(self, pole: np.ndarray) -> np.ndarray:
         """∫ F e^{-pole t} dt, N s, complex [modes]: how far a stroke sets modes ringing."""
@@ -55,19 +57,37 @@ class Force(NamedTuple):
         if by < 1 or abs(by * self.step * rate - 1) > 1e-6:
             step = 1 / (FINE * rate)
             fine = np.arange(0, len(self.newton) * self.step, step)
-            return Force(np.interp(fine, self.step * np.arange(len(self.newton)), self.newton), step).at(rate)
+            newton = np.interp(fine, self.step * np.arange(len(self.newton)), self.newton)
+            return Force(newton, step, self.velocity).at(rate)
         edge = EDGE * by
         return resample_poly(np.pad(self.newton, (edge, edge)), 1, by) / rate
 
 
-def force_of(stroke: Simulation) -> Force:
-    """The force of a stroke on the string."""
-    return Force(until_last(np.asarray(stroke.pulse.force)), float(stroke.modes.step))
+def force_of(stroke: Simulation, velocity: float) -> Force:
+    """The force of a stroke on the string, by a hammer of this velocity, m/s."""
+    return Force(until_last(np.asarray(stroke.pulse.force)), float(stroke.modes.step), velocity)
 
 
 def until_last(pulse: np.ndarray) -> np.ndarray:
     """A pulse [steps] without the zeros at its end."""
     return pulse[: np.flatnonzero(pulse)[-1] + 1] if pulse.any() else pulse[:1]
+
+
+class Participation(NamedTuple):
+    """How far strokes of known velocities set a key's modes ringing, over what their forces say."""
+
+    velocity: np.ndarray  # of the strokes, m/s, rising [strokes]
+    factor: np.ndarray  # a, complex [strokes, modes]
+
+    def at(self, velocity: float) -> np.ndarray:
+        """Between strokes linear in log velocity, beyond them that of the last, complex [modes]."""
+        place = np.interp(np.log(velocity), np.log(self.velocity), np.arange(len(self.velocity)))
+        low, high = self.factor[[int(np.floor(place)), int(np.ceil(place))]]
+        return low + place % 1 * (high - low)
+
+    def faster(self, ratio: float) -> Participation:
+        """The same strokes with velocities times `ratio`, where their scale is another."""
+        return self._replace(velocity=ratio * self.velocity)
 
 
 class Ringing(NamedTuple):
@@ -79,6 +99,7 @@ class Ringing(NamedTuple):
     pattern: np.ndarray  # P, file units over N s, complex [channels, modes]
     knock: np.ndarray  # file units over N s [channels, samples] at `rate`, from `LEAD` before the contact; can be empty
     rate: int  # of the knock, Hz
+    participation: Participation | None = None  # a; where there is none, the force says all
 
     @property
     def channels(self) -> int:
@@ -93,6 +114,11 @@ class Ringing(NamedTuple):
         """The same key with all frequencies times `ratio`."""
         return self._replace(pole=np.real(self.pole) + 1j * ratio * np.imag(self.pole))
 
+    def faster(self, ratio: float) -> Ringing:
+        """The same key with all velocities times `ratio`, where their scale is another."""
+        part = self.participation
+        return self if part is None else self._replace(participation=part.faster(ratio))
+
     def without_knock(self) -> Ringing:
         """The modes alone."""
         return self._replace(knock=self.knock[:, :0])
@@ -105,7 +131,9 @@ class Ringing(NamedTuple):
         if rate != self.rate and knock.shape[-1]:
             by = np.gcd(rate, self.rate)
             knock = resample_poly(knock, rate // by, self.rate // by, axis=-1)
-        return Ringing(*columns, knock, rate)
+        part = self.participation
+        part = None if part is None else part._replace(factor=part.factor[:, below])
+        return Ringing(*columns, knock, rate, part)
 
     def struck(self, force: Force, end: int) -> tuple[np.ndarray, np.ndarray]:
         """What a stroke leaves ringing, and what else of it is heard, at the own `rate`.
@@ -123,10 +151,12 @@ class Ringing(NamedTuple):
         pulse = force.at(rate)
         size = max(len(pulse), end + EDGE)
         log_z, last = self.pole / rate, end + EDGE - (len(pulse) - 1)  # samples from the pulse's last one to `end`
-        state = np.exp(log_z * last) * (_powers(log_z, len(pulse)) @ pulse[::-1])
+        part = 1.0 if self.participation is None else self.participation.at(force.velocity)
+        state = part * np.exp(log_z * last) * (_powers(log_z, len(pulse)) @ pulse[::-1])
         onset = np.zeros((self.channels, max(lead - EDGE + size, self.knock.shape[-1] + len(pulse) - 1 - EDGE)))
         head = onset[:, lead - EDGE : lead - EDGE + size]
-        head += oaconvolve(ring(self.pole, self.pattern, rate, size), pulse[None], axes=-1)[:, :size]
+        driven = ring(self.pole, self.pattern * part, rate, size)
+        head += oaconvolve(driven, pulse[None], axes=-1)[:, :size]
         # A band-limited force goes on for some samples, in which the modes already ring.
         head[:, end + EDGE :] -= ring(self.pole, self.pattern * state, rate, size - end - EDGE)
         if self.knock.shape[-1]:

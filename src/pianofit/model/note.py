@@ -126,7 +126,7 @@ class Note(NamedTuple):
         begin = touch - round(self.lead * rate)
         count = max(samples - begin, 0)
         sound = self._by_law(strike, rate, count)[None] if self.ringing is None else (
-            self.gain * self.ringing.sound(force_of(strike), round(rate), count)
+            self.gain * self.ringing.sound(force_of(strike, float(self.hammer.v_H0)), round(rate), count)
         )  # fmt: skip
         return np.pad(sound[:, max(-begin, 0) :], ((0, 0), (max(begin, 0), 0)))[:, :samples]
 

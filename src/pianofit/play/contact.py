@@ -92,7 +92,8 @@ def stroke(table: Table, hammer: Hammer | MemoryHammer, state: np.ndarray, where
     while steps <= MOST_STEPS:
         drive, newton, over = _stroke(table.modes, hammer, np.real(state), velocity, (steps,))
         if bool(over):
-            return until_last(np.asarray(drive)), Force(until_last(np.asarray(newton)), 1 / table.rate)
+            force = Force(until_last(np.asarray(newton)), 1 / table.rate, float(hammer.v_H0))
+            return until_last(np.asarray(drive)), force
         steps *= 4
     raise FitError(
         f"{where}: at v_H0={float(hammer.v_H0):g} m/s the hammer is still on the string after "

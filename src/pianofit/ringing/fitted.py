@@ -85,7 +85,8 @@ def _layers(result: Result) -> _Layers:
     fitted = [result.recordings[i] for i in place]
     heard = hear([layer.recording for layer in fitted], [layer.analysis for layer in fitted])
     gain = np.array([layer.fitted.note.gain for layer in fitted])
-    return _Layers(place, fitted, heard, [force_of(layer.fitted.simulation) for layer in fitted], gain)
+    forces = [force_of(x.fitted.simulation, float(x.fitted.note.hammer.v_H0)) for x in fitted]
+    return _Layers(place, fitted, heard, forces, gain)
 
 
 def _left_out(layers: _Layers, modes: Sequence[PartialModes], key: Key) -> dict[str, float]:

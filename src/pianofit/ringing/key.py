@@ -8,9 +8,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy import signal
 
-from ..model.modal import EDGE, LEAD, Force, Ringing, ring
+from ..model.modal import EDGE, LEAD, Force, Participation, Ringing, ring
 from .heard import Heard
 from .modes import PartialModes, common_pattern
+from .participation import participation
 
 __all__ = ["Key", "key_of"]
 
@@ -50,21 +51,23 @@ class Key(NamedTuple):
 
 def key_of(heard: Heard, modes: Sequence[PartialModes], forces: Sequence[Force], gain: np.ndarray) -> Key:
     """The key that these layers, by these forces and through these gains [layers], show."""
-    delay, pattern = _patterns(heard, modes, forces, gain)
-    pole = np.concatenate([m.poles for m in modes])
+    delay, patterns = _patterns(heard, modes, forces, gain)
+    pattern, pole = np.concatenate(patterns, axis=-1), np.concatenate([m.poles for m in modes])
     found = Ringing(
         np.concatenate([np.full(len(m.pole), m.number) for m in modes]), pole,
-        np.concatenate([m.pole_error for m in modes]), pattern, np.zeros((pattern.shape[0], 0)), heard.rate,
+        np.concatenate([m.pole_error for m in modes]), pattern, np.zeros((len(pattern), 0)), heard.rate,
     )  # fmt: skip
-    return Key(found._replace(knock=_knock(heard, modes, found, forces, delay, gain)), delay)
+    knock = _knock(heard, modes, found, forces, delay, gain)
+    part = _participation(modes, patterns, forces, delay, gain)
+    return Key(found._replace(knock=knock, participation=part), delay)
 
 
 def _patterns(
     heard: Heard, modes: Sequence[PartialModes], forces: Sequence[Force], gain: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """When each layer's contact was after its onset, s, and P [channels, modes]."""
+) -> tuple[np.ndarray, list[np.ndarray]]:
+    """When each layer's contact was after its onset, s, and P of each partial [channels, modes]."""
     layers = len(forces)
-    strongest = np.array([m.poles[np.argmax(np.abs(m.amplitude).sum((0, 1)))] for m in modes])
+    strongest = np.array([_strongest(m) for m in modes])
     drive = np.stack([g * force.drive(strongest) for g, force in zip(gain, forces, strict=True)], axis=1)
     loud = np.stack([np.abs(m.amplitude).sum(-1).max(axis=-1) for m in modes])
     weight = np.stack([np.interp(m.snr, TELLING, (0, 1)) for m in modes]) * loud**LOUDNESS
@@ -82,7 +85,36 @@ def _patterns(
     level = (weight * log).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-9)
     phase = np.angle((weight * ratio / np.maximum(np.abs(ratio), 1e-30)).sum(axis=1))
     scaled = [p * np.exp(x + 1j * a) for p, x, a in zip(each, level, phase, strict=True)]
-    return delay, np.concatenate(scaled, axis=-1)
+    return delay, scaled
+
+
+def _participation(
+    modes: Sequence[PartialModes], patterns: Sequence[np.ndarray], forces: Sequence[Force], delay: np.ndarray,
+    gain: np.ndarray,
+) -> Participation:  # fmt: skip
+    """How modes take part in the strokes of these layers.
+
+    A partial's amplitude errs by the noise of its band and, as its level does in the likelihood, by other sounds that
+    lie so far below the layer's loudest partial.
+    """
+    velocity = np.array([force.velocity for force in forces])
+    order = np.argsort(velocity, kind="stable")
+    loud = np.stack([np.abs(m.amplitude).sum(-1).max(axis=-1) for m in modes], axis=1)[order]
+    noise = 10 ** (-np.stack([m.snr for m in modes], axis=1)[order] / 20)
+    with np.errstate(divide="ignore"):
+        error = np.hypot(noise, FLOOR * loud.max(axis=1, keepdims=True) / loud) / np.sqrt(2)
+    shown = []
+    for m in modes:
+        drive = np.array([force.drive(_strongest(m)[None])[0] for force in forces]) * gain
+        turned = m.at_onset * np.exp(np.multiply.outer(delay, m.poles))[:, None, :]
+        shown.append((turned / drive[:, None, None])[order])
+    known, first = np.unique(velocity[order], return_index=True)
+    return Participation(known, participation(shown, patterns, error, velocity[order])[first])
+
+
+def _strongest(modes: PartialModes) -> np.complex128:
+    """The pole of a partial's strongest mode."""
+    return modes.poles[np.argmax(np.abs(modes.amplitude).sum((0, 1)))]
 
 
 def _delay(heard: Heard, ratio: np.ndarray, weight: np.ndarray, omega: np.ndarray, layer: int) -> float:

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.signal import fftconvolve, resample_poly
 
 from ...keyboard.document import Instrument
-from ...model.modal import EDGE, Force
+from ...model.modal import EDGE
 from ...model.note import Note
 from ..contact import Table, stroke, table_of
 
@@ -53,6 +53,10 @@ class Key(NamedTuple):
     )  # file units [channels, KNOCK_SHAPES, samples] at `knock_rate`, from LEAD before the touch; or empty
     knock_weights: np.ndarray  # [velocities, KNOCK_SHAPES]
     knock_rate: int  # Hz
+    stroke: (
+        np.ndarray
+    )  # which of the strokes that are known each velocity is, a number between two of them [velocities]
+    participation: np.ndarray  # of the modes in those, complex [strokes, modes]
     left_out: int  # modes
 
 
@@ -61,37 +65,44 @@ def key_of(instrument: Instrument, midi: int, most_modes: int, channels: int) ->
     note = instrument.note(midi, 64)
     table = table_of(note, RATE)
     still = np.zeros(len(table.pole), complex)
+    hammers = [instrument.note(midi, int(velocity)).hammer for velocity in VELOCITIES]
     forces = []
-    for velocity in VELOCITIES:
-        drive, force = stroke(table, instrument.note(midi, int(velocity)).hammer, still, f"key {midi}")
-        force = force if note.ringing is not None else Force(drive, 1 / table.rate)
+    for hammer in hammers:
+        drive, force = stroke(table, hammer, still, f"key {midi}")
+        force = force if note.ringing is not None else force._replace(newton=drive)
         forces.append(RATE * force.at(RATE))
     size = max(map(len, forces))
     force = np.stack([np.pad(x, (0, size - len(x))) for x in forces])
-    pole, pattern = _modes(note, table)
+    pole, pattern, known, participation = _modes(note, table)
     left = force @ np.exp(-np.outer(np.arange(size) - EDGE, pole) / RATE) / RATE
     kept = _loudest(left, pole, pattern, most_modes)
     weights, shapes = _shapes(force, left[:, kept])
     knock_weights, knock, rate = _knock(note, force)
+    struck = np.interp(np.log([hammer.v_H0 for hammer in hammers]), np.log(known), np.arange(len(known)))
     sound = np.broadcast_to(pattern[:, kept], (channels, len(kept))) if len(pattern) == 1 else pattern[:channels, kept]
     return Key(
         pole[kept], sound, np.pad(shapes, ((0, 0), (MARGIN, MARGIN))), weights,
         np.broadcast_to(knock, (channels, *knock.shape[1:])) if len(knock) == 1 else knock[:channels],
-        knock_weights, rate, int(len(pole) - len(kept)),
+        knock_weights, rate, struck, participation[:, kept], int(len(pole) - len(kept)),
     )  # fmt: skip
 
 
-def _modes(note: Note, table: Table) -> tuple[np.ndarray, np.ndarray]:
-    """What rings after a stroke: poles [modes], and file units over a force's N s [channels, modes]."""
+def _modes(note: Note, table: Table) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """What rings after a stroke: poles [modes], and file units over a force's N s [channels, modes].
+
+    And how modes take part in strokes of some velocities, m/s [strokes], beyond their force [strokes, modes].
+    """
     if note.ringing is not None:
         own = note.ringing.louder(note.gain).at(RATE)
-        pole, pattern = own.pole, own.pattern
+        pole, pattern, part = own.pole, own.pattern, own.participation
     else:
         pole, pattern = table.pole, table.drive[None] * table.rate
+        part = None
         if table.path is not None:
             pattern = pattern * _gain(table.path, pole)
     inside = (np.imag(pole) > 0) & (np.imag(pole) < BAND * np.pi * RATE)
-    return pole[inside], pattern[:, inside]
+    velocity, factor = (np.ones(1), np.ones((1, len(pole)))) if part is None else part
+    return pole[inside], pattern[:, inside], velocity, factor[:, inside]
 
 
 def _gain(path: np.ndarray, pole: np.ndarray) -> np.ndarray:

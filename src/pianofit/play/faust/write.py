@@ -93,7 +93,8 @@ def _within(found: Sequence[Key], keys: Sequence[int]) -> tuple[list[Key], int]:
 def _numbers(key: Key, knocks: bool) -> int:
     """How many a key has in the tables: complex ones count twice."""
     knock = knocks * (key.knock.size + key.knock_weights.size)
-    return 2 * key.pole.size + 2 * key.pattern.size + key.shapes.size + key.weights.size + knock
+    modes = key.pole.size + key.pattern.size + key.participation.size
+    return 2 * modes + key.shapes.size + key.weights.size + key.stroke.size + knock
 
 
 def _text(
@@ -129,6 +130,12 @@ def _tables(keys: Sequence[int], kept: Sequence[Key], channels: int, gain: float
         pattern = gain * np.concatenate([key.pattern[c] for key in kept])
         yield _waveform(f"mode_re_{c}", [0.0, *np.real(pattern)])
         yield _waveform(f"mode_im_{c}", [0.0, *np.imag(pattern)])
+    yield _waveform("stroke_count", [len(key.participation) for key in kept])
+    yield _waveform("stroke_of_velocity", np.concatenate([key.stroke for key in kept]))
+    yield _waveform("part_begin", np.cumsum([0, *(key.participation.size for key in kept[:-1])]))
+    parts = np.concatenate([key.participation.ravel() for key in kept])
+    yield _waveform("part_re", np.real(parts))
+    yield _waveform("part_im", np.imag(parts))
     yield from _shaped("force", [key.shapes for key in kept], [key.weights for key in kept])
     yield _waveform("force_shapes", np.concatenate([key.shapes.ravel() for key in kept]))
     if knocks:

@@ -1,7 +1,7 @@
 // A key with something changed, and what a stroke on it does, as numbers to draw.
 
 import { Contact, Motion, struck } from "./contact.js";
-import { strikeWeights } from "./prepare.js";
+import { driven, strikeWeights } from "./prepare.js";
 
 const DRAWN = 65536; // steps of a contact
 // The strike weight of a mode at a node is next to nothing; a measured level is changed by no more than this factor.
@@ -62,7 +62,7 @@ export function stroke(table, velocity) {
   const contact = new Contact(string, new Motion(string, struck(string)), hammer, velocity);
   for (let steps = 1024; !contact.over && steps <= DRAWN; steps *= 2) contact.advance(steps);
   const drive = table.rings ? contact.force : contact.drive, unit = table.rings ? string.step : 1;
-  const { pole, left, gain } = heard, frequency = pole.im.map((x) => x / (2 * Math.PI));
+  const { pole, gain } = heard, { left } = driven(heard, velocity), frequency = pole.im.map((x) => x / (2 * Math.PI));
   const level = frequency.map((_, k) => {
     const size = Math.exp(-pole.re[k] * string.step), angle = -pole.im[k] * string.step;
     const c = size * Math.cos(angle), s = size * Math.sin(angle);

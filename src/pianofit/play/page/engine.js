@@ -5,15 +5,16 @@
 // (prepare.js says which). Between strokes nothing is left but one complex amplitude a mode. All numbers are 64 bit.
 
 import { BLOCK, Contact, Motion, addDamped, addDriven, longer, reversed, struck, turns, workspace } from "./contact.js";
+import { driven } from "./prepare.js";
 
 const FAINT = 1e-8; // of full scale, -160 dB: modes below are left out
 const GONE = 1e-40; // a state's square, m² or (N s)²
 
 /** Modes that ring: amplitudes re + i im, per mode, of which each channel hears gain · amplitude. */
 class Bank {
-  constructor({ pole, left, gain }, rate, ratio, damper) {
+  constructor({ pole, gain }, rate, ratio, damper) {
     const count = pole.re.length;
-    Object.assign(this, { count, left, gain, re: new Float64Array(count), im: new Float64Array(count), still: true });
+    Object.assign(this, { count, gain, re: new Float64Array(count), im: new Float64Array(count), still: true });
     // Free and damped.
     this.sample = [0, damper].map((extra) => turns(pole, 1 / rate, extra));
     this.block = [0, damper].map((extra) => turns(pole, BLOCK / rate, extra));
@@ -64,9 +65,9 @@ class Bank {
     if (size < GONE) this.stop();
   }
 
-  /** Let steps `first` to before `last` of a drive set the modes ringing, as they are at its end. */
-  fold(drive, first, last) {
-    if (addDriven(this, this.left, this.step, drive, first, last)) this.still = false;
+  /** Let steps `first` to before `last` of a drive, of which a unit leaves `left`, set the modes ringing. */
+  fold(left, drive, first, last) {
+    if (addDriven(this, left, this.step, drive, first, last)) this.still = false;
   }
 }
 
@@ -106,8 +107,8 @@ class Later {
 class Voice {
   constructor(table, rate, delay) {
     const { string, heard, damper } = table;
-    const silent = { pole: string.own, left: string.left, gain: heard.gain };
-    this.string = new Bank(table.rings ? { ...silent, gain: [] } : silent, rate, string.ratio, damper);
+    const gain = table.rings ? [] : heard.gain; // a string whose ringing is known is not heard itself
+    this.string = new Bank({ pole: string.own, gain }, rate, string.ratio, damper);
     this.modes = table.rings ? new Bank(heard, rate, 1, damper) : this.string;
     this.kernel = new Motion(string, struck(string));
     Object.assign(this, { table, rate, delay, hammer: table.hammer, contact: null, strokes: [], waiting: [] });
@@ -122,7 +123,7 @@ class Voice {
     const { table, rate, string } = this, state = string.still ? null : string;
     this.contact = new Contact(table.string, this.kernel, this.hammer, velocity, state);
     const impulses = table.rings ? new Impulses(table, rate) : null;
-    this.strokes.push({ contact: this.contact, impulses, at: 0 });
+    this.strokes.push({ contact: this.contact, impulses, at: 0, ...driven(table.heard, velocity) });
   }
 
   /** Add a block to out [channels]. */
@@ -144,15 +145,15 @@ class Voice {
     const { table, string, modes } = this, { heard } = table, { contact, impulses, at } = stroke;
     const { ratio } = table.string, end = at + BLOCK;
     if (!contact.over) contact.advance((end + (impulses ? BLOCK : 0)) * ratio);
-    string.fold(contact.drive, at * ratio, end * ratio);
+    string.fold(table.string.left, contact.drive, at * ratio, end * ratio);
     if (impulses) {
       impulses.upTo(end + heard.edge, contact);
-      modes.fold(impulses.values, at - heard.lead + heard.edge, end - heard.lead + heard.edge);
+      modes.fold(stroke.left, impulses.values, at - heard.lead + heard.edge, end - heard.lead + heard.edge);
     }
     const drive = impulses ? impulses.values : contact.drive, r = heard.ratio;
     const last = impulses ? Math.ceil(contact.last / ratio) + 2 * heard.edge : contact.last;
     out.forEach((channel, i) => {
-      addConvolved(channel, drive, (at - heard.lead + heard.edge) * r, last, heard.direct[i], r, true);
+      addConvolved(channel, drive, (at - heard.lead + heard.edge) * r, last, stroke.direct[i], r, true);
       addConvolved(channel, drive, (at + heard.edge) * r, last, heard.kernel[i], r, false);
     });
     stroke.at = end;

@@ -15,7 +15,8 @@ function base64(bytes) {
 
 /** How a key rings, over its gain, with the knock as a WAV file of 32 bit floats. */
 function ringingOf({ ringing, string, geometry, gain }) {
-  const { pole, pattern, knock, rate } = ringing, list = (column, by = 1) => Array.from(column, (x) => x * by);
+  const { pole, pattern, knock, rate, participation } = ringing;
+  const list = (column, by = 1) => Array.from(column, (x) => x * by);
   const f0 = string.c / (2 * geometry.length), B = ((string.kappa * Math.PI) / (string.c * geometry.length)) ** 2;
   const frequency = list(pole.im, 1 / (2 * Math.PI));
   return {
@@ -23,6 +24,10 @@ function ringingOf({ ringing, string, geometry, gain }) {
     modes: { partial: frequency.map((f) => Math.max(Math.round(partialOf(f, f0, B)), 1)), frequency,
       decay: list(pole.re, -1) },
     pattern: pattern.map(({ re, im }) => ({ real: list(re, 1 / gain), imag: list(im, 1 / gain) })),
+    participation: participation && {
+      velocity: participation.velocity,
+      strokes: participation.strokes.map(({ re, im }) => ({ real: list(re), imag: list(im) })),
+    },
     knock: knock[0]?.length
       ? { wav: base64(encodeWav(knock.map((x) => x.map((y) => y / gain)), rate)), scale: 1, rate }
       : null,

@@ -128,9 +128,19 @@ def _ringing(ringing: Ringing, knocks: Knocks) -> dict[str, Any]:
         knock = resample_poly(knock, rate // by, ringing.rate // by, axis=-1)
     return {
         "decay": _base64(-np.real(ringing.pole)), "omega": _base64(np.imag(ringing.pole), "<f8"),
-        "pattern": [{"re": _base64(np.real(x)), "im": _base64(np.imag(x))} for x in ringing.pattern[:CHANNELS]],
+        "pattern": _rows(ringing.pattern[:CHANNELS]),
+        "participation": _participation(ringing),
         "rate": rate, "bits": knocks.bits, "knock": [dict(_rounded(row, knocks.bits)) for row in knock],
     }  # fmt: skip
+
+
+def _participation(ringing: Ringing) -> dict[str, Any] | None:
+    part = ringing.participation
+    return None if part is None else {"velocity": part.velocity.tolist(), "strokes": _rows(part.factor)}
+
+
+def _rows(values: np.ndarray) -> list[dict[str, str]]:
+    return [{"re": _base64(np.real(row)), "im": _base64(np.imag(row))} for row in values]
 
 
 def _rounded(samples: np.ndarray, bits: int) -> Iterator[tuple[str, Any]]:

@@ -45,7 +45,10 @@ export function decode(entry) {
       return numbers(whole, ringing.bits === 8 ? Int8Array : Int16Array).map((x, n) => x * by[Math.floor(n / SHARED)]);
     };
     const pole = { re: numbers(ringing.decay).map((x) => -x), im: numbers(ringing.omega, Float64Array) };
-    key.ringing = { pole, pattern: ringing.pattern.map(pair), knock: ringing.knock.map(knock), rate: ringing.rate };
+    const known = ringing.participation;
+    const participation = known && { velocity: known.velocity, strokes: known.strokes.map(pair) };
+    key.ringing = { pole, pattern: ringing.pattern.map(pair), participation, knock: ringing.knock.map(knock),
+      rate: ringing.rate };
   }
   return key;
 }
@@ -324,20 +327,36 @@ function byRinging({ ringing }, rate) {
   const column = (values) => Float64Array.from(below, (k) => values[k]);
   const chosen = ({ re, im }) => ({ re: column(re), im: column(im) });
   const pole = chosen(ringing.pole), gain = ringing.pattern.map(chosen), log = logs(pole, rate);
-  const ones = { re: pole.re.map(() => 1), im: pole.re.map(() => 0) };
+  const known = ringing.participation, participation = known && { ...known, strokes: known.strokes.map(chosen) };
   // In whole blocks, at whose begins dampers move.
   const own = Math.round(LEAD * rate), lead = BLOCK * Math.ceil(own / BLOCK), early = lead - own;
   const kernel = ringing.knock.map((x) => after(early, resample(x, ringing.rate, rate)));
-  return { pole, left: ones, gain, direct: gain.map((g) => damped(g, log, BLOCK)), kernel, ratio: 1,
-    lead, early, edge: EDGE };
+  const heard = { pole, log, gain, participation, kernel, ratio: 1, lead, early, edge: EDGE };
+  return { ...heard, ...within(heard, { re: pole.re.map(() => 1), im: pole.re.map(() => 0) }) };
+}
+
+/** What a unit of a force leaves ringing, times `left`, and what of it is heard within a block. */
+function within({ gain, log }, left) {
+  return { left, direct: gain.map((g) => damped(times(g, left), log, BLOCK)) };
+}
+
+/** What a unit of the drive of a stroke at `velocity`, m/s, leaves ringing, and what of it is heard within a block. */
+export function driven(heard, velocity) {
+  if (!heard.participation) return heard;
+  const { velocity: known, strokes } = heard.participation, last = known.length - 1;
+  const above = known.findIndex((v) => v >= velocity), high = above < 0 ? last : above, low = Math.max(high - 1, 0);
+  const share = high === low || above < 0 ? 1 : Math.log(velocity / known[low]) / Math.log(known[high] / known[low]);
+  const mixed = (part) => strokes[low][part].map((x, k) => x + share * (strokes[high][part][k] - x));
+  return within(heard, { re: mixed("re"), im: mixed("im") });
 }
 
 /**
  * All that the engine needs of a key at a rate, Hz.
  *
  * key: {string: {c, kappa, b1, b2}, hammer: {K_H, mu, p, M_H}, geometry: {length, mass, strike, width, pickup},
- * quantity, gain, damper, path?: {frequency, db, decay}, ringing?: {pole, pattern: [channel], knock: [channel], rate}},
- * of which `pole` and each `pattern` is {re, im}, in file units per N s.
+ * quantity, gain, damper, path?: {frequency, db, decay}, ringing?: {pole, pattern: [channel], knock: [channel], rate,
+ * participation?: {velocity, strokes}}}, of which `pole`, each `pattern` and each of the `strokes` is {re, im}, patterns
+ * in file units per N s.
  */
 export function prepare(key, rate) {
   const ratio = contactRatio(key.string, key.geometry, rate), t = modeTable(key, rate * ratio);
