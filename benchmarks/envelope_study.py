@@ -60,7 +60,9 @@ def study(fit: realism.Fitted, left: realism.LeftOut, tool: ModuleType) -> dict[
     by = np.gcd(tool.RATE, heard.rate)
     own = signal.resample_poly(sounded(together, heard)[0].mean(axis=0), tool.RATE // by, heard.rate // by)
     own = np.pad(own, (round(recordings[0].onset / recordings[0].rate * tool.RATE), 0))
-    rows = [note.ringing, note.ringing._replace(participation=None), known.ringing]
+    ringing = note.ringing
+    assert ringing is not None  # noqa: S101
+    rows = [ringing, ringing._replace(participation=None), known.ringing]
     return dict(zip(COLUMNS, [*map(rung_by, rows), of(own, 0.0)], strict=True))
 
 

@@ -105,7 +105,7 @@ def _participation(
         error = np.hypot(noise, FLOOR * loud.max(axis=1, keepdims=True) / loud) / np.sqrt(2)
     shown = []
     for m in modes:
-        drive = np.array([force.drive(_strongest(m)[None])[0] for force in forces]) * gain
+        drive = np.array([force.drive(np.array([_strongest(m)]))[0] for force in forces]) * gain
         turned = m.at_onset * np.exp(np.multiply.outer(delay, m.poles))[:, None, :]
         shown.append((turned / drive[:, None, None])[order])
     known, first = np.unique(velocity[order], return_index=True)
