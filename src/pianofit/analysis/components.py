@@ -8,7 +8,7 @@ All partials are treated at once; of one, two or three components the fewest tha
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,13 +34,22 @@ class Components:
     valid: np.ndarray  # bool: a sum of up to three components describes the partial
 
 
-def resolve(bands: Bands, z: NDArray[np.complex128], frame: np.ndarray) -> Components:
-    """Resolve each row of the basebands `z` into one to three components.
+def resolve(bands: Bands, z: NDArray[np.complex128], frame: np.ndarray, wanted: np.ndarray) -> Components:
+    """Resolve the rows of the basebands `z` that are `wanted`, bool [partials], into one to three components.
 
     Parameters
     ----------
     frame : [partials], noise variance of one frame
     """
+    found = Components(bands.centre.copy(), np.zeros(len(z)), np.zeros(len(z), bool))
+    if wanted.any():
+        some = _resolve(replace(bands, z=bands.z[wanted], centre=bands.centre[wanted]), z[wanted], frame[wanted])
+        for field in fields(found):
+            getattr(found, field.name)[wanted] = getattr(some, field.name)
+    return found
+
+
+def _resolve(bands: Bands, z: NDArray[np.complex128], frame: np.ndarray) -> Components:
     cut = bands.cut(0.0, bands.time[0] + _SPAN)
     series, time = z[:, cut], bands.time[cut]
     power = np.mean(np.abs(series) ** 2, axis=1)

@@ -24,6 +24,7 @@ _HUBER = 1.5
 TRUSTED = 10.0
 # Partials that show how far the next one lies from the law: fewer are upset by one that beats, more do not follow.
 NEIGHBOURS = 9
+_PAIRS = np.triu_indices(NEIGHBOURS, 1)
 
 
 @dataclass(frozen=True)
@@ -72,17 +73,21 @@ def bend(known: np.ndarray, away: np.ndarray, k: np.ndarray) -> np.ndarray:
     A line through the nearest `NEIGHBOURS`, by the median of the slopes between them (Theil 1950, Sen 1968), carried on
     no further than the stretch that they show. Fewer show no bend.
     """
-    found = np.zeros(len(k))
     if len(known) < NEIGHBOURS:
-        return found
-    for i, n in enumerate(k):
-        near = np.argsort(np.abs(known - n), kind="stable")[:NEIGHBOURS]
-        x, y = known[near].astype(float), away[near]
-        first, second = np.triu_indices(len(x), 1)
-        slope = np.median((y[second] - y[first]) / (x[second] - x[first]))
-        at = np.clip(n, x.min() - np.ptp(x), x.max() + np.ptp(x))
-        found[i] = np.median(y + slope * (at - x))
-    return found
+        return np.zeros(len(k))
+    near = np.argsort(np.abs(known - k[:, None]), axis=1, kind="stable")[:, :NEIGHBOURS]
+    x, y = known[near].astype(float), away[near]
+    first, second = _PAIRS
+    slope = _median((y[:, second] - y[:, first]) / (x[:, second] - x[:, first]))
+    low, high = x.min(axis=1), x.max(axis=1)
+    at = np.clip(k, 2 * low - high, 2 * high - low)
+    return _median(y + slope[:, None] * (at[:, None] - x))
+
+
+def _median(x: np.ndarray) -> np.ndarray:
+    """Over the last axis, as NumPy's, which costs ten times as much for a few numbers."""
+    sorted_x, size = np.sort(x, axis=-1), x.shape[-1]
+    return 0.5 * (sorted_x[..., (size - 1) // 2] + sorted_x[..., size // 2])
 
 
 def robust_scatter(residual: np.ndarray, error: np.ndarray, dof: int) -> float:

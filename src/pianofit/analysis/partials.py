@@ -110,15 +110,14 @@ def measure(
     whole = fitted(bands, slice(None), fit, density)
     early, tone = (window(bands, z, fit, density, span) for span in ((0.0, _EARLY), FREQUENCY_WINDOW))
     first = window(bands, z, fit, density, (0.0, bands.time[0] + _FIRST), LEVEL_RATE / 2, _REACH)
-    parts = resolve(bands, z, frame)
+    parts = resolve(bands, z, frame, (beating > _DEEP) & ~clean)
     snr = -20 * np.log10(np.maximum(whole.log_error(-fit.origin), 1e-15))
     heard = (snr > LEAST_SNR) & ~lost(bands, whole.fit)  # what is none has no say in the law
     heard |= not heard.any()
     losses = decay_law(number[heard], -whole.fit.pole.real[heard], whole.pole_error()[heard])
     audible = (tone.fit.power > 10 * frame) & (bands.time[-1] > 0.6) & ~lost(bands, tone.fit)
-    split = parts.valid & (beating > _DEEP) & ~clean
-    frequency = _frequencies(bands, whole, early, tone, parts, second, clean & ~(glides & audible), audible, split)
-    decay = _decays(whole, early, parts, second, clean, split)
+    frequency = _frequencies(bands, whole, early, tone, parts, second, clean & ~(glides & audible), audible)
+    decay = _decays(whole, early, parts, second, clean)
     level = _levels(bands, z, whole, first, density, losses(number), losses.error(number), second)
     return Measured(*frequency, *decay, *level, snr, beating)
 
@@ -132,7 +131,6 @@ def _frequencies(
     second: np.ndarray,
     use_whole: np.ndarray,
     audible: np.ndarray,
-    split: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Frequencies, their standard errors from noise, and standard deviations of systematic errors, Hz."""
     offset, error, excess = early.fit.pole.imag, early.pole_error(), early.excess
@@ -145,19 +143,19 @@ def _frequencies(
     single = np.where(audible, _beyond_noise(tone, whole, np.imag), 0.0) / (2 * np.pi)
     single = np.hypot(single, second / (np.pi * (FREQUENCY_WINDOW[1] - FREQUENCY_WINDOW[0])))
     single = np.hypot(single, error * np.sqrt(excess))
-    spread = _shared(np.where(split, _COMPONENTS * (parts.frequency - frequency), single))
-    return np.where(split, parts.frequency, frequency), np.hypot(error, _FREQUENCY_FLOOR * frequency), spread
+    spread = _shared(np.where(parts.valid, _COMPONENTS * (parts.frequency - frequency), single))
+    return np.where(parts.valid, parts.frequency, frequency), np.hypot(error, _FREQUENCY_FLOOR * frequency), spread
 
 
 def _decays(
-    whole: Fitted, early: Fitted, parts: Components, second: np.ndarray, clean: np.ndarray, split: np.ndarray
+    whole: Fitted, early: Fitted, parts: Components, second: np.ndarray, clean: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Decay rates, their standard errors from noise, and standard deviations of systematic errors, 1/s."""
     single = -early.fit.pole.real
-    decay = np.where(split, parts.decay, single)
+    decay = np.where(parts.valid, parts.decay, single)
     error = np.where(clean, whole.pole_error(), early.pole_error())
     excess = np.where(clean, whole.excess, early.excess)
-    apart = np.where(split, _COMPONENTS * (decay - single), _beyond_noise(early, whole, np.real))
+    apart = np.where(parts.valid, _COMPONENTS * (decay - single), _beyond_noise(early, whole, np.real))
     apart = np.hypot(apart, second * np.maximum(decay, 0.0))
     spread = _shared(np.hypot(apart, error * np.sqrt(excess)))
     decay = np.where(clean, -whole.fit.pole.real, decay)

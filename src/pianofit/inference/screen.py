@@ -134,32 +134,39 @@ def _suited(
     costs : what each velocity of each stroke costs besides [S, strokes, V].
     begins : velocities to begin with [S, strokes].
     """
-    table, stroke = descent.table, descent.stroke
+    table, strokes = descent.table, descent.unknowns.strokes
     R, K = table.value.shape
     Q = parabola.whole(R * K).reshape(R, K, R, K)
-    of = [np.flatnonzero(stroke == s) for s in range(descent.unknowns.strokes)]
-    # Residuals of every recording, had its stroke that velocity [S, V, R, K].
-    T = (table.value - level[:, :, None]) * table.found
-    own = np.empty_like(costs)
-    for s, rs in enumerate(of):
-        push = np.einsum("svqk,qkrl->svrl", T[:, :, rs], Q[rs][:, :, rs], optimize=True)
-        own[:, s] = 0.5 * (push * T[:, :, rs]).sum(axis=(2, 3)) + costs[:, s]
-    S = np.arange(len(T))
-    best, chosen = np.full(len(T), np.inf), np.zeros((len(T), len(of)), int)
+    of = [np.flatnonzero(descent.stroke == s) for s in range(strokes)]
+    count, V = level.shape[:2]
+    # Residuals of every stroke's recordings, had it that velocity [S, V, recordings K].
+    T = [((table.value[r] - level[:, :, None]) * table.found[r]).reshape(count, V, -1) for r in of]
+    # The parabola is a sum over strokes and over pairs of them: tables of it [S, V] and [S, V, V].
+    own, pair = costs.copy(), {}
+    for s, first in enumerate(of):
+        for t, second in enumerate(of[: s + 1]):
+            size = len(first) * K, len(second) * K
+            push = (T[s].reshape(-1, size[0]) @ Q[np.ix_(first, np.arange(K), second)].reshape(size)).reshape(
+                count, V, -1
+            )
+            if s == t:
+                own[:, s] += 0.5 * (push * T[s]).sum(axis=2)
+            else:
+                pair[s, t] = push @ T[t].swapaxes(1, 2)
+                pair[t, s] = pair[s, t].swapaxes(1, 2)
+    S = np.arange(count)
+    best, chosen = np.full(count, np.inf), np.zeros((count, strokes), int)
     for begin in begins:
         v = begin.copy()
         for _ in range(ROUNDS):
             before = v.copy()
-            for s, rs in enumerate(of):
-                rest = T[S[:, None], v[:, stroke], np.arange(R)]  # [S, R, K]
-                rest[:, rs] = 0.0
-                push = np.einsum("sqk,qkrl->srl", rest, Q[:, :, rs], optimize=True)
-                v[:, s] = (own[:, s] + np.einsum("svrk,srk->sv", T[:, :, rs], push, optimize=True)).argmin(axis=1)
+            for s in range(strokes):
+                others = sum(pair[t, s][S, v[:, t]] for t in range(strokes) if t != s)
+                v[:, s] = (own[:, s] + others).argmin(axis=1)
             if (v == before).all():
                 break
-        rest = T[S[:, None], v[:, stroke], np.arange(R)]
-        push = np.einsum("sqk,qkrl->srl", rest, Q, optimize=True)
-        cost = 0.5 * (push * rest).sum(axis=(1, 2)) + costs[S[:, None], np.arange(len(of)), v].sum(axis=1)
+        cost = own[S[:, None], np.arange(strokes), v].sum(axis=1)
+        cost += sum(pair[s, t][S, v[:, s], v[:, t]] for s in range(strokes) for t in range(s))
         better = cost < best
         best[better], chosen[better] = cost[better], v[better]
     return best, chosen

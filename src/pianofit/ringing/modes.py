@@ -217,9 +217,8 @@ def _judged(pole: np.ndarray, cut: Cut) -> tuple[np.ndarray, float, float]:
     layers = np.flatnonzero(cut.live.any(axis=1))
     theirs = full if len(layers) == 1 else np.zeros_like(full)
     if len(layers) > 1:
-        for layer in layers:
-            others = layers[layers != layer]
-            theirs[layer] = common_pattern(full[others], cut.noise[others])[0]
+        others = np.array([layers[layers != layer] for layer in layers])
+        theirs[layers] = common_pattern(full[others], cut.noise[others])[0]
     shape = np.exp(np.outer(cut.signals.time, pole)).T
     weight = cut.signals.weight
     seen, own, alike = (
@@ -246,12 +245,17 @@ def _misfit(left: np.ndarray, seen: np.ndarray) -> np.ndarray:
 
 
 def common_pattern(amplitude: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The pattern [channels, modes] that all layers share, and each layer's complex factor on it [layers].
+    """The pattern [..., channels, modes] that all layers share, and each layer's complex factor on it [..., layers].
 
     The first singular vector over [layers, (channels, modes)], every layer over its noise, but none more than `AHEAD`
     of its own size.
+
+    Parameters
+    ----------
+    amplitude, noise : [..., layers, channels, modes] and [..., layers, channels].
     """
-    rows = amplitude.reshape(len(amplitude), -1)
-    weight = 1 / np.maximum(noise.mean(axis=1), np.linalg.norm(rows, axis=1) * 10 ** (-AHEAD / 20) + 1e-12)
-    u, s, v = np.linalg.svd(rows * weight[:, None], full_matrices=False)
-    return v[0].reshape(amplitude.shape[1:]), u[:, 0] * s[0] / weight
+    rows = amplitude.reshape(*amplitude.shape[:-2], -1)
+    weight = 1 / np.maximum(noise.mean(axis=-1), np.linalg.norm(rows, axis=-1) * 10 ** (-AHEAD / 20) + 1e-12)
+    u, s, v = np.linalg.svd(rows * weight[..., None], full_matrices=False)
+    pattern = v[..., 0, :].reshape(*amplitude.shape[:-3], *amplitude.shape[-2:])
+    return pattern, u[..., 0] * s[..., :1] / weight
