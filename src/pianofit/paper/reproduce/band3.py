@@ -23,7 +23,7 @@ from ..annealing import anneal
 from ..descent import LeastSquares, gradient_descent
 from ..laboratory import INITIAL
 from ..search import pose
-from .cases import Case
+from .strokes import Stroke
 
 __all__ = ["WITHIN", "Basin", "Hammers", "Landscape", "Race", "hammers", "landscape", "race"]
 
@@ -85,11 +85,11 @@ class Race(NamedTuple):
         return int((self.ends[method] <= WITHIN * self.least).sum())
 
 
-def hammers(case: Case) -> Hammers:
+def hammers(stroke: Stroke) -> Hammers:
     """The hammer's problem on one measurement."""
-    search = pose(case.recording, case.analysis, starting_values(case.analysis, case.setup))
-    search.delay = (case.recording.onset - case.measurement.onset) / case.recording.rate
-    values = {"mu": float(INITIAL.hammer.mu)} | case.measurement.true
+    search = pose(stroke.recording, stroke.analysis, starting_values(stroke.analysis, stroke.setup))
+    search.delay = (stroke.recording.onset - stroke.measurement.onset) / stroke.recording.rate
+    values = {"mu": float(INITIAL.hammer.mu)} | stroke.measurement.true
     string, true = np.split(search.x(np.array([values[name] for name in FIT_NAMES])), [len(STRING_NAMES)])
     initial = search.x(search.values)[len(STRING_NAMES) :]
     return Hammers(*search.hammers(np.append(string, initial)), initial, true)

@@ -15,10 +15,9 @@ import numpy as np
 from ...report.build import spectrum_db
 from ...report.drawing import FITTED, INITIAL, INK, MEASURED
 from .band3 import WITHIN
-from .cases import RECIPES
-from .claims import SYMBOLS
+from .claims import SPANS, SYMBOLS
 from .direct import ROUND_TRIP
-from .judged import SPANS
+from .strokes import RECIPES
 from .studies import PRINTED, STRINGS, Findings
 
 if TYPE_CHECKING:
@@ -207,7 +206,7 @@ def searches(f: Findings, axes: Any) -> None:
 @drawn("figure-6", 7.2, 3, share="xy", key=False, ylabel="level (dB)")
 def spectra(f: Findings, rows: list[Any]) -> None:
     """Figure 6: measured above, the fits below."""
-    rate, sounds = f.origin.case.recording.rate, f.origin.sounds
+    rate, sounds = f.origin.recording.rate, f.origin.sounds
     shown = [(LINES[name], spectrum_db(sounds[name], rate, TOP)) for name in ("measured", *STRINGS)]
     stack(rows, 90, [(look["label"], *spectrum, look["color"]) for look, spectrum in shown])
 
@@ -216,7 +215,7 @@ def spectra(f: Findings, rows: list[Any]) -> None:
 def waveforms(f: Findings, rows: list[Any]) -> None:
     """Figure 7: measured, before and after, over each of `SPANS`."""
     stroke = f.strokes[f.plan.waveform]
-    rate = stroke.case.recording.rate
+    rate = stroke.recording.rate
     looks = {"measured": {"lw": 2.6, "alpha": 0.45}, "initial": {"label": "before", "ls": (0, (7, 2, 1, 2))}}
     looks |= {recipe: {"label": f"after: {RECIPES[recipe]}", "lw": 1.3} for recipe in STRINGS}
     for axes, (start, stop) in zip(rows, SPANS, strict=True):

@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 from ...parameters import FIT_NAMES, HAMMER_NAMES, STRING_NAMES
 from ..laboratory import FINAL, INITIAL, Laboratory, chosen
 from .band3 import SEEN
-from .cases import RECIPES, values_of
-from .judged import SPANS
+from .claims import SPANS
+from .strokes import RECIPES, values_of
 from .studies import PRINTED, STRINGS, Findings
 
 __all__ = ["Table", "tables"]
@@ -72,7 +72,7 @@ def _parameters(f: Findings) -> dict[str, Table]:
     own = {column: fits[column].document["parameters"] for column in fits if column.endswith(RECIPES["default"])}
     ends = [f"{column}, {end}" for column in own for end in ("from", "to")]
     within = [(p, *(x for table in own.values() for x in (table[p]["interval"] or (None, None)))) for p in FIT_NAMES]
-    every = [(band, k, share) for band, by in f.origin.case.shares().items() for k, share in by.items()]
+    every = [(band, k, share) for band, by in f.origin.shares().items() for k, share in by.items()]
     return {
         name: Table(("parameter", *values), [(p, *(column.get(p) for column in values.values())) for p in parameters])
         for name, parameters in (("table-2", STRING_NAMES), ("table-3", HAMMER_NAMES))
@@ -95,9 +95,9 @@ def _band3(f: Findings) -> dict[str, Table]:
 def _sounds(f: Findings) -> dict[str, Table]:
     """Figures 6 and 7, and how near every sound comes to what was measured."""
     wave, origin, names = f.strokes[f.plan.waveform], f.origin, {recipe: RECIPES[recipe] for recipe in STRINGS}
-    rate, shown = wave.case.recording.rate, {"measured": "measured", "initial": "initial"} | names
+    rate, shown = wave.recording.rate, {"measured": "measured", "initial": "initial"} | names
     waves = zip(*(wave.sounds[name][: int(SPANS[-1][1] * rate)] for name in shown), strict=True)
-    (partial, three), (_, read) = (origin.case.level_differences(origin.sounds[recipe]) for recipe in STRINGS)
+    (partial, three), (_, read) = (origin.levels_off(origin.sounds[recipe]) for recipe in STRINGS)
     near = [
         (v, RECIPES.get(name, name), stroke.closeness[name])
         for v, stroke in f.strokes.items()
