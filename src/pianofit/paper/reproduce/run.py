@@ -92,8 +92,9 @@ def _drawn(target: Path, draw: Callable, found: Findings) -> str:
     """Write a figure's PNG, and return its address within the page."""
     with styled():
         figure = draw(found)
+        shown = data_uri("image/svg+xml", svg(figure))
         replace_file(target, png(figure))
-        return data_uri("image/svg+xml", svg(figure))
+    return shown
 
 
 def played(folder: Path, name: str, stroke: Stroke, names: dict[str, str]) -> list[Clip]:

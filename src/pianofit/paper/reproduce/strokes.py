@@ -124,7 +124,7 @@ def measured(lab: Laboratory, velocity: float, seed: int, start: float | None = 
     """A stroke of `velocity`, m/s, analysed; a fit starts at what the sensor read, or at `start`, m/s."""
     found = record(lab, velocity, seed)
     recording = recording_from_samples(found.samples, found.rate, name=f"{velocity:g} m/s")
-    setup = setup_from_dict(tomllib.loads(setup_text(found, hold_velocity=False)), "laboratory")
+    setup = setup_from_dict(tomllib.loads(setup_text(found.scale, found.nominal_velocity)), "laboratory")
     if start is not None:
         setup = replace(setup, initial=setup.initial | {"v_H0": start})
     heard = recording.samples[recording.onset :] * found.scale
