@@ -1,15 +1,16 @@
 """What came of each of the paper's claims, by rules: what this run found in, an outcome out.
 
-A rule says which parts of its claim came out, as its docstring has it, and the numbers of its sentence. How they are
-worded, and what explains a claim that did not come out, is written once, in `claims.j2`, in blocks of the rules' names
-and those with `_why`. Velocities are in m/s, times in s, energies in J, masses in kg.
+A rule says which parts of its claim came out, as its docstring has it, and beside them the numbers that it had to
+compute. How they are worded, and what explains a claim that did not come out, is written once, in `claims.j2`, in
+blocks of the rules' names and those with `_why`, for which the findings are `f`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import cache, wraps
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -65,8 +66,8 @@ class Claim:
 
 
 RULES: dict[str, Callable[[Findings], Claim]] = {}  # in the order of the page
-# Which parts of a claim came out, and the numbers of its sentence.
-Parts = tuple[Sequence[Any], dict[str, Any]]
+# Which parts of a claim came out; and numbers that its sentence needs beside the findings.
+Parts = list[Any] | tuple[list[Any], dict[str, Any]]
 
 
 def judge(f: Findings) -> dict[str, Claim]:
@@ -83,11 +84,12 @@ def rule(
     """
 
     def of(parts: Callable[..., Parts]) -> Callable[[Findings], Claim]:
-        def judged(*given: Any) -> Claim:
-            came, numbers = parts(*given)
+        def judged(f: Findings, *recipe: str) -> Claim:
+            found = parts(f, *recipe)
+            came, more = found if isinstance(found, tuple) else (found, {})
             outcome = "yes" if all(came) else "part" if any(came) else "no"
-            why = "" if outcome == "yes" else _worded(f"{parts.__name__}_why", numbers)
-            return Claim(claim, where, outcome, _worded(parts.__name__, numbers), why)
+            why = "" if outcome == "yes" else _worded(f"{parts.__name__}_why", f, more)
+            return Claim(claim, where, outcome, _worded(parts.__name__, f, more), why)
 
         @wraps(parts)
         def decided(f: Findings) -> Claim:
@@ -100,52 +102,38 @@ def rule(
     return of
 
 
-def _struck(f: Findings, name: str) -> list[Any]:
-    """One number of every direct stroke, soft to hard."""
-    return [getattr(stroke, name) for stroke in f.strikes]
-
-
 @rule("III.C, Figure 2", "The contact of hammer and string lasts about 3 ms.")
 def contact_lasts(f: Findings) -> Parts:
-    """Nearer to 3 than to 2 or 4 ms; a hammer of mass `needed` would stay for 3 ms at the middle velocity."""
-    velocities, contact = _struck(f, "velocity"), _struck(f, "contact")
-    mass = float(NOTE.hammer.M_H)
-    return [2.5e-3 <= t < 3.5e-3 for t in contact], {
-        "velocities": velocities, "contact": contact, "mass": mass, "needed": f.needed_mass,
-    }  # fmt: skip
+    """Nearer to 3 than to 2 or 4 ms."""
+    return [2.5e-3 <= stroke.contact < 3.5e-3 for stroke in f.strikes]
 
 
 @rule("III.C, Figure 2", "The contact is shorter when the hammer is faster.")
 def contact_shortens(f: Findings) -> Parts:
     """Shorter from each velocity to the next."""
-    velocities, contact = _struck(f, "velocity"), _struck(f, "contact")
-    return [change < 0 for change in np.diff(contact)], {"velocities": velocities, "contact": contact}
+    return [after.contact < before.contact for before, after in pairwise(f.strikes)]
 
 
 @rule("III.C, Figure 2", "Reflections from the agraffe show in the force, at 2 and 4 m/s above all.")
 def reflections(f: Findings) -> Parts:
     """From 2 m/s on, the force has maxima as far apart as a wave's way to the agraffe and back, ±15 %."""
-    velocities, humps = _struck(f, "velocity"), _struck(f, "humps")
-    spacing = [float(np.mean(np.diff(at))) if len(at) > 1 else None for at in humps]
-    fast = [s for v, s in zip(velocities, spacing, strict=True) if v >= 2]
-    return [s is not None and abs(s / ROUND_TRIP - 1) <= 0.15 for s in fast], {
-        "velocities": velocities, "counts": [len(at) for at in humps], "spacing": spacing, "trip": ROUND_TRIP,
-    }  # fmt: skip
+    spacing = [float(np.mean(np.diff(s.humps))) if len(s.humps) > 1 else None for s in f.strikes]
+    fast = [apart for stroke, apart in zip(f.strikes, spacing, strict=True) if stroke.velocity >= 2]
+    seen = [apart is not None and abs(apart / ROUND_TRIP - 1) <= 0.15 for apart in fast]
+    return seen, {"counts": [len(stroke.humps) for stroke in f.strikes], "spacing": spacing}
 
 
 @rule("III.C, Figure 3", "Force over compression is a loop; its area is what the felt takes.")
 def felt_loses(f: Findings) -> Parts:
     """A loop ∮ F du run through clockwise, that is what hammer and string lose to 1e-6 of the energy."""
     hardest = f.strikes[-1]
-    loop, balance, energy = hardest.loop, hardest.balance, hardest.hammer_energy
-    return [loop > 0, abs(loop - balance) <= 1e-6 * energy], {"loop": loop, "balance": balance, "energy": energy}
+    return [hardest.loop > 0, abs(hardest.loop - hardest.balance) <= 1e-6 * hardest.hammer_energy]
 
 
 @rule("III.C, Figure 4", "The sound is brighter when the hammer is faster.")
 def brighter(f: Findings) -> Parts:
-    """A higher centroid, Hz, from each velocity to the next."""
-    velocities, centroids = _struck(f, "velocity"), _struck(f, "centroid")
-    return [rise > 0 for rise in np.diff(centroids)], {"velocities": velocities, "centroids": centroids}
+    """A higher centroid from each velocity to the next."""
+    return [after.centroid > before.centroid for before, after in pairwise(f.strikes)]
 
 
 @rule("IV.C, Table II", "A gradient in bands 1 and 2 finds the string.")
@@ -164,8 +152,7 @@ def string_found(f: Findings) -> Parts:
 )
 def changes_as_printed(f: Findings, recipe: str) -> Parts:
     """Every parameter moved from its start as in the paper: up, down, or hardly at all (`MOVED`, `STILL`)."""
-    initial, printed = PRINTED["initial"], PRINTED["final"]
-    found = values_of(f.tables["full"].results[recipe])
+    initial, printed, found = PRINTED["initial"], PRINTED["final"], values_of(f.tables["full"].results[recipe])
 
     def direction(name: str, after: float) -> float:
         share = after / initial[name] - 1
@@ -178,8 +165,7 @@ def changes_as_printed(f: Findings, recipe: str) -> Parts:
 @rule("IV.C", "Band 3 has local minima.")
 def local_minima(f: Findings) -> Parts:
     """More than one minimum in the plane shown, and more than one over all five parameters."""
-    in_plane, in_all = ([minimum.cost for minimum in found.minima] for found in (f.plane, f.race))
-    return [len(in_plane) > 1, len(in_all) > 1], {"in_plane": in_plane, "in_all": in_all}
+    return [len(f.plane.minima) > 1, len(f.race.minima) > 1]
 
 
 @rule("IV.C", "A gradient alone fails from some starts where annealing does not.")
@@ -188,10 +174,7 @@ def annealing_escapes(f: Findings) -> Parts:
 
     A search fails that does not come `WITHIN` a factor of the lowest criterion found by any.
     """
-    starts, reached = f.plan.starts, {method: f.race.reached(method) for method in f.race.ends}
-    return [reached["gradient"] < starts, reached["annealed"] == starts], {
-        "starts": starts, "reached": reached, "within": WITHIN,
-    }  # fmt: skip
+    return [f.race.reached("gradient") < f.plan.starts, f.race.reached("annealed") == f.plan.starts]
 
 
 @rule("V, Figure 6", "The first seven partials agree, those above differ.", STRINGS)
@@ -221,13 +204,9 @@ def three_bands_better(f: Findings, recipe: str) -> Parts:
     def errors(sound: str, measure: str) -> np.ndarray:
         return np.array([getattr(one[sound], measure) / getattr(one["measured"], measure) - 1 for one in near])
 
-    measures = ("attack", "centroid")
-    off, whole = ({m: np.abs(errors(sound, m)) for m in measures} for sound in (recipe, "global"))
-    return [off[m].mean() < whole[m].mean() for m in measures], {
-        "three": {m: float(x.mean()) for m, x in off.items()}, "whole": {m: float(x.mean()) for m, x in whole.items()},
-        "nearer": {m: int((x < whole[m]).sum()) for m, x in off.items()}, "of": len(near),
-        "lost": float(errors("global", "centroid").mean()),
-    }  # fmt: skip
+    three, whole = ({m: np.abs(errors(x, m)) for m in ("attack", "centroid")} for x in (recipe, "global"))
+    lost = float(errors("global", "centroid").mean())
+    return [three[m].mean() < whole[m].mean() for m in three], {"three": three, "whole": whole, "lost": lost}
 
 
 @rule("V", "Parameters from one velocity predict other velocities.", STRINGS)
@@ -239,17 +218,15 @@ def predicts(f: Findings, recipe: str) -> Parts:
     predicted, initial, nearest = (
         [one.closeness[kind].level_db for one in f.predictions.values()] for kind in (recipe, "initial", "nearest")
     )
-    return [p < i and p < n for p, i, n in zip(predicted, initial, nearest, strict=True)], {
-        "velocities": [*f.predictions], "origin": f.plan.origin, "predicted": predicted, "initial": initial,
-        "nearest": nearest,
-    }  # fmt: skip
+    met = [p < i and p < n for p, i, n in zip(predicted, initial, nearest, strict=True)]
+    return met, {"predicted": predicted, "initial": initial, "nearest": nearest}
 
 
 @rule("V", "Repeated measurements give very similar parameters.", STRINGS)
 def repeats(f: Findings, recipe: str) -> Parts:
     """Every parameter's standard deviation over the measurements, of its logarithm, is at most `ALIKE`."""
     spread = spread_of(f.repeated[recipe])
-    return [share <= ALIKE for share in spread.values()], {"spread": spread, "count": f.plan.repeats}
+    return [share <= ALIKE for share in spread.values()], {"spread": spread}
 
 
 @rule("V, VI", "What remains after the fit is what the model lacks.", STRINGS)
@@ -260,16 +237,15 @@ def explained(f: Findings, recipe: str) -> Parts:
     """
     left = {name: stroke.closeness[recipe].criterion["band3"] for name, stroke in f.effects.items()}
     everything, nothing = left.pop("all"), left.pop("none")
-    return [nothing < 0.1 * everything, max(left.values()) >= 0.1 * everything], {
-        "alone": left, "everything": everything, "nothing": nothing,
-    }  # fmt: skip
+    came = [nothing < 0.1 * everything, max(left.values()) >= 0.1 * everything]
+    return came, {"alone": left, "everything": everything, "nothing": nothing}
 
 
 @rule("V, Table II", "The κ that is fitted is the string's.")
 def bends_kappa(f: Findings) -> Parts:
     """κ through the paper's grid is the string's own to 2 %."""
     bent = f.bends["fitted to band 2"][0]
-    return [abs(bent.off) <= 0.02], {"bent": bent, "meant": f.inverse.kappa}
+    return [abs(bent.off) <= 0.02], {"bent": bent}
 
 
 @rule("IV.B, Table II", "b2 is found in band 2.")
@@ -279,21 +255,19 @@ def b2_seen(f: Findings) -> Parts:
     curve, noise = seen.criterion["band2"], seen.spread["band2"]
     at = float(np.interp(np.log(seen.true), np.log(seen.b2), curve))
     change, above = abs(at - float(curve[0])), seen.b2[(curve - at > noise) & (seen.b2 > seen.true)].tolist()
-    return [change > noise], {
-        "b2": seen.true, "change": change, "noise": noise, "visible": (*above, None)[0], "most": float(seen.b2[-1]),
-        "remaining": f.origin.closeness["paper"].criterion["band2"],
-    }  # fmt: skip
+    return [change > noise], {"change": change, "noise": noise, "visible": (*above, None)[0]}
 
 
 # --- in words --------------------------------------------------------------------------------------------------------
 
 
-def _worded(block: str, numbers: dict[str, Any]) -> str:
+def _worded(block: str, f: Findings, numbers: dict[str, Any]) -> str:
     """A block of `claims.j2`, if there is one of that name."""
     template = _texts()
     if block not in template.blocks:
         return ""
-    return " ".join("".join(template.blocks[block](template.new_context(numbers))).split())
+    context = template.new_context({"f": f, "note": NOTE, "trip": ROUND_TRIP, "within": WITHIN} | numbers)
+    return " ".join("".join(template.blocks[block](context)).split())
 
 
 @cache
@@ -302,7 +276,7 @@ def _texts() -> Template:
     return templates("pianofit.paper.reproduce", filters=filters).get_template("claims.j2")
 
 
-def _listed(values: Sequence[float], digits: int = 3, scale: float = 1) -> str:
+def _listed(values: Iterable[float], digits: int = 3, scale: float = 1) -> str:
     *most, last = [number(scale * float(v), digits) for v in values]
     return f"{', '.join(most)} and {last}" if most else last
 

@@ -7,21 +7,17 @@ grey and by colour-blind eyes (Okabe and Ito's colours).
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import wraps
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from ...report.build import spectrum_db
-from ...report.drawing import FITTED, INITIAL, INK, MEASURED
+from ...report.drawing import FITTED, INITIAL, INK, MEASURED, log_axis
 from .band3 import WITHIN
 from .claims import SPANS, SYMBOLS
 from .direct import ROUND_TRIP
 from .strokes import RECIPES
 from .studies import PRINTED, STRINGS, Findings
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 __all__ = ["FIGURES"]
 
@@ -51,27 +47,26 @@ TOP = 6000.0  # Hz of the spectra
 EDGES = (1e-3, 1e3)  # what is further off than this, as a factor, is drawn here
 
 
-FIGURES: dict[str, Callable[[Findings], Figure]] = {}
-Draw = Callable[[Findings, Any], None]
+FIGURES: dict[str, Callable[[Findings], Any]] = {}  # each makes a figure of matplotlib
 
 
 def drawn(
     name: str, height: float, rows: int = 1, columns: int = 1, *, share: str = "", key: bool = True, **labels: Any
-) -> Callable[[Draw], Draw]:  # fmt: skip
-    """Enter in `FIGURES` what draws on one axes, or on a list of them, of a height in inches.
+):
+    """Enter in `FIGURES` what draws findings on one axes, or on a list of them, of a height in inches.
 
     `share`: which of "x" and "y" the axes share. `key`: one legend at the lower edge, of what the first axes show.
     `labels`: what `Axes.set` takes, of each.
     """
 
-    def of(draw: Draw) -> Draw:
-        @wraps(draw)
-        def figure(f: Findings) -> Figure:
+    def of(draw: Callable[[Findings, Any], None]) -> Callable[[Findings, Any], None]:
+        def figure(f: Findings) -> Any:
             from matplotlib.figure import Figure
 
             made = Figure(figsize=(WIDTH, height), layout="constrained")
-            grid = made.subplots(rows, columns, squeeze=False, sharex="x" in share, sharey="y" in share)
-            every = grid.ravel().tolist()
+            every = (
+                made.subplots(rows, columns, squeeze=False, sharex="x" in share, sharey="y" in share).ravel().tolist()
+            )
             for axes in every:
                 axes.set(**labels)
             draw(f, every if len(every) > 1 else every[0])
@@ -172,10 +167,8 @@ def plane(f: Findings, axes: Any) -> None:
         side = "right" if minimum.z[1] > 0.8 * seen.second[-1] else "left"
         axes.annotate(f"{minimum.cost:.2g}", at, xytext=(0, 11), ha=side, color="white", textcoords="offset points",
                       fontsize=9.5, fontweight="bold")  # fmt: skip
-    for axis, reach, ticks in ((axes.xaxis, x, (0.5, 0.7, 1, 1.4, 2)), (axes.yaxis, y, (0.1, 0.2, 0.5, 1, 2, 5, 10))):
-        inside = [t for t in ticks if reach[0] <= t <= reach[-1]]
-        axis.set_ticks(inside, [f"{t:g}" for t in inside])
-        axis.set_ticks([], minor=True)
+    for axis in (axes.xaxis, axes.yaxis):
+        log_axis(axis)
     axes.grid(visible=False)
     scale = [t for t in (-4, -3, -2, -1.5, -1, -0.5, 0) if t >= levels[0]]
     axes.figure.colorbar(shown, ax=axes, fraction=0.03, pad=0.01, label="criterion in band 3", ticks=scale,
