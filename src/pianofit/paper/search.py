@@ -22,6 +22,7 @@ from ..errors import FitError
 from ..felt import DEFAULT_LAW
 from ..inference.align import laid
 from ..inference.priors import HAMMER_SPREAD
+from ..inference.search import NO_HAMMER
 from ..inference.start import Start
 from ..model import simulate
 from ..model.modes import mode_frequencies
@@ -72,7 +73,6 @@ HAMMER_REACH = np.array([SPREADS * SPREAD[n] if n in HAMMER_NAMES else 0.0 for n
 ITERATIONS = 60
 TOLERANCE = 1e-7
 CHAINS = 32
-NO_HAMMER = "no hammer within the bounds gives a finite sound; widen [bounds] or check [known] in the setup"
 
 
 @dataclass

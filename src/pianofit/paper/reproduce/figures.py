@@ -16,7 +16,7 @@ from ...report.drawing import FITTED, INITIAL, INK, MEASURED, log_axis
 from .band3 import WITHIN
 from .claims import SPANS, SYMBOLS
 from .direct import ROUND_TRIP
-from .strokes import RECIPES
+from .strokes import SOUNDS
 from .studies import PRINTED, STRINGS, Findings
 
 __all__ = ["FIGURES"]
@@ -29,10 +29,10 @@ PURPLE = "#8a5a9e"
 LINES: dict[str, dict[str, Any]] = {
     "measured": {"color": MEASURED, "ls": "-", "lw": 1.2, "label": "measured"},
     "initial": {"color": INITIAL, "ls": (0, (4, 1.6)), "lw": 1.2, "label": "initial"},
-    "global": {"color": GLOBAL, "ls": (0, (1, 1.2)), "lw": 1.8, "label": RECIPES["global"]},
-    "paper": {"color": FITTED, "ls": "-", "lw": 1.6, "label": RECIPES["paper"]},
-    "read": {"color": PURPLE, "ls": (0, (8, 1.5)), "lw": 1.6, "label": RECIPES["read"]},
-    "default": {"color": DEFAULT, "ls": (0, (6, 1.5, 1, 1.5)), "lw": 1.4, "label": RECIPES["default"]},
+    "global": {"color": GLOBAL, "ls": (0, (1, 1.2)), "lw": 1.8, "label": SOUNDS["global"]},
+    "paper": {"color": FITTED, "ls": "-", "lw": 1.6, "label": SOUNDS["paper"]},
+    "read": {"color": PURPLE, "ls": (0, (8, 1.5)), "lw": 1.6, "label": SOUNDS["read"]},
+    "default": {"color": DEFAULT, "ls": (0, (6, 1.5, 1, 1.5)), "lw": 1.4, "label": SOUNDS["default"]},
 }
 MARKERS = {"measured": "o", "initial": "s", "global": "^", "paper": "D", "read": "P"}
 # Three velocities, soft to hard.
@@ -210,7 +210,7 @@ def waveforms(f: Findings, rows: list[Any]) -> None:
     stroke = f.strokes[f.plan.waveform]
     rate = stroke.recording.rate
     looks = {"measured": {"lw": 2.6, "alpha": 0.45}, "initial": {"label": "before", "ls": (0, (7, 2, 1, 2))}}
-    looks |= {recipe: {"label": f"after: {RECIPES[recipe]}", "lw": 1.3} for recipe in STRINGS}
+    looks |= {recipe: {"label": f"after: {SOUNDS[recipe]}", "lw": 1.3} for recipe in STRINGS}
     for axes, (start, stop) in zip(rows, SPANS, strict=True):
         part = np.arange(int(start * rate), int(stop * rate))
         for name, look in looks.items():
@@ -239,7 +239,7 @@ def predicted_levels(f: Findings, axes: Any) -> None:
         ([one.closeness[kind].level_db for one in f.predictions.values()], color, label)
         for kind, color, label in (
             ("initial", INITIAL, "initial values"), ("nearest", GREY, f"the recording at {origin} itself"),
-            ("paper", FITTED, f"three bands at {origin}"), ("read", PURPLE, f"{RECIPES['read']}, at {origin}"),
+            ("paper", FITTED, f"three bands at {origin}"), ("read", PURPLE, f"{SOUNDS['read']}, at {origin}"),
         )
     ]  # fmt: skip
     for group in bars(axes, [f"{velocity:g} m/s" for velocity in f.predictions], groups, 0.2):

@@ -21,7 +21,7 @@ from ..laboratory import chosen
 from .claims import SYMBOLS, WORDS, Claim, judge
 from .direct import NOTE
 from .figures import FIGURES
-from .strokes import RECIPES, Stroke
+from .strokes import RECIPES, SOUNDS, Stroke
 from .studies import FULL, Findings, Plan, compute
 from .tables import tables
 
@@ -29,8 +29,7 @@ __all__ = ["reproduce"]
 
 SECONDS = 2.2  # of each sound that a page plays
 LEAD = 0.05  # s of silence before those of the listening test
-# Sounds of the fitted stroke, and of the others, on the page: name -> what it is called there.
-FITTED = {"measured": "measured", "initial": "initial"} | RECIPES
+# Sounds of velocities that were not fitted, on the page: name -> what it is called there.
 PREDICTED = {
     "measured": "measured", "paper": "predicted, three bands", "read": "predicted, string read", "initial": "initial",
 }  # fmt: skip
@@ -60,7 +59,7 @@ def reproduce(
     found = compute(plan, seed, progress)
     progress("pages", 0.99)
     claims, numbers = judge(found), tables(found)
-    shown = {plan.origin: (found.origin, FITTED)} | {v: (one, PREDICTED) for v, one in found.predictions.items()}
+    shown = {plan.origin: (found.origin, SOUNDS)} | {v: (one, PREDICTED) for v, one in found.predictions.items()}
     for name in ("data", "figures", "sounds"):
         _make(folder / name)
     for name, table in numbers.items():
@@ -123,7 +122,7 @@ def _write_test(folder: Path, f: Findings) -> None:
     questions, rate = [], f.origin.recording.rate
     for velocity in f.plan.heard:
         heard = {
-            name: Heard(RECIPES.get(name, name), f"{velocity:g} m/s", np.pad(_cut(x, rate), (int(LEAD * rate), 0)))
+            name: Heard(SOUNDS[name], f"{velocity:g} m/s", np.pad(_cut(x, rate), (int(LEAD * rate), 0)))
             for name, x in f.strokes[velocity].sounds.items()
         }
         questions += [Question(heard["measured"], (heard[a], heard[b])) for a, b in PAIRS if a in heard]

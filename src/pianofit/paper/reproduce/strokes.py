@@ -1,8 +1,7 @@
 """A stroke in the laboratory as a fit meets it: measured, fitted by recipes, and how near each sound comes to it.
 
 The setup holds what the laboratory knew, and as initial values the paper's (Tables II and III), with the hammer's
-velocity as the sensor read it, which the paper's recipes fit like the rest. Sounds go by `measured`, `initial` and the
-names of `RECIPES`.
+velocity as the sensor read it, which the paper's recipes fit like the rest. Sounds go by the names of `SOUNDS`.
 
 What the ear calls attack and brightness are two numbers measured on the sounds themselves. The paper says that the
 global criterion made the attack "too smooth" and the sound less bright (IV.B), and gives no measure for either. A
@@ -36,13 +35,17 @@ from ..laboratory import Laboratory, Measurement, setup_text
 from ..laboratory import measure as record
 from ..recipes import fit_by_recipe
 
-__all__ = ["RECIPES", "Closeness", "Stroke", "attack_time", "centroid", "fitted", "measured", "rms", "values_of"]
+__all__ = [
+    "RECIPES", "SOUNDS", "Closeness", "Stroke", "attack_time", "centroid", "fitted", "measured", "rms", "values_of",
+]  # fmt: skip
 
 # recipe -> what it is called on the page. `read` is the paper's third step on a string that was read off the partials.
 RECIPES = {
     "global": "global criterion", "paper": "three bands", "read": "three bands, string read",
     "default": "default recipe",
 }  # fmt: skip
+# The same of every sound.
+SOUNDS = {"measured": "measured", "initial": "initial"} | RECIPES
 # From the seed of one annealing to that of the next; measurements have the seeds in between.
 NEXT_TRY = 10_000
 # The attack runs from the first to the second of these shares of the first wave's height.
