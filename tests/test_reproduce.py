@@ -299,7 +299,7 @@ def made_up(deep: float = 0.0) -> Hammers:
         return 0.5 * (residuals(z)[0] ** 2).sum(axis=1)
 
     box = np.array([2.0, 1.0, 1.0, 1.0, 1.0])
-    return Hammers(LeastSquares(cost, residuals), -box, box, np.array([1.5, 0.3, 0.0, 0.0, 0.0]), np.zeros(5))
+    return Hammers(LeastSquares(cost, residuals, -box, box), np.array([1.5, 0.3, 0.0, 0.0, 0.0]), np.zeros(5))
 
 
 def test_the_landscape_finds_its_minima_and_no_other():
