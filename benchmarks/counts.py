@@ -32,7 +32,7 @@ def counts(seconds: float, noise_db: float | None = 30.0) -> dict[str, Any]:
     from pianofit.analysis import analyse
     from pianofit.inference import conclude, estimate, pose
     from pianofit.model.cache import keep_programs
-    from pianofit.paper.twin import LEAD, make_twin, setup_text
+    from pianofit.paper.laboratory import make_twin, setup_text
 
     with tempfile.TemporaryDirectory() as folder:
         setup = Path(folder) / "setup.toml"
@@ -40,7 +40,7 @@ def counts(seconds: float, noise_db: float | None = 30.0) -> dict[str, Any]:
         known = pianofit.load_setup(setup)
         twin = make_twin(noise_db)
         keep_programs()
-        recording = pianofit.recording_from_samples(twin.samples[: int((LEAD + seconds) * twin.rate)], twin.rate)
+        recording = pianofit.recording_from_samples(twin.samples[: twin.onset + int(seconds * twin.rate)], twin.rate)
         found = analyse(recording)
         events.clear()
         problem = pose([recording], [found], known)

@@ -67,7 +67,7 @@ def _demo(seed: int, noise_db: float | None) -> dict:
 
     from pianofit.fitting import fit
     from pianofit.io import encode_wav
-    from pianofit.paper.twin import make_twin, setup_text
+    from pianofit.paper.laboratory import make_twin, setup_text
 
     twin = make_twin(noise_db, seed)
     with tempfile.TemporaryDirectory() as folder:

@@ -41,7 +41,7 @@ def make_notes(folder: Path, velocities: tuple[float, ...] = VELOCITIES, seconds
 def make_measurement(folder: Path) -> tuple[Path, Path]:
     """Write the demo's twin, a calibrated measurement of the paper's string, and its setup."""
     from pianofit import encode_wav
-    from pianofit.paper.twin import make_twin, setup_text
+    from pianofit.paper.laboratory import make_twin, setup_text
 
     twin = make_twin()
     sound, setup = folder / "twin.wav", folder / "setup.toml"

@@ -27,11 +27,9 @@ from pianofit.criterion import measure as energies
 from pianofit.inference.start import starting_values
 from pianofit.model import simulate
 from pianofit.model.cache import keep_programs
-from pianofit.paper.laboratory import Laboratory, measure, setup_text
+from pianofit.paper.laboratory import Laboratory, make_twin, measure, setup_text
 from pianofit.paper.recipes import fit_by_paper
 from pianofit.paper.search import pose, split
-from pianofit.paper.twin import make_twin
-from pianofit.paper.twin import setup_text as demo_setup
 from pianofit.parameters import FIT_NAMES
 
 VELOCITIES = (0.618, 0.844, 1.299)
@@ -55,10 +53,10 @@ class Measured(NamedTuple):
 def measurements(velocities: tuple[float, ...] = VELOCITIES) -> list[Measured]:
     """The demo's twin, and the laboratory's strokes, all from the paper's initial values."""
     twin = make_twin(60.0, seed=0)
-    found = [_measured("demo twin", twin.samples, twin.rate, demo_setup(), twin.true)]
+    found = [_measured("demo twin", twin.samples, twin.rate, setup_text(), twin.true)]
     for velocity in velocities:
         stroke = measure(Laboratory(), velocity, seed=0)
-        text = setup_text(stroke, hold_velocity=False)
+        text = setup_text(stroke.scale, stroke.nominal_velocity)
         found.append(_measured(f"laboratory, {velocity} m/s", stroke.samples, stroke.rate, text, stroke.true))
     return found
 

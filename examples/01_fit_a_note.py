@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 import pianofit
-from pianofit.paper.twin import make_twin, setup_text
+from pianofit.paper.laboratory import make_twin, setup_text
 
 
 def made_here() -> tuple[pianofit.Recording, pianofit.Setup, dict[str, float]]:

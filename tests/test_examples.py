@@ -17,7 +17,7 @@ import pianofit
 from pianofit.parameters import FIT_NAMES
 
 # Rooms that an example is about, or has its twin from.
-ROOMS = ("keyboard", "play", "paper.twin")
+ROOMS = ("keyboard", "play", "paper.laboratory")
 EXAMPLES = Path(__file__).parent.parent / "examples"
 
 

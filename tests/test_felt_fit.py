@@ -26,7 +26,12 @@ def stroke(felt: str):
     """A measurement with one felt, nothing else left out and little noise, and its truth."""
     made = measure(Laboratory.ideal(felt=felt, noise_db=90.0), VELOCITY)
     recording = recording_from_samples(made.samples, made.rate, name=f"{felt}.wav")
-    return recording, analyse(recording), tomllib.loads(setup_text(made)), made.true
+    return (
+        recording,
+        analyse(recording),
+        tomllib.loads(setup_text(made.scale, made.nominal_velocity, hold_velocity=True)),
+        made.true,
+    )
 
 
 @functools.cache

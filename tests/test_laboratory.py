@@ -143,7 +143,7 @@ def test_every_recorded_velocity_stays_within_the_vibrometers_range(velocity):
 
 def test_the_setup_says_what_the_laboratory_knew():
     one = measure(Laboratory(**SHORT), 2.3)
-    setup = setup_from_dict(tomllib.loads(setup_text(one)), "setup")
+    setup = setup_from_dict(tomllib.loads(setup_text(one.scale, one.nominal_velocity, hold_velocity=True)), "setup")
     g = FINAL.geometry
     assert (setup.length, setup.mass, setup.strike_position, setup.strike_width, setup.pickup_position) == tuple(g)
     assert setup.pickup_quantity == "velocity"
@@ -155,7 +155,7 @@ def test_the_setup_says_what_the_laboratory_knew():
 
 def test_a_velocity_can_be_where_the_fit_starts():
     one = measure(Laboratory(**SHORT), V)
-    setup = setup_from_dict(tomllib.loads(setup_text(one, hold_velocity=False)), "setup")
+    setup = setup_from_dict(tomllib.loads(setup_text(one.scale, one.nominal_velocity)), "setup")
     assert setup.recordings == ()
     assert setup.initial["v_H0"] == one.nominal_velocity != V
 

@@ -40,7 +40,7 @@ USES = {
     "ringing": "analysis inference model recording ringing_file threads",
     "report": "analysis felt inference io model parameters ringing ringing_file",
     "listening": "io recording report",
-    "paper": "analysis criterion felt inference io listening model parameters published recording report setup",
+    "paper": "analysis criterion felt inference io listening model parameters published recording report setup tables",
     "keyboard": "analysis criterion fit_file io model parameters published report ringing_file",
     "fitting": "analysis inference io paper parameters progress recording ringing setup",
     "play": "analysis felt io keyboard model parameters recording report threads",

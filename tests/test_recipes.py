@@ -20,8 +20,8 @@ from pianofit.inference.start import Start, starting_values
 from pianofit.model import simulate
 from pianofit.model.note import arrival
 from pianofit.paper import search as searching
+from pianofit.paper.laboratory import make_twin, setup_text
 from pianofit.paper.recipes import FELT_UNKNOWN, NO_INTERVALS, OPENING, RECIPES, Found, check_recipe, fit_by_paper
-from pianofit.paper.twin import LEAD, make_twin, setup_text
 from pianofit.parameters import FIT_NAMES, Hammer, String
 
 FEW = 600
@@ -177,7 +177,9 @@ def test_the_global_criterion_goes_down_and_leaves_the_brightness_behind(monkeyp
 
 
 def test_the_delay_goes_back_to_the_first_contact():
-    assert paper().delay == pytest.approx(recording().onset / recording().rate - LEAD, abs=2 / recording().rate)
+    assert paper().delay == pytest.approx(
+        (recording().onset - twin().onset) / recording().rate, abs=2 / recording().rate
+    )
 
 
 # --- what was known beforehand ----------------------------------------------------------------------------------------

@@ -23,7 +23,7 @@ from pianofit.inference.posterior import laplace
 from pianofit.inference.problem import Problem
 from pianofit.inference.profile import RISE, _Profile, profiles
 from pianofit.inference.views import check_intervals, open_messages, reported, view_of
-from pianofit.paper.twin import make_twin, setup_text
+from pianofit.paper.laboratory import make_twin, setup_text
 
 FORCE, P = (names_of(DEFAULT_LAW).index(name) for name in ("K_H", "p"))
 pytestmark = pytest.mark.usefixtures("float64")

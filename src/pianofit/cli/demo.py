@@ -9,7 +9,7 @@ from ..fitting import fit
 from ..inference import Result
 from ..io import encode_wav, replace_file
 from ..model.cache import keep_programs
-from ..paper.twin import make_twin, setup_text
+from ..paper.laboratory import make_twin, setup_text
 
 __all__ = ["run_demo"]
 

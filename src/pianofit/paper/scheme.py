@@ -77,22 +77,17 @@ class Reference(NamedTuple):
 
 
 class State(NamedTuple):
-    """String and hammer at one step; size = N + 1, the hammer last."""
+    """String and hammer at one step; size = N + 1, the hammer last. Or its derivatives, by `FIT_NAMES`, a column each.
 
-    displacement: np.ndarray  # y [size], m
-    velocity: np.ndarray  # v [size], m/s
-    force: float  # F, N
-    second: np.ndarray  # D₂ y [size], 1/m
-    fourth: np.ndarray  # D₄ y [size], 1/m³
+    The differences are carried along: a fourth difference of y would magnify its rounding by (N + 1)⁴ and hide κ's
+    derivative.
+    """
 
-
-class Sensitivity(NamedTuple):
-    """The derivatives of a state by c, kappa, b1, b2, K_H, mu, p, M_H and v_H0, a column each."""
-
-    displacement: np.ndarray  # ẏ [size, 9]
-    velocity: np.ndarray  # v̇ [size, 9]
-    force: np.ndarray  # Ḟ [9]
-    pull: np.ndarray  # K ẏ [size, 9], carried along as `State.fourth` is
+    displacement: np.ndarray  # y [size], m, or ẏ [size, 9]
+    velocity: np.ndarray  # v [size], m/s, or v̇ [size, 9]
+    force: np.ndarray | float  # F, N, or Ḟ [9]
+    second: np.ndarray  # D₂ y, 1/m
+    fourth: np.ndarray  # D₄ y, 1/m³
 
 
 class Scheme(NamedTuple):
@@ -102,7 +97,6 @@ class Scheme(NamedTuple):
     string_mass: np.ndarray  # m on the string's rows, 0 on the hammer's [size], kg
     second: np.ndarray  # D₂ (eq. 17), 1/m²
     fourth: np.ndarray  # D₄ (eq. 18), 1/m⁴
-    pull: np.ndarray  # K, N/m
     explicit: np.ndarray  # M - aR - a²K, kg
     implicit: np.ndarray  # M + aR + a²K, kg
     press: np.ndarray  # b [size]
@@ -140,7 +134,7 @@ def solve(
     y, v = np.append(y_s, weights @ y_s), np.append(v_s, float(hammer.v_H0))
     state = State(y, v, 0.0, scheme.second @ y, scheme.fourth @ y)
     nothing = np.zeros((points + 1, len(FIT_NAMES)))
-    slopes = Sensitivity(nothing, nothing.copy(), nothing[0], nothing)
+    slopes = State(nothing, nothing.copy(), nothing[0], nothing, nothing)
     slopes.velocity[-1, FIT_NAMES.index("v_H0")] = 1.0  # A11, A13
     rows, slope_rows = [(_read(scheme, state), _energy(scheme, string, state), 0)], [_read(scheme, slopes)]
     for _ in range(steps - 1):
@@ -225,7 +219,7 @@ def assemble(string: String, hammer: Hammer, geometry: Geometry, step: float, we
     implicit, b = mass + a * R + a**2 * K, compression_row(weights)
     pickup = np.append(pickup_row(geometry, points), 0.0)
     explicit = mass - a * R - a**2 * K
-    return Scheme(a, string_mass, second, fourth, K, explicit, implicit, b, pickup, cho_factor(implicit))
+    return Scheme(a, string_mass, second, fourth, explicit, implicit, b, pickup, cho_factor(implicit))
 
 
 # --- one step ---------------------------------------------------------------------------------------------------------
@@ -241,23 +235,32 @@ def felt(u: float, du: float, hammer: Hammer) -> tuple[float, float, float]:
 
 
 def elastic_pull(scheme: Scheme, string: String, state: State) -> np.ndarray:
-    """K y [size], N, from the differences that the state carries."""
-    return scheme.string_mass * stiffness(string, state.second, state.fourth)
+    """K y, N, from the differences that the state carries."""
+    return (scheme.string_mass * stiffness(string, state.second, state.fourth).T).T
+
+
+def _known(scheme: Scheme, string: String, old: State) -> np.ndarray:
+    """What the step's end does not change: the terms of y, v and F."""
+    pushed = np.multiply.outer(scheme.press, old.force)
+    return scheme.explicit @ old.velocity - scheme.half_step * (2 * elastic_pull(scheme, string, old) + pushed)
+
+
+def _stepped(scheme: Scheme, old: State, velocity: np.ndarray, force: np.ndarray | float) -> State:
+    """The state one step later, of these velocities and this force."""
+    moved = scheme.half_step * (velocity + old.velocity)
+    second, fourth = old.second + scheme.second @ moved, old.fourth + scheme.fourth @ moved
+    return State(old.displacement + moved, velocity, force, second, fourth)
 
 
 def _advance(scheme: Scheme, string: String, hammer: Hammer, old: State) -> tuple[State, int]:
     """The state one step later (eq. 16), and how many iterations it took."""
-    a, b = scheme.half_step, scheme.press
-    known = scheme.explicit @ old.velocity - 2 * a * elastic_pull(scheme, string, old) - a * old.force * b
-    velocity = cho_solve(scheme.factor, known, check_finite=False)
-    force, count = 0.0, 0
+    known = _known(scheme, string, old)
+    free = _stepped(scheme, old, cho_solve(scheme.factor, known, check_finite=False), 0.0)
     # The force only ever parts the two: what does not touch without one does not touch.
-    if b @ (old.displacement + a * (velocity + old.velocity)) > 0:
-        velocity, force, count = _newton_raphson(scheme, hammer, old, known)
-    moved = a * (velocity + old.velocity)
-    # Carried along: a fourth difference of y would magnify its rounding by (N + 1)⁴ and hide κ's derivative.
-    second, fourth = old.second + scheme.second @ moved, old.fourth + scheme.fourth @ moved
-    return State(old.displacement + moved, velocity, force, second, fourth), count
+    if scheme.press @ free.displacement <= 0:
+        return free, 0
+    velocity, force, count = _newton_raphson(scheme, hammer, old, known)
+    return _stepped(scheme, old, velocity, force), count
 
 
 def _newton_raphson(scheme: Scheme, hammer: Hammer, old: State, known: np.ndarray) -> tuple[np.ndarray, float, int]:
@@ -292,22 +295,18 @@ def _factor(scheme: Scheme, by_u: float, by_du: float) -> Any:
 # --- the appendix -----------------------------------------------------------------------------------------------------
 
 
-def differentiated(
-    scheme: Scheme, string: String, hammer: Hammer, old: State, new: State, last: Sensitivity
-) -> Sensitivity:
-    """The derivatives one step later, of the step from `old` to `new`."""
+def differentiated(scheme: Scheme, string: String, hammer: Hammer, old: State, new: State, last: State) -> State:
+    """The derivatives one step later than `last`, of the step from `old` to `new`."""
     a, b = scheme.half_step, scheme.press
     u, du = float(b @ new.displacement), float(b @ new.velocity)
     _, by_u, by_du = felt(u, du, hammer)
-    by_felt = felt_derivatives(u, du, new.force, hammer)
-    pushed = last.force + by_u * (b @ (last.displacement + a * last.velocity)) + by_felt
-    known = scheme.explicit @ last.velocity - 2 * a * last.pull - a * np.outer(b, pushed)
+    by_felt = felt_derivatives(u, du, float(new.force), hammer)
+    pushed = by_u * (b @ (last.displacement + a * last.velocity)) + by_felt
+    known = _known(scheme, string, last) - a * np.outer(b, pushed)
     known += coefficient_terms(scheme, string, hammer, old, new)
     velocity = cho_solve(_factor(scheme, by_u, by_du), known, check_finite=False)
-    moved = a * (velocity + last.velocity)
-    displacement = last.displacement + moved
-    force = by_u * (b @ displacement) + by_du * (b @ velocity) + by_felt
-    return Sensitivity(displacement, velocity, force, last.pull + scheme.pull @ moved)
+    moved = _stepped(scheme, last, velocity, last.force)
+    return moved._replace(force=by_u * (b @ moved.displacement) + by_du * (b @ velocity) + by_felt)
 
 
 def felt_derivatives(u: float, du: float, force: float, hammer: Hammer) -> np.ndarray:
@@ -340,7 +339,7 @@ def coefficient_terms(scheme: Scheme, string: String, hammer: Hammer, old: State
 # --- what comes out ---------------------------------------------------------------------------------------------------
 
 
-def _read(scheme: Scheme, state: State | Sensitivity) -> Signals:
+def _read(scheme: Scheme, state: State) -> Signals:
     """One step's signals, or their derivatives [9]."""
     y, v = state.displacement, state.velocity
     u = scheme.press @ y

@@ -22,6 +22,7 @@ from ..errors import FitError
 from ..felt import DEFAULT_LAW
 from ..inference.align import laid
 from ..inference.priors import HAMMER_SPREAD
+from ..inference.search import NO_HAMMER
 from ..inference.start import Start
 from ..model import simulate
 from ..model.modes import mode_frequencies
@@ -72,7 +73,6 @@ HAMMER_REACH = np.array([SPREADS * SPREAD[n] if n in HAMMER_NAMES else 0.0 for n
 ITERATIONS = 60
 TOLERANCE = 1e-7
 CHAINS = 32
-NO_HAMMER = "no hammer within the bounds gives a finite sound; widen [bounds] or check [known] in the setup"
 
 
 @dataclass
@@ -184,16 +184,15 @@ class Search:
             x = self._string_down(x, names, bands, goal)
         return x
 
-    def hammers(self, x: np.ndarray) -> tuple[LeastSquares, np.ndarray, np.ndarray]:
-        """Hammers [n, 5] in their band, on the string of `x`, and the edges between which they may move."""
+    def hammers(self, x: np.ndarray) -> LeastSquares:
+        """Eq. 19 of hammers [n, 5] in their band, on the string of `x`."""
         goal = self.goal((self.band(2),), line_sigma(self.analysis.f0))
         lower, upper = self.box(x, HAMMER_REACH, HAMMER_NAMES)
-        return hold(logs(x), goal, self.scene(), self.cfg), lower[STRING:], upper[STRING:]
+        return hold(logs(x), lower[STRING:], upper[STRING:], goal, self.scene(), self.cfg)
 
     def hammer_finished(self, x: np.ndarray) -> np.ndarray:
         """The hammer alone, to the floor of its basin, by least squares on the same criterion."""
-        string, *box = self.hammers(x)
-        end = string.finished(x[STRING:], *box, evaluations=ITERATIONS, tolerance=TOLERANCE)
+        end = self.hammers(x).finished(x[STRING:], evaluations=ITERATIONS, tolerance=TOLERANCE)
         return np.append(x[:STRING], self._counted(end))
 
     def annealed(self, x: np.ndarray, evaluations: int, seed: int) -> np.ndarray:
@@ -204,8 +203,10 @@ class Search:
         FitError
             If no hammer has a finite criterion.
         """
-        string, *box = self.hammers(x)
-        found = anneal(string.costs, *box, chains=CHAINS, evaluations=evaluations, seed=seed, start=x[STRING:])
+        on = self.hammers(x)
+        found = anneal(
+            on.costs, on.lower, on.upper, chains=CHAINS, evaluations=evaluations, seed=seed, start=x[STRING:]
+        )
         self.evaluations += found.evaluations
         if not np.isfinite(found.cost):
             raise FitError(NO_HAMMER)
@@ -231,18 +232,18 @@ class Search:
         """Down the gradient of eq. 19 by all that `names` may move of the nine."""
         scene = self.scene()
 
-        def by_point(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            cost, slope = (np.asarray(a) for a in struck_gradients(logs(points), goal, scene, self.cfg))
-            return cost, slope / np.where(LINEAR, points, 1.0)
+        def by_point(point: np.ndarray) -> tuple[float, np.ndarray]:
+            cost, slope = (np.asarray(a)[0] for a in struck_gradients(logs(point)[None], goal, scene, self.cfg))
+            return cost, slope / np.where(LINEAR, point, 1.0)
 
         box = self.box(x, self._reach(x, goal, bands), names)
-        return self._counted(gradient_descent(by_point, x[None], *box, iterations=ITERATIONS, tolerance=TOLERANCE))
+        return self._counted(gradient_descent(by_point, x, *box, iterations=ITERATIONS, tolerance=TOLERANCE))
 
     def _counted(self, end: Descended) -> np.ndarray:
         """Where it ended; what it took is added."""
         self.evaluations += end.evaluations
-        self.converged = bool(end.converged[0])
-        return end.z[0]
+        self.converged = end.converged
+        return end.z
 
 
 def pose(recording: Recording, analysis: Analysis, start: Start) -> Search:

@@ -144,15 +144,17 @@ def struck_gradients(z, goal: Goal, scene: Scene, cfg: Cfg):
     return jax.vmap(jax.value_and_grad(lambda x: _struck(x, goal, scene, cfg)))(z)
 
 
-def hold(z: Float[Array | np.ndarray, " 9"], goal: Goal, scene: Scene, cfg: Cfg) -> LeastSquares:
-    """C of hammers [n, 5] on the string of `z`, which is computed once for a whole search."""
+def hold(
+    z: Float[Array | np.ndarray, " 9"], lower: np.ndarray, upper: np.ndarray, goal: Goal, scene: Scene, cfg: Cfg
+) -> LeastSquares:
+    """C of hammers [n, 5] between the edges `lower` and `upper` [5], on the string of `z`, which is computed once."""
     mobility, real, imag, rows, *modes = held_string(z, goal, scene, cfg)
     held = Held(Modes(*modes), mobility, real, imag, rows)
 
     def each(program: Callable, z: np.ndarray) -> tuple[np.ndarray, ...]:
         return in_lanes(partial(program, held, goal), (z,), scene, cfg, min(BATCH, len(z)))
 
-    return LeastSquares(lambda z: each(hammer_costs, z)[0], lambda z: each(hammer_residuals, z))
+    return LeastSquares(lambda z: each(hammer_costs, z)[0], lambda z: each(hammer_residuals, z), lower, upper)
 
 
 @kept

@@ -11,9 +11,9 @@ string and hammer, with the final values of its Tables II and III, meet in a lab
 - noise of the vibrometer, white with some 1/f below 100 Hz (`noise_db`);
 - a sensor that reads the hammer's velocity a few per cent wrong (`velocity_error`).
 
-All values that the paper does not give are in `chosen`, each with its reason, or in `published` and `twin`, where they
-were chosen before. They are invented: what is found on these measurements says how far a fit can be trusted when the
-model is wrong in such ways, not how wrong the model is about a real string.
+All values that the paper does not give are in `chosen`, each with its reason, or in `published`. They are invented:
+what is found on these measurements says how far a fit can be trusted when the model is wrong in such ways, not how
+wrong the model is about a real string.
 
 How it is computed: `body` writes string, polarisations and bridge as one linear system with symmetric matrices and
 turns it into damped exponentials; `strike` steps hammer and felt against it at 1.4 MHz or more; then the exponentials
@@ -22,6 +22,6 @@ witnesses of each other. No energy is made, at any step.
 """
 
 from .chosen import FINAL, INITIAL
-from .measurement import Laboratory, Measurement, measure, setup_text
+from .measurement import Laboratory, Measurement, make_twin, measure, setup_text
 
-__all__ = ["FINAL", "INITIAL", "Laboratory", "Measurement", "measure", "setup_text"]
+__all__ = ["FINAL", "INITIAL", "Laboratory", "Measurement", "make_twin", "measure", "setup_text"]

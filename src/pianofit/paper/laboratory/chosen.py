@@ -1,8 +1,8 @@
 """What the paper does not give, chosen once, with the reason.
 
 Mass of the string, strike, contact window, pickup, the missing initial κ: `published`, presets `bensa-final` and
-`bensa-initial`. Sampling rate, length of the signals, the silence before the note: `twin`, as for the demo. What is
-left is below. None of these values was measured by this project; they are plausible, and large enough to be seen.
+`bensa-initial`. What is left is below. None of these values was measured by this project; they are plausible, and large
+enough to be seen.
 """
 
 from __future__ import annotations
@@ -12,15 +12,22 @@ from typing import NamedTuple
 from ...published import preset
 
 __all__ = [
-    "ANGLE", "CENTS", "CONTACT_RATE", "CORNER", "EPS", "FASTEST", "FINAL", "FLOOR", "INITIAL", "MODES", "RESONATORS",
-    "SCALE", "SLOWER", "SLOWEST", "TAU", "Resonator",
+    "ANGLE", "CENTS", "CONTACT_RATE", "CORNER", "EPS", "FASTEST", "FINAL", "FLOOR", "INITIAL", "LEAD", "MODES", "RATE",
+    "RESONATORS",
+    "SCALE", "SECONDS", "SLOWER", "SLOWEST", "TAU", "TWIN_OVERSAMPLING", "TWIN_SCALE", "Resonator",
 ]  # fmt: skip
 
 FINAL, INITIAL = preset("bensa-final"), preset("bensa-initial")
 
+RATE = 44_100  # Hz, a common one; the paper names a digital tape
+SECONDS = 3.0  # of a signal after the stroke
+LEAD = 0.05  # s of silence before the note
 # Velocity at digital full scale, m/s: one range for all velocities of the paper, up to 2.3 m/s, which peaks at 3 m/s at
-# the pickup. (The demo's 2 m/s fits its one velocity.)
+# the pickup,
 SCALE = 5.0
+# and one that fits the demo's one velocity.
+TWIN_SCALE = 2.0
+TWIN_OVERSAMPLING = 32  # steps of the demo's contact in a sample: far more than a fit takes
 # Hammer velocities, m/s, that the vibrometer still hears, and that do not leave its range.
 SLOWEST = 0.05
 FASTEST = 3.5

@@ -1,21 +1,25 @@
-"""A measurement: one stroke, heard by the vibrometer, at a velocity that the sensor read a little wrong."""
+"""A measurement: one stroke, heard by the vibrometer, at a velocity that the sensor read a little wrong.
+
+The demo's twin is one too, but struck by the program's own model: the paper's string and hammer with white noise, the
+contact computed at a far higher rate than any fit uses.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from ...errors import ParameterError
-from .. import twin
 from . import chosen
 from .body import Body, make_axes, make_body
 from .felt import FELTS, Felt
 from .strike import Stroke, ring, strike
 
-__all__ = ["Laboratory", "Measurement", "felt_of", "measure", "setup_text", "stroke_of"]
+__all__ = ["Laboratory", "Measurement", "felt_of", "make_twin", "measure", "setup_text", "stroke_of"]
 
 
 @dataclass(frozen=True)
@@ -33,8 +37,8 @@ class Laboratory:
     felt: str = "memory"  # memory | hunt-crossley (the paper's) | power (elastic)
     noise_db: float | None = 60.0  # rms of the first second over that of the noise; None for no noise
     velocity_error: float = 0.02  # standard deviation of what the sensor reads, relative
-    seconds: float = twin.SECONDS  # after the stroke
-    rate: int = twin.RATE  # Hz
+    seconds: float = chosen.SECONDS  # after the stroke
+    rate: int = chosen.RATE  # Hz
     contact_rate: float = chosen.CONTACT_RATE  # steps per second of the contact, at least, Hz
     eps: float = chosen.EPS  # of the relaxing felt
     tau: float = chosen.TAU  # s, of the relaxing felt
@@ -75,29 +79,81 @@ def measure(lab: Laboratory, velocity: float, seed: int = 0) -> Measurement:
     body, stroke = stroke_of(lab, velocity)
     # Streams of their own: switching one off leaves the other as it was.
     noise, sensor = (np.random.default_rng([stream, seed]) for stream in range(2))
-    onset = round(twin.LEAD * lab.rate)
-    samples = clean = np.pad(ring(body, stroke, lab.rate, round(lab.seconds * lab.rate)) / chosen.SCALE, (onset, 0))
-    if lab.noise_db is not None:
-        rms = math.sqrt(np.mean(clean[onset : onset + lab.rate] ** 2))
-        samples = clean + rms * 10 ** (-lab.noise_db / 20) * _noise(len(clean), lab.rate, noise)
+    sound = ring(body, stroke, lab.rate, round(lab.seconds * lab.rate))
+    true = _final() | {"mu": felt_of(lab).mu, "v_H0": velocity}
+    if lab.felt == "memory":
+        del true["mu"]
     nominal = velocity * (1 + lab.velocity_error * sensor.normal())
-    values = chosen.FINAL.string._asdict() | chosen.FINAL.hammer._asdict() | {"v_H0": velocity}
-    values |= {"mu": felt_of(lab).mu}
-    true = {name: float(value) for name, value in values.items() if name != "mu" or lab.felt != "memory"}
-    return Measurement(samples, lab.rate, chosen.SCALE, onset, nominal, true, clean)
+
+    def unit_noise(count: int) -> np.ndarray:
+        return _noise(count, lab.rate, noise)
+
+    return _recorded(sound, lab.rate, chosen.SCALE, lab.noise_db, unit_noise, nominal, true)
 
 
-def setup_text(measurement: Measurement, *, hold_velocity: bool = True) -> str:
-    """The `setup.toml` of one measurement: what the laboratory knew, and the paper's initial values.
+def make_twin(noise_db: float | None = 60.0, seed: int = 0) -> Measurement:
+    """The demo's measurement, by the model itself; the same seed gives the same samples.
 
-    `hold_velocity`: the velocity that the sensor read is held fixed, as `pianofit` does with a measured one; otherwise
-    it is where the fit starts, as in the paper.
+    Parameters
+    ----------
+    noise_db : how far the noise's rms lies below that of the first second after the stroke; None for no noise.
     """
-    read = measurement.nominal_velocity
-    if not hold_velocity:
-        return twin.setup_text(measurement.scale, v_H0=read)
-    held = f"\n[[recording]]\nv_H0 = {read!r}  # m/s, as the sensor read it\n"
-    return twin.setup_text(measurement.scale, v_H0=None) + held
+    from ...model import simulate  # by JAX, which the laboratory itself does without
+
+    it, rate = chosen.FINAL, chosen.RATE
+    stroke = simulate(it.string, it.hammer, it.geometry, rate=rate, oversampling=chosen.TWIN_OVERSAMPLING)
+    sound, noise = stroke.waveform(rate, int(chosen.SECONDS * rate)), np.random.default_rng(seed).standard_normal
+    return _recorded(sound, rate, chosen.TWIN_SCALE, noise_db, noise, float(it.hammer.v_H0), _final())
+
+
+def _recorded(
+    sound: np.ndarray, rate: int, scale: float, noise_db: float | None, noise: Callable[[int], np.ndarray],
+    nominal: float, true: dict[str, float],
+) -> Measurement:  # fmt: skip
+    """A `sound`, m/s, after some silence, with noise of rms 1 brought to its level."""
+    onset = round(chosen.LEAD * rate)
+    samples = clean = np.pad(sound / scale, (onset, 0))
+    if noise_db is not None:
+        rms = math.sqrt(np.mean(clean[onset : onset + rate] ** 2))
+        samples = clean + rms * 10 ** (-noise_db / 20) * noise(len(clean))
+    return Measurement(samples, rate, scale, onset, nominal, true, clean)
+
+
+def _final() -> dict[str, float]:
+    """The paper's final values of the nine parameters."""
+    return {name: float(x) for part in (chosen.FINAL.string, chosen.FINAL.hammer) for name, x in part._asdict().items()}
+
+
+def setup_text(scale: float = chosen.TWIN_SCALE, velocity: float | None = None, *, hold_velocity: bool = False) -> str:
+    """The `setup.toml` of a measurement, the demo's if nothing is said: what was known, and the paper's initial values.
+
+    Parameters
+    ----------
+    scale : m/s at digital full scale.
+    velocity : that the sensor read, m/s; the paper's initial value if None.
+    hold_velocity : it is held fixed, as `pianofit` does with a measured one; otherwise it is where the fit starts, as
+        in the paper.
+    """
+    g, first = chosen.FINAL.geometry, chosen.INITIAL
+    values = first.string._asdict() | first.hammer._asdict() | ({} if velocity is None else {"v_H0": velocity})
+    read = f"\n[[recording]]\nv_H0 = {values.pop('v_H0')!r}  # m/s, as the sensor read it\n" if hold_velocity else ""
+    initial = "".join(f"{name} = {value!r}\n" for name, value in values.items())
+    return f"""\
+[string]
+length = {g.length}
+mass = {g.mass}
+
+[strike]
+position = {g.strike}
+width = {g.width}
+
+[pickup]
+quantity = "velocity"
+position = {g.pickup}
+scale = {scale}  # m/s at full scale
+
+[initial]  # Bensa et al. (2005), Tables II and III, initial values
+{initial}{read}"""
 
 
 def stroke_of(lab: Laboratory, velocity: float) -> tuple[Body, Stroke]:

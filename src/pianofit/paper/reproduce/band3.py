@@ -20,12 +20,12 @@ from scipy.ndimage import minimum_filter
 from ...inference.start import starting_values
 from ...parameters import FIT_NAMES, STRING_NAMES
 from ..annealing import anneal
-from ..descent import LeastSquares, gradient_descent
+from ..descent import Descended, LeastSquares, gradient_descent
 from ..laboratory import INITIAL
 from ..search import pose
-from .cases import Case
+from .strokes import Stroke
 
-__all__ = ["WITHIN", "Basin", "Hammers", "Landscape", "Race", "hammers", "landscape", "race"]
+__all__ = ["WITHIN", "Hammers", "Landscape", "Race", "hammers", "landscape", "race"]
 
 HAMMERS = ("F", "mu", "p", "M_H", "v_H0")  # coordinates, all as logarithms; F: the force at a compression of the stroke
 CHAINS = 16
@@ -45,17 +45,8 @@ class Hammers(NamedTuple):
     """The problem of one recording."""
 
     search: LeastSquares
-    lower: np.ndarray  # [5]
-    upper: np.ndarray
-    initial: np.ndarray
+    initial: np.ndarray  # [5]
     true: np.ndarray  # of the laboratory's hammer; mu is the initial one for a relaxing felt, which has none
-
-
-class Basin(NamedTuple):
-    """A local minimum."""
-
-    z: np.ndarray
-    cost: float
 
 
 class Landscape(NamedTuple):
@@ -64,7 +55,7 @@ class Landscape(NamedTuple):
     first: np.ndarray  # log of the first coordinate over its truth [n]
     second: np.ndarray
     criterion: np.ndarray  # [n, n]
-    minima: list[Basin]  # z of two numbers, as `first` and `second`; confirmed by descending from the grid's own
+    minima: list[Descended]  # z of two numbers, as `first` and `second`; confirmed by descending from the grid's own
 
 
 class Race(NamedTuple):
@@ -72,7 +63,7 @@ class Race(NamedTuple):
 
     ends: dict[str, np.ndarray]  # start, gradient, squares, annealed, polished (by squares) -> criteria [starts]
     converged: int  # how many of the gradient's had
-    minima: list[Basin]  # distinct ones within the box at which least squares came to rest
+    minima: list[Descended]  # distinct ones within the box at which least squares came to rest
     evaluations: dict[str, int]
 
     @property
@@ -85,14 +76,14 @@ class Race(NamedTuple):
         return int((self.ends[method] <= WITHIN * self.least).sum())
 
 
-def hammers(case: Case) -> Hammers:
+def hammers(stroke: Stroke) -> Hammers:
     """The hammer's problem on one measurement."""
-    search = pose(case.recording, case.analysis, starting_values(case.analysis, case.setup))
-    search.delay = (case.recording.onset - case.measurement.onset) / case.recording.rate
-    values = {"mu": float(INITIAL.hammer.mu)} | case.measurement.true
+    search = pose(stroke.recording, stroke.analysis, starting_values(stroke.analysis, stroke.setup))
+    search.delay = (stroke.recording.onset - stroke.measurement.onset) / stroke.recording.rate
+    values = {"mu": float(INITIAL.hammer.mu)} | stroke.measurement.true
     string, true = np.split(search.x(np.array([values[name] for name in FIT_NAMES])), [len(STRING_NAMES)])
     initial = search.x(search.values)[len(STRING_NAMES) :]
-    return Hammers(*search.hammers(np.append(string, initial)), initial, true)
+    return Hammers(search.hammers(np.append(string, initial)), initial, true)
 
 
 def landscape(problem: Hammers, points: int) -> Landscape:
@@ -104,50 +95,43 @@ def landscape(problem: Hammers, points: int) -> Landscape:
     # Inner points that lie below all eight around them.
     around = np.array([[True] * 3, [True, False, True], [True] * 3])
     low = value < minimum_filter(value, footprint=around, mode="constant", cval=-np.inf)
-    ends = _descended(problem, z[low.ravel()], np.isin(np.arange(len(HAMMERS)), PLANE))
-    minima = _distinct([Basin((end.z - problem.true)[PLANE], end.cost) for end in ends])
+    ends = _descended(problem.search, z[low.ravel()], np.isin(np.arange(len(HAMMERS)), PLANE))
+    minima = _distinct([end._replace(z=(end.z - problem.true)[PLANE]) for end in ends])
     inside = [m for m in minima if abs(m.z[0]) < first[-1] and abs(m.z[1]) < second[-1]]
     return Landscape(first, second, value, inside)
 
 
 def race(problem: Hammers, starts: int, seed: int, *, iterations: int, evaluations: int) -> Race:
     """All methods from the same starts: `iterations` of the gradient, `evaluations` by each annealing."""
-    search, lower, upper = problem.search, problem.lower, problem.upper
+    search, lower, upper = problem.search, problem.search.lower, problem.search.upper
     z = np.random.default_rng(seed).uniform(lower, upper, (starts, len(HAMMERS)))
     z[0] = problem.initial
-    down = gradient_descent(search.slopes, z, lower, upper, iterations=iterations)
-    squares = _descended(problem, z)
+    down = [gradient_descent(search.slope, row, lower, upper, iterations=iterations) for row in z]
+    squares = _descended(search, z)
     hot = [
         anneal(search.costs, lower, upper, chains=CHAINS, evaluations=evaluations, seed=seed + n, start=row)
         for n, row in enumerate(z)
     ]
-    polished = _descended(problem, np.array([one.z for one in hot]))
+    polished = _descended(search, np.array([one.z for one in hot]))
+    methods = {"gradient": down, "squares": squares, "annealed": hot, "polished": polished}
+    ends = {method: np.array([end.cost for end in found]) for method, found in methods.items()}
     inside = [end for end in squares if ((end.z > lower + EDGE) & (end.z < upper - EDGE)).all()]
-    ends = {"start": search.costs(z), "gradient": down.cost}
-    ends |= {
-        method: np.array([end.cost for end in found])
-        for method, found in (("squares", squares), ("annealed", hot), ("polished", polished))
-    }
     return Race(
-        ends, int(down.converged.sum()), _distinct([end for end in inside if np.isfinite(end.cost)]),
-        {"gradient": down.evaluations, "annealing": max(one.evaluations for one in hot)},
+        {"start": search.costs(z)} | ends, sum(one.converged for one in down),
+        _distinct([end for end in inside if np.isfinite(end.cost)]),
+        {"gradient": max(one.evaluations for one in down), "annealing": max(one.evaluations for one in hot)},
     )  # fmt: skip
 
 
-def _descended(problem: Hammers, z: np.ndarray, free: np.ndarray | bool = True) -> list[Basin]:
+def _descended(search: LeastSquares, z: np.ndarray, free: np.ndarray | bool = True) -> list[Descended]:
     """Least squares from every row of `z` [n, 5] over the coordinates that are `free`, in the box, to the floor."""
-    ends = []
-    for row in z:
-        lower, upper = (np.where(free, edge, row) for edge in (problem.lower, problem.upper))
-        end = problem.search.finished(row, lower, upper, evaluations=SQUARES)
-        ends.append(Basin(end.z[0], float(end.cost[0])))
-    return ends
+    return [search.finished(row, free, evaluations=SQUARES) for row in z]
 
 
-def _distinct(basins: list[Basin]) -> list[Basin]:
+def _distinct(ends: list[Descended]) -> list[Descended]:
     """Those that lie apart, the deepest first."""
-    kept: list[Basin] = []
-    for basin in sorted(basins, key=lambda b: b.cost):
-        if all(np.abs(basin.z - other.z).max() > APART for other in kept):
-            kept.append(basin)
+    kept: list[Descended] = []
+    for end in sorted(ends, key=lambda e: e.cost):
+        if all(np.abs(end.z - other.z).max() > APART for other in kept):
+            kept.append(end)
     return kept

@@ -15,7 +15,7 @@ from scipy.signal import find_peaks
 from ...model import Simulation, simulate
 from ...published import preset
 from ...report.build import spectrum_db
-from .descriptors import centroid
+from .strokes import centroid
 
 __all__ = ["NOTE", "ROUND_TRIP", "VELOCITIES", "Strike", "mass_for_contact", "strikes"]
 

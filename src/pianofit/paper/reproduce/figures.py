@@ -7,22 +7,17 @@ grey and by colour-blind eyes (Okabe and Ito's colours).
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import wraps
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from ...report.build import spectrum_db
-from ...report.drawing import FITTED, INITIAL, INK, MEASURED
+from ...report.drawing import FITTED, INITIAL, INK, MEASURED, log_axis
 from .band3 import WITHIN
-from .cases import RECIPES
-from .claims import SYMBOLS
+from .claims import SPANS, SYMBOLS
 from .direct import ROUND_TRIP
-from .judged import SPANS
+from .strokes import SOUNDS
 from .studies import PRINTED, STRINGS, Findings
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 __all__ = ["FIGURES"]
 
@@ -34,10 +29,10 @@ PURPLE = "#8a5a9e"
 LINES: dict[str, dict[str, Any]] = {
     "measured": {"color": MEASURED, "ls": "-", "lw": 1.2, "label": "measured"},
     "initial": {"color": INITIAL, "ls": (0, (4, 1.6)), "lw": 1.2, "label": "initial"},
-    "global": {"color": GLOBAL, "ls": (0, (1, 1.2)), "lw": 1.8, "label": RECIPES["global"]},
-    "paper": {"color": FITTED, "ls": "-", "lw": 1.6, "label": RECIPES["paper"]},
-    "read": {"color": PURPLE, "ls": (0, (8, 1.5)), "lw": 1.6, "label": RECIPES["read"]},
-    "default": {"color": DEFAULT, "ls": (0, (6, 1.5, 1, 1.5)), "lw": 1.4, "label": RECIPES["default"]},
+    "global": {"color": GLOBAL, "ls": (0, (1, 1.2)), "lw": 1.8, "label": SOUNDS["global"]},
+    "paper": {"color": FITTED, "ls": "-", "lw": 1.6, "label": SOUNDS["paper"]},
+    "read": {"color": PURPLE, "ls": (0, (8, 1.5)), "lw": 1.6, "label": SOUNDS["read"]},
+    "default": {"color": DEFAULT, "ls": (0, (6, 1.5, 1, 1.5)), "lw": 1.4, "label": SOUNDS["default"]},
 }
 MARKERS = {"measured": "o", "initial": "s", "global": "^", "paper": "D", "read": "P"}
 # Three velocities, soft to hard.
@@ -52,27 +47,26 @@ TOP = 6000.0  # Hz of the spectra
 EDGES = (1e-3, 1e3)  # what is further off than this, as a factor, is drawn here
 
 
-FIGURES: dict[str, Callable[[Findings], Figure]] = {}
-Draw = Callable[[Findings, Any], None]
+FIGURES: dict[str, Callable[[Findings], Any]] = {}  # each makes a figure of matplotlib
 
 
 def drawn(
     name: str, height: float, rows: int = 1, columns: int = 1, *, share: str = "", key: bool = True, **labels: Any
-) -> Callable[[Draw], Draw]:  # fmt: skip
-    """Enter in `FIGURES` what draws on one axes, or on a list of them, of a height in inches.
+):
+    """Enter in `FIGURES` what draws findings on one axes, or on a list of them, of a height in inches.
 
     `share`: which of "x" and "y" the axes share. `key`: one legend at the lower edge, of what the first axes show.
     `labels`: what `Axes.set` takes, of each.
     """
 
-    def of(draw: Draw) -> Draw:
-        @wraps(draw)
-        def figure(f: Findings) -> Figure:
+    def of(draw: Callable[[Findings, Any], None]) -> Callable[[Findings, Any], None]:
+        def figure(f: Findings) -> Any:
             from matplotlib.figure import Figure
 
             made = Figure(figsize=(WIDTH, height), layout="constrained")
-            grid = made.subplots(rows, columns, squeeze=False, sharex="x" in share, sharey="y" in share)
-            every = grid.ravel().tolist()
+            every = (
+                made.subplots(rows, columns, squeeze=False, sharex="x" in share, sharey="y" in share).ravel().tolist()
+            )
             for axes in every:
                 axes.set(**labels)
             draw(f, every if len(every) > 1 else every[0])
@@ -173,10 +167,8 @@ def plane(f: Findings, axes: Any) -> None:
         side = "right" if minimum.z[1] > 0.8 * seen.second[-1] else "left"
         axes.annotate(f"{minimum.cost:.2g}", at, xytext=(0, 11), ha=side, color="white", textcoords="offset points",
                       fontsize=9.5, fontweight="bold")  # fmt: skip
-    for axis, reach, ticks in ((axes.xaxis, x, (0.5, 0.7, 1, 1.4, 2)), (axes.yaxis, y, (0.1, 0.2, 0.5, 1, 2, 5, 10))):
-        inside = [t for t in ticks if reach[0] <= t <= reach[-1]]
-        axis.set_ticks(inside, [f"{t:g}" for t in inside])
-        axis.set_ticks([], minor=True)
+    for axis in (axes.xaxis, axes.yaxis):
+        log_axis(axis)
     axes.grid(visible=False)
     scale = [t for t in (-4, -3, -2, -1.5, -1, -0.5, 0) if t >= levels[0]]
     axes.figure.colorbar(shown, ax=axes, fraction=0.03, pad=0.01, label="criterion in band 3", ticks=scale,
@@ -207,7 +199,7 @@ def searches(f: Findings, axes: Any) -> None:
 @drawn("figure-6", 7.2, 3, share="xy", key=False, ylabel="level (dB)")
 def spectra(f: Findings, rows: list[Any]) -> None:
     """Figure 6: measured above, the fits below."""
-    rate, sounds = f.origin.case.recording.rate, f.origin.sounds
+    rate, sounds = f.origin.recording.rate, f.origin.sounds
     shown = [(LINES[name], spectrum_db(sounds[name], rate, TOP)) for name in ("measured", *STRINGS)]
     stack(rows, 90, [(look["label"], *spectrum, look["color"]) for look, spectrum in shown])
 
@@ -216,9 +208,9 @@ def spectra(f: Findings, rows: list[Any]) -> None:
 def waveforms(f: Findings, rows: list[Any]) -> None:
     """Figure 7: measured, before and after, over each of `SPANS`."""
     stroke = f.strokes[f.plan.waveform]
-    rate = stroke.case.recording.rate
+    rate = stroke.recording.rate
     looks = {"measured": {"lw": 2.6, "alpha": 0.45}, "initial": {"label": "before", "ls": (0, (7, 2, 1, 2))}}
-    looks |= {recipe: {"label": f"after: {RECIPES[recipe]}", "lw": 1.3} for recipe in STRINGS}
+    looks |= {recipe: {"label": f"after: {SOUNDS[recipe]}", "lw": 1.3} for recipe in STRINGS}
     for axes, (start, stop) in zip(rows, SPANS, strict=True):
         part = np.arange(int(start * rate), int(stop * rate))
         for name, look in looks.items():
@@ -247,7 +239,7 @@ def predicted_levels(f: Findings, axes: Any) -> None:
         ([one.closeness[kind].level_db for one in f.predictions.values()], color, label)
         for kind, color, label in (
             ("initial", INITIAL, "initial values"), ("nearest", GREY, f"the recording at {origin} itself"),
-            ("paper", FITTED, f"three bands at {origin}"), ("read", PURPLE, f"{RECIPES['read']}, at {origin}"),
+            ("paper", FITTED, f"three bands at {origin}"), ("read", PURPLE, f"{SOUNDS['read']}, at {origin}"),
         )
     ]  # fmt: skip
     for group in bars(axes, [f"{velocity:g} m/s" for velocity in f.predictions], groups, 0.2):

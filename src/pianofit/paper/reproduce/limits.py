@@ -11,6 +11,8 @@ decades, all other parameters at their truth, and its change is set beside what 
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -119,13 +121,12 @@ def blindness(lab: Laboratory, seed: int, *, repeats: int, values: int) -> Blind
     measured = [record(lab, float(FINAL.hammer.v_H0), seed + n) for n in range(repeats)]
     heard = [energies(m.samples[m.onset :] * m.scale)[1] for m in measured]
     b2, (cells, truth) = np.logspace(*DECADES, values), by_model(true)
-    curve = _columns([band_values(by_model(value)[1], heard[0], cells.spacing) for value in b2])
-    by_noise = _columns([band_values(truth, energy, cells.spacing) for energy in heard])
-    return Blindness(
-        b2, curve, {name: float(x.mean()) for name, x in by_noise.items()},
-        {name: float(x.std(ddof=1)) for name, x in by_noise.items()}, true,
-    )  # fmt: skip
 
+    def columns(pairs: Iterable[tuple[np.ndarray, np.ndarray]]) -> dict[str, np.ndarray]:
+        rows = [band_values(model, energy, cells.spacing) for model, energy in pairs]
+        return {name: np.array([row[name] for row in rows]) for name in rows[0]}
 
-def _columns(rows: list[dict[str, float]]) -> dict[str, np.ndarray]:
-    return {name: np.array([row[name] for row in rows]) for name in rows[0]}
+    curve = columns((by_model(value)[1], heard[0]) for value in b2)
+    by_noise = columns((truth, energy) for energy in heard)
+    mean, spread = ({name: float(of(x)) for name, x in by_noise.items()} for of in (np.mean, partial(np.std, ddof=1)))
+    return Blindness(b2, curve, mean, spread, true)

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from ...inference import Result
 from ...parameters import FIT_NAMES
 from ..laboratory import FINAL, INITIAL, Laboratory
 from .band3 import Landscape, Race, hammers, landscape, race
-from .cases import Case, Closeness, fitted, make_case, values_of
 from .direct import VELOCITIES, Strike, mass_for_contact, strikes
 from .limits import ALL, BAND2, Bend, Blindness, bends, blindness, inverse_bend
+from .strokes import Stroke, fitted, measured, values_of
 
-__all__ = ["FULL", "PRINTED", "QUICK", "STRINGS", "Findings", "Plan", "Stroke", "compute", "spread_of"]
+__all__ = ["FULL", "PRINTED", "QUICK", "STRINGS", "Findings", "Plan", "compute", "spread_of"]
 
 # The paper's process as printed, and its third step on a string that was read.
 STRINGS = ("paper", "read")
@@ -77,15 +76,6 @@ QUICK = Plan(
 )  # fmt: skip
 
 
-class Stroke(NamedTuple):
-    """A measurement, its fits by recipe, and sounds of the same stroke by name; see `cases`."""
-
-    case: Case
-    results: dict[str, Result]
-    sounds: dict[str, np.ndarray]  # m/s, from the onset on
-    closeness: dict[str, Closeness]
-
-
 @dataclass(frozen=True)
 class Findings:
     """What was computed."""
@@ -109,7 +99,7 @@ class Findings:
     @property
     def true(self) -> dict[str, float]:
         """Of the nine parameters, at the paper's final values: a relaxing felt has no μ."""
-        return self.tables["full"].case.measurement.true
+        return self.tables["full"].measurement.true
 
     @property
     def origin(self) -> Stroke:
@@ -128,10 +118,10 @@ def compute(plan: Plan, seed: int, progress: Callable[[str, float], None]) -> Fi
 
     def fits(stage: str, lab: Laboratory, velocity: float, recipes: tuple[str, ...], *start: float) -> Stroke:
         tick(stage)
-        case = make_case(lab, velocity, seed, *start)
-        results = {recipe: fitted(case, recipe, seed, plan.annealing, plan.tries) for recipe in recipes}
-        sounds = {"initial": case.played(next(iter(results.values())).initial.note)}
-        return _heard(case, results, sounds | {name: case.played(one.fitted.note) for name, one in results.items()})
+        stroke = measured(lab, velocity, seed, *start)
+        results = {recipe: fitted(stroke, recipe, seed, plan.annealing, plan.tries) for recipe in recipes}
+        notes = {"initial": results[recipes[0]].initial.note} | {r: one.fitted.note for r, one in results.items()}
+        return stroke.with_sounds({name: stroke.played(note) for name, note in notes.items()}, **results)
 
     tick("the direct problem")
     struck, needed = strikes(), mass_for_contact(LONG, VELOCITIES[len(VELOCITIES) // 2])
@@ -151,15 +141,15 @@ def compute(plan: Plan, seed: int, progress: Callable[[str, float], None]) -> Fi
     origin, repeated = strokes[plan.origin], {recipe: [] for recipe in STRINGS}
     for n in range(1, plan.repeats + 1):
         tick(f"repeated measurement {n} of {plan.repeats}")
-        case = make_case(plan.laboratory, plan.origin, seed + n)
+        stroke = measured(plan.laboratory, plan.origin, seed + n)
         for recipe, rows in repeated.items():
-            rows.append(values_of(fitted(case, recipe, seed + n, plan.annealing)))
+            rows.append(values_of(fitted(stroke, recipe, seed + n, plan.annealing)))
     effects = {
         name: fits(f"effects: {name}", plan.ideal(**EFFECTS[name]), plan.origin, plan.effect_recipes)
         for name in plan.effects
     }
     tick("band 3, the landscape")
-    problem = hammers(origin.case)
+    problem = hammers(origin)
     plane = landscape(problem, plan.grid)
     tick("band 3, the searches")
     return Findings(
@@ -171,17 +161,12 @@ def compute(plan: Plan, seed: int, progress: Callable[[str, float], None]) -> Fi
     )  # fmt: skip
 
 
-def _heard(case: Case, results: dict[str, Result], sounds: dict[str, np.ndarray]) -> Stroke:
-    sounds = {"measured": case.heard} | sounds
-    return Stroke(case, results, sounds, {name: case.closeness(sound) for name, sound in sounds.items()})
-
-
 def _predicted(origin: Stroke, other: Stroke) -> Stroke:
     """The three-band fits at `origin`, struck as the sensor read it at the other velocity."""
-    case, nearest, size = other.case, origin.case.heard, len(other.case.heard)
-    notes = {r: origin.results[r].fitted.note.struck(case.measurement.nominal_velocity) for r in STRINGS}
-    sounds = {recipe: case.played(note) for recipe, note in notes.items()} | {"initial": other.sounds["initial"]}
-    return _heard(case, {}, sounds | {"nearest": np.pad(nearest, (0, max(size - len(nearest), 0)))[:size]})
+    nearest, size = origin.sounds["measured"], len(other.sounds["measured"])
+    notes = {r: origin.results[r].fitted.note.struck(other.measurement.nominal_velocity) for r in STRINGS}
+    sounds = {recipe: other.played(note) for recipe, note in notes.items()} | {"initial": other.sounds["initial"]}
+    return other.with_sounds(sounds | {"nearest": np.pad(nearest, (0, max(size - len(nearest), 0)))[:size]})
 
 
 def spread_of(rows: list[dict[str, float]]) -> dict[str, float]:

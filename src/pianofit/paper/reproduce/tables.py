@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from ...parameters import FIT_NAMES, HAMMER_NAMES, STRING_NAMES
 from ..laboratory import FINAL, INITIAL, Laboratory, chosen
 from .band3 import SEEN
-from .cases import RECIPES, values_of
-from .judged import SPANS
+from .claims import SPANS
+from .strokes import RECIPES, SOUNDS, values_of
 from .studies import PRINTED, STRINGS, Findings
 
 __all__ = ["Table", "tables"]
@@ -72,7 +74,7 @@ def _parameters(f: Findings) -> dict[str, Table]:
     own = {column: fits[column].document["parameters"] for column in fits if column.endswith(RECIPES["default"])}
     ends = [f"{column}, {end}" for column in own for end in ("from", "to")]
     within = [(p, *(x for table in own.values() for x in (table[p]["interval"] or (None, None)))) for p in FIT_NAMES]
-    every = [(band, k, share) for band, by in f.origin.case.shares().items() for k, share in by.items()]
+    every = [(band, k, share) for band, by in f.origin.shares().items() for k, share in by.items()]
     return {
         name: Table(("parameter", *values), [(p, *(column.get(p) for column in values.values())) for p in parameters])
         for name, parameters in (("table-2", STRING_NAMES), ("table-3", HAMMER_NAMES))
@@ -94,23 +96,20 @@ def _band3(f: Findings) -> dict[str, Table]:
 
 def _sounds(f: Findings) -> dict[str, Table]:
     """Figures 6 and 7, and how near every sound comes to what was measured."""
-    wave, origin, names = f.strokes[f.plan.waveform], f.origin, {recipe: RECIPES[recipe] for recipe in STRINGS}
-    rate, shown = wave.case.recording.rate, {"measured": "measured", "initial": "initial"} | names
-    waves = zip(*(wave.sounds[name][: int(SPANS[-1][1] * rate)] for name in shown), strict=True)
-    (partial, three), (_, read) = (origin.case.level_differences(origin.sounds[recipe]) for recipe in STRINGS)
+    wave, shown = f.strokes[f.plan.waveform], ("measured", "initial", *STRINGS)
+    rate, count = wave.recording.rate, int(SPANS[-1][1] * wave.recording.rate)
+    waves = zip(np.arange(count) / rate, *(wave.sounds[name][:count] for name in shown), strict=True)
+    (partial, three), (_, read) = (f.origin.levels_off(f.origin.sounds[recipe]) for recipe in STRINGS)
     near = [
-        (v, RECIPES.get(name, name), stroke.closeness[name])
+        (v, SOUNDS[name], c.attack, c.centroid, c.level_db, *(c.criterion[band] for band in BANDS))
         for v, stroke in f.strokes.items()
-        for name in ("measured", "initial", "global", *STRINGS)
+        for name, c in ((name, stroke.closeness[name]) for name in ("measured", "initial", "global", *STRINGS))
     ]
-    rows = [(v, name, c.attack, c.centroid, c.level_db, *(c.criterion[b] for b in BANDS)) for v, name, c in near]
+    over = (f"{SOUNDS[recipe]}, dB over measured" for recipe in STRINGS)
     return {
-        "figure-7": Table(("time_s", *shown.values()), [(n / rate, *row) for n, row in enumerate(waves)]),
-        "figure-6": Table(
-            ("partial", *(f"{name}, dB over measured" for name in names.values())),
-            [*zip(partial.tolist(), three, read, strict=True)],
-        ),
-        "descriptors": Table(("velocity_m_s", "sound", "attack_s", "centroid_Hz", "levels_dB", *BANDS), rows),
+        "figure-7": Table(("time_s", *(SOUNDS[name] for name in shown)), [*waves]),
+        "figure-6": Table(("partial", *over), [*zip(partial.tolist(), three, read, strict=True)]),
+        "descriptors": Table(("velocity_m_s", "sound", "attack_s", "centroid_Hz", "levels_dB", *BANDS), near),
     }
 
 
@@ -119,8 +118,11 @@ def _others(f: Findings) -> dict[str, Table]:
     kinds = ("initial", "nearest", *STRINGS)
     predicted = [(v, *(one.closeness[kind].level_db for kind in kinds)) for v, one in f.predictions.items()]
     repeated = [(recipe, *(row[name] for name in FIT_NAMES)) for recipe in STRINGS for row in f.repeated[recipe]]
-    left = [(name, r, stroke.closeness[r]) for name, stroke in f.effects.items() for r in f.plan.effect_recipes]
-    effects = [(name, recipe, *(c.criterion[b] for b in BANDS), c.level_db) for name, recipe, c in left]
+    effects = [
+        (name, recipe, *(c.criterion[band] for band in BANDS), c.level_db)
+        for name, stroke in f.effects.items()
+        for recipe, c in ((recipe, stroke.closeness[recipe]) for recipe in f.plan.effect_recipes)
+    ]
     return {
         "predictions": Table(("velocity_m_s", *kinds), predicted),
         "repeated": Table(("recipe", *FIT_NAMES), repeated),
@@ -131,9 +133,8 @@ def _others(f: Findings) -> dict[str, Table]:
 def _limits(f: Findings) -> dict[str, Table]:
     """κ and b2."""
     columns = ("kind", "points", "rate_Hz", "first", "last", "c_m_s", "kappa_m2_s", "kappa_true_m2_s", "rms_cents")
-    seen = f.blindness
-    values = [*zip(seen.b2, *seen.criterion.values(), strict=True)]
+    b2, criterion = f.blindness.b2, f.blindness.criterion
     return {
         "kappa": Table(columns, [tuple(bend) for bends in f.bends.values() for bend in bends]),
-        "b2": Table(("b2_m2_s", *seen.criterion), values),
+        "b2": Table(("b2_m2_s", *criterion), [*zip(b2, *criterion.values(), strict=True)]),
     }
