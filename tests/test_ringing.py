@@ -13,7 +13,7 @@ from scipy import signal
 
 from pianofit.analysis import analyse
 from pianofit.io import encode_wav
-from pianofit.model.modal import Force, Participation, Ringing, ring
+from pianofit.model.modal import Force, Participation, Ringing, ring, silencing
 from pianofit.recording import Recording, load_recording, recording_from_samples
 from pianofit.ringing import Heard, PartialModes, hear, key_of, modes_of
 from pianofit.ringing.bands import band, kernel_gain
@@ -202,16 +202,26 @@ def test_participation_is_linear_in_log_velocity_between_strokes_and_constant_be
     np.testing.assert_allclose(part.faster(3.0).at(6.0), part.at(2.0))
 
 
-def test_a_stroke_rings_by_its_participation_and_the_knock_does_not():
-    key, force, count = truth(), force_at(1.0), 3000
-    factor = np.linspace(0.5, 1.5, len(key.pole)) * np.exp(1j * np.arange(len(key.pole)))
-    changed = key._replace(participation=Participation(np.ones(1), factor[None]))
-    expected = key._replace(pattern=key.pattern * factor).sound(force, RATE, count)
-    np.testing.assert_allclose(changed.sound(force, RATE, count), expected, atol=1e-12)
-    np.testing.assert_allclose(key.at(441).pole, key.pole[: len(key.at(441).pole)])
-    below = changed.at(1000)
+def test_a_stroke_rings_by_its_participation_and_pushes_in_silence():
+    """Modes far above a slow force's spectrum: what it holds them aside by is heard of no stroke."""
+    pole = -np.array([3.0, 8.0]) + 2j * np.pi * np.array([1_500.0, 3_100.0])
+    pattern = np.array([[-1j, 0.3 - 0.4j]])
+    knock = np.pad(silencing(pole, pattern, RATE, 4_000), ((0, 0), (round(0.012 * RATE), 0)))
+    part = Participation(np.array([0.5, 2.0]), np.array([[1.0, 1.0], [3.0, 1.0 + 2.0j]]))
+    key = Ringing(np.array([1, 2]), pole, np.zeros(2), pattern, knock, RATE, part)
+    size = round(0.2 * RATE)
+    soft, hard = (key.sound(force_at(1.0)._replace(velocity=v), RATE, size)[0] for v in (0.5, 2.0))
+    expected = key._replace(pattern=pattern * part.factor[1], knock=knock[:, :0], participation=None)
+    after = slice(round(0.02 * RATE), None)
+    np.testing.assert_allclose(hard[after], expected.sound(force_at(1.0), RATE, size)[0][after], atol=1e-9)
+    low = signal.butter(6, 100, fs=RATE, output="sos")
+    pushed, silent, plain = (np.sum(signal.sosfilt(low, x) ** 2) for x in (
+        key._replace(knock=0 * knock, participation=None).sound(force_at(1.0), RATE, size)[0], hard, soft,
+    ))  # fmt: skip
+    assert max(silent, plain) < 1e-3 * pushed
+    below = key.at(4_000)
     assert below.participation is not None
-    assert below.participation.factor.shape == (1, len(below.pole))
+    assert below.participation.factor.shape == (2, 1)
 
 
 def test_levels_that_rise_faster_than_the_force_are_followed():

@@ -44,7 +44,7 @@ def test_the_string_is_read_off_its_partials():
 def test_a_descent_never_raises_F():
     p = problem()
     descent = Descent(p, string())
-    z = screened(descent, 3, Parabola.of(descent.table, wide(descent)))[:24]
+    z = screened(descent, 3, [Parabola.of(descent.table, wide(descent))])[0][:24]
     people = descent.begun(z, wide(descent))
     assert len(people) > 8
     every, before = np.arange(len(people)), np.full(len(people), np.inf)
@@ -63,7 +63,7 @@ def test_a_descent_never_raises_F():
 def test_a_descent_sorts_and_ends_where_F_is_flat():
     descent = Descent(problem(), string())
     people = descent.descend(
-        descent.begun(screened(descent, 3, Parabola.of(descent.table, wide(descent)))[:6], wide(descent)), 0.0, 60
+        descent.begun(screened(descent, 3, [Parabola.of(descent.table, wide(descent))])[0][:6], wide(descent)), 0.0, 60
     )
     F = descent.total(people.z, people.report)
     assert (np.diff(F) >= 0).all()
@@ -150,4 +150,4 @@ def test_a_stroke_in_the_wrong_lobe_is_struck_anew():
     for factor in (0.2, 0.5, 3.0):
         away = z.copy()
         away[at] += np.log(factor)
-        assert struck_anew(descent, away[None], parabola)[0, at] == pytest.approx(z[at], abs=0.01)
+        assert struck_anew(descent, away[None], [parabola])[0][0, at] == pytest.approx(z[at], abs=0.01)

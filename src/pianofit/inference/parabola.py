@@ -2,7 +2,8 @@
 
 With C at the nodes of τ and of the gains, F = -log Σ_t share_t exp(-½ rᵀC_t⁻¹r - ...) is concave in the parabolas, so
 it lies below ½ rᵀQr + constant, Q = Σ_t p_t C_t⁻¹ with the nodes' weights p at a residual, and touches it there: what
-lowers the parabola lowers F. Partials that are absent are not in it.
+lowers the parabola lowers F. With any other weights it lies below as well: with those of one node of the gains the
+parabola finds what that node alone would. Partials that are absent are not in it.
 """
 
 from __future__ import annotations
@@ -19,24 +20,38 @@ __all__ = ["Parabola"]
 
 
 class Parabola(NamedTuple):
-    """½ rᵀQr over what is found."""
+    """½ rᵀQr + constant over what is found."""
 
     Q: np.ndarray  # [found, found]
     at: np.ndarray  # where what is found stands in [R, K], flat
+    constant: float  # by which parabolas of several nodes of the gains can be compared
 
     @classmethod
-    def of(cls, table: Table, phi: np.ndarray, w: np.ndarray | None = None, residual: np.ndarray | None = None):
+    def of(
+        cls, table: Table, phi: np.ndarray, w: np.ndarray | None = None, residual: np.ndarray | None = None,
+        gains: int | None = None,
+    ):  # fmt: skip
         """At φ and w, 1 if None; the nodes' weights are those at `residual` [R, K].
 
-        Before a residual is known, all is at the node of the middle τ and of gains apart.
+        Parameters
+        ----------
+        residual : before one is known all is at the node of the middle τ, and the constant is as if none were left.
+        gains : one node of the gains; all of them if None, or the last where no residual is known.
         """
         one = np.ones_like(table.value)
-        each, weight, *_ = opened(table, 0 * one if residual is None else residual, phi, one if w is None else w)
+        o = opened(table, 0 * one if residual is None else residual, phi, one if w is None else w)
+        weight = o.weight
         if residual is None:
             weight = np.zeros_like(weight)
-            weight[len(weight) // 2, -1] = 1.0
+            weight[len(weight) // 2] = 1.0
+            gains = -1 if gains is None else gains
+        if gains is not None:
+            only = np.zeros_like(weight)
+            only[:, gains] = weight[:, gains] + np.finfo(float).tiny
+            weight = only / only.sum()
         at = np.flatnonzero(np.asarray(table.found))
-        return cls(np.tensordot(weight, each, 2)[np.ix_(at, at)], at)
+        constant = float((weight * (o.each - table.share)).sum()) if residual is None else 0.0
+        return cls(np.tensordot(weight, o.inverse, 2)[np.ix_(at, at)], at, constant)
 
     def whole(self, count: int) -> np.ndarray:
         """Q [count, count], 0 where nothing was found."""
@@ -52,6 +67,6 @@ class Parabola(NamedTuple):
         push = r @ self.Q
         curvature = np.stack(list(pool().map(lambda own: own.T @ (self.Q @ own), J)))
         return Report(
-            0.5 * (push * r).sum(axis=1), -np.einsum("bi,bin->bn", push, J), curvature,
+            0.5 * (push * r).sum(axis=1) + self.constant, -np.einsum("bi,bin->bn", push, J), curvature,
             np.zeros((count, 4)), np.zeros_like(residual),
         )  # fmt: skip

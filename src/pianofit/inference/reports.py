@@ -177,6 +177,7 @@ def latent(table: Table, residual: np.ndarray, phi: np.ndarray, w: np.ndarray) -
 class Opened(NamedTuple):
     """F at every node of τ and of the gains, opened; see `likelihood.Solved`."""
 
+    each: np.ndarray  # F there [T, M]
     inverse: np.ndarray  # C⁻¹ of all entries, 0 where nothing was found [T, M, RK, RK]
     weight: np.ndarray  # of the nodes at this residual [T, M]
     variance: np.ndarray  # var/w [R, K]
@@ -195,6 +196,6 @@ def opened(table: Table, residual: np.ndarray, phi: np.ndarray, w: np.ndarray) -
     before = before_columns(table, p.precision, p.share, p.path, every).reshape(-1, 1, count, count)
     u = p.own.reshape(*p.own.shape[:3], count)
     return Opened(
-        before - u.swapaxes(2, 3) @ u, responsible(table, s.each), variance(table, phi, w), s.push,
+        s.each, before - u.swapaxes(2, 3) @ u, responsible(table, s.each), variance(table, phi, w), s.push,
         _pulled(table, p, s.absent), s.z, s.spread, _hazard(s.z),
     )  # fmt: skip

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.stats import norm, qmc
 
@@ -58,22 +60,27 @@ def wide(descent: Descent) -> np.ndarray:
     return mean
 
 
-def screened(descent: Descent, seed: int, parabola: Parabola) -> np.ndarray:
-    """The prior's hammers, each with the velocities that suit it best, by `parabola` and the prior; the best first."""
-    return _with_velocities(descent, samples(descent, seed), np.log(VELOCITIES), parabola)
+def screened(descent: Descent, seed: int, parabolas: Sequence[Parabola]) -> list[np.ndarray]:
+    """The prior's hammers, each with the velocities that suit it best, by each parabola and the prior; the best first.
+
+    One array [S, size] a parabola.
+    """
+    return _with_velocities(descent, samples(descent, seed), np.log(VELOCITIES), parabolas)
 
 
-def struck_anew(descent: Descent, z: np.ndarray, parabola: Parabola) -> np.ndarray:
+def struck_anew(descent: Descent, z: np.ndarray, parabolas: Sequence[Parabola]) -> list[np.ndarray]:
     """Hammers `z` [S, size], each with the velocities of a fine grid that suit it best; the best first.
 
-    In the treble a contact lasts for several periods of a partial, the spectrum of its force has lobes, and a velocity
-    in the wrong one is a minimum for every hammer near.
+    One array a parabola. In the treble a contact lasts for several periods of a partial, the spectrum of its force has
+    lobes, and a velocity in the wrong one is a minimum for every hammer near.
     """
-    return _with_velocities(descent, z, np.log(FINE_VELOCITIES), parabola)
+    return _with_velocities(descent, z, np.log(FINE_VELOCITIES), parabolas)
 
 
-def _with_velocities(descent: Descent, z: np.ndarray, grid: np.ndarray, parabola: Parabola) -> np.ndarray:
-    """Hammers [S, size] with the best of the log velocities `grid`; the best first."""
+def _with_velocities(
+    descent: Descent, z: np.ndarray, grid: np.ndarray, parabolas: Sequence[Parabola]
+) -> list[np.ndarray]:
+    """Hammers [S, size] with the best of the log velocities `grid`, by each parabola; the best first."""
     shared = descent.unknowns.shared
     free = descent.unknowns.free[shared:]
     # Measured velocities have columns of their own.
@@ -90,7 +97,8 @@ def _with_velocities(descent: Descent, z: np.ndarray, grid: np.ndarray, parabola
     level = level.reshape(len(grid), len(z), -1)[..., descent.columns].swapaxes(0, 1)
     own = np.abs(grid - z[:, shared:, None]).argmin(axis=2)
     begins = [own, *(np.tile(each, (len(z), 1)) for each in _ladders(descent, grid))]
-    return _scored(descent, parabola, z, grid, level, ended.reshape(len(grid), len(z)).T, begins)
+    ended = ended.reshape(len(grid), len(z)).T
+    return [_scored(descent, parabola, z, grid, level, ended, begins) for parabola in parabolas]
 
 
 def _scored(

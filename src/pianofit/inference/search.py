@@ -8,7 +8,7 @@ lowest are started again from nearby.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -63,18 +63,26 @@ def searched(
         If no hammer gives a finite sound.
     """
     phi = wide(descent)
-    parabola = Parabola.of(descent.table, phi)
+    # Whether recordings share a gain, nobody knows before a hammer is: each answer has its own hammers.
+    parabolas = [Parabola.of(descent.table, phi, gains=node) for node in range(len(descent.table.scale))]
 
-    def lowered(z: np.ndarray) -> Population:
-        begun = descent.begun(z, phi, parabola=parabola)
-        return descent.descend(begun, 0.0, FIRST_STEPS, parabola=parabola) if len(begun) else begun
+    def lowered(each: Sequence[np.ndarray]) -> Population | None:
+        """All of the candidates [S, size] of every parabola, each down its own."""
+        found: Population | None = None
+        for z, parabola in zip(each, parabolas, strict=True):
+            begun = descent.begun(z, phi, parabola=parabola)
+            if len(begun):
+                begun = descent.descend(begun, 0.0, FIRST_STEPS, parabola=parabola)
+                found = begun if found is None else found.join(begun)
+        return found
 
-    people = lowered(np.concatenate([first[None], screened(descent, seed, parabola)[:FIRST]]))
-    if not len(people):
+    each = screened(descent, seed, parabolas)
+    people = lowered([np.concatenate([first[None], z[: FIRST // len(each)]]) for z in each])
+    if people is None:
         raise FitError(NO_HAMMER)
     progress("hammer", 0.3)
-    anew = lowered(struck_anew(descent, _going(descent, people, STAGES[0][0]).z, parabola))
-    people = people.join(anew) if len(anew) else people
+    anew = lowered(struck_anew(descent, _going(descent, people, STAGES[0][0]).z, parabolas))
+    people = people if anew is None else people.join(anew)
     for stage, (count, iterations, floor) in enumerate(STAGES):
         progress("hammer", 0.4 + 0.1 * stage)
         people = descent.descend(_going(descent, people, count), floor, iterations)
@@ -83,7 +91,10 @@ def searched(
     for _ in range(ROUNDS):
         before = _lowest(descent, people)
         people = _restarted(descent, people, lambda best, _: _nearby(descent, best, random))
-        people = _restarted(descent, people, lambda best, parabola: struck_anew(descent, best[None], parabola))
+        for node in range(len(parabolas)):
+            people = _restarted(
+                descent, people, lambda best, parabola: struck_anew(descent, best[None], [parabola])[0], node
+            )
         if descent.unknowns.free[descent.unknowns.at("x0")]:
             people = _restarted(descent, people, lambda best, _: _moved(descent, best))
         if _lowest(descent, people) > before - GAIN:
@@ -118,11 +129,17 @@ def _moved(descent: Descent, best: np.ndarray) -> np.ndarray:
 
 
 def _restarted(
-    descent: Descent, people: Population, points: Callable[[np.ndarray, Parabola], np.ndarray]
-) -> Population:
-    """With the minima reached from `points` of the lowest [size], at first on the parabola at its φ and w."""
+    descent: Descent, people: Population, points: Callable[[np.ndarray, Parabola], np.ndarray],
+    gains: int | None = None,
+) -> Population:  # fmt: skip
+    """With the minima reached from `points` of the lowest [size], at first on the parabola at its φ and w.
+
+    Parameters
+    ----------
+    gains : the node of the gains by which the parabola goes; all of them by default.
+    """
     phi, w = people.phi[0], people.w[0]
-    parabola = Parabola.of(descent.table, phi, w, people.residual[0])
+    parabola = Parabola.of(descent.table, phi, w, people.residual[0], gains)
     more = descent.begun(points(people.z[0], parabola), phi, w, parabola)
     if not len(more):
         return people

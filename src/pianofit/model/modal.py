@@ -18,7 +18,7 @@ from scipy.signal import oaconvolve, resample_poly
 
 from .simulate import Simulation
 
-__all__ = ["EDGE", "FAINT", "LEAD", "Force", "Participation", "Ringing", "force_of", "ring", "until_last"]
+__all__ = ["EDGE", "FAINT", "LEAD", "Force", "Participation", "Ringing", "force_of", "ring", "silencing", "until_last"]
 
 # The knock may begin so long before the contact, s: an onset is found a little late.
 LEAD = 0.012
@@ -135,6 +135,19 @@ class Ringing(NamedTuple):
         part = None if part is None else part._replace(factor=part.factor[:, below])
         return Ringing(*columns, knock, rate, part)
 
+    def beside(self, velocity: float) -> np.ndarray:
+        """What a stroke makes heard beside its modes, over its force: the knock [channels, samples].
+
+        The knock silences the push of the modes as the pattern has them. What a stroke has more of them, or less,
+        pushes as much more or less.
+        """
+        lead, part = round(LEAD * self.rate), self.participation
+        if part is None or self.knock.shape[-1] <= lead:
+            return self.knock
+        more = self.pattern * (part.at(velocity) - 1)
+        push = silencing(self.pole, more, self.rate, self.knock.shape[-1] - lead)
+        return self.knock + np.pad(push, ((0, 0), (lead, 0)))
+
     def struck(self, force: Force, end: int) -> tuple[np.ndarray, np.ndarray]:
         """What a stroke leaves ringing, and what else of it is heard, at the own `rate`.
 
@@ -160,7 +173,7 @@ class Ringing(NamedTuple):
         # A band-limited force goes on for some samples, in which the modes already ring.
         head[:, end + EDGE :] -= ring(self.pole, self.pattern * state, rate, size - end - EDGE)
         if self.knock.shape[-1]:
-            knock = oaconvolve(self.knock, pulse[None], axes=-1)[:, EDGE:]
+            knock = oaconvolve(self.beside(force.velocity), pulse[None], axes=-1)[:, EDGE:]
             onset[:, : knock.shape[-1]] += knock
         return state, onset
 
@@ -210,6 +223,21 @@ def ring(
         here[:] = rows.reshape(len(amplitude), -1)[:, : here.shape[-1]]
         amplitude = amplitude * begins[:, -1]
     return out
+
+
+def silencing(pole: np.ndarray, amplitude: np.ndarray, rate: float, count: int) -> np.ndarray:
+    """What is added to Re Σ amplitude z^n, lest a push that holds modes aside be heard [channels, count].
+
+    A slow force holds a mode of higher frequency aside by as much as it pushes. What is heard of a mode is its
+    acceleration: with ((1 - ζ)/(1 - q ζ))², over its value at the pole, as a factor to 1/(1 - z ζ), a constant force is
+    silent, the mode's residue stays, and a double real pole q, as fast as the mode, is added.
+    """
+    fast = -np.abs(pole)
+    z, q = np.exp(pole / rate), np.exp(fast / rate)
+    scale = ((1 - q / z) / (1 - 1 / z)) ** 2
+    double = scale * (1 - 1 / q) ** 2 / (1 - z / q)
+    once = ring(fast, amplitude * (scale - 1 - double), rate, count)
+    return once + np.arange(1, count + 1) * ring(fast, amplitude * double, rate, count)
 
 
 @functools.lru_cache(maxsize=STRINGS)

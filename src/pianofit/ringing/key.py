@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import signal
 
-from ..model.modal import EDGE, LEAD, Force, Participation, Ringing, ring
+from ..model.modal import EDGE, LEAD, Force, Participation, Ringing, ring, silencing
 from .heard import Heard
 from .modes import PartialModes, common_pattern
 from .participation import participation
@@ -148,10 +148,9 @@ def _knock(
     pole = np.concatenate([m.poles + 2j * np.pi * m.offset[:, None] for m in modes], axis=-1)
     rate, lead = heard.rate, round(LEAD * heard.rate)
     size = round((LEAD + KNOCK) * rate)
-    still = _still(key.pole / rate, size - lead)
 
     def unheard(pattern: np.ndarray) -> np.ndarray:
-        return np.pad(np.real(pattern @ still), ((0, 0), (lead, 0)))
+        return np.pad(silencing(key.pole, pattern, rate, size - lead), ((0, 0), (lead, 0)))
 
     count = 1 << int(np.ceil(np.log2(2 * size)))
     fade, last = np.ones(size), round(FADE * size)
@@ -170,20 +169,6 @@ def _knock(
         above += weight * spectrum.conj() * np.fft.rfft(rest * fade, count)
         below += weight * np.abs(spectrum) ** 2
     return np.fft.irfft(above / (below + FLOOR**2 * below.max()), count)[:, :size] * fade + unheard(key.pattern)
-
-
-def _still(log_z: np.ndarray, count: int) -> np.ndarray:
-    """What is added to each mode's z^n, lest a push that holds it aside be heard, complex [modes, count].
-
-    A slow force holds a mode of higher frequency aside by as much as it pushes. What is heard of a mode is its
-    acceleration: with ((1 - ζ)/(1 - q ζ))², over its value at the pole, as a factor to 1/(1 - z ζ), a constant force is
-    silent, the mode's residue stays, and a double real pole q, as fast as the mode, is added.
-    """
-    z, q = np.exp(log_z), np.exp(-np.abs(log_z))
-    scale = ((1 - q / z) / (1 - 1 / z)) ** 2
-    double = scale * (1 - 1 / q) ** 2 / (1 - z / q)
-    n = np.arange(count)
-    return ((scale - 1 - double)[:, None] + double[:, None] * (n + 1)) * np.exp(-np.outer(np.abs(log_z), n))
 
 
 def _alone(

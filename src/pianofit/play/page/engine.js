@@ -154,7 +154,7 @@ class Voice {
     const last = impulses ? Math.ceil(contact.last / ratio) + 2 * heard.edge : contact.last;
     out.forEach((channel, i) => {
       addConvolved(channel, drive, (at - heard.lead + heard.edge) * r, last, stroke.direct[i], r, true);
-      addConvolved(channel, drive, (at + heard.edge) * r, last, heard.kernel[i], r, false);
+      addConvolved(channel, drive, (at + heard.edge) * r, last, stroke.kernel[i], r, false);
     });
     stroke.at = end;
     const rest = Math.max(heard.kernel[0].length / r, heard.lead + BLOCK);

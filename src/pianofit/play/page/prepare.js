@@ -26,6 +26,7 @@ const LEFT_OVER = 6e-12;
 // A mode's gain through the path sums the response until the mode has decayed by exp of this.
 const MOST_DECAY = 12;
 const LEAD = 0.012; // s, a knock begins so long before the contact, see model/modal.py
+const SILENT = 35; // the push of a mode is followed until it has decayed by exp of this
 const EDGE = 10; // samples that the band-limited force begins before its touch
 
 /** Numbers, little endian, from base64. */
@@ -340,6 +341,30 @@ function within({ gain, log }, left) {
   return { left, direct: gain.map((g) => damped(times(g, left), log, BLOCK)) };
 }
 
+const expOf = (re, im) => ({ re: Math.exp(re) * Math.cos(im), im: Math.exp(re) * Math.sin(im) });
+const product = (a, b) => ({ re: a.re * b.re - a.im * b.im, im: a.re * b.im + a.im * b.re });
+const inverse = ({ re, im }) => ({ re: re / (re ** 2 + im ** 2), im: -im / (re ** 2 + im ** 2) });
+
+/**
+ * A knock, in which the push of modes that have `more` amplitude is silent as well: what is heard of a mode is its
+ * acceleration, see `silencing` of model/modal.py.
+ */
+function silenced({ log, lead }, more, knock) {
+  const out = Float64Array.from(knock);
+  for (let k = 0; k < log.re.length; k++) {
+    const fast = Math.hypot(log.re[k], log.im[k]), q = Math.exp(-fast);
+    const z = expOf(log.re[k], log.im[k]), over = inverse(z); // 1/z
+    const root = product({ re: 1 - q * over.re, im: -q * over.im }, inverse({ re: 1 - over.re, im: -over.im }));
+    const scale = product(root, root), by = (1 - 1 / q) ** 2;
+    const double = product({ re: by * scale.re, im: by * scale.im }, inverse({ re: 1 - z.re / q, im: -z.im / q }));
+    const once = { re: scale.re - 1 - double.re, im: scale.im - double.im };
+    const [a, b] = [once, double].map((x) => more.re[k] * x.re - more.im[k] * x.im);
+    const size = Math.min(Math.ceil(SILENT / fast), out.length - lead);
+    for (let n = 0, power = 1; n < size; n++, power *= q) out[lead + n] += (a + b * (n + 1)) * power;
+  }
+  return out;
+}
+
 /** What a unit of the drive of a stroke at `velocity`, m/s, leaves ringing, and what of it is heard within a block. */
 export function driven(heard, velocity) {
   if (!heard.participation) return heard;
@@ -347,7 +372,9 @@ export function driven(heard, velocity) {
   const above = known.findIndex((v) => v >= velocity), high = above < 0 ? last : above, low = Math.max(high - 1, 0);
   const share = high === low || above < 0 ? 1 : Math.log(velocity / known[low]) / Math.log(known[high] / known[low]);
   const mixed = (part) => strokes[low][part].map((x, k) => x + share * (strokes[high][part][k] - x));
-  return within(heard, { re: mixed("re"), im: mixed("im") });
+  const left = { re: mixed("re"), im: mixed("im") }, more = { re: left.re.map((x) => x - 1), im: left.im };
+  const kernel = heard.kernel.map((x, i) => (x.length > heard.lead ? silenced(heard, times(heard.gain[i], more), x) : x));
+  return { ...within(heard, left), kernel };
 }
 
 /**
