@@ -122,7 +122,7 @@ def test_sounds_differ_in_nothing_but_how_they_sound(tmp_path, capsys):
     """One note at three levels, lead-ins and lengths: what is heard is the same sound three times."""
     a, b, r = folders(tmp_path, "one", "two", "three")
     assert run(a, b, "--reference", r, "--out", tmp_path / "out", "--trials", 5, "--seconds", 0.9) == 0
-    assert "20 questions about 2 sounds: A3, A4" in capsys.readouterr().out
+    assert "20 questions about sounds, 2 in all: A3, A4" in capsys.readouterr().out
     sounds = heard(tmp_path / "out")
     assert {*sounds} == {(name, side) for name in ("A3", "A4") for side in ("one", "two", "three")}
     for name in ("A3", "A4"):
