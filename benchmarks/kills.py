@@ -117,8 +117,8 @@ def after_a_kill(work: Work, whole: dict[str, bytes]) -> list[str]:
 
 
 def fits_of(files: dict[str, bytes]) -> dict[str, bytes]:
-    """Those that are a batch's results."""
-    return {name: data for name, data in files.items() if name.endswith("fit.json")}
+    """Those that are a batch's results; what workers are at lies under its ledger, and goes with the next run."""
+    return {name: data for name, data in files.items() if name.startswith("keys/") and name.endswith("fit.json")}
 
 
 def tried(work: Work, kills: int, draw: np.random.Generator) -> tuple[list[str], str]:
