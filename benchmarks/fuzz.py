@@ -7,13 +7,14 @@
 Of each case the reader may return, or raise a `PianofitError` whose message is one line that names the file. Anything
 else is a fault: another exception, a warning, more than LONGEST seconds, more memory than MOST allows, a file that was
 not there before. Text is spoilt by its tokens, JSON by its values too, bytes by bits, cuts, repeats and lengths.
-Kinds: wav, flac, setup (TOML), fit, fit-knock and instrument (JSON, FLAC), midi, sfz, csv, answers (JSON), keys (fits
-that an instrument is made of).
+Kinds: wav, flac, setup (TOML), fit, fit-knock, note (of a page to play) and instrument (JSON, FLAC), midi, sfz, csv,
+answers (JSON), keys (fits that an instrument is made of).
 """
 
 from __future__ import annotations
 
 import argparse
+import base64
 import contextlib
 import functools
 import io
@@ -173,12 +174,13 @@ def _song() -> bytes:
 
 
 @functools.cache
-def _documents() -> tuple[bytes, bytes, bytes]:
-    """A fit.json that rings, its knock, and an instrument.json."""
+def _documents() -> tuple[bytes, bytes, bytes, bytes]:
+    """A fit.json that rings, its knock, a note.json that holds its own, and an instrument.json."""
     sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
     from instrument_cases import ERRORS, fit_document, library, true_note
     from page_cases import ringing_note
 
+    from pianofit.io import encode_wav
     from pianofit.keyboard.build import build_instrument
     from pianofit.keyboard.gather import find_fits, load_keys
     from pianofit.ringing_file import encode_knock, ringing_document
@@ -187,12 +189,19 @@ def _documents() -> tuple[bytes, bytes, bytes]:
     assert ringing is not None  # noqa: S101
     fit = fit_document(true_note(60), ERRORS)
     fit["ringing"] = {"by": "modes", **ringing_document(ringing)}
+    wav = {
+        "wav": base64.b64encode(encode_wav(ringing.knock, ringing.rate)).decode(),
+        "scale": 1.0,
+        "rate": ringing.rate,
+    }
+    note = fit | {"kind": "note", "ringing": fit["ringing"] | {"knock": wav}}
     with tempfile.TemporaryDirectory() as folder:
         keys = load_keys(find_fits([library(Path(folder), [48, 60])]))
     instrument = build_instrument(keys, "fuzz")
     instrument["keys"] = instrument["keys"][36:44]
     instrument["keys"][3]["ringing"] = ringing_document(ringing, whole=True)
-    return json.dumps(fit).encode(), encode_knock(ringing) or b"", json.dumps(instrument).encode()
+    knock = encode_knock(ringing) or b""
+    return json.dumps(fit).encode(), knock, json.dumps(note).encode(), json.dumps(instrument).encode()
 
 
 def kinds() -> dict[str, Kind]:
@@ -205,7 +214,7 @@ def kinds() -> dict[str, Kind]:
     from pianofit.listening.result import count_answers
     from pianofit.play import load_song
 
-    fit, knock, instrument = _documents()
+    fit, knock, note, instrument = _documents()
     wav, flac = _sound("WAV", "PCM_16"), _sound("FLAC", "PCM_16")
     setup = (
         b'felt.law = "stulov"\n[string]\nlength = 1.2\nmass = 0.006\n[strike]\nposition = 0.12\nwidth = 0.02\n'
@@ -232,6 +241,7 @@ def kinds() -> dict[str, Kind]:
         "fit-knock": Kind(
             "knock.flac", knock, lambda path: pianofit.load_note(path.with_name("fit.json")), beside={"fit.json": fit}
         ),
+        "note": Kind("case.json", note, pianofit.load_note),
         "keys": Kind("fit.json", fit, lambda path: load_keys([path]), beside={"knock.flac": knock}),
         "instrument": Kind("case.json", instrument, load_instrument),
         "midi": Kind("case.mid", _song(), load_song),

@@ -50,7 +50,7 @@ def quick_work(
     if word == b"refuse":
         return Outcome({}, rest.decode(), sounds_like="C5" if b"sounds" in rest else "")
     if word == b"full":
-        return Outcome({}, "[Errno 28] No space left on device", stop=True)
+        return Outcome({}, "/scratch: cannot be written (No space left on device); make room", stop=True)
     slow = float(rest) if word == b"slow" else 0.02
     time.sleep(slow + 0.001 * (data[0][-1] % 50))
     digest = hashlib.sha256(b"".join(data)).hexdigest()

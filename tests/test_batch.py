@@ -249,7 +249,7 @@ def test_a_read_only_folder_is_named(whole, tmp_path):
 
 def test_no_room_for_a_workers_scratch_stops_the_batch(tmp_path):
     units = library(tmp_path / "in", ["one", "full", "three"])
-    with pytest.raises(OutputError, match="No space left on device; what is finished is kept: make room and run"):
+    with pytest.raises(OutputError, match=r"No space left on device\); make room; what is finished is kept"):
         run(units, tmp_path / "out", workers=1)
     assert [k["state"] for k in status(tmp_path / "out")["keys"]] == ["done", "waiting", "waiting"]
 

@@ -93,7 +93,7 @@ def test_a_folder_is_read_by_the_names_of_its_files(tmp_path):
         "grand-As3": ["grand-Bb3-L2.wav"],
     }
     assert [s.group for s in keys[1].samples] == ["close", "decca"]
-    assert remarks == ["1 recordings do not fit the pattern, such as other.wav"]
+    assert remarks == ["recordings that do not fit the pattern: 1, such as other.wav"]
 
 
 def test_octaves_can_be_counted_otherwise(tmp_path):

@@ -22,7 +22,7 @@ from report_cases import (
     with_ringing,
 )
 
-from pianofit.report.page import write_report
+from pianofit.report.page import report_bytes
 from pianofit.report.sound import k_weighted_mean_square
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
@@ -68,7 +68,7 @@ def sounds_of(path, player):
 def report(tmp_path_factory):
     curves = example_curves(rate=RATE, seconds=5.0)
     path = tmp_path_factory.mktemp("page") / "a page #1?.html"
-    write_report(path, example_fit(), curves, "</script>'\"")
+    path.write_bytes(report_bytes(example_fit(), curves, "</script>'\""))
     sounds = sounds_of(path, "note")
     assert tuple(sounds) == NAMES
     return path, sounds
@@ -262,7 +262,7 @@ VELOCITIES = (3.2, 0.6, 1.5)
 def report_of_recordings(tmp_path_factory):
     curves = with_recordings(example_curves(rate=RATE, seconds=4.0, count=12), VELOCITIES)
     path = tmp_path_factory.mktemp("recordings") / "report.html"
-    write_report(path, fit_of_recordings(), curves, "three recordings", example_held_out())
+    path.write_bytes(report_bytes(fit_of_recordings(), curves, "three recordings", example_held_out()))
     return path
 
 
@@ -363,7 +363,7 @@ def test_each_recording_is_played_and_only_one_player_at_a_time(recordings_page,
 def report_of_ringing(tmp_path_factory):
     path = tmp_path_factory.mktemp("ringing") / "report.html"
     curves = with_ringing(example_curves(rate=RATE, seconds=5.0))
-    write_report(path, example_fit(ringing=ringing_entry()), curves, "a key that rings")
+    path.write_bytes(report_bytes(example_fit(ringing=ringing_entry()), curves, "a key that rings"))
     return path
 
 

@@ -122,7 +122,7 @@ def test_sounds_differ_in_nothing_but_how_they_sound(tmp_path, capsys):
     """One note at three levels, lead-ins and lengths: what is heard is the same sound three times."""
     a, b, r = folders(tmp_path, "one", "two", "three")
     assert run(a, b, "--reference", r, "--out", tmp_path / "out", "--trials", 5, "--seconds", 0.9) == 0
-    assert "20 questions about 2 sounds: A3, A4" in capsys.readouterr().out
+    assert "20 questions about sounds, 2 in all: A3, A4" in capsys.readouterr().out
     sounds = heard(tmp_path / "out")
     assert {*sounds} == {(name, side) for name in ("A3", "A4") for side in ("one", "two", "three")}
     for name in ("A3", "A4"):
@@ -184,7 +184,7 @@ def test_a_pair_that_fails_a_gate_can_be_left_out(tmp_path, capsys):
     assert run(a, b, "--out", tmp_path / "out", "--leave-out") == 0
     captured = capsys.readouterr()
     assert "left out: " in captured.err
-    assert "about 1 sounds: A3" in captured.out
+    assert "about sounds, 1 in all: A3" in captured.out
 
 
 # --- the answers ------------------------------------------------------------------------------------------------------

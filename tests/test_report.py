@@ -27,9 +27,10 @@ from scipy.signal import lfilter
 
 from pianofit.errors import OutputError
 from pianofit.inference.statements import STATUSES
+from pianofit.io import replace_file
 from pianofit.numbers import number
 from pianofit.report.figures import _headings
-from pianofit.report.page import Curves, write_report
+from pianofit.report.page import Curves, report_bytes
 from pianofit.report.sound import k_weighted_mean_square, make_clips
 from pianofit.report.words import STATUS, again_in_words, invariants, minima, ringing, ringing_line, rows
 
@@ -46,7 +47,7 @@ def _drawn_once(monkeypatch):
 
 def written(folder, fit, curves, title="a.wav, F#2"):
     path = folder / "report.html"
-    write_report(path, fit, curves, title)
+    path.write_bytes(report_bytes(fit, curves, title))
     assert [entry.name for entry in folder.iterdir()] == ["report.html"]
     return path.read_text(encoding="utf-8")
 
@@ -411,9 +412,9 @@ def test_page_stands_a_ringing_that_says_nothing(tmp_path, curves, lost):
     assert written(tmp_path, {}, dataclasses.replace(curves, ringing=empty))
 
 
-def test_unwritable_places_are_named_and_nothing_is_left(tmp_path, curves, monkeypatch):
+def test_unwritable_places_are_named_and_nothing_is_left(tmp_path, monkeypatch):
     with pytest.raises(OutputError, match=r"nowhere/report\.html: cannot be written \(No such file.*choose"):
-        write_report(tmp_path / "nowhere" / "report.html", example_fit(), curves, "a")
+        replace_file(tmp_path / "nowhere" / "report.html", b"page")
     place = tmp_path / "report.html"
     place.write_text("before")
 
@@ -421,8 +422,8 @@ def test_unwritable_places_are_named_and_nothing_is_left(tmp_path, curves, monke
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("pathlib.Path.replace", full)
-    with pytest.raises(OutputError, match="No space left on device"):
-        write_report(place, example_fit(), curves, "a")
+    with pytest.raises(OutputError, match=r"report\.html: cannot be written \(No space left on device\); make room"):
+        replace_file(place, b"page")
     assert [entry.name for entry in tmp_path.iterdir()] == ["report.html"]
     assert place.read_text() == "before"
 

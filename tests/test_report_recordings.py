@@ -32,7 +32,7 @@ from pianofit.parameters import Geometry, Hammer, String
 from pianofit.report.build import felt_of, known_of, paths_of, recordings_of, strokes_of
 from pianofit.report.curves import Felt, Known
 from pianofit.report.known import held_out_rows, identified
-from pianofit.report.page import write_report
+from pianofit.report.page import report_bytes
 from pianofit.report.sound import make_clips
 
 HOSTILE = "</script><script>alert(1)</script>\"'><img src=x onerror=alert(2)>\n{{ 7 * 7 }} $\\frac$ &amp; \udcff"
@@ -50,7 +50,7 @@ def _drawn_once(monkeypatch):
 
 def written(folder, fit, curves, held_out=None):
     path = folder / "report.html"
-    write_report(path, fit, curves, "three recordings", held_out)
+    path.write_bytes(report_bytes(fit, curves, "three recordings", held_out))
     return path.read_text(encoding="utf-8")
 
 

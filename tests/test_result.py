@@ -271,11 +271,11 @@ def test_an_earlier_page_is_there_until_the_new_one_is(saved, monkeypatch):
     before = {file.name: file.read_bytes() for file in saved.iterdir()}
     seen = []
 
-    def write_report(path, *_, **__):
+    def report_bytes(*_):
         seen.append({file.name: file.read_bytes() for file in saved.iterdir()})
-        path.write_text("new")
+        return b"new"
 
-    monkeypatch.setattr(save, "write_report", write_report)
+    monkeypatch.setattr(save, "report_bytes", report_bytes)
     result().save(saved, force=True)
     assert seen == [before]
     assert (saved / "report.html").read_text() == "new"

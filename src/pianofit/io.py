@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import codecs
 import contextlib
+import errno
 import io
 import json
 import os
@@ -20,10 +21,10 @@ import numpy as np
 from .errors import FitError, OutputError, ParameterError, PianofitError
 
 __all__ = [
-    "CEILING", "FIT_SCHEMA", "LARGEST", "MOST_CHANNELS",
+    "CEILING", "FIT_SCHEMA", "LARGEST", "MOST_CHANNELS", "NO_ROOM",
     "check_sound_target", "check_target", "encode_pcm", "encode_wav", "finite", "interrupted_by", "is_number",
     "json_text", "limited", "load_json", "one_line", "output_folder", "read_file", "read_text", "reference_of",
-    "replace_file", "shown", "table_of", "with_names", "write_file",
+    "replace_file", "shown", "table_of", "unwritten", "with_names", "write_file",
 ]  # fmt: skip
 
 # Larger numbers overflow when they are squared.
@@ -34,6 +35,8 @@ MOST_CHANNELS = 8
 CEILING = 10 ** (-1 / 20)
 # Schema of the fit.json that this version writes.
 FIT_SCHEMA = 4
+# What a system says where there is no room: the disk is full, a quota is used up, a file has all the size it may have.
+NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def one_line(text: object) -> str:
@@ -141,10 +144,13 @@ def replace_file(path: str | os.PathLike[str], content: bytes) -> None:
         finally:
             temporary.unlink(missing_ok=True)
     except OSError as error:
-        reason = error.strerror or error
-        raise OutputError(
-            f"{target}: cannot be written ({reason}); choose a folder that exists and is yours"
-        ) from error
+        raise unwritten(target, error, "choose a folder that exists and is yours") from error
+
+
+def unwritten(path: str | os.PathLike[str], error: OSError, way_out: str) -> OutputError:
+    """What to tell of a file or folder that the system did not let be written: to make room, or else the `way_out`."""
+    way_out = "make room, and run the same command again" if error.errno in NO_ROOM else way_out
+    return OutputError(f"{one_line(path)}: cannot be written ({one_line(error.strerror or error)}); {way_out}")
 
 
 @contextlib.contextmanager

@@ -173,7 +173,7 @@ def _folder_rows(folder: Path, pattern: str) -> tuple[list[Row], list[str]]:
         seen = f"none of its {len(others)} recordings, such as {one_line(others[0])!r}," if others else "no recording"
         raise SetupError(f"{one_line(folder)}: {seen} fits the pattern {pattern!r}; give --pattern, such as "
                          "'{instrument}-{note}-{layer}.flac', or a manifest")  # fmt: skip
-    left = f"{len(others)} recordings do not fit the pattern, such as {one_line(others[0])}" if others else ""
+    left = f"recordings that do not fit the pattern: {len(others)}, such as {one_line(others[0])}" if others else ""
     return rows, [left] if left else []
 
 

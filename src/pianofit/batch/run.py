@@ -169,9 +169,7 @@ class _Batch:
                 return
             outcome = Outcome({}, f"{outcome.reason}, {ATTEMPTS} times")
         if outcome.stop:
-            full = "No space" in outcome.error or "full" in outcome.error
-            hint = "make room and run the same command" if full else "then run the same command"
-            raise OutputError(f"{unit.key}: {outcome.error}; what is finished is kept: {hint}")
+            raise OutputError(f"{unit.key}: {outcome.error}; what is finished is kept for the next run")
         facts = {"seconds": round(outcome.seconds, 3), "memory": outcome.memory, "left_out": outcome.left_out}
         if outcome.error:
             facts |= {"reason": outcome.error, "sounds_like": outcome.sounds_like, "detail": outcome.detail}

@@ -19,8 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import OutputError
-from ..io import one_line
-from .units import NO_ROOM
+from ..io import NO_ROOM, one_line
 
 __all__ = ["LEDGER", "RECORD", "Store", "is_locked", "locked", "opened", "unwritable"]
 
@@ -115,7 +114,7 @@ def _flush(folder: Path) -> None:
 def unwritable(folder: Path, error: Exception) -> OutputError:
     """What to tell of a folder that does not let itself be written."""
     name, full = one_line(folder), "full" in str(error)
-    if full or getattr(error, "errno", None) in NO_ROOM[:2]:
+    if full or getattr(error, "errno", None) in NO_ROOM:
         return OutputError(f"{name}: the disk is full; what is finished is kept: make room and run the same command")
     reason = getattr(error, "strerror", None) or error
     return OutputError(f"{name}: cannot be written to ({reason}); choose a folder that is yours, then run it again")

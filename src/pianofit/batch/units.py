@@ -27,7 +27,7 @@ from typing import NamedTuple
 from .. import __version__
 from ..analysis.notes import hz_to_note, note_to_hz, note_to_midi
 from ..errors import AnalysisError, OutputError, PianofitError, RecordingError
-from ..io import one_line, read_file, with_names
+from ..io import NO_ROOM, one_line, read_file, unwritten, with_names
 from ..recording import MAX_BYTES
 from .manifest import Key
 
@@ -41,7 +41,8 @@ NUMBERS = (
 )  # fmt: skip
 # A name is wrong when the string sounds further from it than this, cents; old pianos and stretched trebles do not.
 ASTRAY = 60.0
-NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
+# What is wrong with the disk and not with a unit: the batch stops, and no unit counts as failed.
+NO_DISK = (*NO_ROOM, errno.EROFS)
 
 
 class Settings(NamedTuple):
@@ -176,10 +177,11 @@ def fit_unit(
         with tempfile.TemporaryDirectory(dir=scratch, prefix="pianofit-") as place:
             found = _fit_in(Path(place), unit, contents, tell)
     except PianofitError as error:
-        full = isinstance(error.__cause__, OSError) and error.__cause__.errno in NO_ROOM
+        full = isinstance(error.__cause__, OSError) and error.__cause__.errno in NO_DISK
         found = Outcome({}, str(error), stop=full)
     except OSError as error:
-        found = Outcome({}, f"{socket.gethostname()}: {error}", stop=error.errno in NO_ROOM)
+        wrong = unwritten(scratch or tempfile.gettempdir(), error, "see to that disk")
+        found = Outcome({}, f"{socket.gethostname()}: {wrong}", stop=error.errno in NO_DISK)
     except MemoryError:
         found = Outcome({}, "not enough memory; give fewer recordings, shorter ones, or --memory more")
     except Exception as error:

@@ -95,7 +95,7 @@ def _played(out: Path, done: dict[str, Any]) -> str:
     return (
         f"{out}: {done['seconds']:.1f} s at {done['rate']} Hz, {done['notes']} notes, {done['on_moving_strings']} of "
         f"them on a string still sounding{turned}{limited}\ncomputed in {done['computed_in_s']:.1f} s, "
-        f"{done['real_time_factor']:.2f} of real time\n"
+        f"{done['real_time_factor']:.2g} s for each second of sound\n"
     )
 
 
@@ -113,7 +113,10 @@ def page(
     force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """Write an instrument to play in a browser: one HTML file of at most 1.5 MB that needs no server and no network."""
+    """Write an instrument to play in a browser: one HTML file that needs no server and no network.
+
+    It has at most 1.5 MB; recordings come on top of that.
+    """
     from ..io import check_target, one_line
     from ..keyboard import load_instrument
     from ..play.page import write_page

@@ -68,7 +68,7 @@ def listen(
         complain(f"left out: {line}")
     if made.alone:
         complain(f"left out, not in all folders: {', '.join(made.alone)}")
-    typer.echo(f"{made.trials} questions about {len(made.names)} sounds: {', '.join(made.names)}")
+    typer.echo(f"{made.trials} questions about sounds, {len(made.names)} in all: {', '.join(made.names)}")
     typer.echo(f"written to {folder}: give listen.html to listeners; key.json says what it hides; webmushra/")
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from ..analysis.notes import midi_to_note
 from ..errors import OutputError, ParameterError, check_range
-from ..io import CEILING, encode_pcm, interrupted_by, one_line
+from ..io import CEILING, encode_pcm, interrupted_by, one_line, unwritten
 from ..keyboard.document import Instrument
 from ..recording import RATES
 from ..threads import one_blas_thread
@@ -123,8 +123,7 @@ def export_sampler(
             finally:
                 tidy()
     except OSError as error:
-        reason = error.strerror or error
-        raise OutputError(f"{one_line(out)}: cannot be written ({reason}); choose another --out") from error
+        raise unwritten(out, error, "choose another --out") from error
     return done
 
 

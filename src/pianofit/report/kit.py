@@ -21,7 +21,7 @@ from ..io import replace_file
 if TYPE_CHECKING:
     from jinja2 import Environment
 
-__all__ = ["asset", "data_uri", "is_page", "picture", "templates", "write_page"]
+__all__ = ["asset", "data_uri", "is_page", "page_bytes", "picture", "templates", "write_page"]
 
 KIT = "pianofit.report"
 # What a page of this kit has in its first bytes.
@@ -35,7 +35,18 @@ def write_page(
     scripts: tuple[str, ...] = (), filters: dict[str, Callable] | None = None, strict: bool = True, title: str,
     contents: bool = False, **content: Any,
 ) -> None:  # fmt: skip
-    """Write one self-contained page, whole or not at all; an `OutputError` where it cannot be.
+    """Write one self-contained page (`page_bytes`), whole or not at all; an `OutputError` where it cannot be."""
+    replace_file(path, page_bytes(
+        template, package=package, styles=styles, scripts=scripts, filters=filters, strict=strict, title=title,
+        contents=contents, **content,
+    ))  # fmt: skip
+
+
+def page_bytes(
+    template: str, *, package: str = KIT, styles: tuple[str, ...] = (), scripts: tuple[str, ...] = (),
+    filters: dict[str, Callable] | None = None, strict: bool = True, title: str, contents: bool = False, **content: Any,
+) -> bytes:  # fmt: skip
+    """Return one self-contained page.
 
     Parameters
     ----------
@@ -55,7 +66,7 @@ def write_page(
         script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
         **content,
     )  # fmt: skip
-    replace_file(path, html.encode("utf-8", errors="replace"))
+    return html.encode("utf-8", errors="replace")
 
 
 def is_page(path: str | os.PathLike[str]) -> bool:

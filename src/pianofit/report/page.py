@@ -6,7 +6,6 @@ The player reads its sounds from the links that also let them be saved.
 from __future__ import annotations
 
 import json
-import os
 from pathlib import PurePath
 from typing import Any
 
@@ -17,10 +16,10 @@ from ..io import with_names
 from . import known, words
 from .curves import Curves, RecordingCurves, Strokes
 from .figures import draw_figures
-from .kit import picture, write_page
+from .kit import page_bytes, picture
 from .sound import LIGHT_RATE, SECONDS, Clip, make_clips, seconds_each
 
-__all__ = ["Curves", "write_report"]
+__all__ = ["Curves", "report_bytes"]
 
 # Of the first recording, where a sound has two channels.
 STEREO_SECONDS = 5.0
@@ -30,14 +29,8 @@ LONGEST = 4.0  # s, of each of them,
 SHORTEST = 1.5  # s, however many there are
 
 
-def write_report(
-    path: str | os.PathLike[str],
-    fit: dict[str, Any],
-    curves: Curves,
-    title: str,
-    held_out: dict[str, Any] | None = None,
-) -> None:
-    """Write the page to `path`, whole or not at all.
+def report_bytes(fit: dict[str, Any], curves: Curves, title: str, held_out: dict[str, Any] | None = None) -> bytes:
+    """Return the page.
 
     Parameters
     ----------
@@ -47,8 +40,6 @@ def write_report(
         Plain text, such as the name of the file and the note.
     held_out
         What `predict.cross_validate` returned of the same recordings, to be shown beside their fit.
-
-    Raises `OutputError` if `path` cannot be written.
     """
     # A page is shown to others, who need not know any folder.
     names = _names(fit, held_out)
@@ -60,8 +51,7 @@ def write_report(
         curves, tuple(fit.get("criterion", {}).get("dropped") or ()), tuple(left_out["recordings"]) if left_out else ()
     )
     identified = known.identified(fit)
-    write_page(
-        path,
+    return page_bytes(
         "page.html.j2",
         scripts=("audio.js", "player.js"),
         strict=False,

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 from ..inference import Result
 from ..io import encode_wav, json_text, one_line, output_folder, replace_file
 from ..ringing_file import KNOCK_FILE, encode_knock
 from .build import curves_of
-from .page import write_report
+from .page import report_bytes
 
 __all__ = ["save", "write_page"]
 
@@ -24,11 +23,11 @@ def save(result: Result, folder: Path, *, force: bool, page: bool) -> Path:
     """
     _ = result.reference  # refused before anything is written
     with output_folder(folder, force):
-        made = write_page(result, folder / f".report.html.{os.getpid()}.tmp", None, None) if page else None
+        made = report_bytes(result.document, curves_of(result), _title(result)) if page else None
         written = _write_sounds(result, folder)
         replace_file(folder / "fit.json", json_text(result.document).encode())
         if made is not None:
-            replace_file(folder / "report.html", made.read_bytes())
+            replace_file(folder / "report.html", made)
             written.add("report.html")
         for old in (folder / "report.html", folder / KNOCK_FILE, *folder.glob("fitted-*.wav")):
             if old.name not in written:
@@ -42,7 +41,7 @@ def write_page(result: Result, path: Path, title: str | None, held_out: dict | N
     Raises `OutputError` if it cannot be written; `FitError` if the fit was read back, without its recordings.
     """
     path = path / "report.html" if path.is_dir() else path
-    write_report(path, result.document, curves_of(result), title or _title(result), held_out=held_out)
+    replace_file(path, report_bytes(result.document, curves_of(result), title or _title(result), held_out))
     return path
 
 
