@@ -89,7 +89,7 @@ def main() -> None:
         first, rest = map(min, zip(*runs, strict=True))
     print(
         f"{done}\nFaust: {took:.0f} s ({used.ru_utime:.0f} s of a core), {used.ru_maxrss / 2**10:.0f} MiB; "
-        f"16 voices take {100 * rest:.0f} % of a core's time, {100 * first:.0f} % while all hammers are on their strings"
+        f"16 voices take {100 * rest:.0f} % of a core's time, {100 * first:.0f} % while hammers are on strings"
     )
 
 
