@@ -18,7 +18,7 @@ from scipy.signal import oaconvolve, resample_poly
 
 from .simulate import Simulation
 
-__all__ = ["EDGE", "FAINT", "LEAD", "Force", "Participation", "Ringing", "force_of", "ring", "until_last"]
+__all__ = ["EDGE", "FAINT", "LEAD", "Force", "Participation", "Ringing", "force_of", "ring", "turned", "until_last"]
 
 # The knock may begin so long before the contact, s: an onset is found a little late.
 LEAD = 0.012
@@ -32,8 +32,9 @@ FAINT = 1e-8
 CHUNK = 32
 # Samples of a block: more would not stay in a processor's cache.
 LARGEST_BLOCK = 512
-# Strings whose blocks are kept: one that is played rings from event to event, free and damped.
-STRINGS = 4
+# Sets of modes whose powers are kept: a key that is played rings from event to event, free and damped, and its string
+# is struck at the contact's rate.
+KEPT = 4
 
 
 class Force(NamedTuple):
@@ -152,7 +153,7 @@ class Ringing(NamedTuple):
         size = max(len(pulse), end + EDGE)
         log_z, last = self.pole / rate, end + EDGE - (len(pulse) - 1)  # samples from the pulse's last one to `end`
         part = 1.0 if self.participation is None else self.participation.at(force.velocity)
-        state = part * np.exp(log_z * last) * (_powers(log_z, len(pulse)) @ pulse[::-1])
+        state = part * np.exp(log_z * last) * turned(log_z, pulse[::-1])
         onset = np.zeros((self.channels, max(lead - EDGE + size, self.knock.shape[-1] + len(pulse) - 1 - EDGE)))
         head = onset[:, lead - EDGE : lead - EDGE + size]
         driven = ring(self.pole, self.pattern * part, rate, size)
@@ -195,7 +196,7 @@ def ring(
     block = min(1 << int(np.ceil(np.log2(np.sqrt(count)))), LARGEST_BLOCK)
     blocks = min(-(-count // block), CHUNK)
     faint = np.full(len(pole), FAINT * np.abs(amplitude).max()) if faint is None else faint
-    inside = _inside(np.asarray(pole / rate, complex).tobytes(), block)
+    inside = _inside(np.asarray(pole / rate, complex).tobytes())
     begins = _powers(pole * (block / rate), blocks + 1)  # [modes, blocks and the next chunk's first]
     for first in range(0, count, blocks * block):
         loud = (np.abs(amplitude) > faint).any(axis=0)
@@ -203,20 +204,28 @@ def ring(
             break
         if not loud.all():
             pole, amplitude, faint = pole[loud], amplitude[:, loud], faint[loud]
-            inside, begins = inside[loud], begins[loud]
+            inside, begins = inside[:, loud, :block], begins[loud]
         here = out[:, first : first + blocks * block]
         starts = amplitude[:, None] * begins[:, :-1].T
-        rows = np.ascontiguousarray(starts).view(float) @ inside.reshape(-1, block)
+        within = inside.reshape(-1, inside.shape[-1])[:, :block]
+        rows = np.concatenate([np.real(starts), np.imag(starts)], axis=-1) @ within
         here[:] = rows.reshape(len(amplitude), -1)[:, : here.shape[-1]]
         amplitude = amplitude * begins[:, -1]
     return out
 
 
-@functools.lru_cache(maxsize=STRINGS)
-def _inside(log_z: bytes, block: int) -> np.ndarray:
-    """Real part and negative imaginary part of z^n, n < block [modes, 2, block], of logarithms as bytes."""
-    powers = _powers(np.frombuffer(log_z, complex), block)
-    found = np.stack([np.real(powers), -np.imag(powers)], axis=1)
+def turned(log_z: np.ndarray, samples: np.ndarray) -> np.ndarray:
+    """Σ_n x_n z^n, complex [modes]."""
+    rows = np.pad(samples, (0, -len(samples) % LARGEST_BLOCK)).reshape(-1, LARGEST_BLOCK)
+    real, imag = _inside(np.asarray(log_z, complex).tobytes()) @ rows.T  # [modes, blocks]
+    return ((real - 1j * imag) * _powers(log_z * LARGEST_BLOCK, len(rows))).sum(axis=1)
+
+
+@functools.lru_cache(maxsize=KEPT)
+def _inside(log_z: bytes) -> np.ndarray:
+    """Real part and negative imaginary part of z^n, n < LARGEST_BLOCK [2, modes, steps], of logarithms as bytes."""
+    powers = _powers(np.frombuffer(log_z, complex), LARGEST_BLOCK)
+    found = np.stack([np.real(powers), -np.imag(powers)])
     found.flags.writeable = False
     return found
 
