@@ -204,11 +204,11 @@ def ring(
             break
         if not loud.all():
             pole, amplitude, faint = pole[loud], amplitude[:, loud], faint[loud]
-            inside, begins = inside[:, loud, :block], begins[loud]
+            inside, begins = inside[loud, :, :block], begins[loud]
         here = out[:, first : first + blocks * block]
         starts = amplitude[:, None] * begins[:, :-1].T
         within = inside.reshape(-1, inside.shape[-1])[:, :block]
-        rows = np.concatenate([np.real(starts), np.imag(starts)], axis=-1) @ within
+        rows = np.ascontiguousarray(starts).view(float) @ within
         here[:] = rows.reshape(len(amplitude), -1)[:, : here.shape[-1]]
         amplitude = amplitude * begins[:, -1]
     return out
@@ -217,15 +217,15 @@ def ring(
 def turned(log_z: np.ndarray, samples: np.ndarray) -> np.ndarray:
     """Σ_n x_n z^n, complex [modes]."""
     rows = np.pad(samples, (0, -len(samples) % LARGEST_BLOCK)).reshape(-1, LARGEST_BLOCK)
-    real, imag = _inside(np.asarray(log_z, complex).tobytes()) @ rows.T  # [modes, blocks]
+    real, imag = np.moveaxis(_inside(np.asarray(log_z, complex).tobytes()) @ rows.T, 1, 0)  # [modes, blocks]
     return ((real - 1j * imag) * _powers(log_z * LARGEST_BLOCK, len(rows))).sum(axis=1)
 
 
 @functools.lru_cache(maxsize=KEPT)
 def _inside(log_z: bytes) -> np.ndarray:
-    """Real part and negative imaginary part of z^n, n < LARGEST_BLOCK [2, modes, steps], of logarithms as bytes."""
+    """Real part and negative imaginary part of z^n, n < LARGEST_BLOCK [modes, 2, steps], of logarithms as bytes."""
     powers = _powers(np.frombuffer(log_z, complex), LARGEST_BLOCK)
-    found = np.stack([np.real(powers), -np.imag(powers)])
+    found = np.stack([np.real(powers), -np.imag(powers)], axis=1)
     found.flags.writeable = False
     return found
 
