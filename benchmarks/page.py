@@ -1,6 +1,12 @@
 """How much of the time that it has the page's engine takes, under node: strings that ring, and the contacts of strokes.
 
     python benchmarks/page.py [--voices 32] [--modes 200]
+    python benchmarks/page.py --open            a page of 88 keys, in chromium: size, time to the first sound, memory
+
+Played are keys of so many measured modes, keys that ring by their law, and those of `rung_piano.py`, all of whose keys
+ring by modes and a knock in stereo. The page that is opened is that piano's; the time to its first sound goes from the
+navigation to the first sample that an analyser behind the engine shows, of a key that is struck as soon as there is
+one. Memory is that of the browser's process for the page once all tables are computed, less that of an empty page.
 
 A block of 128 samples lasts 2.67 ms at 48 kHz. Counted is the processor's time; the least of several runs is printed.
 """
@@ -9,15 +15,19 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import shutil
 import subprocess
+import tempfile
 from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
+import rung_piano
 
 from pianofit.model.modal import Ringing
 from pianofit.model.note import Note
+from pianofit.play.page import write_page
 from pianofit.play.page.payload import encode_note
 from pianofit.published import typical
 
@@ -49,6 +59,21 @@ for (let run = 0; run < runs; run++) {
 }
 console.log(JSON.stringify(best));
 """
+# In the page: seconds from the navigation until there are keys, and until a key that is then struck is heard.
+FIRST_SOUND = """async () => {
+  while (!window.pianofitKeyboard) await new Promise((go) => setTimeout(go, 2));
+  const ready = performance.now(), keys = window.pianofitKeyboard, heard = new Float32Array(2048);
+  await keys.play(60, 90);
+  const { player } = keys, listen = new AnalyserNode(player.context, { fftSize: heard.length });
+  player.node.connect(listen);
+  for (;;) {
+    listen.getFloatTimeDomainData(heard);
+    if (heard.some((x) => Math.abs(x) > 1e-5)) return [ready / 1e3, performance.now() / 1e3];
+    await new Promise((go) => setTimeout(go, 2));
+  }
+}"""
+CHROMIUM = shutil.which("chromium") or "/usr/bin/chromium"
+ARGUMENTS = ("--headless", "--no-sandbox", "--disable-gpu", "--autoplay-policy=no-user-gesture-required")
 RATE = 48_000
 
 
@@ -68,18 +93,70 @@ def by_law(midi: int, _: int) -> Note:
     return Note(it.string, it.hammer, it.geometry, "bridge-force", 0.1)
 
 
+def by_fit(midi: int, _: int) -> Note:
+    """A key as a fit of five stereo layers leaves it."""
+    return rung_piano.rung(midi)
+
+
+def opened(runs: int) -> None:
+    """Measure the page of 88 keys in chromium, and print."""
+    from playwright.sync_api import sync_playwright
+
+    with tempfile.TemporaryDirectory() as folder, sync_playwright() as play:
+        path = Path(folder) / "piano.html"
+        done = write_page(path, rung_piano.piano(range(21, 109)))
+        times, sizes = [], []
+        for _ in range(runs):
+            browser = play.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
+            page = browser.new_page()
+            page.goto("about:blank")
+            before = _renderer()
+            page.goto(path.as_uri())
+            times.append(page.evaluate(FIRST_SOUND))
+            page.wait_for_function(f"() => window.pianofitKeyboard.player.sent.size === {done.keys}", timeout=120_000)
+            sizes.append(_renderer() - before)
+            browser.close()
+        print(f"{done}\n{path.stat().st_size / 1e6:.2f} MB; memory {max(sizes) / 2**20:.0f} MiB")
+    for name, values in zip(("keys", "first sound"), zip(*times, strict=True), strict=True):
+        print(f"{name}: {np.median(values):.2f} s after the navigation, {min(values):.2f} to {max(values):.2f}")
+
+
+def _renderer() -> int:
+    """Bytes of the largest of the browser's processes for pages; needs Linux's /proc."""
+    parent, size = {}, {}
+    for status in Path("/proc").glob("[0-9]*/status"):
+        try:
+            values = dict(line.split(":", 1) for line in status.read_text().splitlines())
+            parent[int(values["Pid"])] = int(values["PPid"])
+            if b"--type=renderer" in (status.parent / "cmdline").read_bytes():
+                size[int(values["Pid"])] = int(values["VmRSS"].split()[0]) * 2**10
+        except (OSError, KeyError):  # it has ended
+            continue
+
+    def ours(pid: int) -> bool:
+        while pid in parent and pid != os.getpid():
+            pid = parent[pid]
+        return pid == os.getpid()
+
+    return max((bytes_ for pid, bytes_ in size.items() if ours(pid)), default=0)
+
+
 def main() -> None:
     """Measure and print."""
     options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     options.add_argument("--voices", type=int, default=32)
     options.add_argument("--modes", type=int, default=200)
     options.add_argument("--runs", type=int, default=8)
+    options.add_argument("--open", action="store_true", help="a page of 88 keys in chromium instead")
     asked = options.parse_args()
+    if asked.open:
+        opened(asked.runs)
+        return
     node = shutil.which("node")
     if node is None:
         raise SystemExit("node is not installed (Debian: apt-get install nodejs)")
     scripts = str(Path(str(files("pianofit.play.page"))))
-    for name, kind in (("measured modes", rung), ("the string's own", by_law)):
+    for name, kind in (("measured modes", rung), ("the string's own", by_law), ("as fitted", by_fit)):
         keys = [encode_note(kind(midi, asked.modes), midi) for midi in range(30, 30 + asked.voices)]
         given = json.dumps({"keys": keys, "runs": asked.runs, "seconds": 1.0})
         command = [node, "--input-type=module", "-e", PROGRAM, scripts]

@@ -1,8 +1,9 @@
 """A piece on an instrument: how fast `pianofit play` computes it, and how near the page's engine comes to it.
 
-    python benchmarks/song.py INSTRUMENT.JSON                  two minutes, ten notes a second
-    python benchmarks/song.py INSTRUMENT.JSON --page           and the page's engine, under node, beside them
+    python benchmarks/song.py [INSTRUMENT.JSON]                two minutes, ten notes a second
+    python benchmarks/song.py [INSTRUMENT.JSON] --page         and the page's engine, under node, beside them
 
+Without an instrument it is that of `rung_piano.py`, whose 88 keys ring by some hundred modes and a knock in stereo.
 The piece is drawn by --seed: notes over seven octaves at all velocities, held for 0.1 to 2 s, with a pedal that is
 raised half of the time, so that strings are struck again while they sound. Its events lie on the blocks of 128 samples
 at whose begins the page's take effect. Printed are the song's length over the processor's time, and with --page the
@@ -18,10 +19,11 @@ import time
 from pathlib import Path
 
 import numpy as np
+from rung_piano import piano
 
 from pianofit.keyboard import Instrument, load_instrument
 from pianofit.model.cache import keep_programs
-from pianofit.play import Song, perform
+from pianofit.play import Song, parse_keys, perform
 
 RATE, BLOCK = 48_000, 128
 LOWEST, HIGHEST = 24, 108  # keys
@@ -80,14 +82,14 @@ def by_page(instrument: Instrument, song: Song, whole: bool) -> np.ndarray:
 def main() -> None:
     """Print a line each."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("instrument", type=Path)
+    parser.add_argument("instrument", type=Path, nargs="?")
     parser.add_argument("--seconds", type=float, default=120.0)
     parser.add_argument("--notes", type=float, default=10.0, help="a second")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--page", action="store_true", help="beside the page's engine")
     asked = parser.parse_args()
     keep_programs()
-    given = load_instrument(asked.instrument)
+    given = load_instrument(asked.instrument) if asked.instrument else piano(parse_keys("A0-C8"))
     quiet = given._replace(notes={k: n._replace(gain=QUIET * n.gain) for k, n in given.notes.items()})
     keys = [k for k in given.notes if LOWEST <= k < HIGHEST]
     song = drawn(asked.seconds, asked.notes, keys, asked.seed)

@@ -1,7 +1,11 @@
-"""The folder for Decent Sampler: its text against the format's documentation, its gains against the SFZ's."""
+"""The folder for Decent Sampler: its text against the format's documentation, its gains against the SFZ's.
+
+And its sound against the model's, through a reader of what the documentation says: Decent Sampler renders no file.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -10,8 +14,9 @@ import pytest
 import soundfile
 from instrument_cases import true_instrument
 
+from pianofit.inference.align import lag
 from pianofit.play import SAMPLERS, Asked, export_sampler
-from pianofit.play.layers import spans_of
+from pianofit.play.layers import spans_of, velocities_of
 from pianofit.play.strings import damper_rate
 
 KEYS = [55, 60, 100]
@@ -95,3 +100,81 @@ def test_dampers_are_releases_and_the_treble_rings_on(root):
         else:
             assert sample.attrib["ampEnvEnabled"] == "false"
             assert "release" not in sample.attrib
+
+
+# --- as it is heard ---
+
+HEARD = [28, 55, 100]
+LAYERS = 8
+RATE = 48_000
+PIANO = true_instrument()
+
+
+@pytest.fixture(scope="module")
+def player(tmp_path_factory) -> Callable[..., np.ndarray]:
+    """(key, MIDI velocity, s until it is released) -> 1.5 s of what the preset says."""
+    out = tmp_path_factory.mktemp("heard") / "sampler"
+    export_sampler(PIANO, out, HEARD, Asked(LAYERS, 1.5, kind="wav"), to="decent-sampler")
+    tree = ElementTree.parse(out / "twin.dspreset").getroot()  # noqa: S314
+    tables = {}
+    for binding in tree.iter("binding"):
+        points = [pair.split(",") for pair in binding.attrib["translationTable"].split(";")]
+        tables[int(binding.attrib["groupIndex"])] = np.array(points, float).T
+    groups = tree.findall("groups/group")
+
+    def play(key: int, velocity: int, held: float = 1.5) -> np.ndarray:
+        sound, t = np.zeros(round(1.5 * RATE)), np.arange(round(1.5 * RATE)) / RATE
+        for i, group in enumerate(groups):
+            for sample in group:
+                it = sample.attrib
+                if not int(it["loNote"]) <= key <= int(it["hiNote"]):
+                    continue
+                if not int(it["loVel"]) <= velocity <= int(it["hiVel"]):
+                    continue
+                assert group.attrib["ampVelTrack"] == "0"  # else the velocity would count twice
+                data, rate = soundfile.read(out / it["path"])
+                place = t * rate * 2 ** ((key - int(it["rootNote"])) / 12)
+                heard = np.interp(place, np.arange(len(data)), data, right=0.0)
+                if it.get("ampEnvEnabled") != "false":  # 60 dB in the time of the release
+                    heard *= 10 ** (-3 * np.maximum(t - held, 0) / float(it["release"]))
+                sound += np.interp(velocity / 127, *tables[i]) * heard
+        return sound
+
+    return play
+
+
+def level(sound: np.ndarray) -> float:
+    """Of its first second, dB."""
+    return 10 * np.log10(np.mean(sound[:RATE] ** 2))
+
+
+def test_loudness_follows_velocity_as_renders_does(player):
+    """At all velocities within 0.15 dB, through one gain for all keys; no step of one velocity exceeds 0.6 dB."""
+    off = []
+    for midi in HEARD:
+        loud = np.array([level(player(midi, v)) for v in range(1, 128, 3)])
+        assert np.diff(loud).min() > 0
+        assert np.diff(loud).max() < 3 * 0.6
+        for velocity in range(1, 128, 9):
+            rendered = PIANO.note(midi, velocity).render(seconds=1.0, rate=RATE)
+            off.append(loud[(velocity - 1) // 3] - level(rendered))
+    assert np.ptp(off) < 0.15
+
+
+def test_onsets_are_renders(player):
+    """Where a layer was struck, but for the soft ones, which are moved to where the next louder one is like them."""
+    for midi in HEARD:
+        late = []
+        for velocity in velocities_of(LAYERS)[1:]:
+            rendered = PIANO.note(midi, velocity).render(seconds=1.0, rate=RATE)
+            late.append(lag(rendered, player(midi, velocity)[:RATE]) / RATE)
+        assert np.ptp(late) < 2e-3
+        assert abs(late[-1]) < 5e-3  # a sample begins just before it is heard
+
+
+def test_a_release_is_the_dampers(player):
+    held, released = player(55, 100), player(55, 100, 0.5)
+    at = (np.array([0.52, 0.56]) * RATE).astype(int)
+    ratio = [np.sqrt(np.mean(released[i:][:960] ** 2) / np.mean(held[i:][:960] ** 2)) for i in at]
+    assert np.log(ratio[0] / ratio[1]) / 0.04 == pytest.approx(damper_rate(55), rel=0.03)
+    assert player(100, 100, 0.5) == pytest.approx(player(100, 100), abs=0)

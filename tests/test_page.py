@@ -18,6 +18,7 @@ from pianofit.felt import MemoryHammer
 from pianofit.fit_file import load_note
 from pianofit.io import json_text
 from pianofit.keyboard.document import read_instrument
+from pianofit.model.modal import Participation
 from pianofit.model.modes import mode_frequencies
 from pianofit.play import Song, perform
 from pianofit.play.page import write_page
@@ -58,6 +59,24 @@ def test_a_key_with_its_own_ringing_sounds_as_the_model_does(midi, velocity):
     note = ringing_note(midi)
     (sound,) = play([job(encode_note(note, midi), struck(velocity))])
     assert error_db(sound[:, early(note) :], note.render(velocity, seconds=1.0, rate=RATE, mono=False)) < WITHIN
+
+
+@pytest.mark.parametrize("strokes", [slice(None), slice(1)])
+@pytest.mark.parametrize("velocity", [0.2, 0.5, 8.0])
+def test_strokes_beyond_those_that_say_how_modes_take_part_do_as_the_last(strokes, velocity):
+    """Below the slowest, at it, above the fastest; and where one stroke says it for all."""
+    note = ringing_note(52)
+    assert note.ringing is not None
+    part = note.ringing.participation
+    assert part is not None
+    assert 0.2 < part.velocity[0] == 0.5 < part.velocity[-1] < 8.0
+    part = Participation(part.velocity[strokes], part.factor[strokes])
+    note = note._replace(ringing=note.ringing._replace(participation=part))
+    (sound,) = play([job(encode_note(note, 52), struck(velocity))])
+    expected = note.render(velocity, seconds=1.0, rate=RATE, mono=False)
+    assert error_db(sound[:, early(note) :], expected) < WITHIN
+    without = note._replace(ringing=note.ringing._replace(participation=None))
+    assert error_db(expected, without.render(velocity, seconds=1.0, rate=RATE, mono=False)) > -40
 
 
 @pytest.mark.parametrize("midi", [28, 60])
@@ -207,6 +226,14 @@ def test_a_saved_note_is_rendered_as_the_page_plays_it(tmp_path, make, changes):
     assert error_db(sound[:, early(note) :], note.render(seconds=1.0, rate=RATE, mono=False)) < WITHIN
     if changes is None:
         assert note.gain == make(52).gain
+
+
+@pytest.mark.parametrize("velocity", [0.2, 8.0])
+def test_a_saved_note_keeps_how_its_modes_take_part(tmp_path, velocity):
+    """A note.json that is struck beyond the strokes that it holds is the key that is."""
+    note, _ = load_note(saved(encode_note(ringing_note(52), 52), tmp_path))
+    expected = ringing_note(52).render(velocity, seconds=0.5, rate=RATE, mono=False)
+    assert error_db(note.render(velocity, seconds=0.5, rate=RATE, mono=False), expected) < WITHIN
 
 
 def test_the_render_command_takes_a_saved_note(tmp_path, capsys):

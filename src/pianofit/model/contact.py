@@ -29,6 +29,7 @@ __all__ = [
     "FreeMotion",
     "Pulse",
     "Struck",
+    "follow",
     "free_motion",
     "impulse_amplitude",
     "kernel",
@@ -93,16 +94,22 @@ def free_motion(
     modes: Modes, displacement: Float[AnyArray, " modes"], velocity: Float[AnyArray, " modes"], steps: int
 ) -> FreeMotion:
     """The motion of a string released at t = 0 with modal `displacement`, m, and `velocity`, m/s [modes]."""
+    amplitude, speed, energy = _released(modes, displacement, velocity)
+    under = ring(modes.strike * amplitude, modes.pole * modes.step, steps)
+    return FreeMotion(amplitude, under, speed, energy)
+
+
+def _released(modes: Modes, displacement: AnyArray, velocity: AnyArray) -> tuple[Array, Array, Array]:
+    """Of a string released with this motion: amplitudes [modes], its speed under the hammer, its energy."""
     rate = modes.free_rate
     amplitude = displacement - 1j * (velocity - rate.real * displacement) / rate.imag
-    under = ring(modes.strike * amplitude, modes.pole * modes.step, steps)
     silent = modes.drive == 0  # at a node of the strike: never meets the hammer
     mass = jnp.where(silent, 0.0, modes.strike / jnp.where(silent, 1.0, modes.drive))
     # The scheme's own velocity, for its own energy: p̃ = (z - 1)/(z + 1)/a.
     z_1 = jnp.expm1(modes.pole * modes.step)
     velocity = (amplitude * z_1 / (2 + z_1)).real * (2 / modes.step)
     energy = 0.5 * (mass * (velocity**2 + modes.omega2 * displacement**2)).sum()
-    return FreeMotion(jnp.asarray(amplitude), under, (modes.strike * velocity).sum(), energy)
+    return jnp.asarray(amplitude), (modes.strike * velocity).sum(), energy
 
 
 @float64
@@ -192,13 +199,59 @@ def leave(modes: Modes, hammer: Any, *, steps: int | AnyArray) -> Struck:
     return Struck(amplitude, jnp.asarray(count * BLOCK + 1), apart)
 
 
+@float64
+def follow(
+    modes: Modes, hammer: Any, displacement: Float[AnyArray, " modes"], velocity: Float[AnyArray, " modes"],
+    powers: tuple[AnyArray, AnyArray], steps: int,
+) -> tuple[Float[Array, " steps"], Float[Array, " steps"], Bool[Array, ""]]:  # fmt: skip
+    """The contact of a hammer with a string that moves, marching only until it is proven to be over.
+
+    What the string does by itself is carried by its modes, with what past forces left: it costs nothing.
+
+    Parameters
+    ----------
+    displacement, velocity : of the modes at the first touch, m and m/s [modes].
+    powers : real and imaginary parts of z^n, n ≤ 32 [modes, 33], which all strokes on a string share.
+    steps : at the most; a multiple of 32.
+
+    Returns
+    -------
+    `drive` and `force`, N [steps], nought after the end, and whether that is proven to be one.
+    """
+    amplitude, speed, energy = _released(modes, displacement, velocity)
+    under = (modes.strike * amplitude.real).sum()
+    block, first = _blocks(modes, hammer, under, speed, None, powers)
+    turned = amplitude * jnp.exp(modes.pole * modes.step)
+
+    def going(now):
+        return (now[0] < steps // BLOCK) & ~now[-1]
+
+    def onward(now):
+        count, carry, before, energy, drives, forces, _ = now
+        carry, (drive, force, u, y, v) = block(carry, jnp.zeros(BLOCK))
+        string = y - u
+        energy = energy + 0.5 * (drive * (string - jnp.append(before, string[:-1]))).sum()
+        over = (u[-1] <= 0) & (v[-1] <= 0) & (y[-1] + _reach(modes, energy) <= 0)
+        at = (1 + count * BLOCK,)
+        drives, forces = (jax.lax.dynamic_update_slice(*x, at) for x in ((drives, drive), (forces, force)))
+        return count + 1, carry, string[-1], energy, drives, forces, over
+
+    silence = jnp.zeros(steps + 1)
+    begin = (0, (turned, first), under, energy, silence, silence, jnp.asarray(False))
+    *_, drives, forces, over = jax.lax.while_loop(going, onward, begin)
+    return drives[:-1], forces[:-1], over
+
+
 def _reach(modes: Modes, energy: AnyArray) -> Array:
     """The farthest a string of this energy can be from rest under the hammer, m (Cauchy-Schwarz over the modes)."""
     compliance = (modes.strike * modes.drive / modes.omega2).sum()
     return jnp.sqrt(2 * jnp.maximum(energy, 0.0) * compliance)
 
 
-def _blocks(modes: Modes, hammer: Any, y_string: AnyArray, speed: AnyArray | float, rows: AnyArray | None):
+def _blocks(
+    modes: Modes, hammer: Any, y_string: AnyArray, speed: AnyArray | float, rows: AnyArray | None,
+    given: tuple[AnyArray, AnyArray] | None = None,
+):  # fmt: skip
     """A function that steps the hammer over a block of steps, and the state it begins with; symbols as at the top.
 
     The sum over past forces is split: those of the present block are summed with the kernel, step by step; all earlier
@@ -209,12 +262,14 @@ def _blocks(modes: Modes, hammer: Any, y_string: AnyArray, speed: AnyArray | flo
     Parameters
     ----------
     y_string, speed : of the string under the hammer at the first touch, m and m/s.
+    given : `real_powers` of the modes, where they are there already.
     """
     a = modes.step / 2
     unit = impulse_amplitude(modes)
     log_z = modes.pole * modes.step
-    powers, over_block = (log_z, *real_powers(log_z, BLOCK + 1, 1)), jnp.exp(BLOCK * log_z)
-    g = kernel(modes, BLOCK)
+    powers = (log_z, *(real_powers(log_z, BLOCK + 1, 1) if given is None else given))
+    over_block = jnp.exp(BLOCK * log_z)
+    g = kernel(modes, BLOCK) if given is None else _history(modes.strike * unit, powers)
     own_g = jnp.concatenate([g[:0:-1], jnp.zeros(BLOCK + 1)])
     c = a**2 / hammer.M_H + g[0]
     weights = memory_weights(hammer, modes.step)

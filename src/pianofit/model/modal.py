@@ -18,7 +18,19 @@ from scipy.signal import oaconvolve, resample_poly
 
 from .simulate import Simulation
 
-__all__ = ["EDGE", "FAINT", "LEAD", "Force", "Participation", "Ringing", "force_of", "ring", "silencing", "until_last"]
+__all__ = [
+    "EDGE",
+    "FAINT",
+    "LEAD",
+    "Force",
+    "Participation",
+    "Ringing",
+    "force_of",
+    "ring",
+    "silencing",
+    "turned",
+    "until_last",
+]
 
 # The knock may begin so long before the contact, s: an onset is found a little late.
 LEAD = 0.012
@@ -32,8 +44,13 @@ FAINT = 1e-8
 CHUNK = 32
 # Samples of a block: more would not stay in a processor's cache.
 LARGEST_BLOCK = 512
-# Strings whose blocks are kept: one that is played rings from event to event, free and damped.
-STRINGS = 4
+# Sets of modes whose powers are kept: a key that is played rings from event to event, free and damped, and its string
+# is struck at the contact's rate.
+KEPT = 4
+# Keys of which is kept what silences their strokes.
+KEYS = 88
+# The push of a mode is followed until it has decayed by exp of this.
+SILENT = 35.0
 
 
 class Force(NamedTuple):
@@ -81,8 +98,12 @@ class Participation(NamedTuple):
 
     def at(self, velocity: float) -> np.ndarray:
         """Between strokes linear in log velocity, beyond them that of the last, complex [modes]."""
+        return self.between(self.factor, velocity)
+
+    def between(self, rows: np.ndarray, velocity: float) -> np.ndarray:
+        """What has a row a stroke [strokes, ...], at a velocity, m/s [...]."""
         place = np.interp(np.log(velocity), np.log(self.velocity), np.arange(len(self.velocity)))
-        low, high = self.factor[[int(np.floor(place)), int(np.ceil(place))]]
+        low, high = rows[[int(np.floor(place)), int(np.ceil(place))]]
         return low + place % 1 * (high - low)
 
     def faster(self, ratio: float) -> Participation:
@@ -144,9 +165,12 @@ class Ringing(NamedTuple):
         lead, part = round(LEAD * self.rate), self.participation
         if part is None or self.knock.shape[-1] <= lead:
             return self.knock
-        more = self.pattern * (part.at(velocity) - 1)
-        push = silencing(self.pole, more, self.rate, self.knock.shape[-1] - lead)
-        return self.knock + np.pad(push, ((0, 0), (lead, 0)))
+        more = self.pattern * (part.factor[:, None] - 1)
+        size = min(int(np.ceil(SILENT * self.rate / np.abs(self.pole).min())), self.knock.shape[-1] - lead)
+        push = part.between(_pushes(self.pole.tobytes(), more.tobytes(), more.shape, self.rate, size), velocity)
+        out = self.knock.copy()
+        out[:, lead : lead + size] += push
+        return out
 
     def struck(self, force: Force, end: int) -> tuple[np.ndarray, np.ndarray]:
         """What a stroke leaves ringing, and what else of it is heard, at the own `rate`.
@@ -165,7 +189,7 @@ class Ringing(NamedTuple):
         size = max(len(pulse), end + EDGE)
         log_z, last = self.pole / rate, end + EDGE - (len(pulse) - 1)  # samples from the pulse's last one to `end`
         part = 1.0 if self.participation is None else self.participation.at(force.velocity)
-        state = part * np.exp(log_z * last) * (_powers(log_z, len(pulse)) @ pulse[::-1])
+        state = part * np.exp(log_z * last) * turned(log_z, pulse[::-1])
         onset = np.zeros((self.channels, max(lead - EDGE + size, self.knock.shape[-1] + len(pulse) - 1 - EDGE)))
         head = onset[:, lead - EDGE : lead - EDGE + size]
         driven = ring(self.pole, self.pattern * part, rate, size)
@@ -208,7 +232,7 @@ def ring(
     block = min(1 << int(np.ceil(np.log2(np.sqrt(count)))), LARGEST_BLOCK)
     blocks = min(-(-count // block), CHUNK)
     faint = np.full(len(pole), FAINT * np.abs(amplitude).max()) if faint is None else faint
-    inside = _inside(np.asarray(pole / rate, complex).tobytes(), block)
+    inside = _inside(np.asarray(pole / rate, complex).tobytes())
     begins = _powers(pole * (block / rate), blocks + 1)  # [modes, blocks and the next chunk's first]
     for first in range(0, count, blocks * block):
         loud = (np.abs(amplitude) > faint).any(axis=0)
@@ -216,10 +240,11 @@ def ring(
             break
         if not loud.all():
             pole, amplitude, faint = pole[loud], amplitude[:, loud], faint[loud]
-            inside, begins = inside[loud], begins[loud]
+            inside, begins = inside[loud, :, :block], begins[loud]
         here = out[:, first : first + blocks * block]
         starts = amplitude[:, None] * begins[:, :-1].T
-        rows = np.ascontiguousarray(starts).view(float) @ inside.reshape(-1, block)
+        within = inside.reshape(-1, inside.shape[-1])[:, :block]
+        rows = np.ascontiguousarray(starts).view(float) @ within
         here[:] = rows.reshape(len(amplitude), -1)[:, : here.shape[-1]]
         amplitude = amplitude * begins[:, -1]
     return out
@@ -240,10 +265,26 @@ def silencing(pole: np.ndarray, amplitude: np.ndarray, rate: float, count: int) 
     return once + np.arange(1, count + 1) * ring(fast, amplitude * double, rate, count)
 
 
-@functools.lru_cache(maxsize=STRINGS)
-def _inside(log_z: bytes, block: int) -> np.ndarray:
-    """Real part and negative imaginary part of z^n, n < block [modes, 2, block], of logarithms as bytes."""
-    powers = _powers(np.frombuffer(log_z, complex), block)
+def turned(log_z: np.ndarray, samples: np.ndarray) -> np.ndarray:
+    """Σ_n x_n z^n, complex [modes]."""
+    rows = np.pad(samples, (0, -len(samples) % LARGEST_BLOCK)).reshape(-1, LARGEST_BLOCK)
+    real, imag = np.moveaxis(_inside(np.asarray(log_z, complex).tobytes()) @ rows.T, 1, 0)  # [modes, blocks]
+    return ((real - 1j * imag) * _powers(log_z * LARGEST_BLOCK, len(rows))).sum(axis=1)
+
+
+@functools.lru_cache(maxsize=KEYS)
+def _pushes(pole: bytes, amplitude: bytes, shape: tuple[int, ...], rate: int, count: int) -> np.ndarray:
+    """What silences amplitudes of this shape [strokes, channels, modes] [strokes, channels, count], of bytes."""
+    modes, rows = np.frombuffer(pole, complex), np.frombuffer(amplitude, complex).reshape(-1, shape[-1])
+    found = silencing(modes, rows, rate, count).reshape(*shape[:-1], count)
+    found.flags.writeable = False
+    return found
+
+
+@functools.lru_cache(maxsize=KEPT)
+def _inside(log_z: bytes) -> np.ndarray:
+    """Real part and negative imaginary part of z^n, n < LARGEST_BLOCK [modes, 2, steps], of logarithms as bytes."""
+    powers = _powers(np.frombuffer(log_z, complex), LARGEST_BLOCK)
     found = np.stack([np.real(powers), -np.imag(powers)], axis=1)
     found.flags.writeable = False
     return found

@@ -14,23 +14,27 @@ import numpy as np
 from ..errors import FitError, ParameterError
 from ..felt import MemoryHammer, is_own, law_of
 from ..model.cache import kept
-from ..model.contact import free_motion, impulse_amplitude, strike
+from ..model.contact import follow, impulse_amplitude
+from ..model.exponentials import BLOCK, real_powers
 from ..model.modal import FAINT, Force, until_last
 from ..model.modes import HIGHEST, Modes, mode_table
 from ..model.note import Note
 from ..model.path import impulse, through
-from ..model.simulate import FIRST_STEPS, MOST_STEPS, contact_rate, count_modes
+from ..model.simulate import MOST_STEPS, contact_rate, count_modes
 from ..parameters import Hammer
 
 __all__ = ["Table", "stroke", "table_of"]
 
 LEAST_MODES = 64
+# Steps of a contact that programs have room for: of nearly all, and `MOST_STEPS`.
+FIRST_STEPS = 4096
 
 
 class Table(NamedTuple):
     """One string's table, as NumPy arrays [modes]."""
 
     modes: Modes
+    powers: tuple[np.ndarray, np.ndarray]  # of the modes, for the steps of a block, see `model.contact.follow`
     pole: np.ndarray  # complex, 1/s: as it rings by itself, each partial at its own decay
     rate: float  # of the contact, Hz
     unit: np.ndarray  # complex: what a unit T leaves ringing, m/N, in the string's own displacement
@@ -44,15 +48,13 @@ class Table(NamedTuple):
 def _table(string, geometry, rate, cfg):
     n_modes, quantity = cfg
     modes = mode_table(string, geometry, rate=rate, n_modes=n_modes, quantity=quantity)
-    return (*modes, impulse_amplitude(modes))
+    return (*modes, *real_powers(modes.pole * modes.step, BLOCK + 1, 1), impulse_amplitude(modes))
 
 
 @kept
-def _stroke(modes, hammer, displacement, velocity, cfg):
+def _stroke(modes, hammer, displacement, velocity, powers, cfg):
     (steps,) = cfg
-    free = free_motion(modes, displacement, velocity, steps)
-    pulse = strike(modes, hammer, steps=steps, free=free)
-    return pulse.drive, pulse.force, pulse.over
+    return follow(modes, hammer, displacement, velocity, powers, steps)
 
 
 def table_of(note: Note, rate: float) -> Table:
@@ -63,7 +65,9 @@ def table_of(note: Note, rate: float) -> Table:
         rows *= 2
     string, geometry = (type(x)(*map(np.float64, x)) for x in (note.string, note.geometry))
     columns: list[Any]
-    *columns, unit = (np.asarray(x) for x in _table(string, geometry, np.float64(contact), (rows, note.quantity)))
+    *columns, re, im, unit = (
+        np.asarray(x) for x in _table(string, geometry, np.float64(contact), (rows, note.quantity))
+    )
     modes = Modes(*columns)
     own = np.asarray(modes.pole)
     size, turn = np.abs(own), np.imag(own)
@@ -75,7 +79,9 @@ def table_of(note: Note, rate: float) -> Table:
     gain = np.where(below, note.gain, 0.0)
     pickup = gain * modes.free_pickup
     faint = np.full(len(own), FAINT) if path is None else FAINT * 10 ** (-path.db / 20)
-    return Table(modes, pole, contact, unit * warp, gain * modes.pickup * unit, pickup, faint, impulse(path, rate))
+    return Table(
+        modes, (re, im), pole, contact, unit * warp, gain * modes.pickup * unit, pickup, faint, impulse(path, rate)
+    )
 
 
 def stroke(table: Table, hammer: Hammer | MemoryHammer, state: np.ndarray, where: str) -> tuple[np.ndarray, Force]:
@@ -90,11 +96,11 @@ def stroke(table: Table, hammer: Hammer | MemoryHammer, state: np.ndarray, where
     velocity = np.real(np.asarray(table.modes.pole) * state)
     steps = FIRST_STEPS
     while steps <= MOST_STEPS:
-        drive, newton, over = _stroke(table.modes, hammer, np.real(state), velocity, (steps,))
+        drive, newton, over = _stroke(table.modes, hammer, np.real(state), velocity, table.powers, (steps,))
         if bool(over):
             force = Force(until_last(np.asarray(newton)), 1 / table.rate, float(hammer.v_H0))
             return until_last(np.asarray(drive)), force
-        steps *= 4
+        steps *= 16
     raise FitError(
         f"{where}: at v_H0={float(hammer.v_H0):g} m/s the hammer is still on the string after "
         f"{MOST_STEPS / table.rate:.3g} s; check this key's M_H and K_H"

@@ -15,7 +15,7 @@ import math
 
 import numpy as np
 
-from ..model.modal import FAINT, Force, ring
+from ..model.modal import FAINT, Force, ring, turned
 from ..model.note import Note
 from ..model.path import filtered
 from .contact import Table, stroke, table_of
@@ -111,7 +111,7 @@ class PlayedString:
         drive = np.pad(drive, (0, samples * self.ratio - len(drive)))
         self.damped = False
         sound = self._free(samples)  # moves all states on to the contact's end
-        self.string.state = self.string.state + self.table.unit * _left(drive, self.string.pole / self.table.rate)
+        self.string.state = self.string.state + self.table.unit * self._left(drive)
         onset = self._onset(drive, force, samples)
         self._late = _sum(self._late, sound, self.lead)
         self._late = _sum(self._late, onset, 0)
@@ -142,6 +142,11 @@ class PlayedString:
         if self.ringing is not None:
             self.string.wait(samples, extra)
         return self.modes.ring(samples, extra)
+
+    def _left(self, drive: np.ndarray) -> np.ndarray:
+        """Σ_n T_n z^(N - n), N = len(T): what the pulse has left at its end, for a unit response [modes]."""
+        log_z = self.string.pole / self.table.rate
+        return np.exp(log_z) * turned(log_z, drive[::-1])
 
     def _onset(self, drive: np.ndarray, force: Force, samples: int) -> np.ndarray:
         """What a stroke makes heard beside the modes that ring by themselves after it, from `lead` before it on."""
@@ -175,12 +180,3 @@ def _sum(sound: np.ndarray, more: np.ndarray, at: int) -> np.ndarray:
     out[:, : sound.shape[-1]] = sound
     out[:, at : at + more.shape[-1]] += more
     return out
-
-
-def _left(drive: np.ndarray, log_z: np.ndarray) -> np.ndarray:
-    """Σ_n T_n z^(N - n), N = len(T): what the pulse has left at its end, for a unit response [modes]."""
-    blocks = -(-len(drive) // _FINE)
-    late = np.pad(drive, (blocks * _FINE - len(drive), 0)).reshape(blocks, _FINE)
-    fine = np.exp(np.outer(log_z, np.arange(_FINE, 0, -1)))
-    coarse = np.exp(np.outer(log_z, np.arange(blocks - 1, -1, -1) * _FINE))
-    return ((fine @ late.T) * coarse).sum(axis=1)

@@ -2,7 +2,11 @@
 
 A stroke leaves mode m ringing with A_m(v) = P_m Σ_n F_v(n) exp(-p_m n). Over all velocities the matrix A has few
 directions that matter; on those of its singular value decomposition forces are projected. Every mode counts by its own
-size there, so that weak partials keep their levels. With twice as many shapes as modes the projection is exact.
+size there, so that weak partials keep their levels. With twice as many shapes as modes the projection is exact; fewer
+do, as many as keep the levels. Of a knock the shapes are those of its sound.
+
+What Faust takes to compile a table is the time for its different numbers; one that was there costs a fortieth. So what
+there is much of are whole numbers of few bits, with scales.
 """
 
 from __future__ import annotations
@@ -17,16 +21,22 @@ from ...model.modal import EDGE
 from ...model.note import Note
 from ..contact import Table, stroke, table_of
 
-__all__ = ["KNOCK_SHAPES", "MARGIN", "RATE", "SHAPES", "VELOCITIES", "Key", "key_of", "kept_at"]
+__all__ = ["MARGIN", "RATE", "VELOCITIES", "Key", "Shapes", "key_of", "knock_at"]
 
 # Forces are sampled so, Hz.
 RATE = 48_000
 # MIDI velocities at which they are known.
 VELOCITIES = np.arange(1, 128, 2)
-# Shapes of a key's forces: partials within 60 dB of the loudest then keep their levels to 0.1 dB.
-SHAPES = 20
-# Of its knock, which is no partial.
-KNOCK_SHAPES = 6
+# Shapes of a key's forces at the most; with fewer, partials within so many dB of the loudest keep their levels, dB.
+SHAPES = 24
+LOUD_DB = 60.0
+NEAR_DB = 0.02
+# Of its knock, which is no partial: 30 to 50 dB below it is left out.
+KNOCK_SHAPES = 4
+# Of whole numbers, with their sign: of a knock's samples, which keep it to 60 dB, ...
+KNOCK_BITS = 10
+# ... and of all others.
+BITS = 16
 # A mode so far below the loudest, dB, at every velocity is left out.
 FAINT_DB = 70.0
 # A mode below this part of the key's largest counts no more for shapes, amplitude.
@@ -41,23 +51,37 @@ MOST_GROWN = 6.0
 MARGIN = 2
 
 
+class Shapes(NamedTuple):
+    """Signals of all velocities, loud · Σ part · scale · shape, `loud` in their own unit."""
+
+    loud: np.ndarray  # of each velocity [velocities]
+    part: np.ndarray  # of each shape in it, whole [velocities, shapes]
+    scale: np.ndarray  # of part times shape [shapes]
+    shape: np.ndarray  # whole [channels, shapes, samples]
+
+    @property
+    def numbers(self) -> int:
+        """How many they are."""
+        return self.loud.size + self.part.size + self.scale.size + self.shape.size
+
+
 class Key(NamedTuple):
     """The numbers of one key, from its force to the file."""
 
     pole: np.ndarray  # 1/s, complex [modes]
     pattern: np.ndarray  # file units over N s, complex [channels, modes]
-    shapes: np.ndarray  # N [shapes, samples] at `RATE`, from `MARGIN` + EDGE samples before the touch
-    weights: np.ndarray  # of each shape in the force of each velocity [velocities, shapes]
-    knock: (
-        np.ndarray
-    )  # file units [channels, KNOCK_SHAPES, samples] at `knock_rate`, from LEAD before the touch; or empty
-    knock_weights: np.ndarray  # [velocities, KNOCK_SHAPES]
-    knock_rate: int  # Hz
-    stroke: (
-        np.ndarray
-    )  # which of the strokes that are known each velocity is, a number between two of them [velocities]
-    participation: np.ndarray  # of the modes in those, complex [strokes, modes]
+    force: Shapes  # N, at `RATE`, from `MARGIN` + EDGE samples before the touch
+    knock: tuple[np.ndarray, np.ndarray, np.ndarray]  # file units, at `RATE` from LEAD before the touch: see `_parts`
+    stroke: np.ndarray  # which of the strokes that are known each velocity is, or between which [velocities]
+    participation: np.ndarray  # of the modes in those, real and imaginary, whole [2, strokes, modes]
+    participation_scale: float
     left_out: int  # modes
+
+    @property
+    def numbers(self) -> int:
+        """How many they are, without the knock."""
+        modes = 2 * (self.pole.size + self.pattern.size) + self.participation.size
+        return modes + self.force.numbers + self.stroke.size
 
 
 def key_of(instrument: Instrument, midi: int, most_modes: int, channels: int) -> Key:
@@ -72,18 +96,18 @@ def key_of(instrument: Instrument, midi: int, most_modes: int, channels: int) ->
         force = force if note.ringing is not None else force._replace(newton=drive)
         forces.append(RATE * force.at(RATE))
     size = max(map(len, forces))
-    force = np.stack([np.pad(x, (0, size - len(x))) for x in forces])
+    force = np.stack([np.pad(x, (MARGIN, size - len(x) + MARGIN)) for x in forces])
     pole, pattern, known, participation = _modes(note, table)
-    left = force @ np.exp(-np.outer(np.arange(size) - EDGE, pole) / RATE) / RATE
+    left = force @ np.exp(-np.outer(np.arange(force.shape[1]) - EDGE - MARGIN, pole) / RATE) / RATE
     kept = _loudest(left, pole, pattern, most_modes)
-    weights, shapes = _shapes(force, left[:, kept])
-    knock_weights, knock, rate = _knock(note, force)
+    parts = _parts(force[None], _directions(force, left[:, kept], np.linalg.norm(pattern[:, kept], axis=0)))
     struck = np.interp(np.log([hammer.v_H0 for hammer in hammers]), np.log(known), np.arange(len(known)))
     sound = np.broadcast_to(pattern[:, kept], (channels, len(kept))) if len(pattern) == 1 else pattern[:channels, kept]
+    part = participation[:, kept]
+    whole, scale = _whole(np.stack([np.real(part), np.imag(part)]), BITS, (0, 1, 2))
     return Key(
-        pole[kept], sound, np.pad(shapes, ((0, 0), (MARGIN, MARGIN))), weights,
-        np.broadcast_to(knock, (channels, *knock.shape[1:])) if len(knock) == 1 else knock[:channels],
-        knock_weights, rate, struck, participation[:, kept], int(len(pole) - len(kept)),
+        pole[kept], sound, _coded(parts, BITS), _knock(note, force, struck, channels), struck, whole,
+        float(scale.item()), int(len(pole) - len(kept)),
     )  # fmt: skip
 
 
@@ -121,34 +145,68 @@ def _loudest(left: np.ndarray, pole: np.ndarray, pattern: np.ndarray, most: int)
     return np.sort(order[share[order] > 10 ** (-FAINT_DB / 10)])
 
 
-def _shapes(force: np.ndarray, left: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Weights [velocities, SHAPES] and shapes [SHAPES, samples] of forces [velocities, samples]."""
-    loud = np.abs(force).max(axis=1, keepdims=True)
-    size = np.sqrt(np.mean(np.abs(left / loud) ** 2, axis=0))
-    even = left / loud / (size + FLOOR * size.max())
+def _directions(force: np.ndarray, left: np.ndarray, heard: np.ndarray) -> np.ndarray:
+    """Of forces [velocities, samples], all of one size: what to project them on [velocities, shapes].
+
+    `left` is what they leave ringing, complex [velocities, modes], and `heard` how loud a mode is [modes].
+    """
+    left = left / np.abs(force).max(axis=1, keepdims=True)
+    size = np.sqrt(np.mean(np.abs(left) ** 2, axis=0))
+    even = left / (size + FLOOR * size.max())
     u, _, _ = np.linalg.svd(np.concatenate([np.real(even), np.imag(even)], axis=1), full_matrices=False)
-    return _projected(force, loud, u[:, :SHAPES], SHAPES)
+    level = np.abs(left) * heard
+    strong = level > level.max(axis=1, keepdims=True) * 10 ** (-LOUD_DB / 20)
+    rank = next((n for n in range(1, SHAPES) if _near(left, u[:, :n], strong)), SHAPES)
+    return u[:, :rank]
 
 
-def _projected(force: np.ndarray, loud: np.ndarray, u: np.ndarray, rank: int) -> tuple[np.ndarray, np.ndarray]:
-    u = np.pad(u, ((0, 0), (0, rank - u.shape[1])))
-    return loud * u, u.T @ (force / loud)
+def _near(left: np.ndarray, u: np.ndarray, strong: np.ndarray) -> bool:
+    """Whether the levels of what counts are still there, projected."""
+    ratio = np.abs((u @ (u.T @ left))[strong]) / np.abs(left[strong])
+    return bool((np.abs(np.log10(np.maximum(ratio, 1e-9))) < NEAR_DB / 20).all())
 
 
-def _knock(note: Note, force: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
-    """Weights [velocities, KNOCK_SHAPES], and what each shape of the force makes of the knock."""
+def _parts(signals: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Signals [channels, velocities, samples] as loud [velocities], parts u, and shapes [channels, shapes, samples]."""
+    loud = np.maximum(np.abs(signals).max(axis=(0, 2)), 1e-30)
+    return loud, u, np.einsum("vs,cvn->csn", u, signals / loud[:, None])
+
+
+def _coded(parts: tuple[np.ndarray, np.ndarray, np.ndarray], bits: int) -> Shapes:
+    """In whole numbers; shapes of so many bits."""
+    loud, u, shape = parts
+    part, by = _whole(u, BITS, (0,))
+    whole, scale = _whole(shape, bits, (0, 2))
+    return Shapes(loud, part, by.ravel() * scale.ravel(), whole)
+
+
+def _whole(values: np.ndarray, bits: int, axes: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Whole numbers of so many bits, and what they are times, the same along some axes."""
+    most = np.abs(values).max(axis=axes, keepdims=True, initial=0.0)
+    scale = np.where(most > 0, most, 1.0) / (2 ** (bits - 1) - 1)
+    return np.round(values / scale).astype(int), scale
+
+
+def _knock(
+    note: Note, force: np.ndarray, struck: np.ndarray, channels: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What forces of all velocities make of the knock, in shapes: see `_parts`; `struck` is `Key.stroke`."""
     if note.ringing is None or not note.ringing.knock.size:
-        return np.zeros((len(force), KNOCK_SHAPES)), np.zeros((1, KNOCK_SHAPES, 0)), RATE
-    kernel = note.ringing.louder(note.gain).at(RATE).knock
-    loud = np.abs(force).max(axis=1, keepdims=True)
-    u, _, _ = np.linalg.svd(force / loud, full_matrices=False)
-    weights, shapes = _projected(force, loud, u[:, :KNOCK_SHAPES], KNOCK_SHAPES)
-    return weights, fftconvolve(kernel[:, None], shapes[None] / RATE, axes=-1)[..., EDGE:], RATE
+        return np.ones(len(force)), np.zeros((len(force), KNOCK_SHAPES)), np.zeros((channels, KNOCK_SHAPES, 0))
+    own = note.ringing.louder(note.gain).at(RATE)
+    known = np.ones(1) if own.participation is None else own.participation.velocity
+    each = np.stack([own.beside(v)[:channels] for v in known], axis=1)  # [channels, strokes, samples]
+    low, high = np.floor(struck).astype(int), np.ceil(struck).astype(int)
+    kernel = each[:, low] + (struck % 1)[:, None] * (each[:, high] - each[:, low])
+    sound = fftconvolve(kernel, force[None] / RATE, axes=-1)[..., EDGE + MARGIN :]
+    even = sound / np.sqrt(np.mean(sound**2, axis=(0, 2)))[:, None]
+    _, u = np.linalg.eigh(np.einsum("cvn,cwn->vw", even, even))
+    loud, u, shape = _parts(sound, u[:, : -KNOCK_SHAPES - 1 : -1])
+    return loud, u, np.broadcast_to(shape, (channels, *shape.shape[1:]))  # one channel is heard in all
 
 
-def kept_at(key: Key, rate: int | None) -> Key:
-    """The same key with its knock at another rate, Hz, a whole part of its own, between noughts; or without one."""
-    if rate is None or not key.knock.size:
-        return key._replace(knock=np.zeros((*key.knock.shape[:2], 2 * MARGIN)), knock_rate=rate or RATE)
-    knock = resample_poly(key.knock, 1, key.knock_rate // rate, axis=-1)
-    return key._replace(knock=np.pad(knock, ((0, 0), (0, 0), (MARGIN, MARGIN))), knock_rate=rate)
+def knock_at(key: Key, rate: int) -> Shapes:
+    """A key's knock at a rate, Hz, that is a whole part of `RATE`, between noughts."""
+    loud, u, shape = key.knock
+    shape = resample_poly(shape, 1, RATE // rate, axis=-1) if shape.size else shape
+    return _coded((loud, u, np.pad(shape, ((0, 0), (0, 0), (MARGIN, MARGIN)))), KNOCK_BITS)

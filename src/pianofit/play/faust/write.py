@@ -19,14 +19,16 @@ from ...threads import one_blas_thread
 from ..layers import LOUDEST
 from ..samples import LEVEL_SECONDS, stroke
 from ..strings import CHANNELS, KNOCK_RATES, PlayedString, damper_rate
-from .tables import KNOCK_SHAPES, MARGIN, RATE, SHAPES, VELOCITIES, Key, kept_at, key_of
+from .tables import KNOCK_SHAPES, MARGIN, RATE, VELOCITIES, Key, Shapes, key_of, knock_at
 
 __all__ = ["MODES", "Program", "write_faust"]
 
-# Resonators of a voice: 16 voices then take less than a core's time, see benchmarks/faust.py.
+# Resonators of a voice at the most: 16 voices then take a quarter of a core's time, see benchmarks/faust.py.
 MODES = 128
-# Numbers of all tables: Faust takes the longer the more there are, and gives up after two minutes by default.
-MOST_NUMBERS = 240_000
+# Of them so many are computed, or not, together: as few branches a sample as leave little that is in vain.
+GROUP = 8
+# Numbers of all tables: a program of 12 MB. Faust gives up after two minutes by default.
+MOST_NUMBERS = 2_500_000
 MIDI_KEYS = 128
 
 
@@ -63,101 +65,105 @@ def write_faust(
         found.append(key_of(instrument, midi, MODES, channels))
         progress("tables", 0.98 * (i + 1) / len(keys))
     gain = CEILING / peak if peak > 0 else 1.0
-    kept, numbers = _within(found, keys)
-    modes = max(len(key.pole) for key in kept)
-    text = _text(instrument, keys, kept, channels, modes, gain, licence)
+    rate, knocks, numbers = _within(found)
+    modes = max(len(key.pole) for key in found)
+    tables = [*_tables(keys, found, channels, gain), *(_knocks(knocks, channels, gain) if rate else ())]
+    text = _text(instrument, tables, found, channels, rate, licence)
     replace_file(path, text.encode())
     return Program(
-        len(keys), len(instrument.unrecorded(keys)), modes, sum(key.left_out for key in kept),
-        kept[0].knock_rate if _knocks(kept) else None, numbers, 20 * math.log10(gain),
+        len(keys), len(instrument.unrecorded(keys)), modes, sum(key.left_out for key in found), rate, numbers,
+        20 * math.log10(gain),
     )  # fmt: skip
 
 
-def _knocks(keys: Sequence[Key]) -> bool:
-    return any(key.knock.any() for key in keys)
-
-
-def _within(found: Sequence[Key], keys: Sequence[int]) -> tuple[list[Key], int]:
-    """Keys with their knocks at the highest rate that leaves room, or without, and how many numbers they are."""
-    size = 0
-    for rate in (*KNOCK_RATES, None):
-        kept = [kept_at(key, rate) for key in found]
-        size = sum(_numbers(key, _knocks(kept)) for key in kept)
-        if size <= MOST_NUMBERS:
-            return kept, size
+def _within(found: Sequence[Key]) -> tuple[int | None, list[Shapes], int]:
+    """The highest rate of knocks, Hz, that leaves room; knocks at it, or none; and how many numbers all are."""
+    size = sum(key.numbers for key in found)
+    for rate in KNOCK_RATES if any(key.knock[2].size for key in found) else ():
+        knocks = [knock_at(key, rate) for key in found]
+        whole = size + sum(knock.numbers for knock in knocks)
+        if whole <= MOST_NUMBERS:
+            return rate, knocks, whole
+    if size <= MOST_NUMBERS:
+        return None, [], size
     raise ParameterError(
-        f"{len(keys)} keys need {size:,} numbers, and Faust compiles {MOST_NUMBERS:,}; ask for fewer --keys"
+        f"{len(found)} keys need {size:,} numbers, and Faust compiles {MOST_NUMBERS:,}; ask for fewer --keys"
     )
 
 
-def _numbers(key: Key, knocks: bool) -> int:
-    """How many a key has in the tables: complex ones count twice."""
-    knock = knocks * (key.knock.size + key.knock_weights.size)
-    modes = key.pole.size + key.pattern.size + key.participation.size
-    return 2 * modes + key.shapes.size + key.weights.size + key.stroke.size + knock
-
-
 def _text(
-    instrument: Instrument, keys: Sequence[int], kept: Sequence[Key], channels: int, modes: int, gain: float,
+    instrument: Instrument, tables: Sequence[str], kept: Sequence[Key], channels: int, knock_rate: int | None,
     licence: str | None,
 ) -> str:  # fmt: skip
-    knocks = _knocks(kept)
-    heard = [f"below*(at(mode_re_{c}, k)*re - at(mode_im_{c}, k)*im)" for c in range(channels)]
-    added = [f"+(knock(knock_{c}))" if knocks else "_" for c in range(channels)]
-    through = ", ".join(["_"] * channels)
-    lead = instrument.lead
+    modes = max(len(key.pole) for key in kept)
     return Template(asset("instrument.dsp", "pianofit.play.faust")).substitute(
         name=_quoted(instrument.name or "piano"), licence=_quoted(licence or "none was given"),
-        modes=modes, rank=SHAPES, knocks=KNOCK_SHAPES, velocities=len(VELOCITIES), rate=RATE,
-        knock_rate=kept[0].knock_rate, touch=_digits(max(lead - EDGE / RATE, 0.0) - MARGIN / RATE),
-        tables="\n".join(_tables(keys, kept, channels, gain, knocks)), heard=", ".join(heard),
-        sum=f"({through}) : ({', '.join(added)})",
+        channels=channels, groups=-(-modes // GROUP), group=GROUP, velocities=len(VELOCITIES), rate=RATE,
+        rank=max(len(key.force.scale) for key in kept), knock_rank=KNOCK_SHAPES, knock_rate=knock_rate or RATE,
+        margin=MARGIN,
+        touch=_digits(max(instrument.lead - EDGE / RATE, 0.0) - MARGIN / RATE), tables="\n".join(tables),
+        knock="+(knock(c))" if knock_rate else "_",
     )  # fmt: skip
 
 
-def _tables(keys: Sequence[int], kept: Sequence[Key], channels: int, gain: float, knocks: bool) -> Iterator[str]:
-    """Waveforms: columns of rows one after the other, with where each row begins."""
+def _tables(keys: Sequence[int], kept: Sequence[Key], channels: int, gain: float) -> Iterator[str]:
+    """Columns of rows one after the other, with where each row begins."""
     nearest = [int(np.argmin(np.abs(np.array(keys) - midi))) for midi in range(MIDI_KEYS)]
-    yield _waveform("row_of_key", nearest)
-    yield _waveform("key_of_row", keys)
-    yield _waveform("damper_of_row", [damper_rate(key) for key in keys])
+    yield _table("row_of_key", nearest)
+    yield _table("key_of_row", keys)
+    yield _table("damper_of_row", [damper_rate(key) for key in keys])
     count = [len(key.pole) for key in kept]
-    yield _waveform("mode_count", count)
-    yield _waveform("mode_begin", 1 + np.cumsum([0, *count[:-1]]))
-    yield _waveform("mode_decay", [1.0, *np.concatenate([-np.real(key.pole) for key in kept])])
-    yield _waveform("mode_omega", [1.0, *np.concatenate([np.imag(key.pole) for key in kept])])
+    yield _table("mode_count", count)
+    yield _table("mode_begin", np.cumsum([0, *count[:-1]]))
+    yield _table("mode_decay", np.concatenate([-np.real(key.pole) for key in kept]))
+    yield _table("mode_omega", np.concatenate([np.imag(key.pole) for key in kept]))
     for c in range(channels):
         pattern = gain * np.concatenate([key.pattern[c] for key in kept])
-        yield _waveform(f"mode_re_{c}", [0.0, *np.real(pattern)])
-        yield _waveform(f"mode_im_{c}", [0.0, *np.imag(pattern)])
-    yield _waveform("stroke_count", [len(key.participation) for key in kept])
-    yield _waveform("stroke_of_velocity", np.concatenate([key.stroke for key in kept]))
-    yield _waveform("part_begin", np.cumsum([0, *(key.participation.size for key in kept[:-1])]))
-    parts = np.concatenate([key.participation.ravel() for key in kept])
-    yield _waveform("part_re", np.real(parts))
-    yield _waveform("part_im", np.imag(parts))
-    yield from _shaped("force", [key.shapes for key in kept], [key.weights for key in kept])
-    yield _waveform("force_shapes", np.concatenate([key.shapes.ravel() for key in kept]))
-    if knocks:
-        yield from _shaped("knock", [key.knock[0] for key in kept], [key.knock_weights for key in kept])
-        for c in range(channels):
-            yield _waveform(f"knock_{c}", gain * np.concatenate([key.knock[c].ravel() for key in kept]))
+        yield _table(f"mode_re({c})", np.real(pattern))
+        yield _table(f"mode_im({c})", np.imag(pattern))
+    yield _table("stroke_count", [len(key.participation) for key in kept])
+    yield _table("stroke_of_velocity", np.concatenate([key.stroke for key in kept]))
+    yield _table("part_scale", [key.participation_scale for key in kept])
+    yield _table("part_begin", _begins([key.participation[0] for key in kept]))
+    for c, name in enumerate(("part_re", "part_im")):
+        yield _table(name, np.concatenate([key.participation[c].ravel() for key in kept]))
+    forces = [key.force for key in kept]
+    yield from _shapes("force", forces)
+    yield _table("force_shape", np.concatenate([force.shape[0].T.ravel() for force in forces]))
 
 
-def _shaped(name: str, shapes: Sequence[np.ndarray], weights: Sequence[np.ndarray]) -> Iterator[str]:
-    """Where the shapes of each row begin, how long each of them is, and their weights."""
-    yield _waveform(f"{name}_begin", np.cumsum([0, *(x.size for x in shapes[:-1])]))
-    yield _waveform(f"{name}_size", [x.shape[-1] for x in shapes])
-    yield _waveform(f"{name}_weights", np.concatenate([x.ravel() for x in weights]))
+def _knocks(knocks: Sequence[Shapes], channels: int, gain: float) -> Iterator[str]:
+    """The same of knocks."""
+    yield from _shapes("knock", [knock._replace(loud=gain * knock.loud) for knock in knocks])
+    for c in range(channels):
+        yield _table(f"knock_shape({c})", np.concatenate([knock.shape[c].T.ravel() for knock in knocks]))
 
 
-def _waveform(name: str, values: Sequence[float] | np.ndarray) -> str:
-    return f"{name} = waveform{{{','.join(map(_digits, values))}}};"
+def _shapes(name: str, found: Sequence[Shapes]) -> Iterator[str]:
+    """All but the shapes themselves, which stand sample by sample: where those of a row begin, how long they are."""
+    yield _table(f"{name}_rank", [len(x.scale) for x in found])
+    yield _table(f"{name}_size", [x.shape.shape[-1] for x in found])
+    yield _table(f"{name}_begin", _begins([x.shape[0] for x in found]))
+    yield _table(f"{name}_scale_begin", _begins([x.scale for x in found]))
+    yield _table(f"{name}_scale", np.concatenate([x.scale for x in found]))
+    yield _table(f"{name}_part_begin", _begins([x.part for x in found]))
+    yield _table(f"{name}_part", np.concatenate([x.part.ravel() for x in found]))
+    yield _table(f"{name}_loud", np.concatenate([x.loud for x in found]))
+
+
+def _begins(tables: Sequence[np.ndarray]) -> np.ndarray:
+    """Where each begins, of tables one after the other."""
+    return np.cumsum([0, *(x.size for x in tables[:-1])])
+
+
+def _table(name: str, values: Sequence[float] | np.ndarray) -> str:
+    """A box with one input, the index."""
+    return f"{name} = waveform{{{','.join(map(_digits, values))}}}, int : rdtable;"
 
 
 def _digits(value: float) -> str:
-    """As many as single precision has."""
-    return f"{value:.8g}"
+    """As many as single precision has, and all of a whole number."""
+    return str(value) if isinstance(value, int | np.integer) else f"{value:.8g}"
 
 
 def _quoted(text: str) -> str:

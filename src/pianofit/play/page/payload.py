@@ -135,22 +135,27 @@ def _ringing(ringing: Ringing, knocks: Knocks) -> dict[str, Any]:
 
 
 def _participation(ringing: Ringing) -> dict[str, Any] | None:
+    """Whole numbers of 16 bits and their scale: of many strokes they are most of what a key's modes take."""
     part = ringing.participation
-    return None if part is None else {"velocity": part.velocity.tolist(), "strokes": _rows(part.factor)}
+    if part is None:
+        return None
+    scale = max(float(np.abs([np.real(part.factor), np.imag(part.factor)]).max()), 1e-30) / (2**15 - 1)
+    return {"velocity": part.velocity.tolist(), "scale": scale, "strokes": _rows(part.factor / scale, "<i2")}
 
 
-def _rows(values: np.ndarray) -> list[dict[str, str]]:
-    return [{"re": _base64(np.real(row)), "im": _base64(np.imag(row))} for row in values]
+def _rows(values: np.ndarray, kind: str = "<f4") -> list[dict[str, str]]:
+    return [{"re": _base64(np.real(row), kind), "im": _base64(np.imag(row), kind)} for row in values]
 
 
 def _rounded(samples: np.ndarray, bits: int) -> Iterator[tuple[str, Any]]:
     """Whole numbers, a scale for every `SHARED` of them, and how many there are."""
     rows = np.pad(samples, (0, -len(samples) % SHARED)).reshape(-1, SHARED)
     scale = (np.abs(rows).max(axis=1) / (2 ** (bits - 1) - 1)).astype("<f4")
-    whole = np.round(rows / np.where(scale > 0, scale, 1.0)[:, None]).ravel()[: len(samples)]
+    whole = (rows / np.where(scale > 0, scale, 1.0)[:, None]).ravel()[: len(samples)]
     yield "scale", _base64(scale)
     yield "whole", _base64(whole, f"<i{bits // 8}")
 
 
 def _base64(values: np.ndarray, kind: str = "<f4") -> str:
+    values = np.round(values) if "i" in kind else values
     return base64.b64encode(np.ascontiguousarray(values, kind).tobytes()).decode()

@@ -47,7 +47,9 @@ export function decode(entry) {
     };
     const pole = { re: numbers(ringing.decay).map((x) => -x), im: numbers(ringing.omega, Float64Array) };
     const known = ringing.participation;
-    const participation = known && { velocity: known.velocity, strokes: known.strokes.map(pair) };
+    const part = (text) => numbers(text, Int16Array).map((x) => x * known.scale);
+    const participation = known && { velocity: known.velocity,
+      strokes: known.strokes.map(({ re, im }) => ({ re: part(re), im: part(im) })) };
     key.ringing = { pole, pattern: ringing.pattern.map(pair), participation, knock: ringing.knock.map(knock),
       rate: ringing.rate };
   }

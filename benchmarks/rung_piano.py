@@ -1,0 +1,113 @@
+"""A piano for benchmarks whose keys all ring as keys of five stereo layers do, without a recording.
+
+Numbers of partials and modes are those that fits of a grand find: 85 partials with 248 modes at A0, 31 with 106 at C4.
+Levels, decays, knocks and how modes take part in strokes are drawn at random about what such fits show. It says what an
+instrument costs, not how one sounds.
+
+    python benchmarks/rung_piano.py OUT.JSON [--keys A0-C8]        written as an instrument.json
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from pianofit.felt import MemoryHammer
+from pianofit.keyboard import Instrument
+from pianofit.keyboard.build import SCHEMA
+from pianofit.model.modal import LEAD, Participation, Ringing
+from pianofit.model.note import Note
+from pianofit.parameters import Hammer
+from pianofit.play import parse_keys
+from pianofit.published import typical
+from pianofit.ringing_file import ringing_document
+
+CHANNELS = 2
+RATE = 48_000  # Hz
+# The highest partial, Hz.
+HIGHEST = 9_000.0
+MOST_PARTIALS = 85
+# Modes of a partial: 3 in the mean.
+MODES = (2, 3, 4)
+# Velocities of the layers, m/s.
+STROKES = np.array([0.4, 0.8, 1.6, 2.8, 4.5])
+# How far a mode's part in a stroke wanders from layer to layer, relative.
+WANDER = 0.1
+# How long a knock lasts after the contact, s.
+KNOCK_SECONDS = 0.4
+# Its decay, 1/s.
+KNOCK_DECAY = 15.0
+# Its standard deviation at the contact, file units over N s, beside modes of 1 for the first partial.
+KNOCK_LEVEL = 0.05
+# Where a first-order lowpass begins to take its treble, Hz.
+KNOCK_CORNER = 400.0
+# A hammer at MIDI velocity 64, m/s.
+AT_64 = 1.3
+# The rise of the logarithm of the velocity from there to 127.
+RISE = 1.5
+
+
+def rung(midi: int) -> Note:
+    """One key."""
+    random, it = np.random.default_rng(midi), typical(midi)
+    note = Note(it.string, it.hammer, it.geometry, "bridge-force", 1.0)
+    partials = note.frequencies(MOST_PARTIALS)
+    partials = partials[: max(int((partials < HIGHEST).sum()), 1)]
+    number = np.repeat(np.arange(1, len(partials) + 1), random.choice(MODES, len(partials)))
+    law = it.string.b1 + it.string.b2 * (number * np.pi / it.geometry.length) ** 2
+    split = 1 + 3e-4 * random.normal(size=len(number))
+    pole = -law * random.uniform(0.3, 2.0, len(number)) + 2j * np.pi * partials[number - 1] * split
+    level = np.exp(random.normal(0.0, 1.0, (CHANNELS, len(number)))) / number
+    pattern = level * np.exp(2j * np.pi * random.uniform(size=level.shape))
+    away = WANDER * (random.normal(size=(len(STROKES), len(number), 2)) @ np.array([1.0, 1j]))
+    part = Participation(STROKES, 1 + np.cumsum(away, axis=0))
+    ringing = Ringing(number, pole, np.full(len(number), 0.01), pattern, _knock(random), RATE, part)
+    return note._replace(ringing=ringing)
+
+
+def _knock(random: np.random.Generator) -> np.ndarray:
+    count = round((LEAD + KNOCK_SECONDS) * RATE)
+    white = np.fft.rfft(random.normal(size=(CHANNELS, count)))
+    low = np.fft.irfft(white / (1 + 1j * np.fft.rfftfreq(count, 1 / RATE) / KNOCK_CORNER), count)
+    late = np.arange(count) / RATE - LEAD
+    return KNOCK_LEVEL * low / low.std() * np.exp(-KNOCK_DECAY * np.maximum(late, 0)) * (1 - np.exp(-np.arange(count)))
+
+
+def piano(keys: Iterable[int]) -> Instrument:
+    """An instrument of these keys, all recorded."""
+    notes = {midi: rung(midi) for midi in keys}
+    return Instrument("made", notes, AT_64, RISE, frozenset(notes))
+
+
+def document(instrument: Instrument) -> dict:
+    """As `instrument.json`, of what is read to play."""
+    rows = [
+        {"midi": midi, "string": note.string._asdict(), "hammer": _steady(note.hammer),
+         "geometry": note.geometry._asdict(), "gain": note.gain, "path": None, "fit": {},
+         "ringing": None if note.ringing is None else ringing_document(note.ringing, whole=True)}
+        for midi, note in instrument.notes.items()
+    ]  # fmt: skip
+    return {"schema": SCHEMA, "kind": "instrument", "name": instrument.name, "quantity": "bridge-force", "keys": rows,
+            "velocity": {"at_64": instrument.at_64, "rise": instrument.rise}}  # fmt: skip
+
+
+def _steady(hammer: Hammer | MemoryHammer) -> dict[str, float]:
+    return {name: value for name, value in hammer._asdict().items() if name != "v_H0"}
+
+
+def main() -> None:
+    """Write the file."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--keys", default="A0-C8")
+    asked = parser.parse_args()
+    asked.out.write_text(json.dumps(document(piano(parse_keys(asked.keys)))))
+    print(f"{asked.out}: {asked.out.stat().st_size / 1e6:.1f} MB")
+
+
+if __name__ == "__main__":
+    main()
