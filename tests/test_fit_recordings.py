@@ -15,6 +15,7 @@ from pianofit.errors import FitError
 from pianofit.inference import Result, pose
 from pianofit.inference.fit import fit_recordings
 from pianofit.inference.predict import cross_validate, predict_recording
+from pianofit.inference.statements import presumed
 from pianofit.setup import Layer, Setup
 
 FILES = [f"{stroke}-{microphone}.wav" for stroke, microphone in SEVERAL]
@@ -80,6 +81,14 @@ def test_known_velocities_are_kept():
     assert problem.speed == VELOCITIES
     np.testing.assert_allclose(np.exp(problem.unknowns.mean[-3:]), VELOCITIES, rtol=1e-12)
     assert not problem.unknowns.free[-3:].any()
+
+
+def test_a_velocity_that_names_no_recording_is_the_brightest_ones_and_said_so():
+    problem = pose(*through(SEVERAL), Setup(known={"v_H0": 3.0}))
+    assert problem.speed == (None, None, 3.0)
+    (said,) = presumed(problem)
+    assert said.startswith(f"[known] v_H0 = 3 m/s is taken for the stroke of {FILES[2]}, the brightest")
+    assert not presumed(pose(*through(SEVERAL), strokes_of(SEVERAL)))
 
 
 def test_groups_and_gain_groups_are_the_setups():

@@ -55,6 +55,7 @@ class Problem:
     layout: Layout
     reference: int  # the recording whose pitch is the string's, and whose stroke is shown first
     speed: tuple[float | None, ...]  # measured velocity of every stroke, m/s
+    presumed: bool  # that the reference's is the one in [known], which names no recording
     unknowns: Unknowns
     observed: Observed
     scene: Scene
@@ -94,15 +95,17 @@ def pose(
         speed[stroke] = speed[stroke] if v is None else v
     reference = _reference(analyses, layout, speed)
     start = starting_values(analyses[reference], replace(setup, recordings=()), speed[layout.stroke[reference]])
-    if "v_H0" in setup.known and speed[layout.stroke[reference]] is None:
+    nameless = "v_H0" in setup.known and speed[layout.stroke[reference]] is None
+    if nameless:
         speed[layout.stroke[reference]] = setup.known["v_H0"]
     scale = 0.0 if start.scale is None else 20 * np.log10(start.scale)
     path = start.scale is None and start.quantity == "pressure"
     observed = observe(analyses, layout, reference, scale, path, start.scale is None)
     unknowns, scene, cfg = _model(start, speed, observed, max(r.rate for r in recordings), path)
     return Problem(
-        tuple(recordings), tuple(analyses), start, layout, reference, tuple(speed), unknowns, observed, scene, cfg
-    )
+        tuple(recordings), tuple(analyses), start, layout, reference, tuple(speed), nameless and layout.strokes > 1,
+        unknowns, observed, scene, cfg,
+    )  # fmt: skip
 
 
 def _refuse(recordings: Sequence[Recording], analyses: Sequence[Analysis]) -> None:

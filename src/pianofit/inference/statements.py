@@ -15,7 +15,8 @@ from .posterior import Posterior
 from .problem import Problem
 
 __all__ = [
-    "STATUSES", "claims", "correlated", "invariant_status", "messages", "statuses", "taken_back", "velocity_statuses",
+    "STATUSES", "claims", "correlated", "invariant_status", "messages", "presumed", "statuses", "taken_back",
+    "velocity_statuses",
 ]  # fmt: skip
 
 STATUSES = ("fitted", "scaled", "given", "assumed", "at-bound", "not-identifiable")
@@ -228,6 +229,7 @@ def messages(problem: Problem, found: Estimate, states: dict[str, str], worse: S
         f"{_identified(problem, found.posterior, a, b)}."
         for a, b, r in correlated(problem, found.posterior)
     ]
+    said += presumed(problem)
     rests = sorted({x for names in problem.start.rests_on.values() for x in names})
     if rests:
         said.append(
@@ -250,6 +252,18 @@ def messages(problem: Problem, found: Estimate, states: dict[str, str], worse: S
         seen = "; ".join((*recording.warnings, *analysis.warnings))
         said += [about + seen] if seen else []
     return said
+
+
+def presumed(problem: Problem) -> list[str]:
+    """Whose velocity that in [known] is taken for, where it could be of several."""
+    if not problem.presumed:
+        return []
+    at = problem.reference
+    return [
+        f"[known] v_H0 = {problem.speed[problem.layout.stroke[at]]:g} m/s is taken for the stroke of "
+        f"{one_line(Path(problem.recordings[at].path).name)}, the brightest of these recordings; a [[recording]] says "
+        "of each which velocity was measured."
+    ]
 
 
 def _mixture(problem: Problem, found: Estimate) -> list[str]:
