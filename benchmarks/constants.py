@@ -45,7 +45,7 @@ class _Felt:
 def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
     """By the first cell of its row in docs/fitting.md: the module, the attribute, and how its value is scaled."""
     from pianofit.analysis import fits, inharmonicity, partials
-    from pianofit.inference import descent, finish, nuisances, observations, predict, priors, screen, search
+    from pianofit.inference import descent, finish, nuisances, observations, priors, screen, search
 
     def plain(value: Any, factor: float) -> Any:
         return type(value)(value * factor) if not isinstance(value, int) else max(1, round(value * factor))
@@ -122,7 +122,6 @@ def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
         "`NEGATIVE`": (nuisances, "NEGATIVE", plain),
         "`WITHIN`": (finish, "WITHIN", plain),
         "`LEFT`": (finish, "LEFT", plain),
-        "`PULSE`": (predict, "PULSE", plain),
         "`TRUSTED`": (inharmonicity, "TRUSTED", plain),
         "`NEIGHBOURS`": (inharmonicity, "NEIGHBOURS", plain),
         "`LONG`": (fits, "LONG", plain),

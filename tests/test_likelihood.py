@@ -6,11 +6,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.special
 import scipy.stats
 from table_cases import PHI, SHAPES, SMALL, dense, dense_nodes, noise, point, shared, table
 
 import pianofit.model  # noqa: F401  (float64)
-from pianofit.inference.likelihood import Table, next_weights, objective
+from pianofit.inference.likelihood import Table, next_weights, objective, responsible, solved, whole
 from pianofit.inference.parabola import Parabola
 from pianofit.inference.reports import latent, report
 
@@ -75,6 +76,36 @@ def test_the_parabola_touches_F_from_above(shape):
     assert (F[1:] - F[0] <= rise + 1e-9 * np.abs(rise)).all()
     if len(t.share) == 1:
         np.testing.assert_allclose(F[1:] - F[0], rise, rtol=1e-8, atol=1e-8)
+
+
+def test_a_parabola_of_one_answer_about_gains_lies_above_F_as_well():
+    """By Jensen's inequality, for any weights p of the nodes: F is at most Σ p (F of the node - log(its share / p))."""
+    t = table("ten nodes")._replace(absent=np.zeros((0, 2), int))
+    residual, w = point("ten nodes")
+    random = np.random.default_rng(4)
+    moved = np.concatenate([residual[None], residual + 3 * random.normal(size=(40, *residual.shape))])
+    value = jax.jit(lambda r: objective(t, r, PHI, w))
+    F = np.array([value(jnp.asarray(r)) for r in moved])
+    each = solved(t, residual, PHI, w).each
+    weight, answers = responsible(t, each), t.share.shape[1]
+    assert answers > 1
+    for gains in range(answers):
+        rise = Parabola.of(t, PHI, w, residual, gains)(moved, np.zeros((*moved.shape, 1))).F
+        p = weight[:, gains] / weight[:, gains].sum()
+        above = (p * (each[:, gains] - t.share[:, gains] + np.log(p))).sum()
+        rest = whole(t, each, PHI, w) + scipy.special.logsumexp(t.share - each)  # the priors of φ and w
+        assert (above + rest + rise - rise[0] + 1e-9 * np.abs(rise) >= F).all()
+
+
+def test_parabolas_before_a_residual_is_known_are_on_one_scale():
+    """At the node of the middle τ, of either answer: what is left of nothing is the node's own F."""
+    t = table("ten nodes")._replace(absent=np.zeros((0, 2), int))
+    nothing = np.zeros_like(t.value)
+    each = solved(t, nothing, PHI, np.ones_like(nothing)).each - t.share
+    middle = len(each) // 2
+    for gains in range(each.shape[1]):
+        found = Parabola.of(t, PHI, gains=gains)(nothing[None], np.zeros((1, *nothing.shape, 1))).F[0]
+        assert found == pytest.approx(each[middle, gains], rel=1e-12)
 
 
 @pytest.mark.parametrize("shape", ["one recording", "no path", "ten nodes"])

@@ -38,10 +38,6 @@ FASTEST = 12.0
 # So many are, 1.4 % apart, before the best is refined: a force that lasts several periods of a partial has a spectrum
 # of lobes, and levels in the treble rise and fall dozens of times between the slowest and the fastest.
 TRIED = 384
-# A real pulse's lobes lie where the model has them to no better than this share of the velocity: the felt of a good fit
-# is known to a few percent, and its law is a law. In a lobe's flank, where a treble level moves by 10 dB in 10 %, that
-# is a dB, and a match to a tenth of one is an accident.
-PULSE = 0.01
 # As a ratio: nearer to an end of their range than this is at the end.
 SAME = 1.001
 FEWEST = 3
@@ -142,9 +138,11 @@ def _at_best(
         """Of the recording's partials [velocities, partials]."""
         return note.levels(velocity, int(p.number.max()))[:, p.number - 1]
 
-    def cost(log_velocity: np.ndarray, level: np.ndarray, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def cost(log_velocity: np.ndarray, level: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Minus the log posterior, and the gain, dB [velocities]."""
-        value, gain = mismatch((p.level - level)[:, chosen], slope[:, chosen])
+        residual = (p.level - level)[:, chosen]
+        gain = residual.mean(axis=1)
+        value = 0.5 * ((residual - gain[:, None]) ** 2).sum(axis=1) / LEVEL.median[0] ** 2
         belief = 0.5 * ((log_velocity - np.log(VELOCITY)) / VELOCITY_SPREAD) ** 2
         return value + belief - np.array([log_gain(x, gains) for x in gain]), gain
 
@@ -154,34 +152,18 @@ def _at_best(
     if not ends.any():
         raise FitError("no velocity gives a finite sound; is this the fit of the same key?")
     tried, level = tried[ends], level[ends]
-    slope = np.gradient(level, tried, axis=0) if len(tried) > 1 else np.zeros_like(level)
-    best = int(np.argmin(cost(tried, level, slope)[0]))
+    best = int(np.argmin(cost(tried, level)[0]))
 
     def at(log_velocity: float) -> tuple[float, np.ndarray, float]:
         level = levels(np.exp([log_velocity]))
         if not np.isfinite(level).all():
             return WORST, level[0], 0.0
-        value, gain = cost(np.array([log_velocity]), level, slope[best : best + 1])
+        value, gain = cost(np.array([log_velocity]), level)
         return float(value[0]), level[0], float(gain[0])
 
     around = tried[[max(best - 1, 0), min(best + 1, len(tried) - 1)]]
     found: Any = fminbound(lambda x: at(x)[0], *around, xtol=1e-4)
     return float(np.exp(found)), *at(found)[1:]
-
-
-def mismatch(residual: np.ndarray, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Minus the log density of levels with a gain in common that may be any, and that gain, dB [...].
-
-    Parameters
-    ----------
-    residual : recorded less predicted, dB [..., partials].
-    slope : the predicted levels' derivatives by the logarithm of the velocity, dB [..., partials].
-    """
-    precision = 1 / (LEVEL.median[0] ** 2 + (PULSE * slope) ** 2)
-    total = precision.sum(axis=-1)
-    gain = (precision * residual).sum(axis=-1) / total
-    square = (precision * (residual - gain[..., None]) ** 2).sum(axis=-1)
-    return 0.5 * (square - np.log(precision).sum(axis=-1) + np.log(total)), gain
 
 
 def _heard(note: Note, number: np.ndarray) -> np.ndarray:
