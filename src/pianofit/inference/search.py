@@ -21,7 +21,7 @@ from .screen import screened, struck_anew, wide
 
 __all__ = ["distinct", "searched"]
 
-# How many go on at wide φ, for how many steps;
+# How many of every answer about gains go on at wide φ, for how many steps;
 FIRST, FIRST_STEPS = 96, 4
 # then how many, for how many steps, with σ held above this, dB.
 STAGES = ((24, 6, 1.0), (6, 25, 0.0))
@@ -77,7 +77,7 @@ def searched(
         return found
 
     each = screened(descent, seed, parabolas)
-    people = lowered([np.concatenate([first[None], z[: FIRST // len(each)]]) for z in each])
+    people = lowered([np.concatenate([first[None], z[:FIRST]]) for z in each])
     if people is None:
         raise FitError(NO_HAMMER)
     progress("hammer", 0.3)
