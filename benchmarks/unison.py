@@ -49,7 +49,7 @@ ALONE = 10
 TOGETHER = 20
 # Difference of log likelihoods that tells nothing apart.
 ALIKE = 3.0
-# Points of a Hann kernel whose sum is its integral, for modes within so many of its widths in frequency.
+# Points of a Hann kernel whose sum stands for its integral: within 1e-5 for decays of several a kernel.
 TAPS = 12
 # Steps of derivatives by differences: 1/s, cents.
 STEP_RATE = 1e-5
