@@ -24,7 +24,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import expm, helmert
+from scipy.linalg import helmert
 
 from pianofit import Recording, analyse
 from pianofit.ringing import PartialModes, band, hear, kernel_seconds, modes_of
@@ -51,6 +51,9 @@ TOGETHER = 20
 ALIKE = 3.0
 # Points of a Hann kernel whose sum stands for its integral: within 1e-5 for decays of several a kernel.
 TAPS = 12
+# Taylor's series of exp is taken where matrices are this small, by so many terms: within 1e-15.
+SMALL = 0.5
+TERMS = 12
 # Steps of derivatives by differences: 1/s, cents.
 STEP_RATE = 1e-5
 STEP_CENTS = 1e-5
@@ -150,7 +153,7 @@ def shape(a: np.ndarray, bands: Bands) -> np.ndarray:
     """1ᵀ exp(A t) 1 / N as the bands' kernels leave it [..., partials, frames]: no eigenvectors, which may coincide."""
 
     def jump(seconds: np.ndarray) -> np.ndarray:
-        return expm(a * seconds[:, None, None])
+        return exponential(a * seconds[:, None, None])
 
     tap, ones = jump(bands.kernel / TAPS), np.ones((*a.shape[:-1], 1), complex)
     states = np.zeros_like(ones)
@@ -162,6 +165,19 @@ def shape(a: np.ndarray, bands: Bands) -> np.ndarray:
         states = np.concatenate([states, step @ states], axis=-1)
         step = step @ step
     return states[..., : bands.values.shape[-1]].mean(axis=-2)
+
+
+def exponential(a: np.ndarray) -> np.ndarray:
+    """exp(a) of many small matrices [..., N, N] at once: Taylor's series of a power of two of them, squared."""
+    size = float(np.abs(a).sum(axis=-1).max())
+    squarings = max(0, int(np.ceil(np.log2(max(size, SMALL) / SMALL))))
+    power, one = a / 2**squarings, np.eye(a.shape[-1])
+    out = one + 0 * power
+    for k in range(TERMS, 0, -1):
+        out = one + power @ out / k
+    for _ in range(squarings):
+        out = out @ out
+    return out
 
 
 class Point(NamedTuple):

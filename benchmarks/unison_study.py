@@ -1,6 +1,6 @@
 """Whether the strings of a unison can be read off a note: how many, and how they are tuned.
 
-    python benchmarks/unison_study.py                      all of it, a quarter of an hour on one busy core
+    python benchmarks/unison_study.py                      all of it, some eight minutes of one processor
     python benchmarks/unison_study.py --only twins --seeds 20
 
 The model and its fit are in `unison.py`. Twins have 8 partials, three strokes and white noise 50 to 70 dB below the
@@ -8,7 +8,7 @@ peak: unisons of that model, whose outer strings are 0.2 to 3 cents apart; one s
 poles and shares are drawn partial by partial; and the two strings with two polarisations of `tests/coupled_strings.py`,
 which are 3.5 cents apart in one of them and 2.4 in the other. `right` is how many got the N that they have. Errors are
 of mistunings between neighbouring strings where N is right: rms, cents; rms of what was stated; how many truths lie in
-their 95 % intervals.
+their 95 % intervals. `left` and `one` are as below.
 
 Notes of ../shared/recordings, or where PIANOFIT_RECORDINGS says, were recorded by two microphones at once. Each is
 fitted alone, by its partials and by the lower and the upper half of them, and then both together. `agree` is how many
@@ -103,36 +103,32 @@ def best(found: dict[int, Unison]) -> int:
     return max(found, key=lambda n: found[n].evidence)
 
 
-def study_twins(seeds: int) -> None:
-    """Print how often N is right, and how far mistunings are off."""
-    print(
-        f"{'':>24}{'twins':>6}{'right':>7}{'N = 1':>8}{'2':>4}{'3':>4}{'off':>9}{'stated':>9}{'within':>8}{'agree':>7}"
-    )
-    kinds = [(f"{n} strings" if n > 1 else "1 string", n, False) for n in STRINGS] + [("1, two polarisations", 1, True)]
-    for name, strings, polarised in kinds:
-        said, rows, agree = [], [], []
-        for seed in range(seeds):
-            random = np.random.default_rng([seed, strings, polarised])
-            f0, sounds, gap = drawn(random, strings, polarised=polarised)
-            found = fits(bands_of(recorded([*sounds], random.uniform(*NOISE), random), f0))
-            said.append(best(found))
-            agree.append(found[max(said[-1], 2)].agree)
-            if said[-1] == strings > 1:
-                rows += zip(found[strings].gap - gap, found[strings].error, strict=True)
-        print_twins(name, strings, said, rows, agree)
-
-
-def print_twins(name: str, strings: int, said: list[int], rows: list, agree: list[int]) -> None:
-    """One kind of twins."""
+def study_twins(strings: int, seeds: int, *, polarised: bool = False) -> None:
+    """Print how often N is right of one kind of twins, how far mistunings are off, and what is left."""
+    said, rows, agree, left = [], [], [], []
+    for seed in range(seeds):
+        random = np.random.default_rng([seed, strings, polarised])
+        f0, sounds, gap = drawn(random, strings, polarised=polarised)
+        bands = bands_of(recorded([*sounds], random.uniform(*NOISE), random), f0)
+        found = fits(bands)
+        said.append(best(found))
+        agree.append(found[max(said[-1], 2)].agree)
+        left.append([found[said[-1]].left, np.median(bands.free[:, 0])])
+        if said[-1] == strings > 1:
+            rows += zip(found[strings].gap - gap, found[strings].error, strict=True)
     count = [said.count(n) for n in STRINGS]
-    line = f"{name:>24}{len(said):6}{said.count(strings):7}{count[0]:8}{count[1]:4}{count[2]:4}"
-    if rows:
-        off, error = np.array(rows).T
-        within = np.mean(np.abs(off) < 1.96 * error)
-        line += f"{np.sqrt(np.mean(off**2)):9.5f}{np.sqrt(np.mean(error**2)):9.5f}{within:8.0%}"
-    else:
-        line += f"{'':26}"
-    print(f"{line}{np.median(agree):4.0f}/{STARTS}", flush=True)
+    name = f"{strings}, two polarisations" if polarised else str(strings)
+    line = f"{name:>24}{seeds:6}{said.count(strings):7}{count[0]:8}{count[1]:4}{count[2]:4}{errors(rows):26}"
+    unison_left, one = 100 * np.median(left, axis=0)
+    print(f"{line}{np.median(agree):6.1f}/{STARTS}{unison_left:9.2g}{one:7.2g}", flush=True)
+
+
+def errors(rows: list[tuple[float, float]]) -> str:
+    """Of mistunings with their standard errors: rms of both, cents, and how many are within 95 %."""
+    if not rows:
+        return ""
+    off, error = np.array(rows).T
+    return f"{np.sqrt(np.mean(off**2)):9.5f}{np.sqrt(np.mean(error**2)):9.5f}{np.mean(np.abs(off) < 1.96 * error):8.0%}"
 
 
 def study_coupled() -> None:
@@ -180,11 +176,15 @@ def print_note(name: str, bands: Bands) -> None:
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", type=int, default=8, help="twins of every kind")
+    parser.add_argument("--seeds", type=int, default=6, help="twins of every kind")
     parser.add_argument("--only", choices=("twins", "coupled", "notes"))
     options = parser.parse_args()
     if options.only in (None, "twins"):
-        study_twins(options.seeds)
+        print(f"{'strings':>24}{'twins':>6}{'right':>7}{'N = 1':>8}{'2':>4}{'3':>4}", end="")
+        print(f"{'off':>9}{'stated':>9}{'within':>8}{'agree':>8}{'left':>9}{'one':>7} %")
+        for strings in STRINGS:
+            study_twins(strings, options.seeds)
+        study_twins(1, options.seeds, polarised=True)
     if options.only in (None, "coupled"):
         study_coupled()
     if options.only in (None, "notes"):
