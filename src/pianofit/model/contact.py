@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 from jax.core import Tracer
+from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Bool, Complex, Float
 
 from ..errors import ParameterError
@@ -194,9 +195,10 @@ def leave(modes: Modes, hammer: Any, *, steps: int | AnyArray) -> Struck:
         return count + 1, carry, string[-1], work, u[-1] <= 0, over
 
     zero = jnp.zeros_like(modes.step)
-    begin = (0, (jnp.zeros_like(modes.pole), first), zero, zero, jnp.asarray(False), jnp.asarray(False))
-    count, (amplitude, _), _, _, apart, _ = jax.lax.while_loop(going, onward, begin)
-    return Struck(amplitude, jnp.asarray(count * BLOCK + 1), apart)
+    silent = (jnp.zeros_like(modes.alpha),) * 2
+    begin = (0, (silent, first), zero, zero, jnp.asarray(False), jnp.asarray(False))
+    count, ((real, imag), _), _, _, apart, _ = jax.lax.while_loop(going, onward, begin)
+    return Struck(real + 1j * imag, jnp.asarray(count * BLOCK + 1), apart)
 
 
 @float64
@@ -222,6 +224,7 @@ def follow(
     under = (modes.strike * amplitude.real).sum()
     block, first = _blocks(modes, hammer, under, speed, None, powers)
     turned = amplitude * jnp.exp(modes.pole * modes.step)
+    turned = turned.real, turned.imag
 
     def going(now):
         return (now[0] < steps // BLOCK) & ~now[-1]
@@ -268,15 +271,19 @@ def _blocks(
     unit = impulse_amplitude(modes)
     log_z = modes.pole * modes.step
     powers = (log_z, *(real_powers(log_z, BLOCK + 1, 1) if given is None else given))
-    over_block = jnp.exp(BLOCK * log_z)
-    g = kernel(modes, BLOCK) if given is None else _history(modes.strike * unit, powers)
+    turn = jnp.exp(BLOCK * log_z)
+    over_block, unit = (turn.real, turn.imag), (unit.real, unit.imag)
+    g = _history(modes.strike * unit[0], modes.strike * unit[1], powers)
     own_g = jnp.concatenate([g[:0:-1], jnp.zeros(BLOCK + 1)])
     c = a**2 / hammer.M_H + g[0]
     weights = memory_weights(hammer, modes.step)
 
     def block(carry, under):
         earlier, state = carry
-        past = under + (_history(modes.strike * earlier, powers) if rows is None else earlier[:BLOCK])
+        if rows is None:
+            past = under + _history(modes.strike * earlier[0], modes.strike * earlier[1], powers)
+        else:
+            past = under + earlier[:BLOCK]
 
         def advance(carry, i):
             recent, (u, w, f, y, v, memory) = carry
@@ -293,7 +300,8 @@ def _blocks(
 
         (recent, state), outputs = jax.lax.scan(advance, (jnp.zeros(BLOCK), state), jnp.arange(BLOCK))
         if rows is None:
-            return (earlier * over_block + unit * _left(recent, powers), state), outputs
+            turned, left = _product(earlier, over_block), _product(unit, _left(recent, powers))
+            return ((turned[0] + left[0], turned[1] + left[1]), state), outputs
         return (jnp.append(earlier[BLOCK:], jnp.zeros(BLOCK)) + recent @ rows, state), outputs
 
     zero = jnp.zeros_like(c)
@@ -307,37 +315,54 @@ def _march(modes: Modes, hammer: Any, under: Float[AnyArray, " steps"], speed: A
     block, state = _blocks(modes, hammer, under[0], speed, rows)
     # The first block starts at step 1, with nothing ringing yet.
     shifted = jnp.append(under[1:], 0.0).reshape(-1, BLOCK)
-    earlier = jnp.zeros_like(modes.pole if rows is None else under)
+    earlier = (jnp.zeros_like(modes.alpha),) * 2 if rows is None else jnp.zeros_like(under)
     _, rest = jax.lax.scan(block, (earlier, state), shifted)
     zero = state[0]
     first = (zero, zero, zero, state[3], state[4])
     return tuple(jnp.concatenate([x[None], r.ravel()[:-1]]) for x, r in zip(first, rest, strict=True))
 
 
+def _product(a, b):
+    """Of two complex numbers as pairs of real ones, which a CPU multiplies several times as fast."""
+    return a[0] * b[0] - a[1] * b[1], a[0] * b[1] + a[1] * b[0]
+
+
 @jax.custom_jvp
-def _history(amplitude, powers):
-    """Σ_k Re(A_k z_k^n), n < BLOCK, m."""
+def _history(real, imag, powers):
+    """Σ_k Re(A_k z_k^n), n < BLOCK, m, of the real and imaginary parts of A [modes]."""
     _, re, im = powers
-    return amplitude.real @ re[:, :BLOCK] - amplitude.imag @ im[:, :BLOCK]
+    return real @ re[:, :BLOCK] - imag @ im[:, :BLOCK]
 
 
-@_history.defjvp
 def _history_jvp(given, tangents):
     # log z answers for its powers: z^n moves by n z^n d(log z), and no power is carried along every direction.
-    (amplitude, powers), (d_amplitude, (d_log_z, _, _)) = given, tangents
-    turned = jnp.arange(BLOCK) * _history(amplitude * d_log_z, powers)
-    return _history(amplitude, powers), _history(d_amplitude, powers) + turned
+    (*amplitude, powers), (*d_amplitude, (d_log_z, _, _)) = given, tangents
+    moved = _history(*map(_filled, d_amplitude), powers)
+    if type(d_log_z) is not SymbolicZero:
+        moved += jnp.arange(BLOCK) * _history(*_product(amplitude, (d_log_z.real, d_log_z.imag)), powers)
+    return _history(*amplitude, powers), moved
 
 
 @jax.custom_jvp
 def _left(drive, powers):
-    """Σ_i z_k^(BLOCK - i) T_i, complex [modes], N: how far a unit T at step i of a block has turned by the next."""
+    """Σ_i z_k^(BLOCK - i) T_i, real and imaginary [modes], N: how far a unit T at step i has turned by the next."""
     _, re, im = powers
-    return re[:, :0:-1] @ drive + 1j * (im[:, :0:-1] @ drive)
+    return drive @ re[:, :0:-1].T, drive @ im[:, :0:-1].T
 
 
-@_left.defjvp
 def _left_jvp(given, tangents):
     (drive, powers), (d_drive, (d_log_z, _, _)) = given, tangents
-    turned = d_log_z * _left(jnp.arange(BLOCK, 0, -1) * drive, powers)
-    return _left(drive, powers), _left(d_drive, powers) + turned
+    real, imag = _left(_filled(d_drive), powers)
+    if type(d_log_z) is not SymbolicZero:
+        turned = _product((d_log_z.real, d_log_z.imag), _left(jnp.arange(BLOCK, 0, -1) * drive, powers))
+        real, imag = real + turned[0], imag + turned[1]
+    return _left(drive, powers), (real, imag)
+
+
+# Where the string is held its powers do not move, and zeros need no products.
+_history.defjvp(_history_jvp, symbolic_zeros=True)
+_left.defjvp(_left_jvp, symbolic_zeros=True)
+
+
+def _filled(tangent: Any) -> Any:
+    return jnp.zeros(tangent.shape, tangent.dtype) if type(tangent) is SymbolicZero else tangent

@@ -14,8 +14,9 @@ decay for which the scheme has exactly the continuous string's poles.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
@@ -59,9 +60,27 @@ def raised_cosine_weights(geometry: Geometry, n_modes: int, xp=jnp) -> Float[Any
 
     `xp` is the array library: NumPy where nothing is to be compiled.
     """
-    beta = xp.arange(1, n_modes + 1) * (xp.pi / geometry.length)
-    s = beta * geometry.width / (2 * xp.pi)  # sinc(s) is sin(πs)/(πs)
-    return xp.sin(beta * geometry.strike) * (xp.sinc(s) + 0.5 * xp.sinc(s + 1) + 0.5 * xp.sinc(s - 1))
+    k = xp.arange(1, n_modes + 1)
+    return (_raised if xp is np else _weights)(xp.array([geometry.strike, geometry.width, geometry.length], float), k)
+
+
+def _raised(at: AnyArray, k: AnyArray, xp=np) -> AnyArray:
+    strike, width, length = at
+    s = k * width / (2 * length)  # sinc(s) is sin(πs)/(πs)
+    return xp.sin(k * (xp.pi / length) * strike) * (xp.sinc(s) + 0.5 * xp.sinc(s + 1) + 0.5 * xp.sinc(s - 1))
+
+
+@jax.custom_jvp
+def _weights(at: Float[Array, " 3"], k: Any) -> Float[Array, " modes"]:
+    return _raised(at, k, jnp)
+
+
+@_weights.defjvp
+def _weights_jvp(given, tangents):
+    # As a matrix product: of a sum XLA would compute all these sines anew for every direction.
+    at, k = given
+    by_each = jax.vmap(lambda one: jax.jvp(lambda x: _raised(x, k, jnp), (at,), (one,))[1])(jnp.eye(3))
+    return _weights(at, k), tangents[0] @ by_each
 
 
 @float64
