@@ -102,7 +102,7 @@ def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
         "`FINE_VELOCITIES`": (screen, "FINE_VELOCITIES", points),
         "`TAIL`": (screen, "TAIL", plain),
         "`WIDE_EXCESS`": (screen, "WIDE_EXCESS", plain),
-        "`COARSER`": (screen, "COARSER", plain),
+        "`COARSER`": (descent, "COARSER", plain),
         "`FIRST`": (search, "FIRST", plain),
         "`FIRST_STEPS`": (search, "FIRST_STEPS", plain),
         "`STAGES`, candidates": (search, "STAGES", steps(0, 0)),

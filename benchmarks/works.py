@@ -140,12 +140,12 @@ def search(files: Sequence[Path], note: str) -> tuple[Works, dict[str, int]]:
     at = people.residual, people.jacobian, people.phi, people.w
     sizes = {
         "recordings": len(files), "hammers": len(many), "lanes": len(some), "points": len(people),
-        "modes": problem.cfg.n_modes, "steps": int(problem.scene.steps),
+        "modes": held.cfg.n_modes, "steps": int(held.scene.steps),
         "partials": int(np.asarray(problem.observed.level.found).sum()),
     }  # fmt: skip
     return {
-        HAMMERS: lambda: in_lanes(levels, (string, many), problem.scene, problem.cfg, MANY_LANES),
-        SLOPES: lambda: in_lanes(slopes, (string, some), problem.scene, problem.cfg),
+        HAMMERS: lambda: in_lanes(levels, (string, many), held.scene, held.cfg, MANY_LANES),
+        SLOPES: lambda: in_lanes(slopes, (string, some), held.scene, held.cfg),
         OBJECTIVE: lambda: reports(held.table, *at),
     }, sizes
 

@@ -60,6 +60,21 @@ def test_a_descent_never_raises_F():
     assert ((people.z >= low) & (people.z <= high))[:, p.unknowns.free].all()
 
 
+def test_what_long_steps_do_to_the_levels_is_much_the_same_for_all_hammers():
+    """The search reads it off at its best hammer alone."""
+    descent = Descent(problem(), string())
+    z = screened(descent, 3, [Parabola.of(descent.table, wide(descent))])[0][:24]
+    errors = np.array([descent.step_error(one) for one in z[descent.model(z)[2]]])
+    whole, left = (np.sqrt((x**2).mean(axis=(1, 2))) for x in (errors, errors[1:] - errors[0]))
+    assert len(whole) > 8
+    assert 0.05 < np.median(whole) < 0.3  # dB
+    assert np.median(left) < 0.5 * np.median(whole)
+    # With it the levels are those of the problem's own steps, without theirs.
+    fine = Descent(problem(), string(), string_minimum(problem())[1])
+    levels = [d.level(z[0])[d.stroke][:, d.columns] * d.there + d.step_error(z[0]) for d in (descent, fine)]
+    np.testing.assert_allclose(*levels, atol=5e-3)
+
+
 def test_a_descent_sorts_and_ends_where_F_is_flat():
     descent = Descent(problem(), string())
     people = descent.descend(

@@ -32,7 +32,9 @@ LONGEST_STEP = 1.5
 LONGEST_PHI = 1.0
 # Lanes of one call where each has a string of its own: the strokes of an ordinary fit,
 OWN_LANES = 4
-# The contact's step error is read off a step so many times finer, with as many modes as the model takes.
+# While the string is held, steps are so many times as long, and modes so many times fewer: a third of the time.
+COARSER = 2
+# The contact's step error is read off a step so many times finer than the problem's, with all modes the model takes.
 FINER = 4
 # A minimum is reached when a step gains less than this, F: a tenth of a percent of a likelihood.
 CONVERGED = 1e-3
@@ -47,12 +49,17 @@ class Descent:
     """Descents on one problem's F.
 
     With `strings` None the string is held, and one string serves all candidates. Else it is searched too: frequencies
-    and decays join F, with φ and w of `strings`, every stroke has the tension it was struck at, and `offset` [R, K],
+    and decays join F, with φ and w of `strings`, and every stroke has the tension it was struck at. `offset` [R, K],
     dB, is what a contact stepped without end would add to the levels.
     """
 
     def __init__(self, problem: Problem, string: np.ndarray, strings: StringState | None = None) -> None:
         self.problem, self.unknowns = problem, problem.unknowns
+        self.scene, self.cfg = problem.scene, problem.cfg
+        if strings is None:
+            scene, cfg = self.scene, self.cfg
+            self.scene = scene._replace(rate=scene.rate / COARSER, steps=scene.steps // COARSER)
+            self.cfg = cfg._replace(n_modes=max(cfg.rows, cfg.n_modes // COARSER))
         self.table = problem.observed.level
         self.string, self.strings = string, strings
         self.offset = np.zeros_like(self.table.value)
@@ -81,14 +88,14 @@ class Descent:
 
     def model(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Residuals [B, R, K], the law's derivatives [B, R, K, size], and whether all contacts ended [B]."""
-        p, strokes = self.problem, self.unknowns.strokes
+        strokes = self.unknowns.strokes
         self.lanes += len(z) * strokes
-        free = p.scene.free[p.scene.free >= 0]
+        free = self.scene.free[self.scene.free >= 0]
         if self.strings is None:
-            level, slope, ended = in_lanes(slopes, (self.string, self.lanes_of(z)), p.scene, p.cfg)
+            level, slope, ended = in_lanes(slopes, (self.string, self.lanes_of(z)), self.scene, self.cfg)
             shared = free[:-1] + STRING_SIZE
         else:
-            level, slope, ended = in_lanes(own_slopes, self.own_lanes(z), p.scene, p.cfg, OWN_LANES)
+            level, slope, ended = in_lanes(own_slopes, self.own_lanes(z), self.scene, self.cfg, OWN_LANES)
             shared = np.append(np.arange(STRING_SIZE), free[:-1] + STRING_SIZE)
         level = level.reshape(len(z), strokes, -1)[:, self.stroke][..., self.columns]
         slope = slope.reshape(len(z), strokes, *slope.shape[1:])[:, self.stroke][:, :, self.columns]
@@ -108,11 +115,14 @@ class Descent:
         fine = p.scene._replace(rate=p.scene.rate * FINER, steps=p.scene.steps * FINER)
         finer = in_lanes(own_levels, self.own_lanes(z[None]), fine, p.cfg._replace(n_modes=MOST_MODES), OWN_LANES)[0]
         change = (finer - self.level(z))[self.stroke][:, self.columns]
-        return change * FINER**2 / (FINER**2 - 1) * self.there
+        shorter = (fine.rate / self.scene.rate) ** 2
+        return change * shorter / (shorter - 1) * self.there
 
     def level(self, z: np.ndarray) -> np.ndarray:
         """Levels by the model at `z` [size], dB [strokes, rows], by the descent's program: that is compiled anyway."""
-        return in_lanes(own_slopes, self.own_lanes(z[None]), self.problem.scene, self.problem.cfg, OWN_LANES)[0]
+        if self.strings is None:
+            return in_lanes(slopes, (self.string, self.lanes_of(z[None])), self.scene, self.cfg)[0]
+        return in_lanes(own_slopes, self.own_lanes(z[None]), self.scene, self.cfg, OWN_LANES)[0]
 
     def known(self, z: np.ndarray) -> Known:
         """Of F, what levels do not say: value [B], gradient [B, size] and curvature [B, size, size].

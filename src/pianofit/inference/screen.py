@@ -24,9 +24,6 @@ FINE_VELOCITIES = np.geomspace(0.15, 8.0, 256)
 TAIL = 0.01
 # σ, A, ℓ, η before anything is known: excess of levels, dB, and a path as the prior has it.
 WIDE_EXCESS = 2.0
-# The prior's hammers are screened at a step so many times as long: what that moves, some 0.1 dB, is little beside the
-# excess they are screened at.
-COARSER = 2
 # Lanes of one call where there are thousands: enough to fill matrix products.
 MANY_LANES = 64
 # Velocities to begin with, from the brightest stroke down, m/s: a forte,
@@ -90,10 +87,7 @@ def _with_velocities(
         [np.tile(z[:, STRING_SIZE:shared], (len(grid), 1)), np.repeat(grid, len(z))[:, None]], axis=1
     )
     descent.lanes += len(lanes)
-    p = descent.problem
-    scene = p.scene._replace(rate=p.scene.rate / COARSER, steps=p.scene.steps // COARSER)
-    cfg = p.cfg._replace(n_modes=max(p.cfg.rows, p.cfg.n_modes // COARSER))
-    level, ended = in_lanes(levels, (descent.string, lanes), scene, cfg, MANY_LANES)
+    level, ended = in_lanes(levels, (descent.string, lanes), descent.scene, descent.cfg, MANY_LANES)
     level = level.reshape(len(grid), len(z), -1)[..., descent.columns].swapaxes(0, 1)
     own = np.abs(grid - z[:, shared:, None]).argmin(axis=2)
     begins = [own, *(np.tile(each, (len(z), 1)) for each in _ladders(descent, grid))]
@@ -148,7 +142,7 @@ def _suited(
     of = [np.flatnonzero(descent.stroke == s) for s in range(strokes)]
     count, V = level.shape[:2]
     # Residuals of every stroke's recordings, had it that velocity [S, V, recordings K].
-    T = [((table.value[r] - level[:, :, None]) * table.found[r]).reshape(count, V, -1) for r in of]
+    T = [((table.value[r] - descent.offset[r] - level[:, :, None]) * table.found[r]).reshape(count, V, -1) for r in of]
     # The parabola is a sum over strokes and over pairs of them: tables of it [S, V] and [S, V, V].
     own, pair = costs.copy(), {}
     for s, first in enumerate(of):

@@ -85,7 +85,7 @@ def searched(
     people = people if anew is None else people.join(anew)
     for stage, (count, iterations, floor) in enumerate(STAGES):
         progress("hammer", 0.4 + 0.1 * stage)
-        people = descent.descend(_going(descent, people, count), floor, iterations)
+        people = descent.descend(_corrected(descent, _going(descent, people, count)), floor, iterations)
     progress("restarts", 0.6)
     random = np.random.default_rng(seed)
     for _ in range(ROUNDS):
@@ -106,6 +106,12 @@ def _going(descent: Descent, people: Population, count: int) -> Population:
     """The lowest, of those that have come together one."""
     scores = descent.total(people.z, people.report)
     return people.take(np.array(distinct(people, descent.unknowns, scores, np.inf, ONE_VALLEY)[:count], int))
+
+
+def _corrected(descent: Descent, people: Population) -> Population:
+    """With the levels as if contacts had been stepped without end: what that adds at the lowest it adds to all."""
+    descent.offset = descent.step_error(people.z[0])
+    return descent.begun(people.z, people.phi, people.w)
 
 
 def _lowest(descent: Descent, people: Population) -> float:

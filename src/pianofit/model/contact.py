@@ -365,4 +365,4 @@ _left.defjvp(_left_jvp, symbolic_zeros=True)
 
 
 def _filled(tangent: Any) -> Any:
-    return jnp.zeros(tangent.shape, tangent.dtype) if type(tangent) is SymbolicZero else tangent
+    return jnp.zeros(tangent.shape) if type(tangent) is SymbolicZero else tangent

@@ -14,7 +14,7 @@ decay for which the scheme has exactly the continuous string's poles.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -71,7 +71,7 @@ def _raised(at: AnyArray, k: AnyArray, xp=np) -> AnyArray:
 
 
 @jax.custom_jvp
-def _weights(at: Float[Array, " 3"], k: Any) -> Float[Array, " modes"]:
+def _weights(at: AnyArray, k: AnyArray) -> AnyArray:
     return _raised(at, k, jnp)
 
 
