@@ -1,7 +1,7 @@
 """What predictions and twins become with each telling constant at half and at twice its value.
 
     python benchmarks/constants.py                               all constants, on the panel
-    python benchmarks/constants.py --names STUDENT,ONSET --page docs/fitting.md
+    python benchmarks/constants.py --names '`STUDENT`;`ONSET`' --page docs/fitting.md
 
 The panel: the layers `LAYERS`, each predicted from the others of its note, where the recordings are there (see
 `crossval.py`), and the model twins `TWINS` of `coverage_twins.py`. Shown are the median error of the predictions, dB,
@@ -193,25 +193,24 @@ def scaled_panel(job: tuple[str, float]) -> tuple[float, float]:
 def main() -> None:
     """Print the table, and put it into a page."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--names", default="", help="separated by commas; all if not given")
+    parser.add_argument("--names", default="", help="separated by semicolons; all if not given")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--page", type=Path, help="fill the last columns of this page's table")
     options = parser.parse_args()
     known = constants()
-    wanted = [n for n in options.names.split(",") if n] or list(known)
+    wanted = [n for n in options.names.split(";") if n] or list(known)
     if unknown := set(wanted) - set(known):
         sys.exit(f"--names: {', '.join(sorted(unknown))} is none of {', '.join(known)}")
     jobs = [("", 1.0), *((name, factor) for name in wanted for factor in (0.5, 2.0))]
-    rows: dict[str, tuple[str, str]] = {}
     with ProcessPoolExecutor(options.workers, mp_context=multiprocessing.get_context("spawn")) as pool:
         found = pool.map(scaled_panel, jobs)
         usual = cell(next(found))
         print(f"{'median error, dB; rms miss of twins, standard errors':32}\nas it is: {usual}", flush=True)
         for name in wanted:
-            rows[name] = cell(next(found)), cell(next(found))
-            print(f"{name:28} half: {rows[name][0]:12} twice: {rows[name][1]}", flush=True)
-    if options.page:
-        fill(options.page, usual, rows)
+            half, twice = cell(next(found)), cell(next(found))
+            print(f"{name:28} half: {half:12} twice: {twice}", flush=True)
+            if options.page:
+                fill(options.page, usual, name, (half, twice))
 
 
 def cell(found: tuple[float, float]) -> str:
@@ -219,17 +218,17 @@ def cell(found: tuple[float, float]) -> str:
     return f"{found[0]:.2f}; {found[1]:.2f}"
 
 
-def fill(page: Path, usual: str, rows: dict[str, tuple[str, str]]) -> None:
-    """Put what was found into the last two cells of the rows of these constants, and what is usual below."""
-    lines = page.read_text(encoding="utf-8").splitlines()
+def fill(page: Path, usual: str, name: str, row: tuple[str, str]) -> None:
+    """Put what was found into the last two cells of this constant's row, and what is usual below."""
+    lines, filled = page.read_text(encoding="utf-8").splitlines(), False
     for i, line in enumerate(lines):
         cells = [part.strip() for part in line.strip("|").split("|")]
-        if line.startswith("|") and cells[0] in rows:
-            lines[i] = "| " + " | ".join([*cells[:-2], *rows.pop(cells[0])]) + " |"
+        if line.startswith("|") and cells[0] == name:
+            lines[i], filled = "| " + " | ".join([*cells[:-2], *row]) + " |", True
         if line.startswith("As it is: "):
             lines[i] = f"As it is: {usual} (`python benchmarks/constants.py --page docs/fitting.md`)."
-    if rows:
-        sys.exit(f"{page}: no row for {', '.join(rows)}; write one in the table of constants")
+    if not filled:
+        sys.exit(f"{page}: no row for {name}; write one in the table of constants")
     page.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 

@@ -66,7 +66,7 @@ CONSTANTS = {
     "tuning": ("COHERENT", "DETUNED", "TUNED", "HALF_COHERENT"),
     "cut": ("EVEN", "RANGE", "LEAST_SNR", "ENVELOPE", "CONTACT", "LOST", "FINE"),
     "modes": ("FASTEST", "FASTER", "FAINTEST", "AHEAD", "OF_SPACING", "OF_BAND"),
-    "key": ("KNOCK", "FADE", "DRIVEN", "FLOOR", "ATTACK", "FAR", "LATEST", "ALIGNED", "LOUDNESS"),
+    "key": ("KNOCK", "FADE", "DRIVEN", "FLOOR", "ATTACK", "FAR", "LATEST", "ALIGNED", "WHITENED", "LOUDNESS"),
 }
 
 

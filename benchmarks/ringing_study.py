@@ -31,6 +31,8 @@ import numpy as np
 RATE = 22_050  # Hz
 SECONDS = 4.0
 LEAD = 0.1  # s before a stroke
+TAU = 0.5  # s, of a pitch that falls; and of exp(-t/TAU) the mean over 0.2 to 1.0 s, where an analysis has its f0
+MEAN = TAU / 0.8 * (np.exp(-0.2 / TAU) - np.exp(-1.0 / TAU))
 PARTIALS = 8
 STROKES = 3
 ORDERS = (1, 2, 3, 4)
@@ -55,7 +57,7 @@ def draw(seed: int) -> Drawn:
     f0 = float(np.exp(random.uniform(np.log(60), np.log(600))))
     time = np.arange(round(SECONDS * RATE)) / RATE
     glide = 6 / 1731 * random.uniform(0.3, 1) * (seed % 2)
-    warped = time - glide * 0.5 * np.expm1(-time / 0.5)
+    warped = time - glide * TAU * np.expm1(-time / TAU)
     poles, sizes, sound = [], [], np.zeros((STROKES, len(time)))
     for k in range(1, PARTIALS + 1):
         order = int(random.integers(1, ORDERS[-1] + 1))
@@ -80,19 +82,15 @@ def draw(seed: int) -> Drawn:
 
 def found(drawn: Drawn):
     """The modes of all partials, by number: the law and the glide are given, as an analysis would."""
+    from pianofit.analysis.glide import Fall
     from pianofit.recording import recording_from_samples
     from pianofit.ringing import hear, modes_of
 
     number = np.arange(1, PARTIALS + 1)
-    ends = np.geomspace(0.02, SECONDS, 13)
-    middle = 0.5 * (ends[:-1] + ends[1:])
-    glide = [
-        (a, b, drawn.f0 * (1 + drawn.glide * np.exp(-m / 0.5)))
-        for a, b, m in zip(ends[:-1], ends[1:], middle, strict=True)
-    ]
+    f0, fall = drawn.f0 * (1 + drawn.glide * MEAN), 1731 * drawn.glide * (1 - MEAN)
     analysis: Any = SimpleNamespace(  # as much of an `Analysis` as is read
-        f0=drawn.f0, B=0.0, partials=SimpleNamespace(number=number, frequency=number * drawn.f0),
-        glide=glide, glide_start=1731 * drawn.glide, glide_error=0.1,
+        f0=f0, B=0.0, partials=SimpleNamespace(number=number, frequency=number * f0), glide_start=fall,
+        glide_error=0.1, fall=Fall(fall, TAU),
     )  # fmt: skip
     recordings = [replace(recording_from_samples(x, RATE), onset=round(LEAD * RATE)) for x in drawn.samples]
     return {m.number: m for m in modes_of(hear(recordings, [analysis] * STROKES), [analysis] * STROKES)}
@@ -133,6 +131,7 @@ def study(seed: int) -> list[dict]:
     samples = STROKES * 1.5 / kernel * SPAN
     cost = (STROKES + 1) * np.log(samples)
     for k, (pole, amplitude) in enumerate(zip(drawn.poles, drawn.amplitudes, strict=True), start=1):
+        pole = pole.real + 1j * pole.imag * (1 + drawn.glide * MEAN)
         errors, gain = bound(pole, amplitude, drawn.noise, kernel / 2)
         m = modes.get(k)
         row = {"seed": seed, "partial": k, "order": len(pole), "found": len(m.pole) if m else 0}

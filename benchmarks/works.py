@@ -20,6 +20,8 @@ os.environ.setdefault("JAX_ENABLE_X64", "1")
 RATE = 44_100
 # The contact alone: at least 200 steps (whole blocks of 32), modes up to 0.4 of the rate, hammers spread by a factor.
 STEPS, MODES, SPREAD, BATCHES = 224, 192, 0.3, (16, 64, 256, 1024)
+# On all cores as a search strikes them: batches of this size side by side.
+SIDE_BY_SIDE, ALL_CORES = 256, "2048 on all cores"
 SCANNED = 64
 # Of the objective: points of one call, and what the rows of the default fit are called.
 POINTS = 24
@@ -198,8 +200,10 @@ def contact_batch(modes: int = MODES, steps: int = STEPS) -> Callable:
 def candidates() -> Works:
     """Hammers on one string, contact only: by the batch, and one by one in C's place."""
     import baseline
+    import jax
 
     import pianofit
+    from pianofit.inference.lanes import pool
     from pianofit.model import kernel, mode_table
 
     it = pianofit.preset("bensa-final")
@@ -215,7 +219,9 @@ def candidates() -> Works:
         "same recursion compiled, 64": lambda: baseline.contacts(g, 0.5 / RATE, sixty_four),
         "alone": lambda: run(one),
     }
-    return works | {f"{size} together": lambda x=x: run(x) for size, x in batches.items()}
+    works |= {f"{size} together": lambda x=x: run(x) for size, x in batches.items()}
+    parts = [batches[SIDE_BY_SIDE]] * (int(ALL_CORES.split()[0]) // SIDE_BY_SIDE)
+    return works | {ALL_CORES: lambda: list(pool().map(lambda x: jax.block_until_ready(run(x)), parts))}
 
 
 def sounds(seconds: float = 10.0, rate: int = 48_000) -> Works:

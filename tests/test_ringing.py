@@ -15,7 +15,7 @@ from pianofit.analysis import analyse
 from pianofit.io import encode_wav
 from pianofit.model.modal import Force, Participation, Ringing, ring, silencing
 from pianofit.recording import Recording, load_recording, recording_from_samples
-from pianofit.ringing import Heard, PartialModes, hear, key_of, modes_of
+from pianofit.ringing import Heard, PartialModes, hear, key, key_of, modes_of
 from pianofit.ringing.bands import band, kernel_gain
 from pianofit.ringing.participation import smoothed
 from pianofit.ringing.subspace import Signals, poles_by_subspace, refined, standard_errors
@@ -169,6 +169,23 @@ def test_layers_that_lie_cents_apart_leave_nothing_for_the_knock():
     assert np.sum((with_knock - without) ** 2) < 10 ** (-25 / 10) * np.sum(without**2)
 
 
+@pytest.mark.parametrize("late", [0.0, 1e-3, 4e-3])
+def test_attacks_tell_which_period_a_contact_belongs_to(late):
+    """Phases that would have it a period later, T = 3.8 ms, do not decide."""
+    rate, number = 44_100, np.arange(1, 13)
+    frequency, knock = 262 * number, np.random.default_rng(2).normal(size=200) * np.exp(-np.arange(200) / 40)
+
+    def layer(begin: float, tilt: float) -> np.ndarray:
+        t = np.arange(rate // 2) / rate - begin
+        tones = np.exp(-np.outer(1 + 0.1 * number, t)) * np.sin(2 * np.pi * np.outer(frequency, t))
+        return ((number**-tilt) @ tones + np.interp(t, np.arange(200) / rate, 0.2 * knock, right=0.0)) * (t >= 0)
+
+    heard = Heard(np.stack([[layer(late, 2.0)], [layer(0.0, 1.0)]]), np.zeros((2, 1, 4410)), rate, np.full(2, 0.5))
+    omega = 2 * np.pi * frequency * np.sqrt(1 + 1e-4 * number**2)
+    ratio = np.stack([np.exp(-1j * omega * (late + 1 / 262)), np.ones(12)], axis=1)
+    assert key._delay(heard, ratio, np.ones((12, 2)), omega, 0) == pytest.approx(late, abs=1e-4)
+
+
 def test_channels_are_averaged_where_recordings_have_other_numbers_of_them(tmp_path):
     recordings = {}
     for channels in (2, 3):
@@ -317,7 +334,8 @@ def test_a_pitch_that_falls_is_levelled():
         angle = np.unwrap(np.angle(z.values[0, at])) / (2 * np.pi)
         return float(np.ptp(angle - np.polyval(np.polyfit(z.time[at], angle, 1), z.time[at])))
 
-    assert drift(straight) < 0.3 * drift(raw)
+    assert drift(raw) > 0.5
+    assert drift(straight) < 0.005
     assert np.abs(straight[-200:]).max() < 2 * np.abs(raw[-200:]).max()
 
 
@@ -327,8 +345,9 @@ def test_orders_are_right_where_modes_are_clear_and_poles_near_their_bound():
     assert spec.loader is not None
     study = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(study)
-    rows = [row for seed in (0, 2, 6) for row in study.study(seed) if row["clear_db"] > study.CLEAR]
+    rows = [row for seed in range(6) for row in study.study(seed) if row["clear_db"] > study.CLEAR]
     assert {row["order"] for row in rows} == {1, 2, 3, 4}
-    assert np.mean([row["found"] == row["order"] for row in rows]) > 0.9
+    right = {glide: np.mean([r["found"] == r["order"] for r in rows if r["glide"] == glide]) for glide in (0, 1)}
+    assert min(right.values()) >= 0.9, right
     over = np.concatenate([row["over_bound"] for row in rows if "over_bound" in row])
     assert 0.5 < np.median(over) / 0.67 < 2.5  # even weights in log time are not the noise's

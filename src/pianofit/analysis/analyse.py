@@ -9,7 +9,7 @@ import numpy as np
 from ..errors import AnalysisError, WrongNoteError
 from .demodulate import demodulate
 from .fits import first_fits, lost
-from .glide import falls, glide_windows, straightened
+from .glide import Fall, falls, glide_windows, straightened
 from .inharmonicity import CENTS, DecayLaw, FrequencyLaw, bend, decay_law, frequency_law
 from .level import bounds
 from .notes import hz_to_note, midi_to_note, note_to_midi
@@ -120,9 +120,9 @@ def _measure_all(
     # Where a fall is sure, one partial that lasts tells how it goes on; where not, it tells of its own beat.
     heard = windows if glides else [row for row in windows if np.isfinite(row[3])]
     fall = heard[0][2] - heard[-1][2] if len(heard) > 1 else 0.0
-    left = above = 0.0
+    taken, left = Fall(0.0, 1.0), 0.0
     if glides:
-        bands, z, fit, left, above = straightened(bands, z, fit, density, windows)
+        bands, z, fit, taken, left = straightened(bands, z, fit, density, windows)
     rows = measure(number, bands, z, fit, density, glides)
     keep = _plausible(rows, _course(law, number, frequency, number), law.f0) & ~lost(bands, fit)
     keep[keep] = _on_law(number[keep], rows.frequency[keep], rows.whole_error("frequency")[keep])
@@ -139,7 +139,7 @@ def _measure_all(
         losses.b1, losses.b1_error, losses.d2, losses.d2_error,
         table, fine.scatter, losses.scatter, float(fall), glide, density[keep],
         None if note is None else midi_to_note(note_to_midi(note)),
-        _warnings(table, losses, float(fall) if glides else 0.0), left, above,
+        _warnings(table, losses, float(fall) if glides else 0.0), left, *taken,
     )  # fmt: skip
 
 

@@ -7,6 +7,7 @@ fall is read off the partials together, as g exp(-t/τ) cents, and taken out of 
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ from .fits import first_fits, lost
 from .inharmonicity import CENTS
 from .tones import Tones, fit_tones
 
-__all__ = ["falls", "glide_windows", "straightened"]
+__all__ = ["Fall", "falls", "glide_windows", "straightened"]
 
 _WINDOWS = ((0.0, 0.35), (0.2, 1.0), (1.0, 2.0), (2.0, 4.0), (4.0, np.inf))  # s after the onset
 _REFERENCE = 1  # of the windows: where f0 is defined
@@ -28,6 +29,23 @@ _LEAST = 0.1  # and cents
 _UNTOLD = 0.3  # share of a fall that is not known where one window alone tells of it, and so not its time constant
 _WEIGHED = 0.01  # the same otherwise: the mean over a window depends by so much on how its moments are weighed
 _LOUD = 30.0  # power a partial must have in a window, over the noise power of a frame
+
+
+class Fall(NamedTuple):
+    """A pitch that falls as g exp(-t/τ); frequencies are means over 0.2 to 1.0 s."""
+
+    start: float  # cents above these frequencies at the onset
+    tau: float  # s
+
+    def above(self, t: np.ndarray) -> np.ndarray:
+        """How much higher than its frequency a partial is at t, s after the onset, relative."""
+        mean = float(_mean(_WINDOWS[_REFERENCE], np.array(self.tau)))
+        return self.start / (1 - mean) / CENTS * (np.exp(-t / self.tau) - mean)
+
+    def ahead(self, t: np.ndarray) -> np.ndarray:
+        """Its integral, s: how far what sounds at t is ahead of a pitch that does not fall."""
+        mean = float(_mean(_WINDOWS[_REFERENCE], np.array(self.tau)))
+        return self.start / (1 - mean) / CENTS * (self.tau * (1 - np.exp(-t / self.tau)) - mean * t)
 
 
 def glide_windows(
@@ -71,10 +89,8 @@ def falls(windows: list[tuple[float, float, float, float]]) -> bool:
 def straightened(
     bands: Bands, z: NDArray[np.complex128], fit: Tones, density: np.ndarray,
     windows: list[tuple[float, float, float, float]],
-) -> tuple[Bands, NDArray[np.complex128], Tones, float, float]:  # fmt: skip
-    """The bands with the fall of pitch taken out of their phases, and their first fits.
-
-    And, in cents, how well the fall is known and how much higher than in the window of frequencies the note began.
+) -> tuple[Bands, NDArray[np.complex128], Tones, Fall, float]:  # fmt: skip
+    """The bands with the fall of pitch taken out of their phases, and their first fits; the fall, and its error, cents.
 
     The mean over the window of frequencies stays. What is left is measured and taken out again, as long as that makes
     it smaller.
@@ -89,7 +105,7 @@ def straightened(
     wanted = np.array([row[2] for row in windows])
     least, best, best_fits = float(np.abs(wanted).max()), bands, (z, fit)
     for _ in range(_ROUNDS):
-        straight = replace(bands, z=bands.z * _unwound(bands, fit, *_exponential(spans, wanted)))
+        straight = replace(bands, z=bands.z * _unwound(bands, fit, _exponential(spans, wanted)))
         z, fit = first_fits(straight)
         left = {row[:2]: row[2] for row in glide_windows(straight, z, fit, density)}
         rest = np.array([left.get(span, 0.0) for span in spans])
@@ -99,8 +115,7 @@ def straightened(
         least, wanted = float(np.abs(rest).max()), wanted + rest
     fell = max(abs(row[2]) for row in windows)
     least = max(least, (_UNTOLD if len(windows) == 2 else _WEIGHED) * fell)
-    size, tau = _exponential(spans, wanted)
-    return best, *best_fits, least, size * float(1 - _mean(_WINDOWS[_REFERENCE], np.array(tau)))
+    return best, *best_fits, _exponential(spans, wanted), least
 
 
 def _mean(span: tuple[float, float], tau: np.ndarray) -> np.ndarray:
@@ -109,25 +124,23 @@ def _mean(span: tuple[float, float], tau: np.ndarray) -> np.ndarray:
     return tau * (np.exp(-start / tau) - np.exp(-stop / tau)) / (stop - start)
 
 
-def _exponential(spans: list[tuple[float, float]], cents: np.ndarray) -> tuple[float, float]:
-    """g, cents, and τ, s, of the fall g exp(-t/τ) that moves the windows by `cents` against that of frequencies."""
+def _exponential(spans: list[tuple[float, float]], cents: np.ndarray) -> Fall:
+    """The fall that moves the windows by `cents` against that of frequencies."""
     tau = np.geomspace(*_TAU, 1000)
     moved = np.stack([_mean(span, tau) - _mean(_WINDOWS[_REFERENCE], tau) for span in spans])
     size = (moved * cents[:, None]).sum(axis=0) / (moved**2).sum(axis=0)
     miss = ((cents[:, None] - size * moved) ** 2).sum(axis=0)
     # One window beside that of frequencies is met by any τ: then a usual one.
     best = int(np.argmin(miss + 1e-4 * np.log(tau / _USUAL_TAU) ** 2))
-    return float(size[best]), float(tau[best])
+    return Fall(float(size[best] * (1 - _mean(_WINDOWS[_REFERENCE], tau[best]))), float(tau[best]))
 
 
-def _unwound(bands: Bands, fit: Tones, size: float, tau: float) -> NDArray[np.complex128]:
+def _unwound(bands: Bands, fit: Tones, fall: Fall) -> NDArray[np.complex128]:
     """Factors [partials, frames] that take back the fall g exp(-t/τ): its phase, and what the window made of it.
 
     The farther a partial is from the middle of its band, the less of it the window lets through.
     """
-    t, mean = bands.time, float(_mean(_WINDOWS[_REFERENCE], np.array(tau)))
-    phase = size / CENTS * (tau * (1 - np.exp(-t / tau)) - mean * t)
-    above = size / CENTS * (np.exp(-t / tau) - mean)
     turn = 2j * np.pi * bands.centre[:, None]
     middle = 1j * fit.pole.imag[:, None]
-    return np.exp(-turn * phase) * bands.gain(middle) / bands.gain(middle + turn * above)
+    straight = np.exp(-turn * fall.ahead(bands.time)) * bands.gain(middle)
+    return straight / bands.gain(middle + turn * fall.above(bands.time))

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..tables import data_frame, html_table
+from .glide import Fall
 
 __all__ = ["Analysis", "Partials"]
 
@@ -88,7 +89,13 @@ class Analysis:
     note: str | None
     warnings: tuple[str, ...]
     glide_error: float = 0.0  # cents, of all frequencies alike: how well a glide that was taken out is known
-    glide_start: float = 0.0  # cents above f0 at which a glide that was taken out began
+    glide_start: float = 0.0  # cents above f0 at which a glide that was taken out began,
+    glide_tau: float = 1.0  # s, and the time constant with which it fell
+
+    @property
+    def fall(self) -> Fall:
+        """The glide that was taken out; of 0 cents if none was."""
+        return Fall(self.glide_start, self.glide_tau)
 
     def __repr__(self) -> str:
         note = "" if self.note is None else f"{self.note}, "

@@ -11,11 +11,12 @@ from .bands import Band
 from .heard import SPAN
 from .subspace import Signals
 
-__all__ = ["Cut", "cut_band"]
+__all__ = ["RANGE", "Cut", "cut_band"]
 
 # Time, s, that is counted even in its logarithm from here on.
 EVEN = 0.1
-# What lies so far below a band's largest, dB, is not fitted however clean: other strings ring along there.
+# What lies so far below a band's largest, dB, is not fitted however clean: other strings ring along there, and a fall
+# of pitch that was taken out leaves its traces.
 RANGE = 48.0
 # A layer whose band stands less above its noise, dB, says nothing of its poles.
 LEAST_SNR = 10.0

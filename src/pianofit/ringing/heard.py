@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import signal
-from scipy.interpolate import CubicSpline, PchipInterpolator
+from scipy.interpolate import CubicSpline
 
 from ..analysis import Analysis
 from ..model.modal import LEAD
@@ -62,12 +62,7 @@ def _level_pitch(x: np.ndarray, rate: int, lead: int, analysis: Analysis) -> np.
     """
     if analysis.glide_start <= SURE * analysis.glide_error:
         return x
-    middle = np.array([0.5 * (start + stop) for start, stop, _ in analysis.glide])
-    pitch = np.array([f0 for *_, f0 in analysis.glide])
-    time = np.arange(x.shape[-1]) / rate
-    at = np.clip(time - lead / rate, middle[0], middle[-1])
-    sharp = PchipInterpolator(np.log(middle), pitch / analysis.f0 - 1)(np.log(at))
-    ahead = np.cumsum(sharp) / rate
-    fine = signal.resample_poly(x, 2, 1, axis=-1)
-    when = np.clip(time - ahead, 0.0, time[-1])  # beyond its ends a spline grows without bound
-    return CubicSpline(np.arange(fine.shape[-1]) / (2 * rate), fine, axis=-1)(when)
+    time = (np.arange(x.shape[-1]) - lead) / rate
+    fine = CubicSpline(time[0] + np.arange(2 * len(time)) / (2 * rate), signal.resample_poly(x, 2, 1, axis=-1), axis=-1)
+    # What sounds at t sounds later where the pitch does not fall.
+    return fine(np.interp(time, time + analysis.fall.ahead(np.maximum(time, 0.0)), time))

@@ -38,8 +38,10 @@ FAR = 0.5
 # second; and by their amplitude in that layer to this power, as loudness goes.
 TELLING = 10.0, 30.0
 LOUDNESS = 0.3
-# Length, s, of the attacks that are correlated.
+# Length, s, of the attacks that are correlated, and the power of their spectrum by which that is done: with all of it
+# (1) a note is as much like itself a period later, with none (0) it is what noise is like.
 ALIGNED = 0.08
+WHITENED = 0.5
 
 
 class Key(NamedTuple):
@@ -120,7 +122,8 @@ def _strongest(modes: PartialModes) -> np.complex128:
 def _delay(heard: Heard, ratio: np.ndarray, weight: np.ndarray, omega: np.ndarray, layer: int) -> float:
     """How much later a layer's contact lies after its onset than the last one's, s.
 
-    Phases alone are ambiguous in the treble, where partials are few: the attacks' correlation has a say as well.
+    Phases alone are ambiguous by a period: the attacks' correlation, half whitened (Knapp and Carter 1976; Donohue et
+    al. 2007), has a say as well.
     """
     tried = np.arange(-LATEST, LATEST, FINEST)
     turn = ratio[:, layer] * ratio[:, -1].conj()
@@ -128,9 +131,10 @@ def _delay(heard: Heard, ratio: np.ndarray, weight: np.ndarray, omega: np.ndarra
     phases = (np.exp(1j * np.outer(tried, omega)) @ turn).real / max(weight[:, layer].sum(), 1e-12)
     size = round(ALIGNED * heard.rate)
     a, b = heard.samples[layer, :, :size], heard.samples[-1, :, :size]
-    cross = np.fft.irfft(np.fft.rfft(a, 2 * size) * np.fft.rfft(b, 2 * size).conj()).sum(axis=0)
-    alike = np.abs(signal.hilbert(np.roll(cross, size))) / np.sqrt((a**2).sum() * (b**2).sum())
-    attacks = np.interp(tried * heard.rate + size, np.arange(2 * size), alike)
+    cross = np.fft.rfft(a, 2 * size) * np.fft.rfft(b, 2 * size).conj()
+    cross *= np.maximum(np.abs(cross), np.finfo(float).tiny) ** (WHITENED - 1)
+    alike = np.abs(signal.hilbert(np.roll(np.fft.irfft(cross).sum(axis=0), size)))
+    attacks = np.interp(tried * heard.rate + size, np.arange(2 * size), alike / alike.max())
     return float(tried[np.argmax(phases + ATTACK * attacks - FAR * np.abs(tried) / LATEST)])
 
 

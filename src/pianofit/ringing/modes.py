@@ -17,7 +17,7 @@ import numpy as np
 from ..analysis import Analysis, law_frequency
 from ..model.modal import ring
 from .bands import Band, band, kernel_gain, kernel_seconds
-from .cut import Cut, cut_band
+from .cut import RANGE, Cut, cut_band
 from .heard import Heard
 from .subspace import amplitudes, poles_by_subspace, refined, standard_errors
 from .tuning import followed, pitches
@@ -40,8 +40,6 @@ AHEAD = 30.0
 # Poles keep within so much of the spacing of partials, and of the kernel's band.
 OF_SPACING = 0.4
 OF_BAND = 0.7
-# Part of a misfit's power that is rounding.
-ROUNDING = 1e-9
 # Of a Hann kernel, over its length: frames that follow each other faster say the same.
 NOISE_BANDWIDTH = 1.5
 
@@ -239,9 +237,10 @@ def _by_layer(x: np.ndarray, live: np.ndarray) -> np.ndarray:
 
 
 def _misfit(left: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """Share of the power that is left, at most four times a sample's own [layers]."""
+    """Share of the power that is left, at most four times a sample's own, and no less than is told apart [layers]."""
     power = np.abs(seen) ** 2
-    return np.minimum(np.abs(left) ** 2, 4 * power).sum(axis=-1) / np.maximum(power.sum(axis=-1), 1e-300) + ROUNDING
+    share = np.minimum(np.abs(left) ** 2, 4 * power).sum(axis=-1) / np.maximum(power.sum(axis=-1), 1e-300)
+    return share + 10 ** (-RANGE / 10)
 
 
 def common_pattern(amplitude: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
