@@ -131,7 +131,7 @@ def study(seed: int) -> list[dict]:
     samples = STROKES * 1.5 / kernel * SPAN
     cost = (STROKES + 1) * np.log(samples)
     for k, (pole, amplitude) in enumerate(zip(drawn.poles, drawn.amplitudes, strict=True), start=1):
-        pole = pole.real + 1j * pole.imag * (1 + drawn.glide * MEAN)
+        pole = np.real(pole) + 1j * np.imag(pole) * (1 + drawn.glide * MEAN)
         errors, gain = bound(pole, amplitude, drawn.noise, kernel / 2)
         m = modes.get(k)
         row = {"seed": seed, "partial": k, "order": len(pole), "found": len(m.pole) if m else 0}
