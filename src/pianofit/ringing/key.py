@@ -93,13 +93,15 @@ def _patterns(
 def _participation(
     modes: Sequence[PartialModes], patterns: Sequence[np.ndarray], forces: Sequence[Force], delay: np.ndarray,
     gain: np.ndarray,
-) -> Participation:  # fmt: skip
-    """How modes take part in the strokes of these layers.
+) -> Participation | None:  # fmt: skip
+    """How modes take part in the strokes of these layers; of one velocity the pattern says all.
 
     A partial's amplitude errs by the noise of its band and, as its level does in the likelihood, by other sounds that
     lie so far below the layer's loudest partial.
     """
     velocity = np.array([force.velocity for force in forces])
+    if len(np.unique(velocity)) == 1:
+        return None
     order = np.argsort(velocity, kind="stable")
     loud = np.stack([np.abs(m.amplitude).sum(-1).max(axis=-1) for m in modes], axis=1)[order]
     noise = 10 ** (-np.stack([m.snr for m in modes], axis=1)[order] / 20)
