@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
@@ -46,11 +45,8 @@ def estimate(problem: Problem, seed: int = 0, progress: Progress = lambda *_: No
     progress("string", 0.05)
     string, strings = string_minimum(problem)
     progress("hammer", 0.15)
-    held, first = Descent(problem, string), beginning(problem, string)
-    with ThreadPoolExecutor(1) as beside:
-        # What finishes the minima is compiled, or read, while they are searched.
-        beside.submit(Descent(problem, string, strings).step_error, first)
-        found = searched(held, seed, first, progress)
+    held = Descent(problem, string)
+    found = searched(held, seed, beginning(problem, string), progress)
     progress("string and hammer", 0.75)
     minima = finished(problem, found, held, strings)
     progress("intervals", 0.88)
