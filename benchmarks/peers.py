@@ -135,7 +135,7 @@ def aligned(samples: np.ndarray, to: Target) -> np.ndarray:
     """`samples` cut like the target, begun where the two differ least in their first 0.3 s, with the same loudness."""
     from pianofit.recording import find_onset
     from pianofit.report.sound import k_weighted_mean_square
-    from pianofit.ringing.distance import log_mel_distance
+    from pianofit.ringing.distance import log_mel_distances
 
     lead, size = round(LEAD * to.rate), len(to.samples)
     start, best = find_onset(samples, to.rate, 1e-7) - lead, (np.inf, 0)
@@ -144,7 +144,7 @@ def aligned(samples: np.ndarray, to: Target) -> np.ndarray:
     for reach, step in ((LAGS, 1e-3), (1e-3, 1.25e-4)):
         lags = best[1] + np.arange(-reach, reach + step / 2, step)
         tried = [padded[round(2 * lead + size + start + lag * to.rate) :][:short] for lag in lags]
-        costs = [log_mel_distance(to.samples[:short], one, to.rate, lead) for one in tried]
+        costs = log_mel_distances(to.samples[:short], tried, to.rate, lead)
         best = min(best, (min(costs), float(lags[int(np.argmin(costs))])))
     cut = padded[round(2 * lead + size + start + best[1] * to.rate) :][:size]
     powers = [k_weighted_mean_square(x, to.rate) for x in (to.samples, cut)]
@@ -162,7 +162,7 @@ def envelopes(samples: np.ndarray, to: Target) -> np.ndarray:
 
 def measured(samples: np.ndarray, to: Target, tool: Any) -> dict[str, float]:
     """All distances of a sound from the target."""
-    from pianofit.ringing.distance import log_mel_distance
+    from pianofit.ringing.distance import log_mel_distances
 
     sound, lead = aligned(samples, to), round(LEAD * to.rate)
     own, other = envelopes(to.samples, to), envelopes(sound, to)
@@ -178,7 +178,7 @@ def measured(samples: np.ndarray, to: Target, tool: Any) -> dict[str, float]:
         "level": float(np.sqrt(np.mean((levels - gain) ** 2))),
         "envelope": float(np.mean([a[t].mean() for a, t in zip(away, there, strict=True) if t.any()])),
         "MR": float(np.mean([resolution(to.samples, sound, n) for n in WINDOWS])),
-        "realism": log_mel_distance(to.samples, sound, to.rate, lead),
+        "realism": log_mel_distances(to.samples, [sound], to.rate, lead)[0],
     }
     if tool is not None:
         by = np.gcd(tool.RATE, to.rate)

@@ -29,7 +29,7 @@ from pianofit.errors import OutputError
 from pianofit.inference.statements import STATUSES
 from pianofit.io import replace_file
 from pianofit.numbers import number
-from pianofit.report.figures import _headings
+from pianofit.report.figures import _headings, _partials
 from pianofit.report.page import Curves, report_bytes
 from pianofit.report.sound import k_weighted_mean_square, make_clips
 from pianofit.report.words import STATUS, again_in_words, invariants, minima, ringing, ringing_line, rows
@@ -441,6 +441,16 @@ def test_a_start_that_strikes_on_a_node_does_not_flatten_the_levels(curves):
     plt.close("all")
     assert -150 < low < min(curves.level.min(), curves.level_fitted.min())
     assert high > max(curves.level.max(), curves.level_fitted.max())
+
+
+def test_a_decay_that_a_beat_hides_leaves_room_to_the_others(curves):
+    hidden = dataclasses.replace(curves, decay=np.where(curves.number == 3, 1e-3, curves.decay))
+    (_, decays), (_, told) = (_partials(c) for c in (hidden, curves))
+    low = [figure.axes[0].get_ylim()[0] for figure in (decays, told)]
+    assert 1e-2 < low[0] <= low[1]
+    labels = [[text.get_text() for text in figure.legends[0].get_texts()] for figure in (decays, told)]
+    assert "measured, below this axis" in labels[0]
+    assert "measured, below this axis" not in labels[1]
 
 
 def test_how_a_note_rings_is_shown_said_and_heard(tmp_path, curves):

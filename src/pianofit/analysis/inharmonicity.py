@@ -24,7 +24,6 @@ _HUBER = 1.5
 TRUSTED = 10.0
 # Partials that show how far the next one lies from the law: fewer are upset by one that beats, more do not follow.
 NEIGHBOURS = 9
-_PAIRS = np.triu_indices(NEIGHBOURS, 1)
 
 
 @dataclass(frozen=True)
@@ -77,7 +76,7 @@ def bend(known: np.ndarray, away: np.ndarray, k: np.ndarray) -> np.ndarray:
         return np.zeros(len(k))
     near = np.argsort(np.abs(known - k[:, None]), axis=1, kind="stable")[:, :NEIGHBOURS]
     x, y = known[near].astype(float), away[near]
-    first, second = _PAIRS
+    first, second = np.triu_indices(NEIGHBOURS, 1)
     slope = _median((y[:, second] - y[:, first]) / (x[:, second] - x[:, first]))
     low, high = x.min(axis=1), x.max(axis=1)
     at = np.clip(k, 2 * low - high, 2 * high - low)

@@ -32,6 +32,9 @@ WIDTH = 5.6
 HEIGHT = 3.1
 LEFT, RIGHT, TOP, GAP = 0.72, 0.16, 0.3, 0.12
 BELOW = 0.52  # the ticks and the label of x
+# From the figure's left to the label of y, and from the axes down to that of x; said, because to find room for them
+# matplotlib lays out all ticks once more.
+BESIDE, UNDER = 0.21, 0.31
 LEGEND = 0.28  # a line of the legend
 LINES: dict[str, dict[str, Any]] = {
     "measured": {"color": MEASURED, "lw": 1.1, "zorder": 2},
@@ -47,6 +50,7 @@ STYLE: dict[Any, Any] = {
     "axes.titlesize": 10,
     "axes.titlelocation": "left",
     "axes.titlecolor": INK,
+    "axes.titley": 1.0,  # else matplotlib lays out all ticks once more to see what a title would hit
     "axes.edgecolor": "#9aa3ad",
     "axes.labelcolor": INK,
     "axes.spines.top": False,
@@ -99,11 +103,13 @@ def panel(*heights: float, left: float = LEFT, legend_rows: int = 1) -> tuple[Fi
     for height in heights:
         at -= height
         box = (left / WIDTH, at / whole, (WIDTH - left - RIGHT) / WIDTH, height / whole)
-        found.append(figure.add_axes(box, sharex=found[0] if found else None))
+        axes = figure.add_axes(box, sharex=found[0] if found else None)
+        axes.yaxis.set_label_coords((BESIDE - left) / (WIDTH - left - RIGHT), 0.5)
+        axes.xaxis.set_label_coords(0.5, -UNDER / height)
+        found.append(axes)
         at -= GAP
     for axes in found[:-1]:
         axes.tick_params(labelbottom=False)
-    figure.align_ylabels(found)
     return figure, found
 
 
@@ -138,11 +144,11 @@ def number_axis(axes: Axes, number: np.ndarray) -> None:
 
 def log_axis(axis: Any, subs: tuple[int, ...] = (1, 2, 5)) -> None:
     """Mark a logarithmic axis at so many places of each decade, with plain numbers."""
-    from matplotlib.ticker import LogLocator, NullFormatter
+    from matplotlib.ticker import LogLocator, NullLocator
 
     axis.set_major_locator(LogLocator(subs=subs))
     axis.set_major_formatter("{x:g}")
-    axis.set_minor_formatter(NullFormatter())
+    axis.set_minor_locator(NullLocator())
 
 
 def legend(figure: Figure, *sources: Axes | None, columns: int = 4) -> None:

@@ -41,6 +41,8 @@ __all__ = [
 COMPARED = ("measured", "initial", "fitted")
 # Of the largest force: where the heads on a loop stand, apart from each other.
 RISING, FALLING = 0.6, 0.35
+# Decays slower than this share of the law's slowest stand at the axis' edge.
+SLOWEST = 0.1
 NODE = 60.0  # dB below all other levels, where an initial one is not drawn
 HEAD = np.array([1.0, -0.7 + 0.45j, -0.4, -0.7 - 0.45j, 1.0])  # its outline, pointing right
 
@@ -174,7 +176,13 @@ def _partials(curves: Curves) -> list[Figure]:
     rest.axhline(0.0, **LINES["fitted"])
     rest.set(ylabel="cents off", xlabel="partial number k")
     losses, (decay,) = panel(HEIGHT + 0.12)
-    points(decay, curves.number, curves.decay, curves.decay_error)
+    # A beat can hide a decay. What seems not to decay at all would leave no room to the others.
+    bottom = SLOWEST * float(np.min(curves.decay_law))
+    shown = ~(curves.decay < bottom)
+    points(decay, curves.number[shown], curves.decay[shown], curves.decay_error[shown])
+    if not shown.all():
+        decay.plot(curves.number[~shown], np.full((~shown).sum(), bottom), "v", mfc="none", color=MEASURED,
+                   label="measured, below this axis")  # fmt: skip
     decay.plot(curves.number, curves.decay_law, label="law of the fitted string", **LINES["fitted"])
     positive = curves.decay[np.isfinite(curves.decay)]
     if len(positive) and np.min(positive) > 0:
@@ -201,7 +209,7 @@ def _levels(curves: Curves) -> list[Figure]:
     error.set(title="Residuals", ylabel="minus measured (dB)")
     if path is not None:
         below[0].plot(curves.number, path, color=FITTED, lw=1.4, marker="D", ms=3)
-        below[0].set_ylabel("output\npath (dB)")
+        below[0].set_ylabel("path (dB)")
     (below or [error])[-1].set_xlabel("partial number k")
     number_axis(error, curves.number)
     legend(residuals, error)

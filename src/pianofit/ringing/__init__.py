@@ -8,13 +8,13 @@ brings layers nearer that took no part.
 """
 
 from .bands import band, kernel_seconds
-from .distance import HEARD, log_mel_distance, mel_edges, mel_power
+from .distance import HEARD, log_mel_distances, mel_edges, mel_power
 from .fitted import make_ring, ringing_of
 from .heard import Heard, hear
 from .key import Key, key_of
 from .modes import PartialModes, modes_of
 
 __all__ = [
-    "HEARD", "Heard", "Key", "PartialModes", "band", "hear", "kernel_seconds", "key_of", "log_mel_distance",
+    "HEARD", "Heard", "Key", "PartialModes", "band", "hear", "kernel_seconds", "key_of", "log_mel_distances",
     "make_ring", "mel_edges", "mel_power", "modes_of", "ringing_of",
 ]  # fmt: skip

@@ -7,11 +7,12 @@ dB, cells weighted by the louder one's power to 0.3. It is blind to gain; the tw
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 
 import numpy as np
 from scipy.fft import next_fast_len
 
-__all__ = ["HEARD", "log_mel_distance", "mel_edges", "mel_power"]
+__all__ = ["HEARD", "log_mel_distances", "mel_edges", "mel_power"]
 
 # Parts of a note, s from its onset.
 PARTS = {"attack": (0.0, 0.05), "early": (0.05, 0.5), "late": (0.5, 3.0)}
@@ -27,24 +28,25 @@ WEIGHT = 0.3
 LOWEST, HIGHEST = 30.0, 16_000.0
 
 
-def log_mel_distance(one: np.ndarray, other: np.ndarray, rate: float, onset: int) -> float:
-    """Of two sounds [samples] whose onset is at the index `onset`, dB."""
-    seconds = PARTS["late"][1]
-    size = min(len(one), len(other), onset + round(seconds * rate))
-    a, b = one[:size], other[:size]
-    b = b * np.sqrt(np.sum(a**2) / max(np.sum(b**2), 1e-300))
-    parts: dict[str, list[float]] = {name: [] for name in PARTS}
+def log_mel_distances(one: np.ndarray, others: Sequence[np.ndarray], rate: float, onset: int) -> list[float]:
+    """Of one sound [samples] from each of `others` [samples], all of whose onsets are at the index `onset`, dB."""
+    size = min(onset + round(PARTS["late"][1] * rate), *map(len, (one, *others)))
+    each: list[dict[str, list[float]]] = [{name: [] for name in PARTS} for _ in others]
     for length, bands in WINDOWS:
         n = 2 * round(length * rate / 2)
-        time, p, q = (*mel_power(a, rate, onset, n, bands), mel_power(b, rate, onset, n, bands)[1])
-        floor, loud = max(p.max(), 1e-30) * 10 ** (-HEARD / 10), np.maximum(p, q)
-        away, weight = 10 * np.log10((p + floor) / (q + floor)), loud**WEIGHT * (loud > floor)
-        for name, (start, stop) in PARTS.items():
-            at = (time >= start) & (time < stop)
-            if at.any():
-                total = max(float(weight[at].sum()), 1e-300)
-                parts[name].append(float(np.sqrt((weight[at] * away[at] ** 2).sum() / total)))
-    return float(np.mean([np.mean(values) for values in parts.values() if values]))
+        time, p = mel_power(one[:size], rate, onset, n, bands)
+        floor = max(p.max(), 1e-30) * 10 ** (-HEARD / 10)
+        within = {name: (time >= start) & (time < stop) for name, (start, stop) in PARTS.items()}
+        for other, parts in zip(others, each, strict=True):
+            gain = np.sum(one[:size] ** 2) / max(np.sum(other[:size] ** 2), 1e-300)
+            q = gain * mel_power(other[:size], rate, onset, n, bands)[1]
+            loud = np.maximum(p, q)
+            away, weight = 10 * np.log10((p + floor) / (q + floor)), loud**WEIGHT * (loud > floor)
+            for name, at in within.items():
+                if at.any():
+                    total = max(float(weight[at].sum()), 1e-300)
+                    parts[name].append(float(np.sqrt((weight[at] * away[at] ** 2).sum() / total)))
+    return [float(np.mean([np.mean(values) for values in parts.values() if values])) for parts in each]
 
 
 def mel_power(x: np.ndarray, rate: float, onset: int, n: int, bands: int) -> tuple[np.ndarray, np.ndarray]:
@@ -56,7 +58,8 @@ def mel_power(x: np.ndarray, rate: float, onset: int, n: int, bands: int) -> tup
     frames = np.lib.stride_tricks.sliding_window_view(x, n)[first : first + count * hop : hop]
     window = np.hanning(n + 1)[:-1]
     size = next_fast_len(n, real=True)
-    power = np.abs(np.fft.rfft(frames * window, size)) ** 2 / window.sum() ** 2
+    found = np.fft.rfft(frames * window, size)
+    power = (found.real**2 + found.imag**2) / window.sum() ** 2
     return np.arange(len(frames)) * hop / rate, power @ _mel(n, size, bands, rate).T
 
 

@@ -8,7 +8,9 @@ its recording, and the key rings by its modes, or by its modes and its knock, on
 from __future__ import annotations
 
 import dataclasses
+import os
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +20,7 @@ from ..inference import FittedRecording, Result, Sound
 from ..model.modal import LEAD, Force, Ringing, force_of
 from ..ringing_file import ringing_document
 from ..threads import one_blas_thread
-from .distance import log_mel_distance
+from .distance import log_mel_distances
 from .heard import Heard, hear
 from .key import Key, key_of
 from .modes import PartialModes, modes_of
@@ -93,7 +95,8 @@ def _left_out(layers: _Layers, modes: Sequence[PartialModes], key: Key) -> dict[
     """Mean distance, dB, of layers that gave neither patterns nor knock, by what they ring by; of one layer none."""
     count = len(layers.fitted)
     inner = range(1, count - 1) if count > 2 else range(count) if count > 1 else ()
-    rows = [_distances(layers, modes, key, i) for i in inner]
+    with ThreadPoolExecutor(os.cpu_count()) as threads:
+        rows = list(threads.map(lambda out: _distances(layers, modes, key, out), inner))
     return {rung: float(np.mean([row[rung] for row in rows])) for rung in RUNGS} if rows else {}
 
 
@@ -112,9 +115,7 @@ def _distances(layers: _Layers, modes: Sequence[PartialModes], key: Key, out: in
         return np.pad(sound, (late, 0))[: len(target)]
 
     sounds = (_by_law(layers.fitted[out], rate, lead), of(ringing.without_knock()), of(ringing))
-    return {
-        rung: log_mel_distance(target, sound, rate, lead) for rung, sound in zip(RUNGS, sounds, strict=True)
-    }  # fmt: skip
+    return dict(zip(RUNGS, log_mel_distances(target, sounds, rate, lead), strict=True))
 
 
 def _of_layers(modes: PartialModes, which: list[int]) -> PartialModes:

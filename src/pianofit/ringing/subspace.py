@@ -17,7 +17,10 @@ __all__ = ["Signals", "amplitudes", "poles_by_subspace", "refined", "standard_er
 
 # Samples of a signal that the subspace and the refinement look at: more cost time and say nothing new of a few poles.
 LOOKED_AT = 240
-# Least columns of a Hankel matrix.
+# Of a signal's samples a Hankel matrix has one in so many as columns: poles err least between one and two thirds (Hua
+# and Sarkar 1990), and one costs least.
+SAMPLES_A_COLUMN = 3
+# But so many columns at the least.
 LEAST_COLUMNS = 6
 # Steps of the refinement at the most; it ends where one gains less than this share of the cost.
 STEPS = 12
@@ -63,7 +66,7 @@ def poles_by_subspace(signals: Signals, scale: np.ndarray, orders: Sequence[int]
     lift : 1/s; signals are multiplied by exp(lift t), so that what decays slowly counts late as well.
     """
     thin = signals.thinned()
-    columns = max(LEAST_COLUMNS, thin.values.shape[-1] // 2)
+    columns = max(LEAST_COLUMNS, thin.values.shape[-1] // SAMPLES_A_COLUMN)
     lifted = thin.values * np.exp(lift * thin.time) / scale[:, None]
     cut = [z[:size] for z, size in zip(lifted, thin.length, strict=True) if size > columns + 2]
     most = min(max(orders), columns - 3)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 import jax
@@ -62,12 +63,18 @@ def static_force(u: np.ndarray, hammer: Any, slow: bool = False) -> tuple[np.nda
     """
     law = law_of(hammer)
     names = tuple(name for name in law.parameters if getattr(hammer, name) > 0)
+    at = np.log([float(getattr(hammer, name)) for name in names])
+    log, slopes = _log_force(at, u, type(hammer)(*map(np.float64, hammer)), law, names, slow)
+    return np.exp(np.asarray(log)), dict(zip(names, np.asarray(slopes).T, strict=True))
+
+
+@functools.partial(jax.jit, static_argnames=("law", "names", "slow"))
+def _log_force(at, u, hammer, law: FeltLaw, names: tuple[str, ...], slow: bool):
+    """The logarithm of the static force [n], and its derivatives by the parameters' logarithms `at` [n, names]."""
 
     def log_force(log_values):
         felt = hammer._replace(**dict(zip(names, jnp.exp(log_values), strict=True)))
-        push = law.slow(jnp.asarray(u), felt) if slow and law.slow else law.force(jnp.asarray(u), 0.0, felt)
+        push = law.slow(u, felt) if slow and law.slow else law.force(u, 0.0, felt)
         return jnp.log(jnp.maximum(push, jnp.finfo(float).tiny))
 
-    at = jnp.log(jnp.array([float(getattr(hammer, name)) for name in names]))
-    slopes = np.asarray(jax.jacfwd(log_force)(at))
-    return np.exp(np.asarray(log_force(at))), dict(zip(names, slopes.T, strict=True))
+    return log_force(at), jax.jacfwd(log_force)(at)
