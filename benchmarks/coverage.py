@@ -3,13 +3,14 @@
     python benchmarks/coverage.py                              20 demo twins, and one without any noise
     python benchmarks/coverage.py --twins model --seeds 100    strings, hammers, paths and strokes drawn at random
     python benchmarks/coverage.py --twins brute-force --seeds 100 --keep runs.jsonl --page docs/coverage.md
+    python benchmarks/coverage.py --twins same-window --seeds 50   the same, with the contact's window of the program
 
 A study that was cut off goes on where it stopped with the same `--keep`.
 
-How the last two are made is in `coverage_twins.py`. For every parameter: how many intervals hold the truth; the largest
-miss and the rms of the misses in standard errors (1 if the intervals are just right); the rms error and the median of
-its size; and how often it was said to be not identifiable or at a bound. Only parameters whose status is `fitted`
-count. `others' v_H0` are the velocities of the recordings beside the reference.
+How the last three are made is in `coverage_twins.py`. For every parameter: how many intervals hold the truth; the
+largest miss and the rms of the misses in standard errors (1 if the intervals are just right); the rms error and the
+median of its size; and how often it was said to be not identifiable or at a bound. Only parameters whose status is
+`fitted` count. `others' v_H0` are the velocities of the recordings beside the reference.
 
 A search can also end in another valley, and then no interval about its end holds the truth. So every twin is descended
 once more from the truth, on the same F: if the minimum there is lower by more than `DEEPER`, the search missed it, and
@@ -39,7 +40,7 @@ if TYPE_CHECKING:
     from pianofit.inference import Problem
     from pianofit.inference.finish import Minima
 
-KINDS = ("demo", "model", "brute-force")
+KINDS = ("demo", "model", "brute-force", "same-window")
 # Twins of one process. What it compiles stays mapped, and an operating system allows only so many mappings. Pools that
 # replace their workers (`max_tasks_per_child`) hang in Python 3.11.
 JOBS = 10

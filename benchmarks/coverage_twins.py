@@ -2,7 +2,7 @@
 
 A twin is one of five keys from A0 to C6, struck one to five times. Its hammer is drawn from the prior that a fit has,
 about the literature's for the key (`published.typical`), its string with some scatter: intervals that are right then
-hold 95 % of the truths whatever the recordings say (Talts and others 2018). Two kinds differ in what turns them into
+hold 95 % of the truths whatever the recordings say (Talts and others 2018). The kinds differ in what turns them into
 sound, and nothing else:
 
 - `model`: the program's own string and hammer, at a contact rate no fit uses. What is tested is the statistics.
@@ -11,6 +11,7 @@ sound, and nothing else:
   cents with a time constant, as tension modulation makes them, more after a harder stroke. Half of them beat: the
   stroke is shared out between two axes, the second fainter and detuned by up to three cents, each is simulated, and
   the sound is their sum. So every fourth has both.
+- `same-window`: the same twins, whose witness has the program's window: what of their misses is the window's.
 
 Every second twin is calibrated: a velocity pickup of known place and scale. The others are observed at the bridge
 through an unknown path: a minimum-phase filter whose level wanders smoothly, and more from one partial to the next, by
@@ -41,7 +42,9 @@ from pianofit.recording import Recording, recording_from_samples
 from pianofit.setup import Setup, setup_from_dict
 
 __all__ = ["KINDS", "Design", "Truth", "Twin", "design_of", "draw", "make", "output_path", "values_of"]
-KINDS = ("model", "brute-force")
+# The window of the contact of each kind that `tests/brute_force.py` makes.
+WINDOWS = {"brute-force": "parabola", "same-window": "raised-cosine"}
+KINDS = ("model", *WINDOWS)
 Values = dict[str, float | tuple[float, float]]  # by name; a range where there is no one truth
 MOST_RECORDINGS = 5
 # MIDI: A0, D2, F#3, A#4, C6. Compiled programs depend on the key and the number of recordings: few keys, few programs.
@@ -113,7 +116,7 @@ class Twin(NamedTuple):
 def design_of(kind: str, seed: int) -> Design:
     """The cell of a twin: ten in a row hold every number of recordings, calibrated and not; fifty, every key."""
     block, column = divmod(seed // 2, MOST_RECORDINGS)
-    effects = kind == "brute-force"
+    effects = kind in WINDOWS
     # From block to block, and shifted along the recordings, lest five recordings glide only where they beat.
     odd, second = (block + column) % 2 == 1, (block // 2 + column // 2) % 2 == 1
     return Design(
@@ -128,7 +131,7 @@ def design_of(kind: str, seed: int) -> Design:
 
 def draw(kind: str, seed: int) -> Truth:
     """String, hammer, strokes and path of twin number `seed`."""
-    random = np.random.default_rng([KINDS.index(kind), seed])
+    random = np.random.default_rng([int(kind in WINDOWS), seed])
     design = design_of(kind, seed)
     usual = typical(design.key)
     scattered = partial(_scattered, random)
@@ -197,7 +200,7 @@ def make(kind: str, seed: int) -> Twin:
         sounds = [scipy.signal.oaconvolve(x, path)[: x.size] for x in sounds]
         loudest = max(float(np.abs(x).max()) for x in sounds)
         sounds = [g * x / (5 * loudest) for g, x in zip(truth.gains, sounds, strict=True)]
-    noise = np.random.default_rng([KINDS.index(kind), seed, 1])
+    noise = np.random.default_rng([int(kind in WINDOWS), seed, 1])
     recordings = [
         recording_from_samples(_noisy(x, truth.noise_db, RATE, noise), RATE, name=f"layer-{n}")
         for n, x in enumerate(sounds, 1)
@@ -215,7 +218,7 @@ def _sounded(kind: str, truth: Truth, velocity: float, calibrated: bool) -> np.n
         hit = simulate(truth.string, hammer, truth.geometry, rate=rate, oversampling=OVERSAMPLING, quantity=quantity)
         return np.pad(hit.waveform(rate, int(SECONDS * rate)), (int(LEAD * rate), 0))
     brute_force = _witness()
-    window = "parabola"
+    window = WINDOWS[kind]
     geometry = truth.geometry._replace(width=brute_force.matched_width(window, truth.geometry.width))
     # One stroke is shared out between two axes: together they are the one string that was struck.
     share = 1 + truth.beat_level * (truth.beat_cents != 0)
@@ -303,6 +306,6 @@ def values_of(kind: str, truth: Truth, recording: int = -1) -> Values:
     pulled = sorted((1.0, 2 ** (share * truth.beat_cents / 1200)))
     ends = (1 + mean) * pulled[0], (1 + mean * math.exp(CONTACT / tau)) * pulled[1]
     values = {**truth.string._asdict(), **truth.hammer._asdict(), "v_H0": velocity, "x0": truth.geometry.strike}
-    values |= {"width": truth.geometry.width} if kind == "model" else {}
+    values |= {"width": truth.geometry.width} if WINDOWS.get(kind) != "parabola" else {}
     values = {name: float(value) for name, value in values.items()}
     return values | {name: (values[name] * ends[0], values[name] * ends[1]) for name in ("c", "kappa")}
