@@ -12,6 +12,7 @@ from twin_cases import FIRST, SEVERAL, VELOCITIES, path_fit, record, setup_of, s
 
 from pianofit.analysis import Partials, analyse
 from pianofit.errors import FitError
+from pianofit.fit_file import gains_of, mixture_of, read_fit
 from pianofit.inference import Result, pose
 from pianofit.inference.fit import fit_recordings
 from pianofit.inference.predict import cross_validate, predict_recording
@@ -109,6 +110,36 @@ def test_a_recording_that_was_left_out_is_predicted():
     found = predict_recording(notes, through(SEVERAL)[1][1])
     assert found.velocity == pytest.approx(VELOCITIES[1], rel=0.02)
     assert found.error_db < 0.3
+
+
+def test_what_alike_strokes_leave_alike_is_known_of_a_path():
+    """A twin leaves next to nothing. What is put beside hammer and path, other at each partial and stroke, is found."""
+    assert np.abs(path_fit(SEVERAL).note.path.wander.db).max() < 0.2
+    recordings, analyses = through(SEVERAL)
+    slope, random = {}, np.random.default_rng(4)
+    heard = []
+    for analysis, velocity in zip(analyses, VELOCITIES, strict=True):
+        p = analysis.partials
+        own = np.array([slope.setdefault(int(k), random.normal(0, 2.0)) for k in p.number])
+        heard.append(replace(analysis, partials=replace(p, level=p.level + own * np.log(velocity / VELOCITIES[1]))))
+    note = fit_recordings(recordings, heard, strokes_of(SEVERAL)).note
+    path = note.path
+    assert path.wander.velocity == pytest.approx(VELOCITIES, rel=0.1)
+    number = 1 + np.abs(note.frequencies(64) - path.frequency[:, None]).argmin(axis=1)
+    heard_by_all = np.isin(number, functools.reduce(np.intersect1d, [a.partials.number for a in heard]))
+    drawn = np.array([slope[k] for k in number[heard_by_all]]) * np.log(VELOCITIES[2] / VELOCITIES[0])
+    found = (path.wander.db[2] - path.wander.db[0])[heard_by_all]
+    assert np.std(found - drawn) < 0.6 * np.std(drawn)
+
+
+def test_a_file_predicts_what_its_fit_predicts(tmp_path):
+    result, analysis = without_the_middle(), through(SEVERAL)[1][1]
+    file = result.save(tmp_path / "fit", page=False) / "fit.json"
+    document = read_fit(file)
+    whole = predict_recording(result, analysis)
+    read = predict_recording(mixture_of(document, file), analysis, gains=gains_of(document))
+    assert (read.velocity, read.error_db) == pytest.approx((whole.velocity, whole.error_db), rel=1e-6)
+    assert document["pickup"]["path"]["wander"] == document["minima"][0]["path_wander"]
 
 
 @pytest.mark.slow

@@ -205,6 +205,11 @@ def changed(path: str, value: object) -> Callable[[dict], None]:
     return change
 
 
+def wandering(velocity: object, db: object) -> dict:
+    """A path of one partial, with what strokes have over it."""
+    return {"frequency": [1.0], "db": [0.0], "wander": {"velocity": velocity, "db": db}}
+
+
 BAD_INSTRUMENTS = {
     "kind": (changed("kind", "fit"), "is no instrument of schema 1"),
     "schema": (changed("schema", 99), "is no instrument of schema 1"),
@@ -230,6 +235,16 @@ BAD_INSTRUMENTS = {
     "path stops": (changed("keys.0.path", {"frequency": [1.0], "db": [0.0], "decay": [0.0]}), "path.decay must hold"),
     "path long": (changed("keys.0.path", {"frequency": [1.0] * 9999, "db": [0.0] * 9999}), "at most 4096"),
     "path loud": (changed("keys.0.path", {"frequency": [1.0], "db": [1e4]}), r"path.db reaches 1e\+04 dB"),
+    "path's strokes": (
+        changed("keys.0.path", wandering([2.0, 1.0], [[0.0], [0.0]])),
+        "wander needs 1 to 512 velocities",
+    ),
+    "path's partials": (changed("keys.0.path", wandering([1.0], [[0.0, 0.0]])), "up to 300 dB for every partial"),
+    "path wanders far": (changed("keys.0.path", wandering([1.0], [[1e4]])), "up to 300 dB for every partial"),
+    "path wanders": (
+        changed("keys.0.path", wandering("fast", [[0.0]])),
+        "wander needs velocity, and db of every stroke",
+    ),
     "velocity": (changed("velocity", None), "velocity is missing or no table"),
     "falling": (changed("velocity.rise", -1.0), "is no rising law"),
     "still": (changed("velocity.at_64", 0.0), "is no rising law"),

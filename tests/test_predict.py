@@ -10,6 +10,7 @@ import pianofit
 from pianofit.fit_file import gains_of
 from pianofit.inference.predict import predict_recording
 from pianofit.inference.priors import log_gain
+from pianofit.model.path import OutputPath, Wander
 
 
 @pytest.mark.parametrize("velocity", [0.4, 1.3])
@@ -22,6 +23,21 @@ def test_a_treble_note_is_played_at_its_velocity(velocity):
     found = predict_recording(note, analysis(number, level, f0=it.string.c / (2 * it.geometry.length)))
     assert found.velocity == pytest.approx(velocity, rel=0.01)
     assert found.gain_db == pytest.approx(0.0, abs=0.5)
+
+
+def test_what_strokes_leave_is_taken_along():
+    """Partials of a stroke between two known ones lie where these have them, beside hammer and path."""
+    it, count = pianofit.typical(53), 20
+    note = pianofit.Note(it.string, it.hammer, it.geometry, "bridge-force", gain=0.01)
+    known, left = np.array([0.5, 1.0, 3.0]), np.random.default_rng(1).normal(0, 3, (3, count))
+    path = OutputPath(note.frequencies(count), np.zeros(count), None, Wander(known, left))
+    for velocity, over in ((1.0, left[1]), (np.sqrt(3.0), left[1:].mean(axis=0)), (5.0, left[2])):
+        level = note.levels(velocity, count) + over
+        heard = analysis(np.arange(1, count + 1), level, f0=it.string.c / (2 * it.geometry.length))
+        found = predict_recording(note._replace(path=path), heard)
+        assert found.error_db < 0.05
+        assert found.velocity == pytest.approx(velocity, rel=0.01)
+        assert predict_recording(note._replace(path=path._replace(wander=None)), heard).error_db > 1.0
 
 
 def test_gains_that_agree_answer_for_the_next():

@@ -12,12 +12,12 @@ import pytest
 from scipy import signal
 
 from pianofit.analysis import analyse
+from pianofit.inference.walks import smoothed
 from pianofit.io import encode_wav
 from pianofit.model.modal import Force, Participation, Ringing, ring, silencing
 from pianofit.recording import Recording, load_recording, recording_from_samples
 from pianofit.ringing import Heard, PartialModes, hear, key, key_of, modes_of
 from pianofit.ringing.bands import band, kernel_gain
-from pianofit.ringing.participation import smoothed
 from pianofit.ringing.subspace import Signals, poles_by_subspace, refined, standard_errors
 
 STUDY = Path(__file__).parents[1] / "benchmarks" / "ringing_study.py"

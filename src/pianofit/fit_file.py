@@ -17,7 +17,7 @@ from .felt import BOXES, LAWS, FeltLaw, check_hammer, make_hammer
 from .io import FIT_SCHEMA, finite, is_number, load_json, one_line, reference_of, shown, table_of
 from .model.modes import QUANTITIES
 from .model.note import Note
-from .model.path import OutputPath
+from .model.path import OutputPath, Wander
 from .model.simulate import check_geometry
 from .parameters import HAMMER_NAMES, STRING_NAMES, Geometry, String, check
 from .recording import RATES
@@ -30,6 +30,8 @@ LARGEST_FIT = 2**24  # bytes
 MOST_POINTS = 4096
 # Of a path, dB, at the most: beyond, amplitudes are lost in rounding.
 LARGEST_DB = 300.0
+# Strokes of which a path knows what they have over it, at the most.
+MOST_STROKES = 512
 # A partial's decay over its law's, at the least and at the most: beyond, it is no partial.
 DECAYS = (1e-3, 1e3)
 WAY_OUT = "give the file that pianofit fit wrote"
@@ -188,6 +190,7 @@ def _of_minimum(note: Note, entry: dict, where: str, law: FeltLaw | None) -> Not
     if path is not None:
         own = {"frequency": path.frequency.tolist(), "db": entry.get("path_db")}
         own |= {} if path.decay is None else {"decay": path.decay.tolist()}
+        own |= {"wander": entry.get("path_wander")}
         path = read_path(own, f"{where}.path", WAY_OUT)
     return note._replace(string=string, hammer=hammer, geometry=geometry, path=path)
 
@@ -225,4 +228,22 @@ def read_path(entry: Any, where: str, way_out: str) -> OutputPath | None:
         raise FitError(f"{where}.decay must hold factors from {DECAYS[0]:g} to {DECAYS[1]:g}; {way_out}")
     if np.abs(db).max() > LARGEST_DB:
         raise FitError(f"{where}.db reaches {np.abs(db).max():.3g} dB, at most {LARGEST_DB:g}; {way_out}")
-    return OutputPath(frequency, db, decay)
+    return OutputPath(frequency, db, decay, _wander(table.get("wander"), len(db), f"{where}.wander", way_out))
+
+
+def _wander(entry: Any, partials: int, where: str, way_out: str) -> Wander | None:
+    if entry is None:
+        return None
+    try:
+        velocity, db = np.array(entry["velocity"], float), np.array(entry["db"], float)
+    except (KeyError, OverflowError, TypeError, ValueError):
+        raise FitError(f"{where} needs velocity, and db of every stroke; {way_out}") from None
+    strokes = len(velocity) if velocity.ndim == 1 else 0
+    # Not greater, and no NaN.
+    rises = strokes > 0 and velocity[0] > 0 and (np.diff(velocity) > 0).all() and np.isfinite(velocity[-1])
+    if not (rises and strokes <= MOST_STROKES and db.shape == (strokes, partials) and (np.abs(db) <= LARGEST_DB).all()):
+        raise FitError(
+            f"{where} needs 1 to {MOST_STROKES} velocities, m/s, that rise from above 0, and for each up to "
+            f"{LARGEST_DB:g} dB for every partial; {way_out}"
+        )
+    return Wander(velocity, db)

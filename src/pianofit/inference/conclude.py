@@ -11,10 +11,10 @@ from ..model.path import OutputPath
 from ..parameters import FIT_NAMES
 from .align import laid
 from .coordinates import STRING_SIZE
-from .entries import absent, derived, described, path_document, sizes, versions
+from .entries import absent, derived, described, path_document, sizes, versions, wander_document
 from .estimate import Estimate, beginning
 from .listener import Listener, level_errors, together, worse_bands
-from .notes import latents, note_of
+from .notes import latents, notes_of
 from .posterior import Posterior
 from .problem import Problem
 from .quantities import UNITS, Covariance
@@ -52,7 +52,8 @@ def conclude(problem: Problem, found: Estimate, seed: int, view: View | None = N
     FitError
         If an initial or a final contact does not end.
     """
-    fitted = tuple(_heard(problem, found, i) for i in range(len(problem.recordings)))
+    played = [notes_of(problem, found.minima, which) for which in range(len(found.minima.F))]
+    fitted = tuple(_heard(problem, found, i, note) for i, note in enumerate(played[0]))
     states = statuses(problem, found)
     levels = together([t.levels for t in fitted])
     reference = fitted[problem.reference]
@@ -64,8 +65,8 @@ def conclude(problem: Problem, found: Estimate, seed: int, view: View | None = N
         parameters = {name: entry | view.entries.get(name, {}) for name, entry in parameters.items()}
         said, diagnostics = [*said, *view.messages], diagnostics | view.diagnostics
     notes = tuple(
-        tuple(note_of(problem, found.minima, b, i)._replace(gain=t.fitted.note.gain) for i, t in enumerate(fitted))
-        for b in range(len(found.minima.F))
+        tuple(note._replace(gain=heard.fitted.note.gain) for note, heard in zip(each, fitted, strict=True))
+        for each in played
     )
     covariance = _covariance(problem, found)
     document = {
@@ -93,7 +94,7 @@ def conclude(problem: Problem, found: Estimate, seed: int, view: View | None = N
 # --- sounds -----------------------------------------------------------------------------------------------------------
 
 
-def _heard(problem: Problem, found: Estimate, i: int) -> FittedRecording:
+def _heard(problem: Problem, found: Estimate, i: int, fitted: Note) -> FittedRecording:
     """One recording before and after, on the criterion and in its levels."""
     recording, analysis = problem.recordings[i], problem.analyses[i]
     listener = Listener.of(recording, analysis)
@@ -101,12 +102,10 @@ def _heard(problem: Problem, found: Estimate, i: int) -> FittedRecording:
     gain = None if problem.start.scale is None else 1.0 / problem.start.scale
     first = beginning(problem, found.z[:STRING_SIZE])
     fitted_level, integrated = _fitted_level(problem, found, i)
-    fitted = note_of(problem, found.minima, 0, i)
     initial = _initial_note(problem, first, i)
     begins = None if gain is None else round(laid(fitted._replace(gain=gain), problem.recordings[i]))
     if gain is None:
         gain = 10 ** (_gain_db(integrated, i) / 20)
-        fitted = fitted._replace(gain=1.0)
     after = listener.play(fitted, gain, begins, fitted_level)
     # The criterion's own gain on the initial sound: its level is not what is judged.
     before = listener.play(initial, gain if problem.calibrated else None, begins, _level(problem, found, first, i))
@@ -321,6 +320,7 @@ def _minima(problem: Problem, found: Estimate, notes) -> list[dict]:
             "share": float(share), "F": float(found.minima.F[b]), "parameters": values,
             "velocities": np.exp(found.minima.people.z[b, u.shared :]).tolist(),
             "path_db": None if path is None else path.db.tolist(),
+            "path_wander": None if path is None else wander_document(path.wander),
         })  # fmt: skip
     return rows
 

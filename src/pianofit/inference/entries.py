@@ -11,11 +11,11 @@ from ..analysis import Analysis
 from ..felt import FeltLaw, is_own, law_of
 from ..model import Simulation
 from ..model.note import Note
-from ..model.path import OutputPath
+from ..model.path import OutputPath, Wander
 from .quantities import UNITS
 from .start import Start
 
-__all__ = ["absent", "derived", "described", "given", "path_document", "sizes", "versions"]
+__all__ = ["absent", "derived", "described", "given", "path_document", "sizes", "versions", "wander_document"]
 
 
 def versions() -> dict[str, str]:
@@ -70,7 +70,13 @@ def path_document(path: OutputPath | None) -> dict | None:
     """A path as `fit.json` holds it."""
     if path is None:
         return None
-    return {name: column.tolist() for name, column in path._asdict().items() if column is not None}
+    columns = {name: column.tolist() for name, column in path._asdict().items() if isinstance(column, np.ndarray)}
+    return columns | ({} if path.wander is None else {"wander": wander_document(path.wander)})
+
+
+def wander_document(wander: Wander | None) -> dict | None:
+    """What strokes have over a path as `fit.json` holds it; None where nothing is known of it."""
+    return None if wander is None else {name: column.tolist() for name, column in wander._asdict().items()}
 
 
 def absent(name: str, felt: str) -> dict:

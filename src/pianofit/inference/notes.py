@@ -5,15 +5,19 @@ from __future__ import annotations
 import numpy as np
 
 from ..model.note import Note
-from ..model.path import OutputPath
+from ..model.path import OutputPath, Wander
 from .coordinates import STRING_SIZE
 from .finish import Minima
+from .likelihood import variance
 from .observations import string_law
 from .problem import Problem
 from .reports import Latent, latent
 from .string import string_residuals
+from .walks import NOTHING, smoothed
 
-__all__ = ["latents", "path_of", "note_of"]
+__all__ = ["latents", "notes_of"]
+
+DB = 20 / np.log(10)
 
 
 def latents(minima: Minima, which: int) -> Latent:
@@ -22,19 +26,55 @@ def latents(minima: Minima, which: int) -> Latent:
     return latent(descent.table, people.residual[which], people.phi[which], people.w[which])
 
 
-def path_of(problem: Problem, minima: Minima, which: int, recording: int) -> OutputPath | None:
-    """The posterior mean of a recording's path, dB, at the partials found through it, and decays over the law's.
+def notes_of(problem: Problem, minima: Minima, which: int) -> list[Note]:
+    """One minimum's string, and its hammer at the velocity of every recording's stroke; without gains."""
+    u, z, group = problem.unknowns, minima.people.z[which], problem.layout.group
+    paths = [_path(problem, minima, which, each) if problem.path else None for each in range(problem.layout.groups)]
+    f0, string = problem.analyses[problem.reference].f0, u.string(z)
+    return [
+        Note(string._replace(c=string.c * analysis.f0 / f0), u.hammer(z, stroke), u.struck(z), problem.start.quantity,
+             1.0, paths[path])
+        for analysis, stroke, path in zip(problem.analyses, problem.layout.stroke, group, strict=True)
+    ]  # fmt: skip
+
+
+def _path(problem: Problem, minima: Minima, which: int, group: int) -> OutputPath:
+    """The posterior mean of a group's path, dB, at the partials found through it, and decays over the law's.
 
     The partials stand where the minimum's string has them: real ones leave the law, but are known by their numbers.
     """
-    if not problem.path:
-        return None
-    group, observed = problem.layout.group[recording], problem.observed
-    mine = np.array(problem.layout.group) == group
-    found = (np.asarray(observed.level.found) * mine[:, None]).any(axis=0)
+    observed, left = problem.observed, latents(minima, which)
+    mine = np.flatnonzero(np.array(problem.layout.group) == group)
+    found = np.any(np.asarray(observed.level.found)[mine] > 0, axis=0)
     number = observed.number[found]
     frequency = string_law(minima.people.z[which, :STRING_SIZE], number, problem.start.geometry.length)[0][0]
-    return OutputPath(frequency, latents(minima, which).common[group][found], _decays(problem, minima, which, number))
+    return OutputPath(
+        frequency, left.common[group][found], _decays(problem, minima, which, number),
+        _wander(problem, minima, which, mine, found, left.own),
+    )  # fmt: skip
+
+
+def _wander(
+    problem: Problem, minima: Minima, which: int, mine: np.ndarray, found: np.ndarray, left: np.ndarray
+) -> Wander | None:
+    """What the fit leaves of partials `found` in recordings `mine`, of which strokes that are alike show it alike.
+
+    The likelihood takes it for white: what one recording has of it says nothing of the next. On real notes it does, so
+    a prediction takes it along.
+    """
+    table, people = problem.observed.level, minima.people
+    velocity = np.exp(people.z[which, problem.unknowns.shared :])[np.array(problem.layout.stroke)[mine]]
+    order = np.argsort(velocity, kind="stable")
+    known, first = np.unique(velocity[order], return_index=True)
+    if len(known) < 2:
+        return None
+    at = np.ix_(mine[order], found)
+    phi, w = people.phi[which], people.w[which]
+    # Noise and other sounds; of an outlier also what of the excess its small weight adds.
+    excess = np.exp(2 * phi[0])
+    error = np.sqrt(np.maximum(variance(table, phi, w) - excess, table.variance))
+    error = np.where(np.asarray(table.found) > 0, error, NOTHING)
+    return Wander(known, DB * smoothed(left[at] / DB, error[at] / DB, velocity[order])[first])
 
 
 def _decays(problem: Problem, minima: Minima, which: int, number: np.ndarray) -> np.ndarray:
@@ -48,13 +88,3 @@ def _decays(problem: Problem, minima: Minima, which: int, number: np.ndarray) ->
     by_number = np.ones(max(observed.string_number.max(), number.max()) + 1)
     by_number[observed.string_number] = np.maximum(ratio, 0.05)
     return by_number[number]
-
-
-def note_of(problem: Problem, minima: Minima, which: int, recording: int) -> Note:
-    """The fitted string, and the hammer at the velocity of a recording's stroke; without a gain."""
-    u, z = problem.unknowns, minima.people.z[which]
-    cents = 1200 * np.log2(problem.analyses[recording].f0 / problem.analyses[problem.reference].f0)
-    string = u.string(z)
-    string = string._replace(c=string.c * 2 ** (cents / 1200))
-    hammer = u.hammer(z, problem.layout.stroke[recording])
-    return Note(string, hammer, u.struck(z), problem.start.quantity, 1.0, path_of(problem, minima, which, recording))

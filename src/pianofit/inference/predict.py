@@ -136,7 +136,8 @@ def _at_best(
 
     def levels(velocity: np.ndarray) -> np.ndarray:
         """Of the recording's partials [velocities, partials]."""
-        return note.levels(velocity, int(p.number.max()))[:, p.number - 1]
+        level = note.levels(velocity, int(p.number.max()))[:, p.number - 1]
+        return level if note.path is None else level + note.path.wandering(_frequency(note, p.number), velocity)
 
     def cost(log_velocity: np.ndarray, level: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Minus the log posterior, and the gain, dB [velocities]."""

@@ -206,8 +206,9 @@ def _load_key(file: Path) -> KeyFit:
     converged = document.get("converged") is True
     told = _deviations(document, note, midi, converged, scale)
     ringing = None if note.ringing is None else note.ringing.faster(scale)
+    path = None if note.path is None else note.path._replace(wander=None)  # an instrument predicts no recording
     return KeyFit(
-        midi, name, note._replace(hammer=hammer, gain=gain / scale, ringing=ringing), told,
+        midi, name, note._replace(hammer=hammer, gain=gain / scale, path=path, ringing=ringing), told,
         tuple((velocities * scale).tolist()), float(error) if is_number(error) else None, converged, len(rows),
         _layers(document, rows, scale),
     )  # fmt: skip

@@ -14,13 +14,20 @@ from scipy.signal import oaconvolve
 
 from ..criterion import WIDEST_SIGMA
 
-__all__ = ["SAME_PARTIAL", "OutputPath", "filtered", "impulse", "through"]
+__all__ = ["SAME_PARTIAL", "OutputPath", "Wander", "filtered", "impulse", "through"]
 
 # A frequency within this, relative, of a partial's is that partial's: the pitch of recordings differs by cents.
 SAME_PARTIAL = 0.005
 # A path's response is computed for at least this long, s, and its first half kept: some periods of the lowest note,
 # since its neighbours may differ in level.
 RESPONSE = 1.0
+
+
+class Wander(NamedTuple):
+    """What partials in strokes of known velocity have over hammer and path: strokes that are alike have it alike."""
+
+    velocity: np.ndarray  # of the strokes, m/s, rising [strokes]
+    db: np.ndarray  # [strokes, partials]
 
 
 class OutputPath(NamedTuple):
@@ -32,6 +39,7 @@ class OutputPath(NamedTuple):
     frequency: np.ndarray
     db: np.ndarray
     decay: np.ndarray | None = None  # of each partial's decay rate over that of the string's law
+    wander: Wander | None = None  # of predictions; what is played goes through one path
 
     def at(self, frequency: np.ndarray) -> np.ndarray:
         """The path in dB at `frequency`, Hz [any number]: a partial's own, if it is one that is known."""
@@ -45,6 +53,18 @@ class OutputPath(NamedTuple):
             return np.ones(len(frequency))
         nearest, near = self._nearest(frequency)
         return np.where(near, self.decay[nearest], 1.0)
+
+    def wandering(self, frequency: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+        """What strokes of `velocity`, m/s, have over the path at `frequency`, Hz: dB [velocities, frequencies].
+
+        Between strokes it is linear in log velocity, beyond them that of the last; of what is no partial it is nought.
+        """
+        if self.wander is None:
+            return np.zeros((len(velocity), len(frequency)))
+        nearest, near = self._nearest(frequency)
+        known, wanted = np.log(self.wander.velocity), np.log(velocity)
+        rows = [np.interp(wanted, known, column) for column in self.wander.db[:, nearest].T]
+        return np.where(near, np.stack(rows, axis=-1), 0.0)
 
     def _nearest(self, frequency: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Which of the path's partials is next to each `frequency`, and whether it is the same."""
