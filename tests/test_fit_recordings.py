@@ -8,7 +8,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
-from twin_cases import FIRST, SEVERAL, VELOCITIES, path_fit, record, setup_of, strokes_of, through
+from twin_cases import ALONE, FIRST, MICROPHONES, SEVERAL, VELOCITIES, path_fit, record, setup_of, strokes_of, through
 
 from pianofit.analysis import Partials, analyse
 from pianofit.errors import FitError
@@ -139,7 +139,24 @@ def test_a_file_predicts_what_its_fit_predicts(tmp_path):
     whole = predict_recording(result, analysis)
     read = predict_recording(mixture_of(document, file), analysis, gains=gains_of(document))
     assert (read.velocity, read.error_db) == pytest.approx((whole.velocity, whole.error_db), rel=1e-6)
-    assert document["pickup"]["path"]["wander"] == document["minima"][0]["path_wander"]
+    one = document["minima"][0]
+    assert document["pickup"]["path"]["wander"] == one["path_wander"]
+    # Of two minima each has its own; files of older versions have none.
+    other = one | {"path_wander": one["path_wander"] | {"db": [[2.0] * len(one["path_db"])] * 2}}
+    two = mixture_of(document | {"minima": [one, other]}, file)
+    assert [note.path.wander.db[0, 0] for _, note in two] == [one["path_wander"]["db"][0][0], 2.0]
+    del document["pickup"]["path"]["wander"], other["path_wander"]
+    older = mixture_of(document | {"minima": [other, other]}, file)
+    assert [note.path.wander for _, note in older] == [None, None]
+    with pytest.raises(FitError, match=r"minima\[0\]\.path\.wander needs 1 to 256 velocities"):
+        mixture_of(document | {"minima": [other | {"path_wander": {"velocity": [1.0], "db": [[0.0]]}}] * 2}, file)
+
+
+def test_of_one_velocity_nothing_wanders():
+    assert path_fit(ALONE).note.path.wander is None
+    close, room = (path_fit(MICROPHONES).notes[0][i].path for i in (0, 3))
+    assert len(close.wander.velocity) == len(SEVERAL)
+    assert room.wander is None
 
 
 @pytest.mark.slow

@@ -237,7 +237,7 @@ BAD_INSTRUMENTS = {
     "path loud": (changed("keys.0.path", {"frequency": [1.0], "db": [1e4]}), r"path.db reaches 1e\+04 dB"),
     "path's strokes": (
         changed("keys.0.path", wandering([2.0, 1.0], [[0.0], [0.0]])),
-        "wander needs 1 to 512 velocities",
+        "wander needs 1 to 256 velocities",
     ),
     "path's partials": (changed("keys.0.path", wandering([1.0], [[0.0, 0.0]])), "up to 300 dB for every partial"),
     "path wanders far": (changed("keys.0.path", wandering([1.0], [[1e4]])), "up to 300 dB for every partial"),

@@ -12,7 +12,6 @@ import pytest
 from scipy import signal
 
 from pianofit.analysis import analyse
-from pianofit.inference.walks import smoothed
 from pianofit.io import encode_wav
 from pianofit.model.modal import Force, Participation, Ringing, ring, silencing
 from pianofit.recording import Recording, load_recording, recording_from_samples
@@ -263,38 +262,6 @@ def test_levels_that_rise_faster_than_the_force_are_followed():
     assert (ratio[:strong] > 1 + 0.5 * (slope[2, 0] / slope[0, 0] - 1)).all()
     assert (ratio[:strong] < slope[2, 0] / slope[0, 0]).all()
     np.testing.assert_allclose(ratio[-len(MODES[5]) :], 1.0, atol=0.01)
-
-
-def drawn_walks(size: float, own: float, noise: float, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Velocities, random walks over their logarithm [strokes, 40], and what is seen of these."""
-    random = np.random.default_rng(seed)
-    velocity = np.array([0.4, 0.9, 1.6, 2.5, 4.0])
-    steps = np.sqrt(np.diff(np.log(velocity)))[:, None] * random.normal(0, size, (4, 40))
-    walk = np.concatenate([np.zeros((1, 40)), np.cumsum(steps, axis=0)]) + random.normal(0, 3, 40)
-    return velocity, walk, walk + random.normal(0, np.hypot(own, noise), walk.shape)
-
-
-def test_walks_are_smoothed_as_well_as_if_their_size_were_known():
-    """The best linear estimate knows how far walks go and strokes differ; `smoothed` has to tell from what is seen."""
-    for size, own in ((0.3, 0.03), (0.05, 0.3), (0.3, 0.3)):
-        velocity, walk, seen = drawn_walks(size, own, 0.05, 3)
-        found = smoothed(seen, np.full(seen.shape, 0.05), velocity)
-        far = np.log(velocity)
-        signal_ = size**2 * np.minimum.outer(far - far[0], far - far[0]) + 1e6
-        best = signal_ @ np.linalg.solve(signal_ + (own**2 + 0.05**2) * np.eye(5), seen)
-        ours, known, none = (np.sqrt(np.mean((x - walk) ** 2)) for x in (found, best, seen))
-        assert ours < 1.1 * known
-        assert ours < none
-
-
-def test_what_strokes_do_not_tell_apart_stays_their_mean():
-    velocity, walk, _ = drawn_walks(0.0, 0.0, 0.0, 1)
-    random = np.random.default_rng(2)
-    seen = walk + random.normal(0, 0.2, walk.shape)
-    found = smoothed(seen, np.full(seen.shape, 0.2), velocity)
-    assert np.abs(np.diff(found, axis=0)).max() < 0.1
-    one = smoothed(seen[:1], np.full((1, 40), 0.2), velocity[:1])
-    np.testing.assert_allclose(one, seen[:1])
 
 
 def test_ring_is_a_sum_of_damped_exponentials():

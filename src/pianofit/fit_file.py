@@ -21,7 +21,7 @@ from .model.path import OutputPath, Wander
 from .model.simulate import check_geometry
 from .parameters import HAMMER_NAMES, STRING_NAMES, Geometry, String, check
 from .recording import RATES
-from .ringing_file import read_ringing
+from .ringing_file import MOST_STROKES, read_ringing
 
 __all__ = ["fit_path", "load_note", "gains_of", "mixture_of", "note_of", "read_fit", "read_path"]
 
@@ -30,8 +30,6 @@ LARGEST_FIT = 2**24  # bytes
 MOST_POINTS = 4096
 # Of a path, dB, at the most: beyond, amplitudes are lost in rounding.
 LARGEST_DB = 300.0
-# Strokes of which a path knows what they have over it, at the most.
-MOST_STROKES = 512
 # A partial's decay over its law's, at the least and at the most: beyond, it is no partial.
 DECAYS = (1e-3, 1e3)
 WAY_OUT = "give the file that pianofit fit wrote"
@@ -234,16 +232,15 @@ def read_path(entry: Any, where: str, way_out: str) -> OutputPath | None:
 def _wander(entry: Any, partials: int, where: str, way_out: str) -> Wander | None:
     if entry is None:
         return None
-    try:
-        velocity, db = np.array(entry["velocity"], float), np.array(entry["db"], float)
-    except (KeyError, OverflowError, TypeError, ValueError):
-        raise FitError(f"{where} needs velocity, and db of every stroke; {way_out}") from None
-    strokes = len(velocity) if velocity.ndim == 1 else 0
-    # Not greater, and no NaN.
-    rises = strokes > 0 and velocity[0] > 0 and (np.diff(velocity) > 0).all() and np.isfinite(velocity[-1])
-    if not (rises and strokes <= MOST_STROKES and db.shape == (strokes, partials) and (np.abs(db) <= LARGEST_DB).all()):
+    table: dict[str, Any] = entry if isinstance(entry, dict) else {}
+    columns: list[Any] = [table.get("velocity"), *(table["db"] if isinstance(table.get("db"), list) else [None])]
+    if not all(isinstance(x, list) and all(map(is_number, x)) for x in columns):
+        raise FitError(f"{where} needs velocity, and db of every stroke; {way_out}")
+    velocity, strokes = np.array(columns[0], float), len(columns[0])
+    whole = 1 <= strokes == len(columns) - 1 <= MOST_STROKES and {*map(len, columns[1:])} == {partials}
+    if not (whole and velocity[0] > 0 and (np.diff(velocity) > 0).all() and np.abs(columns[1:]).max() <= LARGEST_DB):
         raise FitError(
             f"{where} needs 1 to {MOST_STROKES} velocities, m/s, that rise from above 0, and for each up to "
             f"{LARGEST_DB:g} dB for every partial; {way_out}"
         )
-    return Wander(velocity, db)
+    return Wander(velocity, np.array(columns[1:], float))

@@ -70,7 +70,8 @@ def path_document(path: OutputPath | None) -> dict | None:
     """A path as `fit.json` holds it."""
     if path is None:
         return None
-    columns = {name: column.tolist() for name, column in path._asdict().items() if isinstance(column, np.ndarray)}
+    columns = {"frequency": path.frequency.tolist(), "db": path.db.tolist()}
+    columns |= {} if path.decay is None else {"decay": path.decay.tolist()}
     return columns | ({} if path.wander is None else {"wander": wander_document(path.wander)})
 
 

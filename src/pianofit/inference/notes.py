@@ -8,16 +8,15 @@ from ..model.note import Note
 from ..model.path import OutputPath, Wander
 from .coordinates import STRING_SIZE
 from .finish import Minima
-from .likelihood import variance
+from .lanes import DB
+from .likelihood import Table, variance
 from .observations import string_law
 from .problem import Problem
 from .reports import Latent, latent
 from .string import string_residuals
-from .walks import NOTHING, smoothed
+from .walks import NOTHING, between_strokes
 
 __all__ = ["latents", "notes_of"]
-
-DB = 20 / np.log(10)
 
 
 def latents(minima: Minima, which: int) -> Latent:
@@ -29,7 +28,10 @@ def latents(minima: Minima, which: int) -> Latent:
 def notes_of(problem: Problem, minima: Minima, which: int) -> list[Note]:
     """One minimum's string, and its hammer at the velocity of every recording's stroke; without gains."""
     u, z, group = problem.unknowns, minima.people.z[which], problem.layout.group
-    paths = [_path(problem, minima, which, each) if problem.path else None for each in range(problem.layout.groups)]
+    left = latents(minima, which)
+    paths = [
+        _path(problem, minima, which, each, left) if problem.path else None for each in range(problem.layout.groups)
+    ]
     f0, string = problem.analyses[problem.reference].f0, u.string(z)
     return [
         Note(string._replace(c=string.c * analysis.f0 / f0), u.hammer(z, stroke), u.struck(z), problem.start.quantity,
@@ -38,43 +40,33 @@ def notes_of(problem: Problem, minima: Minima, which: int) -> list[Note]:
     ]  # fmt: skip
 
 
-def _path(problem: Problem, minima: Minima, which: int, group: int) -> OutputPath:
+def _path(problem: Problem, minima: Minima, which: int, group: int, left: Latent) -> OutputPath:
     """The posterior mean of a group's path, dB, at the partials found through it, and decays over the law's.
 
     The partials stand where the minimum's string has them: real ones leave the law, but are known by their numbers.
     """
-    observed, left = problem.observed, latents(minima, which)
+    observed, people = problem.observed, minima.people
     mine = np.flatnonzero(np.array(problem.layout.group) == group)
     found = np.any(np.asarray(observed.level.found)[mine] > 0, axis=0)
     number = observed.number[found]
-    frequency = string_law(minima.people.z[which, :STRING_SIZE], number, problem.start.geometry.length)[0][0]
+    frequency = string_law(people.z[which, :STRING_SIZE], number, problem.start.geometry.length)[0][0]
+    velocity = np.exp(people.z[which, problem.unknowns.shared :])[np.array(problem.layout.stroke)[mine]]
+    seen, error, weight = (
+        x[np.ix_(mine, found)] for x in _left(observed.level, people.phi[which], people.w[which], left)
+    )
+    known, db = between_strokes(seen / DB, error / DB, weight, velocity)
     return OutputPath(
         frequency, left.common[group][found], _decays(problem, minima, which, number),
-        _wander(problem, minima, which, mine, found, left.own),
+        Wander(known, DB * db) if len(known) > 1 else None,
     )  # fmt: skip
 
 
-def _wander(
-    problem: Problem, minima: Minima, which: int, mine: np.ndarray, found: np.ndarray, left: np.ndarray
-) -> Wander | None:
-    """What the fit leaves of partials `found` in recordings `mine`, of which strokes that are alike show it alike.
-
-    The likelihood takes it for white: what one recording has of it says nothing of the next. On real notes it does, so
-    a prediction takes it along.
-    """
-    table, people = problem.observed.level, minima.people
-    velocity = np.exp(people.z[which, problem.unknowns.shared :])[np.array(problem.layout.stroke)[mine]]
-    order = np.argsort(velocity, kind="stable")
-    known, first = np.unique(velocity[order], return_index=True)
-    if len(known) < 2:
-        return None
-    at = np.ix_(mine[order], found)
-    phi, w = people.phi[which], people.w[which]
+def _left(table: Table, phi: np.ndarray, w: np.ndarray, left: Latent) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What the fit leaves of every level, dB, its errors beside the excess, and its weight in the path [R, K]."""
+    there, whole = np.asarray(table.found) > 0, variance(table, phi, w)
     # Noise and other sounds; of an outlier also what of the excess its small weight adds.
-    excess = np.exp(2 * phi[0])
-    error = np.sqrt(np.maximum(variance(table, phi, w) - excess, table.variance))
-    error = np.where(np.asarray(table.found) > 0, error, NOTHING)
-    return Wander(known, DB * smoothed(left[at] / DB, error[at] / DB, velocity[order])[first])
+    error = np.sqrt(np.maximum(whole - np.exp(2 * phi[0]), table.variance))
+    return left.own, np.where(there, error, NOTHING), np.where(there, 1 / whole, 0.0)
 
 
 def _decays(problem: Problem, minima: Minima, which: int, number: np.ndarray) -> np.ndarray:

@@ -54,8 +54,8 @@ class Prediction:
     cents: float  # over the fit's own
     error_db: float  # rms over partials, one gain removed
     partials: int
-    level: np.ndarray  # dB, predicted [partials]
-    note: Note
+    level: np.ndarray  # dB, predicted, with what strokes of like velocity leave [partials]
+    note: Note  # of the first minimum, without that
     at_end: bool = False  # whether the velocity is an end of the range that was searched, and no finding
 
 

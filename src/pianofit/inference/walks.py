@@ -1,6 +1,6 @@
 """What varies from stroke to stroke, seen through errors, as random walks over the logarithm of the velocity.
 
-Strokes that are alike show alike what a model of the hammer leaves over. How far walks go, and by how much any two
+Strokes of like velocity show alike what a model of the hammer leaves over. How far walks go, and by how much any two
 strokes differ beside that, is the same for all walks of a key, which say it together; both are integrated over. So what
 strokes do not tell apart stays their mean. Between strokes the mean of such a walk is linear, beyond them constant.
 """
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-__all__ = ["NOTHING", "smoothed"]
+__all__ = ["NOTHING", "between_strokes", "smoothed"]
 
 # Standard deviations that are tried of a walk over an e-fold of velocity and of a stroke, relative: 0.1 to 9 dB, as
 # likely on a logarithmic scale.
@@ -42,3 +42,23 @@ def smoothed(seen: np.ndarray, error: np.ndarray, velocity: np.ndarray) -> np.nd
     share = np.exp(evidence - evidence.max())
     mean = begin[..., None] + (walk @ rest[..., None])[..., 0]
     return np.einsum("t,tws->sw", share / share.sum(), mean)
+
+
+def between_strokes(
+    seen: np.ndarray, error: np.ndarray, weight: np.ndarray, velocity: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """How walks differ from stroke to stroke: the velocities there are, rising, and what each has [strokes, walks].
+
+    What all strokes have in common is taken out: it belongs to what they share, which has had its own prior.
+
+    Parameters
+    ----------
+    seen, error : as of `smoothed`, of recordings in any order [recordings, walks].
+    weight : of each in the mean that is taken out [recordings, walks]; some above 0 in every walk.
+    velocity : of the recordings' strokes, m/s; those of one stroke have the same.
+    """
+    order = np.argsort(velocity, kind="stable")
+    known, first = np.unique(velocity[order], return_index=True)
+    walk = smoothed(seen[order], error[order], velocity[order])
+    walk -= (weight[order] * walk).sum(axis=0) / weight.sum(axis=0)
+    return known, walk[first]

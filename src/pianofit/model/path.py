@@ -24,7 +24,7 @@ RESPONSE = 1.0
 
 
 class Wander(NamedTuple):
-    """What partials in strokes of known velocity have over hammer and path: strokes that are alike have it alike."""
+    """What partials in strokes of known velocity have over hammer and path; strokes of like velocity have it alike."""
 
     velocity: np.ndarray  # of the strokes, m/s, rising [strokes]
     db: np.ndarray  # [strokes, partials]
@@ -62,9 +62,11 @@ class OutputPath(NamedTuple):
         if self.wander is None:
             return np.zeros((len(velocity), len(frequency)))
         nearest, near = self._nearest(frequency)
-        known, wanted = np.log(self.wander.velocity), np.log(velocity)
-        rows = [np.interp(wanted, known, column) for column in self.wander.db[:, nearest].T]
-        return np.where(near, np.stack(rows, axis=-1), 0.0)
+        known, rows = np.log(self.wander.velocity), self.wander.db[:, nearest]
+        low, between = np.divmod(np.interp(np.log(velocity), known, np.arange(len(known))), 1.0)
+        low = low.astype(int)
+        high = np.minimum(low + 1, len(known) - 1)
+        return np.where(near, rows[low] + between[:, None] * (rows[high] - rows[low]), 0.0)
 
     def _nearest(self, frequency: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Which of the path's partials is next to each `frequency`, and whether it is the same."""

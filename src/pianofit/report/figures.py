@@ -184,8 +184,7 @@ def _partials(curves: Curves) -> list[Figure]:
         decay.plot(curves.number[~shown], np.full((~shown).sum(), bottom), "v", mfc="none", color=MEASURED,
                    label="measured, below this axis")  # fmt: skip
     decay.plot(curves.number, curves.decay_law, label="law of the fitted string", **LINES["fitted"])
-    positive = curves.decay[np.isfinite(curves.decay)]
-    if len(positive) and np.min(positive) > 0:
+    if bottom > 0:
         decay.set_yscale("log")
         log_axis(decay.yaxis)
     decay.set(title="Decay of the amplitude", ylabel="decay rate α (1/s)", xlabel="partial number k")

@@ -29,7 +29,10 @@ LOWEST, HIGHEST = 30.0, 16_000.0
 
 
 def log_mel_distances(one: np.ndarray, others: Sequence[np.ndarray], rate: float, onset: int) -> list[float]:
-    """Of one sound [samples] from each of `others` [samples], all of whose onsets are at the index `onset`, dB."""
+    """Of one sound [samples] from each of `others` [samples], all of whose onsets are at the index `onset`, dB.
+
+    All are compared as long as the shortest lasts.
+    """
     size = min(onset + round(PARTS["late"][1] * rate), *map(len, (one, *others)))
     each: list[dict[str, list[float]]] = [{name: [] for name in PARTS} for _ in others]
     for length, bands in WINDOWS:
