@@ -449,8 +449,8 @@ def test_a_decay_that_a_beat_hides_leaves_room_to_the_others(curves):
     low = [figure.axes[0].get_ylim()[0] for figure in (decays, told)]
     assert 1e-2 < low[0] <= low[1]
     labels = [[text.get_text() for text in figure.legends[0].get_texts()] for figure in (decays, told)]
-    assert "measured, below this axis" in labels[0]
-    assert "measured, below this axis" not in labels[1]
+    assert "below this axis" in labels[0]
+    assert "below this axis" not in labels[1]
 
 
 def test_how_a_note_rings_is_shown_said_and_heard(tmp_path, curves):

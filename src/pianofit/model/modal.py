@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import oaconvolve, resample_poly
 
+from .path import at_velocity
 from .simulate import Simulation
 
 __all__ = [
@@ -97,14 +98,8 @@ class Participation(NamedTuple):
     factor: np.ndarray  # a, complex [strokes, modes]
 
     def at(self, velocity: float) -> np.ndarray:
-        """Between strokes linear in log velocity, beyond them that of the last, complex [modes]."""
-        return self.between(self.factor, velocity)
-
-    def between(self, rows: np.ndarray, velocity: float) -> np.ndarray:
-        """What has a row a stroke [strokes, ...], at a velocity, m/s [...]."""
-        place = np.interp(np.log(velocity), np.log(self.velocity), np.arange(len(self.velocity)))
-        low, high = rows[[int(np.floor(place)), int(np.ceil(place))]]
-        return low + place % 1 * (high - low)
+        """As `at_velocity` has it between strokes, complex [modes]."""
+        return at_velocity(self.velocity, self.factor, velocity)
 
     def faster(self, ratio: float) -> Participation:
         """The same strokes with velocities times `ratio`, where their scale is another."""
@@ -167,9 +162,9 @@ class Ringing(NamedTuple):
             return self.knock
         more = self.pattern * (part.factor[:, None] - 1)
         size = min(int(np.ceil(SILENT * self.rate / np.abs(self.pole).min())), self.knock.shape[-1] - lead)
-        push = part.between(_pushes(self.pole.tobytes(), more.tobytes(), more.shape, self.rate, size), velocity)
+        pushes = _pushes(self.pole.tobytes(), more.tobytes(), more.shape, self.rate, size)
         out = self.knock.copy()
-        out[:, lead : lead + size] += push
+        out[:, lead : lead + size] += at_velocity(part.velocity, pushes, velocity)
         return out
 
     def struck(self, force: Force, end: int) -> tuple[np.ndarray, np.ndarray]:

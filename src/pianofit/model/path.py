@@ -7,14 +7,14 @@ filter with those levels.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.signal import oaconvolve
 
 from ..criterion import WIDEST_SIGMA
 
-__all__ = ["SAME_PARTIAL", "OutputPath", "Wander", "filtered", "impulse", "through"]
+__all__ = ["SAME_PARTIAL", "OutputPath", "Wander", "at_velocity", "filtered", "impulse", "through"]
 
 # A frequency within this, relative, of a partial's is that partial's: the pitch of recordings differs by cents.
 SAME_PARTIAL = 0.005
@@ -57,21 +57,30 @@ class OutputPath(NamedTuple):
     def wandering(self, frequency: np.ndarray, velocity: np.ndarray) -> np.ndarray:
         """What strokes of `velocity`, m/s, have over the path at `frequency`, Hz: dB [velocities, frequencies].
 
-        Between strokes it is linear in log velocity, beyond them that of the last; of what is no partial it is nought.
+        As `at_velocity` has it; of what is no partial it is nought.
         """
         if self.wander is None:
             return np.zeros((len(velocity), len(frequency)))
         nearest, near = self._nearest(frequency)
-        known, rows = np.log(self.wander.velocity), self.wander.db[:, nearest]
-        low, between = np.divmod(np.interp(np.log(velocity), known, np.arange(len(known))), 1.0)
-        low = low.astype(int)
-        high = np.minimum(low + 1, len(known) - 1)
-        return np.where(near, rows[low] + between[:, None] * (rows[high] - rows[low]), 0.0)
+        return np.where(near, at_velocity(self.wander.velocity, self.wander.db[:, nearest], velocity), 0.0)
 
     def _nearest(self, frequency: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Which of the path's partials is next to each `frequency`, and whether it is the same."""
         nearest = np.abs(frequency[:, None] - self.frequency).argmin(axis=1)
         return nearest, np.abs(frequency / self.frequency[nearest] - 1) < SAME_PARTIAL
+
+
+def at_velocity(known: np.ndarray, rows: np.ndarray, velocity: Any) -> np.ndarray:
+    """What has a row a stroke, at other velocities: between strokes linear in log velocity, beyond them the last's.
+
+    Parameters
+    ----------
+    known, rows : velocities of the strokes, m/s, rising [strokes], and what they have [strokes, ...].
+    velocity : m/s, one or many [velocities]; those are then the first axis of the result.
+    """
+    place = np.asarray(np.interp(np.log(velocity), np.log(known), np.arange(len(known))))
+    low, high = (rows[end(place).astype(int)] for end in (np.floor, np.ceil))
+    return low + (place % 1).reshape(*place.shape, *(1,) * (rows.ndim - 1)) * (high - low)
 
 
 def through(path: OutputPath | None, pole: np.ndarray) -> tuple[OutputPath | None, np.ndarray]:

@@ -182,7 +182,7 @@ def _partials(curves: Curves) -> list[Figure]:
     points(decay, curves.number[shown], curves.decay[shown], curves.decay_error[shown])
     if not shown.all():
         decay.plot(curves.number[~shown], np.full((~shown).sum(), bottom), "v", mfc="none", color=MEASURED,
-                   label="measured, below this axis")  # fmt: skip
+                   label="below this axis")  # fmt: skip
     decay.plot(curves.number, curves.decay_law, label="law of the fitted string", **LINES["fitted"])
     if bottom > 0:
         decay.set_yscale("log")
