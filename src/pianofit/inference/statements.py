@@ -9,6 +9,7 @@ import numpy as np
 
 from ..io import one_line
 from ..units import NORMAL
+from . import priors
 from .coordinates import STRING_SIZE
 from .estimate import Estimate
 from .posterior import Posterior
@@ -244,8 +245,9 @@ def messages(problem: Problem, found: Estimate, states: dict[str, str], worse: S
         )
     phi, strings = np.exp(found.minima.people.phi[0]), found.minima.strings[0]
     said.append(
-        f"Beyond the noise, partials scatter about the model by {np.exp(strings.phi[0][0]):.2f} cents, "
-        f"{100 * np.exp(strings.phi[1][0]):.0f} % in decay and {phi[0]:.2f} dB in level; the intervals include it."
+        f"Beyond the noise, partials scatter about the model by {np.exp(strings.phi[0][0]):.2f} cents (more from the "
+        f"{priors.LAW_REACH:.0f}th on), {100 * np.exp(strings.phi[1][0]):.0f} % in decay and {phi[0]:.2f} dB in level; "
+        "the intervals include it as if each partial did so by itself."
     )
     for recording, analysis in zip(problem.recordings, problem.analyses, strict=True):
         about = f"{one_line(Path(recording.path).name)}: " if len(problem.recordings) > 1 else ""
