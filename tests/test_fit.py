@@ -188,7 +188,7 @@ def test_invariants_need_no_measured_velocity():
     }
     assert set(invariants) == set(true)
     # The strike's position was given.
-    given = {"x0/L": "given"}
+    given = {"x0/L": "given", "F/M_S": "scaled"}
     assert {name: entry["status"] for name, entry in invariants.items()} == dict.fromkeys(true, "fitted") | given
     for name, value in true.items():
         assert invariants[name]["value"] == pytest.approx(value, rel=0.03 if name == "F/M_S" else 0.01), name

@@ -7,8 +7,10 @@ import pytest
 from observed_cases import B1, D2, F0, analysis, frequency
 
 import pianofit.model  # noqa: F401  (float64)
-from pianofit.inference import observations, priors
+from pianofit import Recording, Setup, analyse, recording_from_samples
+from pianofit.inference import observations, pose, priors
 from pianofit.inference.observations import Layout, observe, string_law
+from pianofit.inference.string import string_minimum
 
 LOUD = analysis([1, 2, 3, 5], [0.0, -10.0, -20.0, -40.0], absent=[4], bound=[-70.0], systematic=0.3)
 SOFT = analysis([1, 2, 4], [-12.0, -25.0, -50.0], absent=[3, 5], bound=[-61.0, -62.0], f0=F0 * 2 ** (2 / 1200))
@@ -120,11 +122,37 @@ def test_recordings_are_laid_on_one_law():
     o = observed()
     assert o.cents == pytest.approx([0.0, 2.0])
     np.testing.assert_allclose(o.frequency.value[0], 0.0, atol=1e-9)
-    np.testing.assert_allclose(o.decay.value[0], 1.0)
+    np.testing.assert_allclose(o.decay.value[0], 0.0, atol=1e-12)
     # Two recordings are known better than one by noise, and each partial once.
     assert o.frequency.variance[0, 0] == pytest.approx(0.5 * o.frequency.variance[0, 2])
     sharp = analysis([1, 2], [0.0, -10.0], f0=F0, glide_start=1.5)
     assert observe([sharp], ALONE, 0, 0.0, True, True).cents == pytest.approx([1.5])
+
+
+def beating(seed: int, f0: float = 110.0, rate: int = 44_100) -> Recording:
+    """Thirty partials of two components each, whose decays scatter by factors about one law."""
+    random, t = np.random.default_rng(seed), np.arange(4 * rate) / rate
+    sound = 1e-6 * random.normal(size=len(t))
+    for k in range(1, 31):
+        f, law = k * f0 * np.sqrt(1 + 2e-4 * k**2), B1 + D2 * k**2
+        for share in (0.1, 0.1 * random.uniform(0.2, 0.9)):
+            decay, hz = law * np.exp(0.5 * random.normal()), f + 0.4 * random.normal()
+            sound += share * 10 ** (-k / 20) * np.exp(-decay * t) * np.cos(2 * np.pi * hz * t + random.uniform(0, 6))
+    return recording_from_samples(np.append(np.zeros(2_000), sound), rate)
+
+
+def test_a_law_of_decays_goes_through_the_cloud_of_partials_that_beat():
+    """Errors that grow with the value they are of, and are shared, would draw a law below all values."""
+    above, over = [], []
+    for seed in range(6):
+        recording = beating(seed)
+        found = analyse(recording, f0=110.0)
+        problem = pose([recording], [found], Setup())
+        law = string_law(string_minimum(problem)[0], found.partials.number, problem.start.geometry.length)[0][1]
+        above.append(np.mean(found.partials.decay > law))
+        over.append(np.median(found.partials.decay / law))
+    assert np.mean(above) == pytest.approx(0.5, abs=0.15)
+    np.testing.assert_allclose(over, 1.0, atol=0.25)
 
 
 def test_the_strings_law_has_the_derivatives_it_says():

@@ -14,7 +14,7 @@ import pytest
 
 from pianofit import ParameterError, analyse, fit, recording_from_samples, setup_from_dict
 from pianofit.felt import DEFAULT_LAW
-from pianofit.inference import estimate, pose, sampler
+from pianofit.inference import conclude, estimate, pose, sampler
 from pianofit.inference.coordinates import STRING_SIZE, names_of
 from pianofit.inference.density import folded, given, log_density, start
 from pianofit.inference.descent import Descent
@@ -70,12 +70,39 @@ def halves(entries: dict, found: Estimate) -> dict[str, tuple[float, ...]]:
 # --- profiles ---------------------------------------------------------------------------------------------------------
 
 
+def test_invariants_are_those_of_the_view():
+    """A ratio to what is known has the parameter's own interval; what has several parameters says whose it is."""
+    document = conclude(posed(), fitted(), 0, profiled()).document
+    table, invariants = document["parameters"], document["invariants"]
+    for name, of, over in (("M_H/M_S", "M_H", "M_S"), ("x0/L", "x0", "L")):
+        if table[of]["interval"] is not None:
+            ends = np.array(table[of]["interval"]) / table[over]["value"]
+            np.testing.assert_allclose(invariants[name]["interval"], ends, rtol=1e-12)
+            assert invariants[name]["interval_by"] == "profile"
+    assert invariants["B"]["interval_by"] == "laplace"
+    reference = next(row for row in document["recordings"] if row["first"])
+    assert reference["v_H0_interval"] == table["v_H0"]["interval"]
+
+
+def test_an_interval_ends_at_its_box_and_says_so():
+    problem, found = posed(), fitted()
+    i = problem.unknowns.at("M_H")
+    low, high = np.log(conclude(problem, found, 0).parameters["M_H"].interval)
+    middle = 0.5 * (low + high)
+    upper = problem.unknowns.upper.copy()
+    upper[i] = middle + 0.25 * (high - low)
+    tight = replace(problem, unknowns=replace(problem.unknowns, upper=upper))
+    mass = conclude(tight, found, 0).parameters["M_H"]
+    assert mass.interval_open == ("high",)
+    np.testing.assert_allclose(np.log(mass.interval), [low, upper[i]])
+
+
 @pytest.mark.slow
 def test_profiles_of_a_calibrated_twin_agree_with_laplace():
     found = halves(profiled().entries, fitted())
     assert set(found) == {*HAMMER, "c", "kappa", "b1", "b2", "width"}
     for name, ends in found.items():
-        assert ends == pytest.approx((-1, 1), abs=0.06 if name in HAMMER else 0.25), name
+        assert ends == pytest.approx((-1, 1), abs=0.15 if name in HAMMER else 0.25), name
     assert not profiled().messages
 
 

@@ -117,8 +117,9 @@ def measure(
     losses = decay_law(number[heard], -whole.fit.pole.real[heard], whole.pole_error()[heard])
     audible = (tone.fit.power > 10 * frame) & (bands.time[-1] > 0.6) & ~lost(bands, tone.fit)
     frequency = _frequencies(bands, whole, early, tone, parts, second, clean & ~(glides & audible), audible)
-    decay = _decays(whole, early, parts, second, clean)
-    level = _levels(bands, z, whole, first, density, losses(number), losses.error(number), second)
+    law = losses(number)
+    decay = _decays(whole, early, parts, second, clean, law)
+    level = _levels(bands, z, whole, first, density, law, losses.error(number), second)
     return Measured(*frequency, *decay, *level, snr, beating)
 
 
@@ -148,16 +149,21 @@ def _frequencies(
 
 
 def _decays(
-    whole: Fitted, early: Fitted, parts: Components, second: np.ndarray, clean: np.ndarray
+    whole: Fitted, early: Fitted, parts: Components, second: np.ndarray, clean: np.ndarray, law: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Decay rates, their standard errors from noise, and standard deviations of systematic errors, 1/s."""
+    """Decay rates, their standard errors from noise, and standard deviations of systematic errors, 1/s.
+
+    What beats changes a decay by a factor. The factor's size is that of the neighbourhood, and is taken of the `law`: a
+    size that grew with the value itself would give small values the more weight and, where errors are shared, draw a
+    law below them all (Peelle's pertinent puzzle).
+    """
     single = -early.fit.pole.real
     decay = np.where(parts.valid, parts.decay, single)
     error = np.where(clean, whole.pole_error(), early.pole_error())
     excess = np.where(clean, whole.excess, early.excess)
     apart = np.where(parts.valid, _COMPONENTS * (decay - single), _beyond_noise(early, whole, np.real))
-    apart = np.hypot(apart, second * np.maximum(decay, 0.0))
-    spread = _shared(np.hypot(apart, error * np.sqrt(excess)))
+    apart = np.hypot(apart, error * np.sqrt(excess)) / np.maximum(decay, _DECAY_FLOOR * law)
+    spread = law * _near(np.hypot(apart, second))
     decay = np.where(clean, -whole.fit.pole.real, decay)
     return decay, np.hypot(error, _DECAY_FLOOR * decay), spread
 
@@ -170,9 +176,14 @@ def _beyond_noise(short: Fitted, long: Fitted, part: Callable) -> np.ndarray:
 
 def _shared(spread: np.ndarray) -> np.ndarray:
     """Each partial's, or its neighbours' median if that is more [partials]: one's own can be nought by chance."""
+    return np.maximum(np.abs(np.nan_to_num(spread)), _near(spread))
+
+
+def _near(spread: np.ndarray) -> np.ndarray:
+    """The median of each partial's neighbourhood [partials]."""
     size = np.abs(np.nan_to_num(spread))
     near = np.lib.stride_tricks.sliding_window_view(np.pad(size, _NEAR, mode="symmetric"), 2 * _NEAR + 1)
-    return np.maximum(size, np.median(near, axis=1))
+    return np.median(near, axis=1)
 
 
 def _levels(

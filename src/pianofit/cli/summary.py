@@ -76,9 +76,9 @@ def _found(table: dict) -> list[str]:
     for name, p in table.items():
         open_at = ", ".join(f"{ONLY[end]}: the box" for end in p.get("interval_open", ()))
         status = p["status"] + (f" ({open_at})" if open_at else "")
-        stroke = f"  {Path(p['note']).name}" if name.startswith("v/v_ref") else ""
+        about = {"v": f"  {Path(p['note']).name}", "F": f"  {p['note']}"}.get(name[0], "") if "/" in name else ""
         value, span = bracketed(p["value"], p["interval"])
-        rows.append((name, value, "" if p["unit"] == "1" else p["unit"], span, status + stroke))
+        rows.append((name, value, "" if p["unit"] == "1" else p["unit"], span, status + about))
     return [*columns(rows, right=1), ""] if rows else []
 
 

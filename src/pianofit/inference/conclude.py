@@ -8,7 +8,7 @@ from ..analysis import Partials
 from ..io import FIT_SCHEMA
 from ..model.note import Note
 from ..model.path import OutputPath
-from ..parameters import FIT_NAMES
+from ..parameters import FIT_NAMES, Geometry
 from .align import laid
 from .coordinates import STRING_SIZE
 from .entries import absent, derived, described, path_document, sizes, versions, wander_document
@@ -59,10 +59,15 @@ def conclude(problem: Problem, found: Estimate, seed: int, view: View | None = N
     reference = fitted[problem.reference]
     worse = worse_bands(reference.criterion)
     parameters = _parameters(problem, found, states)
-    said = messages(problem, found, states, worse)
+    said = messages(problem, found, states, worse, "laplace" if view is None else view.means)
     diagnostics = _diagnostics(problem, found)
+    table = invariants(problem, found, states)
+    rows = [_row(problem, found, i, heard) for i, heard in enumerate(fitted)]
     if view is not None:
         parameters = {name: entry | view.entries.get(name, {}) for name, entry in parameters.items()}
+        table = {name: entry | _seen(view, name, problem.start.geometry) for name, entry in table.items()}
+        if "v_H0" in view.entries:
+            rows[problem.reference]["v_H0_interval"] = view.entries["v_H0"]["interval"]
         said, diagnostics = [*said, *view.messages], diagnostics | view.diagnostics
     notes = tuple(
         tuple(note._replace(gain=heard.fitted.note.gain) for note, heard in zip(each, fitted, strict=True))
@@ -73,9 +78,9 @@ def conclude(problem: Problem, found: Estimate, seed: int, view: View | None = N
         "schema": FIT_SCHEMA, "program": "pianofit", "recipe": "default", "felt": problem.start.law.name, "seed": seed,
         "converged": bool(found.minima.converged[0]), "claims": claims(problem, found, states, levels),
         "messages": said,
-        "invariants": invariants(problem, found, states),
+        "invariants": table,
         "parameters": parameters,
-        "recordings": [_row(problem, found, i, heard) for i, heard in enumerate(fitted)],
+        "recordings": rows,
         "pickup": {"quantity": problem.start.quantity, "path": path_document(reference.fitted.note.path)},
         "minima": _minima(problem, found, notes),
         "covariance": covariance.document(),
@@ -217,22 +222,28 @@ def _parameters(problem: Problem, found: Estimate, states: dict[str, str]) -> di
         value = u.value(name, log[i]) if u.free[i] else float(start.values[name])
         table[name] = _entry(
             found.posterior, np.eye(u.size)[i], value, described(name, u.law), states[name],
-            float(start.initial[name] if name in start.initial else initial[i]), note,
+            float(start.initial[name] if name in start.initial else initial[i]), note, u.range(i),
         )  # fmt: skip
     order = [n for n in PARAMETERS_FIRST if n in table]
     return {n: table[n] for n in order} | {n: e for n, e in table.items() if n not in order} | sizes(start)
 
 
 def _entry(
-    posterior: Posterior, change: np.ndarray, value: float, said: dict[str, str], status: str, initial: float, note: str
-) -> dict:
+    posterior: Posterior, change: np.ndarray, value: float, said: dict[str, str], status: str, initial: float,
+    note: str, box: tuple[float, float] = (-np.inf, np.inf),
+) -> dict:  # fmt: skip
+    """A row of a table; an interval ends at the `box` of logarithms, and says where."""
     span = posterior.interval(change)
     # The interval of a sum of logarithms about the value that is shown.
     offset = np.log(value) - float(posterior.mean[0] @ change)
-    interval = None if span is None else [float(np.exp(min(x + offset, 700.0))) for x in span]
+    interval, sides = None, []
+    if span is not None:
+        ends = np.clip(np.add(span, offset), *box)
+        interval = np.exp(np.minimum(ends, 700.0)).tolist()
+        sides = [side for side, end, edge in zip(("low", "high"), ends, box, strict=True) if end == edge]
     return {
         "value": value, **said, "interval": interval, "interval_by": None if span is None else "laplace",
-        "interval_open": [], "status": status, "initial": initial, "note": note,
+        "interval_open": sides, "status": status, "initial": initial, "note": note,
     }  # fmt: skip
 
 
@@ -243,12 +254,25 @@ def _velocity(problem: Problem, found: Estimate, stroke: int) -> dict:
     status = velocity_statuses(problem, found)[stroke]
     note = "its scale is the prior's" if status == "scaled" else ""
     return _entry(
-        found.posterior, np.eye(problem.unknowns.size)[at], value, {"unit": UNITS["v_H0"]}, status, value, note
-    )
+        found.posterior, np.eye(problem.unknowns.size)[at], value, {"unit": UNITS["v_H0"]}, status, value, note,
+        problem.unknowns.range(at),
+    )  # fmt: skip
+
+
+def _seen(view: View, name: str, geometry: Geometry) -> dict:
+    """What another view says of an invariant that is one parameter over something known; of others nothing."""
+    of, over = {
+        "f0": ("c", 2 * geometry.length), "M_H/M_S": ("M_H", geometry.mass), "x0/L": ("x0", geometry.length),
+    }.get(name, ("", 1.0))  # fmt: skip
+    entry = view.entries.get(of)
+    return {} if entry is None else entry | {"interval": [float(end / over) for end in entry["interval"]]}
 
 
 def invariants(problem: Problem, found: Estimate, states: dict[str, str]) -> dict:
-    """What no assumed length, mass or velocity scale enters: value, unit, 95 % interval and status by name."""
+    """What no assumed length or mass enters: value, unit, 95 % interval and status by name.
+
+    Nor does the scale of the velocities, but for the felt's force at a compression, whose status then is `scaled`.
+    """
     u, g = problem.unknowns, problem.start.geometry
     unit = np.eye(u.size)
     c, kappa, mass, at = (unit[u.at(n)] for n in ("c", "kappa", "M_H", "x0"))
@@ -263,7 +287,7 @@ def invariants(problem: Problem, found: Estimate, states: dict[str, str]) -> dic
     ) -> dict:
         status = invariant_status(own, by.spread(change))
         whole = _entry(by, change, value, {"unit": its_unit}, status, 0.0, note)
-        return {k: whole[k] for k in ("value", "unit", "interval", "note", "status")}
+        return {k: whole[k] for k in ("value", "unit", "interval", "interval_by", "interval_open", "note", "status")}
 
     table = {
         "f0": entry(c, string[0] / (2 * g.length), "Hz", [states["c"]]),
@@ -282,6 +306,8 @@ def invariants(problem: Problem, found: Estimate, states: dict[str, str]) -> dic
             f"static force of the felt at {1e3 * np.exp(u.log_u):.3g} mm"
             + (", at the reference velocity shown" if scaled else ""),
         )  # fmt: skip
+        if scaled and table["F/M_S"]["status"] == "fitted":
+            table["F/M_S"]["status"] = "scaled"
     velocities = velocity_statuses(problem, found)
     for other in range(problem.layout.strokes):
         if other != stroke:

@@ -72,11 +72,10 @@ def _left(table: Table, phi: np.ndarray, w: np.ndarray, left: Latent) -> tuple[n
 def _decays(problem: Problem, minima: Minima, which: int, number: np.ndarray) -> np.ndarray:
     """Decay rates of partials over the law's at a minimum, shrunk to it by what noise leaves open."""
     observed, string = problem.observed, minima.people.z[which, :STRING_SIZE]
-    residual, slope = (x[1] for x in string_residuals(problem, string))
-    law = slope[0].sum(axis=1)  # b1 + b2 β² over the reference's law: the law is linear in both
+    residual = string_residuals(problem, string)[0][1]
     own = np.diag(observed.decay.systematic) + np.exp(2 * minima.strings[which].phi[1][0])
     share = own / (own + np.asarray(observed.decay.variance)[0])
-    ratio = 1 + share * residual[0] / np.where(law > 0, law, 1.0)
+    ratio = np.exp(share * residual[0])
     by_number = np.ones(max(observed.string_number.max(), number.max()) + 1)
-    by_number[observed.string_number] = np.maximum(ratio, 0.05)
+    by_number[observed.string_number] = ratio
     return by_number[number]

@@ -55,7 +55,7 @@ class Observed:
     number: np.ndarray  # int, k of the levels' columns [K]
     level: Table
     frequency: Table  # of one virtual recording, cents over the reference's law
-    decay: Table  # likewise, over that law
+    decay: Table  # likewise, logarithms over that law's
     string_number: np.ndarray  # int, k of their columns
     law: np.ndarray  # the reference's law: Hz and 1/s [2, columns]
     cents: np.ndarray  # of every recording's string over the reference's when it was struck [R]
@@ -212,7 +212,7 @@ def _path_nodes(groups: int, path: bool) -> tuple[np.ndarray, np.ndarray]:
 def _string_tables(
     analyses: Sequence[Analysis], number: np.ndarray, law: np.ndarray, ref: Analysis
 ) -> tuple[Table, Table]:
-    """Frequencies, cents, and decays, both over the reference's law, of all recordings as of one.
+    """Frequencies, cents, and logarithms of decays, both over the reference's law, of all recordings as of one.
 
     Real strings leave their law in all recordings alike: together they say no more of it than one.
     """
@@ -224,7 +224,7 @@ def _string_tables(
         for t, a in zip(tables, analyses, strict=True)
     ]
     per_hertz = [CENTS / t.frequency for t in tables]
-    relative = [1 / (ref.b1 + ref.d2 * t.number**2) for t in tables]
+    losses = [ref.b1 + ref.d2 * t.number**2 for t in tables]
     numbers = [t.number for t in tables]
     pitch = _joined(
         number, numbers, [c + s for c, s in zip(cents, shift, strict=True)],
@@ -232,9 +232,9 @@ def _string_tables(
         [t.frequency_systematic * np.outer(x, x) for t, x in zip(tables, per_hertz, strict=True)],
     )  # fmt: skip
     loss = _joined(
-        number, numbers, [t.decay * x for t, x in zip(tables, relative, strict=True)],
-        [t.decay_error * x for t, x in zip(tables, relative, strict=True)],
-        [t.decay_systematic * np.outer(x, x) for t, x in zip(tables, relative, strict=True)],
+        number, numbers, [np.log(t.decay / law) for t, law in zip(tables, losses, strict=True)],
+        [t.decay_error / t.decay for t in tables],
+        [t.decay_systematic / np.outer(law, law) for t, law in zip(tables, losses, strict=True)],
     )  # fmt: skip
     growth = 1 + (number / priors.LAW_REACH) ** 6
     known = np.full((1, 1, len(number)), max(ref.glide_error, 1e-9))

@@ -81,7 +81,7 @@ def profiles(problem: Problem, found: Estimate) -> View:
         rises = [[float(np.exp(p.log)), p.F - profile.start.F] for p in points if np.isfinite(p.F)]
         told[name] = {"points": rises, "evaluations": len(points)}
         lower[name] = float(found.minima.F.min()) - min(p.F for p in points)
-    return View(entries, (*_messages(lower), *open_messages(entries)), {"profile": told})
+    return View("profile", entries, (*_messages(lower), *open_messages(entries)), {"profile": told})
 
 
 def _messages(lower: dict[str, float]) -> list[str]:

@@ -110,7 +110,7 @@ class Result:
 
     @property
     def invariants(self) -> Quantities:
-        """What needs no assumed length, mass or velocity."""
+        """What needs no assumed length or mass and, but for F/M_S, no velocity: f0, B, ratios, the felt's force."""
         return Quantities.of(self.document["invariants"])
 
     @property

@@ -84,7 +84,7 @@ def draws(problem: Problem, found: Estimate, seed: int) -> View:
     }  # fmt: skip
     messages = (*_messages(mixed, int(divergent.sum())), *open_messages(entries))
     values = {name: np.exp(logs[..., i]) for name, i in names.items()}
-    return View(entries, messages, {"posterior": told}, values)
+    return View("posterior", entries, messages, {"posterior": told}, values)
 
 
 def _chain(key, at: Given, how: tuple[Cfg, int, int]):

@@ -36,6 +36,11 @@ POOR = 0.5
 VELOCITIES = 20.0
 # A second minimum with this share of the posterior is named.
 NAMED = 0.1
+MIXED = {
+    "laplace": "Intervals and predictions are those of the mixture.",
+    "profile": "Predictions are those of the mixture, the parameters' intervals the first one's.",
+    "posterior": "Predictions are those of the mixture; the parameters' intervals are the posterior's draws.",
+}
 WORSE = "The paper's criterion, which this fit does not minimise, is no lower than at the start: {}."
 ONE_VELOCITY = (
     "One uncalibrated recording does not fix the felt: any hammer's spectrum can be traded for an output path, and a "
@@ -157,7 +162,7 @@ def claims(problem: Problem, found: Estimate, states: dict[str, str], levels: di
         moving = (name.replace("mu", "μ") for name in problem.unknowns.law.scaling("N m"))
         text += (
             f" No hammer velocity was measured: {_listed('velocities', *moving)} are known up to one common scale, "
-            "and their intervals are the prior's; the ratios and products listed first do not depend on it."
+            "and their intervals are the prior's. The ratios listed first do not depend on it, nor do f0 and B."
         )
     return text
 
@@ -214,12 +219,14 @@ def _identified(problem: Problem, posterior: Posterior, a: str, b: str) -> str:
     return f"the product {a} · {b}^{-slope:.2g} ({reach})"
 
 
-def messages(problem: Problem, found: Estimate, states: dict[str, str], worse: Sequence[str]) -> list[str]:
-    """Plain sentences on what to beware of, the weightiest first."""
+def messages(
+    problem: Problem, found: Estimate, states: dict[str, str], worse: Sequence[str], means: str = "laplace"
+) -> list[str]:
+    """Plain sentences on what to beware of, the weightiest first; `means` is that of the parameters' intervals."""
     said = []
     if not found.minima.converged[0]:
         said.append("The search stopped before it converged; no value is a result.")
-    said += _mixture(problem, found)
+    said += _mixture(problem, found, means)
     if worse:
         said.append(WORSE.format(", ".join(worse)))
     bound = [n for n, s in states.items() if s == "at-bound"]
@@ -268,7 +275,7 @@ def presumed(problem: Problem) -> list[str]:
     ]
 
 
-def _mixture(problem: Problem, found: Estimate) -> list[str]:
+def _mixture(problem: Problem, found: Estimate, means: str) -> list[str]:
     """How much weight the heaviest minimum has, and another hammer about as probable."""
     share = found.posterior.share
     if len(share) == 1 or share[0] > 1 - NAMED:
@@ -284,5 +291,5 @@ def _mixture(problem: Problem, found: Estimate) -> list[str]:
     return [
         f"The minimum that is shown has the largest share of the posterior, {100 * share[0]:.0f} %. Another hammer, "
         f"with {100 * share[other]:.0f} %, differs most in {name}: {values[1]:.4g} instead of {values[0]:.4g}. "
-        "Intervals and predictions are those of the mixture."
+        + MIXED[means]
     ]

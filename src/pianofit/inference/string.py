@@ -27,7 +27,7 @@ class StringState(NamedTuple):
 
 
 def string_residuals(problem: Problem, string: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Residuals [1, K] and their laws' derivatives [1, K, 4], of frequencies, cents, and decays, relative."""
+    """Residuals [1, K] and their laws' derivatives [1, K, 4], of frequencies, cents, and of log decays."""
     o = problem.observed
     measured = o.frequency.value[0], o.decay.value[0]
     return residuals_of(string, measured, o.string_number, o.law, float(problem.start.geometry.length))
@@ -36,8 +36,8 @@ def string_residuals(problem: Problem, string: np.ndarray) -> tuple[list[np.ndar
 def residuals_of(string, measured, number, law, length, xp=np):
     """As `string_residuals`, of arrays, NumPy's or JAX's."""
     value, slope = string_law(string, number, length, xp)
-    laws = CENTS * xp.log(value[0] / law[0]), value[1] / law[1]
-    slopes = CENTS * slope[0], slope[1] / law[1][:, None]
+    laws = CENTS * xp.log(value[0] / law[0]), xp.log(value[1] / law[1])
+    slopes = CENTS * slope[0], slope[1] / value[1][:, None]
     return [(y - own)[None] for y, own in zip(measured, laws, strict=True)], [s[None] for s in slopes]
 
 

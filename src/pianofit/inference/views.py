@@ -19,6 +19,7 @@ MEANS = ("laplace", "profile", "posterior")
 class View:
     """What a profile or a posterior's draws say."""
 
+    means: str  # of `MEANS`
     entries: dict[str, dict]  # by parameter: interval, interval_by, interval_open
     messages: tuple[str, ...] = ()
     diagnostics: dict = field(default_factory=dict)
