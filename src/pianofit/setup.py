@@ -123,7 +123,7 @@ def load_setup(path: str | os.PathLike[str], felt: str | None = None) -> Setup:
     Parameters
     ----------
     path : of the file; its tables and keys, with units, are those of docs/files.md.
-    felt : a law of the felt that goes before the file's.
+    felt : the felt's law, for a file that names none.
 
     Returns
     -------
@@ -147,7 +147,13 @@ def load_setup(path: str | os.PathLike[str], felt: str | None = None) -> Setup:
         table = tomllib.loads(read_text(path, MAX_BYTES, SetupError))
     except (ValueError, RecursionError) as problem:  # RecursionError: brackets nested without end
         raise SetupError(f"{name}: not valid TOML: {one_line(problem)[:200]}; correct that place") from None
-    return setup_from_dict(table if felt is None else table | {"felt": {"law": felt}}, name)
+    if felt is None:
+        return setup_from_dict(table, name)
+    said = table.get("felt", {})
+    setup = setup_from_dict(table | {"felt": {"law": felt} | said if isinstance(said, dict) else said}, name)
+    if setup.law.name != felt:  # the file's own law was checked with the rest of it
+        raise SetupError(f'{name}: [felt] law = "{setup.law.name}" contradicts felt={felt!r}; remove one of them')
+    return setup
 
 
 def setup_from_dict(data: Mapping[str, Any], where: str) -> Setup:
