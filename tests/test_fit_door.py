@@ -103,6 +103,15 @@ def test_what_cannot_be_used_is_refused(asked, arguments, options, error, said):
     assert not asked
 
 
+def test_a_recipe_takes_the_velocity_of_the_recording_it_fits(file, monkeypatch):
+    seen: list[float | None] = []
+    monkeypatch.setattr("pianofit.paper.recipes.fit_by_recipe", lambda *_, velocity, **__: seen.append(velocity))
+    for name, given in (("a.wav", None), ("b.wav", None), (None, None), ("a.wav", 3.0)):
+        layer = pianofit.Layer(name, v_H0=2.0)
+        pianofit.fit(file, note="A4", setup=pianofit.Setup(recordings=(layer,)), recipe="paper", velocity=given)
+    assert seen == [2.0, None, 2.0, 3.0]
+
+
 def test_progress_goes_where_it_is_asked_to(asked, file, capsys, monkeypatch):
     seen: list[str] = []
     pianofit.fit(file, note="A4", progress=lambda stage, _: seen.append(stage))

@@ -6,6 +6,7 @@ import math
 import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from .io import shown
 from .parameters import check_velocity
 from .progress import Progress, progress_bar
 from .recording import Recording, load_recording, recording_from_samples
-from .setup import Setup, load_setup, setup_from_dict
+from .setup import Setup, layer_of, load_setup, setup_from_dict
 
 if TYPE_CHECKING:
     from .inference import Result
@@ -96,9 +97,10 @@ def fit(
         if recipe != "default":
             from .paper.recipes import fit_by_recipe
 
+            measured = layer_of(known, sounds[0].path, alone=True).v_H0 if velocity is None else velocity
             return fit_by_recipe(
-                sounds[0], heard[0], known, recipe, velocity=velocity, evaluations=evaluations, seed=seed,
-                progress=report,
+                sounds[0], heard[0], replace(known, recordings=()), recipe, velocity=measured, evaluations=evaluations,
+                seed=seed, progress=report,
             )  # fmt: skip
         from .inference.fit import fit_recordings
         from .ringing import make_ring

@@ -13,6 +13,7 @@ import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from numbers import Real
+from pathlib import Path
 from typing import Any
 
 from .errors import SetupError
@@ -20,7 +21,7 @@ from .felt import BOXES, DEFAULT_LAW, LAWS, FeltLaw, is_own
 from .io import one_line, read_text
 from .parameters import Parameter
 
-__all__ = ["PICKUPS", "Layer", "Setup", "load_setup", "setup_from_dict"]
+__all__ = ["PICKUPS", "Layer", "Setup", "layer_of", "load_setup", "setup_from_dict"]
 
 PICKUPS = ("velocity", "displacement", "bridge-force", "pressure")
 ON_THE_STRING = ("velocity", "displacement")  # pickups that need a position
@@ -115,6 +116,13 @@ class Setup:
     def law(self) -> FeltLaw:
         """The felt's law."""
         return self.felt if isinstance(self.felt, FeltLaw) else LAWS.get(self.felt or "", DEFAULT_LAW)
+
+
+def layer_of(setup: Setup, file: str, alone: bool) -> Layer:
+    """What a setup says of one recording, the only one of its fit if `alone`: the entry of its name, or without any."""
+    named = [entry for entry in setup.recordings if entry.file and Path(entry.file).name == Path(file).name]
+    nameless = [entry for entry in setup.recordings if alone and not entry.file]
+    return next(iter([*named, *nameless]), Layer())
 
 
 def load_setup(path: str | os.PathLike[str], felt: str | None = None) -> Setup:
