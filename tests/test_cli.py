@@ -135,6 +135,7 @@ def test_analyse_prints_a_table_and_data(tmp_path, run):
     (tmp_path / "note.wav").write_bytes(encoded(note()))
     data = json.loads(run("analyse", tmp_path / "note.wav", "--note", "A4", "--json"))
     text = run("analyse", tmp_path / "note.wav", "--f0", "440")
+    assert "the pitch" not in text, "a warning says how it moves, where it does"
     assert 1200 * abs(np.log2(data["f0"] / 440)) < 0.1
     assert data["B"] == pytest.approx(3e-4, rel=0.02)
     laws = {line.split()[0]: line for line in text.splitlines() if line[:3].strip() in ("f0", "B", "b1", "d2")}
@@ -150,6 +151,13 @@ def test_analyse_prints_a_table_and_data(tmp_path, run):
         whole = np.hypot(partials[f"{name}_error"], partials[f"{name}_systematic"])
         np.testing.assert_allclose(error, whole, rtol=0.06)
         assert (np.abs(value - partials[name]) <= 0.06 * whole).all()
+
+
+def test_analyse_says_what_was_done_to_the_recording(tmp_path, run):
+    (tmp_path / "note.wav").write_bytes(encoded(0.5 * note() + 0.03))
+    (warning,) = json.loads(run("analyse", tmp_path / "note.wav", "--note", "A4", "--json"))["warnings"]
+    assert warning == "an offset of 0.03 of full scale was removed"
+    assert run("analyse", tmp_path / "note.wav", "--note", "A4").endswith(f"{warning}\n")
 
 
 @pytest.mark.parametrize("name", ["bensa-final", "chabassier-C2"])
