@@ -19,6 +19,7 @@ import typer
 from bad_inputs import BAD_INPUTS, BadInput, encoded, note
 
 from pianofit.cli import app, main
+from pianofit.cli.summary import _line_of
 from pianofit.io import CEILING
 from pianofit.published import PRESETS, preset
 
@@ -282,6 +283,13 @@ def test_fit_writes_what_it_promises(fitted):
     for name in ("initial.wav", "fitted.wav"):
         info = soundfile.info(fitted / "out" / name)
         assert (info.frames, info.samplerate, info.channels) == (88_200, 44_100, 1)
+
+
+def test_a_recording_is_named_with_the_channel_that_was_taken():
+    row = {"file": "far/a.wav", "first": True, "v_H0": 1.0, "gain": 1.0, "cents": 0.0,
+           "levels": {"initial_db": 9.0, "fitted_db": 1.0}}  # fmt: skip
+    assert _line_of(row | {"channel": "left"}).startswith("a.wav (left) (the reference): 1 m/s")
+    assert _line_of(row | {"channel": "average"}).startswith("a.wav (the reference): 1 m/s")
 
 
 def test_render_at_the_fitted_velocity_is_the_fitted_sound(fitted, run):
