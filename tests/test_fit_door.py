@@ -54,6 +54,16 @@ def test_a_recording_comes_in_any_form(asked, file):
         assert other.analyses[0].f0 == first.analyses[0].f0
 
 
+def test_an_analysis_takes_what_a_fit_takes(file):
+    first, *others = (
+        pianofit.analyse(source, note="A4")
+        for source in (file, str(file), (SAMPLES, RATE), pianofit.load_recording(file))
+    )
+    assert {other.f0 for other in others} == {first.f0}
+    with pytest.raises(ParameterError, match=r"recording = 3\.0 must be a path"):
+        pianofit.analyse(3.0, note="A4")  # pyright: ignore[reportArgumentType]
+
+
 def test_several_come_together_and_analyses_may_be_given(asked, file):
     recording = pianofit.load_recording(file)
     analysis = pianofit.analyse(recording, f0=440.0)
@@ -86,6 +96,8 @@ def test_what_was_known_comes_in_any_form(asked, file):
         (((SAMPLES, RATE),), {"note": "A1"}, AnalysisError, "A1"),
         (((SAMPLES, RATE),), {"velocity": 1000}, ParameterError, "velocity=1000"),
         (((SAMPLES, RATE),) * 2, {"velocity": 1.0}, ParameterError, "[[recording]]"),
+        (((SAMPLES, RATE),), {"seed": -1}, ParameterError, "seed=-1"),
+        (((SAMPLES, RATE),), {"seed": 1.5}, ParameterError, "seed=1.5"),
         (((SAMPLES, RATE),), {"analyses": []}, ParameterError, "0 analyses"),
         (((SAMPLES, RATE),), {"intervals": "guess"}, ParameterError, "intervals='guess'"),
         (((SAMPLES, RATE),), {"recipe": "papers"}, ParameterError, "recipe='papers'"),
