@@ -80,6 +80,11 @@ def test_a_bad_input_in_a_process_of_its_own(bad, tmp_path):
     assert state(tmp_path) == before
 
 
+def test_a_number_has_no_unit_where_its_range_has_none(tmp_path, capsys):
+    assert main(["simulate", "--preset", "bensa-final", "--set", "p=9", "--out", str(tmp_path / "a.wav")]) == 1
+    assert capsys.readouterr().err.endswith("p=9.0 must be a number from 1 to 5\n")
+
+
 def test_the_corpus_is_large_and_meets_every_command():
     assert len(BAD_INPUTS) >= 200
     assert {"fit", "analyse", "simulate", "render", "demo", "listen"} <= {bad.args[0] for bad in BAD_INPUTS}

@@ -152,8 +152,9 @@ def check(
             raise ParameterError(f"{where}: no parameter is called {name!r}; known: {', '.join(boxes)}")
         box = boxes[name]
         if not (isinstance(value, int | float) and math.isfinite(value) and box.lower <= value <= box.upper):
+            unit = "" if box.unit == "1" else f" {box.unit}"
             raise ParameterError(
-                f"{where}: {name}={value!r} must be a number from {box.lower:g} to {box.upper:g} {box.unit}"
+                f"{where}: {name}={value!r} must be a number from {box.lower:g} to {box.upper:g}{unit}"
             )
     return {name: float(value) for name, value in values.items()}
 

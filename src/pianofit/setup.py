@@ -220,7 +220,7 @@ def _entries(name: str, content: object) -> Any:
     if name != "recording":
         return _table(name, content)
     if not isinstance(content, list):
-        raise SetupError(f"{name} = {_show(content)} must be a table; begin it with a line [[{name}]]")
+        raise SetupError(f"{name} = {_show(content)} must be a list; begin each entry with a line [[{name}]]")
     return [_table(name, entry) for entry in content]
 
 

@@ -68,11 +68,6 @@ def analyse(recording: Source, *, note: str | None = None, f0: float | None = No
     rate = recording.rate
     samples = np.asarray(recording.samples, float)[recording.onset :][: int(_LONGEST * rate)]
     seconds = len(samples) / rate
-    if seconds < 0.08:
-        raise AnalysisError(
-            f"{recording.path}: {1000 * seconds:.0f} ms after the onset is too short for {note or 'a note'}; "
-            f"give 80 ms or more"
-        )
     top = min(0.45 * rate, _TOP)
     try:
         rough_f0, rough_B = find_pitch(spectrum(samples, rate, 0.5), top=top, note=note, f0=f0)

@@ -226,13 +226,15 @@ def cross_validate(
     check_seed(seed)
     count = len(recordings)
     if count < 3:
-        raise FitError(f"{count} recordings are too few to leave one out; give three or more")
+        few = "1 recording is" if count == 1 else f"{count} recordings are"
+        raise FitError(f"{few} too few to leave one out; give three or more")
     whole = fit_recordings(recordings, analyses, setup, seed=seed)
     heard = whole.document["recordings"]
     strokes = list(dict.fromkeys(row["stroke"] for row in heard))
     if len(strokes) < 3:
         raise FitError(
-            f"{count} recordings of {len(strokes)} strokes are too few to leave one stroke out; give three or more"
+            f"{count} recordings of {len(strokes)} stroke{'s' * (len(strokes) > 1)} are too few to leave one stroke "
+            "out; give three or more"
         )
     predicted: dict[int, Prediction | None] = {}
     for place, stroke in enumerate(strokes):
