@@ -134,6 +134,18 @@ def test_a_reader_that_has_had_enough_is_no_error(tmp_path):
     assert (done.returncode, done.stderr) == (0, "")
 
 
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no device that is always full")
+@pytest.mark.parametrize("command", ["analyse note.wav --note A4", "analyse note.wav --note A4 --json", "fit --help"])
+def test_an_output_that_is_full_is_one_line(command, tmp_path):
+    (tmp_path / "note.wav").write_bytes(encoded(note()))
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [*PROGRAM, *command.split()], stdout=full, stderr=subprocess.PIPE, text=True, check=False, cwd=tmp_path
+        )
+    assert done.returncode == 1
+    assert done.stderr == "pianofit: standard output cannot be written (No space left on device); send it elsewhere\n"
+
+
 # --- what can be done -------------------------------------------------------------------------------------------------
 
 
