@@ -175,6 +175,8 @@ COMMANDS = [
     command("simulate-set-negative", f"{SIMULATE} --set M_H=-0.005", "M_H"),
     command("simulate-set-nan", f"{SIMULATE} --set kappa=nan", "kappa"),
     command("simulate-set-outside", f"{SIMULATE} --set p=9", "p=9"),
+    command("simulate-set-twice", f"{SIMULATE} --set c=300 --set c=310", "c is set twice"),
+    command("simulate-velocity-and-set", f"{SIMULATE} --set v_H0=3 --velocity 2", "v_H0=3.0 are both given"),
     command("simulate-velocity-zero", f"{SIMULATE} --velocity 0", "velocity"),
     command("simulate-velocity-word", f"{SIMULATE} --velocity loud", "loud", 2),
     command("simulate-seconds-zero", f"{SIMULATE} --seconds 0", "seconds"),
