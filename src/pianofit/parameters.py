@@ -180,4 +180,4 @@ def check_seed(seed: int) -> None:
         Naming its value.
     """
     if not isinstance(seed, Integral) or seed < 0:
-        raise ParameterError(f"seed={seed!r} must be a whole number, and must not be negative")
+        raise ParameterError(f"seed={seed!r} must be a whole number from 0")
