@@ -75,8 +75,8 @@ def slow_hammer(folder: Path) -> None:
 
 
 def short_bass(folder: Path) -> None:
-    """Build 60 ms of an A0: less than two periods."""
-    (folder / "short.wav").write_bytes(encoded(note(27.5, 0.06, lead=0.0)))
+    """Build 300 ms of an A0: eight periods."""
+    (folder / "short.wav").write_bytes(encoded(note(27.5, 0.3, lead=0.0)))
 
 
 def two_sides(folder: Path) -> None:
@@ -131,7 +131,7 @@ COMMANDS = [
     command("fit-note-nonsense", "fit @/good.wav --note H9 --out @/out", "H9"),
     command("fit-note-empty", "fit @/good.wav --note '' --out @/out", "note"),
     command("fit-note-not-there", "fit @/good.wav --note F#2 --out @/out", "F#2"),
-    command("fit-too-short-for-its-note", "fit @/short.wav --note A0 --out @/out", "A0", build=short_bass),
+    command("fit-too-short-for-its-note", "fit @/short.wav --note A0 --out @/out", "give 0.36 s", build=short_bass),
     command("fit-velocity-zero", f"{FIT} --velocity 0", "velocity"),
     command("fit-velocity-negative", f"{FIT} --velocity -1", "velocity"),
     command("fit-velocity-absurd", f"{FIT} --velocity 1000", "velocity"),
@@ -148,7 +148,7 @@ COMMANDS = [
     command("fit-recording-twice", "fit @/good.wav @/good.wav --note A4 --out @/out", "good.wav are the same"),
     command("fit-several-one-velocity", "fit @/good.wav @/b.wav --note A4 --velocity 2 --out @/out", "[[recording]]"),
     command("fit-several-one-missing", "fit @/good.wav @/none.wav --note A4 --out @/out", "none.wav"),
-    command("crossval-one", "crossval @/good.wav --note A4", "1 recordings are too few"),
+    command("crossval-one", "crossval @/good.wav --note A4", "1 recording is too few"),
     command("crossval-none", "crossval --note A4", "RECORDING", 2),
     command("predict-no-fit", "predict @/none.json @/good.wav", "none.json"),
     command("predict-not-a-fit", "predict @/good.wav @/good.wav", "good.wav"),
@@ -175,6 +175,8 @@ COMMANDS = [
     command("simulate-set-negative", f"{SIMULATE} --set M_H=-0.005", "M_H"),
     command("simulate-set-nan", f"{SIMULATE} --set kappa=nan", "kappa"),
     command("simulate-set-outside", f"{SIMULATE} --set p=9", "p=9"),
+    command("simulate-set-twice", f"{SIMULATE} --set c=300 --set c=310", "c is set twice"),
+    command("simulate-velocity-and-set", f"{SIMULATE} --set v_H0=3 --velocity 2", "v_H0=3.0 are both given"),
     command("simulate-velocity-zero", f"{SIMULATE} --velocity 0", "velocity"),
     command("simulate-velocity-word", f"{SIMULATE} --velocity loud", "loud", 2),
     command("simulate-seconds-zero", f"{SIMULATE} --seconds 0", "seconds"),
@@ -254,7 +256,12 @@ COMMANDS = [
     command("listen-trials", "listen @/a @/b --out @/out --trials 0", "trials=0", build=two_sides),
     command("listen-seconds", "listen @/a @/b --out @/out --seconds nan", "seconds=nan", build=two_sides),
     command("listen-seed", "listen @/a @/b --out @/out --seed -1", "seed=-1", build=two_sides),
-    command("listen-out-not-empty", "listen @/good.wav @/sound.wav --out @/out", "--force", build=occupied),
+    command(
+        "listen-out-not-empty",
+        "listen @/good.wav @/sound.wav --out @/out",
+        "--force to replace a result",
+        build=occupied,
+    ),
     command("listen-json-alone", "listen @/a @/b --out @/out --json", "--result", 2, build=two_sides),
     command("listen-result-and-out", "listen --result @/fit.json --out @/out", "stands alone", build=occupied),
     command("listen-result-missing", "listen --result @/none.json", "none.json: no such file"),

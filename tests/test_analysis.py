@@ -23,7 +23,7 @@ from pianofit.analysis import (
 )
 from pianofit.analysis.glide import falls
 from pianofit.analysis.inharmonicity import decay_law, frequency_law
-from pianofit.errors import AnalysisError
+from pianofit.errors import AnalysisError, RecordingError
 from pianofit.recording import Recording, recording_from_samples
 
 RATE, LEAD = 44100, 0.05
@@ -403,7 +403,7 @@ def test_f0_in_place_of_a_note():
 def test_too_short_for_the_note():
     with pytest.raises(AnalysisError, match=r"too short for a note of 27\.\d Hz"):
         analyse(string(*STRINGS["A0"], seed=8).recording(seconds=0.3), note="A0")
-    with pytest.raises(AnalysisError, match="70 ms"):
+    with pytest.raises(RecordingError, match="at least 80 ms are needed"):
         analyse(string(*STRINGS["C5"], seed=8).recording(seconds=0.07), note="C5")
     short = analyse(string(*STRINGS["C5"], seed=8).recording(seconds=0.12), note="C5")
     assert short.f0 == pytest.approx(523.25, rel=1e-3)

@@ -117,7 +117,7 @@ def test_a_name_is_wrong_from_a_semitone_on():
         (["--memory", "0.1"], 1, "--memory 0.1 GiB must be from 1 to 4096"),
         (["--retry", "all"], 2, "'all' is not failed"),
         (["--files", "post"], 2, "'post' is not value or shared"),
-        (["--seed", "-1"], 1, "seed=-1 must not be negative"),
+        (["--seed", "-1"], 1, "seed=-1 must be a whole number from 0"),
         (["--pattern", "{note}"], 1, "is no folder, so --pattern"),
         (["--setup", "takes.toml"], 1, "has a [[recording]]; the manifest names the recordings"),
         (["--scheduler", "nonsense"], 1, "no scheduler answers there"),

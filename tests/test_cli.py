@@ -19,6 +19,7 @@ import typer
 from bad_inputs import BAD_INPUTS, BadInput, encoded, note
 
 from pianofit.cli import app, main
+from pianofit.cli.summary import _line_of
 from pianofit.io import CEILING
 from pianofit.published import PRESETS, preset
 
@@ -79,6 +80,11 @@ def test_a_bad_input_in_a_process_of_its_own(bad, tmp_path):
     assert state(tmp_path) == before
 
 
+def test_a_number_has_no_unit_where_its_range_has_none(tmp_path, capsys):
+    assert main(["simulate", "--preset", "bensa-final", "--set", "p=9", "--out", str(tmp_path / "a.wav")]) == 1
+    assert capsys.readouterr().err.endswith("p=9.0 must be a number from 1 to 5\n")
+
+
 def test_the_corpus_is_large_and_meets_every_command():
     assert len(BAD_INPUTS) >= 200
     assert {"fit", "analyse", "simulate", "render", "demo", "listen"} <= {bad.args[0] for bad in BAD_INPUTS}
@@ -128,6 +134,18 @@ def test_a_reader_that_has_had_enough_is_no_error(tmp_path):
     assert (done.returncode, done.stderr) == (0, "")
 
 
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no device that is always full")
+@pytest.mark.parametrize("command", ["analyse note.wav --note A4", "analyse note.wav --note A4 --json", "fit --help"])
+def test_an_output_that_is_full_is_one_line(command, tmp_path):
+    (tmp_path / "note.wav").write_bytes(encoded(note()))
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [*PROGRAM, *command.split()], stdout=full, stderr=subprocess.PIPE, text=True, check=False, cwd=tmp_path
+        )
+    assert done.returncode == 1
+    assert done.stderr == "pianofit: standard output cannot be written (No space left on device); send it elsewhere\n"
+
+
 # --- what can be done -------------------------------------------------------------------------------------------------
 
 
@@ -135,6 +153,7 @@ def test_analyse_prints_a_table_and_data(tmp_path, run):
     (tmp_path / "note.wav").write_bytes(encoded(note()))
     data = json.loads(run("analyse", tmp_path / "note.wav", "--note", "A4", "--json"))
     text = run("analyse", tmp_path / "note.wav", "--f0", "440")
+    assert "the pitch" not in text, "a warning says how it moves, where it does"
     assert 1200 * abs(np.log2(data["f0"] / 440)) < 0.1
     assert data["B"] == pytest.approx(3e-4, rel=0.02)
     laws = {line.split()[0]: line for line in text.splitlines() if line[:3].strip() in ("f0", "B", "b1", "d2")}
@@ -150,6 +169,13 @@ def test_analyse_prints_a_table_and_data(tmp_path, run):
         whole = np.hypot(partials[f"{name}_error"], partials[f"{name}_systematic"])
         np.testing.assert_allclose(error, whole, rtol=0.06)
         assert (np.abs(value - partials[name]) <= 0.06 * whole).all()
+
+
+def test_analyse_says_what_was_done_to_the_recording(tmp_path, run):
+    (tmp_path / "note.wav").write_bytes(encoded(0.5 * note() + 0.03))
+    (warning,) = json.loads(run("analyse", tmp_path / "note.wav", "--note", "A4", "--json"))["warnings"]
+    assert warning == "an offset of 0.03 of full scale was removed"
+    assert run("analyse", tmp_path / "note.wav", "--note", "A4").endswith(f"{warning}\n")
 
 
 @pytest.mark.parametrize("name", ["bensa-final", "chabassier-C2"])
@@ -274,6 +300,13 @@ def test_fit_writes_what_it_promises(fitted):
     for name in ("initial.wav", "fitted.wav"):
         info = soundfile.info(fitted / "out" / name)
         assert (info.frames, info.samplerate, info.channels) == (88_200, 44_100, 1)
+
+
+def test_a_recording_is_named_with_the_channel_that_was_taken():
+    row = {"file": "far/a.wav", "first": True, "v_H0": 1.0, "gain": 1.0, "cents": 0.0,
+           "levels": {"initial_db": 9.0, "fitted_db": 1.0}}  # fmt: skip
+    assert _line_of(row | {"channel": "left"}).startswith("a.wav (left) (the reference): 1 m/s")
+    assert _line_of(row | {"channel": "average"}).startswith("a.wav (the reference): 1 m/s")
 
 
 def test_render_at_the_fitted_velocity_is_the_fitted_sound(fitted, run):

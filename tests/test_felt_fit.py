@@ -112,8 +112,25 @@ def test_a_law_that_cannot_be_is_refused(data, said):
 
 def test_another_law_must_suit_the_setup(tmp_path):
     path = tmp_path / "x.toml"
-    path.write_text('[known]\nmu = 0.1\n[felt]\nlaw = "hunt-crossley"\n')
-    assert load_setup(path).felt == "hunt-crossley"
+    path.write_text("[known]\nmu = 0.1\n")
     assert load_setup(path, "hunt-crossley").felt == "hunt-crossley"
     with pytest.raises(SetupError, match=r"x\.toml: mu is no parameter of the felt's law, stulov"):
+        load_setup(path, "stulov")
+    path.write_text("[known]\nepsilon = 0.1\n")
+    assert load_setup(path, "stulov").known == {"epsilon": 0.1}
+
+
+def test_a_law_beside_the_setup_hides_nothing_of_it(tmp_path):
+    path = tmp_path / "x.toml"
+    path.write_text('[felt]\nlaw = "power"\n')
+    assert load_setup(path, "power") == load_setup(path)
+    for table, said in (
+        ('law = "power"', """law = "power" contradicts felt='stulov'"""), ('law = "foo"', 'law = "foo" must be one of'),
+        ("laws = 3", "did you mean law"),
+    ):  # fmt: skip
+        path.write_text(f"[felt]\n{table}\n")
+        with pytest.raises(SetupError, match=said):
+            load_setup(path, "stulov")
+    path.write_text("felt = 3\n")
+    with pytest.raises(SetupError, match="must be a table"):
         load_setup(path, "stulov")

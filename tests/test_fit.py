@@ -105,6 +105,7 @@ def test_the_document_is_what_the_design_says():
             assert parameter["unit"] == PARAMETERS[name].unit
     check({name: document["parameters"][name]["value"] for name in FIT_NAMES})
     assert {"file", "sha256", "v_H0", "gain"} <= set(document["recordings"][0])
+    assert document["recordings"][0]["channel"] == "mono"
     assert document["criterion"]["dropped"] == []
     assert all(isinstance(said, str) and said.isprintable() for said in (*document["messages"], document["claims"]))
 

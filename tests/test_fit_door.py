@@ -54,6 +54,16 @@ def test_a_recording_comes_in_any_form(asked, file):
         assert other.analyses[0].f0 == first.analyses[0].f0
 
 
+def test_an_analysis_takes_what_a_fit_takes(file):
+    first, *others = (
+        pianofit.analyse(source, note="A4")
+        for source in (file, str(file), (SAMPLES, RATE), pianofit.load_recording(file))
+    )
+    assert {other.f0 for other in others} == {first.f0}
+    with pytest.raises(ParameterError, match=r"recording = 3\.0 must be a path"):
+        pianofit.analyse(3.0, note="A4")  # pyright: ignore[reportArgumentType]
+
+
 def test_several_come_together_and_analyses_may_be_given(asked, file):
     recording = pianofit.load_recording(file)
     analysis = pianofit.analyse(recording, f0=440.0)
@@ -86,6 +96,8 @@ def test_what_was_known_comes_in_any_form(asked, file):
         (((SAMPLES, RATE),), {"note": "A1"}, AnalysisError, "A1"),
         (((SAMPLES, RATE),), {"velocity": 1000}, ParameterError, "velocity=1000"),
         (((SAMPLES, RATE),) * 2, {"velocity": 1.0}, ParameterError, "[[recording]]"),
+        (((SAMPLES, RATE),), {"seed": -1}, ParameterError, "seed=-1"),
+        (((SAMPLES, RATE),), {"seed": 1.5}, ParameterError, "seed=1.5"),
         (((SAMPLES, RATE),), {"analyses": []}, ParameterError, "0 analyses"),
         (((SAMPLES, RATE),), {"intervals": "guess"}, ParameterError, "intervals='guess'"),
         (((SAMPLES, RATE),), {"recipe": "papers"}, ParameterError, "recipe='papers'"),
@@ -101,6 +113,15 @@ def test_what_cannot_be_used_is_refused(asked, arguments, options, error, said):
         pianofit.fit(*arguments, **options)
     assert said in str(caught.value)
     assert not asked
+
+
+def test_a_recipe_takes_the_velocity_of_the_recording_it_fits(file, monkeypatch):
+    seen: list[float | None] = []
+    monkeypatch.setattr("pianofit.paper.recipes.fit_by_recipe", lambda *_, velocity, **__: seen.append(velocity))
+    for name, given in (("a.wav", None), ("b.wav", None), (None, None), ("a.wav", 3.0)):
+        layer = pianofit.Layer(name, v_H0=2.0)
+        pianofit.fit(file, note="A4", setup=pianofit.Setup(recordings=(layer,)), recipe="paper", velocity=given)
+    assert seen == [2.0, None, 2.0, 3.0]
 
 
 def test_progress_goes_where_it_is_asked_to(asked, file, capsys, monkeypatch):

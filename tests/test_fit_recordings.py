@@ -170,10 +170,10 @@ def test_cross_validation_beats_the_nearest_layer():
     assert found["recordings"][0]["blend_db"] is None
 
 
-@pytest.mark.parametrize("number", [1, 2])
-def test_too_few_recordings_to_leave_one_out(number):
+@pytest.mark.parametrize(("number", "said"), [(1, "1 recording is too few"), (2, "2 recordings are too few")])
+def test_too_few_recordings_to_leave_one_out(number, said):
     recordings, analyses = through(SEVERAL)
-    with pytest.raises(FitError, match=f"{number} recordings are too few"):
+    with pytest.raises(FitError, match=said):
         cross_validate(recordings[:number], analyses[:number], Setup())
 
 

@@ -25,6 +25,18 @@ def test_a_treble_note_is_played_at_its_velocity(velocity):
     assert found.gain_db == pytest.approx(0.0, abs=0.5)
 
 
+def test_a_recording_comes_in_any_form(tmp_path):
+    it = pianofit.typical(53)
+    note = pianofit.Note(it.string, it.hammer, it.geometry, "bridge-force", gain=0.01)
+    samples = note.render(3.0, seconds=1.0).astype(np.float32).astype(float)
+    file = tmp_path / "a.wav"
+    file.write_bytes(pianofit.encode_wav(samples, 44_100))
+    found = [
+        predict_recording(note, one).velocity for one in (file, (samples, 44_100), pianofit.load_recording(str(file)))
+    ]
+    assert found[0] == found[1] == found[2] == pytest.approx(3.0, rel=0.05)
+
+
 def test_what_strokes_leave_is_taken_along():
     """Partials of a stroke between two known ones lie where these have them, beside hammer and path."""
     it, count = pianofit.typical(53), 20

@@ -243,6 +243,12 @@ def test_what_a_file_does_not_hold_is_said(saved):
     for call in calls:
         with pytest.raises(FitError, match=r"fit\.json, which holds no recordings"):
             call()
+    drawn = {name: entry | {"interval_by": "posterior"} for name, entry in result().document["parameters"].items()}
+    (saved / "older.json").write_text(json.dumps(result().document | {"parameters": drawn}))
+    with pytest.raises(FitError, match="does not hold the draws"):
+        pianofit.Result.load(saved / "older.json").to_arviz()
+    with pytest.raises(FitError, match="intervals='posterior'"):
+        back.to_arviz()
     assert back.covariance.names == result().covariance.names
     np.testing.assert_allclose(back.covariance.matrix, result().covariance.matrix, rtol=1e-12)
     assert back.plot.correlations().get_title() == result().plot.correlations().get_title()

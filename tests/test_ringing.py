@@ -202,6 +202,28 @@ def test_the_knock_begins_and_ends_in_silence_and_is_short():
     assert np.abs(knock[:, -5:]).max() < 1e-3 * np.abs(knock).max()
 
 
+def cut_short(*seconds: float) -> tuple[Heard, list[PartialModes], list[Force]]:
+    """Layers that last so long after their onset."""
+    velocities = (0.6, 1.7)[: len(seconds)]
+    layers = [recorded(v).samples[: round((LEAD + s) * RATE)] for v, s in zip(velocities, seconds, strict=True)]
+    recordings = [recording_from_samples(samples, RATE) for samples in layers]
+    analyses = [analyse(r, f0=F0) for r in recordings]
+    heard = hear(recordings, analyses)
+    return heard, modes_of(heard, analyses), [force_at(v) for v in velocities]
+
+
+@pytest.mark.parametrize("seconds", [(0.3,), (0.2,), (0.3, SECONDS), (0.12, SECONDS)])
+def test_the_knock_lasts_no_longer_than_any_layer_is_heard(seconds):
+    heard, modes, forces = cut_short(*seconds)
+    knock = key_of(heard, modes, forces, np.full(len(forces), 30.0)).ringing.knock
+    assert knock.shape[-1] / RATE == pytest.approx(0.012 + heard.seconds.min(), abs=2e-3)
+    assert np.abs(knock[:, -5:]).max() < 1e-3 * np.abs(knock).max()
+
+
+def test_a_layer_that_ends_at_once_shows_no_modes():
+    assert not cut_short(0.11)[1]
+
+
 def test_a_force_keeps_its_impulse_at_every_rate():
     force = force_at(1.0)
     total = force.newton.sum() * force.step

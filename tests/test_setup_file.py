@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from pianofit.errors import SetupError
 from pianofit.felt import BOXES, LAWS
 from pianofit.io import one_line
-from pianofit.setup import KEYS, PICKUPS, RANGES, Layer, Setup, load_setup, setup_from_dict
+from pianofit.setup import KEYS, PICKUPS, RANGES, Layer, Setup, layer_of, load_setup, setup_from_dict
 
 FULL = """
 # The paper's bench.
@@ -156,6 +156,17 @@ def test_the_contact_window_lies_on_the_string(position, width, length, fits):
     else:
         with pytest.raises(SetupError, match="past the"):
             setup_from_dict(data, "here")
+
+
+def test_an_entry_is_of_the_recording_that_it_names():
+    """Another's velocity is not taken; one without a name is that of a single recording."""
+    key = Setup(recordings=(Layer("far/soft.wav", 0.8), Layer("loud.wav", 3.0)))
+    assert layer_of(key, "near/loud.wav", alone=True).v_H0 == layer_of(key, "loud.wav", alone=False).v_H0 == 3.0
+    assert layer_of(key, "other.wav", alone=True) == layer_of(key, "other.wav", alone=False) == Layer()
+    nameless = Setup(recordings=(Layer("soft.wav", 0.8), Layer(v_H0=2.0), Layer(v_H0=9.0)))
+    assert layer_of(nameless, "soft.wav", alone=True).v_H0 == 0.8
+    assert layer_of(nameless, "other.wav", alone=True).v_H0 == 2.0
+    assert layer_of(nameless, "other.wav", alone=False) == Layer()
 
 
 IN_PYTHON = [

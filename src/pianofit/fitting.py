@@ -6,24 +6,21 @@ import math
 import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from .analysis import Analysis, analyse
 from .errors import ParameterError, SetupError
-from .io import shown
-from .parameters import check_velocity
+from .parameters import check_seed, check_velocity
 from .progress import Progress, progress_bar
-from .recording import Recording, load_recording, recording_from_samples
-from .setup import Setup, load_setup, setup_from_dict
+from .recording import Recording
+from .setup import Setup, layer_of, load_setup, setup_from_dict
+from .sources import Source, read
 
 if TYPE_CHECKING:
     from .inference import Result
 
-__all__ = ["fit", "listen", "read"]
-
-Source = str | os.PathLike[str] | tuple[np.ndarray, int] | Recording
+__all__ = ["fit", "listen"]
 
 
 def fit(
@@ -85,7 +82,7 @@ def fit(
     ('m/s', 'fitted', True)
     >>> _ = result.save("fit", page=False)  # fit.json and the sounds
     """
-    _check(recordings, analyses, velocity, intervals, recipe, evaluations)
+    _check(recordings, analyses, velocity, intervals, recipe, evaluations, seed)
     known = _setup(setup)
     _check_bounds(known, velocity)
     with progress_bar(progress) as report:
@@ -96,36 +93,16 @@ def fit(
         if recipe != "default":
             from .paper.recipes import fit_by_recipe
 
+            measured = layer_of(known, sounds[0].path, alone=True).v_H0 if velocity is None else velocity
             return fit_by_recipe(
-                sounds[0], heard[0], known, recipe, velocity=velocity, evaluations=evaluations, seed=seed,
-                progress=report,
+                sounds[0], heard[0], replace(known, recordings=()), recipe, velocity=measured, evaluations=evaluations,
+                seed=seed, progress=report,
             )  # fmt: skip
         from .inference.fit import fit_recordings
         from .ringing import make_ring
 
         found = fit_recordings(sounds, heard, known, velocity=velocity, intervals=intervals, seed=seed, progress=report)
         return make_ring(found, report)
-
-
-def read(recordings: Sequence[Source], channel: str = "average") -> list[Recording]:
-    """Recordings from files, from arrays with their rates, and as they are.
-
-    Raises `RecordingError` for a sound that cannot be used; `ParameterError` for what is no recording, or another
-    channel.
-    """
-    return [_recording(source, channel, f"recording {at}") for at, source in enumerate(recordings, 1)]
-
-
-def _recording(source: Source, channel: str, name: str) -> Recording:
-    if isinstance(source, Recording):
-        return source
-    if isinstance(source, str | os.PathLike):
-        return load_recording(source, channel=channel)
-    if isinstance(source, tuple) and len(source) == 2:
-        return recording_from_samples(*source, name=name)
-    raise ParameterError(
-        f"{name} = {shown(source)} must be a path, a Recording, or (samples, rate); give each as an argument of its own"
-    )
 
 
 def listen(recordings: Sequence[Recording], note: str | None = None, f0: float | None = None) -> list[Analysis]:
@@ -145,7 +122,7 @@ def _setup(setup: Setup | Mapping[str, Any] | str | os.PathLike[str] | None) -> 
 
 def _check(
     recordings: Sequence[Source], analyses: Sequence[Analysis] | None, velocity: float | None, intervals: str,
-    recipe: str, evaluations: int | None,
+    recipe: str, evaluations: int | None, seed: int,
 ) -> None:  # fmt: skip
     """Refuse arguments that cannot be had, alone or together."""
     if not recordings:
@@ -153,6 +130,7 @@ def _check(
     if analyses is not None and len(analyses) != len(recordings):
         raise ParameterError(f"{len(analyses)} analyses were given of {len(recordings)} recordings; give one of each")
     check_velocity(velocity)
+    check_seed(seed)
     if velocity is not None and len(recordings) > 1:
         raise ParameterError(
             f"velocity={velocity} m/s is of one recording; give each its own in the setup's [[recording]]"

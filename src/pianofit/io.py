@@ -165,7 +165,9 @@ def output_folder(path: Path, force: bool) -> Iterator[Path]:
         path.mkdir(parents=True, exist_ok=True)
         held = next(path.iterdir(), None)
         if held is not None and not force:
-            raise OutputError(f"{name}: the folder is not empty; give another --out, or --force to replace a fit in it")
+            raise OutputError(
+                f"{name}: the folder is not empty; give another --out, or --force to replace a result in it"
+            )
         if not os.access(path, os.W_OK | os.X_OK):
             raise OutputError(f"{name}: the folder cannot be written to; choose one that is yours")
     except OSError as error:

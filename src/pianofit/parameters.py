@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from numbers import Integral
 from typing import Any, NamedTuple
 
 from .errors import ParameterError, check_range
 
 __all__ = [
     "FIT_NAMES", "HAMMER_NAMES", "PARAMETERS", "STRING_NAMES", "Geometry", "Hammer", "Number", "Parameter", "String",
-    "check", "check_velocity",
+    "check", "check_seed", "check_velocity",
 ]  # fmt: skip
 
 # A box that says nothing else is the 95 % of its prior: so many standard deviations, 2 · 1.96.
@@ -151,8 +152,9 @@ def check(
             raise ParameterError(f"{where}: no parameter is called {name!r}; known: {', '.join(boxes)}")
         box = boxes[name]
         if not (isinstance(value, int | float) and math.isfinite(value) and box.lower <= value <= box.upper):
+            unit = "" if box.unit == "1" else f" {box.unit}"
             raise ParameterError(
-                f"{where}: {name}={value!r} must be a number from {box.lower:g} to {box.upper:g} {box.unit}"
+                f"{where}: {name}={value!r} must be a number from {box.lower:g} to {box.upper:g}{unit}"
             )
     return {name: float(value) for name, value in values.items()}
 
@@ -167,3 +169,15 @@ def check_velocity(velocity: float | None) -> None:
     """
     if velocity is not None:
         check_range("velocity=", velocity, PARAMETERS["v_H0"].lower, PARAMETERS["v_H0"].upper, " m/s")
+
+
+def check_seed(seed: int) -> None:
+    """Refuse a seed that no random numbers come of.
+
+    Raises
+    ------
+    ParameterError
+        Naming its value.
+    """
+    if not isinstance(seed, Integral) or seed < 0:
+        raise ParameterError(f"seed={seed!r} must be a whole number from 0")

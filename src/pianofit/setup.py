@@ -13,6 +13,7 @@ import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from numbers import Real
+from pathlib import Path
 from typing import Any
 
 from .errors import SetupError
@@ -20,7 +21,7 @@ from .felt import BOXES, DEFAULT_LAW, LAWS, FeltLaw, is_own
 from .io import one_line, read_text
 from .parameters import Parameter
 
-__all__ = ["PICKUPS", "Layer", "Setup", "load_setup", "setup_from_dict"]
+__all__ = ["PICKUPS", "Layer", "Setup", "layer_of", "load_setup", "setup_from_dict"]
 
 PICKUPS = ("velocity", "displacement", "bridge-force", "pressure")
 ON_THE_STRING = ("velocity", "displacement")  # pickups that need a position
@@ -117,13 +118,20 @@ class Setup:
         return self.felt if isinstance(self.felt, FeltLaw) else LAWS.get(self.felt or "", DEFAULT_LAW)
 
 
+def layer_of(setup: Setup, file: str, alone: bool) -> Layer:
+    """What a setup says of one recording, the only one of its fit if `alone`: the entry of its name, or without any."""
+    named = [entry for entry in setup.recordings if entry.file and Path(entry.file).name == Path(file).name]
+    nameless = [entry for entry in setup.recordings if alone and not entry.file]
+    return next(iter([*named, *nameless]), Layer())
+
+
 def load_setup(path: str | os.PathLike[str], felt: str | None = None) -> Setup:
     """Read a `setup.toml`.
 
     Parameters
     ----------
     path : of the file; its tables and keys, with units, are those of docs/files.md.
-    felt : a law of the felt that goes before the file's.
+    felt : the felt's law, for a file that names none.
 
     Returns
     -------
@@ -147,7 +155,13 @@ def load_setup(path: str | os.PathLike[str], felt: str | None = None) -> Setup:
         table = tomllib.loads(read_text(path, MAX_BYTES, SetupError))
     except (ValueError, RecursionError) as problem:  # RecursionError: brackets nested without end
         raise SetupError(f"{name}: not valid TOML: {one_line(problem)[:200]}; correct that place") from None
-    return setup_from_dict(table if felt is None else table | {"felt": {"law": felt}}, name)
+    if felt is None:
+        return setup_from_dict(table, name)
+    said = table.get("felt", {})
+    setup = setup_from_dict(table | {"felt": {"law": felt} | said if isinstance(said, dict) else said}, name)
+    if setup.law.name != felt:  # the file's own law was checked with the rest of it
+        raise SetupError(f'{name}: [felt] law = "{setup.law.name}" contradicts felt={felt!r}; remove one of them')
+    return setup
 
 
 def setup_from_dict(data: Mapping[str, Any], where: str) -> Setup:
@@ -206,7 +220,7 @@ def _entries(name: str, content: object) -> Any:
     if name != "recording":
         return _table(name, content)
     if not isinstance(content, list):
-        raise SetupError(f"{name} = {_show(content)} must be a table; begin it with a line [[{name}]]")
+        raise SetupError(f"{name} = {_show(content)} must be a list; begin each entry with a line [[{name}]]")
     return [_table(name, entry) for entry in content]
 
 

@@ -90,7 +90,8 @@ def cross_validate_files(
 
     Raises `PianofitError` for any input that cannot be used.
     """
-    from .fitting import listen, read
+    from .fitting import listen
+    from .sources import read
 
     recordings = read(files, channel)
     analyses = listen(recordings, note, f0)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import AnalysisError, WrongNoteError
+from ..sources import Source, as_recording
 from .demodulate import demodulate
 from .fits import first_fits, lost
 from .glide import Fall, falls, glide_windows, straightened
@@ -34,12 +35,12 @@ _OUTLIER_CENTS = 12.0  # and cents, whichever is more
 _BEATS = 1.5  # dB
 
 
-def analyse(recording: Recording, *, note: str | None = None, f0: float | None = None) -> Analysis:
+def analyse(recording: Source, *, note: str | None = None, f0: float | None = None) -> Analysis:
     """Find and measure the partials of one struck note.
 
     Parameters
     ----------
-    recording : mono samples with the onset known, see `load_recording`.
+    recording : a path, a `Recording`, or samples with their rate, as `fit` takes them.
     note : its name, such as "F#2"; the pitch is then sought within a semitone of it.
     f0 : the same, in Hz; goes before `note`.
 
@@ -49,6 +50,8 @@ def analyse(recording: Recording, *, note: str | None = None, f0: float | None =
 
     Raises
     ------
+    RecordingError
+        If the sound cannot be used.
     AnalysisError
         When the recording is too short, or enough of its partials are not there; a WrongNoteError when the note is not.
 
@@ -61,14 +64,10 @@ def analyse(recording: Recording, *, note: str | None = None, f0: float | None =
     >>> f"{found.f0:.1f} Hz, B = {found.B:.2g}, {len(found.partials)} partials"
     '175.0 Hz, B = 0.00017, 55 partials'
     """
+    recording = as_recording(recording)
     rate = recording.rate
     samples = np.asarray(recording.samples, float)[recording.onset :][: int(_LONGEST * rate)]
     seconds = len(samples) / rate
-    if seconds < 0.08:
-        raise AnalysisError(
-            f"{recording.path}: {1000 * seconds:.0f} ms after the onset is too short for {note or 'a note'}; "
-            f"give 80 ms or more"
-        )
     top = min(0.45 * rate, _TOP)
     try:
         rough_f0, rough_B = find_pitch(spectrum(samples, rate, 0.5), top=top, note=note, f0=f0)

@@ -14,7 +14,7 @@ from .inharmonicity import CENTS, FrequencyLaw, bend, frequency_law
 from .notes import hz_to_note, note_to_hz
 from .spectrum import Spectrum
 
-__all__ = ["find_pitch", "track", "typical_B"]
+__all__ = ["check_pitch", "find_pitch", "track", "typical_B"]
 
 LOWEST, HIGHEST = 25.0, 4500.0  # Hz, A0 to C8 with room for tuning
 _TEETH = 16
@@ -103,6 +103,12 @@ def _best(spec: Spectrum, low: float, high: float, top: float) -> tuple[float, f
     return best
 
 
+def check_pitch(frequency: float, name: str) -> None:
+    """Refuse a frequency, Hz, that no piano has, by an `AnalysisError` that calls it `name`."""
+    if not LOWEST * 0.9 <= frequency <= HIGHEST * 1.1:
+        raise AnalysisError(f"{name} is outside the range of a piano; give one from {LOWEST:g} to {HIGHEST:g} Hz")
+
+
 def find_pitch(spec: Spectrum, *, top: float, note: str | None, f0: float | None) -> tuple[float, float]:
     """Rough f0 (Hz) and B of the note in `spec`.
 
@@ -112,10 +118,9 @@ def find_pitch(spec: Spectrum, *, top: float, note: str | None, f0: float | None
         When there is no comb of partials, or when it is clearly not the note (or f0) that was given.
     """
     wanted = f0 if f0 is not None else (note_to_hz(note) if note is not None else None)
-    if wanted is not None and not LOWEST * 0.9 <= wanted <= HIGHEST * 1.1:
-        raise AnalysisError(
-            f"f0={wanted:g} Hz is outside the range of a piano; give one from {LOWEST:g} to {HIGHEST:g} Hz"
-        )
+    name = f"note {note}" if f0 is None else f"f0={f0:g} Hz"
+    if wanted is not None:
+        check_pitch(wanted, name)
     free = _best(spec, LOWEST, HIGHEST, top)
     if wanted is None:
         if free[0] < 0.08:
@@ -123,7 +128,6 @@ def find_pitch(spec: Spectrum, *, top: float, note: str | None, f0: float | None
         return free[1], free[2]
     near = _best(spec, wanted * 2 ** (-1 / 12), wanted * 2 ** (1 / 12), top)
     away = abs(np.log2(free[1] / near[1]))
-    name = f"note {note}" if f0 is None else f"f0={f0:g} Hz"
     if near[0] < 0.05 and away <= 1 / 24:
         raise WrongNoteError(
             f"{name}: its partials hardly stand above the noise; give a cleaner recording, or leave it out"

@@ -17,9 +17,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ..analysis.notes import midi_to_note, note_to_midi
+from ..analysis.pitch import check_pitch
 from ..errors import AnalysisError, SetupError
 from ..io import one_line, read_text
 from ..parameters import PARAMETERS
+from ..units import hertz_of
 
 __all__ = ["DEFAULT_PATTERN", "Key", "Sample", "listed", "manifest_text", "read_keys"]
 
@@ -211,6 +213,7 @@ def _keys(name: str, rows: list[Row], base: Path, root: Path, transpose: int) ->
             if not 0 <= midi <= 127:
                 raise SetupError(f"note {one_line(row.note)!r} is MIDI {midi} with --transpose {transpose}, "
                                  "must be 0 to 127")  # fmt: skip
+            check_pitch(hertz_of(midi), f"note {midi_to_note(midi)}")
             if sample.file in seen:
                 raise SetupError(f"{one_line(row.file)} is also {seen[sample.file]}; list it once")
             seen[sample.file] = row.where

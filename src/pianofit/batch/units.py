@@ -36,7 +36,7 @@ __all__ = ["Outcome", "Settings", "Source", "Unit", "fit_unit", "make_unit", "ve
 SCHEMA = 1
 # Code that a number in fit.json or a sample of a sound can depend on.
 NUMBERS = (
-    "parameters.py", "published.py", "recording.py", "setup.py", "analysis", "model", "criterion.py",
+    "parameters.py", "published.py", "recording.py", "sources.py", "setup.py", "analysis", "model", "criterion.py",
     "inference", "fitting.py", "fit_file.py", "report/save.py", "batch/units.py",
 )  # fmt: skip
 # A name is wrong when the string sounds further from it than this, cents; old pianos and stretched trebles do not.

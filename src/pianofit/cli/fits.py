@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -52,7 +53,9 @@ def analyse(
     from ..analysis import as_dict
     from ..recording import load_recording
 
-    found = run(load_recording(file, channel=channel), note=note, f0=f0)
+    recording = load_recording(file, channel=channel)
+    found = run(recording, note=note, f0=f0)
+    found = replace(found, warnings=recording.warnings + found.warnings)
     tell(as_dict(found), _table(found), as_json)
 
 
@@ -74,7 +77,7 @@ def _table(found: Analysis) -> str:
     lines = [found.note] if found.note else []
     lines += [
         *columns(cells, right=1),
-        f"the pitch falls by {found.glide_cents:.1f} cents; partials scatter by {found.scatter_cents:.2f} cents",
+        f"partials scatter by {found.scatter_cents:.2f} cents",
         "",
         "In brackets 95 % intervals, after ± one standard error.",
         " ".join(f"{f'{column.name}, {column.unit}' if column.unit else column.name:>{column.width}}"

@@ -120,7 +120,6 @@ def page(
     from ..io import check_target, one_line
     from ..keyboard import load_instrument
     from ..play.page import write_page
-    from ..report.kit import is_page
 
     if out is not None:
         if out.suffix.lower() not in (".html", ".htm"):
@@ -128,9 +127,8 @@ def page(
         check_target(out, force)
     loaded = load_instrument(built, prefix)
     if out is None:
-        # The command's own file, made anew when there are more keys.
         out = (built if built.is_dir() else built.parent) / (f"piano-{prefix}.html" if prefix else PAGE)
-        check_target(out, force or is_page(out))
+        check_target(out, force)
     found = write_page(out, loaded, recordings)
     done = {
         "file": str(out), "bytes": out.stat().st_size, "keys": found.keys, "recorded": found.recorded,

@@ -8,7 +8,6 @@ from typing import Annotated, Any
 
 import typer
 
-from ..errors import ParameterError
 from ..felt import LAWS
 
 __all__ = [
@@ -22,11 +21,10 @@ def check_common(velocity: float | None, seed: int = 0) -> None:
 
     Raises `ParameterError`, naming the argument, its value and its range.
     """
-    from ..parameters import check_velocity
+    from ..parameters import check_seed, check_velocity
 
     check_velocity(velocity)
-    if seed < 0:
-        raise ParameterError(f"seed={seed} must not be negative")
+    check_seed(seed)
 
 
 def read_as(kind: Callable[[str], Any], words: str) -> Callable[[str], Any]:

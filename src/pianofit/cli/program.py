@@ -15,6 +15,7 @@ from typing import Annotated
 import typer
 
 from ..errors import check_range
+from ..io import NO_ROOM
 from ..progress import progress_bar
 from . import batch, export, fits, instrument, listening, sounds
 from .options import Force, Json, Seed, check_common, number
@@ -126,3 +127,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         complain("interrupted; nothing more is written")
         return 130
+    except OSError as error:
+        if error.errno not in NO_ROOM or error.filename is not None:
+            raise
+        # Of a file it would be an error of ours: it is what was to be printed, and what is left of it goes nowhere.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        complain(f"standard output cannot be written ({error.strerror}); send it elsewhere")
+        return 1

@@ -63,7 +63,10 @@ def _struck(preset: str, change: list[str], velocity: float | None, seconds: flo
     from ..published import preset as find
 
     it = find(preset)
-    values = it.string._asdict() | it.hammer._asdict() | _assignments(change)
+    changed = _assignments(change)
+    if velocity is not None and "v_H0" in changed:
+        raise ParameterError(f"velocity={velocity} and --set v_H0={changed['v_H0']} are both given; remove one of them")
+    values = it.string._asdict() | it.hammer._asdict() | changed
     if velocity is not None:
         values["v_H0"] = velocity
     check({name: value for name, value in values.items() if (name, value) != ("mu", 0.0)}, "--set", BOXES)
@@ -78,6 +81,8 @@ def _assignments(change: list[str]) -> dict[str, float]:
     values = {}
     for text in change:
         name, equals, number = text.partition("=")
+        if name.strip() in values:
+            raise ParameterError(f"--set {text!r}: {name.strip()} is set twice; remove one of them")
         try:
             values[name.strip()] = float(number)
         except ValueError:

@@ -84,8 +84,9 @@ def _found(table: dict) -> list[str]:
 
 def _line_of(recording: dict) -> str:
     levels, reference = recording["levels"], " (the reference)" * bool(recording["first"])
+    one = f" ({recording['channel']})" * (recording["channel"] not in ("mono", "average"))
     return (
-        f"{Path(recording['file']).name}{reference}: {recording['v_H0']:.3g} m/s, gain {recording['gain']:.3g}, "
+        f"{Path(recording['file']).name}{one}{reference}: {recording['v_H0']:.3g} m/s, gain {recording['gain']:.3g}, "
         f"{recording['cents']:+.2f} cents, "
         f"levels {levels['initial_db']:.1f} -> {levels['fitted_db']:.2f} dB"
     )

@@ -325,7 +325,7 @@ def _row(problem: Problem, found: Estimate, i: int, heard: FittedRecording) -> d
     speed = _velocity(problem, found, stroke)
     cents = 1200 * np.log2(problem.analyses[i].f0 / problem.analyses[problem.reference].f0)
     return {
-        "file": recording.path, "sha256": recording.sha256, "rate": recording.rate,
+        "file": recording.path, "sha256": recording.sha256, "channel": recording.channel, "rate": recording.rate,
         "onset_s": recording.onset / recording.rate, "v_H0": speed["value"], "v_H0_interval": speed["interval"],
         "v_H0_status": speed["status"], "gain": heard.fitted.note.gain,
         "gain_status": "fitted" if problem.start.scale is None else "given", "first": i == problem.reference,

@@ -69,7 +69,7 @@ def point_result(
         "invariants": {},
         "parameters": _parameters(start, found, values, at_bound, calibrated),
         "recordings": [{
-            "file": recording.path, "sha256": recording.sha256, "rate": recording.rate,
+            "file": recording.path, "sha256": recording.sha256, "channel": recording.channel, "rate": recording.rate,
             "onset_s": recording.onset / recording.rate, "v_H0": float(hammer.v_H0), "v_H0_interval": None,
             "v_H0_status": _status(start, "v_H0", at_bound, calibrated), "gain": after.note.gain,
             "gain_status": "given" if calibrated else "fitted", "first": True, "cents": 0.0, "group": 0, "stroke": 0,

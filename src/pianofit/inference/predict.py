@@ -21,9 +21,10 @@ from ..errors import FitError
 from ..fit_file import gains_of
 from ..model.note import SLOWEST, Note
 from ..model.path import SAME_PARTIAL
-from ..parameters import PARAMETERS
+from ..parameters import PARAMETERS, check_seed
 from ..recording import Recording
 from ..setup import Setup
+from ..sources import Source
 from ..threads import one_blas_thread
 from . import Result
 from .fit import fit_recordings
@@ -62,7 +63,7 @@ class Prediction:
 @one_blas_thread()
 def predict_recording(
     notes: Result | Note | Sequence[tuple[float, Note]],
-    analysis: Analysis | Recording,
+    analysis: Analysis | Source,
     *,
     gains: Sequence[float] | None = None,
 ) -> Prediction:
@@ -73,7 +74,7 @@ def predict_recording(
     notes : a fit, one note, or those of several minima with their shares. Each is struck at the velocity that suits it;
         the prediction is the mean of their levels, dB, by their shares, and the note, velocity and pitch are the
         first's.
-    analysis : of the recording, see `analyse`, or the recording.
+    analysis : of the recording, see `analyse`, or the recording in any form that `fit` takes.
     gains : of the recordings that were fitted through the same path, dB over the note's own: where they agree, how loud
         the recording is tells how hard the string was struck. A fit has its own (`Result.gains`); of notes alone none
         are known.
@@ -86,8 +87,8 @@ def predict_recording(
     ------
     FitError
         If too few partials stand above the noise, or no velocity gives a finite sound.
-    AnalysisError
-        If the recording is too short, or of another key.
+    RecordingError, AnalysisError
+        If the recording cannot be used, is too short, or of another key.
 
     Examples
     --------
@@ -103,7 +104,7 @@ def predict_recording(
         notes, gains = notes.mixture, notes.gains if gains is None else gains
     mixture = [(1.0, notes)] if isinstance(notes, Note) else list(notes)
     gains, (_, first) = gains or (0.0,), mixture[0]
-    analysis = analyse(analysis, f0=_pitch(first)) if isinstance(analysis, Recording) else analysis
+    analysis = analysis if isinstance(analysis, Analysis) else analyse(analysis, f0=_pitch(first))
     p = analysis.partials
     chosen = scored(p.frequency, p.level) & _heard(first, p.number)
     if chosen.sum() < FEWEST:
@@ -222,15 +223,18 @@ def cross_validate(
     >>> found, result = pianofit.cross_validate(recordings, analyses, pianofit.Setup())  # four fits
     >>> found["median_inner_db"]
     """
+    check_seed(seed)
     count = len(recordings)
     if count < 3:
-        raise FitError(f"{count} recordings are too few to leave one out; give three or more")
+        few = "1 recording is" if count == 1 else f"{count} recordings are"
+        raise FitError(f"{few} too few to leave one out; give three or more")
     whole = fit_recordings(recordings, analyses, setup, seed=seed)
     heard = whole.document["recordings"]
     strokes = list(dict.fromkeys(row["stroke"] for row in heard))
     if len(strokes) < 3:
         raise FitError(
-            f"{count} recordings of {len(strokes)} strokes are too few to leave one stroke out; give three or more"
+            f"{count} recordings of {len(strokes)} stroke{'s' * (len(strokes) > 1)} are too few to leave one stroke "
+            "out; give three or more"
         )
     predicted: dict[int, Prediction | None] = {}
     for place, stroke in enumerate(strokes):

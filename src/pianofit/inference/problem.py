@@ -15,7 +15,7 @@ from ..io import one_line
 from ..model import simulate
 from ..parameters import STRING_NAMES, String
 from ..recording import Recording
-from ..setup import Layer, Setup
+from ..setup import Layer, Setup, layer_of
 from . import priors
 from .coordinates import ABSENT, STRING_SIZE, Unknowns, names_of
 from .lanes import Cfg, Scene
@@ -87,7 +87,7 @@ def pose(
         Naming the file that is given twice, of another key, or all noise.
     """
     _refuse(recordings, analyses)
-    entries = [_entry(recording, setup, len(recordings)) for recording in recordings]
+    entries = [layer_of(setup, recording.path, len(recordings) == 1) for recording in recordings]
     layout = _layout(entries)
     measured = [velocity if velocity is not None else entry.v_H0 for entry in entries]
     speed: list[float | None] = [None] * layout.strokes
@@ -122,15 +122,6 @@ def _refuse(recordings: Sequence[Recording], analyses: Sequence[Analysis]) -> No
                 f"{name}: its pitch, {analysis.f0:.2f} Hz, is {abs(cents):.0f} cents from that of the other "
                 "recordings; all must be of one key"
             )
-
-
-def _entry(recording: Recording, setup: Setup, count: int) -> Layer:
-    """What the setup says of this recording: the entry of its name, or the only one of a single recording."""
-    name = Path(recording.path).name
-    for entry in setup.recordings:
-        if Path(entry.file or "").name == name:
-            return entry
-    return setup.recordings[0] if count == 1 and setup.recordings else Layer()
 
 
 def _layout(entries: Sequence[Layer]) -> Layout:

@@ -224,11 +224,13 @@ class Result:
         Raises
         ------
         FitError
-            If the fit has no draws.
+            If the fit has no draws, or was read back: a file does not hold them.
         OutputError
             If ArviZ is not installed.
         """
         if self.draws is None:
+            if any(q.interval_by == "posterior" for q in self.parameters.values()):
+                raise FitError("fit.json does not hold the draws; fit the recordings again, and take that result's")
             raise FitError("there are no draws; fit with intervals='posterior'")
         return optional("arviz", "draws for ArviZ").from_dict(posterior=self.draws)
 
@@ -267,7 +269,7 @@ class Result:
 
     @classmethod
     def load(cls, folder: str | os.PathLike[str], felt: FeltLaw | None = None) -> Result:
-        """A fit read back from the folder it was saved to, or from its `fit.json`: without its recordings.
+        """A fit read back from the folder it was saved to, or its `fit.json`, which holds no recordings and no draws.
 
         `felt` is the felt's law, where the fit was by one of your own.
 

@@ -13,7 +13,6 @@ import os
 import re
 from collections.abc import Callable, Sequence
 from importlib.resources import files
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..io import replace_file
@@ -21,11 +20,9 @@ from ..io import replace_file
 if TYPE_CHECKING:
     from jinja2 import Environment
 
-__all__ = ["asset", "data_uri", "is_page", "page_bytes", "picture", "templates", "write_page"]
+__all__ = ["asset", "data_uri", "page_bytes", "picture", "templates", "write_page"]
 
 KIT = "pianofit.report"
-# What a page of this kit has in its first bytes.
-GENERATOR, FIRST = b'<meta name="generator" content="pianofit">', 256
 # A heading that can be led to: its id and its words.
 HEADING = re.compile(r'<h[23] id="([^"]+)">([^<]+)</h[23]>')
 
@@ -67,15 +64,6 @@ def page_bytes(
         **content,
     )  # fmt: skip
     return html.encode("utf-8", errors="replace")
-
-
-def is_page(path: str | os.PathLike[str]) -> bool:
-    """Whether a file is a page of this kit."""
-    try:
-        with Path(path).open("rb") as file:
-            return GENERATOR in file.read(FIRST)
-    except OSError:
-        return False
 
 
 def templates(package: str, *, strict: bool = True, filters: dict[str, Callable] | None = None) -> Environment:

@@ -26,7 +26,8 @@ ENVELOPE = 0.06
 FEWEST = 12
 SHORTEST = 0.1
 # It begins when the kernel has left the onset by this, s, the first contact's length, and is lost within so many times
-# the noise's amplitude, which is what the end of the recording, from this part of it on, has beside the partial.
+# the noise's amplitude, which is what the end of the recording, from this part of it on, has beside the partial: in a
+# short one, the last frame that is valid.
 CONTACT = 0.003
 LOST = 2.0
 QUIET = 0.8
@@ -60,7 +61,7 @@ def cut_band(b: Band, z: np.ndarray, beside: np.ndarray, ends: np.ndarray) -> Cu
     z : the band [layers, channels, frames]; `beside`: magnitude of the band half a spacing above, likewise.
     ends : s, of each layer.
     """
-    quiet = [(b.time > QUIET * end) & (b.time < end - b.kernel) for end in ends]
+    quiet = [(b.time > min(QUIET * end, end - b.kernel - b.step)) & (b.time <= end - b.kernel) for end in ends]
     noise = np.stack([np.median(beside[i][:, at], axis=-1) for i, at in enumerate(quiet)]) * RMS_OVER_MEDIAN + 1e-9
     width = max(1, round(ENVELOPE / b.step))
     smooth = np.ones((1, 1, width)) / width

@@ -15,7 +15,8 @@ from .participation import participation
 
 __all__ = ["Key", "key_of"]
 
-# The knock lasts so long after the contact, s: beyond this it gains little (the knee of the distance over its length).
+# The knock lasts so long after the contact, s: beyond this it gains little (the knee of the distance over its length);
+# and no longer than any layer is heard.
 KNOCK = 0.4
 # Part of it, at its end, in which it fades.
 FADE = 1 / 3
@@ -105,7 +106,7 @@ def _participation(
     order = np.argsort(velocity, kind="stable")
     loud = np.stack([np.abs(m.amplitude).sum(-1).max(axis=-1) for m in modes], axis=1)[order]
     noise = 10 ** (-np.stack([m.snr for m in modes], axis=1)[order] / 20)
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"):  # what a layer does not show says nothing
         error = np.hypot(noise, FLOOR * loud.max(axis=1, keepdims=True) / loud) / np.sqrt(2)
     shown = []
     for m in modes:
@@ -153,7 +154,7 @@ def _knock(
     # Each layer at its own pitch: a cent beside it, its partials would be left for the knock.
     pole = np.concatenate([m.poles + 2j * np.pi * m.offset[:, None] for m in modes], axis=-1)
     rate, lead = heard.rate, round(LEAD * heard.rate)
-    size = round((LEAD + KNOCK) * rate)
+    size = lead + round(min(KNOCK, *(heard.seconds - delay)) * rate)
 
     def unheard(pattern: np.ndarray) -> np.ndarray:
         return np.pad(silencing(key.pole, pattern, rate, size - lead), ((0, 0), (lead, 0)))
