@@ -25,7 +25,7 @@ RATE = 88_200.0
 table = jax.jit(model.mode_table, static_argnames=("n_modes", "quantity", "kind"))
 strike = jax.jit(model.strike, static_argnames=("steps",))
 ringing = jax.jit(model.ringing)
-release = jax.jit(free_motion, static_argnames=("steps",))
+release = jax.jit(free_motion)
 
 
 def hit(string, hammer, geometry, rate, *, n_modes=64, steps=512, quantity="velocity"):

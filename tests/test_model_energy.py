@@ -68,7 +68,7 @@ def test_free_lossless_string_keeps_its_energy_for_ten_seconds(kind):
 
 def test_waveform_of_a_free_lossless_string_does_not_fade():
     modes = cases.table(LOSSLESS, GEOMETRY, rate=RATE, n_modes=64)
-    free = cases.release(modes, 1e-3 * (np.arange(64) == 0), np.zeros(64), steps=512)
+    free = cases.release(modes, 1e-3 * (np.arange(64) == 0), np.zeros(64))
     y = model.waveform(modes, np.zeros(512), rate=44_100.0, samples=441_000, free=free)
     omega = 2 * math.pi * float(model.mode_frequencies(STRING, 1.0, 1)[0])
     n = np.arange(441_000 - 400, 441_000)
