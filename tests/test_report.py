@@ -323,7 +323,7 @@ def test_intervals_get_the_digits_they_support(value, interval, texts):
     assert (row["value"].replace("\u00a0", " "), (row["interval"] or "–").replace("\u00a0", " ")) == texts
 
 
-@given(st.floats(-1e307, 1e307), st.integers(1, 8))
+@given(st.floats(-1e300, 1e300), st.integers(1, 8))
 def test_numbers_keep_their_value(value, digits):
     plain = number(value, digits).translate(str.maketrans("−⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "--0123456789", "\u00a0"))
     assert float(plain.replace("×10", "e")) == pytest.approx(value, rel=0.51 * 10 ** (1 - digits), abs=1e-323)
