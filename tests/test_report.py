@@ -29,7 +29,7 @@ from pianofit.errors import OutputError
 from pianofit.inference.statements import STATUSES
 from pianofit.io import replace_file
 from pianofit.numbers import number
-from pianofit.report.figures import _headings, _partials
+from pianofit.report.figures import _headings, _partials, _spectra
 from pianofit.report.page import Curves, report_bytes
 from pianofit.report.sound import k_weighted_mean_square, make_clips
 from pianofit.report.words import STATUS, again_in_words, invariants, minima, ringing, ringing_line, rows
@@ -428,19 +428,29 @@ def test_unwritable_places_are_named_and_nothing_is_left(tmp_path, monkeypatch):
     assert place.read_text() == "before"
 
 
-def test_a_start_that_strikes_on_a_node_does_not_flatten_the_levels(curves):
+@pytest.mark.parametrize("name", ["level_initial", "level_fitted"])
+def test_a_strike_on_a_node_does_not_flatten_the_levels(curves, name):
     import matplotlib.pyplot as plt
 
     from pianofit.report.figures import draw_levels
 
-    initial = curves.level_initial.copy()
-    initial[3] = -380.0
+    level = getattr(curves, name).copy()
+    level[3] = -380.0
     axes = plt.figure().add_subplot()
-    draw_levels(axes, dataclasses.replace(curves, level_initial=initial))
+    draw_levels(axes, dataclasses.replace(curves, **{name: level}))
     low, high = axes.get_ylim()
     plt.close("all")
     assert -150 < low < min(curves.level.min(), curves.level_fitted.min())
     assert high > max(curves.level.max(), curves.level_fitted.max())
+
+
+def test_bands_beyond_the_spectra_are_not_in_their_picture(curves):
+    end = float(curves.frequency[-1])
+    high = dataclasses.replace(curves, borders=(50.0, 0.1 * end, 1.5 * end, 1.8 * end))
+    for figure in _spectra(high, ("band3",)):
+        (axes,) = figure.axes
+        assert axes.get_xlim()[1] <= end
+        assert "band 3" not in " ".join(text.get_text() for text in axes.texts)
 
 
 def test_a_decay_that_a_beat_hides_leaves_room_to_the_others(curves):
