@@ -149,6 +149,7 @@ def fit_of_recordings(count=3, **changes):
             "unit": "1",
             "interval": [0.905 / i, 1.105 / i],
             "note": f"/a folder/recording-{i}.flac",
+            "status": "fitted",
         }
         for i in range(2, count + 1)
     }
@@ -176,7 +177,7 @@ def example_held_out(count=3):
          "inner": 1 < i < count}
         for i in range(1, count + 1)
     ]  # fmt: skip
-    return {"recordings": rows, "median_inner_db": 1.5, "worst_inner_db": 1.625}
+    return {"recordings": rows, "median_inner_db": 1.5, "worst_inner_db": 1.625, "messages": []}
 
 
 def example_fit(**changes):
@@ -184,13 +185,14 @@ def example_fit(**changes):
         return {"value": value, "unit": unit, "interval": interval, "status": status, "initial": initial, "note": note}
 
     def invariant(value, unit, interval, note=""):
-        return {"value": value, "unit": unit, "interval": interval, "note": note}
+        return {"value": value, "unit": unit, "interval": interval, "note": note, "status": "fitted"}
 
     length = "rests on an assumed length of 1 m"
     fit = {
         "schema": 4,
         "program": "pianofit",
         "recipe": "default",
+        "felt": "hunt-crossley",
         "seed": 0,
         "converged": True,
         "claims": "One uncalibrated recording does not fix the felt: a smooth unknown path with a hammer from the "
@@ -218,15 +220,16 @@ def example_fit(**changes):
             "x0": entry(0.12, "m", None, "given", None),
         },
         "recordings": [{"file": "cp80-Fs2-FF.flac", "sha256": "ab" * 32, "rate": 44100, "onset_s": 0.03, "v_H0": 4.0,
-                   "gain": 0.0123, "gain_status": "fitted", "v_H0_status": "scaled"}],
+                   "v_H0_interval": [1.6, 10.0], "v_H0_status": "scaled", "gain": 0.0123, "gain_status": "fitted",
+                   "first": True, "cents": 0.0, "group": 0, "levels": {"initial_db": 12.31, "fitted_db": 2.64}}],
         "minima": [],
         "derived": {"f0": 92.331, "B": 2.3e-4, "f1": 92.34, "contact_ms": 2.214, "max_force_N": 33.42,
-                    "max_compression_mm": 0.65, "glide_cents": 4.31},
+                    "max_compression_mm": 0.65, "glide_cents": 4.31, "later_contacts": []},
         "criterion": {"global": {"initial": 0.83, "final": 0.059}, "band1": {"initial": 1.1, "final": 0.02},
                       "band2": {"initial": 0.7, "final": 0.08}, "band3": {"initial": 0.9, "final": 0.9},
                       "dropped": [], "sigma": 30.0, "borders": [46.0, 138.0, 790.0, 3800.0]},
         "levels": {"initial_db": 12.31, "fitted_db": 2.64, "path_only_db": 2.6, "partials": 40},
-        "diagnostics": {"evaluations": 812},
+        "diagnostics": {"evaluations": 812, "correlated": []},
         "versions": {"pianofit": "0.1.0", "python": "3.12.4", "jax": "0.10.0"},
     }  # fmt: skip
     return fit | changes
