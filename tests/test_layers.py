@@ -43,7 +43,7 @@ USES = {
     "paper": "analysis criterion felt inference io listening model parameters published recording report setup tables",
     "keyboard": "analysis criterion fit_file io model parameters published report ringing_file",
     "fitting": "analysis inference io paper parameters progress recording ringing setup",
-    "play": "analysis felt io keyboard model parameters recording report threads",
+    "play": "analysis felt io keyboard model parameters recording report tables threads",
     "workflow": "analysis fit_file fitting inference io model paper recording setup",
     "batch": "analysis fitting io model parameters recording report tables",
     "cli": "analysis batch felt fit_file fitting io keyboard listening model paper parameters play progress"
