@@ -253,9 +253,13 @@ def nothing(array):
 
 
 def with_nothing(curves):
-    arrays = {f.name: getattr(curves, f.name) for f in dataclasses.fields(curves)}
-    return Curves(**{name: nothing(x) if isinstance(x, np.ndarray) and name not in ("number", "frequency") else x
-                     for name, x in arrays.items()})  # fmt: skip
+    def of(x):
+        if isinstance(x, dict):
+            return {name: nothing(one) for name, one in x.items()}
+        return nothing(x) if isinstance(x, np.ndarray) else x
+
+    fields = {f.name: getattr(curves, f.name) for f in dataclasses.fields(curves)}
+    return Curves(**{name: x if name in ("number", "frequency") else of(x) for name, x in fields.items()})
 
 
 @pytest.mark.parametrize(
@@ -266,12 +270,19 @@ def with_nothing(curves):
         lambda c: dataclasses.replace(c, path=None, borders=()),
         lambda c: dataclasses.replace(c, borders=(100.0, 700.0)),
         lambda c: dataclasses.replace(
-            c, decay=-c.decay, force_fitted=0 * c.force_fitted, compression_fitted=-c.force_ms
+            c,
+            decay=-c.decay,
+            force=c.force | {"fitted": 0 * c.force_ms},
+            compression=c.compression | {"fitted": -c.force_ms},
         ),
-        lambda c: dataclasses.replace(c, attack_measured=1e-9 * c.attack_measured, sound_fitted=1e30 * c.sound_fitted),
-        lambda c: dataclasses.replace(c, level_error=nothing(c.level), frequency_cents_error=nothing(c.level)),
+        lambda c: dataclasses.replace(
+            c,
+            attack=c.attack | {"measured": 1e-9 * c.attack["measured"]},
+            sounds=c.sounds | {"fitted": 1e30 * c.sounds["fitted"]},
+        ),
+        lambda c: dataclasses.replace(c, level_error=nothing(c.number), frequency_cents_error=nothing(c.number)),
         lambda _: example_curves(rate=8000, seconds=0.6, count=1, f0=1760.0, path=False),
-        lambda c: dataclasses.replace(c, sound_original=np.tile(c.sound_original, (5, 1))),
+        lambda c: dataclasses.replace(c, sounds=c.sounds | {"original": np.tile(c.sounds["original"], (5, 1))}),
     ],
     ids=["whole", "nan", "no path", "one band", "no contact", "magnitudes", "no errors", "one partial", "channels"],
 )
@@ -350,8 +361,8 @@ def test_weighting_is_the_recommendations(frequency):
 def test_sounds_are_equally_loud_and_never_clip(tmp_path, loudest):
     curves = example_curves(rate=48000, seconds=2.0)
     scale = {name: 3.0 if name == loudest else 0.02 for name in NAMES}
-    given_sounds = {name: scale[name] * getattr(curves, f"sound_{name}") for name in NAMES}
-    curves = dataclasses.replace(curves, **{f"sound_{name}": x for name, x in given_sounds.items()})
+    given_sounds = {name: scale[name] * curves.sounds[name] for name in NAMES}
+    curves = dataclasses.replace(curves, sounds=given_sounds)
     sounds = sounds_of(Page(written(tmp_path, example_fit(), curves)))
     loudness = [printed_loudness(samples) for samples, _, _ in sounds.values()]
     assert max(loudness) - min(loudness) < 0.3
@@ -427,20 +438,20 @@ def test_unwritable_places_are_named_and_nothing_is_left(tmp_path, monkeypatch):
     assert place.read_text() == "before"
 
 
-@pytest.mark.parametrize("name", ["level_initial", "level_fitted"])
+@pytest.mark.parametrize("name", ["initial", "fitted"])
 def test_a_strike_on_a_node_does_not_flatten_the_levels(curves, name):
     import matplotlib.pyplot as plt
 
     from pianofit.report.figures import draw_levels
 
-    level = getattr(curves, name).copy()
+    level = curves.levels[name].copy()
     level[3] = -380.0
     axes = plt.figure().add_subplot()
-    draw_levels(axes, dataclasses.replace(curves, **{name: level}))
+    draw_levels(axes, dataclasses.replace(curves, levels=curves.levels | {name: level}))
     low, high = axes.get_ylim()
     plt.close("all")
-    assert -150 < low < min(curves.level.min(), curves.level_fitted.min())
-    assert high > max(curves.level.max(), curves.level_fitted.max())
+    assert -150 < low < min(x.min() for x in curves.levels.values())
+    assert high > max(x.max() for x in curves.levels.values())
 
 
 def test_bands_beyond_the_spectra_are_not_in_their_picture(curves):

@@ -87,8 +87,8 @@ def _spectra(curves: Curves, dropped: tuple[str, ...]) -> list[Figure]:
 
 def _draw_spectra(axes: Axes, curves: Curves, low: float, high: float) -> None:
     for name in COMPARED:
-        axes.plot(curves.frequency, getattr(curves, f"{name}_db"), label=name, **LINES[name])
-    bottom, top = span(curves.measured_db, curves.fitted_db)
+        axes.plot(curves.frequency, curves.spectra[name], label=name, **LINES[name])
+    bottom, top = span(curves.spectra["measured"], curves.spectra["fitted"])
     axes.set(xlim=(low, high), ylim=(max(bottom, top - 110) - 6, top + 12), xlabel="frequency (Hz)")
     axes.set_ylabel("level (dB)")
 
@@ -116,8 +116,8 @@ def draw_spectrum(axes: Axes, curves: Curves, dropped: tuple[str, ...]) -> None:
 
 def draw_force(axes: Axes, curves: Curves) -> None:
     """Draw the hammer's force over time before and after the fit."""
-    for name in ("initial", "fitted"):
-        axes.plot(curves.force_ms, getattr(curves, f"force_{name}"), label=name, **LINES[name])
+    for name, force in curves.force.items():
+        axes.plot(curves.force_ms, force, label=name, **LINES[name])
     axes.set(xlabel="time from the first touch (ms)", ylabel="force (N)")
     axes.set_ylim(bottom=0.0)
 
@@ -126,7 +126,7 @@ def draw_levels(axes: Axes, curves: Curves) -> None:
     """Draw the partials' levels, measured, initial and fitted."""
     axes.plot(curves.number, _without_nodes(curves, "initial"), marker="s", ms=3.4, label="initial", **LINES["initial"])
     axes.plot(curves.number, _without_nodes(curves, "fitted"), marker="o", ms=3.4, label="fitted", **LINES["fitted"])
-    points(axes, curves.number, curves.level, curves.level_error)
+    points(axes, curves.number, curves.levels["measured"], curves.level_error)
     axes.set(xlabel="partial number k", ylabel="level (dB)")
     number_axis(axes, curves.number)
 
@@ -151,7 +151,7 @@ def _shade_bands(axes: Axes, edges: list[tuple[float, float, str, bool]]) -> Non
 
 
 def _attack(curves: Curves) -> list[Figure]:
-    limits = span(*(getattr(curves, f"attack_{name}") for name in COMPARED))
+    limits = span(*curves.attack.values())
     room = 0.05 * max(limits[1] - limits[0], 1e-12)
     figures = []
     for name, title in (("initial", "start values"), ("fitted", "after the fit")):
@@ -166,7 +166,7 @@ def _attack(curves: Curves) -> list[Figure]:
 def draw_attack(axes: Axes, curves: Curves, names: tuple[str, ...]) -> None:
     """Draw the waveforms of the first milliseconds."""
     for name in names:
-        axes.plot(curves.attack_ms, getattr(curves, f"attack_{name}"), label=name, **LINES[name])
+        axes.plot(curves.attack_ms, curves.attack[name], label=name, **LINES[name])
     axes.set_ylabel("signal (full scale = 1)")
 
 
@@ -206,7 +206,7 @@ def _levels(curves: Curves) -> list[Figure]:
     path = curves.path
     residuals, (error, *below) = panel(*((HEIGHT,) if path is None else (0.6 * HEIGHT, 0.4 * HEIGHT - 0.12)))
     for name, marker in (("initial", "s"), ("fitted", "o")):
-        off = _without_nodes(curves, name) - curves.level
+        off = _without_nodes(curves, name) - curves.levels["measured"]
         error.plot(curves.number, off, marker=marker, ms=3.4, label=name, **LINES[name])
     error.axhline(0.0, color=MEASURED, lw=1)
     error.set(title="Residuals", ylabel="minus measured (dB)")
@@ -221,8 +221,8 @@ def _levels(curves: Curves) -> list[Figure]:
 
 def _without_nodes(curves: Curves, name: str) -> np.ndarray:
     """Levels, dB, nan where far below all measured ones: a given strike position can be exactly on a node."""
-    low, _ = span(curves.level)
-    level = getattr(curves, f"level_{name}")
+    low, _ = span(curves.levels["measured"])
+    level = curves.levels[name]
     return np.where(level > low - NODE, level, np.nan)
 
 
@@ -240,14 +240,14 @@ def _force(curves: Curves) -> list[Figure]:
 def draw_loop(axes: Axes, curves: Curves) -> None:
     """Draw force over compression, with heads on the curve that say which way it runs."""
     for name in ("initial", "fitted"):
-        x, force = getattr(curves, f"compression_{name}"), getattr(curves, f"force_{name}")
+        x, force = curves.compression[name], curves.force[name]
         touching = np.where(x > 0, 1.0, np.nan)
         axes.plot(x * touching, force * touching, label=name, **LINES[name])
     axes.set(xlabel="compression of the felt (mm)", ylabel="force (N)")
-    axes.set_xlim(0.0, 1.05 * max(span(curves.compression_initial, curves.compression_fitted)[1], 1e-9))
+    axes.set_xlim(0.0, 1.05 * max(span(*curves.compression.values())[1], 1e-9))
     axes.set_ylim(bottom=0.0)
     for name in ("initial", "fitted"):
-        for at, way in _headings(getattr(curves, f"compression_{name}"), getattr(curves, f"force_{name}")):
+        for at, way in _headings(curves.compression[name], curves.force[name]):
             axes.plot(*at, marker=_head(_angle(axes, at, way)), ms=13, mew=0, color=LINES[name]["color"], zorder=6)
 
 

@@ -92,11 +92,7 @@ def _names(*documents: dict[str, Any] | None) -> dict[str, str]:
 
 def _clips(curves: Curves, onset: float) -> list[Clip]:
     """The first recording's sounds: beside it the fit as it rings and by its law, or before and after the fit."""
-    fitted = {"fitted": curves.sound_fitted}
-    others = {"initial": curves.sound_initial} | fitted if curves.sound_law is None else (
-        fitted | {"law": curves.sound_law}
-    )  # fmt: skip
-    sounds = {name: _in_two(x) for name, x in ({"original": curves.sound_original} | others).items()}
+    sounds = {name: _in_two(x) for name, x in curves.sounds.items()}
     mono = all(x.ndim == 1 for x in sounds.values())
     return make_clips(sounds, curves.sound_rate, onset, seconds=SECONDS if mono else STEREO_SECONDS)
 
