@@ -9,12 +9,15 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import scipy.integrate
 import scipy.optimize
 
 from pianofit import model
-from pianofit.model.contact import free_motion
+from pianofit.model.contact import free_motion, impulse_amplitude
+from pianofit.model.exponentials import transform
+from pianofit.model.response import _back
 from pianofit.parameters import Geometry, Hammer, String
 
 STRING = String(c=304.1, kappa=1.737, b1=0.568, b2=2e-4)
@@ -25,7 +28,16 @@ RATE = 88_200.0
 table = jax.jit(model.mode_table, static_argnames=("n_modes", "quantity", "kind"))
 strike = jax.jit(model.strike, static_argnames=("steps",))
 ringing = jax.jit(model.ringing)
-release = jax.jit(free_motion, static_argnames=("steps",))
+release = jax.jit(free_motion)
+
+
+@jax.jit
+def string_energy(modes, drive):
+    """Energy of every mode after the pulse, J, carried back to t = 0 as if it had rung since."""
+    amplitude = impulse_amplitude(modes) * transform(drive, _back(modes, len(drive)))
+    silent = modes.drive == 0
+    mass = jnp.where(silent, 0.0, modes.strike / jnp.where(silent, 1.0, modes.drive))
+    return 0.5 * mass * modes.omega2 * jnp.abs(amplitude) ** 2
 
 
 def hit(string, hammer, geometry, rate, *, n_modes=64, steps=512, quantity="velocity"):

@@ -10,7 +10,7 @@ import numpy as np
 
 from pianofit.model.decay import PartialDecay
 from pianofit.report.curves import Envelope, Felt, Known, RecordingCurves, RingingCurves, Strokes
-from pianofit.report.figures import draw_figures
+from pianofit.report.figures import COMPARED, draw_figures
 from pianofit.report.page import Curves
 
 NAMES = ("original", "initial", "fitted")
@@ -60,27 +60,30 @@ def example_curves(rate=44100, seconds=3.0, count=40, f0=92.33, quiet=0.1, path=
     force_initial, compression_initial = pulse(ms, 2.6, 9e-4, 1.5e9, 2.55, 0.1)
     force_fitted, compression_fitted = pulse(ms, 2.2, 6.5e-4, 5.2e9, 2.56, 0.2)
     return Curves(
-        bins.astype(float), *spectra, (0.5 * f0, 1.5 * f0, 8.6 * f0, float(bins[-1])),
-        1e3 * (t[attack] - 0.03), measured[attack], initial[attack], fitted[attack],
+        bins.astype(float), dict(zip(COMPARED, spectra, strict=True)), (0.5 * f0, 1.5 * f0, 8.6 * f0, float(bins[-1])),
+        1e3 * (t[attack] - 0.03),
+        {"measured": measured[attack], "initial": initial[attack], "fitted": fitted[attack]},
         k, law + random.normal(0, 0.6, count), np.full(count, 0.4), law,
         decay * np.exp(random.normal(0, 0.2, count)), 0.05 * decay, decay,
-        level, np.full(count, 0.3), level_initial, level_fitted, 3 * np.sin(k / 9) if path else None,
-        ms, force_initial, force_fitted, compression_initial, compression_fitted,
-        rate, measured, quiet * initial, fitted,
+        {"measured": level, "initial": level_initial, "fitted": level_fitted}, np.full(count, 0.3),
+        3 * np.sin(k / 9) if path else None,
+        ms, {"initial": force_initial, "fitted": force_fitted},
+        {"initial": compression_initial, "fitted": compression_fitted},
+        rate, {"original": measured, "initial": quiet * initial, "fitted": fitted},
     )  # fmt: skip
 
 
 def with_recordings(curves, velocities=(3.2, 0.6, 1.5), count=7):
     """The same, of several recordings, the first of which is that of the curves, with all that a fit can have."""
-    rate, k, random = curves.sound_rate, curves.number, np.random.default_rng(8)
-    seconds = len(curves.sound_original) / rate
+    rate, k, level, random = curves.sound_rate, curves.number, curves.levels["measured"], np.random.default_rng(8)
+    seconds = len(curves.sounds["original"]) / rate
     recordings = []
     for place, velocity in enumerate(velocities, start=1):
         sound = velocity / 4 * note(60.0 + 10 * place, 2e-4, 4, 1.0, rate, seconds)[0]
         force, u = pulse(np.linspace(0, 3, 120), 2.5, 3e-4 * velocity, 5e9, 2.5, 0.1)
         recordings.append(RecordingCurves(
-            place, velocity, 1.0 + 0.1 * place, k, curves.level - 3 * place, np.full(len(k), 0.5),
-            curves.level - 3 * place + random.normal(0, 1, len(k)), u, force, rate, 0.03, sound, 0.3 * sound[::-1],
+            place, velocity, 1.0 + 0.1 * place, k, level - 3 * place, np.full(len(k), 0.5),
+            level - 3 * place + random.normal(0, 1, len(k)), u, force, rate, 0.03, sound, 0.3 * sound[::-1],
         ))  # fmt: skip
     u = np.linspace(0.02, 1.0, 48)
     law = 30 * u**2.5 * np.array([1.0, 0.8, 1.25])[:, None]
@@ -121,8 +124,8 @@ def with_ringing(curves):
         return np.stack([x, 0.5 * np.roll(x, 9)])
 
     return dataclasses.replace(
-        curves, sound_original=stereo(curves.sound_original), sound_fitted=stereo(curves.sound_fitted),
-        sound_law=curves.sound_initial,
+        curves, sounds={"original": stereo(curves.sounds["original"]), "fitted": stereo(curves.sounds["fitted"]),
+                        "law": curves.sounds["initial"]},
         ringing=RingingCurves(envelopes, frames, bands, level, level + 3 * np.sin(5 * frames), decays),
     )  # fmt: skip
 
@@ -149,6 +152,7 @@ def fit_of_recordings(count=3, **changes):
             "unit": "1",
             "interval": [0.905 / i, 1.105 / i],
             "note": f"/a folder/recording-{i}.flac",
+            "status": "fitted",
         }
         for i in range(2, count + 1)
     }
@@ -176,7 +180,7 @@ def example_held_out(count=3):
          "inner": 1 < i < count}
         for i in range(1, count + 1)
     ]  # fmt: skip
-    return {"recordings": rows, "median_inner_db": 1.5, "worst_inner_db": 1.625}
+    return {"recordings": rows, "median_inner_db": 1.5, "worst_inner_db": 1.625, "messages": []}
 
 
 def example_fit(**changes):
@@ -184,13 +188,14 @@ def example_fit(**changes):
         return {"value": value, "unit": unit, "interval": interval, "status": status, "initial": initial, "note": note}
 
     def invariant(value, unit, interval, note=""):
-        return {"value": value, "unit": unit, "interval": interval, "note": note}
+        return {"value": value, "unit": unit, "interval": interval, "note": note, "status": "fitted"}
 
     length = "rests on an assumed length of 1 m"
     fit = {
         "schema": 4,
         "program": "pianofit",
         "recipe": "default",
+        "felt": "hunt-crossley",
         "seed": 0,
         "converged": True,
         "claims": "One uncalibrated recording does not fix the felt: a smooth unknown path with a hammer from the "
@@ -218,15 +223,16 @@ def example_fit(**changes):
             "x0": entry(0.12, "m", None, "given", None),
         },
         "recordings": [{"file": "cp80-Fs2-FF.flac", "sha256": "ab" * 32, "rate": 44100, "onset_s": 0.03, "v_H0": 4.0,
-                   "gain": 0.0123, "gain_status": "fitted", "v_H0_status": "scaled"}],
+                   "v_H0_interval": [1.6, 10.0], "v_H0_status": "scaled", "gain": 0.0123, "gain_status": "fitted",
+                   "first": True, "cents": 0.0, "group": 0, "levels": {"initial_db": 12.31, "fitted_db": 2.64}}],
         "minima": [],
         "derived": {"f0": 92.331, "B": 2.3e-4, "f1": 92.34, "contact_ms": 2.214, "max_force_N": 33.42,
-                    "max_compression_mm": 0.65, "glide_cents": 4.31},
+                    "max_compression_mm": 0.65, "glide_cents": 4.31, "later_contacts": []},
         "criterion": {"global": {"initial": 0.83, "final": 0.059}, "band1": {"initial": 1.1, "final": 0.02},
                       "band2": {"initial": 0.7, "final": 0.08}, "band3": {"initial": 0.9, "final": 0.9},
                       "dropped": [], "sigma": 30.0, "borders": [46.0, 138.0, 790.0, 3800.0]},
         "levels": {"initial_db": 12.31, "fitted_db": 2.64, "path_only_db": 2.6, "partials": 40},
-        "diagnostics": {"evaluations": 812},
+        "diagnostics": {"evaluations": 812, "correlated": []},
         "versions": {"pianofit": "0.1.0", "python": "3.12.4", "jax": "0.10.0"},
     }  # fmt: skip
     return fit | changes

@@ -19,7 +19,7 @@ from instrument_cases import ERRORS, fit_document, true_note
 
 from pianofit.batch import Local, run_batch, status
 from pianofit.batch.index import Index
-from pianofit.batch.ledger import Entry, Ledger
+from pianofit.batch.ledger import Entry, keep
 from pianofit.batch.store import Store, opened
 from pianofit.cli.batch import _line, _summary
 from pianofit.io import encode_wav
@@ -46,7 +46,7 @@ def store(tmp_path) -> Store:
         name = midi_name(midi)
         store.install(key, files, {"hash": key, "note": name, "recordings": [1], "seconds": 20.0})
     (tmp_path / "grand-Fs2.wav").unlink()
-    Ledger(store).write(Entry("grand-D4", "D4", "x", "failed", 1, reason="<script>alert(1)</script>"))
+    keep(store, Entry("grand-D4", "D4", "x", "failed", 1, reason="<script>alert(1)</script>"))
     return store
 
 
@@ -157,7 +157,7 @@ def test_status_gives_the_time_left_and_names_keys_and_stages(tmp_path, monkeypa
     now = time.time()
     for key, state, stage, began in (("B0", "running", "hammer", now - 40), ("C1", "running", "", now - 10),
                                      ("D1", "waiting", "", 0.0), ("E1", "waiting", "", 0.0)):  # fmt: skip
-        Ledger(store).write(Entry(key, key, "x", state, stage=stage, began=began))
+        keep(store, Entry(key, key, "x", state, stage=stage, began=began))
     monkeypatch.setattr("pianofit.batch.state.is_locked", lambda _: True)
     found = status(tmp_path)
     assert found["seconds_left"] == pytest.approx((2 * 100 + 60 + 90) / 2, abs=1.0)

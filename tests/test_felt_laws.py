@@ -18,7 +18,8 @@ from model_cases import GEOMETRY, HAMMER, RATE, STRING
 from pianofit import model
 from pianofit.errors import ParameterError
 from pianofit.felt import BOXES, LAWS, MemoryHammer, make_hammer
-from pianofit.model.felt import relaxing as felt
+from pianofit.model import felt
+from pianofit.model.felt import relaxing
 from pianofit.parameters import Geometry, Hammer, String
 
 pytestmark = pytest.mark.usefixtures("float64")
@@ -42,7 +43,7 @@ def hammers(draw):
     return draw(st.sampled_from([hammer, Hammer(*hammer[:5])]))
 
 
-_equation = jax.jit(jax.vmap(felt._residual, in_axes=(0, *[None] * 8)))
+_equation = jax.jit(jax.vmap(relaxing.residual, in_axes=(0, *[None] * 8)))
 _weights = jax.jit(felt.memory_weights)
 
 

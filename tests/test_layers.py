@@ -44,10 +44,10 @@ USES = {
     "paper": "analysis criterion felt inference io listening model parameters published recording report setup tables",
     "keyboard": "analysis criterion fit_file io model parameters published report ringing_file",
     "fitting": "analysis inference paper parameters progress recording ringing setup sources",
-    "play": "analysis felt io keyboard model parameters recording report threads",
-    "workflow": "analysis fit_file fitting inference io model recording setup sources",
+    "play": "analysis felt io keyboard model parameters recording report tables threads",
+    "workflow": "analysis fit_file fitting inference io model paper recording setup sources",
     "batch": "analysis fitting io model parameters recording report tables",
-    "cli": "analysis batch felt fit_file fitting inference io keyboard listening model paper parameters play progress"
+    "cli": "analysis batch felt fit_file fitting io keyboard listening model paper parameters play progress"
     " published recording report setup workflow",
     "__main__": "cli",
 }

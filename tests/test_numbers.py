@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pianofit.numbers import bracketed, columns, with_interval, with_standard_error
+from pianofit.numbers import bracketed, columns, with_half_interval, with_interval, with_standard_error
 
 RAISED = str.maketrans("−⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "--0123456789", "\u00a0")
 
@@ -29,6 +29,19 @@ def test_the_ends_of_an_interval_differ_from_the_value_and_keep_it_between_them(
     found, exponent = re.fullmatch(r"\(?(.+?)\)?((?:×10.*)?)", between.translate(RAISED)).groups()
     first, last = (float(end.strip() + exponent.replace("×10", "e")) for end in found.split("to"))
     assert first < plain < last
+
+
+@pytest.mark.parametrize(
+    ("value", "half", "text"),
+    [
+        (7.0213, 0.0061, "7.021 N (± 0.61 %)"),
+        (7.0213, 0.05, "7.02 N (± 5 %)"),
+        (14.6432, 1.2, "14.6 N (to a factor of 3.3)"),
+        (14.6432, 300.0, "14.6 N (to many powers of ten)"),
+    ],
+)
+def test_half_an_interval_is_per_cent_while_small_then_a_factor(value, half, text):
+    assert with_half_interval(value, half, "N") == text
 
 
 @pytest.mark.parametrize(

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import builtins
 import io
 import json
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -42,15 +42,8 @@ def test_a_note_is_a_widget_in_a_notebook():
 
 
 def test_without_anywidget_it_says_what_to_install(monkeypatch):
-    real = builtins.__import__
-
-    def missing(name, *rest):
-        if name == "anywidget":
-            raise ImportError(name)
-        return real(name, *rest)
-
     widget._kind.cache_clear()
-    monkeypatch.setattr(builtins, "__import__", missing)
+    monkeypatch.setitem(sys.modules, "anywidget", None)
     with pytest.raises(ParameterError, match=r"anywidget, which is not installed; pip install 'pianofit\[widget\]'"):
         uneven_note(60).play()
 

@@ -266,6 +266,20 @@ def test_values_at_a_bound_are_said():
     assert all(whole["parameters"][name]["status"] == "given" for name in bounded().known)
 
 
+@pytest.mark.parametrize("calibrated", [True, False])
+def test_the_levels_of_a_recipe_are_those_of_its_sounds(calibrated):
+    sound, seen, known = (recording(), analysis(), setup()) if calibrated else uncalibrated()
+    result = pianofit.fit(sound, analyses=[seen], setup=known, recipe="paper", evaluations=FEW)
+    scale = 20 * np.log10(start().scale) if calibrated else 0.0
+    for played in (result.initial, result.fitted):
+        # The analysis' own way to the levels of what was played, which file units are.
+        own = analyse(recording_from_samples(played.samples, sound.rate, name="played")).partials
+        strong = own.number[own.level > own.level.max() - 20]
+        both = np.intersect1d(strong, seen.partials.number)
+        heard = own.level[np.isin(own.number, both)] + scale
+        np.testing.assert_allclose(played.level[np.isin(seen.partials.number, both)], heard, atol=0.5)
+
+
 def test_an_uncalibrated_recording_leaves_the_felt_unknown():
     whole = fit(*uncalibrated(), evaluations=FEW)
     states = {name: p["status"] for name, p in whole["parameters"].items()}

@@ -43,7 +43,7 @@ def _outputs(values, geometry, step, weights, displacement, velocity) -> dict:
     modes = model.mode_table(
         String(*values[:4]), geometry, rate=1 / step, n_modes=POINTS, kind="finite_difference", strike_weights=weights
     )
-    free = free_motion(modes, displacement, velocity, STEPS)
+    free = free_motion(modes, displacement, velocity)
     pulse = model.strike(modes, Hammer(*values[4:]), steps=STEPS, free=free)
     log_z = modes.pole * step
     unit = ring(modes.pickup * impulse_amplitude(modes), log_z, STEPS)

@@ -29,10 +29,10 @@ from pianofit.errors import OutputError
 from pianofit.inference.statements import STATUSES
 from pianofit.io import replace_file
 from pianofit.numbers import number
-from pianofit.report.figures import _headings, _partials
+from pianofit.report.figures import _headings, _partials, _spectra
 from pianofit.report.page import Curves, report_bytes
 from pianofit.report.sound import k_weighted_mean_square, make_clips
-from pianofit.report.words import STATUS, again_in_words, invariants, minima, ringing, ringing_line, rows
+from pianofit.report.words import STATUS, again_in_words, minima, ringing, ringing_line, rows
 
 
 @pytest.fixture(scope="module")
@@ -108,7 +108,7 @@ def test_hostile_text_stays_text(tmp_path, curves):
 
     tame = Page(written(tmp_path, example_fit(), curves))
     fit = hostile(example_fit())
-    fit["parameters"][HOSTILE] = {"value": 1.0, "status": HOSTILE}
+    fit["parameters"][HOSTILE] = {"value": 1.0, "status": "fitted"}
     fit["versions"] = {HOSTILE: HOSTILE}
     page = Page(written(tmp_path, fit, curves, title=HOSTILE))
     assert page.scripts == tame.scripts
@@ -149,7 +149,7 @@ def test_a_fit_that_failed_says_so(tmp_path, curves, claims):
 
 def test_a_clean_fit_says_so(tmp_path, curves):
     fit = example_fit(claims="")
-    fit["parameters"] = {"b1": fit["parameters"]["b1"]}
+    fit["parameters"] = {name: entry | {"status": "fitted"} for name, entry in fit["parameters"].items()}
     text = Page(written(tmp_path, fit, curves)).text
     assert "✓ Converged The search converged." in text
     assert "mind the marks" not in text
@@ -158,14 +158,15 @@ def test_a_clean_fit_says_so(tmp_path, curves):
 
 def test_criterion_levels_and_statuses_in_words(tmp_path, curves):
     fit = example_fit()
-    fit["criterion"] |= {"dropped": ["band1"], "band1": None}
+    fit["criterion"]["dropped"] = ["band1"]
+    del fit["criterion"]["band1"]
     text = Page(html_text := written(tmp_path, fit, curves)).text
     for words in (
         "14.1 times smaller (−11.5 dB)",  # 0.83 / 0.059
         "band 1: fundamental – – left out: no partial of it stands above the noise",
         "band 2: partials 2 to 8 0.7 0.08 8.75 times smaller (−9.4 dB)",
         "band 3: partials from 9 0.9 0.9 no change",
-        "12 dB at the start; rms over 40 partials",
+        "12 dB at the start; rms over 40 levels of partials",
         "falls by 4.3 cents",
         "(0.81 to 1.49) × 10¹⁰",
         "▲ at-bound",
@@ -183,7 +184,7 @@ def test_criterion_levels_and_statuses_in_words(tmp_path, curves):
 
 def test_later_contacts_are_told_apart_from_the_first(tmp_path, curves):
     one = {"start_ms": 3.1, "duration_ms": 0.4, "max_force_N": 0.2}
-    assert again_in_words([]) == again_in_words(None) == again_in_words([{"start_ms": None}]) == ""
+    assert again_in_words([]) == ""
     assert again_in_words([one]) == "touches again from 3.1 to 3.5 ms, with up to 0.2 N"
     two = [one, {"start_ms": 5.0, "duration_ms": 1.25, "max_force_N": 3.3}]
     assert again_in_words(two) == "touches again 2 times, from 3.1 ms to 6.25 ms, with up to 3.3 N"
@@ -219,8 +220,9 @@ def test_every_status_of_a_fit_has_a_mark():
 def test_invariants_come_before_the_values_that_rest_on_guesses(tmp_path, curves):
     text = Page(written(tmp_path, example_fit(), curves)).text.replace("\u00a0", " ")
     order = [text.index(words) for words in (
-        "What no assumption enters", "f 0 pitch of the flexible string 92.331 Hz 92.321 to 92.341 ● fitted",
-        "M H / M S mass of the hammer over that of the string 0.920 0.893 to 0.948", "x 0 / L",
+        "What no assumption enters",
+        "f 0 fundamental frequency of the string without stiffness 92.331 Hz 92.321 to 92.341 ● fitted",
+        "M H / M S hammer mass over string mass 0.920 0.893 to 0.948", "x 0 / L",
         "118.0 N/kg 112.2 to 124.0 ● fitted static force of the felt at 0.5 mm, at the reference velocity shown",
         "In SI units", "◐ scaled", "184.6610 m/s")]  # fmt: skip
     assert order == sorted(order)
@@ -238,15 +240,12 @@ def test_minima_are_listed_by_what_differs_where_there_are_several(tmp_path, cur
     assert [name for name, _ in found["names"]] == ["K_H", "p"]
     text = Page(written(tmp_path, two, curves)).text.replace("\u00a0", " ")
     assert "70 % 0 1.1 × 10¹⁰ 2.56 4, 2, 1.33 30 % 1.2 2.475 × 10¹⁰ 2.435 4, 2, 1.33" in text
-    assert minima({"minima": [{}, {"parameters": None, "share": "x"}]})["rows"][1]["share"] == "–"
 
 
 def test_a_ratio_of_velocities_names_the_strokes_file():
     ratio = {"v/v_ref 2": {"value": 0.5, "unit": "1", "interval": [0.4, 0.6], "note": "/a folder/soft.wav"}}
-    (row,) = invariants({"invariants": ratio})
+    (row,) = rows(ratio)
     assert (row["name"], row["note"]) == ("v/v_ref", "soft.wav")
-    (row,) = invariants({"invariants": {"a/b": {"value": None}}})
-    assert (row["name"], row["value"], row["interval"]) == ("a/b", "–", "")
 
 
 def nothing(array):
@@ -254,9 +253,13 @@ def nothing(array):
 
 
 def with_nothing(curves):
-    arrays = {f.name: getattr(curves, f.name) for f in dataclasses.fields(curves)}
-    return Curves(**{name: nothing(x) if isinstance(x, np.ndarray) and name not in ("number", "frequency") else x
-                     for name, x in arrays.items()})  # fmt: skip
+    def of(x):
+        if isinstance(x, dict):
+            return {name: nothing(one) for name, one in x.items()}
+        return nothing(x) if isinstance(x, np.ndarray) else x
+
+    fields = {f.name: getattr(curves, f.name) for f in dataclasses.fields(curves)}
+    return Curves(**{name: x if name in ("number", "frequency") else of(x) for name, x in fields.items()})
 
 
 @pytest.mark.parametrize(
@@ -267,30 +270,37 @@ def with_nothing(curves):
         lambda c: dataclasses.replace(c, path=None, borders=()),
         lambda c: dataclasses.replace(c, borders=(100.0, 700.0)),
         lambda c: dataclasses.replace(
-            c, decay=-c.decay, force_fitted=0 * c.force_fitted, compression_fitted=-c.force_ms
+            c,
+            decay=-c.decay,
+            force=c.force | {"fitted": 0 * c.force_ms},
+            compression=c.compression | {"fitted": -c.force_ms},
         ),
-        lambda c: dataclasses.replace(c, attack_measured=1e-9 * c.attack_measured, sound_fitted=1e30 * c.sound_fitted),
-        lambda c: dataclasses.replace(c, level_error=nothing(c.level), frequency_cents_error=nothing(c.level)),
+        lambda c: dataclasses.replace(
+            c,
+            attack=c.attack | {"measured": 1e-9 * c.attack["measured"]},
+            sounds=c.sounds | {"fitted": 1e30 * c.sounds["fitted"]},
+        ),
+        lambda c: dataclasses.replace(c, level_error=nothing(c.number), frequency_cents_error=nothing(c.number)),
         lambda _: example_curves(rate=8000, seconds=0.6, count=1, f0=1760.0, path=False),
-        lambda c: dataclasses.replace(c, sound_original=np.tile(c.sound_original, (5, 1))),
+        lambda c: dataclasses.replace(c, sounds=c.sounds | {"original": np.tile(c.sounds["original"], (5, 1))}),
     ],
     ids=["whole", "nan", "no path", "one band", "no contact", "magnitudes", "no errors", "one partial", "channels"],
 )
 def test_page_stands_what_a_fit_may_lack(tmp_path, curves, case):
     lacking = case(curves)
-    page = Page(written(tmp_path, {}, lacking))
+    page = Page(written(tmp_path, example_fit(), lacking))
     assert len(page.all("img")) in (PANELS - 1, PANELS)  # the spectra need a second scale or not
     assert set(sounds_of(page)) == set(NAMES)
 
 
-def test_fit_of_nothing_known(tmp_path, curves):
-    assert written(tmp_path, dict.fromkeys(example_fit()), curves)
-    nothing_known = {"criterion": {"dropped": ["band1", "band3"]}, "levels": {"fitted_db": None}}
-    fit = example_fit(**nothing_known, derived={"f0": float("nan")}, recordings=[{"file": "a.wav", "onset_s": None}])
-    fit["parameters"] = {
-        name: {"value": None, "interval": [None, 1.0], "status": "fitted"} for name in fit["parameters"]
-    }
-    assert "nan" not in Page(written(tmp_path, fit, curves)).text.split("All numbers of this fit")[0].lower()
+def test_a_page_of_the_papers_recipe_claims_no_more_than_it(tmp_path, curves):
+    fit = example_fit(recipe="paper", invariants={}, levels=example_fit()["levels"] | {"path_only_db": None})
+    for entry in (*fit["parameters"].values(), *fit["recordings"]):
+        entry |= {"interval": None, "v_H0_interval": None}
+    text = Page(written(tmp_path, fit, curves)).text
+    assert "recipe “paper”" in text
+    for words in ("What the data fix", "A smooth output path alone", "What no assumption enters", "nan"):
+        assert words not in text.split("All numbers of this fit")[0], words
 
 
 @pytest.mark.parametrize(
@@ -319,11 +329,11 @@ def test_numbers_as_a_reader_likes_them(value, text):
     ],
 )
 def test_intervals_get_the_digits_they_support(value, interval, texts):
-    (row,) = rows({"parameters": {"c": {"value": value, "interval": interval}}})
+    (row,) = rows({"c": {"value": value, "interval": interval}})
     assert (row["value"].replace("\u00a0", " "), (row["interval"] or "–").replace("\u00a0", " ")) == texts
 
 
-@given(st.floats(-1e307, 1e307), st.integers(1, 8))
+@given(st.floats(-1e300, 1e300), st.integers(1, 8))
 def test_numbers_keep_their_value(value, digits):
     plain = number(value, digits).translate(str.maketrans("−⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "--0123456789", "\u00a0"))
     assert float(plain.replace("×10", "e")) == pytest.approx(value, rel=0.51 * 10 ** (1 - digits), abs=1e-323)
@@ -351,8 +361,8 @@ def test_weighting_is_the_recommendations(frequency):
 def test_sounds_are_equally_loud_and_never_clip(tmp_path, loudest):
     curves = example_curves(rate=48000, seconds=2.0)
     scale = {name: 3.0 if name == loudest else 0.02 for name in NAMES}
-    given_sounds = {name: scale[name] * getattr(curves, f"sound_{name}") for name in NAMES}
-    curves = dataclasses.replace(curves, **{f"sound_{name}": x for name, x in given_sounds.items()})
+    given_sounds = {name: scale[name] * curves.sounds[name] for name in NAMES}
+    curves = dataclasses.replace(curves, sounds=given_sounds)
     sounds = sounds_of(Page(written(tmp_path, example_fit(), curves)))
     loudness = [printed_loudness(samples) for samples, _, _ in sounds.values()]
     assert max(loudness) - min(loudness) < 0.3
@@ -409,7 +419,7 @@ def test_page_stands_a_ringing_that_says_nothing(tmp_path, curves, lost):
     empty = dataclasses.replace(
         whole, envelopes=envelopes, measured=lost(whole.measured), played=lost(whole.played), decays=()
     )
-    assert written(tmp_path, {}, dataclasses.replace(curves, ringing=empty))
+    assert written(tmp_path, example_fit(ringing=ringing_entry()), dataclasses.replace(curves, ringing=empty))
 
 
 def test_unwritable_places_are_named_and_nothing_is_left(tmp_path, monkeypatch):
@@ -428,19 +438,29 @@ def test_unwritable_places_are_named_and_nothing_is_left(tmp_path, monkeypatch):
     assert place.read_text() == "before"
 
 
-def test_a_start_that_strikes_on_a_node_does_not_flatten_the_levels(curves):
+@pytest.mark.parametrize("name", ["initial", "fitted"])
+def test_a_strike_on_a_node_does_not_flatten_the_levels(curves, name):
     import matplotlib.pyplot as plt
 
     from pianofit.report.figures import draw_levels
 
-    initial = curves.level_initial.copy()
-    initial[3] = -380.0
+    level = curves.levels[name].copy()
+    level[3] = -380.0
     axes = plt.figure().add_subplot()
-    draw_levels(axes, dataclasses.replace(curves, level_initial=initial))
+    draw_levels(axes, dataclasses.replace(curves, levels=curves.levels | {name: level}))
     low, high = axes.get_ylim()
     plt.close("all")
-    assert -150 < low < min(curves.level.min(), curves.level_fitted.min())
-    assert high > max(curves.level.max(), curves.level_fitted.max())
+    assert -150 < low < min(x.min() for x in curves.levels.values())
+    assert high > max(x.max() for x in curves.levels.values())
+
+
+def test_bands_beyond_the_spectra_are_not_in_their_picture(curves):
+    end = float(curves.frequency[-1])
+    high = dataclasses.replace(curves, borders=(50.0, 0.1 * end, 1.5 * end, 1.8 * end))
+    for figure in _spectra(high, ("band3",)):
+        (axes,) = figure.axes
+        assert axes.get_xlim()[1] <= end
+        assert "band 3" not in " ".join(text.get_text() for text in axes.texts)
 
 
 def test_a_decay_that_a_beat_hides_leaves_room_to_the_others(curves):
@@ -483,17 +503,12 @@ def test_how_a_note_rings_is_shown_said_and_heard(tmp_path, curves):
         (ringing_entry(left_out=None),
          "It rings by 4 modes and a knock. One recording through its path: not tested on another stroke.",
          "rings by 4 modes and a knock; one recording through its path: not tested on another stroke"),
-        (None, "", ""),
-        ({"by": "bells"}, "", ""),
-        ({"by": "modes", "left_out_db": {"law": "x"}, "modes": 3}, "It rings by 0 modes",
-         "rings by 0 modes; one recording through its path: not tested on another stroke"),
     ],
-    ids=["modes", "law", "one recording", "nothing", "unknown", "broken"],
+    ids=["modes", "law", "one recording"],
 )  # fmt: skip
 def test_what_a_key_rings_by_is_said(entry, words, line):
-    said = ringing({"ringing": entry})
-    assert words in said if words else not said
-    assert ringing_line({"ringing": entry}) == line
+    assert words in ringing(entry)
+    assert ringing_line(entry) == line
 
 
 def test_a_key_that_rings_by_its_law_has_no_table_and_no_third_line(tmp_path, curves):

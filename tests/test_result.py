@@ -179,7 +179,7 @@ def test_what_is_not_installed_is_named(monkeypatch):
         result().to_dataframe, result().invariants.to_dataframe, result().covariance.to_dataframe,
         result().analysis.to_dataframe, with_draws.to_arviz,
     ):  # fmt: skip
-        with pytest.raises(OutputError, match=r"needs (pandas|arviz) .*pip install 'pianofit\[notebook\]'"):
+        with pytest.raises(OutputError, match=r"needs (pandas|arviz), .*pip install 'pianofit\[notebook\]'"):
             call()
 
 

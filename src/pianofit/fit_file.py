@@ -14,11 +14,12 @@ import numpy as np
 
 from .errors import FitError, ParameterError
 from .felt import BOXES, LAWS, FeltLaw, check_hammer, make_hammer
-from .io import FIT_SCHEMA, finite, is_number, load_json, one_line, reference_of, shown, table_of
+from .io import FIT_SCHEMA, finite, load_json, one_line, reference_of, shown, table_of
 from .model.modes import QUANTITIES
 from .model.note import Note
 from .model.path import OutputPath, Wander
 from .model.simulate import check_geometry
+from .numbers import is_number
 from .parameters import HAMMER_NAMES, STRING_NAMES, Geometry, String, check
 from .recording import RATES
 from .ringing_file import MOST_STROKES, read_ringing

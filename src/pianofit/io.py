@@ -19,16 +19,15 @@ from typing import Any
 import numpy as np
 
 from .errors import FitError, OutputError, ParameterError, PianofitError
+from .numbers import is_number
 
 __all__ = [
-    "CEILING", "FIT_SCHEMA", "LARGEST", "MOST_CHANNELS", "NO_ROOM",
-    "check_sound_target", "check_target", "encode_pcm", "encode_wav", "finite", "interrupted_by", "is_number",
+    "CEILING", "FIT_SCHEMA", "MOST_CHANNELS", "NO_ROOM",
+    "check_sound_target", "check_target", "encode_pcm", "encode_wav", "finite", "interrupted_by",
     "json_text", "limited", "load_json", "one_line", "output_folder", "read_file", "read_text", "reference_of",
     "replace_file", "shown", "table_of", "unwritten", "with_names", "write_file",
 ]  # fmt: skip
 
-# Larger numbers overflow when they are squared.
-LARGEST = 1e300
 # Channels of a sound at the most.
 MOST_CHANNELS = 8
 # Largest sample of what is written to be heard, full scale = 1: -1 dB leaves room for players that resample.
@@ -108,11 +107,6 @@ def finite(value: Any, where: str, way_out: str) -> float:
     if not is_number(value):
         raise FitError(f"{where} is {shown(value)}, no finite number; {way_out}")
     return float(value)
-
-
-def is_number(value: Any) -> bool:
-    """Whether what a file holds is a number that can be computed with."""
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < LARGEST
 
 
 def with_names(value: Any, names: Mapping[str, str]) -> Any:

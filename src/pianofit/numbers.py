@@ -6,24 +6,31 @@ place all three (JCGM 100:2008, GUM, 7.2.6), so that an end never rounds to the 
 
 from __future__ import annotations
 
-import sys
+import math
 from collections.abc import Sequence
 from decimal import Decimal
 from typing import Any
 
-__all__ = ["beside", "bracketed", "columns", "is_number", "number", "with_interval", "with_standard_error"]
+__all__ = [
+    "beside", "bracketed", "columns", "is_number", "number", "off_by", "with_half_interval", "with_interval",
+    "with_standard_error",
+]  # fmt: skip
 
+# Larger numbers overflow when they are squared.
+LARGEST = 1e300
 FEWEST, MOST = 3, 15  # significant digits of a value with an interval; a float has 15 to 17
 # Ends of an interval that differ by more than this factor are written each with its own power of ten.
 APART = 1e3
 # Powers of ten that are written out: 0.0001 to 999999.
 LOWEST_POWER, HIGHEST_POWER = -4, 6
+# Half an interval of a logarithm, as ± per cent up to the first, and as a factor up to the second.
+SMALL, HUGE = 0.2, 10.0
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def is_number(value: Any) -> bool:
-    """Whether `value` is a finite number."""
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
+    """Whether `value` is a number that can be computed with."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= LARGEST
 
 
 def number(value: Any, digits: int = 4) -> str:
@@ -45,6 +52,20 @@ def with_interval(value: Any, interval: Any) -> tuple[str, str]:
     power, decimals = _scale(value, digits)
     ends = " to ".join(_fixed(end, power, decimals) for end in interval)
     return _fixed(value, power, decimals) + _times(power), (f"({ends}){_times(power)}" if power else ends)
+
+
+def off_by(half: float, factor: str = "to a factor of {}") -> str:
+    """Half an interval of a logarithm as a reader takes it: "± 0.61 %" while it is small, else "to a factor of 3.3"."""
+    if half < SMALL:
+        return f"± {number(100 * half, 2)} %"
+    return factor.format(f"{float(f'{math.exp(half):.2g}'):g}") if half < HUGE else "to many powers of ten"
+
+
+def with_half_interval(value: float, half: float, unit: str = "") -> str:
+    """`value` to the digits that half an interval of its logarithm supports, and how far off: "7.02 N (± 0.61 %)"."""
+    near = (value * math.exp(-half), value * math.exp(half)) if half < SMALL else None
+    text = with_interval(value, near)[0] if near else number(value, 3)
+    return f"{text}{f' {unit}' if unit else ''} ({off_by(half)})"
 
 
 def bracketed(value: float, interval: Sequence[float] | None) -> tuple[str, str]:

@@ -124,8 +124,8 @@ class Parameter(NamedTuple):
 PARAMETERS: dict[str, Parameter] = {
     "c": Parameter("m/s", "transverse wave speed", 20.0, 2000.0),
     "kappa": Parameter("m²/s", "string stiffness coefficient", 1e-3, 1e2),
-    "b1": Parameter("1/s", "loss parameter", 1e-3, 1e2),
-    "b2": Parameter("m²/s", "loss parameter", 1e-12, 1e-1),
+    "b1": Parameter("1/s", "loss, the same for all partials", 1e-3, 1e2),
+    "b2": Parameter("m²/s", "loss that grows with frequency", 1e-12, 1e-1),
     "K_H": Parameter("N/m^p", "felt stiffness", 1e4, 1e16),
     "mu": Parameter("s/m", "felt loss coefficient", 1e-3, 1e1),
     "p": Parameter("1", "stiffness exponent", 1.0, 5.0),

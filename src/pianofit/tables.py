@@ -5,12 +5,12 @@ from __future__ import annotations
 import csv
 import io
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from html import escape
 from typing import Any
 
-from .errors import OutputError
-from .io import one_line, replace_file
+from .errors import OutputError, PianofitError
+from .io import replace_file
 
 __all__ = ["data_frame", "html_table", "optional", "write_csv"]
 
@@ -48,16 +48,17 @@ def data_frame(header: Sequence[str], rows: Rows) -> Any:
     return pandas.DataFrame(list(rows), columns=list(header)).set_index(header[0])
 
 
-def optional(package: str, what: str) -> Any:
-    """A package that only some need.
+def optional(
+    package: str, what: str, extra: str = "notebook", error: Callable[[str], PianofitError] = OutputError
+) -> Any:
+    """A package that only some need, which an `extra` of this one brings.
 
-    Raises `OutputError` if it is not installed, saying how to.
+    Raises an `error` if it is not installed, saying how to.
     """
     from importlib import import_module
 
     try:
         return import_module(package)
     except ImportError as missing:
-        raise OutputError(
-            f"{what} needs {package} ({one_line(missing)}); install it with pip install 'pianofit[notebook]'"
-        ) from None
+        said = f"{what} needs {package}, which is not installed; pip install 'pianofit[{extra}]'"
+        raise error(said) from missing

@@ -1,4 +1,4 @@
-"""Predictions as the command line runs them: files in, files out."""
+"""Predictions and the demonstration as the command line runs them: files in, files out."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ from .errors import AnalysisError, FitError, WrongNoteError
 from .io import check_sound_target, encode_wav, json_text, one_line, replace_file, write_file
 
 if TYPE_CHECKING:
+    from .inference import Result
     from .model.note import Note
     from .recording import Recording
     from .setup import Setup
 
-__all__ = ["cross_validate_files", "predict_file"]
+__all__ = ["cross_validate_files", "predict_file", "run_demo"]
 
 
 def predict_file(fit: Path, file: Path, out: Path | None, *, channel: str = "average", force: bool = False) -> dict:
@@ -105,3 +106,25 @@ def cross_validate_files(
         whole.report(out, held_out=found)
         replace_file(out / "crossval.json", json_text(found).encode())
     return found
+
+
+def run_demo(
+    folder: Path, noise_db: float | None, seed: int, progress: Callable[[str, float], None]
+) -> tuple[Result, dict[str, float]]:
+    """Make a measurement, fit it as any other, and return the result and the true values behind it.
+
+    `twin.wav` and `setup.toml` are written to `folder`, and fitted there.
+    """
+    from .fitting import fit
+    from .model.cache import keep_programs
+    from .paper.laboratory import make_twin, setup_text
+
+    keep_programs()
+    progress("making the twin", 0.0)
+    twin = make_twin(noise_db, seed)
+    replace_file(folder / "twin.wav", encode_wav(twin.samples, twin.rate))
+    replace_file(folder / "setup.toml", setup_text().encode())
+    result = fit(folder / "twin.wav", setup=folder / "setup.toml", seed=seed, progress=progress)
+    progress("page", 0.95)
+    result.save(folder, force=True)
+    return result, twin.true

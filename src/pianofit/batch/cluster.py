@@ -12,12 +12,12 @@ import logging
 import queue
 import secrets
 import time
-from importlib.util import find_spec
 from pathlib import Path
 
 from ..errors import OutputError, ParameterError, RecordingError
 from ..io import one_line, read_file
 from ..recording import MAX_BYTES
+from ..tables import optional
 from .local import AtWork, Lost, Work, one_thread
 from .units import Outcome, Unit, fit_unit
 
@@ -30,10 +30,7 @@ TOPIC = "pianofit-batch"  # of the events by which workers tell their stages
 
 def check_cluster() -> None:
     """Refuse where dask.distributed is not installed: `ParameterError`, saying what to install."""
-    if find_spec("distributed") is None:
-        raise ParameterError(
-            "--scheduler needs dask.distributed, which is not installed; pip install 'pianofit[cluster]'"
-        )
+    optional("distributed", "--scheduler", "cluster", ParameterError)
 
 
 class Cluster:

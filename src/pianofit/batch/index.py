@@ -21,7 +21,7 @@ from ..report import kit
 from ..report.sound import LIGHT_RATE, Clip, make_clips, seconds_each
 from ..report.words import STATUS, SYMBOLS
 from ..tables import write_csv
-from .ledger import Entry, Ledger
+from .ledger import Entry, entries_of
 from .state import document
 from .store import Store
 
@@ -68,7 +68,7 @@ class Index:
 
     def write(self) -> None:
         """Write both; an `OutputError` if the folder cannot be written to."""
-        entries = sorted(Ledger(self.store).entries(), key=_order)
+        entries = sorted(entries_of(self.store), key=_order)
         found = {e.key: (e, self._fit(e.key)) for e in entries if e.state == "done"}
         write_csv(self.store.folder / CSV_FILE, *table(entries, {key: fit for key, (_, fit) in found.items()}))
         seconds = seconds_each(len(entries), SAMPLES, LONGEST, SHORTEST)

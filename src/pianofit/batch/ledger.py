@@ -14,7 +14,7 @@ from ..errors import OutputError
 from ..io import json_text, one_line, replace_file
 from .store import Store, unwritable
 
-__all__ = ["Entry", "Ledger"]
+__all__ = ["Entry", "entries_of", "entry_of", "keep"]
 
 
 class Entry(NamedTuple):
@@ -36,53 +36,50 @@ class Entry(NamedTuple):
     began: float = 0.0  # when, s since 1970, while it is running
 
 
-class Ledger:
-    """The entries beside a store's folders; whoever writes holds the folder's lock."""
+def entry_of(store: Store, key: str, record: dict[str, Any] | None) -> Entry | None:
+    """What is known of a key whose folder has this record: it is done, unless something newer is wanted of it."""
+    kept = _kept(store, key)
+    if record is None or (kept is not None and kept.hash != record["hash"]):
+        return kept
+    return Entry(
+        key, str(record.get("note", "")), record["hash"], "done", len(record.get("recordings", ())),
+        left_out=tuple(record.get("left_out", ())), seconds=record.get("seconds", 0.0),
+        memory=record.get("memory", 0),
+    )  # fmt: skip
 
-    def __init__(self, store: Store) -> None:
-        self.store = store
 
-    def entry(self, key: str, record: dict[str, Any] | None) -> Entry | None:
-        """What is known of a key whose folder has this record: it is done, unless something newer is wanted of it."""
-        kept = self._kept(key)
-        if record is None or (kept is not None and kept.hash != record["hash"]):
-            return kept
-        return Entry(
-            key, str(record.get("note", "")), record["hash"], "done", len(record.get("recordings", ())),
-            left_out=tuple(record.get("left_out", ())), seconds=record.get("seconds", 0.0),
-            memory=record.get("memory", 0),
-        )  # fmt: skip
+def _kept(store: Store, key: str) -> Entry | None:
+    try:
+        table = json.loads((store.ledger / f"{key}.json").read_bytes())
+        entry = Entry(**table | {"left_out": tuple(table["left_out"])})
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return None
+    return entry if entry.key == key and entry.state in ("waiting", "running", "failed") else None
 
-    def _kept(self, key: str) -> Entry | None:
-        try:
-            table = json.loads((self.store.ledger / f"{key}.json").read_bytes())
-            entry = Entry(**table | {"left_out": tuple(table["left_out"])})
-        except (OSError, ValueError, KeyError, TypeError, RecursionError):
-            return None
-        return entry if entry.key == key and entry.state in ("waiting", "running", "failed") else None
 
-    def entries(self) -> list[Entry]:
-        """Of all keys that were ever asked for in this folder, by name.
+def entries_of(store: Store) -> list[Entry]:
+    """Of all keys that were ever asked for in this folder, by name.
 
-        Raises `OutputError` if it is no batch's.
-        """
-        if not self.store.ledger.is_dir() and not self.store.keys.is_dir():
-            raise OutputError(f"{one_line(self.store.folder)}: holds no batch; check the path")
-        names = self.store.finished() | {file.stem for file in self.store.ledger.glob("*.json")}
-        found = (self.entry(key, self.store.said(key)) for key in sorted(names))
-        return [entry for entry in found if entry is not None]
+    Raises `OutputError` if it is no batch's.
+    """
+    if not store.ledger.is_dir() and not store.keys.is_dir():
+        raise OutputError(f"{one_line(store.folder)}: holds no batch; check the path")
+    names = store.finished() | {file.stem for file in store.ledger.glob("*.json")}
+    found = (entry_of(store, key, store.said(key)) for key in sorted(names))
+    return [entry for entry in found if entry is not None]
 
-    def write(self, entry: Entry) -> None:
-        """Keep an entry in place of the key's last; that of a key that is done goes.
 
-        Raises `OutputError` if the disk is full or the folder cannot be written to.
-        """
-        file = self.store.ledger / f"{entry.key}.json"
-        try:
-            if entry.state == "done":
-                file.unlink(missing_ok=True)
-            else:
-                replace_file(file, json_text(entry._asdict()).encode())
-        except (OSError, OutputError) as error:
-            reason = error.__cause__ if isinstance(error.__cause__, OSError) else error
-            raise unwritable(self.store.folder, reason) from error
+def keep(store: Store, entry: Entry) -> None:
+    """Keep an entry in place of the key's last; that of a key that is done goes.
+
+    Raises `OutputError` if the disk is full or the folder cannot be written to.
+    """
+    file = store.ledger / f"{entry.key}.json"
+    try:
+        if entry.state == "done":
+            file.unlink(missing_ok=True)
+        else:
+            replace_file(file, json_text(entry._asdict()).encode())
+    except (OSError, OutputError) as error:
+        reason = error.__cause__ if isinstance(error.__cause__, OSError) else error
+        raise unwritable(store.folder, reason) from error

@@ -18,7 +18,7 @@ from ..errors import OutputError, RecordingError
 from ..io import one_line
 from .cluster import Cluster
 from .index import Index
-from .ledger import Entry, Ledger
+from .ledger import Entry, entry_of, keep
 from .local import AtWork, Local, Lost
 from .state import document, time_left
 from .store import Store, locked, opened
@@ -53,17 +53,17 @@ def plan(units: Sequence[Unit], folder: Path, retry_failed: bool = False) -> dic
     dict
         By key: "done", "failed: REASON" (which a run leaves alone), or "to do: WHY".
     """
-    ledger = Ledger(Store(folder))
-    return {unit.key: _standing(unit, ledger, retry_failed)[0] for unit in units}
+    store = Store(folder)
+    return {unit.key: _standing(unit, store, retry_failed)[0] for unit in units}
 
 
-def _standing(unit: Unit, ledger: Ledger, retry_failed: bool) -> tuple[str, Entry]:
+def _standing(unit: Unit, store: Store, retry_failed: bool) -> tuple[str, Entry]:
     """Where a unit stands: the folder proves what is done, the ledger knows what has failed."""
-    said, fresh = ledger.store.said(unit.key), Entry(unit.key, unit.note, unit.hash, "waiting", len(unit.sources))
-    entry = ledger.entry(unit.key, said)
+    said, fresh = store.said(unit.key), Entry(unit.key, unit.note, unit.hash, "waiting", len(unit.sources))
+    entry = entry_of(store, unit.key, said)
     known = entry if entry is not None and entry.hash == unit.hash else fresh
     if known.state == "done":
-        return ("done", known) if ledger.store.record(unit.key) else ("to do: its folder was changed", fresh)
+        return ("done", known) if store.record(unit.key) else ("to do: its folder was changed", fresh)
     if known.state == "failed":
         return (f"to do: failed before ({known.reason})", fresh) if retry_failed else (f"failed: {known.reason}", known)
     if said is not None:
@@ -107,7 +107,7 @@ class _Batch:
     """The state of a run."""
 
     def __init__(self, units: Sequence[Unit], store: Store, tell: Tell) -> None:
-        self.units, self.store, self.ledger, self.tell = units, store, Ledger(store), tell
+        self.units, self.store, self.tell = units, store, tell
         self.rows: dict[str, Entry] = {}
         self.queue: deque[Unit] = deque()
         self.attempts: Counter[str] = Counter()
@@ -117,12 +117,12 @@ class _Batch:
     def settle(self, retry_failed: bool) -> None:
         """Bring the ledger in line with the folders, and queue what is to do."""
         for unit in self.units:
-            standing, self.rows[unit.key] = _standing(unit, self.ledger, retry_failed)
+            standing, self.rows[unit.key] = _standing(unit, self.store, retry_failed)
             if standing.startswith("to do"):
                 self.queue.append(unit)
             if standing.endswith("changed"):
                 self._say(f"{unit.key}: {standing.removeprefix('to do: ')}, so it is fitted anew")
-            self.ledger.write(self.rows[unit.key])
+            keep(self.store, self.rows[unit.key])
         self.seconds = [r.seconds for r in self.rows.values() if r.state == "done" and r.seconds]
 
     def run(self, workers: Workers) -> None:
@@ -140,7 +140,7 @@ class _Batch:
             with contextlib.suppress(OutputError):
                 for row in self.rows.values():
                     if row.state == "running":
-                        self.ledger.write(row._replace(state="waiting", stage="", began=0.0))
+                        keep(self.store, row._replace(state="waiting", stage="", began=0.0))
                 self.index.close()
             raise
 
@@ -150,7 +150,7 @@ class _Batch:
             row = self.rows[key]
             if row.state == "running" and row.stage != at.stage:
                 self.rows[key] = row._replace(stage=at.stage)
-                self.ledger.write(self.rows[key])
+                keep(self.store, self.rows[key])
 
     def _begin(self, workers: Workers, unit: Unit) -> None:
         self.attempts[unit.key] += 1
@@ -187,7 +187,7 @@ class _Batch:
             facts |= {"stage": "", "began": 0.0}
             self.index.changed()
         self.rows[unit.key] = self.rows[unit.key]._replace(**facts)
-        self.ledger.write(self.rows[unit.key])
+        keep(self.store, self.rows[unit.key])
 
     def _say(self, event: str, workers: Workers | None = None) -> None:
         count = Counter(r.state for r in self.rows.values())

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from .ledger import Entry, Ledger
+from .ledger import Entry, entries_of
 from .store import Store, is_locked
 
 __all__ = ["document", "status", "suggestions", "time_left"]
@@ -20,7 +20,7 @@ def status(folder: Path) -> dict[str, Any]:
 
     Raises `OutputError` if it is no batch's.
     """
-    entries, at_work = Ledger(Store(folder)).entries(), is_locked(folder)
+    entries, at_work = entries_of(Store(folder)), is_locked(folder)
     if not at_work:  # what a killed batch was at is not running any more
         entries = [e._replace(state="waiting", stage="", began=0.0) if e.state == "running" else e for e in entries]
     return document(folder, entries) | {"at_work": at_work, "seconds_left": _left(entries)}

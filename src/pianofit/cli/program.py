@@ -73,7 +73,7 @@ def demo(
     check_common(None, seed)
     check_range("noise=", noise, 0, 200, " dB")
     with output_folder(out, force) as folder, progress_bar() as progress:
-        from .demo import run_demo
+        from ..workflow import run_demo
 
         result, true = run_demo(folder, None if no_noise else noise, seed, progress)
     words = (

@@ -44,7 +44,7 @@ def summary(document: dict, folder: Path) -> str:
     where = "levels of partials" + (f" in {count} recordings" if count > 1 else "")
     lines.append(f"{levels['partials']} {where}: start {levels['initial_db']:.2f} dB{only}, "
                  f"fitted {levels['fitted_db']:.2f} dB")  # fmt: skip
-    lines += [line] if (line := ringing_line(document)) else []
+    lines += [ringing_line(document["ringing"])] if "ringing" in document else []
     if count > 1:
         lines += [_line_of(recording) for recording in document["recordings"]]
     for name in ("global", "band1", "band2", "band3"):
@@ -60,7 +60,7 @@ def summary(document: dict, folder: Path) -> str:
 def contact(derived: dict) -> str:
     """How long the hammer first stayed, and whether it came back."""
     first = f"contact {derived['contact_ms']:.2f} ms"
-    again = again_in_words(derived.get("later_contacts"))
+    again = again_in_words(derived["later_contacts"])
     return f"{first}; {again}" if again else first
 
 

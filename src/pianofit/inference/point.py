@@ -46,14 +46,14 @@ def point_result(
         start.quantity, 1.0, None,
     )  # fmt: skip
     last = first._replace(string=string, hammer=hammer)
-    before, after = (listener.play(v, gain, begins, np.zeros(len(analysis.partials))) for v in (first, last))
-    levels = {
-        name: _levels(sound.note, sound.simulation, analysis)
-        for name, sound in (("initial_db", before), ("fitted_db", after))
-    }
+    before, after = (
+        listener.play(note, gain, begins, _levels(note, note.strike(recording.rate), analysis))
+        for note in (first, last)
+    )
     measured = analysis.partials.level + unit
     criterion = listener.criterion(before, after, calibrated)
-    errors = level_errors(levels | {"path_only_db": None}, analysis.partials, measured)
+    levels = {"initial_db": before.level, "fitted_db": after.level, "path_only_db": None}
+    errors = level_errors(levels, analysis.partials, measured)
     heard = FittedRecording(before, after, measured, recording, analysis, criterion, errors)
     missing = [f"band {i + 1}" for i, name in enumerate(BANDS) if name in criterion["dropped"]]
     said = [] if converged else ["The search stopped before it converged; no value is a result."]

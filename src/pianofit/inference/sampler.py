@@ -6,7 +6,6 @@ chain finds has no draws; the contact's step error is that of the best minimum.
 
 from __future__ import annotations
 
-from importlib.util import find_spec
 from typing import Any
 
 import jax
@@ -15,6 +14,7 @@ import numpy as np
 
 from ..errors import ParameterError
 from ..model.precision import float64, scope
+from ..tables import optional
 from ..units import NORMAL
 from .density import Given, folded, given, log_density, start
 from .estimate import Estimate
@@ -51,10 +51,7 @@ def check_sampler() -> None:
     ParameterError
         Saying what to install.
     """
-    if find_spec("blackjax") is None:
-        raise ParameterError(
-            "intervals='posterior' needs blackjax, which is not installed; pip install 'pianofit[bayes]'"
-        )
+    optional("blackjax", "intervals='posterior'", "bayes", ParameterError)
 
 
 def draws(problem: Problem, found: Estimate, seed: int) -> View:

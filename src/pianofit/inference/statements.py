@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ..io import one_line
+from ..numbers import off_by, with_half_interval
 from ..units import NORMAL
 from . import priors
 from .coordinates import STRING_SIZE
@@ -211,12 +212,12 @@ def _identified(problem: Problem, posterior: Posterior, a: str, b: str) -> str:
     cov, mean = posterior.covariance[0], posterior.mean[0]
     slope = cov[i, j] / cov[j, j]
     half = NORMAL * float(np.sqrt(max(cov[i, i] - slope * cov[i, j], 0.0)))
-    reach = f"± {100 * half:.2g} %"
     if (a, b) == problem.unknowns.law.power:
         p = float(np.exp(mean[j]))
         u = float(np.exp(-slope / p))
-        return f"the felt's force at {1e3 * u:.2g} mm, {a} u^{b} = {np.exp(mean[i]) * u**p:.3g} N ({reach})"
-    return f"the product {a} · {b}^{-slope:.2g} ({reach})"
+        force = with_half_interval(float(np.exp(mean[i]) * u**p), half, "N")
+        return f"the felt's force at {1e3 * u:.2g} mm, {a} u^{b} = {force}"
+    return f"the product {a} · {b}^{-slope:.2g} ({off_by(half)})"
 
 
 def messages(

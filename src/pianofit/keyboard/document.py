@@ -11,10 +11,11 @@ from typing import Any, NamedTuple
 from ..analysis.notes import midi_to_note
 from ..errors import FitError, ParameterError
 from ..fit_file import read_path
-from ..io import LARGEST, finite, load_json, one_line, shown, table_of
+from ..io import finite, load_json, one_line, shown, table_of
 from ..model.modes import QUANTITIES
 from ..model.note import Note
 from ..model.simulate import check_geometry
+from ..numbers import is_number
 from ..parameters import PARAMETERS, Geometry, Hammer, String, check
 from ..ringing_file import read_ringing
 from .build import NEIGHBOURS, SCHEMA, build_instrument
@@ -177,6 +178,6 @@ def _told(table: Any) -> dict[str, tuple[float, float, float]]:
     for name, entry in table.items() if isinstance(table, dict) else ():
         match entry:
             case {"value": int() | float() as value, "interval": [int() | float() as low, int() | float() as high]}:
-                if name in NAMES and all(abs(x) < LARGEST for x in (value, low, high)):
+                if name in NAMES and all(map(is_number, (value, low, high))):
                     found[name] = (float(value), float(low), float(high))
     return found

@@ -19,8 +19,9 @@ import numpy as np
 from ..analysis.notes import midi_to_note, note_to_midi
 from ..errors import AnalysisError, FitError
 from ..fit_file import note_of, read_fit
-from ..io import is_number, one_line, reference_of
+from ..io import one_line, reference_of
 from ..model.note import Note
+from ..numbers import is_number
 from ..parameters import FIT_NAMES, PARAMETERS, Hammer
 from ..published import PICKUP, typical
 from ..report.known import half_interval

@@ -10,7 +10,7 @@ from .felt import felt_force, static_force
 from .modes import Modes, mode_frequencies, mode_table, project, window_weights
 from .note import Note
 from .path import OutputPath
-from .response import level_db, levels, mobility, pulse_transform, ringing, spectrum, string_energy, waveform
+from .response import level_db, levels, mobility, ringing, spectrum, waveform
 from .simulate import Simulation, contact_rate, simulate
 
 __all__ = [
@@ -29,13 +29,11 @@ __all__ = [
     "mode_table",
     "pluck",
     "project",
-    "pulse_transform",
     "ringing",
     "simulate",
     "spectrum",
     "static_force",
     "strike",
-    "string_energy",
     "waveform",
     "window_weights",
 ]

@@ -60,10 +60,9 @@ class Struck(NamedTuple):
 
 
 class FreeMotion(NamedTuple):
-    """A string that moves by itself: q = Re(amplitude · z^n), y at the strike [steps], and its energy."""
+    """A string that moves by itself: q = Re(amplitude · z^n), with its speed and energy."""
 
     amplitude: Complex[Array, " modes"]  # m
-    under_hammer: Float[Array, " steps"]  # m
     speed: Float[Array, ""]  # of the string under the hammer at t = 0, m/s, the scheme's
     energy: Float[Array, ""]  # J
 
@@ -92,16 +91,9 @@ def kernel_rows(modes: Modes, steps: int) -> Float[Array, "32 steps"]:
 
 @float64
 def free_motion(
-    modes: Modes, displacement: Float[AnyArray, " modes"], velocity: Float[AnyArray, " modes"], steps: int
+    modes: Modes, displacement: Float[AnyArray, " modes"], velocity: Float[AnyArray, " modes"]
 ) -> FreeMotion:
     """The motion of a string released at t = 0 with modal `displacement`, m, and `velocity`, m/s [modes]."""
-    amplitude, speed, energy = _released(modes, displacement, velocity)
-    under = ring(modes.strike * amplitude, modes.pole * modes.step, steps)
-    return FreeMotion(amplitude, under, speed, energy)
-
-
-def _released(modes: Modes, displacement: AnyArray, velocity: AnyArray) -> tuple[Array, Array, Array]:
-    """Of a string released with this motion: amplitudes [modes], its speed under the hammer, its energy."""
     rate = modes.free_rate
     amplitude = displacement - 1j * (velocity - rate.real * displacement) / rate.imag
     silent = modes.drive == 0  # at a node of the strike: never meets the hammer
@@ -110,7 +102,7 @@ def _released(modes: Modes, displacement: AnyArray, velocity: AnyArray) -> tuple
     z_1 = jnp.expm1(modes.pole * modes.step)
     velocity = (amplitude * z_1 / (2 + z_1)).real * (2 / modes.step)
     energy = 0.5 * (mass * (velocity**2 + modes.omega2 * displacement**2)).sum()
-    return jnp.asarray(amplitude), (modes.strike * velocity).sum(), energy
+    return FreeMotion(jnp.asarray(amplitude), (modes.strike * velocity).sum(), energy)
 
 
 @float64
@@ -156,13 +148,15 @@ def strike(
     """
     if steps % BLOCK:
         raise ParameterError(f"steps={steps} must be a multiple of {BLOCK}")
-    under = jnp.zeros(steps) if free is None else free.under_hammer
-    drive, force, u, y_hammer, v_hammer = _march(modes, hammer, under, 0.0 if free is None else free.speed, rows)
-    y_string = y_hammer - u
-    own = y_string - under
+    if free is None:
+        under, speed, energy = jnp.zeros(steps), 0.0, ()
+    else:
+        under = ring(modes.strike * free.amplitude, modes.pole * modes.step, steps)
+        speed, energy = free.speed, (free.energy,)
+    drive, force, u, y_hammer, v_hammer = _march(modes, hammer, under, speed, rows)
+    own = y_hammer - u - under
     work = 0.5 * (drive[1:] * (own[1:] - own[:-1])).sum()
-    reach = _reach(modes, work) + (0.0 if free is None else _reach(modes, free.energy))
-    over = (u[-1] <= 0) & (v_hammer[-1] <= 0) & (y_hammer[-1] + reach <= 0)
+    over = _gone(modes, u[-1], y_hammer[-1], v_hammer[-1], work, *energy)
     if whole and not isinstance(over, Tracer) and not over:
         after = f"steps={steps}: the contact is not proven to be over after {float(steps * modes.step):.2g} s"
         given = hammer._asdict()
@@ -181,23 +175,9 @@ def leave(modes: Modes, hammer: Any, *, steps: int | AnyArray) -> Struck:
     """
     if not isinstance(steps, Tracer) and steps % BLOCK:
         raise ParameterError(f"steps={steps} must be a multiple of {BLOCK}")
-    block, first = _blocks(modes, hammer, jnp.zeros(()), 0.0, None)
-
-    def going(now):
-        return (now[0] < steps // BLOCK) & ~now[-1]
-
-    def onward(now):
-        count, carry, own, work, _, _ = now
-        carry, (drive, _, u, y, v) = block(carry, jnp.zeros(BLOCK))
-        string = y - u
-        work = work + 0.5 * (drive * (string - jnp.append(own, string[:-1]))).sum()
-        over = (u[-1] <= 0) & (v[-1] <= 0) & (y[-1] + _reach(modes, work) <= 0)
-        return count + 1, carry, string[-1], work, u[-1] <= 0, over
-
     zero = jnp.zeros_like(modes.step)
-    silent = (jnp.zeros_like(modes.alpha),) * 2
-    begin = (0, (silent, first), zero, zero, jnp.asarray(False), jnp.asarray(False))
-    count, ((real, imag), _), _, _, apart, _ = jax.lax.while_loop(going, onward, begin)
+    rest = FreeMotion(jnp.zeros_like(modes.pole), zero, zero)
+    count, ((real, imag), _), apart, *_ = _until_over(modes, hammer, rest, steps)
     return Struck(real + 1j * imag, jnp.asarray(count * BLOCK + 1), apart)
 
 
@@ -220,29 +200,47 @@ def follow(
     -------
     `drive` and `force`, N [steps], nought after the end, and whether that is proven to be one.
     """
-    amplitude, speed, energy = _released(modes, displacement, velocity)
-    under = (modes.strike * amplitude.real).sum()
-    block, first = _blocks(modes, hammer, under, speed, None, powers)
-    turned = amplitude * jnp.exp(modes.pole * modes.step)
-    turned = turned.real, turned.imag
+    free = free_motion(modes, displacement, velocity)
+    *_, (drive, force), over = _until_over(modes, hammer, free, steps, powers, (jnp.zeros(steps + 1),) * 2)
+    return drive[:-1], force[:-1], over
+
+
+def _until_over(
+    modes: Modes, hammer: Any, free: FreeMotion, steps: int | AnyArray,
+    powers: tuple[AnyArray, AnyArray] | None = None, kept: tuple[Array, ...] = (),
+):  # fmt: skip
+    """Block after block until the contact is proven to be over: how many, state, whether apart, what is kept, over.
+
+    Parameters
+    ----------
+    kept : where drive and force are written to, N [steps + 1]; nothing is kept without.
+    """
+    under = (modes.strike * free.amplitude.real).sum()
+    block, first = _blocks(modes, hammer, under, free.speed, None, powers)
+    turned = free.amplitude * jnp.exp(modes.pole * modes.step)
 
     def going(now):
         return (now[0] < steps // BLOCK) & ~now[-1]
 
     def onward(now):
-        count, carry, before, energy, drives, forces, _ = now
-        carry, (drive, force, u, y, v) = block(carry, jnp.zeros(BLOCK))
+        count, carry, _, before, energy, kept, _ = now
+        carry, (*outputs, u, y, v) = block(carry, jnp.zeros(BLOCK))
         string = y - u
-        energy = energy + 0.5 * (drive * (string - jnp.append(before, string[:-1]))).sum()
-        over = (u[-1] <= 0) & (v[-1] <= 0) & (y[-1] + _reach(modes, energy) <= 0)
+        energy = energy + 0.5 * (outputs[0] * (string - jnp.append(before, string[:-1]))).sum()
         at = (1 + count * BLOCK,)
-        drives, forces = (jax.lax.dynamic_update_slice(*x, at) for x in ((drives, drive), (forces, force)))
-        return count + 1, carry, string[-1], energy, drives, forces, over
+        kept = tuple(jax.lax.dynamic_update_slice(*x, at) for x in zip(kept, outputs, strict=False))
+        return count + 1, carry, u[-1] <= 0, string[-1], energy, kept, _gone(modes, u[-1], y[-1], v[-1], energy)
 
-    silence = jnp.zeros(steps + 1)
-    begin = (0, (turned, first), under, energy, silence, silence, jnp.asarray(False))
-    *_, drives, forces, over = jax.lax.while_loop(going, onward, begin)
-    return drives[:-1], forces[:-1], over
+    no = jnp.asarray(False)
+    begin = (0, ((turned.real, turned.imag), first), no, under, free.energy, kept, no)
+    count, carry, apart, _, _, kept, over = jax.lax.while_loop(going, onward, begin)
+    return count, carry, apart, kept, over
+
+
+def _gone(modes: Modes, u: Array, y_hammer: Array, v_hammer: Array, *energies: AnyArray) -> Array:
+    """Whether the hammer moves away, further off than a string of these energies can follow."""
+    reach = sum(_reach(modes, energy) for energy in energies)
+    return (u <= 0) & (v_hammer <= 0) & (y_hammer + reach <= 0)
 
 
 def _reach(modes: Modes, energy: AnyArray) -> Array:

@@ -15,7 +15,8 @@ __all__ = ["pluck"]
 def pluck(modes: Modes, force: float = 1.0) -> FreeMotion:
     """The motion after a steady force on the table's contact window is let go.
 
-    Of a mode under a steady force no more is left than its compliance. For `levels`, `waveform` and `spectrum`.
+    Of a mode under a steady force no more is left than its compliance. For `levels`, `waveform` and `spectrum`, and
+    for `strike`.
 
     Parameters
     ----------
@@ -24,7 +25,7 @@ def pluck(modes: Modes, force: float = 1.0) -> FreeMotion:
 
     Returns
     -------
-    The free motion: `amplitude`, complex, m [modes]; `under_hammer`, m [1]; `speed`, m/s; `energy`, J.
+    The free motion: `amplitude`, complex, m [modes]; `speed`, m/s; `energy`, J.
 
     Raises
     ------
@@ -39,4 +40,4 @@ def pluck(modes: Modes, force: float = 1.0) -> FreeMotion:
     >>> f"{1e6 * pianofit.pluck(modes, 2.0).energy:.1f} μJ"
     '356.6 μJ'
     """
-    return free_motion(modes, force * modes.drive / modes.omega2, jnp.zeros_like(modes.omega2), 1)
+    return free_motion(modes, force * modes.drive / modes.omega2, jnp.zeros_like(modes.omega2))

@@ -11,6 +11,7 @@ mode that is 1 where the force says all, is what strokes of velocity v show beyo
 from __future__ import annotations
 
 import functools
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -27,6 +28,7 @@ __all__ = [
     "Participation",
     "Ringing",
     "force_of",
+    "resampled",
     "ring",
     "silencing",
     "turned",
@@ -144,9 +146,8 @@ class Ringing(NamedTuple):
         below = np.imag(self.pole) < np.pi * rate
         columns = (self.number[below], self.pole[below], self.pole_error[below], self.pattern[:, below])
         knock = self.knock
-        if rate != self.rate and knock.shape[-1]:
-            by = np.gcd(rate, self.rate)
-            knock = resample_poly(knock, rate // by, self.rate // by, axis=-1)
+        if knock.shape[-1]:
+            knock = resampled(knock, self.rate, rate)
         part = self.participation
         part = None if part is None else part._replace(factor=part.factor[:, below])
         return Ringing(*columns, knock, rate, part)
@@ -208,6 +209,12 @@ class Ringing(NamedTuple):
         out = np.pad(onset, ((0, 0), (0, max(count - onset.shape[-1], 0))))[:, :count]
         out[:, begin:] += ring(own.pole, own.pattern * state, rate, max(count - begin, 0))
         return out
+
+
+def resampled(x: np.ndarray, old: int, new: int) -> np.ndarray:
+    """A sound of the rate `old` [..., samples] at the rate `new`, Hz."""
+    by = math.gcd(old, new)
+    return x if new == old else resample_poly(x, new // by, old // by, axis=-1)
 
 
 def ring(

@@ -22,7 +22,7 @@ from .exponentials import transform
 from .modes import Modes
 from .precision import AnyArray, float64
 
-__all__ = ["level_db", "levels", "mobility", "pulse_transform", "ringing", "spectrum", "string_energy", "waveform"]
+__all__ = ["level_db", "levels", "mobility", "ringing", "spectrum", "waveform"]
 
 # A partial's level is its energy in the first LEVEL_SPAN seconds under exp(-LEVEL_DECAY t).
 LEVEL_SPAN, LEVEL_DECAY = 0.35, 8.0
@@ -36,12 +36,6 @@ def damped_circle(
 ) -> Complex[Array, " bins"]:
     """ζ at frequencies in Hz [bins] and σ in 1/s."""
     return jnp.exp(-(sigma + 2j * jnp.pi * frequency) * step)
-
-
-@float64
-def pulse_transform(drive: Float[AnyArray, " steps"], log_zeta: Complex[AnyArray, " bins"]) -> Complex[Array, " bins"]:
-    """T̂ = Σ_n T^n ζ^n, N, at log ζ, complex [bins]. At log ζ = -p_k δt it is what rings in mode k."""
-    return transform(drive, log_zeta)
 
 
 @float64
@@ -102,7 +96,7 @@ def spectrum(
     (2,)
     """
     zeta = damped_circle(frequency, sigma, modes.step)
-    total = pulse_transform(drive, jnp.log(zeta)) * mobility(modes, zeta)
+    total = transform(drive, jnp.log(zeta)) * mobility(modes, zeta)
     if free is not None:
         total = total + mobility(modes, zeta, free.amplitude)
     return total * modes.step
@@ -111,7 +105,7 @@ def spectrum(
 @float64
 def ringing(modes: Modes, drive: Float[AnyArray, " steps"], free: FreeMotion | None = None) -> Complex[Array, " modes"]:
     """A_k: after the contact the signal is Σ_k Re(A_k exp(p_k t)), t from the first touch."""
-    total = modes.pickup * impulse_amplitude(modes) * pulse_transform(drive, _back(modes, len(drive)))
+    total = modes.pickup * impulse_amplitude(modes) * transform(drive, _back(modes, len(drive)))
     return total if free is None else total + modes.free_pickup * free.amplitude
 
 
@@ -119,15 +113,6 @@ def _back(modes: Modes, steps: int) -> Array:
     """-p δt [modes], held where a mode dies so fast that carrying it back from the contact's end would overflow."""
     log_zeta = -modes.pole * modes.step
     return jnp.minimum(log_zeta.real, MOST_RISE / steps) + 1j * log_zeta.imag
-
-
-@float64
-def string_energy(modes: Modes, drive: Float[AnyArray, " steps"]) -> Float[Array, " modes"]:
-    """Energy of every mode after the pulse, J, carried back to t = 0 as if it had rung since."""
-    amplitude = impulse_amplitude(modes) * pulse_transform(drive, _back(modes, len(drive)))
-    silent = modes.drive == 0
-    mass = jnp.where(silent, 0.0, modes.strike / jnp.where(silent, 1.0, modes.drive))
-    return 0.5 * mass * modes.omega2 * jnp.abs(amplitude) ** 2
 
 
 @float64

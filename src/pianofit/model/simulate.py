@@ -116,7 +116,7 @@ def _strike(string, hammer, geometry, rate, weights, start, *, n_modes, steps, q
     modes = mode_table(
         string, geometry, rate=rate, n_modes=n_modes, quantity=quantity, kind=kind, strike_weights=weights
     )
-    free = None if start is None else free_motion(modes, start[0], start[1], steps)
+    free = None if start is None else free_motion(modes, start[0], start[1])
     return modes, strike(modes, hammer, steps=steps, free=free), free
 
 

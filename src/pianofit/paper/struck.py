@@ -22,8 +22,9 @@ from ..criterion import NODES
 from ..inference.lanes import in_lanes
 from ..model.cache import kept
 from ..model.contact import impulse_amplitude, kernel_rows, strike
+from ..model.exponentials import transform
 from ..model.modes import Modes, mode_table
-from ..model.response import pulse_transform, ringing_transform
+from ..model.response import ringing_transform
 from ..parameters import Geometry, Hammer, String
 from .descent import LeastSquares
 from .spectral import Goal, Values, miss
@@ -129,13 +130,13 @@ def _struck(z: Float[Array, " 9"], goal: Goal, scene: Scene, cfg: Cfg) -> Array:
     modes = _table(z, scene, cfg)
     log_zeta = _smooth_log_zeta(goal, modes.step).ravel()
 
-    def transform(drive: Array) -> tuple[Array, Array]:
+    def transformed(drive: Array) -> tuple[Array, Array]:
         # From about the pulse's middle, where its phase turns least.
-        turned = pulse_transform(drive, log_zeta) * jnp.exp(-1j * log_zeta.imag * MIDDLE * cfg.steps)
+        turned = transform(drive, log_zeta) * jnp.exp(-1j * log_zeta.imag * MIDDLE * cfg.steps)
         return turned.real, turned.imag
 
     mobility = string_mobility(modes, goal, MIDDLE * cfg.steps)
-    return 0.5 * (_residuals(z[4:], modes, mobility, None, transform, goal, scene, cfg) ** 2).sum()
+    return 0.5 * (_residuals(z[4:], modes, mobility, None, transformed, goal, scene, cfg) ** 2).sum()
 
 
 @kept

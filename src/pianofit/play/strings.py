@@ -30,7 +30,6 @@ LAST_DAMPER = 90  # F#6; the strings above have none
 # What a damper adds to every mode's decay, 1/s, at the lowest key and at the last that has one: about 0.3 s to 0.12 s
 # for 60 dB. Chosen once; no fit sees a damper.
 DAMPER = (25.0, 60.0)
-_FINE = 32
 
 
 def damper_rate(midi: int) -> float:
@@ -167,10 +166,8 @@ class PlayedString:
         """What a unit T makes heard, at the contact's rate [steps]."""
         if len(self._response) < steps:
             size = max(2 * len(self._response), 1 << math.ceil(math.log2(steps)))
-            log_z = self.string.pole / self.table.rate
-            coarse = self.table.drive * np.exp(np.outer(np.arange(-(-size // _FINE)) * _FINE, log_z))
-            fine = np.exp(np.outer(log_z, np.arange(_FINE)))
-            self._response = (np.real(coarse) @ np.real(fine) - np.imag(coarse) @ np.imag(fine)).ravel()
+            pole, drive = self.string.pole, self.table.drive[None]
+            self._response = ring(pole, drive, self.table.rate, size, faint=np.zeros(len(pole)))[0]
         return self._response[:steps]
 
 

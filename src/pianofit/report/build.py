@@ -76,35 +76,36 @@ def reference_curves(result: Result) -> Curves:
     """
     r, a, heard = result.recording, result.analysis, result.reference
     rate, onset, p, k = r.rate, r.onset, heard.partials, heard.partials.number
+    before, after = result.initial, result.fitted
     top = min(0.5 * rate, TOP, float(law_frequency(a.f0, a.B, k.max() + 2)))
-    spectra = [spectrum_db(x[onset:], rate, top) for x in (r.samples, result.initial.samples, result.fitted.samples)]
+    sounds = {"measured": r.samples, "initial": before.samples, "fitted": after.samples}
+    spectra = {name: spectrum_db(x[onset:], rate, top) for name, x in sounds.items()}
     attack = slice(onset, onset + int(ATTACK * rate))
     v = result.note
     f0 = v.string.c / (2 * v.geometry.length)
     B = (v.string.kappa * np.pi / (v.string.c * v.geometry.length)) ** 2
-    first, last = result.initial.simulation, result.fitted.simulation
-    steps = 1e3 * float(last.modes.step) * np.arange(_contact_steps(first, last))
-    path = None if v.path is None else v.path.at(p.frequency)
+    strokes = {"initial": before.simulation, "fitted": after.simulation}
+    steps = _contact_steps(*strokes.values())
+    original = {"original": r.samples if heard.played.frames is None else r.frames}
     return Curves(
-        frequency=spectra[0][0], measured_db=spectra[0][1], initial_db=spectra[1][1], fitted_db=spectra[2][1],
+        frequency=spectra["measured"][0], spectra={name: level for name, (_, level) in spectra.items()},
         borders=tuple(result.document["criterion"]["borders"]),
-        attack_ms=1e3 * np.arange(len(r.samples[attack])) / rate, attack_measured=r.samples[attack],
-        attack_initial=result.initial.samples[attack], attack_fitted=heard.played.samples[attack],
+        attack_ms=1e3 * np.arange(len(r.samples[attack])) / rate,
+        attack={name: x[attack] for name, x in (sounds | {"fitted": heard.played.samples}).items()},
         number=k,
         frequency_cents=_cents(p.frequency, k * f0),
         frequency_cents_error=1200 / np.log(2) * p.frequency_error / p.frequency,
         frequency_cents_law=_cents(law_frequency(f0, B, k), k * f0),
         decay=p.decay, decay_error=p.decay_error,
         decay_law=v.string.b1 + v.string.b2 * (k * np.pi / v.geometry.length) ** 2,
-        level=heard.level, level_error=p.level_error,
-        level_initial=result.initial.level, level_fitted=result.fitted.level, path=path,
-        force_ms=steps,
-        force_initial=_pad(first.pulse.force, len(steps)), force_fitted=_pad(last.pulse.force, len(steps)),
-        compression_initial=1e3 * _pad(first.pulse.compression, len(steps)),
-        compression_fitted=1e3 * _pad(last.pulse.compression, len(steps)),
-        sound_rate=rate, sound_original=r.samples if heard.played.frames is None else r.frames,
-        sound_initial=result.initial.samples, sound_fitted=heard.sound,
-        sound_law=None if heard.ringing is None else heard.fitted.samples,
+        levels={"measured": heard.level, "initial": before.level, "fitted": after.level}, level_error=p.level_error,
+        path=None if v.path is None else v.path.at(p.frequency),
+        force_ms=1e3 * float(after.simulation.modes.step) * np.arange(steps),
+        force={name: _pad(one.pulse.force, steps) for name, one in strokes.items()},
+        compression={name: 1e3 * _pad(one.pulse.compression, steps) for name, one in strokes.items()},
+        sound_rate=rate,
+        sounds=original | ({"initial": before.samples, "fitted": heard.sound} if heard.ringing is None else
+                           {"fitted": heard.sound, "law": after.samples}),
     )  # fmt: skip
 
 

@@ -95,18 +95,14 @@ class Curves:
 
     `frequency_cents` is the deviation from k f0, `frequency_cents_law` that of k f0 √(1 + B k²); `decay_law` is
     b1 + d2 k². `_error` is one standard deviation. `path` is the fitted output path at the partials, or None. What has
-    one recording only is that of the first.
+    one recording only is that of the first. All three: measured, initial and fitted.
     """
 
     frequency: np.ndarray  # [bins], of the spectra on the damped circle
-    measured_db: np.ndarray  # [bins]
-    initial_db: np.ndarray
-    fitted_db: np.ndarray
+    spectra: dict[str, np.ndarray]  # dB [bins], of all three
     borders: tuple[float, ...]  # Hz; low, 1|2, 2|3, high, as far as there are such bands
     attack_ms: np.ndarray  # [n], from the onset
-    attack_measured: np.ndarray  # [n], full scale = 1
-    attack_initial: np.ndarray
-    attack_fitted: np.ndarray
+    attack: dict[str, np.ndarray]  # [n], full scale = 1, of all three
     number: np.ndarray  # [partials], k
     frequency_cents: np.ndarray  # [partials]
     frequency_cents_error: np.ndarray
@@ -114,25 +110,18 @@ class Curves:
     decay: np.ndarray  # [partials]
     decay_error: np.ndarray
     decay_law: np.ndarray
-    level: np.ndarray  # [partials], dB
+    levels: dict[str, np.ndarray]  # dB [partials], of all three
     level_error: np.ndarray
-    level_initial: np.ndarray
-    level_fitted: np.ndarray
     path: np.ndarray | None  # [partials], dB
     force_ms: np.ndarray  # [m], from the first touch
-    force_initial: np.ndarray  # [m], N
-    force_fitted: np.ndarray
-    compression_initial: np.ndarray  # [m], mm
-    compression_fitted: np.ndarray
+    force: dict[str, np.ndarray]  # N [m], initial and fitted
+    compression: dict[str, np.ndarray]  # mm [m], initial and fitted
     sound_rate: int  # Hz
-    sound_original: np.ndarray  # [samples] or [channels, samples], full scale = 1
-    sound_initial: np.ndarray
-    sound_fitted: np.ndarray  # as the key rings
+    sounds: dict[str, np.ndarray]  # what is heard, each [samples] or [channels, samples], full scale = 1
     recordings: tuple[RecordingCurves, ...] = ()  # in the order given
     first: int = 0  # the recording that the curves above are of
     paths: tuple[tuple[np.ndarray, np.ndarray], ...] = ()  # of each group: Hz and dB, [partials]
     felt: Felt | None = None
     known: Known | None = None
     strokes: Strokes | None = None
-    sound_law: np.ndarray | None = None  # by the string's law; None where the fitted sound is that
     ringing: RingingCurves | None = None

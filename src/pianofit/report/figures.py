@@ -43,7 +43,7 @@ COMPARED = ("measured", "initial", "fitted")
 RISING, FALLING = 0.6, 0.35
 # Decays slower than this share of the law's slowest stand at the axis' edge.
 SLOWEST = 0.1
-NODE = 60.0  # dB below all other levels, where an initial one is not drawn
+NODE = 60.0  # dB below all measured levels, where none is drawn
 HEAD = np.array([1.0, -0.7 + 0.45j, -0.4, -0.7 - 0.45j, 1.0])  # its outline, pointing right
 
 
@@ -87,21 +87,23 @@ def _spectra(curves: Curves, dropped: tuple[str, ...]) -> list[Figure]:
 
 def _draw_spectra(axes: Axes, curves: Curves, low: float, high: float) -> None:
     for name in COMPARED:
-        axes.plot(curves.frequency, getattr(curves, f"{name}_db"), label=name, **LINES[name])
-    bottom, top = span(curves.measured_db, curves.fitted_db)
+        axes.plot(curves.frequency, curves.spectra[name], label=name, **LINES[name])
+    bottom, top = span(curves.spectra["measured"], curves.spectra["fitted"])
     axes.set(xlim=(low, high), ylim=(max(bottom, top - 110) - 6, top + 12), xlabel="frequency (Hz)")
     axes.set_ylabel("level (dB)")
 
 
 def _band_edges(curves: Curves, dropped: tuple[str, ...]) -> list[tuple[float, float, str, bool]]:
-    """(low, high, label, left out) of each band, matched to names when all three or just the kept ones have borders."""
+    """(low, high, label, left out) of each band seen, matched to names when all three or the kept ones have borders."""
     borders = [border for border in curves.borders if np.isfinite(border)]
     pairs = list(pairwise(borders)) or [span(curves.frequency)]
     kept = [name for name in BANDS if name not in dropped]
     names = list(BANDS) if len(pairs) == len(BANDS) else kept if len(pairs) == len(kept) else [""] * len(pairs)
+    end = curves.frequency[-1]
     return [
-        (low, high, BANDS.get(name, "") + (", left out" if name in dropped else ""), name in dropped)
+        (low, min(high, end), BANDS.get(name, "") + (", left out" if name in dropped else ""), name in dropped)
         for (low, high), name in zip(pairs, names, strict=True)
+        if low < end
     ]
 
 
@@ -114,17 +116,17 @@ def draw_spectrum(axes: Axes, curves: Curves, dropped: tuple[str, ...]) -> None:
 
 def draw_force(axes: Axes, curves: Curves) -> None:
     """Draw the hammer's force over time before and after the fit."""
-    for name in ("initial", "fitted"):
-        axes.plot(curves.force_ms, getattr(curves, f"force_{name}"), label=name, **LINES[name])
+    for name, force in curves.force.items():
+        axes.plot(curves.force_ms, force, label=name, **LINES[name])
     axes.set(xlabel="time from the first touch (ms)", ylabel="force (N)")
     axes.set_ylim(bottom=0.0)
 
 
 def draw_levels(axes: Axes, curves: Curves) -> None:
     """Draw the partials' levels, measured, initial and fitted."""
-    axes.plot(curves.number, _without_nodes(curves), marker="s", ms=3.4, label="initial", **LINES["initial"])
-    axes.plot(curves.number, curves.level_fitted, marker="o", ms=3.4, label="fitted", **LINES["fitted"])
-    points(axes, curves.number, curves.level, curves.level_error)
+    axes.plot(curves.number, _without_nodes(curves, "initial"), marker="s", ms=3.4, label="initial", **LINES["initial"])
+    axes.plot(curves.number, _without_nodes(curves, "fitted"), marker="o", ms=3.4, label="fitted", **LINES["fitted"])
+    points(axes, curves.number, curves.levels["measured"], curves.level_error)
     axes.set(xlabel="partial number k", ylabel="level (dB)")
     number_axis(axes, curves.number)
 
@@ -143,12 +145,13 @@ def _shade_bands(axes: Axes, edges: list[tuple[float, float, str, bool]]) -> Non
             axes.axvline(edge, color="#7b8794", lw=0.8, ls=":", zorder=1)
         narrow = (high - low) < 0.25 * (stop - start)
         text = label.split(":")[0] + (", left out" if narrow and left_out else "") if narrow else label
-        axes.text((low + high) / 2, 0.985, text, transform=axes.get_xaxis_transform(), ha="center", va="top",
-                  color=INK, fontsize=8.5)  # fmt: skip
+        # What would not fit into a narrow band at an end stays within the frame.
+        at, side = (high, "right") if narrow and high == stop else ((low + high) / 2, "center")
+        axes.text(at, 0.985, text, transform=axes.get_xaxis_transform(), ha=side, va="top", color=INK, fontsize=8.5)
 
 
 def _attack(curves: Curves) -> list[Figure]:
-    limits = span(*(getattr(curves, f"attack_{name}") for name in COMPARED))
+    limits = span(*curves.attack.values())
     room = 0.05 * max(limits[1] - limits[0], 1e-12)
     figures = []
     for name, title in (("initial", "start values"), ("fitted", "after the fit")):
@@ -163,7 +166,7 @@ def _attack(curves: Curves) -> list[Figure]:
 def draw_attack(axes: Axes, curves: Curves, names: tuple[str, ...]) -> None:
     """Draw the waveforms of the first milliseconds."""
     for name in names:
-        axes.plot(curves.attack_ms, getattr(curves, f"attack_{name}"), label=name, **LINES[name])
+        axes.plot(curves.attack_ms, curves.attack[name], label=name, **LINES[name])
     axes.set_ylabel("signal (full scale = 1)")
 
 
@@ -202,8 +205,9 @@ def _levels(curves: Curves) -> list[Figure]:
     legend(levels, axes)
     path = curves.path
     residuals, (error, *below) = panel(*((HEIGHT,) if path is None else (0.6 * HEIGHT, 0.4 * HEIGHT - 0.12)))
-    for name, marker, values in (("initial", "s", _without_nodes(curves)), ("fitted", "o", curves.level_fitted)):
-        error.plot(curves.number, values - curves.level, marker=marker, ms=3.4, label=name, **LINES[name])
+    for name, marker in (("initial", "s"), ("fitted", "o")):
+        off = _without_nodes(curves, name) - curves.levels["measured"]
+        error.plot(curves.number, off, marker=marker, ms=3.4, label=name, **LINES[name])
     error.axhline(0.0, color=MEASURED, lw=1)
     error.set(title="Residuals", ylabel="minus measured (dB)")
     if path is not None:
@@ -215,10 +219,11 @@ def _levels(curves: Curves) -> list[Figure]:
     return [levels, residuals]
 
 
-def _without_nodes(curves: Curves) -> np.ndarray:
-    """The initial levels, nan where far below all others, dB: a start can strike exactly on a node."""
-    low, _ = span(curves.level, curves.level_fitted)
-    return np.where(curves.level_initial > low - NODE, curves.level_initial, np.nan)
+def _without_nodes(curves: Curves, name: str) -> np.ndarray:
+    """Levels, dB, nan where far below all measured ones: a given strike position can be exactly on a node."""
+    low, _ = span(curves.levels["measured"])
+    level = curves.levels[name]
+    return np.where(level > low - NODE, level, np.nan)
 
 
 def _force(curves: Curves) -> list[Figure]:
@@ -235,14 +240,14 @@ def _force(curves: Curves) -> list[Figure]:
 def draw_loop(axes: Axes, curves: Curves) -> None:
     """Draw force over compression, with heads on the curve that say which way it runs."""
     for name in ("initial", "fitted"):
-        x, force = getattr(curves, f"compression_{name}"), getattr(curves, f"force_{name}")
+        x, force = curves.compression[name], curves.force[name]
         touching = np.where(x > 0, 1.0, np.nan)
         axes.plot(x * touching, force * touching, label=name, **LINES[name])
     axes.set(xlabel="compression of the felt (mm)", ylabel="force (N)")
-    axes.set_xlim(0.0, 1.05 * max(span(curves.compression_initial, curves.compression_fitted)[1], 1e-9))
+    axes.set_xlim(0.0, 1.05 * max(span(*curves.compression.values())[1], 1e-9))
     axes.set_ylim(bottom=0.0)
     for name in ("initial", "fitted"):
-        for at, way in _headings(getattr(curves, f"compression_{name}"), getattr(curves, f"force_{name}")):
+        for at, way in _headings(curves.compression[name], curves.force[name]):
             axes.plot(*at, marker=_head(_angle(axes, at, way)), ms=13, mew=0, color=LINES[name]["color"], zorder=6)
 
 

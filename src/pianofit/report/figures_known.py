@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..numbers import off_by
 from .curves import Felt, Known, RecordingCurves
 from .drawing import FITTED, HEIGHT, INITIAL, INK, LINES, MEASURED, legend, log_axis, panel, span
 from .words import SYMBOLS
@@ -86,7 +87,14 @@ def _reaches(axes: Axes, known: Known) -> None:
     for row, value, (_, told, combined) in zip(rows, reach, known.reaches, strict=True):
         colour = MEASURED if combined else FITTED
         axes.plot([left, value], [row, row], color=colour, lw=1.6, marker="o", ms=6.5, markevery=[1])
-        axes.text(1.35 * value, row, _factor(told), va="center", fontsize=9, color=INK)
+        axes.text(
+            1.35 * value,
+            row,
+            "not at all" if told >= WIDEST else off_by(told, "× or ÷ {}"),
+            va="center",
+            fontsize=9,
+            color=INK,
+        )
     axes.set(xscale="log", xlim=(left, 14 * max(reach)), ylim=(len(rows) - 0.4, -0.6))
     axes.set_yticks(rows, [_symbol(name) for name, *_ in known.reaches])
     axes.set_xticks([], minor=True)
@@ -101,14 +109,6 @@ def _symbol(name: str) -> str:
     symbol, _, stroke = SYMBOLS.get(name, name).partition(" ")
     lowered = re.sub(r"_(\w+)", r"_{\1}", symbol)
     return (f"${lowered}$" if "_" in symbol else symbol) + (f", {stroke}" if stroke else "")
-
-
-def _factor(reach: float) -> str:
-    """Half an interval of a logarithm as a reader takes it: ± per cent while that is small, then a factor."""
-    if reach >= WIDEST:
-        return "not at all"
-    factor = float(f"{np.exp(reach):.2g}")
-    return f"± {100 * reach:.2g} %" if reach < 0.2 else f"× or ÷ {factor:g}"
 
 
 def draw_correlations(axes: Axes, known: Known) -> None:

@@ -69,16 +69,11 @@ def draw_held_out(recordings: Sequence[dict[str, Any]]) -> Figure:
     figure, (axes,) = panel(HEIGHT, legend_rows=len(HELD_OUT))
     places = np.arange(len(recordings))
     for key, label, look in HELD_OUT:
-        value = np.array([np.nan if recording.get(key) is None else recording[key] for recording in recordings], float)
+        value = np.array([recording[key] for recording in recordings], float)  # NaN where it is None
         axes.plot(places, value, ls="none", mew=1.6, label=label, zorder=3, **look)
-    top = span(*(np.array([recording.get(key) or 0.0 for recording in recordings], float) for key, *_ in HELD_OUT))[1]
+    top = span(*(np.array([recording[key] or 0.0 for recording in recordings]) for key, *_ in HELD_OUT))[1]
     axes.set(ylim=(0.0, 1.12 * max(top, 0.1)), xlim=(-0.5, len(recordings) - 0.5), ylabel="error of the levels (dB)")
-    axes.set_xticks(places, [_place(recording) for recording in recordings], color=INK)
+    axes.set_xticks(places, [f"{recording['v_H0']:.3g} m/s" for recording in recordings], color=INK)
     axes.tick_params(axis="x", labelrotation=30 if len(recordings) > CROWDED else 0)
     legend(figure, axes, columns=1)
     return figure
-
-
-def _place(recording: dict[str, Any]) -> str:
-    velocity = recording.get("v_H0")
-    return f"{velocity:.3g} m/s" if isinstance(velocity, int | float) else "–"

@@ -27,16 +27,9 @@ KIT = "pianofit.report"
 HEADING = re.compile(r'<h[23] id="([^"]+)">([^<]+)</h[23]>')
 
 
-def write_page(
-    path: str | os.PathLike[str], template: str, *, package: str = KIT, styles: tuple[str, ...] = (),
-    scripts: tuple[str, ...] = (), filters: dict[str, Callable] | None = None, strict: bool = True, title: str,
-    contents: bool = False, **content: Any,
-) -> None:  # fmt: skip
+def write_page(path: str | os.PathLike[str], template: str, **page: Any) -> None:
     """Write one self-contained page (`page_bytes`), whole or not at all; an `OutputError` where it cannot be."""
-    replace_file(path, page_bytes(
-        template, package=package, styles=styles, scripts=scripts, filters=filters, strict=strict, title=title,
-        contents=contents, **content,
-    ))  # fmt: skip
+    replace_file(path, page_bytes(template, **page))
 
 
 def page_bytes(

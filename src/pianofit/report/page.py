@@ -27,6 +27,8 @@ STEREO_SECONDS = 5.0
 LIGHT_SAMPLES = 1_000_000
 LONGEST = 4.0  # s, of each of them,
 SHORTEST = 1.5  # s, however many there are
+# Pictures that only some fits have.
+SOMETIMES = ("recordings", "paths", "held_out", "felt", "known")
 
 
 def report_bytes(fit: dict[str, Any], curves: Curves, title: str, held_out: dict[str, Any] | None = None) -> bytes:
@@ -35,7 +37,7 @@ def report_bytes(fit: dict[str, Any], curves: Curves, title: str, held_out: dict
     Parameters
     ----------
     fit
-        The content of `fit.json`. A missing entry is a missing sentence, never an error.
+        The content of `fit.json`, of this version.
     title
         Plain text, such as the name of the file and the note.
     held_out
@@ -43,18 +45,15 @@ def report_bytes(fit: dict[str, Any], curves: Curves, title: str, held_out: dict
     """
     # A page is shown to others, who need not know any folder.
     names = _names(fit, held_out)
-    fit = {key: with_names(entry, names) for key, entry in fit.items() if entry is not None}
-    held_out = with_names(held_out, names)
-    onset = _onset(fit.get("recordings", []))
-    left_out = known.held_out_rows(held_out)
+    fit = with_names(fit, names)
+    onset = next(row["onset_s"] for row in fit["recordings"] if row["first"])
+    left_out = known.held_out_rows(with_names(held_out, names))
     figures = draw_figures(
-        curves, tuple(fit.get("criterion", {}).get("dropped") or ()), tuple(left_out["recordings"]) if left_out else ()
+        curves, tuple(fit["criterion"]["dropped"]), tuple(left_out["recordings"]) if left_out else ()
     )
-    identified = known.identified(fit)
     return page_bytes(
         "page.html.j2",
         scripts=("audio.js", "player.js"),
-        strict=False,
         title=title,
         contents=True,
         fit=fit,
@@ -64,22 +63,22 @@ def report_bytes(fit: dict[str, Any], curves: Curves, title: str, held_out: dict
         comparison=words.comparison(fit),
         glide=words.glide(fit),
         bands=words.bands(fit),
-        invariants=words.invariants(fit),
-        rows=words.rows(fit),
+        invariants=words.rows(fit["invariants"]),
+        rows=words.rows(fit["parameters"]),
         minima=words.minima(fit),
         how_sure=words.how_sure(fit),
         clips=_clips(curves, onset),
         ringing=_ringing(fit, curves),
         strokes=_strokes(curves.strokes),
-        players=_players(curves, fit.get("recordings", [])),
-        identified=identified,
+        players=_players(curves, fit["recordings"]),
+        identified=known.identified(fit),
         felt_scale=known.felt_scale(fit),
         scale_open=known.open_scale(fit),
         a_power=known.a_power(fit),
         stulov=curves.felt is not None and curves.felt.slow is not None,
         held_out=left_out,
         path_groups=len(curves.paths),
-        figures={name: picture(panels) for name, panels in figures.items()},
+        figures=dict.fromkeys(SOMETIMES) | {name: picture(panels) for name, panels in figures.items()},
         has_path=curves.path is not None,
         data=json.dumps(fit, indent=2, ensure_ascii=False, default=str),
     )
@@ -87,29 +86,13 @@ def report_bytes(fit: dict[str, Any], curves: Curves, title: str, held_out: dict
 
 def _names(*documents: dict[str, Any] | None) -> dict[str, str]:
     """The path of every recording -> its name; the longest path first."""
-    recordings = [
-        recording
-        for document in documents
-        for recording in (document or {}).get("recordings") or ()
-        if isinstance(recording, dict)
-    ]
-    files = {str(recording.get("file") or "") for recording in recordings}
+    files = {row["file"] for document in documents if document is not None for row in document["recordings"]}
     return {file: PurePath(file).name for file in sorted(files, key=len, reverse=True) if PurePath(file).name}
-
-
-def _onset(recordings: list[dict[str, Any]]) -> float:
-    """When the note of the first recording begins, s."""
-    ordered = sorted(recordings, key=lambda recording: not recording.get("first"))
-    return next((recording["onset_s"] for recording in ordered if recording.get("onset_s") is not None), 0.0)
 
 
 def _clips(curves: Curves, onset: float) -> list[Clip]:
     """The first recording's sounds: beside it the fit as it rings and by its law, or before and after the fit."""
-    fitted = {"fitted": curves.sound_fitted}
-    others = {"initial": curves.sound_initial} | fitted if curves.sound_law is None else (
-        fitted | {"law": curves.sound_law}
-    )  # fmt: skip
-    sounds = {name: _in_two(x) for name, x in ({"original": curves.sound_original} | others).items()}
+    sounds = {name: _in_two(x) for name, x in curves.sounds.items()}
     mono = all(x.ndim == 1 for x in sounds.values())
     return make_clips(sounds, curves.sound_rate, onset, seconds=SECONDS if mono else STEREO_SECONDS)
 
@@ -129,7 +112,7 @@ def _ringing(fit: dict[str, Any], curves: Curves) -> dict[str, Any] | None:
          " to ".join(dict.fromkeys(numbers.number(x, 2) for x in d.error))]
         for d in curves.ringing.decays
     ]  # fmt: skip
-    return {"words": words.ringing(fit), "rows": rows}
+    return {"words": words.ringing(fit["ringing"]), "rows": rows}
 
 
 def _strokes(strokes: Strokes | None) -> dict[str, Any] | None:
@@ -145,12 +128,8 @@ def _players(curves: Curves, recordings: list[dict[str, Any]]) -> list[dict[str,
     """Recorded and fitted sound of every recording but the first, which has its own player."""
     others = [recording for i, recording in enumerate(curves.recordings) if i != curves.first]
     seconds = seconds_each(len(others), LIGHT_SAMPLES, LONGEST, SHORTEST)
-    names = {
-        i: PurePath(str(recording.get("file") or f"recording {i}")).name
-        for i, recording in enumerate(recordings, start=1)
-    }
     return [
-        {"id": f"recording-{one.place}", "place": one.place, "file": names.get(one.place, f"recording {one.place}"),
+        {"id": f"recording-{one.place}", "place": one.place, "file": recordings[one.place - 1]["file"],
          "velocity": one.velocity, "clips": _pair(one, seconds)}
         for one in others
     ]  # fmt: skip

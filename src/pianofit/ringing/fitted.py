@@ -14,10 +14,9 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
-from scipy.signal import resample_poly
 
 from ..inference import FittedRecording, Result, Sound
-from ..model.modal import LEAD, Force, Ringing, force_of
+from ..model.modal import LEAD, Force, Ringing, force_of, resampled
 from ..ringing_file import ringing_document
 from ..threads import one_blas_thread
 from .distance import log_mel_distances
@@ -127,13 +126,9 @@ def _of_layers(modes: PartialModes, which: list[int]) -> PartialModes:
 
 def _by_law(layer: FittedRecording, rate: int, lead: int) -> np.ndarray:
     """The layer as the string's law plays it, from `lead` samples before its onset."""
-    recording, sound = layer.recording, layer.fitted.samples
-    onset = recording.onset
-    if recording.rate != rate:
-        by = np.gcd(rate, recording.rate)
-        sound = resample_poly(sound, rate // by, recording.rate // by)
-        onset = round(onset * rate / recording.rate)
-    return np.pad(sound, (lead, 0))[onset:]
+    recording = layer.recording
+    sound = resampled(layer.fitted.samples, recording.rate, rate)
+    return np.pad(sound, (lead, 0))[round(recording.onset * rate / recording.rate) :]
 
 
 def _attached(result: Result, layers: _Layers, key: Key, rung: str, distances: dict[str, float]) -> Result:

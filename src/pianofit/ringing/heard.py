@@ -10,7 +10,7 @@ from scipy import signal
 from scipy.interpolate import CubicSpline
 
 from ..analysis import Analysis
-from ..model.modal import LEAD
+from ..model.modal import LEAD, resampled
 from ..recording import Recording
 
 __all__ = ["SPAN", "Heard", "hear"]
@@ -41,11 +41,8 @@ def hear(recordings: Sequence[Recording], analyses: Sequence[Analysis]) -> Heard
     lead, most = round(LEAD * rate), round((SPAN + 0.2) * rate)
     cut = []
     for recording, analysis in zip(recordings, analyses, strict=True):
-        x, onset = recording.frames if apart else recording.samples[None], recording.onset
-        if recording.rate != rate:
-            by = np.gcd(rate, recording.rate)
-            x = signal.resample_poly(x, rate // by, recording.rate // by, axis=-1)
-            onset = round(onset * rate / recording.rate)
+        x = resampled(recording.frames if apart else recording.samples[None], recording.rate, rate)
+        onset = round(recording.onset * rate / recording.rate)
         x = np.pad(x, ((0, 0), (max(lead - onset, 0), 0)))
         cut.append(_level_pitch(x[:, max(onset - lead, 0) :][:, : lead + most], rate, lead, analysis))
     longest = max(x.shape[-1] for x in cut)

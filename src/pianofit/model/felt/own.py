@@ -16,7 +16,7 @@ from jaxtyping import Array
 
 from ...felt import law_of
 
-__all__ = ["compression", "felt_force", "force"]
+__all__ = ["felt_force", "residual", "root"]
 
 # Halving alone would take some 60 to rounding.
 MOST_ITERATIONS = 200
@@ -24,40 +24,26 @@ MOST_ITERATIONS = 200
 NEAR = 1e-9
 
 
-def felt_force(u: Array, w: Array, hammer: Any) -> Array:
+def felt_force(u: Array, w: Array, hammer: Any, *_: Any) -> Array:
     """Felt force, N; 0 when apart."""
     pressed = u > 0
     push = law_of(hammer).force(jnp.where(pressed, u, 1.0), w, hammer)
     return jnp.where(pressed, jnp.maximum(push, 0.0), 0.0)
 
 
-def compression(e, u_old, w_old, f_old, c, a, hammer: Any):
-    """The root u of u + C (F(u) + F_old) = e."""
-    upper = e - c * f_old
-    root = _root(jnp.maximum(upper, 0.0), u_old, w_old, c, a, hammer)
-    return jnp.where(upper > 0, root, upper)
-
-
-def force(u, w, upper, c, a, hammer: Any):
-    """F_n: by the law, or by what it does to string and hammer, whichever magnifies the rounding of u less."""
-    law = felt_force(u, w, hammer)
-    slope = _sloped(u, upper, u - a * w, jnp.zeros_like(u), c, a, hammer)[1]
-    return jnp.where((law > 0) & (slope > 2), (upper - u) / c, law)
-
-
-def _residual(u, upper, u_old, w_old, c, a, hammer):
-    return u + c * felt_force(u, (u - u_old) / a - w_old, hammer) - upper
-
-
-def _sloped(u, *rest):
-    """R and its derivative by u."""
+def residual(u, *rest):
+    """u + C F(u) - upper, and its derivative by u."""
     return jax.jvp(lambda x: _residual(x, *rest), (u,), (jnp.ones_like(u),))
 
 
+def _residual(u, upper, u_old, w_old, c, a, hammer, *_):
+    return u + c * felt_force(u, (u - u_old) / a - w_old, hammer) - upper
+
+
 @jax.custom_jvp
-def _root(upper, u_old, w_old, c, a, hammer):
-    """The compression in [0, upper] at which `_residual` vanishes."""
-    rest = (upper, u_old, w_old, c, a, hammer)
+def root(upper, u_old, w_old, c, a, hammer, weights=None, memory=None):
+    """The compression in [0, upper] at which `residual` vanishes."""
+    rest = (upper, u_old, w_old, c, a, hammer, weights, memory)
     floor = 4 * jnp.finfo(float).eps * upper
 
     def going(state):
@@ -65,13 +51,13 @@ def _root(upper, u_old, w_old, c, a, hammer):
 
     def iterate(state):
         u, low, high, before, _, iteration = state
-        residual, slope = _sloped(u, *rest)
-        low, high = jnp.where(residual < 0, u, low), jnp.where(residual < 0, high, u)
-        newton = u - residual / slope
-        fine = (newton > low) & (newton < high) & (jnp.abs(residual) <= 0.5 * before)
+        off, slope = residual(u, *rest)
+        low, high = jnp.where(off < 0, u, low), jnp.where(off < 0, high, u)
+        newton = u - off / slope
+        fine = (newton > low) & (newton < high) & (jnp.abs(off) <= 0.5 * before)
         onward = jnp.where(fine, newton, 0.5 * (low + high))
-        moving = (jnp.abs(onward - u) > NEAR * u) & (jnp.abs(residual) > floor)
-        return jnp.where(jnp.abs(residual) > floor, onward, u), low, high, jnp.abs(residual), moving, iteration + 1
+        moving = (jnp.abs(onward - u) > NEAR * u) & (jnp.abs(off) > floor)
+        return jnp.where(jnp.abs(off) > floor, onward, u), low, high, jnp.abs(off), moving, iteration + 1
 
     going_on = u_old + 2 * a * w_old
     guess = jnp.where((going_on > 0) & (going_on < upper), going_on, 0.5 * upper)
@@ -79,10 +65,10 @@ def _root(upper, u_old, w_old, c, a, hammer):
     return jax.lax.while_loop(going, iterate, begin)[0]
 
 
-@_root.defjvp
+@root.defjvp
 def _root_jvp(rest, tangents):
     # The implicit function theorem, never the iterations: du = -(∂R/∂rest · d rest)/(∂R/∂u).
-    u = _root(*rest)
-    slope = _sloped(u, *rest)[1]
+    u = root(*rest)
+    _, slope = residual(u, *rest)
     _, change = jax.jvp(lambda *r: _residual(u, *r), rest, tangents)
     return u, -change / slope

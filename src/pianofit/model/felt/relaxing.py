@@ -27,7 +27,7 @@ from ...felt import MemoryHammer
 from ...parameters import Hammer
 from ..precision import AnyArray, float64
 
-__all__ = ["Weights", "compression", "felt_force", "force", "memory_weights", "remember"]
+__all__ = ["Weights", "felt_force", "memory_weights", "remember", "residual", "root"]
 
 # Newton's iterations; from the worst start (p = 5) each takes a fifth off the error until it turns quadratic.
 MOST_ITERATIONS = 200
@@ -84,26 +84,12 @@ def remember(u: Array, hammer: Any, weights: Weights | None, memory: Any) -> Arr
     return weights.kept * (memory + weights.new * a) + weights.old * a
 
 
-def compression(e, u_old, w_old, f_old, c, a, hammer: Hammer | MemoryHammer, weights=None, memory: Any = None):
-    """The root u of u + C (F(u) + F_old) = e. `memory` is what `remember` returned."""
-    upper = e - c * f_old
-    root = _root(jnp.maximum(upper, 0.0), u_old, w_old, c, a, hammer, weights, memory)
-    return jnp.where(upper > 0, root, upper)
-
-
-def force(u, w, upper, c, a, hammer: Hammer | MemoryHammer, weights=None, memory: Any = None):
-    """F_n: by the felt's law, or by what it does to string and hammer, whichever magnifies the rounding of u less."""
-    law = felt_force(u, w, hammer) if weights is None else felt_force(u, w, hammer, memory, weights.new)
-    _, slope = _residual(u, upper, u - a * w, 0.0, c, a, hammer, weights, memory)
-    return jnp.where((law > 0) & (slope > 2), (upper - u) / c, law)
-
-
 def _power(base, exponent):
     """For positive bases. Half the time of `**`, which the CPU takes one by one, for a few roundings."""
     return jnp.exp(exponent * jnp.log(base))
 
 
-def _residual(u, *rest):
+def residual(u, *rest):
     """u + C F(u) - upper, and its derivative by u."""
     return _curved_residual(u, *rest)[:2]
 
@@ -133,8 +119,8 @@ def _guess(upper, u_old, w_old, c, a, hammer):
 
 
 @jax.custom_jvp
-def _root(upper, u_old, w_old, c, a, hammer, weights, memory):
-    """The compression in [0, upper] at which `_residual` vanishes."""
+def root(upper, u_old, w_old, c, a, hammer, weights, memory):
+    """The compression in [0, upper] at which `residual` vanishes."""
     rest = (upper, u_old, w_old, c, a, hammer, weights, memory)
     floor = 4 * jnp.finfo(float).eps * upper
     if weights is not None:  # where the force is a small difference, its rounding is that of the terms
@@ -146,21 +132,21 @@ def _root(upper, u_old, w_old, c, a, hammer, weights, memory):
 
     def iterate(state):
         u, _, iteration = state
-        residual, slope, bend = _curved_residual(u, *rest)
+        off, slope, bend = _curved_residual(u, *rest)
         curved = iteration < HALLEY
-        step = residual / slope
+        step = off / slope
         step = step / jnp.where(curved, jnp.clip(1 - 0.5 * step * bend / slope, 0.5, 2.0), 1.0)
         # Where the felt is not pressed a short step may end beyond its edge, and says nothing.
         near = (jnp.abs(step) <= jnp.where(curved, NEAR, NEAR_NEWTON) * u) & (slope > 1)
-        return jnp.clip(u - step, 0.0, upper), ~near & (jnp.abs(residual) > floor), iteration + 1
+        return jnp.clip(u - step, 0.0, upper), ~near & (jnp.abs(off) > floor), iteration + 1
 
     guess = _guess(upper, u_old, w_old, c, a, hammer)
     return jax.lax.while_loop(going, iterate, (guess, upper > 0, 0))[0]
 
 
-@_root.defjvp
+@root.defjvp
 def _root_jvp(rest, tangents):
     # The implicit function theorem, never the iterations: du = -(∂R/∂rest · d rest)/(∂R/∂u).
-    u = _root(*rest)
-    (_, slope), (change, _) = jax.jvp(lambda *r: _residual(u, *r), rest, tangents)
+    u = root(*rest)
+    (_, slope), (change, _) = jax.jvp(lambda *r: residual(u, *r), rest, tangents)
     return u, -change / slope

@@ -15,8 +15,9 @@ from .relaxing import memory_weights, remember
 __all__ = ["compression", "felt_force", "force", "memory_weights", "remember"]
 
 
-def _generic(hammer: Any) -> bool:
-    return law_of(hammer).hammers is None
+def _solver(hammer: Any) -> Any:
+    """Where the law's `felt_force`, `root` and `residual` are."""
+    return own if law_of(hammer).hammers is None else relaxing
 
 
 @float64
@@ -25,19 +26,19 @@ def felt_force(u: Array | float, w: Array | float, hammer: Any, memory: Any = 0.
 
     For a felt that remembers, c is `memory`, m^p, and `share` of u^p; see `relaxing`.
     """
-    u, w = jnp.asarray(u), jnp.asarray(w)
-    return own.felt_force(u, w, hammer) if _generic(hammer) else relaxing.felt_force(u, w, hammer, memory, share)
+    return _solver(hammer).felt_force(jnp.asarray(u), jnp.asarray(w), hammer, memory, share)
 
 
 def compression(e, u_old, w_old, f_old, c, a, hammer: Any, weights=None, memory: Any = None):
     """The root u of u + C (F(u) + F_old) = e. `memory` is what `remember` returned."""
-    if _generic(hammer):
-        return own.compression(e, u_old, w_old, f_old, c, a, hammer)
-    return relaxing.compression(e, u_old, w_old, f_old, c, a, hammer, weights, memory)
+    upper = e - c * f_old
+    root = _solver(hammer).root(jnp.maximum(upper, 0.0), u_old, w_old, c, a, hammer, weights, memory)
+    return jnp.where(upper > 0, root, upper)
 
 
 def force(u, w, upper, c, a, hammer: Any, weights=None, memory: Any = None):
-    """F_n at the root."""
-    if _generic(hammer):
-        return own.force(u, w, upper, c, a, hammer)
-    return relaxing.force(u, w, upper, c, a, hammer, weights, memory)
+    """F_n: by the felt's law, or by what it does to string and hammer, whichever magnifies the rounding of u less."""
+    solver = _solver(hammer)
+    law = solver.felt_force(u, w, hammer, *(() if weights is None else (memory, weights.new)))
+    _, slope = solver.residual(u, upper, u - a * w, 0.0, c, a, hammer, weights, memory)
+    return jnp.where((law > 0) & (slope > 2), (upper - u) / c, law)

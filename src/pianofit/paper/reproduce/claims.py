@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...numbers import number
+from ...numbers import number, off_by
 from ...report.kit import templates
 from .band3 import WITHIN
 from .direct import NOTE, ROUND_TRIP
@@ -272,7 +272,7 @@ def _worded(block: str, f: Findings, numbers: dict[str, Any]) -> str:
 
 @cache
 def _texts() -> Template:
-    filters = {"listed": _listed, "percent": _percent, "factor": _factor, "symbol": SYMBOLS.get}
+    filters = {"listed": _listed, "percent": _percent, "factor": _spread, "symbol": SYMBOLS.get}
     return templates("pianofit.paper.reproduce", filters=filters).get_template("claims.j2")
 
 
@@ -285,6 +285,6 @@ def _percent(share: float) -> str:
     return f"{number(100 * share, 2)} %"
 
 
-def _factor(deviation: float) -> str:
-    """A standard deviation of the logarithm: a percentage while it is small, else a factor."""
-    return _percent(deviation) if deviation < 0.3 else f"a factor {number(float(np.exp(min(deviation, 700.0))), 2)}"
+def _spread(deviation: float) -> str:
+    """A standard deviation of the logarithm."""
+    return off_by(deviation, "a factor {}").removeprefix("± ")

@@ -12,13 +12,12 @@ from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.signal import resample_poly
 
 from ...analysis.notes import midi_to_note
 from ...errors import ParameterError
 from ...keyboard.document import Instrument
 from ...keyboard.gather import reference_compression
-from ...model.modal import Ringing
+from ...model.modal import Ringing, resampled
 from ...model.note import Note
 from ...parameters import Hammer
 from ..strings import CHANNELS, KNOCK_RATES, damper_rate
@@ -124,8 +123,7 @@ def _ringing(ringing: Ringing, knocks: Knocks) -> dict[str, Any]:
     knock, rate = ringing.knock[:CHANNELS], ringing.rate
     if knock.shape[-1] and rate > knocks.rate:
         rate = int(knocks.rate)
-        by = math.gcd(rate, ringing.rate)
-        knock = resample_poly(knock, rate // by, ringing.rate // by, axis=-1)
+        knock = resampled(knock, ringing.rate, rate)
     return {
         "decay": _base64(-np.real(ringing.pole)), "omega": _base64(np.imag(ringing.pole), "<f8"),
         "pattern": _rows(ringing.pattern[:CHANNELS]),

@@ -12,6 +12,7 @@ from typing import Any
 from ...errors import ParameterError
 from ...keyboard.gather import HIGHEST_KEY, LOWEST_KEY
 from ...model.note import Note
+from ...tables import optional
 from ...units import midi_of
 from .payload import encode_note
 from .write import engine, source
@@ -30,13 +31,9 @@ def widget(note: Note) -> Any:
 @functools.cache
 def _kind() -> type:
     """The class, made once and only for those who ask for it."""
-    try:
-        import anywidget
-        import traitlets
-    except ImportError:
-        raise ParameterError(
-            "a note is played in a notebook by anywidget, which is not installed; pip install 'pianofit[widget]'"
-        ) from None
+    anywidget, traitlets = (
+        optional(package, "a note in a notebook", "widget", ParameterError) for package in ("anywidget", "traitlets")
+    )
 
     class NoteWidget(anywidget.AnyWidget):
         """What the front end reads, and the front end."""
