@@ -52,6 +52,7 @@ _FAST = 0.6  # level's systematic error, nepers, over the amplitude of what the 
 _SLOW = 0.5  # the same over the amplitude of what beats within 2 s
 _SEEN = 0.03  # amplitude of the noise, over the partial's, below which a beat is seen
 _NEAR = 2  # partials to either side that tell how large a systematic error is
+_FACTOR = 2.0  # log; a decay that a beat changes by more than exp(2) tells of nothing but the beat
 _SHARED = (
     10.0  # partials over which a systematic error's correlation falls to 1/e; has most evidence on beating strings
 )
@@ -153,7 +154,7 @@ def _decays(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Decay rates, their standard errors from noise, and standard deviations of systematic errors, 1/s.
 
-    What beats changes a decay by a factor. The factor's size is that of the neighbourhood, and is taken of the `law`: a
+    What beats changes a decay by a factor. Its size is that of the neighbourhood, rms, and is taken of the `law`: a
     size that grew with the value itself would give small values the more weight and, where errors are shared, draw a
     law below them all (Peelle's pertinent puzzle).
     """
@@ -163,7 +164,7 @@ def _decays(
     excess = np.where(clean, whole.excess, early.excess)
     apart = np.where(parts.valid, _COMPONENTS * (decay - single), _beyond_noise(early, whole, np.real))
     apart = np.hypot(apart, error * np.sqrt(excess)) / np.maximum(decay, _DECAY_FLOOR * law)
-    spread = law * _near(np.hypot(apart, second))
+    spread = law * np.sqrt(np.mean(_near(np.minimum(np.hypot(apart, second), _FACTOR)) ** 2, axis=1))
     decay = np.where(clean, -whole.fit.pole.real, decay)
     return decay, np.hypot(error, _DECAY_FLOOR * decay), spread
 
@@ -176,14 +177,13 @@ def _beyond_noise(short: Fitted, long: Fitted, part: Callable) -> np.ndarray:
 
 def _shared(spread: np.ndarray) -> np.ndarray:
     """Each partial's, or its neighbours' median if that is more [partials]: one's own can be nought by chance."""
-    return np.maximum(np.abs(np.nan_to_num(spread)), _near(spread))
+    return np.maximum(np.abs(np.nan_to_num(spread)), np.median(_near(spread), axis=1))
 
 
 def _near(spread: np.ndarray) -> np.ndarray:
-    """The median of each partial's neighbourhood [partials]."""
+    """What each partial and its neighbours have [partials, 2 _NEAR + 1]."""
     size = np.abs(np.nan_to_num(spread))
-    near = np.lib.stride_tricks.sliding_window_view(np.pad(size, _NEAR, mode="symmetric"), 2 * _NEAR + 1)
-    return np.median(near, axis=1)
+    return np.lib.stride_tricks.sliding_window_view(np.pad(size, _NEAR, mode="symmetric"), 2 * _NEAR + 1)
 
 
 def _levels(
