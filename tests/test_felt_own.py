@@ -96,7 +96,7 @@ GOOD = {name: getattr(HAMMER, name) for name in HAMMER._fields}
     ("make", "said"),
     [
         (lambda: AGAIN.hammer(K_H=1e9), "felt law Again: a hammer needs mu, p, M_H, v_H0 too"),
-        (lambda: AGAIN.hammer(**GOOD | {"p": 9.0}), "felt law Again: p=9.0 must be a number from 1 to 5 1"),
+        (lambda: AGAIN.hammer(**GOOD | {"p": 9.0}), "felt law Again: p=9.0 must be a number from 1 to 5$"),
         (lambda: AGAIN.hammer(**GOOD, colour=1.0), "felt law Again: no parameter is called 'colour'"),
         (lambda: FeltLaw("My felt", BOXES, hunt_crossley), "felt law 'My felt': the name must be letters"),
         (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import sys
 import tomllib
 from dataclasses import replace
 
@@ -296,7 +297,7 @@ def test_chains_that_have_not_mixed_are_reported():
 
 
 def test_without_the_sampler_an_error_says_what_to_install(monkeypatch):
-    monkeypatch.setattr(sampler, "find_spec", lambda _: None)
+    monkeypatch.setitem(sys.modules, "blackjax", None)
     with pytest.raises(ParameterError, match=r"blackjax.*pip install 'pianofit\[bayes\]'"):
         check_intervals("posterior")
     check_intervals("profile")
