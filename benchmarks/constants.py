@@ -127,6 +127,7 @@ def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
         "`LONG`": (fits, "LONG", plain),
         "`_FAST`": (partials, "_FAST", plain),
         "`_SLOW`": (partials, "_SLOW", plain),
+        "`_FACTOR`": (partials, "_FACTOR", plain),
     }
 
 

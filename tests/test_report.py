@@ -200,7 +200,9 @@ def test_a_page_names_files_and_no_folders(tmp_path, curves):
     fit["recordings"][0] |= {"file": "/home/somebody/notes/a.wav"}
     html = written(tmp_path, fit, curves)
     assert "somebody" not in html
-    assert "a.wav: the pitch falls" in Page(html).text
+    text = Page(html).text
+    assert "a.wav: the pitch falls" in text
+    assert "a.wav (left)" in text, "one of two channels was fitted"
 
 
 def test_the_heads_on_the_felts_loop_lie_on_the_curve_and_follow_it():

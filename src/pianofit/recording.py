@@ -33,6 +33,7 @@ MAX_VALUES = 2**27  # samples times channels: 1 GiB of float64
 MAX_SECONDS = 600.0
 INSIDE = 0.05  # the first sample over the peak: a note that was cut into begins with a step
 MIN_SECONDS = 0.08  # after the onset: two periods of the lowest key
+LEAD_SECONDS = 0.05  # before it: the least that tells of the noise
 RESAVE = "save it as WAV (PCM 16, 24, 32 or float) or FLAC"
 CODECS = {1: "PCM", 2: "MS ADPCM", 3: "float", 6: "A-law", 7: "u-law", 17: "IMA ADPCM", 49: "GSM", 85: "MP3"}
 WAV_FORMATS = {(1, 16), (1, 24), (1, 32), (3, 32), (3, 64)}  # (codec, bits)
@@ -345,7 +346,7 @@ def _noise_rms(x: np.ndarray, onset: int, rate: int) -> float:
     # 6 dB; plain noise varies by less than 1 dB. In a short file the partials of a low note fill the spectrum.
     if loudest < 2 * floor and len(x) > 0.5 * rate:
         raise RecordingError(f"nothing stands above its noise (rms {loudest:.2g}, noise {floor:.2g}); record it again")
-    lead = x[: onset - round(0.001 * rate)] if onset > 0.05 * rate else x[:1]
+    lead = x[: onset - round(0.001 * rate)] if onset > LEAD_SECONDS * rate else x[:1]
     if np.ptp(lead) == 0:  # none, or padded with zeros, which tells nothing
         return floor
     return math.sqrt(np.median(_forward_mean(lead**2, round(0.01 * rate))))  # a median: a knock does not count

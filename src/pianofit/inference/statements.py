@@ -157,8 +157,8 @@ def claims(problem: Problem, found: Estimate, states: dict[str, str], levels: di
         f"literature's hammer through the {through} that suits it; {levels['fitted_db']:.1f} dB with the fitted hammer."
     )
     if not problem.layout.compared:
-        text += " The felt's values are one possibility under the prior of the path, not a finding."
-    text += _beyond_a_pianist(problem, found) if problem.layout.compared else ""
+        return text + " The felt's values are one possibility under the prior of the path, not a finding."
+    text += _beyond_a_pianist(problem, found)
     if all(v is None for v in problem.speed):
         moving = (name.replace("mu", "μ") for name in problem.unknowns.law.scaling("N m"))
         text += (
@@ -216,7 +216,7 @@ def _identified(problem: Problem, posterior: Posterior, a: str, b: str) -> str:
         p = float(np.exp(mean[j]))
         u = float(np.exp(-slope / p))
         force = with_half_interval(float(np.exp(mean[i]) * u**p), half, "N")
-        return f"the felt's force at {1e3 * u:.2g} mm, {a} u^{b} = {force}"
+        return f"the felt's force at {1e3 * u:.4g} mm, {a} u^{b} = {force}"
     return f"the product {a} · {b}^{-slope:.2g} ({off_by(half)})"
 
 
