@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from .decode import RATES
 from .errors import FitError, ParameterError
 from .felt import BOXES, LAWS, FeltLaw, check_hammer, make_hammer
 from .io import FIT_SCHEMA, finite, load_json, one_line, reference_of, shown, table_of
@@ -21,7 +22,6 @@ from .model.path import OutputPath, Wander
 from .model.simulate import check_geometry
 from .numbers import is_number
 from .parameters import HAMMER_NAMES, STRING_NAMES, Geometry, String, check
-from .recording import RATES
 from .ringing_file import MOST_STROKES, read_ringing
 
 __all__ = ["fit_path", "load_note", "gains_of", "mixture_of", "note_of", "read_fit", "read_path"]

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from .decode import RATES
 from .errors import FitError
 from .io import MOST_CHANNELS, encode_pcm, finite, read_file
 from .model.modal import Participation, Ringing
-from .recording import RATES
 
 __all__ = ["KNOCK_FILE", "encode_knock", "read_ringing", "ringing_document"]
 

@@ -9,10 +9,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..decode import RATES
 from ..errors import ParameterError, check_range
 from ..felt import MemoryHammer
 from ..parameters import Geometry, Hammer, String, check_velocity
-from ..recording import RATES
 from .contact import strike
 from .modal import LEAD, Ringing, force_of
 from .modes import mode_frequencies, mode_table

@@ -17,10 +17,10 @@ from typing import NamedTuple
 import numpy as np
 
 from ..analysis.notes import midi_to_note
+from ..decode import RATES
 from ..errors import OutputError, ParameterError, check_range
 from ..io import CEILING, encode_pcm, interrupted_by, one_line, unwritten
 from ..keyboard.document import Instrument
-from ..recording import RATES
 from ..threads import one_blas_thread
 from .decent import dspreset_text
 from .layers import SampledKey, spans_of, velocities_of

@@ -11,11 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..decode import RATES
 from ..errors import ParameterError, check_range
 from ..io import CEILING
 from ..keyboard.document import Instrument
 from ..model.note import MOST_SAMPLES
-from ..recording import RATES
 from ..threads import one_blas_thread
 from .midi import Song
 from .strings import PlayedString
