@@ -16,12 +16,13 @@ import pytest
 ROOT = Path(__file__).parent.parent
 SOURCE = ROOT / "src" / "pianofit"
 FILES = sorted(SOURCE.rglob("*.py"))
-# Which rooms each may use, beside its own, `errors`, `numbers` and `units`.
+# Which rooms each may use, beside its own, `errors`, `numbers`, `powers` and `units`.
 USES = {
     "threads": "",
     "errors": "",
     "units": "",
     "numbers": "",
+    "powers": "",
     "io": "",
     "parameters": "",
     "felt": "parameters published",
@@ -54,7 +55,7 @@ USES = {
 }
 # What a method of a public type enters when it is called, against these arrows, by an import of its own.
 CALLS = {"felt": "model", "model": "play", "inference": "report"}
-EVERYWHERE = {"errors", "numbers", "units"}
+EVERYWHERE = {"errors", "numbers", "powers", "units"}
 # Who loads modules by names: the public names, the felt's laws, packages that only some need.
 BY_NAME = ("__init__.py", "felt/__init__.py", "tables.py")
 WITH_JAX = ("model", "inference", "paper")

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ..powers import powers
 from .demodulate import Bands
 from .level import energy_level, mean_time
 from .tones import Tones, fit_tones, lag_poles
@@ -54,7 +55,8 @@ def _leakage(bands: Bands, fit: Tones) -> np.ndarray:
         s = p[other] - 2j * np.pi * bands.centre[own]
         inside = np.abs(s.imag) < np.pi * bands.rate
         amplitude = np.where(inside, 0.5 * c[other] * bands.gain(s), 0)
-        total[own] += amplitude[:, None] * np.exp(s[:, None] * bands.time)
+        t = bands.time
+        total[own] += (amplitude * np.exp(s * t[0]))[:, None] * powers(s * (t[1] - t[0]), len(t))
     return total
 
 
@@ -98,7 +100,7 @@ def _noise_covariance(bands: Bands, cut: slice, fit: Tones, damping: float) -> n
     of the frames' noise is that of a stationary process with the spectrum |G|²: JᴴCJ is a sum over frequencies.
     """
     tau = bands.time[cut] - fit.origin
-    wave = np.exp((fit.pole[:, None] - damping) * tau)
+    wave = powers((fit.pole - damping) * (tau[1] - tau[0]), len(tau))
     weighted = wave * np.exp(-damping * tau)
     size, colour = bands.colour(len(tau))
     zeroth, first = (np.fft.fft(w, size, axis=1) for w in (weighted, weighted * tau))

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..powers import powers
+
 __all__ = ["Tones", "fit_tones", "lag_poles"]
 
 
@@ -26,8 +28,9 @@ class Tones:
     origin: float  # time of the first sample, s
 
     def __call__(self, t: np.ndarray) -> np.ndarray:
-        """[rows, samples] at times `t` (s)."""
-        return self.amplitude[:, None] * np.exp(self.pole[:, None] * (t - self.origin))
+        """[rows, samples] at even times `t` (s)."""
+        turned = self.amplitude * np.exp(self.pole * (t[0] - self.origin))
+        return turned[:, None] * powers(self.pole * (t[1] - t[0]), len(t))
 
     def at_onset(self) -> np.ndarray:
         """Amplitudes extrapolated to t = 0, complex [rows]; by no more than exp(50)."""
@@ -52,12 +55,12 @@ def lag_poles(z: NDArray[np.complex128], t: np.ndarray, lag: float) -> NDArray[n
 def fit_tones(
     z: NDArray[np.complex128], t: np.ndarray, start: NDArray[np.complex128], *, steps: int = 12, reach: float = np.inf
 ) -> Tones:
-    """Least-squares exponential for each row of `z` [rows, samples] at times `t` (s), from poles `start` [rows].
+    """Least-squares exponential for each row of `z` [rows, samples] at even times `t` (s), from poles `start` [rows].
 
     Neither the real nor the imaginary part of a pole goes further than `reach` (1/s) from its start. A row whose step
     does not lower its misfit goes half as far the next time; rows that have converged stay.
     """
-    tau = t - t[0]
+    tau, step = t - t[0], float(t[1] - t[0])
     span = max(float(tau[-1]), 1e-9)
     lowest, highest = -(60 / span + 400), 5 / span
 
@@ -71,15 +74,15 @@ def fit_tones(
     best: list[np.ndarray] = []
     for _ in range(steps + 1):
         trial = limited(np.asarray(pole + factor * move, complex))
-        wave = np.exp(trial[:, None] * tau)
+        wave = powers(trial * step, len(t))
         sums = _sums(wave, tau)
         amplitude = np.einsum("ij,ij->i", wave.conj(), z) / sums[0]
         rest = z - amplitude[:, None] * wave
         trial_cost = np.einsum("ij,ij->i", rest.conj(), rest).real
         slope = np.einsum("ij,ij->i", wave.conj(), rest * tau) / (sums[2] - sums[1] ** 2 / sums[0])
         better = trial_cost <= cost
-        step = np.where(amplitude == 0, 0, slope / np.where(amplitude == 0, 1, amplitude))
-        fresh = [trial, amplitude, trial_cost, step]
+        newton = np.where(amplitude == 0, 0, slope / np.where(amplitude == 0, 1, amplitude))
+        fresh = [trial, amplitude, trial_cost, newton]
         best = fresh if not best else [np.where(better, new, old) for new, old in zip(fresh, best, strict=True)]
         pole, cost, move = best[0], best[2], best[3]
         factor = np.where(better, 1.0, factor / 2)

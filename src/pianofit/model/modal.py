@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import oaconvolve, resample_poly
 
+from ..powers import powers
 from .path import at_velocity
 from .simulate import Simulation
 
@@ -235,7 +236,7 @@ def ring(
     blocks = min(-(-count // block), CHUNK)
     faint = np.full(len(pole), FAINT * np.abs(amplitude).max()) if faint is None else faint
     inside = _inside(np.asarray(pole / rate, complex).tobytes())
-    begins = _powers(pole * (block / rate), blocks + 1)  # [modes, blocks and the next chunk's first]
+    begins = powers(pole * (block / rate), blocks + 1)  # [modes, blocks and the next chunk's first]
     for first in range(0, count, blocks * block):
         loud = (np.abs(amplitude) > faint).any(axis=0)
         if not loud.any():
@@ -271,7 +272,7 @@ def turned(log_z: np.ndarray, samples: np.ndarray) -> np.ndarray:
     """Σ_n x_n z^n, complex [modes]."""
     rows = np.pad(samples, (0, -len(samples) % LARGEST_BLOCK)).reshape(-1, LARGEST_BLOCK)
     real, imag = np.moveaxis(_inside(np.asarray(log_z, complex).tobytes()) @ rows.T, 1, 0)  # [modes, blocks]
-    return ((real - 1j * imag) * _powers(log_z * LARGEST_BLOCK, len(rows))).sum(axis=1)
+    return ((real - 1j * imag) * powers(log_z * LARGEST_BLOCK, len(rows))).sum(axis=1)
 
 
 @functools.lru_cache(maxsize=KEYS)
@@ -286,15 +287,7 @@ def _pushes(pole: bytes, amplitude: bytes, shape: tuple[int, ...], rate: int, co
 @functools.lru_cache(maxsize=KEPT)
 def _inside(log_z: bytes) -> np.ndarray:
     """Real part and negative imaginary part of z^n, n < LARGEST_BLOCK [modes, 2, steps], of logarithms as bytes."""
-    powers = _powers(np.frombuffer(log_z, complex), LARGEST_BLOCK)
-    found = np.stack([np.real(powers), -np.imag(powers)], axis=1)
+    z = powers(np.frombuffer(log_z, complex), LARGEST_BLOCK)
+    found = np.stack([np.real(z), -np.imag(z)], axis=1)
     found.flags.writeable = False
     return found
-
-
-def _powers(log_z: np.ndarray, count: int) -> np.ndarray:
-    """z^n, n < count, complex [modes, count]: what is there, times its next power, is as much again."""
-    powers = np.ones((len(log_z), 1), complex)
-    while powers.shape[-1] < count:
-        powers = np.concatenate([powers, powers * np.exp(log_z * powers.shape[-1])[:, None]], axis=-1)
-    return powers[:, :count]
