@@ -393,6 +393,15 @@ def test_a_note_that_is_not_there(name, wrong):
         analyse(recording, note=wrong)
 
 
+@pytest.mark.parametrize(("name", "said"), [("G#2", "above G#2, nearer to A2"), ("A#2", "below A#2"), ("45", None)])
+def test_a_note_a_semitone_off_its_name_says_so(name, said):
+    found = analyse(string(*STRINGS["A2"], seed=3).recording(noise=1e-5), note=name)
+    assert found.note == name if said else found.note == "A2"
+    about = [warning for warning in found.warnings if "check the note's name" in warning]
+    assert len(about) == bool(said)
+    assert said is None or said in about[0]
+
+
 def test_f0_in_place_of_a_note():
     recording = string(*STRINGS["A2"], seed=8).recording(seconds=2.0)
     assert analyse(recording, f0=108.0).f0 == pytest.approx(110.0, rel=1e-5)

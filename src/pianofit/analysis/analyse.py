@@ -13,7 +13,7 @@ from .fits import first_fits, lost
 from .glide import Fall, falls, glide_windows, straightened
 from .inharmonicity import CENTS, DecayLaw, FrequencyLaw, bend, decay_law, frequency_law
 from .level import bounds
-from .notes import hz_to_note, midi_to_note, note_to_midi
+from .notes import hz_to_note, midi_to_note, note_to_hz, note_to_midi
 from .partials import LEAST_SNR, Measured, measure, systematic
 from .pitch import find_pitch, track
 from .result import Analysis, Partials
@@ -138,7 +138,7 @@ def _measure_all(
         losses.b1, losses.b1_error, losses.d2, losses.d2_error,
         table, fine.scatter, losses.scatter, float(fall), glide, density[keep],
         None if note is None else midi_to_note(note_to_midi(note)),
-        _warnings(table, losses, float(fall) if glides else 0.0), left, *taken,
+        (*_misnamed(note, fine.f0), *_warnings(table, losses, float(fall) if glides else 0.0)), left, *taken,
     )  # fmt: skip
 
 
@@ -198,6 +198,18 @@ def _table(number: np.ndarray, rows: Measured, absent: np.ndarray, bound: np.nda
         beating=rows.beating,
         absent=absent,
         absent_bound=bound,
+    )
+
+
+def _misnamed(note: str | None, f0: float) -> tuple[str, ...]:
+    """What is said of a note that sounds nearer to another key than to the one whose name it was given."""
+    cents = 0.0 if note is None else 1200 * float(np.log2(f0 / note_to_hz(note)))
+    if abs(cents) <= 50:
+        return ()
+    name, side = midi_to_note(note_to_midi(str(note))), "above" if cents > 0 else "below"
+    return (
+        f"the pitch lies {abs(cents):.0f} cents {side} {name}, nearer to {hz_to_note(f0)}: check the note's name, or "
+        "how the instrument is tuned",
     )
 
 
