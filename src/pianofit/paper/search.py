@@ -31,8 +31,7 @@ from ..parameters import FIT_NAMES, HAMMER_NAMES, PARAMETERS, STRING_NAMES, Geom
 from ..recording import Recording
 from .annealing import anneal
 from .descent import Descended, LeastSquares, gradient_descent
-from .spectral import Goal, spectral_goal
-from .struck import Cfg, Scene, hold, struck_gradients
+from .spectral import Cfg, Goal, Scene, hold, spectral_goal, struck_gradients
 
 __all__ = ["ALL", "Search", "pose", "split"]
 
@@ -268,7 +267,7 @@ def pose(recording: Recording, analysis: Analysis, start: Start) -> Search:
 
 
 def logs(x: np.ndarray) -> np.ndarray:
-    """Search coordinates of `struck` [..., 9], logarithms throughout, of points `x` [..., 9]."""
+    """Search coordinates of `spectral` [..., 9], logarithms throughout, of points `x` [..., 9]."""
     return np.where(LINEAR, np.log(np.where(LINEAR, x, 1.0)), x)
 
 
