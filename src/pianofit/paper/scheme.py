@@ -41,7 +41,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_factor, cho_solve, toeplitz
 
 from ..errors import FitError, ParameterError
 from ..parameters import FIT_NAMES, Geometry, Hammer, String
@@ -136,18 +136,17 @@ def solve(
     nothing = np.zeros((points + 1, len(FIT_NAMES)))
     slopes = State(nothing, nothing.copy(), nothing[0], nothing, nothing)
     slopes.velocity[-1, FIT_NAMES.index("v_H0")] = 1.0  # A11, A13
-    rows, slope_rows = [(_read(scheme, state), _energy(scheme, string, state), 0)], [_read(scheme, slopes)]
+    run, by, iterations = [state], [slopes], [0]
     for _ in range(steps - 1):
-        old = state
-        state, count = _advance(scheme, string, hammer, old)
-        rows.append((_read(scheme, state), _energy(scheme, string, state), count))
+        state, count = _advance(scheme, string, hammer, run[-1])
         if derivatives:
-            slopes = differentiated(scheme, string, hammer, old, state, slopes)
-            slope_rows.append(_read(scheme, slopes))
-    signals, energy, iterations = zip(*rows, strict=True)
-    by = _columns(slope_rows)
-    named = {name: Signals(*(each[:, j] for each in by)) for j, name in enumerate(FIT_NAMES) if derivatives}
-    return Reference(step * np.arange(steps), _columns(signals), np.array(energy), np.array(iterations), weights, named)
+            by.append(differentiated(scheme, string, hammer, run[-1], state, by[-1]))
+        run.append(state)
+        iterations.append(count)
+    slope = _read(scheme, by)
+    named = {name: Signals(*(each[..., j] for each in slope)) for j, name in enumerate(FIT_NAMES) if derivatives}
+    energy = np.array([_energy(scheme, string, at) for at in run])
+    return Reference(step * np.arange(steps), _read(scheme, run), energy, np.array(iterations), weights, named)
 
 
 # --- the grid ---------------------------------------------------------------------------------------------------------
@@ -168,19 +167,14 @@ def raised_cosine(geometry: Geometry, points: int) -> np.ndarray:
 
 def second_difference(points: int, h: float) -> np.ndarray:
     """D₂ [points, points] (eq. 17); the ends are at rest."""
-    return _diagonals([1.0, -2.0, 1.0], points) / h**2
+    return toeplitz(np.append([-2.0, 1.0], np.zeros(points - 2))) / h**2
 
 
 def fourth_difference(points: int, h: float) -> np.ndarray:
     """D₄ [points, points] (eq. 18); the virtual nodes y₋₁ = -y₁ and y_(N+2) = -y_N are the hinges."""
-    inner = _diagonals([1.0, -4.0, 6.0, -4.0, 1.0], points)
+    inner = toeplitz(np.append([6.0, -4.0, 1.0], np.zeros(points - 3)))
     inner[[0, -1], [0, -1]] -= 1.0
     return inner / h**4
-
-
-def _diagonals(weights: list[float], points: int) -> np.ndarray:
-    half = len(weights) // 2
-    return sum((w * np.eye(points, k=k - half) for k, w in enumerate(weights)), np.zeros((points, points)))
 
 
 def stiffness(string: String, second, fourth):
@@ -339,19 +333,15 @@ def coefficient_terms(scheme: Scheme, string: String, hammer: Hammer, old: State
 # --- what comes out ---------------------------------------------------------------------------------------------------
 
 
-def _read(scheme: Scheme, state: State) -> Signals:
-    """One step's signals, or their derivatives [9]."""
-    y, v = state.displacement, state.velocity
-    u = scheme.press @ y
-    hammer = np.stack([y[-1], v[-1]], axis=-1)
-    return Signals(scheme.pickup @ v, scheme.pickup @ y, y[-1] - u, np.asarray(state.force), u, hammer)
+def _read(scheme: Scheme, states: list[State]) -> Signals:
+    """The signals [steps], or their derivatives [steps, 9]."""
+    y, v, force = (np.array(column) for column in list(zip(*states, strict=True))[:3])
+    u = np.tensordot(y, scheme.press, (1, 0))
+    velocity, displacement = (np.tensordot(x, scheme.pickup, (1, 0)) for x in (v, y))
+    return Signals(velocity, displacement, y[:, -1] - u, force, u, np.stack([y[:, -1], v[:, -1]], axis=1))
 
 
 def _energy(scheme: Scheme, string: String, state: State) -> float:
     """Of the string, J."""
     pull = elastic_pull(scheme, string, state)
     return 0.5 * float(scheme.string_mass @ state.velocity**2 + state.displacement @ pull)
-
-
-def _columns(rows) -> Signals:
-    return Signals(*(np.array(column) for column in zip(*rows, strict=True)))
