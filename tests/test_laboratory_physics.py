@@ -213,8 +213,8 @@ def envelope() -> tuple[np.ndarray, np.ndarray]:
     lab = Laboratory.ideal(polarisation=True, seconds=12.0)
     one, pole = measure(lab, V), by_frequency(alone())[4]
     note = one.clean[one.onset :]
-    t = np.arange(len(note)) / lab.rate
-    width = round(0.05 * lab.rate)
+    t = np.arange(len(note)) / chosen.RATE
+    width = round(0.05 * chosen.RATE)
     mixed = scipy.signal.oaconvolve(note * np.exp(-1j * pole.imag * t), np.hanning(width) / width * 4, "same")
     inside = slice(width, -width, 441)
     return t[inside], np.abs(mixed[inside])

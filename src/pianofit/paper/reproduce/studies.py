@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ...parameters import FIT_NAMES
-from ..laboratory import FINAL, INITIAL, Laboratory
+from ..laboratory import FINAL, INITIAL, Laboratory, chosen
 from .band3 import Landscape, Race, hammers, landscape, race
 from .direct import VELOCITIES, Strike, mass_for_contact, strikes
 from .limits import ALL, BAND2, Bend, Blindness, bends, blindness, inverse_bend
@@ -28,7 +28,7 @@ EFFECTS: dict[str, dict[str, Any]] = {
 }  # fmt: skip
 # Tables II and III as printed; initially the paper has no κ.
 PRINTED = {
-    column: {n: float(v) for n, v in zip(FIT_NAMES, (*it.string, *it.hammer), strict=True) if n not in missing}
+    column: {name: value for name, value in chosen.by_name(it).items() if name not in missing}
     for column, it, missing in (("initial", INITIAL, ("kappa",)), ("final", FINAL, ()))
 }
 
