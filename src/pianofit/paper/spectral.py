@@ -87,14 +87,6 @@ class Scene(NamedTuple):
     stiff: Values  # [2], logs of the least and the largest stiffness
 
 
-class Held(NamedTuple):
-    """A string that is held, as a hammer meets it."""
-
-    mobility: Array  # |H|² δt² [rows, nodes]
-    rows: Array  # of the kernel
-    modes: Modes
-
-
 # --- the recording ----------------------------------------------------------------------------------------------------
 
 
@@ -161,9 +153,11 @@ def miss(energy: Float[Array | np.ndarray, "rows nodes"], goal: Goal) -> Float[A
 # --- the string and the hammer ----------------------------------------------------------------------------------------
 
 
-def _table(z: Array, scene: Scene, cfg: Cfg) -> Modes:
+def _string(z: Array, goal: Goal, scene: Scene, cfg: Cfg) -> tuple[Array, Array, Modes]:
+    """A string as a hammer meets it: |H|² δt² [rows, nodes], the kernel's rows, and the table."""
     string = String(*jnp.exp(z[:4]))
-    return mode_table(string, scene.geometry, rate=scene.rate, n_modes=cfg.n_modes, quantity=cfg.quantity)
+    modes = mode_table(string, scene.geometry, rate=scene.rate, n_modes=cfg.n_modes, quantity=cfg.quantity)
+    return _mobility(modes, goal, MIDDLE * cfg.steps), kernel_rows(modes, cfg.steps), modes
 
 
 def _log_zeta(frequency: Array, goal: Goal, step: Array) -> Array:
@@ -184,7 +178,7 @@ def _mobility(modes: Modes, goal: Goal, pulse: float) -> Float[Array, "rows node
 
 
 def _residuals(
-    z: Float[Array, " 5"], mobility: Array, rows: Array | None, modes: Modes, goal: Goal, scene: Scene, cfg: Cfg
+    z: Float[Array, " 5"], mobility: Array, rows: Array, modes: Modes, goal: Goal, scene: Scene, cfg: Cfg
 ) -> Float[Array, " bins"]:
     """Of a hammer on a string; infinite for a contact that does not end, and for a felt that is out of bounds."""
     _, mu, p, mass, velocity = jnp.exp(z)
@@ -200,17 +194,14 @@ def _residuals(
     return jnp.where((pulse.compression[-1] <= 0) & inside, residuals, jnp.inf)
 
 
-def _struck(z: Float[Array, " 9"], goal: Goal, scene: Scene, cfg: Cfg) -> Array:
-    modes = _table(z, scene, cfg)
-    return (
-        0.5 * (_residuals(z[4:], _mobility(modes, goal, MIDDLE * cfg.steps), None, modes, goal, scene, cfg) ** 2).sum()
-    )
-
-
 @kept
 def struck_gradients(z, goal: Goal, scene: Scene, cfg: Cfg):
     """C [starts] and its gradient by all nine search coordinates `z` [starts, 9]."""
-    return jax.vmap(jax.value_and_grad(lambda x: _struck(x, goal, scene, cfg)))(z)
+
+    def cost(x: Array) -> Array:
+        return 0.5 * (_residuals(x[4:], *_string(x, goal, scene, cfg), goal, scene, cfg) ** 2).sum()
+
+    return jax.vmap(jax.value_and_grad(cost))(z)
 
 
 def hold(
@@ -218,7 +209,7 @@ def hold(
 ) -> LeastSquares:
     """C of hammers [n, 5] between the edges `lower` and `upper` [5], on the string of `z`, which is computed once."""
     mobility, rows, *modes = held_string(z, goal, scene, cfg)
-    held = Held(mobility, rows, Modes(*modes))
+    held = mobility, rows, Modes(*modes)
 
     def each(program: Callable, z: np.ndarray) -> tuple[np.ndarray, ...]:
         return in_lanes(partial(program, held, goal), (z,), scene, cfg, min(BATCH, len(z)))
@@ -228,19 +219,19 @@ def hold(
 
 @kept
 def held_string(z, goal: Goal, scene: Scene, cfg: Cfg):
-    """The parts of `Held`, its table last."""
-    modes = _table(z, scene, cfg)
-    return _mobility(modes, goal, MIDDLE * cfg.steps), kernel_rows(modes, cfg.steps), *modes
+    """What hammers need of the string of `z`, as arrays."""
+    mobility, rows, modes = _string(z, goal, scene, cfg)
+    return mobility, rows, *modes
 
 
 @kept
-def hammer_costs(held: Held, goal: Goal, z, scene: Scene, cfg: Cfg):
+def hammer_costs(held: tuple[Array, Array, Modes], goal: Goal, z, scene: Scene, cfg: Cfg):
     """C [chains] of hammers `z` [chains, 5] on a string that is held."""
     return (jax.vmap(lambda x: 0.5 * (_residuals(x, *held, goal, scene, cfg) ** 2).sum())(z),)
 
 
 @kept
-def hammer_residuals(held: Held, goal: Goal, z, scene: Scene, cfg: Cfg):
+def hammer_residuals(held: tuple[Array, Array, Modes], goal: Goal, z, scene: Scene, cfg: Cfg):
     """Residuals [starts, bins], of which half the sum of squares is C, and their Jacobian [starts, bins, 5]."""
 
     def twice(x: Array) -> tuple[Array, Array]:

@@ -25,6 +25,7 @@ __all__ = ["Stroke", "ring", "strike"]
 EPSILON = 4 * np.finfo(float).eps
 MOST_CONTACT = 0.05  # s
 LOOK = 32  # steps between two looks at whether the hammer has gone for good
+BLOCK = 256  # samples that one row of a table of powers goes
 
 
 class Stroke(NamedTuple):
@@ -101,12 +102,8 @@ def ring(body: Body, stroke: Stroke, rate: float, samples: int) -> np.ndarray:
     every = round(1 / (stroke.step * rate))
     head = np.real(stroke.states[::every][:samples][:, heard] @ row)
     last = len(stroke.force) - 1  # from here on nothing pushes
-    start = stroke.states[-1][heard] * row * np.exp(poles * (len(head) - last / every))
-    return np.concatenate([head, _exponential_sum(start, poles, samples - len(head))])
-
-
-def _exponential_sum(amplitude: np.ndarray, poles: np.ndarray, samples: int) -> np.ndarray:
-    """Re Σ A exp(p n), n < samples, as one product of two short tables of powers."""
-    block = 256
-    rows = np.exp(np.outer(np.arange(-(-samples // block)) * block, poles)) * amplitude
-    return np.real(rows @ np.exp(np.outer(poles, np.arange(block)))).ravel()[:samples]
+    amplitude = stroke.states[-1][heard] * row * np.exp(poles * (len(head) - last / every))
+    # With n = 256 i + j the sum of exponentials is one product of two short tables of powers.
+    starts = np.exp(np.outer(np.arange(0, samples - len(head), BLOCK), poles)) * amplitude
+    tail = np.real(starts @ np.exp(np.outer(poles, np.arange(BLOCK)))).ravel()
+    return np.concatenate([head, tail])[:samples]
