@@ -78,8 +78,7 @@ def criteria(seconds: float = 1.0) -> Works:
     import pianofit
     from pianofit.model import contact as contacts
     from pianofit.model import mode_table, spectrum
-    from pianofit.paper.spectral import miss, spectral_goal
-    from pianofit.paper.struck import Cfg, Scene, struck_gradients
+    from pianofit.paper.spectral import Cfg, Scene, miss, spectral_goal, struck_gradients
 
     it, samples, sigma = pianofit.preset("bensa-final"), round(seconds * RATE), 30.0
     strike = pianofit.simulate(it.string, it.hammer, it.geometry, rate=RATE)

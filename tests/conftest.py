@@ -19,7 +19,6 @@ CHECKED = [
     "pianofit.inference.lanes",
     "pianofit.inference.likelihood",
     "pianofit.paper.spectral",
-    "pianofit.paper.struck",
 ]
 install_import_hook(CHECKED, "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))")
 

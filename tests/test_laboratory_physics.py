@@ -13,7 +13,7 @@ from pianofit.errors import FitError
 from pianofit.paper.laboratory import Laboratory, chosen, measure
 from pianofit.paper.laboratory.body import Axis, Body, make_axes, make_body
 from pianofit.paper.laboratory.chosen import FINAL, MODES, RESONATORS, Resonator
-from pianofit.paper.laboratory.felt import FELTS, Felt, FeltState, Stepper
+from pianofit.paper.laboratory.felt import FELTS, Felt, FeltState
 from pianofit.paper.laboratory.measurement import felt_of, stroke_of
 from pianofit.paper.laboratory.strike import Stroke, _meet, strike
 from pianofit.parameters import String
@@ -103,9 +103,9 @@ def test_the_exponentials_solve_the_equations_of_motion():
 def test_memory_is_exact_where_the_felts_law_is_linear_in_time():
     felt, h = Felt(1e10, 2.56, eps=0.4, tau=30e-6), 5e-5
     path = np.array([0.0, 1e-4, 1.5e-4, 1.2e-4])
-    stepper, state = Stepper(felt, h), FeltState()
+    state = FeltState()
     for gap in path[1:]:
-        _, state = stepper.advance(state, gap)
+        _, state = felt.advance(state, gap, h)
 
     def integrand(t: float) -> float:
         a = np.interp(t, h * np.arange(4), path**felt.p)
@@ -118,9 +118,9 @@ def test_memory_is_exact_where_the_felts_law_is_linear_in_time():
 def force_along(felt: Felt, steps: int) -> tuple[np.ndarray, np.ndarray]:
     """Middles of the steps and the felt's force along u = U sin(πt/T), T = 1 ms, until it is left."""
     h = 1e-3 / steps
-    stepper, state, force = Stepper(felt, h), FeltState(), []
+    state, force = FeltState(), []
     for gap in 2e-4 * np.sin(np.pi * np.arange(1, steps + 1) / steps):
-        f, state = stepper.advance(state, gap)
+        f, state = felt.advance(state, gap, h)
         force.append(f)
     return (np.arange(steps) + 0.5) * h, np.array(force)
 
@@ -154,16 +154,15 @@ def test_hunt_crossley_is_the_papers_law_to_second_order():
 
 
 def test_a_slow_felt_with_memory_has_the_papers_stiffness_and_a_relaxed_one_no_dent():
-    felt = felt_of(Laboratory())
-    stepper, state, force = Stepper(felt, 1e-6), FeltState(), 0.0
+    felt, h, state, force = felt_of(Laboratory()), 1e-6, FeltState(), 0.0
     for gap in 2e-4 * np.linspace(0, 1, 20_000)[1:]:
-        force, state = stepper.advance(state, gap)
+        force, state = felt.advance(state, gap, h)
     assert force == pytest.approx(FINAL.hammer.K_H * 2e-4**FINAL.hammer.p, rel=0.01)
-    force, state = stepper.advance(state, -1e-3)
+    force, state = felt.advance(state, -1e-3, h)
     assert 0 < state.dent < 2e-4
     for _ in range(2000):
         before = stored(felt, state.dent, state.memory)
-        force, state = stepper.advance(state, -1e-3)
+        force, state = felt.advance(state, -1e-3, h)
         assert force == 0
         assert stored(felt, state.dent, state.memory) <= before
     assert state.memory < 1e-8 * 2e-4**felt.p
@@ -183,7 +182,7 @@ def test_felts_with_losses_lose():
 
 @pytest.mark.parametrize("free", [1e-13, 1e-11, 1e-9, 1e-6])
 def test_the_faintest_touch_is_one(free):
-    force, state = _meet(Stepper(Felt(1e10, 2.56), 7e-7), FeltState(), free, 1e-10)
+    force, state = _meet(Felt(1e10, 2.56), 7e-7, FeltState(), free, 1e-10)
     assert force > 0
     assert state.gap + 1e-10 * force == pytest.approx(free, rel=1e-14)
 
@@ -214,8 +213,8 @@ def envelope() -> tuple[np.ndarray, np.ndarray]:
     lab = Laboratory.ideal(polarisation=True, seconds=12.0)
     one, pole = measure(lab, V), by_frequency(alone())[4]
     note = one.clean[one.onset :]
-    t = np.arange(len(note)) / lab.rate
-    width = round(0.05 * lab.rate)
+    t = np.arange(len(note)) / chosen.RATE
+    width = round(0.05 * chosen.RATE)
     mixed = scipy.signal.oaconvolve(note * np.exp(-1j * pole.imag * t), np.hanning(width) / width * 4, "same")
     inside = slice(width, -width, 441)
     return t[inside], np.abs(mixed[inside])

@@ -21,7 +21,7 @@ from pianofit.model import simulate
 from pianofit.model.note import arrival
 from pianofit.paper import search as searching
 from pianofit.paper.laboratory import make_twin, setup_text
-from pianofit.paper.recipes import FELT_UNKNOWN, NO_INTERVALS, OPENING, RECIPES, Found, check_recipe, fit_by_paper
+from pianofit.paper.recipes import FELT_UNKNOWN, NO_INTERVALS, OPENING, RECIPES, Found, fit_by_paper
 from pianofit.parameters import FIT_NAMES, Hammer, String
 
 FEW = 600
@@ -300,12 +300,6 @@ REFUSED = [
     ("papers", None, "papers"), ("paper", 10, "evaluations=10"), ("global", 5000, "annealing"),
     ("default", 5000, "5000"),
 ]  # fmt: skip
-
-
-@pytest.mark.parametrize(("recipe", "evaluations", "said"), REFUSED)
-def test_other_recipes_and_evaluations_are_refused(recipe, evaluations, said):
-    with pytest.raises(ParameterError, match=said):
-        check_recipe(recipe, evaluations)
 
 
 @pytest.mark.parametrize(("recipe", "evaluations", "said"), REFUSED)

@@ -18,7 +18,7 @@ from pianofit.paper.descent import LeastSquares
 from pianofit.paper.laboratory.chosen import SCALE
 from pianofit.paper.reproduce import QUICK, claims, limits
 from pianofit.paper.reproduce.band3 import Hammers, landscape, race
-from pianofit.paper.reproduce.direct import ROUND_TRIP, strikes
+from pianofit.paper.reproduce.direct import ROUND_TRIP, strike
 from pianofit.paper.reproduce.run import played
 from pianofit.paper.reproduce.strokes import attack_time, centroid
 from pianofit.paper.reproduce.studies import PRINTED, STRINGS, spread_of
@@ -274,7 +274,7 @@ def test_what_did_not_come_out_says_what_became_of_it_with_the_string_read():
 
 
 def test_the_loops_area_is_what_hammer_and_string_lose():
-    for stroke in strikes((1.0, 4.0)):
+    for stroke in map(strike, (1.0, 4.0)):
         assert stroke.loop == pytest.approx(stroke.balance, rel=1e-9)
         assert 0 < stroke.loop < 0.1 * stroke.hammer_energy
 

@@ -13,8 +13,7 @@ from pianofit import preset
 from pianofit.model import mode_table, simulate
 from pianofit.model.contact import strike as contact
 from pianofit.model.response import spectrum
-from pianofit.paper.spectral import damped_spectrum, miss, spectral_goal
-from pianofit.paper.struck import Cfg, Scene, hold, struck_gradients
+from pianofit.paper.spectral import Cfg, Scene, damped_spectrum, hold, miss, spectral_goal, struck_gradients
 from pianofit.parameters import Geometry, Hammer, String
 
 pytestmark = pytest.mark.usefixtures("float64")
@@ -47,7 +46,7 @@ def goal(sigma: float = 30.0, bands=(0, 1, 2), **more):
 
 
 def searched(it) -> np.ndarray:
-    """Coordinates of `struck`: the felt by its force at 0.1 mm."""
+    """Coordinates of `struck_gradients`: the felt by its force at 0.1 mm."""
     z = np.log([*it.string, *it.hammer])
     z[4] += it.hammer.p * LOG_U
     return z
@@ -55,7 +54,7 @@ def searched(it) -> np.ndarray:
 
 @jax.jit
 def plain(z, frequency, sigma):
-    """Y at the coordinates of `struck`, mode by mode at every frequency, complex [bins]."""
+    """Y at the coordinates of `struck_gradients`, mode by mode at every frequency, complex [bins]."""
     values = jnp.exp(z.at[4].add(-jnp.exp(z[6]) * LOG_U))
     modes = mode_table(String(*values[:4]), TRUE.geometry, rate=RATE, n_modes=MODES, quantity="velocity")
     return spectrum(modes, contact(modes, Hammer(*values[4:]), steps=STEPS).drive, frequency, sigma)

@@ -12,7 +12,7 @@ from ..analysis import Analysis
 from ..errors import FitError
 from ..felt import BOXES
 from ..io import one_line
-from ..model import simulate
+from ..model import Simulation, simulate
 from ..parameters import STRING_NAMES, String
 from ..recording import Recording
 from ..setup import Layer, Setup, layer_of
@@ -22,7 +22,7 @@ from .lanes import Cfg, Scene
 from .observations import Layout, Observed, observe
 from .start import Start, starting_values
 
-__all__ = ["Problem", "pose"]
+__all__ = ["Problem", "frame", "pose"]
 
 # Recordings of one key are within this of each other, cents; the next key is 100 away.
 SAME_KEY = 40.0
@@ -159,15 +159,26 @@ def _model(
     held = start.law.power is None or start.law.power[0] in start.fixed
     log_u = 0.0 if held else float(np.log(0.5 * first.pulse.compression.max()))
     unknowns = _unknowns(start, speed, log_u, path)
-    contact_rate = 1.0 / float(first.modes.step)
-    longest = max(LONGEST * first.last_touch, 2 * RETURNS * geometry.strike / string.c)
-    steps = STEPS * int(np.ceil(longest * contact_rate / STEPS))
-    rows = ROWS * int(np.ceil(observed.number.max() / ROWS))
+    contact_rate, steps, rows = frame(first, 2 * geometry.strike / string.c, int(observed.number.max()), LONGEST)
     size = tuple(map(np.float64, geometry))
     free = np.append(np.flatnonzero(unknowns.free[STRING_SIZE : unknowns.shared]), unknowns.shared - STRING_SIZE)
     free = np.pad(free, (0, -len(free) % DIRECTIONS), constant_values=-1)
     scene = Scene(type(geometry)(*size), np.float64(contact_rate), np.float64(log_u), np.int64(steps), free)  # pyright: ignore[reportArgumentType]
     return unknowns, scene, Cfg(max(first.modes.pole.shape[0], rows), rows, start.quantity, start.law)
+
+
+def frame(first: Simulation, round_trip: float, last: int, longest: float) -> tuple[float, int, int]:
+    """The contact's rate, Hz, its steps, and rows of partials, in the multiples by which notes share programs.
+
+    Parameters
+    ----------
+    first : a stroke; contacts may be so many times as long as its own (`longest`).
+    round_trip : of a wave, from the hammer to the agraffe and back, s.
+    last : number of the last partial.
+    """
+    rate = 1.0 / float(first.modes.step)
+    steps = STEPS * int(np.ceil(max(longest * first.last_touch, RETURNS * round_trip) * rate / STEPS))
+    return rate, steps, ROWS * int(np.ceil(last / ROWS))
 
 
 def _unknowns(start: Start, speed: Sequence[float | None], log_u: float, path: bool) -> Unknowns:

@@ -103,14 +103,12 @@ class LeastSquares(NamedTuple):
         residual, jacobian = (x[0] for x in self.residuals(z[None]))
         return 0.5 * float(residual @ residual), residual @ jacobian
 
-    def finished(
-        self, z: np.ndarray, free: np.ndarray | bool = True, *, evaluations: int, tolerance: float = 1e-7
-    ) -> Descended:
+    def finished(self, z: np.ndarray, *, evaluations: int, tolerance: float = 1e-7) -> Descended:
         """Least squares from one point [D] in the box, to where a step gains less than `tolerance` of the cost.
 
-        Only what is `free` [D] moves. A point without finite residuals stays where it is.
+        A point without finite residuals stays where it is.
         """
-        z, free = np.where(free, np.clip(z, self.lower, self.upper), z), free & (self.upper > self.lower)
+        z, free = np.clip(z, self.lower, self.upper), self.upper > self.lower
 
         @lru_cache(maxsize=2)
         def at(part: bytes) -> tuple[np.ndarray, np.ndarray]:

@@ -69,26 +69,18 @@ def check_recipe(recipe: str, evaluations: int | None) -> None:
 
 
 def fit_by_recipe(
-    recording: Recording, analysis: Analysis, setup: Setup | None, recipe: str, *, velocity: float | None = None,
+    recording: Recording, analysis: Analysis, setup: Setup, recipe: str, *, velocity: float | None = None,
     evaluations: int | None = None, seed: int = 0, progress: Progress = lambda *_: None,
 ) -> Result:  # fmt: skip
     """Fit one recording by `paper` or `global`; the result claims no more than such a search can.
 
     Parameters
     ----------
-    setup : what was known beforehand; nothing if None.
+    setup : what was known beforehand.
     velocity : measured hammer velocity, m/s, held fixed; that of the setup if None.
-    evaluations, seed, progress : as `fit_by_paper` has them.
-
-    Raises
-    ------
-    ParameterError
-        For another recipe, evaluations that it cannot have, or a felt that relaxes.
-    FitError
-        If no hammer gives a finite criterion, or a contact does not end.
+    evaluations, seed, progress : as `fit_by_paper` has them, which also says what it raises.
     """
-    check_recipe(recipe, evaluations)
-    start = starting_values(analysis, setup or Setup(), velocity)
+    start = starting_values(analysis, setup, velocity)
     found = fit_by_paper(recording, analysis, start, recipe, evaluations=evaluations, seed=seed, progress=progress)
     opening = OPENING[recipe] + (FELT_UNKNOWN if start.scale is None else "")
     return point_result(
@@ -108,6 +100,13 @@ def fit_by_paper(
     evaluations : of the criterion by the annealing; 20,000 unless given.
     seed : of the annealing. The same seed gives the same result.
     progress : called with a stage's name and the fraction done.
+
+    Raises
+    ------
+    ParameterError
+        For a felt that relaxes.
+    FitError
+        If no hammer gives a finite criterion, or a contact does not end.
     """
     if start.law.kind is not Hammer:
         raise ParameterError(f"recipe={recipe!r} has no felt={start.law.name!r}: the paper's is {DEFAULT_LAW.name}")

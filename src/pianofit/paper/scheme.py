@@ -41,7 +41,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_factor, cho_solve, toeplitz
 
 from ..errors import FitError, ParameterError
 from ..parameters import FIT_NAMES, Geometry, Hammer, String
@@ -91,8 +91,10 @@ class State(NamedTuple):
 
 
 class Scheme(NamedTuple):
-    """The matrices [size, size] of one string, hammer, grid and step."""
+    """One string and hammer, and their matrices [size, size] on a grid and at a step."""
 
+    string: String
+    hammer: Hammer
     half_step: float  # a = δt/2, s
     string_mass: np.ndarray  # m on the string's rows, 0 on the hammer's [size], kg
     second: np.ndarray  # D₂ (eq. 17), 1/m²
@@ -136,18 +138,17 @@ def solve(
     nothing = np.zeros((points + 1, len(FIT_NAMES)))
     slopes = State(nothing, nothing.copy(), nothing[0], nothing, nothing)
     slopes.velocity[-1, FIT_NAMES.index("v_H0")] = 1.0  # A11, A13
-    rows, slope_rows = [(_read(scheme, state), _energy(scheme, string, state), 0)], [_read(scheme, slopes)]
+    run, by, iterations = [state], [slopes], [0]
     for _ in range(steps - 1):
-        old = state
-        state, count = _advance(scheme, string, hammer, old)
-        rows.append((_read(scheme, state), _energy(scheme, string, state), count))
+        state, count = _advance(scheme, run[-1])
         if derivatives:
-            slopes = differentiated(scheme, string, hammer, old, state, slopes)
-            slope_rows.append(_read(scheme, slopes))
-    signals, energy, iterations = zip(*rows, strict=True)
-    by = _columns(slope_rows)
-    named = {name: Signals(*(each[:, j] for each in by)) for j, name in enumerate(FIT_NAMES) if derivatives}
-    return Reference(step * np.arange(steps), _columns(signals), np.array(energy), np.array(iterations), weights, named)
+            by.append(differentiated(scheme, run[-1], state, by[-1]))
+        run.append(state)
+        iterations.append(count)
+    slope = _read(scheme, by)
+    named = {name: Signals(*(each[..., j] for each in slope)) for j, name in enumerate(FIT_NAMES) if derivatives}
+    energy = np.array([_energy(scheme, at) for at in run])
+    return Reference(step * np.arange(steps), _read(scheme, run), energy, np.array(iterations), weights, named)
 
 
 # --- the grid ---------------------------------------------------------------------------------------------------------
@@ -168,19 +169,14 @@ def raised_cosine(geometry: Geometry, points: int) -> np.ndarray:
 
 def second_difference(points: int, h: float) -> np.ndarray:
     """D₂ [points, points] (eq. 17); the ends are at rest."""
-    return _diagonals([1.0, -2.0, 1.0], points) / h**2
+    return toeplitz(np.append([-2.0, 1.0], np.zeros(points - 2))) / h**2
 
 
 def fourth_difference(points: int, h: float) -> np.ndarray:
     """D₄ [points, points] (eq. 18); the virtual nodes y₋₁ = -y₁ and y_(N+2) = -y_N are the hinges."""
-    inner = _diagonals([1.0, -4.0, 6.0, -4.0, 1.0], points)
+    inner = toeplitz(np.append([6.0, -4.0, 1.0], np.zeros(points - 3)))
     inner[[0, -1], [0, -1]] -= 1.0
     return inner / h**4
-
-
-def _diagonals(weights: list[float], points: int) -> np.ndarray:
-    half = len(weights) // 2
-    return sum((w * np.eye(points, k=k - half) for k, w in enumerate(weights)), np.zeros((points, points)))
 
 
 def stiffness(string: String, second, fourth):
@@ -219,7 +215,7 @@ def assemble(string: String, hammer: Hammer, geometry: Geometry, step: float, we
     implicit, b = mass + a * R + a**2 * K, compression_row(weights)
     pickup = np.append(pickup_row(geometry, points), 0.0)
     explicit = mass - a * R - a**2 * K
-    return Scheme(a, string_mass, second, fourth, explicit, implicit, b, pickup, cho_factor(implicit))
+    return Scheme(string, hammer, a, string_mass, second, fourth, explicit, implicit, b, pickup, cho_factor(implicit))
 
 
 # --- one step ---------------------------------------------------------------------------------------------------------
@@ -234,15 +230,15 @@ def felt(u: float, du: float, hammer: Hammer) -> tuple[float, float, float]:
     return elastic * u * loss, hammer.p * elastic * loss, elastic * u * hammer.mu
 
 
-def elastic_pull(scheme: Scheme, string: String, state: State) -> np.ndarray:
+def elastic_pull(scheme: Scheme, state: State) -> np.ndarray:
     """K y, N, from the differences that the state carries."""
-    return (scheme.string_mass * stiffness(string, state.second, state.fourth).T).T
+    return (scheme.string_mass * stiffness(scheme.string, state.second, state.fourth).T).T
 
 
-def _known(scheme: Scheme, string: String, old: State) -> np.ndarray:
+def _known(scheme: Scheme, old: State) -> np.ndarray:
     """What the step's end does not change: the terms of y, v and F."""
     pushed = np.multiply.outer(scheme.press, old.force)
-    return scheme.explicit @ old.velocity - scheme.half_step * (2 * elastic_pull(scheme, string, old) + pushed)
+    return scheme.explicit @ old.velocity - scheme.half_step * (2 * elastic_pull(scheme, old) + pushed)
 
 
 def _stepped(scheme: Scheme, old: State, velocity: np.ndarray, force: np.ndarray | float) -> State:
@@ -252,23 +248,23 @@ def _stepped(scheme: Scheme, old: State, velocity: np.ndarray, force: np.ndarray
     return State(old.displacement + moved, velocity, force, second, fourth)
 
 
-def _advance(scheme: Scheme, string: String, hammer: Hammer, old: State) -> tuple[State, int]:
+def _advance(scheme: Scheme, old: State) -> tuple[State, int]:
     """The state one step later (eq. 16), and how many iterations it took."""
-    known = _known(scheme, string, old)
+    known = _known(scheme, old)
     free = _stepped(scheme, old, cho_solve(scheme.factor, known, check_finite=False), 0.0)
     # The force only ever parts the two: what does not touch without one does not touch.
     if scheme.press @ free.displacement <= 0:
         return free, 0
-    velocity, force, count = _newton_raphson(scheme, hammer, old, known)
+    velocity, force, count = _newton_raphson(scheme, old, known)
     return _stepped(scheme, old, velocity, force), count
 
 
-def _newton_raphson(scheme: Scheme, hammer: Hammer, old: State, known: np.ndarray) -> tuple[np.ndarray, float, int]:
+def _newton_raphson(scheme: Scheme, old: State, known: np.ndarray) -> tuple[np.ndarray, float, int]:
     """The velocities [size] that solve the whole system to rounding, the force, and the iterations it took.
 
     The force is convex and rising along b: from the first iterate on the far side the rest fall onto the solution.
     """
-    a, b = scheme.half_step, scheme.press
+    a, b, hammer = scheme.half_step, scheme.press, scheme.hammer
     velocity = old.velocity
     for count in range(1, MOST_ITERATIONS + 1):
         displacement = old.displacement + a * (velocity + old.velocity)
@@ -295,15 +291,15 @@ def _factor(scheme: Scheme, by_u: float, by_du: float) -> Any:
 # --- the appendix -----------------------------------------------------------------------------------------------------
 
 
-def differentiated(scheme: Scheme, string: String, hammer: Hammer, old: State, new: State, last: State) -> State:
+def differentiated(scheme: Scheme, old: State, new: State, last: State) -> State:
     """The derivatives one step later than `last`, of the step from `old` to `new`."""
     a, b = scheme.half_step, scheme.press
     u, du = float(b @ new.displacement), float(b @ new.velocity)
-    _, by_u, by_du = felt(u, du, hammer)
-    by_felt = felt_derivatives(u, du, float(new.force), hammer)
+    _, by_u, by_du = felt(u, du, scheme.hammer)
+    by_felt = felt_derivatives(u, du, float(new.force), scheme.hammer)
     pushed = by_u * (b @ (last.displacement + a * last.velocity)) + by_felt
-    known = _known(scheme, string, last) - a * np.outer(b, pushed)
-    known += coefficient_terms(scheme, string, hammer, old, new)
+    known = _known(scheme, last) - a * np.outer(b, pushed)
+    known += coefficient_terms(scheme, old, new)
     velocity = cho_solve(_factor(scheme, by_u, by_du), known, check_finite=False)
     moved = _stepped(scheme, last, velocity, last.force)
     return moved._replace(force=by_u * (b @ moved.displacement) + by_du * (b @ velocity) + by_felt)
@@ -319,39 +315,33 @@ def felt_derivatives(u: float, du: float, force: float, hammer: Hammer) -> np.nd
     return np.array(list(by.values()))
 
 
-def coefficient_terms(scheme: Scheme, string: String, hammer: Hammer, old: State, new: State) -> np.ndarray:
+def coefficient_terms(scheme: Scheme, old: State, new: State) -> np.ndarray:
     """-a [∂K (y' + y) + ∂R (v' + v) + M ∂(1/M) b (F' + F)] [size, 9].
 
     These are the terms in (c²)^(j), (κ²)^(j), b₁^(j) and b₂^(j) of A8 and in (1/M_H)^(j) of A10.
     """
-    a, m = scheme.half_step, scheme.string_mass
-    v = new.velocity + old.velocity
+    a, m, string, v = scheme.half_step, scheme.string_mass, scheme.string, new.velocity + old.velocity
     by = dict.fromkeys(FIT_NAMES, np.zeros_like(v))
     by["c"] = a * m * 2 * string.c * (new.second + old.second)
     by["kappa"] = -a * m * 2 * string.kappa * (new.fourth + old.fourth)
     by["b1"] = -a * m * 2 * v
     by["b2"] = a * m * 2 * (scheme.second @ v)
     by["M_H"] = np.zeros_like(v)
-    by["M_H"][-1] = a * (new.force + old.force) / hammer.M_H
+    by["M_H"][-1] = a * (new.force + old.force) / scheme.hammer.M_H
     return np.stack(list(by.values()), axis=1)
 
 
 # --- what comes out ---------------------------------------------------------------------------------------------------
 
 
-def _read(scheme: Scheme, state: State) -> Signals:
-    """One step's signals, or their derivatives [9]."""
-    y, v = state.displacement, state.velocity
-    u = scheme.press @ y
-    hammer = np.stack([y[-1], v[-1]], axis=-1)
-    return Signals(scheme.pickup @ v, scheme.pickup @ y, y[-1] - u, np.asarray(state.force), u, hammer)
+def _read(scheme: Scheme, states: list[State]) -> Signals:
+    """The signals [steps], or their derivatives [steps, 9]."""
+    y, v, force = (np.array(column) for column in list(zip(*states, strict=True))[:3])
+    u = np.tensordot(y, scheme.press, (1, 0))
+    velocity, displacement = (np.tensordot(x, scheme.pickup, (1, 0)) for x in (v, y))
+    return Signals(velocity, displacement, y[:, -1] - u, force, u, np.stack([y[:, -1], v[:, -1]], axis=1))
 
 
-def _energy(scheme: Scheme, string: String, state: State) -> float:
+def _energy(scheme: Scheme, state: State) -> float:
     """Of the string, J."""
-    pull = elastic_pull(scheme, string, state)
-    return 0.5 * float(scheme.string_mass @ state.velocity**2 + state.displacement @ pull)
-
-
-def _columns(rows) -> Signals:
-    return Signals(*(np.array(column) for column in zip(*rows, strict=True)))
+    return 0.5 * float(scheme.string_mass @ state.velocity**2 + state.displacement @ elastic_pull(scheme, state))

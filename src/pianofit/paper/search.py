@@ -12,8 +12,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
-import jax
 import numpy as np
 
 from ..analysis import Analysis
@@ -22,6 +22,7 @@ from ..errors import FitError
 from ..felt import DEFAULT_LAW
 from ..inference.align import laid
 from ..inference.priors import HAMMER_SPREAD
+from ..inference.problem import frame
 from ..inference.search import NO_HAMMER
 from ..inference.start import Start
 from ..model import simulate
@@ -31,8 +32,7 @@ from ..parameters import FIT_NAMES, HAMMER_NAMES, PARAMETERS, STRING_NAMES, Geom
 from ..recording import Recording
 from .annealing import anneal
 from .descent import Descended, LeastSquares, gradient_descent
-from .spectral import Goal, spectral_goal
-from .struck import Cfg, Scene, hold, struck_gradients
+from .spectral import Cfg, Goal, Scene, hold, spectral_goal, struck_gradients
 
 __all__ = ["ALL", "Search", "pose", "split"]
 
@@ -44,13 +44,8 @@ P = FIT_NAMES.index("p")
 STRING = len(STRING_NAMES)
 # A loss coefficient that the felt's law does not have is held at this on its log scale, s/m.
 ABSENT = 1e-12
-# The contact may last this many times as long as that of the literature's hammer,
+# The contact may last this many times as long as that of the initial values.
 CONTACTS = 1.6
-# and until so many reflections came back from the agraffe: in the bass they throw the hammer off.
-RETURNS = 2.0
-# Steps of a contact and rows of the table come in whole multiples of these, so that notes share compiled programs.
-STEPS = 256
-ROWS = 64
 # σ of the string's steps in units of the criterion's.
 SIGMAS = np.array([1.0, 1 / 3, 0.1, 1 / 30, 0.01])
 # The least σ in units of 1/s over the recording's length,
@@ -89,9 +84,8 @@ class Search:
     lower: np.ndarray
     upper: np.ndarray
     free: np.ndarray  # bool
-    rate: float  # of the contact, Hz
-    log_u: float  # log of the reference compression, m; of 1 m where the stiffness is known, which is then the force
     delay: float  # s, from the first contact to the recording's onset
+    scene: Scene  # the reference compression is 1 m where the stiffness is known, which is then the force
     cfg: Cfg
     evaluations: int = 0
     converged: bool = True
@@ -128,24 +122,18 @@ class Search:
             unit=self.start.scale or 1.0, calibrated=self.calibrated,
         )  # fmt: skip
 
-    def scene(self) -> Scene:
-        """What stays while parameters are searched; a stiffness that is known needs no bounds."""
-        geometry = Geometry(*map(np.float64, self.start.geometry))
-        stiff = np.log([self.lower[K], self.upper[K]]) if self.free[K] else np.array([-np.inf, np.inf])
-        return Scene(*jax.tree.map(np.asarray, (geometry, self.rate, self.log_u, stiff)))
-
     # --- points and the box -------------------------------------------------------------------------------------------
 
     def x(self, values: np.ndarray) -> np.ndarray:
         """The point [9] of natural `values` [9]."""
         x = np.where(LINEAR, values, np.log(values))
-        x[K] += values[P] * self.log_u
+        x[K] += values[P] * self.scene.log_u
         return x
 
     def natural(self, x: np.ndarray) -> np.ndarray:
         """Natural values [9] of the point `x`, within the box to the last digit; what is held is exactly as given."""
         values = np.exp(logs(x))
-        values[K] = np.exp(x[K] - values[P] * self.log_u)
+        values[K] = np.exp(x[K] - values[P] * self.scene.log_u)
         return np.where(self.free, np.clip(values, self.lower, self.upper), self.values)
 
     def box(self, x: np.ndarray, reach: np.ndarray, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
@@ -170,6 +158,11 @@ class Search:
         note = Note(*split(values), self.start.geometry, self.start.quantity, 1.0 / (self.start.scale or 1.0), None)
         return (self.recording.onset - laid(note, self.recording)) / self.recording.rate
 
+    def cost(self, goal: Goal, x: np.ndarray) -> tuple[float, np.ndarray]:
+        """Eq. 19 at `x`, and its gradient [9]."""
+        cost, slope = (np.asarray(a)[0] for a in struck_gradients(logs(x)[None], goal, self.scene, self.cfg))
+        return float(cost), slope / np.where(LINEAR, x, 1.0)
+
     # --- the steps ----------------------------------------------------------------------------------------------------
 
     def down(self, x: np.ndarray, names: Sequence[str], bands: Sequence[int], *, finest: bool = False) -> np.ndarray:
@@ -181,14 +174,15 @@ class Search:
         goals = [self.goal(bands, sigma) for sigma in self.sigmas[-1 if finest else 0 :]]
         apart = (i for i, goal in enumerate(goals) if self._overlap(x, goal) < MEETING)
         for goal in goals[max(next(apart, len(goals)) - 1, 0) :]:
-            x = self._string_down(x, names, bands, goal)
+            box, cost = self.box(x, self._reach(x, goal, bands), names), partial(self.cost, goal)
+            x = self._counted(gradient_descent(cost, x, *box, iterations=ITERATIONS, tolerance=TOLERANCE))
         return x
 
     def hammers(self, x: np.ndarray) -> LeastSquares:
         """Eq. 19 of hammers [n, 5] in their band, on the string of `x`."""
         goal = self.goal((self.band(2),), line_sigma(self.analysis.f0))
         lower, upper = self.box(x, HAMMER_REACH, HAMMER_NAMES)
-        return hold(logs(x), lower[STRING:], upper[STRING:], goal, self.scene(), self.cfg)
+        return hold(logs(x), lower[STRING:], upper[STRING:], goal, self.scene, self.cfg)
 
     def hammer_finished(self, x: np.ndarray) -> np.ndarray:
         """The hammer alone, to the floor of its basin, by least squares on the same criterion."""
@@ -214,8 +208,7 @@ class Search:
 
     def _overlap(self, x: np.ndarray, goal: Goal) -> float:
         """∫ |Y|² |S|² dω over the root of ∫ |Y|⁴ dω ∫ |S|⁴ dω: eq. 19 with the best gain is 1 less its square."""
-        free = goal._replace(calibrated=np.zeros_like(goal.calibrated))
-        cost = float(struck_gradients(logs(x)[None], free, self.scene(), self.cfg)[0][0])
+        cost, _ = self.cost(goal._replace(calibrated=np.zeros_like(goal.calibrated)), x)
         return max(1 - cost, 0.0) ** 0.5
 
     def _reach(self, x: np.ndarray, goal: Goal, bands: Sequence[int]) -> np.ndarray:
@@ -227,17 +220,6 @@ class Search:
         by = [string.c**2 * beta2 / omega, string.kappa**2 * beta2**2 / omega, np.ones(len(k)), beta2]
         moved = np.stack(by) / (float(goal.sigma) + string.b1 + string.b2 * beta2)
         return HAMMER_REACH + np.append(LINES / np.sqrt((share * moved**2).sum(axis=1)), np.zeros(len(HAMMER_NAMES)))
-
-    def _string_down(self, x: np.ndarray, names: Sequence[str], bands: Sequence[int], goal: Goal) -> np.ndarray:
-        """Down the gradient of eq. 19 by all that `names` may move of the nine."""
-        scene = self.scene()
-
-        def by_point(point: np.ndarray) -> tuple[float, np.ndarray]:
-            cost, slope = (np.asarray(a)[0] for a in struck_gradients(logs(point)[None], goal, scene, self.cfg))
-            return cost, slope / np.where(LINEAR, point, 1.0)
-
-        box = self.box(x, self._reach(x, goal, bands), names)
-        return self._counted(gradient_descent(by_point, x, *box, iterations=ITERATIONS, tolerance=TOLERANCE))
 
     def _counted(self, end: Descended) -> np.ndarray:
         """Where it ended; what it took is added."""
@@ -257,18 +239,19 @@ def pose(recording: Recording, analysis: Analysis, start: Start) -> Search:
     values, lower, upper, free = _box(start)
     string, hammer = split(values)
     first = simulate(string, hammer, start.geometry, rate=recording.rate, quantity=start.quantity)
-    rate = 1.0 / float(first.modes.step)
-    longest = max(CONTACTS * first.last_touch, 2 * RETURNS * start.geometry.strike / string.c)
-    steps = STEPS * math.ceil(longest * rate / STEPS)
-    rows = ROWS * math.ceil(int(analysis.partials.number.max()) / ROWS)
-    log_u = float(np.log(0.5 * first.pulse.compression.max())) if free[K] else 0.0
+    round_trip = 2 * start.geometry.strike / string.c
+    rate, steps, rows = frame(first, round_trip, int(analysis.partials.number.max()), CONTACTS)
+    log_u, stiff = 0.0, np.array([-np.inf, np.inf])  # a stiffness that is known needs no bounds
+    if free[K]:
+        log_u, stiff = float(np.log(0.5 * first.pulse.compression.max())), np.log([lower[K], upper[K]])
+    scene = Scene(Geometry(*map(np.float64, start.geometry)), np.float64(rate), np.float64(log_u), stiff)
     cfg = Cfg(max(first.modes.pole.shape[0], rows), steps, start.quantity)
     delay = arrival(string, start.geometry, start.quantity)
-    return Search(recording, analysis, start, values, lower, upper, free, rate, log_u, delay, cfg)
+    return Search(recording, analysis, start, values, lower, upper, free, delay, scene, cfg)
 
 
 def logs(x: np.ndarray) -> np.ndarray:
-    """Search coordinates of `struck` [..., 9], logarithms throughout, of points `x` [..., 9]."""
+    """Search coordinates of `spectral` [..., 9], logarithms throughout, of points `x` [..., 9]."""
     return np.where(LINEAR, np.log(np.where(LINEAR, x, 1.0)), x)
 
 

@@ -1,8 +1,11 @@
-"""Eq. 19 on the damped circle, as the searches see it.
+"""Eq. 19 on the damped circle, as the searches see it: of a recording, and of the string and hammer that are searched.
 
 A recording enters as a `Goal`: |S|² on the criterion's cells, one cell of frequencies around each partial. With the
 model's |Y|² there it gives C = ½ ∫ (|Y|² - |S|²)² dω, made dimensionless by the recording's own ½ ∫ |S|⁴ dω over the
 same cells: 0 for equal spectra, 1 for silence.
+
+|Y|² = |T̂|² |H|² δt². A pulse is short beside the inverse width of a cell, over which its transform T̂ is smooth: T̂ is
+computed at a few Chebyshev nodes and interpolated, exactly to 1e-9. While the string is held nothing else changes.
 
 Derivatives come through automatic differentiation, which gives ∇C = 2 ∫ (|Y|² - |S|²) Re(Ȳ ∇Y) dω; the paper prints
 |Y| ∇Y.
@@ -11,16 +14,27 @@ Derivatives come through automatic differentiation, which gives ∇C = 2 ∫ (|Y
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from numpy.polynomial.chebyshev import chebpts1, chebvander
 
-from ..criterion import BANDS, ENOUGH_DAMPING, band_of, cell_grid, closed_form_gain
+from ..criterion import BANDS, ENOUGH_DAMPING, NODES, band_of, cell_grid, closed_form_gain
+from ..inference.lanes import in_lanes
+from ..model.cache import kept
+from ..model.contact import impulse_amplitude, kernel_rows, strike
+from ..model.exponentials import transform
+from ..model.modes import Modes, mode_table
+from ..model.response import ringing_transform
+from ..parameters import Geometry, Hammer, String
+from .descent import LeastSquares
 
-__all__ = ["Goal", "Values", "damped_spectrum", "miss", "spectral_goal"]
+__all__ = ["Cfg", "Goal", "Scene", "damped_spectrum", "hold", "miss", "spectral_goal", "struck_gradients"]
 
 # Rows of a goal come in whole multiples of this, so that notes share compiled programs; the first band has one row.
 ROWS = 16
@@ -28,7 +42,17 @@ ROWS = 16
 BLOCK = 1024
 # Cells are laid out on multiples of this times σ, Hz: next to nothing beside the linewidth σ/2π.
 FINE = 1e-6
-
+# Chebyshev nodes a cell.
+SMOOTH = 12
+# Where they lie, in [-1, 1], and the matrix from values there to values at the cell's own nodes.
+PLACES = chebpts1(SMOOTH)
+SPREAD_OUT = chebvander(np.linspace(-1, 1, NODES), SMOOTH - 1) @ np.linalg.inv(chebvander(PLACES, SMOOTH - 1))
+# Modes of which what is cut off at the recording's end is summed.
+NEAREST = 5
+# The steps are some 1.6 contacts long; the force is largest here.
+MIDDLE = 0.3
+# Hammers of one call at most: so many share a compiled program.
+BATCH = 32
 
 # Arrays: NumPy's outside of compiled programs, traced inside.
 Values = Any
@@ -44,6 +68,26 @@ class Goal(NamedTuple):
     factor: Values  # on the model's energy: of a sound that began before the recording's first sample
     span: Values  # s, from where the model's sound begins to where the recording is cut
     calibrated: Values  # 1: the gain is 1; 0: the gain is free
+
+
+class Cfg(NamedTuple):
+    """What a compiled program is specialised to."""
+
+    n_modes: int
+    steps: int
+    quantity: str
+
+
+class Scene(NamedTuple):
+    """What stays while a string and a hammer are searched."""
+
+    geometry: Geometry
+    rate: Values  # of the contact, Hz
+    log_u: Values  # log of the compression, m, at which the felt's force is searched
+    stiff: Values  # [2], logs of the least and the largest stiffness
+
+
+# --- the recording ----------------------------------------------------------------------------------------------------
 
 
 def spectral_goal(
@@ -104,3 +148,95 @@ def miss(energy: Float[Array | np.ndarray, "rows nodes"], goal: Goal) -> Float[A
     gain = jnp.where(goal.calibrated > 0, 1.0, closed_form_gain(energy, goal.energy, goal.weight**2, jnp))
     difference = gain * energy - goal.energy
     return math.sqrt(2.0) * (goal.weight * difference).ravel()
+
+
+# --- the string and the hammer ----------------------------------------------------------------------------------------
+
+
+def _string(z: Array, goal: Goal, scene: Scene, cfg: Cfg) -> tuple[Array, Array, Modes]:
+    """A string as a hammer meets it: |H|² δt² [rows, nodes], the kernel's rows, and the table."""
+    string = String(*jnp.exp(z[:4]))
+    modes = mode_table(string, scene.geometry, rate=scene.rate, n_modes=cfg.n_modes, quantity=cfg.quantity)
+    return _mobility(modes, goal, MIDDLE * cfg.steps), kernel_rows(modes, cfg.steps), modes
+
+
+def _log_zeta(frequency: Array, goal: Goal, step: Array) -> Array:
+    return -(goal.sigma + 2j * jnp.pi * frequency) * step
+
+
+def _mobility(modes: Modes, goal: Goal, pulse: float) -> Float[Array, "rows nodes"]:
+    """|H|² δt² of a string struck by a pulse whose middle comes after so many steps."""
+    residue, log_z = modes.pickup * impulse_amplitude(modes), modes.pole * modes.step
+    log_zeta, steps = _log_zeta(goal.frequency, goal, modes.step), goal.span / modes.step - pulse
+    # What is cut off where the recording ends, as if the whole pulse had come in its middle: so it is near a mode.
+    nearest = jnp.searchsorted(modes.pole.imag, 2 * jnp.pi * goal.frequency.mean(axis=1)) - (NEAREST + 1) // 2
+    nearest = jnp.clip(nearest, 0, len(residue) - NEAREST)[:, None, None] + jnp.arange(NEAREST)
+    left = residue[nearest] * jnp.exp(steps * log_z[nearest])
+    tail = jnp.exp(steps * log_zeta) * ringing_transform(left, log_z[nearest], log_zeta)
+    total = ringing_transform(residue, log_z, log_zeta) - tail
+    return (total.real**2 + total.imag**2) * modes.step**2
+
+
+def _residuals(
+    z: Float[Array, " 5"], mobility: Array, rows: Array, modes: Modes, goal: Goal, scene: Scene, cfg: Cfg
+) -> Float[Array, " bins"]:
+    """Of a hammer on a string; infinite for a contact that does not end, and for a felt that is out of bounds."""
+    _, mu, p, mass, velocity = jnp.exp(z)
+    stiffness = z[0] - p * scene.log_u
+    pulse = strike(modes, Hammer(jnp.exp(stiffness), mu, p, mass, velocity), steps=cfg.steps, rows=rows)
+    first, last = goal.frequency[:, :1], goal.frequency[:, -1:]
+    log_zeta = _log_zeta((first + last) / 2 + (last - first) / 2 * PLACES, goal, modes.step).ravel()
+    # From about the pulse's middle, where its phase turns least.
+    pushed = transform(pulse.drive, log_zeta) * jnp.exp(-1j * log_zeta.imag * MIDDLE * cfg.steps)
+    pushed = pushed.reshape(-1, SMOOTH) @ SPREAD_OUT.T
+    inside = (stiffness >= scene.stiff[0]) & (stiffness <= scene.stiff[1])
+    residuals = miss(mobility * (pushed.real**2 + pushed.imag**2), goal)
+    return jnp.where((pulse.compression[-1] <= 0) & inside, residuals, jnp.inf)
+
+
+@kept
+def struck_gradients(z, goal: Goal, scene: Scene, cfg: Cfg):
+    """C [starts] and its gradient by all nine search coordinates `z` [starts, 9]."""
+
+    def cost(x: Array) -> Array:
+        return 0.5 * (_residuals(x[4:], *_string(x, goal, scene, cfg), goal, scene, cfg) ** 2).sum()
+
+    return jax.vmap(jax.value_and_grad(cost))(z)
+
+
+def hold(
+    z: Float[Array | np.ndarray, " 9"], lower: np.ndarray, upper: np.ndarray, goal: Goal, scene: Scene, cfg: Cfg
+) -> LeastSquares:
+    """C of hammers [n, 5] between the edges `lower` and `upper` [5], on the string of `z`, which is computed once."""
+    mobility, rows, *modes = held_string(z, goal, scene, cfg)
+    held = mobility, rows, Modes(*modes)
+
+    def each(program: Callable, z: np.ndarray) -> tuple[np.ndarray, ...]:
+        return in_lanes(partial(program, held, goal), (z,), scene, cfg, min(BATCH, len(z)))
+
+    return LeastSquares(lambda z: each(hammer_costs, z)[0], lambda z: each(hammer_residuals, z), lower, upper)
+
+
+@kept
+def held_string(z, goal: Goal, scene: Scene, cfg: Cfg):
+    """What hammers need of the string of `z`, as arrays."""
+    mobility, rows, modes = _string(z, goal, scene, cfg)
+    return mobility, rows, *modes
+
+
+@kept
+def hammer_costs(held: tuple[Array, Array, Modes], goal: Goal, z, scene: Scene, cfg: Cfg):
+    """C [chains] of hammers `z` [chains, 5] on a string that is held."""
+    return (jax.vmap(lambda x: 0.5 * (_residuals(x, *held, goal, scene, cfg) ** 2).sum())(z),)
+
+
+@kept
+def hammer_residuals(held: tuple[Array, Array, Modes], goal: Goal, z, scene: Scene, cfg: Cfg):
+    """Residuals [starts, bins], of which half the sum of squares is C, and their Jacobian [starts, bins, 5]."""
+
+    def twice(x: Array) -> tuple[Array, Array]:
+        value = _residuals(x, *held, goal, scene, cfg)
+        return value, value
+
+    jacobian, value = jax.vmap(jax.jacfwd(twice, has_aux=True))(z)
+    return value, jacobian

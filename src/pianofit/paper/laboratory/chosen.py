@@ -9,15 +9,22 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from ...published import preset
+from ...parameters import FIT_NAMES
+from ...published import Preset, preset
 
 __all__ = [
     "ANGLE", "CENTS", "CONTACT_RATE", "CORNER", "EPS", "FASTEST", "FINAL", "FLOOR", "INITIAL", "LEAD", "MODES", "RATE",
-    "RESONATORS",
-    "SCALE", "SECONDS", "SLOWER", "SLOWEST", "TAU", "TWIN_OVERSAMPLING", "TWIN_SCALE", "Resonator",
+    "RESONATORS", "SCALE", "SECONDS", "SLOWER", "SLOWEST", "TAU", "TWIN_OVERSAMPLING", "TWIN_SCALE", "Resonator",
+    "by_name",
 ]  # fmt: skip
 
 FINAL, INITIAL = preset("bensa-final"), preset("bensa-initial")
+
+
+def by_name(it: Preset) -> dict[str, float]:
+    """The nine parameters."""
+    return {name: float(value) for name, value in zip(FIT_NAMES, (*it.string, *it.hammer), strict=True)}
+
 
 RATE = 44_100  # Hz, a common one; the paper names a digital tape
 SECONDS = 3.0  # of a signal after the stroke

@@ -21,11 +21,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-__all__ = ["FELTS", "Felt", "FeltState", "Stepper"]
+__all__ = ["FELTS", "Felt", "FeltState"]
 
 FELTS = ("hunt-crossley", "memory", "power")
 # Gauss-Legendre on (0, 1): node and weight.
 POINTS = tuple(((x + 1) / 2, w / 2) for x, w in np.transpose(np.polynomial.legendre.leggauss(4)).tolist())
+
+
+class FeltState(NamedTuple):
+    """Where the felt is."""
+
+    gap: float = 0.0  # u = y_H - y_s, m; below `dent` hammer and string are apart
+    dent: float = 0.0  # û, m
+    memory: float = 0.0  # c, m^p
 
 
 class Felt(NamedTuple):
@@ -37,54 +45,37 @@ class Felt(NamedTuple):
     eps: float = 0.0
     tau: float = 1.0  # s
 
-
-class FeltState(NamedTuple):
-    """Where the felt is."""
-
-    gap: float = 0.0  # u = y_H - y_s, m; below `dent` hammer and string are apart
-    dent: float = 0.0  # û, m
-    memory: float = 0.0  # c, m^p
-
-
-class Stepper:
-    """A felt with a time step, s: `advance` goes from a state to the next `gap`."""
-
-    def __init__(self, felt: Felt, step: float):
-        self.felt, self.step, self.ratio = felt, step, step / felt.tau
-        self.kept = math.exp(-self.ratio)  # of the memory, over a step
-        self.lag = -math.expm1(-self.ratio) / self.ratio
-        self.relaxed = math.exp(-(1 - felt.eps) * self.ratio)
-
-    def advance(self, state: FeltState, gap: float) -> tuple[float, FeltState]:
-        """The force of the step, N, and the state after it."""
-        felt = self.felt
-        a0, c0 = state.dent**felt.p, state.memory
+    def advance(self, state: FeltState, gap: float, step: float) -> tuple[float, FeltState]:
+        """The force of a step to the next `gap`, which takes `step`, s: N, and the state after it."""
+        ratio, a0, c0 = step / self.tau, state.dent**self.p, state.memory
+        lag = -math.expm1(-ratio) / ratio
         # c at the end is base + gain · a1; a felt left alone ends at a1 = ε c1.
-        base, gain = a0 * self.lag + (c0 - a0) * self.kept, 1 - self.lag
-        a1 = felt.eps * base / (1 - felt.eps * gain)
-        touched = gap > 0 and gap**felt.p > a1
+        base, gain = a0 * lag + (c0 - a0) * math.exp(-ratio), 1 - lag
+        a1 = self.eps * base / (1 - self.eps * gain)
+        touched = gap > 0 and gap**self.p > a1
         if not touched and (state.gap < state.dent or state.dent == 0):
-            c1 = c0 * self.relaxed
-            return 0.0, FeltState(gap, (felt.eps * c1) ** (1 / felt.p), c1)
+            c1 = c0 * math.exp(-(1 - self.eps) * ratio)
+            return 0.0, FeltState(gap, (self.eps * c1) ** (1 / self.p), c1)
         if touched:
-            a1, dent = gap**felt.p, gap
+            a1, dent = gap**self.p, gap
         else:
-            dent = a1 ** (1 / felt.p)
-        mean = self._mean_force(state.dent, dent, a0, a1, c0)
+            dent = a1 ** (1 / self.p)
+        mean = self._mean_force(state, dent, a1, ratio)
         # The part of the way on which they touched; at most 1, or hammer and string would be given what the felt lost.
         way = gap - state.gap
         part = 1.0 if touched and state.gap == state.dent else min(max((dent - state.dent) / way, 0.0), 1.0)
-        speed = max(1 + felt.mu * way / self.step, 0.0)
+        speed = max(1 + self.mu * way / step, 0.0)
         return max(mean * part * speed, 0.0), FeltState(gap, dent, base + gain * a1)
 
-    def _mean_force(self, u0: float, u1: float, a0: float, a1: float, c0: float) -> float:
-        """∫ K (u^p - ε c) du / (u1 - u0), by Gauss-Legendre quadrature."""
-        felt, total, rise = self.felt, 0.0, a1 - a0
+    def _mean_force(self, state: FeltState, dent: float, a1: float, ratio: float) -> float:
+        """∫ K (u^p - ε c) du/Δu from one dent to the next, by Gauss-Legendre quadrature."""
+        a0, total = state.dent**self.p, 0.0
+        rise = a1 - a0
         for node, weight in POINTS:
-            a = (u0 + node * (u1 - u0)) ** felt.p
-            if felt.eps:
+            a = (state.dent + node * (dent - state.dent)) ** self.p
+            if self.eps:
                 s = (a - a0) / rise if abs(rise) > 1e-9 * a else node  # the time at which the path has come to a
-                c = a + rise / self.ratio * math.expm1(-self.ratio * s) + (c0 - a0) * math.exp(-self.ratio * s)
-                a -= felt.eps * c
+                c = a + rise / ratio * math.expm1(-ratio * s) + (state.memory - a0) * math.exp(-ratio * s)
+                a -= self.eps * c
             total += weight * a
-        return felt.K * total
+        return self.K * total

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -38,7 +39,6 @@ class Laboratory:
     noise_db: float | None = 60.0  # rms of the first second over that of the noise; None for no noise
     velocity_error: float = 0.02  # standard deviation of what the sensor reads, relative
     seconds: float = chosen.SECONDS  # after the stroke
-    rate: int = chosen.RATE  # Hz
     contact_rate: float = chosen.CONTACT_RATE  # steps per second of the contact, at least, Hz
     eps: float = chosen.EPS  # of the relaxing felt
     tau: float = chosen.TAU  # s, of the relaxing felt
@@ -79,16 +79,13 @@ def measure(lab: Laboratory, velocity: float, seed: int = 0) -> Measurement:
     body, stroke = stroke_of(lab, velocity)
     # Streams of their own: switching one off leaves the other as it was.
     noise, sensor = (np.random.default_rng([stream, seed]) for stream in range(2))
-    sound = ring(body, stroke, lab.rate, round(lab.seconds * lab.rate))
-    true = _final() | {"mu": felt_of(lab).mu, "v_H0": velocity}
+    sound = ring(body, stroke, chosen.RATE, round(lab.seconds * chosen.RATE))
+    true = chosen.by_name(chosen.FINAL) | {"mu": felt_of(lab).mu, "v_H0": velocity}
     if lab.felt == "memory":
         del true["mu"]
     nominal = velocity * (1 + lab.velocity_error * sensor.normal())
 
-    def unit_noise(count: int) -> np.ndarray:
-        return _noise(count, lab.rate, noise)
-
-    return _recorded(sound, lab.rate, chosen.SCALE, lab.noise_db, unit_noise, nominal, true)
+    return _recorded(sound, chosen.SCALE, lab.noise_db, partial(_noise, noise), nominal, true)
 
 
 def make_twin(noise_db: float | None = 60.0, seed: int = 0) -> Measurement:
@@ -103,25 +100,21 @@ def make_twin(noise_db: float | None = 60.0, seed: int = 0) -> Measurement:
     it, rate = chosen.FINAL, chosen.RATE
     stroke = simulate(it.string, it.hammer, it.geometry, rate=rate, oversampling=chosen.TWIN_OVERSAMPLING)
     sound, noise = stroke.waveform(rate, int(chosen.SECONDS * rate)), np.random.default_rng(seed).standard_normal
-    return _recorded(sound, rate, chosen.TWIN_SCALE, noise_db, noise, float(it.hammer.v_H0), _final())
+    return _recorded(sound, chosen.TWIN_SCALE, noise_db, noise, float(it.hammer.v_H0), chosen.by_name(it))
 
 
 def _recorded(
-    sound: np.ndarray, rate: int, scale: float, noise_db: float | None, noise: Callable[[int], np.ndarray],
-    nominal: float, true: dict[str, float],
+    sound: np.ndarray, scale: float, noise_db: float | None, noise: Callable[[int], np.ndarray], nominal: float,
+    true: dict[str, float],
 ) -> Measurement:  # fmt: skip
     """A `sound`, m/s, after some silence, with noise of rms 1 brought to its level."""
+    rate = chosen.RATE
     onset = round(chosen.LEAD * rate)
     samples = clean = np.pad(sound / scale, (onset, 0))
     if noise_db is not None:
         rms = math.sqrt(np.mean(clean[onset : onset + rate] ** 2))
         samples = clean + rms * 10 ** (-noise_db / 20) * noise(len(clean))
     return Measurement(samples, rate, scale, onset, nominal, true, clean)
-
-
-def _final() -> dict[str, float]:
-    """The paper's final values of the nine parameters."""
-    return {name: float(x) for part in (chosen.FINAL.string, chosen.FINAL.hammer) for name, x in part._asdict().items()}
 
 
 def setup_text(scale: float = chosen.TWIN_SCALE, velocity: float | None = None, *, hold_velocity: bool = False) -> str:
@@ -134,8 +127,7 @@ def setup_text(scale: float = chosen.TWIN_SCALE, velocity: float | None = None, 
     hold_velocity : it is held fixed, as `pianofit` does with a measured one; otherwise it is where the fit starts, as
         in the paper.
     """
-    g, first = chosen.FINAL.geometry, chosen.INITIAL
-    values = first.string._asdict() | first.hammer._asdict() | ({} if velocity is None else {"v_H0": velocity})
+    g, values = chosen.FINAL.geometry, chosen.by_name(chosen.INITIAL) | ({} if velocity is None else {"v_H0": velocity})
     read = f"\n[[recording]]\nv_H0 = {values.pop('v_H0')!r}  # m/s, as the sensor read it\n" if hold_velocity else ""
     initial = "".join(f"{name} = {value!r}\n" for name, value in values.items())
     return f"""\
@@ -160,8 +152,8 @@ def stroke_of(lab: Laboratory, velocity: float) -> tuple[Body, Stroke]:
     """The body that is struck, and the stroke."""
     axes, resonators = make_axes(chosen.FINAL.string, lab.polarisation), chosen.RESONATORS if lab.bridge else ()
     body = make_body(axes, chosen.FINAL.geometry, chosen.MODES, resonators)
-    every = math.ceil(lab.contact_rate / lab.rate)
-    return body, strike(body, felt_of(lab), chosen.FINAL.hammer.M_H, velocity, every * lab.rate)
+    every = math.ceil(lab.contact_rate / chosen.RATE)
+    return body, strike(body, felt_of(lab), chosen.FINAL.hammer.M_H, velocity, every * chosen.RATE)
 
 
 def felt_of(lab: Laboratory) -> Felt:
@@ -172,9 +164,9 @@ def felt_of(lab: Laboratory) -> Felt:
     return Felt(hammer.K_H, hammer.p, mu=hammer.mu if lab.felt == "hunt-crossley" else 0.0)
 
 
-def _noise(samples: int, rate: int, random: np.random.Generator) -> np.ndarray:
+def _noise(random: np.random.Generator, samples: int) -> np.ndarray:
     """Noise of power 1 in the mean: white, and 1/f below `CORNER`."""
-    frequency = np.maximum(np.fft.rfftfreq(samples, 1 / rate), chosen.FLOOR)
+    frequency = np.maximum(np.fft.rfftfreq(samples, 1 / chosen.RATE), chosen.FLOOR)
     shape = np.sqrt(1 + chosen.CORNER / frequency)
     shape[0] = 0.0  # an offset would not survive the recorder
     # Lines between 0 and half of the rate stand for two each.

@@ -18,13 +18,14 @@ from scipy.optimize import brentq
 
 from ...errors import FitError
 from .body import Body
-from .felt import Felt, FeltState, Stepper
+from .felt import Felt, FeltState
 
 __all__ = ["Stroke", "ring", "strike"]
 
 EPSILON = 4 * np.finfo(float).eps
 MOST_CONTACT = 0.05  # s
 LOOK = 32  # steps between two looks at whether the hammer has gone for good
+BLOCK = 256  # samples that one row of a table of powers goes
 
 
 class Stroke(NamedTuple):
@@ -52,14 +53,13 @@ def strike(body: Body, felt: Felt, mass: float, velocity: float, rate: float) ->
     push = body.drive * np.expm1(body.poles * h) / body.poles
     row = body.under @ body.vectors
     compliance = float(np.real(row @ push)) + h**2 / (2 * mass)
-    stepper, state = Stepper(felt, h), FeltState()
-    z, y, v = np.zeros_like(body.poles), 0.0, velocity
+    z, state, y, v = np.zeros_like(body.poles), FeltState(), 0.0, velocity
     states, trace = [], []
     while not _gone(body, z, state, y, v, len(states)):
         if len(states) > MOST_CONTACT * rate:
             raise FitError(f"velocity={velocity:g} m/s: the hammer is still at the string after {MOST_CONTACT:g} s")
         moved = turn * z
-        force, after = _meet(stepper, state, y + h * v - float(np.real(row @ moved)), compliance)
+        force, after = _meet(felt, h, state, y + h * v - float(np.real(row @ moved)), compliance)
         states.append(z)
         trace.append((force, *state, y, v))
         z, state = moved + push * force, after
@@ -69,19 +69,19 @@ def strike(body: Body, felt: Felt, mass: float, velocity: float, rate: float) ->
     return Stroke(h, np.array([*states, z]), force, gap, dent, memory, columns[:, 4:])
 
 
-def _meet(stepper: Stepper, state: FeltState, free: float, compliance: float) -> tuple[float, FeltState]:
+def _meet(felt: Felt, h: float, state: FeltState, free: float, compliance: float) -> tuple[float, FeltState]:
     """Solve gap + C F(gap) = free, where F rises from 0."""
-    most, apart = stepper.advance(state, free)
+    most, apart = felt.advance(state, free, h)
     if most == 0.0:
         return most, apart
 
     def excess(gap: float) -> float:
-        return gap + compliance * stepper.advance(state, gap)[0] - free
+        return gap + compliance * felt.advance(state, gap, h)[0] - free
 
     least = free - compliance * most
-    if excess(least) >= 0:  # a touch too faint to move the last digit
-        return stepper.advance(state, least)
-    return stepper.advance(state, cast(float, brentq(excess, least, free, xtol=1e-22, rtol=EPSILON)))
+    if excess(least) < 0:  # else a touch too faint to move the last digit
+        least = cast(float, brentq(excess, least, free, xtol=1e-22, rtol=EPSILON))
+    return felt.advance(state, least, h)
 
 
 def _gone(body: Body, z: np.ndarray, state: FeltState, y: float, v: float, steps: int) -> bool:
@@ -102,12 +102,8 @@ def ring(body: Body, stroke: Stroke, rate: float, samples: int) -> np.ndarray:
     every = round(1 / (stroke.step * rate))
     head = np.real(stroke.states[::every][:samples][:, heard] @ row)
     last = len(stroke.force) - 1  # from here on nothing pushes
-    start = stroke.states[-1][heard] * row * np.exp(poles * (len(head) - last / every))
-    return np.concatenate([head, _exponential_sum(start, poles, samples - len(head))])
-
-
-def _exponential_sum(amplitude: np.ndarray, poles: np.ndarray, samples: int) -> np.ndarray:
-    """Re Σ A exp(p n), n < samples, as one product of two short tables of powers."""
-    block = 256
-    rows = np.exp(np.outer(np.arange(-(-samples // block)) * block, poles)) * amplitude
-    return np.real(rows @ np.exp(np.outer(poles, np.arange(block)))).ravel()[:samples]
+    amplitude = stroke.states[-1][heard] * row * np.exp(poles * (len(head) - last / every))
+    # With n = 256 i + j the sum of exponentials is one product of two short tables of powers.
+    starts = np.exp(np.outer(np.arange(0, samples - len(head), BLOCK), poles)) * amplitude
+    tail = np.real(starts @ np.exp(np.outer(poles, np.arange(BLOCK)))).ravel()
+    return np.concatenate([head, tail])[:samples]

@@ -95,7 +95,9 @@ def landscape(problem: Hammers, points: int) -> Landscape:
     # Inner points that lie below all eight around them.
     around = np.array([[True] * 3, [True, False, True], [True] * 3])
     low = value < minimum_filter(value, footprint=around, mode="constant", cval=-np.inf)
-    ends = _descended(problem.search, z[low.ravel()], np.isin(np.arange(len(HAMMERS)), PLANE))
+    shown = np.isin(np.arange(len(HAMMERS)), PLANE)
+    lower, upper = (np.where(shown, edge, problem.true) for edge in (problem.search.lower, problem.search.upper))
+    ends = _descended(problem.search._replace(lower=lower, upper=upper), z[low.ravel()])
     minima = _distinct([end._replace(z=(end.z - problem.true)[PLANE]) for end in ends])
     inside = [m for m in minima if abs(m.z[0]) < first[-1] and abs(m.z[1]) < second[-1]]
     return Landscape(first, second, value, inside)
@@ -123,9 +125,9 @@ def race(problem: Hammers, starts: int, seed: int, *, iterations: int, evaluatio
     )  # fmt: skip
 
 
-def _descended(search: LeastSquares, z: np.ndarray, free: np.ndarray | bool = True) -> list[Descended]:
-    """Least squares from every row of `z` [n, 5] over the coordinates that are `free`, in the box, to the floor."""
-    return [search.finished(row, free, evaluations=SQUARES) for row in z]
+def _descended(search: LeastSquares, z: np.ndarray) -> list[Descended]:
+    """Least squares from every row of `z` [n, 5], in the box, to the floor."""
+    return [search.finished(row, evaluations=SQUARES) for row in z]
 
 
 def _distinct(ends: list[Descended]) -> list[Descended]:

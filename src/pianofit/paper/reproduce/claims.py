@@ -65,9 +65,9 @@ class Claim:
         return "" if self.otherwise is None else f"string read: {self.otherwise.word}"
 
 
-RULES: dict[str, Callable[[Findings], Claim]] = {}  # in the order of the page
+RULES: dict[str, Callable[..., Claim]] = {}  # in the order of the page
 # Which parts of a claim came out; and numbers that its sentence needs beside the findings.
-Parts = list[Any] | tuple[list[Any], dict[str, Any]]
+Parts = tuple[list[Any], dict[str, Any]]
 
 
 def judge(f: Findings) -> dict[str, Claim]:
@@ -75,26 +75,22 @@ def judge(f: Findings) -> dict[str, Claim]:
     return {name: decide(f) for name, decide in RULES.items()}
 
 
-def rule(
-    where: str, claim: str, recipes: tuple[str, ...] = ()
-) -> Callable[[Callable[..., Parts]], Callable[[Findings], Claim]]:
+def rule(where: str, claim: str, recipes: tuple[str, ...] = ()) -> Callable:
     """Enter in `RULES` what decides a `claim` that stands at `where`: all, some or none of its parts came out.
 
     `recipes`: of two that it can be asked of, the second counts only where it does not come out whole by the first.
     """
 
-    def of(parts: Callable[..., Parts]) -> Callable[[Findings], Claim]:
-        def judged(f: Findings, *recipe: str) -> Claim:
-            found = parts(f, *recipe)
-            came, more = found if isinstance(found, tuple) else (found, {})
-            outcome = "yes" if all(came) else "part" if any(came) else "no"
-            why = "" if outcome == "yes" else _worded(f"{parts.__name__}_why", f, more)
-            return Claim(claim, where, outcome, _worded(parts.__name__, f, more), why)
-
+    def of(parts: Callable[..., Parts]) -> Callable[..., Claim]:
         @wraps(parts)
-        def decided(f: Findings) -> Claim:
-            first, *others = (judged(f, recipe) for recipe in recipes) if recipes else (judged(f),)
-            return replace(first, otherwise=others[0]) if others and first.outcome != "yes" else first
+        def decided(f: Findings, *recipe: str) -> Claim:
+            if recipes and not recipe:
+                first, second = (decided(f, each) for each in recipes)
+                return first if first.outcome == "yes" else replace(first, otherwise=second)
+            came, numbers = parts(f, *recipe)
+            outcome = "yes" if all(came) else "part" if any(came) else "no"
+            why = "" if outcome == "yes" else _worded(f"{parts.__name__}_why", f, numbers)
+            return Claim(claim, where, outcome, _worded(parts.__name__, f, numbers), why)
 
         RULES[parts.__name__] = decided
         return decided
@@ -105,13 +101,13 @@ def rule(
 @rule("III.C, Figure 2", "The contact of hammer and string lasts about 3 ms.")
 def contact_lasts(f: Findings) -> Parts:
     """Nearer to 3 than to 2 or 4 ms."""
-    return [2.5e-3 <= stroke.contact < 3.5e-3 for stroke in f.strikes]
+    return [2.5e-3 <= stroke.contact < 3.5e-3 for stroke in f.strikes], {}
 
 
 @rule("III.C, Figure 2", "The contact is shorter when the hammer is faster.")
 def contact_shortens(f: Findings) -> Parts:
     """Shorter from each velocity to the next."""
-    return [after.contact < before.contact for before, after in pairwise(f.strikes)]
+    return [after.contact < before.contact for before, after in pairwise(f.strikes)], {}
 
 
 @rule("III.C, Figure 2", "Reflections from the agraffe show in the force, at 2 and 4 m/s above all.")
@@ -127,13 +123,13 @@ def reflections(f: Findings) -> Parts:
 def felt_loses(f: Findings) -> Parts:
     """A loop ∮ F du run through clockwise, that is what hammer and string lose to 1e-6 of the energy."""
     hardest = f.strikes[-1]
-    return [hardest.loop > 0, abs(hardest.loop - hardest.balance) <= 1e-6 * hardest.hammer_energy]
+    return [hardest.loop > 0, abs(hardest.loop - hardest.balance) <= 1e-6 * hardest.hammer_energy], {}
 
 
 @rule("III.C, Figure 4", "The sound is brighter when the hammer is faster.")
 def brighter(f: Findings) -> Parts:
     """A higher centroid from each velocity to the next."""
-    return [after.centroid > before.centroid for before, after in pairwise(f.strikes)]
+    return [after.centroid > before.centroid for before, after in pairwise(f.strikes)], {}
 
 
 @rule("IV.C, Table II", "A gradient in bands 1 and 2 finds the string.")
@@ -165,7 +161,7 @@ def changes_as_printed(f: Findings, recipe: str) -> Parts:
 @rule("IV.C", "Band 3 has local minima.")
 def local_minima(f: Findings) -> Parts:
     """More than one minimum in the plane shown, and more than one over all five parameters."""
-    return [len(f.plane.minima) > 1, len(f.race.minima) > 1]
+    return [len(f.plane.minima) > 1, len(f.race.minima) > 1], {}
 
 
 @rule("IV.C", "A gradient alone fails from some starts where annealing does not.")
@@ -174,7 +170,7 @@ def annealing_escapes(f: Findings) -> Parts:
 
     A search fails that does not come `WITHIN` a factor of the lowest criterion found by any.
     """
-    return [f.race.reached("gradient") < f.plan.starts, f.race.reached("annealed") == f.plan.starts]
+    return [f.race.reached("gradient") < f.plan.starts, f.race.reached("annealed") == f.plan.starts], {}
 
 
 @rule("V, Figure 6", "The first seven partials agree, those above differ.", STRINGS)

@@ -17,7 +17,7 @@ from ...published import preset
 from ...report.build import spectrum_db
 from .strokes import centroid
 
-__all__ = ["NOTE", "ROUND_TRIP", "VELOCITIES", "Strike", "mass_for_contact", "strikes"]
+__all__ = ["NOTE", "ROUND_TRIP", "VELOCITIES", "Strike", "mass_for_contact", "strike"]
 
 NOTE = preset("chaigne-askenfelt-C4")
 # Of a wave, from the hammer to the agraffe and back, 2 x0/c, s.
@@ -56,17 +56,13 @@ def mass_for_contact(contact: float, velocity: float) -> float:
     return float(found)
 
 
-def strikes(velocities: tuple[float, ...] = VELOCITIES) -> list[Strike]:
-    """The note at each velocity, m/s."""
-    return [_strike(velocity) for velocity in velocities]
-
-
 def _simulate(velocity: float, mass: float) -> Simulation:
     hammer = NOTE.hammer._replace(v_H0=velocity, M_H=mass)
     return simulate(NOTE.string, hammer, NOTE.geometry, rate=RATE, oversampling=OVERSAMPLING)
 
 
-def _strike(velocity: float) -> Strike:
+def strike(velocity: float) -> Strike:
+    """The note at a velocity, m/s."""
     mass = float(NOTE.hammer.M_H)
     done = _simulate(velocity, mass)
     step, pulse = float(done.modes.step), done.pulse

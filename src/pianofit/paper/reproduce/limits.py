@@ -21,7 +21,7 @@ from scipy.optimize import least_squares
 from ...criterion import Cells, band_values, line_sigma, measure
 from ...model import mode_table, simulate
 from ...parameters import String
-from ..laboratory import FINAL, Laboratory
+from ..laboratory import FINAL, Laboratory, chosen
 from ..laboratory import measure as record
 
 __all__ = ["ALL", "BAND2", "GRIDS", "Bend", "Blindness", "bends", "blindness", "inverse_bend"]
@@ -111,12 +111,12 @@ def blindness(lab: Laboratory, seed: int, *, repeats: int, values: int) -> Blind
     f0, B = float(FINAL.f0), (kappa * np.pi / (c * FINAL.geometry.length)) ** 2
 
     def energies(sound: np.ndarray) -> tuple[Cells, np.ndarray]:
-        return measure(sound, lab.rate, f0, B, int(ALL[-1]), line_sigma(f0))
+        return measure(sound, chosen.RATE, f0, B, int(ALL[-1]), line_sigma(f0))
 
     def by_model(b2: float) -> tuple[Cells, np.ndarray]:
         string = FINAL.string._replace(b2=b2)
-        done = simulate(string, FINAL.hammer, FINAL.geometry, rate=lab.rate, oversampling=OVERSAMPLING)
-        return energies(done.waveform(lab.rate, round(lab.seconds * lab.rate)))
+        done = simulate(string, FINAL.hammer, FINAL.geometry, rate=chosen.RATE, oversampling=OVERSAMPLING)
+        return energies(done.waveform(chosen.RATE, round(lab.seconds * chosen.RATE)))
 
     measured = [record(lab, float(FINAL.hammer.v_H0), seed + n) for n in range(repeats)]
     heard = [energies(m.samples[m.onset :] * m.scale)[1] for m in measured]

@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ... import __version__
-from ...errors import OutputError
-from ...io import encode_wav, replace_file
+from ...io import encode_wav, replace_file, unwritten
 from ...listening.page import Heard, Question, write_listening
 from ...model.cache import keep_programs
 from ...parameters import PARAMETERS
@@ -61,7 +60,10 @@ def reproduce(
     claims, numbers = judge(found), tables(found)
     shown = {plan.origin: (found.origin, SOUNDS)} | {v: (one, PREDICTED) for v, one in found.predictions.items()}
     for name in ("data", "figures", "sounds"):
-        _make(folder / name)
+        try:
+            (folder / name).mkdir(exist_ok=True)
+        except OSError as error:
+            raise unwritten(folder / name, error, "choose another --out") from None
     for name, table in numbers.items():
         write_csv(folder / f"data/{name}.csv", table.columns, table.rows)
     figures = {name: _drawn(folder / f"figures/{name}.png", draw, found) for name, draw in FIGURES.items()}
@@ -78,13 +80,6 @@ def reproduce(
     )  # fmt: skip
     progress("done", 1.0)
     return [*claims.values()]
-
-
-def _make(folder: Path) -> None:
-    try:
-        folder.mkdir(exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"{folder}: no folder can be made here ({error.strerror}); choose another --out") from None
 
 
 def _drawn(target: Path, draw: Callable, found: Findings) -> str:

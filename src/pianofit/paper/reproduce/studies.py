@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from ...parameters import FIT_NAMES
-from ..laboratory import FINAL, INITIAL, Laboratory
+from ..laboratory import FINAL, INITIAL, Laboratory, chosen
 from .band3 import Landscape, Race, hammers, landscape, race
-from .direct import VELOCITIES, Strike, mass_for_contact, strikes
+from .direct import VELOCITIES, Strike, mass_for_contact, strike
 from .limits import ALL, BAND2, Bend, Blindness, bends, blindness, inverse_bend
 from .strokes import Stroke, fitted, measured, values_of
 
@@ -28,7 +28,7 @@ EFFECTS: dict[str, dict[str, Any]] = {
 }  # fmt: skip
 # Tables II and III as printed; initially the paper has no κ.
 PRINTED = {
-    column: {n: float(v) for n, v in zip(FIT_NAMES, (*it.string, *it.hammer), strict=True) if n not in missing}
+    column: {name: value for name, value in chosen.by_name(it).items() if name not in missing}
     for column, it, missing in (("initial", INITIAL, ("kappa",)), ("final", FINAL, ()))
 }
 
@@ -124,7 +124,7 @@ def compute(plan: Plan, seed: int, progress: Callable[[str, float], None]) -> Fi
         return stroke.with_sounds({name: stroke.played(note) for name, note in notes.items()}, **results)
 
     tick("the direct problem")
-    struck, needed = strikes(), mass_for_contact(LONG, VELOCITIES[len(VELOCITIES) // 2])
+    struck, needed = [strike(v) for v in VELOCITIES], mass_for_contact(LONG, VELOCITIES[len(VELOCITIES) // 2])
     tick("κ through the grid")
     bent = {"fitted to band 2": bends(BAND2), f"fitted to partials 1 to {ALL[-1]}": bends(ALL)}
     tick("the criterion over b2")

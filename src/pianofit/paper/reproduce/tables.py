@@ -40,7 +40,7 @@ def _chosen(f: Findings) -> Table:
         ("pickup position, m", g.pickup, "near no node of the first partials"),
         ("initial κ, m²/s", float(INITIAL.string.kappa), "the final one: Table II has no other"),
         ("length of the signals, s", f.plan.seconds, "chosen once"),
-        ("sampling rate, Hz", lab.rate, "a common one; the paper names a digital tape"),
+        ("sampling rate, Hz", chosen.RATE, "a common one; the paper names a digital tape"),
         ("steps of the laboratory's contact, Hz, at least", f.plan.contact_rate, "far above any fit's"),
         ("second polarisation: turned by, degrees", chosen.ANGLE, "an aftersound as pianos often have"),
         ("second polarisation: sharp by, cents", chosen.CENTS, "slow beats"),
