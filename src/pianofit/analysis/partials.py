@@ -164,7 +164,7 @@ def _decays(
     excess = np.where(clean, whole.excess, early.excess)
     apart = np.where(parts.valid, _COMPONENTS * (decay - single), _beyond_noise(early, whole, np.real))
     apart = np.hypot(apart, error * np.sqrt(excess)) / np.maximum(decay, _DECAY_FLOOR * law)
-    spread = law * np.sqrt(np.mean(_near(np.minimum(np.hypot(apart, second), _FACTOR)) ** 2, axis=1))
+    spread = law * _nearby(np.minimum(np.hypot(apart, second), _FACTOR))
     decay = np.where(clean, -whole.fit.pole.real, decay)
     return decay, np.hypot(error, _DECAY_FLOOR * decay), spread
 
@@ -176,14 +176,14 @@ def _beyond_noise(short: Fitted, long: Fitted, part: Callable) -> np.ndarray:
 
 
 def _shared(spread: np.ndarray) -> np.ndarray:
-    """Each partial's, or its neighbours' median if that is more [partials]: one's own can be nought by chance."""
-    return np.maximum(np.abs(np.nan_to_num(spread)), np.median(_near(spread), axis=1))
+    """Each partial's, or its neighbourhood's if that is more [partials]: one's own can be nought by chance."""
+    return np.maximum(np.abs(np.nan_to_num(spread)), _nearby(spread))
 
 
-def _near(spread: np.ndarray) -> np.ndarray:
-    """What each partial and its neighbours have [partials, 2 _NEAR + 1]."""
-    size = np.abs(np.nan_to_num(spread))
-    return np.lib.stride_tricks.sliding_window_view(np.pad(size, _NEAR, mode="symmetric"), 2 * _NEAR + 1)
+def _nearby(spread: np.ndarray) -> np.ndarray:
+    """Rms of each partial's and its neighbours' [partials]."""
+    size = np.pad(np.abs(np.nan_to_num(spread)), _NEAR, mode="symmetric")
+    return np.sqrt(np.mean(np.lib.stride_tricks.sliding_window_view(size, 2 * _NEAR + 1) ** 2, axis=1))
 
 
 def _levels(
