@@ -8,14 +8,26 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
-from twin_cases import ALONE, FIRST, MICROPHONES, SEVERAL, VELOCITIES, path_fit, record, setup_of, strokes_of, through
+from twin_cases import (
+    ALONE,
+    FIRST,
+    MICROPHONES,
+    SEVERAL,
+    VELOCITIES,
+    fit_recordings,
+    path_fit,
+    record,
+    setup_of,
+    strokes_of,
+    through,
+)
 
 from pianofit.analysis import Partials, analyse
 from pianofit.errors import FitError
 from pianofit.fit_file import gains_of, mixture_of, read_fit
 from pianofit.inference import Result, pose
-from pianofit.inference.fit import fit_recordings
-from pianofit.inference.predict import cross_validate, predict_recording
+from pianofit.inference.crossval import cross_validate
+from pianofit.inference.predict import predict_recording
 from pianofit.inference.statements import presumed
 from pianofit.setup import Layer, Setup
 

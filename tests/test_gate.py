@@ -11,11 +11,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from twin_cases import ALONE, FIRST, MICROPHONES, SEVERAL, VELOCITIES, calibrated, path_fit, standard_errors
+from twin_cases import (
+    ALONE,
+    FIRST,
+    MICROPHONES,
+    SEVERAL,
+    VELOCITIES,
+    calibrated,
+    fit_recordings,
+    path_fit,
+    standard_errors,
+)
 
 from pianofit.analysis import analyse
 from pianofit.inference import Result
-from pianofit.inference.fit import fit_recordings
 from pianofit.inference.predict import predict_recording
 from pianofit.recording import load_recording
 

@@ -45,7 +45,8 @@ if TYPE_CHECKING:
     from .fit_file import load_note
     from .fitting import fit
     from .inference import Covariance, Quantities, Quantity, Result
-    from .inference.predict import Prediction, cross_validate, predict_recording
+    from .inference.crossval import cross_validate
+    from .inference.predict import Prediction, predict_recording
     from .io import encode_wav
     from .model import (  # fmt: skip
         Modes,
@@ -69,7 +70,8 @@ _HOMES = {
     "errors": tuple(name for name in __all__ if name.endswith("Error")),
     "fitting": ("fit",),
     "inference": ("Covariance", "Quantities", "Quantity", "Result"),
-    "inference.predict": ("Prediction", "cross_validate", "predict_recording"),
+    "inference.crossval": ("cross_validate",),
+    "inference.predict": ("Prediction", "predict_recording"),
     "felt": ("FeltLaw", "MemoryHammer"),
     "model": (
         "Modes", "Note", "Simulation", "levels", "mode_table", "pluck", "simulate", "spectrum", "strike", "waveform",

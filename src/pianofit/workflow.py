@@ -85,7 +85,7 @@ def cross_validate_files(
     seed: int = 0,
     progress: Callable[[str, float], None] = lambda *_: None,
 ) -> dict:
-    """Leave out each recording of a key in turn, and predict it; see `predict.cross_validate`.
+    """Leave out each recording of a key in turn, and predict it; see `crossval.cross_validate`.
 
     To the folder `out`, if there is one, go the fit of all and its page, with what came of it.
 
@@ -96,7 +96,7 @@ def cross_validate_files(
 
     recordings = read(files, channel)
     analyses = listen(recordings, note, f0)
-    from .inference.predict import cross_validate
+    from .inference.crossval import cross_validate
     from .model.cache import keep_programs
 
     keep_programs()

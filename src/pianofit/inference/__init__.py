@@ -9,11 +9,12 @@ from __future__ import annotations
 
 from .conclude import conclude
 from .estimate import Estimate, Progress, estimate
+from .infer import Inferred, infer
 from .problem import Problem, pose
 from .quantities import Covariance, Quantities, Quantity
 from .result import FittedRecording, Result, Sound
 
 __all__ = [
-    "Covariance", "Estimate", "FittedRecording", "Problem", "Progress", "Quantities", "Quantity", "Result", "Sound",
-    "conclude", "estimate", "pose",
+    "Covariance", "Estimate", "FittedRecording", "Inferred", "Problem", "Progress", "Quantities", "Quantity", "Result",
+    "Sound", "conclude", "estimate", "infer", "pose",
 ]  # fmt: skip

@@ -1,40 +1,58 @@
-"""Entries of `fit.json` that every way of fitting writes alike."""
+"""What `fit.json` holds, as every way of fitting writes it."""
 
 from __future__ import annotations
 
 import platform
+from collections.abc import Sequence
 
 import numpy as np
 
 from .. import __version__
-from ..analysis import Analysis
 from ..felt import FeltLaw, is_own, law_of
-from ..model import Simulation
-from ..model.note import Note
+from ..io import FIT_SCHEMA
 from ..model.path import OutputPath, Wander
-from .quantities import UNITS
+from .listener import together
+from .quantities import UNITS, Covariance
+from .result import FittedRecording
 from .start import Start
 
-__all__ = ["absent", "derived", "described", "given", "path_document", "sizes", "versions", "wander_document"]
+__all__ = ["NO_INTERVAL", "describe", "described", "entry", "given", "path_document", "row", "sizes", "wander_document"]
+
+NO_INTERVAL = {"interval": None, "interval_by": None, "interval_open": []}
 
 
-def versions() -> dict[str, str]:
-    """Of the program and of everything the numbers depend on."""
-    import jax
-    import scipy
-
+def describe(
+    start: Start, heard: Sequence[FittedRecording], reference: int, rows: Sequence[dict], covariance: Covariance, *,
+    recipe: str, seed: int, converged: bool, claims: str, messages: Sequence[str], invariants: dict, parameters: dict,
+    minima: Sequence[dict], diagnostics: dict,
+) -> dict:  # fmt: skip
+    """The whole document, in its order; what belongs to no recording alone is the `reference`'s."""
+    first = heard[reference]
     return {
-        "pianofit": __version__, "python": platform.python_version(), "jax": jax.__version__,
-        "numpy": np.__version__, "scipy": scipy.__version__,
+        "schema": FIT_SCHEMA, "program": "pianofit", "recipe": recipe, "felt": start.law.name, "seed": seed,
+        "converged": converged, "claims": claims, "messages": list(messages),
+        "invariants": invariants,
+        "parameters": parameters,
+        "recordings": list(rows),
+        "pickup": {"quantity": start.quantity, "path": path_document(first.fitted.note.path)},
+        "minima": list(minima),
+        "covariance": covariance.document(),
+        "derived": _derived(first),
+        "criterion": first.criterion,
+        "levels": together([each.levels for each in heard]),
+        "diagnostics": diagnostics,
+        "versions": _versions(),
     }  # fmt: skip
+
+
+def entry(value: float, said: dict, status: str, initial: float, note: str = "", interval: dict = NO_INTERVAL) -> dict:
+    """A row of `parameters`: `said` are its unit and meaning."""
+    return {"value": value, **said, **interval, "status": status, "initial": initial, "note": note}
 
 
 def given(value: float, name: str, status: str) -> dict:
     """What no fit searches."""
-    return {
-        "value": float(value), "unit": UNITS[name], "interval": None, "interval_by": None, "interval_open": [],
-        "status": status, "initial": float(value), "note": "",
-    }  # fmt: skip
+    return entry(float(value), {"unit": UNITS[name]}, status, float(value))
 
 
 def sizes(start: Start) -> dict[str, dict]:
@@ -49,20 +67,25 @@ def sizes(start: Start) -> dict[str, dict]:
     return table
 
 
-def derived(note: Note, simulation: Simulation, analysis: Analysis) -> dict:
-    """What follows from the parameters, and what the stroke did."""
-    pulse, g = simulation.pulse, note.geometry
-    f0 = note.string.c / (2 * g.length)
-    B = (note.string.kappa * np.pi / (note.string.c * g.length)) ** 2
-    u = float(pulse.compression.max())
+def described(name: str, law: FeltLaw) -> dict[str, str]:
+    """Unit of a parameter; and what it means, where only a law from outside says so."""
+    if name not in law.parameters:
+        return {"unit": UNITS[name]}
+    return {"unit": law.parameters[name].unit} | ({} if is_own(law) else {"meaning": law.parameters[name].meaning})
+
+
+def row(
+    heard: FittedRecording, velocity: dict, calibrated: bool, *, first: bool = True, cents: float = 0.0, group: int = 0,
+    stroke: int = 0,
+) -> dict:  # fmt: skip
+    """What one recording has of its own; `velocity` is the entry of its stroke's, `cents` are over the reference's."""
+    recording = heard.recording
     return {
-        "f0": float(f0), "B": float(B), "f1": float(f0 * np.sqrt(1 + B)), "M_H/M_S": float(note.hammer.M_H / g.mass),
-        "x0/L": float(g.strike / g.length), "contact_ms": 1e3 * simulation.contact_time,
-        "later_contacts": [again.document() for again in simulation.contacts[1:]],
-        "max_force_N": float(pulse.force.max()), "max_compression_mm": 1e3 * u,
-        "felt_force_N": float(law_of(note.hammer).force(u, 0.0, note.hammer)),
-        "glide_cents": float(analysis.glide_cents),
-        "glide": [{"start_s": a, "stop_s": b, "f0": f} for a, b, f in analysis.glide],
+        "file": recording.path, "sha256": recording.sha256, "channel": recording.channel, "rate": recording.rate,
+        "onset_s": recording.onset / recording.rate, "v_H0": velocity["value"], "v_H0_interval": velocity["interval"],
+        "v_H0_status": velocity["status"], "gain": heard.fitted.note.gain,
+        "gain_status": "given" if calibrated else "fitted", "first": first, "cents": cents, "group": group,
+        "stroke": stroke, "criterion": heard.criterion, "levels": heard.levels,
     }  # fmt: skip
 
 
@@ -80,13 +103,30 @@ def wander_document(wander: Wander | None) -> dict | None:
     return None if wander is None else {name: column.tolist() for name, column in wander._asdict().items()}
 
 
-def absent(name: str, felt: str) -> dict:
-    """A loss that the felt's law does not have."""
-    return given(0.0, name, "given") | {"note": f"the felt's law, {felt}, has none"}
+def _derived(heard: FittedRecording) -> dict:
+    """What follows from the parameters, and what the stroke did."""
+    note, simulation, analysis = heard.fitted.note, heard.fitted.simulation, heard.analysis
+    pulse, g = simulation.pulse, note.geometry
+    f0 = note.string.c / (2 * g.length)
+    B = (note.string.kappa * np.pi / (note.string.c * g.length)) ** 2
+    u = float(pulse.compression.max())
+    return {
+        "f0": float(f0), "B": float(B), "f1": float(f0 * np.sqrt(1 + B)), "M_H/M_S": float(note.hammer.M_H / g.mass),
+        "x0/L": float(g.strike / g.length), "contact_ms": 1e3 * simulation.contact_time,
+        "later_contacts": [again.document() for again in simulation.contacts[1:]],
+        "max_force_N": float(pulse.force.max()), "max_compression_mm": 1e3 * u,
+        "felt_force_N": float(law_of(note.hammer).force(u, 0.0, note.hammer)),
+        "glide_cents": float(analysis.glide_cents),
+        "glide": [{"start_s": a, "stop_s": b, "f0": f} for a, b, f in analysis.glide],
+    }  # fmt: skip
 
 
-def described(name: str, law: FeltLaw) -> dict[str, str]:
-    """Unit of a parameter; and what it means, where only a law from outside says so."""
-    if name not in law.parameters:
-        return {"unit": UNITS[name]}
-    return {"unit": law.parameters[name].unit} | ({} if is_own(law) else {"meaning": law.parameters[name].meaning})
+def _versions() -> dict[str, str]:
+    """Of the program and of everything the numbers depend on."""
+    import jax
+    import scipy
+
+    return {
+        "pianofit": __version__, "python": platform.python_version(), "jax": jax.__version__,
+        "numpy": np.__version__, "scipy": scipy.__version__,
+    }  # fmt: skip

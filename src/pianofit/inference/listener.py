@@ -10,6 +10,7 @@ import numpy as np
 from ..analysis import Analysis, Partials
 from ..criterion import (
     BANDS,
+    Cells,
     band_of,
     band_values,
     borders,
@@ -21,10 +22,13 @@ from ..criterion import (
 from ..model.note import Note
 from ..recording import Recording
 from .align import touched
-from .result import Sound
+from .observations import placed
+from .result import FittedRecording, Sound
 
-__all__ = ["Listener", "level_errors", "scored", "together", "worse_bands"]
+__all__ = ["Listener", "scored", "together", "worse_bands"]
 
+# Of which levels of partials errors are told: before and after, and of the first hammer through the path that suits it.
+LEVELS = ("initial_db", "fitted_db", "path_only_db")
 # Levels are compared over partials to this, Hz: few hammers reach beyond,
 LEVEL_TOP = 6000.0
 # within so many dB of the strongest: other sounds lie there.
@@ -48,34 +52,39 @@ class Listener:
 
     recording: Recording
     analysis: Analysis
-    sigma: float
-    spacing: np.ndarray
-    energy: np.ndarray
+    scale: float | None  # the pickup's unit at full scale; None where that is not known
+    cells: Cells
+    energy: np.ndarray  # |S|² of the recording [partials, nodes]
 
     @classmethod
-    def of(cls, recording: Recording, analysis: Analysis) -> Listener:
+    def of(cls, recording: Recording, analysis: Analysis, scale: float | None) -> Listener:
         """The listener to one recording."""
-        sigma = line_sigma(analysis.f0)
-        last = int(analysis.partials.number.max())
-        cells, energy = measure(
-            recording.samples[recording.onset :], recording.rate, analysis.f0, analysis.B, last, sigma
-        )
-        return cls(recording, analysis, sigma, cells.spacing, energy)
+        return cls(recording, analysis, scale, *_measured(recording.samples, recording, analysis))
 
     @property
-    def last(self) -> int:
-        """Number of the highest partial found."""
-        return int(self.analysis.partials.number.max())
+    def level(self) -> np.ndarray:
+        """Measured, dB [partials], in the pickup's unit."""
+        return self.analysis.partials.level + (0.0 if self.scale is None else 20 * np.log10(self.scale))
 
     @property
-    def occupied(self) -> tuple[str, ...]:
-        """Bands with a partial above the noise."""
-        return tuple(BANDS[b] for b in np.unique(band_of(self.analysis.partials.number)))
+    def gain(self) -> float | None:
+        """Full scale over the pickup's unit; None where that is not known."""
+        return None if self.scale is None else 1.0 / self.scale
 
-    def hear(self, samples: np.ndarray) -> np.ndarray:
-        """|Y|² [partials, nodes] of a sound aligned to the recording."""
-        a, r = self.analysis, self.recording
-        return measure(samples[r.onset :], r.rate, a.f0, a.B, self.last, self.sigma)[1]
+    def at(self, level: np.ndarray, number: np.ndarray) -> np.ndarray:
+        """Levels, dB, of partials `number` at the recording's [partials]; as measured where there are none."""
+        own = placed(level, number, self.analysis.partials.number, np.nan)
+        return np.where(np.isfinite(own), own, self.level)
+
+    def in_noise(self, level: np.ndarray) -> np.ndarray:
+        """Levels, dB [partials], with the energy of the noise that the recording's have: a node is not silent."""
+        noise = self.level - self.analysis.partials.snr
+        return 10 / np.log(10) * np.logaddexp(level * np.log(10) / 10, noise * np.log(10) / 10)
+
+    def best(self, samples: np.ndarray) -> tuple[np.ndarray, float]:
+        """|Y|² [partials, nodes] of a sound on the recording's cells, and the square of its best gain by eq. 19."""
+        heard = _measured(samples, self.recording, self.analysis)[1]
+        return heard, closed_form_gain(heard, self.energy, self.cells.spacing[:, None])
 
     def play(self, note: Note, gain: float | None, begins: int | None, level: np.ndarray) -> Sound:
         """A note laid on the recording, with the gain that the criterion likes best if none is given.
@@ -89,36 +98,47 @@ class Listener:
         begins = touched(note, strike, self.recording) if begins is None else begins
         samples = note.heard(strike, self.recording.rate, len(self.recording.samples), begins)
         if gain is None:
-            gain = float(np.sqrt(closed_form_gain(self.hear(samples), self.energy, self.spacing[:, None])))
+            gain = float(np.sqrt(self.best(samples)[1]))
             level = level + 20 * np.log10(max(gain, 1e-15))
         return Sound(note._replace(gain=gain), samples * gain, strike, level)
 
-    def criterion(self, initial: Sound, fitted: Sound, calibrated: bool) -> dict:
+    def compared(self, initial: Sound, fitted: Sound, levels: dict[str, np.ndarray]) -> FittedRecording:
+        """The recording beside two sounds, on the criterion and in `levels`, dB [partials], by names of `LEVELS`."""
+        errors = level_errors(levels, self.analysis.partials, self.level)
+        return FittedRecording(
+            initial, fitted, self.level, self.recording, self.analysis, self._criterion(initial, fitted), errors
+        )
+
+    def _criterion(self, initial: Sound, fitted: Sound) -> dict:
         """Eq. 19 per band on the sounds themselves, from the onset on; bands without a partial are dropped.
 
-        Unless their levels are known, `calibrated`, each has the gain that the criterion likes best.
+        Unless their levels are known each has the gain that the criterion likes best.
         """
 
         def of(sound: Sound) -> dict[str, float]:
-            heard, weight = self.hear(sound.samples), self.spacing[:, None]
-            square = 1.0 if calibrated else closed_form_gain(heard, self.energy, weight)
-            return band_values(square * heard, self.energy, self.spacing)
+            heard, square = self.best(sound.samples)
+            return band_values((square if self.scale is None else 1.0) * heard, self.energy, self.cells.spacing)
 
-        before, after = of(initial), of(fitted)
-        kept = {"global", *self.occupied}
+        before, after, number = of(initial), of(fitted), self.analysis.partials.number
+        kept = {"global", *(BANDS[b] for b in band_of(number))}
         values = {name: {"initial": before[name], "final": after[name]} for name in before if name in kept}
         return values | {
             "dropped": [name for name in BANDS if name not in kept],
-            "sigma": self.sigma,
-            "borders": list(borders(self.analysis.f0, self.analysis.B, self.last)),
+            "sigma": self.cells.sigma,
+            "borders": list(borders(self.analysis.f0, self.analysis.B, int(number.max()))),
         }
 
 
-def level_errors(levels: dict[str, np.ndarray | None], p: Partials, measured: np.ndarray) -> dict:
+def _measured(samples: np.ndarray, r: Recording, a: Analysis) -> tuple[Cells, np.ndarray]:
+    """Cells of a recording, and |Y|² on them [partials, nodes] of a sound that is aligned to it."""
+    return measure(samples[r.onset :], r.rate, a.f0, a.B, int(a.partials.number.max()), line_sigma(a.f0))
+
+
+def level_errors(levels: dict[str, np.ndarray], p: Partials, measured: np.ndarray) -> dict:
     """Rms errors, dB, of levels [partials] by name, one gain removed, and how many partials were compared."""
     chosen = scored(p.frequency, measured)
-    of = {n: None if x is None else level_error_db(x[chosen], measured[chosen]) for n, x in levels.items()}
-    return of | {"partials": int(chosen.sum())}
+    of = {name: level_error_db(level[chosen], measured[chosen]) for name, level in levels.items()}
+    return dict.fromkeys(LEVELS) | of | {"partials": int(chosen.sum())}
 
 
 def together(levels: Sequence[dict]) -> dict:
@@ -129,4 +149,4 @@ def together(levels: Sequence[dict]) -> dict:
         values = [x[name] for x in levels]
         return None if None in values else float(np.sqrt((np.square(values) * count).sum() / count.sum()))
 
-    return {name: rms(name) for name in ("initial_db", "fitted_db", "path_only_db")} | {"partials": int(count.sum())}
+    return {name: rms(name) for name in LEVELS} | {"partials": int(count.sum())}

@@ -10,7 +10,7 @@ from .coordinates import STRING_SIZE
 from .finish import Minima
 from .lanes import DB
 from .likelihood import Table, variance
-from .observations import string_law
+from .observations import placed, string_law
 from .problem import Problem
 from .reports import Latent, latent
 from .string import string_residuals
@@ -75,7 +75,4 @@ def _decays(problem: Problem, minima: Minima, which: int, number: np.ndarray) ->
     residual = string_residuals(problem, string)[0][1]
     own = np.diag(observed.decay.systematic) + np.exp(2 * minima.strings[which].phi[1][0])
     share = own / (own + np.asarray(observed.decay.variance)[0])
-    ratio = np.exp(share * residual[0])
-    by_number = np.ones(max(observed.string_number.max(), number.max()) + 1)
-    by_number[observed.string_number] = ratio
-    return by_number[number]
+    return placed(np.exp(share * residual[0]), observed.string_number, number, 1.0)

@@ -11,7 +11,7 @@ from ..analysis import Analysis
 from . import priors
 from .likelihood import Table
 
-__all__ = ["Layout", "Observed", "observe", "string_law"]
+__all__ = ["Layout", "Observed", "observe", "placed", "string_law"]
 
 # Partials above this, Hz, stand in no table: few hammers and fewer microphones reach them.
 HIGHEST = 10_000.0
@@ -109,7 +109,7 @@ def _numbers(analyses: Sequence[Analysis], ref: Analysis, absent: bool) -> np.nd
     return number[_frequency(ref, number) < HIGHEST]
 
 
-def _placed(table: np.ndarray, numbers: np.ndarray, number: np.ndarray, fill: float) -> np.ndarray:
+def placed(table: np.ndarray, numbers: np.ndarray, number: np.ndarray, fill: float) -> np.ndarray:
     """Values `table` of partials `numbers`, where `number` has them [K]."""
     by_number = np.full(max(numbers.max(initial=0), number.max()) + 1, fill)
     by_number[numbers] = table
@@ -148,9 +148,9 @@ def _levels(
 ) -> Table:
     tables = [a.partials for a in analyses]
     frequency = _frequency(ref, number)
-    value = np.stack([_placed(t.level, t.number, number, np.nan) for t in tables])
-    bound = np.stack([_placed(t.absent_bound, t.absent, number, np.nan) for t in tables])
-    error = np.stack([_placed(t.level_error, t.number, number, 1.0) for t in tables])
+    value = np.stack([placed(t.level, t.number, number, np.nan) for t in tables])
+    bound = np.stack([placed(t.absent_bound, t.absent, number, np.nan) for t in tables])
+    error = np.stack([placed(t.level_error, t.number, number, 1.0) for t in tables])
     found, absent = np.isfinite(value), np.isfinite(bound) & ~np.isfinite(value)
     if path:  # a partial that was found nowhere says nothing through a path that is not known
         absent &= found.any(axis=0)

@@ -8,18 +8,18 @@ import numpy as np
 
 from ..analysis import Analysis
 from ..criterion import BANDS
-from ..io import FIT_SCHEMA
 from ..model import Simulation
 from ..model.note import Note, arrival
 from ..model.response import level_db, ringing
 from ..parameters import FIT_NAMES, Hammer, String
 from ..recording import Recording
 from .coordinates import names_of
-from .entries import derived, given, sizes, versions
-from .listener import Listener, level_errors, together, worse_bands
-from .quantities import UNITS, Covariance
-from .result import FittedRecording, Result
+from .entries import describe, given, row, sizes
+from .listener import Listener, worse_bands
+from .quantities import Covariance
+from .result import Result
 from .start import Start
+from .statements import AT_EDGE, STOPPED
 
 __all__ = ["point_result"]
 
@@ -36,57 +36,39 @@ def point_result(
     at_bound : names of parameters that ended on an edge of their range.
     opening, messages : what is said of the search itself.
     """
-    listener = Listener.of(recording, analysis)
-    calibrated = start.scale is not None
-    unit, gain = (20 * np.log10(start.scale), 1.0 / start.scale) if start.scale is not None else (0.0, None)
-    begins = recording.onset - round(delay * recording.rate) if calibrated else None
-    values = start.values | start.initial
+    listener, values = Listener.of(recording, analysis, start.scale), start.values | start.initial
+    begins = None if start.scale is None else recording.onset - round(delay * recording.rate)
     first = Note(
         String(*(values[n] for n in String._fields)), Hammer(*(values[n] for n in Hammer._fields)), start.geometry,
         start.quantity, 1.0, None,
     )  # fmt: skip
-    last = first._replace(string=string, hammer=hammer)
     before, after = (
-        listener.play(note, gain, begins, _levels(note, note.strike(recording.rate), analysis))
-        for note in (first, last)
+        listener.play(note, listener.gain, begins, _levels(note, note.strike(recording.rate), analysis))
+        for note in (first, first._replace(string=string, hammer=hammer))
     )
-    measured = analysis.partials.level + unit
-    criterion = listener.criterion(before, after, calibrated)
-    levels = {"initial_db": before.level, "fitted_db": after.level, "path_only_db": None}
-    errors = level_errors(levels, analysis.partials, measured)
-    heard = FittedRecording(before, after, measured, recording, analysis, criterion, errors)
-    missing = [f"band {i + 1}" for i, name in enumerate(BANDS) if name in criterion["dropped"]]
-    said = [] if converged else ["The search stopped before it converged; no value is a result."]
-    said += messages
-    worse = worse_bands(criterion)
-    said += [f"The paper's criterion is no lower than at the start: {', '.join(worse)}."] * bool(worse)
-    said += [f"At the edge of the box, so their values are the box's: {', '.join(at_bound)}."] * bool(at_bound)
-    said += [f"No partial above the noise in {' and '.join(missing)}; dropped, and the next band used."] * bool(missing)
-    found = dict(zip(FIT_NAMES, (*string, *hammer), strict=True))
-    document = {
-        "schema": FIT_SCHEMA, "program": "pianofit", "recipe": recipe, "felt": start.law.name, "seed": seed,
-        "converged": converged, "claims": opening, "messages": [*said, *recording.warnings, *analysis.warnings],
-        "invariants": {},
-        "parameters": _parameters(start, found, values, at_bound, calibrated),
-        "recordings": [{
-            "file": recording.path, "sha256": recording.sha256, "channel": recording.channel, "rate": recording.rate,
-            "onset_s": recording.onset / recording.rate, "v_H0": float(hammer.v_H0), "v_H0_interval": None,
-            "v_H0_status": _status(start, "v_H0", at_bound, calibrated), "gain": after.note.gain,
-            "gain_status": "given" if calibrated else "fitted", "first": True, "cents": 0.0, "group": 0, "stroke": 0,
-            "criterion": criterion, "levels": errors,
-        }],
-        "pickup": {"quantity": start.quantity, "path": None},
-        "minima": [],
-        "derived": derived(after.note, after.simulation, analysis),
-        "criterion": criterion,
-        "levels": together([errors]),
-        "diagnostics": {"evaluations": evaluations, "partials": len(analysis.partials), "correlated": []},
-        "versions": versions(),
-    }  # fmt: skip
+    heard = listener.compared(before, after, {"initial_db": before.level, "fitted_db": after.level})
+    parameters = _parameters(start, (*string, *hammer), values, at_bound)
     names = (*names_of(start.law), "v_H0")
-    nothing = Covariance(names, np.zeros((len(names), len(names))))
-    document |= {"covariance": nothing.document()}
-    return Result(document, (heard,), 0, nothing, ((after.note,),), (1.0,))
+    document = describe(
+        start, [heard], 0, [row(heard, parameters["v_H0"], start.scale is not None)],
+        Covariance(names, np.zeros((len(names), len(names)))), recipe=recipe, seed=seed, converged=converged,
+        claims=opening,
+        messages=[*_said(heard.criterion, converged, at_bound, messages), *recording.warnings, *analysis.warnings],
+        invariants={}, parameters=parameters, minima=[],
+        diagnostics={"evaluations": evaluations, "partials": len(analysis.partials), "correlated": []},
+    )  # fmt: skip
+    return Result(document, (heard,), 0, ((after.note,),), (1.0,))
+
+
+def _said(criterion: dict, converged: bool, at_bound: Sequence[str], messages: Sequence[str]) -> list[str]:
+    """What to beware of."""
+    worse = worse_bands(criterion)
+    missing = [f"band {i + 1}" for i, name in enumerate(BANDS) if name in criterion["dropped"]]
+    said = [*([] if converged else [STOPPED]), *messages]
+    said += [f"The paper's criterion is no lower than at the start: {', '.join(worse)}."] * bool(worse)
+    said += [AT_EDGE.format(", ".join(at_bound))] * bool(at_bound)
+    said += [f"No partial above the noise in {' and '.join(missing)}; dropped, and the next band used."] * bool(missing)
+    return said
 
 
 def _levels(note: Note, simulation: Simulation, analysis: Analysis) -> np.ndarray:
@@ -99,23 +81,22 @@ def _levels(note: Note, simulation: Simulation, analysis: Analysis) -> np.ndarra
     return level[np.minimum(analysis.partials.number, len(level)) - 1]
 
 
-def _status(start: Start, name: str, at_bound: Sequence[str], calibrated: bool) -> str:
-    if name in start.fixed:
-        return "assumed" if start.fixed[name] == "assumed" else "given"
-    if name in at_bound:
-        return "at-bound"
-    if not calibrated and name in start.law.parameters:
-        return "not-identifiable"
-    return "scaled" if start.rests_on.get(name) else "fitted"
+def _parameters(start: Start, found: Sequence[float], initial: dict[str, float], at_bound: Sequence[str]) -> dict:
+    """Every parameter with value, unit and status."""
 
+    def status(name: str) -> str:
+        if name in start.fixed:
+            return "assumed" if start.fixed[name] == "assumed" else "given"
+        if name in at_bound:
+            return "at-bound"
+        if start.scale is None and name in start.law.parameters:
+            return "not-identifiable"
+        return "scaled" if start.rests_on.get(name) else "fitted"
 
-def _parameters(start: Start, found: dict, initial: dict, at_bound: Sequence[str], calibrated: bool) -> dict:
-    g = start.geometry
-    table = {}
-    for name in FIT_NAMES:
-        status = _status(start, name, at_bound, calibrated)
-        table[name] = given(found[name], name, status) | {"initial": float(initial[name])}
-    for name, value in (("x0", g.strike), ("width", g.width)):
-        known = start.fixed.get(name) == "fixed"
-        table[name] = given(float(value), name, "given" if known else "assumed") | {"unit": UNITS[name]}
+    table = {
+        name: given(value, name, status(name)) | {"initial": float(initial[name])}
+        for name, value in zip(FIT_NAMES, found, strict=True)
+    }
+    for name, value in (("x0", start.geometry.strike), ("width", start.geometry.width)):
+        table[name] = given(value, name, "given" if start.fixed.get(name) == "fixed" else "assumed")
     return table | sizes(start)

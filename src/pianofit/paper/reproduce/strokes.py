@@ -23,8 +23,7 @@ import numpy as np
 from ...analysis import Analysis, analyse, law_frequency
 from ...criterion import BANDS, Cells, band_of, band_values, line_sigma, measure
 from ...errors import ParameterError
-from ...inference import Result
-from ...inference.fit import fit_recordings
+from ...inference import Result, conclude, infer
 from ...inference.listener import scored
 from ...inference.start import starting_values
 from ...model.note import Note
@@ -144,7 +143,7 @@ def fitted(stroke: Stroke, recipe: str, seed: int, annealing: int | None = None,
     """
     heard, setup = (stroke.recording, stroke.analysis), stroke.setup
     if recipe == "default":
-        return fit_recordings([stroke.recording], [stroke.analysis], setup, seed=seed)
+        return conclude(infer([stroke.recording], [stroke.analysis], setup, seed=seed))
     if recipe == "global":
         return fit_by_recipe(*heard, setup, recipe, seed=seed)
     if recipe == "read":
