@@ -26,7 +26,7 @@ from report_cases import (
 from scipy.signal import lfilter
 
 from pianofit.errors import OutputError
-from pianofit.inference.statuses import STATUSES
+from pianofit.inference.statements import STATUSES
 from pianofit.io import replace_file
 from pianofit.numbers import number
 from pianofit.report.figures import _headings, _partials, _spectra

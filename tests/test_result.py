@@ -19,7 +19,7 @@ from twin_cases import FIRST, record_model, setup_of
 
 import pianofit
 from pianofit.errors import FitError, OutputError, ParameterError
-from pianofit.inference.statuses import STATUSES
+from pianofit.inference.statements import STATUSES
 from pianofit.parameters import FIT_NAMES, PARAMETERS
 
 HOSTILE = '<script>alert("x")</script>'

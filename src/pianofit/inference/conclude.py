@@ -12,14 +12,12 @@ from ..threads import one_blas_thread
 from .coordinates import ABSENT
 from .entries import NO_INTERVAL, describe, described, entry, row, sizes, wander_document
 from .infer import Inferred
-from .listener import together, worse_bands
+from .listener import heard_beside, together, worse_bands
 from .notes import notes_of
 from .posterior import Posterior
 from .quantities import UNITS, Covariance
 from .result import FittedRecording, Result
-from .sounds import heard_beside
-from .statements import claims, correlated, messages
-from .statuses import invariant_status, scaling, statuses, taken_back, velocity_statuses
+from .statements import claims, correlated, invariant_status, messages, scaling, statuses, taken_back, velocity_statuses
 
 __all__ = ["conclude"]
 

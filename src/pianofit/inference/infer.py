@@ -68,24 +68,10 @@ def infer(
     seed: int = 0,
     progress: Progress = lambda *_: None,
 ) -> Inferred:
-    """Infer string and hammer from one or more recordings of one key, from soft to loud in any order.
+    """What recordings of one key say of string and hammer; arguments are those of `fit`, which says what they mean.
 
-    String, felt, hammer mass and output path are those of all recordings; each stroke has a velocity, each recording a
-    gain and a pitch of its own. Measured velocities, groups and gain groups come from the setup.
-
-    Parameters
-    ----------
-    velocity : measured hammer velocity, m/s, of a single recording, held fixed.
-    intervals : `laplace`, `profile`, or `posterior`, which needs pianofit[bayes].
-    seed : of the search, and of the posterior's draws. The same seed gives the same result.
-    progress : called with a stage's name and the fraction done.
-
-    Raises
-    ------
-    ParameterError
-        For other intervals.
-    FitError
-        If a recording is given twice, is of another key or all noise, or if no hammer gives a finite sound.
+    Raises `ParameterError` for other intervals, and `FitError` if a recording is given twice, is of another key or all
+    noise, or if no hammer gives a finite sound.
     """
     check_intervals(intervals)
     problem = pose(recordings, analyses, setup or Setup(), velocity)
