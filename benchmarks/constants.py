@@ -155,7 +155,8 @@ def predicted(note: str, files: list[Path], setup: Any, layers: tuple[str, ...])
     """Errors, dB, of the layers whose files' names hold one of `layers`, each predicted from all others."""
     from pianofit import analyse, load_recording, predict_recording
     from pianofit.fit_file import gains_of
-    from pianofit.inference import conclude, infer
+    from pianofit.inference import infer
+    from pianofit.result import conclude
 
     if not layers:
         return []

@@ -86,7 +86,8 @@ def _drawn(kind: str, seed: int) -> dict:
 
     from pianofit.analysis import analyse
     from pianofit.errors import PianofitError
-    from pianofit.inference import conclude, infer
+    from pianofit.inference import infer
+    from pianofit.result import conclude
 
     twin = coverage_twins.make(kind, seed)
     about = {**twin.design._asdict(), "truth": _plain(twin)}

@@ -33,11 +33,11 @@ from pianofit.felt import DEFAULT_LAW
 from pianofit.fitting import fit
 from pianofit.inference import pose
 from pianofit.inference.posterior import Posterior
-from pianofit.inference.statements import STATUSES, _beyond_a_pianist
 from pianofit.io import FIT_SCHEMA
 from pianofit.parameters import FIT_NAMES, PARAMETERS, check
 from pianofit.recording import load_recording
 from pianofit.report.build import known_of
+from pianofit.result.statements import STATUSES, _beyond_a_pianist
 from pianofit.setup import setup_from_dict
 
 # --- calibrated -------------------------------------------------------------------------------------------------------

@@ -34,7 +34,7 @@ def asked(monkeypatch) -> list[SimpleNamespace]:
         return "fitted"
 
     monkeypatch.setattr("pianofit.inference.infer", estimator)
-    monkeypatch.setattr("pianofit.inference.conclude", lambda found: found)
+    monkeypatch.setattr("pianofit.result.conclude", lambda found: found)
     monkeypatch.setattr("pianofit.ringing.make_ring", lambda found, _: found)
     return calls
 

@@ -25,10 +25,11 @@ from twin_cases import (
 from pianofit.analysis import Partials, analyse
 from pianofit.errors import FitError
 from pianofit.fit_file import gains_of, mixture_of, read_fit
-from pianofit.inference import Result, pose
-from pianofit.inference.crossval import cross_validate
-from pianofit.inference.predict import predict_recording
-from pianofit.inference.statements import presumed
+from pianofit.inference import pose
+from pianofit.result import Result
+from pianofit.result.crossval import cross_validate
+from pianofit.result.predict import predict_recording
+from pianofit.result.statements import presumed
 from pianofit.setup import Layer, Setup
 
 FILES = [f"{stroke}-{microphone}.wav" for stroke, microphone in SEVERAL]

@@ -24,9 +24,9 @@ from twin_cases import (
 )
 
 from pianofit.analysis import analyse
-from pianofit.inference import Result
-from pianofit.inference.predict import predict_recording
 from pianofit.recording import load_recording
+from pianofit.result import Result
+from pianofit.result.predict import predict_recording
 
 FOLDER = Path(os.environ.get("PIANOFIT_RECORDINGS", Path(__file__).parents[2] / "shared" / "recordings"))
 # Relative errors.

@@ -11,7 +11,7 @@ from twin_cases import MICROPHONES, VELOCITIES, fit_recordings, path_fit, stroke
 from pianofit.cli.summary import cross_validation
 from pianofit.errors import FitError
 from pianofit.inference import pose
-from pianofit.inference.crossval import cross_validate
+from pianofit.result.crossval import cross_validate
 
 # Stroke 1 is recorded by both microphones, which stand behind two rooms; the last one's velocity was measured.
 
@@ -67,8 +67,8 @@ def test_one_stroke_at_two_microphones_does_not_fix_the_felt():
 
 def with_fits(monkeypatch, of) -> None:
     """Leave out with other results than those of fits: what `of` gives for some recordings."""
-    monkeypatch.setattr("pianofit.inference.crossval.infer", of)
-    monkeypatch.setattr("pianofit.inference.crossval.conclude", lambda found: found)
+    monkeypatch.setattr("pianofit.result.crossval.infer", of)
+    monkeypatch.setattr("pianofit.result.crossval.conclude", lambda found: found)
 
 
 def test_leaving_a_take_out_leaves_out_its_stroke(monkeypatch):

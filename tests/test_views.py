@@ -15,7 +15,7 @@ import pytest
 
 from pianofit import ParameterError, analyse, fit, recording_from_samples, setup_from_dict
 from pianofit.felt import DEFAULT_LAW
-from pianofit.inference import Inferred, conclude, estimate, pose, sampler
+from pianofit.inference import Inferred, estimate, pose, sampler
 from pianofit.inference.coordinates import STRING_SIZE, names_of
 from pianofit.inference.density import folded, given, log_density, start
 from pianofit.inference.descent import Descent
@@ -25,6 +25,7 @@ from pianofit.inference.problem import Problem
 from pianofit.inference.profile import RISE, _Profile, profiles
 from pianofit.inference.views import check_intervals, open_messages, reported, view_of
 from pianofit.paper.laboratory import make_twin, setup_text
+from pianofit.result import conclude
 
 FORCE, P = (names_of(DEFAULT_LAW).index(name) for name in ("K_H", "p"))
 pytestmark = pytest.mark.usefixtures("float64")

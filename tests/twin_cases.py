@@ -14,10 +14,11 @@ import scipy.signal
 from brute_force import make_twin, matched_width
 
 from pianofit.analysis import Analysis, analyse
-from pianofit.inference import Result, conclude, infer
+from pianofit.inference import infer
 from pianofit.model import simulate
 from pianofit.parameters import FIT_NAMES, Geometry, Hammer, String
 from pianofit.recording import Recording, recording_from_samples
+from pianofit.result import Result, conclude
 from pianofit.setup import Layer, Setup, setup_from_dict
 
 RATE = 48_000

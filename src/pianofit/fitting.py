@@ -18,7 +18,7 @@ from .setup import Setup, layer_of, load_setup, setup_from_dict
 from .sources import Source, read
 
 if TYPE_CHECKING:
-    from .inference import Result
+    from .result import Result
 
 __all__ = ["fit", "listen"]
 
@@ -98,7 +98,8 @@ def fit(
                 sounds[0], heard[0], replace(known, recordings=()), recipe, velocity=measured, evaluations=evaluations,
                 seed=seed, progress=report,
             )  # fmt: skip
-        from .inference import conclude, infer
+        from .inference import infer
+        from .result import conclude
         from .ringing import make_ring
 
         found = infer(sounds, heard, known, velocity=velocity, intervals=intervals, seed=seed, progress=report)

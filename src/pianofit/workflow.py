@@ -11,9 +11,9 @@ from .errors import AnalysisError, FitError, WrongNoteError
 from .io import check_sound_target, encode_wav, json_text, one_line, replace_file, write_file
 
 if TYPE_CHECKING:
-    from .inference import Result
     from .model.note import Note
     from .recording import Recording
+    from .result import Result
     from .setup import Setup
 
 __all__ = ["cross_validate_files", "predict_file", "run_demo"]
@@ -35,9 +35,9 @@ def predict_file(fit: Path, file: Path, out: Path | None, *, channel: str = "ave
     note = mixture[0][1]
     recording = load_recording(file, channel=channel)
     from .analysis import analyse
-    from .inference.align import touched
-    from .inference.predict import predict_recording
     from .model.cache import keep_programs
+    from .result.align import touched
+    from .result.predict import predict_recording
 
     keep_programs()
     try:
@@ -96,8 +96,8 @@ def cross_validate_files(
 
     recordings = read(files, channel)
     analyses = listen(recordings, note, f0)
-    from .inference.crossval import cross_validate
     from .model.cache import keep_programs
+    from .result.crossval import cross_validate
 
     keep_programs()
     found, whole = cross_validate(recordings, analyses, known, seed=seed, progress=progress)

@@ -20,7 +20,6 @@ from ..analysis import Analysis
 from ..criterion import band_of, line_sigma
 from ..errors import FitError
 from ..felt import DEFAULT_LAW
-from ..inference.align import laid
 from ..inference.priors import HAMMER_SPREAD
 from ..inference.search import NO_HAMMER
 from ..inference.start import Start
@@ -29,6 +28,7 @@ from ..model.modes import mode_frequencies
 from ..model.note import Note, arrival
 from ..parameters import FIT_NAMES, HAMMER_NAMES, PARAMETERS, STRING_NAMES, Geometry, Hammer, String
 from ..recording import Recording
+from ..result.align import laid
 from .annealing import anneal
 from .descent import Descended, LeastSquares, gradient_descent
 from .spectral import Goal, spectral_goal

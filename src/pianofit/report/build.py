@@ -14,11 +14,11 @@ import numpy as np
 from ..analysis import law_frequency
 from ..errors import FitError, ParameterError
 from ..felt import law_of
-from ..inference import Result
 from ..io import reference_of
 from ..model import static_force
 from ..model.decay import partial_decays
 from ..parameters import PARAMETERS
+from ..result import Result
 from ..ringing import HEARD, band, kernel_seconds, mel_edges, mel_power
 from ..units import NORMAL
 from .curves import Curves, Envelope, Felt, Known, RecordingCurves, RingingCurves, Strokes

@@ -23,12 +23,13 @@ import numpy as np
 from ...analysis import Analysis, analyse, law_frequency
 from ...criterion import BANDS, Cells, band_of, band_values, line_sigma, measure
 from ...errors import ParameterError
-from ...inference import Result, conclude, infer
-from ...inference.listener import scored
+from ...inference import infer
 from ...inference.start import starting_values
 from ...model.note import Note
 from ...parameters import FIT_NAMES, STRING_NAMES
 from ...recording import Recording, recording_from_samples
+from ...result import Result, conclude
+from ...result.listener import scored
 from ...setup import Setup, setup_from_dict
 from ..laboratory import Laboratory, Measurement, setup_text
 from ..laboratory import measure as record

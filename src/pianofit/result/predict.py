@@ -16,12 +16,12 @@ from scipy.optimize import fminbound
 from ..analysis import Analysis, analyse
 from ..criterion import level_error_db
 from ..errors import FitError
+from ..inference.priors import LEVEL, VELOCITY, VELOCITY_SPREAD, log_gain
 from ..model.note import SLOWEST, Note
 from ..model.path import SAME_PARTIAL
 from ..sources import Source
 from ..threads import one_blas_thread
 from .listener import scored
-from .priors import LEVEL, VELOCITY, VELOCITY_SPREAD, log_gain
 from .result import Result
 
 __all__ = ["Prediction", "predict_recording"]

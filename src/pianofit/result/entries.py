@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Sequence
+from importlib.metadata import version
 
 import numpy as np
 
 from .. import __version__
 from ..felt import FeltLaw, is_own, law_of
+from ..inference.start import Start
 from ..io import FIT_SCHEMA
 from ..model.path import OutputPath, Wander
 from .listener import together
 from .quantities import UNITS, Covariance
 from .result import FittedRecording
-from .start import Start
 
 __all__ = ["NO_INTERVAL", "describe", "described", "entry", "given", "path_document", "row", "sizes", "wander_document"]
 
@@ -123,10 +124,5 @@ def _derived(heard: FittedRecording) -> dict:
 
 def _versions() -> dict[str, str]:
     """Of the program and of everything the numbers depend on."""
-    import jax
-    import scipy
-
-    return {
-        "pianofit": __version__, "python": platform.python_version(), "jax": jax.__version__,
-        "numpy": np.__version__, "scipy": scipy.__version__,
-    }  # fmt: skip
+    own = {"pianofit": __version__, "python": platform.python_version()}
+    return own | {name: version(name) for name in ("jax", "numpy", "scipy")}

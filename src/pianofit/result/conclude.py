@@ -6,15 +6,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ..inference.coordinates import ABSENT
+from ..inference.infer import Inferred
+from ..inference.posterior import Posterior
 from ..model.note import Note
 from ..parameters import FIT_NAMES
 from ..threads import one_blas_thread
-from .coordinates import ABSENT
 from .entries import NO_INTERVAL, describe, described, entry, row, sizes, wander_document
-from .infer import Inferred
 from .listener import heard_beside, together, worse_bands
 from .notes import notes_of
-from .posterior import Posterior
 from .quantities import UNITS, Covariance
 from .result import FittedRecording, Result
 from .statements import claims, correlated, invariant_status, messages, scaling, statuses, taken_back, velocity_statuses

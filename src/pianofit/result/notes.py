@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..inference.coordinates import STRING_SIZE
+from ..inference.finish import Minima
+from ..inference.lanes import DB
+from ..inference.likelihood import Table, variance
+from ..inference.observations import placed, string_law
+from ..inference.problem import Problem
+from ..inference.reports import Latent, latent
+from ..inference.string import string_residuals
 from ..model.note import Note
 from ..model.path import OutputPath, Wander
-from .coordinates import STRING_SIZE
-from .finish import Minima
-from .lanes import DB
-from .likelihood import Table, variance
-from .observations import placed, string_law
-from .problem import Problem
-from .reports import Latent, latent
-from .string import string_residuals
 from .walks import NOTHING, between_strokes
 
 __all__ = ["latents", "notes_of"]

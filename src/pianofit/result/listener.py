@@ -19,14 +19,14 @@ from ..criterion import (
     line_sigma,
     measure,
 )
+from ..inference.infer import Inferred
+from ..inference.observations import placed
+from ..inference.reports import latent
 from ..model.note import Note
 from ..parameters import STRING_NAMES
 from ..recording import Recording
 from .align import laid, touched
-from .infer import Inferred
 from .notes import latents
-from .observations import placed
-from .reports import latent
 from .result import FittedRecording, Sound
 
 __all__ = ["Listener", "heard_beside", "scored", "together", "worse_bands"]

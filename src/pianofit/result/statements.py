@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
+from ..inference import priors
+from ..inference.coordinates import STRING_SIZE
+from ..inference.infer import Inferred
+from ..inference.problem import Problem
 from ..io import one_line
 from ..numbers import off_by, with_half_interval
 from ..units import NORMAL
-from . import priors
-from .coordinates import STRING_SIZE
-from .infer import Inferred
-from .problem import Problem
 
 __all__ = [
     "AT_EDGE", "STATUSES", "STOPPED", "claims", "correlated", "invariant_status", "messages", "presumed", "scaling",

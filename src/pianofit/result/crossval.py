@@ -15,11 +15,11 @@ from ..analysis import Analysis
 from ..criterion import level_error_db
 from ..errors import FitError
 from ..fit_file import gains_of
+from ..inference.infer import infer
 from ..parameters import check_seed
 from ..recording import Recording
 from ..setup import Setup
 from .conclude import conclude
-from .infer import infer
 from .listener import scored
 from .predict import Prediction, predict_recording
 from .result import Result

@@ -8,17 +8,17 @@ import numpy as np
 
 from ..analysis import Analysis
 from ..criterion import BANDS
+from ..inference.coordinates import names_of
+from ..inference.start import Start
 from ..model import Simulation
 from ..model.note import Note, arrival
 from ..model.response import level_db, ringing
 from ..parameters import FIT_NAMES, Hammer, String
 from ..recording import Recording
-from .coordinates import names_of
 from .entries import describe, given, row, sizes
 from .listener import Listener, worse_bands
 from .quantities import Covariance
 from .result import Result
-from .start import Start
 from .statements import AT_EDGE, STOPPED
 
 __all__ = ["point_result"]
