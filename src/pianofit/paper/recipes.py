@@ -22,8 +22,8 @@ from ..inference.start import Start, starting_values
 from ..parameters import FIT_NAMES, Hammer, String
 from ..recording import Recording
 from ..result import Result
-from ..result.point import point_result
 from ..setup import Setup
+from .point import point_result
 from .search import ALL, pose, split
 
 __all__ = ["RECIPES", "Found", "check_recipe", "fit_by_paper", "fit_by_recipe"]

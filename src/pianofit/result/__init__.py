@@ -1,7 +1,7 @@
 """What a fit says: sounds, numbers with intervals and statuses, sentences, `fit.json`; and what it foretells.
 
-`conclude` puts what was inferred into a `Result`, `point` what a search without a posterior has found. `predict` plays
-a fit at velocities that it was not fitted to, `crossval` leaves strokes out for that.
+`conclude` puts what was inferred into a `Result`. `predict` plays a fit at a velocity that it was not fitted to,
+`crossval` leaves strokes out for that.
 """
 
 from __future__ import annotations

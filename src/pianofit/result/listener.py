@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..analysis import Analysis, Partials
+from ..analysis import Analysis
 from ..criterion import (
     BANDS,
     Cells,
@@ -109,11 +109,13 @@ class Listener:
         return Sound(note._replace(gain=gain), samples * gain, strike, level)
 
     def compared(self, initial: Sound, fitted: Sound, levels: dict[str, np.ndarray]) -> FittedRecording:
-        """The recording beside two sounds, on the criterion and in `levels`, dB [partials], by names of `LEVELS`."""
-        errors = level_errors(levels, self.analysis.partials, self.level)
+        """The recording beside two sounds, on the criterion, and on some of `LEVELS`, dB [partials], less one gain."""
+        chosen = scored(self.analysis.partials.frequency, self.level)
+        off = {name: level_error_db(level[chosen], self.level[chosen]) for name, level in levels.items()}
         return FittedRecording(
-            initial, fitted, self.level, self.recording, self.analysis, self._criterion(initial, fitted), errors
-        )
+            initial, fitted, self.level, self.recording, self.analysis, self._criterion(initial, fitted),
+            dict.fromkeys(LEVELS) | off | {"partials": int(chosen.sum())},
+        )  # fmt: skip
 
     def _criterion(self, initial: Sound, fitted: Sound) -> dict:
         """Eq. 19 per band on the sounds themselves, from the onset on; bands without a partial are dropped.
@@ -138,13 +140,6 @@ class Listener:
 def _measured(samples: np.ndarray, r: Recording, a: Analysis) -> tuple[Cells, np.ndarray]:
     """Cells of a recording, and |Y|² on them [partials, nodes] of a sound that is aligned to it."""
     return measure(samples[r.onset :], r.rate, a.f0, a.B, int(a.partials.number.max()), line_sigma(a.f0))
-
-
-def level_errors(levels: dict[str, np.ndarray], p: Partials, measured: np.ndarray) -> dict:
-    """Rms errors, dB, of levels [partials] by name, one gain removed, and how many partials were compared."""
-    chosen = scored(p.frequency, measured)
-    of = {name: level_error_db(level[chosen], measured[chosen]) for name, level in levels.items()}
-    return dict.fromkeys(LEVELS) | of | {"partials": int(chosen.sum())}
 
 
 def together(levels: Sequence[dict]) -> dict:

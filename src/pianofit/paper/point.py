@@ -15,11 +15,10 @@ from ..model.note import Note, arrival
 from ..model.response import level_db, ringing
 from ..parameters import FIT_NAMES, Hammer, String
 from ..recording import Recording
-from .entries import describe, given, row, sizes
-from .listener import Listener, worse_bands
-from .quantities import Covariance
-from .result import Result
-from .statements import AT_EDGE, STOPPED
+from ..result import Covariance, Result
+from ..result.entries import describe, given, row, sizes
+from ..result.listener import Listener, worse_bands
+from ..result.statements import AT_EDGE, STOPPED
 
 __all__ = ["point_result"]
 
