@@ -240,9 +240,9 @@ def known_excess() -> tuple[Problem, Estimate]:
     tables = [table._replace(prior=(phi, np.full(4, 0.01))) for table, phi in pairs]
     problem = replace(problem, observed=replace(o, level=tables[0], frequency=tables[1], decay=tables[2]))
     search = Descent(problem, fitted().z[:STRING_SIZE], strings)
-    search.offset = minima.offsets[0]
+    search.offset = minima.descent.offset
     people = search.descend(search.begun(fitted().z[None], phis[0], minima.people.w[0]), 0.0, 60)
-    minima = minima._replace(search=search, people=people, F=search.total(people.z, people.report))
+    minima = minima._replace(descents=[search], people=people, F=search.total(people.z, people.report))
     return problem, Estimate(minima, laplace(problem, minima), 0)
 
 
