@@ -12,7 +12,7 @@ from ..inference.posterior import Posterior
 from ..model.note import Note
 from ..parameters import FIT_NAMES
 from ..threads import one_blas_thread
-from .entries import NO_INTERVAL, describe, described, entry, row, sizes, wander_document
+from .entries import describe, described, entry, no_interval, row, sizes, wander_document
 from .listener import heard_beside, together, worse_bands
 from .notes import notes_of
 from .quantities import UNITS, Covariance
@@ -65,7 +65,7 @@ def _interval(
     """Of a sum of logarithms, about the value that is shown; it ends at the `box` of logarithms, and says where."""
     found = posterior.interval(change)
     if found is None:
-        return NO_INTERVAL
+        return no_interval()
     ends = np.clip(np.add(found, np.log(value) - float(posterior.mean[0] @ change)), *box)
     return {
         "interval": np.exp(np.minimum(ends, LARGEST)).tolist(),

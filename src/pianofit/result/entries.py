@@ -17,9 +17,7 @@ from .listener import together
 from .quantities import UNITS, Covariance
 from .result import FittedRecording
 
-__all__ = ["NO_INTERVAL", "describe", "described", "entry", "given", "path_document", "row", "sizes", "wander_document"]
-
-NO_INTERVAL = {"interval": None, "interval_by": None, "interval_open": []}
+__all__ = ["describe", "described", "entry", "given", "no_interval", "path_document", "row", "sizes", "wander_document"]
 
 
 def describe(
@@ -46,9 +44,15 @@ def describe(
     }  # fmt: skip
 
 
-def entry(value: float, said: dict, status: str, initial: float, note: str = "", interval: dict = NO_INTERVAL) -> dict:
+def no_interval() -> dict:
+    """Of what no fit searches."""
+    return {"interval": None, "interval_by": None, "interval_open": []}
+
+
+def entry(value: float, said: dict, status: str, initial: float, note: str = "", interval: dict | None = None) -> dict:
     """A row of `parameters`: `said` are its unit and meaning."""
-    return {"value": value, **said, **interval, "status": status, "initial": initial, "note": note}
+    span = interval or no_interval()
+    return {"value": value, **said, **span, "status": status, "initial": initial, "note": note}
 
 
 def given(value: float, name: str, status: str) -> dict:
