@@ -155,7 +155,8 @@ def predicted(note: str, files: list[Path], setup: Any, layers: tuple[str, ...])
     """Errors, dB, of the layers whose files' names hold one of `layers`, each predicted from all others."""
     from pianofit import analyse, load_recording, predict_recording
     from pianofit.fit_file import gains_of
-    from pianofit.inference.fit import fit_recordings
+    from pianofit.inference import infer
+    from pianofit.result import conclude
 
     if not layers:
         return []
@@ -166,7 +167,7 @@ def predicted(note: str, files: list[Path], setup: Any, layers: tuple[str, ...])
         if not set(layers) & set(file.stem.split("-")):
             continue
         rest = [j for j in range(len(files)) if j != i]
-        fit = fit_recordings([recordings[j] for j in rest], [analyses[j] for j in rest], setup)
+        fit = conclude(infer([recordings[j] for j in rest], [analyses[j] for j in rest], setup))
         notes = [(share, each[0]) for share, each in zip(fit.shares, fit.notes, strict=True)]
         errors.append(predict_recording(notes, analyses[i], gains=gains_of(fit.document, 0)).error_db)
     return errors

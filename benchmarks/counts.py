@@ -30,9 +30,10 @@ def counts(seconds: float, noise_db: float | None = 30.0) -> dict[str, Any]:
     jax.monitoring.register_event_duration_secs_listener(lambda event, *_, **__: events.update([event]))
     import pianofit
     from pianofit.analysis import analyse
-    from pianofit.inference import conclude, estimate, pose
+    from pianofit.inference import Inferred, estimate, pose
     from pianofit.model.cache import keep_programs
     from pianofit.paper.laboratory import make_twin, setup_text
+    from pianofit.result import conclude
 
     with tempfile.TemporaryDirectory() as folder:
         setup = Path(folder) / "setup.toml"
@@ -46,7 +47,7 @@ def counts(seconds: float, noise_db: float | None = 30.0) -> dict[str, Any]:
         problem = pose([recording], [found], known)
         fit = estimate(problem)
         searched = dict(events)
-        conclude(problem, fit, 0)
+        conclude(Inferred(problem, fit, 0))
         names = [path.name.split("-")[1] for path in Path(os.environ["PIANOFIT_CACHE"]).glob("*.program")]
     return {
         "compilations": searched[COMPILED], "traces": searched[TRACED], "kept_programs": len(names),

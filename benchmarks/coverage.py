@@ -81,20 +81,20 @@ def _demo(seed: int, noise_db: float | None) -> dict:
 
 
 def _drawn(kind: str, seed: int) -> dict:
-    """One twin of `coverage_twins`, by the same steps as `fit_recordings`, which keep the problem and its minima."""
+    """One twin of `coverage_twins`, with the problem and its minima."""
     import coverage_twins
 
     from pianofit.analysis import analyse
     from pianofit.errors import PianofitError
-    from pianofit.inference import conclude, estimate, pose
+    from pianofit.inference import infer
+    from pianofit.result import conclude
 
     twin = coverage_twins.make(kind, seed)
     about = {**twin.design._asdict(), "truth": _plain(twin)}
     try:
         analyses = [analyse(recording, f0=twin.truth.f0) for recording in twin.recordings]
-        problem = pose(twin.recordings, analyses, twin.setup)
-        found = estimate(problem, seed)
-        document = conclude(problem, found, seed).document
+        fit = infer(twin.recordings, analyses, twin.setup, seed=seed)
+        problem, found, document = fit.problem, fit.found, conclude(fit).document
     except PianofitError as error:
         return about | {"refused": str(error)}
     true = coverage_twins.values_of(kind, twin.truth, problem.reference)

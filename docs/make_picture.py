@@ -11,10 +11,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.image import imsave
 
-from pianofit.inference import Result
 from pianofit.report.build import reference_curves
 from pianofit.report.drawing import legend, styled
 from pianofit.report.figures import COMPARED, draw_attack, draw_levels, draw_loop, draw_spectrum
+from pianofit.result import Result
 from pianofit.workflow import run_demo
 
 PICTURE = Path(__file__).with_name("picture.png")

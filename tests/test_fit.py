@@ -16,6 +16,7 @@ from twin_cases import (
     VELOCITIES,
     calibrated,
     errors,
+    fit_recordings,
     fit_twin,
     misses,
     path_fit,
@@ -31,13 +32,12 @@ from pianofit.analysis import analyse
 from pianofit.felt import DEFAULT_LAW
 from pianofit.fitting import fit
 from pianofit.inference import pose
-from pianofit.inference.fit import fit_recordings
 from pianofit.inference.posterior import Posterior
-from pianofit.inference.statements import STATUSES, _beyond_a_pianist
 from pianofit.io import FIT_SCHEMA
 from pianofit.parameters import FIT_NAMES, PARAMETERS, check
 from pianofit.recording import load_recording
 from pianofit.report.build import known_of
+from pianofit.result.statements import STATUSES, _beyond_a_pianist
 from pianofit.setup import setup_from_dict
 
 # --- calibrated -------------------------------------------------------------------------------------------------------
@@ -154,10 +154,10 @@ def test_a_fit_improves_on_its_start():
     ("ratio", "spread", "said"), [(19.0, 0.1, ""), (40.0, 0.5, ""), (60.0, 0.1, "60 times (49.3 to 73")]
 )
 def test_strokes_farther_apart_than_a_pianists_are_told(ratio, spread, said):
-    problem = SimpleNamespace(unknowns=SimpleNamespace(size=5, shared=2), layout=SimpleNamespace(strokes=3))
+    problem = SimpleNamespace(unknowns=SimpleNamespace(size=5, shared=2))
     z = np.array([9.0, -9.0, 0.3, 0.1, 0.1 + np.log(ratio)])
-    found = SimpleNamespace(z=z, posterior=Posterior(z[None], np.diag([9, 9, 9, 0, spread**2])[None], np.ones(1)))
-    text = _beyond_a_pianist(problem, found)
+    posterior = Posterior(z[None], np.diag([9, 9, 9, 0, spread**2])[None], np.ones(1))
+    text = _beyond_a_pianist(SimpleNamespace(problem=problem, found=SimpleNamespace(z=z), posterior=posterior))
     assert said in text
     assert bool(text) == bool(said)
 

@@ -33,7 +33,8 @@ def asked(monkeypatch) -> list[SimpleNamespace]:
         calls.append(SimpleNamespace(recordings=recordings, analyses=analyses, setup=setup, **more))
         return "fitted"
 
-    monkeypatch.setattr("pianofit.inference.fit.fit_recordings", estimator)
+    monkeypatch.setattr("pianofit.inference.infer", estimator)
+    monkeypatch.setattr("pianofit.result.conclude", lambda found: found)
     monkeypatch.setattr("pianofit.ringing.make_ring", lambda found, _: found)
     return calls
 
@@ -127,7 +128,7 @@ def test_a_recipe_takes_the_velocity_of_the_recording_it_fits(file, monkeypatch)
 def test_progress_goes_where_it_is_asked_to(asked, file, capsys, monkeypatch):
     seen: list[str] = []
     pianofit.fit(file, note="A4", progress=lambda stage, _: seen.append(stage))
-    assert seen == ["reading", "partials"]
+    assert seen == ["reading", "partials", "sounds"]
     pianofit.fit(file, note="A4")
     assert capsys.readouterr().err == "", "no terminal, no notebook, nothing"
     monkeypatch.setitem(sys.modules, "ipykernel", SimpleNamespace())

@@ -8,15 +8,28 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
-from twin_cases import ALONE, FIRST, MICROPHONES, SEVERAL, VELOCITIES, path_fit, record, setup_of, strokes_of, through
+from twin_cases import (
+    ALONE,
+    FIRST,
+    MICROPHONES,
+    SEVERAL,
+    VELOCITIES,
+    fit_recordings,
+    path_fit,
+    record,
+    setup_of,
+    strokes_of,
+    through,
+)
 
 from pianofit.analysis import Partials, analyse
 from pianofit.errors import FitError
 from pianofit.fit_file import gains_of, mixture_of, read_fit
-from pianofit.inference import Result, pose
-from pianofit.inference.fit import fit_recordings
-from pianofit.inference.predict import cross_validate, predict_recording
-from pianofit.inference.statements import presumed
+from pianofit.inference import pose
+from pianofit.result import Result
+from pianofit.result.crossval import cross_validate
+from pianofit.result.predict import predict_recording
+from pianofit.result.statements import presumed
 from pianofit.setup import Layer, Setup
 
 FILES = [f"{stroke}-{microphone}.wav" for stroke, microphone in SEVERAL]

@@ -11,13 +11,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from twin_cases import ALONE, FIRST, MICROPHONES, SEVERAL, VELOCITIES, calibrated, path_fit, standard_errors
+from twin_cases import (
+    ALONE,
+    FIRST,
+    MICROPHONES,
+    SEVERAL,
+    VELOCITIES,
+    calibrated,
+    fit_recordings,
+    path_fit,
+    standard_errors,
+)
 
 from pianofit.analysis import analyse
-from pianofit.inference import Result
-from pianofit.inference.fit import fit_recordings
-from pianofit.inference.predict import predict_recording
 from pianofit.recording import load_recording
+from pianofit.result import Result
+from pianofit.result.predict import predict_recording
 
 FOLDER = Path(os.environ.get("PIANOFIT_RECORDINGS", Path(__file__).parents[2] / "shared" / "recordings"))
 # Relative errors.

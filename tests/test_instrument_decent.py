@@ -14,10 +14,10 @@ import pytest
 import soundfile
 from instrument_cases import true_instrument
 
-from pianofit.inference.align import lag
 from pianofit.play import SAMPLERS, Asked, export_sampler
 from pianofit.play.layers import spans_of, velocities_of
 from pianofit.play.strings import damper_rate
+from pianofit.result.align import lag
 
 KEYS = [55, 60, 100]
 # From the developer's guide, version 1.22.2: elements, those they may stand in, and of their attributes those needed

@@ -17,13 +17,13 @@ from instrument_cases import ERRORS, library, true_instrument, true_note
 from pianofit.analysis import midi_to_note
 from pianofit.cli import main
 from pianofit.errors import OutputError, ParameterError
-from pianofit.inference.align import lag
 from pianofit.keyboard import build_instrument, find_fits, load_instrument, load_keys
 from pianofit.keyboard.velocity import hammer_velocity
 from pianofit.model.modes import mode_frequencies
 from pianofit.play import Asked, export_sampler, parse_keys
 from pianofit.play.layers import crossfaded, spans_of, velocities_of
 from pianofit.play.strings import damper_rate
+from pianofit.result.align import lag
 
 RATE = 48_000
 KEYS = [28, 55, 79]

@@ -38,23 +38,24 @@ USES = {
     "model": "criterion decode felt parameters",
     "ringing_file": "decode io model",
     "fit_file": "decode felt io model parameters ringing_file",
-    "inference": "analysis criterion felt fit_file io model parameters progress published recording setup sources"
-    " tables threads",
-    "ringing": "analysis inference model recording ringing_file threads",
-    "report": "analysis felt inference io model parameters ringing ringing_file",
+    "inference": "analysis felt io model parameters progress published recording setup tables threads",
+    "result": "analysis criterion felt fit_file inference io model parameters recording setup sources tables threads",
+    "ringing": "analysis model recording result ringing_file threads",
+    "report": "analysis felt io model parameters result ringing ringing_file",
     "listening": "io recording report",
-    "paper": "analysis criterion felt inference io listening model parameters published recording report setup tables",
+    "paper": "analysis criterion felt inference io listening model parameters published recording report result setup"
+    " tables",
     "keyboard": "analysis criterion fit_file io model parameters published report ringing_file",
-    "fitting": "analysis inference paper parameters progress recording ringing setup sources",
+    "fitting": "analysis inference paper parameters progress recording result ringing setup sources",
     "play": "analysis decode felt io keyboard model parameters recording report tables threads",
-    "workflow": "analysis fit_file fitting inference io model paper recording setup sources",
+    "workflow": "analysis fit_file fitting io model paper recording result setup sources",
     "batch": "analysis fitting io model parameters recording report tables",
     "cli": "analysis batch felt fit_file fitting io keyboard listening model paper parameters play progress"
     " published recording report setup workflow",
     "__main__": "cli",
 }
 # What a method of a public type enters when it is called, against these arrows, by an import of its own.
-CALLS = {"felt": "model", "model": "play", "inference": "report"}
+CALLS = {"felt": "model", "model": "play", "result": "report"}
 EVERYWHERE = {"errors", "numbers", "powers", "units"}
 # Who loads modules by names: the public names, the felt's laws, packages that only some need.
 BY_NAME = ("__init__.py", "felt/__init__.py", "tables.py")

@@ -6,13 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from twin_cases import MICROPHONES, VELOCITIES, path_fit, strokes_of, through
+from twin_cases import MICROPHONES, VELOCITIES, fit_recordings, path_fit, strokes_of, through
 
 from pianofit.cli.summary import cross_validation
 from pianofit.errors import FitError
 from pianofit.inference import pose
-from pianofit.inference.fit import fit_recordings
-from pianofit.inference.predict import cross_validate
+from pianofit.result.crossval import cross_validate
 
 # Stroke 1 is recorded by both microphones, which stand behind two rooms; the last one's velocity was measured.
 
@@ -66,6 +65,12 @@ def test_one_stroke_at_two_microphones_does_not_fix_the_felt():
     assert document["recordings"][0]["v_H0"] == document["recordings"][1]["v_H0"]
 
 
+def with_fits(monkeypatch, of) -> None:
+    """Leave out with other results than those of fits: what `of` gives for some recordings."""
+    monkeypatch.setattr("pianofit.result.crossval.infer", of)
+    monkeypatch.setattr("pianofit.result.crossval.conclude", lambda found: found)
+
+
 def test_leaving_a_take_out_leaves_out_its_stroke(monkeypatch):
     """With the notes of the fit of all instead of four more fits: who is left out, and what is compared with whom."""
     recordings, analyses = through(MICROPHONES)
@@ -79,7 +84,7 @@ def test_leaving_a_take_out_leaves_out_its_stroke(monkeypatch):
             first=0,
         )
 
-    monkeypatch.setattr("pianofit.inference.predict.fit_recordings", instead)
+    with_fits(monkeypatch, instead)
     found, _ = cross_validate(recordings, analyses, strokes_of(MICROPHONES))
     everything = {f"{b}-{m}.wav" for b, m in MICROPHONES}
     assert [everything - set(files) for files in fits] == [
@@ -104,7 +109,7 @@ def test_without_a_take_between_others_there_is_no_median(monkeypatch):
     rows = [row | {"group": i} for i, row in enumerate(path_fit(MICROPHONES).document["recordings"][:3])]
     whole = replace(path_fit(MICROPHONES), document=path_fit(MICROPHONES).document | {"recordings": rows})
     fits = iter([whole, *[replace(whole, recordings=whole.recordings[:2])] * 3])
-    monkeypatch.setattr("pianofit.inference.predict.fit_recordings", lambda *_, **__: next(fits))
+    with_fits(monkeypatch, lambda *_, **__: next(fits))
     found, _ = cross_validate(recordings, analyses, strokes_of(MICROPHONES))
     assert [found["median_inner_db"], found["worst_inner_db"]] == [None, None]
     assert len(found["messages"]) == 3
@@ -115,6 +120,6 @@ def test_too_few_strokes_to_leave_one_out(monkeypatch):
     recordings, analyses = ([x[i] for i in (1, 2, 3)] for x in through(MICROPHONES))
     rows = [path_fit(MICROPHONES).document["recordings"][i] for i in (1, 2, 3)]
     whole = replace(path_fit(MICROPHONES), document=path_fit(MICROPHONES).document | {"recordings": rows})
-    monkeypatch.setattr("pianofit.inference.predict.fit_recordings", lambda *_, **__: whole)
+    with_fits(monkeypatch, lambda *_, **__: whole)
     with pytest.raises(FitError, match="3 recordings of 2 strokes are too few to leave one stroke out"):
         cross_validate(recordings, analyses, strokes_of(MICROPHONES))

@@ -9,11 +9,11 @@ from instrument_cases import true_note, uneven_note
 
 from pianofit import recording_from_samples
 from pianofit.errors import ParameterError
-from pianofit.inference.align import lag, placed, touched
 from pianofit.model.modes import mode_frequencies
 from pianofit.model.note import Note, arrival
 from pianofit.model.path import OutputPath, filtered, impulse
 from pianofit.model.response import level_db, ringing
+from pianofit.result.align import lag, placed, touched
 
 RATE, PERIOD = 10_000, 270  # of A♯1, 27 ms: an attack of 50 ms holds not two
 

@@ -8,9 +8,9 @@ from observed_cases import analysis
 
 import pianofit
 from pianofit.fit_file import gains_of
-from pianofit.inference.predict import predict_recording
 from pianofit.inference.priors import log_gain
 from pianofit.model.path import OutputPath, Wander
+from pianofit.result.predict import predict_recording
 
 
 @pytest.mark.parametrize("velocity", [0.4, 1.3])

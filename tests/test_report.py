@@ -26,13 +26,13 @@ from report_cases import (
 from scipy.signal import lfilter
 
 from pianofit.errors import OutputError
-from pianofit.inference.statements import STATUSES
 from pianofit.io import replace_file
 from pianofit.numbers import number
 from pianofit.report.figures import _headings, _partials, _spectra
 from pianofit.report.page import Curves, report_bytes
 from pianofit.report.sound import k_weighted_mean_square, make_clips
 from pianofit.report.words import STATUS, again_in_words, minima, ringing, ringing_line, rows
+from pianofit.result.statements import STATUSES
 
 
 @pytest.fixture(scope="module")

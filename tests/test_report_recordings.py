@@ -27,7 +27,6 @@ from scipy.signal import resample_poly
 
 from pianofit.felt import LAWS, MemoryHammer
 from pianofit.inference.coordinates import names_of
-from pianofit.inference.quantities import Quantities
 from pianofit.model.note import Note
 from pianofit.parameters import Geometry, Hammer, String
 from pianofit.report.build import felt_of, known_of, paths_of, recordings_of, strokes_of
@@ -35,6 +34,7 @@ from pianofit.report.curves import Felt, Known
 from pianofit.report.known import held_out_rows, identified, open_scale
 from pianofit.report.page import report_bytes
 from pianofit.report.sound import make_clips
+from pianofit.result.quantities import Quantities
 
 HOSTILE = "</script><script>alert(1)</script>\"'><img src=x onerror=alert(2)>\n{{ 7 * 7 }} $\\frac$ &amp; \udcff"
 

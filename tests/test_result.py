@@ -19,8 +19,8 @@ from twin_cases import FIRST, record_model, setup_of
 
 import pianofit
 from pianofit.errors import FitError, OutputError, ParameterError
-from pianofit.inference.statements import STATUSES
 from pianofit.parameters import FIT_NAMES, PARAMETERS
+from pianofit.result.statements import STATUSES
 
 HOSTILE = '<script>alert("x")</script>'
 

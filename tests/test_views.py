@@ -15,7 +15,7 @@ import pytest
 
 from pianofit import ParameterError, analyse, fit, recording_from_samples, setup_from_dict
 from pianofit.felt import DEFAULT_LAW
-from pianofit.inference import conclude, estimate, pose, sampler
+from pianofit.inference import Inferred, estimate, pose, sampler
 from pianofit.inference.coordinates import STRING_SIZE, names_of
 from pianofit.inference.density import folded, given, log_density, start
 from pianofit.inference.descent import Descent
@@ -25,6 +25,7 @@ from pianofit.inference.problem import Problem
 from pianofit.inference.profile import RISE, _Profile, profiles
 from pianofit.inference.views import check_intervals, open_messages, reported, view_of
 from pianofit.paper.laboratory import make_twin, setup_text
+from pianofit.result import conclude
 
 FORCE, P = (names_of(DEFAULT_LAW).index(name) for name in ("K_H", "p"))
 pytestmark = pytest.mark.usefixtures("float64")
@@ -73,7 +74,7 @@ def halves(entries: dict, found: Estimate) -> dict[str, tuple[float, ...]]:
 
 def test_invariants_are_those_of_the_view():
     """A ratio to what is known has the parameter's own interval; what has several parameters says whose it is."""
-    document = conclude(posed(), fitted(), 0, profiled()).document
+    document = conclude(Inferred(posed(), fitted(), 0, profiled())).document
     table, invariants = document["parameters"], document["invariants"]
     for name, of, over in (("M_H/M_S", "M_H", "M_S"), ("x0/L", "x0", "L")):
         if table[of]["interval"] is not None:
@@ -88,12 +89,12 @@ def test_invariants_are_those_of_the_view():
 def test_an_interval_ends_at_its_box_and_says_so():
     problem, found = posed(), fitted()
     i = problem.unknowns.at("M_H")
-    low, high = np.log(conclude(problem, found, 0).parameters["M_H"].interval)
+    low, high = np.log(conclude(Inferred(problem, found, 0)).parameters["M_H"].interval)
     middle = 0.5 * (low + high)
     upper = problem.unknowns.upper.copy()
     upper[i] = middle + 0.25 * (high - low)
     tight = replace(problem, unknowns=replace(problem.unknowns, upper=upper))
-    mass = conclude(tight, found, 0).parameters["M_H"]
+    mass = conclude(Inferred(tight, found, 0)).parameters["M_H"]
     assert mass.interval_open == ("high",)
     np.testing.assert_allclose(np.log(mass.interval), [low, upper[i]])
 
@@ -239,9 +240,9 @@ def known_excess() -> tuple[Problem, Estimate]:
     tables = [table._replace(prior=(phi, np.full(4, 0.01))) for table, phi in pairs]
     problem = replace(problem, observed=replace(o, level=tables[0], frequency=tables[1], decay=tables[2]))
     search = Descent(problem, fitted().z[:STRING_SIZE], strings)
-    search.offset = minima.offsets[0]
+    search.offset = minima.descent.offset
     people = search.descend(search.begun(fitted().z[None], phis[0], minima.people.w[0]), 0.0, 60)
-    minima = minima._replace(search=search, people=people, F=search.total(people.z, people.report))
+    minima = minima._replace(descents=[search], people=people, F=search.total(people.z, people.report))
     return problem, Estimate(minima, laplace(problem, minima), 0)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pianofit.inference.walks import NOTHING, between_strokes, smoothed
+from pianofit.result.walks import NOTHING, between_strokes, smoothed
 
 
 def drawn_walks(size: float, own: float, noise: float, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -14,11 +14,11 @@ import scipy.signal
 from brute_force import make_twin, matched_width
 
 from pianofit.analysis import Analysis, analyse
-from pianofit.inference import Result
-from pianofit.inference.fit import fit_recordings
+from pianofit.inference import infer
 from pianofit.model import simulate
 from pianofit.parameters import FIT_NAMES, Geometry, Hammer, String
 from pianofit.recording import Recording, recording_from_samples
+from pianofit.result import Result, conclude
 from pianofit.setup import Layer, Setup, setup_from_dict
 
 RATE = 48_000
@@ -99,6 +99,11 @@ def record(
     )  # fmt: skip
     unit = truth.scale if quantity == "velocity" else 2 * float(np.abs(samples).max())
     return recording_from_samples(samples / unit, rate, name="twin")
+
+
+def fit_recordings(*given, **more) -> Result:
+    """What `infer` finds of recordings, by what is given to it, as a result."""
+    return conclude(infer(*given, **more))
 
 
 def fit_twin(recording: Recording, setup: Setup, *, seed: int = 0) -> Result:

@@ -44,8 +44,6 @@ if TYPE_CHECKING:
     from .felt import FeltLaw, MemoryHammer
     from .fit_file import load_note
     from .fitting import fit
-    from .inference import Covariance, Quantities, Quantity, Result
-    from .inference.predict import Prediction, cross_validate, predict_recording
     from .io import encode_wav
     from .model import (  # fmt: skip
         Modes,
@@ -62,14 +60,18 @@ if TYPE_CHECKING:
     from .parameters import PARAMETERS, Geometry, Hammer, Parameter, String
     from .published import Preset, Typical, preset, typical
     from .recording import Recording, load_recording, recording_from_samples
+    from .result import Covariance, Quantities, Quantity, Result
+    from .result.crossval import cross_validate
+    from .result.predict import Prediction, predict_recording
     from .setup import Layer, Setup, load_setup, setup_from_dict
 
 _HOMES = {
     "analysis": ("Analysis", "Partials", "analyse"),
     "errors": tuple(name for name in __all__ if name.endswith("Error")),
     "fitting": ("fit",),
-    "inference": ("Covariance", "Quantities", "Quantity", "Result"),
-    "inference.predict": ("Prediction", "cross_validate", "predict_recording"),
+    "result": ("Covariance", "Quantities", "Quantity", "Result"),
+    "result.crossval": ("cross_validate",),
+    "result.predict": ("Prediction", "predict_recording"),
     "felt": ("FeltLaw", "MemoryHammer"),
     "model": (
         "Modes", "Note", "Simulation", "levels", "mode_table", "pluck", "simulate", "spectrum", "strike", "waveform",

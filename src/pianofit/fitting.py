@@ -18,7 +18,7 @@ from .setup import Setup, layer_of, load_setup, setup_from_dict
 from .sources import Source, read
 
 if TYPE_CHECKING:
-    from .inference import Result
+    from .result import Result
 
 __all__ = ["fit", "listen"]
 
@@ -98,11 +98,13 @@ def fit(
                 sounds[0], heard[0], replace(known, recordings=()), recipe, velocity=measured, evaluations=evaluations,
                 seed=seed, progress=report,
             )  # fmt: skip
-        from .inference.fit import fit_recordings
+        from .inference import infer
+        from .result import conclude
         from .ringing import make_ring
 
-        found = fit_recordings(sounds, heard, known, velocity=velocity, intervals=intervals, seed=seed, progress=report)
-        return make_ring(found, report)
+        found = infer(sounds, heard, known, velocity=velocity, intervals=intervals, seed=seed, progress=report)
+        report("sounds", 0.93)
+        return make_ring(conclude(found), report)
 
 
 def listen(recordings: Sequence[Recording], note: str | None = None, f0: float | None = None) -> list[Analysis]:

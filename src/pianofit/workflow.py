@@ -11,9 +11,9 @@ from .errors import AnalysisError, FitError, WrongNoteError
 from .io import check_sound_target, encode_wav, json_text, one_line, replace_file, write_file
 
 if TYPE_CHECKING:
-    from .inference import Result
     from .model.note import Note
     from .recording import Recording
+    from .result import Result
     from .setup import Setup
 
 __all__ = ["cross_validate_files", "predict_file", "run_demo"]
@@ -35,9 +35,9 @@ def predict_file(fit: Path, file: Path, out: Path | None, *, channel: str = "ave
     note = mixture[0][1]
     recording = load_recording(file, channel=channel)
     from .analysis import analyse
-    from .inference.align import touched
-    from .inference.predict import predict_recording
     from .model.cache import keep_programs
+    from .result.align import touched
+    from .result.predict import predict_recording
 
     keep_programs()
     try:
@@ -85,7 +85,7 @@ def cross_validate_files(
     seed: int = 0,
     progress: Callable[[str, float], None] = lambda *_: None,
 ) -> dict:
-    """Leave out each recording of a key in turn, and predict it; see `predict.cross_validate`.
+    """Leave out each recording of a key in turn, and predict it; see `crossval.cross_validate`.
 
     To the folder `out`, if there is one, go the fit of all and its page, with what came of it.
 
@@ -96,8 +96,8 @@ def cross_validate_files(
 
     recordings = read(files, channel)
     analyses = listen(recordings, note, f0)
-    from .inference.predict import cross_validate
     from .model.cache import keep_programs
+    from .result.crossval import cross_validate
 
     keep_programs()
     found, whole = cross_validate(recordings, analyses, known, seed=seed, progress=progress)

@@ -37,7 +37,7 @@ SCHEMA = 1
 # Code that a number in fit.json or a sample of a sound can depend on.
 NUMBERS = (
     "parameters.py", "published.py", "recording.py", "sources.py", "setup.py", "analysis", "model", "criterion.py",
-    "inference", "fitting.py", "fit_file.py", "report/save.py", "batch/units.py",
+    "inference", "result", "fitting.py", "fit_file.py", "report/save.py", "batch/units.py",
 )  # fmt: skip
 # A name is wrong when the string sounds further from it than this, cents; old pianos and stretched trebles do not.
 ASTRAY = 60.0

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..analysis import Analysis
+from ..analysis import Analysis, law_frequency
 from . import priors
 from .likelihood import Table
 
-__all__ = ["Layout", "Observed", "observe", "string_law"]
+__all__ = ["Layout", "Observed", "observe", "placed", "string_law"]
 
 # Partials above this, Hz, stand in no table: few hammers and fewer microphones reach them.
 HIGHEST = 10_000.0
@@ -90,26 +90,17 @@ def observe(
     """
     ref = analyses[reference]
     cents = np.array([CENTS * np.log(a.f0 / ref.f0) + a.glide_start for a in analyses])
-    number = _numbers(analyses, ref, absent=not path)
-    level = _levels(analyses, layout, number, ref, unit, path, gains)
     heard = np.unique(np.concatenate([a.partials.number for a in analyses]))
-    law = np.stack([_frequency(ref, heard), ref.b1 + ref.d2 * heard**2])
+    # Of levels also those between that were found nowhere; through an unknown path they say nothing.
+    number = heard if path else np.arange(1, heard.max() + 1)
+    number = number[law_frequency(ref.f0, ref.B, number) < HIGHEST]
+    level = _levels(analyses, layout, number, ref, unit, path, gains)
+    law = np.stack([law_frequency(ref.f0, ref.B, heard), ref.b1 + ref.d2 * heard**2])
     frequency, decay = _string_tables(analyses, heard, law, ref)
     return Observed(number, level, frequency, decay, heard, law, cents)
 
 
-def _frequency(a: Analysis, k: np.ndarray) -> np.ndarray:
-    return k * a.f0 * np.sqrt(1 + a.B * k.astype(float) ** 2)
-
-
-def _numbers(analyses: Sequence[Analysis], ref: Analysis, absent: bool) -> np.ndarray:
-    """Partials that were found in any recording, and those that were not [K]."""
-    found = np.unique(np.concatenate([a.partials.number for a in analyses]))
-    number = np.arange(1, found.max() + 1) if absent else found
-    return number[_frequency(ref, number) < HIGHEST]
-
-
-def _placed(table: np.ndarray, numbers: np.ndarray, number: np.ndarray, fill: float) -> np.ndarray:
+def placed(table: np.ndarray, numbers: np.ndarray, number: np.ndarray, fill: float) -> np.ndarray:
     """Values `table` of partials `numbers`, where `number` has them [K]."""
     by_number = np.full(max(numbers.max(initial=0), number.max()) + 1, fill)
     by_number[numbers] = table
@@ -147,10 +138,10 @@ def _levels(
     gains: bool,
 ) -> Table:
     tables = [a.partials for a in analyses]
-    frequency = _frequency(ref, number)
-    value = np.stack([_placed(t.level, t.number, number, np.nan) for t in tables])
-    bound = np.stack([_placed(t.absent_bound, t.absent, number, np.nan) for t in tables])
-    error = np.stack([_placed(t.level_error, t.number, number, 1.0) for t in tables])
+    frequency = law_frequency(ref.f0, ref.B, number)
+    value = np.stack([placed(t.level, t.number, number, np.nan) for t in tables])
+    bound = np.stack([placed(t.absent_bound, t.absent, number, np.nan) for t in tables])
+    error = np.stack([placed(t.level_error, t.number, number, 1.0) for t in tables])
     found, absent = np.isfinite(value), np.isfinite(bound) & ~np.isfinite(value)
     if path:  # a partial that was found nowhere says nothing through a path that is not known
         absent &= found.any(axis=0)
@@ -216,43 +207,40 @@ def _string_tables(
 
     Real strings leave their law in all recordings alike: together they say no more of it than one.
     """
-    tables = [a.partials for a in analyses]
-    cents = [CENTS * np.log(t.frequency / _frequency(a, t.number)) for t, a in zip(tables, analyses, strict=True)]
-    # Every recording over its own pitch, and the reference's own inharmonicity.
-    shift = [
-        CENTS * np.log(_frequency(a, t.number) / a.f0 / (_frequency(ref, t.number) / ref.f0))
-        for t, a in zip(tables, analyses, strict=True)
-    ]
-    per_hertz = [CENTS / t.frequency for t in tables]
-    losses = [ref.b1 + ref.d2 * t.number**2 for t in tables]
-    numbers = [t.number for t in tables]
-    pitch = _joined(
-        number, numbers, [c + s for c, s in zip(cents, shift, strict=True)],
-        [t.frequency_error * x for t, x in zip(tables, per_hertz, strict=True)],
-        [t.frequency_systematic * np.outer(x, x) for t, x in zip(tables, per_hertz, strict=True)],
-    )  # fmt: skip
-    loss = _joined(
-        number, numbers, [np.log(t.decay / law) for t, law in zip(tables, losses, strict=True)],
-        [t.decay_error / t.decay for t in tables],
-        [t.decay_systematic / np.outer(law, law) for t, law in zip(tables, losses, strict=True)],
-    )  # fmt: skip
+    pitch, loss = [], []
+    for a in analyses:
+        t = a.partials
+        own, shared = (law_frequency(x.f0, x.B, t.number) for x in (a, ref))
+        # Every recording over its own pitch, and the reference's own inharmonicity.
+        cents = CENTS * np.log(t.frequency / own) + CENTS * np.log(own / a.f0 / (shared / ref.f0))
+        per_hertz, decay = CENTS / t.frequency, ref.b1 + ref.d2 * t.number**2
+        pitch.append((
+            t.number, cents, t.frequency_error * per_hertz, t.frequency_systematic * np.outer(per_hertz, per_hertz),
+        ))  # fmt: skip
+        loss.append((
+            t.number, np.log(t.decay / decay), t.decay_error / t.decay, t.decay_systematic / np.outer(decay, decay),
+        ))  # fmt: skip
     growth = 1 + (number / priors.LAW_REACH) ** 6
     known = np.full((1, 1, len(number)), max(ref.glide_error, 1e-9))
     return (
-        _string_table(law, *pitch, growth, known, priors.FREQUENCY),
-        _string_table(law, *loss, np.ones(len(number)), 0 * known, priors.DECAY),
+        _string_table(law, *_joined(number, pitch), growth, known, priors.FREQUENCY),
+        _string_table(law, *_joined(number, loss), np.ones(len(number)), 0 * known, priors.DECAY),
     )
 
 
-def _joined(number, numbers, values, errors, systematics) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Weighted means over recordings, their variances from noise [K], and the systematic covariance [K, K]."""
+def _joined(number: np.ndarray, recordings: Sequence[tuple]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Weighted means over recordings, their variances from noise [K], and the systematic covariance [K, K].
+
+    Of each recording: its partials' numbers, their values, standard errors, and systematic covariance.
+    """
     weight, total, noise = np.zeros((3, len(number)))
-    for own, value, error, systematic in zip(numbers, values, errors, systematics, strict=True):
+    for own, value, error, systematic in recordings:
         at = np.searchsorted(number, own)
         w = 1 / (error**2 + np.diag(systematic))
         weight[at] += w
         total[at] += w * value
         noise[at] += w**2 * error**2
+    numbers, _, _, systematics = zip(*recordings, strict=True)
     return total / weight, noise / weight**2, _covariance(systematics, numbers, number)
 
 

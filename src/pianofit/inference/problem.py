@@ -71,6 +71,16 @@ class Problem:
         """Whether levels are in the pickup's own unit."""
         return self.start.scale is not None
 
+    @property
+    def unscaled(self) -> bool:
+        """Whether one common scale of the velocities is open: neither a unit of the levels nor a velocity is known."""
+        return not self.calibrated and all(v is None for v in self.speed)
+
+    @property
+    def velocity(self) -> int:
+        """Where the velocity of the reference's stroke stands among the unknowns."""
+        return self.unknowns.shared + self.layout.stroke[self.reference]
+
 
 def pose(
     recordings: Sequence[Recording], analyses: Sequence[Analysis], setup: Setup, velocity: float | None = None

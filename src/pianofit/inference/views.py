@@ -62,8 +62,7 @@ def view_of(problem: Problem, found: Estimate, means: str, seed: int, progress: 
 def reported(problem: Problem) -> dict[str, int]:
     """What is free and shared, and the reference stroke's velocity: places in z by name."""
     u = problem.unknowns
-    stroke = u.shared + problem.layout.stroke[problem.reference]
-    return {u.names[i] if i < u.shared else "v_H0": int(i) for i in (*range(u.shared), stroke) if u.free[i]}
+    return {name: i for i, name in (*enumerate(u.names), (problem.velocity, "v_H0")) if u.free[i]}
 
 
 def open_messages(entries: dict[str, dict]) -> list[str]:

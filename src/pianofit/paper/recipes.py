@@ -17,12 +17,13 @@ from typing import NamedTuple
 from ..analysis import Analysis
 from ..errors import ParameterError
 from ..felt import DEFAULT_LAW
-from ..inference import Progress, Result
-from ..inference.point import point_result
+from ..inference import Progress
 from ..inference.start import Start, starting_values
 from ..parameters import FIT_NAMES, Hammer, String
 from ..recording import Recording
+from ..result import Result
 from ..setup import Setup
+from .point import point_result
 from .search import ALL, pose, split
 
 __all__ = ["RECIPES", "Found", "check_recipe", "fit_by_paper", "fit_by_recipe"]

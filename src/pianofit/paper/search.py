@@ -20,7 +20,6 @@ from ..analysis import Analysis
 from ..criterion import band_of, line_sigma
 from ..errors import FitError
 from ..felt import DEFAULT_LAW
-from ..inference.align import laid
 from ..inference.priors import HAMMER_SPREAD
 from ..inference.problem import frame
 from ..inference.search import NO_HAMMER
@@ -30,6 +29,7 @@ from ..model.modes import mode_frequencies
 from ..model.note import Note, arrival
 from ..parameters import FIT_NAMES, HAMMER_NAMES, PARAMETERS, STRING_NAMES, Geometry, Hammer, String
 from ..recording import Recording
+from ..result.align import laid
 from .annealing import anneal
 from .descent import Descended, LeastSquares, gradient_descent
 from .spectral import Cfg, Goal, Scene, hold, spectral_goal, struck_gradients

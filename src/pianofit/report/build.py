@@ -14,11 +14,11 @@ import numpy as np
 from ..analysis import law_frequency
 from ..errors import FitError, ParameterError
 from ..felt import law_of
-from ..inference import Result
 from ..io import reference_of
 from ..model import static_force
 from ..model.decay import partial_decays
 from ..parameters import PARAMETERS
+from ..result import Covariance, Result
 from ..ringing import HEARD, band, kernel_seconds, mel_edges, mel_power
 from ..units import NORMAL
 from .curves import Curves, Envelope, Felt, Known, RecordingCurves, RingingCurves, Strokes
@@ -248,17 +248,15 @@ def _deviation(change: np.ndarray, cov: np.ndarray) -> np.ndarray:
 def known_of(result: Result) -> Known | None:
     """How well the parameters, and what needs no assumed scale, are known; None without intervals."""
     names, cov = _shared(result)
-    free = np.flatnonzero(np.diag(cov) > 0)
-    if not (has_intervals(result) and len(free)):
+    correlation = Covariance(names, cov).correlation
+    if not (has_intervals(result) and correlation.names):
         return None
-    sd = np.sqrt(np.diag(cov)[free])
-    correlation = np.clip(cov[np.ix_(free, free)] / np.outer(sd, sd), -1.0, 1.0)
     document = result.document
     entries = [(name, entry, True) for name, entry in document["invariants"].items()]
     entries += [(name, entry, False) for name, entry in document["parameters"].items() if name not in COMBINED]
     reaches = [(name, half_interval(entry), combined) for name, entry, combined in entries]
     return Known(
-        tuple(names[i] for i in free), correlation,
+        correlation.names, correlation.matrix,
         tuple((name, reach, combined) for name, reach, combined in reaches if reach is not None),
     )  # fmt: skip
 

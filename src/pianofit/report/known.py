@@ -9,8 +9,8 @@ import math
 from typing import Any
 
 from ..felt import LAWS
-from ..inference.quantities import MEANINGS
 from ..numbers import is_number, number, off_by, with_half_interval, with_interval
+from ..result.quantities import MEANINGS
 from .words import VELOCITY_RATIO
 
 __all__ = ["a_power", "felt_scale", "half_interval", "held_out_rows", "identified", "open_scale"]

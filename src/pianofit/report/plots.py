@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from ..errors import FitError, ParameterError
-from ..inference import Result
+from ..result import Result
 from .build import envelopes_of, known_of, reference_curves
 from .drawing import STYLE
 from .figures import draw_force, draw_levels, draw_spectrum

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..inference import Result
 from ..io import encode_wav, json_text, one_line, output_folder, replace_file
+from ..result import Result
 from ..ringing_file import KNOCK_FILE, encode_knock
 from .build import curves_of
 from .page import report_bytes

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from ..numbers import number, with_interval
 
 if TYPE_CHECKING:
-    from ..inference.quantities import Quantity
+    from ..result.quantities import Quantity
 
 __all__ = [
     "again_in_words", "bands", "comparison", "felt_names", "glide", "groups", "how_sure", "minima", "notices",
@@ -52,7 +52,7 @@ def felt_names(fit: dict[str, Any]) -> list[str]:
 
 def rows(table: dict[str, Any]) -> list[dict[str, str]]:
     """Put parameters or invariants into text, a line each."""
-    from ..inference.quantities import Quantities
+    from ..result.quantities import Quantities
 
     return [_row(quantity) for quantity in Quantities.of(table).values()]
 

@@ -15,8 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..inference import FittedRecording, Result, Sound
 from ..model.modal import LEAD, Force, Ringing, force_of, resampled
+from ..result import FittedRecording, Result, Sound
 from ..ringing_file import ringing_document
 from ..threads import one_blas_thread
 from .distance import log_mel_distances

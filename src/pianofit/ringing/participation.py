@@ -14,7 +14,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..inference.walks import NOTHING, smoothed
+from ..result.walks import NOTHING, smoothed
 
 __all__ = ["participation"]
 

@@ -23,13 +23,13 @@ import numpy as np
 from ...analysis import Analysis, analyse, law_frequency
 from ...criterion import BANDS, Cells, band_of, band_values, line_sigma, measure
 from ...errors import ParameterError
-from ...inference import Result
-from ...inference.fit import fit_recordings
-from ...inference.listener import scored
+from ...inference import infer
 from ...inference.start import starting_values
 from ...model.note import Note
 from ...parameters import FIT_NAMES, STRING_NAMES
 from ...recording import Recording, recording_from_samples
+from ...result import Result, conclude
+from ...result.listener import scored
 from ...setup import Setup, setup_from_dict
 from ..laboratory import Laboratory, Measurement, setup_text
 from ..laboratory import measure as record
@@ -144,7 +144,7 @@ def fitted(stroke: Stroke, recipe: str, seed: int, annealing: int | None = None,
     """
     heard, setup = (stroke.recording, stroke.analysis), stroke.setup
     if recipe == "default":
-        return fit_recordings([stroke.recording], [stroke.analysis], setup, seed=seed)
+        return conclude(infer([stroke.recording], [stroke.analysis], setup, seed=seed))
     if recipe == "global":
         return fit_by_recipe(*heard, setup, recipe, seed=seed)
     if recipe == "read":

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..inference.coordinates import STRING_SIZE
+from ..inference.finish import Minima
+from ..inference.lanes import DB
+from ..inference.likelihood import Table, variance
+from ..inference.observations import placed, string_law
+from ..inference.problem import Problem
+from ..inference.reports import Latent, latent
+from ..inference.string import string_residuals
 from ..model.note import Note
 from ..model.path import OutputPath, Wander
-from .coordinates import STRING_SIZE
-from .finish import Minima
-from .lanes import DB
-from .likelihood import Table, variance
-from .observations import string_law
-from .problem import Problem
-from .reports import Latent, latent
-from .string import string_residuals
 from .walks import NOTHING, between_strokes
 
 __all__ = ["latents", "notes_of"]
@@ -75,7 +75,4 @@ def _decays(problem: Problem, minima: Minima, which: int, number: np.ndarray) ->
     residual = string_residuals(problem, string)[0][1]
     own = np.diag(observed.decay.systematic) + np.exp(2 * minima.strings[which].phi[1][0])
     share = own / (own + np.asarray(observed.decay.variance)[0])
-    ratio = np.exp(share * residual[0])
-    by_number = np.ones(max(observed.string_number.max(), number.max()) + 1)
-    by_number[observed.string_number] = ratio
-    return by_number[number]
+    return placed(np.exp(share * residual[0]), observed.string_number, number, 1.0)

@@ -88,7 +88,6 @@ class Result:
     document: dict
     recordings: tuple[FittedRecording, ...]
     first: int
-    log_covariance: Covariance | None
     notes: tuple[tuple[Note, ...], ...]
     shares: tuple[float, ...]
     draws: dict[str, np.ndarray] | None = None
@@ -137,9 +136,10 @@ class Result:
         FitError
             If the fit was read back from a file that holds none.
         """
-        if self.log_covariance is None:
+        covariance = Covariance.of(self.document.get("covariance"))
+        if covariance is None:
             raise FitError("covariance: this fit.json does not hold it; fit the recordings again")
-        return self.log_covariance
+        return covariance
 
     @property
     def reference(self) -> FittedRecording:
@@ -282,8 +282,7 @@ class Result:
         document, name = read_fit(path), one_line(path)
         mixture = mixture_of(document, path, felt)
         shares, notes = zip(*mixture, strict=True)
-        covariance = Covariance.of(document.get("covariance"))
-        result = cls(document, (), 0, covariance, tuple((note,) for note in notes), shares)
+        result = cls(document, (), 0, tuple((note,) for note in notes), shares)
         try:
             _ = repr(result), result._repr_html_()
         except (AttributeError, IndexError, KeyError, TypeError, ValueError) as missing:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -76,19 +76,15 @@ class Quantities(Mapping[str, Quantity]):
 
     def __getitem__(self, name: str) -> Quantity:
         if name not in self.entries:
-            raise KeyError(self._missing(name))
+            raise KeyError(_missing(name, tuple(self)))
         return self.entries[name]
 
     def __getattr__(self, name: str) -> Quantity:
         if name.startswith("_") or name == "entries":  # before it is made, as when it is copied
             raise AttributeError(name)
         if name not in self.entries:
-            raise AttributeError(self._missing(name))
+            raise AttributeError(_missing(name, tuple(self)))
         return self.entries[name]
-
-    def _missing(self, name: str) -> str:
-        near = difflib.get_close_matches(str(name), self.entries, 1)
-        return f"{name!r} is not there; " + (f"did you mean {near[0]}?" if near else f"there are {', '.join(self)}")
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.entries)
@@ -126,6 +122,12 @@ class Quantities(Mapping[str, Quantity]):
         write_csv(path, COLUMNS, (q.row for q in self.values()))
 
 
+def _missing(name: object, known: Sequence[str]) -> str:
+    """That there is no such name, and what there is."""
+    near = difflib.get_close_matches(str(name), known, 1)
+    return f"{name!r} is not there; " + (f"did you mean {near[0]}?" if near else f"there are {', '.join(known)}")
+
+
 def _quantity(name: str, entry: Mapping[str, Any]) -> Quantity:
     interval = entry.get("interval")
     usual = "velocity of a stroke over the reference's" if name.startswith("v/v_ref") else MEANINGS.get(name, "")
@@ -147,9 +149,7 @@ class Covariance:
     def __getitem__(self, pair: tuple[str, str]) -> float:
         for name in pair:
             if name not in self.names:
-                near = difflib.get_close_matches(str(name), self.names, 1)
-                hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(self.names)}"
-                raise KeyError(f"{name!r} is not there; {hint}")
+                raise KeyError(_missing(name, self.names))
         row, column = (self.names.index(name) for name in pair)
         return float(self.matrix[row, column])
 

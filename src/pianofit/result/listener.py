@@ -1,0 +1,203 @@
+"""A fit heard beside its recordings: on the paper's criterion, and in the levels of their partials."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..analysis import Analysis
+from ..criterion import (
+    BANDS,
+    Cells,
+    band_of,
+    band_values,
+    borders,
+    closed_form_gain,
+    level_error_db,
+    line_sigma,
+    measure,
+)
+from ..inference.infer import Inferred
+from ..inference.observations import placed
+from ..inference.reports import latent
+from ..model.note import Note
+from ..parameters import STRING_NAMES
+from ..recording import Recording
+from .align import laid, touched
+from .notes import latents
+from .result import FittedRecording, Sound
+
+__all__ = ["Listener", "heard_beside", "scored", "together", "worse_bands"]
+
+# Of which levels of partials errors are told: before and after, and of the first hammer through the path that suits it.
+LEVELS = ("initial_db", "fitted_db", "path_only_db")
+# Levels are compared over partials to this, Hz: few hammers reach beyond,
+LEVEL_TOP = 6000.0
+# within so many dB of the strongest: other sounds lie there.
+LEVEL_RANGE = 60.0
+# dB, of a hammer whose contact does not end.
+SILENT = -300.0
+
+
+def worse_bands(criterion: dict) -> list[str]:
+    """Occupied bands, and `global`, in which the criterion ended no lower than it started."""
+    names = [n for n in ("global", *BANDS) if n in criterion]
+    return [n for n in names if criterion[n]["final"] >= criterion[n]["initial"]]
+
+
+def scored(frequency: np.ndarray, level: np.ndarray) -> np.ndarray:
+    """The partials on which levels are compared [partials], bool."""
+    return (frequency <= LEVEL_TOP) & (level >= level.max() - LEVEL_RANGE)
+
+
+@dataclass(frozen=True)
+class Listener:
+    """A recording on the paper's criterion: cells, and what any other sound of the same length gives on them."""
+
+    recording: Recording
+    analysis: Analysis
+    scale: float | None  # the pickup's unit at full scale; None where that is not known
+    cells: Cells
+    energy: np.ndarray  # |S|² of the recording [partials, nodes]
+
+    @classmethod
+    def of(cls, recording: Recording, analysis: Analysis, scale: float | None) -> Listener:
+        """The listener to one recording."""
+        return cls(recording, analysis, scale, *_measured(recording.samples, recording, analysis))
+
+    @property
+    def level(self) -> np.ndarray:
+        """Measured, dB [partials], in the pickup's unit."""
+        return self.analysis.partials.level + (0.0 if self.scale is None else 20 * np.log10(self.scale))
+
+    @property
+    def gain(self) -> float | None:
+        """Full scale over the pickup's unit; None where that is not known."""
+        return None if self.scale is None else 1.0 / self.scale
+
+    def at(self, level: np.ndarray, number: np.ndarray) -> np.ndarray:
+        """Levels, dB, of partials `number` at the recording's [partials]; as measured where there are none."""
+        own = placed(level, number, self.analysis.partials.number, np.nan)
+        return np.where(np.isfinite(own), own, self.level)
+
+    def in_noise(self, level: np.ndarray) -> np.ndarray:
+        """Levels, dB [partials], with the energy of the noise that the recording's have: a node is not silent."""
+        noise = self.level - self.analysis.partials.snr
+        return 10 / np.log(10) * np.logaddexp(level * np.log(10) / 10, noise * np.log(10) / 10)
+
+    def best(self, samples: np.ndarray) -> tuple[np.ndarray, float]:
+        """|Y|² [partials, nodes] of a sound on the recording's cells, and the square of its best gain by eq. 19."""
+        heard = _measured(samples, self.recording, self.analysis)[1]
+        return heard, closed_form_gain(heard, self.energy, self.cells.spacing[:, None])
+
+    def play(self, note: Note, gain: float | None, begins: int | None, level: np.ndarray) -> Sound:
+        """A note laid on the recording, with the gain that the criterion likes best if none is given.
+
+        Parameters
+        ----------
+        begins : the sample at which the hammer touches; where its sound would be seen at the onset if None.
+        level : dB, [partials], through a gain of 1.
+        """
+        strike = note.strike(self.recording.rate)
+        begins = touched(note, strike, self.recording) if begins is None else begins
+        samples = note.heard(strike, self.recording.rate, len(self.recording.samples), begins)
+        if gain is None:
+            gain = float(np.sqrt(self.best(samples)[1]))
+            level = level + 20 * np.log10(max(gain, 1e-15))
+        return Sound(note._replace(gain=gain), samples * gain, strike, level)
+
+    def compared(self, initial: Sound, fitted: Sound, levels: dict[str, np.ndarray]) -> FittedRecording:
+        """The recording beside two sounds, on the criterion, and on some of `LEVELS`, dB [partials], less one gain."""
+        chosen = scored(self.analysis.partials.frequency, self.level)
+        off = {name: level_error_db(level[chosen], self.level[chosen]) for name, level in levels.items()}
+        return FittedRecording(
+            initial, fitted, self.level, self.recording, self.analysis, self._criterion(initial, fitted),
+            dict.fromkeys(LEVELS) | off | {"partials": int(chosen.sum())},
+        )  # fmt: skip
+
+    def _criterion(self, initial: Sound, fitted: Sound) -> dict:
+        """Eq. 19 per band on the sounds themselves, from the onset on; bands without a partial are dropped.
+
+        Unless their levels are known each has the gain that the criterion likes best.
+        """
+
+        def of(sound: Sound) -> dict[str, float]:
+            heard, square = self.best(sound.samples)
+            return band_values((square if self.scale is None else 1.0) * heard, self.energy, self.cells.spacing)
+
+        before, after, number = of(initial), of(fitted), self.analysis.partials.number
+        kept = {"global", *(BANDS[b] for b in band_of(number))}
+        values = {name: {"initial": before[name], "final": after[name]} for name in before if name in kept}
+        return values | {
+            "dropped": [name for name in BANDS if name not in kept],
+            "sigma": self.cells.sigma,
+            "borders": list(borders(self.analysis.f0, self.analysis.B, int(number.max()))),
+        }
+
+
+def _measured(samples: np.ndarray, r: Recording, a: Analysis) -> tuple[Cells, np.ndarray]:
+    """Cells of a recording, and |Y|² on them [partials, nodes] of a sound that is aligned to it."""
+    return measure(samples[r.onset :], r.rate, a.f0, a.B, int(a.partials.number.max()), line_sigma(a.f0))
+
+
+def together(levels: Sequence[dict]) -> dict:
+    """Level errors over all recordings, dB rms, and the partials counted."""
+    count = np.array([x["partials"] for x in levels])
+
+    def rms(name: str) -> float | None:
+        values = [x[name] for x in levels]
+        return None if None in values else float(np.sqrt((np.square(values) * count).sum() / count.sum()))
+
+    return {name: rms(name) for name in LEVELS} | {"partials": int(count.sum())}
+
+
+def heard_beside(fit: Inferred, notes: Sequence[Note]) -> tuple[FittedRecording, ...]:
+    """Every recording beside the starting values, and beside its note at the minimum that is shown.
+
+    Raises
+    ------
+    FitError
+        If an initial or a final contact does not end.
+    """
+    problem, descent, columns = fit.problem, fit.found.minima.descent, fit.problem.observed.number
+    integrated = latents(fit.found.minima, 0)
+    model = descent.level(fit.begun)[descent.stroke]
+    fitted = np.asarray(descent.table.value) - integrated.own
+    path_only = None if problem.calibrated else _path_only(fit)
+    heard = []
+    for i, note in enumerate(notes):
+        recording, number = problem.recordings[i], problem.analyses[i].partials.number
+        listener = Listener.of(recording, problem.analyses[i], problem.start.scale)
+        if listener.gain is None:
+            gain, begins = 10 ** (integrated.columns[i][0] / 20), None  # the lowest partial has least of the onset's
+        else:
+            gain, begins = listener.gain, round(laid(note._replace(gain=listener.gain), recording))
+        after = listener.play(note, float(gain), begins, listener.at(fitted[i], columns))
+        # The criterion's own gain on the initial sound: its level is not what is judged.
+        own = model[i, number.clip(max=problem.cfg.rows) - 1]
+        before = listener.play(_initial(fit, i), listener.gain, begins, own)
+        levels = {"initial_db": before.level, "fitted_db": after.level}
+        levels |= {} if path_only is None else {"path_only_db": listener.at(path_only[i], columns)}
+        heard.append(listener.compared(before, after, {n: listener.in_noise(x) for n, x in levels.items()}))
+    return tuple(heard)
+
+
+def _initial(fit: Inferred, i: int) -> Note:
+    """What the starting values give, before any fit."""
+    u, start = fit.problem.unknowns, fit.problem.start
+    given = {n: start.initial[n] for n in STRING_NAMES if n in start.initial}
+    hammer = u.hammer(fit.begun, fit.problem.layout.stroke[i])
+    return Note(u.string(fit.begun)._replace(**given), hammer, u.struck(fit.begun), start.quantity, 1.0, None)
+
+
+def _path_only(fit: Inferred) -> np.ndarray:
+    """Levels that the initial hammer gives at the fitted velocities, through gain and path that suit it, dB [R, K]."""
+    descent, people = fit.found.minima.descent, fit.found.minima.people
+    shared = fit.problem.unknowns.shared
+    z = np.append(fit.begun[:shared], fit.found.z[shared:])
+    residual, _, good = descent.model(z[None])
+    if not good[0]:
+        return np.full(descent.table.value.shape, SILENT)
+    return np.asarray(descent.table.value) - latent(descent.table, residual[0], people.phi[0], people.w[0]).own

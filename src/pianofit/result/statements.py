@@ -1,0 +1,284 @@
+"""What a fit can claim, said first and plainly: its identifiability statement, statuses and messages."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ..inference import priors
+from ..inference.coordinates import STRING_SIZE
+from ..inference.infer import Inferred
+from ..inference.problem import Problem
+from ..io import one_line
+from ..numbers import off_by, with_half_interval
+from ..units import NORMAL
+
+__all__ = [
+    "AT_EDGE", "STATUSES", "STOPPED", "claims", "correlated", "invariant_status", "messages", "presumed", "scaling",
+    "statuses", "taken_back", "velocity_statuses",
+]  # fmt: skip
+
+STATUSES = ("fitted", "scaled", "given", "assumed", "at-bound", "not-identifiable")
+# A parameter whose posterior is this wide, over its prior, has learned next to nothing from the recording.
+LEARNED = 0.7
+# A standard deviation of log(value) above this is no knowledge.
+LOOSE = 0.7
+# A calibrated recording of the string described is met within hundredths of a decibel. An excess beyond this, dB, means
+# that something acts that the model does not have, and the felt takes it up;
+STRAINED = 0.1
+# beyond this, dB, the hammer itself may be another.
+POOR = 0.5
+# Correlation of two logarithms beyond which they are named.
+STRONG = 0.99
+# Hammer velocities of a pianist, fortissimo over pianissimo: 6 over 0.3 m/s (Askenfelt and Jansson 1991).
+VELOCITIES = 20.0
+# A second minimum with this share of the posterior is named.
+NAMED = 0.1
+MIXED = {
+    "laplace": "Intervals and predictions are those of the mixture.",
+    "profile": "Predictions are those of the mixture, the parameters' intervals the first one's.",
+    "posterior": "Predictions are those of the mixture; the parameters' intervals are the posterior's draws.",
+}
+STOPPED = "The search stopped before it converged; no value is a result."
+AT_EDGE = "At the edge of the box, so their values are the box's: {}."
+WORSE = "The paper's criterion, which this fit does not minimise, is no lower than at the start: {}."
+ONE_VELOCITY = (
+    "One uncalibrated recording does not fix the felt: any hammer's spectrum can be traded for an output path, and a "
+    "softer felt struck faster sounds the same through another gain. "
+)
+NOTHING_COMPARED = (
+    "{} uncalibrated recordings, but none shares a path with a recording of another stroke, which does not fix the "
+    "felt: any hammer's spectrum can be traded for an output path. "
+)
+SEVERAL = (
+    "{} uncalibrated recordings of one key: what changes from stroke to stroke is the hammer's doing, what they share "
+    "is the path's. "
+)
+
+
+# --- in one word ------------------------------------------------------------------------------------------------------
+
+
+def statuses(fit: Inferred) -> dict[str, str]:
+    """One of `STATUSES` by parameter name."""
+    u, start = fit.problem.unknowns, fit.problem.start
+    bound, lost, moving = u.at_bound(fit.found.z), taken_back(fit), scaling(fit.problem)
+    # Of the logarithms of values, before the recordings; of the string's no more is asked than that it be known.
+    prior = np.linalg.norm(u.tangent(fit.found.z) * u.sd, axis=1)
+    enough = np.where(np.arange(u.size) < STRING_SIZE, LOOSE, np.minimum(LEARNED * prior, LOOSE))
+
+    def status(i: int, name: str) -> str:
+        if not u.free[i]:
+            return "assumed" if start.fixed.get(name) == "assumed" else "given"
+        if bound[i]:
+            return "at-bound"
+        # Without a measured velocity what scales with it is known by its prior alone.
+        posterior = fit.gauged if name in moving else fit.posterior
+        if name in lost or posterior.spread(np.eye(u.size)[i]) > enough[i]:
+            return "not-identifiable"
+        return "scaled" if name in moving or start.rests_on.get(name) else "fitted"
+
+    return {name: status(i, name) for i, name in enumerate(u.names)}
+
+
+def scaling(problem: Problem) -> tuple[str, ...]:
+    """The felt's parameters that move with the common scale of the velocities, where that is open."""
+    return problem.unknowns.law.scaling("N m") if problem.unscaled and problem.layout.compared else ()
+
+
+def taken_back(fit: Inferred) -> tuple[str, ...]:
+    """What the statement takes back, however narrow its interval."""
+    problem = fit.problem
+    felt = tuple(problem.unknowns.law.parameters)
+    if problem.calibrated:
+        return () if fit.excess <= STRAINED else felt if fit.excess <= POOR else (*felt, "M_H")
+    return () if problem.layout.compared else (*felt, "M_H") if problem.path else felt
+
+
+def invariant_status(states: Sequence[str], deviation: float) -> str:
+    """Of a ratio or product of values with these statuses, whose logarithm has this standard deviation."""
+    for lost in ("not-identifiable", "at-bound"):
+        if lost in states:
+            return lost
+    if not deviation:
+        return "assumed" if "assumed" in states else "given"
+    return "not-identifiable" if deviation > LOOSE else "fitted"
+
+
+def velocity_statuses(fit: Inferred) -> list[str]:
+    """One of `STATUSES` for every stroke's velocity."""
+    problem = fit.problem
+    lost = fit.excess > POOR if problem.calibrated else not problem.layout.compared
+    unknown = "not-identifiable" if lost else "scaled" if problem.unscaled else "fitted"
+    return ["given" if v is not None else unknown for v in problem.speed]
+
+
+# --- in sentences -----------------------------------------------------------------------------------------------------
+
+
+def claims(fit: Inferred, states: dict[str, str], levels: dict) -> str:
+    """The opening sentences: what kind of measurement this is, and what of it is identified."""
+    problem = fit.problem
+    if problem.calibrated:
+        return f"Calibrated recording{_calibrated(fit, states)}."
+    count = len(problem.recordings)
+    text = ONE_VELOCITY if count == 1 else (SEVERAL if problem.layout.compared else NOTHING_COMPARED).format(count)
+    through = "path" if problem.path else "gain"
+    text += (
+        f"Partial levels: {levels['initial_db']:.1f} dB off at the start; {levels['path_only_db']:.1f} dB with the "
+        f"literature's hammer through the {through} that suits it; {levels['fitted_db']:.1f} dB with the fitted hammer."
+    )
+    if not problem.layout.compared:
+        return text + " The felt's values are one possibility under the prior of the path, not a finding."
+    text += _beyond_a_pianist(fit)
+    if problem.unscaled:
+        moving = (name.replace("mu", "μ") for name in problem.unknowns.law.scaling("N m"))
+        text += (
+            f" No hammer velocity was measured: {_listed('velocities', *moving)} are known up to one common scale, "
+            "and their intervals are the prior's. The ratios listed first do not depend on it, nor do f0 and B."
+        )
+    return text
+
+
+def _calibrated(fit: Inferred, states: dict[str, str]) -> str:
+    """How the opening sentence goes on, of a calibrated recording."""
+    if fit.excess > STRAINED:
+        what = "something acts that the model does not have. The felt's"
+        if fit.excess > POOR:
+            what = "another hammer may explain it better, or the setup is not this string's. The hammer's"
+        missed = f"the model misses its levels by {fit.excess:.2f} dB beyond the noise"
+        return f", but {missed}: {what} values are no finding"
+    lost = [n for n, state in states.items() if state == "not-identifiable" and n != "width"]
+    if lost:
+        return f". Not identifiable from it: {', '.join(lost)}"
+    together = "; ".join(f"{a} and {b} mostly together, as {_identified(fit, a, b)}" for a, b, _ in correlated(fit))
+    return ": all free parameters are identified" + (f", {together}" if together else "")
+
+
+def _beyond_a_pianist(fit: Inferred) -> str:
+    """That the strokes' velocities differ by more than a pianist's, where that is certain."""
+    u, z = fit.problem.unknowns, fit.found.z
+    change = np.zeros(u.size)
+    change[u.shared + np.argmax(z[u.shared :])] += 1
+    change[u.shared + np.argmin(z[u.shared :])] -= 1
+    interval = fit.posterior.interval(change)
+    if interval is None or interval[0] <= np.log(VELOCITIES):
+        return ""
+    low, most, high = np.exp([interval[0], float(z @ change), interval[1]])
+    return (
+        f" The fastest stroke is found {most:.3g} times ({low:.3g} to {high:.3g}) as fast as the slowest, and a "
+        f"pianist's differ by {VELOCITIES:.0f} times: these layers differ by something that the model does not have, "
+        "and the felt takes it up."
+    )
+
+
+def _listed(*names: str) -> str:
+    return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
+
+
+def correlated(fit: Inferred) -> list[tuple[str, str, float]]:
+    """Pairs of parameters that the recordings do not tell apart, with their correlation."""
+    names, cov = fit.problem.unknowns.names, fit.posterior.covariance[0]
+    sd = np.sqrt(np.diag(cov))
+    return [
+        (names[j], names[i], float(r))
+        for i in range(len(names))
+        for j in range(i)
+        if sd[i] > 0 and sd[j] > 0 and abs(r := cov[i, j] / (sd[i] * sd[j])) > STRONG
+    ]
+
+
+def _identified(fit: Inferred, a: str, b: str) -> str:
+    """The combination of two correlated parameters that is known best, and how well.
+
+    With log b known, log a − s log b has the least variance at s = cov(a, b)/var(b). Of K_H and p it is the felt's
+    static force K_H u^p, at the compression u where that is known best: d log(K_H u^p) = d log K_H + log(u) p d log p.
+    """
+    i, j = (fit.problem.unknowns.at(name) for name in (a, b))
+    cov, mean = fit.posterior.covariance[0], fit.posterior.mean[0]
+    slope = cov[i, j] / cov[j, j]
+    half = NORMAL * float(np.sqrt(max(cov[i, i] - slope * cov[i, j], 0.0)))
+    if (a, b) == fit.problem.unknowns.law.power:
+        p = float(np.exp(mean[j]))
+        u = float(np.exp(-slope / p))
+        force = with_half_interval(float(np.exp(mean[i]) * u**p), half, "N")
+        return f"the felt's force at {1e3 * u:.4g} mm, {a} u^{b} = {force}"
+    return f"the product {a} · {b}^{-slope:.2g} ({off_by(half)})"
+
+
+def messages(fit: Inferred, states: dict[str, str], worse: Sequence[str]) -> list[str]:
+    """Plain sentences on what to beware of, the weightiest first; `worse` are bands of eq. 19."""
+    problem, bound = fit.problem, [name for name, state in states.items() if state == "at-bound"]
+    said = [] if fit.found.minima.converged[0] else [STOPPED]
+    said += _mixture(fit)
+    said += [WORSE.format(", ".join(worse))] if worse else []
+    said += [AT_EDGE.format(", ".join(bound))] if bound else []
+    said += [
+        f"{a} and {b} are strongly correlated ({r:+.3f}): better identified than either is {_identified(fit, a, b)}."
+        for a, b, r in correlated(fit)
+    ]
+    said += [*presumed(problem), *_assumed(fit), _scattered(fit)]
+    for recording, analysis in zip(problem.recordings, problem.analyses, strict=True):
+        about = f"{one_line(Path(recording.path).name)}: " if len(problem.recordings) > 1 else ""
+        seen = "; ".join((*recording.warnings, *analysis.warnings))
+        said += [about + seen] if seen else []
+    return said + ([] if fit.view is None else [*fit.view.messages])
+
+
+def presumed(problem: Problem) -> list[str]:
+    """Whose velocity that in [known] is taken for, where it could be of several."""
+    if not problem.presumed:
+        return []
+    at = problem.reference
+    return [
+        f"[known] v_H0 = {problem.speed[problem.layout.stroke[at]]:g} m/s is taken for the stroke of "
+        f"{one_line(Path(problem.recordings[at].path).name)}, the brightest of these recordings; a [[recording]] says "
+        "of each which velocity was measured."
+    ]
+
+
+def _assumed(fit: Inferred) -> list[str]:
+    """What rests on the literature's sizes, and on a window that is not known."""
+    start, u, said = fit.problem.start, fit.problem.unknowns, []
+    rests = sorted({x for names in start.rests_on.values() for x in names})
+    if rests:
+        said.append(
+            f"The string's {' and '.join(rests)} {'was' if len(rests) == 1 else 'were'} not given and taken from the "
+            f"literature for this key; the SI values of {', '.join(start.rests_on)} scale with them."
+        )
+    if u.free[width := u.at("width")]:
+        said.append(
+            "The shape of the contact's window is not known, so its width is fitted along: an effective "
+            f"{1e3 * np.exp(fit.found.z[width]):.2f} mm (given or assumed: {1e3 * start.geometry.width:.2f} mm)."
+        )
+    return said
+
+
+def _scattered(fit: Inferred) -> str:
+    """By how much partials leave the model, beyond the noise."""
+    frequency, decay = (np.exp(phi[0]) for phi in fit.found.minima.strings[0].phi)
+    return (
+        f"Beyond the noise, partials scatter about the model by {frequency:.2f} cents (more from the "
+        f"{priors.LAW_REACH:.0f}th on), {100 * decay:.0f} % in decay and {fit.excess:.2f} dB in level; "
+        "the intervals include it as if each partial did so by itself."
+    )
+
+
+def _mixture(fit: Inferred) -> list[str]:
+    """How much weight the heaviest minimum has, and another hammer about as probable."""
+    share, mean, z = fit.posterior.share, fit.posterior.mean, fit.found.minima.people.z
+    if len(share) == 1 or share[0] > 1 - NAMED:
+        return []
+    u, other = fit.problem.unknowns, 1 + int(np.argmax(share[1:]))
+    apart = np.abs(mean[other] - mean[0])
+    if u.power:
+        apart[u.power[0]] = abs(z[other, u.power[0]] - z[0, u.power[0]])
+    at = int(np.argmax(np.where(u.free[: u.shared], apart[: u.shared], 0.0)))
+    values = np.exp(mean[[0, other], at])
+    return [
+        f"The minimum that is shown has the largest share of the posterior, {100 * share[0]:.0f} %. Another hammer, "
+        f"with {100 * share[other]:.0f} %, differs most in {u.names[at]}: {values[1]:.4g} instead of {values[0]:.4g}. "
+        + MIXED["laplace" if fit.view is None else fit.view.means]
+    ]
