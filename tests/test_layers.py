@@ -47,10 +47,9 @@ USES = {
     "keyboard": "analysis criterion fit_file io model parameters published report ringing_file",
     "fitting": "analysis inference paper parameters progress recording ringing setup sources",
     "play": "analysis decode felt io keyboard model parameters recording report tables threads",
-    "workflow": "analysis fit_file fitting inference io model paper recording setup sources",
     "batch": "analysis fitting io model parameters recording report tables",
-    "cli": "analysis batch felt fit_file fitting io keyboard listening model paper parameters play progress"
-    " published recording report setup workflow",
+    "cli": "analysis batch felt fit_file fitting inference io keyboard listening model paper parameters play progress"
+    " published recording report setup sources",
     "__main__": "cli",
 }
 # What a method of a public type enters when it is called, against these arrows, by an import of its own.
@@ -174,7 +173,7 @@ def test_what_needs_no_jax_does_not_load_it(module):
 
 def test_the_default_estimate_does_not_load_the_papers_room():
     program = (
-        "import sys, pianofit, pianofit.workflow, pianofit.fitting, pianofit.report.page\n"
+        "import sys, pianofit, pianofit.fitting, pianofit.report.page\n"
         "for name in pianofit.__all__: getattr(pianofit, name)\n"
         "assert not [name for name in sys.modules if name.startswith('pianofit.paper')]"
     )

@@ -11,18 +11,13 @@ import typer
 from ..errors import OutputError, ParameterError
 from ..progress import progress_bar
 from .options import Built, Force, Json, Prefix, number, whole
-from .terminal import add, tell
+from .terminal import tell
 
 if TYPE_CHECKING:
     from ..play import Exported
     from ..play.faust import Program
 
-__all__ = ["register"]
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command to `app`."""
-    add(app, export, "pianofit export cp80/instrument.json --format sfz --out sampler")
+__all__ = ["export"]
 
 
 def export(

@@ -10,20 +10,12 @@ import typer
 
 from ..errors import OutputError
 from ..progress import progress_bar
-from .options import Built, Force, Json, Prefix, Sound, whole
-from .terminal import add, tell
+from .options import RATE, Built, Force, Json, Prefix, Sound
+from .terminal import tell
 
-__all__ = ["register"]
+__all__ = ["instrument", "page", "play"]
 
 PAGE = "piano.html"
-At = Annotated[int, typer.Option("--rate", parser=whole, metavar="HZ", help="Sample rate in Hz.")]
-
-
-def register(app: typer.Typer) -> None:
-    """Add the commands to `app`."""
-    add(app, instrument, "pianofit instrument library --prefix cp80 --out cp80")
-    add(app, play, "pianofit play cp80/instrument.json song.mid --out song.wav")
-    add(app, page, "pianofit page library --prefix cp80")
 
 
 def instrument(
@@ -61,7 +53,7 @@ def play(
     song: Annotated[Path, typer.Argument(metavar="SONG.MID", help="A standard MIDI file.")],
     out: Sound,
     prefix: Prefix = None,
-    rate: At = 48_000,
+    rate: Annotated[int, RATE] = 48_000,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
