@@ -239,7 +239,7 @@ BAD_INSTRUMENTS = {
     "path wanders far": (changed("keys.0.path", wandering([1.0], [[1e4]])), "up to 300 dB for every partial"),
     "path wanders": (
         changed("keys.0.path", wandering("fast", [[0.0]])),
-        "wander needs velocity, and db of every stroke",
+        "wander needs 1 to 256 velocities",
     ),
     "velocity": (changed("velocity", None), "velocity is missing or no table"),
     "falling": (changed("velocity.rise", -1.0), "is no rising law"),

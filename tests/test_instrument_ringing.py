@@ -89,8 +89,8 @@ def test_a_borrowed_partial_has_its_laws_energy_and_its_neighbours_decay_curve()
 
 
 BAD = {
-    "modes": ({"modes": 1}, "no whole table"),
-    "uneven": ({"modes": {"partial": [1]}}, "no whole table"),
+    "modes": ({"modes": 1}, "needs as many numbers"),
+    "uneven": ({"modes": {"partial": [1]}}, "needs as many numbers"),
     "no base64": ({"knock": {"flac": "?", "scale": 1.0}}, "is no base64"),
     "no sound": ({"knock": {"flac": "AAAA", "scale": 1.0}}, "is no FLAC file"),
     "cut": ({"knock": {"flac": "ZkxhQwAAAA==", "scale": 1.0}}, "cannot be read"),

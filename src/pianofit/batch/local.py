@@ -62,15 +62,9 @@ class _Worker:
 
 
 class Local:
-    """Workers on this machine.
+    """So many workers on this machine, which do `work` with each unit, and have `scratch` for temporary files.
 
-    Parameters
-    ----------
-    workers : how many at a time.
-    memory : bytes that each may take.
-    time_limit : seconds that a unit may take.
-    scratch : a folder for the workers' temporary files.
-    work : what a worker does with a unit.
+    Each may take so much `memory`, bytes, and a unit so much time, s.
     """
 
     def __init__(self, workers: int, memory: int, time_limit: float, scratch: Path, work: Work = fit_unit) -> None:

@@ -164,11 +164,8 @@ def fit_unit(
 ) -> Outcome:
     """Fit one unit and return its files; never raises for what the unit is at fault for.
 
-    Parameters
-    ----------
-    contents : the recordings' bytes; None to read them at their paths.
-    scratch : a folder for a temporary one; the system's if None.
-    tell : called with the name of every stage as it begins.
+    Without `contents`, the recordings' bytes, these are read at their paths. `scratch` is where a temporary folder is
+    made, and `tell` is called with the name of every stage as it begins.
     """
     began = time.monotonic()
     try:

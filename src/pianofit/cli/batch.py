@@ -262,6 +262,7 @@ def _tell_planned(units: list[Unit], standing: dict[str, str], as_json: bool) ->
 
 def _summary(found: dict[str, Any]) -> str:
     """What became of the keys, in a screenful."""
+    from ..batch.ledger import Entry
     from ..io import one_line
 
     count = {state: n for state, n in found["counts"].items() if n}
@@ -276,10 +277,7 @@ def _summary(found: dict[str, Any]) -> str:
     if running := [(k["key"], k["stage"]) for k in found["keys"] if k["state"] == "running"]:
         lines.append(f"at work: {_at_work(running)}")
     bad = [k for k in found["keys"] if k["state"] == "failed"]
-    for key in bad[:LISTED]:
-        told = not key["sounds_like"] or key["sounds_like"] in key["reason"]
-        like = "" if told else f"; it sounds like {key['sounds_like']}"
-        lines.append(f"failed: {key['key']}: {one_line(key['reason'])}{like}")
+    lines += [f"failed: {key['key']}: {one_line(Entry(**key).why)}" for key in bad[:LISTED]]
     if len(bad) > LISTED:
         lines.append(f"and {len(bad) - LISTED} more failed; --json lists all")
     for key in found["keys"]:
