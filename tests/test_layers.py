@@ -30,26 +30,25 @@ USES = {
     "tables": "io",
     "decode": "io",
     "recording": "decode io",
-    "sources": "io recording",
     "published": "parameters",
     "setup": "felt io parameters",
-    "analysis": "recording sources tables",
+    "analysis": "recording tables",
     "criterion": "analysis",
     "model": "criterion decode felt parameters",
     "ringing_file": "decode io model",
     "fit_file": "decode felt io model parameters ringing_file",
-    "inference": "analysis criterion felt fit_file io model parameters progress published recording setup sources"
+    "inference": "analysis criterion felt fit_file io model parameters progress published recording setup"
     " tables threads",
     "ringing": "analysis inference model recording ringing_file threads",
     "report": "analysis felt inference io model parameters ringing ringing_file",
     "listening": "io recording report",
     "paper": "analysis criterion felt inference io listening model parameters published recording report setup tables",
     "keyboard": "analysis criterion fit_file io model parameters published report ringing_file",
-    "fitting": "analysis inference paper parameters progress recording ringing setup sources",
+    "fitting": "analysis inference paper parameters progress recording ringing setup",
     "play": "analysis decode felt io keyboard model parameters recording report tables threads",
     "batch": "analysis fitting io model parameters recording report tables",
     "cli": "analysis batch felt fit_file fitting inference io keyboard listening model paper parameters play progress"
-    " published recording report setup sources",
+    " published recording report setup",
     "__main__": "cli",
 }
 # What a method of a public type enters when it is called, against these arrows, by an import of its own.

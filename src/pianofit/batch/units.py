@@ -34,11 +34,6 @@ from .manifest import Key
 __all__ = ["Outcome", "Settings", "Source", "Unit", "fit_unit", "make_unit", "versions"]
 
 SCHEMA = 1
-# Code that a number in fit.json or a sample of a sound can depend on.
-NUMBERS = (
-    "parameters.py", "published.py", "recording.py", "sources.py", "setup.py", "analysis", "model", "criterion.py",
-    "inference", "fitting.py", "fit_file.py", "report/save.py", "batch/units.py",
-)  # fmt: skip
 # A name is wrong when the string sounds further from it than this, cents; old pianos and stretched trebles do not.
 ASTRAY = 60.0
 # What is wrong with the disk and not with a unit: the batch stops, and no unit counts as failed.
@@ -117,11 +112,9 @@ def _hash(document: object) -> str:
 @functools.cache
 def versions() -> dict[str, str]:
     """Versions of the program, its code, and the libraries that make the numbers."""
-    package, code = Path(__file__).parents[1], hashlib.sha256()
-    for part in NUMBERS:
-        place = package / part
-        for file in [place] if place.is_file() else sorted(place.glob("*.py")):
-            code.update(file.read_bytes())
+    code = hashlib.sha256()
+    for file in sorted(Path(__file__).parents[1].rglob("*.py")):
+        code.update(file.read_bytes())
     found = {name: metadata.version(name) for name in ("jax", "jaxlib", "numpy", "scipy")}
     return {"pianofit": __version__, "code": code.hexdigest()[:16], **found}
 

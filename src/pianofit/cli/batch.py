@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..errors import ParameterError, PianofitError, SetupError, check_range
+from ..errors import PianofitError, SetupError, check_range
 from ..parameters import check_seed
 from .options import Channel, Json, Seed, number, one_of, whole
 from .terminal import tell
@@ -144,15 +144,13 @@ def status(
 
 
 def _check(workers: int | None, memory: float, time_limit: float, seed: int, channel: str) -> None:
-    from ..io import one_line
-    from ..recording import CHANNELS
+    from ..recording import check_channel
 
     check_range("--workers ", 1 if workers is None else workers, 1, 1024)
     check_range("--memory ", memory, 1, 4096, " GiB", "; a fit takes about 1.5")
     check_range("--time-limit ", time_limit, 1, 1e6, " s")
     check_seed(seed)
-    if channel not in CHANNELS:
-        raise ParameterError(f"channel={one_line(channel)!r} must be average, left, right, or a number from 1 to 8")
+    check_channel(channel)
 
 
 def _settings(setup: Path | None, channel: str, seed: int, page: bool) -> Settings:

@@ -235,7 +235,7 @@ def crossval(
     from ..inference.predict import cross_validate
     from ..io import json_text, output_folder, replace_file
     from ..model.cache import keep_programs
-    from ..sources import read
+    from ..recording import read
     from .summary import cross_validation
 
     check_seed(seed)

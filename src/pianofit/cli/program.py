@@ -62,7 +62,6 @@ def demo(
         float,
         typer.Option(parser=number, metavar="DB", help="How far the noise lies below the first second's rms, dB."),
     ] = 60.0,
-    no_noise: Annotated[bool, typer.Option("--no-noise", help="Without any noise.")] = False,
     seed: Seed = 0,
     force: Force = False,
     as_json: Json = False,
@@ -81,7 +80,7 @@ def demo(
 
         keep_programs()
         progress("making the twin", 0.0)
-        twin = make_twin(None if no_noise else noise, seed)
+        twin = make_twin(noise, seed)
         replace_file(folder / "twin.wav", encode_wav(twin.samples, twin.rate))
         replace_file(folder / "setup.toml", setup_text().encode())
         result = fit(folder / "twin.wav", setup=folder / "setup.toml", seed=seed, progress=progress)

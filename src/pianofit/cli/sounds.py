@@ -73,15 +73,13 @@ def _struck(preset: str, change: list[str], velocity: float | None, seconds: flo
 def _assignments(change: list[str]) -> dict[str, float]:
     values = {}
     for text in change:
-        name, equals, number = text.partition("=")
-        if name.strip() in values:
-            raise ParameterError(f"--set {text!r}: {name.strip()} is set twice; remove one of them")
+        name, _, number = (part.strip() for part in text.partition("="))
+        if name in values:
+            raise ParameterError(f"--set {text!r}: {name} is set twice; remove one of them")
         try:
-            values[name.strip()] = float(number)
+            values[name] = float(number)
         except ValueError:
             raise ParameterError(f"--set {text!r} must be NAME=NUMBER, such as c=304.1") from None
-        if not equals:
-            raise ParameterError(f"--set {text!r} must be NAME=NUMBER, such as c=304.1")
     return values
 
 

@@ -22,9 +22,8 @@ from ..fit_file import gains_of
 from ..model.note import SLOWEST, Note
 from ..model.path import SAME_PARTIAL
 from ..parameters import PARAMETERS, check_seed
-from ..recording import Recording
+from ..recording import Recording, Source
 from ..setup import Setup
-from ..sources import Source
 from ..threads import one_blas_thread
 from . import Result
 from .fit import fit_recordings
