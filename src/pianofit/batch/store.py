@@ -56,7 +56,10 @@ class Store:
         try:
             new.mkdir(parents=True)
             for name, data in {**files, RECORD: content}.items():
-                _write(new / name, data)
+                with (new / name).open("xb") as file:
+                    file.write(data)
+                    file.flush()
+                    os.fsync(file.fileno())
             _flush(new)
             with contextlib.suppress(FileNotFoundError):
                 (self.keys / key).rename(old)
@@ -92,13 +95,6 @@ class Store:
     def finished(self) -> set[str]:
         """Names of the folders that are there."""
         return {p.name for p in self.keys.iterdir() if (p / RECORD).is_file()}
-
-
-def _write(path: Path, data: bytes) -> None:
-    with path.open("xb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
 
 
 def _flush(folder: Path) -> None:

@@ -25,10 +25,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 from .. import __version__
+from ..analysis import analyse
 from ..analysis.notes import hz_to_note, note_to_hz, note_to_midi
 from ..errors import AnalysisError, OutputError, PianofitError, RecordingError
 from ..io import NO_ROOM, one_line, read_file, unwritten, with_names
-from ..recording import MAX_BYTES
+from ..recording import MAX_BYTES, load_recording
 from .manifest import Key
 
 __all__ = ["Outcome", "Settings", "Source", "Unit", "fit_unit", "make_unit", "versions"]
@@ -275,9 +276,6 @@ def _fit(unit: Unit, files: list[Path], place: Path, out: Path, tell: Callable[[
 
 def _unusable(files: list[Path], unit: Unit) -> list[tuple[Path, str]]:
     """Recordings that say nothing of this key by themselves, and why."""
-    from ..analysis import analyse
-    from ..recording import load_recording
-
     found = []
     for file in files:
         try:
@@ -291,9 +289,6 @@ def _unusable(files: list[Path], unit: Unit) -> list[tuple[Path, str]]:
 
 def _sounds_like(unit: Unit, files: list[Path]) -> str:
     """The note that most of the recordings sound like, if that is another than the key's; else nothing."""
-    from ..analysis import analyse
-    from ..recording import load_recording
-
     notes = []
     for file in files:
         try:

@@ -18,7 +18,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..errors import PianofitError, SetupError, check_range
+from ..io import one_line
 from ..parameters import check_seed
+from ..recording import check_channel
+from ..setup import load_setup, setup_from_dict
 from .options import Channel, Json, Seed, number, one_of, whole
 from .terminal import tell
 
@@ -144,7 +147,6 @@ def status(
 
 
 def _check(workers: int | None, memory: float, time_limit: float, seed: int, channel: str) -> None:
-    from ..recording import check_channel
 
     check_range("--workers ", 1 if workers is None else workers, 1, 1024)
     check_range("--memory ", memory, 1, 4096, " GiB", "; a fit takes about 1.5")
@@ -159,9 +161,6 @@ def _settings(setup: Path | None, channel: str, seed: int, page: bool) -> Settin
 
     text = ""
     if setup is not None:
-        from ..io import one_line
-        from ..setup import load_setup
-
         if load_setup(setup).recordings:
             raise SetupError(
                 f"{one_line(setup)}: has a [[recording]]; the manifest names the recordings, with their velocities"
@@ -176,8 +175,6 @@ def _units(manifest: Path, keys: list, settings: Settings) -> list[Unit]:
 
     from ..batch import make_unit
     from ..batch.manifest import listed
-    from ..io import one_line
-    from ..setup import setup_from_dict
 
     units, problems = [], []
     for key in keys:
@@ -261,7 +258,6 @@ def _tell_planned(units: list[Unit], standing: dict[str, str], as_json: bool) ->
 def _summary(found: dict[str, Any]) -> str:
     """What became of the keys, in a screenful."""
     from ..batch.ledger import Entry
-    from ..io import one_line
 
     count = {state: n for state, n in found["counts"].items() if n}
     left = _left(count.get("running", 0) + count.get("waiting", 0), found.get("seconds_left"))

@@ -10,8 +10,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..errors import AnalysisError, FitError, WrongNoteError
+from ..io import check_sound_target, encode_wav, json_text, one_line, output_folder, replace_file, write_file
+from ..numbers import bracketed, columns, with_standard_error
 from ..parameters import check_seed, check_velocity
 from ..progress import progress_bar
+from ..recording import Recording, load_recording, read
+from ..setup import Setup, load_setup
 from ..units import NORMAL
 from . import options
 from .options import one_of, whole
@@ -20,8 +24,6 @@ from .terminal import tell
 if TYPE_CHECKING:
     from ..analysis import Analysis
     from ..model.note import Note
-    from ..recording import Recording
-    from ..setup import Setup
 
 __all__ = ["analyse", "crossval", "fit", "predict"]
 
@@ -36,7 +38,6 @@ def analyse(
     """Read pitch, inharmonicity, losses and partials off a recording, without a hammer."""
     from ..analysis import analyse as run
     from ..analysis import as_dict
-    from ..recording import load_recording
 
     recording = load_recording(file, channel=channel)
     found = run(recording, note=note, f0=f0)
@@ -47,7 +48,6 @@ def analyse(
 def _table(found: Analysis) -> str:
     """The string's laws with 95 % intervals, then a line for every partial with standard errors."""
     from ..analysis import COLUMNS, rows
-    from ..numbers import bracketed, columns, with_standard_error
 
     laws = (
         ("f0", found.f0, found.f0_error, "Hz", ""),
@@ -118,7 +118,6 @@ def fit(
 ) -> None:
     """Find the string's and the hammer's parameters behind one recording, or behind several of one key."""
     from ..fitting import fit as run
-    from ..io import output_folder
     from ..model.cache import keep_programs
     from .summary import summary
 
@@ -138,8 +137,6 @@ def fit(
 
 def _known(setup: Path | None, felt: str | None) -> Setup:
     """What was known beforehand, with the felt's law that the command names."""
-    from ..setup import Setup, load_setup
-
     return Setup(felt=felt) if setup is None else load_setup(setup, felt)
 
 
@@ -169,9 +166,7 @@ def _predicted(fit: Path, file: Path, out: Path | None, channel: str, force: boo
     from ..fit_file import fit_path, gains_of, mixture_of, read_fit
     from ..inference.align import touched
     from ..inference.predict import predict_recording
-    from ..io import check_sound_target, encode_wav, write_file
     from ..model.cache import keep_programs
-    from ..recording import load_recording
 
     if out is not None:
         check_sound_target(out, force)
@@ -191,8 +186,7 @@ def _predicted(fit: Path, file: Path, out: Path | None, channel: str, force: boo
         touch = touched(found.note, strike, recording)
         samples = found.note.heard(strike, recording.rate, len(recording.samples), touch)
         write_file(out, encode_wav(samples, recording.rate), force)
-    rows = document.get("recordings")
-    known = {row.get("sha256") for row in rows if isinstance(row, dict)} if isinstance(rows, list) else set()
+    known = {row.get("sha256") for row in document["recordings"] if isinstance(row, dict)}
     return {
         "file": recording.path, "sha256": recording.sha256, "was_fitted": recording.sha256 in known,
         "predicted_db": found.error_db, "partials": found.partials, "v_H0": found.velocity, "v_H0_at_end": found.at_end,
@@ -204,7 +198,6 @@ def _other_key(recording: Recording, note: Note, fit: Path) -> str:
     """Says that a recording is not of the key that was fitted, and what it sounds like."""
     from ..analysis import analyse as run
     from ..analysis import hz_to_note
-    from ..io import one_line
 
     f0, like = note.string.c / (2 * note.geometry.length), ""
     with suppress(AnalysisError):
@@ -233,9 +226,7 @@ def crossval(
     """Leave out each recording of a key in turn, fit the others, and predict it."""
     from ..fitting import listen
     from ..inference.predict import cross_validate
-    from ..io import json_text, output_folder, replace_file
     from ..model.cache import keep_programs
-    from ..recording import read
     from .summary import cross_validation
 
     check_seed(seed)

@@ -9,6 +9,16 @@ from typing import Annotated, Any
 import typer
 
 from ..errors import OutputError
+from ..io import (
+    check_sound_target,
+    check_target,
+    encode_pcm,
+    json_text,
+    one_line,
+    output_folder,
+    replace_file,
+    write_file,
+)
 from ..progress import progress_bar
 from .options import RATE, Built, Force, Json, Prefix, Sound
 from .terminal import tell
@@ -32,7 +42,6 @@ def instrument(
     as_json: Json = False,
 ) -> None:
     """Put the fits of single keys together: one instrument, every key of it, by smooth laws over the keyboard."""
-    from ..io import json_text, one_line, output_folder, replace_file
     from ..keyboard import build_instrument, find_fits, load_keys, owner
     from ..keyboard.page import write_page
     from ..keyboard.words import summary
@@ -58,7 +67,6 @@ def play(
     as_json: Json = False,
 ) -> None:
     """Play a MIDI file on a fitted instrument."""
-    from ..io import check_sound_target, encode_pcm, write_file
     from ..keyboard import load_instrument
     from ..model.cache import keep_programs
     from ..play import load_song, perform
@@ -109,7 +117,6 @@ def page(
 
     It has at most 1.5 MB; recordings come on top of that.
     """
-    from ..io import check_target, one_line
     from ..keyboard import load_instrument
     from ..play.page import write_page
 

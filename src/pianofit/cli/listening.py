@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from ..errors import ParameterError
+from ..io import output_folder
 from ..parameters import check_seed
 from .options import Force, Json, Seed, number, whole
 from .terminal import complain, tell
@@ -52,7 +53,6 @@ def listen(
         raise typer.BadParameter("A, B and --out are needed to make a test, or --result to count its answers")
     if as_json:
         raise typer.BadParameter("--json goes with --result")
-    from ..io import output_folder
 
     with output_folder(out, force) as folder:
         from ..listening.sounds import listening_test

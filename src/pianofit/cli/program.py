@@ -15,7 +15,7 @@ from typing import Annotated
 import typer
 
 from ..errors import check_range
-from ..io import NO_ROOM
+from ..io import NO_ROOM, encode_wav, output_folder, replace_file
 from ..parameters import check_seed
 from ..progress import progress_bar
 from . import batch, export, fits, instrument, listening, sounds
@@ -67,14 +67,12 @@ def demo(
     as_json: Json = False,
 ) -> None:
     """Make a measurement whose truth is known, fit it from the paper's initial values, and compare."""
-    from ..io import output_folder
     from .summary import comparison, summary
 
     check_seed(seed)
     check_range("noise=", noise, 0, 200, " dB")
     with output_folder(out, force) as folder, progress_bar() as progress:
         from ..fitting import fit
-        from ..io import encode_wav, replace_file
         from ..model.cache import keep_programs
         from ..paper.laboratory import make_twin, setup_text
 
@@ -88,8 +86,7 @@ def demo(
         result.save(folder, force=True)
     words = (
         f"{comparison(result.document, twin.true)}\n{summary(result.document, folder)}"
-        f"the page is {folder / 'report.html'}; "
-        f"the same fit from its files:\n"
+        f"the page is {folder / 'report.html'}; the same fit from its files:\n"
         f"pianofit fit {folder / 'twin.wav'} --setup {folder / 'setup.toml'} --out another\n"
     )
     tell(result.document | {"true": twin.true}, words, as_json)
@@ -104,8 +101,6 @@ def reproduce(
     quick: Annotated[bool, typer.Option("--quick", hidden=True)] = False,
 ) -> None:
     """Test the paper's tables, figures and claims on measurements of the program's own laboratory: one page."""
-    from ..io import output_folder
-
     check_seed(seed)
     with output_folder(out, force) as folder, progress_bar() as progress:
         from ..paper.reproduce import FULL, QUICK

@@ -8,6 +8,9 @@ from typing import Annotated
 import typer
 
 from ..errors import ParameterError
+from ..felt import BOXES, make_hammer
+from ..io import CEILING, check_sound_target, encode_wav, limited, write_file
+from ..parameters import check
 from .options import RATE, Force, Seconds, Sound, Velocity, number
 from .summary import contact_of
 
@@ -35,8 +38,6 @@ def simulate(
     force: Force = False,
 ) -> None:
     """Strike a published string and write its sound, its peak at -1 dBFS."""
-    from ..io import check_sound_target, encode_wav, write_file
-
     check_sound_target(out, force)
     from ..model.cache import keep_programs
     from ..model.note import check_render
@@ -49,10 +50,7 @@ def simulate(
 
 
 def _struck(preset: str, change: list[str], velocity: float | None, seconds: float, rate: int, quantity: str):
-    from ..felt import BOXES, make_hammer
-    from ..io import CEILING
     from ..model import simulate as run
-    from ..parameters import check
     from ..published import preset as find
 
     it = find(preset)
@@ -92,8 +90,6 @@ def render(
     force: Force = False,
 ) -> None:
     """Play a fitted string and hammer at any velocity, through its gain and path."""
-    from ..io import check_sound_target, encode_wav, limited, write_file
-
     check_sound_target(out, force)
     from ..fit_file import load_note
     from ..model.cache import keep_programs

@@ -12,6 +12,7 @@ import typer
 from typer.core import TyperCommand
 
 from ..errors import PianofitError
+from ..io import json_text, one_line
 
 __all__ = ["add", "complain", "tell"]
 
@@ -45,15 +46,11 @@ def add(app: typer.Typer, command: Callable, example: str) -> None:
 
 def tell(document: dict[str, Any], words: str, as_json: bool) -> None:
     """Print what came of a command: as JSON, or in words, whose last line ends."""
-    from ..io import json_text
-
     typer.echo(json_text(document) if as_json else words, nl=False)
 
 
 def complain(message: str) -> None:
     """Say what is wrong, on one line whatever is in it."""
-    from ..io import one_line
-
     typer.echo("pianofit: " + one_line(" ".join(message.split())), err=True)
 
 
