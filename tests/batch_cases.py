@@ -123,11 +123,7 @@ def _in_order(folder: Path) -> list[Path]:
 
 
 DRIVE = "import sys, batch_cases; batch_cases.drive(*sys.argv[1:])"
-CLI = (
-    "import sys; from pianofit import cli; from pianofit.cli import batch as c\n"
-    "if 'batch' not in [x.name or x.callback.__name__ for x in cli.app.registered_commands]: c.register(cli.app)\n"
-    "sys.exit(cli.main())"
-)
+CLI = "import sys; from pianofit.cli import main; sys.exit(main())"
 
 
 def killed(process: subprocess.Popen) -> None:

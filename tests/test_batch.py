@@ -103,13 +103,6 @@ def test_a_key_that_was_installed_when_the_batch_was_killed_is_done(tmp_path):
     assert plan(units, tmp_path / "out") == {"A0": "done"}
 
 
-def test_a_ledger_of_an_older_pianofit_is_named(whole, tmp_path):
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out/ledger").touch()
-    with pytest.raises(OutputError, match="ledger is a file, of an older pianofit; remove it, finished keys are kept"):
-        run(whole[1], tmp_path / "out")
-
-
 # --- failures ---------------------------------------------------------------------------------------------------------
 
 

@@ -11,6 +11,7 @@ from batch_cases import CLI, python, results, struck
 
 from pianofit.batch import Local, Settings, Unit, make_unit, read_keys
 from pianofit.batch.units import Outcome, _astray
+from pianofit.cli import main
 from pianofit.io import encode_wav
 
 PATTERN = "{instrument}-{note}-{layer}.wav"
@@ -124,18 +125,13 @@ def test_a_name_is_wrong_from_a_semitone_on():
     ],
 )
 def test_options_that_cannot_be_meant(tmp_path, monkeypatch, capsys, arguments, code, said):
-    from pianofit import cli
-    from pianofit.cli import batch as commands_batch
-
-    if "batch" not in [(c.name or c.callback.__name__) for c in cli.app.registered_commands if c.callback]:
-        commands_batch.register(cli.app)
     if "--scheduler" in arguments:
         pytest.importorskip("distributed")
     monkeypatch.chdir(tmp_path)
     (tmp_path / "a.wav").write_bytes(b"a")
     (tmp_path / "takes.toml").write_text('[[take]]\nfile = "a.wav"\nv_H0 = 1.0\n')
     (tmp_path / "m.csv").write_text("file,note\na.wav,C4\n")
-    assert cli.main(["batch", "m.csv", "--out", "out", *arguments]) == code
+    assert main(["batch", "m.csv", "--out", "out", *arguments]) == code
     captured = capsys.readouterr()
     assert said in captured.err
     assert captured.err.count("\n") == 1

@@ -89,7 +89,8 @@ def test_the_page_shows_every_key_and_what_can_be_heard(store):
 
 
 def test_a_damaged_record_hides_no_other_key(store):
-    store.install("odd", {"fit.json": b"[1, 2"}, {"hash": "x", "note": "H9"})
+    store.install("odd", {"fit.json": b"{}"}, {"hash": "x", "note": "H9"})
+    (store.keys / "odd/fit.json").write_bytes(b"[1, 2")
     Index(store).write()
     rows = list(csv.DictReader(io.StringIO((store.folder / "keys.csv").read_text(encoding="utf-8"))))
     assert [row["key"] for row in rows if row["c"]] == ["grand-Fs2", "grand-C4"]

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from pianofit.batch import Settings, make_unit, read_keys, units
+from pianofit.batch import Settings, make_unit, read_keys
 from pianofit.errors import RecordingError, SetupError
 from pianofit.setup import load_setup
 
@@ -235,9 +235,3 @@ def test_the_hash_is_of_contents_and_settings_not_of_places(tmp_path):
     assert unit("one", content=b"y").hash != first.hash
     assert unit("one", Settings(seed=1)).hash != first.hash
     assert first._replace(versions={"pianofit": "0"}).hash != first.hash
-
-
-def test_the_code_that_numbers_depend_on_is_there():
-    """A part that was moved, and is not found where it was, would no longer make a batch fit again."""
-    package = Path(units.__file__).parent.parent
-    assert [part for part in units.NUMBERS if not (package / part).exists()] == []

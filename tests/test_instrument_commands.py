@@ -13,24 +13,20 @@ import mido
 import numpy as np
 import pytest
 import soundfile
-import typer
 from instrument_cases import ERRORS, fit_document, library, true_note, uneven_note, write_fit
 from typer.testing import CliRunner, Result
 
-from pianofit.cli import export, instrument
+from pianofit.cli import app
 from pianofit.errors import FitError
 from pianofit.keyboard import build_instrument, find_fits, load_instrument, load_keys, read_instrument
 from pianofit.keyboard.page import write_page
 from pianofit.model.modal import Ringing
 
-APP = typer.Typer()
-instrument.register(APP)
-export.register(APP)
 KEYS = [30, 42, 54, 66, 78]
 
 
 def run(*words: object) -> Result:
-    return CliRunner().invoke(APP, [str(word) for word in words])
+    return CliRunner().invoke(app, [str(word) for word in words])
 
 
 @pytest.fixture(scope="module")
@@ -243,7 +239,7 @@ BAD_INSTRUMENTS = {
     "path wanders far": (changed("keys.0.path", wandering([1.0], [[1e4]])), "up to 300 dB for every partial"),
     "path wanders": (
         changed("keys.0.path", wandering("fast", [[0.0]])),
-        "wander needs velocity, and db of every stroke",
+        "wander needs 1 to 256 velocities",
     ),
     "velocity": (changed("velocity", None), "velocity is missing or no table"),
     "falling": (changed("velocity.rise", -1.0), "is no rising law"),

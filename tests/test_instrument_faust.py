@@ -11,11 +11,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import typer
 from instrument_cases import rung, true_instrument, true_note
 from typer.testing import CliRunner
 
-from pianofit.cli import export
+from pianofit.cli import app
 from pianofit.errors import ParameterError
 from pianofit.keyboard import Instrument
 from pianofit.model.modal import Participation
@@ -147,9 +146,6 @@ def test_a_fast_decay_through_a_slow_path_has_no_gain_without_bounds():
 
 
 def test_the_command_writes_one_file_and_says_what_is_a_guess(tmp_path, monkeypatch):
-    app = typer.Typer()
-    export.register(app)
-    app.command("nothing")(lambda: None)
     monkeypatch.setattr("pianofit.keyboard.load_instrument", lambda *_: piano())
     words = ["export", "i.json", "--format", "faust", "--keys", "G4", "--out"]
     done = CliRunner().invoke(app, [*words, str(tmp_path / "a.dsp")])

@@ -9,11 +9,10 @@ import mido
 import numpy as np
 import pytest
 import soundfile
-import typer
 from instrument_cases import ERRORS, PARTS, RATE, fit_document, rung, true_note, write_fit
 from typer.testing import CliRunner
 
-from pianofit.cli.instrument import register
+from pianofit.cli import app
 from pianofit.errors import FitError
 from pianofit.keyboard import build_instrument, find_fits, load_keys, read_instrument
 from pianofit.keyboard.inferred import REACH, inferred
@@ -90,8 +89,8 @@ def test_a_borrowed_partial_has_its_laws_energy_and_its_neighbours_decay_curve()
 
 
 BAD = {
-    "modes": ({"modes": 1}, "no whole table"),
-    "uneven": ({"modes": {"partial": [1]}}, "no whole table"),
+    "modes": ({"modes": 1}, "needs as many numbers"),
+    "uneven": ({"modes": {"partial": [1]}}, "needs as many numbers"),
     "no base64": ({"knock": {"flac": "?", "scale": 1.0}}, "is no base64"),
     "no sound": ({"knock": {"flac": "AAAA", "scale": 1.0}}, "is no FLAC file"),
     "cut": ({"knock": {"flac": "ZkxhQwAAAA==", "scale": 1.0}}, "cannot be read"),
@@ -119,8 +118,6 @@ def test_an_older_instrument_rings_by_its_law(document):
 
 
 def test_a_song_is_written_in_as_many_channels(document, tmp_path):
-    app = typer.Typer()
-    register(app)
     (tmp_path / "i.json").write_text(json.dumps(document))
     track = mido.MidiTrack([mido.Message("note_on", note=50, velocity=80), mido.Message("note_off", note=50, time=480)])
     mido.MidiFile(tracks=[track]).save(tmp_path / "a.mid")

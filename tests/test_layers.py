@@ -30,28 +30,26 @@ USES = {
     "tables": "io",
     "decode": "io",
     "recording": "decode io",
-    "sources": "io recording",
     "published": "parameters",
     "setup": "felt io parameters",
-    "analysis": "recording sources tables",
+    "analysis": "recording tables",
     "criterion": "analysis",
     "model": "criterion decode felt parameters",
     "ringing_file": "decode io model",
     "fit_file": "decode felt io model parameters ringing_file",
     "inference": "analysis felt io model parameters progress published recording setup tables threads",
-    "result": "analysis criterion felt fit_file inference io model parameters recording setup sources tables threads",
+    "result": "analysis criterion felt fit_file inference io model parameters recording setup tables threads",
     "ringing": "analysis model recording result ringing_file threads",
     "report": "analysis felt io model parameters result ringing ringing_file",
     "listening": "io recording report",
     "paper": "analysis criterion felt inference io listening model parameters published recording report result setup"
     " tables",
     "keyboard": "analysis criterion fit_file io model parameters published report ringing_file",
-    "fitting": "analysis inference paper parameters progress recording result ringing setup sources",
+    "fitting": "analysis inference paper parameters progress recording result ringing setup",
     "play": "analysis decode felt io keyboard model parameters recording report tables threads",
-    "workflow": "analysis fit_file fitting io model paper recording result setup sources",
     "batch": "analysis fitting io model parameters recording report tables",
     "cli": "analysis batch felt fit_file fitting io keyboard listening model paper parameters play progress"
-    " published recording report setup workflow",
+    " published recording report result setup",
     "__main__": "cli",
 }
 # What a method of a public type enters when it is called, against these arrows, by an import of its own.
@@ -175,7 +173,7 @@ def test_what_needs_no_jax_does_not_load_it(module):
 
 def test_the_default_estimate_does_not_load_the_papers_room():
     program = (
-        "import sys, pianofit, pianofit.workflow, pianofit.fitting, pianofit.report.page\n"
+        "import sys, pianofit, pianofit.fitting, pianofit.report.page\n"
         "for name in pianofit.__all__: getattr(pianofit, name)\n"
         "assert not [name for name in sys.modules if name.startswith('pianofit.paper')]"
     )

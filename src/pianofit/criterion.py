@@ -75,16 +75,7 @@ def cell_grid(f0: float, B: float, last: int, sigma: float, resolution: float) -
 
 
 def measure(samples: np.ndarray, rate: float, f0: float, B: float, last: int, sigma: float) -> tuple[Cells, np.ndarray]:
-    """|S|² of a recording that starts at its onset, at the cells of partials 1 to `last`.
-
-    Parameters
-    ----------
-    samples : [samples] from the onset on.
-
-    Returns
-    -------
-    The cells, and |S|² [partials, nodes], unit² · s².
-    """
+    """Cells of partials 1 to `last`, and |S|² there [partials, nodes], unit² · s², of `samples` from the onset on."""
     n = min(len(samples), int(np.ceil(ENOUGH_DAMPING / sigma * rate)))
     # At least 16 bins to a linewidth, so that rounding a node to a bin costs nothing.
     size = 2 ** int(np.ceil(np.log2(max(n, 16 * rate * 2 * np.pi / sigma))))

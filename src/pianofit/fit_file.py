@@ -15,7 +15,7 @@ import numpy as np
 from .decode import RATES
 from .errors import FitError, ParameterError
 from .felt import BOXES, LAWS, FeltLaw, check_hammer, make_hammer
-from .io import FIT_SCHEMA, finite, load_json, one_line, reference_of, shown, table_of
+from .io import FIT_SCHEMA, array_of, finite, load_json, one_line, reference_of, rising, shown, table_of
 from .model.modes import QUANTITIES
 from .model.note import Note
 from .model.path import OutputPath, Wander
@@ -101,12 +101,7 @@ def note_of(document: dict[str, Any], path: Path, felt: FeltLaw | None = None) -
     needed = (*STRING_NAMES, *(HAMMER_NAMES if law is None or law.hammers else law.boxes))
     values = {key: _number(table, key, name) for key in needed}
     values |= {key: _number(table, key, name) for key in BOXES if key in table and key not in values}
-    try:
-        hammer = make_hammer(values, name, law)
-        check({key: values[key] for key in STRING_NAMES}, name)
-        check_hammer(hammer, name)
-    except ParameterError as error:
-        raise FitError(str(error)) from None
+    string, hammer = _struck(values, name, law)
     pickup = table_of(document, "pickup", name, WAY_OUT)
     quantity = pickup.get("quantity")
     if quantity not in QUANTITIES:
@@ -118,8 +113,7 @@ def note_of(document: dict[str, Any], path: Path, felt: FeltLaw | None = None) -
     if not RATES[0] <= rate <= RATES[1]:
         raise FitError(f"{name}: recordings[{at}].rate={rate:g} Hz must be from {RATES[0]} to {RATES[1]}")
     note = Note(
-        String(*(values[n] for n in STRING_NAMES)), hammer,
-        _geometry(table, quantity, name), quantity, gain,
+        string, hammer, _geometry(table, quantity, name), quantity, gain,
         read_path(pickup.get("path"), f"{name}: pickup.path", WAY_OUT),
         read_ringing(document.get("ringing"), path.parent, name),
     )  # fmt: skip
@@ -176,9 +170,7 @@ def _of_minimum(note: Note, entry: dict, where: str, law: FeltLaw | None) -> Not
     values = {n: finite(x, f"{where}.parameters.{n}", WAY_OUT) for n, x in entry["parameters"].items()}
     values = {"mu": 0.0, "v_H0": float(note.hammer.v_H0)} | values
     try:
-        hammer = make_hammer(values, where, law)
-        check_hammer(hammer, where)
-        string = String(*(check({n: values[n] for n in STRING_NAMES}, where)[n] for n in STRING_NAMES))
+        string, hammer = _struck(values, where, law)
         geometry = note.geometry._replace(strike=values["x0"], width=values["width"])
         check_geometry(geometry, note.quantity)
     except KeyError as missing:
@@ -192,6 +184,16 @@ def _of_minimum(note: Note, entry: dict, where: str, law: FeltLaw | None) -> Not
         own |= {"wander": entry.get("path_wander")}
         path = read_path(own, f"{where}.path", WAY_OUT)
     return note._replace(string=string, hammer=hammer, geometry=geometry, path=path)
+
+
+def _struck(values: dict[str, float], where: str, law: FeltLaw | None) -> tuple[String, Any]:
+    """String and hammer of `values`, within their boxes."""
+    try:
+        hammer = make_hammer(values, where, law)
+        check_hammer(hammer, where)
+        return String(**check({name: values[name] for name in STRING_NAMES}, where)), hammer
+    except ParameterError as error:
+        raise FitError(str(error)) from None
 
 
 def _geometry(table: dict[str, Any], quantity: str, name: str) -> Geometry:
@@ -216,13 +218,13 @@ def read_path(entry: Any, where: str, way_out: str) -> OutputPath | None:
     if entry is None:
         return None
     table: dict[str, Any] = entry if isinstance(entry, dict) else {}
-    columns: list[Any] = [table.get("frequency"), table.get("db"), *([table["decay"]] if "decay" in table else [])]
-    whole = all(isinstance(x, list) and 0 < len(x) <= MOST_POINTS and all(map(is_number, x)) for x in columns)
-    if not whole or len({*map(len, columns)}) > 1 or columns[0][0] <= 0 or not (np.diff(columns[0]) > 0).all():
+    names = ("frequency", "db", *(["decay"] if "decay" in table else []))
+    columns = array_of([table.get(name) for name in names], None, None)
+    if not (0 < columns.shape[1] <= MOST_POINTS and rising(columns[0])):
         raise FitError(
             f"{where} needs frequency, rising, db and decay, above 0, as many, at most {MOST_POINTS}; {way_out}"
         )
-    frequency, db, decay = (*np.array(columns, float), np.ones(len(columns[0])))[:3]
+    frequency, db, decay = (*columns, np.ones(columns.shape[1]))[:3]
     if not ((decay >= DECAYS[0]) & (decay <= DECAYS[1])).all():
         raise FitError(f"{where}.decay must hold factors from {DECAYS[0]:g} to {DECAYS[1]:g}; {way_out}")
     if np.abs(db).max() > LARGEST_DB:
@@ -234,14 +236,11 @@ def _wander(entry: Any, partials: int, where: str, way_out: str) -> Wander | Non
     if entry is None:
         return None
     table: dict[str, Any] = entry if isinstance(entry, dict) else {}
-    columns: list[Any] = [table.get("velocity"), *(table["db"] if isinstance(table.get("db"), list) else [None])]
-    if not all(isinstance(x, list) and all(map(is_number, x)) for x in columns):
-        raise FitError(f"{where} needs velocity, and db of every stroke; {way_out}")
-    velocity, strokes = np.array(columns[0], float), len(columns[0])
-    whole = 1 <= strokes == len(columns) - 1 <= MOST_STROKES and {*map(len, columns[1:])} == {partials}
-    if not (whole and velocity[0] > 0 and (np.diff(velocity) > 0).all() and np.abs(columns[1:]).max() <= LARGEST_DB):
+    velocity, db = array_of(table.get("velocity"), None), array_of(table.get("db"), None, partials)
+    known = rising(velocity) and len(velocity) == len(db) <= MOST_STROKES
+    if not (known and np.abs(db).max() <= LARGEST_DB):
         raise FitError(
             f"{where} needs 1 to {MOST_STROKES} velocities, m/s, that rise from above 0, and for each up to "
             f"{LARGEST_DB:g} dB for every partial; {way_out}"
         )
-    return Wander(velocity, np.array(columns[1:], float))
+    return Wander(velocity, db)

@@ -13,9 +13,8 @@ from .analysis import Analysis, analyse
 from .errors import ParameterError, SetupError
 from .parameters import check_seed, check_velocity
 from .progress import Progress, progress_bar
-from .recording import Recording
+from .recording import Recording, Source, read
 from .setup import Setup, layer_of, load_setup, setup_from_dict
-from .sources import Source, read
 
 if TYPE_CHECKING:
     from .result import Result

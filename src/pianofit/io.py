@@ -19,13 +19,13 @@ from typing import Any
 import numpy as np
 
 from .errors import FitError, OutputError, ParameterError, PianofitError
-from .numbers import is_number
+from .numbers import LARGEST, is_number
 
 __all__ = [
     "CEILING", "FIT_SCHEMA", "MOST_CHANNELS", "NO_ROOM",
-    "check_sound_target", "check_target", "encode_pcm", "encode_wav", "finite", "interrupted_by",
+    "array_of", "check_sound_target", "check_target", "encode_pcm", "encode_wav", "finite", "interrupted_by",
     "json_text", "limited", "load_json", "one_line", "output_folder", "read_file", "read_text", "reference_of",
-    "replace_file", "shown", "table_of", "unwritten", "with_names", "write_file",
+    "replace_file", "rising", "shown", "table_of", "unwritten", "with_names", "write_file",
 ]  # fmt: skip
 
 # Channels of a sound at the most.
@@ -107,6 +107,21 @@ def finite(value: Any, where: str, way_out: str) -> float:
     if not is_number(value):
         raise FitError(f"{where} is {shown(value)}, no finite number; {way_out}")
     return float(value)
+
+
+def array_of(value: Any, *shape: int | None) -> np.ndarray:
+    """Lists of numbers that can be computed with, as an array of that shape, None for any length; empty, if not so."""
+    with contextlib.suppress(ValueError):  # rows of different lengths
+        array = np.array(value)
+        fits = array.ndim == len(shape) and all(n in (None, m) for n, m in zip(shape, array.shape, strict=True))
+        if fits and array.dtype.kind in "iuf" and (np.abs(array) <= LARGEST).all():
+            return array.astype(float)
+    return np.empty((0,) * len(shape))
+
+
+def rising(values: np.ndarray) -> bool:
+    """Whether there are values, and they rise from above 0."""
+    return bool((np.diff(values, prepend=0.0) > 0).all()) and len(values) > 0
 
 
 def with_names(value: Any, names: Mapping[str, str]) -> Any:

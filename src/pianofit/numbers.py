@@ -12,7 +12,7 @@ from decimal import Decimal
 from typing import Any
 
 __all__ = [
-    "beside", "bracketed", "columns", "is_number", "number", "off_by", "with_half_interval", "with_interval",
+    "LARGEST", "beside", "bracketed", "columns", "is_number", "number", "off_by", "with_half_interval", "with_interval",
     "with_standard_error",
 ]  # fmt: skip
 

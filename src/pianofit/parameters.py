@@ -142,10 +142,7 @@ def check(
 ) -> dict[str, float]:
     """Return `values` as finite floats within their `boxes`.
 
-    Raises
-    ------
-    ParameterError
-        Naming `where`, the parameter, its value, and the range with its unit.
+    Raises `ParameterError`, naming `where`, the parameter, its value, and the range with its unit.
     """
     for name, value in values.items():
         if name not in boxes:
@@ -160,24 +157,12 @@ def check(
 
 
 def check_velocity(velocity: float | None) -> None:
-    """Refuse a hammer velocity, m/s, outside the box; None is one that was not given.
-
-    Raises
-    ------
-    ParameterError
-        Naming its value and its range.
-    """
+    """Refuse by a `ParameterError` a hammer velocity, m/s, outside the box; None is one that was not given."""
     if velocity is not None:
         check_range("velocity=", velocity, PARAMETERS["v_H0"].lower, PARAMETERS["v_H0"].upper, " m/s")
 
 
 def check_seed(seed: int) -> None:
-    """Refuse a seed that no random numbers come of.
-
-    Raises
-    ------
-    ParameterError
-        Naming its value.
-    """
+    """Refuse by a `ParameterError` a seed that no random numbers come of."""
     if not isinstance(seed, Integral) or seed < 0:
         raise ParameterError(f"seed={seed!r} must be a whole number from 0")

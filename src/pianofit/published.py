@@ -283,10 +283,6 @@ _PAPER_GEOMETRY = Geometry(length=1.0, mass=6.18e-3, strike=0.12, width=0.02, pi
 _PAPER_LACKS = "M_S, x0, window, pickup: chosen once"
 
 
-def _paper(name: str, string: String, hammer: Hammer, lacks: str) -> Preset:
-    return Preset(name, None, string, hammer, _PAPER_GEOMETRY, PAPER, READ, lacks)
-
-
 def _after_chabassier(row: PublishedString) -> Preset:
     usual = typical(row.midi)
     string = usual.string._replace(c=row.c, kappa=row.kappa)
@@ -314,19 +310,19 @@ def _chaigne_c4() -> Preset:
 PRESETS: dict[str, Preset] = {
     entry.name: entry
     for entry in (
-        _paper(
-            "bensa-initial",
+        Preset(
+            "bensa-initial", None,
             String(c=310.6, kappa=1.737, b1=0.500, b2=1.004e-10),
             Hammer(K_H=1.51647e9, mu=0.1000, p=2.55, M_H=6.790e-3, v_H0=0.74078),
-            f"{_PAPER_LACKS}; kappa: the final one",
+            _PAPER_GEOMETRY, PAPER, READ, f"{_PAPER_LACKS}; kappa: the final one",
         ),
-        _paper(
-            "bensa-final",
+        Preset(
+            "bensa-final", None,
             String(c=304.101, kappa=1.737, b1=0.568, b2=1.628e-6),
             Hammer(K_H=1.09949e10, mu=0.1998, p=2.56, M_H=5.687e-3, v_H0=0.79993),
-            _PAPER_LACKS,
+            _PAPER_GEOMETRY, PAPER, READ, _PAPER_LACKS,
         ),
         _chaigne_c4(),
         *map(_after_chabassier, STRINGS),
     )
-}
+}  # fmt: skip

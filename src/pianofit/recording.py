@@ -13,15 +13,19 @@ from __future__ import annotations
 import hashlib
 import math
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from .decode import STEPS, check_layout, decode
 from .errors import ParameterError, RecordingError
-from .io import one_line, read_file
+from .io import one_line, read_file, shown
 
-__all__ = ["CHANNELS", "INSIDE", "Recording", "find_onset", "load_recording", "recording_from_samples"]
+__all__ = [
+    "INSIDE", "Recording", "Source", "as_recording", "check_channel", "find_onset", "load_recording", "read",
+    "recording_from_samples",
+]  # fmt: skip
 
 CHANNELS = ("average", "left", "right", *"12345678")
 MAX_BYTES = 2**30
@@ -59,6 +63,32 @@ class Recording:
         )
 
 
+# What a recording is given as.
+Source = str | os.PathLike[str] | tuple[np.ndarray, int] | Recording
+
+
+def read(recordings: Sequence[Source], channel: str = "average") -> list[Recording]:
+    """Recordings from files, from arrays with their rates, and as they are.
+
+    Raises `RecordingError` for a sound that cannot be used; `ParameterError` for what is no recording, or another
+    channel.
+    """
+    return [as_recording(source, channel, f"recording {at}") for at, source in enumerate(recordings, 1)]
+
+
+def as_recording(source: Source, channel: str = "average", name: str = "recording") -> Recording:
+    """One of them; `name` is what messages call an array."""
+    if isinstance(source, Recording):
+        return source
+    if isinstance(source, str | os.PathLike):
+        return load_recording(source, channel=channel)
+    if isinstance(source, tuple) and len(source) == 2:
+        return recording_from_samples(*source, name=name)
+    raise ParameterError(
+        f"{name} = {shown(source)} must be a path, a Recording, or (samples, rate); give each as an argument of its own"
+    )
+
+
 def load_recording(path: str | os.PathLike[str], *, channel: str = "average") -> Recording:
     """Read a WAV (PCM 16, 24, 32, float 32, 64) or FLAC file, 8 to 384 kHz, 1 to 8 channels.
 
@@ -85,8 +115,7 @@ def load_recording(path: str | os.PathLike[str], *, channel: str = "average") ->
     >>> pianofit.load_recording("tone.wav")
     Recording tone.wav: 1.00 s at 44100 Hz, mono (FLOAT)
     """
-    if channel not in CHANNELS:
-        raise ParameterError(f"channel={one_line(channel)!r} must be average, left, right, or a number from 1 to 8")
+    check_channel(channel)
     data = read_file(path, MAX_BYTES, RecordingError)
     try:
         frames, rate, subtype = decode(data)
@@ -95,6 +124,12 @@ def load_recording(path: str | os.PathLike[str], *, channel: str = "average") ->
         return _measure(used, rate, STEPS.get(subtype, 0.0), path=os.fspath(path), channel=chosen, **facts)
     except RecordingError as error:
         raise RecordingError(f"{one_line(os.fspath(path))}: {error}") from None
+
+
+def check_channel(channel: str) -> None:
+    """Refuse by a `ParameterError` what is no channel of a file."""
+    if channel not in CHANNELS:
+        raise ParameterError(f"channel={one_line(channel)!r} must be average, left, right, or a number from 1 to 8")
 
 
 def recording_from_samples(samples: np.ndarray, rate: int, *, name: str = "samples") -> Recording:

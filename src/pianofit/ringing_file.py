@@ -11,7 +11,7 @@ import numpy as np
 
 from .decode import RATES
 from .errors import FitError
-from .io import MOST_CHANNELS, encode_pcm, finite, read_file
+from .io import MOST_CHANNELS, array_of, encode_pcm, finite, read_file, rising
 from .model.modal import Participation, Ringing
 
 __all__ = ["KNOCK_FILE", "encode_knock", "read_ringing", "ringing_document"]
@@ -32,8 +32,6 @@ LARGEST_NUMBER = 1e12
 # What the files begin with that may hold a knock: a page writes WAV, a fit FLAC.
 MAGIC = {"flac": b"fLaC", "wav": b"RIFF"}
 WAY_OUT = "give the files that pianofit fit wrote"
-ERRORS = ("frequency_error", "decay_error")
-COLUMNS = ("partial", "frequency", ERRORS[0], "decay", ERRORS[1])
 
 
 def ringing_document(ringing: Ringing, *, whole: bool = False) -> dict[str, Any]:
@@ -85,21 +83,15 @@ def read_ringing(entry: Any, folder: Path | None, name: str) -> Ringing | None:
         return None
     if not isinstance(entry, dict):
         raise FitError(f"{name}: ringing must be a table; {WAY_OUT}")
-    modes, pattern = entry.get("modes") or {}, entry.get("pattern") or ()
-    try:
-        exact = dict.fromkeys(ERRORS, [0.0] * len(modes["partial"]))
-        table = np.array([(exact | modes)[column] for column in COLUMNS], float)
-        parts = _parts(pattern)
-    except (KeyError, OverflowError, TypeError, ValueError):
-        raise FitError(f"{name}: ringing has no whole table of modes and patterns; {WAY_OUT}") from None
-    known = table.ndim == 2 and parts.ndim == 3 and 1 <= table.shape[-1] == parts.shape[-1] <= MOST_MODES
-    # Not greater, and no NaN.
-    sound = known and (np.abs(table) <= LARGEST_NUMBER).all() and (np.abs(parts) <= LARGEST_NUMBER).all()
-    if not (sound and len(parts) <= MOST_CHANNELS):
+    modes = entry["modes"] if isinstance(entry.get("modes"), dict) else {}
+    names = ("partial", "frequency", "decay", *(["decay_error"] if "decay_error" in modes else []))
+    table, parts = array_of([modes.get(name) for name in names], None, None), _parts(entry.get("pattern"))
+    whole = 1 <= table.shape[1] == parts.shape[2] <= MOST_MODES and len(parts) <= MOST_CHANNELS
+    if not (whole and (np.abs(table) <= LARGEST_NUMBER).all() and (np.abs(parts) <= LARGEST_NUMBER).all()):
         raise FitError(
             f"{name}: ringing needs as many numbers up to {LARGEST_NUMBER:g} in every column and pattern; {WAY_OUT}"
         )
-    number, frequency, _, decay, error = table
+    number, frequency, decay, error = (*table, np.zeros(table.shape[1]))[:4]
     if not ((frequency > 0).all() and (decay > 0).all() and (error >= 0).all()):
         raise FitError(f"{name}: ringing has frequencies, decays or errors that are not above 0; {WAY_OUT}")
     if not ((number % 1 == 0) & (number >= 1) & (number <= MOST_MODES)).all():
@@ -111,24 +103,23 @@ def read_ringing(entry: Any, folder: Path | None, name: str) -> Ringing | None:
 
 
 def _parts(rows: Any) -> np.ndarray:
-    """What `_rows` wrote [rows, real and imaginary, columns]."""
-    return np.array([[row["real"], row["imag"]] for row in rows], float)
+    """What `_rows` wrote [rows, real and imaginary, columns]; empty, if it did not."""
+    tables = [row if isinstance(row, dict) else {} for row in rows] if isinstance(rows, list) else []
+    return array_of([[row.get("real"), row.get("imag")] for row in tables], None, 2, None)
 
 
 def _participation(entry: Any, modes: int, name: str) -> Participation | None:
     if entry is None:
         return None
-    try:
-        velocity, parts = np.array(entry["velocity"], float), _parts(entry["strokes"])
-    except (KeyError, OverflowError, TypeError, ValueError):
-        raise FitError(f"{name}: participation needs velocities, and parts of strokes; {WAY_OUT}") from None
-    strokes = len(velocity) if velocity.ndim == 1 else 0
-    if not (1 <= strokes <= MOST_STROKES and parts.shape == (strokes, 2, modes) and (np.abs(parts) <= MOST_PART).all()):
+    table: dict[str, Any] = entry if isinstance(entry, dict) else {}
+    velocity, parts = array_of(table.get("velocity"), None), _parts(table.get("strokes"))
+    known = 1 <= len(velocity) <= MOST_STROKES and parts.shape == (len(velocity), 2, modes)
+    if not (known and (np.abs(parts) <= MOST_PART).all()):
         raise FitError(
             f"{name}: participation needs, for each of 1 to {MOST_STROKES} velocities, a number up to {MOST_PART:g} "
             f"for every mode; {WAY_OUT}"
         )
-    if not (velocity[0] > 0 and (np.diff(velocity) > 0).all() and velocity[-1] <= LARGEST_NUMBER):
+    if not (rising(velocity) and velocity[-1] <= LARGEST_NUMBER):
         raise FitError(f"{name}: velocities of participation must rise from above 0; {WAY_OUT}")
     return Participation(velocity, parts[:, 0] + 1j * parts[:, 1])
 

@@ -11,7 +11,7 @@ import difflib
 import os
 import tomllib
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from numbers import Real
 from pathlib import Path
 from typing import Any
@@ -35,16 +35,6 @@ RANGES: dict[str, tuple[float, float, str]] = {
     "width": (1e-5, 1.0, "m"),
     "scale": (1e-12, 1e12, "units at digital full scale"),
 }
-KEYS: dict[str, tuple[str, ...]] = {
-    "string": ("length", "mass"),
-    "strike": ("position", "width"),
-    "pickup": ("quantity", "position", "scale"),
-    "felt": ("law",),
-    "known": tuple(BOXES),
-    "initial": tuple(BOXES),
-    "bounds": tuple(BOXES),
-    "recording": ("file", "v_H0", "group", "gain_group", "stroke"),
-}
 # What belongs to the felt of some law.
 FELT_NAMES = {name for law in LAWS.values() for name in law.parameters}
 # What older files call the table of recordings, and the stroke in its entries.
@@ -67,6 +57,14 @@ class Layer:
     group: str | None = None  # recordings of a group share one output path
     gain_group: str | None = None  # recordings of a gain group share one gain
     stroke: str | None = None  # recordings of one hammer stroke at several microphones have one
+
+
+# The tables of a file, and what each may hold.
+KEYS: dict[str, tuple[str, ...]] = {
+    **{table: tuple(key for other, key in PLACES.values() if other == table) for table, _ in PLACES.values()},
+    **dict.fromkeys(("known", "initial", "bounds"), tuple(BOXES)),
+    "recording": tuple(entry.name for entry in fields(Layer)),
+}
 
 
 @dataclass(frozen=True)

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from ..errors import AnalysisError, WrongNoteError
-from ..sources import Source, as_recording
+from ..recording import Recording, Source, as_recording
 from .demodulate import demodulate
 from .fits import first_fits, lost
 from .glide import Fall, falls, glide_windows, straightened
@@ -18,9 +16,6 @@ from .partials import LEAST_SNR, Measured, measure, systematic
 from .pitch import find_pitch, track
 from .result import Analysis, Partials
 from .spectrum import noise_between, spectrum
-
-if TYPE_CHECKING:
-    from ..recording import Recording
 
 __all__ = ["analyse"]
 

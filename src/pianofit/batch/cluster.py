@@ -34,12 +34,9 @@ def check_cluster() -> None:
 
 
 class Cluster:
-    """Workers of the scheduler at `address`, such as tcp://10.0.0.1:8786.
+    """Workers of the scheduler at `address`, such as tcp://10.0.0.1:8786, which do `work` with each unit.
 
-    Parameters
-    ----------
-    by_value : send recordings along; else workers read them at the same paths.
-    work : what a worker does with a unit.
+    Recordings are sent along if `by_value`; else workers read them at the same paths.
 
     Raises `ParameterError` if dask.distributed is missing, or there is no scheduler.
     """

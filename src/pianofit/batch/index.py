@@ -14,8 +14,8 @@ from urllib.parse import quote
 
 from ..analysis.notes import note_to_midi
 from ..errors import AnalysisError, PianofitError
-from ..io import one_line, reference_of
-from ..numbers import is_number, number, with_interval
+from ..io import FIT_SCHEMA, one_line, reference_of
+from ..numbers import number, with_interval
 from ..recording import load_recording
 from ..report import kit
 from ..report.sound import LIGHT_RATE, Clip, make_clips, seconds_each
@@ -37,8 +37,6 @@ INVARIANTS = {
     "f0": ("pitch", "Hz"), "B": ("inharmonicity", ""), "M_H/M_S": ("hammer over string mass", ""),
     "x0/L": ("strike position", ""), "F/M_S": ("felt’s force", "N/kg"),
 }  # fmt: skip
-# Entries of a fit.json that are read here, and what each is; a damaged one is left out.
-READ = {"invariants": dict, "parameters": dict, "levels": dict, "ringing": dict, "recordings": list, "messages": list}
 # Of the page's sounds all together: 8 MB.
 SAMPLES = 4_000_000
 LONGEST = 3.0  # s, of each of them,
@@ -84,12 +82,9 @@ class Index:
         self._stale, self._written = False, time.monotonic()
 
     def _fit(self, key: str) -> dict[str, Any]:
-        try:
-            fit = json.loads((self.store.keys / key / "fit.json").read_bytes())
-        except (OSError, ValueError, RecursionError):
-            return {}
-        entries = fit.items() if isinstance(fit, dict) else ()
-        return {name: entry for name, entry in entries if isinstance(entry, READ.get(name, object))}
+        """What a key's fit.json says; nothing of one that was changed since, or is of another schema."""
+        fit = json.loads(self.store.content(key, "fit.json") or b"{}")
+        return fit if fit.get("schema") == FIT_SCHEMA else {}
 
     def _sounds(self, entry: Entry, fit: dict[str, Any], seconds: float) -> list[Clip]:
         """The reference recording and its fit, kept until the key is fitted anew."""
@@ -112,11 +107,11 @@ def _heard(store: Store, key: str, fit: dict[str, Any], seconds: float) -> list[
     """Recording and fit, cut and equally loud; nothing where one of them is not there any more."""
     (_, row), settings = reference_of(fit.get("recordings")), (store.said(key) or {}).get("settings", {})
     try:
-        recording = load_recording(str(row.get("file")), channel=settings.get("channel", "average"))
+        recording = load_recording(row.get("file", ""), channel=settings.get("channel", "average"))
         fitted = load_recording(store.keys / key / "fitted.wav")
     except PianofitError:
         return []
-    if recording.sha256 != row.get("sha256") or fitted.rate != recording.rate:
+    if recording.sha256 != row["sha256"] or fitted.rate != recording.rate:
         return []
     sounds, rate = {"original": recording.samples, "fitted": fitted.samples}, recording.rate
     return make_clips(sounds, rate, recording.onset / rate, seconds=seconds, highest_rate=LIGHT_RATE)
@@ -124,64 +119,54 @@ def _heard(store: Store, key: str, fit: dict[str, Any], seconds: float) -> list[
 
 def _row(store: Store, entry: Entry, fit: dict[str, Any]) -> dict[str, Any]:
     """What the page says of a key."""
-    folder, invariants = store.keys / entry.key, _tables(fit.get("invariants"))
+    folder, invariants = store.keys / entry.key, fit.get("invariants", {})
     measured = [with_interval(x.get("value"), x.get("interval")) for x in (invariants.get(n, {}) for n in INVARIANTS)]
-    levels, out = fit.get("levels") or {}, _left_out_db(fit)
     return {
         "key": entry.key, "note": entry.note, "recordings": entry.recordings, "left_out": entry.left_out,
         "link": next((f"keys/{quote(entry.key)}/{n}" for n in PAGES if (folder / n).is_file()), ""),
-        "measured": measured, "converged": fit.get("converged") is not False, "statuses": _statuses(fit),
-        "messages": len(fit.get("messages") or ()), "levels": number(levels.get("fitted_db"), 2),
-        "out": number(out, 2),
+        "measured": measured, "converged": fit.get("converged", True), "statuses": _statuses(fit),
+        "messages": len(fit.get("messages", ())), "levels": number(_fitted_db(fit), 2),
+        "out": number(_left_out_db(fit), 2),
     }  # fmt: skip
 
 
 def _statuses(fit: dict[str, Any]) -> list[str]:
     """Which parameters are how sure, such as "assumed: L, M_S"."""
     found: dict[str, list[str]] = {}
-    for name, entry in _tables(fit.get("parameters")).items():
-        found.setdefault(str(entry.get("status")), []).append(name)
-    # What is least certain comes first.
-    order = sorted(found, key=lambda status: -[*STATUS].index(status) if status in STATUS else 1)
+    for name, entry in fit.get("parameters", {}).items():
+        found.setdefault(entry["status"], []).append(name)
+    order = sorted(found, key=[*STATUS].index, reverse=True)  # what is least certain comes first
     return [f"{status.replace('-', ' ')}: {', '.join(found[status])}" for status in order]
 
 
-def _left_out_db(fit: dict[str, Any]) -> Any:
+def _fitted_db(fit: dict[str, Any]) -> float | None:
+    """How far the levels of the partials are from the recordings', dB."""
+    return fit.get("levels", {}).get("fitted_db")
+
+
+def _left_out_db(fit: dict[str, Any]) -> float | None:
     """How far layers that took no part are from their recordings, as the key is played, dB."""
-    ringing = fit.get("ringing") or {}
+    ringing = fit.get("ringing", {})
     return (ringing.get("left_out_db") or {}).get(ringing.get("by"))
-
-
-def _tables(value: Any) -> dict[str, dict[str, Any]]:
-    return {name: x for name, x in value.items() if isinstance(x, dict)} if isinstance(value, dict) else {}
 
 
 def table(entries: Sequence[Entry], fits: dict[str, dict[str, Any]]) -> tuple[list[str], Iterator[list[Any]]]:
     """The header and a row for every key, every number with its 95 % interval, in SI units."""
-    names = dict.fromkeys(name for fit in fits.values() for name in _tables(fit.get("parameters")))
+    names = dict.fromkeys(name for fit in fits.values() for name in fit.get("parameters", {}))
     columns = [f"{name}{end}" for name in (*INVARIANTS, *names) for end in ("", " low", " high")]
     about = ["key", "note", "state", "reason", "recordings", "recordings left out", "converged", "levels dB",
              "layers left out dB", "rings by", "seconds"]  # fmt: skip
 
     def row(entry: Entry) -> list[Any]:
         fit = fits.get(entry.key, {})
-        values = _tables(fit.get("invariants")) | _tables(fit.get("parameters"))
+        values = fit.get("invariants", {}) | fit.get("parameters", {})
         cells = [values.get(name, {}) for name in (*INVARIANTS, *names)]
         return [
             entry.key, entry.note, entry.state, one_line(entry.reason), entry.recordings, len(entry.left_out),
-            fit.get("converged", ""), _cell((fit.get("levels") or {}).get("fitted_db")), _cell(_left_out_db(fit)),
-            (fit.get("ringing") or {}).get("by", "law") if fit else "", _cell(entry.seconds or None),
-            *(x for cell in cells for x in (_cell(cell.get("value")), *_ends(cell.get("interval")))),
+            fit.get("converged", ""), _fitted_db(fit), _left_out_db(fit),
+            fit.get("ringing", {}).get("by", "law") if fit else "", entry.seconds or None,
+            *(x for cell in cells for x in (cell.get("value"), *(cell.get("interval") or (None, None)))),
             *(values.get(name, {}).get("status", "") for name in names),
         ]  # fmt: skip
 
     return [*about, *columns, *(f"{name} status" for name in names)], map(row, entries)
-
-
-def _cell(value: Any) -> Any:
-    return value if is_number(value) else None
-
-
-def _ends(interval: Any) -> tuple[Any, Any]:
-    known = isinstance(interval, list) and len(interval) == 2
-    return (_cell(interval[0]), _cell(interval[1])) if known else (None, None)

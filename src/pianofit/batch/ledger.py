@@ -35,6 +35,12 @@ class Entry(NamedTuple):
     stage: str = ""  # of the fit, while it is running
     began: float = 0.0  # when, s since 1970, while it is running
 
+    @property
+    def why(self) -> str:
+        """Why it failed, with what its pitch suggests."""
+        told = not self.sounds_like or self.sounds_like in self.reason
+        return self.reason if told else f"{self.reason}; it sounds like {self.sounds_like}"
+
 
 def entry_of(store: Store, key: str, record: dict[str, Any] | None) -> Entry | None:
     """What is known of a key whose folder has this record: it is done, unless something newer is wanted of it."""

@@ -28,10 +28,9 @@ __all__ = ["AtWork", "Local", "Lost", "Work"]
 
 RECYCLE = 16  # units
 # One thread for each library that would take all cores; read when it is first imported.
-ONE_THREAD = {
-    "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "VECLIB_MAXIMUM_THREADS": "1",
-    "NPROC": "1",
-}  # fmt: skip
+ONE_THREAD = dict.fromkeys(
+    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS", "NPROC"), "1"
+)
 XLA_FLAG = "--xla_cpu_multi_thread_eigen=false"
 
 # Of a unit, its recordings' bytes, a scratch folder, and a function that is told the stages.
@@ -62,15 +61,9 @@ class _Worker:
 
 
 class Local:
-    """Workers on this machine.
+    """So many workers on this machine, which do `work` with each unit, and have `scratch` for temporary files.
 
-    Parameters
-    ----------
-    workers : how many at a time.
-    memory : bytes that each may take.
-    time_limit : seconds that a unit may take.
-    scratch : a folder for the workers' temporary files.
-    work : what a worker does with a unit.
+    Each may take so much `memory`, bytes, and a unit so much time, s.
     """
 
     def __init__(self, workers: int, memory: int, time_limit: float, scratch: Path, work: Work = fit_unit) -> None:
@@ -121,7 +114,9 @@ class Local:
             if worker.pipe in ready or worker.process.sentinel in ready:
                 outcome = self._collect(worker, gone=worker.process.sentinel in ready)
             if outcome is None and time.monotonic() - worker.since > self._limit:
-                outcome = self._stopped(worker)
+                self._retire(worker, 0.0)
+                reason = f"took more than {self._limit:g} s and was stopped; give --time-limit more if it may"
+                outcome = Outcome({}, reason, seconds=self._limit)
             if unit is not None and outcome is not None:
                 worker.unit = None
                 found.append((unit, outcome))
@@ -141,12 +136,6 @@ class Local:
         except (EOFError, OSError):
             gone = True
         return Lost(self._retire(worker)) if gone else None
-
-    def _stopped(self, worker: _Worker) -> Outcome:
-        """End a worker whose unit takes too long."""
-        self._retire(worker, 0.0)
-        return Outcome({}, f"took more than {self._limit:g} s and was stopped; give --time-limit more if it may", "",
-                       seconds=self._limit)  # fmt: skip
 
     def _retire(self, worker: _Worker, patience: float = 5.0) -> str:
         """Take a worker away and say how it ended."""

@@ -46,12 +46,9 @@ Workers = Local | Cluster
 
 
 def plan(units: Sequence[Unit], folder: Path, retry_failed: bool = False) -> dict[str, str]:
-    """What a run would do with every unit, and why; nothing is written.
+    """What a run would do, by key: "done", "failed: REASON" (which it leaves alone), or "to do: WHY".
 
-    Returns
-    -------
-    dict
-        By key: "done", "failed: REASON" (which a run leaves alone), or "to do: WHY".
+    Nothing is written.
     """
     store = Store(folder)
     return {unit.key: _standing(unit, store, retry_failed)[0] for unit in units}
@@ -83,9 +80,7 @@ def run_batch(
 ) -> dict[str, Any]:
     """Fit all units that are not done, into `folder`, and return what `status` says of them.
 
-    Parameters
-    ----------
-    workers : makes the workers, once the folder is held.
+    `workers` makes the workers, once the folder is held.
 
     Raises `OutputError` if the folder is in use, is not a batch's, or cannot be written to, or the cluster is gone.
     What is finished stays, and the same call goes on.
@@ -174,7 +169,7 @@ class _Batch:
         if outcome.error:
             facts |= {"reason": outcome.error, "sounds_like": outcome.sounds_like, "detail": outcome.detail}
             self._row(unit, state="failed", **facts)
-            self._say(f"{unit.key}: failed: {_reason(self.rows[unit.key])}", workers)
+            self._say(f"{unit.key}: failed: {self.rows[unit.key].why}", workers)
             return
         self.store.install(unit.key, outcome.files, _record(unit, outcome))
         self._row(unit, state="done", reason="", **facts)
@@ -205,9 +200,3 @@ def _record(unit: Unit, outcome: Outcome) -> dict[str, Any]:
         "left_out": outcome.left_out,
         "seconds": round(outcome.seconds, 3), "memory": outcome.memory, "finished": round(time.time(), 3),
     }  # fmt: skip
-
-
-def _reason(entry: Entry) -> str:
-    """Why a key failed, with what its pitch suggests."""
-    told = not entry.sounds_like or entry.sounds_like in entry.reason
-    return entry.reason if told else f"{entry.reason} (it sounds like {entry.sounds_like})"

@@ -50,13 +50,9 @@ def _left(entries: Sequence[Entry]) -> float | None:
 def time_left(seconds: Sequence[float], waiting: int, running: Sequence[float], slots: int) -> float | None:
     """Seconds until all is done: the median of finished units for each that waits, shared among the workers.
 
-    A unit at work is given what it lacks of the median, and never less than a quarter of what it has taken: one that
-    is over its time is not about to end.
-
-    Parameters
-    ----------
-    seconds : of the units that are done.
-    running : seconds that each running unit has taken so far.
+    `seconds` are of the units that are done, `running` what each at work has taken so far. Such a unit is given what
+    it lacks of the median, and never less than a quarter of what it has taken: one that is over its time is not about
+    to end.
     """
     if not seconds or not slots:
         return None

@@ -56,7 +56,10 @@ class Store:
         try:
             new.mkdir(parents=True)
             for name, data in {**files, RECORD: content}.items():
-                _write(new / name, data)
+                with (new / name).open("xb") as file:
+                    file.write(data)
+                    file.flush()
+                    os.fsync(file.fileno())
             _flush(new)
             with contextlib.suppress(FileNotFoundError):
                 (self.keys / key).rename(old)
@@ -75,27 +78,23 @@ class Store:
         except (OSError, ValueError, KeyError, TypeError, RecursionError):
             return None
 
+    def content(self, key: str, name: str) -> bytes | None:
+        """A file of a finished key; None if it is missing or not what the record says."""
+        record = self.said(key) or {"files": {}}
+        with contextlib.suppress(OSError):
+            data = (self.keys / key / Path(name).name).read_bytes()
+            return data if hashlib.sha256(data).hexdigest() == record["files"].get(name) else None
+        return None
+
     def record(self, key: str) -> dict[str, Any] | None:
         """The record of a finished key; None if its folder is missing or is not what its record says."""
         record = self.said(key)
-        try:
-            for name, digest in ({} if record is None else record["files"]).items():
-                if hashlib.sha256((self.keys / key / Path(name).name).read_bytes()).hexdigest() != digest:
-                    return None
-        except OSError:
-            return None
-        return record
+        whole = record is not None and all(self.content(key, name) is not None for name in record["files"])
+        return record if whole else None
 
     def finished(self) -> set[str]:
         """Names of the folders that are there."""
         return {p.name for p in self.keys.iterdir() if (p / RECORD).is_file()}
-
-
-def _write(path: Path, data: bytes) -> None:
-    with path.open("xb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
 
 
 def _flush(folder: Path) -> None:
@@ -132,8 +131,6 @@ def opened(folder: Path) -> Store:
         held = {p.name for p in folder.iterdir()} if folder.is_dir() else set()
         if held and not held & {LEDGER, KEYS}:
             raise OutputError(f"{name}: the folder is not empty and holds no batch; give another --out")
-        if (folder / LEDGER).is_file():
-            raise OutputError(f"{name}: ledger is a file, of an older pianofit; remove it, finished keys are kept")
         for place in (folder / KEYS, folder / LEDGER):
             place.mkdir(parents=True, exist_ok=True)
             if not os.access(place, os.W_OK | os.X_OK):

@@ -25,20 +25,16 @@ from pathlib import Path
 from typing import NamedTuple
 
 from .. import __version__
+from ..analysis import analyse
 from ..analysis.notes import hz_to_note, note_to_hz, note_to_midi
 from ..errors import AnalysisError, OutputError, PianofitError, RecordingError
 from ..io import NO_ROOM, one_line, read_file, unwritten, with_names
-from ..recording import MAX_BYTES
+from ..recording import MAX_BYTES, load_recording
 from .manifest import Key
 
 __all__ = ["Outcome", "Settings", "Source", "Unit", "fit_unit", "make_unit", "versions"]
 
 SCHEMA = 1
-# Code that a number in fit.json or a sample of a sound can depend on.
-NUMBERS = (
-    "parameters.py", "published.py", "recording.py", "sources.py", "setup.py", "analysis", "model", "criterion.py",
-    "inference", "result", "fitting.py", "fit_file.py", "report/save.py", "batch/units.py",
-)  # fmt: skip
 # A name is wrong when the string sounds further from it than this, cents; old pianos and stretched trebles do not.
 ASTRAY = 60.0
 # What is wrong with the disk and not with a unit: the batch stops, and no unit counts as failed.
@@ -117,11 +113,9 @@ def _hash(document: object) -> str:
 @functools.cache
 def versions() -> dict[str, str]:
     """Versions of the program, its code, and the libraries that make the numbers."""
-    package, code = Path(__file__).parents[1], hashlib.sha256()
-    for part in NUMBERS:
-        place = package / part
-        for file in [place] if place.is_file() else sorted(place.glob("*.py")):
-            code.update(file.read_bytes())
+    code = hashlib.sha256()
+    for file in sorted(Path(__file__).parents[1].rglob("*.py")):
+        code.update(file.read_bytes())
     found = {name: metadata.version(name) for name in ("jax", "jaxlib", "numpy", "scipy")}
     return {"pianofit": __version__, "code": code.hexdigest()[:16], **found}
 
@@ -164,11 +158,8 @@ def fit_unit(
 ) -> Outcome:
     """Fit one unit and return its files; never raises for what the unit is at fault for.
 
-    Parameters
-    ----------
-    contents : the recordings' bytes; None to read them at their paths.
-    scratch : a folder for a temporary one; the system's if None.
-    tell : called with the name of every stage as it begins.
+    Without `contents`, the recordings' bytes, these are read at their paths. `scratch` is where a temporary folder is
+    made, and `tell` is called with the name of every stage as it begins.
     """
     began = time.monotonic()
     try:
@@ -285,9 +276,6 @@ def _fit(unit: Unit, files: list[Path], place: Path, out: Path, tell: Callable[[
 
 def _unusable(files: list[Path], unit: Unit) -> list[tuple[Path, str]]:
     """Recordings that say nothing of this key by themselves, and why."""
-    from ..analysis import analyse
-    from ..recording import load_recording
-
     found = []
     for file in files:
         try:
@@ -301,9 +289,6 @@ def _unusable(files: list[Path], unit: Unit) -> list[tuple[Path, str]]:
 
 def _sounds_like(unit: Unit, files: list[Path]) -> str:
     """The note that most of the recordings sound like, if that is another than the key's; else nothing."""
-    from ..analysis import analyse
-    from ..recording import load_recording
-
     notes = []
     for file in files:
         try:

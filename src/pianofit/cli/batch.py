@@ -17,119 +17,105 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..errors import ParameterError, PianofitError, SetupError, check_range
-from .options import Channel, Json, Seed, check_common, number, one_of, whole
-from .terminal import add, tell
+from ..errors import PianofitError, SetupError, check_range
+from ..io import one_line
+from ..parameters import check_seed
+from ..recording import check_channel
+from ..setup import load_setup, setup_from_dict
+from .options import Channel, Json, Seed, number, one_of, whole
+from .terminal import tell
 
 if TYPE_CHECKING:
     from ..batch import Progress, Settings, Unit
 
-__all__ = ["register"]
+__all__ = ["batch", "status"]
 
 LISTED = 20  # failures spelt out where a person reads
 NAMED = 4  # keys at work that a line names
 
 
-Manifest = Annotated[
-    Path,
-    typer.Argument(
-        metavar="MANIFEST",
-        help="A CSV with the columns file and note (and instrument, take or layer, velocity, group, mic), an SFZ file, "
-        "or a folder of recordings.",
-    ),
-]
-Out = Annotated[
-    Path,
-    typer.Option(
-        metavar="DIR", help="The folder of the batch: index.html, keys.csv, and keys/KEY/ for every key that is done."
-    ),
-]
-Pattern = Annotated[
-    str | None,
-    typer.Option(
-        metavar="PATTERN",
-        help="How the names of a folder's files are made: {note} and {instrument}, {layer}, {take}, {group}, {mic}, "
-        "{velocity}, {*}; what stands in [ ] may be missing.",
-    ),
-]
-Root = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="DIR",
-        help="The folder that all recordings must lie in, links followed; if not given, the manifest's own.",
-    ),
-]
-Transpose = Annotated[
-    int, typer.Option(parser=whole, metavar="N", help="Semitones added to every note name, such as 12 or -12.")
-]
-Common = Annotated[
-    Path | None, typer.Option(metavar="SETUP.TOML", help="What is known of all keys; without a list of recordings.")
-]
-Processes = Annotated[
-    int | None, typer.Option(parser=whole, metavar="N", help="How many processes; one a core if not given.")
-]
-Memory = Annotated[float, typer.Option(parser=number, metavar="GIB", help="Memory that each process may take (Linux).")]
-Limit = Annotated[float, typer.Option(parser=number, metavar="S", help="Seconds that a key may take in a process.")]
-Scheduler = Annotated[
-    str | None, typer.Option(metavar="ADDRESS", help="A dask.distributed scheduler, tcp://HOST:PORT, to work instead.")
-]
-Files = Annotated[
-    str,
-    typer.Option(
-        parser=one_of("value", "shared"), metavar="value|shared",
-        help="With --scheduler: send the recordings, or let the workers read them at the same paths.",
-    ),
-]  # fmt: skip
-Retry = Annotated[
-    str | None, typer.Option(parser=one_of("failed"), metavar="failed", help="Try again what has failed before.")
-]
-
-
-def register(app: typer.Typer) -> None:
-    """Add the commands to `app`."""
-    go_on = "what is finished is kept, and the same command goes on"
-    add(app, batch, "pianofit batch library.csv --out library", go_on)
-    add(app, status, "pianofit status library", go_on)
-
-
 @contextlib.contextmanager
-def _ended_as_interrupted() -> Iterator[None]:
-    """A request to end (SIGTERM) is an interruption."""
-
-    def end(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    before = None
-    with contextlib.suppress(ValueError):  # not in the main thread
-        before = signal.signal(signal.SIGTERM, end)
+def _resumable() -> Iterator[None]:
+    """An interruption, and a request to end (SIGTERM) is one, tells how to go on."""
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         yield
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt("what is finished is kept, and the same command goes on") from None
     finally:
-        if before is not None:
-            signal.signal(signal.SIGTERM, before)
+        signal.signal(signal.SIGTERM, before)
 
 
 def batch(
-    manifest: Manifest,
-    out: Out,
-    pattern: Pattern = None,
-    root: Root = None,
-    transpose: Transpose = 0,
-    setup: Common = None,
+    manifest: Annotated[
+        Path,
+        typer.Argument(
+            metavar="MANIFEST",
+            help="A CSV with the columns file and note (and instrument, take or layer, velocity, group, mic), an SFZ "
+            "file, or a folder of recordings.",
+        ),
+    ],
+    out: Annotated[
+        Path,
+        typer.Option(
+            metavar="DIR",
+            help="The folder of the batch: index.html, keys.csv, and keys/KEY/ for every key that is done.",
+        ),
+    ],
+    pattern: Annotated[
+        str | None,
+        typer.Option(
+            metavar="PATTERN",
+            help="How the names of a folder's files are made: {note} and {instrument}, {layer}, {take}, {group}, "
+            "{mic}, {velocity}, {*}; what stands in [ ] may be missing.",
+        ),
+    ] = None,
+    root: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="The folder that all recordings must lie in, links followed; if not given, the manifest's own.",
+        ),
+    ] = None,
+    transpose: Annotated[
+        int, typer.Option(parser=whole, metavar="N", help="Semitones added to every note name, such as 12 or -12.")
+    ] = 0,
+    setup: Annotated[
+        Path | None,
+        typer.Option(metavar="SETUP.TOML", help="What is known of all keys; without a list of recordings."),
+    ] = None,
     channel: Channel = "average",
     seed: Seed = 0,
     page: Annotated[bool, typer.Option(help="Write a report.html for every key.")] = True,
-    workers: Processes = None,
-    memory: Memory = 4.0,
-    time_limit: Limit = 3600.0,
-    scheduler: Scheduler = None,
-    files: Files = "value",
-    retry: Retry = None,
+    workers: Annotated[
+        int | None, typer.Option(parser=whole, metavar="N", help="How many processes; one a core if not given.")
+    ] = None,
+    memory: Annotated[
+        float, typer.Option(parser=number, metavar="GIB", help="Memory that each process may take (Linux).")
+    ] = 4.0,
+    time_limit: Annotated[
+        float, typer.Option(parser=number, metavar="S", help="Seconds that a key may take in a process.")
+    ] = 3600.0,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="A dask.distributed scheduler, tcp://HOST:PORT, to work instead."),
+    ] = None,
+    files: Annotated[
+        str,
+        typer.Option(
+            parser=one_of("value", "shared"),
+            metavar="value|shared",
+            help="With --scheduler: send the recordings, or let the workers read them at the same paths.",
+        ),
+    ] = "value",
+    retry: Annotated[
+        str | None, typer.Option(parser=one_of("failed"), metavar="failed", help="Try again what has failed before.")
+    ] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be done, and do nothing.")] = False,
     as_json: Json = False,
 ) -> None:
     """Fit every key of a sample library; run again, it goes on where it was."""
-    with _ended_as_interrupted():
+    with _resumable():
         _check(workers, memory, time_limit, seed, channel)
         from ..batch import check_cluster, plan, read_keys, run_batch
 
@@ -161,15 +147,12 @@ def status(
 
 
 def _check(workers: int | None, memory: float, time_limit: float, seed: int, channel: str) -> None:
-    from ..io import one_line
-    from ..recording import CHANNELS
 
     check_range("--workers ", 1 if workers is None else workers, 1, 1024)
     check_range("--memory ", memory, 1, 4096, " GiB", "; a fit takes about 1.5")
     check_range("--time-limit ", time_limit, 1, 1e6, " s")
-    check_common(None, seed)
-    if channel not in CHANNELS:
-        raise ParameterError(f"channel={one_line(channel)!r} must be average, left, right, or a number from 1 to 8")
+    check_seed(seed)
+    check_channel(channel)
 
 
 def _settings(setup: Path | None, channel: str, seed: int, page: bool) -> Settings:
@@ -178,9 +161,6 @@ def _settings(setup: Path | None, channel: str, seed: int, page: bool) -> Settin
 
     text = ""
     if setup is not None:
-        from ..io import one_line
-        from ..setup import load_setup
-
         if load_setup(setup).recordings:
             raise SetupError(
                 f"{one_line(setup)}: has a [[recording]]; the manifest names the recordings, with their velocities"
@@ -195,8 +175,6 @@ def _units(manifest: Path, keys: list, settings: Settings) -> list[Unit]:
 
     from ..batch import make_unit
     from ..batch.manifest import listed
-    from ..io import one_line
-    from ..setup import setup_from_dict
 
     units, problems = [], []
     for key in keys:
@@ -279,7 +257,7 @@ def _tell_planned(units: list[Unit], standing: dict[str, str], as_json: bool) ->
 
 def _summary(found: dict[str, Any]) -> str:
     """What became of the keys, in a screenful."""
-    from ..io import one_line
+    from ..batch.ledger import Entry
 
     count = {state: n for state, n in found["counts"].items() if n}
     left = _left(count.get("running", 0) + count.get("waiting", 0), found.get("seconds_left"))
@@ -293,10 +271,7 @@ def _summary(found: dict[str, Any]) -> str:
     if running := [(k["key"], k["stage"]) for k in found["keys"] if k["state"] == "running"]:
         lines.append(f"at work: {_at_work(running)}")
     bad = [k for k in found["keys"] if k["state"] == "failed"]
-    for key in bad[:LISTED]:
-        told = not key["sounds_like"] or key["sounds_like"] in key["reason"]
-        like = "" if told else f"; it sounds like {key['sounds_like']}"
-        lines.append(f"failed: {key['key']}: {one_line(key['reason'])}{like}")
+    lines += [f"failed: {key['key']}: {one_line(Entry(**key).why)}" for key in bad[:LISTED]]
     if len(bad) > LISTED:
         lines.append(f"and {len(bad) - LISTED} more failed; --json lists all")
     for key in found["keys"]:

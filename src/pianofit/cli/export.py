@@ -9,20 +9,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..errors import OutputError, ParameterError
+from ..io import check_target, one_line
 from ..progress import progress_bar
 from .options import Built, Force, Json, Prefix, number, whole
-from .terminal import add, tell
+from .terminal import tell
 
 if TYPE_CHECKING:
     from ..play import Exported
     from ..play.faust import Program
 
-__all__ = ["register"]
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command to `app`."""
-    add(app, export, "pianofit export cp80/instrument.json --format sfz --out sampler")
+__all__ = ["export"]
 
 
 def export(
@@ -82,8 +78,6 @@ def export(
 
 def _check_target(to: str, out: Path, asked: dict[str, Any], force: bool) -> None:
     """Refuse a name that what is written cannot have, and for Faust what is only a sampler's."""
-    from ..io import check_target, one_line
-
     name = one_line(out)
     if to != "faust" and re.fullmatch(r"\.[A-Za-z]\w*", out.suffix):
         raise OutputError(f"{name}: is called like a file; give --out the name of a folder")

@@ -2,56 +2,42 @@
 
 from __future__ import annotations
 
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ..errors import AnalysisError, FitError, WrongNoteError
+from ..io import check_sound_target, encode_wav, json_text, one_line, output_folder, replace_file, write_file
+from ..numbers import bracketed, columns, with_standard_error
+from ..parameters import check_seed, check_velocity
 from ..progress import progress_bar
+from ..recording import Recording, load_recording, read
+from ..setup import Setup, load_setup
 from ..units import NORMAL
-from .options import (
-    Channel,
-    Evaluations,
-    Felt,
-    File,
-    Force,
-    Intervals,
-    Json,
-    Known,
-    Note,
-    Pitch,
-    Recipe,
-    Recordings,
-    Seed,
-    Velocity,
-    check_common,
-)
-from .terminal import add, tell
+from . import options
+from .options import one_of, whole
+from .terminal import tell
 
 if TYPE_CHECKING:
     from ..analysis import Analysis
-    from ..setup import Setup
+    from ..model.note import Note
 
-__all__ = ["register"]
-
-
-def register(app: typer.Typer) -> None:
-    """Add the commands to `app`."""
-    add(app, analyse, "pianofit analyse note.wav --note F#2")
-    add(app, fit, "pianofit fit soft.wav mezzo.wav loud.wav --note F#2 --out fitted")
-    add(app, predict, "pianofit predict fitted/fit.json other.wav --out predicted.wav")
-    add(app, crossval, "pianofit crossval soft.wav mezzo.wav loud.wav --note F#2 --out left-out")
+__all__ = ["analyse", "crossval", "fit", "predict"]
 
 
 def analyse(
-    file: File, note: Note = None, f0: Pitch = None, channel: Channel = "average", as_json: Json = False
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording of one struck note, WAV or FLAC.")],
+    note: options.Note = None,
+    f0: options.Pitch = None,
+    channel: options.Channel = "average",
+    as_json: options.Json = False,
 ) -> None:
     """Read pitch, inharmonicity, losses and partials off a recording, without a hammer."""
     from ..analysis import analyse as run
     from ..analysis import as_dict
-    from ..recording import load_recording
 
     recording = load_recording(file, channel=channel)
     found = run(recording, note=note, f0=f0)
@@ -62,7 +48,6 @@ def analyse(
 def _table(found: Analysis) -> str:
     """The string's laws with 95 % intervals, then a line for every partial with standard errors."""
     from ..analysis import COLUMNS, rows
-    from ..numbers import bracketed, columns, with_standard_error
 
     laws = (
         ("f0", found.f0, found.f0_error, "Hz", ""),
@@ -95,29 +80,49 @@ def _table(found: Analysis) -> str:
 
 
 def fit(
-    recordings: Recordings,
+    recordings: options.Recordings,
     out: Annotated[Path, typer.Option(metavar="DIR", help="The folder for fit.json, the sounds and the page.")],
-    note: Note = None,
-    f0: Pitch = None,
-    setup: Known = None,
-    velocity: Velocity = None,
-    channel: Channel = "average",
-    felt: Felt = None,
-    recipe: Recipe = "default",
-    evaluations: Evaluations = None,
-    intervals: Intervals = "laplace",
-    seed: Seed = 0,
-    force: Force = False,
+    note: options.Note = None,
+    f0: options.Pitch = None,
+    setup: options.Known = None,
+    velocity: options.Velocity = None,
+    channel: options.Channel = "average",
+    felt: options.Felt = None,
+    recipe: Annotated[
+        str,
+        typer.Option(
+            parser=one_of("default", "paper", "global"),
+            metavar="NAME",
+            help="default; or, for comparison, the paper's own: paper or global.",
+        ),
+    ] = "default",
+    evaluations: Annotated[
+        int | None,
+        typer.Option(
+            parser=whole, metavar="N", help="Evaluations of the criterion by the annealing of --recipe paper."
+        ),
+    ] = None,
+    intervals: Annotated[
+        str,
+        typer.Option(
+            parser=one_of("laplace", "profile", "posterior"),
+            metavar="METHOD",
+            help="How intervals are found: laplace; profile, which takes some seconds more; or posterior, sampled by "
+            "NUTS, which takes minutes and needs the extra bayes.",
+        ),
+    ] = "laplace",
+    seed: options.Seed = 0,
+    force: options.Force = False,
     page: Annotated[bool, typer.Option(help="Write report.html.")] = True,
-    as_json: Json = False,
+    as_json: options.Json = False,
 ) -> None:
     """Find the string's and the hammer's parameters behind one recording, or behind several of one key."""
     from ..fitting import fit as run
-    from ..io import output_folder
     from ..model.cache import keep_programs
     from .summary import summary
 
-    check_common(velocity, seed)
+    check_velocity(velocity)
+    check_seed(seed)
     with output_folder(out, force) as folder, progress_bar() as progress:
         known = _known(setup, felt)
         keep_programs()
@@ -132,8 +137,6 @@ def fit(
 
 def _known(setup: Path | None, felt: str | None) -> Setup:
     """What was known beforehand, with the felt's law that the command names."""
-    from ..setup import Setup, load_setup
-
     return Setup(felt=felt) if setup is None else load_setup(setup, felt)
 
 
@@ -141,14 +144,12 @@ def predict(
     fit: Annotated[Path, typer.Argument(metavar="FIT.JSON", help="What pianofit fit wrote, or its folder.")],
     recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="A recording of the same key.")],
     out: Annotated[Path | None, typer.Option(metavar="FILE.WAV", help="The predicted sound, if wanted.")] = None,
-    channel: Channel = "average",
-    force: Force = False,
-    as_json: Json = False,
+    channel: options.Channel = "average",
+    force: options.Force = False,
+    as_json: options.Json = False,
 ) -> None:
     """Predict a recording that took no part in the fit: only velocity, gain and pitch are free."""
-    from ..workflow import predict_file
-
-    found = predict_file(fit, recording, out, channel=channel, force=force)
+    found = _predicted(fit, recording, out, channel, force)
     end = ", an end of the range searched: the velocity is not found" if found["v_H0_at_end"] else ""
     words = (
         f"{found['predicted_db']:.2f} dB over {found['partials']} partials, {found['cents']:+.2f} cents from the fit, "
@@ -159,28 +160,83 @@ def predict(
     tell(found, words, as_json)
 
 
+def _predicted(fit: Path, file: Path, out: Path | None, channel: str, force: bool) -> dict:
+    """What came of predicting the recording `file` from a `fit.json`; its sound goes to `out`, if asked for."""
+    from ..analysis import analyse as run
+    from ..fit_file import fit_path, gains_of, mixture_of, read_fit
+    from ..model.cache import keep_programs
+    from ..result.align import touched
+    from ..result.predict import predict_recording
+
+    if out is not None:
+        check_sound_target(out, force)
+    fit = fit_path(fit)
+    document = read_fit(fit)
+    mixture = mixture_of(document, fit)
+    note = mixture[0][1]
+    recording = load_recording(file, channel=channel)
+    keep_programs()
+    try:
+        analysis = run(recording, f0=note.string.c / (2 * note.geometry.length))
+    except WrongNoteError:
+        raise FitError(_other_key(recording, note, fit)) from None
+    found = predict_recording(mixture, analysis, gains=gains_of(document))
+    if out is not None:
+        strike = found.note.strike(recording.rate)
+        touch = touched(found.note, strike, recording)
+        samples = found.note.heard(strike, recording.rate, len(recording.samples), touch)
+        write_file(out, encode_wav(samples, recording.rate), force)
+    known = {row.get("sha256") for row in document["recordings"] if isinstance(row, dict)}
+    return {
+        "file": recording.path, "sha256": recording.sha256, "was_fitted": recording.sha256 in known,
+        "predicted_db": found.error_db, "partials": found.partials, "v_H0": found.velocity, "v_H0_at_end": found.at_end,
+        "gain_db": found.gain_db, "cents": found.cents,
+    }  # fmt: skip
+
+
+def _other_key(recording: Recording, note: Note, fit: Path) -> str:
+    """Says that a recording is not of the key that was fitted, and what it sounds like."""
+    from ..analysis import analyse as run
+    from ..analysis import hz_to_note
+
+    f0, like = note.string.c / (2 * note.geometry.length), ""
+    with suppress(AnalysisError):
+        found = run(recording).f0
+        like = f", and sounds like {hz_to_note(found)} ({found:.1f} Hz)"
+    return (
+        f"{recording.path}: is not of the key of {one_line(fit)}, {hz_to_note(f0)} ({f0:.1f} Hz){like}; give a "
+        "recording of the same key"
+    )
+
+
 def crossval(
-    recordings: Recordings,
+    recordings: options.Recordings,
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help="A folder for the fit of all recordings and its page, if wanted.")
     ] = None,
-    note: Note = None,
-    f0: Pitch = None,
-    setup: Known = None,
-    channel: Channel = "average",
-    felt: Felt = None,
-    seed: Seed = 0,
-    force: Force = False,
-    as_json: Json = False,
+    note: options.Note = None,
+    f0: options.Pitch = None,
+    setup: options.Known = None,
+    channel: options.Channel = "average",
+    felt: options.Felt = None,
+    seed: options.Seed = 0,
+    force: options.Force = False,
+    as_json: options.Json = False,
 ) -> None:
     """Leave out each recording of a key in turn, fit the others, and predict it."""
-    from ..io import output_folder
-    from ..workflow import cross_validate_files
+    from ..fitting import listen
+    from ..model.cache import keep_programs
+    from ..result.crossval import cross_validate
     from .summary import cross_validation
 
-    check_common(None, seed)
+    check_seed(seed)
     with nullcontext() if out is None else output_folder(out, force) as folder, progress_bar() as progress:
-        found = cross_validate_files(
-            recordings, folder, _known(setup, felt), note=note, f0=f0, channel=channel, seed=seed, progress=progress
-        )
+        known, sounds = _known(setup, felt), read(recordings, channel)
+        heard = listen(sounds, note, f0)
+        keep_programs()
+        found, whole = cross_validate(sounds, heard, known, seed=seed, progress=progress)
+        if folder is not None:
+            whole.save(folder, force=True, page=False)
+            whole.report(folder, held_out=found)
+            replace_file(folder / "crossval.json", json_text(found).encode())
     tell(found, cross_validation(found), as_json)

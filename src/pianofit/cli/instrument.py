@@ -9,21 +9,23 @@ from typing import Annotated, Any
 import typer
 
 from ..errors import OutputError
+from ..io import (
+    check_sound_target,
+    check_target,
+    encode_pcm,
+    json_text,
+    one_line,
+    output_folder,
+    replace_file,
+    write_file,
+)
 from ..progress import progress_bar
-from .options import Built, Force, Json, Prefix, Sound, whole
-from .terminal import add, tell
+from .options import RATE, Built, Force, Json, Prefix, Sound
+from .terminal import tell
 
-__all__ = ["register"]
+__all__ = ["instrument", "page", "play"]
 
 PAGE = "piano.html"
-At = Annotated[int, typer.Option("--rate", parser=whole, metavar="HZ", help="Sample rate in Hz.")]
-
-
-def register(app: typer.Typer) -> None:
-    """Add the commands to `app`."""
-    add(app, instrument, "pianofit instrument library --prefix cp80 --out cp80")
-    add(app, play, "pianofit play cp80/instrument.json song.mid --out song.wav")
-    add(app, page, "pianofit page library --prefix cp80")
 
 
 def instrument(
@@ -40,7 +42,6 @@ def instrument(
     as_json: Json = False,
 ) -> None:
     """Put the fits of single keys together: one instrument, every key of it, by smooth laws over the keyboard."""
-    from ..io import json_text, one_line, output_folder, replace_file
     from ..keyboard import build_instrument, find_fits, load_keys, owner
     from ..keyboard.page import write_page
     from ..keyboard.words import summary
@@ -61,12 +62,11 @@ def play(
     song: Annotated[Path, typer.Argument(metavar="SONG.MID", help="A standard MIDI file.")],
     out: Sound,
     prefix: Prefix = None,
-    rate: At = 48_000,
+    rate: Annotated[int, RATE] = 48_000,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
     """Play a MIDI file on a fitted instrument."""
-    from ..io import check_sound_target, encode_pcm, write_file
     from ..keyboard import load_instrument
     from ..model.cache import keep_programs
     from ..play import load_song, perform
@@ -117,7 +117,6 @@ def page(
 
     It has at most 1.5 MB; recordings come on top of that.
     """
-    from ..io import check_target, one_line
     from ..keyboard import load_instrument
     from ..play.page import write_page
 

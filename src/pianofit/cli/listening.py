@@ -8,15 +8,12 @@ from typing import Annotated
 import typer
 
 from ..errors import ParameterError
-from .options import Force, Json, Seed, check_common, number, whole
-from .terminal import add, complain, tell
+from ..io import output_folder
+from ..parameters import check_seed
+from .options import Force, Json, Seed, number, whole
+from .terminal import complain, tell
 
-__all__ = ["register"]
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command to `app`."""
-    add(app, listen, "pianofit listen recorded fitted --out test")
+__all__ = ["listen"]
 
 
 def listen(
@@ -46,7 +43,7 @@ def listen(
     as_json: Json = False,
 ) -> None:
     """Ask blindly whether two folders of sounds can be told apart: a page. With --result: what came of it."""
-    check_common(None, seed)
+    check_seed(seed)
     if result:
         if a or b or out or reference:
             raise ParameterError(f"--result {result[0]}: stands alone; make a test and count its answers one by one")
@@ -56,7 +53,6 @@ def listen(
         raise typer.BadParameter("A, B and --out are needed to make a test, or --result to count its answers")
     if as_json:
         raise typer.BadParameter("--json goes with --result")
-    from ..io import output_folder
 
     with output_folder(out, force) as folder:
         from ..listening.sounds import listening_test

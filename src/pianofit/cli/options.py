@@ -1,4 +1,4 @@
-"""The command line's arguments and options, each with its help, in one place."""
+"""Arguments and options that several commands have, each with its help, and what reads a value of one."""
 
 from __future__ import annotations
 
@@ -11,20 +11,9 @@ import typer
 from ..felt import LAWS
 
 __all__ = [
-    "Built", "Channel", "Evaluations", "Felt", "File", "Force", "Intervals", "Json", "Known", "Note", "Pitch", "Prefix",
-    "Rate", "Recipe", "Recordings", "Seconds", "Seed", "Sound", "Velocity", "check_common", "number", "one_of", "whole",
+    "RATE", "Built", "Channel", "Felt", "Force", "Json", "Known", "Note", "Pitch", "Prefix", "Recordings", "Seconds",
+    "Seed", "Sound", "Velocity", "number", "one_of", "whole",
 ]  # fmt: skip
-
-
-def check_common(velocity: float | None, seed: int = 0) -> None:
-    """Refuse a velocity, m/s, or a seed outside its range.
-
-    Raises `ParameterError`, naming the argument, its value and its range.
-    """
-    from ..parameters import check_seed, check_velocity
-
-    check_velocity(velocity)
-    check_seed(seed)
 
 
 def read_as(kind: Callable[[str], Any], words: str) -> Callable[[str], Any]:
@@ -62,7 +51,6 @@ Built = Annotated[
 Prefix = Annotated[
     str | None, typer.Option(metavar="PREFIX", help="Which instrument, if DIR holds several, such as cp80.")
 ]
-File = Annotated[Path, typer.Argument(metavar="FILE", help="A recording of one struck note, WAV or FLAC.")]
 Note = Annotated[
     str | None,
     typer.Option(
@@ -98,25 +86,6 @@ Seed = Annotated[
     int,
     typer.Option(parser=whole, metavar="N", help="Seed of all random numbers; the same seed gives the same result."),
 ]
-Recipe = Annotated[
-    str,
-    typer.Option(
-        parser=one_of("default", "paper", "global"),
-        metavar="NAME",
-        help="default; or, for comparison, the paper's own: paper or global.",
-    ),
-]
-Evaluations = Annotated[
-    int | None,
-    typer.Option(parser=whole, metavar="N", help="Evaluations of the criterion by the annealing of --recipe paper."),
-]
-Intervals = Annotated[
-    str,
-    typer.Option(
-        parser=one_of("laplace", "profile", "posterior"), metavar="METHOD",
-        help="How intervals are found: laplace; profile, which takes some seconds more; or posterior, sampled by NUTS, "
-        "which takes minutes and needs the extra bayes.",
-    ),
-]  # fmt: skip
 Seconds = Annotated[float, typer.Option(parser=number, metavar="S", help="Length of the sound in seconds.")]
-Rate = Annotated[int | None, typer.Option(parser=whole, metavar="HZ", help="Sample rate in Hz.")]
+# Of an int, or of None where a fit knows its own.
+RATE = typer.Option("--rate", parser=whole, metavar="HZ", help="Sample rate in Hz.")

@@ -15,10 +15,11 @@ from typing import Annotated
 import typer
 
 from ..errors import check_range
-from ..io import NO_ROOM
+from ..io import NO_ROOM, encode_wav, output_folder, replace_file
+from ..parameters import check_seed
 from ..progress import progress_bar
 from . import batch, export, fits, instrument, listening, sounds
-from .options import Force, Json, Seed, check_common, number
+from .options import Force, Json, Seed, number
 from .terminal import add, complain, tell
 
 __all__ = ["app", "main"]
@@ -61,27 +62,34 @@ def demo(
         float,
         typer.Option(parser=number, metavar="DB", help="How far the noise lies below the first second's rms, dB."),
     ] = 60.0,
-    no_noise: Annotated[bool, typer.Option("--no-noise", help="Without any noise.")] = False,
     seed: Seed = 0,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
     """Make a measurement whose truth is known, fit it from the paper's initial values, and compare."""
-    from ..io import output_folder
     from .summary import comparison, summary
 
-    check_common(None, seed)
+    check_seed(seed)
     check_range("noise=", noise, 0, 200, " dB")
     with output_folder(out, force) as folder, progress_bar() as progress:
-        from ..workflow import run_demo
+        from ..fitting import fit
+        from ..model.cache import keep_programs
+        from ..paper.laboratory import make_twin, setup_text
 
-        result, true = run_demo(folder, None if no_noise else noise, seed, progress)
+        keep_programs()
+        progress("making the twin", 0.0)
+        twin = make_twin(noise, seed)
+        replace_file(folder / "twin.wav", encode_wav(twin.samples, twin.rate))
+        replace_file(folder / "setup.toml", setup_text().encode())
+        result = fit(folder / "twin.wav", setup=folder / "setup.toml", seed=seed, progress=progress)
+        progress("page", 0.95)
+        result.save(folder, force=True)
     words = (
-        f"{comparison(result.document, true)}\n{summary(result.document, folder)}the page is {folder / 'report.html'}; "
-        f"the same fit from its files:\n"
+        f"{comparison(result.document, twin.true)}\n{summary(result.document, folder)}"
+        f"the page is {folder / 'report.html'}; the same fit from its files:\n"
         f"pianofit fit {folder / 'twin.wav'} --setup {folder / 'setup.toml'} --out another\n"
     )
-    tell(result.document | {"true": true}, words, as_json)
+    tell(result.document | {"true": twin.true}, words, as_json)
 
 
 def reproduce(
@@ -93,9 +101,7 @@ def reproduce(
     quick: Annotated[bool, typer.Option("--quick", hidden=True)] = False,
 ) -> None:
     """Test the paper's tables, figures and claims on measurements of the program's own laboratory: one page."""
-    from ..io import output_folder
-
-    check_common(None, seed)
+    check_seed(seed)
     with output_folder(out, force) as folder, progress_bar() as progress:
         from ..paper.reproduce import FULL, QUICK
         from ..paper.reproduce import reproduce as run
@@ -107,10 +113,26 @@ def reproduce(
     typer.echo(f"\nwritten to {folder}: open index.html, and listening.html for the blind test")
 
 
-for group in (fits, batch, instrument, export, sounds, listening):
-    group.register(app)
-add(app, demo, "pianofit demo --out demo")
-add(app, reproduce, "pianofit reproduce --out paper")
+# In the order of the help, each with the example that ends its own.
+COMMANDS = {
+    fits.analyse: "pianofit analyse note.wav --note F#2",
+    fits.fit: "pianofit fit soft.wav mezzo.wav loud.wav --note F#2 --out fitted",
+    fits.predict: "pianofit predict fitted/fit.json other.wav --out predicted.wav",
+    fits.crossval: "pianofit crossval soft.wav mezzo.wav loud.wav --note F#2 --out left-out",
+    batch.batch: "pianofit batch library.csv --out library",
+    batch.status: "pianofit status library",
+    instrument.instrument: "pianofit instrument library --prefix cp80 --out cp80",
+    instrument.play: "pianofit play cp80/instrument.json song.mid --out song.wav",
+    instrument.page: "pianofit page library --prefix cp80",
+    export.export: "pianofit export cp80/instrument.json --format sfz --out sampler",
+    sounds.simulate: "pianofit simulate --preset bensa-final --set p=3.0 --velocity 2 --out string.wav",
+    sounds.render: "pianofit render fitted/fit.json --velocity 3 --out harder.wav",
+    listening.listen: "pianofit listen recorded fitted --out test",
+    demo: "pianofit demo --out demo",
+    reproduce: "pianofit reproduce --out paper",
+}
+for command, example in COMMANDS.items():
+    add(app, command, example)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -124,9 +146,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         command = getattr(getattr(error, "ctx", None), "command_path", "pianofit")
         complain(f"{error.format_message()}; {command} --help says what there is".replace(".;", ";"))  # pyright: ignore[reportAttributeAccessIssue]
         return 2
-    except KeyboardInterrupt:
-        complain("interrupted; nothing more is written")
-        return 130
     except OSError as error:
         if error.errno not in NO_ROOM or error.filename is not None:
             raise

@@ -8,17 +8,13 @@ from typing import Annotated
 import typer
 
 from ..errors import ParameterError
-from .options import Force, Rate, Seconds, Sound, Velocity, number
+from ..felt import BOXES, make_hammer
+from ..io import CEILING, check_sound_target, encode_wav, limited, write_file
+from ..parameters import check
+from .options import RATE, Force, Seconds, Sound, Velocity, number
 from .summary import contact_of
-from .terminal import add
 
-__all__ = ["register"]
-
-
-def register(app: typer.Typer) -> None:
-    """Add the commands to `app`."""
-    add(app, simulate, "pianofit simulate --preset bensa-final --set p=3.0 --velocity 2 --out string.wav")
-    add(app, render, "pianofit render fitted/fit.json --velocity 3 --out harder.wav")
+__all__ = ["render", "simulate"]
 
 
 def simulate(
@@ -35,31 +31,26 @@ def simulate(
     ] = [],  # noqa: B006
     velocity: Velocity = None,
     seconds: Seconds = 3.0,
-    rate: Rate = 44_100,
+    rate: Annotated[int, RATE] = 44_100,
     quantity: Annotated[
         str, typer.Option(metavar="QUANTITY", help="What is heard: velocity, displacement or bridge-force.")
     ] = "bridge-force",
     force: Force = False,
 ) -> None:
     """Strike a published string and write its sound, its peak at -1 dBFS."""
-    from ..io import check_sound_target, encode_wav, write_file
-
     check_sound_target(out, force)
     from ..model.cache import keep_programs
     from ..model.note import check_render
 
-    check_render(velocity, seconds, rate or 44_100)
+    check_render(velocity, seconds, rate)
     keep_programs()
-    samples, strike = _struck(preset, change, velocity, seconds, rate or 44_100, quantity)
-    write_file(out, encode_wav(samples, rate or 44_100), force)
+    samples, strike = _struck(preset, change, velocity, seconds, rate, quantity)
+    write_file(out, encode_wav(samples, rate), force)
     typer.echo(f"{out}: {seconds:g} s, largest force {float(strike.pulse.force.max()):.3g} N, {contact_of(strike)}")
 
 
 def _struck(preset: str, change: list[str], velocity: float | None, seconds: float, rate: int, quantity: str):
-    from ..felt import BOXES, make_hammer
-    from ..io import CEILING
     from ..model import simulate as run
-    from ..parameters import check
     from ..published import preset as find
 
     it = find(preset)
@@ -80,15 +71,13 @@ def _struck(preset: str, change: list[str], velocity: float | None, seconds: flo
 def _assignments(change: list[str]) -> dict[str, float]:
     values = {}
     for text in change:
-        name, equals, number = text.partition("=")
-        if name.strip() in values:
-            raise ParameterError(f"--set {text!r}: {name.strip()} is set twice; remove one of them")
+        name, _, number = (part.strip() for part in text.partition("="))
+        if name in values:
+            raise ParameterError(f"--set {text!r}: {name} is set twice; remove one of them")
         try:
-            values[name.strip()] = float(number)
+            values[name] = float(number)
         except ValueError:
             raise ParameterError(f"--set {text!r} must be NAME=NUMBER, such as c=304.1") from None
-        if not equals:
-            raise ParameterError(f"--set {text!r} must be NAME=NUMBER, such as c=304.1")
     return values
 
 
@@ -97,20 +86,18 @@ def render(
     velocity: Annotated[float, typer.Option(parser=number, metavar="M/S", help="Hammer velocity in m/s.")],
     out: Sound,
     seconds: Seconds = 6.0,
-    rate: Rate = None,
+    rate: Annotated[int | None, RATE] = None,
     force: Force = False,
 ) -> None:
     """Play a fitted string and hammer at any velocity, through its gain and path."""
-    from ..io import check_sound_target, encode_wav, limited, write_file
-
     check_sound_target(out, force)
     from ..fit_file import load_note
     from ..model.cache import keep_programs
     from ..model.note import check_render
 
-    check_render(velocity, seconds, rate or 44_100)
+    check_render(velocity, seconds, 44_100 if rate is None else rate)
     note, own_rate = load_note(fit_json)
-    rate = rate or own_rate
+    rate = own_rate if rate is None else rate
     keep_programs()
     played = note._replace(hammer=note.hammer._replace(v_H0=velocity))
     strike = played.strike(rate)

@@ -12,8 +12,9 @@ import typer
 from typer.core import TyperCommand
 
 from ..errors import PianofitError
+from ..io import json_text, one_line
 
-__all__ = ["add", "complain", "plainly", "tell"]
+__all__ = ["add", "complain", "tell"]
 
 
 class _Command(TyperCommand):
@@ -37,28 +38,24 @@ class _Command(TyperCommand):
         return [(metavar if kind == "argument" else record[0], record[1]) for metavar, record in records if record]
 
 
-def add(app: typer.Typer, command: Callable, example: str, interrupted: str = "nothing more is written") -> None:
+def add(app: typer.Typer, command: Callable, example: str) -> None:
     """Give `app` a command whose help ends with an example, and whose errors are one line."""
     first = (command.__doc__ or "").partition("\n")[0]
-    app.command(cls=_Command, short_help=first, epilog=f"\b\nExample:\n  {example}")(plainly(command, interrupted))
+    app.command(cls=_Command, short_help=first, epilog=f"\b\nExample:\n  {example}")(_plainly(command))
 
 
 def tell(document: dict[str, Any], words: str, as_json: bool) -> None:
     """Print what came of a command: as JSON, or in words, whose last line ends."""
-    from ..io import json_text
-
     typer.echo(json_text(document) if as_json else words, nl=False)
 
 
 def complain(message: str) -> None:
     """Say what is wrong, on one line whatever is in it."""
-    from ..io import one_line
-
     typer.echo("pianofit: " + one_line(" ".join(message.split())), err=True)
 
 
-def plainly(command: Callable, interrupted: str = "nothing more is written") -> Callable:
-    """A command whose errors are one line on stderr and an exit code."""
+def _plainly(command: Callable) -> Callable:
+    """A command whose errors are one line on stderr and an exit code; an interruption's words, if any, are told."""
 
     @functools.wraps(command)
     def run(*args: Any, **kwargs: Any) -> None:
@@ -68,8 +65,8 @@ def plainly(command: Callable, interrupted: str = "nothing more is written") -> 
         except PianofitError as error:
             complain(str(error))
             raise typer.Exit(1) from None
-        except KeyboardInterrupt:
-            complain(f"interrupted; {interrupted}")
+        except KeyboardInterrupt as interruption:
+            complain(f"interrupted; {str(interruption) or 'nothing more is written'}")
             raise typer.Exit(130) from None
         except BrokenPipeError:  # whoever read our output has had enough
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

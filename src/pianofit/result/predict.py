@@ -19,7 +19,7 @@ from ..errors import FitError
 from ..inference.priors import LEVEL, VELOCITY, VELOCITY_SPREAD, log_gain
 from ..model.note import SLOWEST, Note
 from ..model.path import SAME_PARTIAL
-from ..sources import Source
+from ..recording import Source
 from ..threads import one_blas_thread
 from .listener import scored
 from .result import Result
