@@ -8,7 +8,7 @@ resolution.
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from threading import Lock
 from typing import TYPE_CHECKING, Any
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "FAINT", "FITTED", "HEIGHT", "INITIAL", "INK", "LAW", "LINES", "MEASURED", "STYLE",
-    "legend", "log_axis", "number_axis", "panel", "points", "span", "svg",
+    "drawn", "legend", "log_axis", "number_axis", "panel", "points", "span", "svg",
 ]  # fmt: skip
 
 INK, MEASURED, INITIAL, LAW, FITTED, FAINT = "#333333", "#1a1a1a", "#d55e00", "#009e73", "#0072b2", "#eeeeee"
@@ -111,6 +111,19 @@ def panel(*heights: float, left: float = LEFT, legend_rows: int = 1) -> tuple[Fi
     for axes in found[:-1]:
         axes.tick_params(labelbottom=False)
     return figure, found
+
+
+def drawn(
+    draw: Callable[..., None], *shown: Any, title: str = "", height: float = HEIGHT, left: float = LEFT,
+    legend_rows: int = 1, columns: int = 4,
+) -> Figure:  # fmt: skip
+    """A figure of one panel, which `draw(axes, *shown)` fills, with the legend of what that has named."""
+    figure, (axes,) = panel(height, left=left, legend_rows=legend_rows)
+    draw(axes, *shown)
+    if title:
+        axes.set_title(title)
+    legend(figure, axes, columns=columns)
+    return figure
 
 
 def svg(figure: Figure) -> bytes:
