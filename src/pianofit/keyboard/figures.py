@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..report.drawing import FITTED, HEIGHT, INITIAL, MEASURED, legend, log_axis, panel, styled, svg
+from ..report.drawing import FITTED, INITIAL, MEASURED, drawn, log_axis, styled, svg
 from ..report.figures_recordings import GROUPS as COLOURS
 from .gather import HIGHEST_KEY, LOWEST_KEY
 from .velocity import hammer_velocity
@@ -29,24 +29,24 @@ GROUPS = {
     "hammer": ("M_H/M_S", "K/M_S", "p", "mu"),
     "geometry": ("x0/L", "width/L", "L", "M_S/L"),
 }
+RINGING = {"split_cents": "split of the two modes that beat (cents)", "late_over_early": "late T60 over early T60"}
 
 
 def draw(document: dict[str, Any]) -> dict[str, list[bytes]]:
     """Name -> SVGs of the panels."""
     with styled():
         figures = {name: [_law_panel(document, law) for law in names] for name, names in GROUPS.items()}
-        figures["sound"] = _sound(document)
+        figures["sound"] = [
+            _law_panel(document, "gain"), *(drawn(draw, document) for draw in (_paths, _velocities, _residuals))
+        ]  # fmt: skip
         rows = [(key["midi"], one) for key in document["keys"] for one in (key["fit"] or {}).get("partials", ())]
         if rows:
-            figures["ringing"] = _ringing(rows)
+            figures["ringing"] = [drawn(_partials, rows, name, title=title) for name, title in RINGING.items()]
         return {name: [svg(figure) for figure in panels] for name, panels in figures.items()}
 
 
 def _law_panel(document: dict[str, Any], name: str) -> Figure:
-    figure, (axes,) = panel(HEIGHT, legend_rows=2)
-    _law(axes, document, name)
-    legend(figure, axes, columns=3)
-    return figure
+    return drawn(_law, document, name, legend_rows=2, columns=3)
 
 
 def _law(axes: Axes, document: dict[str, Any], name: str) -> None:
@@ -89,44 +89,35 @@ def _log(axes: Axes, shown: list[float]) -> None:
     log_axis(axes.yaxis, (1, 2, 5) if decades < 2.5 else (1,))
 
 
-def _sound(document: dict[str, Any]) -> list[Figure]:
-    gain = _law_panel(document, "gain")
-    others, rows = zip(*(panel(HEIGHT) for _ in range(3)), strict=True)
-    path, velocity, quality = (row[0] for row in rows)
+def _paths(axes: Axes, document: dict[str, Any]) -> None:
     for key in document["keys"]:
         if key["path"] is not None and (key["fit"] is not None or key["midi"] in CS):
             known = key["fit"] is not None
-            path.semilogx(key["path"]["frequency"], key["path"]["db"], lw=0.9 if known else 1.3, zorder=2 + (not known),
+            axes.semilogx(key["path"]["frequency"], key["path"]["db"], lw=0.9 if known else 1.3, zorder=2 + (not known),
                           color=MEASURED if known else LAW, alpha=0.5 if known else 0.8)  # fmt: skip
-    path.set(title="output path (dB): of each fit, and smooth at C1 to C8", xlabel="frequency (Hz)", xlim=(20, 2e4))
-    _velocities(velocity, document["velocity"])
+    axes.set(title="output path (dB): of each fit, and smooth at C1 to C8", xlabel="frequency (Hz)", xlim=(20, 2e4))
+
+
+def _residuals(axes: Axes, document: dict[str, Any]) -> None:
     known = [key for key in document["keys"] if key["fit"] and key["fit"]["levels_db"] is not None]
-    quality.vlines([k["midi"] for k in known], 0, [k["fit"]["levels_db"] for k in known], color=MEASURED, lw=3)
-    quality.set(title="residual of the partial levels after each fit (dB rms)")
-    quality.set_ylim(bottom=0)
-    _keyboard(quality)
-    return [gain, *others]
+    axes.vlines([k["midi"] for k in known], 0, [k["fit"]["levels_db"] for k in known], color=MEASURED, lw=3)
+    axes.set(title="residual of the partial levels after each fit (dB rms)")
+    axes.set_ylim(bottom=0)
+    _keyboard(axes)
 
 
-def _ringing(rows: list[tuple[int, dict[str, Any]]]) -> list[Figure]:
-    """What beats and how it decays, of the lowest partials of the keys whose modes are known."""
-    titles = {"split_cents": "split of the two modes that beat (cents)", "late_over_early": "late T60 over early T60"}
-    drawn = []
-    for name, title in titles.items():
-        figure, (axes,) = panel(HEIGHT)
-        for partial in sorted({one["partial"] for _, one in rows}):
-            shown = [(midi, one[name]) for midi, one in rows if one["partial"] == partial and one[name] is not None]
-            axes.plot(*np.reshape(shown, (-1, 2)).T, marker=MARKERS[(partial - 1) % len(MARKERS)], ls="none", ms=5,
-                      color=COLOURS[(partial - 1) % len(COLOURS)], label=f"partial {partial}")  # fmt: skip
-        axes.set_title(title)
-        _keyboard(axes)
-        _log(axes, [one[name] for _, one in rows if one[name] is not None] or [1.0])
-        legend(figure, axes)
-        drawn.append(figure)
-    return drawn
+def _partials(axes: Axes, rows: list[tuple[int, dict[str, Any]]], name: str) -> None:
+    """One thing of the lowest partials of the keys whose modes are known."""
+    for partial in sorted({one["partial"] for _, one in rows}):
+        shown = [(midi, one[name]) for midi, one in rows if one["partial"] == partial and one[name] is not None]
+        axes.plot(*np.reshape(shown, (-1, 2)).T, marker=MARKERS[(partial - 1) % len(MARKERS)], ls="none", ms=5,
+                  color=COLOURS[(partial - 1) % len(COLOURS)], label=f"partial {partial}")  # fmt: skip
+    _keyboard(axes)
+    _log(axes, [one[name] for _, one in rows if one[name] is not None] or [1.0])
 
 
-def _velocities(axes: Axes, law: dict[str, Any]) -> None:
+def _velocities(axes: Axes, document: dict[str, Any]) -> None:
+    law = document["velocity"]
     if law["layers"]:
         axes.plot(*np.array(law["layers"]).T, "o", ms=3.6, color=MEASURED)
     x = range(1, 128)
