@@ -1,7 +1,7 @@
 // The page: a keyboard under mouse, fingers, letters and MIDI, and what is around it.
 
-const LETTERS = ["KeyA", "KeyW", "KeyS", "KeyE", "KeyD", "KeyF", "KeyT", "KeyG", "KeyY", "KeyH", "KeyU", "KeyJ", "KeyK",
-  "KeyO", "KeyL", "KeyP", "Semicolon"];
+const SIGNS = "AWSEDFTGYHUJKOLP;"; // on the computer's keys that play, as a piano's lie
+const LETTERS = Array.from(SIGNS, (sign) => (sign === ";" ? "Semicolon" : `Key${sign}`)); // those keys' own names
 const BLACK = [1, 3, 6, 8, 10]; // of the twelve from C
 const SUSTAIN = 64; // MIDI controllers
 const ALL_OFF = [120, 123];
@@ -165,8 +165,7 @@ class Keyboard {
 
   /** Letters on the keys that they play. */
   _mark() {
-    const signs = "AWSEDFTGYHUJKOLP;";
-    for (const [midi, { letter }] of this.keys) letter.textContent = signs[midi - this.octave] ?? "";
+    for (const [midi, { letter }] of this.keys) letter.textContent = SIGNS[midi - this.octave] ?? "";
   }
 
   _view(midi) {
