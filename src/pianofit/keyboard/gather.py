@@ -275,7 +275,8 @@ def _felt_spread(s: dict[str, float | None], document: dict, note: Note, midi: i
     """
     h, invariants = note.hammer, document.get("invariants")
     entry: Any = invariants.get("F/M_S") if isinstance(invariants, dict) else None
-    error, value = _spread(entry), entry.get("value") if isinstance(entry, dict) else None
+    error = _spread(entry)
+    value: Any = entry.get("value") if isinstance(entry, dict) else None
     if s["K_H"] is None or s["p"] is None or error is None or not (is_number(value) and value > 0):
         return s["K_H"]
     at = math.log(value * note.geometry.mass / h.K_H) / h.p

@@ -11,7 +11,7 @@ from scipy.interpolate import PchipInterpolator
 
 from ..keyboard.document import Instrument
 from ..model.note import arrival
-from .layers import LOUDEST, SOFTEST, Zone, crossfaded
+from .layers import LOUDEST, SOFTEST, Zone, crossfaded, velocities_of
 from .strings import CHANNELS, PlayedString
 
 __all__ = ["LEVEL_SECONDS", "Measured", "measured", "sample", "stroke"]
@@ -43,14 +43,10 @@ class Measured(NamedTuple):
 
 def measured(instrument: Instrument, string: PlayedString, velocities: Sequence[int], seconds: float) -> Measured:
     """Strike a key at all velocities of its layers, and more to know its level."""
-    tried = sorted({*velocities, *(int(v) for v in np.round(np.linspace(SOFTEST, LOUDEST, LEVELS)))})
-    sounds, level_db = {}, []
-    for velocity in tried:
-        sound = stroke(instrument, string, velocity, min(seconds, LEVEL_SECONDS))
-        level_db.append(10 * np.log10(max(np.mean(sound**2, axis=-1).sum(), 1e-30)))
-        if velocity in velocities:
-            sounds[velocity] = sound
-    layers = list(sounds.values())
+    tried = sorted({*velocities, *velocities_of(LEVELS)})
+    sounds = {velocity: stroke(instrument, string, velocity, min(seconds, LEVEL_SECONDS)) for velocity in tried}
+    level_db = [10 * np.log10(max(np.mean(sound**2, axis=-1).sum(), 1e-30)) for sound in sounds.values()]
+    layers = [sounds[velocity] for velocity in velocities]
     moves, alike = _aligned(layers, max(round(FARTHEST_MOVE * string.rate), 1))
     first = [0 if string.lead else _first(sound) for sound in layers]
     begin = min(f - move for f, move in zip(first, moves, strict=True))

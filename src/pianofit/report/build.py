@@ -237,12 +237,9 @@ def _shared(result: Result) -> tuple[tuple[str, ...], np.ndarray]:
 
 def _band(value: np.ndarray, change: np.ndarray, cov: np.ndarray) -> np.ndarray:
     """`value` [n] and the ends of its 95 % interval, from the `change` [n, names] of its logarithm: [3, n]."""
-    reach = np.minimum(NORMAL * _deviation(change, cov), FARTHEST)
+    sd = np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", change, cov, change), 0.0))
+    reach = np.minimum(NORMAL * sd, FARTHEST)
     return value * np.exp(np.stack([0 * reach, -reach, reach]))
-
-
-def _deviation(change: np.ndarray, cov: np.ndarray) -> np.ndarray:
-    return np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", change, cov, change), 0.0))
 
 
 def known_of(result: Result) -> Known | None:
