@@ -241,12 +241,11 @@ def _path_law(keys: Sequence[KeyFit]) -> Callable[[int], OutputPath | None]:
     return at
 
 
-def _thirds(path: OutputPath) -> list[tuple[float, float, int]]:
-    """Mean octave, mean dB and number of the points in each third of an octave."""
+def _thirds(path: OutputPath) -> np.ndarray:
+    """Mean octave, mean dB and number of the points in each third of an octave [thirds, 3]."""
     octave = np.log2(path.frequency)
-    cell = np.floor(3 * octave).astype(int)
-    return [(float(octave[cell == c].mean()), float(path.db[cell == c].mean()), int((cell == c).sum()))
-            for c in np.unique(cell)]  # fmt: skip
+    _, cell, count = np.unique(np.floor(3 * octave), return_inverse=True, return_counts=True)
+    return np.stack([np.bincount(cell, octave) / count, np.bincount(cell, path.db) / count, count], axis=1)
 
 
 def _messages(keys: Sequence[KeyFit], columns: dict[str, _Column]) -> list[str]:
