@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..analysis.notes import midi_to_note, note_to_midi
-from ..errors import AnalysisError, FitError
+from ..errors import FitError
 from ..fit_file import note_of, read_fit
 from ..io import one_line, reference_of
 from ..model.note import Note
@@ -44,7 +44,7 @@ UNTOLD_OTHER = 0.1
 UNSETTLED = 2.0
 # What `fit.json` calls a velocity or a gain that was known; `fixed` in its first schema.
 KNOWN = ("given", "fixed")
-_KEY = re.compile(r"(.*?)[-_ ]?([A-Ga-g])([#sb♯♭]?)(-1|\d)")
+_KEY = re.compile(r"(.*?)[-_ ]?([A-Ga-g][#sb♯♭]?(?:-1|\d))")
 
 
 class Layer(NamedTuple):
@@ -155,13 +155,7 @@ def owner(file: Path) -> str:
 def _key_of(file: Path) -> tuple[str, int | None]:
     """The instrument and the key that the folder's name says, such as cp80-Fs2."""
     match = _KEY.fullmatch(file.resolve().parent.name)
-    if match is None:
-        return "", None
-    owner, letter, shift, octave = match.groups()
-    try:
-        return owner, note_to_midi(f"{letter}{shift}{octave}")
-    except AnalysisError:
-        return "", None
+    return (match[1], note_to_midi(match[2])) if match else ("", None)
 
 
 def load_keys(files: Sequence[Path]) -> list[KeyFit]:
