@@ -78,7 +78,7 @@ class Trial(NamedTuple):
 
 def write_listening(
     path: str | os.PathLike[str], questions: list[Question], rate: int, onset: float, seed: int, *, program: str,
-    about: str, origin: str, key: str | os.PathLike[str] | None = None, seconds: float = 8.0,
+    about: str, origin: str, key: str | os.PathLike[str], seconds: float = 8.0,
 ) -> list[tuple[Heard, Clip]]:  # fmt: skip
     """Write the page, and the key to it.
 
@@ -123,8 +123,7 @@ def write_listening(
         count=len(trials), about=about, origin=origin, minutes=max(1, round(MINUTES * len(trials))),
         controls=sum(t.question.condition.startswith("hidden reference") for t in trials),
     )  # fmt: skip
-    if key is not None:
-        replace_file(key, json_text(facts | hidden).encode())
+    replace_file(key, json_text(facts | hidden).encode())
     return [*zip(sounds, clips, strict=True)]
 
 

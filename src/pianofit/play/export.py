@@ -67,7 +67,7 @@ class Asked(NamedTuple):
 
 @one_blas_thread()
 def export_sampler(
-    instrument: Instrument, out: Path, keys: Sequence[int], asked: Asked | None = None, *, to: str = "sfz",
+    instrument: Instrument, out: Path, keys: Sequence[int], asked: Asked, *, to: str = "sfz",
     licence: str | None = None, force: bool = False, progress: Callable[[str, float], None] = lambda *_: None,
 ) -> Exported:  # fmt: skip
     """Write the folder `out`, whole or not at all.
@@ -83,7 +83,6 @@ def export_sampler(
     """
     if to not in SAMPLERS:
         raise ParameterError(f"to={to!r} must be one of {', '.join(SAMPLERS)}")
-    asked = asked or Asked(kind=SAMPLERS[to].kind)
     _check(instrument, keys, asked)
     try:
         out = out.resolve()

@@ -122,21 +122,24 @@ def drawn(
     draw(axes, *shown)
     if title:
         axes.set_title(title)
-    legend(figure, axes, columns=columns)
+    legend(figure, axes, columns)
     return figure
 
 
 def svg(figure: Figure) -> bytes:
     """The figure as a file, the same for the same figure."""
-    file = io.BytesIO()
-    figure.savefig(file, format="svg", facecolor="none", metadata={"Date": None, "Creator": None}, dpi=DPI)
-    return file.getvalue().replace(b"'DejaVu Sans'", b"system-ui, 'DejaVu Sans'")
+    made = _saved(figure, format="svg", facecolor="none", metadata={"Date": None, "Creator": None})
+    return made.replace(b"'DejaVu Sans'", b"system-ui, 'DejaVu Sans'")
 
 
 def png(figure: Figure) -> bytes:
     """The figure as a picture, the same for the same figure."""
+    return _saved(figure, format="png", metadata={"Software": None})
+
+
+def _saved(figure: Figure, **how: Any) -> bytes:
     file = io.BytesIO()
-    figure.savefig(file, format="png", metadata={"Software": None}, dpi=DPI)
+    figure.savefig(file, dpi=DPI, **how)
     return file.getvalue()
 
 
@@ -164,13 +167,10 @@ def log_axis(axis: Any, subs: tuple[int, ...] = (1, 2, 5)) -> None:
     axis.set_minor_locator(NullLocator())
 
 
-def legend(figure: Figure, *sources: Axes | None, columns: int = 4) -> None:
-    """One legend for the figure, below it, in the order of `LINES`, then as drawn."""
-    found: dict[str, Any] = {}
-    for axes in sources:
-        if axes is not None:
-            handles, labels = axes.get_legend_handles_labels()
-            found.update(zip(labels, handles, strict=True))
+def legend(figure: Figure, axes: Axes, columns: int = 4) -> None:
+    """Name what is drawn, below the figure, in the order of `LINES`, then as drawn."""
+    handles, labels = axes.get_legend_handles_labels()
+    found = dict(zip(labels, handles, strict=True))
     order = sorted(found, key=lambda name: [*LINES, name].index(name))
     if order:
         figure.legend([found[name] for name in order], order, loc="lower center", ncols=min(len(order), columns))

@@ -38,6 +38,7 @@ __all__ = ["COMPARED", "draw_figures", "draw_force", "draw_levels", "draw_spectr
 
 # Of what most pictures have all three.
 COMPARED = ("measured", "initial", "fitted")
+ATTACKS = {"initial": "start values", "fitted": "after the fit"}
 # Of the largest force: where the heads on a loop stand, apart from each other.
 RISING, FALLING = 0.6, 0.35
 # Decays slower than this share of the law's slowest stand at the axis' edge.
@@ -50,10 +51,17 @@ def draw_figures(
     curves: Curves, dropped: tuple[str, ...] = (), held_out: tuple[dict[str, Any], ...] = ()
 ) -> dict[str, list[bytes]]:
     """Draw all figures of the page, name -> SVGs of its panels; what there is nothing to show of is left out."""
-    drawings = {"attack": _attack, "partials": _partials, "levels": _levels, "force": _force}
     with styled():
-        figures: dict[str, list[Figure]] = {"spectra": _spectra(curves, dropped)}
-        figures |= {name: draw(curves) for name, draw in drawings.items()}
+        figures = {
+            "spectra": _spectra(curves, dropped),
+            "attack": [drawn(_draw_attack, curves, name, title=title) for name, title in ATTACKS.items()],
+            "partials": _partials(curves),
+            "levels": [drawn(draw_levels, curves, title="Levels"), _residuals(curves)],
+            "force": [
+                drawn(draw_force, curves, title="Force over time"),
+                drawn(_draw_loop, curves, title="Force over compression"),
+            ],
+        }
         if len(curves.recordings) > 1:
             figures["recordings"] = draw_recordings(curves.recordings)
         if len(curves.recordings) > 1 and curves.paths:
@@ -144,15 +152,10 @@ def _shade_bands(axes: Axes, edges: list[tuple[float, float, str, bool]]) -> Non
         axes.text(at, 0.985, text, transform=axes.get_xaxis_transform(), ha=side, va="top", color=INK, fontsize=8.5)
 
 
-def _attack(curves: Curves) -> list[Figure]:
-    titles = {"initial": "start values", "fitted": "after the fit"}
-    return [drawn(_draw_attack, curves, ("measured", name), title=title) for name, title in titles.items()]
-
-
-def _draw_attack(axes: Axes, curves: Curves, names: tuple[str, ...]) -> None:
+def _draw_attack(axes: Axes, curves: Curves, name: str) -> None:
     """The waveforms of the first milliseconds, to one scale for all pictures."""
-    for name in names:
-        axes.plot(curves.attack_ms, curves.attack[name], label=name, **LINES[name])
+    for one in ("measured", name):
+        axes.plot(curves.attack_ms, curves.attack[one], label=one, **LINES[one])
     low, high = span(*curves.attack.values())
     room = 0.05 * max(high - low, 1e-12)
     axes.set(xlabel="time from the onset (ms)", ylabel="signal (full scale = 1)", ylim=(low - room, high + room))
@@ -187,8 +190,8 @@ def _draw_decays(axes: Axes, curves: Curves) -> None:
     number_axis(axes, curves.number)
 
 
-def _levels(curves: Curves) -> list[Figure]:
-    """Levels, and beside them their residuals and the path if there is one."""
+def _residuals(curves: Curves) -> Figure:
+    """Of the levels, and below them the path if there is one."""
     path = curves.path
     residuals, (error, *below) = panel(*((HEIGHT,) if path is None else (0.6 * HEIGHT, 0.4 * HEIGHT - 0.12)))
     for name, marker in (("initial", "s"), ("fitted", "o")):
@@ -202,7 +205,7 @@ def _levels(curves: Curves) -> list[Figure]:
     (below or [error])[-1].set_xlabel("partial number k")
     number_axis(error, curves.number)
     legend(residuals, error)
-    return [drawn(draw_levels, curves, title="Levels"), residuals]
+    return residuals
 
 
 def _without_nodes(curves: Curves, name: str) -> np.ndarray:
@@ -210,11 +213,6 @@ def _without_nodes(curves: Curves, name: str) -> np.ndarray:
     low, _ = span(curves.levels["measured"])
     level = curves.levels[name]
     return np.where(level > low - NODE, level, np.nan)
-
-
-def _force(curves: Curves) -> list[Figure]:
-    pictures = {"Force over time": draw_force, "Force over compression": _draw_loop}
-    return [drawn(draw, curves, title=title) for title, draw in pictures.items()]
 
 
 def _draw_loop(axes: Axes, curves: Curves) -> None:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from ..inference.quantities import Quantity
 
 __all__ = [
-    "again_in_words", "bands", "comparison", "felt_names", "glide", "groups", "how_sure", "minima", "notices",
+    "again_in_words", "bands", "comparison", "glide", "groups", "how_sure", "minima", "notices",
     "ringing", "ringing_line", "rows", "tiles",
 ]  # fmt: skip
 
@@ -43,11 +43,6 @@ RINGS_BY = {"law": "the law", "modes": "modes", "modes and knock": "modes and kn
 UNSETTLED = (
     "The search ended before it converged. Take every number on this page as a stage on the way, not as a result."
 )
-
-
-def felt_names(fit: dict[str, Any]) -> list[str]:
-    """The parameters of the felt's law."""
-    return [name for name in fit["parameters"] if name not in BESIDE_THE_FELT]
 
 
 def rows(table: dict[str, Any]) -> list[dict[str, str]]:
@@ -78,7 +73,8 @@ def minima(fit: dict[str, Any]) -> dict[str, Any] | None:
     if len(found) < 2:
         return None
     # What tells one minimum's hammer from another's.
-    names = [n for n in (*felt_names(fit), "M_H", "x0") if len({one["parameters"].get(n) for one in found}) > 1]
+    felt = [name for name in fit["parameters"] if name not in BESIDE_THE_FELT]
+    names = [n for n in (*felt, "M_H", "x0") if len({one["parameters"].get(n) for one in found}) > 1]
     best = min(one["F"] for one in found)
     return {
         "names": [(SYMBOLS.get(name, name), _unit(fit["parameters"][name]["unit"])) for name in names],
