@@ -52,7 +52,7 @@ def report_bytes(fit: dict[str, Any], curves: Curves, title: str, held_out: dict
     names = _names(fit, held_out)
     fit = with_names(fit, names)
     onset = next(row["onset_s"] for row in fit["recordings"] if row["first"])
-    left_out = known.held_out_rows(with_names(held_out, names))
+    left_out = with_names(held_out, names)
     figures = draw_figures(
         curves, tuple(fit["criterion"]["dropped"]), tuple(left_out["recordings"]) if left_out else ()
     )
