@@ -108,7 +108,7 @@ def _column(name: str, keys: Sequence[KeyFit], values: np.ndarray, base: np.ndar
     own, reference, at = _scale(name, values), _scale(name, base), known - LOWEST_KEY
     sd = np.array([key.sd[name] for key in keys])
     away = own - reference[at]
-    law = fit_law(known.astype(float), away, sd, KEYS.astype(float), PRIORS[name], keep=name in KEPT)
+    law = fit_law(known.astype(float), away, sd, KEYS.astype(float), PRIORS[name])
     kept = np.array([_keeps(key, name) for key in keys])
     pulled = ~kept & (np.abs(law.value - away) > PULLED * sd)
     centre = reference + law.mean

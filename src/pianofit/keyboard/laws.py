@@ -61,14 +61,13 @@ class _Shape(NamedTuple):
     length: float
 
 
-def fit_law(x: np.ndarray, y: np.ndarray, sd: np.ndarray, at: np.ndarray, prior: Prior, *, keep: bool = False) -> Law:
+def fit_law(x: np.ndarray, y: np.ndarray, sd: np.ndarray, at: np.ndarray, prior: Prior) -> Law:
     """Fit one law.
 
     Parameters
     ----------
     x, y, sd : of the known keys [keys]: key number, difference from the literature, error.
     at : keys at which the law is wanted [at].
-    keep : whether keys keep their own values whatever the law says.
     """
     inside = ~_suspects(x, y, sd, prior) if len(x) >= ENOUGH_KEYS else np.ones(len(x), bool)
     shape = _most_probable(x[inside], y[inside], sd[inside], prior)
@@ -82,8 +81,6 @@ def fit_law(x: np.ndarray, y: np.ndarray, sd: np.ndarray, at: np.ndarray, prior:
         z = _surprise(x, y, sd, inside, shape, prior)
     mean, variance = _predict(x, y, sd, inside, at, shape, prior)
     value, value_var = _own(x, y, sd, inside, shape, prior)
-    if keep:
-        value, value_var = y.copy(), sd**2
     return Law(mean, np.sqrt(variance), shape.scatter, shape.length, value, np.sqrt(value_var), z, ~inside)
 
 
