@@ -10,6 +10,7 @@ from __future__ import annotations
 import io
 import os
 from collections import defaultdict
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from ..analysis.notes import midi_to_note
@@ -30,7 +31,7 @@ class Song(NamedTuple):
     """Times in s from the first event; every list ascends in time."""
 
     keys: dict[int, list[tuple[float, int]]]  # MIDI key -> (time, velocity 1 to 127; 0 when it goes up)
-    pedal: list[tuple[float, int]]  # (time, 1 when it goes down or is moved while down; 0 when it goes up)
+    pedal: Sequence[tuple[float, int]]  # (time, 1 when it goes down or is moved while down; 0 when it goes up)
     seconds: float  # to the last event
     notes: int
 
