@@ -222,11 +222,10 @@ def test_a_known_velocity_lets_k_say_how_force_and_exponent_trade_off(tmp_path, 
 
 def test_files_of_the_first_schema_are_still_understood(tmp_path):
     note = true_note(60)
-    document = fit_document(note, ERRORS | {"K_H": math.hypot(0.05, 0.1 * math.log(1e3)), "p": 0.1 / note.hammer.p})
+    document = fit_document(note, ERRORS)
     new = {name: document.pop(name) for name in ("claims", "invariants", "minima")}
     recordings = document.pop("recordings")
     old = document | {"schema": 1, "verdict": new["claims"]}
-    old["derived"] = {"max_compression_mm": 1.0, "felt_force_relative_error": 0.05}
     for entry in old["parameters"].values():
         entry["status"] = "free"
     for gain, velocity, velocities in (
@@ -237,9 +236,7 @@ def test_files_of_the_first_schema_are_still_understood(tmp_path):
         rows = [row | {"gain_status": gain, "v_H0_status": velocity, "v_H0": 0.5 * row["v_H0"]} for row in recordings]
         (key,) = load_keys([write_fit(tmp_path, 60, old | {"takes": rows})])
         assert key.velocities == pytest.approx(velocities)
-        scale = key.velocities[-1] / 2.0
-        away = math.log(reference_compression(60) / (1e-3 * scale))
-        assert key.sd["K/M_S"] == pytest.approx(math.hypot(0.05, 0.1 * away), rel=1e-6)
+        assert key.sd["K/M_S"] == pytest.approx(ERRORS["K_H"], rel=1e-6)
 
 
 def test_a_blow_at_two_microphones_is_one_layer_and_the_gain_is_that_of_the_path(tmp_path):

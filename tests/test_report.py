@@ -6,6 +6,7 @@ import base64
 import dataclasses
 import hashlib
 import io
+import re
 import xml.etree.ElementTree as ElementTree
 
 import numpy as np
@@ -29,6 +30,7 @@ from pianofit.errors import OutputError
 from pianofit.io import replace_file
 from pianofit.numbers import number
 from pianofit.report.figures import _headings, _partials, _spectra
+from pianofit.report.kit import asset
 from pianofit.report.page import Curves, report_bytes
 from pianofit.report.sound import k_weighted_mean_square, make_clips
 from pianofit.report.words import STATUS, again_in_words, minima, ringing, ringing_line, rows
@@ -523,3 +525,9 @@ def test_a_key_that_rings_by_its_law_has_no_table_and_no_third_line(tmp_path, cu
     assert "Decays and beats" not in page.text
     assert set(sounds_of(page)) == set(NAMES)
     assert len(page.all("img")) == PANELS + 9
+
+
+def test_no_colour_of_the_style_is_its_own_definition():
+    """A variable that refers to itself is none: what has that colour, such as the focus' outline, is not seen."""
+    for name, value in re.findall(r"(--[\w-]+): ([^;]+);", asset("page.css", "pianofit.report")):
+        assert name not in value

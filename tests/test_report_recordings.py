@@ -31,7 +31,7 @@ from pianofit.model.note import Note
 from pianofit.parameters import Geometry, Hammer, String
 from pianofit.report.build import felt_of, known_of, paths_of, recordings_of, strokes_of
 from pianofit.report.curves import Felt, Known
-from pianofit.report.known import held_out_rows, identified, open_scale
+from pianofit.report.known import identified, open_scale
 from pianofit.report.page import report_bytes
 from pianofit.report.sound import make_clips
 from pianofit.result.quantities import Quantities
@@ -425,4 +425,3 @@ def test_what_the_claims_question_is_not_called_fixed():
 
 def test_nothing_known_is_nothing_said():
     assert identified(example_fit(invariants={})) == []
-    assert held_out_rows(None) is None

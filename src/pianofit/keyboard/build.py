@@ -8,8 +8,8 @@ hammer, geometry, gain and path, so that every key can be played.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -60,21 +60,17 @@ def build_instrument(keys: Sequence[KeyFit], name: str = "") -> dict[str, Any]:
     if not keys:
         raise ParameterError("no key was given; an instrument needs at least one fit.json")
     own = [invariants(key.note, key.midi) for key in keys]
-    known = np.array([key.midi for key in keys])
     base = {n: np.array([literature(int(m)).get(n, 1.0) for m in KEYS]) for n in NAMES}
     base["gain"] = _same_gain(keys, own, base)
-    laws = {n: _law(n, known, own, keys, base[n]) for n in NAMES}
-    values = {n: _values(n, laws[n], known, base[n]) for n in NAMES}
-    quantity = keys[0].note.quantity
-    sign = math.copysign(1.0, sum(math.copysign(1.0, key.note.gain) for key in keys) or 1.0)
-    paths = _path_law(keys)
-    rows = [_key(i, int(midi), values, laws, keys, own, base, quantity, sign, paths) for i, midi in enumerate(KEYS)]
+    columns = {n: _column(n, keys, np.array([o[n] for o in own]), base[n]) for n in NAMES}
+    paths, place = _path_law(keys), {key.midi: j for j, key in enumerate(keys)}
     return {
-        "schema": SCHEMA, "program": "pianofit", "kind": "instrument", "name": name, "quantity": quantity,
+        "schema": SCHEMA, "program": "pianofit", "kind": "instrument", "name": name,
+        "quantity": keys[0].note.quantity,
         "velocity": velocity_map([key.velocities for key in keys]),
-        "laws": {n: _law_document(n, laws[n], base[n], known) for n in NAMES},
-        "keys": rows,
-        "messages": _messages(keys, laws, known),
+        "laws": {n: _law_document(n, column, base[n], keys) for n, column in columns.items()},
+        "keys": [_key(int(midi), place.get(int(midi)), keys, columns, paths) for midi in KEYS],
+        "messages": _messages(keys, columns),
         "versions": {"pianofit": __version__, "numpy": np.__version__},
     }  # fmt: skip
 
@@ -86,56 +82,74 @@ def _same_gain(keys: Sequence[KeyFit], own: list[dict], base: dict[str, np.ndarr
     return mass * math.exp(np.mean(known))
 
 
-def _scale(name: str, x: np.ndarray | float) -> np.ndarray:
-    return np.asarray(x, float) if name == "cents" else np.log(x)
+def _scale(name: str, x: np.ndarray) -> np.ndarray:
+    return x if name == "cents" else np.log(x)
 
 
-def _unscale(name: str, y: np.ndarray) -> np.ndarray:
-    return y if name == "cents" else np.exp(y)
+def _unscale(name: str, y: Any) -> Any:
+    """The value, or list of values, of what is on a law's scale."""
+    return (y if name == "cents" else np.exp(y)).tolist()
 
 
-def _law(name: str, known: np.ndarray, own: list[dict], keys: Sequence[KeyFit], base: np.ndarray) -> Law:
-    there = base[known - LOWEST_KEY]
-    y = _scale(name, np.array([o[name] for o in own])) - _scale(name, there)
+class _Column(NamedTuple):
+    """One quantity over the keyboard, on its law's scale."""
+
+    law: Law
+    centre: np.ndarray  # of the law [88]
+    played: np.ndarray  # [88]: the law's, and where there is a fit, the two together or the fit's own
+    sd: np.ndarray  # of that [88]
+    own: np.ndarray  # what the fits have [keys]
+    own_sd: np.ndarray  # [keys]
+    state: list[str]  # of `KINDS` [keys]
+
+
+def _column(name: str, keys: Sequence[KeyFit], values: np.ndarray, base: np.ndarray) -> _Column:
+    known = np.array([key.midi for key in keys])
+    own, reference, at = _scale(name, values), _scale(name, base), known - LOWEST_KEY
     sd = np.array([key.sd[name] for key in keys])
-    return fit_law(known.astype(float), y, sd, KEYS.astype(float), PRIORS[name], keep=name in KEPT)
+    away = own - reference[at]
+    law = fit_law(known.astype(float), away, sd, KEYS.astype(float), PRIORS[name])
+    kept = np.array([_keeps(key, name) for key in keys])
+    pulled = ~kept & (np.abs(law.value - away) > PULLED * sd)
+    centre = reference + law.mean
+    # A key that was never recorded is off its law by the scatter between keys, too.
+    played, played_sd = centre.copy(), np.hypot(law.sd, law.scatter)
+    played[at] = reference[at] + np.where(kept, away, law.value)
+    played_sd[at] = np.where(kept, sd, law.value_sd)
+    state = np.select([law.outlier, pulled], ["outlier", "pulled"], "fitted").tolist()
+    return _Column(law, centre, played, played_sd, own, sd, state)
 
 
-def _values(name: str, law: Law, known: np.ndarray, base: np.ndarray) -> np.ndarray:
-    """Every key's value [88]: the law's, and where there is a fit, the two together."""
-    y = _scale(name, base) + law.mean
-    y[known - LOWEST_KEY] = _scale(name, base)[known - LOWEST_KEY] + law.value
-    return _unscale(name, y)
-
-
-def _key(i, midi, values, laws, keys, own, base, quantity, sign, paths) -> dict[str, Any]:
-    """One key of the document."""
-    j = next((j for j, key in enumerate(keys) if key.midi == midi), None)
-    kept = {n for n in NAMES if j is not None and _keeps(keys[j], n)}
-    at = {n: float(own[j][n] if n in kept else values[n][i]) for n in NAMES}
-    string, hammer, geometry, gain = assemble(midi, at, quantity)
-    path = paths(midi) if j is None else keys[j].note.path
-    states = {} if j is None else {n: _state(n, laws[n], j, own[j], keys[j], base[n][i], n in kept) for n in NAMES}
+def _key(
+    midi: int, j: int | None, keys: Sequence[KeyFit], columns: dict[str, _Column],
+    paths: Callable[[int], OutputPath | None],
+) -> dict[str, Any]:  # fmt: skip
+    """One key of the document; its own fit is `keys[j]`, if it has one."""
+    i, key, quantity = midi - LOWEST_KEY, None if j is None else keys[j], keys[0].note.quantity
     told = {
-        n: {"value": at[n], "interval": _interval(n, at[n], keys[j].sd[n] if n in kept else _sd(laws[n], i, j)),
-            "law": _law_at(n, laws, base, i)}
-        | ({} if j is None else {"own": own[j][n], "own_interval": _interval(n, own[j][n], keys[j].sd[n]),
-                                 "state": states[n], "z": float(laws[n].z[j])})
-        for n in NAMES
+        n: {"value": _unscale(n, column.played[i]), "interval": _interval(n, column.played[i], column.sd[i]),
+            "law": _unscale(n, column.centre[i])}
+        | ({} if j is None else {
+            "own": _unscale(n, column.own[j]), "own_interval": _interval(n, column.own[j], column.own_sd[j]),
+            "state": column.state[j], "z": float(column.law.z[j])})
+        for n, column in columns.items()
     }  # fmt: skip
-    inner = keys[0].midi < midi < keys[-1].midi
-    state = ("interpolated" if inner else "extrapolated") if j is None else _worst(states)
-    fit = None if j is None else {
-        "file": keys[j].file, "recordings": keys[j].recordings, "levels_db": keys[j].levels_db,
-        "converged": keys[j].converged,
-        "velocities": list(keys[j].velocities), "layers": [layer._asdict() for layer in keys[j].layers],
-        "partials": _partials(keys[j].note),
-    }  # fmt: skip
+    string, hammer, geometry, gain = assemble(midi, {n: entry["value"] for n, entry in told.items()}, quantity)
+    if key is None:
+        state = "interpolated" if keys[0].midi < midi < keys[-1].midi else "extrapolated"
+        path, ringing, fit = paths(midi), NEIGHBOURS, None
+    else:
+        state = max((entry["state"] for n, entry in told.items() if n not in KEPT), key=KINDS.index)
+        path = key.note.path
+        ringing = None if key.note.ringing is None else ringing_document(key.note.ringing, whole=True)
+        fit = {"file": key.file, "recordings": key.recordings, "levels_db": key.levels_db, "converged": key.converged,
+               "velocities": list(key.velocities), "layers": [layer._asdict() for layer in key.layers],
+               "partials": _partials(key.note)}  # fmt: skip
+    sign = math.copysign(1.0, sum(math.copysign(1.0, other.note.gain) for other in keys) or 1.0)
     return {
         "midi": midi, "note": midi_to_note(midi), "state": state, "string": string._asdict(),
         "hammer": {n: getattr(hammer, n) for n in ("K_H", "mu", "p", "M_H")}, "geometry": geometry._asdict(),
-        "gain": sign * gain, "path": _path_document(path), "ringing": _ringing_document(None if j is None else keys[j]),
-        "told": told, "fit": fit,
+        "gain": sign * gain, "path": _path_document(path), "ringing": ringing, "told": told, "fit": fit,
     }  # fmt: skip
 
 
@@ -181,53 +195,20 @@ def _keeps(key: KeyFit, name: str) -> bool:
     return name in KEPT or key.note.ringing is not None
 
 
-def _state(name: str, law: Law, j: int, own: dict, key: KeyFit, base: float, kept: bool) -> str:
-    if law.outlier[j]:
-        return "outlier"
-    if kept:
-        return "fitted"
-    moved = law.value[j] - (_scale(name, own[name]) - _scale(name, base))
-    return "pulled" if abs(moved) > PULLED * key.sd[name] else "fitted"
-
-
-def _worst(states: dict[str, str]) -> str:
-    found = [state for name, state in states.items() if name not in KEPT]
-    return max(found, key=KINDS.index)
-
-
-def _sd(law: Law, i: int, j: int | None) -> float:
-    """A key that was never recorded is off its law by the scatter between keys, too."""
-    return float(law.value_sd[j] if j is not None else math.hypot(law.sd[i], law.scatter))
-
-
-def _law_at(name: str, laws: dict[str, Law], base: dict[str, np.ndarray], i: int) -> float:
-    return float(_unscale(name, _scale(name, base[name][i]) + laws[name].mean[i]))
-
-
-def _interval(name: str, value: float, sd: float) -> list[float]:
+def _interval(name: str, y: float, sd: float) -> list[float]:
     """95 %."""
-    if name == "cents":
-        return [value - NORMAL * sd, value + NORMAL * sd]
-    return [value * math.exp(-NORMAL * sd), value * math.exp(NORMAL * sd)]
+    return _unscale(name, np.array([y - NORMAL * sd, y + NORMAL * sd]))
 
 
-def _law_document(name: str, law: Law, base: np.ndarray, known: np.ndarray) -> dict[str, Any]:
-    center = _scale(name, base) + law.mean
+def _law_document(name: str, column: _Column, base: np.ndarray, keys: Sequence[KeyFit]) -> dict[str, Any]:
+    law, centre = column.law, column.centre
     return {
         "unit": TITLES[name][1] if name != "gain" else "", "scale": "linear" if name == "cents" else "log",
-        "literature": None if name == "gain" else base.tolist(), "value": _unscale(name, center).tolist(),
-        "low": _unscale(name, center - NORMAL * law.sd).tolist(),
-        "high": _unscale(name, center + NORMAL * law.sd).tolist(),
+        "literature": None if name == "gain" else base.tolist(), "value": _unscale(name, centre),
+        "low": _unscale(name, centre - NORMAL * law.sd), "high": _unscale(name, centre + NORMAL * law.sd),
         "scatter": law.scatter, "length_keys": law.length,
-        "outliers": [midi_to_note(int(m)) for m in known[law.outlier]],
+        "outliers": [midi_to_note(key.midi) for key, out in zip(keys, law.outlier, strict=True) if out],
     }  # fmt: skip
-
-
-def _ringing_document(key: KeyFit | None) -> dict[str, Any] | str | None:
-    """What a key rings with: its own modes and knock, its neighbours', or nothing but its law."""
-    if key is None:
-        return NEIGHBOURS
-    return None if key.note.ringing is None else ringing_document(key.note.ringing, whole=True)
 
 
 def _path_document(path: OutputPath | None) -> dict[str, list[float]] | None:
@@ -237,7 +218,7 @@ def _path_document(path: OutputPath | None) -> dict[str, list[float]] | None:
     }  # fmt: skip
 
 
-def _path_law(keys: Sequence[KeyFit]):
+def _path_law(keys: Sequence[KeyFit]) -> Callable[[int], OutputPath | None]:
     """The output path at any key: a Gaussian process over octaves and keys through what the fitted keys have.
 
     A key's own path is kept as it is, with its residuals; only the smooth part passes on to its neighbours.
@@ -260,20 +241,19 @@ def _path_law(keys: Sequence[KeyFit]):
     return at
 
 
-def _thirds(path: OutputPath) -> list[tuple[float, float, int]]:
-    """Mean octave, mean dB and number of the points in each third of an octave."""
+def _thirds(path: OutputPath) -> np.ndarray:
+    """Mean octave, mean dB and number of the points in each third of an octave [thirds, 3]."""
     octave = np.log2(path.frequency)
-    cell = np.floor(3 * octave).astype(int)
-    return [(float(octave[cell == c].mean()), float(path.db[cell == c].mean()), int((cell == c).sum()))
-            for c in np.unique(cell)]  # fmt: skip
+    _, cell, count = np.unique(np.floor(3 * octave), return_inverse=True, return_counts=True)
+    return np.stack([np.bincount(cell, octave) / count, np.bincount(cell, path.db) / count, count], axis=1)
 
 
-def _messages(keys: Sequence[KeyFit], laws: dict[str, Law], known: np.ndarray) -> list[str]:
+def _messages(keys: Sequence[KeyFit], columns: dict[str, _Column]) -> list[str]:
     said = [
-        f"{midi_to_note(int(m))}: {n} lies {abs(z):.1f} standard deviations {'above' if z > 0 else 'below'} what the "
+        f"{midi_to_note(key.midi)}: {n} lies {abs(z):.1f} standard deviations {'above' if z > 0 else 'below'} what the "
         f"other keys say; {'it is kept' if _keeps(key, n) else 'the law is played'}"
-        for n, law in laws.items()
-        for m, z, out, key in zip(known, law.z, law.outlier, keys, strict=True)
+        for n, column in columns.items()
+        for key, z, out in zip(keys, column.law.z, column.law.outlier, strict=True)
         if out
     ]
     unsettled = [midi_to_note(key.midi) for key in keys if not key.converged]

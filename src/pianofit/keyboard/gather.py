@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..analysis.notes import midi_to_note, note_to_midi
-from ..errors import AnalysisError, FitError
+from ..errors import FitError
 from ..fit_file import note_of, read_fit
 from ..io import one_line, reference_of
 from ..model.note import Note
@@ -44,7 +44,7 @@ UNTOLD_OTHER = 0.1
 UNSETTLED = 2.0
 # What `fit.json` calls a velocity or a gain that was known; `fixed` in its first schema.
 KNOWN = ("given", "fixed")
-_KEY = re.compile(r"(.*?)[-_ ]?([A-Ga-g])([#sb♯♭]?)(-1|\d)")
+_KEY = re.compile(r"(.*?)[-_ ]?([A-Ga-g][#sb♯♭]?(?:-1|\d))")
 
 
 class Layer(NamedTuple):
@@ -155,13 +155,7 @@ def owner(file: Path) -> str:
 def _key_of(file: Path) -> tuple[str, int | None]:
     """The instrument and the key that the folder's name says, such as cp80-Fs2."""
     match = _KEY.fullmatch(file.resolve().parent.name)
-    if match is None:
-        return "", None
-    owner, letter, shift, octave = match.groups()
-    try:
-        return owner, note_to_midi(f"{letter}{shift}{octave}")
-    except AnalysisError:
-        return "", None
+    return (match[1], note_to_midi(match[2])) if match else ("", None)
 
 
 def load_keys(files: Sequence[Path]) -> list[KeyFit]:
@@ -273,30 +267,19 @@ def _felt_spread(s: dict[str, float | None], document: dict, note: Note, midi: i
     and var log K_H says the covariance, unless the velocities' common scale is in it: then there is none, since u is
     where force and exponent part.
     """
-    there = _force_error(document, note)
-    if s["K_H"] is None or s["p"] is None or there is None:
+    h, invariants = note.hammer, document.get("invariants")
+    entry: Any = invariants.get("F/M_S") if isinstance(invariants, dict) else None
+    error = _spread(entry)
+    value: Any = entry.get("value") if isinstance(entry, dict) else None
+    if s["K_H"] is None or s["p"] is None or error is None or not (is_number(value) and value > 0):
         return s["K_H"]
-    at, error = math.log(there[0]), there[1]
-    p, covariance = s["p"] * float(note.hammer.p), 0.0
+    at = math.log(value * note.geometry.mass / h.K_H) / h.p
+    if at >= 0:  # a metre: no felt
+        return s["K_H"]
+    p, covariance = s["p"] * float(h.p), 0.0
     velocity = document["parameters"].get("v_H0")
     if not (isinstance(velocity, dict) and velocity.get("status") == "scaled"):
         covariance = (error**2 + (at * p) ** 2 - s["K_H"] ** 2) / (2 * at)
         covariance = float(np.clip(covariance, -error * p, error * p))
     away = math.log(reference_compression(midi)) - at - math.log(scale)
     return math.sqrt(max(error**2 + (away * p) ** 2 + 2 * away * covariance, 1e-6))
-
-
-def _force_error(document: dict, note: Note) -> tuple[float, float] | None:
-    """Where the felt's force is known best: the compression, m, and the standard deviation of the force's logarithm."""
-    invariants, derived = (x if isinstance(x, dict) else {} for x in map(document.get, ("invariants", "derived")))
-    entry: Any = invariants.get("F/M_S")
-    error: Any = _spread(entry)
-    if error is not None and is_number(entry.get("value")) and entry["value"] > 0:
-        h = note.hammer
-        u = float((entry["value"] * note.geometry.mass / h.K_H) ** (1 / h.p))
-    else:  # the first schema
-        deepest, error = (derived.get(key) for key in ("max_compression_mm", "felt_force_relative_error"))
-        if not (is_number(deepest) and is_number(error)):
-            return None
-        u = 1e-3 * float(deepest)  # type: ignore[arg-type]
-    return (u, error) if 0 < u < 1 and error > 0 else None

@@ -61,14 +61,13 @@ class _Shape(NamedTuple):
     length: float
 
 
-def fit_law(x: np.ndarray, y: np.ndarray, sd: np.ndarray, at: np.ndarray, prior: Prior, *, keep: bool = False) -> Law:
+def fit_law(x: np.ndarray, y: np.ndarray, sd: np.ndarray, at: np.ndarray, prior: Prior) -> Law:
     """Fit one law.
 
     Parameters
     ----------
     x, y, sd : of the known keys [keys]: key number, difference from the literature, error.
     at : keys at which the law is wanted [at].
-    keep : whether keys keep their own values whatever the law says.
     """
     inside = ~_suspects(x, y, sd, prior) if len(x) >= ENOUGH_KEYS else np.ones(len(x), bool)
     shape = _most_probable(x[inside], y[inside], sd[inside], prior)
@@ -82,8 +81,6 @@ def fit_law(x: np.ndarray, y: np.ndarray, sd: np.ndarray, at: np.ndarray, prior:
         z = _surprise(x, y, sd, inside, shape, prior)
     mean, variance = _predict(x, y, sd, inside, at, shape, prior)
     value, value_var = _own(x, y, sd, inside, shape, prior)
-    if keep:
-        value, value_var = y.copy(), sd**2
     return Law(mean, np.sqrt(variance), shape.scatter, shape.length, value, np.sqrt(value_var), z, ~inside)
 
 
@@ -95,22 +92,24 @@ def _covariance(a: np.ndarray, b: np.ndarray, shape: _Shape, prior: Prior) -> np
     return prior.offset**2 + prior.tilt**2 * tilt + shape.smooth**2 * near
 
 
+def _noisy(x: np.ndarray, sd: np.ndarray, shape: _Shape, prior: Prior) -> np.ndarray:
+    """Covariance of what is known of keys `x`: of f + h + e."""
+    return _covariance(x, x, shape, prior) + np.diag(shape.scatter**2 + sd**2)
+
+
 def _most_probable(x: np.ndarray, y: np.ndarray, sd: np.ndarray, prior: Prior) -> _Shape:
     """Size, scatter and length of the highest marginal likelihood."""
-    best, top = None, -np.inf
-    for length in LENGTHS:
-        for smooth in SMOOTH:
-            base = _covariance(x, x, _Shape(smooth * prior.spread, 0.0, length), prior)
-            for scatter in SCATTERS:
-                c = base + np.diag((scatter * prior.spread) ** 2 + sd**2)
-                lower = np.linalg.cholesky(c + 1e-12 * np.trace(c) / len(x) * np.eye(len(x)))
-                w = np.linalg.solve(lower, y)
-                far = np.log([smooth / EXPECTED_SMOOTH, scatter / EXPECTED_SCATTER]) / FACTOR
-                value = -0.5 * (w @ w) - np.log(np.diag(lower)).sum() - 0.5 * (far @ far)
-                if value > top:
-                    best, top = _Shape(smooth * prior.spread, scatter * prior.spread, length), value
-    assert best is not None  # noqa: S101
-    return best
+
+    def evidence(shape: _Shape) -> float:
+        c = _noisy(x, sd, shape, prior)
+        lower = np.linalg.cholesky(c + 1e-12 * np.trace(c) / len(x) * np.eye(len(x)))
+        w = np.linalg.solve(lower, y)
+        expected = np.array([EXPECTED_SMOOTH, EXPECTED_SCATTER]) * prior.spread
+        far = np.log([shape.smooth, shape.scatter] / expected) / FACTOR
+        return float(-0.5 * (w @ w) - np.log(np.diag(lower)).sum() - 0.5 * (far @ far))
+
+    sizes = [(smooth * prior.spread, scatter * prior.spread) for smooth in SMOOTH for scatter in SCATTERS]
+    return max((_Shape(*size, length) for length in LENGTHS for size in sizes), key=evidence)
 
 
 def _suspects(x: np.ndarray, y: np.ndarray, sd: np.ndarray, prior: Prior) -> np.ndarray:
@@ -136,23 +135,21 @@ def _suspects(x: np.ndarray, y: np.ndarray, sd: np.ndarray, prior: Prior) -> np.
 def _predict(x, y, sd, inside, at, shape: _Shape, prior: Prior) -> tuple[np.ndarray, np.ndarray]:
     """Mean and variance of f at `at` from the keys inside."""
     x, y, sd = x[inside], y[inside], sd[inside]
-    c = _covariance(x, x, shape, prior) + np.diag(shape.scatter**2 + sd**2)
     k = _covariance(at, x, shape, prior)
-    solved = np.linalg.solve(c, np.column_stack([y, k.T]))
-    own = np.array([_covariance(one, one, shape, prior)[0, 0] for one in at[:, None]])
+    solved = np.linalg.solve(_noisy(x, sd, shape, prior), np.column_stack([y, k.T]))
+    own = np.diag(_covariance(at, at, shape, prior))
     return k @ solved[:, 0], np.maximum(own - np.einsum("ij,ji->i", k, solved[:, 1:]), 0.0)
 
 
 def _surprise(x, y, sd, inside, shape: _Shape, prior: Prior) -> np.ndarray:
-    """How many standard deviations each key is off what the other keys inside predict."""
-    z = np.zeros(len(x))
-    for i in range(len(x)):
-        others = inside & (np.arange(len(x)) != i)
-        if others.any():
-            mean, variance = _predict(x, y, sd, others, x[i : i + 1], shape, prior)
-        else:
-            mean, variance = np.zeros(1), _covariance(x[i : i + 1], x[i : i + 1], shape, prior)[0]
-        z[i] = (y[i] - mean[0]) / np.sqrt(variance[0] + shape.scatter**2 + sd[i] ** 2)
+    """How many standard deviations each key is off what the other keys inside predict.
+
+    Of a key inside, from the inverse covariance of all (Rasmussen and Williams 2006, eq. 5.12).
+    """
+    mean, variance = _predict(x, y, sd, inside, x, shape, prior)
+    z = (y - mean) / np.sqrt(variance + shape.scatter**2 + sd**2)
+    inverse = np.linalg.inv(_noisy(x[inside], sd[inside], shape, prior))
+    z[inside] = inverse @ y[inside] / np.sqrt(np.diag(inverse))
     return z
 
 
@@ -160,5 +157,5 @@ def _own(x, y, sd, inside, shape: _Shape, prior: Prior) -> tuple[np.ndarray, np.
     """Mean and variance of f + h at the keys themselves; an outlier's own value does not count."""
     noise = np.where(inside, sd, 1e6)
     k = _covariance(x, x, shape, prior) + shape.scatter**2 * np.eye(len(x))
-    gain = np.linalg.solve(k + np.diag(noise**2), k).T
+    gain = np.linalg.solve(_noisy(x, noise, shape, prior), k).T
     return gain @ np.where(inside, y, 0.0), np.maximum(np.diag(k - gain @ k), 0.0)

@@ -40,12 +40,9 @@ def counts(document: dict[str, Any]) -> dict[str, int]:
 def guessed(between: int, beyond: int) -> str:
     """How many keys are guesses: of `Instrument.guesses`."""
     parts = [f"{n} {where}" for n, where in ((between, "between recorded keys"), (beyond, "beyond them")) if n]
-    one = between + beyond == 1
-    return (
-        f"{between + beyond} {'is a guess' if one else 'are guesses'}: {', '.join(parts)}"
-        if parts
-        else "none is a guess"
-    )
+    if not parts:
+        return "none is a guess"
+    return f"{between + beyond} {'is a guess' if between + beyond == 1 else 'are guesses'}: {', '.join(parts)}"
 
 
 def summary(document: dict[str, Any]) -> str:

@@ -11,6 +11,7 @@ import base64
 import json
 import os
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -28,8 +29,9 @@ ANSWERS = 2
 MINUTES = 0.25
 
 
-class Heard(NamedTuple):
-    """A sound of the test."""
+@dataclass(frozen=True, eq=False)
+class Heard:
+    """A sound of the test, which is no other however alike."""
 
     what: str  # what it is, hidden until the end
     case: str  # which note or stroke, which all sounds of a question share
@@ -54,7 +56,7 @@ class Question(NamedTuple):
         first, second = (one.what for one in self.pair)
         if self.kind == "abx":
             return f"ABX: {first} or {second}"
-        if not any(one is self.reference for one in self.pair):
+        if self.reference not in self.pair:
             return f"nearer to {self.reference.what}: {first} than {second}"
         other = next(one for one in self.pair if one is not self.reference)
         return f"hidden reference: {self.reference.what} beside {other.what}"
@@ -71,13 +73,12 @@ class Trial(NamedTuple):
     @property
     def hit(self) -> Heard:
         """Which answer counts: the reference where it is one of the two, or else the first of the pair."""
-        hidden = any(one is self.reference for one in (self.a, self.b))
-        return self.reference if hidden else self.question.pair[0]
+        return self.reference if self.reference in (self.a, self.b) else self.question.pair[0]
 
 
 def write_listening(
     path: str | os.PathLike[str], questions: list[Question], rate: int, onset: float, seed: int, *, program: str,
-    about: str, origin: str, key: str | os.PathLike[str] | None = None, seconds: float = 8.0,
+    about: str, origin: str, key: str | os.PathLike[str], seconds: float = 8.0,
 ) -> list[tuple[Heard, Clip]]:  # fmt: skip
     """Write the page, and the key to it.
 
@@ -98,19 +99,19 @@ def write_listening(
     Raises `OutputError` if a file cannot be written.
     """
     draw = np.random.default_rng(seed)
-    sounds = list({id(h): h for q in questions for h in (q.reference, *q.pair)}.values())
-    names = {id(h): f"s{n:03d}" for h, n in zip(sounds, draw.permutation(len(sounds)), strict=True)}
+    sounds = list(dict.fromkeys(h for q in questions for h in (q.reference, *q.pair)))
+    names = {h: f"s{n:03d}" for h, n in zip(sounds, draw.permutation(len(sounds)), strict=True)}
     trials = list(_drawn(questions, draw))
-    clips = make_clips({names[id(h)]: h.samples for h in sounds}, rate, onset, seconds=seconds)
+    clips = make_clips({name: h.samples for h, name in names.items()}, rate, onset, seconds=seconds)
     facts = {"schema": ANSWERS, "program": program, "version": __version__, "seed": seed}
     hidden: dict[str, Any] = {
-        "sounds": {names[id(h)]: {"what": h.what, "case": h.case} for h in sounds},
+        "sounds": {name: {"what": h.what, "case": h.case} for h, name in names.items()},
         "trials": [
             {"condition": t.question.condition, "kind": t.question.kind}
-            | {"reference": names[id(t.reference)], "a": names[id(t.a)], "b": names[id(t.b)], "hit": names[id(t.hit)]}
+            | {role: names[getattr(t, role)] for role in ("reference", "a", "b", "hit")}
             for t in trials
         ],
-    }  # fmt: skip
+    }
     test = facts | {
         "sounds": {clip.name: clip.text for clip in sorted(clips, key=lambda c: c.name)},
         "hidden": base64.b64encode(json.dumps(hidden).encode()).decode(),
@@ -122,8 +123,7 @@ def write_listening(
         count=len(trials), about=about, origin=origin, minutes=max(1, round(MINUTES * len(trials))),
         controls=sum(t.question.condition.startswith("hidden reference") for t in trials),
     )  # fmt: skip
-    if key is not None:
-        replace_file(key, json_text(facts | hidden).encode())
+    replace_file(key, json_text(facts | hidden).encode())
     return [*zip(sounds, clips, strict=True)]
 
 

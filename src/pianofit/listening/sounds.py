@@ -39,9 +39,8 @@ class Made(NamedTuple):
 
 
 def listening_test(
-    a: Path, b: Path, folder: Path, *, reference: Path | None = None, trials: int = 16, seconds: float = 4.0,
-    seed: int = 0, leave_out: bool = False,
-) -> Made:  # fmt: skip
+    a: Path, b: Path, folder: Path, *, reference: Path | None, trials: int, seconds: float, seed: int, leave_out: bool
+) -> Made:
     """Write `listen.html`, its key, and the same as a webMUSHRA experiment.
 
     Parameters
@@ -59,8 +58,8 @@ def listening_test(
     """
     check_range("trials=", trials, 1, MOST_TRIALS)
     check_range("seconds=", seconds, 0.25, 30)
-    labels = _labels([a, b] if reference is None else [a, b, reference])
-    groups, alone = _named([a, b] if reference is None else [a, b, reference])
+    sides = [a, b] if reference is None else [a, b, reference]
+    labels, (groups, alone) = _labels(sides), _named(sides)
     draw = np.random.default_rng(seed)
     loaded = {name: [load_recording(path) for path in files] for name, files in groups.items()}
     failed = [f"{one_line(r.path)}: {words}" for group in loaded.values() for r in group for words in failures(r)]

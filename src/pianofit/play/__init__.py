@@ -1,6 +1,7 @@
 """An instrument played: `perform` plays a `midi` song on its `strings`, `export` writes a sampler's folder."""
 
-from .export import SAMPLERS, Asked, Exported, export_sampler
+from .export import Asked, Exported, export_sampler
+from .formats import SAMPLERS
 from .layers import parse_keys
 from .midi import Song, load_song
 from .perform import Performance, limit, perform

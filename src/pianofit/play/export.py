@@ -22,31 +22,18 @@ from ..errors import OutputError, ParameterError, check_range
 from ..io import CEILING, encode_pcm, interrupted_by, one_line, unwritten
 from ..keyboard.document import Instrument
 from ..threads import one_blas_thread
-from .decent import dspreset_text
+from .formats import SAMPLERS
 from .layers import SampledKey, spans_of, velocities_of
 from .readme import MARK, readme_text
 from .samples import Measured, measured, sample
-from .sfz import sfz_text
 from .strings import PlayedString, damper_rate
 
-__all__ = ["SAMPLERS", "Asked", "Exported", "export_sampler"]
+__all__ = ["Asked", "Exported", "export_sampler"]
 
 # Kinds of samples.
 KINDS = ("flac", "wav")
 
 
-class Sampler(NamedTuple):
-    """A format of samplers."""
-
-    ending: str  # of its text's name
-    kind: str  # of samples that all its players read
-    text: Callable[[str, Sequence[SampledKey]], str]  # of a title and the keys
-
-
-SAMPLERS = {
-    "sfz": Sampler(".sfz", "flac", sfz_text),
-    "decent-sampler": Sampler(".dspreset", "wav", dspreset_text),  # FLAC only from version 1.19 on
-}
 README = "README.txt"
 # Names of samples: key, note, velocity.
 SAMPLE = re.compile(r"\d{3}-[A-G]s?-?\d-v\d{3}\.(flac|wav)")
@@ -80,7 +67,7 @@ class Asked(NamedTuple):
 
 @one_blas_thread()
 def export_sampler(
-    instrument: Instrument, out: Path, keys: Sequence[int], asked: Asked | None = None, *, to: str = "sfz",
+    instrument: Instrument, out: Path, keys: Sequence[int], asked: Asked, *, to: str = "sfz",
     licence: str | None = None, force: bool = False, progress: Callable[[str, float], None] = lambda *_: None,
 ) -> Exported:  # fmt: skip
     """Write the folder `out`, whole or not at all.
@@ -96,7 +83,6 @@ def export_sampler(
     """
     if to not in SAMPLERS:
         raise ParameterError(f"to={to!r} must be one of {', '.join(SAMPLERS)}")
-    asked = asked or Asked(kind=SAMPLERS[to].kind)
     _check(instrument, keys, asked)
     try:
         out = out.resolve()

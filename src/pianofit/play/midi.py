@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import io
 import os
+from collections import defaultdict
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from ..analysis.notes import midi_to_note
@@ -29,7 +31,7 @@ class Song(NamedTuple):
     """Times in s from the first event; every list ascends in time."""
 
     keys: dict[int, list[tuple[float, int]]]  # MIDI key -> (time, velocity 1 to 127; 0 when it goes up)
-    pedal: list[tuple[float, bool]]  # (time, down)
+    pedal: Sequence[tuple[float, int]]  # (time, 1 when it goes down or is moved while down; 0 when it goes up)
     seconds: float  # to the last event
     notes: int
 
@@ -66,68 +68,48 @@ def read_song(data: bytes, name: str) -> Song:
 
 def _read(file: Any, name: str) -> Song:
     """Walk through all tracks in time."""
-    hands, pedal, now = _Hands(name), _Switch(), 0.0
+    keys, pedal, now, notes = defaultdict[int, _Held](_Held), _Held(), 0.0, 0
     for message in file:
         now += message.time
         if now > MOST_SONG_SECONDS:
             raise RecordingError(f"{name}: lasts more than {MOST_SONG_SECONDS / 60:g} minutes; cut it into parts")
         if getattr(message, "channel", DRUMS) == DRUMS:
             continue
-        if message.type == "control_change":
-            if message.control == SUSTAIN:
-                pedal.set(now, message.channel, message.value >= DOWN)
-            elif message.control in (SOUND_OFF, NOTES_OFF):
-                hands.all_up(now, message.channel)
-        elif message.type == "note_on" and message.velocity > 0:
-            hands.down(now, message.note, message.velocity, message.channel)
+        if message.is_cc(SUSTAIN):
+            pedal.move(now, message.channel, int(message.value >= DOWN))
+        elif message.is_cc(SOUND_OFF) or message.is_cc(NOTES_OFF):
+            for key in keys.values():
+                key.move(now, message.channel, 0)
         elif message.type in ("note_on", "note_off"):
-            hands.up(now, message.note, message.channel)
-    if not hands.notes:
+            velocity = message.velocity if message.type == "note_on" else 0
+            if velocity:
+                notes += 1
+                _check_note(message, now, notes, name)
+            keys[message.note].move(now, message.channel, velocity)
+    if not notes:
         raise RecordingError(f"{name}: holds no note for a piano; give a MIDI file with notes")
-    return Song(hands.events, pedal.events, now, hands.notes)
+    return Song({key: held.events for key, held in keys.items() if held.events}, pedal.events, now, notes)
 
 
-class _Switch:
-    """Something that is down while any channel holds it down."""
+class _Held:
+    """A key or the pedal, which is down while any channel holds it down."""
 
     def __init__(self) -> None:
-        self.held: set[int] = set()
-        self.events: list[tuple[float, bool]] = []
+        self.by: set[int] = set()
+        self.events: list[tuple[float, int]] = []
 
-    def set(self, now: float, channel: int, down: bool) -> None:
-        before = bool(self.held)
-        (self.held.add if down else self.held.discard)(channel)
-        if bool(self.held) != before:
-            self.events.append((now, bool(self.held)))
+    def move(self, now: float, channel: int, how: int) -> None:
+        """A channel holds it down, `how` above 0, or lets it go."""
+        if how or self.by == {channel}:
+            self.events.append((now, how))
+        (self.by.add if how else self.by.discard)(channel)
 
 
-class _Hands:
-    """Keys and the channels that hold them."""
-
-    def __init__(self, name: str) -> None:
-        self.name, self.notes = name, 0
-        self.events: dict[int, list[tuple[float, int]]] = {}
-        self._held: dict[int, set[int]] = {}
-
-    def down(self, now: float, key: int, velocity: int, channel: int) -> None:
-        self.notes += 1
-        if self.notes > MOST_NOTES:
-            raise RecordingError(f"{self.name}: has more than {MOST_NOTES:,} notes; cut it into parts")
-        if not LOWEST_KEY <= key <= HIGHEST_KEY:
-            raise RecordingError(
-                f"{self.name}: {midi_to_note(key)} (key {key}) at {now:.2f} s lies beyond a piano's "
-                "A0 to C8; transpose it"
-            )
-        self._held.setdefault(key, set()).add(channel)
-        self.events.setdefault(key, []).append((now, velocity))
-
-    def up(self, now: float, key: int, channel: int) -> None:
-        held = self._held.get(key, set())
-        if channel in held:
-            held.discard(channel)
-            if not held:
-                self.events[key].append((now, 0))
-
-    def all_up(self, now: float, channel: int) -> None:
-        for key in [key for key, held in self._held.items() if channel in held]:
-            self.up(now, key, channel)
+def _check_note(message: Any, now: float, notes: int, name: str) -> None:
+    if notes > MOST_NOTES:
+        raise RecordingError(f"{name}: has more than {MOST_NOTES:,} notes; cut it into parts")
+    if not LOWEST_KEY <= message.note <= HIGHEST_KEY:
+        raise RecordingError(
+            f"{name}: {midi_to_note(message.note)} (key {message.note}) at {now:.2f} s lies beyond a piano's "
+            "A0 to C8; transpose it"
+        )

@@ -72,14 +72,14 @@ def perform(
     total, strikes, moving, last = np.zeros((instrument.channels, size)), 0, 0, 0
     for key in sorted(song.keys):
         string = PlayedString(instrument.note(key, 64), key, rate)
-        for at, sound, struck in _joined(_sounds(string, instrument, _events(song, key, rate), size)):
+        for at, sound, met_moving in _phrases(string, instrument, _events(song, key, rate), size):
             begin = at + lead - string.lead
             sound = string.heard(sound)[:, : size - begin]
             end = begin + sound.shape[-1]
             total[:, begin:end] += sound  # one channel is heard in all
             last = max(last, end)
-            strikes += len(struck)
-            moving += sum(kind > 1 for kind in struck)
+            strikes += len(met_moving)
+            moving += sum(met_moving)
             progress("playing", 0.98 * strikes / song.notes)
     fade = round(LAST_FADE * rate)  # the treble has no dampers
     total[:, -fade:] *= 0.5 * (1 + np.cos(np.pi * np.arange(1, fade + 1) / fade))
@@ -105,51 +105,31 @@ def _events(song: Song, key: int, rate: int) -> list[_Event]:
     return events
 
 
-def _sounds(
+def _phrases(
     string: PlayedString, instrument: Instrument, events: list[_Event], size: int
-) -> Iterator[tuple[int, np.ndarray, int]]:
-    """(first sample, sound, 0 for ringing, 1 for a stroke at rest, 2 on a moving string), one after the other."""
-    at = 0
-    for event in events:
-        if event.sample > at and string.sounding:
-            yield from _ringing(string, at, event.sample)
-        at = max(at, event.sample)
+) -> Iterator[tuple[int, np.ndarray, list[bool]]]:
+    """(First sample, sound, of each stroke whether it met a moving string), from silence to silence, until `size`.
+
+    In one piece: a path rings on after every piece that goes through it, which is most of the work.
+    """
+    at, begin, sounds, moving = 0, 0, [], []
+    for event in [*events, _Event(size, velocity=0, damped=False)]:
+        end = min(event.sample, size)
+        while at < end and string.sounding:
+            sounds.append(string.ring(min(PIECE, end - at)))
+            at += sounds[-1].shape[-1]
+        if sounds and (at < end or at >= size):
+            yield begin, np.concatenate(sounds, axis=-1), moving
+            sounds, moving = [], []
+        at = max(at, end)
         if at >= size:
             return
         string.damped = event.damped
         if event.velocity:
-            struck = 2 if string.moving else 1
-            v = instrument.note(string.midi, event.velocity).hammer.v_H0
-            sound = string.strike(v)[:, : size - at]
-            yield at, sound, struck
-            at += sound.shape[-1]
-    yield from _ringing(string, at, size)
-
-
-def _joined(pieces: Iterator[tuple[int, np.ndarray, int]]) -> Iterator[tuple[int, np.ndarray, list[int]]]:
-    """Pieces that follow one another as one: (first sample, sound, of each stroke 1 at rest, 2 on a moving string).
-
-    A path rings on after every piece that goes through it, which is most of the work.
-    """
-    begin, end, sounds, kinds = 0, 0, [], []
-    for at, sound, struck in pieces:
-        if at > end and sounds:
-            yield begin, np.concatenate(sounds, axis=-1), kinds
-            sounds, kinds = [], []
-        begin = begin if sounds else at
-        sounds.append(sound)
-        kinds += [struck] if struck else []
-        end = at + sound.shape[-1]
-    if sounds:
-        yield begin, np.concatenate(sounds, axis=-1), kinds
-
-
-def _ringing(string: PlayedString, start: int, stop: int) -> Iterator[tuple[int, np.ndarray, int]]:
-    """The string by itself in pieces, until `stop` or until it is silent."""
-    while start < stop and string.sounding:
-        count = min(PIECE, stop - start)
-        yield start, string.ring(count), 0
-        start += count
+            begin = begin if sounds else at
+            moving.append(string.moving)
+            sounds.append(string.strike(instrument.note(string.midi, event.velocity).hammer.v_H0)[:, : size - at])
+            at += sounds[-1].shape[-1]
 
 
 def limit(samples: np.ndarray, rate: int) -> tuple[np.ndarray, float, float]:

@@ -11,7 +11,7 @@ from scipy.interpolate import PchipInterpolator
 
 from ..keyboard.document import Instrument
 from ..model.note import arrival
-from .layers import LOUDEST, SOFTEST, Zone, crossfaded
+from .layers import LOUDEST, SOFTEST, Zone, crossfaded, velocities_of
 from .strings import CHANNELS, PlayedString
 
 __all__ = ["LEVEL_SECONDS", "Measured", "measured", "sample", "stroke"]
@@ -43,16 +43,12 @@ class Measured(NamedTuple):
 
 def measured(instrument: Instrument, string: PlayedString, velocities: Sequence[int], seconds: float) -> Measured:
     """Strike a key at all velocities of its layers, and more to know its level."""
-    tried = sorted({*velocities, *(int(v) for v in np.round(np.linspace(SOFTEST, LOUDEST, LEVELS)))})
-    sounds, level_db = {}, []
-    for velocity in tried:
-        sound = stroke(instrument, string, velocity, min(seconds, LEVEL_SECONDS))
-        level_db.append(10 * np.log10(max(np.mean(sound**2, axis=-1).sum(), 1e-30)))
-        if velocity in velocities:
-            sounds[velocity] = sound
-    layers = list(sounds.values())
+    tried = sorted({*velocities, *velocities_of(LEVELS)})
+    sounds = {velocity: stroke(instrument, string, velocity, min(seconds, LEVEL_SECONDS)) for velocity in tried}
+    level_db = [10 * np.log10(max(np.mean(sound**2, axis=-1).sum(), 1e-30)) for sound in sounds.values()]
+    layers = [sounds[velocity] for velocity in velocities]
     moves, alike = _aligned(layers, max(round(FARTHEST_MOVE * string.rate), 1))
-    first = [0 if string.lead else _first(sound) for sound in layers]
+    first = [0 if string.lead else max(int(np.argmax(_above(sound, BEGINS_DB))) - BEFORE, 0) for sound in layers]
     begin = min(f - move for f, move in zip(first, moves, strict=True))
     # Not extrapolated: below the softest stroke is as loud as it.
     curve = PchipInterpolator(tried, level_db)(np.clip(np.arange(LOUDEST + 1), SOFTEST, LOUDEST))
@@ -78,9 +74,10 @@ def stroke(instrument: Instrument, string: PlayedString, velocity: int, seconds:
     return string.heard(sound)[:CHANNELS, :samples]
 
 
-def _first(sound: np.ndarray) -> int:
+def _above(sound: np.ndarray, below_db: float) -> np.ndarray:
+    """Where a sound [channels, samples] is less than so far below its peak [samples]."""
     level = np.abs(sound).max(axis=0)
-    return max(int(np.argmax(level > level.max() * 10 ** (-BEGINS_DB / 20))) - BEFORE, 0)
+    return level > level.max() * 10 ** (-below_db / 20)
 
 
 def _aligned(layers: Sequence[np.ndarray], farthest: int) -> tuple[list[int], list[float]]:
@@ -99,8 +96,7 @@ def _aligned(layers: Sequence[np.ndarray], farthest: int) -> tuple[list[int], li
 
 def _faded(sound: np.ndarray, rate: int) -> np.ndarray:
     """Cut where it has become silent, and faded out to its end."""
-    level = np.abs(sound).max(axis=0)
-    loud = np.flatnonzero(level > level.max() * 10 ** (-SILENT_DB / 20))
+    loud = np.flatnonzero(_above(sound, SILENT_DB))
     sound = sound[:, : max(int(loud[-1]) + 1 if loud.size else 1, rate // 20)].copy()
     fade = max(int(FADE * sound.shape[-1]), 2)
     sound[:, -fade:] *= 0.5 * (1 + np.cos(np.pi * np.arange(1, fade + 1) / fade))

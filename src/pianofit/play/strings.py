@@ -112,13 +112,13 @@ class PlayedString:
         sound = self._free(samples)  # moves all states on to the contact's end
         self.string.state = self.string.state + self.table.unit * self._left(drive)
         onset = self._onset(drive, force, samples)
-        self._late = _sum(self._late, sound, self.lead)
-        self._late = _sum(self._late, onset, 0)
+        self._add(sound, self.lead)
+        self._add(onset, 0)
         return self._next(samples)
 
     def ring(self, samples: int) -> np.ndarray:
         """The string by itself [channels, samples]."""
-        self._late = _sum(self._late, self._free(samples), self.lead)
+        self._add(self._free(samples), self.lead)
         return self._next(samples)
 
     def heard(self, sound: np.ndarray) -> np.ndarray:
@@ -155,6 +155,12 @@ class PlayedString:
         self.modes.state = self.modes.state + state
         return onset
 
+    def _add(self, sound: np.ndarray, at: int) -> None:
+        """Make a sound [channels, samples] sure to be heard, from `at` samples from now on."""
+        end = at + sound.shape[-1]
+        self._late = np.pad(self._late, ((0, 0), (0, max(end - self._late.shape[-1], 0))))
+        self._late[:, at:end] += sound
+
     def _next(self, samples: int) -> np.ndarray:
         """Take the next samples [channels, samples] of what is sure."""
         sound, self._late = self._late[:, :samples], self._late[:, samples:]
@@ -169,11 +175,3 @@ class PlayedString:
             pole, drive = self.string.pole, self.table.drive[None]
             self._response = ring(pole, drive, self.table.rate, size, faint=np.zeros(len(pole)))[0]
         return self._response[:steps]
-
-
-def _sum(sound: np.ndarray, more: np.ndarray, at: int) -> np.ndarray:
-    """A sound [channels, samples] and another that begins at the index `at`, as long as either needs."""
-    out = np.zeros((len(sound), max(at + more.shape[-1], sound.shape[-1])))
-    out[:, : sound.shape[-1]] = sound
-    out[:, at : at + more.shape[-1]] += more
-    return out

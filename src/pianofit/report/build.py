@@ -82,10 +82,10 @@ def reference_curves(result: Result) -> Curves:
     spectra = {name: spectrum_db(x[onset:], rate, top) for name, x in sounds.items()}
     attack = slice(onset, onset + int(ATTACK * rate))
     v = result.note
-    f0 = v.string.c / (2 * v.geometry.length)
-    B = (v.string.kappa * np.pi / (v.string.c * v.geometry.length)) ** 2
+    f0, B = (result.document["derived"][name] for name in ("f0", "B"))
     strokes = {"initial": before.simulation, "fitted": after.simulation}
-    steps = _contact_steps(*strokes.values())
+    # Until the last of the contacts is over, and a tenth more.
+    steps = max(int(1.1 * one.last_touch / float(one.modes.step)) + 2 for one in strokes.values())
     original = {"original": r.samples if heard.played.frames is None else r.frames}
     return Curves(
         frequency=spectra["measured"][0], spectra={name: level for name, (_, level) in spectra.items()},
@@ -120,11 +120,6 @@ def spectrum_db(samples: np.ndarray, rate: int, top: float) -> tuple[np.ndarray,
 
 def _cents(frequency: np.ndarray, reference: np.ndarray) -> np.ndarray:
     return 1200 * np.log2(frequency / reference)
-
-
-def _contact_steps(*simulations) -> int:
-    """Steps until the last of the contacts is over, and a tenth more."""
-    return max(int(1.1 * s.last_touch / float(s.modes.step)) + 2 for s in simulations)
 
 
 def _pad(values, size: int) -> np.ndarray:
@@ -237,12 +232,9 @@ def _shared(result: Result) -> tuple[tuple[str, ...], np.ndarray]:
 
 def _band(value: np.ndarray, change: np.ndarray, cov: np.ndarray) -> np.ndarray:
     """`value` [n] and the ends of its 95 % interval, from the `change` [n, names] of its logarithm: [3, n]."""
-    reach = np.minimum(NORMAL * _deviation(change, cov), FARTHEST)
+    sd = np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", change, cov, change), 0.0))
+    reach = np.minimum(NORMAL * sd, FARTHEST)
     return value * np.exp(np.stack([0 * reach, -reach, reach]))
-
-
-def _deviation(change: np.ndarray, cov: np.ndarray) -> np.ndarray:
-    return np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", change, cov, change), 0.0))
 
 
 def known_of(result: Result) -> Known | None:
@@ -279,17 +271,12 @@ def ringing_curves(result: Result) -> RingingCurves | None:
     frames = time <= max(min(SHOWN, time[-1] - WINDOW), 0.0)  # one at the least, of a very short recording
     time, one, other = time[frames], one[frames], other[frames]
     floor = max(float(one.max()), 1e-30) * 10 ** (-HEARD / 10)
+    strongest = sorted(heard.partials.number[np.argsort(heard.level)[-PARTIALS:]].tolist())
     return RingingCurves(
-        envelopes_of(result, _strongest(result)), time, mel_edges(n, BANDS, recording.rate)[1:-1],
+        envelopes_of(result, strongest), time, mel_edges(n, BANDS, recording.rate)[1:-1],
         10 * np.log10(one + floor).T, 10 * np.log10(other + floor).T,
         () if ringing is None else tuple(partial_decays(ringing)),
     )  # fmt: skip
-
-
-def _strongest(result: Result) -> list[int]:
-    """Numbers of the strongest partials, rising."""
-    number = result.reference.partials.number
-    return sorted(number[np.argsort(result.reference.level)[-PARTIALS:]].tolist())
 
 
 def envelopes_of(result: Result, numbers: list[int]) -> tuple[Envelope, ...]:

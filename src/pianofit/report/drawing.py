@@ -8,7 +8,7 @@ resolution.
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from threading import Lock
 from typing import TYPE_CHECKING, Any
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "FAINT", "FITTED", "HEIGHT", "INITIAL", "INK", "LAW", "LINES", "MEASURED", "STYLE",
-    "legend", "log_axis", "number_axis", "panel", "points", "span", "svg",
+    "drawn", "legend", "log_axis", "number_axis", "panel", "points", "span", "svg",
 ]  # fmt: skip
 
 INK, MEASURED, INITIAL, LAW, FITTED, FAINT = "#333333", "#1a1a1a", "#d55e00", "#009e73", "#0072b2", "#eeeeee"
@@ -113,17 +113,33 @@ def panel(*heights: float, left: float = LEFT, legend_rows: int = 1) -> tuple[Fi
     return figure, found
 
 
+def drawn(
+    draw: Callable[..., None], *shown: Any, title: str = "", height: float = HEIGHT, left: float = LEFT,
+    legend_rows: int = 1, columns: int = 4,
+) -> Figure:  # fmt: skip
+    """A figure of one panel, which `draw(axes, *shown)` fills, with the legend of what that has named."""
+    figure, (axes,) = panel(height, left=left, legend_rows=legend_rows)
+    draw(axes, *shown)
+    if title:
+        axes.set_title(title)
+    legend(figure, axes, columns)
+    return figure
+
+
 def svg(figure: Figure) -> bytes:
     """The figure as a file, the same for the same figure."""
-    file = io.BytesIO()
-    figure.savefig(file, format="svg", facecolor="none", metadata={"Date": None, "Creator": None}, dpi=DPI)
-    return file.getvalue().replace(b"'DejaVu Sans'", b"system-ui, 'DejaVu Sans'")
+    made = _saved(figure, format="svg", facecolor="none", metadata={"Date": None, "Creator": None})
+    return made.replace(b"'DejaVu Sans'", b"system-ui, 'DejaVu Sans'")
 
 
 def png(figure: Figure) -> bytes:
     """The figure as a picture, the same for the same figure."""
+    return _saved(figure, format="png", metadata={"Software": None})
+
+
+def _saved(figure: Figure, **how: Any) -> bytes:
     file = io.BytesIO()
-    figure.savefig(file, format="png", metadata={"Software": None}, dpi=DPI)
+    figure.savefig(file, dpi=DPI, **how)
     return file.getvalue()
 
 
@@ -151,13 +167,10 @@ def log_axis(axis: Any, subs: tuple[int, ...] = (1, 2, 5)) -> None:
     axis.set_minor_locator(NullLocator())
 
 
-def legend(figure: Figure, *sources: Axes | None, columns: int = 4) -> None:
-    """One legend for the figure, below it, in the order of `LINES`, then as drawn."""
-    found: dict[str, Any] = {}
-    for axes in sources:
-        if axes is not None:
-            handles, labels = axes.get_legend_handles_labels()
-            found.update(zip(labels, handles, strict=True))
+def legend(figure: Figure, axes: Axes, columns: int = 4) -> None:
+    """Name what is drawn, below the figure, in the order of `LINES`, then as drawn."""
+    handles, labels = axes.get_legend_handles_labels()
+    found = dict(zip(labels, handles, strict=True))
     order = sorted(found, key=lambda name: [*LINES, name].index(name))
     if order:
         figure.legend([found[name] for name in order], order, loc="lower center", ncols=min(len(order), columns))

@@ -15,6 +15,7 @@ from .drawing import (
     INK,
     LINES,
     MEASURED,
+    drawn,
     legend,
     log_axis,
     number_axis,
@@ -33,12 +34,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = [
-    "COMPARED", "draw_attack", "draw_figures", "draw_force", "draw_levels", "draw_loop", "draw_spectrum",
-]  # fmt: skip
+__all__ = ["COMPARED", "draw_figures", "draw_force", "draw_levels", "draw_spectrum"]
 
 # Of what most pictures have all three.
 COMPARED = ("measured", "initial", "fitted")
+ATTACKS = {"initial": "start values", "fitted": "after the fit"}
 # Of the largest force: where the heads on a loop stand, apart from each other.
 RISING, FALLING = 0.6, 0.35
 # Decays slower than this share of the law's slowest stand at the axis' edge.
@@ -51,16 +51,23 @@ def draw_figures(
     curves: Curves, dropped: tuple[str, ...] = (), held_out: tuple[dict[str, Any], ...] = ()
 ) -> dict[str, list[bytes]]:
     """Draw all figures of the page, name -> SVGs of its panels; what there is nothing to show of is left out."""
-    drawings = {"attack": _attack, "partials": _partials, "levels": _levels, "force": _force}
     with styled():
-        figures: dict[str, list[Figure]] = {"spectra": _spectra(curves, dropped)}
-        figures |= {name: draw(curves) for name, draw in drawings.items()}
+        figures = {
+            "spectra": _spectra(curves, dropped),
+            "attack": [drawn(_draw_attack, curves, name, title=title) for name, title in ATTACKS.items()],
+            "partials": _partials(curves),
+            "levels": [drawn(draw_levels, curves, title="Levels"), _residuals(curves)],
+            "force": [
+                drawn(draw_force, curves, title="Force over time"),
+                drawn(_draw_loop, curves, title="Force over compression"),
+            ],
+        }
         if len(curves.recordings) > 1:
             figures["recordings"] = draw_recordings(curves.recordings)
         if len(curves.recordings) > 1 and curves.paths:
-            figures["paths"] = [draw_paths(curves.paths)]
+            figures["paths"] = draw_paths(curves.paths)
         if held_out:
-            figures["held_out"] = [draw_held_out(held_out)]
+            figures["held_out"] = draw_held_out(held_out)
         if curves.felt is not None:
             figures["felt"] = draw_felt(curves.felt, curves.recordings)
         if curves.known is not None:
@@ -75,22 +82,18 @@ def _spectra(curves: Curves, dropped: tuple[str, ...]) -> list[Figure]:
     edges = _band_edges(curves, dropped)
     low, high, split = edges[0][0], edges[-1][1], edges[-1][0]
     cuts = [low, split, high] if len(edges) > 1 and high - split > 1.5 * (split - low) else [low, high]
-    figures = []
-    for start, stop in pairwise(cuts):
-        figure, (axes,) = panel(HEIGHT)
-        _draw_spectra(axes, curves, start, stop)
-        _shade_bands(axes, edges)
-        legend(figure, axes)
-        figures.append(figure)
-    return figures
+    return [drawn(_draw_spectra, curves, edges, start, stop) for start, stop in pairwise(cuts)]
 
 
-def _draw_spectra(axes: Axes, curves: Curves, low: float, high: float) -> None:
+def _draw_spectra(
+    axes: Axes, curves: Curves, edges: list[tuple[float, float, str, bool]], low: float, high: float
+) -> None:
     for name in COMPARED:
         axes.plot(curves.frequency, curves.spectra[name], label=name, **LINES[name])
     bottom, top = span(curves.spectra["measured"], curves.spectra["fitted"])
-    axes.set(xlim=(low, high), ylim=(max(bottom, top - 110) - 6, top + 12), xlabel="frequency (Hz)")
-    axes.set_ylabel("level (dB)")
+    axes.set(xlim=(low, high), ylim=(max(bottom, top - 110) - 6, top + 12), xlabel="frequency (Hz)",
+             ylabel="level (dB)")  # fmt: skip
+    _shade_bands(axes, edges)
 
 
 def _band_edges(curves: Curves, dropped: tuple[str, ...]) -> list[tuple[float, float, str, bool]]:
@@ -109,9 +112,8 @@ def _band_edges(curves: Curves, dropped: tuple[str, ...]) -> list[tuple[float, f
 
 def draw_spectrum(axes: Axes, curves: Curves, dropped: tuple[str, ...]) -> None:
     """Draw measured, initial and fitted spectrum, and the bands of the paper's criterion."""
-    edges = _band_edges(curves, dropped)
-    _draw_spectra(axes, curves, edges[0][0], edges[-1][1])
-    _shade_bands(axes, [(low, high, "", left_out) for low, high, _, left_out in edges])
+    edges = [(low, high, "", left_out) for low, high, _, left_out in _band_edges(curves, dropped)]
+    _draw_spectra(axes, curves, edges, edges[0][0], edges[-1][1])
 
 
 def draw_force(axes: Axes, curves: Curves) -> None:
@@ -150,24 +152,13 @@ def _shade_bands(axes: Axes, edges: list[tuple[float, float, str, bool]]) -> Non
         axes.text(at, 0.985, text, transform=axes.get_xaxis_transform(), ha=side, va="top", color=INK, fontsize=8.5)
 
 
-def _attack(curves: Curves) -> list[Figure]:
-    limits = span(*curves.attack.values())
-    room = 0.05 * max(limits[1] - limits[0], 1e-12)
-    figures = []
-    for name, title in (("initial", "start values"), ("fitted", "after the fit")):
-        figure, (axes,) = panel(HEIGHT)
-        draw_attack(axes, curves, ("measured", name))
-        axes.set(title=title, xlabel="time from the onset (ms)", ylim=(limits[0] - room, limits[1] + room))
-        legend(figure, axes)
-        figures.append(figure)
-    return figures
-
-
-def draw_attack(axes: Axes, curves: Curves, names: tuple[str, ...]) -> None:
-    """Draw the waveforms of the first milliseconds."""
-    for name in names:
-        axes.plot(curves.attack_ms, curves.attack[name], label=name, **LINES[name])
-    axes.set_ylabel("signal (full scale = 1)")
+def _draw_attack(axes: Axes, curves: Curves, name: str) -> None:
+    """The waveforms of the first milliseconds, to one scale for all pictures."""
+    for one in ("measured", name):
+        axes.plot(curves.attack_ms, curves.attack[one], label=one, **LINES[one])
+    low, high = span(*curves.attack.values())
+    room = 0.05 * max(high - low, 1e-12)
+    axes.set(xlabel="time from the onset (ms)", ylabel="signal (full scale = 1)", ylim=(low - room, high + room))
 
 
 def _partials(curves: Curves) -> list[Figure]:
@@ -178,31 +169,29 @@ def _partials(curves: Curves) -> list[Figure]:
     points(rest, curves.number, curves.frequency_cents - curves.frequency_cents_law, curves.frequency_cents_error)
     rest.axhline(0.0, **LINES["fitted"])
     rest.set(ylabel="cents off", xlabel="partial number k")
-    losses, (decay,) = panel(HEIGHT + 0.12)
+    number_axis(cents, curves.number)
+    legend(law, cents)
+    return [law, drawn(_draw_decays, curves, height=HEIGHT + 0.12)]
+
+
+def _draw_decays(axes: Axes, curves: Curves) -> None:
     # A beat can hide a decay. What seems not to decay at all would leave no room to the others.
     bottom = SLOWEST * float(np.min(curves.decay_law))
     shown = ~(curves.decay < bottom)
-    points(decay, curves.number[shown], curves.decay[shown], curves.decay_error[shown])
+    points(axes, curves.number[shown], curves.decay[shown], curves.decay_error[shown])
     if not shown.all():
-        decay.plot(curves.number[~shown], np.full((~shown).sum(), bottom), "v", mfc="none", color=MEASURED,
-                   label="below this axis")  # fmt: skip
-    decay.plot(curves.number, curves.decay_law, label="law of the fitted string", **LINES["fitted"])
+        axes.plot(curves.number[~shown], np.full((~shown).sum(), bottom), "v", mfc="none", color=MEASURED,
+                  label="below this axis")  # fmt: skip
+    axes.plot(curves.number, curves.decay_law, label="law of the fitted string", **LINES["fitted"])
     if bottom > 0:
-        decay.set_yscale("log")
-        log_axis(decay.yaxis)
-    decay.set(title="Decay of the amplitude", ylabel="decay rate α (1/s)", xlabel="partial number k")
-    for figure, axes in ((law, cents), (losses, decay)):
-        number_axis(axes, curves.number)
-        legend(figure, axes)
-    return [law, losses]
+        axes.set_yscale("log")
+        log_axis(axes.yaxis)
+    axes.set(title="Decay of the amplitude", ylabel="decay rate α (1/s)", xlabel="partial number k")
+    number_axis(axes, curves.number)
 
 
-def _levels(curves: Curves) -> list[Figure]:
-    """Levels, and beside them their residuals and the path if there is one."""
-    levels, (axes,) = panel(HEIGHT)
-    draw_levels(axes, curves)
-    axes.set_title("Levels")
-    legend(levels, axes)
+def _residuals(curves: Curves) -> Figure:
+    """Of the levels, and below them the path if there is one."""
     path = curves.path
     residuals, (error, *below) = panel(*((HEIGHT,) if path is None else (0.6 * HEIGHT, 0.4 * HEIGHT - 0.12)))
     for name, marker in (("initial", "s"), ("fitted", "o")):
@@ -216,7 +205,7 @@ def _levels(curves: Curves) -> list[Figure]:
     (below or [error])[-1].set_xlabel("partial number k")
     number_axis(error, curves.number)
     legend(residuals, error)
-    return [levels, residuals]
+    return residuals
 
 
 def _without_nodes(curves: Curves, name: str) -> np.ndarray:
@@ -226,19 +215,8 @@ def _without_nodes(curves: Curves, name: str) -> np.ndarray:
     return np.where(level > low - NODE, level, np.nan)
 
 
-def _force(curves: Curves) -> list[Figure]:
-    (first, (time,)), (second, (loop,)) = panel(HEIGHT), panel(HEIGHT)
-    draw_force(time, curves)
-    time.set_title("Force over time")
-    draw_loop(loop, curves)
-    loop.set(title="Force over compression")
-    legend(first, time)
-    legend(second, loop)
-    return [first, second]
-
-
-def draw_loop(axes: Axes, curves: Curves) -> None:
-    """Draw force over compression, with heads on the curve that say which way it runs."""
+def _draw_loop(axes: Axes, curves: Curves) -> None:
+    """Force over compression, with heads on the curve that say which way it runs."""
     for name in ("initial", "fitted"):
         x, force = curves.compression[name], curves.force[name]
         touching = np.where(x > 0, 1.0, np.nan)

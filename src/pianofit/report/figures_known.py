@@ -10,7 +10,7 @@ import numpy as np
 
 from ..numbers import off_by
 from .curves import Felt, Known, RecordingCurves
-from .drawing import FITTED, HEIGHT, INITIAL, INK, LINES, MEASURED, legend, log_axis, panel, span
+from .drawing import FITTED, INITIAL, INK, LINES, MEASURED, drawn, log_axis, span
 from .words import SYMBOLS
 
 if TYPE_CHECKING:
@@ -28,24 +28,15 @@ LOOP = "#8fbfe0"
 def draw_felt(felt: Felt, recordings: Sequence[RecordingCurves]) -> list[Figure]:
     """The static law with its band, and the loops that the strokes ran through."""
     rows = 1 if felt.slow is None else 2
-    (first, (axes,)), (second, (logs,)) = (panel(HEIGHT, legend_rows=rows) for _ in range(2))
-    for i, recording in enumerate(recordings):
-        axes.plot(
-            recording.compression, recording.force, color=LOOP, lw=1.1, zorder=3, label="" if i else "loop of a stroke"
-        )
-    for either in (axes, logs):
-        _law(either, felt.compression, felt.force, LINES["fitted"], "static law" if felt.slow is None else "sudden")
-        if felt.slow is not None:
-            _law(either, felt.compression, felt.slow, LINES["initial"], "slow")
-        either.set(xlabel="compression of the felt (mm)", ylabel="force (N)")
-    tall = max(0.0, span(felt.force[0], *(recording.force for recording in recordings))[1])
-    axes.set(xlim=(0.0, 1.03 * felt.compression[-1]), ylim=(0.0, 1.25 * max(tall, 1e-9)))
-    _logarithmic(logs, felt, [span(recording.compression)[1] for recording in recordings])
-    axes.set_title("Linear axes")
-    logs.set_title("Logarithmic axes")
-    legend(first, axes, columns=3)
-    legend(second, logs, columns=3)
-    return [first, second]
+    pictures = {"Linear axes": _linear, "Logarithmic axes": _logarithmic}
+    return [drawn(draw, felt, recordings, title=title, legend_rows=rows, columns=3) for title, draw in pictures.items()]
+
+
+def _laws(axes: Axes, felt: Felt) -> None:
+    _law(axes, felt.compression, felt.force, LINES["fitted"], "static law" if felt.slow is None else "sudden")
+    if felt.slow is not None:
+        _law(axes, felt.compression, felt.slow, LINES["initial"], "slow")
+    axes.set(xlabel="compression of the felt (mm)", ylabel="force (N)")
 
 
 def _law(axes: Axes, u: np.ndarray, force: np.ndarray, look: dict, name: str) -> None:
@@ -55,8 +46,17 @@ def _law(axes: Axes, u: np.ndarray, force: np.ndarray, look: dict, name: str) ->
     axes.plot(u, force[0], label=name, **look)
 
 
-def _logarithmic(axes: Axes, felt: Felt, deepest: list[float]) -> None:
+def _linear(axes: Axes, felt: Felt, recordings: Sequence[RecordingCurves]) -> None:
+    for i, one in enumerate(recordings):
+        axes.plot(one.compression, one.force, color=LOOP, lw=1.1, zorder=3, label="" if i else "loop of a stroke")
+    _laws(axes, felt)
+    tall = max(0.0, span(felt.force[0], *(one.force for one in recordings))[1])
+    axes.set(xlim=(0.0, 1.03 * felt.compression[-1]), ylim=(0.0, 1.25 * max(tall, 1e-9)))
+
+
+def _logarithmic(axes: Axes, felt: Felt, recordings: Sequence[RecordingCurves]) -> None:
     """Over one and a half decades of compression, where a power law is a line; marks at the axis: the deepest."""
+    _laws(axes, felt)
     u, law = felt.compression[-1], felt.force[0, -1]
     if not (u > 0 and law > 0 and np.isfinite(law)):
         return
@@ -64,7 +64,7 @@ def _logarithmic(axes: Axes, felt: Felt, deepest: list[float]) -> None:
     ends = felt.force[:, seen]
     axes.set(xscale="log", yscale="log", xlim=(u / 32, 1.15 * u))
     axes.set_ylim(max(ends[0].min() / 30, ends[1].min() / 2, law * 1e-9), min(30 * law, 2 * ends[2].max()))
-    across = axes.get_xaxis_transform()
+    across, deepest = axes.get_xaxis_transform(), [span(one.compression)[1] for one in recordings]
     axes.plot(deepest, [0.03] * len(deepest), "|", color=MEASURED, ms=13, mew=2, transform=across, zorder=5)
     log_axis(axes.xaxis, (1, 3))
     log_axis(axes.yaxis, (1,))
@@ -73,10 +73,7 @@ def _logarithmic(axes: Axes, felt: Felt, deepest: list[float]) -> None:
 def draw_known(known: Known) -> list[Figure]:
     """Half intervals on a logarithmic scale, and the table of correlations in colours."""
     height = 0.32 * max(len(known.reaches), len(known.names), 5)
-    (first, (reaches,)), (second, (correlations,)) = (panel(height, left=0.9, legend_rows=0) for _ in range(2))
-    _reaches(reaches, known)
-    draw_correlations(correlations, known)
-    return [first, second]
+    return [drawn(draw, known, height=height, left=0.9, legend_rows=0) for draw in (_reaches, draw_correlations)]
 
 
 def _reaches(axes: Axes, known: Known) -> None:
@@ -87,21 +84,21 @@ def _reaches(axes: Axes, known: Known) -> None:
     for row, value, (_, told, combined) in zip(rows, reach, known.reaches, strict=True):
         colour = MEASURED if combined else FITTED
         axes.plot([left, value], [row, row], color=colour, lw=1.6, marker="o", ms=6.5, markevery=[1])
-        axes.text(
-            1.35 * value,
-            row,
-            "not at all" if told >= WIDEST else off_by(told, "× or ÷ {}"),
-            va="center",
-            fontsize=9,
-            color=INK,
-        )
+        words = "not at all" if told >= WIDEST else off_by(told, "× or ÷ {}")
+        axes.text(1.35 * value, row, words, va="center", fontsize=9, color=INK)
     axes.set(xscale="log", xlim=(left, 14 * max(reach)), ylim=(len(rows) - 0.4, -0.6))
     axes.set_yticks(rows, [_symbol(name) for name, *_ in known.reaches])
     axes.set_xticks([], minor=True)
-    axes.tick_params(labelbottom=False, left=False, bottom=False)
+    axes.tick_params(labelbottom=False)
+    _without_axes(axes)
+    axes.set_title("How well it is known (95 %; logarithmic scale)")
+
+
+def _without_axes(axes: Axes) -> None:
+    """Leave the labels alone."""
+    axes.tick_params(left=False, bottom=False)
     axes.grid(visible=False)
     axes.spines[["bottom", "left"]].set_visible(False)
-    axes.set_title("How well it is known (95 %; logarithmic scale)")
 
 
 def _symbol(name: str) -> str:
@@ -118,9 +115,8 @@ def draw_correlations(axes: Axes, known: Known) -> None:
     names, n = [_symbol(name) for name in known.names], max(len(known.names), 2)
     shades = LinearSegmentedColormap.from_list("correlation", [INITIAL, "#ffffff", FITTED], 64)
     below = np.where(np.tri(len(names), k=-1, dtype=bool), known.correlation, np.nan)
-    axes.pcolormesh(
-        np.arange(len(names) + 1) - 0.5, np.arange(len(names) + 1) - 0.5, below, cmap=shades, vmin=-1, vmax=1
-    )
+    edges = np.arange(len(names) + 1) - 0.5
+    axes.pcolormesh(edges, edges, below, cmap=shades, vmin=-1, vmax=1)
     for i in range(len(names)):
         for j in range(i):
             r = known.correlation[i, j]
@@ -130,7 +126,5 @@ def draw_correlations(axes: Axes, known: Known) -> None:
     axes.set(xlim=(-0.5, n - 1.5), ylim=(n - 0.5, 0.5))  # the first row and the last column are empty
     axes.set_xticks(range(len(names) - 1), names[:-1])
     axes.set_yticks(range(1, len(names)), names[1:])
-    axes.tick_params(left=False, bottom=False)
-    axes.grid(visible=False)
-    axes.spines[["bottom", "left"]].set_visible(False)
+    _without_axes(axes)
     axes.set_title("Correlations of the estimates, %")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .curves import Envelope, RingingCurves
-from .drawing import FITTED, HEIGHT, INITIAL, LINES, legend, panel, span
+from .drawing import FITTED, HEIGHT, INITIAL, LINES, drawn, panel, span
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,14 +27,8 @@ SHADES = ["#ffffff", "#9cc9e3", "#2f86bd", "#0a2f4f"]
 
 def draw_ringing(curves: RingingCurves) -> dict[str, list[Figure]]:
     """Name -> panels: the envelopes; the levels recorded and played to one scale, and their difference."""
-    return {"envelopes": [_envelope(one) for one in curves.envelopes], "spectrograms": _spectrograms(curves)}
-
-
-def _envelope(envelope: Envelope) -> Figure:
-    figure, (axes,) = panel(0.6 * HEIGHT)
-    draw_envelope(axes, envelope)
-    legend(figure, axes)
-    return figure
+    envelopes = [drawn(draw_envelope, one, height=0.6 * HEIGHT) for one in curves.envelopes]
+    return {"envelopes": envelopes, "spectrograms": _spectrograms(curves)}
 
 
 def draw_envelope(axes: Axes, envelope: Envelope) -> None:

@@ -27,6 +27,11 @@ STEREO_SECONDS = 5.0
 LIGHT_SAMPLES = 1_000_000
 LONGEST = 4.0  # s, of each of them,
 SHORTEST = 1.5  # s, however many there are
+# What is said of a fit, on the page by the functions' names.
+SAID = (
+    words.notices, words.tiles, words.groups, words.comparison, words.glide, words.bands, words.minima, words.how_sure,
+    known.identified, known.felt_scale, known.open_scale, known.a_power,
+)  # fmt: skip
 # Pictures that only some fits have.
 SOMETIMES = ("recordings", "paths", "held_out", "felt", "known")
 
@@ -47,34 +52,24 @@ def report_bytes(fit: dict[str, Any], curves: Curves, title: str, held_out: dict
     names = _names(fit, held_out)
     fit = with_names(fit, names)
     onset = next(row["onset_s"] for row in fit["recordings"] if row["first"])
-    left_out = known.held_out_rows(with_names(held_out, names))
+    left_out = with_names(held_out, names)
     figures = draw_figures(
         curves, tuple(fit["criterion"]["dropped"]), tuple(left_out["recordings"]) if left_out else ()
     )
+    said: dict[str, Any] = {say.__name__: say(fit) for say in SAID}
     return page_bytes(
         "page.html.j2",
         scripts=("audio.js", "player.js"),
         title=title,
         contents=True,
         fit=fit,
-        notices=words.notices(fit),
-        tiles=words.tiles(fit),
-        groups=words.groups(fit),
-        comparison=words.comparison(fit),
-        glide=words.glide(fit),
-        bands=words.bands(fit),
+        **said,
         invariants=words.rows(fit["invariants"]),
         rows=words.rows(fit["parameters"]),
-        minima=words.minima(fit),
-        how_sure=words.how_sure(fit),
         clips=_clips(curves, onset),
         ringing=_ringing(fit, curves),
         strokes=_strokes(curves.strokes),
         players=_players(curves, fit["recordings"]),
-        identified=known.identified(fit),
-        felt_scale=known.felt_scale(fit),
-        scale_open=known.open_scale(fit),
-        a_power=known.a_power(fit),
         stulov=curves.felt is not None and curves.felt.slow is not None,
         held_out=left_out,
         path_groups=len(curves.paths),

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from ..result.quantities import Quantity
 
 __all__ = [
-    "again_in_words", "bands", "comparison", "felt_names", "glide", "groups", "how_sure", "minima", "notices",
+    "again_in_words", "bands", "comparison", "glide", "groups", "how_sure", "minima", "notices",
     "ringing", "ringing_line", "rows", "tiles",
 ]  # fmt: skip
 
@@ -43,11 +43,6 @@ RINGS_BY = {"law": "the law", "modes": "modes", "modes and knock": "modes and kn
 UNSETTLED = (
     "The search ended before it converged. Take every number on this page as a stage on the way, not as a result."
 )
-
-
-def felt_names(fit: dict[str, Any]) -> list[str]:
-    """The parameters of the felt's law."""
-    return [name for name in fit["parameters"] if name not in BESIDE_THE_FELT]
 
 
 def rows(table: dict[str, Any]) -> list[dict[str, str]]:
@@ -78,7 +73,8 @@ def minima(fit: dict[str, Any]) -> dict[str, Any] | None:
     if len(found) < 2:
         return None
     # What tells one minimum's hammer from another's.
-    names = [n for n in (*felt_names(fit), "M_H", "x0") if len({one["parameters"].get(n) for one in found}) > 1]
+    felt = [name for name in fit["parameters"] if name not in BESIDE_THE_FELT]
+    names = [n for n in (*felt, "M_H", "x0") if len({one["parameters"].get(n) for one in found}) > 1]
     best = min(one["F"] for one in found)
     return {
         "names": [(SYMBOLS.get(name, name), _unit(fit["parameters"][name]["unit"])) for name in names],
@@ -196,15 +192,10 @@ def again_in_words(found: list[dict[str, float]]) -> str:
     """Say how often, when and how hard the hammer touches the string after its first contact; empty if it does not."""
     if not found:
         return ""
-    first, last = found[0], found[-1]
-    hardest = number(max(c["max_force_N"] for c in found), 2)
-    if len(found) == 1:
-        end = number(first["start_ms"] + first["duration_ms"], 3)
-        return f"touches again from {number(first['start_ms'], 3)} to {end} ms, with up to {hardest} N"
-    return (
-        f"touches again {len(found)} times, from {number(first['start_ms'], 3)} ms to "
-        f"{number(last['start_ms'] + last['duration_ms'], 3)} ms, with up to {hardest} N"
-    )
+    start, end = number(found[0]["start_ms"], 3), number(found[-1]["start_ms"] + found[-1]["duration_ms"], 3)
+    times = f"from {start}" if len(found) == 1 else f"{len(found)} times, from {start} ms"
+    hardest = number(max(contact["max_force_N"] for contact in found), 2)
+    return f"touches again {times} to {end} ms, with up to {hardest} N"
 
 
 def glide(fit: dict[str, Any]) -> str:
@@ -227,10 +218,9 @@ def comparison(fit: dict[str, Any]) -> str:
     path, fitted = (fit["levels"][key] for key in ("path_only_db", "fitted_db"))
     if path is None:
         return ""
+    meaning = "A path alone does as well: these levels say nothing for the fitted hammer."
     if path > fitted + 0.1:
         meaning = "The fitted hammer explains more of the levels than a path alone."
-    else:
-        meaning = "A path alone does as well: these levels say nothing for the fitted hammer."
     return (
         f"A smooth output path alone, with a hammer from the literature, would leave an error of {path:.1f} dB in the "
         f"partials’ levels; the fit leaves {fitted:.1f} dB. {meaning}"

@@ -37,8 +37,13 @@ def kernel_seconds(spacing: float) -> float:
 
 def kernel_gain(pole: np.ndarray, seconds: float) -> np.ndarray:
     """What a Hann kernel of length `seconds` makes of exp(pole t), complex [...]."""
-    u = pole * seconds / (2j * np.pi)
-    return np.sinc(u) / (1 - u * u)
+    return _hann(pole * seconds / (2j * np.pi))
+
+
+def _hann(u: np.ndarray) -> np.ndarray:
+    """The transform of a Hann kernel of length 1 and sum 1, at `u` turns over its length."""
+    with np.errstate(all="ignore"):
+        return np.where(np.abs(np.abs(u) - 1) < 1e-6, 0.5, np.sinc(u) / (1 - u * u))
 
 
 def band(spectrum: np.ndarray, samples: int, rate: float, centre: float, seconds: float) -> Band:
@@ -50,9 +55,7 @@ def band(spectrum: np.ndarray, samples: int, rate: float, centre: float, seconds
     reach = int(np.ceil(2.0 / seconds * samples / rate))
     middle = round(centre * samples / rate)
     at = np.arange(middle - reach, middle + reach + 1)
-    u = (at * rate / samples - centre) * seconds
-    with np.errstate(all="ignore"):
-        weight = np.where(np.abs(np.abs(u) - 1) < 1e-6, 0.5, np.sinc(u) / (1 - u * u))
+    weight = _hann((at * rate / samples - centre) * seconds)
     size = cast(int, next_fast_len(2 * reach + 1))
     inside = (at >= 0) & (at < samples // 2)
     wrapped = np.zeros((*spectrum.shape[:-1], size), complex)

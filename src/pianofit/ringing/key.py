@@ -54,72 +54,62 @@ class Key(NamedTuple):
 
 def key_of(heard: Heard, modes: Sequence[PartialModes], forces: Sequence[Force], gain: np.ndarray) -> Key:
     """The key that these layers, by these forces and through these gains [layers], show."""
-    delay, patterns = _patterns(heard, modes, forces, gain)
+    strongest = np.array([m.poles[np.argmax(np.abs(m.amplitude).sum((0, 1)))] for m in modes])
+    drive = np.stack([g * force.drive(strongest) for g, force in zip(gain, forces, strict=True)], axis=1)
+    loud = np.stack([np.abs(m.amplitude).sum(-1).max(axis=-1) for m in modes])  # [partials, layers], as `drive`
+    weight = np.stack([np.interp(m.snr, TELLING, (0, 1)) for m in modes]) * loud**LOUDNESS
+    delay = _delays(heard, modes, drive, weight)
+    shown = [m.at_onset * np.exp(np.multiply.outer(delay, m.poles))[:, None, :] for m in modes]  # at the contact
+    patterns = _patterns(modes, shown, drive, weight)
     pattern, pole = np.concatenate(patterns, axis=-1), np.concatenate([m.poles for m in modes])
     found = Ringing(
         np.concatenate([np.full(len(m.pole), m.number) for m in modes]), pole,
         np.concatenate([m.pole_error for m in modes]), pattern, np.zeros((len(pattern), 0)), heard.rate,
     )  # fmt: skip
     knock = _knock(heard, modes, found, forces, delay, gain)
-    part = _participation(modes, patterns, forces, delay, gain)
+    over = [one / row[:, None, None] for one, row in zip(shown, drive, strict=True)]
+    part = _participation(modes, patterns, over, loud, np.array([force.velocity for force in forces]))
     return Key(found._replace(knock=knock, participation=part), delay)
 
 
-def _patterns(
-    heard: Heard, modes: Sequence[PartialModes], forces: Sequence[Force], gain: np.ndarray
-) -> tuple[np.ndarray, list[np.ndarray]]:
-    """When each layer's contact was after its onset, s, and P of each partial [channels, modes]."""
-    layers = len(forces)
-    strongest = np.array([_strongest(m) for m in modes])
-    drive = np.stack([g * force.drive(strongest) for g, force in zip(gain, forces, strict=True)], axis=1)
-    loud = np.stack([np.abs(m.amplitude).sum(-1).max(axis=-1) for m in modes])
-    weight = np.stack([np.interp(m.snr, TELLING, (0, 1)) for m in modes]) * loud**LOUDNESS
+def _delays(heard: Heard, modes: Sequence[PartialModes], drive: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """When each layer's contact was after its onset, s [layers]."""
     factor = np.stack([common_pattern(m.at_onset, m.noise)[1] for m in modes])
     omega = 2 * np.pi * np.array([m.frequency for m in modes])
-    delay = np.array([_delay(heard, factor / drive, weight, omega, i) for i in range(layers)])
-    delay -= delay.min()  # no contact is before its onset, and of one layer it is there
-    each = []
-    for j, m in enumerate(modes):
-        turn = np.exp(np.multiply.outer(delay, m.poles))[:, None, :]
-        pattern, factor[j] = common_pattern(m.at_onset * turn, m.noise)
-        each.append(pattern)
-    ratio = factor / drive
+    delay = np.array([_delay(heard, factor / drive, weight, omega, i) for i in range(len(heard.samples))])
+    return delay - delay.min()  # no contact is before its onset, and of one layer it is there
+
+
+def _patterns(
+    modes: Sequence[PartialModes], shown: Sequence[np.ndarray], drive: np.ndarray, weight: np.ndarray
+) -> list[np.ndarray]:
+    """P of each partial [channels, modes], of the amplitudes that are `shown` at the contact."""
+    each, factors = zip(*(common_pattern(one, m.noise) for one, m in zip(shown, modes, strict=True)), strict=True)
+    ratio = np.stack(factors) / drive
     log = np.log(np.maximum(np.abs(ratio), 1e-30))
     level = (weight * log).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-9)
     phase = np.angle((weight * ratio / np.maximum(np.abs(ratio), 1e-30)).sum(axis=1))
-    scaled = [p * np.exp(x + 1j * a) for p, x, a in zip(each, level, phase, strict=True)]
-    return delay, scaled
+    return [p * np.exp(x + 1j * a) for p, x, a in zip(each, level, phase, strict=True)]
 
 
 def _participation(
-    modes: Sequence[PartialModes], patterns: Sequence[np.ndarray], forces: Sequence[Force], delay: np.ndarray,
-    gain: np.ndarray,
+    modes: Sequence[PartialModes], patterns: Sequence[np.ndarray], shown: Sequence[np.ndarray], loud: np.ndarray,
+    velocity: np.ndarray,
 ) -> Participation | None:  # fmt: skip
     """How modes take part in the strokes of these layers; of one velocity the pattern says all.
 
     A partial's amplitude errs by the noise of its band and, as its level does in the likelihood, by other sounds that
     lie so far below the layer's loudest partial.
     """
-    velocity = np.array([force.velocity for force in forces])
     if len(np.unique(velocity)) == 1:
         return None
     order = np.argsort(velocity, kind="stable")
-    loud = np.stack([np.abs(m.amplitude).sum(-1).max(axis=-1) for m in modes], axis=1)[order]
-    noise = 10 ** (-np.stack([m.snr for m in modes], axis=1)[order] / 20)
+    noise = 10 ** (-np.stack([m.snr for m in modes]) / 20)
     with np.errstate(divide="ignore", invalid="ignore"):  # what a layer does not show says nothing
-        error = np.hypot(noise, FLOOR * loud.max(axis=1, keepdims=True) / loud) / np.sqrt(2)
-    shown = []
-    for m in modes:
-        drive = np.array([force.drive(np.array([_strongest(m)]))[0] for force in forces]) * gain
-        turned = m.at_onset * np.exp(np.multiply.outer(delay, m.poles))[:, None, :]
-        shown.append((turned / drive[:, None, None])[order])
+        error = np.hypot(noise, FLOOR * loud.max(axis=0) / loud) / np.sqrt(2)
     known, first = np.unique(velocity[order], return_index=True)
-    return Participation(known, participation(shown, patterns, error, velocity[order])[first])
-
-
-def _strongest(modes: PartialModes) -> np.complex128:
-    """The pole of a partial's strongest mode."""
-    return modes.poles[np.argmax(np.abs(modes.amplitude).sum((0, 1)))]
+    rising = participation([one[order] for one in shown], patterns, error.T[order], velocity[order])
+    return Participation(known, rising[first])
 
 
 def _delay(heard: Heard, ratio: np.ndarray, weight: np.ndarray, omega: np.ndarray, layer: int) -> float:

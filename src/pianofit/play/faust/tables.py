@@ -11,6 +11,7 @@ there is much of are whole numbers of few bits, with scales.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -101,12 +102,13 @@ def key_of(instrument: Instrument, midi: int, most_modes: int, channels: int) ->
     left = force @ np.exp(-np.outer(np.arange(force.shape[1]) - EDGE - MARGIN, pole) / RATE) / RATE
     kept = _loudest(left, pole, pattern, most_modes)
     parts = _parts(force[None], _directions(force, left[:, kept], np.linalg.norm(pattern[:, kept], axis=0)))
-    struck = np.interp(np.log([hammer.v_H0 for hammer in hammers]), np.log(known), np.arange(len(known)))
+    velocities = [hammer.v_H0 for hammer in hammers]
+    struck = np.interp(np.log(velocities), np.log(known), np.arange(len(known)))
     sound = np.broadcast_to(pattern[:, kept], (channels, len(kept))) if len(pattern) == 1 else pattern[:channels, kept]
     part = participation[:, kept]
     whole, scale = _whole(np.stack([np.real(part), np.imag(part)]), BITS, (0, 1, 2))
     return Key(
-        pole[kept], sound, _coded(parts, BITS), _knock(note, force, struck, channels), struck, whole,
+        pole[kept], sound, _coded(parts, BITS), _knock(note, force, velocities, channels), struck, whole,
         float(scale.item()), int(len(pole) - len(kept)),
     )  # fmt: skip
 
@@ -188,16 +190,13 @@ def _whole(values: np.ndarray, bits: int, axes: tuple[int, ...]) -> tuple[np.nda
 
 
 def _knock(
-    note: Note, force: np.ndarray, struck: np.ndarray, channels: int
+    note: Note, force: np.ndarray, velocities: Sequence[float], channels: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What forces of all velocities make of the knock, in shapes: see `_parts`; `struck` is `Key.stroke`."""
+    """What forces of all velocities make of the knock, in shapes: see `_parts`."""
     if note.ringing is None or not note.ringing.knock.size:
         return np.ones(len(force)), np.zeros((len(force), KNOCK_SHAPES)), np.zeros((channels, KNOCK_SHAPES, 0))
     own = note.ringing.louder(note.gain).at(RATE)
-    known = np.ones(1) if own.participation is None else own.participation.velocity
-    each = np.stack([own.beside(v)[:channels] for v in known], axis=1)  # [channels, strokes, samples]
-    low, high = np.floor(struck).astype(int), np.ceil(struck).astype(int)
-    kernel = each[:, low] + (struck % 1)[:, None] * (each[:, high] - each[:, low])
+    kernel = np.stack([own.beside(v)[:channels] for v in velocities], axis=1)
     sound = fftconvolve(kernel, force[None] / RATE, axes=-1)[..., EDGE + MARGIN :]
     even = sound / np.sqrt(np.mean(sound**2, axis=(0, 2)))[:, None]
     _, u = np.linalg.eigh(np.einsum("cvn,cwn->vw", even, even))

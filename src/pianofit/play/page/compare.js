@@ -6,7 +6,7 @@ const WAYS = ["Recording", "Instrument"]; // of a layer
 class Compare {
   constructor(player, recordings, changesOf) {
     Object.assign(this, { player, recordings, changesOf, midi: null, deck: null, layer: 0, way: 0, decoded: new Map() });
-    this.root = document.getElementById("compare");
+    this.root = one("compare");
     this.find("play").onclick = () => this.toggle();
     this.ways = WAYS.map((words, way) => this._button("ways", words, () => this.choose(this.layer, way)));
     addEventListener("keydown", ({ key, target, ctrlKey, metaKey, altKey }) => {
@@ -16,14 +16,11 @@ class Compare {
   }
 
   find(id) {
-    return document.getElementById(`compare-${id}`);
+    return one(`compare-${id}`);
   }
 
   _button(where, words, act) {
-    const button = document.createElement("button");
-    Object.assign(button, { type: "button", textContent: words, onclick: act });
-    this.find(where).append(button);
-    return button;
+    return put(this.find(where), "button", { type: "button", textContent: words, onclick: act });
   }
 
   /** Take up a key, if it was recorded. */

@@ -91,16 +91,10 @@ class Impulses {
   }
 }
 
-/** A damper's moves, so many blocks later. */
-class Later {
-  constructor(blocks) {
-    this.values = new Array(blocks).fill(false);
-  }
-
-  pass(value) {
-    this.values.push(value);
-    return this.values.shift();
-  }
+/** What was put in as many blocks ago as `queue` is long. */
+function later(queue, value) {
+  queue.push(value);
+  return queue.shift();
 }
 
 /** One key while it sounds: all that happens to it happens `delay` blocks later, and is heard later by its own lead. */
@@ -112,7 +106,7 @@ class Voice {
     this.modes = table.rings ? new Bank(heard, rate, 1, damper) : this.string;
     this.kernel = new Motion(string, struck(string));
     Object.assign(this, { table, rate, delay, hammer: table.hammer, contact: null, strokes: [], waiting: [] });
-    Object.assign(this, { damped: false, dampers: [delay, heard.lead / BLOCK].map((blocks) => new Later(blocks)) });
+    Object.assign(this, { damped: false, dampers: [delay, heard.lead / BLOCK].map((n) => new Array(n).fill(false)) });
   }
 
   get silent() {
@@ -131,9 +125,9 @@ class Voice {
     const { string, modes, table } = this, { ratio } = table.string, [onString, asHeard] = this.dampers;
     this.waiting.forEach((stroke) => stroke.blocks--);
     if (!this.contact && this.waiting[0]?.blocks < 0) this._begin(this.waiting.shift().velocity);
-    const damped = onString.pass(this.damped) && !this.contact;
+    const damped = later(onString, this.damped) && !this.contact;
     if (table.rings) string.wait(damped);
-    modes.ring(out, asHeard.pass(damped));
+    modes.ring(out, later(asHeard, damped));
     for (const stroke of this.strokes) this._stroke(stroke, out);
     const { contact } = this, now = contact && this.strokes.find((stroke) => stroke.contact === contact);
     if (contact?.over && now.at * ratio > contact.last) this.contact = null;

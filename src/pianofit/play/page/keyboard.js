@@ -1,12 +1,10 @@
 // The page: a keyboard under mouse, fingers, letters and MIDI, and what is around it.
 
-const LETTERS = ["KeyA", "KeyW", "KeyS", "KeyE", "KeyD", "KeyF", "KeyT", "KeyG", "KeyY", "KeyH", "KeyU", "KeyJ", "KeyK",
-  "KeyO", "KeyL", "KeyP", "Semicolon"];
+const SIGNS = "AWSEDFTGYHUJKOLP;"; // on the computer's keys that play, as a piano's lie
+const LETTERS = Array.from(SIGNS, (sign) => (sign === ";" ? "Semicolon" : `Key${sign}`)); // those keys' own names
 const BLACK = [1, 3, 6, 8, 10]; // of the twelve from C
 const SUSTAIN = 64; // MIDI controllers
 const ALL_OFF = [120, 123];
-
-const one = (id) => document.getElementById(id);
 
 class Keyboard {
   constructor(player, entries) {
@@ -38,16 +36,13 @@ class Keyboard {
   }
 
   _key({ midi, note, recorded }) {
-    const [key, name, letter] = ["button", "span", "kbd"].map((kind) => document.createElement(kind));
-    key.type = "button";
-    key.className = `key ${BLACK.includes(midi % 12) ? "black" : "white"}${recorded ? " recorded" : ""}`;
+    const black = BLACK.includes(midi % 12), known = recorded ? "recorded" : "a guess";
+    const className = `key ${black ? "black" : "white"}${recorded ? " recorded" : ""}`;
+    const key = put(one("keys"), "button", { type: "button", className, tabIndex: -1, title: `${note}, ${known}` });
     key.dataset.midi = midi;
-    key.tabIndex = -1;
-    key.setAttribute("aria-label", `${note.replace("#", " sharp ")}, ${recorded ? "recorded" : "a guess"}`);
-    key.title = `${note}, ${recorded ? "recorded" : "a guess"}`;
-    name.textContent = midi % 12 === 0 || (recorded && !BLACK.includes(midi % 12)) ? note : "";
-    key.append(letter, name);
-    one("keys").append(key);
+    key.setAttribute("aria-label", `${note.replace("#", " sharp ")}, ${known}`);
+    const letter = put(key, "kbd");
+    put(key, "span", { textContent: midi % 12 === 0 || (recorded && !black) ? note : "" });
     this.keys.set(midi, { key, letter, note });
   }
 
@@ -165,8 +160,7 @@ class Keyboard {
 
   /** Letters on the keys that they play. */
   _mark() {
-    const signs = "AWSEDFTGYHUJKOLP;";
-    for (const [midi, { letter }] of this.keys) letter.textContent = signs[midi - this.octave] ?? "";
+    for (const [midi, { letter }] of this.keys) letter.textContent = SIGNS[midi - this.octave] ?? "";
   }
 
   _view(midi) {

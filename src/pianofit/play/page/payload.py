@@ -8,7 +8,7 @@ from __future__ import annotations
 import base64
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -101,20 +101,18 @@ def encode_note(note: Note, midi: int, knocks: Knocks = LADDER[0]) -> dict[str, 
             f"key {midi_to_note(midi)}: a page plays the felt of Hunt and Crossley, not a "
             f"{type(note.hammer).__name__}; fit the key with --felt hunt-crossley"
         )
-    hammer = {name: float(x) for name, x in note.hammer._asdict().items() if name != "v_H0"}
     entry: dict[str, Any] = {
-        "string": {name: float(x) for name, x in note.string._asdict().items()},
-        "hammer": hammer,
-        "geometry": {name: float(x) for name, x in note.geometry._asdict().items()},
+        part: {name: float(x) for name, x in getattr(note, part)._asdict().items() if name != "v_H0"}
+        for part in ("string", "hammer", "geometry")
+    } | {
         "quantity": note.quantity, "gain": float(note.gain), "damper": damper_rate(midi),
         "compression": reference_compression(midi),
     }  # fmt: skip
     if note.ringing is not None:
         entry["ringing"] = _ringing(note.ringing.louder(float(note.gain)), knocks)
     elif note.path is not None:
-        path = note.path
-        decay = np.ones(len(path.frequency)) if path.decay is None else path.decay
-        entry["path"] = {"frequency": _base64(path.frequency), "db": _base64(path.db), "decay": _base64(decay)}
+        f = note.path.frequency
+        entry["path"] = {"frequency": _base64(f), "db": _base64(note.path.db), "decay": _base64(note.path.decay_at(f))}
     return entry
 
 
@@ -128,7 +126,7 @@ def _ringing(ringing: Ringing, knocks: Knocks) -> dict[str, Any]:
         "decay": _base64(-np.real(ringing.pole)), "omega": _base64(np.imag(ringing.pole), "<f8"),
         "pattern": _rows(ringing.pattern[:CHANNELS]),
         "participation": _participation(ringing),
-        "rate": rate, "bits": knocks.bits, "knock": [dict(_rounded(row, knocks.bits)) for row in knock],
+        "rate": rate, "bits": knocks.bits, "knock": [_rounded(row, knocks.bits) for row in knock],
     }  # fmt: skip
 
 
@@ -145,13 +143,12 @@ def _rows(values: np.ndarray, kind: str = "<f4") -> list[dict[str, str]]:
     return [{"re": _base64(np.real(row), kind), "im": _base64(np.imag(row), kind)} for row in values]
 
 
-def _rounded(samples: np.ndarray, bits: int) -> Iterator[tuple[str, Any]]:
-    """Whole numbers, a scale for every `SHARED` of them, and how many there are."""
+def _rounded(samples: np.ndarray, bits: int) -> dict[str, str]:
+    """Whole numbers, and a scale for every `SHARED` of them."""
     rows = np.pad(samples, (0, -len(samples) % SHARED)).reshape(-1, SHARED)
     scale = (np.abs(rows).max(axis=1) / (2 ** (bits - 1) - 1)).astype("<f4")
     whole = (rows / np.where(scale > 0, scale, 1.0)[:, None]).ravel()[: len(samples)]
-    yield "scale", _base64(scale)
-    yield "whole", _base64(whole, f"<i{bits // 8}")
+    return {"scale": _base64(scale), "whole": _base64(whole, f"<i{bits // 8}")}
 
 
 def _base64(values: np.ndarray, kind: str = "<f4") -> str:

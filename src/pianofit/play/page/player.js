@@ -5,6 +5,13 @@ const LONGEST = 60; // s of what was played that can be saved
 const TAIL = 6; // s that it rings on in the file
 const PAUSE = 20; // ms between tables that are sent while it may play
 
+/** An element of `kind` with `properties`, in `parent`. */
+function put(parent, kind, properties = {}) {
+  const element = Object.assign(document.createElement(kind), properties);
+  parent.append(element);
+  return element;
+}
+
 const blob = (...parts) => URL.createObjectURL(new Blob(parts, { type: "text/javascript" }));
 
 /** Hand a file to the user. */

@@ -284,7 +284,6 @@ function after(silence, samples) {
   return out;
 }
 
-const scaled = (pair, by) => ({ re: pair.re.map((x, k) => x * by[k]), im: pair.im.map((x, k) => x * by[k]) });
 const times = (a, b) => ({
   re: a.re.map((x, k) => x * b.re[k] - a.im[k] * b.im[k]), im: a.im.map((x, k) => x * b.re[k] + a.re[k] * b.im[k]),
 });
@@ -307,21 +306,17 @@ function gains(response, log) {
 /** The string itself, heard through its path. */
 function byLaw(key, t, pole, path, rate, ratio) {
   const count = t.pole.im.filter((x, k) => k < t.modes && x < Math.PI * rate).length;
-  const gain = cut(scaled(t.pickup, new Float64Array(t.pickup.re.length).fill(key.gain)), count);
-  const left = cut(t.left, count), log = logs(cut(pole, count), rate), fine = logs(cut(pole, count), rate * ratio);
-  if (!path) {
-    return { pole: cut(pole, count), left, gain: [gain], direct: [damped(times(gain, left), fine, BLOCK * ratio)],
-      kernel: [new Float64Array(0)], ratio, lead: 0, early: 0, edge: 0 };
+  const [own, left, read] = [pole, t.left, t.pickup].map((pair) => cut(pair, count));
+  const dry = { re: read.re.map((x) => x * key.gain), im: read.im.map((x) => x * key.gain) };
+  const response = path ? impulse(path, rate) : [], gain = path ? times(dry, gains(response, logs(own, rate))) : dry;
+  const fine = logs(own, rate * ratio), size = response.length, kernel = new Float64Array(size * ratio);
+  const [played, rung] = [dry, gain].map((g) => damped(times(g, left), fine, size * ratio));
+  for (let phase = 0; phase < ratio && size; phase++) {
+    const each = Float64Array.from({ length: size }, (_, j) => played[j * ratio + phase]);
+    convolve(each, response, size).forEach((x, j) => (kernel[j * ratio + phase] = x - rung[j * ratio + phase]));
   }
-  const response = impulse(path, rate), through = times(gain, gains(response, log));
-  const size = response.length, kernel = new Float64Array(size * ratio);
-  const [own, rung] = [gain, through].map((g) => damped(times(g, left), fine, size * ratio));
-  for (let phase = 0; phase < ratio; phase++) {
-    const dry = Float64Array.from({ length: size }, (_, j) => own[j * ratio + phase]);
-    convolve(dry, response, size).forEach((x, j) => (kernel[j * ratio + phase] = x - rung[j * ratio + phase]));
-  }
-  return { pole: cut(pole, count), left, gain: [through], kernel: [kernel], ratio, lead: 0, early: 0, edge: 0,
-    direct: [damped(times(through, left), fine, BLOCK * ratio)] };
+  const direct = [damped(times(gain, left), fine, BLOCK * ratio)];
+  return { pole: own, left, gain: [gain], kernel: [kernel], direct, ratio, lead: 0, early: 0, edge: 0 };
 }
 
 /** What was measured between the force on the string and the file. */

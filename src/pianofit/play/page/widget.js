@@ -3,13 +3,6 @@
 const [SLOWEST, FASTEST] = [0.05, 12]; // m/s, the velocities that a fit finds
 const STEPS_OF_VELOCITY = 200;
 
-/** An element of `kind` with `properties`, in `parent`. */
-function put(parent, kind, properties = {}) {
-  const element = Object.assign(document.createElement(kind), properties);
-  parent.append(element);
-  return element;
-}
-
 /** A slider in words: its input and its output. */
 function slider(parent, words, properties) {
   const label = put(parent, "label");

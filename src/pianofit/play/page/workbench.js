@@ -12,6 +12,8 @@ const SLIDERS = [
 ];
 const STEPS = 100; // of a slider, each way
 
+const one = (id) => document.getElementById(id);
+
 /** What a slider shows: the key's own value. */
 const SHOWN = {
   force: ({ hammer, compression }) => hammer.K_H * compression ** hammer.p,
@@ -26,27 +28,23 @@ const SHOWN = {
 class Workbench {
   constructor(player, said) {
     Object.assign(this, { player, said, midi: null, all: {}, single: new Map(), past: [] });
-    this.root = document.getElementById("workbench");
-    this.forAll = document.getElementById("for-all");
+    this.root = one("workbench");
+    this.forAll = one("for-all");
     this.inputs = new Map(SLIDERS.map((slider) => [slider.name, this._slider(slider)]));
-    document.getElementById("undo").onclick = () => this.undo();
-    document.getElementById("reset").onclick = () => this.reset();
-    document.getElementById("save-note").onclick = () => this.save();
+    one("undo").onclick = () => this.undo();
+    one("reset").onclick = () => this.reset();
+    one("save-note").onclick = () => this.save();
     this.buttons();
-    new ResizeObserver(() => this.draw()).observe(document.getElementById("pulse"));
+    new ResizeObserver(() => this.draw()).observe(one("pulse"));
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.draw());
   }
 
   _slider({ name, words, from, to }) {
-    const label = document.createElement("label"), input = document.createElement("input");
-    const [title, track, band, known] = ["span", "span", "i", "small"].map((kind) => document.createElement(kind));
-    const value = document.createElement("output");
-    title.textContent = words;
-    track.className = "track";
-    track.append(band, input);
-    Object.assign(input, { type: "range", min: -STEPS, max: STEPS, step: 1, value: 0, id: `change-${name}` });
-    label.append(title, value, track, known);
-    this.root.querySelector(".sliders").append(label);
+    const label = put(this.root.querySelector(".sliders"), "label");
+    put(label, "span", { textContent: words });
+    const value = put(label, "output"), track = put(label, "span", { className: "track" }), known = put(label, "small");
+    const band = put(track, "i"), id = `change-${name}`;
+    const input = put(track, "input", { type: "range", min: -STEPS, max: STEPS, step: 1, value: 0, id });
     const scale = (n) => (from < 0 ? (n / STEPS) * to : to ** (n / STEPS));
     input.addEventListener("pointerdown", () => (this.begun = false));
     input.addEventListener("input", () => this._move(name, scale(Number(input.value))));
@@ -116,8 +114,8 @@ class Workbench {
   }
 
   buttons() {
-    document.getElementById("undo").disabled = !this.past.length;
-    document.getElementById("reset").disabled = !Object.keys(this.all).length && !this.single.size;
+    one("undo").disabled = !this.past.length;
+    one("reset").disabled = !Object.keys(this.all).length && !this.single.size;
   }
 
   /** Take up a key. */
@@ -125,7 +123,7 @@ class Workbench {
     if (midi === null) return;
     Object.assign(this, { midi, name, velocity });
     this.root.hidden = false;
-    document.getElementById("which").textContent = name;
+    one("which").textContent = name;
     const key = this.player.now[midi], changes = { ...this.player.UNCHANGED, ...this.changesOf(midi) };
     for (const { name: what, unit } of SLIDERS) {
       const { input, value, back } = this.inputs.get(what);
@@ -146,7 +144,7 @@ class Workbench {
     const own = player.stroke(player.own.get(midi), velocity), touched = Object.keys(this.changesOf(midi)).length > 0;
     const peak = Math.max(...now.force), end = Math.max(now.force.length, own.force.length) * now.step;
     const shown = (x) => x.toPrecision(3), lasts = 1e3 * now.force.length * now.step;
-    document.getElementById("pulse-words").textContent =
+    one("pulse-words").textContent =
       `Force pulse at ${shown(velocity)} m/s: ${shown(peak)} N at most, over after ${shown(lasts)} ms.`;
     const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name);
     const both = [...(touched ? [[own, colour("--edge")]] : []), [now, colour("--fitted")]];
@@ -180,7 +178,7 @@ class Workbench {
 
 /** Axes on a canvas, and within them what `draw(pen, x, y)` draws. */
 function paint(id, [left, right, across], [low, high, up], draw, logarithmic = false) {
-  const canvas = document.getElementById(id), pen = canvas.getContext("2d"), by = devicePixelRatio;
+  const canvas = one(id), pen = canvas.getContext("2d"), by = devicePixelRatio;
   const width = canvas.clientWidth, height = canvas.clientHeight, edge = 46, foot = 24;
   [canvas.width, canvas.height] = [width * by, height * by];
   pen.scale(by, by);
