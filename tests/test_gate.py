@@ -34,7 +34,7 @@ CALIBRATED = {
     "c": 2e-8, "kappa": 2e-6, "b1": 3e-4, "b2": 2e-3, "K_H": 0.1, "mu": 3e-3, "p": 5e-3, "M_H": 3e-4, "v_H0": 5e-4,
     "width": 0.04,
 }  # fmt: skip
-STRING = {"c": 1e-7, "kappa": 2e-6, "b1": 3e-3, "b2": 0.015}
+STRING = {"c": 3e-7, "kappa": 6e-6, "b1": 3e-3, "b2": 0.04}
 PATH = STRING | {"K_H": 0.08, "mu": 8e-3, "p": 4e-3, "M_H": 4e-4}
 CASES = {"calibrated": CALIBRATED, "alone": STRING, "several": PATH, "microphones": PATH}
 STROKES = {"alone": ALONE, "several": SEVERAL, "microphones": MICROPHONES}

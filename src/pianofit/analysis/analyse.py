@@ -122,7 +122,9 @@ def _measure_all(
     keep[keep] = _on_law(number[keep], rows.frequency[keep], rows.whole_error("frequency")[keep])
     if not keep.any():
         raise AnalysisError(f"{recording.path}: no partial of {law.f0:.1f} Hz stands out of the noise")
-    number, rows = number[keep], rows.kept(keep)
+    if not keep.all():  # what is no partial tells nothing of its neighbours
+        number, density = number[keep], density[keep]
+        rows = measure(number, bands.kept(keep), z[keep], fit.kept(keep), density, glides)
     fine, losses = _laws(number, rows, law.B)
     absent = _absent(number, fine, top)
     bound = bounds(samples, rate, _course(fine, number, rows.frequency, absent), losses(absent), fine.f0, skip)
@@ -131,7 +133,7 @@ def _measure_all(
     return Analysis(
         fine.f0, fine.f0_error, fine.B, fine.B_error,
         losses.b1, losses.b1_error, losses.d2, losses.d2_error,
-        table, fine.scatter, losses.scatter, float(fall), glide, density[keep],
+        table, fine.scatter, losses.scatter, float(fall), glide, density,
         None if note is None else midi_to_note(note_to_midi(note)),
         (*_misnamed(note, fine.f0), *_warnings(table, losses, float(fall) if glides else 0.0)), left, *taken,
     )  # fmt: skip
@@ -168,7 +170,7 @@ def _on_law(k: np.ndarray, frequency: np.ndarray, error: np.ndarray) -> np.ndarr
     others = ~np.eye(len(k), dtype=bool)
     course = np.concatenate([bend(k[o], away[o], k[[i]]) for i, o in enumerate(others)])
     away = np.abs(away - course)
-    return away < np.maximum(_OUTLIER * np.hypot(law.scatter, CENTS * error / frequency), _OUTLIER_CENTS)
+    return away < np.maximum(_OUTLIER * np.hypot(law.astray(k), CENTS * error / frequency), _OUTLIER_CENTS)
 
 
 def _absent(number: np.ndarray, law: FrequencyLaw, top: float) -> np.ndarray:

@@ -8,7 +8,7 @@ All partials are treated at once; of one, two or three components the fewest tha
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +43,7 @@ def resolve(bands: Bands, z: NDArray[np.complex128], frame: np.ndarray, wanted: 
     """
     found = Components(bands.centre.copy(), np.zeros(len(z)), np.zeros(len(z), bool))
     if wanted.any():
-        some = _resolve(replace(bands, z=bands.z[wanted], centre=bands.centre[wanted]), z[wanted], frame[wanted])
+        some = _resolve(bands.kept(wanted), z[wanted], frame[wanted])
         for field in fields(found):
             getattr(found, field.name)[wanted] = getattr(some, field.name)
     return found

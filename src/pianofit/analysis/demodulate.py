@@ -13,7 +13,7 @@ window's first zero lies on the nearest neighbour.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
@@ -37,6 +37,10 @@ class Bands:
     window: float  # T, s
     rate: float  # frames per second
     noise_width: float  # ∫|G|² df, Hz: noise variance of a frame over its two-sided density
+
+    def kept(self, keep: np.ndarray) -> Bands:
+        """Those of the partials where `keep`, bool [partials]."""
+        return replace(self, z=self.z[keep], centre=self.centre[keep])
 
     def gain(self, s: np.ndarray) -> NDArray[np.complex128]:
         """G at complex frequency `s` (1/s) relative to the centre."""

@@ -35,10 +35,15 @@ class FrequencyLaw:
     B: float
     B_error: float
     scatter: float  # cents, robust, beyond noise
+    excess: float  # the same of low partials alone
 
     def __call__(self, k: np.ndarray | float) -> np.ndarray:
         """Frequencies of partials `k`, Hz."""
         return law_frequency(self.f0, self.B, k)
+
+    def astray(self, k: np.ndarray) -> np.ndarray:
+        """How far partials `k` lie from it beyond their noise, cents, by one standard deviation."""
+        return self.excess * _growth(k)
 
 
 @dataclass(frozen=True)
@@ -128,7 +133,7 @@ def frequency_law(k: np.ndarray, frequency: np.ndarray, error: np.ndarray, *, B:
     k = np.asarray(k, float)
     value = (frequency / k) ** 2  # f0² + f0² B k², a straight line in k²
     noise = np.maximum(error / frequency, 1e-12)
-    growth = np.sqrt(1 + (k / TRUSTED) ** 6)
+    growth = _growth(k)
     dof = 1 if B is not None else 2
     scatter, robust = 10.0 / CENTS, np.ones(len(k))
     f0, slope = float(np.median(frequency / k)), B or 0.0
@@ -146,7 +151,12 @@ def frequency_law(k: np.ndarray, frequency: np.ndarray, error: np.ndarray, *, B:
     B_error = float("inf") if B is not None else float(np.sqrt(max(gradient @ cov @ gradient, 0.0)))
     residual = np.log(frequency / law_frequency(f0, slope, k))
     spread = CENTS * robust_scatter(residual, noise, dof)
-    return FrequencyLaw(f0, float(np.sqrt(cov[0, 0])) / (2 * f0), slope, B_error, spread)
+    return FrequencyLaw(f0, float(np.sqrt(cov[0, 0])) / (2 * f0), slope, B_error, spread, CENTS * scatter)
+
+
+def _growth(k: np.ndarray) -> np.ndarray:
+    """How much farther from the law partials `k` lie than low ones do."""
+    return np.sqrt(1 + (k / TRUSTED) ** 6)
 
 
 def _stiff_line(

@@ -22,7 +22,7 @@ partial to the next, so it is that of a few neighbours, and they share it.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,10 +77,6 @@ class Measured:
     level_spread: np.ndarray
     snr: np.ndarray
     beating: np.ndarray
-
-    def kept(self, keep: np.ndarray) -> Measured:
-        """The rows where `keep`, bool [partials]."""
-        return Measured(**{field.name: getattr(self, field.name)[keep] for field in fields(self)})
 
     def whole_error(self, column: str) -> np.ndarray:
         """Noise and systematic error of "frequency", "decay" or "level" together [partials]."""

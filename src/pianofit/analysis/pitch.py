@@ -149,7 +149,7 @@ def track(spec: Spectrum, f0: float, B: float, *, top: float) -> tuple[np.ndarra
     best: tuple[float, np.ndarray, np.ndarray, FrequencyLaw] | None = None
     for factor in (1.0, 0.85, 1.18):
         start = factor * B
-        law = FrequencyLaw(f0 * float(np.sqrt((1 + 64 * B) / (1 + 64 * start))), 0.0, start, 0.0, 0.0)
+        law = FrequencyLaw(f0 * float(np.sqrt((1 + 64 * B) / (1 + 64 * start))), 0.0, start, 0.0, 0.0, 0.0)
         merit, number, frequency, law = _collect(spec, law, top)
         if best is None or merit > 1.02 * best[0]:
             best = merit, number, frequency, law

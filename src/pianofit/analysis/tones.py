@@ -27,6 +27,10 @@ class Tones:
     power: np.ndarray  # mean |z|²
     origin: float  # time of the first sample, s
 
+    def kept(self, keep: np.ndarray) -> Tones:
+        """The rows where `keep`, bool [rows]."""
+        return Tones(self.amplitude[keep], self.pole[keep], self.misfit[keep], self.power[keep], self.origin)
+
     def __call__(self, t: np.ndarray) -> np.ndarray:
         """[rows, samples] at even times `t` (s)."""
         turned = self.amplitude * np.exp(self.pole * (t[0] - self.origin))
