@@ -393,6 +393,20 @@ def test_a_note_that_is_not_there(name, wrong):
         analyse(recording, note=wrong)
 
 
+def test_rumble_beside_the_lowest_partial_is_none_of_them():
+    """However far from the law high partials lie, low ones keep to it; and their neighbours do not suffer."""
+    truth = string(*STRINGS["A0"], seed=8)
+    low = truth.number > 1
+    bent = truth.pole.real[low] + 1j * truth.pole.imag[low] * 2.0 ** (-0.0015 * truth.number[low, None] ** 3 / 1200)
+    clean = Note(truth.number[low], truth.amplitude[low], bent)
+    rumble = Note(np.array([1]), np.array([[0.002 + 0j]]), np.array([[-1.0 + 2j * np.pi * 1.1 * STRINGS["A0"][0]]]))
+    both = Note(*(np.concatenate(pair) for pair in zip(vars(clean).values(), vars(rumble).values(), strict=True)))
+    expected, found = (analyse(one.recording(noise=1e-5), note="A0") for one in (clean, both))
+    assert 1 not in found.partials.number
+    assert abs(1200 * np.log2(found.f0 / expected.f0)) < 0.5
+    assert found.f0_error < 2 * expected.f0_error
+
+
 @pytest.mark.parametrize(("name", "said"), [("G#2", "above G#2, nearer to A2"), ("A#2", "below A#2"), ("45", None)])
 def test_a_note_a_semitone_off_its_name_says_so(name, said):
     found = analyse(string(*STRINGS["A2"], seed=3).recording(noise=1e-5), note=name)
