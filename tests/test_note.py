@@ -34,6 +34,12 @@ def test_an_attack_is_found_among_its_periods(touch, sign):
     assert abs(lag(note[:500], found * sound[at:][:500])) < 0.1
 
 
+@pytest.mark.parametrize("midi", [24, 60, 96])
+def test_pitch_and_inharmonicity_are_those_of_the_partials(midi):
+    note, k = true_note(midi), np.arange(1, 21)
+    np.testing.assert_allclose(note.frequencies(20), k * note.f0 * np.sqrt(1 + note.B * k**2), rtol=1e-12)
+
+
 def steep(midi):
     """A path that rises by 6 dB an octave, and scatters by 6 dB from one third to the next."""
     frequency = np.geomspace(20.0, 20_000.0, 40)

@@ -177,7 +177,7 @@ def _predicted(fit: Path, file: Path, out: Path | None, channel: str, force: boo
     recording = load_recording(file, channel=channel)
     keep_programs()
     try:
-        analysis = run(recording, f0=note.string.c / (2 * note.geometry.length))
+        analysis = run(recording, f0=note.f0)
     except WrongNoteError:
         raise FitError(_other_key(recording, note, fit)) from None
     found = predict_recording(mixture, analysis, gains=gains_of(document))
@@ -199,7 +199,7 @@ def _other_key(recording: Recording, note: Note, fit: Path) -> str:
     from ..analysis import analyse as run
     from ..analysis import hz_to_note
 
-    f0, like = note.string.c / (2 * note.geometry.length), ""
+    f0, like = note.f0, ""
     with suppress(AnalysisError):
         found = run(recording).f0
         like = f", and sounds like {hz_to_note(found)} ({found:.1f} Hz)"

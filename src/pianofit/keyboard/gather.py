@@ -89,10 +89,9 @@ def invariants(note: Note, midi: int) -> dict[str, float]:
     M_S where the force on the bridge is heard.
     """
     s, h, g = note.string, note.hammer, note.geometry
-    f0 = s.c / (2 * g.length)
     return {
-        "cents": 100 * (midi_of(f0) - midi),
-        "B": (s.kappa * math.pi / (s.c * g.length)) ** 2,
+        "cents": 100 * (midi_of(note.f0) - midi),
+        "B": note.B,
         "b1": s.b1,
         "d2": s.b2 * (math.pi / g.length) ** 2,
         "M_H/M_S": h.M_H / g.mass,
@@ -223,7 +222,7 @@ def _layers(document: dict, rows: list[dict], scale: float) -> tuple[Layer, ...]
 
 def _midi(note: Note, file: Path) -> int:
     """The folder's note where it is within 1.5 semitones of the pitch, for pianos out of tune; else the nearest."""
-    pitch = midi_of(note.string.c / (2 * note.geometry.length))
+    pitch = midi_of(note.f0)
     _, named = _key_of(file)
     midi = named if named is not None and abs(named - pitch) < 1.5 else round(pitch)
     if not LOWEST_KEY <= midi <= HIGHEST_KEY:

@@ -54,6 +54,16 @@ class Note(NamedTuple):
     path: OutputPath | None = None  # dB over frequency, beside the gain
     ringing: Ringing | None = None  # what sounds in place of string and path, per unit of gain; they keep the levels
 
+    @property
+    def f0(self) -> Any:
+        """c/2L, Hz: the fundamental of the string without stiffness."""
+        return self.string.c / (2 * self.geometry.length)
+
+    @property
+    def B(self) -> Any:
+        """κ²π²/(c²L²), the string's inharmonicity: partial k is k f0 √(1 + B k²)."""
+        return (self.string.kappa * np.pi / (self.string.c * self.geometry.length)) ** 2
+
     def struck(self, velocity: float) -> Note:
         """The same note with another hammer velocity, m/s."""
         return self._replace(hammer=self.hammer._replace(v_H0=velocity))

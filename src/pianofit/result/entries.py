@@ -112,11 +112,10 @@ def _derived(heard: FittedRecording) -> dict:
     """What follows from the parameters, and what the stroke did."""
     note, simulation, analysis = heard.fitted.note, heard.fitted.simulation, heard.analysis
     pulse, g = simulation.pulse, note.geometry
-    f0 = note.string.c / (2 * g.length)
-    B = (note.string.kappa * np.pi / (note.string.c * g.length)) ** 2
     u = float(pulse.compression.max())
     return {
-        "f0": float(f0), "B": float(B), "f1": float(f0 * np.sqrt(1 + B)), "M_H/M_S": float(note.hammer.M_H / g.mass),
+        "f0": float(note.f0), "B": float(note.B), "f1": float(note.f0 * np.sqrt(1 + note.B)),
+        "M_H/M_S": float(note.hammer.M_H / g.mass),
         "x0/L": float(g.strike / g.length), "contact_ms": 1e3 * simulation.contact_time,
         "later_contacts": [again.document() for again in simulation.contacts[1:]],
         "max_force_N": float(pulse.force.max()), "max_compression_mm": 1e3 * u,

@@ -96,7 +96,7 @@ def predict_recording(
         notes, gains = notes.mixture, notes.gains if gains is None else gains
     mixture = [(1.0, notes)] if isinstance(notes, Note) else list(notes)
     gains, (_, first) = gains or (0.0,), mixture[0]
-    analysis = analysis if isinstance(analysis, Analysis) else analyse(analysis, f0=_pitch(first))
+    analysis = analysis if isinstance(analysis, Analysis) else analyse(analysis, f0=first.f0)
     p = analysis.partials
     chosen = scored(p.frequency, p.level) & _heard(first, p.number)
     if chosen.sum() < FEWEST:
@@ -105,7 +105,7 @@ def predict_recording(
     total = sum(share for share, *_ in played)
     level = np.sum([share / total * (one + gain) for share, _, one, gain in played], axis=0)
     _, velocity, _, gain = played[0]
-    cents = 1200 * float(np.log2(analysis.f0 / _pitch(first)))
+    cents = 1200 * float(np.log2(analysis.f0 / first.f0))
     note = first.tuned(cents).struck(velocity)._replace(gain=first.gain * 10 ** (gain / 20))
     found = level_error_db(level[chosen], p.level[chosen])
     at_end = not SLOWEST * SAME < velocity < FASTEST / SAME
@@ -156,7 +156,3 @@ def _heard(note: Note, number: np.ndarray) -> np.ndarray:
 def _frequency(note: Note, number: np.ndarray) -> np.ndarray:
     """Where the note's string has partials, Hz; real ones lie beside it, the higher the further."""
     return note.frequencies(int(number.max()))[number - 1]
-
-
-def _pitch(note: Note) -> float:
-    return note.string.c / (2 * note.geometry.length)

@@ -53,7 +53,7 @@ def front_end() -> str:
 
 def instrument_of(note: Note) -> dict[str, Any]:
     """An instrument of one key, that nearest to the note's pitch, as the player reads it."""
-    f0 = float(note.string.c) / (2 * float(note.geometry.length))
+    f0 = float(note.f0)
     midi = min(max(round(midi_of(f0)), LOWEST_KEY), HIGHEST_KEY)
     return {
         "name": "a note in Python", "velocity": {"at_64": float(note.hammer.v_H0), "rise": 1.5},
