@@ -87,6 +87,16 @@ class Scene(NamedTuple):
     stiff: Values  # [2], logs of the least and the largest stiffness
 
 
+class Held(NamedTuple):
+    """A string that is held, as a hammer meets it."""
+
+    mobility: Array  # |H|² δt² [rows, nodes]
+    rows: Array  # of the kernel
+    real: Array  # of ζ^n at the Chebyshev nodes [steps, rows · SMOOTH]: T̂ is then one matrix product
+    imag: Array
+    modes: Modes
+
+
 # --- the recording ----------------------------------------------------------------------------------------------------
 
 
@@ -177,21 +187,26 @@ def _mobility(modes: Modes, goal: Goal, pulse: float) -> Float[Array, "rows node
     return (total.real**2 + total.imag**2) * modes.step**2
 
 
+def _smooth(goal: Goal, step: Array) -> Array:
+    """log ζ at the Chebyshev nodes of all cells [rows · SMOOTH]."""
+    first, last = goal.frequency[:, :1], goal.frequency[:, -1:]
+    return _log_zeta((first + last) / 2 + (last - first) / 2 * PLACES, goal, step).ravel()
+
+
 def _residuals(
-    z: Float[Array, " 5"], mobility: Array, rows: Array, modes: Modes, goal: Goal, scene: Scene, cfg: Cfg
-) -> Float[Array, " bins"]:
-    """Of a hammer on a string; infinite for a contact that does not end, and for a felt that is out of bounds."""
+    z: Float[Array, " 5"], mobility: Array, rows: Array | None, modes: Modes, pushed: Callable, goal: Goal,
+    scene: Scene, cfg: Cfg,
+) -> Float[Array, " bins"]:  # fmt: skip
+    """Of a hammer on a string; `pushed` gives T̂'s real and imaginary part at the Chebyshev nodes.
+
+    Infinite for a contact that does not end, and for a felt that is out of bounds.
+    """
     _, mu, p, mass, velocity = jnp.exp(z)
     stiffness = z[0] - p * scene.log_u
     pulse = strike(modes, Hammer(jnp.exp(stiffness), mu, p, mass, velocity), steps=cfg.steps, rows=rows)
-    first, last = goal.frequency[:, :1], goal.frequency[:, -1:]
-    log_zeta = _log_zeta((first + last) / 2 + (last - first) / 2 * PLACES, goal, modes.step).ravel()
-    # From about the pulse's middle, where its phase turns least.
-    pushed = transform(pulse.drive, log_zeta) * jnp.exp(-1j * log_zeta.imag * MIDDLE * cfg.steps)
-    pushed = pushed.reshape(-1, SMOOTH) @ SPREAD_OUT.T
+    energy = mobility * sum((part.reshape(-1, SMOOTH) @ SPREAD_OUT.T) ** 2 for part in pushed(pulse.drive))
     inside = (stiffness >= scene.stiff[0]) & (stiffness <= scene.stiff[1])
-    residuals = miss(mobility * (pushed.real**2 + pushed.imag**2), goal)
-    return jnp.where((pulse.compression[-1] <= 0) & inside, residuals, jnp.inf)
+    return jnp.where((pulse.compression[-1] <= 0) & inside, miss(energy, goal), jnp.inf)
 
 
 @kept
@@ -199,7 +214,15 @@ def struck_gradients(z, goal: Goal, scene: Scene, cfg: Cfg):
     """C [starts] and its gradient by all nine search coordinates `z` [starts, 9]."""
 
     def cost(x: Array) -> Array:
-        return 0.5 * (_residuals(x[4:], *_string(x, goal, scene, cfg), goal, scene, cfg) ** 2).sum()
+        mobility, _, modes = _string(x, goal, scene, cfg)
+        log_zeta = _smooth(goal, modes.step)
+
+        def pushed(drive: Array) -> tuple[Array, Array]:
+            # From about the pulse's middle, where its phase turns least.
+            turned = transform(drive, log_zeta) * jnp.exp(-1j * log_zeta.imag * MIDDLE * cfg.steps)
+            return turned.real, turned.imag
+
+        return 0.5 * (_residuals(x[4:], mobility, None, modes, pushed, goal, scene, cfg) ** 2).sum()
 
     return jax.vmap(jax.value_and_grad(cost))(z)
 
@@ -208,8 +231,8 @@ def hold(
     z: Float[Array | np.ndarray, " 9"], lower: np.ndarray, upper: np.ndarray, goal: Goal, scene: Scene, cfg: Cfg
 ) -> LeastSquares:
     """C of hammers [n, 5] between the edges `lower` and `upper` [5], on the string of `z`, which is computed once."""
-    mobility, rows, *modes = held_string(z, goal, scene, cfg)
-    held = mobility, rows, Modes(*modes)
+    mobility, rows, real, imag, *modes = held_string(z, goal, scene, cfg)
+    held = Held(mobility, rows, real, imag, Modes(*modes))
 
     def each(program: Callable, z: np.ndarray) -> tuple[np.ndarray, ...]:
         return in_lanes(partial(program, held, goal), (z,), scene, cfg, min(BATCH, len(z)))
@@ -219,23 +242,32 @@ def hold(
 
 @kept
 def held_string(z, goal: Goal, scene: Scene, cfg: Cfg):
-    """What hammers need of the string of `z`, as arrays."""
+    """The parts of `Held`, its table last."""
     mobility, rows, modes = _string(z, goal, scene, cfg)
-    return mobility, rows, *modes
+    log_zeta = _smooth(goal, modes.step)
+    powers = jnp.exp(jnp.arange(cfg.steps)[:, None] * log_zeta - 1j * log_zeta.imag * MIDDLE * cfg.steps)
+    return mobility, rows, powers.real, powers.imag, *modes
+
+
+def _on_held(z: Float[Array, " 5"], held: Held, goal: Goal, scene: Scene, cfg: Cfg) -> Float[Array, " bins"]:
+    def pushed(drive: Array) -> tuple[Array, Array]:
+        return drive @ held.real, drive @ held.imag
+
+    return _residuals(z, held.mobility, held.rows, held.modes, pushed, goal, scene, cfg)
 
 
 @kept
-def hammer_costs(held: tuple[Array, Array, Modes], goal: Goal, z, scene: Scene, cfg: Cfg):
+def hammer_costs(held: Held, goal: Goal, z, scene: Scene, cfg: Cfg):
     """C [chains] of hammers `z` [chains, 5] on a string that is held."""
-    return (jax.vmap(lambda x: 0.5 * (_residuals(x, *held, goal, scene, cfg) ** 2).sum())(z),)
+    return (jax.vmap(lambda x: 0.5 * (_on_held(x, held, goal, scene, cfg) ** 2).sum())(z),)
 
 
 @kept
-def hammer_residuals(held: tuple[Array, Array, Modes], goal: Goal, z, scene: Scene, cfg: Cfg):
+def hammer_residuals(held: Held, goal: Goal, z, scene: Scene, cfg: Cfg):
     """Residuals [starts, bins], of which half the sum of squares is C, and their Jacobian [starts, bins, 5]."""
 
     def twice(x: Array) -> tuple[Array, Array]:
-        value = _residuals(x, *held, goal, scene, cfg)
+        value = _on_held(x, held, goal, scene, cfg)
         return value, value
 
     jacobian, value = jax.vmap(jax.jacfwd(twice, has_aux=True))(z)
