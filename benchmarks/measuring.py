@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-COMMAND = "from pianofit.cli import main; main()"
+COMMAND = "from pianofit.cli import run; run()"
 # Seconds and the largest memory of a process, in the system's unit.
 LAUNCHER = """
 import os, subprocess, sys, time

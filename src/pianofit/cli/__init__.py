@@ -1,5 +1,5 @@
 """The command line: one file a group of commands."""
 
-from .program import app, main
+from .program import app, main, run
 
-__all__ = ["app", "main"]
+__all__ = ["app", "main", "run"]
