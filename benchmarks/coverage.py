@@ -126,16 +126,12 @@ def gain_from_truth(problem: Problem, minima: Minima, true: Values, velocities: 
     ----------
     velocities : m/s, of every recording; each is of a stroke of its own.
     """
-    from pianofit.inference.descent import Descent
     from pianofit.inference.finish import finish
 
-    people = minima.people
-    z = point_of(problem, people.z[0], true, velocities)
-    begun = Descent(problem, z[:4], minima.strings[0]).begun(z[None], people.phi[0], people.w[0])
-    if not len(begun):
-        return None
-    F = finish(problem, begun, minima.strings[0]).F
-    return float(minima.F.min()) - F
+    best = minima.people.take(np.array([0]))
+    z = point_of(problem, best.z[0], true, velocities)
+    end = finish(problem, z[None], best.phi, best.w)
+    return float(minima.F.min() - end.F[0]) if len(end.F) else None
 
 
 def point_of(problem: Problem, best: np.ndarray, true: Values, velocities: Sequence[float]) -> np.ndarray:

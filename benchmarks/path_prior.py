@@ -31,8 +31,8 @@ def residual_of(found) -> float:
     """τ of one fit, dB."""
     import jax.numpy as jnp
 
-    people, table = found.minima.people, found.minima.descent.table
-    phi, w, residual = (jnp.asarray(x[0]) for x in (people.phi, people.w, people.residual))
+    level, table = found.minima.people.level, found.minima.descent.table
+    phi, w, residual = (jnp.asarray(x[0]) for x in (level.phi, level.w, level.residual))
 
     def F(x: np.ndarray) -> float:
         log_tau, log_smooth, log_octaves = x

@@ -125,20 +125,20 @@ def search(files: Sequence[Path], note: str) -> tuple[Works, dict[str, int]]:
     """
     import pianofit
     from pianofit.inference import pose
-    from pianofit.inference.descent import Descent
+    from pianofit.inference.descent import LEVELS, Descent
+    from pianofit.inference.estimate import string_minimum
     from pianofit.inference.lanes import LANES, in_lanes, levels, slopes
     from pianofit.inference.reports import reports
     from pianofit.inference.screen import MANY_LANES, samples, wide
-    from pianofit.inference.string import string_minimum
 
     recordings = [pianofit.load_recording(x) for x in files]
     problem = pose(recordings, [pianofit.analyse(one, note=note) for one in recordings], pianofit.Setup())
-    string, _ = string_minimum(problem)
-    held = Descent(problem, string)
+    string = string_minimum(problem).z[0, :4]
+    held = Descent(problem, string, LEVELS)
     z = samples(held, 0)
     many, some = held.lanes_of(z), held.lanes_of(z)[:LANES]
-    people = held.begun(z[:POINTS], wide(held))
-    at = people.residual, people.jacobian, people.phi, people.w
+    people = held.begun(z[:POINTS], [wide(held)])
+    at = people.level.residual, people.level.jacobian, people.level.phi, people.level.w
     sizes = {
         "recordings": len(files), "hammers": len(many), "lanes": len(some), "points": len(people),
         "modes": held.cfg.n_modes, "steps": int(held.scene.steps),

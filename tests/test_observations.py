@@ -9,8 +9,8 @@ from observed_cases import B1, D2, F0, analysis, frequency
 import pianofit.model  # noqa: F401  (float64)
 from pianofit import Recording, Setup, analyse, recording_from_samples
 from pianofit.inference import observations, pose, priors
+from pianofit.inference.estimate import string_minimum
 from pianofit.inference.observations import Layout, observe, string_law
-from pianofit.inference.string import string_minimum
 
 LOUD = analysis([1, 2, 3, 5], [0.0, -10.0, -20.0, -40.0], absent=[4], bound=[-70.0], systematic=0.3)
 SOFT = analysis([1, 2, 4], [-12.0, -25.0, -50.0], absent=[3, 5], bound=[-61.0, -62.0], f0=F0 * 2 ** (2 / 1200))
@@ -148,7 +148,7 @@ def test_a_law_of_decays_goes_through_the_cloud_of_partials_that_beat():
         recording = beating(seed)
         found = analyse(recording, f0=110.0)
         problem = pose([recording], [found], Setup())
-        law = string_law(string_minimum(problem)[0], found.partials.number, problem.start.geometry.length)[0][1]
+        law = string_law(string_minimum(problem).z[0, :4], found.partials.number, problem.start.geometry.length)[0][1]
         above.append(np.mean(found.partials.decay > law))
         over.append(np.median(found.partials.decay / law))
     assert np.mean(above) == pytest.approx(0.5, abs=0.15)

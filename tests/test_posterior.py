@@ -11,10 +11,16 @@ from table_cases import PHI, dense, noise, point, shared, table
 import pianofit.model  # noqa: F401  (float64)
 from pianofit.inference.likelihood import next_weights
 from pianofit.inference.nuisances import without_nuisances
+from pianofit.inference.population import Part
 from pianofit.inference.posterior import Posterior
 from pianofit.inference.reports import report
 
 pytestmark = pytest.mark.usefixtures("float64")
+
+
+def part(t, residual, jacobian, w) -> Part:
+    """A point at PHI."""
+    return Part(PHI, w, residual, jacobian, report(t, residual, jacobian, PHI, w), np.eye(4))
 
 
 def test_a_linear_gaussian_problem_is_described_exactly():
@@ -23,7 +29,7 @@ def test_a_linear_gaussian_problem_is_described_exactly():
     t = table("no path")._replace(student=jnp.asarray(1e9), absent=jnp.zeros((0, 2), int), prior=known)
     residual, _ = point("no path")
     w, jacobian = np.ones_like(residual), np.random.default_rng(5).normal(size=(*residual.shape, 3))
-    found, _ = without_nuisances(t, residual, jacobian, PHI, w, report(t, residual, jacobian, PHI, w), 1)
+    found, _ = without_nuisances(t, part(t, residual, jacobian, w), 1)
     there = np.asarray(t.found).ravel() > 0
     whole = (shared(t, PHI, (0, 0)) + np.diag(noise(t, PHI).ravel()))[np.ix_(there, there)]
     rows = jacobian.reshape(-1, 3)[there]
@@ -48,7 +54,7 @@ def test_hyperparameters_and_weights_are_integrated_out(shape):
     By θ alone the curvature is Gauss and Newton's, which has a test of its own.
     """
     t, jacobian, residual, w = lowest(shape)
-    there = report(t, residual, jacobian, PHI, w)
+    there = part(t, residual, jacobian, w)
     where = tuple(np.argwhere(np.asarray(t.found) > 0).T)
     plain = jax.tree.map(np.asarray, t)
 
@@ -61,14 +67,14 @@ def test_hyperparameters_and_weights_are_integrated_out(shape):
     for hyper in (1, 4):
         rest = H[np.ix_(*[np.r_[3 : 3 + hyper, 7 : len(H)]] * 2)]
         cross = H[np.r_[3 : 3 + hyper, 7 : len(H)], :3]
-        found, volume = without_nuisances(t, residual, jacobian, PHI, w, there, hyper)
+        found, volume = without_nuisances(t, there, hyper)
         np.testing.assert_allclose(
-            found, there.curvature - cross.T @ np.linalg.solve(rest, cross), rtol=3e-4, atol=3e-4
+            found, there.report.curvature - cross.T @ np.linalg.solve(rest, cross), rtol=3e-4, atol=3e-4
         )
         assert volume == pytest.approx(np.linalg.slogdet(rest)[1], abs=1e-2)
         # What is not known of φ and w makes θ less known.
-        assert np.linalg.eigvalsh(there.curvature - found)[0] > -1e-9
-        assert np.abs(there.curvature - found).max() > 0.005 * np.abs(found).max()
+        assert np.linalg.eigvalsh(there.report.curvature - found)[0] > -1e-9
+        assert np.abs(there.report.curvature - found).max() > 0.005 * np.abs(found).max()
 
 
 def hessian(of, size: int) -> np.ndarray:

@@ -10,13 +10,13 @@ from observed_cases import GEOMETRY, HAMMER, STRING, played, setup, tone
 
 from pianofit.errors import FitError
 from pianofit.inference import Problem, estimate, pose
-from pianofit.inference.descent import Descent
-from pianofit.inference.estimate import _apart
+from pianofit.inference.descent import LEVELS, Descent
+from pianofit.inference.estimate import _apart, string_minimum
+from pianofit.inference.finish import finished
 from pianofit.inference.parabola import Parabola
 from pianofit.inference.posterior import Posterior
 from pianofit.inference.screen import screened, struck_anew, wide
 from pianofit.inference.search import distinct, searched
-from pianofit.inference.string import string_minimum
 
 
 @functools.cache
@@ -27,7 +27,7 @@ def problem() -> Problem:
 
 @functools.cache
 def string() -> np.ndarray:
-    return string_minimum(problem())[0]
+    return string_minimum(problem()).z[0, :4]
 
 
 @functools.cache
@@ -43,47 +43,66 @@ def test_the_string_is_read_off_its_partials():
 
 def test_a_descent_never_raises_F():
     p = problem()
-    descent = Descent(p, string())
+    descent = Descent(p, string(), LEVELS)
     z = screened(descent, 3, [Parabola.of(descent.table, wide(descent))])[0][:24]
-    people = descent.begun(z, wide(descent))
+    people = descent.begun(z, [wide(descent)])
     assert len(people) > 8
-    every, before = np.arange(len(people)), np.full(len(people), np.inf)
+    before = np.full(len(people), np.inf)
     for _ in range(6):
-        descent._step(people, every, 0.0, None)
-        now = descent.total(people.z, people.report)
+        people = descent._stepped(people, 0.0, None)
+        now = descent.total(people)
         assert (now <= before + 1e-9).all()
         before = now
     # What it says of F is F: of a candidate made anew at the same point.
     anew = descent.begun(people.z, people.phi, people.w)
-    np.testing.assert_allclose(descent.total(anew.z, anew.report), descent.total(people.z, people.report), rtol=1e-10)
+    np.testing.assert_allclose(descent.total(anew), descent.total(people), rtol=1e-10)
     low, high = p.unknowns.edges(people.z)
     assert ((people.z >= low) & (people.z <= high))[:, p.unknowns.free].all()
 
 
+def test_a_descent_with_everything_never_raises_F_and_ends_where_the_string_is():
+    """φ and w of levels, frequencies and decays go down with θ, from where nothing is known."""
+    descent, best = Descent(problem()), found().minima
+    priors = [np.asarray(table.prior[0]) for table in descent.tables]
+    people = descent.begun(best.people.z, priors)
+    descent.offset = best.descent.offset
+    before = np.inf
+    for _ in range(40):
+        people = descent._stepped(people, 0.0, None)
+        now = float(descent.total(people)[0])
+        assert now <= before + 1e-9
+        before = now
+    assert now == pytest.approx(best.F[0], abs=0.01)
+    for mine, theirs in zip(people.phi, best.people.phi, strict=True):
+        np.testing.assert_allclose(mine[0, 0], theirs[0, 0], atol=0.02)
+
+
 def test_what_long_steps_do_to_the_levels_is_much_the_same_for_all_hammers():
     """The search reads it off at its best hammer alone."""
-    descent = Descent(problem(), string())
+    descent = Descent(problem(), string(), LEVELS)
     z = screened(descent, 3, [Parabola.of(descent.table, wide(descent))])[0][:24]
-    errors = np.array([descent.step_error(one) for one in z[descent.model(z)[2]]])
+    errors = np.array([descent.step_error(one) for one in z[descent.model(z)[1]]])
     whole, left = (np.sqrt((x**2).mean(axis=(1, 2))) for x in (errors, errors[1:] - errors[0]))
     assert len(whole) > 8
     assert 0.05 < np.median(whole) < 0.3  # dB
     assert np.median(left) < 0.5 * np.median(whole)
     # With it the levels are those of the problem's own steps, without theirs.
-    fine = Descent(problem(), string(), string_minimum(problem())[1])
+    fine = Descent(problem())
     levels = [d.level(z[0])[d.stroke][:, d.columns] * d.there + d.step_error(z[0]) for d in (descent, fine)]
     np.testing.assert_allclose(*levels, atol=5e-3)
 
 
 def test_a_descent_sorts_and_ends_where_F_is_flat():
-    descent = Descent(problem(), string())
+    descent = Descent(problem(), string(), LEVELS)
     people = descent.descend(
-        descent.begun(screened(descent, 3, [Parabola.of(descent.table, wide(descent))])[0][:6], wide(descent)), 0.0, 60
+        descent.begun(screened(descent, 3, [Parabola.of(descent.table, wide(descent))])[0][:6], [wide(descent)]),
+        0.0,
+        60,
     )
-    F = descent.total(people.z, people.report)
+    F = descent.total(people)
     assert (np.diff(F) >= 0).all()
-    gradient = descent.known(people.z)[1] + people.report.gradient
-    curvature = descent.known(people.z)[2] + people.report.curvature
+    _, gradient, curvature = descent.prior(people.z)
+    gradient, curvature = gradient + people.level.report.gradient, curvature + people.level.report.curvature
     free = descent.moves & ~problem().unknowns.at_bound(people.z[0])
     g, H = gradient[0][free], curvature[0][np.ix_(free, free)]
     left = 0.5 * g @ np.linalg.solve(H, g)
@@ -92,8 +111,9 @@ def test_a_descent_sorts_and_ends_where_F_is_flat():
     # Half a standard deviation off along any unknown, as if others were known: F promises to fall by what it rose.
     away = np.repeat(people.z[:1], free.sum(), axis=0)
     away[:, free] += 0.5 * np.diag(1 / np.sqrt(np.diag(H)))
-    people = descent.begun(away, people.phi[0], people.w[0])
-    rose = descent.total(people.z, people.report) - F[0]
+    people = people.take(np.zeros(len(away), int))
+    people = descent.begun(away, people.phi, people.w)
+    rose = descent.total(people) - F[0]
     np.testing.assert_allclose(descent.promised(people), rose, rtol=0.2, atol=0.02)
 
 
@@ -122,12 +142,12 @@ def test_the_same_seed_gives_the_same_result_and_another_the_same_minimum():
 
 
 def test_minima_are_told_apart_by_where_they_are():
-    descent, u = Descent(problem(), string()), problem().unknowns
+    descent, u = Descent(problem(), string(), LEVELS), problem().unknowns
     z = np.tile(u.mean, (4, 1))
     z[1, u.at("M_H")] += 0.001 * u.sd[u.at("M_H")]
     z[2, u.at("M_H")] += 0.5 * u.sd[u.at("M_H")]
     z[3, u.at("p")] += 0.5 * u.sd[u.at("p")]
-    people = descent.begun(u.project(z), wide(descent))
+    people = descent.begun(u.project(z), [wide(descent)])
     scores = np.array([1.0, 0.9, 0.0, 9.0])[: len(people)]
     assert len(people) == 4
     assert distinct(people, u, scores, 6.0) == [2, 1]
@@ -147,17 +167,26 @@ def test_the_heaviest_minimum_is_the_first_and_what_lies_within_another_is_none(
 
 
 def test_a_search_in_which_no_contact_ends_says_so(monkeypatch):
-    descent = Descent(problem(), string())
+    descent = Descent(problem(), string(), LEVELS)
     model = descent.model
-    monkeypatch.setattr(descent, "model", lambda z: (*model(z)[:2], np.zeros(len(z), bool)))
+    monkeypatch.setattr(descent, "model", lambda z: (model(z)[0], np.zeros(len(z), bool)))
     with pytest.raises(FitError, match="no hammer within the bounds gives a finite sound"):
         searched(descent, 0, problem().unknowns.mean)
+
+
+def test_minima_whose_contacts_do_not_end_by_the_finer_steps_are_none(monkeypatch):
+    held = Descent(problem(), string(), LEVELS)
+    people, own = held.begun(problem().unknowns.mean[None], [wide(held)]), string_minimum(problem())
+    model = Descent.model
+    monkeypatch.setattr(Descent, "model", lambda self, z: (model(self, z)[0], np.zeros(len(z), bool)))
+    with pytest.raises(FitError, match="no hammer within the bounds gives a finite sound"):
+        finished(problem(), people, held, own)
 
 
 def test_a_stroke_in_the_wrong_lobe_is_struck_anew():
     """The hammer is right and its velocity is not: the best of the fine grid is the one that was played."""
     p = problem()
-    descent = Descent(p, string())
+    descent = Descent(p, string(), LEVELS)
     z = found().z.copy()
     z[: len(string())] = string()
     parabola = Parabola.of(descent.table, wide(descent))

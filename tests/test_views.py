@@ -16,7 +16,7 @@ import pytest
 from pianofit import ParameterError, analyse, fit, recording_from_samples, setup_from_dict
 from pianofit.felt import DEFAULT_LAW
 from pianofit.inference import Inferred, estimate, pose, sampler
-from pianofit.inference.coordinates import STRING_SIZE, names_of
+from pianofit.inference.coordinates import names_of
 from pianofit.inference.density import folded, given, log_density, start
 from pianofit.inference.descent import Descent
 from pianofit.inference.estimate import Estimate
@@ -234,15 +234,14 @@ def test_folding_keeps_the_inside_and_mirrors_the_rest():
 def known_excess() -> tuple[Problem, Estimate]:
     """The same with every excess, and other φ, known to 1 %: then θ's posterior is nearly Gaussian."""
     problem, minima = posed(), fitted().minima
-    o, strings = problem.observed, minima.strings[0]
-    phis = minima.people.phi[0], *strings.phi
-    pairs = zip((o.level, o.frequency, o.decay), phis, strict=True)
-    tables = [table._replace(prior=(phi, np.full(4, 0.01))) for table, phi in pairs]
+    o, best = problem.observed, minima.people.take(np.array([0]))
+    pairs = zip((o.level, o.frequency, o.decay), best.phi, strict=True)
+    tables = [table._replace(prior=(phi[0], np.full(4, 0.01))) for table, phi in pairs]
     problem = replace(problem, observed=replace(o, level=tables[0], frequency=tables[1], decay=tables[2]))
-    search = Descent(problem, fitted().z[:STRING_SIZE], strings)
+    search = Descent(problem)
     search.offset = minima.descent.offset
-    people = search.descend(search.begun(fitted().z[None], phis[0], minima.people.w[0]), 0.0, 60)
-    minima = minima._replace(descents=[search], people=people, F=search.total(people.z, people.report))
+    people = search.descend(search.begun(best.z, best.phi, best.w), 0.0, 60)
+    minima = minima._replace(descents=[search], people=people, F=search.total(people))
     return problem, Estimate(minima, laplace(problem, minima), 0)
 
 

@@ -20,15 +20,14 @@ from .descent import HYPER_REACH
 from .estimate import Estimate
 from .lanes import Cfg, Scene, own_levels, own_slopes
 from .likelihood import Table, objective
+from .observations import string_residuals
+from .posterior import HYPER
 from .problem import Problem
-from .string import residuals_of
 
 __all__ = ["Given", "Point", "folded", "given", "log_density", "start"]
 
 # What lies at a bound is first looked for within its prior, or this share of its box.
 OF_BOX = 0.25
-# How many of φ are unknown, of the tables of levels, frequencies and decays.
-HYPER = (4, 1, 1)
 
 
 class Point(NamedTuple):
@@ -65,14 +64,13 @@ class Given(NamedTuple):
 def given(problem: Problem, found: Estimate) -> Given:
     """What the density needs, about the best minimum."""
     u, o, minima = problem.unknowns, problem.observed, found.minima
-    descent, best, strings = minima.descent, minima.people, minima.strings[0]
-    tables = o.level, o.frequency, o.decay
+    descent, best = minima.descent, minima.people
     cents = descent.own_lanes(best.z[:1])[1]
     precision = np.where(u.free, 1 / np.where(u.free, u.sd, 1.0) ** 2, 0.0)
     everything = (
         best.z[0], _white(problem, found), (u.lower, u.upper), u.power, np.array(u.stiffness), u.log_u,
-        (u.mean, precision), tables, (best.phi[0], *strings.phi), (best.w[0], *strings.w),
-        tuple(np.argwhere(np.asarray(t.found) > 0) for t in tables),
+        (u.mean, precision), descent.tables, tuple(phi[0] for phi in best.phi), tuple(w[0] for w in best.w),
+        tuple(np.argwhere(np.asarray(t.found) > 0) for t in descent.tables),
         descent.offset, descent.there, descent.stroke, descent.columns, cents,
         (o.string_number, o.law, float(problem.start.geometry.length)), problem.scene,
     )  # fmt: skip
@@ -131,7 +129,7 @@ def log_density(at: Given, point: Point, cfg: Cfg):
     o = at.tables[0]
     residual = (o.value - level[at.stroke][:, at.column] - at.offset) * at.there
     strings = [t.value[0] for t in at.tables[1:]]
-    residuals = residual, *residuals_of(z[:STRING_SIZE], strings, *at.partials, jnp)[0]
+    residuals = residual, *string_residuals(z[:STRING_SIZE], strings, *at.partials, jnp)[0]
     mean, precision = at.prior
     F = 0.5 * (precision * (z - mean) ** 2).sum()
     for table, r, phi, w, found, x, y in zip(

@@ -6,19 +6,21 @@ lowered in its place.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
 import numpy as np
 
 from ..model.simulate import MOST_MODES
 from .coordinates import STRING_SIZE
 from .lanes import in_lanes, own_levels, own_slopes, slopes
-from .likelihood import next_weights
+from .likelihood import Table, next_weights
 from .parabola import Parabola
-from .population import Population
+from .population import Part, Population, chosen
 from .problem import Problem
-from .reports import Report, reports
-from .string import StringState, string_report
+from .reports import reports
 
-__all__ = ["Descent"]
+__all__ = ["LEVELS", "STRINGS", "Descent"]
 
 # Levenberg and Marquardt's damping over the curvature's diagonal: at first,
 FIRST_DAMPING = 1e-2
@@ -41,34 +43,38 @@ CONVERGED = 1e-3
 # Hyperparameters stay within so many standard deviations of their priors: a clean sound's excess may sink to nothing.
 HYPER_REACH = 12.0
 
-# Value [B], gradient [B, size] and curvature [B, size, size].
-Known = tuple[np.ndarray, np.ndarray, np.ndarray]
+# The tables of a descent: of levels, while the string is held; of the string, before any hammer is known; and all.
+LEVELS, STRINGS = ("level",), ("frequency", "decay")
+EVERY = (*LEVELS, *STRINGS)
 
 
 class Descent:
-    """Descents on one problem's F.
+    """Descents on one problem's F, or on the part of it that some of its tables are.
 
-    With `strings` None the string is held, and one string serves all candidates. Else it is searched too: frequencies
-    and decays join F, with φ and w of `strings`, and every stroke has the tension it was struck at. `offset` [R, K],
-    dB, is what a contact stepped without end would add to the levels.
+    Without frequencies and decays the string is held at `string`, and one string serves all candidates. With them it is
+    searched, and every stroke has the tension it was struck at. `offset` [R, K], dB, is what a contact stepped without
+    end would add to the levels.
     """
 
-    def __init__(self, problem: Problem, string: np.ndarray, strings: StringState | None = None) -> None:
+    def __init__(self, problem: Problem, string: np.ndarray | None = None, tables: Sequence[str] = EVERY) -> None:
         self.problem, self.unknowns = problem, problem.unknowns
         self.scene, self.cfg = problem.scene, problem.cfg
-        if strings is None:
+        self.string = self.unknowns.mean[:STRING_SIZE] if string is None else string
+        self.tables = tuple(getattr(problem.observed, name) for name in tables)
+        self.struck, self.held = "level" in tables, "frequency" not in tables
+        if self.held:
             scene, cfg = self.scene, self.cfg
             self.scene = scene._replace(rate=scene.rate / COARSER, steps=scene.steps // COARSER)
             self.cfg = cfg._replace(n_modes=max(cfg.rows, cfg.n_modes // COARSER))
         self.table = problem.observed.level
-        self.string, self.strings = string, strings
         self.offset = np.zeros_like(self.table.value)
         self.stroke = np.array(problem.layout.stroke)
         self.columns = problem.observed.number - 1
         self.there = self.table.found + 0.0
         self.there[tuple(self.table.absent.T)] = 1.0
         self.moves = self.unknowns.free.copy()
-        self.moves[:STRING_SIZE] &= strings is not None
+        self.moves[:STRING_SIZE] &= not self.held
+        self.moves[STRING_SIZE:] &= self.struck
         self.lanes = 0
 
     # --- the model ----------------------------------------------------------------------------------------------------
@@ -86,12 +92,27 @@ class Descent:
         cents = np.tile(self.problem.observed.cents[first], len(z))
         return np.repeat(z[:, :STRING_SIZE], strokes, axis=0), cents, self.lanes_of(z)
 
-    def model(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Residuals [B, R, K], the law's derivatives [B, R, K, size], and whether all contacts ended [B]."""
+    def model(self, z: np.ndarray) -> tuple[list[tuple[np.ndarray, np.ndarray]], np.ndarray]:
+        """Of every table residuals [B, R, K] and the law's derivatives [B, R, K, size]; whether contacts ended [B]."""
+        laws, good = [], np.ones(len(z), bool)
+        if self.struck:
+            *levels, good = self._levels(z)
+            laws.append(tuple(levels))
+        if not self.held:
+            each = [self.problem.string_residuals(point[:STRING_SIZE]) for point in z]
+            for table in range(len(STRINGS)):
+                slope = np.array([slopes[table] for _, slopes in each]) * self.moves[:STRING_SIZE]
+                jacobian = np.zeros((*slope.shape[:-1], self.unknowns.size))
+                jacobian[..., :STRING_SIZE] = slope
+                laws.append((np.array([residuals[table] for residuals, _ in each]), jacobian))
+        return laws, good
+
+    def _levels(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Residuals of levels, their law's derivatives, and whether contacts ended."""
         strokes = self.unknowns.strokes
         self.lanes += len(z) * strokes
         free = self.scene.free[self.scene.free >= 0]
-        if self.strings is None:
+        if self.held:
             level, slope, ended = in_lanes(slopes, (self.string, self.lanes_of(z)), self.scene, self.cfg)
             shared = free[:-1] + STRING_SIZE
         else:
@@ -120,144 +141,125 @@ class Descent:
 
     def level(self, z: np.ndarray) -> np.ndarray:
         """Levels by the model at `z` [size], dB [strokes, rows], by the descent's program: that is compiled anyway."""
-        if self.strings is None:
+        if self.held:
             return in_lanes(slopes, (self.string, self.lanes_of(z[None])), self.scene, self.cfg)[0]
         return in_lanes(own_slopes, self.own_lanes(z[None]), self.scene, self.cfg, OWN_LANES)[0]
 
-    def known(self, z: np.ndarray) -> Known:
-        """Of F, what levels do not say: value [B], gradient [B, size] and curvature [B, size, size].
-
-        That is the prior of θ and, where the string is searched, its frequencies and decays.
-        """
+    def prior(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Of F, the prior of θ: value [B], gradient [B, size] and curvature [size, size]."""
         u = self.unknowns
         weight = np.where(self.moves, 1 / np.where(u.free, u.sd, 1.0) ** 2, 0.0)
         away = z - u.mean
-        value, gradient = 0.5 * (weight * away**2).sum(axis=1), weight * away
-        curvature = np.tile(np.diag(weight), (len(z), 1, 1))
-        if self.strings is not None:
-            some = slice(0, STRING_SIZE)
-            for i, point in enumerate(z):
-                for found in string_report(self.problem, point[some], self.strings):
-                    value[i] += found.F
-                    gradient[i, some] += np.where(self.moves[some], found.gradient, 0.0)
-                    curvature[i, some, some] += found.curvature
-        return value, gradient, curvature
+        return 0.5 * (weight * away**2).sum(axis=1), weight * away, np.diag(weight)
 
-    def total(self, z: np.ndarray, report: Report) -> np.ndarray:
-        """F with the prior of θ [B]."""
-        return report.F + self.known(z)[0]
+    def total(self, people: Population) -> np.ndarray:
+        """F [B]."""
+        return self.prior(people.z)[0] + sum(part.report.F for part in people.parts)
 
     def begun(
-        self, z: np.ndarray, phi: np.ndarray, w: np.ndarray | None = None, parabola: Parabola | None = None
-    ) -> Population:
-        """Candidates at `z` [B, size]; those whose contact does not end are left out. See `_judged` of `parabola`."""
-        residual, jacobian, good = self.model(z)
-        z, residual, jacobian = z[good], residual[good], jacobian[good]
-        count = len(z)
-        phi = np.broadcast_to(phi, (count, 4)).copy()
-        w = np.broadcast_to(np.ones_like(self.table.value) if w is None else w, residual.shape).copy()
-        if not count:
-            empty = Report(*(np.zeros((0, 0)),) * 5)
-            return Population(z, phi, w, residual, jacobian, empty, np.zeros(0), np.zeros((0, 4, 4)), np.zeros(0))
-        found = self._judged(residual, jacobian, phi, w, parabola)
-        return Population(
-            z, phi, w, residual, jacobian, found, np.full(count, FIRST_DAMPING),
-            np.tile(self._first_inverse(), (count, 1, 1)), np.full(count, np.inf),
-        )  # fmt: skip
+        self, z: np.ndarray, phi: Sequence[np.ndarray], w: Sequence[np.ndarray] | None = None,
+        parabola: Parabola | None = None,
+    ) -> Population:  # fmt: skip
+        """Candidates at `z` [B, size], without those whose contact does not end.
 
-    def _first_inverse(self) -> np.ndarray:
-        """Of F's Hessian by φ: every level counts twice for σ, others by their priors."""
-        spread = np.asarray(self.table.prior[1])
-        inverse = spread**2
-        inverse[0] = 1 / (2 * float(self.table.found.sum()) + 1 / spread[0] ** 2)
-        return np.diag(inverse)
+        Parameters
+        ----------
+        phi, w : of every table, of all candidates or of each; w is 1 if None.
+        parabola : F while φ and w are held, of the levels alone; see `descend`.
+        """
+        laws, good = self.model(z)
+        count = int(good.sum())
+        parts = []
+        for i, (table, (residual, jacobian)) in enumerate(zip(self.tables, laws, strict=True)):
+            own = np.broadcast_to(phi[i], (len(z), 4))[good]
+            weights = np.broadcast_to(1.0 if w is None else w[i], residual.shape)[good]
+            there = residual[good], jacobian[good]
+            found = reports(table, *there, own, weights) if parabola is None else parabola(*there)
+            parts.append(Part(own, weights, *there, found, np.tile(_first_inverse(table), (count, 1, 1))))
+        return Population(z[good], tuple(parts), np.full(count, FIRST_DAMPING), np.full(count, np.inf))
 
     # --- descent ------------------------------------------------------------------------------------------------------
-
-    def _judged(
-        self, residual: np.ndarray, jacobian: np.ndarray, phi: np.ndarray, w: np.ndarray, parabola: Parabola | None
-    ) -> Report:
-        """F, or its parabola while φ and w are held, of candidates."""
-        return reports(self.table, residual, jacobian, phi, w) if parabola is None else parabola(residual, jacobian)
 
     def descend(
         self, people: Population, floor: float, iterations: int, tolerance: float = CONVERGED,
         parabola: Parabola | None = None,
     ) -> Population:  # fmt: skip
-        """Lower F from every candidate, sorted, the lowest first; σ is held above `floor`, dB, or φ and w as they are.
+        """Lower F from every candidate, sorted, the lowest first; σ of levels is held above `floor`, dB.
 
         With a `parabola` it alone is lowered, and φ and w stay.
         """
-        people.gained = np.full(len(people), np.inf)
-        people.damping = np.minimum(people.damping, FIRST_DAMPING)
-        if parabola is None:
-            self._lift(people, floor)
+        people = replace(people, gained=np.full(len(people), np.inf), damping=np.minimum(people.damping, FIRST_DAMPING))
+        if parabola is None and floor:
+            people = replace(people, parts=tuple(self._lifted(*pair, floor) for pair in self._by_table(people)))
         for _ in range(iterations):
             on = np.flatnonzero(people.gained > tolerance)
             if not len(on):
                 break
-            self._step(people, on, floor, parabola)
-        return people.take(np.argsort(self.total(people.z, people.report), kind="stable"))
+            people = people.put(on, self._stepped(people.take(on), floor, parabola))
+        return people.take(np.argsort(self.total(people), kind="stable"))
 
-    def _lift(self, people: Population, floor: float) -> None:
-        """F where φ is put that a floor which has risen no longer allows."""
-        people.phi = np.clip(people.phi, *self._range(floor))
-        people.report = reports(self.table, people.residual, people.jacobian, people.phi, people.w)
+    def _by_table(self, people: Population) -> Iterable[tuple[Table, Part]]:
+        return zip(self.tables, people.parts, strict=True)
 
-    def _range(self, floor: float) -> tuple[np.ndarray, np.ndarray]:
-        """Least and largest φ, with σ above `floor`, dB."""
-        mean, sd = (np.asarray(x) for x in self.table.prior)
+    def _lifted(self, table: Table, part: Part, floor: float) -> Part:
+        """With φ put where a floor which has risen allows it."""
+        phi = np.clip(part.phi, *self._range(table, floor))
+        return part._replace(phi=phi, report=reports(table, part.residual, part.jacobian, phi, part.w))
+
+    def _range(self, table: Table, floor: float) -> tuple[np.ndarray, np.ndarray]:
+        """Least and largest φ, with σ of levels above `floor`, dB."""
+        mean, sd = (np.asarray(x) for x in table.prior)
         lower, upper = mean - HYPER_REACH * sd, mean + HYPER_REACH * sd
-        lower[0] = max(lower[0], np.log(max(floor, 1e-9)))
+        if floor and table is self.table:
+            lower[0] = max(lower[0], np.log(floor))
         return lower, np.maximum(upper, lower)
 
-    def _step(self, people: Population, on: np.ndarray, floor: float, parabola: Parabola | None) -> None:
-        """One step of the candidates `on`: of θ by Levenberg and Marquardt, then of φ by BFGS and of w by EM."""
-        now = people.take(on)
-        known = self.known(now.z)
-        before = now.report.F + known[0]
-        z = self.unknowns.project(now.z + self._direction(now, known, now.damping)[0])
-        residual, jacobian, good = self.model(z)
-        found = self._judged(residual, jacobian, now.phi, now.w, parabola)
-        elsewhere = self.known(z)[0]
-        better = np.where(good, found.F + elsewhere, np.inf) < before
+    def _stepped(self, now: Population, floor: float, parabola: Parabola | None) -> Population:
+        """After one step: of θ by Levenberg and Marquardt, then of φ by BFGS and of w by EM."""
+        before = self.total(now)
+        z = self.unknowns.project(now.z + self._direction(now, now.damping)[0])
+        laws, good = self.model(z)
+        parts = tuple(
+            part._replace(
+                residual=law[0], jacobian=law[1],
+                report=reports(table, *law, part.phi, part.w) if parabola is None else parabola(*law),
+            )
+            for (table, part), law in zip(self._by_table(now), laws, strict=True)
+        )  # fmt: skip
+        tried = replace(now, z=z, parts=parts)
+        there = self.total(tried)
+        better = np.where(good, there, np.inf) < before
         stuck = ~better & (now.damping >= MOST_DAMPING)
-        now.damping = np.clip(now.damping * np.where(better, 0.2, 8.0), LEAST_DAMPING, 8 * MOST_DAMPING)
-        now.put(np.flatnonzero(better), Population(
-            z[better], now.phi[better], now.w[better], residual[better], jacobian[better], found.take(better),
-            now.damping[better], now.inverse[better], now.gained[better],
-        ))  # fmt: skip
+        damping = np.clip(now.damping * np.where(better, 0.2, 8.0), LEAST_DAMPING, 8 * MOST_DAMPING)
+        now = replace(chosen(better, tried, now), damping=damping)
         if parabola is None:
-            self._settle(now, floor)
-        now.gained = np.where(better | stuck, before - now.report.F - np.where(better, elsewhere, known[0]), np.inf)
-        people.put(on, now)
+            now = replace(now, parts=tuple(self._settled(*pair, floor) for pair in self._by_table(now)))
+        return replace(now, gained=np.where(better | stuck, before - self.total(now), np.inf))
 
-    def _settle(self, now: Population, floor: float) -> None:
-        """A step of φ by BFGS and of w by EM, where it lowers F."""
-        lower, upper = self._range(floor)
-        slope = now.report.by_phi
-        active = ((now.phi <= lower) & (slope > 0)) | ((now.phi >= upper) & (slope < 0))
-        step = -np.einsum("bij,bj->bi", now.inverse, np.where(active, 0.0, slope))
+    def _settled(self, table: Table, part: Part, floor: float) -> Part:
+        """After a step of φ by BFGS and of w by EM, where it lowers F."""
+        lower, upper = self._range(table, floor)
+        slope = part.report.by_phi
+        active = ((part.phi <= lower) & (slope > 0)) | ((part.phi >= upper) & (slope < 0))
+        step = -np.einsum("bij,bj->bi", part.inverse, np.where(active, 0.0, slope))
         step = np.clip(np.where(active, 0.0, step), -LONGEST_PHI, LONGEST_PHI)
-        phi = np.clip(now.phi + step, lower, upper)
-        w = next_weights(self.table, now.report.by_log_w, now.w)
-        found = reports(self.table, now.residual, now.jacobian, phi, w)
-        inverse = _bfgs(now.inverse, phi - now.phi, found.by_phi - slope)
-        better = found.F < now.report.F
-        now.inverse = np.where(better[:, None, None], inverse, 0.3 * now.inverse)
-        now.phi = np.where(better[:, None], phi, now.phi)
-        now.w = np.where(better[:, None, None], w, now.w)
-        for mine, new in zip(now.report, found, strict=True):
-            mine[better] = new[better]
+        phi = np.clip(part.phi + step, lower, upper)
+        w = next_weights(table, part.report.by_log_w, part.w)
+        found = reports(table, part.residual, part.jacobian, phi, w)
+        inverse = _bfgs(part.inverse, phi - part.phi, found.by_phi - slope)
+        settled = part._replace(phi=phi, w=w, report=found, inverse=inverse)
+        return chosen(found.F < part.report.F, settled, part._replace(inverse=0.3 * part.inverse))
 
     def promised(self, people: Population) -> np.ndarray:
         """What a step of θ would gain if F were its parabola [B]."""
-        return self._direction(people, self.known(people.z), np.zeros(len(people)))[1]
+        return self._direction(people, np.zeros(len(people)))[1]
 
-    def _direction(self, now: Population, known: Known, damping: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _direction(self, now: Population, damping: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Steps of θ [B, size], an unknown on an edge that a step would leave stays; and half their slope [B]."""
         u = self.unknowns
-        gradient, curvature = known[1] + now.report.gradient, known[2] + now.report.curvature
+        _, gradient, curvature = self.prior(now.z)
+        gradient = gradient + sum(part.report.gradient for part in now.parts)
+        curvature = curvature + sum(part.report.curvature for part in now.parts)
         lower, upper = u.edges(now.z)
         active = ((now.z <= lower) & (gradient > 0)) | ((now.z >= upper) & (gradient < 0))
         along = u.along_edges(now.z, active)
@@ -270,6 +272,14 @@ class Descent:
         step = np.linalg.solve(lhs, np.where(moves, -gradient, 0.0)[..., None])[..., 0]
         size = (np.abs(step) / np.where(u.free, np.minimum(u.sd, 1.0), 1.0)).max(axis=1)
         return step * np.minimum(1.0, LONGEST_STEP / np.maximum(size, 1e-12))[:, None], -0.5 * (gradient * step).sum(1)
+
+
+def _first_inverse(table: Table) -> np.ndarray:
+    """Of F's Hessian by φ [4, 4]: every entry counts twice for σ, others by their priors."""
+    spread = np.asarray(table.prior[1])
+    inverse = spread**2
+    inverse[0] = 1 / (2 * float(table.found.sum()) + 1 / spread[0] ** 2)
+    return np.diag(inverse)
 
 
 def _bfgs(inverse: np.ndarray, step: np.ndarray, change: np.ndarray) -> np.ndarray:

@@ -8,15 +8,17 @@ import numpy as np
 
 from ..progress import Progress
 from .coordinates import STRING_SIZE
-from .descent import Descent
+from .descent import LEVELS, STRINGS, Descent
 from .finish import Minima, finished
+from .population import Population
 from .posterior import Posterior, laplace
 from .problem import Problem
 from .search import searched
-from .string import string_minimum
 
-__all__ = ["Estimate", "Progress", "estimate"]
+__all__ = ["Estimate", "Progress", "estimate", "string_minimum"]
 
+# Steps of the string's own descent at the most, and the gain at which it ends, F: clean strings are read to 1e-8.
+STRING_STEPS, STRING_GAIN = 40, 1e-6
 # Minima nearer than this in every unknown, in standard deviations of the lower one, are one.
 SAME = 1.0
 
@@ -43,14 +45,21 @@ def estimate(problem: Problem, seed: int = 0, progress: Progress = lambda *_: No
         If no hammer gives a finite sound.
     """
     progress("string", 0.05)
-    string, strings = string_minimum(problem)
+    string = string_minimum(problem)
     progress("hammer", 0.15)
-    held = Descent(problem, string)
-    found = searched(held, seed, beginning(problem, string), progress)
+    held = Descent(problem, string.z[0, :STRING_SIZE], LEVELS)
+    found = searched(held, seed, beginning(problem, held.string), progress)
     progress("string and hammer", 0.75)
-    minima = finished(problem, found, held, strings)
+    minima = finished(problem, found, held, string)
     progress("intervals", 0.88)
     return Estimate(*_apart(minima, laplace(problem, minima)), held.lanes + sum(d.lanes for d in minima.descents))
+
+
+def string_minimum(problem: Problem) -> Population:
+    """c, κ, b1 and b2 by frequencies, decays and the prior alone, before any hammer is known."""
+    descent = Descent(problem, tables=STRINGS)
+    begun = descent.begun(problem.unknowns.mean[None], [np.asarray(table.prior[0]) for table in descent.tables])
+    return descent.descend(begun, 0.0, STRING_STEPS, STRING_GAIN)
 
 
 def _apart(minima: Minima, posterior: Posterior) -> tuple[Minima, Posterior]:

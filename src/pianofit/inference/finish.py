@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from .coordinates import STRING_SIZE
+from ..errors import FitError
 from .descent import Descent
 from .population import Population
 from .problem import Problem
-from .search import distinct
-from .string import StringState, hyper_step, string_report
+from .search import NO_HAMMER, distinct
 
-__all__ = ["Finished", "Minima", "finish", "finished"]
+__all__ = ["Minima", "finish", "finished"]
 
 # Minima whose F is higher by more than this have no share: exp(-6) is a quarter of a percent.
 WITHIN = 6.0
@@ -34,8 +35,7 @@ class Minima(NamedTuple):
 
     people: Population
     F: np.ndarray  # with everything
-    descents: list[Descent]  # with the string free: each has its minimum's step error
-    strings: list[StringState]
+    descents: list[Descent]  # each has its minimum's step error
     converged: np.ndarray
 
     @property
@@ -45,53 +45,57 @@ class Minima(NamedTuple):
 
     def take(self, which: np.ndarray) -> Minima:
         """Some of them, in this order."""
-        descents, strings = ([x[i] for i in which] for x in (self.descents, self.strings))
-        return Minima(self.people.take(which), self.F[which], descents, strings, self.converged[which])
+        return Minima(self.people.take(which), self.F[which], [self.descents[i] for i in which], self.converged[which])
+
+    def join(self, other: Minima) -> Minima:
+        """Both."""
+        return Minima(
+            self.people.join(other.people), np.append(self.F, other.F), self.descents + other.descents,
+            np.append(self.converged, other.converged),
+        )  # fmt: skip
 
 
-def finished(problem: Problem, found: Population, held: Descent, strings: StringState) -> Minima:
-    """Every distinct minimum near the lowest, finished on F with all its unknowns."""
-    scores = held.total(found.z, found.report)
-    chosen = distinct(found, held.unknowns, scores, WITHIN)[:MOST]
-    ends = [finish(problem, found.take(np.array([i])), strings) for i in chosen]
-    people = ends[0].people
-    for end in ends[1:]:
-        people = people.join(end.people)
-    F = np.array([end.F for end in ends])
+def finished(problem: Problem, found: Population, held: Descent, string: Population) -> Minima:
+    """Every distinct minimum near the lowest, finished on F with all its unknowns.
+
+    Parameters
+    ----------
+    found, held : minima with the string held, and the descent that found them.
+    string : its own minimum.
+
+    Raises
+    ------
+    FitError
+        If the contact of none ends.
+    """
+    near = distinct(found, held.unknowns, held.total(found), WITHIN)[:MOST]
+    each = [found.take(np.array([i])) for i in near]
+    ends = [finish(problem, one.z, one.phi + string.phi, one.w + string.w) for one in each]
+    every = functools.reduce(Minima.join, ends)
+    if not len(every.F):
+        raise FitError(NO_HAMMER)
     # Two that were distinct may have come to the same minimum: it counts once.
-    every = Minima(
-        people, F, [end.descent for end in ends], [end.strings for end in ends],
-        np.array([end.converged for end in ends]),
-    )  # fmt: skip
-    return every.take(np.array(distinct(people, held.unknowns, F, WITHIN)))
+    return every.take(np.array(distinct(every.people, held.unknowns, every.F, WITHIN)))
 
 
-class Finished(NamedTuple):
-    """One minimum of F with all its unknowns."""
+def finish(problem: Problem, z: np.ndarray, phi: Sequence[np.ndarray], w: Sequence[np.ndarray]) -> Minima:
+    """Lower F from one candidate, and take out the contact's step error, in turn; empty if its contact does not end.
 
-    descent: Descent
-    people: Population  # it alone
-    F: float
-    converged: bool
-    strings: StringState
-
-
-def finish(problem: Problem, one: Population, strings: StringState) -> Finished:
-    """Lower F from one candidate with the string free and the contact's step error taken out, in turn."""
-    string, state = one.z[0, :STRING_SIZE], strings
-    descent = Descent(problem, string, state)
-    converged = False
-    for _ in range(READINGS):
-        before = descent.offset
-        descent.offset = descent.step_error(one.z[0])
-        one = descent.begun(one.z, one.phi[0], one.w[0])
-        one = descent.descend(one, 0.0, ITERATIONS)
-        converged = bool(min(one.gained[0], descent.promised(one)[0]) < NEARLY)
-        string = one.z[0, :STRING_SIZE]
-        state, _ = hyper_step(problem, string, state, string_report(problem, string, state))
-        descent.strings = state
-        sd = np.sqrt(np.asarray(descent.table.variance) + np.exp(2 * one.phi[0, 0]))
-        moved = (descent.offset - before) / sd * np.asarray(descent.table.found)
-        if np.sqrt((moved**2).sum() / max(np.asarray(descent.table.found).sum(), 1)) < LEFT:
+    Parameters
+    ----------
+    z, phi, w : where it is [1, size], and of every table [1, 4] and [1, R, K].
+    """
+    descent = Descent(problem)
+    variance, there = np.asarray(descent.table.variance), np.asarray(descent.table.found)
+    readings = 0
+    while True:
+        readings += 1
+        before, descent.offset = descent.offset, descent.step_error(z[0])
+        one = descent.descend(descent.begun(z, phi, w), 0.0, ITERATIONS)
+        sd = np.sqrt(variance + np.exp(2 * one.phi[0][:, :1, None]))
+        moved = np.sqrt((((descent.offset - before) / sd) ** 2 * there).sum() / max(there.sum(), 1))
+        if moved < LEFT or readings == READINGS:
             break
-    return Finished(descent, one, float(descent.total(one.z, one.report)[0]), converged, state)
+        z, phi, w = one.z, one.phi, one.w
+    left = np.minimum(one.gained, descent.promised(one))
+    return Minima(one, descent.total(one), [descent] * len(one), left < NEARLY)

@@ -50,7 +50,7 @@ class Inferred:
     @property
     def excess(self) -> float:
         """By how much levels leave the model beyond their noise, dB."""
-        return float(np.exp(self.found.minima.people.phi[0, 0]))
+        return float(np.exp(self.found.minima.people.level.phi[0, 0]))
 
     def seen(self, name: str) -> dict:
         """The interval of a parameter by the other view, in the form of `fit.json`; empty where there is none."""

@@ -18,7 +18,8 @@ from __future__ import annotations
 import numpy as np
 
 from .likelihood import Table
-from .reports import Opened, Report, opened, reports
+from .population import Part
+from .reports import Opened, opened, reports
 
 __all__ = ["without_nuisances"]
 
@@ -30,17 +31,16 @@ FLOOR = 1e-8
 NEGATIVE = 1e-3
 
 
-def without_nuisances(
-    table: Table, residual: np.ndarray, jacobian: np.ndarray, phi: np.ndarray, w: np.ndarray, there: Report, hyper: int
-) -> tuple[np.ndarray, float]:
+def without_nuisances(table: Table, point: Part, hyper: int) -> tuple[np.ndarray, float]:
     """Curvature by θ with the first `hyper` of φ and all log-weights integrated out [size, size], and their log volume.
 
     By θ alone it is Gauss and Newton's.
 
     Parameters
     ----------
-    residual, jacobian, phi, w, there : a point, [R, K], [R, K, size], [4], [R, K], and its report.
+    point : one candidate's, without the leading axis.
     """
+    phi, w, residual, jacobian, there, _ = point
     found = np.asarray(table.found) > 0
     cross, by_weights = _by_weights(table, residual, jacobian, phi, w)
     r, J, phis, ws = (np.repeat(x[None], hyper, axis=0) for x in (residual, jacobian, phi, w))

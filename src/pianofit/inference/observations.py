@@ -11,7 +11,7 @@ from ..analysis import Analysis, law_frequency
 from . import priors
 from .likelihood import Table
 
-__all__ = ["Layout", "Observed", "observe", "placed", "string_law"]
+__all__ = ["Layout", "Observed", "observe", "placed", "string_law", "string_residuals"]
 
 # Partials above this, Hz, stand in no table: few hammers and fewer microphones reach them.
 HIGHEST = 10_000.0
@@ -75,6 +75,21 @@ def string_law(string, number: np.ndarray, length: float, xp=np):
     pitch = xp.stack([c**2 * s / omega2, kappa**2 * s**2 / omega2, zero, zero], axis=-1)
     loss = xp.stack([zero, zero, b1 + zero, b2 * s], axis=-1)
     return xp.stack([frequency, alpha]), xp.stack([pitch, loss])
+
+
+def string_residuals(string, measured, number, law, length, xp=np):
+    """Residuals [1, K], of frequencies, cents, and of log decays, and their laws' derivatives [1, K, 4].
+
+    Parameters
+    ----------
+    string : logarithms of c, κ, b1 and b2.
+    measured : what the tables hold, over `law` [K] each.
+    number, law : partials k [K] and the reference's law [2, K]; `length` of the string, m.
+    """
+    value, slope = string_law(string, number, length, xp)
+    laws = CENTS * xp.log(value[0] / law[0]), xp.log(value[1] / law[1])
+    slopes = CENTS * slope[0], slope[1] / value[1][:, None]
+    return [(y - own)[None] for y, own in zip(measured, laws, strict=True)], [s[None] for s in slopes]
 
 
 def observe(

@@ -62,10 +62,11 @@ class Parabola(NamedTuple):
     def __call__(self, residual: np.ndarray, jacobian: np.ndarray) -> Report:
         """The parabola at residuals [B, R, K], its gradient and curvature by what moves them by `jacobian`."""
         count, size = len(residual), jacobian.shape[-1]
-        r = residual.reshape(count, -1)[:, self.at]
-        J = jacobian.reshape(count, -1, size)[:, self.at]
+        entries = int(np.prod(residual.shape[1:]))
+        r = residual.reshape(count, entries)[:, self.at]
+        J = jacobian.reshape(count, entries, size)[:, self.at]
         push = r @ self.Q
-        curvature = np.stack(list(pool().map(lambda own: own.T @ (self.Q @ own), J)))
+        curvature = np.array(list(pool().map(lambda own: own.T @ (self.Q @ own), J))).reshape(count, size, size)
         return Report(
             0.5 * (push * r).sum(axis=1) + self.constant, -np.einsum("bi,bin->bn", push, J), curvature,
             np.zeros((count, 4)), np.zeros_like(residual),

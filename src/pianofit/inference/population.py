@@ -3,48 +3,74 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
+import jax
 import numpy as np
 
 from .reports import Report
 
-__all__ = ["Population"]
-
-# What a population has of each candidate, beside its report.
-ARRAYS = ("z", "phi", "w", "residual", "jacobian", "damping", "inverse", "gained")
+__all__ = ["Part", "Population", "chosen"]
 
 
-@dataclass
+class Part(NamedTuple):
+    """What candidates have of one table; [B, ...] throughout."""
+
+    phi: np.ndarray  # [B, 4]
+    w: np.ndarray  # [B, R, K]
+    residual: np.ndarray  # [B, R, K]
+    jacobian: np.ndarray  # what moves the law [B, R, K, size]
+    report: Report
+    inverse: np.ndarray  # approximate inverse Hessian of F by φ [B, 4, 4]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
 class Population:
-    """Candidates on their way down: θ, φ, w, what F says there, and how each is going. [B, ...] throughout."""
+    """Candidates on their way down: θ, then φ and w of every table, and how each is going. [B, ...] throughout."""
 
     z: np.ndarray
-    phi: np.ndarray
-    w: np.ndarray
-    residual: np.ndarray
-    jacobian: np.ndarray
-    report: Report
-    damping: np.ndarray
-    inverse: np.ndarray  # approximate inverse Hessian of F by φ [B, 4, 4]
-    gained: np.ndarray
+    parts: tuple[Part, ...]
+    damping: np.ndarray  # Levenberg and Marquardt's
+    gained: np.ndarray  # by the last step, F
 
     def __len__(self) -> int:
         return len(self.z)
 
+    @property
+    def phi(self) -> tuple[np.ndarray, ...]:
+        """Of every table [B, 4]."""
+        return tuple(part.phi for part in self.parts)
+
+    @property
+    def w(self) -> tuple[np.ndarray, ...]:
+        """Of every table [B, R, K]."""
+        return tuple(part.w for part in self.parts)
+
+    @property
+    def level(self) -> Part:
+        """Of the table of levels, which is the first."""
+        return self.parts[0]
+
     def take(self, which: np.ndarray) -> Population:
         """Some of them, in this order."""
-        fields = {name: getattr(self, name)[which] for name in ARRAYS}
-        return Population(**fields, report=self.report.take(which))
+        return jax.tree.map(lambda x: x[which], self)
 
-    def put(self, which: np.ndarray, other: Population) -> None:
-        """Replace some by `other`'s."""
-        for name in ARRAYS:
-            getattr(self, name)[which] = getattr(other, name)
-        for mine, new in zip(self.report, other.report, strict=True):
+    def put(self, which: np.ndarray, other: Population) -> Population:
+        """With some replaced by `other`'s."""
+
+        def replaced(mine: np.ndarray, new: np.ndarray) -> np.ndarray:
+            mine = mine.copy()
             mine[which] = new
+            return mine
+
+        return jax.tree.map(replaced, self, other)
 
     def join(self, other: Population) -> Population:
         """Both."""
-        fields = {name: np.concatenate([getattr(self, name), getattr(other, name)]) for name in ARRAYS}
-        joined = Report(*(np.concatenate(pair) for pair in zip(self.report, other.report, strict=True)))
-        return Population(**fields, report=joined)
+        return jax.tree.map(lambda *pair: np.concatenate(pair), self, other)
+
+
+def chosen(first: np.ndarray, one, other):
+    """Of `one` where `first` [B], else of `other`: trees of arrays [B, ...]."""
+    return jax.tree.map(lambda a, b: np.where(first.reshape(-1, *(1,) * (np.ndim(a) - 1)), a, b), one, other)

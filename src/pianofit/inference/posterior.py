@@ -13,22 +13,22 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import jax
 import numpy as np
 from scipy.optimize import brentq
 from scipy.stats import norm
 
 from ..units import NORMAL
-from .coordinates import STRING_SIZE
 from .finish import Minima
 from .nuisances import without_nuisances
 from .problem import Problem
-from .reports import Report, report
-from .string import string_residuals
 
-__all__ = ["Posterior", "laplace"]
+__all__ = ["HYPER", "Posterior", "laplace"]
 
 # Of a two-sided 95 % interval.
 TAIL = 0.025
+# How many of φ are unknown, of the tables of levels, frequencies and decays.
+HYPER = (4, 1, 1)
 
 
 @dataclass(frozen=True)
@@ -95,16 +95,9 @@ def _precision(problem: Problem, minima: Minima, i: int) -> tuple[np.ndarray, fl
     """Of θ [size, size] with φ and w of all tables integrated out, and the logarithm of the volume these had."""
     u, people = problem.unknowns, minima.people
     precision = np.diag(np.where(minima.descent.moves, 1 / np.where(u.free, u.sd, 1.0) ** 2, 0.0))
-    there = Report(*(x[i] for x in people.report))
-    more, volume = without_nuisances(
-        minima.descent.table, people.residual[i], people.jacobian[i], people.phi[i], people.w[i], there, 4
-    )
-    precision += more
-    string, state = people.z[i, :STRING_SIZE], minima.strings[i]
-    residuals, slopes = string_residuals(problem, string)
-    tables = problem.observed.frequency, problem.observed.decay
-    for table, r, s, phi, w in zip(tables, residuals, slopes, state.phi, state.w, strict=True):
-        more, own = without_nuisances(table, r, s, phi, w, report(table, r, s, phi, w), 1)
-        precision[:STRING_SIZE, :STRING_SIZE] += more
+    volume = 0.0
+    for table, part, hyper in zip(minima.descent.tables, people.parts, HYPER, strict=True):
+        more, own = without_nuisances(table, jax.tree.map(lambda x: x[i], part), hyper)
+        precision += more
         volume += own
     return precision, volume

@@ -19,7 +19,7 @@ from ..setup import Layer, Setup, layer_of
 from . import priors
 from .coordinates import ABSENT, STRING_SIZE, Unknowns, names_of
 from .lanes import Cfg, Scene
-from .observations import Layout, Observed, observe
+from .observations import Layout, Observed, observe, string_residuals
 from .start import Start, starting_values
 
 __all__ = ["Problem", "frame", "pose"]
@@ -80,6 +80,12 @@ class Problem:
     def velocity(self) -> int:
         """Where the velocity of the reference's stroke stands among the unknowns."""
         return self.unknowns.shared + self.layout.stroke[self.reference]
+
+    def string_residuals(self, string: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray]]:
+        """Of frequencies and decays residuals [1, K] and their laws' derivatives [1, K, 4] at a `string` [4]."""
+        o = self.observed
+        measured = o.frequency.value[0], o.decay.value[0]
+        return string_residuals(string, measured, o.string_number, o.law, float(self.start.geometry.length))
 
 
 def pose(

@@ -19,11 +19,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ..units import NORMAL
-from .coordinates import STRING_SIZE
 from .descent import Descent
 from .estimate import Estimate
 from .problem import Problem
-from .string import StringState, hyper_step, string_report
 from .views import View, open_messages, reported
 
 __all__ = ["RISE", "profiles"]
@@ -38,8 +36,6 @@ MOST = 24
 NEAR = 0.03
 # Of each minimisation: steps, and the least gain of F by a step; a hundredth of this is lost on an end.
 ITERATIONS, TOLERANCE = 60, 1e-4
-# Rounds of a minimisation over θ, φ and w of levels, then φ and w of frequencies and decays.
-ROUNDS = 12
 # The first step, log, of what Laplace's approximation knows nothing of because it is at a bound.
 FIRST_STEP = 0.5
 # √(rise) this far above what is asked tells nothing of where it is crossed.
@@ -51,9 +47,8 @@ LOWER = 0.5
 class _Point(NamedTuple):
     log: float  # of the value held
     x: np.ndarray  # logarithms of all values [size]
-    phi: np.ndarray
-    w: np.ndarray
-    strings: StringState
+    phi: tuple[np.ndarray, ...]  # of every table [1, 4]
+    w: tuple[np.ndarray, ...]  # likewise [1, R, K]
     F: float
 
 
@@ -100,8 +95,8 @@ class _Profile:
         self.problem, self.unknowns = problem, problem.unknowns
         self.offset = found.minima.descent.offset
         self.mean, self.covariance = found.posterior.mean[0], found.posterior.covariance[0]
-        best = found.minima.people
-        at = _Point(0.0, self.mean, best.phi[0], best.w[0], found.minima.strings[0], float(found.minima.F[0]))
+        best = found.minima.people.take(np.array([0]))
+        at = _Point(0.0, self.mean, best.phi, best.w, float(found.minima.F[0]))
         # As far down as along the way: else a rise would hold what the search left.
         self.start = self._lowest(problem, at)
 
@@ -109,30 +104,13 @@ class _Profile:
         """The minimum of F with the unknowns of `problem`, from `near`; infinite if a contact does not end there."""
         u = problem.unknowns
         z = u.project(u.from_log_values(near.x))
-        search = Descent(problem, z[:STRING_SIZE], strings := near.strings)
+        search = Descent(problem)
         search.offset = self.offset
-        one = search.begun(z[None], near.phi, near.w)
-        if not len(one):
+        begun = search.begun(z[None], near.phi, near.w)
+        if not len(begun):
             return near._replace(F=np.inf)
-        F = np.inf
-        for _ in range(ROUNDS):
-            one = search.descend(one, 0.0, ITERATIONS, TOLERANCE)
-            before = float(search.total(one.z, one.report)[0])
-            search.strings = strings = self._string_nuisances(one.z[0, :STRING_SIZE], strings)
-            F = float(search.total(one.z, one.report)[0])
-            if before - F < TOLERANCE:
-                break
-        return _Point(near.log, u.log_values(one.z[0]), one.phi[0], one.w[0], strings, F)
-
-    def _string_nuisances(self, string: np.ndarray, state: StringState) -> StringState:
-        """φ and w of frequencies and decays at the minimum of F."""
-        reports, F = string_report(self.problem, string, state), np.inf
-        for _ in range(ITERATIONS):
-            before, F = F, sum(float(x.F) for x in reports)
-            if before - F < 0.1 * TOLERANCE:
-                break
-            state, reports = hyper_step(self.problem, string, state, reports)
-        return state
+        one = search.descend(begun, 0.0, ITERATIONS, TOLERANCE)
+        return _Point(near.log, u.log_values(one.z[0]), one.phi, one.w, float(search.total(one)[0]))
 
     def _held(self, i: int, log: float, near: _Point, x: np.ndarray) -> _Point:
         """The minimum with value `i` held, from `x` [size] and the nuisances of `near`."""

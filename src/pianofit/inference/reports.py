@@ -57,8 +57,11 @@ def _hazard(z: np.ndarray) -> np.ndarray:
 
 
 def reports(table: Table, residual: np.ndarray, jacobian: np.ndarray, phi: np.ndarray, w: np.ndarray) -> Report:
-    """`report` of many points, one or more [B, ...]."""
+    """`report` of many points [B, ...]."""
     points = [report(table, *point) for point in zip(residual, jacobian, phi, w, strict=True)]
+    if not points:
+        size = jacobian.shape[-1]
+        return Report(*(np.zeros((0, *shape)) for shape in ((), (size,), (size, size), (4,), residual.shape[1:])))
     return Report(*(np.array(column) for column in zip(*points, strict=True)))
 
 

@@ -118,7 +118,7 @@ def _scored(
 
     parts = list(pool().map(suited, [slice(i, i + BLOCK) for i in range(0, len(z), BLOCK)]))
     best, chosen = (np.concatenate(column) for column in zip(*parts, strict=True))
-    best = best + descent.known(z)[0]
+    best = best + descent.prior(z)[0]
     z = z.copy()
     z[:, u.shared :] = np.where(free, grid[chosen], mean)
     order = np.argsort(best, kind="stable")

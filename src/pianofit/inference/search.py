@@ -8,6 +8,7 @@ lowest are started again from nearby.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -19,7 +20,7 @@ from .parabola import Parabola
 from .population import Population
 from .screen import screened, struck_anew, wide
 
-__all__ = ["distinct", "searched"]
+__all__ = ["NO_HAMMER", "distinct", "searched"]
 
 # How many of every answer about gains go on at wide φ, for how many steps;
 FIRST, FIRST_STEPS = 96, 4
@@ -66,23 +67,20 @@ def searched(
     # Whether recordings share a gain, nobody knows before a hammer is: each answer has its own hammers.
     parabolas = [Parabola.of(descent.table, phi, gains=node) for node in range(len(descent.table.scale))]
 
-    def lowered(each: Sequence[np.ndarray]) -> Population | None:
+    def lowered(each: Sequence[np.ndarray]) -> Population:
         """All of the candidates [S, size] of every parabola, each down its own."""
-        found: Population | None = None
-        for z, parabola in zip(each, parabolas, strict=True):
-            begun = descent.begun(z, phi, parabola=parabola)
-            if len(begun):
-                begun = descent.descend(begun, 0.0, FIRST_STEPS, parabola=parabola)
-                found = begun if found is None else found.join(begun)
-        return found
+        ends = [
+            descent.descend(descent.begun(z, [phi], parabola=parabola), 0.0, FIRST_STEPS, parabola=parabola)
+            for z, parabola in zip(each, parabolas, strict=True)
+        ]
+        return functools.reduce(Population.join, ends)
 
     each = screened(descent, seed, parabolas)
     people = lowered([np.concatenate([first[None], z[:FIRST]]) for z in each])
-    if people is None:
+    if not len(people):
         raise FitError(NO_HAMMER)
     progress("hammer", 0.3)
-    anew = lowered(struck_anew(descent, _going(descent, people, STAGES[0][0]).z, parabolas))
-    people = people if anew is None else people.join(anew)
+    people = people.join(lowered(struck_anew(descent, _going(descent, people, STAGES[0][0]).z, parabolas)))
     for stage, (count, iterations, floor) in enumerate(STAGES):
         progress("hammer", 0.4 + 0.1 * stage)
         people = descent.descend(_corrected(descent, _going(descent, people, count)), floor, iterations)
@@ -104,8 +102,8 @@ def searched(
 
 def _going(descent: Descent, people: Population, count: int) -> Population:
     """The lowest, of those that have come together one."""
-    scores = descent.total(people.z, people.report)
-    return people.take(np.array(distinct(people, descent.unknowns, scores, np.inf, ONE_VALLEY)[:count], int))
+    apart = distinct(people, descent.unknowns, descent.total(people), np.inf, ONE_VALLEY)
+    return people.take(np.array(apart[:count], int))
 
 
 def _corrected(descent: Descent, people: Population) -> Population:
@@ -116,7 +114,7 @@ def _corrected(descent: Descent, people: Population) -> Population:
 
 def _lowest(descent: Descent, people: Population) -> float:
     """F of the first."""
-    return float(descent.total(people.z[:1], people.take(np.array([0])).report)[0])
+    return float(descent.total(people)[0])
 
 
 def _nearby(descent: Descent, best: np.ndarray, random: np.random.Generator) -> np.ndarray:
@@ -144,17 +142,18 @@ def _restarted(
     ----------
     gains : the node of the gains by which the parabola goes; all of them by default.
     """
-    phi, w = people.phi[0], people.w[0]
-    parabola = Parabola.of(descent.table, phi, w, people.residual[0], gains)
-    more = descent.begun(points(people.z[0], parabola), phi, w, parabola)
+    best = people.take(np.array([0]))
+    there = best.level
+    parabola = Parabola.of(descent.table, there.phi[0], there.w[0], there.residual[0], gains)
+    more = descent.begun(points(best.z[0], parabola), best.phi, best.w, parabola)
     if not len(more):
         return people
     more = descent.descend(more, 0.0, TRIAL, parabola=parabola)
-    lowest = descent.total(people.z[:1], parabola(people.residual[:1], people.jacobian[:1]))[0]
-    going = np.flatnonzero(descent.total(more.z, more.report) < lowest + NEAR)[:GOING]
+    lowest = descent.prior(best.z)[0] + parabola(there.residual, there.jacobian).F
+    going = np.flatnonzero(descent.total(more) < lowest + NEAR)[:GOING]
     if len(going):
         people = people.join(descent.descend(more.take(going), 0.0, STAGES[-1][1]))
-    return people.take(np.argsort(descent.total(people.z, people.report), kind="stable"))
+    return people.take(np.argsort(descent.total(people), kind="stable"))
 
 
 def distinct(

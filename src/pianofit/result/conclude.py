@@ -208,14 +208,13 @@ def _minima(fit: Inferred, notes: Sequence[Sequence[Note]]) -> list[dict]:
 
 def _diagnostics(fit: Inferred) -> dict:
     problem, minima = fit.problem, fit.found.minima
-    (sigma, smooth, octaves, floor), strings = np.exp(minima.people.phi[0]).tolist(), minima.strings[0]
+    (sigma, smooth, octaves, floor), (cents, *_), (decay, *_) = (np.exp(x[0]).tolist() for x in minima.people.phi)
     return {
         "F": float(minima.F[0]), "evaluations": fit.found.lanes,
         "partials": int(np.asarray(problem.observed.level.found).sum()),
         "absent": len(problem.observed.level.absent),
         "contact_rate_Hz": float(problem.scene.rate), "modes": problem.cfg.n_modes, "steps": int(problem.scene.steps),
-        "excess": {"frequency_cents": float(np.exp(strings.phi[0][0])),
-                   "decay_relative": float(np.exp(strings.phi[1][0])), "level_db": sigma},
+        "excess": {"frequency_cents": cents, "decay_relative": decay, "level_db": sigma},
         "path": {"smooth_db": smooth, "octaves": octaves} if problem.path else None,
         "floor": floor,
         "correlated": [{"pair": [a, b], "correlation": r} for a, b, r in correlated(fit)],

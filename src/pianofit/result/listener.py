@@ -194,10 +194,10 @@ def _initial(fit: Inferred, i: int) -> Note:
 
 def _path_only(fit: Inferred) -> np.ndarray:
     """Levels that the initial hammer gives at the fitted velocities, through gain and path that suit it, dB [R, K]."""
-    descent, people = fit.found.minima.descent, fit.found.minima.people
+    descent, level = fit.found.minima.descent, fit.found.minima.people.level
     shared = fit.problem.unknowns.shared
     z = np.append(fit.begun[:shared], fit.found.z[shared:])
-    residual, _, good = descent.model(z[None])
+    laws, good = descent.model(z[None])
     if not good[0]:
         return np.full(descent.table.value.shape, SILENT)
-    return np.asarray(descent.table.value) - latent(descent.table, residual[0], people.phi[0], people.w[0]).own
+    return np.asarray(descent.table.value) - latent(descent.table, laws[0][0][0], level.phi[0], level.w[0]).own

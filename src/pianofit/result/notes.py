@@ -11,7 +11,6 @@ from ..inference.likelihood import Table, variance
 from ..inference.observations import placed, string_law
 from ..inference.problem import Problem
 from ..inference.reports import Latent, latent
-from ..inference.string import string_residuals
 from ..model.note import Note
 from ..model.path import OutputPath, Wander
 from .walks import NOTHING, between_strokes
@@ -21,8 +20,8 @@ __all__ = ["latents", "notes_of"]
 
 def latents(minima: Minima, which: int) -> Latent:
     """What F integrated out, at one minimum."""
-    people, descent = minima.people, minima.descents[which]
-    return latent(descent.table, people.residual[which], people.phi[which], people.w[which])
+    level = minima.people.level
+    return latent(minima.descents[which].table, level.residual[which], level.phi[which], level.w[which])
 
 
 def notes_of(problem: Problem, minima: Minima, which: int) -> list[Note]:
@@ -52,7 +51,7 @@ def _path(problem: Problem, minima: Minima, which: int, group: int, left: Latent
     frequency = string_law(people.z[which, :STRING_SIZE], number, problem.start.geometry.length)[0][0]
     velocity = np.exp(people.z[which, problem.unknowns.shared :])[np.array(problem.layout.stroke)[mine]]
     seen, error, weight = (
-        x[np.ix_(mine, found)] for x in _left(observed.level, people.phi[which], people.w[which], left)
+        x[np.ix_(mine, found)] for x in _left(observed.level, people.level.phi[which], people.level.w[which], left)
     )
     known, db = between_strokes(seen / DB, error / DB, weight, velocity)
     return OutputPath(
@@ -71,8 +70,7 @@ def _left(table: Table, phi: np.ndarray, w: np.ndarray, left: Latent) -> tuple[n
 
 def _decays(problem: Problem, minima: Minima, which: int, number: np.ndarray) -> np.ndarray:
     """Decay rates of partials over the law's at a minimum, shrunk to it by what noise leaves open."""
-    observed, string = problem.observed, minima.people.z[which, :STRING_SIZE]
-    residual = string_residuals(problem, string)[0][1]
-    own = np.diag(observed.decay.systematic) + np.exp(2 * minima.strings[which].phi[1][0])
+    observed, decay = problem.observed, minima.people.parts[2]
+    own = np.diag(observed.decay.systematic) + np.exp(2 * decay.phi[which, 0])
     share = own / (own + np.asarray(observed.decay.variance)[0])
-    return placed(np.exp(share * residual[0]), observed.string_number, number, 1.0)
+    return placed(np.exp(share * decay.residual[which, 0]), observed.string_number, number, 1.0)

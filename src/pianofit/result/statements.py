@@ -258,7 +258,7 @@ def _assumed(fit: Inferred) -> list[str]:
 
 def _scattered(fit: Inferred) -> str:
     """By how much partials leave the model, beyond the noise."""
-    frequency, decay = (np.exp(phi[0]) for phi in fit.found.minima.strings[0].phi)
+    frequency, decay = (np.exp(phi[0, 0]) for phi in fit.found.minima.people.phi[1:])
     return (
         f"Beyond the noise, partials scatter about the model by {frequency:.2f} cents (more from the "
         f"{priors.LAW_REACH:.0f}th on), {100 * decay:.0f} % in decay and {fit.excess:.2f} dB in level; "
