@@ -19,7 +19,9 @@ from batch_cases import DRIVE, TESTS, killed, library, python, quick_work, resul
 from pianofit.batch import Local, plan, run_batch, status
 from pianofit.batch.state import suggestions, time_left
 from pianofit.batch.store import Store, locked, opened
+from pianofit.batch.units import Outcome
 from pianofit.errors import OutputError
+from pianofit.threads import cores
 
 TEXTS = [f"note {i}" for i in range(8)]
 
@@ -152,6 +154,27 @@ def test_a_worker_is_replaced_before_it_has_grown_old(tmp_path, monkeypatch):
                 pass
             by.append(found[0][1].detail)
     assert by[0] == by[1] != by[2] == by[3] != by[4]
+
+
+def count_threads(unit, *_) -> Outcome:
+    from pianofit.inference.lanes import pool
+
+    return Outcome({}, detail=f"{cores()} {pool()._max_workers}")
+
+
+def test_a_worker_has_one_thread(tmp_path):
+    with Local(1, 2**31, 60.0, tmp_path / "scratch", work=count_threads) as worker:
+        worker.submit(library(tmp_path / "in", ["one"])[0])
+        while not (found := worker.finished(1.0)):
+            pass
+    assert found[0][1].detail == "1 1"
+
+
+@pytest.mark.parametrize(("said", "found"), [("3", 3), ("", None), ("0", None), ("all", None)])
+def test_threads_are_what_the_machine_was_told(monkeypatch, said, found):
+    monkeypatch.setenv("NPROC", said)
+    machine = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    assert cores() == (found or machine)
 
 
 def test_what_an_earlier_run_left_beside_a_failure_is_told(tmp_path):

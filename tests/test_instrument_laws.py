@@ -13,7 +13,7 @@ from instrument_cases import ERRORS, fit_document, force_entry, library, true_no
 from pianofit.errors import FitError
 from pianofit.keyboard import build_instrument, find_fits, load_keys, read_instrument
 from pianofit.keyboard.build import assemble
-from pianofit.keyboard.gather import LOUDEST, NAMES, invariants, literature, reference_compression
+from pianofit.keyboard.gather import LOUDEST, NAMES, invariants, literature, owner, reference_compression
 from pianofit.keyboard.laws import Prior, fit_law
 from pianofit.keyboard.velocity import hammer_velocity, velocity_map
 
@@ -42,6 +42,15 @@ def test_a_law_is_the_truth_within_its_intervals(piano, name):
     assert np.sqrt(np.mean(error**2)) < 0.75 * single[name]
     assert np.abs(error / sd).max() < 4
     assert not law["outliers"]
+
+
+@pytest.mark.parametrize(
+    ("folder", "name"),
+    [("cp80-Fs2", "cp80"), ("cp80 c#4", "cp80"), ("pianoC4", "piano"), ("C4", ""), ("bb3", ""), ("fitted1", ""),
+     ("take2", ""), ("headroom-A0-close", "")],
+)  # fmt: skip
+def test_an_instrument_is_named_where_a_folder_names_a_key(folder, name):
+    assert owner(Path(folder) / "fit.json") == name
 
 
 def test_keys_are_nearer_to_the_truth_than_their_fits(piano):

@@ -45,11 +45,11 @@ USES = {
     "paper": "analysis criterion felt inference io listening model parameters published recording report result setup"
     " tables",
     "keyboard": "analysis criterion fit_file io model parameters published report ringing_file",
-    "fitting": "analysis inference paper parameters progress recording result ringing setup",
+    "fitting": "analysis inference paper parameters progress recording result ringing setup threads",
     "play": "analysis decode felt io keyboard model parameters recording report tables threads",
     "batch": "analysis fitting io model parameters recording report tables",
     "cli": "analysis batch felt fit_file fitting io keyboard listening model paper parameters play progress"
-    " published recording report result setup",
+    " published recording report result setup threads",
     "__main__": "cli",
 }
 # What a method of a public type enters when it is called, against these arrows, by an import of its own.

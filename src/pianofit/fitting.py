@@ -15,6 +15,7 @@ from .parameters import check_seed, check_velocity
 from .progress import Progress, progress_bar
 from .recording import Recording, Source, read
 from .setup import Setup, layer_of, load_setup, setup_from_dict
+from .threads import cores
 
 if TYPE_CHECKING:
     from .result import Result
@@ -111,7 +112,7 @@ def listen(recordings: Sequence[Recording], note: str | None = None, f0: float |
 
     Raises `AnalysisError` if one is too short, or its note, or enough of its partials, is not there.
     """
-    with ThreadPoolExecutor(os.cpu_count()) as threads:
+    with ThreadPoolExecutor(cores()) as threads:
         return list(threads.map(lambda recording: analyse(recording, note=note, f0=f0), recordings))
 
 

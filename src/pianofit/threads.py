@@ -1,11 +1,19 @@
-"""One thread for BLAS, where its own would wait for each other or for ours."""
+"""How many threads there are: for our own work, and for BLAS, whose threads would wait for each other or for ours."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-__all__ = ["one_blas_thread"]
+__all__ = ["cores", "one_blas_thread"]
+
+
+def cores() -> int:
+    """Threads that this process may keep busy: what NPROC says, by which XLA goes too, or the cores it is let use."""
+    if (said := os.environ.get("NPROC", "")).isdecimal() and int(said):
+        return int(said)
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @contextmanager

@@ -7,7 +7,6 @@ keys failed and all others are done, 130 interrupted. What is finished stays, an
 from __future__ import annotations
 
 import contextlib
-import os
 import shlex
 import signal
 import sys
@@ -22,6 +21,7 @@ from ..io import one_line
 from ..parameters import check_seed
 from ..recording import check_channel
 from ..setup import load_setup, setup_from_dict
+from ..threads import cores
 from .options import Channel, Json, Seed, number, one_of, whole
 from .terminal import tell
 
@@ -195,8 +195,7 @@ def _workers(workers: int | None, memory: float, time_limit: float, scheduler: s
 
     if scheduler is not None:
         return lambda _: Cluster(scheduler, by_value)
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return lambda store: Local(workers or cores, int(memory * 2**30), time_limit, store.scratch)
+    return lambda store: Local(workers or cores(), int(memory * 2**30), time_limit, store.scratch)
 
 
 def _line(p: Progress) -> str:

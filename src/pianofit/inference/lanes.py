@@ -8,7 +8,6 @@ Whatever is fitted, one recording or many, is a number of lanes, so all fits sha
 from __future__ import annotations
 
 import functools
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
@@ -24,6 +23,7 @@ from ..model.contact import leave
 from ..model.modes import mode_table
 from ..model.response import LEVEL_DECAY, LEVEL_SPAN
 from ..parameters import Geometry, String
+from ..threads import cores
 from .coordinates import STRING_SIZE
 
 __all__ = ["LANES", "Cfg", "Scene", "in_lanes", "levels", "own_levels", "own_slopes", "pool", "slopes"]
@@ -122,8 +122,7 @@ def own_slopes(strings, cents, lanes, scene: Scene, cfg: Cfg):
 @functools.cache
 def pool() -> ThreadPoolExecutor:
     """As many threads as this process may use cores: XLA works outside of Python's lock."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return ThreadPoolExecutor(cores)
+    return ThreadPoolExecutor(cores())
 
 
 def in_lanes(program: Callable, lanes: tuple, scene: Any, cfg: Any, size: int = LANES) -> tuple[np.ndarray, ...]:

@@ -44,7 +44,8 @@ UNTOLD_OTHER = 0.1
 UNSETTLED = 2.0
 # What `fit.json` calls a velocity or a gain that was known; `fixed` in its first schema.
 KNOWN = ("given", "fixed")
-_KEY = re.compile(r"(.*?)[-_ ]?([A-Ga-g][#sb♯♭]?(?:-1|\d))")
+# An instrument's name and a key's, apart, or the key's in a capital: "take2" is no E2.
+_KEY = re.compile(r"(.*?)(?:(?:^|[-_ ])(?=[a-g])|[-_ ]?(?=[A-G]))([A-Ga-g][#sb♯♭]?(?:-1|\d))")
 
 
 class Layer(NamedTuple):

@@ -1,4 +1,4 @@
-"""All that is only the paper's (Bensa, Gipouloux and Kronland-Martinet 2005), in its order; only commands need it.
+"""All that is only the paper's (Bensa, Gipouloux and Kronland-Martinet 2005), in its order; no room is built on it.
 
 - III, and the appendix: `scheme`, eq. 9 to 18 with their matrices, and the derivatives of A7 to A13: a witness that
   shares nothing with the model, whose string and hammer are those of eq. 1 to 8, but the parameters' names.

@@ -41,7 +41,7 @@ class Table(NamedTuple):
     drive: np.ndarray  # complex: the same in file units, before the path
     pickup: np.ndarray  # complex: signal = Re(pickup · a) before the path, for a displacement q = Re(a)
     faint: np.ndarray  # |pickup · a| of a mode that is not heard behind the path, file units: -160 dB
-    path: np.ndarray | None  # [samples] at the signals' rate: what the signal goes through, see `note.impulse`
+    path: np.ndarray | None  # [samples] at the signals' rate: what the signal goes through, see `path.impulse`
 
 
 @kept
@@ -72,7 +72,7 @@ def table_of(note: Note, rate: float) -> Table:
     own = np.asarray(modes.pole)
     size, turn = np.abs(own), np.imag(own)
     path, pole = through(note.path, own)
-    # The scheme's displacement is the string's own up to this factor, see `mode_table`.
+    # The scheme's displacement is the string's own up to this factor, see `modes`.
     angle = np.minimum(0.5 * size / contact, HIGHEST * np.pi)
     warp = angle / (np.sin(angle) * np.cos(angle))
     below = turn < np.pi * rate

@@ -8,7 +8,6 @@ its recording, and the key rings by its modes, or by its modes and its knock, on
 from __future__ import annotations
 
 import dataclasses
-import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
@@ -18,7 +17,7 @@ import numpy as np
 from ..model.modal import LEAD, Force, Ringing, force_of, resampled
 from ..result import FittedRecording, Result, Sound
 from ..ringing_file import ringing_document
-from ..threads import one_blas_thread
+from ..threads import cores, one_blas_thread
 from .distance import log_mel_distances
 from .heard import Heard, hear
 from .key import Key, key_of
@@ -94,7 +93,7 @@ def _left_out(layers: _Layers, modes: Sequence[PartialModes], key: Key) -> dict[
     """Mean distance, dB, of layers that gave neither patterns nor knock, by what they ring by; of one layer none."""
     count = len(layers.fitted)
     inner = range(1, count - 1) if count > 2 else range(count) if count > 1 else ()
-    with ThreadPoolExecutor(os.cpu_count()) as threads:
+    with ThreadPoolExecutor(cores()) as threads:
         rows = list(threads.map(lambda out: _distances(layers, modes, key, out), inner))
     return {rung: float(np.mean([row[rung] for row in rows])) for rung in RUNGS} if rows else {}
 
