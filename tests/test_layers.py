@@ -34,7 +34,7 @@ USES = {
     "setup": "felt io parameters",
     "analysis": "recording tables",
     "criterion": "analysis",
-    "model": "criterion decode felt parameters",
+    "model": "decode felt parameters",
     "ringing_file": "decode io model",
     "fit_file": "decode felt io model parameters ringing_file",
     "inference": "analysis felt io model parameters progress published recording setup tables threads",
@@ -44,7 +44,7 @@ USES = {
     "listening": "io recording report",
     "paper": "analysis criterion felt inference io listening model parameters published recording report result setup"
     " tables",
-    "keyboard": "analysis criterion fit_file io model parameters published report ringing_file",
+    "keyboard": "analysis fit_file io model parameters published report ringing_file",
     "fitting": "analysis inference paper parameters progress recording result ringing setup threads",
     "play": "analysis decode felt io keyboard model parameters recording report tables threads",
     "batch": "analysis fitting io model parameters recording report tables",

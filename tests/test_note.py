@@ -71,19 +71,18 @@ def test_the_touch_is_found_from_what_is_seen_of_it_in_the_noise(colour, midi, n
 
 @pytest.mark.parametrize("midi", [40, 60, 84])
 def test_every_partial_is_as_loud_as_the_path_says(midi):
-    """Where the criterion hears it, on the damped circle, and though each partial has a decay of its own."""
+    """Under exp(-8t), as levels are measured, though each partial has a decay of its own."""
     note = uneven_note(midi)
     rate = 44_100
     through, _ = note.stroke(rate, 2 * rate)
     plain, _ = note._replace(path=None).stroke(rate, 2 * rate)
-    damped = np.exp(-30.0 * np.arange(2 * rate) / rate)
+    damped = np.exp(-8.0 * np.arange(2 * rate) / rate)  # 0.35 s hold all of it but 0.02 dB
     energy = np.abs(np.fft.rfft(np.stack([through, plain]) * damped)) ** 2
     f, bins = note.path.frequency, np.fft.rfftfreq(2 * rate, 1 / rate)
     lines = np.abs(bins - f[:, None]) < 0.2 * f[0]
     found = 10 * np.log10((lines @ energy[0]) / (lines @ energy[1]))
-    # On that circle a line is 5 Hz wide, and of neighbours 82 Hz apart it reaches into the path’s steps: most where
-    # the force is faint at the partial.
-    np.testing.assert_allclose(found, note.path.db, atol=0.6)
+    # A line has a width, and reaches into the path’s steps to its neighbours: most where the force is faint there.
+    np.testing.assert_allclose(found, note.path.db, atol=0.7)
 
 
 def test_a_slow_push_goes_through_the_path_at_its_own_frequency():

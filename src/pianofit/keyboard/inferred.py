@@ -8,7 +8,7 @@ and the laws over the keyboard say it. So a partial of a key has
     decay       the mean decay curve, dB over time in units of the law's decay, of the neighbour's partials about that
                 frequency, as a sum of exponentials with positive amplitudes: the beats of single partials go, the
                 shape stays
-    level       its law's through the path: the same energy on the damped circle
+    level       its law's through the path
     phases      in every channel those of the neighbour's nearest partial
 
 The neighbour's knock is left out, and keys farther from a recorded one than `REACH` ring by their law:
@@ -23,10 +23,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import nnls
 
-from ..criterion import WIDEST_SIGMA
 from ..model.modal import Ringing
 from ..model.modes import mode_frequencies, raised_cosine_weights
 from ..model.note import Note
+from ..model.response import level_energy
 from .gather import of_force
 
 __all__ = ["REACH", "inferred"]
@@ -130,8 +130,8 @@ def _borrowed(law: _Law, near: _Neighbour) -> Ringing:
     share = near.share[_nearest(frequency, near.centre)]
     phase = near.phase[_nearest(frequency, near.frequency)]
     both = decay[:, None, None] * (RATIOS[:, None] + RATIOS)
-    energy = np.einsum("ki,kij,kj->k", share, 1 / (2 * WIDEST_SIGMA + both), share)
-    wanted = law.impulse[:count] / np.sqrt(2 * (WIDEST_SIGMA + decay) * energy)
+    energy = np.einsum("ki,kij,kj->k", share, level_energy(both), share)
+    wanted = law.impulse[:count] * np.sqrt(level_energy(2 * decay) / energy)
     mean = np.maximum(np.abs(phase.mean(axis=1)), CANCELLED)
     k, i = np.nonzero(share)
     pattern = (phase / mean[:, None])[k].T * (wanted[k] * share[k, i])

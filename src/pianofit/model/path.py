@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.signal import oaconvolve
 
-from ..criterion import WIDEST_SIGMA
+from .response import level_energy
 
 __all__ = ["SAME_PARTIAL", "OutputPath", "Wander", "at_velocity", "filtered", "impulse", "through"]
 
@@ -86,14 +86,13 @@ def at_velocity(known: np.ndarray, rows: np.ndarray, velocity: Any) -> np.ndarra
 def through(path: OutputPath | None, pole: np.ndarray) -> tuple[OutputPath | None, np.ndarray]:
     """What a path makes of modes of complex `pole`, 1/s [modes]: the filter they go through, and their poles.
 
-    Every partial has a level of its own, which is the filter's, and a decay of its own, at which its energy on the
-    damped circle, where the criterion hears it, stays what it was.
+    Every partial has a level of its own, which is the filter's, and a decay of its own, at which that level stays.
     """
     if path is None:
         return None, pole
     frequency, law = np.abs(pole) / (2 * np.pi), -np.real(pole)  # ascending, however damped
     own = law * path.decay_at(frequency)
-    held = 10 * np.log10((WIDEST_SIGMA + own) / (WIDEST_SIGMA + law))
+    held = 10 * np.log10(level_energy(2 * law) / level_energy(2 * own))
     return OutputPath(frequency, path.at(frequency) + held), -own + 1j * np.imag(pole)
 
 

@@ -159,9 +159,14 @@ def level_db(
 
     `xp` is the array library: NumPy where nothing is to be compiled, whose arrays then come back.
     """
-    rate = 2 * (decay + LEVEL_DECAY)
-    energy = 0.5 * xp.abs(amplitude) ** 2 * (1 - xp.exp(-rate * LEVEL_SPAN)) / rate
+    energy = 0.5 * xp.abs(amplitude) ** 2 * level_energy(2 * decay, xp)
     return 10 * xp.log10(xp.maximum(energy, np.finfo(float).tiny))
+
+
+def level_energy(decay: AnyArray, xp=np) -> AnyArray:
+    """∫ exp(-(decay + 16)t) dt, s [...], over the 0.35 s of a level: of power that falls by `decay`, 1/s."""
+    rate = decay + 2 * LEVEL_DECAY
+    return (1 - xp.exp(-rate * LEVEL_SPAN)) / rate
 
 
 @float64

@@ -19,7 +19,7 @@ const MOST_MODES = 512;
 const MOST_DAMPED = 0.9; // α/ω of a mode that does not sound
 const SAME_PARTIAL = 0.005; // relative; see model/path.py
 const RESPONSE = 1.0; // s, for which a path's response is computed; its first half is kept
-const WIDEST_SIGMA = 30.0; // 1/s, see criterion.py
+const LEVEL_SPAN = 0.35, LEVEL_DECAY = 8.0; // s and 1/s, see model/response.py
 // A path's response ends where what is left of it holds this part of its energy, -112 dB: then the sound is within
 // -80 dB of that through all of it.
 const LEFT_OVER = 6e-12;
@@ -228,6 +228,12 @@ function pickupOf({ quantity, string, geometry }, beta, k, alpha, turn) {
   return [k % 2 ? -tension : tension, 0];
 }
 
+/** ∫ exp(-2(decay + 8)t) dt over the span of a level, s. */
+function levelEnergy(decay) {
+  const rate = 2 * (decay + LEVEL_DECAY);
+  return -Math.expm1(-rate * LEVEL_SPAN) / rate;
+}
+
 /** The path of the string's modes: each one's level in the filter, dB, and its own decay, 1/s; see `path.through`. */
 function through(path, pole) {
   const count = pole.re.length, size = Float64Array.from(pole.re, (x, k) => Math.hypot(x, pole.im[k]) / (2 * Math.PI));
@@ -243,7 +249,7 @@ function through(path, pole) {
     const level = near ? path.db[nearest] : path.db[lower] + part * (path.db[above] - path.db[lower]);
     const law = -pole.re[k];
     own[k] = law * (near ? path.decay[nearest] : 1);
-    db[k] = level + 10 * Math.log10((WIDEST_SIGMA + own[k]) / (WIDEST_SIGMA + law));
+    db[k] = level + 10 * Math.log10(levelEnergy(law) / levelEnergy(own[k]));
   }
   return { frequency: size, db, own };
 }
