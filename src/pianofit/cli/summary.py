@@ -74,7 +74,7 @@ def _found(table: dict) -> list[str]:
     """Values with their intervals and statuses, a line each, and an empty one; nothing of nothing."""
     rows = [("", "value", "unit", "95 % interval", "status")] if table else []
     for name, p in table.items():
-        open_at = ", ".join(f"{ONLY[end]}: the box" for end in p.get("interval_open", ()))
+        open_at = ", ".join(f"{ONLY[end]}: the bound" for end in p.get("interval_open", ()))
         status = p["status"] + (f" ({open_at})" if open_at else "")
         about = {"v": f"  {Path(p['note']).name}", "F": f"  {p['note']}"}.get(name[0], "") if "/" in name else ""
         value, span = bracketed(p["value"], p["interval"])

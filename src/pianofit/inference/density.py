@@ -81,7 +81,9 @@ def _white(problem: Problem, found: Estimate) -> np.ndarray:
     """A root of Laplace's covariance of z [size, free]; by prior and box of what is at a bound."""
     u = problem.unknowns
     free, tangent = np.flatnonzero(u.free), np.linalg.inv(u.tangent(found.z))
+    loose_at = u.at_bound(found.z)[free]  # a force that only follows p, because K_H lies at a bound, is one of these
     covariance = (tangent @ found.posterior.covariance[0] @ tangent.T)[np.ix_(free, free)]
+    covariance = np.where(loose_at[:, None] | loose_at, 0.0, covariance)
     loose = np.minimum(u.sd, OF_BOX * (u.upper - u.lower))[free]
     scale = np.sqrt(np.where(np.diag(covariance) > 0, np.diag(covariance), loose**2))
     correlation = covariance / np.outer(scale, scale)

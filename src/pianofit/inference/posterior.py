@@ -77,11 +77,13 @@ def laplace(problem: Problem, minima: Minima) -> Posterior:
     for i in range(len(people)):
         precision, log_det = _precision(problem, minima, i)
         covariance = np.zeros((u.size, u.size))
-        moves = minima.descent.moves & ~u.at_bound(people.z[i])
-        inner = precision[np.ix_(moves, moves)]
+        bound = u.at_bound(people.z[i])
+        moves = minima.descent.moves & ~bound
+        along = u.along_edges(people.z[i : i + 1], bound[None])[0]
+        inner = (along.T @ precision @ along)[np.ix_(moves, moves)]
         scale = 1 / np.sqrt(np.diag(inner))
         covariance[np.ix_(moves, moves)] = np.linalg.inv(inner * np.outer(scale, scale)) * np.outer(scale, scale)
-        tangent = u.tangent(people.z[i])
+        tangent = u.tangent(people.z[i]) @ along
         covariance = tangent @ covariance @ tangent.T
         covariances.append(0.5 * (covariance + covariance.T))  # to the last bit
         volumes.append(-0.5 * (np.linalg.slogdet(inner)[1] + log_det))

@@ -127,7 +127,7 @@ def _invariants(fit: Inferred, states: dict[str, str]) -> dict:
         "x0/L": _alone(fit, states, "x0", g.length),
     }
     if u.power and u.free[u.power[0]]:  # a given K_H has no compression of reference
-        table["F/M_S"] = _force(fit, *u.power)
+        table["F/M_S"] = _force(fit, states, *u.power)
     return table | _ratios(fit)
 
 
@@ -147,13 +147,14 @@ def _alone(fit: Inferred, states: dict[str, str], name: str, over: float, unit: 
     return row | seen | ({"interval": [end / over for end in seen["interval"]]} if seen else {})
 
 
-def _force(fit: Inferred, stiffness: int, p: int) -> dict:
+def _force(fit: Inferred, states: dict[str, str], stiffness: int, p: int) -> dict:
     """Of the felt at the reference compression, over the mass of the string."""
     problem, u, z = fit.problem, fit.problem.unknowns, fit.found.z
     change = np.eye(u.size)[stiffness] + float(np.exp(z[p])) * u.log_u * np.eye(u.size)[p]
     note = f"static force of the felt at {1e3 * np.exp(u.log_u):.3g} mm"
     note += ", at the reference velocity shown" if problem.unscaled else ""
-    lost = ["not-identifiable"] * (u.names[stiffness] in taken_back(fit))
+    own = [states[u.names[i]] for i in (stiffness, p)]
+    lost = ["at-bound"] * ("at-bound" in own) + ["not-identifiable"] * (u.names[stiffness] in taken_back(fit))
     value = float(np.exp(z[stiffness])) / problem.start.geometry.mass
     row = _combined(fit.gauged, change, value, "N/kg", lost, note)
     return row | ({"status": "scaled"} if problem.unscaled and row["status"] == "fitted" else {})

@@ -42,7 +42,7 @@ MIXED = {
     "posterior": "Predictions are those of the mixture; the parameters' intervals are the posterior's draws.",
 }
 STOPPED = "The search stopped before it converged; no value is a result."
-AT_EDGE = "At the edge of the box, so their values are the box's: {}."
+AT_EDGE = "At a bound of the search, which decides the value, and what else is found holds with it there: {}."
 WORSE = "The paper's criterion, which this fit does not minimise, is no lower than at the start: {}."
 ONE_VELOCITY = (
     "One uncalibrated recording does not fix the felt: any hammer's spectrum can be traded for an output path, and a "
@@ -132,6 +132,8 @@ def claims(fit: Inferred, states: dict[str, str], levels: dict) -> str:
     )
     if not problem.layout.compared:
         return text + " The felt's values are one possibility under the prior of the path, not a finding."
+    bound = [name for name, state in states.items() if state == "at-bound"]
+    text += f" {AT_EDGE.format(', '.join(bound))}" if bound else ""
     text += _beyond_a_pianist(fit)
     if problem.unscaled:
         moving = (name.replace("mu", "μ") for name in problem.unknowns.law.scaling("N m"))
@@ -268,17 +270,20 @@ def _scattered(fit: Inferred) -> str:
 
 def _mixture(fit: Inferred) -> list[str]:
     """How much weight the heaviest minimum has, and another hammer about as probable."""
-    share, mean, z = fit.posterior.share, fit.posterior.mean, fit.found.minima.people.z
+    share, z = fit.posterior.share, fit.found.minima.people.z
     if len(share) == 1 or share[0] > 1 - NAMED:
         return []
     u, other = fit.problem.unknowns, 1 + int(np.argmax(share[1:]))
-    apart = np.abs(mean[other] - mean[0])
-    if u.power:
-        apart[u.power[0]] = abs(z[other, u.power[0]] - z[0, u.power[0]])
-    at = int(np.argmax(np.where(u.free[: u.shared], apart[: u.shared], 0.0)))
-    values = np.exp(mean[[0, other], at])
+    # In standard deviations; of a felt with a power by its force, as it is searched: K_H says little without p.
+    untangled = np.linalg.inv(u.tangent(z[0]))
+    sd = np.sqrt(np.diag(untangled @ fit.posterior.covariance[0] @ untangled.T))
+    apart = np.abs(z[other] - z[0]) / np.where(u.free, np.where(sd > 0, sd, u.sd), np.inf)
+    at = int(np.argmax(apart[: u.shared]))
+    force = f"the felt's force at {1e3 * np.exp(u.log_u):.3g} mm, N"
+    named = force if u.power and at == u.power[0] else u.names[at]
+    shown, second = np.exp(z[[0, other], at])
     return [
         f"The minimum that is shown has the largest share of the posterior, {100 * share[0]:.0f} %. Another hammer, "
-        f"with {100 * share[other]:.0f} %, differs most in {u.names[at]}: {values[1]:.4g} instead of {values[0]:.4g}. "
+        f"with {100 * share[other]:.0f} %, differs most in {named}: {second:.4g} instead of {shown:.4g}. "
         + MIXED["laplace" if fit.view is None else fit.view.means]
     ]
