@@ -129,7 +129,9 @@ def test_one_uncalibrated_recording_does_not_fix_the_felt_and_says_so_first():
         "F/M_S": "not-identifiable",
     }  # fmt: skip
     assert document["recordings"][0]["gain_status"] == "fitted"
-    assert document["levels"]["path_only_db"] is not None
+    # Of one recording velocities, strike and path do nearly all that the fitted hammer does.
+    levels = document["levels"]
+    assert levels["fitted_db"] < levels["path_only_db"] + 0.1 < 0.2 * levels["initial_db"]
 
 
 def test_what_needs_no_calibration_is_still_right():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,10 +14,12 @@ from pianofit.inference import Problem, estimate, pose
 from pianofit.inference.descent import LEVELS, Descent
 from pianofit.inference.estimate import _apart, string_minimum
 from pianofit.inference.finish import finished
+from pianofit.inference.infer import Inferred
 from pianofit.inference.parabola import Parabola
 from pianofit.inference.posterior import Posterior
 from pianofit.inference.screen import screened, struck_anew, wide
 from pianofit.inference.search import distinct, searched
+from pianofit.result import conclude
 
 
 @functools.cache
@@ -129,6 +132,33 @@ def test_the_hammer_is_found_without_an_error_of_the_steps():
     u = np.exp(problem().unknowns.log_u)
     assert np.exp(z[problem().unknowns.at("K_H")]) == pytest.approx(HAMMER.K_H * u**HAMMER.p, rel=5e-3)
     assert found().minima.converged[0]
+
+
+def test_on_the_edge_of_K_H_the_force_follows_p():
+    """K_H is held there: what is known of p is what is known of the force, and F rises by a half in one deviation."""
+    low = pose([tone()], [played()], replace(setup(), bounds={"K_H": (1e8, 0.1 * HAMMER.K_H)}))
+    one, u = estimate(low, 0), low.unknowns
+    force, p = u.power
+    assert u.at_bound(one.z)[force]
+    assert not u.at_bound(one.z)[p]
+    cov = one.posterior.covariance[0]
+    assert not cov[force].any()
+    slope = np.exp(one.z[p]) * u.log_u
+    change = np.eye(u.size)[force] + slope * np.eye(u.size)[p]
+    assert one.posterior.spread(change) == pytest.approx(-slope * np.sqrt(cov[p, p]), rel=1e-3)
+    descent, best = one.minima.descent, one.minima.people.take(np.array([0]))
+    inner = np.flatnonzero(cov.diagonal() > 0)
+    z = np.tile(u.log_values(one.z), (2, 1))
+    z[:, inner] += np.outer([-1, 1], cov[p, inner] / np.sqrt(cov[p, p]))
+    moved = descent.begun(u.from_log_values(z), best.phi, best.w)
+    for _ in range(20):  # φ and w settle
+        parts = (descent._settled(*pair, 0.0) for pair in zip(descent.tables, moved.parts, strict=True))
+        moved = replace(moved, parts=tuple(parts))
+    assert (descent.total(moved) - one.minima.F[0]).mean() == pytest.approx(0.5, abs=0.15)
+    document = conclude(Inferred(low, one, 0, None)).document
+    assert document["parameters"]["K_H"]["status"] == "at-bound"
+    assert document["invariants"]["F/M_S"]["status"] in ("at-bound", "not-identifiable")
+    assert document["parameters"]["K_H"]["interval"] is None
 
 
 def test_the_same_seed_gives_the_same_result_and_another_the_same_minimum():

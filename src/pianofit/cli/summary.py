@@ -39,7 +39,7 @@ def summary(document: dict, folder: Path) -> str:
     lines += [x for table in (document["invariants"], document["parameters"]) for x in _found(table)]
     d, levels = document["derived"], document["levels"]
     lines.append(f"f0 {d['f0']:.3f} Hz, B {d['B']:.4g}, {contact(d)}")
-    only = "" if levels["path_only_db"] is None else f", path alone {levels['path_only_db']:.1f} dB"
+    only = "" if levels["path_only_db"] is None else f", literature's hammer {levels['path_only_db']:.2f} dB"
     count = len(document["recordings"])
     where = "levels of partials" + (f" in {count} recordings" if count > 1 else "")
     lines.append(f"{levels['partials']} {where}: start {levels['initial_db']:.2f} dB{only}, "

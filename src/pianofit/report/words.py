@@ -214,16 +214,16 @@ def groups(fit: dict[str, Any]) -> list[tuple[str, str, str, list[str]]]:
 
 
 def comparison(fit: dict[str, Any]) -> str:
-    """Set the fit beside what an unknown path can do without it; empty where that was not tried."""
+    """Set the fit beside what velocities and an unknown path can do without it; empty where that was not tried."""
     path, fitted = (fit["levels"][key] for key in ("path_only_db", "fitted_db"))
     if path is None:
         return ""
-    meaning = "A path alone does as well: these levels say nothing for the fitted hammer."
+    meaning = "It does as well: these levels say nothing for the fitted hammer."
     if path > fitted + 0.1:
-        meaning = "The fitted hammer explains more of the levels than a path alone."
+        meaning = "The fitted hammer explains more of the levels."
     return (
-        f"A smooth output path alone, with a hammer from the literature, would leave an error of {path:.1f} dB in the "
-        f"partials’ levels; the fit leaves {fitted:.1f} dB. {meaning}"
+        f"A hammer from the literature, at velocities and through an output path that suit it, leaves an error of "
+        f"{path:.1f} dB in the partials’ levels; the fitted one leaves {fitted:.1f} dB. {meaning}"
     )
 
 

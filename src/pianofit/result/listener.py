@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,9 +19,13 @@ from ..criterion import (
     line_sigma,
     measure,
 )
+from ..inference import descent as descents
+from ..inference.coordinates import STRING_SIZE
 from ..inference.infer import Inferred
 from ..inference.observations import placed
+from ..inference.parabola import Parabola
 from ..inference.reports import latent
+from ..inference.screen import struck_anew
 from ..model.note import Note
 from ..parameters import STRING_NAMES
 from ..recording import Recording
@@ -31,12 +35,14 @@ from .result import FittedRecording, Sound
 
 __all__ = ["Listener", "heard_beside", "scored", "together", "worse_bands"]
 
-# Of which levels of partials errors are told: before and after, and of the first hammer through the path that suits it.
+# Of which levels of partials errors are told: before and after, and of the first hammer as it suits.
 LEVELS = ("initial_db", "fitted_db", "path_only_db")
 # Levels are compared over partials to this, Hz: few hammers reach beyond,
 LEVEL_TOP = 6000.0
 # within so many dB of the strongest: other sounds lie there.
 LEVEL_RANGE = 60.0
+# Steps of the initial hammer's descent at the most, and the gain that ends it, F: a number to a tenth of a dB.
+STEPS, GAIN = 25, 0.1
 # dB, of a hammer whose contact does not end.
 SILENT = -300.0
 
@@ -193,11 +199,21 @@ def _initial(fit: Inferred, i: int) -> Note:
 
 
 def _path_only(fit: Inferred) -> np.ndarray:
-    """Levels that the initial hammer gives at the fitted velocities, through gain and path that suit it, dB [R, K]."""
-    descent, level = fit.found.minima.descent, fit.found.minima.people.level
-    shared = fit.problem.unknowns.shared
-    z = np.append(fit.begun[:shared], fit.found.z[shared:])
-    laws, good = descent.model(z[None])
-    if not good[0]:
+    """Levels of the initial hammer at the velocities, and through the gain and path, that suit it, dB [R, K].
+
+    Where its strike is free it is fitted too: what is left to the fitted hammer is what mass and felt explain.
+    """
+    problem, u, z = fit.problem, fit.problem.unknowns, fit.found.z
+    felt = np.arange(u.size) < u.shared
+    felt[:STRING_SIZE] = felt[[u.at("x0"), u.at("width")]] = False
+    known = replace(u, mean=np.where(felt, fit.begun, u.mean), sd=np.where(felt, 0.0, u.sd))
+    descent = descents.Descent(replace(problem, unknowns=known), z[:STRING_SIZE], descents.LEVELS)
+    descent.offset = descent.step_error(z)
+    phi = fit.found.minima.people.level.phi[:1]
+    parabolas = [Parabola.of(descent.table, phi[0], gains=node) for node in range(len(descent.table.scale))]
+    begun = np.concatenate(struck_anew(descent, known.project(np.stack([fit.begun, z])), parabolas))
+    people = descent.descend(descent.begun(begun, [phi]), 0.0, STEPS, GAIN)
+    if not len(people):
         return np.full(descent.table.value.shape, SILENT)
-    return np.asarray(descent.table.value) - latent(descent.table, laws[0][0][0], level.phi[0], level.w[0]).own
+    best = people.level
+    return np.asarray(descent.table.value) - latent(descent.table, best.residual[0], best.phi[0], best.w[0]).own

@@ -128,7 +128,8 @@ def claims(fit: Inferred, states: dict[str, str], levels: dict) -> str:
     through = "path" if problem.path else "gain"
     text += (
         f"Partial levels: {levels['initial_db']:.1f} dB off at the start; {levels['path_only_db']:.1f} dB with the "
-        f"literature's hammer through the {through} that suits it; {levels['fitted_db']:.1f} dB with the fitted hammer."
+        f"literature's hammer at the velocities and through the {through} that suit it; "
+        f"{levels['fitted_db']:.1f} dB with the fitted hammer."
     )
     if not problem.layout.compared:
         return text + " The felt's values are one possibility under the prior of the path, not a finding."
