@@ -6,13 +6,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.integrate import quad
 from table_cases import PHI, dense, noise, point, shared, table
 
 import pianofit.model  # noqa: F401  (float64)
 from pianofit.inference.likelihood import next_weights
 from pianofit.inference.nuisances import without_nuisances
 from pianofit.inference.population import Part
-from pianofit.inference.posterior import Posterior
+from pianofit.inference.posterior import Posterior, _log_curvature
 from pianofit.inference.reports import report
 
 pytestmark = pytest.mark.usefixtures("float64")
@@ -34,6 +35,13 @@ def test_a_linear_gaussian_problem_is_described_exactly():
     whole = (shared(t, PHI, (0, 0)) + np.diag(noise(t, PHI).ravel()))[np.ix_(there, there)]
     rows = jacobian.reshape(-1, 3)[there]
     np.testing.assert_allclose(found, rows.T @ np.linalg.solve(whole, rows), rtol=1e-5)
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.3, 2.0, 40.0])
+@pytest.mark.parametrize("curvature", [1e-6, 1.0, 50.0])
+def test_at_a_bound_half_a_parabola_is_integrated(slope, curvature):
+    inward = quad(lambda t: np.exp(-slope * t - 0.5 * curvature * t**2), 0, 10 / max(slope, np.sqrt(curvature)))[0]
+    assert np.exp(-0.5 * _log_curvature(slope, curvature)) == pytest.approx(inward / np.sqrt(2 * np.pi), rel=1e-3)
 
 
 def lowest(shape: str):

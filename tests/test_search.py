@@ -63,6 +63,17 @@ def test_a_descent_never_raises_F():
     assert ((people.z >= low) & (people.z <= high))[:, p.unknowns.free].all()
 
 
+def test_what_went_down_a_parabola_is_then_judged_by_F():
+    descent = Descent(problem(), string(), LEVELS)
+    parabola = Parabola.of(descent.table, wide(descent))
+    z = screened(descent, 3, [parabola])[0][:6]
+    people = descent.descend(descent.begun(z, [wide(descent)], parabola=parabola), 0.0, 2, parabola=parabola)
+    judged = descent.descend(people, 0.0, 0)
+    anew = descent.begun(judged.z, judged.phi, judged.w)
+    np.testing.assert_allclose(descent.total(judged), descent.total(anew), rtol=1e-10)
+    assert (np.abs(descent.total(people) - descent.total(judged)) > 1.0).any()
+
+
 def test_a_descent_with_everything_never_raises_F_and_ends_where_the_string_is():
     """φ and w of levels, frequencies and decays go down with θ, from where nothing is known."""
     descent, best = Descent(problem()), found().minima

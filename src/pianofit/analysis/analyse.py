@@ -212,14 +212,22 @@ def _misnamed(note: str | None, f0: float) -> tuple[str, ...]:
 
 def _warnings(table: Partials, losses: DecayLaw, fall: float) -> tuple[str, ...]:
     found = []
-    if len(table) < 3:
-        found.append(f"only {len(table)} partials found: B and the losses are hardly determined")
+    if len(table) == 1:
+        found.append("only one partial found: B is assumed, f0 rests on it, and the losses are hardly determined")
+    elif len(table) == 2:
+        found.append("only 2 partials found: B and the losses are hardly determined")
+    if np.mean(table.decay <= _LEAST_DECAY) > 0.5:
+        found.append(
+            "most partials do not decay, so decay rates are the least that is looked for: a loop, a sound played "
+            "backwards or a compressed one tells nothing of losses"
+        )
     if fall:
         found.append(f"the pitch {'falls' if fall > 0 else 'rises'} by {abs(fall):.1f} cents as the note decays")
     deep = int(np.sum(table.beating > _BEATS))
     if deep:
         found.append(
-            f"{deep} of {len(table)} partials beat by more than {_BEATS:g} dB: more than one string or polarisation"
+            f"{deep} of {len(table)} partials leave an even decay by more than {_BEATS:g} dB: more than one string or "
+            "polarisation, which beat, or a note that was damped or cut"
         )
     if losses.d2 < 2 * losses.d2_error and len(table) > 1:
         found.append("the decay rates do not show how losses rise with frequency (d2 is not measurable)")

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from contextlib import nullcontext, suppress
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..errors import AnalysisError, FitError, WrongNoteError
-from ..io import check_sound_target, encode_wav, json_text, one_line, output_folder, replace_file, write_file
+from ..io import check_sound_target, encode_wav, json_text, output_folder, replace_file, write_file
 from ..numbers import bracketed, columns, with_standard_error
 from ..parameters import check_seed, check_velocity
 from ..progress import progress_bar
-from ..recording import Recording, load_recording, read
+from ..recording import load_recording, read
 from ..setup import Setup, load_setup
 from ..units import NORMAL
 from . import options
@@ -23,7 +22,6 @@ from .terminal import tell
 
 if TYPE_CHECKING:
     from ..analysis import Analysis
-    from ..model.note import Note
 
 __all__ = ["analyse", "crossval", "fit", "predict"]
 
@@ -162,7 +160,6 @@ def predict(
 
 def _predicted(fit: Path, file: Path, out: Path | None, channel: str, force: bool) -> dict:
     """What came of predicting the recording `file` from a `fit.json`; its sound goes to `out`, if asked for."""
-    from ..analysis import analyse as run
     from ..fit_file import fit_path, gains_of, mixture_of, read_fit
     from ..model.cache import keep_programs
     from ..result.align import touched
@@ -173,14 +170,9 @@ def _predicted(fit: Path, file: Path, out: Path | None, channel: str, force: boo
     fit = fit_path(fit)
     document = read_fit(fit)
     mixture = mixture_of(document, fit)
-    note = mixture[0][1]
     recording = load_recording(file, channel=channel)
     keep_programs()
-    try:
-        analysis = run(recording, f0=note.f0)
-    except WrongNoteError:
-        raise FitError(_other_key(recording, note, fit)) from None
-    found = predict_recording(mixture, analysis, gains=gains_of(document))
+    found = predict_recording(mixture, recording, gains=gains_of(document))
     if out is not None:
         strike = found.note.strike(recording.rate)
         touch = touched(found.note, strike, recording)
@@ -192,21 +184,6 @@ def _predicted(fit: Path, file: Path, out: Path | None, channel: str, force: boo
         "predicted_db": found.error_db, "partials": found.partials, "v_H0": found.velocity, "v_H0_at_end": found.at_end,
         "gain_db": found.gain_db, "cents": found.cents,
     }  # fmt: skip
-
-
-def _other_key(recording: Recording, note: Note, fit: Path) -> str:
-    """Says that a recording is not of the key that was fitted, and what it sounds like."""
-    from ..analysis import analyse as run
-    from ..analysis import hz_to_note
-
-    f0, like = note.f0, ""
-    with suppress(AnalysisError):
-        found = run(recording).f0
-        like = f", and sounds like {hz_to_note(found)} ({found:.1f} Hz)"
-    return (
-        f"{recording.path}: is not of the key of {one_line(fit)}, {hz_to_note(f0)} ({f0:.1f} Hz){like}; give a "
-        "recording of the same key"
-    )
 
 
 def crossval(

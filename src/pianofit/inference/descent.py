@@ -189,8 +189,8 @@ class Descent:
         With a `parabola` it alone is lowered, and φ and w stay.
         """
         people = replace(people, gained=np.full(len(people), np.inf), damping=np.minimum(people.damping, FIRST_DAMPING))
-        if parabola is None and floor:
-            people = replace(people, parts=tuple(self._lifted(*pair, floor) for pair in self._by_table(people)))
+        if parabola is None:
+            people = replace(people, parts=tuple(self._judged(*pair, floor) for pair in self._by_table(people)))
         for _ in range(iterations):
             on = np.flatnonzero(people.gained > tolerance)
             if not len(on):
@@ -201,8 +201,8 @@ class Descent:
     def _by_table(self, people: Population) -> Iterable[tuple[Table, Part]]:
         return zip(self.tables, people.parts, strict=True)
 
-    def _lifted(self, table: Table, part: Part, floor: float) -> Part:
-        """With φ put where a floor which has risen allows it."""
+    def _judged(self, table: Table, part: Part, floor: float) -> Part:
+        """By F itself, which a parabola may have stood for, with φ where a floor which has risen allows it."""
         phi = np.clip(part.phi, *self._range(table, floor))
         return part._replace(phi=phi, report=reports(table, part.residual, part.jacobian, phi, part.w))
 
@@ -250,6 +250,10 @@ class Descent:
         settled = part._replace(phi=phi, w=w, report=found, inverse=inverse)
         return chosen(found.F < part.report.F, settled, part._replace(inverse=0.3 * part.inverse))
 
+    def slope(self, people: Population) -> np.ndarray:
+        """F's gradient by θ [B, size]."""
+        return self.prior(people.z)[1] + sum(part.report.gradient for part in people.parts)
+
     def promised(self, people: Population) -> np.ndarray:
         """What a step of θ would gain if F were its parabola [B]."""
         return self._direction(people, np.zeros(len(people)))[1]
@@ -257,9 +261,8 @@ class Descent:
     def _direction(self, now: Population, damping: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Steps of θ [B, size], an unknown on an edge that a step would leave stays; and half their slope [B]."""
         u = self.unknowns
-        _, gradient, curvature = self.prior(now.z)
-        gradient = gradient + sum(part.report.gradient for part in now.parts)
-        curvature = curvature + sum(part.report.curvature for part in now.parts)
+        gradient = self.slope(now)
+        curvature = self.prior(now.z)[2] + sum(part.report.curvature for part in now.parts)
         lower, upper = u.edges(now.z)
         active = ((now.z <= lower) & (gradient > 0)) | ((now.z >= upper) & (gradient < 0))
         along = u.along_edges(now.z, active)

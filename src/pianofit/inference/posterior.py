@@ -5,7 +5,8 @@ knows that the excess is itself read off a few levels. A minimum's share is its 
 
     share ∝ exp(-F) |H|^(-1/2),     H the Hessian of F by (θ, φ, log w)
 
-and a 95 % interval holds 95 % of the mixture.
+and a 95 % interval holds 95 % of the mixture. What lies at a bound is held there, and its share of the volume is that
+of the exponential by which the density falls inward.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from typing import Any
 import jax
 import numpy as np
 from scipy.optimize import brentq
+from scipy.special import erfcx
 from scipy.stats import norm
 
 from ..units import NORMAL
@@ -29,6 +31,8 @@ __all__ = ["HYPER", "Posterior", "laplace"]
 TAIL = 0.025
 # How many of φ are unknown, of the tables of levels, frequencies and decays.
 HYPER = (4, 1, 1)
+# A curvature across an edge below this share of its own is rounding.
+FLAT = 1e-8
 
 
 @dataclass(frozen=True)
@@ -80,9 +84,14 @@ def laplace(problem: Problem, minima: Minima) -> Posterior:
         bound = u.at_bound(people.z[i])
         moves = minima.descent.moves & ~bound
         along = u.along_edges(people.z[i : i + 1], bound[None])[0]
-        inner = (along.T @ precision @ along)[np.ix_(moves, moves)]
+        whole = along.T @ precision @ along
+        inner = whole[np.ix_(moves, moves)]
         scale = 1 / np.sqrt(np.diag(inner))
         covariance[np.ix_(moves, moves)] = np.linalg.inv(inner * np.outer(scale, scale)) * np.outer(scale, scale)
+        slope = along.T @ minima.descent.slope(people)[i]
+        for edge in np.flatnonzero(minima.descent.moves & bound):
+            across = whole[edge, edge] - whole[edge] @ covariance @ whole[edge]
+            log_det += _log_curvature(abs(slope[edge]), max(across, FLAT * whole[edge, edge]))
         tangent = u.tangent(people.z[i]) @ along
         covariance = tangent @ covariance @ tangent.T
         covariances.append(0.5 * (covariance + covariance.T))  # to the last bit
@@ -91,6 +100,14 @@ def laplace(problem: Problem, minima: Minima) -> Posterior:
     score = -minima.F + np.array(volumes)
     share = np.exp(score - score.max())
     return Posterior(np.array(logs), np.array(covariances), share / share.sum())
+
+
+def _log_curvature(slope: float, curvature: float) -> float:
+    """What at a bound stands for the logarithm of a curvature, where F rises inward by a slope and a curvature.
+
+    That is -2 log of ∫ exp(-slope t - ½ curvature t²) dt, t > 0, over √(2π).
+    """
+    return float(np.log(curvature) - 2 * np.log(0.5 * erfcx(slope / np.sqrt(2 * curvature))))
 
 
 def _precision(problem: Problem, minima: Minima, i: int) -> tuple[np.ndarray, float]:

@@ -47,7 +47,9 @@ def conclude(fit: Inferred) -> Result:
     document = describe(
         problem.start, heard, problem.reference, _rows(fit, heard, struck), _covariance(fit), recipe="default",
         seed=fit.seed, converged=bool(found.minima.converged[0]), claims=claims(fit, states, levels),
-        messages=messages(fit, states, worse_bands(heard[problem.reference].criterion)),
+        messages=messages(
+            fit, states, worse_bands(heard[problem.reference].criterion), [each.levels["fitted_db"] for each in heard]
+        ),
         invariants=_invariants(fit, states),
         parameters=_parameters(fit, states, struck[problem.layout.stroke[problem.reference]]),
         minima=_minima(fit, notes), diagnostics=_diagnostics(fit),

@@ -7,19 +7,21 @@ its partials' levels is the error of the prediction.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from scipy.optimize import fminbound
 
-from ..analysis import Analysis, analyse
+from ..analysis import Analysis, analyse, hz_to_note
 from ..criterion import level_error_db
-from ..errors import FitError
+from ..errors import AnalysisError, FitError, WrongNoteError
 from ..inference.priors import LEVEL, VELOCITY, VELOCITY_SPREAD, log_gain
+from ..io import one_line
 from ..model.note import SLOWEST, Note
 from ..model.path import SAME_PARTIAL
-from ..recording import Source
+from ..recording import Source, as_recording
 from ..threads import one_blas_thread
 from .listener import scored
 from .result import Result
@@ -50,6 +52,13 @@ class Prediction:
     level: np.ndarray  # dB, predicted, with what strokes of like velocity leave [partials]
     note: Note  # of the first minimum, without that
     at_end: bool = False  # whether the velocity is an end of the range that was searched, and no finding
+
+    def __repr__(self) -> str:
+        end = ", an end of the range searched" if self.at_end else ""
+        return (
+            f"Prediction({self.error_db:.2f} dB over {self.partials} partials at {self.velocity:.3g} m/s{end}, "
+            f"{self.cents:+.2f} cents and {self.gain_db:+.1f} dB from the fit)"
+        )
 
 
 @one_blas_thread()
@@ -96,7 +105,7 @@ def predict_recording(
         notes, gains = notes.mixture, notes.gains if gains is None else gains
     mixture = [(1.0, notes)] if isinstance(notes, Note) else list(notes)
     gains, (_, first) = gains or (0.0,), mixture[0]
-    analysis = analysis if isinstance(analysis, Analysis) else analyse(analysis, f0=first.f0)
+    analysis = analysis if isinstance(analysis, Analysis) else _of_the_key(analysis, first)
     p = analysis.partials
     chosen = scored(p.frequency, p.level) & _heard(first, p.number)
     if chosen.sum() < FEWEST:
@@ -110,6 +119,21 @@ def predict_recording(
     found = level_error_db(level[chosen], p.level[chosen])
     at_end = not SLOWEST * SAME < velocity < FASTEST / SAME
     return Prediction(velocity, gain, cents, found, int(chosen.sum()), level, note, at_end)
+
+
+def _of_the_key(source: Source, note: Note) -> Analysis:
+    """The analysis of a recording; where it is not of the note's key, the error says what it sounds like."""
+    recording, like = as_recording(source), ""
+    try:
+        return analyse(recording, f0=note.f0)
+    except WrongNoteError:
+        with suppress(AnalysisError):
+            found = analyse(recording).f0
+            like = f", and sounds like {hz_to_note(found)} ({found:.1f} Hz)"
+    raise WrongNoteError(
+        f"{one_line(recording.path)}: is not of the fit's key, {hz_to_note(note.f0)} ({note.f0:.1f} Hz){like}; give a "
+        "recording of the same key"
+    )
 
 
 def _at_best(

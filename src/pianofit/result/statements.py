@@ -32,6 +32,8 @@ STRAINED = 0.1
 POOR = 0.5
 # Correlation of two logarithms beyond which they are named.
 STRONG = 0.99
+# A recording whose levels are so many times as far off as the others' is named.
+FARTHER = 2.0
 # Hammer velocities of a pianist, fortissimo over pianissimo: 6 over 0.3 m/s (Askenfelt and Jansson 1991).
 VELOCITIES = 20.0
 # A second minimum with this share of the posterior is named.
@@ -94,7 +96,9 @@ def taken_back(fit: Inferred) -> tuple[str, ...]:
     felt = tuple(problem.unknowns.law.parameters)
     if problem.calibrated:
         return () if fit.excess <= STRAINED else felt if fit.excess <= POOR else (*felt, "M_H")
-    return () if problem.layout.compared else (*felt, "M_H") if problem.path else felt
+    if problem.layout.compared:
+        return felt if _beyond_a_pianist(fit) else ()
+    return (*felt, "M_H") if problem.path else felt
 
 
 def invariant_status(states: Sequence[str], deviation: float) -> str:
@@ -110,7 +114,7 @@ def invariant_status(states: Sequence[str], deviation: float) -> str:
 def velocity_statuses(fit: Inferred) -> list[str]:
     """One of `STATUSES` for every stroke's velocity."""
     problem = fit.problem
-    lost = fit.excess > POOR if problem.calibrated else not problem.layout.compared
+    lost = fit.excess > POOR if problem.calibrated else not problem.layout.compared or bool(_beyond_a_pianist(fit))
     unknown = "not-identifiable" if lost else "scaled" if problem.unscaled else "fitted"
     return ["given" if v is not None else unknown for v in problem.speed]
 
@@ -135,8 +139,9 @@ def claims(fit: Inferred, states: dict[str, str], levels: dict) -> str:
         return text + " The felt's values are one possibility under the prior of the path, not a finding."
     bound = [name for name, state in states.items() if state == "at-bound"]
     text += f" {AT_EDGE.format(', '.join(bound))}" if bound else ""
-    text += _beyond_a_pianist(fit)
-    if problem.unscaled:
+    beyond = _beyond_a_pianist(fit)
+    text += beyond
+    if problem.unscaled and not beyond:
         moving = (name.replace("mu", "μ") for name in problem.unknowns.law.scaling("N m"))
         text += (
             f" No hammer velocity was measured: {_listed('velocities', *moving)} are known up to one common scale, "
@@ -173,7 +178,7 @@ def _beyond_a_pianist(fit: Inferred) -> str:
     return (
         f" The fastest stroke is found {most:.3g} times ({low:.3g} to {high:.3g}) as fast as the slowest, and a "
         f"pianist's differ by {VELOCITIES:.0f} times: these layers differ by something that the model does not have, "
-        "and the felt takes it up."
+        "and felt and velocities, which take it up, are no finding."
     )
 
 
@@ -211,11 +216,18 @@ def _identified(fit: Inferred, a: str, b: str) -> str:
     return f"the product {a} · {b}^{-slope:.2g} ({off_by(half)})"
 
 
-def messages(fit: Inferred, states: dict[str, str], worse: Sequence[str]) -> list[str]:
-    """Plain sentences on what to beware of, the weightiest first; `worse` are bands of eq. 19."""
+def messages(fit: Inferred, states: dict[str, str], worse: Sequence[str], errors: Sequence[float]) -> list[str]:
+    """Plain sentences on what to beware of, the weightiest first.
+
+    Parameters
+    ----------
+    worse : bands of eq. 19 that ended no lower than they began.
+    errors : of every recording's levels, dB.
+    """
     problem, bound = fit.problem, [name for name, state in states.items() if state == "at-bound"]
     said = [] if fit.found.minima.converged[0] else [STOPPED]
     said += _mixture(fit)
+    said += _out_of_line(fit, errors)
     said += [WORSE.format(", ".join(worse))] if worse else []
     said += [AT_EDGE.format(", ".join(bound))] if bound else []
     said += [
@@ -228,6 +240,19 @@ def messages(fit: Inferred, states: dict[str, str], worse: Sequence[str]) -> lis
         seen = "; ".join((*recording.warnings, *analysis.warnings))
         said += [about + seen] if seen else []
     return said + ([] if fit.view is None else [*fit.view.messages])
+
+
+def _out_of_line(fit: Inferred, errors: Sequence[float]) -> list[str]:
+    """Recordings that the fit meets much worse than the others."""
+    said = []
+    for i, (recording, error) in enumerate(zip(fit.problem.recordings, errors, strict=True)):
+        others = float(np.median([*errors[:i], *errors[i + 1 :]] or [np.inf]))
+        if error > max(FARTHER * others, POOR):
+            said.append(
+                f"{one_line(Path(recording.path).name)}: its levels are {error:.1f} dB off, the others' {others:.1f} "
+                "dB; one of another microphone or instrument needs a group of its own, by a [[recording]] in the setup."
+            )
+    return said
 
 
 def presumed(problem: Problem) -> list[str]:
