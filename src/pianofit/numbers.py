@@ -76,13 +76,13 @@ def bracketed(value: float, interval: Sequence[float] | None) -> tuple[str, str]
     if digits is None:
         return f"{value:.3g}" if interval[0] < interval[1] else f"{value:.5g}", "[{:.3g}, {:.3g}]".format(*interval)
     place = digits - 1 - _exponent(value)  # decimals of the last digit
-    return _to_place(value, place), f"[{', '.join(_to_place(end, place) for end in interval)}]"
+    return _to_place(value, place, value), f"[{', '.join(_to_place(end, place, value) for end in interval)}]"
 
 
 def beside(other: float, value: float, interval: Sequence[float] | None) -> str:
     """Another value to the decimal place of `value` and its interval, as `bracketed` writes these."""
     digits = _supported(value, interval) if interval and all(map(is_number, interval)) else None
-    return f"{other:.5g}" if digits is None else _to_place(other, digits - 1 - _exponent(value))
+    return f"{other:.5g}" if digits is None else _to_place(other, digits - 1 - _exponent(value), value)
 
 
 def with_standard_error(value: float, error: float) -> tuple[str, str]:
@@ -92,7 +92,7 @@ def with_standard_error(value: float, error: float) -> tuple[str, str]:
     place = 1 - _exponent(error)
     if value and _exponent(value) + place > MOST:
         place = MOST - _exponent(value)
-    return _to_place(value, place), f"{error:.1e}" if _far(error) else f"{error:.{max(0, place)}f}"
+    return _to_place(value, place, value), f"{error:.1e}" if _far(error) else f"{error:.{max(0, place)}f}"
 
 
 def columns(rows: Sequence[Sequence[str]], right: int) -> list[str]:
@@ -123,11 +123,11 @@ def _far(value: float) -> bool:
     return not LOWEST_POWER < _exponent(value) < HIGHEST_POWER
 
 
-def _to_place(value: float, place: int) -> str:
-    """`value` to `place` decimals: plain where that is short, else with its own power of ten."""
-    if not _far(value) and place >= 0:
-        return f"{value:.{place}f}"
-    return f"{value:.{max(0, _exponent(value) + place)}e}"
+def _to_place(value: float, place: int, like: float) -> str:
+    """`value` to `place` decimals: plain where `like` is short so, else with the power of ten of `like`."""
+    power = _exponent(like) if _far(like) or place < 0 else 0
+    text = f"{Decimal(value).scaleb(-power):.{max(0, place + power)}f}"
+    return f"{text}e{power:+03d}" if power else text
 
 
 def _scale(value: float, digits: int) -> tuple[int, int]:
