@@ -124,12 +124,12 @@ class Unknowns:
             out[..., self.power[0]] += np.exp(x[..., self.power[1]]) * self.log_u
         return out
 
-    def held(self, name: int, log: float) -> Unknowns:
+    def held(self, i: int, log: float) -> Unknowns:
         """With one unknown, or K_H at the force's place, held at a logarithm: its box is a point."""
-        if self._is_force(name):
+        if self._is_force(i):
             return replace(self, stiffness=(log, log))
         lower, upper = self.lower.copy(), self.upper.copy()
-        lower[name] = upper[name] = log
+        lower[i] = upper[i] = log
         return replace(self, lower=lower, upper=upper)
 
     def string(self, z: np.ndarray) -> String:

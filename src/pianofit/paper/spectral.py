@@ -29,6 +29,7 @@ from ..inference.lanes import in_lanes
 from ..model.cache import kept
 from ..model.contact import impulse_amplitude, kernel_rows, strike
 from ..model.exponentials import transform
+from ..model.modal import turned
 from ..model.modes import Modes, mode_table
 from ..model.response import ringing_transform
 from ..parameters import Geometry, Hammer, String
@@ -38,8 +39,6 @@ __all__ = ["Cfg", "Goal", "Scene", "damped_spectrum", "hold", "miss", "spectral_
 
 # Rows of a goal come in whole multiples of this, so that notes share compiled programs; the first band has one row.
 ROWS = 16
-# Samples that one matrix product turns together.
-BLOCK = 1024
 # Cells are laid out on multiples of this times σ, Hz: next to nothing beside the linewidth σ/2π.
 FINE = 1e-6
 # Chebyshev nodes a cell.
@@ -140,13 +139,8 @@ def spectral_goal(
 
 
 def damped_spectrum(samples: np.ndarray, rate: float, frequency: np.ndarray, sigma: float) -> np.ndarray:
-    """Σ s_n exp(-(σ + jω) n/rate)/rate at any `frequency`, Hz [...]: with n = 1024 i + j it is one matrix product."""
-    blocks = np.pad(samples, (0, -len(samples) % BLOCK)).reshape(-1, BLOCK)
-    turn = -(sigma + 2j * np.pi * frequency.ravel()) / rate
-    within = np.exp(np.outer(turn, np.arange(BLOCK)))
-    sums = np.real(within) @ blocks.T + 1j * (np.imag(within) @ blocks.T)
-    total = (sums * np.exp(np.outer(turn, BLOCK * np.arange(len(blocks))))).sum(axis=1) / rate
-    return total.reshape(frequency.shape)
+    """Σ s_n exp(-(σ + jω) n/rate)/rate at any `frequency`, Hz [...]."""
+    return turned(-(sigma + 2j * np.pi * frequency.ravel()) / rate, samples).reshape(frequency.shape) / rate
 
 
 def miss(energy: Float[Array | np.ndarray, "rows nodes"], goal: Goal) -> Float[Array, " bins"]:
