@@ -21,7 +21,7 @@ WITHIN = 6.0
 # A descent that in its last step gained more than this, F, and might gain as much again has not converged.
 NEARLY = 1.0
 # So many at most are finished.
-MOST = 4
+MOST = 6
 # The step error is read off again while it still moves the levels by this share of a standard deviation, rms,
 LEFT = 0.05
 # and so often at the most.

@@ -24,8 +24,11 @@ __all__ = ["NO_HAMMER", "distinct", "searched"]
 
 # How many of every answer about gains go on at wide φ, for how many steps;
 FIRST, FIRST_STEPS = 96, 4
-# then how many, for how many steps, with σ held above this, dB.
-STAGES = ((24, 6, 1.0), (6, 25, 0.0))
+# then how many, for how many steps, with σ held above this, dB;
+SECOND, SECOND_STEPS, SECOND_FLOOR = 24, 6, 1.0
+# and to the end, in so many steps, all that are this near to the lowest, F: few of a note with many partials, many in
+# the treble, where hammers are told apart least and cost least.
+NEAR, LAST_STEPS = 10.0, 25
 # Candidates that come closer than this on their way down, in the prior's standard deviations, go on as one.
 ONE_VALLEY = 0.2
 # Rounds of restarts about the best go on until one gains less than this, F: a likelihood of 1.6 is no better hammer,
@@ -40,9 +43,7 @@ REACH = 0.3
 SCAN = (0.003, 0.006, 0.01, 0.015, 0.02, 0.03, 0.045, 0.065)
 # Steps that a restart has
 TRIAL = 6
-# to come this near to the best, F, to go on,
-NEAR = 10.0
-# and how many of a round go on.
+# to come as near to the best as `NEAR` to go on, and how many of a round do.
 GOING = 2
 NO_HAMMER = "no hammer within the bounds gives a finite sound; widen [bounds] or check [known] in the setup"
 # Minima closer than this in every unknown, in the prior's standard deviations, are one.
@@ -80,10 +81,11 @@ def searched(
     if not len(people):
         raise FitError(NO_HAMMER)
     progress("hammer", 0.3)
-    people = people.join(lowered(struck_anew(descent, _going(descent, people, STAGES[0][0]).z, parabolas)))
-    for stage, (count, iterations, floor) in enumerate(STAGES):
-        progress("hammer", 0.4 + 0.1 * stage)
-        people = descent.descend(_corrected(descent, _going(descent, people, count)), floor, iterations)
+    people = people.join(lowered(struck_anew(descent, _going(descent, people).z, parabolas)))
+    progress("hammer", 0.4)
+    people = descent.descend(_corrected(descent, _going(descent, people)), SECOND_FLOOR, SECOND_STEPS)
+    progress("hammer", 0.5)
+    people = descent.descend(_corrected(descent, _going(descent, people, NEAR)), 0.0, LAST_STEPS)
     progress("restarts", 0.6)
     random = np.random.default_rng(seed)
     for _ in range(ROUNDS):
@@ -100,10 +102,10 @@ def searched(
     return people
 
 
-def _going(descent: Descent, people: Population, count: int) -> Population:
+def _going(descent: Descent, people: Population, within: float = np.inf) -> Population:
     """The lowest, of those that have come together one."""
-    apart = distinct(people, descent.unknowns, descent.total(people), np.inf, ONE_VALLEY)
-    return people.take(np.array(apart[:count], int))
+    apart = distinct(people, descent.unknowns, descent.total(people), within, ONE_VALLEY)
+    return people.take(np.array(apart[:SECOND], int))
 
 
 def _corrected(descent: Descent, people: Population) -> Population:
@@ -152,7 +154,7 @@ def _restarted(
     lowest = descent.prior(best.z)[0] + parabola(there.residual, there.jacobian).F
     going = np.flatnonzero(descent.total(more) < lowest + NEAR)[:GOING]
     if len(going):
-        people = people.join(descent.descend(more.take(going), 0.0, STAGES[-1][1]))
+        people = people.join(descent.descend(more.take(going), 0.0, LAST_STEPS))
     return people.take(np.argsort(descent.total(people), kind="stable"))
 
 
