@@ -62,11 +62,6 @@ def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
     def every(value: dict[str, float], factor: float) -> dict[str, float]:
         return {name: x * factor for name, x in value.items()}
 
-    def steps(which: int, part: int) -> Callable[[Any, float], Any]:
-        return lambda value, factor: tuple(
-            place(part)(stage, factor) if i == which else stage for i, stage in enumerate(value)
-        )
-
     def points(value: Any, factor: float) -> Any:
         return np.geomspace(value[0], value[-1], round(factor * len(value)))
 
@@ -105,8 +100,8 @@ def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
         "`COARSER`": (descent, "COARSER", plain),
         "`FIRST`": (search, "FIRST", plain),
         "`FIRST_STEPS`": (search, "FIRST_STEPS", plain),
-        "`STAGES`, candidates": (search, "STAGES", steps(0, 0)),
-        "`STAGES`, floor of σ": (search, "STAGES", steps(0, 2)),
+        "`SECOND`": (search, "SECOND", plain),
+        "`SECOND_FLOOR`, of σ": (search, "SECOND_FLOOR", plain),
         "`ONE_VALLEY`": (search, "ONE_VALLEY", plain),
         "`GAIN` of a round": (search, "GAIN", plain),
         "`RESTARTS`": (search, "RESTARTS", plain),
