@@ -53,7 +53,7 @@ class Descent:
 
     Without frequencies and decays the string is held at `string`, and one string serves all candidates. With them it is
     searched, and every stroke has the tension it was struck at. `offset` [R, K], dB, is what a contact stepped without
-    end would add to the levels.
+    end would add to the levels; candidates keep that with which they were begun.
     """
 
     def __init__(self, problem: Problem, string: np.ndarray | None = None, tables: Sequence[str] = EVERY) -> None:
@@ -153,7 +153,7 @@ class Descent:
         return 0.5 * (weight * away**2).sum(axis=1), weight * away, np.diag(weight)
 
     def total(self, people: Population) -> np.ndarray:
-        """F [B]."""
+        """F [B], of this descent's tables and the prior of what moves."""
         return self.prior(people.z)[0] + sum(part.report.F for part in people.parts)
 
     def begun(
