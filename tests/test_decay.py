@@ -43,6 +43,12 @@ def test_a_decay_that_its_errors_exceed_is_not_given():
     assert np.isnan(found.late)
 
 
+@pytest.mark.parametrize(("weaker", "told"), [(0.08, False), (0.09, True)])
+def test_a_beat_is_told_from_one_and_a_half_decibels_on(weaker, told):
+    (found,) = partial_decays(key([440.0, 442.5], [0.6, 0.6], [1.0, 1j * weaker]))
+    assert np.isfinite([found.beat_frequency, found.beat_depth]).all() == told
+
+
 @pytest.mark.parametrize("weaker", [0.2, 0.5, 0.9])
 def test_two_modes_that_decay_alike_beat_as_deep_as_their_levels_say(weaker):
     (found,) = partial_decays(key([440.0, 442.5], [0.6, 0.6], [1.0, 1j * weaker]))

@@ -37,7 +37,7 @@ from pianofit.io import FIT_SCHEMA
 from pianofit.parameters import FIT_NAMES, PARAMETERS, check
 from pianofit.recording import load_recording
 from pianofit.report.build import known_of
-from pianofit.result.statements import STATUSES, _beyond_a_pianist
+from pianofit.result.statements import STATUSES, _beyond_a_pianist, _out_of_line
 from pianofit.setup import setup_from_dict
 
 # --- calibrated -------------------------------------------------------------------------------------------------------
@@ -150,6 +150,17 @@ def test_a_fit_improves_on_its_start():
         # The string's own band is right from the start; a path that differs from partial to partial delays it by 1 ms.
         assert values["final"] < max(values["initial"], 0.03)
     assert document["criterion"]["global"]["final"] < 0.3 * document["criterion"]["global"]["initial"]
+
+
+@pytest.mark.parametrize(
+    ("errors", "named"),
+    [([0.9], []), ([1.4, 1.5, 1.6], []), ([1.4, 2.7, 1.4], []), ([1.4, 2.9, 1.4], [1]), ([0.1, 0.4, 0.1], []),
+     ([1.4, 4.4, 4.9, 1.3, 1.5], [1, 2])],
+)  # fmt: skip
+def test_recordings_that_are_met_twice_as_badly_as_the_others_are_named(errors, named):
+    recordings = [SimpleNamespace(path=f"some/layer-{i}.wav") for i in range(len(errors))]
+    said = _out_of_line(SimpleNamespace(problem=SimpleNamespace(recordings=recordings)), errors)
+    assert [text.split(":")[0] for text in said] == [f"layer-{i}.wav" for i in named]
 
 
 @pytest.mark.parametrize(

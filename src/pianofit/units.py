@@ -1,13 +1,15 @@
-"""Units and scales that every room reads alike: pitch in equal temperament, intervals of 95 %."""
+"""Units and scales that every room reads alike: pitch in equal temperament, intervals of 95 %, beats."""
 
 from __future__ import annotations
 
 import math
 
-__all__ = ["NORMAL", "hertz_of", "midi_of"]
+__all__ = ["BEAT", "NORMAL", "hertz_of", "midi_of"]
 
 # Standard deviations from the mean to either end of a normal distribution's 95 %.
 NORMAL = 1.959964
+# A partial leaves an even decay by this before it is said to beat, dB: less is as well a decay that bends.
+BEAT = 1.5
 A4 = 440.0  # Hz
 A4_MIDI = 69
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from ..errors import AnalysisError, WrongNoteError
 from ..recording import Recording, Source, as_recording
+from ..units import BEAT
 from .demodulate import demodulate
 from .fits import first_fits, lost
 from .glide import Fall, falls, glide_windows, straightened
@@ -27,7 +28,6 @@ _WORST_LEVEL = 10.0  # dB; a level less sure than this is no level
 _LEAST_DECAY = 1e-3  # 1/s; nothing decays more slowly
 _OUTLIER = 6.0  # standard deviations from where its neighbours lead, beyond which a peak belongs to something else,
 _OUTLIER_CENTS = 12.0  # and cents, whichever is more
-_BEATS = 1.5  # dB
 
 
 def analyse(recording: Source, *, note: str | None = None, f0: float | None = None) -> Analysis:
@@ -223,10 +223,10 @@ def _warnings(table: Partials, losses: DecayLaw, fall: float) -> tuple[str, ...]
         )
     if fall:
         found.append(f"the pitch {'falls' if fall > 0 else 'rises'} by {abs(fall):.1f} cents as the note decays")
-    deep = int(np.sum(table.beating > _BEATS))
+    deep = int(np.sum(table.beating > BEAT))
     if deep:
         found.append(
-            f"{deep} of {len(table)} partials leave an even decay by more than {_BEATS:g} dB: more than one string or "
+            f"{deep} of {len(table)} partials leave an even decay by more than {BEAT:g} dB: more than one string or "
             "polarisation, which beat, or a note that was damped or cut"
         )
     if losses.d2 < 2 * losses.d2_error and len(table) > 1:

@@ -39,10 +39,6 @@ class Report(NamedTuple):
     by_phi: np.ndarray  # gradient [4]
     by_log_w: np.ndarray  # gradient [R, K]
 
-    def take(self, which: np.ndarray) -> Report:
-        """Of some of many points."""
-        return Report(*(x[which] for x in self))
-
 
 def _pulled(table: Table, p: Pieces, absent: Predicted) -> np.ndarray:
     """What moves the means of absent entries: their derivatives by the residual [T, M, N, R, K]."""

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..units import BEAT
 from .modal import Ringing
 
 __all__ = ["EARLY", "LATE", "PartialDecay", "partial_decays"]
@@ -19,8 +20,6 @@ EARLY = (0.05, 0.5)
 LATE = (1.0, 3.0)
 # Beats are followed as long as a partial stands within so many dB of what it is at the start of `EARLY`.
 HEARD = 60.0
-# What interference makes of an envelope is no beat below this, dB: a curved decay is fitted by two modes as well.
-SHALLOW = 1.5
 # Points on the envelope, s apart: modes of one partial lie closer together than 100 Hz.
 STEP = 0.002
 
@@ -33,7 +32,7 @@ class PartialDecay(NamedTuple):
     modes: int  # how many
     early: float  # T60 of its energy over `EARLY`, s; NaN where its modes' errors exceed the decay
     late: float  # the same over `LATE`, s
-    beat_frequency: float  # of the two modes that interfere most, Hz; NaN where none beat by `SHALLOW` within `LATE`
+    beat_frequency: float  # of the two modes that interfere most, Hz; NaN where none beat by `units.BEAT` within `LATE`
     beat_depth: float  # from the deepest trough to the highest peak that interference makes, dB; NaN without beats
     error: tuple[float, float]  # least and largest standard error of its poles' real and imaginary parts, 1/s
 
@@ -82,7 +81,7 @@ def _beats(pole: np.ndarray, pattern: np.ndarray) -> tuple[float, float]:
     shape = np.exp(np.outer(pole, time))
     whole = 10 * np.log10(np.maximum(np.sum(np.abs(pattern @ shape) ** 2, axis=0), 1e-300))
     depth = np.ptp((whole - smooth)[smooth > smooth[0] - HEARD])
-    if depth < SHALLOW:
+    if depth < BEAT:
         return np.nan, np.nan
     # What two modes have in common, over the energy of all: the mean over time.
     share = np.abs(shape) @ (np.abs(shape) / 10 ** (smooth / 10)).T
