@@ -126,12 +126,16 @@ def gain_from_truth(problem: Problem, minima: Minima, true: Values, velocities: 
     ----------
     velocities : m/s, of every recording; each is of a stroke of its own.
     """
+    from pianofit.errors import FitError
     from pianofit.inference.finish import finish
 
     best = minima.people.take(np.array([0]))
     z = point_of(problem, best.z[0], true, velocities)
-    end = finish(problem, z[None], best.phi, best.w)
-    return float(minima.F.min() - end.F[0]) if len(end.F) else None
+    try:
+        end = finish(problem, z[None], best.phi, best.w)
+    except FitError:
+        return None
+    return float(minima.F.min() - end.F[0])
 
 
 def point_of(problem: Problem, best: np.ndarray, true: Values, velocities: Sequence[float]) -> np.ndarray:

@@ -239,9 +239,8 @@ def known_excess() -> tuple[Problem, Estimate]:
     tables = [table._replace(prior=(phi[0], np.full(4, 0.01))) for table, phi in pairs]
     problem = replace(problem, observed=replace(o, level=tables[0], frequency=tables[1], decay=tables[2]))
     search = Descent(problem)
-    search.offset = minima.descent.offset
-    people = search.descend(search.begun(best.z, best.phi, best.w), 0.0, 60)
-    minima = minima._replace(descents=[search], people=people, F=search.total(people))
+    people = search.descend(search.begun(best.z, best.phi, best.w, best.offset), 0.0, 60)
+    minima = minima._replace(descent=search, people=people, F=search.total(people))
     return problem, Estimate(minima, laplace(problem, minima), 0)
 
 

@@ -71,7 +71,7 @@ def given(problem: Problem, found: Estimate) -> Given:
         best.z[0], _white(problem, found), (u.lower, u.upper), u.power, np.array(u.stiffness), u.log_u,
         (u.mean, precision), descent.tables, tuple(phi[0] for phi in best.phi), tuple(w[0] for w in best.w),
         tuple(np.argwhere(np.asarray(t.found) > 0) for t in descent.tables),
-        descent.offset, descent.there, descent.stroke, descent.columns, cents,
+        best.offset[0], descent.there, descent.stroke, descent.columns, cents,
         (o.string_number, o.law, float(problem.start.geometry.length)), problem.scene,
     )  # fmt: skip
     return Given(*jax.tree.map(np.asarray, everything))

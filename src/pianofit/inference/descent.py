@@ -52,8 +52,7 @@ class Descent:
     """Descents on one problem's F, or on the part of it that some of its tables are.
 
     Without frequencies and decays the string is held at `string`, and one string serves all candidates. With them it is
-    searched, and every stroke has the tension it was struck at. `offset` [R, K], dB, is what a contact stepped without
-    end would add to the levels; candidates keep that with which they were begun.
+    searched, and every stroke has the tension it was struck at.
     """
 
     def __init__(self, problem: Problem, string: np.ndarray | None = None, tables: Sequence[str] = EVERY) -> None:
@@ -67,7 +66,6 @@ class Descent:
             self.scene = scene._replace(rate=scene.rate / COARSER, steps=scene.steps // COARSER)
             self.cfg = cfg._replace(n_modes=max(cfg.rows, cfg.n_modes // COARSER))
         self.table = problem.observed.level
-        self.offset = np.zeros_like(self.table.value)
         self.stroke = np.array(problem.layout.stroke)
         self.columns = problem.observed.number - 1
         self.there = self.table.found + 0.0
@@ -92,11 +90,11 @@ class Descent:
         cents = np.tile(self.problem.observed.cents[first], len(z))
         return np.repeat(z[:, :STRING_SIZE], strokes, axis=0), cents, self.lanes_of(z)
 
-    def model(self, z: np.ndarray) -> tuple[list[tuple[np.ndarray, np.ndarray]], np.ndarray]:
+    def model(self, z: np.ndarray, offset: np.ndarray) -> tuple[list[tuple[np.ndarray, np.ndarray]], np.ndarray]:
         """Of every table residuals [B, R, K] and the law's derivatives [B, R, K, size]; whether contacts ended [B]."""
         laws, good = [], np.ones(len(z), bool)
         if self.struck:
-            *levels, good = self._levels(z)
+            *levels, good = self._levels(z, offset)
             laws.append(tuple(levels))
         if not self.held:
             each = [self.problem.string_residuals(point[:STRING_SIZE]) for point in z]
@@ -107,43 +105,47 @@ class Descent:
                 laws.append((np.array([residuals[table] for residuals, _ in each]), jacobian))
         return laws, good
 
-    def _levels(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _levels(self, z: np.ndarray, offset: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Residuals of levels, their law's derivatives, and whether contacts ended."""
-        strokes = self.unknowns.strokes
-        self.lanes += len(z) * strokes
-        free = self.scene.free[self.scene.free >= 0]
-        if self.held:
-            level, slope, ended = in_lanes(slopes, (self.string, self.lanes_of(z)), self.scene, self.cfg)
-            shared = free[:-1] + STRING_SIZE
-        else:
-            level, slope, ended = in_lanes(own_slopes, self.own_lanes(z), self.scene, self.cfg, OWN_LANES)
-            shared = np.append(np.arange(STRING_SIZE), free[:-1] + STRING_SIZE)
-        level = level.reshape(len(z), strokes, -1)[:, self.stroke][..., self.columns]
-        slope = slope.reshape(len(z), strokes, *slope.shape[1:])[:, self.stroke][:, :, self.columns]
+        self.lanes += len(z) * self.unknowns.strokes
+        level, slope, ended = self._sloped(z)
+        shared = self.scene.free[self.scene.free >= 0][:-1] + STRING_SIZE
+        if not self.held:
+            shared = np.append(np.arange(STRING_SIZE), shared)
         slope = slope[..., : len(shared) + 1]
         jacobian = np.zeros((*level.shape, self.unknowns.size))
         jacobian[..., shared] = slope[..., :-1]
         for r, stroke in enumerate(self.stroke):
             jacobian[:, r, :, self.unknowns.shared + stroke] = slope[:, r, :, -1]
         jacobian *= self.there[..., None] * self.moves
-        residual = (self.table.value - level - self.offset) * self.there
-        good = np.logical_and(ended.reshape(len(z), strokes).all(axis=1), np.isfinite(jacobian).all(axis=(1, 2, 3)))
+        residual = (self.table.value - level - offset) * self.there
+        good = ended & np.isfinite(jacobian).all(axis=(1, 2, 3))
         return np.where(good[:, None, None], residual, 0.0), np.where(good[:, None, None, None], jacobian, 0.0), good
 
     def step_error(self, z: np.ndarray) -> np.ndarray:
-        """What a contact stepped without end adds to the levels at `z` [size], dB [R, K]: the error is of order 2."""
+        """What a contact stepped without end adds to levels at `z` [B, size], dB [B, R, K]: the error is of order 2."""
         p = self.problem
         fine = p.scene._replace(rate=p.scene.rate * FINER, steps=p.scene.steps * FINER)
-        finer = in_lanes(own_levels, self.own_lanes(z[None]), fine, p.cfg._replace(n_modes=MOST_MODES), OWN_LANES)[0]
-        change = (finer - self.level(z))[self.stroke][:, self.columns]
+        finer = in_lanes(own_levels, self.own_lanes(z), fine, p.cfg._replace(n_modes=MOST_MODES), OWN_LANES)[0]
+        change = self._of_recordings(finer) - self.level(z)
         shorter = (fine.rate / self.scene.rate) ** 2
         return change * shorter / (shorter - 1) * self.there
 
     def level(self, z: np.ndarray) -> np.ndarray:
-        """Levels by the model at `z` [size], dB [strokes, rows], by the descent's program: that is compiled anyway."""
+        """Levels by the model at `z` [B, size], dB [B, R, K], by the descent's program: that is compiled anyway."""
+        return self._sloped(z)[0]
+
+    def _sloped(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Levels, dB [B, R, K], their derivatives [B, R, K, directions], and whether contacts ended [B]."""
         if self.held:
-            return in_lanes(slopes, (self.string, self.lanes_of(z[None])), self.scene, self.cfg)[0]
-        return in_lanes(own_slopes, self.own_lanes(z[None]), self.scene, self.cfg, OWN_LANES)[0]
+            level, slope, ended = in_lanes(slopes, (self.string, self.lanes_of(z)), self.scene, self.cfg)
+        else:
+            level, slope, ended = in_lanes(own_slopes, self.own_lanes(z), self.scene, self.cfg, OWN_LANES)
+        return self._of_recordings(level), self._of_recordings(slope), np.all(ended.reshape(len(z), -1), axis=1)
+
+    def _of_recordings(self, rows: np.ndarray) -> np.ndarray:
+        """Of every recording's columns [B, R, K, ...], of all of the model's rows [B · strokes, rows, ...]."""
+        return rows.reshape(-1, self.unknowns.strokes, *rows.shape[1:])[:, self.stroke][:, :, self.columns]
 
     def prior(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Of F, the prior of θ: value [B], gradient [B, size] and curvature [size, size]."""
@@ -158,16 +160,18 @@ class Descent:
 
     def begun(
         self, z: np.ndarray, phi: Sequence[np.ndarray], w: Sequence[np.ndarray] | None = None,
-        parabola: Parabola | None = None,
+        offset: np.ndarray | float = 0.0, parabola: Parabola | None = None,
     ) -> Population:  # fmt: skip
         """Candidates at `z` [B, size], without those whose contact does not end.
 
         Parameters
         ----------
         phi, w : of every table, of all candidates or of each; w is 1 if None.
+        offset : their levels' step error, dB, of all candidates or of each; see `step_error`.
         parabola : F while φ and w are held, of the levels alone; see `descend`.
         """
-        laws, good = self.model(z)
+        offset = np.broadcast_to(offset, (len(z), *self.table.value.shape))
+        laws, good = self.model(z, offset)
         count = int(good.sum())
         parts = []
         for i, (table, (residual, jacobian)) in enumerate(zip(self.tables, laws, strict=True)):
@@ -176,7 +180,7 @@ class Descent:
             there = residual[good], jacobian[good]
             found = reports(table, *there, own, weights) if parabola is None else parabola(*there)
             parts.append(Part(own, weights, *there, found, np.tile(_first_inverse(table), (count, 1, 1))))
-        return Population(z[good], tuple(parts), np.full(count, FIRST_DAMPING), np.full(count, np.inf))
+        return Population(z[good], offset[good], tuple(parts), np.full(count, FIRST_DAMPING), np.full(count, np.inf))
 
     # --- descent ------------------------------------------------------------------------------------------------------
 
@@ -218,7 +222,7 @@ class Descent:
         """After one step: of θ by Levenberg and Marquardt, then of φ by BFGS and of w by EM."""
         before = self.total(now)
         z = self.unknowns.project(now.z + self._direction(now, now.damping)[0])
-        laws, good = self.model(z)
+        laws, good = self.model(z, now.offset)
         parts = tuple(
             part._replace(
                 residual=law[0], jacobian=law[1],

@@ -52,7 +52,7 @@ def estimate(problem: Problem, seed: int = 0, progress: Progress = lambda *_: No
     progress("string and hammer", 0.75)
     minima = finished(problem, found, held, string)
     progress("intervals", 0.88)
-    return Estimate(*_apart(minima, laplace(problem, minima)), held.lanes + sum(d.lanes for d in minima.descents))
+    return Estimate(*_apart(minima, laplace(problem, minima)), held.lanes + minima.descent.lanes)
 
 
 def string_minimum(problem: Problem) -> Population:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -22,11 +21,12 @@ WITHIN = 6.0
 NEARLY = 1.0
 # So many at most are finished.
 MOST = 6
-# The step error is read off again while it still moves the levels by this share of a standard deviation, rms,
+# A descent is over when the step error read off where it ended differs from that it went by by less than this share of
+# the levels' standard deviations, rms,
 LEFT = 0.05
-# and so often at the most.
-READINGS = 4
-# Steps of each descent between.
+# or after so many turns,
+TURNS = 4
+# of so many steps.
 ITERATIONS = 25
 
 
@@ -35,24 +35,12 @@ class Minima(NamedTuple):
 
     people: Population
     F: np.ndarray  # with everything
-    descents: list[Descent]  # each has its minimum's step error
     converged: np.ndarray
-
-    @property
-    def descent(self) -> Descent:
-        """Of the first."""
-        return self.descents[0]
+    descent: Descent
 
     def take(self, which: np.ndarray) -> Minima:
         """Some of them, in this order."""
-        return Minima(self.people.take(which), self.F[which], [self.descents[i] for i in which], self.converged[which])
-
-    def join(self, other: Minima) -> Minima:
-        """Both."""
-        return Minima(
-            self.people.join(other.people), np.append(self.F, other.F), self.descents + other.descents,
-            np.append(self.converged, other.converged),
-        )  # fmt: skip
+        return Minima(self.people.take(which), self.F[which], self.converged[which], self.descent)
 
 
 def finished(problem: Problem, found: Population, held: Descent, string: Population) -> Minima:
@@ -63,39 +51,44 @@ def finished(problem: Problem, found: Population, held: Descent, string: Populat
     found, held : minima with the string held, and the descent that found them.
     string : its own minimum.
 
+    Raises `FitError` if the contact of none ends.
+    """
+    near = found.take(np.array(distinct(found, held.unknowns, held.total(found), WITHIN)[:MOST]))
+    minima = finish(problem, near.z, near.phi + string.phi, near.w + string.w)
+    # Two that were distinct may have come to the same minimum: it counts once.
+    return minima.take(np.array(distinct(minima.people, held.unknowns, minima.F, WITHIN)))
+
+
+def finish(problem: Problem, z: np.ndarray, phi: Sequence[np.ndarray], w: Sequence[np.ndarray]) -> Minima:
+    """Lower F from candidates, and take out each one's step error, in turn; without those whose contact does not end.
+
+    Parameters
+    ----------
+    z, phi, w : where they are [B, size], and of every table, of all or of each, [4] and [R, K].
+
     Raises
     ------
     FitError
         If the contact of none ends.
     """
-    near = distinct(found, held.unknowns, held.total(found), WITHIN)[:MOST]
-    each = [found.take(np.array([i])) for i in near]
-    ends = [finish(problem, one.z, one.phi + string.phi, one.w + string.w) for one in each]
-    every = functools.reduce(Minima.join, ends)
-    if not len(every.F):
-        raise FitError(NO_HAMMER)
-    # Two that were distinct may have come to the same minimum: it counts once.
-    return every.take(np.array(distinct(every.people, held.unknowns, every.F, WITHIN)))
-
-
-def finish(problem: Problem, z: np.ndarray, phi: Sequence[np.ndarray], w: Sequence[np.ndarray]) -> Minima:
-    """Lower F from one candidate, and take out the contact's step error, in turn; empty if its contact does not end.
-
-    Parameters
-    ----------
-    z, phi, w : where it is [1, size], and of every table [1, 4] and [1, R, K].
-    """
     descent = Descent(problem)
-    variance, there = np.asarray(descent.table.variance), np.asarray(descent.table.found)
-    readings = 0
-    while True:
-        readings += 1
-        before, descent.offset = descent.offset, descent.step_error(z[0])
-        one = descent.descend(descent.begun(z, phi, w), 0.0, ITERATIONS)
-        sd = np.sqrt(variance + np.exp(2 * one.phi[0][:, :1, None]))
-        moved = np.sqrt((((descent.offset - before) / sd) ** 2 * there).sum() / max(there.sum(), 1))
-        if moved < LEFT or readings == READINGS:
+    table = descent.table
+
+    def lowered(z: np.ndarray, phi: Sequence[np.ndarray], w: Sequence[np.ndarray]) -> Population:
+        """Each with the step error that is read off where it is."""
+        return descent.descend(descent.begun(z, phi, w, descent.step_error(z)), 0.0, ITERATIONS)
+
+    people = lowered(z, phi, w)
+    if not len(people):
+        raise FitError(NO_HAMMER)
+    for _ in range(TURNS - 1):
+        sd = np.sqrt(table.variance + np.exp(2 * people.level.phi[:, :1, None]))
+        away = (descent.step_error(people.z) - people.offset) / sd
+        moved = np.sqrt((away**2 * table.found).sum(axis=(1, 2)) / max(table.found.sum(), 1))
+        on = np.flatnonzero(moved >= LEFT)
+        if not len(on):
             break
-        z, phi, w = one.z, one.phi, one.w
-    left = np.minimum(one.gained, descent.promised(one))
-    return Minima(one, descent.total(one), [descent] * len(one), left < NEARLY)
+        some = people.take(on)
+        people = people.put(on, lowered(some.z, some.phi, some.w))
+    left = np.minimum(people.gained, descent.promised(people))
+    return Minima(people, descent.total(people), left < NEARLY, descent)

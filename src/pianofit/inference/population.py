@@ -30,6 +30,7 @@ class Population:
     """Candidates on their way down: θ, then φ and w of every table, and how each is going. [B, ...] throughout."""
 
     z: np.ndarray
+    offset: np.ndarray  # what a contact stepped without end would add to the levels, dB [B, R, K]
     parts: tuple[Part, ...]
     damping: np.ndarray  # Levenberg and Marquardt's
     gained: np.ndarray  # by the last step, F

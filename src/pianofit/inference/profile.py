@@ -93,9 +93,9 @@ class _Profile:
 
     def __init__(self, problem: Problem, found: Estimate) -> None:
         self.problem, self.unknowns = problem, problem.unknowns
-        self.offset = found.minima.descent.offset
         self.mean, self.covariance = found.posterior.mean[0], found.posterior.covariance[0]
         best = found.minima.people.take(np.array([0]))
+        self.offset = best.offset
         at = _Point(0.0, self.mean, best.phi, best.w, float(found.minima.F[0]))
         # As far down as along the way: else a rise would hold what the search left.
         self.start = self._lowest(problem, at)
@@ -105,8 +105,7 @@ class _Profile:
         u = problem.unknowns
         z = u.project(u.from_log_values(near.x))
         search = Descent(problem)
-        search.offset = self.offset
-        begun = search.begun(z[None], near.phi, near.w)
+        begun = search.begun(z[None], near.phi, near.w, self.offset)
         if not len(begun):
             return near._replace(F=np.inf)
         one = search.descend(begun, 0.0, ITERATIONS, TOLERANCE)

@@ -62,22 +62,28 @@ def screened(descent: Descent, seed: int, parabolas: Sequence[Parabola]) -> list
 
     One array [S, size] a parabola.
     """
-    return _with_velocities(descent, samples(descent, seed), np.log(VELOCITIES), parabolas)
+    return _with_velocities(descent, samples(descent, seed), np.log(VELOCITIES), parabolas, descent.table.value)
 
 
-def struck_anew(descent: Descent, z: np.ndarray, parabolas: Sequence[Parabola]) -> list[np.ndarray]:
+def struck_anew(
+    descent: Descent, z: np.ndarray, parabolas: Sequence[Parabola], offset: np.ndarray | float = 0.0
+) -> list[np.ndarray]:
     """Hammers `z` [S, size], each with the velocities of a fine grid that suit it best; the best first.
 
     One array a parabola. In the treble a contact lasts for several periods of a partial, the spectrum of its force has
-    lobes, and a velocity in the wrong one is a minimum for every hammer near.
+    lobes, and a velocity in the wrong one is a minimum for every hammer near. `offset` is the levels' step error, dB
+    [R, K].
     """
-    return _with_velocities(descent, z, np.log(FINE_VELOCITIES), parabolas)
+    return _with_velocities(descent, z, np.log(FINE_VELOCITIES), parabolas, descent.table.value - offset)
 
 
 def _with_velocities(
-    descent: Descent, z: np.ndarray, grid: np.ndarray, parabolas: Sequence[Parabola]
+    descent: Descent, z: np.ndarray, grid: np.ndarray, parabolas: Sequence[Parabola], wanted: np.ndarray
 ) -> list[np.ndarray]:
-    """Hammers [S, size] with the best of the log velocities `grid`, by each parabola; the best first."""
+    """Hammers [S, size] with the best of the log velocities `grid`, by each parabola; the best first.
+
+    `wanted` are the levels that they are to have, dB [R, K].
+    """
     shared = descent.unknowns.shared
     free = descent.unknowns.free[shared:]
     # Measured velocities have columns of their own.
@@ -92,12 +98,12 @@ def _with_velocities(
     own = np.abs(grid - z[:, shared:, None]).argmin(axis=2)
     begins = [own, *(np.tile(each, (len(z), 1)) for each in _ladders(descent, grid))]
     ended = ended.reshape(len(grid), len(z)).T
-    return [_scored(descent, parabola, z, grid, level, ended, begins) for parabola in parabolas]
+    return [_scored(descent, parabola, z, grid, wanted, level, ended, begins) for parabola in parabolas]
 
 
 def _scored(
-    descent: Descent, parabola: Parabola, z: np.ndarray, grid: np.ndarray, level: np.ndarray, ended: np.ndarray,
-    begins: list[np.ndarray],
+    descent: Descent, parabola: Parabola, z: np.ndarray, grid: np.ndarray, wanted: np.ndarray, level: np.ndarray,
+    ended: np.ndarray, begins: list[np.ndarray],
 ) -> np.ndarray:  # fmt: skip
     """The hammers with their best velocities, the best first [S, size].
 
@@ -114,7 +120,7 @@ def _scored(
 
     def suited(some: slice) -> tuple[np.ndarray, np.ndarray]:
         costs = np.where(ended[some], 0.0, ENDLESS)[:, None] + belief
-        return _suited(descent, parabola, level[some], costs, [begin[some] for begin in begins])
+        return _suited(descent, parabola, wanted, level[some], costs, [begin[some] for begin in begins])
 
     parts = list(pool().map(suited, [slice(i, i + BLOCK) for i in range(0, len(z), BLOCK)]))
     best, chosen = (np.concatenate(column) for column in zip(*parts, strict=True))
@@ -126,13 +132,14 @@ def _scored(
 
 
 def _suited(
-    descent: Descent, parabola: Parabola, level: np.ndarray, costs: np.ndarray, begins: list[np.ndarray]
-) -> tuple[np.ndarray, np.ndarray]:
+    descent: Descent, parabola: Parabola, wanted: np.ndarray, level: np.ndarray, costs: np.ndarray,
+    begins: list[np.ndarray],
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """The least parabola of hammers [S], and the velocities that give it [S, strokes], by coordinate descent.
 
     Parameters
     ----------
-    level : at every velocity, dB [S, V, K].
+    wanted, level : dB [R, K], and at every velocity [S, V, K].
     costs : what each velocity of each stroke costs besides [S, strokes, V].
     begins : velocities to begin with [S, strokes].
     """
@@ -142,7 +149,7 @@ def _suited(
     of = [np.flatnonzero(descent.stroke == s) for s in range(strokes)]
     count, V = level.shape[:2]
     # Residuals of every stroke's recordings, had it that velocity [S, V, recordings K].
-    T = [((table.value[r] - descent.offset[r] - level[:, :, None]) * table.found[r]).reshape(count, V, -1) for r in of]
+    T = [((wanted[r] - level[:, :, None]) * table.found[r]).reshape(count, V, -1) for r in of]
     # The parabola is a sum over strokes and over pairs of them: tables of it [S, V] and [S, V, V].
     own, pair = costs.copy(), {}
     for s, first in enumerate(of):

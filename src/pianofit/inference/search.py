@@ -90,13 +90,13 @@ def searched(
     random = np.random.default_rng(seed)
     for _ in range(ROUNDS):
         before = _lowest(descent, people)
-        people = _restarted(descent, people, lambda best, _: _nearby(descent, best, random))
+        people = _restarted(descent, people, lambda best, _: _nearby(descent, best.z[0], random))
         for node in range(len(parabolas)):
             people = _restarted(
-                descent, people, lambda best, parabola: struck_anew(descent, best[None], [parabola])[0], node
+                descent, people, lambda best, by: struck_anew(descent, best.z, [by], best.offset[0])[0], node
             )
         if descent.unknowns.free[descent.unknowns.at("x0")]:
-            people = _restarted(descent, people, lambda best, _: _moved(descent, best))
+            people = _restarted(descent, people, lambda best, _: _moved(descent, best.z[0]))
         if _lowest(descent, people) > before - GAIN:
             break
     return people
@@ -110,8 +110,7 @@ def _going(descent: Descent, people: Population, within: float = np.inf) -> Popu
 
 def _corrected(descent: Descent, people: Population) -> Population:
     """With the levels as if contacts had been stepped without end: what that adds at the lowest it adds to all."""
-    descent.offset = descent.step_error(people.z[0])
-    return descent.begun(people.z, people.phi, people.w)
+    return descent.begun(people.z, people.phi, people.w, descent.step_error(people.z[:1]))
 
 
 def _lowest(descent: Descent, people: Population) -> float:
@@ -135,10 +134,10 @@ def _moved(descent: Descent, best: np.ndarray) -> np.ndarray:
 
 
 def _restarted(
-    descent: Descent, people: Population, points: Callable[[np.ndarray, Parabola], np.ndarray],
+    descent: Descent, people: Population, points: Callable[[Population, Parabola], np.ndarray],
     gains: int | None = None,
 ) -> Population:  # fmt: skip
-    """With the minima reached from `points` of the lowest [size], at first on the parabola at its φ and w.
+    """With the minima reached from `points` of the lowest, at first on the parabola at its φ and w.
 
     Parameters
     ----------
@@ -147,7 +146,7 @@ def _restarted(
     best = people.take(np.array([0]))
     there = best.level
     parabola = Parabola.of(descent.table, there.phi[0], there.w[0], there.residual[0], gains)
-    more = descent.begun(points(best.z[0], parabola), best.phi, best.w, parabola)
+    more = descent.begun(points(best, parabola), best.phi, best.w, best.offset, parabola)
     if not len(more):
         return people
     more = descent.descend(more, 0.0, TRIAL, parabola=parabola)

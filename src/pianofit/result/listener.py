@@ -169,12 +169,12 @@ def heard_beside(fit: Inferred, notes: Sequence[Note]) -> tuple[FittedRecording,
     """
     problem, descent, columns = fit.problem, fit.found.minima.descent, fit.problem.observed.number
     integrated = latents(fit.found.minima, 0)
-    model = descent.level(fit.begun)[descent.stroke]
+    initial = descent.level(fit.begun[None])[0]
     fitted = np.asarray(descent.table.value) - integrated.own
     path_only = None if problem.calibrated else _path_only(fit)
     heard = []
     for i, note in enumerate(notes):
-        recording, number = problem.recordings[i], problem.analyses[i].partials.number
+        recording = problem.recordings[i]
         listener = Listener.of(recording, problem.analyses[i], problem.start.scale)
         if listener.gain is None:
             gain, begins = 10 ** (integrated.columns[i][0] / 20), None  # the lowest partial has least of the onset's
@@ -182,8 +182,7 @@ def heard_beside(fit: Inferred, notes: Sequence[Note]) -> tuple[FittedRecording,
             gain, begins = listener.gain, round(laid(note._replace(gain=listener.gain), recording))
         after = listener.play(note, float(gain), begins, listener.at(fitted[i], columns))
         # The criterion's own gain on the initial sound: its level is not what is judged.
-        own = model[i, number.clip(max=problem.cfg.rows) - 1]
-        before = listener.play(_initial(fit, i), listener.gain, begins, own)
+        before = listener.play(_initial(fit, i), listener.gain, begins, listener.at(initial[i], columns))
         levels = {"initial_db": before.level, "fitted_db": after.level}
         levels |= {} if path_only is None else {"path_only_db": listener.at(path_only[i], columns)}
         heard.append(listener.compared(before, after, {n: listener.in_noise(x) for n, x in levels.items()}))
@@ -208,11 +207,10 @@ def _path_only(fit: Inferred) -> np.ndarray:
     felt[:STRING_SIZE] = felt[[u.at("x0"), u.at("width")]] = False
     known = replace(u, mean=np.where(felt, fit.begun, u.mean), sd=np.where(felt, 0.0, u.sd))
     descent = descents.Descent(replace(problem, unknowns=known), z[:STRING_SIZE], descents.LEVELS)
-    descent.offset = descent.step_error(z)
-    phi = fit.found.minima.people.level.phi[:1]
+    phi, offset = fit.found.minima.people.level.phi[:1], descent.step_error(z[None])[0]
     parabolas = [Parabola.of(descent.table, phi[0], gains=node) for node in range(len(descent.table.scale))]
-    begun = np.concatenate(struck_anew(descent, known.project(np.stack([fit.begun, z])), parabolas))
-    people = descent.descend(descent.begun(begun, [phi]), 0.0, STEPS, GAIN)
+    begun = np.concatenate(struck_anew(descent, known.project(np.stack([fit.begun, z])), parabolas, offset))
+    people = descent.descend(descent.begun(begun, [phi], offset=offset), 0.0, STEPS, GAIN)
     if not len(people):
         return np.full(descent.table.value.shape, SILENT)
     best = people.level

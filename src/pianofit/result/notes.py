@@ -21,7 +21,7 @@ __all__ = ["latents", "notes_of"]
 def latents(minima: Minima, which: int) -> Latent:
     """What F integrated out, at one minimum."""
     level = minima.people.level
-    return latent(minima.descents[which].table, level.residual[which], level.phi[which], level.w[which])
+    return latent(minima.descent.table, level.residual[which], level.phi[which], level.w[which])
 
 
 def notes_of(problem: Problem, minima: Minima, which: int) -> list[Note]:
