@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import json
+import re
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -414,6 +415,17 @@ def test_a_note_a_semitone_off_its_name_says_so(name, said):
     about = [warning for warning in found.warnings if "check the note's name" in warning]
     assert len(about) == bool(said)
     assert said is None or said in about[0]
+
+
+@pytest.mark.parametrize("name", STRINGS)
+@pytest.mark.parametrize(("gain", "said"), [(1.0, True), (0.3, True), (0.0, False)])
+def test_a_second_stroke_is_noticed(name, gain, said):
+    once = string(*STRINGS[name], seed=3).recording(noise=1e-5)
+    later = round(1.5 * RATE)
+    sound = once.samples + gain * np.pad(once.samples, (later, 0))[: len(once.samples)]
+    found = analyse(recording_from_samples(sound, RATE), note=name)
+    about = [float(re.findall(r"about ([\d.]+) s", text)[0]) for text in found.warnings if "second stroke" in text]
+    assert about == ([pytest.approx(1.5, abs=0.1)] if said else [])
 
 
 def test_f0_in_place_of_a_note():

@@ -48,6 +48,16 @@ def test_layers_agree(name):
     assert np.ptp(B) < 0.1 * np.mean(B)
 
 
+def test_none_was_struck_twice_and_two_of_them_in_one_file_were():
+    """Beats lift partials one by one, also the two or three loudest of a treble note."""
+    for file in sorted(FOLDER.glob("*.flac")):
+        recording = load_recording(file)
+        assert not any("second stroke" in warning for warning in analyse(recording).warnings), file.name
+    twice = recording.samples.copy()
+    twice[2 * recording.rate :] += 0.5 * recording.samples[: -2 * recording.rate]
+    assert any("second stroke" in warning for warning in analyse((twice, recording.rate)).warnings)
+
+
 def test_levels_against_brute_force():
     recording = _load("cp80-Fs2-FF")
     table = analyse(recording, note="F#2").partials

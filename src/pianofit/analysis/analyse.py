@@ -7,6 +7,7 @@ import numpy as np
 from ..errors import AnalysisError, WrongNoteError
 from ..recording import Recording, Source, as_recording
 from ..units import BEAT
+from .again import struck_again
 from .demodulate import demodulate
 from .fits import first_fits, lost
 from .glide import Fall, falls, glide_windows, straightened
@@ -125,6 +126,7 @@ def _measure_all(
     if not keep.all():  # what is no partial tells nothing of its neighbours
         number, density = number[keep], density[keep]
         rows = measure(number, bands.kept(keep), z[keep], fit.kept(keep), density, glides)
+    again = struck_again(bands.kept(keep), z[keep], density)
     fine, losses = _laws(number, rows, law.B)
     absent = _absent(number, fine, top)
     bound = bounds(samples, rate, _course(fine, number, rows.frequency, absent), losses(absent), fine.f0, skip)
@@ -135,7 +137,7 @@ def _measure_all(
         losses.b1, losses.b1_error, losses.d2, losses.d2_error,
         table, fine.scatter, losses.scatter, float(fall), glide, density,
         None if note is None else midi_to_note(note_to_midi(note)),
-        (*_misnamed(note, fine.f0), *_warnings(table, losses, float(fall) if glides else 0.0)), left, *taken,
+        (*_misnamed(note, fine.f0), *_warnings(table, losses, float(fall) if glides else 0.0, again)), left, *taken,
     )  # fmt: skip
 
 
@@ -210,8 +212,13 @@ def _misnamed(note: str | None, f0: float) -> tuple[str, ...]:
     )
 
 
-def _warnings(table: Partials, losses: DecayLaw, fall: float) -> tuple[str, ...]:
+def _warnings(table: Partials, losses: DecayLaw, fall: float, again: float | None) -> tuple[str, ...]:
     found = []
+    if again is not None:
+        found.append(
+            f"most partials rise again about {again:.2f} s after the onset: a second stroke spoils what is found; "
+            "give a file of one stroke"
+        )
     if len(table) == 1:
         found.append("only one partial found: B is assumed, f0 rests on it, and the losses are hardly determined")
     elif len(table) == 2:
