@@ -33,7 +33,8 @@ def analysis(
         decay=B1 + D2 * number**2.0, decay_error=0.01 * (B1 + D2 * number**2.0),
         decay_systematic=np.zeros((size, size)),
         level=np.array(level, float), level_error=np.full(size, level_error),
-        level_systematic=systematic**2 * np.ones((size, size)), snr=np.full(size, 40.0), beating=np.zeros(size),
+        level_systematic=systematic**2 * np.ones((size, size)), level_lag=np.full(size, 0.1),
+        snr=np.full(size, 40.0), beating=np.zeros(size),
         absent=np.array(absent, int), absent_bound=np.array(bound, float),
     )  # fmt: skip
     return Analysis(

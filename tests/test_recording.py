@@ -201,6 +201,14 @@ def test_a_gentle_onset_is_found_within_half_a_millisecond(noise_db, lead, f0):
     assert abs(recording_from_samples(samples, rate).onset - lead_samples) <= 0.0005 * rate
 
 
+def test_the_onset_of_a_bass_note_that_swells_and_rings_on_to_the_end_of_its_file():
+    """The quietest tenth of such a file is the note itself, not much softer than at its loudest."""
+    t = np.arange(4 * 44_100) / 44_100
+    sound = damped(44_100, 27.5, 4.0, math.pi / 2, decay=0.05) * (1 - 0.9 * np.exp(-t / 0.02))
+    recording = recording_from_samples(with_lead(sound, 4_410, 1e-4), 44_100)
+    assert abs(recording.onset - 4_410) <= 0.001 * 44_100
+
+
 @pytest.mark.parametrize("f0", [55.0, 440.0])
 def test_rumble_and_hum_before_the_note_are_not_the_note(f0):
     rate, lead = 44_100, 30_000
@@ -399,3 +407,12 @@ def test_soundfile_is_not_asked_about_what_it_would_let_through(tmp_path):
     (tmp_path / "half.wav").write_bytes(encoded(note())[:20_000])
     samples, _ = soundfile.read(tmp_path / "half.wav")
     assert 0 < len(samples) < len(note())
+
+
+@pytest.mark.parametrize(("seconds", "said"), [(0.0, 0), (0.05, 0), (1.5, 1)])
+def test_digital_silence_at_the_end_is_no_part_of_a_recording(seconds, said):
+    """It would be taken for the note's decay, and for a room without noise."""
+    sound = with_lead(damped(44_100, 220.0, 1.0, 0.0), 2_000, 1e-4)
+    padded = recording_from_samples(np.append(sound, np.zeros(round(seconds * 44_100))), 44_100)
+    np.testing.assert_array_equal(padded.samples, recording_from_samples(sound, 44_100).samples)
+    assert sum("digital silence" in warning for warning in padded.warnings) == said

@@ -32,6 +32,7 @@ MAX_BYTES = 2**30
 INSIDE = 0.05  # the first sample over the peak: a note that was cut into begins with a step
 MIN_SECONDS = 0.08  # after the onset: two periods of the lowest key
 LEAD_SECONDS = 0.05  # before it: the least that tells of the noise
+NAMED_SILENCE = 0.1  # s of digital silence at the end of a file, from which on it is told
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -184,6 +185,9 @@ def _choose(frames: np.ndarray, channel: str) -> tuple[np.ndarray, str]:
 def _measure(used: np.ndarray, rate: int, step: float, **facts) -> Recording:
     """Make the recording of the channels `used` [samples, chosen], quantised in steps of `step`."""
     mono = _audible(used, rate, step)
+    # Digital silence at the end is neither the note's decay nor the room's noise.
+    end = int(np.flatnonzero(used.any(axis=1))[-1]) + 1
+    silence, used, mono = len(used) - end, used[:end], mono[:end]
     onset = find_onset(mono - _offset(mono), rate, step)
     dc = _offset(max(mono[:onset], mono[onset:], key=len))
     samples = mono - dc
@@ -194,6 +198,8 @@ def _measure(used: np.ndarray, rate: int, step: float, **facts) -> Recording:
     clipped, warnings = _clipping(used, onset, rate)
     if abs(samples[0]) > INSIDE * np.abs(samples).max():
         warnings += ("the file begins inside the note: the onset is its first sample, and the attack is incomplete",)
+    if silence > NAMED_SILENCE * rate:
+        warnings += (f"{silence / rate:.2f} s of digital silence at its end were left out",)
     if abs(dc) > 0.01:
         warnings += (f"an offset of {dc:.3g} of full scale was removed",)
     frames = samples[None] if used.shape[1] == 1 else np.stack([x - _offset(x) for x in used.T])
@@ -240,8 +246,10 @@ def find_onset(x: np.ndarray, rate: int, step: float) -> int:
     """
     width = round(0.02 * rate)
     level = _forward_mean(np.abs(x), width)
-    quiet = np.quantile(level[:: max(width // 4, 1)], 0.1)
-    start = int(np.argmax(level >= min(max(4 * quiet, 0.1 * level.max()), 0.5 * level.max())))
+    half = int(np.argmax(level >= 0.5 * level.max()))
+    # Of the file, or of what comes before the note: a bass note may ring on to the end, others have nothing before.
+    quiet = min(np.quantile(part[:: max(width // 4, 1)], 0.1) for part in (level, level[: half + 1]))
+    start = int(np.argmax(level >= min(max(4 * quiet, 0.1 * level.max()), level[half])))
     local = np.abs(x[start : start + 3 * width])
     noise = 1.4826 * np.median(np.abs(x[:start])) if start > width // 2 else 0.0
     loud = start + int(np.argmax(local >= min(max(0.05 * local.max(), 5 * noise), 0.5 * local.max())))

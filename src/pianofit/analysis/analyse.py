@@ -14,7 +14,7 @@ from .glide import Fall, falls, glide_windows, straightened
 from .inharmonicity import CENTS, DecayLaw, FrequencyLaw, bend, decay_law, frequency_law
 from .level import bounds
 from .notes import hz_to_note, midi_to_note, note_to_hz, note_to_midi
-from .partials import LEAST_SNR, Measured, measure, systematic
+from .partials import LEAST_SNR, Measured, by_law, measure, systematic
 from .pitch import find_pitch, track
 from .result import Analysis, Partials
 from .spectrum import noise_between, spectrum
@@ -138,6 +138,7 @@ def _measure_all(
         table, fine.scatter, losses.scatter, float(fall), glide, density,
         None if note is None else midi_to_note(note_to_midi(note)),
         (*_misnamed(note, fine.f0), *_warnings(table, losses, float(fall) if glides else 0.0, again)), left, *taken,
+        (rows.level_law.b1, rows.level_law.d2),
     )  # fmt: skip
 
 
@@ -192,7 +193,8 @@ def _table(number: np.ndarray, rows: Measured, absent: np.ndarray, bound: np.nda
         decay_systematic=systematic(number, rows.decay_spread),
         level=rows.level,
         level_error=rows.level_error,
-        level_systematic=systematic(number, rows.level_spread),
+        level_systematic=systematic(number, rows.level_spread) + by_law(number, rows.level_lag, rows.level_law),
+        level_lag=rows.level_lag,
         snr=rows.snr,
         beating=rows.beating,
         absent=absent,

@@ -89,10 +89,12 @@ def demodulate(samples: np.ndarray, rate: int, centre: np.ndarray, spacing: floa
     middle = np.round(centre / width).astype(int)
     index = middle[:, None] + offset
     outside = (index < 0) | (index >= len(bins))
+    # Frames begin at one time whatever the grid of the recording's length: what a beat does to a sum of them must not
+    # differ from recording to recording.
+    begin, frame_rate = skip + window / 2, count * width
     slices = np.where(outside, 0.0, bins[np.clip(index, 0, len(bins) - 1)] * weight)
-    z = np.fft.ifft(np.fft.ifftshift(slices, axes=1), axis=1) * (count / size)
-    frame_rate = count * width
-    first = int(np.ceil((skip + window / 2) * frame_rate))
-    last = int((len(samples) / rate - window / 2) * frame_rate) + 1
-    time = np.arange(first, last) / frame_rate
-    return Bands(z[:, first:last], time, middle * width, spacing, window, frame_rate, float(np.sum(weight**2) * width))
+    slices = slices * np.exp(2j * np.pi * begin * width * offset)
+    frames = max(int((len(samples) / rate - window / 2 - begin) * frame_rate) + 1, 0)
+    z = np.fft.ifft(np.fft.ifftshift(slices, axes=1), axis=1)[:, :frames] * (count / size)
+    time = begin + np.arange(frames) / frame_rate
+    return Bands(z, time, middle * width, spacing, window, frame_rate, float(np.sum(weight**2) * width))

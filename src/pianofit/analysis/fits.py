@@ -137,9 +137,8 @@ def level_of(
     whole: Fitted,
     density: np.ndarray,
     decay: np.ndarray,
-    decay_error: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Levels, and their standard errors from noise and from the decay's, dB [partials].
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Levels and their standard errors from noise, dB; and by how much later than a level's energy theirs came, s.
 
     The weight falls with the partial's amplitude, by the law: less would weigh noise, more the phase of its beats.
 
@@ -148,7 +147,7 @@ def level_of(
     z : basebands, neighbours' leakage subtracted [partials, frames]
     whole : of all frames, for its frequency
     density : [partials], the noise's one-sided
-    decay, decay_error : 1/s, by which the energy of the frames is brought to the level's span
+    decay : 1/s, by which the energy of the frames is brought to the level's span
     """
     cut = bands.cut(0.0, bands.time[0] + LONG)
     t = bands.time[cut]
@@ -165,4 +164,4 @@ def level_of(
     along = np.abs(np.fft.fft(wave * fade, size, axis=1)) ** 2 @ colour / size * density / 4 * bands.rate / unit
     own = 0.25 * frame**2 * np.sum(fade**2, axis=1) * bands.rate / bands.noise_width
     late = (np.abs(wave) ** 2 * fade) @ t / unit - mean_time(alpha[:, 0])
-    return level, _DB * np.sqrt(along / heard + own / heard**2 + (late * decay_error) ** 2)
+    return level, _DB * np.sqrt(along / heard + own / heard**2), late

@@ -60,10 +60,6 @@ class DecayLaw:
         """Decay rates of partials `k`, 1/s."""
         return self.b1 + self.d2 * np.asarray(k, float) ** 2
 
-    def error(self, k: np.ndarray) -> np.ndarray:
-        """Standard errors of the law at partials `k`, 1/s: a bound, since those of b1 and d2 go against each other."""
-        return np.hypot(self.b1_error, np.where(np.isfinite(self.d2_error), self.d2_error, 0.0) * k**2.0)
-
 
 def law_frequency(f0: float, B: float, k: np.ndarray | float) -> np.ndarray:
     """Frequencies k f0 √(1 + B k²) of partials `k`, Hz."""

@@ -1,7 +1,7 @@
 """The level of a partial: its energy in the first 0.35 s under exp(-8t).
 
-It is read off one damped exponential c exp(pt), fitted to the baseband of the first moments (partials.py). A partial
-that was not found has an upper bound instead: the level of an exponential that has all the energy in its band.
+It is read off the energy of the first 2 s, brought to that span by the string's law of decays (`fits.level_of`). A
+partial that was not found has an upper bound instead: the level of an exponential that has all the energy in its band.
 """
 
 from __future__ import annotations

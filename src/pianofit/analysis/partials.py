@@ -9,7 +9,8 @@ mean something:
 - decay rate of the early energy, the first 0.8 s.
 
 The level is always the energy of the first 2 s, less that of the noise, under a weight that falls as the partial does,
-brought to the level's own span by the decay that the string's law has there. Energy is what it is however the partial
+brought to the level's own span by the decay that the string's law has there; `level_lag` tells by how much another law
+would change it, so that recordings of one key can be brought there by one. Energy is what it is however the partial
 beats, so what a beat does to a level, it does in all recordings of a key alike: layers of nine real notes keep to each
 other's levels within 1.1 dB, read off the first 0.1 s within 1.5.
 
@@ -30,11 +31,11 @@ from numpy.typing import NDArray
 from .components import Components, resolve
 from .demodulate import Bands
 from .fits import Fitted, fitted, level_of, lost, slack, window
-from .inharmonicity import decay_law
+from .inharmonicity import DecayLaw, decay_law
 from .level import LEVEL_RATE
 from .tones import Tones
 
-__all__ = ["LEAST_SNR", "Measured", "measure", "systematic"]
+__all__ = ["LEAST_SNR", "Measured", "by_law", "measure", "systematic"]
 
 LEAST_SNR = 14.0  # dB, below which a partial is none
 
@@ -75,8 +76,10 @@ class Measured:
     level: np.ndarray
     level_error: np.ndarray
     level_spread: np.ndarray
+    level_lag: np.ndarray
     snr: np.ndarray
     beating: np.ndarray
+    level_law: DecayLaw  # of the decays over all that was recorded, by which levels were brought to their span
 
     def whole_error(self, column: str) -> np.ndarray:
         """Noise and systematic error of "frequency", "decay" or "level" together [partials]."""
@@ -87,6 +90,16 @@ def systematic(number: np.ndarray, spread: np.ndarray) -> np.ndarray:
     """Covariance [partials, partials] of systematic errors with standard deviations `spread` [partials]."""
     apart = np.abs(number[:, None] - number[None, :])
     return spread[:, None] * spread[None, :] * np.exp(-apart / _SHARED)
+
+
+def by_law(number: np.ndarray, lag: np.ndarray, law: DecayLaw) -> np.ndarray:
+    """Covariance of levels [partials, partials], dB², from the errors of the law that brought them to their span.
+
+    Those of b1 and d2 go against each other: without their correlation it is a bound.
+    """
+    errors = np.array([law.b1_error, law.d2_error if np.isfinite(law.d2_error) else 0.0])
+    along = _DB * lag[:, None] * errors * np.stack([np.ones(len(number)), number**2.0], axis=1)
+    return along @ along.T
 
 
 def measure(
@@ -111,13 +124,12 @@ def measure(
     snr = -20 * np.log10(np.maximum(whole.log_error(-fit.origin), 1e-15))
     heard = (snr > LEAST_SNR) & ~lost(bands, whole.fit)  # what is none has no say in the law
     heard |= not heard.any()
-    losses = decay_law(number[heard], -whole.fit.pole.real[heard], whole.pole_error()[heard])
+    law = decay_law(number[heard], -whole.fit.pole.real[heard], whole.pole_error()[heard])
     audible = (tone.fit.power > 10 * frame) & (bands.time[-1] > 0.6) & ~lost(bands, tone.fit)
     frequency = _frequencies(bands, whole, early, tone, parts, second, clean & ~(glides & audible), audible)
-    law = losses(number)
-    decay = _decays(whole, early, parts, second, clean, law)
-    level = _levels(bands, z, whole, first, density, law, losses.error(number), second)
-    return Measured(*frequency, *decay, *level, snr, beating)
+    decay = _decays(whole, early, parts, second, clean, law(number))
+    level = _levels(bands, z, whole, first, density, law(number), second)
+    return Measured(*frequency, *decay, *level, snr, beating, law)
 
 
 def _frequencies(
@@ -189,17 +201,16 @@ def _levels(
     first: Fitted,
     density: np.ndarray,
     decay: np.ndarray,
-    decay_error: np.ndarray,
     second: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Levels, their standard errors from noise, and standard deviations of systematic errors, dB.
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Levels, their standard errors from noise and standard deviations of systematic errors, dB, and their lags, s.
 
     A beat that is fast is what the first moments' exponential leaves over. Of a slow one only later moments tell.
     """
-    level, error = level_of(bands, z, whole, density, decay, decay_error)
+    level, error, lag = level_of(bands, z, whole, density, decay)
     over = np.where(first.excess > 0, 2 * first.fit.misfit, 0.0) / np.maximum(first.fit.power, 1e-300)
     fast = _shared(_where_seen(np.sqrt(over), first.noise < _SEEN**2 * first.fit.power))
-    return level, np.hypot(error, _LEVEL_FLOOR), _DB * np.hypot(_FAST * fast, _SLOW * second)
+    return level, np.hypot(error, _LEVEL_FLOOR), _DB * np.hypot(_FAST * fast, _SLOW * second), lag
 
 
 def _where_seen(size: np.ndarray, seen: np.ndarray) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,8 +14,9 @@ __all__ = ["Analysis", "Partials"]
 
 # Columns of `Partials` that hold one number for each partial, and how a notebook heads them.
 PER_PARTIAL = {
-    "number": "k", "frequency": "frequency, Hz", "frequency_error": "±", "decay": "decay, 1/s", "decay_error": "±",
-    "level": "level, dB", "level_error": "±", "snr": "SNR, dB", "beating": "beating, dB",
+    "number": "k", "frequency": "frequency, Hz", "frequency_error": "± noise", "decay": "decay, 1/s",
+    "decay_error": "± noise", "level": "level, dB", "level_error": "± noise", "snr": "SNR, dB",
+    "beating": "beating, dB",
 }  # fmt: skip
 
 
@@ -39,6 +40,7 @@ class Partials:
     level: np.ndarray  # [partials], dB re full scale² · s: ∫_0^0.35s of its mean power · exp(−16 t) dt, from the onset
     level_error: np.ndarray  # [partials], dB
     level_systematic: np.ndarray  # [partials, partials], dB²: from the level of the string's single mode
+    level_lag: np.ndarray  # [partials], s, by which its energy came later than a level's, by the law of decays
     snr: np.ndarray  # [partials], dB, amplitude at the onset over its own standard error from noise
     beating: np.ndarray  # [partials], dB, rms deviation of the log envelope from one exponential
     absent: np.ndarray  # int [absent], numbers below the highest frequency looked at that were not found
@@ -91,6 +93,21 @@ class Analysis:
     glide_error: float = 0.0  # cents, of all frequencies alike: how well a glide that was taken out is known
     glide_start: float = 0.0  # cents above f0 at which a glide that was taken out began,
     glide_tau: float = 1.0  # s, and the time constant with which it fell
+    level_law: tuple[float, float] = (
+        0.0,
+        0.0,
+    )  # 1/s, b1 and d2 over the whole file, which brought levels to their span
+
+    def decaying_as(self, other: Analysis) -> Analysis:
+        """The same with levels as by another recording's `level_law`, to the third order in how the two differ.
+
+        The string decays alike in all recordings of a key; their own laws differ by what noise and beats do to them.
+        """
+        p, theirs = self.partials, other.partials
+        lag = 0.5 * (p.level_lag + np.interp(p.number, theirs.number, theirs.level_lag))
+        b1, d2 = np.subtract(other.level_law, self.level_law)
+        level = p.level + 20 / np.log(10) * lag * (b1 + d2 * p.number**2.0)
+        return replace(self, partials=replace(p, level=level), level_law=other.level_law)
 
     @property
     def fall(self) -> Fall:

@@ -13,16 +13,16 @@ __all__ = ["Spectrum", "noise_between", "spectrum"]
 _BETA = 10.0  # side lobes 75 dB down
 _SHARPEST = 18.0  # side lobes 135 dB down: of partials of a long recording, below any noise between them
 _FOOT = 0.25  # half width of a peak at its foot, in spacings of the partials, when noise between them is measured
+_SPAN = 160.0  # Hz, over which the floor of a spectrum is taken
+_FLOOR = -200.0  # dB; below this is no sound
 _CAP = 60.0  # dB; a peak's prominence counts no further than this
 
 
 @dataclass(frozen=True)
 class Spectrum:
-    """Power spectrum of a windowed stretch, its floor, and its peaks."""
+    """The peaks of a windowed stretch's power spectrum, over its floor."""
 
     step: float  # Hz between bins
-    power: np.ndarray  # [bins], one-sided density, full scale²/Hz
-    prominence: np.ndarray  # [bins], dB above the floor, 0..60
     peak: np.ndarray  # [peaks], Hz, ascending
     height: np.ndarray  # [peaks], dB above the floor, 0..60
     strength: np.ndarray  # [peaks], dB
@@ -48,25 +48,23 @@ def _floor(level: np.ndarray, step: float, span: float) -> np.ndarray:
     return np.interp(np.arange(len(level)), (np.arange(count) + 0.5) * block, low)
 
 
-def spectrum(
-    samples: np.ndarray, rate: int, seconds: float, *, span: float = 160.0, floor_db: float = -200.0
-) -> Spectrum:
-    """Spectrum of the first `seconds` of `samples`, floor taken over `span` Hz."""
+def spectrum(samples: np.ndarray, rate: int, seconds: float) -> Spectrum:
+    """Spectrum of the first `seconds` of `samples`."""
     from scipy.signal import find_peaks
 
     piece = samples[: max(64, int(seconds * rate))]
     power, step = _density(piece, rate, 4)
     level = 10 * np.log10(power + 1e-40)
-    level = np.maximum(level, max(floor_db, float(level.max()) - 140.0))
+    level = np.maximum(level, max(_FLOOR, float(level.max()) - 140.0))
     # 10 dB above the 30 % quantile: chance maxima of noise rarely reach it
-    prominence = np.clip(level - _floor(level, step, max(span, 40 * step)) - 10.0, 0.0, _CAP)
+    prominence = np.clip(level - _floor(level, step, max(_SPAN, 40 * step)) - 10.0, 0.0, _CAP)
     at = find_peaks(level)[0]
     at = at[prominence[at] > 0]
     left, middle, right = level[at - 1], level[at], level[at + 1]
     bend = left - 2 * middle + right
     shift = np.where(bend < 0, 0.5 * (left - right) / np.minimum(bend, -1e-12), 0.0)
     resolution = float(np.hypot(_BETA, np.pi) / np.pi) * rate / len(piece)
-    return Spectrum(step, power, prominence, (at + shift) * step, prominence[at], middle, resolution)
+    return Spectrum(step, (at + shift) * step, prominence[at], middle, resolution)
 
 
 def noise_between(

@@ -56,6 +56,7 @@ class Problem:
     reference: int  # the recording whose pitch is the string's, and whose stroke is shown first
     speed: tuple[float | None, ...]  # measured velocity of every stroke, m/s
     presumed: bool  # that the reference's is the one in [known], which names no recording
+    unmatched: tuple[tuple[str, str], ...]  # files of [[recording]] that are a recording's but for their kind, and it
     unknowns: Unknowns
     observed: Observed
     scene: Scene
@@ -110,6 +111,7 @@ def pose(
     for stroke, v in zip(layout.stroke, measured, strict=True):
         speed[stroke] = speed[stroke] if v is None else v
     reference = _reference(analyses, layout, speed)
+    analyses = tuple(analysis.decaying_as(analyses[reference]) for analysis in analyses)
     start = starting_values(analyses[reference], replace(setup, recordings=()), speed[layout.stroke[reference]])
     nameless = "v_H0" in setup.known and speed[layout.stroke[reference]] is None
     if nameless:
@@ -118,9 +120,11 @@ def pose(
     path = start.scale is None and start.quantity == "pressure"
     observed = observe(analyses, layout, reference, scale, path, start.scale is None)
     unknowns, scene, cfg = _model(start, speed, observed, max(r.rate for r in recordings), path)
+    if not unknowns.free.any():
+        raise FitError("nothing is left to fit: [known] holds everything; leave out what is to be found")
     return Problem(
-        tuple(recordings), tuple(analyses), start, layout, reference, tuple(speed), nameless and layout.strokes > 1,
-        unknowns, observed, scene, cfg,
+        tuple(recordings), analyses, start, layout, reference, tuple(speed), nameless and layout.strokes > 1,
+        _unmatched(setup, recordings), unknowns, observed, scene, cfg,
     )  # fmt: skip
 
 
@@ -138,6 +142,17 @@ def _refuse(recordings: Sequence[Recording], analyses: Sequence[Analysis]) -> No
                 f"{name}: its pitch, {analysis.f0:.2f} Hz, is {abs(cents):.0f} cents from that of the other "
                 "recordings; all must be of one key"
             )
+
+
+def _unmatched(setup: Setup, recordings: Sequence[Recording]) -> tuple[tuple[str, str], ...]:
+    """A setup may know more recordings than one fit has; of one misspelt what was measured would be lost."""
+    said = {Path(entry.file).name for entry in setup.recordings if entry.file}
+    names = {Path(recording.path).name for recording in recordings}
+    stems = {
+        Path(name).stem.lower(): name for name in names - said
+    }  # L1 for L2 is another recording, .wav for .flac none
+    near = [(one, stems.get(Path(one).stem.lower())) for one in sorted(said - names)]
+    return tuple((one, name) for one, name in near if name)
 
 
 def _layout(entries: Sequence[Layer]) -> Layout:
@@ -204,7 +219,7 @@ def _unknowns(start: Start, speed: Sequence[float | None], log_u: float, path: b
     # A loss that the law does not have has no spread, and is held.
     mean = np.array([np.log(max(values[n], 1e-300)) if n in spread else ABSENT for n in names])
     sd = np.array([0.0 if n != "width" and start.fixed.get(n) == "fixed" else spread.get(n, 0.0) for n in names])
-    if path or "width" in start.bounds:  # through a path the width tells nothing: what it does, the path would
+    if path:  # through a path the width tells nothing: what it does, the path would
         sd[names.index("width")] = 0.0
     length, width = geometry.length, geometry.width
     edges = {n: (float(np.log(box.lower)), float(np.log(box.upper))) for n, box in boxes.items()}
