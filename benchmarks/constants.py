@@ -106,6 +106,7 @@ def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
         "`GAIN` of a round": (search, "GAIN", plain),
         "`RESTARTS`": (search, "RESTARTS", plain),
         "`REACH`": (search, "REACH", plain),
+        "`ALONG`": (search, "ALONG", plain),
         "`SCAN`": (search, "SCAN", whole),
         "`NEAR`": (search, "NEAR", plain),
         "`GOING`": (search, "GOING", plain),

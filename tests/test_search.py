@@ -8,7 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from observed_cases import GEOMETRY, HAMMER, STRING, played, setup, tone
+from scipy.signal import lfilter
 
+from pianofit.analysis import analyse
 from pianofit.errors import FitError
 from pianofit.inference import Problem, estimate, pose
 from pianofit.inference.descent import LEVELS, Descent
@@ -19,7 +21,11 @@ from pianofit.inference.parabola import Parabola
 from pianofit.inference.posterior import Posterior
 from pianofit.inference.screen import screened, struck_anew, wide
 from pianofit.inference.search import distinct, searched
+from pianofit.model import simulate
+from pianofit.published import preset
+from pianofit.recording import recording_from_samples
 from pianofit.result import conclude
+from pianofit.setup import setup_from_dict
 
 
 @functools.cache
@@ -155,7 +161,8 @@ def test_on_the_edge_of_K_H_the_force_follows_p():
     assert not cov[force].any()
     slope = np.exp(one.z[p]) * u.log_u
     change = np.eye(u.size)[force] + slope * np.eye(u.size)[p]
-    assert one.posterior.spread(change) == pytest.approx(-slope * np.sqrt(cov[p, p]), rel=1e-3)
+    first = Posterior(one.posterior.mean[:1], cov[None], np.ones(1))
+    assert first.spread(change) == pytest.approx(-slope * np.sqrt(cov[p, p]), rel=1e-3)
     descent, best = one.minima.descent, one.minima.people.take(np.array([0]))
     inner = np.flatnonzero(cov.diagonal() > 0)
     z = np.tile(u.log_values(one.z), (2, 1))
@@ -221,6 +228,51 @@ def test_minima_whose_contacts_do_not_end_by_the_finer_steps_are_none(monkeypatc
     monkeypatch.setattr(Descent, "model", lambda self, *x: (model(self, *x)[0], np.zeros(len(x[0]), bool)))
     with pytest.raises(FitError, match="no hammer within the bounds gives a finite sound"):
         finished(problem(), people, held, own)
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.3, 0.6), (3.0, 4.0)])
+def test_a_velocity_keeps_within_its_bounds_and_says_so_at_one(low, high):
+    """The one that was played lies outside."""
+    bounded = pose([tone()], [played()], replace(setup(), bounds={"v_H0": (low, high)}))
+    one, at = estimate(bounded), bounded.velocity
+    bound = low if HAMMER.v_H0 < low else high
+    assert np.exp(one.z[at]) == pytest.approx(bound, rel=1e-9)
+    document = conclude(Inferred(bounded, one, 0, None)).document
+    assert document["parameters"]["v_H0"]["status"] == "at-bound"
+    assert document["recordings"][0]["v_H0_status"] == "at-bound"
+    assert any("At a bound" in said and "v_H0" in said for said in document["messages"])
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+def test_a_search_of_two_like_strokes_does_not_stay_on_a_ripple_of_their_valley(seed):
+    """One lies eight standard deviations from the truth, 28 in F above it, and nothing else is wrong with it."""
+    it, rate, noise = preset("chabassier-F3"), 44_100, np.random.default_rng(5)
+    recordings = []
+    for velocity in (2.0, 2.2):
+        strike = simulate(it.string, it.hammer._replace(v_H0=velocity), it.geometry, quantity="bridge-force")
+        sound = lfilter([1, 0.6, 0.2], [1, -0.5], strike.waveform(rate, 3 * rate))
+        sound = np.pad(0.5 * sound / np.abs(sound).max(), (rate // 10, 0))
+        recordings.append(recording_from_samples(sound + 1e-4 * noise.standard_normal(len(sound)), rate))
+    posed = pose(recordings, [analyse(one, note="F3") for one in recordings], setup_from_dict({}, "here"))
+    one, u = estimate(posed, seed), posed.unknowns
+    mass = np.exp(one.posterior.mean[0, u.at("M_H")]) / posed.start.geometry.mass
+    low, high = one.posterior.interval(np.eye(u.size)[u.at("M_H")])
+    true = it.hammer.M_H / it.geometry.mass
+    assert np.exp(low) / posed.start.geometry.mass < true < np.exp(high) / posed.start.geometry.mass
+    assert mass == pytest.approx(true, rel=0.01)
+
+
+@pytest.mark.parametrize(("file", "near"), [("Tone.flac", ["tone.wav"]), ("tone.wav", []), ("tone2.wav", [])])
+def test_a_misspelt_recording_of_the_setup_is_told(file, near):
+    known = setup(recording=[{"file": file, "v_H0": 1.0}])
+    posed = pose([tone(name="tone.wav")], [played()], known)
+    assert [other for _, other in posed.unmatched] == near
+
+
+def test_where_everything_is_known_nothing_is_left_to_fit():
+    known = dict(zip(("c", "kappa", "b1", "b2"), map(float, STRING), strict=True)) | HAMMER._asdict()
+    with pytest.raises(FitError, match=r"nothing is left to fit: \[known\] holds everything"):
+        pose([tone()], [played()], setup(pickup={"quantity": "pressure"}, known=known))
 
 
 def test_a_stroke_in_the_wrong_lobe_is_struck_anew():

@@ -82,6 +82,11 @@ class Unknowns:
         """Which are searched [size]."""
         return self.sd > 0
 
+    @property
+    def precision(self) -> np.ndarray:
+        """Of the prior; 0 for what is held [size]."""
+        return np.where(self.free, 1 / np.where(self.free, self.sd, 1.0) ** 2, 0.0)
+
     def project(self, z: np.ndarray) -> np.ndarray:
         """The nearest point of the box [..., size]; a force whose K_H would leave its own bounds goes to the edge."""
         z = np.where(self.free, np.clip(z, self.lower, self.upper), self.mean)

@@ -66,10 +66,9 @@ def given(problem: Problem, found: Estimate) -> Given:
     u, o, minima = problem.unknowns, problem.observed, found.minima
     descent, best = minima.descent, minima.people
     cents = descent.own_lanes(best.z[:1])[1]
-    precision = np.where(u.free, 1 / np.where(u.free, u.sd, 1.0) ** 2, 0.0)
     everything = (
         best.z[0], _white(problem, found), (u.lower, u.upper), u.power, np.array(u.stiffness), u.log_u,
-        (u.mean, precision), descent.tables, tuple(phi[0] for phi in best.phi), tuple(w[0] for w in best.w),
+        (u.mean, u.precision), descent.tables, tuple(phi[0] for phi in best.phi), tuple(w[0] for w in best.w),
         tuple(np.argwhere(np.asarray(t.found) > 0) for t in descent.tables),
         best.offset[0], descent.there, descent.stroke, descent.columns, cents,
         (o.string_number, o.law, float(problem.start.geometry.length)), problem.scene,

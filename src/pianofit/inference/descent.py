@@ -150,7 +150,7 @@ class Descent:
     def prior(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Of F, the prior of θ: value [B], gradient [B, size] and curvature [size, size]."""
         u = self.unknowns
-        weight = np.where(self.moves, 1 / np.where(u.free, u.sd, 1.0) ** 2, 0.0)
+        weight = np.where(self.moves, u.precision, 0.0)
         away = z - u.mean
         return 0.5 * (weight * away**2).sum(axis=1), weight * away, np.diag(weight)
 

@@ -86,12 +86,12 @@ def beginning(problem: Problem, string: np.ndarray) -> np.ndarray:
     u, start = problem.unknowns, problem.start
     z = u.mean.copy()
     for i, name in enumerate(u.names):
-        if name in start.initial and u.free[i]:
+        if u.free[i]:
             z[i] = np.log(start.initial[name])
     if u.power and u.free[u.power[0]]:
         z[u.power[0]] += np.exp(z[u.power[1]]) * u.log_u
     z[:STRING_SIZE] = string
     reference = u.shared + problem.layout.stroke[problem.reference]
-    if u.free[reference] and "v_H0" in start.initial:
+    if u.free[reference]:
         z[reference] = np.log(start.initial["v_H0"])
     return u.project(z)

@@ -1,7 +1,7 @@
 """The one objective: minus the log marginal posterior of tables of partials.
 
     y[r,k] = law_k(θ, v_r) + Σ_q c_q B_q[r,k] + a_g(r),k + e[r,k]
-    c ~ N(0, S²)      a_g ~ N(0, A² M(ℓ) + τ_g² I + S)      e[r,k] ~ t_ν(0, s²[r,k] + σ² u_k + η² R²[r,k])
+    c ~ N(0, S²)      a_g ~ N(0, A² M(ℓ) + τ_g² I + S)      e[r,k] ~ t_ν(0, s²[r,k] + σ² u_k + (6.14 η R[r,k])²)
 
 A table holds levels, frequencies or decays of all recordings. What recordings share (a path, a string's own deviation
 from the law, a systematic error of the analysis) are a's, what a recording has alone (gain, onset, pitch) are columns

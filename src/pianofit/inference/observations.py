@@ -13,7 +13,7 @@ from .likelihood import Table
 
 __all__ = ["Layout", "Observed", "observe", "placed", "string_law", "string_residuals"]
 
-# Partials above this, Hz, stand in no table: few hammers and fewer microphones reach them.
+# Levels of partials above this, Hz, stand in no table: few hammers and fewer microphones reach them.
 HIGHEST = 10_000.0
 # A τ that is not there, log dB.
 NONE = -50.0

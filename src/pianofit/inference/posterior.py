@@ -113,7 +113,7 @@ def _log_curvature(slope: float, curvature: float) -> float:
 def _precision(problem: Problem, minima: Minima, i: int) -> tuple[np.ndarray, float]:
     """Of θ [size, size] with φ and w of all tables integrated out, and the logarithm of the volume these had."""
     u, people = problem.unknowns, minima.people
-    precision = np.diag(np.where(minima.descent.moves, 1 / np.where(u.free, u.sd, 1.0) ** 2, 0.0))
+    precision = np.diag(np.where(minima.descent.moves, u.precision, 0.0))
     volume = 0.0
     for table, part, hyper in zip(minima.descent.tables, people.parts, HYPER, strict=True):
         more, own = without_nuisances(table, jax.tree.map(lambda x: x[i], part), hyper)

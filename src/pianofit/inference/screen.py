@@ -84,10 +84,11 @@ def _with_velocities(
 
     `wanted` are the levels that they are to have, dB [R, K].
     """
-    shared = descent.unknowns.shared
-    free = descent.unknowns.free[shared:]
-    # Measured velocities have columns of their own.
-    grid = np.append(grid if free.any() else (), descent.unknowns.mean[shared:][~free])
+    u, shared = descent.unknowns, descent.unknowns.shared
+    free = u.free[shared:]
+    # Within the bounds, which are those of all; measured velocities have columns of their own.
+    within = np.clip(grid, u.lower[shared:][free].max(), u.upper[shared:][free].min()) if free.any() else ()
+    grid = np.append(np.unique(within), u.mean[shared:][~free])
     # Velocity by velocity: lanes of one call then have contacts of like lengths.
     lanes = np.concatenate(
         [np.tile(z[:, STRING_SIZE:shared], (len(grid), 1)), np.repeat(grid, len(z))[:, None]], axis=1

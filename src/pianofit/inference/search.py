@@ -14,7 +14,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from ..errors import FitError
-from .coordinates import STRING_SIZE, Unknowns
+from .coordinates import Unknowns
 from .descent import Descent
 from .parabola import Parabola
 from .population import Population
@@ -37,8 +37,11 @@ GAIN = 0.5
 ROUNDS = 8
 # how many in each,
 RESTARTS = 8
-# and how far, in the prior's standard deviations: beyond the valley, within what a descent finds.
+# and how far: no farther than these standard deviations of the prior, within what a descent finds,
 REACH = 0.3
+# nor than these of the parabola there. The landscape of a clean recording has ripples along a valley that is narrow in
+# all other directions, some deviations apart, where F would fall by tens.
+ALONG = 10.0
 # Of log x0: valleys of the strike position are less than a percent apart in the bass.
 SCAN = (0.003, 0.006, 0.01, 0.015, 0.02, 0.03, 0.045, 0.065)
 # Steps that a restart has
@@ -90,7 +93,7 @@ def searched(
     random = np.random.default_rng(seed)
     for _ in range(ROUNDS):
         before = _lowest(descent, people)
-        people = _restarted(descent, people, lambda best, _: _nearby(descent, best.z[0], random))
+        people = _restarted(descent, people, lambda best, _: _nearby(descent, best, random))
         for node in range(len(parabolas)):
             people = _restarted(
                 descent, people, lambda best, by: struck_anew(descent, best.z, [by], best.offset[0])[0], node
@@ -118,11 +121,13 @@ def _lowest(descent: Descent, people: Population) -> float:
     return float(descent.total(people)[0])
 
 
-def _nearby(descent: Descent, best: np.ndarray, random: np.random.Generator) -> np.ndarray:
-    """Points about the best [size] in everything [restarts, size]."""
-    u = descent.unknowns
-    z = best + random.normal(size=(RESTARTS, u.size)) * REACH * u.sd
-    z[:, :STRING_SIZE] = descent.string
+def _nearby(descent: Descent, best: Population, random: np.random.Generator) -> np.ndarray:
+    """Points about the best in everything, along its valley [restarts, size]."""
+    u, moves = descent.unknowns, descent.moves
+    precision = descent.prior(best.z)[2] / REACH**2 + sum(part.report.curvature[0] for part in best.parts) / ALONG**2
+    value, vector = np.linalg.eigh(precision[np.ix_(moves, moves)])
+    z = np.tile(best.z, (RESTARTS, 1))
+    z[:, moves] += random.normal(size=(RESTARTS, moves.sum())) / np.sqrt(value) @ vector.T
     return u.project(z)
 
 

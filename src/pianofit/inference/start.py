@@ -22,7 +22,7 @@ from ..units import midi_of
 
 __all__ = ["Start", "starting_values"]
 
-# The hammer of an uncalibrated recording is assumed to arrive at this velocity, m/s, a moderate forte.
+# Where nothing is known of it, a search begins at this velocity of the hammer, m/s, a moderate forte.
 ASSUMED_VELOCITY = 2.0
 # A wave speed and a length that were given make the pitch that is heard within half a semitone, cents: a ruler and a
 # stretched octave are no farther off, and beyond it is the neighbouring key's.
@@ -43,6 +43,7 @@ class Start:
     quantity: str
     scale: float | None  # units at digital full scale; None when uncalibrated
     usual: Hammer  # the literature's for the key, by which contacts are measured, with what is known of it
+    told: tuple[str, ...] = ()  # of the felt and the hammer's mass, what the user gave a value
     law: FeltLaw = DEFAULT_LAW
 
 
@@ -90,6 +91,7 @@ def starting_values(analysis: Analysis, setup: Setup, velocity: float | None = N
         scale=setup.pickup_scale,
         # A law from outside may mean something else by the literature's names.
         usual=Hammer(**hammer | {name: values[name] for name in (COMMON if law.hammers is None else HAMMER_NAMES)}),
+        told=tuple(name for name in (*law.parameters, "M_H") if name in setup.initial | setup.known),
         law=law,
     )
 
