@@ -159,8 +159,11 @@ def test_a_fit_improves_on_its_start():
 )  # fmt: skip
 def test_recordings_that_are_met_twice_as_badly_as_the_others_are_named(errors, named):
     recordings = [SimpleNamespace(path=f"some/layer-{i}.wav") for i in range(len(errors))]
-    said = _out_of_line(SimpleNamespace(problem=SimpleNamespace(recordings=recordings)), errors)
-    assert [text.split(":")[0] for text in said] == [f"layer-{i}.wav" for i in named]
+    for group, word in ((0, "needs a group"), (1, "has a group of its own")):
+        layout = SimpleNamespace(group=[i * group for i in range(len(errors))])
+        said = _out_of_line(SimpleNamespace(problem=SimpleNamespace(recordings=recordings, layout=layout)), errors)
+        assert [text.split(":")[0] for text in said] == [f"layer-{i}.wav" for i in named]
+        assert all(word in text for text in said)
 
 
 @pytest.mark.parametrize(

@@ -174,7 +174,7 @@ def test_of_one_velocity_nothing_wanders():
 
 @pytest.mark.slow
 def test_cross_validation_beats_the_nearest_layer():
-    found, whole = cross_validate(*through(SEVERAL), strokes_of(SEVERAL))
+    found, whole = cross_validate(through(SEVERAL)[0], setup=strokes_of(SEVERAL), f0=FIRST.f0)
     assert whole.document["recordings"][0]["v_H0"] == pytest.approx(found["recordings"][0]["v_H0"])
     assert [row["inner"] for row in found["recordings"]] == [False, True, False]
     middle = found["recordings"][1]

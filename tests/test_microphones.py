@@ -58,9 +58,7 @@ def test_every_microphone_has_a_path_of_its_own():
 def test_one_stroke_at_two_microphones_does_not_fix_the_felt():
     recordings, analyses = ([x[i] for i in (1, 3)] for x in through(MICROPHONES))
     document = fit_recordings(recordings, analyses, strokes_of(MICROPHONES)).document
-    assert document["claims"].startswith(
-        "2 uncalibrated recordings, but none shares a path with a recording of another"
-    )
+    assert document["claims"].startswith("2 uncalibrated recordings, but none shares a path with a stroke of another")
     assert {document["parameters"][n]["status"] for n in ("K_H", "p")} <= {"not-identifiable", "at-bound"}
     assert document["recordings"][0]["v_H0"] == document["recordings"][1]["v_H0"]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ..analysis.notes import near_note
 from ..numbers import beside, bracketed, columns
 from ..report.words import again_in_words, ringing_line
 
@@ -38,8 +39,8 @@ def summary(document: dict, folder: Path) -> str:
     # What no assumed size or velocity enters comes before the SI values.
     lines += [x for table in (document["invariants"], document["parameters"]) for x in _found(table)]
     d, levels = document["derived"], document["levels"]
-    lines.append(f"f0 {d['f0']:.3f} Hz, B {d['B']:.4g}, {contact(d)}")
-    only = "" if levels["path_only_db"] is None else f", literature's hammer {levels['path_only_db']:.2f} dB"
+    lines.append(f"f0 {d['f0']:.3f} Hz ({near_note(d['f0'])}), B {d['B']:.4g}, {contact(d)}")
+    only = "" if levels["path_only_db"] is None else f", initial hammer {levels['path_only_db']:.2f} dB"
     count = len(document["recordings"])
     where = "levels of partials" + (f" in {count} recordings" if count > 1 else "")
     lines.append(f"{levels['partials']} {where}: start {levels['initial_db']:.2f} dB{only}, "

@@ -12,6 +12,7 @@ from collections import namedtuple
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from keyword import iskeyword
 from typing import Any
 
 from ..errors import ParameterError
@@ -66,9 +67,10 @@ class FeltLaw:
                 f"felt law {self.name!r}: the name must be letters, digits and hyphens, a letter first"
             )
         for name, parameter in self.parameters.items():
-            if not name.isidentifier() or name.startswith("_") or name in TAKEN:
+            if not name.isidentifier() or iskeyword(name) or name.startswith("_") or name in TAKEN:
                 raise ParameterError(
-                    f"felt law {self.name!r}: {name!r} must be a name other than {', '.join(sorted(TAKEN))}"
+                    f"felt law {self.name!r}: {name!r} must be a name other than {', '.join(sorted(TAKEN))}, "
+                    "and no word of Python's own"
                 )
             parameter.check(f"felt law {self.name}: {name}")
         if self.power is not None and not {*self.power} <= {*self.parameters}:

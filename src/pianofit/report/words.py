@@ -222,7 +222,7 @@ def comparison(fit: dict[str, Any]) -> str:
     if path > fitted + 0.1:
         meaning = "The fitted hammer explains more of the levels."
     return (
-        f"A hammer from the literature, at velocities and through an output path that suit it, leaves an error of "
+        f"The initial hammer, at velocities and through a gain and path that suit it, leaves an error of "
         f"{path:.1f} dB in the partials’ levels; the fitted one leaves {fitted:.1f} dB. {meaning}"
     )
 

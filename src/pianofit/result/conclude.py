@@ -101,13 +101,13 @@ def _parameters(fit: Inferred, states: dict[str, str], velocity: dict) -> dict[s
             table[name] = entry(0.0, said, "given", 0.0, f"the felt's law, {u.law.name}, has none")
             continue
         rests = [f"the assumed {x}" for x in start.rests_on.get(name, ())]
-        rests += ["the velocities"] * (name in scaling(problem))
+        rests += ["the velocities"] * (name in scaling(fit))
         note = f"scales with {' and '.join(rests)}" if states[name] == "scaled" else ""
         if name == "width" and u.free[i]:
             note = "effective: of the raised cosine that acts as the felt's own window does"
         # What is held is shown as it was given, to the last digit.
         value = u.value(name, log[i]) if u.free[i] else float(start.values[name])
-        begun = float(start.initial[name] if name in start.initial else initial[i])
+        begun = float(start.initial[name])
         span = _interval(fit.posterior, np.eye(u.size)[i], value, u.range(i)) | fit.seen(name)
         table[name] = entry(value, described(name, u.law), states[name], begun, note, span)
     order = [*(name for name in FIRST if name in table), *(name for name in table if name not in FIRST)]

@@ -11,13 +11,13 @@ from pathlib import Path
 
 import numpy as np
 
-from ..analysis import Analysis
+from ..analysis import Analysis, analyse
 from ..criterion import level_error_db
 from ..errors import FitError
 from ..fit_file import gains_of
 from ..inference.infer import infer
 from ..parameters import check_seed
-from ..recording import Recording
+from ..recording import Source, read
 from ..setup import Setup
 from .conclude import conclude
 from .listener import scored
@@ -28,10 +28,12 @@ __all__ = ["cross_validate"]
 
 
 def cross_validate(
-    recordings: Sequence[Recording],
-    analyses: Sequence[Analysis],
-    setup: Setup,
+    recordings: Sequence[Source],
+    analyses: Sequence[Analysis] | None = None,
+    setup: Setup | None = None,
     *,
+    note: str | None = None,
+    f0: float | None = None,
     seed: int = 0,
     progress: Callable[[str, float], None] = lambda *_: None,
 ) -> tuple[dict, Result]:
@@ -42,8 +44,10 @@ def cross_validate(
 
     Parameters
     ----------
-    recordings, analyses : three or more of one key, each with its analysis, see `load_recording` and `analyse`.
+    recordings : three or more of one key, in any form that `fit` takes.
+    analyses : of the recordings, in their order, if they were analysed before.
     setup : what was known beforehand.
+    note, f0 : what is played, or its pitch in Hz; found if None.
     seed : of the searches.
     progress : called with what is being fitted, and the fraction done.
 
@@ -58,12 +62,12 @@ def cross_validate(
     ------
     FitError
         For fewer than three strokes, and as `fit` does.
+    RecordingError, AnalysisError
+        For a recording that cannot be used.
 
     Examples
     --------
-    >>> recordings = [pianofit.load_recording(name) for name in ("soft.wav", "mezzo.wav", "loud.wav")]
-    >>> analyses = [pianofit.analyse(recording, note="F#2") for recording in recordings]
-    >>> found, result = pianofit.cross_validate(recordings, analyses, pianofit.Setup())  # four fits
+    >>> found, result = pianofit.cross_validate(["soft.wav", "mezzo.wav", "loud.wav"], note="F#2")  # four fits
     >>> found["median_inner_db"]
     """
     check_seed(seed)
@@ -71,6 +75,8 @@ def cross_validate(
     if count < 3:
         few = "1 recording is" if count == 1 else f"{count} recordings are"
         raise FitError(f"{few} too few to leave one out; give three or more")
+    recordings, setup = read(recordings), setup or Setup()
+    analyses = [analyse(one, note=note, f0=f0) for one in recordings] if analyses is None else analyses
     whole = conclude(infer(recordings, analyses, setup, seed=seed))
     heard = whole.document["recordings"]
     strokes = list(dict.fromkeys(row["stroke"] for row in heard))

@@ -169,7 +169,9 @@ def heard_beside(fit: Inferred, notes: Sequence[Note]) -> tuple[FittedRecording,
     """
     problem, descent, columns = fit.problem, fit.found.minima.descent, fit.problem.observed.number
     integrated = latents(fit.found.minima, 0)
-    initial = descent.level(fit.begun[None])[0]
+    start = fit.begun.copy()
+    start[:STRING_SIZE] = np.log([problem.start.initial[name] for name in STRING_NAMES])
+    initial = descent.level(start[None])[0]
     fitted = np.asarray(descent.table.value) - integrated.own
     path_only = None if problem.calibrated else _path_only(fit)
     heard = []
@@ -182,19 +184,18 @@ def heard_beside(fit: Inferred, notes: Sequence[Note]) -> tuple[FittedRecording,
             gain, begins = listener.gain, round(laid(note._replace(gain=listener.gain), recording))
         after = listener.play(note, float(gain), begins, listener.at(fitted[i], columns))
         # The criterion's own gain on the initial sound: its level is not what is judged.
-        before = listener.play(_initial(fit, i), listener.gain, begins, listener.at(initial[i], columns))
+        before = listener.play(_played(fit, start, i), listener.gain, begins, listener.at(initial[i], columns))
         levels = {"initial_db": before.level, "fitted_db": after.level}
         levels |= {} if path_only is None else {"path_only_db": listener.at(path_only[i], columns)}
         heard.append(listener.compared(before, after, {n: listener.in_noise(x) for n, x in levels.items()}))
     return tuple(heard)
 
 
-def _initial(fit: Inferred, i: int) -> Note:
-    """What the starting values give, before any fit."""
-    u, start = fit.problem.unknowns, fit.problem.start
-    given = {n: start.initial[n] for n in STRING_NAMES if n in start.initial}
-    hammer = u.hammer(fit.begun, fit.problem.layout.stroke[i])
-    return Note(u.string(fit.begun)._replace(**given), hammer, u.struck(fit.begun), start.quantity, 1.0, None)
+def _played(fit: Inferred, z: np.ndarray, i: int) -> Note:
+    """What values at `z` [size] give of a recording, without a path."""
+    u, problem = fit.problem.unknowns, fit.problem
+    hammer = u.hammer(z, problem.layout.stroke[i])
+    return Note(u.string(z), hammer, u.struck(z), problem.start.quantity, 1.0, None)
 
 
 def _path_only(fit: Inferred) -> np.ndarray:

@@ -16,7 +16,7 @@ from scipy.optimize import fminbound
 
 from ..analysis import Analysis, analyse, hz_to_note
 from ..criterion import level_error_db
-from ..errors import AnalysisError, FitError, WrongNoteError
+from ..errors import AnalysisError, FitError, ParameterError, WrongNoteError
 from ..inference.priors import LEVEL, VELOCITY, VELOCITY_SPREAD, log_gain
 from ..io import one_line
 from ..model.note import SLOWEST, Note
@@ -104,6 +104,8 @@ def predict_recording(
     if isinstance(notes, Result):
         notes, gains = notes.mixture, notes.gains if gains is None else gains
     mixture = [(1.0, notes)] if isinstance(notes, Note) else list(notes)
+    if not mixture:
+        raise ParameterError("notes=[] holds no note; give a fit, a note, or notes with their shares")
     gains, (_, first) = gains or (0.0,), mixture[0]
     analysis = analysis if isinstance(analysis, Analysis) else _of_the_key(analysis, first)
     p = analysis.partials

@@ -35,7 +35,7 @@ class Sound:
     note: Note
     samples: np.ndarray  # file units, as long as the recording
     simulation: Simulation
-    level: np.ndarray  # dB, [partials], gain and path included, in the recording's unit
+    level: np.ndarray  # dB, [partials], gain and path included; of a calibrated recording in its pickup's unit
     frames: np.ndarray | None = None  # `samples` is their mean [channels, samples]; None for one channel
 
     def __repr__(self) -> str:
@@ -197,7 +197,7 @@ class Result:
 
     @property
     def plot(self) -> Any:
-        """Figures: `plot.spectrum()`, `plot.force()`, `plot.levels()`, `plot.correlations()`; each returns its Axes."""
+        """Figures: `plot.spectrum()`, `force()`, `levels()`, `envelopes()`, `correlations()`; each returns its Axes."""
         from ..report.plots import Plots
 
         return Plots(self)

@@ -14,6 +14,7 @@ from ..inference.problem import Problem
 from ..io import one_line
 from ..numbers import off_by, with_half_interval
 from ..units import NORMAL
+from .entries import described
 
 __all__ = [
     "AT_EDGE", "STATUSES", "STOPPED", "claims", "correlated", "invariant_status", "messages", "presumed", "scaling",
@@ -50,8 +51,12 @@ ONE_VELOCITY = (
     "One uncalibrated recording does not fix the felt: any hammer's spectrum can be traded for an output path, and a "
     "softer felt struck faster sounds the same through another gain. "
 )
+ONE_GAIN = (
+    "One recording without a unit does not fix the felt: a softer one struck faster sounds the same through another "
+    "gain. "
+)
 NOTHING_COMPARED = (
-    "{} uncalibrated recordings, but none shares a path with a recording of another stroke, which does not fix the "
+    "{} uncalibrated recordings, but none shares a path with a stroke of another velocity, which does not fix the "
     "felt: any hammer's spectrum can be traded for an output path. "
 )
 SEVERAL = (
@@ -66,7 +71,7 @@ SEVERAL = (
 def statuses(fit: Inferred) -> dict[str, str]:
     """One of `STATUSES` by parameter name."""
     u, start = fit.problem.unknowns, fit.problem.start
-    bound, lost, moving = u.at_bound(fit.found.z), taken_back(fit), scaling(fit.problem)
+    bound, lost, moving = u.at_bound(fit.found.z), taken_back(fit), scaling(fit)
     # Of the logarithms of values, before the recordings; of the string's no more is asked than that it be known.
     prior = np.linalg.norm(u.tangent(fit.found.z) * u.sd, axis=1)
     enough = np.where(np.arange(u.size) < STRING_SIZE, LOOSE, np.minimum(LEARNED * prior, LOOSE))
@@ -85,9 +90,25 @@ def statuses(fit: Inferred) -> dict[str, str]:
     return {name: status(i, name) for i, name in enumerate(u.names)}
 
 
-def scaling(problem: Problem) -> tuple[str, ...]:
+def scaling(fit: Inferred) -> tuple[str, ...]:
     """The felt's parameters that move with the common scale of the velocities, where that is open."""
-    return problem.unknowns.law.scaling("N m") if problem.unscaled and problem.layout.compared else ()
+    return fit.problem.unknowns.law.scaling("N m") if fit.problem.unscaled and _compared(fit) else ()
+
+
+def _fastest_over_slowest(fit: Inferred) -> tuple[float, float, float]:
+    """Logarithm of the ratio of their velocities, between the ends of its 95 % interval."""
+    u, z = fit.problem.unknowns, fit.found.z
+    change = np.zeros(u.size)
+    change[u.shared + np.argmax(z[u.shared :])] += 1
+    change[u.shared + np.argmin(z[u.shared :])] -= 1
+    apart = float(z @ change)
+    low, high = fit.posterior.interval(change) or (apart, apart)
+    return low, apart, high
+
+
+def _compared(fit: Inferred) -> bool:
+    """Whether any path was heard with two velocities that certainly differ: two like strokes say no more than one."""
+    return fit.problem.layout.compared and _fastest_over_slowest(fit)[0] > 0
 
 
 def taken_back(fit: Inferred) -> tuple[str, ...]:
@@ -96,7 +117,7 @@ def taken_back(fit: Inferred) -> tuple[str, ...]:
     felt = tuple(problem.unknowns.law.parameters)
     if problem.calibrated:
         return () if fit.excess <= STRAINED else felt if fit.excess <= POOR else (*felt, "M_H")
-    if problem.layout.compared:
+    if _compared(fit):
         return felt if _beyond_a_pianist(fit) else ()
     return (*felt, "M_H") if problem.path else felt
 
@@ -114,9 +135,18 @@ def invariant_status(states: Sequence[str], deviation: float) -> str:
 def velocity_statuses(fit: Inferred) -> list[str]:
     """One of `STATUSES` for every stroke's velocity."""
     problem = fit.problem
-    lost = fit.excess > POOR if problem.calibrated else not problem.layout.compared or bool(_beyond_a_pianist(fit))
+    lost = fit.excess > POOR if problem.calibrated else not _compared(fit) or bool(_beyond_a_pianist(fit))
     unknown = "not-identifiable" if lost else "scaled" if problem.unscaled else "fitted"
-    return ["given" if v is not None else unknown for v in problem.speed]
+    bound = problem.unknowns.at_bound(fit.found.z)[problem.unknowns.shared :]
+    return [
+        "given" if v is not None else "at-bound" if at else unknown for v, at in zip(problem.speed, bound, strict=True)
+    ]
+
+
+def _bound(fit: Inferred, states: dict[str, str]) -> list[str]:
+    """What lies at a bound of the search."""
+    names = [name for name, state in states.items() if state == "at-bound"]
+    return names + ["v_H0"] * ("at-bound" in velocity_statuses(fit))
 
 
 # --- in sentences -----------------------------------------------------------------------------------------------------
@@ -128,17 +158,18 @@ def claims(fit: Inferred, states: dict[str, str], levels: dict) -> str:
     if problem.calibrated:
         return f"Calibrated recording{_calibrated(fit, states)}."
     count = len(problem.recordings)
-    text = ONE_VELOCITY if count == 1 else (SEVERAL if problem.layout.compared else NOTHING_COMPARED).format(count)
+    several = SEVERAL if _compared(fit) else NOTHING_COMPARED
+    text = (ONE_VELOCITY if problem.path else ONE_GAIN) if count == 1 else several.format(count)
     through = "path" if problem.path else "gain"
     text += (
         f"Partial levels: {levels['initial_db']:.1f} dB off at the start; {levels['path_only_db']:.1f} dB with the "
-        f"literature's hammer at the velocities and through the {through} that suit it; "
+        f"{_initial(problem)} hammer at the velocities and through the {through} that suit it; "
         f"{levels['fitted_db']:.1f} dB with the fitted hammer."
     )
-    if not problem.layout.compared:
-        return text + " The felt's values are one possibility under the prior of the path, not a finding."
-    bound = [name for name, state in states.items() if state == "at-bound"]
-    text += f" {AT_EDGE.format(', '.join(bound))}" if bound else ""
+    if not _compared(fit):
+        felt = any(problem.unknowns.free[problem.unknowns.at(name)] for name in problem.unknowns.law.parameters)
+        under = f"the prior{' of the path' if problem.path else ''}"
+        return text + f" The felt's values are one possibility under {under}, not a finding." * felt
     beyond = _beyond_a_pianist(fit)
     text += beyond
     if problem.unscaled and not beyond:
@@ -148,6 +179,12 @@ def claims(fit: Inferred, states: dict[str, str], levels: dict) -> str:
             "and their intervals are the prior's. The ratios listed first do not depend on it, nor do f0 and B."
         )
     return text
+
+
+def _initial(problem: Problem) -> str:
+    """Whose hammer the search began with."""
+    start = problem.start
+    return "initial" if start.told or start.law.hammers is None else "literature's"
 
 
 def _calibrated(fit: Inferred, states: dict[str, str]) -> str:
@@ -167,14 +204,10 @@ def _calibrated(fit: Inferred, states: dict[str, str]) -> str:
 
 def _beyond_a_pianist(fit: Inferred) -> str:
     """That the strokes' velocities differ by more than a pianist's, where that is certain."""
-    u, z = fit.problem.unknowns, fit.found.z
-    change = np.zeros(u.size)
-    change[u.shared + np.argmax(z[u.shared :])] += 1
-    change[u.shared + np.argmin(z[u.shared :])] -= 1
-    interval = fit.posterior.interval(change)
-    if interval is None or interval[0] <= np.log(VELOCITIES):
+    logs = _fastest_over_slowest(fit)
+    if logs[0] <= np.log(VELOCITIES):
         return ""
-    low, most, high = np.exp([interval[0], float(z @ change), interval[1]])
+    low, most, high = np.exp(logs)
     return (
         f" The fastest stroke is found {most:.3g} times ({low:.3g} to {high:.3g}) as fast as the slowest, and a "
         f"pianist's differ by {VELOCITIES:.0f} times: these layers differ by something that the model does not have, "
@@ -224,7 +257,7 @@ def messages(fit: Inferred, states: dict[str, str], worse: Sequence[str], errors
     worse : bands of eq. 19 that ended no lower than they began.
     errors : of every recording's levels, dB.
     """
-    problem, bound = fit.problem, [name for name, state in states.items() if state == "at-bound"]
+    problem, bound = fit.problem, _bound(fit, states)
     said = [] if fit.found.minima.converged[0] else [STOPPED]
     said += _mixture(fit)
     said += _out_of_line(fit, errors)
@@ -233,6 +266,11 @@ def messages(fit: Inferred, states: dict[str, str], worse: Sequence[str], errors
     said += [
         f"{a} and {b} are strongly correlated ({r:+.3f}): better identified than either is {_identified(fit, a, b)}."
         for a, b, r in correlated(fit)
+    ]
+    said += [
+        f'[[recording]] file = "{one_line(one)}" is none of the recordings, and says nothing of {one_line(other)}: is '
+        "it misspelt?"
+        for one, other in problem.unmatched
     ]
     said += [*presumed(problem), *_assumed(fit), _scattered(fit)]
     for recording, analysis in zip(problem.recordings, problem.analyses, strict=True):
@@ -244,13 +282,17 @@ def messages(fit: Inferred, states: dict[str, str], worse: Sequence[str], errors
 
 def _out_of_line(fit: Inferred, errors: Sequence[float]) -> list[str]:
     """Recordings that the fit meets much worse than the others."""
+    alone = (
+        "it has a group of its own: its notes may be another instrument's",
+        "one of another microphone or instrument needs a group of its own, by a [[recording]] in the setup",
+    )
     said = []
     for i, (recording, error) in enumerate(zip(fit.problem.recordings, errors, strict=True)):
         others = float(np.median([*errors[:i], *errors[i + 1 :]] or [np.inf]))
         if error > max(FARTHER * others, POOR):
             said.append(
                 f"{one_line(Path(recording.path).name)}: its levels are {error:.1f} dB off, the others' {others:.1f} "
-                "dB; one of another microphone or instrument needs a group of its own, by a [[recording]] in the setup."
+                f"dB; {alone[fit.problem.layout.group.count(fit.problem.layout.group[i]) > 1]}."
             )
     return said
 
@@ -305,11 +347,12 @@ def _mixture(fit: Inferred) -> list[str]:
     sd = np.sqrt(np.diag(untangled @ fit.posterior.covariance[0] @ untangled.T))
     apart = np.abs(z[other] - z[0]) / np.where(u.free, np.where(sd > 0, sd, u.sd), np.inf)
     at = int(np.argmax(apart[: u.shared]))
-    force = f"the felt's force at {1e3 * np.exp(u.log_u):.3g} mm, N"
-    named = force if u.power and at == u.power[0] else u.names[at]
+    forced = bool(u.power) and at == u.power[0]
+    named = f"the felt's force at {1e3 * np.exp(u.log_u):.3g} mm" if forced else u.names[at]
+    unit = "N" if forced else described(u.names[at], u.law)["unit"]
     shown, second = np.exp(z[[0, other], at])
     return [
         f"The minimum that is shown has the largest share of the posterior, {100 * share[0]:.0f} %. Another hammer, "
-        f"with {100 * share[other]:.0f} %, differs most in {named}: {second:.4g} instead of {shown:.4g}. "
-        + MIXED["laplace" if fit.view is None else fit.view.means]
+        f"with {100 * share[other]:.0f} %, differs most in {named}: {second:.4g}{f' {unit}' * (unit != '1')} instead "
+        f"of {shown:.4g}. " + MIXED["laplace" if fit.view is None else fit.view.means]
     ]
