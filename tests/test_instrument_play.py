@@ -256,14 +256,20 @@ def test_a_song_is_read_in_time():
     assert (found.notes, found.seconds) == (4, 5.5)
 
 
+def test_notes_that_no_piano_has_are_left_out_and_counted():
+    """Key switches of sample players lie below A0."""
+    played = (on(60), on(60, 0, 480))
+    alone, found = (read_song(midi_bytes(*more, *played), "song") for more in ((), (on(20), on(109), on(20, 0))))
+    assert found == alone._replace(beyond=2)
+
+
 BAD_SONGS = {
     "text": (b"no song at all", "not a MIDI file"),
     "short": (b"MThd\0\0\0\6\0\0\0\1\1", "cannot be read as MIDI"),
     "cut": (midi_bytes(on(60), on(60, 0, 480))[:-6], "cannot be read as MIDI"),
     "no notes": (midi_bytes(mido.MetaMessage("set_tempo", tempo=500_000)), "holds no note"),
     "drums": (midi_bytes(on(60, channel=9)), "holds no note"),
-    "low": (midi_bytes(on(20)), r"G#0 \(key 20\) at 0.00 s lies beyond a piano"),
-    "high": (midi_bytes(on(109)), "lies beyond a piano"),
+    "beyond": (midi_bytes(on(20), on(109)), "holds no note from A0 to C8"),
     "long": (midi_bytes(on(60), *[on(60, 1, 2**27) for _ in range(2)]), "lasts more than 30 minutes"),
     "many": (midi_bytes(*[on(60, 1, 1)] * (MOST_NOTES + 1)), "more than 100,000 notes"),
     "type 2": (midi_bytes(on(60), type=2), "type 2, whose tracks"),

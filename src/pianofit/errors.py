@@ -4,6 +4,8 @@ Each message is one line that names the thing (a file, an argument), the value f
 The command line prints the message and exits with 1; it never shows a traceback for these.
 """
 
+from numbers import Real
+
 __all__ = [
     "PianofitError", "RecordingError", "SetupError", "ParameterError", "AnalysisError", "FitError", "OutputError",
     "WrongNoteError", "check_range",
@@ -44,5 +46,5 @@ class OutputError(PianofitError):
 
 def check_range(what: str, value: float, low: float, high: float, unit: str = "", hint: str = "") -> None:
     """Refuse a `value` out of its range, or no number, by a `ParameterError`; `what` stands before it, as "layers="."""
-    if not low <= value <= high:
+    if not (isinstance(value, Real) and low <= value <= high):
         raise ParameterError(f"{what}{value}{unit} must be from {low:g} to {high:g}{hint}")

@@ -3,7 +3,7 @@
 from .analyse import analyse
 from .inharmonicity import law_frequency
 from .level import energy_level
-from .notes import hz_to_note, midi_to_note, note_to_hz, note_to_midi
+from .notes import hz_to_note, midi_to_note, near_note, note_to_hz, note_to_midi
 from .result import Analysis, Partials
 from .table import COLUMNS, as_dict, rows
 
@@ -17,6 +17,7 @@ __all__ = [
     "hz_to_note",
     "law_frequency",
     "midi_to_note",
+    "near_note",
     "note_to_hz",
     "note_to_midi",
     "rows",

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import re
 
 from ..errors import AnalysisError
 from ..units import hertz_of, midi_of
 
-__all__ = ["hz_to_note", "midi_to_note", "note_to_hz", "note_to_midi"]
+__all__ = ["hz_to_note", "midi_to_note", "near_note", "note_to_hz", "note_to_midi"]
 
 HIGHEST_MIDI = 127  # of the MIDI standard
 _STEPS = {"C": 0, "D": 2, "E": 4, "F": 5, "G": 7, "A": 9, "B": 11}
@@ -46,6 +47,12 @@ def note_to_hz(name: str) -> float:
 def hz_to_note(frequency: float) -> str:
     """Name of the note nearest to `frequency` (Hz)."""
     return midi_to_note(round(midi_of(frequency)))
+
+
+def near_note(frequency: float) -> str:
+    """The nearest note and how far `frequency` (Hz) is from it: "F#2 -4 cents"."""
+    name = hz_to_note(frequency)
+    return f"{name} {1200 * math.log2(frequency / note_to_hz(name)):+.0f} cents"
 
 
 def midi_to_note(midi: int) -> str:

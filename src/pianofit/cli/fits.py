@@ -45,7 +45,7 @@ def analyse(
 
 def _table(found: Analysis) -> str:
     """The string's laws with 95 % intervals, then a line for every partial with standard errors."""
-    from ..analysis import COLUMNS, rows
+    from ..analysis import COLUMNS, near_note, rows
 
     laws = (
         ("f0", found.f0, found.f0_error, "Hz", ""),
@@ -57,8 +57,8 @@ def _table(found: Analysis) -> str:
     for name, value, error, unit, note in laws:
         text, span = bracketed(value, (value - NORMAL * error, value + NORMAL * error))
         cells.append((name, text, unit, span, note))
-    lines = [found.note] if found.note else []
-    lines += [
+    lines = [
+        near_note(found.f0),
         *columns(cells, right=1),
         f"partials scatter by {found.scatter_cents:.2f} cents",
         "",

@@ -13,7 +13,7 @@ TITLES = {
     "b1": ("loss b₁, the same for all partials", "1/s"),
     "d2": ("loss d₂ = b₂π²/L², rising with k²", "1/s"),
     "M_H/M_S": ("hammer mass over string mass M_H/M_S", "1"),
-    "K/M_S": ("felt's force at the reference compression, over M_S", "N/kg"),
+    "K/M_S": ("felt's force where a stroke of 2 m/s presses it, over M_S", "N/kg"),
     "p": ("felt's exponent p", "1"),
     "mu": ("felt's loss μ", "s/m"),
     "x0/L": ("strike position x₀/L", "1"),

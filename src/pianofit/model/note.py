@@ -19,7 +19,7 @@ from .modes import mode_frequencies, mode_table
 from .path import OutputPath, filtered, impulse, through
 from .precision import float64
 from .response import level_db, ringing
-from .simulate import Simulation, contact_rate, count_modes, simulate
+from .simulate import MOST_MODES, Simulation, contact_rate, count_modes, simulate
 
 __all__ = ["MOST_SAMPLES", "MOST_SECONDS", "Note", "arrival", "check_render"]
 
@@ -158,8 +158,16 @@ class Note(NamedTuple):
         -------
         dB in file units [..., partials], the leading axes being those of `velocity`; as of `levels`. Infinite
         where the contact does not end.
+
+        Raises
+        ------
+        ParameterError
+            For a velocity that is not above 0, or a count that is not.
         """
         g, v = self.geometry, np.asarray(self.hammer.v_H0 if velocity is None else velocity, float)
+        if not (v.size and np.isfinite(v).all() and v.min() > 0):
+            raise ParameterError(f"velocity={velocity} m/s must be above 0")
+        check_range("count=", count, 1, MOST_MODES)
         rate = contact_rate(self.string, g, LEVEL_RATE)
         rows = max(count_modes(self.string, g, rate), 64 * int(np.ceil(count / 64)))
         slow = self.struck(min(SLOWEST, float(v.min()))).strike(LEVEL_RATE)

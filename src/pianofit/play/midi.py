@@ -13,7 +13,6 @@ from collections import defaultdict
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from ..analysis.notes import midi_to_note
 from ..errors import RecordingError
 from ..io import one_line, read_file
 from ..keyboard.gather import HIGHEST_KEY, LOWEST_KEY
@@ -34,13 +33,13 @@ class Song(NamedTuple):
     pedal: Sequence[tuple[float, int]]  # (time, 1 when it goes down or is moved while down; 0 when it goes up)
     seconds: float  # to the last event
     notes: int
+    beyond: int = 0  # more notes, that no piano has
 
 
 def load_song(path: str | os.PathLike[str]) -> Song:
     """The song in a standard MIDI file (type 0 or 1), of at most 100,000 notes and 30 min.
 
-    Raises `RecordingError`, naming the file and what is wrong: no MIDI, no notes, too many, too long, or keys no piano
-    has.
+    Raises `RecordingError`, naming the file and what is wrong: no MIDI, no notes that a piano has, too many, too long.
     """
     data = read_file(path, LARGEST_SONG, RecordingError)
     return read_song(data, one_line(path))
@@ -68,7 +67,7 @@ def read_song(data: bytes, name: str) -> Song:
 
 def _read(file: Any, name: str) -> Song:
     """Walk through all tracks in time."""
-    keys, pedal, now, notes = defaultdict[int, _Held](_Held), _Held(), 0.0, 0
+    keys, pedal, now, count = defaultdict[int, _Held](_Held), _Held(), 0.0, [0, 0]
     for message in file:
         now += message.time
         if now > MOST_SONG_SECONDS:
@@ -82,13 +81,20 @@ def _read(file: Any, name: str) -> Song:
                 key.move(now, message.channel, 0)
         elif message.type in ("note_on", "note_off"):
             velocity = message.velocity if message.type == "note_on" else 0
-            if velocity:
-                notes += 1
-                _check_note(message, now, notes, name)
-            keys[message.note].move(now, message.channel, velocity)
+            there = LOWEST_KEY <= message.note <= HIGHEST_KEY  # else it is another player's switch
+            count[there] += velocity > 0
+            if there:
+                keys[message.note].move(now, message.channel, velocity)
+    _check_count(count[True], name)
+    found = {key: held.events for key, held in keys.items() if held.events}
+    return Song(found, pedal.events, now, count[True], count[False])
+
+
+def _check_count(notes: int, name: str) -> None:
+    if notes > MOST_NOTES:
+        raise RecordingError(f"{name}: has more than {MOST_NOTES:,} notes; cut it into parts")
     if not notes:
-        raise RecordingError(f"{name}: holds no note for a piano; give a MIDI file with notes")
-    return Song({key: held.events for key, held in keys.items() if held.events}, pedal.events, now, notes)
+        raise RecordingError(f"{name}: holds no note from A0 to C8; give a MIDI file with notes, or transpose it")
 
 
 class _Held:
@@ -103,13 +109,3 @@ class _Held:
         if how or self.by == {channel}:
             self.events.append((now, how))
         (self.by.add if how else self.by.discard)(channel)
-
-
-def _check_note(message: Any, now: float, notes: int, name: str) -> None:
-    if notes > MOST_NOTES:
-        raise RecordingError(f"{name}: has more than {MOST_NOTES:,} notes; cut it into parts")
-    if not LOWEST_KEY <= message.note <= HIGHEST_KEY:
-        raise RecordingError(
-            f"{name}: {midi_to_note(message.note)} (key {message.note}) at {now:.2f} s lies beyond a piano's "
-            "A0 to C8; transpose it"
-        )

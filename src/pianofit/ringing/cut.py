@@ -69,7 +69,7 @@ def cut_band(b: Band, z: np.ndarray, beside: np.ndarray, ends: np.ndarray) -> Cu
     first = int(np.ceil((b.kernel / 2 + CONTACT) / b.step))
     stop = np.array([int((min(SPAN, end - FADED) - b.kernel / 2) / b.step) for end in ends])
     top = envelope[..., first : first + TOP].max(axis=-1)
-    snr = 20 * np.log10(top / noise)
+    snr = 20 * np.log10(np.maximum(top, noise * 1e-6) / noise)  # a channel may be silent
     floor = np.maximum(noise, top * 10 ** (-RANGE / 20))
     live = (snr > LEAST_SNR) & (stop > first + FEWEST)[:, None]
     if not live.any():

@@ -81,16 +81,13 @@ def modes_of(heard: Heard, analyses: Sequence[Analysis]) -> list[PartialModes]:
     pitch = pitches(spectrum, count, heard, partials)
     found: list[PartialModes] = []
     for number, frequency, spacing in partials:
-        modes = _fit(spectrum, count, heard, (number, frequency, spacing), pitch, None, quick=True)
+        modes = _fit(spectrum, count, heard, (number, frequency, spacing), pitch)
         found += [modes] if modes else []
     found = _loud(found)
     if not found:
         return []
     rest = np.fft.rfft(heard.samples - sounded(found, heard))
-    again = [
-        _fit(rest, count, heard, (modes.number, modes.frequency, modes.spacing), pitch, modes, quick=False)
-        for modes in found
-    ]
+    again = [_fit(rest, count, heard, (modes.number, modes.frequency, modes.spacing), pitch, modes) for modes in found]
     return _loud([modes for modes in again if modes])
 
 
@@ -125,14 +122,14 @@ def sounded(found: Sequence[PartialModes], heard: Heard) -> np.ndarray:
 
 def _fit(
     spectrum: np.ndarray, count: int, heard: Heard, where: tuple[int, float, float], pitch: np.ndarray,
-    own: PartialModes | None, *, quick: bool,
+    own: PartialModes | None = None,
 ) -> PartialModes | None:  # fmt: skip
     """Modes of one partial of all layers; None where no layer shows it.
 
     Parameters
     ----------
-    own : what an earlier pass found, and took out of `spectrum` with all others.
-    quick : one and three modes from the subspace alone, for such an earlier pass.
+    own : what an earlier pass found, and took out of `spectrum` with all others. That pass itself takes one or three
+        modes from the subspace alone.
     """
     number, frequency, spacing = where
     b = band(spectrum, count, heard.rate, frequency, kernel_seconds(spacing))
@@ -145,7 +142,7 @@ def _fit(
     cut = cut_band(b, z, beside, heard.seconds)
     if cut is None:
         return None
-    chosen = _chosen(cut, spacing, b.kernel, quick)
+    chosen = _chosen(cut, spacing, b.kernel, quick=own is None)
     if chosen is None:
         return None
     pole, amplitude = chosen
