@@ -1,7 +1,8 @@
 """Whether a recording holds more than one stroke.
 
 Beats lift one partial and let another fall; a hammer lifts them all at once. From one window of their basebands to the
-next the median partial of real single strokes rises by 3 dB at the most, struck again by 5 to 40.
+next the median partial of 58 real single strokes rises by 3 dB at the most, and of 75 that were struck again by more
+than 6 in 54; the others are soft strokes, soon after, of bass notes that still ring.
 """
 
 from __future__ import annotations
