@@ -94,7 +94,7 @@ def demodulate(samples: np.ndarray, rate: int, centre: np.ndarray, spacing: floa
     begin, frame_rate = skip + window / 2, count * width
     slices = np.where(outside, 0.0, bins[np.clip(index, 0, len(bins) - 1)] * weight)
     slices = slices * np.exp(2j * np.pi * begin * width * offset)
-    frames = max(int((len(samples) / rate - window / 2 - begin) * frame_rate) + 1, 0)
+    frames = max(int(np.floor((len(samples) / rate - window / 2 - begin) * frame_rate)) + 1, 0)
     z = np.fft.ifft(np.fft.ifftshift(slices, axes=1), axis=1)[:, :frames] * (count / size)
     time = begin + np.arange(frames) / frame_rate
     return Bands(z, time, middle * width, spacing, window, frame_rate, float(np.sum(weight**2) * width))

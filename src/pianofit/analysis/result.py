@@ -93,10 +93,7 @@ class Analysis:
     glide_error: float = 0.0  # cents, of all frequencies alike: how well a glide that was taken out is known
     glide_start: float = 0.0  # cents above f0 at which a glide that was taken out began,
     glide_tau: float = 1.0  # s, and the time constant with which it fell
-    level_law: tuple[float, float] = (
-        0.0,
-        0.0,
-    )  # 1/s, b1 and d2 over the whole file, which brought levels to their span
+    level_law: tuple[float, float] = (0.0, 0.0)  # 1/s, b1 and d2 over the whole file, by which levels were found
 
     def decaying_as(self, other: Analysis) -> Analysis:
         """The same with levels as by another recording's `level_law`, to the third order in how the two differ.
