@@ -274,6 +274,13 @@ def test_a_beat_does_the_same_to_loud_and_soft_recordings():
     assert np.sqrt(np.mean(z**2)) < 1.4
 
 
+def test_windows_begin_at_one_time_however_long_the_recording_is():
+    """What a beat does to a sum of frames depends on where they begin."""
+    samples = string(*STRINGS["A0"], seed=4).recording().samples
+    first = {demodulate(samples[:n], RATE, np.array([27.5, 55.0]), 26.0, 0.005).time[0] for n in (88_200, 100_003)}
+    assert len(first) == 1
+
+
 def test_levels_by_another_law_of_decays_are_those_measured_by_it():
     """To the third order: of what laws that differ by half do to them, all but a fiftieth is known."""
     samples = string(*STRINGS["A2"], seed=4).recording(noise=1e-5).samples[int(LEAD * RATE) :]

@@ -359,11 +359,12 @@ def test_the_same_seed_gives_the_same_fit_by_force_beside_what_is_not_its_own(fi
     folder.mkdir()
     (folder / "notes.txt").write_text("mine")
     (folder / "report.html").write_text("of an earlier fit")
+    (folder / "fitted-by-me.wav").write_text("mine too")
     common = ("fit", fitted / "note.wav", "--f0", "152.05", "--velocity", "1.5", "--no-page", "--out", folder)
     run(*common, code=1)
     assert (folder / "report.html").exists()
     printed = run(*common, "--force", "--json")
-    assert {p.name for p in folder.iterdir()} == {p.name for p in first.iterdir()} | {"notes.txt"}
+    assert {p.name for p in folder.iterdir()} == {p.name for p in first.iterdir()} | {"notes.txt", "fitted-by-me.wav"}
     for name in ("fit.json", "initial.wav", "fitted.wav"):
         assert (folder / name).read_bytes() == (first / name).read_bytes()
     assert json.loads(printed) == json.loads((first / "fit.json").read_text(encoding="utf-8"))

@@ -32,12 +32,13 @@ from pianofit.analysis import analyse
 from pianofit.felt import DEFAULT_LAW
 from pianofit.fitting import fit
 from pianofit.inference import pose
+from pianofit.inference.observations import Layout
 from pianofit.inference.posterior import Posterior
 from pianofit.io import FIT_SCHEMA
 from pianofit.parameters import FIT_NAMES, PARAMETERS, check
 from pianofit.recording import load_recording
 from pianofit.report.build import known_of
-from pianofit.result.statements import STATUSES, _beyond_a_pianist, _out_of_line
+from pianofit.result.statements import STATUSES, _beyond_a_pianist, _compared, _out_of_line
 from pianofit.setup import setup_from_dict
 
 # --- calibrated -------------------------------------------------------------------------------------------------------
@@ -164,6 +165,20 @@ def test_recordings_that_are_met_twice_as_badly_as_the_others_are_named(errors, 
         said = _out_of_line(SimpleNamespace(problem=SimpleNamespace(recordings=recordings, layout=layout)), errors)
         assert [text.split(":")[0] for text in said] == [f"layer-{i}.wav" for i in named]
         assert all(word in text for text in said)
+
+
+@pytest.mark.parametrize(
+    ("group", "velocity", "told"),
+    [((0, 0), (2.0, 2.6), True), ((0, 0), (2.0, 2.1), False), ((0,), (2.0,), False),
+     ((0, 0, 1), (2.0, 2.1, 4.0), False), ((0, 1, 1), (2.0, 2.1, 4.0), True)],
+)  # fmt: skip
+def test_only_strokes_of_one_path_whose_velocities_certainly_differ_are_compared(group, velocity, told):
+    """Round robins, and a stroke in two files, say no more of the felt than one."""
+    z, strokes = np.log(np.array([1.0, 1.0, *velocity])), len(velocity)
+    layout = Layout(tuple(range(strokes)), group, tuple(range(strokes)))
+    problem = SimpleNamespace(unknowns=SimpleNamespace(size=len(z), shared=2), layout=layout)
+    posterior = Posterior(z[None], 0.05**2 * np.eye(len(z))[None], np.ones(1))
+    assert _compared(SimpleNamespace(problem=problem, found=SimpleNamespace(z=z), posterior=posterior)) == told
 
 
 @pytest.mark.parametrize(

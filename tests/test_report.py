@@ -8,6 +8,7 @@ import hashlib
 import io
 import re
 import xml.etree.ElementTree as ElementTree
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -32,6 +33,7 @@ from pianofit.numbers import number
 from pianofit.report.figures import _headings, _partials, _spectra
 from pianofit.report.kit import asset
 from pianofit.report.page import Curves, report_bytes
+from pianofit.report.save import _check_inputs, _earlier
 from pianofit.report.sound import k_weighted_mean_square, make_clips
 from pianofit.report.words import STATUS, again_in_words, minima, ringing, ringing_line, rows
 from pianofit.result.statements import STATUSES
@@ -359,6 +361,28 @@ def test_weighting_is_the_recommendations(frequency):
     ours = 10 * np.log10(k_weighted_mean_square(tone, 48000))
     settled = lfilter(*HIGH_PASS, lfilter(*SHELF, np.tile(tone, 2)))[48000:]
     assert ours == pytest.approx(10 * np.log10(np.mean(settled**2)), abs=0.15)
+
+
+def _fit_of(*paths):
+    return SimpleNamespace(recordings=[SimpleNamespace(recording=SimpleNamespace(path=str(path))) for path in paths])
+
+
+@pytest.mark.parametrize("name", ["fitted.wav", "initial.wav", "knock.flac", "fitted-soft.wav"])
+def test_a_recording_that_would_be_replaced_or_deleted_is_refused(tmp_path, name):
+    """`fitted-soft.wav` is an earlier fit's, which goes when another is written there, and now a recording itself."""
+    (tmp_path / "fit.json").write_text('{"recordings": [{"file": "soft.wav"}, {"file": "a/loud.wav"}]}')
+    earlier = _earlier(tmp_path)
+    assert earlier == {"report.html", "knock.flac", "fitted-soft.wav", "fitted-loud.wav"}
+    with pytest.raises(OutputError, match=f"{name} is a recording of this fit and would be replaced"):
+        _check_inputs(_fit_of(tmp_path / name), tmp_path, earlier)
+    _check_inputs(_fit_of(tmp_path / "elsewhere" / name), tmp_path, earlier)
+    _check_inputs(_fit_of(tmp_path / "note.wav"), tmp_path, earlier)
+
+
+def test_what_is_no_fits_names_no_sounds(tmp_path):
+    for text in ("", "[]", "{}", '{"recordings": 3}', '{"recordings": [{"file": 3}]}'):
+        (tmp_path / "fit.json").write_text(text)
+        assert _earlier(tmp_path) == {"report.html", "knock.flac"}
 
 
 @pytest.mark.parametrize("loudest", NAMES)

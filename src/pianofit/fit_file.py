@@ -15,7 +15,18 @@ import numpy as np
 from .decode import RATES
 from .errors import FitError, ParameterError
 from .felt import BOXES, LAWS, FeltLaw, check_hammer, make_hammer
-from .io import FIT_SCHEMA, array_of, finite, load_json, one_line, reference_of, rising, shown, table_of
+from .io import (
+    FIT_SCHEMA,
+    LARGEST_FIT,
+    array_of,
+    finite,
+    load_json,
+    one_line,
+    reference_of,
+    rising,
+    shown,
+    table_of,
+)
 from .model.modes import QUANTITIES
 from .model.note import Note
 from .model.path import OutputPath, Wander
@@ -26,7 +37,6 @@ from .ringing_file import MOST_STROKES, read_ringing
 
 __all__ = ["fit_path", "load_note", "gains_of", "mixture_of", "note_of", "read_fit", "read_path"]
 
-LARGEST_FIT = 2**24  # bytes
 # Points of a path at the most: far more than a string has partials.
 MOST_POINTS = 4096
 # Of a path, dB, at the most: beyond, amplitudes are lost in rounding.

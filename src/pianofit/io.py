@@ -22,7 +22,7 @@ from .errors import FitError, OutputError, ParameterError, PianofitError
 from .numbers import LARGEST, is_number
 
 __all__ = [
-    "CEILING", "FIT_SCHEMA", "MOST_CHANNELS", "NO_ROOM",
+    "CEILING", "FIT_SCHEMA", "LARGEST_FIT", "MOST_CHANNELS", "NO_ROOM",
     "array_of", "check_sound_target", "check_target", "encode_pcm", "encode_wav", "finite", "interrupted_by",
     "json_text", "limited", "load_json", "one_line", "output_folder", "read_file", "read_text", "reference_of",
     "replace_file", "rising", "shown", "table_of", "unwritten", "with_names", "write_file",
@@ -34,6 +34,8 @@ MOST_CHANNELS = 8
 CEILING = 10 ** (-1 / 20)
 # Schema of the fit.json that this version writes.
 FIT_SCHEMA = 4
+# Of a fit.json, bytes.
+LARGEST_FIT = 2**24
 # What a system says where there is no room: the disk is full, a quota is used up, a file has all the size it may have.
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 

@@ -148,9 +148,8 @@ def _unmatched(setup: Setup, recordings: Sequence[Recording]) -> tuple[tuple[str
     """A setup may know more recordings than one fit has; of one misspelt what was measured would be lost."""
     said = {Path(entry.file).name for entry in setup.recordings if entry.file}
     names = {Path(recording.path).name for recording in recordings}
-    stems = {
-        Path(name).stem.lower(): name for name in names - said
-    }  # L1 for L2 is another recording, .wav for .flac none
+    # L1 for L2 is another recording, .wav for .flac is not.
+    stems = {Path(name).stem.lower(): name for name in names - said}
     near = [(one, stems.get(Path(one).stem.lower())) for one in sorted(said - names)]
     return tuple((one, name) for one, name in near if name)
 

@@ -6,16 +6,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ..errors import OutputError, PianofitError
-from ..io import encode_wav, json_text, load_json, one_line, output_folder, replace_file
+from ..io import LARGEST_FIT, encode_wav, json_text, load_json, one_line, output_folder, replace_file
 from ..result import Result
 from ..ringing_file import KNOCK_FILE, encode_knock
 from .build import curves_of
 from .page import report_bytes
 
 __all__ = ["save", "write_page"]
-
-# A larger file than this, bytes, is no fit's.
-MOST_JSON = 1 << 26
 
 
 def save(result: Result, folder: Path, *, force: bool, page: bool) -> Path:
@@ -26,10 +23,10 @@ def save(result: Result, folder: Path, *, force: bool, page: bool) -> Path:
     Raises `OutputError` if the folder cannot be written, holds something and `force` is not given, or holds one of the
     recordings under a name that is to be written; `FitError` if the fit was read back, without its recordings.
     """
-    _check_inputs(result, folder)
+    earlier = _earlier(folder)
+    _check_inputs(result, folder, earlier)
     with output_folder(folder, force):
         made = report_bytes(result.document, curves_of(result), _title(result)) if page else None
-        earlier = _earlier(folder)
         written = _write_sounds(result, folder)
         replace_file(folder / "fit.json", json_text(result.document).encode())
         if made is not None:
@@ -40,9 +37,9 @@ def save(result: Result, folder: Path, *, force: bool, page: bool) -> Path:
     return folder
 
 
-def _check_inputs(result: Result, folder: Path) -> None:
-    """Refuse to write a sound over one of the recordings."""
-    own = _sound_names(result)
+def _check_inputs(result: Result, folder: Path, earlier: set[str]) -> None:
+    """Refuse to write over one of the recordings, or to delete it with what an earlier fit left."""
+    own = {*_sound_names(result), *earlier}
     for heard in result.recordings or (result.reference,):  # a fit that was read back has none, and says so
         path = Path(heard.recording.path)
         if path.name in own and (folder / path.name).resolve() == path.resolve():
@@ -55,7 +52,7 @@ def _earlier(folder: Path) -> set[str]:
     """What an earlier fit may have left there: of recordings' own sounds only those that its `fit.json` names."""
     own = {"report.html", KNOCK_FILE}
     try:
-        rows = load_json(folder / "fit.json", MOST_JSON, "a fit.json", "")["recordings"]
+        rows = load_json(folder / "fit.json", LARGEST_FIT, "a fit.json", "")["recordings"]
         return own | {*_stroke_names([Path(row["file"]).stem for row in rows])}
     except (PianofitError, KeyError, TypeError):
         return own

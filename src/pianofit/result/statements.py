@@ -95,12 +95,12 @@ def scaling(fit: Inferred) -> tuple[str, ...]:
     return fit.problem.unknowns.law.scaling("N m") if fit.problem.unscaled and _compared(fit) else ()
 
 
-def _fastest_over_slowest(fit: Inferred) -> tuple[float, float, float]:
+def _fastest_over_slowest(fit: Inferred, strokes: Sequence[int]) -> tuple[float, float, float]:
     """Logarithm of the ratio of their velocities, between the ends of its 95 % interval."""
     u, z = fit.problem.unknowns, fit.found.z
-    change = np.zeros(u.size)
-    change[u.shared + np.argmax(z[u.shared :])] += 1
-    change[u.shared + np.argmin(z[u.shared :])] -= 1
+    at, change = u.shared + np.array(strokes), np.zeros(u.size)
+    change[at[np.argmax(z[at])]] += 1
+    change[at[np.argmin(z[at])]] -= 1
     apart = float(z @ change)
     low, high = fit.posterior.interval(change) or (apart, apart)
     return low, apart, high
@@ -108,7 +108,11 @@ def _fastest_over_slowest(fit: Inferred) -> tuple[float, float, float]:
 
 def _compared(fit: Inferred) -> bool:
     """Whether any path was heard with two velocities that certainly differ: two like strokes say no more than one."""
-    return fit.problem.layout.compared and _fastest_over_slowest(fit)[0] > 0
+    layout = fit.problem.layout
+    paths = [
+        sorted({s for s, g in zip(layout.stroke, layout.group, strict=True) if g == at}) for at in set(layout.group)
+    ]
+    return any(_fastest_over_slowest(fit, strokes)[0] > 0 for strokes in paths)
 
 
 def taken_back(fit: Inferred) -> tuple[str, ...]:
@@ -204,7 +208,7 @@ def _calibrated(fit: Inferred, states: dict[str, str]) -> str:
 
 def _beyond_a_pianist(fit: Inferred) -> str:
     """That the strokes' velocities differ by more than a pianist's, where that is certain."""
-    logs = _fastest_over_slowest(fit)
+    logs = _fastest_over_slowest(fit, range(fit.problem.unknowns.size - fit.problem.unknowns.shared))
     if logs[0] <= np.log(VELOCITIES):
         return ""
     low, most, high = np.exp(logs)
@@ -283,7 +287,7 @@ def messages(fit: Inferred, states: dict[str, str], worse: Sequence[str], errors
 def _out_of_line(fit: Inferred, errors: Sequence[float]) -> list[str]:
     """Recordings that the fit meets much worse than the others."""
     alone = (
-        "it has a group of its own: its notes may be another instrument's",
+        "it has a group of its own, so it may be another instrument's",
         "one of another microphone or instrument needs a group of its own, by a [[recording]] in the setup",
     )
     said = []
