@@ -43,6 +43,7 @@ class FeltLaw:
     slow : `slow(u, hammer)`, N, of a felt that relaxes: its force where it is pressed slowly.
     power : the names of K and p if the force has the factor K u^p: a fit then searches the force K u_ref^p in place of
         K, whose unit changes with p.
+    formula : the law for pages, one equation a string, each in the part of TeX that `report.formula` sets.
     hammers, columns : of the package's laws, which share a solver of their own: the hammers' type, and the order of a
         fit's unknowns.
 
@@ -60,6 +61,7 @@ class FeltLaw:
     power: tuple[str, str] | None = None
     hammers: Any = None
     columns: tuple[str, ...] = ()
+    formula: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]*", self.name):

@@ -15,6 +15,7 @@ from .. import numbers
 from ..io import with_names
 from . import known, words
 from .curves import Curves, RecordingCurves, Strokes
+from .equations import equations
 from .figures import draw_figures
 from .kit import page_bytes, picture
 from .sound import LIGHT_RATE, SECONDS, Clip, make_clips, seconds_each
@@ -59,13 +60,14 @@ def report_bytes(fit: dict[str, Any], curves: Curves, title: str, held_out: dict
     said: dict[str, Any] = {say.__name__: say(fit) for say in SAID}
     return page_bytes(
         "page.html.j2",
-        scripts=("audio.js", "player.js"),
+        scripts=("audio.js", "player.js", "zoom.js"),
         title=title,
         contents=True,
         fit=fit,
         **said,
         invariants=words.rows(fit["invariants"]),
         rows=words.rows(fit["parameters"]),
+        equations=equations(fit, path=curves.path is not None, modes=bool(curves.ringing and curves.ringing.decays)),
         clips=_clips(curves, onset),
         ringing=_ringing(fit, curves),
         strokes=_strokes(curves.strokes),
