@@ -23,8 +23,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = [
-    "BAND", "BORDER", "COLOURS", "FAINT", "FITTED", "GROUP", "HATCH", "HEIGHT", "INITIAL", "INK", "LAW", "LINES", "LOOP",
-    "MEASURED", "PAPER", "STYLE", "WRONG", "drawn", "legend", "log_axis", "number_axis", "panel", "points", "span", "svg",
+    "BAND", "BORDER", "COLOURS", "FAINT", "FITTED", "GROUP", "HATCH", "HEIGHT", "INITIAL", "INK", "LAW", "LINES",
+    "LOOP", "MEASURED", "PAPER", "STYLE", "WRONG", "drawn", "legend", "log_axis", "number_axis", "panel", "points",
+    "span", "svg",
 ]  # fmt: skip
 
 INK, MEASURED, INITIAL, LAW, FITTED, FAINT = "#333333", "#1a1a1a", "#d55e00", "#009e73", "#0072b2", "#eeeeee"

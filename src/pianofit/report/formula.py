@@ -71,19 +71,19 @@ def _one(tokens: list[str], formula: str) -> str:
     """One sign, group or command with its arguments."""
     if not tokens:
         raise ValueError(f"formula {formula!r}: an argument is missing at the end")
-    token = tokens.pop()
-    if token == "{":
+    sign = tokens.pop()
+    if sign == "{":
         content = _row(tokens, formula)
         if not tokens:
             raise ValueError(f"formula {formula!r}: a brace is not closed")
         tokens.pop()
         return content
-    if token.startswith("\\"):
-        return _command(token, tokens, formula)
-    if token.isspace():
+    if sign.startswith("\\"):
+        return _command(sign, tokens, formula)
+    if sign.isspace():
         return " "
-    text = escape("−" if token == "-" else token)
-    return f"<i>{text}</i>" if token.isalpha() else text
+    text = escape("−" if sign == "-" else token)
+    return f"<i>{text}</i>" if sign.isalpha() else text
 
 
 def _command(name: str, tokens: list[str], formula: str) -> str:
