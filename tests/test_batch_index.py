@@ -41,6 +41,7 @@ def store(tmp_path) -> Store:
         document = fit_document(note, ERRORS)
         span = [200.0, 300.0]
         document["invariants"] = {"f0": {"value": note.string.c / (2 * note.geometry.length), "interval": span}}
+        document["derived"] = document.get("derived", {}) | {"f1": float(midi)}
         digest = hashlib.sha256(file.read_bytes()).hexdigest()
         document["recordings"] = [{"file": str(file), "sha256": digest, "first": True, "rate": RATE}]
         files = {"fit.json": json.dumps(document).encode(), "fitted.wav": encode_wav(0.1 * sound, RATE)}

@@ -413,6 +413,7 @@ def test_a_picture_is_enlarged_by_keyboard_and_its_text_can_be_selected(page):
     assert whole > 1.3 * small
     page.keyboard.press("+")
     assert shown.bounding_box()["width"] == pytest.approx(1.25 * whole, rel=0.01)
+    page.mouse.move(640, 400)
     page.mouse.wheel(0, -100)
     page.wait_for_function("() => document.querySelector('dialog .scale').textContent === '156 %'")
     shown.locator("text", has_text="level").first.dblclick()
@@ -429,7 +430,8 @@ def test_swatches_and_lines_have_one_colour_in_both_modes(page):
         return page.evaluate("""() => ["measured", "initial", "fitted"].map((name) => {
           const line = [...document.querySelectorAll(".drawing svg path")].find((one) =>
             one.getAttribute("style")?.includes(`stroke: var(--${name})`));
-          return [getComputedStyle(line).stroke, getComputedStyle(document.querySelector(`.swatch.${name}`)).borderTopColor];
+          const swatch = document.querySelector(name === "measured" ? ".swatch" : `.swatch.${name}`);
+          return [getComputedStyle(line).stroke, getComputedStyle(swatch).borderTopColor];
         })""")
 
     light, dark = colours("light"), colours("dark")

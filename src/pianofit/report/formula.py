@@ -82,7 +82,7 @@ def _one(tokens: list[str], formula: str) -> str:
         return _command(sign, tokens, formula)
     if sign.isspace():
         return " "
-    text = escape("−" if sign == "-" else token)
+    text = escape("−" if sign == "-" else sign)
     return f"<i>{text}</i>" if sign.isalpha() else text
 
 
