@@ -416,8 +416,8 @@ def test_a_picture_is_enlarged_by_keyboard_and_its_text_can_be_selected(page):
     page.mouse.move(640, 400)
     page.mouse.wheel(0, -100)
     page.wait_for_function("() => document.querySelector('dialog .scale').textContent === '156 %'")
-    shown.locator("text", has_text="level").first.dblclick()
-    assert page.evaluate("getSelection().toString().trim()") == "level"
+    shown.locator("text", has_text="fitted").first.dblclick()
+    assert page.evaluate("getSelection().toString().trim()") == "fitted"
     page.keyboard.press("Escape")
     assert dialog.count() == 0
     assert panel.locator("svg").bounding_box()["width"] == pytest.approx(small, abs=1)
