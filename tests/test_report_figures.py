@@ -11,7 +11,7 @@ from report_cases import Page, drawn_in, drawn_once, example_curves, example_fit
 from pianofit.felt import LAWS
 from pianofit.parameters import PARAMETERS
 from pianofit.report.drawing import COLOURS, FITTED, drawn, styled, svg
-from pianofit.report.equations import equations
+from pianofit.report.equations import HAMMER, MODES, PATH, STRING, T60, equations
 from pianofit.report.formula import formula_html, symbols
 from pianofit.report.inline import inlined
 from pianofit.report.kit import asset
@@ -98,13 +98,15 @@ def test_captions_name_no_colours(html):
 
 @pytest.mark.parametrize("law", LAWS)
 def test_the_box_has_every_symbol_with_the_unit_of_the_one_table(law):
-    said = equations(example_fit(felt=law), path=True, modes=True)
+    said = equations(example_fit(felt=law), LAWS[law].formula, path=True, modes=True)
     units = {row.symbol: row.unit for row in said["symbols"]}
     for name, parameter in LAWS[law].boxes.items():
         shown = units[SYMBOLS.get(name, name)]
         assert shown == ("" if parameter.unit == "1" else parameter.unit.replace("^p", "ᵖ"))
     for name, entry in (example_fit()["parameters"] | example_fit()["invariants"]).items():
         assert SYMBOLS.get(name, name) in units, entry
+    lines = [*LAWS[law].formula, *(one for line in (STRING, HAMMER, PATH, MODES, T60) for one in line.formulas)]
+    assert {symbol for formula in lines for symbol in symbols(formula)} <= {*units}
     assert units["κ"] == PARAMETERS["kappa"].unit
     assert len(units) == len(said["symbols"])
     assert all(row.meaning for row in said["symbols"])
@@ -119,9 +121,12 @@ def test_a_formula_of_a_felt_has_all_parameters_of_its_law(law):
 def test_a_felt_from_outside_keeps_its_own_meanings():
     own = {"s": {"value": 1.0, "unit": "m", "meaning": "compression at which it has doubled", "status": "fitted"}}
     fit = example_fit(felt="foam")
-    said = equations(fit | {"parameters": fit["parameters"] | own}, path=False, modes=False)
-    (row,) = [row for row in said["symbols"] if row.symbol == "s"]
-    assert (row.meaning, row.unit) == ("compression at which it has doubled", "m")
+    fit["parameters"] |= own
+    for formula in ((), (r"F = u^2 (1 + \frac{u}{s})",), ("F = 1 & <b>{",)):  # none, one, and another notation
+        said = equations(fit, formula, path=True, modes=False)
+        (row,) = [row for row in said["symbols"] if row.symbol == "s"]
+        assert (row.meaning, row.unit) == ("compression at which it has doubled", "m")
+    assert "1 &amp; &lt;b&gt;{" in said["lines"][2][1][0]
 
 
 def test_formulas_are_set_and_escaped():

@@ -71,13 +71,13 @@ def _tuning(note: str, fit: dict[str, Any]) -> Light:
 
 def _ring(fit: dict[str, Any]) -> Light:
     ringing = fit.get("ringing") or {}
-    value = (ringing.get("left_out_db") or {}).get(ringing.get("by"))
+    value: Any = (ringing.get("left_out_db") or {}).get(ringing.get("by"))
     return _graded(value, 1, RING) if is_number(value) else Light("none", "not tested", "–", None)
 
 
 def _warnings(entry: Entry, fit: dict[str, Any]) -> Light:
     """What makes the numbers of a key doubtful, the worst first."""
-    bound = [SYMBOLS.get(n, n) for n, one in fit.get("parameters", {}).items() if one.get("status") == "at-bound"]
+    bound = [str(SYMBOLS.get(n, n)) for n, one in fit.get("parameters", {}).items() if one.get("status") == "at-bound"]
     lost = len(entry.left_out)
     said = [f"at a bound: {', '.join(bound)}"] * bool(bound)
     said += [f"{lost} recording{'s' * (lost != 1)} left out"] * bool(lost)

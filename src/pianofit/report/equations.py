@@ -7,9 +7,9 @@ so none can be missing.
 
 from __future__ import annotations
 
+from html import escape
 from typing import Any, NamedTuple
 
-from ..felt import LAWS
 from ..result.quantities import MEANINGS, UNITS
 from .formula import formula_html, symbols
 from .words import SYMBOLS, VELOCITY_RATIO, unit_in_words
@@ -45,7 +45,7 @@ STRING = Equation(
     ),
 )
 HAMMER = Equation("Hammer", (r"M_H \ddot{y}_H = -F", r"\dot{y}_H(0) = v_{H0}", r"u = y_H - ∫ w(x) y \op{d}x"))
-# A law from outside the package, of which a file holds only the name.
+# A law from outside the package that brings no formula.
 UNNAMED = (r"F = F(u, \dot{u})",)
 PATH = Equation("Output path", (r"l_k = 10 \op{log}_{10} E_k + 20 \op{log}_{10} g + a_k",))
 GAIN = Equation("Gain", (r"l_k = 10 \op{log}_{10} E_k + 20 \op{log}_{10} g",))
@@ -82,13 +82,15 @@ VARIABLES = {
 INVARIANT_UNITS = {"f_0": "Hz", "B": "1", "M_H/M_S": "1", "x_0/L": "1", "F/M_S": "N/kg"}
 
 
-def equations(fit: dict[str, Any], *, path: bool, modes: bool) -> dict[str, Any]:
+def equations(fit: dict[str, Any], felt: tuple[str, ...], *, path: bool, modes: bool) -> dict[str, Any]:
     """The equations of a fit as HTML, and the symbols of its page.
 
     Parameters
     ----------
     fit : dict
         The content of `fit.json`.
+    felt : tuple of str
+        The formula of the felt's law; empty if it brings none.
     path : bool
         The fit has an output path, not only a gain.
     modes : bool
@@ -99,26 +101,44 @@ def equations(fit: dict[str, Any], *, path: bool, modes: bool) -> dict[str, Any]
     dict
         `lines`: (name, formulas as HTML); `symbols`: a `Symbol` each, first those of the equations in their order.
     """
-    law = LAWS.get(fit["felt"])
-    felt = Equation(f"Felt: {fit['felt']}", law.formula if law is not None and law.formula else UNNAMED)
-    lines = [STRING, HAMMER, felt, PATH if path else GAIN, *([MODES, T60] if modes else [])]
+    law = Equation(f"Felt: {fit['felt']}", felt or UNNAMED)
+    lines = [STRING, HAMMER, law, PATH if path else GAIN, *([MODES, T60] if modes else [])]
     return {
-        "lines": [(line.name, [formula_html(formula) for formula in line.formulas]) for line in lines],
-        "symbols": _table(fit, [symbol for line in lines for one in line.formulas for symbol in symbols(one)]),
+        "lines": [(line.name, [_set(formula) for formula in line.formulas]) for line in lines],
+        "symbols": _table(fit, lines, law),
     }
 
 
-def _table(fit: dict[str, Any], used: list[str]) -> list[Symbol]:
+def _set(formula: str) -> str:
+    """The formula as HTML; as it is written where a law from outside writes it in another notation."""
+    try:
+        return formula_html(formula)
+    except ValueError:
+        return f'<span class="formula">{escape(formula)}</span>'
+
+
+def _table(fit: dict[str, Any], lines: list[Equation], law: Equation) -> list[Symbol]:
     """The symbols of the equations, then those of the tables that no equation has."""
-    own = {SYMBOLS.get(name, name): (meaning, UNITS.get(name, "")) for name, meaning in MEANINGS.items()}
-    own |= {symbol: (own[symbol][0], unit) for symbol, unit in INVARIANT_UNITS.items()}
-    known = own | VARIABLES
-    rows = [(symbol, *known[symbol]) for symbol in dict.fromkeys(used)]
+    known = {SYMBOLS.get(name, name): (meaning, UNITS.get(name, "")) for name, meaning in MEANINGS.items()}
+    known |= {symbol: (known[symbol][0], unit) for symbol, unit in INVARIANT_UNITS.items()}
+    known |= VARIABLES
+    tables = _of_tables(fit)
+    foreign = {symbol: (meaning, unit) for symbol, meaning, unit in tables if meaning not in MEANINGS.values()}
+    rows = []
+    for line in lines:
+        here = known | foreign if line is law else known
+        rows += [(one, *here[one]) for formula in line.formulas for one in symbols(formula) if one in here]
+    said = dict.fromkeys((symbol, meaning, unit_in_words(unit)) for symbol, meaning, unit in rows + tables)
+    return [Symbol(*row) for row in said]
+
+
+def _of_tables(fit: dict[str, Any]) -> list[tuple[str, str, str]]:
+    """Symbol, meaning and unit of every invariant and parameter; a felt law from outside brings its own meanings."""
+    rows = []
     for name, entry in {**fit["invariants"], **fit["parameters"]}.items():
         if name.startswith(VELOCITY_RATIO):
             rows.append(("v/v_ref", "velocity of a stroke over that of the reference", "1"))
-        else:  # a felt law from outside brings its own meaning
-            symbol, unit = SYMBOLS.get(name, name), str(entry.get("unit", ""))
-            rows.append((symbol, str(entry.get("meaning") or MEANINGS.get(name, "")), UNITS.get(name, unit)))
-    found = dict.fromkeys((symbol, meaning, unit_in_words(unit)) for symbol, meaning, unit in rows)
-    return [Symbol(*row) for row in found]
+        else:
+            meaning = str(entry.get("meaning") or MEANINGS.get(name, ""))
+            rows.append((str(SYMBOLS.get(name, name)), meaning, UNITS.get(name, str(entry.get("unit", "")))))
+    return rows
