@@ -72,7 +72,7 @@ def _tuning(note: str, fit: dict[str, Any]) -> Light:
 def _ring(fit: dict[str, Any]) -> Light:
     ringing = fit.get("ringing") or {}
     value: Any = (ringing.get("left_out_db") or {}).get(ringing.get("by"))
-    return _graded(value, 1, RING) if is_number(value) else Light("none", "not tested", "–", None)
+    return _graded(value, 1, RING) if is_number(value) else Light("none", "untested", "–", None)
 
 
 def _warnings(entry: Entry, fit: dict[str, Any]) -> Light:
