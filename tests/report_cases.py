@@ -250,6 +250,11 @@ def drawn_once(curves, dropped=(), held_out=()):
     return _DRAWN[key][1]
 
 
+def drawn_in(text):
+    """The pictures of a page as they stand in it, SVG."""
+    return re.findall(r"<svg.*?</svg>", text, re.DOTALL)
+
+
 class Page(HTMLParser):
     """Tags with their attributes, in order, the text of scripts, and the text that a reader sees."""
 
@@ -267,6 +272,11 @@ class Page(HTMLParser):
     def all(self, tag):
         """Return the attributes of every such tag."""
         return [attributes for name, attributes in self.tags if name == tag]
+
+    @property
+    def drawings(self):
+        """Return the attributes of the frames of the pictures, one a panel."""
+        return [one for one in self.all("div") if one.get("class") == "drawing"]
 
     @property
     def text(self):

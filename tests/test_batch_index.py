@@ -20,6 +20,7 @@ from instrument_cases import ERRORS, fit_document, true_note
 from pianofit.batch import Local, run_batch, status
 from pianofit.batch.index import Index
 from pianofit.batch.ledger import Entry, keep
+from pianofit.batch.lights import lights
 from pianofit.batch.store import Store, opened
 from pianofit.cli.batch import _line, _summary
 from pianofit.io import encode_wav
@@ -40,6 +41,7 @@ def store(tmp_path) -> Store:
         document = fit_document(note, ERRORS)
         span = [200.0, 300.0]
         document["invariants"] = {"f0": {"value": note.string.c / (2 * note.geometry.length), "interval": span}}
+        document["derived"] = document.get("derived", {}) | {"f1": float(midi)}
         digest = hashlib.sha256(file.read_bytes()).hexdigest()
         document["recordings"] = [{"file": str(file), "sha256": digest, "first": True, "rate": RATE}]
         files = {"fit.json": json.dumps(document).encode(), "fitted.wav": encode_wav(0.1 * sound, RATE)}
@@ -125,6 +127,75 @@ def test_the_page_asks_for_nothing_and_complains_of_nothing(store):
         browser.close()
     assert said == []
     assert [url for url in requests if not url.startswith("data:")] == [page_of]
+
+
+def tones(note="A4", **fit):
+    return [light.tone for light in lights(Entry("k", note, "x", "done", 2), fit)]
+
+
+@pytest.mark.parametrize(("dB", "tone"), [(0.99, "good"), (1.02, "fair"), (2.99, "fair"), (3.02, "poor")])
+def test_a_match_is_judged_by_what_people_notice(dB, tone):
+    assert tones(levels={"fitted_db": dB})[0] == tone
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize(("cents", "tone"), [(24, "good"), (27, "fair"), (49, "fair"), (52, "poor")])
+def test_a_tuning_is_judged_by_the_notes_name(cents, tone, sign):
+    assert tones(derived={"f1": 440.0 * 2 ** (sign * cents / 1200)})[1] == tone
+
+
+@pytest.mark.parametrize(("dB", "tone"), [(2.9, "good"), (3.2, "fair"), (5.9, "fair"), (6.2, "poor")])
+def test_ringing_is_judged_by_the_layers_left_out(dB, tone):
+    assert tones(ringing={"by": "modes", "left_out_db": {"law": 9.0, "modes": dB}})[2] == tone
+
+
+def test_what_is_not_there_is_not_judged():
+    assert tones(note="H9", derived={"f1": 440.0})[:3] == ["none"] * 3
+    assert tones(ringing={"by": "modes", "left_out_db": None})[2] == "none"
+
+
+def test_warnings_name_what_makes_a_key_doubtful():
+    bound = {"mu": {"status": "at-bound"}, "p": {"status": "fitted"}}
+    entry = Entry("k", "A4", "x", "done", 2, left_out=({"file": "a", "reason": "a: clipped"},))
+    *_, light = lights(entry, {"parameters": bound, "converged": True})
+    assert (light.tone, light.text, light.value) == ("fair", "2", 2)
+    assert "μ" in light.word
+    assert "1 recording left out" in light.word
+    *_, worse = lights(entry, {"parameters": bound, "converged": False})
+    assert worse.tone == "poor"
+    assert worse.value > light.value
+    assert tones()[3] == "good"
+
+
+def test_the_table_is_sorted_by_keyboard_and_reads_without_colour(store):
+    sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    chromium = shutil.which("chromium") or "/usr/bin/chromium"
+    if not Path(chromium).exists():
+        pytest.skip("chromium is not installed (Debian: apt-get install chromium)")
+    files = {"fit.json": json.dumps({"schema": 0}).encode()}
+    store.install("grand-Z", files, {"hash": "z", "note": "C5", "recordings": [1], "seconds": 1.0})
+    Index(store).write()
+    with sync_api.sync_playwright() as play:
+        browser = play.chromium.launch(executable_path=chromium, args=["--no-sandbox", "--disable-gpu"])
+        page = browser.new_page(viewport={"width": 1400, "height": 800})
+        page.goto((store.folder / "index.html").as_uri())
+        wide = page.evaluate("(([one]) => one.scrollWidth - one.clientWidth)(document.querySelectorAll('.keys-frame'))")
+        keys = lambda: [text.split()[0] for text in page.locator(".keys-found tbody th").all_inner_texts()]  # noqa: E731
+        head = page.locator("th", has=page.get_by_role("button", name="tuning"))
+        seen = [(keys(), head.get_attribute("aria-sort"))]
+        for _ in range(2):
+            head.get_by_role("button").focus()
+            page.keyboard.press("Enter")
+            seen.append((keys(), head.get_attribute("aria-sort")))
+        cents = page.locator(".keys-found tbody tr td:nth-child(3)").all_inner_texts()
+        right = page.evaluate("getComputedStyle(document.querySelector('td.value')).textAlign")
+        browser.close()
+    assert wide <= 0
+    assert right == "right"
+    assert {order[-1] for order, _ in seen[1:]} == {"grand-Z"}  # what has no value is last either way
+    assert seen[1][0][:2] == seen[2][0][:2][::-1]
+    assert [way for _, way in seen] == ["none", "ascending", "descending"]
+    assert all(re.search("good|fair|poor|no pitch", text) for text in cents)
 
 
 def test_it_is_written_while_the_batch_goes_on_and_when_it_is_interrupted(tmp_path, monkeypatch):

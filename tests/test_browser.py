@@ -34,6 +34,9 @@ ARGUMENTS = (
     "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking "
     "--disable-component-update --disable-sync"
 )
+# Each picture's own width and that on the page, px; a point of its letters is 4/3 px.
+SIZES = """[...document.querySelectorAll(".drawing svg")].map((svg) =>
+  [svg.viewBox.baseVal.width * 4 / 3, svg.getBoundingClientRect().width])"""
 RATE, HEARD = 8000, 32768  # Hz; samples that an analyser holds: four seconds of this page
 
 # An analyser at the player's output holds the last samples that were played; `heard` returns them.
@@ -112,11 +115,9 @@ def locate(block, sound):
 
 def test_page_opens_at_a_laptops_width_and_shows_its_pictures(page):
     assert page.evaluate("document.documentElement.scrollWidth") <= 1280
-    sizes = page.evaluate(
-        "[...document.images].map((image) => [image.complete, image.naturalWidth, image.clientWidth])"
-    )
+    sizes = page.evaluate(SIZES)
     assert len(sizes) == 10
-    assert all(complete and natural > 500 and shown > 500 for complete, natural, shown in sizes)
+    assert all(natural > 500 and shown > 500 for natural, shown in sizes)
     assert page.locator("h1").inner_text() == "</script>'\""
     assert page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
     page.emulate_media(color_scheme="dark")
@@ -294,12 +295,10 @@ def wait_for(page, player, position):
 def test_page_of_recordings_fits_and_shows_all_its_pictures(recordings_page, width):
     recordings_page.set_viewport_size({"width": width, "height": 800})
     assert recordings_page.evaluate("document.documentElement.scrollWidth") <= width
-    sizes = recordings_page.evaluate(
-        "[...document.images].map((image) => [image.complete, image.naturalWidth, image.clientWidth])"
-    )
+    sizes = recordings_page.evaluate(SIZES)
     assert len(sizes) == 18
     # A picture's letters are 13 pixels of its own, which a telephone shows at two thirds or more.
-    assert all(complete and shown > 0.65 * natural > 325 for complete, natural, shown in sizes)
+    assert all(shown > 0.65 * natural > 325 for natural, shown in sizes)
     assert recordings_page.locator("#seek").bounding_box()["y"] < 800, "the player is on the first screen"
 
 
@@ -376,11 +375,9 @@ def test_a_key_that_rings_is_shown_and_heard_in_both_channels(browser, report_of
     page.on("request", lambda request: requests.append(request.url[:5]))
     page.goto(report_of_ringing.as_uri())
     assert page.evaluate("document.documentElement.scrollWidth") <= width
-    sizes = page.evaluate(
-        "[...document.images].map((image) => [image.complete, image.naturalWidth, image.clientWidth])"
-    )
+    sizes = page.evaluate(SIZES)
     assert len(sizes) == 19
-    assert all(complete and shown > 0.65 * natural > 325 for complete, natural, shown in sizes)
+    assert all(shown > 0.65 * natural > 325 for natural, shown in sizes)
     assert max(shown for *_, shown in sizes) - min(shown for *_, shown in sizes) <= 1
     page.evaluate(LISTEN, 0)
     page.keyboard.press("2")
@@ -397,3 +394,46 @@ def test_a_key_that_rings_is_shown_and_heard_in_both_channels(browser, report_of
     page.close()
     assert complaints == []
     assert {*requests} <= {"file:", "data:"}
+
+
+# ---- pictures ----
+
+
+def test_a_picture_is_enlarged_by_keyboard_and_its_text_can_be_selected(page):
+    page.evaluate("document.querySelectorAll('.drawing')[2].scrollIntoView()")
+    panel = page.locator(".panel").nth(2)
+    button = panel.get_by_role("button")
+    small = panel.locator("svg").bounding_box()["width"]
+    button.focus()
+    page.keyboard.press("Space")  # the button's own key: the player stays silent
+    assert not state(page)["playing"]
+    dialog = page.get_by_role("dialog")
+    shown = dialog.locator("svg")
+    whole = shown.bounding_box()["width"]
+    assert whole > 1.3 * small
+    page.keyboard.press("+")
+    assert shown.bounding_box()["width"] == pytest.approx(1.25 * whole, rel=0.01)
+    page.mouse.move(640, 400)
+    page.mouse.wheel(0, -100)
+    page.wait_for_function("() => document.querySelector('dialog .scale').textContent === '156 %'")
+    shown.locator("text", has_text="fitted").first.dblclick()
+    assert page.evaluate("getSelection().toString().trim()") == "fitted"
+    page.keyboard.press("Escape")
+    assert dialog.count() == 0
+    assert panel.locator("svg").bounding_box()["width"] == pytest.approx(small, abs=1)
+    assert page.evaluate("document.activeElement.className") == "zoom"
+
+
+def test_swatches_and_lines_have_one_colour_in_both_modes(page):
+    def colours(scheme):
+        page.emulate_media(color_scheme=scheme)
+        return page.evaluate("""() => ["measured", "initial", "fitted"].map((name) => {
+          const line = [...document.querySelectorAll(".drawing svg path")].find((one) =>
+            one.getAttribute("style")?.includes(`stroke: var(--${name})`));
+          const swatch = document.querySelector(name === "measured" ? ".swatch" : `.swatch.${name}`);
+          return [getComputedStyle(line).stroke, getComputedStyle(swatch).borderTopColor];
+        })""")
+
+    light, dark = colours("light"), colours("dark")
+    assert all(line == swatch for line, swatch in (*light, *dark))
+    assert all(one != other for (one, _), (other, _) in zip(light, dark, strict=True))

@@ -103,6 +103,7 @@ GOOD = {name: getattr(HAMMER, name) for name in HAMMER._fields}
             lambda: FeltLaw("F", {"M_H": Parameter("kg", "", 0.0, 1.0)}, hunt_crossley),
             "'M_H' must be a name other than L, M_H",
         ),
+        (lambda: FeltLaw("F", BOXES, hunt_crossley, formula="F = u"), "felt law F: formula='F = u' must be a tuple"),
         (
             lambda: FeltLaw("Gives", BOXES, active, spring).hammer(**GOOD),
             "felt law Gives: at u=.* the felt would give more than its storage holds",
@@ -115,7 +116,7 @@ GOOD = {name: getattr(HAMMER, name) for name in HAMMER._fields}
             "C4: felt law Again cannot be played",
         ),
     ],
-    ids=["missing", "box", "unknown", "name", "clash", "active", "played"],
+    ids=["missing", "box", "unknown", "name", "clash", "formula", "active", "played"],
 )  # fmt: skip
 def test_what_is_no_felt_is_refused(make, said):
     with pytest.raises(ParameterError, match=said):

@@ -84,7 +84,7 @@ def test_a_page_shows_every_key_and_trusts_no_name(document, tmp_path):
     assert "&lt;script&gt;alert(1)" in page
     assert "Mistuning" not in page
     assert len(re.findall(r'<tr><th scope="row">', page)) == 88
-    assert page.count("data:image/svg+xml;base64,") == 16
+    assert page.count("<svg ") == 16
     assert not re.search(r'(src|href)="(?!data:|#)', page)
     assert "default-src 'none'" in page
 
@@ -107,7 +107,7 @@ def test_a_page_shows_how_the_partials_of_keys_split_and_decay(fits, tmp_path):
     assert (two["split_cents"], two["late_over_early"]) == (None, pytest.approx(1.0))
     write_page(tmp_path / "instrument.html", document)
     page = (tmp_path / "instrument.html").read_text()
-    assert page.count("data:image/svg+xml;base64,") == 18
+    assert page.count("<svg ") == 18
     assert page.count("Mistuning and double decay") == 2  # its heading, and that in the contents
 
 

@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 from report_cases import (
     NAMES,
     Page,
+    drawn_in,
     drawn_once,
     example_curves,
     example_fit,
@@ -70,8 +71,9 @@ def sounds_of(page):
 
 
 def test_page_holds_everything_and_may_load_nothing(tmp_path, curves):
-    page = Page(written(tmp_path, example_fit(), curves))
-    for _, attributes in page.tags:
+    text = written(tmp_path, example_fit(), curves)
+    page, drawn = Page(text), drawn_in(text)
+    for _, attributes in Page(re.sub(r"<svg.*?</svg>", "", text, flags=re.DOTALL)).tags:
         assert not [name for name in attributes if name.startswith("on") or name in ("style", "srcset", "data")]
         for name in ("src", "href"):
             assert attributes.get(name, "data:").startswith(("data:", "#"))
@@ -82,12 +84,15 @@ def test_page_holds_everything_and_may_load_nothing(tmp_path, curves):
     assert "http" not in policy
     ids = {attributes.get("id") for _, attributes in page.tags}
     assert {link["href"][1:] for link in page.all("a") if link["href"].startswith("#")} <= ids
-    images = page.all("img")
-    assert len(images) == PANELS
-    for image in images:
-        assert len(image["alt"]) > 40
-        svg = ElementTree.fromstring(base64.b64decode(image["src"].split(",")[1]))  # noqa: S314  (our own file)
-        links = [value for node in svg.iter() for name, value in node.attrib.items() if name.endswith("href")]
+    assert len(page.drawings) == len(drawn) == PANELS
+    assert all(len(drawing["aria-label"]) > 40 for drawing in page.drawings)
+    for svg in drawn:
+        links = [
+            value
+            for node in ElementTree.fromstring(svg).iter()  # noqa: S314  (our own page)
+            for name, value in node.attrib.items()
+            if name.endswith("href")
+        ]
         assert all(link.startswith(("#", "data:")) for link in links)
 
 
@@ -120,7 +125,7 @@ def test_hostile_text_stays_text(tmp_path, curves):
     assert {name for _, attributes in page.tags for name in attributes} <= {
         name for _, attributes in tame.tags for name in attributes
     }
-    assert len(page.all("img")) == PANELS
+    assert len(page.drawings) == PANELS
     assert page.text.count("alert(2)") > 10
     assert "{{ 7 * 7 }}" in page.text
 
@@ -181,7 +186,7 @@ def test_criterion_levels_and_statuses_in_words(tmp_path, curves):
         "rests on an assumed length of 1 m",
     ):
         assert words in text.replace("\u00a0", " "), words
-    drawn = [base64.b64decode(image["src"].split(",")[1]).decode() for image in Page(html_text).all("img")]
+    drawn = drawn_in(html_text)
     assert "band 1, left out" in drawn[0]
     assert "band 2: partials 2 to 8" in drawn[0]
 
@@ -295,7 +300,7 @@ def with_nothing(curves):
 def test_page_stands_what_a_fit_may_lack(tmp_path, curves, case):
     lacking = case(curves)
     page = Page(written(tmp_path, example_fit(), lacking))
-    assert len(page.all("img")) in (PANELS - 1, PANELS)  # the spectra need a second scale or not
+    assert len(page.drawings) in (PANELS - 1, PANELS)  # the spectra need a second scale or not
     assert set(sounds_of(page)) == set(NAMES)
 
 
@@ -504,14 +509,14 @@ def test_a_decay_that_a_beat_hides_leaves_room_to_the_others(curves):
 def test_how_a_note_rings_is_shown_said_and_heard(tmp_path, curves):
     html = written(tmp_path, example_fit(ringing=ringing_entry()), with_ringing(curves))
     page = Page(html)
-    assert len(page.all("img")) == PANELS + 9  # six envelopes; recorded, played and their difference
+    assert len(page.drawings) == PANELS + 9  # six envelopes; recorded, played and their difference
     for words in (
         "Played with the patterns and the knock of the others, layers are 8.2 dB from their recordings by the string’s "
         "law, 3.9 by its modes, and 2.6 by modes and knock; so it rings by 4 modes and a knock.",
         "1 92.33 3 4.2 12 0.75 6.5 0.013 to 0.25 2 184.90 1 3 3 – – 0.02", "By the law", "as the fit plays it",
     ):  # fmt: skip
         assert words in page.text.replace("\u00a0", " "), words
-    drawn = [base64.b64decode(image["src"].split(",")[1]).decode() for image in page.all("img")]
+    drawn = drawn_in(html)
     assert sum(svg.count("data:image/png") for svg in drawn) == 3 * 2  # levels and their scales are rasters
     assert all(f">{word}<" in " ".join(drawn) for word in ("played minus recorded", "partial 3, 276 Hz", "law"))
     sounds = sounds_of(page)
@@ -548,7 +553,7 @@ def test_a_key_that_rings_by_its_law_has_no_table_and_no_third_line(tmp_path, cu
     assert "This note plays by the string’s law." in page.text
     assert "Decays and beats" not in page.text
     assert set(sounds_of(page)) == set(NAMES)
-    assert len(page.all("img")) == PANELS + 9
+    assert len(page.drawings) == PANELS + 9
 
 
 def test_no_colour_of_the_style_is_its_own_definition():

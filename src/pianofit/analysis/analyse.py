@@ -19,7 +19,7 @@ from .pitch import find_pitch, track
 from .result import Analysis, Partials
 from .spectrum import noise_between, spectrum
 
-__all__ = ["analyse"]
+__all__ = ["analyse", "beating_warning", "count_beating"]
 
 _SKIP = 0.005  # s; the contact is over by then or all but
 _LONGEST = 20.0  # s; what comes later adds nothing
@@ -232,12 +232,24 @@ def _warnings(table: Partials, losses: DecayLaw, fall: float, again: float | Non
         )
     if fall:
         found.append(f"the pitch {'falls' if fall > 0 else 'rises'} by {abs(fall):.1f} cents as the note decays")
-    deep = int(np.sum(table.beating > BEAT))
-    if deep:
-        found.append(
-            f"{deep} of {len(table)} partials leave an even decay by more than {BEAT:g} dB: more than one string or "
-            "polarisation, which beat, or a note that was damped or cut"
-        )
+    if beats := beating_warning(table):
+        found.append(beats)
     if losses.d2 < 2 * losses.d2_error and len(table) > 1:
         found.append("the decay rates do not show how losses rise with frequency (d2 is not measurable)")
     return tuple(found)
+
+
+def count_beating(table: Partials) -> int:
+    """How many partials leave an even decay by more than `BEAT`."""
+    return int(np.sum(table.beating > BEAT))
+
+
+def beating_warning(table: Partials) -> str:
+    """The warning of a recording whose partials beat; empty if none does."""
+    deep = count_beating(table)
+    if not deep:
+        return ""
+    return (
+        f"{deep} of {len(table)} partials leave an even decay by more than {BEAT:g} dB: more than one string or "
+        "polarisation, which beat, or a note that was damped or cut"
+    )

@@ -15,13 +15,14 @@ from urllib.parse import quote
 from ..analysis.notes import note_to_midi
 from ..errors import AnalysisError, PianofitError
 from ..io import FIT_SCHEMA, one_line, reference_of
-from ..numbers import number, with_interval
+from ..numbers import with_interval
 from ..recording import load_recording
 from ..report import kit
 from ..report.sound import LIGHT_RATE, Clip, make_clips, seconds_each
-from ..report.words import STATUS, SYMBOLS
+from ..report.words import SYMBOLS
 from ..tables import write_csv
 from .ledger import Entry, entries_of
+from .lights import LIGHTS, MATCH, RING, TUNING, lights
 from .state import document
 from .store import Store
 
@@ -34,8 +35,9 @@ EVERY = 60.0
 PAGES = ("report.html", "fit.json")
 # What needs no assumed size: the page's columns, the table's first. By name in fit.json: words for a column, unit
 INVARIANTS = {
-    "f0": ("pitch", "Hz"), "B": ("inharmonicity", ""), "M_H/M_S": ("hammer over string mass", ""),
-    "x0/L": ("strike position", ""), "F/M_S": ("felt’s force", "N/kg"),
+    "f0": ("fundamental frequency without stiffness", "Hz"), "B": ("inharmonicity", ""),
+    "M_H/M_S": ("hammer mass over string mass", ""), "x0/L": ("strike position over string length", ""),
+    "F/M_S": ("static force of the felt at one compression, over string mass", "N/kg"),
 }  # fmt: skip
 # Of the page's sounds all together: 8 MB.
 SAMPLES = 4_000_000
@@ -72,9 +74,11 @@ class Index:
         seconds = seconds_each(len(entries), SAMPLES, LONGEST, SHORTEST)
         kit.write_page(
             self.store.folder / INDEX_FILE, "index.html.j2", package="pianofit.batch", styles=("index.css",),
-            scripts=("audio.js", "player.js"), strict=False, title=one_line(self.store.folder.resolve().name),
-            told=document(self.store.folder, entries),
+            scripts=("audio.js", "player.js", "index.js"), strict=False,
+            title=one_line(self.store.folder.resolve().name), told=document(self.store.folder, entries),
             columns=[(SYMBOLS.get(name, name), *about) for name, about in INVARIANTS.items()],
+            lights=LIGHTS, limits={"match": MATCH, "tuning": TUNING, "ring": RING},
+            left_out=[(e.key, one["reason"]) for e, _ in found.values() for one in e.left_out],
             rows=[_row(self.store, entry, fit) | {"clips": self._sounds(entry, fit, seconds)}
                   for entry, fit in found.values()],
             failed=[e for e in entries if e.state == "failed"],
@@ -120,23 +124,15 @@ def _heard(store: Store, key: str, fit: dict[str, Any], seconds: float) -> list[
 def _row(store: Store, entry: Entry, fit: dict[str, Any]) -> dict[str, Any]:
     """What the page says of a key."""
     folder, invariants = store.keys / entry.key, fit.get("invariants", {})
-    measured = [with_interval(x.get("value"), x.get("interval")) for x in (invariants.get(n, {}) for n in INVARIANTS)]
+    cells = [invariants.get(name, {}) for name in INVARIANTS]
+    measured = [(cell.get("value"), *with_interval(cell.get("value"), cell.get("interval"))) for cell in cells]
+    states = {name: one.get("status") for name, one in fit.get("parameters", {}).items()}
     return {
-        "key": entry.key, "note": entry.note, "recordings": entry.recordings, "left_out": entry.left_out,
+        "key": entry.key, "recordings": entry.recordings, "messages": len(fit.get("messages", ())),
         "link": next((f"keys/{quote(entry.key)}/{n}" for n in PAGES if (folder / n).is_file()), ""),
-        "measured": measured, "converged": fit.get("converged", True), "statuses": _statuses(fit),
-        "messages": len(fit.get("messages", ())), "levels": number(_fitted_db(fit), 2),
-        "out": number(_left_out_db(fit), 2),
+        "lights": lights(entry, fit), "measured": measured,
+        "lost": [SYMBOLS.get(name, name) for name, state in states.items() if state == "not-identifiable"],
     }  # fmt: skip
-
-
-def _statuses(fit: dict[str, Any]) -> list[str]:
-    """Which parameters are how sure, such as "assumed: L, M_S"."""
-    found: dict[str, list[str]] = {}
-    for name, entry in fit.get("parameters", {}).items():
-        found.setdefault(entry["status"], []).append(name)
-    order = sorted(found, key=[*STATUS].index, reverse=True)  # what is least certain comes first
-    return [f"{status.replace('-', ' ')}: {', '.join(found[status])}" for status in order]
 
 
 def _fitted_db(fit: dict[str, Any]) -> float | None:

@@ -38,12 +38,13 @@ def storage(u: Any, felt: Any) -> Any:
     return felt.K_H * u ** (felt.p + 1) / (felt.p + 1)
 
 
-def _law(name: str, *own: str) -> FeltLaw:
+def _law(name: str, formula: str, *own: str) -> FeltLaw:
     return FeltLaw(
-        name, {n: literature(n) for n in own}, force, storage, power=("K_H", "p"), hammers=Hammer, columns=COLUMNS
-    )
+        name, {n: literature(n) for n in own}, force, storage, power=("K_H", "p"), hammers=Hammer, columns=COLUMNS,
+        formula=(formula,),
+    )  # fmt: skip
 
 
-HUNT_CROSSLEY = _law("hunt-crossley", "K_H", "mu", "p")
-POWER = _law("power", "K_H", "p")
+HUNT_CROSSLEY = _law("hunt-crossley", r"F = K_H u^p (1 + μ \dot{u})", "K_H", "mu", "p")
+POWER = _law("power", "F = K_H u^p", "K_H", "p")
 LAWS = (HUNT_CROSSLEY, POWER)

@@ -43,6 +43,7 @@ class FeltLaw:
     slow : `slow(u, hammer)`, N, of a felt that relaxes: its force where it is pressed slowly.
     power : the names of K and p if the force has the factor K u^p: a fit then searches the force K u_ref^p in place of
         K, whose unit changes with p.
+    formula : the law for the page of a fit, one equation a string, in the part of TeX that `report.formula` sets.
     hammers, columns : of the package's laws, which share a solver of their own: the hammers' type, and the order of a
         fit's unknowns.
 
@@ -60,6 +61,7 @@ class FeltLaw:
     power: tuple[str, str] | None = None
     hammers: Any = None
     columns: tuple[str, ...] = ()
+    formula: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]*", self.name):
@@ -75,6 +77,8 @@ class FeltLaw:
             parameter.check(f"felt law {self.name}: {name}")
         if self.power is not None and not {*self.power} <= {*self.parameters}:
             raise ParameterError(f"felt law {self.name}: power={self.power} must name two of its parameters")
+        if isinstance(self.formula, str):
+            raise ParameterError(f"felt law {self.name}: formula={self.formula!r} must be a tuple of strings")
         if not self.columns:
             object.__setattr__(self, "columns", (*self.parameters, "M_H", "x0", "width"))
 

@@ -62,5 +62,6 @@ STULOV = FeltLaw(
     power=("K_H", "p"),
     hammers=MemoryHammer,
     columns=COLUMNS,
+    formula=("F = K_H (u^p - ε q)", r"τ \dot{q} = u^p - q"),
 )
 LAWS = (STULOV,)

@@ -1,7 +1,7 @@
 """One HTML file that shows an instrument: every parameter over the keyboard with the literature's behind it, every key.
 
-It is made by `report.kit` and runs no script. In its pictures measured is black, the literature dashed orange, the law
-blue, as everywhere; an outlier is a red cross with its name.
+It is made by `report.kit` and runs no script. Its pictures have the report's colours and line styles. The literature is
+drawn as initial values are, the law as a fit is; an outlier is a cross with its name.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 
 from ..numbers import number
 from ..report import kit
-from ..report.drawing import FITTED, INITIAL, MEASURED, drawn, log_axis, styled, svg
+from ..report.drawing import BAND, FITTED, INITIAL, MEASURED, WRONG, drawn, log_axis, styled, svg
 from ..report.figures_recordings import GROUPS as COLOURS
 from .gather import HIGHEST_KEY, LOUDEST, LOWEST_KEY, reference_compression
 from .laws import OUTLYING
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 __all__ = ["write_page"]
 
-LITERATURE, LAW, BAND, WRONG = INITIAL, FITTED, "#cfe3f1", "#a3123a"
+LITERATURE, LAW = INITIAL, FITTED
 CS = {24: "C1", 36: "C2", 48: "C3", 60: "C4", 72: "C5", 84: "C6", 96: "C7", 108: "C8"}
 MARKERS = "osD^"
 GROUPS = {

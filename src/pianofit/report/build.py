@@ -208,7 +208,8 @@ def felt_of(result: Result) -> Felt:
         zero = np.zeros(len(u))
         return _band(force, np.stack([slopes.get(name, zero) for name in names], axis=1), cov)
 
-    return Felt(1e3 * u, curve(False), curve(True) if law_of(hammer).slow else None)
+    law = law_of(hammer)
+    return Felt(1e3 * u, curve(False), curve(True) if law.slow else None, law.formula)
 
 
 def _shared(result: Result) -> tuple[tuple[str, ...], np.ndarray]:

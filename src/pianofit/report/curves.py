@@ -42,6 +42,7 @@ class Felt:
     compression: np.ndarray  # [n], mm
     force: np.ndarray  # [3, n], N: law, lower and upper end
     slow: np.ndarray | None = None  # [3, n], N
+    formula: tuple[str, ...] = ()  # of the law, in the notation of `formula.py`; empty if the law brings none
 
 
 @dataclass(frozen=True)

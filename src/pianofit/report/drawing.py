@@ -1,6 +1,7 @@
-"""The look of the page's pictures: measured is black, initial is dashed orange, law is dashed green, fitted is blue.
+"""The look of the page's pictures: a colour and a line style for each of measured, initial, law and fitted.
 
 The colours are Okabe and Ito's, which stay apart for colour-blind eyes; line style and order tell them apart in grey.
+A page replaces each colour by the property of `page.css` that `COLOURS` names, which has a second value on dark pages.
 Figures for the page are SVG, whose letters stay letters; that was both quicker and sharper than PNG at twice the
 resolution.
 """
@@ -22,11 +23,19 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = [
-    "FAINT", "FITTED", "HEIGHT", "INITIAL", "INK", "LAW", "LINES", "MEASURED", "STYLE",
-    "drawn", "legend", "log_axis", "number_axis", "panel", "points", "span", "svg",
+    "BAND", "BORDER", "COLOURS", "FAINT", "FITTED", "GROUP", "HATCH", "HEIGHT", "INITIAL", "INK", "LAW", "LINES",
+    "LOOP", "MEASURED", "PAPER", "STYLE", "WRONG", "drawn", "legend", "log_axis", "number_axis", "panel", "points",
+    "span", "svg",
 ]  # fmt: skip
 
 INK, MEASURED, INITIAL, LAW, FITTED, FAINT = "#333333", "#1a1a1a", "#d55e00", "#009e73", "#0072b2", "#eeeeee"
+PAPER, GRID, EDGE, BORDER, HATCH = "#ffffff", "#e3e7ec", "#9aa3ad", "#7b8794", "#c3cad2"
+LOOP, BAND, GROUP, WRONG = "#8fbfe0", "#cfe3f1", "#cc79a7", "#a3123a"
+# The property of `page.css` that stands for each on a page.
+COLOURS = {
+    INK: "ink", MEASURED: "measured", INITIAL: "initial", LAW: "law", FITTED: "fitted", FAINT: "faint", PAPER: "paper",
+    GRID: "line", EDGE: "axis", BORDER: "edge", HATCH: "axis", LOOP: "loop", BAND: "band", GROUP: "group", WRONG: "bad",
+}  # fmt: skip
 # Inches. A figure is one panel, whose letters can be read on a telephone; a page puts panels side by side.
 WIDTH = 5.6
 HEIGHT = 3.1
@@ -46,12 +55,13 @@ STYLE: dict[Any, Any] = {
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans"],
     "font.size": 9.5,
+    "text.color": INK,
     "axes.facecolor": "none",
     "axes.titlesize": 10,
     "axes.titlelocation": "left",
     "axes.titlecolor": INK,
     "axes.titley": 1.0,  # else matplotlib lays out all ticks once more to see what a title would hit
-    "axes.edgecolor": "#9aa3ad",
+    "axes.edgecolor": EDGE,
     "axes.labelcolor": INK,
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -59,7 +69,7 @@ STYLE: dict[Any, Any] = {
     "axes.axisbelow": True,
     "axes.unicode_minus": True,
     "axes.xmargin": 0.0,
-    "grid.color": "#e3e7ec",
+    "grid.color": GRID,
     "grid.linewidth": 0.7,
     "xtick.color": INK,
     "ytick.color": INK,

@@ -9,8 +9,10 @@ import numpy as np
 
 from .curves import Curves
 from .drawing import (
+    BORDER,
     FAINT,
     FITTED,
+    HATCH,
     HEIGHT,
     INK,
     LINES,
@@ -140,11 +142,11 @@ def _shade_bands(axes: Axes, edges: list[tuple[float, float, str, bool]]) -> Non
         if low >= high:
             continue
         if left_out:
-            axes.axvspan(low, high, facecolor="none", edgecolor="#c3cad2", hatch="///", lw=0, zorder=0)
+            axes.axvspan(low, high, facecolor="none", edgecolor=HATCH, hatch="///", lw=0, zorder=0)
         elif index % 2:
             axes.axvspan(low, high, color=FAINT, lw=0, zorder=0)
         for edge in {low, high} - {start, stop}:
-            axes.axvline(edge, color="#7b8794", lw=0.8, ls=":", zorder=1)
+            axes.axvline(edge, color=BORDER, lw=0.8, ls=":", zorder=1)
         narrow = (high - low) < 0.25 * (stop - start)
         text = label.split(":")[0] + (", left out" if narrow and left_out else "") if narrow else label
         # What would not fit into a narrow band at an end stays within the frame.

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..numbers import off_by
 from .curves import Felt, Known, RecordingCurves
-from .drawing import FITTED, INITIAL, INK, LINES, MEASURED, drawn, log_axis, span
+from .drawing import FITTED, INITIAL, INK, LINES, LOOP, MEASURED, PAPER, drawn, log_axis, span
 from .words import SYMBOLS
 
 if TYPE_CHECKING:
@@ -22,7 +22,6 @@ __all__ = ["draw_correlations", "draw_felt", "draw_known"]
 WIDEST = 10.0  # half an interval, as a logarithm, beyond which a bar ends in an arrow: a factor of 22,000
 NARROWEST = 1e-12
 FAR = 1e6  # of a law, beyond which its band is not drawn
-LOOP = "#8fbfe0"
 
 
 def draw_felt(felt: Felt, recordings: Sequence[RecordingCurves]) -> list[Figure]:
@@ -77,13 +76,13 @@ def draw_known(known: Known) -> list[Figure]:
 
 
 def _reaches(axes: Axes, known: Known) -> None:
-    """A row each; what needs no assumed scale in black above, parameters in blue below."""
+    """A row each: circles for what needs no assumed scale, squares for parameters below."""
     rows = range(len(known.reaches))
     reach = np.clip([reach for _, reach, _ in known.reaches], NARROWEST, WIDEST)
     left = 0.4 * min(reach)
     for row, value, (_, told, combined) in zip(rows, reach, known.reaches, strict=True):
-        colour = MEASURED if combined else FITTED
-        axes.plot([left, value], [row, row], color=colour, lw=1.6, marker="o", ms=6.5, markevery=[1])
+        colour, marker = (MEASURED, "o") if combined else (FITTED, "s")
+        axes.plot([left, value], [row, row], color=colour, lw=1.6, marker=marker, ms=6.5, markevery=[1])
         words = "not at all" if told >= WIDEST else off_by(told, "× or ÷ {}")
         axes.text(1.35 * value, row, words, va="center", fontsize=9, color=INK)
     axes.set(xscale="log", xlim=(left, 14 * max(reach)), ylim=(len(rows) - 0.4, -0.6))
@@ -109,7 +108,7 @@ def _symbol(name: str) -> str:
 
 
 def draw_correlations(axes: Axes, known: Known) -> None:
-    """Draw the table of correlations, in hundredths: blue together, orange against each other, the darker the more."""
+    """Draw the table of correlations, in hundredths: one hue for each sign, the darker the more."""
     from matplotlib.colors import LinearSegmentedColormap
 
     names, n = [_symbol(name) for name in known.names], max(len(known.names), 2)
@@ -122,7 +121,7 @@ def draw_correlations(axes: Axes, known: Known) -> None:
             r = known.correlation[i, j]
             if abs(r) >= 0.1:
                 axes.text(j, i, f"{100 * r:+.0f}".replace("-", "−"), ha="center", va="center", fontsize=8,
-                          color="white" if abs(r) > 0.6 else INK)  # fmt: skip
+                          color=PAPER if abs(r) > 0.6 else INK)  # fmt: skip
     axes.set(xlim=(-0.5, n - 1.5), ylim=(n - 0.5, 0.5))  # the first row and the last column are empty
     axes.set_xticks(range(len(names) - 1), names[:-1])
     axes.set_yticks(range(1, len(names)), names[1:])

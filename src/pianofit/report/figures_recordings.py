@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .curves import RecordingCurves
-from .drawing import FITTED, HEIGHT, INITIAL, INK, LAW, LINES, MEASURED, drawn, number_axis, points, span
+from .drawing import FITTED, GROUP, HEIGHT, INITIAL, INK, LAW, LINES, MEASURED, drawn, number_axis, points, span
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 __all__ = ["draw_held_out", "draw_paths", "draw_recordings"]
 
 CROWDED = 6  # more labels than this stand aslant
-GROUPS = (FITTED, LAW, "#cc79a7", INITIAL)  # Okabe and Ito's
+GROUPS = (FITTED, LAW, GROUP, INITIAL)  # Okabe and Ito's
 HELD_OUT = (  # key, label, look
     ("predicted_db", "predicted by the fit of the others", {"marker": "o", "color": FITTED, "ms": 8}),
     ("nearest_db", "nearest other recording in its place", {"marker": "s", "mec": INITIAL, "mfc": "none", "ms": 7.5}),

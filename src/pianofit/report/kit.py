@@ -16,6 +16,7 @@ from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
 from ..io import replace_file
+from .inline import inlined
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -74,8 +75,8 @@ def templates(package: str, *, strict: bool = True, filters: dict[str, Callable]
 
 
 def picture(panels: Sequence[bytes]) -> list[str]:
-    """The addresses of a picture's panels, SVG, as a page has them."""
-    return [data_uri("image/svg+xml", svg) for svg in panels]
+    """The panels of a picture as elements of a page; the macro of this name frames them."""
+    return [inlined(svg) for svg in panels]
 
 
 def data_uri(kind: str, content: bytes) -> str:

@@ -12,9 +12,11 @@ from typing import Any
 import numpy as np
 
 from .. import numbers
+from ..felt import LAWS
 from ..io import with_names
 from . import known, words
 from .curves import Curves, RecordingCurves, Strokes
+from .equations import equations
 from .figures import draw_figures
 from .kit import page_bytes, picture
 from .sound import LIGHT_RATE, SECONDS, Clip, make_clips, seconds_each
@@ -59,13 +61,14 @@ def report_bytes(fit: dict[str, Any], curves: Curves, title: str, held_out: dict
     said: dict[str, Any] = {say.__name__: say(fit) for say in SAID}
     return page_bytes(
         "page.html.j2",
-        scripts=("audio.js", "player.js"),
+        scripts=("audio.js", "player.js", "zoom.js"),
         title=title,
         contents=True,
         fit=fit,
         **said,
         invariants=words.rows(fit["invariants"]),
         rows=words.rows(fit["parameters"]),
+        equations=_equations(fit, curves),
         clips=_clips(curves, onset),
         ringing=_ringing(fit, curves),
         strokes=_strokes(curves.strokes),
@@ -83,6 +86,14 @@ def _names(*documents: dict[str, Any] | None) -> dict[str, str]:
     """The path of every recording -> its name; the longest path first."""
     files = {row["file"] for document in documents if document is not None for row in document["recordings"]}
     return {file: PurePath(file).name for file in sorted(files, key=len, reverse=True) if PurePath(file).name}
+
+
+def _equations(fit: dict[str, Any], curves: Curves) -> dict[str, Any]:
+    """The box of equations; the package's laws go by the name in the file, since some share a type of hammer."""
+    law = LAWS.get(fit["felt"])
+    own = () if curves.felt is None else curves.felt.formula
+    modes = bool(curves.ringing and curves.ringing.decays)
+    return equations(fit, own if law is None else law.formula, path=curves.path is not None, modes=modes)
 
 
 def _clips(curves: Curves, onset: float) -> list[Clip]:

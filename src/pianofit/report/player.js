@@ -105,7 +105,7 @@
   };
   for (const place of [0, 1, 2]) keys[place + 1] = (one) => one.choices[place] && one.choose(place);
   document.addEventListener("keydown", (event) => {
-    const at = event.target, elsewhere = at.closest("summary, a, pre, .scroll");
+    const at = event.target, elsewhere = at.closest("summary, a, pre, .scroll, .zoom");
     if (event.ctrlKey || event.altKey || event.metaKey || !keys[event.key] || (elsewhere && !/^[123]$/.test(event.key))) return;
     if (at.matches(".which") && event.key !== " ") return; // its own keys choose the velocity
     if (event.key === " " && at.matches(".choice[aria-pressed=false]")) return; // a button's own key: it chooses

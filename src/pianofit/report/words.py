@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "again_in_words", "bands", "comparison", "glide", "groups", "how_sure", "minima", "notices",
-    "ringing", "ringing_line", "rows", "tiles",
+    "ringing", "ringing_line", "rows", "tiles", "unit_in_words",
 ]  # fmt: skip
 
 STATUS = {  # word -> mark, explanation
@@ -58,12 +58,13 @@ def _row(it: Quantity) -> dict[str, str]:
     note = PurePath(it.note).name if ratio else it.note
     return {
         "name": "v/v_ref" if ratio else SYMBOLS.get(it.name, it.name), "meaning": it.meaning,
-        "value": value, "unit": _unit(it.unit), "interval": interval, "initial": number(it.initial),
+        "value": value, "unit": unit_in_words(it.unit), "interval": interval, "initial": number(it.initial),
         "status": it.status, "mark": STATUS[it.status][0], "note": "; ".join(filter(None, (note, _unbounded(it)))),
     }  # fmt: skip
 
 
-def _unit(unit: str) -> str:
+def unit_in_words(unit: str) -> str:
+    """A unit for a reader: empty for a pure number, p raised."""
     return "" if unit == "1" else unit.replace("^p", "ᵖ")
 
 
@@ -77,7 +78,7 @@ def minima(fit: dict[str, Any]) -> dict[str, Any] | None:
     names = [n for n in (*felt, "M_H", "x0") if len({one["parameters"].get(n) for one in found}) > 1]
     best = min(one["F"] for one in found)
     return {
-        "names": [(SYMBOLS.get(name, name), _unit(fit["parameters"][name]["unit"])) for name in names],
+        "names": [(SYMBOLS.get(name, name), unit_in_words(fit["parameters"][name]["unit"])) for name in names],
         "rows": [
             {
                 "share": _share(one["share"]),

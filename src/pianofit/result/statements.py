@@ -15,6 +15,7 @@ from ..io import one_line
 from ..numbers import off_by, with_half_interval
 from ..units import NORMAL
 from .entries import described
+from .remarks import remarks
 
 __all__ = [
     "AT_EDGE", "STATUSES", "STOPPED", "claims", "correlated", "invariant_status", "messages", "presumed", "scaling",
@@ -277,10 +278,7 @@ def messages(fit: Inferred, states: dict[str, str], worse: Sequence[str], errors
         for one, other in problem.unmatched
     ]
     said += [*presumed(problem), *_assumed(fit), _scattered(fit)]
-    for recording, analysis in zip(problem.recordings, problem.analyses, strict=True):
-        about = f"{one_line(Path(recording.path).name)}: " if len(problem.recordings) > 1 else ""
-        seen = "; ".join((*recording.warnings, *analysis.warnings))
-        said += [about + seen] if seen else []
+    said += remarks(problem.recordings, problem.analyses)
     return said + ([] if fit.view is None else [*fit.view.messages])
 
 
