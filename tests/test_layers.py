@@ -30,11 +30,12 @@ USES = {
     "tables": "io",
     "decode": "io",
     "recording": "decode io",
-    "published": "parameters",
+    "published": "analysis parameters",
     "setup": "felt io parameters",
     "analysis": "recording tables",
     "criterion": "analysis",
     "model": "decode felt parameters",
+    "synthetic": "felt io model parameters recording setup",
     "ringing_file": "decode io model",
     "fit_file": "decode felt io model parameters ringing_file",
     "inference": "analysis felt io model parameters progress published recording setup tables threads",
@@ -49,7 +50,7 @@ USES = {
     "play": "analysis decode felt io keyboard model parameters recording report tables threads",
     "batch": "analysis fitting io model parameters recording report tables",
     "cli": "analysis batch felt fit_file fitting io keyboard listening model paper parameters play progress"
-    " published recording report result setup threads",
+    " published recording report result setup synthetic threads",
     "__main__": "cli",
 }
 # What a method of a public type enters when it is called, against these arrows, by an import of its own.
