@@ -41,7 +41,7 @@ USES = {
     "inference": "analysis felt io model parameters progress published recording setup tables threads",
     "result": "analysis criterion felt fit_file inference io model parameters recording setup tables threads",
     "ringing": "analysis model recording result ringing_file threads",
-    "report": "analysis felt io model parameters result ringing ringing_file",
+    "report": "analysis felt fit_file io model parameters result ringing ringing_file tables",
     "listening": "io recording report",
     "paper": "analysis criterion felt inference io listening model parameters published recording report result setup"
     " tables",

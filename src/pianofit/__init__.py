@@ -16,6 +16,7 @@ __all__ = [
     "Recording", "load_recording", "recording_from_samples", "Analysis", "Partials", "analyse",
     # What was known beforehand, and the fit.
     "Setup", "Layer", "load_setup", "setup_from_dict", "fit", "Result", "Quantity", "Quantities", "Covariance",
+    "compare", "Comparison", "ComparedQuantity",
     # How well it foretells what it has not heard.
     "Prediction", "predict_recording", "cross_validate",
     # The model: parameters to motion to sound.
@@ -60,6 +61,7 @@ if TYPE_CHECKING:
     from .parameters import PARAMETERS, Geometry, Hammer, Parameter, String
     from .published import Preset, preset, typical
     from .recording import Recording, load_recording, recording_from_samples
+    from .report.compare import ComparedQuantity, Comparison, compare
     from .result import Covariance, Quantities, Quantity, Result
     from .result.crossval import cross_validate
     from .result.predict import Prediction, predict_recording
@@ -70,6 +72,7 @@ _HOMES = {
     "analysis": ("Analysis", "Partials", "analyse"),
     "errors": tuple(name for name in __all__ if name.endswith("Error")),
     "fitting": ("fit",),
+    "report.compare": ("ComparedQuantity", "Comparison", "compare"),
     "result": ("Covariance", "Quantities", "Quantity", "Result"),
     "result.crossval": ("cross_validate",),
     "result.predict": ("Prediction", "predict_recording"),
