@@ -156,7 +156,7 @@ def _noise(note: np.ndarray, db: float | None, seed: int, rate: int, lead: int) 
 
 
 def setup_of(hammer: Any, geometry: Geometry, quantity: str, scale: float, name: str) -> Setup:
-    """What a laboratory would state about the measurement."""
+    """The setup that a laboratory would write for the measurement."""
     length, mass, strike, width, pickup = map(float, geometry)
     law = law_of(hammer)
     felt = "power" if getattr(hammer, "mu", 1.0) == 0 and law.name == "hunt-crossley" else law.name

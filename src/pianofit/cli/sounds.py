@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = ["render", "simulate"]
 
-# Of what a pickup records. A microphone's pressure stands for the force on the bridge.
+# Units of the recorded quantities. The model's pressure is the force on the bridge.
 UNITS = {"velocity": "m/s", "displacement": "m", "bridge-force": "N", "pressure": "N"}
 
 

@@ -1,4 +1,4 @@
-"""Which quantities two fits can compare, and how.
+"""The rules by which quantities of two fits are compared.
 
 Intervals of a fit are those of logarithms, so z is the difference of two logarithms over its standard deviation. The
 standard deviation that is reported in the quantity's unit is the difference over z. To first order that is the root of
@@ -33,7 +33,7 @@ from .words import VELOCITY_RATIO
 
 __all__ = ["ComparedQuantity", "Sides", "compared", "messages", "middle"]
 
-# Logarithms closer than this are those of one number: what is left is rounding in a file.
+# Logarithms closer than this are those of one number; the rest is rounding in a file.
 SAME = 1e-9
 # The same of a compression that was computed back from a force.
 SAME_COMPRESSION = 1e-6
@@ -43,7 +43,7 @@ NOT_MEASURED = {
     "given": "held fixed in {}", "assumed": "assumed in {}", "at-bound": "at a search bound in {}",
     "not-identifiable": "not identifiable in {}",
 }  # fmt: skip
-# What is measured in metres of the string, and so scales with an assumed length.
+# Parameters in metres of the string: they scale with an assumed length.
 SCALES_WITH_LENGTH = ("c", "kappa", "b2", "x0")
 # Names in a table of parameters that do not belong to the felt.
 NOT_FELT = {*STRING_NAMES, "M_H", "v_H0", "x0", "width", "M_S", "L", "pickup"}
@@ -88,12 +88,12 @@ class Sides:
 
     @property
     def documents(self) -> tuple[dict, dict]:
-        """What both files hold."""
+        """The content of both `fit.json` files."""
         return self.fits[0].document, self.fits[1].document
 
     @property
     def felt_unit(self) -> str:
-        """Of the felts' force: N, or N/kg, over the string's mass, where a mass was assumed."""
+        """The unit of the static force: N, or N/kg (force over string mass) if a mass was assumed."""
         assumed = any(_status(document, "M_S") != "given" for document in self.documents)
         return "N/kg" if assumed else "N"
 
@@ -154,7 +154,7 @@ def _compared(sides: Sides, a: Quantity | None, b: Quantity | None, against: str
 
 
 def _reason(sides: Sides, a: Quantity, b: Quantity) -> str:
-    """Why two values cannot be compared; empty if they can."""
+    """The reason why two values cannot be compared; empty if they can."""
     both = (a, b)
     stopped = [not document["converged"] for document in sides.documents]
     if any(stopped):
@@ -170,7 +170,7 @@ def _reason(sides: Sides, a: Quantity, b: Quantity) -> str:
 
 
 def _another_quantity(sides: Sides, a: Quantity, b: Quantity) -> str:
-    """Why one name stands for two quantities."""
+    """The reason why one name stands for two quantities; empty if it does not."""
     laws = [document.get("felt") for document in sides.documents]
     if a.name not in NOT_FELT and a.name in sides.fits[0].parameters:
         if laws[0] != laws[1]:
@@ -211,7 +211,7 @@ def _struck(sides: Sides, at: int, name: str) -> tuple[Any, Any]:
 
 
 def _assumptions(sides: Sides, a: Quantity, b: Quantity) -> str:
-    """Why two values rest on different assumptions."""
+    """The reason why two values rest on different assumptions; empty if they do not."""
     for what, name in (("length", "L"), ("mass", "M_S")):
         own = [_rests_on(q, name, fit) for q, fit in zip((a, b), sides.fits, strict=True)]
         if any(own):
@@ -226,14 +226,14 @@ def _assumptions(sides: Sides, a: Quantity, b: Quantity) -> str:
 
 
 def _rests_on(quantity: Quantity, size: str, fit: Result) -> bool:
-    """Whether a value scales with the length or the mass of the string, and that was assumed."""
+    """True if a value scales with the length or the mass of the string, and that size was assumed."""
     if quantity.status != "scaled" or _status(fit.document, size) != "assumed" or quantity.name not in fit.parameters:
         return False
     return quantity.name in SCALES_WITH_LENGTH if size == "L" else _has(quantity.unit, "N|kg")
 
 
 def _moves(quantity: Quantity) -> bool:
-    """Whether a value of the felt, or a velocity, scales with an unknown velocity."""
+    """True if a value of the felt, or a velocity, scales with an unknown velocity."""
     return quantity.name in ("v_H0", "F/M_S") or (quantity.name not in NOT_FELT and _has(quantity.unit, "N|m"))
 
 
@@ -249,7 +249,7 @@ def _status(document: dict, name: str) -> str:
 
 
 def middle(felt: Felt) -> int:
-    """Where the table compares the felts: at half the compression that both reached."""
+    """The index at which the table compares the felts: half of the compression that both reached."""
     return len(felt.compression) // 2 - 1
 
 
@@ -277,7 +277,7 @@ def _at(felt: Felt, at: int, name: str, fit: Result, unit: str) -> Quantity:
 
 
 def messages(sides: Sides) -> Iterator[str]:
-    """What limits the comparison."""
+    """Sentences on the limits of the comparison."""
     f0 = [fit.invariants["f0"].value if "f0" in fit.invariants else math.nan for fit in sides.fits]
     cents = 1200 * math.log2(f0[1] / f0[0]) if np.isfinite(f0).all() and min(f0) > 0 else 0.0
     if abs(cents) > ANOTHER_KEY:

@@ -1,6 +1,6 @@
 """Two fits compared: every quantity with difference and z, and both felts over one axis of compression.
 
-Which quantities two fits can compare, and how, is stated in `report/comparable.py`.
+The rules are in `report/comparable.py`.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ COLUMNS = ("name", "a", "b", "unit", "difference", "sd", "z", "status_a", "statu
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Comparison:
-    """Two fits compared: a sequence of `ComparedQuantity`, by place or by name.
+    """Two fits compared: iterate over its `ComparedQuantity`, or take one by name, such as `comparison["f0"]`.
 
     `felts` are both static laws over the same compressions, with 95 % bands, in `felt_unit`; None where a fit has no
     covariance. `messages` say what limits the comparison.

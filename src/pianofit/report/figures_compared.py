@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 __all__ = ["KINDS", "draw_felts", "figure_of_felts"]
 
-# Of a file: what its name ends in.
+# Kinds of file, by the ending of the name.
 KINDS = ("svg", "png", "pdf")
 LARGEST = 100.0  # of a logarithm, so that e to it is a number
 LONGEST = 28  # characters of a label, so that both fit below a figure
@@ -67,13 +67,16 @@ def _draw_ratio(axes: Axes, felts: tuple[Felt, Felt], labels: tuple[str, str]) -
     bottom, top = min(low[seen].min(), 1.0), max(high[seen].max(), 1.0)
     room = 0.08 * (top - bottom) + 1e-6
     axes.set(ylim=(max(bottom - room, 1 / FARTHEST), min(top + room, FARTHEST)), ylabel="ratio",
-             xlabel=f"compression of the felt (mm); ratio: {labels[1]} over {labels[0]}")  # fmt: skip
+             xlabel="compression of the felt (mm)")  # fmt: skip
+    axes.text(0.99, 0.05, f"{labels[1]} over {labels[0]}", transform=axes.transAxes, ha="right", va="bottom",
+              fontsize=8.5, color=INK)  # fmt: skip
 
 
 def figure_of_felts(felts: tuple[Felt, Felt], labels: tuple[str, str], unit: str, kind: str) -> bytes:
     """The content of a file of the figure, the same for the same felts: the forces, and below them their ratio."""
     with styled():
-        figure, (force, ratio) = panel(0.7 * HEIGHT, 0.4 * HEIGHT, legend_rows=2)
+        rows = 2 * (1 + any(felt.slow is not None for felt in felts))
+        figure, (force, ratio) = panel(0.7 * HEIGHT, 0.4 * HEIGHT, legend_rows=rows)
         draw_felts(force, felts, labels, unit)
         force.set(title="Static force of the felts", xlabel="")
         _draw_ratio(ratio, felts, labels)
