@@ -228,6 +228,16 @@ def test_the_figure_names_both_and_has_units():
         found.figure("gif")
 
 
+def test_a_relaxing_felt_has_two_laws_in_the_figure_and_room_for_their_names():
+    found = pianofit.compare(fitted(), softer(2.0), labels=("a folder whose name goes on and on", "b"))
+    relaxing = tuple(dataclasses.replace(felt, slow=0.7 * felt.force) for felt in found.felts)
+    both = dataclasses.replace(found, felts=relaxing).figure("svg").decode()
+    assert "b, slow" in both
+    assert "and on" not in both, "a long label is cut"
+    height = [float(text.partition('height="')[2].partition("pt")[0]) for text in (found.figure("svg").decode(), both)]
+    assert height[1] > height[0]
+
+
 # --- two results in one figure ----------------------------------------------------------------------------------------
 
 FIGURES = ("spectrum", "force", "felt", "levels", "envelopes")
