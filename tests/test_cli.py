@@ -316,7 +316,7 @@ def test_render_at_the_fitted_velocity_is_the_fitted_sound(fitted, run):
     (again, rate), (first, _) = soundfile.read(out), soundfile.read(fitted / "out" / "fitted.wav")
     assert rate == 44_100
     # Both hold the same stroke; only when it comes, and a gain that keeps it below full scale, may differ.
-    late = int(np.argmax(np.correlate(np.pad(first[:6000], (2000, 0)), again[2000:4000], "valid"))) - 4000
+    late = int(np.argmax(np.correlate(np.pad(first[:9000], (2000, 0)), again[2000:4000], "valid"))) - 4000
     cut = max(-late, 0)
     same, again = first[late + cut :][: len(again) - cut], again[cut:]
     gain = (same @ again) / (again @ again)

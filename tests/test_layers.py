@@ -30,17 +30,18 @@ USES = {
     "tables": "io",
     "decode": "io",
     "recording": "decode io",
-    "published": "parameters",
+    "published": "analysis parameters",
     "setup": "felt io parameters",
     "analysis": "recording tables",
     "criterion": "analysis",
     "model": "decode felt parameters",
+    "synthetic": "felt io model parameters recording setup",
     "ringing_file": "decode io model",
     "fit_file": "decode felt io model parameters ringing_file",
     "inference": "analysis felt io model parameters progress published recording setup tables threads",
     "result": "analysis criterion felt fit_file inference io model parameters recording setup tables threads",
     "ringing": "analysis model recording result ringing_file threads",
-    "report": "analysis felt io model parameters result ringing ringing_file",
+    "report": "analysis felt fit_file io model parameters result ringing ringing_file tables",
     "listening": "io recording report",
     "paper": "analysis criterion felt inference io listening model parameters published recording report result setup"
     " tables",
@@ -49,7 +50,7 @@ USES = {
     "play": "analysis decode felt io keyboard model parameters recording report tables threads",
     "batch": "analysis fitting io model parameters recording report tables",
     "cli": "analysis batch felt fit_file fitting io keyboard listening model paper parameters play progress"
-    " published recording report result setup threads",
+    " published recording report result setup synthetic threads",
     "__main__": "cli",
 }
 # What a method of a public type enters when it is called, against these arrows, by an import of its own.

@@ -206,7 +206,43 @@ def test_between_keys_it_is_smooth(midi):
         assert PARAMETERS[name].lower <= here <= PARAMETERS[name].upper
 
 
-@pytest.mark.parametrize("midi", [14.9, 114.1, -1, 440, math.nan, math.inf])
+@pytest.mark.parametrize("midi", [14.9, 114.1, -1, 440, math.nan, math.inf, None, True, "C9"])
 def test_a_note_beyond_any_piano_is_refused(midi):
     with pytest.raises(ParameterError, match="must be from 15 to 114"):
         typical(midi)
+
+
+def test_a_note_is_named_or_numbered():
+    assert typical("C4") == typical(" c4") == typical(60) == typical("60")
+    assert typical("Gb2") == typical("F#2") == typical(42.0)
+    assert (typical("C4").note, typical("Gb2").note, typical(60.25).note) == ("C4", "F#2", "60.25")
+    with pytest.raises(ParameterError, match="H9"):
+        typical("H9")
+
+
+@pytest.mark.parametrize(
+    ("note", "name", "place"),
+    [
+        ("C4", "M_H", "between A3 and A4"), ("C4", "length", "between F3 and C#5"), ("C4", "b1", None),
+        ("A4", "K_H", None), ("F3", "c", None), ("C7", "b2", None), ("C7", "kappa", None),
+        ("C7", "p", "extrapolated beyond A5"), ("A0", "mass", "extrapolated beyond D#1"),
+        (60.5, "b1", "between C4 and C7"),
+        ("C4", "mu", None), ("C4", "v_H0", None),
+    ],
+)  # fmt: skip
+def test_what_is_interpolated_is_named_with_the_rows_next_to_it(note, name, place):
+    it = typical(note)
+    assert it.interpolated.get(name) == place
+    fields = {*it.string._fields, *it.hammer._fields, *it.geometry._fields}
+    assert {*it.interpolated} <= fields
+    for chosen in ("mu", "v_H0", "width", "pickup", "strike"):
+        assert chosen in it.completed
+    for source in ("Chabassier", "Bensa"):
+        assert source in it.source
+
+
+def test_a_preset_names_what_is_interpolated_in_it():
+    assert "K_H" in preset("chabassier-F3").interpolated
+    assert "c" not in preset("chabassier-F3").interpolated
+    assert preset("chabassier-C2").interpolated == {}  # strings, hammers and losses have a row at C2
+    assert preset("bensa-final").interpolated == preset("chaigne-askenfelt-C4").interpolated == {}

@@ -16,11 +16,12 @@ __all__ = [
     "Recording", "load_recording", "recording_from_samples", "Analysis", "Partials", "analyse",
     # What was known beforehand, and the fit.
     "Setup", "Layer", "load_setup", "setup_from_dict", "fit", "Result", "Quantity", "Quantities", "Covariance",
+    "compare", "Comparison", "ComparedQuantity",
     # How well it foretells what it has not heard.
     "Prediction", "predict_recording", "cross_validate",
     # The model: parameters to motion to sound.
-    "String", "Hammer", "MemoryHammer", "Geometry", "PARAMETERS", "Preset", "preset", "Typical", "typical",
-    "Simulation", "simulate", "Note", "load_note", "encode_wav",
+    "String", "Hammer", "MemoryHammer", "Geometry", "PARAMETERS", "Preset", "preset", "typical", "Simulation",
+    "simulate", "SyntheticRecording", "synthetic_recording", "Note", "load_note", "encode_wav",
     # Its parts, for your own JAX programs: a table of modes, what excites it, and what is heard of it.
     "Modes", "mode_table", "strike", "pluck", "FeltLaw", "Parameter", "levels", "spectrum", "waveform",
     # What can go wrong with an input.
@@ -58,17 +59,20 @@ if TYPE_CHECKING:
         waveform,
     )
     from .parameters import PARAMETERS, Geometry, Hammer, Parameter, String
-    from .published import Preset, Typical, preset, typical
+    from .published import Preset, preset, typical
     from .recording import Recording, load_recording, recording_from_samples
+    from .report.compare import ComparedQuantity, Comparison, compare
     from .result import Covariance, Quantities, Quantity, Result
     from .result.crossval import cross_validate
     from .result.predict import Prediction, predict_recording
     from .setup import Layer, Setup, load_setup, setup_from_dict
+    from .synthetic import SyntheticRecording, synthetic_recording
 
 _HOMES = {
     "analysis": ("Analysis", "Partials", "analyse"),
     "errors": tuple(name for name in __all__ if name.endswith("Error")),
     "fitting": ("fit",),
+    "report.compare": ("ComparedQuantity", "Comparison", "compare"),
     "result": ("Covariance", "Quantities", "Quantity", "Result"),
     "result.crossval": ("cross_validate",),
     "result.predict": ("Prediction", "predict_recording"),
@@ -77,11 +81,12 @@ _HOMES = {
         "Modes", "Note", "Simulation", "levels", "mode_table", "pluck", "simulate", "spectrum", "strike", "waveform",
     ),
     "parameters": ("PARAMETERS", "Geometry", "Hammer", "Parameter", "String"),
-    "published": ("Preset", "Typical", "preset", "typical"),
+    "published": ("Preset", "preset", "typical"),
     "recording": ("Recording", "load_recording", "recording_from_samples"),
     "io": ("encode_wav",),
     "fit_file": ("load_note",),
     "setup": ("Layer", "Setup", "load_setup", "setup_from_dict"),
+    "synthetic": ("SyntheticRecording", "synthetic_recording"),
 }  # fmt: skip
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 

@@ -14,22 +14,23 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 
 import numpy as np
 
-from .errors import ParameterError, check_range
+from .errors import AnalysisError, ParameterError, check_range
 from .parameters import Geometry, Hammer, String
 from .units import hertz_of
 
-__all__ = ["HAMMERS", "LOSSES", "PRESETS", "STRINGS", "Preset", "Typical", "preset", "typical"]
+__all__ = ["HAMMERS", "LOSSES", "PRESETS", "STRINGS", "Preset", "preset", "typical"]
 
 PAPER = "Bensa, Gipouloux and Kronland-Martinet, J. Acoust. Soc. Am. 118, 495 (2005), Tables II and III"
 CHAIGNE = "Chaigne and Askenfelt, J. Acoust. Soc. Am. 95, 1112 and 1631 (1994)"
 BENSA_2003 = "Bensa, Bilbao, Kronland-Martinet and Smith, J. Acoust. Soc. Am. 114, 1095 (2003)"
 CHABASSIER = "after Chabassier, thesis (2012)"
 READ, SECOND_HAND = "read in the paper", "second-hand"
+LOWEST_NOTE, HIGHEST_NOTE = 15, 114  # MIDI, half an octave beyond either end of the piano
 
 YOUNG = 2.0e11  # Pa, steel: the table after Chabassier has none
 TYPICAL_MU = 0.1  # s/m, the paper's starting value (Table III)
@@ -129,7 +130,7 @@ LOSSES = (
 
 @dataclass(frozen=True)
 class Preset:
-    """A complete struck string: every number published, or completed as `completed` says."""
+    """A complete struck string: every number is published, interpolated, or completed as `completed` says."""
 
     name: str
     note: str | None  # None where the source names none
@@ -139,22 +140,12 @@ class Preset:
     source: str
     reading: str
     completed: str  # what the source lacks, and where it was taken from
+    interpolated: dict[str, str] = field(default_factory=dict)  # by field: between or beyond which published rows
 
     @property
     def f0(self) -> float:
         """c/2L, Hz: the fundamental of the string without stiffness."""
         return float(self.string.c / (2 * self.geometry.length))
-
-
-@dataclass(frozen=True)
-class Typical:
-    """What a grand piano usually has at a note, interpolated from the tables; no instrument in particular."""
-
-    midi: float
-    f0: float  # Hz, equal temperament, A4 = 440 Hz
-    string: String
-    hammer: Hammer
-    geometry: Geometry
 
 
 def preset(name: str) -> Preset:
@@ -187,47 +178,93 @@ def preset(name: str) -> Preset:
     raise ParameterError(f"preset={str(name)!r} is not known; {hint}presets: {', '.join(PRESETS)}")
 
 
-def typical(midi: float) -> Typical:
-    """Return what a grand piano usually has at a note, smooth in `midi` (60 = C4; fractions allowed).
+def typical(note: str | float) -> Preset:
+    """Return the typical string and hammer of a key, interpolated from the literature.
 
-    Length, tension, inharmonicity, losses, strings, hammer mass and felt are interpolated by monotone cubics over the
-    note number, on a log scale but for p; mass, c and κ follow from them, so that c = 2 L f0 holds at every note.
-    Beyond its rows the tension keeps its last value and the others go on with their last slope: at C7 p is 3.07,
-    where Chaigne and Askenfelt have 3.0. The hammer is one string's share of it, mass and stiffness over the number
-    of strings that it strikes: one to D#1, two at C2, three from F3 on, and interpolated between.
+    It describes a grand piano in general and no instrument in particular. Length, tension, inharmonicity, losses,
+    strings per key, hammer mass and felt are interpolated over the note number by monotone cubics, on a log scale
+    except for p. Mass, c and κ follow from them, so that c = 2 L f0 holds at every note. Beyond its rows the tension
+    keeps its last value, and the other quantities continue with their last slope: at C7 p is 3.07, where Chaigne and
+    Askenfelt have 3.0. The hammer is the share of one string: mass and stiffness over the number of strings that the
+    hammer strikes. That number is one to D#1, two at C2, three from F3 on, and interpolated between.
 
     Parameters
     ----------
-    midi : from 15 to 114: the piano's 21 to 108 and half an octave to either side.
+    note : a name such as "C4" or "F#2", or a MIDI number from 15 to 114, which may have a fraction.
 
     Returns
     -------
-    A `Typical`: string, hammer and geometry in SI units, and f0 in Hz.
+    A `Preset`. Its `source` lists the tables, `interpolated` names every interpolated number with the published rows
+    next to it, and `completed` names the numbers that were chosen.
 
     Raises
     ------
     ParameterError
-        Outside that range.
+        For a text that is not a note, and for a note outside the range.
 
     Examples
     --------
     >>> import pianofit
-    >>> it = pianofit.typical(60)
+    >>> it = pianofit.typical("C4")
     >>> f"{it.f0:.1f} Hz, {it.geometry.length:.2f} m, hammer {1e3 * it.hammer.M_H:.1f} g"
     '261.6 Hz, 0.69 m, hammer 2.9 g'
+    >>> it.interpolated["M_H"]
+    'between A3 and A4'
     """
-    check_range("midi=", midi, 15, 114, hint="; 60 is C4")
+    return _typical(*_midi(note))
+
+
+def _typical(midi: float, name: str) -> Preset:
     f0 = hertz_of(midi)
     at = {name: _curve(name)(midi) for name in TABLES}
     length, c = at["length"], 2 * at["length"] * f0
     kappa = c * length * math.sqrt(at["B"]) / math.pi  # B = κ² π²/(c² L²)
-    return Typical(
-        midi=float(midi),
-        f0=f0,
+    return Preset(
+        name=f"typical-{name}",
+        note=name,
         string=String(c, kappa, at["b1"], at["b2"]),
         hammer=Hammer(at["K_H"] / at["strings"], TYPICAL_MU, at["p"], at["M_H"] / at["strings"], TYPICAL_VELOCITY),
         geometry=_geometry(length, at["tension"] * length / c**2),
+        source=TYPICAL_SOURCE,
+        reading=SECOND_HAND,
+        completed="c: 2 L f0 in equal temperament, A4 = 440 Hz; M_H, K_H: one string's share of a hammer that strikes "
+        "one string to D#1, two at C2, three from F3 on; mu: Bensa et al. (2005), Table III; v_H0, width, pickup: "
+        "chosen once; strike: 0.12 of the length, Chaigne and Askenfelt (1994)",
+        interpolated=_interpolated(midi, DERIVED),
     )
+
+
+def _midi(note: str | float) -> tuple[float, str]:
+    """The MIDI number of a note's name, or of the number itself, and what the note is called."""
+    from .analysis.notes import midi_to_note, note_to_midi
+
+    try:
+        midi = note_to_midi(note) if isinstance(note, str) else note
+    except AnalysisError as error:
+        raise ParameterError(str(error)) from None
+    check_range("note=", midi, LOWEST_NOTE, HIGHEST_NOTE, hint="; 60 is C4")
+    whole = float(midi).is_integer()
+    return float(midi), midi_to_note(int(midi)) if whole else f"{midi:g}"
+
+
+def _interpolated(midi: float, derived: dict[str, tuple[str, ...]]) -> dict[str, str]:
+    """By field, next to which published rows its value lies; a field whose tables all have a row at `midi` is none."""
+    found = {}
+    for name, tables in derived.items():
+        places = dict.fromkeys(filter(None, (_place(midi, ROWS[table]) for table in tables)))
+        if places:
+            found[name] = "; ".join(places)
+    return found
+
+
+def _place(midi: float, rows: tuple[PublishedString | PublishedHammer | PublishedLoss, ...]) -> str:
+    """Between or beyond which rows a note lies; empty at a row."""
+    if any(row.midi == midi for row in rows):
+        return ""
+    below, above = [row.note for row in rows if row.midi < midi], [row.note for row in rows if row.midi > midi]
+    if below and above:
+        return f"between {below[-1]} and {above[0]}"
+    return f"extrapolated beyond {(below or above[:1])[-1]}"
 
 
 def _geometry(length: float, mass: float, strike: float | None = None) -> Geometry:
@@ -251,6 +288,20 @@ TABLES: dict[str, list[tuple[float, float]]] = {
     "K_H": [(h.midi, h.K_H) for h in HAMMERS],
     "p": [(h.midi, h.p) for h in HAMMERS],
 }
+
+
+# The published rows behind each table, and the tables behind each field of a typical note.
+ROWS = {
+    **dict.fromkeys(("length", "tension", "B"), STRINGS),
+    **dict.fromkeys(("b1", "b2"), LOSSES),
+    **dict.fromkeys(("M_H", "K_H", "p"), HAMMERS),
+}
+FELT_AND_LOSSES = {name: (name,) for name in ("b1", "b2", "K_H", "p", "M_H")}
+DERIVED = {
+    "c": ("length",), "kappa": ("length", "B"), **FELT_AND_LOSSES, "length": ("length",), "mass": ("length", "tension"),
+    "strike": ("length",), "pickup": ("length",),
+}  # fmt: skip
+TYPICAL_SOURCE = f"strings and hammers {CHABASSIER}; losses: {BENSA_2003}"
 
 
 @cache
@@ -284,7 +335,7 @@ _PAPER_LACKS = "M_S, x0, window, pickup: chosen once"
 
 
 def _after_chabassier(row: PublishedString) -> Preset:
-    usual = typical(row.midi)
+    usual = _typical(row.midi, row.note)
     string = usual.string._replace(c=row.c, kappa=row.kappa)
     name = f"chabassier-{row.note.replace('#', 's')}"
     completed = (
@@ -292,13 +343,16 @@ def _after_chabassier(row: PublishedString) -> Preset:
         "Bensa et al. (2003)"
     )
     geometry = _geometry(row.length, row.mass, row.strike)
-    return Preset(name, row.note, string, usual.hammer, geometry, row.source, row.reading, completed)
+    return Preset(
+        name, row.note, string, usual.hammer, geometry, row.source, row.reading, completed,
+        _interpolated(row.midi, FELT_AND_LOSSES),
+    )  # fmt: skip
 
 
 def _chaigne_c4() -> Preset:
     length, mass, tension, epsilon = 0.62, 3.93e-3, 670.0, 3.82e-5
     c = math.sqrt(tension * length / mass)
-    usual, felt = typical(60), CHAIGNE_HAMMERS[1]
+    usual, felt = _typical(60, "C4"), CHAIGNE_HAMMERS[1]
     string = usual.string._replace(c=c, kappa=math.sqrt(epsilon) * c * length)  # their stiffness term is ε c² L² y_xxxx
     hammer = usual.hammer._replace(K_H=felt.K_H, p=felt.p, M_H=felt.M_H)
     completed = "mu, window, pickup: chosen once; losses after Bensa et al. (2003): theirs are of another kind"

@@ -1,4 +1,4 @@
-"""The commands from recordings to parameters: analyse, fit, predict, crossval."""
+"""The commands from recordings to parameters: analyse, fit, predict, crossval, compare."""
 
 from __future__ import annotations
 
@@ -9,7 +9,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..io import check_sound_target, encode_wav, json_text, output_folder, replace_file, write_file
+from ..errors import OutputError
+from ..io import (
+    check_sound_target,
+    check_target,
+    encode_wav,
+    json_text,
+    one_line,
+    output_folder,
+    replace_file,
+    write_file,
+)
 from ..numbers import bracketed, columns, with_standard_error
 from ..parameters import check_seed, check_velocity
 from ..progress import progress_bar
@@ -23,7 +33,7 @@ from .terminal import tell
 if TYPE_CHECKING:
     from ..analysis import Analysis
 
-__all__ = ["analyse", "crossval", "fit", "predict"]
+__all__ = ["analyse", "compare", "crossval", "fit", "predict"]
 
 
 def analyse(
@@ -217,3 +227,27 @@ def crossval(
             whole.report(folder, held_out=found)
             replace_file(folder / "crossval.json", json_text(found).encode())
     tell(found, cross_validation(found), as_json)
+
+
+def compare(
+    a: Annotated[Path, typer.Argument(metavar="A", help="A fit: its folder, or its fit.json.")],
+    b: Annotated[Path, typer.Argument(metavar="B", help="Another fit.")],
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE.SVG", help="A figure of both felts: SVG, PNG or PDF.")
+    ] = None,
+    force: options.Force = False,
+    as_json: options.Json = False,
+) -> None:
+    """Compare two fits: values, differences and z, and the felts' force over compression."""
+    from ..report.compare import compare as run
+    from ..report.figures_compared import KINDS
+
+    kind = "" if out is None else out.suffix.lower().removeprefix(".")
+    if out is not None:
+        if kind not in KINDS:
+            raise OutputError(f"{one_line(out)}: a figure ends in .{', .'.join(KINDS)}; give --out another name")
+        check_target(out, force)
+    found = run(a, b)
+    if out is not None:
+        write_file(out, found.figure(kind), force)
+    tell(found.to_dict(), f"{found!r}\n", as_json)

@@ -124,6 +124,7 @@ COMMANDS = {
     fits.fit: "pianofit fit soft.wav mezzo.wav loud.wav --note F#2 --out fitted",
     fits.predict: "pianofit predict fitted/fit.json other.wav --out predicted.wav",
     fits.crossval: "pianofit crossval soft.wav mezzo.wav loud.wav --note F#2 --out left-out",
+    fits.compare: "pianofit compare soft-fit loud-fit --out felts.svg",
     batch.batch: "pianofit batch library.csv --out library",
     batch.status: "pianofit status library",
     instrument.instrument: "pianofit instrument library --prefix cp80 --out cp80",

@@ -3,28 +3,39 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from ..errors import ParameterError
 from ..felt import BOXES, make_hammer
-from ..io import CEILING, check_sound_target, encode_wav, limited, write_file
-from ..parameters import check
-from .options import RATE, Force, Seconds, Sound, Velocity, number
+from ..io import check_sound_target, check_target, encode_wav, limited, one_line, write_file
+from ..parameters import Geometry, String, check
+from ..setup import ON_THE_STRING
+from .options import RATE, Force, Seconds, Seed, Sound, Velocity, number
 from .summary import contact_of
+
+if TYPE_CHECKING:
+    from ..published import Preset
 
 __all__ = ["render", "simulate"]
 
+# Units of the recorded quantities. The model's pressure is the force on the bridge.
+UNITS = {"velocity": "m/s", "displacement": "m", "bridge-force": "N", "pressure": "N"}
+
 
 def simulate(
+    out: Sound,
     preset: Annotated[
-        str,
+        str | None,
         typer.Option(
             metavar="NAME", help="A published string and hammer, such as bensa-final; a wrong name lists all."
         ),
-    ],
-    out: Sound,
+    ] = None,
+    typical: Annotated[
+        str | None,
+        typer.Option(metavar="NOTE", help="Instead of --preset: the typical string and hammer of a key, such as C4."),
+    ] = None,
     change: Annotated[
         list[str],
         typer.Option("--set", metavar="NAME=NUMBER", help="A parameter to change; may be given several times."),
@@ -33,27 +44,79 @@ def simulate(
     seconds: Seconds = 3.0,
     rate: Annotated[int, RATE] = 44_100,
     quantity: Annotated[
-        str, typer.Option(metavar="QUANTITY", help="What is heard: velocity, displacement or bridge-force.")
+        str, typer.Option(metavar="QUANTITY", help="What the pickup records: velocity, displacement or bridge-force.")
     ] = "bridge-force",
+    strike: Annotated[
+        float | None,
+        typer.Option(parser=number, metavar="M", help="Position of the strike, m from the agraffe."),
+    ] = None,
+    pickup: Annotated[
+        float | None,
+        typer.Option(
+            parser=number, metavar="M", help="Position of a velocity or displacement pickup, m from the agraffe."
+        ),
+    ] = None,
+    scale: Annotated[
+        float | None,
+        typer.Option(
+            parser=number, metavar="X", help="m/s, m or N at digital full scale; if not given, the peak is -1 dBFS."
+        ),
+    ] = None,
+    noise: Annotated[
+        float | None,
+        typer.Option(
+            parser=number, metavar="DB", help="White noise: its rms lies so many dB below that of the first second."
+        ),
+    ] = None,
+    seed: Seed = 0,
+    setup_out: Annotated[
+        Path | None,
+        typer.Option(metavar="SETUP.TOML", help="Also write the setup that makes the sound a calibrated measurement."),
+    ] = None,
     force: Force = False,
 ) -> None:
-    """Strike a published string and write its sound, its peak at -1 dBFS."""
+    """Strike a published or typical string and write its sound, on request as a calibrated measurement."""
     check_sound_target(out, force)
+    if setup_out is not None:
+        check_target(setup_out, force)
+        if setup_out.resolve() == out.resolve():
+            raise ParameterError(f"setup-out={one_line(setup_out)} is also --out; give another name")
     from ..model.cache import keep_programs
     from ..model.note import check_render
+    from ..synthetic import synthetic_recording
 
     check_render(velocity, seconds, rate)
     keep_programs()
-    samples, strike = _struck(preset, change, velocity, seconds, rate, quantity)
-    write_file(out, encode_wav(samples, rate), force)
-    typer.echo(f"{out}: {seconds:g} s, largest force {float(strike.pulse.force.max()):.3g} N, {contact_of(strike)}")
+    string, hammer, geometry = _struck(_described(preset, typical), change, velocity)
+    geometry = _placed(geometry, quantity, strike, pickup)
+    made = synthetic_recording(
+        string, hammer, geometry, rate=rate, seconds=seconds, quantity=quantity, scale=scale, noise_db=noise, seed=seed,
+        name=out.name,
+    )  # fmt: skip
+    write_file(out, encode_wav(made.samples, rate), force)
+    if setup_out is not None:
+        write_file(setup_out, made.setup_text.encode(), force)
+    pulse = made.simulation.pulse
+    typer.echo(
+        f"{out}: {seconds:g} s, largest force {float(pulse.force.max()):.3g} N, {contact_of(made.simulation)}, "
+        f"full scale {made.scale:.4g} {UNITS[quantity]}"
+    )
 
 
-def _struck(preset: str, change: list[str], velocity: float | None, seconds: float, rate: int, quantity: str):
-    from ..model import simulate as run
-    from ..published import preset as find
+def _described(preset: str | None, typical: str | None) -> Preset:
+    """The string and hammer that exactly one of two options names."""
+    from .. import published
 
-    it = find(preset)
+    if preset is not None and typical is None:
+        return published.preset(preset)
+    if typical is not None and preset is None:
+        return published.typical(typical)
+    found = "none is" if preset is None else "both are"
+    raise typer.BadParameter(f"give --preset NAME or --typical NOTE; {found} given")
+
+
+def _struck(it: Preset, change: list[str], velocity: float | None) -> tuple[String, Any, Geometry]:
+    """String, hammer and geometry with the changes that were asked for."""
     changed = _assignments(change)
     if velocity is not None and "v_H0" in changed:
         raise ParameterError(f"velocity={velocity} and --set v_H0={changed['v_H0']} are both given; remove one of them")
@@ -61,11 +124,17 @@ def _struck(preset: str, change: list[str], velocity: float | None, seconds: flo
     if velocity is not None:
         values["v_H0"] = velocity
     check({name: value for name, value in values.items() if (name, value) != ("mu", 0.0)}, "--set", BOXES)
-    string = it.string._replace(**{k: values[k] for k in it.string._fields})
-    hammer = make_hammer(values, "--set")
-    strike = run(string, hammer, it.geometry, rate=rate, quantity=quantity)
-    samples = strike.waveform(rate, round(seconds * rate))
-    return samples * (CEILING / max(abs(samples).max(), 1e-300)), strike
+    return it.string._replace(**{k: values[k] for k in it.string._fields}), make_hammer(values, "--set"), it.geometry
+
+
+def _placed(geometry: Geometry, quantity: str, strike: float | None, pickup: float | None) -> Geometry:
+    """The geometry with another strike or pickup position."""
+    if pickup is not None and quantity not in ON_THE_STRING:
+        raise ParameterError(
+            f"pickup={pickup:g} m: a {quantity} pickup has no position; choose velocity or displacement"
+        )
+    given = {"strike": strike, "pickup": pickup}
+    return geometry._replace(**{name: value for name, value in given.items() if value is not None})
 
 
 def _assignments(change: list[str]) -> dict[str, float]:

@@ -14,7 +14,7 @@ import numpy as np
 from ..analysis import law_frequency
 from ..errors import FitError, ParameterError
 from ..felt import law_of
-from ..io import reference_of
+from ..io import finite, reference_of, table_of
 from ..model import static_force
 from ..model.decay import partial_decays
 from ..parameters import PARAMETERS
@@ -25,7 +25,7 @@ from .curves import Curves, Envelope, Felt, Known, RecordingCurves, RingingCurve
 from .known import half_interval
 
 __all__ = [
-    "curves_of", "envelopes_of", "felt_of", "has_intervals", "known_of", "paths_of", "recordings_of",
+    "curves_of", "envelopes_of", "felt_of", "has_intervals", "known_of", "paths_of", "reached", "recordings_of",
     "reference_curves", "ringing_curves", "spectrum_db", "strokes_of",
 ]  # fmt: skip
 
@@ -56,6 +56,7 @@ ENVELOPE_POINTS = 400
 # Window, s, of the picture over time and frequency: between a knock's time and a partial's width.
 WINDOW = 0.09
 BANDS = 96  # of it, mel
+WAY_OUT = "give the file that pianofit fit wrote"
 
 
 # --- the reference recording ------------------------------------------------------------------------------------------
@@ -195,11 +196,19 @@ def has_intervals(result: Result) -> bool:
     return any(quantity.interval for quantity in result.parameters.values())
 
 
-def felt_of(result: Result) -> Felt:
-    """The static law to the largest compression of all recordings, with its band if the fit has one."""
+def reached(result: Result) -> float:
+    """The largest compression of the felt, m, in all recordings; in the reference if the fit was read back."""
+    found = [float(np.max(heard.fitted.simulation.pulse.compression)) for heard in result.recordings]
+    if found:
+        return max(found)
+    held = table_of(result.document, "derived", "fit.json", WAY_OUT)
+    return 1e-3 * finite(held.get("max_compression_mm"), "fit.json: derived.max_compression_mm", WAY_OUT)
+
+
+def felt_of(result: Result, reach: float | None = None) -> Felt:
+    """The static law up to the compression `reach`, m, or all that was reached; with its band if the fit has one."""
     hammer = result.note.hammer
-    reached = max(float(np.max(heard.fitted.simulation.pulse.compression)) for heard in result.recordings)
-    u = reached * np.linspace(0.0, 1.0, FELT_POINTS + 1)[1:]
+    u = (reached(result) if reach is None else reach) * np.linspace(0.0, 1.0, FELT_POINTS + 1)[1:]
     names, cov = _shared(result)
     cov = cov if has_intervals(result) else 0 * cov
 

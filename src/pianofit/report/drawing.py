@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BAND", "BORDER", "COLOURS", "FAINT", "FITTED", "GROUP", "HATCH", "HEIGHT", "INITIAL", "INK", "LAW", "LINES",
-    "LOOP", "MEASURED", "PAPER", "STYLE", "WRONG", "drawn", "legend", "log_axis", "number_axis", "panel", "points",
-    "span", "svg",
+    "LOOP", "MEASURED", "PAPER", "STYLE", "WRONG", "drawn", "file_of", "legend", "log_axis", "number_axis", "panel",
+    "points", "span", "svg",
 ]  # fmt: skip
 
 INK, MEASURED, INITIAL, LAW, FITTED, FAINT = "#333333", "#1a1a1a", "#d55e00", "#009e73", "#0072b2", "#eeeeee"
@@ -145,6 +145,13 @@ def svg(figure: Figure) -> bytes:
 def png(figure: Figure) -> bytes:
     """The figure as a picture, the same for the same figure."""
     return _saved(figure, format="png", metadata={"Software": None})
+
+
+def file_of(figure: Figure, kind: str) -> bytes:
+    """The figure as svg, png or pdf, the same for the same figure."""
+    if kind == "pdf":
+        return _saved(figure, format="pdf", metadata={"CreationDate": None, "Creator": None, "Producer": None})
+    return svg(figure) if kind == "svg" else png(figure)
 
 
 def _saved(figure: Figure, **how: Any) -> bytes:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw_correlations", "draw_felt", "draw_known"]
+__all__ = ["draw_correlations", "draw_felt", "draw_known", "draw_law", "draw_static_law"]
 
 WIDEST = 10.0  # half an interval, as a logarithm, beyond which a bar ends in an arrow: a factor of 22,000
 NARROWEST = 1e-12
@@ -31,14 +31,22 @@ def draw_felt(felt: Felt, recordings: Sequence[RecordingCurves]) -> list[Figure]
     return [drawn(draw, felt, recordings, title=title, legend_rows=rows, columns=3) for title, draw in pictures.items()]
 
 
+def draw_static_law(axes: Axes, felt: Felt) -> None:
+    """Draw the static law with its band over the compressions that the strokes reached."""
+    _laws(axes, felt)
+    tall = span(*(ends for ends in (felt.force[0], felt.slow) if ends is not None))[1]
+    axes.set(xlim=(0.0, 1.03 * felt.compression[-1]), ylim=(0.0, 1.3 * max(tall, 1e-9)))
+
+
 def _laws(axes: Axes, felt: Felt) -> None:
-    _law(axes, felt.compression, felt.force, LINES["fitted"], "static law" if felt.slow is None else "sudden")
+    draw_law(axes, felt.compression, felt.force, LINES["fitted"], "static law" if felt.slow is None else "sudden")
     if felt.slow is not None:
-        _law(axes, felt.compression, felt.slow, LINES["initial"], "slow")
+        draw_law(axes, felt.compression, felt.slow, LINES["initial"], "slow")
     axes.set(xlabel="compression of the felt (mm)", ylabel="force (N)")
 
 
-def _law(axes: Axes, u: np.ndarray, force: np.ndarray, look: dict, name: str) -> None:
+def draw_law(axes: Axes, u: np.ndarray, force: np.ndarray, look: dict, name: str) -> None:
+    """Draw one law, N over mm, and its band."""
     low, high = np.clip(force[1:], force[0] / FAR, force[0] * FAR)
     if (high > low).any():
         axes.fill_between(u, low, high, color=look["color"], alpha=0.18, lw=0, zorder=1, label=f"{name}, 95 %")

@@ -197,7 +197,10 @@ class Result:
 
     @property
     def plot(self) -> Any:
-        """Figures: `plot.spectrum()`, `force()`, `levels()`, `envelopes()`, `correlations()`; each returns its Axes."""
+        """Figures: `plot.spectrum()`, `force()`, `felt()`, `levels()`, `envelopes()`, `correlations()`.
+
+        Each returns its Axes, and takes Axes and a `label`, so that two results share a figure.
+        """
         from ..report.plots import Plots
 
         return Plots(self)

@@ -1,0 +1,200 @@
+"""Two fits compared: every quantity with difference and z, and both felts over one axis of compression.
+
+The rules are in `report/comparable.py`.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from html import escape
+from typing import TYPE_CHECKING, Any
+
+from ..errors import FitError, ParameterError
+from ..fit_file import fit_path
+from ..io import one_line
+from ..numbers import bracketed, columns
+from ..result import Result
+from ..tables import data_frame, html_table
+from .comparable import ComparedQuantity, Sides, compared, messages
+from .curves import Felt
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__all__ = ["ComparedQuantity", "Comparison", "compare"]
+
+NAMES = ("A", "B")
+HEADING = ("", "unit", "difference", "sd", "z", "")
+COLUMNS = ("name", "a", "b", "unit", "difference", "sd", "z", "status_a", "status_b", "reason")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Comparison:
+    """Two fits compared: iterate over its `ComparedQuantity`, or take one by name, such as `comparison["f0"]`.
+
+    `felts` are both static laws over the same compressions, with 95 % bands, in `felt_unit`; None where a fit has no
+    covariance. `messages` say what limits the comparison.
+    """
+
+    labels: tuple[str, str]
+    quantities: tuple[ComparedQuantity, ...]
+    felts: tuple[Felt, Felt] | None
+    felt_unit: str  # N, or N/kg where the mass of a string was assumed
+    messages: tuple[str, ...]
+
+    def __getitem__(self, name: str) -> ComparedQuantity:
+        for quantity in self.quantities:
+            if quantity.name == name:
+                return quantity
+        raise KeyError(f"{name!r} is not compared; there are {', '.join(q.name for q in self.quantities)}")
+
+    def __iter__(self) -> Iterator[ComparedQuantity]:
+        return iter(self.quantities)
+
+    def __len__(self) -> int:
+        return len(self.quantities)
+
+    def __repr__(self) -> str:
+        return "\n".join([*columns([self._heading, *map(_cells, self)], right=1), *self.messages])
+
+    @property
+    def _heading(self) -> tuple[str, ...]:
+        name, *others = HEADING
+        return name, *self.labels, *others
+
+    def _repr_html_(self) -> str:
+        notes = "".join(f"<li>{escape(message)}</li>" for message in self.messages)
+        return f"{html_table(self._heading, map(_cells, self))}<ul>{notes}</ul>"
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Both felts: static force over compression with 95 % bands, and a mark where the table compares them.
+
+        Raises
+        ------
+        FitError
+            If a fit has no covariance, so that no band can be drawn.
+        """
+        from .figures_compared import draw_felts
+        from .plots import drawn_on
+
+        felts = self._drawable()
+        return drawn_on(ax, lambda axes: draw_felts(axes, felts, self.labels, self.felt_unit))
+
+    def figure(self, kind: str = "svg") -> bytes:
+        """`plot` as the content of a file: svg, png or pdf.
+
+        Raises
+        ------
+        ParameterError
+            For another kind.
+        FitError
+            As `plot`.
+        """
+        from .figures_compared import KINDS, figure_of_felts
+
+        if kind not in KINDS:
+            raise ParameterError(f"kind={kind!r} must be one of {', '.join(KINDS)}")
+        return figure_of_felts(self._drawable(), self.labels, self.felt_unit, kind)
+
+    def _drawable(self) -> tuple[Felt, Felt]:
+        if self.felts is None:
+            raise FitError(f"{' '.join(self.messages)} Fit the recordings again to draw the felts".strip())
+        return self.felts
+
+    def to_dict(self) -> dict[str, Any]:
+        """All of it as plain dicts, lists and numbers, as `pianofit compare --json` prints it."""
+        felts = None
+        if self.felts is not None:
+            felts = {"compression_mm": self.felts[0].compression.tolist(), "unit": self.felt_unit} | {
+                side: dict(zip(("force", "low", "high"), felt.force.tolist(), strict=True))
+                for side, felt in zip(("a", "b"), self.felts, strict=True)
+            }
+        return {
+            "a": self.labels[0], "b": self.labels[1], "quantities": [quantity.to_dict() for quantity in self],
+            "felts": felts, "messages": list(self.messages),
+        }  # fmt: skip
+
+    def to_dataframe(self) -> Any:
+        """One row a quantity as a pandas data frame.
+
+        Raises
+        ------
+        OutputError
+            If pandas is not installed.
+        """
+        return data_frame(COLUMNS, (quantity.row for quantity in self))
+
+
+def compare(
+    a: Result | str | os.PathLike[str], b: Result | str | os.PathLike[str], *, labels: Sequence[str] | None = None
+) -> Comparison:
+    """Compare two fits, quantity by quantity.
+
+    Parameters
+    ----------
+    a, b : fits: a `Result`, a folder that it was saved to, or a `fit.json`.
+    labels : what tables and figures call them; the names of their folders, or A and B, if None.
+
+    Returns
+    -------
+    A `Comparison`: for every quantity both values, the difference b - a, its standard deviation and z, or the reason
+    why there is no z.
+
+    Raises
+    ------
+    FitError
+        Naming a file that cannot be used.
+    ParameterError
+        For what is not a fit, and for labels that are not two different texts.
+
+    Examples
+    --------
+    With the folder that the example of `fit` saves, compared with itself:
+
+    >>> import pianofit
+    >>> same = pianofit.compare("fit", pianofit.Result.load("fit"), labels=("first", "second"))
+    >>> same["f0"].z, same["L"].reason
+    (0.0, 'held fixed in first and second')
+    """
+    fits, called = (_result(a, "a"), _result(b, "b")), _labels((a, b), labels)
+    sides = Sides(fits, called)
+    try:
+        felts, trouble = sides.felts()
+        return Comparison(called, compared(sides, felts), felts, sides.felt_unit, (*messages(sides), *trouble))
+    except (AttributeError, IndexError, KeyError, TypeError, ValueError) as missing:
+        raise FitError(
+            f"{' and '.join(called)}: a fit.json is not whole ({one_line(repr(missing))}); give the file that pianofit "
+            "fit wrote"
+        ) from None
+
+
+def _result(fit: Any, name: str) -> Result:
+    if isinstance(fit, Result):
+        return fit
+    if isinstance(fit, str | os.PathLike):
+        return Result.load(fit)
+    raise ParameterError(f"{name}={one_line(repr(fit))[:60]} must be a Result, the folder of a fit or its fit.json")
+
+
+def _labels(fits: tuple[Any, Any], labels: Sequence[str] | None) -> tuple[str, str]:
+    if labels is not None:
+        both = [labels] if isinstance(labels, str) else [*labels]
+        if len(both) != 2 or not all(isinstance(label, str) and label for label in both) or both[0] == both[1]:
+            raise ParameterError(f"labels={labels!r} must be two different texts")
+        return both[0], both[1]
+    found = [
+        name if isinstance(fit, Result) else one_line(fit_path(fit).resolve().parent.name) or name
+        for fit, name in zip(fits, NAMES, strict=True)
+    ]
+    return (found[0], found[1]) if found[0] != found[1] else NAMES
+
+
+def _cells(quantity: ComparedQuantity) -> tuple[str, ...]:
+    values = [("-" if q is None else bracketed(q.value, q.interval)[0]) for q in (quantity.a, quantity.b)]
+    unit = "" if quantity.unit == "1" else quantity.unit
+    if quantity.z is None or quantity.difference is None or quantity.sd is None:
+        return quantity.name, *values, unit, "-", "-", "-", quantity.reason
+    numbers = (f"{quantity.difference:+.2g}", f"{quantity.sd:.2g}", f"{round(quantity.z, 1) + 0.0:+.1f}")
+    return quantity.name, *values, unit, *numbers, ""

@@ -1,0 +1,195 @@
+"""A synthetic recording: one simulated stroke, recorded as a calibrated measurement with noise.
+
+The setup that belongs to it states the sizes, the strike, the pickup and the scale. It does not state the parameters of
+the string or the hammer, so a fit of the recording has to find them, and `true` holds what it should find.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from .errors import ParameterError, check_range
+from .felt import law_of
+from .io import CEILING
+from .model import Simulation, simulate
+from .model.note import MOST_SECONDS, check_render
+from .model.simulate import MOST_STEPS
+from .parameters import Geometry, String, check_seed
+from .recording import Recording, recording_from_samples
+from .setup import ON_THE_STRING, PLACES, RANGES, Layer, Setup
+
+__all__ = ["SyntheticRecording", "setup_of", "setup_text", "synthetic_recording"]
+
+# s of silence before the first touch: a recording needs 0.05 s of it for its noise to be measured.
+LEAD = 0.06
+# s of the note over which its rms is taken, as the reference of the noise level.
+REFERENCE_SECONDS = 1.0
+# Steps of the contact over those that `simulate` takes, at most. The error is of second order. With 16 times the steps
+# it is below 1e-5 of the force, so a fit, which extrapolates its own step to zero, finds the true parameters.
+FINER = 16
+QUIETEST_NOISE = 200.0  # dB below the note: less than the rounding of 32 bit samples
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SyntheticRecording:
+    """A simulated stroke as a file would hold it, the setup that calibrates it, and the true parameters."""
+
+    samples: np.ndarray  # [samples], ±1 = full scale
+    rate: int  # Hz
+    scale: float  # pickup units (m/s, m or N) at full scale
+    setup: Setup
+    true: dict[str, float]  # parameters of string and hammer, by name
+    simulation: Simulation
+    name: str
+
+    def __repr__(self) -> str:
+        seconds = len(self.samples) / self.rate
+        return f"SyntheticRecording {self.name}: {seconds:.2f} s at {self.rate} Hz, full scale = {self.scale:.4g}"
+
+    @property
+    def recording(self) -> Recording:
+        """The samples as a `Recording`, for `fit`."""
+        return recording_from_samples(self.samples, self.rate, name=self.name)
+
+    @property
+    def setup_text(self) -> str:
+        """The content of a `setup.toml` that makes the sound a calibrated measurement; comments list `true`."""
+        values = "".join(f"# {name} = {value!r}\n" for name, value in self.true.items())
+        return f"{setup_text(self.setup)}\n# True parameters of the simulation. A fit does not read comments.\n{values}"
+
+
+def synthetic_recording(
+    string: String,
+    hammer: Any,
+    geometry: Geometry,
+    *,
+    rate: int = 44_100,
+    seconds: float = 3.0,
+    quantity: str = "velocity",
+    scale: float | None = None,
+    noise_db: float | None = None,
+    seed: int = 0,
+    name: str = "synthetic.wav",
+) -> SyntheticRecording:
+    """Simulate one stroke and record it: with silence before it, a scale, and white noise.
+
+    Parameters
+    ----------
+    string, geometry : in SI units. `geometry` has the positions of the strike and the pickup.
+    hammer : a `Hammer`, a `MemoryHammer`, or a hammer of a `FeltLaw`.
+    rate : Hz.
+    seconds : length of the sound, s. The first 0.06 s of it are silent.
+    quantity : what the pickup records: velocity, displacement, bridge-force or pressure.
+    scale : pickup units at digital full scale: m/s, m or N. If None, the scale at which the peak is -1 dBFS.
+    noise_db : how far the rms of the noise lies below the rms of the note's first second, dB. If None, no noise.
+    seed : of the noise.
+    name : of the sound file, which the setup names.
+
+    Returns
+    -------
+    A `SyntheticRecording`: samples, setup and true parameters.
+
+    Raises
+    ------
+    ParameterError
+        For a value outside its range, and for a scale that the note exceeds.
+    FitError
+        If the contact does not end.
+
+    Examples
+    --------
+    >>> import pianofit
+    >>> it = pianofit.typical("C4")
+    >>> made = pianofit.synthetic_recording(it.string, it.hammer, it.geometry, scale=10.0, noise_db=60)
+    >>> made.setup.pickup_scale, made.recording.seconds
+    (10.0, 3.0)
+    """
+    check_render(None, seconds, rate)
+    check_range("seconds=", seconds, LEAD, MOST_SECONDS)
+    check_seed(seed)
+    if scale is not None:
+        check_range("scale=", scale, *RANGES["scale"][:2])
+    if noise_db is not None:
+        check_range("noise_db=", noise_db, 0, QUIETEST_NOISE, " dB", "; it says how far the noise lies below the note")
+    stroke = _stroke(string, hammer, geometry, rate, quantity)
+    lead = round(LEAD * rate)
+    note = stroke.waveform(rate, round(seconds * rate) - lead)
+    scale = _scale(note, scale)
+    samples = np.pad(note / scale, (lead, 0)) + _noise(note / scale, noise_db, seed, rate, lead)
+    names = (*String._fields, *law_of(hammer).boxes)
+    true = {key: float(value) for key, value in {**string._asdict(), **hammer._asdict()}.items() if key in names}
+    setup = setup_of(hammer, geometry, quantity, scale, name)
+    return SyntheticRecording(samples, rate, scale, setup, true, stroke, name)
+
+
+def _stroke(string: String, hammer: Any, geometry: Geometry, rate: int, quantity: str) -> Simulation:
+    """The stroke, its contact in steps as short as `simulate` can follow to the end."""
+    coarse = simulate(string, hammer, geometry, rate=rate, quantity=quantity)
+    finer = min(FINER, MOST_STEPS // len(coarse.pulse.force))
+    if finer <= 1:
+        return coarse
+    own = round(1.0 / (rate * float(coarse.modes.step)))
+    return simulate(string, hammer, geometry, rate=rate, quantity=quantity, oversampling=finer * own)
+
+
+def _scale(note: np.ndarray, scale: float | None) -> float:
+    """Pickup units at full scale: as given, if the note does not exceed it."""
+    peak = float(np.abs(note).max())
+    if scale is None:
+        return max(peak, np.finfo(float).tiny) / CEILING
+    if peak > scale:
+        raise ParameterError(f"scale={scale:g} is less than the peak of the note, {peak:.4g}; give a larger scale")
+    return float(scale)
+
+
+def _noise(note: np.ndarray, db: float | None, seed: int, rate: int, lead: int) -> np.ndarray:
+    """White noise for the whole sound [lead + samples]."""
+    if db is None:
+        return np.zeros(lead + len(note))
+    rms = math.sqrt(float(np.mean(note[: round(REFERENCE_SECONDS * rate)] ** 2)))
+    return rms * 10 ** (-db / 20) * np.random.default_rng(seed).standard_normal(lead + len(note))
+
+
+def setup_of(hammer: Any, geometry: Geometry, quantity: str, scale: float, name: str) -> Setup:
+    """The setup that a laboratory would write for the measurement."""
+    length, mass, strike, width, pickup = map(float, geometry)
+    law = law_of(hammer)
+    felt = "power" if getattr(hammer, "mu", 1.0) == 0 and law.name == "hunt-crossley" else law.name
+    return Setup(
+        length=length, mass=mass, strike_position=strike, strike_width=width, pickup_quantity=quantity,
+        pickup_position=pickup if quantity in ON_THE_STRING else None,
+        pickup_scale=None if quantity == "pressure" else scale,  # an unknown path has no scale
+        recordings=(Layer(file=name),), felt=felt if law.hammers is not None else law,
+    )  # fmt: skip
+
+
+def setup_text(setup: Setup) -> str:
+    """The content of the `setup.toml` that `load_setup` reads as `setup`, whose felt law is one of the package's."""
+    tables: dict[str, list[str]] = {}
+    for attribute, (table, key) in PLACES.items():
+        value = setup.law.name if attribute == "felt" else getattr(setup, attribute)
+        if value is not None:
+            unit = f"  # {UNITS[key]}" if key in UNITS else ""
+            tables.setdefault(table, []).append(f"{key} = {_toml(value)}{unit}")
+    for table in ("known", "initial", "bounds"):
+        tables[table] = [f"{key} = {_toml(value)}" for key, value in getattr(setup, table).items()]
+    text = "\n".join("\n".join([f"[{table}]", *lines, ""]) for table, lines in tables.items() if lines)
+    for layer in setup.recordings:
+        said = {key: value for key, value in vars(layer).items() if value is not None}
+        text += "\n".join(["", "[[recording]]", *(f"{key} = {_toml(value)}" for key, value in said.items()), ""])
+    return text
+
+
+UNITS = {"length": "m", "mass": "kg", "position": "m from the agraffe", "width": "m", "scale": "units at full scale"}
+
+
+def _toml(value: Any) -> str:
+    """A value in TOML: a text, a number, or a list of numbers."""
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    return repr([*value]) if isinstance(value, tuple) else repr(value)
