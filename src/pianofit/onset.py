@@ -16,11 +16,12 @@ import numpy as np
 __all__ = ["find_onset", "find_sounds", "forward_mean", "without_drift"]
 
 LOWEST = 20.0  # Hz; a piano has no partial below it: what is there is offset, drift or rumble
-STEADY = 0.005  # s at the beginning of a file; where they are steady, their median is an offset
 LOUD = 0.05  # of the peak, from which on a sample belongs to a sound
 WIDTH = 0.02  # s, over which a level is taken; a click is short against it
-DEPTH = 10.0  # dB; a minimum this far below the maxima on its both sides divides two sounds
-RINGS = 0.25  # of the longest sound's weight; a shorter sound before it is not the note
+PERIOD = 0.037  # s, of the lowest key; the level that divides sounds is taken over it, as bass notes are pulses
+DEPTH = 6.0  # dB; a minimum this far below the maxima on both its sides divides two sounds
+LOUDNESS = 0.3  # power of the level that is summed over a sound; a long soft note outweighs a short loud noise
+RINGS = 0.3  # of the largest sum; the first beat of a real treble note has 0.4, a key noise or thump less than 0.2
 SILENT = 1e-6  # of the highest level; a level below it is digital silence
 
 
@@ -54,19 +55,26 @@ def find_sounds(x: np.ndarray, rate: int, step: float) -> list[int]:
     above = without_drift(x, rate)
     width = round(WIDTH * rate)
     level = forward_mean(np.abs(above), width)
-    half = int(np.argmax(level >= 0.5 * level.max()))
-    # Of the file, or of what comes before the note: a bass note may ring on to the end, others have nothing before.
-    hop = max(width // 4, 1)
-    quiet = min(np.quantile(part[::hop], 0.1) for part in (level, level[: half + 1]))
-    decibels = 20 * np.log10(np.maximum(level[::hop], max(quiet, SILENT * level.max(), 1e-300)))
-    starts = _divisions(decibels)
-    weights = [float(np.sum(part - decibels.min())) for part in np.split(decibels, starts[1:])]
-    note = int(np.argmax(np.array(weights) >= RINGS * max(weights)))
+    quiet, hop = _quiet(level, width), max(width // 4, 1)
+    slow = forward_mean(np.abs(above), round(PERIOD * rate))
+    frames = np.maximum(slow[::hop], max(quiet, SILENT * level.max(), 1e-300))
+    starts = _divisions(20 * np.log10(frames))
+    loudness = [float(np.sum(part**LOUDNESS - frames.min() ** LOUDNESS)) for part in np.split(frames, starts[1:])]
+    note = int(np.argmax(np.array(loudness) >= RINGS * max(loudness)))
     bounds = [hop * start for start in starts] + [len(level)]
     parts = [slice(*bounds[i : i + 2]) for i in range(note + 1)]
-    loudest = level[parts[note]].max()
-    heard = [p for p in parts[:-1] if level[p].max() >= max(4 * quiet, 0.1 * loudest)]
+    least = max(4 * quiet, 0.1 * level[parts[note]].max())
+    heard = [part for part in parts[:-1] if level[part].max() >= least]
     return [_first_sample(x, above, level, part, quiet, rate, step) for part in (*heard, parts[note])]
+
+
+def _quiet(level: np.ndarray, width: int) -> float:
+    """Return the level between sounds: of the file, or of what comes before the note.
+
+    A bass note may ring on to the end of its file. Other files have nothing before the note.
+    """
+    half, hop = int(np.argmax(level >= 0.5 * level.max())), max(width // 4, 1)
+    return min(float(np.quantile(part[::hop], 0.1)) for part in (level, level[: half + 1]))
 
 
 def forward_mean(values: np.ndarray, width: int) -> np.ndarray:
@@ -77,15 +85,17 @@ def forward_mean(values: np.ndarray, width: int) -> np.ndarray:
 
 
 def without_drift(x: np.ndarray, rate: int) -> np.ndarray:
-    """Return what `x` [samples] has above 20 Hz. The filter is causal: no sample has an effect before itself."""
+    """Return what `x` [samples] has above 20 Hz.
+
+    The filter is causal: no sample has an effect on an earlier one. `x` is continued before its beginning by a point
+    reflection, so that an offset or a drift there makes no step.
+    """
     from scipy.signal import butter, sosfilt, sosfilt_zi
 
-    first = x[: max(round(STEADY * rate), 1)]
-    offset = float(np.median(first))
-    if np.abs(first - offset).max() > LOUD * np.abs(x - offset).max():
-        offset = 0.0
+    lead = min(round(WIDTH * rate), len(x) - 1)
+    extended = np.append(2 * x[0] - x[lead:0:-1], x)
     sections = butter(4, LOWEST, "highpass", fs=rate, output="sos")
-    return sosfilt(sections, x, zi=offset * sosfilt_zi(sections))[0]
+    return sosfilt(sections, extended, zi=extended[0] * sosfilt_zi(sections))[0][lead:]
 
 
 def _divisions(decibels: np.ndarray) -> list[int]:
@@ -108,7 +118,7 @@ def _first_sample(
 ) -> int:
     """Index of the first sample of the sound in `part`: the first loud sample, and the likeliest change before it.
 
-    A sample is loud at 5 % of the local peak or above the noise; the change is in the 10 ms before that sample. The
+    A sample is loud at 5 % of the local peak and above the noise; the change is in the 10 ms before that sample. The
     recording `above` 20 Hz replaces `x` where a drift or rumble is as large as that.
     """
     width, own = round(WIDTH * rate), level[part]
@@ -119,6 +129,8 @@ def _first_sample(
         x = above
     local = np.abs(x[near])
     noise = 1.4826 * np.median(np.abs(x[:start])) if start > width // 2 else 0.0
+    if part.start:  # another sound may still decay
+        noise = max(noise, 1.25 * own[0])
     loud = start + int(np.argmax(local >= min(max(LOUD * local.max(), 5 * noise), 0.5 * local.max())))
     first, last = max(0, loud - round(0.01 * rate)), loud + max(round(0.002 * rate), 8)
     return first + min(_split(x[first:last], max(step / 4, 1e-7 * local.max())), loud - first)

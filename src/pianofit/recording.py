@@ -29,11 +29,12 @@ MAX_BYTES = 2**30
 INSIDE = 0.05  # the first sample over the peak: a note that was cut into begins with a step
 MIN_SECONDS = 0.08  # after the onset: two periods of the lowest key
 LEAD_SECONDS = 0.05  # before it: the least that tells of the noise
-CANCELS = 4.0  # 6 dB of energy that inverted channels would add; spaced microphones gain less than 5 dB
-CUT = 0.25  # of the other peak
-DITHER = 2.5
-SHARP = 4
-LOST = 0.01  # of the channels' energy; an average below it holds what they differ in
+CANCELS = 4.0  # 6 dB; inverting channels of spaced microphones gains less than 5 dB, of a reversed one more
+LOST = 0.01  # of the channels' energy; an average below it holds only the differences between the channels
+FLAT = 3  # samples; the shortest run at an extreme that counts as cut off
+CUT = 0.25  # of the largest sample; a lower extreme is the edge of a one-sided wave
+DITHER = 2.5  # steps; triangular dither spreads a cut-off top over two, and half a step covers rounding
+SHARP = 4.0  # spreads by which the slope must lead past the top; unclipped notes reach 2
 NAMED_SILENCE = 0.1  # s of digital silence at the end of a file, from which on it is told
 
 
@@ -47,7 +48,7 @@ class Recording:
     onset: int  # index of the first sample of the attack
     noise_rms: float  # of the noise floor, full scale = 1
     dc: float  # the offset removed, full scale = 1
-    clipped: int  # samples in flat runs (3 or more) at an extreme near full scale
+    clipped: int  # samples in flat runs (3 or more) at an extreme where the wave was cut off, at any level
     path: str
     sha256: str  # of the file's bytes
     channels: int  # in the file
@@ -186,15 +187,14 @@ def _choose(frames: np.ndarray, channel: str) -> tuple[np.ndarray, str]:
 
 def _measure(used: np.ndarray, rate: int, step: float, **facts) -> Recording:
     """Make the recording of the channels `used` [samples, chosen], quantised in steps of `step`."""
-    mono, warnings = _audible(used, rate, step), _opposite(used)
+    mono, warnings = _audible(used, rate, step), _opposite(used, rate)
     # Digital silence at the end is neither the note's decay nor the room's noise.
     end = int(np.flatnonzero(used.any(axis=1))[-1]) + 1
     silence, used, mono = len(used) - end, used[:end], mono[:end]
     *earlier, onset = find_sounds(mono - _offset(mono), rate, step)
     dc = _offset(max(mono[:onset], mono[onset:], key=len))
     samples = mono - dc
-    above = without_drift(samples, rate)
-    noise = _noise_rms(samples, above, onset, rate)
+    noise = _noise_rms(samples, onset, rate)
     if len(samples) - onset < MIN_SECONDS * rate:
         left = 1000 * (len(samples) - onset) / rate
         raise RecordingError(f"ends {left:.1f} ms after its onset; at least {1000 * MIN_SECONDS:g} ms are needed")
@@ -202,8 +202,10 @@ def _measure(used: np.ndarray, rate: int, step: float, **facts) -> Recording:
     warnings += cut
     if earlier:
         before = (onset - earlier[0]) / rate
-        warnings += (f"a sound begins {before:.2f} s before the note and is not analysed; check that it is not the note",)
-    if abs(above[0]) > INSIDE * np.abs(samples).max():
+        warnings += (
+            f"a sound begins {before:.2f} s before the note and is not analysed; cut the file there if it is the note",
+        )
+    if onset == 0 and abs(samples[0]) > INSIDE * np.abs(samples).max():
         warnings += ("the file begins inside the note: the onset is its first sample, and the attack is incomplete",)
     if silence > NAMED_SILENCE * rate:
         warnings += (f"{silence / rate:.2f} s of digital silence at its end were left out",)
@@ -230,13 +232,15 @@ def _audible(used: np.ndarray, rate: int, step: float) -> np.ndarray:
     return mono
 
 
-def _opposite(used: np.ndarray) -> tuple[str, ...]:
+def _opposite(used: np.ndarray, rate: int) -> tuple[str, ...]:
     """Report channels of `used` [samples, channels] that are opposite in phase to the others, so that they cancel.
 
     The signs of the strongest principal component add the channels up. An average of far less energy than theirs
     with these signs cancels. One of less than a hundredth of the channels' own energy is not the note.
     """
-    covariance = np.atleast_2d(np.cov(used.T, bias=True))
+    if used.shape[1] == 1:
+        return ()
+    covariance = np.cov([without_drift(column, rate) for column in used.T])
     channels, average = len(covariance), float(covariance.mean())
     _, directions = np.linalg.eigh(covariance)
     sign = np.where(directions[:, -1] < 0, -1, 1)
@@ -249,8 +253,8 @@ def _opposite(used: np.ndarray) -> tuple[str, ...]:
     loss = 10 * math.log10(own / max(average, 1e-30 * own))
     numbers = ", ".join(str(i + 1) for i in np.flatnonzero(sign < 0))
     words = (
-        f"channel {numbers} is opposite in phase to the others: the average is {loss:.1f} dB weaker than the channels; "
-        f"choose one with --channel, or invert channel {numbers}"
+        f"channel {numbers} is opposite in phase to the others: their average is {loss:.1f} dB weaker than they "
+        f"are; choose one with --channel, or invert channel {numbers}"
     )
     if average < LOST * own:
         raise RecordingError(f"its channels cancel when averaged: {words}")
@@ -263,17 +267,18 @@ def _offset(x: np.ndarray) -> float:
     return float(window @ x / window.sum())
 
 
-def _noise_rms(x: np.ndarray, above: np.ndarray, onset: int, rate: int) -> float:
-    """Return the rms of the noise: of the lead-in `above` 20 Hz, or of the quietest second where there is none."""
+def _noise_rms(x: np.ndarray, onset: int, rate: int) -> float:
+    """Return the rms of the noise: of the lead-in above 20 Hz, or of the quietest second where there is none."""
     floor = _quiet_floor(x, rate)
     loudest = math.sqrt(forward_mean(x * x, round(0.02 * rate)).max())
     # 6 dB; plain noise varies by less than 1 dB. In a short file the partials of a low note fill the spectrum.
     if loudest < 2 * floor and len(x) > 0.5 * rate:
         raise RecordingError(f"nothing stands above its noise (rms {loudest:.2g}, noise {floor:.2g}); record it again")
-    lead = above[: onset - round(0.001 * rate)] if onset > LEAD_SECONDS * rate else x[:1]
+    lead = x[: onset - round(0.001 * rate)] if onset > LEAD_SECONDS * rate else x[:1]
     if np.ptp(lead) == 0:  # none, or padded with zeros, which tells nothing
         return floor
-    return math.sqrt(np.median(forward_mean(lead**2, round(0.01 * rate))))  # a median: a knock does not count
+    power = forward_mean(without_drift(lead, rate) ** 2, round(0.01 * rate))
+    return math.sqrt(np.median(power))  # a median: a knock does not count
 
 
 def _quiet_floor(x: np.ndarray, rate: int) -> float:
@@ -320,7 +325,7 @@ def _flat_runs(y: np.ndarray, step: float) -> np.ndarray:
     if top < CUT * np.abs(y).max():
         return np.zeros((0, 2), int)
     runs = np.flatnonzero(np.diff(np.concatenate([[0], (y >= top - spread).astype(np.int8), [0]]))).reshape(-1, 2)
-    runs = runs[runs[:, 1] - runs[:, 0] >= 3]
+    runs = runs[runs[:, 1] - runs[:, 0] >= FLAT]
     if len(runs) == 0:
         return runs
     values = np.unique(y[y > 0.5 * top])
