@@ -64,8 +64,8 @@ def find_sounds(x: np.ndarray, rate: int, step: float) -> list[int]:
     bounds = [hop * start for start in starts] + [len(level)]
     parts = [slice(*bounds[i : i + 2]) for i in range(note + 1)]
     least = max(4 * quiet, 0.1 * level[parts[note]].max())
-    heard = [part for part in parts[:-1] if level[part].max() >= least]
-    return [_first_sample(x, above, level, part, quiet, rate, step) for part in (*heard, parts[note])]
+    reported = [part for part in parts[:-1] if level[part].max() >= least]
+    return [_first_sample(x, above, level, part, quiet, rate, step) for part in (*reported, parts[note])]
 
 
 def _quiet(level: np.ndarray, width: int) -> float:

@@ -28,14 +28,14 @@ CHANNELS = ("average", "left", "right", *"12345678")
 MAX_BYTES = 2**30
 INSIDE = 0.05  # the first sample over the peak: a note that was cut into begins with a step
 MIN_SECONDS = 0.08  # after the onset: two periods of the lowest key
-LEAD_SECONDS = 0.05  # before it: the least that tells of the noise
+LEAD_SECONDS = 0.05  # before it: a shorter lead-in does not show the noise
 CANCELS = 4.0  # 6 dB; inverting channels of spaced microphones gains less than 5 dB, of a reversed one more
 LOST = 0.01  # of the channels' energy; an average below it holds only the differences between the channels
 FLAT = 3  # samples; the shortest run at an extreme that counts as cut off
 CUT = 0.25  # of the largest sample; a lower extreme is the edge of a one-sided wave
 DITHER = 2.5  # steps; triangular dither spreads a cut-off top over two, and half a step covers rounding
-SHARP = 4.0  # spreads by which the slope must lead past the top; unclipped notes reach 2
-NAMED_SILENCE = 0.1  # s of digital silence at the end of a file, from which on it is told
+SHARP = 4.0  # spreads by which the slope must lead past the top; unclipped notes reach 2.3
+NAMED_SILENCE = 0.1  # s; longer digital silence at the end of a file is reported
 
 
 @dataclass(frozen=True, eq=False, repr=False)
