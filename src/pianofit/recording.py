@@ -2,10 +2,6 @@
 
 Everything past this gate may rely on it: mono float64, finite, not silent, with its onset, offset, noise floor and
 clipping measured.
-
-The onset is the first arrival of the sound, not the moment it is loud: the split of the samples around the first loud
-one that makes "noise before, note after" most likely, when each side is an autoregression with a variance of its own
-(the AR-AIC picker of seismology; Sleeman and van Eck 1999). Predictable rumble and hum before the note do no harm.
 """
 
 from __future__ import annotations
@@ -21,9 +17,10 @@ import numpy as np
 from .decode import STEPS, check_layout, decode
 from .errors import ParameterError, RecordingError
 from .io import one_line, read_file, shown
+from .onset import find_sounds, forward_mean, without_drift
 
 __all__ = [
-    "INSIDE", "Recording", "Source", "as_recording", "check_channel", "find_onset", "load_recording", "read",
+    "INSIDE", "Recording", "Source", "as_recording", "check_channel", "load_recording", "read",
     "recording_from_samples",
 ]  # fmt: skip
 
@@ -31,8 +28,14 @@ CHANNELS = ("average", "left", "right", *"12345678")
 MAX_BYTES = 2**30
 INSIDE = 0.05  # the first sample over the peak: a note that was cut into begins with a step
 MIN_SECONDS = 0.08  # after the onset: two periods of the lowest key
-LEAD_SECONDS = 0.05  # before it: the least that tells of the noise
-NAMED_SILENCE = 0.1  # s of digital silence at the end of a file, from which on it is told
+LEAD_SECONDS = 0.05  # before it: a shorter lead-in does not show the noise
+CANCELS = 4.0  # 6 dB; inverting channels of spaced microphones gains less than 5 dB, of a reversed one more
+LOST = 0.01  # of the channels' energy; an average below it holds only the differences between the channels
+FLAT = 3  # samples; the shortest run at an extreme that counts as cut off
+CUT = 0.25  # of the largest sample; a lower extreme is the edge of a one-sided wave
+DITHER = 2.5  # steps; triangular dither spreads a cut-off top over two, and half a step covers rounding
+SHARP = 4.0  # spreads by which the slope must lead past the top; unclipped notes reach 2.3
+NAMED_SILENCE = 0.1  # s; longer digital silence at the end of a file is reported
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -45,7 +48,7 @@ class Recording:
     onset: int  # index of the first sample of the attack
     noise_rms: float  # of the noise floor, full scale = 1
     dc: float  # the offset removed, full scale = 1
-    clipped: int  # samples in flat runs (3 or more) at an extreme near full scale
+    clipped: int  # samples in flat runs (3 or more) at an extreme where the wave was cut off, at any level
     path: str
     sha256: str  # of the file's bytes
     channels: int  # in the file
@@ -184,19 +187,25 @@ def _choose(frames: np.ndarray, channel: str) -> tuple[np.ndarray, str]:
 
 def _measure(used: np.ndarray, rate: int, step: float, **facts) -> Recording:
     """Make the recording of the channels `used` [samples, chosen], quantised in steps of `step`."""
-    mono = _audible(used, rate, step)
+    mono, warnings = _audible(used, rate, step), _opposite(used, rate)
     # Digital silence at the end is neither the note's decay nor the room's noise.
     end = int(np.flatnonzero(used.any(axis=1))[-1]) + 1
     silence, used, mono = len(used) - end, used[:end], mono[:end]
-    onset = find_onset(mono - _offset(mono), rate, step)
+    *earlier, onset = find_sounds(mono - _offset(mono), rate, step)
     dc = _offset(max(mono[:onset], mono[onset:], key=len))
     samples = mono - dc
     noise = _noise_rms(samples, onset, rate)
     if len(samples) - onset < MIN_SECONDS * rate:
         left = 1000 * (len(samples) - onset) / rate
         raise RecordingError(f"ends {left:.1f} ms after its onset; at least {1000 * MIN_SECONDS:g} ms are needed")
-    clipped, warnings = _clipping(used, onset, rate)
-    if abs(samples[0]) > INSIDE * np.abs(samples).max():
+    clipped, cut = _clipping(used, onset, rate, step)
+    warnings += cut
+    if earlier:
+        before = (onset - earlier[0]) / rate
+        warnings += (
+            f"a sound begins {before:.2f} s before the note and is not analysed; cut the file there if it is the note",
+        )
+    if onset == 0 and abs(samples[0]) > INSIDE * np.abs(samples).max():
         warnings += ("the file begins inside the note: the onset is its first sample, and the attack is incomplete",)
     if silence > NAMED_SILENCE * rate:
         warnings += (f"{silence / rate:.2f} s of digital silence at its end were left out",)
@@ -218,11 +227,38 @@ def _audible(used: np.ndarray, rate: int, step: float) -> np.ndarray:
     if len(used) < MIN_SECONDS * rate:
         raise RecordingError(f"lasts {1000 * len(used) / rate:.1f} ms; at least {1000 * MIN_SECONDS:g} ms are needed")
     mono, flat = used.mean(axis=1), max(1e-9, 2 * step)
-    if np.ptp(mono) <= flat < np.ptp(used, axis=0).max() / 2:
-        raise RecordingError("its channels cancel when averaged; choose channel left, right or a number")
-    if np.ptp(mono) <= flat:
+    if np.ptp(mono) <= flat and np.ptp(used, axis=0).max() <= 2 * flat:
         raise RecordingError(f"is silent (peak to peak {np.ptp(mono):.2g} of full scale); record it again")
     return mono
+
+
+def _opposite(used: np.ndarray, rate: int) -> tuple[str, ...]:
+    """Report channels of `used` [samples, channels] that are opposite in phase to the others, so that they cancel.
+
+    The signs of the strongest principal component add the channels up. An average of far less energy than theirs
+    with these signs cancels. One of less than a hundredth of the channels' own energy is not the note.
+    """
+    if used.shape[1] == 1:
+        return ()
+    covariance = np.cov([without_drift(column, rate) for column in used.T])
+    channels, average = len(covariance), float(covariance.mean())
+    _, directions = np.linalg.eigh(covariance)
+    sign = np.where(directions[:, -1] < 0, -1, 1)
+    if sign.sum() < 0 or (sign.sum() == 0 and sign[0] < 0):  # fewer channels, or the second of two, are opposite
+        sign = -sign
+    added = float(sign @ covariance @ sign) / channels**2
+    if average * CANCELS >= added:
+        return ()
+    own = float(np.trace(covariance)) / channels
+    loss = 10 * math.log10(own / max(average, 1e-30 * own))
+    numbers = ", ".join(str(i + 1) for i in np.flatnonzero(sign < 0))
+    words = (
+        f"channel {numbers} is opposite in phase to the others: their average is {loss:.1f} dB weaker than they "
+        f"are; choose one with --channel, or invert channel {numbers}"
+    )
+    if average < LOST * own:
+        raise RecordingError(f"its channels cancel when averaged: {words}")
+    return (words,)
 
 
 def _offset(x: np.ndarray) -> float:
@@ -231,65 +267,18 @@ def _offset(x: np.ndarray) -> float:
     return float(window @ x / window.sum())
 
 
-def _forward_mean(values: np.ndarray, width: int) -> np.ndarray:
-    """Mean of the `width` values from each one on [samples - width + 1]."""
-    total = np.concatenate([[0.0], np.cumsum(values)])
-    width = min(max(width, 1), len(values))
-    return np.maximum(total[width:] - total[:-width], 0) / width
-
-
-def find_onset(x: np.ndarray, rate: int, step: float) -> int:
-    """Return the index of the first sample of the attack in `x` [samples], of steps `step`.
-
-    First the note as a whole, by the mean size of the 20 ms ahead, where a click counts little; in it the first loud
-    sample, 5 % of the local peak or above the noise; then the most likely change in the 10 ms before that sample.
-    """
-    width = round(0.02 * rate)
-    level = _forward_mean(np.abs(x), width)
-    half = int(np.argmax(level >= 0.5 * level.max()))
-    # Of the file, or of what comes before the note: a bass note may ring on to the end, others have nothing before.
-    quiet = min(np.quantile(part[:: max(width // 4, 1)], 0.1) for part in (level, level[: half + 1]))
-    start = int(np.argmax(level >= min(max(4 * quiet, 0.1 * level.max()), level[half])))
-    local = np.abs(x[start : start + 3 * width])
-    noise = 1.4826 * np.median(np.abs(x[:start])) if start > width // 2 else 0.0
-    loud = start + int(np.argmax(local >= min(max(0.05 * local.max(), 5 * noise), 0.5 * local.max())))
-    first, last = max(0, loud - round(0.01 * rate)), loud + max(round(0.002 * rate), 8)
-    return first + min(_split(x[first:last], max(step / 4, 1e-7 * local.max())), loud - first)
-
-
-def _split(x: np.ndarray, floor: float, least: int = 4) -> int:
-    """Return the index at which a second-order autoregression of other variance most likely begins; 0 when too short.
-
-    Of each side's samples and their two predecessors the covariance C [3, 3] is summed; det C / det C' (C' without
-    the newest) is the variance that prediction leaves over. `floor` is the least deviation that is believed.
-    """
-    rows = np.lib.stride_tricks.sliding_window_view(x, 3)
-    splits = np.arange(least, len(rows) - least)
-    if len(splits) == 0:
-        return 0
-    sums = np.cumsum(rows[:, :, None] * rows[:, None, :], axis=0)
-    before = sums[splits - 1]
-    cost = _log_likelihood(before, splits, floor) + _log_likelihood(sums[-1] - before, len(rows) - splits, floor)
-    return int(splits[np.argmin(cost)]) + 2  # a row's newest sample
-
-
-def _log_likelihood(sums: np.ndarray, counts: np.ndarray, floor: float) -> np.ndarray:
-    """Minus twice the log-likelihood of each side, but for a constant [splits]."""
-    covariance = sums / counts[:, None, None] + floor**2 * np.eye(3)
-    return counts * (np.linalg.slogdet(covariance)[1] - np.linalg.slogdet(covariance[:, :2, :2])[1])
-
-
 def _noise_rms(x: np.ndarray, onset: int, rate: int) -> float:
-    """Return the rms of the noise: of the lead-in where there is one, or else under the quietest second."""
+    """Return the rms of the noise: of the lead-in above 20 Hz, or of the quietest second where there is none."""
     floor = _quiet_floor(x, rate)
-    loudest = math.sqrt(_forward_mean(x * x, round(0.02 * rate)).max())
+    loudest = math.sqrt(forward_mean(x * x, round(0.02 * rate)).max())
     # 6 dB; plain noise varies by less than 1 dB. In a short file the partials of a low note fill the spectrum.
     if loudest < 2 * floor and len(x) > 0.5 * rate:
         raise RecordingError(f"nothing stands above its noise (rms {loudest:.2g}, noise {floor:.2g}); record it again")
     lead = x[: onset - round(0.001 * rate)] if onset > LEAD_SECONDS * rate else x[:1]
     if np.ptp(lead) == 0:  # none, or padded with zeros, which tells nothing
         return floor
-    return math.sqrt(np.median(_forward_mean(lead**2, round(0.01 * rate))))  # a median: a knock does not count
+    power = forward_mean(without_drift(lead, rate) ** 2, round(0.01 * rate))
+    return math.sqrt(np.median(power))  # a median: a knock does not count
 
 
 def _quiet_floor(x: np.ndarray, rate: int) -> float:
@@ -310,31 +299,39 @@ def _quiet_floor(x: np.ndarray, rate: int) -> float:
     return math.sqrt(float(smooth.mean()) / math.log(2))
 
 
-def _clipping(used: np.ndarray, onset: int, rate: int) -> tuple[int, tuple[str, ...]]:
+def _clipping(used: np.ndarray, onset: int, rate: int, step: float) -> tuple[int, tuple[str, ...]]:
     """Count the clipped samples of all channels used; a note that is mostly flat raises."""
-    runs = np.concatenate([_flat_runs(sign * column) for column in used.T for sign in (1, -1)])
+    rest = [column - _offset(column) for column in used.T]
+    runs = np.concatenate([_flat_runs(sign * column, step) for column in rest for sign in (1, -1)])
     if len(runs) == 0:
         return 0, ()
     lengths, first = runs[:, 1] - runs[:, 0], runs[:, 0].min() / rate
     early = lengths[(runs[:, 0] >= onset) & (runs[:, 0] < onset + 0.5 * rate)].sum()
     if early > 0.1 * used.shape[1] * min(0.5 * rate, len(used) - onset):
         raise RecordingError(f"is clipped beyond use: {early} samples of its first 0.5 s; record it with less gain")
-    return int(lengths.sum()), (f"clipped: {lengths.sum()} samples at full scale, from {first:.3f} s",)
+    return int(lengths.sum()), (
+        f"clipped: {lengths.sum()} samples are cut off, from {first:.3f} s; record it with less gain",
+    )
 
 
-def _flat_runs(y: np.ndarray) -> np.ndarray:
+def _flat_runs(y: np.ndarray, step: float) -> np.ndarray:
     """Return [runs, 2] the start and stop of the runs in which `y` was cut off at its highest value.
 
-    A slow, unclipped wave also rests on its highest quantised value for some samples. It comes to rest there; a
-    clipped wave arrives with a slope that would have carried it on.
+    A later gain moves the highest value to any level, and dither spreads it over two steps. A slow, unclipped wave also
+    rests on its highest quantised value for some samples. It comes to rest there; a clipped wave arrives with a slope
+    that would have carried it on by many steps.
     """
-    top, sharp = y.max(), 2 * STEPS["PCM_16"]
-    runs = np.flatnonzero(np.diff(np.concatenate([[0], (y == top).astype(np.int8), [0]]))).reshape(-1, 2)
-    runs = runs[runs[:, 1] - runs[:, 0] >= 3]
-    if top < 0.9 or len(runs) == 0:
-        return runs[:0]
+    top, spread = y.max(), DITHER * step
+    if top < CUT * np.abs(y).max():
+        return np.zeros((0, 2), int)
+    runs = np.flatnonzero(np.diff(np.concatenate([[0], (y >= top - spread).astype(np.int8), [0]]))).reshape(-1, 2)
+    runs = runs[runs[:, 1] - runs[:, 0] >= FLAT]
+    if len(runs) == 0:
+        return runs
+    values = np.unique(y[y > 0.5 * top])
+    sharp = SHARP * (spread + max(step, float(np.diff(values).min(initial=top))))
     padded = np.pad(y, 2, constant_values=top)  # a run that touches an end is judged by its other side
     start, stop = runs[:, 0] + 2, runs[:, 1] + 2
     entering = 2 * padded[start - 1] - padded[start - 2] - top
     leaving = 2 * padded[stop] - padded[stop + 1] - top
-    return runs[np.maximum(entering, leaving) > sharp]
+    return runs if np.any(np.maximum(entering, leaving) > sharp) else runs[:0]  # one ceiling for all runs

@@ -68,7 +68,7 @@ def analyse(recording: Source, *, note: str | None = None, f0: float | None = No
     try:
         rough_f0, rough_B = find_pitch(spectrum(samples, rate, 0.5), top=top, note=note, f0=f0)
     except AnalysisError as error:
-        raise type(error)(f"{recording.path}: {error}") from None
+        raise type(error)("; ".join((f"{recording.path}: {error}", *recording.warnings))) from None
     if seconds * rough_f0 < 10:
         raise AnalysisError(
             f"{recording.path}: {seconds:.2f} s after the onset is too short for a note of {rough_f0:.1f} Hz; "

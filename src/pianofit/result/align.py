@@ -7,7 +7,8 @@ from scipy.signal import correlate
 
 from ..model.note import Note
 from ..model.simulate import Simulation
-from ..recording import Recording, find_onset
+from ..onset import find_onset
+from ..recording import Recording
 
 __all__ = ["lag", "laid", "placed", "touched"]
 
