@@ -26,8 +26,10 @@ FAMILIES = (
     "phaser_", "strings_", "tdfir_", "static_", "apan_", "dyn_", "oscillator", "noise_", "polyphony", "note_", "off_",
     "bend", "cutoff", "resonance", "filtype", "ringmod_", "scale_", "start_", "stop_", "on_", "var_", "var", "image",
     "curve_", "amp_", "rt_", "smoothing", "bus", "directtomain", "cc_", "vendor_", "width", "position",
+    "fx", "reverse_",
 )  # fmt: skip
 OTHERS = (
+    "label", "set",
     "amplitude", "amplitude_smooth", "volume", "gain", "pan", "pan_law", "pan_keycenter", "pan_keytrack",
     "pan_veltrack", "phase", "invert_phase", "direction", "count", "sync_beats", "sync_offset", "group", "off",
     "lochan", "hichan", "loprog", "hiprog", "lobend", "hibend", "lochanaft", "hichanaft", "lopolyaft",
