@@ -7,6 +7,7 @@ library is not refused for what one region holds.
 
 from __future__ import annotations
 
+import hashlib
 import os
 import re
 from collections import Counter
@@ -19,10 +20,10 @@ from ..analysis.notes import midi_to_note, note_to_midi
 from ..analysis.pitch import check_pitch, find_pitch
 from ..analysis.spectrum import spectrum
 from ..errors import AnalysisError, PianofitError, SetupError
-from ..io import one_line
-from ..recording import load_recording
+from ..io import one_line, read_file
+from ..recording import MAX_BYTES, load_recording
 from ..units import hertz_of, midi_of
-from .manifest import NAMED, Row
+from .manifest import MAX_TAKES, NAMED, Row
 from .paths import find_file
 from .root_note import root_note
 from .sfz_opcodes import undefined
@@ -91,9 +92,16 @@ def sfz_rows(source: Path, root: Path, transpose: int = 0) -> tuple[list[Row], l
         raise SetupError(f"{one_line(source)}: has no region with a sample that sounds when a key is struck"
                          f"{_counts(library.left_out, ' (', ')')}; give another SFZ file")  # fmt: skip
     chosen = [_at_one_root(library, [*roots.values()]) for roots in library.samples.values()]
+    once, copies = _without_copies(library, chosen)
+    kept, thinned = _thinned(once)
     recoded = [one_line(file.name) for file in text.recoded]
-    remarks = [*_remarks(library, chosen), _listed("text that is not UTF-8, read as Windows-1252", recoded)]
-    rows = [Row(f"region {s.number}", s.file, midi_to_note(s.root), layer=s.layer) for s in chosen]
+    remarks = [
+        *_remarks(library, chosen),
+        _listed("copies of another sample of the same key, left out", copies),
+        _listed(f"keys with more than {MAX_TAKES} samples, of which as many are used", thinned),
+        _listed("text that is not UTF-8, read as Windows-1252", recoded),
+    ]
+    rows = [Row(f"region {s.number}", s.file, midi_to_note(s.root), layer=s.layer) for s in kept]
     return rows, [remark for remark in remarks if remark]
 
 
@@ -114,6 +122,44 @@ def _add(library: _Library, number: int, region: dict[str, str], transpose: int)
     # The same sample in several regions is one recording.
     roots[note] = min(roots.get(note, found), found, key=lambda s: s.layer)
     return ""
+
+
+def _without_copies(library: _Library, samples: Sequence[_Sample]) -> tuple[list[_Sample], list[str]]:
+    """Samples whose files differ from those of their key before them, and the names of the others."""
+    kept: dict[tuple[int, object], _Sample] = {}
+    copies: list[str] = []
+    sizes = Counter((s.root, _size(library, s.file)) for s in samples)
+    for s in samples:
+        size = _size(library, s.file)
+        # Only files of one size can be equal. A file that cannot be read is reported with all other rows.
+        content = s.file if size < 0 or sizes[s.root, size] == 1 else _digest(library, s.file)
+        if kept.setdefault((s.root, content), s) is not s:
+            copies.append(one_line(s.file))
+    return [*kept.values()], copies
+
+
+def _size(library: _Library, file: str) -> int:
+    try:
+        return find_file(file, library.source.parent, library.root).stat().st_size
+    except (SetupError, OSError):
+        return -1
+
+
+def _digest(library: _Library, file: str) -> bytes:
+    path = find_file(file, library.source.parent, library.root)
+    return hashlib.sha256(read_file(path, MAX_BYTES, SetupError)).digest()
+
+
+def _thinned(samples: Sequence[_Sample]) -> tuple[list[_Sample], list[str]]:
+    """At most `MAX_TAKES` samples of each key, evenly over its layers, and the notes of keys that had more."""
+    keys: dict[int, list[_Sample]] = {}
+    for s in samples:
+        keys.setdefault(s.root, []).append(s)
+    kept: list[_Sample] = []
+    for found in keys.values():
+        ordered, step = sorted(found, key=lambda s: s.layer), max(len(found) / MAX_TAKES, 1.0)
+        kept += [ordered[int(i * step)] for i in range(min(len(found), MAX_TAKES))]
+    return sorted(kept, key=lambda s: s.number), [midi_to_note(k) for k, s in keys.items() if len(s) > MAX_TAKES]
 
 
 def _remarks(library: _Library, chosen: Sequence[_Sample]) -> list[str]:

@@ -19,6 +19,7 @@ __all__ = ["SfzText", "regions"]
 
 MAX_BYTES = 2**24  # of one file: the largest libraries have 2 MiB
 MAX_TEXT = 2**24  # letters of the expanded text, one more for each piece; bounds time and memory
+INCLUDE = 200  # letters that one include counts as, for its time
 MAX_DEPTH = 50  # of includes in one another: libraries use 2 or 3, Python's stack ends near 300
 LEVELS = ("control", "global", "master", "group", "region")
 _COMMENT = re.compile(r"//[^\r\n]*|/\*.*?\*/", re.DOTALL)
@@ -41,6 +42,7 @@ class SfzText:
         self._defined: dict[str, str] = {}
         self._words = re.compile("(?!)")
         self._texts: dict[Path, str] = {}
+        self._files: dict[tuple[str, Path], Path] = {}
         self._left = MAX_TEXT
 
     def pieces(self) -> Iterator[str]:
@@ -105,19 +107,22 @@ class SfzText:
 
     def _included(self, name: str, file: Path, stack: tuple[Path, ...]) -> Path:
         """The included file, inside the root and not open already."""
-        where = one_line(file)
-        try:
-            try:
-                included = find_file(name, self.source.parent, self.root)
-            except SetupError:
-                if file.parent == self.source.parent:
-                    raise
-                included = find_file(name, file.parent, self.root)
-        except SetupError as problem:
-            raise SetupError(f"{where}: includes {problem}") from None
+        self._count(INCLUDE)
+        included = self._files.get((name, file)) or self._files.setdefault((name, file), self._found(name, file))
         if included in stack:
-            raise SetupError(f"{where}: includes {one_line(name)}, which includes itself; remove one #include")
+            raise SetupError(f"{one_line(file)}: includes {one_line(name)}, which includes itself; remove one #include")
         return included
+
+    def _found(self, name: str, file: Path) -> Path:
+        """What `file` includes: seen from the library's folder, or else from that of `file`."""
+        folders = dict.fromkeys((self.source.parent, file.parent))
+        problems = []
+        for folder in folders:
+            try:
+                return find_file(name, folder, self.root)
+            except SetupError as problem:
+                problems.append(problem)
+        raise SetupError(f"{one_line(file)}: includes {problems[0]}")
 
 
 def regions(text: SfzText) -> Iterator[dict[str, str]]:
