@@ -15,7 +15,7 @@ __all__ = ["undefined"]
 # Opcodes that decide which sample belongs to which key. A name near one of them is probably a typing error.
 READ = (
     "sample", "default_path", "note_offset", "octave_offset", "key", "lokey", "hikey", "pitch_keycenter",
-    "pitch_keytrack", "lovel", "hivel", "trigger", "seq_position", "end",
+    "pitch_keytrack", "lovel", "hivel", "trigger", "end",
 )  # fmt: skip
 NEAR = 0.85  # similarity of two names by difflib, from which on one is suggested for the other
 # Any name with one of these beginnings is defined: envelopes, LFOs, equalisers, switches, crossfades, labels.
