@@ -10,7 +10,7 @@ import pytest
 
 from pianofit.batch import read_keys
 from pianofit.batch.root_note import root_note
-from pianofit.batch.sfz_opcodes import undefined
+from pianofit.batch.sfz_opcodes import not_of_today
 from pianofit.batch.sfz_text import MAX_DEPTH
 from pianofit.errors import SetupError
 from pianofit.io import encode_pcm, encode_wav
@@ -111,6 +111,16 @@ def test_includes_that_double_in_every_file_are_refused(tmp_path, monkeypatch):
     (tmp_path / "40.sfz").write_text("<region> key=60 sample=x.wav\n" * 200)
     with pytest.raises(SetupError, match="more than 1 MiB"):
         read_keys(tmp_path / "0.sfz")
+
+
+def test_many_includes_of_nothing_end(tmp_path, monkeypatch):
+    """One counts as 200 letters: 5,000 fit into 1 MiB, 6,000 do not."""
+    monkeypatch.setattr("pianofit.batch.sfz_text.MAX_TEXT", 2**20)
+    (tmp_path / "a").write_text(" ")
+    lines = "#include a\n"  # without quotation marks
+    assert keys_of(library(tmp_path, lines * 4500 + "<region> key=53 sample=x.wav", "x.wav")) == {"F3": ["x.wav"]}
+    with pytest.raises(SetupError, match="more than 1 MiB"):
+        read_keys(library(tmp_path, lines * 6000))
 
 
 def test_variables_that_double_are_refused(tmp_path):
@@ -220,7 +230,7 @@ def test_a_region_that_no_struck_key_starts_is_left_out_and_counted(tmp_path, op
     text = f"<region> key=53 sample=a.wav <region> sample=other.wav {opcodes}"
     keys, remarks = read_keys(library(tmp_path, text, "a.wav", "other.wav"))
     assert [(k.name, len(k.samples)) for k in keys] == [("F3", 1)]
-    assert len(remarks) == 1
+    assert len(remarks) == 1 + ("start_" in opcodes)  # an older name
     assert "1 region " in remarks[0]
     assert reason in remarks[0]
 
@@ -363,17 +373,26 @@ def test_opcodes_of_every_version_of_the_format_are_recognised():
     ampeg_attack ampeg_release ampeg_vel2decay ampeg_releasecc72 amp_veltrack amp_velcurve_64 amp_random rt_decay
     fil_type cutoff cutoff2 cutoff_cc74 cutoff_oncc74 cutoff2_curvecc74 resonance fil_veltrack fileg_depth
     eq1_freq eq3_gain_oncc20 eg06_time2 eg01_sustain lfo01_freq lfo01_volume lfo02_wave2 pitchlfo_depthcc1
-    loop_mode loopmode loop_start loopstart offset offset_random end count delay delay_random group off_by off_mode
-    off_time seq_length seq_position lorand hirand locc64 hicc64 on_locc1 start_hicc64 xfin_lovel xf_velcurve
-    xfin_locc1 sw_lokey sw_last sw_default sw_previous sw_label bend_up bendup polyphony note_polyphony
+    loop_mode loop_start offset offset_random end count delay delay_random group off_by off_mode
+    off_time seq_length seq_position lorand hirand locc64 hicc64 on_locc1 xfin_lovel xf_velcurve
+    xfin_locc1 sw_lokey sw_last sw_default sw_previous sw_label bend_up polyphony note_polyphony
     note_selfmask sustain_sw sustain_cc sostenuto_sw hint_ram_based set_cc1 label_cc1 label_key60 group_label
-    region_label master_volume global_amplitude volume_oncc7 gain_cc7 amplitude_oncc1 amplitude_curvecc1
+    region_label master_volume global_amplitude volume_oncc7 gain_oncc7 amplitude_oncc1 amplitude_curvecc1
     pitch_keytrack pitch_veltrack pitch_random tune_oncc1 effect1 effect2 fx1tomain bus oscillator
     oscillator_multi phase direction reverse_locc1 sample_quality image lochan hichan lobend lochanaft lopolyaft
     octave_offset note_offset curve_index varcc01 var01_mod amp_keytrack amp_keycenter noise_filter position
     position_oncc10 pan_oncc10 pitch_oncc1 pitcheg_depth fillfo_freq lotimer stop_locc64 load_mode md5 sync_beats"""
-    assert undefined(names.split()) == []
-    assert undefined(["smaple", "pitch_key_center", "zzz9"]) != []
+    assert not_of_today(names.split()) == []
+    assert len(not_of_today(["smaple", "pitch_key_center", "zzz9", "lowvel"])) == 4
+
+
+@pytest.mark.parametrize(
+    ("older", "today"), [("loopmode", "loop_mode"), ("start_locc64", "on_locc64"), ("gain_cc7", "volume_oncc7")]
+)
+def test_older_names_are_named_with_todays(older, today):
+    (found,) = not_of_today([older])
+    assert found.startswith(older)
+    assert today in found
 
 
 def test_articulations_by_key_switch_are_named(tmp_path):

@@ -104,12 +104,30 @@ def test_a_faster_stroke_that_is_fainter_is_questioned(strokes):
     assert "4.0.wav (4 m/s) is fainter" in sentence
 
 
-def test_velocities_that_no_pianist_spans_are_questioned(strokes):
-    (sentence,) = said(strokes, (0.1, 0.2, 10.0))
-    assert all(word in sentence for word in ("0.1", "10 m/s", "unit"))
+@pytest.mark.parametrize(("slope", "mean", "word"), [
+    (-0.45, 0.0, ""), (-0.55, 0.0, "duller"), (0.0, -2.9, ""), (0.0, -3.1, "fainter"), (1.0, -3.1, "fainter"),
+])  # fmt: skip
+def test_how_much_duller_or_fainter_is_questioned(strokes, slope, mean, word):
+    """Exact changes of the level, without scatter: only the least that counts decides."""
+    a = strokes[1][0]
+    octaves = np.log2(a.partials.number)
+    weight = 1 / (2 * a.partials.level_error**2 + 1)
+    level = a.partials.level + mean + slope * (octaves - np.average(octaves, weights=weight))
+    b = replace(a, partials=replace(a.partials, level=level))
+    assert brightening(a, b) == pytest.approx((slope, 0.0, mean), abs=1e-9)
+    sentences = said(strokes, (1.0, 2.0, None), analyses=[a, b, strokes[1][2]])
+    assert len(sentences) == bool(word)
+    assert all(word in sentence for sentence in sentences)
 
 
-@pytest.mark.parametrize(("p", "word"), [(3.0, "less"), (-3.0, "more"), (2.0, ""), (-2.0, "")])
+@pytest.mark.parametrize(("slowest", "count"), [(0.51, 0), (0.49, 1)])
+def test_velocities_that_no_pianist_spans_are_questioned(strokes, slowest, count):
+    sentences = said(strokes, (slowest, 0.6, 10.0))
+    assert len(sentences) == count
+    assert all("10 m/s" in sentence and "unit" in sentence for sentence in sentences)
+
+
+@pytest.mark.parametrize(("p", "word"), [(2.6, "less"), (-2.6, "more"), (2.4, ""), (-2.4, "")])
 def test_an_exponent_that_no_felt_has_questions_the_ratio(strokes, p, word):
     sentences = said(strokes, SPEEDS, p)
     assert len(sentences) == bool(word)

@@ -26,7 +26,7 @@ from ..units import hertz_of, midi_of
 from .manifest import MAX_TAKES, NAMED, Row
 from .paths import find_file
 from .root_note import root_note
-from .sfz_opcodes import undefined
+from .sfz_opcodes import not_of_today
 from .sfz_text import SfzText, regions
 
 __all__ = ["sfz_rows"]
@@ -180,7 +180,7 @@ def _remarks(library: _Library, chosen: Sequence[_Sample]) -> list[str]:
         _listed("articulations that are not separated, by key switch", sorted(library.switches))
         if len(library.switches) > 1
         else "",
-        _listed("opcodes that SFZ does not define, not read", undefined(library.opcodes)),
+        _listed("opcodes with an older name, or that SFZ does not define", not_of_today(library.opcodes)),
     ]
 
 

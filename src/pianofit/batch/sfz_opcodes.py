@@ -10,13 +10,19 @@ import difflib
 import re
 from collections.abc import Iterable
 
-__all__ = ["undefined"]
+__all__ = ["not_of_today"]
 
 # Opcodes that decide which sample belongs to which key. A name near one of them is probably a typing error.
 READ = (
     "sample", "default_path", "note_offset", "octave_offset", "key", "lokey", "hikey", "pitch_keycenter",
     "pitch_keytrack", "lovel", "hivel", "trigger", "end",
 )  # fmt: skip
+# Names of early players by those of today; a trailing number is kept.
+OLDER = {
+    "loopmode": "loop_mode", "loopstart": "loop_start", "loopend": "loop_end", "offby": "off_by", "bendup": "bend_up",
+    "benddown": "bend_down", "bendstep": "bend_step", "filtype": "fil_type", "start_locc": "on_locc",
+    "start_hicc": "on_hicc", "gain_cc": "volume_oncc",
+}  # fmt: skip
 NEAR = 0.85  # similarity of two names by difflib, from which on one is suggested for the other
 # Any name with one of these beginnings is defined: envelopes, LFOs, equalisers, switches, crossfades, labels.
 FAMILIES = (
@@ -43,16 +49,27 @@ OTHERS = (
 _MODULATION = re.compile(r"_?(?:on|curve|smooth|step)?_?(?:hd)?cc\d+$")
 
 
-def undefined(names: Iterable[str]) -> list[str]:
-    """Names that no version of SFZ defines, in alphabetical order, each with the likely intended one if there is any.
+def not_of_today(names: Iterable[str]) -> list[str]:
+    """Older names, and names that no version of SFZ defines, in alphabetical order, each with today's or a likely one.
 
     Examples
     --------
-    >>> from pianofit.batch.sfz_opcodes import undefined
-    >>> undefined(["sample", "pitch_keycentre", "eg06_time2", "locc64", "frobnicate"])
-    ['frobnicate', 'pitch_keycentre (did you mean pitch_keycenter?)']
+    >>> from pianofit.batch.sfz_opcodes import not_of_today
+    >>> not_of_today(["sample", "pitch_keycentre", "eg06_time2", "loopmode", "frobnicate"])
+    ['frobnicate', 'loopmode (today loop_mode)', 'pitch_keycentre (did you mean pitch_keycenter?)']
     """
-    return [_with_suggestion(name) for name in sorted(set(names)) if not _defined(name)]
+    return [found for name in sorted(set(names)) if (found := _older(name) or _unknown(name))]
+
+
+def _older(name: str) -> str:
+    """An older name with today's; empty for other names."""
+    stem = name.rstrip("0123456789")
+    return f"{name} (today {OLDER[stem]}{name[len(stem) :]})" if stem in OLDER else ""
+
+
+def _unknown(name: str) -> str:
+    """A name that is not defined, with the likely intended one; empty for a name that is."""
+    return "" if _defined(name) else _with_suggestion(name)
 
 
 def _defined(name: str) -> bool:
