@@ -161,6 +161,7 @@ def test_an_included_file_whose_case_differs_has_a_hint(tmp_path):
         '<region> sample="a b.wav" key=53',
         "#define $N 5\n<region> sample=a b.wav key=$N3",
         "#define $NOTE 60\n#define $NOTE_LOW 53\n<region> sample=a b.wav key=$NOTE_LOW",
+        "#define $SHARP #\n<region> sample=a b.wav key=e$SHARP3",
         "#define $EMPTY\n<region> sample=$EMPTYa b.wav key=53",
         "<REGION> Sample=a b.wav Key=53",
         "<master> key=60 <group> key=53 <region> sample=a b.wav",
