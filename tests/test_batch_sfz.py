@@ -246,7 +246,23 @@ def test_round_robins_and_microphones_of_one_file_name_are_recordings_of_one_key
     text = "<global> key=53 seq_length=2\n" + "".join(f"<region> sample={n} seq_position=1\n" for n in names)
     keys, remarks = read_keys(library(tmp_path, text, *names))
     assert [(k.name, len(k.samples), len({s.layer for s in k.samples})) for k in keys] == [("F3", 3, 3)]
-    assert remarks == []
+    assert len(remarks) == 1  # all at the first position: one stroke starts them together
+    assert "mic" in remarks[0]
+    assert "F3" in remarks[0]
+
+
+def test_microphones_with_a_volume_each_are_named(tmp_path):
+    """Each master is silent when its controller is at 0, and both are up by default."""
+    text = "".join(f"<master> locc2{n}=1 <region> key=53 sample={n}.wav\n" for n in (1, 2))
+    _, remarks = read_keys(library(tmp_path, text, "1.wav", "2.wav"))
+    assert any("mic" in remark and "F3" in remark for remark in remarks)
+
+
+@pytest.mark.parametrize("opcodes", ["seq_position={}", "lorand=0.{} hirand=0.5", "lovel={}", "sw_last={}"])
+def test_samples_that_a_player_chooses_among_are_different_strokes(tmp_path, opcodes):
+    text = "".join(f"<region> key=53 sample={n}.wav {opcodes.format(n)}\n" for n in (1, 2))
+    _, remarks = read_keys(library(tmp_path, text, "1.wav", "2.wav"))
+    assert not any("mic" in remark for remark in remarks)
 
 
 def test_a_copy_of_a_sample_is_left_out_of_its_key(tmp_path):
@@ -256,7 +272,7 @@ def test_a_copy_of_a_sample_is_left_out_of_its_key(tmp_path):
     (tmp_path / "c.wav").write_bytes(b"a.wav")
     keys, remarks = read_keys(source)
     assert [s.file.name for s in keys[0].samples] == ["a.wav", "b.wav", "d.wav"]
-    assert "c.wav" in remarks[0]
+    assert any("copies" in remark and "c.wav" in remark for remark in remarks)
 
 
 def test_a_missing_sample_is_named_with_its_region(tmp_path):

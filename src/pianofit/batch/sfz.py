@@ -36,6 +36,9 @@ DEFAULT = midi_to_note(DEFAULT_ROOT)
 TOP = 12_000.0  # Hz: highest partial that a sample's pitch is sought by, as in an analysis
 PEDALS = (64, 66, 67)  # controllers: sustain, sostenuto, una corda
 STRUCK = ("attack", "first", "legato")  # triggers by a key that is pressed
+# Opcodes by which the strokes of a key choose among its regions. One stroke starts all regions in which they are equal,
+# as far as controllers let it.
+_CHOICE = re.compile(r"(?:lo|hi)(?:key|vel|rand)|key|seq_\w+|sw_\w+|xf\w+")
 _STARTED = re.compile(r"(?:on|start)_(?:lo|hi)(?:hd)?cc\d+")
 _WHOLE = re.compile(r"(-?\d{1,3})(?:\.0*)?", re.ASCII)
 
@@ -67,6 +70,7 @@ class _Library:
     opcodes: set[str] = field(default_factory=set)
     switches: set[str] = field(default_factory=set)  # keys that choose an articulation
     samples: dict[str, dict[int, _Sample]] = field(default_factory=dict)  # by file and root note
+    at_once: dict[tuple, set[str]] = field(default_factory=dict)  # files that one stroke starts, by note and choice
     rootless: list[str] = field(default_factory=list)  # files without the root note that the region asks them for
 
 
@@ -118,6 +122,8 @@ def _add(library: _Library, number: int, region: dict[str, str], transpose: int)
     library.switches |= {region["sw_last"]} if "sw_last" in region else set()
     softest, hardest = _whole(region, "lovel", 1), _whole(region, "hivel", 127)
     found = _Sample(number, file, note, f"v{softest:03d}-{hardest:03d} {PurePosixPath(file).with_suffix('')}")
+    choice = tuple(sorted(item for item in region.items() if _CHOICE.fullmatch(item[0])))
+    library.at_once.setdefault((note, choice), set()).add(file)
     roots = library.samples.setdefault(file, {})
     # The same sample in several regions is one recording.
     roots[note] = min(roots.get(note, found), found, key=lambda s: s.layer)
@@ -169,8 +175,14 @@ def _remarks(library: _Library, chosen: Sequence[_Sample]) -> list[str]:
         for s in chosen
         if len(roots := library.samples[s.file]) > 1
     ]
+    together = sorted({note for (note, _), files in library.at_once.items() if len(files) > 1})
     return [
         _counts(library.left_out, "left out: "),
+        _listed(
+            "keys of which one stroke starts several samples, by microphones or controllers, which are not separated; "
+            "a CSV with a column mic separates them",
+            [midi_to_note(note) for note in together],
+        ),
         _listed("samples at several root notes", several),
         _listed(
             f"samples that do not name the root note that pitch_keycenter=sample asks for; key, pitch or {DEFAULT} "

@@ -23,7 +23,9 @@ INCLUDE = 200  # letters that one include counts as, for its time
 MAX_DEPTH = 50  # of includes in one another: libraries use 2 or 3, Python's stack ends near 300
 LEVELS = ("control", "global", "master", "group", "region")
 _COMMENT = re.compile(r"//[^\r\n]*|/\*.*?\*/", re.DOTALL)
-_DIRECTIVE = re.compile(r"""#include[ \t]+(?:"([^"]+)"|(\S+))|#define[ \t]+(\$\w+)(?:[ \t]+(?!#include|#define|<)(\S+))?""")
+_DIRECTIVE = re.compile(
+    r"""#include[ \t]+(?:"([^"]+)"|(\S+))|#define[ \t]+(\$\w+)(?:[ \t]+(?!#include|#define|<)(\S+))?"""
+)
 _TOKEN = re.compile(r"<(\w+)>|(?<![^\s>])(\w+)=", re.ASCII)
 
 
