@@ -222,7 +222,7 @@ def kinds() -> dict[str, Kind]:
         b"[initial]\nc = 310.0\n[bounds]\n"
         b'K_H = [1e8, 1e12]\n[[recording]]\nfile = "a.wav"\nv_H0 = 2.0\ngroup = "close"\nstrike = "one"\n'
     )
-    table = b"file,note,instrument,layer,velocity,group\na.wav,A3,grand,1,1.5,close\nb.wav,A3,grand,2,3.0,close\n"
+    table = b"file,note,instrument,layer,v_H0,group\na.wav,A3,grand,1,1.5,close\nb.wav,A3,grand,2,3.0,close\n"
     sfz = (
         b"#define $KEY 57\n<control> default_path=./\n<global> amp_veltrack=0\n<group> lovel=1 hivel=64\n"
         b"<region> sample=a.wav key=$KEY\n<group> lovel=65 hivel=127\n<region> sample=b.wav lokey=57 hikey=57 "

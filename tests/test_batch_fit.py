@@ -10,7 +10,7 @@ import pytest
 from batch_cases import CLI, python, results, struck
 
 from pianofit.batch import Local, Settings, Unit, make_unit, read_keys
-from pianofit.batch.units import Outcome, _astray
+from pianofit.batch.units import Outcome, _astray, _of_another_key
 from pianofit.cli import main
 from pianofit.io import encode_wav
 
@@ -91,16 +91,48 @@ def test_recordings_that_cannot_be_used_are_left_out_and_told(batch, tmp_path):
         (tmp_path / f"grand-C4-{layer}.wav").write_bytes((place / f"in/grand-C4-{layer}.wav").read_bytes())
     (tmp_path / "grand-C4-noise.wav").write_bytes((place / "in/grand-D4-noise.wav").read_bytes())
     (tmp_path / "grand-C4-text.wav").write_bytes(b"not a sound")
+    struck(tmp_path / "grand-C4-sharp.wav", 61, 2.0)  # a semitone off
+    struck(tmp_path / "grand-C4-octave.wav", 72, 2.0)
     (key,), _ = read_keys(tmp_path, pattern=PATTERN)
     outcome = in_a_worker(make_unit(key, Settings(page=False)), tmp_path)
     assert outcome.error == ""
-    assert [Path(one["file"]).name for one in outcome.left_out] == ["grand-C4-noise.wav", "grand-C4-text.wav"]
-    assert "is text" in outcome.left_out[1]["reason"]
+    reasons = {Path(one["file"]).stem.rpartition("-")[2]: one["reason"] for one in outcome.left_out}
+    assert set(reasons) == {"noise", "text", "sharp", "octave"}
+    assert "is text" in reasons["text"]
+    assert "C#4" in reasons["sharp"]
+    assert "C5" in reasons["octave"]
     document = json.loads(outcome.files["fit.json"])
     assert [t["file"] for t in document["recordings"]] == [str(tmp_path / f"grand-C4-{x}.wav") for x in "fp"]
     alone = json.loads((place / "out/keys/grand-C4/fit.json").read_bytes())
     assert document["parameters"] == alone["parameters"]  # another process, the same numbers
     assert "scratch" not in outcome.files["fit.json"].decode()  # nor in any note: that name is another one every time
+
+
+@pytest.mark.parametrize(
+    ("cents", "left_out"),
+    [
+        ([0, 2, -3], []),
+        ([0, 2, -100], [2]),
+        ([-100, 0], [0]),  # of two the one that has its name
+        ([0, 1, 99, 101], [2, 3]),
+        ([0, 100, 100, 101], [1, 2, 3]),  # more of them have another name
+        ([-45, -46, 55], [2]),  # an old piano, and a layer of its next key that has the name's pitch within a semitone
+        ([-55, -57, -61], []),  # on both sides of what a name may be off, but one string
+        ([100, 101, 99], []),  # all of another key: the key fails, nothing is left out
+        ([0], []),
+        ([], []),
+    ],
+)
+def test_a_recording_of_another_key_is_the_one_that_most_others_contradict(cents, left_out):
+    pitches = {Path(str(i)): 440.0 * 2 ** (c / 1200) for i, c in enumerate(cents)}
+    assert sorted(int(path.name) for path in _of_another_key(pitches, "A4")) == left_out
+
+
+def test_a_batch_leaves_out_what_a_fit_refuses():
+    from pianofit.batch import units
+    from pianofit.inference import problem
+
+    assert units.FEWEST == problem.FEWEST
 
 
 def test_a_name_is_wrong_from_a_semitone_on():

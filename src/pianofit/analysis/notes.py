@@ -8,9 +8,11 @@ import re
 from ..errors import AnalysisError
 from ..units import hertz_of, midi_of
 
-__all__ = ["hz_to_note", "midi_to_note", "near_note", "note_to_hz", "note_to_midi"]
+__all__ = ["SAME_KEY", "hz_to_note", "midi_to_note", "near_note", "note_to_hz", "note_to_midi"]
 
 HIGHEST_MIDI = 127  # of the MIDI standard
+# Pitches of one key's recordings differ by less than this, cents; the next key is 100 away.
+SAME_KEY = 40.0
 _STEPS = {"C": 0, "D": 2, "E": 4, "F": 5, "G": 7, "A": 9, "B": 11}
 _NAMES = ("C", "C#", "D", "D#", "E", "F", "F#", "G", "G#", "A", "A#", "B")
 _NOTE = re.compile(r"([A-Ga-g])(##|#|♯|s|bb|b|♭|)(-1|\d)")

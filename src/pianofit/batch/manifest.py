@@ -22,19 +22,27 @@ from ..errors import AnalysisError, SetupError
 from ..io import one_line, read_text
 from ..parameters import PARAMETERS
 from ..units import hertz_of
+from .paths import find_file
 
 __all__ = ["DEFAULT_PATTERN", "Key", "Sample", "listed", "manifest_text", "read_keys"]
 
 DEFAULT_PATTERN = "{instrument}-{note}[-{layer}]"
-COLUMNS = ("file", "note", "instrument", "take", "layer", "velocity", "group", "mic")
+COLUMNS = ("file", "note", "instrument", "take", "layer", "velocity", "v_H0", "group", "mic")
+# Headers of a MIDI velocity, and of a measured one with its unit, such as "velocity (m/s)" or "velocity_m_s".
+_MIDI = re.compile(r"(?:midi\W*_?)?velocity(?:\W*_?midi\W*)?")
+_MEASURED = re.compile(r"v_h0\b.*|velocity\W*_?m(?:/|_| )?s(?:\W*|\^?-1\W*)")
 SOUNDS = (".wav", ".flac")
+# What is said where velocities are listed without a unit.
+MIDI_VELOCITIES = (
+    "velocity is read as the MIDI velocity of a layer, which names it; give measured hammer velocities, m/s, as v_H0"
+)
 MAX_BYTES = 2**24
 MAX_ROWS = 100_000
 MAX_TAKES = 64  # of one key: memory of a joint fit grows with them
-TOLD = 5  # problems spelt out in one message
+NAMED = 5  # problems spelt out in one message
 _FIELDS = {
     "note": r"[A-Ga-g](?:##|#|♯|bb|b|♭|s)?(?:-1|\d)|\d{1,3}",
-    "velocity": r"\d+(?:\.\d+)?",
+    "velocity": r"\d+(?:\.\d+)?", "v_H0": r"\d+(?:\.\d+)?",
     "instrument": r"[^/]+?", "take": r"[^/]+?", "layer": r"[^/]+?", "group": r"[^/]+?",
     "mic": r"[^/]+?", "*": r"[^/]*?",
 }  # fmt: skip
@@ -48,7 +56,8 @@ class Row(NamedTuple):
     note: str
     instrument: str = ""
     layer: str = ""
-    velocity: str = ""
+    velocity: str = ""  # MIDI's, or any other name of a layer
+    v_H0: str = ""  # hammer velocity, measured, m/s
     group: str = ""
 
 
@@ -96,7 +105,7 @@ def read_keys(
         from .sfz import sfz_rows
 
         base = source.parent
-        rows, remarks = sfz_rows(source, root or base)
+        rows, remarks = sfz_rows(source, root or base, transpose)
     else:
         base = source.parent
         rows, remarks = _csv_rows(source)
@@ -120,7 +129,7 @@ def _csv_rows(source: Path) -> tuple[list[Row], list[str]]:
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=True)
     rows: list[Row] = []
     try:
-        columns = [c.strip().lower() for c in next(reader, [])]
+        columns = [_column(c) for c in next(reader, [])]
         _check_columns(name, columns)
         for cells in reader:
             if not any(c.strip() for c in cells):
@@ -135,7 +144,14 @@ def _csv_rows(source: Path) -> tuple[list[Row], list[str]]:
     except csv.Error as problem:
         raise SetupError(f"{name}: line {reader.line_num}: {problem}; correct that line") from None
     ignored = [c for c in columns if c not in COLUMNS]
-    return rows, [f"columns that have no meaning here: {', '.join(map(one_line, ignored))}"] if ignored else []
+    remarks = [f"columns that have no meaning here: {', '.join(map(one_line, ignored))}"] if ignored else []
+    return rows, remarks + [MIDI_VELOCITIES] * ("velocity" in columns and "v_H0" not in columns)
+
+
+def _column(header: str) -> str:
+    """The name of a column, whatever its case and the unit it is given with."""
+    name = header.strip().lower()
+    return "v_H0" if _MEASURED.fullmatch(name) else "velocity" if _MIDI.fullmatch(name) else name
 
 
 def _check_columns(name: str, columns: list[str]) -> None:
@@ -143,7 +159,7 @@ def _check_columns(name: str, columns: list[str]) -> None:
         if column not in columns:
             raise SetupError(
                 f"{name}: the header has no column {column!r} (it has {one_line(', '.join(columns))[:80]!r}); "
-                "give file and note, and if you like instrument, take or layer, velocity, group or mic"
+                "give file and note, and if you like instrument, take or layer, velocity, v_H0, group or mic"
             )
     for column in columns:
         if column in COLUMNS and columns.count(column) > 1:
@@ -155,7 +171,8 @@ def _csv_row(where: str, cells: dict[str, str]) -> Row:
     layer = " ".join(filter(None, (cells.get("layer", ""), cells.get("take", ""))))
     group = " ".join(filter(None, (cells.get("group", ""), cells.get("mic", ""))))
     return Row(
-        where, cells["file"], cells["note"], cells.get("instrument", ""), layer, cells.get("velocity", ""), group
+        where, cells["file"], cells["note"], cells.get("instrument", ""), layer,
+        cells.get("velocity", ""), cells.get("v_H0", ""), group,
     )  # fmt: skip
 
 
@@ -175,14 +192,14 @@ def _folder_rows(folder: Path, pattern: str) -> tuple[list[Row], list[str]]:
         seen = f"none of its {len(others)} recordings, such as {one_line(others[0])!r}," if others else "no recording"
         raise SetupError(f"{one_line(folder)}: {seen} fits the pattern {pattern!r}; give --pattern, such as "
                          "'{instrument}-{note}-{layer}.flac', or a manifest")  # fmt: skip
-    left = f"recordings that do not fit the pattern: {len(others)}, such as {one_line(others[0])}" if others else ""
-    return rows, [left] if left else []
+    left = [f"recordings that do not fit the pattern: {len(others)}, such as {one_line(others[0])}"] if others else []
+    return rows, left + [MIDI_VELOCITIES] * ("{velocity}" in pattern and "{v_H0}" not in pattern)
 
 
 def _expression(pattern: str) -> re.Pattern[str]:
     """A file-name pattern as a regular expression."""
     parts, seen, depth = [], [], 0
-    for field, other in re.findall(r"\{([a-z*]+)\}|(.)", pattern):
+    for field, other in re.findall(r"\{([a-zA-Z_0-9*]+)\}|(.)", pattern):
         if field and field not in _FIELDS:
             raise SetupError(f"--pattern {pattern!r}: {{{field}}} is not known; there are "
                              f"{', '.join('{' + f + '}' for f in _FIELDS)}")  # fmt: skip
@@ -209,6 +226,7 @@ def _keys(name: str, rows: list[Row], base: Path, root: Path, transpose: int) ->
     fence = root.resolve()
     for row in rows:
         try:
+            row = row._replace(layer=_layer(row))
             sample, midi = _sample(row, base, fence), note_to_midi(row.note) + transpose
             if not 0 <= midi <= 127:
                 raise SetupError(f"note {one_line(row.note)!r} is MIDI {midi} with --transpose {transpose}, "
@@ -252,8 +270,8 @@ def _with_strokes(samples: list[Sample]) -> tuple[Sample, ...]:
 
 def listed(problems: Sequence[str]) -> str:
     """The first of many problems, and how many more there are."""
-    more = f"; and {len(problems) - TOLD} more" if len(problems) > TOLD else ""
-    return "; ".join(problems[:TOLD]) + more
+    more = f"; and {len(problems) - NAMED} more" if len(problems) > NAMED else ""
+    return "; ".join(problems[:NAMED]) + more
 
 
 def _folder_name(instrument: str, note: str) -> str:
@@ -262,24 +280,24 @@ def _folder_name(instrument: str, note: str) -> str:
     return f"{safe}-{note.replace('#', 's')}" if safe else note.replace("#", "s")
 
 
-def _sample(row: Row, base: Path, fence: Path) -> Sample:
-    """A row with its file found inside the fence."""
+def _layer(row: Row) -> str:
+    """The name of a recording's layer, with its MIDI velocity, such as "v064", or another text that stands for it."""
+    if re.fullmatch(r"[\d.,]+", row.velocity) and not re.fullmatch(r"\d{1,3}", row.velocity, re.ASCII):
+        raise SetupError(f"velocity {one_line(row.velocity)!r} must be a MIDI velocity, a whole number; give a "
+                         "measured hammer velocity, m/s, as v_H0")  # fmt: skip
+    velocity = f"v{int(row.velocity):03d}" if row.velocity.isdecimal() else row.velocity
+    return " ".join(filter(None, (row.layer, velocity)))
+
+
+def _sample(row: Row, base: Path, root: Path) -> Sample:
+    """A row with its file found inside the root."""
     if not row.file:
         raise SetupError("no file is named")
-    shown = one_line(row.file)
-    try:
-        file = (base / row.file).resolve(strict=False)
-        if not file.is_relative_to(fence):
-            raise SetupError(f"{shown} leads out of {one_line(fence)}; allow a larger folder with --root")
-        if not file.is_file():
-            raise SetupError(f"{shown}: {'is a folder or a device' if file.exists() else 'no such file'}")
-        str(file).encode()
-    except (OSError, ValueError, RuntimeError):  # a name too long, links in a circle, a name that is no UTF-8
-        raise SetupError(f"{shown} is no usable path; rename it") from None
-    return Sample(file, row.layer, _velocity(row.velocity), row.group)
+    return Sample(find_file(row.file, base, root), row.layer, _measured(row.v_H0), row.group)
 
 
-def _velocity(text: str) -> float | None:
+def _measured(text: str) -> float | None:
+    """A hammer velocity in m/s."""
     if not text:
         return None
     box = PARAMETERS["v_H0"]
@@ -288,5 +306,5 @@ def _velocity(text: str) -> float | None:
     except ValueError:
         value = float("nan")
     if not box.lower <= value <= box.upper:
-        raise SetupError(f"velocity {one_line(text)!r} must be a number from {box.lower:g} to {box.upper:g} m/s")
+        raise SetupError(f"v_H0 {one_line(text)!r} must be a number from {box.lower:g} to {box.upper:g} m/s")
     return value

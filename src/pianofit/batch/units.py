@@ -18,7 +18,7 @@ import sys
 import tempfile
 import time
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib import metadata
 from math import log2
 from pathlib import Path
@@ -26,7 +26,7 @@ from typing import NamedTuple
 
 from .. import __version__
 from ..analysis import analyse
-from ..analysis.notes import hz_to_note, note_to_hz, note_to_midi
+from ..analysis.notes import SAME_KEY, hz_to_note, note_to_hz, note_to_midi
 from ..errors import AnalysisError, OutputError, PianofitError, RecordingError
 from ..io import NO_ROOM, one_line, read_file, unwritten, with_names
 from ..recording import MAX_BYTES, load_recording
@@ -37,6 +37,7 @@ __all__ = ["Outcome", "Settings", "Source", "Unit", "fit_unit", "make_unit", "ve
 SCHEMA = 1
 # A name is wrong when the string sounds further from it than this, cents; old pianos and stretched trebles do not.
 ASTRAY = 60.0
+FEWEST = 3  # partials that a recording needs next to others, as in a fit
 # What is wrong with the disk and not with a unit: the batch stops, and no unit counts as failed.
 NO_DISK = (*NO_ROOM, errno.EROFS)
 
@@ -275,16 +276,43 @@ def _fit(unit: Unit, files: list[Path], place: Path, out: Path, tell: Callable[[
 
 
 def _unusable(files: list[Path], unit: Unit) -> list[tuple[Path, str]]:
-    """Recordings that say nothing of this key by themselves, and why."""
-    found = []
+    """Recordings that cannot be used for this key, and why: by themselves, or because they are of another key."""
+    found, pitches = [], {}
     for file in files:
         try:
-            partials = len(analyse(load_recording(file, channel=unit.settings.channel), note=unit.note).partials)
-            if partials < 3 and len(files) > 1:
-                found.append((file, f"{file}: only {partials} partials stand above its noise"))
+            analysis = analyse(load_recording(file, channel=unit.settings.channel), note=unit.note)
+            if len(analysis.partials) < FEWEST and len(files) > 1:
+                found.append((file, f"{file}: only {len(analysis.partials)} partials stand above its noise"))
+            else:
+                pitches[file] = analysis.f0
         except PianofitError as error:
             found.append((file, str(error)))
-    return found
+    return found + [
+        (file, f"{file}: sounds at {pitches[file]:.1f} Hz, nearer to {hz_to_note(pitches[file])}, and the other "
+         f"recordings of {unit.note} at {key:.1f} Hz")
+        for file, key in _of_another_key(pitches, unit.note).items()
+    ]  # fmt: skip
+
+
+def _of_another_key(pitches: Mapping[Path, float], note: str) -> dict[Path, float]:
+    """Recordings of another key than `note`, each with the pitch of the key, Hz; empty if no recording is of the key.
+
+    One string has one pitch. The key is the largest set of recordings within `SAME_KEY` of one another whose pitch may
+    have the name `note`; of equally large sets it is the one nearest to that name.
+    """
+
+    def apart(a: float, b: float) -> float:
+        return abs(1200 * log2(a / b))
+
+    sets = {
+        f0: sum(apart(f0, other) <= SAME_KEY for other in pitches.values())
+        for f0 in pitches.values()
+        if not _astray(note, f0)
+    }
+    if not sets:
+        return {}
+    key = max(sets, key=lambda f0: (sets[f0], -apart(f0, note_to_hz(note))))
+    return {file: key for file, f0 in pitches.items() if apart(f0, key) > SAME_KEY}
 
 
 def _sounds_like(unit: Unit, files: list[Path]) -> str:

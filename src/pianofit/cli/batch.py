@@ -51,8 +51,8 @@ def batch(
         Path,
         typer.Argument(
             metavar="MANIFEST",
-            help="A CSV with the columns file and note (and instrument, take or layer, velocity, group, mic), an SFZ "
-            "file, or a folder of recordings.",
+            help="A CSV with the columns file and note (and instrument, take or layer, velocity, v_H0, group, mic), an "
+            "SFZ file, or a folder of recordings.",
         ),
     ],
     out: Annotated[
@@ -67,7 +67,7 @@ def batch(
         typer.Option(
             metavar="PATTERN",
             help="How the names of a folder's files are made: {note} and {instrument}, {layer}, {take}, {group}, "
-            "{mic}, {velocity}, {*}; what stands in [ ] may be missing.",
+            "{mic}, {velocity} (MIDI), {v_H0} (m/s), {*}; what stands in [ ] may be missing.",
         ),
     ] = None,
     root: Annotated[

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ..analysis import Analysis
+from ..analysis.notes import SAME_KEY
 from ..errors import FitError
 from ..felt import BOXES
 from ..io import one_line
@@ -24,8 +25,6 @@ from .start import Start, starting_values
 
 __all__ = ["Problem", "frame", "pose"]
 
-# Recordings of one key are within this of each other, cents; the next key is 100 away.
-SAME_KEY = 40.0
 # A recording with fewer partials above its noise says nothing of the hammer.
 FEWEST = 3
 # A search's contacts may last a whole number of times this many steps: of a bound no more need be known.

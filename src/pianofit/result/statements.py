@@ -16,6 +16,7 @@ from ..numbers import off_by, with_half_interval
 from ..units import NORMAL
 from .entries import described
 from .remarks import remarks
+from .velocities import VELOCITIES, questioned
 
 __all__ = [
     "AT_EDGE", "STATUSES", "STOPPED", "claims", "correlated", "invariant_status", "messages", "presumed", "scaling",
@@ -36,8 +37,6 @@ POOR = 0.5
 STRONG = 0.99
 # A recording whose levels are so many times as far off as the others' is named.
 FARTHER = 2.0
-# Hammer velocities of a pianist, fortissimo over pianissimo: 6 over 0.3 m/s (Askenfelt and Jansson 1991).
-VELOCITIES = 20.0
 # A second minimum with this share of the posterior is named.
 NAMED = 0.1
 MIXED = {
@@ -264,6 +263,7 @@ def messages(fit: Inferred, states: dict[str, str], worse: Sequence[str], errors
     """
     problem, bound = fit.problem, _bound(fit, states)
     said = [] if fit.found.minima.converged[0] else [STOPPED]
+    said += questioned(fit)
     said += _mixture(fit)
     said += _out_of_line(fit, errors)
     said += [WORSE.format(", ".join(worse))] if worse else []

@@ -1,0 +1,167 @@
+"""The text of an SFZ file as regions: comments, `#include`, `#define`, headers and inherited opcodes resolved.
+
+A file that stands on the stack of open includes would include itself for ever, because SFZ has no conditions; it is
+refused. Any other number of includes is legitimate, and only the length of the expanded text is limited.
+"""
+
+from __future__ import annotations
+
+import codecs
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+from ..errors import SetupError
+from ..io import one_line, read_file
+from .paths import find_file
+
+__all__ = ["SfzText", "regions"]
+
+MAX_BYTES = 2**24  # of one file: the largest libraries have 2 MiB
+MAX_TEXT = 2**24  # letters of the expanded text, one more for each piece; bounds time and memory
+INCLUDE = 200  # letters that one include counts as, for its time
+MAX_DEPTH = 50  # of includes in one another: libraries use 2 or 3, Python's stack ends near 300
+LEVELS = ("control", "global", "master", "group", "region")
+_COMMENT = re.compile(r"//[^\r\n]*|/\*.*?\*/", re.DOTALL)
+_DIRECTIVE = re.compile(
+    r"""#include[ \t]+(?:"([^"]+)"|(\S+))|#define[ \t]+(\$\w+)(?:[ \t]+(?!#include|#define|<)(\S+))?"""
+)
+_TOKEN = re.compile(r"<(\w+)>|(?<![^\s>])(\w+)=", re.ASCII)
+
+
+class SfzText:
+    """Reads an SFZ file and the files that it includes.
+
+    Parameters
+    ----------
+    source : the SFZ file; included files are relative to its folder, or else to the folder of the including file.
+    root : the folder that included files must lie in.
+    """
+
+    def __init__(self, source: Path, root: Path) -> None:
+        self.source, self.root = source, root.resolve()
+        self.recoded: list[Path] = []  # files that are not UTF-8
+        self._defined: dict[str, str] = {}
+        self._words = re.compile("(?!)")
+        self._texts: dict[Path, str] = {}
+        self._files: dict[tuple[str, Path], Path] = {}
+        self._left = MAX_TEXT
+
+    def pieces(self) -> Iterator[str]:
+        """Lines, or parts of lines around a directive, with included text in its place and variables replaced."""
+        yield from self._pieces(self.source, ())
+
+    def _pieces(self, file: Path, stack: tuple[Path, ...]) -> Iterator[str]:
+        stack = (*stack, file.resolve())
+        if len(stack) > MAX_DEPTH:
+            raise SetupError(f"{one_line(file)}: more than {MAX_DEPTH} files include one another; put them into one")
+        for line in self._text(file).splitlines():
+            at = 0
+            for match in _DIRECTIVE.finditer(line):
+                yield self._expanded(line[at : match.start()])
+                at = match.end()
+                quoted, bare, word, value = match.groups()
+                if word:
+                    self._define(word, self._expanded(value or ""))
+                else:
+                    included = self._included(self._expanded(quoted or bare), file, stack)
+                    yield from self._pieces(included, stack)
+            yield self._expanded(line[at:])
+
+    def _text(self, file: Path) -> str:
+        """The text of a file without comments; a byte that is not UTF-8 makes all of it Windows-1252."""
+        if file in self._texts:
+            return self._texts[file]
+        data = read_file(file, MAX_BYTES, SetupError)
+        if data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
+            raise SetupError(f"{one_line(file)}: is UTF-16 text; save it as UTF-8")
+        if b"\0" in data:
+            raise SetupError(f"{one_line(file)}: has a zero byte on line {data[: data.index(0)].count(10) + 1}; it is "
+                             "not a text file")  # fmt: skip
+        try:
+            text = data.decode("utf-8-sig")
+        except UnicodeDecodeError:
+            self.recoded.append(file)
+            text = data.decode("cp1252", errors="replace")
+        return self._texts.setdefault(file, _COMMENT.sub(lambda m: "\n" * m[0].count("\n") or " ", text))
+
+    def _define(self, word: str, value: str) -> None:
+        if word not in self._defined:
+            longest_first = sorted([*self._defined, word], key=len, reverse=True)
+            self._words = re.compile("|".join(map(re.escape, longest_first)))
+        self._defined[word] = value
+
+    def _expanded(self, text: str) -> str:
+        """Text with variables replaced, counted against `MAX_TEXT`."""
+
+        def value(match: re.Match[str]) -> str:
+            self._count(len(self._defined[match[0]]))
+            return self._defined[match[0]]
+
+        self._count(len(text) + 1)
+        return self._words.sub(value, text) if "$" in text else text
+
+    def _count(self, letters: int) -> None:
+        self._left -= letters
+        if self._left < 0:
+            raise SetupError(f"{one_line(self.source)}: its includes and variables expand to more than "
+                             f"{MAX_TEXT // 2**20} MiB of text; split the library")  # fmt: skip
+
+    def _included(self, name: str, file: Path, stack: tuple[Path, ...]) -> Path:
+        """The included file, inside the root and not open already."""
+        self._count(INCLUDE)
+        included = self._files.get((name, file)) or self._files.setdefault((name, file), self._found(name, file))
+        if included in stack:
+            raise SetupError(f"{one_line(file)}: includes {one_line(name)}, which includes itself; remove one #include")
+        return included
+
+    def _found(self, name: str, file: Path) -> Path:
+        """What `file` includes: seen from the library's folder, or else from that of `file`."""
+        folders = dict.fromkeys((self.source.parent, file.parent))
+        problems = []
+        for folder in folders:
+            try:
+                return find_file(name, folder, self.root)
+            except SetupError as problem:
+                problems.append(problem)
+        raise SetupError(f"{one_line(file)}: includes {problems[0]}")
+
+
+def regions(text: SfzText) -> Iterator[dict[str, str]]:
+    """Opcodes of every region, with those of the headers above it."""
+    levels: dict[str, dict[str, str]] = {level: {} for level in LEVELS}
+    current = "control"
+    for header, opcode, value in _tokens(text):
+        if header:
+            if current == "region":
+                yield _merged(levels)
+            current = header
+            below = LEVELS[LEVELS.index(header) :] if header in LEVELS and header != "control" else ()
+            for level in below:
+                levels[level] = {}
+        elif current in LEVELS:
+            levels[current][opcode] = value
+    if current == "region":
+        yield _merged(levels)
+
+
+def _merged(levels: dict[str, dict[str, str]]) -> dict[str, str]:
+    """A region's opcodes; `key` stands for `lokey`, `hikey` and `pitch_keycenter` and replaces inherited ones."""
+    merged: dict[str, str] = {}
+    for level in LEVELS:
+        own = levels[level]
+        if "key" in own:
+            for name in ("lokey", "hikey", "pitch_keycenter"):
+                merged.pop(name, None)
+        merged |= own
+    return merged
+
+
+def _tokens(text: SfzText) -> Iterator[tuple[str, str, str]]:
+    """Headers and opcodes in order: (header, "", "") or ("", opcode, value); a value may hold spaces."""
+    for piece in text.pieces():
+        found = [*_TOKEN.finditer(piece)]
+        ends = [*(match.start() for match in found[1:]), len(piece)]
+        for match, end in zip(found, ends, strict=False):
+            header, opcode = (match[1] or "").lower(), (match[2] or "").lower()
+            yield header, opcode, "" if header else piece[match.end() : end].strip()
