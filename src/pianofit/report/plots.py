@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from ..errors import FitError, ParameterError
 from ..result import Result
-from .build import envelopes_of, known_of, reference_curves
+from .build import contact_curves, envelopes_of, known_of, level_curves, reference_curves
 from .drawing import STYLE
 from .figures import draw_force, draw_levels, draw_spectrum
 from .figures_known import draw_correlations
@@ -24,7 +24,8 @@ __all__ = ["Plots"]
 class Plots:
     """Figures of one fit, of its reference recording. Each goes to `ax`, or to new axes, which are returned.
 
-    Raises `FitError` if the fit was read back from a file, which holds no recordings.
+    A fit that was read back shows force, levels and correlations at once; spectrum and envelopes read its recording
+    again. They raise `FitError` if that is not at its place or was changed.
     """
 
     result: Result
@@ -36,12 +37,12 @@ class Plots:
 
     def force(self, ax: Axes | None = None) -> Axes:
         """The hammer's force on the string, N over ms from the first touch, before and after the fit."""
-        curves = reference_curves(self.result)
+        curves = contact_curves(self.result)
         return _drawn(ax, lambda axes: draw_force(axes, curves))
 
     def levels(self, ax: Axes | None = None) -> Axes:
         """Levels of the partials, dB, measured with 95 % bars, initial and fitted."""
-        curves = reference_curves(self.result)
+        curves = level_curves(self.result)
         return _drawn(ax, lambda axes: draw_levels(axes, curves))
 
     def envelopes(self, ax: Axes | None = None, *, number: int | None = None) -> Axes:
