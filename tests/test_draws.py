@@ -99,6 +99,7 @@ def test_draws_are_read_as_they_were_written(tmp_path):
         for mine, theirs in zip(own, back.observed[kind], strict=True):
             np.testing.assert_array_equal(mine, theirs)
     assert encode_draws(back) == encode_draws(first)
+    assert len([*back.values()]) == len(first)
     assert len(repr(back)) < 300
     with np.load(tmp_path / DRAWS_FILE, allow_pickle=False) as file:  # and NumPy reads it
         np.testing.assert_array_equal(file["posterior/M_H/M_S"], first["M_H/M_S"])
@@ -160,6 +161,19 @@ def test_a_file_that_holds_no_draws_is_refused_in_one_line(name, tmp_path):
     finally:
         tracemalloc.stop()
     assert "\n" not in str(caught.value)
+
+
+def test_a_broken_archive_is_refused_or_holds_draws(tmp_path):
+    """Single bytes changed, in the arrays and in the archive's directory, and ends cut off."""
+    data, random = encode_draws(draws(2, 4)), np.random.default_rng(0)
+    directory = data.index(b"PK\x01\x02")
+    for turn in range(300):
+        broken = bytearray(data)
+        broken[random.integers(directory * (turn % 2), len(data))] = random.integers(256)
+        try:
+            written(tmp_path, bytes(broken[: None if turn % 7 else random.integers(1, len(data))]))
+        except FitError as refused:
+            assert DRAWS_FILE in str(refused)  # noqa: PT017
 
 
 def test_another_file_than_the_fit_s_is_refused(tmp_path):

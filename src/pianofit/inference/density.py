@@ -136,7 +136,7 @@ def log_density(at: Given, point: Point, cfg: Cfg):
 def log_likelihood(at: Given, point: Point, cfg: Cfg) -> tuple[Array, ...]:
     """Log density of each observation given all others: of levels, frequencies, decays, and absent partials."""
     at = jax.tree.map(jnp.asarray, at)
-    each = [pointwise(*term, jnp) for term in _terms(at, point, cfg)[2]]
+    each = [pointwise(table, r, phi, w, jnp) for table, r, phi, w in _terms(at, point, cfg)[2]]
     there = [own[tuple(found.T)] for (own, _), found in zip(each, at.found, strict=True)]
     return *there, each[0][1]
 

@@ -208,7 +208,7 @@ def _residuals(curves: Curves) -> Figure:
     return residuals
 
 
-def _without_nodes(curves: Curves, name: str) -> np.ndarray:
+def _without_nodes(curves: Curves | LevelCurves, name: str) -> np.ndarray:
     """Levels, dB, nan where far below all measured ones: a given strike position can be exactly on a node."""
     low, _ = span(curves.levels["measured"])
     level = curves.levels[name]

@@ -10,6 +10,7 @@ import hashlib
 import io
 import math
 import re
+import struct
 import zipfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -31,6 +32,11 @@ LARGEST_DRAWS, MOST_ARRAYS = 2**28, 4096
 WAY_OUT = "delete it to read the fit without its draws, or fit again"
 # The header of an array as NumPy writes it, of the two kinds of numbers that are stored.
 HEADER = re.compile(rb"\{'descr': '(<f8|<i8)', 'fortran_order': False, 'shape': \(([\d, ]*)\), \} *\n")
+# What the standard library's reader of archives raises for a broken one.
+BROKEN = (
+    EOFError, KeyError, NotImplementedError, OSError, OverflowError, RuntimeError, ValueError, struct.error,
+    zipfile.BadZipFile,
+)  # fmt: skip
 MAGIC = b"\x93NUMPY\x01\x00"
 
 
@@ -42,24 +48,24 @@ class Draws(Mapping[str, np.ndarray]):
     invariants that vary.
     """
 
-    values: dict[str, np.ndarray]  # [chains, draws] each
-    invariants: tuple[str, ...] = ()  # names of `values` that are no parameters
+    entries: dict[str, np.ndarray]  # [chains, draws] each
+    invariants: tuple[str, ...] = ()  # names of `entries` that are no parameters
     # Log density of each observation given all others, by kind: [chains, draws, observations] each.
     log_likelihood: dict[str, np.ndarray] = field(default_factory=dict)
     observed: dict[str, Observations] = field(default_factory=dict)
 
     def __getitem__(self, name: str) -> np.ndarray:
-        return self.values[name]
+        return self.entries[name]
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self.values)
+        return iter(self.entries)
 
     def __len__(self) -> int:
-        return len(self.values)
+        return len(self.entries)
 
     def __repr__(self) -> str:
-        chains, count = next(iter(self.values.values())).shape if self.values else (0, 0)
-        return f"Draws of {', '.join(self.values)}: {chains} chains of {count}"
+        chains, count = next(iter(self.entries.values())).shape if self.entries else (0, 0)
+        return f"Draws of {', '.join(self.entries)}: {chains} chains of {count}"
 
     def to_arviz(self) -> Any:
         """As `Result.to_arviz` gives them.
@@ -83,12 +89,12 @@ class Draws(Mapping[str, np.ndarray]):
         more = {"observed_data": observed, "constant_data": constant, "coords": coords, "dims": dims}
         if observed:
             more["log_likelihood"] = {kind: self.log_likelihood[kind] for kind in observed}
-        return arviz.from_dict(posterior=self.values, **(more if observed else {}))
+        return arviz.from_dict(posterior=self.entries, **(more if observed else {}))
 
 
 def encode_draws(draws: Draws) -> bytes:
     """The file's bytes; the same draws are the same bytes."""
-    arrays = {f"posterior/{name}": values for name, values in draws.values.items()}
+    arrays = {f"posterior/{name}": values for name, values in draws.items()}
     arrays |= {f"log_likelihood/{kind}": values for kind, values in draws.log_likelihood.items()}
     for kind, seen in draws.observed.items():
         arrays |= {f"{column}/{kind}": values for column, values in seen._asdict().items()}
@@ -119,8 +125,9 @@ def read_draws(entry: Any, folder: Path, invariants: Mapping[str, Any]) -> Draws
     try:
         tables = _tables(data)
         return _draws(tables, invariants)
-    except (KeyError, NotImplementedError, RuntimeError, ValueError, zipfile.BadZipFile) as problem:
-        raise FitError(f"{one_line(path)}: holds no draws ({one_line(problem)}); {WAY_OUT}") from None
+    except BROKEN as problem:
+        reason = one_line(problem) or type(problem).__name__
+        raise FitError(f"{one_line(path)}: holds no draws ({reason}); {WAY_OUT}") from None
 
 
 def _draws(tables: dict[str, dict[str, np.ndarray]], invariants: Mapping[str, Any]) -> Draws:
