@@ -114,8 +114,8 @@ def test_a_fit_that_was_read_back_is_saved_with_its_page(made):
     again = pianofit.Result.load(folder).save(folder.with_name("page"))
     assert (again / "fit.json").read_bytes() == (folder / "fit.json").read_bytes()
     assert (again / "report.html").stat().st_size > 1e5
-    read = [pianofit.load_recording(place / "fitted.wav").samples for place in (again, folder)]
-    alike(*read, 1e-5)
+    one, other = (pianofit.load_recording(place / "fitted.wav").samples for place in (again, folder))
+    alike(one, other, 1e-5)
 
 
 def test_an_older_file_says_what_it_lacks(made):

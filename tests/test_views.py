@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pianofit import ParameterError, analyse, fit, recording_from_samples, setup_from_dict
+from pianofit import ParameterError, Setup, analyse, fit, recording_from_samples, setup_from_dict
 from pianofit.felt import DEFAULT_LAW, LAWS
 from pianofit.inference import Inferred, estimate, pose, sampler
 from pianofit.inference.coordinates import names_of
@@ -90,10 +90,13 @@ def test_invariants_are_those_of_the_view():
 @pytest.mark.parametrize("law", LAWS)
 def test_names_are_those_of_the_felt_s_law(law):
     """A parameter that a law does not have has no row in the covariance, and no draws."""
-    names = named(pose([measured()], [analyse(measured())], replace(setup(), felt=law)))
+    names = named(pose([measured()], [analyse(measured())], Setup(length=1.0, felt=law)))
     assert {*names} == {*STRING_NAMES, *LAWS[law].parameters, "M_H", "x0", "width", "v_H0"}
     if law == DEFAULT_LAW.name:
-        assert conclude(Inferred(posed(), fitted(), 0)).covariance.names == tuple(names)
+        covariance = conclude(Inferred(posed(), fitted(), 0)).covariance
+        assert covariance.names == tuple(names)
+        at = reported(posed())["M_H"]
+        assert covariance["M_H", "M_H"] == fitted().posterior.covariance[0, at, at]
 
 
 def test_an_interval_ends_at_its_box_and_says_so():

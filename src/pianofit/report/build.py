@@ -109,12 +109,11 @@ def reference_curves(result: Result) -> Curves:
 
 def contact_curves(result: Result) -> ContactCurves:
     """The reference's stroke before and after the fit; of a fit that was read back it is struck anew."""
-    rate = int(result.document["recordings"][result.first]["rate"])
     if result.recordings:
         strokes = {"initial": result.initial.simulation, "fitted": result.fitted.simulation}
     else:
         notes = {"initial": initial_note(result, result.first), "fitted": result.note}
-        strokes = {name: note.strike(rate) for name, note in notes.items()}
+        strokes = {name: note.strike(_rate(result)) for name, note in notes.items()}
     # Until the last of the contacts is over, and a tenth more.
     steps = max(int(1.1 * one.last_touch / float(one.modes.step)) + 2 for one in strokes.values())
     return ContactCurves(
@@ -240,7 +239,12 @@ def _hardest(result: Result) -> Simulation:
     at = int(np.argmax([float(note.hammer.v_H0) for note in result.notes[0]]))
     if result.recordings:
         return result.recordings[at].fitted.simulation
-    return result.notes[0][at].strike(int(result.document["recordings"][at]["rate"]))
+    return result.notes[0][at].strike(_rate(result))
+
+
+def _rate(result: Result) -> int:
+    """The reference recording's rate, Hz."""
+    return int(result.document["recordings"][result.first]["rate"])
 
 
 def _shared(result: Result) -> tuple[tuple[str, ...], np.ndarray]:

@@ -15,7 +15,7 @@ import numpy as np
 from ..analysis import Analysis, analyse
 from ..errors import AnalysisError, FitError, ParameterError, RecordingError
 from ..fit_file import WAY_OUT, read_path
-from ..io import array_of, finite, one_line, reference_of
+from ..io import array_of, finite, one_line, reference_of, table_of
 from ..model.note import Note
 from ..parameters import STRING_NAMES, String, check
 from ..recording import Recording, Source, as_recording
@@ -100,9 +100,9 @@ def initial_note(result: Result, at: int) -> Note:
     try:
         string = String(**check({name: values[name] for name in STRING_NAMES}, "initial"))
         hammer = type(note.hammer)(**{name: values[name] for name in note.hammer._fields})
+        geometry = note.geometry._replace(strike=values["x0"], width=values["width"])
     except KeyError as missing:
         raise FitError(f"this fit.json does not hold the initial {missing.args[0]}; {AGAIN}") from None
-    geometry = note.geometry._replace(strike=values["x0"], width=values["width"])
     return Note(string, hammer, geometry, note.quantity, 1.0)
 
 
@@ -188,15 +188,16 @@ def _beside(result: Result, at: int, recording: Recording, analysis: Analysis) -
     initial, fitted = (
         replace(sound, level=listener.at(held[name], held["number"].astype(int))) for name, sound in sounds.items()
     )
-    heard = FittedRecording(initial, fitted, listener.level, recording, analysis, row["criterion"], row["levels"])
-    return heard if note.ringing is None else heard.ringing_by(note.ringing, _contact(result.document, at))
+    criterion, levels = (table_of(row, key, f"recordings[{at}]", WAY_OUT) for key in ("criterion", "levels"))
+    heard = FittedRecording(initial, fitted, listener.level, recording, analysis, criterion, levels)
+    return heard if note.ringing is None else heard.ringing_by(note.ringing, _contact(result, at))
 
 
-def _contact(document: dict[str, Any], at: int) -> float:
+def _contact(result: Result, at: int) -> float:
     """When the hammer touched after one recording's onset, s, by the order in which `ringing` has its group's."""
-    rows, layers = document["recordings"], document["ringing"].get("layers")
+    rows, layers = result.document["recordings"], result.document["ringing"].get("layers")
     place = [i for i, row in enumerate(rows) if row.get("group") == rows[at].get("group")]
-    place.sort(key=lambda i: rows[i]["v_H0"])
+    place.sort(key=lambda i: float(result.notes[0][i].hammer.v_H0))
     layers = layers if isinstance(layers, list) else []
     late = layers[place.index(at)].get("contact_s") if len(layers) == len(place) else None
     return finite(late, "ringing.layers contact_s", WAY_OUT)
