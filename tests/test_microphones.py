@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from twin_cases import MICROPHONES, VELOCITIES, fit_recordings, path_fit, strokes_of, through
 
+from pianofit import Result
 from pianofit.cli.summary import cross_validation
 from pianofit.errors import FitError
 from pianofit.inference import pose
@@ -55,6 +56,23 @@ def test_every_microphone_has_a_path_of_its_own():
 
 
 @pytest.mark.slow
+def test_every_microphone_is_read_back(tmp_path):
+    """Paths of all groups are in the file, and recordings that were arrays are given again."""
+    result, recordings = path_fit(MICROPHONES), through(MICROPHONES)[0]
+    back = Result.load(result.save(tmp_path / "fit", page=False)).with_recordings(*recordings)
+    assert back.first == result.first
+    for one, other in zip(back.recordings, result.recordings, strict=True):
+        note, theirs = one.fitted.note, other.fitted.note
+        np.testing.assert_allclose(note.path.db, theirs.path.db, rtol=1e-12)
+        np.testing.assert_allclose([*note.string, *note.hammer], [*theirs.string, *theirs.hammer], rtol=1e-12)
+        np.testing.assert_allclose(one.level, other.level, atol=1e-6)
+        for mine, sound in ((one.fitted, other.fitted), (one.initial, other.initial)):
+            np.testing.assert_allclose(mine.samples, sound.samples, atol=1e-6 * np.abs(sound.samples).max())
+            np.testing.assert_array_equal(mine.level, sound.level)
+    with pytest.raises(FitError, match="SHA-256"):
+        back.with_recordings(*recordings[::-1])
+
+
 def test_one_stroke_at_two_microphones_does_not_fix_the_felt():
     recordings, analyses = ([x[i] for i in (1, 3)] for x in through(MICROPHONES))
     document = fit_recordings(recordings, analyses, strokes_of(MICROPHONES)).document

@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pianofit import ParameterError, analyse, fit, recording_from_samples, setup_from_dict
-from pianofit.felt import DEFAULT_LAW
+from pianofit import ParameterError, Setup, analyse, fit, recording_from_samples, setup_from_dict
+from pianofit.felt import DEFAULT_LAW, LAWS
 from pianofit.inference import Inferred, estimate, pose, sampler
 from pianofit.inference.coordinates import names_of
 from pianofit.inference.density import folded, given, log_density, start
@@ -23,8 +23,9 @@ from pianofit.inference.estimate import Estimate
 from pianofit.inference.posterior import laplace
 from pianofit.inference.problem import Problem
 from pianofit.inference.profile import RISE, _Profile, profiles
-from pianofit.inference.views import check_intervals, open_messages, reported, view_of
+from pianofit.inference.views import check_intervals, named, open_messages, reported, view_of
 from pianofit.paper.laboratory import make_twin, setup_text
+from pianofit.parameters import STRING_NAMES
 from pianofit.result import conclude
 
 FORCE, P = (names_of(DEFAULT_LAW).index(name) for name in ("K_H", "p"))
@@ -84,6 +85,18 @@ def test_invariants_are_those_of_the_view():
     assert invariants["B"]["interval_by"] == "laplace"
     reference = next(row for row in document["recordings"] if row["first"])
     assert reference["v_H0_interval"] == table["v_H0"]["interval"]
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_names_are_those_of_the_felt_s_law(law):
+    """A parameter that a law does not have has no row in the covariance, and no draws."""
+    names = named(pose([measured()], [analyse(measured())], Setup(length=1.0, felt=law)))
+    assert {*names} == {*STRING_NAMES, *LAWS[law].parameters, "M_H", "x0", "width", "v_H0"}
+    if law == DEFAULT_LAW.name:
+        covariance = conclude(Inferred(posed(), fitted(), 0)).covariance
+        assert covariance.names == tuple(names)
+        at = reported(posed())["M_H"]
+        assert covariance["M_H", "M_H"] == fitted().posterior.covariance[0, at, at]
 
 
 def test_an_interval_ends_at_its_box_and_says_so():

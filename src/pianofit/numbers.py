@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import fields
 from decimal import Decimal
 from typing import Any
 
 __all__ = [
-    "LARGEST", "beside", "bracketed", "columns", "is_number", "number", "off_by", "with_half_interval", "with_interval",
-    "with_standard_error",
+    "LARGEST", "beside", "bracketed", "columns", "filled", "is_number", "number", "off_by", "summary",
+    "with_half_interval", "with_interval", "with_standard_error",
 ]  # fmt: skip
 
 # Larger numbers overflow when they are squared.
@@ -102,6 +103,36 @@ def columns(rows: Sequence[Sequence[str]], right: int) -> list[str]:
         "  ".join(f"{x:>{w}}" if i == right else f"{x:{w}}" for i, (x, w) in enumerate(zip(row, widths, strict=True)))
         .rstrip() for row in rows
     ]  # fmt: skip
+
+
+def summary(it: Any, *, lines: bool = False, exact: bool = False) -> str:
+    """A named tuple for a prompt: arrays by their shapes, numbers to six digits, or `exact`.
+
+    Each field stands on its own of several `lines`, or all on one.
+    """
+    comma, ends = (",\n  ", ("\n  ", "\n")) if lines else (", ", ("", ""))
+    inside = comma.join(f"{name}={_summarised(value, exact)}" for name, value in zip(it._fields, it, strict=True))
+    return f"{type(it).__name__}({ends[0]}{inside}{ends[1]})"
+
+
+def filled(it: Any) -> str:
+    """A dataclass for a prompt: only the fields that hold a value."""
+    values = {field.name: getattr(it, field.name) for field in fields(it)}
+    given = (f"{name}={value!r}" for name, value in values.items() if value not in (None, {}, ()))
+    return f"{type(it).__name__}({', '.join(given)})"
+
+
+def _summarised(value: Any, exact: bool) -> str:
+    if shape := getattr(value, "shape", ()):
+        return str(list(shape))
+    if hasattr(value, "_fields") and not exact:
+        return summary(value)
+    if exact:
+        return repr(value)
+    try:
+        return str(bool(value)) if str(getattr(value, "dtype", "")) == "bool" else f"{value:.6g}"
+    except (TypeError, ValueError):  # a text, None, or a tracer of JAX
+        return repr(value)
 
 
 def _supported(value: float, interval: Sequence[float]) -> int | None:

@@ -13,6 +13,7 @@ from numbers import Integral
 from typing import Any, NamedTuple
 
 from .errors import ParameterError, check_range
+from .numbers import summary
 
 __all__ = [
     "FIT_NAMES", "HAMMER_NAMES", "PARAMETERS", "STRING_NAMES", "Geometry", "Hammer", "Number", "Parameter", "String",
@@ -40,6 +41,9 @@ class String(NamedTuple):
     b1: Number
     b2: Number
 
+    def __repr__(self) -> str:
+        return summary(self, exact=True)
+
 
 class Hammer(NamedTuple):
     """The hammer and its felt (paper eq. 5 and 8), F = K_H u^p (1 + μ u̇); with μ = 0 the power law.
@@ -59,6 +63,9 @@ class Hammer(NamedTuple):
     M_H: Number
     v_H0: Number
 
+    def __repr__(self) -> str:
+        return summary(self, exact=True)
+
 
 class Geometry(NamedTuple):
     """The string's size, and where it is struck and heard; positions are measured from the agraffe.
@@ -77,6 +84,9 @@ class Geometry(NamedTuple):
     strike: Number
     width: Number
     pickup: Number
+
+    def __repr__(self) -> str:
+        return summary(self, exact=True)
 
 
 class Parameter(NamedTuple):

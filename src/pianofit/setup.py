@@ -19,6 +19,7 @@ from typing import Any
 from .errors import SetupError
 from .felt import BOXES, DEFAULT_LAW, LAWS, FeltLaw, is_own
 from .io import one_line, read_text
+from .numbers import filled
 from .parameters import Parameter
 
 __all__ = ["PICKUPS", "Layer", "Setup", "layer_of", "load_setup", "setup_from_dict"]
@@ -48,7 +49,7 @@ PLACES = {
 }  # fmt: skip
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Layer:
     """One recording of the note; checked by the `Setup` that it is given to."""
 
@@ -57,6 +58,9 @@ class Layer:
     group: str | None = None  # recordings of a group share one output path
     gain_group: str | None = None  # recordings of a gain group share one gain
     stroke: str | None = None  # recordings of one hammer stroke at several microphones have one
+
+    def __repr__(self) -> str:
+        return filled(self)
 
 
 # The tables of a file, and what each may hold.
@@ -67,7 +71,7 @@ KEYS: dict[str, tuple[str, ...]] = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Setup:
     """What was known beforehand, SI units; None or empty where nothing was said.
 
@@ -89,6 +93,9 @@ class Setup:
     bounds: dict[str, tuple[float, float]] = field(default_factory=dict)
     recordings: tuple[Layer, ...] = ()
     felt: str | FeltLaw | None = None  # the name of one of `felt.LAWS`, or a law of your own
+
+    def __repr__(self) -> str:
+        return filled(self)
 
     def __post_init__(self) -> None:
         checked: dict[str, Any] = {}

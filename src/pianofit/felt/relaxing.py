@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+from ..numbers import summary
 from ..parameters import Number, Parameter
 from .hunt_crossley import COLUMNS, literature
 from .law import FeltLaw
@@ -29,6 +30,9 @@ class MemoryHammer(NamedTuple):
     v_H0: Number  # initial hammer velocity, m/s
     epsilon: Number  # share of the stiffness that relaxes, 1
     tau: Number  # relaxation time, s
+
+    def __repr__(self) -> str:
+        return summary(self, exact=True)
 
 
 def force(u: Any, w: Any, felt: Any, c: Any = 0.0) -> Any:

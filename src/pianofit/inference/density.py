@@ -19,12 +19,12 @@ from .coordinates import STRING_SIZE
 from .descent import HYPER_REACH
 from .estimate import Estimate
 from .lanes import Cfg, Scene, own_levels, own_slopes
-from .likelihood import Table, objective
+from .likelihood import Table, objective, pointwise
 from .observations import string_residuals
 from .posterior import HYPER
 from .problem import Problem
 
-__all__ = ["Given", "Point", "folded", "given", "log_density", "start"]
+__all__ = ["Given", "Point", "folded", "given", "log_density", "log_likelihood", "start"]
 
 # What lies at a bound is first looked for within its prior, or this share of its box.
 OF_BOX = 0.25
@@ -125,14 +125,31 @@ def start(at: Given, key, apart: float) -> Point:
 def log_density(at: Given, point: Point, cfg: Cfg):
     """-F; minus infinity where a contact does not end."""
     at = jax.tree.map(jnp.asarray, at)
+    z, ended, terms = _terms(at, point, cfg)
+    mean, precision = at.prior
+    F = 0.5 * (precision * (z - mean) ** 2).sum()
+    for term in terms:
+        F = F + objective(*term)
+    return jnp.where(ended.all(), -F, -jnp.inf)
+
+
+def log_likelihood(at: Given, point: Point, cfg: Cfg) -> tuple[Array, ...]:
+    """Log density of each observation given all others: of levels, frequencies, decays, and absent partials."""
+    at = jax.tree.map(jnp.asarray, at)
+    each = [pointwise(table, r, phi, w, jnp) for table, r, phi, w in _terms(at, point, cfg)[2]]
+    there = [own[tuple(found.T)] for (own, _), found in zip(each, at.found, strict=True)]
+    return *there, each[0][1]
+
+
+def _terms(at: Given, point: Point, cfg: Cfg) -> tuple[Array, Array, list[tuple]]:
+    """z, whether contacts ended, and of every table what `objective` takes."""
     z = folded(at, point.theta)
     level, ended = _law(at, cfg)(z)
     o = at.tables[0]
     residual = (o.value - level[at.stroke][:, at.column] - at.offset) * at.there
     strings = [t.value[0] for t in at.tables[1:]]
     residuals = residual, *string_residuals(z[:STRING_SIZE], strings, *at.partials, jnp)[0]
-    mean, precision = at.prior
-    F = 0.5 * (precision * (z - mean) ** 2).sum()
+    terms = []
     for table, r, phi, w, found, x, y in zip(
         at.tables, residuals, at.phi, at.w, at.found, point.phi, point.log_w, strict=True
     ):
@@ -143,8 +160,8 @@ def log_density(at: Given, point: Point, cfg: Cfg):
         # An entry's log w has curvature (ν + 1)/2 where it is lowest.
         spread = jnp.sqrt(2 / (table.student + 1))
         change = jnp.zeros_like(w).at[found[:, 0], found[:, 1]].set(spread * y)
-        F = F + objective(table, r, hyper, w * jnp.exp(change))
-    return jnp.where(ended.all(), -F, -jnp.inf)
+        terms.append((table, r, hyper, w * jnp.exp(change)))
+    return z, ended, terms
 
 
 def _law(at: Given, cfg: Cfg):

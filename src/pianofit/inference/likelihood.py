@@ -52,6 +52,7 @@ __all__ = [
     "next_weights",
     "objective",
     "path_mean",
+    "pointwise",
     "predicted",
     "responsible",
     "solved",
@@ -245,6 +246,32 @@ def responsible(table: Table, each: Values) -> Values:
     return share / share.sum()
 
 
+def pointwise(table: Table, residual: Values, phi: Values, w: Values, xp: Space = np) -> tuple[Values, Values]:
+    """Log density of each observation given all others that are there [R, K], and of what is absent given these [N].
+
+    Entries share paths and columns, so F has no term of each alone: by C⁻¹ and s = C⁻¹r entry i is normal about
+    r_i - s_i/C⁻¹_ii with variance 1/C⁻¹_ii (Bürkner, Gabry and Vehtari 2021, Computational Statistics 36). Over nodes
+    it is the harmonic mean, by the weights that the nodes have given all that is there.
+    """
+    s = solved(table, residual, phi, w, xp)
+    p, found = s.pieces, table.found > 0
+    path = xp.diagonal(p.path, axis1=2, axis2=3)
+    inverse = (table.group @ path) * p.share**2 + p.precision * (1 - p.share)
+    inverse = xp.where(found, inverse[:, None] - (p.own**2).sum(axis=2), 1.0)
+    there = 0.5 * (xp.log(inverse / (2 * np.pi)) - s.push**2 / inverse)
+    below = (log_ndtr if xp is np else jax_log_ndtr)(s.z)
+    share = table.share - s.each - below.sum(axis=2)
+    share = share - _log_sum(share, xp)
+    there = -_log_sum(share[:, :, None, None] - there, xp)
+    return xp.where(found, there, 0.0), _log_sum(share[:, :, None] + below, xp)
+
+
+def _log_sum(x: Values, xp: Space) -> Values:
+    """Logarithm of the sum of exponentials over the nodes, the first two axes."""
+    most = x.max(axis=(0, 1))
+    return most + xp.log(xp.exp(x - most).sum(axis=(0, 1)))
+
+
 def objective(
     table: Table, residual: Float[AnyArray, "R K"], phi: Float[AnyArray, " hyper"], w: Float[AnyArray, "R K"],
     xp: Space = jnp,
@@ -257,10 +284,7 @@ def whole(table: Table, each: Values, phi: Values, w: Values, xp: Space = np) ->
     """F, of what it is at every node [T, M]."""
     mean, sd = table.prior
     mixture = 0.5 * table.student * (table.found * (w - 1 - xp.log(w))).sum()
-    score = table.share - each
-    most = score.max()
-    nodes = most + xp.log(xp.exp(score - most).sum())
-    return mixture - nodes + 0.5 * (((phi - mean) / sd) ** 2).sum()
+    return mixture - _log_sum(table.share - each, xp) + 0.5 * (((phi - mean) / sd) ** 2).sum()
 
 
 def next_weights(table: Table, by_log_w: np.ndarray, w: np.ndarray) -> np.ndarray:

@@ -16,11 +16,12 @@ from ..errors import ParameterError
 from ..model.precision import float64, scope
 from ..tables import optional
 from ..units import NORMAL
-from .density import Given, folded, given, log_density, start
+from .density import Given, folded, given, log_density, log_likelihood, start
 from .estimate import Estimate
 from .lanes import Cfg, pool
+from .likelihood import Table
 from .problem import Problem
-from .views import View, open_messages, reported
+from .views import Observations, View, named, open_messages, reported
 
 __all__ = ["check_sampler", "draws"]
 
@@ -71,7 +72,7 @@ def draws(problem: Problem, found: Estimate, seed: int) -> View:
             return [np.asarray(x) for x in run(key, at)]
 
     parts = list(pool().map(chain, keys))
-    z, acceptance, divergent, steps = (np.stack(column) for column in zip(*parts, strict=True))
+    z, acceptance, divergent, steps, *likelihoods = (np.stack(column) for column in zip(*parts, strict=True))
     logs, names = u.log_values(z), reported(problem)
     entries = {name: _entry(problem, i, logs[..., i]) for name, i in names.items()}
     mixed = _mixing(names, logs)
@@ -80,12 +81,33 @@ def draws(problem: Problem, found: Estimate, seed: int) -> View:
         "divergences": int(divergent.sum()), "evaluations": int(steps.sum()), "parameters": mixed,
     }  # fmt: skip
     messages = (*_messages(mixed, int(divergent.sum())), *open_messages(entries))
-    values = {name: np.exp(logs[..., i]) for name, i in names.items()}
-    return View("posterior", entries, messages, {"posterior": told}, values)
+    values = {name: np.exp(logs[..., i]) for name, i in named(problem).items() if u.free[i]}
+    observed = _observed(at, problem)
+    return View(
+        "posterior", entries, messages, {"posterior": told}, values, dict(zip(observed, likelihoods, strict=True)),
+        observed,
+    )  # fmt: skip
+
+
+def _observed(at: Given, problem: Problem) -> dict[str, Observations]:
+    """What was observed, in the order of `log_likelihood`."""
+    o = problem.observed
+
+    def of(table: Table, where: np.ndarray, number: np.ndarray, own: int) -> Observations:
+        row, column = np.asarray(where).reshape(-1, 2).T
+        return Observations(np.asarray(table.value)[row, column], own * (row + 1), np.asarray(number)[column])
+
+    numbers = (o.number, 1), (o.string_number, 0), (o.string_number, 0)
+    kinds = zip(("level", "frequency", "decay"), at.tables, at.found, numbers, strict=True)
+    found = {kind: of(table, where, *own) for kind, table, where, own in kinds}
+    return found | {"absent": of(at.tables[0], at.tables[0].absent, *numbers[0])}
 
 
 def _chain(key, at: Given, how: tuple[Cfg, int, int]):
-    """One chain: z in the box [draws, size], acceptance, divergences and steps of the trajectories [draws]."""
+    """One chain: z in the box [draws, size]; of the trajectories acceptance, divergences and steps [draws].
+
+    Then what `log_likelihood` gives [draws, observations].
+    """
     import blackjax
     from blackjax.adaptation.base import get_filter_adapt_info_fn
 
@@ -105,7 +127,8 @@ def _chain(key, at: Given, how: tuple[Cfg, int, int]):
     def one(state: Any, key):
         state, told = step(key, state)
         z = folded(at, state.position.theta)
-        return state, (z, told.acceptance_rate, told.is_divergent, told.num_integration_steps)
+        likelihoods = log_likelihood(at, state.position, cfg)
+        return state, (z, told.acceptance_rate, told.is_divergent, told.num_integration_steps, *likelihoods)
 
     return jax.lax.scan(one, state, jax.random.split(then, count))[1]
 

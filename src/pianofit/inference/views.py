@@ -3,16 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
 from ..errors import ParameterError
+from .coordinates import ABSENT
 from .estimate import Estimate, Progress
 from .problem import Problem
 
-__all__ = ["MEANS", "View", "check_intervals", "open_messages", "reported", "view_of"]
+__all__ = ["MEANS", "Observations", "View", "check_intervals", "named", "open_messages", "reported", "view_of"]
 
 MEANS = ("laplace", "profile", "posterior")
+
+
+class Observations(NamedTuple):
+    """What one table holds [observations each]."""
+
+    value: np.ndarray  # levels, and bounds of absent partials, dB; frequencies, cents, and log decays over their laws
+    recording: np.ndarray  # int, its place in the order given, from 1; 0 where a value is of all recordings
+    partial: np.ndarray  # int, k
 
 
 @dataclass(frozen=True)
@@ -23,7 +33,10 @@ class View:
     entries: dict[str, dict]  # by parameter: interval, interval_by, interval_open
     messages: tuple[str, ...] = ()
     diagnostics: dict = field(default_factory=dict)
-    draws: dict[str, np.ndarray] | None = None  # values [chains, draws] by name
+    draws: dict[str, np.ndarray] | None = None  # values [chains, draws] by name, of all that is searched
+    # Logarithms of the density of each observation given all others [chains, draws, observations], by table.
+    log_likelihood: dict[str, np.ndarray] = field(default_factory=dict)
+    observed: dict[str, Observations] = field(default_factory=dict)
 
 
 def check_intervals(means: str, recipe: str = "default") -> None:
@@ -63,6 +76,17 @@ def reported(problem: Problem) -> dict[str, int]:
     """What is free and shared, and the reference stroke's velocity: places in z by name."""
     u = problem.unknowns
     return {name: i for i, name in (*enumerate(u.names), (problem.velocity, "v_H0")) if u.free[i]}
+
+
+def named(problem: Problem) -> dict[str, int]:
+    """Places in z by name, of what the felt's law has and of every velocity.
+
+    `v_H0` is the velocity of the reference's stroke, `v_H0 N` that of stroke N.
+    """
+    u = problem.unknowns
+    shared = {name: u.at(name) for name in u.reported if u.mean[u.at(name)] > ABSENT}
+    strokes = range(u.shared, u.size)
+    return shared | {"v_H0" if at == problem.velocity else f"v_H0 {at - u.shared + 1}": at for at in strokes}
 
 
 def open_messages(entries: dict[str, dict]) -> list[str]:

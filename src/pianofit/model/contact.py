@@ -20,6 +20,7 @@ from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Bool, Complex, Float
 
 from ..errors import ParameterError
+from ..numbers import summary
 from ..parameters import HAMMER_NAMES
 from .exponentials import BLOCK, real_powers, ring
 from .felt import compression, force, memory_weights, remember
@@ -50,6 +51,9 @@ class Pulse(NamedTuple):
     work: Float[Array, ""]  # what the contact put into the string, J
     over: Bool[Array, ""]  # proven: the hammer cannot catch the string any more
 
+    def __repr__(self) -> str:
+        return summary(self)
+
 
 class Struck(NamedTuple):
     """What a contact left behind, `steps` steps after the first touch."""
@@ -65,6 +69,9 @@ class FreeMotion(NamedTuple):
     amplitude: Complex[Array, " modes"]  # m
     speed: Float[Array, ""]  # of the string under the hammer at t = 0, m/s, the scheme's
     energy: Float[Array, ""]  # J
+
+    def __repr__(self) -> str:
+        return summary(self)
 
 
 @float64

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import oaconvolve, resample_poly
 
+from ..numbers import summary
 from ..powers import powers
 from .path import at_velocity
 from .simulate import Simulation
@@ -64,6 +65,9 @@ class Force(NamedTuple):
     step: float  # s
     velocity: float  # of the hammer, m/s
 
+    def __repr__(self) -> str:
+        return summary(self)
+
     def drive(self, pole: np.ndarray) -> np.ndarray:
         """∫ F e^{-pole t} dt, N s, complex [modes]: how far a stroke sets modes ringing."""
         return np.exp(-np.outer(pole, self.step * np.arange(len(self.newton)))) @ self.newton * self.step
@@ -100,6 +104,9 @@ class Participation(NamedTuple):
     velocity: np.ndarray  # of the strokes, m/s, rising [strokes]
     factor: np.ndarray  # a, complex [strokes, modes]
 
+    def __repr__(self) -> str:
+        return summary(self)
+
     def at(self, velocity: float) -> np.ndarray:
         """As `at_velocity` has it between strokes, complex [modes]."""
         return at_velocity(self.velocity, self.factor, velocity)
@@ -119,6 +126,9 @@ class Ringing(NamedTuple):
     knock: np.ndarray  # file units over N s [channels, samples] at `rate`, from `LEAD` before the contact; can be empty
     rate: int  # of the knock, Hz
     participation: Participation | None = None  # a; where there is none, the force says all
+
+    def __repr__(self) -> str:
+        return summary(self)
 
     @property
     def channels(self) -> int:

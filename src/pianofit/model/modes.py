@@ -22,6 +22,7 @@ import numpy as np
 from jaxtyping import Array, Complex, Float
 
 from ..errors import ParameterError
+from ..numbers import summary
 from ..parameters import Geometry, String
 from .precision import AnyArray, float64
 
@@ -47,6 +48,9 @@ class Modes(NamedTuple):
     free_rate: Complex[Array, " modes"]  # v = Re(free_rate · C z^n) in free motion, 1/s
     free_pickup: Complex[Array, " modes"]  # the pickup for free motion, which no gain correction touches
     step: Float[Array, ""]  # δt, s
+
+    def __repr__(self) -> str:
+        return summary(self)
 
 
 def mode_frequencies(string: String, length: float, n_modes: int) -> np.ndarray:

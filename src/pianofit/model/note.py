@@ -12,6 +12,7 @@ import numpy as np
 from ..decode import RATES
 from ..errors import ParameterError, check_range
 from ..felt import MemoryHammer
+from ..numbers import summary
 from ..parameters import Geometry, Hammer, String, check_velocity
 from .contact import strike
 from .modal import LEAD, Ringing, force_of
@@ -53,6 +54,9 @@ class Note(NamedTuple):
     gain: float  # file units (full scale = 1) per unit of the pickup
     path: OutputPath | None = None  # dB over frequency, beside the gain
     ringing: Ringing | None = None  # what sounds in place of string and path, per unit of gain; they keep the levels
+
+    def __repr__(self) -> str:
+        return summary(self, lines=True)
 
     @property
     def f0(self) -> Any:

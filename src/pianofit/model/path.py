@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.signal import oaconvolve
 
+from ..numbers import summary
 from .response import level_energy
 
 __all__ = ["SAME_PARTIAL", "OutputPath", "Wander", "at_velocity", "filtered", "impulse", "through"]
@@ -29,6 +30,9 @@ class Wander(NamedTuple):
     velocity: np.ndarray  # of the strokes, m/s, rising [strokes]
     db: np.ndarray  # [strokes, partials]
 
+    def __repr__(self) -> str:
+        return summary(self)
+
 
 class OutputPath(NamedTuple):
     """A path known at some partials' frequencies, Hz, ascending.
@@ -40,6 +44,9 @@ class OutputPath(NamedTuple):
     db: np.ndarray
     decay: np.ndarray | None = None  # of each partial's decay rate over that of the string's law
     wander: Wander | None = None  # of predictions; what is played goes through one path
+
+    def __repr__(self) -> str:
+        return summary(self)
 
     def at(self, frequency: np.ndarray) -> np.ndarray:
         """The path in dB at `frequency`, Hz [any number]: a partial's own, if it is one that is known."""

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..errors import FitError, ParameterError
 from ..felt import check_hammer
+from ..numbers import summary
 from ..parameters import Geometry, String, check
 from .contact import FreeMotion, Pulse, free_motion, strike
 from .modes import HIGHEST, QUANTITIES, Modes, mode_frequencies, mode_table, raised_cosine_weights
@@ -50,6 +51,9 @@ class Simulation(NamedTuple):
     modes: Modes
     pulse: Pulse
     free: FreeMotion | None
+
+    def __repr__(self) -> str:
+        return summary(self, lines=True)
 
     def waveform(self, rate: float, samples: int) -> np.ndarray:
         """The signal [samples] from the first touch on; see `waveform`."""

@@ -47,7 +47,7 @@ def point_result(
     )
     heard = listener.compared(before, after, {"initial_db": before.level, "fitted_db": after.level})
     parameters = _parameters(start, (*string, *hammer), values, at_bound)
-    names = (*names_of(start.law), "v_H0")
+    names = (*(name for name in names_of(start.law) if name in parameters), "v_H0")
     document = describe(
         start, [heard], 0, [row(heard, parameters["v_H0"], start.scale is not None)],
         Covariance(names, np.zeros((len(names), len(names)))), recipe=recipe, seed=seed, converged=converged,

@@ -14,19 +14,20 @@ import numpy as np
 from ..analysis import law_frequency
 from ..errors import FitError, ParameterError
 from ..felt import law_of
-from ..io import finite, reference_of, table_of
-from ..model import static_force
+from ..io import reference_of
+from ..model import Simulation, static_force
 from ..model.decay import partial_decays
 from ..parameters import PARAMETERS
 from ..result import Covariance, Result
+from ..result.recall import initial_note, levels_of
 from ..ringing import HEARD, band, kernel_seconds, mel_edges, mel_power
 from ..units import NORMAL
-from .curves import Curves, Envelope, Felt, Known, RecordingCurves, RingingCurves, Strokes
+from .curves import ContactCurves, Curves, Envelope, Felt, Known, LevelCurves, RecordingCurves, RingingCurves, Strokes
 from .known import half_interval
 
 __all__ = [
-    "curves_of", "envelopes_of", "felt_of", "has_intervals", "known_of", "paths_of", "reached", "recordings_of",
-    "reference_curves", "ringing_curves", "spectrum_db", "strokes_of",
+    "contact_curves", "curves_of", "envelopes_of", "felt_of", "has_intervals", "known_of", "level_curves", "paths_of",
+    "reached", "recordings_of", "reference_curves", "ringing_curves", "spectrum_db", "strokes_of",
 ]  # fmt: skip
 
 ATTACK = 0.03  # s
@@ -56,14 +57,14 @@ ENVELOPE_POINTS = 400
 # Window, s, of the picture over time and frequency: between a knock's time and a partial's width.
 WINDOW = 0.09
 BANDS = 96  # of it, mel
-WAY_OUT = "give the file that pianofit fit wrote"
 
 
 # --- the reference recording ------------------------------------------------------------------------------------------
 
 
 def curves_of(result: Result) -> Curves:
-    """Everything the page shows of one fit."""
+    """Everything the page shows of one fit; errors as of `Result.with_recordings`."""
+    result = result.with_recordings()
     return replace(
         reference_curves(result), recordings=recordings_of(result), first=result.first, paths=paths_of(result),
         felt=felt_of(result), known=known_of(result), strokes=strokes_of(result), ringing=ringing_curves(result),
@@ -73,20 +74,18 @@ def curves_of(result: Result) -> Curves:
 def reference_curves(result: Result) -> Curves:
     """What is shown of the reference recording alone.
 
-    Raises `FitError` if the fit was read back from a file, which holds no recordings.
+    Raises `FitError` if the fit was read back, and a recording is not at its place or was changed.
     """
+    result = result.with_recordings()
     r, a, heard = result.recording, result.analysis, result.reference
     rate, onset, p, k = r.rate, r.onset, heard.partials, heard.partials.number
-    before, after = result.initial, result.fitted
+    before, after, contact = result.initial, result.fitted, contact_curves(result)
     top = min(0.5 * rate, TOP, float(law_frequency(a.f0, a.B, k.max() + 2)))
     sounds = {"measured": r.samples, "initial": before.samples, "fitted": after.samples}
     spectra = {name: spectrum_db(x[onset:], rate, top) for name, x in sounds.items()}
     attack = slice(onset, onset + int(ATTACK * rate))
     v = result.note
     f0, B = (result.document["derived"][name] for name in ("f0", "B"))
-    strokes = {"initial": before.simulation, "fitted": after.simulation}
-    # Until the last of the contacts is over, and a tenth more.
-    steps = max(int(1.1 * one.last_touch / float(one.modes.step)) + 2 for one in strokes.values())
     original = {"original": r.samples if heard.played.frames is None else r.frames}
     return Curves(
         frequency=spectra["measured"][0], spectra={name: level for name, (_, level) in spectra.items()},
@@ -101,12 +100,35 @@ def reference_curves(result: Result) -> Curves:
         decay_law=v.string.b1 + v.string.b2 * (k * np.pi / v.geometry.length) ** 2,
         levels={"measured": heard.level, "initial": before.level, "fitted": after.level}, level_error=p.level_error,
         path=None if v.path is None else v.path.at(p.frequency),
-        force_ms=1e3 * float(after.simulation.modes.step) * np.arange(steps),
-        force={name: _pad(one.pulse.force, steps) for name, one in strokes.items()},
-        compression={name: 1e3 * _pad(one.pulse.compression, steps) for name, one in strokes.items()},
+        force_ms=contact.force_ms, force=contact.force, compression=contact.compression,
         sound_rate=rate,
         sounds=original | ({"initial": before.samples, "fitted": heard.sound} if heard.ringing is None else
                            {"fitted": heard.sound, "law": after.samples}),
+    )  # fmt: skip
+
+
+def contact_curves(result: Result) -> ContactCurves:
+    """The reference's stroke before and after the fit; of a fit that was read back it is struck anew."""
+    if result.recordings:
+        strokes = {"initial": result.initial.simulation, "fitted": result.fitted.simulation}
+    else:
+        notes = {"initial": initial_note(result, result.first), "fitted": result.note}
+        strokes = {name: note.strike(_rate(result)) for name, note in notes.items()}
+    # Until the last of the contacts is over, and a tenth more.
+    steps = max(int(1.1 * one.last_touch / float(one.modes.step)) + 2 for one in strokes.values())
+    return ContactCurves(
+        force_ms=1e3 * float(strokes["fitted"].modes.step) * np.arange(steps),
+        force={name: _pad(one.pulse.force, steps) for name, one in strokes.items()},
+        compression={name: 1e3 * _pad(one.pulse.compression, steps) for name, one in strokes.items()},
+    )
+
+
+def level_curves(result: Result) -> LevelCurves:
+    """The levels of the reference's partials; `fit.json` holds them."""
+    levels = levels_of(result.document, result.first)
+    return LevelCurves(
+        number=levels["number"].astype(int), level_error=levels["error"],
+        levels={name: levels[name] for name in ("measured", "initial", "fitted")},
     )  # fmt: skip
 
 
@@ -197,12 +219,8 @@ def has_intervals(result: Result) -> bool:
 
 
 def reached(result: Result) -> float:
-    """The largest compression of the felt, m, in all recordings; in the reference if the fit was read back."""
-    found = [float(np.max(heard.fitted.simulation.pulse.compression)) for heard in result.recordings]
-    if found:
-        return max(found)
-    held = table_of(result.document, "derived", "fit.json", WAY_OUT)
-    return 1e-3 * finite(held.get("max_compression_mm"), "fit.json: derived.max_compression_mm", WAY_OUT)
+    """The largest compression of the felt in the hardest stroke, m."""
+    return float(np.max(_hardest(result).pulse.compression))
 
 
 def felt_of(result: Result, reach: float | None = None) -> Felt:
@@ -219,6 +237,19 @@ def felt_of(result: Result, reach: float | None = None) -> Felt:
 
     law = law_of(hammer)
     return Felt(1e3 * u, curve(False), curve(True) if law.slow else None, law.formula)
+
+
+def _hardest(result: Result) -> Simulation:
+    """The stroke of the fastest hammer, which compresses the felt most; of a fit that was read back struck anew."""
+    at = int(np.argmax([float(note.hammer.v_H0) for note in result.notes[0]]))
+    if result.recordings:
+        return result.recordings[at].fitted.simulation
+    return result.notes[0][at].strike(_rate(result))
+
+
+def _rate(result: Result) -> int:
+    """The reference recording's rate, Hz."""
+    return int(result.document["recordings"][result.first]["rate"])
 
 
 def _shared(result: Result) -> tuple[tuple[str, ...], np.ndarray]:
@@ -291,6 +322,7 @@ def ringing_curves(result: Result) -> RingingCurves | None:
 
 def envelopes_of(result: Result, numbers: list[int]) -> tuple[Envelope, ...]:
     """The envelopes of these partials of the reference, of the mean of its channels: recorded, by law, as it rings."""
+    result = result.with_recordings()
     heard = result.reference
     rate, onset, partials = heard.recording.rate, heard.recording.onset, heard.partials
     begin = max(onset - round(MORE * rate), 0)

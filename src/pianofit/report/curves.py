@@ -10,7 +10,10 @@ import numpy as np
 if TYPE_CHECKING:
     from ..model.decay import PartialDecay
 
-__all__ = ["Curves", "Envelope", "Felt", "Known", "RecordingCurves", "RingingCurves", "Strokes"]
+__all__ = [
+    "ContactCurves", "Curves", "Envelope", "Felt", "Known", "LevelCurves", "RecordingCurves", "RingingCurves",
+    "Strokes",
+]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -30,6 +33,24 @@ class RecordingCurves:
     onset: float  # s
     sound_original: np.ndarray
     sound_fitted: np.ndarray
+
+
+@dataclass(frozen=True)
+class ContactCurves:
+    """The reference's stroke, initial and fitted."""
+
+    force_ms: np.ndarray  # [steps], from the first touch
+    force: dict[str, np.ndarray]  # N [steps]
+    compression: dict[str, np.ndarray]  # mm [steps]
+
+
+@dataclass(frozen=True)
+class LevelCurves:
+    """Levels of the reference's partials: measured, initial and fitted."""
+
+    number: np.ndarray  # [partials], k
+    levels: dict[str, np.ndarray]  # dB [partials]
+    level_error: np.ndarray  # of the measured ones, one standard deviation [partials]
 
 
 @dataclass(frozen=True)

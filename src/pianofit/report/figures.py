@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .curves import Curves
+from .curves import ContactCurves, Curves, LevelCurves
 from .drawing import (
     BORDER,
     FAINT,
@@ -118,7 +118,7 @@ def draw_spectrum(axes: Axes, curves: Curves, dropped: tuple[str, ...]) -> None:
     _draw_spectra(axes, curves, edges, edges[0][0], edges[-1][1])
 
 
-def draw_force(axes: Axes, curves: Curves) -> None:
+def draw_force(axes: Axes, curves: Curves | ContactCurves) -> None:
     """Draw the hammer's force over time before and after the fit."""
     for name, force in curves.force.items():
         axes.plot(curves.force_ms, force, label=name, **LINES[name])
@@ -126,7 +126,7 @@ def draw_force(axes: Axes, curves: Curves) -> None:
     axes.set_ylim(bottom=0.0)
 
 
-def draw_levels(axes: Axes, curves: Curves) -> None:
+def draw_levels(axes: Axes, curves: Curves | LevelCurves) -> None:
     """Draw the partials' levels, measured, initial and fitted."""
     axes.plot(curves.number, _without_nodes(curves, "initial"), marker="s", ms=3.4, label="initial", **LINES["initial"])
     axes.plot(curves.number, _without_nodes(curves, "fitted"), marker="o", ms=3.4, label="fitted", **LINES["fitted"])
@@ -210,7 +210,7 @@ def _residuals(curves: Curves) -> Figure:
     return residuals
 
 
-def _without_nodes(curves: Curves, name: str) -> np.ndarray:
+def _without_nodes(curves: Curves | LevelCurves, name: str) -> np.ndarray:
     """Levels, dB, nan where far below all measured ones: a given strike position can be exactly on a node."""
     low, _ = span(curves.levels["measured"])
     level = curves.levels[name]

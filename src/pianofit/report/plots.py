@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from ..errors import FitError, ParameterError
 from ..result import Result
-from .build import envelopes_of, felt_of, known_of, reference_curves
+from .build import contact_curves, envelopes_of, felt_of, known_of, level_curves, reference_curves
 from .drawing import STYLE
 from .figures import draw_force, draw_levels, draw_spectrum
 from .figures_known import draw_correlations, draw_static_law
@@ -28,8 +28,8 @@ class Plots:
     To compare results in one figure, draw them into the same axes with a `label` each: `a.plot.felt(label="soft")`
     returns axes, and `b.plot.felt(axes, label="loud")` adds to them. Every label has a hue of its own.
 
-    `felt` and `correlations` are drawn of a fit that was read back from a file, too. The other figures show the
-    reference recording, which a file does not hold, and raise `FitError`.
+    A fit that was read back draws force, felt, levels and correlations without its recordings. `spectrum` and
+    `envelopes` read the reference recording again, and raise `FitError` if it is missing or was changed.
     """
 
     result: Result
@@ -41,14 +41,14 @@ class Plots:
 
     def force(self, ax: Axes | None = None, *, label: str | None = None) -> Axes:
         """The hammer's force on the string, N over ms from the first touch, before and after the fit."""
-        curves = reference_curves(self.result)
+        curves = contact_curves(self.result)
         return drawn_on(ax, lambda axes: draw_force(axes, curves), label)
 
     def felt(self, ax: Axes | None = None, *, label: str | None = None) -> Axes:
         """The felt's static force, N over mm of compression, with its 95 % band.
 
-        The curve ends at the largest compression of the recordings, or of the reference if the fit was read back.
-        Without a measured velocity the band holds at the reference velocity as shown.
+        The curve ends at the largest compression of the hardest stroke. Without a measured velocity the band holds at
+        the reference velocity as shown.
 
         Raises `FitError` if the fit was read back from a file without a covariance.
         """
@@ -57,7 +57,7 @@ class Plots:
 
     def levels(self, ax: Axes | None = None, *, label: str | None = None) -> Axes:
         """Levels of the partials, dB over the partial number, measured with 95 % bars, initial and fitted."""
-        curves = reference_curves(self.result)
+        curves = level_curves(self.result)
         return drawn_on(ax, lambda axes: draw_levels(axes, curves), label)
 
     def envelopes(self, ax: Axes | None = None, *, number: int | None = None, label: str | None = None) -> Axes:

@@ -9,9 +9,11 @@ import numpy as np
 from ..inference.coordinates import ABSENT
 from ..inference.infer import Inferred
 from ..inference.posterior import Posterior
+from ..inference.views import View, named
 from ..model.note import Note
 from ..parameters import FIT_NAMES
 from ..threads import one_blas_thread
+from .draws import Draws
 from .entries import describe, described, entry, no_interval, row, sizes, wander_document
 from .listener import heard_beside, together, worse_bands
 from .notes import notes_of
@@ -54,7 +56,7 @@ def conclude(fit: Inferred) -> Result:
         parameters=_parameters(fit, states, struck[problem.layout.stroke[problem.reference]]),
         minima=_minima(fit, notes), diagnostics=_diagnostics(fit),
     )  # fmt: skip
-    draws = None if fit.view is None else fit.view.draws
+    draws = None if fit.view is None or fit.view.draws is None else _draws(fit, document, fit.view)
     return Result(document, heard, problem.reference, notes, tuple(found.posterior.share.tolist()), draws)
 
 
@@ -84,16 +86,16 @@ def _velocities(fit: Inferred) -> list[dict]:
         value = float(np.exp(fit.found.z[at])) if measured is None else float(measured)
         note = "its scale is the prior's" if status == "scaled" else ""
         span = _interval(fit.posterior, np.eye(u.size)[at], value, u.range(at))
-        rows.append(entry(value, {"unit": UNITS["v_H0"]}, status, value, note, span))
+        begun = float(np.exp(fit.begun[at]))
+        rows.append(entry(value, {"unit": UNITS["v_H0"]}, status, begun, note, span))
     rows[problem.velocity - u.shared] |= fit.seen("v_H0")
     return rows
 
 
 def _parameters(fit: Inferred, states: dict[str, str], velocity: dict) -> dict[str, dict]:
     """Every parameter with value, unit, interval and status; `velocity` is the reference stroke's."""
-    problem, u, start = fit.problem, fit.problem.unknowns, fit.problem.start
-    log, initial = fit.posterior.mean[0], np.exp(u.log_values(fit.begun))
-    table = {"v_H0": velocity | {"initial": float(initial[problem.velocity])}}
+    u, start = fit.problem.unknowns, fit.problem.start
+    log, table = fit.posterior.mean[0], {"v_H0": velocity}
     for name in u.reported:
         i = u.at(name)
         if log[i] <= ABSENT:
@@ -225,7 +227,28 @@ def _diagnostics(fit: Inferred) -> dict:
 
 
 def _covariance(fit: Inferred) -> Covariance:
-    """Of all logarithms by name; `v_H0` is the reference stroke's velocity, `v_H0 N` that of stroke N."""
-    u = fit.problem.unknowns
-    strokes = ("v_H0" if at == fit.problem.velocity else f"v_H0 {at - u.shared + 1}" for at in range(u.shared, u.size))
-    return Covariance((*u.names, *strokes), fit.posterior.covariance[0])
+    """Of the logarithms of what this felt's law has, by name, and of the velocities."""
+    names = named(fit.problem)
+    return Covariance(tuple(names), fit.posterior.covariance[0][np.ix_([*names.values()], [*names.values()])])
+
+
+def _draws(fit: Inferred, document: dict, view: View) -> Draws:
+    """The draws of a view, with those of the invariants that vary."""
+    found, u = view.draws or {}, fit.problem.unknowns
+    held = {name: entry["value"] for name, entry in document["parameters"].items()}
+
+    def drawn(name: str) -> np.ndarray:
+        return np.asarray(found.get(name, held[name]))
+
+    g, strokes = fit.problem.start.geometry, {f"v/v_ref {n}": f"v_H0 {n}" for n in range(1, u.strokes + 1)}
+    table = {
+        "f0": drawn("c") / (2 * g.length), "B": (drawn("kappa") * np.pi / (drawn("c") * g.length)) ** 2,
+        "M_H/M_S": drawn("M_H") / g.mass, "x0/L": drawn("x0") / g.length,
+    } | {name: found[own] / drawn("v_H0") for name, own in strokes.items() if own in found}  # fmt: skip
+    if "F/M_S" in document["invariants"]:
+        stiffness, p = (drawn(u.names[i]) for i in u.power or ())
+        # At the reference's velocity as it is shown, where all velocities have one open scale s: K_H s^(1-p), s v.
+        scale = held["v_H0"] / drawn("v_H0") if fit.problem.unscaled else 1.0
+        table["F/M_S"] = stiffness * scale ** (1 - p) * np.exp(p * u.log_u) / g.mass
+    varying = {name: table[name] for name in document["invariants"] if name in table and np.ptp(table[name]) > 0}
+    return Draws({**found, **varying}, tuple(varying), view.log_likelihood, view.observed)

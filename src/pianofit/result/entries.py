@@ -33,7 +33,7 @@ def describe(
         "invariants": invariants,
         "parameters": parameters,
         "recordings": list(rows),
-        "pickup": {"quantity": start.quantity, "path": path_document(first.fitted.note.path)},
+        "pickup": {"quantity": start.quantity, "path": path_document(first.fitted.note.path)} | _paths(heard, rows),
         "minima": list(minima),
         "covariance": covariance.document(),
         "derived": _derived(first),
@@ -42,6 +42,12 @@ def describe(
         "diagnostics": diagnostics,
         "versions": _versions(),
     }  # fmt: skip
+
+
+def _paths(heard: Sequence[FittedRecording], rows: Sequence[dict]) -> dict:
+    """The paths of all groups by number, where there are several."""
+    found = {str(row["group"]): path_document(each.fitted.note.path) for each, row in zip(heard, rows, strict=True)}
+    return {"paths": found} if len(found) > 1 else {}
 
 
 def no_interval() -> dict:
@@ -88,9 +94,19 @@ def row(
     return {
         "file": recording.path, "sha256": recording.sha256, "channel": recording.channel, "rate": recording.rate,
         "onset_s": recording.onset / recording.rate, "v_H0": velocity["value"], "v_H0_interval": velocity["interval"],
-        "v_H0_status": velocity["status"], "gain": heard.fitted.note.gain,
+        "v_H0_status": velocity["status"], "v_H0_initial": velocity["initial"],
+        "note": heard.analysis.note, "gain": heard.fitted.note.gain,
         "gain_status": "given" if calibrated else "fitted", "first": first, "cents": cents, "group": group,
-        "stroke": stroke, "criterion": heard.criterion, "levels": heard.levels,
+        "stroke": stroke, "criterion": heard.criterion, "levels": heard.levels, "partials": _partials(heard),
+    }  # fmt: skip
+
+
+def _partials(heard: FittedRecording) -> dict[str, list]:
+    """The levels that are compared, dB [partials]."""
+    table = heard.partials
+    return {
+        "number": table.number.tolist(), "measured": heard.level.tolist(), "error": table.level_error.tolist(),
+        "initial": heard.initial.level.tolist(), "fitted": heard.fitted.level.tolist(),
     }  # fmt: skip
 
 

@@ -83,6 +83,10 @@ class Listener:
         """Full scale over the pickup's unit; None where that is not known."""
         return None if self.scale is None else 1.0 / self.scale
 
+    def begins(self, note: Note) -> int | None:
+        """Where in a calibrated recording the hammer touched; None where the onset says it."""
+        return None if self.gain is None else round(laid(note._replace(gain=self.gain), self.recording))
+
     def at(self, level: np.ndarray, number: np.ndarray) -> np.ndarray:
         """Levels, dB, of partials `number` at the recording's [partials]; as measured where there are none."""
         own = placed(level, number, self.analysis.partials.number, np.nan)
@@ -178,10 +182,9 @@ def heard_beside(fit: Inferred, notes: Sequence[Note]) -> tuple[FittedRecording,
     for i, note in enumerate(notes):
         recording = problem.recordings[i]
         listener = Listener.of(recording, problem.analyses[i], problem.start.scale)
-        if listener.gain is None:
-            gain, begins = 10 ** (integrated.columns[i][0] / 20), None  # the lowest partial has least of the onset's
-        else:
-            gain, begins = listener.gain, round(laid(note._replace(gain=listener.gain), recording))
+        begins = listener.begins(note)
+        # The lowest partial has least of the onset's.
+        gain = 10 ** (integrated.columns[i][0] / 20) if listener.gain is None else listener.gain
         after = listener.play(note, float(gain), begins, listener.at(fitted[i], columns))
         # The criterion's own gain on the initial sound: its level is not what is judged.
         before = listener.play(_played(fit, start, i), listener.gain, begins, listener.at(initial[i], columns))

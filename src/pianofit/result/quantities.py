@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,6 +14,8 @@ import numpy as np
 from ..felt import BOXES
 from ..numbers import bracketed
 from ..tables import data_frame, html_table, write_csv
+from ..units import NORMAL
+from .notation import latex_name, latex_unit, spec_of, with_interval, with_sd
 
 __all__ = ["UNITS", "Covariance", "Quantities", "Quantity"]
 
@@ -32,13 +35,31 @@ MEANINGS = {name: p.meaning for name, p in BOXES.items()} | {name: text for name
     "x0/L": "strike position over string length",
     "F/M_S": "static force of the felt at the reference compression, over the string mass",
 }  # fmt: skip
+# How far a value may lie from the middle of its interval, as a share of half of it, to have a standard uncertainty. A
+# Gaussian of the logarithm lies so far off where its standard deviation is 10 %.
+OFF_CENTRE = 0.1
 COLUMNS = ("name", "value", "low", "high", "unit", "status", "meaning", "note")
 HEADING = ("", "value", "95 % from", "to", "unit", "status", "", "")
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """One number that a fit reports."""
+    """One number that a fit reports.
+
+    It is a number to `float` and to format specifications, as those of the package `uncertainties`: `S` is the short
+    form with the uncertainty in parentheses, `L` is LaTeX, `P` has ±, and `.2u` asks for two digits of the uncertainty.
+
+    >>> import pianofit
+    >>> mass = pianofit.Quantity("M_H", 2.277, "g", (2.2692, 2.2848), "fitted", "hammer mass")
+    >>> f"{mass:S}", f"{mass:.2uP}", round(mass.sd, 4), float(mass)
+    ('2.277(4)', '2.2770±0.0040', 0.004, 2.277)
+
+    A value whose interval is open or lopsided has no such uncertainty, so the interval is written:
+
+    >>> loose = pianofit.Quantity("M_H", 2.277, "g", (1.9, 3.1), "fitted", "hammer mass", interval_open=("high",))
+    >>> f"{loose:S}", loose.sd
+    ('2.28 (> 1.90)', None)
+    """
 
     name: str
     value: float  # in `unit`
@@ -50,6 +71,43 @@ class Quantity:
     initial: float | None = None  # before the fit
     interval_by: str | None = None  # laplace, profile or posterior
     interval_open: tuple[str, ...] = ()  # the ends, low or high, that are the range's and not the recording's
+
+    @property
+    def sd(self) -> float | None:
+        """Standard uncertainty in `unit`: half of the 95 % interval over 1.96.
+
+        None where one number does not describe the interval: where nothing was fitted, an end is open, or the value is
+        not in the middle.
+        """
+        if self.interval is None or self.interval_open:
+            return None
+        low, high = self.interval
+        half = (high - low) / 2
+        middle = abs((low + high) / 2 - self.value)
+        return half / NORMAL if 0 < half < math.inf and middle <= OFF_CENTRE * half else None
+
+    def __float__(self) -> float:
+        return float(self.value)
+
+    def __format__(self, spec: str) -> str:
+        """The value with its uncertainty; `str` of it without a specification.
+
+        Where `sd` is None the 95 % interval is written, and the closed end of a half-open one as a bound.
+
+        Raises
+        ------
+        ParameterError
+            For a specification that does not exist.
+        """
+        if not spec:
+            return str(self)
+        asked, sd = spec_of(spec), self.sd
+        if sd is not None:
+            return with_sd(float(self.value), sd, asked)
+        return with_interval(float(self.value), self.interval, self.interval_open, asked)
+
+    def _repr_latex_(self) -> str:
+        return f"${latex_name(self.name)} = {self:L}{latex_unit(self.unit)}$"
 
     def __str__(self) -> str:
         value, span = bracketed(self.value, self.interval)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import copy
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -15,11 +16,12 @@ from ..analysis import Analysis, Partials
 from ..errors import FitError
 from ..felt import FeltLaw
 from ..fit_file import fit_path, gains_of, mixture_of, read_fit
-from ..io import one_line
+from ..io import one_line, reference_of
 from ..model import Simulation
+from ..model.modal import Ringing
 from ..model.note import Note
-from ..recording import Recording
-from ..tables import optional
+from ..recording import Recording, Source
+from .draws import DRAWS_FILE, Draws, read_draws
 from .quantities import Covariance, Quantities
 
 __all__ = ["FittedRecording", "Result", "Sound"]
@@ -63,6 +65,14 @@ class FittedRecording:
         """The fit as it plays this recording: as the key rings, or by the string's law."""
         return self.ringing or self.fitted
 
+    def ringing_by(self, ringing: Ringing, late: float) -> FittedRecording:
+        """The same with the fit as the key rings; the contact lies `late` seconds after the onset."""
+        law, recording = self.fitted, self.recording
+        note = law.note._replace(ringing=ringing)
+        touch = recording.onset + round(late * recording.rate)
+        frames = note.frames(law.simulation, recording.rate, len(recording.samples), touch)
+        return replace(self, ringing=Sound(note, frames.mean(axis=0), law.simulation, law.level, frames))
+
     @property
     def sound(self) -> np.ndarray:
         """`played` as a file has it [samples], or [channels, samples]."""
@@ -79,10 +89,11 @@ class FittedRecording:
 class Result:
     """A finished fit, or one that was read back from its `fit.json`.
 
-    `document` is what `fit.json` holds, `recordings` are in the order in which they were given, none for one that was
-    read back. What is shown of one recording is that of the `first`, the reference. `notes` are what plays each
-    minimum, for every recording, and `shares` their weights. `draws` are the posterior's, where it was asked for:
-    values [chains, draws] by name.
+    `document` is what `fit.json` holds. `recordings` are in the order in which they were given; a result that was read
+    back has none until `with_recordings` reads them, which plots, `save` and `report` do by themselves. One recording,
+    the `first`, is the reference. `notes` play each minimum, for every recording [minima][recordings], and `shares` are
+    the minima's weights. `draws` are the posterior's, where it was asked for: values [chains, draws] by name. `folder`
+    is where the result was read from.
     """
 
     document: dict
@@ -90,7 +101,8 @@ class Result:
     first: int
     notes: tuple[tuple[Note, ...], ...]
     shares: tuple[float, ...]
-    draws: dict[str, np.ndarray] | None = None
+    draws: Draws | None = None
+    folder: Path | None = None
 
     @property
     def claims(self) -> str:
@@ -148,11 +160,45 @@ class Result:
         Raises
         ------
         FitError
-            If the fit was read back: a file holds no recordings.
+            If the fit was read back, and its recording is not at its place or was changed.
         """
-        if not self.recordings:
-            raise FitError("this result was read from fit.json, which holds no recordings; fit them again")
-        return self.recordings[self.first]
+        return self.with_recordings().recordings[self.first]
+
+    def with_recordings(self, *recordings: Source) -> Result:
+        """The result with its recordings: itself, or one that was read back with the recordings read again.
+
+        Parameters
+        ----------
+        recordings : in the order of the fit; those at their recorded paths if none is given.
+
+        Raises
+        ------
+        FitError
+            Naming the recording that is missing, or whose SHA-256 is not that of the one that was fitted.
+
+        Examples
+        --------
+        With the folder that the example of `fit` saves, and the samples that were fitted there:
+
+        >>> import pianofit
+        >>> it = pianofit.preset("chabassier-F3")
+        >>> sound = pianofit.simulate(it.string, it.hammer, it.geometry, quantity="bridge-force")
+        >>> samples = sound.waveform(44_100, 88_200)
+        >>> result = pianofit.Result.load("fit").with_recordings((0.5 * samples / abs(samples).max(), 44_100))
+        >>> result.reference.recording.seconds
+        2.0
+        """
+        if recordings:
+            from .recall import recalled
+
+            return recalled(self, recordings)
+        return self if self.recordings else self._recalled
+
+    @cached_property
+    def _recalled(self) -> Result:
+        from .recall import recalled
+
+        return recalled(self)
 
     @property
     def initial(self) -> Sound:
@@ -222,30 +268,38 @@ class Result:
         return self.parameters.to_dataframe()
 
     def to_arviz(self) -> Any:
-        """The posterior's draws as ArviZ knows them, by name.
+        """The posterior's draws as ArviZ knows them.
+
+        The group "posterior" has parameters, the velocities of all strokes and invariants. "observed_data" has what was
+        compared: levels and bounds of absent partials, dB, and frequencies, cents, and decays, logarithms, over their
+        laws. "constant_data" names the recording and the partial of each observation. "log_likelihood" has the log
+        density of each observation given all others, for ArviZ's `loo` and `compare`.
 
         Raises
         ------
         FitError
-            If the fit has no draws, or was read back: a file does not hold them.
+            If the fit has no draws.
         OutputError
             If ArviZ is not installed.
         """
         if self.draws is None:
             if any(q.interval_by == "posterior" for q in self.parameters.values()):
-                raise FitError("fit.json does not hold the draws; fit the recordings again, and take that result's")
+                raise FitError(f"the draws, {DRAWS_FILE}, are not next to fit.json; copy them there, or fit again")
             raise FitError("there are no draws; fit with intervals='posterior'")
-        return optional("arviz", "draws for ArviZ").from_dict(posterior=self.draws)
+        return self.draws.to_arviz()
 
     def save(self, folder: str | os.PathLike[str], *, force: bool = False, page: bool = True) -> Path:
-        """Write `fit.json`, the sounds and the page to a folder, which is returned.
+        """Write `fit.json`, the draws, the sounds and the page to a folder, which is returned.
+
+        A result that was read back reads its recordings again for that. Without a `page` it needs none: its files are
+        copied.
 
         Raises
         ------
         OutputError
             If it cannot be written, or holds something and `force` is not given.
         FitError
-            If the fit was read back.
+            If the fit was read back, and a recording is not at its place or was changed.
         """
         from ..report.save import save
 
@@ -264,7 +318,7 @@ class Result:
         OutputError
             If it cannot be written.
         FitError
-            If the fit was read back.
+            If the fit was read back, and a recording is not at its place or was changed.
         """
         from ..report.save import write_page
 
@@ -272,20 +326,39 @@ class Result:
 
     @classmethod
     def load(cls, folder: str | os.PathLike[str], felt: FeltLaw | None = None) -> Result:
-        """A fit read back from the folder it was saved to, or its `fit.json`, which holds no recordings and no draws.
+        """A fit read back from the folder it was saved to, or its `fit.json`, with its draws.
 
-        `felt` is the felt's law, where the fit was by one of your own.
+        Numbers, tables, notes and the figures of force, levels and correlations are there at once. What needs the
+        recordings reads them from their recorded paths; see `with_recordings`.
+
+        Parameters
+        ----------
+        folder : that `save` or `pianofit fit` wrote, or the file in it.
+        felt : the felt's law, where the fit was by one of your own.
 
         Raises
         ------
         FitError
             Naming the file and what is wrong with it.
+
+        Examples
+        --------
+        With the folder that the example of `fit` saves:
+
+        >>> import pianofit
+        >>> result = pianofit.Result.load("fit")
+        >>> f"{result.invariants.f0:.1f}", result.parameters.c.sd > 0
+        ('175.0+/-0.0', True)
         """
         path = fit_path(folder)
         document, name = read_fit(path), one_line(path)
-        mixture = mixture_of(document, path, felt)
-        shares, notes = zip(*mixture, strict=True)
-        result = cls(document, (), 0, tuple((note,) for note in notes), shares)
+        shares, mixture = zip(*mixture_of(document, path, felt), strict=True)
+        from .recall import every_note
+
+        notes, (first, _) = every_note(document, mixture, name), reference_of(document["recordings"])
+        invariants = document.get("invariants")
+        draws = read_draws(document.get("draws"), path.parent, invariants if isinstance(invariants, dict) else {})
+        result = cls(document, (), first, notes, shares, draws, path.parent)
         try:
             _ = repr(result), result._repr_html_()
         except (AttributeError, IndexError, KeyError, TypeError, ValueError) as missing:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..model.modal import LEAD, Force, Ringing, force_of, resampled
-from ..result import FittedRecording, Result, Sound
+from ..result import FittedRecording, Result
 from ..ringing_file import ringing_document
 from ..threads import cores, one_blas_thread
 from .distance import log_mel_distances
@@ -143,18 +143,9 @@ def _attached(result: Result, layers: _Layers, key: Key, rung: str, distances: d
     recordings, best = list(result.recordings), list(result.notes[0])
     for place, late in zip(layers.place, key.delay, strict=True):
         best[place] = best[place]._replace(ringing=ringing)
-        recordings[place] = _as_it_rings(recordings[place], ringing, late)
+        recordings[place] = recordings[place].ringing_by(ringing, float(late))
     said |= ringing_document(ringing)
     notes = (tuple(best), *result.notes[1:])
     return dataclasses.replace(
         result, document=result.document | {"ringing": said}, recordings=tuple(recordings), notes=notes
     )  # fmt: skip
-
-
-def _as_it_rings(heard: FittedRecording, ringing: Ringing, late: float) -> FittedRecording:
-    """A recording beside a note that rings."""
-    law, recording = heard.fitted, heard.recording
-    note = law.note._replace(ringing=ringing)
-    touch = recording.onset + round(late * recording.rate)
-    frames = note.frames(law.simulation, recording.rate, len(recording.samples), touch)
-    return dataclasses.replace(heard, ringing=Sound(note, frames.mean(axis=0), law.simulation, law.level, frames))

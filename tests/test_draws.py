@@ -1,0 +1,215 @@
+"""Draws of the posterior: what each observation says, what a folder keeps of them, and what is refused."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import sys
+import tracemalloc
+import warnings
+import zipfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.special import logsumexp
+from scipy.stats import multivariate_normal, norm
+from table_cases import PHI, SHAPES, noise, point, shared, table
+
+import pianofit.model  # noqa: F401  (float64)
+from pianofit import Result
+from pianofit.errors import FitError
+from pianofit.inference.likelihood import pointwise
+from pianofit.inference.views import Observations
+from pianofit.result.draws import DRAWS_FILE, Draws, encode_draws, read_draws
+
+pytestmark = pytest.mark.usefixtures("float64")
+
+INVARIANTS = {"f0": {}, "M_H/M_S": {}}
+
+
+def draws(chains: int = 2, count: int = 30) -> Draws:
+    """Of a fit that never was."""
+    random = np.random.default_rng(3)
+    values = {name: random.normal(size=(chains, count)) for name in ("c", "v_H0", "v_H0 2", "f0", "M_H/M_S")}
+    seen = {kind: Observations(random.normal(size=n), np.ones(n, int), np.arange(1, n + 1))
+            for kind, n in (("level", 5), ("frequency", 3), ("absent", 0))}  # fmt: skip
+    likelihood = {kind: random.normal(size=(chains, count, len(own.value))) for kind, own in seen.items()}
+    return Draws(values, tuple(INVARIANTS), likelihood, seen)
+
+
+def entry(data: bytes) -> dict:
+    return {"file": DRAWS_FILE, "sha256": hashlib.sha256(data).hexdigest()}
+
+
+def written(folder: Path, data: bytes) -> Draws | None:
+    """What is read of a file that holds `data`, and whose document says so."""
+    (folder / DRAWS_FILE).write_bytes(data)
+    return read_draws(entry(data), folder, INVARIANTS)
+
+
+# --- the likelihood of each observation -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_an_observation_is_as_likely_as_it_makes_all_the_others(shape):
+    """By dense covariances: log p(y) - log p(y without it), each summed over nodes; and P(below its bound | y)."""
+    t, (residual, w) = table(shape), point(shape)
+    there, y = np.asarray(t.found).ravel() > 0, residual.ravel()
+    full = {node: shared(t, PHI, node) + np.diag((noise(t, PHI) / w).ravel()) for node in np.ndindex(t.share.shape)}
+
+    def log_density(at: np.ndarray) -> float:
+        each = [t.share[n] + multivariate_normal(np.zeros(len(at)), C[np.ix_(at, at)]).logpdf(y[at])
+                for n, C in full.items()]  # fmt: skip
+        return float(logsumexp(each))
+
+    found, below = pointwise(t, residual, PHI, w)
+    inside = np.flatnonzero(there)
+    for i in inside[:: max(1, len(inside) // 6)]:
+        alone = log_density(inside) - log_density(inside[inside != i])
+        assert found.ravel()[i] == pytest.approx(alone, abs=1e-8)
+    assert not found.ravel()[~there].any()
+    for (r, k), said in zip(np.asarray(t.absent), below, strict=True):
+        at, own = r * t.value.shape[1] + k, noise(t, PHI).ravel()
+        each = []
+        for n in full:
+            latent, C = shared(t, PHI, n), full[n][np.ix_(inside, inside)]
+            pull = np.linalg.solve(C, latent[inside, at])
+            sd = np.sqrt(latent[at, at] + own[at] - pull @ latent[inside, at])
+            weight = t.share[n] + multivariate_normal(np.zeros(len(inside)), C).logpdf(y[inside])
+            each.append(weight - log_density(inside) + norm.logcdf((y[at] - pull @ y[inside]) / sd))
+        assert said == pytest.approx(logsumexp(each), abs=1e-8)
+
+
+# --- a file, and back -------------------------------------------------------------------------------------------------
+
+
+def test_draws_are_read_as_they_were_written(tmp_path):
+    first = draws()
+    back = written(tmp_path, encode_draws(first))
+    assert back is not None
+    assert list(back) == list(first)
+    assert back.invariants == first.invariants
+    for name, values in first.items():
+        np.testing.assert_array_equal(back[name], values)
+    for kind, own in first.observed.items():
+        np.testing.assert_array_equal(back.log_likelihood[kind], first.log_likelihood[kind])
+        for mine, theirs in zip(own, back.observed[kind], strict=True):
+            np.testing.assert_array_equal(mine, theirs)
+    assert encode_draws(back) == encode_draws(first)
+    assert len([*back.values()]) == len(first)
+    assert len(repr(back)) < 300
+    with np.load(tmp_path / DRAWS_FILE, allow_pickle=False) as file:  # and NumPy reads it
+        np.testing.assert_array_equal(file["posterior/M_H/M_S"], first["M_H/M_S"])
+
+
+def test_a_fit_without_draws_has_none(tmp_path):
+    data = encode_draws(draws())
+    assert read_draws(entry(data), tmp_path, {}) is None, "the file was deleted"
+    (tmp_path / DRAWS_FILE).write_bytes(data)
+    assert read_draws(None, tmp_path, {}) is None, "an older fit left it"
+
+
+def archive(arrays: dict[str, np.ndarray], compression: int = zipfile.ZIP_STORED) -> bytes:
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", compression) as file:
+        for name, values in arrays.items():
+            own = io.BytesIO()
+            np.save(own, values)
+            file.writestr(name + ".npy", own.getvalue())
+    return stream.getvalue()
+
+
+ONE = np.ones((2, 3))
+SEEN = {"log_likelihood/level": np.ones((2, 3, 4)), "value/level": np.ones(4), "partial/level": np.ones(4)}
+HUGE = b"\x93NUMPY\x01\x00" + (118).to_bytes(2, "little") + (
+    b"{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000000,), }".ljust(117) + b"\n"
+)  # fmt: skip
+
+
+def hostile(name: str) -> bytes:
+    """Files of the right hash that hold something else."""
+    own = io.BytesIO()
+    with zipfile.ZipFile(own, "w") as file:
+        file.writestr("posterior/c.npy", HUGE)
+    return {
+        "text": b"no archive", "empty": archive({}), "cut": encode_draws(draws())[:-300], "huge": own.getvalue(),
+        "pickled": archive({"posterior/c": np.array([[{}]], object)}),
+        "bomb": archive({"posterior/c": np.zeros((1000, 1000))}, compression=zipfile.ZIP_DEFLATED),
+        "single": archive({"posterior/c": ONE.astype(np.float32)}), "column": archive({"posterior/c": ONE[0]}),
+        "uneven": archive({"posterior/c": ONE, "posterior/p": ONE.T}), "other": archive({"posterior/c": ONE, "a": ONE}),
+        "infinite": archive({"posterior/c": np.inf * ONE}), "half": archive({"posterior/c": ONE} | SEEN),
+        "short": archive({"posterior/c": ONE, "recording/level": np.ones(3)} | SEEN),
+        "none": archive({"posterior/c": ONE[:, :0]}),
+    }[name]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["text", "empty", "cut", "huge", "pickled", "bomb", "single", "column", "uneven", "other", "infinite", "half",
+     "short", "none"],
+)  # fmt: skip
+def test_a_file_that_holds_no_draws_is_refused_in_one_line(name, tmp_path):
+    data = hostile(name)
+    tracemalloc.start()
+    try:
+        with pytest.raises(FitError, match=r"draws\.npz: holds no draws") as caught:
+            written(tmp_path, data)
+        assert tracemalloc.get_traced_memory()[1] < 1e6 + 8 * len(data)
+    finally:
+        tracemalloc.stop()
+    assert "\n" not in str(caught.value)
+
+
+def test_a_broken_archive_is_refused_or_holds_draws(tmp_path):
+    """Single bytes changed, in the arrays and in the archive's directory, and ends cut off."""
+    data, random = encode_draws(draws(2, 4)), np.random.default_rng(0)
+    directory = data.index(b"PK\x01\x02")
+    for turn in range(300):
+        broken = bytearray(data)
+        broken[random.integers(directory * (turn % 2), len(data))] = random.integers(256)
+        try:
+            written(tmp_path, bytes(broken[: None if turn % 7 else random.integers(1, len(data))]))
+        except FitError as refused:
+            assert DRAWS_FILE in str(refused)  # noqa: PT017
+
+
+def test_another_file_than_the_fit_s_is_refused(tmp_path):
+    data = encode_draws(draws())
+    (tmp_path / DRAWS_FILE).write_bytes(encode_draws(draws(3)))
+    with pytest.raises(FitError, match=r"draws\.npz: .*SHA-256"):
+        read_draws(entry(data), tmp_path, INVARIANTS)
+
+
+def test_a_folder_keeps_the_draws(tmp_path):
+    """Saved, read, saved without them: no draws of an earlier fit stay."""
+    from test_result import result
+
+    mine = replace(result(), draws=draws())
+    folder = mine.save(tmp_path / "fit", page=False)
+    back = Result.load(folder)
+    assert back.draws is not None
+    np.testing.assert_array_equal(back.draws["v_H0 2"], draws()["v_H0 2"])
+    again = back.save(tmp_path / "again", page=False)
+    assert {f.name: f.read_bytes() for f in again.iterdir()} == {f.name: f.read_bytes() for f in folder.iterdir()}
+    (folder / DRAWS_FILE).unlink()
+    assert Result.load(folder).draws is None
+    result().save(again, page=False, force=True)
+    assert not (again / DRAWS_FILE).exists()
+    assert "draws" not in json.loads((again / "fit.json").read_text())
+
+
+def test_arviz_has_what_a_study_needs(monkeypatch):
+    # Other tests put benchmarks/ on the path, whose coverage.py numba would take for the package of that name.
+    monkeypatch.delitem(sys.modules, "coverage", raising=False)
+    monkeypatch.setattr(sys, "path", [place for place in sys.path if not place.endswith("benchmarks")])
+    with warnings.catch_warnings(action="ignore"):  # of its own plans
+        pytest.importorskip("arviz")
+        data = draws().to_arviz()
+    assert {*data.posterior.data_vars} == {*draws()}
+    np.testing.assert_array_equal(data.observed_data["level"], draws().observed["level"].value)
+    np.testing.assert_array_equal(data.constant_data["level_partial"], [1, 2, 3, 4, 5])
+    np.testing.assert_array_equal(data.log_likelihood["frequency"], draws().log_likelihood["frequency"])
+    assert data.log_likelihood["level"].dims == ("chain", "draw", *data.observed_data["level"].dims)

@@ -1,0 +1,143 @@
+"""A fit that was read back: what it shows without its recording, and all of it with the file that was fitted."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from twin_cases import FIRST, record_model
+
+import pianofit
+from pianofit.errors import FitError
+from pianofit.report import build
+from pianofit.result.recall import levels_of
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory) -> tuple[pianofit.Result, Path]:
+    """The fit of a file, which rings by its modes, and the folder that it was saved to."""
+    place = tmp_path_factory.mktemp("recall")
+    recording = record_model(FIRST, quantity="bridge-force", seconds=1.5)
+    (place / "note.wav").write_bytes(pianofit.encode_wav(recording.samples, recording.rate))
+    setup = pianofit.Setup(length=FIRST.geometry.length, mass=FIRST.geometry.mass)
+    result = pianofit.fit(place / "note.wav", setup=setup, progress=False)
+    return result, result.save(place / "fit", page=False)
+
+
+def copied(folder: Path, name: str, document: dict) -> Path:
+    """The folder with another document."""
+    place = shutil.copytree(folder, folder.with_name(name), dirs_exist_ok=True)
+    (place / "fit.json").write_text(json.dumps(document))
+    return place
+
+
+def alike(one: np.ndarray, other: np.ndarray, share: float = 1e-9) -> None:
+    """To a share of the largest."""
+    np.testing.assert_allclose(one, other, atol=share * np.nanmax(np.abs(other)), rtol=1e-9)
+
+
+def test_what_needs_no_recording_is_shown_without_it(made, monkeypatch):
+    plt = pytest.importorskip("matplotlib.pyplot")
+    plt.switch_backend("Agg")
+    result, folder = made
+    back = pianofit.Result.load(folder)
+    monkeypatch.setattr("pianofit.result.recall.recalled", None)  # not to be called
+    contact, levels = build.contact_curves(back), build.level_curves(back)
+    fresh = build.reference_curves(result)
+    for name in ("initial", "fitted"):
+        alike(contact.force[name], fresh.force[name])
+        alike(contact.compression[name], fresh.compression[name])
+        np.testing.assert_array_equal(levels.levels[name], fresh.levels[name])
+    alike(contact.force_ms, fresh.force_ms)
+    np.testing.assert_array_equal(levels.levels["measured"], fresh.levels["measured"])
+    np.testing.assert_array_equal(levels.level_error, fresh.level_error)
+    alike(build.felt_of(back).force, build.felt_of(result).force)
+    for draw in (back.plot.force, back.plot.levels, back.plot.correlations):
+        assert draw().has_data()
+    plt.close("all")
+
+
+def test_with_its_recording_it_is_the_result_that_was_saved(made):
+    result, folder = made
+    back = pianofit.Result.load(folder)
+    assert back.recordings == ()
+    whole = back.with_recordings()
+    assert whole.with_recordings() is whole
+    one, other = whole.reference, result.reference
+    for name in ("samples", "frames"):
+        np.testing.assert_array_equal(getattr(one.recording, name), getattr(other.recording, name))
+    for field in dataclasses.fields(one.analysis.partials):
+        np.testing.assert_array_equal(getattr(one.partials, field.name), getattr(other.partials, field.name))
+    for mine, theirs in ((one.initial, other.initial), (one.fitted, other.fitted), (one.played, other.played)):
+        alike(mine.samples, theirs.samples, 1e-6)
+        alike(mine.level, theirs.level)
+    assert (one.criterion, one.levels) == (other.criterion, other.levels)
+    assert (one.ringing is None) == (other.ringing is None)
+    assert back.recording is back.recording, "read once"
+    assert back.plot.spectrum().has_data()
+    # From elsewhere too, and as an array of the same bytes it is not the file.
+    moved = Path(other.recording.path).with_name("moved.wav")
+    moved.write_bytes(Path(other.recording.path).read_bytes())
+    assert back.with_recordings(moved).recording.path == str(moved)
+    with pytest.raises(FitError, match="SHA-256"):
+        back.with_recordings((other.recording.samples, other.recording.rate))
+    with pytest.raises(FitError, match="2 recordings were given"):
+        back.with_recordings(moved, moved)
+
+
+def test_a_file_that_is_missing_or_was_changed_is_named(made):
+    result, folder = made
+    path = Path(result.recording.path)
+    data = path.read_bytes()
+    try:
+        path.write_bytes(data[:-400] + bytes(400))
+        with pytest.raises(FitError, match=r"note\.wav: .*SHA-256"):
+            pianofit.Result.load(folder).plot.spectrum()
+        path.unlink()
+        back = pianofit.Result.load(folder)
+        for call in (back.plot.envelopes, lambda: back.report(folder), lambda: back.save(folder / "new")):
+            with pytest.raises(FitError, match=r"note\.wav: no such file"):
+                call()
+        assert back.plot.force().has_data()
+        again = back.save(folder.with_name("copied"), page=False)
+        assert {f.name: f.read_bytes() for f in again.iterdir()} == {f.name: f.read_bytes() for f in folder.iterdir()}
+    finally:
+        path.write_bytes(data)
+
+
+def test_a_fit_that_was_read_back_is_saved_with_its_page(made):
+    _, folder = made
+    again = pianofit.Result.load(folder).save(folder.with_name("page"))
+    assert (again / "fit.json").read_bytes() == (folder / "fit.json").read_bytes()
+    assert (again / "report.html").stat().st_size > 1e5
+    one, other = (pianofit.load_recording(place / "fitted.wav").samples for place in (again, folder))
+    alike(one, other, 1e-5)
+
+
+def test_an_older_file_says_what_it_lacks(made):
+    _, folder = made
+    document = json.loads((folder / "fit.json").read_text())
+    for row in document["recordings"]:
+        del row["partials"], row["v_H0_initial"]
+    back = pianofit.Result.load(copied(folder, "older", document))
+    with pytest.raises(FitError, match="levels of recordings"):
+        levels_of(back.document, 0)
+    with pytest.raises(FitError, match="initial v_H0"):
+        back.plot.force()
+
+
+@pytest.mark.parametrize(
+    ("key", "value"), [("v_H0", "fast"), ("v_H0", 1e9), ("cents", 1e6), ("gain", None), ("cents", float("nan"))]
+)
+def test_a_hostile_row_is_refused(made, key, value):
+    _, folder = made
+    document = json.loads((folder / "fit.json").read_text())
+    (row,) = document["recordings"]
+    document["recordings"].append(row | {"first": False, key: value})
+    place = copied(folder, "hostile", document)
+    with pytest.raises(FitError, match=r"fit\.json: recordings\[1\]"):
+        pianofit.Result.load(place)
