@@ -358,11 +358,11 @@ def test_a_file_that_lacks_something_is_one_error(part, held, tmp_path):
         pianofit.compare(tmp_path, fitted())
 
 
-def test_without_derived_values_the_felts_are_left_out(tmp_path):
-    (tmp_path / "fit.json").write_text(json.dumps(fitted().document | {"derived": {}}), encoding="utf-8")
+def test_without_a_covariance_the_felts_are_left_out(tmp_path):
+    (tmp_path / "fit.json").write_text(json.dumps(fitted().document | {"covariance": None}), encoding="utf-8")
     found = pianofit.compare(tmp_path, fitted())
     assert found.felts is None
-    assert any("max_compression_mm" in message for message in found.messages)
+    assert any("covariance" in message for message in found.messages)
 
 
 def test_the_command_compares_folders(tmp_path, capsys, monkeypatch):
