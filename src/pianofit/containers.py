@@ -39,7 +39,7 @@ AU_CODECS = {3: (PCM, 16), 4: (PCM, 24), 5: (PCM, 32), 6: (FLOAT, 32), 7: (FLOAT
 W64_TAIL = {b"riff": "2e91cf11a5d628db04c10000", b"wave": "f3acd3118cd100c04f8edb8a"}  # of GUIDs; all chunks as wave
 OTHERS = {
     b"RIFX": "a big-endian WAV file", b"MThd": "a MIDI file", b"wvpk": "a WavPack file",
-    b"MAC ": "a Monkey's Audio file", b"\x30\x26\xb2\x75": "a WMA file", b"ADIF": "an AAC file", b".RMF": "a RealMedia file",
+    b"MAC ": "a Monkey's Audio file", b"\x30\x26\xb2\x75": "a WMA file", b"ADIF": "an AAC file",
 }  # fmt: skip
 OGG_PAGE = struct.Struct("<4sBBqIIIB")
 OGG_BEGIN, OGG_END = 2, 4  # flags of a stream's first and last page

@@ -18,13 +18,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .decode import LOSSY, STEPS, check_layout, decode, is_sound, readable_formats
+from .decode import LOSSY, STEPS, check_layout, decode, is_sound, layout_of, readable_formats
 from .errors import ParameterError, RecordingError
 from .io import one_line, read_file, shown
 
 __all__ = [
-    "INSIDE", "Recording", "Source", "as_recording", "check_channel", "find_onset", "is_sound", "load_recording",
-    "read", "readable_formats", "recording_from_samples",
+    "INSIDE", "Recording", "Source", "as_recording", "check_channel", "find_onset", "is_sound", "layout_of",
+    "load_recording", "read", "readable_formats", "recording_from_samples",
 ]  # fmt: skip
 
 CHANNELS = ("average", "left", "right", *"12345678")

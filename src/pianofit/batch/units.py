@@ -29,7 +29,7 @@ from ..analysis import analyse
 from ..analysis.notes import hz_to_note, note_to_hz, note_to_midi
 from ..errors import AnalysisError, OutputError, PianofitError, RecordingError
 from ..io import NO_ROOM, one_line, read_file, unwritten, with_names
-from ..recording import MAX_BYTES, load_recording
+from ..recording import MAX_BYTES, layout_of, load_recording
 from .manifest import Key
 
 __all__ = ["Outcome", "Settings", "Source", "Unit", "fit_unit", "make_unit", "versions"]
@@ -59,6 +59,10 @@ class Source(NamedTuple):
     velocity: float | None = None  # m/s
     group: str = ""
     stroke: str = ""
+    layer: str = ""  # this and the following describe the recording, and are no part of the hash
+    channels: int = 0
+    rate: int = 0  # Hz
+    wrong: str = ""  # why it cannot be read
 
 
 class Unit(NamedTuple):
@@ -127,14 +131,25 @@ def make_unit(key: Key, settings: Settings) -> Unit:
     """
     sources: list[Source] = []
     for sample, name in zip(key.samples, _names(key), strict=True):
-        digest = hashlib.sha256(read_file(sample.file, MAX_BYTES, RecordingError)).hexdigest()
+        data = read_file(sample.file, MAX_BYTES, RecordingError)
+        digest = hashlib.sha256(data).hexdigest()
         for other in sources:
             if other.sha256 == digest:
                 raise RecordingError(
                     f"{one_line(sample.file)} and {one_line(other.path)} are the same recording; list it once"
                 )
-        sources.append(Source(str(sample.file), name, digest, sample.velocity, sample.group, sample.stroke))
+        told = sample.velocity, sample.group, sample.stroke, sample.layer
+        sources.append(Source(str(sample.file), name, digest, *told, *_layout(data)))
     return Unit(key.name, key.note, tuple(sources), settings, versions())
+
+
+def _layout(data: bytes) -> tuple[int, int, str]:
+    """Channels and rate of a recording, or why it cannot be read."""
+    try:
+        layout = layout_of(data)
+    except RecordingError as error:
+        return 0, 0, str(error)
+    return layout.channels, layout.rate, ""
 
 
 def _names(key: Key) -> list[str]:
