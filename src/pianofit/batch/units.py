@@ -237,17 +237,23 @@ def _fit_in(place: Path, unit: Unit, contents: Sequence[bytes] | None, tell: Cal
         astray = left_out[0][1] if left_out and not files else str(error)
         every = f"none of its {len(left_out)} recordings can be used: " if len(left_out) > 1 and not files else ""
         like = _sounds_like(unit, files or [f for f, _ in left_out])
-        return Outcome({}, with_names(every + astray, _paths(place, unit)), sounds_like=like)
+        return Outcome({}, with_names(every + astray, _file_names(place, unit)), sounds_like=like)
     outputs = {file.name: file.read_bytes() for file in sorted(out.iterdir())}
     if unit.setup:
         outputs["setup.toml"] = unit.setup.encode()
-    named = [{"file": str(file), "reason": reason} for file, reason in left_out]
-    return Outcome(outputs, left_out=tuple(with_names(named, _paths(place, unit))))
+    paths, names = _paths(place, unit), _file_names(place, unit)
+    named = [{"file": paths[str(file)], "reason": with_names(reason, names)} for file, reason in left_out]
+    return Outcome(outputs, left_out=tuple(named))
 
 
 def _paths(place: Path, unit: Unit) -> dict[str, str]:
     """The recordings' own paths by those that they have in the scratch folder, whose name changes by the run."""
     return {str(place / "in" / source.name): source.path for source in unit.sources}
+
+
+def _file_names(place: Path, unit: Unit) -> dict[str, str]:
+    """The recordings' file names by the same, for messages: a table or a page names no folder of this machine."""
+    return {scratch: one_line(Path(path).name) for scratch, path in _paths(place, unit).items()}
 
 
 def _stage(place: Path, unit: Unit, contents: Sequence[bytes] | None) -> list[Path]:
@@ -257,7 +263,7 @@ def _stage(place: Path, unit: Unit, contents: Sequence[bytes] | None) -> list[Pa
     for i, source in enumerate(unit.sources):
         data = read_file(source.path, MAX_BYTES, RecordingError) if contents is None else contents[i]
         if hashlib.sha256(data).hexdigest() != source.sha256:
-            raise RecordingError(f"{one_line(source.path)}: has changed since the batch began; run it again")
+            raise RecordingError(f"{one_line(Path(source.path).name)}: has changed since the batch began; run it again")
         files.append(folder / source.name)
         files[-1].write_bytes(data)
     return files

@@ -18,9 +18,12 @@ __all__ = ["listen"]
 
 def listen(
     a: Annotated[
-        Path | None, typer.Argument(metavar="A", help="A folder of sounds, WAV or FLAC, or one file; the reference.")
+        Path | None, typer.Argument(metavar="A", help="A folder of sounds, or one file; the reference.")
     ] = None,
-    b: Annotated[Path | None, typer.Argument(metavar="B", help="A folder with files of the same names.")] = None,
+    b: Annotated[
+        Path | None,
+        typer.Argument(metavar="B", help="A folder with files of the same names, or the fits of the recordings in A."),
+    ] = None,
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help="The folder for the page, listen.html, and its key.")
     ] = None,

@@ -12,7 +12,7 @@ from ..ringing_file import KNOCK_FILE, encode_knock
 from .build import curves_of
 from .page import report_bytes
 
-__all__ = ["save", "write_page"]
+__all__ = ["save", "stroke_names", "write_page"]
 
 
 def save(result: Result, folder: Path, *, force: bool, page: bool) -> Path:
@@ -53,7 +53,7 @@ def _earlier(folder: Path) -> set[str]:
     own = {"report.html", KNOCK_FILE}
     try:
         rows = load_json(folder / "fit.json", LARGEST_FIT, "a fit.json", "")["recordings"]
-        return own | {*_stroke_names([Path(row["file"]).stem for row in rows])}
+        return own | {*stroke_names([Path(row["file"]).stem for row in rows])}
     except (PianofitError, KeyError, TypeError):
         return own
 
@@ -74,8 +74,8 @@ def _title(result: Result) -> str:
     return names + (f", {result.analysis.note}" if result.analysis.note else "")
 
 
-def _stroke_names(stems: Sequence[str]) -> list[str]:
-    """The files of several recordings' own sounds; of one none."""
+def stroke_names(stems: Sequence[str]) -> list[str]:
+    """The files of the sounds fitted to each of several recordings, by their names; none for a single one."""
     # Some have one name, in two folders.
     names = [stem if stems.count(stem) == 1 else f"{stem}-{place}" for place, stem in enumerate(stems, 1)]
     return [f"fitted-{name}.wav" for name in names] * (len(stems) > 1)
@@ -84,7 +84,7 @@ def _stroke_names(stems: Sequence[str]) -> list[str]:
 def _sound_names(result: Result) -> list[str]:
     """The sounds that a fit writes, knock apart."""
     stems = [Path(heard.recording.path).stem for heard in result.recordings]
-    return ["initial.wav", "fitted.wav", *_stroke_names(stems)]
+    return ["initial.wav", "fitted.wav", *stroke_names(stems)]
 
 
 def _write_sounds(result: Result, folder: Path) -> set[str]:
