@@ -21,6 +21,7 @@ import numpy as np
 from .decode import LOSSY, STEPS, check_layout, decode, is_sound, layout_of, readable_formats
 from .errors import ParameterError, RecordingError
 from .io import one_line, read_file, shown
+from .numbers import counted
 
 __all__ = [
     "INSIDE", "Recording", "Source", "as_recording", "check_channel", "find_onset", "is_sound", "layout_of",
@@ -181,7 +182,7 @@ def _choose(frames: np.ndarray, channel: str) -> tuple[np.ndarray, str]:
         return frames, "mono" if count == 1 else "average"
     number = {"left": 1, "right": 2}.get(channel) or int(channel)
     if number > count:
-        raise RecordingError(f"has {count} channel{'s' * (count > 1)}, so channel={channel!r} must be 1 to {count}")
+        raise RecordingError(f"has {counted(count, 'channel')}, so channel={channel!r} must be 1 to {count}")
     return frames[:, number - 1 : number], "mono" if count == 1 else channel
 
 

@@ -132,7 +132,8 @@ def _csv_rows(source: Path) -> tuple[list[Row], list[str]]:
                 continue
             if len(cells) != len(columns):
                 raise SetupError(
-                    f"{name}: line {reader.line_num} has {len(cells)} cells, the header {len(columns)}; correct it"
+                    f"{name}: line {reader.line_num} has {counted(len(cells), 'cell')}, the header {len(columns)}; "
+                    "correct it"
                 )
             rows.append(_csv_row(f"line {reader.line_num}", dict(zip(columns, cells, strict=True))))
             if len(rows) > MAX_ROWS:

@@ -29,6 +29,7 @@ from ..analysis import analyse
 from ..analysis.notes import hz_to_note, note_to_hz, note_to_midi
 from ..errors import AnalysisError, OutputError, PianofitError, RecordingError
 from ..io import NO_ROOM, one_line, read_file, unwritten, with_names
+from ..numbers import counted
 from ..recording import MAX_BYTES, layout_of, load_recording
 from .manifest import Key
 
@@ -302,7 +303,7 @@ def _unusable(files: list[Path], unit: Unit) -> list[tuple[Path, str]]:
         try:
             partials = len(analyse(load_recording(file, channel=unit.settings.channel), note=unit.note).partials)
             if partials < 3 and len(files) > 1:
-                found.append((file, f"{file}: only {partials} partials stand above its noise"))
+                found.append((file, f"{file}: only {counted(partials, 'partial')} above its noise"))
         except PianofitError as error:
             found.append((file, str(error)))
     return found

@@ -203,7 +203,7 @@ def _line(p: Progress) -> str:
     """How far a batch is, on one line."""
     failed = f", {p.failed} failed" if p.failed else ""
     running = f"; {_at_work(p.running)}" if p.running else ""
-    return f"{p.done} of {p.total} keys done{failed}{_left(p.total - p.done - p.failed, p.left)}{running}"
+    return f"{p.done} of {counted(p.total, 'key')} done{failed}{_left(p.total - p.done - p.failed, p.left)}{running}"
 
 
 def _left(keys: int, seconds: float | None) -> str:
@@ -280,7 +280,9 @@ def _summary(found: dict[str, Any]) -> str:
     at_work = (
         "" if "at_work" not in found else f"; a batch is at work{left}" if found["at_work"] else "; no batch is at work"
     )
-    lines = [", ".join(f"{n} {state}" for state, n in count.items()) + f" of {len(found['keys'])} keys{at_work}"]
+    lines = [
+        ", ".join(f"{n} {state}" for state, n in count.items()) + f" of {counted(len(found['keys']), 'key')}{at_work}"
+    ]
     if found["median_seconds"]:
         lines.append(f"median {found['median_seconds']:.1f} s a key, at most {found['largest_memory'] / 2**30:.2f} GiB "
                      "a process")  # fmt: skip

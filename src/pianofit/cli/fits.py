@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..io import check_sound_target, encode_wav, json_text, output_folder, replace_file, write_file
-from ..numbers import bracketed, columns, with_standard_error
+from ..numbers import bracketed, columns, counted, with_standard_error
 from ..parameters import check_seed, check_velocity
 from ..progress import progress_bar
 from ..recording import load_recording, read
@@ -150,8 +150,8 @@ def predict(
     found = _predicted(fit, recording, out, channel, force)
     end = ", an end of the range searched: the velocity is not found" if found["v_H0_at_end"] else ""
     words = (
-        f"{found['predicted_db']:.2f} dB over {found['partials']} partials, {found['cents']:+.2f} cents from the fit, "
-        f"at {found['v_H0']:.3g} m/s{end}\n"
+        f"{found['predicted_db']:.2f} dB over {counted(found['partials'], 'partial')}, {found['cents']:+.2f} cents "
+        f"from the fit, at {found['v_H0']:.3g} m/s{end}\n"
     )
     if found["was_fitted"]:
         words += "This recording took part in the fit: how near it comes is no prediction.\n"

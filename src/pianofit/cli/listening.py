@@ -9,6 +9,7 @@ import typer
 
 from ..errors import ParameterError
 from ..io import output_folder
+from ..numbers import counted
 from ..parameters import check_seed
 from .options import Force, Json, Seed, number, whole
 from .terminal import complain, tell
@@ -67,7 +68,7 @@ def listen(
         complain(f"left out: {line}")
     if made.alone:
         complain(f"left out, not in all folders: {', '.join(made.alone)}")
-    typer.echo(f"{made.trials} questions about sounds, {len(made.names)} in all: {', '.join(made.names)}")
+    typer.echo(f"{counted(made.trials, 'question')} about {counted(len(made.names), 'sound')}: {', '.join(made.names)}")
     typer.echo(f"written to {folder}: give listen.html to listeners; key.json says what it hides; webmushra/")
 
 

@@ -105,11 +105,13 @@ def _by_content(sides: Sequence[Path], fits: Sequence[Fits]) -> list[dict[str, P
 
 
 def _files(side: Path) -> Iterator[Path]:
-    """All sounds below a folder, or a file itself."""
+    """All sounds below a folder, without those that fits have written; or a file itself."""
     if not side.is_dir():
         yield side
         return
     for place, inner, files in os.walk(side):
+        if "fit.json" in files:
+            continue
         inner[:] = sorted(name for name in inner if not name.startswith("."))
         yield from (Path(place) / name for name in sorted(files) if is_sound(name) and not name.startswith("."))
 
@@ -124,7 +126,11 @@ def _sounds_of(file: Path) -> Iterator[tuple[str, Fit]]:
     """By the hash of each recording of a fit the sound that was fitted to it."""
     document = load_json(file, LARGEST_FIT, "a fit.json", "fit the recordings again")
     rows = document.get("recordings") if isinstance(document, dict) else None
-    rows = [row for row in rows or () if isinstance(row, dict) and isinstance(row.get("file"), str)]
+    rows = [
+        row
+        for row in (rows if isinstance(rows, list) else ())
+        if isinstance(row, dict) and isinstance(row.get("file"), str)
+    ]
     stems = [Path(row["file"]).stem for row in rows]
     for row, stem, name in zip(rows, stems, stroke_names(stems) or ["fitted.wav"], strict=False):
         if (sound := file.parent / name).is_file():

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..errors import RecordingError, check_range
 from ..io import one_line
+from ..numbers import counted
 from ..recording import Recording
 from .gates import failures
 from .mushra import write_experiment
@@ -70,7 +71,7 @@ def listening_test(
     questions = [question for order in _conditions(heard) for question in _in_turn(order, trials, draw)]
     clips = write_listening(
         folder / "listen.html", questions, rate, LEAD, seed, program="pianofit listen",
-        about=f"{len(heard)} sounds, each in two versions", key=folder / "key.json", seconds=seconds,
+        about=f"{counted(len(heard), 'sound')}, each in two versions", key=folder / "key.json", seconds=seconds,
         origin=f"the same sounds in {'a third version' if reference else 'one of the two versions'}",
     )  # fmt: skip
     write_experiment(folder / "webmushra", clips, labels[-1] if reference else labels[0])
@@ -96,7 +97,7 @@ def _common(groups: list[list[Recording]]) -> int:
                 )
             if len(one.frames) != len(group[0].frames):
                 raise RecordingError(
-                    f"{one_line(one.path)}: has {len(one.frames)} channels, {one_line(group[0].path)} "
+                    f"{one_line(one.path)}: has {counted(len(one.frames), 'channel')}, {one_line(group[0].path)} "
                     f"{len(group[0].frames)}: that alone would tell them apart; make them alike"
                 )
     return first.rate
