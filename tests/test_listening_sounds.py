@@ -240,7 +240,7 @@ def test_a_pair_that_fails_a_gate_can_be_left_out(tmp_path, capsys):
     assert run(a, b, "--out", tmp_path / "out", "--leave-out") == 0
     captured = capsys.readouterr()
     assert "left out: " in captured.err
-    assert "about sounds, 1 in all: A3" in captured.out
+    assert "about 1 sound: A3" in captured.out
 
 
 # --- the answers ------------------------------------------------------------------------------------------------------

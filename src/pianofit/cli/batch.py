@@ -68,7 +68,7 @@ def batch(
         typer.Option(
             metavar="PATTERN",
             help="How the names of a folder's files are made: {note} and {instrument}, {layer}, {take}, {group}, "
-            "{mic}, {velocity}, {*}; what stands in [ ] may be missing.",
+            "{mic}, {velocity}, {*}; what stands in [ ] may be missing. Guessed from the names, and said, if not given.",
         ),
     ] = None,
     root: Annotated[
@@ -112,7 +112,9 @@ def batch(
     retry: Annotated[
         str | None, typer.Option(parser=one_of("failed"), metavar="failed", help="Try again what has failed before.")
     ] = None,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be done, and do nothing.")] = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="List every file, what it is read as, and what would be done; do nothing.")
+    ] = False,
     as_json: Json = False,
 ) -> None:
     """Fit every key of a sample library; run again, it goes on where it was."""

@@ -13,7 +13,7 @@ from ..io import check_sound_target, encode_wav, json_text, output_folder, repla
 from ..numbers import bracketed, columns, counted, with_standard_error
 from ..parameters import check_seed, check_velocity
 from ..progress import progress_bar
-from ..recording import load_recording, read
+from ..recording import load_recording, read, readable_formats
 from ..setup import Setup, load_setup
 from ..units import NORMAL
 from . import options
@@ -27,7 +27,9 @@ __all__ = ["analyse", "crossval", "fit", "predict"]
 
 
 def analyse(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording of one struck note, WAV or FLAC.")],
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", help=f"A recording of one struck note: {readable_formats()}.")
+    ],
     note: options.Note = None,
     f0: options.Pitch = None,
     channel: options.Channel = "average",
