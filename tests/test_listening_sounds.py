@@ -278,3 +278,13 @@ def test_counts_against_published_intervals(tmp_path, capsys):
     assert run("--result", files[0], "--result", files[1], "--json") == 0
     found = json.loads(capsys.readouterr().out)["conditions"]
     assert found[0] == {"condition": "ABX", "hits": 12, "of": 16, "p": abx.p, "interval": [low, high]}
+
+
+def test_sides_of_one_name_are_called_by_their_folders(tmp_path):
+    for place in ("one", "two"):
+        (tmp_path / place).mkdir()
+        folders(tmp_path / place, "sounds")
+    assert run(tmp_path / "one/sounds", tmp_path / "two/sounds", "--out", tmp_path / "out") == 0
+    key = json.loads((tmp_path / "out/key.json").read_text())
+    assert {sound["what"] for sound in key["sounds"].values()} == {"one/sounds", "two/sounds"}
+    assert str(tmp_path) not in (tmp_path / "out/listen.html").read_text()

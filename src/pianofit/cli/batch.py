@@ -68,7 +68,7 @@ def batch(
         typer.Option(
             metavar="PATTERN",
             help="How the names of a folder's files are made: {note} and {instrument}, {layer}, {take}, {group}, "
-            "{mic}, {velocity}, {*}; what stands in [ ] may be missing. Guessed from the names, and said, if not given.",
+            "{mic}, {velocity}, {*}; what stands in [ ] may be missing. Guessed from the names if not given.",
         ),
     ] = None,
     root: Annotated[

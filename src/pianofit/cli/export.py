@@ -67,7 +67,7 @@ def export(
     asked = {name: value for name, value in given.items() if value is not None}
     if to not in (*SAMPLERS, "faust"):
         raise ParameterError(f"--format {to!r} must be one of {', '.join(SAMPLERS)}, faust")
-    _check_target(to, out, asked, force)
+    _check_target(to, out, asked if fill else asked | {"no-fill": True}, force)
     chosen, played = parse_keys(keys), load_instrument(built, prefix)
     keep_programs()
     with progress_bar() as bar:

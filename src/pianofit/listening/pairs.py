@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 from ..errors import RecordingError
 from ..io import LARGEST_FIT, load_json, one_line, read_file
-from ..recording import MAX_BYTES, Recording, is_sound, load_recording
+from ..recording import MAX_BYTES, Recording, is_sound, load_recording, readable_formats
 from ..report.save import stroke_names
 
 __all__ = ["Place", "load_pair", "pairs_of"]
@@ -56,8 +56,9 @@ def pairs_of(sides: Sequence[Path]) -> tuple[dict[str, Group], list[str]]:
     found = [_by_name(side) for side in sides] if not any(fits) else _by_content(sides, fits)
     names = sorted(set.intersection(*map(set, found)))
     if not names:
-        how = "recordings and fits are paired by content" if any(fits) else "pairs are by name"
-        raise RecordingError(f"{one_line(sides[0])} and {one_line(sides[1])}: no sound in common; {how}")
+        by_name = "no file name in common; pairs are by name"
+        by_fit = "the fits are of other recordings; pairs are by the recordings' content"
+        raise RecordingError(f"{one_line(sides[0])} and {one_line(sides[1])}: {by_fit if any(fits) else by_name}")
     if len(names) > MOST and not any(fits):
         raise RecordingError(f"{one_line(sides[0])}: {len(names)} pairs are more than {MOST}; take fewer")
     alone = sorted(set.union(*map(set, found)) - {*names})
@@ -85,6 +86,8 @@ def _by_name(folder: Path) -> dict[str, Place]:
             found[path.stem] = Place(path)
     except OSError as error:
         raise RecordingError(f"{one_line(folder)}: cannot be read ({error.strerror}); check it") from None
+    if not found:
+        raise RecordingError(f"{one_line(folder)}: holds no sound; the formats are {readable_formats()}")
     return found
 
 

@@ -79,10 +79,13 @@ def listening_test(
 
 
 def _labels(sides: list[Path]) -> list[str]:
-    """What the sides are called: their names, or where these are the same, their paths."""
-    for labels in ([side.stem for side in sides], [str(side) for side in sides]):
-        if len({*labels}) == len(labels) and all(labels):
-            return [one_line(label) for label in labels]
+    """What the sides are called: their names, with as many folders before them as tell them apart."""
+    for ending in (False, True):
+        ends = [(*side.resolve().parts[:-1], side.name if ending else side.stem) for side in sides]
+        for depth in range(1, max(map(len, ends)) + 1):
+            labels = ["/".join(parts[-depth:]) for parts in ends]
+            if len({*labels}) == len(labels) and all(labels):
+                return [one_line(label) for label in labels]
     raise RecordingError(f"{one_line(sides[0])}: is given twice; two different folders or files are compared")
 
 
