@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +13,8 @@ from pianofit.analysis import analyse
 from pianofit.containers import SOUNDS, audio_of
 from pianofit.decode import LOSSY, STEPS, decode, is_sound, layout_of
 from pianofit.errors import RecordingError
-from pianofit.recording import load_recording
+from pianofit.recording import load_recording, recording_from_samples
+from pianofit.result.statements import mixed_layouts
 
 SUBTYPES = ("PCM_16", "PCM_24", "PCM_32", "FLOAT", "DOUBLE")
 LOSSLESS = [(container, subtype) for container in ("RF64", "W64", "AIFF", "CAF", "AU") for subtype in SUBTYPES]
@@ -105,6 +107,18 @@ def test_lossless_sound_is_read_without_a_warning(tmp_path):
         recording = load_recording(tmp_path / "a")
         assert recording.warnings == ()
         assert recording.noise_rms >= STEPS.get(subtype, 0.0) / 12**0.5
+
+
+def test_recordings_of_a_key_that_differ_in_layout_are_named():
+    mono, double = note(), recording_from_samples(note(rate=2 * RATE), 2 * RATE, name="/far/double.wav")
+    one, stereo = (recording_from_samples(mono, RATE, name=f"/far/{name}.wav") for name in ("mono", "stereo"))
+    stereo = replace(stereo, frames=np.stack([mono, mono]))
+    assert mixed_layouts([one, one]) == []
+    (channels,) = mixed_layouts([one, stereo])
+    assert "channels (mono.wav 1, stereo.wav 2)" in channels
+    (rates,) = mixed_layouts([one, double])
+    assert f"mono.wav {RATE}" in rates
+    assert "/far" not in channels + rates
 
 
 def test_a_header_is_read_without_its_sound():
