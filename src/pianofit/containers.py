@@ -53,7 +53,7 @@ MP3_RATES = (44_100, 48_000, 32_000)
 
 
 class Chunks(NamedTuple):
-    """How a container's chunks are laid out."""
+    """The layout of a container's chunks."""
 
     head: struct.Struct  # of kind and size
     begin: int  # of the first chunk, bytes
@@ -69,7 +69,7 @@ Place = tuple[int, int]  # begin and size of a chunk's content, bytes
 
 
 def is_sound(name: str) -> bool:
-    """Whether a file of this name is expected to hold sound that is read."""
+    """True if the ending of a file name belongs to a format that is read."""
     return name.lower().endswith(tuple(SOUNDS))
 
 
@@ -104,7 +104,7 @@ def check_layout(channels: int, rate: float, frames: int) -> None:
 
 
 def _kind(data: bytes) -> Callable[[bytes], bytes] | None:
-    """Who checks this container; None for one that is not read."""
+    """The function that checks this container; None for a format that is not read."""
     riff = {b"RIFF": _wav, b"RF64": _wav, b"BW64": _wav}.get(data[:4])
     if riff and data[8:12] == b"WAVE":
         return riff
@@ -314,7 +314,7 @@ def _mp3(data: bytes) -> bytes:
 
 
 def _after_id3(data: bytes) -> int:
-    """Where the frames begin: after tags, whose sizes have 7 bits a byte, and zeros."""
+    """The byte at which the frames begin: after tags, whose sizes have 7 bits a byte, and zeros."""
     position = 0
     while data[position : position + 3] == b"ID3" and position + 10 <= len(data):
         size = 0
@@ -325,7 +325,7 @@ def _after_id3(data: bytes) -> int:
 
 
 def _mp3_header(data: bytes, at: int) -> tuple[int, int, int, int] | None:
-    """Of a frame of layer III: bytes, rate in Hz, channels, and bytes of its side information; None for another."""
+    """Size, rate in Hz, channels and bytes of side information of a frame of layer III; None for another frame."""
     if at + 4 > len(data) or data[at] != 0xFF or data[at + 1] & 0xE6 != 0xE2:
         return None
     version, bits, rate = data[at + 1] >> 3 & 3, data[at + 2] >> 4, data[at + 2] >> 2 & 3
@@ -338,7 +338,7 @@ def _mp3_header(data: bytes, at: int) -> tuple[int, int, int, int] | None:
 
 
 def _xing_frames(data: bytes, first: int) -> int:
-    """How many frames a Xing or Info header in the first frame promises; 0 without one."""
+    """The number of frames that a Xing or Info header in the first frame gives; 0 without one."""
     header = _mp3_header(data, first)
     at = first + 4 + header[3] if header else 0
     if data[at : at + 4] not in (b"Xing", b"Info") or not data[at + 7 : at + 8] or not data[at + 7] & 1:

@@ -31,7 +31,7 @@ LOSSY = {"VORBIS": "Vorbis", "OPUS": "Opus", "MPEG_LAYER_III": "MP3"}
 
 
 class Layout(NamedTuple):
-    """What a file's header says of its sound."""
+    """The properties of a sound by the header of its file."""
 
     channels: int
     rate: int  # Hz
@@ -48,7 +48,7 @@ def decode(data: bytes) -> tuple[np.ndarray, int, str]:
 
 
 def layout_of(data: bytes) -> Layout:
-    """What the header says, checked as `decode` checks it; the sound itself is not decoded."""
+    """The layout by the header, checked as `decode` checks it; the sound itself is not decoded."""
     return _read(data, whole=False)[1]
 
 

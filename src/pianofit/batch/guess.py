@@ -2,7 +2,7 @@
 
 A name is divided at its separators. The note is the part that is a note name, or a MIDI number, in most names. A part
 after the note that varies is a layer. A part before it is a layer if it consists of dynamics or numbers, and else
-belongs to the instrument. What follows from the note, such as its number, is ignored.
+belongs to the instrument. A number that follows from the note is ignored.
 """
 
 from __future__ import annotations
@@ -53,11 +53,11 @@ class Part(NamedTuple):
 
     @property
     def constant(self) -> bool:
-        """Whether all names have the same here."""
+        """True if all names have the same value."""
         return len({*self.values}) == 1
 
     def all_are(self, kind: re.Pattern[str]) -> bool:
-        """Whether all values are of a kind."""
+        """True if all values match the expression."""
         return all(map(kind.fullmatch, self.values))
 
 
@@ -72,7 +72,7 @@ class Reading(NamedTuple):
 
     @property
     def distinct(self) -> int:
-        """How many different notes there are."""
+        """The number of different notes."""
         return len({note_to_midi(note) for note in self.notes})
 
 
@@ -171,7 +171,7 @@ def _agree(one: Reading, other: Reading) -> bool:
 
 
 def _reads(expression: re.Pattern[str], reading: Reading) -> bool:
-    """Whether an expression finds the note of every name."""
+    """True if an expression finds the note of every name."""
     matches = [expression.fullmatch(name) for name in reading.names]
     return all(match and match["note"] == note for match, note in zip(matches, reading.notes, strict=True))
 
@@ -209,7 +209,7 @@ def _role(part: Part, reading: Reading) -> str:
 
 
 def _follows(part: Part, reading: Reading) -> bool:
-    """Whether numbers follow from the note, or only count the files: they describe nothing."""
+    """True if numbers follow from the note, or only count the files."""
     if not all(map(re.compile(r".*\d").match, part.values)):
         return False
     counts = len({*part.values}) == len(part.values) and any(p.after_note and not p.constant for p in reading.parts)

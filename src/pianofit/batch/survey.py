@@ -1,4 +1,4 @@
-"""What a library's files are, before anything is fitted: their layouts, and the files that were not read."""
+"""The files of a library before a fit: their layouts, and the files that were not read."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["Unread", "listing", "mixtures", "unread"]
 
 
 class Unread(NamedTuple):
-    """A file of the folder that is no recording of a key."""
+    """A file of the folder that does not belong to a key."""
 
     file: str  # from the folder
     reason: str
@@ -117,5 +117,5 @@ def _seen_from(folder: Path, path: str) -> str:
 def _read_as(source: Source) -> str:
     """Layer, velocity and group of a recording, as they are known."""
     velocity = f"{source.velocity:g} m/s" if source.velocity is not None else ""
-    told = {"layer": source.layer, "velocity": velocity, "group": source.group}
-    return ", ".join(f"{name} {one_line(value)}" for name, value in told.items() if value) or "no layer"
+    given = {"layer": source.layer, "velocity": velocity, "group": source.group}
+    return ", ".join(f"{name} {one_line(value)}" for name, value in given.items() if value) or "no layer"

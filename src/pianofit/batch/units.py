@@ -139,8 +139,8 @@ def make_unit(key: Key, settings: Settings) -> Unit:
                 raise RecordingError(
                     f"{one_line(sample.file)} and {one_line(other.path)} are the same recording; list it once"
                 )
-        told = sample.velocity, sample.group, sample.stroke, sample.layer
-        sources.append(Source(str(sample.file), name, digest, *told, *_layout(data)))
+        given = sample.velocity, sample.group, sample.stroke, sample.layer
+        sources.append(Source(str(sample.file), name, digest, *given, *_layout(data)))
     return Unit(key.name, key.note, tuple(sources), settings, versions())
 
 

@@ -1,4 +1,4 @@
-"""Which sounds are compared: files of one name in all folders, or recordings with the sounds of their fits.
+"""The sounds that are compared: files of one name in all folders, or recordings with the sounds of their fits.
 
 A fit names its recordings by the hash of their content, so that recordings and fits are paired wherever they lie and
 whatever they are called.
@@ -26,7 +26,7 @@ FITS = ("keys/*/fit.json", "*/fit.json", "fit.json")
 
 
 class Place(NamedTuple):
-    """Where a sound is, and which of its channels are used."""
+    """A sound file, and the channel that is used."""
 
     path: Path
     channel: str = "average"

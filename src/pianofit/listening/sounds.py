@@ -79,7 +79,7 @@ def listening_test(
 
 
 def _labels(sides: list[Path]) -> list[str]:
-    """What the sides are called: their names, with as many folders before them as tell them apart."""
+    """The names of the sides, each with as many folders before it as make the names different."""
     for ending in (False, True):
         ends = [(*side.resolve().parts[:-1], side.name if ending else side.stem) for side in sides]
         for depth in range(1, max(map(len, ends)) + 1):

@@ -286,7 +286,7 @@ def messages(fit: Inferred, states: dict[str, str], worse: Sequence[str], errors
 
 
 def mixed_layouts(recordings: Sequence[Recording]) -> list[str]:
-    """What follows where the recordings of a key differ in their channels or sample rates."""
+    """Remarks on recordings of a key that differ in their channels or sample rates."""
     kinds = (("channels", lambda one: len(one.frames), "The sound of the key is mono"),
              ("sample rates", lambda one: one.rate, "All are resampled to the highest"))  # fmt: skip
     said = []
