@@ -11,7 +11,7 @@ from bad_files import RATE, encoded, note
 
 from pianofit.analysis import analyse
 from pianofit.containers import SOUNDS, audio_of
-from pianofit.decode import LOSSY, STEPS, decode, is_sound, layout_of
+from pianofit.decode import LOSSY, STEPS, _Stream, decode, is_sound, layout_of
 from pianofit.errors import RecordingError
 from pianofit.recording import load_recording, recording_from_samples
 from pianofit.result.statements import mixed_layouts
@@ -130,3 +130,12 @@ def test_a_header_is_read_without_its_sound():
 def test_endings_are_in_one_list(ending):
     assert is_sound(f"A note{ending.upper()}")
     assert not is_sound(f"note{ending}.txt")
+
+
+@pytest.mark.parametrize(("offset", "whence", "astray"), [(-1, 0, True), (-5, 1, True), (-9, 2, True), (-4, 2, False)])
+def test_a_seek_to_before_the_begin_is_noted_and_raises_nothing(offset, whence, astray):
+    stream = _Stream(b"12345678")
+    stream.read(4)
+    stream.seek(offset, whence)
+    assert stream.astray == astray
+    assert stream.tell() == (0 if astray else 4)

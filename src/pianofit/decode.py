@@ -39,6 +39,18 @@ class Layout(NamedTuple):
     subtype: str  # as libsndfile names it
 
 
+class _Stream(io.BytesIO):
+    """Bytes that a decoder reads. A seek to before their begin is noted, because soundfile would print a traceback."""
+
+    astray = False
+
+    def seek(self, offset: int, whence: int = 0) -> int:
+        """Move as a file does, but never to before the begin."""
+        begin = (0, self.tell(), self.getbuffer().nbytes)[whence]
+        self.astray |= begin + offset < 0
+        return super().seek(max(begin + offset, 0))
+
+
 def decode(data: bytes) -> tuple[np.ndarray, int, str]:
     """Return frames [samples, channels], the rate in Hz, and the subtype."""
     frames, layout = _read(data, whole=True)
@@ -56,9 +68,10 @@ def _read(data: bytes, whole: bool) -> tuple[np.ndarray, Layout]:
     import soundfile
 
     audio = audio_of(data)
+    stream = _Stream(audio)
     concealed = _damage_named() if audio[:1] == b"\xff" else contextlib.nullcontext()
     try:
-        with concealed, soundfile.SoundFile(io.BytesIO(audio)) as file:
+        with concealed, soundfile.SoundFile(stream) as file:
             if file.frames > 2**60:
                 raise RecordingError("does not say how long it is (a FLAC that was streamed); encode it again")
             check_layout(file.channels, file.samplerate, file.frames)
@@ -67,6 +80,8 @@ def _read(data: bytes, whole: bool) -> tuple[np.ndarray, Layout]:
             # Block by block [block, channels], so that a false length cannot claim memory.
             blocks = (file.read(2**18, dtype="float64", always_2d=True) for _ in itertools.count())
             frames = np.concatenate([*itertools.takewhile(len, blocks)]) if whole else np.empty((0, file.channels))
+            if stream.astray:
+                raise RecordingError("is damaged: its header leads to before its begin; copy or export it again")
             return frames, Layout(file.channels, file.samplerate, file.frames, file.subtype)
     except (soundfile.SoundFileError, ValueError) as problem:
         reason = one_line(getattr(problem, "error_string", problem)).strip(" .")
