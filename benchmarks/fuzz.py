@@ -7,8 +7,8 @@
 Of each case the reader may return, or raise a `PianofitError` whose message is one line that names the file. Anything
 else is a fault: another exception, a warning, more than LONGEST seconds, more memory than MOST allows, a file that was
 not there before. Text is spoilt by its tokens, JSON by its values too, bytes by bits, cuts, repeats and lengths.
-Kinds: wav, flac, setup (TOML), fit, fit-knock, note (of a page to play) and instrument (JSON, FLAC), midi, sfz, csv,
-answers (JSON), keys (fits that an instrument is made of).
+Kinds: wav, flac, rf64, w64, aiff, aifc, caf, au, vorbis, opus, mp3, setup (TOML), fit, fit-knock, note (of a page to
+play) and instrument (JSON, FLAC), midi, sfz, csv, answers (JSON), keys (fits that an instrument is made of).
 """
 
 from __future__ import annotations
@@ -42,6 +42,14 @@ NUMBERS = (
 )  # fmt: skip
 TEXTS = ("", " ", "\0", "a\nb", "\x1b[31m", "../../x", "é" * 300, "9" * 5000, "nan", "[[", "{", "\udc80", "1e999", "-")
 VALUES: tuple[Any, ...] = (*NUMBERS, *TEXTS, None, True, [], {}, [[[]]], [None] * 3, {"value": None}, "0x10")
+
+
+# Containers of sound, the names of libsndfile for them, and for what they hold.
+CONTAINERS = (
+    ("rf64", "RF64", "PCM_24"), ("w64", "W64", "PCM_24"), ("aiff", "AIFF", "PCM_24"), ("aifc", "AIFF", "FLOAT"),
+    ("caf", "CAF", "PCM_24"), ("au", "AU", "PCM_16"), ("vorbis", "OGG", "VORBIS"), ("opus", "OGG", "OPUS"),
+    ("mp3", "MP3", "MPEG_LAYER_III"),
+)  # fmt: skip
 
 
 class Kind(NamedTuple):
@@ -233,6 +241,10 @@ def kinds() -> dict[str, Kind]:
     return {
         "wav": Kind("case.wav", wav, pianofit.load_recording),
         "flac": Kind("case.flac", flac, pianofit.load_recording),
+        **{
+            name: Kind(f"case.{name}", _sound(container, codec), pianofit.load_recording)
+            for name, container, codec in CONTAINERS
+        },
         "setup": Kind("case.toml", setup, pianofit.load_setup, text=True),
         "fit": Kind(
             "case.json", fit, lambda path: (pianofit.load_note(path), mixture_of(read_fit(path), path)),

@@ -133,7 +133,7 @@ def target(recording: Any, analysis: Any) -> Target:
 
 def aligned(samples: np.ndarray, to: Target) -> np.ndarray:
     """`samples` cut like the target, begun where the two differ least in their first 0.3 s, with the same loudness."""
-    from pianofit.recording import find_onset
+    from pianofit.onset import find_onset
     from pianofit.report.sound import k_weighted_mean_square
     from pianofit.ringing.distance import log_mel_distances
 

@@ -96,6 +96,20 @@ def flipped(data: bytes, at: int) -> bytes:
     return data[:at] + bytes([data[at] ^ 0xFF]) + data[at + 1 :]
 
 
+def set_bytes(data: bytes, at: int, values: bytes) -> bytes:
+    return data[:at] + values + data[at + len(values) :]
+
+
+def caf_unfinished(data: bytes) -> bytes:
+    """A CAF whose sound has no length, as a recorder leaves it that lost power."""
+    return set_bytes(data, data.index(b"data") + 4, b"\xff" * 8)
+
+
+def mp3_frames(data: bytes) -> list[int]:
+    """Where the frames of an MP3 of one rate begin."""
+    return [at for at in range(len(data)) if data[at : at + 2] == data[:2]]
+
+
 def sparse(folder: Path) -> None:
     """Build a file of 2 GiB that takes no room."""
     with (folder / "huge.wav").open("wb") as stream:
@@ -148,14 +162,29 @@ AUDIO = [
     audio("gsm", lambda: encoded(note(), subtype="GSM610"), "GSM"),
     audio("unknown-codec", lambda: wav(pcm16(note()), codec=0x1234), "codec 4660"),
     audio("big-endian", b"RIFX" + bytes(100), "big-endian"),
-    audio("rf64", lambda: encoded(note(), "RF64"), "RF64"),
-    audio("wave64", lambda: encoded(note(), "W64"), "Wave64"),
-    audio("mp3", b"ID3\x03" + bytes(400), "MP3", "note.mp3"),
+    audio("rf64-no-ds64", lambda: encoded(note(), "RF64").replace(b"ds64", b"junk"), "no ds64"),
+    audio("rf64-truncated", lambda: encoded(note(), "RF64")[:-2], "truncated"),
+    audio("wave64-truncated", lambda: encoded(note(), "W64")[:-2], "truncated"),
+    audio("wave64-negative-chunk", lambda: set_bytes(encoded(note(), "W64"), 56, bytes(8)), "fmt chunk of"),
+    audio("mp3-no-frames", b"ID3\x03" + bytes(400), "MP3", "note.mp3"),
     audio("mp3-named-wav", b"\xff\xfb\x90\xc4" + bytes(400), "MP3"),
-    audio("ogg", lambda: encoded(note(), "OGG"), "OGG", "note.ogg"),
-    audio("aiff", lambda: encoded(note(), "AIFF"), "AIFF", "note.aiff"),
-    audio("au", lambda: encoded(note(), "AU"), "AU file", "note.au"),
-    audio("caf", lambda: encoded(note(), "CAF"), "CAF", "note.caf"),
+    audio("mp3-truncated", lambda: encoded(note(), "MP3")[:-2], "truncated", "cut.mp3"),
+    audio("mp3-frames-missing", lambda: encoded(note(), "MP3")[: mp3_frames(encoded(note(), "MP3"))[-1]], "truncated"),
+    audio("mp3-damaged", lambda: flipped(encoded(note(), "MP3"), mp3_frames(encoded(note(), "MP3"))[5]), "damaged"),
+    audio("mpeg-layer-ii", b"\xff\xfd\x90\xc4" + bytes(400), "another layer"),
+    audio("ogg-truncated", lambda: encoded(note(), "OGG")[:-2], "truncated", "note.ogg"),
+    audio("ogg-no-last-page", lambda: encoded(note(), "OGG")[: encoded(note(), "OGG").rindex(b"OggS")], "truncated"),
+    audio("ogg-damaged", lambda: flipped(encoded(note(), "OGG"), 5_000), "damaged", "note.ogg"),
+    audio("ogg-two-streams", lambda: encoded(note(), "OGG") * 2, "several streams", "note.ogg"),
+    audio("aiff-truncated", lambda: encoded(note(), "AIFF")[:-2], "truncated", "note.aiff"),
+    audio("aiff-false-length", lambda: set_bytes(encoded(note(), "AIFF"), 22, b"\x7f\xff\xff\xff"), "truncated"),
+    audio("aiff-rate-absurd", lambda: set_bytes(encoded(note(), "AIFF"), 28, b"\x7f\xff"), "sample rate"),
+    audio("aiff-compressed", lambda: encoded(note(), "AIFF", "IMA_ADPCM"), "ima4", "note.aifc"),
+    audio("au-truncated", lambda: encoded(note(), "AU")[:-2], "truncated", "note.au"),
+    audio("au-length-unknown", lambda: set_bytes(encoded(note(), "AU"), 8, b"\xff" * 4), "unfinished header", "n.au"),
+    audio("caf-truncated", lambda: encoded(note(), "CAF")[:-2], "truncated", "note.caf"),
+    audio("caf-rate-nan", lambda: set_bytes(encoded(note(), "CAF"), 20, b"\x7f\xf8" + bytes(6)), "sample rate"),
+    audio("caf-length-unknown", lambda: caf_unfinished(encoded(note(), "CAF")), "unfinished header", "note.caf"),
     audio("m4a", b"\x00\x00\x00\x20ftypM4A \x00\x00\x00\x00" + bytes(100), "M4A", "note.m4a"),
     audio("midi", b"MThd\x00\x00\x00\x06\x00\x01\x00\x01\x00\x60" + bytes(40), "MIDI", "note.mid"),
     audio("flac-truncated", lambda: encoded(note(), "FLAC")[:9_000], "truncated", "truncated.flac"),

@@ -53,11 +53,16 @@ def test_what_went_wrong_is_told_and_the_rest_is_done(batch):
     lines = output.splitlines()
     assert lines[0] == "1 done, 2 failed of 3 keys"
     told = {line.split(": ")[1]: line for line in lines if line.startswith("failed: ")}
-    assert f"{place}/in/grand-D4-noise.wav: " in told["grand-D4"]
+    assert ": grand-D4-noise.wav: " in told["grand-D4"]
     assert "none of its 2 recordings can be used" in told["grand-F4"]
     assert "which sounds like A4" in told["grand-F4"]
     assert "grand-F4: its name says F4, its pitch A4; correct its note" in lines
-    assert errors == ""  # no terminal, no progress
+    # Without a terminal a line for every key that ends.
+    assert [line.split(": ")[:2] for line in errors.splitlines()] == [
+        ["1 of 3 keys", "grand-C4"], ["2 of 3 keys", "grand-D4"], ["3 of 3 keys", "grand-F4"]
+    ]  # fmt: skip
+    for name in ("keys.csv", "index.html"):
+        assert str(place) not in (place / "out" / name).read_text(encoding="utf-8")
     assert set(results(place / "out")) == {"grand-C4"}
     assert {"fit.json", "fitted.wav", "initial.wav"} <= set(results(place / "out")["grand-C4"])
 
@@ -81,7 +86,11 @@ def test_its_status_and_its_plan(batch):
     assert [k["sounds_like"] for k in document["keys"]] == ["", "", "A4"]
     code, output, _ = run(*command, "--dry-run", "--retry", "failed", "--seed", 3)
     assert code == 0
-    assert "grand-C4                           2 recordings  to do: settings changed" in output
+    key, *files = output.splitlines()[:3]
+    assert key == "grand-C4: C4, 2 recordings, to do: settings changed"
+    assert [file.split() for file in files] == [
+        [f"grand-C4-{layer}.wav", "layer", layer, "1", "channel,", "22050", "Hz"] for layer in "fp"
+    ]
     assert "3 of 3 keys to do; nothing was written" in output
 
 
@@ -101,6 +110,7 @@ def test_recordings_that_cannot_be_used_are_left_out_and_told(batch, tmp_path):
     assert "is text" in reasons["text"]
     assert "C#4" in reasons["sharp"]
     assert "C5" in reasons["octave"]
+    assert not any(str(tmp_path) in reason for reason in reasons.values())
     document = json.loads(outcome.files["fit.json"])
     assert [t["file"] for t in document["recordings"]] == [str(tmp_path / f"grand-C4-{x}.wav") for x in "fp"]
     alone = json.loads((place / "out/keys/grand-C4/fit.json").read_bytes())
@@ -133,6 +143,36 @@ def test_a_batch_leaves_out_what_a_fit_refuses():
     from pianofit.inference import problem
 
     assert units.FEWEST == problem.FEWEST
+
+
+def test_a_plan_names_every_file_and_why_one_was_not_read(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "in").mkdir()
+    tone = 0.5 * np.sin(np.arange(22_050) / 10)
+    for name, sound in {"C4_p": tone, "C4_f": np.stack([tone, tone]), "D4_p": np.stack([0.9 * tone, tone])}.items():
+        (tmp_path / f"in/{name}.wav").write_bytes(encode_wav(sound, 22_050))
+    (tmp_path / "in/E4_p.wav").write_bytes(encode_wav(tone, 44_100)[:-2])
+    for name in ("noise.wav", "notes.txt"):
+        (tmp_path / "in" / name).write_bytes(b"x")
+    assert main(["batch", "in", "--out", "out", "--dry-run"]) == 0
+    output, errors = capsys.readouterr()
+    assert "{note}_{layer}" in errors
+    mono = next(line for line in errors.splitlines() if "mono" in line)
+    assert "C4_p.wav" in mono
+    assert "C4_f.wav" not in mono
+    assert "E4" not in mono
+    lines = {line.split()[0]: line for line in output.splitlines()}
+    assert "2 channels" in lines["C4_f.wav"]
+    assert "truncated" in lines["E4_p.wav"]
+    assert "pattern" in lines["noise.wav"]
+    assert "AIFF" in lines["notes.txt"]
+    assert "3 of 3 keys" in output
+    assert not (tmp_path / "out").exists()
+    main(["batch", "in", "--out", "out", "--dry-run", "--json"])
+    document = json.loads(capsys.readouterr().out)
+    assert [row["file"] for row in document["unread"]] == ["noise.wav", "notes.txt"]
+    assert main(["batch", "in", "--out", "out", "--dry-run", "--channel", "1"]) == 0
+    assert "mono" not in capsys.readouterr().err  # one channel of each is no mixture
 
 
 def test_a_name_is_wrong_from_a_semitone_on():

@@ -244,9 +244,9 @@ def test_a_pattern_that_cannot_be_meant(tmp_path, pattern):
 
 def test_a_pattern_that_fits_nothing(tmp_path):
     touch(tmp_path, "C4.wav")
-    with pytest.raises(SetupError, match=r"none of its 1 recordings, such as 'C4\.wav', fits the pattern"):
+    with pytest.raises(SetupError, match=r"C4\.wav.*pattern"):
         read_keys(tmp_path, pattern="{instrument}_{note}")
-    with pytest.raises(SetupError, match="no recording fits"):
+    with pytest.raises(SetupError, match="no recording"):
         read_keys(manifest(tmp_path, "x", "empty/x.txt").parent)
 
 

@@ -150,7 +150,7 @@ def test_the_command_writes_one_file_and_says_what_is_a_guess(tmp_path, monkeypa
     words = ["export", "i.json", "--format", "faust", "--keys", "G4", "--out"]
     done = CliRunner().invoke(app, [*words, str(tmp_path / "a.dsp")])
     assert done.exit_code == 0, done.output
-    assert "1 keys with tables, 1 of them a guess (never recorded)" in done.output
+    assert "1 key with tables, 1 of them a guess (never recorded)" in done.output
     text = (tmp_path / "a.dsp").read_text()
     assert "declare name \"a 'piano'/n\";" in text
     assert [file.name for file in tmp_path.iterdir()] == ["a.dsp"]

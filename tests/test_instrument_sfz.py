@@ -21,7 +21,7 @@ from pianofit.keyboard import build_instrument, find_fits, load_instrument, load
 from pianofit.keyboard.velocity import hammer_velocity
 from pianofit.model.modes import mode_frequencies
 from pianofit.play import Asked, export_sampler, parse_keys
-from pianofit.play.layers import crossfaded, spans_of, velocities_of
+from pianofit.play.layers import crossfaded, key_ranges, spans_of, velocities_of, without_gaps
 from pianofit.play.strings import damper_rate
 from pianofit.result.align import lag
 
@@ -266,6 +266,30 @@ def test_spans_do_not_meet(keys):
 def test_every_third_key_leaves_no_key_out():
     covered = [key for low, high in spans_of(parse_keys("every 3")) for key in range(low, high + 1)]
     assert covered == list(range(21, 109))
+
+
+@given(st.sets(st.integers(21, 108), min_size=1))
+def test_keys_in_addition_leave_no_key_between_silent(keys):
+    chosen = sorted(keys)
+    filled = without_gaps(chosen)
+    assert {*chosen} <= {*filled}
+    assert filled == sorted({*filled})
+    covered = {key for low, high in spans_of(filled) for key in range(low, high + 1)}
+    assert {*range(chosen[0], chosen[-1] + 1)} <= covered
+    whole = all(high - low == 1 for (_, low), (high, _) in pairwise(spans_of(chosen)))
+    assert (filled == chosen) == whole  # none more than needed
+
+
+def test_ranges_of_keys_are_named():
+    assert key_ranges([21, 22, 23, 60, 107, 108]) == "A0 to B0, C4, B7 to C8"
+    assert key_ranges([]) == "none"
+
+
+def test_an_export_says_which_keys_are_silent(tmp_path):
+    done = export_sampler(PIANO, tmp_path / "some", KEYS, SHORT)
+    played = {key for low, high in spans_of(KEYS) for key in range(low, high + 1)}
+    assert done.silent == [key for key in range(21, 109) if key not in played]
+    assert f"Silent: {key_ranges(done.silent)}\n" in (tmp_path / "some" / "README.txt").read_text(encoding="utf-8")
 
 
 def test_an_export_of_nothing_is_refused(tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 from pathlib import Path
@@ -122,7 +123,7 @@ def test_sounds_differ_in_nothing_but_how_they_sound(tmp_path, capsys):
     """One note at three levels, lead-ins and lengths: what is heard is the same sound three times."""
     a, b, r = folders(tmp_path, "one", "two", "three")
     assert run(a, b, "--reference", r, "--out", tmp_path / "out", "--trials", 5, "--seconds", 0.9) == 0
-    assert "20 questions about sounds, 2 in all: A3, A4" in capsys.readouterr().out
+    assert "20 questions about 2 sounds: A3, A4" in capsys.readouterr().out
     sounds = heard(tmp_path / "out")
     assert {*sounds} == {(name, side) for name in ("A3", "A4") for side in ("one", "two", "three")}
     for name in ("A3", "A4"):
@@ -134,6 +135,61 @@ def test_sounds_differ_in_nothing_but_how_they_sound(tmp_path, capsys):
             assert abs(level) < 0.01
             assert np.abs(other - first).max() < 3e-3  # noise, 16 bits
     assert max(np.abs(sound).max() for sound in sounds.values()) <= 10 ** (-1 / 20) + 1e-4
+
+
+def fits(tmp_path: Path, recordings: Path) -> Path:
+    """A batch's folder with the sounds of fits to the recordings: two of one key, in mono, one of another."""
+    out, digests = tmp_path / "fits", {}
+    for file in sorted(recordings.rglob("*.wav")):
+        digests[file.stem] = hashlib.sha256(file.read_bytes()).hexdigest()
+    for key, names in (("A3", ("A3 p", "A3 f")), ("A4", ("A4 p",))):
+        folder = out / "keys" / key
+        folder.mkdir(parents=True)
+        rows = [{"file": f"/elsewhere/{name}.wav", "sha256": digests[name], "channel": "average"} for name in names]
+        (folder / "fit.json").write_text(json.dumps({"recordings": rows}))
+        for name in [f"fitted-{name}" for name in names] if len(names) > 1 else ["fitted"]:
+            (folder / f"{name}.wav").write_bytes(encoded(0.5 * note(220.0, 1.2), rate=RATE))
+    return out
+
+
+def test_recordings_are_paired_with_the_sounds_of_their_fits(tmp_path, capsys):
+    """By content: a recording may have been renamed or moved since, and lie in any folder."""
+    recordings = tmp_path / "recordings"
+    for at, name in enumerate(("A3 p", "A3 f", "A4 p", "B4 p")):
+        (recordings / name[:2]).mkdir(parents=True, exist_ok=True)
+        sound = (1 + at) * 0.2 * note(220.0, 1.0)
+        (recordings / name[:2] / f"{name}.wav").write_bytes(encoded(np.stack([sound, 0.5 * sound], 1), rate=RATE))
+    made = fits(tmp_path, recordings)
+    (recordings / "A3/A3 p.wav").rename(recordings / "renamed.wav")
+    assert run(recordings, made, "--out", tmp_path / "out", "--trials", 3, "--seconds", 0.9) == 0
+    output, errors = capsys.readouterr()
+    assert "3 sounds: A3 f, A3 p, A4 p" in output
+    assert "B4 p" in errors
+    sounds = heard(tmp_path / "out")
+    assert {*sounds} == {(name, side) for name in ("A3 p", "A3 f", "A4 p") for side in ("recordings", "fits")}
+    # The fits are in mono, and so are their recordings.
+    assert all(sound.ndim == 1 or np.ptp(sound, axis=1).max() == 0 for sound in sounds.values())
+    assert str(tmp_path) not in (tmp_path / "out/listen.html").read_text()
+
+
+def test_recordings_that_were_not_fitted_are_refused(tmp_path, capsys):
+    (one,) = folders(tmp_path, "one")
+    other = tmp_path / "other"
+    other.mkdir()
+    for name in ("A3 p", "A3 f", "A4 p"):
+        (other / f"{name}.wav").write_bytes(encoded(note(330.0) * len(name) / 9, rate=RATE) + name.encode())
+    assert run(one, fits(tmp_path, other), "--out", tmp_path / "out") == 1
+    assert "content" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "text", ["[]", '{"recordings": 3}', '{"recordings": [3, {"file": 1}]}', '{"recordings": "ab"}']
+)
+def test_a_fit_that_names_no_recording_is_no_pair(tmp_path, text):
+    (one,) = folders(tmp_path, "one")
+    (tmp_path / "fits").mkdir()
+    (tmp_path / "fits/fit.json").write_text(text)
+    assert run(one, tmp_path / "fits", "--out", tmp_path / "out") == 1
 
 
 def test_loudness_is_that_of_the_recommendation():
@@ -184,7 +240,7 @@ def test_a_pair_that_fails_a_gate_can_be_left_out(tmp_path, capsys):
     assert run(a, b, "--out", tmp_path / "out", "--leave-out") == 0
     captured = capsys.readouterr()
     assert "left out: " in captured.err
-    assert "about sounds, 1 in all: A3" in captured.out
+    assert "about 1 sound: A3" in captured.out
 
 
 # --- the answers ------------------------------------------------------------------------------------------------------
@@ -222,3 +278,13 @@ def test_counts_against_published_intervals(tmp_path, capsys):
     assert run("--result", files[0], "--result", files[1], "--json") == 0
     found = json.loads(capsys.readouterr().out)["conditions"]
     assert found[0] == {"condition": "ABX", "hits": 12, "of": 16, "p": abx.p, "interval": [low, high]}
+
+
+def test_sides_of_one_name_are_called_by_their_folders(tmp_path):
+    for place in ("one", "two"):
+        (tmp_path / place).mkdir()
+        folders(tmp_path / place, "sounds")
+    assert run(tmp_path / "one/sounds", tmp_path / "two/sounds", "--out", tmp_path / "out") == 0
+    key = json.loads((tmp_path / "out/key.json").read_text())
+    assert {sound["what"] for sound in key["sounds"].values()} == {"one/sounds", "two/sounds"}
+    assert str(tmp_path) not in (tmp_path / "out/listen.html").read_text()

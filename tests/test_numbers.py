@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pianofit.numbers import bracketed, columns, with_half_interval, with_interval, with_standard_error
+from pianofit.numbers import bracketed, columns, counted, with_half_interval, with_interval, with_standard_error
 
 RAISED = str.maketrans("−⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "--0123456789", "\u00a0")
 
@@ -73,3 +73,8 @@ def test_columns_are_as_wide_as_what_they_hold():
     assert columns([("", "value", "status"), ("kappa", "209.79888838", "fitted"), ("p", "3", "")], right=1) == [
         "              value  status", "kappa  209.79888838  fitted", "p                 3",
     ]  # fmt: skip
+
+
+def test_one_of_a_kind_is_counted_in_the_singular():
+    assert [counted(n, "key") for n in (0, 1, 2)] == ["0 keys", "1 key", "2 keys"]
+    assert [counted(n, "velocity", "velocities") for n in (1, 3)] == ["1 velocity", "3 velocities"]

@@ -13,7 +13,7 @@ from decimal import Decimal
 from typing import Any
 
 __all__ = [
-    "LARGEST", "beside", "bracketed", "columns", "filled", "is_number", "number", "off_by", "summary",
+    "LARGEST", "beside", "bracketed", "columns", "counted", "filled", "is_number", "number", "off_by", "summary",
     "with_half_interval", "with_interval", "with_standard_error",
 ]  # fmt: skip
 
@@ -32,6 +32,11 @@ RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 def is_number(value: Any) -> bool:
     """Whether `value` is a number that can be computed with."""
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= LARGEST
+
+
+def counted(count: int, noun: str, several: str = "") -> str:
+    """A count with its noun: "1 key", "2 keys"; `several` is the plural where that does not end in s."""
+    return f"{count} {noun if count == 1 else several or noun + 's'}"
 
 
 def number(value: Any, digits: int = 4) -> str:

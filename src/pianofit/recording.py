@@ -1,4 +1,4 @@
-"""The one gate for audio: a WAV or FLAC file, or an array, becomes a `Recording`, or an error that says why not.
+"""The one gate for audio: a sound file, or an array, becomes a `Recording`, or an error that says why not.
 
 Everything past this gate may rely on it: mono float64, finite, not silent, with its onset, offset, noise floor and
 clipping measured.
@@ -14,14 +14,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .decode import STEPS, check_layout, decode
+from .decode import LOSSY, STEPS, check_layout, decode, is_sound, layout_of, readable_formats
 from .errors import ParameterError, RecordingError
 from .io import one_line, read_file, shown
+from .numbers import counted
 from .onset import find_sounds, forward_mean, without_drift
 
 __all__ = [
-    "INSIDE", "Recording", "Source", "as_recording", "check_channel", "load_recording", "read",
-    "recording_from_samples",
+    "INSIDE", "Recording", "Source", "as_recording", "check_channel", "is_sound", "layout_of", "load_recording", "read",
+    "readable_formats", "recording_from_samples",
 ]  # fmt: skip
 
 CHANNELS = ("average", "left", "right", *"12345678")
@@ -94,7 +95,10 @@ def as_recording(source: Source, channel: str = "average", name: str = "recordin
 
 
 def load_recording(path: str | os.PathLike[str], *, channel: str = "average") -> Recording:
-    """Read a WAV (PCM 16, 24, 32, float 32, 64) or FLAC file, 8 to 384 kHz, 1 to 8 channels.
+    """Read a sound file of 8 to 384 kHz and 1 to 8 channels.
+
+    WAV, AIFF, Wave64, RF64, CAF and AU hold PCM of 16, 24 or 32 bit, or floats; FLAC holds 16 or 24 bit. OGG Vorbis,
+    Opus and MP3 are read with a warning, because lossy compression alters decays and weak partials.
 
     Parameters
     ----------
@@ -181,7 +185,7 @@ def _choose(frames: np.ndarray, channel: str) -> tuple[np.ndarray, str]:
         return frames, "mono" if count == 1 else "average"
     number = {"left": 1, "right": 2}.get(channel) or int(channel)
     if number > count:
-        raise RecordingError(f"has {count} channel{'s' * (count > 1)}, so channel={channel!r} must be 1 to {count}")
+        raise RecordingError(f"has {counted(count, 'channel')}, so channel={channel!r} must be 1 to {count}")
     return frames[:, number - 1 : number], "mono" if count == 1 else channel
 
 
@@ -209,6 +213,8 @@ def _measure(used: np.ndarray, rate: int, step: float, **facts) -> Recording:
         warnings += ("the file begins inside the note: the onset is its first sample, and the attack is incomplete",)
     if silence > NAMED_SILENCE * rate:
         warnings += (f"{silence / rate:.2f} s of digital silence at its end were left out",)
+    if codec := LOSSY.get(facts["subtype"]):
+        warnings += (f"{codec} is lossy compression, which alters decay rates and weak partials",)
     if abs(dc) > 0.01:
         warnings += (f"an offset of {dc:.3g} of full scale was removed",)
     frames = samples[None] if used.shape[1] == 1 else np.stack([x - _offset(x) for x in used.T])

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ..numbers import counted
 from ..tables import data_frame, html_table
 from .glide import Fall
 
@@ -51,7 +52,7 @@ class Partials:
 
     def __repr__(self) -> str:
         span = f", {self.frequency[0]:.5g} to {self.frequency[-1]:.5g} Hz" if len(self) else ""
-        return f"{len(self)} partials{span}; {len(self.absent)} looked for and not found"
+        return f"{counted(len(self), 'partial')}{span}; {len(self.absent)} looked for and not found"
 
     def _rows(self) -> list[tuple]:
         return list(zip(*(getattr(self, name).tolist() for name in PER_PARTIAL), strict=True))

@@ -2,13 +2,14 @@
 
 from .cluster import Cluster, check_cluster
 from .local import Local
-from .manifest import DEFAULT_PATTERN, Key, Sample, read_keys
+from .manifest import Key, Sample, read_keys
 from .run import Progress, plan, run_batch
 from .state import status
+from .survey import Unread, listing, mixtures, unread
 from .units import Settings, Unit, make_unit
 
 __all__ = [
-    "DEFAULT_PATTERN", "Key", "Sample", "read_keys",
-    "Settings", "Unit", "make_unit",
+    "Key", "Sample", "read_keys",
+    "Settings", "Unit", "make_unit", "Unread", "listing", "mixtures", "unread",
     "Local", "Cluster", "check_cluster", "Progress", "plan", "run_batch", "status",
 ]  # fmt: skip

@@ -11,6 +11,8 @@ import csv
 import io
 import os
 import re
+import shlex
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,18 +22,19 @@ from ..analysis.notes import midi_to_note, note_to_midi
 from ..analysis.pitch import check_pitch
 from ..errors import AnalysisError, SetupError
 from ..io import one_line, read_text
+from ..numbers import counted
 from ..parameters import PARAMETERS
+from ..recording import is_sound, readable_formats
 from ..units import hertz_of
+from .guess import guess_pattern, numbers_off
 from .paths import find_file
 
-__all__ = ["DEFAULT_PATTERN", "Key", "Sample", "listed", "manifest_text", "read_keys"]
+__all__ = ["Key", "Sample", "files_in", "listed", "manifest_text", "read_keys"]
 
-DEFAULT_PATTERN = "{instrument}-{note}[-{layer}]"
 COLUMNS = ("file", "note", "instrument", "take", "layer", "velocity", "v_H0", "group", "mic")
 # Headers of a MIDI velocity, and of a measured one with its unit, such as "velocity (m/s)" or "velocity_m_s".
 _MIDI = re.compile(r"(?:midi\W*_?)?velocity(?:\W*_?midi\W*)?")
 _MEASURED = re.compile(r"v_h0\b.*|velocity\W*_?m(?:/|_| )?s(?:\W*|\^?-1\W*)")
-SOUNDS = (".wav", ".flac")
 # What is said where velocities are listed without a unit.
 MIDI_VELOCITIES = (
     "velocity is read as the MIDI velocity of a layer, which names it; give measured hammer velocities, m/s, as v_H0"
@@ -40,6 +43,7 @@ MAX_BYTES = 2**24
 MAX_ROWS = 100_000
 MAX_TAKES = 64  # of one key: memory of a joint fit grows with them
 NAMED = 5  # problems spelt out in one message
+RESULTS = {"fit.json", "ledger"}  # a folder with one of these holds what fits have written
 _FIELDS = {
     "note": r"[A-Ga-g](?:##|#|♯|bb|b|♭|s)?(?:-1|\d)|\d{1,3}",
     "velocity": r"\d+(?:\.\d+)?", "v_H0": r"\d+(?:\.\d+)?",
@@ -89,7 +93,8 @@ def read_keys(
     Parameters
     ----------
     source : a CSV file, an SFZ file, or a folder of recordings.
-    pattern : for a folder, how its file names are made; `{note}` must be in it, `[...]` may be absent.
+    pattern : for a folder, how its file names are made; `{note}` must be in it, `[...]` may be absent. It is guessed
+        from the names if it is not given, and a remark says so.
     root : the folder that all files must lie in; by default that of the manifest.
     transpose : semitones added to every note, for a library that counts octaves otherwise.
 
@@ -100,7 +105,7 @@ def read_keys(
         raise SetupError(f"{name}: is no folder, so --pattern {one_line(pattern)!r} has no meaning; leave it out")
     if source.is_dir():
         base = source
-        rows, remarks = _folder_rows(source, pattern or DEFAULT_PATTERN)
+        rows, remarks = _folder_rows(source, pattern)
     elif source.suffix.lower() == ".sfz":
         from .sfz import sfz_rows
 
@@ -136,7 +141,8 @@ def _csv_rows(source: Path) -> tuple[list[Row], list[str]]:
                 continue
             if len(cells) != len(columns):
                 raise SetupError(
-                    f"{name}: line {reader.line_num} has {len(cells)} cells, the header {len(columns)}; correct it"
+                    f"{name}: line {reader.line_num} has {counted(len(cells), 'cell')}, the header {len(columns)}; "
+                    "correct it"
                 )
             rows.append(_csv_row(f"line {reader.line_num}", dict(zip(columns, cells, strict=True))))
             if len(rows) > MAX_ROWS:
@@ -176,24 +182,69 @@ def _csv_row(where: str, cells: dict[str, str]) -> Row:
     )  # fmt: skip
 
 
-def _folder_rows(folder: Path, pattern: str) -> tuple[list[Row], list[str]]:
-    """Rows of the files in `folder` whose names fit `pattern`."""
+def _folder_rows(folder: Path, pattern: str | None) -> tuple[list[Row], list[str]]:
+    """Rows of the files in `folder` whose names fit `pattern`, or the pattern that is guessed."""
+    found, remarks = [file for file in files_in(folder) if is_sound(file)], []
+    if not found:
+        raise SetupError(f"{one_line(folder)}: {_without_sound(folder)}")
+    if pattern is None:
+        pattern, remarks = _guessed(folder, found)
     expression, rows, others = _expression(pattern), [], []
-    found = (Path(place, file) for place, _, files in os.walk(folder) for file in files)
-    for file in sorted(f for f in found if f.suffix.lower() in SOUNDS and not f.name.startswith(".")):
-        path = file.relative_to(folder).as_posix()
-        match = expression.fullmatch(path if pattern.lower().endswith(SOUNDS) else path[: -len(file.suffix)])
+    for path in found:
+        match = expression.fullmatch(path if is_sound(pattern) else _stem(path))
         if match is None:
             others.append(path)
             continue
         cells = {k: v or "" for k, v in match.groupdict().items()}
         rows.append(_csv_row(one_line(path), {"file": path, "note": ""} | cells))
     if not rows:
-        seen = f"none of its {len(others)} recordings, such as {one_line(others[0])!r}," if others else "no recording"
-        raise SetupError(f"{one_line(folder)}: {seen} fits the pattern {pattern!r}; give --pattern, such as "
-                         "'{instrument}-{note}-{layer}.flac', or a manifest")  # fmt: skip
-    left = [f"recordings that do not fit the pattern: {len(others)}, such as {one_line(others[0])}"] if others else []
-    return rows, left + [MIDI_VELOCITIES] * ("{velocity}" in pattern and "{v_H0}" not in pattern)
+        raise SetupError(f"{one_line(folder)}: none of {counted(len(others), 'recording')}, such as "
+                         f"{one_line(others[0])!r}, fits the pattern {pattern!r}; {_give_pattern()}")  # fmt: skip
+    left = f"recordings that do not fit the pattern: {len(others)}, such as {one_line(others[0])}" if others else ""
+    remarks = [*remarks, left] if left else remarks
+    return rows, remarks + [MIDI_VELOCITIES] * ("{velocity}" in pattern and "{v_H0}" not in pattern)
+
+
+def files_in(folder: Path) -> list[str]:
+    """Paths of all files below a folder, from there, in order; without hidden ones and what fits have written."""
+    found = []
+    for place, inner, files in os.walk(folder):
+        if Path(place) != folder and RESULTS & {*inner, *files}:
+            inner.clear()
+            continue
+        inner[:] = [name for name in inner if not name.startswith(".")]
+        found += [(Path(place) / file).relative_to(folder).as_posix() for file in files if not file.startswith(".")]
+    return sorted(found)
+
+
+def _stem(path: str) -> str:
+    return path[: -len(Path(path).suffix)]
+
+
+def _without_sound(folder: Path) -> str:
+    """Why a folder has no recording: what is there instead."""
+    endings = Counter(Path(file).suffix.lower() or "no ending" for file in files_in(folder))
+    seen = ", ".join(f"{one_line(ending)} ({count})" for ending, count in endings.most_common(NAMED))
+    there = f"holds no recording that is read, only files with {seen}" if seen else "holds no files"
+    return f"{there}; the formats are {readable_formats()}: convert the files to one of these"
+
+
+def _guessed(folder: Path, found: Sequence[str]) -> tuple[str, list[str]]:
+    """The pattern of these names, and remarks on it."""
+    stems = [*map(_stem, found)]
+    pattern = guess_pattern(stems, _expression)
+    if pattern is None:
+        raise SetupError(f"{one_line(folder)}: no pattern can be guessed, because no part of names such as "
+                         f"{one_line(found[0])!r} is clearly the note; {_give_pattern()}")  # fmt: skip
+    remarks = [f"file names are read as --pattern {one_line(shlex.quote(pattern))}"]
+    if off := numbers_off(stems):
+        remarks.append(f"MIDI numbers in the names are {off:+d} semitones from the note names, which are used; "
+                       f"--transpose {off} uses the numbers")  # fmt: skip
+    return pattern, remarks
+
+
+def _give_pattern() -> str:
+    return "give --pattern, such as '{instrument}-{note}-{layer}.flac', or a manifest"
 
 
 def _expression(pattern: str) -> re.Pattern[str]:

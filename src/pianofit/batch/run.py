@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 from ..errors import OutputError, RecordingError
 from ..io import one_line
+from ..numbers import counted
 from .cluster import Cluster
 from .index import Index
 from .ledger import Entry, entry_of, keep
@@ -174,7 +175,11 @@ class _Batch:
         self.store.install(unit.key, outcome.files, _record(unit, outcome))
         self._row(unit, state="done", reason="", **facts)
         self.seconds.append(outcome.seconds)
-        without = f", without {len(outcome.left_out)} of {len(unit.sources)} recordings" if outcome.left_out else ""
+        without = (
+            f", without {len(outcome.left_out)} of {counted(len(unit.sources), 'recording')}"
+            if outcome.left_out
+            else ""
+        )
         self._say(f"{unit.key}: done in {outcome.seconds:.1f} s{without}", workers)
 
     def _row(self, unit: Unit, **facts: Any) -> None:

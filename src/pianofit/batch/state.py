@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from ..numbers import counted
 from .ledger import Entry, entries_of
 from .store import Store, is_locked
 
@@ -72,7 +73,8 @@ def suggestions(entries: Sequence[Entry]) -> list[str]:
     semitones, times = offset.most_common(1)[0]
     if times > 2 and 2 * times > len(entries):
         return [
-            f"{times} of {len(entries)} keys sound {abs(semitones)} semitones {'above' if semitones > 0 else 'below'} "
-            f"their names: the library counts otherwise; run with --transpose {semitones} and another --out"
+            f"{times} of {len(entries)} keys sound {counted(abs(semitones), 'semitone')} "
+            f"{'above' if semitones > 0 else 'below'} their names: the library counts otherwise; run with "
+            f"--transpose {semitones} and another --out"
         ]
     return [f"{e.key}: its name says {e.note}, its pitch {e.sounds_like}; correct its note" for e in wrong]

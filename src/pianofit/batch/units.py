@@ -29,7 +29,8 @@ from ..analysis import analyse
 from ..analysis.notes import SAME_KEY, hz_to_note, note_to_hz, note_to_midi
 from ..errors import AnalysisError, OutputError, PianofitError, RecordingError
 from ..io import NO_ROOM, one_line, read_file, unwritten, with_names
-from ..recording import MAX_BYTES, load_recording
+from ..numbers import counted
+from ..recording import MAX_BYTES, layout_of, load_recording
 from .manifest import Key
 
 __all__ = ["Outcome", "Settings", "Source", "Unit", "fit_unit", "make_unit", "versions"]
@@ -60,6 +61,10 @@ class Source(NamedTuple):
     velocity: float | None = None  # m/s
     group: str = ""
     stroke: str = ""
+    layer: str = ""  # this and the following describe the recording, and are no part of the hash
+    channels: int = 0
+    rate: int = 0  # Hz
+    wrong: str = ""  # why it cannot be read
 
 
 class Unit(NamedTuple):
@@ -128,14 +133,25 @@ def make_unit(key: Key, settings: Settings) -> Unit:
     """
     sources: list[Source] = []
     for sample, name in zip(key.samples, _names(key), strict=True):
-        digest = hashlib.sha256(read_file(sample.file, MAX_BYTES, RecordingError)).hexdigest()
+        data = read_file(sample.file, MAX_BYTES, RecordingError)
+        digest = hashlib.sha256(data).hexdigest()
         for other in sources:
             if other.sha256 == digest:
                 raise RecordingError(
                     f"{one_line(sample.file)} and {one_line(other.path)} are the same recording; list it once"
                 )
-        sources.append(Source(str(sample.file), name, digest, sample.velocity, sample.group, sample.stroke))
+        given = sample.velocity, sample.group, sample.stroke, sample.layer
+        sources.append(Source(str(sample.file), name, digest, *given, *_layout(data)))
     return Unit(key.name, key.note, tuple(sources), settings, versions())
+
+
+def _layout(data: bytes) -> tuple[int, int, str]:
+    """Channels and rate of a recording, or why it cannot be read."""
+    try:
+        layout = layout_of(data)
+    except RecordingError as error:
+        return 0, 0, str(error)
+    return layout.channels, layout.rate, ""
 
 
 def _names(key: Key) -> list[str]:
@@ -223,17 +239,23 @@ def _fit_in(place: Path, unit: Unit, contents: Sequence[bytes] | None, tell: Cal
         astray = left_out[0][1] if left_out and not files else str(error)
         every = f"none of its {len(left_out)} recordings can be used: " if len(left_out) > 1 and not files else ""
         like = _sounds_like(unit, files or [f for f, _ in left_out])
-        return Outcome({}, with_names(every + astray, _paths(place, unit)), sounds_like=like)
+        return Outcome({}, with_names(every + astray, _file_names(place, unit)), sounds_like=like)
     outputs = {file.name: file.read_bytes() for file in sorted(out.iterdir())}
     if unit.setup:
         outputs["setup.toml"] = unit.setup.encode()
-    named = [{"file": str(file), "reason": reason} for file, reason in left_out]
-    return Outcome(outputs, left_out=tuple(with_names(named, _paths(place, unit))))
+    paths, names = _paths(place, unit), _file_names(place, unit)
+    named = [{"file": paths[str(file)], "reason": with_names(reason, names)} for file, reason in left_out]
+    return Outcome(outputs, left_out=tuple(named))
 
 
 def _paths(place: Path, unit: Unit) -> dict[str, str]:
     """The recordings' own paths by those that they have in the scratch folder, whose name changes by the run."""
     return {str(place / "in" / source.name): source.path for source in unit.sources}
+
+
+def _file_names(place: Path, unit: Unit) -> dict[str, str]:
+    """The recordings' file names by the same, for messages: a table or a page names no folder of this machine."""
+    return {scratch: one_line(Path(path).name) for scratch, path in _paths(place, unit).items()}
 
 
 def _stage(place: Path, unit: Unit, contents: Sequence[bytes] | None) -> list[Path]:
@@ -243,7 +265,7 @@ def _stage(place: Path, unit: Unit, contents: Sequence[bytes] | None) -> list[Pa
     for i, source in enumerate(unit.sources):
         data = read_file(source.path, MAX_BYTES, RecordingError) if contents is None else contents[i]
         if hashlib.sha256(data).hexdigest() != source.sha256:
-            raise RecordingError(f"{one_line(source.path)}: has changed since the batch began; run it again")
+            raise RecordingError(f"{one_line(Path(source.path).name)}: has changed since the batch began; run it again")
         files.append(folder / source.name)
         files[-1].write_bytes(data)
     return files
@@ -282,7 +304,7 @@ def _unusable(files: list[Path], unit: Unit) -> list[tuple[Path, str]]:
         try:
             analysis = analyse(load_recording(file, channel=unit.settings.channel), note=unit.note)
             if len(analysis.partials) < FEWEST and len(files) > 1:
-                found.append((file, f"{file}: only {len(analysis.partials)} partials stand above its noise"))
+                found.append((file, f"{file}: only {counted(len(analysis.partials), 'partial')} above its noise"))
             else:
                 pitches[file] = analysis.f0
         except PianofitError as error:

@@ -18,12 +18,13 @@ import typer
 
 from ..errors import PianofitError, SetupError, check_range
 from ..io import one_line
+from ..numbers import columns, counted
 from ..parameters import check_seed
 from ..recording import check_channel
 from ..setup import load_setup, setup_from_dict
 from ..threads import cores
 from .options import Channel, Json, Seed, number, one_of, whole
-from .terminal import tell
+from .terminal import complain, tell
 
 if TYPE_CHECKING:
     from ..batch import Progress, Settings, Unit
@@ -67,7 +68,8 @@ def batch(
         typer.Option(
             metavar="PATTERN",
             help="How the names of a folder's files are made: {note} and {instrument}, {layer}, {take}, {group}, "
-            "{mic}, {velocity} (MIDI), {v_H0} (m/s), {*}; what stands in [ ] may be missing.",
+            "{mic}, {velocity} (MIDI), {v_H0} (m/s), {*}; a part in [ ] may be missing. Guessed from the names if not "
+            "given.",
         ),
     ] = None,
     root: Annotated[
@@ -111,22 +113,24 @@ def batch(
     retry: Annotated[
         str | None, typer.Option(parser=one_of("failed"), metavar="failed", help="Try again what has failed before.")
     ] = None,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be done, and do nothing.")] = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="List every file, what it is read as, and what would be done; do nothing.")
+    ] = False,
     as_json: Json = False,
 ) -> None:
     """Fit every key of a sample library; run again, it goes on where it was."""
     with _resumable():
         _check(workers, memory, time_limit, seed, channel)
-        from ..batch import check_cluster, plan, read_keys, run_batch
+        from ..batch import check_cluster, mixtures, plan, read_keys, run_batch
 
         if scheduler is not None:
             check_cluster()
         keys, remarks = read_keys(manifest, pattern=pattern, root=root, transpose=transpose)
-        for remark in remarks:
-            typer.echo(f"pianofit: {remark}", err=True)
         units = _units(manifest, keys, _settings(setup, channel, seed, page))
+        for remark in [*remarks, *mixtures(units)]:
+            complain(remark)
         if dry_run:
-            _tell_planned(units, plan(units, out, retry == "failed"), as_json)
+            _tell_planned(manifest, units, plan(units, out, retry == "failed"), as_json)
             return
         with _told() as progress:
             made = _workers(workers, memory, time_limit, scheduler, files == "value")
@@ -202,7 +206,7 @@ def _line(p: Progress) -> str:
     """How far a batch is, on one line."""
     failed = f", {p.failed} failed" if p.failed else ""
     running = f"; {_at_work(p.running)}" if p.running else ""
-    return f"{p.done} of {p.total} keys done{failed}{_left(p.total - p.done - p.failed, p.left)}{running}"
+    return f"{p.done} of {counted(p.total, 'key')} done{failed}{_left(p.total - p.done - p.failed, p.left)}{running}"
 
 
 def _left(keys: int, seconds: float | None) -> str:
@@ -225,9 +229,9 @@ def _span(seconds: float) -> str:
 
 @contextlib.contextmanager
 def _told() -> Iterator[Callable[[Progress], None]]:
-    """Progress on stderr where that is a terminal: a line that changes, and one that stays for every event."""
+    """Progress on stderr: a line for every event, and in a terminal one below them that changes."""
     if not sys.stderr.isatty():
-        yield lambda _: None
+        yield _tell_event
         return
     from rich.console import Console
 
@@ -242,16 +246,32 @@ def _told() -> Iterator[Callable[[Progress], None]]:
         yield tell
 
 
-def _tell_planned(units: list[Unit], standing: dict[str, str], as_json: bool) -> None:
-    """Print what a run would do."""
+def _tell_event(p: Progress) -> None:
+    """One line of a log: how many keys have ended, what happened, and the time left."""
+    if p.event:
+        left = f" ({_span(p.left)} left)" if p.left and p.done + p.failed < p.total else ""
+        typer.echo(f"{p.done + p.failed} of {counted(p.total, 'key')}: {p.event}{left}", err=True)
+
+
+def _tell_planned(manifest: Path, units: list[Unit], standing: dict[str, str], as_json: bool) -> None:
+    """Print what a run would do: every file with what it was read as, and every file that was not read."""
+    from ..batch import listing, unread
+
+    folder, missed = manifest if manifest.is_dir() else manifest.parent, unread(manifest, units)
     rows = [
         {"key": u.key, "note": u.note, "hash": u.hash, "standing": standing[u.key],
          "recordings": [s._asdict() for s in u.sources]}
         for u in units
     ]  # fmt: skip
-    lines = [f"{u.key:32} {len(u.sources):3} recordings  {standing[u.key]}\n" for u in units]
+    lines = []
+    for unit in units:
+        lines.append(f"{unit.key}: {unit.note}, {counted(len(unit.sources), 'recording')}, {standing[unit.key]}")
+        lines += [f"  {line}" for line in columns(listing(unit, folder), right=-1)]
+    lines += ["not read:"] * bool(missed)
+    lines += [f"  {line}" for line in columns([[file.file, file.reason] for file in missed], right=-1)]
     todo = sum(s.startswith("to do") for s in standing.values())
-    tell({"keys": rows}, "".join(lines) + f"{todo} of {len(units)} keys to do; nothing was written\n", as_json)
+    lines.append(f"{todo} of {counted(len(units), 'key')} to do; nothing was written")
+    tell({"keys": rows, "unread": [file._asdict() for file in missed]}, "\n".join(lines) + "\n", as_json)
 
 
 def _summary(found: dict[str, Any]) -> str:
@@ -263,7 +283,9 @@ def _summary(found: dict[str, Any]) -> str:
     at_work = (
         "" if "at_work" not in found else f"; a batch is at work{left}" if found["at_work"] else "; no batch is at work"
     )
-    lines = [", ".join(f"{n} {state}" for state, n in count.items()) + f" of {len(found['keys'])} keys{at_work}"]
+    lines = [
+        ", ".join(f"{n} {state}" for state, n in count.items()) + f" of {counted(len(found['keys']), 'key')}{at_work}"
+    ]
     if found["median_seconds"]:
         lines.append(f"median {found['median_seconds']:.1f} s a key, at most {found['largest_memory'] / 2**30:.2f} GiB "
                      "a process")  # fmt: skip

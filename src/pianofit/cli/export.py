@@ -10,6 +10,7 @@ import typer
 
 from ..errors import OutputError, ParameterError
 from ..io import check_target, one_line
+from ..numbers import counted
 from ..progress import progress_bar
 from .options import Built, Force, Json, Prefix, number, whole
 from .terminal import tell
@@ -49,6 +50,9 @@ def export(
     rate: Annotated[
         int | None, typer.Option("--rate", parser=whole, metavar="HZ", help="Sample rate of a sampler in Hz; 48000.")
     ] = None,
+    fill: Annotated[
+        bool, typer.Option(help="Sample more keys where keys between the chosen ones would be silent.")
+    ] = True,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
@@ -57,12 +61,13 @@ def export(
     from ..model.cache import keep_programs
     from ..play import SAMPLERS, Asked, export_sampler, parse_keys
     from ..play.faust import write_faust
+    from ..play.layers import without_gaps
 
     given = {"layers": layers, "seconds": seconds, "rate": rate, "kind": samples}
     asked = {name: value for name, value in given.items() if value is not None}
     if to not in (*SAMPLERS, "faust"):
         raise ParameterError(f"--format {to!r} must be one of {', '.join(SAMPLERS)}, faust")
-    _check_target(to, out, asked, force)
+    _check_target(to, out, asked if fill else asked | {"no-fill": True}, force)
     chosen, played = parse_keys(keys), load_instrument(built, prefix)
     keep_programs()
     with progress_bar() as bar:
@@ -70,9 +75,9 @@ def export(
             done = write_faust(out, played, chosen, licence=licence, progress=bar)
             words = _programmed(done)
         else:
-            wanted = Asked(kind=SAMPLERS[to].kind)._replace(**asked)
-            done = export_sampler(played, out, chosen, wanted, to=to, licence=licence, force=force, progress=bar)
-            words = _sampled(done)
+            wanted, sampled = Asked(kind=SAMPLERS[to].kind)._replace(**asked), without_gaps(chosen) if fill else chosen
+            done = export_sampler(played, out, sampled, wanted, to=to, licence=licence, force=force, progress=bar)
+            words = _sampled(done, sorted({*sampled} - {*chosen}))
     tell(done._asdict(), f"{out}: {words}", as_json)
 
 
@@ -90,19 +95,25 @@ def _check_target(to: str, out: Path, asked: dict[str, Any], force: bool) -> Non
         check_target(out, force)
 
 
-def _sampled(done: Exported) -> str:
+def _sampled(done: Exported, added: list[int]) -> str:
+    from ..play.layers import key_ranges
+
+    more = f"{counted(len(added), 'key')} sampled in addition, to fill gaps: {key_ranges(added)}\n" if added else ""
+    silent = f"{counted(len(done.silent), 'key')} silent: {key_ranges(done.silent)}; give more --keys\n"
     return (
-        f"{done.keys} keys sampled, {_guesses(done.guesses)}; {done.transposed} transposed from them\n"
-        f"{done.samples} samples, {done.seconds:.0f} s, {done.bytes / 1e6:.1f} MB, one gain of {done.gain_db:+.1f} dB "
-        "for all\n"
+        f"{counted(done.keys, 'key')} sampled, {_guesses(done.guesses)}; {done.transposed} transposed from them\n"
+        f"{more}{silent if done.silent else ''}"
+        f"{counted(done.samples, 'sample')}, {done.seconds:.0f} s, {done.bytes / 1e6:.1f} MB, one gain of "
+        f"{done.gain_db:+.1f} dB for all\n"
     )
 
 
 def _programmed(done: Program) -> str:
     knocks = f"knocks at {done.knock_rate} Hz" if done.knock_rate else "no knocks"
     return (
-        f"{done.keys} keys with tables, {_guesses(done.guesses)}\n{done.modes} resonators a voice, "
-        f"{done.left_out} modes left out, {knocks}, {done.numbers} numbers, one gain of {done.gain_db:+.1f} dB\n"
+        f"{counted(done.keys, 'key')} with tables, {_guesses(done.guesses)}\n{done.modes} resonators a voice, "
+        f"{counted(done.left_out, 'mode')} left out, {knocks}, {done.numbers} numbers, "
+        f"one gain of {done.gain_db:+.1f} dB\n"
     )
 
 

@@ -20,10 +20,10 @@ from ..io import (
     replace_file,
     write_file,
 )
-from ..numbers import bracketed, columns, with_standard_error
+from ..numbers import bracketed, columns, counted, with_standard_error
 from ..parameters import check_seed, check_velocity
 from ..progress import progress_bar
-from ..recording import load_recording, read
+from ..recording import load_recording, read, readable_formats
 from ..setup import Setup, load_setup
 from ..units import NORMAL
 from . import options
@@ -37,7 +37,9 @@ __all__ = ["analyse", "compare", "crossval", "fit", "predict"]
 
 
 def analyse(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording of one struck note, WAV or FLAC.")],
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", help=f"A recording of one struck note: {readable_formats()}.")
+    ],
     note: options.Note = None,
     f0: options.Pitch = None,
     channel: options.Channel = "average",
@@ -160,8 +162,8 @@ def predict(
     found = _predicted(fit, recording, out, channel, force)
     end = ", an end of the range searched: the velocity is not found" if found["v_H0_at_end"] else ""
     words = (
-        f"{found['predicted_db']:.2f} dB over {found['partials']} partials, {found['cents']:+.2f} cents from the fit, "
-        f"at {found['v_H0']:.3g} m/s{end}\n"
+        f"{found['predicted_db']:.2f} dB over {counted(found['partials'], 'partial')}, {found['cents']:+.2f} cents "
+        f"from the fit, at {found['v_H0']:.3g} m/s{end}\n"
     )
     if found["was_fitted"]:
         words += "This recording took part in the fit: how near it comes is no prediction.\n"

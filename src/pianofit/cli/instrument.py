@@ -19,6 +19,7 @@ from ..io import (
     replace_file,
     write_file,
 )
+from ..numbers import counted
 from ..progress import progress_bar
 from .options import RATE, Built, Force, Json, Prefix, Sound
 from .terminal import tell
@@ -92,11 +93,11 @@ def play(
 def _played(out: Path, done: dict[str, Any]) -> str:
     turned = f", turned down by {-done['gain_db']:.1f} dB" if done["gain_db"] < 0 else ""
     limited = f", peaks limited by up to {done['limited_db']:.1f} dB" if done["limited_db"] > 0 else ""
-    beyond = f"{done['notes_beyond']} notes beyond A0 to C8 were left out\n" if done["notes_beyond"] else ""
+    beyond = f"{counted(done['notes_beyond'], 'note')} beyond A0 to C8 left out\n" if done["notes_beyond"] else ""
     return beyond + (
-        f"{out}: {done['seconds']:.1f} s at {done['rate']} Hz, {done['notes']} notes, {done['on_moving_strings']} of "
-        f"them on a string still sounding{turned}{limited}\ncomputed in {done['computed_in_s']:.1f} s, "
-        f"{done['real_time_factor']:.2g} s for each second of sound\n"
+        f"{out}: {done['seconds']:.1f} s at {done['rate']} Hz, {counted(done['notes'], 'note')}, "
+        f"{done['on_moving_strings']} of them on a string still sounding{turned}{limited}\n"
+        f"computed in {done['computed_in_s']:.1f} s, {done['real_time_factor']:.2g} s for each second of sound\n"
     )
 
 
@@ -144,8 +145,8 @@ def _written(done: dict[str, Any]) -> str:
 
     kept = done["knocks"]
     knocks = f"; knocks at {kept['rate']:g} Hz and {kept['bits']} bits" if kept else ""
-    knocks += f"; {done['layers']} recordings beside them" if done["layers"] else ""
+    knocks += f"; {counted(done['layers'], 'recording')} next to them" if done["layers"] else ""
     return (
-        f"{done['file']}: {done['keys']} keys, {done['recorded']} of them recorded; {guessed(**done['guesses'])}"
-        f"{knocks}; {done['bytes'] / 1e6:.2f} MB, open it in a browser\n"
+        f"{done['file']}: {counted(done['keys'], 'key')}, {done['recorded']} of them recorded; "
+        f"{guessed(**done['guesses'])}{knocks}; {done['bytes'] / 1e6:.2f} MB, open it in a browser\n"
     )

@@ -9,6 +9,7 @@ import typer
 
 from ..errors import ParameterError
 from ..io import output_folder
+from ..numbers import counted
 from ..parameters import check_seed
 from .options import Force, Json, Seed, number, whole
 from .terminal import complain, tell
@@ -18,9 +19,12 @@ __all__ = ["listen"]
 
 def listen(
     a: Annotated[
-        Path | None, typer.Argument(metavar="A", help="A folder of sounds, WAV or FLAC, or one file; the reference.")
+        Path | None, typer.Argument(metavar="A", help="A folder of sounds, or one file; the reference.")
     ] = None,
-    b: Annotated[Path | None, typer.Argument(metavar="B", help="A folder with files of the same names.")] = None,
+    b: Annotated[
+        Path | None,
+        typer.Argument(metavar="B", help="A folder with files of the same names, or the fits of the recordings in A."),
+    ] = None,
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help="The folder for the page, listen.html, and its key.")
     ] = None,
@@ -64,7 +68,7 @@ def listen(
         complain(f"left out: {line}")
     if made.alone:
         complain(f"left out, not in all folders: {', '.join(made.alone)}")
-    typer.echo(f"{made.trials} questions about sounds, {len(made.names)} in all: {', '.join(made.names)}")
+    typer.echo(f"{counted(made.trials, 'question')} about {counted(len(made.names), 'sound')}: {', '.join(made.names)}")
     typer.echo(f"written to {folder}: give listen.html to listeners; key.json says what it hides; webmushra/")
 
 

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from ..felt import LAWS
+from ..recording import readable_formats
 
 __all__ = [
     "RATE", "Built", "Channel", "Felt", "Force", "Json", "Known", "Note", "Pitch", "Prefix", "Recordings", "Seconds",
@@ -65,7 +66,9 @@ Channel = Annotated[
 ]
 Recordings = Annotated[
     list[Path],
-    typer.Argument(metavar="RECORDING...", help="One or more recordings of one key, WAV or FLAC, in any order."),
+    typer.Argument(
+        metavar="RECORDING...", help=f"One or more recordings of one key, in any order: {readable_formats()}."
+    ),
 ]
 Known = Annotated[
     Path | None,

@@ -14,6 +14,7 @@ from ..errors import FitError
 from ..felt import BOXES
 from ..io import one_line
 from ..model import Simulation, simulate
+from ..numbers import counted
 from ..parameters import STRING_NAMES, String
 from ..recording import Recording
 from ..setup import Layer, Setup, layer_of
@@ -134,7 +135,7 @@ def _refuse(recordings: Sequence[Recording], analyses: Sequence[Analysis]) -> No
             if recording.sha256 == recordings[other].sha256:
                 raise FitError(f"{name} and {names[other]} are the same recording; give it once")
         if len(recordings) > 1 and len(analysis.partials) < FEWEST:
-            raise FitError(f"{name}: only {len(analysis.partials)} partials stand above its noise; leave it out")
+            raise FitError(f"{name}: only {counted(len(analysis.partials), 'partial')} above its noise; leave it out")
         cents = 1200 * np.log2(analysis.f0 / np.median([a.f0 for a in analyses]))
         if abs(cents) > SAME_KEY:
             raise FitError(

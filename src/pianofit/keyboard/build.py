@@ -19,6 +19,7 @@ from ..errors import ParameterError
 from ..model.decay import partial_decays
 from ..model.note import Note
 from ..model.path import OutputPath
+from ..numbers import counted
 from ..parameters import PARAMETERS, Geometry, Hammer, String
 from ..ringing_file import ringing_document
 from ..units import NORMAL, hertz_of
@@ -261,7 +262,7 @@ def _messages(keys: Sequence[KeyFit], columns: dict[str, _Column]) -> list[str]:
         said.append(f"The fits of {', '.join(unsettled)} stopped before they settled; their intervals count double.")
     if len(keys) < 5:
         said.append(
-            f"Only {len(keys)} key{'s' if len(keys) > 1 else ''} of this instrument {'are' if len(keys) > 1 else 'is'} "
+            f"Only {counted(len(keys), 'key')} of this instrument {'are' if len(keys) > 1 else 'is'} "
             "known: the shape of the laws is the literature's, and no outlier can be recognised."
         )
     return said

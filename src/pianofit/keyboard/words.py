@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from ..numbers import counted
+
 __all__ = ["STATES", "TITLES", "counts", "guessed", "summary"]
 
 # name -> (title, unit of the axis)
@@ -50,7 +52,7 @@ def summary(document: dict[str, Any]) -> str:
     found = counts(document)
     known = sum(key["fit"] is not None for key in document["keys"])
     lines = [
-        f"{document['name'] or 'instrument'}: {known} key{'s' if known != 1 else ''} known, "
+        f"{document['name'] or 'instrument'}: {counted(known, 'key')} known, "
         + ", ".join(f"{n} {state}" for state, n in found.items() if n),
         "", f"{'':26}{'key to key':>14}{'smooth over':>12}   outliers",
     ]  # fmt: skip

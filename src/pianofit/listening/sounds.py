@@ -13,18 +13,17 @@ import numpy as np
 
 from ..errors import RecordingError, check_range
 from ..io import one_line
-from ..recording import Recording, load_recording
+from ..numbers import counted
+from ..recording import Recording
 from .gates import failures
 from .mushra import write_experiment
 from .page import Heard, Question, write_listening
+from .pairs import MOST, load_pair, pairs_of
 
 __all__ = ["Made", "listening_test"]
 
-SUFFIXES = (".wav", ".flac")
 # Before the onset, s: a knock may begin 12 ms earlier. Half of it fades in.
 LEAD = 0.02
-# Names at the most: with 4 s in stereo at 48 kHz a page of 160 MB, which browsers still open.
-MOST = 80
 # Questions of a condition at the most: some two hours.
 MOST_TRIALS = 500
 
@@ -45,7 +44,8 @@ def listening_test(
 
     Parameters
     ----------
-    a, b : folders of WAV and FLAC files with the same names, but for the ending; or two files.
+    a, b : folders of sounds whose files have the same names, apart from the ending; or two files. One may be a folder
+        of fits: their sounds are paired with the recordings that they were fitted to.
     folder : exists, and is to be written to.
     reference : likewise; then it is also asked which of A and B is nearer to it. Without, A is the reference.
     trials : of each condition; the names are taken in turn.
@@ -59,9 +59,9 @@ def listening_test(
     check_range("trials=", trials, 1, MOST_TRIALS)
     check_range("seconds=", seconds, 0.25, 30)
     sides = [a, b] if reference is None else [a, b, reference]
-    labels, (groups, alone) = _labels(sides), _named(sides)
     draw = np.random.default_rng(seed)
-    loaded = {name: [load_recording(path) for path in files] for name, files in groups.items()}
+    labels, (groups, alone) = _labels(sides), pairs_of(sides)
+    loaded = {name: load_pair(groups[name]) for name in sorted(draw.permutation([*groups])[:MOST].tolist())}
     failed = [f"{one_line(r.path)}: {words}" for group in loaded.values() for r in group for words in failures(r)]
     kept = {name: group for name, group in loaded.items() if not any(map(failures, group))}
     if failed and not (leave_out and kept):
@@ -71,50 +71,21 @@ def listening_test(
     questions = [question for order in _conditions(heard) for question in _in_turn(order, trials, draw)]
     clips = write_listening(
         folder / "listen.html", questions, rate, LEAD, seed, program="pianofit listen",
-        about=f"{len(heard)} sounds, each in two versions", key=folder / "key.json", seconds=seconds,
+        about=f"{counted(len(heard), 'sound')}, each in two versions", key=folder / "key.json", seconds=seconds,
         origin=f"the same sounds in {'a third version' if reference else 'one of the two versions'}",
     )  # fmt: skip
     write_experiment(folder / "webmushra", clips, labels[-1] if reference else labels[0])
     return Made([one[0].case for one in heard], alone, failed, sum(question.times for question in questions))
 
 
-def _named(sides: list[Path]) -> tuple[dict[str, list[Path]], list[str]]:
-    """The files of each name that all sides have, and the names that some lack."""
-    if not any(side.is_dir() for side in sides):
-        return {one_line(sides[0].stem): sides}, []
-    found = [_files(side) for side in sides]
-    names = sorted(set.intersection(*map(set, found)))
-    if not names:
-        raise RecordingError(
-            f"{one_line(sides[0])} and {one_line(sides[1])}: no file name in common; pairs are by name"
-        )
-    if len(names) > MOST:
-        raise RecordingError(f"{one_line(sides[0])}: {len(names)} pairs are more than {MOST}; take fewer")
-    alone = sorted(set.union(*map(set, found)) - {*names})
-    return {one_line(name): [side[name] for side in found] for name in names}, [one_line(name) for name in alone]
-
-
-def _files(folder: Path) -> dict[str, Path]:
-    """The sounds of a folder by name, without the ending."""
-    if not folder.is_dir():
-        raise RecordingError(f"{one_line(folder)}: is no folder; give folders only, or files only")
-    found: dict[str, Path] = {}
-    try:
-        for path in sorted(folder.iterdir()):
-            if path.suffix.lower() in SUFFIXES and found.setdefault(path.stem, path) != path:
-                raise RecordingError(
-                    f"{one_line(path)}: {one_line(found[path.stem].name)} has this name too; remove one"
-                )
-    except OSError as error:
-        raise RecordingError(f"{one_line(folder)}: cannot be read ({error.strerror}); check it") from None
-    return found
-
-
 def _labels(sides: list[Path]) -> list[str]:
-    """What the sides are called: their names, or where these are the same, their paths."""
-    for labels in ([side.stem for side in sides], [str(side) for side in sides]):
-        if len({*labels}) == len(labels) and all(labels):
-            return [one_line(label) for label in labels]
+    """The names of the sides, each with as many folders before it as make the names different."""
+    for ending in (False, True):
+        ends = [(*side.resolve().parts[:-1], side.name if ending else side.stem) for side in sides]
+        for depth in range(1, max(map(len, ends)) + 1):
+            labels = ["/".join(parts[-depth:]) for parts in ends]
+            if len({*labels}) == len(labels) and all(labels):
+                return [one_line(label) for label in labels]
     raise RecordingError(f"{one_line(sides[0])}: is given twice; two different folders or files are compared")
 
 
@@ -129,7 +100,7 @@ def _common(groups: list[list[Recording]]) -> int:
                 )
             if len(one.frames) != len(group[0].frames):
                 raise RecordingError(
-                    f"{one_line(one.path)}: has {len(one.frames)} channels, {one_line(group[0].path)} "
+                    f"{one_line(one.path)}: has {counted(len(one.frames), 'channel')}, {one_line(group[0].path)} "
                     f"{len(group[0].frames)}: that alone would tell them apart; make them alike"
                 )
     return first.rate

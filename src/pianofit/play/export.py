@@ -23,7 +23,7 @@ from ..io import CEILING, encode_pcm, interrupted_by, one_line, unwritten
 from ..keyboard.document import Instrument
 from ..threads import one_blas_thread
 from .formats import SAMPLERS
-from .layers import SampledKey, spans_of, velocities_of
+from .layers import SampledKey, silent_keys, spans_of, velocities_of
 from .readme import MARK, readme_text
 from .samples import Measured, measured, sample
 from .strings import PlayedString, damper_rate
@@ -54,6 +54,7 @@ class Exported(NamedTuple):
     seconds: float  # of all samples
     bytes: int  # of all samples
     gain_db: float  # of all samples
+    silent: list[int]  # MIDI keys that no sample plays
 
 
 class Asked(NamedTuple):
@@ -181,7 +182,7 @@ def _samples(
         progress("samples", LEVELS_SHARE + (1 - LEVELS_SHARE) * (i + 1) / len(keys))
     done = Exported(
         len(keys), len(instrument.unrecorded(keys)), sum(k.high - k.low for k in written),
-        len(keys) * asked.layers, frames / asked.rate, size, 20 * math.log10(gain),
+        len(keys) * asked.layers, frames / asked.rate, size, 20 * math.log10(gain), silent_keys(written),
     )  # fmt: skip
     return done, written
 

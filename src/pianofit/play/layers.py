@@ -11,6 +11,7 @@ left of a difference is in their correlation: the sum's own level is known befor
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from itertools import pairwise
@@ -18,11 +19,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..analysis.notes import note_to_midi
+from ..analysis.notes import midi_to_note, note_to_midi
 from ..errors import AnalysisError, ParameterError
 from ..keyboard.gather import HIGHEST_KEY, LOWEST_KEY
 
-__all__ = ["LOUDEST", "SOFTEST", "SampledKey", "Zone", "crossfaded", "parse_keys", "spans_of", "velocities_of"]
+__all__ = [
+    "LOUDEST", "SOFTEST", "SampledKey", "Zone", "crossfaded", "key_ranges", "parse_keys", "silent_keys", "spans_of",
+    "velocities_of", "without_gaps",
+]  # fmt: skip
 
 # MIDI velocities of strokes.
 SOFTEST, LOUDEST = 1, 127
@@ -83,6 +87,33 @@ def spans_of(keys: Sequence[int]) -> list[tuple[int, int]]:
         low, high = key - min((down - 1) // 2, FARTHEST), key + min(up // 2, FARTHEST)
         spans.append((max(low, LOWEST_KEY), min(high, HIGHEST_KEY)))
     return spans
+
+
+def without_gaps(keys: Sequence[int]) -> list[int]:
+    """Sampled keys with as many more, evenly spaced, as let every key between them be played."""
+    found = list(keys[:1])
+    for low, high in pairwise(keys):
+        parts = math.ceil((high - low) / (2 * FARTHEST + 1))
+        found += [low + round(part * (high - low) / parts) for part in range(1, parts + 1)]
+    return found
+
+
+def silent_keys(keys: Sequence[SampledKey]) -> list[int]:
+    """Keys of the piano that no sample plays."""
+    played = {midi for key in keys for midi in range(key.low, key.high + 1)}
+    return [midi for midi in range(LOWEST_KEY, HIGHEST_KEY + 1) if midi not in played]
+
+
+def key_ranges(keys: Sequence[int]) -> str:
+    """Ascending keys as text: "A0 to B3, C#5"; "none" without any."""
+    runs: list[list[int]] = []
+    for midi in keys:
+        if runs and midi == runs[-1][-1] + 1:
+            runs[-1].append(midi)
+        else:
+            runs.append([midi])
+    ends = [[midi_to_note(midi) for midi in dict.fromkeys((run[0], run[-1]))] for run in runs]
+    return ", ".join(" to ".join(pair) for pair in ends) or "none"
 
 
 def velocities_of(count: int) -> list[int]:

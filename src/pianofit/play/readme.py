@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from ..analysis.notes import midi_to_note
 from ..io import one_line
 from ..keyboard.document import Instrument
-from .layers import SampledKey
+from .layers import SampledKey, key_ranges, silent_keys
 from .strings import LAST_DAMPER
 
 __all__ = ["MARK", "readme_text"]
@@ -41,6 +41,7 @@ Keys
 Sampled, and fitted to recordings of the key: {_named(recorded)}
 Sampled, but guesses (never recorded; laws over the keyboard): {_named(guesses)}
 Played from the nearest sampled key, transposed: {_named(moved)}
+Silent: {key_ranges(silent_keys(keys))}
 
 Release
 -------

@@ -64,13 +64,13 @@ def templates(package: str, *, strict: bool = True, filters: dict[str, Callable]
     """The templates of a package and those of the kit, with numbers as a reader likes them."""
     from jinja2 import Environment, FunctionLoader, StrictUndefined, Undefined
 
-    from ..numbers import number
+    from ..numbers import counted, number
 
     environment = Environment(
         loader=FunctionLoader(lambda name: asset(name, package)), autoescape=True, trim_blocks=True,
         lstrip_blocks=True, undefined=StrictUndefined if strict else Undefined,
     )  # fmt: skip
-    environment.filters |= {"number": number, "headings": HEADING.findall} | (filters or {})
+    environment.filters |= {"number": number, "counted": counted, "headings": HEADING.findall} | (filters or {})
     return environment
 
 

@@ -14,7 +14,7 @@ from ..ringing_file import KNOCK_FILE, encode_knock
 from .build import curves_of
 from .page import report_bytes
 
-__all__ = ["save", "write_page"]
+__all__ = ["save", "stroke_names", "write_page"]
 
 # Of a sound that is copied, bytes.
 LARGEST_SOUND = 2**30
@@ -63,7 +63,7 @@ def _earlier(folder: Path) -> set[str]:
     own = {"report.html", KNOCK_FILE, DRAWS_FILE}
     try:
         rows = load_json(folder / "fit.json", LARGEST_FIT, "a fit.json", "")["recordings"]
-        return own | {*_stroke_names([Path(row["file"]).stem for row in rows])}
+        return own | {*stroke_names([Path(row["file"]).stem for row in rows])}
     except (PianofitError, KeyError, TypeError):
         return own
 
@@ -85,8 +85,8 @@ def _title(result: Result) -> str:
     return names + (f", {result.analysis.note}" if result.analysis.note else "")
 
 
-def _stroke_names(stems: Sequence[str]) -> list[str]:
-    """The files of several recordings' own sounds; of one none."""
+def stroke_names(stems: Sequence[str]) -> list[str]:
+    """The files of the sounds fitted to each of several recordings, by their names; none for a single one."""
     # Some have one name, in two folders.
     names = [stem if stems.count(stem) == 1 else f"{stem}-{place}" for place, stem in enumerate(stems, 1)]
     return [f"fitted-{name}.wav" for name in names] * (len(stems) > 1)
@@ -101,7 +101,7 @@ def _inputs(result: Result) -> list[Path]:
 
 def _sound_names(result: Result) -> list[str]:
     """The sounds that a fit writes, knock apart."""
-    return ["initial.wav", "fitted.wav", *_stroke_names([path.stem for path in _inputs(result)])]
+    return ["initial.wav", "fitted.wav", *stroke_names([path.stem for path in _inputs(result)])]
 
 
 def _sounds(result: Result) -> dict[str, bytes]:

@@ -10,7 +10,7 @@ import math
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
 
-from ..numbers import number, with_interval
+from ..numbers import counted, number, with_interval
 
 if TYPE_CHECKING:
     from ..result.quantities import Quantity
@@ -255,4 +255,4 @@ def ringing_line(said: dict[str, Any]) -> str:
 
 def _modes(said: dict[str, Any]) -> str:
     """How many modes, with the knock if there is one."""
-    return f"{len(said['modes']['partial'])} modes" + (" and a knock" if said["by"] == "modes and knock" else "")
+    return counted(len(said["modes"]["partial"]), "mode") + (" and a knock" if said["by"] == "modes and knock" else "")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
@@ -174,7 +175,7 @@ def _ratios(fit: Inferred) -> dict:
         if at != own:
             table[f"v/v_ref {stroke + 1}"] = _combined(
                 fit.posterior, unit[at] - unit[own], float(np.exp(z[at] - z[own])), "1", [state, states[own - shared]],
-                name,
+                Path(name).name,
             )  # fmt: skip
     return table
 

@@ -16,6 +16,7 @@ from ..criterion import level_error_db
 from ..errors import FitError
 from ..fit_file import gains_of
 from ..inference.infer import infer
+from ..numbers import counted
 from ..parameters import check_seed
 from ..recording import Source, read
 from ..setup import Setup
@@ -82,7 +83,7 @@ def cross_validate(
     strokes = list(dict.fromkeys(row["stroke"] for row in heard))
     if len(strokes) < 3:
         raise FitError(
-            f"{count} recordings of {len(strokes)} stroke{'s' * (len(strokes) > 1)} are too few to leave one stroke "
+            f"{counted(count, 'recording')} of {counted(len(strokes), 'stroke')} are too few to leave one stroke "
             "out; give three or more"
         )
     predicted: dict[int, Prediction | None] = {}

@@ -21,6 +21,7 @@ from ..inference.priors import LEVEL, VELOCITY, VELOCITY_SPREAD, log_gain
 from ..io import one_line
 from ..model.note import SLOWEST, Note
 from ..model.path import SAME_PARTIAL
+from ..numbers import counted
 from ..recording import Source, as_recording
 from ..threads import one_blas_thread
 from .listener import scored
@@ -56,8 +57,8 @@ class Prediction:
     def __repr__(self) -> str:
         end = ", an end of the range searched" if self.at_end else ""
         return (
-            f"Prediction({self.error_db:.2f} dB over {self.partials} partials at {self.velocity:.3g} m/s{end}, "
-            f"{self.cents:+.2f} cents and {self.gain_db:+.1f} dB from the fit)"
+            f"Prediction({self.error_db:.2f} dB over {counted(self.partials, 'partial')} at {self.velocity:.3g} m/s"
+            f"{end}, {self.cents:+.2f} cents and {self.gain_db:+.1f} dB from the fit)"
         )
 
 
@@ -111,7 +112,7 @@ def predict_recording(
     p = analysis.partials
     chosen = scored(p.frequency, p.level) & _heard(first, p.number)
     if chosen.sum() < FEWEST:
-        raise FitError(f"only {int(chosen.sum())} partials of the fit stand above the noise; {FEWEST} are needed")
+        raise FitError(f"only {counted(int(chosen.sum()), 'partial')} of the fit above the noise; {FEWEST} are needed")
     played = [(share, *_at_best(note, analysis, chosen, gains)) for share, note in mixture]
     total = sum(share for share, *_ in played)
     level = np.sum([share / total * (one + gain) for share, _, one, gain in played], axis=0)

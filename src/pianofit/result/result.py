@@ -20,6 +20,7 @@ from ..io import one_line, reference_of
 from ..model import Simulation
 from ..model.modal import Ringing
 from ..model.note import Note
+from ..numbers import counted
 from ..recording import Recording, Source
 from .draws import DRAWS_FILE, Draws, read_draws
 from .quantities import Covariance, Quantities
@@ -226,7 +227,7 @@ class Result:
         count, statement = len(self.document["recordings"]), self.claims
         state = "converged" if self.document["converged"] else "NOT CONVERGED"
         short = statement if len(statement) <= STATEMENT else statement[: STATEMENT - 3] + "..."
-        lines = [f"Result of {count} recording{'s' * (count != 1)}, {self.document['recipe']} recipe, {state}", short]
+        lines = [f"Result of {counted(count, 'recording')}, {self.document['recipe']} recipe, {state}", short]
         lines += [", ".join(f"{q.name} {q.value:.5g}" for q in table.values()) for table in
                   (self.invariants, self.parameters)]  # fmt: skip
         return "\n".join(line for line in lines if line)

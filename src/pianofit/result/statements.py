@@ -13,14 +13,15 @@ from ..inference.infer import Inferred
 from ..inference.problem import Problem
 from ..io import one_line
 from ..numbers import off_by, with_half_interval
+from ..recording import Recording
 from ..units import NORMAL
 from .entries import described
 from .remarks import remarks
 from .velocities import VELOCITIES, questioned
 
 __all__ = [
-    "AT_EDGE", "STATUSES", "STOPPED", "claims", "correlated", "invariant_status", "messages", "presumed", "scaling",
-    "statuses", "taken_back", "velocity_statuses",
+    "AT_EDGE", "STATUSES", "STOPPED", "claims", "correlated", "invariant_status", "messages", "mixed_layouts",
+    "presumed", "scaling", "statuses", "taken_back", "velocity_statuses",
 ]  # fmt: skip
 
 STATUSES = ("fitted", "scaled", "given", "assumed", "at-bound", "not-identifiable")
@@ -277,9 +278,22 @@ def messages(fit: Inferred, states: dict[str, str], worse: Sequence[str], errors
         "it misspelt?"
         for one, other in problem.unmatched
     ]
-    said += [*presumed(problem), *_assumed(fit), _scattered(fit)]
+    said += [*presumed(problem), *_assumed(fit), _scattered(fit), *mixed_layouts(problem.recordings)]
     said += remarks(problem.recordings, problem.analyses)
     return said + ([] if fit.view is None else [*fit.view.messages])
+
+
+def mixed_layouts(recordings: Sequence[Recording]) -> list[str]:
+    """Remarks on recordings of a key that differ in their channels or sample rates."""
+    kinds = (("channels", lambda one: len(one.frames), "The sound of the key is mono"),
+             ("sample rates", lambda one: one.rate, "All are resampled to the highest"))  # fmt: skip
+    said = []
+    for what, value, follows in kinds:
+        each = {one_line(Path(one.path).name): value(one) for one in recordings}
+        if len({*each.values()}) > 1:
+            listed = ", ".join(f"{name} {value}" for name, value in each.items())
+            said.append(f"The recordings differ in their {what} ({listed}). {follows}.")
+    return said
 
 
 def _out_of_line(fit: Inferred, errors: Sequence[float]) -> list[str]:
