@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..errors import AnalysisError, WrongNoteError
+from .distortion import FEW, SEEN, beside_distortion
 from .inharmonicity import CENTS, FrequencyLaw, bend, frequency_law
 from .notes import hz_to_note, note_to_hz
 from .spectrum import Spectrum
@@ -22,6 +23,8 @@ _PRESENT = 30.0  # dB above the floor at which a tooth has found all it can find
 _REACH = (_TEETH, 20, 27, 36, 48, 64, 82, 100)  # partials to collect, step by step
 _SURE = 10.0  # dB above the floor, of a peak that shows where the next ones are
 _RIVAL = 1.4  # another pitch must score this much better before a given note is refused
+
+_Found = tuple[float, np.ndarray, np.ndarray, FrequencyLaw]  # merit, k [partials], Hz [partials], law
 
 
 def typical_B(f0: np.ndarray | float) -> np.ndarray:
@@ -143,10 +146,23 @@ def find_pitch(spec: Spectrum, *, top: float, note: str | None, f0: float | None
 def track(spec: Spectrum, f0: float, B: float, *, top: float) -> tuple[np.ndarray, np.ndarray, FrequencyLaw]:
     """Give the peaks of `spec` their numbers: k [partials], their frequencies (Hz), and the law through them.
 
-    Tried with B a sixth lower and higher too, keeping the pitch of the eighth partial: two strings of one note can
-    differ in B, and a comb over few teeth in f0 and B together. The numbering that collects most peaks wins.
+    In the treble distortion lies apart from the partials, and is left out (distortion.py).
     """
-    best: tuple[float, np.ndarray, np.ndarray, FrequencyLaw] | None = None
+    found = _tracked(spec, f0, B, top)
+    _, number, frequency, law = found
+    if law(FEW) < top or not len(number) or number[0] != 1:
+        return found[1:]
+    usual = np.clip(typical_B(law.f0) * 2.0 ** np.arange(-3, 3.01, 0.125), 1e-6, 2e-2)
+    return _tracked(*beside_distortion(spec, float(frequency[0]), law.B, usual, top), top)[1:]
+
+
+def _tracked(spec: Spectrum, f0: float, B: float, top: float) -> _Found:
+    """The numbering that collects most peaks: its merit, k [partials], their frequencies (Hz), and the law.
+
+    Tried with B a sixth lower and higher too, keeping the pitch of the eighth partial: two strings of one note can
+    differ in B, and a comb over few teeth in f0 and B together.
+    """
+    best: _Found | None = None
     for factor in (1.0, 0.85, 1.18):
         start = factor * B
         law = FrequencyLaw(f0 * float(np.sqrt((1 + 64 * B) / (1 + 64 * start))), 0.0, start, 0.0, 0.0, 0.0)
@@ -154,10 +170,10 @@ def track(spec: Spectrum, f0: float, B: float, *, top: float) -> tuple[np.ndarra
         if best is None or merit > 1.02 * best[0]:
             best = merit, number, frequency, law
     assert best is not None  # noqa: S101
-    return best[1:]
+    return best
 
 
-def _collect(spec: Spectrum, law: FrequencyLaw, top: float) -> tuple[float, np.ndarray, np.ndarray, FrequencyLaw]:
+def _collect(spec: Spectrum, law: FrequencyLaw, top: float) -> _Found:
     """Collect partials from the bottom up, refitting the law before each further reach; merit comes first."""
     merit, number, frequency = 0.0, np.array([], int), np.array([])
     for last in _REACH:
@@ -186,7 +202,7 @@ def _assign(spec: Spectrum, k: np.ndarray, law: FrequencyLaw) -> tuple[float, np
             continue
         merit = spec.height[low:high] - 40.0 * ((spec.peak[low:high] - f) / reach) ** 2
         best = int(np.argmax(merit))
-        if merit[best] > 3.0:
+        if merit[best] > SEEN:
             number.append(n)
             frequency.append(spec.peak[low + best])
             total += float(merit[best])
