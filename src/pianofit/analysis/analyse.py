@@ -10,10 +10,10 @@ from ..units import BEAT
 from .again import struck_again
 from .demodulate import demodulate
 from .fits import first_fits, lost
-from .glide import Fall, falls, glide_windows, straightened
-from .inharmonicity import CENTS, DecayLaw, FrequencyLaw, bend, decay_law, frequency_law
+from .glide import LEAST, Fall, falls, glide_windows, straightened
+from .inharmonicity import B_RANGE, CENTS, DecayLaw, FrequencyLaw, bend, decay_law, frequency_law
 from .level import bounds
-from .notes import hz_to_note, midi_to_note, note_to_hz, note_to_midi
+from .notes import cents_above, hz_to_note, midi_to_note, note_to_hz, note_to_midi
 from .partials import LEAST_SNR, Measured, by_law, measure, systematic
 from .pitch import find_pitch, track
 from .result import Analysis, Partials
@@ -137,7 +137,7 @@ def _measure_all(
         losses.b1, losses.b1_error, losses.d2, losses.d2_error,
         table, fine.scatter, losses.scatter, float(fall), glide, density,
         None if note is None else midi_to_note(note_to_midi(note)),
-        (*_misnamed(note, fine.f0), *_warnings(table, losses, float(fall) if glides else 0.0, again)), left, *taken,
+        (*_misnamed(note, fine.f0), *_at_bound(fine), *_warnings(table, losses, float(fall) if glides else 0.0, again)), left, *taken,
         (rows.level_law.b1, rows.level_law.d2),
     )  # fmt: skip
 
@@ -204,7 +204,7 @@ def _table(number: np.ndarray, rows: Measured, absent: np.ndarray, bound: np.nda
 
 def _misnamed(note: str | None, f0: float) -> tuple[str, ...]:
     """What is said of a note that sounds nearer to another key than to the one whose name it was given."""
-    cents = 0.0 if note is None else 1200 * float(np.log2(f0 / note_to_hz(note)))
+    cents = 0.0 if note is None else cents_above(f0, note_to_hz(note))
     if abs(cents) <= 50:
         return ()
     name, side = midi_to_note(note_to_midi(str(note))), "above" if cents > 0 else "below"
@@ -212,6 +212,18 @@ def _misnamed(note: str | None, f0: float) -> tuple[str, ...]:
         f"the pitch lies {abs(cents):.0f} cents {side} {name}, nearer to {hz_to_note(f0)}: check the note's name, or "
         "how the instrument is tuned",
     )
+
+
+def _at_bound(law: FrequencyLaw) -> tuple[str, ...]:
+    """What is said of a B at either end of the range searched."""
+    if not np.isfinite(law.B_error) or law.B not in B_RANGE:
+        return ()
+    if law.B == B_RANGE[0]:
+        return (
+            f"B is at its lower bound, {law.B:g}: the partials are harmonic, and a stiff string's are not; check that "
+            "the sound is of one string, without effects",
+        )
+    return (f"B is at its upper bound, {law.B:g}: check the note (--note), and that the partials are of one string",)
 
 
 def _warnings(table: Partials, losses: DecayLaw, fall: float, again: float | None) -> tuple[str, ...]:
@@ -230,7 +242,7 @@ def _warnings(table: Partials, losses: DecayLaw, fall: float, again: float | Non
             "most partials do not decay, so decay rates are the least that is looked for: a loop, a sound played "
             "backwards or a compressed one tells nothing of losses"
         )
-    if fall:
+    if abs(fall) > LEAST:
         found.append(f"the pitch {'falls' if fall > 0 else 'rises'} by {abs(fall):.1f} cents as the note decays")
     deep = int(np.sum(table.beating > BEAT))
     if deep:

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..errors import AnalysisError, WrongNoteError
 from .distortion import FEW, SEEN, beside_distortion
-from .inharmonicity import CENTS, FrequencyLaw, bend, frequency_law
+from .inharmonicity import B_RANGE, CENTS, FrequencyLaw, bend, frequency_law
 from .notes import hz_to_note, note_to_hz
 from .spectrum import Spectrum
 
@@ -97,7 +97,7 @@ def _best(spec: Spectrum, low: float, high: float, top: float) -> tuple[float, f
             typical_B(rough) * 2.0 ** np.arange(-3, 3.1, 0.3),
             indexing="ij",
         )
-        comb = _comb(f.ravel(), np.clip(b.ravel(), 1e-6, 2e-2))
+        comb = _comb(f.ravel(), np.clip(b.ravel(), *B_RANGE))
         hit = _hits(comb, spec, 0.03 * rough, top)
         i = int(np.argmax(hit))
         score = float(hit[i]) * _explained(comb[i], spec, 0.04, top)
@@ -152,7 +152,7 @@ def track(spec: Spectrum, f0: float, B: float, *, top: float) -> tuple[np.ndarra
     _, number, frequency, law = found
     if law(FEW) < top or not len(number) or number[0] != 1:
         return found[1:]
-    usual = np.clip(typical_B(law.f0) * 2.0 ** np.arange(-3, 3.01, 0.125), 1e-6, 2e-2)
+    usual = np.clip(typical_B(law.f0) * 2.0 ** np.arange(-3, 3.01, 0.125), *B_RANGE)
     return _tracked(*beside_distortion(spec, float(frequency[0]), law.B, usual, top), top)[1:]
 
 
