@@ -20,8 +20,11 @@ __all__ = ["check_pitch", "find_pitch", "track", "typical_B"]
 LOWEST, HIGHEST = 25.0, 4500.0  # Hz, A0 to C8 with room for tuning
 _TEETH = 16
 _PRESENT = 30.0  # dB above the floor at which a tooth has found all it can find
+_AWAY = 0.04  # spacings of a comb's teeth, within which a peak belongs to a tooth
+_EVIDENT = 3  # one in so many teeth of a note that is there is a sure peak
 _REACH = (_TEETH, 20, 27, 36, 48, 64, 82, 100)  # partials to collect, step by step
 _SURE = 10.0  # dB above the floor, of a peak that shows where the next ones are
+_FAINT = 0.05  # score of a given note below which it is too faint
 _RIVAL = 1.4  # another pitch must score this much better before a given note is refused
 
 _Found = tuple[float, np.ndarray, np.ndarray, FrequencyLaw]  # merit, k [partials], Hz [partials], law
@@ -100,10 +103,19 @@ def _best(spec: Spectrum, low: float, high: float, top: float) -> tuple[float, f
         comb = _comb(f.ravel(), np.clip(b.ravel(), *B_RANGE))
         hit = _hits(comb, spec, 0.03 * rough, top)
         i = int(np.argmax(hit))
-        score = float(hit[i]) * _explained(comb[i], spec, 0.04, top)
+        score = float(hit[i]) * _explained(comb[i], spec, _AWAY, top)
         if score > best[0]:
             best = (score, float(f.flat[i]), float(b.flat[i]))
     return best
+
+
+def _evident(spec: Spectrum, f0: float, B: float, top: float) -> bool:
+    """Whether enough teeth of a comb are peaks that noise does not have; one peak alone can be any sound."""
+    comb = _comb(np.array([f0]), np.array([B]))[0]
+    comb = comb[comb < top]
+    sure = spec.peak[spec.height > _SURE]
+    found = np.abs(comb[:, None] - sure).min(axis=1, initial=np.inf) < _AWAY * f0
+    return int(found.sum()) >= max(2, len(comb) / _EVIDENT)
 
 
 def check_pitch(frequency: float, name: str) -> None:
@@ -130,15 +142,16 @@ def find_pitch(spec: Spectrum, *, top: float, note: str | None, f0: float | None
             raise WrongNoteError("no pitch found in the recording; give the note (--note) or the frequency (--f0)")
         return free[1], free[2]
     near = _best(spec, wanted * 2 ** (-1 / 12), wanted * 2 ** (1 / 12), top)
-    away = abs(np.log2(free[1] / near[1]))
-    if near[0] < 0.05 and away <= 1 / 24:
-        raise WrongNoteError(
-            f"{name}: its partials hardly stand above the noise; give a cleaner recording, or leave it out"
-        )
-    if near[0] < 0.05 or (away > 1 / 24 and free[0] > _RIVAL * near[0]):
+    faint, away = near[0] < _FAINT, abs(np.log2(free[1] / near[1])) > 1 / 24
+    if away and (faint or free[0] > _RIVAL * near[0]) and _evident(spec, *free[1:], top):
         raise WrongNoteError(
             f"{name} is not in the recording, which sounds like {hz_to_note(free[1])} ({free[1]:.1f} Hz); "
             f"give that note (--note) or the frequency (--f0)"
+        )
+    if faint:
+        raise WrongNoteError(
+            f"{name}: its partials hardly stand above the noise, so the note is too faint; give a cleaner recording, "
+            "or leave it out"
         )
     return near[1], near[2]
 
