@@ -137,7 +137,8 @@ def _measure_all(
         losses.b1, losses.b1_error, losses.d2, losses.d2_error,
         table, fine.scatter, losses.scatter, float(fall), glide, density,
         None if note is None else midi_to_note(note_to_midi(note)),
-        (*_misnamed(note, fine.f0), *_at_bound(fine), *_warnings(table, losses, float(fall) if glides else 0.0, again)), left, *taken,
+        (*_misnamed(note, fine.f0), *_at_bound(fine), *_warnings(table, losses, float(fall) if glides else 0.0, again)),
+        left, *taken,
         (rows.level_law.b1, rows.level_law.d2),
     )  # fmt: skip
 
@@ -218,7 +219,7 @@ def _at_bound(law: FrequencyLaw) -> tuple[str, ...]:
     """What is said of a B at either end of the range searched."""
     if not np.isfinite(law.B_error) or law.B not in B_RANGE:
         return ()
-    if law.B == B_RANGE[0]:
+    if B_RANGE[0] == law.B:
         return (
             f"B is at its lower bound, {law.B:g}: the partials are harmonic, and a stiff string's are not; check that "
             "the sound is of one string, without effects",

@@ -172,16 +172,14 @@ def _stiff_line(
     return inverse * float(np.sum(weight * base * value)), B, np.diag([inverse, 0.0])
 
 
-def _errors_at_bound(
-    x: np.ndarray, value: np.ndarray, weight: np.ndarray, f0: float, B: float
-) -> tuple[float, float]:
+def _errors_at_bound(x: np.ndarray, value: np.ndarray, weight: np.ndarray, f0: float, B: float) -> tuple[float, float]:
     """Standard errors of f0 and of a B at its bound: those of the free line, or how far away it lies if that is more.
 
     At the lower bound the error of B is at least B: partials of a harmonic source do not distinguish it from 0.
     """
     a, b, cov = _line(x, value, weight)
     gradient = np.array([-b / a, 1.0]) / a
-    least = B if B == B_RANGE[0] else 0.0
+    least = B if B_RANGE[0] == B else 0.0
     f0_error = max(float(np.sqrt(cov[0, 0] / max(a, 1e-300))) / 2, abs(float(np.sqrt(max(a, 0.0))) - f0))
     return f0_error, max(float(np.sqrt(max(gradient @ cov @ gradient, 0.0))), abs(b / a - B), least)
 

@@ -150,8 +150,8 @@ def find_pitch(spec: Spectrum, *, top: float, note: str | None, f0: float | None
         )
     if faint:
         raise WrongNoteError(
-            f"{name}: its partials hardly stand above the noise, so the note is too faint; give a cleaner recording, "
-            "or leave it out"
+            f"{name} is too faint, as its partials hardly stand above the noise; give a cleaner recording, or check "
+            "the note (--note) or the frequency (--f0)"
         )
     return near[1], near[2]
 
