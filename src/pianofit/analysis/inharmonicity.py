@@ -131,7 +131,7 @@ def frequency_law(k: np.ndarray, frequency: np.ndarray, error: np.ndarray, *, B:
     noise = np.maximum(error / frequency, 1e-12)
     growth = _growth(k)
     dof = 1 if B is not None else 2
-    scatter, robust = 10.0 / CENTS, np.ones(len(k))
+    scatter, robust, sigma = 10.0 / CENTS, np.ones(len(k)), value
     f0, slope = float(np.median(frequency / k)), B or 0.0
     a, cov = f0**2, np.zeros((2, 2))
     for _ in range(30):
