@@ -231,8 +231,8 @@ def _warnings(table: Partials, losses: DecayLaw, fall: float, again: float | Non
     found = []
     if again is not None:
         found.append(
-            f"most partials rise again about {again:.2f} s after the onset: a second stroke changes the results; give a "
-            "file of one stroke"
+            f"most partials rise again about {again:.2f} s after the onset: a second stroke changes the results; give "
+            "a file of one stroke"
         )
     if len(table) == 1:
         found.append("only one partial found: B is assumed, f0 rests on it, and the losses are hardly determined")
