@@ -157,6 +157,39 @@ def test_a_pitch_that_hardly_moves_is_not_said_to_fall():
     assert not warned(analyse(recorded(tone(110.0, 1e-4, 2.0))), "0.0 cents")
 
 
+def test_the_pitch_of_noise_is_not_found():
+    noise = 0.1 * colour("brown", len(T), 0)
+    with pytest.raises(WrongNoteError, match="no pitch"):
+        analyse(replace(recording_from_samples(*recorded(noise)), samples=noise, onset=0))
+
+
+def test_one_tone_has_a_pitch():
+    assert analyse(recorded(tone(440.0, 0.0, 2.0, partials=1))).f0 == pytest.approx(440.0, rel=3e-3)
+
+
+def test_predict_says_that_a_faint_recording_is_faint():
+    it = pianofit.typical(108)
+    note = pianofit.Note(it.string, it.hammer, it.geometry, "bridge-force", gain=0.01)
+    noise = 0.1 * colour("brown", len(T), 0)
+    recording = replace(recording_from_samples(*recorded(noise)), samples=noise, onset=0)
+    with pytest.raises(AnalysisError, match="faint") as said:
+        predict_recording(note, recording)
+    assert not isinstance(said.value, WrongNoteError)
+
+
+RELEASES = CASES.parent / "keyboard"
+
+
+@pytest.mark.recordings
+@pytest.mark.parametrize("name", ["C8", "A5", "C4"])
+def test_the_noise_of_a_key_let_go_is_not_another_note(name):
+    file = RELEASES / f"salamander-{name}-release.flac"
+    if not file.is_file():
+        pytest.skip(f"no {file}; set PIANOFIT_CASES")
+    with pytest.raises(AnalysisError, match="faint"):
+        analyse(file, note=name)
+
+
 def test_predict_refuses_a_neighbouring_key_in_any_form():
     it = pianofit.typical(65)
     note = pianofit.Note(it.string, it.hammer, it.geometry, "bridge-force", gain=0.01)

@@ -83,7 +83,7 @@ def analyse(recording: Source, *, note: str | None = None, f0: float | None = No
 def _refuse(path: str, number: np.ndarray, law: FrequencyLaw, note: str | None, f0: float | None) -> None:
     """Raise when there are no partials, or only every second or third of a pitch that was asked for."""
     if len(number) == 0:
-        raise WrongNoteError(f"{path}: no partial of {law.f0:.1f} Hz stands out of the noise; check the note (--note)")
+        raise AnalysisError(f"{path}: no partial of {law.f0:.1f} Hz stands out of the noise; check the note")
     for multiple in (2, 3):
         if (note is not None or f0 is not None) and len(number) >= 4 and np.mean(number % multiple == 0) > 0.9:
             found = multiple * law.f0

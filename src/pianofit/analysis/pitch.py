@@ -138,7 +138,8 @@ def find_pitch(spec: Spectrum, *, top: float, note: str | None, f0: float | None
         check_pitch(wanted, name)
     free = _best(spec, LOWEST, HIGHEST, top)
     if wanted is None:
-        if free[0] < 0.08:
+        tone = len(spec.peak) > 0 and abs(spec.peak[np.argmax(spec.strength)] - free[1]) < _AWAY * free[1]
+        if free[0] < 0.08 or not (tone or _evident(spec, *free[1:], top)):
             raise WrongNoteError("no pitch found in the recording; give the note (--note) or the frequency (--f0)")
         return free[1], free[2]
     near = _best(spec, wanted * 2 ** (-1 / 12), wanted * 2 ** (1 / 12), top)
@@ -149,9 +150,9 @@ def find_pitch(spec: Spectrum, *, top: float, note: str | None, f0: float | None
             f"give that note (--note) or the frequency (--f0)"
         )
     if faint:
-        raise WrongNoteError(
+        raise AnalysisError(
             f"{name} is too faint, as its partials hardly stand above the noise; give a cleaner recording, or check "
-            "the note (--note) or the frequency (--f0)"
+            "that this is the note"
         )
     return near[1], near[2]
 
