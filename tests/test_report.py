@@ -377,7 +377,7 @@ def test_a_recording_that_would_be_replaced_or_deleted_is_refused(tmp_path, name
     """`fitted-soft.wav` is an earlier fit's, which goes when another is written there, and now a recording itself."""
     (tmp_path / "fit.json").write_text('{"recordings": [{"file": "soft.wav"}, {"file": "a/loud.wav"}]}')
     earlier = _earlier(tmp_path)
-    assert earlier == {"report.html", "knock.flac", "fitted-soft.wav", "fitted-loud.wav"}
+    assert earlier == {"report.html", "knock.flac", "draws.npz", "fitted-soft.wav", "fitted-loud.wav"}
     with pytest.raises(OutputError, match=f"{name} is a recording of this fit and would be replaced"):
         _check_inputs(_fit_of(tmp_path / name), tmp_path, earlier)
     _check_inputs(_fit_of(tmp_path / "elsewhere" / name), tmp_path, earlier)

@@ -3,18 +3,20 @@
 from .analyse import analyse, beating_warning, count_beating
 from .inharmonicity import law_frequency
 from .level import energy_level
-from .notes import hz_to_note, midi_to_note, near_note, note_to_hz, note_to_midi
+from .notes import SAME_KEY, cents_above, hz_to_note, midi_to_note, near_note, note_to_hz, note_to_midi
 from .result import Analysis, Partials
 from .table import COLUMNS, as_dict, rows
 
 __all__ = [
     "COLUMNS",
+    "SAME_KEY",
     "Analysis",
     "Partials",
     "analyse",
     "as_dict",
     "beating_warning",
     "count_beating",
+    "cents_above",
     "energy_level",
     "hz_to_note",
     "law_frequency",

@@ -10,10 +10,10 @@ from ..units import BEAT
 from .again import struck_again
 from .demodulate import demodulate
 from .fits import first_fits, lost
-from .glide import Fall, falls, glide_windows, straightened
-from .inharmonicity import CENTS, DecayLaw, FrequencyLaw, bend, decay_law, frequency_law
+from .glide import LEAST, Fall, falls, glide_windows, straightened
+from .inharmonicity import B_RANGE, CENTS, DecayLaw, FrequencyLaw, bend, decay_law, frequency_law
 from .level import bounds
-from .notes import hz_to_note, midi_to_note, note_to_hz, note_to_midi
+from .notes import cents_above, hz_to_note, midi_to_note, note_to_hz, note_to_midi
 from .partials import LEAST_SNR, Measured, by_law, measure, systematic
 from .pitch import find_pitch, track
 from .result import Analysis, Partials
@@ -83,7 +83,7 @@ def analyse(recording: Source, *, note: str | None = None, f0: float | None = No
 def _refuse(path: str, number: np.ndarray, law: FrequencyLaw, note: str | None, f0: float | None) -> None:
     """Raise when there are no partials, or only every second or third of a pitch that was asked for."""
     if len(number) == 0:
-        raise WrongNoteError(f"{path}: no partial of {law.f0:.1f} Hz stands out of the noise; check the note (--note)")
+        raise AnalysisError(f"{path}: no partial of {law.f0:.1f} Hz stands out of the noise; check the note")
     for multiple in (2, 3):
         if (note is not None or f0 is not None) and len(number) >= 4 and np.mean(number % multiple == 0) > 0.9:
             found = multiple * law.f0
@@ -137,7 +137,8 @@ def _measure_all(
         losses.b1, losses.b1_error, losses.d2, losses.d2_error,
         table, fine.scatter, losses.scatter, float(fall), glide, density,
         None if note is None else midi_to_note(note_to_midi(note)),
-        (*_misnamed(note, fine.f0), *_warnings(table, losses, float(fall) if glides else 0.0, again)), left, *taken,
+        (*_misnamed(note, fine.f0), *_at_bound(fine), *_warnings(table, losses, float(fall) if glides else 0.0, again)),
+        left, *taken,
         (rows.level_law.b1, rows.level_law.d2),
     )  # fmt: skip
 
@@ -204,7 +205,7 @@ def _table(number: np.ndarray, rows: Measured, absent: np.ndarray, bound: np.nda
 
 def _misnamed(note: str | None, f0: float) -> tuple[str, ...]:
     """What is said of a note that sounds nearer to another key than to the one whose name it was given."""
-    cents = 0.0 if note is None else 1200 * float(np.log2(f0 / note_to_hz(note)))
+    cents = 0.0 if note is None else cents_above(f0, note_to_hz(note))
     if abs(cents) <= 50:
         return ()
     name, side = midi_to_note(note_to_midi(str(note))), "above" if cents > 0 else "below"
@@ -214,12 +215,24 @@ def _misnamed(note: str | None, f0: float) -> tuple[str, ...]:
     )
 
 
+def _at_bound(law: FrequencyLaw) -> tuple[str, ...]:
+    """What is said of a B at either end of the range searched."""
+    if not np.isfinite(law.B_error) or law.B not in B_RANGE:
+        return ()
+    if B_RANGE[0] == law.B:
+        return (
+            f"B is at its lower bound, {law.B:g}: the partials are harmonic, and a stiff string's are not; check that "
+            "the sound is of one string, without effects",
+        )
+    return (f"B is at its upper bound, {law.B:g}: check the note (--note), and that the partials are of one string",)
+
+
 def _warnings(table: Partials, losses: DecayLaw, fall: float, again: float | None) -> tuple[str, ...]:
     found = []
     if again is not None:
         found.append(
-            f"most partials rise again about {again:.2f} s after the onset: a second stroke spoils what is found; "
-            "give a file of one stroke"
+            f"most partials rise again about {again:.2f} s after the onset: a second stroke changes the results; give "
+            "a file of one stroke"
         )
     if len(table) == 1:
         found.append("only one partial found: B is assumed, f0 rests on it, and the losses are hardly determined")
@@ -230,7 +243,7 @@ def _warnings(table: Partials, losses: DecayLaw, fall: float, again: float | Non
             "most partials do not decay, so decay rates are the least that is looked for: a loop, a sound played "
             "backwards or a compressed one tells nothing of losses"
         )
-    if fall:
+    if abs(fall) > LEAST:
         found.append(f"the pitch {'falls' if fall > 0 else 'rises'} by {abs(fall):.1f} cents as the note decays")
     if beats := beating_warning(table):
         found.append(beats)

@@ -17,7 +17,7 @@ from .fits import first_fits, lost
 from .inharmonicity import CENTS
 from .tones import Tones, fit_tones
 
-__all__ = ["Fall", "falls", "glide_windows", "straightened"]
+__all__ = ["LEAST", "Fall", "falls", "glide_windows", "straightened"]
 
 _WINDOWS = ((0.0, 0.35), (0.2, 1.0), (1.0, 2.0), (2.0, 4.0), (4.0, np.inf))  # s after the onset
 _REFERENCE = 1  # of the windows: where f0 is defined
@@ -25,7 +25,7 @@ _ROUNDS = 8
 _TAU = (0.05, 5.0)  # s, range of time constants of a fall
 _USUAL_TAU = 0.5  # s, taken where one window alone tells of a fall
 _SURE = 4.0  # standard errors by which pitch must change to be taken for a fall,
-_LEAST = 0.1  # and cents
+LEAST = 0.1  # and cents
 _UNTOLD = 0.3  # share of a fall that is not known where one window alone tells of it, and so not its time constant
 _WEIGHED = 0.01  # the same otherwise: the mean over a window depends by so much on how its moments are weighed
 _LOUD = 30.0  # power a partial must have in a window, over the noise power of a frame
@@ -83,7 +83,7 @@ def glide_windows(
 
 def falls(windows: list[tuple[float, float, float, float]]) -> bool:
     """Whether in any of the windows the pitch is surely another than in that of frequencies."""
-    return any(abs(cents) > max(_SURE * error, _LEAST) for _, _, cents, error in windows)
+    return any(abs(cents) > max(_SURE * error, LEAST) for _, _, cents, error in windows)
 
 
 def straightened(

@@ -15,10 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["CENTS", "DecayLaw", "FrequencyLaw", "bend", "decay_law", "frequency_law"]
+__all__ = ["B_RANGE", "CENTS", "DecayLaw", "FrequencyLaw", "bend", "decay_law", "frequency_law"]
 
 CENTS = 1200 / np.log(2)  # cents per unit of log frequency
-_B_RANGE = (1e-6, 2e-2)
+B_RANGE = (1e-6, 2e-2)  # searched for B; piano strings have 5e-5 to 2e-2
 _HUBER = 1.5
 # From about this partial on real strings leave the law by cents, and by more as the cube of the number.
 TRUSTED = 10.0
@@ -131,7 +131,7 @@ def frequency_law(k: np.ndarray, frequency: np.ndarray, error: np.ndarray, *, B:
     noise = np.maximum(error / frequency, 1e-12)
     growth = _growth(k)
     dof = 1 if B is not None else 2
-    scatter, robust = 10.0 / CENTS, np.ones(len(k))
+    scatter, robust, sigma = 10.0 / CENTS, np.ones(len(k)), value
     f0, slope = float(np.median(frequency / k)), B or 0.0
     a, cov = f0**2, np.zeros((2, 2))
     for _ in range(30):
@@ -144,10 +144,13 @@ def frequency_law(k: np.ndarray, frequency: np.ndarray, error: np.ndarray, *, B:
             break
     f0 = float(np.sqrt(a))
     gradient = np.array([-slope / a, 1 / a])
+    f0_error = float(np.sqrt(cov[0, 0])) / (2 * f0)
     B_error = float("inf") if B is not None else float(np.sqrt(max(gradient @ cov @ gradient, 0.0)))
+    if B is None and slope in B_RANGE:
+        f0_error, B_error = _errors_at_bound(k**2, value, robust / sigma**2, f0, slope)
     residual = np.log(frequency / law_frequency(f0, slope, k))
     spread = CENTS * robust_scatter(residual, noise, dof)
-    return FrequencyLaw(f0, float(np.sqrt(cov[0, 0])) / (2 * f0), slope, B_error, spread, CENTS * scatter)
+    return FrequencyLaw(f0, f0_error, slope, B_error, spread, CENTS * scatter)
 
 
 def _growth(k: np.ndarray) -> np.ndarray:
@@ -161,12 +164,24 @@ def _stiff_line(
     """Weighted fit of a (1 + B x): a, B within its range (or held), and the covariance of (a, a B)."""
     if B is None:
         a, b, cov = _line(x, value, weight)
-        if a > 0 and _B_RANGE[0] <= b / a <= _B_RANGE[1]:
+        if a > 0 and B_RANGE[0] <= b / a <= B_RANGE[1]:
             return a, b / a, cov
-        B = float(np.clip(b / a, *_B_RANGE)) if a > 0 else _B_RANGE[1]
+        B = float(np.clip(b / a, *B_RANGE)) if a > 0 else B_RANGE[1]
     base = 1 + B * x
     inverse = 1 / float(np.sum(weight * base**2))
     return inverse * float(np.sum(weight * base * value)), B, np.diag([inverse, 0.0])
+
+
+def _errors_at_bound(x: np.ndarray, value: np.ndarray, weight: np.ndarray, f0: float, B: float) -> tuple[float, float]:
+    """Standard errors of f0 and of a B at its bound: those of the free line, or how far away it lies if that is more.
+
+    At the lower bound the error of B is at least B: partials of a harmonic source do not distinguish it from 0.
+    """
+    a, b, cov = _line(x, value, weight)
+    gradient = np.array([-b / a, 1.0]) / a
+    least = B if B_RANGE[0] == B else 0.0
+    f0_error = max(float(np.sqrt(cov[0, 0] / max(a, 1e-300))) / 2, abs(float(np.sqrt(max(a, 0.0))) - f0))
+    return f0_error, max(float(np.sqrt(max(gradient @ cov @ gradient, 0.0))), abs(b / a - B), least)
 
 
 def decay_law(k: np.ndarray, decay: np.ndarray, error: np.ndarray) -> DecayLaw:

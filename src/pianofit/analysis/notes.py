@@ -8,11 +8,11 @@ import re
 from ..errors import AnalysisError
 from ..units import hertz_of, midi_of
 
-__all__ = ["SAME_KEY", "hz_to_note", "midi_to_note", "near_note", "note_to_hz", "note_to_midi"]
+__all__ = ["SAME_KEY", "cents_above", "hz_to_note", "midi_to_note", "near_note", "note_to_hz", "note_to_midi"]
 
-HIGHEST_MIDI = 127  # of the MIDI standard
-# Pitches of one key's recordings differ by less than this, cents; the next key is 100 away.
+# Recordings of one key are within this of each other, cents; the next key is 100 away.
 SAME_KEY = 40.0
+HIGHEST_MIDI = 127  # of the MIDI standard
 _STEPS = {"C": 0, "D": 2, "E": 4, "F": 5, "G": 7, "A": 9, "B": 11}
 _NAMES = ("C", "C#", "D", "D#", "E", "F", "F#", "G", "G#", "A", "A#", "B")
 _NOTE = re.compile(r"([A-Ga-g])(##|#|♯|s|bb|b|♭|)(-1|\d)")
@@ -51,10 +51,15 @@ def hz_to_note(frequency: float) -> str:
     return midi_to_note(round(midi_of(frequency)))
 
 
+def cents_above(frequency: float, reference: float) -> float:
+    """How far `frequency` lies above `reference`, both in Hz, in cents."""
+    return 1200 * math.log2(frequency / reference)
+
+
 def near_note(frequency: float) -> str:
     """The nearest note and how far `frequency` (Hz) is from it: "F#2 -4 cents"."""
     name = hz_to_note(frequency)
-    return f"{name} {1200 * math.log2(frequency / note_to_hz(name)):+.0f} cents"
+    return f"{name} {cents_above(frequency, note_to_hz(name)):+.0f} cents"
 
 
 def midi_to_note(midi: int) -> str:

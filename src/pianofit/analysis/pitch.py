@@ -10,7 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from ..errors import AnalysisError, WrongNoteError
-from .inharmonicity import CENTS, FrequencyLaw, bend, frequency_law
+from .distortion import FEW, SEEN, beside_distortion
+from .inharmonicity import B_RANGE, CENTS, FrequencyLaw, bend, frequency_law
 from .notes import hz_to_note, note_to_hz
 from .spectrum import Spectrum
 
@@ -19,9 +20,14 @@ __all__ = ["check_pitch", "find_pitch", "track", "typical_B"]
 LOWEST, HIGHEST = 25.0, 4500.0  # Hz, A0 to C8 with room for tuning
 _TEETH = 16
 _PRESENT = 30.0  # dB above the floor at which a tooth has found all it can find
+_AWAY = 0.04  # spacings of a comb's teeth, within which a peak belongs to a tooth
+_EVIDENT = 3  # one in so many teeth of a note that is there is a sure peak
 _REACH = (_TEETH, 20, 27, 36, 48, 64, 82, 100)  # partials to collect, step by step
 _SURE = 10.0  # dB above the floor, of a peak that shows where the next ones are
+_FAINT = 0.05  # score of a given note below which it is too faint
 _RIVAL = 1.4  # another pitch must score this much better before a given note is refused
+
+_Found = tuple[float, np.ndarray, np.ndarray, FrequencyLaw]  # merit, k [partials], Hz [partials], law
 
 
 def typical_B(f0: np.ndarray | float) -> np.ndarray:
@@ -94,13 +100,22 @@ def _best(spec: Spectrum, low: float, high: float, top: float) -> tuple[float, f
             typical_B(rough) * 2.0 ** np.arange(-3, 3.1, 0.3),
             indexing="ij",
         )
-        comb = _comb(f.ravel(), np.clip(b.ravel(), 1e-6, 2e-2))
+        comb = _comb(f.ravel(), np.clip(b.ravel(), *B_RANGE))
         hit = _hits(comb, spec, 0.03 * rough, top)
         i = int(np.argmax(hit))
-        score = float(hit[i]) * _explained(comb[i], spec, 0.04, top)
+        score = float(hit[i]) * _explained(comb[i], spec, _AWAY, top)
         if score > best[0]:
             best = (score, float(f.flat[i]), float(b.flat[i]))
     return best
+
+
+def _evident(spec: Spectrum, f0: float, B: float, top: float) -> bool:
+    """Whether enough teeth of a comb are peaks that noise does not have; one peak alone can be any sound."""
+    comb = _comb(np.array([f0]), np.array([B]))[0]
+    comb = comb[comb < top]
+    sure = spec.peak[spec.height > _SURE]
+    found = np.abs(comb[:, None] - sure).min(axis=1, initial=np.inf) < _AWAY * f0
+    return int(found.sum()) >= max(2, len(comb) / _EVIDENT)
 
 
 def check_pitch(frequency: float, name: str) -> None:
@@ -123,19 +138,21 @@ def find_pitch(spec: Spectrum, *, top: float, note: str | None, f0: float | None
         check_pitch(wanted, name)
     free = _best(spec, LOWEST, HIGHEST, top)
     if wanted is None:
-        if free[0] < 0.08:
+        tone = len(spec.peak) > 0 and abs(spec.peak[np.argmax(spec.strength)] - free[1]) < _AWAY * free[1]
+        if free[0] < 0.08 or not (tone or _evident(spec, *free[1:], top)):
             raise WrongNoteError("no pitch found in the recording; give the note (--note) or the frequency (--f0)")
         return free[1], free[2]
     near = _best(spec, wanted * 2 ** (-1 / 12), wanted * 2 ** (1 / 12), top)
-    away = abs(np.log2(free[1] / near[1]))
-    if near[0] < 0.05 and away <= 1 / 24:
-        raise WrongNoteError(
-            f"{name}: its partials hardly stand above the noise; give a cleaner recording, or leave it out"
-        )
-    if near[0] < 0.05 or (away > 1 / 24 and free[0] > _RIVAL * near[0]):
+    faint, away = near[0] < _FAINT, abs(np.log2(free[1] / near[1])) > 1 / 24
+    if away and (faint or free[0] > _RIVAL * near[0]) and _evident(spec, *free[1:], top):
         raise WrongNoteError(
             f"{name} is not in the recording, which sounds like {hz_to_note(free[1])} ({free[1]:.1f} Hz); "
             f"give that note (--note) or the frequency (--f0)"
+        )
+    if faint:
+        raise AnalysisError(
+            f"{name} is too faint, as its partials hardly stand above the noise; give a cleaner recording, or check "
+            "that this is the note"
         )
     return near[1], near[2]
 
@@ -143,10 +160,23 @@ def find_pitch(spec: Spectrum, *, top: float, note: str | None, f0: float | None
 def track(spec: Spectrum, f0: float, B: float, *, top: float) -> tuple[np.ndarray, np.ndarray, FrequencyLaw]:
     """Give the peaks of `spec` their numbers: k [partials], their frequencies (Hz), and the law through them.
 
-    Tried with B a sixth lower and higher too, keeping the pitch of the eighth partial: two strings of one note can
-    differ in B, and a comb over few teeth in f0 and B together. The numbering that collects most peaks wins.
+    In the treble distortion lies apart from the partials, and is left out (distortion.py).
     """
-    best: tuple[float, np.ndarray, np.ndarray, FrequencyLaw] | None = None
+    found = _tracked(spec, f0, B, top)
+    _, number, frequency, law = found
+    if law(FEW) < top or not len(number) or number[0] != 1:
+        return found[1:]
+    usual = np.clip(typical_B(law.f0) * 2.0 ** np.arange(-3, 3.01, 0.125), *B_RANGE)
+    return _tracked(*beside_distortion(spec, float(frequency[0]), law.B, usual, top), top)[1:]
+
+
+def _tracked(spec: Spectrum, f0: float, B: float, top: float) -> _Found:
+    """The numbering that collects most peaks: its merit, k [partials], their frequencies (Hz), and the law.
+
+    Tried with B a sixth lower and higher too, keeping the pitch of the eighth partial: two strings of one note can
+    differ in B, and a comb over few teeth in f0 and B together.
+    """
+    best: _Found | None = None
     for factor in (1.0, 0.85, 1.18):
         start = factor * B
         law = FrequencyLaw(f0 * float(np.sqrt((1 + 64 * B) / (1 + 64 * start))), 0.0, start, 0.0, 0.0, 0.0)
@@ -154,10 +184,10 @@ def track(spec: Spectrum, f0: float, B: float, *, top: float) -> tuple[np.ndarra
         if best is None or merit > 1.02 * best[0]:
             best = merit, number, frequency, law
     assert best is not None  # noqa: S101
-    return best[1:]
+    return best
 
 
-def _collect(spec: Spectrum, law: FrequencyLaw, top: float) -> tuple[float, np.ndarray, np.ndarray, FrequencyLaw]:
+def _collect(spec: Spectrum, law: FrequencyLaw, top: float) -> _Found:
     """Collect partials from the bottom up, refitting the law before each further reach; merit comes first."""
     merit, number, frequency = 0.0, np.array([], int), np.array([])
     for last in _REACH:
@@ -186,7 +216,7 @@ def _assign(spec: Spectrum, k: np.ndarray, law: FrequencyLaw) -> tuple[float, np
             continue
         merit = spec.height[low:high] - 40.0 * ((spec.peak[low:high] - f) / reach) ** 2
         best = int(np.argmax(merit))
-        if merit[best] > 3.0:
+        if merit[best] > SEEN:
             number.append(n)
             frequency.append(spec.peak[low + best])
             total += float(merit[best])

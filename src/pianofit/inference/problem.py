@@ -8,8 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..analysis import Analysis
-from ..analysis.notes import SAME_KEY
+from ..analysis import SAME_KEY, Analysis, cents_above
 from ..errors import FitError
 from ..felt import BOXES
 from ..io import one_line
@@ -136,7 +135,7 @@ def _refuse(recordings: Sequence[Recording], analyses: Sequence[Analysis]) -> No
                 raise FitError(f"{name} and {names[other]} are the same recording; give it once")
         if len(recordings) > 1 and len(analysis.partials) < FEWEST:
             raise FitError(f"{name}: only {counted(len(analysis.partials), 'partial')} above its noise; leave it out")
-        cents = 1200 * np.log2(analysis.f0 / np.median([a.f0 for a in analyses]))
+        cents = cents_above(analysis.f0, float(np.median([a.f0 for a in analyses])))
         if abs(cents) > SAME_KEY:
             raise FitError(
                 f"{name}: its pitch, {analysis.f0:.2f} Hz, is {abs(cents):.0f} cents from that of the other "

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import fminbound
 
-from ..analysis import Analysis, analyse, hz_to_note
+from ..analysis import SAME_KEY, Analysis, analyse, cents_above, hz_to_note
 from ..criterion import level_error_db
 from ..errors import AnalysisError, FitError, ParameterError, WrongNoteError
 from ..inference.priors import LEVEL, VELOCITY, VELOCITY_SPREAD, log_gain
@@ -22,7 +22,7 @@ from ..io import one_line
 from ..model.note import SLOWEST, Note
 from ..model.path import SAME_PARTIAL
 from ..numbers import counted
-from ..recording import Source, as_recording
+from ..recording import Recording, Source, as_recording
 from ..threads import one_blas_thread
 from .listener import scored
 from .result import Result
@@ -108,7 +108,7 @@ def predict_recording(
     if not mixture:
         raise ParameterError("notes=[] holds no note; give a fit, a note, or notes with their shares")
     gains, (_, first) = gains or (0.0,), mixture[0]
-    analysis = analysis if isinstance(analysis, Analysis) else _of_the_key(analysis, first)
+    analysis = _of_the_key(analysis, first)
     p = analysis.partials
     chosen = scored(p.frequency, p.level) & _heard(first, p.number)
     if chosen.sum() < FEWEST:
@@ -117,26 +117,39 @@ def predict_recording(
     total = sum(share for share, *_ in played)
     level = np.sum([share / total * (one + gain) for share, _, one, gain in played], axis=0)
     _, velocity, _, gain = played[0]
-    cents = 1200 * float(np.log2(analysis.f0 / first.f0))
+    cents = cents_above(analysis.f0, first.f0)
     note = first.tuned(cents).struck(velocity)._replace(gain=first.gain * 10 ** (gain / 20))
     found = level_error_db(level[chosen], p.level[chosen])
     at_end = not SLOWEST * SAME < velocity < FASTEST / SAME
     return Prediction(velocity, gain, cents, found, int(chosen.sum()), level, note, at_end)
 
 
-def _of_the_key(source: Source, note: Note) -> Analysis:
-    """The analysis of a recording; where it is not of the note's key, the error says what it sounds like."""
-    recording, like = as_recording(source), ""
+def _of_the_key(source: Analysis | Source, note: Note) -> Analysis:
+    """The analysis of a recording; if it is of another key than the note, the error names that key."""
+    name, like = "analysis", ""
+    if isinstance(source, Analysis):
+        found = source
+    else:
+        recording = as_recording(source)
+        name, found = one_line(recording.path), _analysed(recording, note.f0)
+    if found is not None:
+        if abs(cents_above(found.f0, note.f0)) <= SAME_KEY:
+            return found
+        like = f", and sounds like {hz_to_note(found.f0)} ({found.f0:.1f} Hz)"
+    raise WrongNoteError(
+        f"{name}: is not of the fit's key, {hz_to_note(note.f0)} ({note.f0:.1f} Hz){like}; give a recording of the "
+        "same key"
+    )
+
+
+def _analysed(recording: Recording, f0: float) -> Analysis | None:
+    """The analysis at the pitch `f0`, Hz, or else at the recording's own; None if it has none."""
     try:
-        return analyse(recording, f0=note.f0)
+        return analyse(recording, f0=f0)
     except WrongNoteError:
         with suppress(AnalysisError):
-            found = analyse(recording).f0
-            like = f", and sounds like {hz_to_note(found)} ({found:.1f} Hz)"
-    raise WrongNoteError(
-        f"{one_line(recording.path)}: is not of the fit's key, {hz_to_note(note.f0)} ({note.f0:.1f} Hz){like}; give a "
-        "recording of the same key"
-    )
+            return analyse(recording)
+    return None
 
 
 def _at_best(
