@@ -34,7 +34,7 @@ USES = {
     "setup": "felt io parameters",
     "analysis": "recording tables",
     "criterion": "analysis",
-    "model": "decode felt parameters",
+    "model": "decode felt io parameters threads",
     "ringing_file": "decode io model",
     "fit_file": "decode felt io model parameters ringing_file",
     "inference": "analysis felt io model parameters progress published recording setup tables threads",

@@ -4,11 +4,13 @@ Each message is one line that names the thing (a file, an argument), the value f
 The command line prints the message and exits with 1; it never shows a traceback for these.
 """
 
+from collections.abc import Sequence
 from numbers import Real
+from typing import Any
 
 __all__ = [
     "PianofitError", "RecordingError", "SetupError", "ParameterError", "AnalysisError", "FitError", "OutputError",
-    "WrongNoteError", "check_range",
+    "WrongNoteError", "check_choice", "check_range", "check_type",
 ]  # fmt: skip
 
 
@@ -47,4 +49,22 @@ class OutputError(PianofitError):
 def check_range(what: str, value: float, low: float, high: float, unit: str = "", hint: str = "") -> None:
     """Refuse a `value` out of its range, or no number, by a `ParameterError`; `what` stands before it, as "layers="."""
     if not (isinstance(value, Real) and low <= value <= high):
-        raise ParameterError(f"{what}{value}{unit} must be from {low:g} to {high:g}{hint}")
+        raise ParameterError(f"{what}{_short(value)}{unit} must be from {low:g} to {high:g}{hint}")
+
+
+def check_type(what: str, value: Any, kinds: Any, must: str) -> None:
+    """Refuse by a `ParameterError` a `value` of none of these `kinds`; True and False are no numbers."""
+    if not isinstance(value, kinds) or (kinds is Real and isinstance(value, bool)):
+        raise ParameterError(f"{what}{_short(value)} must be {must}")
+
+
+def check_choice(what: str, value: Any, choices: Sequence[str]) -> None:
+    """Refuse by a `ParameterError` a `value` that is none of the texts `choices`."""
+    if not (isinstance(value, str) and value in choices):
+        raise ParameterError(f"{what}{_short(value)} must be one of {', '.join(choices)}")
+
+
+def _short(value: Any) -> str:
+    """A value on one line: of a long one its begin."""
+    text = " ".join((str(value) if isinstance(value, Real) else repr(value)).split())
+    return text if len(text) <= 60 else text[:57] + "..."
