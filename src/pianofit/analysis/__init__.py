@@ -1,6 +1,6 @@
 """What can be read off a recording without a hammer: partials, inharmonicity, losses, glide."""
 
-from .analyse import analyse
+from .analyse import analyse, check_analyses
 from .inharmonicity import law_frequency
 from .level import energy_level
 from .notes import hz_to_note, midi_to_note, near_note, note_to_hz, note_to_midi
@@ -13,6 +13,7 @@ __all__ = [
     "Partials",
     "analyse",
     "as_dict",
+    "check_analyses",
     "energy_level",
     "hz_to_note",
     "law_frequency",
