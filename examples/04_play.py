@@ -5,7 +5,8 @@ that `pianofit instrument` made of your own fits:
 
     python 04_play.py [INSTRUMENT.JSON]
 
-Every bar is one chord, broken twice; its two lowest notes are held, and the pedal changes with the harmony.
+Every bar is one chord, broken twice; its two lowest notes are held, and the pedal changes with the harmony. Needs mido,
+which writes the MIDI file: pip install mido.
 """
 
 from __future__ import annotations

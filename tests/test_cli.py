@@ -146,6 +146,28 @@ def test_an_output_that_is_full_is_one_line(command, tmp_path):
     assert done.stderr == "pianofit: standard output cannot be written (No space left on device); send it elsewhere\n"
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="needs a POSIX shell")
+@pytest.mark.parametrize(
+    ("streams", "code", "lines"),
+    [(">&-", 1, 1), (">&- 2>&-", 1, 0), ("2>&-", 0, 0), ("<&-", 0, 0), ("| head -0", 0, 0)],
+)
+def test_a_closed_stream_is_one_line_or_none(streams, code, lines, tmp_path):
+    """And no file of ours takes its place: what is written is whole."""
+    command = f"simulate --preset bensa-final --seconds 0.01 --out {shlex.quote(str(tmp_path / 'a.wav'))}"
+    said = (
+        f"{{ {shlex.join(PROGRAM)} {command}; echo $? >&3; }}"
+        if "|" in streams
+        else shlex.join(PROGRAM) + f" {command}"
+    )
+    script = f"{{ {said} {streams}; }} 3>&1" if "|" in streams else f"{said} {streams}"
+    done = subprocess.run(["/bin/sh", "-c", script], capture_output=True, text=True, check=False)
+    assert (int(done.stdout) if "|" in streams else done.returncode) == code
+    assert done.stderr.count("\n") == lines
+    assert (tmp_path / "a.wav").exists() == (code == 0)
+    if code == 0:
+        assert soundfile.info(tmp_path / "a.wav").frames == 441
+
+
 # --- what can be done -------------------------------------------------------------------------------------------------
 
 

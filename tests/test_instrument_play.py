@@ -1,27 +1,21 @@
-"""Songs on strings: strokes against the model itself, dampers and pedal against what they should do, MIDI, limiter."""
+"""Songs on strings: strokes against the model itself, dampers and pedal against what they should do, limiter."""
 
 from __future__ import annotations
 
-import contextlib
-import io
 from types import SimpleNamespace
 
-import mido
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from instrument_cases import true_instrument, true_note, uneven_note
 
-from pianofit.errors import FitError, ParameterError, RecordingError
+from pianofit.errors import FitError, ParameterError
 from pianofit.io import CEILING
 from pianofit.keyboard import Instrument
 from pianofit.model import simulate
 from pianofit.model.modal import Ringing
 from pianofit.model.modes import mode_frequencies
 from pianofit.model.note import Note
-from pianofit.play import Song, limit, load_song, perform
-from pianofit.play.midi import MOST_NOTES, read_song
+from pianofit.play import Song, limit, perform
 from pianofit.play.strings import LAST_DAMPER, PlayedString, damper_rate
 
 RATE = 48_000
@@ -230,79 +224,6 @@ def test_the_limiter_leaves_alone_what_fits():
     assert (out == sound).all()
     assert gain_db == limited_db == 0
     assert limit(np.zeros((1, 10)), RATE)[0].tolist() == [[0.0] * 10]
-
-
-def midi_bytes(*messages: mido.Message | mido.MetaMessage, **options: int) -> bytes:
-    stream = io.BytesIO()
-    mido.MidiFile(ticks_per_beat=480, tracks=[mido.MidiTrack(messages)], **options).save(file=stream)
-    return stream.getvalue()
-
-
-def on(note: int, velocity: int = 80, time: int = 0, channel: int = 0) -> mido.Message:
-    return mido.Message("note_on", note=note, velocity=velocity, time=time, channel=channel)
-
-
-def test_a_song_is_read_in_time():
-    found = read_song(midi_bytes(
-        mido.MetaMessage("set_tempo", tempo=500_000),
-        on(60), on(64, 70, 480), mido.Message("control_change", control=64, value=64),
-        mido.MetaMessage("set_tempo", tempo=1_000_000, time=480),
-        on(60, 0, 480), mido.Message("note_off", note=64, time=240), on(62, 50, channel=9),
-        mido.Message("control_change", control=64, value=63, time=480), on(60, 5, channel=3), on(60, 6, channel=4),
-        on(60, 0, 480, channel=3), on(60, 0, 480, channel=4), mido.Message("note_off", note=61),
-    ), "song")  # fmt: skip
-    assert found.keys == {60: [(0.0, 80), (2.0, 0), (3.5, 5), (3.5, 6), (5.5, 0)], 64: [(0.5, 70), (2.5, 0)]}
-    assert found.pedal == [(0.5, True), (3.5, False)]
-    assert (found.notes, found.seconds) == (4, 5.5)
-
-
-def test_notes_that_no_piano_has_are_left_out_and_counted():
-    """Key switches of sample players lie below A0."""
-    played = (on(60), on(60, 0, 480))
-    alone, found = (read_song(midi_bytes(*more, *played), "song") for more in ((), (on(20), on(109), on(20, 0))))
-    assert found == alone._replace(beyond=2)
-
-
-BAD_SONGS = {
-    "text": (b"no song at all", "not a MIDI file"),
-    "short": (b"MThd\0\0\0\6\0\0\0\1\1", "cannot be read as MIDI"),
-    "cut": (midi_bytes(on(60), on(60, 0, 480))[:-6], "cannot be read as MIDI"),
-    "no notes": (midi_bytes(mido.MetaMessage("set_tempo", tempo=500_000)), "holds no note"),
-    "drums": (midi_bytes(on(60, channel=9)), "holds no note"),
-    "beyond": (midi_bytes(on(20), on(109)), "holds no note from A0 to C8"),
-    "long": (midi_bytes(on(60), *[on(60, 1, 2**27) for _ in range(2)]), "lasts more than 30 minutes"),
-    "many": (midi_bytes(*[on(60, 1, 1)] * (MOST_NOTES + 1)), "more than 100,000 notes"),
-    "type 2": (midi_bytes(on(60), type=2), "type 2, whose tracks"),
-    "smpte": (midi_bytes(on(60))[:12] + b"\xe7\x28" + midi_bytes(on(60))[14:], "SMPTE time is not read"),
-    "no ticks": (midi_bytes(on(60))[:12] + b"\0\0" + midi_bytes(on(60))[14:], "0 ticks a beat"),
-}
-
-
-@pytest.mark.parametrize("name", BAD_SONGS)
-def test_a_bad_song_is_refused_in_one_line(name, tmp_path):
-    data, message = BAD_SONGS[name]
-    file = tmp_path / "bad.mid"
-    file.write_bytes(data)
-    with pytest.raises(RecordingError, match=message) as caught:
-        load_song(file)
-    assert "bad.mid: " in str(caught.value)
-    assert "\n" not in str(caught.value)
-
-
-def test_a_song_that_is_no_file_is_refused(tmp_path):
-    with pytest.raises(RecordingError, match="no such file"):
-        load_song(tmp_path / "none.mid")
-    big = tmp_path / "big.mid"
-    big.write_bytes(b"MThd" + bytes(2**21))
-    with pytest.raises(RecordingError, match="more than 2 MiB"):
-        load_song(big)
-
-
-@given(st.binary(max_size=80), st.integers(0, 60), st.integers(0, 20))
-def test_no_bytes_bring_the_reader_down(noise, at, length):
-    good = midi_bytes(on(60), on(64, 70, 48), on(60, 0, 48), on(64, 0, 48))
-    with contextlib.suppress(RecordingError):
-        read_song(good[:at] + noise + good[at + length :], "noise")
 
 
 def test_what_cannot_be_played_is_refused():

@@ -36,7 +36,7 @@ USES = {
     "setup": "felt io parameters",
     "analysis": "recording tables",
     "criterion": "analysis",
-    "model": "decode felt parameters",
+    "model": "decode felt io parameters threads",
     "synthetic": "felt io model parameters recording setup",
     "ringing_file": "decode io model",
     "fit_file": "decode felt io model parameters ringing_file",

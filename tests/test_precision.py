@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 
@@ -74,7 +75,9 @@ def test_in_the_scope_a_float32_is_struck_in_float64(name):
 
 @pytest.mark.parametrize("name", TRANSFORMED)
 def test_a_trace_in_float32_is_refused_with_what_to_write(name):
-    with pytest.raises(ParameterError, match=r"(strike|mode_table) is traced .* inside `with jax.enable_x64\(True\):`"):
+    with pytest.raises(
+        ParameterError, match=r"(strike|mode_table|derivative) is traced .* `with jax.enable_x64\(True\):`"
+    ):
         TRANSFORMED[name](jnp.float32(0.5))
 
 
@@ -85,3 +88,106 @@ def test_untraced_numbers_of_any_kind_are_struck_in_float64(kind):
         expected = float(level(0.5))
     assert isinstance(found, np.float64)  # of NumPy: JAX's own would be narrowed by the caller's next operation
     assert float(found) == pytest.approx(expected, rel=1e-13)
+
+
+OPENED_INSIDE = {
+    "grad": jax.grad,
+    "jit of grad": lambda f: jax.jit(jax.grad(f)),
+    "grad of jit": lambda f: jax.grad(jax.jit(f)),
+    "value_and_grad": jax.value_and_grad,
+}
+
+
+def opened_inside(velocity):
+    with jax.enable_x64(True):
+        return level(velocity)
+
+
+@pytest.mark.parametrize("name", OPENED_INSIDE)
+@pytest.mark.parametrize("kind", [float, jnp.float32])
+def test_a_gradient_around_the_scope_is_refused_with_what_to_write(name, kind):
+    """JAX steps backwards after the function has left its scope."""
+    with pytest.raises(ParameterError, match=r"inside `with jax.enable_x64\(True\):`"):
+        OPENED_INSIDE[name](opened_inside)(kind(0.5))
+
+
+def test_a_gradient_in_the_scope_passes_its_own_inner_scopes():
+    with jax.enable_x64(True):
+        found, expected = jax.grad(opened_inside)(0.5), jax.grad(level)(0.5)
+    assert float(found) == pytest.approx(float(expected), rel=1e-12)
+
+
+# The README's gradient, a sound and the sampler's random numbers, under settings of the caller's.
+UNDER_SETTINGS = """
+import sys, jax
+import numpy as np
+import pianofit as pf
+from pianofit.model.precision import scope
+settings = dict(jax_numpy_rank_promotion="raise", jax_numpy_dtype_promotion="strict", jax_debug_nans=True,
+    jax_debug_infs=True, jax_enable_custom_prng=True, jax_legacy_prng_key="error", jax_default_prng_impl="rbg",
+    jax_threefry_partitionable=False)
+guard = "disallow" if sys.argv[1] == "strict" else "allow"
+if sys.argv[1] == "strict":
+    for name, value in settings.items():
+        jax.config.update(name, value)
+before = dict(jax.config.values)
+p = pf.preset("chabassier-F3")
+def levels(hammer):
+    modes = pf.mode_table(p.string, p.geometry, rate=88_200.0, n_modes=64, quantity="bridge-force")
+    return pf.levels(modes, pf.strike(modes, hammer, steps=1024).drive)[:8]
+with jax.enable_x64(True):
+    hammer = jax.tree.map(float, p.hammer)
+    found = [*jax.jit(jax.jacfwd(levels))(hammer), *jax.grad(lambda h: levels(h)[0])(hammer)]
+with jax.transfer_guard(guard):
+    found.append(pf.Note(p.string, p.hammer, p.geometry, "bridge-force", 0.1).render(seconds=0.1))
+    with scope():
+        found.append(np.asarray(jax.random.normal(jax.random.PRNGKey(3), 4)))
+assert dict(jax.config.values) == before
+print(*(np.asarray(x, float).tobytes().hex() for x in found))
+"""
+
+
+def test_a_callers_settings_change_nothing_and_are_not_changed():
+    done = [
+        subprocess.run([sys.executable, "-c", UNDER_SETTINGS, how], capture_output=True, text=True)
+        for how in ("plain", "strict")
+    ]
+    assert not any(one.returncode for one in done), [one.stderr for one in done]
+    assert done[0].stdout == done[1].stdout
+
+
+FORKED = """
+import os, pianofit
+it = pianofit.preset("bensa-final")
+def go():
+    pianofit.simulate(it.string, it.hammer, it.geometry)
+go()
+child = os.fork()
+if not child:
+    refused = 0
+    for call in (go, lambda: pianofit.fit("none.wav")):
+        try:
+            call()
+        except pianofit.FitError as error:
+            refused += "spawn" in str(error)
+    os._exit(refused)
+assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 2
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork")
+def test_a_forked_process_is_refused_and_does_not_hang():
+    done = subprocess.run([sys.executable, "-W", "ignore", "-c", FORKED], capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_missing_device_is_one_line():
+    environment = os.environ | {"JAX_PLATFORMS": "cuda", "CUDA_VISIBLE_DEVICES": ""}
+    code = (
+        "import pianofit\nit = pianofit.preset('bensa-final')\n"
+        "try:\n    pianofit.simulate(it.string, it.hammer, it.geometry)\n"
+        "except pianofit.FitError as error: print(error)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment)
+    assert "JAX_PLATFORMS=cuda" in done.stdout, done.stderr
+    assert done.stdout.count("\n") == 1

@@ -5,10 +5,11 @@ The command line prints the message and exits with 1; it never shows a traceback
 """
 
 from numbers import Real
+from typing import Any
 
 __all__ = [
     "PianofitError", "RecordingError", "SetupError", "ParameterError", "AnalysisError", "FitError", "OutputError",
-    "WrongNoteError", "check_range",
+    "WrongNoteError", "check_range", "check_type",
 ]  # fmt: skip
 
 
@@ -47,4 +48,16 @@ class OutputError(PianofitError):
 def check_range(what: str, value: float, low: float, high: float, unit: str = "", hint: str = "") -> None:
     """Refuse a `value` out of its range, or no number, by a `ParameterError`; `what` stands before it, as "layers="."""
     if not (isinstance(value, Real) and low <= value <= high):
-        raise ParameterError(f"{what}{value}{unit} must be from {low:g} to {high:g}{hint}")
+        raise ParameterError(f"{what}{_short(value)}{unit} must be from {low:g} to {high:g}{hint}")
+
+
+def check_type(what: str, value: Any, kinds: Any, must: str) -> None:
+    """Refuse by a `ParameterError` a `value` of none of these `kinds`; True and False are no numbers."""
+    if not isinstance(value, kinds) or (kinds is Real and isinstance(value, bool)):
+        raise ParameterError(f"{what}{_short(value)} must be {must}")
+
+
+def _short(value: Any) -> str:
+    """A value on one line: of a long one its begin."""
+    text = " ".join((str(value) if isinstance(value, Real) else repr(value)).split())
+    return text if len(text) <= 60 else text[:57] + "..."

@@ -22,6 +22,7 @@ from .io import (
     finite,
     load_json,
     one_line,
+    path_name,
     reference_of,
     rising,
     shown,
@@ -48,6 +49,7 @@ WAY_OUT = "give the file that pianofit fit wrote"
 
 def fit_path(path: str | os.PathLike[str]) -> Path:
     """The `fit.json` in a folder, or the file itself."""
+    path_name(path)
     return Path(path) / "fit.json" if Path(path).is_dir() else Path(path)
 
 

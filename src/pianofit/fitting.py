@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from .analysis import Analysis, analyse
-from .errors import ParameterError, SetupError
+from .analysis import Analysis, analyse, check_analyses
+from .errors import ParameterError, SetupError, check_type
 from .parameters import check_seed, check_velocity
 from .progress import Progress, progress_bar
 from .recording import Recording, Source, read
 from .setup import Setup, layer_of, load_setup, setup_from_dict
-from .threads import cores
+from .threads import check_process, cores
 
 if TYPE_CHECKING:
     from .result import Result
@@ -26,7 +26,7 @@ __all__ = ["fit", "listen"]
 def fit(
     *recordings: Source,
     setup: Setup | Mapping[str, Any] | str | os.PathLike[str] | None = None,
-    note: str | None = None,
+    note: str | int | None = None,
     f0: float | None = None,
     velocity: float | None = None,
     channel: str = "average",
@@ -46,7 +46,7 @@ def fit(
     ----------
     recordings : each a path, a `Recording`, or samples [samples], ±1 = full scale, with their rate in Hz.
     setup : what was known beforehand: a `Setup`, tables as in a `setup.toml`, or the path of one.
-    note, f0 : what is played, such as "F#2", or its pitch in Hz; found if None.
+    note, f0 : what is played, such as "F#2" or 42, or its pitch in Hz; found if None.
     velocity : measured hammer velocity, m/s, of a single recording, held fixed.
     channel : of files: "average", "left", "right", or "1" to "8".
     intervals : `laplace`, `profile`, or `posterior`, which needs pianofit[bayes].
@@ -82,7 +82,7 @@ def fit(
     ('m/s', 'fitted', True)
     >>> _ = result.save("fit", page=False)  # fit.json and the sounds
     """
-    _check(recordings, analyses, velocity, intervals, recipe, evaluations, seed)
+    _check(recordings, analyses, velocity, intervals, recipe, evaluations, seed, progress)
     known = _setup(setup)
     _check_bounds(known, velocity)
     with progress_bar(progress) as report:
@@ -107,7 +107,7 @@ def fit(
         return make_ring(conclude(found), report)
 
 
-def listen(recordings: Sequence[Recording], note: str | None = None, f0: float | None = None) -> list[Analysis]:
+def listen(recordings: Sequence[Recording], note: str | int | None = None, f0: float | None = None) -> list[Analysis]:
     """The analyses of recordings of one note, on all cores.
 
     Raises `AnalysisError` if one is too short, or its note, or enough of its partials, is not there.
@@ -119,16 +119,20 @@ def listen(recordings: Sequence[Recording], note: str | None = None, f0: float |
 def _setup(setup: Setup | Mapping[str, Any] | str | os.PathLike[str] | None) -> Setup:
     if setup is None or isinstance(setup, Setup):
         return setup or Setup()
+    check_type("setup=", setup, Mapping | str | os.PathLike, "a Setup, tables as in a setup.toml, or the path of one")
     return setup_from_dict(setup, "setup") if isinstance(setup, Mapping) else load_setup(setup)
 
 
 def _check(
     recordings: Sequence[Source], analyses: Sequence[Analysis] | None, velocity: float | None, intervals: str,
-    recipe: str, evaluations: int | None, seed: int,
+    recipe: str, evaluations: int | None, seed: int, progress: Any,
 ) -> None:  # fmt: skip
     """Refuse arguments that cannot be had, alone or together."""
+    check_process()
     if not recordings:
         raise ParameterError("no recording was given; name one, or several of one key")
+    check_type("progress=", progress, Callable | bool | None, "a function of a stage and a fraction, True or False")
+    check_analyses(analyses)
     if analyses is not None and len(analyses) != len(recordings):
         raise ParameterError(f"{len(analyses)} analyses were given of {len(recordings)} recordings; give one of each")
     check_velocity(velocity)
@@ -137,6 +141,8 @@ def _check(
         raise ParameterError(
             f"velocity={velocity} m/s is of one recording; give each its own in the setup's [[recording]]"
         )
+    check_type("recipe=", recipe, str, "a text, such as 'default'")
+    check_type("intervals=", intervals, str, "a text, such as 'laplace'")
     if recipe != "default" or evaluations is not None:
         from .paper.recipes import check_recipe
 

@@ -13,12 +13,13 @@ import stat
 import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping
+from numbers import Integral
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from .errors import FitError, OutputError, ParameterError, PianofitError
+from .errors import FitError, OutputError, ParameterError, PianofitError, check_range, check_type
 from .numbers import LARGEST, is_number
 
 __all__ = [
@@ -29,6 +30,8 @@ __all__ = [
 ]  # fmt: skip
 
 # Channels of a sound at the most.
+# The header of a WAV file holds the rate in 32 bits, and the bytes of a second too.
+HIGHEST_RATE = 10_000_000  # Hz
 MOST_CHANNELS = 8
 # Largest sample of what is written to be heard, full scale = 1: -1 dB leaves room for players that resample.
 CEILING = 10 ** (-1 / 20)
@@ -45,9 +48,15 @@ def one_line(text: object) -> str:
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in str(text))
 
 
+def path_name(path: str | os.PathLike[str]) -> str:
+    """A path on one line, as messages show it; a `ParameterError` for what is no path."""
+    check_type("path=", path, str | os.PathLike, "a path: a text or a pathlib.Path")
+    return one_line(os.fspath(path))
+
+
 def read_file(path: str | os.PathLike[str], limit: int, error: type[PianofitError]) -> bytes:
     """Return the bytes of a regular file of 1 to `limit` bytes; anything else raises `error` without blocking."""
-    name = one_line(os.fspath(path))
+    name = path_name(path)
     try:
         status = Path(path).stat()
         if stat.S_ISDIR(status.st_mode):
@@ -272,7 +281,7 @@ def encode_wav(samples: np.ndarray, rate: int) -> bytes:
     Raises
     ------
     ParameterError
-        Where `samples` are not floats, or are no rows of them, a channel each.
+        Where `samples` are not floats, or are no rows of them, a channel each, and for a rate that no WAV file has.
 
     Examples
     --------
@@ -282,9 +291,11 @@ def encode_wav(samples: np.ndarray, rate: int) -> bytes:
     """
     from scipy.io import wavfile
 
+    check_type("rate=", rate, Integral, "a whole number of Hz, such as 44100")
+    check_range("rate=", rate, 1, HIGHEST_RATE, " Hz")
     samples = np.asarray(samples)
     rows = np.atleast_2d(samples)
-    if rows.ndim != 2 or len(rows) > MOST_CHANNELS or not np.issubdtype(samples.dtype, np.floating):
+    if not 1 <= samples.ndim <= 2 or len(rows) > MOST_CHANNELS or not np.issubdtype(samples.dtype, np.floating):
         raise ParameterError(
             f"samples of shape {samples.shape} and type {samples.dtype} must be floats [samples] or [channels, "
             f"samples] of at most {MOST_CHANNELS} channels; transpose them, divide integers by their full scale"

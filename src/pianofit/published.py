@@ -171,7 +171,7 @@ def preset(name: str) -> Preset:
     >>> f"{it.note}, {it.f0:.1f} Hz, hammer {1e3 * it.hammer.M_H:.1f} g"
     'F3, 175.0 Hz, hammer 3.0 g'
     """
-    if name in PRESETS:
+    if isinstance(name, str) and name in PRESETS:
         return PRESETS[name]
     near = difflib.get_close_matches(str(name).lower(), {key.lower(): key for key in PRESETS}, 1)
     hint = f"did you mean {next(key for key in PRESETS if key.lower() == near[0])}? " if near else ""

@@ -11,11 +11,12 @@ import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
+from numbers import Real
 
 import numpy as np
 
 from .decode import LOSSY, STEPS, check_layout, decode, is_sound, layout_of, readable_formats
-from .errors import ParameterError, RecordingError
+from .errors import ParameterError, RecordingError, check_type
 from .io import one_line, read_file, shown
 from .numbers import counted
 from .onset import find_sounds, forward_mean, without_drift
@@ -136,7 +137,7 @@ def load_recording(path: str | os.PathLike[str], *, channel: str = "average") ->
 
 def check_channel(channel: str) -> None:
     """Refuse by a `ParameterError` what is no channel of a file."""
-    if channel not in CHANNELS:
+    if not (isinstance(channel, str) and channel in CHANNELS):
         raise ParameterError(f"channel={one_line(channel)!r} must be average, left, right, or a number from 1 to 8")
 
 
@@ -164,6 +165,7 @@ def recording_from_samples(samples: np.ndarray, rate: int, *, name: str = "sampl
     >>> pianofit.recording_from_samples(np.sin(np.arange(44_100) / 30), 44_100, name="a tone").seconds
     1.0
     """
+    check_type("rate=", rate, Real, "a number of Hz, such as 44100")
     array, name = np.asarray(samples), one_line(name)
     if array.ndim != 1:
         raise RecordingError(f"{name}: shape {array.shape} must be [samples]; choose or average the channels first")

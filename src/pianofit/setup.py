@@ -16,9 +16,9 @@ from numbers import Real
 from pathlib import Path
 from typing import Any
 
-from .errors import SetupError
+from .errors import SetupError, check_type
 from .felt import BOXES, DEFAULT_LAW, LAWS, FeltLaw, is_own
-from .io import one_line, read_text
+from .io import one_line, path_name, read_text
 from .numbers import filled
 from .parameters import Parameter
 
@@ -155,7 +155,7 @@ def load_setup(path: str | os.PathLike[str], felt: str | None = None) -> Setup:
     >>> pianofit.load_setup("setup.toml").length
     0.96
     """
-    name = one_line(os.fspath(path))
+    name = path_name(path)
     try:
         table = tomllib.loads(read_text(path, MAX_BYTES, SetupError))
     except (ValueError, RecursionError) as problem:  # RecursionError: brackets nested without end
@@ -203,6 +203,7 @@ def setup_from_dict(data: Mapping[str, Any], where: str) -> Setup:
 
 def _renamed(data: Mapping[str, Any]) -> dict[str, Any]:
     """An older file's tables and keys by today's names."""
+    check_type("setup=", data, Mapping, "a Setup, tables as in a setup.toml, or the path of one")
     tables = dict(data)
     if OLDER_TABLE in tables:
         older, newer = tables.pop(OLDER_TABLE), tables.get("recording", [])

@@ -3,10 +3,40 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-__all__ = ["cores", "one_blas_thread"]
+from .errors import FitError
+
+__all__ = ["check_process", "cores", "one_blas_thread"]
+
+_forked = False  # whether this process is a copy of one in which JAX had started
+
+
+def _after_fork() -> None:
+    global _forked
+    started = getattr(sys.modules.get("jax._src.xla_bridge"), "backends_are_initialized", None)
+    _forked = _forked or bool(started and started())
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_after_fork)
+
+
+def check_process() -> None:
+    """Refuse to compute in a process that was forked after JAX had started: JAX's threads are not in the copy.
+
+    Raises
+    ------
+    FitError
+        Saying how to start processes instead.
+    """
+    if _forked:
+        raise FitError(
+            "this process was forked after JAX had started, and JAX would wait for ever; start processes by "
+            "multiprocessing.get_context('spawn')"
+        )
 
 
 def cores() -> int:

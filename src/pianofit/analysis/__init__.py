@@ -1,6 +1,6 @@
 """What can be read off a recording without a hammer: partials, inharmonicity, losses, glide."""
 
-from .analyse import analyse, beating_warning, count_beating
+from .analyse import analyse, beating_warning, check_analyses, count_beating
 from .inharmonicity import law_frequency
 from .level import energy_level
 from .notes import SAME_KEY, cents_above, hz_to_note, midi_to_note, near_note, note_to_hz, note_to_midi
@@ -17,6 +17,7 @@ __all__ = [
     "beating_warning",
     "count_beating",
     "cents_above",
+    "check_analyses",
     "energy_level",
     "hz_to_note",
     "law_frequency",

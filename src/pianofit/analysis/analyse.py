@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from ..errors import AnalysisError, WrongNoteError
+from ..errors import AnalysisError, WrongNoteError, check_type
 from ..recording import Recording, Source, as_recording
 from ..units import BEAT
 from .again import struck_again
@@ -19,7 +21,7 @@ from .pitch import find_pitch, track
 from .result import Analysis, Partials
 from .spectrum import noise_between, spectrum
 
-__all__ = ["analyse", "beating_warning", "count_beating"]
+__all__ = ["analyse", "beating_warning", "check_analyses", "count_beating"]
 
 _SKIP = 0.005  # s; the contact is over by then or all but
 _LONGEST = 20.0  # s; what comes later adds nothing
@@ -31,13 +33,13 @@ _OUTLIER = 6.0  # standard deviations from where its neighbours lead, beyond whi
 _OUTLIER_CENTS = 12.0  # and cents, whichever is more
 
 
-def analyse(recording: Source, *, note: str | None = None, f0: float | None = None) -> Analysis:
+def analyse(recording: Source, *, note: str | int | None = None, f0: float | None = None) -> Analysis:
     """Find and measure the partials of one struck note.
 
     Parameters
     ----------
     recording : a path, a `Recording`, or samples with their rate, as `fit` takes them.
-    note : its name, such as "F#2"; the pitch is then sought within a semitone of it.
+    note : its name, such as "F#2", or MIDI number; the pitch is then sought within a semitone of it.
     f0 : the same, in Hz; goes before `note`.
 
     Returns
@@ -80,7 +82,15 @@ def analyse(recording: Source, *, note: str | None = None, f0: float | None = No
     return _measure_all(recording, samples, number, frequency, law, note, top)
 
 
-def _refuse(path: str, number: np.ndarray, law: FrequencyLaw, note: str | None, f0: float | None) -> None:
+def check_analyses(analyses: Sequence[Analysis] | None) -> None:
+    """Refuse by a `ParameterError` what are no analyses of recordings; None are those that were not given."""
+    if analyses is not None:
+        check_type("analyses=", analyses, list | tuple, "a list of what analyse returned")
+        for analysis in analyses:
+            check_type("analyses: ", analysis, Analysis, "what analyse returned")
+
+
+def _refuse(path: str, number: np.ndarray, law: FrequencyLaw, note: str | int | None, f0: float | None) -> None:
     """Raise when there are no partials, or only every second or third of a pitch that was asked for."""
     if len(number) == 0:
         raise AnalysisError(f"{path}: no partial of {law.f0:.1f} Hz stands out of the noise; check the note")
@@ -99,7 +109,7 @@ def _measure_all(
     number: np.ndarray,
     frequency: np.ndarray,
     law: FrequencyLaw,
-    note: str | None,
+    note: str | int | None,
     top: float,
 ) -> Analysis:
     rate, seconds = recording.rate, len(samples) / recording.rate
@@ -203,7 +213,7 @@ def _table(number: np.ndarray, rows: Measured, absent: np.ndarray, bound: np.nda
     )
 
 
-def _misnamed(note: str | None, f0: float) -> tuple[str, ...]:
+def _misnamed(note: str | int | None, f0: float) -> tuple[str, ...]:
     """What is said of a note that sounds nearer to another key than to the one whose name it was given."""
     cents = 0.0 if note is None else cents_above(f0, note_to_hz(note))
     if abs(cents) <= 50:

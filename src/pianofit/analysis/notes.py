@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import re
+from numbers import Integral
 
-from ..errors import AnalysisError
+from ..errors import AnalysisError, check_type
 from ..units import hertz_of, midi_of
 
 __all__ = ["SAME_KEY", "cents_above", "hz_to_note", "midi_to_note", "near_note", "note_to_hz", "note_to_midi"]
@@ -20,15 +21,18 @@ _NUMBER = re.compile(r"\d{1,3}", re.ASCII)
 _SHIFT = {"": 0, "#": 1, "♯": 1, "s": 1, "##": 2, "b": -1, "♭": -1, "bb": -2}
 
 
-def note_to_midi(name: str) -> int:
-    """MIDI number of a note such as "F#2", "Fs2", "Bb3" or "C4" (middle C is C4 = 60), or of the number itself, "42".
+def note_to_midi(name: str | int) -> int:
+    """MIDI number of a note such as "F#2", "Fs2", "Bb3" or "C4" (middle C is C4 = 60); "42" and 42 are 42.
 
     Raises
     ------
     AnalysisError
         When `name` is no note.
+    ParameterError
+        When it is neither text nor a whole number.
     """
-    text = name.strip() if isinstance(name, str) else ""
+    check_type("note=", name, str | Integral, "a name such as 'F#2', or a MIDI number")
+    text = str(name).strip()
     if _NUMBER.fullmatch(text) and int(text) <= HIGHEST_MIDI:
         return int(text)
     match = _NOTE.fullmatch(text)
@@ -41,7 +45,7 @@ def note_to_midi(name: str) -> int:
     return 12 * (int(octave) + 1) + _STEPS[letter.upper()] + _SHIFT[shift]
 
 
-def note_to_hz(name: str) -> float:
+def note_to_hz(name: str | int) -> float:
     """Frequency of a note in Hz, A4 = 440 Hz."""
     return hertz_of(note_to_midi(name))
 

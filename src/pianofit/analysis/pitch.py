@@ -7,9 +7,11 @@ collected from the bottom up, the law refitted to what was found so far before e
 
 from __future__ import annotations
 
+from numbers import Real
+
 import numpy as np
 
-from ..errors import AnalysisError, WrongNoteError
+from ..errors import AnalysisError, WrongNoteError, check_type
 from .distortion import FEW, SEEN, beside_distortion
 from .inharmonicity import B_RANGE, CENTS, FrequencyLaw, bend, frequency_law
 from .notes import hz_to_note, note_to_hz
@@ -124,7 +126,7 @@ def check_pitch(frequency: float, name: str) -> None:
         raise AnalysisError(f"{name} is outside the range of a piano; give one from {LOWEST:g} to {HIGHEST:g} Hz")
 
 
-def find_pitch(spec: Spectrum, *, top: float, note: str | None, f0: float | None) -> tuple[float, float]:
+def find_pitch(spec: Spectrum, *, top: float, note: str | int | None, f0: float | None) -> tuple[float, float]:
     """Rough f0 (Hz) and B of the note in `spec`.
 
     Raises
@@ -132,6 +134,8 @@ def find_pitch(spec: Spectrum, *, top: float, note: str | None, f0: float | None
     AnalysisError
         When there is no comb of partials, or when it is clearly not the note (or f0) that was given.
     """
+    if f0 is not None:
+        check_type("f0=", f0, Real, "a frequency in Hz")
     wanted = f0 if f0 is not None else (note_to_hz(note) if note is not None else None)
     name = f"note {note}" if f0 is None else f"f0={f0:g} Hz"
     if wanted is not None:

@@ -83,7 +83,7 @@ def play(
     seconds = found.samples.shape[-1] / rate
     done = {
         "file": str(out), "seconds": seconds, "rate": rate, "channels": len(found.samples), "notes": notes.notes,
-        "notes_beyond": notes.beyond, "strikes": found.strikes,
+        "notes_beyond": notes.beyond, "remarks": list(notes.remarks), "strikes": found.strikes,
         "on_moving_strings": found.on_moving, "gain_db": found.gain_db, "limited_db": found.limited_db,
         "peak": float(abs(found.samples).max(initial=0.0)), "computed_in_s": took, "real_time_factor": took / seconds,
     }  # fmt: skip
@@ -93,8 +93,9 @@ def play(
 def _played(out: Path, done: dict[str, Any]) -> str:
     turned = f", turned down by {-done['gain_db']:.1f} dB" if done["gain_db"] < 0 else ""
     limited = f", peaks limited by up to {done['limited_db']:.1f} dB" if done["limited_db"] > 0 else ""
-    beyond = f"{counted(done['notes_beyond'], 'note')} beyond A0 to C8 left out\n" if done["notes_beyond"] else ""
-    return beyond + (
+    before = "".join(f"{remark}\n" for remark in done["remarks"])
+    before += f"{counted(done['notes_beyond'], 'note')} beyond A0 to C8 left out\n" if done["notes_beyond"] else ""
+    return before + (
         f"{out}: {done['seconds']:.1f} s at {done['rate']} Hz, {counted(done['notes'], 'note')}, "
         f"{done['on_moving_strings']} of them on a string still sounding{turned}{limited}\n"
         f"computed in {done['computed_in_s']:.1f} s, {done['real_time_factor']:.2g} s for each second of sound\n"

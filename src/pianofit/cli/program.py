@@ -161,8 +161,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 1
 
 
+def _fill_streams() -> None:
+    """Put the null device in the place of standard streams that are closed, or a file of ours would be opened there."""
+    for name in ("stdin", "stdout", "stderr"):
+        if getattr(sys, name) is None:
+            os.open(os.devnull, os.O_RDWR)  # the lowest number that is free, and so this stream's own
+
+
 def run() -> NoReturn:
     """`main` as a process of its own, which ends it: at the end nothing is searched for garbage."""
+    _fill_streams()
+    if sys.stdout is None:
+        complain("standard output is closed; send it to a file, or to /dev/null")
+        sys.exit(1)
     gc.set_threshold(COLLECTED, *gc.get_threshold()[1:])
     code = main()
     gc.freeze()

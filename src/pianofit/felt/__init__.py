@@ -62,6 +62,9 @@ def check_hammer(hammer: Any, where: str = "hammer") -> None:
         Naming `where`, the parameter, its value and its range.
     """
     law = law_of(hammer)
+    for name, value in hammer._asdict().items():
+        if getattr(value, "ndim", 0):
+            raise ParameterError(f"{where}: {name} has the shape {value.shape} and must be one number; use jax.vmap")
     values = {name: float(value) for name, value in hammer._asdict().items()}
     if law.hammers is not None:
         values = {name: value for name, value in values.items() if (name, value) != ("mu", 0.0)}

@@ -25,7 +25,7 @@ from ..parameters import HAMMER_NAMES
 from .exponentials import BLOCK, real_powers, ring
 from .felt import compression, force, memory_weights, remember
 from .modes import Modes
-from .precision import AnyArray, float64
+from .precision import AnyArray, derivative, float64
 
 __all__ = [
     "FreeMotion",
@@ -365,8 +365,8 @@ def _left_jvp(given, tangents):
 
 
 # Where the string is held its powers do not move, and zeros need no products.
-_history.defjvp(_history_jvp, symbolic_zeros=True)
-_left.defjvp(_left_jvp, symbolic_zeros=True)
+_history.defjvp(derivative(_history_jvp), symbolic_zeros=True)
+_left.defjvp(derivative(_left_jvp), symbolic_zeros=True)
 
 
 def _filled(tangent: Any) -> Any:

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Complex, Float
 
-from .precision import AnyArray, float64
+from .precision import AnyArray, derivative, float64
 
 __all__ = ["BLOCK", "real_powers", "ring", "transform"]
 
@@ -36,6 +36,7 @@ def _ring(amplitude, log_z, n):
 
 
 @_ring.defjvp
+@derivative
 def _ring_jvp(primal, tangent):
     amplitude, log_z, n = primal
     d_amplitude, d_log_z, _ = tangent
@@ -60,6 +61,7 @@ def _transform(signal, log_z, n):
 
 
 @_transform.defjvp
+@derivative
 def _transform_jvp(primal, tangent):
     signal, log_z, n = primal
     d_signal, d_log_z, _ = tangent

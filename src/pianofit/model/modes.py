@@ -24,7 +24,7 @@ from jaxtyping import Array, Complex, Float
 from ..errors import ParameterError
 from ..numbers import summary
 from ..parameters import Geometry, String
-from .precision import AnyArray, float64
+from .precision import AnyArray, derivative, float64
 
 __all__ = ["QUANTITIES", "Modes", "mode_frequencies", "mode_table", "project", "window_weights"]
 
@@ -80,6 +80,7 @@ def _weights(at: AnyArray, k: AnyArray) -> AnyArray:
 
 
 @_weights.defjvp
+@derivative
 def _weights_jvp(given, tangents):
     # As a matrix product: of a sum XLA would compute all these sines anew for every direction.
     at, k = given
@@ -183,6 +184,8 @@ def mode_table(
         eigen = (2 / h * jnp.sin(beta * h / 2)) ** 2
         weights = _grid_weights(geometry, n_modes)
     weights = weights if strike_weights is None else strike_weights
+    if weights.shape != (n_modes,):
+        raise ParameterError(f"strike_weights has the shape {weights.shape} and must be [modes], ({n_modes},)")
     omega2 = string.c**2 * eigen + string.kappa**2 * eigen**2
     alpha = jnp.minimum(string.b1 + string.b2 * eigen, MOST_DAMPED * jnp.sqrt(omega2))
     if kind == "continuous":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from numbers import Real
 from typing import Any, NamedTuple
 
 import jax
@@ -10,10 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..decode import RATES
-from ..errors import ParameterError, check_range
+from ..errors import ParameterError, check_range, check_type
 from ..felt import MemoryHammer
 from ..numbers import summary
 from ..parameters import Geometry, Hammer, String, check_velocity
+from .arguments import is_numeric
 from .contact import strike
 from .modal import LEAD, Ringing, force_of
 from .modes import mode_frequencies, mode_table
@@ -74,6 +76,7 @@ class Note(NamedTuple):
 
     def tuned(self, cents: float) -> Note:
         """The same note at another pitch."""
+        check_type("cents=", cents, Real, "a number")
         ratio = 2 ** (cents / 1200)
         ringing = None if self.ringing is None else self.ringing.sharper(ratio)
         return self._replace(string=self.string._replace(c=self.string.c * ratio), ringing=ringing)
@@ -168,7 +171,10 @@ class Note(NamedTuple):
         ParameterError
             For a velocity that is not above 0, or a count that is not.
         """
-        g, v = self.geometry, np.asarray(self.hammer.v_H0 if velocity is None else velocity, float)
+        velocity = self.hammer.v_H0 if velocity is None else velocity
+        if not is_numeric(velocity):
+            check_type("velocity=", velocity, (), "a number or an array of numbers, m/s")
+        g, v = self.geometry, np.asarray(velocity, float)
         if not (v.size and np.isfinite(v).all() and v.min() > 0):
             raise ParameterError(f"velocity={velocity} m/s must be above 0")
         check_range("count=", count, 1, MOST_MODES)

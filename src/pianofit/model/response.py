@@ -8,6 +8,7 @@ pickup, and H stays while the string stays. Evaluating at σ > 0 is the same as 
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import jax
@@ -245,7 +246,7 @@ def _ratio(modes: Modes, rate: float, oversampling: int | None) -> int:
             )
         return oversampling
     contact = 1.0 / float(modes.step)
-    ratio = round(contact / rate)
+    ratio = round(contact / rate) if 0 < rate < math.inf else 0
     if ratio < 1 or abs(contact / rate - ratio) > 1e-6:
         raise ParameterError(f"rate={rate} Hz must be a whole fraction of the contact's rate, {contact:g} Hz")
     if oversampling not in (None, ratio):

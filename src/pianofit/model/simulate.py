@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..errors import FitError, ParameterError
+from ..errors import FitError, ParameterError, check_range
 from ..felt import check_hammer
 from ..numbers import summary
 from ..parameters import Geometry, String, check
@@ -174,8 +174,7 @@ def simulate(
     check(dict(zip(String._fields, map(float, string), strict=True)), "string")
     check_hammer(hammer)
     check_geometry(geometry, quantity)
-    if not 1e3 <= rate <= 1e6:
-        raise ParameterError(f"rate={rate} Hz must be from 1,000 to 1,000,000")
+    check_range("rate=", rate, 1e3, 1e6, " Hz")
     if kind == "finite_difference" and strike_weights is None and n_modes:
         spacing = float(geometry.length) / (n_modes + 1)
         if np.min(np.abs(spacing * np.arange(1, n_modes + 1) - float(geometry.strike))) >= float(geometry.width) / 2:

@@ -12,10 +12,11 @@ the hammer on the σ at which the criterion is reported.
 
 from __future__ import annotations
 
+from numbers import Integral
 from typing import NamedTuple
 
 from ..analysis import Analysis
-from ..errors import ParameterError
+from ..errors import ParameterError, check_range, check_type
 from ..felt import DEFAULT_LAW
 from ..inference import Progress
 from ..inference.start import Start, starting_values
@@ -65,8 +66,9 @@ def check_recipe(recipe: str, evaluations: int | None) -> None:
         raise ParameterError(f"recipe={recipe!r} must be one of {', '.join(RECIPES)}")
     if evaluations is not None and recipe != "paper":
         raise ParameterError(f"evaluations={evaluations} are those of the annealing: only the recipe paper has them")
-    if evaluations is not None and not FEWEST <= evaluations <= MOST:
-        raise ParameterError(f"evaluations={evaluations} must be from {FEWEST} to {MOST}")
+    if evaluations is not None:
+        check_type("evaluations=", evaluations, Integral, "a whole number")
+        check_range("evaluations=", evaluations, FEWEST, MOST)
 
 
 def fit_by_recipe(

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ..analysis import Analysis, analyse
+from ..analysis import Analysis, analyse, check_analyses
 from ..criterion import level_error_db
-from ..errors import FitError
+from ..errors import FitError, ParameterError, check_type
 from ..fit_file import gains_of
 from ..inference.infer import infer
 from ..numbers import counted
@@ -33,7 +33,7 @@ def cross_validate(
     analyses: Sequence[Analysis] | None = None,
     setup: Setup | None = None,
     *,
-    note: str | None = None,
+    note: str | int | None = None,
     f0: float | None = None,
     seed: int = 0,
     progress: Callable[[str, float], None] = lambda *_: None,
@@ -72,7 +72,12 @@ def cross_validate(
     >>> found["median_inner_db"]
     """
     check_seed(seed)
+    check_type("recordings=", recordings, list | tuple, "a list of three or more recordings")
+    check_type("setup=", setup, Setup | None, "a Setup; load_setup reads one from a file")
+    check_analyses(analyses)
     count = len(recordings)
+    if analyses is not None and len(analyses) != count:
+        raise ParameterError(f"{len(analyses)} analyses were given of {count} recordings; give one of each")
     if count < 3:
         few = "1 recording is" if count == 1 else f"{count} recordings are"
         raise FitError(f"{few} too few to leave one out; give three or more")

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -16,9 +17,9 @@ from scipy.optimize import fminbound
 
 from ..analysis import SAME_KEY, Analysis, analyse, cents_above, hz_to_note
 from ..criterion import level_error_db
-from ..errors import AnalysisError, FitError, ParameterError, WrongNoteError
+from ..errors import AnalysisError, FitError, ParameterError, WrongNoteError, check_type
 from ..inference.priors import LEVEL, VELOCITY, VELOCITY_SPREAD, log_gain
-from ..io import one_line
+from ..io import one_line, shown
 from ..model.note import SLOWEST, Note
 from ..model.path import SAME_PARTIAL
 from ..numbers import counted
@@ -104,7 +105,7 @@ def predict_recording(
     """
     if isinstance(notes, Result):
         notes, gains = notes.mixture, notes.gains if gains is None else gains
-    mixture = [(1.0, notes)] if isinstance(notes, Note) else list(notes)
+    mixture = [(1.0, notes)] if isinstance(notes, Note) else _mixture(notes)
     if not mixture:
         raise ParameterError("notes=[] holds no note; give a fit, a note, or notes with their shares")
     gains, (_, first) = gains or (0.0,), mixture[0]
@@ -122,6 +123,17 @@ def predict_recording(
     found = level_error_db(level[chosen], p.level[chosen])
     at_end = not SLOWEST * SAME < velocity < FASTEST / SAME
     return Prediction(velocity, gain, cents, found, int(chosen.sum()), level, note, at_end)
+
+
+def _mixture(notes: Sequence[tuple[float, Note]]) -> list[tuple[float, Note]]:
+    must = "a fit, a note, or a list of (share, note)"
+    check_type("notes=", notes, list | tuple, must)
+    for pair in notes:
+        check_type("notes: ", pair, tuple | list, must)
+        if len(pair) != 2 or not isinstance(pair[1], Note):
+            raise ParameterError(f"notes: {shown(pair)} must be (share, note)")
+        check_type("notes: the share ", pair[0], Real, "a number")
+    return [*notes]
 
 
 def _of_the_key(source: Analysis | Source, note: Note) -> Analysis:

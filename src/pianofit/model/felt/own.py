@@ -15,6 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from ...felt import law_of
+from ..precision import derivative
 
 __all__ = ["felt_force", "residual", "root"]
 
@@ -66,6 +67,7 @@ def root(upper, u_old, w_old, c, a, hammer, weights=None, memory=None):
 
 
 @root.defjvp
+@derivative
 def _root_jvp(rest, tangents):
     # The implicit function theorem, never the iterations: du = -(∂R/∂rest · d rest)/(∂R/∂u).
     u = root(*rest)

@@ -25,7 +25,7 @@ from jaxtyping import Array
 
 from ...felt import MemoryHammer
 from ...parameters import Hammer
-from ..precision import AnyArray, float64
+from ..precision import AnyArray, derivative, float64
 
 __all__ = ["Weights", "felt_force", "memory_weights", "remember", "residual", "root"]
 
@@ -145,6 +145,7 @@ def root(upper, u_old, w_old, c, a, hammer, weights, memory):
 
 
 @root.defjvp
+@derivative
 def _root_jvp(rest, tangents):
     # The implicit function theorem, never the iterations: du = -(∂R/∂rest · d rest)/(∂R/∂u).
     u = root(*rest)

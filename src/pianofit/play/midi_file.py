@@ -1,0 +1,208 @@
+"""The events of a standard MIDI file in order of time, read as tolerantly as players read them.
+
+A player needs notes, controllers and tempo. Other events and chunks are skipped by their lengths, unread, so none of
+them can make a song unreadable. An event that cannot be read ends its track: the events before it are kept, and a
+remark says so. The format is that of the MIDI Association, "Standard MIDI Files 1.0" (RP-001).
+"""
+
+from __future__ import annotations
+
+import struct
+from bisect import bisect_right
+from collections.abc import Iterator
+from typing import NamedTuple
+
+__all__ = ["MidiError", "MidiEvent", "MidiFile", "parse_midi"]
+
+HEADER, TRACK = b"MThd", b"MTrk"
+HEADER_SIZE = 6  # bytes: format, tracks, division; a longer header ends with what no reader knows
+SYSEX, ESCAPE, META = 0xF0, 0xF7, 0xFF
+END_OF_TRACK, SET_TEMPO = 0x2F, 0x51
+# Data bytes after a status that no file should hold; all other system messages have none.
+SYSTEM_LENGTHS = {0xF1: 1, 0xF2: 2, 0xF3: 1}
+# Channel messages with one data byte: program change and channel pressure.
+ONE_BYTE = (0xC, 0xD)
+# The longest length or delta time is four bytes of seven bits.
+LONGEST_NUMBER = 4
+# Microseconds per beat until a file sets a tempo: 120 beats a minute.
+FIRST_TEMPO = 500_000
+# SMPTE frames per second by the header's negative byte. 29 stands for 29.97, drop frame.
+FRAME_RATES = {24: 24.0, 25: 25.0, 29: 30_000 / 1001, 30: 30.0}
+
+
+class MidiError(Exception):
+    """A file of which no track can be played; the message says why."""
+
+
+class MidiEvent(NamedTuple):
+    """One channel message."""
+
+    seconds: float  # from the start of the file
+    kind: int  # upper half of the status byte, 8 to 14
+    channel: int  # 0 to 15
+    first: int  # data bytes, 0 to 127
+    second: int
+
+
+class MidiFile(NamedTuple):
+    """A file as it is played."""
+
+    events: list[MidiEvent]  # ascending in time; at one time in the order of tracks
+    seconds: float  # to the end of the last track
+    remarks: list[str]  # sentences without their full stop: which tracks are not whole
+
+
+def parse_midi(data: bytes) -> MidiFile:
+    """Read the file that begins at the first header in `data`; a RIFF wrapper before it is skipped.
+
+    Raises `MidiError` for a header that is missing or unusable, or a file of format 2 with several tracks.
+    """
+    begin = data.find(HEADER)
+    if begin < 0:
+        raise MidiError("it has no MIDI header, MThd")
+    try:
+        size, form, promised, division = struct.unpack_from(">IHHH", data, begin + 4)
+    except struct.error:
+        raise MidiError("its header is cut short") from None
+    ticks, smpte = _ticks(division)
+    tracks = list(_tracks(data, begin + 8 + max(size, HEADER_SIZE)))
+    if form > 2 or (form == 2 and len(tracks) > 1):
+        raise MidiError(f"type {form}, whose tracks are songs of their own" if form == 2 else f"type {form} is unknown")
+    clock = _Clock([] if smpte else [tempo for track in tracks for tempo in track.tempos], ticks, smpte)
+    messages = sorted((message for track in tracks for message in track.messages), key=lambda message: message[0])
+    events = [MidiEvent(clock(tick), status >> 4, status & 15, *rest) for tick, status, *rest in messages]
+    return MidiFile(events, clock(max((track.tick for track in tracks), default=0)), _remarks(tracks, promised, clock))
+
+
+def _ticks(division: int) -> tuple[float, bool]:
+    """How many ticks a beat has, or a second in SMPTE time; and whether it is SMPTE time."""
+    if division < 2**15:
+        if not division:
+            raise MidiError("0 ticks a beat")
+        return division, False
+    frames, ticks = 256 - (division >> 8), division & 255
+    if frames not in FRAME_RATES or not ticks:
+        raise MidiError(f"{ticks} ticks a frame of {frames} frames a second")
+    return FRAME_RATES[frames] * ticks, True
+
+
+class _Clock:
+    """Seconds of a tick, by all tempo changes of a file."""
+
+    def __init__(self, tempos: list[tuple[int, int]], ticks: float, smpte: bool) -> None:
+        self.at, self.seconds, self.rate = [0], [0.0], [1.0 if smpte else FIRST_TEMPO / 1e6]
+        self.ticks = ticks
+        for tick, tempo in sorted(tempos, key=lambda tempo: tempo[0]):
+            now = self(tick)
+            self.at.append(tick)
+            self.seconds.append(now)
+            self.rate.append(tempo / 1e6)
+
+    def __call__(self, tick: int) -> float:
+        i = bisect_right(self.at, tick) - 1
+        return self.seconds[i] + (tick - self.at[i]) * self.rate[i] / self.ticks
+
+
+def _tracks(data: bytes, at: int) -> Iterator[_Track]:
+    """Every track chunk from `at` on. Where no chunk begins, as after a wrong length, the next track is looked for."""
+    while 0 <= at <= len(data) - 8:
+        name, size = struct.unpack_from(">4sI", data, at)
+        end = at + 8 + size
+        if name == TRACK:
+            track = _Track(data, at + 8, min(end, len(data)))
+            track.read(cut=end > len(data))
+            yield track
+            at = end if end <= len(data) else track.at
+        else:
+            at = end if end <= len(data) else data.find(TRACK, at + 1)
+
+
+class _EventError(Exception):
+    """An event that cannot be read; the message says what is wrong with its track."""
+
+
+class _Track:
+    """One track: its channel messages (tick, status, two data bytes), tempo changes (tick, µs per beat) and end."""
+
+    def __init__(self, data: bytes, at: int, end: int) -> None:
+        self.data, self.at, self.end = data, at, end
+        self.tick = 0
+        self.messages: list[tuple[int, int, int, int]] = []
+        self.tempos: list[tuple[int, int]] = []
+        self.damage = ""  # why it was not read to its end
+
+    def read(self, cut: bool) -> None:
+        """Read all events; `cut` says that the file ends before the chunk."""
+        running = 0  # status that stands for events without one; events of other kinds leave it
+        try:
+            while self.at < self.end:
+                tick = self.tick + self._number()
+                status = self._byte()
+                if status == META:
+                    self.tick = tick
+                    if self._is_last():
+                        return
+                elif status in (SYSEX, ESCAPE):
+                    self._skip(self._number())
+                elif status > SYSEX:
+                    self._skip(SYSTEM_LENGTHS.get(status, 0))
+                else:
+                    running = self._message(tick, status, running)
+                self.tick = tick
+            if cut:
+                raise _EventError("is cut short")
+        except _EventError as error:
+            self.damage = str(error)
+
+    def _is_last(self) -> bool:
+        """Read a meta event, from its kind on: whether it ends the track. A tempo without a length is none."""
+        kind, size = self._byte(), self._number()
+        start = self.at
+        self._skip(size)
+        tempo = int.from_bytes(self.data[start : self.at]) if kind == SET_TEMPO and size == 3 else 0
+        if tempo:
+            self.tempos.append((self.tick, tempo))
+        return kind == END_OF_TRACK
+
+    def _message(self, tick: int, first: int, running: int) -> int:
+        """Read a channel message whose first byte is `first`; its status. Data above 127 are taken as 127."""
+        if first >= 0x80:
+            running, first = first, self._byte()
+        if not running:
+            raise _EventError("is damaged")
+        second = 0 if running >> 4 in ONE_BYTE else self._byte()
+        self.messages.append((tick, running, min(first, 127), min(second, 127)))
+        return running
+
+    def _byte(self) -> int:
+        if self.at >= self.end:
+            raise _EventError("is cut short")
+        self.at += 1
+        return self.data[self.at - 1]
+
+    def _number(self) -> int:
+        """Read a number of variable length: seven bits a byte, the highest bit set in all but the last."""
+        number = 0
+        for _ in range(LONGEST_NUMBER):
+            byte = self._byte()
+            number = number << 7 | byte & 0x7F
+            if byte < 0x80:
+                return number
+        raise _EventError("is damaged")
+
+    def _skip(self, size: int) -> None:
+        if size > self.end - self.at:
+            raise _EventError("is cut short")
+        self.at += size
+
+
+def _remarks(tracks: list[_Track], promised: int, clock: _Clock) -> list[str]:
+    damaged = [(i, track) for i, track in enumerate(tracks, 1) if track.damage]
+    remarks = []
+    if len(tracks) < promised:
+        remarks.append(f"the header promises {promised} track{'s' * (promised > 1)}, and the file has {len(tracks)}")
+    if damaged:
+        number, track = damaged[0]
+        more = f", and {len(damaged) - 1} more are not whole" if len(damaged) > 1 else ""
+        remarks.append(f"track {number} {track.damage} after {clock(track.tick):.1f} s{more}; the rest is played")
+    return remarks

@@ -1,0 +1,110 @@
+"""Calls with arguments of wrong types, for a process in which no type checker stands before our own checks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+from bad_files import note as sound
+
+import pianofit as pf
+from pianofit.errors import PianofitError
+
+# None of these is a text, a number, an array of floats, a path, or a thing of ours.
+WRONG: tuple[Any, ...] = ([], {}, object(), b"x", len, 1j, (1, 2, 3), np.array(["x"]))
+IT = pf.preset("chabassier-F3")
+NOTE = pf.Note(IT.string, IT.hammer, IT.geometry, "bridge-force", 0.1)
+TABLE = {"rate": 88_200.0, "n_modes": 32}
+
+
+def recording() -> pf.Recording:
+    return pf.recording_from_samples(sound(), 22_050)
+
+
+def modes() -> Any:
+    return pf.mode_table(IT.string, IT.geometry, **TABLE)
+
+
+# By the argument that the error names: a call with a wrong value.
+CALLS = {
+    "preset": pf.preset,
+    "midi": pf.typical,
+    "path": pf.load_recording,
+    "path of a setup": pf.load_setup,
+    "path of a note": pf.load_note,
+    "path of a result": pf.Result.load,
+    "channel": lambda x: pf.load_recording("none.wav", channel=x),
+    "rate": lambda x: pf.recording_from_samples(sound(), x),
+    "rate of a file": lambda x: pf.encode_wav(sound(), x),
+    "note": lambda x: pf.analyse(recording(), note=x),
+    "f0": lambda x: pf.analyse(recording(), f0=x),
+    "recording": pf.analyse,
+    "recording 1": pf.fit,
+    "note of a fit": lambda x: pf.fit(recording(), note=x),
+    "f0 of a fit": lambda x: pf.fit(recording(), f0=x),
+    "velocity": lambda x: pf.fit(recording(), velocity=x),
+    "seed": lambda x: pf.fit(recording(), seed=x),
+    "intervals": lambda x: pf.fit(recording(), intervals=x),
+    "recipe": lambda x: pf.fit(recording(), recipe=x),
+    "evaluations": lambda x: pf.fit(recording(), recipe="paper", evaluations=x),
+    "length": lambda x: pf.Setup(length=x),
+    "felt": lambda x: pf.Setup(felt=x),
+    "notes": lambda x: pf.predict_recording(x, recording()),
+    "recording of a validation": lambda x: pf.cross_validate(x),
+    "analyses": lambda x: pf.cross_validate([recording()] * 3, analyses=x),
+    "setup": lambda x: pf.cross_validate([recording()] * 3, setup=x),
+    "string": lambda x: pf.simulate(x, IT.hammer, IT.geometry),
+    "string of other values": lambda x: pf.simulate(IT.string._replace(c=x), IT.hammer, IT.geometry),
+    "hammer": lambda x: pf.simulate(IT.string, x, IT.geometry),
+    "hammer of other values": lambda x: pf.simulate(IT.string, IT.hammer._replace(M_H=x), IT.geometry),
+    "geometry": lambda x: pf.simulate(IT.string, IT.hammer, x),
+    "rate of a sound": lambda x: pf.simulate(IT.string, IT.hammer, IT.geometry, rate=x),
+    "quantity": lambda x: pf.mode_table(IT.string, IT.geometry, **TABLE, quantity=x),
+    "kind": lambda x: pf.mode_table(IT.string, IT.geometry, **TABLE, kind=x),
+    "n_modes": lambda x: pf.mode_table(IT.string, IT.geometry, rate=88_200.0, n_modes=x),
+    "modes": lambda x: pf.levels(x),
+    "modes of a strike": lambda x: pf.strike(x, IT.hammer, steps=1024),
+    "steps": lambda x: pf.strike(modes(), IT.hammer, steps=x),
+    "drive": lambda x: pf.levels(modes(), x),
+    "samples": lambda x: pf.waveform(modes(), np.ones(32), rate=44_100, samples=x),
+    "free": lambda x: pf.levels(modes(), free=x),
+    "force": lambda x: pf.pluck(modes(), x),
+    "seconds": lambda x: NOTE.render(seconds=x),
+    "velocity of a sound": lambda x: NOTE.render(x),
+    "velocity of levels": lambda x: NOTE.levels(x),
+    "cents": NOTE.tuned,
+}
+
+
+def refusal(call: Callable[[Any], Any], wrong: Any) -> str | None:
+    """The error's words, with its class where it is not one of ours; None where the value is accepted."""
+    try:
+        call(wrong)
+    except PianofitError as error:
+        return str(error)
+    except Exception as error:
+        return f"{type(error).__name__}\n{error}"
+    return None
+
+
+def faults() -> Iterator[str]:
+    """Wrong values that are accepted, or not refused by the argument's name on one line."""
+    for name, call in CALLS.items():
+        for wrong in WRONG:
+            words = refusal(call, wrong)
+            if words is None or name.split()[0] not in words or "\n" in words:
+                yield f"{name} = {wrong!r}: {words!r}"
+    for number in (True, np.array([1.0, 2.0]), "2"):
+        if "force" not in (words := refusal(lambda x: pf.pluck(modes(), x), number) or ""):
+            yield f"force = {number!r}: {words!r}"
+    two = IT.hammer._replace(M_H=np.array([0.003, 0.004]))
+    if "M_H" not in (words := refusal(lambda x: pf.simulate(IT.string, x, IT.geometry), two) or ""):
+        yield f"two hammers: {words!r}"
+    for note in ("A4", "69", 69, np.int64(69)):
+        if pf.analyse(recording(), note=note).note != "A4":
+            yield f"note = {note!r}"
+
+
+if __name__ == "__main__":
+    print(*faults(), sep="\n", end="")
