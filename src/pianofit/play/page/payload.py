@@ -26,6 +26,8 @@ __all__ = ["Knocks", "encode_note", "intervals", "payload"]
 
 # Samples of a knock that share a scale.
 SHARED = 256
+# Significant digits of values that are only shown: an interval needs fewer.
+DIGITS = 6
 # The workbench's sliders that are factors of one law's value (`keyboard.gather.NAMES`), and the laws of its losses.
 SLIDERS = {"force": "K/M_S", "mu": "mu", "mass": "M_H/M_S", "strike": "x0/L", "inharmonicity": "B"}
 LOSSES = ("b1", "d2")
@@ -65,12 +67,18 @@ def _document(instrument: Instrument, knocks: Knocks) -> dict[str, Any]:
         "name": instrument.name,
         "velocity": {"at_64": instrument.at_64, "rise": instrument.rise},
         "keys": [
-            {"midi": midi, "note": midi_to_note(midi), "recorded": midi in instrument.recorded}
+            {"midi": midi, "note": midi_to_note(midi), "recorded": midi in instrument.recorded,
+             "state": instrument.states.get(midi)}
             | encode_note(note, midi, knocks)
-            | {"intervals": intervals(instrument.told.get(midi, {}))}
+            | {"intervals": intervals(instrument.told.get(midi, {})), "values": _values(instrument.told.get(midi, {}))}
             for midi, note in sorted(instrument.notes.items())
         ],
-    }
+    }  # fmt: skip
+
+
+def _values(told: Mapping[str, tuple[float, float, float]]) -> dict[str, list[float]]:
+    """The laws' values and intervals, which the page writes into an instrument that is saved there."""
+    return {law: [float(f"{x:.{DIGITS}g}") for x in row] for law, row in told.items()}
 
 
 def intervals(told: Mapping[str, tuple[float, float, float]]) -> dict[str, list[float]]:
