@@ -163,7 +163,7 @@ def test_a_midi_keyboard_plays_with_velocity_and_pedal(page):
     page.evaluate(send, [[0xB0, 64, 127], [0x90, 62, 20], [0x90, 67, 120], [0x80, 62, 0], [0x90, 67, 0]])
     sounding(page, 2)
     assert page.locator("#pedal").get_attribute("aria-pressed") == "true"
-    speeds = page.evaluate("() => window.pianofitKeyboard.player.record.map((it) => it.velocity).filter(Boolean)")
+    speeds = page.evaluate("() => window.pianofitKeyboard.player.record.events.map((it) => it.velocity).filter(Boolean)")
     assert speeds[1:] == pytest.approx([1.3 * np.exp(1.5 * (velocity - 64) / 63) for velocity in (20, 120)])
     page.evaluate(send, [[0xB0, 64, 0], [0x90, 20, 64]])  # a key that the instrument does not have does nothing
     sounding(page, 0)
