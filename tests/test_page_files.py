@@ -23,13 +23,17 @@ BLOCKS = 375  # 1 s
 WITHIN = -80.0  # dB
 VOLUME = 2.0
 ALL = {"mass": 1.3, "loss": 2.0}
-CHANGES = {52: {**ALL, "force": 2.0, "strike": 0.8, "p": 0.0}, 60: {**ALL, "inharmonicity": 1.7, "mu": 0.5}, 64: {"p": 0.0}}
+CHANGES = {
+    52: {**ALL, "force": 2.0, "strike": 0.8, "p": 0.0},
+    60: {**ALL, "inharmonicity": 1.7, "mu": 0.5},
+    64: {"p": 0.0},
+}
 
 
 def piano() -> Instrument:
     """Three keys: one rings by its modes, one by its law, and one was never recorded."""
     notes = {52: ringing_note(52), 60: uneven_note(60), 64: ringing_note(64)}
-    told = dict.fromkeys(notes, {"M_H/M_S": (1.0, 0.5, 2.0), "p": (2.5, 2.4, 2.7)})
+    told = {key: {"M_H/M_S": (1.0, 0.5, 2.0), "p": (2.5, 2.4, 2.7)} for key in notes}
     return true_instrument(range(52, 53))._replace(
         notes=notes, recorded=frozenset([52, 60]), told=told, states={52: "pulled", 64: "interpolated"}
     )
@@ -168,7 +172,8 @@ def test_a_note_off_ends_the_oldest_stroke_of_its_key_and_channel():
     off_first = track(*DOWN, *UP, *UP_AND_ON, *UP)
     expected = [on(0, 60, 80), on(0.5, 60, 80), off(1.0, 60)]
     assert read(midi_file(on_first))["events"] == expected
-    assert [event for event in read(midi_file(off_first))["events"] if event["at"] != 0.5 or event["do"] == "on"] == expected
+    events = read(midi_file(off_first))["events"]
+    assert [event for event in events if event["at"] != 0.5 or event["do"] == "on"] == expected
     # Two channels on one key: it goes up with the second.
     both = track(*DOWN, 0, 0x91, 60, 70, *UP, *BEAT, 0x81, 60, 0)
     assert read(midi_file(both))["events"] == [on(0, 60, 80), on(0, 60, 70), off(1.0, 60)]

@@ -84,7 +84,7 @@ class SongPlayer {
       return player.onerror(error);
     }
     if (!this.isPlaying || this.attempt !== attempt) return undefined;
-    Object.assign(this, { begin: player.context.currentTime + BEGIN, sent: 0, shown: 0, down: new Set(), pedal: false });
+    Object.assign(this, { begin: player.context.currentTime + BEGIN, sent: 0, shown: 0 });
     this.say(`Playing ${song.name}.`);
     this.timer = setInterval(() => this._tick(), TICK);
     return this._tick();
@@ -94,22 +94,21 @@ class SongPlayer {
     const { player, begin, song } = this, { events, end } = song, now = player.context.currentTime - begin;
     const until = now + (document.hidden ? AHEAD_HIDDEN : AHEAD);
     for (; this.sent < events.length && events[this.sent].at <= until; this.sent++) {
-      const event = events[this.sent], message = { ...event };
-      if (event.do === "on") message.velocity = player.speed(event.velocity);
-      player.schedule(message, begin + event.at);
+      player.schedule(this._struck(events[this.sent]), begin + events[this.sent].at);
     }
     for (; this.shown < events.length && events[this.shown].at <= now; this.shown++) this._sound(events[this.shown], now);
     this._position(Math.max(now, 0));
     if (now >= end && this.shown === events.length) this.stop("The song is over.");
   }
 
+  /** An event whose velocity is the hammer's, m/s. */
+  _struck(event) {
+    return event.do === "on" ? { ...event, velocity: this.player.speed(event.velocity) } : event;
+  }
+
   /** An event sounds: it is recorded, and shown on the keys. */
   _sound(event, now) {
-    const { player, down } = this;
-    player.log(event.do === "on" ? { ...event, velocity: player.speed(event.velocity) } : event, now - event.at);
-    if (event.do === "on") down.add(event.midi);
-    if (event.do === "off") down.delete(event.midi);
-    if (event.do === "pedal") this.pedal = event.down;
+    this.player.log(this._struck(event), now - event.at);
     this.show(event);
   }
 
@@ -121,19 +120,24 @@ class SongPlayer {
     this.begin = null;
     this._mark();
     this._position(0);
-    if (wasBegun) {
-      this.player.cancel();
-      // A stroke may have begun that was not yet shown.
-      const sent = this.song.events.slice(0, this.sent).filter((event) => event.do === "on");
-      for (const midi of new Set(sent.map((event) => event.midi))) this._end({ do: "off", midi });
-      if (this.pedal || this.player.pedal) this._end({ do: "pedal", down: false });
-    }
+    if (wasBegun) this._letGo();
     if (words) this.say(words);
   }
 
-  _end(event) {
-    this.player.act(event);
-    this.show(event);
+  /** End what has been sent to the audio thread, shown or not, and not ended. */
+  _letGo() {
+    const held = new Set(), sent = this.song.events.slice(0, this.sent);
+    for (const { do: what, midi } of sent) {
+      if (what === "on") held.add(midi);
+      if (what === "off") held.delete(midi);
+    }
+    const ends = Array.from(held, (midi) => ({ do: "off", midi }));
+    if (sent.findLast((event) => event.do === "pedal")?.down) ends.push({ do: "pedal", down: false });
+    this.player.cancel();
+    for (const event of ends) {
+      this.player.act(event);
+      this.show(event);
+    }
   }
 
   _position(seconds) {
