@@ -44,6 +44,7 @@ class SongPlayer {
   }
 
   async open(file) {
+    if (!file) return;
     const name = file.name.length > NAME ? `${file.name.slice(0, NAME)}…` : file.name;
     const { LARGEST_SONG, readMidi } = this.player;
     try {
@@ -77,7 +78,7 @@ class SongPlayer {
     try {
       await player.start();
       player.context.resume();
-      await player.prepareAll((done, all) => this.say(`Computing tables: ${done} of ${all} keys.`), keys);
+      await player.prepareAll((done, all) => (one("song-time").textContent = `Computing tables: ${done} of ${all} keys`), keys);
     } catch (error) {
       this.begin = null;
       this._mark();

@@ -57,8 +57,7 @@ def write_page(path: str | os.PathLike[str], instrument: Instrument, recordings:
         "instrument": document,
         "modules": {"engine": engine(), "worklet": source("worklet.js")},
         "recorded": sum(key["recorded"] for key in document["keys"]),
-        "guesses": guessed(between, beyond),
-        "changed": instrument.changed,
+        "guesses": guessed(between, beyond) + _changed(len(instrument.changed)),
         "layers": recorded_layers(instrument) if recordings else {},
     }  # fmt: skip
     kit.write_page(
@@ -68,6 +67,11 @@ def write_page(path: str | os.PathLike[str], instrument: Instrument, recordings:
     return Page(
         len(document["keys"]), content["recorded"], between, beyond, knocks, sum(map(len, content["layers"].values()))
     )
+
+
+def _changed(count: int) -> str:
+    """The end of the sentence about guesses, if keys were changed by hand."""
+    return f"; {count} {'was' if count == 1 else 'were'} changed by hand" if count else ""
 
 
 def engine() -> str:
