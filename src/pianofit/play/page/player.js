@@ -136,9 +136,9 @@ class Player {
     this.port?.postMessage({ do: "cancel" });
   }
 
-  /** Record a message that took effect `ago` s ago. */
-  log(message, ago = 0) {
-    this.record.add(message, performance.now() / 1000 - ago);
+  /** Record a message that takes effect at a time, s; by default now. */
+  log(message, at = performance.now() / 1000) {
+    this.record.add(message, at);
   }
 
   on(midi, midiVelocity) {

@@ -85,7 +85,9 @@ class SongPlayer {
       return player.onerror(error);
     }
     if (!this.isPlaying || this.attempt !== attempt) return undefined;
-    Object.assign(this, { begin: player.context.currentTime + BEGIN, sent: 0, shown: 0 });
+    // The audio clock moves on in steps. Recorded times are the song's own, from one reading of the page's clock.
+    const origin = performance.now() / 1000 + BEGIN;
+    Object.assign(this, { begin: player.context.currentTime + BEGIN, origin, sent: 0, shown: 0 });
     this.say(`Playing ${song.name}.`);
     this.timer = setInterval(() => this._tick(), TICK);
     return this._tick();
@@ -97,7 +99,7 @@ class SongPlayer {
     for (; this.sent < events.length && events[this.sent].at <= until; this.sent++) {
       player.schedule(this._struck(events[this.sent]), begin + events[this.sent].at);
     }
-    for (; this.shown < events.length && events[this.shown].at <= now; this.shown++) this._sound(events[this.shown], now);
+    for (; this.shown < events.length && events[this.shown].at <= now; this.shown++) this._sound(events[this.shown]);
     this._position(Math.max(now, 0));
     if (now >= end && this.shown === events.length) this.stop("The song is over.");
   }
@@ -108,8 +110,8 @@ class SongPlayer {
   }
 
   /** An event sounds: it is recorded, and shown on the keys. */
-  _sound(event, now) {
-    this.player.log(this._struck(event), now - event.at);
+  _sound(event) {
+    this.player.log(this._struck(event), this.origin + event.at);
     this.show(event);
   }
 
