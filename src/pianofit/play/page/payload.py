@@ -8,7 +8,7 @@ from __future__ import annotations
 import base64
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -70,15 +70,20 @@ def _document(instrument: Instrument, knocks: Knocks) -> dict[str, Any]:
             {"midi": midi, "note": midi_to_note(midi), "recorded": midi in instrument.recorded,
              "state": instrument.states.get(midi)}
             | encode_note(note, midi, knocks)
-            | {"intervals": intervals(instrument.told.get(midi, {})), "values": _values(instrument.told.get(midi, {}))}
+            | _told(instrument.told.get(midi, {}))
             for midi, note in sorted(instrument.notes.items())
         ],
     }  # fmt: skip
 
 
-def _values(told: Mapping[str, tuple[float, float, float]]) -> dict[str, list[float]]:
-    """The laws' values and intervals, which the page writes into an instrument that is saved there."""
-    return {law: [float(f"{x:.{DIGITS}g}") for x in row] for law, row in told.items()}
+def _told(told: Mapping[str, tuple[float, float, float]]) -> dict[str, dict[str, list[float]]]:
+    """Intervals of the sliders, and the values of their laws, which the page writes into an instrument saved there."""
+    values = {law: row for law, row in told.items() if law in (*SLIDERS.values(), *LOSSES, "p")}
+    return {"intervals": _short(intervals(told)), "values": _short(values)}
+
+
+def _short(table: Mapping[str, Iterable[float]]) -> dict[str, list[float]]:
+    return {name: [float(f"{x:.{DIGITS}g}") for x in row] for name, row in table.items()}
 
 
 def intervals(told: Mapping[str, tuple[float, float, float]]) -> dict[str, list[float]]:
