@@ -16,8 +16,8 @@ __all__ = ["LARGEST_PAGE", "Page", "engine", "source", "write_page"]
 
 # Bytes: what a mail takes, and a browser opens at once.
 LARGEST_PAGE = 1_500_000
-# Bytes of them for the script, the style and the words: 126,000 today.
-OWN = 130_000
+# Bytes of them for the script, the style and the words: 126,000 today, and some room.
+OWN = 135_000
 # Modules that know of no page; they become one, which the page's own thread and the audio thread both load.
 ENGINE = (
     "contact.js", "engine.js", "prepare.js", "output.js", "change.js", "note.js", "instrument.js", "midi.js",
