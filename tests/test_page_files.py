@@ -186,6 +186,12 @@ def test_what_a_song_holds_at_its_end_is_let_go_3_s_later():
     assert (held["notes"], held["beyond"], held["seconds"]) == (1, 1, 0.5)
 
 
+def test_the_pedal_is_a_switch_at_half_its_way():
+    moves = (0, 0xB0, 64, 63, 0, 0xB0, 64, 64, 0, 0xB0, 64, 100, *BEAT, 0xB0, 64, 63)
+    events = read(midi_file(track(*DOWN, *moves)))["events"]
+    assert [event for event in events if event["do"] == "pedal"] == [pedal(0, True), pedal(0.5, False)]
+
+
 @pytest.mark.parametrize(
     ("data", "said"),
     [
