@@ -19,18 +19,39 @@ from pianofit.model.note import Note
 RATE = 48_000
 BLOCK = 128  # samples at whose begins events take effect
 SCRIPTS = Path(str(files("pianofit.play.page")))
-# Reads {rate, jobs: [{key, changes?, events: [[block, what, value]], blocks}]}; writes every job's channels.
+# Reads {rate, jobs: [{keys, changes?, events: [[block, what, value]], blocks}]}; writes every job's channels. Jobs with
+# `note`, `instrument`, `song` or `record` have one result: a document, or a MIDI file read or written.
 PROGRAM = """
 import { readFileSync } from "node:fs";
-const names = ["prepare", "contact", "engine", "output", "change", "note"];
+const names = ["prepare", "contact", "engine", "output", "change", "note", "instrument", "midi", "record"];
 const parts = await Promise.all(names.map((name) => import(`${process.argv[1]}/${name}.js`)));
-const { BLOCK, Engine, Output, changed, decode, encodeWav, noteDocument, prepare } = Object.assign({}, ...parts);
+const all = Object.assign({}, ...parts);
+const { BLOCK, Engine, Output, Record, altered, changed, decode, encodeWav, prepare } = all;
 const { rate, jobs } = JSON.parse(readFileSync(0, "utf8"));
 const base64 = (bytes) => Buffer.from(bytes.buffer).toString("base64");
-const played = jobs.map(({ keys, changes, events, blocks, output, wav, note }) => {
+const text = (value) => [Buffer.from(JSON.stringify(value)).toString("base64")];
+const songOf = (bytes) => {
+  try {
+    return all.readMidi(new Uint8Array(Buffer.from(bytes, "base64")));
+  } catch (error) {
+    return { error: error.message };
+  }
+};
+const saved = (instrument, changes, volume) => all.instrumentDocument(instrument, instrument.keys.map((entry) => {
+  const own = altered(changes[entry.midi] ?? {});
+  return { key: changed(decode(entry), own), changes: own };
+}), volume);
+const played = jobs.map(({ keys, changes, events, blocks, output, wav, note, instrument, volume, song, record }) => {
+  if (song !== undefined) return text(songOf(song));
+  if (record) {
+    const past = new Record(record.longest);
+    for (const { at, ...message } of record.events) past.add(message, at);
+    return [base64(past.midi((speed) => speed))];
+  }
+  if (instrument) return text(saved(instrument, changes, volume));
   if (note) {
     const key = decode(keys[60]);
-    return [Buffer.from(JSON.stringify(noteDocument(changes ? changed(key, changes) : key, note))).toString("base64")];
+    return text(all.noteDocument(changes ? changed(key, changes) : key, note));
   }
   const engine = new Engine(rate), out = new Output(rate, BLOCK);
   const sound = [0, 1].map(() => new Float64Array(blocks * BLOCK));

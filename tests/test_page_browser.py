@@ -14,6 +14,8 @@ from instrument_cases import true_instrument, uneven_note
 from page_cases import ringing_note
 
 from pianofit.fit_file import load_note
+from pianofit.keyboard import load_instrument
+from pianofit.play import load_song
 from pianofit.play.page import write_page
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
@@ -163,7 +165,9 @@ def test_a_midi_keyboard_plays_with_velocity_and_pedal(page):
     page.evaluate(send, [[0xB0, 64, 127], [0x90, 62, 20], [0x90, 67, 120], [0x80, 62, 0], [0x90, 67, 0]])
     sounding(page, 2)
     assert page.locator("#pedal").get_attribute("aria-pressed") == "true"
-    speeds = page.evaluate("() => window.pianofitKeyboard.player.record.map((it) => it.velocity).filter(Boolean)")
+    speeds = page.evaluate(
+        "() => window.pianofitKeyboard.player.record.events.map((it) => it.velocity).filter(Boolean)"
+    )
     assert speeds[1:] == pytest.approx([1.3 * np.exp(1.5 * (velocity - 64) / 63) for velocity in (20, 120)])
     page.evaluate(send, [[0xB0, 64, 0], [0x90, 20, 64]])  # a key that the instrument does not have does nothing
     sounding(page, 0)
@@ -237,6 +241,115 @@ def test_a_key_is_saved_as_a_note_that_render_reads(page, tmp_path):
     np.testing.assert_array_equal(note.ringing.number, own.ringing.number)
     claims = json.loads((tmp_path / "note.json").read_text())["claims"]
     assert claims.startswith("E4 of </script>'\", recorded, as the page plays it, changed by hand.")
+
+
+def test_an_instrument_is_saved_with_all_that_was_set(page, written, tmp_path):
+    page.mouse.click(*at(page, 64))
+    page.locator("#change-mass").wait_for()
+    page.locator("#change-mass").press("End")
+    page.locator("#for-all").check()
+    page.locator("#change-p").press("Home")
+    page.locator("#for-all").uncheck()
+    page.locator("#reset").focus()
+    page.locator("#undo").click()
+    page.locator("#volume").press("End")
+    with page.expect_download() as download:
+        page.locator("#save-instrument").click()
+    assert download.value.suggested_filename == "instrument.json"
+    download.value.save_as(tmp_path / "instrument.json")
+    found, own = load_instrument(tmp_path / "instrument.json"), true_instrument(range(48, 73))
+    assert found.name == "</script>'\""
+    assert found.changed == [64]
+    assert found.recorded == {60, 64}
+    assert pytest.approx(4 * own.notes[64].hammer.M_H) == found.notes[64].hammer.M_H
+    assert found.notes[62].hammer.M_H == own.notes[62].hammer.M_H
+    gains = [found.notes[midi].gain / own.notes[midi].gain for midi in (50, 62)]
+    assert gains == pytest.approx([10**1.5] * 2)
+    assert found.told[60] == {"M_H/M_S": (1.0, 0.5, 2.0), "p": (2.0, 1.9, 2.2)}
+
+
+DROP = """([name, bytes]) => {
+  const files = new DataTransfer();
+  files.items.add(new File([new Uint8Array(bytes)], name));
+  const how = { dataTransfer: files, bubbles: true, cancelable: true };
+  for (const kind of ["dragover", "drop"]) document.body.dispatchEvent(new DragEvent(kind, how));
+}"""
+# E4 and G4 for a second each, and a note that this instrument does not have.
+SONG = bytes.fromhex(
+    "4d546864 00000006 0000 0001 01e0 4d54726b 00000022 00b0407f 00904050 00901e50 8740804040 00904360 00b04000"
+    "8740804340 00ff2f00"
+)
+# E4 and the pedal, held for a minute and a half.
+HELD = bytes.fromhex("4d546864 00000006 0000 0001 0010 4d54726b 00000011 00b0407f 00904050 9600ff0100 00ff2f00")
+
+
+def test_a_dropped_song_plays_and_what_was_played_is_saved(page, tmp_path):
+    page.evaluate(DROP, ["<b>song.mid", list(SONG)])
+    page.wait_for_function("() => document.getElementById('said').textContent.includes('1 note is beyond')")
+    assert page.locator("#song-name").inner_text() == "<b>song.mid, 2 notes"
+    assert page.locator("#song-name b").count() == 0
+    page.locator("#song-play").press("Enter")
+    page.wait_for_function("() => document.querySelector('.key[data-midi=\"64\"]').classList.contains('down')")
+    page.wait_for_function("() => document.getElementById('song-bar').value > 0")
+    page.wait_for_function("() => document.querySelector('.key[data-midi=\"67\"]').classList.contains('down')")
+    page.wait_for_function("() => document.getElementById('song-play').textContent.includes('Play')")
+    sounding(page, 0)
+    assert page.locator(".key.down").count() == 0
+    files = {}
+    for button, name in (("#save-midi", "piano.mid"), ("#save", "piano.wav")):
+        with page.expect_download() as download:
+            page.locator(button).click()
+        assert download.value.suggested_filename == name
+        files[name] = tmp_path / name
+        download.value.save_as(files[name])
+    song = load_song(files["piano.mid"])
+    assert [[velocity for _, velocity in song.keys[key]] for key in (64, 67)] == [[80, 0], [96, 0]]
+    assert song.keys[67][0][0] == pytest.approx(1.0, abs=0.002)
+    assert [down for _, down in song.pedal] == [1, 0]
+    assert np.abs(sf.read(files["piano.wav"])[0]).max() > 1e-3
+
+
+def test_a_song_is_stopped_and_its_keys_are_let_go(page):
+    page.set_input_files("#song-file", {"name": "held.mid", "mimeType": "audio/midi", "buffer": HELD})
+    page.locator("#song-play:enabled").click()
+    sounding(page, 1)
+    page.keyboard.press("Escape")
+    sounding(page, 0)
+    assert page.locator("#song-play").inner_text() == "▶ Play"
+    assert page.locator("#pedal").get_attribute("aria-pressed") == "false"
+    assert page.locator(".key.down").count() == 0
+
+
+@pytest.mark.parametrize("data", [b"", b"no song", SONG[:20]])
+def test_a_dropped_file_that_is_no_song_is_refused_in_a_line(page, data):
+    page.evaluate(DROP, ["<i>x</i>.txt", list(data)])
+    page.wait_for_function("() => document.getElementById('said').textContent.includes('MIDI')")
+    said = page.locator("#said").inner_text()
+    assert said.startswith("<i>x</i>.txt: ")
+    assert "\n" not in said
+    assert page.locator("#song-play").is_disabled()
+
+
+def test_what_loads_is_labelled(page):
+    page.wait_for_function("() => /25 of 25 keys/.test(document.getElementById('ready-words').textContent)")
+    assert page.locator("#ready").get_attribute("aria-labelledby") == "ready-words"
+    page.wait_for_function("() => document.getElementById('loading').hidden")
+
+
+@pytest.mark.parametrize("width", [400, 1400])
+def test_sliders_of_a_row_are_aligned(page, width):
+    """Also where one label takes two lines, or has an interval below."""
+    page.set_viewport_size({"width": width, "height": 900})
+    page.evaluate("() => window.pianofitKeyboard.play(60, 80)")
+    page.locator("#change-mass").wait_for()
+    boxes = [box.bounding_box() for box in page.locator(".sliders input").all()]
+    columns = sorted({round(box["x"]) for box in boxes})
+    assert len(columns) == (1 if width == 400 else 4)
+    for first in range(0, len(boxes), len(columns)):
+        row = boxes[first : first + len(columns)]
+        assert [round(box["x"]) for box in row] == columns[: len(row)]
+        assert {round(box["y"], 1) for box in row} == {round(row[0]["y"], 1)}
+        assert {round(box["width"], 1) for box in row} == {round(row[0]["width"], 1)}
 
 
 @pytest.mark.parametrize("width", [400, 1600])

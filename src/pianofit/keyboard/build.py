@@ -28,10 +28,12 @@ from .laws import Law, Prior, fit_law
 from .velocity import velocity_map
 from .words import TITLES
 
-__all__ = ["KINDS", "NEIGHBOURS", "SCHEMA", "build_instrument"]
+__all__ = ["CHANGED", "KINDS", "NEIGHBOURS", "SCHEMA", "build_instrument"]
 
 SCHEMA = 2
 KINDS = ("fitted", "pulled", "outlier", "interpolated", "extrapolated")
+# State of a key whose values were set by hand on the page to play.
+CHANGED = "changed"
 # What stands for the ringing of a key that was never recorded, see `inferred`.
 NEIGHBOURS = "neighbours"
 # Partials, from the first, whose beats and decays are listed of each key.

@@ -18,7 +18,7 @@ from ..model.simulate import check_geometry
 from ..numbers import is_number
 from ..parameters import PARAMETERS, Geometry, Hammer, String, check
 from ..ringing_file import read_ringing
-from .build import NEIGHBOURS, SCHEMA, build_instrument
+from .build import CHANGED, KINDS, NEIGHBOURS, SCHEMA, build_instrument
 from .gather import HIGHEST_KEY, LOWEST_KEY, NAMES, Layer, find_fits, load_keys, owner
 from .inferred import inferred
 from .velocity import hammer_velocity
@@ -44,11 +44,17 @@ class Instrument(NamedTuple):
     # By key and law of `gather.NAMES`: the value and both ends of its 95 % interval, where they are known.
     told: Mapping[int, Mapping[str, tuple[float, float, float]]] = MappingProxyType({})
     layers: Mapping[int, tuple[Layer, ...]] = MappingProxyType({})  # recordings of the recorded keys, soft to loud
+    states: Mapping[int, str] = MappingProxyType({})  # `build.KINDS`, or `build.CHANGED`, of the keys that name theirs
 
     @property
     def channels(self) -> int:
         """How many its sound has: those of the key that has most."""
         return max(1 if note.ringing is None else note.ringing.channels for note in self.notes.values())
+
+    @property
+    def changed(self) -> list[int]:
+        """The keys that were changed by hand, on the page to play."""
+        return sorted(midi for midi, state in self.states.items() if state == CHANGED)
 
     def unrecorded(self, keys: Iterable[int]) -> list[int]:
         """Which of these MIDI keys were never recorded: they are the laws' guess."""
@@ -127,7 +133,9 @@ def read_instrument(document: Any, name: str = "instrument") -> Instrument:
     recorded = frozenset(row["midi"] for row in rows if isinstance(row.get("fit"), dict))
     told = {row["midi"]: _told(row.get("told")) for row in rows}
     layers = {row["midi"]: _layers(row["fit"].get("layers")) for row in rows if row["midi"] in recorded}
-    return Instrument(one_line(called) if isinstance(called, str) else "", notes, at_64, rise, recorded, told, layers)
+    states = {row["midi"]: row["state"] for row in rows if row.get("state") in (*KINDS, CHANGED)}
+    title = one_line(called) if isinstance(called, str) else ""
+    return Instrument(title, notes, at_64, rise, recorded, told, layers, states)
 
 
 def _key(row: Any, quantity: str, where: str) -> tuple[int, Note]:

@@ -38,7 +38,7 @@ Licence
 
 Keys
 ----
-Sampled, and fitted to recordings of the key: {_named(recorded)}
+{_changed(instrument, own)}Sampled, and fitted to recordings of the key: {_named(recorded)}
 Sampled, but guesses (never recorded; laws over the keyboard): {_named(guesses)}
 Played from the nearest sampled key, transposed: {_named(moved)}
 Silent: {key_ranges(silent_keys(keys))}
@@ -54,6 +54,11 @@ def _layers(count: int) -> str:
     if count == 1:
         return "A key has one layer, as loud as the velocity asks."
     return f"A key has {count} layers. Between two of them both are heard, together as loud\nas the velocity asks."
+
+
+def _changed(instrument: Instrument, own: Sequence[int]) -> str:
+    changed = [midi for midi in instrument.changed if midi in own]
+    return f"Sampled, and changed by hand on the page to play: {_named(changed)}\n" if changed else ""
 
 
 def _named(keys: Sequence[int]) -> str:

@@ -13,6 +13,11 @@ const BOUNDS = { p: [1, 5], mu: [1e-3, 10], K_H: [1e4, 1e16], M_H: [1e-4, 0.1], 
 /** What `changed` may be told: factors, but `p`, which is added. */
 export const UNCHANGED = { force: 1, p: 0, mu: 1, mass: 1, strike: 1, loss: 1, inharmonicity: 1 };
 
+/** Of changes only those that change something. */
+export function altered(changes) {
+  return Object.fromEntries(Object.entries(changes).filter(([name, x]) => x !== UNCHANGED[name]));
+}
+
 /** Which partial of a string f is, a number that need not be whole: f = k f0 √(1 + B k²). */
 export function partialOf(f, f0, B) {
   return Math.sqrt(B > 1e-12 ? (Math.sqrt(1 + 4 * B * (f / f0) ** 2) - 1) / (2 * B) : (f / f0) ** 2);

@@ -10,6 +10,7 @@ class Keyboard {
   constructor(player, entries) {
     Object.assign(this, { player, keys: new Map(), octave: 60, letters: new Map(), pointers: new Map() });
     this.bench = new Workbench(player, (words) => this.say(words));
+    this.song = new SongPlayer(player, (event) => this._show(event), (words) => this.say(words));
     const recordings = one("recordings");
     if (recordings) {
       this.compare = new Compare(player, JSON.parse(recordings.textContent), (key) => this.bench.changesOf(key));
@@ -22,7 +23,7 @@ class Keyboard {
     this._reachable(this.keys.has(60) ? 60 : entries[0].midi);
     this._mark();
     this._view(60);
-    player.prepareAll((part) => (one("ready").value = part)).then(() => (one("ready").hidden = true));
+    player.prepareAll((done, all) => this._loaded(done, all)).then(() => (one("loading").hidden = true));
     setInterval(() => (one("sounding").textContent = player.sounding), 200);
   }
 
@@ -35,8 +36,15 @@ class Keyboard {
     one("refused").textContent = `No sound: ${error.message}.`;
   }
 
-  _key({ midi, note, recorded }) {
-    const black = BLACK.includes(midi % 12), known = recorded ? "recorded" : "a guess";
+  /** How far the tables are. */
+  _loaded(done, all) {
+    one("ready").value = done / all;
+    one("ready-words").textContent = `Computing tables: ${done} of ${all} keys`;
+  }
+
+  _key({ midi, note, recorded, state }) {
+    const black = BLACK.includes(midi % 12), changed = state === "changed" ? ", changed by hand" : "";
+    const known = `${recorded ? "recorded" : "a guess"}${changed}`;
     const className = `key ${black ? "black" : "white"}${recorded ? " recorded" : ""}`;
     const key = put(one("keys"), "button", { type: "button", className, tabIndex: -1, title: `${note}, ${known}` });
     key.dataset.midi = midi;
@@ -52,12 +60,24 @@ class Keyboard {
     it.key.classList.add("down");
     try {
       await this.player.on(midi, velocity);
-      one("save").disabled = false;
+      this._recorded();
       this.bench.show(midi, it.note, this.player.speed(velocity));
       this.compare?.show(midi, it.note);
     } catch (error) {
       this.refuse(error);
     }
+  }
+
+  /** There is something to save. */
+  _recorded() {
+    for (const id of ["save", "save-midi"]) one(id).disabled = false;
+  }
+
+  /** An event that the song player has brought about. */
+  _show({ do: what, midi, down }) {
+    if (what === "pedal") this._pedalIs((this.player.pedal = down));
+    else this.keys.get(midi).key.classList.toggle("down", what === "on");
+    this._recorded();
   }
 
   release(midi) {
@@ -67,6 +87,10 @@ class Keyboard {
 
   setPedal(down) {
     this.player.setPedal(down);
+    this._pedalIs(down);
+  }
+
+  _pedalIs(down) {
     one("pedal").setAttribute("aria-pressed", String(down));
   }
 
@@ -143,11 +167,11 @@ class Keyboard {
   }
 
   panic() {
+    this.song.stop();
     this._letGo();
     this.setPedal(false);
     this.player.panic();
     for (const { key } of this.keys.values()) key.classList.remove("down");
-    one("save").disabled = true;
     this.say("Silence.");
   }
 
@@ -188,6 +212,7 @@ class Keyboard {
     one("higher").onclick = () => this._shift(12);
     one("midi").onclick = () => this._midi();
     one("save").onclick = () => this._save();
+    one("save-midi").onclick = () => this._saveMidi();
   }
 
   async _midi() {
@@ -214,12 +239,18 @@ class Keyboard {
     else if (kind === 0xb0 && ALL_OFF.includes(data)) this.panic();
   }
 
+  _saveMidi() {
+    save("piano.mid", this.player.midi(), "audio/midi");
+    this.say("Saved: piano.mid.");
+  }
+
   async _save() {
     one("save").disabled = true;
     const wav = await this.player.render((part) => this.say(`Rendering, ${Math.round(100 * part)} %.`));
-    save("piano.wav", wav, "audio/wav");
     one("save").disabled = false;
-    this.say(`Saved: ${(wav.length / 1e6).toFixed(1)} MB.`);
+    if (!wav) return this.say("Nothing was played in the last minute.");
+    save("piano.wav", wav, "audio/wav");
+    return this.say(`Saved: ${(wav.length / 1e6).toFixed(1)} MB.`);
   }
 }
 

@@ -13,8 +13,13 @@ function base64(bytes) {
   return btoa(text);
 }
 
+/** Levels of a key's path as lists of numbers; null without one. */
+export function pathOf({ path }) {
+  return path ? Object.fromEntries(Object.entries(path).map(([name, x]) => [name, Array.from(x)])) : null;
+}
+
 /** How a key rings, over its gain, with the knock as a WAV file of 32 bit floats. */
-function ringingOf({ ringing, string, geometry, gain }) {
+export function ringingOf({ ringing, string, geometry, gain }) {
   const { pole, pattern, knock, rate, participation } = ringing;
   const list = (column, by = 1) => Array.from(column, (x) => x * by);
   const f0 = string.c / (2 * geometry.length), B = ((string.kappa * Math.PI) / (string.c * geometry.length)) ** 2;
@@ -40,7 +45,7 @@ function ringingOf({ ringing, string, geometry, gain }) {
  * claims: a sentence that says where it is from; rate: Hz, of the sounds that are made of it if nobody asks otherwise.
  */
 export function noteDocument(key, { velocity, rate, claims }) {
-  const { string, hammer, geometry, quantity, gain, path } = key;
+  const { string, hammer, geometry, quantity, gain } = key;
   const values = { ...string, ...hammer, v_H0: velocity, x0: geometry.strike, width: geometry.width, M_S: geometry.mass,
     L: geometry.length, pickup: geometry.pickup };
   const given = (value) => ({ value, interval: null, status: "given" });
@@ -49,7 +54,7 @@ export function noteDocument(key, { velocity, rate, claims }) {
     felt: hammer.mu === 0 ? "power" : "hunt-crossley",
     parameters: Object.fromEntries(Object.entries(values).map(([name, value]) => [name, given(value)])),
     recordings: [{ rate, v_H0: velocity, v_H0_status: "given", gain, gain_status: "given", first: true }],
-    pickup: { quantity, path: path ? Object.fromEntries(Object.entries(path).map(([n, x]) => [n, Array.from(x)])) : null },
+    pickup: { quantity, path: pathOf(key) },
     ringing: key.ringing ? ringingOf(key) : { by: "law" },
   };
 }

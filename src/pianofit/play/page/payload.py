@@ -8,7 +8,7 @@ from __future__ import annotations
 import base64
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,6 +26,8 @@ __all__ = ["Knocks", "encode_note", "intervals", "payload"]
 
 # Samples of a knock that share a scale.
 SHARED = 256
+# Significant digits of values that are only shown: an interval needs fewer.
+DIGITS = 6
 # The workbench's sliders that are factors of one law's value (`keyboard.gather.NAMES`), and the laws of its losses.
 SLIDERS = {"force": "K/M_S", "mu": "mu", "mass": "M_H/M_S", "strike": "x0/L", "inharmonicity": "B"}
 LOSSES = ("b1", "d2")
@@ -65,12 +67,23 @@ def _document(instrument: Instrument, knocks: Knocks) -> dict[str, Any]:
         "name": instrument.name,
         "velocity": {"at_64": instrument.at_64, "rise": instrument.rise},
         "keys": [
-            {"midi": midi, "note": midi_to_note(midi), "recorded": midi in instrument.recorded}
+            {"midi": midi, "note": midi_to_note(midi), "recorded": midi in instrument.recorded,
+             "state": instrument.states.get(midi)}
             | encode_note(note, midi, knocks)
-            | {"intervals": intervals(instrument.told.get(midi, {}))}
+            | _told(instrument.told.get(midi, {}))
             for midi, note in sorted(instrument.notes.items())
         ],
-    }
+    }  # fmt: skip
+
+
+def _told(told: Mapping[str, tuple[float, float, float]]) -> dict[str, dict[str, list[float]]]:
+    """Intervals of the sliders, and the values of their laws, which the page writes into an instrument saved there."""
+    values = {law: row for law, row in told.items() if law in (*SLIDERS.values(), *LOSSES, "p")}
+    return {"intervals": _short(intervals(told)), "values": _short(values)}
+
+
+def _short(table: Mapping[str, Iterable[float]]) -> dict[str, list[float]]:
+    return {name: [float(f"{x:.{DIGITS}g}") for x in row] for name, row in table.items()}
 
 
 def intervals(told: Mapping[str, tuple[float, float, float]]) -> dict[str, list[float]]:

@@ -1,7 +1,8 @@
 // What sounds: the engine in the audio thread, the tables it needs, and a record of what was played.
 
 const RATE = 48000; // Hz, whatever the device has: the browser converts
-const LONGEST = 60; // s of what was played that can be saved
+const LONGEST = 600; // s of what was played that can be saved as MIDI
+const LONGEST_SOUND = 60; // s of it that can be saved as a sound
 const TAIL = 6; // s that it rings on in the file
 const PAUSE = 20; // ms between tables that are sent while it may play
 
@@ -38,8 +39,8 @@ class Player {
   }
 
   constructor({ name, keys, velocity }, code, modules) {
-    Object.assign(this, modules, { code, name, velocity, pedal: false, volume: 1, record: [], tables: new Map(), sent: new Set(),
-      own: new Map(), sounding: 0, port: null });
+    Object.assign(this, modules, { code, name, velocity, pedal: false, volume: 1, tables: new Map(), sent: new Set(),
+      own: new Map(), sounding: 0, port: null, record: new modules.Record(LONGEST) });
     this.keys = new Map(keys.map((entry) => [entry.midi, this.decode(entry)]));
     this.now = { ...Object.fromEntries(this.keys) }; // with the workbench's changes
   }
@@ -50,19 +51,25 @@ class Player {
     return Math.min(Math.max(middle * Math.exp((rise * (midiVelocity - 64)) / 63), 0.01), 20);
   }
 
+  /** MIDI velocity, 1 to 127, of a hammer velocity, m/s. */
+  midiVelocity(speed) {
+    const { at_64: middle, rise } = this.velocity;
+    return Math.min(Math.max(Math.round(64 + (63 * Math.log(speed / middle)) / rise), 1), 127);
+  }
+
   /** A key's table, computed if need be. */
   table(midi) {
     if (!this.tables.has(midi)) this.tables.set(midi, this.prepare(this.now[midi], RATE));
     return this.tables.get(midi);
   }
 
-  /** Compute tables while nothing else is to be done, from the middle outwards. */
-  async prepareAll(progress) {
-    const order = [...this.keys.keys()].sort((a, b) => Math.abs(a - 60) - Math.abs(b - 60));
+  /** Compute tables of keys, of all by default, from the middle outwards; `progress` gets how many are ready. */
+  async prepareAll(progress, keys = [...this.keys.keys()]) {
+    const order = [...keys].sort((a, b) => Math.abs(a - 60) - Math.abs(b - 60));
     for (const [done, midi] of order.entries()) {
       await new Promise((go) => setTimeout(go));
       this.send(midi);
-      progress((done + 1) / order.length);
+      progress(done + 1, order.length);
     }
   }
 
@@ -114,8 +121,24 @@ class Player {
     } else if (this.started) {
       await this.started.catch(() => {}); // what comes after a stroke stays after it
     }
-    this._log(message);
+    this.log(message);
     this.port?.postMessage(message);
+  }
+
+  /** A message that takes effect at a time of the audio context, s. It is not recorded; see `log`. */
+  schedule(message, when) {
+    if (message.do === "on") this.send(message.midi);
+    this.port.postMessage({ ...message, when });
+  }
+
+  /** Drop what was scheduled and has not begun. */
+  cancel() {
+    this.port?.postMessage({ do: "cancel" });
+  }
+
+  /** Record a message that takes effect at a time, s; by default now. */
+  log(message, at = performance.now() / 1000) {
+    this.record.add(message, at);
   }
 
   on(midi, midiVelocity) {
@@ -137,7 +160,7 @@ class Player {
   }
 
   panic() {
-    this.record = [];
+    this.cancel();
     return this.act({ do: "panic" });
   }
 
@@ -163,19 +186,22 @@ class Player {
     }
   }
 
-  _log(message) {
-    const now = performance.now() / 1000;
-    if (message.do === "on" && !this.record.length) {
-      this.record.push({ at: now, do: "pedal", down: this.pedal }, { at: now, do: "volume", volume: this.volume });
-    }
-    if (message.do === "on" || this.record.length) this.record.push({ ...message, at: now });
-    const first = this.record.findIndex(({ at }) => at > now - LONGEST);
-    this.record = first < 0 ? [] : this.record.slice(first);
+  /** The instrument as it is played now, as a document; `changesOf` gives what was changed of a key. */
+  document(changesOf) {
+    const keys = [...this.keys.keys()].map((midi) => ({ key: this.now[midi], changes: changesOf(midi) }));
+    return this.instrumentDocument(this, keys, this.volume);
   }
 
-  /** What was played last, as a WAV file by the same engine; `progress` is told the part that is done. */
+  /** What was played, as a MIDI file. */
+  midi() {
+    return this.record.midi((speed) => this.midiVelocity(speed));
+  }
+
+  /** What was played last, as a WAV file by the same engine; `progress` gets the part that is done. Null without a stroke. */
   async render(progress) {
-    const engine = new this.Engine(RATE), output = new this.Output(RATE, this.BLOCK), { record } = this;
+    const engine = new this.Engine(RATE), output = new this.Output(RATE, this.BLOCK);
+    const record = this.record.recent(LONGEST_SOUND);
+    if (!record.length) return null;
     const first = record[0].at, seconds = record.at(-1).at - first + TAIL;
     const blocks = Math.ceil((seconds * RATE) / this.BLOCK);
     const sound = [0, 1].map(() => new Float32Array(blocks * this.BLOCK));
@@ -188,6 +214,7 @@ class Player {
         if (event.do === "off") engine.noteOff(event.midi);
         if (event.do === "pedal") engine.setPedal(event.down);
         if (event.do === "volume") output.volume = event.volume;
+        if (event.do === "panic") engine.panic();
       }
       engine.render(...block);
       output.pass(block).forEach((x, c) => sound[c].set(x, i * this.BLOCK));

@@ -34,6 +34,7 @@ class Workbench {
     one("undo").onclick = () => this.undo();
     one("reset").onclick = () => this.reset();
     one("save-note").onclick = () => this.save();
+    one("save-instrument").onclick = () => this.saveInstrument();
     this.buttons();
     new ResizeObserver(() => this.draw()).observe(one("pulse"));
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.draw());
@@ -83,7 +84,7 @@ class Workbench {
   }
 
   changesOf(midi) {
-    return { ...this.all, ...this.single.get(midi) };
+    return this.player.altered({ ...this.all, ...this.single.get(midi) });
   }
 
   apply(keys) {
@@ -111,6 +112,13 @@ class Workbench {
     const content = this.player.noteOf(this.midi, this.velocity, touched);
     save("note.json", `${JSON.stringify(content, null, 1)}\n`, "application/json");
     this.said(`Saved: note.json, ${this.name}${touched ? ", changed by hand" : ""}.`);
+  }
+
+  saveInstrument() {
+    const content = this.player.document((midi) => this.changesOf(midi));
+    const count = content.keys.filter(({ changes }) => changes).length;
+    save("instrument.json", `${JSON.stringify(content)}\n`, "application/json");
+    this.said(`Saved: instrument.json, ${count ? `${count} key${count > 1 ? "s" : ""} changed by hand` : "no key changed"}.`);
   }
 
   buttons() {

@@ -1,4 +1,5 @@
-// The engine in the browser's audio thread. What it is told: messages {do, ...}; see `act`.
+// The engine in the browser's audio thread. It gets messages {do, ...}, see `act`; those with a time `when`, s of the
+// audio context, wait for it.
 
 const REPORT = 16; // blocks between reports of how many strings sound: some 40 ms
 
@@ -9,7 +10,8 @@ class Piano extends AudioWorkletProcessor {
     this.output = new Output(sampleRate, BLOCK);
     this.block = [new Float64Array(BLOCK), new Float64Array(BLOCK)];
     this.count = 0;
-    this.port.onmessage = ({ data }) => this.act(data);
+    this.waiting = []; // ascending in time
+    this.port.onmessage = ({ data }) => (data.when > currentTime ? this.waiting.push(data) : this.act(data));
   }
 
   act(message) {
@@ -20,11 +22,13 @@ class Piano extends AudioWorkletProcessor {
     else if (message.do === "off") engine.noteOff(message.midi);
     else if (message.do === "pedal") engine.setPedal(message.down);
     else if (message.do === "volume") this.output.volume = message.volume;
+    else if (message.do === "cancel") this.waiting = [];
     else if (message.do === "panic") this.fading = true;
   }
 
   process(inputs, [channels]) {
     const [left, right] = this.block;
+    while (this.waiting[0]?.when < currentTime + BLOCK / sampleRate) this.act(this.waiting.shift());
     this.engine.render(left, right);
     if (this.fading) { // within one block
       for (const x of this.block) for (let n = 0; n < BLOCK; n++) x[n] *= 1 - (n + 1) / BLOCK;

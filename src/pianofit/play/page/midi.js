@@ -1,0 +1,265 @@
+// Standard MIDI files (MIDI Association, RP-001), read as play/midi_file.py and play/midi.py read them, and written.
+//
+// A player needs notes, controllers and tempo. Other events and chunks are skipped by their lengths, unread. An event
+// that cannot be read ends its track; the events before it are kept, and a remark says so.
+
+export const LARGEST_SONG = 2 ** 21; // bytes
+const MOST_NOTES = 100_000;
+const MOST_SONG_SECONDS = 1800;
+const LOWEST_KEY = 21, HIGHEST_KEY = 108; // A0 to C8
+const NOTE_OFF = 8, NOTE_ON = 9, CONTROL = 11; // upper half of a status byte
+const ONE_BYTE = [12, 13]; // program change and channel pressure have one data byte
+const SYSEX = 0xf0, ESCAPE = 0xf7, META = 0xff, END_OF_TRACK = 0x2f, SET_TEMPO = 0x51;
+const SYSTEM_LENGTHS = { 0xf1: 1, 0xf2: 2, 0xf3: 1 }; // data bytes of a status that no file should hold
+const PEDAL = 64, PEDAL_DOWN = 64, SOUND_OFF = 120, NOTES_OFF = 123; // controllers; the pedal is a switch
+const DRUMS = 9; // the tenth channel
+const HELD_ON = 3; // s that keys are held at the end of a song whose own note-offs are missing
+const FIRST_TEMPO = 500_000; // microseconds a beat until a file sets a tempo
+const FRAME_RATES = { 24: 24, 25: 25, 29: 30_000 / 1001, 30: 30 }; // SMPTE, frames a second
+const LONGEST_NUMBER = 4; // bytes
+const END = 0, END_ALL = -1; // in place of a velocity: the end of one stroke, and of all strokes of a channel
+const TICKS = 480; // a beat of written files: 960 ticks a second
+
+function find(bytes, name, from) {
+  const code = Array.from(name, (c) => c.charCodeAt(0));
+  for (let i = from; i + code.length <= bytes.length; i++) if (code.every((c, k) => bytes[i + k] === c)) return i;
+  return -1;
+}
+
+/** Why the rest of a track cannot be read. */
+class TrackDamage extends Error {}
+
+/** One track: its channel messages, tempo changes, end, and why it was not read to its end. */
+class Track {
+  constructor(bytes, at, end, isCut) {
+    Object.assign(this, { bytes, at, end, tick: 0, messages: [], tempos: [], damage: "" });
+    try {
+      this._read(isCut);
+    } catch (error) {
+      if (!(error instanceof TrackDamage)) throw error;
+      this.damage = error.message;
+    }
+  }
+
+  _read(isCut) {
+    let running = 0; // the status of events that have none
+    while (this.at < this.end) {
+      const tick = this.tick + this._number(), status = this._byte();
+      if (status === META) {
+        this.tick = tick;
+        if (this._isLast()) return;
+      } else if (status === SYSEX || status === ESCAPE) this._skip(this._number());
+      else if (status > SYSEX) this._skip(SYSTEM_LENGTHS[status] ?? 0);
+      else running = this._message(tick, status, running);
+      this.tick = tick;
+    }
+    if (isCut) throw new TrackDamage("is cut short");
+  }
+
+  /** Read a meta event from its kind on; whether it ends the track. */
+  _isLast() {
+    const kind = this._byte(), size = this._number(), start = this.at;
+    this._skip(size);
+    const tempo = kind === SET_TEMPO && size === 3 ? this.bytes.slice(start, this.at).reduce((x, y) => 256 * x + y, 0) : 0;
+    if (tempo) this.tempos.push({ tick: this.tick, tempo });
+    return kind === END_OF_TRACK;
+  }
+
+  /** Read a channel message; its status. Data above 127 are taken as 127. */
+  _message(tick, begin, running) {
+    const own = begin >= 0x80, status = own ? begin : running, first = own ? this._byte() : begin;
+    if (!status) throw new TrackDamage("is damaged");
+    const second = ONE_BYTE.includes(status >> 4) ? 0 : this._byte();
+    this.messages.push({ tick, kind: status >> 4, channel: status & 15, first: Math.min(first, 127),
+      second: Math.min(second, 127) });
+    return status;
+  }
+
+  _byte() {
+    if (this.at >= this.end) throw new TrackDamage("is cut short");
+    return this.bytes[this.at++];
+  }
+
+  _number() {
+    for (let i = 0, number = 0; i < LONGEST_NUMBER; i++) {
+      const byte = this._byte();
+      number = 128 * number + (byte & 0x7f);
+      if (byte < 0x80) return number;
+    }
+    throw new TrackDamage("is damaged");
+  }
+
+  _skip(size) {
+    if (size > this.end - this.at) throw new TrackDamage("is cut short");
+    this.at += size;
+  }
+}
+
+/** Every track from `at` on. After a wrong length the next track is looked for. */
+function tracksOf(bytes, view, begin) {
+  const tracks = [];
+  for (let at = begin; at >= 0 && at <= bytes.length - 8; ) {
+    const end = at + 8 + view.getUint32(at + 4), isCut = end > bytes.length;
+    if (find(bytes.subarray(at, at + 4), "MTrk", 0) === 0) {
+      tracks.push(new Track(bytes, at + 8, Math.min(end, bytes.length), isCut));
+      at = isCut ? tracks.at(-1).at : end;
+    } else at = isCut ? find(bytes, "MTrk", at + 1) : end;
+  }
+  return tracks;
+}
+
+/** Seconds of a tick, by all tempo changes of a file. */
+function clockOf(tempos, division) {
+  const marks = [{ tick: 0, seconds: 0, rate: FIRST_TEMPO / 1e6 / division }];
+  if (division >= 2 ** 15) {
+    const frames = 256 - (division >> 8), ticks = division & 255;
+    if (!FRAME_RATES[frames] || !ticks) throw new Error(`${ticks} ticks a frame of ${frames} frames a second`);
+    marks[0].rate = 1 / (FRAME_RATES[frames] * ticks);
+  } else if (!division) throw new Error("0 ticks a beat");
+  const clock = (tick) => {
+    let low = 0, high = marks.length;
+    while (high - low > 1) {
+      const middle = (low + high) >> 1;
+      if (marks[middle].tick <= tick) low = middle;
+      else high = middle;
+    }
+    return marks[low].seconds + (tick - marks[low].tick) * marks[low].rate;
+  };
+  const changes = division < 2 ** 15 ? [...tempos].sort((a, b) => a.tick - b.tick) : [];
+  for (const { tick, tempo } of changes) marks.push({ tick, seconds: clock(tick), rate: tempo / 1e6 / division });
+  return clock;
+}
+
+function remarksOf(tracks, promised, clock) {
+  const remarks = [], damaged = tracks.findIndex((track) => track.damage);
+  const more = tracks.filter((track) => track.damage).length - 1;
+  if (tracks.length < promised) {
+    remarks.push(`the header promises ${promised} track${promised > 1 ? "s" : ""}, and the file has ${tracks.length}`);
+  }
+  if (damaged >= 0) {
+    const { damage, tick } = tracks[damaged], others = more ? `, and ${more} more are not whole` : "";
+    remarks.push(`track ${damaged + 1} ${damage} after ${clock(tick).toFixed(1)} s${others}; the rest is played`);
+  }
+  return remarks;
+}
+
+/** Channel messages of a file in order of time: {messages: [{at, kind, channel, first, second}], seconds, remarks}. */
+function parse(bytes) {
+  const begin = find(bytes, "MThd", 0), view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
+  if (begin < 0) throw new Error("it has no MIDI header, MThd");
+  if (begin + 14 > bytes.length) throw new Error("its header is cut short");
+  const size = view.getUint32(begin + 4), [form, promised, division] = [8, 10, 12].map((at) => view.getUint16(begin + at));
+  const tracks = tracksOf(bytes, view, begin + 8 + Math.max(size, 6));
+  if (form > 2) throw new Error(`type ${form} is unknown`);
+  if (form === 2 && tracks.length > 1) throw new Error("type 2, whose tracks are songs of their own");
+  const clock = clockOf(tracks.flatMap((track) => track.tempos), division);
+  const messages = tracks.flatMap((track) => track.messages).sort((a, b) => a.tick - b.tick);
+  const seconds = clock(tracks.reduce((most, { tick }) => Math.max(most, tick), 0));
+  return { messages: messages.map((it) => ({ ...it, at: clock(it.tick) })), seconds,
+    remarks: remarksOf(tracks, promised, clock) };
+}
+
+/**
+ * Moves of one key by one channel, with an end for every stroke whose own is missing: at a stray note-off of the same
+ * time (a note without length), else where the channel strikes the key again, else none.
+ */
+function completed(moves) {
+  const stray = new Set(), strokes = moves.filter((move) => move.velocity > 0), ends = [];
+  const next = new Map(strokes.map((stroke, i) => [stroke, strokes[i + 1]]));
+  let open = [];
+  for (const move of moves) {
+    if (move.velocity > 0) open.push(move);
+    else if (move.velocity === END_ALL) open = [];
+    else if (!open.pop()) stray.add(move.at);
+  }
+  for (const stroke of open) {
+    const again = next.get(stroke);
+    if (stray.has(stroke.at)) ends.push({ ...stroke, order: stroke.order + 0.5, velocity: END });
+    else if (again) ends.push({ ...again, order: again.order - 0.5, velocity: END });
+  }
+  return [...moves, ...ends];
+}
+
+/** Strokes of a key, and when it goes up: whenever no channel has a stroke that is not yet ended. */
+function strokesAndEnds(midi, channels) {
+  const open = new Map(), events = [], moves = [...channels.values()].flatMap(completed);
+  const isHeld = () => [...open.values()].some((count) => count > 0);
+  for (const { order, at, channel, velocity } of moves.sort((a, b) => a.order - b.order)) {
+    const before = isHeld(), count = open.get(channel) ?? 0;
+    if (velocity > 0) {
+      open.set(channel, count + 1);
+      events.push({ order, at, do: "on", midi, velocity });
+      continue;
+    }
+    open.set(channel, velocity === END ? Math.max(count - 1, 0) : 0);
+    if (before && !isHeld()) events.push({ order, at, do: "off", midi });
+  }
+  return { events, isHeld: isHeld() };
+}
+
+/**
+ * A song: {events, seconds, notes, beyond, remarks}. Events ascend in time: {at, do: "on", midi, velocity: 1 to 127},
+ * {at, do: "off", midi}, {at, do: "pedal", down}. `beyond` counts notes that no piano has.
+ *
+ * Throws an Error that says what is wrong with the file.
+ */
+export function readMidi(bytes) {
+  const { messages, seconds, remarks } = parse(bytes);
+  if (seconds > MOST_SONG_SECONDS) throw new Error(`it lasts more than ${MOST_SONG_SECONDS / 60} minutes; cut it into parts`);
+  const keys = new Map(), feet = new Set(), events = [], count = { notes: 0, beyond: 0 };
+  const move = (midi, channel, step) => {
+    if (!keys.has(midi)) keys.set(midi, new Map());
+    if (!keys.get(midi).has(channel)) keys.get(midi).set(channel, []);
+    keys.get(midi).get(channel).push({ ...step, channel });
+  };
+  messages.forEach(({ at, kind, channel, first, second }, order) => {
+    if (channel === DRUMS) return;
+    if (kind === CONTROL && first === PEDAL) {
+      const down = second >= PEDAL_DOWN, before = feet.size;
+      if (down) feet.add(channel);
+      else feet.delete(channel);
+      if (before !== feet.size && (feet.size === 0 || before === 0)) events.push({ order, at, do: "pedal", down });
+    } else if (kind === CONTROL && [SOUND_OFF, NOTES_OFF].includes(first)) {
+      for (const [midi, channels] of keys) if (channels.has(channel)) move(midi, channel, { order, at, velocity: END_ALL });
+    } else if (kind === NOTE_ON || kind === NOTE_OFF) {
+      const velocity = kind === NOTE_ON ? second : END, there = first >= LOWEST_KEY && first <= HIGHEST_KEY;
+      if (velocity > 0) count[there ? "notes" : "beyond"]++;
+      if (there) move(first, channel, { order, at, velocity });
+    }
+  });
+  if (count.notes > MOST_NOTES) throw new Error(`it has more than ${MOST_NOTES} notes; cut it into parts`);
+  if (!count.notes) throw new Error(["it holds no note from A0 to C8", ...remarks].join("; "));
+  const late = { order: Infinity, at: seconds + HELD_ON };
+  for (const [midi, channels] of keys) {
+    const found = strokesAndEnds(midi, channels);
+    events.push(...found.events, ...(found.isHeld ? [{ ...late, do: "off", midi }] : []));
+  }
+  if (feet.size) events.push({ ...late, do: "pedal", down: false });
+  events.sort((a, b) => a.at - b.at || (a.order > b.order) - (a.order < b.order));
+  return { events: events.map(({ order, ...event }) => event), seconds, ...count, remarks };
+}
+
+/** A number of variable length: seven bits a byte, the highest bit set in all but the last. */
+function variable(number) {
+  const bytes = [number & 0x7f];
+  for (let rest = number >> 7; rest > 0; rest >>= 7) bytes.unshift(0x80 | (rest & 0x7f));
+  return bytes;
+}
+
+/** A MIDI file, type 0, of events as `readMidi` gives them; its time begins with the first. */
+export function writeMidi(events) {
+  const perSecond = (TICKS * 1e6) / FIRST_TEMPO, four = (x) => [24, 16, 8, 0].map((shift) => (x >> shift) & 255);
+  const track = [0, META, SET_TEMPO, 3, ...four(FIRST_TEMPO).slice(1)];
+  let before = 0;
+  for (const event of events) {
+    const tick = Math.max(Math.round((event.at - events[0].at) * perSecond), before);
+    const data = { on: [NOTE_ON << 4, event.midi, event.velocity], off: [NOTE_OFF << 4, event.midi, 64],
+      pedal: [CONTROL << 4, PEDAL, event.down ? 127 : 0] }[event.do];
+    track.push(...variable(tick - before), ...data);
+    before = tick;
+  }
+  track.push(0, META, END_OF_TRACK, 0);
+  const text = (word) => Array.from(word, (c) => c.charCodeAt(0));
+  return Uint8Array.from([...text("MThd"), ...four(6), 0, 0, 0, 1, TICKS >> 8, TICKS & 255, ...text("MTrk"),
+    ...four(track.length), ...track]);
+}

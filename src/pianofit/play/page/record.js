@@ -1,0 +1,57 @@
+// What was played: strokes, releases, pedal, volume and silencing of the last minutes, each with its time in seconds.
+
+import { writeMidi } from "./midi.js";
+
+export class Record {
+  /** longest: s that are kept. */
+  constructor(longest) {
+    Object.assign(this, { longest, events: [], start: { down: false, volume: 1 } });
+  }
+
+  /** Add {do: "on" | "off" | "pedal" | "volume" | "panic", ...} at a time, s; the time may lie before events that are there. */
+  add(message, at) {
+    let place = this.events.length;
+    while (place > 0 && this.events[place - 1].at > at) place--;
+    this.events.splice(place, 0, { ...message, at });
+    const last = this.events.at(-1).at, first = this.events.findIndex((event) => event.at >= last - this.longest);
+    if (first > 0) this.start = settings(this.start, this.events.splice(0, first));
+  }
+
+  /**
+   * Events of the last `seconds`, from the first stroke on: first the pedal and volume at that time. Releases of earlier
+   * strokes are left out. Empty without a stroke.
+   */
+  recent(seconds) {
+    const last = this.events.at(-1)?.at, first = this.events.findIndex((it) => it.do === "on" && it.at >= last - seconds);
+    if (first < 0) return [];
+    const { down, volume } = settings(this.start, this.events.slice(0, first)), held = new Set();
+    const kept = this.events.slice(first).filter((event) => {
+      if (event.do === "on") held.add(event.midi);
+      if (event.do === "panic") held.clear();
+      return event.do !== "off" || held.delete(event.midi);
+    });
+    return [{ at: kept[0].at, do: "pedal", down }, { at: kept[0].at, do: "volume", volume }, ...kept];
+  }
+
+  /** All of it as a MIDI file; `midiVelocity` gives the MIDI velocity of a hammer velocity, m/s. */
+  midi(midiVelocity) {
+    const held = new Set();
+    const events = this.recent(this.longest).flatMap((event) => {
+      if (event.do === "off") held.delete(event.midi);
+      if (event.do === "panic") return [...held].map((midi) => ({ at: event.at, do: "off", midi }));
+      if (event.do !== "on") return event.do === "volume" ? [] : [event];
+      held.add(event.midi);
+      return [{ ...event, velocity: midiVelocity(event.velocity) }];
+    });
+    return writeMidi(events);
+  }
+}
+
+/** Pedal and volume after events. */
+function settings({ down, volume }, events) {
+  for (const event of events) {
+    if (event.do === "pedal") down = event.down;
+    if (event.do === "volume") volume = event.volume;
+  }
+  return { down, volume };
+}
