@@ -9,7 +9,7 @@ Every method gets the same number of evaluations. A run has succeeded if L-BFGS-
 that help. The minimum's place, and the axes of what is rotated, are drawn anew for each seed and are the same for all
 methods. The last four functions had no say when the defaults were chosen.
 
-- ASA: `pianofit.paper.annealing`, 1 chain or 16
+- ASA: `pianofit.bensa2005.annealing`, 1 chain or 16
 - DA: SciPy's `dual_annealing` (generalised annealing), as it is, and without its local search
 - CMA-ES: the package `cma`, restarted with twice the population whenever it stops (IPOP). It is no dependency; where it
   is missing its column is left out
@@ -34,7 +34,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import dual_annealing, minimize
 
-from pianofit.paper.annealing import Schedule, anneal
+from pianofit.bensa2005.annealing import Schedule, anneal
 
 NEAR = 1e-3
 COLUMNS = {"asa1": "ASA, 1 chain", "asa16": "ASA, 16 chains", "da_plain": "DA, no local", "da": "DA", "cma": "CMA-ES"}

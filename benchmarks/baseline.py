@@ -9,7 +9,7 @@ Eq. 16-18 as they stand: N grid points, Crank-Nicolson, the full duration, one s
 - it is compiled for this machine (numba, which only the benchmarks need); products and sums may be contracted, which
   shortens the solve's chain of operations.
 
-`python benchmarks/baseline.py` compares it with `pianofit.paper.scheme`, which shares no line with it, and times it.
+`python benchmarks/baseline.py` compares it with `pianofit.bensa2005.finite_difference`, which shares no line with it, and times it.
 """
 
 from __future__ import annotations
@@ -213,7 +213,7 @@ def contacts(g, a, hammers):
 
 
 def check(rate: float = 44_100.0, samples: int = 600, points: int = 100) -> float:
-    """The largest difference from `pianofit.paper.scheme`, of full scale; more than `TOLERANCE` is an error.
+    """The largest difference from `pianofit.bensa2005.finite_difference`, of full scale; more than `TOLERANCE` is an error.
 
     Raises
     ------
@@ -221,7 +221,7 @@ def check(rate: float = 44_100.0, samples: int = 600, points: int = 100) -> floa
         If the two differ.
     """
     import pianofit
-    from pianofit.paper.scheme import solve
+    from pianofit.bensa2005.finite_difference import solve
 
     it = pianofit.preset("bensa-final")
     # Between points the reference reads the sines through all of them, which costs time and is none of the scheme.
@@ -239,7 +239,7 @@ def main() -> None:
     """Compare and time."""
     import pianofit
 
-    print(f"off pianofit.paper.scheme by {check():.1e} of full scale")
+    print(f"off pianofit.bensa2005.finite_difference by {check():.1e} of full scale")
     it, taken = pianofit.preset("bensa-final"), []
     scheme = prepared(it.string, it.geometry, 44_100.0)
     for _ in range(15):

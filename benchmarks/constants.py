@@ -34,7 +34,7 @@ class _Felt:
 
     @property
     def spread(self) -> dict[str, float]:
-        return {name: parameter.deviation for name, parameter in DEFAULT_LAW.parameters.items()}
+        return {name: parameter.prior_sd for name, parameter in DEFAULT_LAW.parameters.items()}
 
     @spread.setter
     def spread(self, spread: dict[str, float]) -> None:
@@ -44,8 +44,16 @@ class _Felt:
 
 def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
     """By the first cell of its row in docs/fitting.md: the module, the attribute, and how its value is scaled."""
-    from pianofit.analysis import fits, inharmonicity, partials
-    from pianofit.inference import descent, finish, nuisances, observations, priors, screen, search
+    from pianofit.analysis import baseband_fit, inharmonicity, partials
+    from pianofit.inference import (
+        marginal_curvature,
+        multistart,
+        observation_tables,
+        optimiser,
+        prescreen,
+        priors,
+        refine,
+    )
 
     def plain(value: Any, factor: float) -> Any:
         return type(value)(value * factor) if not isinstance(value, int) else max(1, round(value * factor))
@@ -91,36 +99,36 @@ def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
         "`FREQUENCY`, σ": (priors, "FREQUENCY", median(0)),
         "`DECAY`, σ": (priors, "DECAY", median(0)),
         "`LAW_REACH`": (priors, "LAW_REACH", plain),
-        "`HIGHEST`": (observations, "HIGHEST", plain),
-        "`SAMPLES`": (screen, "SAMPLES", plain),
-        "`VELOCITIES`": (screen, "VELOCITIES", points),
-        "`FINE_VELOCITIES`": (screen, "FINE_VELOCITIES", points),
-        "`TAIL`": (screen, "TAIL", plain),
-        "`WIDE_EXCESS`": (screen, "WIDE_EXCESS", plain),
-        "`COARSER`": (descent, "COARSER", plain),
-        "`FIRST`": (search, "FIRST", plain),
-        "`FIRST_STEPS`": (search, "FIRST_STEPS", plain),
-        "`SECOND`": (search, "SECOND", plain),
-        "`SECOND_FLOOR`, of σ": (search, "SECOND_FLOOR", plain),
-        "`ONE_VALLEY`": (search, "ONE_VALLEY", plain),
-        "`GAIN` of a round": (search, "GAIN", plain),
-        "`RESTARTS`": (search, "RESTARTS", plain),
-        "`REACH`": (search, "REACH", plain),
-        "`ALONG`": (search, "ALONG", plain),
-        "`SCAN`": (search, "SCAN", whole),
-        "`NEAR`": (search, "NEAR", plain),
-        "`GOING`": (search, "GOING", plain),
-        "`LONGEST_STEP`": (descent, "LONGEST_STEP", plain),
-        "`LONGEST_PHI`": (descent, "LONGEST_PHI", plain),
-        "`FINER`": (descent, "FINER", plain),
-        "`CONVERGED`": (descent, "CONVERGED", plain),
-        "`HYPER_REACH`": (descent, "HYPER_REACH", plain),
-        "`NEGATIVE`": (nuisances, "NEGATIVE", plain),
-        "`WITHIN`": (finish, "WITHIN", plain),
-        "`LEFT`": (finish, "LEFT", plain),
+        "`HIGHEST`": (observation_tables, "HIGHEST", plain),
+        "`SAMPLES`": (prescreen, "SAMPLES", plain),
+        "`VELOCITIES`": (prescreen, "VELOCITIES", points),
+        "`FINE_VELOCITIES`": (prescreen, "FINE_VELOCITIES", points),
+        "`TAIL`": (prescreen, "TAIL", plain),
+        "`WIDE_EXCESS`": (prescreen, "WIDE_EXCESS", plain),
+        "`COARSER`": (optimiser, "COARSER", plain),
+        "`FIRST`": (multistart, "FIRST", plain),
+        "`FIRST_STEPS`": (multistart, "FIRST_STEPS", plain),
+        "`SECOND`": (multistart, "SECOND", plain),
+        "`SECOND_FLOOR`, of σ": (multistart, "SECOND_FLOOR", plain),
+        "`ONE_VALLEY`": (multistart, "ONE_VALLEY", plain),
+        "`GAIN` of a round": (multistart, "GAIN", plain),
+        "`RESTARTS`": (multistart, "RESTARTS", plain),
+        "`REACH`": (multistart, "REACH", plain),
+        "`ALONG`": (multistart, "ALONG", plain),
+        "`SCAN`": (multistart, "SCAN", whole),
+        "`NEAR`": (multistart, "NEAR", plain),
+        "`GOING`": (multistart, "GOING", plain),
+        "`LONGEST_STEP`": (optimiser, "LONGEST_STEP", plain),
+        "`LONGEST_PHI`": (optimiser, "LONGEST_PHI", plain),
+        "`FINER`": (optimiser, "FINER", plain),
+        "`CONVERGED`": (optimiser, "CONVERGED", plain),
+        "`HYPER_REACH`": (optimiser, "HYPER_REACH", plain),
+        "`NEGATIVE`": (marginal_curvature, "NEGATIVE", plain),
+        "`WITHIN`": (refine, "WITHIN", plain),
+        "`LEFT`": (refine, "LEFT", plain),
         "`TRUSTED`": (inharmonicity, "TRUSTED", plain),
         "`NEIGHBOURS`": (inharmonicity, "NEIGHBOURS", plain),
-        "`LONG`": (fits, "LONG", plain),
+        "`LONG`": (baseband_fit, "LONG", plain),
         "`_FAST`": (partials, "_FAST", plain),
         "`_SLOW`": (partials, "_SLOW", plain),
         "`_FACTOR`": (partials, "_FACTOR", plain),
@@ -151,8 +159,8 @@ def predicted(note: str, files: list[Path], setup: Any, layers: tuple[str, ...])
     """Errors, dB, of the layers whose files' names hold one of `layers`, each predicted from all others."""
     from pianofit import analyse, load_recording, predict_recording
     from pianofit.fit_file import gains_of
-    from pianofit.inference import infer
-    from pianofit.result import conclude
+    from pianofit.inference import run_inference
+    from pianofit.result import build_result
 
     if not layers:
         return []
@@ -163,8 +171,8 @@ def predicted(note: str, files: list[Path], setup: Any, layers: tuple[str, ...])
         if not set(layers) & set(file.stem.split("-")):
             continue
         rest = [j for j in range(len(files)) if j != i]
-        fit = conclude(infer([recordings[j] for j in rest], [analyses[j] for j in rest], setup))
-        notes = [(share, each[0]) for share, each in zip(fit.shares, fit.notes, strict=True)]
+        fit = build_result(run_inference([recordings[j] for j in rest], [analyses[j] for j in rest], setup))
+        notes = [(share, each[0]) for share, each in zip(fit.weights, fit.minima_notes, strict=True)]
         errors.append(predict_recording(notes, analyses[i], gains=gains_of(fit.document, 0)).error_db)
     return errors
 
@@ -173,9 +181,9 @@ def scaled_panel(job: tuple[str, float]) -> tuple[float, float]:
     """The panel with one constant times a factor; as it is if the factor is 1."""
     import coverage_twins  # noqa: F401 - its twins are drawn by the priors as they are
 
-    from pianofit.model.cache import keep_programs
+    from pianofit.model.program_cache import enable_program_cache
 
-    keep_programs()
+    enable_program_cache()
     name, factor = job
     if factor == 1.0:
         return panel()

@@ -30,24 +30,24 @@ def counts(seconds: float, noise_db: float | None = 30.0) -> dict[str, Any]:
     jax.monitoring.register_event_duration_secs_listener(lambda event, *_, **__: events.update([event]))
     import pianofit
     from pianofit.analysis import analyse
-    from pianofit.inference import Inferred, estimate, pose
-    from pianofit.model.cache import keep_programs
-    from pianofit.paper.laboratory import make_twin, setup_text
-    from pianofit.result import conclude
+    from pianofit.bensa2005.laboratory import make_synthetic_recording, setup_text
+    from pianofit.inference import InferenceResult, build_problem, map_estimate
+    from pianofit.model.program_cache import enable_program_cache
+    from pianofit.result import build_result
 
     with tempfile.TemporaryDirectory() as folder:
         setup = Path(folder) / "setup.toml"
         setup.write_text(setup_text())
         known = pianofit.load_setup(setup)
-        twin = make_twin(noise_db)
-        keep_programs()
+        twin = make_synthetic_recording(noise_db)
+        enable_program_cache()
         recording = pianofit.recording_from_samples(twin.samples[: twin.onset + int(seconds * twin.rate)], twin.rate)
         found = analyse(recording)
         events.clear()
-        problem = pose([recording], [found], known)
-        fit = estimate(problem)
+        problem = build_problem([recording], [found], known)
+        fit = map_estimate(problem)
         searched = dict(events)
-        conclude(Inferred(problem, fit, 0))
+        build_result(InferenceResult(problem, fit, 0))
         names = [path.name.split("-")[1] for path in Path(os.environ["PIANOFIT_CACHE"]).glob("*.program")]
     return {
         "compilations": searched[COMPILED], "traces": searched[TRACED], "kept_programs": len(names),
@@ -55,7 +55,7 @@ def counts(seconds: float, noise_db: float | None = 30.0) -> dict[str, Any]:
         "compilations_of_the_result": events[COMPILED] - searched[COMPILED],
         "strikes": fit.lanes, "contact_rate_Hz": round(float(problem.scene.rate), 6),
         "modes": problem.cfg.n_modes, "steps": int(problem.scene.steps),
-        "partials": int(np.asarray(problem.observed.level.found).sum()), "minima": len(fit.minima.F),
+        "partials": int(np.asarray(problem.observed.level.detected).sum()), "minima": len(fit.minima.F),
     }  # fmt: skip
 
 

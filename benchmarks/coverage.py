@@ -37,8 +37,8 @@ from measuring import into_page
 if TYPE_CHECKING:
     from coverage_twins import Values
 
-    from pianofit.inference import Problem
-    from pianofit.inference.finish import Minima
+    from pianofit.inference import FitProblem
+    from pianofit.inference.refine import Minima
 
 KINDS = ("demo", "model", "brute-force", "same-window")
 # Twins of one process. What it compiles stays mapped, and an operating system allows only so many mappings. Pools that
@@ -49,10 +49,10 @@ JOBS = 10
 def judge(job: tuple[str, int, float]) -> dict:
     """Make one twin, fit it and score it; a twin that is refused says why."""
     from pianofit.errors import PianofitError
-    from pianofit.model.cache import keep_programs
+    from pianofit.model.program_cache import enable_program_cache
 
     kind, seed, noise_db = job
-    keep_programs()
+    enable_program_cache()
     begun = time.perf_counter()
     about = {"kind": kind, "seed": seed}
     try:
@@ -66,11 +66,11 @@ def _demo(seed: int, noise_db: float | None) -> dict:
     """What `pianofit demo --seed SEED` fits, through files as there."""
     import tempfile
 
+    from pianofit.bensa2005.laboratory import make_synthetic_recording, setup_text
     from pianofit.fitting import fit
-    from pianofit.io import encode_wav
-    from pianofit.paper.laboratory import make_twin, setup_text
+    from pianofit.io.files import encode_wav
 
-    twin = make_twin(noise_db, seed)
+    twin = make_synthetic_recording(noise_db, seed)
     with tempfile.TemporaryDirectory() as folder:
         sound, setup = Path(folder) / "twin.wav", Path(folder) / "setup.toml"
         sound.write_bytes(encode_wav(twin.samples, twin.rate))
@@ -86,15 +86,15 @@ def _drawn(kind: str, seed: int) -> dict:
 
     from pianofit.analysis import analyse
     from pianofit.errors import PianofitError
-    from pianofit.inference import infer
-    from pianofit.result import conclude
+    from pianofit.inference import run_inference
+    from pianofit.result import build_result
 
     twin = coverage_twins.make(kind, seed)
     about = {**twin.design._asdict(), "truth": _plain(twin)}
     try:
         analyses = [analyse(recording, f0=twin.truth.f0) for recording in twin.recordings]
-        fit = infer(twin.recordings, analyses, twin.setup, seed=seed)
-        problem, found, document = fit.problem, fit.found, conclude(fit).document
+        fit = run_inference(twin.recordings, analyses, twin.setup, seed=seed)
+        problem, found, document = fit.problem, fit.found, build_result(fit).document
     except PianofitError as error:
         return about | {"refused": str(error)}
     true = coverage_twins.values_of(kind, twin.truth, problem.reference)
@@ -116,7 +116,7 @@ def _plain(twin) -> dict:
     }  # fmt: skip
 
 
-def gain_from_truth(problem: Problem, minima: Minima, true: Values, velocities: Sequence[float]) -> float | None:
+def gain_from_truth(problem: FitProblem, minima: Minima, true: Values, velocities: Sequence[float]) -> float | None:
     """How much lower F is at the minimum that a descent from the truth finds; at most 0 if the search found it too.
 
     None if a contact of the true hammer does not end in the fit's steps. Gains and paths are no part of a point: F
@@ -127,18 +127,18 @@ def gain_from_truth(problem: Problem, minima: Minima, true: Values, velocities: 
     velocities : m/s, of every recording; each is of a stroke of its own.
     """
     from pianofit.errors import FitError
-    from pianofit.inference.finish import finish
+    from pianofit.inference.refine import refine
 
     best = minima.people.take(np.array([0]))
-    z = point_of(problem, best.z[0], true, velocities)
+    z = point_of(problem, best.theta[0], true, velocities)
     try:
-        end = finish(problem, z[None], best.phi, best.w)
+        end = refine(problem, z[None], best.phi, best.w)
     except FitError:
         return None
     return float(minima.F.min() - end.F[0])
 
 
-def point_of(problem: Problem, best: np.ndarray, true: Values, velocities: Sequence[float]) -> np.ndarray:
+def point_of(problem: FitProblem, best: np.ndarray, true: Values, velocities: Sequence[float]) -> np.ndarray:
     """The truth as a point of the search [size]; what has no truth, and what is held, is as in `best`."""
     u = problem.unknowns
     values = np.exp(u.log_values(best))

@@ -36,9 +36,9 @@ import scipy.signal
 
 from pianofit.felt import DEFAULT_LAW
 from pianofit.inference import priors
+from pianofit.literature import typical
 from pianofit.parameters import Geometry, Hammer, String
-from pianofit.published import typical
-from pianofit.recording import Recording, recording_from_samples
+from pianofit.recording.recording import Recording, recording_from_samples
 from pianofit.setup import Setup, setup_from_dict
 
 __all__ = ["KINDS", "Design", "Truth", "Twin", "design_of", "draw", "make", "output_path", "values_of"]
@@ -50,7 +50,7 @@ MOST_RECORDINGS = 5
 # MIDI: A0, D2, F#3, A#4, C6. Compiled programs depend on the key and the number of recordings: few keys, few programs.
 KEYS = (21, 38, 54, 70, 84)
 SLOWEST, FASTEST = 0.5, 5.0  # m/s
-HAMMER_SPREAD = priors.HAMMER_SPREAD | {name: p.deviation for name, p in DEFAULT_LAW.parameters.items()}
+HAMMER_SPREAD = priors.HAMMER_SPREAD | {name: p.prior_sd for name, p in DEFAULT_LAW.parameters.items()}
 STRING_SCATTER = {"length": 0.1, "B": 0.3, "b1": 0.3, "b2": 0.3}  # of logarithms
 FARTHEST = 2.0  # standard deviations: what lies beyond may be no hammer at all
 NOISE = (40.0, 70.0)  # dB
@@ -279,7 +279,7 @@ def _noisy(samples: np.ndarray, noise_db: float, rate: int, random: np.random.Ge
 
 def _setup(design: Design, truth: Truth, scale: float | None) -> Setup:
     g, hardest = truth.geometry, len(truth.velocities)
-    strike = {"width": g.width} | ({"position": g.strike} if design.strike_known else {})
+    strike = {"width": g.width} | ({"position": g.strike_position} if design.strike_known else {})
     tables = {"string": {"length": g.length, "mass": g.mass}, "strike": strike}
     if design.calibrated:
         tables["pickup"] = {"quantity": "velocity", "position": g.pickup, "scale": scale}
@@ -305,7 +305,7 @@ def values_of(kind: str, truth: Truth, recording: int = -1) -> Values:
     share = truth.beat_level / (1 + truth.beat_level)
     pulled = sorted((1.0, 2 ** (share * truth.beat_cents / 1200)))
     ends = (1 + mean) * pulled[0], (1 + mean * math.exp(CONTACT / tau)) * pulled[1]
-    values = {**truth.string._asdict(), **truth.hammer._asdict(), "v_H0": velocity, "x0": truth.geometry.strike}
+    values = {**truth.string._asdict(), **truth.hammer._asdict(), "v_H0": velocity, "x0": truth.geometry.strike_position}
     values |= {"width": truth.geometry.width} if WINDOWS.get(kind) != "parabola" else {}
     values = {name: float(value) for name, value in values.items()}
     return values | {name: (values[name] * ends[0], values[name] * ends[1]) for name in ("c", "kappa")}

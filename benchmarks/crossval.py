@@ -46,18 +46,18 @@ def folders() -> list[Path]:
 
 def notes(folder: Path) -> dict[str, tuple[str, list[Path], Setup]]:
     """Every key with three layers or more at one microphone: its note, its files and what is known of them."""
-    from pianofit import Layer, Setup
+    from pianofit import RecordingInfo, Setup
 
     with (folder / "recordings.csv").open(encoding="utf-8") as table:
         rows = [row for row in csv.DictReader(table) if row.get("kind", "recording") == "recording"]
-    found: dict[str, tuple[str, list[Path], list[Layer]]] = {}
+    found: dict[str, tuple[str, list[Path], list[RecordingInfo]]] = {}
     for row in rows:
         stem = row["file"].rsplit(".", 1)[0]
         group = [] if row.get("blow") else stem.split("-")[3:]
         instrument, note = row["file"].split("-")[:2]
         _, files, layers = found.setdefault("-".join([instrument, note, *group]), (note.replace("s", "#"), [], []))
         files.append(folder / row["file"])
-        layers.append(Layer(file=row["file"], gain_group="machine" if row.get("blow") else None))
+        layers.append(RecordingInfo(file=row["file"], gain_group="machine" if row.get("blow") else None))
     return {
         key: (note, sorted(files), Setup(recordings=tuple(layers)))
         for key, (note, files, layers) in sorted(found.items())
@@ -68,10 +68,10 @@ def notes(folder: Path) -> dict[str, tuple[str, list[Path], Setup]]:
 def validate(job: tuple[str, str, list[Path], Setup, str, int]) -> dict:
     """One note by one law from one seed."""
     from pianofit import analyse, cross_validate, load_recording
-    from pianofit.model.cache import keep_programs
+    from pianofit.model.program_cache import enable_program_cache
 
     key, note, files, setup, law, seed = job
-    keep_programs()
+    enable_program_cache()
     recordings = [load_recording(file) for file in files]
     begun = time.perf_counter()
     found, whole = cross_validate(

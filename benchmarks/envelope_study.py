@@ -32,9 +32,9 @@ COLUMNS = ("as it is", "one pattern", "poles", "amplitudes")
 
 def study(fit: realism.Fitted, left: realism.LeftOut, tool: ModuleType) -> dict[str, tuple[float, float, float]]:
     """Envelope, its shape and distance, dB, of the left-out layer, by what is replaced."""
-    from pianofit.ringing import Heard, hear, key_of, modes_of
-    from pianofit.ringing.fitted import _layers, _of_layers
-    from pianofit.ringing.modes import sounded
+    from pianofit.modal_response import AlignedLayers, align_layers, estimate_shared_response, modes_of
+    from pianofit.modal_response.model_selection import _layers, _of_layers
+    from pianofit.modal_response.modes import synthesise
 
     result, out = fit.result, fit.out
     layers, note = _layers(result), left.note()
@@ -53,12 +53,12 @@ def study(fit: realism.Fitted, left: realism.LeftOut, tool: ModuleType) -> dict[
 
     recordings = [fit.recordings[out], *(layer.recording for layer in layers.fitted)]
     analyses = [fit.analyses[out], *(layer.analysis for layer in layers.fitted)]
-    heard = hear(recordings, analyses)
+    heard = align_layers(recordings, analyses)
     together, rest = modes_of(heard, analyses), list(range(1, len(analyses)))
-    others = Heard(heard.samples[rest], heard.before[rest], heard.rate, heard.seconds[rest])
-    known = key_of(others, [_of_layers(m, rest) for m in together], layers.forces, layers.gain)
+    others = AlignedLayers(heard.samples[rest], heard.before[rest], heard.rate, heard.seconds[rest])
+    known = estimate_shared_response(others, [_of_layers(m, rest) for m in together], layers.forces, layers.gain)
     by = np.gcd(tool.RATE, heard.rate)
-    own = signal.resample_poly(sounded(together, heard)[0].mean(axis=0), tool.RATE // by, heard.rate // by)
+    own = signal.resample_poly(synthesise(together, heard)[0].mean(axis=0), tool.RATE // by, heard.rate // by)
     own = np.pad(own, (round(recordings[0].onset / recordings[0].rate * tool.RATE), 0))
     ringing = note.ringing
     assert ringing is not None  # noqa: S101
@@ -74,14 +74,14 @@ def line(name: str, row: dict) -> str:
 
 def main() -> None:
     """Print the table."""
-    from pianofit.model.cache import keep_programs
+    from pianofit.model.program_cache import enable_program_cache
     from pianofit.threads import one_blas_thread
 
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--notes", default="", help="only notes whose names contain one of these, separated by commas")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
-    keep_programs()
+    enable_program_cache()
     tool, wanted, found = realism.measure(), [x for x in options.notes.split(",") if x], {}
     header()
     with one_blas_thread():

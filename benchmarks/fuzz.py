@@ -188,10 +188,10 @@ def _documents() -> tuple[bytes, bytes, bytes, bytes]:
     from instrument_cases import ERRORS, fit_document, library, true_note
     from page_cases import ringing_note
 
-    from pianofit.io import encode_wav
-    from pianofit.keyboard.build import build_instrument
-    from pianofit.keyboard.gather import find_fits, load_keys
-    from pianofit.ringing_file import encode_knock, ringing_document
+    from pianofit.instrument.build import build_instrument
+    from pianofit.instrument.collect_fits import find_fits, load_keys
+    from pianofit.io.files import encode_wav
+    from pianofit.modal_response_file import encode_knock, ringing_document
 
     ringing = ringing_note(60).ringing
     assert ringing is not None  # noqa: S101
@@ -217,10 +217,10 @@ def kinds() -> dict[str, Kind]:
     import pianofit
     from pianofit.batch.manifest import read_keys
     from pianofit.fit_file import mixture_of, read_fit
-    from pianofit.keyboard import load_instrument
-    from pianofit.keyboard.gather import load_keys
+    from pianofit.instrument import load_instrument
+    from pianofit.instrument.collect_fits import load_keys
     from pianofit.listening.result import count_answers
-    from pianofit.play import load_song
+    from pianofit.playback import load_song
 
     fit, knock, note, instrument = _documents()
     wav, flac = _sound("WAV", "PCM_16"), _sound("FLAC", "PCM_16")

@@ -17,7 +17,7 @@ def make_notes(folder: Path, velocities: tuple[float, ...] = VELOCITIES, seconds
     The contact is computed at 16 times the file's rate.
     """
     import pianofit
-    from pianofit.model.path import OutputPath, filtered, impulse
+    from pianofit.model.output_path import OutputPath, filtered, impulse
 
     it = pianofit.preset(PRESET)
     frequency = np.geomspace(40.0, 16_000.0, 60)
@@ -41,9 +41,9 @@ def make_notes(folder: Path, velocities: tuple[float, ...] = VELOCITIES, seconds
 def make_measurement(folder: Path) -> tuple[Path, Path]:
     """Write the demo's twin, a calibrated measurement of the paper's string, and its setup."""
     from pianofit import encode_wav
-    from pianofit.paper.laboratory import make_twin, setup_text
+    from pianofit.bensa2005.laboratory import make_synthetic_recording, setup_text
 
-    twin = make_twin()
+    twin = make_synthetic_recording()
     sound, setup = folder / "twin.wav", folder / "setup.toml"
     sound.write_bytes(encode_wav(twin.samples, twin.rate))
     setup.write_text(setup_text())

@@ -51,7 +51,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     import pianofit
-    from pianofit.analysis.notes import midi_to_note
+    from pianofit.analysis.note_names import midi_to_note
 
     print("  n  note  mappings     MiB  seconds")
     for n, (key, samples) in enumerate(made_notes(options.count, options.seed), 1):

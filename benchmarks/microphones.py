@@ -34,8 +34,8 @@ import numpy as np
 from pianofit import analyse, cross_validate, fit, load_recording
 from pianofit.analysis import Analysis
 from pianofit.analysis.inharmonicity import frequency_law
-from pianofit.model.cache import keep_programs
-from pianofit.setup import Layer, Setup
+from pianofit.model.program_cache import enable_program_cache
+from pianofit.setup import RecordingInfo, Setup
 
 STRING = ("c", "kappa", "b1", "b2")
 
@@ -113,7 +113,7 @@ def _deviation(x: np.ndarray) -> float:
 def left_out(heard: list[Heard], note: str, mic: str) -> dict[str, dict]:
     """`cross_validate` of these recordings: what came of those of one microphone, by file."""
     recordings = [load_recording(h.file) for h in heard]
-    layers = tuple(Layer(h.file.name, None, h.mic, None, h.stroke) for h in heard)
+    layers = tuple(RecordingInfo(h.file.name, None, h.mic, None, h.stroke) for h in heard)
     found, _ = cross_validate(recordings, [analyse(r, note=note) for r in recordings], Setup(recordings=layers))
     names = {str(h.file): h for h in heard}
     return {Path(row["file"]).name: row for row in found["recordings"] if names[row["file"]].mic == mic}
@@ -185,7 +185,7 @@ def main() -> None:
     folder = Path(os.environ.get("PIANOFIT_RECORDINGS", "../shared/recordings"))
     if not (folder / "recordings.csv").is_file():
         sys.exit(f"{folder}: no recordings.csv here; say where the recordings are with PIANOFIT_RECORDINGS")
-    keep_programs()
+    enable_program_cache()
     wanted = [n for n in options.notes.split(",") if n]
     chosen = {key: heard for key, heard in keys(folder).items() if not wanted or key[1] in wanted}
     pairs, left = [], {}

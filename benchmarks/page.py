@@ -25,11 +25,11 @@ from pathlib import Path
 import numpy as np
 import rung_piano
 
-from pianofit.model.modal import Ringing
+from pianofit.literature import typical
+from pianofit.model.modal_response import ModalResponse
 from pianofit.model.note import Note
-from pianofit.play.page import write_page
-from pianofit.play.page.payload import encode_note
-from pianofit.published import typical
+from pianofit.web import write_page
+from pianofit.web.payload import encode_note
 
 PROGRAM = """
 import { readFileSync } from "node:fs";
@@ -83,7 +83,7 @@ def rung(midi: int, modes: int) -> Note:
     pole = -random.uniform(0.2, 0.5, modes) + 2j * np.pi * np.sort(random.uniform(60, 9000, modes))
     pattern = random.normal(size=(1, modes)) + 1j * random.normal(size=(1, modes))
     knock = random.normal(size=(1, round(0.412 * RATE))) * np.exp(-np.arange(round(0.412 * RATE)) / 5000)
-    ringing = Ringing(np.arange(1, modes + 1), pole, np.zeros(modes), pattern, knock, RATE)
+    ringing = ModalResponse(np.arange(1, modes + 1), pole, np.zeros(modes), pattern, knock, RATE)
     return Note(it.string, it.hammer, it.geometry, "bridge-force", 0.1, None, ringing)
 
 
@@ -155,7 +155,7 @@ def main() -> None:
     node = shutil.which("node")
     if node is None:
         raise SystemExit("node is not installed (Debian: apt-get install nodejs)")
-    scripts = str(Path(str(files("pianofit.play.page"))))
+    scripts = str(Path(str(files("pianofit.web"))))
     for name, kind in (("measured modes", rung), ("the string's own", by_law), ("as fitted", by_fit)):
         keys = [encode_note(kind(midi, asked.modes), midi) for midi in range(30, 30 + asked.voices)]
         given = json.dumps({"keys": keys, "runs": asked.runs, "seconds": 1.0})

@@ -29,8 +29,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pianofit.analysis import analyse, energy_level, hz_to_note
-from pianofit.analysis.demodulate import demodulate
-from pianofit.recording import Recording, recording_from_samples
+from pianofit.analysis.demodulation import demodulate
+from pianofit.recording.recording import Recording, recording_from_samples
 
 RATE, SECONDS, LEAD = 44100, 6.0, 0.05
 STRINGS = (

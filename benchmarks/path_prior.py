@@ -18,10 +18,10 @@ from crossval import folders, notes
 from scipy.optimize import minimize
 
 from pianofit import analyse, load_recording
-from pianofit.inference import estimate, pose
+from pianofit.inference import build_problem, map_estimate
 from pianofit.inference.likelihood import objective
-from pianofit.model.cache import keep_programs
-from pianofit.model.precision import scope
+from pianofit.model.program_cache import enable_program_cache
+from pianofit.model.x64 import x64_scope
 
 # A note says something of its path's residual where so many partials share it.
 FEWEST = 12
@@ -46,16 +46,16 @@ def residual_of(found) -> float:
 
 def main() -> None:
     """Print τ of every note, and the prior."""
-    keep_programs()
+    enable_program_cache()
     taus = []
     for folder in folders():
         for key, (note, files, setup) in notes(folder).items():
             recordings = [load_recording(file) for file in files]
-            problem = pose(recordings, [analyse(r, note=note) for r in recordings], setup)
-            partials = int((np.asarray(problem.observed.level.found).sum(axis=0) > 1).sum())
-            if partials < FEWEST or not problem.layout.compared:
+            problem = build_problem(recordings, [analyse(r, note=note) for r in recordings], setup)
+            partials = int((np.asarray(problem.observed.level.detected).sum(axis=0) > 1).sum())
+            if partials < FEWEST or not problem.layout.path_identifiable:
                 continue
-            tau = residual_of(estimate(problem))
+            tau = residual_of(map_estimate(problem))
             taus.append(tau)
             print(f"{key:24} {partials:3d} partials  τ {tau:5.2f} dB", flush=True)
     if not taus:
@@ -66,5 +66,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    with scope():
+    with x64_scope():
         main()

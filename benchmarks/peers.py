@@ -15,7 +15,7 @@ Every sound is brought to one start and one gain with the recording, the same wa
 - level: rms over partials of the levels (energy of the first 0.35 s under exp(-8 t)), dB, the mean taken out
 - envelope: mean |dB| of the partials' envelopes over 3 s, while the recording's is above its noise, one gain taken out
 - MR: multi-resolution STFT, spectral convergence plus L1 of log magnitudes (Yamamoto et al. 2020), K-weighted gain
-- realism: the mean of three log-mel distances, dB (`pianofit.ringing.distance`); where ../shared/tools/realism.py is,
+- realism: the mean of three log-mel distances, dB (`pianofit.modal_response.distance`); where ../shared/tools/realism.py is,
   its distance stands beside as a witness
 """
 
@@ -99,11 +99,11 @@ def strokes(key: str) -> Iterator[tuple[str, Target, list[Made]]]:
 
 def ringing(heard: dict, analyses: dict, by: list[str], wanted: str, steps: tuple[str, int] | None = None) -> Made:
     """A stroke as pianofit plays it from others; `steps`: at so many MIDI steps from a layer, or else as it was hit."""
-    from pianofit import Layer, Setup, fit, predict_recording
-    from pianofit.model.modal import force_of
-    from pianofit.ringing import ringing_of
+    from pianofit import RecordingInfo, Setup, fit, predict_recording
+    from pianofit.modal_response import modal_response_of
+    from pianofit.model.modal_response import force_of
 
-    layers = tuple(Layer(file=Path(heard[name].path).name, gain_group="machine") for name in by)
+    layers = tuple(RecordingInfo(file=Path(heard[name].path).name, gain_group="machine") for name in by)
     setup = Setup(recordings=layers) if len(by) > 1 else Setup()
     result = fit(*(heard[name] for name in by), analyses=[analyses[name] for name in by], setup=setup)
     rate, count = heard[wanted].rate, round((SPAN + 0.3) * heard[wanted].rate)
@@ -112,9 +112,9 @@ def ringing(heard: dict, analyses: dict, by: list[str], wanted: str, steps: tupl
         given = "the target's partial levels, for its velocity, and its gain"
     else:
         own = next(row["v_H0"] for row in result.document["recordings"] if f"-{steps[0]}." in row["file"])
-        note = result.note.struck(own * float(np.exp(RISE * steps[1])))
+        note = result.note.with_velocity(own * float(np.exp(RISE * steps[1])))
         given = "the target's MIDI velocity, and its gain"
-    stroke, key = note.strike(rate), ringing_of(result)
+    stroke, key = note.strike(rate), modal_response_of(result)
     if key is None:
         raise SystemExit(f"{wanted} from {by}: nothing rings; this is no case of the table")
     sound = key.sound(force_of(stroke, float(note.hammer.v_H0)), rate, count).mean(axis=0)
@@ -133,9 +133,9 @@ def target(recording: Any, analysis: Any) -> Target:
 
 def aligned(samples: np.ndarray, to: Target) -> np.ndarray:
     """`samples` cut like the target, begun where the two differ least in their first 0.3 s, with the same loudness."""
-    from pianofit.onset import find_onset
+    from pianofit.modal_response.distance import log_mel_distances
+    from pianofit.recording.onset import find_onset
     from pianofit.report.sound import k_weighted_mean_square
-    from pianofit.ringing.distance import log_mel_distances
 
     lead, size = round(LEAD * to.rate), len(to.samples)
     start, best = find_onset(samples, to.rate, 1e-7) - lead, (np.inf, 0)
@@ -162,7 +162,7 @@ def envelopes(samples: np.ndarray, to: Target) -> np.ndarray:
 
 def measured(samples: np.ndarray, to: Target, tool: Any) -> dict[str, float]:
     """All distances of a sound from the target."""
-    from pianofit.ringing.distance import log_mel_distances
+    from pianofit.modal_response.distance import log_mel_distances
 
     sound, lead = aligned(samples, to), round(LEAD * to.rate)
     own, other = envelopes(to.samples, to), envelopes(sound, to)
@@ -293,9 +293,9 @@ def main() -> None:
         return
     import works  # noqa: F401 - float64 in this process, before JAX is loaded
 
-    from pianofit.model.cache import keep_programs
+    from pianofit.model.program_cache import enable_program_cache
 
-    keep_programs()
+    enable_program_cache()
     found = {} if options.speed else {"distances": distances(options.notes.split(","))}
     found["speed"] = speeds()
     if options.json:

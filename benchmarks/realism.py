@@ -123,15 +123,15 @@ def fitted(note: str, files: list[Path], setup: Setup) -> Fitted:
 def left_out(fit: Fitted, tool: ModuleType, velocity: float | None = None) -> LeftOut:
     """What the others say of the layer that was left out; played at `velocity`, m/s, or at the prediction's."""
     from pianofit import predict_recording
-    from pianofit.ringing import ringing_of
+    from pianofit.modal_response import modal_response_of
 
     recordings, analyses, out, result = fit
     played = predict_recording(result, analyses[out]).note
-    played = played if velocity is None else played.struck(velocity)
+    played = played if velocity is None else played.with_velocity(velocity)
     recording, analysis = recordings[out], analyses[out]
     others, partials = [x.recording for x in result.recordings], analysis.partials
     left = LeftOut(
-        lambda: played._replace(ringing=ringing_of(result)), played.strike(recording.rate), recording.rate,
+        lambda: played._replace(ringing=modal_response_of(result)), played.strike(recording.rate), recording.rate,
         noise(others, analysis.f0, recording.rate), tool.load(recording.path),
         partials.frequency[partials.level > partials.level.max() - RANGE], analysis.f0, {},
     )  # fmt: skip
@@ -158,7 +158,7 @@ def noise(recordings: list[Recording], f0: float, rate: int) -> np.ndarray:
 def sound(note: Note, left: LeftOut, tool: ModuleType, beside: float = 0.0) -> np.ndarray:
     """The stroke that was left out by this note at the tool's rate, with so much of the noise [samples]."""
     by = np.gcd(tool.RATE, left.rate)
-    samples = note.heard(left.stroke, left.rate, round(SECONDS * left.rate), round(0.012 * left.rate))
+    samples = note.render_mono(left.stroke, left.rate, round(SECONDS * left.rate), round(0.012 * left.rate))
     return signal.resample_poly(samples + beside * left.noise, tool.RATE // by, left.rate // by)
 
 
@@ -238,7 +238,7 @@ def constants(left: dict[str, LeftOut], tool: ModuleType) -> dict:
     found = {"as they are": halves()}
     print("as they are: {:.3f} {:.3f} dB".format(*found["as they are"]), flush=True)
     for room, names in CONSTANTS.items():
-        module = importlib.import_module(f"pianofit.ringing.{room}")
+        module = importlib.import_module(f"pianofit.modal_response.{room}")
         for name in names:
             own = getattr(module, name)
             for factor in (0.5, 2.0):
@@ -262,10 +262,10 @@ def main() -> None:
     parser.add_argument("--velocity", type=float, help="m/s; by default what the prediction finds")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
-    from pianofit.model.cache import keep_programs
+    from pianofit.model.program_cache import enable_program_cache
     from pianofit.threads import one_blas_thread
 
-    keep_programs()
+    enable_program_cache()
     tool, wanted = measure(), [x for x in options.notes.split(",") if x]
     chosen = {
         name: job

@@ -22,14 +22,14 @@ import numpy as np
 
 import pianofit
 from pianofit import Analysis, Recording, Setup, analyse, recording_from_samples, setup_from_dict
+from pianofit.bensa2005.laboratory import SyntheticMeasurement, make_synthetic_recording, measure, setup_text
+from pianofit.bensa2005.recipes import fit_by_paper
+from pianofit.bensa2005.search import pose, split
 from pianofit.criterion import band_values, line_sigma
 from pianofit.criterion import measure as energies
-from pianofit.inference.start import starting_values
+from pianofit.inference.initial_values import starting_values
 from pianofit.model import simulate
-from pianofit.model.cache import keep_programs
-from pianofit.paper.laboratory import Laboratory, make_twin, measure, setup_text
-from pianofit.paper.recipes import fit_by_paper
-from pianofit.paper.search import pose, split
+from pianofit.model.program_cache import enable_program_cache
 from pianofit.parameters import FIT_NAMES
 
 VELOCITIES = (0.618, 0.844, 1.299)
@@ -52,10 +52,10 @@ class Measured(NamedTuple):
 
 def measurements(velocities: tuple[float, ...] = VELOCITIES) -> list[Measured]:
     """The demo's twin, and the laboratory's strokes, all from the paper's initial values."""
-    twin = make_twin(60.0, seed=0)
+    twin = make_synthetic_recording(60.0, seed=0)
     found = [_measured("demo twin", twin.samples, twin.rate, setup_text(), twin.true)]
     for velocity in velocities:
-        stroke = measure(Laboratory(), velocity, seed=0)
+        stroke = measure(SyntheticMeasurement(), velocity, seed=0)
         text = setup_text(stroke.scale, stroke.nominal_velocity)
         found.append(_measured(f"laboratory, {velocity} m/s", stroke.samples, stroke.rate, text, stroke.true))
     return found
@@ -135,7 +135,7 @@ def main() -> None:
     parser.add_argument("--evaluations", type=int, default=20_000)
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
-    keep_programs()
+    enable_program_cache()
     everything: dict[str, dict] = {}
     for one in measurements():
         fit(one, "paper", 0, 500)  # what is compiled counts for nobody

@@ -82,23 +82,23 @@ def draw(seed: int) -> Drawn:
 
 def found(drawn: Drawn):
     """The modes of all partials, by number: the law and the glide are given, as an analysis would."""
-    from pianofit.analysis.glide import Fall
-    from pianofit.recording import recording_from_samples
-    from pianofit.ringing import hear, modes_of
+    from pianofit.analysis.glide import PitchGlide
+    from pianofit.modal_response import align_layers, modes_of
+    from pianofit.recording.recording import recording_from_samples
 
     number = np.arange(1, PARTIALS + 1)
     f0, fall = drawn.f0 * (1 + drawn.glide * MEAN), 1731 * drawn.glide * (1 - MEAN)
     analysis: Any = SimpleNamespace(  # as much of an `Analysis` as is read
         f0=f0, B=0.0, partials=SimpleNamespace(number=number, frequency=number * f0), glide_start=fall,
-        glide_error=0.1, fall=Fall(fall, TAU),
+        glide_error=0.1, fall=PitchGlide(fall, TAU),
     )  # fmt: skip
     recordings = [replace(recording_from_samples(x, RATE), onset=round(LEAD * RATE)) for x in drawn.samples]
-    return {m.number: m for m in modes_of(hear(recordings, [analysis] * STROKES), [analysis] * STROKES)}
+    return {m.number: m for m in modes_of(align_layers(recordings, [analysis] * STROKES), [analysis] * STROKES)}
 
 
 def bound(pole: np.ndarray, amplitude: np.ndarray, noise: float, start: float) -> tuple[np.ndarray, np.ndarray]:
     """The Cramér-Rao bound of each pole's real and imaginary part, 1/s, and each mode's gain of the log likelihood."""
-    from pianofit.ringing.heard import SPAN
+    from pianofit.modal_response.aligned_layers import SPAN
 
     time = np.linspace(start, SPAN, 1200)
     # A complex amplitude known from n real samples of this noise has variance 4 noise²/n.
@@ -123,8 +123,8 @@ def bound(pole: np.ndarray, amplitude: np.ndarray, noise: float, start: float) -
 
 def study(seed: int) -> list[dict]:
     """Of every partial of a drawn note: what was there, what was found."""
-    from pianofit.ringing.bands import kernel_seconds
-    from pianofit.ringing.heard import SPAN
+    from pianofit.modal_response.aligned_layers import SPAN
+    from pianofit.modal_response.bands import kernel_seconds
 
     drawn, rows = draw(seed), []
     modes, kernel = found(drawn), kernel_seconds(drawn.f0)
@@ -155,7 +155,7 @@ def take_time(key: str) -> None:
     import crossval
 
     from pianofit import analyse, load_recording
-    from pianofit.ringing import hear, modes_of
+    from pianofit.modal_response import align_layers, modes_of
     from pianofit.threads import one_blas_thread
 
     known = {name: job for folder in crossval.folders() for name, job in crossval.notes(folder).items()}
@@ -166,7 +166,7 @@ def take_time(key: str) -> None:
     analyses = [analyse(recording, note=note) for recording in recordings]
     before, begun = resource.getrusage(resource.RUSAGE_SELF), time.perf_counter()
     with one_blas_thread():
-        heard = hear(recordings, analyses)
+        heard = align_layers(recordings, analyses)
         found = modes_of(heard, analyses)
     wall, after = time.perf_counter() - begun, resource.getrusage(resource.RUSAGE_SELF)
     layers, channels, _ = heard.samples.shape

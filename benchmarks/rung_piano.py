@@ -16,15 +16,15 @@ from pathlib import Path
 
 import numpy as np
 
-from pianofit.felt import MemoryHammer
-from pianofit.keyboard import Instrument
-from pianofit.keyboard.build import SCHEMA
-from pianofit.model.modal import LEAD, Participation, Ringing
+from pianofit.felt import RelaxingHammer
+from pianofit.instrument import Instrument
+from pianofit.instrument.build import SCHEMA
+from pianofit.literature import typical
+from pianofit.modal_response_file import ringing_document
+from pianofit.model.modal_response import PRE_ONSET_S, ModalResponse, VelocityGain
 from pianofit.model.note import Note
 from pianofit.parameters import Hammer
-from pianofit.play import parse_keys
-from pianofit.published import typical
-from pianofit.ringing_file import ringing_document
+from pianofit.playback import parse_keys
 
 CHANNELS = 2
 RATE = 48_000  # Hz
@@ -64,16 +64,16 @@ def rung(midi: int) -> Note:
     level = np.exp(random.normal(0.0, 1.0, (CHANNELS, len(number)))) / number
     pattern = level * np.exp(2j * np.pi * random.uniform(size=level.shape))
     away = WANDER * (random.normal(size=(len(STROKES), len(number), 2)) @ np.array([1.0, 1j]))
-    part = Participation(STROKES, 1 + np.cumsum(away, axis=0))
-    ringing = Ringing(number, pole, np.full(len(number), 0.01), pattern, _knock(random), RATE, part)
+    part = VelocityGain(STROKES, 1 + np.cumsum(away, axis=0))
+    ringing = ModalResponse(number, pole, np.full(len(number), 0.01), pattern, _knock(random), RATE, part)
     return note._replace(ringing=ringing)
 
 
 def _knock(random: np.random.Generator) -> np.ndarray:
-    count = round((LEAD + KNOCK_SECONDS) * RATE)
+    count = round((PRE_ONSET_S + KNOCK_SECONDS) * RATE)
     white = np.fft.rfft(random.normal(size=(CHANNELS, count)))
     low = np.fft.irfft(white / (1 + 1j * np.fft.rfftfreq(count, 1 / RATE) / KNOCK_CORNER), count)
-    late = np.arange(count) / RATE - LEAD
+    late = np.arange(count) / RATE - PRE_ONSET_S
     return KNOCK_LEVEL * low / low.std() * np.exp(-KNOCK_DECAY * np.maximum(late, 0)) * (1 - np.exp(-np.arange(count)))
 
 
@@ -92,10 +92,10 @@ def document(instrument: Instrument) -> dict:
         for midi, note in instrument.notes.items()
     ]  # fmt: skip
     return {"schema": SCHEMA, "kind": "instrument", "name": instrument.name, "quantity": "bridge-force", "keys": rows,
-            "velocity": {"at_64": instrument.at_64, "rise": instrument.rise}}  # fmt: skip
+            "velocity": {"at_64": instrument.velocity_at_64, "rise": instrument.velocity_slope}}  # fmt: skip
 
 
-def _steady(hammer: Hammer | MemoryHammer) -> dict[str, float]:
+def _steady(hammer: Hammer | RelaxingHammer) -> dict[str, float]:
     return {name: value for name, value in hammer._asdict().items() if name != "v_H0"}
 
 

@@ -21,9 +21,9 @@ from pathlib import Path
 import numpy as np
 from rung_piano import piano
 
-from pianofit.keyboard import Instrument, load_instrument
-from pianofit.model.cache import keep_programs
-from pianofit.play import Song, parse_keys, perform
+from pianofit.instrument import Instrument, load_instrument
+from pianofit.model.program_cache import enable_program_cache
+from pianofit.playback import Song, parse_keys, render_song
 
 RATE, BLOCK = 48_000, 128
 LOWEST, HIGHEST = 24, 108  # keys
@@ -64,8 +64,8 @@ def by_page(instrument: Instrument, song: Song, whole: bool) -> np.ndarray:
     sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
     from page_cases import early, play
 
-    from pianofit.play.page.payload import LADDER, encode_note, payload
-    from pianofit.play.page.write import LARGEST_PAGE, OWN
+    from pianofit.web.payload import LADDER, encode_note, payload
+    from pianofit.web.write import LARGEST_PAGE, OWN
 
     knocks = LADDER[0] if whole else payload(instrument, LARGEST_PAGE - OWN)[1] or LADDER[0]
     rows: list[tuple] = [(t, 0, "setPedal", down) for t, down in song.pedal]
@@ -88,17 +88,17 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--page", action="store_true", help="beside the page's engine")
     asked = parser.parse_args()
-    keep_programs()
+    enable_program_cache()
     given = load_instrument(asked.instrument) if asked.instrument else piano(parse_keys("A0-C8"))
     quiet = given._replace(notes={k: n._replace(gain=QUIET * n.gain) for k, n in given.notes.items()})
     keys = [k for k in given.notes if LOWEST <= k < HIGHEST]
     song = drawn(asked.seconds, asked.notes, keys, asked.seed)
-    perform(quiet, song, RATE)  # compiles what an earlier run has not
+    render_song(quiet, song, RATE)  # compiles what an earlier run has not
     begin = time.process_time()
-    played = perform(quiet, song, RATE)
+    played = render_song(quiet, song, RATE)
     took = time.process_time() - begin
     print(
-        f"{song.seconds:.0f} s, {song.notes} notes, {played.on_moving} of them on a string that sounds, "
+        f"{song.seconds:.0f} s, {song.notes} notes, {played.restrikes} of them on a string that sounds, "
         f"{len(played.samples)} channels: {song.seconds / took:.1f} times faster than real time"
     )
     for whole in (True, False) if asked.page else ():

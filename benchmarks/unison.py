@@ -6,7 +6,7 @@ partial k a bridge couples them: its poles are the eigenvalues of
     A_k = diag(p_k + 2πi f_k (2^(δ_n/1200) - 1)) - g_k 1 1ᵀ            Re p_k < 0, Re g_k ≥ 0
 
 (p_k and g_k complex, of this partial only). All strings begin alike and the bridge is heard, so that every layer and
-channel shows 1ᵀ exp(A_k t) 1 times one complex number. This is fitted to the bands in which `pianofit.ringing` finds
+channel shows 1ᵀ exp(A_k t) 1 times one complex number. This is fitted to the bands in which `pianofit.modal_response` finds
 its modes, with its weights, all partials together: n frames of which a share S of the weighted power is left have the
 log likelihood -n log S (their variance is not known). Amplitudes are projected out; steps are Levenberg and
 Marquardt's, with each partial's p and g eliminated from the step of δ. N is the one with the most evidence (Schwarz
@@ -27,11 +27,11 @@ import numpy as np
 from scipy.linalg import helmert
 
 from pianofit import Recording, analyse
-from pianofit.ringing import PartialModes, band, hear, kernel_seconds, modes_of
-from pianofit.ringing.bands import kernel_gain
-from pianofit.ringing.cut import cut_band
-from pianofit.ringing.modes import NOISE_BANDWIDTH, SLOWEST, common_pattern, sounded
-from pianofit.ringing.subspace import Signals, amplitudes
+from pianofit.modal_response import PartialModes, align_layers, band, kernel_seconds, modes_of
+from pianofit.modal_response.bands import kernel_gain
+from pianofit.modal_response.esprit import Signals, amplitudes
+from pianofit.modal_response.modes import NOISE_BANDWIDTH, SLOWEST, common_pattern, synthesise
+from pianofit.modal_response.valid_frames import select_valid_frames
 from pianofit.threads import one_blas_thread
 
 # Partials that are fitted, those that stand highest above the noise: more say little new and cost time.
@@ -99,22 +99,22 @@ def bands_of(recordings: Sequence[Recording], note: float | str) -> Bands:
     """The bands of a key's loudest partials; what neighbours leave in them is taken out as `modes_of` does."""
     analyses = [analyse(x, note=note) if isinstance(note, str) else analyse(x, f0=note) for x in recordings]
     with one_blas_thread():
-        heard = hear(recordings, analyses)
+        heard = align_layers(recordings, analyses)
         found = sorted(modes_of(heard, analyses), key=lambda m: -m.snr.max())[:MOST]
     rows, samples = [], heard.samples.shape[-1]
-    rest = np.fft.rfft(heard.samples - sounded(found, heard))
+    rest = np.fft.rfft(heard.samples - synthesise(found, heard))
     for m in sorted(found, key=lambda m: m.number):
         b = band(rest, samples, heard.rate, m.frequency, kernel_seconds(m.spacing))
         beside = np.abs(band(rest, samples, heard.rate, m.frequency + m.spacing / 2, b.kernel).values)
         own = (m.amplitude * kernel_gain(m.pole, b.kernel) / 2) @ np.exp(np.outer(m.pole, b.time - m.start))
         z = b.values * np.exp(-2j * np.pi * m.offset[:, None, None] * b.time) + own
-        cut = cut_band(b, z, beside, heard.seconds)
+        cut = select_valid_frames(b, z, beside, heard.seconds)
         if cut is not None:
             by = max(1, int(b.kernel / (NOISE_BANDWIDTH * b.step)))
             values, weight = cut.signals.values[:, ::by], cut.signals.weight[:, ::by]
             weight = weight / np.linalg.norm(weight * values, axis=1)[:, None] / np.sqrt(len(weight))
             signals = Signals(values, weight, b.step * by)
-            free = left_by_modes(m.pole, signals, cut.noise[cut.live])
+            free = left_by_modes(m.pole, signals, cut.noise[cut.above_noise])
             rows.append((m, signals, (m.frequency, cut.start, signals.step, b.kernel), free))
     size = np.max([row[1].values.shape for row in rows], axis=0)
     padded = np.zeros((2, len(rows), *size), complex)

@@ -28,7 +28,7 @@ import numpy as np
 from unison import STARTS, Bands, Unison, bands_of, log_uniform, matrices, unison
 
 from pianofit import load_recording
-from pianofit.recording import recording_from_samples
+from pianofit.recording.recording import recording_from_samples
 
 ROOT = Path(__file__).parents[1]
 RECORDINGS = Path(os.environ.get("PIANOFIT_RECORDINGS", ROOT.parent / "shared" / "recordings"))

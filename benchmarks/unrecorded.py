@@ -26,8 +26,8 @@ BEFORE = 0.02  # s of silence before the contact
 
 def main() -> None:
     """Print the table."""
-    from pianofit.keyboard import build_instrument, find_fits, load_keys, read_instrument
-    from pianofit.model.cache import keep_programs
+    from pianofit.instrument import build_instrument, find_fits, load_keys, read_instrument
+    from pianofit.model.program_cache import enable_program_cache
 
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("fits", type=Path)
@@ -35,7 +35,7 @@ def main() -> None:
     parser.add_argument("--prefix")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
-    keep_programs()
+    enable_program_cache()
     tool, found = measure(), {}
     keys = load_keys(find_fits([options.fits], options.prefix))
     whole = read_instrument(build_instrument(keys))

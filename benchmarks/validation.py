@@ -22,8 +22,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from pianofit import model
-from pianofit.model.precision import scope
-from pianofit.model.response import damped_circle
+from pianofit.model.free_response import damped_circle
+from pianofit.model.x64 import x64_scope
 from pianofit.parameters import FIT_NAMES, Hammer
 
 ROOT = Path(__file__).parents[1]
@@ -300,5 +300,5 @@ the model. Rounding differs a little from one machine to the next. The tests hol
 
 
 if __name__ == "__main__":
-    with scope():
+    with x64_scope():
         main()

@@ -76,9 +76,9 @@ def criteria(seconds: float = 1.0) -> Works:
     import jax.numpy as jnp
 
     import pianofit
+    from pianofit.bensa2005.spectral_criterion import Cfg, Scene, residuals, spectral_goal, struck_gradients
     from pianofit.model import contact as contacts
     from pianofit.model import mode_table, spectrum
-    from pianofit.paper.spectral import Cfg, Scene, miss, spectral_goal, struck_gradients
 
     it, samples, sigma = pianofit.preset("bensa-final"), round(seconds * RATE), 30.0
     strike = pianofit.simulate(it.string, it.hammer, it.geometry, rate=RATE)
@@ -95,7 +95,7 @@ def criteria(seconds: float = 1.0) -> Works:
         table = mode_table(string, it.geometry, rate=contact, n_modes=modes)
         pulse = contacts.strike(table, hammer, steps=steps)
         y = spectrum(table, pulse.drive, goal.frequency.ravel(), goal.sigma).reshape(goal.frequency.shape)
-        return 0.5 * (miss(y.real**2 + y.imag**2, goal) ** 2).sum()
+        return 0.5 * (residuals(y.real**2 + y.imag**2, goal) ** 2).sum()
 
     value, general = jax.jit(plain), jax.jit(jax.value_and_grad(plain))
     cfg = Cfg(modes, steps, "velocity")
@@ -124,30 +124,30 @@ def search(files: Sequence[Path], note: str) -> tuple[Works, dict[str, int]]:
     objective with its derivatives at as many points.
     """
     import pianofit
-    from pianofit.inference import pose
-    from pianofit.inference.descent import LEVELS, Descent
-    from pianofit.inference.estimate import string_minimum
-    from pianofit.inference.lanes import LANES, in_lanes, levels, slopes
-    from pianofit.inference.reports import reports
-    from pianofit.inference.screen import MANY_LANES, samples, wide
+    from pianofit.inference import build_problem
+    from pianofit.inference.batched_model import BATCH_SIZE, level_jacobians, levels, run_in_batches
+    from pianofit.inference.derivatives import evaluate_batch
+    from pianofit.inference.map_estimate import fit_string
+    from pianofit.inference.optimiser import LEVELS, Optimiser
+    from pianofit.inference.prescreen import MANY_LANES, initial_hyperparameters, sobol_samples
 
     recordings = [pianofit.load_recording(x) for x in files]
-    problem = pose(recordings, [pianofit.analyse(one, note=note) for one in recordings], pianofit.Setup())
-    string = string_minimum(problem).z[0, :4]
-    held = Descent(problem, string, LEVELS)
-    z = samples(held, 0)
-    many, some = held.lanes_of(z), held.lanes_of(z)[:LANES]
-    people = held.begun(z[:POINTS], [wide(held)])
+    problem = build_problem(recordings, [pianofit.analyse(one, note=note) for one in recordings], pianofit.Setup())
+    string = fit_string(problem).theta[0, :4]
+    held = Optimiser(problem, string, LEVELS)
+    z = sobol_samples(held, 0)
+    many, some = held.model_inputs_of(z), held.model_inputs_of(z)[:BATCH_SIZE]
+    people = held.initialise(z[:POINTS], [initial_hyperparameters(held)])
     at = people.level.residual, people.level.jacobian, people.level.phi, people.level.w
     sizes = {
         "recordings": len(files), "hammers": len(many), "lanes": len(some), "points": len(people),
         "modes": held.cfg.n_modes, "steps": int(held.scene.steps),
-        "partials": int(np.asarray(problem.observed.level.found).sum()),
+        "partials": int(np.asarray(problem.observed.level.detected).sum()),
     }  # fmt: skip
     return {
-        HAMMERS: lambda: in_lanes(levels, (string, many), held.scene, held.cfg, MANY_LANES),
-        SLOPES: lambda: in_lanes(slopes, (string, some), held.scene, held.cfg),
-        OBJECTIVE: lambda: reports(held.table, *at),
+        HAMMERS: lambda: run_in_batches(levels, (string, many), held.scene, held.cfg, MANY_LANES),
+        SLOPES: lambda: run_in_batches(level_jacobians, (string, some), held.scene, held.cfg),
+        OBJECTIVE: lambda: evaluate_batch(held.table, *at),
     }, sizes
 
 
@@ -202,7 +202,7 @@ def candidates() -> Works:
     import jax
 
     import pianofit
-    from pianofit.inference.lanes import pool
+    from pianofit.inference.batched_model import thread_pool
     from pianofit.model import kernel, mode_table
 
     it = pianofit.preset("bensa-final")
@@ -220,18 +220,18 @@ def candidates() -> Works:
     }
     works |= {f"{size} together": lambda x=x: run(x) for size, x in batches.items()}
     parts = [batches[SIDE_BY_SIDE]] * (int(ALL_CORES.split()[0]) // SIDE_BY_SIDE)
-    return works | {ALL_CORES: lambda: list(pool().map(lambda x: jax.block_until_ready(run(x)), parts))}
+    return works | {ALL_CORES: lambda: list(thread_pool().map(lambda x: jax.block_until_ready(run(x)), parts))}
 
 
 def sounds(seconds: float = 10.0, rate: int = 48_000) -> Works:
     """A struck C2, heard at the bridge through a path, from parameters to samples."""
     import pianofit
-    from pianofit.model.path import OutputPath
+    from pianofit.model.output_path import OutputPath
 
     it = pianofit.preset("chabassier-C2")
     path = OutputPath(np.array([50.0, 500.0, 5000.0]), np.array([-20.0, 0.0, -10.0]))
     note = pianofit.Note(it.string, it.hammer, it.geometry, "pressure", 1.0, path)
-    works: Works = {"pianofit": lambda: note.stroke(rate, round(seconds * rate))}
+    works: Works = {"pianofit": lambda: note.render_stroke(rate, round(seconds * rate))}
     if shutil.which("csound"):
         works["csound prepiano"] = lambda: _csound(seconds)
     return works

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.image import imsave
 
 from pianofit import Result, fit
-from pianofit.paper.laboratory import make_twin, setup_text
+from pianofit.bensa2005.laboratory import make_twin, setup_text
 from pianofit.report.build import reference_curves
 from pianofit.report.drawing import legend, styled
 from pianofit.report.figures import COMPARED, draw_attack, draw_levels, draw_loop, draw_spectrum

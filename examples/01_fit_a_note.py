@@ -10,12 +10,12 @@ import sys
 from pathlib import Path
 
 import pianofit
-from pianofit.paper.laboratory import make_twin, setup_text
+from pianofit.bensa2005.laboratory import make_synthetic_recording, setup_text
 
 
 def made_here() -> tuple[pianofit.Recording, pianofit.Setup, dict[str, float]]:
     """The demo's measurement: a calibrated velocity signal, and what the laboratory knew."""
-    twin = make_twin(noise_db=60.0, seed=1)
+    twin = make_synthetic_recording(noise_db=60.0, seed=1)
     Path("setup.toml").write_text(setup_text())
     return pianofit.recording_from_samples(twin.samples, twin.rate), pianofit.load_setup("setup.toml"), twin.true
 
@@ -46,7 +46,7 @@ def main() -> None:
     note = result.note
     for name, factor in (("softer.wav", 0.5), ("louder.wav", 2.0)):
         velocity = factor * note.hammer.v_H0
-        samples, strike = note.struck(velocity).stroke(recording.rate, 2 * recording.rate)
+        samples, strike = note.with_velocity(velocity).render_stroke(recording.rate, 2 * recording.rate)
         Path(name).write_bytes(pianofit.encode_wav(samples, recording.rate))
         print(f"{name}: {velocity:.3g} m/s, contact {1e3 * strike.contact_time:.2f} ms")
 

@@ -23,7 +23,7 @@ SECONDS, LEAD = 3.0, 0.1  # s, of the note and before it
 NOISE_DB = 60.0  # below the first second's rms
 STRING = pianofit.String(c=143.0, kappa=0.42, b1=0.9, b2=4e-4)
 # Where the finger pulls and how broad it is, and the pickup, m from the bridge. The mass has no effect on the levels.
-GUITAR = pianofit.Geometry(length=0.65, mass=4e-3, strike=0.14, width=0.022, pickup=0.52)
+GUITAR = pianofit.Geometry(length=0.65, mass=4e-3, strike_position=0.14, width=0.022, pickup=0.52)
 
 
 def released(string: pianofit.String, geometry: pianofit.Geometry):
@@ -53,7 +53,7 @@ def main() -> None:
 
     def misfit(z):
         """Mean square of the level differences, dB², of log position, log width and gain in dB."""
-        modes, free = released(string, GUITAR._replace(strike=jnp.exp(z[0]), width=jnp.exp(z[1])))
+        modes, free = released(string, GUITAR._replace(strike_position=jnp.exp(z[0]), width=jnp.exp(z[1])))
         level = pianofit.levels(modes, free=free)[partials.number - 1] + z[2]
         # Near a node little is left but the noise, whose energy adds to the string's.
         heard = 10 * jnp.log10(10 ** (level / 10) + 10 ** ((partials.level - partials.snr) / 10))
@@ -67,7 +67,7 @@ def main() -> None:
     ends = [minimize(gradient, z, jac=True, method="L-BFGS-B", bounds=box) for z in first]
     best = min(ends, key=lambda end: end.fun)
     print(f"{'':6}{'true':>12}{'found':>12}")
-    for name, true, found in zip(("pluck", "width"), (GUITAR.strike, GUITAR.width), np.exp(best.x[:2]), strict=True):
+    for name, true, found in zip(("pluck", "width"), (GUITAR.strike_position, GUITAR.width), np.exp(best.x[:2]), strict=True):
         print(f"{name:6}{true:12.6g}{found:12.6g} m")
     reached = sum(end.fun < 1.01 * best.fun for end in ends)
     print(f"{len(partials)} levels, {best.fun**0.5:.2f} dB rms left; {reached} of {len(ends)} searches ended there")

@@ -17,8 +17,8 @@ from pathlib import Path
 import mido
 
 import pianofit
-from pianofit.keyboard import Instrument, load_instrument
-from pianofit.play import load_song, perform
+from pianofit.instrument import Instrument, load_instrument
+from pianofit.playback import load_song, render_song
 
 BARS = """C4 E4 G4 C5 E5, C4 D4 A4 D5 F5, B3 D4 G4 D5 F5, C4 E4 G4 C5 E5, C4 E4 A4 E5 A5, C4 D4 F#4 A4 D5,
 B3 D4 G4 D5 G5, B3 C4 E4 G4 C5, A3 C4 E4 G4 C5, D3 A3 D4 F#4 C5, G3 B3 D4 G4 B4, C3 G3 C4 E4 C5"""
@@ -61,7 +61,7 @@ def literature() -> Instrument:
     for midi in range(21, 109):
         it = pianofit.typical(midi)
         notes[midi] = pianofit.Note(it.string, it.hammer, it.geometry, "bridge-force", 0.1, None)
-    return Instrument("literature", notes, at_64=1.3, rise=1.5)
+    return Instrument("literature", notes, velocity_at_64=1.3, velocity_slope=1.5)
 
 
 def main() -> None:
@@ -69,9 +69,9 @@ def main() -> None:
     instrument = load_instrument(sys.argv[1]) if len(sys.argv) > 1 else literature()
     write_prelude(Path("prelude.mid"), bars=len(BARS.split(",")))
     song = load_song("prelude.mid")
-    done = perform(instrument, song, rate=48_000)
+    done = render_song(instrument, song, rate=48_000)
     Path("prelude.wav").write_bytes(pianofit.encode_wav(done.samples, 48_000))
-    print(f"{song.notes} notes, {done.on_moving} of them on a string that still sounds")
+    print(f"{song.notes} notes, {done.restrikes} of them on a string that still sounds")
     seconds = done.samples.shape[-1] / 48_000
     print(f"{seconds:.1f} s, peak {abs(done.samples).max():.3f}, limited by {done.limited_db:.1f} dB")
 

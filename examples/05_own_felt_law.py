@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 import pianofit
-from pianofit import Layer, Parameter
+from pianofit import Parameter, RecordingInfo
 
 VELOCITIES = (0.6, 1.5, 4.0)  # m/s, measured
 NOISE = 3e-5  # of full scale
@@ -58,7 +58,7 @@ def main() -> None:
     setup = pianofit.Setup(
         length=it.geometry.length,
         mass=it.geometry.mass,
-        recordings=tuple(Layer(file=f"{v}.wav", v_H0=v) for v in VELOCITIES),
+        recordings=tuple(RecordingInfo(file=f"{v}.wav", v_H0=v) for v in VELOCITIES),
         felt=HARDENING,
     )
     result = pianofit.fit(*recordings, setup=setup, progress=False)

@@ -19,18 +19,18 @@ from pathlib import Path
 
 import numpy as np
 
-from pianofit.batch.units import Outcome, Settings, Source, Unit, versions
+from pianofit.batch.job import Job, JobResult, Settings, Source, versions
 
 TESTS = Path(__file__).parent
 NOTES = ("C", "C#", "D", "D#", "E", "F", "F#", "G", "G#", "A", "A#", "B")
 
 
 def quick_work(
-    unit: Unit,
+    unit: Job,
     contents: Sequence[bytes] | None = None,
     scratch: str | None = None,
     tell: Callable[[str], None] = lambda _: None,
-) -> Outcome:
+) -> JobResult:
     """Files made of the recordings' contents after a tenth of a second or so; or what the first word asks for."""
     data = [Path(s.path).read_bytes() for s in unit.sources] if contents is None else list(contents)
     word, _, rest = data[0].partition(b" ")
@@ -46,20 +46,20 @@ def quick_work(
         try:
             np.ones(2**32)
         except MemoryError:
-            return Outcome({}, "not enough memory")
+            return JobResult({}, "not enough memory")
     if word == b"refuse":
-        return Outcome({}, rest.decode(), sounds_like="C5" if b"sounds" in rest else "")
+        return JobResult({}, rest.decode(), sounds_like="C5" if b"sounds" in rest else "")
     if word == b"full":
-        return Outcome({}, "/scratch: cannot be written (No space left on device); make room", stop=True)
+        return JobResult({}, "/scratch: cannot be written (No space left on device); make room", stop=True)
     slow = float(rest) if word == b"slow" else 0.02
     time.sleep(slow + 0.001 * (data[0][-1] % 50))
     digest = hashlib.sha256(b"".join(data)).hexdigest()
     document = {"parameters": {"c": {"value": int(digest[:12], 16) / 7}}, "note": unit.note}
     files = {"fit.json": json.dumps(document).encode(), "fitted.wav": data[0] * 5000}
-    return Outcome(files, detail=str(os.getpid()), seconds=slow, memory=1)
+    return JobResult(files, detail=str(os.getpid()), seconds=slow, memory=1)
 
 
-def library(folder: Path, contents: Sequence[str]) -> list[Unit]:
+def library(folder: Path, contents: Sequence[str]) -> list[Job]:
     """One unit a text, from A0 upwards; each one's only recording holds the text."""
     folder.mkdir(exist_ok=True)
     units = []
@@ -69,7 +69,7 @@ def library(folder: Path, contents: Sequence[str]) -> list[Unit]:
         if not file.exists() or file.read_text(encoding="utf-8") != text:  # a driver that is killed leaves no half
             file.write_text(text, encoding="utf-8")
         source = Source(str(file), file.name, hashlib.sha256(text.encode()).hexdigest())
-        units.append(Unit(file.stem, note, (source,), Settings(), versions()))
+        units.append(Job(file.stem, note, (source,), Settings(), versions()))
     return units
 
 
@@ -136,9 +136,9 @@ def struck(
     file: Path, midi: float, velocity: float, *, seconds: float = 1.5, rate: int = 22_050, seed: int = 0
 ) -> None:
     """Write what a typical string of the note sounds like, struck at `velocity` m/s, with noise 60 dB below."""
-    from pianofit.io import encode_wav
+    from pianofit.io.files import encode_wav
+    from pianofit.literature import typical
     from pianofit.model import simulate
-    from pianofit.published import typical
 
     it = typical(midi)
     hammer = it.hammer._replace(v_H0=velocity)

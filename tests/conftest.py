@@ -16,9 +16,9 @@ from threadpoolctl import threadpool_limits
 CHECKED = [
     "pianofit.model",
     "pianofit.inference.density",
-    "pianofit.inference.lanes",
+    "pianofit.inference.batched_model",
     "pianofit.inference.likelihood",
-    "pianofit.paper.spectral",
+    "pianofit.bensa2005.spectral_criterion",
 ]
 install_import_hook(CHECKED, "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))")
 
@@ -73,9 +73,9 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 @pytest.fixture(scope="session", autouse=True)
 def _compiled_programs() -> None:
     """Keep what JAX compiles, as the command line does: a second run of the tests compiles nothing."""
-    from pianofit.model.cache import keep_programs
+    from pianofit.model.program_cache import enable_program_cache
 
-    keep_programs()
+    enable_program_cache()
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -12,12 +12,12 @@ import scipy.integrate
 import scipy.optimize
 from model_cases import GEOMETRY, HAMMER, RATE, STRING
 
-from pianofit.felt import MemoryHammer
+from pianofit.felt import RelaxingHammer
 from pianofit.parameters import Hammer
 
 LOSSLESS = STRING._replace(b1=0.0, b2=0.0)
 ELASTIC = HAMMER._replace(mu=0.0)
-STULOV = MemoryHammer(*ELASTIC, epsilon=0.4, tau=60e-6)
+STULOV = RelaxingHammer(*ELASTIC, epsilon=0.4, tau=60e-6)
 HAMMERS = {
     "power": ELASTIC,
     "hunt-crossley": HAMMER,
@@ -31,7 +31,7 @@ RETURNING = Hammer(K_H=1e13, mu=0.0, p=2.5, M_H=1e-3, v_H0=2.0)  # touches again
 
 def memory_of(hammer) -> tuple[float, float]:
     """ε and τ; a felt without memory has ε = 0."""
-    return (hammer.epsilon, hammer.tau) if isinstance(hammer, MemoryHammer) else (0.0, 1.0)
+    return (hammer.epsilon, hammer.tau) if isinstance(hammer, RelaxingHammer) else (0.0, 1.0)
 
 
 def remembered(c: float, old: float, new: float, s: float) -> float:

@@ -14,15 +14,15 @@ from pathlib import Path
 import numpy as np
 
 from pianofit.analysis import midi_to_note
-from pianofit.io import encode_wav
-from pianofit.keyboard import Instrument
-from pianofit.keyboard.gather import NAMES, invariants
-from pianofit.model.modal import Participation, Ringing
+from pianofit.instrument import Instrument
+from pianofit.instrument.collect_fits import NAMES, key_observables
+from pianofit.io.files import encode_wav
+from pianofit.literature import typical
+from pianofit.model.modal_response import ModalResponse, VelocityGain
 from pianofit.model.modes import mode_frequencies
 from pianofit.model.note import Note
-from pianofit.model.path import OutputPath
+from pianofit.model.output_path import OutputPath
 from pianofit.parameters import Geometry, Hammer, String
-from pianofit.published import typical
 
 RATE = 44_100
 LAYERS = (0.7, 1.7, 4.0)  # m/s
@@ -65,20 +65,20 @@ def rung(midi: int, partials: int = 10) -> Note:
     level = 100 * np.exp(1j * (random.uniform(0, 6, partials) + np.array([[0.0], [0.7]]))) / k
     pattern = (level[..., None] * part).reshape(2, -1)
     knock = random.normal(size=(2, 9_000)) * np.exp(-np.arange(9_000) / 1_000)
-    part = Participation(np.array([0.5, 4.0]), np.array([[1.0], [1.3 + 0.2j]]) * np.ones(2 * partials))
-    ringing = Ringing(np.repeat(k, 2), pole.ravel(), np.full(2 * partials, 0.1), pattern, 5 * knock, RATE, part)
+    part = VelocityGain(np.array([0.5, 4.0]), np.array([[1.0], [1.3 + 0.2j]]) * np.ones(2 * partials))
+    ringing = ModalResponse(np.repeat(k, 2), pole.ravel(), np.full(2 * partials, 0.1), pattern, 5 * knock, RATE, part)
     return note._replace(ringing=ringing)
 
 
 def true_instrument(keys: range = range(21, 109)) -> Instrument:
     """All of it, MIDI velocity 64 being 1.3 m/s."""
-    return Instrument("twin", {midi: true_note(midi) for midi in keys}, at_64=1.3, rise=1.5)
+    return Instrument("twin", {midi: true_note(midi) for midi in keys}, velocity_at_64=1.3, velocity_slope=1.5)
 
 
 def fit_document(note: Note, errors: dict[str, float], velocities: tuple[float, ...] = LAYERS) -> dict:
     """What a fit with these errors (standard deviations of logarithms) would write of a note."""
     s, h, g = note.string, note.hammer, note.geometry
-    values = s._asdict() | h._asdict() | {"x0": g.strike, "width": g.width, "M_S": g.mass, "L": g.length}
+    values = s._asdict() | h._asdict() | {"x0": g.strike_position, "width": g.width, "M_S": g.mass, "L": g.length}
 
     def entry(name: str, value: float) -> dict:
         sd = errors.get(name)
@@ -128,7 +128,7 @@ def library(folder: Path, keys: list[int], seed: int = 0, *, errors: dict[str, f
         at_1_mm = note.hammer.K_H * 1e-3**note.hammer.p * math.exp(force * random.normal())
         hammer = note.hammer._replace(K_H=at_1_mm / 1e-3**p, mu=note.hammer.mu * off.get("mu", 1.0), p=p,
                                        M_H=note.hammer.M_H * off.get("M_H", 1.0))  # fmt: skip
-        geometry = note.geometry._replace(strike=note.geometry.strike * off.get("x0", 1.0))
+        geometry = note.geometry._replace(strike_position=note.geometry.strike_position * off.get("x0", 1.0))
         found = note._replace(string=string, hammer=hammer, geometry=geometry)
         spread_p = errors.get("p", 0.0) * note.hammer.p
         told = errors | {"K_H": math.hypot(force, math.log(1e3) * spread_p)}
@@ -146,7 +146,7 @@ def record_key(
     for i, velocity in enumerate(layers):
         note = true_note(midi)
         struck = note._replace(hammer=note.hammer._replace(v_H0=velocity))
-        sound = struck.stroke(2 * RATE, 8 * RATE, touch=RATE // 10)[0][::2]
+        sound = struck.render_stroke(2 * RATE, 8 * RATE, touch=RATE // 10)[0][::2]
         noise = 10 ** (noise_db / 20) * np.sqrt(np.mean(sound[:RATE] ** 2))
         files.append(folder / f"{midi}-{i}.wav")
         files[-1].write_bytes(encode_wav(sound + random.normal(0.0, noise, len(sound)), RATE))
@@ -156,7 +156,7 @@ def record_key(
 def truth(name: str, keys: list[int]) -> np.ndarray:
     """Of one quantity of `NAMES` [keys], on the scale of its law."""
     assert name in NAMES
-    values = np.array([invariants(true_note(midi), midi)[name] for midi in keys])
+    values = np.array([key_observables(true_note(midi), midi)[name] for midi in keys])
     return values if name == "cents" else np.log(values)
 
 

@@ -15,19 +15,19 @@ import scipy.integrate
 import scipy.optimize
 
 from pianofit import model
+from pianofit.dsp.damped_sums import transform
 from pianofit.model.contact import free_motion, impulse_amplitude
-from pianofit.model.exponentials import transform
-from pianofit.model.response import _back
+from pianofit.model.free_response import _back
 from pianofit.parameters import Geometry, Hammer, String
 
 STRING = String(c=304.1, kappa=1.737, b1=0.568, b2=2e-4)
 HAMMER = Hammer(K_H=1.09949e10, mu=0.1998, p=2.56, M_H=5.687e-3, v_H0=0.8)
-GEOMETRY = Geometry(length=1.0, mass=0.00618, strike=0.12, width=0.02, pickup=0.3)
+GEOMETRY = Geometry(length=1.0, mass=0.00618, strike_position=0.12, width=0.02, pickup=0.3)
 RATE = 88_200.0
 
 table = jax.jit(model.mode_table, static_argnames=("n_modes", "quantity", "kind"))
 strike = jax.jit(model.strike, static_argnames=("steps",))
-ringing = jax.jit(model.ringing)
+ringing = jax.jit(model.modal_amplitudes)
 release = jax.jit(free_motion)
 
 
@@ -113,8 +113,8 @@ def grid_matrices(geometry: Geometry, N: int) -> GridMatrices:
     fourth = sum(np.diag(np.full(N - abs(o), w), o) for o, w in [(0, 6.0), (1, -4.0), (-1, -4.0), (2, 1.0), (-2, 1.0)])
     fourth[0, 0] = fourth[-1, -1] = 5.0
     x = h * np.arange(1, N + 1)
-    inside = np.abs(x - geometry.strike) < geometry.width / 2
-    g = np.where(inside, 1 + np.cos(2 * np.pi * (x - geometry.strike) / geometry.width), 0.0)
+    inside = np.abs(x - geometry.strike_position) < geometry.width / 2
+    g = np.where(inside, 1 + np.cos(2 * np.pi * (x - geometry.strike_position) / geometry.width), 0.0)
     return GridMatrices(second, fourth / h**4, g / g.sum(), h)
 
 

@@ -8,10 +8,10 @@ import numpy as np
 
 from pianofit.analysis import Analysis, Partials
 from pianofit.model import simulate
+from pianofit.model.free_response import level_db, modal_amplitudes
 from pianofit.model.note import arrival
-from pianofit.model.response import level_db, ringing
 from pianofit.parameters import Geometry, Hammer, String
-from pianofit.recording import Recording, recording_from_samples
+from pianofit.recording.recording import Recording, recording_from_samples
 from pianofit.setup import Setup, setup_from_dict
 
 F0, B, B1, D2 = 262.0, 4e-4, 0.5, 0.01
@@ -33,7 +33,7 @@ def analysis(
         decay=B1 + D2 * number**2.0, decay_error=0.01 * (B1 + D2 * number**2.0),
         decay_systematic=np.zeros((size, size)),
         level=np.array(level, float), level_error=np.full(size, level_error),
-        level_systematic=systematic**2 * np.ones((size, size)), level_lag=np.full(size, 0.1),
+        level_systematic=systematic**2 * np.ones((size, size)), level_decay_sensitivity_s=np.full(size, 0.1),
         snr=np.full(size, 40.0), beating=np.zeros(size),
         absent=np.array(absent, int), absent_bound=np.array(bound, float),
     )  # fmt: skip
@@ -46,7 +46,7 @@ def analysis(
 
 STRING = String(c=330.0, kappa=1.3, b1=0.6, b2=5e-5)
 HAMMER = Hammer(K_H=3e10, mu=0.3, p=2.7, M_H=5e-3, v_H0=2.2)
-GEOMETRY = Geometry(length=0.63, mass=4e-3, strike=0.0771, width=0.014, pickup=0.1973)
+GEOMETRY = Geometry(length=0.63, mass=4e-3, strike_position=0.0771, width=0.014, pickup=0.1973)
 SCALE = 4.0  # m/s at full scale
 
 
@@ -58,7 +58,7 @@ def played(
     sound = simulate(STRING, hammer, GEOMETRY, rate=88_200, oversampling=16, quantity=quantity, n_modes=128)
     pole = np.asarray(sound.modes.pole)
     delay = arrival(STRING, GEOMETRY, quantity)
-    amplitude = np.asarray(ringing(sound.modes, sound.pulse.drive)) * np.exp(pole.real * delay)
+    amplitude = np.asarray(modal_amplitudes(sound.modes, sound.pulse.drive)) * np.exp(pole.real * delay)
     level = np.asarray(level_db(amplitude, -pole.real, np))[:count]
     number = np.arange(1, count + 1)
     f, decay = np.abs(pole.imag[:count]) / (2 * np.pi), -pole.real[:count]
@@ -77,7 +77,7 @@ def setup(**more) -> Setup:
     """What is known of it."""
     g = GEOMETRY
     data = {
-        "string": {"length": g.length, "mass": g.mass}, "strike": {"position": g.strike, "width": g.width},
+        "string": {"length": g.length, "mass": g.mass}, "strike": {"position": g.strike_position, "width": g.width},
         "pickup": {"quantity": "velocity", "position": g.pickup, "scale": SCALE},
     }  # fmt: skip
     return setup_from_dict(data | more, "here")

@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 from instrument_cases import true_note
 
-from pianofit.model.modal import Participation, Ringing
+from pianofit.model.modal_response import ModalResponse, VelocityGain
 from pianofit.model.note import Note
 
 RATE = 48_000
 BLOCK = 128  # samples at whose begins events take effect
-SCRIPTS = Path(str(files("pianofit.play.page")))
+SCRIPTS = Path(str(files("pianofit.web")))
 # Reads {rate, jobs: [{keys, changes?, events: [[block, what, value]], blocks}]}; writes every job's channels. Jobs with
 # `note`, `instrument`, `song` or `record` have one result: a document, or a MIDI file read or written.
 PROGRAM = """
@@ -94,7 +94,7 @@ def play(jobs: list[dict], rate: int = RATE) -> list[np.ndarray]:
 
 def early(note: Note) -> int:
     """Samples that the engine needs before a sound of the note begins: its lead is in whole blocks."""
-    return -round(note.lead * RATE) % BLOCK
+    return -round(note.pre_onset_s * RATE) % BLOCK
 
 
 def error_db(sound: np.ndarray, expected: np.ndarray) -> float:
@@ -115,6 +115,6 @@ def ringing_note(midi: int, channels: int = 2, rate: int = 44_100) -> Note:
     pattern = random.normal(size=(channels, len(k))) + 1j * random.normal(size=(channels, len(k)))
     knock = random.normal(size=(channels, round(0.412 * rate))) * np.exp(-np.arange(round(0.412 * rate)) / rate / 0.05)
     factor = 1 + 0.2 * (random.normal(size=(3, len(k))) + 1j * random.normal(size=(3, len(k))))
-    part = Participation(np.array([0.5, 1.5, 4.0]), factor)
-    ringing = Ringing(k, pole, np.zeros(len(k)), 2 * pattern / k, 40 * knock, rate, part)
+    part = VelocityGain(np.array([0.5, 1.5, 4.0]), factor)
+    ringing = ModalResponse(k, pole, np.zeros(len(k)), 2 * pattern / k, 40 * knock, rate, part)
     return note._replace(gain=1.5, ringing=ringing)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from model_cases import GEOMETRY, HAMMER, STRING
 
-from pianofit.paper import scheme
+from pianofit.bensa2005 import finite_difference
 from pianofit.parameters import Geometry, Hammer, String
 
 POINTS, STEPS = 48, 512
@@ -13,8 +13,8 @@ X = np.arange(1, POINTS + 1) / (POINTS + 1)
 WIDE = GEOMETRY._replace(width=0.06)
 
 
-def solve(case: dict, **more) -> scheme.Reference:
-    return scheme.solve(**case, steps=STEPS, points=POINTS, **more)
+def solve(case: dict, **more) -> finite_difference.Reference:
+    return finite_difference.solve(**case, steps=STEPS, points=POINTS, **more)
 
 
 def relative(found, expected) -> float:
@@ -57,7 +57,7 @@ CASES = {  # case, touches at least
     ),
     "window of another shape": (
         {"string": STRING, "hammer": HAMMER, "geometry": WIDE._replace(width=0.1), "step": 1 / 60_000,
-         "window": _parabola(X - WIDE.strike)}, 1,
+         "window": _parabola(X - WIDE.strike_position)}, 1,
     ),
     "window of given weights": (
         {"string": STRING, "hammer": HAMMER, "geometry": WIDE, "step": 1 / 60_000,

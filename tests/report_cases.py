@@ -9,9 +9,9 @@ from html.parser import HTMLParser
 import numpy as np
 
 from pianofit.model.decay import PartialDecay
-from pianofit.report.curves import Envelope, Felt, Known, RecordingCurves, RingingCurves, Strokes
+from pianofit.report.figure_data import Envelope, Felt, IdentifiabilityData, RecordingCurves, RingingCurves, Strokes
 from pianofit.report.figures import COMPARED, draw_figures
-from pianofit.report.page import Curves
+from pianofit.report.page import FigureData
 
 NAMES = ("original", "initial", "fitted")
 FORCE = "static force of the felt at 0.5 mm, at the reference velocity shown"
@@ -59,7 +59,7 @@ def example_curves(rate=44100, seconds=3.0, count=40, f0=92.33, quiet=0.1, path=
     ms = np.linspace(0, 6, 500)
     force_initial, compression_initial = pulse(ms, 2.6, 9e-4, 1.5e9, 2.55, 0.1)
     force_fitted, compression_fitted = pulse(ms, 2.2, 6.5e-4, 5.2e9, 2.56, 0.2)
-    return Curves(
+    return FigureData(
         bins.astype(float), dict(zip(COMPARED, spectra, strict=True)), (0.5 * f0, 1.5 * f0, 8.6 * f0, float(bins[-1])),
         1e3 * (t[attack] - 0.03),
         {"measured": measured[attack], "initial": initial[attack], "fitted": fitted[attack]},
@@ -103,7 +103,7 @@ def with_recordings(curves, velocities=(3.2, 0.6, 1.5), count=7):
     )
     return dataclasses.replace(
         curves, recordings=tuple(recordings), first=0, paths=((60.0 * k, 3 * np.sin(k / 3)), (60.0 * k, np.cos(k / 5))),
-        felt=Felt(u, law, 0.7 * law), known=Known(names, correlation, reaches), strokes=strokes,
+        felt=Felt(u, law, 0.7 * law), known=IdentifiabilityData(names, correlation, reaches), strokes=strokes,
     )  # fmt: skip
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal, norm
 
-from pianofit.inference.likelihood import ADDED, JITTER, Table
+from pianofit.inference.likelihood import ADDED, JITTER, ObservationTable
 from pianofit.inference.priors import STUDENT
 
 SMALL = -50.0  # log τ of no τ
@@ -21,7 +21,7 @@ SHAPES = {
 PHI = np.array([-0.3, 1.2, -0.4, -5.0])
 
 
-def table(shape: str, seed: int = 0) -> Table:
+def table(shape: str, seed: int = 0) -> ObservationTable:
     """One of `SHAPES` with random numbers in it; groups alternate."""
     R, K, groups, columns, nodes, path, most = SHAPES[shape]
     random = np.random.default_rng([seed, *map(ord, shape)])
@@ -31,14 +31,14 @@ def table(shape: str, seed: int = 0) -> Table:
     found[tuple(absent.T)] = 0.0
     common = np.log(0.3 + 2 * random.random((nodes[0], groups))) if path else np.full((nodes[0], groups), SMALL)
     share = random.random(nodes)
-    return Table(
-        value=random.normal(size=(R, K)), variance=0.1 + random.random((R, K)), found=found, absent=absent,
+    return ObservationTable(
+        value=random.normal(size=(R, K)), variance=0.1 + random.random((R, K)), detected=found, censored=absent,
         group=np.eye(groups)[np.arange(R) % groups], columns=2 * random.normal(size=(columns, R, K)),
         scale=0.5 + random.random((nodes[1], columns)),
         systematic=0.1 * np.exp(-np.abs(np.subtract.outer(np.arange(K), np.arange(K)))),
-        apart=np.abs(octave[:, None] - octave), smooth=np.full(groups, float(path)), common=common,
-        share=np.log(share / share.sum()), growth=1 + random.random(K), ratio=5 * random.random((R, K)),
-        prior=(np.log([0.7, 8, 0.7, 0.002]), np.array([0.7, 0.4, 0.4, 0.9])), student=np.float64(STUDENT),
+        distance_octaves=np.abs(octave[:, None] - octave), has_unknown_path=np.full(groups, float(path)), log_tau=common,
+        log_weight=np.log(share / share.sum()), variance_profile=1 + random.random(K), ratio=5 * random.random((R, K)),
+        prior=(np.log([0.7, 8, 0.7, 0.002]), np.array([0.7, 0.4, 0.4, 0.9])), degrees_of_freedom=np.float64(STUDENT),
     )  # fmt: skip
 
 
@@ -49,36 +49,36 @@ def point(shape: str, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     return 3 * random.normal(size=(R, K)), np.exp(0.3 * random.normal(size=(R, K)))
 
 
-def noise(t: Table, phi: np.ndarray) -> np.ndarray:
+def noise(t: ObservationTable, phi: np.ndarray) -> np.ndarray:
     """Variances of what each entry has for itself at a weight of 1 [R, K]."""
-    return np.asarray(t.variance + np.exp(2 * phi[0]) * t.growth + (np.exp(phi[3]) * ADDED * t.ratio) ** 2)
+    return np.asarray(t.variance + np.exp(2 * phi[0]) * t.variance_profile + (np.exp(phi[3]) * ADDED * t.ratio) ** 2)
 
 
-def shared(t: Table, phi: np.ndarray, node: tuple[int, int]) -> np.ndarray:
+def shared(t: ObservationTable, phi: np.ndarray, node: tuple[int, int]) -> np.ndarray:
     """The covariance of paths and columns over all entries [RK, RK], entry by entry."""
     R, K = t.value.shape
-    d = np.sqrt(3) * np.asarray(t.apart) / np.exp(phi[2])
+    d = np.sqrt(3) * np.asarray(t.distance_octaves) / np.exp(phi[2])
     matern = np.exp(2 * phi[1]) * (1 + d) * np.exp(-d)
     total = np.zeros((R, K, R, K))
     for i in range(R):
         for j in range(R):
             if (t.group[i] == t.group[j]).all():
                 g = int(np.argmax(t.group[i]))
-                own = np.exp(2 * t.common[node[0], g]) + JITTER
-                total[i, :, j, :] = t.smooth[g] * matern + t.systematic + own * np.eye(K)
+                own = np.exp(2 * t.log_tau[node[0], g]) + JITTER
+                total[i, :, j, :] = t.has_unknown_path[g] * matern + t.systematic + own * np.eye(K)
     columns = np.asarray(t.scale[node[1]])[:, None] * np.asarray(t.columns).reshape(len(t.columns), -1)
     return total.reshape(R * K, R * K) + columns.T @ columns
 
 
-def dense_nodes(t: Table, residual: np.ndarray, phi: np.ndarray, w: np.ndarray) -> np.ndarray:
+def dense_nodes(t: ObservationTable, residual: np.ndarray, phi: np.ndarray, w: np.ndarray) -> np.ndarray:
     """Minus the log density of everything at each node [T, M], weights of nodes included."""
-    there, out = np.asarray(t.found).ravel() > 0, np.empty(np.shape(t.share))
-    for node, share in np.ndenumerate(t.share):
+    there, out = np.asarray(t.detected).ravel() > 0, np.empty(np.shape(t.log_weight))
+    for node, share in np.ndenumerate(t.log_weight):
         latent, own = shared(t, phi, node), noise(t, phi).ravel()
         full = latent + np.diag(own / w.ravel())
         inside, y = full[np.ix_(there, there)], residual.ravel()[there]
         minus = -multivariate_normal(np.zeros(there.sum()), inside).logpdf(y) - 0.5 * there.sum() * np.log(2 * np.pi)
-        for r, k in np.asarray(t.absent):
+        for r, k in np.asarray(t.censored):
             at = r * t.value.shape[1] + k
             pull = np.linalg.solve(inside, latent[there, at])
             sd = np.sqrt(latent[at, at] + own[at] - pull @ latent[there, at])
@@ -87,8 +87,8 @@ def dense_nodes(t: Table, residual: np.ndarray, phi: np.ndarray, w: np.ndarray) 
     return out
 
 
-def dense(t: Table, residual: np.ndarray, phi: np.ndarray, w: np.ndarray) -> float:
+def dense(t: ObservationTable, residual: np.ndarray, phi: np.ndarray, w: np.ndarray) -> float:
     """F, densely."""
     mean, sd = t.prior
-    mixture = 0.5 * t.student * (t.found * (w - 1 - np.log(w))).sum()
+    mixture = 0.5 * t.degrees_of_freedom * (t.detected * (w - 1 - np.log(w))).sum()
     return float(-logsumexp(-dense_nodes(t, residual, phi, w)) + mixture + 0.5 * (((phi - mean) / sd) ** 2).sum())

@@ -23,12 +23,12 @@ from pianofit.analysis import (
     note_to_midi,
     rows,
 )
-from pianofit.analysis.demodulate import demodulate
-from pianofit.analysis.fits import first_fits, fitted, level_of
-from pianofit.analysis.glide import falls
+from pianofit.analysis.baseband_fit import first_fits, level_of, with_errors
+from pianofit.analysis.demodulation import demodulate
+from pianofit.analysis.glide import glide_detected
 from pianofit.analysis.inharmonicity import decay_law, frequency_law
 from pianofit.errors import AnalysisError, RecordingError
-from pianofit.recording import Recording, recording_from_samples
+from pianofit.recording.recording import Recording, recording_from_samples
 
 RATE, LEAD = 44100, 0.05
 
@@ -267,7 +267,7 @@ def test_systematic_covariances_cover_what_a_second_axis_does(name, cents):
 def test_a_beat_does_the_same_to_loud_and_soft_recordings():
     both = _two_axes(string(220.0, 2e-4, 20, 1.0, 0.02, seed=5), 2.0, 0.3)
     loud, soft = (analyse(both.recording(noise=noise), note="A3") for noise in (1e-6, 3e-5))
-    loud, soft = loud.partials, soft.decaying_as(loud).partials
+    loud, soft = loud.partials, soft.with_decay_law(loud).partials
     _, i, j = np.intersect1d(loud.number, soft.number, return_indices=True)
     assert len(j) > 15
     z = (loud.level[i] - soft.level[j]) / np.hypot(loud.level_error[i], soft.level_error[j])
@@ -292,12 +292,12 @@ def test_levels_by_another_law_of_decays_are_those_measured_by_it():
     def by(factor: float) -> Analysis:
         laws = replace(first, level_law=(factor * b1, factor * d2))
         decay = factor * (b1 + d2 * number**2.0)
-        level, _, lag = level_of(bands, z, fitted(bands, slice(None), fit, density), density, decay)
-        return replace(laws, partials=replace(first.partials, number=number, level=level, level_lag=lag))
+        level, _, lag = level_of(bands, z, with_errors(bands, slice(None), fit, density), density, decay)
+        return replace(laws, partials=replace(first.partials, number=number, level=level, level_decay_sensitivity_s=lag))
 
     first = analyse((samples, RATE), note="A2")
     one, other = by(0.8), by(1.2)
-    before, after = (np.abs(x.partials.level - other.partials.level) for x in (one, one.decaying_as(other)))
+    before, after = (np.abs(x.partials.level - other.partials.level) for x in (one, one.with_decay_law(other)))
     assert before.max() > 0.1
     assert (after < before / 50).all()
 
@@ -344,10 +344,10 @@ def test_a_glide_tells_how_sharp_it_began():
 
 def test_a_fall_of_pitch_is_one_only_if_it_is_sure():
     at_rest = (0.2, 1.0, 0.0, 0.0)
-    assert falls([(0.0, 0.35, 1.0, 0.1), at_rest])
-    assert not falls([(0.0, 0.35, 1.0, 0.3), at_rest, (1.0, 2.0, -2.0, np.inf)])
-    assert not falls([(0.0, 0.35, 0.05, 0.001), at_rest])
-    assert not falls([at_rest])
+    assert glide_detected([(0.0, 0.35, 1.0, 0.1), at_rest])
+    assert not glide_detected([(0.0, 0.35, 1.0, 0.3), at_rest, (1.0, 2.0, -2.0, np.inf)])
+    assert not glide_detected([(0.0, 0.35, 0.05, 0.001), at_rest])
+    assert not glide_detected([at_rest])
 
 
 def test_a_short_note_that_glides_says_how_little_is_known_of_it():

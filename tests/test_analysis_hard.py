@@ -11,12 +11,12 @@ import pytest
 
 import pianofit
 from pianofit.analysis import Analysis, analyse, law_frequency, note_to_hz
-from pianofit.analysis.again import struck_again
-from pianofit.analysis.demodulate import Bands
+from pianofit.analysis.demodulation import Bands
 from pianofit.analysis.inharmonicity import B_RANGE, frequency_law
+from pianofit.analysis.second_strike import detect_second_strike
 from pianofit.errors import AnalysisError, WrongNoteError
-from pianofit.recording import recording_from_samples
-from pianofit.result.predict import predict_recording
+from pianofit.recording.recording import recording_from_samples
+from pianofit.result.prediction import predict_recording
 
 RATE, SECONDS, LEAD = 44_100, 1.5, 0.1
 CASES = Path(os.environ.get("PIANOFIT_CASES", Path(__file__).parents[2] / "shared" / "cases"))
@@ -133,7 +133,7 @@ def test_a_noise_far_below_the_note_is_not_a_second_stroke(rises_to, again):
     level = np.where(time < 2, level, np.maximum(rises_to - 60.0 * (time - 2), -100.0))
     z = np.tile(10 ** (level / 20), (12, 1)).astype(complex)
     bands = Bands(z, time, 100.0 * np.arange(1, 13), 97.0, 0.05, 100.0, 50.0)
-    found = struck_again(bands, z, np.full(12, 1e-14))
+    found = detect_second_strike(bands, z, np.full(12, 1e-14))
     assert found == (pytest.approx(2.0, abs=0.1) if again else None)
 
 
@@ -194,8 +194,8 @@ def test_predict_refuses_a_neighbouring_key_in_any_form():
     it = pianofit.typical(65)
     note = pianofit.Note(it.string, it.hammer, it.geometry, "bridge-force", gain=0.01)
     for cents, taken in ((10.0, True), (100.0, False), (-100.0, False)):
-        samples = note.tuned(cents).render(2.0, seconds=1.0)
-        analysis = analyse((samples, RATE), f0=note.tuned(cents).f0)
+        samples = note.with_cents(cents).render(2.0, seconds=1.0)
+        analysis = analyse((samples, RATE), f0=note.with_cents(cents).f0)
         for source in ((samples, RATE), analysis):
             if taken:
                 assert predict_recording(note, source).error_db < 0.5
@@ -227,7 +227,7 @@ def test_neighbouring_key():
     own = analyse(soft, note="F3")
     it = pianofit.typical(53)
     note = pianofit.Note(it.string, it.hammer, it.geometry, "bridge-force", gain=0.01)
-    note = note.tuned(1200 * np.log2(own.f0 / note.f0))
+    note = note.with_cents(1200 * np.log2(own.f0 / note.f0))
     predict_recording(note, loud)
     with pytest.raises(WrongNoteError, match=r"F#3\.flac.*sounds like F#3"):
         predict_recording(note, other)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pianofit.analysis import Analysis, analyse
-from pianofit.recording import Recording, load_recording
+from pianofit.recording.recording import Recording, load_recording
 
 FOLDER = Path(os.environ.get("PIANOFIT_RECORDINGS", Path(__file__).parents[2] / "shared" / "recordings"))
 pytestmark = [

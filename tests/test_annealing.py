@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.stats import kstest
 
-from pianofit.errors import ParameterError
-from pianofit.paper.annealing import (
+from pianofit.bensa2005.annealing import (
     AnnealingState,
     Schedule,
     anneal,
@@ -21,6 +20,7 @@ from pianofit.paper.annealing import (
     jump_cdf,
     temperatures,
 )
+from pianofit.errors import ParameterError
 
 UNLIKELY = 1e-3  # of a test statistic, if what is tested is right
 

@@ -16,10 +16,10 @@ from pathlib import Path
 import pytest
 from batch_cases import DRIVE, TESTS, killed, library, python, quick_work, results
 
-from pianofit.batch import Local, plan, run_batch, status
+from pianofit.batch import Local, plan_jobs, run_batch, status
+from pianofit.batch.job import JobResult
 from pianofit.batch.state import suggestions, time_left
-from pianofit.batch.store import Store, locked, opened
-from pianofit.batch.units import Outcome
+from pianofit.batch.store import Store, locked, open_folder
 from pianofit.errors import OutputError
 from pianofit.threads import cores
 
@@ -59,13 +59,13 @@ def test_what_is_done_is_skipped_and_what_changed_is_not(whole, tmp_path):
     place, units, found = whole
     shutil.copytree(place / "out", tmp_path / "out")
     run_batch(units, tmp_path / "out", no_workers)
-    assert set(plan(units, tmp_path / "out").values()) == {"done"}
+    assert set(plan_jobs(units, tmp_path / "out").values()) == {"done"}
     other = library(tmp_path / "in", ["another", *TEXTS[1:]])
     (tmp_path / "out/keys/As0/fitted.wav").write_bytes(b"by hand")
     shutil.rmtree(tmp_path / "out/keys/B0")
     settings = units[3].settings._replace(seed=4)
     other[3] = other[3]._replace(settings=settings)
-    assert [plan(other, tmp_path / "out")[u.key] for u in other[:5]] == [
+    assert [plan_jobs(other, tmp_path / "out")[u.key] for u in other[:5]] == [
         "to do: inputs changed", "to do: its folder was changed", "to do: new", "to do: settings changed", "done",
     ]  # fmt: skip
     events = []
@@ -90,7 +90,7 @@ def test_an_entry_that_cannot_be_read_has_its_key_fitted_anew(tmp_path, content)
     entry = tmp_path / "out/ledger/As0.json"
     assert json.loads(entry.read_text())["reason"] == "is silent"
     entry.write_text(content)
-    assert plan(units, tmp_path / "out") == {"A0": "done", "As0": "to do: new"}
+    assert plan_jobs(units, tmp_path / "out") == {"A0": "done", "As0": "to do: new"}
     assert status(tmp_path / "out")["counts"] == {"done": 1, "failed": 0, "running": 0, "waiting": 0}
 
 
@@ -100,9 +100,9 @@ def test_a_key_that_was_installed_when_the_batch_was_killed_is_done(tmp_path):
     run(units, tmp_path / "out")
     document = json.loads((tmp_path / "out/ledger/A0.json").read_text())
     (tmp_path / "out/ledger/A0.json").write_text(json.dumps(document | {"state": "running"}))
-    Store(tmp_path / "out").install("A0", {"fit.json": b"1"}, {"hash": units[0].hash})
+    Store(tmp_path / "out").commit("A0", {"fit.json": b"1"}, {"hash": units[0].hash})
     assert status(tmp_path / "out")["counts"]["done"] == 1
-    assert plan(units, tmp_path / "out") == {"A0": "done"}
+    assert plan_jobs(units, tmp_path / "out") == {"A0": "done"}
 
 
 # --- failures ---------------------------------------------------------------------------------------------------------
@@ -115,7 +115,7 @@ def test_failures_are_told_kept_and_tried_again_when_asked(tmp_path):
     assert [k["reason"] for k in found["keys"]] == ["", "is silent", ""]
     again = run_batch(units, tmp_path / "out", no_workers)
     assert again["keys"][1]["reason"] == "is silent"
-    assert plan(units, tmp_path / "out")["As0"] == "failed: is silent"
+    assert plan_jobs(units, tmp_path / "out")["As0"] == "failed: is silent"
     events = []
     run(units, tmp_path / "out", retry_failed=True, tell=lambda p: events.append(p.event))
     assert [e for e in events if e] == ["As0: failed: is silent"]
@@ -145,7 +145,7 @@ def test_a_fit_without_end_and_one_without_bounds_are_stopped(tmp_path):
 
 
 def test_a_worker_is_replaced_before_it_has_grown_old(tmp_path, monkeypatch):
-    monkeypatch.setattr("pianofit.batch.local.RECYCLE", 2)
+    monkeypatch.setattr("pianofit.batch.process_pool.RECYCLE", 2)
     by = []
     with Local(1, 2**31, 60.0, tmp_path / "scratch", work=quick_work) as worker:
         for unit in library(tmp_path / "in", TEXTS[:5]):
@@ -156,10 +156,10 @@ def test_a_worker_is_replaced_before_it_has_grown_old(tmp_path, monkeypatch):
     assert by[0] == by[1] != by[2] == by[3] != by[4]
 
 
-def count_threads(unit, *_) -> Outcome:
-    from pianofit.inference.lanes import pool
+def count_threads(unit, *_) -> JobResult:
+    from pianofit.inference.batched_model import thread_pool
 
-    return Outcome({}, detail=f"{cores()} {pool()._max_workers}")
+    return JobResult({}, detail=f"{cores()} {thread_pool()._max_workers}")
 
 
 def test_a_worker_has_one_thread(tmp_path):
@@ -184,7 +184,7 @@ def test_what_an_earlier_run_left_beside_a_failure_is_told(tmp_path):
 
 
 def test_a_recording_that_changes_meanwhile_is_not_fitted_as_the_old_one(tmp_path):
-    from pianofit.batch.units import fit_unit
+    from pianofit.batch.job import fit_unit
 
     (unit,) = library(tmp_path / "in", ["one"])
     (tmp_path / "in/A0.wav").write_text("two")
@@ -192,7 +192,7 @@ def test_a_recording_that_changes_meanwhile_is_not_fitted_as_the_old_one(tmp_pat
 
 
 def test_a_worker_with_another_version_stops_the_batch(tmp_path):
-    from pianofit.batch.units import fit_unit
+    from pianofit.batch.job import fit_unit
 
     (unit,) = library(tmp_path / "in", ["one"])
     outcome = fit_unit(unit._replace(versions=unit.versions | {"jax": "0.0.1"}))
@@ -271,8 +271,8 @@ def test_no_room_for_a_workers_scratch_stops_the_batch(tmp_path):
 
 
 def test_a_folder_is_replaced_whole_or_not_at_all(tmp_path, monkeypatch):
-    store = opened(tmp_path)
-    store.install("C4", {"fit.json": b"1"}, {"hash": "a"})
+    store = open_folder(tmp_path)
+    store.commit("C4", {"fit.json": b"1"}, {"hash": "a"})
     real = os.fsync
 
     def refuse(handle):
@@ -280,11 +280,11 @@ def test_a_folder_is_replaced_whole_or_not_at_all(tmp_path, monkeypatch):
 
     monkeypatch.setattr(os, "fsync", refuse)
     with pytest.raises(OutputError, match="the disk is full"):
-        store.install("C4", {"fit.json": b"2"}, {"hash": "b"})
+        store.commit("C4", {"fit.json": b"2"}, {"hash": "b"})
     monkeypatch.setattr(os, "fsync", real)
     assert store.record("C4")["hash"] == "a"
     assert [p.name for p in (tmp_path / "keys").iterdir()] == ["C4"]
-    store.install("C4", {"fit.json": b"2"}, {"hash": "b"})
+    store.commit("C4", {"fit.json": b"2"}, {"hash": "b"})
     assert store.record("C4")["hash"] == "b"
 
 
@@ -376,10 +376,10 @@ def test_time_left_is_of_what_waits_and_what_runs():
 
 
 def test_wrong_names_are_suggested_one_by_one_or_all_together(tmp_path):
-    from pianofit.batch.ledger import Entry
+    from pianofit.batch.job_records import Entry
 
     def entry(note: str, like: str) -> Entry:
-        return Entry(note, note, "", "failed", sounds_like=like)
+        return Entry(note, note, "", "failed", detected_note=like)
 
     assert suggestions([entry("C4", ""), entry("D4", "E4")]) == ["D4: its name says D4, its pitch E4; correct its note"]
     (said,) = suggestions([entry("C3", "C4"), entry("D3", "D4"), entry("E3", "E4"), entry("F3", "")])

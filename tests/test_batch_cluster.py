@@ -15,7 +15,7 @@ import pytest
 from batch_cases import DRIVE, TESTS, killed, library, python, quick_work, results
 
 from pianofit.batch import Cluster, Local, run_batch, status
-from pianofit.batch.local import ONE_THREAD
+from pianofit.batch.process_pool import ONE_THREAD
 from pianofit.errors import OutputError, ParameterError, PianofitError
 
 pytest.importorskip("distributed", reason="needs the extra: pip install 'pianofit[cluster]'")
@@ -129,7 +129,7 @@ def test_what_fails_on_a_worker_is_told_here(tmp_path):
 
 
 def test_no_scheduler_is_one_clear_message(monkeypatch):
-    monkeypatch.setattr("pianofit.batch.cluster.PATIENCE", 0.5)
+    monkeypatch.setattr("pianofit.batch.dask_pool.PATIENCE", 0.5)
     with pytest.raises(ParameterError, match=r"--scheduler tcp://127\.0\.0\.1:9: no scheduler answers there"):
         Cluster("tcp://127.0.0.1:9", True)
     with pytest.raises(PianofitError, match="no scheduler answers there"):

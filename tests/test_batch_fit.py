@@ -9,21 +9,21 @@ import numpy as np
 import pytest
 from batch_cases import CLI, python, results, struck
 
-from pianofit.batch import Local, Settings, Unit, make_unit, read_keys
-from pianofit.batch.units import Outcome, _astray, _of_another_key
+from pianofit.batch import Job, Local, Settings, make_unit, read_keys
+from pianofit.batch.job import JobResult, _of_another_key, _wrong_note
 from pianofit.cli import main
-from pianofit.io import encode_wav
+from pianofit.io.files import encode_wav
 
 PATTERN = "{instrument}-{note}-{layer}.wav"
 
 
-def in_a_worker(unit: Unit, folder: Path) -> Outcome:
+def in_a_worker(unit: Job, folder: Path) -> JobResult:
     """Fit in a process with one thread, as all of a batch."""
     with Local(1, 2**32, 300.0, folder / "scratch") as worker:
         worker.submit(unit)
         while not (found := worker.finished(1.0)):
             pass
-    assert isinstance(found[0][1], Outcome)
+    assert isinstance(found[0][1], JobResult)
     return found[0][1]
 
 
@@ -139,10 +139,10 @@ def test_a_recording_of_another_key_is_the_one_that_most_others_contradict(cents
 
 
 def test_a_batch_leaves_out_what_a_fit_refuses():
-    from pianofit.batch import units
+    from pianofit.batch import job
     from pianofit.inference import problem
 
-    assert units.FEWEST == problem.FEWEST
+    assert job.FEWEST == problem.FEWEST
 
 
 def test_a_plan_names_every_file_and_why_one_was_not_read(tmp_path, monkeypatch, capsys):
@@ -177,10 +177,10 @@ def test_a_plan_names_every_file_and_why_one_was_not_read(tmp_path, monkeypatch,
 
 def test_a_name_is_wrong_from_a_semitone_on():
     c4 = 261.6256
-    assert _astray("C4", c4 * 2 ** (45 / 1200)) == ""
-    assert _astray("C4", c4 / 2 ** (55 / 1200)) == ""
-    assert "+100 cents from it: C#4" in _astray("C4", c4 * 2 ** (1 / 12))
-    assert "-1200 cents from it: C3" in _astray("C4", c4 / 2)
+    assert _wrong_note("C4", c4 * 2 ** (45 / 1200)) == ""
+    assert _wrong_note("C4", c4 / 2 ** (55 / 1200)) == ""
+    assert "+100 cents from it: C#4" in _wrong_note("C4", c4 * 2 ** (1 / 12))
+    assert "-1200 cents from it: C3" in _wrong_note("C4", c4 / 2)
 
 
 @pytest.mark.parametrize(

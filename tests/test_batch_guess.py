@@ -6,7 +6,7 @@ import itertools
 
 import pytest
 
-from pianofit.analysis.notes import midi_to_note, note_to_midi
+from pianofit.analysis.note_names import midi_to_note, note_to_midi
 from pianofit.batch.guess import DISTINCT, guess_pattern, numbers_off
 from pianofit.batch.manifest import _expression, read_keys
 from pianofit.errors import SetupError

@@ -18,12 +18,12 @@ from batch_cases import library, quick_work
 from instrument_cases import ERRORS, fit_document, true_note
 
 from pianofit.batch import Local, run_batch, status
-from pianofit.batch.index import Index
-from pianofit.batch.ledger import Entry, keep
-from pianofit.batch.lights import lights
-from pianofit.batch.store import Store, opened
+from pianofit.batch.html_index import Index
+from pianofit.batch.job_records import Entry, write_record
+from pianofit.batch.store import Store, open_folder
+from pianofit.batch.traffic_lights import lights
 from pianofit.cli.batch import _line, _summary
-from pianofit.io import encode_wav
+from pianofit.io.files import encode_wav
 from pianofit.report.sound import k_weighted_mean_square
 
 RATE = 22_050
@@ -32,7 +32,7 @@ RATE = 22_050
 @pytest.fixture
 def store(tmp_path) -> Store:
     """Two keys that are done, one of them beside its recording, and one that has failed."""
-    store = opened(tmp_path / "out")
+    store = open_folder(tmp_path / "out")
     for midi, key in ((60, "grand-C4"), (42, "grand-Fs2")):
         note = true_note(midi)
         sound = np.pad(note.render(3.0, seconds=1.5, rate=RATE), (RATE // 20, 0))
@@ -46,9 +46,9 @@ def store(tmp_path) -> Store:
         document["recordings"] = [{"file": str(file), "sha256": digest, "first": True, "rate": RATE}]
         files = {"fit.json": json.dumps(document).encode(), "fitted.wav": encode_wav(0.1 * sound, RATE)}
         name = midi_name(midi)
-        store.install(key, files, {"hash": key, "note": name, "recordings": [1], "seconds": 20.0})
+        store.commit(key, files, {"hash": key, "note": name, "recordings": [1], "seconds": 20.0})
     (tmp_path / "grand-Fs2.wav").unlink()
-    keep(store, Entry("grand-D4", "D4", "x", "failed", 1, reason="<script>alert(1)</script>"))
+    write_record(store, Entry("grand-D4", "D4", "x", "failed", 1, reason="<script>alert(1)</script>"))
     return store
 
 
@@ -199,7 +199,7 @@ def test_the_table_is_sorted_by_keyboard_and_reads_without_colour(store):
 
 
 def test_it_is_written_while_the_batch_goes_on_and_when_it_is_interrupted(tmp_path, monkeypatch):
-    monkeypatch.setattr("pianofit.batch.index.EVERY", 0.0)
+    monkeypatch.setattr("pianofit.batch.html_index.EVERY", 0.0)
     units, seen = library(tmp_path / "in", ["one", "two", "hang"]), []
 
     def tell(progress):
@@ -224,12 +224,12 @@ def test_it_is_written_while_the_batch_goes_on_and_when_it_is_interrupted(tmp_pa
 
 
 def test_status_gives_the_time_left_and_names_keys_and_stages(tmp_path, monkeypatch):
-    store = opened(tmp_path)
-    store.install("A0", {"fit.json": b"{}"}, {"hash": "a", "note": "A0", "recordings": [1], "seconds": 100.0})
+    store = open_folder(tmp_path)
+    store.commit("A0", {"fit.json": b"{}"}, {"hash": "a", "note": "A0", "recordings": [1], "seconds": 100.0})
     now = time.time()
     for key, state, stage, began in (("B0", "running", "hammer", now - 40), ("C1", "running", "", now - 10),
                                      ("D1", "waiting", "", 0.0), ("E1", "waiting", "", 0.0)):  # fmt: skip
-        keep(store, Entry(key, key, "x", state, stage=stage, began=began))
+        write_record(store, Entry(key, key, "x", state, stage=stage, began=began))
     monkeypatch.setattr("pianofit.batch.state.is_locked", lambda _: True)
     found = status(tmp_path)
     assert found["seconds_left"] == pytest.approx((2 * 100 + 60 + 90) / 2, abs=1.0)

@@ -13,7 +13,7 @@ from pianofit.batch.root_note import root_note
 from pianofit.batch.sfz_opcodes import not_of_today
 from pianofit.batch.sfz_text import MAX_DEPTH
 from pianofit.errors import SetupError
-from pianofit.io import encode_pcm, encode_wav
+from pianofit.io.files import encode_pcm, encode_wav
 
 
 def library(folder: Path, text: str | bytes, *names: str) -> Path:

@@ -19,7 +19,7 @@ from instrument_cases import law_errors, record_key
 from test_batch import check_remains
 from test_instrument_twin import ALLOWED
 
-from pianofit.keyboard import build_instrument, find_fits, load_keys
+from pianofit.instrument import build_instrument, find_fits, load_keys
 
 KILLS = int(os.environ.get("PIANOFIT_BATCH_KILLS", "20"))
 KEYS = os.environ.get("PIANOFIT_BATCH_KEYS", "")

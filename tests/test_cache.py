@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pianofit.model.cache import LOADED, cache_folder, kept
+from pianofit.model.program_cache import LOADED, cache_folder, persistent_jit
 
 pytestmark = pytest.mark.usefixtures("float64")
 
@@ -39,7 +39,7 @@ def _traced():
     """A function like those of a fit, and how often it was traced."""
     calls = []
 
-    @kept
+    @persistent_jit
     def function(z, data, cfg):
         calls.append(z)
         return data.scale * z**cfg.power, z[data.row].sum()

@@ -20,8 +20,8 @@ from bad_inputs import BAD_INPUTS, BadInput, encoded, note
 
 from pianofit.cli import app, main
 from pianofit.cli.summary import _line_of
-from pianofit.io import CEILING
-from pianofit.published import PRESETS, preset
+from pianofit.io.files import PEAK_LIMIT
+from pianofit.literature import PRESETS, preset
 
 PROGRAM = (sys.executable, "-m", "pianofit")
 AS_PROCESSES = (
@@ -207,7 +207,7 @@ def test_simulate_writes_the_preset_at_its_pitch(name, tmp_path, run):
     run("simulate", "--preset", name, "--seconds", 4, "--rate", rate, "--out", tmp_path / "a.wav")
     samples, found = soundfile.read(tmp_path / "a.wav")
     assert (found, len(samples)) == (rate, 4 * rate)
-    assert np.abs(samples).max() == pytest.approx(CEILING, rel=1e-6)
+    assert np.abs(samples).max() == pytest.approx(PEAK_LIMIT, rel=1e-6)
     string, geometry = preset(name).string, preset(name).geometry
     B = (string.kappa * np.pi / (string.c * geometry.length)) ** 2
     first = string.c / (2 * geometry.length) * np.sqrt(1 + B)

@@ -17,9 +17,9 @@ from twin_cases import FIRST, record_model, setup_of
 
 import pianofit
 from pianofit.cli import main
+from pianofit.conversions import NORMAL
 from pianofit.errors import FitError, ParameterError
 from pianofit.report.build import felt_of
-from pianofit.units import NORMAL
 
 
 @functools.cache
@@ -170,7 +170,7 @@ def softer(factor: float) -> pianofit.Result:
     it = changed(factor, ("K_H",))
     hammer = it.note.hammer
     note = it.note._replace(hammer=hammer._replace(K_H=factor * hammer.K_H))
-    return dataclasses.replace(it, notes=((note,),), shares=(1.0,), first=0)
+    return dataclasses.replace(it, minima_notes=((note,),), weights=(1.0,), reference_index=0)
 
 
 def test_the_felts_are_compared_at_one_compression():

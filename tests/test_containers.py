@@ -10,11 +10,11 @@ import pytest
 from bad_files import RATE, encoded, note
 
 from pianofit.analysis import analyse
-from pianofit.containers import SOUNDS, audio_of
-from pianofit.decode import LOSSY, STEPS, _Stream, decode, is_sound, layout_of
 from pianofit.errors import RecordingError
-from pianofit.recording import load_recording, recording_from_samples
-from pianofit.result.statements import mixed_layouts
+from pianofit.io.audio import LOSSY, STEPS, _Stream, decode, is_sound, layout_of
+from pianofit.io.containers import SOUNDS, audio_of
+from pianofit.recording.recording import load_recording, recording_from_samples
+from pianofit.result.identifiability import mixed_layouts
 
 SUBTYPES = ("PCM_16", "PCM_24", "PCM_32", "FLOAT", "DOUBLE")
 LOSSLESS = [(container, subtype) for container in ("RF64", "W64", "AIFF", "CAF", "AU") for subtype in SUBTYPES]

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from model_cases import GEOMETRY
 
-from pianofit.felt import LAWS, MemoryHammer, check_hammer
-from pianofit.inference.coordinates import ABSENT, Unknowns, names_of
+from pianofit.felt import LAWS, RelaxingHammer, check_hammer
+from pianofit.inference.parametrisation import ABSENT, Parametrisation, names_of
 from pianofit.parameters import PARAMETERS, Hammer, check
 
 STROKES = 2
@@ -24,7 +24,7 @@ VALUE = {
 LOG_U = float(np.log(4e-4))
 
 
-def unknowns() -> Unknowns:
+def unknowns() -> Parametrisation:
     """Everything is free but the felt's memory, which it does not have."""
     mean = np.log([VALUE[name] for name in VALUES] + [1.0, 2.0])
     mean[FORCE] += VALUE["p"] * LOG_U
@@ -32,7 +32,7 @@ def unknowns() -> Unknowns:
     sd[[VALUES.index("epsilon"), VALUES.index("tau")]] = 0.0
     lower, upper = mean - 0.7, mean + 0.7
     lower[FORCE], upper[FORCE] = -np.inf, np.inf
-    return Unknowns(mean, sd, lower, upper, LOG_U, (np.log(5e9), np.log(2e10)), GEOMETRY, LAW)
+    return Parametrisation(mean, sd, lower, upper, LOG_U, (np.log(5e9), np.log(2e10)), GEOMETRY, LAW)
 
 
 def points(count: int = 40) -> np.ndarray:
@@ -42,7 +42,7 @@ def points(count: int = 40) -> np.ndarray:
 def test_a_projection_lies_in_the_box_and_keeps_what_did():
     u, z = unknowns(), points()
     inside = u.project(z)
-    low, high = u.edges(inside)
+    low, high = u.bounds_at(inside)
     assert ((inside >= low - 1e-12) & (inside <= high + 1e-12))[:, u.free].all()
     np.testing.assert_array_equal(u.project(inside), inside)
     np.testing.assert_array_equal(inside[:, ~u.free], np.tile(u.mean[~u.free], (len(z), 1)))
@@ -100,11 +100,11 @@ def test_values_are_those_of_a_string_and_a_hammer():
     hammer = u.hammer(u.mean, 1)
     assert isinstance(hammer, Hammer)
     assert hammer._asdict() == pytest.approx({n: VALUE[n] for n in ("K_H", "mu", "p", "M_H")} | {"v_H0": 2.0})
-    assert u.struck(u.mean)[2:4] == pytest.approx((VALUE["x0"], VALUE["width"]))
+    assert u.geometry_at(u.mean)[2:4] == pytest.approx((VALUE["x0"], VALUE["width"]))
     relaxing = replace(u, law=LAWS["stulov"])
     z = u.mean.copy()
     z[MU] = ABSENT
     hammer = relaxing.hammer(z, 0)
-    assert isinstance(hammer, MemoryHammer)
+    assert isinstance(hammer, RelaxingHammer)
     assert (hammer.mu, hammer.v_H0) == (0.0, pytest.approx(1.0))
     assert hammer[-2:] == pytest.approx((0.5, 1e-4))

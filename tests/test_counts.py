@@ -30,7 +30,7 @@ os.environ["PIANOFIT_CACHE"] = sys.argv[1]
 os.environ.pop("JAX_COMPILATION_CACHE_DIR", None)
 import counts
 from float32_caller import state
-from pianofit.model.cache import keep_programs
+from pianofit.model.program_cache import keep_programs
 keep_programs()
 before = state()
 found = counts.counts(0.6)

@@ -17,7 +17,7 @@ from pianofit.criterion import (
     level_error_db,
     measure,
 )
-from pianofit.model.path import OutputPath
+from pianofit.model.output_path import OutputPath
 
 RATE, F0, B, LAST, SIGMA = 16_000, 220.0, 4e-4, 14, 30.0
 K = np.arange(1, LAST + 1)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.signal import hilbert
 
-from pianofit.model.decay import EARLY, LATE, partial_decays
-from pianofit.model.modal import Ringing, ring
+from pianofit.model.decay import EARLY, LATE, decays_and_beats
+from pianofit.model.modal_response import ModalResponse, sum_damped_modes
 
 LOG = np.log(1e3)  # T60 is so many times 1/α
 
@@ -17,11 +17,11 @@ def key(frequency, decay, pattern, number=None, error=None):
     number = np.ones(len(pole), int) if number is None else np.asarray(number)
     error = np.full(len(pole), 0.1) if error is None else np.asarray(error)
     pattern = np.atleast_2d(np.asarray(pattern, complex))
-    return Ringing(number, pole, error, pattern, np.zeros((len(pattern), 0)), 44_100)
+    return ModalResponse(number, pole, error, pattern, np.zeros((len(pattern), 0)), 44_100)
 
 
 def test_one_mode_has_one_decay_and_no_beat():
-    (found,) = partial_decays(key([440.0], [2.0], [1.0 + 2.0j]))
+    (found,) = decays_and_beats(key([440.0], [2.0], [1.0 + 2.0j]))
     assert (found.number, found.modes, found.error) == (1, 1, (0.1, 0.1))
     assert found.frequency == pytest.approx(440.0)
     assert (found.early, found.late) == pytest.approx((LOG / 2.0, LOG / 2.0))
@@ -29,7 +29,7 @@ def test_one_mode_has_one_decay_and_no_beat():
 
 
 def test_a_fast_and_a_slow_mode_make_a_double_decay():
-    (found,) = partial_decays(key([440.0, 440.1], [8.0, 0.5], [1.0, 0.01], error=[0.3, 0.02]))
+    (found,) = decays_and_beats(key([440.0, 440.1], [8.0, 0.5], [1.0, 0.01], error=[0.3, 0.02]))
     assert found.early == pytest.approx(LOG / 8.0, rel=0.02)
     assert found.late == pytest.approx(LOG / 0.5, rel=0.02)
     assert found.error == (0.02, 0.3)
@@ -38,20 +38,20 @@ def test_a_fast_and_a_slow_mode_make_a_double_decay():
 
 def test_a_decay_that_its_errors_exceed_is_not_given():
     """The late T60 rests on the slow mode, whose decay of 0.05 1/s nobody could tell from none."""
-    (found,) = partial_decays(key([440.0, 440.1], [8.0, 0.05], [1.0, 0.01], error=[0.3, 0.2]))
+    (found,) = decays_and_beats(key([440.0, 440.1], [8.0, 0.05], [1.0, 0.01], error=[0.3, 0.2]))
     assert found.early == pytest.approx(LOG / 8.0, rel=0.05)
     assert np.isnan(found.late)
 
 
 @pytest.mark.parametrize(("weaker", "told"), [(0.08, False), (0.09, True)])
 def test_a_beat_is_told_from_one_and_a_half_decibels_on(weaker, told):
-    (found,) = partial_decays(key([440.0, 442.5], [0.6, 0.6], [1.0, 1j * weaker]))
+    (found,) = decays_and_beats(key([440.0, 442.5], [0.6, 0.6], [1.0, 1j * weaker]))
     assert np.isfinite([found.beat_frequency, found.beat_depth]).all() == told
 
 
 @pytest.mark.parametrize("weaker", [0.2, 0.5, 0.9])
 def test_two_modes_that_decay_alike_beat_as_deep_as_their_levels_say(weaker):
-    (found,) = partial_decays(key([440.0, 442.5], [0.6, 0.6], [1.0, 1j * weaker]))
+    (found,) = decays_and_beats(key([440.0, 442.5], [0.6, 0.6], [1.0, 1j * weaker]))
     assert found.beat_frequency == pytest.approx(2.5)
     assert found.beat_depth == pytest.approx(20 * np.log10((1 + weaker) / (1 - weaker)), rel=1e-2)
     assert found.early == pytest.approx(found.late)
@@ -60,10 +60,10 @@ def test_two_modes_that_decay_alike_beat_as_deep_as_their_levels_say(weaker):
 def test_decays_and_beats_are_those_of_the_sound():
     """Three modes in two channels; the third beats with none, for it is in the other channel."""
     rate, k = 8000, key([500.0, 503.0, 490.0], [1.0, 1.5, 3.0], [[1.0, 0.6, 0.0], [0.0, 0.0, 0.5]])
-    (found,) = partial_decays(k)
+    (found,) = decays_and_beats(k)
     time = np.arange(round(3.5 * rate)) / rate
-    power = np.sum(np.abs(hilbert(ring(k.pole, k.pattern, rate, len(time)), axis=-1)) ** 2, axis=0)
-    alone = [np.abs(hilbert(ring(k.pole[[m]], k.pattern[:, [m]], rate, len(time)))) ** 2 for m in range(3)]
+    power = np.sum(np.abs(hilbert(sum_damped_modes(k.pole, k.pattern, rate, len(time)), axis=-1)) ** 2, axis=0)
+    alone = [np.abs(hilbert(sum_damped_modes(k.pole[[m]], k.pattern[:, [m]], rate, len(time)))) ** 2 for m in range(3)]
     smooth = 10 * np.log10(np.sum(alone, axis=(0, 1)))
     assert found.frequency == pytest.approx(500.0)
     assert found.beat_frequency == pytest.approx(3.0)
@@ -76,7 +76,7 @@ def test_decays_and_beats_are_those_of_the_sound():
 
 def test_partials_are_kept_apart_and_a_gain_changes_nothing():
     k = key([440.0, 882.0, 440.7, 883.0], [1.0, 2.0, 1.2, 2.5], [1.0, 0.5, 0.7, 0.4], number=[1, 2, 1, 2])
-    one, two = partial_decays(k)
+    one, two = decays_and_beats(k)
     assert [one.number, two.number] == [1, 2]
     assert (one.beat_frequency, two.beat_frequency) == pytest.approx((0.7, 1.0))
-    np.testing.assert_allclose(partial_decays(k.louder(100.0))[0][1:7], one[1:7], rtol=1e-9)
+    np.testing.assert_allclose(decays_and_beats(k.scale_gain(100.0))[0][1:7], one[1:7], rtol=1e-9)

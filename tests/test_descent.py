@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize
 
-from pianofit.paper.descent import LONGER, SHARE, SHORTER, LeastSquares, gradient_descent
+from pianofit.bensa2005.descent import LONGER, SHARE, SHORTER, LeastSquares, gradient_descent
 
 
 def descended(evaluate, starts: np.ndarray, lower: np.ndarray, upper: np.ndarray, **how) -> Any:

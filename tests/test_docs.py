@@ -14,9 +14,9 @@ from typing import Any
 import pytest
 
 from pianofit.felt import BOXES, LAWS
-from pianofit.io import FIT_SCHEMA
-from pianofit.ringing import ringing_of
-from pianofit.ringing_file import ringing_document
+from pianofit.io.files import FIT_SCHEMA
+from pianofit.modal_response import modal_response_of
+from pianofit.modal_response_file import ringing_document
 from pianofit.setup import KEYS, PICKUPS, RANGES, load_setup
 
 ROOT = Path(__file__).parent.parent
@@ -149,7 +149,7 @@ def missing(shown: Any, real: Any, where: str = "") -> list[str]:
 def ringing_of_a_fit() -> dict[str, Any]:
     """What a fit says of ringing, with the knock that was found, whether or not it was kept."""
     result = run(ROOT / "docs" / "ringing.md")["result"]
-    found = ringing_of(result)
+    found = modal_response_of(result)
     assert found is not None
     return result.document["ringing"] | ringing_document(found)
 

@@ -21,8 +21,8 @@ from table_cases import PHI, SHAPES, noise, point, shared, table
 import pianofit.model  # noqa: F401  (float64)
 from pianofit import Result
 from pianofit.errors import FitError
+from pianofit.inference.intervals import Observations
 from pianofit.inference.likelihood import pointwise
-from pianofit.inference.views import Observations
 from pianofit.result.draws import DRAWS_FILE, Draws, encode_draws, read_draws
 
 pytestmark = pytest.mark.usefixtures("float64")
@@ -57,11 +57,11 @@ def written(folder: Path, data: bytes) -> Draws | None:
 def test_an_observation_is_as_likely_as_it_makes_all_the_others(shape):
     """By dense covariances: log p(y) - log p(y without it), each summed over nodes; and P(below its bound | y)."""
     t, (residual, w) = table(shape), point(shape)
-    there, y = np.asarray(t.found).ravel() > 0, residual.ravel()
-    full = {node: shared(t, PHI, node) + np.diag((noise(t, PHI) / w).ravel()) for node in np.ndindex(t.share.shape)}
+    there, y = np.asarray(t.detected).ravel() > 0, residual.ravel()
+    full = {node: shared(t, PHI, node) + np.diag((noise(t, PHI) / w).ravel()) for node in np.ndindex(t.log_weight.shape)}
 
     def log_density(at: np.ndarray) -> float:
-        each = [t.share[n] + multivariate_normal(np.zeros(len(at)), C[np.ix_(at, at)]).logpdf(y[at])
+        each = [t.log_weight[n] + multivariate_normal(np.zeros(len(at)), C[np.ix_(at, at)]).logpdf(y[at])
                 for n, C in full.items()]  # fmt: skip
         return float(logsumexp(each))
 
@@ -71,14 +71,14 @@ def test_an_observation_is_as_likely_as_it_makes_all_the_others(shape):
         alone = log_density(inside) - log_density(inside[inside != i])
         assert found.ravel()[i] == pytest.approx(alone, abs=1e-8)
     assert not found.ravel()[~there].any()
-    for (r, k), said in zip(np.asarray(t.absent), below, strict=True):
+    for (r, k), said in zip(np.asarray(t.censored), below, strict=True):
         at, own = r * t.value.shape[1] + k, noise(t, PHI).ravel()
         each = []
         for n in full:
             latent, C = shared(t, PHI, n), full[n][np.ix_(inside, inside)]
             pull = np.linalg.solve(C, latent[inside, at])
             sd = np.sqrt(latent[at, at] + own[at] - pull @ latent[inside, at])
-            weight = t.share[n] + multivariate_normal(np.zeros(len(inside)), C).logpdf(y[inside])
+            weight = t.log_weight[n] + multivariate_normal(np.zeros(len(inside)), C).logpdf(y[inside])
             each.append(weight - log_density(inside) + norm.logcdf((y[at] - pull @ y[inside]) / sd))
         assert said == pytest.approx(logsumexp(each), abs=1e-8)
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from pianofit import analyse, fit, load_note, recording_from_samples, setup_from_dict
+from pianofit.bensa2005.laboratory import SyntheticMeasurement, measure, setup_text
 from pianofit.errors import FitError, SetupError
-from pianofit.felt import LAWS, MemoryHammer
-from pianofit.paper.laboratory import Laboratory, measure, setup_text
+from pianofit.felt import LAWS, RelaxingHammer
 from pianofit.parameters import Hammer
 from pianofit.setup import load_setup
 
@@ -24,7 +24,7 @@ SAME = {"memory": "stulov", "power": "power"}
 @functools.cache
 def stroke(felt: str):
     """A measurement with one felt, nothing else left out and little noise, and its truth."""
-    made = measure(Laboratory.ideal(felt=felt, noise_db=90.0), VELOCITY)
+    made = measure(SyntheticMeasurement.ideal(felt=felt, noise_db=90.0), VELOCITY)
     recording = recording_from_samples(made.samples, made.rate, name=f"{felt}.wav")
     return (
         recording,
@@ -54,7 +54,7 @@ def test_a_felt_with_memory_is_found():
     assert value(document, "p") == pytest.approx(true["p"], rel=0.02)
     epsilon, tau = value(document, "epsilon"), value(document, "tau")
     # What a stroke that is slow beside τ shows: the relaxed felt's force, and its lag ετ/(1 - ε).
-    lab = Laboratory()
+    lab = SyntheticMeasurement()
     assert epsilon * tau / (1 - epsilon) == pytest.approx(lab.eps * lab.tau / (1 - lab.eps), rel=0.1)
 
 
@@ -82,9 +82,9 @@ def test_what_a_law_does_not_have_is_not_in_its_fit(law, tmp_path):
         }  # fmt: skip
     (tmp_path / "fit.json").write_text(json.dumps(document))
     note, _ = load_note(tmp_path / "fit.json")
-    assert isinstance(note.hammer, MemoryHammer if law == "stulov" else Hammer)
+    assert isinstance(note.hammer, RelaxingHammer if law == "stulov" else Hammer)
     assert note.hammer.mu == table["mu"]["value"]
-    assert np.isfinite(note.stroke(44_100, 4410)[0]).all()
+    assert np.isfinite(note.render_stroke(44_100, 4410)[0]).all()
 
 
 def test_half_a_memory_is_no_felt(tmp_path):
@@ -117,7 +117,7 @@ def test_another_law_must_suit_the_setup(tmp_path):
     with pytest.raises(SetupError, match=r"x\.toml: mu is no parameter of the felt's law, stulov"):
         load_setup(path, "stulov")
     path.write_text("[known]\nepsilon = 0.1\n")
-    assert load_setup(path, "stulov").known == {"epsilon": 0.1}
+    assert load_setup(path, "stulov").fixed == {"epsilon": 0.1}
 
 
 def test_a_law_beside_the_setup_hides_nothing_of_it(tmp_path):

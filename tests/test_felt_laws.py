@@ -17,7 +17,7 @@ from model_cases import GEOMETRY, HAMMER, RATE, STRING
 
 from pianofit import model
 from pianofit.errors import ParameterError
-from pianofit.felt import BOXES, LAWS, MemoryHammer, make_hammer
+from pianofit.felt import BOXES, LAWS, RelaxingHammer, make_hammer
 from pianofit.model import felt
 from pianofit.model.felt import relaxing
 from pianofit.parameters import Geometry, Hammer, String
@@ -37,8 +37,8 @@ def _log(name: str):
 @st.composite
 def hammers(draw):
     """Any hammer of the box, without loss, with one or with both."""
-    values = {name: draw(_log(name)) for name in MemoryHammer._fields}
-    hammer = MemoryHammer(**values)
+    values = {name: draw(_log(name)) for name in RelaxingHammer._fields}
+    hammer = RelaxingHammer(**values)
     hammer = hammer._replace(mu=draw(st.sampled_from([0.0, hammer.mu])))
     return draw(st.sampled_from([hammer, Hammer(*hammer[:5])]))
 
@@ -119,7 +119,7 @@ def test_a_felt_that_forgets_slowly_is_stiff_and_one_that_forgets_at_once_is_sof
 @pytest.mark.parametrize("tau", [1e-6, 1e-4, 1e-2])
 def test_without_a_share_the_memory_is_not_felt(tau):
     assert relative(force_of(STULOV._replace(epsilon=0.0, tau=tau)), force_of(ELASTIC)) < 1e-13
-    assert relative(force_of(MemoryHammer(*HAMMER, epsilon=0.0, tau=tau)), force_of(HAMMER)) < 1e-12
+    assert relative(force_of(RelaxingHammer(*HAMMER, epsilon=0.0, tau=tau)), force_of(HAMMER)) < 1e-12
     small = relative(force_of(STULOV._replace(epsilon=1e-6, tau=tau)), force_of(ELASTIC))
     assert 0 < small < 1e-5
 
@@ -148,7 +148,7 @@ def outputs(values: dict) -> dict:
     string = String(*(values[n] for n in String._fields))
     modes = model.mode_table(string, GEOMETRY, rate=RATE, n_modes=64)
     pulse = model.strike(modes, make_hammer(values), steps=512)
-    amplitude = model.ringing(modes, pulse.drive)[:20]
+    amplitude = model.modal_amplitudes(modes, pulse.drive)[:20]
     return {
         "force": pulse.force, "compression": pulse.compression[:250], "work": pulse.work[None],
         "ringing": jnp.concatenate([amplitude.real, amplitude.imag]),
@@ -164,7 +164,7 @@ DIFFERENTIATED = ("stulov", "stulov, faster than the step", "stulov, slow", "bot
 @pytest.mark.parametrize("name", [*DIFFERENTIATED, "returning"])
 def test_derivatives_by_every_parameter_against_central_differences(name):
     """Five-millionths of the parameter either way: truncation is far below, rounding 1e-12 of the value over it."""
-    hammer = MemoryHammer(*RETURNING, epsilon=0.5, tau=2e-4) if name == "returning" else HAMMERS[name]
+    hammer = RelaxingHammer(*RETURNING, epsilon=0.5, tau=2e-4) if name == "returning" else HAMMERS[name]
     at, relative_step = {**STRING._asdict(), **hammer._asdict()}, 5e-6
     exact, values = _slopes(at), _outputs(at)
     for parameter, value in at.items():

@@ -20,10 +20,10 @@ from felt_cases import (
 )  # fmt: skip
 from model_cases import GEOMETRY, RATE, STRING
 
-from pianofit.felt import MemoryHammer
-from pianofit.paper.laboratory.body import Axis, make_body
-from pianofit.paper.laboratory.felt import Felt
-from pianofit.paper.laboratory.strike import strike as laboratory_strike
+from pianofit.bensa2005.laboratory.body import Axis, make_body
+from pianofit.bensa2005.laboratory.felt import Felt
+from pianofit.bensa2005.laboratory.strike import strike as laboratory_strike
+from pianofit.felt import RelaxingHammer
 from pianofit.parameters import Hammer
 
 pytestmark = pytest.mark.usefixtures("float64")
@@ -46,7 +46,7 @@ def test_a_felt_that_is_touched_again_has_kept_its_memory():
     """Slower than the interruption, the memory softens the second touch; faster, it is gone."""
     modes = cases.table(STRING, GEOMETRY, rate=RATE, n_modes=64)
     for tau in (2e-3, 2e-5):
-        hammer = MemoryHammer(*RETURNING, epsilon=0.5, tau=tau)
+        hammer = RelaxingHammer(*RETURNING, epsilon=0.5, tau=tau)
         slow, pulse = stepped(modes, hammer, 500), cases.strike(modes, hammer, steps=512)
         touches = np.sum(np.diff((slow.force > 0).astype(int)) == 1)
         assert touches >= 2
@@ -132,7 +132,7 @@ def test_energy_balances_to_second_order_and_hardly_ever_rises(name):
 @pytest.mark.parametrize("tau", [5e-6, 1e-4, 5e-3])
 def test_energy_balances_where_the_felt_is_left_and_touched_again(mass, tau):
     """The dent of a felt that was left is storage too: what it gives back was taken."""
-    hammer, errors, rises = MemoryHammer(*RETURNING._replace(M_H=mass), epsilon=0.8, tau=tau), [], []
+    hammer, errors, rises = RelaxingHammer(*RETURNING._replace(M_H=mass), epsilon=0.8, tau=tau), [], []
     for factor in (4, 8, 16):
         total, lost = total_energy(LOSSLESS, hammer, factor * RATE, 512 * factor)
         errors.append(np.abs(total - 1 + lost).max())
@@ -149,9 +149,9 @@ LIGHT = Hammer(K_H=1.1e10, mu=0.1, p=2.5, M_H=1e-3, v_H0=2.0)
 ORDER_HAMMERS = {
     "power": LIGHT._replace(mu=0.0),
     "hunt-crossley": LIGHT,
-    "stulov": MemoryHammer(*LIGHT._replace(mu=0.0), epsilon=0.4, tau=60e-6),
-    "stulov, slow": MemoryHammer(*LIGHT._replace(mu=0.0), epsilon=0.6, tau=1e-3),
-    "both losses": MemoryHammer(*LIGHT, epsilon=0.4, tau=30e-6),
+    "stulov": RelaxingHammer(*LIGHT._replace(mu=0.0), epsilon=0.4, tau=60e-6),
+    "stulov, slow": RelaxingHammer(*LIGHT._replace(mu=0.0), epsilon=0.6, tau=1e-3),
+    "both losses": RelaxingHammer(*LIGHT, epsilon=0.4, tau=30e-6),
 }
 
 

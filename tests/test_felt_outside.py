@@ -101,8 +101,8 @@ def law(name: str = "foam", **changes) -> FeltLaw:
     ("make", "error", "said"),
     [
         (lambda: Setup(felt=law("power")), SetupError, "one of the package's own"),
-        (lambda: Setup(felt=FOAM, known={"d": 20.0}), SetupError, r"\[known\] d = 20.0 must be .* 0.001 to 10 s/m"),
-        (lambda: Setup(felt=FOAM, known={"K_H": 1e9}), SetupError, "K_H is no parameter of the felt's law, foam, .* d"),
+        (lambda: Setup(felt=FOAM, fixed={"d": 20.0}), SetupError, r"\[known\] d = 20.0 must be .* 0.001 to 10 s/m"),
+        (lambda: Setup(felt=FOAM, fixed={"K_H": 1e9}), SetupError, "K_H is no parameter of the felt's law, foam, .* d"),
         (lambda: law(parameters={"a": Parameter("N", "", 2.0, 1.0)}), ParameterError, "foam: a: bounds 2.0 to 1.0"),
         (lambda: law(parameters={"a": Parameter("N", "", 1.0, 2.0, 3.0)}), ParameterError, "a: median=3.0 must be"),
         (lambda: law(parameters={"a": Parameter("N", "", 1.0, 2.0, None, 0.0)}), ParameterError, "spread=0.0 must be"),
@@ -122,9 +122,9 @@ def test_the_papers_recipes_have_the_papers_felt():
 
 def test_a_prior_that_says_nothing_is_the_box():
     loss = FOAM.parameters["d"]
-    assert loss.usual(60) == pytest.approx(0.1)
-    assert loss.usual(60) * np.exp(1.96 * loss.deviation) == pytest.approx(loss.upper)
-    assert FOAM.parameters["s"].usual(60) == pytest.approx(3e-4)  # one that says something may go by the key
+    assert loss.prior_median(60) == pytest.approx(0.1)
+    assert loss.prior_median(60) * np.exp(1.96 * loss.prior_sd) == pytest.approx(loss.upper)
+    assert FOAM.parameters["s"].prior_median(60) == pytest.approx(3e-4)  # one that says something may go by the key
 
 
 def test_what_scales_with_lengths_and_masses_follows_from_the_units():
@@ -136,7 +136,7 @@ def test_what_scales_with_lengths_and_masses_follows_from_the_units():
 def test_a_relaxing_felt_stores_no_more_than_it_takes(seed):
     """Along a random path of compression, the memory by its own equation in fine steps."""
     random = np.random.default_rng(seed)
-    felt = STULOV.of({"K_H": 1e9, "p": 2.5, "epsilon": 0.6, "tau": 2e-4, "M_H": 5e-3, "v_H0": 1.0})
+    felt = STULOV.make_hammer({"K_H": 1e9, "p": 2.5, "epsilon": 0.6, "tau": 2e-4, "M_H": 5e-3, "v_H0": 1.0})
     t = np.linspace(0.0, 2e-3, 40_001)
     waves = sum(random.normal() * np.sin(np.pi * k * t / t[-1]) for k in range(1, 8))
     u = 3e-4 * np.abs(waves)

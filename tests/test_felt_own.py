@@ -12,7 +12,7 @@ from model_cases import GEOMETRY, HAMMER, RATE, STRING, strike, table
 import pianofit
 from pianofit import FeltLaw, Parameter, ParameterError, model
 from pianofit.parameters import PARAMETERS
-from pianofit.play.contact import stroke, table_of
+from pianofit.playback.repeated_strike import stroke, table_of
 
 pytestmark = pytest.mark.usefixtures("float64")
 

@@ -31,14 +31,14 @@ from twin_cases import (
 from pianofit.analysis import analyse
 from pianofit.felt import DEFAULT_LAW
 from pianofit.fitting import fit
-from pianofit.inference import pose
-from pianofit.inference.observations import Layout
-from pianofit.inference.posterior import Posterior
-from pianofit.io import FIT_SCHEMA
+from pianofit.inference import build_problem
+from pianofit.inference.laplace import Posterior
+from pianofit.inference.observation_tables import RecordingStructure
+from pianofit.io.files import FIT_SCHEMA
 from pianofit.parameters import FIT_NAMES, PARAMETERS, check
-from pianofit.recording import load_recording
+from pianofit.recording.recording import load_recording
 from pianofit.report.build import known_of
-from pianofit.result.statements import STATUSES, _beyond_a_pianist, _compared, _out_of_line
+from pianofit.result.identifiability import STATUSES, _beyond_a_pianist, _compared, _out_of_line
 from pianofit.setup import setup_from_dict
 
 # --- calibrated -------------------------------------------------------------------------------------------------------
@@ -175,7 +175,7 @@ def test_recordings_that_are_met_twice_as_badly_as_the_others_are_named(errors, 
 def test_only_strokes_of_one_path_whose_velocities_certainly_differ_are_compared(group, velocity, told):
     """Round robins, and a stroke in two files, say no more of the felt than one."""
     z, strokes = np.log(np.array([1.0, 1.0, *velocity])), len(velocity)
-    layout = Layout(tuple(range(strokes)), group, tuple(range(strokes)))
+    layout = RecordingStructure(tuple(range(strokes)), group, tuple(range(strokes)))
     problem = SimpleNamespace(unknowns=SimpleNamespace(size=len(z), shared=2), layout=layout)
     posterior = Posterior(z[None], 0.05**2 * np.eye(len(z))[None], np.ones(1))
     assert _compared(SimpleNamespace(problem=problem, found=SimpleNamespace(z=z), posterior=posterior)) == told
@@ -202,8 +202,8 @@ def test_invariants_need_no_measured_velocity():
     found = fit_recordings(recordings, analyses, strokes_of(SEVERAL, measured=False))
     document = found.document
     # Read back it has no recordings, and the correlations of its page: at the velocity of the same reference.
-    back = dataclasses.replace(found, recordings=(), first=0)
-    assert found.first > 0
+    back = dataclasses.replace(found, recordings=(), reference_index=0)
+    assert found.reference_index > 0
     np.testing.assert_array_equal(known_of(back).correlation, known_of(found).correlation)
     invariants, g = document["invariants"], FIRST.geometry
     pressed = float(invariants["F/M_S"]["note"].split(" at ")[1].split(" mm")[0]) / 1e3
@@ -213,7 +213,7 @@ def test_invariants_need_no_measured_velocity():
         "f0": FIRST.f0,
         "B": (FIRST.string.kappa * np.pi / (FIRST.string.c * g.length)) ** 2,
         "M_H/M_S": FIRST.hammer.M_H / g.mass,
-        "x0/L": g.strike / g.length,
+        "x0/L": g.strike_position / g.length,
         "v/v_ref 1": VELOCITIES[0] / VELOCITIES[2],
         "v/v_ref 2": VELOCITIES[1] / VELOCITIES[2],
         "F/M_S": FIRST.hammer.K_H * (pressed / scale) ** FIRST.hammer.p * scale / g.mass,
@@ -241,8 +241,8 @@ def test_shares_of_the_minima_are_those_of_the_notes():
     for result in (calibrated(), uncalibrated(), path_fit(SEVERAL)):
         shares = [minimum["share"] for minimum in result.document["minima"]]
         assert sum(shares) == pytest.approx(1.0)
-        assert shares == list(result.shares)
-        assert len(result.notes) == len(shares)
+        assert shares == list(result.weights)
+        assert len(result.minima_notes) == len(shares)
         assert shares == sorted(shares, reverse=True)
         first = result.document["minima"][0]["parameters"]
         for name, value in first.items():
@@ -270,8 +270,8 @@ def test_known_values_and_bounds_hold_exactly():
 
 def test_a_measured_velocity_overrides_the_setups():
     recording = record(FIRST, quantity="pressure")
-    problem = pose([recording], [analyse(recording)], setup_from_dict({"recording": [{"v_H0": 0.9}]}, "here"), 1.4)
-    assert problem.speed == (1.4,)
+    problem = build_problem([recording], [analyse(recording)], setup_from_dict({"recording": [{"v_H0": 0.9}]}, "here"), 1.4)
+    assert problem.measured_velocity == (1.4,)
     assert np.exp(problem.unknowns.mean[-1]) == pytest.approx(1.4)
     assert not problem.unknowns.free[-1]
 

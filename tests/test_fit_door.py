@@ -33,9 +33,9 @@ def asked(monkeypatch) -> list[SimpleNamespace]:
         calls.append(SimpleNamespace(recordings=recordings, analyses=analyses, setup=setup, **more))
         return "fitted"
 
-    monkeypatch.setattr("pianofit.inference.infer", estimator)
-    monkeypatch.setattr("pianofit.result.conclude", lambda found: found)
-    monkeypatch.setattr("pianofit.ringing.make_ring", lambda found, _: found)
+    monkeypatch.setattr("pianofit.inference.pipeline", estimator)
+    monkeypatch.setattr("pianofit.result.build_result", lambda found: found)
+    monkeypatch.setattr("pianofit.modal_response.make_ring", lambda found, _: found)
     return calls
 
 
@@ -78,7 +78,7 @@ def test_several_come_together_and_analyses_may_be_given(asked, file):
 def test_what_was_known_comes_in_any_form(asked, file):
     path = file.with_name("setup.toml")
     path.write_text(TEXT)
-    same = pianofit.Setup(length=0.4, known={"M_H": 5e-3}, recordings=(pianofit.Layer(v_H0=2.0),))
+    same = pianofit.Setup(length=0.4, fixed={"M_H": 5e-3}, recordings=(pianofit.RecordingInfo(v_H0=2.0),))
     for setup in (path, str(path), TABLES, same):
         pianofit.fit(file, note="A4", setup=setup)
     pianofit.fit(file, note="A4")
@@ -118,9 +118,9 @@ def test_what_cannot_be_used_is_refused(asked, arguments, options, error, said):
 
 def test_a_recipe_takes_the_velocity_of_the_recording_it_fits(file, monkeypatch):
     seen: list[float | None] = []
-    monkeypatch.setattr("pianofit.paper.recipes.fit_by_recipe", lambda *_, velocity, **__: seen.append(velocity))
+    monkeypatch.setattr("pianofit.bensa2005.recipes.fit_by_recipe", lambda *_, velocity, **__: seen.append(velocity))
     for name, given in (("a.wav", None), ("b.wav", None), (None, None), ("a.wav", 3.0)):
-        layer = pianofit.Layer(name, v_H0=2.0)
+        layer = pianofit.RecordingInfo(name, v_H0=2.0)
         pianofit.fit(file, note="A4", setup=pianofit.Setup(recordings=(layer,)), recipe="paper", velocity=given)
     assert seen == [2.0, None, 2.0, 3.0]
 

@@ -25,12 +25,12 @@ from twin_cases import (
 from pianofit.analysis import Partials, analyse
 from pianofit.errors import FitError
 from pianofit.fit_file import gains_of, mixture_of, read_fit
-from pianofit.inference import pose
+from pianofit.inference import build_problem
 from pianofit.result import Result
-from pianofit.result.crossval import cross_validate
-from pianofit.result.predict import predict_recording
-from pianofit.result.statements import presumed
-from pianofit.setup import Layer, Setup
+from pianofit.result.cross_validation import cross_validate
+from pianofit.result.identifiability import velocity_assumption
+from pianofit.result.prediction import predict_recording
+from pianofit.setup import RecordingInfo, Setup
 
 FILES = [f"{stroke}-{microphone}.wav" for stroke, microphone in SEVERAL]
 
@@ -90,36 +90,36 @@ def test_the_order_of_files_changes_nothing():
 
 
 def test_known_velocities_are_kept():
-    known = [Layer(file=name, v_H0=v) for name, v in zip(FILES, VELOCITIES, strict=True)]
-    problem = pose(*through(SEVERAL), strokes_of(SEVERAL, *known))
-    assert problem.speed == VELOCITIES
+    known = [RecordingInfo(file=name, v_H0=v) for name, v in zip(FILES, VELOCITIES, strict=True)]
+    problem = build_problem(*through(SEVERAL), strokes_of(SEVERAL, *known))
+    assert problem.measured_velocity == VELOCITIES
     np.testing.assert_allclose(np.exp(problem.unknowns.mean[-3:]), VELOCITIES, rtol=1e-12)
     assert not problem.unknowns.free[-3:].any()
 
 
 def test_a_velocity_that_names_no_recording_is_the_brightest_ones_and_said_so():
-    problem = pose(*through(SEVERAL), Setup(known={"v_H0": 3.0}))
-    assert problem.speed == (None, None, 3.0)
-    (said,) = presumed(problem)
+    problem = build_problem(*through(SEVERAL), Setup(fixed={"v_H0": 3.0}))
+    assert problem.measured_velocity == (None, None, 3.0)
+    (said,) = velocity_assumption(problem)
     assert said.startswith(f"[known] v_H0 = 3 m/s is taken for the stroke of {FILES[2]}, the brightest")
-    assert not presumed(pose(*through(SEVERAL), strokes_of(SEVERAL)))
+    assert not velocity_assumption(build_problem(*through(SEVERAL), strokes_of(SEVERAL)))
 
 
 def test_groups_and_gain_groups_are_the_setups():
-    said = [Layer(FILES[0], None, "a", "same", None), Layer(FILES[1], None, "b", "same", None), Layer(FILES[2])]
-    problem = pose(*through(SEVERAL), strokes_of(SEVERAL, *said))
+    said = [RecordingInfo(FILES[0], None, "a", "same", None), RecordingInfo(FILES[1], None, "b", "same", None), RecordingInfo(FILES[2])]
+    problem = build_problem(*through(SEVERAL), strokes_of(SEVERAL, *said))
     layout = problem.layout
     assert layout.stroke == (0, 1, 2)
     assert len(set(layout.group)) == 3
     assert layout.gain[0] == layout.gain[1] != layout.gain[2]
-    assert not layout.compared
+    assert not layout.path_identifiable
     # Three paths, each with a gain, and three onsets: gains of several recordings through one path are nowhere.
     assert len(problem.observed.level.columns) == 3 + 3
 
 
 def test_a_recording_that_was_left_out_is_predicted():
     result = without_the_middle()
-    notes = list(zip(result.shares, (minimum[0] for minimum in result.notes), strict=True))
+    notes = list(zip(result.weights, (minimum[0] for minimum in result.minima_notes), strict=True))
     found = predict_recording(notes, through(SEVERAL)[1][1])
     assert found.velocity == pytest.approx(VELOCITIES[1], rel=0.02)
     assert found.error_db < 0.3
@@ -167,7 +167,7 @@ def test_a_file_predicts_what_its_fit_predicts(tmp_path):
 
 def test_of_one_velocity_nothing_wanders():
     assert path_fit(ALONE).note.path.wander is None
-    close, room = (path_fit(MICROPHONES).notes[0][i].path for i in (0, 3))
+    close, room = (path_fit(MICROPHONES).minima_notes[0][i].path for i in (0, 3))
     assert len(close.wander.velocity) == len(SEVERAL)
     assert room.wander is None
 

@@ -24,9 +24,9 @@ from twin_cases import (
 )
 
 from pianofit.analysis import analyse
-from pianofit.recording import load_recording
+from pianofit.recording.recording import load_recording
 from pianofit.result import Result
-from pianofit.result.predict import predict_recording
+from pianofit.result.prediction import predict_recording
 
 FOLDER = Path(os.environ.get("PIANOFIT_RECORDINGS", Path(__file__).parents[2] / "shared" / "recordings"))
 # Relative errors.
@@ -41,7 +41,7 @@ STROKES = {"alone": ALONE, "several": SEVERAL, "microphones": MICROPHONES}
 VELOCITY = 0.004
 # Standard errors.
 FAR = 4.0
-TRUE = FIRST.values | {"x0": FIRST.geometry.strike, "width": FIRST.geometry.width}
+TRUE = FIRST.values | {"x0": FIRST.geometry.strike_position, "width": FIRST.geometry.width}
 
 
 def fit(case: str, by: str) -> Result:
@@ -94,7 +94,7 @@ def test_a_layer_that_was_left_out_is_predicted(note, layers, left_out, worst_db
     assert result.document["claims"]
     recording = load_recording(FOLDER / f"{left_out}.flac")
     analysis = analyse(recording, note=note)
-    notes = list(zip(result.shares, (minimum[0] for minimum in result.notes), strict=True))
+    notes = list(zip(result.weights, (minimum[0] for minimum in result.minima_notes), strict=True))
     assert predict_recording(notes, analysis).error_db < worst_db
     whole = predict_recording(result, analysis)
     assert predict_recording(result, recording).error_db == pytest.approx(whole.error_db, abs=0.02)

@@ -18,9 +18,9 @@ from typer.testing import CliRunner, Result
 
 from pianofit.cli import app
 from pianofit.errors import FitError
-from pianofit.keyboard import build_instrument, find_fits, load_instrument, load_keys, read_instrument
-from pianofit.keyboard.page import write_page
-from pianofit.model.modal import Ringing
+from pianofit.instrument import build_instrument, find_fits, load_instrument, load_keys, read_instrument
+from pianofit.instrument.page import write_page
+from pianofit.model.modal_response import ModalResponse
 
 KEYS = [30, 42, 54, 66, 78]
 
@@ -92,7 +92,7 @@ def test_a_page_shows_every_key_and_trusts_no_name(document, tmp_path):
 def test_a_page_shows_how_the_partials_of_keys_split_and_decay(fits, tmp_path):
     """A key whose first partial has two modes six cents apart, and whose second has one."""
     pole = np.array([-4.0 + 2j * np.pi * 200.0, -0.5 + 2j * np.pi * 200.0 * 2 ** (6 / 1200), -2.0 + 2j * np.pi * 400.0])
-    ringing = Ringing(
+    ringing = ModalResponse(
         np.array([1, 1, 2]), pole, np.full(3, 0.1), np.array([[1.0, 0.05, 1.0]], complex), np.zeros((1, 0)), 44_100
     )
     keys = load_keys(find_fits([fits]))
@@ -191,7 +191,7 @@ def test_a_hostile_fit_is_refused(tmp_path):
     key = load_keys([write_fit(tmp_path, 60, odd)])[0]
     assert all(np.isfinite(x) and x > 0 for x in key.sd.values())
     it = true_note(60)
-    short = it.geometry._replace(length=0.15, strike=0.02)
+    short = it.geometry._replace(length=0.15, strike_position=0.02)
     high = it._replace(string=it.string._replace(c=1999.0), geometry=short)
     with pytest.raises(FitError, match="beyond a piano's A0 to C8"):
         load_keys([write_fit(tmp_path, 61, fit_document(high, ERRORS))])

@@ -14,10 +14,10 @@ import pytest
 import soundfile
 from instrument_cases import true_instrument
 
-from pianofit.play import SAMPLERS, Asked, export_sampler
-from pianofit.play.layers import spans_of, velocities_of
-from pianofit.play.strings import damper_rate
-from pianofit.result.align import lag
+from pianofit.export.layers import key_ranges, velocities_of
+from pianofit.playback import SAMPLERS, ExportOptions, export_sampler
+from pianofit.playback.voice import damper_rate
+from pianofit.result.alignment import fractional_lag
 
 KEYS = [55, 60, 100]
 # From the developer's guide, version 1.22.2: elements, those they may stand in, and of their attributes those needed
@@ -39,7 +39,7 @@ ELEMENTS = {
 def folders(tmp_path_factory) -> dict[str, Path]:
     place = tmp_path_factory.mktemp("out")
     for to in SAMPLERS:
-        asked = Asked(3, 0.3, kind=SAMPLERS[to].kind)
+        asked = ExportOptions(3, 0.3, kind=SAMPLERS[to].kind)
         export_sampler(true_instrument(), place / to, KEYS, asked, to=to, licence="<&>")
     return {to: place / to for to in SAMPLERS}
 
@@ -88,7 +88,7 @@ def test_every_key_and_velocity_has_the_gains_of_the_sfz(root, folders):
             assert np.interp(velocity / 127, *table.T) == pytest.approx(expected, rel=1e-3)
         covered |= {(k, v) for k in range(int(sample.attrib["loNote"]), int(sample.attrib["hiNote"]) + 1)
                     for v in range(int(sample.attrib["loVel"]), int(sample.attrib["hiVel"]) + 1)}  # fmt: skip
-    keys = {key for low, high in spans_of(KEYS) for key in range(low, high + 1)}
+    keys = {key for low, high in key_ranges(KEYS) for key in range(low, high + 1)}
     assert covered == {(k, v) for k in keys for v in range(1, 128)}
 
 
@@ -114,7 +114,7 @@ PIANO = true_instrument()
 def player(tmp_path_factory) -> Callable[..., np.ndarray]:
     """(key, MIDI velocity, s until it is released) -> 1.5 s of what the preset says."""
     out = tmp_path_factory.mktemp("heard") / "sampler"
-    export_sampler(PIANO, out, HEARD, Asked(LAYERS, 1.5, kind="wav"), to="decent-sampler")
+    export_sampler(PIANO, out, HEARD, ExportOptions(LAYERS, 1.5, kind="wav"), to="decent-sampler")
     tree = ElementTree.parse(out / "twin.dspreset").getroot()  # noqa: S314
     tables = {}
     for binding in tree.iter("binding"):
@@ -167,7 +167,7 @@ def test_onsets_are_renders(player):
         late = []
         for velocity in velocities_of(LAYERS)[1:]:
             rendered = PIANO.note(midi, velocity).render(seconds=1.0, rate=RATE)
-            late.append(lag(rendered, player(midi, velocity)[:RATE]) / RATE)
+            late.append(fractional_lag(rendered, player(midi, velocity)[:RATE]) / RATE)
         assert np.ptp(late) < 2e-3
         assert abs(late[-1]) < 5e-3  # a sample begins just before it is heard
 

@@ -16,10 +16,10 @@ from typer.testing import CliRunner
 
 from pianofit.cli import app
 from pianofit.errors import ParameterError
-from pianofit.keyboard import Instrument
-from pianofit.model.modal import Participation
-from pianofit.play.faust import tables, write, write_faust
-from pianofit.play.strings import damper_rate
+from pianofit.export.faust import tables, write, write_faust
+from pianofit.instrument import Instrument
+from pianofit.model.modal_response import VelocityGain
+from pianofit.playback.voice import damper_rate
 
 RATE = 48_000
 OWN, ONE, LAW = 50, 55, 67  # ONE is a key of one stroke
@@ -33,7 +33,7 @@ def piano() -> Instrument:
     one = rung(ONE)
     assert one.ringing is not None
     assert one.ringing.participation is not None
-    part = Participation(np.array([1.0]), one.ringing.participation.factor[1:])
+    part = VelocityGain(np.array([1.0]), one.ringing.participation.factor[1:])
     one = one._replace(ringing=one.ringing._replace(participation=part).without_knock())
     notes = {OWN: short, ONE: one, LAW: true_note(LAW)}
     return Instrument('a "piano"\n', notes, 1.3, 1.5, frozenset({OWN, ONE}))
@@ -146,7 +146,7 @@ def test_a_fast_decay_through_a_slow_path_has_no_gain_without_bounds():
 
 
 def test_the_command_writes_one_file_and_says_what_is_a_guess(tmp_path, monkeypatch):
-    monkeypatch.setattr("pianofit.keyboard.load_instrument", lambda *_: piano())
+    monkeypatch.setattr("pianofit.instrument.load_instrument", lambda *_: piano())
     words = ["export", "i.json", "--format", "faust", "--keys", "G4", "--out"]
     done = CliRunner().invoke(app, [*words, str(tmp_path / "a.dsp")])
     assert done.exit_code == 0, done.output

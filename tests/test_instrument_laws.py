@@ -11,11 +11,18 @@ import pytest
 from instrument_cases import ERRORS, fit_document, force_entry, library, true_note, truth, write_fit
 
 from pianofit.errors import FitError
-from pianofit.keyboard import build_instrument, find_fits, load_keys, read_instrument
-from pianofit.keyboard.build import assemble
-from pianofit.keyboard.gather import LOUDEST, NAMES, invariants, literature, owner, reference_compression
-from pianofit.keyboard.laws import Prior, fit_law
-from pianofit.keyboard.velocity import hammer_velocity, velocity_map
+from pianofit.instrument import build_instrument, find_fits, load_keys, read_instrument
+from pianofit.instrument.build import assemble
+from pianofit.instrument.collect_fits import (
+    LOUDEST,
+    NAMES,
+    instrument_name,
+    key_observables,
+    literature,
+    reference_compression,
+)
+from pianofit.instrument.laws import Prior, fit_law
+from pianofit.instrument.velocity import hammer_velocity, velocity_map
 
 KEYS = list(range(24, 100, 3))
 ALL = list(range(21, 109))
@@ -50,7 +57,7 @@ def test_a_law_is_the_truth_within_its_intervals(piano, name):
      ("take2", ""), ("headroom-A0-close", "")],
 )  # fmt: skip
 def test_an_instrument_is_named_where_a_folder_names_a_key(folder, name):
-    assert owner(Path(folder) / "fit.json") == name
+    assert instrument_name(Path(folder) / "fit.json") == name
 
 
 def test_keys_are_nearer_to_the_truth_than_their_fits(piano):
@@ -176,7 +183,7 @@ def test_the_scatter_between_keys_is_found():
 def test_values_become_parameters_and_back():
     for midi in (21, 60, 108):
         note = true_note(midi)
-        there = invariants(note, midi)
+        there = key_observables(note, midi)
         string, hammer, geometry, gain = assemble(midi, there, "pressure")
         assert string == pytest.approx(note.string, rel=1e-12)
         assert hammer[:4] == pytest.approx(note.hammer[:4], rel=1e-9)
@@ -298,7 +305,7 @@ def test_a_piano_out_of_tune_keeps_its_keys(tmp_path):
     flat = note._replace(string=note.string._replace(c=note.string.c * 2 ** (-80 / 1200)))
     key = load_keys([write_fit(tmp_path, 60, fit_document(flat, ERRORS))])[0]
     assert key.midi == 60
-    assert invariants(key.note, 60)["cents"] == pytest.approx(-80, abs=1)
+    assert key_observables(key.note, 60)["cents"] == pytest.approx(-80, abs=1)
     bare = tmp_path / "fit.json"
     bare.write_text(json.dumps(fit_document(flat, ERRORS)))
     assert load_keys([Path(bare)])[0].midi == 59

@@ -9,14 +9,14 @@ import pytest
 from instrument_cases import true_instrument, true_note, uneven_note
 
 from pianofit.errors import FitError, ParameterError
-from pianofit.io import CEILING
-from pianofit.keyboard import Instrument
+from pianofit.instrument import Instrument
+from pianofit.io.files import PEAK_LIMIT
 from pianofit.model import simulate
-from pianofit.model.modal import Ringing
+from pianofit.model.modal_response import ModalResponse
 from pianofit.model.modes import mode_frequencies
 from pianofit.model.note import Note
-from pianofit.play import Song, limit, perform
-from pianofit.play.strings import LAST_DAMPER, PlayedString, damper_rate
+from pianofit.playback import Song, limit, render_song
+from pianofit.playback.voice import LAST_DAMPER, StringVoice, damper_rate
 
 RATE = 48_000
 PIANO = true_instrument()
@@ -35,7 +35,7 @@ def song(*notes: tuple[float, float, int, int], pedal: tuple[tuple[float, bool],
 def played(*notes: tuple[float, float, int, int], pedal: tuple[tuple[float, bool], ...] = ()) -> np.ndarray:
     """A song far below the limiter, 5 s."""
     quiet = PIANO._replace(notes={m: v._replace(gain=1e-2 * v.gain) for m, v in PIANO.notes.items()})
-    done = perform(quiet, song(*notes, pedal=pedal), RATE)
+    done = render_song(quiet, song(*notes, pedal=pedal), RATE)
     assert done.gain_db == done.limited_db == 0
     assert len(done.samples) == 1
     return np.pad(done.samples[0], (0, 12 * RATE))[: 12 * RATE]
@@ -54,11 +54,11 @@ def rung_note(midi: int) -> Note:
     pole = -np.tile([8.0, 2.0, 1.3], len(law)) + 2j * np.pi * (np.repeat(law, 3) + np.tile([0.4, 0.0, 0.9], len(law)))
     pattern = random.normal(size=(2, len(pole))) + 1j * random.normal(size=(2, len(pole)))
     knock = random.normal(size=(2, 9_000)) * np.exp(-np.arange(9_000) / 1_500)
-    rung = Ringing(number, pole, np.zeros(len(pole)), pattern * 100, knock * 20, 44_100)
+    rung = ModalResponse(number, pole, np.zeros(len(pole)), pattern * 100, knock * 20, 44_100)
     return note._replace(ringing=rung)
 
 
-def stroke_and_ring(string: PlayedString, velocity: float, samples: int) -> np.ndarray:
+def stroke_and_ring(string: StringVoice, velocity: float, samples: int) -> np.ndarray:
     """[channels, samples] from the stroke on, from `lead` before its contact."""
     head = string.strike(velocity)
     return string.heard(np.concatenate([head, string.ring(samples - head.shape[-1])], axis=-1))[:, :samples]
@@ -69,7 +69,7 @@ def stroke_and_ring(string: PlayedString, velocity: float, samples: int) -> np.n
 def test_a_stroke_at_rest_is_what_render_plays(midi, kind):
     note = kind(midi)
     expected = note.frames(note.strike(RATE), RATE, RATE, round(note.lead * RATE))
-    sound = stroke_and_ring(PlayedString(note, midi, RATE), note.hammer.v_H0, RATE)
+    sound = stroke_and_ring(StringVoice(note, midi, RATE), note.hammer.v_H0, RATE)
     assert sound.shape == expected.shape
     assert np.abs(sound - expected).max() < 1e-6 * np.abs(expected).max()
 
@@ -78,7 +78,7 @@ def test_a_stroke_at_rest_is_what_render_plays(midi, kind):
 def test_a_stroke_on_a_moving_string_is_the_models(midi, after):
     """`simulate` from the same displacement and velocity, whose contact and waveform are other code."""
     note = uneven_note(midi)
-    string = PlayedString(note, midi, RATE)
+    string = StringVoice(note, midi, RATE)
     head = string.strike(4.0)
     string.ring(max(round(after * RATE) - head.shape[-1], 0))
     state = string.string.state.copy()
@@ -100,7 +100,7 @@ def test_a_stroke_on_a_moving_string_is_the_models(midi, after):
     sound = np.concatenate([head, string.ring(RATE // 2 - head.shape[-1])], axis=-1)
     assert np.abs(sound - expected).max() < 1e-6 * np.abs(expected).max()
     # And it is not the sum of the old sound and a stroke at rest: the hammer met a moving string.
-    rest = PlayedString(note, midi, RATE)
+    rest = StringVoice(note, midi, RATE)
     alone = np.concatenate([head := rest.strike(1.5), rest.ring(RATE // 2 - head.shape[-1])], axis=-1)
     rest.string.state = state
     assert np.abs(sound - alone - rest.ring(RATE // 2)).max() > 1e-4 * np.abs(expected).max()
@@ -109,8 +109,8 @@ def test_a_stroke_on_a_moving_string_is_the_models(midi, after):
 def test_what_rings_is_linear_in_the_forces():
     """A restrike is heard as the sum of both strokes' forces, each by itself through modes and knock."""
     note, forces = rung_note(45), []
-    string = PlayedString(note, 45, RATE)
-    struck = string.ringing.struck
+    string = StringVoice(note, 45, RATE)
+    struck = string.ringing.strike_response
     string.ringing = SimpleNamespace(struck=lambda force, end: forces.append(force) or struck(force, end))
     between = round(0.05 * RATE)
     sound = np.zeros((2, RATE))
@@ -121,15 +121,15 @@ def test_what_rings_is_linear_in_the_forces():
         for force, at in zip(forces, (0, between), strict=True)
     )
     assert np.abs(sound - expected).max() < 1e-6 * np.abs(expected).max()
-    rest = note.struck(1.0).frames(note.struck(1.0).strike(RATE), RATE, RATE - between, string.lead)
-    alone = note.struck(2.0).frames(note.struck(2.0).strike(RATE), RATE, RATE, string.lead)
+    rest = note.with_velocity(1.0).render_channels(note.with_velocity(1.0).strike(RATE), RATE, RATE - between, string.lead)
+    alone = note.with_velocity(2.0).render_channels(note.with_velocity(2.0).strike(RATE), RATE, RATE, string.lead)
     alone[:, between:] += rest
     assert np.abs(sound - alone).max() > 1e-4 * np.abs(expected).max()  # the second hammer met a moving string
 
 
 @pytest.mark.parametrize("kind", [true_note, rung_note])
 def test_a_damper_adds_its_rate_to_every_mode(kind):
-    free, damped = (PlayedString(kind(50), 50, RATE) for _ in range(2))
+    free, damped = (StringVoice(kind(50), 50, RATE) for _ in range(2))
     for string in (free, damped):
         stroke_and_ring(string, 2.0, RATE // 2)  # the knock is over
     damped.damped = True
@@ -141,9 +141,9 @@ def test_a_damper_adds_its_rate_to_every_mode(kind):
 
 
 def test_one_channel_is_heard_in_both_and_strokes_stay_together():
-    piano = Instrument("", {45: rung_note(45), 60: uneven_note(60)}, at_64=1.3, rise=1.5)
-    both = perform(piano, song((0.0, 0.4, 45, 60), (0.1, 0.4, 60, 60)), RATE).samples
-    one, two = (perform(piano._replace(notes={m: piano.notes[m]}), song(x), RATE).samples
+    piano = Instrument("", {45: rung_note(45), 60: uneven_note(60)}, velocity_at_64=1.3, velocity_slope=1.5)
+    both = render_song(piano, song((0.0, 0.4, 45, 60), (0.1, 0.4, 60, 60)), RATE).samples
+    one, two = (render_song(piano._replace(notes={m: piano.notes[m]}), song(x), RATE).samples
                 for m, x in ((45, (0.0, 0.4, 45, 60)), (60, (0.1, 0.4, 60, 60))))  # fmt: skip
     assert (len(both), len(one), len(two)) == (2, 2, 1)
     lead = round(piano.lead * RATE)
@@ -188,15 +188,15 @@ def test_keys_sound_together_as_they_do_alone():
 
 
 def test_what_is_held_at_the_end_is_let_go():
-    done = perform(PIANO, Song({40: [(0.0, 80)], 100: [(0.0, 80)]}, [(0.0, True)], 0.1, 2), RATE)
+    done = render_song(PIANO, Song({40: [(0.0, 80)], 100: [(0.0, 80)]}, [(0.0, True)], 0.1, 2), RATE)
     assert done.samples.shape[-1] <= 5.1 * RATE
     assert np.abs(done.samples[:, -20:]).max() < 1e-4
     assert rms_db(done.samples[0], 2.9, 3.0) > rms_db(done.samples[0], 3.4, 3.6) + 20
 
 
 def test_repeated_notes_are_counted():
-    done = perform(PIANO, song((0.0, 0.2, 60, 80), (0.2, 0.4, 60, 80), (0.4, 0.6, 60, 80), (0.0, 0.2, 72, 80)), RATE)
-    assert (done.strikes, done.on_moving) == (4, 2)
+    done = render_song(PIANO, song((0.0, 0.2, 60, 80), (0.2, 0.4, 60, 80), (0.4, 0.6, 60, 80), (0.0, 0.2, 72, 80)), RATE)
+    assert (done.strikes, done.restrikes) == (4, 2)
 
 
 def test_a_trill_faster_than_the_contact_is_played_in_turn():
@@ -209,7 +209,7 @@ def test_the_limiter_never_lets_through(loud):
     random = np.random.default_rng(1)
     sound = loud * 0.4 * random.normal(size=(2, RATE)) * (1 + 4 * (random.random((2, RATE)) > 0.9995))
     out, gain_db, limited_db = limit(sound, RATE)
-    assert np.abs(out).max() <= CEILING
+    assert np.abs(out).max() <= PEAK_LIMIT
     assert gain_db <= 0 <= limited_db <= 3.0001
     again, *_ = limit(sound, RATE)
     assert (out == again).all()
@@ -229,12 +229,12 @@ def test_the_limiter_leaves_alone_what_fits():
 def test_what_cannot_be_played_is_refused():
     piano = true_instrument(range(40, 60))
     with pytest.raises(ParameterError, match="key 60 is not on this instrument; it has E2 to B3"):
-        perform(piano, song((0.0, 1.0, 60, 80)), RATE)
+        render_song(piano, song((0.0, 1.0, 60, 80)), RATE)
     with pytest.raises(ParameterError, match="rate=100"):
-        perform(PIANO, song((0.0, 1.0, 60, 80)), 100)
+        render_song(PIANO, song((0.0, 1.0, 60, 80)), 100)
     with pytest.raises(ParameterError, match="too long; cut the song to 694 s"):
-        perform(PIANO, song((0.0, 1700.0, 60, 80)), RATE)
+        render_song(PIANO, song((0.0, 1700.0, 60, 80)), RATE)
     stuck = true_note(60)
     stuck = PIANO._replace(notes={60: stuck._replace(hammer=stuck.hammer._replace(M_H=0.1, K_H=1e4, p=5.0))})
     with pytest.raises(FitError, match=r"key 60: at v_H0=.* m/s the hammer is still on the string"):
-        perform(stuck, song((0.0, 1.0, 60, 1)), RATE)
+        render_song(stuck, song((0.0, 1.0, 60, 1)), RATE)

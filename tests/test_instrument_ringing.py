@@ -14,12 +14,12 @@ from typer.testing import CliRunner
 
 from pianofit.cli import app
 from pianofit.errors import FitError
-from pianofit.keyboard import build_instrument, find_fits, load_keys, read_instrument
-from pianofit.keyboard.inferred import REACH, inferred
-from pianofit.model.modal import force_of
+from pianofit.instrument import build_instrument, find_fits, load_keys, read_instrument
+from pianofit.instrument.interpolate_keys import REACH, interpolate_keys
+from pianofit.modal_response_file import encode_knock, ringing_document
+from pianofit.model.modal_response import force_of
 from pianofit.model.modes import mode_frequencies
-from pianofit.play import Asked, export_sampler
-from pianofit.ringing_file import encode_knock, ringing_document
+from pianofit.playback import ExportOptions, export_sampler
 
 
 @pytest.fixture(scope="module")
@@ -52,12 +52,12 @@ def test_keys_within_reach_borrow_and_others_ring_by_their_law(document):
     notes = read_instrument(document).notes
     assert {m for m, note in notes.items() if note.ringing is not None} == {*range(50 - REACH, 50 + REACH + 1)}
     assert notes[79].ringing is None
-    assert notes[51].lead > 0
+    assert notes[51].pre_onset_s > 0
 
 
 def test_a_borrowed_partial_has_its_laws_energy_and_its_neighbours_decay_curve():
     own, near = true_note(52), rung(50)
-    found = inferred({50: near, 52: own}, [52])[52].ringing
+    found = interpolate_keys({50: near, 52: own}, [52])[52].ringing
     law = own.string.b1 + own.string.b2 * (np.arange(1, 11) * np.pi / own.geometry.length) ** 2
     frequency = mode_frequencies(own.string, own.geometry.length, 10)
     times = np.array([0.0, 0.1, 0.3, 1.0, 3.0])  # in units of 1/(the law's decay)
@@ -73,8 +73,8 @@ def test_a_borrowed_partial_has_its_laws_energy_and_its_neighbours_decay_curve()
     # Its energy on the damped circle, in the mean of the channels, against a stroke by the law alone, whose sound is
     # other code.
     bare, sigma = own._replace(path=None), 30.0
-    lent = inferred({50: near, 52: bare}, [52])[52].ringing
-    alone, stroke = bare.stroke(RATE, 2 * RATE)
+    lent = interpolate_keys({50: near, 52: bare}, [52])[52].ringing
+    alone, stroke = bare.render_stroke(RATE, 2 * RATE)
     seconds = np.arange(len(alone)) / RATE
     for k in range(1, 8):
         at = lent.number == k
@@ -135,12 +135,12 @@ def test_samples_are_the_models_strokes_in_stereo_with_their_contacts_aligned(do
     from pysfizz import Synth
 
     piano = read_instrument(document)
-    export_sampler(piano, tmp_path / "out", [50, 79], Asked(2, 0.3, RATE, "wav"))
+    export_sampler(piano, tmp_path / "out", [50, 79], ExportOptions(2, 0.3, RATE, "wav"))
     moved, first = [], round(0.1 * RATE)
     for velocity in (1, 127):
         sound = soundfile.read(tmp_path / "out" / "samples" / f"050-D3-v{velocity:03}.wav")[0].T
         note = piano.note(50, velocity)
-        expected = note.frames(note.strike(RATE), RATE, 2 * first, round(note.lead * RATE))
+        expected = note.render_channels(note.strike(RATE), RATE, 2 * first, round(note.pre_onset_s * RATE))
         tried = range(-RATE // 500, RATE // 500)
         products = [np.vdot(np.roll(expected, m, axis=1)[:, :first], sound[:, :first]) for m in tried]
         moved.append(tried[int(np.argmax(products))])

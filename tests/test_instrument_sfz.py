@@ -17,18 +17,18 @@ from instrument_cases import ERRORS, library, true_instrument, true_note
 from pianofit.analysis import midi_to_note
 from pianofit.cli import main
 from pianofit.errors import OutputError, ParameterError
-from pianofit.keyboard import build_instrument, find_fits, load_instrument, load_keys
-from pianofit.keyboard.velocity import hammer_velocity
+from pianofit.export.layers import crossfaded, key_ranges, velocities_of, without_gaps
+from pianofit.instrument import build_instrument, find_fits, load_instrument, load_keys
+from pianofit.instrument.velocity import hammer_velocity
 from pianofit.model.modes import mode_frequencies
-from pianofit.play import Asked, export_sampler, parse_keys
-from pianofit.play.layers import crossfaded, key_ranges, spans_of, velocities_of, without_gaps
-from pianofit.play.strings import damper_rate
-from pianofit.result.align import lag
+from pianofit.playback import ExportOptions, export_sampler, parse_keys
+from pianofit.playback.voice import damper_rate
+from pianofit.result.alignment import fractional_lag
 
 RATE = 48_000
 KEYS = [28, 55, 79]
 LAYERS = 8
-SHORT = Asked(layers=1, seconds=0.2)
+SHORT = ExportOptions(layers=1, seconds=0.2)
 PIANO = true_instrument()
 
 
@@ -44,7 +44,7 @@ def piano(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def sampler(piano, tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp("out") / "sampler"
-    export_sampler(load_instrument(piano / "instrument.json"), out, KEYS, Asked(LAYERS, 2.0), licence="CC BY 4.0, \nme")
+    export_sampler(load_instrument(piano / "instrument.json"), out, KEYS, ExportOptions(LAYERS, 2.0), licence="CC BY 4.0, \nme")
     return out
 
 
@@ -60,7 +60,7 @@ def player(sampler) -> Callable[..., np.ndarray]:
     synth = Synth(sample_rate=RATE, block_size=512)
     assert synth.load_sfz_file(whole, quiet=False)
     whole.unlink()
-    assert synth.playable_keys == sorted({key for low, high in spans_of(KEYS) for key in range(low, high + 1)})
+    assert synth.playable_keys == sorted({key for low, high in key_ranges(KEYS) for key in range(low, high + 1)})
     # Long enough for its release to be over before the next note.
     return lambda key, velocity, held=1.3: synth.render_note(key, velocity, held, 2.5)[0]
 
@@ -87,7 +87,7 @@ def test_a_player_plays_what_render_does(piano, player, tmp_path):
                          "--rate", str(RATE)]) == 0  # fmt: skip
             rendered, _ = soundfile.read(out)
             sampled = player(midi, velocity)
-            late = round(lag(rendered, sampled[: len(rendered)]))
+            late = round(fractional_lag(rendered, sampled[: len(rendered)]))
             expected, found = levels(rendered, midi), levels(np.roll(sampled, -late), midi)
             strong = expected > expected.max() - 60
             assert strong.sum() >= 4
@@ -225,7 +225,7 @@ def test_what_goes_wrong_leaves_nothing_behind(tmp_path):
 def test_what_cannot_be_exported_is_refused(tmp_path, options, message):
     keys = options.pop("keys", [60])
     with pytest.raises(ParameterError, match=message):
-        export_sampler(PIANO, tmp_path / "sampler", keys, Asked(**{"layers": 1} | options))
+        export_sampler(PIANO, tmp_path / "sampler", keys, ExportOptions(**{"layers": 1} | options))
     assert not list(tmp_path.iterdir())
 
 
@@ -258,13 +258,13 @@ def test_layers_that_cross_over_have_the_models_level(count, seed):
 @given(st.sets(st.integers(21, 108), min_size=1))
 def test_spans_do_not_meet(keys):
     chosen = sorted(keys)
-    spans = spans_of(chosen)
+    spans = key_ranges(chosen)
     assert all(low <= key <= high for key, (low, high) in zip(chosen, spans, strict=True))
     assert all(a[1] < b[0] for a, b in pairwise(spans))
 
 
 def test_every_third_key_leaves_no_key_out():
-    covered = [key for low, high in spans_of(parse_keys("every 3")) for key in range(low, high + 1)]
+    covered = [key for low, high in key_ranges(parse_keys("every 3")) for key in range(low, high + 1)]
     assert covered == list(range(21, 109))
 
 
@@ -274,9 +274,9 @@ def test_keys_in_addition_leave_no_key_between_silent(keys):
     filled = without_gaps(chosen)
     assert {*chosen} <= {*filled}
     assert filled == sorted({*filled})
-    covered = {key for low, high in spans_of(filled) for key in range(low, high + 1)}
+    covered = {key for low, high in key_ranges(filled) for key in range(low, high + 1)}
     assert {*range(chosen[0], chosen[-1] + 1)} <= covered
-    whole = all(high - low == 1 for (_, low), (high, _) in pairwise(spans_of(chosen)))
+    whole = all(high - low == 1 for (_, low), (high, _) in pairwise(key_ranges(chosen)))
     assert (filled == chosen) == whole  # none more than needed
 
 
@@ -287,7 +287,7 @@ def test_ranges_of_keys_are_named():
 
 def test_an_export_says_which_keys_are_silent(tmp_path):
     done = export_sampler(PIANO, tmp_path / "some", KEYS, SHORT)
-    played = {key for low, high in spans_of(KEYS) for key in range(low, high + 1)}
+    played = {key for low, high in key_ranges(KEYS) for key in range(low, high + 1)}
     assert done.silent == [key for key in range(21, 109) if key not in played]
     assert f"Silent: {key_ranges(done.silent)}\n" in (tmp_path / "some" / "README.txt").read_text(encoding="utf-8")
 

@@ -11,7 +11,7 @@ from instrument_cases import law_errors, record_key
 
 from pianofit.analysis import midi_to_note
 from pianofit.fitting import fit
-from pianofit.keyboard import build_instrument, find_fits, load_keys
+from pianofit.instrument import build_instrument, find_fits, load_keys
 
 RECORDED = (29, 36, 43, 50, 57, 64, 71, 79)
 BETWEEN = list(range(RECORDED[0], RECORDED[-1] + 1))

@@ -11,12 +11,12 @@ import pytest
 import scipy.signal
 
 from pianofit import setup_from_dict, simulate
+from pianofit.bensa2005.laboratory import Measurement, SyntheticMeasurement, chosen, measure, setup_text
+from pianofit.bensa2005.laboratory.body import window_weights
+from pianofit.bensa2005.laboratory.chosen import FINAL, MODES
+from pianofit.bensa2005.laboratory.measurement import stroke_of
 from pianofit.errors import ParameterError
 from pianofit.model.modes import raised_cosine_weights
-from pianofit.paper.laboratory import Laboratory, Measurement, chosen, measure, setup_text
-from pianofit.paper.laboratory.body import window_weights
-from pianofit.paper.laboratory.chosen import FINAL, MODES
-from pianofit.paper.laboratory.measurement import stroke_of
 from pianofit.parameters import FIT_NAMES
 
 V = 0.844  # m/s
@@ -46,7 +46,7 @@ def limit() -> np.ndarray:
 
 
 def ideal_signal(oversampling: int) -> np.ndarray:
-    return signal(measure(Laboratory.ideal(contact_rate=44_100 * oversampling, **SHORT), V))
+    return signal(measure(SyntheticMeasurement.ideal(contact_rate=44_100 * oversampling, **SHORT), V))
 
 
 def test_with_every_switch_off_it_converges_to_the_papers_model(limit):
@@ -75,7 +75,7 @@ def test_the_window_weighs_as_its_closed_form_does():
 
 
 def test_a_blow_says_what_happened():
-    body, stroke = stroke_of(Laboratory.ideal(), V)
+    body, stroke = stroke_of(SyntheticMeasurement.ideal(), V)
     np.testing.assert_allclose(MASS * (V - stroke.hammer[-1, 1]), stroke.force.sum() * stroke.step, rtol=1e-12)
     np.testing.assert_allclose(
         stroke.hammer[:, 0] - (stroke.states @ body.vectors.T).real @ body.under, stroke.gap, atol=1e-15
@@ -87,7 +87,7 @@ def test_a_blow_says_what_happened():
 
 @pytest.mark.parametrize("level", [60.0, 20.0])
 def test_the_noise_is_as_loud_as_asked_for(level):
-    one = measure(Laboratory(noise_db=level), V, seed=3)
+    one = measure(SyntheticMeasurement(noise_db=level), V, seed=3)
     noise = one.samples - one.clean
     first = one.clean[one.onset : one.onset + one.rate]
     assert 20 * np.log10(np.std(first) / np.std(noise)) == pytest.approx(level, abs=0.1)
@@ -101,40 +101,40 @@ def test_the_noise_is_as_loud_as_asked_for(level):
 
 
 def test_without_noise_there_is_none():
-    one = measure(Laboratory(noise_db=None, **SHORT), V)
+    one = measure(SyntheticMeasurement(noise_db=None, **SHORT), V)
     np.testing.assert_array_equal(one.samples, one.clean)
     assert not one.samples[: one.onset].any()
 
 
 def test_the_sensor_errs_as_much_as_asked_for():
-    lab = Laboratory.ideal(velocity_error=0.02, seconds=0.1, contact_rate=1e5)
+    lab = SyntheticMeasurement.ideal(velocity_error=0.02, seconds=0.1, contact_rate=1e5)
     off = [measure(lab, V, seed).nominal_velocity / V - 1 for seed in range(60)]
     assert np.std(off) == pytest.approx(0.02, rel=0.25)
     assert abs(np.mean(off)) < 0.01
-    assert measure(Laboratory.ideal(**SHORT), V).nominal_velocity == V
+    assert measure(SyntheticMeasurement.ideal(**SHORT), V).nominal_velocity == V
 
 
 def test_the_same_seed_gives_the_same_samples_and_another_only_other_noise():
-    lab = Laboratory(**SHORT)
+    lab = SyntheticMeasurement(**SHORT)
     first, again, other = (measure(lab, V, seed) for seed in (5, 5, 6))
     np.testing.assert_array_equal(first.samples, again.samples)
     assert first.nominal_velocity == again.nominal_velocity != other.nominal_velocity
     np.testing.assert_array_equal(first.clean, other.clean)
     assert np.any(first.samples != other.samples)
-    steady = measure(Laboratory(velocity_error=0.0, **SHORT), V, 5)
+    steady = measure(SyntheticMeasurement(velocity_error=0.0, **SHORT), V, 5)
     np.testing.assert_array_equal(first.samples, steady.samples)
 
 
 def test_the_truth_names_the_nine_parameters():
-    assert tuple(measure(Laboratory.ideal(**SHORT), V).true) == FIT_NAMES
-    everything = measure(Laboratory(**SHORT), V).true
+    assert tuple(measure(SyntheticMeasurement.ideal(**SHORT), V).true) == FIT_NAMES
+    everything = measure(SyntheticMeasurement(**SHORT), V).true
     assert set(FIT_NAMES) - set(everything) == {"mu"}  # a relaxing felt has none
     assert everything["v_H0"] == V
 
 
 @pytest.mark.parametrize("velocity", [0.618, 0.844, 1.299, 1.8, 2.3])
 def test_every_recorded_velocity_stays_within_the_vibrometers_range(velocity):
-    one = measure(Laboratory(**SHORT), velocity)
+    one = measure(SyntheticMeasurement(**SHORT), velocity)
     assert 0.05 < np.abs(one.samples).max() < 0.9
 
 
@@ -142,7 +142,7 @@ def test_every_recorded_velocity_stays_within_the_vibrometers_range(velocity):
 
 
 def test_the_setup_says_what_the_laboratory_knew():
-    one = measure(Laboratory(**SHORT), 2.3)
+    one = measure(SyntheticMeasurement(**SHORT), 2.3)
     setup = setup_from_dict(tomllib.loads(setup_text(one.scale, one.nominal_velocity, hold_velocity=True)), "setup")
     g = FINAL.geometry
     assert (setup.length, setup.mass, setup.strike_position, setup.strike_width, setup.pickup_position) == tuple(g)
@@ -154,7 +154,7 @@ def test_the_setup_says_what_the_laboratory_knew():
 
 
 def test_a_velocity_can_be_where_the_fit_starts():
-    one = measure(Laboratory(**SHORT), V)
+    one = measure(SyntheticMeasurement(**SHORT), V)
     setup = setup_from_dict(tomllib.loads(setup_text(one.scale, one.nominal_velocity)), "setup")
     assert setup.recordings == ()
     assert setup.initial["v_H0"] == one.nominal_velocity != V
@@ -165,13 +165,13 @@ def test_a_velocity_can_be_where_the_fit_starts():
 
 def test_what_cannot_be_is_refused():
     with pytest.raises(ParameterError, match="felt='wool' must be one of hunt-crossley, memory, power"):
-        Laboratory(felt="wool")
+        SyntheticMeasurement(felt="wool")
     with pytest.raises(ParameterError, match=r"velocity=5.0 must be from 0.05 to 3.5 m/s"):
-        measure(Laboratory(), 5.0)
+        measure(SyntheticMeasurement(), 5.0)
 
 
 def test_measuring_needs_no_jax():
     program = (
-        "import sys, pianofit.paper.laboratory as l; l.measure(l.Laboratory(), 0.844); assert 'jax' not in sys.modules"
+        "import sys, pianofit.bensa2005.laboratory as l; l.measure(l.Laboratory(), 0.844); assert 'jax' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", program], check=True)

@@ -9,13 +9,13 @@ import pytest
 import scipy.integrate
 import scipy.signal
 
+from pianofit.bensa2005.laboratory import SyntheticMeasurement, chosen, measure
+from pianofit.bensa2005.laboratory.body import Axis, Body, make_axes, make_body
+from pianofit.bensa2005.laboratory.chosen import FINAL, MODES, RESONATORS, Resonator
+from pianofit.bensa2005.laboratory.felt import FELTS, Felt, FeltState
+from pianofit.bensa2005.laboratory.measurement import felt_of, stroke_of
+from pianofit.bensa2005.laboratory.strike import Stroke, _meet, strike
 from pianofit.errors import FitError
-from pianofit.paper.laboratory import Laboratory, chosen, measure
-from pianofit.paper.laboratory.body import Axis, Body, make_axes, make_body
-from pianofit.paper.laboratory.chosen import FINAL, MODES, RESONATORS, Resonator
-from pianofit.paper.laboratory.felt import FELTS, Felt, FeltState
-from pianofit.paper.laboratory.measurement import felt_of, stroke_of
-from pianofit.paper.laboratory.strike import Stroke, _meet, strike
 from pianofit.parameters import String
 
 V = 0.844  # m/s
@@ -48,7 +48,7 @@ def energy(body: Body, felt: Felt, mass: float, stroke: Stroke) -> np.ndarray:
     return 0.5 * (xi**2).sum(axis=1) + kinetic + stored(felt, stroke.dent, stroke.memory)
 
 
-def drop(lab: Laboratory, velocity: float) -> np.ndarray:
+def drop(lab: SyntheticMeasurement, velocity: float) -> np.ndarray:
     """Change of the total energy at every step, over that of the hammer at first."""
     body, stroke = stroke_of(lab, velocity)
     total = energy(body, felt_of(lab), MASS, stroke)
@@ -59,14 +59,14 @@ def drop(lab: Laboratory, velocity: float) -> np.ndarray:
 @pytest.mark.parametrize(("polarisation", "bridge"), [(False, False), (True, False), (False, True), (True, True)])
 @pytest.mark.parametrize(("velocity", "rate"), [(0.1, 1.4e6), (2.3, 1e5)])
 def test_energy_never_rises(felt, polarisation, bridge, velocity, rate):
-    lab = Laboratory(polarisation=polarisation, bridge=bridge, felt=felt, contact_rate=rate)
+    lab = SyntheticMeasurement(polarisation=polarisation, bridge=bridge, felt=felt, contact_rate=rate)
     assert drop(lab, velocity).max() < 2e-15
 
 
 @pytest.mark.parametrize(("eps", "tau"), [(0.99, 2e-6), (0.5, 1e-5), (0.9, 1e-3), (0.25, 1e-1)])
 @pytest.mark.parametrize("rate", [1e5, 1.4e6])
 def test_no_memory_makes_energy(eps, tau, rate):
-    lab = Laboratory(eps=eps, tau=tau, contact_rate=rate)
+    lab = SyntheticMeasurement(eps=eps, tau=tau, contact_rate=rate)
     changes = drop(lab, 1.3)
     assert changes.max() < 2e-15
     assert changes.sum() < -1e-3
@@ -154,7 +154,7 @@ def test_hunt_crossley_is_the_papers_law_to_second_order():
 
 
 def test_a_slow_felt_with_memory_has_the_papers_stiffness_and_a_relaxed_one_no_dent():
-    felt, h, state, force = felt_of(Laboratory()), 1e-6, FeltState(), 0.0
+    felt, h, state, force = felt_of(SyntheticMeasurement()), 1e-6, FeltState(), 0.0
     for gap in 2e-4 * np.linspace(0, 1, 20_000)[1:]:
         force, state = felt.advance(state, gap, h)
     assert force == pytest.approx(FINAL.hammer.K_H * 2e-4**FINAL.hammer.p, rel=0.01)
@@ -169,12 +169,12 @@ def test_a_slow_felt_with_memory_has_the_papers_stiffness_and_a_relaxed_one_no_d
 
 
 def test_memory_without_weight_is_the_power_law():
-    memory, power = (measure(Laboratory.ideal(felt=felt, eps=0.0, seconds=0.2), V) for felt in ("memory", "power"))
+    memory, power = (measure(SyntheticMeasurement.ideal(felt=felt, eps=0.0, seconds=0.2), V) for felt in ("memory", "power"))
     np.testing.assert_array_equal(memory.samples, power.samples)
 
 
 def test_felts_with_losses_lose():
-    kept = {felt: 1 + drop(Laboratory.ideal(felt=felt), V).sum() for felt in FELTS}
+    kept = {felt: 1 + drop(SyntheticMeasurement.ideal(felt=felt), V).sum() for felt in FELTS}
     assert 0.995 < kept["power"] < 1  # the string's own losses
     assert kept["hunt-crossley"] < kept["power"] - 0.005
     assert kept["memory"] < kept["power"] - 0.005
@@ -210,7 +210,7 @@ def test_each_polarisation_is_a_string_of_its_own_where_the_supports_are_rigid()
 @pytest.fixture(scope="module")
 def envelope() -> tuple[np.ndarray, np.ndarray]:
     """Times, s, and amplitude of the fifth partial with a second polarisation, by its quadrature components."""
-    lab = Laboratory.ideal(polarisation=True, seconds=12.0)
+    lab = SyntheticMeasurement.ideal(polarisation=True, seconds=12.0)
     one, pole = measure(lab, V), by_frequency(alone())[4]
     note = one.clean[one.onset :]
     t = np.arange(len(note)) / chosen.RATE
@@ -286,7 +286,7 @@ def test_the_bridge_carries_motion_into_the_other_polarisation():
     axes = tuple(Axis(axis.string, share) for axis, share in zip(make_axes(STRING, True), (1.0, 0.0), strict=True))
     for resonators, reached in ((RESONATORS, True), ((), False)):
         body = make_body(axes, FINAL.geometry, 64, resonators)
-        stroke = strike(body, felt_of(Laboratory.ideal()), MASS, V, 2e5)
+        stroke = strike(body, felt_of(SyntheticMeasurement.ideal()), MASS, V, 2e5)
         xi = (body.vectors @ (stroke.states[-1] * np.exp(body.poles * 0.05))).real
         second = xi[64:128]  # elastic energy of the second field's modes
         assert (second @ second > 1e-7 * (xi @ xi)) is np.bool_(reached)

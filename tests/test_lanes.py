@@ -7,12 +7,20 @@ import pytest
 from model_cases import GEOMETRY as TENTHS
 from model_cases import HAMMER, STRING
 
-from pianofit.felt import LAWS, FeltLaw, MemoryHammer
-from pianofit.inference.coordinates import ABSENT, STRING_SIZE
-from pianofit.inference.lanes import Cfg, Scene, in_lanes, levels, own_levels, own_slopes, slopes
+from pianofit.felt import LAWS, FeltLaw, RelaxingHammer
+from pianofit.inference.batched_model import (
+    ModelInputs,
+    StaticConfig,
+    level_jacobians,
+    level_jacobians_per_string,
+    levels,
+    levels_per_string,
+    run_in_batches,
+)
+from pianofit.inference.parametrisation import ABSENT, STRING_SIZE
 from pianofit.model import simulate
+from pianofit.model.free_response import level_db, modal_amplitudes
 from pianofit.model.note import arrival
-from pianofit.model.response import level_db, ringing
 from pianofit.parameters import Geometry, Hammer
 
 RATE, N_MODES, STEPS, ROWS, SIZE = 88_200.0, 64, 512, 24, 4
@@ -23,15 +31,15 @@ LANE = (*LAW.columns, "v_H0")
 # Two others than the first in everything.
 HAMMERS = (
     (HAMMER, GEOMETRY),
-    (Hammer(K_H=4e9, mu=0.4, p=2.3, M_H=8e-3, v_H0=2.5), GEOMETRY._replace(strike=0.1315, width=0.03)),
-    (Hammer(K_H=2e11, mu=0.05, p=3.0, M_H=3e-3, v_H0=0.4), GEOMETRY._replace(strike=0.103, width=0.012)),
+    (Hammer(K_H=4e9, mu=0.4, p=2.3, M_H=8e-3, v_H0=2.5), GEOMETRY._replace(strike_position=0.1315, width=0.03)),
+    (Hammer(K_H=2e11, mu=0.05, p=3.0, M_H=3e-3, v_H0=0.4), GEOMETRY._replace(strike_position=0.103, width=0.012)),
 )
-STULOV = MemoryHammer(*HAMMER._replace(mu=0.0), epsilon=0.4, tau=6e-5)
+STULOV = RelaxingHammer(*HAMMER._replace(mu=0.0), epsilon=0.4, tau=6e-5)
 
 
-def lane(hammer: Hammer | MemoryHammer, geometry: Geometry) -> np.ndarray:
+def lane(hammer: Hammer | RelaxingHammer, geometry: Geometry) -> np.ndarray:
     """A hammer and where it strikes, as a lane has them; K_H as its force at the reference compression."""
-    values = dict.fromkeys(LANE, np.exp(ABSENT)) | hammer._asdict() | {"x0": geometry.strike, "width": geometry.width}
+    values = dict.fromkeys(LANE, np.exp(ABSENT)) | hammer._asdict() | {"x0": geometry.strike_position, "width": geometry.width}
     values |= {"K_H": hammer.K_H * np.exp(hammer.p * LOG_U)}
     return np.log([max(float(values[name]), np.exp(ABSENT)) for name in LANE])
 
@@ -41,20 +49,20 @@ TENSE = np.log(STRING) + np.array([[0.0, 0.0, 0.0, 0.0], [0.02, 0.1, -0.2, 0.3],
 CENTS = np.array([0.0, 3.0, -2.0])
 
 
-def scene(free: tuple[int, ...] = ()) -> Scene:
+def scene(free: tuple[int, ...] = ()) -> ModelInputs:
     size = Geometry(*map(np.float64, GEOMETRY))
-    return Scene(size, np.float64(RATE), np.float64(LOG_U), np.int64(STEPS), np.array(free, int))
+    return ModelInputs(size, np.float64(RATE), np.float64(LOG_U), np.int64(STEPS), np.array(free, int))
 
 
-def cfg(quantity: str = "velocity", law: FeltLaw = LAW) -> Cfg:
-    return Cfg(N_MODES, ROWS, quantity, law)
+def cfg(quantity: str = "velocity", law: FeltLaw = LAW) -> StaticConfig:
+    return StaticConfig(N_MODES, ROWS, quantity, law)
 
 
 def played(string, hammer, geometry: Geometry, quantity: str) -> np.ndarray:
     """Levels of the partials by `simulate`, from the arrival of the wave at the pickup, dB [ROWS]."""
     sound = simulate(string, hammer, geometry, rate=RATE, oversampling=1, quantity=quantity, n_modes=N_MODES)
     pole = np.asarray(sound.modes.pole)
-    amplitude = np.asarray(ringing(sound.modes, sound.pulse.drive)) * np.exp(
+    amplitude = np.asarray(modal_amplitudes(sound.modes, sound.pulse.drive)) * np.exp(
         pole.real * arrival(string, geometry, quantity)
     )
     return np.asarray(level_db(amplitude, -pole.real, np))[:ROWS]
@@ -62,7 +70,7 @@ def played(string, hammer, geometry: Geometry, quantity: str) -> np.ndarray:
 
 @pytest.mark.parametrize("quantity", ["velocity", "pressure"])
 def test_levels_are_those_of_what_is_played(quantity):
-    found, ended = in_lanes(levels, (np.log(STRING), LANES), scene(), cfg(quantity), SIZE)
+    found, ended = run_in_batches(levels, (np.log(STRING), LANES), scene(), cfg(quantity), SIZE)
     assert ended.all()
     for level, (hammer, geometry) in zip(found, HAMMERS, strict=True):
         np.testing.assert_allclose(level, played(STRING, hammer, geometry, quantity), atol=1e-6)
@@ -70,13 +78,13 @@ def test_levels_are_those_of_what_is_played(quantity):
 
 def test_a_felt_with_memory_sounds_as_it_is_played():
     lanes = lane(STULOV, GEOMETRY)[None]
-    found, ended = in_lanes(levels, (np.log(STRING), lanes), scene(), cfg(law=LAWS["stulov"]), SIZE)
+    found, ended = run_in_batches(levels, (np.log(STRING), lanes), scene(), cfg(law=LAWS["stulov"]), SIZE)
     assert ended.all()
     np.testing.assert_allclose(found[0], played(STRING, STULOV, GEOMETRY, "velocity"), atol=1e-6)
 
 
 def test_every_lane_may_have_a_string_of_its_own():
-    found, _ = in_lanes(own_levels, (TENSE, CENTS, LANES), scene(), cfg(), SIZE)
+    found, _ = run_in_batches(levels_per_string, (TENSE, CENTS, LANES), scene(), cfg(), SIZE)
     for level, string, cents, (hammer, geometry) in zip(found, np.exp(TENSE), CENTS, HAMMERS, strict=True):
         one = type(STRING)(string[0] * 2 ** (cents / 1200), *string[1:])
         np.testing.assert_allclose(level, played(one, hammer, geometry, "velocity"), atol=1e-6)
@@ -96,10 +104,10 @@ def differences(of, at: np.ndarray, entries: tuple[int, ...]) -> np.ndarray:
 
 
 def test_slopes_are_those_of_the_levels():
-    level, slope, ended = in_lanes(slopes, (np.log(STRING), LANES), scene(FREE), cfg(), SIZE)
+    level, slope, ended = run_in_batches(level_jacobians, (np.log(STRING), LANES), scene(FREE), cfg(), SIZE)
 
     def of(lanes: np.ndarray) -> np.ndarray:
-        return in_lanes(levels, (np.log(STRING), lanes), scene(), cfg(), SIZE)[0]
+        return run_in_batches(levels, (np.log(STRING), lanes), scene(), cfg(), SIZE)[0]
 
     assert ended.all()
     np.testing.assert_allclose(level, of(LANES), atol=1e-9)
@@ -109,24 +117,24 @@ def test_slopes_are_those_of_the_levels():
 
 def test_slopes_by_the_string_too():
     args = TENSE, CENTS, LANES
-    level, slope, _ = in_lanes(own_slopes, args, scene(FREE), cfg(), SIZE)
+    level, slope, _ = run_in_batches(level_jacobians_per_string, args, scene(FREE), cfg(), SIZE)
 
     def of(strings: np.ndarray) -> np.ndarray:
-        return in_lanes(own_levels, (strings, CENTS, LANES), scene(), cfg(), SIZE)[0]
+        return run_in_batches(levels_per_string, (strings, CENTS, LANES), scene(), cfg(), SIZE)[0]
 
     np.testing.assert_allclose(level, of(TENSE), atol=1e-9)
     wanted = differences(of, TENSE, tuple(range(STRING_SIZE)))
     np.testing.assert_allclose(slope[..., :STRING_SIZE], wanted, rtol=2e-4, atol=2e-3)
-    _, alone, _ = in_lanes(slopes, (TENSE[0], LANES), scene(FREE), cfg(), SIZE)
+    _, alone, _ = run_in_batches(level_jacobians, (TENSE[0], LANES), scene(FREE), cfg(), SIZE)
     np.testing.assert_allclose(slope[0, :, STRING_SIZE:], alone[0], rtol=1e-8, atol=1e-8)
 
 
 def test_any_number_of_lanes_gives_the_same_rows():
     many = np.concatenate([LANES, LANES[::-1], LANES])
-    whole, _ = in_lanes(levels, (np.log(STRING), many), scene(), cfg(), SIZE)
+    whole, _ = run_in_batches(levels, (np.log(STRING), many), scene(), cfg(), SIZE)
     assert whole.shape == (9, ROWS)
     for count in (1, 4, 5, 8):
-        some, ended = in_lanes(levels, (np.log(STRING), many[:count]), scene(), cfg(), SIZE)
+        some, ended = run_in_batches(levels, (np.log(STRING), many[:count]), scene(), cfg(), SIZE)
         assert ended.shape == (count,)
         np.testing.assert_allclose(some, whole[:count], atol=1e-9)
 
@@ -134,5 +142,5 @@ def test_any_number_of_lanes_gives_the_same_rows():
 def test_a_contact_that_does_not_end_says_so():
     slow = LANES.copy()
     slow[1] = lane(HAMMER._replace(M_H=0.5, K_H=1e6, v_H0=0.05), GEOMETRY)
-    _, ended = in_lanes(levels, (np.log(STRING), slow), scene(), cfg(), SIZE)
+    _, ended = run_in_batches(levels, (np.log(STRING), slow), scene(), cfg(), SIZE)
     assert ended.tolist() == [True, False, True]

@@ -11,9 +11,16 @@ import scipy.stats
 from table_cases import PHI, SHAPES, SMALL, dense, dense_nodes, noise, point, shared, table
 
 import pianofit.model  # noqa: F401  (float64)
-from pianofit.inference.likelihood import Table, next_weights, objective, responsible, solved, whole
-from pianofit.inference.parabola import Parabola
-from pianofit.inference.reports import latent, report
+from pianofit.inference.derivatives import evaluate, latent_posterior
+from pianofit.inference.likelihood import (
+    ObservationTable,
+    combine_nodes,
+    em_weights,
+    node_weights,
+    objective,
+    solve_nodes,
+)
+from pianofit.inference.quadratic_surrogate import QuadraticSurrogate
 
 pytestmark = pytest.mark.usefixtures("float64")
 
@@ -35,7 +42,7 @@ def test_the_gradient_is_the_automatic_one(shape):
     t, (residual, w) = table(shape), point(shape)
     jacobian = np.random.default_rng(3).normal(size=(*residual.shape, 4))
     automatic = jax.jit(jax.grad(lambda d: objective(t, jnp.asarray(residual) - jacobian @ d, PHI, w)))
-    _, gradient, hessian, *_ = report(t, residual, jacobian, PHI, w)
+    _, gradient, hessian, *_ = evaluate(t, residual, jacobian, PHI, w)
     np.testing.assert_allclose(gradient, automatic(np.zeros(4)), rtol=1e-9, atol=1e-9)
     assert np.linalg.eigvalsh(hessian)[0] > -1e-10 * np.abs(hessian).max()
     step = 1e-5
@@ -49,10 +56,10 @@ def test_the_gradient_is_the_automatic_one(shape):
 @pytest.mark.parametrize("shape", SHAPES)
 def test_a_report_has_the_derivatives_of_the_objective(shape):
     t, (residual, w) = table(shape), point(shape)
-    found = report(t, residual, np.ones((*residual.shape, 1)), PHI, w)
+    found = evaluate(t, residual, np.ones((*residual.shape, 1)), PHI, w)
     both = jax.jit(jax.value_and_grad(lambda p, x: objective(t, jnp.asarray(residual), p, jnp.exp(x)), argnums=(0, 1)))
     value, (by_phi, by_log_w) = both(PHI, np.log(w))
-    assert float(found.F) == pytest.approx(float(value), rel=1e-12)
+    assert float(found.nll) == pytest.approx(float(value), rel=1e-12)
     np.testing.assert_allclose(found.by_phi, by_phi, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(found.by_log_w, by_log_w, rtol=1e-9, atol=1e-9)
 
@@ -60,51 +67,51 @@ def test_a_report_has_the_derivatives_of_the_objective(shape):
 @pytest.mark.parametrize("shape", ["no path", "ten nodes"])
 def test_the_parabola_touches_F_from_above(shape):
     """Where it was made it has F's slope and curvature; what lowers it lowers F, while φ and w are held."""
-    t = table(shape)._replace(absent=np.zeros((0, 2), int))
+    t = table(shape)._replace(censored=np.zeros((0, 2), int))
     residual, w = point(shape)
     random = np.random.default_rng(3)
     jacobian = random.normal(size=(*residual.shape, 3))
-    parabola = Parabola.of(t, PHI, w, residual)
+    parabola = QuadraticSurrogate.of(t, PHI, w, residual)
     here = parabola(residual[None], jacobian[None])
-    _, gradient, hessian, *_ = report(t, residual, jacobian, PHI, w)
+    _, gradient, hessian, *_ = evaluate(t, residual, jacobian, PHI, w)
     np.testing.assert_allclose(here.gradient[0], gradient, rtol=1e-8)
     np.testing.assert_allclose(here.curvature[0], hessian, rtol=1e-8, atol=1e-10)
     moved = residual + 3 * random.normal(size=(60, *residual.shape)) * np.exp(random.normal(size=(60, 1, 1)))
-    rise = parabola(moved, np.zeros((60, *residual.shape, 3))).F - here.F
+    rise = parabola(moved, np.zeros((60, *residual.shape, 3))).nll - here.nll
     value = jax.jit(lambda r: objective(t, r, PHI, w))
     F = np.array([value(jnp.asarray(r)) for r in (residual, *moved)])
     assert (F[1:] - F[0] <= rise + 1e-9 * np.abs(rise)).all()
-    if len(t.share) == 1:
+    if len(t.log_weight) == 1:
         np.testing.assert_allclose(F[1:] - F[0], rise, rtol=1e-8, atol=1e-8)
 
 
 def test_a_parabola_of_one_answer_about_gains_lies_above_F_as_well():
     """By Jensen's inequality, for any weights p of the nodes: F is at most Σ p (F of the node - log(its share / p))."""
-    t = table("ten nodes")._replace(absent=np.zeros((0, 2), int))
+    t = table("ten nodes")._replace(censored=np.zeros((0, 2), int))
     residual, w = point("ten nodes")
     random = np.random.default_rng(4)
     moved = np.concatenate([residual[None], residual + 3 * random.normal(size=(40, *residual.shape))])
     value = jax.jit(lambda r: objective(t, r, PHI, w))
     F = np.array([value(jnp.asarray(r)) for r in moved])
-    each = solved(t, residual, PHI, w).each
-    weight, answers = responsible(t, each), t.share.shape[1]
+    each = solve_nodes(t, residual, PHI, w).nll_per_node
+    weight, answers = node_weights(t, each), t.log_weight.shape[1]
     assert answers > 1
     for gains in range(answers):
-        rise = Parabola.of(t, PHI, w, residual, gains)(moved, np.zeros((*moved.shape, 1))).F
+        rise = QuadraticSurrogate.of(t, PHI, w, residual, gains)(moved, np.zeros((*moved.shape, 1))).nll
         p = weight[:, gains] / weight[:, gains].sum()
-        above = (p * (each[:, gains] - t.share[:, gains] + np.log(p))).sum()
-        rest = whole(t, each, PHI, w) + scipy.special.logsumexp(t.share - each)  # the priors of φ and w
+        above = (p * (each[:, gains] - t.log_weight[:, gains] + np.log(p))).sum()
+        rest = combine_nodes(t, each, PHI, w) + scipy.special.logsumexp(t.log_weight - each)  # the priors of φ and w
         assert (above + rest + rise - rise[0] + 1e-9 * np.abs(rise) >= F).all()
 
 
 def test_parabolas_before_a_residual_is_known_are_on_one_scale():
     """At the node of the middle τ, of either answer: what is left of nothing is the node's own F."""
-    t = table("ten nodes")._replace(absent=np.zeros((0, 2), int))
+    t = table("ten nodes")._replace(censored=np.zeros((0, 2), int))
     nothing = np.zeros_like(t.value)
-    each = solved(t, nothing, PHI, np.ones_like(nothing)).each - t.share
+    each = solve_nodes(t, nothing, PHI, np.ones_like(nothing)).nll_per_node - t.log_weight
     middle = len(each) // 2
     for gains in range(each.shape[1]):
-        found = Parabola.of(t, PHI, gains=gains)(nothing[None], np.zeros((1, *nothing.shape, 1))).F[0]
+        found = QuadraticSurrogate.of(t, PHI, gains=gains)(nothing[None], np.zeros((1, *nothing.shape, 1))).nll[0]
         assert found == pytest.approx(each[middle, gains], rel=1e-12)
 
 
@@ -116,12 +123,12 @@ def test_weighting_anew_is_descent_to_a_stationary_point(shape):
     for _ in range(80):
         now, slope = both(np.log(w))
         assert now <= before + 1e-10
-        before, last, w = now, np.asarray(slope), next_weights(t, np.asarray(slope), w)
-    assert np.abs(last * np.asarray(t.found)).max() < 1e-6
-    assert (w[np.asarray(t.found) == 0] == 1).all()
+        before, last, w = now, np.asarray(slope), em_weights(t, np.asarray(slope), w)
+    assert np.abs(last * np.asarray(t.detected)).max() < 1e-6
+    assert (w[np.asarray(t.detected) == 0] == 1).all()
 
 
-def tiny() -> Table:
+def tiny() -> ObservationTable:
     """Two recordings of two partials through one path, with a gain; one partial is absent."""
     t = table("nothing absent")
     found, absent = np.ones((2, 2)), np.array([[1, 1]])
@@ -130,7 +137,7 @@ def tiny() -> Table:
     changed = {
         "value": np.zeros((2, 2)), "variance": 0.5 + random.random((2, 2)), "found": found, "absent": absent,
         "group": np.ones((2, 1)), "columns": random.normal(size=(1, 2, 2)), "scale": np.array([[0.4], [1.6]]),
-        "systematic": t.systematic[:2, :2], "apart": t.apart[:2, :2], "smooth": np.ones(1),
+        "systematic": t.systematic[:2, :2], "apart": t.distance_octaves[:2, :2], "smooth": np.ones(1),
         "common": np.log([[0.5], [1.5]]), "share": np.log([[0.2, 0.1], [0.4, 0.3]]),
         "growth": np.ones(2), "ratio": np.ones((2, 2)),
     }  # fmt: skip
@@ -145,17 +152,17 @@ def test_what_is_integrated_out_is_the_integral():
     mass = np.einsum("i,j,k->ijk", *[weight / weight.sum()] * 3).ravel()
     var = noise(t, phi) / w
     mean, sd = (np.asarray(p) for p in t.prior)
-    constant = 5.0 * (np.asarray(t.found) * (w - 1 - np.log(w))).sum() + 0.5 * (((phi - mean) / sd) ** 2).sum()
+    constant = 5.0 * (np.asarray(t.detected) * (w - 1 - np.log(w))).sum() + 0.5 * (((phi - mean) / sd) ** 2).sum()
     for seed in range(3):
         residual = 1.5 * np.random.default_rng(seed).normal(size=(2, 2))
         density = 0.0
-        for node, share in np.ndenumerate(np.exp(np.asarray(t.share))):
+        for node, share in np.ndenumerate(np.exp(np.asarray(t.log_weight))):
             own = shared(t._replace(columns=jnp.zeros((1, 2, 2))), phi, node)[:2, :2]
             level = (grid[:, :2] @ np.linalg.cholesky(own).T)[:, None, :] + grid[:, 2, None, None] * np.asarray(
                 t.scale[node[1], 0] * t.columns
             )
             e = residual - level
-            seen = np.prod(np.where(t.found, np.exp(-0.5 * e**2 / var) / np.sqrt(var), 1.0), axis=(1, 2))
+            seen = np.prod(np.where(t.detected, np.exp(-0.5 * e**2 / var) / np.sqrt(var), 1.0), axis=(1, 2))
             below = scipy.stats.norm.cdf(e[:, 1, 1] / np.sqrt(noise(t, phi)[1, 1]))
             density += share * float(mass @ (seen * below))
         assert float(F(t, residual, phi, w)) == pytest.approx(constant - np.log(density), abs=1e-6)
@@ -175,7 +182,7 @@ def test_weights_integrated_out_leave_students_t():
     t = t._replace(**{name: jnp.asarray(x) for name, x in changed.items()})
     log_w = np.linspace(-12.0, 4.0, 4001)
     both = jax.jit(jax.vmap(lambda r, x: objective(t, r, PHI, jnp.exp(x)), in_axes=(None, 0)))
-    scale, degrees = np.sqrt(noise(t, PHI)[0, 0]), float(t.student)
+    scale, degrees = np.sqrt(noise(t, PHI)[0, 0]), float(t.degrees_of_freedom)
 
     def density(r: float) -> float:
         return float(np.exp(-np.asarray(both(np.full(size, r), log_w[:, None, None]))).sum())
@@ -188,9 +195,9 @@ def test_weights_integrated_out_leave_students_t():
 @pytest.mark.parametrize("shape", ["nothing absent", "two microphones"])
 def test_what_was_integrated_out_is_estimated_as_a_dense_gaussian_would(shape):
     t, (residual, w) = table(shape), point(shape)
-    t = t._replace(absent=np.zeros((0, 2), int))
-    found = latent(t, residual, PHI, w)
-    there = np.asarray(t.found).ravel() > 0
+    t = t._replace(censored=np.zeros((0, 2), int))
+    found = latent_posterior(t, residual, PHI, w)
+    there = np.asarray(t.detected).ravel() > 0
     each = dense_nodes(t, residual, PHI, w)
     responsible = np.exp(each.min() - each)
     mean, variance = 0.0, 0.0

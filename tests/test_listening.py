@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from report_cases import Page
 
-from pianofit.listening.page import Heard, Question, write_listening
+from pianofit.listening.page import Question, TestSound, write_listening
 from pianofit.listening.result import count_answers
 from pianofit.report.sound import k_weighted_mean_square
 
@@ -31,7 +31,7 @@ def questions() -> list[Question]:
     for velocity in (0.6, 0.8):
         t, f = np.arange(RATE) / RATE, 2000 * velocity
         sounds = {
-            name: Heard(
+            name: TestSound(
                 name,
                 f"{velocity} m/s",
                 np.pad((n + 1) * np.exp(-3 * t) * np.sin(f * (n + 1) * t), (400, 0)),

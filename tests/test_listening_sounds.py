@@ -14,9 +14,9 @@ from bad_inputs import encoded, note
 
 from pianofit import load_recording
 from pianofit.cli import main
-from pianofit.listening.gates import GATES, JUMP, failures
+from pianofit.listening.artefact_checks import GATES, JUMP, failures
 from pianofit.listening.result import count_answers
-from pianofit.recording import recording_from_samples
+from pianofit.recording.recording import recording_from_samples
 from pianofit.report.sound import k_weighted_mean_square
 
 RATE = 22_050

@@ -11,28 +11,28 @@ from twin_cases import MICROPHONES, VELOCITIES, fit_recordings, path_fit, stroke
 from pianofit import Result
 from pianofit.cli.summary import cross_validation
 from pianofit.errors import FitError
-from pianofit.inference import pose
-from pianofit.result.crossval import cross_validate
+from pianofit.inference import build_problem
+from pianofit.result.cross_validation import cross_validate
 
 # Stroke 1 is recorded by both microphones, which stand behind two rooms; the last one's velocity was measured.
 
 
 def test_recordings_of_a_stroke_share_its_velocity_and_no_path():
-    problem = pose(*through(MICROPHONES), strokes_of(MICROPHONES))
+    problem = build_problem(*through(MICROPHONES), strokes_of(MICROPHONES))
     layout = problem.layout
     assert layout.stroke == (0, 1, 2, 1)
     assert layout.group == (0, 0, 0, 1)
     assert problem.unknowns.strokes == 3
-    assert problem.speed == (None, None, VELOCITIES[2])
+    assert problem.measured_velocity == (None, None, VELOCITIES[2])
     assert problem.reference == 2
-    assert layout.compared
+    assert layout.path_identifiable
 
 
 def test_a_velocity_measured_at_one_microphone_is_that_of_the_stroke():
     known = strokes_of(MICROPHONES)
     said = [replace(t, v_H0=1.5 if t.file == "1-room.wav" else t.v_H0) for t in known.recordings]
-    problem = pose(*through(MICROPHONES), replace(known, recordings=tuple(said)))
-    assert problem.speed == (None, 1.5, VELOCITIES[2])
+    problem = build_problem(*through(MICROPHONES), replace(known, recordings=tuple(said)))
+    assert problem.measured_velocity == (None, 1.5, VELOCITIES[2])
     assert not problem.unknowns.free[-2:].any()
 
 
@@ -60,7 +60,7 @@ def test_every_microphone_is_read_back(tmp_path):
     """Paths of all groups are in the file, and recordings that were arrays are given again."""
     result, recordings = path_fit(MICROPHONES), through(MICROPHONES)[0]
     back = Result.load(result.save(tmp_path / "fit", page=False)).with_recordings(*recordings)
-    assert back.first == result.first
+    assert back.reference_index == result.reference_index
     for one, other in zip(back.recordings, result.recordings, strict=True):
         note, theirs = one.fitted.note, other.fitted.note
         np.testing.assert_allclose(note.path.db, theirs.path.db, rtol=1e-12)
@@ -83,8 +83,8 @@ def test_one_stroke_at_two_microphones_does_not_fix_the_felt():
 
 def with_fits(monkeypatch, of) -> None:
     """Leave out with other results than those of fits: what `of` gives for some recordings."""
-    monkeypatch.setattr("pianofit.result.crossval.infer", of)
-    monkeypatch.setattr("pianofit.result.crossval.conclude", lambda found: found)
+    monkeypatch.setattr("pianofit.result.cross_validation.infer", of)
+    monkeypatch.setattr("pianofit.result.cross_validation.conclude", lambda found: found)
 
 
 def test_leaving_a_take_out_leaves_out_its_stroke(monkeypatch):
@@ -97,7 +97,7 @@ def test_leaving_a_take_out_leaves_out_its_stroke(monkeypatch):
         return replace(
             path_fit(MICROPHONES),
             recordings=tuple(h for h in path_fit(MICROPHONES).recordings if h.recording.path in fits[-1]),
-            first=0,
+            reference_index=0,
         )
 
     with_fits(monkeypatch, instead)

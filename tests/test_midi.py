@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from instrument_cases import true_instrument
 
 from pianofit.errors import RecordingError
-from pianofit.play import Song, load_song, perform
-from pianofit.play.midi import MOST_NOTES, read_song
+from pianofit.playback import Song, load_song, render_song
+from pianofit.playback.midi import MOST_NOTES, read_song
 
 END = b"\0\xff\x2f\0"
 BEAT = b"\x83\x60"  # 480 ticks
@@ -64,7 +64,7 @@ def test_notes_that_no_piano_has_are_left_out_and_counted():
     """Key switches of sample players lie below A0."""
     played = (on(60), on(60, 0, 480))
     alone, found = (read_song(midi_bytes(*more, *played), "song") for more in ((), (on(20), on(109), on(20, 0))))
-    assert found == alone._replace(beyond=2)
+    assert found == alone._replace(ignored_notes=2)
 
 
 BAD_SONGS = {
@@ -191,7 +191,7 @@ def test_a_note_off_ends_the_oldest_stroke_of_its_key():
 def test_the_order_of_a_repeated_note_within_its_tick_is_inaudible():
     orders = (((4, 80), (4, 70), (0, 0), (4, 0)), ((4, 80), (4, 0), (0, 70), (4, 0)))
     piano = true_instrument([60])
-    one, two = (perform(piano, read(song(moves(*order), division=16)), 8_000).samples for order in orders)
+    one, two = (render_song(piano, read(song(moves(*order), division=16)), 8_000).samples for order in orders)
     assert (one == two).all()
     late = one[0, round(0.3 * 8_000) : round(0.35 * 8_000)]  # the second stroke, 0.05 s old, is not damped
     assert np.abs(late).max() > 0.1 * np.abs(one).max()

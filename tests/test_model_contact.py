@@ -214,7 +214,7 @@ RETURNS = {  # string, hammer, geometry: each touches at least twice
     "fifty times the string": (
         STRING._replace(b1=0.01), HARD._replace(M_H=0.1, v_H0=0.5), GEOMETRY._replace(mass=0.002),
     ),
-    "light string": (STRING, HAMMER._replace(K_H=1e13, v_H0=5.0), GEOMETRY._replace(mass=2e-4, strike=0.45)),
+    "light string": (STRING, HAMMER._replace(K_H=1e13, v_H0=5.0), GEOMETRY._replace(mass=2e-4, strike_position=0.45)),
 }  # fmt: skip
 
 
@@ -311,7 +311,7 @@ def test_simulate_says_when_a_contact_does_not_end(monkeypatch):
     [
         ({"hammer": HAMMER._replace(p=0.5)}, "p=0.5 must be"),
         ({"string": STRING._replace(c=math.nan)}, "c=nan must be"),
-        ({"geometry": GEOMETRY._replace(strike=0.005)}, "strike=0.005 m with width=0.02 m"),
+        ({"geometry": GEOMETRY._replace(strike_position=0.005)}, "strike=0.005 m with width=0.02 m"),
         ({"geometry": GEOMETRY._replace(pickup=1.0)}, "pickup=1.0 m"),
         ({"geometry": GEOMETRY._replace(width=0.0)}, "width=0.0 m"),
         ({"rate": 10.0}, "rate=10.0 Hz"),

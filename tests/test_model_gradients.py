@@ -22,17 +22,17 @@ pytestmark = pytest.mark.usefixtures("float64")
 STEPS, MODES, SIGMA = 512, 64, 300.0
 STEP, ROUNDING = 5e-6, 1e-12
 NAMES = (*FIT_NAMES, "strike", "width")
-PLACE = (GEOMETRY.strike, GEOMETRY.width)
+PLACE = (GEOMETRY.strike_position, GEOMETRY.width)
 FREQUENCY = jnp.asarray(np.concatenate([np.linspace(100, 1000, 13), np.linspace(1500, 9000, 11)]))
 KINDS = {"prewarped": ("velocity", "continuous"), "grid": ("bridge-force", "finite_difference")}
 
 
 def _outputs(values, quantity: str, kind: str) -> dict:
-    geometry = GEOMETRY._replace(strike=values[9], width=values[10])
+    geometry = GEOMETRY._replace(strike_position=values[9], width=values[10])
     modes = model.mode_table(String(*values[:4]), geometry, rate=RATE, n_modes=MODES, quantity=quantity, kind=kind)
     pulse = model.strike(modes, Hammer(*values[4:9]), steps=STEPS)
     Y = model.spectrum(modes, pulse.drive, FREQUENCY, SIGMA)
-    A = model.ringing(modes, pulse.drive)[:20]
+    A = model.modal_amplitudes(modes, pulse.drive)[:20]
     return {
         "force": pulse.force,
         "compression": pulse.compression[:250],

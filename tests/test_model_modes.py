@@ -85,7 +85,7 @@ def test_window_weights_against_adaptive_quadrature(name):
     for k in (1, 2, 7, 33, 64):
         beta = k * math.pi / geometry.length
         exact = scipy.integrate.quad(
-            lambda z, b=beta: float(shape(z)) * math.sin(b * (geometry.strike + width * z)), -0.5, 0.5, **options
+            lambda z, b=beta: float(shape(z)) * math.sin(b * (geometry.strike_position + width * z)), -0.5, 0.5, **options
         )[0]
         assert weights[k - 1] == pytest.approx(exact / area, abs=1e-11)
 
@@ -101,7 +101,7 @@ def test_default_window_is_the_raised_cosine():
 
 def test_a_window_of_half_the_shortest_wavelength_or_more_is_no_singularity():
     """The closed form of the raised cosine has removable poles where β width = 2π."""
-    geometry = GEOMETRY._replace(width=2 / 25 * GEOMETRY.length, strike=0.3)  # β_25 width = 2π exactly
+    geometry = GEOMETRY._replace(width=2 / 25 * GEOMETRY.length, strike_position=0.3)  # β_25 width = 2π exactly
     weights = np.asarray(cases.table(STRING, geometry, rate=1e6, n_modes=64).strike)
     assert weights[24] == pytest.approx(0.5 * math.sin(25 * math.pi * 0.3), abs=1e-12)
     assert np.all(np.isfinite(weights))
@@ -201,6 +201,6 @@ def test_unusable_arguments_say_what_to_do():
 
 
 def test_a_window_between_two_grid_points_is_refused():
-    narrow = GEOMETRY._replace(strike=0.12, width=0.002)
+    narrow = GEOMETRY._replace(strike_position=0.12, width=0.002)
     with pytest.raises(ParameterError, match=r"width=0\.002 m: none of the 40 grid points"):
         model.simulate(STRING, HAMMER, narrow, kind="finite_difference", n_modes=40, oversampling=1)

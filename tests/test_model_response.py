@@ -11,7 +11,7 @@ from model_cases import GEOMETRY, HAMMER, RATE, STRING
 
 from pianofit import model
 from pianofit.errors import ParameterError
-from pianofit.model.response import damped_circle
+from pianofit.model.free_response import damped_circle
 
 pytestmark = pytest.mark.usefixtures("float64")
 
@@ -192,7 +192,7 @@ def test_any_number_of_samples(samples):
 def test_a_mode_that_dies_within_the_contact_has_finite_levels():
     string, hammer = STRING._replace(b2=0.1), HAMMER._replace(M_H=0.05, v_H0=0.1, K_H=1e8)
     modes, pulse = cases.hit(string, hammer, GEOMETRY._replace(mass=0.002), RATE, n_modes=128, steps=4096)
-    assert np.isfinite(np.asarray(model.ringing(modes, pulse.drive))).all()
+    assert np.isfinite(np.asarray(model.modal_amplitudes(modes, pulse.drive))).all()
     assert np.isfinite(np.asarray(cases.string_energy(modes, pulse.drive))).all()
 
 

@@ -9,11 +9,11 @@ from instrument_cases import true_note, uneven_note
 
 from pianofit import recording_from_samples
 from pianofit.errors import ParameterError
+from pianofit.model.free_response import level_db, modal_amplitudes
 from pianofit.model.modes import mode_frequencies
 from pianofit.model.note import Note, arrival
-from pianofit.model.path import OutputPath, filtered, impulse
-from pianofit.model.response import level_db, ringing
-from pianofit.result.align import lag, placed, touched
+from pianofit.model.output_path import OutputPath, filtered, impulse
+from pianofit.result.alignment import estimate_contact_onset, fractional_lag, locate_template
 
 RATE, PERIOD = 10_000, 270  # of A♯1, 27 ms: an attack of 50 ms holds not two
 
@@ -29,9 +29,9 @@ def test_an_attack_is_found_among_its_periods(touch, sign):
     sound = np.zeros(1500)
     sound[touch:] = note[: 1500 - touch]
     sound = sign * sound + 1e-3 * np.random.default_rng(1).normal(size=1500)
-    at, found = placed(note[:500], sound)
+    at, found = locate_template(note[:500], sound)
     assert (at, found) == (touch, sign)
-    assert abs(lag(note[:500], found * sound[at:][:500])) < 0.1
+    assert abs(fractional_lag(note[:500], found * sound[at:][:500])) < 0.1
 
 
 @pytest.mark.parametrize("midi", [24, 60, 96])
@@ -47,10 +47,10 @@ def steep(midi):
 
 
 def test_a_strike_that_begins_in_the_file_is_not_cut():
-    sound, _ = true_note(24)._replace(path=steep(24)).stroke(44_100, 4410, touch=200)
+    sound, _ = true_note(24)._replace(path=steep(24)).render_stroke(44_100, 4410, touch=200)
     assert not sound[:200].any()
     assert abs(sound[200]) < 1e-3 * np.abs(sound).max()
-    cut, _ = true_note(24)._replace(path=steep(24)).stroke(44_100, 4410, touch=-200)
+    cut, _ = true_note(24)._replace(path=steep(24)).render_stroke(44_100, 4410, touch=-200)
     np.testing.assert_allclose(cut[: 4410 - 400], sound[400:], atol=1e-9 * np.abs(sound).max())
 
 
@@ -59,14 +59,14 @@ def test_a_strike_that_begins_in_the_file_is_not_cut():
 @pytest.mark.parametrize("noise_db", [-80, -50])
 def test_the_touch_is_found_from_what_is_seen_of_it_in_the_noise(colour, midi, noise_db):
     note, rate, touch = true_note(midi)._replace(path=steep(midi)), 44_100, 20_000
-    sound, strike = note.stroke(rate, 2 * rate, touch)
+    sound, strike = note.render_stroke(rate, 2 * rate, touch)
     noise = np.random.default_rng(midi).normal(size=2 * rate)
     for n in range(1, len(noise)):
         noise[n] += colour * noise[n - 1]
     noise *= np.abs(sound).max() * 10 ** (noise_db / 20) / noise.std()
     recording = recording_from_samples(0.5 * (sound + noise) / np.abs(sound).max(), rate)
     assert recording.onset >= touch
-    assert abs(touched(note, strike, recording) - touch) < 0.002 * rate
+    assert abs(estimate_contact_onset(note, strike, recording) - touch) < 0.002 * rate
 
 
 @pytest.mark.parametrize("midi", [40, 60, 84])
@@ -74,8 +74,8 @@ def test_every_partial_is_as_loud_as_the_path_says(midi):
     """Under exp(-8t), as levels are measured, though each partial has a decay of its own."""
     note = uneven_note(midi)
     rate = 44_100
-    through, _ = note.stroke(rate, 2 * rate)
-    plain, _ = note._replace(path=None).stroke(rate, 2 * rate)
+    through, _ = note.render_stroke(rate, 2 * rate)
+    plain, _ = note._replace(path=None).render_stroke(rate, 2 * rate)
     damped = np.exp(-8.0 * np.arange(2 * rate) / rate)  # 0.35 s hold all of it but 0.02 dB
     energy = np.abs(np.fft.rfft(np.stack([through, plain]) * damped)) ** 2
     f, bins = note.path.frequency, np.fft.rfftfreq(2 * rate, 1 / rate)
@@ -90,8 +90,8 @@ def test_a_slow_push_goes_through_the_path_at_its_own_frequency():
     note, k = true_note(84), np.arange(1, 16)
     soft = note.hammer._replace(v_H0=0.05, K_H=1e-2 * note.hammer.K_H)
     rises = OutputPath(mode_frequencies(note.string, note.geometry.length, len(k)), -30.0 + 3 * k)
-    through, strike = note._replace(hammer=soft, path=rises).stroke(44_100, 4410)
-    plain, _ = note._replace(hammer=soft, path=None).stroke(44_100, 4410)
+    through, strike = note._replace(hammer=soft, path=rises).render_stroke(44_100, 4410)
+    plain, _ = note._replace(hammer=soft, path=None).render_stroke(44_100, 4410)
     assert strike.contact_time > 1 / rises.frequency[0]
     through, plain = np.fft.rfft(through), np.fft.rfft(plain)
     slow = (np.fft.rfftfreq(4410, 1 / 44_100) < 0.7 * rises.frequency[0]) & (np.abs(plain) > 0.1 * np.abs(plain[0]))
@@ -134,7 +134,7 @@ def test_a_note_renders_at_any_velocity_and_refuses_others():
     assert soft.shape == (8820,)
     assert loud.shape == (9600,)
     assert np.abs(loud).max() > 5 * np.abs(soft).max()
-    np.testing.assert_array_equal(note.render(seconds=0.2), note.stroke(44_100, 8820)[0])
+    np.testing.assert_array_equal(note.render(seconds=0.2), note.render_stroke(44_100, 8820)[0])
     with pytest.raises(ParameterError, match=r"velocity=100.0 m/s must be from 0.01 to 20"):
         note.render(100.0)
 
@@ -148,7 +148,7 @@ def test_levels_are_those_of_the_sound_after_the_contact():
     np.testing.assert_allclose(note.levels(count=20), by_velocity[1], atol=1e-9)
     strike = note.strike(44_100)
     decay = -strike.modes.pole.real[:20]
-    amplitude = np.asarray(ringing(strike.modes, strike.pulse.drive))[:20]
+    amplitude = np.asarray(modal_amplitudes(strike.modes, strike.pulse.drive))[:20]
     amplitude = amplitude * np.exp(-decay * arrival(note.string, note.geometry, note.quantity))
     assert note.path is not None
     played = level_db(amplitude, decay, np) + note.path.at(note.frequencies(20)) + 20 * np.log10(note.gain)

@@ -8,7 +8,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pianofit.numbers import bracketed, columns, counted, with_half_interval, with_interval, with_standard_error
+from pianofit.io.number_format import (
+    columns,
+    counted,
+    format_with_interval,
+    with_half_interval,
+    with_interval,
+    with_standard_error,
+)
 
 RAISED = str.maketrans("−⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "--0123456789", "\u00a0")
 
@@ -18,7 +25,7 @@ def test_the_ends_of_an_interval_differ_from_the_value_and_keep_it_between_them(
     value = mantissa * 10.0**power * (-1 if negative else 1)
     half = abs(value) * 10**width
     low, high = value - half, value + half
-    text, span = bracketed(value, (low, high))
+    text, span = format_with_interval(value, (low, high))
     ends = [float(end) for end in span.strip("[]").split(", ")]
     assert ends[0] < float(text) < ends[1]
     # Two digits of the half-width: each is written to within a twentieth of it.
@@ -57,7 +64,7 @@ def test_half_an_interval_is_per_cent_while_small_then_a_factor(value, half, tex
     ],
 )
 def test_intervals_for_a_terminal(value, interval, texts):
-    assert bracketed(value, interval) == texts
+    assert format_with_interval(value, interval) == texts
 
 
 @pytest.mark.parametrize(

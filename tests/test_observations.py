@@ -8,18 +8,18 @@ from observed_cases import B1, D2, F0, analysis, frequency
 
 import pianofit.model  # noqa: F401  (float64)
 from pianofit import Recording, Setup, analyse, recording_from_samples
-from pianofit.inference import observations, pose, priors
-from pianofit.inference.estimate import string_minimum
-from pianofit.inference.observations import Layout, observe, string_law
+from pianofit.inference import build_problem, observation_tables, priors
+from pianofit.inference.map_estimate import fit_string
+from pianofit.inference.observation_tables import RecordingStructure, observe, string_law
 
 LOUD = analysis([1, 2, 3, 5], [0.0, -10.0, -20.0, -40.0], absent=[4], bound=[-70.0], systematic=0.3)
 SOFT = analysis([1, 2, 4], [-12.0, -25.0, -50.0], absent=[3, 5], bound=[-61.0, -62.0], f0=F0 * 2 ** (2 / 1200))
-ALONE = Layout((0,), (0,), (0,))
-TWO = Layout((0, 1), (0, 0), (0, 1))
-MICROPHONES = Layout((0, 0), (0, 1), (0, 1))
+ALONE = RecordingStructure((0,), (0,), (0,))
+TWO = RecordingStructure((0, 1), (0, 0), (0, 1))
+MICROPHONES = RecordingStructure((0, 0), (0, 1), (0, 1))
 
 
-def observed(layout: Layout = TWO, *, path: bool = True, gains: bool = True, unit: float = 0.0):
+def observed(layout: RecordingStructure = TWO, *, path: bool = True, gains: bool = True, unit: float = 0.0):
     analyses = [LOUD, SOFT] if len(layout.stroke) > 1 else [LOUD]
     return observe(analyses, layout, 0, unit, path, gains)
 
@@ -32,10 +32,10 @@ def bounds(table) -> dict[tuple[int, int], float]:
 def test_levels_stand_in_their_columns():
     o = observed(unit=6.0)
     assert o.number.tolist() == [1, 2, 3, 4, 5]
-    np.testing.assert_array_equal(o.level.found, [[1, 1, 1, 0, 1], [1, 1, 0, 1, 0]])
+    np.testing.assert_array_equal(o.level.detected, [[1, 1, 1, 0, 1], [1, 1, 0, 1, 0]])
     np.testing.assert_allclose(o.level.value[0, [0, 1, 2, 4]], [6.0, -4.0, -14.0, -34.0])
     np.testing.assert_allclose(o.level.value[1, [0, 1, 3]], [-6.0, -19.0, -44.0])
-    np.testing.assert_allclose(o.level.variance[o.level.found > 0], 0.01)
+    np.testing.assert_allclose(o.level.variance[o.level.detected > 0], 0.01)
     # Of the same recording: the loudest over each.
     np.testing.assert_allclose(20 * np.log10(o.level.ratio[1, [0, 1, 3]]), [0.0, 13.0, 38.0])
 
@@ -62,7 +62,7 @@ def test_columns_are_gains_and_onsets():
     late = np.hypot(priors.ONSET, priors.ONSET_PERIODS / F0)
     apart = [[priors.GAIN, x, x, late, late] for x in priors.GAINS_APART]
     np.testing.assert_allclose(table.scale, apart)
-    shared = observed(Layout((0, 1), (0, 0), (0, 0))).level
+    shared = observed(RecordingStructure((0, 1), (0, 0), (0, 0))).level
     np.testing.assert_allclose(shared.scale, [[priors.GAIN, late, late]])
     np.testing.assert_allclose(shared.columns[0], 1.0)
     calibrated = observed(path=False, gains=False).level
@@ -74,25 +74,25 @@ def test_nodes_are_of_paths_and_of_gains():
     """Every τ with gains that are one and gains that are not, each as likely; the screening takes the middle one."""
     table = observed().level
     nodes, weight = priors.path_nodes()
-    np.testing.assert_allclose(np.exp(table.share), weight[:, None] / 2 * np.ones(2))
-    np.testing.assert_allclose(table.common[:, 0], nodes)
-    assert (table.common[len(nodes) // 2, 0], table.scale[-1, 1]) == (nodes[1], priors.GAINS_APART[1])
+    np.testing.assert_allclose(np.exp(table.log_weight), weight[:, None] / 2 * np.ones(2))
+    np.testing.assert_allclose(table.log_tau[:, 0], nodes)
+    assert (table.log_tau[len(nodes) // 2, 0], table.scale[-1, 1]) == (nodes[1], priors.GAINS_APART[1])
     assert observed(MICROPHONES).level.scale.shape == (1, 2 + 2)  # two paths, and nothing to share
 
 
 def test_two_microphones_share_a_stroke_and_no_path():
     assert MICROPHONES.strokes == 1
     assert MICROPHONES.groups == 2
-    assert not MICROPHONES.compared
+    assert not MICROPHONES.path_identifiable
     np.testing.assert_array_equal(observed(MICROPHONES).level.group, np.eye(2))
     np.testing.assert_array_equal(observed().level.group, np.ones((2, 1)))
 
 
 def test_only_a_path_with_two_velocities_compares_anything():
-    assert Layout((0, 1, 0), (0, 0, 1), (0, 1, 2)).compared
-    assert not Layout((0, 1), (0, 1), (0, 1)).compared  # a path for each
-    assert not ALONE.compared
-    assert TWO.compared
+    assert RecordingStructure((0, 1, 0), (0, 0, 1), (0, 1, 2)).path_identifiable
+    assert not RecordingStructure((0, 1), (0, 1), (0, 1)).path_identifiable  # a path for each
+    assert not ALONE.path_identifiable
+    assert TWO.path_identifiable
 
 
 def test_the_residual_of_every_path_is_integrated_over():
@@ -102,13 +102,13 @@ def test_the_residual_of_every_path_is_integrated_over():
     for layout in (ALONE, TWO):
         level = observed(layout).level
         regimes = len(layout.stroke)  # of one recording, and of gains that are one or are not
-        np.testing.assert_allclose(level.common, x[:, None])
-        np.testing.assert_allclose(np.exp(level.share), weight[:, None] / regimes * np.ones(regimes))
-    both = observe([LOUD, SOFT, LOUD], Layout((0, 1, 0), (0, 0, 1), (0, 1, 2)), 0, 0.0, True, True).level
-    np.testing.assert_allclose(both.common, x[:, None] * np.ones(2))
+        np.testing.assert_allclose(level.log_tau, x[:, None])
+        np.testing.assert_allclose(np.exp(level.log_weight), weight[:, None] / regimes * np.ones(regimes))
+    both = observe([LOUD, SOFT, LOUD], RecordingStructure((0, 1, 0), (0, 0, 1), (0, 1, 2)), 0, 0.0, True, True).level
+    np.testing.assert_allclose(both.log_tau, x[:, None] * np.ones(2))
     calibrated = observed(path=False, gains=False).level
-    assert not calibrated.smooth.any()
-    assert (calibrated.common <= observations.NONE).all()
+    assert not calibrated.has_unknown_path.any()
+    assert (calibrated.log_tau <= observation_tables.NONE).all()
 
 
 def test_a_systematic_error_is_the_mean_over_recordings():
@@ -147,8 +147,8 @@ def test_a_law_of_decays_goes_through_the_cloud_of_partials_that_beat():
     for seed in range(6):
         recording = beating(seed)
         found = analyse(recording, f0=110.0)
-        problem = pose([recording], [found], Setup())
-        law = string_law(string_minimum(problem).z[0, :4], found.partials.number, problem.start.geometry.length)[0][1]
+        problem = build_problem([recording], [found], Setup())
+        law = string_law(fit_string(problem).theta[0, :4], found.partials.number, problem.start.geometry.length)[0][1]
         above.append(np.mean(found.partials.decay > law))
         over.append(np.median(found.partials.decay / law))
     assert np.mean(above) == pytest.approx(0.5, abs=0.15)
@@ -172,5 +172,5 @@ def test_the_strings_law_has_the_derivatives_it_says():
 
 def test_partials_above_the_top_stand_in_no_table():
     high = analysis([1, 20, 40], [0.0, -20.0, -30.0])
-    assert frequency(np.array([40]))[0] > observations.HIGHEST
+    assert frequency(np.array([40]))[0] > observation_tables.HIGHEST
     assert observe([high], ALONE, 0, 0.0, True, True).number.max() == 20

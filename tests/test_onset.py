@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pianofit import onset as module
 from pianofit.analysis import analyse
 from pianofit.errors import WrongNoteError
-from pianofit.onset import find_onset, find_sounds, without_drift
-from pianofit.recording import load_recording, recording_from_samples
+from pianofit.recording.onset import find_onset, find_sounds, without_drift
+from pianofit.recording.recording import load_recording, recording_from_samples
+from pianofit.recording.recording import onset as module
 
 RATE = 44_100
 SHARED = Path(os.environ.get("PIANOFIT_RECORDINGS", Path(__file__).parents[2] / "shared" / "recordings")).parent

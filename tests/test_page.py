@@ -14,16 +14,16 @@ from page_cases import BLOCK, RATE, early, error_db, play, ringing_note, run
 
 from pianofit.cli import main
 from pianofit.errors import FitError, ParameterError
-from pianofit.felt import MemoryHammer
+from pianofit.felt import RelaxingHammer
 from pianofit.fit_file import load_note
-from pianofit.io import json_text
-from pianofit.keyboard.document import read_instrument
-from pianofit.model.modal import Participation
+from pianofit.instrument.document import read_instrument
+from pianofit.io.files import json_text
+from pianofit.model.modal_response import VelocityGain
 from pianofit.model.modes import mode_frequencies
-from pianofit.play import Song, perform
-from pianofit.play.page import write_page
-from pianofit.play.page.payload import Knocks, encode_note, intervals, payload
-from pianofit.play.strings import PlayedString, damper_rate
+from pianofit.playback import Song, render_song
+from pianofit.playback.voice import StringVoice, damper_rate
+from pianofit.web import write_page
+from pianofit.web.payload import Knocks, encode_note, intervals, payload
 
 BLOCKS = 375  # 1 s
 WITHIN = -80.0  # dB
@@ -70,7 +70,7 @@ def test_strokes_beyond_those_that_say_how_modes_take_part_do_as_the_last(stroke
     part = note.ringing.participation
     assert part is not None
     assert 0.2 < part.velocity[0] == 0.5 < part.velocity[-1] < 8.0
-    part = Participation(part.velocity[strokes], part.factor[strokes])
+    part = VelocityGain(part.velocity[strokes], part.factor[strokes])
     note = note._replace(ringing=note.ringing._replace(participation=part))
     (sound,) = play([job(encode_note(note, 52), struck(velocity))])
     expected = note.render(velocity, seconds=1.0, rate=RATE, mono=False)
@@ -82,7 +82,7 @@ def test_strokes_beyond_those_that_say_how_modes_take_part_do_as_the_last(stroke
 @pytest.mark.parametrize("midi", [28, 60])
 def test_a_stroke_on_a_moving_string_is_the_players(midi):
     note, again = uneven_note(midi), 40
-    string = PlayedString(note, midi, RATE)
+    string = StringVoice(note, midi, RATE)
     head = string.strike(4.0)
     rest = string.ring(again * BLOCK - head.shape[-1])
     second = string.strike(1.5)
@@ -148,11 +148,11 @@ def test_a_piece_with_strings_struck_again_dampers_and_pedal_is_the_players():
             struck_at = piano.note(key, velocity).hammer.v_H0
             events += [[int(begin), "noteOn", key, struck_at], [end, "noteOff", key]]
     song = Song(keys, [(500 * at, True), (900 * at, False)], 1200 * at, 52)
-    expected = perform(piano, song, RATE)
+    expected = render_song(piano, song, RATE)
     assert expected.limited_db == expected.gain_db == 0
     entries = {key: encode_note(note, key) for key, note in notes.items()}
     (sound,) = play([{"keys": entries, "events": sorted(events), "blocks": 1200}])
-    assert expected.on_moving > 20
+    assert expected.restrikes > 20
     assert error_db(sound[:, early(notes[52]) :], expected.samples) < -60
 
 
@@ -161,7 +161,7 @@ def test_a_damper_through_a_path_is_nearly_the_players():
     note, at, end = uneven_note(52), BLOCK / RATE, 150
     piano = true_instrument((52,))._replace(notes={52: note})
     song = Song({52: [(0.0, 90), (end * at, 0)]}, [], 400 * at, 52)
-    expected = perform(piano, song, RATE).samples
+    expected = render_song(piano, song, RATE).samples
     events = [[0, "noteOn", 52, piano.note(52, 90).hammer.v_H0], [end, "noteOff", 52]]
     (sound,) = play([{"keys": {52: encode_note(note, 52)}, "events": events, "blocks": 400}])
     assert error_db(sound[:, : end * BLOCK], expected[:, : end * BLOCK]) < WITHIN
@@ -173,7 +173,7 @@ def test_a_key_without_knock_waits_for_those_that_have_one():
     (sound,) = play([{"keys": {60: encode_note(own, 60), 72: encode_note(law, 72)}, "events": [[0, "noteOn", 72, 2.0]],
                       "blocks": 40}])  # fmt: skip
     begin = np.flatnonzero(sound[0])[0]
-    assert abs(begin - own.lead * RATE) <= BLOCK
+    assert abs(begin - own.pre_onset_s * RATE) <= BLOCK
 
 
 @pytest.mark.parametrize("loud", [0.3, 30.0])
@@ -203,7 +203,7 @@ def test_a_changed_key_is_the_changed_note():
         hammer=h._replace(
             p=p, mu=0.5 * h.mu, M_H=1.3 * h.M_H, K_H=2 * h.K_H * entry["compression"] ** (h.p - p)
         ),
-        geometry=g._replace(strike=0.8 * g.strike),
+        geometry=g._replace(strike_position=0.8 * g.strike_position),
     )  # fmt: skip
     (sound,) = play([job(entry, struck(2.0), changes=c)])
     assert error_db(sound, other.render(2.0, seconds=1.0, rate=RATE)) < WITHIN
@@ -270,7 +270,7 @@ def test_the_sliders_have_the_intervals_of_the_instrument():
     piano = read_instrument(document() | {"keys": [row | {"told": {"mu": {"value": 0.2, "interval": [0.1, 0.4]},
         "p": {"value": "x", "interval": [1, 2]}, "B": {"value": 1, "interval": None}, "q": 3}}
         for row in document()["keys"]]})  # fmt: skip
-    assert piano.told[60] == {"mu": (0.2, 0.1, 0.4)}
+    assert piano.values[60] == {"mu": (0.2, 0.1, 0.4)}
     assert payload(piano, 1_000_000)[0]["keys"][1]["intervals"] == {"mu": [0.5, 2.0]}
 
 
@@ -321,7 +321,7 @@ def test_a_knock_in_fewer_bits_is_the_same_below_its_rate():
 def test_a_felt_that_the_page_does_not_know_is_refused():
     note = true_note(60)
     with pytest.raises(ParameterError, match="key C4: a page plays the felt of Hunt and Crossley, not a MemoryHammer"):
-        encode_note(note._replace(hammer=MemoryHammer(*note.hammer, 0.3, 1e-4)), 60)
+        encode_note(note._replace(hammer=RelaxingHammer(*note.hammer, 0.3, 1e-4)), 60)
 
 
 def document() -> dict:

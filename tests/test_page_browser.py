@@ -14,9 +14,9 @@ from instrument_cases import true_instrument, uneven_note
 from page_cases import ringing_note
 
 from pianofit.fit_file import load_note
-from pianofit.keyboard import load_instrument
-from pianofit.play import load_song
-from pianofit.play.page import write_page
+from pianofit.instrument import load_instrument
+from pianofit.playback import load_song
+from pianofit.web import write_page
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 CHROMIUM = shutil.which("chromium") or "/usr/bin/chromium"
@@ -55,7 +55,7 @@ def written(tmp_path_factory):
     notes = piano.notes | {60: uneven_note(60), 64: ringing_note(64)}
     path = tmp_path_factory.mktemp("page") / "a piano #1?.html"
     told = {60: {"M_H/M_S": (1.0, 0.5, 2.0), "p": (2.0, 1.9, 2.2)}}
-    write_page(path, piano._replace(name="</script>'\"", notes=notes, recorded=frozenset([60, 64]), told=told))
+    write_page(path, piano._replace(name="</script>'\"", notes=notes, recorded=frozenset([60, 64]), values=told))
     return path
 
 
@@ -265,7 +265,7 @@ def test_an_instrument_is_saved_with_all_that_was_set(page, written, tmp_path):
     assert found.notes[62].hammer.M_H == own.notes[62].hammer.M_H
     gains = [found.notes[midi].gain / own.notes[midi].gain for midi in (50, 62)]
     assert gains == pytest.approx([10**1.5] * 2)
-    assert found.told[60] == {"M_H/M_S": (1.0, 0.5, 2.0), "p": (2.0, 1.9, 2.2)}
+    assert found.values[60] == {"M_H/M_S": (1.0, 0.5, 2.0), "p": (2.0, 1.9, 2.2)}
 
 
 DROP = """([name, bytes]) => {

@@ -12,12 +12,12 @@ from instrument_cases import true_instrument, uneven_note
 from page_cases import RATE, early, error_db, play, ringing_note, run
 
 from pianofit.cli import main
-from pianofit.keyboard import Instrument, load_instrument, read_instrument
-from pianofit.keyboard.document import LARGEST_FILE
-from pianofit.play import load_song
-from pianofit.play.midi import read_song
-from pianofit.play.page.payload import Knocks, encode_note, payload
-from pianofit.play.page.write import LARGEST_PAGE, OWN, write_page
+from pianofit.instrument import Instrument, load_instrument, read_instrument
+from pianofit.instrument.document import LARGEST_FILE
+from pianofit.playback import load_song
+from pianofit.playback.midi import read_song
+from pianofit.web.payload import Knocks, encode_note, payload
+from pianofit.web.write import LARGEST_PAGE, OWN, write_page
 
 BLOCKS = 375  # 1 s
 WITHIN = -80.0  # dB
@@ -35,7 +35,7 @@ def piano() -> Instrument:
     notes = {52: ringing_note(52), 60: uneven_note(60), 64: ringing_note(64)}
     told = {key: {"M_H/M_S": (1.0, 0.5, 2.0), "p": (2.5, 2.4, 2.7)} for key in notes}
     return true_instrument(range(52, 53))._replace(
-        notes=notes, recorded=frozenset([52, 60]), told=told, states={52: "pulled", 64: "interpolated"}
+        notes=notes, recorded=frozenset([52, 60]), values=told, states={52: "pulled", 64: "interpolated"}
     )
 
 
@@ -67,11 +67,11 @@ def test_a_saved_instrument_says_which_keys_were_changed():
     assert found.changed == [52, 60]
     assert found.states == {52: "changed", 60: "changed", 64: "interpolated"}
     assert found.recorded == {52, 60}
-    assert (found.name, found.at_64, found.rise) == ("twin", 1.3, 1.5)
-    assert {midi: set(values) for midi, values in found.told.items()} == {
+    assert (found.name, found.velocity_at_64, found.velocity_slope) == ("twin", 1.3, 1.5)
+    assert {midi: set(values) for midi, values in found.values.items()} == {
         52: {"p"}, 60: {"p"}, 64: {"M_H/M_S", "p"}
     }  # fmt: skip
-    assert found.told[64]["p"] == (2.5, 2.4, 2.7)
+    assert found.values[64]["p"] == (2.5, 2.4, 2.7)
     changes = {row["midi"]: row["changes"] for row in document["keys"]}
     assert changes == {52: {k: x for k, x in CHANGES[52].items() if k != "p"}, 60: CHANGES[60], 64: None}
     assert not any("volume" in words for words in document["messages"])

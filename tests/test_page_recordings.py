@@ -18,12 +18,12 @@ from page_cases import SCRIPTS, node, ringing_note
 
 from pianofit.cli import main
 from pianofit.errors import FitError, ParameterError
-from pianofit.io import encode_wav
-from pianofit.keyboard import Instrument, load_instrument
-from pianofit.keyboard.gather import Layer
-from pianofit.play.page import write_page
-from pianofit.play.page.recordings import recorded_layers
+from pianofit.instrument import Instrument, load_instrument
+from pianofit.instrument.collect_fits import Layer
+from pianofit.io.files import encode_wav
 from pianofit.report.sound import k_weighted_mean_square
+from pianofit.web import write_page
+from pianofit.web.recordings import recorded_layers
 
 RATE = 48_000
 CONTACT = 0.06  # s, in the recordings
@@ -38,7 +38,7 @@ def piano(tmp_path_factory) -> Instrument:
     for midi, note in notes.items():
         for velocity in VELOCITIES:
             sound = note.render(velocity, seconds=2.5, rate=RATE, mono=False)
-            sound = np.pad(sound, ((0, 0), (round((CONTACT - note.lead) * RATE), 0)))
+            sound = np.pad(sound, ((0, 0), (round((CONTACT - note.pre_onset_s) * RATE), 0)))
             file = folder / f"{midi} at {velocity}.wav"
             file.write_bytes(encode_wav(0.3 * sound / np.abs(sound).max(), RATE))
             digest = hashlib.sha256(file.read_bytes()).hexdigest()
@@ -70,11 +70,11 @@ def test_recordings_that_are_gone_or_others_are_named(piano, tmp_path):
 
 def test_recordings_are_shortened_before_they_are_too_much(piano, monkeypatch):
     whole = sum(len(layer["flac"]) for layers in recorded_layers(piano).values() for layer in layers)
-    monkeypatch.setattr("pianofit.play.page.recordings.LENGTHS", (4.0, 1.0))
-    monkeypatch.setattr("pianofit.play.page.recordings.ROOM", whole - 1)
+    monkeypatch.setattr("pianofit.web.recordings.LENGTHS", (4.0, 1.0))
+    monkeypatch.setattr("pianofit.web.recordings.ROOM", whole - 1)
     found = recorded_layers(piano)
     assert sf.info(io.BytesIO(base64.b64decode(found[60][0]["flac"]))).frames == RATE
-    monkeypatch.setattr("pianofit.play.page.recordings.ROOM", 1000)
+    monkeypatch.setattr("pianofit.web.recordings.ROOM", 1000)
     with pytest.raises(ParameterError, match=r"1 s of every layer take .* MB, and a page has room for 0 MB"):
         recorded_layers(piano)
 

@@ -17,7 +17,7 @@ from page_cases import early, error_db, node, ringing_note
 
 from pianofit.errors import ParameterError
 from pianofit.fit_file import load_note
-from pianofit.play.page import widget
+from pianofit.web import widget
 
 RATE = 48_000
 BLOCK = 128

@@ -10,28 +10,28 @@ from scipy.integrate import quad
 from table_cases import PHI, dense, noise, point, shared, table
 
 import pianofit.model  # noqa: F401  (float64)
-from pianofit.inference.likelihood import next_weights
-from pianofit.inference.nuisances import without_nuisances
-from pianofit.inference.population import Part
-from pianofit.inference.posterior import Posterior, _log_curvature
-from pianofit.inference.reports import report
+from pianofit.inference.candidates import TableState
+from pianofit.inference.derivatives import evaluate
+from pianofit.inference.laplace import Posterior, _log_curvature
+from pianofit.inference.likelihood import em_weights
+from pianofit.inference.marginal_curvature import marginalise_nuisances
 
 pytestmark = pytest.mark.usefixtures("float64")
 
 
-def part(t, residual, jacobian, w) -> Part:
+def part(t, residual, jacobian, w) -> TableState:
     """A point at PHI."""
-    return Part(PHI, w, residual, jacobian, report(t, residual, jacobian, PHI, w), np.eye(4))
+    return TableState(PHI, w, residual, jacobian, evaluate(t, residual, jacobian, PHI, w), np.eye(4))
 
 
 def test_a_linear_gaussian_problem_is_described_exactly():
     """With as good as normal errors and a known φ the marginal of θ is Gaussian: prior and noise give its precision."""
     known = PHI, np.full(4, 1e-5)
-    t = table("no path")._replace(student=jnp.asarray(1e9), absent=jnp.zeros((0, 2), int), prior=known)
+    t = table("no path")._replace(degrees_of_freedom=jnp.asarray(1e9), censored=jnp.zeros((0, 2), int), prior=known)
     residual, _ = point("no path")
     w, jacobian = np.ones_like(residual), np.random.default_rng(5).normal(size=(*residual.shape, 3))
-    found, _ = without_nuisances(t, part(t, residual, jacobian, w), 1)
-    there = np.asarray(t.found).ravel() > 0
+    found, _ = marginalise_nuisances(t, part(t, residual, jacobian, w), 1)
+    there = np.asarray(t.detected).ravel() > 0
     whole = (shared(t, PHI, (0, 0)) + np.diag(noise(t, PHI).ravel()))[np.ix_(there, there)]
     rows = jacobian.reshape(-1, 3)[there]
     np.testing.assert_allclose(found, rows.T @ np.linalg.solve(whole, rows), rtol=1e-5)
@@ -49,9 +49,9 @@ def lowest(shape: str):
     t, residual = table(shape), 0.4 * point(shape)[0]
     w, jacobian = np.ones_like(residual), np.random.default_rng(5).normal(size=(*residual.shape, 3))
     for _ in range(40):
-        found = report(t, residual, jacobian, PHI, w)
+        found = evaluate(t, residual, jacobian, PHI, w)
         residual = residual - jacobian @ np.linalg.solve(found.curvature, -found.gradient)
-        w = next_weights(t, found.by_log_w, w)
+        w = em_weights(t, found.by_log_w, w)
     return t, jacobian, residual, w
 
 
@@ -63,7 +63,7 @@ def test_hyperparameters_and_weights_are_integrated_out(shape):
     """
     t, jacobian, residual, w = lowest(shape)
     there = part(t, residual, jacobian, w)
-    where = tuple(np.argwhere(np.asarray(t.found) > 0).T)
+    where = tuple(np.argwhere(np.asarray(t.detected) > 0).T)
     plain = jax.tree.map(np.asarray, t)
 
     def whole(x: np.ndarray) -> float:
@@ -75,14 +75,14 @@ def test_hyperparameters_and_weights_are_integrated_out(shape):
     for hyper in (1, 4):
         rest = H[np.ix_(*[np.r_[3 : 3 + hyper, 7 : len(H)]] * 2)]
         cross = H[np.r_[3 : 3 + hyper, 7 : len(H)], :3]
-        found, volume = without_nuisances(t, there, hyper)
+        found, volume = marginalise_nuisances(t, there, hyper)
         np.testing.assert_allclose(
-            found, there.report.curvature - cross.T @ np.linalg.solve(rest, cross), rtol=3e-4, atol=3e-4
+            found, there.derivatives.curvature - cross.T @ np.linalg.solve(rest, cross), rtol=3e-4, atol=3e-4
         )
         assert volume == pytest.approx(np.linalg.slogdet(rest)[1], abs=1e-2)
         # What is not known of φ and w makes θ less known.
-        assert np.linalg.eigvalsh(there.report.curvature - found)[0] > -1e-9
-        assert np.abs(there.report.curvature - found).max() > 0.005 * np.abs(found).max()
+        assert np.linalg.eigvalsh(there.derivatives.curvature - found)[0] > -1e-9
+        assert np.abs(there.derivatives.curvature - found).max() > 0.005 * np.abs(found).max()
 
 
 def hessian(of, size: int) -> np.ndarray:

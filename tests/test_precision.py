@@ -45,7 +45,7 @@ def level(velocity):
     hammer = Hammer(*HAMMER)._replace(v_H0=velocity)
     modes = model.mode_table(STRING, GEOMETRY, rate=RATE, n_modes=MODES)
     pulse = model.strike(modes, hammer, steps=STEPS)
-    return model.level_db(model.ringing(modes, pulse.drive), -modes.pole.real)[0]
+    return model.level_db(model.modal_amplitudes(modes, pulse.drive), -modes.pole.real)[0]
 
 
 def many(velocity):
@@ -122,7 +122,7 @@ UNDER_SETTINGS = """
 import sys, jax
 import numpy as np
 import pianofit as pf
-from pianofit.model.precision import scope
+from pianofit.model.x64 import scope
 settings = dict(jax_numpy_rank_promotion="raise", jax_numpy_dtype_promotion="strict", jax_debug_nans=True,
     jax_debug_infs=True, jax_enable_custom_prng=True, jax_legacy_prng_key="error", jax_default_prng_impl="rbg",
     jax_threefry_partitionable=False)

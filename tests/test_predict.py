@@ -9,8 +9,8 @@ from observed_cases import analysis
 import pianofit
 from pianofit.fit_file import gains_of
 from pianofit.inference.priors import log_gain
-from pianofit.model.path import OutputPath, Wander
-from pianofit.result.predict import predict_recording
+from pianofit.model.output_path import OutputPath, VelocityDiscrepancy
+from pianofit.result.prediction import predict_recording
 
 
 @pytest.mark.parametrize("velocity", [0.4, 1.3])
@@ -42,7 +42,7 @@ def test_what_strokes_leave_is_taken_along():
     it, count = pianofit.typical(53), 20
     note = pianofit.Note(it.string, it.hammer, it.geometry, "bridge-force", gain=0.01)
     known, left = np.array([0.5, 1.0, 3.0]), np.random.default_rng(1).normal(0, 3, (3, count))
-    path = OutputPath(note.frequencies(count), np.zeros(count), None, Wander(known, left))
+    path = OutputPath(note.frequencies(count), np.zeros(count), None, VelocityDiscrepancy(known, left))
     for velocity, over in ((1.0, left[1]), (np.sqrt(3.0), left[1:].mean(axis=0)), (5.0, left[2])):
         level = note.levels(velocity, count) + over
         heard = analysis(np.arange(1, count + 1), level, f0=it.string.c / (2 * it.geometry.length))

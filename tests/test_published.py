@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from scipy.interpolate import PchipInterpolator
 
 from pianofit.errors import ParameterError
+from pianofit.literature import CHAIGNE_HAMMERS, HAMMERS, LOSSES, PRESETS, STRINGS, TABLES, preset, typical
 from pianofit.parameters import FIT_NAMES, PARAMETERS, check
-from pianofit.published import CHAIGNE_HAMMERS, HAMMERS, LOSSES, PRESETS, STRINGS, TABLES, preset, typical
 
 KEYBOARD = range(21, 109)
 SEMITONES = {"C": -9, "C#": -8, "D#": -6, "F": -4, "F#": -3, "G": -2, "A": 0}

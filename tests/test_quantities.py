@@ -11,12 +11,12 @@ import pytest
 from instrument_cases import true_note
 
 import pianofit
+from pianofit.conversions import NORMAL
 from pianofit.errors import ParameterError
-from pianofit.model.modal import Participation, Ringing
-from pianofit.model.path import OutputPath, Wander
+from pianofit.model.modal_response import ModalResponse, VelocityGain
+from pianofit.model.output_path import OutputPath, VelocityDiscrepancy
 from pianofit.parameters import Hammer, String
-from pianofit.result.notation import latex_name, latex_unit
-from pianofit.units import NORMAL
+from pianofit.result.uncertainty_format import latex_name, latex_unit
 
 
 def quantity(value: float, sd: float, **more) -> pianofit.Quantity:
@@ -115,10 +115,10 @@ def test_a_notebook_shows_latex_and_no_commands_of_a_file():
 
 def test_what_holds_arrays_is_shown_in_a_few_lines():
     k = np.arange(1.0, 400.0)
-    path = OutputPath(60 * k, k, k, Wander(np.arange(1.0, 9.0), np.zeros((8, 399))))
-    part = Participation(np.arange(1.0, 9.0), np.ones((8, 900), complex))
+    path = OutputPath(60 * k, k, k, VelocityDiscrepancy(np.arange(1.0, 9.0), np.zeros((8, 399))))
+    part = VelocityGain(np.arange(1.0, 9.0), np.ones((8, 900), complex))
     own = np.zeros((2, 900))
-    ringing = Ringing(np.ones(900, int), own[0] + 0j, own.T, own + 0j, np.zeros((2, 44_100)), 44_100, part)
+    ringing = ModalResponse(np.ones(900, int), own[0] + 0j, own.T, own + 0j, np.zeros((2, 44_100)), 44_100, part)
     note = true_note(60)._replace(path=path, ringing=ringing)
     shown = repr(note)
     assert len(shown) < 1000
@@ -143,7 +143,7 @@ def test_inside_a_computation_a_note_is_shown_too():
 
 
 def test_a_setup_shows_what_was_given():
-    setup = pianofit.Setup(length=1.0, known={"M_H": 0.005}, recordings=(pianofit.Layer(v_H0=0.8),))
+    setup = pianofit.Setup(length=1.0, fixed={"M_H": 0.005}, recordings=(pianofit.RecordingInfo(v_H0=0.8),))
     assert repr(setup) == (
         "Setup(length=1.0, pickup_quantity='pressure', known={'M_H': 0.005}, recordings=(Layer(v_H0=0.8),))"
     )

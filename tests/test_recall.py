@@ -14,7 +14,7 @@ from twin_cases import FIRST, record_model
 import pianofit
 from pianofit.errors import FitError
 from pianofit.report import build
-from pianofit.result.recall import levels_of
+from pianofit.result.reload import levels_of
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +45,7 @@ def test_what_needs_no_recording_is_shown_without_it(made, monkeypatch):
     plt.switch_backend("Agg")
     result, folder = made
     back = pianofit.Result.load(folder)
-    monkeypatch.setattr("pianofit.result.recall.recalled", None)  # not to be called
+    monkeypatch.setattr("pianofit.result.reload.recalled", None)  # not to be called
     contact, levels = build.contact_curves(back), build.level_curves(back)
     fresh = build.reference_curves(result)
     for name in ("initial", "fitted"):
@@ -72,7 +72,7 @@ def test_with_its_recording_it_is_the_result_that_was_saved(made):
         np.testing.assert_array_equal(getattr(one.recording, name), getattr(other.recording, name))
     for field in dataclasses.fields(one.analysis.partials):
         np.testing.assert_array_equal(getattr(one.partials, field.name), getattr(other.partials, field.name))
-    for mine, theirs in ((one.initial, other.initial), (one.fitted, other.fitted), (one.played, other.played)):
+    for mine, theirs in ((one.initial, other.initial), (one.fitted, other.fitted), (one.as_played, other.played)):
         alike(mine.samples, theirs.samples, 1e-6)
         alike(mine.level, theirs.level)
     assert (one.criterion, one.levels) == (other.criterion, other.levels)

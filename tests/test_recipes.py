@@ -13,15 +13,15 @@ import pytest
 
 import pianofit
 from pianofit import ParameterError, analyse, recording_from_samples, setup_from_dict
+from pianofit.bensa2005 import search as searching
+from pianofit.bensa2005.laboratory import make_synthetic_recording, setup_text
+from pianofit.bensa2005.recipes import FELT_UNKNOWN, NO_INTERVALS, OPENING, RECIPES, Found, fit_by_paper
 from pianofit.cli import main
 from pianofit.criterion import band_values, line_sigma, measure
 from pianofit.errors import SetupError
-from pianofit.inference.start import Start, starting_values
+from pianofit.inference.initial_values import InitialValues, starting_values
 from pianofit.model import simulate
 from pianofit.model.note import arrival
-from pianofit.paper import search as searching
-from pianofit.paper.laboratory import make_twin, setup_text
-from pianofit.paper.recipes import FELT_UNKNOWN, NO_INTERVALS, OPENING, RECIPES, Found, fit_by_paper
 from pianofit.parameters import FIT_NAMES, Hammer, String
 
 FEW = 600
@@ -29,7 +29,7 @@ FEW = 600
 
 @functools.cache
 def twin():
-    return make_twin(60.0, seed=0)
+    return make_synthetic_recording(60.0, seed=0)
 
 
 @functools.cache
@@ -74,7 +74,7 @@ def of_four_partials():
     return note, analyse(note)
 
 
-def start(given=None) -> Start:
+def start(given=None) -> InitialValues:
     return starting_values(analysis(), given or setup())
 
 
@@ -100,7 +100,7 @@ def test_a_string_of_another_pitch_is_refused(given, said):
 @pytest.mark.parametrize(("cents", "refused"), [(-60, True), (-40, False), (40, False), (60, True)])
 def test_a_wave_speed_and_a_length_may_be_less_than_half_a_semitone_off(cents, refused):
     """`ANOTHER_PITCH`, from both sides."""
-    given = pianofit.Setup(length=1.0, known={"c": 2 * analysis().f0 * 2 ** (cents / 1200)})
+    given = pianofit.Setup(length=1.0, fixed={"c": 2 * analysis().f0 * 2 ** (cents / 1200)})
     with pytest.raises(SetupError, match="correct one of them") if refused else contextlib.nullcontext():
         start(given)
 
@@ -188,7 +188,7 @@ def test_the_delay_goes_back_to_the_first_contact():
 def test_known_values_and_bounds_hold_exactly():
     given = bounded()
     found = search(given, evaluations=FEW)
-    for name, number in given.known.items():
+    for name, number in given.fixed.items():
         assert values(found)[name] == number
     for name, (low, high) in given.bounds.items():
         assert low <= values(found)[name] <= high
@@ -263,7 +263,7 @@ def test_values_at_a_bound_are_said():
     bound = [name for name, p in whole["parameters"].items() if p["status"] == "at-bound"]
     assert set(bound) & set(bounded().bounds)
     assert any(all(name in said for name in bound) for said in whole["messages"])
-    assert all(whole["parameters"][name]["status"] == "given" for name in bounded().known)
+    assert all(whole["parameters"][name]["status"] == "given" for name in bounded().fixed)
 
 
 @pytest.mark.parametrize("calibrated", [True, False])

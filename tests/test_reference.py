@@ -24,9 +24,9 @@ from model_cases import HAMMER, STRING
 from reference_cases import CASES, POINTS, STEPS, WIDE, X, relative, solve, touches
 
 from pianofit import model
+from pianofit.bensa2005 import finite_difference
+from pianofit.dsp.damped_sums import ring
 from pianofit.model.contact import free_motion, impulse_amplitude
-from pianofit.model.exponentials import ring
-from pianofit.paper import scheme
 from pianofit.parameters import FIT_NAMES, HAMMER_NAMES, PARAMETERS, Geometry, Hammer, String
 
 pytestmark = pytest.mark.usefixtures("float64")
@@ -53,7 +53,7 @@ def _outputs(values, geometry, step, weights, displacement, velocity) -> dict:
         "velocity": driven + ring(modes.free_pickup * free.amplitude, log_z, STEPS),
         "force": pulse.force,
         "compression": pulse.compression,
-        "ringing": ring(model.ringing(modes, pulse.drive, free), log_z, STEPS),  # the velocity, after the contact
+        "ringing": ring(model.modal_amplitudes(modes, pulse.drive, free), log_z, STEPS),  # the velocity, after the contact
     }
 
 
@@ -81,7 +81,7 @@ def _fast(case: dict, window: np.ndarray) -> tuple[dict, dict]:
 # --- the comparison ---------------------------------------------------------------------------------------------------
 
 
-def _condition(case: dict, found: scheme.Reference) -> float:
+def _condition(case: dict, found: finite_difference.Reference) -> float:
     """How many times a relative change of all parameters comes back in velocity or force, of full scale."""
     total = {"velocity": 0.0, "force": 0.0}
     for name, value in zip(FIT_NAMES, (*case["string"], *case["hammer"]), strict=True):
@@ -91,7 +91,7 @@ def _condition(case: dict, found: scheme.Reference) -> float:
     return max(total.values())
 
 
-def _errors(case: dict, slow: scheme.Reference) -> dict[str, float]:
+def _errors(case: dict, slow: finite_difference.Reference) -> dict[str, float]:
     """Each error over what is allowed."""
     fast, tangents = _fast(case, slow.window)
     size = {kind: np.abs(getattr(slow.signals, kind)).max() for kind in ("velocity", "force", "compression")}
@@ -169,7 +169,7 @@ def test_fast_path_is_the_papers_scheme_all_over_the_box(case):
 def test_simulate_and_its_waveform(points, quantity):
     """The public door with its own default window, on other grids, with a pickup between points."""
     rate, samples = 44_100.0, 1500
-    slow = scheme.solve(STRING, HAMMER, WIDE, step=1 / rate, steps=samples, points=points).signals
+    slow = finite_difference.solve(STRING, HAMMER, WIDE, step=1 / rate, steps=samples, points=points).signals
     fast = model.simulate(
         STRING, HAMMER, WIDE, rate=rate, quantity=quantity, kind="finite_difference", n_modes=points, oversampling=1
     )
@@ -212,18 +212,18 @@ def _flipped_row(function, name: str):
     return wrong
 
 
-_FELT, _FOURTH = scheme.felt, scheme.fourth_difference
+_FELT, _FOURTH = finite_difference.felt, finite_difference.fourth_difference
 PLANTED = {
-    "window": (scheme, "compression_row", _flipped_window),
-    "b2": (scheme, "losses", _flipped_b2),
-    "virtual nodes": (scheme, "fourth_difference", _no_virtual_nodes),
-    "mu": (scheme, "felt", _flipped_mu),
+    "window": (finite_difference, "compression_row", _flipped_window),
+    "b2": (finite_difference, "losses", _flipped_b2),
+    "virtual nodes": (finite_difference, "fourth_difference", _no_virtual_nodes),
+    "mu": (finite_difference, "felt", _flipped_mu),
     **{
-        f"appendix: {name}": (scheme, "coefficient_terms", _flipped_row(scheme.coefficient_terms, name))
+        f"appendix: {name}": (finite_difference, "coefficient_terms", _flipped_row(finite_difference.coefficient_terms, name))
         for name in ("c", "kappa", "b1", "b2", "M_H")
     },
     **{
-        f"appendix: {name}": (scheme, "felt_derivatives", _flipped_row(scheme.felt_derivatives, name))
+        f"appendix: {name}": (finite_difference, "felt_derivatives", _flipped_row(finite_difference.felt_derivatives, name))
         for name in ("K_H", "mu", "p")
     },
 }

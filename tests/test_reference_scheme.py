@@ -10,8 +10,8 @@ from model_cases import GEOMETRY, HAMMER, STRING
 from reference_cases import CASES, WIDE, relative, solve
 
 from pianofit import model
+from pianofit.bensa2005 import finite_difference
 from pianofit.errors import FitError, ParameterError
-from pianofit.paper import scheme
 from pianofit.parameters import Geometry, Hammer, String
 
 
@@ -26,7 +26,7 @@ def test_appendix_against_central_differences(name):
         for at in ({**values, parameter: value + change}, {**values, parameter: value - change}):
             moved = {"string": String(*list(at.values())[:4]), "hammer": Hammer(*list(at.values())[4:])}
             ends.append(solve(case | moved).signals)
-        for kind, above, below in zip(scheme.Signals._fields, *ends, strict=True):
+        for kind, above, below in zip(finite_difference.Signals._fields, *ends, strict=True):
             error = relative(getattr(exact.derivatives[parameter], kind), (above - below) / (2 * change))
             assert error <= 1e-5, (parameter, kind)
 
@@ -36,7 +36,7 @@ def test_a_string_left_alone_is_crank_nicolsons_own_oscillation():
     k, points, step, steps = 3, 60, 1 / 30_000, 4000
     silent = HAMMER._replace(K_H=0.0)
     x = np.arange(1, points + 1) / (points + 1)
-    found = scheme.solve(
+    found = finite_difference.solve(
         STRING, silent, WIDE, step=step, steps=steps, points=points, displacement=1e-3 * np.sin(k * np.pi * x)
     )
     s = (2 * (points + 1) * math.sin(k * math.pi / (2 * (points + 1)))) ** 2
@@ -57,7 +57,7 @@ def test_a_string_left_alone_is_crank_nicolsons_own_oscillation():
 
 def test_energy_is_kept_without_losses_and_falls_with_them_after_the_contact():
     for string, hammer in ((STRING, HAMMER), (STRING._replace(b1=0.0, b2=0.0), HAMMER)):
-        found = scheme.solve(string, hammer, WIDE, step=1 / 44_100, steps=4000, points=60)
+        found = finite_difference.solve(string, hammer, WIDE, step=1 / 44_100, steps=4000, points=60)
         apart = np.flatnonzero(found.signals.force)[-1] + 1
         energy = found.string_energy[apart:]
         assert apart < 400
@@ -72,7 +72,7 @@ def test_energy_is_kept_without_losses_and_falls_with_them_after_the_contact():
 @pytest.mark.parametrize("mu", [0.0, 0.2])
 def test_the_felt_gives_back_what_it_took_less_its_losses(mu):
     """What the hammer loses, the string and the felt's losses have: b pushes as it reads."""
-    found = scheme.solve(
+    found = finite_difference.solve(
         STRING._replace(b1=0.0, b2=0.0), HAMMER._replace(mu=mu), WIDE, step=1 / 400_000, steps=2400, points=60
     )
     assert found.signals.force[-1] == 0
@@ -86,13 +86,13 @@ def test_the_felt_gives_back_what_it_took_less_its_losses(mu):
 
 def test_order_two_in_grid_and_step_towards_the_continuous_string():
     """Halving both quarters the distance to the prewarped table, at a rate where that has converged."""
-    geometry = Geometry(length=1.0, mass=0.00618, strike=0.24, width=0.16, pickup=0.4)  # all on the coarsest grid
+    geometry = Geometry(length=1.0, mass=0.00618, strike_position=0.24, width=0.16, pickup=0.4)  # all on the coarsest grid
     rate, steps = 25 * 882.0, 101
     fine = model.simulate(STRING, HAMMER, geometry, rate=rate, n_modes=128, oversampling=16)
     force, velocity = np.asarray(fine.pulse.force)[::16][:steps], fine.waveform(rate * 16, 16 * steps)[::16]
     errors = []
     for factor in (1, 2, 4, 8):
-        found = scheme.solve(
+        found = finite_difference.solve(
             STRING, HAMMER, geometry, step=1 / (rate * factor), steps=steps * factor, points=25 * factor - 1
         ).signals
         errors.append([relative(found.force[::factor], force), relative(found.velocity[::factor], velocity)])
@@ -110,16 +110,16 @@ def test_newton_raphson_runs_only_where_the_felt_is_pressed():
 
 
 def test_a_pickup_on_a_point_reads_the_point():
-    row = scheme.pickup_row(GEOMETRY._replace(pickup=12 / 49), 48)
+    row = finite_difference.pickup_row(GEOMETRY._replace(pickup=12 / 49), 48)
     assert np.abs(row - (np.arange(1, 49) == 12)).max() < 1e-13
 
 
 def test_a_window_between_the_points_is_refused():
     with pytest.raises(ParameterError, match="points=5: none lies under the window"):
-        scheme.solve(STRING, HAMMER, WIDE, step=1e-5, steps=4, points=5)
+        finite_difference.solve(STRING, HAMMER, WIDE, step=1e-5, steps=4, points=5)
 
 
 def test_an_iteration_that_does_not_converge_is_an_error(monkeypatch):
-    monkeypatch.setattr(scheme, "MOST_ITERATIONS", 1)
+    monkeypatch.setattr(finite_difference, "MOST_ITERATIONS", 1)
     with pytest.raises(FitError, match=r"K_H=1.09949e\+10 N/m\^p, p=2.56: Newton-Raphson does not converge"):
         solve(CASES["paper"][0])

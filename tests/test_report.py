@@ -29,15 +29,15 @@ from report_cases import (
 from scipy.signal import lfilter
 
 from pianofit.errors import OutputError
-from pianofit.io import replace_file
-from pianofit.numbers import number
-from pianofit.report.figures import _headings, _partials, _spectra
-from pianofit.report.kit import asset
-from pianofit.report.page import Curves, report_bytes
-from pianofit.report.save import _check_inputs, _earlier
+from pianofit.io.files import replace_file
+from pianofit.io.number_format import number
+from pianofit.report.figures import _arrow_positions, _partials, _spectra
+from pianofit.report.html import asset
+from pianofit.report.page import FigureData, report_bytes
+from pianofit.report.save import _check_inputs, _previous_outputs
 from pianofit.report.sound import k_weighted_mean_square, make_clips
-from pianofit.report.words import STATUS, again_in_words, minima, ringing, ringing_line, rows
-from pianofit.result.statements import STATUSES
+from pianofit.report.text import STATUS, minima, recontact_text, ringing, ringing_line, rows
+from pianofit.result.identifiability import STATUSES
 
 
 @pytest.fixture(scope="module")
@@ -193,10 +193,10 @@ def test_criterion_levels_and_statuses_in_words(tmp_path, curves):
 
 def test_later_contacts_are_told_apart_from_the_first(tmp_path, curves):
     one = {"start_ms": 3.1, "duration_ms": 0.4, "max_force_N": 0.2}
-    assert again_in_words([]) == ""
-    assert again_in_words([one]) == "touches again from 3.1 to 3.5 ms, with up to 0.2 N"
+    assert recontact_text([]) == ""
+    assert recontact_text([one]) == "touches again from 3.1 to 3.5 ms, with up to 0.2 N"
     two = [one, {"start_ms": 5.0, "duration_ms": 1.25, "max_force_N": 3.3}]
-    assert again_in_words(two) == "touches again 2 times, from 3.1 ms to 6.25 ms, with up to 3.3 N"
+    assert recontact_text(two) == "touches again 2 times, from 3.1 ms to 6.25 ms, with up to 3.3 N"
     fit = example_fit()
     fit["derived"] |= {"later_contacts": two}
     assert "2.21 ms up to 33.4 N, felt pressed in by 0.65 mm; touches again 2 times" in Page(
@@ -216,7 +216,7 @@ def test_a_page_names_files_and_no_folders(tmp_path, curves):
 
 def test_the_heads_on_the_felts_loop_lie_on_the_curve_and_follow_it():
     u, force = np.array([0.0, 1.0, 2.0, 2.0, 1.0, 0.0]), np.array([0.0, 2.0, 9.0, 8.0, 1.0, 0.0])
-    (up, rise), (down, fall) = _headings(u, force)
+    (up, rise), (down, fall) = _arrow_positions(u, force)
     assert up == pytest.approx([1.0 + (0.6 * 9 - 2) / 7, 0.6 * 9])
     assert down == pytest.approx([2.0 - (8 - 0.35 * 9) / 7, 0.35 * 9])
     assert (rise > 0).all()
@@ -270,7 +270,7 @@ def with_nothing(curves):
         return nothing(x) if isinstance(x, np.ndarray) else x
 
     fields = {f.name: getattr(curves, f.name) for f in dataclasses.fields(curves)}
-    return Curves(**{name: x if name in ("number", "frequency") else of(x) for name, x in fields.items()})
+    return FigureData(**{name: x if name in ("number", "frequency") else of(x) for name, x in fields.items()})
 
 
 @pytest.mark.parametrize(
@@ -376,7 +376,7 @@ def _fit_of(*paths):
 def test_a_recording_that_would_be_replaced_or_deleted_is_refused(tmp_path, name):
     """`fitted-soft.wav` is an earlier fit's, which goes when another is written there, and now a recording itself."""
     (tmp_path / "fit.json").write_text('{"recordings": [{"file": "soft.wav"}, {"file": "a/loud.wav"}]}')
-    earlier = _earlier(tmp_path)
+    earlier = _previous_outputs(tmp_path)
     assert earlier == {"report.html", "knock.flac", "draws.npz", "fitted-soft.wav", "fitted-loud.wav"}
     with pytest.raises(OutputError, match=f"{name} is a recording of this fit and would be replaced"):
         _check_inputs(_fit_of(tmp_path / name), tmp_path, earlier)
@@ -387,7 +387,7 @@ def test_a_recording_that_would_be_replaced_or_deleted_is_refused(tmp_path, name
 def test_what_is_no_fits_names_no_sounds(tmp_path):
     for text in ("", "[]", "{}", '{"recordings": 3}', '{"recordings": [{"file": 3}]}'):
         (tmp_path / "fit.json").write_text(text)
-        assert _earlier(tmp_path) == {"report.html", "knock.flac"}
+        assert _previous_outputs(tmp_path) == {"report.html", "knock.flac"}
 
 
 @pytest.mark.parametrize("loudest", NAMES)

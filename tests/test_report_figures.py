@@ -10,13 +10,13 @@ from report_cases import Page, drawn_in, drawn_once, example_curves, example_fit
 
 from pianofit.felt import LAWS
 from pianofit.parameters import PARAMETERS
-from pianofit.report.drawing import COLOURS, FITTED, drawn, styled, svg
+from pianofit.report.drawing import COLOURS, FITTED, make_figure, page_style, svg
 from pianofit.report.equations import HAMMER, MODES, PATH, STRING, T60, equations
 from pianofit.report.formula import formula_html, symbols
-from pianofit.report.inline import inlined
-from pianofit.report.kit import asset
+from pianofit.report.html import asset
+from pianofit.report.inline_svg import inlined
 from pianofit.report.page import report_bytes
-from pianofit.report.words import SYMBOLS
+from pianofit.report.text import SYMBOLS
 
 
 @pytest.fixture(scope="module")
@@ -79,8 +79,8 @@ def test_a_drawing_keeps_its_text_in_reading_order():
         axes.plot([0.0, 1.0], [0.0, 1.0], color=FITTED)
         axes.set(title="a <b> & c", xlabel="$M_{H}/M_{S}$")
 
-    with styled():
-        element = inlined(svg(drawn(draw)))
+    with page_style():
+        element = inlined(svg(make_figure(draw)))
     texts = [re.sub("<[^>]+>", "", one) for one in re.findall(r"<text.*?</text>", element, re.DOTALL)]
     assert "MH/MS" in texts
     assert "a &lt;b&gt; &amp; c" in texts

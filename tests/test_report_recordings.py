@@ -25,13 +25,13 @@ from report_cases import (
 )
 from scipy.signal import resample_poly
 
-from pianofit.felt import LAWS, MemoryHammer
-from pianofit.inference.coordinates import names_of
+from pianofit.felt import LAWS, RelaxingHammer
+from pianofit.inference.parametrisation import names_of
 from pianofit.model.note import Note
 from pianofit.parameters import Geometry, Hammer, String
 from pianofit.report.build import felt_of, known_of, paths_of, recordings_of, strokes_of
-from pianofit.report.curves import Felt, Known
-from pianofit.report.known import identified, open_scale
+from pianofit.report.figure_data import Felt, IdentifiabilityData
+from pianofit.report.identifiability_text import identifiability_sections, open_scale
 from pianofit.report.page import report_bytes
 from pianofit.report.sound import make_clips
 from pianofit.result.quantities import Quantities
@@ -168,8 +168,8 @@ def nothing(array):
         lambda c: dataclasses.replace(c, felt=Felt(c.felt.compression, nothing(c.felt.force)), strokes=None),
         lambda c: dataclasses.replace(c, felt=Felt(c.felt.compression, 0 * c.felt.force)),
         lambda c: dataclasses.replace(c, felt=Felt(c.felt.compression, np.exp(c.felt.force * [[0.0], [-9.0], [9.0]]))),
-        lambda c: dataclasses.replace(c, known=Known(("p",), np.ones((1, 1)), (("p", 300.0, False),))),
-        lambda c: dataclasses.replace(c, known=Known(("p", "mu"), nothing(np.eye(2)), (("p", 1e-30, True),))),
+        lambda c: dataclasses.replace(c, known=IdentifiabilityData(("p",), np.ones((1, 1)), (("p", 300.0, False),))),
+        lambda c: dataclasses.replace(c, known=IdentifiabilityData(("p", "mu"), nothing(np.eye(2)), (("p", 1e-30, True),))),
         lambda c: dataclasses.replace(c, recordings=tuple(
             dataclasses.replace(t, force=nothing(t.force), compression=nothing(t.compression), level=nothing(t.level))
             for t in c.recordings)),
@@ -222,8 +222,8 @@ def fake_fit(velocities=(3.0, 0.75, 1.5), first=0, memory=False, free=("c", "kap
     recordings = []
     for i, v in enumerate(velocities):
         hammer = Hammer(VALUES["K_H"], 0.0 if memory else VALUES["mu"], VALUES["p"], VALUES["M_H"], v)
-        note = Note(string, MemoryHammer(*hammer, 0.3, 2e-4) if memory else hammer, GEOMETRY, "velocity", 2.0, None)
-        samples, simulation = note.stroke(22050, 22050)
+        note = Note(string, RelaxingHammer(*hammer, 0.3, 2e-4) if memory else hammer, GEOMETRY, "velocity", 2.0, None)
+        samples, simulation = note.render_stroke(22050, 22050)
         number = np.arange(1, 6 + i)
         fitted = SimpleNamespace(note=note, samples=samples, simulation=simulation, level=np.zeros(len(number)))
         recordings.append(SimpleNamespace(
@@ -272,8 +272,8 @@ def test_how_well_things_are_known_is_what_the_intervals_say():
     assert known is not None
     assert known.names == ("c", "kappa", "K_H", "p", "M_H")
     expected = [("f0", 101 / 99, True), ("F/M_S", 125 / 80, True), ("K_H", 1.1 / 0.9, False), ("p", 1.1 / 0.9, False)]
-    assert [(name, told) for name, _, told in known.reaches] == [(name, told) for name, _, told in expected]
-    np.testing.assert_allclose([reach for _, reach, _ in known.reaches], [0.5 * np.log(x) for _, x, _ in expected])
+    assert [(name, told) for name, _, told in known.half_widths] == [(name, told) for name, _, told in expected]
+    np.testing.assert_allclose([reach for _, reach, _ in known.half_widths], [0.5 * np.log(x) for _, x, _ in expected])
     cov = result.covariance.matrix
     drawn = np.random.default_rng(1).multivariate_normal(np.zeros(len(cov)), cov, 40_000)
     seen = np.corrcoef([drawn[:, NAMES.index(name)] for name in known.names])
@@ -344,7 +344,7 @@ def test_every_take_comes_with_its_own_loop_and_place():
 
 
 def said(fit):
-    return {heading.split(",")[0]: " ".join(sentences).replace("\u00a0", " ") for heading, sentences in identified(fit)}
+    return {heading.split(",")[0]: " ".join(sentences).replace("\u00a0", " ") for heading, sentences in identifiability_sections(fit)}
 
 
 def reaching(entry, reach):
@@ -421,4 +421,4 @@ def test_what_the_claims_question_is_not_called_fixed():
 
 
 def test_nothing_known_is_nothing_said():
-    assert identified(example_fit(invariants={})) == []
+    assert identifiability_sections(example_fit(invariants={})) == []

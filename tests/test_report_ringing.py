@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pianofit.model.modal import Ringing
+from pianofit.model.modal_response import ModalResponse
 from pianofit.report.build import ringing_curves
-from pianofit.report.figures_ringing import draw_ringing
+from pianofit.report.figures_modal_response import draw_ringing
 
 RATE, ONSET, F0 = 16_000, 800, 200.0
 NUMBER = np.arange(1, 9)
@@ -33,7 +33,7 @@ def fake_result(seconds: float = 4.0, rings: bool = True) -> Any:
         played=played or law, level=LEVEL, partials=SimpleNamespace(number=NUMBER, frequency=F0 * NUMBER),
     )  # fmt: skip
     pole = -DECAY + 2j * np.pi * F0 * NUMBER
-    ringing = Ringing(NUMBER, pole, np.full(8, 0.1), np.ones((1, 8), complex), np.zeros((1, 0)), RATE)
+    ringing = ModalResponse(NUMBER, pole, np.full(8, 0.1), np.ones((1, 8), complex), np.zeros((1, 0)), RATE)
     return SimpleNamespace(
         document={"ringing": {}}, reference=heard, note=SimpleNamespace(ringing=ringing if rings else None),
         analysis=SimpleNamespace(f0=F0, B=0.0),

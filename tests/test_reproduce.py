@@ -12,18 +12,18 @@ import pytest
 import soundfile as sf
 from report_cases import Page
 
+from pianofit.bensa2005.descent import LeastSquares
+from pianofit.bensa2005.laboratory.chosen import SCALE
+from pianofit.bensa2005.reproduce import QUICK, claims, limits
+from pianofit.bensa2005.reproduce.band3 import Hammers, landscape, race
+from pianofit.bensa2005.reproduce.direct import ROUND_TRIP, strike
+from pianofit.bensa2005.reproduce.run import played
+from pianofit.bensa2005.reproduce.strokes import attack_time, centroid
+from pianofit.bensa2005.reproduce.studies import PRINTED, STRINGS, spread_of
 from pianofit.errors import ParameterError
+from pianofit.literature import preset
 from pianofit.model.note import Note
-from pianofit.paper.descent import LeastSquares
-from pianofit.paper.laboratory.chosen import SCALE
-from pianofit.paper.reproduce import QUICK, claims, limits
-from pianofit.paper.reproduce.band3 import Hammers, landscape, race
-from pianofit.paper.reproduce.direct import ROUND_TRIP, strike
-from pianofit.paper.reproduce.run import played
-from pianofit.paper.reproduce.strokes import attack_time, centroid
-from pianofit.paper.reproduce.studies import PRINTED, STRINGS, spread_of
 from pianofit.parameters import FIT_NAMES
-from pianofit.published import preset
 
 RATE = 44_100
 
@@ -102,7 +102,7 @@ def loop(area: float, balance: float) -> Any:
 
 
 def bent(kappa: float) -> Any:
-    bend = limits.Bend("finite_difference", 100, 44_100.0, 2, 8, 304.0, kappa, 1.737, 0.1)
+    bend = limits.DispersionError("finite_difference", 100, 44_100.0, 2, 8, 304.0, kappa, 1.737, 0.1)
     return ns(bends={"fitted to band 2": [bend]}, inverse=bend)
 
 
@@ -428,8 +428,8 @@ def known_fit(stroke, recipe, seed, annealing=None, tries=1):
 
 def test_a_quick_run_of_the_command_makes_all_files(tmp_path, capsys, monkeypatch):
     """All but the fits themselves, in whose place stand known values; the slow tests have the fits too."""
+    from pianofit.bensa2005.reproduce import studies
     from pianofit.cli import main
-    from pianofit.paper.reproduce import studies
 
     monkeypatch.setattr(studies, "fitted", known_fit)
     assert main(["reproduce", "--out", str(tmp_path / "out"), "--quick"]) == 0
@@ -452,7 +452,7 @@ def test_a_quick_run_of_the_command_makes_all_files(tmp_path, capsys, monkeypatc
 
 @pytest.mark.slow
 def test_a_quick_run_with_its_fits_makes_all_files_and_makes_them_again(tmp_path):
-    from pianofit.paper.reproduce import reproduce
+    from pianofit.bensa2005.reproduce import reproduce
 
     for name in ("first", "second"):
         (tmp_path / name).mkdir()
@@ -465,7 +465,7 @@ def test_a_quick_run_with_its_fits_makes_all_files_and_makes_them_again(tmp_path
 
 @pytest.mark.slow
 def test_a_full_run_brings_the_papers_main_findings(tmp_path):
-    from pianofit.paper.reproduce import FULL, reproduce
+    from pianofit.bensa2005.reproduce import FULL, reproduce
 
     outcome = {one.claim: one.outcome for one in reproduce(tmp_path, seed=0)}
     check_folder(tmp_path, FULL)

@@ -21,7 +21,7 @@ import pianofit
 from pianofit.errors import FitError, OutputError, ParameterError
 from pianofit.parameters import FIT_NAMES, PARAMETERS
 from pianofit.result.draws import Draws
-from pianofit.result.statements import STATUSES
+from pianofit.result.identifiability import STATUSES
 
 HOSTILE = '<script>alert("x")</script>'
 

@@ -12,12 +12,25 @@ import pytest
 from scipy import signal
 
 from pianofit.analysis import analyse
-from pianofit.io import encode_wav
-from pianofit.model.modal import Force, Participation, Ringing, ring, silencing
-from pianofit.recording import Recording, load_recording, recording_from_samples
-from pianofit.ringing import Heard, PartialModes, hear, key, key_of, modes_of
-from pianofit.ringing.bands import band, kernel_gain
-from pianofit.ringing.subspace import Signals, poles_by_subspace, refined, standard_errors
+from pianofit.io.files import encode_wav
+from pianofit.modal_response import (
+    AlignedLayers,
+    PartialModes,
+    align_layers,
+    estimate_shared_response,
+    modes_of,
+    shared_response,
+)
+from pianofit.modal_response.bands import band, kernel_gain
+from pianofit.modal_response.esprit import Signals, poles_by_subspace, refined, standard_errors
+from pianofit.model.modal_response import (
+    ForcePulse,
+    ModalResponse,
+    VelocityGain,
+    cancel_static_deflection,
+    sum_damped_modes,
+)
+from pianofit.recording.recording import Recording, load_recording, recording_from_samples
 
 STUDY = Path(__file__).parents[1] / "benchmarks" / "ringing_study.py"
 RATE, SECONDS, LEAD, F0 = 22_050, 4.0, 0.1, 220.0
@@ -40,21 +53,21 @@ def pattern() -> np.ndarray:
     return np.array([[a / k * np.exp(0.3j * k) for k, modes in MODES.items() for _, _, a in modes]])
 
 
-def force_at(velocity: float) -> Force:
+def force_at(velocity: float) -> ForcePulse:
     """A pulse that is shorter and higher after a harder stroke."""
     step = 1 / (8 * RATE)
     length = 0.003 * velocity**-0.3
     t = np.arange(0.0, length, step)
-    return Force(velocity * np.sin(np.pi * t / length) ** 2, step, velocity)
+    return ForcePulse(velocity * np.sin(np.pi * t / length) ** 2, step, velocity)
 
 
-def truth() -> Ringing:
+def truth() -> ModalResponse:
     noise = np.random.default_rng(5).normal(size=(1, round(0.1 * RATE)))
     thump = signal.sosfilt(signal.butter(2, 900, fs=RATE, output="sos"), noise)
     knock = 0.3 * thump * np.exp(-np.arange(thump.shape[-1]) / (0.02 * RATE))
     knock[:, : round(0.012 * RATE)] = 0.0
     number = np.array([k for k, modes in MODES.items() for _ in modes])
-    return Ringing(number, poles(), np.zeros(len(number)), pattern(), knock, RATE)
+    return ModalResponse(number, poles(), np.zeros(len(number)), pattern(), knock, RATE)
 
 
 @functools.cache
@@ -66,12 +79,12 @@ def recorded(velocity: float, noise_db: float = -65.0) -> Recording:
 
 
 @functools.cache
-def found(velocities: tuple[float, ...] = (0.6, 1.7)) -> tuple[Heard, list[PartialModes], Ringing]:
+def found(velocities: tuple[float, ...] = (0.6, 1.7)) -> tuple[AlignedLayers, list[PartialModes], ModalResponse]:
     recordings = [recorded(v) for v in velocities]
     analyses = [analyse(r, f0=F0) for r in recordings]
-    heard = hear(recordings, analyses)
+    heard = align_layers(recordings, analyses)
     modes = modes_of(heard, analyses)
-    return heard, modes, key_of(heard, modes, [force_at(v) for v in velocities], np.full(len(velocities), 30.0)).ringing
+    return heard, modes, estimate_shared_response(heard, modes, [force_at(v) for v in velocities], np.full(len(velocities), 30.0)).ringing
 
 
 def test_every_partial_has_the_modes_that_it_was_given():
@@ -110,9 +123,9 @@ def test_errors_of_poles_are_those_of_repeated_experiments(order):
 
 
 def test_a_layer_that_took_no_part_sounds_as_it_should():
-    *_, key = found()
+    *_, shared_response = found()
     force, count = force_at(1.0), round(2.0 * RATE)
-    true, played = (x.sound(force, RATE, count)[0] for x in (truth(), key))
+    true, played = (x.sound(force, RATE, count)[0] for x in (truth(), shared_response))
     cross = np.fft.irfft(np.fft.rfft(true, 2 * count) * np.fft.rfft(played, 2 * count).conj())
     lag = int(np.argmax(cross[:400]) if cross[:400].max() > cross[-400:].max() else np.argmax(cross[-400:]) - 400)
     played = np.roll(played, lag)
@@ -120,7 +133,7 @@ def test_a_layer_that_took_no_part_sounds_as_it_should():
     error = lambda x: 10 * np.log10(np.sum((true - gain * x) ** 2) / np.sum(true**2))  # noqa: E731
     assert error(played) < -12
     assert abs(20 * np.log10(gain)) < 1.0
-    without = np.roll(key.without_knock().sound(force, RATE, count)[0], lag)
+    without = np.roll(shared_response.without_knock().sound(force, RATE, count)[0], lag)
     first = slice(0, round(0.05 * RATE))
     attack = lambda x: np.sum((true - gain * x)[first] ** 2)  # noqa: E731
     assert attack(played) < 0.7 * attack(without)
@@ -132,7 +145,7 @@ def test_what_a_layer_hardly_shows_says_little_of_a_partials_level():
     faint = np.array([1e-4, 1.0])[:, None, None]
     changed = [*modes[:-1], dataclasses.replace(modes[-1], amplitude=faint * modes[-1].amplitude)]
     patterns = [
-        key_of(heard, m, [force_at(0.6), force_at(1.7)], np.full(2, 30.0)).ringing.pattern for m in (modes, changed)
+        estimate_shared_response(heard, m, [force_at(0.6), force_at(1.7)], np.full(2, 30.0)).ringing.pattern for m in (modes, changed)
     ]
     loud = [20 * np.log10(np.abs(p[:, -len(modes[-1].pole) :]).sum()) for p in patterns]
     assert abs(loud[1] - loud[0]) < 6
@@ -157,13 +170,13 @@ def test_layers_that_lie_cents_apart_leave_nothing_for_the_knock():
     pole, pattern = -1.5 + 2j * np.pi * F0 * number, np.exp(1j * number)[None] / number
     recordings = []
     for velocity, cents in ((0.6, 3.0), (1.7, 0.0)):
-        key = Ringing(number, pole, np.zeros(8), pattern, np.zeros((1, 0)), RATE).sharper(2 ** (cents / 1200))
-        sound = np.pad(30 * key.sound(force_at(velocity), RATE, size)[0], (round(LEAD * RATE), 0))
+        shared_response = ModalResponse(number, pole, np.zeros(8), pattern, np.zeros((1, 0)), RATE).scale_pitch(2 ** (cents / 1200))
+        sound = np.pad(30 * shared_response.sound(force_at(velocity), RATE, size)[0], (round(LEAD * RATE), 0))
         noise = 1e-5 * np.random.default_rng(int(10 * velocity)).normal(size=len(sound))
         recordings.append(recording_from_samples(sound + np.abs(sound).max() * noise, RATE))
     analyses = [analyse(r, f0=F0) for r in recordings]
-    heard = hear(recordings, analyses)
-    found = key_of(heard, modes_of(heard, analyses), [force_at(0.6), force_at(1.7)], np.full(2, 30.0)).ringing
+    heard = align_layers(recordings, analyses)
+    found = estimate_shared_response(heard, modes_of(heard, analyses), [force_at(0.6), force_at(1.7)], np.full(2, 30.0)).ringing
     with_knock, without = (x.sound(force_at(1.0), RATE, size // 2)[0] for x in (found, found.without_knock()))
     assert np.sum((with_knock - without) ** 2) < 10 ** (-25 / 10) * np.sum(without**2)
 
@@ -179,10 +192,10 @@ def test_attacks_tell_which_period_a_contact_belongs_to(late):
         tones = np.exp(-np.outer(1 + 0.1 * number, t)) * np.sin(2 * np.pi * np.outer(frequency, t))
         return ((number**-tilt) @ tones + np.interp(t, np.arange(200) / rate, 0.2 * knock, right=0.0)) * (t >= 0)
 
-    heard = Heard(np.stack([[layer(late, 2.0)], [layer(0.0, 1.0)]]), np.zeros((2, 1, 4410)), rate, np.full(2, 0.5))
+    heard = AlignedLayers(np.stack([[layer(late, 2.0)], [layer(0.0, 1.0)]]), np.zeros((2, 1, 4410)), rate, np.full(2, 0.5))
     omega = 2 * np.pi * frequency * np.sqrt(1 + 1e-4 * number**2)
     ratio = np.stack([np.exp(-1j * omega * (late + 1 / 262)), np.ones(12)], axis=1)
-    assert key._delay(heard, ratio, np.ones((12, 2)), omega, 0) == pytest.approx(late, abs=1e-4)
+    assert shared_response._delay(heard, ratio, np.ones((12, 2)), omega, 0) == pytest.approx(late, abs=1e-4)
 
 
 def test_channels_are_averaged_where_recordings_have_other_numbers_of_them(tmp_path):
@@ -192,8 +205,8 @@ def test_channels_are_averaged_where_recordings_have_other_numbers_of_them(tmp_p
         file.write_bytes(encode_wav(0.01 * np.tile(recorded(0.6).samples, (channels, 1)), RATE))
         recordings[channels] = load_recording(file)
     analyses = [analyse(recording, f0=F0) for recording in recordings.values()]
-    assert hear([recordings[2], recordings[3]], analyses).samples.shape[1] == 1
-    assert hear([recordings[2], recordings[2]], analyses).samples.shape[1] == 2
+    assert align_layers([recordings[2], recordings[3]], analyses).samples.shape[1] == 1
+    assert align_layers([recordings[2], recordings[2]], analyses).samples.shape[1] == 2
 
 
 def test_the_knock_begins_and_ends_in_silence_and_is_short():
@@ -202,20 +215,20 @@ def test_the_knock_begins_and_ends_in_silence_and_is_short():
     assert np.abs(knock[:, -5:]).max() < 1e-3 * np.abs(knock).max()
 
 
-def cut_short(*seconds: float) -> tuple[Heard, list[PartialModes], list[Force]]:
+def cut_short(*seconds: float) -> tuple[AlignedLayers, list[PartialModes], list[ForcePulse]]:
     """Layers that last so long after their onset."""
     velocities = (0.6, 1.7)[: len(seconds)]
     layers = [recorded(v).samples[: round((LEAD + s) * RATE)] for v, s in zip(velocities, seconds, strict=True)]
     recordings = [recording_from_samples(samples, RATE) for samples in layers]
     analyses = [analyse(r, f0=F0) for r in recordings]
-    heard = hear(recordings, analyses)
+    heard = align_layers(recordings, analyses)
     return heard, modes_of(heard, analyses), [force_at(v) for v in velocities]
 
 
 @pytest.mark.parametrize("seconds", [(0.3,), (0.2,), (0.3, SECONDS), (0.12, SECONDS)])
 def test_the_knock_lasts_no_longer_than_any_layer_is_heard(seconds):
     heard, modes, forces = cut_short(*seconds)
-    knock = key_of(heard, modes, forces, np.full(len(forces), 30.0)).ringing.knock
+    knock = estimate_shared_response(heard, modes, forces, np.full(len(forces), 30.0)).ringing.knock
     assert knock.shape[-1] / RATE == pytest.approx(0.012 + heard.seconds.min(), abs=2e-3)
     assert np.abs(knock[:, -5:]).max() < 1e-3 * np.abs(knock).max()
 
@@ -233,40 +246,40 @@ def test_a_force_keeps_its_impulse_at_every_rate():
 
 
 def test_participation_is_linear_in_log_velocity_between_strokes_and_constant_beyond():
-    part = Participation(np.array([1.0, 4.0]), np.array([[1.0, 1j], [3.0, 1.0]]))
+    part = VelocityGain(np.array([1.0, 4.0]), np.array([[1.0, 1j], [3.0, 1.0]]))
     np.testing.assert_allclose(part.at(2.0), [2.0, 0.5 + 0.5j])
     np.testing.assert_array_equal(part.at(0.1), part.factor[0])
     np.testing.assert_array_equal(part.at(9.0), part.factor[1])
-    np.testing.assert_allclose(part.faster(3.0).at(6.0), part.at(2.0))
+    np.testing.assert_allclose(part.scale_velocity(3.0).at(6.0), part.at(2.0))
 
 
 def test_a_stroke_rings_by_its_participation_and_pushes_in_silence():
     """Modes far above a slow force's spectrum: what it holds them aside by is heard of no stroke."""
     pole = -np.array([3.0, 8.0]) + 2j * np.pi * np.array([1_500.0, 3_100.0])
     pattern = np.array([[-1j, 0.3 - 0.4j]])
-    knock = np.pad(silencing(pole, pattern, RATE, 4_000), ((0, 0), (round(0.012 * RATE), 0)))
-    part = Participation(np.array([0.5, 2.0]), np.array([[1.0, 1.0], [3.0, 1.0 + 2.0j]]))
-    key = Ringing(np.array([1, 2]), pole, np.zeros(2), pattern, knock, RATE, part)
+    knock = np.pad(cancel_static_deflection(pole, pattern, RATE, 4_000), ((0, 0), (round(0.012 * RATE), 0)))
+    part = VelocityGain(np.array([0.5, 2.0]), np.array([[1.0, 1.0], [3.0, 1.0 + 2.0j]]))
+    shared_response = ModalResponse(np.array([1, 2]), pole, np.zeros(2), pattern, knock, RATE, part)
     size = round(0.2 * RATE)
-    soft, hard = (key.sound(force_at(1.0)._replace(velocity=v), RATE, size)[0] for v in (0.5, 2.0))
-    expected = key._replace(pattern=pattern * part.factor[1], knock=knock[:, :0], participation=None)
+    soft, hard = (shared_response.sound(force_at(1.0)._replace(velocity=v), RATE, size)[0] for v in (0.5, 2.0))
+    expected = shared_response._replace(pattern=pattern * part.factor[1], knock=knock[:, :0], participation=None)
     after = slice(round(0.02 * RATE), None)
     np.testing.assert_allclose(hard[after], expected.sound(force_at(1.0), RATE, size)[0][after], atol=1e-9)
     low = signal.butter(6, 100, fs=RATE, output="sos")
     pushed, silent, plain = (np.sum(signal.sosfilt(low, x) ** 2) for x in (
-        key._replace(knock=0 * knock, participation=None).sound(force_at(1.0), RATE, size)[0], hard, soft,
+        shared_response._replace(knock=0 * knock, participation=None).sound(force_at(1.0), RATE, size)[0], hard, soft,
     ))  # fmt: skip
     assert max(silent, plain) < 1e-3 * pushed
-    below = key.at(4_000)
+    below = shared_response.at(4_000)
     assert below.participation is not None
     assert below.participation.factor.shape == (2, 1)
 
 
 def test_levels_that_rise_faster_than_the_force_are_followed():
     """Every partial 2 dB more for each e-fold of velocity."""
-    key, velocities = truth(), np.array([0.6, 1.0, 1.7])
+    shared_response, velocities = truth(), np.array([0.6, 1.0, 1.7])
     slope = 10 ** (2.0 * np.log(velocities)[:, None] / 20)
-    louder = key._replace(participation=Participation(velocities, slope * np.ones(len(key.pole))))
+    louder = shared_response._replace(participation=VelocityGain(velocities, slope * np.ones(len(shared_response.pole))))
     recordings = []
     for v in velocities:
         sound = louder.sound(force_at(v), RATE, round(SECONDS * RATE))[0]
@@ -274,8 +287,8 @@ def test_levels_that_rise_faster_than_the_force_are_followed():
         noise = np.random.default_rng(int(100 * v)).normal(size=len(sound))
         recordings.append(recording_from_samples(30 * (sound + 1e-4 * np.abs(sound).max() * noise), RATE))
     analyses = [analyse(r, f0=F0) for r in recordings]
-    heard = hear(recordings, analyses)
-    found = key_of(heard, modes_of(heard, analyses), [force_at(v) for v in velocities], np.full(3, 30.0)).ringing
+    heard = align_layers(recordings, analyses)
+    found = estimate_shared_response(heard, modes_of(heard, analyses), [force_at(v) for v in velocities], np.full(3, 30.0)).ringing
     assert found.participation is not None
     ratio = np.abs(found.participation.factor[2] / found.participation.factor[0])
     # Three strokes hardly tell a walk from strokes that differ each by itself, so a part of the slope is not believed;
@@ -289,7 +302,7 @@ def test_levels_that_rise_faster_than_the_force_are_followed():
 def test_ring_is_a_sum_of_damped_exponentials():
     t = np.arange(3001) / RATE
     expected = (pattern() @ np.exp(np.outer(poles(), t))).real
-    np.testing.assert_allclose(ring(poles(), pattern(), RATE, 3001), expected, atol=1e-9)
+    np.testing.assert_allclose(sum_damped_modes(poles(), pattern(), RATE, 3001), expected, atol=1e-9)
 
 
 def test_a_band_holds_its_partial_and_not_the_next():
@@ -313,7 +326,7 @@ def test_a_pitch_that_falls_is_levelled():
     recording = recording_from_samples(0.3 * x, rate)
     analysis = analyse(recording, f0=110.0)
     assert analysis.glide_start > 2
-    straight = hear([recording], [analysis]).samples[0, 0]
+    straight = align_layers([recording], [analysis]).samples[0, 0]
     raw = recording.samples[recording.onset :][: len(straight)]
 
     def drift(y: np.ndarray) -> float:

@@ -9,8 +9,8 @@ import pytest
 from coupled_strings import KAPPA, LENGTH, LOSS, POINTS, Unison, stroke
 
 from pianofit.analysis import analyse
-from pianofit.recording import recording_from_samples
-from pianofit.ringing import PartialModes, hear, modes_of
+from pianofit.modal_response import PartialModes, align_layers, modes_of
+from pianofit.recording.recording import recording_from_samples
 
 RATE, SECONDS, LEAD, F0 = 22_050, 4.0, 0.1, 220.0
 NOISE = -65.0  # dB, of the peak
@@ -38,7 +38,7 @@ def found() -> dict[int, PartialModes]:
         noise = 10 ** (NOISE / 20) * np.random.default_rng(seed).normal(size=len(sound))
         recordings.append(recording_from_samples(0.3 * velocity * (sound / np.abs(sound).max() + noise), RATE))
     analyses = [analyse(recording, f0=F0) for recording in recordings]
-    return {modes.number: modes for modes in modes_of(hear(recordings, analyses), analyses)}
+    return {modes.number: modes for modes in modes_of(align_layers(recordings, analyses), analyses)}
 
 
 def test_on_a_bridge_that_does_not_move_the_witness_has_the_grids_own_modes():

@@ -12,36 +12,36 @@ from scipy.signal import lfilter
 
 from pianofit.analysis import analyse
 from pianofit.errors import FitError
-from pianofit.inference import Problem, estimate, pose
-from pianofit.inference.descent import LEVELS, Descent
-from pianofit.inference.estimate import _apart, string_minimum
-from pianofit.inference.finish import finished
-from pianofit.inference.infer import Inferred
-from pianofit.inference.parabola import Parabola
-from pianofit.inference.posterior import Posterior
-from pianofit.inference.screen import screened, struck_anew, wide
-from pianofit.inference.search import distinct, searched
+from pianofit.inference import FitProblem, build_problem, map_estimate
+from pianofit.inference.laplace import Posterior
+from pianofit.inference.map_estimate import _deduplicate, fit_string
+from pianofit.inference.multistart import deduplicate, multistart
+from pianofit.inference.optimiser import LEVELS, Optimiser
+from pianofit.inference.pipeline import InferenceResult
+from pianofit.inference.prescreen import initial_hyperparameters, prescreen, rescan_velocities
+from pianofit.inference.quadratic_surrogate import QuadraticSurrogate
+from pianofit.inference.refine import refine_minima
+from pianofit.literature import preset
 from pianofit.model import simulate
-from pianofit.published import preset
-from pianofit.recording import recording_from_samples
-from pianofit.result import conclude
+from pianofit.recording.recording import recording_from_samples
+from pianofit.result import build_result
 from pianofit.setup import setup_from_dict
 
 
 @functools.cache
-def problem() -> Problem:
+def problem() -> FitProblem:
     """One calibrated recording of C4, with its strike known."""
-    return pose([tone()], [played()], setup())
+    return build_problem([tone()], [played()], setup())
 
 
 @functools.cache
 def string() -> np.ndarray:
-    return string_minimum(problem()).z[0, :4]
+    return fit_string(problem()).theta[0, :4]
 
 
 @functools.cache
 def found(seed: int = 0):
-    return estimate(problem(), seed)
+    return map_estimate(problem(), seed)
 
 
 def test_the_string_is_read_off_its_partials():
@@ -52,42 +52,42 @@ def test_the_string_is_read_off_its_partials():
 
 def test_a_descent_never_raises_F():
     p = problem()
-    descent = Descent(p, string(), LEVELS)
-    z = screened(descent, 3, [Parabola.of(descent.table, wide(descent))])[0][:24]
-    people = descent.begun(z, [wide(descent)])
+    descent = Optimiser(p, string(), LEVELS)
+    z = prescreen(descent, 3, [QuadraticSurrogate.of(descent.table, initial_hyperparameters(descent))])[0][:24]
+    people = descent.initialise(z, [initial_hyperparameters(descent)])
     assert len(people) > 8
     before = np.full(len(people), np.inf)
     for _ in range(6):
-        people = descent._stepped(people, 0.0, None)
+        people = descent._lm_step(people, 0.0, None)
         now = descent.total(people)
         assert (now <= before + 1e-9).all()
         before = now
     # What it says of F is F: of a candidate made anew at the same point.
-    anew = descent.begun(people.z, people.phi, people.w, people.offset)
+    anew = descent.initialise(people.theta, people.phi, people.w, people.offset)
     np.testing.assert_allclose(descent.total(anew), descent.total(people), rtol=1e-10)
-    low, high = p.unknowns.edges(people.z)
-    assert ((people.z >= low) & (people.z <= high))[:, p.unknowns.free].all()
+    low, high = p.unknowns.bounds_at(people.theta)
+    assert ((people.theta >= low) & (people.theta <= high))[:, p.unknowns.free].all()
 
 
 def test_what_went_down_a_parabola_is_then_judged_by_F():
-    descent = Descent(problem(), string(), LEVELS)
-    parabola = Parabola.of(descent.table, wide(descent))
-    z = screened(descent, 3, [parabola])[0][:6]
-    people = descent.descend(descent.begun(z, [wide(descent)], parabola=parabola), 0.0, 2, parabola=parabola)
-    judged = descent.descend(people, 0.0, 0)
-    anew = descent.begun(judged.z, judged.phi, judged.w)
+    descent = Optimiser(problem(), string(), LEVELS)
+    parabola = QuadraticSurrogate.of(descent.table, initial_hyperparameters(descent))
+    z = prescreen(descent, 3, [parabola])[0][:6]
+    people = descent.minimise(descent.initialise(z, [initial_hyperparameters(descent)], parabola=parabola), 0.0, 2, parabola=parabola)
+    judged = descent.minimise(people, 0.0, 0)
+    anew = descent.initialise(judged.theta, judged.phi, judged.w)
     np.testing.assert_allclose(descent.total(judged), descent.total(anew), rtol=1e-10)
     assert (np.abs(descent.total(people) - descent.total(judged)) > 1.0).any()
 
 
 def test_a_descent_with_everything_never_raises_F_and_ends_where_the_string_is():
     """φ and w of levels, frequencies and decays go down with θ, from where nothing is known."""
-    descent, best = Descent(problem()), found().minima
+    descent, best = Optimiser(problem()), found().minima
     priors = [np.asarray(table.prior[0]) for table in descent.tables]
-    people = descent.begun(best.people.z, priors, offset=best.people.offset)
+    people = descent.initialise(best.people.theta, priors, offset=best.people.offset)
     before = np.inf
     for _ in range(40):
-        people = descent._stepped(people, 0.0, None)
+        people = descent._lm_step(people, 0.0, None)
         now = float(descent.total(people)[0])
         assert now <= before + 1e-9
         before = now
@@ -98,42 +98,42 @@ def test_a_descent_with_everything_never_raises_F_and_ends_where_the_string_is()
 
 def test_what_long_steps_do_to_the_levels_is_much_the_same_for_all_hammers():
     """The search reads it off at its best hammer alone."""
-    descent = Descent(problem(), string(), LEVELS)
-    z = screened(descent, 3, [Parabola.of(descent.table, wide(descent))])[0][:24]
-    errors = descent.step_error(z[descent.model(z, np.zeros(()))[1]])
+    descent = Optimiser(problem(), string(), LEVELS)
+    z = prescreen(descent, 3, [QuadraticSurrogate.of(descent.table, initial_hyperparameters(descent))])[0][:24]
+    errors = descent.discretisation_error_db(z[descent.model(z, np.zeros(()))[1]])
     whole, left = (np.sqrt((x**2).mean(axis=(1, 2))) for x in (errors, errors[1:] - errors[0]))
     assert len(whole) > 8
     assert 0.05 < np.median(whole) < 0.3  # dB
     assert np.median(left) < 0.5 * np.median(whole)
     # With it the levels are those of the problem's own steps, without theirs.
-    fine = Descent(problem())
-    levels = [d.level(z[:1]) * d.there + d.step_error(z[:1]) for d in (descent, fine)]
+    fine = Optimiser(problem())
+    levels = [d.level(z[:1]) * d.has_level + d.discretisation_error_db(z[:1]) for d in (descent, fine)]
     np.testing.assert_allclose(*levels, atol=5e-3)
 
 
 def test_a_descent_sorts_and_ends_where_F_is_flat():
-    descent = Descent(problem(), string(), LEVELS)
-    people = descent.descend(
-        descent.begun(screened(descent, 3, [Parabola.of(descent.table, wide(descent))])[0][:6], [wide(descent)]),
+    descent = Optimiser(problem(), string(), LEVELS)
+    people = descent.minimise(
+        descent.initialise(prescreen(descent, 3, [QuadraticSurrogate.of(descent.table, initial_hyperparameters(descent))])[0][:6], [initial_hyperparameters(descent)]),
         0.0,
         60,
     )
     F = descent.total(people)
     assert (np.diff(F) >= 0).all()
-    _, gradient, curvature = descent.prior(people.z)
-    gradient, curvature = gradient + people.level.report.gradient, curvature + people.level.report.curvature
-    free = descent.moves & ~problem().unknowns.at_bound(people.z[0])
+    _, gradient, curvature = descent.prior(people.theta)
+    gradient, curvature = gradient + people.level.derivatives.gradient, curvature + people.level.derivatives.curvature
+    free = descent.is_free & ~problem().unknowns.at_bound(people.theta[0])
     g, H = gradient[0][free], curvature[0][np.ix_(free, free)]
     left = 0.5 * g @ np.linalg.solve(H, g)
     assert left < 1e-2  # what F could still fall by
-    assert descent.promised(people)[0] == pytest.approx(left)
+    assert descent.predicted_decrease(people)[0] == pytest.approx(left)
     # Half a standard deviation off along any unknown, as if others were known: F promises to fall by what it rose.
-    away = np.repeat(people.z[:1], free.sum(), axis=0)
+    away = np.repeat(people.theta[:1], free.sum(), axis=0)
     away[:, free] += 0.5 * np.diag(1 / np.sqrt(np.diag(H)))
     people = people.take(np.zeros(len(away), int))
-    people = descent.begun(away, people.phi, people.w)
+    people = descent.initialise(away, people.phi, people.w)
     rose = descent.total(people) - F[0]
-    np.testing.assert_allclose(descent.promised(people), rose, rtol=0.2, atol=0.02)
+    np.testing.assert_allclose(descent.predicted_decrease(people), rose, rtol=0.2, atol=0.02)
 
 
 def test_the_hammer_is_found_without_an_error_of_the_steps():
@@ -145,21 +145,21 @@ def test_the_hammer_is_found_without_an_error_of_the_steps():
     assert values["p"] == pytest.approx(HAMMER.p, rel=2e-3)
     assert values["mu"] == pytest.approx(HAMMER.mu, rel=1e-2)
     assert values["width"] == pytest.approx(GEOMETRY.width, rel=1e-2)
-    u = np.exp(problem().unknowns.log_u)
-    assert np.exp(z[problem().unknowns.at("K_H")]) == pytest.approx(HAMMER.K_H * u**HAMMER.p, rel=5e-3)
+    u = np.exp(problem().unknowns.log_reference_compression)
+    assert np.exp(z[problem().unknowns.index_of("K_H")]) == pytest.approx(HAMMER.K_H * u**HAMMER.p, rel=5e-3)
     assert found().minima.converged[0]
 
 
 def test_on_the_edge_of_K_H_the_force_follows_p():
     """K_H is held there: what is known of p is what is known of the force, and F rises by a half in one deviation."""
-    low = pose([tone()], [played()], replace(setup(), bounds={"K_H": (1e8, 0.1 * HAMMER.K_H)}))
-    one, u = estimate(low, 0), low.unknowns
-    force, p = u.power
+    low = build_problem([tone()], [played()], replace(setup(), bounds={"K_H": (1e8, 0.1 * HAMMER.K_H)}))
+    one, u = map_estimate(low, 0), low.unknowns
+    force, p = u.force_and_exponent_index
     assert u.at_bound(one.z)[force]
     assert not u.at_bound(one.z)[p]
     cov = one.posterior.covariance[0]
     assert not cov[force].any()
-    slope = np.exp(one.z[p]) * u.log_u
+    slope = np.exp(one.z[p]) * u.log_reference_compression
     change = np.eye(u.size)[force] + slope * np.eye(u.size)[p]
     first = Posterior(one.posterior.mean[:1], cov[None], np.ones(1))
     assert first.spread(change) == pytest.approx(-slope * np.sqrt(cov[p, p]), rel=1e-3)
@@ -167,19 +167,19 @@ def test_on_the_edge_of_K_H_the_force_follows_p():
     inner = np.flatnonzero(cov.diagonal() > 0)
     z = np.tile(u.log_values(one.z), (2, 1))
     z[:, inner] += np.outer([-1, 1], cov[p, inner] / np.sqrt(cov[p, p]))
-    moved = descent.begun(u.from_log_values(z), best.phi, best.w, best.offset)
+    moved = descent.initialise(u.from_log_values(z), best.phi, best.w, best.offset)
     for _ in range(20):  # φ and w settle
-        parts = (descent._settled(*pair, 0.0) for pair in zip(descent.tables, moved.parts, strict=True))
+        parts = (descent._update_nuisances(*pair, 0.0) for pair in zip(descent.tables, moved.parts, strict=True))
         moved = replace(moved, parts=tuple(parts))
     assert (descent.total(moved) - one.minima.F[0]).mean() == pytest.approx(0.5, abs=0.15)
-    document = conclude(Inferred(low, one, 0, None)).document
+    document = build_result(InferenceResult(low, one, 0, None)).document
     assert document["parameters"]["K_H"]["status"] == "at-bound"
     assert document["invariants"]["F/M_S"]["status"] in ("at-bound", "not-identifiable")
     assert document["parameters"]["K_H"]["interval"] is None
 
 
 def test_the_same_seed_gives_the_same_result_and_another_the_same_minimum():
-    again = estimate(problem(), 0)
+    again = map_estimate(problem(), 0)
     np.testing.assert_array_equal(again.z, found().z)
     np.testing.assert_array_equal(again.minima.F, found().minima.F)
     np.testing.assert_array_equal(again.posterior.covariance, found().posterior.covariance)
@@ -189,15 +189,15 @@ def test_the_same_seed_gives_the_same_result_and_another_the_same_minimum():
 
 
 def test_minima_are_told_apart_by_where_they_are():
-    descent, u = Descent(problem(), string(), LEVELS), problem().unknowns
+    descent, u = Optimiser(problem(), string(), LEVELS), problem().unknowns
     z = np.tile(u.mean, (4, 1))
-    z[1, u.at("M_H")] += 0.001 * u.sd[u.at("M_H")]
-    z[2, u.at("M_H")] += 0.5 * u.sd[u.at("M_H")]
-    z[3, u.at("p")] += 0.5 * u.sd[u.at("p")]
-    people = descent.begun(u.project(z), [wide(descent)])
+    z[1, u.index_of("M_H")] += 0.001 * u.sd[u.index_of("M_H")]
+    z[2, u.index_of("M_H")] += 0.5 * u.sd[u.index_of("M_H")]
+    z[3, u.index_of("p")] += 0.5 * u.sd[u.index_of("p")]
+    people = descent.initialise(u.project(z), [initial_hyperparameters(descent)])
     scores = np.array([1.0, 0.9, 0.0, 9.0])[: len(people)]
     assert len(people) == 4
-    assert distinct(people, u, scores, 6.0) == [2, 1]
+    assert deduplicate(people, u, scores, 6.0) == [2, 1]
 
 
 def test_the_heaviest_minimum_is_the_first_and_what_lies_within_another_is_none():
@@ -207,37 +207,37 @@ def test_the_heaviest_minimum_is_the_first_and_what_lies_within_another_is_none(
     mean[1] += 0.5 * deviation  # within the first
     mean[2] += 5.0 * deviation
     minima = one.minima.take(np.zeros(3, int))._replace(F=np.array([1.0, 1.5, 1.2]))
-    kept, posterior = _apart(minima, Posterior(mean, covariance, np.array([0.2, 0.4, 0.4])))
+    kept, posterior = _deduplicate(minima, Posterior(mean, covariance, np.array([0.2, 0.4, 0.4])))
     np.testing.assert_array_equal(kept.F, [1.2, 1.0])
     np.testing.assert_allclose(posterior.share, [2 / 3, 1 / 3])
     np.testing.assert_array_equal(posterior.mean, mean[[2, 0]])
 
 
 def test_a_search_in_which_no_contact_ends_says_so(monkeypatch):
-    descent = Descent(problem(), string(), LEVELS)
+    descent = Optimiser(problem(), string(), LEVELS)
     model = descent.model
     monkeypatch.setattr(descent, "model", lambda *x: (model(*x)[0], np.zeros(len(x[0]), bool)))
     with pytest.raises(FitError, match="no hammer within the bounds gives a finite sound"):
-        searched(descent, 0, problem().unknowns.mean)
+        multistart(descent, 0, problem().unknowns.mean)
 
 
 def test_minima_whose_contacts_do_not_end_by_the_finer_steps_are_none(monkeypatch):
-    held = Descent(problem(), string(), LEVELS)
-    people, own = held.begun(problem().unknowns.mean[None], [wide(held)]), string_minimum(problem())
-    model = Descent.model
-    monkeypatch.setattr(Descent, "model", lambda self, *x: (model(self, *x)[0], np.zeros(len(x[0]), bool)))
+    held = Optimiser(problem(), string(), LEVELS)
+    people, own = held.initialise(problem().unknowns.mean[None], [initial_hyperparameters(held)]), fit_string(problem())
+    model = Optimiser.model
+    monkeypatch.setattr(Optimiser, "model", lambda self, *x: (model(self, *x)[0], np.zeros(len(x[0]), bool)))
     with pytest.raises(FitError, match="no hammer within the bounds gives a finite sound"):
-        finished(problem(), people, held, own)
+        refine_minima(problem(), people, held, own)
 
 
 @pytest.mark.parametrize(("low", "high"), [(0.3, 0.6), (3.0, 4.0)])
 def test_a_velocity_keeps_within_its_bounds_and_says_so_at_one(low, high):
     """The one that was played lies outside."""
-    bounded = pose([tone()], [played()], replace(setup(), bounds={"v_H0": (low, high)}))
-    one, at = estimate(bounded), bounded.velocity
+    bounded = build_problem([tone()], [played()], replace(setup(), bounds={"v_H0": (low, high)}))
+    one, at = map_estimate(bounded), bounded.velocity
     bound = low if HAMMER.v_H0 < low else high
     assert np.exp(one.z[at]) == pytest.approx(bound, rel=1e-9)
-    document = conclude(Inferred(bounded, one, 0, None)).document
+    document = build_result(InferenceResult(bounded, one, 0, None)).document
     assert document["parameters"]["v_H0"]["status"] == "at-bound"
     assert document["recordings"][0]["v_H0_status"] == "at-bound"
     assert any("At a bound" in said and "v_H0" in said for said in document["messages"])
@@ -253,10 +253,10 @@ def test_a_search_of_two_like_strokes_does_not_stay_on_a_ripple_of_their_valley(
         sound = lfilter([1, 0.6, 0.2], [1, -0.5], strike.waveform(rate, 3 * rate))
         sound = np.pad(0.5 * sound / np.abs(sound).max(), (rate // 10, 0))
         recordings.append(recording_from_samples(sound + 1e-4 * noise.standard_normal(len(sound)), rate))
-    posed = pose(recordings, [analyse(one, note="F3") for one in recordings], setup_from_dict({}, "here"))
-    one, u = estimate(posed, seed), posed.unknowns
-    mass = np.exp(one.posterior.mean[0, u.at("M_H")]) / posed.start.geometry.mass
-    low, high = one.posterior.interval(np.eye(u.size)[u.at("M_H")])
+    posed = build_problem(recordings, [analyse(one, note="F3") for one in recordings], setup_from_dict({}, "here"))
+    one, u = map_estimate(posed, seed), posed.unknowns
+    mass = np.exp(one.posterior.mean[0, u.index_of("M_H")]) / posed.start.geometry.mass
+    low, high = one.posterior.interval(np.eye(u.size)[u.index_of("M_H")])
     true = it.hammer.M_H / it.geometry.mass
     assert np.exp(low) / posed.start.geometry.mass < true < np.exp(high) / posed.start.geometry.mass
     assert mass == pytest.approx(true, rel=0.01)
@@ -265,25 +265,25 @@ def test_a_search_of_two_like_strokes_does_not_stay_on_a_ripple_of_their_valley(
 @pytest.mark.parametrize(("file", "near"), [("Tone.flac", ["tone.wav"]), ("tone.wav", []), ("tone2.wav", [])])
 def test_a_misspelt_recording_of_the_setup_is_told(file, near):
     known = setup(recording=[{"file": file, "v_H0": 1.0}])
-    posed = pose([tone(name="tone.wav")], [played()], known)
-    assert [other for _, other in posed.unmatched] == near
+    posed = build_problem([tone(name="tone.wav")], [played()], known)
+    assert [other for _, other in posed.unmatched_entries] == near
 
 
 def test_where_everything_is_known_nothing_is_left_to_fit():
     known = dict(zip(("c", "kappa", "b1", "b2"), map(float, STRING), strict=True)) | HAMMER._asdict()
     with pytest.raises(FitError, match=r"nothing is left to fit: \[known\] holds everything"):
-        pose([tone()], [played()], setup(pickup={"quantity": "pressure"}, known=known))
+        build_problem([tone()], [played()], setup(pickup={"quantity": "pressure"}, known=known))
 
 
 def test_a_stroke_in_the_wrong_lobe_is_struck_anew():
     """The hammer is right and its velocity is not: the best of the fine grid is the one that was played."""
     p = problem()
-    descent = Descent(p, string(), LEVELS)
+    descent = Optimiser(p, string(), LEVELS)
     z = found().z.copy()
     z[: len(string())] = string()
-    parabola = Parabola.of(descent.table, wide(descent))
+    parabola = QuadraticSurrogate.of(descent.table, initial_hyperparameters(descent))
     at = p.unknowns.shared
     for factor in (0.2, 0.5, 3.0):
         away = z.copy()
         away[at] += np.log(factor)
-        assert struck_anew(descent, away[None], [parabola])[0][0, at] == pytest.approx(z[at], abs=0.01)
+        assert rescan_velocities(descent, away[None], [parabola])[0][0, at] == pytest.approx(z[at], abs=0.01)

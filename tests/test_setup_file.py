@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from pianofit.errors import SetupError
 from pianofit.felt import BOXES, LAWS
-from pianofit.io import one_line
-from pianofit.setup import KEYS, PICKUPS, RANGES, Layer, Setup, layer_of, load_setup, setup_from_dict
+from pianofit.io.files import escape_controls
+from pianofit.setup import KEYS, PICKUPS, RANGES, RecordingInfo, Setup, load_setup, recording_info_for, setup_from_dict
 
 FULL = """
 # The paper's bench.
@@ -54,10 +54,10 @@ def test_every_key_is_read(tmp_path):
         pickup_quantity="velocity",
         pickup_position=0.30,
         pickup_scale=2.0,
-        known={"v_H0": 0.84},
+        fixed={"v_H0": 0.84},
         initial={"c": 310.6, "b1": 0.5},
         bounds={"K_H": (1e8, 1e12), "c": (300.0, 320.0)},
-        recordings=(Layer("a.flac", None, "close", "close", "L4"), Layer("b.flac")),
+        recordings=(RecordingInfo("a.flac", None, "close", "close", "L4"), RecordingInfo("b.flac")),
     )
 
 
@@ -66,7 +66,7 @@ def test_all_of_it_is_optional(tmp_path, text):
     (tmp_path / "setup.toml").write_text(text)
     setup = load_setup(str(tmp_path / "setup.toml"))
     assert setup == Setup()
-    assert (setup.pickup_quantity, setup.known, setup.recordings) == ("pressure", {}, ())
+    assert (setup.pickup_quantity, setup.fixed, setup.recordings) == ("pressure", {}, ())
 
 
 def test_windows_line_ends_and_byte_order_mark(tmp_path):
@@ -76,7 +76,7 @@ def test_windows_line_ends_and_byte_order_mark(tmp_path):
 
 def test_numbers_may_be_integers_and_become_floats():
     setup = setup_from_dict({"string": {"length": 1}, "known": {"p": 3}, "bounds": {"c": [300, 310]}}, "here")
-    assert [type(value) for value in (setup.length, setup.known["p"], *setup.bounds["c"])] == [float] * 4
+    assert [type(value) for value in (setup.length, setup.fixed["p"], *setup.bounds["c"])] == [float] * 4
 
 
 @pytest.mark.parametrize("quantity", PICKUPS)
@@ -106,7 +106,7 @@ def test_every_bad_setup_is_refused_in_one_line(tmp_path, bad: BadInput):
         load_setup(bad.bad_file(tmp_path))
     message = str(caught.value)
     assert bad.is_explained_by(message)
-    assert message.startswith(one_line(bad.bad_file(tmp_path)) + ": ")
+    assert message.startswith(escape_controls(bad.bad_file(tmp_path)) + ": ")
     assert message.isprintable()
     assert len(message) < 300 + len(bad.bad_file(tmp_path))
 
@@ -160,13 +160,13 @@ def test_the_contact_window_lies_on_the_string(position, width, length, fits):
 
 def test_an_entry_is_of_the_recording_that_it_names():
     """Another's velocity is not taken; one without a name is that of a single recording."""
-    key = Setup(recordings=(Layer("far/soft.wav", 0.8), Layer("loud.wav", 3.0)))
-    assert layer_of(key, "near/loud.wav", alone=True).v_H0 == layer_of(key, "loud.wav", alone=False).v_H0 == 3.0
-    assert layer_of(key, "other.wav", alone=True) == layer_of(key, "other.wav", alone=False) == Layer()
-    nameless = Setup(recordings=(Layer("soft.wav", 0.8), Layer(v_H0=2.0), Layer(v_H0=9.0)))
-    assert layer_of(nameless, "soft.wav", alone=True).v_H0 == 0.8
-    assert layer_of(nameless, "other.wav", alone=True).v_H0 == 2.0
-    assert layer_of(nameless, "other.wav", alone=False) == Layer()
+    key = Setup(recordings=(RecordingInfo("far/soft.wav", 0.8), RecordingInfo("loud.wav", 3.0)))
+    assert recording_info_for(key, "near/loud.wav", alone=True).v_H0 == recording_info_for(key, "loud.wav", alone=False).v_H0 == 3.0
+    assert recording_info_for(key, "other.wav", alone=True) == recording_info_for(key, "other.wav", alone=False) == RecordingInfo()
+    nameless = Setup(recordings=(RecordingInfo("soft.wav", 0.8), RecordingInfo(v_H0=2.0), RecordingInfo(v_H0=9.0)))
+    assert recording_info_for(nameless, "soft.wav", alone=True).v_H0 == 0.8
+    assert recording_info_for(nameless, "other.wav", alone=True).v_H0 == 2.0
+    assert recording_info_for(nameless, "other.wav", alone=False) == RecordingInfo()
 
 
 IN_PYTHON = [
@@ -182,11 +182,11 @@ IN_PYTHON = [
     ({"strike_position": 0.01, "strike_width": 0.03}, "[strike]\nposition = 0.01\nwidth = 0.03\n", "past the agraffe"),
     ({"known": {"epsilon": 0.1}}, "[known]\nepsilon = 0.1\n", "no parameter of the felt's law"),
     ({"known": {"p": 2}, "initial": {"p": 3}}, "[known]\np = 2\n[initial]\np = 3\n", "remove one of them"),
-    ({"recordings": [Layer()]}, "[[recording]]\n", "[[recording]] 1 is empty"),
-    ({"recordings": [Layer(v_H0=100)]}, "[[recording]]\nv_H0 = 100\n", "[[recording]] 1 v_H0 = 100"),
-    ({"recordings": [Layer("a"), {"file": 3}]}, '[[recording]]\nfile = "a"\n[[recording]]\nfile = 3\n', "2 file = 3"),
+    ({"recordings": [RecordingInfo()]}, "[[recording]]\n", "[[recording]] 1 is empty"),
+    ({"recordings": [RecordingInfo(v_H0=100)]}, "[[recording]]\nv_H0 = 100\n", "[[recording]] 1 v_H0 = 100"),
+    ({"recordings": [RecordingInfo("a"), {"file": 3}]}, '[[recording]]\nfile = "a"\n[[recording]]\nfile = 3\n', "2 file = 3"),
     ({"recordings": [{"fil": "a"}]}, '[[recording]]\nfil = "a"\n', "did you mean file?"),
-    ({"recordings": [Layer("a"), Layer("a")]}, '[[recording]]\nfile = "a"\n' * 2, "is there twice"),
+    ({"recordings": [RecordingInfo("a"), RecordingInfo("a")]}, '[[recording]]\nfile = "a"\n' * 2, "is there twice"),
 ]
 
 
@@ -204,11 +204,11 @@ def test_python_is_checked_in_the_words_of_the_file(tmp_path, said, text, messag
 
 def test_a_setup_is_plain_numbers_and_stays_as_it_was_checked():
     given = {"p": 3}
-    setup = Setup(length=1, known=given, recordings=[{"v_H0": 2}])
+    setup = Setup(length=1, fixed=given, recordings=[{"v_H0": 2}])
     given["p"] = 99
-    assert (setup.length, setup.known, setup.recordings) == (1.0, {"p": 3.0}, (Layer(v_H0=2.0),))
-    assert type(setup.known["p"]) is type(setup.recordings[0].v_H0) is float
-    assert Setup(length=np.float32(1.5), known={"p": np.int64(3)}) == Setup(length=1.5, known={"p": 3.0})
+    assert (setup.length, setup.fixed, setup.recordings) == (1.0, {"p": 3.0}, (RecordingInfo(v_H0=2.0),))
+    assert type(setup.fixed["p"]) is type(setup.recordings[0].v_H0) is float
+    assert Setup(length=np.float32(1.5), fixed={"p": np.int64(3)}) == Setup(length=1.5, fixed={"p": 3.0})
 
 
 def test_an_older_file_says_take(tmp_path):

@@ -10,10 +10,18 @@ import numpy as np
 import pytest
 
 from pianofit import preset
+from pianofit.bensa2005.spectral_criterion import (
+    Cfg,
+    Scene,
+    damped_spectrum,
+    fix_string,
+    residuals,
+    spectral_goal,
+    struck_gradients,
+)
 from pianofit.model import mode_table, simulate
 from pianofit.model.contact import strike as contact
-from pianofit.model.response import spectrum
-from pianofit.paper.spectral import Cfg, Scene, damped_spectrum, hold, miss, spectral_goal, struck_gradients
+from pianofit.model.free_response import spectrum
 from pianofit.parameters import Geometry, Hammer, String
 
 pytestmark = pytest.mark.usefixtures("float64")
@@ -67,7 +75,7 @@ def plain_energy(it, g):
 
 
 def cost_of(energy, g) -> float:
-    return 0.5 * float((miss(jnp.asarray(energy), g) ** 2).sum())
+    return 0.5 * float((residuals(jnp.asarray(energy), g) ** 2).sum())
 
 
 # --- the spectrum -----------------------------------------------------------------------------------------------------
@@ -103,7 +111,7 @@ def test_the_fast_path_meets_the_sum_over_samples_also_where_the_recording_is_cu
     cost, _ = struck_gradients(searched(it)[None], g, SCENE, CFG)
     # The window ends for all of a stroke where it ends for its middle.
     assert float(cost[0]) == pytest.approx(expected, rel=2e-4, abs=2e-6)
-    held = hold(jnp.asarray(searched(it)), *WIDE, g, SCENE, CFG)
+    held = fix_string(jnp.asarray(searched(it)), *WIDE, g, SCENE, CFG)
     assert float(held.costs(searched(it)[None, 4:])[0]) == pytest.approx(float(cost[0]), rel=1e-9, abs=1e-13)
 
 
@@ -120,7 +128,7 @@ def test_the_fast_path_is_the_plain_one():
 def test_silence_costs_1_and_the_recording_itself_nothing():
     g = goal()
     assert cost_of(jnp.zeros_like(g.energy), g) == pytest.approx(1.0, abs=1e-12)
-    assert float((miss(g.energy, g) ** 2).sum()) == 0.0
+    assert float((residuals(g.energy, g) ** 2).sum()) == 0.0
 
 
 def test_each_band_holds_its_own_partials_and_they_add_up():
@@ -205,7 +213,7 @@ def test_the_fast_paths_derivatives_agree_with_differences():
 
     slope = np.asarray(struck_gradients(z[None], g, SCENE, CFG)[1])[0]
     np.testing.assert_allclose(slope, central(nine, z, 1e-6), rtol=1e-5, atol=1e-7)
-    held = hold(jnp.asarray(z), *WIDE, g, SCENE, CFG)
+    held = fix_string(jnp.asarray(z), *WIDE, g, SCENE, CFG)
     np.testing.assert_allclose(held.slope(z[4:])[1], slope[4:], rtol=1e-8, atol=1e-10)
     many = z[4:] + 0.01 * np.random.default_rng(0).normal(size=(40, 5))
     np.testing.assert_allclose(held.costs(many), 0.5 * (held.residuals(many)[0] ** 2).sum(axis=1), rtol=1e-9)
@@ -215,9 +223,9 @@ def test_the_fast_paths_derivatives_agree_with_differences():
 def test_a_contact_that_does_not_end_and_a_felt_out_of_bounds_are_infinitely_bad():
     g = goal()
     z = searched(TRUE)
-    held = hold(jnp.asarray(z), *WIDE, g, SCENE, CFG)
+    held = fix_string(jnp.asarray(z), *WIDE, g, SCENE, CFG)
     heavy = z[4:] + np.array([0.0, 0.0, 0.0, np.log(100.0), 0.0])
     narrow = SCENE._replace(stiff=np.log([1e3, 1e9]))
     assert np.isinf(held.costs(heavy[None])[0])
-    assert np.isinf(hold(jnp.asarray(z), *WIDE, g, narrow, CFG).costs(z[None, 4:])[0])
+    assert np.isinf(fix_string(jnp.asarray(z), *WIDE, g, narrow, CFG).costs(z[None, 4:])[0])
     assert np.isfinite(held.costs(z[None, 4:])[0])

@@ -13,8 +13,8 @@ import soundfile
 import pianofit
 from pianofit.cli import main
 from pianofit.errors import ParameterError
-from pianofit.felt import MemoryHammer
-from pianofit.io import CEILING
+from pianofit.felt import RelaxingHammer
+from pianofit.io.files import PEAK_LIMIT
 from pianofit.setup import load_setup
 from pianofit.synthetic import LEAD, setup_of, setup_text, synthetic_recording
 
@@ -30,7 +30,7 @@ def made(**more) -> pianofit.SyntheticRecording:
 
 def test_the_samples_are_the_signal_over_the_scale():
     auto, fixed = made(), made(scale=8.0)
-    assert np.abs(auto.samples).max() == pytest.approx(CEILING, rel=1e-12)
+    assert np.abs(auto.samples).max() == pytest.approx(PEAK_LIMIT, rel=1e-12)
     np.testing.assert_allclose(8.0 * fixed.samples, auto.scale * auto.samples, rtol=0, atol=1e-12)
     lead = round(LEAD * RATE)
     assert not fixed.samples[:lead].any()
@@ -65,18 +65,18 @@ def test_the_noise_is_as_loud_as_was_asked_for_and_the_seed_decides_it():
 @pytest.mark.parametrize("law", ["hunt-crossley", "power", "stulov"])
 def test_the_setup_is_read_back_as_it_was(quantity, law, tmp_path):
     elastic = TYPICAL.hammer._replace(mu=0.0)
-    hammer = {"hunt-crossley": TYPICAL.hammer, "power": elastic, "stulov": MemoryHammer(*elastic, 0.3, 5e-5)}[law]
+    hammer = {"hunt-crossley": TYPICAL.hammer, "power": elastic, "stulov": RelaxingHammer(*elastic, 0.3, 5e-5)}[law]
     setup = setup_of(hammer, TYPICAL.geometry, quantity, 8.0, 'a "b"\x7f.wav')
     (tmp_path / "setup.toml").write_text(setup_text(setup), encoding="utf-8")
     assert load_setup(tmp_path / "setup.toml") == setup
     assert (setup.pickup_scale is None) == (quantity == "pressure")
     assert setup.law.name == law
-    assert setup.strike_position == TYPICAL.geometry.strike
+    assert setup.strike_position == TYPICAL.geometry.strike_position
 
 
 def test_the_setup_states_no_parameter():
     it = made()
-    assert not it.setup.known
+    assert not it.setup.fixed
     assert not it.setup.initial
     assert it.true == {**TYPICAL.string._asdict(), **TYPICAL.hammer._asdict()}
     assert all(f"# {name} = {value!r}" in it.setup_text for name, value in it.true.items())
@@ -84,13 +84,13 @@ def test_the_setup_states_no_parameter():
 
 def test_any_setup_is_written_as_it_is_read(tmp_path):
     setup = pianofit.Setup(
-        length=1.0, known={"M_H": 5e-3}, initial={"p": 2.5}, bounds={"K_H": (1e8, 1e12)},
-        recordings=(pianofit.Layer("ä.wav", 2.0, "close"), pianofit.Layer(v_H0=1.0)),
+        length=1.0, fixed={"M_H": 5e-3}, initial={"p": 2.5}, bounds={"K_H": (1e8, 1e12)},
+        recordings=(pianofit.RecordingInfo("ä.wav", 2.0, "close"), pianofit.RecordingInfo(v_H0=1.0)),
     )  # fmt: skip
     (tmp_path / "setup.toml").write_text(setup_text(setup), encoding="utf-8")
     back = load_setup(tmp_path / "setup.toml")
-    assert (back.known, back.initial, back.bounds, back.recordings) == (
-        setup.known, setup.initial, setup.bounds, setup.recordings,
+    assert (back.fixed, back.initial, back.bounds, back.recordings) == (
+        setup.fixed, setup.initial, setup.bounds, setup.recordings,
     )  # fmt: skip
 
 

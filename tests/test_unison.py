@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pianofit.ringing.bands import kernel_gain
+from pianofit.modal_response.bands import kernel_gain
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 

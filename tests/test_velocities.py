@@ -11,10 +11,10 @@ from batch_cases import struck
 
 from pianofit import fit
 from pianofit.analysis import analyse
-from pianofit.inference.problem import pose
-from pianofit.recording import load_recording
-from pianofit.result.velocities import brightening, questioned
-from pianofit.setup import Layer, Setup
+from pianofit.inference.problem import build_problem
+from pianofit.recording.recording import load_recording
+from pianofit.result.velocity_check import brightening, questioned
+from pianofit.setup import RecordingInfo, Setup
 
 SPEEDS = (1.0, 1.3, 4.0)  # m/s
 
@@ -33,11 +33,11 @@ def said(strokes, speeds, p: float = 0.0, groups=(None, None, None), analyses=No
     """What is said of velocities, m/s or None, where the exponent lies `p` prior deviations off the literature's."""
     recordings = strokes[0]
     layers = tuple(
-        Layer(file=f"{true}.wav", v_H0=v, group=group) for true, v, group in zip(SPEEDS, speeds, groups, strict=True)
+        RecordingInfo(file=f"{true}.wav", v_H0=v, group=group) for true, v, group in zip(SPEEDS, speeds, groups, strict=True)
     )
-    problem = pose(recordings, analyses or strokes[1], Setup(recordings=layers))
+    problem = build_problem(recordings, analyses or strokes[1], Setup(recordings=layers))
     z = problem.unknowns.mean.copy()
-    at = problem.unknowns.at("p")
+    at = problem.unknowns.index_of("p")
     z[at] += p * problem.unknowns.sd[at]
     return questioned(SimpleNamespace(problem=problem, found=SimpleNamespace(z=z)))
 
@@ -138,7 +138,7 @@ def test_an_exponent_that_no_felt_has_questions_the_ratio(strokes, p, word):
 
 def test_a_fit_says_so_in_its_messages(strokes):
     recordings, analyses = strokes
-    layers = (Layer(file="1.0.wav", v_H0=4.0), Layer(file="4.0.wav", v_H0=1.0))
+    layers = (RecordingInfo(file="1.0.wav", v_H0=4.0), RecordingInfo(file="4.0.wav", v_H0=1.0))
     result = fit(recordings[0], recordings[2], setup=Setup(recordings=layers), note="C4", progress=False,
                  analyses=[analyses[0], analyses[2]])  # fmt: skip
     assert any("duller" in message and "1.0.wav (4 m/s)" in message for message in result.messages)

@@ -14,19 +14,25 @@ import numpy as np
 import pytest
 
 from pianofit import ParameterError, Setup, analyse, fit, recording_from_samples, setup_from_dict
+from pianofit.bensa2005.laboratory import make_synthetic_recording, setup_text
 from pianofit.felt import DEFAULT_LAW, LAWS
-from pianofit.inference import Inferred, estimate, pose, sampler
-from pianofit.inference.coordinates import names_of
-from pianofit.inference.density import folded, given, log_density, start
-from pianofit.inference.descent import Descent
-from pianofit.inference.estimate import Estimate
-from pianofit.inference.posterior import laplace
-from pianofit.inference.problem import Problem
-from pianofit.inference.profile import RISE, _Profile, profiles
-from pianofit.inference.views import check_intervals, named, open_messages, reported, view_of
-from pianofit.paper.laboratory import make_twin, setup_text
+from pianofit.inference import InferenceResult, build_problem, map_estimate, nuts
+from pianofit.inference.density import density_context, log_density, reflect_into_bounds, start
+from pianofit.inference.intervals import (
+    check_intervals,
+    compute_intervals,
+    named,
+    reported_parameters,
+    unbounded_warnings,
+)
+from pianofit.inference.laplace import laplace
+from pianofit.inference.map_estimate import Estimate
+from pianofit.inference.optimiser import Optimiser
+from pianofit.inference.parametrisation import names_of
+from pianofit.inference.problem import FitProblem
+from pianofit.inference.profile import DELTA_NLL_95, _Profile, profiles
 from pianofit.parameters import STRING_NAMES
-from pianofit.result import conclude
+from pianofit.result import build_result
 
 FORCE, P = (names_of(DEFAULT_LAW).index(name) for name in ("K_H", "p"))
 pytestmark = pytest.mark.usefixtures("float64")
@@ -37,8 +43,8 @@ HAMMER = ("K_H", "p", "mu", "M_H", "v_H0")
 
 
 @functools.cache
-def posed() -> Problem:
-    return pose([measured()], [analyse(measured())], setup())
+def posed() -> FitProblem:
+    return build_problem([measured()], [analyse(measured())], setup())
 
 
 def setup():
@@ -47,25 +53,25 @@ def setup():
 
 @functools.cache
 def measured():
-    twin = make_twin(50.0, 0)
+    twin = make_synthetic_recording(50.0, 0)
     return recording_from_samples(twin.samples, twin.rate, name="twin")
 
 
 @functools.cache
 def fitted() -> Estimate:
-    return estimate(posed())
+    return map_estimate(posed())
 
 
 @functools.cache
 def profiled():
-    view = view_of(posed(), fitted(), "profile", 0, lambda *_: None)
+    view = compute_intervals(posed(), fitted(), "profile", 0, lambda *_: None)
     assert view is not None
     return view
 
 
 def halves(entries: dict, found: Estimate) -> dict[str, tuple[float, ...]]:
     """From the minimum to both ends, in Laplace's standard deviations × 1.96; (-1, 1) where they agree."""
-    posterior, names = found.posterior, reported(posed())
+    posterior, names = found.posterior, reported_parameters(posed())
     ends = {name: np.log(entries[name]["interval"]) - posterior.mean[0, i] for name, i in names.items()}
     return {name: tuple(ends[name] / (1.96 * posterior.covariance[0, i, i] ** 0.5)) for name, i in names.items()}
 
@@ -75,7 +81,7 @@ def halves(entries: dict, found: Estimate) -> dict[str, tuple[float, ...]]:
 
 def test_invariants_are_those_of_the_view():
     """A ratio to what is known has the parameter's own interval; what has several parameters says whose it is."""
-    document = conclude(Inferred(posed(), fitted(), 0, profiled())).document
+    document = build_result(InferenceResult(posed(), fitted(), 0, profiled())).document
     table, invariants = document["parameters"], document["invariants"]
     for name, of, over in (("M_H/M_S", "M_H", "M_S"), ("x0/L", "x0", "L")):
         if table[of]["interval"] is not None:
@@ -90,24 +96,24 @@ def test_invariants_are_those_of_the_view():
 @pytest.mark.parametrize("law", LAWS)
 def test_names_are_those_of_the_felt_s_law(law):
     """A parameter that a law does not have has no row in the covariance, and no draws."""
-    names = named(pose([measured()], [analyse(measured())], Setup(length=1.0, felt=law)))
+    names = named(build_problem([measured()], [analyse(measured())], Setup(length=1.0, felt=law)))
     assert {*names} == {*STRING_NAMES, *LAWS[law].parameters, "M_H", "x0", "width", "v_H0"}
     if law == DEFAULT_LAW.name:
-        covariance = conclude(Inferred(posed(), fitted(), 0)).covariance
+        covariance = build_result(InferenceResult(posed(), fitted(), 0)).covariance
         assert covariance.names == tuple(names)
-        at = reported(posed())["M_H"]
+        at = reported_parameters(posed())["M_H"]
         assert covariance["M_H", "M_H"] == fitted().posterior.covariance[0, at, at]
 
 
 def test_an_interval_ends_at_its_box_and_says_so():
     problem, found = posed(), fitted()
-    i = problem.unknowns.at("M_H")
-    low, high = np.log(conclude(Inferred(problem, found, 0)).parameters["M_H"].interval)
+    i = problem.unknowns.index_of("M_H")
+    low, high = np.log(build_result(InferenceResult(problem, found, 0)).parameters["M_H"].interval)
     middle = 0.5 * (low + high)
     upper = problem.unknowns.upper.copy()
     upper[i] = middle + 0.25 * (high - low)
     tight = replace(problem, unknowns=replace(problem.unknowns, upper=upper))
-    mass = conclude(Inferred(tight, found, 0)).parameters["M_H"]
+    mass = build_result(InferenceResult(tight, found, 0)).parameters["M_H"]
     assert mass.interval_open == ("high",)
     np.testing.assert_allclose(np.log(mass.interval), [low, upper[i]])
 
@@ -127,7 +133,7 @@ def test_a_profile_rises_to_its_ends_and_says_how():
         values, rises = np.array(told["points"]).T
         assert (np.diff(values) > 0).all()
         assert rises.min() > -1e-3
-        assert rises[[0, -1]] == pytest.approx(RISE, rel=0.3)
+        assert rises[[0, -1]] == pytest.approx(DELTA_NLL_95, rel=0.3)
         assert entry["interval_by"] == "profile"
         assert entry["interval_open"] == []
         assert told["evaluations"] == len(values)
@@ -137,12 +143,12 @@ def test_a_profile_rises_to_its_ends_and_says_how():
         away = np.abs(np.log(values / values[rises.argmin()]))
         reach = np.abs(np.log(np.array([low, high]) / values[rises.argmin()]))
         share = away / np.where(values < values[rises.argmin()], reach[0], reach[1])
-        np.testing.assert_allclose(share[inner], np.sqrt(rises / RISE)[inner], atol=0.12)
+        np.testing.assert_allclose(share[inner], np.sqrt(rises / DELTA_NLL_95)[inner], atol=0.12)
 
 
 @pytest.mark.parametrize("name", ["p", "K_H"])
 def test_a_bound_that_cuts_a_profile_leaves_it_open(name):
-    i, u = reported(posed())[name], posed().unknowns
+    i, u = reported_parameters(posed())[name], posed().unknowns
     mean, sd = fitted().posterior.mean[0, i], fitted().posterior.covariance[0, i, i] ** 0.5
     edge = mean + sd
     if i == FORCE:
@@ -152,12 +158,12 @@ def test_a_bound_that_cuts_a_profile_leaves_it_open(name):
         upper[i] = edge
         cut = replace(u, upper=upper)
     profile = _Profile(replace(posed(), unknowns=cut), fitted())
-    walk = profile.walk(i, 1.0)
+    walk = profile.trace_branch(i, 1.0)
     assert walk.open
     assert walk.end == edge
     rise = walk.points[-1].F - profile.start.F
     assert rise == pytest.approx(0.5, abs=0.05)
-    assert not profile.walk(i, -1.0).open
+    assert not profile.trace_branch(i, -1.0).open
 
 
 def test_where_k_h_is_held_the_force_follows_p():
@@ -174,16 +180,16 @@ def test_where_k_h_is_held_the_force_follows_p():
 @pytest.mark.slow
 def test_a_profile_that_finds_lower_ground_says_so():
     minima = fitted().minima
-    z = minima.people.z.copy()
+    z = minima.people.theta.copy()
     worse = fitted()._replace(minima=minima._replace(F=minima.F + 2.0), posterior=fitted().posterior)
     view = profiles(posed(), worse)
     assert any("found F lower by 2 than the fit" in text for text in view.messages)
-    np.testing.assert_array_equal(z, minima.people.z)
+    np.testing.assert_array_equal(z, minima.people.theta)
 
 
 def test_open_ends_are_named():
     ends = {"c": ["low"], "p": ["low", "high"], "mu": []}
-    said = open_messages({name: {"interval_open": sides} for name, sides in ends.items()})
+    said = unbounded_warnings({name: {"interval_open": sides} for name, sides in ends.items()})
     assert len(said) == 2
     assert "the whole box: p" in said[0]
     assert "not bounded below" in said[1].lower()
@@ -205,7 +211,7 @@ def test_a_fit_has_the_intervals_it_was_asked_for():
 
 @functools.cache
 def density():
-    at = given(posed(), fitted())
+    at = density_context(posed(), fitted())
     return at, jax.jit(jax.value_and_grad(lambda point: log_density(at, point, posed().cfg)))
 
 
@@ -229,14 +235,14 @@ def test_the_density_is_that_of_f_with_its_gradient():
 def test_folding_keeps_the_inside_and_mirrors_the_rest():
     at, _ = density()
     near = start(at, jax.random.PRNGKey(1), 1.0).theta
-    inside = folded(at, near)
+    inside = reflect_into_bounds(at, near)
     np.testing.assert_allclose(inside, at.z + at.white @ near, atol=1e-12)
     u = posed().unknowns
     for far in np.random.default_rng(0).normal(0, 3000, (50, len(near))):
-        z = np.asarray(folded(at, jnp.asarray(far)))
+        z = np.asarray(reflect_into_bounds(at, jnp.asarray(far)))
         assert np.isfinite(z).all()
         np.testing.assert_allclose(u.project(z), z, atol=1e-9)
-    slope = np.asarray(jax.jacfwd(lambda x: folded(at, x))(near * 100))[u.free]
+    slope = np.asarray(jax.jacfwd(lambda x: reflect_into_bounds(at, x))(near * 100))[u.free]
     plain = np.asarray(at.white)[u.free]
     assert abs(np.linalg.det(slope)) == pytest.approx(abs(np.linalg.det(plain)), rel=1e-6)
 
@@ -244,15 +250,15 @@ def test_folding_keeps_the_inside_and_mirrors_the_rest():
 # --- draws ------------------------------------------------------------------------------------------------------------
 
 
-def known_excess() -> tuple[Problem, Estimate]:
+def known_excess() -> tuple[FitProblem, Estimate]:
     """The same with every excess, and other φ, known to 1 %: then θ's posterior is nearly Gaussian."""
     problem, minima = posed(), fitted().minima
     o, best = problem.observed, minima.people.take(np.array([0]))
     pairs = zip((o.level, o.frequency, o.decay), best.phi, strict=True)
     tables = [table._replace(prior=(phi[0], np.full(4, 0.01))) for table, phi in pairs]
     problem = replace(problem, observed=replace(o, level=tables[0], frequency=tables[1], decay=tables[2]))
-    search = Descent(problem)
-    people = search.descend(search.begun(best.z, best.phi, best.w, best.offset), 0.0, 60)
+    search = Optimiser(problem)
+    people = search.minimise(search.initialise(best.theta, best.phi, best.w, best.offset), 0.0, 60)
     minima = minima._replace(descent=search, people=people, F=search.total(people))
     return problem, Estimate(minima, laplace(problem, minima), 0)
 
@@ -260,7 +266,7 @@ def known_excess() -> tuple[Problem, Estimate]:
 @pytest.mark.slow
 def test_all_three_agree_where_the_excess_is_known():
     problem, found = known_excess()
-    view, profile = sampler.draws(problem, found, 0), profiles(problem, found)
+    view, profile = nuts.sample_posterior(problem, found, 0), profiles(problem, found)
     assert view.draws is not None
     told = view.diagnostics["posterior"]
     by_profile, by_draws = (halves(each.entries, found) for each in (profile, view))
@@ -275,9 +281,9 @@ def test_all_three_agree_where_the_excess_is_known():
 
 @pytest.mark.slow
 def test_the_same_seed_draws_the_same_and_another_does_not(monkeypatch):
-    monkeypatch.setattr(sampler, "WARMUP", 20)
-    monkeypatch.setattr(sampler, "DRAWS", 20)
-    views = [sampler.draws(posed(), fitted(), seed) for seed in (7, 7, 8)]
+    monkeypatch.setattr(nuts, "WARMUP", 20)
+    monkeypatch.setattr(nuts, "DRAWS", 20)
+    views = [nuts.sample_posterior(posed(), fitted(), seed) for seed in (7, 7, 8)]
     first, again, other = (view.draws["p"] for view in views if view.draws is not None)
     np.testing.assert_array_equal(first, again)
     assert np.abs(np.log(first / other)).max() > 1e-3
@@ -290,16 +296,16 @@ def test_an_end_that_the_box_cuts_off_is_open():
     upper[i] = fitted().posterior.mean[0, i] + 0.5 * sd
     normal = fitted().posterior.mean[0, i] + sd * np.random.default_rng(0).normal(size=(4, 4000))
     log = np.where(normal > upper[i], 2 * upper[i] - normal, normal)
-    entry = sampler._entry(replace(posed(), unknowns=replace(u, upper=upper)), i, log)
+    entry = nuts._entry(replace(posed(), unknowns=replace(u, upper=upper)), i, log)
     assert entry["interval_open"] == ["high"]
     assert np.log(entry["interval"][1]) == pytest.approx(upper[i])
-    assert sampler._entry(posed(), i, normal)["interval_open"] == []
+    assert nuts._entry(posed(), i, normal)["interval_open"] == []
 
 
 def test_chains_that_have_not_mixed_are_reported():
     good = {"rhat": 1.001, "ess_bulk": 900.0, "ess_tail": 800.0}
-    assert sampler._messages({"p": good}, 0) == []
-    said = " ".join(sampler._messages({"p": good | {"rhat": 1.2, "ess_tail": 90.0}, "c": good}, 3))
+    assert nuts._messages({"p": good}, 0) == []
+    said = " ".join(nuts._messages({"p": good | {"rhat": 1.2, "ess_tail": 90.0}, "c": good}, 3))
     assert "R-hat 1.200" in said
     assert "Only 90 independent draws" in said
     assert "3 of the sampler's steps diverged" in said

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pianofit.result.walks import NOTHING, between_strokes, smoothed
+from pianofit.result.velocity_discrepancy import NOTHING, smooth_random_walk, stroke_deviations
 
 
 def drawn_walks(size: float, own: float, noise: float, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -20,7 +20,7 @@ def test_walks_are_smoothed_as_well_as_if_their_size_were_known():
     """The best linear estimate knows how far walks go and strokes differ; `smoothed` has to tell from what is seen."""
     for size, own in ((0.3, 0.03), (0.05, 0.3), (0.3, 0.3)):
         velocity, walk, seen = drawn_walks(size, own, 0.05, 3)
-        found = smoothed(seen, np.full(seen.shape, 0.05), velocity)
+        found = smooth_random_walk(seen, np.full(seen.shape, 0.05), velocity)
         far = np.log(velocity)
         signal = size**2 * np.minimum.outer(far - far[0], far - far[0]) + 1e6
         best = signal @ np.linalg.solve(signal + (own**2 + 0.05**2) * np.eye(5), seen)
@@ -33,9 +33,9 @@ def test_what_strokes_do_not_tell_apart_stays_their_mean():
     velocity, walk, _ = drawn_walks(0.0, 0.0, 0.0, 1)
     random = np.random.default_rng(2)
     seen = walk + random.normal(0, 0.2, walk.shape)
-    found = smoothed(seen, np.full(seen.shape, 0.2), velocity)
+    found = smooth_random_walk(seen, np.full(seen.shape, 0.2), velocity)
     assert np.abs(np.diff(found, axis=0)).max() < 0.1
-    one = smoothed(seen[:1], np.full((1, 40), 0.2), velocity[:1])
+    one = smooth_random_walk(seen[:1], np.full((1, 40), 0.2), velocity[:1])
     np.testing.assert_allclose(one, seen[:1])
 
 
@@ -43,10 +43,10 @@ def test_what_all_strokes_have_is_none_of_their_differences():
     """It belongs to what they share. A partial that one stroke shows has shown no difference at all."""
     velocity, walk, _ = drawn_walks(0.0, 0.0, 0.0, 1)
     error, weight = np.full(walk.shape, 0.1), np.ones(walk.shape)
-    np.testing.assert_allclose(between_strokes(walk, error, weight, velocity)[1], 0.0, atol=1e-9)
+    np.testing.assert_allclose(stroke_deviations(walk, error, weight, velocity)[1], 0.0, atol=1e-9)
     _, wanders, _ = drawn_walks(0.3, 0.0, 0.0, 2)
     error[1:, :7], weight[1:, :7] = NOTHING, 0.0
-    known, found = between_strokes(wanders, error, weight, velocity)
+    known, found = stroke_deviations(wanders, error, weight, velocity)
     np.testing.assert_allclose(known, velocity)
     np.testing.assert_allclose(found[:, :7], 0.0, atol=1e-3)
     assert np.abs(found[:, 7:]).max() > 0.1
@@ -57,10 +57,10 @@ def test_recordings_of_one_stroke_count_together_in_any_order():
     velocity, walk, seen = drawn_walks(0.3, 0.03, 0.05, 5)
     twice = np.append(np.arange(5), 2)
     error, weight = np.full((6, 40), 0.05), np.ones((6, 40))
-    known, found = between_strokes(seen[twice], error, weight, velocity[twice])
+    known, found = stroke_deviations(seen[twice], error, weight, velocity[twice])
     np.testing.assert_allclose(known, velocity)
     shuffled = np.random.default_rng(1).permutation(6)
-    again = between_strokes(seen[twice][shuffled], error, weight, velocity[twice][shuffled])
+    again = stroke_deviations(seen[twice][shuffled], error, weight, velocity[twice][shuffled])
     np.testing.assert_allclose(again[1], found, atol=1e-12)
     # A layer that was recorded twice alike says what it says with less error.
     assert np.abs(found - (walk - walk.mean(axis=0))).max() < 0.3

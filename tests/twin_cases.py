@@ -14,12 +14,12 @@ import scipy.signal
 from brute_force import make_twin, matched_width
 
 from pianofit.analysis import Analysis, analyse
-from pianofit.inference import infer
+from pianofit.inference import run_inference
 from pianofit.model import simulate
 from pianofit.parameters import FIT_NAMES, Geometry, Hammer, String
-from pianofit.recording import Recording, recording_from_samples
-from pianofit.result import Result, conclude
-from pianofit.setup import Layer, Setup, setup_from_dict
+from pianofit.recording.recording import Recording, recording_from_samples
+from pianofit.result import Result, build_result
+from pianofit.setup import RecordingInfo, Setup, setup_from_dict
 
 RATE = 48_000
 LEAD = 0.03  # s
@@ -51,7 +51,7 @@ class Truth(NamedTuple):
 FIRST = Truth(
     String(c=352.0, kappa=1.15, b1=0.42, b2=4e-5),
     Hammer(K_H=5e10, mu=0.25, p=2.9, M_H=4.9e-3, v_H0=1.4),
-    Geometry(length=0.88, mass=7.2e-3, strike=0.11, width=0.015, pickup=0.31),
+    Geometry(length=0.88, mass=7.2e-3, strike_position=0.11, width=0.015, pickup=0.31),
     scale=4.0,
 )
 
@@ -81,7 +81,7 @@ def setup_of(truth: Truth, **more: dict) -> Setup:
     g = truth.geometry
     data = {
         "string": {"length": g.length, "mass": g.mass},
-        "strike": {"position": g.strike, "width": g.width},
+        "strike": {"position": g.strike_position, "width": g.width},
         "pickup": {"quantity": "velocity", "position": g.pickup, "scale": truth.scale},
     }
     return setup_from_dict(data | more, "twin")
@@ -103,7 +103,7 @@ def record(
 
 def fit_recordings(*given, **more) -> Result:
     """What `infer` finds of recordings, by what is given to it, as a result."""
-    return conclude(infer(*given, **more))
+    return build_result(run_inference(*given, **more))
 
 
 def fit_twin(recording: Recording, setup: Setup, *, seed: int = 0) -> Result:
@@ -179,12 +179,12 @@ def through(strokes: tuple[tuple[int, str], ...], by: str = "brute-force") -> tu
     return made, [analyse(r, f0=FIRST.f0) for r in made]
 
 
-def strokes_of(strokes: tuple[tuple[int, str], ...], *more: Layer, measured: bool = True) -> Setup:
+def strokes_of(strokes: tuple[tuple[int, str], ...], *more: RecordingInfo, measured: bool = True) -> Setup:
     """What is known of them: sizes, which stroke is which, and the fastest's velocity."""
     g = FIRST.geometry
-    said = [Layer(f"{s}-{m}.wav", VELOCITIES[2] if s == 2 and measured else None, m, None, str(s)) for s, m in strokes]
+    said = [RecordingInfo(f"{s}-{m}.wav", VELOCITIES[2] if s == 2 and measured else None, m, None, str(s)) for s, m in strokes]
     return Setup(
-        length=g.length, mass=g.mass, strike_position=g.strike, strike_width=g.width, recordings=more or tuple(said)
+        length=g.length, mass=g.mass, strike_position=g.strike_position, strike_width=g.width, recordings=more or tuple(said)
     )
 
 

@@ -73,7 +73,7 @@ CALLS = {
     "seconds": lambda x: NOTE.render(seconds=x),
     "velocity of a sound": lambda x: NOTE.render(x),
     "velocity of levels": lambda x: NOTE.levels(x),
-    "cents": NOTE.tuned,
+    "cents": NOTE.with_cents,
 }
 
 

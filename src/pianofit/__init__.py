@@ -15,12 +15,12 @@ __all__ = [
     # A recording, and what it shows without a hammer.
     "Recording", "load_recording", "recording_from_samples", "Analysis", "Partials", "analyse",
     # What was known beforehand, and the fit.
-    "Setup", "Layer", "load_setup", "setup_from_dict", "fit", "Result", "Quantity", "Quantities", "Covariance",
+    "Setup", "RecordingInfo", "load_setup", "setup_from_dict", "fit", "Result", "Quantity", "Quantities", "Covariance",
     "compare", "Comparison", "ComparedQuantity",
     # How well it foretells what it has not heard.
     "Prediction", "predict_recording", "cross_validate",
     # The model: parameters to motion to sound.
-    "String", "Hammer", "MemoryHammer", "Geometry", "PARAMETERS", "Preset", "preset", "typical", "Simulation",
+    "String", "Hammer", "RelaxingHammer", "Geometry", "PARAMETERS", "Preset", "preset", "typical", "Simulation",
     "simulate", "SyntheticRecording", "synthetic_recording", "Note", "load_note", "encode_wav",
     # Its parts, for your own JAX programs: a table of modes, what excites it, and what is heard of it.
     "Modes", "mode_table", "strike", "pluck", "FeltLaw", "Parameter", "levels", "spectrum", "waveform",
@@ -42,30 +42,19 @@ if TYPE_CHECKING:
         SetupError,
         WrongNoteError,
     )
-    from .felt import FeltLaw, MemoryHammer
+    from .felt import FeltLaw, RelaxingHammer
     from .fit_file import load_note
     from .fitting import fit
-    from .io import encode_wav
-    from .model import (  # fmt: skip
-        Modes,
-        Note,
-        Simulation,
-        levels,
-        mode_table,
-        pluck,
-        simulate,
-        spectrum,
-        strike,
-        waveform,
-    )
+    from .io.files import encode_wav
+    from .literature import Preset, preset, typical
+    from .model import Modes, Note, Simulation, levels, mode_table, pluck, simulate, spectrum, strike, waveform
     from .parameters import PARAMETERS, Geometry, Hammer, Parameter, String
-    from .published import Preset, preset, typical
-    from .recording import Recording, load_recording, recording_from_samples
+    from .recording.recording import Recording, load_recording, recording_from_samples
     from .report.compare import ComparedQuantity, Comparison, compare
     from .result import Covariance, Quantities, Quantity, Result
-    from .result.crossval import cross_validate
-    from .result.predict import Prediction, predict_recording
-    from .setup import Layer, Setup, load_setup, setup_from_dict
+    from .result.cross_validation import cross_validate
+    from .result.prediction import Prediction, predict_recording
+    from .setup import RecordingInfo, Setup, load_setup, setup_from_dict
     from .synthetic import SyntheticRecording, synthetic_recording
 
 _HOMES = {

@@ -12,29 +12,29 @@ from typing import Any
 
 import numpy as np
 
-from .decode import RATES
 from .errors import FitError, ParameterError
 from .felt import BOXES, LAWS, FeltLaw, check_hammer, make_hammer
-from .io import (
+from .io.audio import RATES
+from .io.files import (
     FIT_SCHEMA,
     LARGEST_FIT,
     array_of,
-    finite,
+    escape_controls,
+    is_increasing,
     load_json,
-    one_line,
     path_name,
     reference_of,
-    rising,
-    shown,
+    require_finite,
+    short_repr,
     table_of,
 )
+from .io.number_format import is_number
+from .modal_response_file import MOST_STROKES, read_ringing
 from .model.modes import QUANTITIES
 from .model.note import Note
-from .model.path import OutputPath, Wander
+from .model.output_path import OutputPath, VelocityDiscrepancy
 from .model.simulate import check_geometry
-from .numbers import is_number
 from .parameters import HAMMER_NAMES, STRING_NAMES, Geometry, String, check
-from .ringing_file import MOST_STROKES, read_ringing
 
 __all__ = ["fit_path", "load_note", "gains_of", "mixture_of", "note_of", "read_fit", "read_path"]
 
@@ -59,7 +59,7 @@ def read_fit(path: str | os.PathLike[str]) -> dict[str, Any]:
     if not isinstance(document, dict) or document.get("schema") not in range(1, FIT_SCHEMA + 1):
         found = document.get("schema") if isinstance(document, dict) else type(document).__name__
         raise FitError(
-            f"{one_line(path)}: schema {found!r} is not 1 to {FIT_SCHEMA}; fit again with this version of pianofit"
+            f"{escape_controls(path)}: schema {found!r} is not 1 to {FIT_SCHEMA}; fit again with this version of pianofit"
         )
     return _renamed(document)
 
@@ -108,7 +108,7 @@ def load_note(path: str | os.PathLike[str], felt: FeltLaw | None = None) -> tupl
 
 def note_of(document: dict[str, Any], path: Path, felt: FeltLaw | None = None) -> tuple[Note, int]:
     """`load_note` of what the file at `path` held."""
-    name = one_line(path)
+    name = escape_controls(path)
     table, law = table_of(document, "parameters", name, WAY_OUT), _law_of(document, name, felt)
     needed = (*STRING_NAMES, *(HAMMER_NAMES if law is None or law.hammers else law.boxes))
     values = {key: _number(table, key, name) for key in needed}
@@ -121,7 +121,7 @@ def note_of(document: dict[str, Any], path: Path, felt: FeltLaw | None = None) -
     at, row = reference_of(document.get("recordings"))
     if not row:
         raise FitError(f"{name}: recordings is empty; {WAY_OUT}")
-    gain, rate = (finite(row.get(key), f"{name}: recordings[{at}].{key}", WAY_OUT) for key in ("gain", "rate"))
+    gain, rate = (require_finite(row.get(key), f"{name}: recordings[{at}].{key}", WAY_OUT) for key in ("gain", "rate"))
     if not RATES[0] <= rate <= RATES[1]:
         raise FitError(f"{name}: recordings[{at}].rate={rate:g} Hz must be from {RATES[0]} to {RATES[1]}")
     note = Note(
@@ -139,7 +139,7 @@ def _law_of(document: dict[str, Any], name: str, felt: FeltLaw | None) -> FeltLa
         raise FitError(f"{name}: its felt's law is {named!r}, not {felt.name!r}; give the law it was fitted with")
     if felt is None and named is not None and named not in LAWS:
         raise FitError(
-            f"{name}: its felt's law, {shown(named)}, is not the package's; hand it in, "
+            f"{name}: its felt's law, {short_repr(named)}, is not the package's; hand it in, "
             "as load_note(path, felt=law), or Result.load(folder, felt=law)"
         )
     return LAWS.get(str(named)) if felt is None else felt
@@ -160,7 +160,7 @@ def mixture_of(document: dict[str, Any], path: Path, felt: FeltLaw | None = None
 
     Only the best note rings by the key's modes, see `ringing`.
     """
-    (note, _), name = note_of(document, path, felt), one_line(path)
+    (note, _), name = note_of(document, path, felt), escape_controls(path)
     law = _law_of(document, name, felt)
     minima = document.get("minima")
     if not isinstance(minima, list) or len(minima) < 2:
@@ -172,18 +172,18 @@ def mixture_of(document: dict[str, Any], path: Path, felt: FeltLaw | None = None
             raise FitError(f"{where} has no parameters; {WAY_OUT}")
         own = _of_minimum(note, entry, where, law)
         mixture.append(
-            (finite(entry.get("share"), f"{where}.share", WAY_OUT), own._replace(ringing=None) if at else own)
+            (require_finite(entry.get("share"), f"{where}.share", WAY_OUT), own._replace(ringing=None) if at else own)
         )
     return mixture
 
 
 def _of_minimum(note: Note, entry: dict, where: str, law: FeltLaw | None) -> Note:
     """`note` with one minimum's string, hammer, strike position and path."""
-    values = {n: finite(x, f"{where}.parameters.{n}", WAY_OUT) for n, x in entry["parameters"].items()}
+    values = {n: require_finite(x, f"{where}.parameters.{n}", WAY_OUT) for n, x in entry["parameters"].items()}
     values = {"mu": 0.0, "v_H0": float(note.hammer.v_H0)} | values
     try:
         string, hammer = _struck(values, where, law)
-        geometry = note.geometry._replace(strike=values["x0"], width=values["width"])
+        geometry = note.geometry._replace(strike_position=values["x0"], width=values["width"])
         check_geometry(geometry, note.quantity)
     except KeyError as missing:
         raise FitError(f"{where}.parameters lacks {missing}; {WAY_OUT}") from None
@@ -222,7 +222,7 @@ def _geometry(table: dict[str, Any], quantity: str, name: str) -> Geometry:
 def _number(table: dict, key: str, name: str) -> float:
     entry = table.get(key)
     value = entry.get("value") if isinstance(entry, dict) else None
-    return finite(value, f"{name}: parameters.{key}", WAY_OUT)
+    return require_finite(value, f"{name}: parameters.{key}", WAY_OUT)
 
 
 def read_path(entry: Any, where: str, way_out: str) -> OutputPath | None:
@@ -232,7 +232,7 @@ def read_path(entry: Any, where: str, way_out: str) -> OutputPath | None:
     table: dict[str, Any] = entry if isinstance(entry, dict) else {}
     names = ("frequency", "db", *(["decay"] if "decay" in table else []))
     columns = array_of([table.get(name) for name in names], None, None)
-    if not (0 < columns.shape[1] <= MOST_POINTS and rising(columns[0])):
+    if not (0 < columns.shape[1] <= MOST_POINTS and is_increasing(columns[0])):
         raise FitError(
             f"{where} needs frequency, rising, db and decay, above 0, as many, at most {MOST_POINTS}; {way_out}"
         )
@@ -244,15 +244,15 @@ def read_path(entry: Any, where: str, way_out: str) -> OutputPath | None:
     return OutputPath(frequency, db, decay, _wander(table.get("wander"), len(db), f"{where}.wander", way_out))
 
 
-def _wander(entry: Any, partials: int, where: str, way_out: str) -> Wander | None:
+def _wander(entry: Any, partials: int, where: str, way_out: str) -> VelocityDiscrepancy | None:
     if entry is None:
         return None
     table: dict[str, Any] = entry if isinstance(entry, dict) else {}
     velocity, db = array_of(table.get("velocity"), None), array_of(table.get("db"), None, partials)
-    known = rising(velocity) and len(velocity) == len(db) <= MOST_STROKES
+    known = is_increasing(velocity) and len(velocity) == len(db) <= MOST_STROKES
     if not (known and np.abs(db).max() <= LARGEST_DB):
         raise FitError(
             f"{where} needs 1 to {MOST_STROKES} velocities, m/s, that rise from above 0, and for each up to "
             f"{LARGEST_DB:g} dB for every partial; {way_out}"
         )
-    return Wander(velocity, db)
+    return VelocityDiscrepancy(velocity, db)

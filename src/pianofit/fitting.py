@@ -13,14 +13,14 @@ from .analysis import Analysis, analyse, check_analyses
 from .errors import ParameterError, SetupError, check_type
 from .parameters import check_seed, check_velocity
 from .progress import Progress, progress_bar
-from .recording import Recording, Source, read
-from .setup import Setup, layer_of, load_setup, setup_from_dict
+from .recording.recording import Recording, Source, load_recordings
+from .setup import Setup, load_setup, recording_info_for, setup_from_dict
 from .threads import check_process, cores
 
 if TYPE_CHECKING:
     from .result import Result
 
-__all__ = ["fit", "listen"]
+__all__ = ["fit", "analyse_all"]
 
 
 def fit(
@@ -87,27 +87,27 @@ def fit(
     _check_bounds(known, velocity)
     with progress_bar(progress) as report:
         report("reading", 0.0)
-        sounds = read(recordings, channel)
+        sounds = load_recordings(recordings, channel)
         report("partials", 0.02)
-        heard = listen(sounds, note, f0) if analyses is None else list(analyses)
+        heard = analyse_all(sounds, note, f0) if analyses is None else list(analyses)
         if recipe != "default":
-            from .paper.recipes import fit_by_recipe
+            from .bensa2005.recipes import fit_bensa2005
 
-            measured = layer_of(known, sounds[0].path, alone=True).v_H0 if velocity is None else velocity
-            return fit_by_recipe(
+            measured = recording_info_for(known, sounds[0].path, alone=True).v_H0 if velocity is None else velocity
+            return fit_bensa2005(
                 sounds[0], heard[0], replace(known, recordings=()), recipe, velocity=measured, evaluations=evaluations,
                 seed=seed, progress=report,
             )  # fmt: skip
-        from .inference import infer
-        from .result import conclude
-        from .ringing import make_ring
+        from .inference import run_inference
+        from .modal_response import fit_modal_response
+        from .result import build_result
 
-        found = infer(sounds, heard, known, velocity=velocity, intervals=intervals, seed=seed, progress=report)
+        found = run_inference(sounds, heard, known, velocity=velocity, intervals=intervals, seed=seed, progress=report)
         report("sounds", 0.93)
-        return make_ring(conclude(found), report)
+        return fit_modal_response(build_result(found), report)
 
 
-def listen(recordings: Sequence[Recording], note: str | int | None = None, f0: float | None = None) -> list[Analysis]:
+def analyse_all(recordings: Sequence[Recording], note: str | int | None = None, f0: float | None = None) -> list[Analysis]:
     """The analyses of recordings of one note, on all cores.
 
     Raises `AnalysisError` if one is too short, or its note, or enough of its partials, is not there.
@@ -144,13 +144,13 @@ def _check(
     check_type("recipe=", recipe, str, "a text, such as 'default'")
     check_type("intervals=", intervals, str, "a text, such as 'laplace'")
     if recipe != "default" or evaluations is not None:
-        from .paper.recipes import check_recipe
+        from .bensa2005.recipes import check_recipe
 
         check_recipe(recipe, evaluations)
         if recipe != "default" and len(recordings) > 1:
             raise ParameterError(f"recipe={recipe!r} fits one recording; {len(recordings)} were given")
     if intervals != "laplace":
-        from .inference.views import check_intervals
+        from .inference.intervals import check_intervals
 
         check_intervals(intervals, recipe)
 

@@ -13,7 +13,7 @@ from numbers import Integral
 from typing import Any, NamedTuple
 
 from .errors import ParameterError, check_range
-from .numbers import summary
+from .io.number_format import summary
 
 __all__ = [
     "FIT_NAMES", "HAMMER_NAMES", "PARAMETERS", "STRING_NAMES", "Geometry", "Hammer", "Number", "Parameter", "String",
@@ -81,7 +81,7 @@ class Geometry(NamedTuple):
 
     length: Number
     mass: Number
-    strike: Number
+    strike_position: Number
     width: Number
     pickup: Number
 
@@ -104,14 +104,14 @@ class Parameter(NamedTuple):
     # and the standard deviation of the logarithm; if None the box is its 95 %.
     spread: float | None = None
 
-    def usual(self, midi: float) -> float:
+    def prior_median(self, midi: float) -> float:
         """The prior's median at a key."""
         if self.median is None:
             return math.sqrt(self.lower * self.upper)
         return float(self.median(midi) if callable(self.median) else self.median)
 
     @property
-    def deviation(self) -> float:
+    def prior_sd(self) -> float:
         """The prior's standard deviation of the logarithm."""
         return math.log(self.upper / self.lower) / BOX_WIDTH if self.spread is None else self.spread
 
@@ -148,16 +148,16 @@ FIT_NAMES = STRING_NAMES + HAMMER_NAMES  # the paper's nine
 
 
 def check(
-    values: Mapping[str, float], where: str = "argument", boxes: Mapping[str, Parameter] = PARAMETERS
+    values: Mapping[str, float], where: str = "argument", bounds: Mapping[str, Parameter] = PARAMETERS
 ) -> dict[str, float]:
     """Return `values` as finite floats within their `boxes`.
 
     Raises `ParameterError`, naming `where`, the parameter, its value, and the range with its unit.
     """
     for name, value in values.items():
-        if name not in boxes:
-            raise ParameterError(f"{where}: no parameter is called {name!r}; known: {', '.join(boxes)}")
-        box = boxes[name]
+        if name not in bounds:
+            raise ParameterError(f"{where}: no parameter is called {name!r}; known: {', '.join(bounds)}")
+        box = bounds[name]
         if not (isinstance(value, int | float) and math.isfinite(value) and box.lower <= value <= box.upper):
             unit = "" if box.unit == "1" else f" {box.unit}"
             raise ParameterError(

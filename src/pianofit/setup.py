@@ -17,12 +17,12 @@ from pathlib import Path
 from typing import Any
 
 from .errors import SetupError, check_type
-from .felt import BOXES, DEFAULT_LAW, LAWS, FeltLaw, is_own
-from .io import one_line, path_name, read_text
-from .numbers import filled
+from .felt import BOXES, DEFAULT_LAW, LAWS, FeltLaw, is_builtin
+from .io.files import escape_controls, path_name, read_text
+from .io.number_format import filled
 from .parameters import Parameter
 
-__all__ = ["PICKUPS", "Layer", "Setup", "layer_of", "load_setup", "setup_from_dict"]
+__all__ = ["PICKUPS", "RecordingInfo", "Setup", "recording_info_for", "load_setup", "setup_from_dict"]
 
 PICKUPS = ("velocity", "displacement", "bridge-force", "pressure")
 ON_THE_STRING = ("velocity", "displacement")  # pickups that need a position
@@ -50,7 +50,7 @@ PLACES = {
 
 
 @dataclass(frozen=True, repr=False)
-class Layer:
+class RecordingInfo:
     """One recording of the note; checked by the `Setup` that it is given to."""
 
     file: str | None = None
@@ -67,7 +67,7 @@ class Layer:
 KEYS: dict[str, tuple[str, ...]] = {
     **{table: tuple(key for other, key in PLACES.values() if other == table) for table, _ in PLACES.values()},
     **dict.fromkeys(("known", "initial", "bounds"), tuple(BOXES)),
-    "recording": tuple(entry.name for entry in fields(Layer)),
+    "recording": tuple(entry.name for entry in fields(RecordingInfo)),
 }
 
 
@@ -88,10 +88,10 @@ class Setup:
     pickup_quantity: str = "pressure"  # one of PICKUPS
     pickup_position: float | None = None  # m, from the agraffe
     pickup_scale: float | None = None  # units (m/s, m or N) at digital full scale; None = uncalibrated
-    known: dict[str, float] = field(default_factory=dict)  # measured, held fixed
+    fixed: dict[str, float] = field(default_factory=dict)  # measured, held fixed
     initial: dict[str, float] = field(default_factory=dict)  # starting values
     bounds: dict[str, tuple[float, float]] = field(default_factory=dict)
-    recordings: tuple[Layer, ...] = ()
+    recordings: tuple[RecordingInfo, ...] = ()
     felt: str | FeltLaw | None = None  # the name of one of `felt.LAWS`, or a law of your own
 
     def __repr__(self) -> str:
@@ -123,11 +123,11 @@ class Setup:
         return self.felt if isinstance(self.felt, FeltLaw) else LAWS.get(self.felt or "", DEFAULT_LAW)
 
 
-def layer_of(setup: Setup, file: str, alone: bool) -> Layer:
+def recording_info_for(setup: Setup, file: str, alone: bool) -> RecordingInfo:
     """What a setup says of one recording, the only one of its fit if `alone`: the entry of its name, or without any."""
     named = [entry for entry in setup.recordings if entry.file and Path(entry.file).name == Path(file).name]
     nameless = [entry for entry in setup.recordings if alone and not entry.file]
-    return next(iter([*named, *nameless]), Layer())
+    return next(iter([*named, *nameless]), RecordingInfo())
 
 
 def load_setup(path: str | os.PathLike[str], felt: str | None = None) -> Setup:
@@ -159,7 +159,7 @@ def load_setup(path: str | os.PathLike[str], felt: str | None = None) -> Setup:
     try:
         table = tomllib.loads(read_text(path, MAX_BYTES, SetupError))
     except (ValueError, RecursionError) as problem:  # RecursionError: brackets nested without end
-        raise SetupError(f"{name}: not valid TOML: {one_line(problem)[:200]}; correct that place") from None
+        raise SetupError(f"{name}: not valid TOML: {escape_controls(problem)[:200]}; correct that place") from None
     if felt is None:
         return setup_from_dict(table, name)
     said = table.get("felt", {})
@@ -254,7 +254,7 @@ def _suggest(key: object, allowed: tuple[str, ...]) -> str:
 
 def _show(value: object) -> str:
     """Return a value as one short line."""
-    text = one_line(value if isinstance(value, str) else repr(value))
+    text = escape_controls(value if isinstance(value, str) else repr(value))
     text = text if len(text) <= 60 else text[:57] + "..."
     return f'"{text}"' if isinstance(value, str) else text
 
@@ -283,7 +283,7 @@ def _law(felt: object) -> None:
         return
     if not isinstance(felt, FeltLaw):
         _one_of(felt, tuple(LAWS), "[felt] law")
-    elif felt.name in LAWS and not is_own(felt):
+    elif felt.name in LAWS and not is_builtin(felt):
         raise SetupError(f"[felt] law = {_show(felt.name)} is one of the package's own; give yours another name")
 
 
@@ -300,9 +300,9 @@ def _pair(pair: object, key: str, where: str, box: Parameter) -> tuple[float, fl
     return lower, upper
 
 
-def _layer(entry: object, number: int) -> Layer:
+def _layer(entry: object, number: int) -> RecordingInfo:
     where = f"[[recording]] {number}"
-    said = asdict(entry) if isinstance(entry, Layer) else _table("recording", entry)
+    said = asdict(entry) if isinstance(entry, RecordingInfo) else _table("recording", entry)
     table = {key: value for key, value in said.items() if value is not None}
     for key, value in table.items():
         if key == "v_H0":
@@ -311,7 +311,7 @@ def _layer(entry: object, number: int) -> Layer:
             raise SetupError(f"{where} {key} = {_show(value)} must be a text in quotes, not empty")
     if not table:
         raise SetupError(f"{where} is empty; give its file or v_H0, or remove it")
-    return Layer(**table)
+    return RecordingInfo(**table)
 
 
 # What of a setup cannot be true together, each with the way out.
@@ -348,11 +348,11 @@ def _pickup(setup: Setup) -> Iterator[str]:
 def _values(setup: Setup) -> Iterator[str]:
     """A value both known and free, one that the felt's law does not have, or a start outside its bounds."""
     law = setup.law
-    for name in setup.known:
+    for name in setup.fixed:
         for table, given in (("initial", setup.initial), ("bounds", setup.bounds)):
             if name in given:
                 yield f"{name} is in [known], held fixed, and in [{table}]; remove one of them"
-    for name in (*setup.known, *setup.initial, *setup.bounds):
+    for name in (*setup.fixed, *setup.initial, *setup.bounds):
         if name in FELT_NAMES and name not in law.parameters:
             has = ", ".join(law.parameters)
             yield f"{name} is no parameter of the felt's law, {law.name}, which has {has}; remove it"
@@ -368,8 +368,8 @@ def _velocities(setup: Setup) -> Iterator[str]:
     for number, layer in enumerate(setup.recordings, 1):
         entry, velocity = f"[[recording]] {number}", layer.v_H0
         if layer.file in files:
-            yield f'{entry} file = "{one_line(layer.file)}" is there twice; remove one'
-        if velocity is not None and "v_H0" in setup.known:
+            yield f'{entry} file = "{escape_controls(layer.file)}" is there twice; remove one'
+        if velocity is not None and "v_H0" in setup.fixed:
             yield f"{entry} v_H0 = {velocity:g} is also in [known]; remove one of them"
         if velocity is not None and not lower <= velocity <= upper:
             yield f"{entry} v_H0 = {velocity:g} is outside its [bounds] {lower:g} to {upper:g}; correct one"
@@ -383,10 +383,10 @@ def _strokes(setup: Setup) -> Iterator[str]:
     for number, layer in enumerate(setup.recordings, 1):
         if layer.stroke is None:
             continue
-        entry = f'[[recording]] {number} stroke = "{one_line(layer.stroke)}"'
+        entry = f'[[recording]] {number} stroke = "{escape_controls(layer.stroke)}"'
         other = observed.setdefault((layer.stroke, layer.group), number)
         if other != number:
-            group = "neither has a group" if layer.group is None else f'both have group = "{one_line(layer.group)}"'
+            group = "neither has a group" if layer.group is None else f'both have group = "{escape_controls(layer.group)}"'
             yield (f"{entry} is that of [[recording]] {other}, and {group}; a microphone observes a stroke once: give "
                    "each its own group, or another stroke")  # fmt: skip
         if layer.v_H0 is not None and (first := struck.setdefault(layer.stroke, layer.v_H0)) != layer.v_H0:

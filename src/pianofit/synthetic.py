@@ -15,13 +15,13 @@ import numpy as np
 
 from .errors import ParameterError, check_range
 from .felt import law_of
-from .io import CEILING
+from .io.files import PEAK_LIMIT
 from .model import Simulation, simulate
 from .model.note import MOST_SECONDS, check_render
 from .model.simulate import MOST_STEPS
 from .parameters import Geometry, String, check_seed
-from .recording import Recording, recording_from_samples
-from .setup import ON_THE_STRING, PLACES, RANGES, Layer, Setup
+from .recording.recording import Recording, recording_from_samples
+from .setup import ON_THE_STRING, PLACES, RANGES, RecordingInfo, Setup
 
 __all__ = ["SyntheticRecording", "setup_of", "setup_text", "synthetic_recording"]
 
@@ -141,7 +141,7 @@ def _scale(note: np.ndarray, scale: float | None) -> float:
     """Pickup units at full scale: as given, if the note does not exceed it."""
     peak = float(np.abs(note).max())
     if scale is None:
-        return max(peak, np.finfo(float).tiny) / CEILING
+        return max(peak, np.finfo(float).tiny) / PEAK_LIMIT
     if peak > scale:
         raise ParameterError(f"scale={scale:g} is less than the peak of the note, {peak:.4g}; give a larger scale")
     return float(scale)
@@ -164,7 +164,7 @@ def setup_of(hammer: Any, geometry: Geometry, quantity: str, scale: float, name:
         length=length, mass=mass, strike_position=strike, strike_width=width, pickup_quantity=quantity,
         pickup_position=pickup if quantity in ON_THE_STRING else None,
         pickup_scale=None if quantity == "pressure" else scale,  # an unknown path has no scale
-        recordings=(Layer(file=name),), felt=felt if law.hammers is not None else law,
+        recordings=(RecordingInfo(file=name),), felt=felt if law.hammers is not None else law,
     )  # fmt: skip
 
 

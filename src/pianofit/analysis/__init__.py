@@ -1,11 +1,11 @@
 """What can be read off a recording without a hammer: partials, inharmonicity, losses, glide."""
 
 from .analyse import analyse, beating_warning, check_analyses, count_beating
+from .analysis_result import Analysis, Partials
 from .inharmonicity import law_frequency
 from .level import energy_level
-from .notes import SAME_KEY, cents_above, hz_to_note, midi_to_note, near_note, note_to_hz, note_to_midi
-from .result import Analysis, Partials
-from .table import COLUMNS, as_dict, rows
+from .note_names import SAME_KEY, cents_above, hz_to_note, midi_to_note, near_note, note_to_hz, note_to_midi
+from .partials_text import COLUMNS, as_dict, rows
 
 __all__ = [
     "COLUMNS",

@@ -6,19 +6,19 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ..conversions import BEAT
 from ..errors import AnalysisError, WrongNoteError, check_type
-from ..recording import Recording, Source, as_recording
-from ..units import BEAT
-from .again import struck_again
-from .demodulate import demodulate
-from .fits import first_fits, lost
-from .glide import LEAST, Fall, falls, glide_windows, straightened
-from .inharmonicity import B_RANGE, CENTS, DecayLaw, FrequencyLaw, bend, decay_law, frequency_law
+from ..recording.recording import Recording, Source, to_recording
+from .analysis_result import Analysis, Partials
+from .baseband_fit import first_fits, has_drifted
+from .demodulation import demodulate
+from .glide import LEAST, PitchGlide, glide_detected, glide_windows, remove_glide
+from .inharmonicity import B_RANGE, CENTS, DecayLaw, FrequencyLaw, decay_law, frequency_law, local_deviation
 from .level import bounds
-from .notes import cents_above, hz_to_note, midi_to_note, note_to_hz, note_to_midi
-from .partials import LEAST_SNR, Measured, by_law, measure, systematic
+from .note_names import cents_above, hz_to_note, midi_to_note, note_to_hz, note_to_midi
+from .partials import LEAST_SNR, PartialTable, decay_law_covariance, measure_partials, systematic
 from .pitch import find_pitch, track
-from .result import Analysis, Partials
+from .second_strike import detect_second_strike
 from .spectrum import noise_between, spectrum
 
 __all__ = ["analyse", "beating_warning", "check_analyses", "count_beating"]
@@ -62,7 +62,7 @@ def analyse(recording: Source, *, note: str | int | None = None, f0: float | Non
     >>> f"{found.f0:.1f} Hz, B = {found.B:.2g}, {len(found.partials)} partials"
     '175.0 Hz, B = 0.00017, 55 partials'
     """
-    recording = as_recording(recording)
+    recording = to_recording(recording)
     rate = recording.rate
     samples = np.asarray(recording.samples, float)[recording.onset :][: int(_LONGEST * rate)]
     seconds = len(samples) / rate
@@ -117,29 +117,29 @@ def _measure_all(
     skip = min(_SKIP, 0.05 * seconds)
     bands = demodulate(samples, rate, frequency, spacing, skip)
     z, fit = first_fits(bands)
-    expected = _course(law, number, frequency, np.arange(1, int(number.max()) + 6))
+    expected = _expected_frequencies(law, number, frequency, np.arange(1, int(number.max()) + 6))
     density = noise_between(samples, rate, expected, frequency, law.f0, min(0.05, 0.1 * seconds))
     density = np.maximum(density, 1e-20 * float(np.max(np.abs(z))) ** 2)
     windows = glide_windows(bands, z, fit, density)
-    glides = falls(windows)
+    glides = glide_detected(windows)
     # Where a fall is sure, one partial that lasts tells how it goes on; where not, it tells of its own beat.
     heard = windows if glides else [row for row in windows if np.isfinite(row[3])]
     fall = heard[0][2] - heard[-1][2] if len(heard) > 1 else 0.0
-    taken, left = Fall(0.0, 1.0), 0.0
+    taken, left = PitchGlide(0.0, 1.0), 0.0
     if glides:
-        bands, z, fit, taken, left = straightened(bands, z, fit, density, windows)
-    rows = measure(number, bands, z, fit, density, glides)
-    keep = _plausible(rows, _course(law, number, frequency, number), law.f0) & ~lost(bands, fit)
+        bands, z, fit, taken, left = remove_glide(bands, z, fit, density, windows)
+    rows = measure_partials(number, bands, z, fit, density, glides)
+    keep = _plausible(rows, _expected_frequencies(law, number, frequency, number), law.f0) & ~has_drifted(bands, fit)
     keep[keep] = _on_law(number[keep], rows.frequency[keep], rows.whole_error("frequency")[keep])
     if not keep.any():
         raise AnalysisError(f"{recording.path}: no partial of {law.f0:.1f} Hz stands out of the noise")
     if not keep.all():  # what is no partial tells nothing of its neighbours
         number, density = number[keep], density[keep]
-        rows = measure(number, bands.kept(keep), z[keep], fit.kept(keep), density, glides)
-    again = struck_again(bands.kept(keep), z[keep], density)
+        rows = measure_partials(number, bands.select(keep), z[keep], fit.kept(keep), density, glides)
+    again = detect_second_strike(bands.select(keep), z[keep], density)
     fine, losses = _laws(number, rows, law.B)
     absent = _absent(number, fine, top)
-    bound = bounds(samples, rate, _course(fine, number, rows.frequency, absent), losses(absent), fine.f0, skip)
+    bound = bounds(samples, rate, _expected_frequencies(fine, number, rows.frequency, absent), losses(absent), fine.f0, skip)
     table = _table(number, rows, absent, bound)
     glide = tuple((a, b, fine.f0 * float(np.exp(c / CENTS))) for a, b, c, _ in windows)
     return Analysis(
@@ -147,13 +147,13 @@ def _measure_all(
         losses.b1, losses.b1_error, losses.d2, losses.d2_error,
         table, fine.scatter, losses.scatter, float(fall), glide, density,
         None if note is None else midi_to_note(note_to_midi(note)),
-        (*_misnamed(note, fine.f0), *_at_bound(fine), *_warnings(table, losses, float(fall) if glides else 0.0, again)),
+        (*_wrong_note_message(note, fine.f0), *_at_bound(fine), *_warnings(table, losses, float(fall) if glides else 0.0, again)),
         left, *taken,
         (rows.level_law.b1, rows.level_law.d2),
     )  # fmt: skip
 
 
-def _laws(number: np.ndarray, rows: Measured, B: float) -> tuple[FrequencyLaw, DecayLaw]:
+def _laws(number: np.ndarray, rows: PartialTable, B: float) -> tuple[FrequencyLaw, DecayLaw]:
     """The string's two laws; of a single partial with this `B`."""
     held = B if len(number) < 2 else None
     error = rows.whole_error("frequency")
@@ -163,12 +163,12 @@ def _laws(number: np.ndarray, rows: Measured, B: float) -> tuple[FrequencyLaw, D
     )
 
 
-def _course(law: FrequencyLaw, number: np.ndarray, frequency: np.ndarray, k: np.ndarray) -> np.ndarray:
+def _expected_frequencies(law: FrequencyLaw, number: np.ndarray, frequency: np.ndarray, k: np.ndarray) -> np.ndarray:
     """Where partials `k` are to be expected, Hz: on the law, as far from it as those found nearby."""
-    return law(k) * np.exp(bend(number, CENTS * np.log(frequency / law(number)), k) / CENTS)
+    return law(k) * np.exp(local_deviation(number, CENTS * np.log(frequency / law(number)), k) / CENTS)
 
 
-def _plausible(rows: Measured, expected: np.ndarray, f0: float) -> np.ndarray:
+def _plausible(rows: PartialTable, expected: np.ndarray, f0: float) -> np.ndarray:
     """Tell which partials stand out of the noise and have numbers that mean something."""
     near = np.abs(rows.frequency - expected) < 0.25 * f0
     known = (rows.level_error < _WORST_LEVEL) & (rows.whole_error("frequency") < 0.1 * f0)
@@ -182,9 +182,9 @@ def _on_law(k: np.ndarray, frequency: np.ndarray, error: np.ndarray) -> np.ndarr
     law = frequency_law(k, frequency, error)
     away = CENTS * np.log(frequency / law(k))
     others = ~np.eye(len(k), dtype=bool)
-    course = np.concatenate([bend(k[o], away[o], k[[i]]) for i, o in enumerate(others)])
+    course = np.concatenate([local_deviation(k[o], away[o], k[[i]]) for i, o in enumerate(others)])
     away = np.abs(away - course)
-    return away < np.maximum(_OUTLIER * np.hypot(law.astray(k), CENTS * error / frequency), _OUTLIER_CENTS)
+    return away < np.maximum(_OUTLIER * np.hypot(law.deviation_sd(k), CENTS * error / frequency), _OUTLIER_CENTS)
 
 
 def _absent(number: np.ndarray, law: FrequencyLaw, top: float) -> np.ndarray:
@@ -193,7 +193,7 @@ def _absent(number: np.ndarray, law: FrequencyLaw, top: float) -> np.ndarray:
     return np.setdiff1d(every[law(every) < top], number)
 
 
-def _table(number: np.ndarray, rows: Measured, absent: np.ndarray, bound: np.ndarray) -> Partials:
+def _table(number: np.ndarray, rows: PartialTable, absent: np.ndarray, bound: np.ndarray) -> Partials:
     return Partials(
         number=number,
         frequency=rows.frequency,
@@ -204,8 +204,8 @@ def _table(number: np.ndarray, rows: Measured, absent: np.ndarray, bound: np.nda
         decay_systematic=systematic(number, rows.decay_spread),
         level=rows.level,
         level_error=rows.level_error,
-        level_systematic=systematic(number, rows.level_spread) + by_law(number, rows.level_lag, rows.level_law),
-        level_lag=rows.level_lag,
+        level_systematic=systematic(number, rows.level_spread) + decay_law_covariance(number, rows.level_lag, rows.level_law),
+        level_decay_sensitivity_s=rows.level_lag,
         snr=rows.snr,
         beating=rows.beating,
         absent=absent,
@@ -213,7 +213,7 @@ def _table(number: np.ndarray, rows: Measured, absent: np.ndarray, bound: np.nda
     )
 
 
-def _misnamed(note: str | int | None, f0: float) -> tuple[str, ...]:
+def _wrong_note_message(note: str | int | None, f0: float) -> tuple[str, ...]:
     """What is said of a note that sounds nearer to another key than to the one whose name it was given."""
     cents = 0.0 if note is None else cents_above(f0, note_to_hz(note))
     if abs(cents) <= 50:

@@ -12,12 +12,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .demodulate import Bands
-from .fits import first_fits, lost
+from .baseband_fit import first_fits, has_drifted
+from .demodulation import Bands
+from .exponential_fit import Tones, fit_tones
 from .inharmonicity import CENTS
-from .tones import Tones, fit_tones
 
-__all__ = ["LEAST", "Fall", "falls", "glide_windows", "straightened"]
+__all__ = ["LEAST", "PitchGlide", "glide_detected", "glide_windows", "remove_glide"]
 
 _WINDOWS = ((0.0, 0.35), (0.2, 1.0), (1.0, 2.0), (2.0, 4.0), (4.0, np.inf))  # s after the onset
 _REFERENCE = 1  # of the windows: where f0 is defined
@@ -31,18 +31,18 @@ _WEIGHED = 0.01  # the same otherwise: the mean over a window depends by so much
 _LOUD = 30.0  # power a partial must have in a window, over the noise power of a frame
 
 
-class Fall(NamedTuple):
+class PitchGlide(NamedTuple):
     """A pitch that falls as g exp(-t/τ); frequencies are means over 0.2 to 1.0 s."""
 
     start: float  # cents above these frequencies at the onset
     tau: float  # s
 
-    def above(self, t: np.ndarray) -> np.ndarray:
+    def relative_deviation(self, t: np.ndarray) -> np.ndarray:
         """How much higher than its frequency a partial is at t, s after the onset, relative."""
         mean = float(_mean(_WINDOWS[_REFERENCE], np.array(self.tau)))
         return self.start / (1 - mean) / CENTS * (np.exp(-t / self.tau) - mean)
 
-    def ahead(self, t: np.ndarray) -> np.ndarray:
+    def phase_advance_s(self, t: np.ndarray) -> np.ndarray:
         """Its integral, s: how far what sounds at t is ahead of a pitch that does not fall."""
         mean = float(_mean(_WINDOWS[_REFERENCE], np.array(self.tau)))
         return self.start / (1 - mean) / CENTS * (self.tau * (1 - np.exp(-t / self.tau)) - mean * t)
@@ -68,7 +68,7 @@ def glide_windows(
             local = fit_tones(z[:, cut], t, fit.pole, steps=6)
             moved = np.clip(local.pole.imag / (2 * np.pi * bands.centre), -0.1, 0.1)
             cents = CENTS * np.log1p(moved)
-            shift.append(np.where((local.power > _LOUD * frame) & ~lost(bands, local), cents, np.nan))
+            shift.append(np.where((local.power > _LOUD * frame) & ~has_drifted(bands, local), cents, np.nan))
         spans.append((start, float(min(stop, end + bands.window / 2))))
     rows = []
     for (start, stop), row in zip(spans, shift, strict=True):
@@ -81,15 +81,15 @@ def glide_windows(
     return rows
 
 
-def falls(windows: list[tuple[float, float, float, float]]) -> bool:
+def glide_detected(windows: list[tuple[float, float, float, float]]) -> bool:
     """Whether in any of the windows the pitch is surely another than in that of frequencies."""
     return any(abs(cents) > max(_SURE * error, LEAST) for _, _, cents, error in windows)
 
 
-def straightened(
+def remove_glide(
     bands: Bands, z: NDArray[np.complex128], fit: Tones, density: np.ndarray,
     windows: list[tuple[float, float, float, float]],
-) -> tuple[Bands, NDArray[np.complex128], Tones, Fall, float]:  # fmt: skip
+) -> tuple[Bands, NDArray[np.complex128], Tones, PitchGlide, float]:  # fmt: skip
     """The bands with the fall of pitch taken out of their phases, and their first fits; the fall, and its error, cents.
 
     The mean over the window of frequencies stays. What is left is measured and taken out again, as long as that makes
@@ -124,7 +124,7 @@ def _mean(span: tuple[float, float], tau: np.ndarray) -> np.ndarray:
     return tau * (np.exp(-start / tau) - np.exp(-stop / tau)) / (stop - start)
 
 
-def _exponential(spans: list[tuple[float, float]], cents: np.ndarray) -> Fall:
+def _exponential(spans: list[tuple[float, float]], cents: np.ndarray) -> PitchGlide:
     """The fall that moves the windows by `cents` against that of frequencies."""
     tau = np.geomspace(*_TAU, 1000)
     moved = np.stack([_mean(span, tau) - _mean(_WINDOWS[_REFERENCE], tau) for span in spans])
@@ -132,15 +132,15 @@ def _exponential(spans: list[tuple[float, float]], cents: np.ndarray) -> Fall:
     miss = ((cents[:, None] - size * moved) ** 2).sum(axis=0)
     # One window beside that of frequencies is met by any τ: then a usual one.
     best = int(np.argmin(miss + 1e-4 * np.log(tau / _USUAL_TAU) ** 2))
-    return Fall(float(size[best] * (1 - _mean(_WINDOWS[_REFERENCE], tau[best]))), float(tau[best]))
+    return PitchGlide(float(size[best] * (1 - _mean(_WINDOWS[_REFERENCE], tau[best]))), float(tau[best]))
 
 
-def _unwound(bands: Bands, fit: Tones, fall: Fall) -> NDArray[np.complex128]:
+def _unwound(bands: Bands, fit: Tones, fall: PitchGlide) -> NDArray[np.complex128]:
     """Factors [partials, frames] that take back the fall g exp(-t/τ): its phase, and what the window made of it.
 
     The farther a partial is from the middle of its band, the less of it the window lets through.
     """
     turn = 2j * np.pi * bands.centre[:, None]
     middle = 1j * fit.pole.imag[:, None]
-    straight = np.exp(-turn * fall.ahead(bands.time)) * bands.gain(middle)
-    return straight / bands.gain(middle + turn * fall.above(bands.time))
+    straight = np.exp(-turn * fall.phase_advance_s(bands.time)) * bands.gain(middle)
+    return straight / bands.gain(middle + turn * fall.relative_deviation(bands.time))

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["B_RANGE", "CENTS", "DecayLaw", "FrequencyLaw", "bend", "decay_law", "frequency_law"]
+__all__ = ["B_RANGE", "CENTS", "DecayLaw", "FrequencyLaw", "local_deviation", "decay_law", "frequency_law"]
 
 CENTS = 1200 / np.log(2)  # cents per unit of log frequency
 B_RANGE = (1e-6, 2e-2)  # searched for B; piano strings have 5e-5 to 2e-2
@@ -41,7 +41,7 @@ class FrequencyLaw:
         """Frequencies of partials `k`, Hz."""
         return law_frequency(self.f0, self.B, k)
 
-    def astray(self, k: np.ndarray) -> np.ndarray:
+    def deviation_sd(self, k: np.ndarray) -> np.ndarray:
         """How far partials `k` lie from it beyond their noise, cents, by one standard deviation."""
         return self.excess * _growth(k)
 
@@ -67,7 +67,7 @@ def law_frequency(f0: float, B: float, k: np.ndarray | float) -> np.ndarray:
     return k * f0 * np.sqrt(1 + B * k**2)
 
 
-def bend(known: np.ndarray, away: np.ndarray, k: np.ndarray) -> np.ndarray:
+def local_deviation(known: np.ndarray, away: np.ndarray, k: np.ndarray) -> np.ndarray:
     """How far partials `k` [any number] lie from the law, as their neighbours `known` do, `away`, cents.
 
     A line through the nearest `NEIGHBOURS`, by the median of the slopes between them (Theil 1950, Sen 1968), carried on

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from .demodulate import demodulate
+from .demodulation import demodulate
 
 __all__ = ["bounds", "energy_level", "mean_time"]
 

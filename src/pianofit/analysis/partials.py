@@ -28,14 +28,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .components import Components, resolve
-from .demodulate import Bands
-from .fits import Fitted, fitted, level_of, lost, slack, window
+from .baseband_fit import ExponentialFit, has_drifted, level_of, noise_tolerance, window, with_errors
+from .beating_partials import Components, resolve
+from .demodulation import Bands
+from .exponential_fit import Tones
 from .inharmonicity import DecayLaw, decay_law
 from .level import LEVEL_RATE
-from .tones import Tones
 
-__all__ = ["LEAST_SNR", "Measured", "by_law", "measure", "systematic"]
+__all__ = ["LEAST_SNR", "PartialTable", "decay_law_covariance", "measure_partials", "systematic"]
 
 LEAST_SNR = 14.0  # dB, below which a partial is none
 
@@ -64,7 +64,7 @@ _DB = 20 / np.log(10)
 
 
 @dataclass(frozen=True)
-class Measured:
+class PartialTable:
     """Columns of the table, [partials] each; `_spread` is the standard deviation of a systematic error."""
 
     frequency: np.ndarray
@@ -92,7 +92,7 @@ def systematic(number: np.ndarray, spread: np.ndarray) -> np.ndarray:
     return spread[:, None] * spread[None, :] * np.exp(-apart / _SHARED)
 
 
-def by_law(number: np.ndarray, lag: np.ndarray, law: DecayLaw) -> np.ndarray:
+def decay_law_covariance(number: np.ndarray, lag: np.ndarray, law: DecayLaw) -> np.ndarray:
     """Covariance of levels [partials, partials], dB², from the errors of the law that brought them to their span.
 
     Those of b1 and d2 go against each other: without their correlation it is a bound.
@@ -102,9 +102,9 @@ def by_law(number: np.ndarray, lag: np.ndarray, law: DecayLaw) -> np.ndarray:
     return along @ along.T
 
 
-def measure(
+def measure_partials(
     number: np.ndarray, bands: Bands, z: NDArray[np.complex128], fit: Tones, density: np.ndarray, glides: bool
-) -> Measured:
+) -> PartialTable:
     """Make the columns of the table from the cleaned basebands `z` and the fits over the whole record.
 
     Parameters
@@ -117,26 +117,26 @@ def measure(
     beating, seen = _beating(bands, z, frame)
     # Amplitude of what beats with each partial, over its own. More than that is resolved, or is in the misfit.
     second = _shared(_where_seen(np.minimum(beating, _DEEP), seen) * np.sqrt(2) / _DB)
-    whole = fitted(bands, slice(None), fit, density)
+    whole = with_errors(bands, slice(None), fit, density)
     early, tone = (window(bands, z, fit, density, span) for span in ((0.0, _EARLY), FREQUENCY_WINDOW))
     first = window(bands, z, fit, density, (0.0, bands.time[0] + _FIRST), LEVEL_RATE / 2, _REACH)
     parts = resolve(bands, z, frame, (beating > _DEEP) & ~clean)
     snr = -20 * np.log10(np.maximum(whole.log_error(-fit.origin), 1e-15))
-    heard = (snr > LEAST_SNR) & ~lost(bands, whole.fit)  # what is none has no say in the law
+    heard = (snr > LEAST_SNR) & ~has_drifted(bands, whole.fit)  # what is none has no say in the law
     heard |= not heard.any()
     law = decay_law(number[heard], -whole.fit.pole.real[heard], whole.pole_error()[heard])
-    audible = (tone.fit.power > 10 * frame) & (bands.time[-1] > 0.6) & ~lost(bands, tone.fit)
+    audible = (tone.fit.power > 10 * frame) & (bands.time[-1] > 0.6) & ~has_drifted(bands, tone.fit)
     frequency = _frequencies(bands, whole, early, tone, parts, second, clean & ~(glides & audible), audible)
     decay = _decays(whole, early, parts, second, clean, law(number))
     level = _levels(bands, z, whole, first, density, law(number), second)
-    return Measured(*frequency, *decay, *level, snr, beating, law)
+    return PartialTable(*frequency, *decay, *level, snr, beating, law)
 
 
 def _frequencies(
     bands: Bands,
-    whole: Fitted,
-    early: Fitted,
-    tone: Fitted,
+    whole: ExponentialFit,
+    early: ExponentialFit,
+    tone: ExponentialFit,
     parts: Components,
     second: np.ndarray,
     use_whole: np.ndarray,
@@ -158,7 +158,7 @@ def _frequencies(
 
 
 def _decays(
-    whole: Fitted, early: Fitted, parts: Components, second: np.ndarray, clean: np.ndarray, law: np.ndarray
+    whole: ExponentialFit, early: ExponentialFit, parts: Components, second: np.ndarray, clean: np.ndarray, law: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Decay rates, their standard errors from noise, and standard deviations of systematic errors, 1/s.
 
@@ -177,7 +177,7 @@ def _decays(
     return decay, np.hypot(error, _DECAY_FLOOR * decay), spread
 
 
-def _beyond_noise(short: Fitted, long: Fitted, part: Callable) -> np.ndarray:
+def _beyond_noise(short: ExponentialFit, long: ExponentialFit, part: Callable) -> np.ndarray:
     """How far a part of the poles of two windows differs, [partials], 1/s, beyond what noise in the shorter may do."""
     apart, noise = part(short.fit.pole - long.fit.pole), _SURE * short.pole_error()
     return np.sqrt(np.maximum(apart**2 - noise**2, 0.0))
@@ -197,8 +197,8 @@ def _nearby(spread: np.ndarray) -> np.ndarray:
 def _levels(
     bands: Bands,
     z: NDArray[np.complex128],
-    whole: Fitted,
-    first: Fitted,
+    whole: ExponentialFit,
+    first: ExponentialFit,
     density: np.ndarray,
     decay: np.ndarray,
     second: np.ndarray,
@@ -226,7 +226,7 @@ def _one_exponential(bands: Bands, z: NDArray[np.complex128], fit: Tones, frame:
     heard[:, :12] = True
     count = np.sum(heard, axis=1)
     rest = np.sum(np.abs(z - signal) ** 2 * heard, axis=1) / count
-    return (rest < slack(bands, count) * frame) | (rest < _CLEAN_MISFIT**2 * np.sum(power * heard, axis=1) / count)
+    return (rest < noise_tolerance(bands, count) * frame) | (rest < _CLEAN_MISFIT**2 * np.sum(power * heard, axis=1) / count)
 
 
 def _beating(bands: Bands, z: NDArray[np.complex128], frame: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -245,5 +245,5 @@ def _beating(bands: Bands, z: NDArray[np.complex128], frame: np.ndarray) -> tupl
     rest = np.sum(weight * (level - slope[:, None] * t) ** 2, 1) / count
     noise = _DB**2 * np.sum(weight * 0.5 * frame[:, None] / np.maximum(power, 1e-60), 1) / count
     told = count >= 8
-    size = np.sqrt(np.where(rest > slack(bands, count) * noise, rest - noise, 0.0))
+    size = np.sqrt(np.where(rest > noise_tolerance(bands, count) * noise, rest - noise, 0.0))
     return np.where(told, size, 0.0), told & (noise < (_DB * _SEEN) ** 2)

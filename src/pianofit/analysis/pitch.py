@@ -13,8 +13,8 @@ import numpy as np
 
 from ..errors import AnalysisError, WrongNoteError, check_type
 from .distortion import FEW, SEEN, beside_distortion
-from .inharmonicity import B_RANGE, CENTS, FrequencyLaw, bend, frequency_law
-from .notes import hz_to_note, note_to_hz
+from .inharmonicity import B_RANGE, CENTS, FrequencyLaw, frequency_law, local_deviation
+from .note_names import hz_to_note, note_to_hz
 from .spectrum import Spectrum
 
 __all__ = ["check_pitch", "find_pitch", "track", "typical_B"]
@@ -48,7 +48,7 @@ def _comb(f0: np.ndarray, B: np.ndarray) -> np.ndarray:
     return k * f0[:, None] * np.sqrt(1 + B[:, None] * k**2)
 
 
-def _hits(comb: np.ndarray, spec: Spectrum, away: np.ndarray | float, top: float) -> np.ndarray:
+def _comb_score(comb: np.ndarray, spec: Spectrum, away: np.ndarray | float, top: float) -> np.ndarray:
     """How well teeth find peaks: mean over teeth, low ones counting most, of the nearest peak's evidence; [candidates].
 
     Evidence runs from 0 to 1 with the peak's height above the floor, and falls to 0 at `away` (Hz) from the tooth.
@@ -81,7 +81,7 @@ def _candidates(spec: Spectrum, low: float, high: float, top: float) -> np.ndarr
     f0 = low * 2.0 ** (np.arange(0, np.log2(high / low) * 1200 + 1, 6) / 1200)
     score = np.zeros(len(f0))
     for factor in 2.0 ** np.arange(-2, 3.1, 0.5):
-        score = np.maximum(score, _hits(_comb(f0, factor * typical_B(f0)), spec, 0.08 * f0[:, None], top))
+        score = np.maximum(score, _comb_score(_comb(f0, factor * typical_B(f0)), spec, 0.08 * f0[:, None], top))
     higher = np.concatenate([[True], score[1:] > score[:-1]]) & np.concatenate([score[:-1] >= score[1:], [True]])
     group = np.round(2 * np.log2(f0 / low)).astype(int)
     chosen: list[int] = []
@@ -103,7 +103,7 @@ def _best(spec: Spectrum, low: float, high: float, top: float) -> tuple[float, f
             indexing="ij",
         )
         comb = _comb(f.ravel(), np.clip(b.ravel(), *B_RANGE))
-        hit = _hits(comb, spec, 0.03 * rough, top)
+        hit = _comb_score(comb, spec, 0.03 * rough, top)
         i = int(np.argmax(hit))
         score = float(hit[i]) * _explained(comb[i], spec, _AWAY, top)
         if score > best[0]:
@@ -232,4 +232,4 @@ def _assign(spec: Spectrum, k: np.ndarray, law: FrequencyLaw) -> tuple[float, np
 def _course(sure: list[tuple[int, float]], n: int) -> float:
     """How far partial `n` should lie from the law, cents, by those found below it."""
     known, away = np.array(sure).reshape(-1, 2).T
-    return float(bend(known, away, np.array([n]))[0])
+    return float(local_deviation(known, away, np.array([n]))[0])

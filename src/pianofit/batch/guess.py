@@ -11,10 +11,10 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
-from ..analysis.notes import note_to_midi
+from ..analysis.note_names import note_to_midi
 from ..analysis.pitch import check_pitch
+from ..conversions import hertz_of
 from ..errors import AnalysisError
-from ..units import hertz_of
 
 __all__ = ["guess_pattern", "numbers_off"]
 

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from ..numbers import counted
-from .ledger import Entry, entries_of
+from ..io.number_format import counted
+from .job_records import Entry, read_records
 from .store import Store, is_locked
 
 __all__ = ["document", "status", "suggestions", "time_left"]
@@ -21,7 +21,7 @@ def status(folder: Path) -> dict[str, Any]:
 
     Raises `OutputError` if it is no batch's.
     """
-    entries, at_work = entries_of(Store(folder)), is_locked(folder)
+    entries, at_work = read_records(Store(folder)), is_locked(folder)
     if not at_work:  # what a killed batch was at is not running any more
         entries = [e._replace(state="waiting", stage="", began=0.0) if e.state == "running" else e for e in entries]
     return document(folder, entries) | {"at_work": at_work, "seconds_left": _left(entries)}
@@ -64,10 +64,10 @@ def time_left(seconds: Sequence[float], waiting: int, running: Sequence[float], 
 
 def suggestions(entries: Sequence[Entry]) -> list[str]:
     """What the pitches say about the names of the notes."""
-    from ..analysis.notes import note_to_midi
+    from ..analysis.note_names import note_to_midi
 
-    wrong = [e for e in entries if e.sounds_like]
-    offset = Counter(note_to_midi(e.sounds_like) - note_to_midi(e.note) for e in wrong)
+    wrong = [e for e in entries if e.detected_note]
+    offset = Counter(note_to_midi(e.detected_note) - note_to_midi(e.note) for e in wrong)
     if not offset:
         return []
     semitones, times = offset.most_common(1)[0]
@@ -77,4 +77,4 @@ def suggestions(entries: Sequence[Entry]) -> list[str]:
             f"{'above' if semitones > 0 else 'below'} their names: the library counts otherwise; run with "
             f"--transpose {semitones} and another --out"
         ]
-    return [f"{e.key}: its name says {e.note}, its pitch {e.sounds_like}; correct its note" for e in wrong]
+    return [f"{e.key}: its name says {e.note}, its pitch {e.detected_note}; correct its note" for e in wrong]

@@ -19,9 +19,9 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import OutputError
-from ..io import NO_ROOM, one_line
+from ..io.files import DISK_FULL, escape_controls
 
-__all__ = ["LEDGER", "RECORD", "Store", "is_locked", "locked", "opened", "unwritable"]
+__all__ = ["LEDGER", "RECORD", "Store", "is_locked", "locked", "open_folder", "write_error"]
 
 LEDGER, KEYS, RECORD = "ledger", "keys", "record.json"
 LOCK = "lock"  # in the ledger's folder, as are these, of the workers and of this process, which are gone after a run
@@ -38,14 +38,14 @@ class Store:
         self.scratch = self.ledger / SCRATCH
         self._unfinished = self.ledger / UNFINISHED
 
-    def tidy(self) -> None:
+    def remove_partial(self) -> None:
         """Take away what an interrupted run left unfinished."""
         for left in (self.scratch, self._unfinished):
             shutil.rmtree(left, ignore_errors=True)
         for file in self.ledger.glob(".*.tmp"):
             file.unlink(missing_ok=True)
 
-    def install(self, key: str, files: dict[str, bytes], record: dict[str, Any]) -> None:
+    def commit(self, key: str, files: dict[str, bytes], record: dict[str, Any]) -> None:
         """Make `files` and their record the folder of `key`, in one step.
 
         Raises `OutputError` if they cannot be written; nothing is left behind.
@@ -66,11 +66,11 @@ class Store:
             new.rename(self.keys / key)
             _flush(self.keys)
         except OSError as error:
-            raise unwritable(self.folder, error) from error
+            raise write_error(self.folder, error) from error
         finally:
             shutil.rmtree(self._unfinished, ignore_errors=True)
 
-    def said(self, key: str) -> dict[str, Any] | None:
+    def read_record(self, key: str) -> dict[str, Any] | None:
         """The record of a finished key, as its folder says it; None if there is none."""
         try:
             record = json.loads((self.keys / key / RECORD).read_bytes())
@@ -80,7 +80,7 @@ class Store:
 
     def content(self, key: str, name: str) -> bytes | None:
         """A file of a finished key; None if it is missing or not what the record says."""
-        record = self.said(key) or {"files": {}}
+        record = self.read_record(key) or {"files": {}}
         with contextlib.suppress(OSError):
             data = (self.keys / key / Path(name).name).read_bytes()
             return data if hashlib.sha256(data).hexdigest() == record["files"].get(name) else None
@@ -88,7 +88,7 @@ class Store:
 
     def record(self, key: str) -> dict[str, Any] | None:
         """The record of a finished key; None if its folder is missing or is not what its record says."""
-        record = self.said(key)
+        record = self.read_record(key)
         whole = record is not None and all(self.content(key, name) is not None for name in record["files"])
         return record if whole else None
 
@@ -110,21 +110,21 @@ def _flush(folder: Path) -> None:
             os.close(handle)
 
 
-def unwritable(folder: Path, error: Exception) -> OutputError:
+def write_error(folder: Path, error: Exception) -> OutputError:
     """What to tell of a folder that does not let itself be written."""
-    name, full = one_line(folder), "full" in str(error)
-    if full or getattr(error, "errno", None) in NO_ROOM:
+    name, full = escape_controls(folder), "full" in str(error)
+    if full or getattr(error, "errno", None) in DISK_FULL:
         return OutputError(f"{name}: the disk is full; what is finished is kept: make room and run the same command")
     reason = getattr(error, "strerror", None) or error
     return OutputError(f"{name}: cannot be written to ({reason}); choose a folder that is yours, then run it again")
 
 
-def opened(folder: Path) -> Store:
+def open_folder(folder: Path) -> Store:
     """The folder of a new batch or of one to be continued, made if need be.
 
     Raises `OutputError` if it cannot be made or written to, or holds something else than a batch.
     """
-    name = one_line(folder)
+    name = escape_controls(folder)
     if folder.exists() and not folder.is_dir():
         raise OutputError(f"{name}: is a file; give a folder as --out")
     try:
@@ -136,7 +136,7 @@ def opened(folder: Path) -> Store:
             if not os.access(place, os.W_OK | os.X_OK):
                 raise PermissionError(errno.EACCES, "it is read-only, or another's")
     except OSError as error:
-        raise unwritable(folder, error) from error
+        raise write_error(folder, error) from error
     return Store(folder)
 
 
@@ -155,11 +155,11 @@ def locked(folder: Path) -> Iterator[None]:
         except sqlite3.OperationalError as error:
             if "locked" in str(error):
                 raise OutputError(
-                    f"{one_line(folder)}: another batch is at work in this folder; wait for it, or give another --out"
+                    f"{escape_controls(folder)}: another batch is at work in this folder; wait for it, or give another --out"
                 ) from None
-            raise unwritable(folder, error) from error
+            raise write_error(folder, error) from error
         except sqlite3.DatabaseError as error:
-            raise OutputError(f"{one_line(lock)}: is not the lock of a batch ({error}); remove it") from None
+            raise OutputError(f"{escape_controls(lock)}: is not the lock of a batch ({error}); remove it") from None
         yield
     finally:
         connection.close()

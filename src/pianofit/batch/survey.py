@@ -6,11 +6,11 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ..io import one_line
-from ..numbers import counted
-from ..recording import is_sound, readable_formats
+from ..io.files import escape_controls
+from ..io.number_format import counted
+from ..recording.recording import is_sound, readable_formats
+from .job import Job, Source
 from .manifest import NAMED, files_in
-from .units import Source, Unit
 
 __all__ = ["Unread", "listing", "mixtures", "unread"]
 
@@ -22,7 +22,7 @@ class Unread(NamedTuple):
     reason: str
 
 
-def mixtures(units: Sequence[Unit]) -> list[str]:
+def mixtures(units: Sequence[Job]) -> list[str]:
     """Remarks on recordings whose channels or rates differ within a key, and on keys that differ from others."""
     found = [*_within(units, "channels", _mono), *_within(units, "rate", _resampled)]
     for what, words in (("channels", "{} channel(s)"), ("rate", "{} Hz")):
@@ -43,7 +43,7 @@ def _words(layout: tuple[int, ...], words: str) -> str:
     return text.replace("(s)", "" if layout == (1,) else "s")
 
 
-def _layouts(unit: Unit, what: str) -> dict[int, list[str]]:
+def _layouts(unit: Job, what: str) -> dict[int, list[str]]:
     """Names of the readable recordings by their channels or rate; one channel is chosen where the settings say so."""
     found: dict[int, list[str]] = {}
     if what == "channels" and unit.settings.channel != "average":
@@ -54,7 +54,7 @@ def _layouts(unit: Unit, what: str) -> dict[int, list[str]]:
     return found
 
 
-def _within(units: Sequence[Unit], what: str, words: Any) -> Iterator[str]:
+def _within(units: Sequence[Job], what: str, words: Any) -> Iterator[str]:
     """One remark for all keys that mix layouts in the same way."""
     mixed = [(unit.key, layouts) for unit in units if len(layouts := _layouts(unit, what)) > 1]
     by_kind: dict[tuple[int, ...], list[tuple[str, dict[int, list[str]]]]] = {}
@@ -62,7 +62,7 @@ def _within(units: Sequence[Unit], what: str, words: Any) -> Iterator[str]:
         by_kind.setdefault(tuple(sorted(layouts)), []).append((key, layouts))
     for values, keys in by_kind.items():
         rare = min(values, key=lambda value: sum(len(layouts[value]) for _, layouts in keys))
-        names = [one_line(name) for _, layouts in keys for name in layouts[rare]]
+        names = [escape_controls(name) for _, layouts in keys for name in layouts[rare]]
         yield words(values, _some([key for key, _ in keys], "key"), rare, _some(names, "recording"))
 
 
@@ -83,7 +83,7 @@ def _some(names: Sequence[str], noun: str) -> str:
     return f"{', '.join(names[:NAMED])} ... ({counted(len(names), noun)})"
 
 
-def unread(source: Path, units: Sequence[Unit]) -> list[Unread]:
+def unread(source: Path, units: Sequence[Job]) -> list[Unread]:
     """Files in the folder of a manifest that no key uses, and why not."""
     folder = source if source.is_dir() else source.parent
     used = {file.path for unit in units for file in unit.sources}
@@ -92,14 +92,14 @@ def unread(source: Path, units: Sequence[Unit]) -> list[Unread]:
         if str((folder / name).resolve()) in used:
             continue
         if is_sound(name):
-            why = "does not fit the pattern" if source.is_dir() else f"is not used by {one_line(source.name)}"
-            found.append(Unread(one_line(name), why))
+            why = "does not fit the pattern" if source.is_dir() else f"is not used by {escape_controls(source.name)}"
+            found.append(Unread(escape_controls(name), why))
         elif source.is_dir():
-            found.append(Unread(one_line(name), f"is none of {readable_formats()}"))
+            found.append(Unread(escape_controls(name), f"is none of {readable_formats()}"))
     return found
 
 
-def listing(unit: Unit, folder: Path) -> list[list[str]]:
+def listing(unit: Job, folder: Path) -> list[list[str]]:
     """A row of text for every recording of a key: the file, what it was read as, and its layout."""
     return [
         [_seen_from(folder, source.path), _read_as(source), source.wrong or
@@ -111,11 +111,11 @@ def _seen_from(folder: Path, path: str) -> str:
     """A path from the folder where it lies in it, and else its name."""
     file = Path(path)
     inside = file.is_relative_to(base := folder.resolve())
-    return one_line(file.relative_to(base).as_posix() if inside else file.name)
+    return escape_controls(file.relative_to(base).as_posix() if inside else file.name)
 
 
 def _read_as(source: Source) -> str:
     """Layer, velocity and group of a recording, as they are known."""
     velocity = f"{source.velocity:g} m/s" if source.velocity is not None else ""
     given = {"layer": source.layer, "velocity": velocity, "group": source.group}
-    return ", ".join(f"{name} {one_line(value)}" for name, value in given.items() if value) or "no layer"
+    return ", ".join(f"{name} {escape_controls(value)}" for name, value in given.items() if value) or "no layer"

@@ -17,17 +17,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..errors import PianofitError, SetupError, check_range
-from ..io import one_line
-from ..numbers import columns, counted
+from ..io.files import escape_controls
+from ..io.number_format import columns, counted
 from ..parameters import check_seed
-from ..recording import check_channel
+from ..recording.recording import check_channel
 from ..setup import load_setup, setup_from_dict
 from ..threads import cores
-from .options import Channel, Json, Seed, number, one_of, whole
-from .terminal import complain, tell
+from .options import Channel, Json, Seed, choice, number, whole
+from .terminal import print_error, print_result
 
 if TYPE_CHECKING:
-    from ..batch import Progress, Settings, Unit
+    from ..batch import Job, Progress, Settings
 
 __all__ = ["batch", "status"]
 
@@ -105,13 +105,13 @@ def batch(
     files: Annotated[
         str,
         typer.Option(
-            parser=one_of("value", "shared"),
+            parser=choice("value", "shared"),
             metavar="value|shared",
             help="With --scheduler: send the recordings, or let the workers read them at the same paths.",
         ),
     ] = "value",
     retry: Annotated[
-        str | None, typer.Option(parser=one_of("failed"), metavar="failed", help="Try again what has failed before.")
+        str | None, typer.Option(parser=choice("failed"), metavar="failed", help="Try again what has failed before.")
     ] = None,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="List every file, what it is read as, and what would be done; do nothing.")
@@ -121,21 +121,21 @@ def batch(
     """Fit every key of a sample library; run again, it goes on where it was."""
     with _resumable():
         _check(workers, memory, time_limit, seed, channel)
-        from ..batch import check_cluster, mixtures, plan, read_keys, run_batch
+        from ..batch import check_cluster, mixtures, plan_jobs, read_keys, run_batch
 
         if scheduler is not None:
             check_cluster()
         keys, remarks = read_keys(manifest, pattern=pattern, root=root, transpose=transpose)
         units = _units(manifest, keys, _settings(setup, channel, seed, page))
         for remark in [*remarks, *mixtures(units)]:
-            complain(remark)
+            print_error(remark)
         if dry_run:
-            _tell_planned(manifest, units, plan(units, out, retry == "failed"), as_json)
+            _tell_planned(manifest, units, plan_jobs(units, out, retry == "failed"), as_json)
             return
-        with _told() as progress:
+        with _progress_printer() as progress:
             made = _workers(workers, memory, time_limit, scheduler, files == "value")
             found = run_batch(units, out, made, retry_failed=retry == "failed", tell=progress)
-        tell(found, _summary(found), as_json)
+        print_result(found, _summary(found), as_json)
     if found["counts"]["failed"]:
         raise typer.Exit(3)
 
@@ -147,7 +147,7 @@ def status(
     from ..batch import status as run
 
     found = run(folder)
-    tell(found, _summary(found), as_json)
+    print_result(found, _summary(found), as_json)
 
 
 def _check(workers: int | None, memory: float, time_limit: float, seed: int, channel: str) -> None:
@@ -167,13 +167,13 @@ def _settings(setup: Path | None, channel: str, seed: int, page: bool) -> Settin
     if setup is not None:
         if load_setup(setup).recordings:
             raise SetupError(
-                f"{one_line(setup)}: has a [[recording]]; the manifest names the recordings, with their velocities"
+                f"{escape_controls(setup)}: has a [[recording]]; the manifest names the recordings, with their velocities"
             )
         text = setup.read_text(encoding="utf-8-sig").rstrip() + "\n"
     return Settings(seed, channel, page, text)
 
 
-def _units(manifest: Path, keys: list, settings: Settings) -> list[Unit]:
+def _units(manifest: Path, keys: list, settings: Settings) -> list[Job]:
     """All keys with their recordings read and hashed; what is wrong with any is said before anything starts."""
     import tomllib
 
@@ -189,7 +189,7 @@ def _units(manifest: Path, keys: list, settings: Settings) -> list[Unit]:
         except PianofitError as error:
             problems.append(str(error))
     if problems:
-        raise SetupError(f"{one_line(manifest)}: {listed(problems)}; nothing was started")
+        raise SetupError(f"{escape_controls(manifest)}: {listed(problems)}; nothing was started")
     return units
 
 
@@ -212,7 +212,7 @@ def _line(p: Progress) -> str:
 def _left(keys: int, seconds: float | None) -> str:
     if not keys:
         return ""
-    return f", {_span(seconds)} left" if seconds is not None else ", time left known once a key is done"
+    return f", {_format_duration(seconds)} left" if seconds is not None else ", time left known once a key is done"
 
 
 def _at_work(running: Sequence[tuple[str, str]]) -> str:
@@ -221,14 +221,14 @@ def _at_work(running: Sequence[tuple[str, str]]) -> str:
     return ", ".join(named) + (f" and {len(running) - NAMED} more" if len(running) > NAMED else "")
 
 
-def _span(seconds: float) -> str:
+def _format_duration(seconds: float) -> str:
     if seconds < 90:
         return f"about {max(round(seconds, -1), 10):.0f} s"
     return f"about {seconds / 60:.0f} min" if seconds < 5400 else f"about {seconds / 3600:.1f} h"
 
 
 @contextlib.contextmanager
-def _told() -> Iterator[Callable[[Progress], None]]:
+def _progress_printer() -> Iterator[Callable[[Progress], None]]:
     """Progress on stderr: a line for every event, and in a terminal one below them that changes."""
     if not sys.stderr.isatty():
         yield _tell_event
@@ -249,11 +249,11 @@ def _told() -> Iterator[Callable[[Progress], None]]:
 def _tell_event(p: Progress) -> None:
     """One line of a log: how many keys have ended, what happened, and the time left."""
     if p.event:
-        left = f" ({_span(p.left)} left)" if p.left and p.done + p.failed < p.total else ""
+        left = f" ({_format_duration(p.left)} left)" if p.left and p.done + p.failed < p.total else ""
         typer.echo(f"{p.done + p.failed} of {counted(p.total, 'key')}: {p.event}{left}", err=True)
 
 
-def _tell_planned(manifest: Path, units: list[Unit], standing: dict[str, str], as_json: bool) -> None:
+def _tell_planned(manifest: Path, units: list[Job], standing: dict[str, str], as_json: bool) -> None:
     """Print what a run would do: every file with what it was read as, and every file that was not read."""
     from ..batch import listing, unread
 
@@ -271,12 +271,12 @@ def _tell_planned(manifest: Path, units: list[Unit], standing: dict[str, str], a
     lines += [f"  {line}" for line in columns([[file.file, file.reason] for file in missed], right=-1)]
     todo = sum(s.startswith("to do") for s in standing.values())
     lines.append(f"{todo} of {counted(len(units), 'key')} to do; nothing was written")
-    tell({"keys": rows, "unread": [file._asdict() for file in missed]}, "\n".join(lines) + "\n", as_json)
+    print_result({"keys": rows, "unread": [file._asdict() for file in missed]}, "\n".join(lines) + "\n", as_json)
 
 
 def _summary(found: dict[str, Any]) -> str:
     """What became of the keys, in a screenful."""
-    from ..batch.ledger import Entry
+    from ..batch.job_records import Entry
 
     count = {state: n for state, n in found["counts"].items() if n}
     left = _left(count.get("running", 0) + count.get("waiting", 0), found.get("seconds_left"))
@@ -292,15 +292,15 @@ def _summary(found: dict[str, Any]) -> str:
     if running := [(k["key"], k["stage"]) for k in found["keys"] if k["state"] == "running"]:
         lines.append(f"at work: {_at_work(running)}")
     bad = [k for k in found["keys"] if k["state"] == "failed"]
-    lines += [f"failed: {key['key']}: {one_line(Entry(**key).why)}" for key in bad[:LISTED]]
+    lines += [f"failed: {key['key']}: {escape_controls(Entry(**key).why)}" for key in bad[:LISTED]]
     if len(bad) > LISTED:
         lines.append(f"and {len(bad) - LISTED} more failed; --json lists all")
     for key in found["keys"]:
-        lines += [f"left out: {key['key']}: {one_line(x['reason'])}" for x in key["left_out"][:LISTED]]
+        lines += [f"left out: {key['key']}: {escape_controls(x['reason'])}" for x in key["left_out"][:LISTED]]
     lines += found["suggestions"][:LISTED]
     if found.get("strangers"):
         lines.append(f"also in keys/, of an earlier run: {', '.join(found['strangers'][:LISTED])}")
     if count.get("done"):
         lines.append(f"{found['folder']}: index.html shows every key, keys.csv has the numbers, keys/KEY/ all of each")
-        lines.append(f"to play them: pianofit page {one_line(shlex.quote(found['folder']))}")
+        lines.append(f"to play them: pianofit page {escape_controls(shlex.quote(found['folder']))}")
     return "\n".join(lines) + "\n"

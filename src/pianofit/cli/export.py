@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..errors import OutputError, ParameterError
-from ..io import check_target, one_line
-from ..numbers import counted
+from ..io.files import check_target, escape_controls
+from ..io.number_format import counted
 from ..progress import progress_bar
 from .options import Built, Force, Json, Prefix, number, whole
-from .terminal import tell
+from .terminal import print_result
 
 if TYPE_CHECKING:
-    from ..play import Exported
-    from ..play.faust import Program
+    from ..export.faust import Program
+    from ..playback import ExportSummary
 
 __all__ = ["export"]
 
@@ -57,11 +57,11 @@ def export(
     as_json: Json = False,
 ) -> None:
     """Write an instrument for other programs: a sampler's folder, or a program in Faust."""
-    from ..keyboard import load_instrument
-    from ..model.cache import keep_programs
-    from ..play import SAMPLERS, Asked, export_sampler, parse_keys
-    from ..play.faust import write_faust
-    from ..play.layers import without_gaps
+    from ..export.faust import write_faust
+    from ..export.layers import without_gaps
+    from ..instrument import load_instrument
+    from ..model.program_cache import enable_program_cache
+    from ..playback import SAMPLERS, ExportOptions, export_sampler, parse_keys
 
     given = {"layers": layers, "seconds": seconds, "rate": rate, "kind": samples}
     asked = {name: value for name, value in given.items() if value is not None}
@@ -69,21 +69,21 @@ def export(
         raise ParameterError(f"--format {to!r} must be one of {', '.join(SAMPLERS)}, faust")
     _check_target(to, out, asked if fill else asked | {"no-fill": True}, force)
     chosen, played = parse_keys(keys), load_instrument(built, prefix)
-    keep_programs()
+    enable_program_cache()
     with progress_bar() as bar:
         if to == "faust":
             done = write_faust(out, played, chosen, licence=licence, progress=bar)
             words = _programmed(done)
         else:
-            wanted, sampled = Asked(kind=SAMPLERS[to].kind)._replace(**asked), without_gaps(chosen) if fill else chosen
+            wanted, sampled = ExportOptions(kind=SAMPLERS[to].kind)._replace(**asked), without_gaps(chosen) if fill else chosen
             done = export_sampler(played, out, sampled, wanted, to=to, licence=licence, force=force, progress=bar)
             words = _sampled(done, sorted({*sampled} - {*chosen}))
-    tell(done._asdict(), f"{out}: {words}", as_json)
+    print_result(done._asdict(), f"{out}: {words}", as_json)
 
 
 def _check_target(to: str, out: Path, asked: dict[str, Any], force: bool) -> None:
     """Refuse a name that what is written cannot have, and for Faust what is only a sampler's."""
-    name = one_line(out)
+    name = escape_controls(out)
     if to != "faust" and re.fullmatch(r"\.[A-Za-z]\w*", out.suffix):
         raise OutputError(f"{name}: is called like a file; give --out the name of a folder")
     if to == "faust" and asked:
@@ -95,8 +95,8 @@ def _check_target(to: str, out: Path, asked: dict[str, Any], force: bool) -> Non
         check_target(out, force)
 
 
-def _sampled(done: Exported, added: list[int]) -> str:
-    from ..play.layers import key_ranges
+def _sampled(done: ExportSummary, added: list[int]) -> str:
+    from ..export.layers import key_ranges
 
     more = f"{counted(len(added), 'key')} sampled in addition, to fill gaps: {key_ranges(added)}\n" if added else ""
     silent = f"{counted(len(done.silent), 'key')} silent: {key_ranges(done.silent)}; give more --keys\n"

@@ -9,26 +9,26 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ..conversions import NORMAL
 from ..errors import OutputError
-from ..io import (
+from ..io.files import (
     check_sound_target,
     check_target,
     encode_wav,
+    escape_controls,
     json_text,
-    one_line,
     output_folder,
     replace_file,
     write_file,
 )
-from ..numbers import bracketed, columns, counted, with_standard_error
+from ..io.number_format import columns, counted, format_with_interval, with_standard_error
 from ..parameters import check_seed, check_velocity
 from ..progress import progress_bar
-from ..recording import load_recording, read, readable_formats
+from ..recording.recording import load_recording, load_recordings, readable_formats
 from ..setup import Setup, load_setup
-from ..units import NORMAL
 from . import options
-from .options import one_of, whole
-from .terminal import tell
+from .options import choice, whole
+from .terminal import print_result
 
 if TYPE_CHECKING:
     from ..analysis import Analysis
@@ -52,7 +52,7 @@ def analyse(
     recording = load_recording(file, channel=channel)
     found = run(recording, note=note, f0=f0)
     found = replace(found, warnings=recording.warnings + found.warnings)
-    tell(as_dict(found), _table(found), as_json)
+    print_result(as_dict(found), _table(found), as_json)
 
 
 def _table(found: Analysis) -> str:
@@ -67,7 +67,7 @@ def _table(found: Analysis) -> str:
     )
     cells = []
     for name, value, error, unit, note in laws:
-        text, span = bracketed(value, (value - NORMAL * error, value + NORMAL * error))
+        text, span = format_with_interval(value, (value - NORMAL * error, value + NORMAL * error))
         cells.append((name, text, unit, span, note))
     lines = [
         near_note(found.f0),
@@ -101,7 +101,7 @@ def fit(
     recipe: Annotated[
         str,
         typer.Option(
-            parser=one_of("default", "paper", "global"),
+            parser=choice("default", "paper", "global"),
             metavar="NAME",
             help="default; or, for comparison, the paper's own: paper or global.",
         ),
@@ -115,7 +115,7 @@ def fit(
     intervals: Annotated[
         str,
         typer.Option(
-            parser=one_of("laplace", "profile", "posterior"),
+            parser=choice("laplace", "profile", "posterior"),
             metavar="METHOD",
             help="How intervals are found: laplace; profile, which takes some seconds more; or posterior, sampled by "
             "NUTS, which takes minutes and needs the extra bayes.",
@@ -128,21 +128,21 @@ def fit(
 ) -> None:
     """Find the string's and the hammer's parameters behind one recording, or behind several of one key."""
     from ..fitting import fit as run
-    from ..model.cache import keep_programs
+    from ..model.program_cache import enable_program_cache
     from .summary import summary
 
     check_velocity(velocity)
     check_seed(seed)
     with output_folder(out, force) as folder, progress_bar() as progress:
         known = _known(setup, felt)
-        keep_programs()
+        enable_program_cache()
         result = run(
             *recordings, setup=known, note=note, f0=f0, velocity=velocity, channel=channel, recipe=recipe,
             evaluations=evaluations, intervals=intervals, seed=seed, progress=progress,
         )  # fmt: skip
         progress("page", 0.95)
         result.save(folder, force=True, page=page)
-    tell(result.document, summary(result.document, folder), as_json)
+    print_result(result.document, summary(result.document, folder), as_json)
 
 
 def _known(setup: Path | None, felt: str | None) -> Setup:
@@ -167,15 +167,15 @@ def predict(
     )
     if found["was_fitted"]:
         words += "This recording took part in the fit: how near it comes is no prediction.\n"
-    tell(found, words, as_json)
+    print_result(found, words, as_json)
 
 
 def _predicted(fit: Path, file: Path, out: Path | None, channel: str, force: bool) -> dict:
     """What came of predicting the recording `file` from a `fit.json`; its sound goes to `out`, if asked for."""
     from ..fit_file import fit_path, gains_of, mixture_of, read_fit
-    from ..model.cache import keep_programs
-    from ..result.align import touched
-    from ..result.predict import predict_recording
+    from ..model.program_cache import enable_program_cache
+    from ..result.alignment import estimate_contact_onset
+    from ..result.prediction import predict_recording
 
     if out is not None:
         check_sound_target(out, force)
@@ -183,17 +183,17 @@ def _predicted(fit: Path, file: Path, out: Path | None, channel: str, force: boo
     document = read_fit(fit)
     mixture = mixture_of(document, fit)
     recording = load_recording(file, channel=channel)
-    keep_programs()
+    enable_program_cache()
     found = predict_recording(mixture, recording, gains=gains_of(document))
     if out is not None:
         strike = found.note.strike(recording.rate)
-        touch = touched(found.note, strike, recording)
-        samples = found.note.heard(strike, recording.rate, len(recording.samples), touch)
+        touch = estimate_contact_onset(found.note, strike, recording)
+        samples = found.note.render_mono(strike, recording.rate, len(recording.samples), touch)
         write_file(out, encode_wav(samples, recording.rate), force)
     known = {row.get("sha256") for row in document["recordings"] if isinstance(row, dict)}
     return {
         "file": recording.path, "sha256": recording.sha256, "was_fitted": recording.sha256 in known,
-        "predicted_db": found.error_db, "partials": found.partials, "v_H0": found.velocity, "v_H0_at_end": found.at_end,
+        "predicted_db": found.error_db, "partials": found.partials, "v_H0": found.velocity, "v_H0_at_end": found.velocity_at_search_limit,
         "gain_db": found.gain_db, "cents": found.cents,
     }  # fmt: skip
 
@@ -213,22 +213,22 @@ def crossval(
     as_json: options.Json = False,
 ) -> None:
     """Leave out each recording of a key in turn, fit the others, and predict it."""
-    from ..fitting import listen
-    from ..model.cache import keep_programs
-    from ..result.crossval import cross_validate
+    from ..fitting import analyse_all
+    from ..model.program_cache import enable_program_cache
+    from ..result.cross_validation import cross_validate
     from .summary import cross_validation
 
     check_seed(seed)
     with nullcontext() if out is None else output_folder(out, force) as folder, progress_bar() as progress:
-        known, sounds = _known(setup, felt), read(recordings, channel)
-        heard = listen(sounds, note, f0)
-        keep_programs()
+        known, sounds = _known(setup, felt), load_recordings(recordings, channel)
+        heard = analyse_all(sounds, note, f0)
+        enable_program_cache()
         found, whole = cross_validate(sounds, heard, known, seed=seed, progress=progress)
         if folder is not None:
             whole.save(folder, force=True, page=False)
             whole.report(folder, held_out=found)
             replace_file(folder / "crossval.json", json_text(found).encode())
-    tell(found, cross_validation(found), as_json)
+    print_result(found, cross_validation(found), as_json)
 
 
 def compare(
@@ -247,9 +247,9 @@ def compare(
     kind = "" if out is None else out.suffix.lower().removeprefix(".")
     if out is not None:
         if kind not in KINDS:
-            raise OutputError(f"{one_line(out)}: a figure ends in .{', .'.join(KINDS)}; give --out another name")
+            raise OutputError(f"{escape_controls(out)}: a figure ends in .{', .'.join(KINDS)}; give --out another name")
         check_target(out, force)
     found = run(a, b)
     if out is not None:
         write_file(out, found.figure(kind), force)
-    tell(found.to_dict(), f"{found!r}\n", as_json)
+    print_result(found.to_dict(), f"{found!r}\n", as_json)

@@ -9,20 +9,20 @@ from typing import Annotated, Any
 import typer
 
 from ..errors import OutputError
-from ..io import (
+from ..io.files import (
     check_sound_target,
     check_target,
     encode_pcm,
+    escape_controls,
     json_text,
-    one_line,
     output_folder,
     replace_file,
     write_file,
 )
-from ..numbers import counted
+from ..io.number_format import counted
 from ..progress import progress_bar
 from .options import RATE, Built, Force, Json, Prefix, Sound
-from .terminal import tell
+from .terminal import print_result
 
 __all__ = ["instrument", "page", "play"]
 
@@ -43,19 +43,19 @@ def instrument(
     as_json: Json = False,
 ) -> None:
     """Put the fits of single keys together: one instrument, every key of it, by smooth laws over the keyboard."""
-    from ..keyboard import build_instrument, find_fits, load_keys, owner
-    from ..keyboard.page import write_page
-    from ..keyboard.words import summary
+    from ..instrument import build_instrument, find_fits, instrument_name, load_keys
+    from ..instrument.page import write_page
+    from ..instrument.text import summary
 
     files, first = find_fits(fits, prefix), fits[0].resolve()
     keys = load_keys(files)
-    folder_name = one_line(first.name if first.is_dir() else first.parent.name)
-    document = build_instrument(keys, name or prefix or owner(files[0]) or folder_name)
+    folder_name = escape_controls(first.name if first.is_dir() else first.parent.name)
+    document = build_instrument(keys, name or prefix or instrument_name(files[0]) or folder_name)
     with output_folder(out, force) as folder:
         replace_file(folder / "instrument.json", json_text(document).encode())
         if page:
             write_page(folder / "instrument.html", document)
-    tell(document, f"{summary(document)}\nwritten to {out}\n", as_json)
+    print_result(document, f"{summary(document)}\nwritten to {out}\n", as_json)
 
 
 def play(
@@ -68,26 +68,26 @@ def play(
     as_json: Json = False,
 ) -> None:
     """Play a MIDI file on a fitted instrument."""
-    from ..keyboard import load_instrument
-    from ..model.cache import keep_programs
-    from ..play import load_song, perform
+    from ..instrument import load_instrument
+    from ..model.program_cache import enable_program_cache
+    from ..playback import load_song, render_song
 
     with progress_bar() as bar:
         check_sound_target(out, force)
         played, notes = load_instrument(built, prefix), load_song(song)
-        keep_programs()
+        enable_program_cache()
         start = time.perf_counter()
-        found = perform(played, notes, rate, bar)
+        found = render_song(played, notes, rate, bar)
         took = time.perf_counter() - start
     write_file(out, encode_pcm(found.samples, rate), force)
     seconds = found.samples.shape[-1] / rate
     done = {
         "file": str(out), "seconds": seconds, "rate": rate, "channels": len(found.samples), "notes": notes.notes,
-        "notes_beyond": notes.beyond, "remarks": list(notes.remarks), "strikes": found.strikes,
-        "on_moving_strings": found.on_moving, "gain_db": found.gain_db, "limited_db": found.limited_db,
+        "notes_beyond": notes.ignored_notes, "remarks": list(notes.remarks), "strikes": found.strikes,
+        "on_moving_strings": found.restrikes, "gain_db": found.gain_db, "limited_db": found.limited_db,
         "peak": float(abs(found.samples).max(initial=0.0)), "computed_in_s": took, "real_time_factor": took / seconds,
     }  # fmt: skip
-    tell(done, _played(out, done), as_json)
+    print_result(done, _played(out, done), as_json)
 
 
 def _played(out: Path, done: dict[str, Any]) -> str:
@@ -120,12 +120,12 @@ def page(
 
     It has at most 1.5 MB; recordings come on top of that.
     """
-    from ..keyboard import load_instrument
-    from ..play.page import write_page
+    from ..instrument import load_instrument
+    from ..web import write_page
 
     if out is not None:
         if out.suffix.lower() not in (".html", ".htm"):
-            raise OutputError(f"{one_line(out)}: a page is an HTML file; give --out a name that ends in .html")
+            raise OutputError(f"{escape_controls(out)}: a page is an HTML file; give --out a name that ends in .html")
         check_target(out, force)
     loaded = load_instrument(built, prefix)
     if out is None:
@@ -138,16 +138,16 @@ def page(
         "knocks": None if found.knocks is None else {"bits": found.knocks.bits, "rate": found.knocks.rate},
         "layers": found.layers,
     }  # fmt: skip
-    tell(done, _written(done), as_json)
+    print_result(done, _written(done), as_json)
 
 
 def _written(done: dict[str, Any]) -> str:
-    from ..keyboard.words import guessed
+    from ..instrument.text import unrecorded_text
 
     kept = done["knocks"]
     knocks = f"; knocks at {kept['rate']:g} Hz and {kept['bits']} bits" if kept else ""
     knocks += f"; {counted(done['layers'], 'recording')} next to them" if done["layers"] else ""
     return (
         f"{done['file']}: {counted(done['keys'], 'key')}, {done['recorded']} of them recorded; "
-        f"{guessed(**done['guesses'])}{knocks}; {done['bytes'] / 1e6:.2f} MB, open it in a browser\n"
+        f"{unrecorded_text(**done['guesses'])}{knocks}; {done['bytes'] / 1e6:.2f} MB, open it in a browser\n"
     )

@@ -8,11 +8,11 @@ from typing import Annotated
 import typer
 
 from ..errors import ParameterError
-from ..io import output_folder
-from ..numbers import counted
+from ..io.files import output_folder
+from ..io.number_format import counted
 from ..parameters import check_seed
 from .options import Force, Json, Seed, number, whole
-from .terminal import complain, tell
+from .terminal import print_error, print_result
 
 __all__ = ["listen"]
 
@@ -65,9 +65,9 @@ def listen(
             a, b, folder, reference=reference, trials=trials, seconds=seconds, seed=seed, leave_out=leave_out
         )
     for line in made.failed:
-        complain(f"left out: {line}")
+        print_error(f"left out: {line}")
     if made.alone:
-        complain(f"left out, not in all folders: {', '.join(made.alone)}")
+        print_error(f"left out, not in all folders: {', '.join(made.alone)}")
     typer.echo(f"{counted(made.trials, 'question')} about {counted(len(made.names), 'sound')}: {', '.join(made.names)}")
     typer.echo(f"written to {folder}: give listen.html to listeners; key.json says what it hides; webmushra/")
 
@@ -83,4 +83,4 @@ def _count(files: list[Path], as_json: bool) -> None:
         share = f"{c.hits / c.of:7.3f}  [{low:.3f}, {high:.3f}]"
         lines.append(f"{c.condition:{width}} {c.hits:5} {c.of:4} {share}  {c.p:12.4g}")
     document = {"files": [str(file) for file in files], "conditions": [c._asdict() for c in counts]}
-    tell(document, "\n".join(lines) + "\n", as_json)
+    print_result(document, "\n".join(lines) + "\n", as_json)

@@ -9,15 +9,15 @@ from typing import Annotated, Any
 import typer
 
 from ..felt import LAWS
-from ..recording import readable_formats
+from ..recording.recording import readable_formats
 
 __all__ = [
     "RATE", "Built", "Channel", "Felt", "Force", "Json", "Known", "Note", "Pitch", "Prefix", "Recordings", "Seconds",
-    "Seed", "Sound", "Velocity", "number", "one_of", "whole",
+    "Seed", "Sound", "Velocity", "number", "choice", "whole",
 ]  # fmt: skip
 
 
-def read_as(kind: Callable[[str], Any], words: str) -> Callable[[str], Any]:
+def parse_as(kind: Callable[[str], Any], words: str) -> Callable[[str], Any]:
     """What makes a number of a text, or a usage error that names it."""
 
     def parse(text: str) -> Any:
@@ -29,10 +29,10 @@ def read_as(kind: Callable[[str], Any], words: str) -> Callable[[str], Any]:
     return parse
 
 
-number, whole = read_as(float, "number"), read_as(int, "whole number")
+number, whole = parse_as(float, "number"), parse_as(int, "whole number")
 
 
-def one_of(*words: str) -> Callable[[str], str]:
+def choice(*words: str) -> Callable[[str], str]:
     """What takes one of the words, or makes a usage error of another."""
 
     def parse(text: str) -> str:
@@ -81,7 +81,7 @@ Known = Annotated[
 Sound = Annotated[Path, typer.Option(metavar="FILE.WAV", help="The WAV file to write.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 Felt = Annotated[
-    str | None, typer.Option(parser=one_of(*LAWS), metavar="LAW", help=f"The felt's law: {', '.join(LAWS)}.")
+    str | None, typer.Option(parser=choice(*LAWS), metavar="LAW", help=f"The felt's law: {', '.join(LAWS)}.")
 ]
 Force = Annotated[bool, typer.Option("--force", help="Replace what --out holds.")]
 Velocity = Annotated[float | None, typer.Option(parser=number, metavar="M/S", help="Hammer velocity in m/s.")]

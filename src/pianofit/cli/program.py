@@ -16,12 +16,12 @@ from typing import Annotated, NoReturn
 import typer
 
 from ..errors import check_range
-from ..io import NO_ROOM, encode_wav, output_folder, replace_file
+from ..io.files import DISK_FULL, encode_wav, output_folder, replace_file
 from ..parameters import check_seed
 from ..progress import progress_bar
 from . import batch, export, fits, instrument, listening, sounds
 from .options import Force, Json, Seed, number
-from .terminal import add, complain, tell
+from .terminal import add, print_error, print_result
 
 __all__ = ["app", "main", "run"]
 
@@ -77,13 +77,13 @@ def demo(
     check_seed(seed)
     check_range("noise=", noise, 0, 200, " dB")
     with output_folder(out, force) as folder, progress_bar() as progress:
+        from ..bensa2005.laboratory import make_synthetic_recording, setup_text
         from ..fitting import fit
-        from ..model.cache import keep_programs
-        from ..paper.laboratory import make_twin, setup_text
+        from ..model.program_cache import enable_program_cache
 
-        keep_programs()
+        enable_program_cache()
         progress("making the twin", 0.0)
-        twin = make_twin(noise, seed)
+        twin = make_synthetic_recording(noise, seed)
         replace_file(folder / "twin.wav", encode_wav(twin.samples, twin.rate))
         replace_file(folder / "setup.toml", setup_text().encode())
         result = fit(folder / "twin.wav", setup=folder / "setup.toml", seed=seed, progress=progress)
@@ -94,7 +94,7 @@ def demo(
         f"the page is {folder / 'report.html'}; the same fit from its files:\n"
         f"pianofit fit {folder / 'twin.wav'} --setup {folder / 'setup.toml'} --out another\n"
     )
-    tell(result.document | {"true": twin.true}, words, as_json)
+    print_result(result.document | {"true": twin.true}, words, as_json)
 
 
 def reproduce(
@@ -108,8 +108,8 @@ def reproduce(
     """Test the paper's tables, figures and claims on measurements of the program's own laboratory: one page."""
     check_seed(seed)
     with output_folder(out, force) as folder, progress_bar() as progress:
-        from ..paper.reproduce import FULL, QUICK
-        from ..paper.reproduce import reproduce as run
+        from ..bensa2005.reproduce import FULL, QUICK
+        from ..bensa2005.reproduce import reproduce as run
 
         claims = run(folder, seed, plan=QUICK if quick else FULL, progress=progress)
     for one in claims:
@@ -150,14 +150,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return app(args=list(arguments) or ["--help"], prog_name="pianofit", standalone_mode=False) or 0
     except UsageError as error:
         command = getattr(getattr(error, "ctx", None), "command_path", "pianofit")
-        complain(f"{error.format_message()}; {command} --help says what there is".replace(".;", ";"))  # pyright: ignore[reportAttributeAccessIssue]
+        print_error(f"{error.format_message()}; {command} --help says what there is".replace(".;", ";"))  # pyright: ignore[reportAttributeAccessIssue]
         return 2
     except OSError as error:
-        if error.errno not in NO_ROOM or error.filename is not None:
+        if error.errno not in DISK_FULL or error.filename is not None:
             raise
         # Of a file it would be an error of ours: it is what was to be printed, and what is left of it goes nowhere.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        complain(f"standard output cannot be written ({error.strerror}); send it elsewhere")
+        print_error(f"standard output cannot be written ({error.strerror}); send it elsewhere")
         return 1
 
 
@@ -172,7 +172,7 @@ def run() -> NoReturn:
     """`main` as a process of its own, which ends it: at the end nothing is searched for garbage."""
     _fill_streams()
     if sys.stdout is None:
-        complain("standard output is closed; send it to a file, or to /dev/null")
+        print_error("standard output is closed; send it to a file, or to /dev/null")
         sys.exit(1)
     gc.set_threshold(COLLECTED, *gc.get_threshold()[1:])
     code = main()

@@ -9,14 +9,14 @@ import typer
 
 from ..errors import ParameterError
 from ..felt import BOXES, make_hammer
-from ..io import check_sound_target, check_target, encode_wav, limited, one_line, write_file
+from ..io.files import check_sound_target, check_target, encode_wav, escape_controls, limit_peak, write_file
 from ..parameters import Geometry, String, check
 from ..setup import ON_THE_STRING
 from .options import RATE, Force, Seconds, Seed, Sound, Velocity, number
 from .summary import contact_of
 
 if TYPE_CHECKING:
-    from ..published import Preset
+    from ..literature import Preset
 
 __all__ = ["render", "simulate"]
 
@@ -80,13 +80,13 @@ def simulate(
     if setup_out is not None:
         check_target(setup_out, force)
         if setup_out.resolve() == out.resolve():
-            raise ParameterError(f"setup-out={one_line(setup_out)} is also --out; give another name")
-    from ..model.cache import keep_programs
+            raise ParameterError(f"setup-out={escape_controls(setup_out)} is also --out; give another name")
     from ..model.note import check_render
+    from ..model.program_cache import enable_program_cache
     from ..synthetic import synthetic_recording
 
     check_render(velocity, seconds, rate)
-    keep_programs()
+    enable_program_cache()
     string, hammer, geometry = _struck(_described(preset, typical), change, velocity)
     geometry = _placed(geometry, quantity, strike, pickup)
     made = synthetic_recording(
@@ -105,12 +105,12 @@ def simulate(
 
 def _described(preset: str | None, typical: str | None) -> Preset:
     """The string and hammer that exactly one of two options names."""
-    from .. import published
+    from .. import literature
 
     if preset is not None and typical is None:
-        return published.preset(preset)
+        return literature.preset(preset)
     if typical is not None and preset is None:
-        return published.typical(typical)
+        return literature.typical(typical)
     found = "none is" if preset is None else "both are"
     raise typer.BadParameter(f"give --preset NAME or --typical NOTE; {found} given")
 
@@ -161,16 +161,16 @@ def render(
     """Play a fitted string and hammer at any velocity, through its gain and path."""
     check_sound_target(out, force)
     from ..fit_file import load_note
-    from ..model.cache import keep_programs
     from ..model.note import check_render
+    from ..model.program_cache import enable_program_cache
 
     check_render(velocity, seconds, 44_100 if rate is None else rate)
     note, own_rate = load_note(fit_json)
     rate = own_rate if rate is None else rate
-    keep_programs()
+    enable_program_cache()
     played = note._replace(hammer=note.hammer._replace(v_H0=velocity))
     strike = played.strike(rate)
-    samples, gain = limited(played.frames(strike, rate, round(seconds * rate), round(played.lead * rate)))
+    samples, gain = limit_peak(played.render_channels(strike, rate, round(seconds * rate), round(played.pre_onset_s * rate)))
     write_file(out, encode_wav(samples[0] if len(samples) == 1 else samples, rate), force)
     turned = f", brought down by a factor {gain:.3g} to stay below full scale" if gain < 1 else ""
     typer.echo(f"{out}: {seconds:g} s at {velocity:g} m/s, {contact_of(strike)}{turned}")

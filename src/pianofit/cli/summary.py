@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..analysis.notes import near_note
-from ..numbers import beside, bracketed, columns
-from ..report.words import again_in_words, ringing_line
+from ..analysis.note_names import near_note
+from ..io.number_format import columns, format_like, format_with_interval
+from ..report.text import recontact_text, ringing_line
 
 if TYPE_CHECKING:
     from ..model import Simulation
@@ -24,11 +24,11 @@ def comparison(document: dict, true: dict[str, float]) -> str:
     ]
     for name, value in true.items():
         p = document["parameters"][name]
-        found, span = bracketed(p["value"], p["interval"])
+        found, span = format_with_interval(p["value"], p["interval"])
         off = 100 * (p["value"] / value - 1)
         holds = "-" if p["interval"] is None else "yes" if p["interval"][0] <= value <= p["interval"][1] else "NO"
         note = "" if p["status"] == "fitted" else f", {p['status']}"
-        truth = beside(value, p["value"], p["interval"])
+        truth = format_like(value, p["value"], p["interval"])
         lines.append(f"{name:8}{p['initial']:12.5g}{truth:>14}{found:>14}{off:+9.1g} %   {span} {holds}{note}")
     return "\n".join(lines) + "\n"
 
@@ -61,7 +61,7 @@ def summary(document: dict, folder: Path) -> str:
 def contact(derived: dict) -> str:
     """How long the hammer first stayed, and whether it came back."""
     first = f"contact {derived['contact_ms']:.2f} ms"
-    again = again_in_words(derived["later_contacts"])
+    again = recontact_text(derived["later_contacts"])
     return f"{first}; {again}" if again else first
 
 
@@ -78,7 +78,7 @@ def _found(table: dict) -> list[str]:
         open_at = ", ".join(f"{ONLY[end]}: the bound" for end in p.get("interval_open", ()))
         status = p["status"] + (f" ({open_at})" if open_at else "")
         about = {"v": f"  {Path(p['note']).name}", "F": f"  {p['note']}"}.get(name[0], "") if "/" in name else ""
-        value, span = bracketed(p["value"], p["interval"])
+        value, span = format_with_interval(p["value"], p["interval"])
         rows.append((name, value, "" if p["unit"] == "1" else p["unit"], span, status + about))
     return [*columns(rows, right=1), ""] if rows else []
 

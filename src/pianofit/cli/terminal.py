@@ -12,9 +12,9 @@ import typer
 from typer.core import TyperCommand
 
 from ..errors import PianofitError
-from ..io import json_text, one_line
+from ..io.files import escape_controls, json_text
 
-__all__ = ["add", "complain", "tell"]
+__all__ = ["add", "print_error", "print_result"]
 
 
 class _Command(TyperCommand):
@@ -41,20 +41,20 @@ class _Command(TyperCommand):
 def add(app: typer.Typer, command: Callable, example: str) -> None:
     """Give `app` a command whose help ends with an example, and whose errors are one line."""
     first = (command.__doc__ or "").partition("\n")[0]
-    app.command(cls=_Command, short_help=first, epilog=f"\b\nExample:\n  {example}")(_plainly(command))
+    app.command(cls=_Command, short_help=first, epilog=f"\b\nExample:\n  {example}")(_catch_errors(command))
 
 
-def tell(document: dict[str, Any], words: str, as_json: bool) -> None:
+def print_result(document: dict[str, Any], words: str, as_json: bool) -> None:
     """Print what came of a command: as JSON, or in words, whose last line ends."""
     typer.echo(json_text(document) if as_json else words, nl=False)
 
 
-def complain(message: str) -> None:
+def print_error(message: str) -> None:
     """Say what is wrong, on one line whatever is in it."""
-    typer.echo("pianofit: " + one_line(" ".join(message.split())), err=True)
+    typer.echo("pianofit: " + escape_controls(" ".join(message.split())), err=True)
 
 
-def _plainly(command: Callable) -> Callable:
+def _catch_errors(command: Callable) -> Callable:
     """A command whose errors are one line on stderr and an exit code; an interruption's words, if any, are told."""
 
     @functools.wraps(command)
@@ -63,10 +63,10 @@ def _plainly(command: Callable) -> Callable:
             command(*args, **kwargs)
             sys.stdout.flush()
         except PianofitError as error:
-            complain(str(error))
+            print_error(str(error))
             raise typer.Exit(1) from None
         except KeyboardInterrupt as interruption:
-            complain(f"interrupted; {str(interruption) or 'nothing more is written'}")
+            print_error(f"interrupted; {str(interruption) or 'nothing more is written'}")
             raise typer.Exit(130) from None
         except BrokenPipeError:  # whoever read our output has had enough
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -14,10 +14,10 @@ from ..errors import ParameterError
 from ..parameters import HAMMER_NAMES, PARAMETERS, Hammer, Parameter, check
 from .hunt_crossley import HUNT_CROSSLEY
 from .law import COMMON, FeltLaw
-from .relaxing import MemoryHammer
+from .relaxing import RelaxingHammer
 
 __all__ = [
-    "BOXES", "COMMON", "DEFAULT_LAW", "LAWS", "FeltLaw", "MemoryHammer", "check_hammer", "is_own", "law_of",
+    "BOXES", "COMMON", "DEFAULT_LAW", "LAWS", "FeltLaw", "RelaxingHammer", "check_hammer", "is_builtin", "law_of",
     "make_hammer",
 ]  # fmt: skip
 
@@ -33,7 +33,7 @@ DEFAULT_LAW = HUNT_CROSSLEY
 BOXES: dict[str, Parameter] = PARAMETERS | {n: p for law in LAWS.values() for n, p in law.parameters.items()}
 
 
-def is_own(law: FeltLaw) -> bool:
+def is_builtin(law: FeltLaw) -> bool:
     """Whether a law is one of the package's, which a file's name stands for."""
     return LAWS.get(law.name) is law
 
@@ -82,9 +82,9 @@ def make_hammer(values: Mapping[str, float], where: str = "argument", law: FeltL
     if law is not None and law.hammers is None:
         if missing := [name for name in law.boxes if name not in values]:
             raise ParameterError(f"{where}: felt law {law.name}: {', '.join(missing)} missing")
-        return law.of(values)
+        return law.make_hammer(values)
     five = [values[name] for name in HAMMER_NAMES]
-    memory = [values[name] for name in MemoryHammer._fields[len(five) :] if name in values]
+    memory = [values[name] for name in RelaxingHammer._fields[len(five) :] if name in values]
     if len(memory) == 1:
         raise ParameterError(f"{where}: a relaxing felt needs both epsilon and tau; give the other one too")
-    return MemoryHammer(*five, *memory) if memory else Hammer(*five)
+    return RelaxingHammer(*five, *memory) if memory else Hammer(*five)

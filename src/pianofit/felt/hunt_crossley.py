@@ -21,7 +21,7 @@ def literature(name: str) -> Parameter:
     """One of K_H, p and μ: the paper's box, and the literature's value for the key as the prior's median."""
 
     def median(midi: float) -> float:
-        from ..published import typical  # its curves need SciPy, which a command's help does without
+        from ..literature import typical  # its curves need SciPy, which a command's help does without
 
         return getattr(typical(midi).hammer, name)
 

@@ -104,7 +104,7 @@ class FeltLaw:
         found = re.compile(rf"(?<![A-Za-z])({'|'.join(units.split())})(?![A-Za-z])")
         return tuple(name for name, parameter in self.parameters.items() if found.search(parameter.unit))
 
-    def of(self, values: Mapping[str, Any], absent: Any = 0.0) -> Any:
+    def make_hammer(self, values: Mapping[str, Any], absent: Any = 0.0) -> Any:
         """The hammer that `values` by name make; what its type has and the law has not is `absent`."""
         return self.kind(*(values[name] if name in self.boxes else absent for name in self.kind._fields))
 
@@ -118,9 +118,9 @@ class FeltLaw:
         """
         if missing := [name for name in self.boxes if name not in values]:
             raise ParameterError(f"felt law {self.name}: a hammer needs {', '.join(missing)} too")
-        hammer = self.of(check(values, f"felt law {self.name}", self.boxes))
+        hammer = self.make_hammer(check(values, f"felt law {self.name}", self.boxes))
         if self.storage is not None and self.hammers is None:
-            from ..model.felt.passive import check_passive
+            from ..model.felt.passivity import check_passive
 
             check_passive(self, hammer)
         return hammer

@@ -9,15 +9,15 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from ..numbers import summary
+from ..io.number_format import summary
 from ..parameters import Number, Parameter
 from .hunt_crossley import COLUMNS, literature
 from .law import FeltLaw
 
-__all__ = ["LAWS", "STULOV", "MemoryHammer"]
+__all__ = ["LAWS", "STULOV", "RelaxingHammer"]
 
 
-class MemoryHammer(NamedTuple):
+class RelaxingHammer(NamedTuple):
     """A hammer whose felt remembers: F = K_H [u^p (1 + μ u̇) - ε c], τ ċ = u^p - c; with μ = 0 Stulov's felt.
 
     From a hammer of the same stiffness: `MemoryHammer(*hammer._replace(mu=0.0), epsilon, tau)`.
@@ -64,7 +64,7 @@ STULOV = FeltLaw(
     storage,
     slow,
     power=("K_H", "p"),
-    hammers=MemoryHammer,
+    hammers=RelaxingHammer,
     columns=COLUMNS,
     formula=("F = K_H (u^p - ε q)", r"τ \dot{q} = u^p - q"),
 )

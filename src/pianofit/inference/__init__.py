@@ -7,8 +7,8 @@ intervals by other means. `infer` does all of it.
 
 from __future__ import annotations
 
-from .estimate import Estimate, Progress, estimate
-from .infer import Inferred, infer
-from .problem import Problem, pose
+from .map_estimate import Estimate, Progress, map_estimate
+from .pipeline import InferenceResult, run_inference
+from .problem import FitProblem, build_problem
 
-__all__ = ["Estimate", "Inferred", "Problem", "Progress", "estimate", "infer", "pose"]
+__all__ = ["Estimate", "InferenceResult", "FitProblem", "Progress", "map_estimate", "run_inference", "build_problem"]

@@ -15,16 +15,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from .coordinates import STRING_SIZE
-from .descent import HYPER_REACH
-from .estimate import Estimate
-from .lanes import Cfg, Scene, own_levels, own_slopes
-from .likelihood import Table, objective, pointwise
-from .observations import string_residuals
-from .posterior import HYPER
-from .problem import Problem
+from .batched_model import ModelInputs, StaticConfig, level_jacobians_per_string, levels_per_string
+from .laplace import HYPER
+from .likelihood import ObservationTable, objective, pointwise
+from .map_estimate import Estimate
+from .observation_tables import string_residuals
+from .optimiser import HYPER_REACH
+from .parametrisation import STRING_SIZE
+from .problem import FitProblem
 
-__all__ = ["Given", "Point", "folded", "given", "log_density", "log_likelihood", "start"]
+__all__ = ["DensityContext", "Point", "reflect_into_bounds", "density_context", "log_density", "log_likelihood", "start"]
 
 # What lies at a bound is first looked for within its prior, or this share of its box.
 OF_BOX = 0.25
@@ -38,7 +38,7 @@ class Point(NamedTuple):
     log_w: tuple[Array, ...]  # of what was observed
 
 
-class Given(NamedTuple):
+class DensityContext(NamedTuple):
     """The minimum and its coordinates, box and priors, and the tables."""
 
     z: Any  # [size]
@@ -48,7 +48,7 @@ class Given(NamedTuple):
     stiffness: Any  # least and largest log K_H
     log_u: Any
     prior: tuple[Any, Any]  # mean and precision [size]
-    tables: tuple[Table, ...]
+    tables: tuple[ObservationTable, ...]
     phi: tuple[Any, ...]
     w: tuple[Any, ...]
     found: tuple[Any, ...]  # row and column of what was observed [N, 2]
@@ -58,25 +58,25 @@ class Given(NamedTuple):
     column: Any  # the model's, of every column of the table [K]
     cents: Any  # tension of every stroke
     partials: tuple[Any, Any, Any]  # numbers and law of the string's tables, length
-    scene: Scene
+    scene: ModelInputs
 
 
-def given(problem: Problem, found: Estimate) -> Given:
+def density_context(problem: FitProblem, found: Estimate) -> DensityContext:
     """What the density needs, about the best minimum."""
     u, o, minima = problem.unknowns, problem.observed, found.minima
     descent, best = minima.descent, minima.people
-    cents = descent.own_lanes(best.z[:1])[1]
+    cents = descent.model_inputs_with_strings(best.theta[:1])[1]
     everything = (
-        best.z[0], _white(problem, found), (u.lower, u.upper), u.power, np.array(u.stiffness), u.log_u,
+        best.theta[0], _whitening_root(problem, found), (u.lower, u.upper), u.force_and_exponent_index, np.array(u.stiffness), u.log_reference_compression,
         (u.mean, u.precision), descent.tables, tuple(phi[0] for phi in best.phi), tuple(w[0] for w in best.w),
         tuple(np.argwhere(np.asarray(t.found) > 0) for t in descent.tables),
-        best.offset[0], descent.there, descent.stroke, descent.columns, cents,
+        best.offset[0], descent.has_level, descent.stroke, descent.columns, cents,
         (o.string_number, o.law, float(problem.start.geometry.length)), problem.scene,
     )  # fmt: skip
-    return Given(*jax.tree.map(np.asarray, everything))
+    return DensityContext(*jax.tree.map(np.asarray, everything))
 
 
-def _white(problem: Problem, found: Estimate) -> np.ndarray:
+def _whitening_root(problem: FitProblem, found: Estimate) -> np.ndarray:
     """A root of Laplace's covariance of z [size, free]; by prior and box of what is at a bound."""
     u = problem.unknowns
     free, tangent = np.flatnonzero(u.free), np.linalg.inv(u.tangent(found.z))
@@ -92,7 +92,7 @@ def _white(problem: Problem, found: Estimate) -> np.ndarray:
     return out
 
 
-def folded(at: Given, theta):
+def reflect_into_bounds(at: DensityContext, theta):
     """z [size] in the box, and the mirror images of the box beyond it; K_H is folded by the force, p held."""
     moves = (at.white != 0).any(axis=1)
     z = at.z + at.white @ theta
@@ -112,7 +112,7 @@ def _fold(x, low, high):
     return jnp.where(bounded, low + jnp.where(turn < width, turn, 2 * width - turn), x)
 
 
-def start(at: Given, key, apart: float) -> Point:
+def start(at: DensityContext, key, apart: float) -> Point:
     """A point `apart` standard deviations from the minimum in everything."""
     zero = Point(
         jnp.zeros(at.white.shape[1]), tuple(jnp.zeros(n) for n in HYPER), tuple(jnp.zeros(len(x)) for x in at.found)
@@ -122,7 +122,7 @@ def start(at: Given, key, apart: float) -> Point:
     return tree.unflatten([apart * jax.random.normal(k, x.shape) for k, x in zip(keys, leaves, strict=True)])
 
 
-def log_density(at: Given, point: Point, cfg: Cfg):
+def log_density(at: DensityContext, point: Point, cfg: StaticConfig):
     """-F; minus infinity where a contact does not end."""
     at = jax.tree.map(jnp.asarray, at)
     z, ended, terms = _terms(at, point, cfg)
@@ -133,7 +133,7 @@ def log_density(at: Given, point: Point, cfg: Cfg):
     return jnp.where(ended.all(), -F, -jnp.inf)
 
 
-def log_likelihood(at: Given, point: Point, cfg: Cfg) -> tuple[Array, ...]:
+def log_likelihood(at: DensityContext, point: Point, cfg: StaticConfig) -> tuple[Array, ...]:
     """Log density of each observation given all others: of levels, frequencies, decays, and absent partials."""
     at = jax.tree.map(jnp.asarray, at)
     each = [pointwise(table, r, phi, w, jnp) for table, r, phi, w in _terms(at, point, cfg)[2]]
@@ -141,9 +141,9 @@ def log_likelihood(at: Given, point: Point, cfg: Cfg) -> tuple[Array, ...]:
     return *there, each[0][1]
 
 
-def _terms(at: Given, point: Point, cfg: Cfg) -> tuple[Array, Array, list[tuple]]:
+def _terms(at: DensityContext, point: Point, cfg: StaticConfig) -> tuple[Array, Array, list[tuple]]:
     """z, whether contacts ended, and of every table what `objective` takes."""
-    z = folded(at, point.theta)
+    z = reflect_into_bounds(at, point.theta)
     level, ended = _law(at, cfg)(z)
     o = at.tables[0]
     residual = (o.value - level[at.stroke][:, at.column] - at.offset) * at.there
@@ -164,7 +164,7 @@ def _terms(at: Given, point: Point, cfg: Cfg) -> tuple[Array, Array, list[tuple]
     return z, ended, terms
 
 
-def _law(at: Given, cfg: Cfg):
+def _law(at: DensityContext, cfg: StaticConfig):
     """Levels, dB [strokes, rows], and whether contacts ended, at z; derivatives as the search takes them, forward."""
 
     def lanes(z):
@@ -178,11 +178,11 @@ def _law(at: Given, cfg: Cfg):
 
     @jax.custom_jvp
     def law(z):
-        return own_levels(*lanes(z), at.scene, cfg)
+        return levels_per_string(*lanes(z), at.scene, cfg)
 
     @law.defjvp
     def _jvp(primal, tangent):
-        level, slope, ended = own_slopes(*lanes(primal[0]), at.scene, cfg)
+        level, slope, ended = level_jacobians_per_string(*lanes(primal[0]), at.scene, cfg)
         (dz,) = tangent
         string, _, lane = lanes(dz)
         moved = (slope[..., :STRING_SIZE] * string[:, None]).sum(axis=-1)

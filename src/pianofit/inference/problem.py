@@ -11,19 +11,19 @@ import numpy as np
 from ..analysis import SAME_KEY, Analysis, cents_above
 from ..errors import FitError
 from ..felt import BOXES
-from ..io import one_line
+from ..io.files import escape_controls
+from ..io.number_format import counted
 from ..model import Simulation, simulate
-from ..numbers import counted
 from ..parameters import STRING_NAMES, String
-from ..recording import Recording
-from ..setup import Layer, Setup, layer_of
+from ..recording.recording import Recording
+from ..setup import RecordingInfo, Setup, recording_info_for
 from . import priors
-from .coordinates import ABSENT, STRING_SIZE, Unknowns, names_of
-from .lanes import Cfg, Scene
-from .observations import Layout, Observed, observe, string_residuals
-from .start import Start, starting_values
+from .batched_model import ModelInputs, StaticConfig
+from .initial_values import InitialValues, starting_values
+from .observation_tables import Observations, RecordingStructure, observe, string_residuals
+from .parametrisation import ABSENT, STRING_SIZE, Parametrisation, names_of
 
-__all__ = ["Problem", "frame", "pose"]
+__all__ = ["FitProblem", "simulation_grid", "build_problem"]
 
 # A recording with fewer partials above its noise says nothing of the hammer.
 FEWEST = 3
@@ -45,21 +45,21 @@ WIDTHS = (0.3, 2.0)
 
 
 @dataclass(frozen=True)
-class Problem:
+class FitProblem:
     """Everything that stays while a fit searches."""
 
     recordings: tuple[Recording, ...]
     analyses: tuple[Analysis, ...]
-    start: Start
-    layout: Layout
+    start: InitialValues
+    layout: RecordingStructure
     reference: int  # the recording whose pitch is the string's, and whose stroke is shown first
-    speed: tuple[float | None, ...]  # measured velocity of every stroke, m/s
-    presumed: bool  # that the reference's is the one in [known], which names no recording
-    unmatched: tuple[tuple[str, str], ...]  # files of [[recording]] that are a recording's but for their kind, and it
-    unknowns: Unknowns
-    observed: Observed
-    scene: Scene
-    cfg: Cfg
+    measured_velocity: tuple[float | None, ...]  # measured velocity of every stroke, m/s
+    assumed_velocity_of: bool  # that the reference's is the one in [known], which names no recording
+    unmatched_entries: tuple[tuple[str, str], ...]  # files of [[recording]] that are a recording's but for their kind, and it
+    unknowns: Parametrisation
+    observed: Observations
+    scene: ModelInputs
+    cfg: StaticConfig
 
     @property
     def path(self) -> bool:
@@ -72,9 +72,9 @@ class Problem:
         return self.start.scale is not None
 
     @property
-    def unscaled(self) -> bool:
+    def velocity_scale_free(self) -> bool:
         """Whether one common scale of the velocities is open: neither a unit of the levels nor a velocity is known."""
-        return not self.calibrated and all(v is None for v in self.speed)
+        return not self.calibrated and all(v is None for v in self.measured_velocity)
 
     @property
     def velocity(self) -> int:
@@ -88,9 +88,9 @@ class Problem:
         return string_residuals(string, measured, o.string_number, o.law, float(self.start.geometry.length))
 
 
-def pose(
+def build_problem(
     recordings: Sequence[Recording], analyses: Sequence[Analysis], setup: Setup, velocity: float | None = None
-) -> Problem:
+) -> FitProblem:
     """Pose the problem of one or more recordings of a key.
 
     Parameters
@@ -103,32 +103,32 @@ def pose(
         Naming the file that is given twice, of another key, or all noise.
     """
     _refuse(recordings, analyses)
-    entries = [layer_of(setup, recording.path, len(recordings) == 1) for recording in recordings]
+    entries = [recording_info_for(setup, recording.path, len(recordings) == 1) for recording in recordings]
     layout = _layout(entries)
     measured = [velocity if velocity is not None else entry.v_H0 for entry in entries]
     speed: list[float | None] = [None] * layout.strokes
     for stroke, v in zip(layout.stroke, measured, strict=True):
         speed[stroke] = speed[stroke] if v is None else v
     reference = _reference(analyses, layout, speed)
-    analyses = tuple(analysis.decaying_as(analyses[reference]) for analysis in analyses)
+    analyses = tuple(analysis.with_decay_law(analyses[reference]) for analysis in analyses)
     start = starting_values(analyses[reference], replace(setup, recordings=()), speed[layout.stroke[reference]])
-    nameless = "v_H0" in setup.known and speed[layout.stroke[reference]] is None
+    nameless = "v_H0" in setup.fixed and speed[layout.stroke[reference]] is None
     if nameless:
-        speed[layout.stroke[reference]] = setup.known["v_H0"]
+        speed[layout.stroke[reference]] = setup.fixed["v_H0"]
     scale = 0.0 if start.scale is None else 20 * np.log10(start.scale)
     path = start.scale is None and start.quantity == "pressure"
     observed = observe(analyses, layout, reference, scale, path, start.scale is None)
     unknowns, scene, cfg = _model(start, speed, observed, max(r.rate for r in recordings), path)
     if not unknowns.free.any():
         raise FitError("nothing is left to fit: [known] holds everything; leave out what is to be found")
-    return Problem(
+    return FitProblem(
         tuple(recordings), analyses, start, layout, reference, tuple(speed), nameless and layout.strokes > 1,
         _unmatched(setup, recordings), unknowns, observed, scene, cfg,
     )  # fmt: skip
 
 
 def _refuse(recordings: Sequence[Recording], analyses: Sequence[Analysis]) -> None:
-    names = [one_line(Path(r.path).name) for r in recordings]
+    names = [escape_controls(Path(r.path).name) for r in recordings]
     for i, (name, recording, analysis) in enumerate(zip(names, recordings, analyses, strict=True)):
         for other in range(i):
             if recording.sha256 == recordings[other].sha256:
@@ -153,20 +153,20 @@ def _unmatched(setup: Setup, recordings: Sequence[Recording]) -> tuple[tuple[str
     return tuple((one, name) for one, name in near if name)
 
 
-def _layout(entries: Sequence[Layer]) -> Layout:
+def _layout(entries: Sequence[RecordingInfo]) -> RecordingStructure:
     def index(names: list) -> tuple[int, ...]:
         known = list(dict.fromkeys(names))
         return tuple(known.index(name) for name in names)
 
     alone = [("", i) for i in range(len(entries))]
-    return Layout(
+    return RecordingStructure(
         index([own if e.stroke is None else e.stroke for e, own in zip(entries, alone, strict=True)]),
         index([e.group or "" for e in entries]),
         index([own if e.gain_group is None else e.gain_group for e, own in zip(entries, alone, strict=True)]),
     )
 
 
-def _reference(analyses: Sequence[Analysis], layout: Layout, speed: Sequence[float | None]) -> int:
+def _reference(analyses: Sequence[Analysis], layout: RecordingStructure, speed: Sequence[float | None]) -> int:
     """The fastest recording whose velocity was measured, else the brightest."""
 
     def order(i: int) -> tuple[float, float]:
@@ -178,25 +178,25 @@ def _reference(analyses: Sequence[Analysis], layout: Layout, speed: Sequence[flo
 
 
 def _model(
-    start: Start, speed: Sequence[float | None], observed: Observed, rate: float, path: bool
-) -> tuple[Unknowns, Scene, Cfg]:
+    start: InitialValues, speed: Sequence[float | None], observed: Observations, rate: float, path: bool
+) -> tuple[Parametrisation, ModelInputs, StaticConfig]:
     """Priors and boxes of the unknowns, and what the model is run at."""
     geometry = start.geometry
     string = String(*(start.values[n] for n in STRING_NAMES))
-    first = simulate(string, start.usual._replace(v_H0=2.0), geometry, rate=rate, quantity=start.quantity)
+    first = simulate(string, start.reference_hammer._replace(v_H0=2.0), geometry, rate=rate, quantity=start.quantity)
     # A stiffness that is known is held as it is: at 1 m it is the force.
     held = start.law.power is None or start.law.power[0] in start.fixed
     log_u = 0.0 if held else float(np.log(0.5 * first.pulse.compression.max()))
     unknowns = _unknowns(start, speed, log_u, path)
-    contact_rate, steps, rows = frame(first, 2 * geometry.strike / string.c, int(observed.number.max()), LONGEST)
+    contact_rate, steps, rows = simulation_grid(first, 2 * geometry.strike_position / string.c, int(observed.number.max()), LONGEST)
     size = tuple(map(np.float64, geometry))
     free = np.append(np.flatnonzero(unknowns.free[STRING_SIZE : unknowns.shared]), unknowns.shared - STRING_SIZE)
     free = np.pad(free, (0, -len(free) % DIRECTIONS), constant_values=-1)
-    scene = Scene(type(geometry)(*size), np.float64(contact_rate), np.float64(log_u), np.int64(steps), free)  # pyright: ignore[reportArgumentType]
-    return unknowns, scene, Cfg(max(first.modes.pole.shape[0], rows), rows, start.quantity, start.law)
+    scene = ModelInputs(type(geometry)(*size), np.float64(contact_rate), np.float64(log_u), np.int64(steps), free)  # pyright: ignore[reportArgumentType]
+    return unknowns, scene, StaticConfig(max(first.modes.pole.shape[0], rows), rows, start.quantity, start.law)
 
 
-def frame(first: Simulation, round_trip: float, last: int, longest: float) -> tuple[float, int, int]:
+def simulation_grid(first: Simulation, round_trip: float, last: int, longest: float) -> tuple[float, int, int]:
     """The contact's rate, Hz, its steps, and rows of partials, in the multiples by which notes share programs.
 
     Parameters
@@ -210,10 +210,10 @@ def frame(first: Simulation, round_trip: float, last: int, longest: float) -> tu
     return rate, steps, ROWS * int(np.ceil(last / ROWS))
 
 
-def _unknowns(start: Start, speed: Sequence[float | None], log_u: float, path: bool) -> Unknowns:
+def _unknowns(start: InitialValues, speed: Sequence[float | None], log_u: float, path: bool) -> Parametrisation:
     values, geometry, law = start.values, start.geometry, start.law
     names, boxes = names_of(law), BOXES | law.boxes
-    spread = priors.STRING_SPREAD | priors.HAMMER_SPREAD | {n: p.deviation for n, p in law.parameters.items()}
+    spread = priors.STRING_SPREAD | priors.HAMMER_SPREAD | {n: p.prior_sd for n, p in law.parameters.items()}
     # A loss that the law does not have has no spread, and is held.
     mean = np.array([np.log(max(values[n], 1e-300)) if n in spread else ABSENT for n in names])
     sd = np.array([0.0 if n != "width" and start.fixed.get(n) == "fixed" else spread.get(n, 0.0) for n in names])
@@ -235,4 +235,4 @@ def _unknowns(start: Start, speed: Sequence[float | None], log_u: float, path: b
     mean = np.append(mean, velocities)
     sd = np.append(sd, [0.0 if k else priors.VELOCITY_SPREAD for k in known])
     mean = np.where(sd > 0, np.clip(mean, lower, upper), mean)
-    return Unknowns(mean, sd, lower, upper, log_u, stiffness, geometry, law)
+    return Parametrisation(mean, sd, lower, upper, log_u, stiffness, geometry, law)

@@ -18,16 +18,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..units import NORMAL
-from .descent import Descent
-from .estimate import Estimate
-from .problem import Problem
-from .views import View, open_messages, reported
+from ..conversions import NORMAL
+from .intervals import IntervalResult, reported_parameters, unbounded_warnings
+from .map_estimate import Estimate
+from .optimiser import Optimiser
+from .problem import FitProblem
 
-__all__ = ["RISE", "profiles"]
+__all__ = ["DELTA_NLL_95", "profiles"]
 
 # Of F, at the ends of a 95 % interval: half the square of the normal's quantile.
-RISE = NORMAL**2 / 2
+DELTA_NLL_95 = NORMAL**2 / 2
 # Walks at a time: a step of one is mostly a single program on a single core.
 WALKERS = 4
 # Values on one side.
@@ -52,20 +52,20 @@ class _Point(NamedTuple):
     F: float
 
 
-class _Walk(NamedTuple):
+class _ProfileBranch(NamedTuple):
     points: list[_Point]  # outward from the minimum
     end: float  # log
     open: bool  # at the box, or as far as was looked
 
 
-def profiles(problem: Problem, found: Estimate) -> View:
+def profiles(problem: FitProblem, found: Estimate) -> IntervalResult:
     """Intervals of what is shared and free, and of the reference stroke's velocity, by profiles of F."""
-    names = reported(problem)
+    names = reported_parameters(problem)
     profile = _Profile(problem, found)
     jobs = [(i, side) for i in names.values() for side in (-1.0, 1.0)]
     # Threads of their own: a walk waits for programs in `lanes.pool`, in which it must not itself stand.
     with ThreadPoolExecutor(WALKERS) as threads:
-        walks = list(threads.map(lambda job: profile.walk(*job), jobs))
+        walks = list(threads.map(lambda job: profile.trace_branch(*job), jobs))
     entries, told = {}, {}
     lower = dict.fromkeys(names, 0.0)
     for (name, i), low, high in zip(names.items(), walks[::2], walks[1::2], strict=True):
@@ -76,7 +76,7 @@ def profiles(problem: Problem, found: Estimate) -> View:
         rises = [[float(np.exp(p.log)), p.F - profile.start.F] for p in points if np.isfinite(p.F)]
         told[name] = {"points": rises, "evaluations": len(points)}
         lower[name] = float(found.minima.F.min()) - min(p.F for p in points)
-    return View("profile", entries, (*_messages(lower), *open_messages(entries)), {"profile": told})
+    return IntervalResult("profile", entries, (*_messages(lower), *unbounded_warnings(entries)), {"profile": told})
 
 
 def _messages(lower: dict[str, float]) -> list[str]:
@@ -91,7 +91,7 @@ def _messages(lower: dict[str, float]) -> list[str]:
 class _Profile:
     """F about the best minimum with one value held."""
 
-    def __init__(self, problem: Problem, found: Estimate) -> None:
+    def __init__(self, problem: FitProblem, found: Estimate) -> None:
         self.problem, self.unknowns = problem, problem.unknowns
         self.mean, self.covariance = found.posterior.mean[0], found.posterior.covariance[0]
         best = found.minima.people.take(np.array([0]))
@@ -100,63 +100,63 @@ class _Profile:
         # As far down as along the way: else a rise would hold what the search left.
         self.start = self._lowest(problem, at)
 
-    def _lowest(self, problem: Problem, near: _Point) -> _Point:
+    def _lowest(self, problem: FitProblem, near: _Point) -> _Point:
         """The minimum of F with the unknowns of `problem`, from `near`; infinite if a contact does not end there."""
         u = problem.unknowns
         z = u.project(u.from_log_values(near.x))
-        search = Descent(problem)
-        begun = search.begun(z[None], near.phi, near.w, self.offset)
+        search = Optimiser(problem)
+        begun = search.initialise(z[None], near.phi, near.w, self.offset)
         if not len(begun):
             return near._replace(F=np.inf)
-        one = search.descend(begun, 0.0, ITERATIONS, TOLERANCE)
-        return _Point(near.log, u.log_values(one.z[0]), one.phi, one.w, float(search.total(one)[0]))
+        one = search.minimise(begun, 0.0, ITERATIONS, TOLERANCE)
+        return _Point(near.log, u.log_values(one.theta[0]), one.phi, one.w, float(search.total(one)[0]))
 
     def _held(self, i: int, log: float, near: _Point, x: np.ndarray) -> _Point:
         """The minimum with value `i` held, from `x` [size] and the nuisances of `near`."""
-        unknowns = self.unknowns.held(i, log)
+        unknowns = self.unknowns.fix_parameter(i, log)
         x = x.copy()
         x[i] = log
         return self._lowest(replace(self.problem, unknowns=unknowns), near._replace(log=log, x=x))
 
-    def height(self, point: _Point) -> float:
+    def normalised_rise(self, point: _Point) -> float:
         """1 where the rise is what is asked; linear in the distance where F is a parabola."""
-        return float(np.sqrt(max(point.F - self.start.F, 0.0) / RISE))
+        return float(np.sqrt(max(point.F - self.start.F, 0.0) / DELTA_NLL_95))
 
-    def walk(self, i: int, side: float) -> _Walk:
+    def trace_branch(self, i: int, side: float) -> _ProfileBranch:
         """Outward on one side until F has risen more than asked, then back to where it is just that."""
         here, edge = float(self.start.x[i]), self.unknowns.range(i)[int(side > 0)]
         points = [self.start._replace(log=here)]
         variance = self.covariance[i, i]
         along = self.covariance[i] / variance if variance > 0 else np.eye(len(self.mean))[i]
-        step = min(0.5 * np.sqrt(2 * RISE * variance), FIRST_STEP) if variance > 0 else FIRST_STEP
-        while len(points) < MOST and self.height(points[-1]) < 1 - NEAR:
+        step = min(0.5 * np.sqrt(2 * DELTA_NLL_95 * variance), FIRST_STEP) if variance > 0 else FIRST_STEP
+        while len(points) < MOST and self.normalised_rise(points[-1]) < 1 - NEAR:
             last = points[-1]
             if side * (edge - last.log) <= 1e-9:
-                return _Walk(points, edge, True)
+                return _ProfileBranch(points, edge, True)
             if len(points) > 1:
-                along, step = self._onward(points[-2], last, step)
+                along, step = self._extrapolate(points[-2], last, step)
             log = last.log + side * min(step, side * (edge - last.log))
             points.append(self._held(i, log, last, last.x + along * (log - last.log)))
-        if self.height(points[-1]) < 1 - NEAR:
-            return _Walk(points, points[-1].log, True)
+        if self.normalised_rise(points[-1]) < 1 - NEAR:
+            return _ProfileBranch(points, points[-1].log, True)
         return self._crossing(i, points)
 
-    def _onward(self, before: _Point, last: _Point, step: float) -> tuple[np.ndarray, float]:
+    def _extrapolate(self, before: _Point, last: _Point, step: float) -> tuple[np.ndarray, float]:
         """Where the others are heading, per unit of log, and how far to go: to the crossing if it is near."""
         apart = last.log - before.log
-        slope = (self.height(last) - self.height(before)) / abs(apart)
-        wanted = (1 - self.height(last)) / slope if slope > 0 else np.inf
+        slope = (self.normalised_rise(last) - self.normalised_rise(before)) / abs(apart)
+        wanted = (1 - self.normalised_rise(last)) / slope if slope > 0 else np.inf
         return (last.x - before.x) / apart, float(np.clip(wanted, 0.02 * step, 2.0 * step))
 
-    def _crossing(self, i: int, points: list[_Point]) -> _Walk:
+    def _crossing(self, i: int, points: list[_Point]) -> _ProfileBranch:
         """Where the rise is just asked: by secants between the last two points, whose tries join the others."""
         below, above = points[-2:]
         while True:
-            low, high = self.height(below), self.height(above)
+            low, high = self.normalised_rise(below), self.normalised_rise(above)
             share = (1 - low) / (high - low) if np.isfinite(high) else 0.0
             if high - 1 <= NEAR or 1 - low <= NEAR or len(points) >= MOST:
-                return _Walk(points, below.log + share * (above.log - below.log), False)
+                return _ProfileBranch(points, below.log + share * (above.log - below.log), False)
             share = share if high <= STEEP else 0.5
             log = below.log + share * (above.log - below.log)
             points.append(self._held(i, log, below, below.x + share * (above.x - below.x)))
-            below, above = (points[-1], above) if self.height(points[-1]) < 1 else (below, points[-1])
+            below, above = (points[-1], above) if self.normalised_rise(points[-1]) < 1 else (below, points[-1])

@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import OutputError
-from ..io import one_line, replace_file
+from ..io.files import escape_controls, replace_file
 from ..report.sound import Clip
-from .page import Heard
+from .page import TestSound
 
 __all__ = ["write_experiment"]
 
@@ -25,7 +25,7 @@ PAIR = "Which of the two is the reference?"
 BUFFER = 2048
 
 
-def write_experiment(folder: Path, clips: list[tuple[Heard, Clip]], reference: str) -> None:
+def write_experiment(folder: Path, clips: list[tuple[TestSound, Clip]], reference: str) -> None:
     """Write `configs/pianofit.yaml` and the sounds, to be copied into a webMUSHRA.
 
     Parameters
@@ -39,7 +39,7 @@ def write_experiment(folder: Path, clips: list[tuple[Heard, Clip]], reference: s
     try:
         sounds.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise OutputError(f"{one_line(sounds)}: no folder can be made ({error.strerror}); choose another") from None
+        raise OutputError(f"{escape_controls(sounds)}: no folder can be made ({error.strerror}); choose another") from None
     cases: dict[str, dict[str, str]] = {}
     for heard, clip in clips:
         replace_file(sounds / f"{clip.name}.wav", clip.wav)

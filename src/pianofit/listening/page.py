@@ -17,11 +17,11 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from .. import __version__
-from ..io import json_text, replace_file
-from ..report.kit import write_page
+from ..io.files import json_text, replace_file
+from ..report.html import write_page
 from ..report.sound import Clip, make_clips
 
-__all__ = ["ANSWERS", "Heard", "Question", "write_listening"]
+__all__ = ["ANSWERS", "TestSound", "Question", "write_listening"]
 
 # Schema of the answers that a page saves, and of its key.
 ANSWERS = 2
@@ -30,7 +30,7 @@ MINUTES = 0.25
 
 
 @dataclass(frozen=True, eq=False)
-class Heard:
+class TestSound:
     """A sound of the test, which is no other however alike."""
 
     what: str  # what it is, hidden until the end
@@ -45,8 +45,8 @@ class Question(NamedTuple):
     `abx`: which of the pair is X? X is one of them, drawn for each time by the seed, whatever `reference` is.
     """
 
-    reference: Heard
-    pair: tuple[Heard, Heard]
+    reference: TestSound
+    pair: tuple[TestSound, TestSound]
     times: int = 2
     kind: Literal["abx", "nearer"] = "nearer"
 
@@ -66,12 +66,12 @@ class Trial(NamedTuple):
     """One question as it is put."""
 
     question: Question
-    reference: Heard
-    a: Heard
-    b: Heard
+    reference: TestSound
+    a: TestSound
+    b: TestSound
 
     @property
-    def hit(self) -> Heard:
+    def hit(self) -> TestSound:
         """Which answer counts: the reference where it is one of the two, or else the first of the pair."""
         return self.reference if self.reference in (self.a, self.b) else self.question.pair[0]
 
@@ -79,7 +79,7 @@ class Trial(NamedTuple):
 def write_listening(
     path: str | os.PathLike[str], questions: list[Question], rate: int, onset: float, seed: int, *, program: str,
     about: str, origin: str, key: str | os.PathLike[str], seconds: float = 8.0,
-) -> list[tuple[Heard, Clip]]:  # fmt: skip
+) -> list[tuple[TestSound, Clip]]:  # fmt: skip
     """Write the page, and the key to it.
 
     Parameters

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ..errors import ParameterError
-from ..io import load_json, one_line, shown
+from ..io.files import escape_controls, load_json, short_repr
 from .page import ANSWERS
 
 __all__ = ["Count", "count_answers"]
@@ -42,7 +42,7 @@ def count_answers(files: Sequence[Path]) -> list[Count]:
     for path in files:
         trials, text = _trials(path)
         if text in seen:
-            raise ParameterError(f"{one_line(path)}: holds the same answers as {one_line(seen[text])}; give each once")
+            raise ParameterError(f"{escape_controls(path)}: holds the same answers as {escape_controls(seen[text])}; give each once")
         seen[text] = path
         for condition, hit in trials:
             hits.setdefault(condition, []).append(hit)
@@ -56,10 +56,10 @@ def count_answers(files: Sequence[Path]) -> list[Count]:
 
 def _trials(path: Path) -> tuple[list[tuple[str, bool]], str]:
     """Of each answer what was asked and whether it was a hit; and the file's content in one form."""
-    where = one_line(path)
+    where = escape_controls(path)
     content = load_json(path, LARGEST_FILE, "answers of a listening test", WAY_OUT, ParameterError)
     if not isinstance(content, dict) or content.get("schema") != ANSWERS or not isinstance(content.get("trials"), list):
-        found = shown(content.get("schema")) if isinstance(content, dict) else "none"
+        found = short_repr(content.get("schema")) if isinstance(content, dict) else "none"
         raise ParameterError(f"{where}: no answers of a listening test (schema {found}, must be {ANSWERS}); {WAY_OUT}")
     trials = [_trial(trial, f"{where}: trials[{n}]") for n, trial in enumerate(content["trials"])]
     if not trials:
@@ -69,10 +69,10 @@ def _trials(path: Path) -> tuple[list[tuple[str, bool]], str]:
 
 def _trial(trial: Any, where: str) -> tuple[str, bool]:
     if not isinstance(trial, dict):
-        raise ParameterError(f"{where} is {shown(trial)}, no answer; {WAY_OUT}")
+        raise ParameterError(f"{where} is {short_repr(trial)}, no answer; {WAY_OUT}")
     condition, chosen, hit = (trial.get(name) for name in ("condition", "chosen", "hit"))
     if not (isinstance(condition, str) and chosen in ("a", "b") and hit in ("a", "b")):
         raise ParameterError(
-            f"{where}: condition is {shown(condition)}, chosen {shown(chosen)}, hit {shown(hit)}; {WAY_OUT}"
+            f"{where}: condition is {short_repr(condition)}, chosen {short_repr(chosen)}, hit {short_repr(hit)}; {WAY_OUT}"
         )
-    return one_line(condition), chosen == hit
+    return escape_controls(condition), chosen == hit

@@ -12,15 +12,15 @@ from typing import NamedTuple
 import numpy as np
 
 from ..errors import RecordingError, check_range
-from ..io import one_line
-from ..numbers import counted
-from ..recording import Recording
-from .gates import failures
+from ..io.files import escape_controls
+from ..io.number_format import counted
+from ..recording.recording import Recording
+from .artefact_checks import failures
 from .mushra import write_experiment
-from .page import Heard, Question, write_listening
+from .page import Question, TestSound, write_listening
 from .pairs import MOST, load_pair, pairs_of
 
-__all__ = ["Made", "listening_test"]
+__all__ = ["TestSummary", "listening_test"]
 
 # Before the onset, s: a knock may begin 12 ms earlier. Half of it fades in.
 LEAD = 0.02
@@ -28,7 +28,7 @@ LEAD = 0.02
 MOST_TRIALS = 500
 
 
-class Made(NamedTuple):
+class TestSummary(NamedTuple):
     """What a test is made of."""
 
     names: list[str]  # of the sounds that are asked about
@@ -39,7 +39,7 @@ class Made(NamedTuple):
 
 def listening_test(
     a: Path, b: Path, folder: Path, *, reference: Path | None, trials: int, seconds: float, seed: int, leave_out: bool
-) -> Made:
+) -> TestSummary:
     """Write `listen.html`, its key, and the same as a webMUSHRA experiment.
 
     Parameters
@@ -62,20 +62,20 @@ def listening_test(
     draw = np.random.default_rng(seed)
     labels, (groups, alone) = _labels(sides), pairs_of(sides)
     loaded = {name: load_pair(groups[name]) for name in sorted(draw.permutation([*groups])[:MOST].tolist())}
-    failed = [f"{one_line(r.path)}: {words}" for group in loaded.values() for r in group for words in failures(r)]
+    failed = [f"{escape_controls(r.path)}: {words}" for group in loaded.values() for r in group for words in failures(r)]
     kept = {name: group for name, group in loaded.items() if not any(map(failures, group))}
     if failed and not (leave_out and kept):
         raise RecordingError(f"{'; '.join(failed)} (or give --leave-out, where other sounds remain)")
     rate = _common(list(kept.values()))
     heard = [_heard(name, labels, kept[name], seconds) for name in sorted(draw.permutation([*kept])[:trials].tolist())]
-    questions = [question for order in _conditions(heard) for question in _in_turn(order, trials, draw)]
+    questions = [question for order in _conditions(heard) for question in _balanced_trials(order, trials, draw)]
     clips = write_listening(
         folder / "listen.html", questions, rate, LEAD, seed, program="pianofit listen",
         about=f"{counted(len(heard), 'sound')}, each in two versions", key=folder / "key.json", seconds=seconds,
         origin=f"the same sounds in {'a third version' if reference else 'one of the two versions'}",
     )  # fmt: skip
     write_experiment(folder / "webmushra", clips, labels[-1] if reference else labels[0])
-    return Made([one[0].case for one in heard], alone, failed, sum(question.times for question in questions))
+    return TestSummary([one[0].case for one in heard], alone, failed, sum(question.times for question in questions))
 
 
 def _labels(sides: list[Path]) -> list[str]:
@@ -85,8 +85,8 @@ def _labels(sides: list[Path]) -> list[str]:
         for depth in range(1, max(map(len, ends)) + 1):
             labels = ["/".join(parts[-depth:]) for parts in ends]
             if len({*labels}) == len(labels) and all(labels):
-                return [one_line(label) for label in labels]
-    raise RecordingError(f"{one_line(sides[0])}: is given twice; two different folders or files are compared")
+                return [escape_controls(label) for label in labels]
+    raise RecordingError(f"{escape_controls(sides[0])}: is given twice; two different folders or files are compared")
 
 
 def _common(groups: list[list[Recording]]) -> int:
@@ -96,17 +96,17 @@ def _common(groups: list[list[Recording]]) -> int:
         for one in group:
             if one.rate != first.rate:
                 raise RecordingError(
-                    f"{one_line(one.path)}: has {one.rate} Hz, {one_line(first.path)} {first.rate}; resample one"
+                    f"{escape_controls(one.path)}: has {one.rate} Hz, {escape_controls(first.path)} {first.rate}; resample one"
                 )
             if len(one.frames) != len(group[0].frames):
                 raise RecordingError(
-                    f"{one_line(one.path)}: has {counted(len(one.frames), 'channel')}, {one_line(group[0].path)} "
+                    f"{escape_controls(one.path)}: has {counted(len(one.frames), 'channel')}, {escape_controls(group[0].path)} "
                     f"{len(group[0].frames)}: that alone would tell them apart; make them alike"
                 )
     return first.rate
 
 
-def _heard(name: str, labels: list[str], group: list[Recording], seconds: float) -> list[Heard]:
+def _heard(name: str, labels: list[str], group: list[Recording], seconds: float) -> list[TestSound]:
     """The sounds of one name, cut to their onsets and to one length."""
     rate = group[0].rate
     lead = round(LEAD * rate)
@@ -117,11 +117,11 @@ def _heard(name: str, labels: list[str], group: list[Recording], seconds: float)
         begin = one.onset - lead
         cut = np.pad(one.frames[:, max(begin, 0) : begin + size], ((0, 0), (max(-begin, 0), 0)))
         cut[:, : len(fade)] *= fade
-        found.append(Heard(label, name, cut))
+        found.append(TestSound(label, name, cut))
     return found
 
 
-def _conditions(heard: list[list[Heard]]) -> list[list[Question]]:
+def _conditions(heard: list[list[TestSound]]) -> list[list[Question]]:
     """What is asked of each name, condition by condition."""
     if len(heard[0]) == 2:
         return [[Question(a, (a, b), kind="abx") for a, b in heard], [Question(a, (a, b)) for a, b in heard]]
@@ -133,7 +133,7 @@ def _conditions(heard: list[list[Heard]]) -> list[list[Question]]:
     ]
 
 
-def _in_turn(questions: list[Question], trials: int, draw: np.random.Generator) -> list[Question]:
+def _balanced_trials(questions: list[Question], trials: int, draw: np.random.Generator) -> list[Question]:
     """`questions` asked `trials` times in all, each as often as the others or once more."""
     each, more = divmod(trials, len(questions))
     often = dict.fromkeys(draw.permutation(len(questions))[:more].tolist(), each + 1)

@@ -7,10 +7,10 @@ A string is a table of modes (`modes`), contact is one scalar equation per step 
 from .contact import Pulse, kernel, strike
 from .excitation import pluck
 from .felt import felt_force, static_force
+from .free_response import level_db, levels, mobility, modal_amplitudes, spectrum, waveform
 from .modes import Modes, mode_frequencies, mode_table, project, window_weights
 from .note import Note
-from .path import OutputPath
-from .response import level_db, levels, mobility, ringing, spectrum, waveform
+from .output_path import OutputPath
 from .simulate import Simulation, contact_rate, simulate
 
 __all__ = [
@@ -29,7 +29,7 @@ __all__ = [
     "mode_table",
     "pluck",
     "project",
-    "ringing",
+    "modal_amplitudes",
     "simulate",
     "spectrum",
     "static_force",

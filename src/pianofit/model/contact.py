@@ -19,24 +19,24 @@ from jax.core import Tracer
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Bool, Complex, Float
 
+from ..dsp.damped_sums import BLOCK, real_powers, ring
 from ..errors import ParameterError
-from ..numbers import summary
+from ..io.number_format import summary
 from ..parameters import HAMMER_NAMES
-from .exponentials import BLOCK, real_powers, ring
-from .felt import compression, force, memory_weights, remember
+from .felt import compression, force, memory_weights, update_relaxation
 from .modes import Modes
-from .precision import AnyArray, derivative, float64
+from .x64 import AnyArray, derivative, float64
 
 __all__ = [
     "FreeMotion",
     "Pulse",
-    "Struck",
-    "follow",
+    "PostContactState",
+    "strike_moving_string",
     "free_motion",
     "impulse_amplitude",
     "kernel",
     "kernel_rows",
-    "leave",
+    "strike_final_state",
     "strike",
 ]
 
@@ -55,12 +55,12 @@ class Pulse(NamedTuple):
         return summary(self)
 
 
-class Struck(NamedTuple):
+class PostContactState(NamedTuple):
     """What a contact left behind, `steps` steps after the first touch."""
 
     amplitude: Complex[Array, " modes"]  # of every mode, m: q_n = Re(amplitude · z^(n - steps)) from then on
     steps: Array
-    apart: Bool[Array, ""]  # whether hammer and string are apart by then
+    separated: Bool[Array, ""]  # whether hammer and string are apart by then
 
 
 class FreeMotion(NamedTuple):
@@ -78,7 +78,7 @@ class FreeMotion(NamedTuple):
 def impulse_amplitude(modes: Modes) -> Complex[Array, " modes"]:
     """C_k: a unit `T` at step 0 leaves the mode at q_n = Re(C_k z_k^n), n ≥ 0. m/N."""
     a = modes.step / 2
-    v = a * modes.drive / (1 + 2 * a * modes.alpha + a**2 * modes.omega2)
+    v = a * modes.modal_gain / (1 + 2 * a * modes.alpha + a**2 * modes.omega2)
     q = a * v
     return q - 1j * (v + modes.alpha * q) / jnp.sqrt(modes.omega2 - modes.alpha**2)
 
@@ -103,8 +103,8 @@ def free_motion(
     """The motion of a string released at t = 0 with modal `displacement`, m, and `velocity`, m/s [modes]."""
     rate = modes.free_rate
     amplitude = displacement - 1j * (velocity - rate.real * displacement) / rate.imag
-    silent = modes.drive == 0  # at a node of the strike: never meets the hammer
-    mass = jnp.where(silent, 0.0, modes.strike / jnp.where(silent, 1.0, modes.drive))
+    silent = modes.modal_gain == 0  # at a node of the strike: never meets the hammer
+    mass = jnp.where(silent, 0.0, modes.strike / jnp.where(silent, 1.0, modes.modal_gain))
     # The scheme's own velocity, for its own energy: p̃ = (z - 1)/(z + 1)/a.
     z_1 = jnp.expm1(modes.pole * modes.step)
     velocity = (amplitude * z_1 / (2 + z_1)).real * (2 / modes.step)
@@ -163,7 +163,7 @@ def strike(
     drive, force, u, y_hammer, v_hammer = _march(modes, hammer, under, speed, rows)
     own = y_hammer - u - under
     work = 0.5 * (drive[1:] * (own[1:] - own[:-1])).sum()
-    over = _gone(modes, u[-1], y_hammer[-1], v_hammer[-1], work, *energy)
+    over = _cannot_return(modes, u[-1], y_hammer[-1], v_hammer[-1], work, *energy)
     if whole and not isinstance(over, Tracer) and not over:
         after = f"steps={steps}: the contact is not proven to be over after {float(steps * modes.step):.2g} s"
         given = hammer._asdict()
@@ -173,7 +173,7 @@ def strike(
 
 
 @float64
-def leave(modes: Modes, hammer: Any, *, steps: int | AnyArray) -> Struck:
+def strike_final_state(modes: Modes, hammer: Any, *, steps: int | AnyArray) -> PostContactState:
     """What `strike` leaves in the modes of a string at rest, marching only until the contact is proven to be over.
 
     Parameters
@@ -185,11 +185,11 @@ def leave(modes: Modes, hammer: Any, *, steps: int | AnyArray) -> Struck:
     zero = jnp.zeros_like(modes.step)
     rest = FreeMotion(jnp.zeros_like(modes.pole), zero, zero)
     count, ((real, imag), _), apart, *_ = _until_over(modes, hammer, rest, steps)
-    return Struck(real + 1j * imag, jnp.asarray(count * BLOCK + 1), apart)
+    return PostContactState(real + 1j * imag, jnp.asarray(count * BLOCK + 1), apart)
 
 
 @float64
-def follow(
+def strike_moving_string(
     modes: Modes, hammer: Any, displacement: Float[AnyArray, " modes"], velocity: Float[AnyArray, " modes"],
     powers: tuple[AnyArray, AnyArray], steps: int,
 ) -> tuple[Float[Array, " steps"], Float[Array, " steps"], Bool[Array, ""]]:  # fmt: skip
@@ -236,7 +236,7 @@ def _until_over(
         energy = energy + 0.5 * (outputs[0] * (string - jnp.append(before, string[:-1]))).sum()
         at = (1 + count * BLOCK,)
         kept = tuple(jax.lax.dynamic_update_slice(*x, at) for x in zip(kept, outputs, strict=False))
-        return count + 1, carry, u[-1] <= 0, string[-1], energy, kept, _gone(modes, u[-1], y[-1], v[-1], energy)
+        return count + 1, carry, u[-1] <= 0, string[-1], energy, kept, _cannot_return(modes, u[-1], y[-1], v[-1], energy)
 
     no = jnp.asarray(False)
     begin = (0, ((turned.real, turned.imag), first), no, under, free.energy, kept, no)
@@ -244,15 +244,15 @@ def _until_over(
     return count, carry, apart, kept, over
 
 
-def _gone(modes: Modes, u: Array, y_hammer: Array, v_hammer: Array, *energies: AnyArray) -> Array:
+def _cannot_return(modes: Modes, u: Array, y_hammer: Array, v_hammer: Array, *energies: AnyArray) -> Array:
     """Whether the hammer moves away, further off than a string of these energies can follow."""
-    reach = sum(_reach(modes, energy) for energy in energies)
+    reach = sum(_max_displacement(modes, energy) for energy in energies)
     return (u <= 0) & (v_hammer <= 0) & (y_hammer + reach <= 0)
 
 
-def _reach(modes: Modes, energy: AnyArray) -> Array:
+def _max_displacement(modes: Modes, energy: AnyArray) -> Array:
     """The farthest a string of this energy can be from rest under the hammer, m (Cauchy-Schwarz over the modes)."""
-    compliance = (modes.strike * modes.drive / modes.omega2).sum()
+    compliance = (modes.strike * modes.modal_gain / modes.omega2).sum()
     return jnp.sqrt(2 * jnp.maximum(energy, 0.0) * compliance)
 
 
@@ -297,7 +297,7 @@ def _blocks(
             u_new = compression(e, u, w, f, c, a, hammer, weights, memory)
             w_new = (u_new - u) / a - w
             f_new = force(u_new, w_new, e - c * f, c, a, hammer, weights, memory)
-            memory = remember(u_new, hammer, weights, memory)
+            memory = update_relaxation(u_new, hammer, weights, memory)
             t = f_new + f
             v_new = v - a / hammer.M_H * t
             y_new = y + a * (v + v_new)

@@ -10,10 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..units import BEAT
-from .modal import Ringing
+from ..conversions import BEAT
+from .modal_response import ModalResponse
 
-__all__ = ["EARLY", "LATE", "PartialDecay", "partial_decays"]
+__all__ = ["EARLY", "LATE", "PartialDecay", "decays_and_beats"]
 
 # Where the two decays are taken, s after the contact: before and after the bend that most partials have.
 EARLY = (0.05, 0.5)
@@ -37,12 +37,12 @@ class PartialDecay(NamedTuple):
     error: tuple[float, float]  # least and largest standard error of its poles' real and imaginary parts, 1/s
 
 
-def partial_decays(ringing: Ringing) -> list[PartialDecay]:
+def decays_and_beats(ringing: ModalResponse) -> list[PartialDecay]:
     """Of every partial, by number, after an impulse on the string: all modes of a partial get the same force."""
     return [_decay(ringing, int(number)) for number in np.unique(ringing.number)]
 
 
-def _decay(ringing: Ringing, number: int) -> PartialDecay:
+def _decay(ringing: ModalResponse, number: int) -> PartialDecay:
     own = ringing.number == number
     pole, pattern = ringing.pole[own], ringing.pattern[:, own]
     rate, power = -np.real(pole), np.sum(np.abs(pattern) ** 2, axis=0)

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 
 from .contact import FreeMotion, free_motion
 from .modes import Modes
-from .precision import float64
+from .x64 import float64
 
 __all__ = ["pluck"]
 
@@ -40,4 +40,4 @@ def pluck(modes: Modes, force: float = 1.0) -> FreeMotion:
     >>> f"{1e6 * pianofit.pluck(modes, 2.0).energy:.1f} μJ"
     '356.6 μJ'
     """
-    return free_motion(modes, force * modes.drive / modes.omega2, jnp.zeros_like(modes.omega2))
+    return free_motion(modes, force * modes.modal_gain / modes.omega2, jnp.zeros_like(modes.omega2))

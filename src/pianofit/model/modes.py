@@ -22,9 +22,9 @@ import numpy as np
 from jaxtyping import Array, Complex, Float
 
 from ..errors import ParameterError
-from ..numbers import summary
+from ..io.number_format import summary
 from ..parameters import Geometry, String
-from .precision import AnyArray, derivative, float64
+from .x64 import AnyArray, derivative, float64
 
 __all__ = ["QUANTITIES", "Modes", "mode_frequencies", "mode_table", "project", "window_weights"]
 
@@ -42,7 +42,7 @@ class Modes(NamedTuple):
     omega2: Float[Array, " modes"]  # the scheme's ω̃², 1/s²
     alpha: Float[Array, " modes"]  # the scheme's α̃, 1/s
     strike: Float[Array, " modes"]  # Φ_k = ∫ ĝ sin(β_k x) dx
-    drive: Float[Array, " modes"]  # γ̃_k, 1/kg
+    modal_gain: Float[Array, " modes"]  # γ̃_k, 1/kg
     pickup: Complex[Array, " modes"]  # signal = Re(pickup · C z^n) for a displacement q = Re(C z^n)
     pole: Complex[Array, " modes"]  # p with z = exp(p δt) exactly the scheme's own, 1/s
     free_rate: Complex[Array, " modes"]  # v = Re(free_rate · C z^n) in free motion, 1/s
@@ -65,7 +65,7 @@ def raised_cosine_weights(geometry: Geometry, n_modes: int, xp=jnp) -> Float[Any
     `xp` is the array library: NumPy where nothing is to be compiled.
     """
     k = xp.arange(1, n_modes + 1)
-    return (_raised if xp is np else _weights)(xp.array([geometry.strike, geometry.width, geometry.length], float), k)
+    return (_raised if xp is np else _weights)(xp.array([geometry.strike_position, geometry.width, geometry.length], float), k)
 
 
 def _raised(at: AnyArray, k: AnyArray, xp=np) -> AnyArray:
@@ -103,7 +103,7 @@ def window_weights(window: Callable, geometry: Geometry, n_modes: int) -> Float[
     x = ((edges[1:] + edges[:-1])[:, None] / 2 + half[:, None] * nodes).ravel()
     g = jnp.asarray(window(x)) * (half[:, None] * weights).ravel()
     beta = jnp.arange(1, n_modes + 1) * (jnp.pi / geometry.length)
-    return jnp.sin(beta[:, None] * (geometry.strike + x)) @ g / g.sum()
+    return jnp.sin(beta[:, None] * (geometry.strike_position + x)) @ g / g.sum()
 
 
 @float64
@@ -197,8 +197,8 @@ def mode_table(
 def _grid_weights(geometry: Geometry, n: int) -> Float[Array, " modes"]:
     """Φ_k of the default window sampled on the paper's grid and normalised there."""
     x = jnp.arange(1, n + 1) * (geometry.length / (n + 1))
-    inside = jnp.abs(x - geometry.strike) < geometry.width / 2
-    g = jnp.where(inside, 1 + jnp.cos(2 * jnp.pi * (x - geometry.strike) / geometry.width), 0.0)
+    inside = jnp.abs(x - geometry.strike_position) < geometry.width / 2
+    g = jnp.where(inside, 1 + jnp.cos(2 * jnp.pi * (x - geometry.strike_position) / geometry.width), 0.0)
     return jnp.sin(jnp.arange(1, n + 1)[:, None] * (jnp.pi / geometry.length) * x) @ g / g.sum()
 
 

@@ -10,19 +10,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..decode import RATES
 from ..errors import ParameterError, check_range, check_type
-from ..felt import MemoryHammer
-from ..numbers import summary
+from ..felt import RelaxingHammer
+from ..io.audio import RATES
+from ..io.number_format import summary
 from ..parameters import Geometry, Hammer, String, check_velocity
 from .arguments import is_numeric
 from .contact import strike
-from .modal import LEAD, Ringing, force_of
+from .free_response import level_db, modal_amplitudes
+from .modal_response import PRE_ONSET_S, ModalResponse, force_of
 from .modes import mode_frequencies, mode_table
-from .path import OutputPath, filtered, impulse, through
-from .precision import float64
-from .response import level_db, ringing
+from .output_path import OutputPath, apply_to_modes, filtered, impulse
 from .simulate import MOST_MODES, Simulation, contact_rate, count_modes, simulate
+from .x64 import float64
 
 __all__ = ["MOST_SAMPLES", "MOST_SECONDS", "Note", "arrival", "check_render"]
 
@@ -50,12 +50,12 @@ class Note(NamedTuple):
     """
 
     string: String
-    hammer: Hammer | MemoryHammer
+    hammer: Hammer | RelaxingHammer
     geometry: Geometry
     quantity: str  # what is heard, see `mode_table`
     gain: float  # file units (full scale = 1) per unit of the pickup
     path: OutputPath | None = None  # dB over frequency, beside the gain
-    ringing: Ringing | None = None  # what sounds in place of string and path, per unit of gain; they keep the levels
+    ringing: ModalResponse | None = None  # what sounds in place of string and path, per unit of gain; they keep the levels
 
     def __repr__(self) -> str:
         return summary(self, lines=True)
@@ -70,21 +70,21 @@ class Note(NamedTuple):
         """κ²π²/(c²L²), the string's inharmonicity: partial k is k f0 √(1 + B k²)."""
         return (self.string.kappa * np.pi / (self.string.c * self.geometry.length)) ** 2
 
-    def struck(self, velocity: float) -> Note:
+    def with_velocity(self, velocity: float) -> Note:
         """The same note with another hammer velocity, m/s."""
         return self._replace(hammer=self.hammer._replace(v_H0=velocity))
 
-    def tuned(self, cents: float) -> Note:
+    def with_cents(self, cents: float) -> Note:
         """The same note at another pitch."""
         check_type("cents=", cents, Real, "a number")
         ratio = 2 ** (cents / 1200)
-        ringing = None if self.ringing is None else self.ringing.sharper(ratio)
+        ringing = None if self.ringing is None else self.ringing.scale_pitch(ratio)
         return self._replace(string=self.string._replace(c=self.string.c * ratio), ringing=ringing)
 
     @property
-    def lead(self) -> float:
+    def pre_onset_s(self) -> float:
         """How long before the contact the sound can begin, s."""
-        return 0.0 if self.ringing is None else LEAD
+        return 0.0 if self.ringing is None else PRE_ONSET_S
 
     def render(
         self, velocity: float | None = None, *, seconds: float = 3.0, rate: int = 44_100, mono: bool = True
@@ -105,8 +105,8 @@ class Note(NamedTuple):
             If the contact does not end.
         """
         check_render(velocity, seconds, rate)
-        note = self if velocity is None else self.struck(velocity)
-        frames = note.frames(note.strike(rate), rate, round(seconds * rate), round(note.lead * rate))
+        note = self if velocity is None else self.with_velocity(velocity)
+        frames = note.render_channels(note.strike(rate), rate, round(seconds * rate), round(note.pre_onset_s * rate))
         return frames.mean(axis=0) if mono else frames
 
     def play(self) -> Any:
@@ -117,30 +117,30 @@ class Note(NamedTuple):
         ParameterError
             If anywidget is not installed, or the felt is none that a page plays.
         """
-        from ..play.page.widget import widget
+        from ..web.widget import widget
 
         return widget(self)
 
-    def stroke(self, rate: float, samples: int, touch: int = 0) -> tuple[np.ndarray, Simulation]:
+    def render_stroke(self, rate: float, samples: int, touch: int = 0) -> tuple[np.ndarray, Simulation]:
         """The sound [samples] in file units, and the stroke behind it; the contact begins at the index `touch`."""
         simulation = self.strike(rate)
-        return self.heard(simulation, rate, samples, touch), simulation
+        return self.render_mono(simulation, rate, samples, touch), simulation
 
     def strike(self, rate: float) -> Simulation:
         """The stroke, with the contact at a multiple of `rate`, Hz."""
         return simulate(self.string, self.hammer, self.geometry, rate=rate, quantity=self.quantity)
 
-    def heard(self, strike: Simulation, rate: float, samples: int, touch: int = 0) -> np.ndarray:
+    def render_mono(self, strike: Simulation, rate: float, samples: int, touch: int = 0) -> np.ndarray:
         """A stroke of this note in file units, the mean of its channels [samples]; see `frames`."""
-        return self.frames(strike, rate, samples, touch).mean(axis=0)
+        return self.render_channels(strike, rate, samples, touch).mean(axis=0)
 
-    def frames(self, strike: Simulation, rate: float, samples: int, touch: int = 0) -> np.ndarray:
+    def render_channels(self, strike: Simulation, rate: float, samples: int, touch: int = 0) -> np.ndarray:
         """A stroke of this note in file units [channels, samples].
 
         The index `touch` may lie before the first sample: then the sound is cut. A stiff string is heard long before
         its main wave arrives, so only what begins at the touch begins with silence.
         """
-        begin = touch - round(self.lead * rate)
+        begin = touch - round(self.pre_onset_s * rate)
         count = max(samples - begin, 0)
         sound = self._by_law(strike, rate, count)[None] if self.ringing is None else (
             self.gain * self.ringing.sound(force_of(strike, float(self.hammer.v_H0)), round(rate), count)
@@ -149,7 +149,7 @@ class Note(NamedTuple):
 
     def _by_law(self, strike: Simulation, rate: float, count: int) -> np.ndarray:
         """The string's own modes through the path, from the contact on [count]."""
-        path, pole = through(self.path, np.asarray(strike.modes.pole))
+        path, pole = apply_to_modes(self.path, np.asarray(strike.modes.pole))
         own = strike.modes._replace(pickup=np.asarray(strike.modes.pickup) * self.gain, pole=pole)
         sound = strike._replace(modes=own).waveform(rate, count)
         return filtered(sound, impulse(path, rate))[:count]
@@ -180,7 +180,7 @@ class Note(NamedTuple):
         check_range("count=", count, 1, MOST_MODES)
         rate = contact_rate(self.string, g, LEVEL_RATE)
         rows = max(count_modes(self.string, g, rate), 64 * int(np.ceil(count / 64)))
-        slow = self.struck(min(SLOWEST, float(v.min()))).strike(LEVEL_RATE)
+        slow = self.with_velocity(min(SLOWEST, float(v.min()))).strike(LEVEL_RATE)
         steps = BLOCK * int(np.ceil(SPARE * slow.last_touch * rate / BLOCK))
         delay = arrival(self.string, g, self.quantity)
         level = _levels(self.string, self.hammer, g, v.ravel(), rate, delay, rows, steps, self.quantity)
@@ -203,7 +203,7 @@ def _levels(string, hammer, geometry, velocity, rate, delay, rows, steps, quanti
 
     def one(v):
         pulse = strike(modes, hammer._replace(v_H0=v), steps=steps)
-        level = level_db(ringing(modes, pulse.drive) * jnp.exp(modes.pole.real * delay), -modes.pole.real)
+        level = level_db(modal_amplitudes(modes, pulse.drive) * jnp.exp(modes.pole.real * delay), -modes.pole.real)
         return jnp.where(pulse.compression[-1] <= 0, level, jnp.inf)
 
     return jax.vmap(one)(velocity)
@@ -212,7 +212,7 @@ def _levels(string, hammer, geometry, velocity, rate, delay, rows, steps, quanti
 def arrival(string: String, geometry: Geometry, quantity: str) -> float:
     """When the wave from the nearest edge of the contact window reaches the pickup, s after the first contact."""
     end = geometry.length if quantity in ("bridge-force", "pressure") else geometry.pickup
-    return float(max(abs(end - geometry.strike) - geometry.width / 2, 0.0) / string.c)
+    return float(max(abs(end - geometry.strike_position) - geometry.width / 2, 0.0) / string.c)
 
 
 def check_render(velocity: float | None, seconds: float, rate: int) -> None:

@@ -11,12 +11,12 @@ import numpy as np
 
 from ..errors import FitError, ParameterError, check_range
 from ..felt import check_hammer
-from ..numbers import summary
+from ..io.number_format import summary
 from ..parameters import Geometry, String, check
 from .contact import FreeMotion, Pulse, free_motion, strike
+from .free_response import waveform
 from .modes import HIGHEST, QUANTITIES, Modes, mode_frequencies, mode_table, raised_cosine_weights
-from .precision import float64
-from .response import waveform
+from .x64 import float64
 
 __all__ = ["Contact", "Simulation", "contact_rate", "count_modes", "simulate"]
 
@@ -177,7 +177,7 @@ def simulate(
     check_range("rate=", rate, 1e3, 1e6, " Hz")
     if kind == "finite_difference" and strike_weights is None and n_modes:
         spacing = float(geometry.length) / (n_modes + 1)
-        if np.min(np.abs(spacing * np.arange(1, n_modes + 1) - float(geometry.strike))) >= float(geometry.width) / 2:
+        if np.min(np.abs(spacing * np.arange(1, n_modes + 1) - float(geometry.strike_position))) >= float(geometry.width) / 2:
             raise ParameterError(f"width={float(geometry.width)} m: none of the {n_modes} grid points lies under it")
     # One kind of number, whatever the caller had: JAX compiles anew for every other.
     string, hammer = String(*map(np.float64, string)), type(hammer)(*map(np.float64, hammer))

@@ -12,18 +12,28 @@ from dataclasses import replace
 import numpy as np
 
 from ..analysis import law_frequency
+from ..conversions import NORMAL
 from ..errors import FitError, ParameterError
 from ..felt import law_of
-from ..io import reference_of
+from ..io.files import reference_of
+from ..modal_response import HEARD, band, kernel_seconds, mel_edges, mel_power
 from ..model import Simulation, static_force
-from ..model.decay import partial_decays
+from ..model.decay import decays_and_beats
 from ..parameters import PARAMETERS
 from ..result import Covariance, Result
-from ..result.recall import initial_note, levels_of
-from ..ringing import HEARD, band, kernel_seconds, mel_edges, mel_power
-from ..units import NORMAL
-from .curves import ContactCurves, Curves, Envelope, Felt, Known, LevelCurves, RecordingCurves, RingingCurves, Strokes
-from .known import half_interval
+from ..result.reload import initial_note, levels_of
+from .figure_data import (
+    ContactCurves,
+    Envelope,
+    Felt,
+    FigureData,
+    IdentifiabilityData,
+    LevelCurves,
+    RecordingCurves,
+    RingingCurves,
+    Strokes,
+)
+from .identifiability_text import half_interval
 
 __all__ = [
     "contact_curves", "curves_of", "envelopes_of", "felt_of", "has_intervals", "known_of", "level_curves", "paths_of",
@@ -62,16 +72,16 @@ BANDS = 96  # of it, mel
 # --- the reference recording ------------------------------------------------------------------------------------------
 
 
-def curves_of(result: Result) -> Curves:
+def curves_of(result: Result) -> FigureData:
     """Everything the page shows of one fit; errors as of `Result.with_recordings`."""
     result = result.with_recordings()
     return replace(
-        reference_curves(result), recordings=recordings_of(result), first=result.first, paths=paths_of(result),
+        reference_curves(result), recordings=recordings_of(result), reference_index=result.reference_index, paths=paths_of(result),
         felt=felt_of(result), known=known_of(result), strokes=strokes_of(result), ringing=ringing_curves(result),
     )  # fmt: skip
 
 
-def reference_curves(result: Result) -> Curves:
+def reference_curves(result: Result) -> FigureData:
     """What is shown of the reference recording alone.
 
     Raises `FitError` if the fit was read back, and a recording is not at its place or was changed.
@@ -86,12 +96,12 @@ def reference_curves(result: Result) -> Curves:
     attack = slice(onset, onset + int(ATTACK * rate))
     v = result.note
     f0, B = (result.document["derived"][name] for name in ("f0", "B"))
-    original = {"original": r.samples if heard.played.frames is None else r.frames}
-    return Curves(
+    original = {"original": r.samples if heard.as_played.frames is None else r.frames}
+    return FigureData(
         frequency=spectra["measured"][0], spectra={name: level for name, (_, level) in spectra.items()},
         borders=tuple(result.document["criterion"]["borders"]),
         attack_ms=1e3 * np.arange(len(r.samples[attack])) / rate,
-        attack={name: x[attack] for name, x in (sounds | {"fitted": heard.played.samples}).items()},
+        attack={name: x[attack] for name, x in (sounds | {"fitted": heard.as_played.samples}).items()},
         number=k,
         frequency_cents=_cents(p.frequency, k * f0),
         frequency_cents_error=1200 / np.log(2) * p.frequency_error / p.frequency,
@@ -112,7 +122,7 @@ def contact_curves(result: Result) -> ContactCurves:
     if result.recordings:
         strokes = {"initial": result.initial.simulation, "fitted": result.fitted.simulation}
     else:
-        notes = {"initial": initial_note(result, result.first), "fitted": result.note}
+        notes = {"initial": initial_note(result, result.reference_index), "fitted": result.note}
         strokes = {name: note.strike(_rate(result)) for name, note in notes.items()}
     # Until the last of the contacts is over, and a tenth more.
     steps = max(int(1.1 * one.last_touch / float(one.modes.step)) + 2 for one in strokes.values())
@@ -125,7 +135,7 @@ def contact_curves(result: Result) -> ContactCurves:
 
 def level_curves(result: Result) -> LevelCurves:
     """The levels of the reference's partials; `fit.json` holds them."""
-    levels = levels_of(result.document, result.first)
+    levels = levels_of(result.document, result.reference_index)
     return LevelCurves(
         number=levels["number"].astype(int), level_error=levels["error"],
         levels={name: levels[name] for name in ("measured", "initial", "fitted")},
@@ -199,8 +209,8 @@ def strokes_of(result: Result) -> Strokes | None:
     for velocity in np.geomspace(low, high, STROKES):
         struck = note._replace(hammer=note.hammer._replace(v_H0=float(velocity)))
         try:
-            touch = round(struck.lead * recording.rate)
-            played.append((float(velocity), struck.stroke(recording.rate, int(SECONDS * recording.rate), touch)[0]))
+            touch = round(struck.pre_onset_s * recording.rate)
+            played.append((float(velocity), struck.render_stroke(recording.rate, int(SECONDS * recording.rate), touch)[0]))
         except (FitError, ParameterError):  # a contact that does not end is no sound to choose
             continue
     if len(played) < 2:
@@ -241,15 +251,15 @@ def felt_of(result: Result, reach: float | None = None) -> Felt:
 
 def _hardest(result: Result) -> Simulation:
     """The stroke of the fastest hammer, which compresses the felt most; of a fit that was read back struck anew."""
-    at = int(np.argmax([float(note.hammer.v_H0) for note in result.notes[0]]))
+    at = int(np.argmax([float(note.hammer.v_H0) for note in result.minima_notes[0]]))
     if result.recordings:
         return result.recordings[at].fitted.simulation
-    return result.notes[0][at].strike(_rate(result))
+    return result.minima_notes[0][at].strike(_rate(result))
 
 
 def _rate(result: Result) -> int:
     """The reference recording's rate, Hz."""
-    return int(result.document["recordings"][result.first]["rate"])
+    return int(result.document["recordings"][result.reference_index]["rate"])
 
 
 def _shared(result: Result) -> tuple[tuple[str, ...], np.ndarray]:
@@ -278,7 +288,7 @@ def _band(value: np.ndarray, change: np.ndarray, cov: np.ndarray) -> np.ndarray:
     return value * np.exp(np.stack([0 * reach, -reach, reach]))
 
 
-def known_of(result: Result) -> Known | None:
+def known_of(result: Result) -> IdentifiabilityData | None:
     """How well the parameters, and what needs no assumed scale, are known; None without intervals."""
     names, cov = _shared(result)
     correlation = Covariance(names, cov).correlation
@@ -288,7 +298,7 @@ def known_of(result: Result) -> Known | None:
     entries = [(name, entry, True) for name, entry in document["invariants"].items()]
     entries += [(name, entry, False) for name, entry in document["parameters"].items() if name not in COMBINED]
     reaches = [(name, half_interval(entry), combined) for name, entry, combined in entries]
-    return Known(
+    return IdentifiabilityData(
         correlation.names, correlation.matrix,
         tuple((name, reach, combined) for name, reach, combined in reaches if reach is not None),
     )  # fmt: skip
@@ -307,7 +317,7 @@ def ringing_curves(result: Result) -> RingingCurves | None:
     last = recording.onset + round((SHOWN + MORE) * recording.rate)
     (time, one), (_, other) = (
         mel_power(x[:last], recording.rate, recording.onset, n, BANDS)
-        for x in (recording.samples, heard.played.samples)
+        for x in (recording.samples, heard.as_played.samples)
     )
     frames = time <= max(min(SHOWN, time[-1] - WINDOW), 0.0)  # one at the least, of a very short recording
     time, one, other = time[frames], one[frames], other[frames]
@@ -316,7 +326,7 @@ def ringing_curves(result: Result) -> RingingCurves | None:
     return RingingCurves(
         envelopes_of(result, strongest), time, mel_edges(n, BANDS, recording.rate)[1:-1],
         10 * np.log10(one + floor).T, 10 * np.log10(other + floor).T,
-        () if ringing is None else tuple(partial_decays(ringing)),
+        () if ringing is None else tuple(decays_and_beats(ringing)),
     )  # fmt: skip
 
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..units import NORMAL
+from ..conversions import NORMAL
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BAND", "BORDER", "COLOURS", "FAINT", "FITTED", "GROUP", "HATCH", "HEIGHT", "INITIAL", "INK", "LAW", "LINES",
-    "LOOP", "MEASURED", "PAPER", "STYLE", "WRONG", "drawn", "file_of", "legend", "log_axis", "number_axis", "panel",
+    "LOOP", "MEASURED", "PAPER", "STYLE", "WRONG", "make_figure", "file_of", "legend", "log_axis", "number_axis", "panel",
     "points", "span", "svg",
 ]  # fmt: skip
 
@@ -89,7 +89,7 @@ _LOCK = Lock()  # matplotlib's settings are global
 
 
 @contextmanager
-def styled() -> Iterator[None]:
+def page_style() -> Iterator[None]:
     """Draw and save in the page's style."""
     from matplotlib import rc_context
 
@@ -123,7 +123,7 @@ def panel(*heights: float, left: float = LEFT, legend_rows: int = 1) -> tuple[Fi
     return figure, found
 
 
-def drawn(
+def make_figure(
     draw: Callable[..., None], *shown: Any, title: str = "", height: float = HEIGHT, left: float = LEFT,
     legend_rows: int = 1, columns: int = 4,
 ) -> Figure:  # fmt: skip

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 from ..result.quantities import MEANINGS, UNITS
 from .formula import formula_html, symbols
-from .words import SYMBOLS, VELOCITY_RATIO, unit_in_words
+from .text import SYMBOLS, VELOCITY_RATIO, unit_in_words
 
 __all__ = ["Equation", "Symbol", "equations"]
 

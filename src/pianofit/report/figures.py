@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .curves import ContactCurves, Curves, LevelCurves
 from .drawing import (
     BORDER,
     FAINT,
@@ -17,20 +16,21 @@ from .drawing import (
     INK,
     LINES,
     MEASURED,
-    drawn,
     legend,
     log_axis,
+    make_figure,
     number_axis,
+    page_style,
     panel,
     points,
     span,
-    styled,
     svg,
 )
-from .figures_known import draw_felt, draw_known
+from .figure_data import ContactCurves, FigureData, LevelCurves
+from .figures_identifiability import draw_felt, draw_known
+from .figures_modal_response import draw_ringing
 from .figures_recordings import draw_held_out, draw_paths, draw_recordings
-from .figures_ringing import draw_ringing
-from .words import BANDS
+from .text import BANDS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -50,18 +50,18 @@ HEAD = np.array([1.0, -0.7 + 0.45j, -0.4, -0.7 - 0.45j, 1.0])  # its outline, po
 
 
 def draw_figures(
-    curves: Curves, dropped: tuple[str, ...] = (), held_out: tuple[dict[str, Any], ...] = ()
+    curves: FigureData, dropped: tuple[str, ...] = (), held_out: tuple[dict[str, Any], ...] = ()
 ) -> dict[str, list[bytes]]:
     """Draw all figures of the page, name -> SVGs of its panels; what there is nothing to show of is left out."""
-    with styled():
+    with page_style():
         figures = {
             "spectra": _spectra(curves, dropped),
-            "attack": [drawn(_draw_attack, curves, name, title=title) for name, title in ATTACKS.items()],
+            "attack": [make_figure(_draw_attack, curves, name, title=title) for name, title in ATTACKS.items()],
             "partials": _partials(curves),
-            "levels": [drawn(draw_levels, curves, title="Levels"), _residuals(curves)],
+            "levels": [make_figure(draw_levels, curves, title="Levels"), _residuals(curves)],
             "force": [
-                drawn(draw_force, curves, title="Force over time"),
-                drawn(_draw_loop, curves, title="Force over compression"),
+                make_figure(draw_force, curves, title="Force over time"),
+                make_figure(_draw_loop, curves, title="Force over compression"),
             ],
         }
         if len(curves.recordings) > 1:
@@ -79,16 +79,16 @@ def draw_figures(
         return {name: [svg(figure) for figure in panels] for name, panels in figures.items()}
 
 
-def _spectra(curves: Curves, dropped: tuple[str, ...]) -> list[Figure]:
+def _spectra(curves: FigureData, dropped: tuple[str, ...]) -> list[Figure]:
     """Two scales when there is much above band 2, so that the first partials are not a sliver."""
     edges = _band_edges(curves, dropped)
     low, high, split = edges[0][0], edges[-1][1], edges[-1][0]
     cuts = [low, split, high] if len(edges) > 1 and high - split > 1.5 * (split - low) else [low, high]
-    return [drawn(_draw_spectra, curves, edges, start, stop) for start, stop in pairwise(cuts)]
+    return [make_figure(_draw_spectra, curves, edges, start, stop) for start, stop in pairwise(cuts)]
 
 
 def _draw_spectra(
-    axes: Axes, curves: Curves, edges: list[tuple[float, float, str, bool]], low: float, high: float
+    axes: Axes, curves: FigureData, edges: list[tuple[float, float, str, bool]], low: float, high: float
 ) -> None:
     for name in COMPARED:
         axes.plot(curves.frequency, curves.spectra[name], label=name, **LINES[name])
@@ -98,7 +98,7 @@ def _draw_spectra(
     _shade_bands(axes, edges)
 
 
-def _band_edges(curves: Curves, dropped: tuple[str, ...]) -> list[tuple[float, float, str, bool]]:
+def _band_edges(curves: FigureData, dropped: tuple[str, ...]) -> list[tuple[float, float, str, bool]]:
     """(low, high, label, left out) of each band seen, matched to names when all three or the kept ones have borders."""
     borders = [border for border in curves.borders if np.isfinite(border)]
     pairs = list(pairwise(borders)) or [span(curves.frequency)]
@@ -112,13 +112,13 @@ def _band_edges(curves: Curves, dropped: tuple[str, ...]) -> list[tuple[float, f
     ]
 
 
-def draw_spectrum(axes: Axes, curves: Curves, dropped: tuple[str, ...]) -> None:
+def draw_spectrum(axes: Axes, curves: FigureData, dropped: tuple[str, ...]) -> None:
     """Draw measured, initial and fitted spectrum, and the bands of the paper's criterion."""
     edges = [(low, high, "", left_out) for low, high, _, left_out in _band_edges(curves, dropped)]
     _draw_spectra(axes, curves, edges, edges[0][0], edges[-1][1])
 
 
-def draw_force(axes: Axes, curves: Curves | ContactCurves) -> None:
+def draw_force(axes: Axes, curves: FigureData | ContactCurves) -> None:
     """Draw the hammer's force over time before and after the fit."""
     for name, force in curves.force.items():
         axes.plot(curves.force_ms, force, label=name, **LINES[name])
@@ -126,7 +126,7 @@ def draw_force(axes: Axes, curves: Curves | ContactCurves) -> None:
     axes.set_ylim(bottom=0.0)
 
 
-def draw_levels(axes: Axes, curves: Curves | LevelCurves) -> None:
+def draw_levels(axes: Axes, curves: FigureData | LevelCurves) -> None:
     """Draw the partials' levels, measured, initial and fitted."""
     axes.plot(curves.number, _without_nodes(curves, "initial"), marker="s", ms=3.4, label="initial", **LINES["initial"])
     axes.plot(curves.number, _without_nodes(curves, "fitted"), marker="o", ms=3.4, label="fitted", **LINES["fitted"])
@@ -154,7 +154,7 @@ def _shade_bands(axes: Axes, edges: list[tuple[float, float, str, bool]]) -> Non
         axes.text(at, 0.985, text, transform=axes.get_xaxis_transform(), ha=side, va="top", color=INK, fontsize=8.5)
 
 
-def _draw_attack(axes: Axes, curves: Curves, name: str) -> None:
+def _draw_attack(axes: Axes, curves: FigureData, name: str) -> None:
     """The waveforms of the first milliseconds, to one scale for all pictures."""
     for one in ("measured", name):
         axes.plot(curves.attack_ms, curves.attack[one], label=one, **LINES[one])
@@ -163,7 +163,7 @@ def _draw_attack(axes: Axes, curves: Curves, name: str) -> None:
     axes.set(xlabel="time from the onset (ms)", ylabel="signal (full scale = 1)", ylim=(low - room, high + room))
 
 
-def _partials(curves: Curves) -> list[Figure]:
+def _partials(curves: FigureData) -> list[Figure]:
     law, (cents, rest) = panel(0.68 * HEIGHT, 0.32 * HEIGHT)
     points(cents, curves.number, curves.frequency_cents, curves.frequency_cents_error)
     cents.plot(curves.number, curves.frequency_cents_law, label="law of the fitted string", **LINES["fitted"])
@@ -173,10 +173,10 @@ def _partials(curves: Curves) -> list[Figure]:
     rest.set(ylabel="cents off", xlabel="partial number k")
     number_axis(cents, curves.number)
     legend(law, cents)
-    return [law, drawn(_draw_decays, curves, height=HEIGHT + 0.12)]
+    return [law, make_figure(_draw_decays, curves, height=HEIGHT + 0.12)]
 
 
-def _draw_decays(axes: Axes, curves: Curves) -> None:
+def _draw_decays(axes: Axes, curves: FigureData) -> None:
     # A beat can hide a decay. What seems not to decay at all would leave no room to the others.
     bottom = SLOWEST * float(np.min(curves.decay_law))
     shown = ~(curves.decay < bottom)
@@ -192,7 +192,7 @@ def _draw_decays(axes: Axes, curves: Curves) -> None:
     number_axis(axes, curves.number)
 
 
-def _residuals(curves: Curves) -> Figure:
+def _residuals(curves: FigureData) -> Figure:
     """Of the levels, and below them the path if there is one."""
     path = curves.path
     residuals, (error, *below) = panel(*((HEIGHT,) if path is None else (0.6 * HEIGHT, 0.4 * HEIGHT - 0.12)))
@@ -210,14 +210,14 @@ def _residuals(curves: Curves) -> Figure:
     return residuals
 
 
-def _without_nodes(curves: Curves | LevelCurves, name: str) -> np.ndarray:
+def _without_nodes(curves: FigureData | LevelCurves, name: str) -> np.ndarray:
     """Levels, dB, nan where far below all measured ones: a given strike position can be exactly on a node."""
     low, _ = span(curves.levels["measured"])
     level = curves.levels[name]
     return np.where(level > low - NODE, level, np.nan)
 
 
-def _draw_loop(axes: Axes, curves: Curves) -> None:
+def _draw_loop(axes: Axes, curves: FigureData) -> None:
     """Force over compression, with heads on the curve that say which way it runs."""
     for name in ("initial", "fitted"):
         x, force = curves.compression[name], curves.force[name]
@@ -227,11 +227,11 @@ def _draw_loop(axes: Axes, curves: Curves) -> None:
     axes.set_xlim(0.0, 1.05 * max(span(*curves.compression.values())[1], 1e-9))
     axes.set_ylim(bottom=0.0)
     for name in ("initial", "fitted"):
-        for at, way in _headings(curves.compression[name], curves.force[name]):
+        for at, way in _arrow_positions(curves.compression[name], curves.force[name]):
             axes.plot(*at, marker=_head(_angle(axes, at, way)), ms=13, mew=0, color=LINES[name]["color"], zorder=6)
 
 
-def _headings(compression: np.ndarray, force: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+def _arrow_positions(compression: np.ndarray, force: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
     """Where force first rises through `RISING` of its largest and last falls through `FALLING`: point and step."""
     if not (len(force) > 2 and np.isfinite(force).all() and force.max() > 0 and compression.max() > 0):
         return []

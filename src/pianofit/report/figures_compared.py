@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .comparable import middle
-from .curves import Felt
-from .drawing import HEIGHT, INK, file_of, legend, panel, span, styled
-from .figures_known import draw_law
+from .comparison_table import middle
+from .drawing import HEIGHT, INK, file_of, legend, page_style, panel, span
+from .figure_data import Felt
+from .figures_identifiability import draw_law
 from .overlay import HUES
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ def _draw_ratio(axes: Axes, felts: tuple[Felt, Felt], labels: tuple[str, str]) -
 
 def figure_of_felts(felts: tuple[Felt, Felt], labels: tuple[str, str], unit: str, kind: str) -> bytes:
     """The content of a file of the figure, the same for the same felts: the forces, and below them their ratio."""
-    with styled():
+    with page_style():
         rows = 2 * (1 + any(felt.slow is not None for felt in felts))
         figure, (force, ratio) = panel(0.7 * HEIGHT, 0.4 * HEIGHT, legend_rows=rows)
         draw_felts(force, felts, labels, unit)

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .curves import RecordingCurves
-from .drawing import FITTED, GROUP, HEIGHT, INITIAL, INK, LAW, LINES, MEASURED, drawn, number_axis, points, span
+from .drawing import FITTED, GROUP, HEIGHT, INITIAL, INK, LAW, LINES, MEASURED, make_figure, number_axis, points, span
+from .figure_data import RecordingCurves
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -31,7 +31,7 @@ HELD_OUT = (  # key, label, look
 def draw_recordings(recordings: Sequence[RecordingCurves]) -> list[Figure]:
     """Levels of the partials, a panel for each of some recordings from soft to loud, all to one scale."""
     in_turn = sorted(recordings, key=lambda one: one.velocity)
-    figures = [drawn(_levels, one, height=0.75 * HEIGHT) for one in in_turn]
+    figures = [make_figure(_levels, one, height=0.75 * HEIGHT) for one in in_turn]
     panels = [figure.axes[0] for figure in figures]
     low, high = zip(*(axes.get_ylim() for axes in panels), strict=True)
     for axes in panels:
@@ -49,7 +49,7 @@ def _levels(axes: Axes, one: RecordingCurves) -> None:
 
 def draw_paths(paths: Sequence[tuple[np.ndarray, np.ndarray]]) -> list[Figure]:
     """What lies between string and file, at the partials, a line for each group of recordings."""
-    return [drawn(_paths, paths, legend_rows=len(paths) > 1)]
+    return [make_figure(_paths, paths, legend_rows=len(paths) > 1)]
 
 
 def _paths(axes: Axes, paths: Sequence[tuple[np.ndarray, np.ndarray]]) -> None:
@@ -67,7 +67,7 @@ def _paths(axes: Axes, paths: Sequence[tuple[np.ndarray, np.ndarray]]) -> None:
 
 def draw_held_out(recordings: Sequence[dict[str, Any]]) -> list[Figure]:
     """Errors of each recording left out, in order of velocity: predicted, and by what needs no model."""
-    return [drawn(_held_out, recordings, legend_rows=len(HELD_OUT), columns=1)]
+    return [make_figure(_held_out, recordings, legend_rows=len(HELD_OUT), columns=1)]
 
 
 def _held_out(axes: Axes, recordings: Sequence[dict[str, Any]]) -> None:

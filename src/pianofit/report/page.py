@@ -11,17 +11,17 @@ from typing import Any
 
 import numpy as np
 
-from .. import numbers
 from ..felt import LAWS
-from ..io import with_names
-from . import known, words
-from .curves import Curves, RecordingCurves, Strokes
+from ..io import number_format
+from ..io.files import replace_strings
+from . import identifiability_text, text
 from .equations import equations
+from .figure_data import FigureData, RecordingCurves, Strokes
 from .figures import draw_figures
-from .kit import page_bytes, picture
+from .html import page_bytes, picture
 from .sound import LIGHT_RATE, SECONDS, Clip, make_clips, seconds_each
 
-__all__ = ["Curves", "report_bytes"]
+__all__ = ["FigureData", "report_bytes"]
 
 # Of the first recording, where a sound has two channels.
 STEREO_SECONDS = 5.0
@@ -31,14 +31,14 @@ LONGEST = 4.0  # s, of each of them,
 SHORTEST = 1.5  # s, however many there are
 # What is said of a fit, on the page by the functions' names.
 SAID = (
-    words.notices, words.tiles, words.groups, words.comparison, words.glide, words.bands, words.minima, words.how_sure,
-    known.identified, known.felt_scale, known.open_scale, known.a_power,
+    text.notices, text.summary_tiles, text.groups, text.comparison, text.glide, text.bands, text.minima, text.interval_method_text,
+    identifiability_text.identifiability_sections, identifiability_text.felt_scale, identifiability_text.open_scale, identifiability_text.is_power_law,
 )  # fmt: skip
 # Pictures that only some fits have.
 SOMETIMES = ("recordings", "paths", "held_out", "felt", "known")
 
 
-def report_bytes(fit: dict[str, Any], curves: Curves, title: str, held_out: dict[str, Any] | None = None) -> bytes:
+def report_bytes(fit: dict[str, Any], curves: FigureData, title: str, held_out: dict[str, Any] | None = None) -> bytes:
     """Return the page.
 
     Parameters
@@ -52,9 +52,9 @@ def report_bytes(fit: dict[str, Any], curves: Curves, title: str, held_out: dict
     """
     # A page is shown to others, who need not know any folder.
     names = _names(fit, held_out)
-    fit = with_names(fit, names)
+    fit = replace_strings(fit, names)
     onset = next(row["onset_s"] for row in fit["recordings"] if row["first"])
-    left_out = with_names(held_out, names)
+    left_out = replace_strings(held_out, names)
     figures = draw_figures(
         curves, tuple(fit["criterion"]["dropped"]), tuple(left_out["recordings"]) if left_out else ()
     )
@@ -66,8 +66,8 @@ def report_bytes(fit: dict[str, Any], curves: Curves, title: str, held_out: dict
         contents=True,
         fit=fit,
         **said,
-        invariants=words.rows(fit["invariants"]),
-        rows=words.rows(fit["parameters"]),
+        invariants=text.rows(fit["invariants"]),
+        rows=text.rows(fit["parameters"]),
         equations=_equations(fit, curves),
         clips=_clips(curves, onset),
         ringing=_ringing(fit, curves),
@@ -88,7 +88,7 @@ def _names(*documents: dict[str, Any] | None) -> dict[str, str]:
     return {file: PurePath(file).name for file in sorted(files, key=len, reverse=True) if PurePath(file).name}
 
 
-def _equations(fit: dict[str, Any], curves: Curves) -> dict[str, Any]:
+def _equations(fit: dict[str, Any], curves: FigureData) -> dict[str, Any]:
     """The box of equations; the package's laws go by the name in the file, since some share a type of hammer."""
     law = LAWS.get(fit["felt"])
     own = () if curves.felt is None else curves.felt.formula
@@ -96,41 +96,41 @@ def _equations(fit: dict[str, Any], curves: Curves) -> dict[str, Any]:
     return equations(fit, own if law is None else law.formula, path=curves.path is not None, modes=modes)
 
 
-def _clips(curves: Curves, onset: float) -> list[Clip]:
+def _clips(curves: FigureData, onset: float) -> list[Clip]:
     """The first recording's sounds: beside it the fit as it rings and by its law, or before and after the fit."""
-    sounds = {name: _in_two(x) for name, x in curves.sounds.items()}
+    sounds = {name: _downmix_to_stereo(x) for name, x in curves.sounds.items()}
     mono = all(x.ndim == 1 for x in sounds.values())
     return make_clips(sounds, curves.sound_rate, onset, seconds=SECONDS if mono else STEREO_SECONDS)
 
 
-def _in_two(x: np.ndarray) -> np.ndarray:
+def _downmix_to_stereo(x: np.ndarray) -> np.ndarray:
     """One channel or two as they are; the mean of more, for which a listener has no loudspeakers."""
     return x if x.ndim == 1 or len(x) <= 2 else x.mean(axis=0)
 
 
-def _ringing(fit: dict[str, Any], curves: Curves) -> dict[str, Any] | None:
+def _ringing(fit: dict[str, Any], curves: FigureData) -> dict[str, Any] | None:
     """What is said of how the note rings, and the table of its decays."""
     if curves.ringing is None:
         return None
     rows = [
         [str(d.number), f"{d.frequency:.2f}", str(d.modes),
-         *(numbers.number(x, 2) for x in (d.early, d.late, d.beat_frequency, d.beat_depth)),
-         " to ".join(dict.fromkeys(numbers.number(x, 2) for x in d.error))]
+         *(number_format.number(x, 2) for x in (d.early, d.late, d.beat_frequency, d.beat_depth)),
+         " to ".join(dict.fromkeys(number_format.number(x, 2) for x in d.error))]
         for d in curves.ringing.decays
     ]  # fmt: skip
-    return {"words": words.ringing(fit["ringing"]), "rows": rows}
+    return {"words": text.ringing(fit["ringing"]), "rows": rows}
 
 
 def _strokes(strokes: Strokes | None) -> dict[str, Any] | None:
     """The sounds of the slider, which keep their loudness to each other."""
     if strokes is None:
         return None
-    sounds = {f"{numbers.number(v, 3)} m/s": x for v, x in zip(strokes.velocity, strokes.sounds, strict=True)}
+    sounds = {f"{number_format.number(v, 3)} m/s": x for v, x in zip(strokes.velocity, strokes.sounds, strict=True)}
     clips = make_clips(sounds, strokes.rate, lead_in=0.0, matched=False, highest_rate=LIGHT_RATE)
     return {"clips": clips, "first": strokes.first, "inside": strokes.inside}
 
 
-def _players(curves: Curves, recordings: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def _players(curves: FigureData, recordings: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Recorded and fitted sound of every recording but the first, which has its own player."""
     others = [recording for i, recording in enumerate(curves.recordings) if i != curves.first]
     seconds = seconds_each(len(others), LIGHT_SAMPLES, LONGEST, SHORTEST)

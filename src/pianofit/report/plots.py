@@ -11,8 +11,8 @@ from ..result import Result
 from .build import contact_curves, envelopes_of, felt_of, known_of, level_curves, reference_curves
 from .drawing import STYLE
 from .figures import draw_force, draw_levels, draw_spectrum
-from .figures_known import draw_correlations, draw_static_law
-from .figures_ringing import draw_envelope
+from .figures_identifiability import draw_correlations, draw_static_law
+from .figures_modal_response import draw_envelope
 from .overlay import draw_labelled
 
 if TYPE_CHECKING:

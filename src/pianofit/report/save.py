@@ -7,10 +7,19 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ..errors import FitError, OutputError, PianofitError
-from ..io import LARGEST_FIT, encode_wav, json_text, load_json, one_line, output_folder, read_file, replace_file
+from ..io.files import (
+    LARGEST_FIT,
+    encode_wav,
+    escape_controls,
+    json_text,
+    load_json,
+    output_folder,
+    read_file,
+    replace_file,
+)
+from ..modal_response_file import KNOCK_FILE, encode_knock
 from ..result import Result
 from ..result.draws import DRAWS_FILE, encode_draws
-from ..ringing_file import KNOCK_FILE, encode_knock
 from .build import curves_of
 from .page import report_bytes
 
@@ -28,7 +37,7 @@ def save(result: Result, folder: Path, *, force: bool, page: bool) -> Path:
     Raises `OutputError` if the folder cannot be written, holds something and `force` is not given, or holds one of the
     recordings under a name that is to be written; `FitError` if the fit was read back and a recording is not there.
     """
-    earlier = _earlier(folder)
+    earlier = _previous_outputs(folder)
     result = result.with_recordings() if page else result
     _check_inputs(result, folder, earlier)
     with output_folder(folder, force):
@@ -54,11 +63,11 @@ def _check_inputs(result: Result, folder: Path, earlier: set[str]) -> None:
     for path in _inputs(result):
         if path.name in own and (folder / path.name).resolve() == path.resolve():
             raise OutputError(
-                f"{one_line(str(path))} is a recording of this fit and would be replaced; use another folder"
+                f"{escape_controls(str(path))} is a recording of this fit and would be replaced; use another folder"
             )
 
 
-def _earlier(folder: Path) -> set[str]:
+def _previous_outputs(folder: Path) -> set[str]:
     """What an earlier fit may have left there: of recordings' own sounds only those that its `fit.json` names."""
     own = {"report.html", KNOCK_FILE, DRAWS_FILE}
     try:
@@ -81,7 +90,7 @@ def write_page(result: Result, path: Path, title: str | None, held_out: dict | N
 
 def _title(result: Result) -> str:
     """The names of the recordings, and the note if one was given."""
-    names = ", ".join(one_line(Path(heard.recording.path).name) for heard in result.recordings)
+    names = ", ".join(escape_controls(Path(heard.recording.path).name) for heard in result.recordings)
     return names + (f", {result.analysis.note}" if result.analysis.note else "")
 
 

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..io import CEILING, encode_pcm
-from .kit import data_uri
+from ..io.files import PEAK_LIMIT, encode_pcm
+from .html import data_uri
 
 __all__ = ["LIGHT_RATE", "Clip", "excerpt", "k_weighted_mean_square", "make_clips", "seconds_each"]
 
@@ -91,7 +91,7 @@ def make_clips(
     }
     gains = {name: power**-0.5 if power > 0 else 1.0 for name, power in powers.items()}
     highest = max(gains[name] * np.max(np.abs(samples)) for name, samples in cut.items())
-    common = CEILING / highest if highest > 0 else 1.0
+    common = PEAK_LIMIT / highest if highest > 0 else 1.0
     return [
         Clip(name, encode_pcm(np.round(samples * gains[name] * common * 2**15).astype(np.int16), rate, bits=16),
              20 * math.log10(gains[name] * common), rate, samples.shape[-1] / rate)

@@ -6,8 +6,8 @@
 
 from __future__ import annotations
 
-from .conclude import conclude
+from .build_result import build_result
 from .quantities import Covariance, Quantities, Quantity
-from .result import FittedRecording, Result, Sound
+from .result import FittedRecording, RenderedFit, Result
 
-__all__ = ["Covariance", "FittedRecording", "Quantities", "Quantity", "Result", "Sound", "conclude"]
+__all__ = ["Covariance", "FittedRecording", "Quantities", "Quantity", "Result", "RenderedFit", "build_result"]

@@ -20,9 +20,9 @@ from typing import Any
 import numpy as np
 
 from ..errors import FitError
-from ..inference.views import Observations
-from ..io import one_line, read_file
-from ..tables import optional
+from ..inference.intervals import Observations
+from ..io.files import escape_controls, read_file
+from ..io.table_output import require_optional
 
 __all__ = ["DRAWS_FILE", "Draws", "encode_draws", "read_draws"]
 
@@ -75,7 +75,7 @@ class Draws(Mapping[str, np.ndarray]):
         OutputError
             If ArviZ is not installed.
         """
-        arviz = optional("arviz", "draws for ArviZ")
+        arviz = require_optional("arviz", "draws for ArviZ")
         observed, constant, coords, dims = {}, {}, {}, {}
         for kind, seen in self.observed.items():
             if not len(seen.value):
@@ -121,13 +121,13 @@ def read_draws(entry: Any, folder: Path, invariants: Mapping[str, Any]) -> Draws
         return None
     data = read_file(path, LARGEST_DRAWS, FitError)
     if hashlib.sha256(data).hexdigest() != entry.get("sha256"):
-        raise FitError(f"{one_line(path)}: is not the file that was saved with this fit (SHA-256); {WAY_OUT}")
+        raise FitError(f"{escape_controls(path)}: is not the file that was saved with this fit (SHA-256); {WAY_OUT}")
     try:
         tables = _tables(data)
         return _draws(tables, invariants)
     except BROKEN as problem:
-        reason = one_line(problem) or type(problem).__name__
-        raise FitError(f"{one_line(path)}: holds no draws ({reason}); {WAY_OUT}") from None
+        reason = escape_controls(problem) or type(problem).__name__
+        raise FitError(f"{escape_controls(path)}: holds no draws ({reason}); {WAY_OUT}") from None
 
 
 def _draws(tables: dict[str, dict[str, np.ndarray]], invariants: Mapping[str, Any]) -> Draws:

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
+from ..conversions import NORMAL
 from ..felt import BOXES
-from ..numbers import bracketed
-from ..tables import data_frame, html_table, write_csv
-from ..units import NORMAL
-from .notation import latex_name, latex_unit, spec_of, with_interval, with_sd
+from ..io.number_format import format_with_interval
+from ..io.table_output import data_frame, html_table, write_csv
+from .uncertainty_format import latex_name, latex_unit, spec_of, with_interval, with_sd
 
 __all__ = ["UNITS", "Covariance", "Quantities", "Quantity"]
 
@@ -110,12 +110,12 @@ class Quantity:
         return f"${latex_name(self.name)} = {self:L}{latex_unit(self.unit)}$"
 
     def __str__(self) -> str:
-        value, span = bracketed(self.value, self.interval)
+        value, span = format_with_interval(self.value, self.interval)
         unit = "" if self.unit == "1" else f" {self.unit}"
         return f"{self.name} = {value}{unit}{'' if self.interval is None else ' ' + span}, {self.status}"
 
     @property
-    def row(self) -> tuple:
+    def as_row(self) -> tuple:
         """In the order of `COLUMNS`."""
         low, high = self.interval or (None, None)
         return self.name, self.value, low, high, self.unit, self.status, self.meaning, self.note
@@ -157,7 +157,7 @@ class Quantities(Mapping[str, Quantity]):
         return "\n".join(map(str, self.values()))
 
     def _repr_html_(self) -> str:
-        return html_table(HEADING, (q.row for q in self.values()))
+        return html_table(HEADING, (q.as_row for q in self.values()))
 
     def to_dataframe(self) -> Any:
         """One row a quantity, by name: value, ends of the 95 % interval, unit, status, meaning, note.
@@ -167,7 +167,7 @@ class Quantities(Mapping[str, Quantity]):
         OutputError
             If pandas is not installed.
         """
-        return data_frame(COLUMNS, (q.row for q in self.values()))
+        return data_frame(COLUMNS, (q.as_row for q in self.values()))
 
     def to_csv(self, path: str | os.PathLike[str]) -> None:
         """Write the table that `to_dataframe` gives, without pandas.
@@ -177,7 +177,7 @@ class Quantities(Mapping[str, Quantity]):
         OutputError
             If it cannot be written.
         """
-        write_csv(path, COLUMNS, (q.row for q in self.values()))
+        write_csv(path, COLUMNS, (q.as_row for q in self.values()))
 
 
 def _missing(name: object, known: Sequence[str]) -> str:

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ..analysis import Analysis, beating_warning, count_beating
-from ..io import one_line
-from ..recording import Recording
-from ..units import BEAT
+from ..conversions import BEAT
+from ..io.files import escape_controls
+from ..recording.recording import Recording
 
 __all__ = ["remarks"]
 
@@ -30,7 +30,7 @@ def remarks(recordings: Sequence[Recording], analyses: Sequence[Analysis]) -> li
     warnings = [(*r.warnings, *a.warnings) for r, a in zip(recordings, analyses, strict=True)]
     if len(recordings) == 1:
         return ["; ".join(warnings[0])] if warnings[0] else []
-    names = [one_line(Path(recording.path).name) for recording in recordings]
+    names = [escape_controls(Path(recording.path).name) for recording in recordings]
     concerned: dict[str, list[str]] = {}
     for name, own, analysis in zip(names, warnings, analyses, strict=True):
         for warning in own:

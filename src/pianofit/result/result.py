@@ -16,23 +16,23 @@ from ..analysis import Analysis, Partials
 from ..errors import FitError
 from ..felt import FeltLaw
 from ..fit_file import fit_path, gains_of, mixture_of, read_fit
-from ..io import one_line, reference_of
+from ..io.files import escape_controls, reference_of
+from ..io.number_format import counted
 from ..model import Simulation
-from ..model.modal import Ringing
+from ..model.modal_response import ModalResponse
 from ..model.note import Note
-from ..numbers import counted
-from ..recording import Recording, Source
+from ..recording.recording import Recording, Source
 from .draws import DRAWS_FILE, Draws, read_draws
 from .quantities import Covariance, Quantities
 
-__all__ = ["FittedRecording", "Result", "Sound"]
+__all__ = ["FittedRecording", "Result", "RenderedFit"]
 
 # Of the identifiability statement, in characters, that a `repr` shows.
 STATEMENT = 300
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Sound:
+class RenderedFit:
     """One set of parameters, as it sounds."""
 
     note: Note
@@ -49,36 +49,36 @@ class Sound:
 class FittedRecording:
     """One recording beside what the model makes of it."""
 
-    initial: Sound
-    fitted: Sound
+    initial: RenderedFit
+    fitted: RenderedFit
     level: np.ndarray  # dB, [partials], measured, in the pickup's unit
     recording: Recording
     analysis: Analysis
     criterion: dict
     levels: dict
-    ringing: Sound | None = None  # `fitted` as the key rings; itself is by the string's law
+    ringing: RenderedFit | None = None  # `fitted` as the key rings; itself is by the string's law
 
     def __repr__(self) -> str:
         return f"FittedRecording: {self.recording!r}, levels {self.levels['fitted_db']:.2f} dB off after the fit"
 
     @property
-    def played(self) -> Sound:
+    def as_played(self) -> RenderedFit:
         """The fit as it plays this recording: as the key rings, or by the string's law."""
         return self.ringing or self.fitted
 
-    def ringing_by(self, ringing: Ringing, late: float) -> FittedRecording:
+    def ringing_by(self, ringing: ModalResponse, late: float) -> FittedRecording:
         """The same with the fit as the key rings; the contact lies `late` seconds after the onset."""
         law, recording = self.fitted, self.recording
         note = law.note._replace(ringing=ringing)
         touch = recording.onset + round(late * recording.rate)
-        frames = note.frames(law.simulation, recording.rate, len(recording.samples), touch)
-        return replace(self, ringing=Sound(note, frames.mean(axis=0), law.simulation, law.level, frames))
+        frames = note.render_channels(law.simulation, recording.rate, len(recording.samples), touch)
+        return replace(self, ringing=RenderedFit(note, frames.mean(axis=0), law.simulation, law.level, frames))
 
     @property
     def sound(self) -> np.ndarray:
         """`played` as a file has it [samples], or [channels, samples]."""
-        frames = self.played.frames
-        return self.played.samples if frames is None or len(frames) == 1 else frames
+        frames = self.as_played.frames
+        return self.as_played.samples if frames is None or len(frames) == 1 else frames
 
     @property
     def partials(self) -> Partials:
@@ -99,9 +99,9 @@ class Result:
 
     document: dict
     recordings: tuple[FittedRecording, ...]
-    first: int
-    notes: tuple[tuple[Note, ...], ...]
-    shares: tuple[float, ...]
+    reference_index: int
+    minima_notes: tuple[tuple[Note, ...], ...]
+    weights: tuple[float, ...]
     draws: Draws | None = None
     folder: Path | None = None
 
@@ -128,12 +128,12 @@ class Result:
     @property
     def note(self) -> Note:
         """What renders and predicts: the best minimum's string, hammer and path, at the reference's velocity."""
-        return self.notes[0][self.first]
+        return self.minima_notes[0][self.reference_index]
 
     @property
     def mixture(self) -> list[tuple[float, Note]]:
         """The notes of all minima with their shares, the best first: what `predict_recording` takes."""
-        return [(share, notes[self.first]) for share, notes in zip(self.shares, self.notes, strict=True)]
+        return [(share, notes[self.reference_index]) for share, notes in zip(self.weights, self.minima_notes, strict=True)]
 
     @property
     def gains(self) -> tuple[float, ...]:
@@ -163,7 +163,7 @@ class Result:
         FitError
             If the fit was read back, and its recording is not at its place or was changed.
         """
-        return self.with_recordings().recordings[self.first]
+        return self.with_recordings().recordings[self.reference_index]
 
     def with_recordings(self, *recordings: Source) -> Result:
         """The result with its recordings: itself, or one that was read back with the recordings read again.
@@ -190,24 +190,24 @@ class Result:
         2.0
         """
         if recordings:
-            from .recall import recalled
+            from .reload import recalled
 
             return recalled(self, recordings)
         return self if self.recordings else self._recalled
 
     @cached_property
     def _recalled(self) -> Result:
-        from .recall import recalled
+        from .reload import recalled
 
         return recalled(self)
 
     @property
-    def initial(self) -> Sound:
+    def initial(self) -> RenderedFit:
         """Before the fit, reference recording."""
         return self.reference.initial
 
     @property
-    def fitted(self) -> Sound:
+    def fitted(self) -> RenderedFit:
         """After the fit, reference recording."""
         return self.reference.fitted
 
@@ -352,9 +352,9 @@ class Result:
         ('175.0+/-0.0', True)
         """
         path = fit_path(folder)
-        document, name = read_fit(path), one_line(path)
+        document, name = read_fit(path), escape_controls(path)
         shares, mixture = zip(*mixture_of(document, path, felt), strict=True)
-        from .recall import every_note
+        from .reload import every_note
 
         notes, (first, _) = every_note(document, mixture, name), reference_of(document["recordings"])
         invariants = document.get("invariants")
@@ -364,6 +364,6 @@ class Result:
             _ = repr(result), result._repr_html_()
         except (AttributeError, IndexError, KeyError, TypeError, ValueError) as missing:
             raise FitError(
-                f"{name}: is not whole ({one_line(repr(missing))}); give the file that pianofit fit wrote"
+                f"{name}: is not whole ({escape_controls(repr(missing))}); give the file that pianofit fit wrote"
             ) from None
         return result

@@ -1,6 +1,6 @@
 """How a felt is stepped: its laws are data (`pianofit.felt`), three of them with a solver of their own (`relaxing`)."""
 
-from .passive import static_force
-from .step import compression, felt_force, force, memory_weights, remember
+from .contact_step import compression, felt_force, force, memory_weights, update_relaxation
+from .passivity import static_force
 
-__all__ = ["compression", "felt_force", "force", "memory_weights", "remember", "static_force"]
+__all__ = ["compression", "felt_force", "force", "memory_weights", "update_relaxation", "static_force"]

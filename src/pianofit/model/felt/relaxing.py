@@ -23,11 +23,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from ...felt import MemoryHammer
+from ...felt import RelaxingHammer
 from ...parameters import Hammer
-from ..precision import AnyArray, derivative, float64
+from ..x64 import AnyArray, derivative, float64
 
-__all__ = ["Weights", "felt_force", "memory_weights", "remember", "residual", "root"]
+__all__ = ["Weights", "felt_force", "memory_weights", "update_relaxation", "residual", "root"]
 
 # Newton's iterations; from the worst start (p = 5) each takes a fifth off the error until it turns quadratic.
 MOST_ITERATIONS = 200
@@ -44,13 +44,13 @@ class Weights(NamedTuple):
     new: Array
 
 
-def felt_force(u: Array, w: Array, hammer: Hammer | MemoryHammer, memory=0.0, share=0.0) -> Array:
+def felt_force(u: Array, w: Array, hammer: Hammer | RelaxingHammer, memory=0.0, share=0.0) -> Array:
     """Felt force, N, at compression `u`, m, and compression speed `w`, m/s (paper eq. 8, with u = y_H - y_s).
 
     For a felt that remembers, c is `memory`, m^p, and `share` of u^p.
     """
     pressed = jnp.where(u > 0, u, 1.0)
-    if not isinstance(hammer, MemoryHammer):
+    if not isinstance(hammer, RelaxingHammer):
         return jnp.where(u > 0, hammer.K_H * pressed**hammer.p * jnp.maximum(1 + hammer.mu * w, 0.0), 0.0)
     loss = jnp.maximum(1 + hammer.mu * w - hammer.epsilon * share, 0.0)
     law = hammer.K_H * (pressed**hammer.p * loss - hammer.epsilon * memory)
@@ -60,7 +60,7 @@ def felt_force(u: Array, w: Array, hammer: Hammer | MemoryHammer, memory=0.0, sh
 @float64
 def memory_weights(hammer: Any, step: AnyArray) -> Weights | None:
     """The weights of a step, s, to rounding for any τ; None for a felt without memory."""
-    if not isinstance(hammer, MemoryHammer):
+    if not isinstance(hammer, RelaxingHammer):
         return None
     s = step / hammer.tau
     near, far = jnp.minimum(s, 0.5), jnp.maximum(s, 0.5)
@@ -76,7 +76,7 @@ def memory_weights(hammer: Any, step: AnyArray) -> Weights | None:
     )
 
 
-def remember(u: Array, hammer: Any, weights: Weights | None, memory: Any) -> Array | None:
+def update_relaxation(u: Array, hammer: Any, weights: Weights | None, memory: Any) -> Array | None:
     """What of the memory comes from before the next step: k c_n + w0 a_n, from `u` of this one and its own `memory`."""
     if weights is None:
         return None

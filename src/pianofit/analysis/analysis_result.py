@@ -1,0 +1,129 @@
+"""What an analysis says: plain numbers with their standard errors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ..io.number_format import counted
+from ..io.table_output import data_frame, html_table
+from .glide import PitchGlide
+
+__all__ = ["Analysis", "Partials"]
+
+# Columns of `Partials` that hold one number for each partial, and how a notebook heads them.
+PER_PARTIAL = {
+    "number": "k", "frequency": "frequency, Hz", "frequency_error": "± noise", "decay": "decay, 1/s",
+    "decay_error": "± noise", "level": "level, dB", "level_error": "± noise", "snr": "SNR, dB",
+    "beating": "beating, dB",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Partials:
+    """The table of partials, ascending in number; those found above the noise, and bounds on the others.
+
+    Errors come in two kinds. A standard error `_error` is from noise alone, independent from partial to partial and
+    from recording to recording. A covariance `_systematic` is of what beats, a second polarisation or a glide that was
+    not taken out do to a value: neighbouring partials share it, and all recordings of a key do. It leaves out
+    `Analysis.glide_error`, and is nought where nothing beyond noise is seen.
+    """
+
+    number: np.ndarray  # int [partials], k
+    frequency: np.ndarray  # [partials], Hz
+    frequency_error: np.ndarray  # [partials], Hz
+    frequency_systematic: np.ndarray  # [partials, partials], Hz²
+    decay: np.ndarray  # [partials], 1/s, decay rate α of the amplitude
+    decay_error: np.ndarray  # [partials], 1/s
+    decay_systematic: np.ndarray  # [partials, partials], 1/s²
+    level: np.ndarray  # [partials], dB re full scale² · s: ∫_0^0.35s of its mean power · exp(−16 t) dt, from the onset
+    level_error: np.ndarray  # [partials], dB
+    level_systematic: np.ndarray  # [partials, partials], dB²: from the level of the string's single mode
+    level_decay_sensitivity_s: np.ndarray  # [partials], s, by which its energy came later than a level's, by the law of decays
+    snr: np.ndarray  # [partials], dB, amplitude at the onset over its own standard error from noise
+    beating: np.ndarray  # [partials], dB, rms deviation of the log envelope from one exponential
+    absent: np.ndarray  # int [absent], numbers below the highest frequency looked at that were not found
+    absent_bound: np.ndarray  # [absent], dB as `level`: all the energy in the band of each, noise included
+
+    def __len__(self) -> int:
+        return len(self.number)
+
+    def __repr__(self) -> str:
+        span = f", {self.frequency[0]:.5g} to {self.frequency[-1]:.5g} Hz" if len(self) else ""
+        return f"{counted(len(self), 'partial')}{span}; {len(self.absent)} looked for and not found"
+
+    def _rows(self) -> list[tuple]:
+        return list(zip(*(getattr(self, name).tolist() for name in PER_PARTIAL), strict=True))
+
+    def _repr_html_(self) -> str:
+        return html_table(tuple(PER_PARTIAL.values()), self._rows())
+
+    def to_dataframe(self) -> Any:
+        """One row a partial, by number; frequency in Hz, decay in 1/s, levels, SNR and beating in dB.
+
+        Raises
+        ------
+        OutputError
+            If pandas is not installed.
+        """
+        return data_frame(tuple(PER_PARTIAL), self._rows())
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Analysis:
+    """One recording of one note: the string's two laws, the partials, and how far they keep to the laws."""
+
+    f0: float  # Hz, of f_k = k f0 √(1 + B k²), over 0.2 to 1.0 s after the onset where the note lasts that long
+    f0_error: float
+    B: float
+    B_error: float
+    b1: float  # 1/s, of α_k = b1 + d2 k²
+    b1_error: float
+    d2: float  # 1/s, = b2 π²/L²
+    d2_error: float
+    partials: Partials
+    scatter_cents: float  # robust deviation of the partials from the frequency law, beyond their noise
+    scatter_decay: float  # relative robust deviation of the decay rates from their law, beyond their noise
+    glide_cents: float  # fall of the pitch from the first 0.35 s to the last window in which it can be measured
+    glide: tuple[tuple[float, float, float], ...]  # windows (start s, stop s, f0 Hz)
+    noise_density: np.ndarray  # [partials], one-sided noise power density at each partial, full scale²/Hz
+    note: str | None
+    warnings: tuple[str, ...]
+    glide_error: float = 0.0  # cents, of all frequencies alike: how well a glide that was taken out is known
+    glide_start: float = 0.0  # cents above f0 at which a glide that was taken out began,
+    glide_tau: float = 1.0  # s, and the time constant with which it fell
+    level_law: tuple[float, float] = (0.0, 0.0)  # 1/s, b1 and d2 over the whole file, by which levels were found
+
+    def with_decay_law(self, other: Analysis) -> Analysis:
+        """The same with levels as by another recording's `level_law`, to the third order in how the two differ.
+
+        The string decays alike in all recordings of a key; their own laws differ by what noise and beats do to them.
+        """
+        p, theirs = self.partials, other.partials
+        lag = 0.5 * (p.level_decay_sensitivity_s + np.interp(p.number, theirs.number, theirs.level_decay_sensitivity_s))
+        b1, d2 = np.subtract(other.level_law, self.level_law)
+        level = p.level + 20 / np.log(10) * lag * (b1 + d2 * p.number**2.0)
+        return replace(self, partials=replace(p, level=level), level_law=other.level_law)
+
+    @property
+    def glide_model(self) -> PitchGlide:
+        """The glide that was taken out; of 0 cents if none was."""
+        return PitchGlide(self.glide_start, self.glide_tau)
+
+    def __repr__(self) -> str:
+        note = "" if self.note is None else f"{self.note}, "
+        return (
+            f"Analysis: {note}f0 {self.f0:.3f} ± {self.f0_error:.2g} Hz, B {self.B:.4g} ± {self.B_error:.2g}, "
+            f"b1 {self.b1:.3g} ± {self.b1_error:.2g} 1/s, d2 {self.d2:.3g} ± {self.d2_error:.2g} 1/s\n{self.partials!r}"
+        )
+
+    def _repr_html_(self) -> str:
+        laws = [("f0", self.f0, self.f0_error, "Hz"), ("B", self.B, self.B_error, "1"),
+                ("b1", self.b1, self.b1_error, "1/s"), ("d2", self.d2, self.d2_error, "1/s")]  # fmt: skip
+        return html_table(("", "value", "±", "unit"), laws, self.note or "") + self.partials._repr_html_()
+
+    def to_dataframe(self) -> Any:
+        """The partials as `Partials.to_dataframe` gives them."""
+        return self.partials.to_dataframe()

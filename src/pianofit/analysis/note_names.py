@@ -1,0 +1,71 @@
+"""Note names and frequencies in equal temperament, A4 = 440 Hz = MIDI 69."""
+
+from __future__ import annotations
+
+import math
+import re
+from numbers import Integral
+
+from ..conversions import hertz_of, midi_of
+from ..errors import AnalysisError, check_type
+
+__all__ = ["SAME_KEY", "cents_above", "hz_to_note", "midi_to_note", "near_note", "note_to_hz", "note_to_midi"]
+
+# Recordings of one key are within this of each other, cents; the next key is 100 away.
+SAME_KEY = 40.0
+HIGHEST_MIDI = 127  # of the MIDI standard
+_STEPS = {"C": 0, "D": 2, "E": 4, "F": 5, "G": 7, "A": 9, "B": 11}
+_NAMES = ("C", "C#", "D", "D#", "E", "F", "F#", "G", "G#", "A", "A#", "B")
+_NOTE = re.compile(r"([A-Ga-g])(##|#|♯|s|bb|b|♭|)(-1|\d)")
+_NUMBER = re.compile(r"\d{1,3}", re.ASCII)
+_SHIFT = {"": 0, "#": 1, "♯": 1, "s": 1, "##": 2, "b": -1, "♭": -1, "bb": -2}
+
+
+def note_to_midi(name: str | int) -> int:
+    """MIDI number of a note such as "F#2", "Fs2", "Bb3" or "C4" (middle C is C4 = 60); "42" and 42 are 42.
+
+    Raises
+    ------
+    AnalysisError
+        When `name` is no note.
+    ParameterError
+        When it is neither text nor a whole number.
+    """
+    check_type("note=", name, str | Integral, "a name such as 'F#2', or a MIDI number")
+    text = str(name).strip()
+    if _NUMBER.fullmatch(text) and int(text) <= HIGHEST_MIDI:
+        return int(text)
+    match = _NOTE.fullmatch(text)
+    if match is None:
+        raise AnalysisError(
+            f"note {name!r} is not a note name; write a letter, # or b, and an octave, such as F#2, or a MIDI number "
+            f"from 0 to {HIGHEST_MIDI}"
+        )
+    letter, shift, octave = match.groups()
+    return 12 * (int(octave) + 1) + _STEPS[letter.upper()] + _SHIFT[shift]
+
+
+def note_to_hz(name: str | int) -> float:
+    """Frequency of a note in Hz, A4 = 440 Hz."""
+    return hertz_of(note_to_midi(name))
+
+
+def hz_to_note(frequency: float) -> str:
+    """Name of the note nearest to `frequency` (Hz)."""
+    return midi_to_note(round(midi_of(frequency)))
+
+
+def cents_above(frequency: float, reference: float) -> float:
+    """How far `frequency` lies above `reference`, both in Hz, in cents."""
+    return 1200 * math.log2(frequency / reference)
+
+
+def near_note(frequency: float) -> str:
+    """The nearest note and how far `frequency` (Hz) is from it: "F#2 -4 cents"."""
+    name = hz_to_note(frequency)
+    return f"{name} {cents_above(frequency, note_to_hz(name)):+.0f} cents"
+
+
+def midi_to_note(midi: int) -> str:
+    """Name of a MIDI number: "F#2" for 42."""
+    return f"{_NAMES[midi % 12]}{midi // 12 - 1}"

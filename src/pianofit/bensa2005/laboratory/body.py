@@ -1,0 +1,129 @@
+"""The string with all it hangs on, as one linear system of second order.
+
+Each polarisation is a field `y(x, t) = Σ q_k sin(β_k x) + w x/L`: the hinged string's sines, and a ramp that follows
+the bridge's displacement `w` at x = L. Kinetic, elastic and dissipated energy of these fields and of the bridge's
+resonators are quadratic forms; Lagrange's equations then read
+
+    M ẍ + C ẋ + K x = b F,      M, K positive definite, C positive semidefinite
+
+with the same `b` for pushing and for reading what is under the hammer. In coordinates ξ = (Gᵀx, Lᵀẋ) with K = G Gᵀ and
+M = L Lᵀ the energy is ½|ξ|², and d/dt ½|ξ|² = F bᵀẋ - ẋᵀC ẋ: passive, whatever the numbers. Its eigenvectors turn the
+system into damped exponentials.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import block_diag, cholesky, solve_triangular
+
+from ...parameters import Geometry, String
+from .chosen import ANGLE, CENTS, SLOWER, Resonator
+
+__all__ = ["Axis", "Body", "make_axes", "make_body", "window_weights"]
+
+
+class Axis(NamedTuple):
+    """One polarisation: a string, and how much of the hammer's direction lies along it."""
+
+    string: String
+    share: float
+
+
+class Body(NamedTuple):
+    """Damped exponentials ż = λ z + β F, one a row, and the energy coordinates ξ = Re(vectors z) behind them."""
+
+    poles: np.ndarray  # λ, complex [rows], 1/s; Im ≥ 0
+    drive: np.ndarray  # β, complex [rows], √J/(N s)
+    vectors: np.ndarray  # complex [2 dof, rows]; conjugate rows are counted in
+    under: np.ndarray  # real [2 dof]: displacement under the hammer = under · ξ, m
+    pickup: np.ndarray  # real [2 dof]: velocity at the pickup along the hammer's direction = pickup · ξ, m/s
+    force: np.ndarray  # real [2 dof]: ξ̇ = matrix ξ + force F
+    matrix: np.ndarray  # real [2 dof, 2 dof], whose symmetric part is not positive
+
+
+def make_axes(string: String, polarisation: bool) -> tuple[Axis, ...]:
+    """The string alone, or turned by `ANGLE` and with its second axis."""
+    if not polarisation:
+        return (Axis(string, 1.0),)
+    turn, sharp = math.radians(ANGLE), 2 ** (CENTS / 1200)
+    second = String(string.c * sharp, string.kappa * sharp, string.b1 * SLOWER, string.b2 * SLOWER)
+    return Axis(string, math.cos(turn)), Axis(second, -math.sin(turn))
+
+
+@lru_cache(maxsize=8)
+def make_body(axes: tuple[Axis, ...], geometry: Geometry, modes: int, resonators: tuple[Resonator, ...]) -> Body:
+    """The whole system; without `resonators` the string's end is at rest."""
+    angle, shares = np.radians([r.direction for r in resonators]), np.array([axis.share for axis in axes])
+    # How far a unit motion of each resonator moves the bridge along each axis [axes, resonators].
+    moved = np.stack([np.cos(angle), np.sin(angle)])[: len(axes)]
+
+    def across(sines: np.ndarray, at: float) -> np.ndarray:
+        """What weighs the motion along the hammer's direction at one position [dof]."""
+        return np.concatenate([*(share * sines for share in shares), at / geometry.length * shares @ moved])
+
+    beta = np.arange(1, modes + 1) * (math.pi / geometry.length)
+    push = across(window_weights(geometry, modes), geometry.strike_position)
+    read = across(np.sin(beta * geometry.pickup), geometry.pickup)
+    return _exponentials(_forms(axes, geometry, modes, resonators, moved), push, read)
+
+
+def window_weights(geometry: Geometry, modes: int) -> np.ndarray:
+    """∫ ĝ sin(β_k x) dx [modes] of the window ĝ = (1 + cos(2π(x - x0)/width))/width, by Gauss-Legendre quadrature."""
+    nodes, weights = np.polynomial.legendre.leggauss(96)
+    beta = np.arange(1, modes + 1) * (math.pi / geometry.length)
+    return np.sin(np.outer(beta, geometry.strike_position + nodes * geometry.width / 2)) @ (
+        weights * (1 + np.cos(math.pi * nodes)) / 2
+    )
+
+
+def _forms(
+    axes: tuple[Axis, ...], geometry: Geometry, modes: int, resonators: tuple[Resonator, ...], moved: np.ndarray
+) -> list[np.ndarray]:
+    """M, C, K [dof, dof] of all modes, axis by axis, and the resonators."""
+    # Each field by itself has its modes and its ramp; the ramps follow the resonators.
+    inner = len(axes) * modes
+    toward = np.zeros((len(axes) * (modes + 1), inner + len(resonators)))
+    toward[:, :inner] = block_diag(*(np.eye(modes + 1)[:, :modes] for _ in axes))
+    toward[modes :: modes + 1, inner:] = moved
+    frequency, mass, quality, _ = np.array(resonators).reshape(-1, len(Resonator._fields)).T
+    omega = 2 * math.pi * frequency
+    bridge = (mass, mass * omega / quality, mass * omega**2)
+    fields = zip(*(_field_forms(axis.string, geometry, modes) for axis in axes), strict=True)
+    return [
+        toward.T @ np.asarray(block_diag(*parts)) @ toward + np.diag([*np.zeros(inner), *own])
+        for parts, own in zip(fields, bridge, strict=True)
+    ]
+
+
+def _field_forms(string: String, geometry: Geometry, modes: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """M, C, K of one polarisation, for (q_1 ... q_modes, w): ρ∫ẏ², 2 b1 ρ∫ẏ² + 2 b2 ρ∫ẏ'², ρ∫(c² y'² + κ² y''²)."""
+    k = np.arange(1, modes + 1)
+    beta2 = (k * (math.pi / geometry.length)) ** 2
+    half = geometry.mass / 2  # ρ ∫ sin² dx
+    mass = np.diag([*np.full(modes, half), geometry.mass / 3])
+    mass[:-1, -1] = mass[-1, :-1] = geometry.mass * np.where(k % 2, 1, -1) / (k * math.pi)  # ρ ∫ sin(β x) x/L dx
+    slope = np.diag([*(half * beta2), geometry.mass / geometry.length**2])
+    bend = np.diag([*(half * beta2**2), 0.0])
+    return mass, 2 * string.b1 * mass + 2 * string.b2 * slope, string.c**2 * slope + string.kappa**2 * bend
+
+
+def _exponentials(forms: list[np.ndarray], push: np.ndarray, read: np.ndarray) -> Body:
+    """The system in energy coordinates, and its eigenvectors."""
+    mass, loss, stiffness = forms
+    low, stiff = cholesky(mass, lower=True), cholesky(stiffness, lower=True)
+    turn = solve_triangular(low, stiff, lower=True)  # L⁻¹ G
+    loss = solve_triangular(low, solve_triangular(low, loss, lower=True).T, lower=True)
+    none = np.zeros(push.size)
+    matrix = np.block([[np.zeros_like(loss), turn.T], [-turn, -(loss + loss.T) / 2]])
+    force = np.concatenate([none, solve_triangular(low, push, lower=True)])
+    poles, vectors = np.linalg.eig(matrix)
+    drive = np.linalg.solve(vectors, force)
+    upper = np.imag(poles) >= 0
+    twice = np.where(np.imag(poles[upper]) > 0, 2.0, 1.0)
+    under = np.concatenate([solve_triangular(stiff, push, lower=True), none])
+    pickup = np.concatenate([none, solve_triangular(low, read, lower=True)])
+    return Body(poles[upper], drive[upper], vectors[:, upper] * twice, under, pickup, force, matrix)

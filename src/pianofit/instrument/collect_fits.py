@@ -1,0 +1,285 @@
+"""The fits of single keys, gathered from a folder, on one velocity scale, and in terms of what a recording measures.
+
+Lengths and masses are mostly assumed, and only some combinations are measured (see `invariants`): those go into the
+laws over the keyboard, so that an assumption is never taken for a difference between keys. Uncalibrated fits fix their
+velocities up to a factor: (K_H, μ, v_H0, gain) → (K_H s^(1-p), μ/s, s v_H0, gain/s) changes nothing that is heard. Of
+every key the loudest recording is set to `LOUDEST`, which puts all keys on one scale.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..analysis.note_names import midi_to_note, note_to_midi
+from ..conversions import NORMAL, midi_of
+from ..errors import FitError
+from ..fit_file import note_of, read_fit
+from ..io.files import escape_controls, reference_of
+from ..io.number_format import is_number
+from ..literature import PICKUP, typical
+from ..model.note import Note
+from ..parameters import FIT_NAMES, PARAMETERS, Hammer
+from ..report.identifiability_text import half_interval
+
+__all__ = [
+    "HIGHEST_KEY", "LOUDEST", "LOWEST_KEY", "NAMES", "KeyFit", "Layer", "find_fits", "key_observables", "literature",
+    "load_keys", "of_force", "instrument_name",
+]  # fmt: skip
+
+LOWEST_KEY, HIGHEST_KEY = 21, 108
+# Velocity given to the loudest recording of an uncalibrated key, m/s: a fortissimo.
+LOUDEST = 4.0
+# The laws, in the order of the page; all but `cents` are smooth on a log scale.
+NAMES = ("cents", "B", "b1", "d2", "M_H/M_S", "K/M_S", "p", "mu", "x0/L", "width/L", "L", "M_S/L", "pickup/L", "gain")
+# Standard deviations (of logarithms; cents for `cents`) where a fit gives no interval: what was given is given.
+DEFAULT_SD = {"cents": 3.0, "width/L": 0.3, "L": 1e-3, "M_S/L": 1e-3, "pickup/L": 1e-3, "x0/L": 1e-2, "gain": 0.1}
+UNTOLD_OTHER = 0.1
+# Intervals of a fit that stopped before it converged count for this much more.
+NONCONVERGED_FACTOR = 2.0
+# What `fit.json` calls a velocity or a gain that was known; `fixed` in its first schema.
+KNOWN = ("given", "fixed")
+# An instrument's name and a key's, apart, or the key's in a capital: "take2" is no E2.
+_KEY = re.compile(r"(.*?)(?:(?:^|[-_ ])(?=[a-g])|[-_ ]?(?=[A-G]))([A-Ga-g][#sb♯♭]?(?:-1|\d))")
+
+
+class Layer(NamedTuple):
+    """One recording that a key was fitted to."""
+
+    file: str
+    sha256: str  # of its bytes
+    contact: float  # when the hammer touches the string, s
+    velocity: float  # of the hammer, m/s
+
+
+class KeyFit(NamedTuple):
+    """One key's own fit."""
+
+    midi: int
+    file: str
+    note: Note  # the loudest recording's gain; loudest velocity
+    sd: dict[str, float]  # by `NAMES`
+    velocities: tuple[float, ...]  # of the recordings, ascending, m/s
+    levels_db: float | None  # rms error of the partials' levels
+    converged: bool
+    recordings: int
+    layers: tuple[Layer, ...] = ()  # those of them that are named, soft to loud
+
+
+def of_force(quantity: str) -> bool:
+    """Whether what is heard scales with the string's mass."""
+    return quantity in ("bridge-force", "pressure")
+
+
+def reference_compression(midi: float) -> float:
+    """u_ref, m: what the literature's hammer of the key is pressed by if it is stopped from 2 m/s."""
+    h = typical(midi).hammer
+    return float((0.5 * (h.p + 1) * h.M_H * 2.0**2 / h.K_H) ** (1 / (h.p + 1)))
+
+
+def key_observables(note: Note, midi: int) -> dict[str, float]:
+    """What a recording measures of a key, by `NAMES`.
+
+    Deviation of f0 from equal temperament (cents), B, b1 and d2 = b2 π²/L² (decay b1 + d2 k², 1/s), ratios to the
+    string's mass and length, the felt's force at u_ref over the string's mass (N/kg), p, μ (s/m), and the gain, times
+    M_S where the force on the bridge is heard.
+    """
+    s, h, g = note.string, note.hammer, note.geometry
+    return {
+        "cents": 100 * (midi_of(note.f0) - midi),
+        "B": note.B,
+        "b1": s.b1,
+        "d2": s.b2 * (math.pi / g.length) ** 2,
+        "M_H/M_S": h.M_H / g.mass,
+        "K/M_S": h.K_H * reference_compression(midi) ** h.p / g.mass,
+        "p": h.p,
+        "mu": h.mu,
+        "x0/L": g.strike_position / g.length,
+        "width/L": g.width / g.length,
+        "L": g.length,
+        "M_S/L": g.mass / g.length,
+        "pickup/L": g.pickup / g.length,
+        "gain": abs(note.gain) * (g.mass if of_force(note.quantity) else 1.0),
+    }
+
+
+def literature(midi: int) -> dict[str, float]:
+    """The same of the literature's key; there is none for the gain."""
+    it = typical(midi)
+    width = min(it.geometry.width, 0.1 * it.geometry.length)
+    geometry = it.geometry._replace(width=width, pickup=PICKUP * it.geometry.length)
+    return key_observables(Note(it.string, it.hammer, geometry, "velocity", 1.0, None), midi)
+
+
+def find_fits(paths: Sequence[Path], prefix: str | None = None) -> list[Path]:
+    """The `fit.json` files that are meant: given as they are, or as `keys/KEY/fit.json` in one folder.
+
+    A `FitError` if there is none, or a folder holds several instruments and none is named.
+    """
+    found: list[Path] = []
+    for path in paths:
+        name = escape_controls(path)
+        if path.is_file():
+            found.append(path)
+            continue
+        if not path.is_dir():
+            raise FitError(f"{name}: there is no such file or folder; give what pianofit batch or pianofit fit wrote")
+        here = sorted(path.glob("keys/*/fit.json")) or sorted(path.glob("*/fit.json")) or sorted(path.glob("fit.json"))
+        if not here:
+            raise FitError(f"{name}: holds no keys/KEY/fit.json; give the folder that pianofit batch wrote")
+        found += here
+    owners = {file: instrument_name(file) for file in found}
+    if prefix is not None:
+        chosen = [file for file in found if owners[file] == prefix]
+        if not chosen:
+            known = ", ".join(sorted(repr(escape_controls(name)) for name in set(owners.values())))
+            raise FitError(f"--prefix {prefix!r}: no key begins so; there are {known}")
+        return chosen
+    several = sorted({name for name in owners.values() if name})
+    if len(several) > 1:
+        named = ", ".join(map(escape_controls, several))
+        raise FitError(f"{escape_controls(paths[0])}: holds several instruments, {named}; choose one by --prefix")
+    return found
+
+
+def instrument_name(file: Path) -> str:
+    """The instrument that the folder of a fit names, such as cp80 of cp80-Fs2; empty if none."""
+    return _key_of(file)[0]
+
+
+def _key_of(file: Path) -> tuple[str, int | None]:
+    """The instrument and the key that the folder's name says, such as cp80-Fs2."""
+    match = _KEY.fullmatch(file.resolve().parent.name)
+    return (match[1], note_to_midi(match[2])) if match else ("", None)
+
+
+def load_keys(files: Sequence[Path]) -> list[KeyFit]:
+    """Every file's key, ascending.
+
+    A `FitError` for what is no `fit.json`, two of one key, keys beyond the keyboard, or recordings of different kinds.
+    """
+    keys: dict[int, KeyFit] = {}
+    for file in files:
+        key = _load_key(file)
+        if (held := keys.get(key.midi)) is not None:
+            raise FitError(
+                f"{escape_controls(file)}: is {midi_to_note(key.midi)}, and so is {held.file}; leave one out, or choose an "
+                "instrument by --prefix"
+            )
+        keys[key.midi] = key
+    kinds = sorted({key.note.quantity for key in keys.values()})
+    if len(kinds) > 1:
+        raise FitError(f"{escape_controls(files[0])}: the keys heard {' and '.join(kinds)}; one instrument needs one quantity")
+    return [keys[midi] for midi in sorted(keys)]
+
+
+def _load_key(file: Path) -> KeyFit:
+    document, name = read_fit(file), escape_controls(file)
+    note, _ = note_of(document, file)
+    midi = _midi(note, file)
+    rows = [row for row in document["recordings"] if isinstance(row, dict)]
+    path = reference_of(rows)[1].get("group")
+    # The note has the reference's path, and a gain belongs to a path.
+    own = [i for i, row in enumerate(rows) if row.get("group") == path]
+    loud = max(own, key=lambda i: _positive(rows[i].get("v_H0"), f"recordings[{i}].v_H0", name))
+    gain = _positive(rows[loud].get("gain"), f"recordings[{loud}].gain", name, signed=True)
+    velocities = np.unique([_positive(row.get("v_H0"), f"recordings[{i}].v_H0", name) for i, row in enumerate(rows)])
+    calibrated = any(row.get(key) in KNOWN for row in rows for key in ("gain_status", "v_H0_status"))
+    if not isinstance(note.hammer, Hammer):
+        raise FitError(f"{name}: a relaxing felt cannot be carried over a keyboard; fit with --felt hunt-crossley")
+    # A felt without loss is one with next to none: the law is in log μ.
+    h = note.hammer._replace(v_H0=float(velocities[-1]), mu=max(note.hammer.mu, PARAMETERS["mu"].lower))
+    scale = 1.0 if calibrated else LOUDEST / h.v_H0
+    hammer = h._replace(K_H=h.K_H * scale ** (1 - h.p), mu=h.mu / scale, v_H0=h.v_H0 * scale)
+    levels = document.get("levels")
+    error: Any = levels.get("fitted_db") if isinstance(levels, dict) else None
+    converged = document.get("converged") is True
+    told = _deviations(document, note, midi, converged, scale)
+    ringing = None if note.ringing is None else note.ringing.scale_velocity(scale)
+    path = None if note.path is None else note.path._replace(wander=None)  # an instrument predicts no recording
+    return KeyFit(
+        midi, name, note._replace(hammer=hammer, gain=gain / scale, path=path, ringing=ringing), told,
+        tuple((velocities * scale).tolist()), float(error) if is_number(error) else None, converged, len(rows),
+        _layers(document, rows, scale),
+    )  # fmt: skip
+
+
+def _layers(document: dict, rows: list[dict], scale: float) -> tuple[Layer, ...]:
+    """The recordings that a fit names, with their velocities on the instrument's scale."""
+    ringing = document.get("ringing") or {}
+    after = {one.get("file"): one.get("contact_s") for one in ringing.get("layers") or () if isinstance(one, dict)}
+    found = [
+        Layer(row["file"], str(row.get("sha256")), float(row["onset_s"] + (after.get(row["file"]) or 0.0)),
+              float(row["v_H0"] * scale))
+        for row in rows if isinstance(row.get("file"), str) and is_number(row.get("onset_s"))
+    ]  # fmt: skip
+    return tuple(sorted(found, key=lambda layer: layer.velocity))
+
+
+def _midi(note: Note, file: Path) -> int:
+    """The folder's note where it is within 1.5 semitones of the pitch, for pianos out of tune; else the nearest."""
+    pitch = midi_of(note.f0)
+    _, named = _key_of(file)
+    midi = named if named is not None and abs(named - pitch) < 1.5 else round(pitch)
+    if not LOWEST_KEY <= midi <= HIGHEST_KEY:
+        raise FitError(f"{escape_controls(file)}: f0 is {pitch - 69:+.1f} semitones from A4, beyond a piano's A0 to C8")
+    return midi
+
+
+def _positive(x: Any, key: str, name: str, *, signed: bool = False) -> float:
+    if not is_number(x) or x == 0 or (x < 0 and not signed):
+        raise FitError(f"{name}: {key} is {x!r}, no usable number; give the file that pianofit fit wrote")
+    return float(x)
+
+
+def _deviations(document: dict, note: Note, midi: int, converged: bool, scale: float) -> dict[str, float]:
+    """Standard deviations of `invariants` (logarithms; cents), from the 95 % intervals."""
+    s = {name: _spread(document["parameters"].get(name)) for name in (*FIT_NAMES, "x0")}
+    told: dict[str, float | None] = {
+        "cents": None if s["c"] is None else 1200 / math.log(2) * s["c"],
+        "B": None if s["kappa"] is None else 2 * math.hypot(s["kappa"], s["c"] or 0.0),
+        "b1": s["b1"], "d2": s["b2"], "M_H/M_S": s["M_H"], "p": s["p"], "mu": s["mu"], "x0/L": s["x0"],
+        "K/M_S": _felt_spread(s, document, note, midi, scale),
+    }  # fmt: skip
+    wider = 1.0 if converged else NONCONVERGED_FACTOR
+    found = {name: told.get(name) for name in NAMES}
+    return {n: DEFAULT_SD.get(n, UNTOLD_OTHER) if x is None else max(wider * x, 1e-4) for n, x in found.items()}
+
+
+def _spread(entry: Any) -> float | None:
+    """Standard deviation of the logarithm that an interval means."""
+    half = half_interval(entry)
+    return None if half is None else half / NORMAL
+
+
+def _felt_spread(s: dict[str, float | None], document: dict, note: Note, midi: int, scale: float) -> float | None:
+    """Of log K(u_ref), on the scale of `LOUDEST`: the felt is known best where strokes press it.
+
+    From the compression u at which its force has the error e to u_ref,
+
+        var log K(u_ref) = e² + ln²(u_ref/u) var p + 2 ln(u_ref/u) cov(log F, p),
+
+    and var log K_H says the covariance, unless the velocities' common scale is in it: then there is none, since u is
+    where force and exponent part.
+    """
+    h, invariants = note.hammer, document.get("invariants")
+    entry: Any = invariants.get("F/M_S") if isinstance(invariants, dict) else None
+    error = _spread(entry)
+    value: Any = entry.get("value") if isinstance(entry, dict) else None
+    if s["K_H"] is None or s["p"] is None or error is None or not (is_number(value) and value > 0):
+        return s["K_H"]
+    at = math.log(value * note.geometry.mass / h.K_H) / h.p
+    if at >= 0:  # a metre: no felt
+        return s["K_H"]
+    p, covariance = s["p"] * float(h.p), 0.0
+    velocity = document["parameters"].get("v_H0")
+    if not (isinstance(velocity, dict) and velocity.get("status") == "scaled"):
+        covariance = (error**2 + (at * p) ** 2 - s["K_H"] ** 2) / (2 * at)
+        covariance = float(np.clip(covariance, -error * p, error * p))
+    away = math.log(reference_compression(midi)) - at - math.log(scale)
+    return math.sqrt(max(error**2 + (away * p) ** 2 + 2 * away * covariance, 1e-6))

@@ -1,0 +1,164 @@
+"""One HTML file that shows an instrument: every parameter over the keyboard with the literature's behind it, every key.
+
+It is made by `report.kit` and runs no script. Its pictures have the report's colours and line styles. The literature is
+drawn as initial values are, the law as a fit is; an outlier is a cross with its name.
+"""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..io.number_format import number
+from ..report import html
+from ..report.drawing import BAND, FITTED, INITIAL, MEASURED, WRONG, log_axis, make_figure, page_style, svg
+from ..report.figures_recordings import GROUPS as COLOURS
+from .collect_fits import HIGHEST_KEY, LOUDEST, LOWEST_KEY, reference_compression
+from .laws import OUTLYING
+from .text import STATES, TITLES, counts
+from .velocity import hammer_velocity
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["write_page"]
+
+LITERATURE, LAW = INITIAL, FITTED
+CS = {24: "C1", 36: "C2", 48: "C3", 60: "C4", 72: "C5", 84: "C6", 96: "C7", 108: "C8"}
+MARKERS = "osD^"
+GROUPS = {
+    "string": ("cents", "B", "b1", "d2"),
+    "hammer": ("M_H/M_S", "K/M_S", "p", "mu"),
+    "geometry": ("x0/L", "width/L", "L", "M_S/L"),
+}
+RINGING = {"split_cents": "split of the two modes that beat (cents)", "late_over_early": "late T60 over early T60"}
+
+
+def write_page(path: str | os.PathLike[str], document: dict[str, Any]) -> None:
+    """Write the page of a document of `build_instrument`, whole or not at all.
+
+    Raises `OutputError` if `path` cannot be written.
+    """
+    found, figures = counts(document), _draw(document)
+    html.write_page(
+        path, "page.html.j2", package="pianofit.instrument", strict=False, title=document["name"] or "Instrument",
+        contents=True,
+        doc=document,
+        quantity=document["quantity"],
+        known=sum(key["fit"] is not None for key in document["keys"]),
+        states=[(state, found[state], words) for state, words in STATES.items() if found[state]],
+        figures={name: html.picture(panels) for name, panels in figures.items()},
+        rows=[_row(key) for key in document["keys"]],
+        outlying=f"{OUTLYING:g}", loudest=f"{LOUDEST:g}",
+        u_low=1e3 * reference_compression(LOWEST_KEY), u_high=1e3 * reference_compression(HIGHEST_KEY),
+    )  # fmt: skip
+
+
+def _row(key: dict[str, Any]) -> dict[str, Any]:
+    s, h, g, fit = key["string"], key["hammer"], key["geometry"], key["fit"]
+    rounded = [key["told"]["B"]["value"], s["b1"], s["b2"], 1e3 * h["M_H"], 1e3 * g["mass"], h["K_H"]]
+    cells = [
+        f"{s['c'] / (2 * g['length']):.2f}", *(number(x, 3) for x in rounded), f"{h['p']:.3f}", number(h["mu"], 2),
+        str(fit["recordings"]) if fit else "–",
+        f"{fit['levels_db']:.2f}" if fit and fit["levels_db"] is not None else "–",
+    ]  # fmt: skip
+    moved = [f"{n} ({t['state']})" if t["state"] == "outlier" else n for n, t in key["told"].items()
+             if t.get("state") in ("pulled", "outlier")]  # fmt: skip
+    return {"note": key["note"], "state": key["state"], "cells": cells, "words": ", ".join(moved), "fit": fit}
+
+
+def _draw(document: dict[str, Any]) -> dict[str, list[bytes]]:
+    """Name -> SVGs of the panels."""
+    with page_style():
+        figures = {name: [_law_panel(document, law) for law in names] for name, names in GROUPS.items()}
+        figures["sound"] = [
+            _law_panel(document, "gain"), *(make_figure(draw, document) for draw in (_paths, _velocities, _residuals))
+        ]  # fmt: skip
+        rows = [(key["midi"], one) for key in document["keys"] for one in (key["fit"] or {}).get("partials", ())]
+        if rows:
+            figures["ringing"] = [make_figure(_partials, rows, name, title=title) for name, title in RINGING.items()]
+        return {name: [svg(figure) for figure in panels] for name, panels in figures.items()}
+
+
+def _law_panel(document: dict[str, Any], name: str) -> Figure:
+    return make_figure(_law, document, name, legend_rows=2, columns=3)
+
+
+def _law(axes: Axes, document: dict[str, Any], name: str) -> None:
+    law, keys = document["laws"][name], document["keys"]
+    x = np.arange(LOWEST_KEY, HIGHEST_KEY + 1)
+    if law["literature"]:
+        axes.plot(x, law["literature"], color=LITERATURE, ls=(0, (4, 1.6)), lw=1.2, label="literature")
+    axes.fill_between(x, law["low"], law["high"], color=BAND, lw=0, label="95 % of the law")
+    axes.plot(x, law["value"], color=LAW, lw=1.5, label="law")
+    axes.plot(x, [key["told"][name]["value"] for key in keys], ".", ms=3, color=LAW, label="as played")
+    own = [(key["midi"], key["note"], key["told"][name]) for key in keys if key["fit"] is not None]
+    at = np.array([midi for midi, _, _ in own])
+    value = np.array([told["own"] for _, _, told in own])
+    span = np.array([told["own_interval"] for _, _, told in own]).T
+    bars = np.maximum([value - span[0], span[1] - value], 0.0)
+    axes.errorbar(at, value, yerr=bars, fmt="o", ms=3.6, lw=1, color=MEASURED, label="fit of the key", zorder=4)
+    for midi, note, told in own:
+        if told["state"] == "outlier":
+            axes.plot(midi, told["own"], "x", ms=9, mew=2, color=WRONG, zorder=5)
+            axes.annotate(note, (midi, told["own"]), (6, 4), textcoords="offset points", color=WRONG)
+    title, unit = TITLES[name]
+    axes.set_title(title + (f" ({unit})" if unit != "1" else ""))
+    _keyboard(axes)
+    if name not in ("cents", "p"):
+        _log(axes, [*law["low"], *law["high"], *value, *(law["literature"] or [])])
+
+
+def _keyboard(axes: Axes) -> None:
+    axes.set_xlim(LOWEST_KEY - 1, HIGHEST_KEY + 1)
+    axes.set_xticks(list(CS), list(CS.values()))
+
+
+def _log(axes: Axes, shown: list[float]) -> None:
+    low, high = min(shown), max(shown)
+    decades = np.log10(high / low)
+    if decades < 0.6:
+        return
+    axes.set_yscale("log")
+    axes.set_ylim(low * 10 ** (-0.05 * decades - 0.02), high * 10 ** (0.05 * decades + 0.02))
+    log_axis(axes.yaxis, (1, 2, 5) if decades < 2.5 else (1,))
+
+
+def _paths(axes: Axes, document: dict[str, Any]) -> None:
+    for key in document["keys"]:
+        if key["path"] is not None and (key["fit"] is not None or key["midi"] in CS):
+            known = key["fit"] is not None
+            axes.semilogx(key["path"]["frequency"], key["path"]["db"], lw=0.9 if known else 1.3, zorder=2 + (not known),
+                          color=MEASURED if known else LAW, alpha=0.5 if known else 0.8)  # fmt: skip
+    axes.set(title="output path (dB): of each fit, and smooth at C1 to C8", xlabel="frequency (Hz)", xlim=(20, 2e4))
+
+
+def _residuals(axes: Axes, document: dict[str, Any]) -> None:
+    known = [key for key in document["keys"] if key["fit"] and key["fit"]["levels_db"] is not None]
+    axes.vlines([k["midi"] for k in known], 0, [k["fit"]["levels_db"] for k in known], color=MEASURED, lw=3)
+    axes.set(title="residual of the partial levels after each fit (dB rms)")
+    axes.set_ylim(bottom=0)
+    _keyboard(axes)
+
+
+def _partials(axes: Axes, rows: list[tuple[int, dict[str, Any]]], name: str) -> None:
+    """One thing of the lowest partials of the keys whose modes are known."""
+    for partial in sorted({one["partial"] for _, one in rows}):
+        shown = [(midi, one[name]) for midi, one in rows if one["partial"] == partial and one[name] is not None]
+        axes.plot(*np.reshape(shown, (-1, 2)).T, marker=MARKERS[(partial - 1) % len(MARKERS)], ls="none", ms=5,
+                  color=COLOURS[(partial - 1) % len(COLOURS)], label=f"partial {partial}")  # fmt: skip
+    _keyboard(axes)
+    _log(axes, [one[name] for _, one in rows if one[name] is not None] or [1.0])
+
+
+def _velocities(axes: Axes, document: dict[str, Any]) -> None:
+    law = document["velocity"]
+    if law["layers"]:
+        axes.plot(*np.array(law["layers"]).T, "o", ms=3.6, color=MEASURED)
+    x = range(1, 128)
+    axes.plot(x, [hammer_velocity(v, law["at_64"], law["rise"]) for v in x], color=LAW, lw=1.5)
+    _log(axes, [0.1, 10.0])
+    axes.set(title="hammer velocity; points: the layers recorded", xlabel="MIDI velocity", ylabel="m/s", xlim=(0, 128))

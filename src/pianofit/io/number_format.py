@@ -1,0 +1,181 @@
+"""Numbers as text: as many digits as the interval supports, on a page and in a terminal.
+
+A value and the ends of its interval are written to two significant digits of the interval's half-width, to one decimal
+place all three (JCGM 100:2008, GUM, 7.2.6), so that an end never rounds to the value.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import fields
+from decimal import Decimal
+from typing import Any
+
+__all__ = [
+    "LARGEST", "format_like", "format_with_interval", "columns", "counted", "filled", "is_number", "number", "format_relative_uncertainty", "summary",
+    "with_half_interval", "with_interval", "with_standard_error",
+]  # fmt: skip
+
+# Larger numbers overflow when they are squared.
+LARGEST = 1e300
+FEWEST, MOST = 3, 15  # significant digits of a value with an interval; a float has 15 to 17
+# Ends of an interval that differ by more than this factor are written each with its own power of ten.
+APART = 1e3
+# Powers of ten that are written out: 0.0001 to 999999.
+LOWEST_POWER, HIGHEST_POWER = -4, 6
+# Half an interval of a logarithm, as ± per cent up to the first, and as a factor up to the second.
+SMALL, HUGE = 0.2, 10.0
+RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def is_number(value: Any) -> bool:
+    """Whether `value` is a number that can be computed with."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= LARGEST
+
+
+def counted(count: int, noun: str, several: str = "") -> str:
+    """A count with its noun: "1 key", "2 keys"; `several` is the plural where that does not end in s."""
+    return f"{count} {noun if count == 1 else several or noun + 's'}"
+
+
+def number(value: Any, digits: int = 4) -> str:
+    """Write `value` with up to `digits` significant digits, as a reader likes it: 0.12, 304.1, 1.099 × 10¹⁰."""
+    if not is_number(value):
+        return "–"
+    power, decimals = _scale(value, digits)
+    text = _fixed(value, power, decimals)
+    return (text.rstrip("0").rstrip(".") if "." in text else text) + _times(power)
+
+
+def with_interval(value: Any, interval: Any) -> tuple[str, str]:
+    """`value` and its interval for a page, with one power of ten for all; the interval is empty where there is none."""
+    if not (is_number(value) and interval and all(map(is_number, interval))):
+        return number(value), ""
+    digits = _supported(value, interval)
+    if digits is None:
+        return number(value), f"{number(interval[0], 3)} to {number(interval[1], 3)}"
+    power, decimals = _scale(value, digits)
+    ends = " to ".join(_fixed(end, power, decimals) for end in interval)
+    return _fixed(value, power, decimals) + _times(power), (f"({ends}){_times(power)}" if power else ends)
+
+
+def format_relative_uncertainty(half: float, factor: str = "to a factor of {}") -> str:
+    """Half an interval of a logarithm as a reader takes it: "± 0.61 %" while it is small, else "to a factor of 3.3"."""
+    if half < SMALL:
+        return f"± {number(100 * half, 2)} %"
+    return factor.format(f"{float(f'{math.exp(half):.2g}'):g}") if half < HUGE else "to many powers of ten"
+
+
+def with_half_interval(value: float, half: float, unit: str = "") -> str:
+    """`value` to the digits that half an interval of its logarithm supports, and how far off: "7.02 N (± 0.61 %)"."""
+    near = (value * math.exp(-half), value * math.exp(half)) if half < SMALL else None
+    text = with_interval(value, near)[0] if near else number(value, 3)
+    return f"{text}{f' {unit}' if unit else ''} ({format_relative_uncertainty(half)})"
+
+
+def format_with_interval(value: float, interval: Sequence[float] | None) -> tuple[str, str]:
+    """`value` and its interval for a terminal, such as "304.1002" and "[304.0998, 304.1006]"; "-" without one."""
+    if not interval or not all(map(is_number, interval)):
+        return f"{value:.5g}", "-"
+    digits = _supported(value, interval)
+    if digits is None:
+        return f"{value:.3g}" if interval[0] < interval[1] else f"{value:.5g}", "[{:.3g}, {:.3g}]".format(*interval)
+    place = digits - 1 - _exponent(value)  # decimals of the last digit
+    return _to_place(value, place, value), f"[{', '.join(_to_place(end, place, value) for end in interval)}]"
+
+
+def format_like(other: float, value: float, interval: Sequence[float] | None) -> str:
+    """Another value to the decimal place of `value` and its interval, as `bracketed` writes these."""
+    digits = _supported(value, interval) if interval and all(map(is_number, interval)) else None
+    return f"{other:.5g}" if digits is None else _to_place(other, digits - 1 - _exponent(value), value)
+
+
+def with_standard_error(value: float, error: float) -> tuple[str, str]:
+    """`value` and its standard error for a terminal, to two significant digits of the error."""
+    if not (is_number(error) and error > 0):
+        return f"{value:.6g}", "-"
+    place = 1 - _exponent(error)
+    if value and _exponent(value) + place > MOST:
+        place = MOST - _exponent(value)
+    return _to_place(value, place, value), f"{error:.1e}" if _far(error) else f"{error:.{max(0, place)}f}"
+
+
+def columns(rows: Sequence[Sequence[str]], right: int) -> list[str]:
+    """Rows of text as lines: columns as wide as their longest entry, two spaces apart, that at `right` flush right."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        "  ".join(f"{x:>{w}}" if i == right else f"{x:{w}}" for i, (x, w) in enumerate(zip(row, widths, strict=True)))
+        .rstrip() for row in rows
+    ]  # fmt: skip
+
+
+def summary(it: Any, *, lines: bool = False, exact: bool = False) -> str:
+    """A named tuple for a prompt: arrays by their shapes, numbers to six digits, or `exact`.
+
+    Each field stands on its own of several `lines`, or all on one.
+    """
+    comma, ends = (",\n  ", ("\n  ", "\n")) if lines else (", ", ("", ""))
+    inside = comma.join(f"{name}={_summarised(value, exact)}" for name, value in zip(it._fields, it, strict=True))
+    return f"{type(it).__name__}({ends[0]}{inside}{ends[1]})"
+
+
+def filled(it: Any) -> str:
+    """A dataclass for a prompt: only the fields that hold a value."""
+    values = {field.name: getattr(it, field.name) for field in fields(it)}
+    given = (f"{name}={value!r}" for name, value in values.items() if value not in (None, {}, ()))
+    return f"{type(it).__name__}({', '.join(given)})"
+
+
+def _summarised(value: Any, exact: bool) -> str:
+    if shape := getattr(value, "shape", ()):
+        return str(list(shape))
+    if hasattr(value, "_fields") and not exact:
+        return summary(value)
+    if exact:
+        return repr(value)
+    try:
+        return str(bool(value)) if str(getattr(value, "dtype", "")) == "bool" else f"{value:.6g}"
+    except (TypeError, ValueError):  # a text, None, or a tracer of JAX
+        return repr(value)
+
+
+def _supported(value: float, interval: Sequence[float]) -> int | None:
+    """Significant digits of `value` down to the second of the half-width; None where the ends are decades apart."""
+    low, high = interval
+    half = (high - low) / 2
+    if not half > 0 or max(abs(low), abs(high)) >= 1e4 * abs(value) or 0 < low < high / APART:
+        return None
+    return min(MOST, max(FEWEST, _exponent(value) - _exponent(half) + 2))
+
+
+def _exponent(value: float) -> int:
+    """Of the leading digit, after rounding to two: 2 of 304.1."""
+    return int(f"{value:.1e}".split("e")[1])
+
+
+def _far(value: float) -> bool:
+    """Whether a value needs its power of ten."""
+    return not LOWEST_POWER < _exponent(value) < HIGHEST_POWER
+
+
+def _to_place(value: float, place: int, like: float) -> str:
+    """`value` to `place` decimals: plain where `like` is short so, else with the power of ten of `like`."""
+    power = _exponent(like) if _far(like) or place < 0 else 0
+    text = f"{Decimal(value).scaleb(-power):.{max(0, place + power)}f}"
+    return f"{text}e{power:+03d}" if power else text
+
+
+def _scale(value: float, digits: int) -> tuple[int, int]:
+    """(Power of ten to take out, decimals to write) for `digits` significant digits of `value`."""
+    exponent = int(f"{value:.{digits - 1}e}".split("e")[1]) if value else 0
+    power = 0 if LOWEST_POWER < exponent < HIGHEST_POWER else exponent
+    return power, max(0, digits - 1 - exponent + power)
+
+
+def _fixed(value: float, power: int, decimals: int) -> str:
+    return f"{Decimal(value).scaleb(-power):.{decimals}f}".replace("-", "−")
+
+
+def _times(power: int) -> str:
+    return f"\u00a0×\u00a010{str(power).translate(RAISED)}" if power else ""

@@ -1,0 +1,64 @@
+"""Tables for people and for other programs: HTML that a notebook shows, CSV, and a pandas data frame."""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+from collections.abc import Callable, Iterable, Sequence
+from html import escape
+from typing import Any
+
+from ..errors import OutputError, PianofitError
+from .files import replace_file
+
+__all__ = ["data_frame", "html_table", "require_optional", "write_csv"]
+
+Rows = Iterable[Sequence[Any]]
+
+
+def html_table(header: Sequence[str], rows: Rows, caption: str = "") -> str:
+    """A table as HTML, every text in it escaped; numbers are shown with five significant digits."""
+    head = "".join(f"<th>{escape(name)}</th>" for name in header)
+    body = "".join("<tr>" + "".join(f"<td>{escape(_shown(cell))}</td>" for cell in row) + "</tr>" for row in rows)
+    title = f"<caption>{escape(caption)}</caption>" if caption else ""
+    return f"<table>{title}<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+
+
+def _shown(cell: Any) -> str:
+    return "" if cell is None else f"{cell:.5g}" if isinstance(cell, float) else str(cell)
+
+
+def write_csv(path: str | os.PathLike[str], header: Sequence[str], rows: Rows) -> None:
+    """Write a table as CSV (UTF-8, numbers in full, None as an empty cell), replacing what was there.
+
+    Raises `OutputError` if it cannot be written.
+    """
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows([header, *rows])
+    replace_file(path, text.getvalue().encode())
+
+
+def data_frame(header: Sequence[str], rows: Rows) -> Any:
+    """The table as a pandas data frame, its first column the index.
+
+    Raises `OutputError` if pandas is not installed.
+    """
+    pandas = require_optional("pandas", "a data frame")
+    return pandas.DataFrame(list(rows), columns=list(header)).set_index(header[0])
+
+
+def require_optional(
+    package: str, what: str, extra: str = "notebook", error: Callable[[str], PianofitError] = OutputError
+) -> Any:
+    """A package that only some need, which an `extra` of this one brings.
+
+    Raises an `error` if it is not installed, saying how to.
+    """
+    from importlib import import_module
+
+    try:
+        return import_module(package)
+    except ImportError as missing:
+        said = f"{what} needs {package}, which is not installed; pip install 'pianofit[{extra}]'"
+        raise error(said) from missing

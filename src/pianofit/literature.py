@@ -1,0 +1,382 @@
+"""Published strings and hammers, each with its source and how it was read, and a typical note interpolated from them.
+
+Nothing here was measured by this project. "Read in the paper" means that the table was at hand; "second-hand" means
+that the values were seen in other people's code and could not be compared with the primary table.
+
+Where a published set is off: the frequencies printed beside the strings after Chabassier are those of A4 = 441 Hz, 4
+cents above ours, and their own tension, density and diameter miss them by -2 cents at C#5, -4 at G6 and -9 at C7.
+Chaigne and Askenfelt's C4 has 262.2 Hz, 4 cents above 440 Hz tuning. The paper's string has no note: 152.1 Hz lies 40
+cents below D#3.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cache
+
+import numpy as np
+
+from .conversions import hertz_of
+from .errors import AnalysisError, ParameterError, check_range
+from .parameters import Geometry, Hammer, String
+
+__all__ = ["HAMMERS", "LOSSES", "PRESETS", "STRINGS", "Preset", "preset", "typical"]
+
+PAPER = "Bensa, Gipouloux and Kronland-Martinet, J. Acoust. Soc. Am. 118, 495 (2005), Tables II and III"
+CHAIGNE = "Chaigne and Askenfelt, J. Acoust. Soc. Am. 95, 1112 and 1631 (1994)"
+BENSA_2003 = "Bensa, Bilbao, Kronland-Martinet and Smith, J. Acoust. Soc. Am. 114, 1095 (2003)"
+CHABASSIER = "after Chabassier, thesis (2012)"
+READ, SECOND_HAND = "read in the paper", "second-hand"
+LOWEST_NOTE, HIGHEST_NOTE = 15, 114  # MIDI, half an octave beyond either end of the piano
+
+YOUNG = 2.0e11  # Pa, steel: the table after Chabassier has none
+TYPICAL_MU = 0.1  # s/m, the paper's starting value (Table III)
+TYPICAL_VELOCITY = 2.0  # m/s, mezzo-forte
+STRIKE = 0.12  # x0/L, Chaigne and Askenfelt; the strings after Chabassier lie from 0.116 to 0.121
+PICKUP = 0.30  # x_m/L, near no node of the first partials; chosen once, published nowhere
+WIDTH = 0.02  # m, full width of the contact window; chosen once, published nowhere
+
+
+@dataclass(frozen=True)
+class PublishedString:
+    """A string as a luthier would describe it."""
+
+    note: str
+    midi: int
+    f0: float  # Hz, as printed
+    length: float  # m
+    diameter: float  # m, of the core
+    density: float  # kg/m³, of the core's volume; above 7850 it carries the winding's mass
+    tension: float  # N
+    strike: float  # m
+    source: str = CHABASSIER
+    derivation: str = SECOND_HAND
+
+    @property
+    def mass(self) -> float:
+        """M_S, kg."""
+        return self.density * math.pi * self.diameter**2 / 4 * self.length
+
+    @property
+    def c(self) -> float:
+        """Wave speed √(T L/M_S), m/s."""
+        return math.sqrt(self.tension * self.length / self.mass)
+
+    @property
+    def kappa(self) -> float:
+        """κ = √(E I/(ρ A)), m²/s, with I = π d⁴/64 of the core: a winding adds mass and next to no stiffness."""
+        return self.diameter / 4 * math.sqrt(YOUNG / self.density)
+
+
+@dataclass(frozen=True)
+class PublishedHammer:
+    """A hammer's mass and static felt law F = K_H u^p, of the whole hammer, which strikes all strings of its note."""
+
+    note: str
+    midi: int
+    M_H: float  # kg
+    p: float
+    K_H: float  # N/m^p
+    source: str = CHABASSIER
+    derivation: str = SECOND_HAND
+
+
+@dataclass(frozen=True)
+class PublishedLoss:
+    """Decay rates b1 + b2 β² of a string."""
+
+    note: str
+    midi: int
+    b1: float  # 1/s
+    b2: float  # m²/s
+    source: str = BENSA_2003
+    derivation: str = SECOND_HAND
+
+
+STRINGS = (
+    PublishedString("D#1", 27, 38.98, 1.965, 1.492e-3, 43195.0, 1773.0, 0.236),
+    PublishedString("C2", 36, 65.56, 1.602, 1.051e-3, 23919.0, 915.0, 0.192),
+    PublishedString("F3", 53, 175.01, 0.960, 1.049e-3, 7850.0, 766.0, 0.115),
+    PublishedString("C#5", 73, 555.6, 0.326, 0.928e-3, 7850.0, 695.0, 0.039),
+    PublishedString("G6", 91, 1571.35, 0.124, 0.860e-3, 7850.0, 689.0, 0.015),
+    PublishedString("C7", 96, 2098.32, 0.095, 0.831e-3, 7850.0, 670.0, 0.011),
+)
+HAMMERS = (
+    PublishedHammer("C2", 36, 10.20e-3, 2.276, 3.105e8),
+    PublishedHammer("C3", 48, 9.45e-3, 2.312, 1.347e9),
+    PublishedHammer("A3", 57, 8.89e-3, 2.385, 4.047e9),
+    PublishedHammer("A4", 69, 8.14e-3, 2.543, 1.755e10),
+    PublishedHammer("C5", 72, 7.96e-3, 2.593, 2.532e10),
+    PublishedHammer("A5", 81, 7.40e-3, 2.771, 7.611e10),
+)
+# Strings that a hammer strikes together, over the note number, in grand pianos: from a few single ones in the bass to
+# three. Each has its share of the hammer's mass and of its felt's force: what a model of one string is struck by.
+COURSES = [(21.0, 1.0), (27.0, 1.0), (36.0, 2.0), (53.0, 3.0), (96.0, 3.0)]
+# One string's share of a hammer: half of the mass above at C2, a third at C4 and C7. For comparison, not in the table.
+CHAIGNE_HAMMERS = (
+    PublishedHammer("C2", 36, 4.9e-3, 2.3, 4e8, CHAIGNE),
+    PublishedHammer("C4", 60, 2.97e-3, 2.5, 4.5e9, CHAIGNE),
+    PublishedHammer("C7", 96, 2.2e-3, 3.0, 1e11, CHAIGNE),
+)
+LOSSES = (
+    PublishedLoss("C2", 36, 0.25, 7.5e-5),
+    PublishedLoss("C4", 60, 1.1, 2.7e-4),
+    PublishedLoss("C7", 96, 9.17, 2.1e-3),
+)
+
+
+@dataclass(frozen=True)
+class Preset:
+    """A complete struck string: every number is published, interpolated, or completed as `completed` says."""
+
+    name: str
+    note: str | None  # None where the source names none
+    string: String
+    hammer: Hammer
+    geometry: Geometry
+    source: str
+    derivation: str
+    completed: str  # what the source lacks, and where it was taken from
+    interpolated: dict[str, str] = field(default_factory=dict)  # by field: between or beyond which published rows
+
+    @property
+    def f0(self) -> float:
+        """c/2L, Hz: the fundamental of the string without stiffness."""
+        return float(self.string.c / (2 * self.geometry.length))
+
+
+def preset(name: str) -> Preset:
+    """Return a string and a hammer of the literature.
+
+    Parameters
+    ----------
+    name : of the preset, such as "chabassier-F3"; the error for an unknown one lists all.
+
+    Returns
+    -------
+    A `Preset`: string, hammer and geometry in SI units, with their source.
+
+    Raises
+    ------
+    ParameterError
+        Naming the nearest, and all, names.
+
+    Examples
+    --------
+    >>> import pianofit
+    >>> it = pianofit.preset("chabassier-F3")
+    >>> f"{it.note}, {it.f0:.1f} Hz, hammer {1e3 * it.hammer.M_H:.1f} g"
+    'F3, 175.0 Hz, hammer 3.0 g'
+    """
+    if isinstance(name, str) and name in PRESETS:
+        return PRESETS[name]
+    near = difflib.get_close_matches(str(name).lower(), {key.lower(): key for key in PRESETS}, 1)
+    hint = f"did you mean {next(key for key in PRESETS if key.lower() == near[0])}? " if near else ""
+    raise ParameterError(f"preset={str(name)!r} is not known; {hint}presets: {', '.join(PRESETS)}")
+
+
+def typical(note: str | float) -> Preset:
+    """Return the typical string and hammer of a key, interpolated from the literature.
+
+    It describes a grand piano in general and no instrument in particular. Length, tension, inharmonicity, losses,
+    strings per key, hammer mass and felt are interpolated over the note number by monotone cubics, on a log scale
+    except for p. Mass, c and κ follow from them, so that c = 2 L f0 holds at every note. Beyond its rows the tension
+    keeps its last value, and the other quantities continue with their last slope: at C7 p is 3.07, where Chaigne and
+    Askenfelt have 3.0. The hammer is the share of one string: mass and stiffness over the number of strings that the
+    hammer strikes. That number is one to D#1, two at C2, three from F3 on, and interpolated between.
+
+    Parameters
+    ----------
+    note : a name such as "C4" or "F#2", or a MIDI number from 15 to 114, which may have a fraction.
+
+    Returns
+    -------
+    A `Preset`. Its `source` lists the tables, `interpolated` names every interpolated number with the published rows
+    next to it, and `completed` names the numbers that were chosen.
+
+    Raises
+    ------
+    ParameterError
+        For a text that is not a note, and for a note outside the range.
+
+    Examples
+    --------
+    >>> import pianofit
+    >>> it = pianofit.typical("C4")
+    >>> f"{it.f0:.1f} Hz, {it.geometry.length:.2f} m, hammer {1e3 * it.hammer.M_H:.1f} g"
+    '261.6 Hz, 0.69 m, hammer 2.9 g'
+    >>> it.interpolated["M_H"]
+    'between A3 and A4'
+    """
+    return _typical(*_midi(note))
+
+
+def _typical(midi: float, name: str) -> Preset:
+    f0 = hertz_of(midi)
+    at = {name: _curve(name)(midi) for name in TABLES}
+    length, c = at["length"], 2 * at["length"] * f0
+    kappa = c * length * math.sqrt(at["B"]) / math.pi  # B = κ² π²/(c² L²)
+    return Preset(
+        name=f"typical-{name}",
+        note=name,
+        string=String(c, kappa, at["b1"], at["b2"]),
+        hammer=Hammer(at["K_H"] / at["strings"], TYPICAL_MU, at["p"], at["M_H"] / at["strings"], TYPICAL_VELOCITY),
+        geometry=_geometry(length, at["tension"] * length / c**2),
+        source=TYPICAL_SOURCE,
+        derivation=SECOND_HAND,
+        completed="c: 2 L f0 in equal temperament, A4 = 440 Hz; M_H, K_H: one string's share of a hammer that strikes "
+        "one string to D#1, two at C2, three from F3 on; mu: Bensa et al. (2005), Table III; v_H0, width, pickup: "
+        "chosen once; strike: 0.12 of the length, Chaigne and Askenfelt (1994)",
+        interpolated=_interpolated(midi, DERIVED),
+    )
+
+
+def _midi(note: str | float) -> tuple[float, str]:
+    """The MIDI number of a note's name, or of the number itself, and what the note is called."""
+    from .analysis.note_names import midi_to_note, note_to_midi
+
+    try:
+        midi = note_to_midi(note) if isinstance(note, str) else note
+    except AnalysisError as error:
+        raise ParameterError(str(error)) from None
+    check_range("note=", midi, LOWEST_NOTE, HIGHEST_NOTE, hint="; 60 is C4")
+    whole = float(midi).is_integer()
+    return float(midi), midi_to_note(int(midi)) if whole else f"{midi:g}"
+
+
+def _interpolated(midi: float, derived: dict[str, tuple[str, ...]]) -> dict[str, str]:
+    """By field, next to which published rows its value lies; a field whose tables all have a row at `midi` is none."""
+    found = {}
+    for name, tables in derived.items():
+        places = dict.fromkeys(filter(None, (_place(midi, ROWS[table]) for table in tables)))
+        if places:
+            found[name] = "; ".join(places)
+    return found
+
+
+def _place(midi: float, rows: tuple[PublishedString | PublishedHammer | PublishedLoss, ...]) -> str:
+    """Between or beyond which rows a note lies; empty at a row."""
+    if any(row.midi == midi for row in rows):
+        return ""
+    below, above = [row.note for row in rows if row.midi < midi], [row.note for row in rows if row.midi > midi]
+    if below and above:
+        return f"between {below[-1]} and {above[0]}"
+    return f"extrapolated beyond {(below or above[:1])[-1]}"
+
+
+def _geometry(length: float, mass: float, strike: float | None = None) -> Geometry:
+    """Complete a geometry; near the top of the keyboard the contact window is narrowed to fit beside the agraffe."""
+    width = min(WIDTH, 0.15 * length)
+    return Geometry(length, mass, STRIKE * length if strike is None else strike, width, PICKUP * length)
+
+
+def _inharmonicity(string: PublishedString) -> float:
+    return (string.kappa * math.pi / (string.c * string.length)) ** 2
+
+
+TABLES: dict[str, list[tuple[float, float]]] = {
+    "length": [(s.midi, s.length) for s in STRINGS],
+    "tension": [(s.midi, s.tension) for s in STRINGS],
+    "B": [(s.midi, _inharmonicity(s)) for s in STRINGS],
+    "b1": [(loss.midi, loss.b1) for loss in LOSSES],
+    "b2": [(loss.midi, loss.b2) for loss in LOSSES],
+    "strings": COURSES,
+    "M_H": [(h.midi, h.M_H) for h in HAMMERS],
+    "K_H": [(h.midi, h.K_H) for h in HAMMERS],
+    "p": [(h.midi, h.p) for h in HAMMERS],
+}
+
+
+# The published rows behind each table, and the tables behind each field of a typical note.
+ROWS = {
+    **dict.fromkeys(("length", "tension", "B"), STRINGS),
+    **dict.fromkeys(("b1", "b2"), LOSSES),
+    **dict.fromkeys(("M_H", "K_H", "p"), HAMMERS),
+}
+FELT_AND_LOSSES = {name: (name,) for name in ("b1", "b2", "K_H", "p", "M_H")}
+DERIVED = {
+    "c": ("length",), "kappa": ("length", "B"), **FELT_AND_LOSSES, "length": ("length",), "mass": ("length", "tension"),
+    "strike": ("length",), "pickup": ("length",),
+}  # fmt: skip
+TYPICAL_SOURCE = f"strings and hammers {CHABASSIER}; losses: {BENSA_2003}"
+
+
+@cache
+def _curve(name: str) -> Callable[[float], float]:
+    """Return one table as a function of the note number: a monotone cubic between its rows, straight beyond them.
+
+    The slope at a row is that of PCHIP (Fritsch and Butland 1984), so that the cubic never overshoots; at either end it
+    is the next interval's own.
+    """
+    from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
+
+    midi, values = np.array(TABLES[name]).T
+    heights = values if name == "p" else np.log(values)
+    slopes = PchipInterpolator(midi, heights).derivative()(midi)
+    slopes[[0, -1]] = (np.diff(heights) / np.diff(midi))[[0, -1]]
+    within = CubicHermiteSpline(midi, heights, slopes)
+
+    def at(x: float) -> float:
+        inside = float(np.clip(x, midi[0], midi[-1]))
+        beyond = 0.0 if name == "tension" else slopes[0 if x < inside else -1] * (x - inside)
+        height = float(within(inside) + beyond)
+        return height if name == "p" else math.exp(height)
+
+    return at
+
+
+# What the paper does not give: a 1 m steel wire of 1 mm weighs 6.18 g and at c = 310.6 m/s pulls 596 N, which is usual;
+# the strike and the pickup stand where `typical` puts them; the initial κ is the final one, having none of its own.
+_PAPER_GEOMETRY = Geometry(length=1.0, mass=6.18e-3, strike_position=0.12, width=0.02, pickup=0.30)
+_PAPER_LACKS = "M_S, x0, window, pickup: chosen once"
+
+
+def _after_chabassier(row: PublishedString) -> Preset:
+    usual = _typical(row.midi, row.note)
+    string = usual.string._replace(c=row.c, kappa=row.kappa)
+    name = f"chabassier-{row.note.replace('#', 's')}"
+    completed = (
+        "one string's share of a hammer interpolated from the same source; mu, window, pickup: chosen once; losses: "
+        "Bensa et al. (2003)"
+    )
+    geometry = _geometry(row.length, row.mass, row.strike)
+    return Preset(
+        name, row.note, string, usual.hammer, geometry, row.source, row.derivation, completed,
+        _interpolated(row.midi, FELT_AND_LOSSES),
+    )  # fmt: skip
+
+
+def _chaigne_c4() -> Preset:
+    length, mass, tension, epsilon = 0.62, 3.93e-3, 670.0, 3.82e-5
+    c = math.sqrt(tension * length / mass)
+    usual, felt = _typical(60, "C4"), CHAIGNE_HAMMERS[1]
+    string = usual.string._replace(c=c, kappa=math.sqrt(epsilon) * c * length)  # their stiffness term is ε c² L² y_xxxx
+    hammer = usual.hammer._replace(K_H=felt.K_H, p=felt.p, M_H=felt.M_H)
+    completed = "mu, window, pickup: chosen once; losses after Bensa et al. (2003): theirs are of another kind"
+    return Preset(
+        "chaigne-askenfelt-C4", "C4", string, hammer, _geometry(length, mass), CHAIGNE, SECOND_HAND, completed
+    )
+
+
+PRESETS: dict[str, Preset] = {
+    entry.name: entry
+    for entry in (
+        Preset(
+            "bensa-initial", None,
+            String(c=310.6, kappa=1.737, b1=0.500, b2=1.004e-10),
+            Hammer(K_H=1.51647e9, mu=0.1000, p=2.55, M_H=6.790e-3, v_H0=0.74078),
+            _PAPER_GEOMETRY, PAPER, READ, f"{_PAPER_LACKS}; kappa: the final one",
+        ),
+        Preset(
+            "bensa-final", None,
+            String(c=304.101, kappa=1.737, b1=0.568, b2=1.628e-6),
+            Hammer(K_H=1.09949e10, mu=0.1998, p=2.56, M_H=5.687e-3, v_H0=0.79993),
+            _PAPER_GEOMETRY, PAPER, READ, _PAPER_LACKS,
+        ),
+        _chaigne_c4(),
+        *map(_after_chabassier, STRINGS),
+    )
+}  # fmt: skip

@@ -1,0 +1,269 @@
+"""After the contact everything is closed form.
+
+A pulse `T` leaves every mode ringing with a complex amplitude, the pulse's transform at the mode's own pole times the
+mode's response to a unit pulse. The waveform is the sum of those damped exponentials. On the damped circle
+`ζ = exp(-(σ + jω)δt)` the spectrum is `Y = T̂(ζ) H(ζ)`: the pulse's transform times the string's mobility from strike to
+pickup, and H stays while the string stays. Evaluating at σ > 0 is the same as multiplying the signal by exp(-σt).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Complex, Float
+
+from ..dsp.damped_sums import transform
+from ..errors import ParameterError
+from .contact import FreeMotion, impulse_amplitude
+from .modes import Modes
+from .x64 import AnyArray, float64
+
+__all__ = ["level_db", "levels", "mobility", "modal_amplitudes", "spectrum", "waveform"]
+
+# A partial's level is its energy in the first LEVEL_SPAN seconds under exp(-LEVEL_DECAY t).
+LEVEL_SPAN, LEVEL_DECAY = 0.35, 8.0
+# exp of this, and its square, are still finite numbers.
+MOST_RISE = 300.0
+
+
+@float64
+def damped_circle(
+    frequency: Float[AnyArray, " bins"], sigma: float | AnyArray, step: AnyArray
+) -> Complex[Array, " bins"]:
+    """ζ at frequencies in Hz [bins] and σ in 1/s."""
+    return jnp.exp(-(sigma + 2j * jnp.pi * frequency) * step)
+
+
+@float64
+def mobility(
+    modes: Modes, zeta: Complex[AnyArray, " bins"], amplitude: Complex[AnyArray, " modes"] | None = None
+) -> Complex[Array, " bins"]:
+    """H(ζ) = Σ_n h_n ζ^n of the response h to a unit `T` (or to free modal `amplitude`s), per step."""
+    residue = modes.pickup * impulse_amplitude(modes) if amplitude is None else modes.free_pickup * amplitude
+    return ringing_transform(residue, modes.pole * modes.step, jnp.log(zeta))
+
+
+@float64
+def ringing_transform(residue: AnyArray, log_z: AnyArray, log_zeta: AnyArray) -> Array:
+    """Σ_k of the transforms at ζ of what rings as Re(R_k z_k^n); `residue` and `log_z` have the modes as a last axis.
+
+    A mode transforms to (Re R - Re(R z̄) ζ)/(1 - 2 Re z ζ + |z|² ζ²).
+    """
+    upper = jnp.real(residue) - jnp.real(residue * jnp.exp(log_z).conj()) * jnp.exp(log_zeta)[..., None]
+    # (1 - zζ)(1 - z̄ζ), each formed from what is left after the ones have cancelled.
+    rise, turn = jnp.expm1(log_z), jnp.expm1(log_zeta)[..., None]
+    lower = (rise + turn + rise * turn) * (rise.conj() + turn + rise.conj() * turn)
+    return (upper / lower).sum(axis=-1)
+
+
+@float64
+def spectrum(
+    modes: Modes, drive: Float[AnyArray, " steps"], frequency: Float[AnyArray, " bins"], sigma: float | AnyArray,
+    free: FreeMotion | None = None,
+) -> Complex[Array, " bins"]:  # fmt: skip
+    """Y at `frequency`, Hz [bins], on the damped circle of `sigma`, 1/s: ∫ y exp(-(σ + jω)t) dt, signal unit · s.
+
+    σ is the width of every peak, σ/2π Hz: 30 is broad and smooth, 3 shows partials that beat.
+
+    Parameters
+    ----------
+    modes : the table, see `mode_table`.
+    drive : of a pulse, N [steps], see `strike`.
+    frequency : Hz [bins].
+    sigma : 1/s.
+    free : motion of the string itself, see `pluck`.
+
+    Returns
+    -------
+    Y, complex, signal unit · s [bins].
+
+    Raises
+    ------
+    ParameterError
+        Where it is traced in float32.
+
+    Examples
+    --------
+    >>> import numpy as np, pianofit
+    >>> it = pianofit.preset("bensa-final")
+    >>> modes = pianofit.mode_table(it.string, it.geometry, rate=88_200.0, n_modes=64)
+    >>> pulse = pianofit.strike(modes, it.hammer, steps=1024)
+    >>> pianofit.spectrum(modes, pulse.drive, np.array([152.1, 228.0]), 30.0).shape
+    (2,)
+    """
+    zeta = damped_circle(frequency, sigma, modes.step)
+    total = transform(drive, jnp.log(zeta)) * mobility(modes, zeta)
+    if free is not None:
+        total = total + mobility(modes, zeta, free.amplitude)
+    return total * modes.step
+
+
+@float64
+def modal_amplitudes(modes: Modes, drive: Float[AnyArray, " steps"], free: FreeMotion | None = None) -> Complex[Array, " modes"]:
+    """A_k: after the contact the signal is Σ_k Re(A_k exp(p_k t)), t from the first touch."""
+    total = modes.pickup * impulse_amplitude(modes) * transform(drive, _back(modes, len(drive)))
+    return total if free is None else total + modes.free_pickup * free.amplitude
+
+
+def _back(modes: Modes, steps: int) -> Array:
+    """-p δt [modes], held where a mode dies so fast that carrying it back from the contact's end would overflow."""
+    log_zeta = -modes.pole * modes.step
+    return jnp.minimum(log_zeta.real, MOST_RISE / steps) + 1j * log_zeta.imag
+
+
+@float64
+def levels(
+    modes: Modes, drive: Float[AnyArray, " steps"] | None = None, *, free: FreeMotion | None = None
+) -> Float[AnyArray, " modes"]:
+    """Levels of all partials after the contact, dB re (signal unit)² · s [modes], by pulse, free motion or both.
+
+    A level is the energy in the first 0.35 s under exp(-8t), as if every partial had rung since the first contact.
+    Modes without weight are at the smallest number, -3077 dB.
+
+    Parameters
+    ----------
+    modes : the table, see `mode_table`.
+    drive : of a pulse, N [steps], see `strike`.
+    free : motion of the string itself, see `pluck`.
+
+    Returns
+    -------
+    Levels, dB [modes].
+
+    Raises
+    ------
+    ParameterError
+        Where it is traced in float32.
+
+    Examples
+    --------
+    >>> import pianofit
+    >>> it = pianofit.preset("bensa-final")
+    >>> modes = pianofit.mode_table(it.string, it.geometry, rate=88_200.0, n_modes=64)
+    >>> pianofit.levels(modes, pianofit.strike(modes, it.hammer, steps=1024).drive)[:3].round()
+    array([-21., -24., -41.])
+    """
+    drive = jnp.zeros(1) if drive is None else jnp.asarray(drive)
+    return level_db(modal_amplitudes(modes, drive, free), -modes.pole.real)
+
+
+@float64
+def level_db(
+    amplitude: Complex[AnyArray, " modes"], decay: Float[AnyArray, " modes"], xp=jnp
+) -> Float[AnyArray, " modes"]:
+    """Energy of each damped partial Re(A exp(-αt + jωt)) in the first 0.35 s under exp(-8t), dB re unit² · s.
+
+    `xp` is the array library: NumPy where nothing is to be compiled, whose arrays then come back.
+    """
+    energy = 0.5 * xp.abs(amplitude) ** 2 * level_energy(2 * decay, xp)
+    return 10 * xp.log10(xp.maximum(energy, np.finfo(float).tiny))
+
+
+def level_energy(decay: AnyArray, xp=np) -> AnyArray:
+    """∫ exp(-(decay + 16)t) dt, s [...], over the 0.35 s of a level: of power that falls by `decay`, 1/s."""
+    rate = decay + 2 * LEVEL_DECAY
+    return (1 - xp.exp(-rate * LEVEL_SPAN)) / rate
+
+
+@float64
+def waveform(
+    modes: Modes,
+    drive: Float[AnyArray, " steps"] | None = None,
+    *,
+    rate: float,
+    samples: int,
+    free: FreeMotion | None = None,
+    oversampling: int | None = None,
+) -> AnyArray:
+    """The signal [samples] at `rate`, Hz, from the first contact on, in the pickup's unit.
+
+    During the contact the pulse is convolved with the string's response at the contact's rate, of which `rate` must be
+    a whole fraction; afterwards the modes below half of `rate` ring by themselves. Under `jit`, `vmap` and `grad` too.
+
+    Parameters
+    ----------
+    modes : the table, see `mode_table`.
+    drive : of a pulse, N [steps], see `strike`.
+    rate : Hz.
+    samples : how many.
+    free : motion of the string itself, see `pluck`.
+    oversampling : the contact's steps in a sample. It is read off `modes`, and has to be said where that is traced.
+
+    Returns
+    -------
+    The signal [samples], in the pickup's unit: m/s, m or N.
+
+    Raises
+    ------
+    ParameterError
+        If `rate` is no whole fraction of the contact's rate, or the table is traced and `oversampling` not given.
+
+    Examples
+    --------
+    >>> import pianofit
+    >>> it = pianofit.preset("bensa-final")
+    >>> modes = pianofit.mode_table(it.string, it.geometry, rate=88_200.0, n_modes=64)
+    >>> pulse = pianofit.strike(modes, it.hammer, steps=1024)
+    >>> pianofit.waveform(modes, pulse.drive, rate=44_100.0, samples=1000).shape
+    (1000,)
+    """
+    traced = any(isinstance(x, Tracer) for x in jax.tree.leaves((modes, drive, free)))
+    ratio = _ratio(modes, rate, oversampling)
+    drive = np.zeros(1) if drive is None else drive
+    pole, amplitudes = modes.pole, _heard(modes, drive, free)
+    if free is not None:
+        amplitudes = (*amplitudes, modes.free_pickup * free.amplitude)
+    below = jnp.abs(jnp.imag(pole)) < jnp.pi * rate
+    if traced:
+        xp, amplitudes = jnp, [x * below for x in amplitudes]
+    else:  # what is above is not computed
+        xp, kept, drive = np, np.asarray(below), np.asarray(drive)
+        pole, *amplitudes = (np.asarray(x)[kept] for x in (pole, *amplitudes))
+    unit, amplitude, *release = amplitudes
+
+    steps, log_z = len(drive), pole / (ratio * rate)
+    convolved = xp.fft.rfft(_ring(unit, log_z, steps, xp), 2 * steps) * xp.fft.rfft(drive, 2 * steps)
+    head = xp.fft.irfft(convolved, 2 * steps)[:steps]
+    if release:
+        head = head + _ring(release[0], log_z, steps, xp)
+    head = head[::ratio][:samples]
+    tail = _ring(amplitude * xp.exp(pole * (len(head) / rate)), pole / rate, samples - len(head), xp)
+    return xp.concatenate([head, tail])
+
+
+def _ratio(modes: Modes, rate: float, oversampling: int | None) -> int:
+    """Steps of the contact in a sample: read off the table, or as told where that is traced."""
+    if isinstance(modes.step, Tracer):
+        if oversampling is None or oversampling < 1:
+            raise ParameterError(
+                f"oversampling={oversampling}: waveform is traced with its table; say how many steps of the contact "
+                "are in a sample (mode_table's rate over the waveform's)"
+            )
+        return oversampling
+    contact = 1.0 / float(modes.step)
+    ratio = round(contact / rate) if 0 < rate < math.inf else 0
+    if ratio < 1 or abs(contact / rate - ratio) > 1e-6:
+        raise ParameterError(f"rate={rate} Hz must be a whole fraction of the contact's rate, {contact:g} Hz")
+    if oversampling not in (None, ratio):
+        raise ParameterError(f"oversampling={oversampling}: the table has {ratio} steps in a sample at rate={rate} Hz")
+    return ratio
+
+
+@jax.jit
+def _heard(modes: Modes, drive: AnyArray, free: FreeMotion | None):
+    """What a unit `T` at step 0, and what the whole pulse, makes ring at the pickup: two amplitudes [modes]."""
+    return modes.pickup * impulse_amplitude(modes), modal_amplitudes(modes, drive, free)
+
+
+def _ring(amplitude: AnyArray, log_z: AnyArray, samples: int, xp: Any) -> Any:
+    """Σ_k Re(A_k z_k^n), n < samples: z^(block·i + j) = z^(block·i) z^j makes it one matrix product."""
+    block = 512
+    blocks = -(-max(samples, 0) // block)
+    starts = xp.exp(xp.outer(xp.arange(blocks) * block, log_z)) * amplitude
+    within = xp.exp(xp.outer(log_z, xp.arange(block)))
+    return (xp.real(starts) @ xp.real(within) - xp.imag(starts) @ xp.imag(within)).ravel()[:samples]

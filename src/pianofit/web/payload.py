@@ -1,0 +1,169 @@
+"""An instrument as the page holds it: numbers as they are, tables as base64.
+
+Knocks take most of the room. They are kept at the highest rate and with the most bits that the page's size allows.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+from collections.abc import Iterable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..analysis.note_names import midi_to_note
+from ..errors import ParameterError
+from ..instrument.collect_fits import reference_compression
+from ..instrument.document import Instrument
+from ..model.modal_response import ModalResponse, resampled
+from ..model.note import Note
+from ..parameters import Hammer
+from ..playback.voice import CHANNELS, KNOCK_RATES, damper_rate
+
+__all__ = ["Knocks", "encode_note", "intervals", "payload"]
+
+# Samples of a knock that share a scale.
+SHARED = 256
+# Significant digits of values that are only shown: an interval needs fewer.
+DIGITS = 6
+# The workbench's sliders that are factors of one law's value (`keyboard.gather.NAMES`), and the laws of its losses.
+SLIDERS = {"force": "K/M_S", "mu": "mu", "mass": "M_H/M_S", "strike": "x0/L", "inharmonicity": "B"}
+LOSSES = ("b1", "d2")
+
+
+class Knocks(NamedTuple):
+    """How knocks are kept."""
+
+    rate: float  # the highest sample rate, Hz
+    bits: int  # 8 or 16, of the largest sample within `SHARED`
+
+
+# From the best to the smallest; a knock's own rate is never exceeded.
+LADDER = (Knocks(math.inf, 16), Knocks(KNOCK_RATES[0], 16), *(Knocks(rate, 8) for rate in KNOCK_RATES))
+
+
+def payload(instrument: Instrument, most_bytes: int) -> tuple[dict[str, Any], Knocks | None]:
+    """What the page's script reads, and how knocks are kept in it, if there are any.
+
+    Raises `ParameterError` if a felt's law cannot be played, or nothing is left of `most_bytes`.
+    """
+    rates = [n.ringing.rate for n in instrument.notes.values() if n.ringing is not None and n.ringing.knock.size]
+    size = 0
+    for kept in LADDER if rates else LADDER[:1]:
+        document = _document(instrument, kept)
+        size = len(json.dumps(document))
+        if size <= most_bytes:
+            return document, kept._replace(rate=min(kept.rate, max(rates))) if rates else None
+    raise ParameterError(
+        f"the instrument's tables take {size / 1e6:.2f} MB, and the page has room for {most_bytes / 1e6:.2f} MB; "
+        "take fewer keys"
+    )
+
+
+def _document(instrument: Instrument, knocks: Knocks) -> dict[str, Any]:
+    return {
+        "name": instrument.name,
+        "velocity": {"at_64": instrument.velocity_at_64, "rise": instrument.velocity_slope},
+        "keys": [
+            {"midi": midi, "note": midi_to_note(midi), "recorded": midi in instrument.recorded,
+             "state": instrument.states.get(midi)}
+            | encode_note(note, midi, knocks)
+            | _told(instrument.values.get(midi, {}))
+            for midi, note in sorted(instrument.notes.items())
+        ],
+    }  # fmt: skip
+
+
+def _told(told: Mapping[str, tuple[float, float, float]]) -> dict[str, dict[str, list[float]]]:
+    """Intervals of the sliders, and the values of their laws, which the page writes into an instrument saved there."""
+    values = {law: row for law, row in told.items() if law in (*SLIDERS.values(), *LOSSES, "p")}
+    return {"intervals": _short(intervals(told)), "values": _short(values)}
+
+
+def _short(table: Mapping[str, Iterable[float]]) -> dict[str, list[float]]:
+    return {name: [float(f"{x:.{DIGITS}g}") for x in row] for name, row in table.items()}
+
+
+def intervals(told: Mapping[str, tuple[float, float, float]]) -> dict[str, list[float]]:
+    """The 95 % intervals of what the page's sliders change, in their units: factors, and differences of p.
+
+    The losses' is that of partial 1, b1 + d2, the two errors taken as independent.
+    """
+    found = {slider: [low / value, high / value] for slider, law in SLIDERS.items() if law in told
+             for value, low, high in [told[law]] if 0 < low <= value <= high}  # fmt: skip
+    if "p" in told:
+        value, low, high = told["p"]
+        found["p"] = [low - value, high - value]
+    parts = [told[law] for law in LOSSES if law in told]
+    if len(parts) == len(LOSSES) and all(0 < low <= value <= high for value, low, high in parts):
+        size = math.hypot(*(value * math.log(high / low) / 2 for value, low, high in parts))
+        spread = math.exp(size / sum(value for value, _, _ in parts))
+        found["loss"] = [1 / spread, spread]
+    return found
+
+
+def encode_note(note: Note, midi: int, knocks: Knocks = LADDER[0]) -> dict[str, Any]:
+    """One key, as prepare.js reads it.
+
+    Raises `ParameterError` for a felt other than Hunt and Crossley's, or the power law.
+    """
+    if type(note.hammer) is not Hammer:
+        raise ParameterError(
+            f"key {midi_to_note(midi)}: a page plays the felt of Hunt and Crossley, not a "
+            f"{type(note.hammer).__name__}; fit the key with --felt hunt-crossley"
+        )
+    entry: dict[str, Any] = {
+        part: {name: float(x) for name, x in getattr(note, part)._asdict().items() if name != "v_H0"}
+        for part in ("string", "hammer", "geometry")
+    } | {
+        "quantity": note.quantity, "gain": float(note.gain), "damper": damper_rate(midi),
+        "compression": reference_compression(midi),
+    }  # fmt: skip
+    if note.ringing is not None:
+        entry["ringing"] = _ringing(note.ringing.scale_gain(float(note.gain)), knocks)
+    elif note.path is not None:
+        f = note.path.frequency
+        entry["path"] = {"frequency": _base64(f), "db": _base64(note.path.db), "decay": _base64(note.path.decay_at(f))}
+    return entry
+
+
+def _ringing(ringing: ModalResponse, knocks: Knocks) -> dict[str, Any]:
+    """Frequencies with 64 bits: with 32 they would drift by a tenth of a radian a minute in the treble."""
+    knock, rate = ringing.knock[:CHANNELS], ringing.rate
+    if knock.shape[-1] and rate > knocks.rate:
+        rate = int(knocks.rate)
+        knock = resampled(knock, ringing.rate, rate)
+    return {
+        "decay": _base64(-np.real(ringing.pole)), "omega": _base64(np.imag(ringing.pole), "<f8"),
+        "pattern": _rows(ringing.pattern[:CHANNELS]),
+        "participation": _participation(ringing),
+        "rate": rate, "bits": knocks.bits, "knock": [_rounded(row, knocks.bits) for row in knock],
+    }  # fmt: skip
+
+
+def _participation(ringing: ModalResponse) -> dict[str, Any] | None:
+    """Whole numbers of 16 bits and their scale: of many strokes they are most of what a key's modes take."""
+    part = ringing.participation
+    if part is None:
+        return None
+    scale = max(float(np.abs([np.real(part.factor), np.imag(part.factor)]).max()), 1e-30) / (2**15 - 1)
+    return {"velocity": part.velocity.tolist(), "scale": scale, "strokes": _rows(part.factor / scale, "<i2")}
+
+
+def _rows(values: np.ndarray, kind: str = "<f4") -> list[dict[str, str]]:
+    return [{"re": _base64(np.real(row), kind), "im": _base64(np.imag(row), kind)} for row in values]
+
+
+def _rounded(samples: np.ndarray, bits: int) -> dict[str, str]:
+    """Whole numbers, and a scale for every `SHARED` of them."""
+    rows = np.pad(samples, (0, -len(samples) % SHARED)).reshape(-1, SHARED)
+    scale = (np.abs(rows).max(axis=1) / (2 ** (bits - 1) - 1)).astype("<f4")
+    whole = (rows / np.where(scale > 0, scale, 1.0)[:, None]).ravel()[: len(samples)]
+    return {"scale": _base64(scale), "whole": _base64(whole, f"<i{bits // 8}")}
+
+
+def _base64(values: np.ndarray, kind: str = "<f4") -> str:
+    values = np.round(values) if "i" in kind else values
+    return base64.b64encode(np.ascontiguousarray(values, kind).tobytes()).decode()
