@@ -219,8 +219,9 @@ def has_intervals(result: Result) -> bool:
 
 
 def reached(result: Result) -> float:
-    """The largest compression of the felt in the hardest stroke, m."""
-    return float(np.max(_hardest(result).pulse.compression))
+    """The largest compression of the felt in all strokes of the fit, m."""
+    pulses = [one.fitted.simulation.pulse for one in result.recordings] or [_hardest(result).pulse]
+    return max(float(np.max(pulse.compression)) for pulse in pulses)
 
 
 def felt_of(result: Result, reach: float | None = None) -> Felt:
@@ -240,11 +241,9 @@ def felt_of(result: Result, reach: float | None = None) -> Felt:
 
 
 def _hardest(result: Result) -> Simulation:
-    """The stroke of the fastest hammer, which compresses the felt most; of a fit that was read back struck anew."""
-    at = int(np.argmax([float(note.hammer.v_H0) for note in result.notes[0]]))
-    if result.recordings:
-        return result.recordings[at].fitted.simulation
-    return result.notes[0][at].strike(_rate(result))
+    """The stroke of the fastest hammer of a fit that was read back, computed again."""
+    notes = result.notes[0]
+    return notes[int(np.argmax([float(note.hammer.v_H0) for note in notes]))].strike(_rate(result))
 
 
 def _rate(result: Result) -> int:
