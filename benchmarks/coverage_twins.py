@@ -305,7 +305,12 @@ def values_of(kind: str, truth: Truth, recording: int = -1) -> Values:
     share = truth.beat_level / (1 + truth.beat_level)
     pulled = sorted((1.0, 2 ** (share * truth.beat_cents / 1200)))
     ends = (1 + mean) * pulled[0], (1 + mean * math.exp(CONTACT / tau)) * pulled[1]
-    values = {**truth.string._asdict(), **truth.hammer._asdict(), "v_H0": velocity, "x0": truth.geometry.strike_position}
+    values = {
+        **truth.string._asdict(),
+        **truth.hammer._asdict(),
+        "v_H0": velocity,
+        "x0": truth.geometry.strike_position,
+    }
     values |= {"width": truth.geometry.width} if WINDOWS.get(kind) != "parabola" else {}
     values = {name: float(value) for name, value in values.items()}
     return values | {name: (values[name] * ends[0], values[name] * ends[1]) for name in ("c", "kappa")}

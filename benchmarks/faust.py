@@ -19,9 +19,9 @@ from pathlib import Path
 
 from rung_piano import piano
 
+from pianofit.export import parse_keys
 from pianofit.export.faust import write_faust
 from pianofit.instrument import load_instrument
-from pianofit.playback import parse_keys
 
 RUNS = 3
 PLAYER = r"""

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pianofit.export import parse_keys
 from pianofit.felt import RelaxingHammer
 from pianofit.instrument import Instrument
 from pianofit.instrument.build import SCHEMA
@@ -24,7 +25,6 @@ from pianofit.modal_response_file import ringing_document
 from pianofit.model.modal_response import PRE_ONSET_S, ModalResponse, VelocityGain
 from pianofit.model.note import Note
 from pianofit.parameters import Hammer
-from pianofit.playback import parse_keys
 
 CHANNELS = 2
 RATE = 48_000  # Hz

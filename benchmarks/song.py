@@ -21,9 +21,10 @@ from pathlib import Path
 import numpy as np
 from rung_piano import piano
 
+from pianofit.export import parse_keys
 from pianofit.instrument import Instrument, load_instrument
 from pianofit.model.program_cache import enable_program_cache
-from pianofit.playback import Song, parse_keys, render_song
+from pianofit.playback import Song, render_song
 
 RATE, BLOCK = 48_000, 128
 LOWEST, HIGHEST = 24, 108  # keys

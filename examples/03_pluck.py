@@ -67,7 +67,9 @@ def main() -> None:
     ends = [minimize(gradient, z, jac=True, method="L-BFGS-B", bounds=box) for z in first]
     best = min(ends, key=lambda end: end.fun)
     print(f"{'':6}{'true':>12}{'found':>12}")
-    for name, true, found in zip(("pluck", "width"), (GUITAR.strike_position, GUITAR.width), np.exp(best.x[:2]), strict=True):
+    for name, true, found in zip(
+        ("pluck", "width"), (GUITAR.strike_position, GUITAR.width), np.exp(best.x[:2]), strict=True
+    ):
         print(f"{name:6}{true:12.6g}{found:12.6g} m")
     reached = sum(end.fun < 1.01 * best.fun for end in ends)
     print(f"{len(partials)} levels, {best.fun**0.5:.2f} dB rms left; {reached} of {len(ends)} searches ended there")

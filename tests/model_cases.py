@@ -15,8 +15,8 @@ import scipy.integrate
 import scipy.optimize
 
 from pianofit import model
-from pianofit.dsp.damped_sums import transform
 from pianofit.model.contact import free_motion, impulse_amplitude
+from pianofit.model.damped_sums import transform
 from pianofit.model.free_response import _back
 from pianofit.parameters import Geometry, Hammer, String
 

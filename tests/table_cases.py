@@ -32,14 +32,23 @@ def table(shape: str, seed: int = 0) -> ObservationTable:
     common = np.log(0.3 + 2 * random.random((nodes[0], groups))) if path else np.full((nodes[0], groups), SMALL)
     share = random.random(nodes)
     return ObservationTable(
-        value=random.normal(size=(R, K)), variance=0.1 + random.random((R, K)), detected=found, censored=absent,
-        group=np.eye(groups)[np.arange(R) % groups], columns=2 * random.normal(size=(columns, R, K)),
+        value=random.normal(size=(R, K)),
+        variance=0.1 + random.random((R, K)),
+        detected=found,
+        censored=absent,
+        group=np.eye(groups)[np.arange(R) % groups],
+        columns=2 * random.normal(size=(columns, R, K)),
         scale=0.5 + random.random((nodes[1], columns)),
         systematic=0.1 * np.exp(-np.abs(np.subtract.outer(np.arange(K), np.arange(K)))),
-        distance_octaves=np.abs(octave[:, None] - octave), has_unknown_path=np.full(groups, float(path)), log_tau=common,
-        log_weight=np.log(share / share.sum()), variance_profile=1 + random.random(K), ratio=5 * random.random((R, K)),
-        prior=(np.log([0.7, 8, 0.7, 0.002]), np.array([0.7, 0.4, 0.4, 0.9])), degrees_of_freedom=np.float64(STUDENT),
-    )  # fmt: skip
+        distance_octaves=np.abs(octave[:, None] - octave),
+        has_unknown_path=np.full(groups, float(path)),
+        log_tau=common,
+        log_weight=np.log(share / share.sum()),
+        variance_profile=1 + random.random(K),
+        ratio=5 * random.random((R, K)),
+        prior=(np.log([0.7, 8, 0.7, 0.002]), np.array([0.7, 0.4, 0.4, 0.9])),
+        degrees_of_freedom=np.float64(STUDENT),
+    )
 
 
 def point(shape: str, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:

@@ -293,7 +293,9 @@ def test_levels_by_another_law_of_decays_are_those_measured_by_it():
         laws = replace(first, level_law=(factor * b1, factor * d2))
         decay = factor * (b1 + d2 * number**2.0)
         level, _, lag = level_of(bands, z, with_errors(bands, slice(None), fit, density), density, decay)
-        return replace(laws, partials=replace(first.partials, number=number, level=level, level_decay_sensitivity_s=lag))
+        return replace(
+            laws, partials=replace(first.partials, number=number, level=level, level_decay_sensitivity_s=lag)
+        )
 
     first = analyse((samples, RATE), note="A2")
     one, other = by(0.8), by(1.2)

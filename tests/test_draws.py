@@ -58,7 +58,9 @@ def test_an_observation_is_as_likely_as_it_makes_all_the_others(shape):
     """By dense covariances: log p(y) - log p(y without it), each summed over nodes; and P(below its bound | y)."""
     t, (residual, w) = table(shape), point(shape)
     there, y = np.asarray(t.detected).ravel() > 0, residual.ravel()
-    full = {node: shared(t, PHI, node) + np.diag((noise(t, PHI) / w).ravel()) for node in np.ndindex(t.log_weight.shape)}
+    full = {
+        node: shared(t, PHI, node) + np.diag((noise(t, PHI) / w).ravel()) for node in np.ndindex(t.log_weight.shape)
+    }
 
     def log_density(at: np.ndarray) -> float:
         each = [t.log_weight[n] + multivariate_normal(np.zeros(len(at)), C[np.ix_(at, at)]).logpdf(y[at])

@@ -270,7 +270,9 @@ def test_known_values_and_bounds_hold_exactly():
 
 def test_a_measured_velocity_overrides_the_setups():
     recording = record(FIRST, quantity="pressure")
-    problem = build_problem([recording], [analyse(recording)], setup_from_dict({"recording": [{"v_H0": 0.9}]}, "here"), 1.4)
+    problem = build_problem(
+        [recording], [analyse(recording)], setup_from_dict({"recording": [{"v_H0": 0.9}]}, "here"), 1.4
+    )
     assert problem.measured_velocity == (1.4,)
     assert np.exp(problem.unknowns.mean[-1]) == pytest.approx(1.4)
     assert not problem.unknowns.free[-1]

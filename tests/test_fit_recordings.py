@@ -106,7 +106,11 @@ def test_a_velocity_that_names_no_recording_is_the_brightest_ones_and_said_so():
 
 
 def test_groups_and_gain_groups_are_the_setups():
-    said = [RecordingInfo(FILES[0], None, "a", "same", None), RecordingInfo(FILES[1], None, "b", "same", None), RecordingInfo(FILES[2])]
+    said = [
+        RecordingInfo(FILES[0], None, "a", "same", None),
+        RecordingInfo(FILES[1], None, "b", "same", None),
+        RecordingInfo(FILES[2]),
+    ]
     problem = build_problem(*through(SEVERAL), strokes_of(SEVERAL, *said))
     layout = problem.layout
     assert layout.stroke == (0, 1, 2)

@@ -14,8 +14,8 @@ import pytest
 import soundfile
 from instrument_cases import true_instrument
 
+from pianofit.export import SAMPLERS, ExportOptions, export_sampler
 from pianofit.export.layers import key_ranges, velocities_of
-from pianofit.playback import SAMPLERS, ExportOptions, export_sampler
 from pianofit.playback.voice import damper_rate
 from pianofit.result.alignment import fractional_lag
 

@@ -121,7 +121,9 @@ def test_what_rings_is_linear_in_the_forces():
         for force, at in zip(forces, (0, between), strict=True)
     )
     assert np.abs(sound - expected).max() < 1e-6 * np.abs(expected).max()
-    rest = note.with_velocity(1.0).render_channels(note.with_velocity(1.0).strike(RATE), RATE, RATE - between, string.lead)
+    rest = note.with_velocity(1.0).render_channels(
+        note.with_velocity(1.0).strike(RATE), RATE, RATE - between, string.lead
+    )
     alone = note.with_velocity(2.0).render_channels(note.with_velocity(2.0).strike(RATE), RATE, RATE, string.lead)
     alone[:, between:] += rest
     assert np.abs(sound - alone).max() > 1e-4 * np.abs(expected).max()  # the second hammer met a moving string
@@ -195,7 +197,9 @@ def test_what_is_held_at_the_end_is_let_go():
 
 
 def test_repeated_notes_are_counted():
-    done = render_song(PIANO, song((0.0, 0.2, 60, 80), (0.2, 0.4, 60, 80), (0.4, 0.6, 60, 80), (0.0, 0.2, 72, 80)), RATE)
+    done = render_song(
+        PIANO, song((0.0, 0.2, 60, 80), (0.2, 0.4, 60, 80), (0.4, 0.6, 60, 80), (0.0, 0.2, 72, 80)), RATE
+    )
     assert (done.strikes, done.restrikes) == (4, 2)
 
 

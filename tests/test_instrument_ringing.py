@@ -14,12 +14,12 @@ from typer.testing import CliRunner
 
 from pianofit.cli import app
 from pianofit.errors import FitError
+from pianofit.export import ExportOptions, export_sampler
 from pianofit.instrument import build_instrument, find_fits, load_keys, read_instrument
 from pianofit.instrument.interpolate_keys import REACH, interpolate_keys
 from pianofit.modal_response_file import encode_knock, ringing_document
 from pianofit.model.modal_response import force_of
 from pianofit.model.modes import mode_frequencies
-from pianofit.playback import ExportOptions, export_sampler
 
 
 @pytest.fixture(scope="module")

@@ -17,11 +17,11 @@ from instrument_cases import ERRORS, library, true_instrument, true_note
 from pianofit.analysis import midi_to_note
 from pianofit.cli import main
 from pianofit.errors import OutputError, ParameterError
-from pianofit.export.layers import crossfaded, key_ranges, velocities_of, without_gaps
+from pianofit.export import ExportOptions, export_sampler, parse_keys
+from pianofit.export.layers import crossfaded, format_keys, key_ranges, velocities_of, without_gaps
 from pianofit.instrument import build_instrument, find_fits, load_instrument, load_keys
 from pianofit.instrument.velocity import hammer_velocity
 from pianofit.model.modes import mode_frequencies
-from pianofit.playback import ExportOptions, export_sampler, parse_keys
 from pianofit.playback.voice import damper_rate
 from pianofit.result.alignment import fractional_lag
 
@@ -44,7 +44,9 @@ def piano(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def sampler(piano, tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp("out") / "sampler"
-    export_sampler(load_instrument(piano / "instrument.json"), out, KEYS, ExportOptions(LAYERS, 2.0), licence="CC BY 4.0, \nme")
+    export_sampler(
+        load_instrument(piano / "instrument.json"), out, KEYS, ExportOptions(LAYERS, 2.0), licence="CC BY 4.0, \nme"
+    )
     return out
 
 
@@ -281,15 +283,15 @@ def test_keys_in_addition_leave_no_key_between_silent(keys):
 
 
 def test_ranges_of_keys_are_named():
-    assert key_ranges([21, 22, 23, 60, 107, 108]) == "A0 to B0, C4, B7 to C8"
-    assert key_ranges([]) == "none"
+    assert format_keys([21, 22, 23, 60, 107, 108]) == "A0 to B0, C4, B7 to C8"
+    assert format_keys([]) == "none"
 
 
 def test_an_export_says_which_keys_are_silent(tmp_path):
     done = export_sampler(PIANO, tmp_path / "some", KEYS, SHORT)
     played = {key for low, high in key_ranges(KEYS) for key in range(low, high + 1)}
     assert done.silent == [key for key in range(21, 109) if key not in played]
-    assert f"Silent: {key_ranges(done.silent)}\n" in (tmp_path / "some" / "README.txt").read_text(encoding="utf-8")
+    assert f"Silent: {format_keys(done.silent)}\n" in (tmp_path / "some" / "README.txt").read_text(encoding="utf-8")
 
 
 def test_an_export_of_nothing_is_refused(tmp_path):

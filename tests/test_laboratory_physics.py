@@ -169,7 +169,9 @@ def test_a_slow_felt_with_memory_has_the_papers_stiffness_and_a_relaxed_one_no_d
 
 
 def test_memory_without_weight_is_the_power_law():
-    memory, power = (measure(SyntheticMeasurement.ideal(felt=felt, eps=0.0, seconds=0.2), V) for felt in ("memory", "power"))
+    memory, power = (
+        measure(SyntheticMeasurement.ideal(felt=felt, eps=0.0, seconds=0.2), V) for felt in ("memory", "power")
+    )
     np.testing.assert_array_equal(memory.samples, power.samples)
 
 

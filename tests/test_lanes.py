@@ -39,7 +39,11 @@ STULOV = RelaxingHammer(*HAMMER._replace(mu=0.0), epsilon=0.4, tau=6e-5)
 
 def lane(hammer: Hammer | RelaxingHammer, geometry: Geometry) -> np.ndarray:
     """A hammer and where it strikes, as a lane has them; K_H as its force at the reference compression."""
-    values = dict.fromkeys(LANE, np.exp(ABSENT)) | hammer._asdict() | {"x0": geometry.strike_position, "width": geometry.width}
+    values = (
+        dict.fromkeys(LANE, np.exp(ABSENT))
+        | hammer._asdict()
+        | {"x0": geometry.strike_position, "width": geometry.width}
+    )
     values |= {"K_H": hammer.K_H * np.exp(hammer.p * LOG_U)}
     return np.log([max(float(values[name]), np.exp(ABSENT)) for name in LANE])
 

@@ -1,4 +1,4 @@
-"""The house keeps its order: a room imports only from the rooms its plan names, and only packages it declares."""
+"""Rooms import in one direction, only what the plan of the package names, and only declared packages."""
 
 from __future__ import annotations
 
@@ -11,68 +11,67 @@ import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
-import pytest
-
 ROOT = Path(__file__).parent.parent
 SOURCE = ROOT / "src" / "pianofit"
 FILES = sorted(SOURCE.rglob("*.py"))
-# Which rooms each may use, beside its own, `errors`, `numbers`, `powers` and `units`.
+# The rooms that each room may import, besides itself and `EVERYWHERE`.
 USES = {
-    "threads": "",
     "errors": "",
-    "units": "",
-    "numbers": "",
-    "powers": "",
+    "conversions": "",
     "io": "",
-    "parameters": "",
-    "felt": "parameters published",
+    "dsp": "",
+    "threads": "",
     "progress": "",
-    "tables": "io",
-    "containers": "io",
-    "decode": "containers io",
-    "onset": "",
-    "recording": "decode io onset",
-    "published": "analysis parameters",
+    "parameters": "io",
+    "literature": "analysis parameters",
+    "felt": "io literature parameters",
+    "recording": "io",
     "setup": "felt io parameters",
-    "analysis": "recording tables",
+    "analysis": "dsp io recording",
     "criterion": "analysis",
-    "model": "decode felt io parameters threads",
+    "model": "dsp felt io parameters threads",
     "synthetic": "felt io model parameters recording setup",
-    "ringing_file": "decode io model",
-    "fit_file": "decode felt io model parameters ringing_file",
-    "inference": "analysis felt io model parameters progress published recording setup tables threads",
-    "result": "analysis criterion felt fit_file inference io model onset parameters recording setup tables threads",
-    "ringing": "analysis model recording result ringing_file threads",
-    "report": "analysis felt fit_file io model parameters result ringing ringing_file tables",
+    "modal_response_file": "io model",
+    "fit_file": "felt io modal_response_file model parameters",
+    "inference": "analysis felt io literature model parameters progress recording setup threads",
+    "result": "analysis criterion felt fit_file inference io model parameters recording setup threads",
+    "modal_response": "analysis modal_response_file model recording result threads",
+    "report": "analysis felt fit_file io modal_response modal_response_file model parameters result",
     "listening": "io recording report",
-    "paper": "analysis criterion felt inference io listening model parameters published recording report result setup"
-    " tables",
-    "keyboard": "analysis fit_file io model parameters published report ringing_file",
-    "fitting": "analysis inference paper parameters progress recording result ringing setup threads",
-    "play": "analysis decode felt io keyboard model parameters recording report tables threads",
-    "batch": "analysis fitting io model parameters recording report tables",
-    "cli": "analysis batch felt fit_file fitting io keyboard listening model paper parameters play progress"
-    " published recording report result setup synthetic threads",
+    "bensa2005": "analysis criterion felt inference io listening literature model parameters recording report"
+    " result setup",
+    "fitting": "analysis bensa2005 inference modal_response parameters progress recording result setup threads",
+    "instrument": "analysis fit_file io literature modal_response_file model parameters report",
+    "playback": "dsp felt instrument io model parameters threads",
+    "export": "analysis instrument io model playback report threads",
+    "web": "analysis instrument io model parameters playback recording report",
+    "batch": "analysis fitting io model parameters recording report",
+    "cli": "analysis batch bensa2005 export felt fit_file fitting instrument io listening literature model parameters"
+    " playback progress recording report result setup synthetic threads web",
     "__main__": "cli",
 }
-# What a method of a public type enters when it is called, against these arrows, by an import of its own.
-CALLS = {"felt": "model", "model": "play", "result": "report"}
-EVERYWHERE = {"errors", "numbers", "powers", "units"}
-# Who loads modules by names: the public names, the felt's laws, packages that only some need.
-BY_NAME = ("__init__.py", "felt/__init__.py", "tables.py")
-WITH_JAX = ("model", "inference", "paper")
+EVERYWHERE = {"conversions", "errors"}
+# A method of a public type may enter a higher room when it is called. Its import stands inside the method.
+CALLS = {"felt": "model", "model": "web", "result": "report"}
+# Files that import modules by name: public names, felt laws, optional packages.
+BY_NAME = ("__init__.py", "felt/__init__.py", "io/table_output.py")
+WITH_JAX = ("bensa2005", "inference", "model")
 HEAVY = ("jax", "scipy", "matplotlib", "soundfile", "jinja2")
-LONGEST = 400  # lines
+LONGEST = 400  # lines of a file
 
 
-def by_file() -> pytest.MarkDecorator:
-    return pytest.mark.parametrize("file", FILES, ids=lambda file: str(file.relative_to(SOURCE)))
+def room_of(file: Path) -> str:
+    return file.relative_to(SOURCE).parts[0].removesuffix(".py")
+
+
+def tree_of(file: Path) -> ast.Module:
+    return ast.parse(file.read_text(encoding="utf-8"))
 
 
 def imports(file: Path, called: bool = True) -> Iterator[str]:
-    """Imported names in full, such as "jax.numpy" or "pianofit.model.note.Note"; those in functions too if `called`."""
+    """Full names of imports, such as "pianofit.model.note.Note"; imports inside functions only if `called`."""
     package = ("pianofit", *file.relative_to(SOURCE).parts)[:-1]
-    tree = ast.parse(file.read_text(encoding="utf-8"))
+    tree = tree_of(file)
     functions = [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
     within = set() if called else {inner for function in functions for inner in ast.walk(function)}
     for node in {*ast.walk(tree)} - within:
@@ -80,109 +79,69 @@ def imports(file: Path, called: bool = True) -> Iterator[str]:
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             base = package[: len(package) - node.level + 1] if node.level else ()
-            yield from (".".join((*base, *(node.module or "").split("."), alias.name)) for alias in node.names)
+            parts = (*base, *(node.module or "").split("."))
+            yield from (".".join(part for part in (*parts, alias.name) if part) for alias in node.names)
 
 
-def room_of(file: Path) -> str:
-    return file.relative_to(SOURCE).parts[0].removesuffix(".py")
+def rooms_used(file: Path, called: bool = True) -> set[str]:
+    names = [name.split(".") for name in imports(file, called)]
+    return {parts[1] for parts in names if parts[0] == "pianofit" and not parts[1].startswith("__")} - {room_of(file)}
 
 
-def clean(name: str) -> tuple[str, ...]:
-    return tuple(part for part in name.split(".") if part)
-
-
-def used(file: Path, called: bool = True) -> Iterator[str]:
-    """The rooms a file imports from, with those that its functions enter if `called`."""
-    for name in imports(file, called):
-        parts = clean(name)
-        if parts[0] == "pianofit" and not parts[1].startswith("__"):
-            yield parts[1]
-
-
-def test_every_module_has_its_room():
+def test_rooms_import_in_one_direction_and_only_what_the_plan_names():
     assert {room_of(file) for file in FILES} == {*USES, "__init__"}
-
-
-def test_rooms_are_entered_in_one_direction():
     order = graphlib.TopologicalSorter({room: others.split() for room, others in USES.items()})
-    assert {*order.static_order()} == {*USES}  # raises where rooms use each other in a circle
+    assert {*order.static_order()} == {*USES}  # raises if rooms import each other in a circle
+    for room, others in USES.items():
+        files = [file for file in FILES if room_of(file) == room]
+        allowed, called = {*others.split()}, {*CALLS.get(room, "").split()}
+        at_import = set().union(*(rooms_used(file, called=False) for file in files)) - EVERYWHERE
+        ever = set().union(*map(rooms_used, files)) - EVERYWHERE
+        assert at_import <= allowed, f"{room} imports {at_import - allowed}"
+        assert ever == allowed | called, f"{room}: {ever ^ (allowed | called)} is not imported, or not in the plan"
 
 
-@by_file()
-def test_a_module_imports_only_from_the_rooms_it_may_use(file):
-    own = room_of(file)
-    if own == "__init__":
-        return  # the package lists the public names of all rooms
-    downward = {own, *EVERYWHERE, *USES[own].split()}
-    assert {*used(file, called=False)} <= downward
-    assert {*used(file)} <= {*downward, *CALLS.get(own, "").split()}
-
-
-@by_file()
-def test_no_room_is_entered_by_a_name_that_is_put_together(file):
-    names = {node.id for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))) if isinstance(node, ast.Name)}
-    assert "import_module" not in names or file.relative_to(SOURCE).as_posix() in BY_NAME
-
-
-def test_no_room_may_use_what_it_does_not():
-    for room in USES:
-        others = f"{USES[room]} {CALLS.get(room, '')}"
-        found = {name for file in FILES if room_of(file) == room for name in used(file)}
-        assert {*others.split()} <= found, f"{room} no longer uses {', '.join({*others.split()} - found)}"
-
-
-@by_file()
-def test_a_module_uses_only_declared_packages(file):
+def test_only_declared_packages_are_imported_and_jax_only_in_its_rooms():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    needed = [
-        *project["dependencies"],
-        *project["optional-dependencies"]["bayes"],
-        *project["optional-dependencies"]["cluster"],
-        *project["optional-dependencies"]["notebook"],
-        *project["optional-dependencies"]["widget"],
-    ]
+    extras = (project["optional-dependencies"][name] for name in ("bayes", "cluster", "notebook", "widget"))
+    needed = [*project["dependencies"], *(requirement for extra in extras for requirement in extra)]
     declared = {"dask", *(requirement.split(">")[0].lower() for requirement in needed)}
-    for name in imports(file):
-        package = clean(name)[0]
-        assert package in {*sys.stdlib_module_names, "pianofit", *declared}
-        assert package != "jax" or room_of(file) in WITH_JAX, f"{room_of(file)} may not need JAX"
+    for file in FILES:
+        packages = {name.split(".")[0] for name in imports(file)}
+        assert packages <= {*sys.stdlib_module_names, "pianofit", *declared}, file
+        assert "jax" not in packages or room_of(file) in WITH_JAX, file
 
 
-@by_file()
-def test_nothing_is_executed_that_was_only_to_be_read(file):
-    assert not {clean(name)[0] for name in imports(file)} & {"pickle", "marshal", "shelve", "dill", "yaml"}
-    calls = [node.func for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))) if isinstance(node, ast.Call)]
-    assert not {call.id for call in calls if isinstance(call, ast.Name)} & {"eval", "exec", "compile", "__import__"}
+def test_nothing_is_executed_that_is_only_to_be_read():
+    for file in FILES:
+        assert not {name.split(".")[0] for name in imports(file)} & {"pickle", "marshal", "shelve", "dill", "yaml"}, (
+            file
+        )
+        nodes = [*ast.walk(tree_of(file))]
+        calls = {node.func.id for node in nodes if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)}
+        assert not calls & {"eval", "exec", "compile", "__import__"}, file
+        names = {node.id for node in nodes if isinstance(node, ast.Name)}
+        assert "import_module" not in names or file.relative_to(SOURCE).as_posix() in BY_NAME, file
 
 
-@by_file()
-def test_a_file_can_be_held_in_mind(file):
-    assert len(file.read_text(encoding="utf-8").splitlines()) < LONGEST
+def test_no_file_is_long():
+    lengths = {file.relative_to(SOURCE).as_posix(): file.read_text(encoding="utf-8").count("\n") for file in FILES}
+    assert {name for name, length in lengths.items() if length >= LONGEST} == set()
 
 
-def loaded_by(code: str) -> set[str]:
-    """Which of the heavy packages a fresh interpreter has loaded after `code`."""
-    program = f"import sys, json\n{code}\nprint(json.dumps([m for m in {HEAVY} if m in sys.modules]))"
+def loaded_by(code: str, packages: tuple[str, ...]) -> set[str]:
+    """Which of `packages` a fresh interpreter has loaded after `code`."""
+    program = f"import sys, json\n{code}\nprint(json.dumps([m for m in {packages!r} if m in sys.modules]))"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     return set(json.loads(done.stdout.splitlines()[-1]))
 
 
-@pytest.mark.parametrize(
-    "module", ["", ".cli", ".felt", ".parameters", ".published", ".recording", ".setup", ".analysis"]
-)
-def test_what_needs_no_jax_does_not_load_it(module):
-    assert "jax" not in loaded_by(f"import pianofit{module}")
-
-
-def test_the_default_estimate_does_not_load_the_papers_room():
-    program = (
-        "import sys, pianofit, pianofit.fitting, pianofit.report.page\n"
-        "for name in pianofit.__all__: getattr(pianofit, name)\n"
-        "assert not [name for name in sys.modules if name.startswith('pianofit.bensa2005')]"
+def test_heavy_packages_are_loaded_only_when_needed():
+    rooms = ("cli", "felt", "parameters", "literature", "recording", "setup", "analysis")
+    assert not loaded_by("".join(f"import pianofit.{room}\n" for room in rooms), ("jax",))
+    for arguments in (["--help"], ["fit", "--help"], ["--version"], ["fit", "--speed"]):
+        assert not loaded_by(f"from pianofit.cli import main; main({arguments})", HEAVY), arguments
+    public = (
+        "import pianofit, pianofit.fitting, pianofit.report.page\nfor name in pianofit.__all__: getattr(pianofit, name)"
     )
-    subprocess.run([sys.executable, "-c", program], check=True)
-
-
-@pytest.mark.parametrize("arguments", [["--help"], ["fit", "--help"], ["--version"], ["fit", "--speed"]])
-def test_help_loads_nothing_heavy(arguments):
-    assert not loaded_by(f"from pianofit.cli import main; main({arguments})")
+    assert not loaded_by(public, ("pianofit.bensa2005",))  # the default fit needs nothing of the paper's method

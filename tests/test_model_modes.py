@@ -85,7 +85,10 @@ def test_window_weights_against_adaptive_quadrature(name):
     for k in (1, 2, 7, 33, 64):
         beta = k * math.pi / geometry.length
         exact = scipy.integrate.quad(
-            lambda z, b=beta: float(shape(z)) * math.sin(b * (geometry.strike_position + width * z)), -0.5, 0.5, **options
+            lambda z, b=beta: float(shape(z)) * math.sin(b * (geometry.strike_position + width * z)),
+            -0.5,
+            0.5,
+            **options,
         )[0]
         assert weights[k - 1] == pytest.approx(exact / area, abs=1e-11)
 

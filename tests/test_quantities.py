@@ -127,7 +127,14 @@ def test_what_holds_arrays_is_shown_in_a_few_lines():
         assert word in shown
     stroke = note.strike(44_100)
     many = Hammer(*(np.ones(1000) for _ in range(5)))
-    for thing in (stroke, stroke.modes, stroke.pulse, many, pianofit.typical(60), pianofit.preset("bensa-final")):
+    for thing in (
+        stroke,
+        stroke.modes,
+        stroke.pulse,
+        many,
+        pianofit.typical("C4").string,
+        pianofit.preset("bensa-final"),
+    ):
         assert 10 < len(repr(thing)) < 1000, type(thing)
 
 

@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pianofit.errors import ParameterError, PianofitError, RecordingError
-from pianofit.io.files import escape_controls, read_file
+from pianofit.io.files import printable, read_file
 from pianofit.recording.recording import load_recording, recording_from_samples
 
 RECORDINGS = Path(os.environ.get("PIANOFIT_RECORDINGS", Path(__file__).parents[2] / "shared" / "recordings"))
@@ -458,7 +458,7 @@ def test_every_bad_file_is_refused_in_one_line(tmp_path, bad: BadInput):
         load_recording(bad.bad_file(tmp_path))
     message = str(caught.value)
     assert bad.is_explained_by(message)
-    assert message.startswith(escape_controls(bad.bad_file(tmp_path)) + ": ")
+    assert message.startswith(printable(bad.bad_file(tmp_path)) + ": ")
     assert message.isprintable()
 
 
@@ -491,8 +491,8 @@ def test_a_file_without_permission_is_refused(tmp_path):
 @settings(max_examples=50, deadline=None)
 @given(st.text(max_size=40))
 def test_one_line_is_one_printable_line(text):
-    assert escape_controls(text).isprintable()
-    assert len(escape_controls(text).splitlines()) <= 1
+    assert printable(text).isprintable()
+    assert len(printable(text).splitlines()) <= 1
 
 
 def test_a_short_read_limit(tmp_path):

@@ -25,8 +25,8 @@ from reference_cases import CASES, POINTS, STEPS, WIDE, X, relative, solve, touc
 
 from pianofit import model
 from pianofit.bensa2005 import finite_difference
-from pianofit.dsp.damped_sums import ring
 from pianofit.model.contact import free_motion, impulse_amplitude
+from pianofit.model.damped_sums import ring
 from pianofit.parameters import FIT_NAMES, HAMMER_NAMES, PARAMETERS, Geometry, Hammer, String
 
 pytestmark = pytest.mark.usefixtures("float64")
@@ -53,7 +53,9 @@ def _outputs(values, geometry, step, weights, displacement, velocity) -> dict:
         "velocity": driven + ring(modes.free_pickup * free.amplitude, log_z, STEPS),
         "force": pulse.force,
         "compression": pulse.compression,
-        "ringing": ring(model.modal_amplitudes(modes, pulse.drive, free), log_z, STEPS),  # the velocity, after the contact
+        "ringing": ring(
+            model.modal_amplitudes(modes, pulse.drive, free), log_z, STEPS
+        ),  # the velocity, after the contact
     }
 
 
@@ -219,11 +221,19 @@ PLANTED = {
     "virtual nodes": (finite_difference, "fourth_difference", _no_virtual_nodes),
     "mu": (finite_difference, "felt", _flipped_mu),
     **{
-        f"appendix: {name}": (finite_difference, "coefficient_terms", _flipped_row(finite_difference.coefficient_terms, name))
+        f"appendix: {name}": (
+            finite_difference,
+            "coefficient_terms",
+            _flipped_row(finite_difference.coefficient_terms, name),
+        )
         for name in ("c", "kappa", "b1", "b2", "M_H")
     },
     **{
-        f"appendix: {name}": (finite_difference, "felt_derivatives", _flipped_row(finite_difference.felt_derivatives, name))
+        f"appendix: {name}": (
+            finite_difference,
+            "felt_derivatives",
+            _flipped_row(finite_difference.felt_derivatives, name),
+        )
         for name in ("K_H", "mu", "p")
     },
 }

@@ -86,7 +86,9 @@ def test_the_felt_gives_back_what_it_took_less_its_losses(mu):
 
 def test_order_two_in_grid_and_step_towards_the_continuous_string():
     """Halving both quarters the distance to the prewarped table, at a rate where that has converged."""
-    geometry = Geometry(length=1.0, mass=0.00618, strike_position=0.24, width=0.16, pickup=0.4)  # all on the coarsest grid
+    geometry = Geometry(
+        length=1.0, mass=0.00618, strike_position=0.24, width=0.16, pickup=0.4
+    )  # all on the coarsest grid
     rate, steps = 25 * 882.0, 101
     fine = model.simulate(STRING, HAMMER, geometry, rate=rate, n_modes=128, oversampling=16)
     force, velocity = np.asarray(fine.pulse.force)[::16][:steps], fine.waveform(rate * 16, 16 * steps)[::16]

@@ -387,7 +387,7 @@ def test_a_recording_that_would_be_replaced_or_deleted_is_refused(tmp_path, name
 def test_what_is_no_fits_names_no_sounds(tmp_path):
     for text in ("", "[]", "{}", '{"recordings": 3}', '{"recordings": [{"file": 3}]}'):
         (tmp_path / "fit.json").write_text(text)
-        assert _previous_outputs(tmp_path) == {"report.html", "knock.flac"}
+        assert _previous_outputs(tmp_path) == {"report.html", "knock.flac", "draws.npz"}
 
 
 @pytest.mark.parametrize("loudest", NAMES)

@@ -344,7 +344,10 @@ def test_every_take_comes_with_its_own_loop_and_place():
 
 
 def said(fit):
-    return {heading.split(",")[0]: " ".join(sentences).replace("\u00a0", " ") for heading, sentences in identifiability_sections(fit)}
+    return {
+        heading.split(",")[0]: " ".join(sentences).replace("\u00a0", " ")
+        for heading, sentences in identifiability_sections(fit)
+    }
 
 
 def reaching(entry, reach):

@@ -34,10 +34,12 @@ def fake_result(seconds: float = 4.0, rings: bool = True) -> Any:
     )  # fmt: skip
     pole = -DECAY + 2j * np.pi * F0 * NUMBER
     ringing = ModalResponse(NUMBER, pole, np.full(8, 0.1), np.ones((1, 8), complex), np.zeros((1, 0)), RATE)
-    return SimpleNamespace(
+    result = SimpleNamespace(
         document={"ringing": {}}, reference=heard, note=SimpleNamespace(ringing=ringing if rings else None),
         analysis=SimpleNamespace(f0=F0, B=0.0),
     )  # fmt: skip
+    result.with_recordings = lambda: result
+    return result
 
 
 def test_envelopes_are_those_of_the_strongest_partials():

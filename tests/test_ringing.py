@@ -84,7 +84,13 @@ def found(velocities: tuple[float, ...] = (0.6, 1.7)) -> tuple[AlignedLayers, li
     analyses = [analyse(r, f0=F0) for r in recordings]
     heard = align_layers(recordings, analyses)
     modes = modes_of(heard, analyses)
-    return heard, modes, estimate_shared_response(heard, modes, [force_at(v) for v in velocities], np.full(len(velocities), 30.0)).ringing
+    return (
+        heard,
+        modes,
+        estimate_shared_response(
+            heard, modes, [force_at(v) for v in velocities], np.full(len(velocities), 30.0)
+        ).ringing,
+    )
 
 
 def test_every_partial_has_the_modes_that_it_was_given():
@@ -145,7 +151,8 @@ def test_what_a_layer_hardly_shows_says_little_of_a_partials_level():
     faint = np.array([1e-4, 1.0])[:, None, None]
     changed = [*modes[:-1], dataclasses.replace(modes[-1], amplitude=faint * modes[-1].amplitude)]
     patterns = [
-        estimate_shared_response(heard, m, [force_at(0.6), force_at(1.7)], np.full(2, 30.0)).ringing.pattern for m in (modes, changed)
+        estimate_shared_response(heard, m, [force_at(0.6), force_at(1.7)], np.full(2, 30.0)).ringing.pattern
+        for m in (modes, changed)
     ]
     loud = [20 * np.log10(np.abs(p[:, -len(modes[-1].pole) :]).sum()) for p in patterns]
     assert abs(loud[1] - loud[0]) < 6
@@ -170,13 +177,17 @@ def test_layers_that_lie_cents_apart_leave_nothing_for_the_knock():
     pole, pattern = -1.5 + 2j * np.pi * F0 * number, np.exp(1j * number)[None] / number
     recordings = []
     for velocity, cents in ((0.6, 3.0), (1.7, 0.0)):
-        shared_response = ModalResponse(number, pole, np.zeros(8), pattern, np.zeros((1, 0)), RATE).scale_pitch(2 ** (cents / 1200))
+        shared_response = ModalResponse(number, pole, np.zeros(8), pattern, np.zeros((1, 0)), RATE).scale_pitch(
+            2 ** (cents / 1200)
+        )
         sound = np.pad(30 * shared_response.sound(force_at(velocity), RATE, size)[0], (round(LEAD * RATE), 0))
         noise = 1e-5 * np.random.default_rng(int(10 * velocity)).normal(size=len(sound))
         recordings.append(recording_from_samples(sound + np.abs(sound).max() * noise, RATE))
     analyses = [analyse(r, f0=F0) for r in recordings]
     heard = align_layers(recordings, analyses)
-    found = estimate_shared_response(heard, modes_of(heard, analyses), [force_at(0.6), force_at(1.7)], np.full(2, 30.0)).ringing
+    found = estimate_shared_response(
+        heard, modes_of(heard, analyses), [force_at(0.6), force_at(1.7)], np.full(2, 30.0)
+    ).ringing
     with_knock, without = (x.sound(force_at(1.0), RATE, size // 2)[0] for x in (found, found.without_knock()))
     assert np.sum((with_knock - without) ** 2) < 10 ** (-25 / 10) * np.sum(without**2)
 
@@ -192,7 +203,9 @@ def test_attacks_tell_which_period_a_contact_belongs_to(late):
         tones = np.exp(-np.outer(1 + 0.1 * number, t)) * np.sin(2 * np.pi * np.outer(frequency, t))
         return ((number**-tilt) @ tones + np.interp(t, np.arange(200) / rate, 0.2 * knock, right=0.0)) * (t >= 0)
 
-    heard = AlignedLayers(np.stack([[layer(late, 2.0)], [layer(0.0, 1.0)]]), np.zeros((2, 1, 4410)), rate, np.full(2, 0.5))
+    heard = AlignedLayers(
+        np.stack([[layer(late, 2.0)], [layer(0.0, 1.0)]]), np.zeros((2, 1, 4410)), rate, np.full(2, 0.5)
+    )
     omega = 2 * np.pi * frequency * np.sqrt(1 + 1e-4 * number**2)
     ratio = np.stack([np.exp(-1j * omega * (late + 1 / 262)), np.ones(12)], axis=1)
     assert shared_response._delay(heard, ratio, np.ones((12, 2)), omega, 0) == pytest.approx(late, abs=1e-4)
@@ -279,7 +292,9 @@ def test_levels_that_rise_faster_than_the_force_are_followed():
     """Every partial 2 dB more for each e-fold of velocity."""
     shared_response, velocities = truth(), np.array([0.6, 1.0, 1.7])
     slope = 10 ** (2.0 * np.log(velocities)[:, None] / 20)
-    louder = shared_response._replace(participation=VelocityGain(velocities, slope * np.ones(len(shared_response.pole))))
+    louder = shared_response._replace(
+        participation=VelocityGain(velocities, slope * np.ones(len(shared_response.pole)))
+    )
     recordings = []
     for v in velocities:
         sound = louder.sound(force_at(v), RATE, round(SECONDS * RATE))[0]
@@ -288,7 +303,9 @@ def test_levels_that_rise_faster_than_the_force_are_followed():
         recordings.append(recording_from_samples(30 * (sound + 1e-4 * np.abs(sound).max() * noise), RATE))
     analyses = [analyse(r, f0=F0) for r in recordings]
     heard = align_layers(recordings, analyses)
-    found = estimate_shared_response(heard, modes_of(heard, analyses), [force_at(v) for v in velocities], np.full(3, 30.0)).ringing
+    found = estimate_shared_response(
+        heard, modes_of(heard, analyses), [force_at(v) for v in velocities], np.full(3, 30.0)
+    ).ringing
     assert found.participation is not None
     ratio = np.abs(found.participation.factor[2] / found.participation.factor[0])
     # Three strokes hardly tell a walk from strokes that differ each by itself, so a part of the slope is not believed;

@@ -73,7 +73,9 @@ def test_what_went_down_a_parabola_is_then_judged_by_F():
     descent = Optimiser(problem(), string(), LEVELS)
     parabola = QuadraticSurrogate.of(descent.table, initial_hyperparameters(descent))
     z = prescreen(descent, 3, [parabola])[0][:6]
-    people = descent.minimise(descent.initialise(z, [initial_hyperparameters(descent)], parabola=parabola), 0.0, 2, parabola=parabola)
+    people = descent.minimise(
+        descent.initialise(z, [initial_hyperparameters(descent)], parabola=parabola), 0.0, 2, parabola=parabola
+    )
     judged = descent.minimise(people, 0.0, 0)
     anew = descent.initialise(judged.theta, judged.phi, judged.w)
     np.testing.assert_allclose(descent.total(judged), descent.total(anew), rtol=1e-10)
@@ -114,7 +116,10 @@ def test_what_long_steps_do_to_the_levels_is_much_the_same_for_all_hammers():
 def test_a_descent_sorts_and_ends_where_F_is_flat():
     descent = Optimiser(problem(), string(), LEVELS)
     people = descent.minimise(
-        descent.initialise(prescreen(descent, 3, [QuadraticSurrogate.of(descent.table, initial_hyperparameters(descent))])[0][:6], [initial_hyperparameters(descent)]),
+        descent.initialise(
+            prescreen(descent, 3, [QuadraticSurrogate.of(descent.table, initial_hyperparameters(descent))])[0][:6],
+            [initial_hyperparameters(descent)],
+        ),
         0.0,
         60,
     )

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from pianofit.errors import SetupError
 from pianofit.felt import BOXES, LAWS
-from pianofit.io.files import escape_controls
+from pianofit.io.files import printable
 from pianofit.setup import KEYS, PICKUPS, RANGES, RecordingInfo, Setup, load_setup, recording_info_for, setup_from_dict
 
 FULL = """
@@ -106,7 +106,7 @@ def test_every_bad_setup_is_refused_in_one_line(tmp_path, bad: BadInput):
         load_setup(bad.bad_file(tmp_path))
     message = str(caught.value)
     assert bad.is_explained_by(message)
-    assert message.startswith(escape_controls(bad.bad_file(tmp_path)) + ": ")
+    assert message.startswith(printable(bad.bad_file(tmp_path)) + ": ")
     assert message.isprintable()
     assert len(message) < 300 + len(bad.bad_file(tmp_path))
 
@@ -161,8 +161,16 @@ def test_the_contact_window_lies_on_the_string(position, width, length, fits):
 def test_an_entry_is_of_the_recording_that_it_names():
     """Another's velocity is not taken; one without a name is that of a single recording."""
     key = Setup(recordings=(RecordingInfo("far/soft.wav", 0.8), RecordingInfo("loud.wav", 3.0)))
-    assert recording_info_for(key, "near/loud.wav", alone=True).v_H0 == recording_info_for(key, "loud.wav", alone=False).v_H0 == 3.0
-    assert recording_info_for(key, "other.wav", alone=True) == recording_info_for(key, "other.wav", alone=False) == RecordingInfo()
+    assert (
+        recording_info_for(key, "near/loud.wav", alone=True).v_H0
+        == recording_info_for(key, "loud.wav", alone=False).v_H0
+        == 3.0
+    )
+    assert (
+        recording_info_for(key, "other.wav", alone=True)
+        == recording_info_for(key, "other.wav", alone=False)
+        == RecordingInfo()
+    )
     nameless = Setup(recordings=(RecordingInfo("soft.wav", 0.8), RecordingInfo(v_H0=2.0), RecordingInfo(v_H0=9.0)))
     assert recording_info_for(nameless, "soft.wav", alone=True).v_H0 == 0.8
     assert recording_info_for(nameless, "other.wav", alone=True).v_H0 == 2.0
@@ -184,7 +192,11 @@ IN_PYTHON = [
     ({"known": {"p": 2}, "initial": {"p": 3}}, "[known]\np = 2\n[initial]\np = 3\n", "remove one of them"),
     ({"recordings": [RecordingInfo()]}, "[[recording]]\n", "[[recording]] 1 is empty"),
     ({"recordings": [RecordingInfo(v_H0=100)]}, "[[recording]]\nv_H0 = 100\n", "[[recording]] 1 v_H0 = 100"),
-    ({"recordings": [RecordingInfo("a"), {"file": 3}]}, '[[recording]]\nfile = "a"\n[[recording]]\nfile = 3\n', "2 file = 3"),
+    (
+        {"recordings": [RecordingInfo("a"), {"file": 3}]},
+        '[[recording]]\nfile = "a"\n[[recording]]\nfile = 3\n',
+        "2 file = 3",
+    ),
     ({"recordings": [{"fil": "a"}]}, '[[recording]]\nfil = "a"\n', "did you mean file?"),
     ({"recordings": [RecordingInfo("a"), RecordingInfo("a")]}, '[[recording]]\nfile = "a"\n' * 2, "is there twice"),
 ]

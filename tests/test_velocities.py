@@ -33,7 +33,8 @@ def said(strokes, speeds, p: float = 0.0, groups=(None, None, None), analyses=No
     """What is said of velocities, m/s or None, where the exponent lies `p` prior deviations off the literature's."""
     recordings = strokes[0]
     layers = tuple(
-        RecordingInfo(file=f"{true}.wav", v_H0=v, group=group) for true, v, group in zip(SPEEDS, speeds, groups, strict=True)
+        RecordingInfo(file=f"{true}.wav", v_H0=v, group=group)
+        for true, v, group in zip(SPEEDS, speeds, groups, strict=True)
     )
     problem = build_problem(recordings, analyses or strokes[1], Setup(recordings=layers))
     z = problem.unknowns.mean.copy()

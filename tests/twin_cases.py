@@ -182,9 +182,16 @@ def through(strokes: tuple[tuple[int, str], ...], by: str = "brute-force") -> tu
 def strokes_of(strokes: tuple[tuple[int, str], ...], *more: RecordingInfo, measured: bool = True) -> Setup:
     """What is known of them: sizes, which stroke is which, and the fastest's velocity."""
     g = FIRST.geometry
-    said = [RecordingInfo(f"{s}-{m}.wav", VELOCITIES[2] if s == 2 and measured else None, m, None, str(s)) for s, m in strokes]
+    said = [
+        RecordingInfo(f"{s}-{m}.wav", VELOCITIES[2] if s == 2 and measured else None, m, None, str(s))
+        for s, m in strokes
+    ]
     return Setup(
-        length=g.length, mass=g.mass, strike_position=g.strike_position, strike_width=g.width, recordings=more or tuple(said)
+        length=g.length,
+        mass=g.mass,
+        strike_position=g.strike_position,
+        strike_width=g.width,
+        recordings=more or tuple(said),
     )
 
 

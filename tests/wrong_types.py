@@ -29,7 +29,7 @@ def modes() -> Any:
 # By the argument that the error names: a call with a wrong value.
 CALLS = {
     "preset": pf.preset,
-    "midi": pf.typical,
+    "note of a typical key": pf.typical,
     "path": pf.load_recording,
     "path of a setup": pf.load_setup,
     "path of a note": pf.load_note,

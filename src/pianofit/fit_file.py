@@ -19,10 +19,10 @@ from .io.files import (
     FIT_SCHEMA,
     LARGEST_FIT,
     array_of,
-    escape_controls,
     is_increasing,
     load_json,
     path_name,
+    printable,
     reference_of,
     require_finite,
     short_repr,
@@ -59,7 +59,7 @@ def read_fit(path: str | os.PathLike[str]) -> dict[str, Any]:
     if not isinstance(document, dict) or document.get("schema") not in range(1, FIT_SCHEMA + 1):
         found = document.get("schema") if isinstance(document, dict) else type(document).__name__
         raise FitError(
-            f"{escape_controls(path)}: schema {found!r} is not 1 to {FIT_SCHEMA}; fit again with this version of pianofit"
+            f"{printable(path)}: schema {found!r} is not 1 to {FIT_SCHEMA}; fit again with this version of pianofit"
         )
     return _renamed(document)
 
@@ -108,7 +108,7 @@ def load_note(path: str | os.PathLike[str], felt: FeltLaw | None = None) -> tupl
 
 def note_of(document: dict[str, Any], path: Path, felt: FeltLaw | None = None) -> tuple[Note, int]:
     """`load_note` of what the file at `path` held."""
-    name = escape_controls(path)
+    name = printable(path)
     table, law = table_of(document, "parameters", name, WAY_OUT), _law_of(document, name, felt)
     needed = (*STRING_NAMES, *(HAMMER_NAMES if law is None or law.hammers else law.boxes))
     values = {key: _number(table, key, name) for key in needed}
@@ -160,7 +160,7 @@ def mixture_of(document: dict[str, Any], path: Path, felt: FeltLaw | None = None
 
     Only the best note rings by the key's modes, see `ringing`.
     """
-    (note, _), name = note_of(document, path, felt), escape_controls(path)
+    (note, _), name = note_of(document, path, felt), printable(path)
     law = _law_of(document, name, felt)
     minima = document.get("minima")
     if not isinstance(minima, list) or len(minima) < 2:

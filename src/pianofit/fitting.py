@@ -107,7 +107,9 @@ def fit(
         return fit_modal_response(build_result(found), report)
 
 
-def analyse_all(recordings: Sequence[Recording], note: str | int | None = None, f0: float | None = None) -> list[Analysis]:
+def analyse_all(
+    recordings: Sequence[Recording], note: str | int | None = None, f0: float | None = None
+) -> list[Analysis]:
     """The analyses of recordings of one note, on all cores.
 
     Raises `AnalysisError` if one is too short, or its note, or enough of its partials, is not there.

@@ -18,7 +18,7 @@ from typing import Any
 
 from .errors import SetupError, check_type
 from .felt import BOXES, DEFAULT_LAW, LAWS, FeltLaw, is_builtin
-from .io.files import escape_controls, path_name, read_text
+from .io.files import path_name, printable, read_text
 from .io.number_format import filled
 from .parameters import Parameter
 
@@ -159,7 +159,7 @@ def load_setup(path: str | os.PathLike[str], felt: str | None = None) -> Setup:
     try:
         table = tomllib.loads(read_text(path, MAX_BYTES, SetupError))
     except (ValueError, RecursionError) as problem:  # RecursionError: brackets nested without end
-        raise SetupError(f"{name}: not valid TOML: {escape_controls(problem)[:200]}; correct that place") from None
+        raise SetupError(f"{name}: not valid TOML: {printable(problem)[:200]}; correct that place") from None
     if felt is None:
         return setup_from_dict(table, name)
     said = table.get("felt", {})
@@ -254,7 +254,7 @@ def _suggest(key: object, allowed: tuple[str, ...]) -> str:
 
 def _show(value: object) -> str:
     """Return a value as one short line."""
-    text = escape_controls(value if isinstance(value, str) else repr(value))
+    text = printable(value if isinstance(value, str) else repr(value))
     text = text if len(text) <= 60 else text[:57] + "..."
     return f'"{text}"' if isinstance(value, str) else text
 
@@ -368,7 +368,7 @@ def _velocities(setup: Setup) -> Iterator[str]:
     for number, layer in enumerate(setup.recordings, 1):
         entry, velocity = f"[[recording]] {number}", layer.v_H0
         if layer.file in files:
-            yield f'{entry} file = "{escape_controls(layer.file)}" is there twice; remove one'
+            yield f'{entry} file = "{printable(layer.file)}" is there twice; remove one'
         if velocity is not None and "v_H0" in setup.fixed:
             yield f"{entry} v_H0 = {velocity:g} is also in [known]; remove one of them"
         if velocity is not None and not lower <= velocity <= upper:
@@ -383,10 +383,10 @@ def _strokes(setup: Setup) -> Iterator[str]:
     for number, layer in enumerate(setup.recordings, 1):
         if layer.stroke is None:
             continue
-        entry = f'[[recording]] {number} stroke = "{escape_controls(layer.stroke)}"'
+        entry = f'[[recording]] {number} stroke = "{printable(layer.stroke)}"'
         other = observed.setdefault((layer.stroke, layer.group), number)
         if other != number:
-            group = "neither has a group" if layer.group is None else f'both have group = "{escape_controls(layer.group)}"'
+            group = "neither has a group" if layer.group is None else f'both have group = "{printable(layer.group)}"'
             yield (f"{entry} is that of [[recording]] {other}, and {group}; a microphone observes a stroke once: give "
                    "each its own group, or another stroke")  # fmt: skip
         if layer.v_H0 is not None and (first := struck.setdefault(layer.stroke, layer.v_H0)) != layer.v_H0:

@@ -139,18 +139,36 @@ def _measure_all(
     again = detect_second_strike(bands.select(keep), z[keep], density)
     fine, losses = _laws(number, rows, law.B)
     absent = _absent(number, fine, top)
-    bound = bounds(samples, rate, _expected_frequencies(fine, number, rows.frequency, absent), losses(absent), fine.f0, skip)
+    bound = bounds(
+        samples, rate, _expected_frequencies(fine, number, rows.frequency, absent), losses(absent), fine.f0, skip
+    )
     table = _table(number, rows, absent, bound)
     glide = tuple((a, b, fine.f0 * float(np.exp(c / CENTS))) for a, b, c, _ in windows)
     return Analysis(
-        fine.f0, fine.f0_error, fine.B, fine.B_error,
-        losses.b1, losses.b1_error, losses.d2, losses.d2_error,
-        table, fine.scatter, losses.scatter, float(fall), glide, density,
+        fine.f0,
+        fine.f0_error,
+        fine.B,
+        fine.B_error,
+        losses.b1,
+        losses.b1_error,
+        losses.d2,
+        losses.d2_error,
+        table,
+        fine.scatter,
+        losses.scatter,
+        float(fall),
+        glide,
+        density,
         None if note is None else midi_to_note(note_to_midi(note)),
-        (*_wrong_note_message(note, fine.f0), *_at_bound(fine), *_warnings(table, losses, float(fall) if glides else 0.0, again)),
-        left, *taken,
+        (
+            *_wrong_note_message(note, fine.f0),
+            *_at_bound(fine),
+            *_warnings(table, losses, float(fall) if glides else 0.0, again),
+        ),
+        left,
+        *taken,
         (rows.level_law.b1, rows.level_law.d2),
-    )  # fmt: skip
+    )
 
 
 def _laws(number: np.ndarray, rows: PartialTable, B: float) -> tuple[FrequencyLaw, DecayLaw]:
@@ -204,7 +222,8 @@ def _table(number: np.ndarray, rows: PartialTable, absent: np.ndarray, bound: np
         decay_systematic=systematic(number, rows.decay_spread),
         level=rows.level,
         level_error=rows.level_error,
-        level_systematic=systematic(number, rows.level_spread) + decay_law_covariance(number, rows.level_lag, rows.level_law),
+        level_systematic=systematic(number, rows.level_spread)
+        + decay_law_covariance(number, rows.level_lag, rows.level_law),
         level_decay_sensitivity_s=rows.level_lag,
         snr=rows.snr,
         beating=rows.beating,

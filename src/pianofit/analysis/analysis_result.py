@@ -41,7 +41,9 @@ class Partials:
     level: np.ndarray  # [partials], dB re full scale² · s: ∫_0^0.35s of its mean power · exp(−16 t) dt, from the onset
     level_error: np.ndarray  # [partials], dB
     level_systematic: np.ndarray  # [partials, partials], dB²: from the level of the string's single mode
-    level_decay_sensitivity_s: np.ndarray  # [partials], s, by which its energy came later than a level's, by the law of decays
+    level_decay_sensitivity_s: (
+        np.ndarray
+    )  # [partials], s, by which its energy came later than a level's, by the law of decays
     snr: np.ndarray  # [partials], dB, amplitude at the onset over its own standard error from noise
     beating: np.ndarray  # [partials], dB, rms deviation of the log envelope from one exponential
     absent: np.ndarray  # int [absent], numbers below the highest frequency looked at that were not found

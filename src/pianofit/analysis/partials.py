@@ -158,7 +158,12 @@ def _frequencies(
 
 
 def _decays(
-    whole: ExponentialFit, early: ExponentialFit, parts: Components, second: np.ndarray, clean: np.ndarray, law: np.ndarray
+    whole: ExponentialFit,
+    early: ExponentialFit,
+    parts: Components,
+    second: np.ndarray,
+    clean: np.ndarray,
+    law: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Decay rates, their standard errors from noise, and standard deviations of systematic errors, 1/s.
 
@@ -226,7 +231,9 @@ def _one_exponential(bands: Bands, z: NDArray[np.complex128], fit: Tones, frame:
     heard[:, :12] = True
     count = np.sum(heard, axis=1)
     rest = np.sum(np.abs(z - signal) ** 2 * heard, axis=1) / count
-    return (rest < noise_tolerance(bands, count) * frame) | (rest < _CLEAN_MISFIT**2 * np.sum(power * heard, axis=1) / count)
+    return (rest < noise_tolerance(bands, count) * frame) | (
+        rest < _CLEAN_MISFIT**2 * np.sum(power * heard, axis=1) / count
+    )
 
 
 def _beating(bands: Bands, z: NDArray[np.complex128], frame: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

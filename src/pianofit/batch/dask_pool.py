@@ -15,7 +15,7 @@ import time
 from pathlib import Path
 
 from ..errors import OutputError, ParameterError, RecordingError
-from ..io.files import escape_controls, read_file
+from ..io.files import printable, read_file
 from ..io.table_output import require_optional
 from ..recording.recording import MAX_BYTES
 from .job import Job, JobResult, fit_unit
@@ -46,7 +46,7 @@ class Cluster:
         from dask import config
         from distributed import Client
 
-        self._by_value, self._work, self._address = by_value, work, escape_controls(address)
+        self._by_value, self._work, self._address = by_value, work, printable(address)
         logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what it would say is said here in one line
         # Recordings sent along are part of the task: kept by the scheduler, they outlive any worker.
         config.set({"distributed.admin.large-graph-warning-threshold": "1 GiB"})
@@ -54,7 +54,7 @@ class Cluster:
         try:
             self._client = Client(address, timeout=PATIENCE, set_as_default=False, name="pianofit-batch")
         except (OSError, ValueError, TimeoutError) as error:
-            reason = escape_controls(error)[:100]
+            reason = printable(error)[:100]
         if reason is not None:
             gc.collect()  # ends what is left of the client; collected while a later one starts it would lock up both
             raise ParameterError(
@@ -150,9 +150,9 @@ class Cluster:
         except (CancelledError, OSError, TimeoutError) as error:  # the connection, not the fit
             if self._client.status != "running" or isinstance(error, CancelledError):
                 raise self._worker_lost() from None
-            return WorkerLost(f"its result did not arrive ({escape_controls(error)[:100]})")
+            return WorkerLost(f"its result did not arrive ({printable(error)[:100]})")
         except Exception as error:
-            reason = escape_controls(f"the workers cannot run it ({type(error).__name__}: {error})")[:300]
+            reason = printable(f"the workers cannot run it ({type(error).__name__}: {error})")[:300]
             return JobResult({}, f"{reason}; install the same pianofit there", stop=True)
 
     def _worker_lost(self) -> OutputError:

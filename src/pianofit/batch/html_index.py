@@ -14,7 +14,7 @@ from urllib.parse import quote
 
 from ..analysis.note_names import note_to_midi
 from ..errors import AnalysisError, PianofitError
-from ..io.files import FIT_SCHEMA, escape_controls, reference_of
+from ..io.files import FIT_SCHEMA, printable, reference_of
 from ..io.number_format import with_interval
 from ..io.table_output import write_csv
 from ..recording.recording import load_recording
@@ -75,7 +75,7 @@ class Index:
         html.write_page(
             self.store.folder / INDEX_FILE, "index.html.j2", package="pianofit.batch", styles=("index.css",),
             scripts=("audio.js", "player.js", "index.js"), strict=False,
-            title=escape_controls(self.store.folder.resolve().name), told=document(self.store.folder, entries),
+            title=printable(self.store.folder.resolve().name), told=document(self.store.folder, entries),
             columns=[(SYMBOLS.get(name, name), *about) for name, about in INVARIANTS.items()],
             lights=LIGHTS, limits={"match": MATCH, "tuning": TUNING, "ring": RING},
             left_out=[(e.key, one["reason"]) for e, _ in found.values() for one in e.left_out],
@@ -158,7 +158,7 @@ def table(entries: Sequence[Entry], fits: dict[str, dict[str, Any]]) -> tuple[li
         values = fit.get("invariants", {}) | fit.get("parameters", {})
         cells = [values.get(name, {}) for name in (*INVARIANTS, *names)]
         return [
-            entry.key, entry.note, entry.state, escape_controls(entry.reason), entry.recordings, len(entry.left_out),
+            entry.key, entry.note, entry.state, printable(entry.reason), entry.recordings, len(entry.left_out),
             fit.get("converged", ""), _fitted_db(fit), _left_out_db(fit),
             fit.get("ringing", {}).get("by", "law") if fit else "", entry.seconds or None,
             *(x for cell in cells for x in (cell.get("value"), *(cell.get("interval") or (None, None)))),

@@ -28,7 +28,7 @@ from .. import __version__
 from ..analysis import analyse
 from ..analysis.note_names import SAME_KEY, hz_to_note, note_to_hz, note_to_midi
 from ..errors import AnalysisError, OutputError, PianofitError, RecordingError
-from ..io.files import DISK_FULL, escape_controls, read_file, replace_strings, write_error
+from ..io.files import DISK_FULL, printable, read_file, replace_strings, write_error
 from ..io.number_format import counted
 from ..recording.recording import MAX_BYTES, layout_of, load_recording
 from .manifest import Key
@@ -138,7 +138,7 @@ def make_unit(key: Key, settings: Settings) -> Job:
         for other in sources:
             if other.sha256 == digest:
                 raise RecordingError(
-                    f"{escape_controls(sample.file)} and {escape_controls(other.path)} are the same recording; list it once"
+                    f"{printable(sample.file)} and {printable(other.path)} are the same recording; list it once"
                 )
         given = sample.velocity, sample.group, sample.stroke, sample.layer
         sources.append(Source(str(sample.file), name, digest, *given, *_layout(data)))
@@ -193,7 +193,7 @@ def fit_unit(
     except MemoryError:
         found = JobResult({}, "not enough memory; give fewer recordings, shorter ones, or --memory more")
     except Exception as error:
-        reason = escape_controls(f"the program failed with {type(error).__name__}: {error}")[:300]
+        reason = printable(f"the program failed with {type(error).__name__}: {error}")[:300]
         found = JobResult({}, reason, detail=traceback.format_exc())
     return found._replace(seconds=time.monotonic() - began, memory=_peak())
 
@@ -216,7 +216,9 @@ def _other_versions(unit: Job) -> str:
     return ""
 
 
-def _fit_in(place: Path, unit: Job, contents: Sequence[bytes] | None, report_progress: Callable[[str], None]) -> JobResult:
+def _fit_in(
+    place: Path, unit: Job, contents: Sequence[bytes] | None, report_progress: Callable[[str], None]
+) -> JobResult:
     """Fit in the folder `place`; recordings that cannot be used are left out if others can."""
     files = _stage_inputs(place, unit, contents)
     (out := place / "out").mkdir()
@@ -255,7 +257,7 @@ def _paths(place: Path, unit: Job) -> dict[str, str]:
 
 def _file_names(place: Path, unit: Job) -> dict[str, str]:
     """The recordings' file names by the same, for messages: a table or a page names no folder of this machine."""
-    return {scratch: escape_controls(Path(path).name) for scratch, path in _paths(place, unit).items()}
+    return {scratch: printable(Path(path).name) for scratch, path in _paths(place, unit).items()}
 
 
 def _stage_inputs(place: Path, unit: Job, contents: Sequence[bytes] | None) -> list[Path]:
@@ -265,7 +267,9 @@ def _stage_inputs(place: Path, unit: Job, contents: Sequence[bytes] | None) -> l
     for i, source in enumerate(unit.sources):
         data = read_file(source.path, MAX_BYTES, RecordingError) if contents is None else contents[i]
         if hashlib.sha256(data).hexdigest() != source.sha256:
-            raise RecordingError(f"{escape_controls(Path(source.path).name)}: has changed since the batch began; run it again")
+            raise RecordingError(
+                f"{printable(Path(source.path).name)}: has changed since the batch began; run it again"
+            )
         files.append(folder / source.name)
         files[-1].write_bytes(data)
     return files
@@ -294,7 +298,7 @@ def _fit(unit: Job, files: list[Path], place: Path, out: Path, report_progress: 
     result.save(out, force=True, page=False)
     if unit.settings.page:
         report_progress("page")
-        result.report(out, title=f"{unit.key}: " + ", ".join(escape_controls(file.name) for file in files))
+        result.report(out, title=f"{unit.key}: " + ", ".join(printable(file.name) for file in files))
 
 
 def _unusable(files: list[Path], unit: Job) -> list[tuple[Path, str]]:

@@ -11,7 +11,7 @@ import json
 from typing import Any, NamedTuple
 
 from ..errors import OutputError
-from ..io.files import escape_controls, json_text, replace_file
+from ..io.files import json_text, printable, replace_file
 from .store import Store, write_error
 
 __all__ = ["Entry", "read_records", "entry_of", "write_record"]
@@ -69,7 +69,7 @@ def read_records(store: Store) -> list[Entry]:
     Raises `OutputError` if it is no batch's.
     """
     if not store.ledger.is_dir() and not store.keys.is_dir():
-        raise OutputError(f"{escape_controls(store.folder)}: holds no batch; check the path")
+        raise OutputError(f"{printable(store.folder)}: holds no batch; check the path")
     names = store.finished() | {file.stem for file in store.ledger.glob("*.json")}
     found = (entry_of(store, key, store.read_record(key)) for key in sorted(names))
     return [entry for entry in found if entry is not None]

@@ -22,7 +22,7 @@ from ..analysis.note_names import midi_to_note, note_to_midi
 from ..analysis.pitch import check_pitch
 from ..conversions import hertz_of
 from ..errors import AnalysisError, SetupError
-from ..io.files import escape_controls, read_text
+from ..io.files import printable, read_text
 from ..io.number_format import counted
 from ..parameters import PARAMETERS
 from ..recording.recording import is_sound, readable_formats
@@ -100,9 +100,9 @@ def read_keys(
 
     Raises `SetupError`, naming the manifest and every row (up to five) that cannot be used.
     """
-    name = escape_controls(source)
+    name = printable(source)
     if pattern is not None and not source.is_dir():
-        raise SetupError(f"{name}: is no folder, so --pattern {escape_controls(pattern)!r} has no meaning; leave it out")
+        raise SetupError(f"{name}: is no folder, so --pattern {printable(pattern)!r} has no meaning; leave it out")
     if source.is_dir():
         base = source
         rows, remarks = _folder_rows(source, pattern)
@@ -122,13 +122,13 @@ def manifest_text(source: Path) -> str:
     text = read_text(source, MAX_BYTES, SetupError)
     if "\0" in text:
         line = text.count("\n", 0, text.index("\0")) + 1
-        raise SetupError(f"{escape_controls(source)}: has a zero byte on line {line}; it is no text file")
+        raise SetupError(f"{printable(source)}: has a zero byte on line {line}; it is no text file")
     return text
 
 
 def _csv_rows(source: Path) -> tuple[list[Row], list[str]]:
     """Rows of a CSV, separated by commas, semicolons or tabs, with a header."""
-    name, text = escape_controls(source), manifest_text(source)
+    name, text = printable(source), manifest_text(source)
     header = text.split("\n", 1)[0].strip().split
     delimiter = next((d for d in ",;\t" if "file" in [c.strip(' "').lower() for c in header(d)]), ",")
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=True)
@@ -150,7 +150,7 @@ def _csv_rows(source: Path) -> tuple[list[Row], list[str]]:
     except csv.Error as problem:
         raise SetupError(f"{name}: line {reader.line_num}: {problem}; correct that line") from None
     ignored = [c for c in columns if c not in COLUMNS]
-    remarks = [f"columns that have no meaning here: {', '.join(map(escape_controls, ignored))}"] if ignored else []
+    remarks = [f"columns that have no meaning here: {', '.join(map(printable, ignored))}"] if ignored else []
     return rows, remarks + [MIDI_VELOCITIES] * ("velocity" in columns and "v_H0" not in columns)
 
 
@@ -164,7 +164,7 @@ def _check_columns(name: str, columns: list[str]) -> None:
     for column in ("file", "note"):
         if column not in columns:
             raise SetupError(
-                f"{name}: the header has no column {column!r} (it has {escape_controls(', '.join(columns))[:80]!r}); "
+                f"{name}: the header has no column {column!r} (it has {printable(', '.join(columns))[:80]!r}); "
                 "give file and note, and if you like instrument, take or layer, velocity, v_H0, group or mic"
             )
     for column in columns:
@@ -186,7 +186,7 @@ def _folder_rows(folder: Path, pattern: str | None) -> tuple[list[Row], list[str
     """Rows of the files in `folder` whose names fit `pattern`, or the pattern that is guessed."""
     found, remarks = [file for file in files_in(folder) if is_sound(file)], []
     if not found:
-        raise SetupError(f"{escape_controls(folder)}: {_without_sound(folder)}")
+        raise SetupError(f"{printable(folder)}: {_without_sound(folder)}")
     if pattern is None:
         pattern, remarks = _guessed(folder, found)
     expression, rows, others = _expression(pattern), [], []
@@ -196,11 +196,13 @@ def _folder_rows(folder: Path, pattern: str | None) -> tuple[list[Row], list[str
             others.append(path)
             continue
         cells = {k: v or "" for k, v in match.groupdict().items()}
-        rows.append(_csv_row(escape_controls(path), {"file": path, "note": ""} | cells))
+        rows.append(_csv_row(printable(path), {"file": path, "note": ""} | cells))
     if not rows:
-        raise SetupError(f"{escape_controls(folder)}: none of {counted(len(others), 'recording')}, such as "
-                         f"{escape_controls(others[0])!r}, fits the pattern {pattern!r}; {_give_pattern()}")  # fmt: skip
-    left = f"recordings that do not fit the pattern: {len(others)}, such as {escape_controls(others[0])}" if others else ""
+        raise SetupError(
+            f"{printable(folder)}: none of {counted(len(others), 'recording')}, such as "
+            f"{printable(others[0])!r}, fits the pattern {pattern!r}; {_give_pattern()}"
+        )
+    left = f"recordings that do not fit the pattern: {len(others)}, such as {printable(others[0])}" if others else ""
     remarks = [*remarks, left] if left else remarks
     return rows, remarks + [MIDI_VELOCITIES] * ("{velocity}" in pattern and "{v_H0}" not in pattern)
 
@@ -224,7 +226,7 @@ def _stem(path: str) -> str:
 def _without_sound(folder: Path) -> str:
     """Why a folder has no recording: what is there instead."""
     endings = Counter(Path(file).suffix.lower() or "no ending" for file in files_in(folder))
-    seen = ", ".join(f"{escape_controls(ending)} ({count})" for ending, count in endings.most_common(NAMED))
+    seen = ", ".join(f"{printable(ending)} ({count})" for ending, count in endings.most_common(NAMED))
     there = f"holds no recording that is read, only files with {seen}" if seen else "holds no files"
     return f"{there}; the formats are {readable_formats()}: convert the files to one of these"
 
@@ -234,9 +236,9 @@ def _guessed(folder: Path, found: Sequence[str]) -> tuple[str, list[str]]:
     stems = [*map(_stem, found)]
     pattern = guess_pattern(stems, _expression)
     if pattern is None:
-        raise SetupError(f"{escape_controls(folder)}: no pattern can be guessed, because no part of names such as "
-                         f"{escape_controls(found[0])!r} is clearly the note; {_give_pattern()}")  # fmt: skip
-    remarks = [f"file names are read as --pattern {escape_controls(shlex.quote(pattern))}"]
+        raise SetupError(f"{printable(folder)}: no pattern can be guessed, because no part of names such as "
+                         f"{printable(found[0])!r} is clearly the note; {_give_pattern()}")  # fmt: skip
+    remarks = [f"file names are read as --pattern {printable(shlex.quote(pattern))}"]
     if off := numbers_off(stems):
         remarks.append(f"MIDI numbers in the names are {off:+d} semitones from the note names, which are used; "
                        f"--transpose {off} uses the numbers")  # fmt: skip
@@ -280,24 +282,28 @@ def _keys(name: str, rows: list[Row], base: Path, root: Path, transpose: int) ->
             row = row._replace(layer=_layer(row))
             sample, midi = _sample(row, base, root_folder), note_to_midi(row.note) + transpose
             if not 0 <= midi <= 127:
-                raise SetupError(f"note {escape_controls(row.note)!r} is MIDI {midi} with --transpose {transpose}, "
+                raise SetupError(f"note {printable(row.note)!r} is MIDI {midi} with --transpose {transpose}, "
                                  "must be 0 to 127")  # fmt: skip
             check_pitch(hertz_of(midi), f"note {midi_to_note(midi)}")
             if sample.file in seen:
-                raise SetupError(f"{escape_controls(row.file)} is also {seen[sample.file]}; list it once")
+                raise SetupError(f"{printable(row.file)} is also {seen[sample.file]}; list it once")
             seen[sample.file] = row.where
             folder = _folder_name(row.instrument, midi_to_note(midi))
             instrument, _, samples = keys.setdefault(folder.casefold(), (row.instrument, midi, []))
             if instrument != row.instrument:
-                raise SetupError(f"instruments {escape_controls(instrument)!r} and {escape_controls(row.instrument)!r} would share "
-                                 f"the folder {folder}; rename one")  # fmt: skip
+                raise SetupError(
+                    f"instruments {printable(instrument)!r} and {printable(row.instrument)!r} would share "
+                    f"the folder {folder}; rename one"
+                )
             if row.layer and any((s.layer, s.group) == (row.layer, row.group) for s in samples):
-                raise SetupError(f"{folder} has a second {escape_controls(f'{row.layer} {row.group}').strip()!r}; "
+                raise SetupError(f"{folder} has a second {printable(f'{row.layer} {row.group}').strip()!r}; "
                                  "tell them apart by layer, take, group or mic")  # fmt: skip
             told = next((s.velocity for s in samples if s.layer == row.layer and s.velocity is not None), None)
             if row.layer and None not in (told, sample.velocity) and told != sample.velocity:
-                raise SetupError(f"{folder} {escape_controls(row.layer)!r} has velocity {sample.velocity:g} and {told:g}; "
-                                 "one stroke has one: correct it, or give each its own layer or take")  # fmt: skip
+                raise SetupError(
+                    f"{folder} {printable(row.layer)!r} has velocity {sample.velocity:g} and {told:g}; "
+                    "one stroke has one: correct it, or give each its own layer or take"
+                )
             samples.append(sample)
         except (SetupError, AnalysisError) as problem:
             problems.append(f"{row.where}: {problem}")
@@ -334,7 +340,7 @@ def _folder_name(instrument: str, note: str) -> str:
 def _layer(row: Row) -> str:
     """The name of a recording's layer, with its MIDI velocity, such as "v064", or another text that stands for it."""
     if re.fullmatch(r"[\d.,]+", row.velocity) and not re.fullmatch(r"\d{1,3}", row.velocity, re.ASCII):
-        raise SetupError(f"velocity {escape_controls(row.velocity)!r} must be a MIDI velocity, a whole number; give a "
+        raise SetupError(f"velocity {printable(row.velocity)!r} must be a MIDI velocity, a whole number; give a "
                          "measured hammer velocity, m/s, as v_H0")  # fmt: skip
     velocity = f"v{int(row.velocity):03d}" if row.velocity.isdecimal() else row.velocity
     return " ".join(filter(None, (row.layer, velocity)))
@@ -357,5 +363,5 @@ def _measured(text: str) -> float | None:
     except ValueError:
         value = float("nan")
     if not box.lower <= value <= box.upper:
-        raise SetupError(f"v_H0 {escape_controls(text)!r} must be a number from {box.lower:g} to {box.upper:g} m/s")
+        raise SetupError(f"v_H0 {printable(text)!r} must be a number from {box.lower:g} to {box.upper:g} m/s")
     return value

@@ -11,7 +11,7 @@ import unicodedata
 from pathlib import Path
 
 from ..errors import SetupError
-from ..io.files import escape_controls
+from ..io.files import printable
 
 __all__ = ["find_file", "suggestion"]
 
@@ -30,18 +30,18 @@ def find_file(text: str, base: Path, root: Path) -> Path:
     SetupError
         If the file does not exist, is not a file, or lies outside `root`.
     """
-    shown = escape_controls(text)
+    shown = printable(text)
     try:
         file = (base / text).resolve()
         if "\\" in text and not file.exists():
             file = (base / text.replace("\\", "/")).resolve()
         if not file.is_relative_to(root):
-            raise SetupError(f"{shown} leads out of {escape_controls(root)}; allow a larger folder with --root")
+            raise SetupError(f"{shown} leads out of {printable(root)}; allow a larger folder with --root")
         if not file.is_file():
             if file.exists():
                 raise SetupError(f"{shown}: is a folder or a device")
             near = suggestion(file, base, root)
-            raise SetupError(f"{shown}: no such file" + (f"; did you mean {escape_controls(near)}?" if near else ""))
+            raise SetupError(f"{shown}: no such file" + (f"; did you mean {printable(near)}?" if near else ""))
         str(file).encode()
     except (OSError, ValueError, RuntimeError):  # a name too long, links in a circle, a name that is not UTF-8
         raise SetupError(f"{shown} is no usable path; rename it") from None

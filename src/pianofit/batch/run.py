@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ..errors import OutputError, RecordingError
-from ..io.files import escape_controls
+from ..io.files import printable
 from ..io.number_format import counted
 from .dask_pool import Cluster
 from .html_index import Index
@@ -195,7 +195,7 @@ class _Batch:
         waiting, slots = len(self.queue), 0 if workers is None else workers.slots
         left = time_left(self.seconds, waiting, [at.seconds for at in running.values()], slots)
         stages = tuple((key, at.stage) for key, at in running.items())
-        self.tell(Progress(len(self.units), count["done"], count["failed"], stages, left, escape_controls(event)))
+        self.tell(Progress(len(self.units), count["done"], count["failed"], stages, left, printable(event)))
 
 
 def _record(unit: Job, outcome: JobResult) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from ..analysis.pitch import check_pitch, find_pitch
 from ..analysis.spectrum import spectrum
 from ..conversions import hertz_of, midi_of
 from ..errors import AnalysisError, PianofitError, SetupError
-from ..io.files import escape_controls, read_file
+from ..io.files import printable, read_file
 from ..recording.recording import MAX_BYTES, load_recording
 from .manifest import MAX_TAKES, NAMED, Row
 from .paths import find_file
@@ -93,12 +93,12 @@ def sfz_rows(source: Path, root: Path, transpose: int = 0) -> tuple[list[Row], l
         if reason := _add(library, number, region, transpose):
             library.left_out[reason] += 1
     if not library.samples:
-        raise SetupError(f"{escape_controls(source)}: has no region with a sample that sounds when a key is struck"
+        raise SetupError(f"{printable(source)}: has no region with a sample that sounds when a key is struck"
                          f"{_counts(library.left_out, ' (', ')')}; give another SFZ file")  # fmt: skip
     chosen = [_at_one_root(library, [*roots.values()]) for roots in library.samples.values()]
     once, copies = _without_copies(library, chosen)
     kept, thinned = _thinned(once)
-    recoded = [escape_controls(file.name) for file in text.recoded]
+    recoded = [printable(file.name) for file in text.recoded]
     remarks = [
         *_remarks(library, chosen),
         _listed("copies of another sample of the same key, left out", copies),
@@ -140,7 +140,7 @@ def _without_copies(library: _Library, samples: Sequence[_Sample]) -> tuple[list
         # Only files of one size can be equal. A file that cannot be read is reported with all other rows.
         content = s.file if size < 0 or sizes[s.root, size] == 1 else _digest(library, s.file)
         if kept.setdefault((s.root, content), s) is not s:
-            copies.append(escape_controls(s.file))
+            copies.append(printable(s.file))
     return [*kept.values()], copies
 
 
@@ -171,7 +171,7 @@ def _thinned(samples: Sequence[_Sample]) -> tuple[list[_Sample], list[str]]:
 def _remarks(library: _Library, chosen: Sequence[_Sample]) -> list[str]:
     """What to say of the library as a whole; empty texts for what does not apply."""
     several = [
-        f"{escape_controls(s.file)} ({' and '.join(map(midi_to_note, roots))}, {midi_to_note(s.root)} used)"
+        f"{printable(s.file)} ({' and '.join(map(midi_to_note, roots))}, {midi_to_note(s.root)} used)"
         for s in chosen
         if len(roots := library.samples[s.file]) > 1
     ]
@@ -219,7 +219,7 @@ def _root(library: _Library, region: dict[str, str], file: str) -> int | None:
     if text == "sample":
         if (named := _named_by(library, file)) is not None:
             return named
-        library.rootless.append(escape_controls(file))
+        library.rootless.append(printable(file))
         text = region.get("key")
         if text is None and (midi := _by_pitch(library, file)) is not None:
             return round(midi)

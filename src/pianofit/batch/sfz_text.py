@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from ..errors import SetupError
-from ..io.files import escape_controls, read_file
+from ..io.files import printable, read_file
 from .paths import find_file
 
 __all__ = ["SfzText", "regions"]
@@ -54,7 +54,7 @@ class SfzText:
     def _pieces(self, file: Path, stack: tuple[Path, ...]) -> Iterator[str]:
         stack = (*stack, file.resolve())
         if len(stack) > MAX_DEPTH:
-            raise SetupError(f"{escape_controls(file)}: more than {MAX_DEPTH} files include one another; put them into one")
+            raise SetupError(f"{printable(file)}: more than {MAX_DEPTH} files include one another; put them into one")
         for line in self._text(file).splitlines():
             at = 0
             for match in _DIRECTIVE.finditer(line):
@@ -74,10 +74,12 @@ class SfzText:
             return self._texts[file]
         data = read_file(file, MAX_BYTES, SetupError)
         if data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
-            raise SetupError(f"{escape_controls(file)}: is UTF-16 text; save it as UTF-8")
+            raise SetupError(f"{printable(file)}: is UTF-16 text; save it as UTF-8")
         if b"\0" in data:
-            raise SetupError(f"{escape_controls(file)}: has a zero byte on line {data[: data.index(0)].count(10) + 1}; it is "
-                             "not a text file")  # fmt: skip
+            raise SetupError(
+                f"{printable(file)}: has a zero byte on line {data[: data.index(0)].count(10) + 1}; it is "
+                "not a text file"
+            )
         try:
             text = data.decode("utf-8-sig")
         except UnicodeDecodeError:
@@ -104,7 +106,7 @@ class SfzText:
     def _count(self, letters: int) -> None:
         self._left -= letters
         if self._left < 0:
-            raise SetupError(f"{escape_controls(self.source)}: its includes and variables expand to more than "
+            raise SetupError(f"{printable(self.source)}: its includes and variables expand to more than "
                              f"{MAX_TEXT // 2**20} MiB of text; split the library")  # fmt: skip
 
     def _included(self, name: str, file: Path, stack: tuple[Path, ...]) -> Path:
@@ -112,7 +114,9 @@ class SfzText:
         self._count(INCLUDE)
         included = self._files.get((name, file)) or self._files.setdefault((name, file), self._found(name, file))
         if included in stack:
-            raise SetupError(f"{escape_controls(file)}: includes {escape_controls(name)}, which includes itself; remove one #include")
+            raise SetupError(
+                f"{printable(file)}: includes {printable(name)}, which includes itself; remove one #include"
+            )
         return included
 
     def _found(self, name: str, file: Path) -> Path:
@@ -124,7 +128,7 @@ class SfzText:
                 return find_file(name, folder, self.root)
             except SetupError as problem:
                 problems.append(problem)
-        raise SetupError(f"{escape_controls(file)}: includes {problems[0]}")
+        raise SetupError(f"{printable(file)}: includes {problems[0]}")
 
 
 def regions(text: SfzText) -> Iterator[dict[str, str]]:

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import OutputError
-from ..io.files import DISK_FULL, escape_controls
+from ..io.files import DISK_FULL, printable
 
 __all__ = ["LEDGER", "RECORD", "Store", "is_locked", "locked", "open_folder", "write_error"]
 
@@ -112,7 +112,7 @@ def _flush(folder: Path) -> None:
 
 def write_error(folder: Path, error: Exception) -> OutputError:
     """What to tell of a folder that does not let itself be written."""
-    name, full = escape_controls(folder), "full" in str(error)
+    name, full = printable(folder), "full" in str(error)
     if full or getattr(error, "errno", None) in DISK_FULL:
         return OutputError(f"{name}: the disk is full; what is finished is kept: make room and run the same command")
     reason = getattr(error, "strerror", None) or error
@@ -124,7 +124,7 @@ def open_folder(folder: Path) -> Store:
 
     Raises `OutputError` if it cannot be made or written to, or holds something else than a batch.
     """
-    name = escape_controls(folder)
+    name = printable(folder)
     if folder.exists() and not folder.is_dir():
         raise OutputError(f"{name}: is a file; give a folder as --out")
     try:
@@ -155,11 +155,11 @@ def locked(folder: Path) -> Iterator[None]:
         except sqlite3.OperationalError as error:
             if "locked" in str(error):
                 raise OutputError(
-                    f"{escape_controls(folder)}: another batch is at work in this folder; wait for it, or give another --out"
+                    f"{printable(folder)}: another batch is at work in this folder; wait for it, or give another --out"
                 ) from None
             raise write_error(folder, error) from error
         except sqlite3.DatabaseError as error:
-            raise OutputError(f"{escape_controls(lock)}: is not the lock of a batch ({error}); remove it") from None
+            raise OutputError(f"{printable(lock)}: is not the lock of a batch ({error}); remove it") from None
         yield
     finally:
         connection.close()

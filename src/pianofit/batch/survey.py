@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ..io.files import escape_controls
+from ..io.files import printable
 from ..io.number_format import counted
 from ..recording.recording import is_sound, readable_formats
 from .job import Job, Source
@@ -62,7 +62,7 @@ def _within(units: Sequence[Job], what: str, words: Any) -> Iterator[str]:
         by_kind.setdefault(tuple(sorted(layouts)), []).append((key, layouts))
     for values, keys in by_kind.items():
         rare = min(values, key=lambda value: sum(len(layouts[value]) for _, layouts in keys))
-        names = [escape_controls(name) for _, layouts in keys for name in layouts[rare]]
+        names = [printable(name) for _, layouts in keys for name in layouts[rare]]
         yield words(values, _some([key for key, _ in keys], "key"), rare, _some(names, "recording"))
 
 
@@ -92,10 +92,10 @@ def unread(source: Path, units: Sequence[Job]) -> list[Unread]:
         if str((folder / name).resolve()) in used:
             continue
         if is_sound(name):
-            why = "does not fit the pattern" if source.is_dir() else f"is not used by {escape_controls(source.name)}"
-            found.append(Unread(escape_controls(name), why))
+            why = "does not fit the pattern" if source.is_dir() else f"is not used by {printable(source.name)}"
+            found.append(Unread(printable(name), why))
         elif source.is_dir():
-            found.append(Unread(escape_controls(name), f"is none of {readable_formats()}"))
+            found.append(Unread(printable(name), f"is none of {readable_formats()}"))
     return found
 
 
@@ -111,11 +111,11 @@ def _seen_from(folder: Path, path: str) -> str:
     """A path from the folder where it lies in it, and else its name."""
     file = Path(path)
     inside = file.is_relative_to(base := folder.resolve())
-    return escape_controls(file.relative_to(base).as_posix() if inside else file.name)
+    return printable(file.relative_to(base).as_posix() if inside else file.name)
 
 
 def _read_as(source: Source) -> str:
     """Layer, velocity and group of a recording, as they are known."""
     velocity = f"{source.velocity:g} m/s" if source.velocity is not None else ""
     given = {"layer": source.layer, "velocity": velocity, "group": source.group}
-    return ", ".join(f"{name} {escape_controls(value)}" for name, value in given.items() if value) or "no layer"
+    return ", ".join(f"{name} {printable(value)}" for name, value in given.items() if value) or "no layer"

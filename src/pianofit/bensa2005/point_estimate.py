@@ -24,9 +24,21 @@ __all__ = ["point_result"]
 
 
 def point_result(
-    recording: Recording, analysis: Analysis, start: InitialValues, string: String, hammer: Hammer, *, recipe: str, seed: int,
-    delay: float, converged: bool, evaluations: int, at_bound: Sequence[str], opening: str, messages: Sequence[str],
-) -> Result:  # fmt: skip
+    recording: Recording,
+    analysis: Analysis,
+    start: InitialValues,
+    string: String,
+    hammer: Hammer,
+    *,
+    recipe: str,
+    seed: int,
+    delay: float,
+    converged: bool,
+    evaluations: int,
+    at_bound: Sequence[str],
+    opening: str,
+    messages: Sequence[str],
+) -> Result:
     """What is found at `string` and `hammer`, in the form of every result.
 
     Parameters
@@ -80,7 +92,9 @@ def _levels(note: Note, simulation: Simulation, analysis: Analysis) -> np.ndarra
     return level[np.minimum(analysis.partials.number, len(level)) - 1]
 
 
-def _parameters(start: InitialValues, found: Sequence[float], initial: dict[str, float], at_bound: Sequence[str]) -> dict:
+def _parameters(
+    start: InitialValues, found: Sequence[float], initial: dict[str, float], at_bound: Sequence[str]
+) -> dict:
     """Every parameter with value, unit and status."""
 
     def status(name: str) -> str:

@@ -93,9 +93,15 @@ def fit_bensa2005(
 
 
 def fit_by_paper(
-    recording: Recording, analysis: Analysis, start: InitialValues, recipe: str = "paper", *, evaluations: int | None = None,
-    seed: int = 0, progress: Progress = lambda *_: None,
-) -> Found:  # fmt: skip
+    recording: Recording,
+    analysis: Analysis,
+    start: InitialValues,
+    recipe: str = "paper",
+    *,
+    evaluations: int | None = None,
+    seed: int = 0,
+    progress: Progress = lambda *_: None,
+) -> Found:
     """The search behind `fit_by_recipe`, from any start.
 
     Parameters

@@ -25,9 +25,9 @@ from jaxtyping import Array, Float
 from numpy.polynomial.chebyshev import chebpts1, chebvander
 
 from ..criterion import BANDS, ENOUGH_DAMPING, NODES, band_of, cell_grid, closed_form_gain
-from ..dsp.damped_sums import transform
 from ..inference.batched_model import run_in_batches
 from ..model.contact import impulse_amplitude, kernel_rows, strike
+from ..model.damped_sums import transform
 from ..model.free_response import ringing_transform
 from ..model.modal_response import z_transform_at_poles
 from ..model.modes import Modes, mode_table
@@ -140,7 +140,9 @@ def spectral_goal(
 
 def damped_spectrum(samples: np.ndarray, rate: float, frequency: np.ndarray, sigma: float) -> np.ndarray:
     """Σ s_n exp(-(σ + jω) n/rate)/rate at any `frequency`, Hz [...]."""
-    return z_transform_at_poles(-(sigma + 2j * np.pi * frequency.ravel()) / rate, samples).reshape(frequency.shape) / rate
+    return (
+        z_transform_at_poles(-(sigma + 2j * np.pi * frequency.ravel()) / rate, samples).reshape(frequency.shape) / rate
+    )
 
 
 def residuals(energy: Float[Array | np.ndarray, "rows nodes"], goal: Goal) -> Float[Array, " bins"]:

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..errors import PianofitError, SetupError, check_range
-from ..io.files import escape_controls
+from ..io.files import printable
 from ..io.number_format import columns, counted
 from ..parameters import check_seed
 from ..recording.recording import check_channel
@@ -167,7 +167,7 @@ def _settings(setup: Path | None, channel: str, seed: int, page: bool) -> Settin
     if setup is not None:
         if load_setup(setup).recordings:
             raise SetupError(
-                f"{escape_controls(setup)}: has a [[recording]]; the manifest names the recordings, with their velocities"
+                f"{printable(setup)}: has a [[recording]]; the manifest names the recordings, with their velocities"
             )
         text = setup.read_text(encoding="utf-8-sig").rstrip() + "\n"
     return Settings(seed, channel, page, text)
@@ -189,7 +189,7 @@ def _units(manifest: Path, keys: list, settings: Settings) -> list[Job]:
         except PianofitError as error:
             problems.append(str(error))
     if problems:
-        raise SetupError(f"{escape_controls(manifest)}: {listed(problems)}; nothing was started")
+        raise SetupError(f"{printable(manifest)}: {listed(problems)}; nothing was started")
     return units
 
 
@@ -292,15 +292,15 @@ def _summary(found: dict[str, Any]) -> str:
     if running := [(k["key"], k["stage"]) for k in found["keys"] if k["state"] == "running"]:
         lines.append(f"at work: {_at_work(running)}")
     bad = [k for k in found["keys"] if k["state"] == "failed"]
-    lines += [f"failed: {key['key']}: {escape_controls(Entry(**key).why)}" for key in bad[:LISTED]]
+    lines += [f"failed: {key['key']}: {printable(Entry(**key).why)}" for key in bad[:LISTED]]
     if len(bad) > LISTED:
         lines.append(f"and {len(bad) - LISTED} more failed; --json lists all")
     for key in found["keys"]:
-        lines += [f"left out: {key['key']}: {escape_controls(x['reason'])}" for x in key["left_out"][:LISTED]]
+        lines += [f"left out: {key['key']}: {printable(x['reason'])}" for x in key["left_out"][:LISTED]]
     lines += found["suggestions"][:LISTED]
     if found.get("strangers"):
         lines.append(f"also in keys/, of an earlier run: {', '.join(found['strangers'][:LISTED])}")
     if count.get("done"):
         lines.append(f"{found['folder']}: index.html shows every key, keys.csv has the numbers, keys/KEY/ all of each")
-        lines.append(f"to play them: pianofit page {escape_controls(shlex.quote(found['folder']))}")
+        lines.append(f"to play them: pianofit page {printable(shlex.quote(found['folder']))}")
     return "\n".join(lines) + "\n"

@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..errors import OutputError, ParameterError
-from ..io.files import check_target, escape_controls
+from ..io.files import check_target, printable
 from ..io.number_format import counted
 from ..progress import progress_bar
 from .options import Built, Force, Json, Prefix, number, whole
 from .terminal import print_result
 
 if TYPE_CHECKING:
+    from ..export import ExportSummary
     from ..export.faust import Program
-    from ..playback import ExportSummary
 
 __all__ = ["export"]
 
@@ -57,11 +57,11 @@ def export(
     as_json: Json = False,
 ) -> None:
     """Write an instrument for other programs: a sampler's folder, or a program in Faust."""
+    from ..export import SAMPLERS, ExportOptions, export_sampler, parse_keys
     from ..export.faust import write_faust
     from ..export.layers import without_gaps
     from ..instrument import load_instrument
     from ..model.program_cache import enable_program_cache
-    from ..playback import SAMPLERS, ExportOptions, export_sampler, parse_keys
 
     given = {"layers": layers, "seconds": seconds, "rate": rate, "kind": samples}
     asked = {name: value for name, value in given.items() if value is not None}
@@ -75,7 +75,10 @@ def export(
             done = write_faust(out, played, chosen, licence=licence, progress=bar)
             words = _programmed(done)
         else:
-            wanted, sampled = ExportOptions(kind=SAMPLERS[to].kind)._replace(**asked), without_gaps(chosen) if fill else chosen
+            wanted, sampled = (
+                ExportOptions(kind=SAMPLERS[to].kind)._replace(**asked),
+                without_gaps(chosen) if fill else chosen,
+            )
             done = export_sampler(played, out, sampled, wanted, to=to, licence=licence, force=force, progress=bar)
             words = _sampled(done, sorted({*sampled} - {*chosen}))
     print_result(done._asdict(), f"{out}: {words}", as_json)
@@ -83,7 +86,7 @@ def export(
 
 def _check_target(to: str, out: Path, asked: dict[str, Any], force: bool) -> None:
     """Refuse a name that what is written cannot have, and for Faust what is only a sampler's."""
-    name = escape_controls(out)
+    name = printable(out)
     if to != "faust" and re.fullmatch(r"\.[A-Za-z]\w*", out.suffix):
         raise OutputError(f"{name}: is called like a file; give --out the name of a folder")
     if to == "faust" and asked:
@@ -96,10 +99,10 @@ def _check_target(to: str, out: Path, asked: dict[str, Any], force: bool) -> Non
 
 
 def _sampled(done: ExportSummary, added: list[int]) -> str:
-    from ..export.layers import key_ranges
+    from ..export.layers import format_keys
 
-    more = f"{counted(len(added), 'key')} sampled in addition, to fill gaps: {key_ranges(added)}\n" if added else ""
-    silent = f"{counted(len(done.silent), 'key')} silent: {key_ranges(done.silent)}; give more --keys\n"
+    more = f"{counted(len(added), 'key')} sampled in addition, to fill gaps: {format_keys(added)}\n" if added else ""
+    silent = f"{counted(len(done.silent), 'key')} silent: {format_keys(done.silent)}; give more --keys\n"
     return (
         f"{counted(done.keys, 'key')} sampled, {_guesses(done.guesses)}; {done.transposed} transposed from them\n"
         f"{more}{silent if done.silent else ''}"

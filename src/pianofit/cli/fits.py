@@ -15,9 +15,9 @@ from ..io.files import (
     check_sound_target,
     check_target,
     encode_wav,
-    escape_controls,
     json_text,
     output_folder,
+    printable,
     replace_file,
     write_file,
 )
@@ -192,10 +192,16 @@ def _predicted(fit: Path, file: Path, out: Path | None, channel: str, force: boo
         write_file(out, encode_wav(samples, recording.rate), force)
     known = {row.get("sha256") for row in document["recordings"] if isinstance(row, dict)}
     return {
-        "file": recording.path, "sha256": recording.sha256, "was_fitted": recording.sha256 in known,
-        "predicted_db": found.error_db, "partials": found.partials, "v_H0": found.velocity, "v_H0_at_end": found.velocity_at_search_limit,
-        "gain_db": found.gain_db, "cents": found.cents,
-    }  # fmt: skip
+        "file": recording.path,
+        "sha256": recording.sha256,
+        "was_fitted": recording.sha256 in known,
+        "predicted_db": found.error_db,
+        "partials": found.partials,
+        "v_H0": found.velocity,
+        "v_H0_at_end": found.velocity_at_search_limit,
+        "gain_db": found.gain_db,
+        "cents": found.cents,
+    }
 
 
 def crossval(
@@ -247,7 +253,7 @@ def compare(
     kind = "" if out is None else out.suffix.lower().removeprefix(".")
     if out is not None:
         if kind not in KINDS:
-            raise OutputError(f"{escape_controls(out)}: a figure ends in .{', .'.join(KINDS)}; give --out another name")
+            raise OutputError(f"{printable(out)}: a figure ends in .{', .'.join(KINDS)}; give --out another name")
         check_target(out, force)
     found = run(a, b)
     if out is not None:

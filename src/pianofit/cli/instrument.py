@@ -13,9 +13,9 @@ from ..io.files import (
     check_sound_target,
     check_target,
     encode_pcm,
-    escape_controls,
     json_text,
     output_folder,
+    printable,
     replace_file,
     write_file,
 )
@@ -49,7 +49,7 @@ def instrument(
 
     files, first = find_fits(fits, prefix), fits[0].resolve()
     keys = load_keys(files)
-    folder_name = escape_controls(first.name if first.is_dir() else first.parent.name)
+    folder_name = printable(first.name if first.is_dir() else first.parent.name)
     document = build_instrument(keys, name or prefix or instrument_name(files[0]) or folder_name)
     with output_folder(out, force) as folder:
         replace_file(folder / "instrument.json", json_text(document).encode())
@@ -125,7 +125,7 @@ def page(
 
     if out is not None:
         if out.suffix.lower() not in (".html", ".htm"):
-            raise OutputError(f"{escape_controls(out)}: a page is an HTML file; give --out a name that ends in .html")
+            raise OutputError(f"{printable(out)}: a page is an HTML file; give --out a name that ends in .html")
         check_target(out, force)
     loaded = load_instrument(built, prefix)
     if out is None:

@@ -9,7 +9,7 @@ import typer
 
 from ..errors import ParameterError
 from ..felt import BOXES, make_hammer
-from ..io.files import check_sound_target, check_target, encode_wav, escape_controls, limit_peak, write_file
+from ..io.files import check_sound_target, check_target, encode_wav, limit_peak, printable, write_file
 from ..parameters import Geometry, String, check
 from ..setup import ON_THE_STRING
 from .options import RATE, Force, Seconds, Seed, Sound, Velocity, number
@@ -80,7 +80,7 @@ def simulate(
     if setup_out is not None:
         check_target(setup_out, force)
         if setup_out.resolve() == out.resolve():
-            raise ParameterError(f"setup-out={escape_controls(setup_out)} is also --out; give another name")
+            raise ParameterError(f"setup-out={printable(setup_out)} is also --out; give another name")
     from ..model.note import check_render
     from ..model.program_cache import enable_program_cache
     from ..synthetic import synthetic_recording
@@ -170,7 +170,9 @@ def render(
     enable_program_cache()
     played = note._replace(hammer=note.hammer._replace(v_H0=velocity))
     strike = played.strike(rate)
-    samples, gain = limit_peak(played.render_channels(strike, rate, round(seconds * rate), round(played.pre_onset_s * rate)))
+    samples, gain = limit_peak(
+        played.render_channels(strike, rate, round(seconds * rate), round(played.pre_onset_s * rate))
+    )
     write_file(out, encode_wav(samples[0] if len(samples) == 1 else samples, rate), force)
     turned = f", brought down by a factor {gain:.3g} to stay below full scale" if gain < 1 else ""
     typer.echo(f"{out}: {seconds:g} s at {velocity:g} m/s, {contact_of(strike)}{turned}")

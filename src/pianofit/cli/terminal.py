@@ -12,7 +12,7 @@ import typer
 from typer.core import TyperCommand
 
 from ..errors import PianofitError
-from ..io.files import escape_controls, json_text
+from ..io.files import json_text, printable
 
 __all__ = ["add", "print_error", "print_result"]
 
@@ -51,7 +51,7 @@ def print_result(document: dict[str, Any], words: str, as_json: bool) -> None:
 
 def print_error(message: str) -> None:
     """Say what is wrong, on one line whatever is in it."""
-    typer.echo("pianofit: " + escape_controls(" ".join(message.split())), err=True)
+    typer.echo("pianofit: " + printable(" ".join(message.split())), err=True)
 
 
 def _catch_errors(command: Callable) -> Callable:

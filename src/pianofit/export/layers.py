@@ -24,7 +24,7 @@ from ..errors import AnalysisError, ParameterError
 from ..instrument.collect_fits import HIGHEST_KEY, LOWEST_KEY
 
 __all__ = [
-    "LOUDEST", "SOFTEST", "SampledKey", "Zone", "crossfaded", "key_ranges", "parse_keys", "silent_keys", "key_ranges",
+    "LOUDEST", "SOFTEST", "SampledKey", "Zone", "crossfaded", "format_keys", "key_ranges", "parse_keys", "silent_keys",
     "velocities_of", "without_gaps",
 ]  # fmt: skip
 
@@ -104,7 +104,7 @@ def silent_keys(keys: Sequence[SampledKey]) -> list[int]:
     return [midi for midi in range(LOWEST_KEY, HIGHEST_KEY + 1) if midi not in played]
 
 
-def key_ranges(keys: Sequence[int]) -> str:
+def format_keys(keys: Sequence[int]) -> str:
     """Ascending keys as text: "A0 to B3, C#5"; "none" without any."""
     runs: list[list[int]] = []
     for midi in keys:

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 from ..analysis.note_names import midi_to_note
 from ..instrument.document import Instrument
-from ..io.files import escape_controls
+from ..io.files import printable
 from ..playback.voice import LAST_DAMPER
-from .layers import SampledKey, key_ranges, silent_keys
+from .layers import SampledKey, format_keys, silent_keys
 
 __all__ = ["MARK", "readme_text"]
 
@@ -26,22 +26,22 @@ def readme_text(instrument: Instrument, file: str, keys: Sequence[SampledKey], l
     guesses = instrument.unrecorded_keys(own)
     recorded = [midi for midi in own if midi not in guesses]
     moved = sorted({midi for key in keys for midi in range(key.low, key.high + 1)} - set(own))
-    return f"""{escape_controls(instrument.name) or "An instrument"}
-{"=" * (len(escape_controls(instrument.name)) or 13)}
+    return f"""{printable(instrument.name) or "An instrument"}
+{"=" * (len(printable(instrument.name)) or 13)}
 
 Load {file} in a sampler. {MARK} from the instrument's strings, hammers and modes; none is
 a recording. {_layers(len(keys[0].zones))}
 
 Licence
 -------
-{escape_controls(licence) if licence else NO_LICENCE}
+{printable(licence) if licence else NO_LICENCE}
 
 Keys
 ----
 {_changed(instrument, own)}Sampled, and fitted to recordings of the key: {_named(recorded)}
 Sampled, but guesses (never recorded; laws over the keyboard): {_named(guesses)}
 Played from the nearest sampled key, transposed: {_named(moved)}
-Silent: {key_ranges(silent_keys(keys))}
+Silent: {format_keys(silent_keys(keys))}
 
 Release
 -------

@@ -20,7 +20,7 @@ from ..analysis.note_names import midi_to_note
 from ..errors import OutputError, ParameterError, check_range
 from ..instrument.document import Instrument
 from ..io.audio import RATES
-from ..io.files import PEAK_LIMIT, cleanup_on_interrupt, encode_pcm, escape_controls, write_error
+from ..io.files import PEAK_LIMIT, cleanup_on_interrupt, encode_pcm, printable, write_error
 from ..playback.voice import StringVoice, damper_rate
 from ..threads import one_blas_thread
 from .formats import SAMPLERS
@@ -133,9 +133,9 @@ def _check(instrument: Instrument, keys: Sequence[int], asked: ExportOptions) ->
 
 def _check_target(out: Path, force: bool) -> None:
     """An export may replace an export, and nothing else."""
-    name = escape_controls(out)
+    name = printable(out)
     if not out.parent.is_dir():
-        raise OutputError(f"{name}: there is no folder {escape_controls(out.parent)}; make it, or give another --out")
+        raise OutputError(f"{name}: there is no folder {printable(out.parent)}; make it, or give another --out")
     if not out.exists():
         return
     held = out.is_dir() and any(out.iterdir())
@@ -159,7 +159,11 @@ def _earlier(folder: Path) -> bool:
 
 
 def _samples(
-    instrument: Instrument, work: Path, keys: Sequence[int], asked: ExportOptions, progress: Callable[[str, float], None]
+    instrument: Instrument,
+    work: Path,
+    keys: Sequence[int],
+    asked: ExportOptions,
+    progress: Callable[[str, float], None],
 ) -> tuple[ExportSummary, list[SampledKey]]:
     """Write the samples, all with one gain."""
     known: list[KeySamples] = []

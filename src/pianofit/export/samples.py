@@ -41,7 +41,9 @@ class KeySamples(NamedTuple):
     peak: float  # of the loudest, file units
 
 
-def measure_layers(instrument: Instrument, string: StringVoice, velocities: Sequence[int], seconds: float) -> KeySamples:
+def measure_layers(
+    instrument: Instrument, string: StringVoice, velocities: Sequence[int], seconds: float
+) -> KeySamples:
     """Strike a key at all velocities of its layers, and more to know its level."""
     tried = sorted({*velocities, *velocities_of(LEVELS)})
     sounds = {velocity: stroke(instrument, string, velocity, min(seconds, LEVEL_SECONDS)) for velocity in tried}

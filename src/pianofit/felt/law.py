@@ -43,7 +43,7 @@ class FeltLaw:
     slow : `slow(u, hammer)`, N, of a felt that relaxes: its force where it is pressed slowly.
     power : the names of K and p if the force has the factor K u^p: a fit then searches the force K u_ref^p in place of
         K, whose unit changes with p.
-    formula : the law for the page of a fit, one equation a string, in the part of TeX that `report.formula` sets.
+    formula : the law for the page of a fit, one equation a string, in the part of TeX that a page sets.
     hammers, columns : of the package's laws, which share a solver of their own: the hammers' type, and the order of a
         fit's unknowns.
 

@@ -26,7 +26,17 @@ from ..parameters import Geometry, String
 from ..threads import cores
 from .parametrisation import STRING_SIZE
 
-__all__ = ["BATCH_SIZE", "StaticConfig", "ModelInputs", "run_in_batches", "levels", "levels_per_string", "level_jacobians_per_string", "thread_pool", "level_jacobians"]
+__all__ = [
+    "BATCH_SIZE",
+    "StaticConfig",
+    "ModelInputs",
+    "run_in_batches",
+    "levels",
+    "levels_per_string",
+    "level_jacobians_per_string",
+    "thread_pool",
+    "level_jacobians",
+]
 
 # Lanes of one call: enough to fill vector units; more would make the fast ones wait for the slow ones.
 BATCH_SIZE = 8
@@ -85,7 +95,9 @@ def levels(string: Float[Array, " 4"], lanes: Float[Array, "lanes lane"], scene:
 
 
 @persistent_jit
-def level_jacobians(string: Float[Array, " 4"], lanes: Float[Array, "lanes lane"], scene: ModelInputs, cfg: StaticConfig):
+def level_jacobians(
+    string: Float[Array, " 4"], lanes: Float[Array, "lanes lane"], scene: ModelInputs, cfg: StaticConfig
+):
     """The same, and between them the levels' derivatives by the entries `scene.free` [lanes, rows, directions]."""
     along = jax.nn.one_hot(scene.free, lanes.shape[-1])
     return jax.vmap(lambda lane: _along(lambda x: _level(string, 0.0, x, scene, cfg), lane, along))(lanes)
@@ -125,7 +137,9 @@ def thread_pool() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(cores())
 
 
-def run_in_batches(program: Callable, lanes: tuple, scene: Any, cfg: Any, size: int = BATCH_SIZE) -> tuple[np.ndarray, ...]:
+def run_in_batches(
+    program: Callable, lanes: tuple, scene: Any, cfg: Any, size: int = BATCH_SIZE
+) -> tuple[np.ndarray, ...]:
     """`program` of any number of lanes, `size` at a time, on all cores.
 
     Parameters

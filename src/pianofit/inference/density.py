@@ -24,7 +24,15 @@ from .optimiser import HYPER_REACH
 from .parametrisation import STRING_SIZE
 from .problem import FitProblem
 
-__all__ = ["DensityContext", "Point", "reflect_into_bounds", "density_context", "log_density", "log_likelihood", "start"]
+__all__ = [
+    "DensityContext",
+    "Point",
+    "reflect_into_bounds",
+    "density_context",
+    "log_density",
+    "log_likelihood",
+    "start",
+]
 
 # What lies at a bound is first looked for within its prior, or this share of its box.
 OF_BOX = 0.25
@@ -67,12 +75,25 @@ def density_context(problem: FitProblem, found: Estimate) -> DensityContext:
     descent, best = minima.descent, minima.people
     cents = descent.model_inputs_with_strings(best.theta[:1])[1]
     everything = (
-        best.theta[0], _whitening_root(problem, found), (u.lower, u.upper), u.force_and_exponent_index, np.array(u.stiffness), u.log_reference_compression,
-        (u.mean, u.precision), descent.tables, tuple(phi[0] for phi in best.phi), tuple(w[0] for w in best.w),
+        best.theta[0],
+        _whitening_root(problem, found),
+        (u.lower, u.upper),
+        u.force_and_exponent_index,
+        np.array(u.stiffness),
+        u.log_reference_compression,
+        (u.mean, u.precision),
+        descent.tables,
+        tuple(phi[0] for phi in best.phi),
+        tuple(w[0] for w in best.w),
         tuple(np.argwhere(np.asarray(t.found) > 0) for t in descent.tables),
-        best.offset[0], descent.has_level, descent.stroke, descent.columns, cents,
-        (o.string_number, o.law, float(problem.start.geometry.length)), problem.scene,
-    )  # fmt: skip
+        best.offset[0],
+        descent.has_level,
+        descent.stroke,
+        descent.columns,
+        cents,
+        (o.string_number, o.law, float(problem.start.geometry.length)),
+        problem.scene,
+    )
     return DensityContext(*jax.tree.map(np.asarray, everything))
 
 

@@ -27,7 +27,15 @@ from .likelihood import (
     variance,
 )
 
-__all__ = ["LatentPosterior", "DenseTerms", "Evaluation", "latent_posterior", "dense_terms", "evaluate", "evaluate_batch"]
+__all__ = [
+    "LatentPosterior",
+    "DenseTerms",
+    "Evaluation",
+    "latent_posterior",
+    "dense_terms",
+    "evaluate",
+    "evaluate_batch",
+]
 
 
 class Evaluation(NamedTuple):
@@ -52,7 +60,9 @@ def inverse_mills_ratio(z: np.ndarray) -> np.ndarray:
     return np.exp(-0.5 * z**2 - log_ndtr(z)) / np.sqrt(2 * np.pi)
 
 
-def evaluate_batch(table: ObservationTable, residual: np.ndarray, jacobian: np.ndarray, phi: np.ndarray, w: np.ndarray) -> Evaluation:
+def evaluate_batch(
+    table: ObservationTable, residual: np.ndarray, jacobian: np.ndarray, phi: np.ndarray, w: np.ndarray
+) -> Evaluation:
     """`report` of many points [B, ...]."""
     points = [evaluate(table, *point) for point in zip(residual, jacobian, phi, w, strict=True)]
     if not points:
@@ -61,7 +71,9 @@ def evaluate_batch(table: ObservationTable, residual: np.ndarray, jacobian: np.n
     return Evaluation(*(np.array(column) for column in zip(*points, strict=True)))
 
 
-def evaluate(table: ObservationTable, residual: np.ndarray, jacobian: np.ndarray, phi: np.ndarray, w: np.ndarray) -> Evaluation:
+def evaluate(
+    table: ObservationTable, residual: np.ndarray, jacobian: np.ndarray, phi: np.ndarray, w: np.ndarray
+) -> Evaluation:
     """F at one point, its gradient by everything, and its curvature by θ: Gauss and Newton's, averaged over nodes.
 
     Parameters
@@ -71,7 +83,10 @@ def evaluate(table: ObservationTable, residual: np.ndarray, jacobian: np.ndarray
     s = solve_nodes(table, residual, phi, w)
     weight, p = node_weights(table, s.nll_per_node), s.pieces
     pull, steep, z = _censored_sensitivities(table, p, s.censored), inverse_mills_ratio(s.z), s.z
-    far, near = steep / s.conditional_sd, 0.5 * steep * z / s.conditional_sd**2  # by an absent one's mean, and by its variance
+    far, near = (
+        steep / s.conditional_sd,
+        0.5 * steep * z / s.conditional_sd**2,
+    )  # by an absent one's mean, and by its variance
     mean, sd = table.prior
     by_theta = _by_theta(table, s, weight, pull, steep, jacobian)
     by_variance, absent = _by_variance(table, s, weight, pull, far, near)
@@ -87,7 +102,12 @@ def evaluate(table: ObservationTable, residual: np.ndarray, jacobian: np.ndarray
 
 
 def _by_theta(
-    table: ObservationTable, s: NodeSolutions, weight: np.ndarray, pull: np.ndarray, steep: np.ndarray, jacobian: np.ndarray
+    table: ObservationTable,
+    s: NodeSolutions,
+    weight: np.ndarray,
+    pull: np.ndarray,
+    steep: np.ndarray,
+    jacobian: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Gradient [n] and curvature [n, n]. An absent partial's bound stays, what is there takes its mean along."""
     p, size = s.pieces, jacobian.shape[-1]
@@ -97,7 +117,9 @@ def _by_theta(
     through = p.own.reshape(*p.own.shape[:3], -1) @ flat
     moved = pull.reshape(*pull.shape[:3], len(flat)) @ flat - jacobian[table.censored[:, 0], table.censored[:, 1]]
     moved /= s.conditional_sd[..., None]
-    gradient = -np.tensordot(weight, s.precision_residual, 2).reshape(-1) @ flat - np.tensordot(weight[..., None] * steep, moved, 3)
+    gradient = -np.tensordot(weight, s.precision_residual, 2).reshape(-1) @ flat - np.tensordot(
+        weight[..., None] * steep, moved, 3
+    )
     bend = weight[..., None] * np.maximum(steep * (steep + s.z), 0.0)
     return gradient, (
         np.tensordot(weight.sum(axis=1), before, 1).reshape(size, -1) @ flat
@@ -195,6 +217,13 @@ def dense_terms(table: ObservationTable, residual: np.ndarray, phi: np.ndarray, 
     before = before_columns(table, p.precision, p.log_weight, p.path, every).reshape(-1, 1, count, count)
     u = p.own.reshape(*p.own.shape[:3], count)
     return DenseTerms(
-        s.nll_per_node, before - u.swapaxes(2, 3) @ u, node_weights(table, s.nll_per_node), variance(table, phi, w), s.precision_residual,
-        _censored_sensitivities(table, p, s.censored), s.z, s.conditional_sd, inverse_mills_ratio(s.z),
-    )  # fmt: skip
+        s.nll_per_node,
+        before - u.swapaxes(2, 3) @ u,
+        node_weights(table, s.nll_per_node),
+        variance(table, phi, w),
+        s.precision_residual,
+        _censored_sensitivities(table, p, s.censored),
+        s.z,
+        s.conditional_sd,
+        inverse_mills_ratio(s.z),
+    )

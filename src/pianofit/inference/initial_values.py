@@ -90,7 +90,9 @@ def starting_values(analysis: Analysis, setup: Setup, velocity: float | None = N
         quantity=setup.pickup_quantity,
         scale=setup.pickup_scale,
         # A law from outside may mean something else by the literature's names.
-        reference_hammer=Hammer(**hammer | {name: values[name] for name in (COMMON if law.hammers is None else HAMMER_NAMES)}),
+        reference_hammer=Hammer(
+            **hammer | {name: values[name] for name in (COMMON if law.hammers is None else HAMMER_NAMES)}
+        ),
         user_given=tuple(name for name in (*law.parameters, "M_H") if name in setup.initial | setup.fixed),
         law=law,
     )

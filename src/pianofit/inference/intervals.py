@@ -12,7 +12,16 @@ from .map_estimate import Estimate, Progress
 from .parametrisation import ABSENT
 from .problem import FitProblem
 
-__all__ = ["MEANS", "Observations", "IntervalResult", "check_intervals", "named", "unbounded_warnings", "reported_parameters", "compute_intervals"]
+__all__ = [
+    "MEANS",
+    "Observations",
+    "IntervalResult",
+    "check_intervals",
+    "named",
+    "unbounded_warnings",
+    "reported_parameters",
+    "compute_intervals",
+]
 
 MEANS = ("laplace", "profile", "posterior")
 
@@ -57,7 +66,9 @@ def check_intervals(means: str, recipe: str = "default") -> None:
         check_sampler()
 
 
-def compute_intervals(problem: FitProblem, found: Estimate, means: str, seed: int, progress: Progress) -> IntervalResult | None:
+def compute_intervals(
+    problem: FitProblem, found: Estimate, means: str, seed: int, progress: Progress
+) -> IntervalResult | None:
     """Intervals by the `means` asked for; None for Laplace's, which are there anyway."""
     if means == "profile":
         from .profile import profiles

@@ -166,7 +166,9 @@ def factor_covariance(table: ObservationTable, phi: Values, w: Values, xp: Space
     whitening = _whitening(table.scale[:, :, None] * inner * table.scale[:, None, :] + xp.eye(size), xp)
     root = whitening * table.scale[:, None, :]
     own = (root @ columns).reshape(*root.shape[:3], *shape)
-    return CovarianceFactors(precision, share, smooth, prior, path, root, own, half_log[:, None] + _half_log(whitening, xp))
+    return CovarianceFactors(
+        precision, share, smooth, prior, path, root, own, half_log[:, None] + _half_log(whitening, xp)
+    )
 
 
 def path_mean(table: ObservationTable, share: Values, x: Values) -> Values:
@@ -246,7 +248,9 @@ def node_weights(table: ObservationTable, each: Values) -> Values:
     return share / share.sum()
 
 
-def pointwise(table: ObservationTable, residual: Values, phi: Values, w: Values, xp: Space = np) -> tuple[Values, Values]:
+def pointwise(
+    table: ObservationTable, residual: Values, phi: Values, w: Values, xp: Space = np
+) -> tuple[Values, Values]:
     """Log density of each observation given all others that are there [R, K], and of what is absent given these [N].
 
     Entries share paths and columns, so F has no term of each alone: by C⁻¹ and s = C⁻¹r entry i is normal about
@@ -273,9 +277,12 @@ def _log_sum(x: Values, xp: Space) -> Values:
 
 
 def objective(
-    table: ObservationTable, residual: Float[AnyArray, "R K"], phi: Float[AnyArray, " hyper"], w: Float[AnyArray, "R K"],
+    table: ObservationTable,
+    residual: Float[AnyArray, "R K"],
+    phi: Float[AnyArray, " hyper"],
+    w: Float[AnyArray, "R K"],
     xp: Space = jnp,
-) -> Values:  # fmt: skip
+) -> Values:
     """F at a residual: y - law where a partial is found, bound - law where it is absent."""
     return combine_nodes(table, solve_nodes(table, residual, phi, w, xp).nll_per_node, phi, w, xp)
 

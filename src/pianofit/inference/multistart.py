@@ -86,7 +86,9 @@ def multistart(
     progress("hammer", 0.3)
     people = people.join(lowered(rescan_velocities(descent, _survivors(descent, people).theta, parabolas)))
     progress("hammer", 0.4)
-    people = descent.minimise(_with_discretisation_error(descent, _survivors(descent, people)), SECOND_FLOOR, SECOND_STEPS)
+    people = descent.minimise(
+        _with_discretisation_error(descent, _survivors(descent, people)), SECOND_FLOOR, SECOND_STEPS
+    )
     progress("hammer", 0.5)
     people = descent.minimise(_with_discretisation_error(descent, _survivors(descent, people, NEAR)), 0.0, LAST_STEPS)
     progress("restarts", 0.6)
@@ -124,7 +126,9 @@ def _lowest(descent: Optimiser, people: Candidates) -> float:
 def _perturb(descent: Optimiser, best: Candidates, random: np.random.Generator) -> np.ndarray:
     """Points about the best in everything, along its valley [restarts, size]."""
     u, moves = descent.unknowns, descent.is_free
-    precision = descent.prior(best.theta)[2] / REACH**2 + sum(part.derivatives.curvature[0] for part in best.parts) / ALONG**2
+    precision = (
+        descent.prior(best.theta)[2] / REACH**2 + sum(part.derivatives.curvature[0] for part in best.parts) / ALONG**2
+    )
     value, vector = np.linalg.eigh(precision[np.ix_(moves, moves)])
     z = np.tile(best.theta, (RESTARTS, 1))
     z[:, moves] += random.normal(size=(RESTARTS, moves.sum())) / np.sqrt(value) @ vector.T

@@ -264,8 +264,20 @@ def _string_table(law, value, variance, systematic, growth, columns, hyper: prio
     mean = np.append(hyper.log_median[0], [0.0, 0.0, NONE])
     one = np.ones((1, len(value)))
     return ObservationTable(
-        value=value[None], variance=variance[None], detected=one, censored=np.zeros((0, 2), int), group=np.ones((1, 1)),
-        columns=columns, scale=np.ones((1, 1)), systematic=systematic, distance_octaves=_apart(law[0]), has_unknown_path=np.zeros(1),
-        log_tau=np.full((1, 1), NONE), log_weight=np.zeros((1, 1)), variance_profile=growth, ratio=0 * one,
-        prior=(mean, np.array([hyper.spread[0], 1.0, 1.0, 1.0])), degrees_of_freedom=np.float64(priors.STUDENT),
-    )  # fmt: skip
+        value=value[None],
+        variance=variance[None],
+        detected=one,
+        censored=np.zeros((0, 2), int),
+        group=np.ones((1, 1)),
+        columns=columns,
+        scale=np.ones((1, 1)),
+        systematic=systematic,
+        distance_octaves=_apart(law[0]),
+        has_unknown_path=np.zeros(1),
+        log_tau=np.full((1, 1), NONE),
+        log_weight=np.zeros((1, 1)),
+        variance_profile=growth,
+        ratio=0 * one,
+        prior=(mean, np.array([hyper.spread[0], 1.0, 1.0, 1.0])),
+        degrees_of_freedom=np.float64(priors.STUDENT),
+    )

@@ -126,7 +126,9 @@ class Optimiser:
         """What a contact stepped without end adds to levels at `z` [B, size], dB [B, R, K]: the error is of order 2."""
         p = self.problem
         fine = p.scene._replace(rate=p.scene.rate * FINER, steps=p.scene.steps * FINER)
-        finer = run_in_batches(levels_per_string, self.model_inputs_with_strings(z), fine, p.cfg._replace(n_modes=MOST_MODES), OWN_LANES)[0]
+        finer = run_in_batches(
+            levels_per_string, self.model_inputs_with_strings(z), fine, p.cfg._replace(n_modes=MOST_MODES), OWN_LANES
+        )[0]
         change = self._of_recordings(finer) - self.level(z)
         shorter = (fine.rate / self.scene.rate) ** 2
         return change * shorter / (shorter - 1) * self.has_level
@@ -138,9 +140,13 @@ class Optimiser:
     def _sloped(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Levels, dB [B, R, K], their derivatives [B, R, K, directions], and whether contacts ended [B]."""
         if self.string_fixed:
-            level, slope, ended = run_in_batches(level_jacobians, (self.string, self.model_inputs_of(z)), self.scene, self.cfg)
+            level, slope, ended = run_in_batches(
+                level_jacobians, (self.string, self.model_inputs_of(z)), self.scene, self.cfg
+            )
         else:
-            level, slope, ended = run_in_batches(level_jacobians_per_string, self.model_inputs_with_strings(z), self.scene, self.cfg, OWN_LANES)
+            level, slope, ended = run_in_batches(
+                level_jacobians_per_string, self.model_inputs_with_strings(z), self.scene, self.cfg, OWN_LANES
+            )
         return self._of_recordings(level), self._of_recordings(slope), np.all(ended.reshape(len(z), -1), axis=1)
 
     def _of_recordings(self, rows: np.ndarray) -> np.ndarray:
@@ -192,9 +198,15 @@ class Optimiser:
 
         With a `parabola` it alone is lowered, and φ and w stay.
         """
-        candidates = replace(candidates, last_decrease=np.full(len(candidates), np.inf), damping=np.minimum(candidates.damping, FIRST_DAMPING))
+        candidates = replace(
+            candidates,
+            last_decrease=np.full(len(candidates), np.inf),
+            damping=np.minimum(candidates.damping, FIRST_DAMPING),
+        )
         if parabola is None:
-            candidates = replace(candidates, parts=tuple(self._reevaluate_exactly(*pair, floor) for pair in self._by_table(candidates)))
+            candidates = replace(
+                candidates, parts=tuple(self._reevaluate_exactly(*pair, floor) for pair in self._by_table(candidates))
+            )
         for _ in range(iterations):
             on = np.flatnonzero(candidates.last_decrease > tolerance)
             if not len(on):

@@ -119,14 +119,18 @@ class Parametrisation:
         out = np.tile(np.eye(self.size), (len(z), 1, 1))
         if self.force_and_exponent_index:
             force, p = self.force_and_exponent_index
-            out[:, force, p] = np.where(active[:, force] & self.free[p], np.exp(z[:, p]) * self.log_reference_compression, 0.0)
+            out[:, force, p] = np.where(
+                active[:, force] & self.free[p], np.exp(z[:, p]) * self.log_reference_compression, 0.0
+            )
         return out
 
     def from_log_values(self, x: np.ndarray) -> np.ndarray:
         """The point whose `log_values` are `x` [..., size]."""
         out = np.array(x, float)
         if self.force_and_exponent_index:
-            out[..., self.force_and_exponent_index[0]] += np.exp(x[..., self.force_and_exponent_index[1]]) * self.log_reference_compression
+            out[..., self.force_and_exponent_index[0]] += (
+                np.exp(x[..., self.force_and_exponent_index[1]]) * self.log_reference_compression
+            )
         return out
 
     def fix_parameter(self, i: int, log: float) -> Parametrisation:
@@ -155,20 +159,26 @@ class Parametrisation:
 
     def geometry_at(self, z: np.ndarray) -> Geometry:
         """The geometry with the strike position and contact width at `z` [size]."""
-        return self.geometry._replace(strike_position=float(np.exp(z[self.index_of("x0")])), width=float(np.exp(z[self.index_of("width")])))
+        return self.geometry._replace(
+            strike_position=float(np.exp(z[self.index_of("x0")])), width=float(np.exp(z[self.index_of("width")]))
+        )
 
     def log_values(self, z: np.ndarray) -> np.ndarray:
         """The same with log K_H in the force's place [..., size]."""
         out = np.array(z, float)
         if self.force_and_exponent_index:
-            out[..., self.force_and_exponent_index[0]] -= np.exp(z[..., self.force_and_exponent_index[1]]) * self.log_reference_compression
+            out[..., self.force_and_exponent_index[0]] -= (
+                np.exp(z[..., self.force_and_exponent_index[1]]) * self.log_reference_compression
+            )
         return out
 
     def tangent(self, z: np.ndarray) -> np.ndarray:
         """d(log values)/dz [size, size] at `z` [size]."""
         out = np.eye(self.size)
         if self.force_and_exponent_index:
-            out[self.force_and_exponent_index] = -np.exp(z[self.force_and_exponent_index[1]]) * self.log_reference_compression
+            out[self.force_and_exponent_index] = (
+                -np.exp(z[self.force_and_exponent_index[1]]) * self.log_reference_compression
+            )
         return out
 
     def _is_force(self, i: int) -> bool:

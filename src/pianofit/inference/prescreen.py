@@ -78,7 +78,11 @@ def rescan_velocities(
 
 
 def _with_velocities(
-    descent: Optimiser, z: np.ndarray, grid: np.ndarray, parabolas: Sequence[QuadraticSurrogate], target_levels: np.ndarray
+    descent: Optimiser,
+    z: np.ndarray,
+    grid: np.ndarray,
+    parabolas: Sequence[QuadraticSurrogate],
+    target_levels: np.ndarray,
 ) -> list[np.ndarray]:
     """Hammers [S, size] with the best of the log velocities `grid`, by each parabola; the best first.
 
@@ -103,9 +107,15 @@ def _with_velocities(
 
 
 def _rank_candidates(
-    descent: Optimiser, parabola: QuadraticSurrogate, z: np.ndarray, grid: np.ndarray, target_levels: np.ndarray, level: np.ndarray,
-    ended: np.ndarray, begins: list[np.ndarray],
-) -> np.ndarray:  # fmt: skip
+    descent: Optimiser,
+    parabola: QuadraticSurrogate,
+    z: np.ndarray,
+    grid: np.ndarray,
+    target_levels: np.ndarray,
+    level: np.ndarray,
+    ended: np.ndarray,
+    begins: list[np.ndarray],
+) -> np.ndarray:
     """The hammers with their best velocities, the best first [S, size].
 
     Parameters

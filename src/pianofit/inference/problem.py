@@ -11,7 +11,7 @@ import numpy as np
 from ..analysis import SAME_KEY, Analysis, cents_above
 from ..errors import FitError
 from ..felt import BOXES
-from ..io.files import escape_controls
+from ..io.files import printable
 from ..io.number_format import counted
 from ..model import Simulation, simulate
 from ..parameters import STRING_NAMES, String
@@ -55,7 +55,9 @@ class FitProblem:
     reference: int  # the recording whose pitch is the string's, and whose stroke is shown first
     measured_velocity: tuple[float | None, ...]  # measured velocity of every stroke, m/s
     assumed_velocity_of: bool  # that the reference's is the one in [known], which names no recording
-    unmatched_entries: tuple[tuple[str, str], ...]  # files of [[recording]] that are a recording's but for their kind, and it
+    unmatched_entries: tuple[
+        tuple[str, str], ...
+    ]  # files of [[recording]] that are a recording's but for their kind, and it
     unknowns: Parametrisation
     observed: Observations
     scene: ModelInputs
@@ -128,7 +130,7 @@ def build_problem(
 
 
 def _refuse(recordings: Sequence[Recording], analyses: Sequence[Analysis]) -> None:
-    names = [escape_controls(Path(r.path).name) for r in recordings]
+    names = [printable(Path(r.path).name) for r in recordings]
     for i, (name, recording, analysis) in enumerate(zip(names, recordings, analyses, strict=True)):
         for other in range(i):
             if recording.sha256 == recordings[other].sha256:
@@ -188,7 +190,9 @@ def _model(
     held = start.law.power is None or start.law.power[0] in start.fixed
     log_u = 0.0 if held else float(np.log(0.5 * first.pulse.compression.max()))
     unknowns = _unknowns(start, speed, log_u, path)
-    contact_rate, steps, rows = simulation_grid(first, 2 * geometry.strike_position / string.c, int(observed.number.max()), LONGEST)
+    contact_rate, steps, rows = simulation_grid(
+        first, 2 * geometry.strike_position / string.c, int(observed.number.max()), LONGEST
+    )
     size = tuple(map(np.float64, geometry))
     free = np.append(np.flatnonzero(unknowns.free[STRING_SIZE : unknowns.shared]), unknowns.shared - STRING_SIZE)
     free = np.pad(free, (0, -len(free) % DIRECTIONS), constant_values=-1)

@@ -151,7 +151,9 @@ def _key(
         state = "interpolated" if keys[0].midi < midi < keys[-1].midi else "extrapolated"
         path, ringing, fit = paths(midi), NEIGHBOURS, None
     else:
-        state = max((entry["state"] for n, entry in told.items() if n not in OWN_VALUE_QUANTITIES), key=KEY_STATES.index)
+        state = max(
+            (entry["state"] for n, entry in told.items() if n not in OWN_VALUE_QUANTITIES), key=KEY_STATES.index
+        )
         path = key.note.path
         ringing = None if key.note.ringing is None else ringing_document(key.note.ringing, whole=True)
         fit = {"file": key.file, "recordings": key.recordings, "levels_db": key.levels_db, "converged": key.converged,
@@ -235,7 +237,9 @@ def _path_law(keys: Sequence[KeyFit]) -> Callable[[int], OutputPath | None]:
 
     A key's own path is kept as it is, with its residuals; only the smooth part passes on to its neighbours.
     """
-    points = [(key.midi, *point) for key in keys if key.note.path is not None for point in _third_octave_means(key.note.path)]
+    points = [
+        (key.midi, *point) for key in keys if key.note.path is not None for point in _third_octave_means(key.note.path)
+    ]
     if not points:
         return lambda _: None
     midi, octave, db, count = np.array(points).T

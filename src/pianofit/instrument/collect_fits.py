@@ -20,7 +20,7 @@ from ..analysis.note_names import midi_to_note, note_to_midi
 from ..conversions import NORMAL, midi_of
 from ..errors import FitError
 from ..fit_file import note_of, read_fit
-from ..io.files import escape_controls, reference_of
+from ..io.files import printable, reference_of
 from ..io.number_format import is_number
 from ..literature import PICKUP, typical
 from ..model.note import Note
@@ -123,7 +123,7 @@ def find_fits(paths: Sequence[Path], prefix: str | None = None) -> list[Path]:
     """
     found: list[Path] = []
     for path in paths:
-        name = escape_controls(path)
+        name = printable(path)
         if path.is_file():
             found.append(path)
             continue
@@ -137,13 +137,13 @@ def find_fits(paths: Sequence[Path], prefix: str | None = None) -> list[Path]:
     if prefix is not None:
         chosen = [file for file in found if owners[file] == prefix]
         if not chosen:
-            known = ", ".join(sorted(repr(escape_controls(name)) for name in set(owners.values())))
+            known = ", ".join(sorted(repr(printable(name)) for name in set(owners.values())))
             raise FitError(f"--prefix {prefix!r}: no key begins so; there are {known}")
         return chosen
     several = sorted({name for name in owners.values() if name})
     if len(several) > 1:
-        named = ", ".join(map(escape_controls, several))
-        raise FitError(f"{escape_controls(paths[0])}: holds several instruments, {named}; choose one by --prefix")
+        named = ", ".join(map(printable, several))
+        raise FitError(f"{printable(paths[0])}: holds several instruments, {named}; choose one by --prefix")
     return found
 
 
@@ -168,18 +168,20 @@ def load_keys(files: Sequence[Path]) -> list[KeyFit]:
         key = _load_key(file)
         if (held := keys.get(key.midi)) is not None:
             raise FitError(
-                f"{escape_controls(file)}: is {midi_to_note(key.midi)}, and so is {held.file}; leave one out, or choose an "
+                f"{printable(file)}: is {midi_to_note(key.midi)}, and so is {held.file}; leave one out, or choose an "
                 "instrument by --prefix"
             )
         keys[key.midi] = key
     kinds = sorted({key.note.quantity for key in keys.values()})
     if len(kinds) > 1:
-        raise FitError(f"{escape_controls(files[0])}: the keys heard {' and '.join(kinds)}; one instrument needs one quantity")
+        raise FitError(
+            f"{printable(files[0])}: the keys heard {' and '.join(kinds)}; one instrument needs one quantity"
+        )
     return [keys[midi] for midi in sorted(keys)]
 
 
 def _load_key(file: Path) -> KeyFit:
-    document, name = read_fit(file), escape_controls(file)
+    document, name = read_fit(file), printable(file)
     note, _ = note_of(document, file)
     midi = _midi(note, file)
     rows = [row for row in document["recordings"] if isinstance(row, dict)]
@@ -227,7 +229,7 @@ def _midi(note: Note, file: Path) -> int:
     _, named = _key_of(file)
     midi = named if named is not None and abs(named - pitch) < 1.5 else round(pitch)
     if not LOWEST_KEY <= midi <= HIGHEST_KEY:
-        raise FitError(f"{escape_controls(file)}: f0 is {pitch - 69:+.1f} semitones from A4, beyond a piano's A0 to C8")
+        raise FitError(f"{printable(file)}: f0 is {pitch - 69:+.1f} semitones from A4, beyond a piano's A0 to C8")
     return midi
 
 

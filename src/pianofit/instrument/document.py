@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from ..analysis.note_names import midi_to_note
 from ..errors import FitError, ParameterError
 from ..fit_file import read_path
-from ..io.files import escape_controls, load_json, require_finite, short_repr, table_of
+from ..io.files import load_json, printable, require_finite, short_repr, table_of
 from ..io.number_format import is_number
 from ..modal_response_file import read_ringing
 from ..model.modes import QUANTITIES
@@ -97,13 +97,13 @@ def load_instrument(path: str | os.PathLike[str], prefix: str | None = None) -> 
     if path.is_dir() and not (path / FILE).is_file():
         files = find_fits([path], prefix)
         name = prefix or instrument_name(files[0]) or path.resolve().name
-        return read_instrument(build_instrument(load_keys(files), escape_controls(name)), escape_controls(path))
+        return read_instrument(build_instrument(load_keys(files), printable(name)), printable(path))
     if prefix is not None:
         raise ParameterError(
-            f"--prefix {short_repr(prefix)} chooses among a folder's fits, and {escape_controls(path)} holds one instrument"
+            f"--prefix {short_repr(prefix)} chooses among a folder's fits, and {printable(path)} holds one instrument"
         )
     file = path / FILE if path.is_dir() else path
-    return read_instrument(load_json(file, LARGEST_FILE, "an instrument.json", WAY_OUT), escape_controls(file))
+    return read_instrument(load_json(file, LARGEST_FILE, "an instrument.json", WAY_OUT), printable(file))
 
 
 def read_instrument(document: Any, name: str = "instrument") -> Instrument:
@@ -134,7 +134,7 @@ def read_instrument(document: Any, name: str = "instrument") -> Instrument:
     told = {row["midi"]: _told(row.get("told")) for row in rows}
     layers = {row["midi"]: _layers(row["fit"].get("layers")) for row in rows if row["midi"] in recorded}
     states = {row["midi"]: row["state"] for row in rows if row.get("state") in (*KEY_STATES, CHANGED)}
-    title = escape_controls(called) if isinstance(called, str) else ""
+    title = printable(called) if isinstance(called, str) else ""
     return Instrument(title, notes, at_64, rise, recorded, told, layers, states)
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from ..errors import RecordingError
 from .containers import RATES, RESAVE, SOUNDS, audio_of, check_layout, is_sound, readable_formats
-from .files import escape_controls
+from .files import printable
 
 __all__ = [
     "LOSSY", "RATES", "SOUNDS", "STEPS", "Layout", "check_layout", "decode", "is_sound", "layout_of",
@@ -84,7 +84,7 @@ def _read(data: bytes, whole: bool) -> tuple[np.ndarray, Layout]:
                 raise RecordingError("is damaged: its header leads to before its begin; copy or export it again")
             return frames, Layout(file.channels, file.samplerate, file.frames, file.subtype)
     except (soundfile.SoundFileError, ValueError) as problem:
-        reason = escape_controls(getattr(problem, "error_string", problem)).strip(" .")
+        reason = printable(getattr(problem, "error_string", problem)).strip(" .")
         raise RecordingError(f"is damaged or truncated ({reason}); copy or export it again") from None
 
 

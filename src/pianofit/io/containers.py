@@ -12,7 +12,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from ..errors import RecordingError
-from .files import escape_controls
+from .files import printable
 
 __all__ = ["RATES", "SOUNDS", "audio_of", "check_layout", "is_sound", "readable_formats"]
 
@@ -212,7 +212,7 @@ def _aiff(data: bytes) -> bytes:
     channels, frames, bits, exponent, mantissa = struct.unpack_from(">hIhHQ", common)
     codec = common[18:22] if compressed else b"NONE"
     rate = mantissa * 2.0 ** min(exponent - 16_383 - 63, 900)  # an extended float of 80 bits
-    _check_format(AIFC_CODECS.get(codec, escape_controls(codec.decode("latin-1"))), bits, channels, rate)
+    _check_format(AIFC_CODECS.get(codec, printable(codec.decode("latin-1"))), bits, channels, rate)
     place = found.get(b"SSND")
     offset = int.from_bytes(data[place[0] : place[0] + 4], "big") if place else 0
     sound = place and (place[0] + 8 + offset, place[1] - 8 - offset)
@@ -237,7 +237,7 @@ def _caf(data: bytes) -> bytes:
     if size < 32 or begin + 32 > len(data):
         raise RecordingError("is truncated or has no desc chunk; copy or export it again")
     rate, codec, flags, align, _, channels, bits = struct.unpack_from(">d4s5I", data, begin)
-    name = escape_controls(codec.decode("latin-1")) if codec != b"lpcm" else FLOAT if flags & 1 else PCM
+    name = printable(codec.decode("latin-1")) if codec != b"lpcm" else FLOAT if flags & 1 else PCM
     _check_format(name, bits, channels, rate, align)
     place = found.get(b"data")
     _check_sound(data, place and (place[0] + 4, place[1] - 4), "data")  # after a count of edits
@@ -356,5 +356,5 @@ def _guess(data: bytes) -> str:
         return "an AAC file, or MPEG sound of another layer than III"
     text = data[:200].decode(errors="ignore")  # the last letter may be cut in two
     if len(text.encode()) > len(data[:200]) - 4 and all(c.isprintable() or c in "\t\r\n" for c in text):
-        return f'text (it begins "{escape_controls(text[:20])}")'
+        return f'text (it begins "{printable(text[:20])}")'
     return f"of an unknown format (it begins with bytes {data[:4].hex()})"

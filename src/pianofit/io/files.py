@@ -23,11 +23,34 @@ from ..errors import FitError, OutputError, ParameterError, PianofitError, check
 from .number_format import LARGEST, is_number
 
 __all__ = [
-    "PEAK_LIMIT", "FIT_SCHEMA", "LARGEST_FIT", "MOST_CHANNELS", "DISK_FULL",
-    "array_of", "check_sound_target", "check_target", "encode_pcm", "encode_wav", "require_finite", "cleanup_on_interrupt",
-    "json_text", "limit_peak", "load_json", "escape_controls", "output_folder", "read_file", "read_text", "reference_of",
-    "replace_file", "is_increasing", "short_repr", "table_of", "write_error", "replace_strings", "write_file",
-]  # fmt: skip
+    "PEAK_LIMIT",
+    "FIT_SCHEMA",
+    "LARGEST_FIT",
+    "MOST_CHANNELS",
+    "DISK_FULL",
+    "array_of",
+    "check_sound_target",
+    "check_target",
+    "encode_pcm",
+    "encode_wav",
+    "require_finite",
+    "cleanup_on_interrupt",
+    "json_text",
+    "limit_peak",
+    "load_json",
+    "printable",
+    "output_folder",
+    "read_file",
+    "read_text",
+    "reference_of",
+    "replace_file",
+    "is_increasing",
+    "short_repr",
+    "table_of",
+    "write_error",
+    "replace_strings",
+    "write_file",
+]
 
 # Channels of a sound at the most.
 # The header of a WAV file holds the rate in 32 bits, and the bytes of a second too.
@@ -43,7 +66,7 @@ LARGEST_FIT = 2**24
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
-def escape_controls(text: object) -> str:
+def printable(text: object) -> str:
     """Return `text` with all that a terminal would not print on one line escaped (newlines, controls, stray bytes)."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in str(text))
 
@@ -51,7 +74,7 @@ def escape_controls(text: object) -> str:
 def path_name(path: str | os.PathLike[str]) -> str:
     """A path on one line, as messages show it; a `ParameterError` for what is no path."""
     check_type("path=", path, str | os.PathLike, "a path: a text or a pathlib.Path")
-    return escape_controls(os.fspath(path))
+    return printable(os.fspath(path))
 
 
 def read_file(path: str | os.PathLike[str], limit: int, error: type[PianofitError]) -> bytes:
@@ -70,7 +93,7 @@ def read_file(path: str | os.PathLike[str], limit: int, error: type[PianofitErro
         raise error(f"{name}: no such file; check the path") from None
     except (OSError, ValueError) as problem:  # ValueError: a zero byte in the path
         reason = getattr(problem, "strerror", None) or str(problem)
-        raise error(f"{name}: cannot be read ({escape_controls(reason)}); check it") from None
+        raise error(f"{name}: cannot be read ({printable(reason)}); check it") from None
     if not data:
         raise error(f"{name}: is empty (0 bytes); check what wrote it")
     return data
@@ -85,7 +108,7 @@ def read_text(path: str | os.PathLike[str], limit: int, error: type[PianofitErro
         line = data.count(b"\n", 0, problem.start) + 1
         wrong = f"byte 0x{data[problem.start]:02x} on line {line} is not UTF-8"
         wrong = "is UTF-16 text" if data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE) else wrong
-        raise error(f"{escape_controls(path)}: {wrong}; save it as UTF-8") from None
+        raise error(f"{printable(path)}: {wrong}; save it as UTF-8") from None
 
 
 def load_json(
@@ -95,8 +118,8 @@ def load_json(
     try:
         return json.loads(read_file(path, most, error).decode("utf-8"))
     except (ValueError, RecursionError) as problem:
-        reason = escape_controls(str(problem).splitlines()[0])
-        raise error(f"{escape_controls(path)}: not {kind} ({reason}); {hint}") from None
+        reason = printable(str(problem).splitlines()[0])
+        raise error(f"{printable(path)}: not {kind} ({reason}); {hint}") from None
 
 
 def table_of(document: dict, key: str, where: str, hint: str) -> dict[str, Any]:
@@ -149,7 +172,7 @@ def replace_strings(value: Any, names: Mapping[str, str]) -> Any:
 
 def short_repr(value: Any) -> str:
     """A value as an error shows it: not the whole of a hostile one."""
-    text = escape_controls(repr(value))
+    text = printable(repr(value))
     return text if len(text) <= 60 else text[:57] + "..."
 
 
@@ -170,7 +193,7 @@ def replace_file(path: str | os.PathLike[str], content: bytes) -> None:
 def write_error(path: str | os.PathLike[str], error: OSError, hint: str) -> OutputError:
     """What to tell of a file or folder that the system did not let be written: to make room, or else the `way_out`."""
     hint = "make room, and run the same command again" if error.errno in DISK_FULL else hint
-    return OutputError(f"{escape_controls(path)}: cannot be written ({escape_controls(error.strerror or error)}); {hint}")
+    return OutputError(f"{printable(path)}: cannot be written ({printable(error.strerror or error)}); {hint}")
 
 
 @contextlib.contextmanager
@@ -179,7 +202,7 @@ def output_folder(path: Path, force: bool) -> Iterator[Path]:
 
     An `OutputError` if it cannot be made, is a file, or holds something and `force` is not given.
     """
-    name = escape_controls(path)
+    name = printable(path)
     try:
         made = [p for p in (path, *path.parents) if not p.exists()]
         path.mkdir(parents=True, exist_ok=True)
@@ -237,19 +260,19 @@ def check_target(path: Path, force: bool) -> None:
     It exists and `force` is not given, is a folder, or has no folder to be in.
     """
     if path.is_dir():
-        raise OutputError(f"{escape_controls(path)}: is a folder; give a file name")
+        raise OutputError(f"{printable(path)}: is a folder; give a file name")
     if path.exists() and not force:
-        raise OutputError(f"{escape_controls(path)}: exists; give another --out, or --force to replace it")
+        raise OutputError(f"{printable(path)}: exists; give another --out, or --force to replace it")
     if not path.parent.is_dir():
         raise OutputError(
-            f"{escape_controls(path)}: there is no folder {escape_controls(path.parent)}; make it, or give another --out"
+            f"{printable(path)}: there is no folder {printable(path.parent)}; make it, or give another --out"
         )
 
 
 def check_sound_target(path: Path, force: bool) -> None:
     """`check_target` of a sound, whose name must end in .wav."""
     if path.suffix.lower() != ".wav":
-        raise OutputError(f"{escape_controls(path)}: sounds are written as WAV files; give --out a name that ends in .wav")
+        raise OutputError(f"{printable(path)}: sounds are written as WAV files; give --out a name that ends in .wav")
     check_target(path, force)
 
 

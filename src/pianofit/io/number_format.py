@@ -13,9 +13,20 @@ from decimal import Decimal
 from typing import Any
 
 __all__ = [
-    "LARGEST", "format_like", "format_with_interval", "columns", "counted", "filled", "is_number", "number", "format_relative_uncertainty", "summary",
-    "with_half_interval", "with_interval", "with_standard_error",
-]  # fmt: skip
+    "LARGEST",
+    "format_like",
+    "format_with_interval",
+    "columns",
+    "counted",
+    "filled",
+    "is_number",
+    "number",
+    "format_relative_uncertainty",
+    "summary",
+    "with_half_interval",
+    "with_interval",
+    "with_standard_error",
+]
 
 # Larger numbers overflow when they are squared.
 LARGEST = 1e300

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import OutputError
-from ..io.files import escape_controls, replace_file
+from ..io.files import printable, replace_file
 from ..report.sound import Clip
 from .page import TestSound
 
@@ -39,7 +39,7 @@ def write_experiment(folder: Path, clips: list[tuple[TestSound, Clip]], referenc
     try:
         sounds.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise OutputError(f"{escape_controls(sounds)}: no folder can be made ({error.strerror}); choose another") from None
+        raise OutputError(f"{printable(sounds)}: no folder can be made ({error.strerror}); choose another") from None
     cases: dict[str, dict[str, str]] = {}
     for heard, clip in clips:
         replace_file(sounds / f"{clip.name}.wav", clip.wav)

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ..errors import RecordingError
-from ..io.files import LARGEST_FIT, escape_controls, load_json, read_file
+from ..io.files import LARGEST_FIT, load_json, printable, read_file
 from ..recording.recording import MAX_BYTES, Recording, is_sound, load_recording, readable_formats
 from ..report.save import stroke_names
 
@@ -51,18 +51,18 @@ def pairs_of(sides: Sequence[Path]) -> tuple[dict[str, Group], list[str]]:
     Raises `RecordingError` where no name is common, or a folder cannot be read; `FitError` for a damaged `fit.json`.
     """
     if not any(side.is_dir() for side in sides):
-        return {escape_controls(sides[0].stem): [Place(side) for side in sides]}, []
+        return {printable(sides[0].stem): [Place(side) for side in sides]}, []
     fits = [_fits_in(side) for side in sides]
     found = [_by_name(side) for side in sides] if not any(fits) else _by_content(sides, fits)
     names = sorted(set.intersection(*map(set, found)))
     if not names:
         by_name = "no file name in common; pairs are by name"
         by_fit = "the fits are of other recordings; pairs are by the recordings' content"
-        raise RecordingError(f"{escape_controls(sides[0])} and {escape_controls(sides[1])}: {by_fit if any(fits) else by_name}")
+        raise RecordingError(f"{printable(sides[0])} and {printable(sides[1])}: {by_fit if any(fits) else by_name}")
     if len(names) > MOST and not any(fits):
-        raise RecordingError(f"{escape_controls(sides[0])}: {len(names)} pairs are more than {MOST}; take fewer")
+        raise RecordingError(f"{printable(sides[0])}: {len(names)} pairs are more than {MOST}; take fewer")
     alone = sorted(set.union(*map(set, found)) - {*names})
-    return {escape_controls(name): [side[name] for side in found] for name in names}, [escape_controls(name) for name in alone]
+    return {printable(name): [side[name] for side in found] for name in names}, [printable(name) for name in alone]
 
 
 def load_pair(group: Group) -> list[Recording]:
@@ -75,19 +75,19 @@ def load_pair(group: Group) -> list[Recording]:
 def _by_name(folder: Path) -> dict[str, Place]:
     """The sounds of a folder by name, without the ending."""
     if not folder.is_dir():
-        raise RecordingError(f"{escape_controls(folder)}: is no folder; give folders only, or files only")
+        raise RecordingError(f"{printable(folder)}: is no folder; give folders only, or files only")
     found: dict[str, Place] = {}
     try:
         for path in sorted(path for path in folder.iterdir() if is_sound(path.name)):
             if path.stem in found:
                 raise RecordingError(
-                    f"{escape_controls(path)}: {escape_controls(found[path.stem].path.name)} has this name too; remove one"
+                    f"{printable(path)}: {printable(found[path.stem].path.name)} has this name too; remove one"
                 )
             found[path.stem] = Place(path)
     except OSError as error:
-        raise RecordingError(f"{escape_controls(folder)}: cannot be read ({error.strerror}); check it") from None
+        raise RecordingError(f"{printable(folder)}: cannot be read ({error.strerror}); check it") from None
     if not found:
-        raise RecordingError(f"{escape_controls(folder)}: holds no sound; the formats are {readable_formats()}")
+        raise RecordingError(f"{printable(folder)}: holds no sound; the formats are {readable_formats()}")
     return found
 
 

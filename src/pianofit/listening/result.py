@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ..errors import ParameterError
-from ..io.files import escape_controls, load_json, short_repr
+from ..io.files import load_json, printable, short_repr
 from .page import ANSWERS
 
 __all__ = ["Count", "count_answers"]
@@ -42,7 +42,9 @@ def count_answers(files: Sequence[Path]) -> list[Count]:
     for path in files:
         trials, text = _trials(path)
         if text in seen:
-            raise ParameterError(f"{escape_controls(path)}: holds the same answers as {escape_controls(seen[text])}; give each once")
+            raise ParameterError(
+                f"{printable(path)}: holds the same answers as {printable(seen[text])}; give each once"
+            )
         seen[text] = path
         for condition, hit in trials:
             hits.setdefault(condition, []).append(hit)
@@ -56,7 +58,7 @@ def count_answers(files: Sequence[Path]) -> list[Count]:
 
 def _trials(path: Path) -> tuple[list[tuple[str, bool]], str]:
     """Of each answer what was asked and whether it was a hit; and the file's content in one form."""
-    where = escape_controls(path)
+    where = printable(path)
     content = load_json(path, LARGEST_FILE, "answers of a listening test", WAY_OUT, ParameterError)
     if not isinstance(content, dict) or content.get("schema") != ANSWERS or not isinstance(content.get("trials"), list):
         found = short_repr(content.get("schema")) if isinstance(content, dict) else "none"
@@ -75,4 +77,4 @@ def _trial(trial: Any, where: str) -> tuple[str, bool]:
         raise ParameterError(
             f"{where}: condition is {short_repr(condition)}, chosen {short_repr(chosen)}, hit {short_repr(hit)}; {WAY_OUT}"
         )
-    return escape_controls(condition), chosen == hit
+    return printable(condition), chosen == hit

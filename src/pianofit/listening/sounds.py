@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..errors import RecordingError, check_range
-from ..io.files import escape_controls
+from ..io.files import printable
 from ..io.number_format import counted
 from ..recording.recording import Recording
 from .artefact_checks import failures
@@ -62,7 +62,7 @@ def listening_test(
     draw = np.random.default_rng(seed)
     labels, (groups, alone) = _labels(sides), pairs_of(sides)
     loaded = {name: load_pair(groups[name]) for name in sorted(draw.permutation([*groups])[:MOST].tolist())}
-    failed = [f"{escape_controls(r.path)}: {words}" for group in loaded.values() for r in group for words in failures(r)]
+    failed = [f"{printable(r.path)}: {words}" for group in loaded.values() for r in group for words in failures(r)]
     kept = {name: group for name, group in loaded.items() if not any(map(failures, group))}
     if failed and not (leave_out and kept):
         raise RecordingError(f"{'; '.join(failed)} (or give --leave-out, where other sounds remain)")
@@ -85,8 +85,8 @@ def _labels(sides: list[Path]) -> list[str]:
         for depth in range(1, max(map(len, ends)) + 1):
             labels = ["/".join(parts[-depth:]) for parts in ends]
             if len({*labels}) == len(labels) and all(labels):
-                return [escape_controls(label) for label in labels]
-    raise RecordingError(f"{escape_controls(sides[0])}: is given twice; two different folders or files are compared")
+                return [printable(label) for label in labels]
+    raise RecordingError(f"{printable(sides[0])}: is given twice; two different folders or files are compared")
 
 
 def _common(groups: list[list[Recording]]) -> int:
@@ -96,11 +96,11 @@ def _common(groups: list[list[Recording]]) -> int:
         for one in group:
             if one.rate != first.rate:
                 raise RecordingError(
-                    f"{escape_controls(one.path)}: has {one.rate} Hz, {escape_controls(first.path)} {first.rate}; resample one"
+                    f"{printable(one.path)}: has {one.rate} Hz, {printable(first.path)} {first.rate}; resample one"
                 )
             if len(one.frames) != len(group[0].frames):
                 raise RecordingError(
-                    f"{escape_controls(one.path)}: has {counted(len(one.frames), 'channel')}, {escape_controls(group[0].path)} "
+                    f"{printable(one.path)}: has {counted(len(one.frames), 'channel')}, {printable(group[0].path)} "
                     f"{len(group[0].frames)}: that alone would tell them apart; make them alike"
                 )
     return first.rate

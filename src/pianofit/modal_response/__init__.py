@@ -15,6 +15,18 @@ from .modes import PartialModes, modes_of
 from .shared_response import SharedResponse, estimate_shared_response
 
 __all__ = [
-    "HEARD", "AlignedLayers", "SharedResponse", "PartialModes", "band", "align_layers", "kernel_seconds", "estimate_shared_response", "log_mel_distances",
-    "fit_modal_response", "mel_edges", "mel_power", "modes_of", "modal_response_of",
-]  # fmt: skip
+    "HEARD",
+    "AlignedLayers",
+    "SharedResponse",
+    "PartialModes",
+    "band",
+    "align_layers",
+    "kernel_seconds",
+    "estimate_shared_response",
+    "log_mel_distances",
+    "fit_modal_response",
+    "mel_edges",
+    "mel_power",
+    "modes_of",
+    "modal_response_of",
+]

@@ -130,7 +130,9 @@ def _render_string_model(layer: FittedRecording, rate: int, lead: int) -> np.nda
     return np.pad(sound, (lead, 0))[round(recording.onset * rate / recording.rate) :]
 
 
-def _attached(result: Result, layers: _LayerGroup, key: SharedResponse, rung: str, distances: dict[str, float]) -> Result:
+def _attached(
+    result: Result, layers: _LayerGroup, key: SharedResponse, rung: str, distances: dict[str, float]
+) -> Result:
     """The result with the key's ringing in its notes, sounds and document; per unit of a recording's gain."""
     rows = [
         {"file": layer.recording.path, "contact_s": float(late)}

@@ -217,7 +217,8 @@ def _score_poles(pole: np.ndarray, cut: ValidFrames) -> tuple[np.ndarray, float,
     shape = np.exp(np.outer(cut.signals.time, pole)).T
     weight = cut.signals.weight
     seen, own, alike = (
-        _by_layer(x * weight, cut.above_noise) for x in (cut.signals.values, full[cut.above_noise] @ shape, theirs[cut.above_noise] @ shape)
+        _by_layer(x * weight, cut.above_noise)
+        for x in (cut.signals.values, full[cut.above_noise] @ shape, theirs[cut.above_noise] @ shape)
     )
     gain = (alike.conj() * seen).sum(axis=-1) / np.maximum((np.abs(alike) ** 2).sum(axis=-1), 1e-300)
     own, carried = (

@@ -25,7 +25,9 @@ COMPARED = 0.08, 2.5
 COHERENT = 0.6
 
 
-def relative_pitches(spectrum: np.ndarray, count: int, heard: AlignedLayers, partials: Sequence[tuple[int, float, float]]) -> np.ndarray:
+def relative_pitches(
+    spectrum: np.ndarray, count: int, heard: AlignedLayers, partials: Sequence[tuple[int, float, float]]
+) -> np.ndarray:
     """How much higher each layer sounds than the last, relative [layers]: the median of where its partials cohere.
 
     Each layer's own law will not do: its partials beat, and a layer's beats move its f0 by a cent.

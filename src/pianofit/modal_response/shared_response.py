@@ -60,14 +60,18 @@ class SharedResponse(NamedTuple):
     delay: np.ndarray  # of its contact after its onset, s [layers]
 
 
-def estimate_shared_response(heard: AlignedLayers, modes: Sequence[PartialModes], forces: Sequence[ForcePulse], gain: np.ndarray) -> SharedResponse:
+def estimate_shared_response(
+    heard: AlignedLayers, modes: Sequence[PartialModes], forces: Sequence[ForcePulse], gain: np.ndarray
+) -> SharedResponse:
     """The key that these layers, by these forces and through these gains [layers], show."""
     strongest = np.array([m.poles[np.argmax(np.abs(m.amplitude).sum((0, 1)))] for m in modes])
     drive = np.stack([g * force.drive(strongest) for g, force in zip(gain, forces, strict=True)], axis=1)
     loud = np.stack([np.abs(m.amplitude).sum(-1).max(axis=-1) for m in modes])  # [partials, layers], as `drive`
     weight = np.stack([np.interp(m.snr, TELLING, (0, 1)) for m in modes]) * loud**LOUDNESS
     delay = _delays(heard, modes, drive, weight)
-    observed_amplitudes = [m.at_onset * np.exp(np.multiply.outer(delay, m.poles))[:, None, :] for m in modes]  # at the contact
+    observed_amplitudes = [
+        m.at_onset * np.exp(np.multiply.outer(delay, m.poles))[:, None, :] for m in modes
+    ]  # at the contact
     patterns = _patterns(modes, observed_amplitudes, drive, weight)
     pattern, pole = np.concatenate(patterns, axis=-1), np.concatenate([m.poles for m in modes])
     found = ModalResponse(
@@ -92,7 +96,9 @@ def _patterns(
     modes: Sequence[PartialModes], observed_amplitudes: Sequence[np.ndarray], drive: np.ndarray, weight: np.ndarray
 ) -> list[np.ndarray]:
     """P of each partial [channels, modes], of the amplitudes that are `shown` at the contact."""
-    each, factors = zip(*(common_pattern(one, m.noise) for one, m in zip(observed_amplitudes, modes, strict=True)), strict=True)
+    each, factors = zip(
+        *(common_pattern(one, m.noise) for one, m in zip(observed_amplitudes, modes, strict=True)), strict=True
+    )
     ratio = np.stack(factors) / drive
     log = np.log(np.maximum(np.abs(ratio), 1e-30))
     level = (weight * log).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-9)
@@ -101,9 +107,12 @@ def _patterns(
 
 
 def _participation(
-    modes: Sequence[PartialModes], patterns: Sequence[np.ndarray], observed_amplitudes: Sequence[np.ndarray], loud: np.ndarray,
+    modes: Sequence[PartialModes],
+    patterns: Sequence[np.ndarray],
+    observed_amplitudes: Sequence[np.ndarray],
+    loud: np.ndarray,
     velocity: np.ndarray,
-) -> VelocityGain | None:  # fmt: skip
+) -> VelocityGain | None:
     """How modes take part in the strokes of these layers; of one velocity the pattern says all.
 
     A partial's amplitude errs by the noise of its band and, as its level does in the likelihood, by other sounds that
@@ -140,9 +149,13 @@ def _delay(heard: AlignedLayers, ratio: np.ndarray, weight: np.ndarray, omega: n
 
 
 def _knock(
-    heard: AlignedLayers, modes: Sequence[PartialModes], key: ModalResponse, forces: Sequence[ForcePulse], delay: np.ndarray,
+    heard: AlignedLayers,
+    modes: Sequence[PartialModes],
+    key: ModalResponse,
+    forces: Sequence[ForcePulse],
+    delay: np.ndarray,
     gain: np.ndarray,
-) -> np.ndarray:  # fmt: skip
+) -> np.ndarray:
     """Σ w F* R / (Σ w |F|² + floor) over layers [channels, samples].
 
     R is what a layer's modes leave by the amplitudes that the layer itself shows, from its contact on: what the common

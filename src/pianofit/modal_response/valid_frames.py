@@ -84,4 +84,6 @@ def select_valid_frames(b: Band, z: np.ndarray, beside: np.ndarray, ends: np.nda
     weight = 1 / ((envelope[:, :, frame] + LOST * floor[..., None]) * even)[live]
     weight[np.arange(len(frame)) >= length[:, None]] = 0.0
     scale = np.maximum(floor, envelope[..., first] * 10 ** (-FINE / 20))[live]
-    return ValidFrames(live, Signals(z[:, :, frame][live], weight, b.step), scale, first * b.step, floor, snr.max(axis=1))
+    return ValidFrames(
+        live, Signals(z[:, :, frame][live], weight, b.step), scale, first * b.step, floor, snr.max(axis=1)
+    )

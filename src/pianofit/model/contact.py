@@ -19,10 +19,10 @@ from jax.core import Tracer
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Bool, Complex, Float
 
-from ..dsp.damped_sums import BLOCK, real_powers, ring
 from ..errors import ParameterError
 from ..io.number_format import summary
 from ..parameters import HAMMER_NAMES
+from .damped_sums import BLOCK, real_powers, ring
 from .felt import compression, force, memory_weights, update_relaxation
 from .modes import Modes
 from .x64 import AnyArray, derivative, float64
@@ -236,7 +236,15 @@ def _until_over(
         energy = energy + 0.5 * (outputs[0] * (string - jnp.append(before, string[:-1]))).sum()
         at = (1 + count * BLOCK,)
         kept = tuple(jax.lax.dynamic_update_slice(*x, at) for x in zip(kept, outputs, strict=False))
-        return count + 1, carry, u[-1] <= 0, string[-1], energy, kept, _cannot_return(modes, u[-1], y[-1], v[-1], energy)
+        return (
+            count + 1,
+            carry,
+            u[-1] <= 0,
+            string[-1],
+            energy,
+            kept,
+            _cannot_return(modes, u[-1], y[-1], v[-1], energy),
+        )
 
     no = jnp.asarray(False)
     begin = (0, ((turned.real, turned.imag), first), no, under, free.energy, kept, no)

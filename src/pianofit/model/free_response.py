@@ -17,9 +17,9 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Complex, Float
 
-from ..dsp.damped_sums import transform
 from ..errors import ParameterError
 from .contact import FreeMotion, impulse_amplitude
+from .damped_sums import transform
 from .modes import Modes
 from .x64 import AnyArray, float64
 
@@ -104,7 +104,9 @@ def spectrum(
 
 
 @float64
-def modal_amplitudes(modes: Modes, drive: Float[AnyArray, " steps"], free: FreeMotion | None = None) -> Complex[Array, " modes"]:
+def modal_amplitudes(
+    modes: Modes, drive: Float[AnyArray, " steps"], free: FreeMotion | None = None
+) -> Complex[Array, " modes"]:
     """A_k: after the contact the signal is Σ_k Re(A_k exp(p_k t)), t from the first touch."""
     total = modes.pickup * impulse_amplitude(modes) * transform(drive, _back(modes, len(drive)))
     return total if free is None else total + modes.free_pickup * free.amplitude

@@ -244,7 +244,9 @@ def sum_damped_modes(
         return out
     block = min(1 << int(np.ceil(np.log2(np.sqrt(count)))), LARGEST_BLOCK)
     blocks = min(-(-count // block), CHUNK)
-    audibility_threshold = np.full(len(pole), FAINT * np.abs(amplitude).max()) if audibility_threshold is None else audibility_threshold
+    audibility_threshold = (
+        np.full(len(pole), FAINT * np.abs(amplitude).max()) if audibility_threshold is None else audibility_threshold
+    )
     inside = _inside(np.asarray(pole / rate, complex).tobytes())
     begins = powers(pole * (block / rate), blocks + 1)  # [modes, blocks and the next chunk's first]
     for first in range(0, count, blocks * block):

@@ -65,7 +65,9 @@ def raised_cosine_weights(geometry: Geometry, n_modes: int, xp=jnp) -> Float[Any
     `xp` is the array library: NumPy where nothing is to be compiled.
     """
     k = xp.arange(1, n_modes + 1)
-    return (_raised if xp is np else _weights)(xp.array([geometry.strike_position, geometry.width, geometry.length], float), k)
+    return (_raised if xp is np else _weights)(
+        xp.array([geometry.strike_position, geometry.width, geometry.length], float), k
+    )
 
 
 def _raised(at: AnyArray, k: AnyArray, xp=np) -> AnyArray:

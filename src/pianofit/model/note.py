@@ -55,7 +55,9 @@ class Note(NamedTuple):
     quantity: str  # what is heard, see `mode_table`
     gain: float  # file units (full scale = 1) per unit of the pickup
     path: OutputPath | None = None  # dB over frequency, beside the gain
-    ringing: ModalResponse | None = None  # what sounds in place of string and path, per unit of gain; they keep the levels
+    ringing: ModalResponse | None = (
+        None  # what sounds in place of string and path, per unit of gain; they keep the levels
+    )
 
     def __repr__(self) -> str:
         return summary(self, lines=True)

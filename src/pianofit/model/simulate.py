@@ -177,7 +177,10 @@ def simulate(
     check_range("rate=", rate, 1e3, 1e6, " Hz")
     if kind == "finite_difference" and strike_weights is None and n_modes:
         spacing = float(geometry.length) / (n_modes + 1)
-        if np.min(np.abs(spacing * np.arange(1, n_modes + 1) - float(geometry.strike_position))) >= float(geometry.width) / 2:
+        if (
+            np.min(np.abs(spacing * np.arange(1, n_modes + 1) - float(geometry.strike_position)))
+            >= float(geometry.width) / 2
+        ):
             raise ParameterError(f"width={float(geometry.width)} m: none of the {n_modes} grid points lies under it")
     # One kind of number, whatever the caller had: JAX compiles anew for every other.
     string, hammer = String(*map(np.float64, string)), type(hammer)(*map(np.float64, hammer))

@@ -29,7 +29,7 @@ from jax.interpreters import ad, batching, mlir
 from jaxtyping import Array
 
 from ..errors import FitError, ParameterError
-from ..io.files import escape_controls
+from ..io.files import printable
 from ..threads import check_process
 from .arguments import check_arguments
 
@@ -87,7 +87,7 @@ def _check_device() -> None:
     try:
         jax.local_devices()
     except Exception as error:  # of any class, where a platform's plugin is missing
-        reason = escape_controls(str(error).partition("\n")[0]) or type(error).__name__
+        reason = printable(str(error).partition("\n")[0]) or type(error).__name__
         raise FitError(
             f"JAX cannot start with JAX_PLATFORMS={jax.config.values['jax_platforms']} ({reason}); set "
             "JAX_PLATFORMS=cpu, or unset it"

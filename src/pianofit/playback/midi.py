@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 from ..errors import RecordingError
 from ..instrument.collect_fits import HIGHEST_KEY, LOWEST_KEY
-from ..io.files import escape_controls, read_file
+from ..io.files import printable, read_file
 from .midi_file import MidiError, MidiFile, parse_midi
 
 __all__ = ["MOST_NOTES", "MOST_SONG_SECONDS", "Song", "load_song", "read_song"]
@@ -60,7 +60,7 @@ def load_song(path: str | os.PathLike[str]) -> Song:
         Naming the file and what is wrong: no MIDI, no notes that a piano has, too many, too long.
     """
     data = read_file(path, LARGEST_SONG, RecordingError)
-    return read_song(data, escape_controls(path))
+    return read_song(data, printable(path))
 
 
 def read_song(data: bytes, name: str) -> Song:

@@ -11,10 +11,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..dsp.damped_sums import BLOCK, real_powers
 from ..errors import FitError, ParameterError
 from ..felt import RelaxingHammer, is_builtin, law_of
 from ..model.contact import impulse_amplitude, strike_moving_string
+from ..model.damped_sums import BLOCK, real_powers
 from ..model.modal_response import FAINT, ForcePulse, until_last
 from ..model.modes import HIGHEST, Modes, mode_table
 from ..model.note import Note
@@ -84,7 +84,9 @@ def table_of(note: Note, rate: float) -> StringTables:
     )
 
 
-def stroke(table: StringTables, hammer: Hammer | RelaxingHammer, state: np.ndarray, where: str) -> tuple[np.ndarray, ForcePulse]:
+def stroke(
+    table: StringTables, hammer: Hammer | RelaxingHammer, state: np.ndarray, where: str
+) -> tuple[np.ndarray, ForcePulse]:
     """What a hammer gives a string that moves as q = Re(state · exp(p t)), complex [modes]: T [steps], and the force.
 
     Raises `FitError`, naming `where` if the hammer stays on the string; `ParameterError` for a hammer whose felt is not

@@ -173,5 +173,7 @@ class StringVoice:
         if len(self._response) < steps:
             size = max(2 * len(self._response), 1 << math.ceil(math.log2(steps)))
             pole, drive = self.string.pole, self.table.drive[None]
-            self._response = sum_damped_modes(pole, drive, self.table.rate, size, audibility_threshold=np.zeros(len(pole)))[0]
+            self._response = sum_damped_modes(
+                pole, drive, self.table.rate, size, audibility_threshold=np.zeros(len(pole))
+            )[0]
         return self._response[:steps]

@@ -17,14 +17,23 @@ import numpy as np
 
 from ..errors import ParameterError, RecordingError, check_type
 from ..io.audio import LOSSY, STEPS, check_layout, decode, is_sound, layout_of, readable_formats
-from ..io.files import escape_controls, read_file, short_repr
+from ..io.files import printable, read_file, short_repr
 from ..io.number_format import counted
 from .onset import find_sounds, forward_mean, without_drift
 
 __all__ = [
-    "INSIDE", "Recording", "Source", "to_recording", "check_channel", "is_sound", "layout_of", "load_recording", "load_recordings",
-    "readable_formats", "recording_from_samples",
-]  # fmt: skip
+    "INSIDE",
+    "Recording",
+    "Source",
+    "to_recording",
+    "check_channel",
+    "is_sound",
+    "layout_of",
+    "load_recording",
+    "load_recordings",
+    "readable_formats",
+    "recording_from_samples",
+]
 
 CHANNELS = ("average", "left", "right", *"12345678")
 MAX_BYTES = 2**30
@@ -65,7 +74,7 @@ class Recording:
 
     def __repr__(self) -> str:
         return (
-            f"Recording {escape_controls(self.path)}: {self.seconds:.2f} s at {self.rate} Hz, {self.channel} ({self.subtype})"
+            f"Recording {printable(self.path)}: {self.seconds:.2f} s at {self.rate} Hz, {self.channel} ({self.subtype})"
         )
 
 
@@ -132,13 +141,13 @@ def load_recording(path: str | os.PathLike[str], *, channel: str = "average") ->
         facts = {"sha256": hashlib.sha256(data).hexdigest(), "channels": frames.shape[1], "subtype": subtype}
         return _measure(used, rate, STEPS.get(subtype, 0.0), path=os.fspath(path), channel=chosen, **facts)
     except RecordingError as error:
-        raise RecordingError(f"{escape_controls(os.fspath(path))}: {error}") from None
+        raise RecordingError(f"{printable(os.fspath(path))}: {error}") from None
 
 
 def check_channel(channel: str) -> None:
     """Refuse by a `ParameterError` what is no channel of a file."""
     if not (isinstance(channel, str) and channel in CHANNELS):
-        raise ParameterError(f"channel={escape_controls(channel)!r} must be average, left, right, or a number from 1 to 8")
+        raise ParameterError(f"channel={printable(channel)!r} must be average, left, right, or a number from 1 to 8")
 
 
 def recording_from_samples(samples: np.ndarray, rate: int, *, name: str = "samples") -> Recording:
@@ -166,7 +175,7 @@ def recording_from_samples(samples: np.ndarray, rate: int, *, name: str = "sampl
     1.0
     """
     check_type("rate=", rate, Real, "a number of Hz, such as 44100")
-    array, name = np.asarray(samples), escape_controls(name)
+    array, name = np.asarray(samples), printable(name)
     if array.ndim != 1:
         raise RecordingError(f"{name}: shape {array.shape} must be [samples]; choose or average the channels first")
     if not np.issubdtype(array.dtype, np.floating):

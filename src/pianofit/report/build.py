@@ -76,9 +76,15 @@ def curves_of(result: Result) -> FigureData:
     """Everything the page shows of one fit; errors as of `Result.with_recordings`."""
     result = result.with_recordings()
     return replace(
-        reference_curves(result), recordings=recordings_of(result), reference_index=result.reference_index, paths=paths_of(result),
-        felt=felt_of(result), known=known_of(result), strokes=strokes_of(result), ringing=ringing_curves(result),
-    )  # fmt: skip
+        reference_curves(result),
+        recordings=recordings_of(result),
+        reference_index=result.reference_index,
+        paths=paths_of(result),
+        felt=felt_of(result),
+        known=known_of(result),
+        strokes=strokes_of(result),
+        ringing=ringing_curves(result),
+    )
 
 
 def reference_curves(result: Result) -> FigureData:
@@ -210,7 +216,9 @@ def strokes_of(result: Result) -> Strokes | None:
         struck = note._replace(hammer=note.hammer._replace(v_H0=float(velocity)))
         try:
             touch = round(struck.pre_onset_s * recording.rate)
-            played.append((float(velocity), struck.render_stroke(recording.rate, int(SECONDS * recording.rate), touch)[0]))
+            played.append(
+                (float(velocity), struck.render_stroke(recording.rate, int(SECONDS * recording.rate), touch)[0])
+            )
         except (FitError, ParameterError):  # a contact that does not end is no sound to choose
             continue
     if len(played) < 2:
@@ -229,8 +237,9 @@ def has_intervals(result: Result) -> bool:
 
 
 def reached(result: Result) -> float:
-    """The largest compression of the felt in the hardest stroke, m."""
-    return float(np.max(_hardest(result).pulse.compression))
+    """The largest compression of the felt in all strokes of the fit, m."""
+    pulses = [one.fitted.simulation.pulse for one in result.recordings] or [_hardest(result).pulse]
+    return max(float(np.max(pulse.compression)) for pulse in pulses)
 
 
 def felt_of(result: Result, reach: float | None = None) -> Felt:
@@ -250,11 +259,9 @@ def felt_of(result: Result, reach: float | None = None) -> Felt:
 
 
 def _hardest(result: Result) -> Simulation:
-    """The stroke of the fastest hammer, which compresses the felt most; of a fit that was read back struck anew."""
-    at = int(np.argmax([float(note.hammer.v_H0) for note in result.minima_notes[0]]))
-    if result.recordings:
-        return result.recordings[at].fitted.simulation
-    return result.minima_notes[0][at].strike(_rate(result))
+    """The stroke of the fastest hammer of a fit that was read back, computed again."""
+    notes = result.minima_notes[0]
+    return notes[int(np.argmax([float(note.hammer.v_H0) for note in notes]))].strike(_rate(result))
 
 
 def _rate(result: Result) -> int:

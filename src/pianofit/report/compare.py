@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..errors import FitError, ParameterError
 from ..fit_file import fit_path
-from ..io.files import escape_controls
+from ..io.files import printable
 from ..io.number_format import columns, format_with_interval
 from ..io.table_output import data_frame, html_table
 from ..result import Result
@@ -165,7 +165,7 @@ def compare(
         return Comparison(called, compared(sides, felts), felts, sides.felt_unit, (*messages(sides), *trouble))
     except (AttributeError, IndexError, KeyError, TypeError, ValueError) as missing:
         raise FitError(
-            f"{' and '.join(called)}: a fit.json is not whole ({escape_controls(repr(missing))}); give the file that pianofit "
+            f"{' and '.join(called)}: a fit.json is not whole ({printable(repr(missing))}); give the file that pianofit "
             "fit wrote"
         ) from None
 
@@ -175,7 +175,7 @@ def _result(fit: Any, name: str) -> Result:
         return fit
     if isinstance(fit, str | os.PathLike):
         return Result.load(fit)
-    raise ParameterError(f"{name}={escape_controls(repr(fit))[:60]} must be a Result, the folder of a fit or its fit.json")
+    raise ParameterError(f"{name}={printable(repr(fit))[:60]} must be a Result, the folder of a fit or its fit.json")
 
 
 def _labels(fits: tuple[Any, Any], labels: Sequence[str] | None) -> tuple[str, str]:
@@ -185,7 +185,7 @@ def _labels(fits: tuple[Any, Any], labels: Sequence[str] | None) -> tuple[str, s
             raise ParameterError(f"labels={labels!r} must be two different texts")
         return both[0], both[1]
     found = [
-        name if isinstance(fit, Result) else escape_controls(fit_path(fit).resolve().parent.name) or name
+        name if isinstance(fit, Result) else printable(fit_path(fit).resolve().parent.name) or name
         for fit, name in zip(fits, NAMES, strict=True)
     ]
     return (found[0], found[1]) if found[0] != found[1] else NAMES

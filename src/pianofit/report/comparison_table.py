@@ -23,7 +23,7 @@ import numpy as np
 from ..conversions import NORMAL
 from ..errors import FitError
 from ..felt import LAWS
-from ..io.files import escape_controls, reference_of
+from ..io.files import printable, reference_of
 from ..parameters import STRING_NAMES
 from ..result import Quantity, Result
 from .build import felt_of, has_intervals, reached
@@ -115,7 +115,7 @@ class Sides:
             reach = min(map(reached, self.fits))
             return (self._felt(0, reach), self._felt(1, reach)), ()
         except FitError as error:
-            return None, (f"The felts are not compared: {escape_controls(error)}.",)
+            return None, (f"The felts are not compared: {printable(error)}.",)
 
     def _felt(self, at: int, reach: float) -> Felt:
         felt = felt_of(self.fits[at], reach)

@@ -23,10 +23,33 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = [
-    "BAND", "BORDER", "COLOURS", "FAINT", "FITTED", "GROUP", "HATCH", "HEIGHT", "INITIAL", "INK", "LAW", "LINES",
-    "LOOP", "MEASURED", "PAPER", "STYLE", "WRONG", "make_figure", "file_of", "legend", "log_axis", "number_axis", "panel",
-    "points", "span", "svg",
-]  # fmt: skip
+    "BAND",
+    "BORDER",
+    "COLOURS",
+    "FAINT",
+    "FITTED",
+    "GROUP",
+    "HATCH",
+    "HEIGHT",
+    "INITIAL",
+    "INK",
+    "LAW",
+    "LINES",
+    "LOOP",
+    "MEASURED",
+    "PAPER",
+    "STYLE",
+    "WRONG",
+    "make_figure",
+    "file_of",
+    "legend",
+    "log_axis",
+    "number_axis",
+    "panel",
+    "points",
+    "span",
+    "svg",
+]
 
 INK, MEASURED, INITIAL, LAW, FITTED, FAINT = "#333333", "#1a1a1a", "#d55e00", "#009e73", "#0072b2", "#eeeeee"
 PAPER, GRID, EDGE, BORDER, HATCH = "#ffffff", "#e3e7ec", "#9aa3ad", "#7b8794", "#c3cad2"

@@ -11,9 +11,16 @@ if TYPE_CHECKING:
     from ..model.decay import PartialDecay
 
 __all__ = [
-    "ContactCurves", "FigureData", "Envelope", "Felt", "IdentifiabilityData", "LevelCurves", "RecordingCurves", "RingingCurves",
+    "ContactCurves",
+    "FigureData",
+    "Envelope",
+    "Felt",
+    "IdentifiabilityData",
+    "LevelCurves",
+    "RecordingCurves",
+    "RingingCurves",
     "Strokes",
-]  # fmt: skip
+]
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,10 @@ def draw_felt(felt: Felt, recordings: Sequence[RecordingCurves]) -> list[Figure]
     """The static law with its band, and the loops that the strokes ran through."""
     rows = 1 if felt.slow is None else 2
     pictures = {"Linear axes": _linear, "Logarithmic axes": _logarithmic}
-    return [make_figure(draw, felt, recordings, title=title, legend_rows=rows, columns=3) for title, draw in pictures.items()]
+    return [
+        make_figure(draw, felt, recordings, title=title, legend_rows=rows, columns=3)
+        for title, draw in pictures.items()
+    ]
 
 
 def draw_static_law(axes: Axes, felt: Felt) -> None:
@@ -80,7 +83,10 @@ def _logarithmic(axes: Axes, felt: Felt, recordings: Sequence[RecordingCurves]) 
 def draw_known(known: IdentifiabilityData) -> list[Figure]:
     """Half intervals on a logarithmic scale, and the table of correlations in colours."""
     height = 0.32 * max(len(known.half_widths), len(known.names), 5)
-    return [make_figure(draw, known, height=height, left=0.9, legend_rows=0) for draw in (_draw_half_widths, draw_correlations)]
+    return [
+        make_figure(draw, known, height=height, left=0.9, legend_rows=0)
+        for draw in (_draw_half_widths, draw_correlations)
+    ]
 
 
 def _draw_half_widths(axes: Axes, known: IdentifiabilityData) -> None:

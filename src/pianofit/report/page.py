@@ -31,9 +31,19 @@ LONGEST = 4.0  # s, of each of them,
 SHORTEST = 1.5  # s, however many there are
 # What is said of a fit, on the page by the functions' names.
 SAID = (
-    text.notices, text.summary_tiles, text.groups, text.comparison, text.glide, text.bands, text.minima, text.interval_method_text,
-    identifiability_text.identifiability_sections, identifiability_text.felt_scale, identifiability_text.open_scale, identifiability_text.is_power_law,
-)  # fmt: skip
+    text.notices,
+    text.summary_tiles,
+    text.groups,
+    text.comparison,
+    text.glide,
+    text.bands,
+    text.minima,
+    text.interval_method_text,
+    identifiability_text.identifiability_sections,
+    identifiability_text.felt_scale,
+    identifiability_text.open_scale,
+    identifiability_text.is_power_law,
+)
 # Pictures that only some fits have.
 SOMETIMES = ("recordings", "paths", "held_out", "felt", "known")
 

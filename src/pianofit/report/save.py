@@ -10,10 +10,10 @@ from ..errors import FitError, OutputError, PianofitError
 from ..io.files import (
     LARGEST_FIT,
     encode_wav,
-    escape_controls,
     json_text,
     load_json,
     output_folder,
+    printable,
     read_file,
     replace_file,
 )
@@ -63,7 +63,7 @@ def _check_inputs(result: Result, folder: Path, earlier: set[str]) -> None:
     for path in _inputs(result):
         if path.name in own and (folder / path.name).resolve() == path.resolve():
             raise OutputError(
-                f"{escape_controls(str(path))} is a recording of this fit and would be replaced; use another folder"
+                f"{printable(str(path))} is a recording of this fit and would be replaced; use another folder"
             )
 
 
@@ -90,7 +90,7 @@ def write_page(result: Result, path: Path, title: str | None, held_out: dict | N
 
 def _title(result: Result) -> str:
     """The names of the recordings, and the note if one was given."""
-    names = ", ".join(escape_controls(Path(heard.recording.path).name) for heard in result.recordings)
+    names = ", ".join(printable(Path(heard.recording.path).name) for heard in result.recordings)
     return names + (f", {result.analysis.note}" if result.analysis.note else "")
 
 

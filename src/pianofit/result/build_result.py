@@ -92,7 +92,9 @@ def _velocities(fit: InferenceResult) -> list[dict]:
     """Every stroke's velocity, as an entry of `parameters`."""
     problem, u = fit.problem, fit.problem.unknowns
     rows = []
-    for at, measured, status in zip(range(u.shared, u.size), problem.measured_velocity, velocity_statuses(fit), strict=True):
+    for at, measured, status in zip(
+        range(u.shared, u.size), problem.measured_velocity, velocity_statuses(fit), strict=True
+    ):
         value = float(np.exp(fit.found.z[at])) if measured is None else float(measured)
         note = "its scale is the prior's" if status == "scaled" else ""
         span = _interval(fit.posterior, np.eye(u.size)[at], value, u.range(at))
@@ -132,7 +134,10 @@ def _invariants(fit: InferenceResult, states: dict[str, str]) -> dict:
     Nor does the scale of the velocities, but for the felt's force at a compression, whose status then is `scaled`.
     """
     u, g = fit.problem.unknowns, fit.problem.start.geometry
-    change, values = np.eye(u.size)[u.index_of("kappa")] - np.eye(u.size)[u.index_of("c")], np.exp(fit.posterior.mean[0])
+    change, values = (
+        np.eye(u.size)[u.index_of("kappa")] - np.eye(u.size)[u.index_of("c")],
+        np.exp(fit.posterior.mean[0]),
+    )
     B = (values[u.index_of("kappa")] * np.pi / (values[u.index_of("c")] * g.length)) ** 2
     table = {
         "f0": _alone(fit, states, "c", 2 * g.length, "Hz"),
@@ -140,7 +145,9 @@ def _invariants(fit: InferenceResult, states: dict[str, str]) -> dict:
         "M_H/M_S": _alone(fit, states, "M_H", g.mass),
         "x0/L": _alone(fit, states, "x0", g.length),
     }
-    if u.force_and_exponent_index and u.free[u.force_and_exponent_index[0]]:  # a given K_H has no compression of reference
+    if (
+        u.force_and_exponent_index and u.free[u.force_and_exponent_index[0]]
+    ):  # a given K_H has no compression of reference
         table["F/M_S"] = _force(fit, states, *u.force_and_exponent_index)
     return table | _ratios(fit)
 

@@ -218,4 +218,6 @@ def fit_reference_hammer(fit: InferenceResult) -> np.ndarray:
     if not len(people):
         return np.full(descent.table.value.shape, SILENT)
     best = people.level
-    return np.asarray(descent.table.value) - latent_posterior(descent.table, best.residual[0], best.phi[0], best.w[0]).own
+    return (
+        np.asarray(descent.table.value) - latent_posterior(descent.table, best.residual[0], best.phi[0], best.w[0]).own
+    )

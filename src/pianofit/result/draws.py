@@ -21,7 +21,7 @@ import numpy as np
 
 from ..errors import FitError
 from ..inference.intervals import Observations
-from ..io.files import escape_controls, read_file
+from ..io.files import printable, read_file
 from ..io.table_output import require_optional
 
 __all__ = ["DRAWS_FILE", "Draws", "encode_draws", "read_draws"]
@@ -121,13 +121,13 @@ def read_draws(entry: Any, folder: Path, invariants: Mapping[str, Any]) -> Draws
         return None
     data = read_file(path, LARGEST_DRAWS, FitError)
     if hashlib.sha256(data).hexdigest() != entry.get("sha256"):
-        raise FitError(f"{escape_controls(path)}: is not the file that was saved with this fit (SHA-256); {WAY_OUT}")
+        raise FitError(f"{printable(path)}: is not the file that was saved with this fit (SHA-256); {WAY_OUT}")
     try:
         tables = _tables(data)
         return _draws(tables, invariants)
     except BROKEN as problem:
-        reason = escape_controls(problem) or type(problem).__name__
-        raise FitError(f"{escape_controls(path)}: holds no draws ({reason}); {WAY_OUT}") from None
+        reason = printable(problem) or type(problem).__name__
+        raise FitError(f"{printable(path)}: holds no draws ({reason}); {WAY_OUT}") from None
 
 
 def _draws(tables: dict[str, dict[str, np.ndarray]], invariants: Mapping[str, Any]) -> Draws:

@@ -12,7 +12,7 @@ from ..inference import priors
 from ..inference.parametrisation import STRING_SIZE
 from ..inference.pipeline import InferenceResult
 from ..inference.problem import FitProblem
-from ..io.files import escape_controls
+from ..io.files import printable
 from ..io.number_format import format_relative_uncertainty, with_half_interval
 from ..recording.recording import Recording
 from .remarks import remarks
@@ -20,9 +20,20 @@ from .serialise import unit_and_meaning
 from .velocity_check import VELOCITIES, questioned
 
 __all__ = [
-    "AT_EDGE", "STATUSES", "STOPPED", "identifiability_statement", "correlated", "invariant_status", "warnings", "mixed_layouts",
-    "velocity_assumption", "scaling", "statuses", "retracted", "velocity_statuses",
-]  # fmt: skip
+    "AT_EDGE",
+    "STATUSES",
+    "STOPPED",
+    "identifiability_statement",
+    "correlated",
+    "invariant_status",
+    "warnings",
+    "mixed_layouts",
+    "velocity_assumption",
+    "scaling",
+    "statuses",
+    "retracted",
+    "velocity_statuses",
+]
 
 STATUSES = ("fitted", "scaled", "given", "assumed", "at-bound", "not-identifiable")
 # A parameter whose posterior is this wide, over its prior, has learned next to nothing from the recording.
@@ -144,7 +155,8 @@ def velocity_statuses(fit: InferenceResult) -> list[str]:
     unknown = "not-identifiable" if lost else "scaled" if problem.velocity_scale_free else "fitted"
     bound = problem.unknowns.at_bound(fit.found.z)[problem.unknowns.shared :]
     return [
-        "given" if v is not None else "at-bound" if at else unknown for v, at in zip(problem.measured_velocity, bound, strict=True)
+        "given" if v is not None else "at-bound" if at else unknown
+        for v, at in zip(problem.measured_velocity, bound, strict=True)
     ]
 
 
@@ -274,7 +286,7 @@ def warnings(fit: InferenceResult, states: dict[str, str], worse: Sequence[str],
         for a, b, r in correlated(fit)
     ]
     said += [
-        f'[[recording]] file = "{escape_controls(one)}" is none of the recordings, and says nothing of {escape_controls(other)}: is '
+        f'[[recording]] file = "{printable(one)}" is none of the recordings, and says nothing of {printable(other)}: is '
         "it misspelt?"
         for one, other in problem.unmatched_entries
     ]
@@ -289,7 +301,7 @@ def mixed_layouts(recordings: Sequence[Recording]) -> list[str]:
              ("sample rates", lambda one: one.rate, "All are resampled to the highest"))  # fmt: skip
     said = []
     for what, value, follows in kinds:
-        each = {escape_controls(Path(one.path).name): value(one) for one in recordings}
+        each = {printable(Path(one.path).name): value(one) for one in recordings}
         if len({*each.values()}) > 1:
             listed = ", ".join(f"{name} {value}" for name, value in each.items())
             said.append(f"The recordings differ in their {what} ({listed}). {follows}.")
@@ -307,7 +319,7 @@ def _out_of_line(fit: InferenceResult, errors: Sequence[float]) -> list[str]:
         others = float(np.median([*errors[:i], *errors[i + 1 :]] or [np.inf]))
         if error > max(FARTHER * others, POOR):
             said.append(
-                f"{escape_controls(Path(recording.path).name)}: its levels are {error:.1f} dB off, the others' {others:.1f} "
+                f"{printable(Path(recording.path).name)}: its levels are {error:.1f} dB off, the others' {others:.1f} "
                 f"dB; {alone[fit.problem.layout.group.count(fit.problem.layout.group[i]) > 1]}."
             )
     return said
@@ -320,7 +332,7 @@ def velocity_assumption(problem: FitProblem) -> list[str]:
     at = problem.reference
     return [
         f"[known] v_H0 = {problem.measured_velocity[problem.layout.stroke[at]]:g} m/s is taken for the stroke of "
-        f"{escape_controls(Path(problem.recordings[at].path).name)}, the brightest of these recordings; a [[recording]] says "
+        f"{printable(Path(problem.recordings[at].path).name)}, the brightest of these recordings; a [[recording]] says "
         "of each which velocity was measured."
     ]
 

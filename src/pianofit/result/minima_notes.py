@@ -33,10 +33,16 @@ def notes_of(problem: FitProblem, minima: Minima, which: int) -> list[Note]:
     ]
     f0, string = problem.analyses[problem.reference].f0, u.string(z)
     return [
-        Note(string._replace(c=string.c * analysis.f0 / f0), u.hammer(z, stroke), u.geometry_at(z), problem.start.quantity,
-             1.0, paths[path])
+        Note(
+            string._replace(c=string.c * analysis.f0 / f0),
+            u.hammer(z, stroke),
+            u.geometry_at(z),
+            problem.start.quantity,
+            1.0,
+            paths[path],
+        )
         for analysis, stroke, path in zip(problem.analyses, problem.layout.stroke, group, strict=True)
-    ]  # fmt: skip
+    ]
 
 
 def _path(problem: FitProblem, minima: Minima, which: int, group: int, left: LatentPosterior) -> OutputPath:
@@ -60,7 +66,9 @@ def _path(problem: FitProblem, minima: Minima, which: int, group: int, left: Lat
     )  # fmt: skip
 
 
-def _residuals(table: ObservationTable, phi: np.ndarray, w: np.ndarray, left: LatentPosterior) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _residuals(
+    table: ObservationTable, phi: np.ndarray, w: np.ndarray, left: LatentPosterior
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """What the fit leaves of every level, dB, its errors beside the excess, and its weight in the path [R, K]."""
     there, whole = np.asarray(table.detected) > 0, variance(table, phi, w)
     # Noise and other sounds; of an outlier also what of the excess its small weight adds.

@@ -19,7 +19,7 @@ from ..analysis import SAME_KEY, Analysis, analyse, cents_above, hz_to_note
 from ..criterion import level_error_db
 from ..errors import AnalysisError, FitError, ParameterError, WrongNoteError, check_type
 from ..inference.priors import LEVEL, VELOCITY, VELOCITY_SPREAD, log_gain
-from ..io.files import escape_controls, short_repr
+from ..io.files import printable, short_repr
 from ..io.number_format import counted
 from ..model.note import SLOWEST, Note
 from ..model.output_path import SAME_PARTIAL
@@ -53,7 +53,9 @@ class Prediction:
     partials: int
     level: np.ndarray  # dB, predicted, with what strokes of like velocity leave [partials]
     note: Note  # of the first minimum, without that
-    velocity_at_search_limit: bool = False  # whether the velocity is an end of the range that was searched, and no finding
+    velocity_at_search_limit: bool = (
+        False  # whether the velocity is an end of the range that was searched, and no finding
+    )
 
     def __repr__(self) -> str:
         end = ", an end of the range searched" if self.velocity_at_search_limit else ""
@@ -143,7 +145,7 @@ def _of_the_key(source: Analysis | Source, note: Note) -> Analysis:
         found = source
     else:
         recording = to_recording(source)
-        name, found = escape_controls(recording.path), _analysed(recording, note.f0)
+        name, found = printable(recording.path), _analysed(recording, note.f0)
     if found is not None:
         if abs(cents_above(found.f0, note.f0)) <= SAME_KEY:
             return found

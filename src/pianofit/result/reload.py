@@ -15,7 +15,7 @@ import numpy as np
 from ..analysis import Analysis, analyse
 from ..errors import AnalysisError, FitError, ParameterError, RecordingError
 from ..fit_file import WAY_OUT, read_path
-from ..io.files import array_of, escape_controls, reference_of, require_finite, table_of
+from ..io.files import array_of, printable, reference_of, require_finite, table_of
 from ..model.note import Note
 from ..parameters import STRING_NAMES, String, check
 from ..recording.recording import Recording, Source, to_recording
@@ -95,7 +95,9 @@ def initial_note(result: Result, at: int) -> Note:
     """
     table, row = result.document["parameters"], result.document["recordings"][at]
     values = {name: entry.get("initial") for name, entry in table.items()} | {"v_H0": row.get("v_H0_initial")}
-    values = {name: require_finite(value, f"initial {name}", AGAIN) for name, value in values.items() if value is not None}
+    values = {
+        name: require_finite(value, f"initial {name}", AGAIN) for name, value in values.items() if value is not None
+    }
     note = result.minima_notes[0][at]
     try:
         string = String(**check({name: values[name] for name in STRING_NAMES}, "initial"))
@@ -137,7 +139,10 @@ def recalled(result: Result, sources: Sequence[Source] = ()) -> Result:
     if sources and len(sources) != len(rows):
         raise FitError(f"{len(sources)} recordings were given, and the fit is of {len(rows)}; give all, in their order")
     found = [_read(row, source) for row, source in zip(rows, sources or [row.get("file") for row in rows], strict=True)]
-    own = [_analysed(recording, row, note) for recording, row, note in zip(found, rows, result.minima_notes[0], strict=True)]
+    own = [
+        _analysed(recording, row, note)
+        for recording, row, note in zip(found, rows, result.minima_notes[0], strict=True)
+    ]
     analyses = [analysis.with_decay_law(own[result.reference_index]) for analysis in own]
     pairs = enumerate(zip(found, analyses, strict=True))
     return replace(result, recordings=tuple(_beside(result, at, *pair) for at, pair in pairs))
@@ -145,7 +150,7 @@ def recalled(result: Result, sources: Sequence[Source] = ()) -> Result:
 
 def _read(row: dict, source: Any) -> Recording:
     """One recording, if it is the one that was fitted."""
-    name = escape_controls(row.get("file"))
+    name = printable(row.get("file"))
     channel = str(row.get("channel", "average"))
     try:
         recording = to_recording(source, "average" if channel == "mono" else channel, name)
@@ -153,7 +158,7 @@ def _read(row: dict, source: Any) -> Recording:
         raise FitError(f"{error}, or give the fit's recording as result.with_recordings(path)") from None
     if recording.sha256 != row.get("sha256"):
         raise FitError(
-            f"{escape_controls(recording.path)}: is not the recording of this fit (SHA-256), or was changed; give that one, "
+            f"{printable(recording.path)}: is not the recording of this fit (SHA-256), or was changed; give that one, "
             "as result.with_recordings(path)"
         )
     return recording

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ..analysis import Analysis, beating_warning, count_beating
 from ..conversions import BEAT
-from ..io.files import escape_controls
+from ..io.files import printable
 from ..recording.recording import Recording
 
 __all__ = ["remarks"]
@@ -30,7 +30,7 @@ def remarks(recordings: Sequence[Recording], analyses: Sequence[Analysis]) -> li
     warnings = [(*r.warnings, *a.warnings) for r, a in zip(recordings, analyses, strict=True)]
     if len(recordings) == 1:
         return ["; ".join(warnings[0])] if warnings[0] else []
-    names = [escape_controls(Path(recording.path).name) for recording in recordings]
+    names = [printable(Path(recording.path).name) for recording in recordings]
     concerned: dict[str, list[str]] = {}
     for name, own, analysis in zip(names, warnings, analyses, strict=True):
         for warning in own:

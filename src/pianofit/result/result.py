@@ -16,7 +16,7 @@ from ..analysis import Analysis, Partials
 from ..errors import FitError
 from ..felt import FeltLaw
 from ..fit_file import fit_path, gains_of, mixture_of, read_fit
-from ..io.files import escape_controls, reference_of
+from ..io.files import printable, reference_of
 from ..io.number_format import counted
 from ..model import Simulation
 from ..model.modal_response import ModalResponse
@@ -133,7 +133,9 @@ class Result:
     @property
     def mixture(self) -> list[tuple[float, Note]]:
         """The notes of all minima with their shares, the best first: what `predict_recording` takes."""
-        return [(share, notes[self.reference_index]) for share, notes in zip(self.weights, self.minima_notes, strict=True)]
+        return [
+            (share, notes[self.reference_index]) for share, notes in zip(self.weights, self.minima_notes, strict=True)
+        ]
 
     @property
     def gains(self) -> tuple[float, ...]:
@@ -352,7 +354,7 @@ class Result:
         ('175.0+/-0.0', True)
         """
         path = fit_path(folder)
-        document, name = read_fit(path), escape_controls(path)
+        document, name = read_fit(path), printable(path)
         shares, mixture = zip(*mixture_of(document, path, felt), strict=True)
         from .reload import every_note
 
@@ -364,6 +366,6 @@ class Result:
             _ = repr(result), result._repr_html_()
         except (AttributeError, IndexError, KeyError, TypeError, ValueError) as missing:
             raise FitError(
-                f"{name}: is not whole ({escape_controls(repr(missing))}); give the file that pianofit fit wrote"
+                f"{name}: is not whole ({printable(repr(missing))}); give the file that pianofit fit wrote"
             ) from None
         return result

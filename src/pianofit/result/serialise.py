@@ -17,14 +17,36 @@ from .comparison import pool_level_errors
 from .quantities import UNITS, Covariance
 from .result import FittedRecording
 
-__all__ = ["to_document", "unit_and_meaning", "entry", "fixed_entry", "no_interval", "path_document", "recording_entry", "sizes", "wander_document"]
+__all__ = [
+    "to_document",
+    "unit_and_meaning",
+    "entry",
+    "fixed_entry",
+    "no_interval",
+    "path_document",
+    "recording_entry",
+    "sizes",
+    "wander_document",
+]
 
 
 def to_document(
-    start: InitialValues, heard: Sequence[FittedRecording], reference: int, rows: Sequence[dict], covariance: Covariance, *,
-    recipe: str, seed: int, converged: bool, claims: str, messages: Sequence[str], invariants: dict, parameters: dict,
-    minima: Sequence[dict], diagnostics: dict,
-) -> dict:  # fmt: skip
+    start: InitialValues,
+    heard: Sequence[FittedRecording],
+    reference: int,
+    rows: Sequence[dict],
+    covariance: Covariance,
+    *,
+    recipe: str,
+    seed: int,
+    converged: bool,
+    claims: str,
+    messages: Sequence[str],
+    invariants: dict,
+    parameters: dict,
+    minima: Sequence[dict],
+    diagnostics: dict,
+) -> dict:
     """The whole document, in its order; what belongs to no recording alone is the `reference`'s."""
     first = heard[reference]
     return {

@@ -16,7 +16,7 @@ import numpy as np
 from ..analysis import Analysis
 from ..inference.pipeline import InferenceResult
 from ..inference.problem import FitProblem
-from ..io.files import escape_controls
+from ..io.files import printable
 
 __all__ = ["brightening", "questioned"]
 
@@ -102,7 +102,7 @@ def _reversed(problem: FitProblem, path: Sequence[tuple[float, int]]) -> Iterato
 
 def _named(problem: FitProblem, at: int) -> str:
     speed = problem.measured_velocity[problem.layout.stroke[at]]
-    return f"{escape_controls(Path(problem.recordings[at].path).name)} ({speed:g} m/s)"
+    return f"{printable(Path(problem.recordings[at].path).name)} ({speed:g} m/s)"
 
 
 def _exponent(fit: InferenceResult, given: Sequence[float]) -> list[str]:

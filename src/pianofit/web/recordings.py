@@ -12,7 +12,7 @@ import numpy as np
 from ..errors import FitError, ParameterError
 from ..instrument.collect_fits import Layer
 from ..instrument.document import Instrument
-from ..io.files import encode_pcm, escape_controls
+from ..io.files import encode_pcm, printable
 from ..model.note import Note
 from ..playback.voice import CHANNELS
 from ..recording.recording import load_recording
@@ -44,7 +44,11 @@ def recorded_layers(instrument: Instrument) -> dict[int, list[dict[str, Any]]]:
     for seconds in LENGTHS:
         found = {
             midi: [
-                {"name": escape_controls(Path(layer.file).name), "velocity": layer.velocity, "flac": _encoded(*sound, seconds)}
+                {
+                    "name": printable(Path(layer.file).name),
+                    "velocity": layer.velocity,
+                    "flac": _encoded(*sound, seconds),
+                }
                 for layer, sound in zip(instrument.layers[midi], sounds[midi], strict=True)
             ]
             for midi in sounds
@@ -62,7 +66,7 @@ def _read(layer: Layer, note: Note) -> tuple[np.ndarray, int]:
     """A recording from where its key's own sound begins, in as many channels, and its rate."""
     recording = load_recording(layer.file)
     if recording.sha256 != layer.sha256:
-        raise FitError(f"{escape_controls(layer.file)}: is not the recording that was fitted; run pianofit batch again")
+        raise FitError(f"{printable(layer.file)}: is not the recording that was fitted; run pianofit batch again")
     channels = 1 if note.ringing is None else min(note.ringing.channels, CHANNELS)
     samples = recording.samples[None] if channels == 1 else recording.frames[:channels]
     begin = round((layer.contact - note.pre_onset_s) * recording.rate)

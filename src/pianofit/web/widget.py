@@ -32,7 +32,8 @@ def widget(note: Note) -> Any:
 def _kind() -> type:
     """The class, made once and only for those who ask for it."""
     anywidget, traitlets = (
-        require_optional(package, "a note in a notebook", "widget", ParameterError) for package in ("anywidget", "traitlets")
+        require_optional(package, "a note in a notebook", "widget", ParameterError)
+        for package in ("anywidget", "traitlets")
     )
 
     class NoteWidget(anywidget.AnyWidget):

@@ -24,4 +24,12 @@ witnesses of each other. No energy is made, at any step.
 from .chosen import FINAL, INITIAL
 from .measurement import Measurement, SyntheticMeasurement, make_synthetic_recording, measure, setup_text
 
-__all__ = ["FINAL", "INITIAL", "SyntheticMeasurement", "Measurement", "make_synthetic_recording", "measure", "setup_text"]
+__all__ = [
+    "FINAL",
+    "INITIAL",
+    "SyntheticMeasurement",
+    "Measurement",
+    "make_synthetic_recording",
+    "measure",
+    "setup_text",
+]

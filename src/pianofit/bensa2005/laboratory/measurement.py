@@ -20,7 +20,15 @@ from .body import Body, make_axes, make_body
 from .felt import FELTS, Felt
 from .strike import Stroke, ring, strike
 
-__all__ = ["SyntheticMeasurement", "Measurement", "felt_of", "make_synthetic_recording", "measure", "setup_text", "stroke_of"]
+__all__ = [
+    "SyntheticMeasurement",
+    "Measurement",
+    "felt_of",
+    "make_synthetic_recording",
+    "measure",
+    "setup_text",
+    "stroke_of",
+]
 
 
 @dataclass(frozen=True)

@@ -65,7 +65,9 @@ class Plan:
 
     def ideal(self, **switches: Any) -> SyntheticMeasurement:
         """The paper's own model and noise, but for `switches`."""
-        return SyntheticMeasurement.ideal(noise_db=NOISE_DB, seconds=self.seconds, contact_rate=self.contact_rate, **switches)
+        return SyntheticMeasurement.ideal(
+            noise_db=NOISE_DB, seconds=self.seconds, contact_rate=self.contact_rate, **switches
+        )
 
 
 FULL = Plan()

@@ -12,7 +12,7 @@ import numpy as np
 
 from ...errors import ParameterError
 from ...instrument.document import Instrument
-from ...io.files import PEAK_LIMIT, escape_controls, replace_file
+from ...io.files import PEAK_LIMIT, printable, replace_file
 from ...model.modal_response import EDGE
 from ...playback.voice import CHANNELS, KNOCK_RATES, StringVoice, damper_rate
 from ...report.html import asset
@@ -167,4 +167,4 @@ def _digits(value: float) -> str:
 
 
 def _quoted(text: str) -> str:
-    return escape_controls(text).replace("\\", "/").replace('"', "'")
+    return printable(text).replace("\\", "/").replace('"', "'")

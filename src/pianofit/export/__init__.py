@@ -1,0 +1,7 @@
+"""An instrument as files for other programs: samplers (SFZ, Decent Sampler) and Faust."""
+
+from .formats import SAMPLERS
+from .layers import parse_keys
+from .sampler import ExportOptions, ExportSummary, export_sampler
+
+__all__ = ["SAMPLERS", "ExportOptions", "ExportSummary", "export_sampler", "parse_keys"]
