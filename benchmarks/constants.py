@@ -105,7 +105,7 @@ def constants() -> dict[str, tuple[Any, str, Callable[[Any, float], Any]]]:
         "`FINE_VELOCITIES`": (prescreen, "FINE_VELOCITIES", points),
         "`TAIL`": (prescreen, "TAIL", plain),
         "`WIDE_EXCESS`": (prescreen, "WIDE_EXCESS", plain),
-        "`COARSER`": (optimiser, "COARSER", plain),
+        "`STEP_COARSENING`": (optimiser, "STEP_COARSENING", plain),
         "`FIRST`": (multistart, "FIRST", plain),
         "`FIRST_STEPS`": (multistart, "FIRST_STEPS", plain),
         "`SECOND`": (multistart, "SECOND", plain),

@@ -222,7 +222,7 @@ def _sounded(kind: str, truth: Truth, velocity: float, calibrated: bool) -> np.n
     geometry = truth.geometry._replace(width=brute_force.matched_width(window, truth.geometry.width))
     # One stroke is shared out between two axes: together they are the one string that was struck.
     share = 1 + truth.beat_level * (truth.beat_cents != 0)
-    sound = brute_force.make_twin(
+    sound = brute_force.make_synthetic_recording(
         truth.string, hammer, geometry, seconds=SECONDS + LEAD, rate=rate, quantity=quantity, lead_in=LEAD,
         glide_cents=truth.glide_cents * (velocity / truth.velocities[-1]) ** 2, glide_seconds=truth.glide_seconds,
         beating_cents=truth.beat_cents, beating_level=truth.beat_level, window=window,
@@ -285,7 +285,7 @@ def _setup(design: Design, truth: Truth, scale: float | None) -> Setup:
         tables["pickup"] = {"quantity": "velocity", "position": g.pickup, "scale": scale}
         return setup_from_dict(tables, "twin")
     known = {"file": f"layer-{hardest}", "v_H0": truth.velocities[-1]}
-    return setup_from_dict(tables | {"recording": [known]}, "twin")
+    return setup_from_dict(tables | {"recording": [fixed]}, "twin")
 
 
 def values_of(kind: str, truth: Truth, recording: int = -1) -> Values:

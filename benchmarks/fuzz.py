@@ -226,7 +226,7 @@ def kinds() -> dict[str, Kind]:
     wav, flac = _sound("WAV", "PCM_16"), _sound("FLAC", "PCM_16")
     setup = (
         b'felt.law = "stulov"\n[string]\nlength = 1.2\nmass = 0.006\n[strike]\nposition = 0.12\nwidth = 0.02\n'
-        b'[pickup]\nquantity = "velocity"\nposition = 0.3\nscale = 2.0\n[known]\nM_H = 0.008\n'
+        b'[pickup]\nquantity = "velocity"\nposition = 0.3\nscale = 2.0\n[fixed]\nM_H = 0.008\n'
         b"[initial]\nc = 310.0\n[bounds]\n"
         b'K_H = [1e8, 1e12]\n[[recording]]\nfile = "a.wav"\nv_H0 = 2.0\ngroup = "close"\nstrike = "one"\n'
     )

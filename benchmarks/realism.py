@@ -50,7 +50,7 @@ if TYPE_CHECKING:
 
 TOOL = Path(__file__).parents[2] / "shared" / "tools" / "realism.py"
 SECONDS = 3.3
-RUNGS = ("law", "modes", "modes and knock", "nearest layer", "and noise")
+RENDER_MODELS = ("law", "modes", "modes and knock", "nearest layer", "and noise")
 # Partials of the recording that count lie within so many dB of the strongest.
 RANGE = 50.0
 # Envelopes: between frames, s, and the floor over the recording's noise, dB.
@@ -288,13 +288,13 @@ def main() -> None:
 def table(jobs: dict[str, Callable[[], LeftOut]], tool: ModuleType) -> dict:
     """A row a note, and the means."""
     found = {}
-    print(f"{'':20}" + "".join(f"{rung:>18}" for rung in RUNGS) + "   dB, attack in brackets", flush=True)
+    print(f"{'':20}" + "".join(f"{rung:>18}" for rung in RENDER_MODELS) + "   dB, attack in brackets", flush=True)
     for name, job in jobs.items():
         found[name] = rungs(job(), tool)
-        cells = [f"{found[name][r]['distance']:.2f} ({found[name][r]['attack']:.2f})" for r in RUNGS]
+        cells = [f"{found[name][r]['distance']:.2f} ({found[name][r]['attack']:.2f})" for r in RENDER_MODELS]
         print(f"{name:20}" + "".join(f"{cell:>18}" for cell in cells), flush=True)
     for how, of in (("mean", statistics.mean), ("median", statistics.median), ("worst", max)):
-        print(f"{how:20}" + "".join(f"{of(x[r]['distance'] for x in found.values()):>18.2f}" for r in RUNGS))
+        print(f"{how:20}" + "".join(f"{of(x[r]['distance'] for x in found.values()):>18.2f}" for r in RENDER_MODELS))
     shown = ("law", "modes and knock", "nearest layer")
     print("\n" + " " * 20 + "".join(f"{rung:>34}" for rung in shown))
     print(" " * 20 + f"{'envelope':>14}{'loudness':>9}{'gain':>6}{'low':>5}" * len(shown) + "   dB")

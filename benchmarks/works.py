@@ -76,7 +76,7 @@ def criteria(seconds: float = 1.0) -> Works:
     import jax.numpy as jnp
 
     import pianofit
-    from pianofit.bensa2005.spectral_criterion import Cfg, Scene, residuals, spectral_goal, struck_gradients
+    from pianofit.bensa2005.spectral_criterion import Scene, StaticConfig, residuals, spectral_goal, struck_gradients
     from pianofit.model import contact as contacts
     from pianofit.model import mode_table, spectrum
 
@@ -98,7 +98,7 @@ def criteria(seconds: float = 1.0) -> Works:
         return 0.5 * (residuals(y.real**2 + y.imag**2, goal) ** 2).sum()
 
     value, general = jax.jit(plain), jax.jit(jax.value_and_grad(plain))
-    cfg = Cfg(modes, steps, "velocity")
+    cfg = StaticConfig(modes, steps, "velocity")
     scene = Scene(*jax.tree.map(jnp.asarray, (it.geometry, contact, float(np.log(1e-4)), np.array([-99.0, 99.0]))))
     searched = jnp.asarray(z).at[4].add(float(np.log(1e-4)) * float(jnp.exp(z[6])))[None]
     damping = np.exp(-sigma * np.arange(samples) / RATE)

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.image import imsave
 
 from pianofit import Result, fit
-from pianofit.bensa2005.laboratory import make_twin, setup_text
+from pianofit.bensa2005.laboratory import make_synthetic_recording, setup_text
 from pianofit.report.build import reference_curves
 from pianofit.report.drawing import legend, styled
 from pianofit.report.figures import COMPARED, draw_attack, draw_levels, draw_loop, draw_spectrum
@@ -23,7 +23,7 @@ PICTURE = Path(__file__).with_name("picture.png")
 def main() -> None:
     """Fit the demo's measurement and draw it."""
     with tempfile.TemporaryDirectory() as folder:
-        twin, setup = make_twin(60.0, seed=0), Path(folder) / "setup.toml"
+        twin, setup = make_synthetic_recording(60.0, seed=0), Path(folder) / "setup.toml"
         setup.write_text(setup_text(), encoding="utf-8")
         result = fit((twin.samples, twin.rate), setup=setup, progress=False)
     PICTURE.write_bytes(picture(result))

@@ -99,7 +99,7 @@ class Grid:
 
     def _window(self, geometry: Any, name: str) -> np.ndarray:
         z = (np.arange(2000) + 0.5) / 2000 - 0.5
-        return self.interpolation(geometry.strike + geometry.width * z, WINDOWS[name](z) / z.size)
+        return self.interpolation(geometry.strike_position + geometry.width * z, WINDOWS[name](z) / z.size)
 
     def pickup(self, quantity: str, geometry: Any) -> np.ndarray:
         """The row that reads the output from the displacements (or, for velocity, from the velocities)."""
@@ -309,7 +309,7 @@ def _clean(
     return out
 
 
-def make_twin(
+def make_synthetic_recording(
     string: Any, hammer: Any, geometry: Any, *, seconds: float, rate: int, quantity: str, noise_db: float | None = None,
     seed: int = 0, lead_in: float = 0.0, glide_cents: float = 0.0, glide_seconds: float = 0.7,
     beating_cents: float = 0.0, beating_level: float = 0.3, path_db: float = 0.0, window: str = "parabola",

@@ -114,7 +114,9 @@ def test_file_rate_equals_filtering_the_fine_rate(quantity):
     fine = np.concatenate([hit.output, hit.free(np.arange(round(0.12 * hit.rate)) / hit.rate)])
     fine = np.concatenate([np.zeros(round(lead * hit.rate)), fine])
     expected = scipy.signal.fftconvolve(fine, brute_force.low_pass(RATE), "same")[::16][: round(seconds * RATE)]
-    twin = brute_force.make_twin(STRING, HAMMER, GEOMETRY, seconds=seconds, rate=RATE, quantity=quantity, lead_in=lead)
+    twin = brute_force.make_synthetic_recording(
+        STRING, HAMMER, GEOMETRY, seconds=seconds, rate=RATE, quantity=quantity, lead_in=lead
+    )
     assert twin.shape == expected.shape
     assert np.abs(twin - expected).max() < 1e-4 * np.abs(expected).max()
 
@@ -127,10 +129,10 @@ def test_filter_passes_the_band_and_stops_aliases():
 
 def test_silence_noise_and_seed():
     options = {"seconds": 1.2, "rate": RATE, "quantity": "velocity", "lead_in": 0.1}
-    clean = brute_force.make_twin(STRING, HAMMER, GEOMETRY, **options)
-    noisy = brute_force.make_twin(STRING, HAMMER, GEOMETRY, **options, noise_db=-60, seed=3)
-    again = brute_force.make_twin(STRING, HAMMER, GEOMETRY, **options, noise_db=-60, seed=3)
-    other = brute_force.make_twin(STRING, HAMMER, GEOMETRY, **options, noise_db=-60, seed=4)
+    clean = brute_force.make_synthetic_recording(STRING, HAMMER, GEOMETRY, **options)
+    noisy = brute_force.make_synthetic_recording(STRING, HAMMER, GEOMETRY, **options, noise_db=-60, seed=3)
+    again = brute_force.make_synthetic_recording(STRING, HAMMER, GEOMETRY, **options, noise_db=-60, seed=3)
+    other = brute_force.make_synthetic_recording(STRING, HAMMER, GEOMETRY, **options, noise_db=-60, seed=4)
     assert np.array_equal(noisy, again)
     assert not np.array_equal(noisy, other)
     assert np.abs(clean[: round(0.098 * RATE)]).max() < 1e-5 * np.abs(clean).max()
@@ -151,7 +153,7 @@ def _fundamental(samples: np.ndarray, start: float, stop: float) -> float:
 
 
 def test_glide_falls_to_the_strings_own_pitch():
-    twin = brute_force.make_twin(
+    twin = brute_force.make_synthetic_recording(
         STRING, HAMMER, GEOMETRY, seconds=2.5, rate=RATE, quantity="velocity", glide_cents=6, glide_seconds=0.3
     )
     exact = math.sqrt((STRING.c * math.pi) ** 2 + (STRING.kappa * math.pi**2) ** 2) / (2 * math.pi)
@@ -162,8 +164,8 @@ def test_glide_falls_to_the_strings_own_pitch():
 
 def test_a_second_polarisation_beats():
     options = {"seconds": 2.0, "rate": RATE, "quantity": "velocity"}
-    alone = brute_force.make_twin(STRING, HAMMER, GEOMETRY, **options)
-    both = brute_force.make_twin(STRING, HAMMER, GEOMETRY, **options, beating_cents=8, beating_level=0.3)
+    alone = brute_force.make_synthetic_recording(STRING, HAMMER, GEOMETRY, **options)
+    both = brute_force.make_synthetic_recording(STRING, HAMMER, GEOMETRY, **options, beating_cents=8, beating_level=0.3)
     low = scipy.signal.butter(3, 30, fs=RATE, output="sos")
     turn = np.exp(-2j * np.pi * STRING.c / 2 * np.arange(alone.size) / RATE)
     ratio = np.abs(scipy.signal.sosfiltfilt(low, both * turn) / scipy.signal.sosfiltfilt(low, alone * turn))

@@ -101,8 +101,8 @@ def test_half_a_memory_is_no_felt(tmp_path):
         ({"felt": {"law": "ghosh"}}, "ghosh"),
         ({"felt": {"law": 3}}, "3"),
         ({"felt": {"laws": "power"}}, "did you mean law"),
-        ({"felt": {"law": "power"}, "known": {"mu": 0.2}}, "mu is no parameter of the felt's law, power"),
-        ({"known": {"tau": 1e-4}}, "tau is no parameter"),
+        ({"felt": {"law": "power"}, "fixed": {"mu": 0.2}}, "mu is no parameter of the felt's law, power"),
+        ({"fixed": {"tau": 1e-4}}, "tau is no parameter"),
     ],
 )
 def test_a_law_that_cannot_be_is_refused(data, said):
@@ -112,11 +112,11 @@ def test_a_law_that_cannot_be_is_refused(data, said):
 
 def test_another_law_must_suit_the_setup(tmp_path):
     path = tmp_path / "x.toml"
-    path.write_text("[known]\nmu = 0.1\n")
+    path.write_text("[fixed]\nmu = 0.1\n")
     assert load_setup(path, "hunt-crossley").felt == "hunt-crossley"
     with pytest.raises(SetupError, match=r"x\.toml: mu is no parameter of the felt's law, stulov"):
         load_setup(path, "stulov")
-    path.write_text("[known]\nepsilon = 0.1\n")
+    path.write_text("[fixed]\nepsilon = 0.1\n")
     assert load_setup(path, "stulov").fixed == {"epsilon": 0.1}
 
 

@@ -101,7 +101,7 @@ def law(name: str = "foam", **changes) -> FeltLaw:
     ("make", "error", "said"),
     [
         (lambda: Setup(felt=law("power")), SetupError, "one of the package's own"),
-        (lambda: Setup(felt=FOAM, fixed={"d": 20.0}), SetupError, r"\[known\] d = 20.0 must be .* 0.001 to 10 s/m"),
+        (lambda: Setup(felt=FOAM, fixed={"d": 20.0}), SetupError, r"\[fixed\] d = 20.0 must be .* 0.001 to 10 s/m"),
         (lambda: Setup(felt=FOAM, fixed={"K_H": 1e9}), SetupError, "K_H is no parameter of the felt's law, foam, .* d"),
         (lambda: law(parameters={"a": Parameter("N", "", 2.0, 1.0)}), ParameterError, "foam: a: bounds 2.0 to 1.0"),
         (lambda: law(parameters={"a": Parameter("N", "", 1.0, 2.0, 3.0)}), ParameterError, "a: median=3.0 must be"),
@@ -161,7 +161,7 @@ import pianofit
 from pianofit.felt import LAWS
 
 straw = LAWS["straw"]
-assert pianofit.setup_from_dict({"felt": {"law": "straw"}, "known": {"k": 2e4}}, "here").law is straw
+assert pianofit.setup_from_dict({"felt": {"law": "straw"}, "fixed": {"k": 2e4}}, "here").law is straw
 it = pianofit.typical(60)
 hammer = straw.hammer(k=2e4, M_H=it.hammer.M_H, v_H0=1.0)
 assert pianofit.simulate(it.string, hammer, it.geometry).pulse.force.max() > 1

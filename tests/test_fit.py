@@ -71,7 +71,7 @@ def test_intervals_hold_the_truth_or_come_close():
 
 
 def test_a_stiffness_that_is_known_is_held_and_the_rest_of_the_felt_found():
-    document = fit_twin(record(FIRST), setup_of(FIRST, known={"K_H": FIRST.hammer.K_H})).document
+    document = fit_twin(record(FIRST), setup_of(FIRST, fixed={"K_H": FIRST.hammer.K_H})).document
     assert document["parameters"]["K_H"]["value"] == FIRST.hammer.K_H
     assert not misses(document, FIRST), errors(document, FIRST)
     assert document["parameters"]["p"]["value"] == pytest.approx(FIRST.hammer.p, rel=2e-3)
@@ -255,7 +255,7 @@ def test_shares_of_the_minima_are_those_of_the_notes():
 def test_known_values_and_bounds_hold_exactly():
     known = {"v_H0": 1.4, "mu": 0.25, "c": 352.0}
     bounds = {"p": [2.2, 2.7], "M_H": [1e-3, 4.5e-3], "K_H": [1e8, 2e10]}  # the truth lies outside of all of them
-    result = fit_twin(record(FIRST), setup_of(FIRST, known=known, bounds=bounds))
+    result = fit_twin(record(FIRST), setup_of(FIRST, fixed=known, bounds=bounds))
     parameters = result.document["parameters"]
     for name, value in known.items():
         assert parameters[name]["value"] == value

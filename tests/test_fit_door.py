@@ -20,8 +20,8 @@ PARTIALS = sum(np.exp(-3 * TIME) * np.sin(2 * np.pi * 440.0 * k * TIME) / k for 
 NOISE = 1e-4 * np.random.default_rng(0).standard_normal(RATE + 4410)
 # What a file of 32 bit floats holds.
 SAMPLES = (np.pad(0.3 * PARTIALS, (4410, 0)) + NOISE).astype(np.float32).astype(float)
-TABLES = {"string": {"length": 0.4}, "known": {"M_H": 5e-3}, "recording": [{"v_H0": 2.0}]}
-TEXT = "[string]\nlength = 0.4\n[known]\nM_H = 5e-3\n[[take]]\nv_H0 = 2.0\n"
+TABLES = {"string": {"length": 0.4}, "fixed": {"M_H": 5e-3}, "recording": [{"v_H0": 2.0}]}
+TEXT = "[string]\nlength = 0.4\n[fixed]\nM_H = 5e-3\n[[take]]\nv_H0 = 2.0\n"
 
 
 @pytest.fixture
@@ -35,7 +35,7 @@ def asked(monkeypatch) -> list[SimpleNamespace]:
 
     monkeypatch.setattr("pianofit.inference.pipeline", estimator)
     monkeypatch.setattr("pianofit.result.build_result", lambda found: found)
-    monkeypatch.setattr("pianofit.modal_response.make_ring", lambda found, _: found)
+    monkeypatch.setattr("pianofit.modal_response.fit_modal_response", lambda found, _: found)
     return calls
 
 
@@ -104,7 +104,7 @@ def test_what_was_known_comes_in_any_form(asked, file):
         (((SAMPLES, RATE),), {"recipe": "papers"}, ParameterError, "recipe='papers'"),
         (((SAMPLES, RATE),), {"evaluations": 900}, ParameterError, "evaluations=900"),
         (((SAMPLES, RATE),) * 2, {"recipe": "paper"}, ParameterError, "recipe='paper' fits one"),
-        (((SAMPLES, RATE),), {"setup": {"known": {"KH": 1e9}}}, SetupError, 'setup: [known] "KH" is not known'),
+        (((SAMPLES, RATE),), {"setup": {"fixed": {"KH": 1e9}}}, SetupError, 'setup: [fixed] "KH" is not known'),
         (((SAMPLES, RATE),), {"setup": "none.toml"}, SetupError, "none.toml: no such file"),
         (((SAMPLES, RATE),), {"velocity": 3.0, "setup": {"bounds": {"v_H0": [1, 2]}}}, SetupError, "velocity=3.0"),
     ],
@@ -118,7 +118,7 @@ def test_what_cannot_be_used_is_refused(asked, arguments, options, error, said):
 
 def test_a_recipe_takes_the_velocity_of_the_recording_it_fits(file, monkeypatch):
     seen: list[float | None] = []
-    monkeypatch.setattr("pianofit.bensa2005.recipes.fit_by_recipe", lambda *_, velocity, **__: seen.append(velocity))
+    monkeypatch.setattr("pianofit.bensa2005.recipes.fit_bensa2005", lambda *_, velocity, **__: seen.append(velocity))
     for name, given in (("a.wav", None), ("b.wav", None), (None, None), ("a.wav", 3.0)):
         layer = pianofit.RecordingInfo(name, v_H0=2.0)
         pianofit.fit(file, note="A4", setup=pianofit.Setup(recordings=(layer,)), recipe="paper", velocity=given)

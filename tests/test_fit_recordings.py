@@ -101,7 +101,7 @@ def test_a_velocity_that_names_no_recording_is_the_brightest_ones_and_said_so():
     problem = build_problem(*through(SEVERAL), Setup(fixed={"v_H0": 3.0}))
     assert problem.measured_velocity == (None, None, 3.0)
     (said,) = velocity_assumption(problem)
-    assert said.startswith(f"[known] v_H0 = 3 m/s is taken for the stroke of {FILES[2]}, the brightest")
+    assert said.startswith(f"[fixed] v_H0 = 3 m/s is taken for the stroke of {FILES[2]}, the brightest")
     assert not velocity_assumption(build_problem(*through(SEVERAL), strokes_of(SEVERAL)))
 
 

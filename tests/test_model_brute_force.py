@@ -54,7 +54,9 @@ def test_force_and_compression(window):
 def test_waveform_of_the_first_second(quantity):
     modes, pulse = _simulated(STRING, HAMMER, GEOMETRY, quantity, "parabola")
     y = model.waveform(modes, pulse.drive, rate=FILE_RATE, samples=FILE_RATE)
-    twin = brute_force.make_twin(STRING, HAMMER, GEOMETRY, seconds=1.0, rate=FILE_RATE, quantity=quantity)
+    twin = brute_force.make_synthetic_recording(
+        STRING, HAMMER, GEOMETRY, seconds=1.0, rate=FILE_RATE, quantity=quantity
+    )
     low = scipy.signal.butter(4, 6000, fs=FILE_RATE, output="sos")
     assert _rms(scipy.signal.sosfilt(low, y), scipy.signal.sosfilt(low, twin)) < 1e-3
 
@@ -62,7 +64,9 @@ def test_waveform_of_the_first_second(quantity):
 @pytest.mark.parametrize("quantity", ["velocity", "bridge-force"])
 def test_spectrum_on_the_damped_circle(quantity):
     modes, pulse = _simulated(STRING, HAMMER, GEOMETRY, quantity, "parabola")
-    twin = brute_force.make_twin(STRING, HAMMER, GEOMETRY, seconds=1.0, rate=FILE_RATE, quantity=quantity)
+    twin = brute_force.make_synthetic_recording(
+        STRING, HAMMER, GEOMETRY, seconds=1.0, rate=FILE_RATE, quantity=quantity
+    )
     sigma, frequency = 30.0, np.linspace(50, 8000, 200)
     direct = np.exp(-np.outer(sigma + 2j * np.pi * frequency, np.arange(twin.size) / FILE_RATE)) @ twin / FILE_RATE
     Y = np.asarray(model.spectrum(modes, pulse.drive, jnp.asarray(frequency), sigma))

@@ -320,7 +320,9 @@ def test_a_knock_in_fewer_bits_is_the_same_below_its_rate():
 
 def test_a_felt_that_the_page_does_not_know_is_refused():
     note = true_note(60)
-    with pytest.raises(ParameterError, match="key C4: a page plays the felt of Hunt and Crossley, not a MemoryHammer"):
+    with pytest.raises(
+        ParameterError, match="key C4: a page plays the felt of Hunt and Crossley, not a RelaxingHammer"
+    ):
         encode_note(note._replace(hammer=RelaxingHammer(*note.hammer, 0.3, 1e-4)), 60)
 
 

@@ -152,5 +152,5 @@ def test_inside_a_computation_a_note_is_shown_too():
 def test_a_setup_shows_what_was_given():
     setup = pianofit.Setup(length=1.0, fixed={"M_H": 0.005}, recordings=(pianofit.RecordingInfo(v_H0=0.8),))
     assert repr(setup) == (
-        "Setup(length=1.0, pickup_quantity='pressure', known={'M_H': 0.005}, recordings=(Layer(v_H0=0.8),))"
+        "Setup(length=1.0, pickup_quantity='pressure', fixed={'M_H': 0.005}, recordings=(Layer(v_H0=0.8),))"
     )

@@ -53,7 +53,7 @@ def setup(**more: Any):
 def bounded():
     """Values held, and bounds that leave the truth outside."""
     known, start = {"p": 2.5, "c": 304.0}, {"K_H": 1.5e9, "M_H": 4e-3, "kappa": 1.6}
-    return setup(known=known, initial=start, bounds={"K_H": [1e8, 5e9], "M_H": [1e-3, 5e-3], "kappa": [1.5, 1.7]})
+    return setup(fixed=known, initial=start, bounds={"K_H": [1e8, 5e9], "M_H": [1e-3, 5e-3], "kappa": [1.5, 1.7]})
 
 
 @functools.cache
@@ -81,9 +81,9 @@ def start(given=None) -> InitialValues:
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        ({"length": 1.0, "known": {"c": 400.0}}, r"c = 400 m/s and \[string\] length = 1 m make 200.0 Hz, and the rec"),
+        ({"length": 1.0, "fixed": {"c": 400.0}}, r"c = 400 m/s and \[string\] length = 1 m make 200.0 Hz, and the rec"),
         (
-            {"known": {"c": 2000.0}},
+            {"fixed": {"c": 2000.0}},
             r"m, the literature's, make \d+\.\d Hz, and the recordings sound at 152\.\d Hz; correct",
         ),
         (
@@ -198,7 +198,7 @@ def test_known_values_and_bounds_hold_exactly():
 
 
 def test_a_known_felt_stiffness_stays_while_the_exponent_moves():
-    found = search(setup(known={"K_H": 1.09949e10, "v_H0": 0.79993}), evaluations=FEW)
+    found = search(setup(fixed={"K_H": 1.09949e10, "v_H0": 0.79993}), evaluations=FEW)
     assert found.hammer.K_H == 1.09949e10
     assert found.hammer.v_H0 == 0.79993
     assert found.hammer.p != start().initial["p"]

@@ -276,8 +276,8 @@ def test_a_misspelt_recording_of_the_setup_is_told(file, near):
 
 def test_where_everything_is_known_nothing_is_left_to_fit():
     known = dict(zip(("c", "kappa", "b1", "b2"), map(float, STRING), strict=True)) | HAMMER._asdict()
-    with pytest.raises(FitError, match=r"nothing is left to fit: \[known\] holds everything"):
-        build_problem([tone()], [played()], setup(pickup={"quantity": "pressure"}, known=known))
+    with pytest.raises(FitError, match=r"nothing is left to fit: \[fixed\] holds everything"):
+        build_problem([tone()], [played()], setup(pickup={"quantity": "pressure"}, fixed=known))
 
 
 def test_a_stroke_in_the_wrong_lobe_is_struck_anew():

@@ -26,7 +26,7 @@ width = 0.02
 quantity = "velocity"
 position = 0.30
 scale = 2.0
-[known]
+[fixed]
 v_H0 = 0.84
 [initial]
 c = 310.6
@@ -61,7 +61,7 @@ def test_every_key_is_read(tmp_path):
     )
 
 
-@pytest.mark.parametrize("text", ["# nothing is known\n", "[string]\n[strike]\n[known]\n[bounds]\n"])
+@pytest.mark.parametrize("text", ["# nothing is known\n", "[string]\n[strike]\n[fixed]\n[bounds]\n"])
 def test_all_of_it_is_optional(tmp_path, text):
     (tmp_path / "setup.toml").write_text(text)
     setup = load_setup(str(tmp_path / "setup.toml"))
@@ -75,7 +75,7 @@ def test_windows_line_ends_and_byte_order_mark(tmp_path):
 
 
 def test_numbers_may_be_integers_and_become_floats():
-    setup = setup_from_dict({"string": {"length": 1}, "known": {"p": 3}, "bounds": {"c": [300, 310]}}, "here")
+    setup = setup_from_dict({"string": {"length": 1}, "fixed": {"p": 3}, "bounds": {"c": [300, 310]}}, "here")
     assert [type(value) for value in (setup.length, setup.fixed["p"], *setup.bounds["c"])] == [float] * 4
 
 
@@ -112,7 +112,7 @@ def test_every_bad_setup_is_refused_in_one_line(tmp_path, bad: BadInput):
 
 
 @pytest.mark.parametrize("name", BOXES)
-@pytest.mark.parametrize("table", ["known", "initial"])
+@pytest.mark.parametrize("table", ["fixed", "initial"])
 def test_parameters_stay_in_their_box(name, table):
     box = BOXES[name]
     law = next(
@@ -178,18 +178,18 @@ def test_an_entry_is_of_the_recording_that_it_names():
 
 
 IN_PYTHON = [
-    ({"known": {"KH": 1e9}}, "[known]\nKH = 1e9\n", "did you mean K_H?"),
+    ({"fixed": {"KH": 1e9}}, "[fixed]\nKH = 1e9\n", "did you mean K_H?"),
     ({"bounds": {"p": (4, 2)}}, "[bounds]\np = [4, 2]\n", "lower must be below upper"),
     ({"felt": "foam"}, '[felt]\nlaw = "foam"\n', "must be one of hunt-crossley, power"),
     ({"length": "1.37 m"}, '[string]\nlength = "1.37 m"\n', "must be a number from 0.01 to 5 m"),
     ({"mass": 6.18}, "[string]\nmass = 6.18\n", "mass = 6.18"),
     ({"initial": {"p": True}}, "[initial]\np = true\n", "p = True"),
-    ({"known": 3}, "known = 3\n", "must be a table"),
+    ({"fixed": 3}, "fixed = 3\n", "must be a table"),
     ({"pickup_quantity": "light"}, '[pickup]\nquantity = "light"\n', "must be one of velocity"),
     ({"pickup_position": 0.3}, "[pickup]\nposition = 0.3\n", "has no meaning"),
     ({"strike_position": 0.01, "strike_width": 0.03}, "[strike]\nposition = 0.01\nwidth = 0.03\n", "past the agraffe"),
-    ({"known": {"epsilon": 0.1}}, "[known]\nepsilon = 0.1\n", "no parameter of the felt's law"),
-    ({"known": {"p": 2}, "initial": {"p": 3}}, "[known]\np = 2\n[initial]\np = 3\n", "remove one of them"),
+    ({"fixed": {"epsilon": 0.1}}, "[fixed]\nepsilon = 0.1\n", "no parameter of the felt's law"),
+    ({"fixed": {"p": 2}, "initial": {"p": 3}}, "[fixed]\np = 2\n[initial]\np = 3\n", "remove one of them"),
     ({"recordings": [RecordingInfo()]}, "[[recording]]\n", "[[recording]] 1 is empty"),
     ({"recordings": [RecordingInfo(v_H0=100)]}, "[[recording]]\nv_H0 = 100\n", "[[recording]] 1 v_H0 = 100"),
     (

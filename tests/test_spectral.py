@@ -11,8 +11,8 @@ import pytest
 
 from pianofit import preset
 from pianofit.bensa2005.spectral_criterion import (
-    Cfg,
     Scene,
+    StaticConfig,
     damped_spectrum,
     fix_string,
     residuals,
@@ -31,7 +31,7 @@ TRUE, OTHER = preset("bensa-final"), preset("bensa-initial")
 F0 = TRUE.string.c / 2
 B = (TRUE.string.kappa * np.pi / TRUE.string.c) ** 2
 LAST = 20
-CFG = Cfg(MODES, STEPS, "velocity")
+CFG = StaticConfig(MODES, STEPS, "velocity")
 LOG_U = float(np.log(1e-4))
 WIDE = np.full(5, -99.0), np.full(5, 99.0)
 SCENE = Scene(Geometry(*map(np.float64, TRUE.geometry)), *map(np.asarray, (float(RATE), LOG_U, [-99.0, 99.0])))

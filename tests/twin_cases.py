@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy.signal
-from brute_force import make_twin, matched_width
+from brute_force import make_synthetic_recording, matched_width
 
 from pianofit.analysis import Analysis, analyse
 from pianofit.inference import run_inference
@@ -91,9 +91,9 @@ def record(
     truth: Truth, *, quantity: str = "velocity", noise_db: float | None = -60.0, seconds: float = 3.0, seed: int = 0,
     window: str = "parabola", rate: int = RATE, **effects: float,
 ) -> Recording:  # fmt: skip
-    """A recording of `truth`, struck through another window of the same variance; `effects` are `make_twin`'s."""
+    """A recording of `truth`, struck through another window of the same variance; `effects` are `make_synthetic_recording`'s."""
     geometry = truth.geometry._replace(width=matched_width(window, truth.geometry.width))
-    samples = make_twin(
+    samples = make_synthetic_recording(
         truth.string, truth.hammer, geometry, seconds=seconds, rate=rate, quantity=quantity, noise_db=noise_db,
         seed=seed, lead_in=LEAD, window=window, **effects,
     )  # fmt: skip

@@ -128,7 +128,7 @@ class Parameter(NamedTuple):
         if not (self.median is None or callable(self.median) or self.lower <= self.median <= self.upper):
             raise ParameterError(f"{where}: median={self.median!r} must be from {self.lower:g} to {self.upper:g}")
         if not (self.spread is None or 0 < self.spread < math.inf):
-            raise ParameterError(f"{where}: spread={self.spread!r} must be above 0; hold a value by [known]")
+            raise ParameterError(f"{where}: spread={self.spread!r} must be above 0; hold a value by [fixed]")
 
 
 PARAMETERS: dict[str, Parameter] = {

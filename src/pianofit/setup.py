@@ -66,7 +66,7 @@ class RecordingInfo:
 # The tables of a file, and what each may hold.
 KEYS: dict[str, tuple[str, ...]] = {
     **{table: tuple(key for other, key in PLACES.values() if other == table) for table, _ in PLACES.values()},
-    **dict.fromkeys(("known", "initial", "bounds"), tuple(BOXES)),
+    **dict.fromkeys(("fixed", "initial", "bounds"), tuple(BOXES)),
     "recording": tuple(entry.name for entry in fields(RecordingInfo)),
 }
 
@@ -105,7 +105,7 @@ class Setup:
         _one_of(self.pickup_quantity, PICKUPS, "[pickup] quantity")
         _law(self.felt)
         boxes = BOXES | self.law.boxes
-        for name, check in (("known", _parameter), ("initial", _parameter), ("bounds", _pair)):
+        for name, check in (("fixed", _parameter), ("initial", _parameter), ("bounds", _pair)):
             table = _table(name, getattr(self, name), tuple(boxes))
             checked[name] = {key: check(value, key, f"[{name}]", boxes[key]) for key, value in table.items()}
         if not isinstance(self.recordings, list | tuple):
@@ -189,13 +189,13 @@ def setup_from_dict(data: Mapping[str, Any], where: str) -> Setup:
     Examples
     --------
     >>> import pianofit
-    >>> pianofit.setup_from_dict({"string": {"length": 0.96}, "known": {"M_H": 0.0087}}, "my grand").known
+    >>> pianofit.setup_from_dict({"string": {"length": 0.96}, "fixed": {"M_H": 0.0087}}, "my grand").fixed
     {'M_H': 0.0087}
     """
     try:
         tables = {name: _entries(name, content) for name, content in _renamed(data).items()}
         said = {name: tables[table][key] for name, (table, key) in PLACES.items() if key in tables.get(table, ())}
-        said |= {name: tables[name] for name in ("known", "initial", "bounds") if name in tables}
+        said |= {name: tables[name] for name in ("fixed", "initial", "bounds") if name in tables}
         return Setup(**said, recordings=tuple(tables.get("recording", ())))
     except SetupError as error:
         raise SetupError(f"{where}: {error}") from None
@@ -221,7 +221,7 @@ def _entries(name: str, content: object) -> Any:
     """A table of a file, or the list of its entries, with no key that has no meaning."""
     if name not in KEYS:
         raise SetupError(f"{_show(name)} is not known; {_suggest(name, tuple(KEYS))}")
-    if name in ("known", "initial", "bounds"):
+    if name in ("fixed", "initial", "bounds"):
         return content  # by the felt's law, which another table names
     if name != "recording":
         return _table(name, content)
@@ -296,7 +296,7 @@ def _pair(pair: object, key: str, where: str, box: Parameter) -> tuple[float, fl
         raise SetupError(f"{where} {key} = {_show(pair)} must be two numbers, [lower, upper]")
     lower, upper = (_parameter(value, key, where, box) for value in pair)
     if lower >= upper:
-        raise SetupError(f"{where} {key} = {_show([*pair])}: lower must be below upper; to hold a value, use [known]")
+        raise SetupError(f"{where} {key} = {_show([*pair])}: lower must be below upper; to hold a value, use [fixed]")
     return lower, upper
 
 
@@ -351,7 +351,7 @@ def _values(setup: Setup) -> Iterator[str]:
     for name in setup.fixed:
         for table, given in (("initial", setup.initial), ("bounds", setup.bounds)):
             if name in given:
-                yield f"{name} is in [known], held fixed, and in [{table}]; remove one of them"
+                yield f"{name} is in [fixed], held fixed, and in [{table}]; remove one of them"
     for name in (*setup.fixed, *setup.initial, *setup.bounds):
         if name in FELT_NAMES and name not in law.parameters:
             has = ", ".join(law.parameters)
@@ -370,7 +370,7 @@ def _velocities(setup: Setup) -> Iterator[str]:
         if layer.file in files:
             yield f'{entry} file = "{printable(layer.file)}" is there twice; remove one'
         if velocity is not None and "v_H0" in setup.fixed:
-            yield f"{entry} v_H0 = {velocity:g} is also in [known]; remove one of them"
+            yield f"{entry} v_H0 = {velocity:g} is also in [fixed]; remove one of them"
         if velocity is not None and not lower <= velocity <= upper:
             yield f"{entry} v_H0 = {velocity:g} is outside its [bounds] {lower:g} to {upper:g}; correct one"
         files |= {layer.file} if layer.file else set()

@@ -81,7 +81,7 @@ def synthetic_recording(
     Parameters
     ----------
     string, geometry : in SI units. `geometry` has the positions of the strike and the pickup.
-    hammer : a `Hammer`, a `MemoryHammer`, or a hammer of a `FeltLaw`.
+    hammer : a `Hammer`, a `RelaxingHammer`, or a hammer of a `FeltLaw`.
     rate : Hz.
     seconds : length of the sound, s. The first 0.06 s of it are silent.
     quantity : what the pickup records: velocity, displacement, bridge-force or pressure.
@@ -176,7 +176,7 @@ def setup_text(setup: Setup) -> str:
         if value is not None:
             unit = f"  # {UNITS[key]}" if key in UNITS else ""
             tables.setdefault(table, []).append(f"{key} = {_toml(value)}{unit}")
-    for table in ("known", "initial", "bounds"):
+    for table in ("fixed", "initial", "bounds"):
         tables[table] = [f"{key} = {_toml(value)}" for key, value in getattr(setup, table).items()]
     text = "\n".join("\n".join([f"[{table}]", *lines, ""]) for table, lines in tables.items() if lines)
     for layer in setup.recordings:

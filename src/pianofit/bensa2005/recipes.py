@@ -102,7 +102,7 @@ def fit_by_paper(
     seed: int = 0,
     progress: Progress = lambda *_: None,
 ) -> Found:
-    """The search behind `fit_by_recipe`, from any start.
+    """The search behind `fit_bensa2005`, from any start.
 
     Parameters
     ----------

@@ -32,7 +32,7 @@ from ..recording.recording import Recording
 from ..result.alignment import align_attack
 from .annealing import anneal
 from .descent import Descended, LeastSquares, gradient_descent
-from .spectral_criterion import Cfg, Goal, Scene, fix_string, spectral_goal, struck_gradients
+from .spectral_criterion import Goal, Scene, StaticConfig, fix_string, spectral_goal, struck_gradients
 
 __all__ = ["ALL", "Search", "pose", "split"]
 
@@ -86,7 +86,7 @@ class Search:
     free: np.ndarray  # bool
     delay: float  # s, from the first contact to the recording's onset
     scene: Scene  # the reference compression is 1 m where the stiffness is known, which is then the force
-    cfg: Cfg
+    cfg: StaticConfig
     evaluations: int = 0
     converged: bool = True
 
@@ -245,7 +245,7 @@ def pose(recording: Recording, analysis: Analysis, start: InitialValues) -> Sear
     if free[K]:
         log_u, stiff = float(np.log(0.5 * first.pulse.compression.max())), np.log([lower[K], upper[K]])
     scene = Scene(Geometry(*map(np.float64, start.geometry)), np.float64(rate), np.float64(log_u), stiff)
-    cfg = Cfg(max(first.modes.pole.shape[0], rows), steps, start.quantity)
+    cfg = StaticConfig(max(first.modes.pole.shape[0], rows), steps, start.quantity)
     delay = arrival(string, start.geometry, start.quantity)
     return Search(recording, analysis, start, values, lower, upper, free, delay, scene, cfg)
 

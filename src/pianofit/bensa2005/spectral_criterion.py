@@ -35,7 +35,16 @@ from ..model.program_cache import persistent_jit
 from ..parameters import Geometry, Hammer, String
 from .descent import LeastSquares
 
-__all__ = ["Cfg", "Goal", "Scene", "damped_spectrum", "fix_string", "residuals", "spectral_goal", "struck_gradients"]
+__all__ = [
+    "StaticConfig",
+    "Goal",
+    "Scene",
+    "damped_spectrum",
+    "fix_string",
+    "residuals",
+    "spectral_goal",
+    "struck_gradients",
+]
 
 # Rows of a goal come in whole multiples of this, so that notes share compiled programs; the first band has one row.
 ROWS = 16
@@ -69,7 +78,7 @@ class Goal(NamedTuple):
     calibrated: Values  # 1: the gain is 1; 0: the gain is free
 
 
-class Cfg(NamedTuple):
+class StaticConfig(NamedTuple):
     """What a compiled program is specialised to."""
 
     n_modes: int
@@ -159,7 +168,7 @@ def residuals(energy: Float[Array | np.ndarray, "rows nodes"], goal: Goal) -> Fl
 # --- the string and the hammer ----------------------------------------------------------------------------------------
 
 
-def _string(z: Array, goal: Goal, scene: Scene, cfg: Cfg) -> tuple[Array, Array, Modes]:
+def _string(z: Array, goal: Goal, scene: Scene, cfg: StaticConfig) -> tuple[Array, Array, Modes]:
     """A string as a hammer meets it: |H|² δt² [rows, nodes], the kernel's rows, and the table."""
     string = String(*jnp.exp(z[:4]))
     modes = mode_table(string, scene.geometry, rate=scene.rate, n_modes=cfg.n_modes, quantity=cfg.quantity)
@@ -191,7 +200,7 @@ def _smooth(goal: Goal, step: Array) -> Array:
 
 def _residuals(
     z: Float[Array, " 5"], mobility: Array, rows: Array | None, modes: Modes, pushed: Callable, goal: Goal,
-    scene: Scene, cfg: Cfg,
+    scene: Scene, cfg: StaticConfig,
 ) -> Float[Array, " bins"]:  # fmt: skip
     """Of a hammer on a string; `pushed` gives T̂'s real and imaginary part at the Chebyshev nodes.
 
@@ -206,7 +215,7 @@ def _residuals(
 
 
 @persistent_jit
-def struck_gradients(z, goal: Goal, scene: Scene, cfg: Cfg):
+def struck_gradients(z, goal: Goal, scene: Scene, cfg: StaticConfig):
     """C [starts] and its gradient by all nine search coordinates `z` [starts, 9]."""
 
     def cost(x: Array) -> Array:
@@ -224,7 +233,12 @@ def struck_gradients(z, goal: Goal, scene: Scene, cfg: Cfg):
 
 
 def fix_string(
-    z: Float[Array | np.ndarray, " 9"], lower: np.ndarray, upper: np.ndarray, goal: Goal, scene: Scene, cfg: Cfg
+    z: Float[Array | np.ndarray, " 9"],
+    lower: np.ndarray,
+    upper: np.ndarray,
+    goal: Goal,
+    scene: Scene,
+    cfg: StaticConfig,
 ) -> LeastSquares:
     """C of hammers [n, 5] between the edges `lower` and `upper` [5], on the string of `z`, which is computed once."""
     mobility, rows, real, imag, *modes = held_string(z, goal, scene, cfg)
@@ -237,7 +251,7 @@ def fix_string(
 
 
 @persistent_jit
-def held_string(z, goal: Goal, scene: Scene, cfg: Cfg):
+def held_string(z, goal: Goal, scene: Scene, cfg: StaticConfig):
     """The parts of `Held`, its table last."""
     mobility, rows, modes = _string(z, goal, scene, cfg)
     log_zeta = _smooth(goal, modes.step)
@@ -245,7 +259,9 @@ def held_string(z, goal: Goal, scene: Scene, cfg: Cfg):
     return mobility, rows, powers.real, powers.imag, *modes
 
 
-def _on_held(z: Float[Array, " 5"], held: FixedString, goal: Goal, scene: Scene, cfg: Cfg) -> Float[Array, " bins"]:
+def _on_held(
+    z: Float[Array, " 5"], held: FixedString, goal: Goal, scene: Scene, cfg: StaticConfig
+) -> Float[Array, " bins"]:
     def pushed(drive: Array) -> tuple[Array, Array]:
         return drive @ held.real, drive @ held.imag
 
@@ -253,13 +269,13 @@ def _on_held(z: Float[Array, " 5"], held: FixedString, goal: Goal, scene: Scene,
 
 
 @persistent_jit
-def hammer_costs(held: FixedString, goal: Goal, z, scene: Scene, cfg: Cfg):
+def hammer_costs(held: FixedString, goal: Goal, z, scene: Scene, cfg: StaticConfig):
     """C [chains] of hammers `z` [chains, 5] on a string that is held."""
     return (jax.vmap(lambda x: 0.5 * (_on_held(x, held, goal, scene, cfg) ** 2).sum())(z),)
 
 
 @persistent_jit
-def hammer_residuals(held: FixedString, goal: Goal, z, scene: Scene, cfg: Cfg):
+def hammer_residuals(held: FixedString, goal: Goal, z, scene: Scene, cfg: StaticConfig):
     """Residuals [starts, bins], of which half the sum of squares is C, and their Jacobian [starts, bins, 5]."""
 
     def twice(x: Array) -> tuple[Array, Array]:

@@ -75,7 +75,7 @@ Known = Annotated[
     typer.Option(
         metavar="SETUP.TOML",
         help="What was known beforehand, in SI units: [string] length, mass; [strike] position, width; "
-        "[pickup] quantity, position, scale; [known], [initial], [bounds] by parameter (docs/files.md).",
+        "[pickup] quantity, position, scale; [fixed], [initial], [bounds] by parameter (docs/files.md).",
     ),
 ]
 Sound = Annotated[Path, typer.Option(metavar="FILE.WAV", help="The WAV file to write.")]

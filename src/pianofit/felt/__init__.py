@@ -50,7 +50,7 @@ def law_of(hammer: Any) -> FeltLaw:
     for law in (getattr(kind, "law", None), *LAWS.values()):
         if law is not None and law.kind is kind:
             return law
-    raise ParameterError(f"{kind.__name__} is no hammer; use Hammer, MemoryHammer, or FeltLaw.hammer")
+    raise ParameterError(f"{kind.__name__} is no hammer; use Hammer, RelaxingHammer, or FeltLaw.hammer")
 
 
 def check_hammer(hammer: Any, where: str = "hammer") -> None:

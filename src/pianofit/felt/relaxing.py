@@ -20,7 +20,7 @@ __all__ = ["LAWS", "STULOV", "RelaxingHammer"]
 class RelaxingHammer(NamedTuple):
     """A hammer whose felt remembers: F = K_H [u^p (1 + μ u̇) - ε c], τ ċ = u^p - c; with μ = 0 Stulov's felt.
 
-    From a hammer of the same stiffness: `MemoryHammer(*hammer._replace(mu=0.0), epsilon, tau)`.
+    From a hammer of the same stiffness: `RelaxingHammer(*hammer._replace(mu=0.0), epsilon, tau)`.
     """
 
     K_H: Number  # felt stiffness to a sudden compression, N/m^p; a slow one feels K_H (1 - ε)

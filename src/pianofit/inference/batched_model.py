@@ -117,7 +117,7 @@ def levels_per_string(strings, cents, lanes, scene: ModelInputs, cfg: StaticConf
 
 @persistent_jit
 def level_jacobians_per_string(strings, cents, lanes, scene: ModelInputs, cfg: StaticConfig):
-    """As `own_levels`, with derivatives by the string and the entries `scene.free` [lanes, rows, 4 + directions]."""
+    """As `levels_per_string`, with derivatives by the string and the entries `scene.free` [lanes, rows, 4 + directions]."""
     size = STRING_SIZE + lanes.shape[-1]
     entries = jnp.where(scene.free < 0, -1, scene.free + STRING_SIZE)
     along = jax.nn.one_hot(jnp.concatenate([jnp.arange(STRING_SIZE), entries]), size)

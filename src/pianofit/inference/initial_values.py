@@ -124,7 +124,7 @@ def _check_pitch(analysis: Analysis, setup: Setup, length: float) -> None:
             )
     elif abs(1200 * math.log2(c / (2 * length) / analysis.f0)) > ANOTHER_PITCH:
         raise SetupError(
-            f"[known] c = {c:g} m/s and [string] {told} make {c / (2 * length):.1f} Hz, and {heard}; "
+            f"[fixed] c = {c:g} m/s and [string] {told} make {c / (2 * length):.1f} Hz, and {heard}; "
             "correct one of them"
         )
 

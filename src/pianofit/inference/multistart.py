@@ -48,7 +48,7 @@ SCAN = (0.003, 0.006, 0.01, 0.015, 0.02, 0.03, 0.045, 0.065)
 TRIAL = 6
 # to come as near to the best as `NEAR` to go on, and how many of a round do.
 GOING = 2
-NO_HAMMER = "no hammer within the bounds gives a finite sound; widen [bounds] or check [known] in the setup"
+NO_HAMMER = "no hammer within the bounds gives a finite sound; widen [bounds] or check [fixed] in the setup"
 # Minima closer than this in every unknown, in the prior's standard deviations, are one.
 SAME = 0.02
 

@@ -1,6 +1,6 @@
 """Descents on one problem's F, by θ, φ and w together: Levenberg and Marquardt's method, BFGS and EM.
 
-While φ and w are held, F of any number of candidates is one parabola of their residuals (`Parabola`), and that is
+While φ and w are held, F of any number of candidates is one parabola of their residuals (`QuadraticSurrogate`), and that is
 lowered in its place.
 """
 

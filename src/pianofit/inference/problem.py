@@ -54,7 +54,7 @@ class FitProblem:
     layout: RecordingStructure
     reference: int  # the recording whose pitch is the string's, and whose stroke is shown first
     measured_velocity: tuple[float | None, ...]  # measured velocity of every stroke, m/s
-    assumed_velocity_of: bool  # that the reference's is the one in [known], which names no recording
+    assumed_velocity_of: bool  # that the reference's is the one in [fixed], which names no recording
     unmatched_entries: tuple[
         tuple[str, str], ...
     ]  # files of [[recording]] that are a recording's but for their kind, and it
@@ -122,7 +122,7 @@ def build_problem(
     observed = observe(analyses, layout, reference, scale, path, start.scale is None)
     unknowns, scene, cfg = _model(start, speed, observed, max(r.rate for r in recordings), path)
     if not unknowns.free.any():
-        raise FitError("nothing is left to fit: [known] holds everything; leave out what is to be found")
+        raise FitError("nothing is left to fit: [fixed] holds everything; leave out what is to be found")
     return FitProblem(
         tuple(recordings), analyses, start, layout, reference, tuple(speed), nameless and layout.strokes > 1,
         _unmatched(setup, recordings), unknowns, observed, scene, cfg,

@@ -3,7 +3,7 @@
     sound_l(t) = g_l F_l(t) ∗ (Re Σ_m P_m e^{p_m t} + knock(t))
 
 `modes` finds the poles that all layers of a key share, with `subspace` in `bands` about each partial; `key` finds what
-stands between the fitted forces and the recordings. `make_ring` does all of it for a finished fit, and keeps what
+stands between the fitted forces and the recordings. `fit_modal_response` does all of it for a finished fit, and keeps what
 brings layers nearer that took no part.
 """
 

@@ -56,7 +56,7 @@ ARRAY, TEXT = (_is_array, "an array of numbers"), (lambda value: isinstance(valu
 KINDS: Mapping[str, tuple[Callable[[Any], bool], str]] = {
     "string": (_numbers_of(kind=String), "a String of numbers"),
     "geometry": (_numbers_of(kind=Geometry), "a Geometry of numbers"),
-    "hammer": (_numbers_of("v_H0"), "a Hammer, a MemoryHammer or a FeltLaw's hammer, of numbers"),
+    "hammer": (_numbers_of("v_H0"), "a Hammer, a RelaxingHammer or a FeltLaw's hammer, of numbers"),
     "modes": (_numbers_of("omega2", "pole"), "a table of modes, as mode_table returns it"),
     "free": (_numbers_of("amplitude", "energy"), "a free motion, as pluck returns it"),
     "rate": NUMBER, "sigma": (is_numeric, "a number"), "length": NUMBER, "force": NUMBER,

@@ -126,7 +126,7 @@ def strike(
     Parameters
     ----------
     modes : the table, see `mode_table`. Its rate sets the step's error, of second order: 88,200 Hz leaves 1e-3.
-    hammer : a `Hammer`, K_H, mu, p, M_H, v_H0 in SI units; a `MemoryHammer`, or a hammer of a `FeltLaw`.
+    hammer : a `Hammer`, K_H, mu, p, M_H, v_H0 in SI units; a `RelaxingHammer`, or a hammer of a `FeltLaw`.
     steps : how long to follow the hammer; a multiple of 32. Contacts last 1 to 8 ms: 1024 steps at 88,200 Hz suit the
         middle, the bass needs more. What it costs is linear in steps and in modes.
     free : motion of a string that already sounds, see `pluck`; at rest by default.

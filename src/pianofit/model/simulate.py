@@ -144,7 +144,7 @@ def simulate(
     Parameters
     ----------
     string, geometry : in SI units.
-    hammer : a `Hammer`, a `MemoryHammer`, or a hammer of a `FeltLaw`.
+    hammer : a `Hammer`, a `RelaxingHammer`, or a hammer of a `FeltLaw`.
     rate : of the signal, Hz.
     oversampling : the contact's rate over that of the signal; as high as the string needs if None.
     quantity, kind, strike_weights : see `mode_table`; `finite_difference` needs `n_modes`, the paper's N.

@@ -326,12 +326,12 @@ def _out_of_line(fit: InferenceResult, errors: Sequence[float]) -> list[str]:
 
 
 def velocity_assumption(problem: FitProblem) -> list[str]:
-    """Whose velocity that in [known] is taken for, where it could be of several."""
+    """Whose velocity that in [fixed] is taken for, where it could be of several."""
     if not problem.assumed_velocity_of:
         return []
     at = problem.reference
     return [
-        f"[known] v_H0 = {problem.measured_velocity[problem.layout.stroke[at]]:g} m/s is taken for the stroke of "
+        f"[fixed] v_H0 = {problem.measured_velocity[problem.layout.stroke[at]]:g} m/s is taken for the stroke of "
         f"{printable(Path(problem.recordings[at].path).name)}, the brightest of these recordings; a [[recording]] says "
         "of each which velocity was measured."
     ]
