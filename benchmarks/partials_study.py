@@ -149,12 +149,12 @@ def errors(found: tuple[np.ndarray, ...], truth: Truth) -> np.ndarray:
     """Absolute errors [3, partials found]: frequency in cents, decay rate in per cent, level in dB."""
     number, frequency, decay, level = found
     known = np.isin(number, truth.number)
-    i = np.searchsorted(truth.number, number[fixed])
+    i = np.searchsorted(truth.number, number[known])
     return np.abs(
         [
-            1200 * np.log2(frequency[fixed] / truth.frequency[i]),
-            100 * (decay[fixed] / truth.decay[i] - 1),
-            level[fixed] - truth.level[i],
+            1200 * np.log2(frequency[known] / truth.frequency[i]),
+            100 * (decay[known] / truth.decay[i] - 1),
+            level[known] - truth.level[i],
         ]
     )
 

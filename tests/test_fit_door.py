@@ -21,7 +21,7 @@ NOISE = 1e-4 * np.random.default_rng(0).standard_normal(RATE + 4410)
 # What a file of 32 bit floats holds.
 SAMPLES = (np.pad(0.3 * PARTIALS, (4410, 0)) + NOISE).astype(np.float32).astype(float)
 TABLES = {"string": {"length": 0.4}, "fixed": {"M_H": 5e-3}, "recording": [{"v_H0": 2.0}]}
-TEXT = "[string]\nlength = 0.4\n[fixed]\nM_H = 5e-3\n[[take]]\nv_H0 = 2.0\n"
+TEXT = "[string]\nlength = 0.4\n[known]\nM_H = 5e-3\n[[take]]\nv_H0 = 2.0\n"
 
 
 @pytest.fixture

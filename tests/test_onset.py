@@ -13,7 +13,7 @@ from pianofit.analysis import analyse
 from pianofit.errors import WrongNoteError
 from pianofit.recording.onset import find_onset, find_sounds, without_drift
 from pianofit.recording.recording import load_recording, recording_from_samples
-from pianofit.recording.recording import onset as module
+from pianofit.recording import onset as module
 
 RATE = 44_100
 SHARED = Path(os.environ.get("PIANOFIT_RECORDINGS", Path(__file__).parents[2] / "shared" / "recordings")).parent

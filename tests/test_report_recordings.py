@@ -385,7 +385,7 @@ def test_no_scale_is_open_where_gain_or_velocity_were_given(known):
     fit = fit_of_recordings()
     fit["parameters"]["v_H0"] |= {"status": "fitted"}
     for recording in fit["recordings"]:
-        recording[fixed] = "given"
+        recording[known] = "given"
     words = said(fit)
     assert "Velocities of the strokes (the least certain ± 10 %)" in words["Fixed by the data"]
     assert "common scale" not in " ".join(words.values())

@@ -61,7 +61,7 @@ def test_every_key_is_read(tmp_path):
     )
 
 
-@pytest.mark.parametrize("text", ["# nothing is known\n", "[string]\n[strike]\n[fixed]\n[bounds]\n"])
+@pytest.mark.parametrize("text", ["# nothing is known\n", "[string]\n[strike]\n[known]\n[bounds]\n"])
 def test_all_of_it_is_optional(tmp_path, text):
     (tmp_path / "setup.toml").write_text(text)
     setup = load_setup(str(tmp_path / "setup.toml"))

@@ -91,4 +91,4 @@ def noise_between(
     known = np.isfinite(density)
     if not known.any():
         return np.full(len(wanted), float(np.median(power)) / np.log(2))
-    return np.interp(wanted, wanted[fixed], density[fixed])
+    return np.interp(wanted, wanted[known], density[known])

@@ -1,6 +1,6 @@
 """Two fits compared: every quantity with difference and z, and both felts over one axis of compression.
 
-The rules are in `report/comparable.py`.
+The rules are in `report/comparison_table.py`.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-// The instrument as it was set on the page, as an instrument.json: keyboard/document.py reads it.
+// The instrument as it was set on the page, as an instrument.json: instrument/document.py reads it.
 
 import { pathOf, ringingOf } from "./note.js";
 
-const INSTRUMENT_SCHEMA = 2; // see keyboard/build.py
+const INSTRUMENT_SCHEMA = 2; // see instrument/build.py
 // The laws whose values and intervals a slider's change leaves without meaning.
 const LAWS_OF = { force: ["K/M_S"], p: ["p"], mu: ["mu"], mass: ["M_H/M_S"], strike: ["x0/L"], loss: ["b1", "d2"],
   inharmonicity: ["B"] };

@@ -1,4 +1,4 @@
-// Standard MIDI files (MIDI Association, RP-001), read as play/midi_file.py and play/midi.py read them, and written.
+// Standard MIDI files (MIDI Association, RP-001), read as playback/midi_file.py and playback/midi.py read them, and written.
 //
 // A player needs notes, controllers and tempo. Other events and chunks are skipped by their lengths, unread. An event
 // that cannot be read ends its track; the events before it are kept, and a remark says so.

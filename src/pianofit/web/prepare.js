@@ -1,6 +1,6 @@
 // From a key's numbers to tables that the engine plays: the string's modes, its kernel at the strike, what is heard.
 //
-// The same formulas as model/modes.py, model/contact.py, model/path.py and model/modal.py, in SI units. All that a key
+// The same formulas as model/modes.py, model/contact.py, model/output_path.py and model/modal_response.py, in SI units. All that a key
 // makes heard is a bank of resonators and a short kernel, both driven by the stroke:
 //
 //   a key that rings by its law    resonators: the string's modes, each with the path's gain at its own pole
@@ -17,15 +17,15 @@ const ENOUGH_MODES = 30;
 const FAINT_WEIGHT = 1e-3;
 const MOST_MODES = 512;
 const MOST_DAMPED = 0.9; // α/ω of a mode that does not sound
-const SAME_PARTIAL = 0.005; // relative; see model/path.py
+const SAME_PARTIAL = 0.005; // relative; see model/output_path.py
 const RESPONSE = 1.0; // s, for which a path's response is computed; its first half is kept
-const LEVEL_SPAN = 0.35, LEVEL_DECAY = 8.0; // s and 1/s, see model/response.py
+const LEVEL_SPAN = 0.35, LEVEL_DECAY = 8.0; // s and 1/s, see model/free_response.py
 // A path's response ends where what is left of it holds this part of its energy, -112 dB: then the sound is within
 // -80 dB of that through all of it.
 const LEFT_OVER = 6e-12;
 // A mode's gain through the path sums the response until the mode has decayed by exp of this.
 const MOST_DECAY = 12;
-const LEAD = 0.012; // s, a knock begins so long before the contact, see model/modal.py
+const LEAD = 0.012; // s, a knock begins so long before the contact, see model/modal_response.py
 const SILENT = 35; // the push of a mode is followed until it has decayed by exp of this
 const EDGE = 10; // samples that the band-limited force begins before its touch
 
@@ -350,7 +350,7 @@ const inverse = ({ re, im }) => ({ re: re / (re ** 2 + im ** 2), im: -im / (re *
 
 /**
  * A knock, in which the push of modes that have `more` amplitude is silent as well: what is heard of a mode is its
- * acceleration, see `silencing` of model/modal.py.
+ * acceleration, see `silencing` of model/modal_response.py.
  */
 function silenced({ log, lead }, more, knock) {
   const out = Float64Array.from(knock);
