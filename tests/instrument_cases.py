@@ -1,7 +1,7 @@
-"""A piano that nobody built, whose every key is known: for the laws, the player and the sampler of an instrument.
+"""A synthetic piano for the tests of keyboard laws, player and sampler.
 
-It is the literature's, changed by smooth laws. Its keys come as notes, as recordings made by the model at a higher
-rate than any fit uses, and as the `fit.json` that a fit of known error would write.
+It is the literature's piano, changed by smooth laws. Its keys are available as notes, as recordings that the model
+computed at a higher rate than any fit uses, and as the `fit.json` of a fit with given errors.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from pianofit.parameters import Geometry, Hammer, String
 
 RATE = 44_100
 LAYERS = (0.7, 1.7, 4.0)  # m/s
-# Of every partial: decay over the law's, and amplitude over the prompt part's.
+# Two modes of every partial: decay over that of the string model, and relative amplitude.
 PARTS = ((1.5, 1.0), (0.3, 0.2))
-# Of the logarithms, as a fit of an uncalibrated key finds them.
+# Standard deviations of logarithms, typical of the fit of an uncalibrated key.
 ERRORS = {"c": 2e-4, "kappa": 5e-3, "b1": 0.1, "b2": 0.1, "K_H": 0.3, "mu": 0.2, "p": 0.04, "M_H": 0.03, "x0": 5e-3}
 
 
 def true_note(midi: int) -> Note:
-    """The key as it is, struck at 4 m/s."""
+    """The true key, struck at 4 m/s."""
     it, x = typical(midi), (midi - 60) / 40
     g = it.geometry
     string = String(
@@ -48,14 +48,14 @@ def true_note(midi: int) -> Note:
 
 
 def uneven_note(midi: int) -> Note:
-    """The key with partials that have levels and decays of their own."""
+    """The key with an individual level and decay of every partial."""
     note, k = true_note(midi), np.arange(1, 16)
     frequency = mode_frequencies(note.string, note.geometry.length, len(k))
     return note._replace(path=OutputPath(frequency, 3 * np.sin(1.7 * k), 1 + 0.4 * np.cos(2.3 * k)))
 
 
 def rung(midi: int, partials: int = 10) -> Note:
-    """The key with two decays a partial, of known ratios to its law's, levels of its own, and a knock."""
+    """The key with two modes a partial, `PARTS`, with individual levels and a knock."""
     note, random = true_note(midi), np.random.default_rng(midi)
     length, k = note.geometry.length, np.arange(1, partials + 1)
     law = note.string.b1 + note.string.b2 * (k * np.pi / length) ** 2
@@ -71,12 +71,12 @@ def rung(midi: int, partials: int = 10) -> Note:
 
 
 def true_instrument(keys: range = range(21, 109)) -> Instrument:
-    """All of it, MIDI velocity 64 being 1.3 m/s."""
+    """The whole instrument; MIDI velocity 64 is 1.3 m/s."""
     return Instrument("twin", {midi: true_note(midi) for midi in keys}, velocity_at_64=1.3, velocity_slope=1.5)
 
 
 def fit_document(note: Note, errors: dict[str, float], velocities: tuple[float, ...] = LAYERS) -> dict:
-    """What a fit with these errors (standard deviations of logarithms) would write of a note."""
+    """The `fit.json` of a note, from a fit with these errors (standard deviations of logarithms)."""
     s, h, g = note.string, note.hammer, note.geometry
     values = s._asdict() | h._asdict() | {"x0": g.strike_position, "width": g.width, "M_S": g.mass, "L": g.length}
 
@@ -102,14 +102,14 @@ def fit_document(note: Note, errors: dict[str, float], velocities: tuple[float, 
 
 
 def force_entry(note: Note, at: float, sd: float) -> dict:
-    """What such a fit would write of the felt's force at the compression `at`, m."""
+    """The entry of such a fit for the felt force at the compression `at`, m."""
     value = note.hammer.K_H * at**note.hammer.p / note.geometry.mass
     span = [value * math.exp(-1.959964 * sd), value * math.exp(1.959964 * sd)] if sd else None
     return {"value": value, "unit": "N/kg", "interval": span, "note": ""}
 
 
 def write_fit(folder: Path, midi: int, document: dict, prefix: str = "twin") -> Path:
-    """As `pianofit batch` leaves it."""
+    """Write a fit where `pianofit batch` does."""
     file = folder / "keys" / f"{prefix}-{midi_to_note(midi).replace('#', 's')}" / "fit.json"
     file.parent.mkdir(parents=True, exist_ok=True)
     file.write_text(json.dumps(document))
@@ -117,7 +117,7 @@ def write_fit(folder: Path, midi: int, document: dict, prefix: str = "twin") -> 
 
 
 def library(folder: Path, keys: list[int], seed: int = 0, *, errors: dict[str, float] = ERRORS) -> Path:
-    """A folder of fits whose parameters are off the truth by `errors`, at random."""
+    """A folder of fits whose parameters have random `errors`."""
     random = np.random.default_rng(seed)
     for midi in keys:
         note = true_note(midi)
@@ -129,11 +129,11 @@ def library(folder: Path, keys: list[int], seed: int = 0, *, errors: dict[str, f
         hammer = note.hammer._replace(K_H=at_1_mm / 1e-3**p, mu=note.hammer.mu * off.get("mu", 1.0), p=p,
                                        M_H=note.hammer.M_H * off.get("M_H", 1.0))  # fmt: skip
         geometry = note.geometry._replace(strike_position=note.geometry.strike_position * off.get("x0", 1.0))
-        found = note._replace(string=string, hammer=hammer, geometry=geometry)
+        fitted = note._replace(string=string, hammer=hammer, geometry=geometry)
         spread_p = errors.get("p", 0.0) * note.hammer.p
-        told = errors | {"K_H": math.hypot(force, math.log(1e3) * spread_p)}
-        document = fit_document(found, told)
-        document["invariants"]["F/M_S"] = force_entry(found, 1e-3, force)
+        stated = errors | {"K_H": math.hypot(force, math.log(1e3) * spread_p)}
+        document = fit_document(fitted, stated)
+        document["invariants"]["F/M_S"] = force_entry(fitted, 1e-3, force)
         write_fit(folder, midi, document)
     return folder
 
@@ -154,7 +154,7 @@ def record_key(
 
 
 def truth(name: str, keys: list[int]) -> np.ndarray:
-    """Of one quantity of `NAMES` [keys], on the scale of its law."""
+    """True values of one quantity of `NAMES` [keys], on the scale of its law."""
     assert name in NAMES
     values = np.array([key_observables(true_note(midi), midi)[name] for midi in keys])
     return values if name == "cents" else np.log(values)

@@ -1,4 +1,4 @@
-"""The page's engine under node, and a key that rings, to compare with the model's own sound."""
+"""The engine of the page in node, and a key with a modal response, for comparison with the model."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pianofit.model.modal_response import ModalResponse, VelocityGain
 from pianofit.model.note import Note
 
 RATE = 48_000
-BLOCK = 128  # samples at whose begins events take effect
+BLOCK = 128  # samples; events take effect at the beginning of a block
 SCRIPTS = Path(str(files("pianofit.web")))
 # Reads {rate, jobs: [{keys, changes?, events: [[block, what, value]], blocks}]}; writes every job's channels. Jobs with
 # `note`, `instrument`, `song` or `record` have one result: a document, or a MIDI file read or written.
@@ -72,7 +72,7 @@ console.log(JSON.stringify(played));
 
 
 def node() -> str:
-    """The program; skips, saying so, where there is none."""
+    """Path of node; skips the test if it is not installed."""
     found = shutil.which("node")
     if found is None:
         pytest.skip("node is not installed (Debian: apt-get install nodejs)")
@@ -80,7 +80,7 @@ def node() -> str:
 
 
 def run(jobs: list[dict], rate: int = RATE) -> list[list[bytes]]:
-    """What the engine makes of jobs, see `PROGRAM`."""
+    """Results of the engine for jobs, see `PROGRAM`."""
     command = [node(), "--input-type=module", "-e", PROGRAM, str(SCRIPTS)]
     done = subprocess.run(command, input=json.dumps({"rate": rate, "jobs": jobs}), capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
@@ -93,18 +93,18 @@ def play(jobs: list[dict], rate: int = RATE) -> list[np.ndarray]:
 
 
 def early(note: Note) -> int:
-    """Samples that the engine needs before a sound of the note begins: its lead is in whole blocks."""
+    """Samples of padding before a sound of the note, because the lead of the engine is in whole blocks."""
     return -round(note.pre_onset_s * RATE) % BLOCK
 
 
 def error_db(sound: np.ndarray, expected: np.ndarray) -> float:
-    """The largest difference over the largest sample."""
+    """Largest difference relative to the largest sample, dB."""
     size = min(sound.shape[-1], expected.shape[-1])
     return 20 * np.log10(np.abs(sound[..., :size] - expected[..., :size]).max() / np.abs(expected).max())
 
 
 def ringing_note(midi: int, channels: int = 2, rate: int = 44_100) -> Note:
-    """A key with two modes a partial, of different decays, and a knock that begins before the touch."""
+    """A key with two modes per partial, of different decay rates, and a knock that begins before the contact."""
     random, note = np.random.default_rng(midi), true_note(midi)
     partials = note.frequencies(40)
     partials = partials[partials < 16_000]

@@ -1,4 +1,4 @@
-"""What the report's tests share: the curves and the document of a fit that never was, and a reader of the page."""
+"""Curves and document of an invented fit, and a parser of the page, for the tests of the report."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ FORCE = "static force of the felt at 0.5 mm, at the reference velocity shown"
 
 
 def note(f0, inharmonicity, count, tilt, rate, seconds, seed=None, noise=0.0, lead=0.03):
-    """Sum of damped partials after `lead` seconds of silence: (samples, level in dB and decay of each partial)."""
+    """Return samples, and level in dB and decay of each partial: damped partials after `lead` seconds of silence."""
     k = np.arange(1, count + 1)
     frequency, decay = k * f0 * np.sqrt(1 + inharmonicity * k**2), 0.6 + 0.004 * k**2
     level = -tilt * k + 4 * np.cos(1.7 * k)
@@ -35,7 +35,7 @@ def note(f0, inharmonicity, count, tilt, rate, seconds, seed=None, noise=0.0, le
 
 
 def pulse(ms, duration, depth, stiffness, exponent, loss):
-    """Felt (Hunt and Crossley) pressed in by half a sine: force in N, compression in mm."""
+    """Return force in N and compression in mm of a felt (Hunt and Crossley) compressed by half a sine."""
     phase = np.pi * ms / duration
     u = np.where(ms <= duration, depth * np.sin(phase), 0.0)
     rate = np.where(ms <= duration, 1e3 * depth * np.pi / duration * np.cos(phase), 0.0)
@@ -43,7 +43,7 @@ def pulse(ms, duration, depth, stiffness, exponent, loss):
 
 
 def example_curves(rate=44100, seconds=3.0, count=40, f0=92.33, quiet=0.1, path=True):
-    """Curves as a fit of one struck string would give them."""
+    """Return the curves of a fit of one string."""
     B, k = 2.3e-4, np.arange(1, count + 1)
     measured, level, decay = note(f0, B, count, 0.9, rate, seconds, seed=3, noise=1e-4)
     initial, level_initial, _ = note(f0 * 1.001, 0.7 * B, count, 1.9, rate, seconds)
@@ -74,7 +74,7 @@ def example_curves(rate=44100, seconds=3.0, count=40, f0=92.33, quiet=0.1, path=
 
 
 def with_recordings(curves, velocities=(3.2, 0.6, 1.5), count=7):
-    """The same, of several recordings, the first of which is that of the curves, with all that a fit can have."""
+    """Return the same for several recordings, the first being that of the curves, with all optional parts."""
     rate, k, level, random = curves.sound_rate, curves.number, curves.levels["measured"], np.random.default_rng(8)
     seconds = len(curves.sounds["original"]) / rate
     recordings = []
@@ -89,7 +89,7 @@ def with_recordings(curves, velocities=(3.2, 0.6, 1.5), count=7):
     law = 30 * u**2.5 * np.array([1.0, 0.8, 1.25])[:, None]
     names = ("c", "kappa", "K_H", "mu", "p", "M_H")
     correlation = np.corrcoef(random.normal(size=(len(names), 9)))
-    reaches = (
+    half_widths = (
         ("f0", 1e-4, True),
         ("F/M_S", 0.3, True),
         ("v/v_ref 2", 0.1, True),
@@ -102,13 +102,18 @@ def with_recordings(curves, velocities=(3.2, 0.6, 1.5), count=7):
         velocity, tuple(0.05 * v * x for v, x in zip(velocity, tones, strict=True)), rate, count - 1, True
     )
     return dataclasses.replace(
-        curves, recordings=tuple(recordings), first=0, paths=((60.0 * k, 3 * np.sin(k / 3)), (60.0 * k, np.cos(k / 5))),
-        felt=Felt(u, law, 0.7 * law), known=IdentifiabilityData(names, correlation, reaches), strokes=strokes,
-    )  # fmt: skip
+        curves,
+        recordings=tuple(recordings),
+        reference_index=0,
+        paths=((60.0 * k, 3 * np.sin(k / 3)), (60.0 * k, np.cos(k / 5))),
+        felt=Felt(u, law, 0.7 * law),
+        identifiability=IdentifiabilityData(names, correlation, half_widths),
+        strokes=strokes,
+    )
 
 
 def with_ringing(curves):
-    """The same, of a key that rings by modes and knock, in stereo."""
+    """Return the same for a key with modes and knock, in stereo."""
     time, frames = np.linspace(0.0, 3.0, 200), np.linspace(0.0, 3.0, 80, endpoint=False)
     bands = np.geomspace(60.0, 6000.0, 24)
     envelopes = tuple(
@@ -125,24 +130,24 @@ def with_ringing(curves):
 
     return dataclasses.replace(
         curves, sounds={"original": stereo(curves.sounds["original"]), "fitted": stereo(curves.sounds["fitted"]),
-                        "law": curves.sounds["initial"]},
+                        "string model": curves.sounds["initial"]},
         ringing=RingingCurves(envelopes, frames, bands, level, level + 3 * np.sin(5 * frames), decays),
     )  # fmt: skip
 
 
 def ringing_entry(by="modes and knock", left_out=(8.2, 3.9, 2.6)):
-    """What `fit.json` says of such a key."""
-    away = dict(zip(("law", "modes", "modes and knock"), left_out, strict=True)) if left_out else None
-    said = {"by": by, "left_out_db": away, "layers": [{"file": "/a folder/a.wav", "contact_s": 0.002}]}
+    """Return the entry of `fit.json` for such a key."""
+    errors = dict(zip(("law", "modes", "modes and knock"), left_out, strict=True)) if left_out else None
+    entry = {"by": by, "left_out_db": errors, "layers": [{"file": "/a folder/a.wav", "contact_s": 0.002}]}
     modes = {"partial": [1, 1, 1, 2]}
-    return said if by == "law" else said | {"modes": modes, "pattern": [], "knock": None}
+    return entry if by == "law" else entry | {"modes": modes, "pattern": [], "knock": None}
 
 
 def fit_of_recordings(count=3, **changes):
-    """The document of such a fit."""
-    one = example_fit()["recordings"][0]
+    """Return the document of a fit of several recordings."""
+    template = example_fit()["recordings"][0]
     recordings = [
-        one | {"file": f"/a folder/recording-{i}.flac", "v_H0": 4.0 / i, "v_H0_interval": [3.6 / i, 4.4 / i],
+        template | {"file": f"/a folder/recording-{i}.flac", "v_H0": 4.0 / i, "v_H0_interval": [3.6 / i, 4.4 / i],
                "first": i == 1, "cents": -0.5 * i, "group": i % 2, "levels": {"initial_db": 9.0, "fitted_db": 1.0 + i}}
         for i in range(1, count + 1)
     ]  # fmt: skip
@@ -161,7 +166,7 @@ def fit_of_recordings(count=3, **changes):
 
 
 def minimum(share, above):
-    """One of several that the objective has."""
+    """Return one of several minima of the objective."""
     parameters = {"c": 184.661, "K_H": 1.1e10 * (1 + above), "p": 2.56 - 0.1 * above, "mu": 1.0, "M_H": 5.687e-3}
     return {
         "share": share,
@@ -173,7 +178,7 @@ def minimum(share, above):
 
 
 def example_held_out(count=3):
-    """What cross-validation returns."""
+    """Return the result of a cross-validation."""
     rows = [
         {"file": f"/a folder/recording-{i}.flac", "v_H0": 0.7 * i, "predicted_v_H0": 0.72 * i, "partials": 20 + i,
          "predicted_db": 1.0 + 0.25 * i, "nearest_db": 3.0 + 0.5 * i, "blend_db": 0.875 if 1 < i < count else None,
@@ -190,7 +195,7 @@ def example_fit(**changes):
     def invariant(value, unit, interval, note=""):
         return {"value": value, "unit": unit, "interval": interval, "note": note, "status": "fitted"}
 
-    length = "rests on an assumed length of 1 m"
+    length = "scales with an assumed length of 1 m"
     fit = {
         "schema": 4,
         "program": "pianofit",
@@ -198,9 +203,9 @@ def example_fit(**changes):
         "felt": "hunt-crossley",
         "seed": 0,
         "converged": True,
-        "claims": "One uncalibrated recording does not fix the felt: a smooth unknown path with a hammer from the "
-        "literature explains these levels as well.",
-        "messages": ["The string's length was not given.", "μ sits on its upper bound."],
+        "claims": "One uncalibrated recording does not determine the felt. A smooth unknown output path with a hammer "
+        "from the literature explains these levels as well.",
+        "messages": ["The string's length was not given.", "μ is at its upper bound."],
         "invariants": {
             "f0": invariant(92.331, "Hz", [92.321, 92.341]),
             "B": invariant(2.3e-4, "1", [2.254e-4, 2.346e-4]),
@@ -213,11 +218,11 @@ def example_fit(**changes):
             "kappa": entry(0.8914, "m²/s", [0.871, 0.912], "scaled", 0.87, length),
             "b1": entry(0.5682, "1/s", [0.531, 0.607], "fitted", 0.5),
             "b2": entry(4.05e-4, "m²/s", [3.6e-4, 4.5e-4], "scaled", 1.004e-10, length),
-            "K_H": entry(1.09949e10, "N/m^p", [8.1e9, 1.49e10], "scaled", 1.51647e9, "rests on an assumed string mass"),
+            "K_H": entry(1.09949e10, "N/m^p", [8.1e9, 1.49e10], "scaled", 1.51647e9, "assumed string mass"),
             "mu": entry(1.0, "s/m", None, "at-bound", 0.1, "upper bound 1 s/m"),
             "p": entry(2.56, "1", None, "not-identifiable", 2.55),
             "M_H": entry(5.687e-3, "kg", [5.2e-3, 6.2e-3], "scaled", 6.79e-3),
-            "v_H0": entry(4.0, "m/s", [1.6, 10.0], "scaled", 4.0, "its scale is the prior's"),
+            "v_H0": entry(4.0, "m/s", [1.6, 10.0], "scaled", 4.0, "its scale comes from the prior"),
             "M_S": entry(0.00618, "kg", None, "assumed", None),
             "L": entry(1.0, "m", None, "assumed", None),
             "x0": entry(0.12, "m", None, "given", None),
@@ -243,31 +248,34 @@ _DRAWN: dict = {}
 
 
 def drawn_once(curves, dropped=(), held_out=()):
-    """In place of `draw_figures`: what it draws of these very curves, drawn when first asked for."""
+    """Replace `draw_figures`: draw each set of curves once."""
     key = id(curves), dropped, repr(held_out)
     if key not in _DRAWN:
-        _DRAWN[key] = curves, draw_figures(curves, dropped, held_out)  # the curves are held: their id stays theirs
+        _DRAWN[key] = (
+            curves,
+            draw_figures(curves, dropped, held_out),
+        )  # the reference to the curves keeps their id unique
     return _DRAWN[key][1]
 
 
 def drawn_in(text):
-    """The pictures of a page as they stand in it, SVG."""
+    """Return the SVG elements of a page."""
     return re.findall(r"<svg.*?</svg>", text, re.DOTALL)
 
 
 class Page(HTMLParser):
-    """Tags with their attributes, in order, the text of scripts, and the text that a reader sees."""
+    """Tags with their attributes, in order, the text of scripts, and the visible text."""
 
     def __init__(self, text):
         super().__init__()
-        self.tags, self.scripts, self.words = [], [], []
+        self.tags, self.scripts, self.texts = [], [], []
         self.feed(text)
 
-    def handle_starttag(self, tag, attributes):  # noqa: D102  (the parser's own names)
+    def handle_starttag(self, tag, attributes):  # noqa: D102  (names of the base class)
         self.tags.append((tag, dict(attributes)))
 
     def handle_data(self, text):  # noqa: D102
-        (self.scripts if self.cdata_elem == "script" else [] if self.cdata_elem else self.words).append(text)
+        (self.scripts if self.cdata_elem == "script" else [] if self.cdata_elem else self.texts).append(text)
 
     def all(self, tag):
         """Return the attributes of every such tag."""
@@ -275,10 +283,10 @@ class Page(HTMLParser):
 
     @property
     def drawings(self):
-        """Return the attributes of the frames of the pictures, one a panel."""
-        return [one for one in self.all("div") if one.get("class") == "drawing"]
+        """Return the attributes of the frames of all panels."""
+        return [div for div in self.all("div") if div.get("class") == "drawing"]
 
     @property
     def text(self):
-        """The words a reader sees, spaces made one."""
-        return re.sub(r"\s+", " ", " ".join(self.words))
+        """Return the visible text with single spaces."""
+        return re.sub(r"\s+", " ", " ".join(self.texts))

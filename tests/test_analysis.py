@@ -1,4 +1,4 @@
-"""Analysis of notes whose partials are known: precision, honest errors, robustness, and the ways it refuses."""
+"""Analysis of notes with known partials: precision, calibrated errors, robustness and rejections."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from pianofit.analysis import (
     note_to_midi,
     rows,
 )
-from pianofit.analysis.baseband_fit import first_fits, level_of, with_errors
+from pianofit.analysis.baseband_fit import first_fits, measure_levels, with_errors
 from pianofit.analysis.demodulation import demodulate
 from pianofit.analysis.glide import glide_detected
 from pianofit.analysis.inharmonicity import decay_law, frequency_law
@@ -42,12 +42,12 @@ class Note:
     pole: np.ndarray
 
     def recording(self, *, seconds: float = 6.0, noise: float = 0.0, seed: int = 0, bend: float = 0.0) -> Recording:
-        """The note after 50 ms of silence, rising over 3 ms; `bend` cents of glide die away with 1 s."""
+        """The note after 50 ms of silence, with a rise of 3 ms; `bend` cents of glide decay with 1 s."""
         x = self._clean(seconds, bend)
         x = x + noise * np.random.default_rng(seed).standard_normal(len(x))
         return replace(recording_from_samples(x, RATE), onset=int(LEAD * RATE))
 
-    @functools.lru_cache(maxsize=4)  # noqa: B019 - a few notes of a few seconds, many times with other noise
+    @functools.lru_cache(maxsize=4)  # noqa: B019 - a few notes of a few seconds, used with different noise
     def _clean(self, seconds: float, bend: float) -> np.ndarray:
         t = np.arange(int(seconds * RATE)) / RATE
         late = bend * np.log(2) / 1200 * (1 - np.exp(-t))
@@ -75,7 +75,7 @@ class Note:
 
 
 def string(f0: float, B: float, partials: int, b1: float, d2: float, *, seed: int = 0, missing: int = 0) -> Note:
-    """Random phases; levels up to 40 dB apart from partial to partial, the upper ones 20 dB down besides."""
+    """Random phases; levels of partials differ by up to 40 dB and fall by 20 dB towards the highest."""
     rng = np.random.default_rng(seed)
     k = np.arange(1, partials + 1)
     k = k[k % missing != 0] if missing else k
@@ -130,7 +130,7 @@ def test_precision_without_noise(name):
     i = np.searchsorted(table.number, truth.number[audible])
     np.testing.assert_allclose(table.frequency[i], truth.frequency[audible], rtol=1e-6)
     np.testing.assert_allclose(table.decay[i], truth.decay[audible], rtol=1e-4)
-    # The energy of the last holds a little of the next, which is too faint to be found and taken out.
+    # The energy of the last one includes some of the next, which is too faint to be detected and subtracted.
     np.testing.assert_allclose(table.level[i][:-1], truth.level[audible][:-1], atol=5e-3)
     np.testing.assert_allclose(table.level[i][-1], truth.level[audible][-1], atol=0.15)
     f0, B, _, b1, d2 = STRINGS[name]
@@ -167,7 +167,7 @@ def test_errors_are_honest_and_near_the_bound(name):
 
 
 def _cramer_rao(truth: Note, noise: float) -> np.ndarray:
-    """Bound on the angular frequency of one damped cosine from 5 ms on, everything else known; 1/s."""
+    """Bound on the angular frequency of one damped cosine from 5 ms on, with all else known; 1/s."""
     t = np.arange(int(0.005 * RATE), 6 * RATE) / RATE
     out = []
     for a, s in zip(truth.amplitude[:, 0], truth.pole[:, 0], strict=True):
@@ -192,7 +192,7 @@ def test_beating_partials_keep_their_level_and_dominant_frequency():
     i = np.searchsorted(truth.number, table.number)
     assert len(table) >= 15
     assert np.median(table.beating) > 1.5
-    # The energy of two seconds is brought to the onset by the law's decay, not by what the beat makes of it there.
+    # The energy of two seconds is converted by the decay law, not by the apparent decay of a beating partial.
     off = table.level - truth.level[i]
     assert np.median(np.abs(off)) < 1.6
     assert np.sqrt(np.mean((off / _spread(table, "level")) ** 2)) < 2.0
@@ -200,7 +200,7 @@ def test_beating_partials_keep_their_level_and_dominant_frequency():
     clean = analyse(one.recording(noise=1e-6), note="C4").partials
     assert np.median(table.level_error) < 0.5
     assert np.median(_spread(table, "level")) > 0.1
-    assert np.median(_spread(clean, "level")) < 1e-4  # how sure the law of decays is
+    assert np.median(_spread(clean, "level")) < 1e-4  # the error of the decay law
 
 
 def _spread(table: Partials, column: str) -> np.ndarray:
@@ -209,13 +209,15 @@ def _spread(table: Partials, column: str) -> np.ndarray:
 
 
 def _two_axes(one: Note, cents: float, share: float) -> Note:
-    """The same stroke shared out between the string and a second axis, so many cents higher."""
-    apart = 1j * one.pole.imag * (2 ** (cents / 1200) - 1)
-    return Note(one.number, np.hstack([one.amplitude, share * one.amplitude]), np.hstack([one.pole, one.pole + apart]))
+    """The stroke with an additional `share` on a second polarisation, `cents` higher."""
+    detuning = 1j * one.pole.imag * (2 ** (cents / 1200) - 1)
+    return Note(
+        one.number, np.hstack([one.amplitude, share * one.amplitude]), np.hstack([one.pole, one.pole + detuning])
+    )
 
 
 def test_standard_errors_are_right_at_every_signal_to_noise_ratio():
-    """And nothing systematic is seen where there is nothing."""
+    """Systematic errors are zero where none exist."""
     standard, seen, snr = [], [], []
     for name, down, partials in (("A0", 40.0, 40), ("A2", 55.0, 30), ("C5", 70.0, 12)):
         f0, B, _, b1, _ = STRINGS[name]
@@ -227,7 +229,7 @@ def test_standard_errors_are_right_at_every_signal_to_noise_ratio():
             i = np.searchsorted(truth.number, table.number)
             for column in ("frequency", "decay", "level"):
                 error, spread = getattr(table, f"{column}_error"), _spread(table, column)
-                # The law of decays, which brings levels to their span, is as good as the noise lets it be.
+                # The decay law that converts levels has only the error due to noise.
                 whole = np.hypot(error, spread) if column == "level" else error
                 standard.append((getattr(table, column) - getattr(truth, column)[i]) / whole)
                 seen.append(spread / error if column != "level" else np.zeros(len(table)))
@@ -240,7 +242,7 @@ def test_standard_errors_are_right_at_every_signal_to_noise_ratio():
         assert np.sqrt(np.mean(z**2)) == pytest.approx(1.0, abs=0.13)
         assert abs(np.mean(z)) < 4 / np.sqrt(len(z))
     assert np.median(seen) == 0.0
-    assert np.mean(seen > 0.3) < 0.07  # what noise alone makes of one is seen in its four neighbours too
+    assert np.mean(seen > 0.3) < 0.07  # an error caused by noise alone also affects its four neighbours
 
 
 @pytest.mark.parametrize(("name", "cents"), [("A0", 2.0), ("A2", 1.5), ("C5", 1.0)])
@@ -249,7 +251,7 @@ def test_systematic_covariances_cover_what_a_second_axis_does(name, cents):
     one, share = string(f0, B, 12, b1, 20.0 / 30**2, seed=3), 0.2
     table = analyse(_two_axes(one, cents, share).recording(seconds=3.0, noise=1e-6), note=name).partials
     i = np.searchsorted(one.number, table.number)
-    # The mean pitch is a matter of the recording's own offset.
+    # The mean pitch of each recording is free.
     ratio = table.frequency / one.frequency[i]
     off = {
         "frequency": table.frequency * (1 - np.mean(ratio) / ratio),
@@ -275,14 +277,14 @@ def test_a_beat_does_the_same_to_loud_and_soft_recordings():
 
 
 def test_windows_begin_at_one_time_however_long_the_recording_is():
-    """What a beat does to a sum of frames depends on where they begin."""
+    """The effect of a beat on a sum of frames depends on their start."""
     samples = string(*STRINGS["A0"], seed=4).recording().samples
     first = {demodulate(samples[:n], RATE, np.array([27.5, 55.0]), 26.0, 0.005).time[0] for n in (88_200, 100_003)}
     assert len(first) == 1
 
 
 def test_levels_by_another_law_of_decays_are_those_measured_by_it():
-    """To the third order: of what laws that differ by half do to them, all but a fiftieth is known."""
+    """To third order: for laws that differ by half, the conversion leaves less than 2 % of the difference."""
     samples = string(*STRINGS["A2"], seed=4).recording(noise=1e-5).samples[int(LEAD * RATE) :]
     number, (f0, B, _, b1, d2) = np.arange(1, 13), STRINGS["A2"]
     bands = demodulate(samples, RATE, law_frequency(f0, B, number), 0.97 * f0, 0.005)
@@ -292,7 +294,7 @@ def test_levels_by_another_law_of_decays_are_those_measured_by_it():
     def by(factor: float) -> Analysis:
         laws = replace(first, level_law=(factor * b1, factor * d2))
         decay = factor * (b1 + d2 * number**2.0)
-        level, _, lag = level_of(bands, z, with_errors(bands, slice(None), fit, density), density, decay)
+        level, _, lag = measure_levels(bands, z, with_errors(bands, slice(None), fit, density), density, decay)
         return replace(
             laws, partials=replace(first.partials, number=number, level=level, level_decay_sensitivity_s=lag)
         )
@@ -328,7 +330,7 @@ def test_absent_partials_are_bounded_by_the_energy_in_their_bands():
     assert 11000 < frequency.max() < 12000
     inside = table.absent <= 20
     assert np.all(table.absent_bound[inside] > hidden.level[table.absent[inside] - 1])
-    # Noise in a band of 0.3 spacings to either side, under exp(-8t): what is left when no partial is there.
+    # Noise in a band of 0.3 spacings to either side, under exp(-8t), without a partial.
     noise = 10 * np.log10(analysis.noise_density[0] * 0.6 * 220 / 16)
     assert np.median(table.absent_bound) == pytest.approx(noise, abs=4.0)
     loud = analyse(one.recording(noise=1e-4), note="A3").partials
@@ -337,10 +339,10 @@ def test_absent_partials_are_bounded_by_the_energy_in_their_bands():
 
 def test_a_glide_tells_how_sharp_it_began():
     truth = string(55.0, 2e-4, 40, 0.3, 3e-3, seed=2)
-    found = analyse(truth.recording(noise=1e-5, bend=6.0), note="A1")
-    # It starts 6 cents sharp and falls as exp(-t); what is told is how far it began above its mean from 0.2 to 1.0 s.
+    analysis = analyse(truth.recording(noise=1e-5, bend=6.0), note="A1")
+    # It starts 6 cents sharp and falls as exp(-t). `glide_start` is relative to the mean from 0.2 to 1.0 s.
     mean = 6.0 * (1 - (np.exp(-0.2) - np.exp(-1.0)) / 0.8)
-    assert found.glide_start == pytest.approx(mean, abs=0.2)
+    assert analysis.glide_start == pytest.approx(mean, abs=0.2)
     assert analyse(truth.recording(noise=1e-5), note="A1").glide_start == 0.0
 
 
@@ -353,7 +355,7 @@ def test_a_fall_of_pitch_is_one_only_if_it_is_sure():
 
 
 def test_a_short_note_that_glides_says_how_little_is_known_of_it():
-    """Only the first partial lasts into the third window: the time constant is not told."""
+    """Only the first partial lasts into the third window, so the time constant is not determined."""
     truth = string(1046.5, 1e-3, 9, 4.0, 0.9, seed=6)
     analysis = analyse(truth.recording(seconds=3.0, noise=1e-5, bend=6.0), note="C6")
     mean = 6 * (np.exp(-0.2) - np.exp(-1.0)) / 0.8
@@ -379,12 +381,12 @@ def test_bass_without_its_first_partials():
 @pytest.mark.parametrize("name", ["A0", "A2"])
 def test_partials_keep_their_numbers_where_a_string_leaves_its_law(name):
     note = string(*STRINGS[name], seed=3)
-    cents = -2.5 * (note.number / 20) ** 3  # as an A0's: a spacing and more from partial 60 on
+    cents = -2.5 * (note.number / 20) ** 3  # as on an A0: more than a spacing from partial 60 on
     bent = replace(note, pole=note.pole.real + 1j * note.pole.imag * 2.0 ** (cents / 1200)[:, None])
-    found = analyse(bent.recording(noise=1e-6), f0=STRINGS[name][0]).partials
-    assert len(found) > 0.95 * len(note.number)
-    true = bent.frequency[found.number - 1]
-    assert 1200 * np.abs(np.log2(found.frequency / true)).max() < 1.0
+    table = analyse(bent.recording(noise=1e-6), f0=STRINGS[name][0]).partials
+    assert len(table) > 0.95 * len(note.number)
+    true = bent.frequency[table.number - 1]
+    assert 1200 * np.abs(np.log2(table.frequency / true)).max() < 1.0
 
 
 def test_glide_is_measured_and_frequencies_come_from_the_second_window():
@@ -403,7 +405,7 @@ def test_a_glide_is_no_loss():
     analysis = analyse(truth.recording(noise=1e-6, bend=4.0), note="F#2")
     mean = 1 + 4 * (np.exp(-0.2) - np.exp(-1.0)) / 0.8 * np.log(2) / 1200
     own = np.searchsorted(truth.number, analysis.partials.number)
-    # Fitted as they are, the upper partials decay up to a quarter too fast, and b1 and d2 with them.
+    # Without removal of the glide, decay rates of high partials are up to a quarter too large, and b1 and d2 as well.
     np.testing.assert_allclose(analysis.partials.decay, truth.decay[own], rtol=0.03)
     assert analysis.d2 == pytest.approx(3e-3, rel=0.01)
     assert pytest.approx(2.3e-4, rel=1e-3) == analysis.B
@@ -431,37 +433,37 @@ def test_a_note_that_is_not_there(name, wrong):
 
 
 def test_rumble_beside_the_lowest_partial_is_none_of_them():
-    """However far from the law high partials lie, low ones keep to it; and their neighbours do not suffer."""
+    """Low partials follow the law even if high ones deviate from it; their neighbours are not affected."""
     truth = string(*STRINGS["A0"], seed=8)
     low = truth.number > 1
     bent = truth.pole.real[low] + 1j * truth.pole.imag[low] * 2.0 ** (-0.0015 * truth.number[low, None] ** 3 / 1200)
     clean = Note(truth.number[low], truth.amplitude[low], bent)
     rumble = Note(np.array([1]), np.array([[0.002 + 0j]]), np.array([[-1.0 + 2j * np.pi * 1.1 * STRINGS["A0"][0]]]))
     both = Note(*(np.concatenate(pair) for pair in zip(vars(clean).values(), vars(rumble).values(), strict=True)))
-    expected, found = (analyse(one.recording(noise=1e-5), note="A0") for one in (clean, both))
-    assert 1 not in found.partials.number
-    assert abs(1200 * np.log2(found.f0 / expected.f0)) < 0.5
-    assert found.f0_error < 2 * expected.f0_error
+    expected, analysis = (analyse(one.recording(noise=1e-5), note="A0") for one in (clean, both))
+    assert 1 not in analysis.partials.number
+    assert abs(1200 * np.log2(analysis.f0 / expected.f0)) < 0.5
+    assert analysis.f0_error < 2 * expected.f0_error
 
 
-@pytest.mark.parametrize(("name", "said"), [("G#2", "above G#2, nearer to A2"), ("A#2", "below A#2"), ("45", None)])
-def test_a_note_a_semitone_off_its_name_says_so(name, said):
-    found = analyse(string(*STRINGS["A2"], seed=3).recording(noise=1e-5), note=name)
-    assert found.note == name if said else found.note == "A2"
-    about = [warning for warning in found.warnings if "check the note's name" in warning]
-    assert len(about) == bool(said)
-    assert said is None or said in about[0]
+@pytest.mark.parametrize(("name", "expected_text"), [("G#2", "above G#2"), ("A#2", "below A#2"), ("45", None)])
+def test_a_note_a_semitone_off_its_name_says_so(name, expected_text):
+    analysis = analyse(string(*STRINGS["A2"], seed=3).recording(noise=1e-5), note=name)
+    assert analysis.note == name if expected_text else analysis.note == "A2"
+    matching = [warning for warning in analysis.warnings if "check the note's name" in warning]
+    assert len(matching) == bool(expected_text)
+    assert expected_text is None or expected_text in matching[0]
 
 
 @pytest.mark.parametrize("name", STRINGS)
-@pytest.mark.parametrize(("gain", "said"), [(1.0, True), (0.3, True), (0.0, False)])
-def test_a_second_stroke_is_noticed(name, gain, said):
+@pytest.mark.parametrize(("gain", "detected"), [(1.0, True), (0.3, True), (0.0, False)])
+def test_a_second_stroke_is_noticed(name, gain, detected):
     once = string(*STRINGS[name], seed=3).recording(noise=1e-5)
     later = round(1.5 * RATE)
     sound = once.samples + gain * np.pad(once.samples, (later, 0))[: len(once.samples)]
-    found = analyse(recording_from_samples(sound, RATE), note=name)
-    about = [float(re.findall(r"about ([\d.]+) s", text)[0]) for text in found.warnings if "second stroke" in text]
-    assert about == ([pytest.approx(1.5, abs=0.1)] if said else [])
+    analysis = analyse(recording_from_samples(sound, RATE), note=name)
+    times = [float(re.findall(r"about ([\d.]+) s", text)[0]) for text in analysis.warnings if "second stroke" in text]
+    assert times == ([pytest.approx(1.5, abs=0.1)] if detected else [])
 
 
 def test_f0_in_place_of_a_note():

@@ -13,7 +13,7 @@ import pianofit
 from pianofit.analysis import Analysis, analyse, law_frequency, note_to_hz
 from pianofit.analysis.demodulation import Bands
 from pianofit.analysis.inharmonicity import B_RANGE, frequency_law
-from pianofit.analysis.second_strike import detect_second_strike
+from pianofit.analysis.second_stroke import detect_second_stroke
 from pianofit.errors import AnalysisError, WrongNoteError
 from pianofit.recording.recording import recording_from_samples
 from pianofit.result.prediction import predict_recording
@@ -46,14 +46,14 @@ def recorded(x: np.ndarray, noise: float = 1e-4, seed: int = 0) -> tuple[np.ndar
     return x / max(1.0, 1.01 * np.abs(x).max()), RATE
 
 
-def overloaded(x: np.ndarray, much: float) -> np.ndarray:
+def overloaded(x: np.ndarray, strength: float) -> np.ndarray:
     """`x` with second to fifth order distortion, peak 0.5 [samples]."""
-    x = x + much * (x**2 + x**3 + 0.5 * x**4 + 0.5 * x**5)
+    x = x + strength * (x**2 + x**3 + 0.5 * x**4 + 0.5 * x**5)
     return 0.5 * x / np.abs(x).max()
 
 
 def case(name: str) -> Path:
-    """A file of `../shared/cases`; the test is skipped where that is absent."""
+    """A file of `../shared/cases`; the test is skipped if it is absent."""
     path = CASES / name
     if not path.is_file():
         pytest.skip(f"no {path}; set PIANOFIT_CASES")
@@ -65,30 +65,30 @@ def warned(analysis: Analysis, word: str) -> bool:
 
 
 @pytest.mark.parametrize("name", TREBLE)
-@pytest.mark.parametrize("much", [0.0, 0.1])
-def test_distortion_is_not_taken_for_partials(name, much):
-    """B is the string's however much the recorder adds at multiples and sums of its partials."""
+@pytest.mark.parametrize("strength", [0.0, 0.1])
+def test_distortion_is_not_taken_for_partials(name, strength):
+    """B is that of the string with any distortion at multiples and sums of its partials."""
     f0, B, b1 = TREBLE[name]
-    found = analyse(recorded(overloaded(tone(f0, B, b1), much)), note=name)
-    assert pytest.approx(B, rel=0.05) == found.B
-    assert found.f0 == pytest.approx(f0, rel=2e-3)
-    assert np.abs(found.partials.frequency / law_frequency(f0, B, found.partials.number) - 1).max() < 2e-3
+    analysis = analyse(recorded(overloaded(tone(f0, B, b1), strength)), note=name)
+    assert pytest.approx(B, rel=0.05) == analysis.B
+    assert analysis.f0 == pytest.approx(f0, rel=2e-3)
+    assert np.abs(analysis.partials.frequency / law_frequency(f0, B, analysis.partials.number) - 1).max() < 2e-3
 
 
 @pytest.mark.parametrize("name", ["D4", "B6"])
 def test_a_harmonic_tone_has_b_at_its_bound_and_an_interval_that_holds_0(name):
     f0 = note_to_hz(name)
-    found = analyse(recorded(tone(f0, 0.0, 1.0)), note=name)
-    assert B_RANGE[0] == found.B
-    assert warned(found, "harmonic")
-    assert found.B - 1.96 * found.B_error < 0 < found.B + 1.96 * found.B_error < 1e-4
-    assert abs(found.f0 - f0) < 1.96 * found.f0_error
+    analysis = analyse(recorded(tone(f0, 0.0, 1.0)), note=name)
+    assert B_RANGE[0] == analysis.B
+    assert warned(analysis, "harmonic")
+    assert analysis.B - 1.96 * analysis.B_error < 0 < analysis.B + 1.96 * analysis.B_error < 1e-4
+    assert abs(analysis.f0 - f0) < 1.96 * analysis.f0_error
 
 
 def test_a_string_within_the_range_of_b_is_not_said_to_be_at_its_bound():
-    found = analyse(recorded(tone(294.0, 1e-4, 1.0)), note="D4")
-    assert pytest.approx(1e-4, rel=0.02) == found.B
-    assert not warned(found, "bound")
+    analysis = analyse(recorded(tone(294.0, 1e-4, 1.0)), note="D4")
+    assert pytest.approx(1e-4, rel=0.02) == analysis.B
+    assert not warned(analysis, "bound")
 
 
 @pytest.mark.parametrize(("B", "low"), [(-1e-4, True), (3e-2, False)])
@@ -114,9 +114,9 @@ def colour(kind: str, count: int, seed: int) -> np.ndarray:
 def test_a_faint_note_is_called_faint_and_not_another(name, kind, faint):
     x = tone(note_to_hz(name), 1e-3, 30.0)
     noisy = x / faint + 0.1 * colour(kind, len(x), 0)
-    with pytest.raises(AnalysisError, match="noise") as said:
+    with pytest.raises(AnalysisError, match="noise") as caught:
         analyse(replace(recording_from_samples(*recorded(x)), samples=noisy, onset=0), note=name)
-    assert "sounds like" not in str(said.value)
+    assert "sounds like" not in str(caught.value)
 
 
 @pytest.mark.parametrize(("name", "wrong"), [("A1", "C8"), ("C4", "C2"), ("C7", "A3"), ("A7", "C3")])
@@ -127,19 +127,19 @@ def test_another_note_that_is_there_is_named(name, wrong):
 
 @pytest.mark.parametrize(("rises_to", "again"), [(-66.0, False), (-45.0, False), (-35.0, True), (-20.0, True)])
 def test_a_noise_far_below_the_note_is_not_a_second_stroke(rises_to, again):
-    """All partials decay into the noise, and at 2 s rise to a level relative to that at which they began."""
+    """All partials decay into the noise. At 2 s they rise to a level relative to the initial one."""
     time = np.arange(400) / 100
     level = np.maximum(-60.0 * time, -100.0)
     level = np.where(time < 2, level, np.maximum(rises_to - 60.0 * (time - 2), -100.0))
     z = np.tile(10 ** (level / 20), (12, 1)).astype(complex)
     bands = Bands(z, time, 100.0 * np.arange(1, 13), 97.0, 0.05, 100.0, 50.0)
-    found = detect_second_strike(bands, z, np.full(12, 1e-14))
-    assert found == (pytest.approx(2.0, abs=0.1) if again else None)
+    time_s = detect_second_stroke(bands, z, np.full(12, 1e-14))
+    assert time_s == (pytest.approx(2.0, abs=0.1) if again else None)
 
 
 @pytest.mark.parametrize("partials", [4, 5, 12])
 def test_beats_are_not_a_second_stroke(partials):
-    """Three strings at random detunings, as an old piano has them; of few partials most may rise together."""
+    """Three strings at random detunings, as in an old piano; with few partials most may rise together."""
     for seed in range(6):
         cents = np.random.default_rng(seed).uniform(-12, 12, 3)
         x = np.sum([tone(1000 * 2 ** (c / 1200), 3e-3, 2.0, partials=partials, seed=seed) for c in cents], axis=0)
@@ -172,9 +172,9 @@ def test_predict_says_that_a_faint_recording_is_faint():
     note = pianofit.Note(it.string, it.hammer, it.geometry, "bridge-force", gain=0.01)
     noise = 0.1 * colour("brown", len(T), 0)
     recording = replace(recording_from_samples(*recorded(noise)), samples=noise, onset=0)
-    with pytest.raises(AnalysisError, match="faint") as said:
+    with pytest.raises(AnalysisError, match="faint") as caught:
         predict_recording(note, recording)
-    assert not isinstance(said.value, WrongNoteError)
+    assert not isinstance(caught.value, WrongNoteError)
 
 
 RELEASES = CASES.parent / "keyboard"
@@ -193,11 +193,11 @@ def test_the_noise_of_a_key_let_go_is_not_another_note(name):
 def test_predict_refuses_a_neighbouring_key_in_any_form():
     it = pianofit.typical(65)
     note = pianofit.Note(it.string, it.hammer, it.geometry, "bridge-force", gain=0.01)
-    for cents, taken in ((10.0, True), (100.0, False), (-100.0, False)):
+    for cents, accepted in ((10.0, True), (100.0, False), (-100.0, False)):
         samples = note.with_cents(cents).render(2.0, seconds=1.0)
         analysis = analyse((samples, RATE), f0=note.with_cents(cents).f0)
         for source in ((samples, RATE), analysis):
-            if taken:
+            if accepted:
                 assert predict_recording(note, source).error_db < 0.5
                 continue
             with pytest.raises(WrongNoteError, match=f"F4.*{'F#4' if cents > 0 else 'E4'}"):
@@ -205,21 +205,21 @@ def test_predict_refuses_a_neighbouring_key_in_any_form():
 
 
 def test_partials_of_an_overloaded_recorder():
-    found = analyse(case("pianoFB-B6.flac"), note="B6")
-    assert pytest.approx(9e-3, rel=0.15) == found.B
-    assert found.partials.frequency[:4] == pytest.approx([1971, 4007, 6128, 8450], rel=0.01)
+    analysis = analyse(case("pianoFB-B6.flac"), note="B6")
+    assert pytest.approx(9e-3, rel=0.15) == analysis.B
+    assert analysis.partials.frequency[:4] == pytest.approx([1971, 4007, 6128, 8450], rel=0.01)
 
 
 def test_the_harmonic_tone():
-    found = analyse(case("harmonic-tone-D4.flac"), note="D4")
-    assert warned(found, "harmonic")
-    assert found.B - 1.96 * found.B_error < 0
+    analysis = analyse(case("harmonic-tone-D4.flac"), note="D4")
+    assert warned(analysis, "harmonic")
+    assert analysis.B - 1.96 * analysis.B_error < 0
 
 
 def test_one_pluck_is_one_stroke():
-    found = analyse(case("guitar-E2.flac"), note="E2")
-    assert not warned(found, "stroke")
-    assert not warned(found, "0.0 cents")
+    analysis = analyse(case("guitar-E2.flac"), note="E2")
+    assert not warned(analysis, "stroke")
+    assert not warned(analysis, "0.0 cents")
 
 
 def test_neighbouring_key():

@@ -1,4 +1,4 @@
-"""Real notes: witness numbers, and the same string heard in several velocity layers."""
+"""Real notes: independently measured values, and one string recorded in several velocity layers."""
 
 from __future__ import annotations
 
@@ -34,22 +34,22 @@ def test_the_witness():
     assert abs(1200 * np.log2(analysis.f0 / 92.33)) < 2
     assert pytest.approx(2.3e-4, rel=0.1) == analysis.B
     assert 2 < analysis.glide_cents < 5  # from about 92.39 Hz to 92.16 Hz
-    assert analysis.scatter_cents < 4  # of some sixty partials, of which the upper ones leave the law
+    assert analysis.scatter_cents < 4  # about sixty partials, of which the highest deviate from the law
 
 
 @pytest.mark.parametrize("name", LAYERS)
 def test_layers_agree(name):
     note, layers = LAYERS[name]
-    found: list[Analysis] = [analyse(_load(f"{name}-{layer}"), note=note) for layer in layers]
+    analyses: list[Analysis] = [analyse(_load(f"{name}-{layer}"), note=note) for layer in layers]
     # louder layers start sharper: compare the pitch at the end of the glide
-    f0 = np.array([item.glide[-1][2] for item in found])
-    B = np.array([item.B for item in found])
+    f0 = np.array([analysis.glide[-1][2] for analysis in analyses])
+    B = np.array([analysis.B for analysis in analyses])
     assert np.ptp(1200 * np.log2(f0)) < 4
     assert np.ptp(B) < 0.1 * np.mean(B)
 
 
 def test_none_was_struck_twice_and_two_of_them_in_one_file_were():
-    """Beats lift partials one by one, also the two or three loudest of a treble note."""
+    """Beats raise single partials, also the two or three loudest of a treble note."""
     for file in sorted(FOLDER.glob("*.flac")):
         recording = load_recording(file)
         assert not any("second stroke" in warning for warning in analyse(recording).warnings), file.name

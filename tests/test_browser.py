@@ -1,4 +1,4 @@
-"""The page in a real browser: it loads nothing, and what it plays is read back sample by sample."""
+"""The page in a browser: it loads nothing, and its sound output is compared sample by sample."""
 
 from __future__ import annotations
 
@@ -34,18 +34,18 @@ ARGUMENTS = (
     "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking "
     "--disable-component-update --disable-sync"
 )
-# Each picture's own width and that on the page, px; a point of its letters is 4/3 px.
+# Original width of each picture and its width on the page, px. One point is 4/3 px.
 SIZES = """[...document.querySelectorAll(".drawing svg")].map((svg) =>
   [svg.viewBox.baseVal.width * 4 / 3, svg.getBoundingClientRect().width])"""
-RATE, HEARD = 8000, 32768  # Hz; samples that an analyser holds: four seconds of this page
+RATE, CAPTURED = 8000, 32768  # Hz; number of samples in the analyser, four seconds
 
-# An analyser at the player's output holds the last samples that were played; `heard` returns them.
+# An analyser at the output of the player contains the last samples that were played; `captured` returns them.
 LISTEN = f"""(which) => {{
   const player = window.pianofitPlayers[which];
-  window.analyser = new AnalyserNode(player.context, {{ fftSize: {HEARD} }});
+  window.analyser = new AnalyserNode(player.context, {{ fftSize: {CAPTURED} }});
   player.output.connect(window.analyser);
-  window.heard = () => {{
-    const samples = new Float32Array({HEARD});
+  window.captured = () => {{
+    const samples = new Float32Array({CAPTURED});
     window.analyser.getFloatTimeDomainData(samples);
     return Array.from(samples);
   }};
@@ -61,7 +61,7 @@ def browser():
 
 
 def sounds_of(path, player):
-    """Samples of the WAV files of one player in the page, by name."""
+    """Return the samples of the WAV files of one player in the page, by name."""
     pattern = rf'data-player="{player}" data-name="([^"]+)" [^>]*href="data:audio/wav;base64,([^"]+)"'
     links = re.findall(pattern, path.read_text(encoding="utf-8"))
     return {name: sf.read(io.BytesIO(base64.b64decode(data)))[0] for name, data in links}
@@ -79,17 +79,17 @@ def report(tmp_path_factory):
 
 @pytest.fixture
 def page(browser, report):
-    """Open the page, which by the end must have asked for nothing and complained of nothing."""
+    """Open the page. Afterwards check that it made no requests and reported no errors."""
     page = browser.new_page(viewport={"width": 1280, "height": 800})
-    complaints, requests = [], []
-    page.on("console", lambda message: complaints.append(message.text))
-    page.on("pageerror", lambda error: complaints.append(str(error)))
+    errors, requests = [], []
+    page.on("console", lambda message: errors.append(message.text))
+    page.on("pageerror", lambda error: errors.append(str(error)))
     page.on("request", lambda request: requests.append(request.url))
     page.goto(report[0].as_uri())
     page.evaluate(LISTEN, 0)
     yield page
     page.close()
-    assert complaints == []
+    assert errors == []
     assert [url[:60] for url in requests if not url.startswith("data:")] == [report[0].as_uri()[:60]]
 
 
@@ -101,12 +101,12 @@ def wait_until(page, position):
     page.wait_for_function("at => window.pianofitPlayer.state.position >= at", arg=position, polling=10)
 
 
-def heard(page):
-    return np.array(page.evaluate("window.heard()"))
+def captured(page):
+    return np.array(page.evaluate("window.captured()"))
 
 
 def locate(block, sound):
-    """Where `block` lies in `sound`, by least squares: the first sample there, and the largest difference."""
+    """Return the position of `block` in `sound` by least squares, and the largest difference."""
     product = np.fft.irfft(np.fft.rfft(sound, 2**18) * np.conj(np.fft.rfft(block, 2**18)))[: len(sound) - len(block)]
     energy = np.cumsum(np.concatenate([[0.0], sound**2]))
     at = int(np.argmin(energy[len(block) : -1] - energy[: -len(block) - 1] - 2 * product))
@@ -155,10 +155,10 @@ def test_each_sound_is_played_as_it_is_and_equally_loud(page, report):
         page.keyboard.press(str(key))
         page.keyboard.press("Space")
         wait_until(page, 1.4)
-        played = heard(page)
+        played = captured(page)
         at, difference = locate(played[-9000:], report[1][name])
-        assert difference < 1e-6, name  # float32 of the 16 bits, untouched
-        first_second = played[HEARD - 9000 - at :][:RATE]
+        assert difference < 1e-6, name  # the 16-bit samples as float32
+        first_second = played[CAPTURED - 9000 - at :][:RATE]
         np.testing.assert_allclose(first_second, report[1][name][:RATE], atol=1e-6)
         loudness[name] = 10 * np.log10(k_weighted_mean_square(first_second, RATE))
         page.keyboard.press("Space")
@@ -172,22 +172,22 @@ def test_switching_in_mid_play_goes_on_from_the_same_place(page, report):
     page.keyboard.press("3")
     switched = state(page)["position"]
     wait_until(page, switched + 0.5)
-    played = heard(page)
+    played = captured(page)
     original, fitted = report[1]["original"], report[1]["fitted"]
     at, difference = locate(played[-3000:], fitted)
     assert difference < 1e-6
     assert np.max(np.abs(played[-3000:] - original[at : at + 3000])) > 0.01
-    start = HEARD - 3000 - at  # where the note began, if the place was kept
-    heard_note = played[start:]
-    length = len(heard_note)
-    is_original = np.abs(heard_note - original[:length]) < 1e-6
-    is_fitted = np.abs(heard_note - fitted[:length]) < 1e-6
+    start = CAPTURED - 3000 - at  # start of the note, if the position was kept
+    played_note = played[start:]
+    length = len(played_note)
+    is_original = np.abs(played_note - original[:length]) < 1e-6
+    is_fitted = np.abs(played_note - fitted[:length]) < 1e-6
     last_original, first_fitted = np.argmin(is_original), length - np.argmin(is_fitted[::-1])
     assert last_original / RATE == pytest.approx(switched, abs=0.25)
-    assert 0.005 * RATE < first_fitted - last_original < 0.03 * RATE  # a blend of 20 ms, and no gap
+    assert 0.005 * RATE < first_fitted - last_original < 0.03 * RATE  # a crossfade of 20 ms without a gap
     blend = slice(last_original, first_fitted)
     low, high = np.minimum(original, fitted)[blend], np.maximum(original, fitted)[blend]
-    assert np.all((heard_note[blend] >= low - 1e-6) & (heard_note[blend] <= high + 1e-6))
+    assert np.all((played_note[blend] >= low - 1e-6) & (played_note[blend] <= high + 1e-6))
 
 
 def pressed(page):
@@ -202,7 +202,7 @@ def test_everything_by_keyboard(page):
         reached.append(page.evaluate("document.activeElement.dataset.name || document.activeElement.id"))
     assert reached[before:] == ["play", *NAMES, "seek"]
 
-    page.keyboard.press("Space")  # on the slider, as everywhere
+    page.keyboard.press("Space")  # also on the slider
     assert (state(page)["playing"], play.inner_text(), said.inner_text()) == (True, "❚❚ Pause", "Playing original")
     page.keyboard.press("2")
     assert (pressed(page), said.inner_text()) == (["false", "true", "false"], "Playing initial")
@@ -220,16 +220,16 @@ def test_everything_by_keyboard(page):
     assert slider.get_attribute("aria-valuetext") == "1.0 of 5.0 seconds"
 
     page.locator("button.choice").nth(2).focus()
-    page.keyboard.press("Space")  # a button's own key: it is pressed
+    page.keyboard.press("Space")  # presses the focused button
     assert (pressed(page), state(page)["playing"]) == (["false", "false", "true"], False)
-    page.keyboard.press("Space")  # and once it is pressed, the key plays
+    page.keyboard.press("Space")  # plays when the button is already pressed
     assert (pressed(page), state(page)["playing"]) == (["false", "false", "true"], True)
     page.keyboard.press("ArrowRight")
     assert 1.5 <= state(page)["position"] < 2.5
     page.keyboard.press("1")
-    page.keyboard.press("Space")  # the focus went along with the choice
+    page.keyboard.press("Space")  # the focus follows the choice
     assert (pressed(page), state(page)["playing"]) == (["true", "false", "false"], False)
-    page.keyboard.press("Control+2")  # the browser's own
+    page.keyboard.press("Control+2")  # a key of the browser
     assert state(page)["chosen"] == "original"
 
 
@@ -242,11 +242,11 @@ def test_pause_keeps_the_place_and_the_end_returns_to_the_start(page, report):
     place = state(page)["position"]
     page.wait_for_timeout(150)
     assert state(page)["position"] == place
-    assert not heard(page)[-512:].any()
-    page.keyboard.press("Space")  # the button has the focus: once, not twice
+    assert not captured(page)[-512:].any()
+    page.keyboard.press("Space")  # the button has the focus; the key must act once
     assert state(page)["playing"]
     wait_until(page, place + 0.2)
-    _, difference = locate(heard(page)[-1500:], report[1]["fitted"][round(place * RATE) :])
+    _, difference = locate(captured(page)[-1500:], report[1]["fitted"][round(place * RATE) :])
     assert difference < 1e-6
     page.evaluate("window.pianofitPlayer.seek(4.8)")
     page.wait_for_function("() => !window.pianofitPlayer.state.playing")
@@ -269,18 +269,18 @@ def report_of_recordings(tmp_path_factory):
 
 @pytest.fixture
 def recordings_page(browser, report_of_recordings):
-    """Open the page of three recordings, which by the end must have complained of nothing."""
-    page, complaints = browser.new_page(viewport={"width": 1280, "height": 800}), []
-    page.on("console", lambda message: complaints.append(message.text))
-    page.on("pageerror", lambda error: complaints.append(str(error)))
+    """Open the page of three recordings. Afterwards check that it reported no errors."""
+    page, errors = browser.new_page(viewport={"width": 1280, "height": 800}), []
+    page.on("console", lambda message: errors.append(message.text))
+    page.on("pageerror", lambda error: errors.append(str(error)))
     page.goto(report_of_recordings.as_uri())
     yield page
     page.close()
-    assert complaints == []
+    assert errors == []
 
 
 def states(page):
-    """What each player says of itself, by its name."""
+    """Return the state of each player, by its name."""
     return page.evaluate("Object.fromEntries(window.pianofitPlayers.map((one) => [one.root.id, one.state]))")
 
 
@@ -297,7 +297,7 @@ def test_page_of_recordings_fits_and_shows_all_its_pictures(recordings_page, wid
     assert recordings_page.evaluate("document.documentElement.scrollWidth") <= width
     sizes = recordings_page.evaluate(SIZES)
     assert len(sizes) == 18
-    # A picture's letters are 13 pixels of its own, which a telephone shows at two thirds or more.
+    # The text of a picture is 13 pixels high, and at least two thirds of that on a telephone.
     assert all(shown > 0.65 * natural > 325 for natural, shown in sizes)
     assert recordings_page.locator("#seek").bounding_box()["y"] < 800, "the player is on the first screen"
 
@@ -315,14 +315,14 @@ def test_slider_strikes_the_velocity_it_is_moved_to(recordings_page, report_of_r
     wait_for(recordings_page, "strokes", 1.0)
     assert states(recordings_page)["strokes"] | {"position": 0} == {"playing": True, "chosen": names[1], "position": 0}
     assert slider.get_attribute("aria-valuetext") == names[1] == recordings_page.locator(".velocity").inner_text()
-    played = heard(recordings_page)
+    played = captured(recordings_page)
     recordings_page.keyboard.press("Space")  # before the sound ends by itself
     assert not states(recordings_page)["strokes"]["playing"]
     assert recordings_page.locator("#strokes .said").inner_text() == "Paused"
     at, difference = locate(played[-6000:], sounds[names[1]])
     assert difference < 1e-6
     np.testing.assert_allclose(
-        played[HEARD - 6000 - at :][:RATE], sounds[names[1]][:RATE], atol=1e-6
+        played[CAPTURED - 6000 - at :][:RATE], sounds[names[1]][:RATE], atol=1e-6
     )  # from its attack
     peaks = [np.abs(sound).max() for sound in sounds.values()]
     assert np.all(np.diff(peaks) > 0)
@@ -331,7 +331,7 @@ def test_slider_strikes_the_velocity_it_is_moved_to(recordings_page, report_of_r
 
 def test_each_recording_is_played_and_only_one_player_at_a_time(recordings_page, report_of_recordings):
     sounds = sounds_of(report_of_recordings, "recording-3")
-    recordings_page.keyboard.press("Space")  # nothing was touched yet: the note's own player
+    recordings_page.keyboard.press("Space")  # the player of the reference recording is active first
     recordings_page.get_by_label("Player: recording 3").get_by_role("button", name="Fitted").click()
     assert states(recordings_page)["note"]["playing"]
     recordings_page.evaluate(LISTEN, 3)
@@ -343,19 +343,19 @@ def test_each_recording_is_played_and_only_one_player_at_a_time(recordings_page,
     }  # fmt: skip
     assert now["recording-3"]["chosen"] == "fitted"
     assert recordings_page.get_by_role("button", name="Play").count() == 3
-    _, difference = locate(heard(recordings_page)[-6000:], sounds["fitted"])
+    _, difference = locate(captured(recordings_page)[-6000:], sounds["fitted"])
     assert difference < 1e-6
-    recordings_page.keyboard.press("1")  # the keys are those of the player last used
+    recordings_page.keyboard.press("1")  # keys go to the player last used
     now = states(recordings_page)
     assert (now["recording-3"]["chosen"], now["note"]["chosen"]) == ("original", "original")
     wait_for(recordings_page, "recording-3", now["recording-3"]["position"] + 0.5)
-    _, difference = locate(heard(recordings_page)[-2000:], sounds["original"])
+    _, difference = locate(captured(recordings_page)[-2000:], sounds["original"])
     assert difference < 1e-6
     recordings_page.keyboard.press("3")  # it has no third sound
     assert states(recordings_page)["recording-3"]["chosen"] == "original"
 
 
-# ---- a key that rings ----
+# ---- a key with modes ----
 
 
 @pytest.fixture(scope="module")
@@ -369,9 +369,9 @@ def report_of_ringing(tmp_path_factory):
 @pytest.mark.parametrize(("width", "scheme"), [(1600, "light"), (400, "dark")])
 def test_a_key_that_rings_is_shown_and_heard_in_both_channels(browser, report_of_ringing, width, scheme):
     page = browser.new_page(viewport={"width": width, "height": 800}, color_scheme=scheme)
-    complaints, requests = [], []
-    page.on("console", lambda message: complaints.append(message.text))
-    page.on("pageerror", lambda error: complaints.append(str(error)))
+    errors, requests = [], []
+    page.on("console", lambda message: errors.append(message.text))
+    page.on("pageerror", lambda error: errors.append(str(error)))
     page.on("request", lambda request: requests.append(request.url[:5]))
     page.goto(report_of_ringing.as_uri())
     assert page.evaluate("document.documentElement.scrollWidth") <= width
@@ -386,13 +386,13 @@ def test_a_key_that_rings_is_shown_and_heard_in_both_channels(browser, report_of
     wait_until(page, 1.0)
     fitted = sounds_of(report_of_ringing, "note")["fitted"]
     assert fitted.shape[1] == 2
-    # An analyser hears the mean of the channels.
-    _, difference = locate(heard(page)[-6000:], fitted.mean(axis=1))
+    # An analyser captures the mean of the channels.
+    _, difference = locate(captured(page)[-6000:], fitted.mean(axis=1))
     assert difference < 1e-6
     page.keyboard.press("3")
-    assert page.get_by_role("status").inner_text() == "Playing law"
+    assert page.get_by_role("status").inner_text() == "Playing string model"
     page.close()
-    assert complaints == []
+    assert errors == []
     assert {*requests} <= {"file:", "data:"}
 
 
@@ -405,7 +405,7 @@ def test_a_picture_is_enlarged_by_keyboard_and_its_text_can_be_selected(page):
     button = panel.get_by_role("button")
     small = panel.locator("svg").bounding_box()["width"]
     button.focus()
-    page.keyboard.press("Space")  # the button's own key: the player stays silent
+    page.keyboard.press("Space")  # presses the focused button; the player stays silent
     assert not state(page)["playing"]
     dialog = page.get_by_role("dialog")
     shown = dialog.locator("svg")

@@ -1,4 +1,4 @@
-"""Two fits compared: z from two independent fits, reasons where there is none, and the felts in one figure."""
+"""Comparison of two fits: z of independent fits, reasons for a missing z, and the felts in one figure."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from pianofit.report.build import felt_of
 
 @functools.cache
 def fitted() -> pianofit.Result:
-    """One calibrated fit."""
+    """Return one calibrated fit."""
     return pianofit.fit(record_model(FIRST, seconds=1.5), setup=setup_of(FIRST), progress=False)
 
 
 def changed(factor: float = 1.0, names: tuple[str, ...] = (), **statuses: str) -> pianofit.Result:
-    """The fit as if values and intervals were `factor` times as large, and as if statuses were others."""
+    """Return the fit with values and intervals times `factor`, and with other statuses."""
     document = copy.deepcopy(fitted().document)
     document["recordings"][0]["sha256"] = "of another recording"
     for name in names:
@@ -42,7 +42,7 @@ def changed(factor: float = 1.0, names: tuple[str, ...] = (), **statuses: str) -
 
 
 def spread(name: str) -> float:
-    """The standard deviation of the logarithm of one value."""
+    """Return the standard deviation of the logarithm of one value."""
     low, high = fitted().parameters[name].interval
     return math.log(high / low) / (2 * NORMAL)
 
@@ -65,11 +65,11 @@ def test_to_first_order_the_deviation_is_the_root_of_the_sum_of_variances():
     assert found.sd == pytest.approx(math.sqrt(2) * spread("b1") * fitted().parameters.b1.value, rel=1e-3)
 
 
-def test_to_exchange_both_changes_the_sign_and_nothing_else():
+def test_exchanging_the_fits_changes_the_sign_and_nothing_else():
     other = changed(1.02, ("M_H", "b1", "mu"))
-    there, back = pianofit.compare(fitted(), other), pianofit.compare(other, fitted())
-    assert [q.name for q in there] == [q.name for q in back]
-    for one, two in zip(there, back, strict=True):
+    forward, reverse = pianofit.compare(fitted(), other), pianofit.compare(other, fitted())
+    assert [q.name for q in forward] == [q.name for q in reverse]
+    for one, two in zip(forward, reverse, strict=True):
         assert (one.a, one.b) == (two.b, two.a)
         assert (one.z is None) == (two.z is None)
         if one.z is not None:
@@ -97,7 +97,7 @@ def test_every_quantity_of_both_is_there_with_z_or_a_reason():
         ({}, "L", "fixed in A and B"), ({}, "K_H", "unit changes with p"),
     ],
 )  # fmt: skip
-def test_what_is_no_measurement_has_no_z_and_says_why(statuses, name, word):
+def test_a_value_that_is_not_measured_has_a_reason_and_no_z(statuses, name, word):
     found = pianofit.compare(fitted(), changed(**statuses))
     assert found[name].z is None
     assert word in found[name].reason
@@ -151,7 +151,7 @@ def test_the_same_recordings_another_key_and_a_stopped_search_are_said():
 
 
 def test_z_is_a_standard_normal_number_for_independent_draws():
-    """Values drawn from the posterior of one fit, compared in pairs: z has a mean of 0 and a deviation of 1."""
+    """Values drawn from the posterior of one fit and compared in pairs have z of mean 0 and standard deviation 1."""
     names, covariance = fitted().covariance.names, fitted().covariance.matrix
     at = names.index("M_H")
     random = np.random.default_rng(0)
@@ -166,7 +166,7 @@ def test_z_is_a_standard_normal_number_for_independent_draws():
 
 
 def softer(factor: float) -> pianofit.Result:
-    """The fit with the force of its felt `factor` times as large."""
+    """Return the fit with the force of its felt times `factor`."""
     it = changed(factor, ("K_H",))
     hammer = it.note.hammer
     note = it.note._replace(hammer=hammer._replace(K_H=factor * hammer.K_H))
@@ -311,7 +311,7 @@ def test_the_felt_is_drawn_of_a_fit_that_was_read_back(tmp_path):
     plt.close("all")
 
 
-# --- as a table, as data, as a command --------------------------------------------------------------------------------
+# --- table, data, command ---------------------------------------------------------------------------------------------
 
 
 def test_a_comparison_is_shown_and_written():
@@ -339,7 +339,7 @@ def test_a_table_for_pandas():
         ((None, None), ParameterError, "a=None"),
     ],
 )  # fmt: skip
-def test_what_is_no_fit_is_named(arguments, error, named):
+def test_an_argument_that_is_not_a_fit_is_named(arguments, error, named):
     with pytest.raises(error, match=named):
         pianofit.compare(*arguments)
 

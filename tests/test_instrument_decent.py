@@ -1,6 +1,7 @@
-"""The folder for Decent Sampler: its text against the format's documentation, its gains against the SFZ's.
+"""The folder for Decent Sampler: its text against the documented format, its gains against those of the SFZ.
 
-And its sound against the model's, through a reader of what the documentation says: Decent Sampler renders no file.
+Its sound is compared with the model through a reader of the documented format, because Decent Sampler cannot render
+files.
 """
 
 from __future__ import annotations
@@ -15,13 +16,12 @@ import soundfile
 from instrument_cases import true_instrument
 
 from pianofit.export import SAMPLERS, ExportOptions, export_sampler
-from pianofit.export.layers import key_ranges, velocities_of
+from pianofit.export.layers import key_ranges, layer_velocities
 from pianofit.playback.voice import damper_rate
 from pianofit.result.alignment import fractional_lag
 
 KEYS = [55, 60, 100]
-# From the developer's guide, version 1.22.2: elements, those they may stand in, and of their attributes those needed
-# and those allowed, of the ones that can be set here.
+# From the developer's guide, version 1.22.2: element -> (parent, required attributes, other allowed attributes).
 ELEMENTS = {
     "DecentSampler": (None, set(), {"minVersion"}),
     "groups": ("DecentSampler", set(), {"attack", "decay", "sustain", "release"}),
@@ -69,7 +69,7 @@ def test_samples_are_there_as_wav(root, folders):
 
 
 def test_every_key_and_velocity_has_the_gains_of_the_sfz(root, folders):
-    """Group by group, through the table as the format describes it: linear between its points, velocity from 0 to 1."""
+    """Group by group, with linear interpolation of the table over velocity from 0 to 1, as the format documents."""
     lines = (folders["sfz"] / "twin.sfz").read_text().splitlines()
     regions = [dict(word.split("=", 1) for word in line.split()[1:]) for line in lines if "<region>" in line]
     groups, bindings = root.findall("groups/group"), root.findall("modulators/midiVelocity/binding")
@@ -102,9 +102,9 @@ def test_dampers_are_releases_and_the_treble_rings_on(root):
             assert "release" not in sample.attrib
 
 
-# --- as it is heard ---
+# --- sound ---
 
-HEARD = [28, 55, 100]
+PLAYED = [28, 55, 100]
 LAYERS = 8
 RATE = 48_000
 PIANO = true_instrument()
@@ -112,9 +112,9 @@ PIANO = true_instrument()
 
 @pytest.fixture(scope="module")
 def player(tmp_path_factory) -> Callable[..., np.ndarray]:
-    """(key, MIDI velocity, s until it is released) -> 1.5 s of what the preset says."""
-    out = tmp_path_factory.mktemp("heard") / "sampler"
-    export_sampler(PIANO, out, HEARD, ExportOptions(LAYERS, 1.5, kind="wav"), to="decent-sampler")
+    """(key, MIDI velocity, s until release) -> 1.5 s of sound by the preset."""
+    out = tmp_path_factory.mktemp("played") / "sampler"
+    export_sampler(PIANO, out, PLAYED, ExportOptions(LAYERS, 1.5, kind="wav"), to="decent-sampler")
     tree = ElementTree.parse(out / "twin.dspreset").getroot()  # noqa: S314
     tables = {}
     for binding in tree.iter("binding"):
@@ -126,32 +126,32 @@ def player(tmp_path_factory) -> Callable[..., np.ndarray]:
         sound, t = np.zeros(round(1.5 * RATE)), np.arange(round(1.5 * RATE)) / RATE
         for i, group in enumerate(groups):
             for sample in group:
-                it = sample.attrib
-                if not int(it["loNote"]) <= key <= int(it["hiNote"]):
+                attributes = sample.attrib
+                if not int(attributes["loNote"]) <= key <= int(attributes["hiNote"]):
                     continue
-                if not int(it["loVel"]) <= velocity <= int(it["hiVel"]):
+                if not int(attributes["loVel"]) <= velocity <= int(attributes["hiVel"]):
                     continue
-                assert group.attrib["ampVelTrack"] == "0"  # else the velocity would count twice
-                data, rate = soundfile.read(out / it["path"])
-                place = t * rate * 2 ** ((key - int(it["rootNote"])) / 12)
-                heard = np.interp(place, np.arange(len(data)), data, right=0.0)
-                if it.get("ampEnvEnabled") != "false":  # 60 dB in the time of the release
-                    heard *= 10 ** (-3 * np.maximum(t - held, 0) / float(it["release"]))
-                sound += np.interp(velocity / 127, *tables[i]) * heard
+                assert group.attrib["ampVelTrack"] == "0"  # otherwise the velocity would count twice
+                data, rate = soundfile.read(out / attributes["path"])
+                place = t * rate * 2 ** ((key - int(attributes["rootNote"])) / 12)
+                sampled = np.interp(place, np.arange(len(data)), data, right=0.0)
+                if attributes.get("ampEnvEnabled") != "false":  # 60 dB in the time of the release
+                    sampled *= 10 ** (-3 * np.maximum(t - held, 0) / float(attributes["release"]))
+                sound += np.interp(velocity / 127, *tables[i]) * sampled
         return sound
 
     return play
 
 
 def level(sound: np.ndarray) -> float:
-    """Of its first second, dB."""
+    """Level of the first second, dB."""
     return 10 * np.log10(np.mean(sound[:RATE] ** 2))
 
 
 def test_loudness_follows_velocity_as_renders_does(player):
-    """At all velocities within 0.15 dB, through one gain for all keys; no step of one velocity exceeds 0.6 dB."""
+    """Within 0.15 dB at all velocities, with one gain for all keys. No step of one velocity exceeds 0.6 dB."""
     off = []
-    for midi in HEARD:
+    for midi in PLAYED:
         loud = np.array([level(player(midi, v)) for v in range(1, 128, 3)])
         assert np.diff(loud).min() > 0
         assert np.diff(loud).max() < 3 * 0.6
@@ -162,14 +162,14 @@ def test_loudness_follows_velocity_as_renders_does(player):
 
 
 def test_onsets_are_renders(player):
-    """Where a layer was struck, but for the soft ones, which are moved to where the next louder one is like them."""
-    for midi in HEARD:
+    """At the velocities of layers except the softest. Soft layers are shifted to align with the next louder one."""
+    for midi in PLAYED:
         late = []
-        for velocity in velocities_of(LAYERS)[1:]:
+        for velocity in layer_velocities(LAYERS)[1:]:
             rendered = PIANO.note(midi, velocity).render(seconds=1.0, rate=RATE)
             late.append(fractional_lag(rendered, player(midi, velocity)[:RATE]) / RATE)
         assert np.ptp(late) < 2e-3
-        assert abs(late[-1]) < 5e-3  # a sample begins just before it is heard
+        assert abs(late[-1]) < 5e-3  # a sample begins just before it becomes audible
 
 
 def test_a_release_is_the_dampers(player):

@@ -1,4 +1,4 @@
-"""The laws over the keyboard against a piano whose every key is known."""
+"""The keyboard laws against a synthetic piano whose parameters are given for every key."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def scale(name: str, values: list[float]) -> np.ndarray:
 
 @pytest.mark.parametrize("name", MEASURED)
 def test_a_law_is_the_truth_within_its_intervals(piano, name):
-    """Over all keys but the outermost, most of them never recorded: it errs less than a single fit does."""
+    """Its error over all keys except the outermost, most of them never recorded, is below that of a single fit."""
     law, inside = piano["laws"][name], slice(3, 79)
     error = (scale(name, law["value"]) - truth(name, ALL))[inside]
     sd = ((scale(name, law["high"]) - scale(name, law["low"])) / (2 * 1.959964))[inside]
@@ -62,16 +62,16 @@ def test_an_instrument_is_named_where_a_folder_names_a_key(folder, name):
 
 def test_keys_are_nearer_to_the_truth_than_their_fits(piano):
     for name in ("b1", "d2", "p", "mu"):
-        told = [piano["keys"][midi - 21]["told"][name] for midi in KEYS]
+        entry = [piano["keys"][midi - 21]["told"][name] for midi in KEYS]
         true = np.exp(truth(name, KEYS))
-        own, value = (np.log([t[key] for t in told] / true) for key in ("own", "value"))
+        own, value = (np.log([t[key] for t in entry] / true) for key in ("own", "value"))
         assert np.sqrt(np.mean(value**2)) < 0.6 * np.sqrt(np.mean(own**2)), name
 
 
 def test_a_key_keeps_its_own_pitch(piano):
     for midi in KEYS:
-        told = piano["keys"][midi - 21]["told"]["cents"]
-        assert told["value"] == told["own"]
+        entry = piano["keys"][midi - 21]["told"]["cents"]
+        assert entry["value"] == entry["own"]
     between = [piano["keys"][midi - 21]["told"]["cents"]["value"] for midi in ALL]
     assert np.abs(between - truth("cents", ALL))[3:79].max() < 1.0
 
@@ -86,7 +86,7 @@ def test_every_key_can_be_played_and_says_where_it_comes_from(piano):
 
 
 def test_bad_keys_are_named_and_play_the_law(tmp_path):
-    """Three of 26, two of them side by side and wrong in the same way, and the others are not blamed."""
+    """Three wrong keys of 26, two of them neighbours with the same error; no other key is an outlier."""
     folder = library(tmp_path, KEYS, seed=3)
     wrong = {"twin-D#2": 39, "twin-F#2": 42, "twin-C6": 84}
     for midi in wrong.values():
@@ -98,9 +98,9 @@ def test_bad_keys_are_named_and_play_the_law(tmp_path):
     for name in ("b1", "M_H/M_S"):
         assert piano["laws"][name]["outliers"] == ["D#2", "F#2", "C6"]
         for midi in wrong.values():
-            told = piano["keys"][midi - 21]["told"][name]
-            assert told["state"] == "outlier"
-            assert told["value"] == pytest.approx(math.exp(truth(name, [midi])[0]), rel=0.15)
+            entry = piano["keys"][midi - 21]["told"][name]
+            assert entry["state"] == "outlier"
+            assert entry["value"] == pytest.approx(math.exp(truth(name, [midi])[0]), rel=0.15)
     assert not any(piano["laws"][name]["outliers"] for name in NAMES if name not in ("b1", "M_H/M_S"))
     assert sum("D#2" in message for message in piano["messages"]) == 2
     assert [key["note"] for key in piano["keys"] if key["state"] == "outlier"] == ["D#2", "F#2", "C6"]
@@ -129,7 +129,7 @@ def test_one_key_shifts_the_literature(tmp_path):
         shift = math.log(own / literature(60)[name])
         assert math.log(law["value"][39] / own) == pytest.approx(0, abs=0.05)
         assert math.log(law["value"][63 - 21] / literature(63)[name]) == pytest.approx(shift, rel=0.1, abs=0.02)
-    assert "1 key of this instrument is known" in piano["messages"][-1]
+    assert "1 key" in piano["messages"][-1]
 
 
 def test_a_law_without_error_passes_through_its_keys():
@@ -142,7 +142,7 @@ def test_a_law_without_error_passes_through_its_keys():
 
 
 def test_intervals_cover():
-    """Of 40 pianos the truth lies within the 95 % intervals of law and keys in 88 to 99 % of cases."""
+    """The 95 % intervals of law and keys hold the truth in 88 to 99 % of cases, over 40 pianos."""
     random, x = np.random.default_rng(7), np.arange(21.0, 109.0, 5.0)
     at = np.arange(23.0, 106.0, 5.0)
     of_law, of_keys = [], []
@@ -161,7 +161,7 @@ def test_intervals_cover():
 
 
 def test_neighbours_that_agree_are_no_outliers():
-    """Six bass strings of another make are how the piano is built, one string like them elsewhere is wrong."""
+    """Six different bass strings are not outliers. One such string elsewhere is."""
     random, x = np.random.default_rng(8), np.arange(21.0, 105.0, 3.0)
     y = np.where(x < 39, 1.5, 0.0) + 0.02 * random.normal(size=len(x))
     y[20] += 1.5
@@ -176,15 +176,15 @@ def test_the_scatter_between_keys_is_found():
     law = fit_law(x, y, np.full(88, 0.03), x, Prior(0.5, 0.5, 0.5))
     assert 0.05 < law.scatter < 0.2
     assert np.abs(law.mean - 0.2 - 0.004 * (x - 60)).max() < 0.1
-    # A key's own deviation is real where its fit is good: it is kept.
+    # A key with a good fit keeps its own deviation.
     assert np.sqrt(np.mean((law.value - y) ** 2)) < 0.03
 
 
 def test_values_become_parameters_and_back():
     for midi in (21, 60, 108):
         note = true_note(midi)
-        there = key_observables(note, midi)
-        string, hammer, geometry, gain = assemble(midi, there, "pressure")
+        values = key_observables(note, midi)
+        string, hammer, geometry, gain = assemble(midi, values, "pressure")
         assert string == pytest.approx(note.string, rel=1e-12)
         assert hammer[:4] == pytest.approx(note.hammer[:4], rel=1e-9)
         assert geometry == pytest.approx(note.geometry, rel=1e-12)
@@ -192,7 +192,7 @@ def test_values_become_parameters_and_back():
 
 
 def test_uncalibrated_keys_come_onto_one_velocity_scale(tmp_path):
-    """(K_H, mu, v_H0, gain) -> (K_H s^(1-p), mu/s, s v_H0, gain/s) is not heard: nor does it change the instrument."""
+    """(K_H, mu, v_H0, gain) -> (K_H s^(1-p), mu/s, s v_H0, gain/s) changes neither the sound nor the instrument."""
     s, note = 1.7, true_note(60)
     h = note.hammer
     scaled = note._replace(
@@ -210,7 +210,7 @@ def test_uncalibrated_keys_come_onto_one_velocity_scale(tmp_path):
 
 @pytest.mark.parametrize("s", [0.6, 1.0, 1.7])
 def test_the_felts_error_is_that_of_its_force_on_the_common_scale(tmp_path, s):
-    """Known to 5 % at 0.5 mm and 4 m/s, whatever the scale of the fit's velocities is; the exponent to 0.1."""
+    """5 % at 0.5 mm and 4 m/s, for any velocity scale of the fit; the exponent has the error 0.1."""
     note, sd_p, at = true_note(60), 0.1 / true_note(60).hammer.p, 0.5e-3
     h = note.hammer
     scaled = note._replace(hammer=h._replace(K_H=h.K_H * s ** (1 - h.p), mu=h.mu / s, v_H0=h.v_H0 * s))
@@ -232,27 +232,8 @@ def test_a_known_velocity_lets_k_say_how_force_and_exponent_trade_off(tmp_path, 
     for row in document["recordings"]:
         row |= {"v_H0_status": "fitted", known: "given"}
     (key,) = load_keys([write_fit(tmp_path, 60, document)])
-    assert key.velocities == (1.0, 3.0)  # nothing is put on another scale
+    assert key.velocities == (1.0, 3.0)  # given velocities are not rescaled
     assert key.sd["K/M_S"] == pytest.approx(spread[near], rel=1e-6)
-
-
-def test_files_of_the_first_schema_are_still_understood(tmp_path):
-    note = true_note(60)
-    document = fit_document(note, ERRORS)
-    new = {name: document.pop(name) for name in ("claims", "invariants", "minima")}
-    recordings = document.pop("recordings")
-    old = document | {"schema": 1, "verdict": new["claims"]}
-    for entry in old["parameters"].values():
-        entry["status"] = "free"
-    for gain, velocity, velocities in (
-        ("free", "assumed", (0.7, 1.7, 4.0)),
-        ("fixed", "free", (0.35, 0.85, 2.0)),
-        ("free", "fixed", (0.35, 0.85, 2.0)),
-    ):  # fmt: skip
-        rows = [row | {"gain_status": gain, "v_H0_status": velocity, "v_H0": 0.5 * row["v_H0"]} for row in recordings]
-        (key,) = load_keys([write_fit(tmp_path, 60, old | {"takes": rows})])
-        assert key.velocities == pytest.approx(velocities)
-        assert key.sd["K/M_S"] == pytest.approx(ERRORS["K_H"], rel=1e-6)
 
 
 def test_a_blow_at_two_microphones_is_one_layer_and_the_gain_is_that_of_the_path(tmp_path):
@@ -270,37 +251,37 @@ def test_a_blow_at_two_microphones_is_one_layer_and_the_gain_is_that_of_the_path
 
 def test_midi_velocities_rise_with_the_layers():
     law = velocity_map([(0.5, 1.0, 2.0, 4.0), (0.6, 1.1, 2.2, 4.0)])
-    heard = [hammer_velocity(v, law["at_64"], law["rise"]) for v in range(1, 128)]
-    assert all(np.diff(heard) > 0)
-    assert heard[110] == pytest.approx(4.0, rel=0.15)
-    assert heard[15] == pytest.approx(0.55, rel=0.2)
+    velocity = [hammer_velocity(v, law["at_64"], law["rise"]) for v in range(1, 128)]
+    assert all(np.diff(velocity) > 0)
+    assert velocity[110] == pytest.approx(4.0, rel=0.15)
+    assert velocity[15] == pytest.approx(0.55, rel=0.2)
     assert velocity_map([(4.0,)])["from"] == "default"
-    # Layers that fall are noise: the law still rises.
+    # The law rises even if the layers do not.
     assert velocity_map([(1.0, 1.0, 1.0)])["rise"] > 0
 
 
 def test_what_is_no_library_is_refused(tmp_path):
-    with pytest.raises(FitError, match="no such file or folder"):
+    with pytest.raises(FitError, match="nowhere"):
         find_fits([tmp_path / "nowhere"])
-    with pytest.raises(FitError, match="holds no keys"):
+    with pytest.raises(FitError, match=r"fit\.json"):
         find_fits([tmp_path])
     library(tmp_path, [60, 64])
     write_fit(tmp_path, 60, fit_document(true_note(60), ERRORS), "other")
-    with pytest.raises(FitError, match="several instruments, other, twin"):
+    with pytest.raises(FitError, match=r"instruments.* other, twin.*--prefix"):
         find_fits([tmp_path])
-    with pytest.raises(FitError, match="no key begins so; there are 'other', 'twin'"):
+    with pytest.raises(FitError, match=r"--prefix 'third'.*'other', 'twin'"):
         find_fits([tmp_path], "third")
     assert len(find_fits([tmp_path], "other")) == 1
     twice = [*find_fits([tmp_path], "other"), *find_fits([tmp_path], "twin")]
-    with pytest.raises(FitError, match=r"is C4, and so is .*leave one out"):
+    with pytest.raises(FitError, match=r"C4.*--prefix"):
         load_keys(twice)
     mixed = fit_document(true_note(67)._replace(quantity="bridge-force"), ERRORS)
-    with pytest.raises(FitError, match="one instrument needs one quantity"):
+    with pytest.raises(FitError, match="bridge-force and pressure"):
         load_keys([*find_fits([tmp_path], "twin"), write_fit(tmp_path, 67, mixed)])
 
 
 def test_a_piano_out_of_tune_keeps_its_keys(tmp_path):
-    """80 cents flat: the folder's name says which key it is."""
+    """The key of a string that is 80 cents flat follows from the folder's name."""
     note = true_note(60)
     flat = note._replace(string=note.string._replace(c=note.string.c * 2 ** (-80 / 1200)))
     key = load_keys([write_fit(tmp_path, 60, fit_document(flat, ERRORS))])[0]

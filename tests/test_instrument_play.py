@@ -1,4 +1,4 @@
-"""Songs on strings: strokes against the model itself, dampers and pedal against what they should do, limiter."""
+"""Rendering of songs: strokes against the model, dampers and pedal against their definition, and the limiter."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def song(*notes: tuple[float, float, int, int], pedal: tuple[tuple[float, bool],
 
 
 def played(*notes: tuple[float, float, int, int], pedal: tuple[tuple[float, bool], ...] = ()) -> np.ndarray:
-    """A song far below the limiter, 5 s."""
+    """A song far below the threshold of the limiter, 12 s."""
     quiet = PIANO._replace(notes={m: v._replace(gain=1e-2 * v.gain) for m, v in PIANO.notes.items()})
     done = render_song(quiet, song(*notes, pedal=pedal), RATE)
     assert done.gain_db == done.limited_db == 0
@@ -46,7 +46,7 @@ def rms_db(samples: np.ndarray, start: float, stop: float) -> float:
 
 
 def rung_note(midi: int) -> Note:
-    """The key with a beat, an aftersound and a knock of its own, in two channels; nothing of it is the law's."""
+    """A key with a modal response in two channels: beating, aftersound and knock, unlike its string model."""
     note, random = uneven_note(midi), np.random.default_rng(midi)
     law = mode_frequencies(note.string, note.geometry.length, 12)
     law = law[law < 16_000]
@@ -59,16 +59,16 @@ def rung_note(midi: int) -> Note:
 
 
 def stroke_and_ring(string: StringVoice, velocity: float, samples: int) -> np.ndarray:
-    """[channels, samples] from the stroke on, from `lead` before its contact."""
+    """Sound [channels, samples] from `lead` samples before the contact on."""
     head = string.strike(velocity)
-    return string.heard(np.concatenate([head, string.ring(samples - head.shape[-1])], axis=-1))[:, :samples]
+    return string.through_path(np.concatenate([head, string.ring(samples - head.shape[-1])], axis=-1))[:, :samples]
 
 
 @pytest.mark.parametrize("kind", [uneven_note, rung_note])
 @pytest.mark.parametrize("midi", [21, 45, 60, 84, 108])
 def test_a_stroke_at_rest_is_what_render_plays(midi, kind):
     note = kind(midi)
-    expected = note.frames(note.strike(RATE), RATE, RATE, round(note.lead * RATE))
+    expected = note.render_channels(note.strike(RATE), RATE, RATE, round(note.pre_onset_s * RATE))
     sound = stroke_and_ring(StringVoice(note, midi, RATE), note.hammer.v_H0, RATE)
     assert sound.shape == expected.shape
     assert np.abs(sound - expected).max() < 1e-6 * np.abs(expected).max()
@@ -76,30 +76,30 @@ def test_a_stroke_at_rest_is_what_render_plays(midi, kind):
 
 @pytest.mark.parametrize(("midi", "after"), [(28, 0.013), (60, 0.1), (79, 0.05)])
 def test_a_stroke_on_a_moving_string_is_the_models(midi, after):
-    """`simulate` from the same displacement and velocity, whose contact and waveform are other code."""
+    """`simulate` from the same displacement and velocity, whose contact and waveform are independent code."""
     note = uneven_note(midi)
     string = StringVoice(note, midi, RATE)
     head = string.strike(4.0)
     string.ring(max(round(after * RATE) - head.shape[-1], 0))
     state = string.string.state.copy()
-    law = np.asarray(string.table.modes.pole)
-    q, v = state.real, (law * state).real
+    string_pole = np.asarray(string.table.modes.pole)
+    q, v = state.real, (string_pole * state).real
     moving = simulate(
         note.string, note.hammer._replace(v_H0=1.5), note.geometry, rate=RATE, quantity="pressure",
         n_modes=len(q), displacement=q, velocity=v,
     )  # fmt: skip
-    own = string.string.pole.real / law.real  # each partial's own decay
-    assert np.ptp(own) > 0.5
-    assert own == pytest.approx(note.path.decay_at(law.imag / (2 * np.pi)))
-    heard = moving.modes._replace(
+    decay_ratio = string.string.pole.real / string_pole.real  # of each partial
+    assert np.ptp(decay_ratio) > 0.5
+    assert decay_ratio == pytest.approx(note.path.decay_at(string_pole.imag / (2 * np.pi)))
+    with_path_decay = moving.modes._replace(
         pickup=np.asarray(moving.modes.pickup) * note.gain, pole=string.string.pole,
         free_pickup=np.asarray(moving.modes.free_pickup) * note.gain,
     )  # fmt: skip
-    expected = moving._replace(modes=heard).waveform(RATE, RATE // 2)
+    expected = moving._replace(modes=with_path_decay).waveform(RATE, RATE // 2)
     head = string.strike(1.5)
     sound = np.concatenate([head, string.ring(RATE // 2 - head.shape[-1])], axis=-1)
     assert np.abs(sound - expected).max() < 1e-6 * np.abs(expected).max()
-    # And it is not the sum of the old sound and a stroke at rest: the hammer met a moving string.
+    # It differs from the sum of the old sound and a stroke at rest, because the string was moving.
     rest = StringVoice(note, midi, RATE)
     alone = np.concatenate([head := rest.strike(1.5), rest.ring(RATE // 2 - head.shape[-1])], axis=-1)
     rest.string.state = state
@@ -107,11 +107,13 @@ def test_a_stroke_on_a_moving_string_is_the_models(midi, after):
 
 
 def test_what_rings_is_linear_in_the_forces():
-    """A restrike is heard as the sum of both strokes' forces, each by itself through modes and knock."""
+    """The sound of a restrike is the sum of the responses of modes and knock to both forces."""
     note, forces = rung_note(45), []
     string = StringVoice(note, 45, RATE)
-    struck = string.ringing.strike_response
-    string.ringing = SimpleNamespace(struck=lambda force, end: forces.append(force) or struck(force, end))
+    strike_response = string.ringing.strike_response
+    string.ringing = SimpleNamespace(
+        strike_response=lambda force, end: forces.append(force) or strike_response(force, end)
+    )
     between = round(0.05 * RATE)
     sound = np.zeros((2, RATE))
     sound[:, :between] = stroke_and_ring(string, 2.0, between)
@@ -126,7 +128,7 @@ def test_what_rings_is_linear_in_the_forces():
     )
     alone = note.with_velocity(2.0).render_channels(note.with_velocity(2.0).strike(RATE), RATE, RATE, string.lead)
     alone[:, between:] += rest
-    assert np.abs(sound - alone).max() > 1e-4 * np.abs(expected).max()  # the second hammer met a moving string
+    assert np.abs(sound - alone).max() > 1e-4 * np.abs(expected).max()  # the second hammer hit a moving string
 
 
 @pytest.mark.parametrize("kind", [true_note, rung_note])
@@ -175,7 +177,7 @@ def test_a_late_pedal_catches_what_still_sounds():
 
 
 def test_nothing_clicks_where_no_hammer_strikes():
-    """At a damper's fall and a pedal's change the second difference is no larger than the sound's own just before."""
+    """When a damper or the pedal moves, the second difference of the sound is not larger than just before."""
     sound = played((0.0, 0.6, 45, 100), (0.0, 1.0, 60, 70), pedal=((0.8, True), (1.3, False)))
     bend = np.abs(np.diff(sound, 2))
     for at in (0.6, 0.8, 1.0, 1.3):
@@ -218,8 +220,10 @@ def test_the_limiter_never_lets_through(loud):
     again, *_ = limit(sound, RATE)
     assert (out == again).all()
     gain = out / sound
-    assert np.abs(np.diff(gain)).max() < 2e-3 * gain.max()  # a gain, no clipper
-    assert gain[0] == pytest.approx(gain[1], rel=1e-12)  # the same for both channels: nothing moves sideways
+    assert np.abs(np.diff(gain)).max() < 2e-3 * gain.max()  # a smooth gain, not a clipper
+    assert gain[0] == pytest.approx(
+        gain[1], rel=1e-12
+    )  # equal for both channels, so that the stereo image does not move
 
 
 def test_the_limiter_leaves_alone_what_fits():
@@ -232,13 +236,13 @@ def test_the_limiter_leaves_alone_what_fits():
 
 def test_what_cannot_be_played_is_refused():
     piano = true_instrument(range(40, 60))
-    with pytest.raises(ParameterError, match="key 60 is not on this instrument; it has E2 to B3"):
+    with pytest.raises(ParameterError, match=r"key 60 .*E2 to B3"):
         render_song(piano, song((0.0, 1.0, 60, 80)), RATE)
     with pytest.raises(ParameterError, match="rate=100"):
         render_song(PIANO, song((0.0, 1.0, 60, 80)), 100)
-    with pytest.raises(ParameterError, match="too long; cut the song to 694 s"):
+    with pytest.raises(ParameterError, match="694 s"):
         render_song(PIANO, song((0.0, 1700.0, 60, 80)), RATE)
     stuck = true_note(60)
     stuck = PIANO._replace(notes={60: stuck._replace(hammer=stuck.hammer._replace(M_H=0.1, K_H=1e4, p=5.0))})
-    with pytest.raises(FitError, match=r"key 60: at v_H0=.* m/s the hammer is still on the string"):
+    with pytest.raises(FitError, match=r"key 60: .*v_H0="):
         render_song(stuck, song((0.0, 1.0, 60, 1)), RATE)

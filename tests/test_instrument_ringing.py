@@ -1,4 +1,4 @@
-"""An instrument whose recorded keys ring by their own modes and knock, and lend them to keys that never were."""
+"""An instrument whose recorded keys have modal responses, which unrecorded keys borrow."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ from pianofit.model.modes import mode_frequencies
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Fits of D3, which rings, and of G5, which does not."""
+    """Fits of D3, with a modal response, and of G5, without."""
     place = tmp_path_factory.mktemp("fits")
     note = rung(50)
-    file = write_fit(place, 50, fit_document(note, ERRORS) | {"schema": 3, "ringing": ringing_document(note.ringing)})
+    file = write_fit(place, 50, fit_document(note, ERRORS) | {"ringing": ringing_document(note.ringing)})
     (file.parent / "knock.flac").write_bytes(encode_knock(note.ringing))
     write_fit(place, 79, fit_document(true_note(79), ERRORS))
     return place
@@ -39,7 +39,7 @@ def document(folder):
 
 
 def test_a_recorded_key_sounds_as_its_fit(folder, document):
-    """To the rounding of a knock of 16 bits, at any velocity: no law changes the force that its modes were found by."""
+    """To the quantisation of a 16-bit knock, at any velocity: the laws do not change the force of its modes."""
     fit = load_keys(find_fits([folder]))[0].note
     played = read_instrument(document).notes[50]
     for velocity in (0.5, 4.0):
@@ -56,45 +56,44 @@ def test_keys_within_reach_borrow_and_others_ring_by_their_law(document):
 
 
 def test_a_borrowed_partial_has_its_laws_energy_and_its_neighbours_decay_curve():
-    own, near = true_note(52), rung(50)
-    found = interpolate_keys({50: near, 52: own}, [52])[52].ringing
+    own, donor = true_note(52), rung(50)
+    found = interpolate_keys({50: donor, 52: own}, [52])[52].ringing
     law = own.string.b1 + own.string.b2 * (np.arange(1, 11) * np.pi / own.geometry.length) ** 2
     frequency = mode_frequencies(own.string, own.geometry.length, 10)
-    times = np.array([0.0, 0.1, 0.3, 1.0, 3.0])  # in units of 1/(the law's decay)
+    times = np.array([0.0, 0.1, 0.3, 1.0, 3.0])  # in units of the inverse decay rate of the string model
     ratio, part = np.array(PARTS).T
-    truth = 10 * np.log10(np.exp(-2 * np.outer(times, ratio)) @ part**2)  # beats do not count
+    truth = 10 * np.log10(np.exp(-2 * np.outer(times, ratio)) @ part**2)  # without beating
     for k in range(1, 9):
         at = found.number == k
         assert np.imag(found.pole[at]) / (2 * np.pi) == pytest.approx(frequency[k - 1], rel=1e-9)
         parts = np.exp(np.outer(times, np.real(found.pole[at]) / law[k - 1]))
         curve = 20 * np.log10(np.abs(parts @ found.pattern[0, at]))
-        # The root of a sum of powers is no sum of exponentials: this is as near as positive ones come.
+        # The root of a sum of powers is not a sum of exponentials. Positive exponentials come this near.
         assert curve - curve[0] == pytest.approx(truth - truth[0], abs=0.5)
-    # Its energy on the damped circle, in the mean of the channels, against a stroke by the law alone, whose sound is
-    # other code.
+    # Its energy on the damped circle, in the mean of the channels, against a stroke of the string model, which other
+    # code computes.
     bare, sigma = own._replace(path=None), 30.0
-    lent = interpolate_keys({50: near, 52: bare}, [52])[52].ringing
+    borrowed = interpolate_keys({50: donor, 52: bare}, [52])[52].ringing
     alone, stroke = bare.render_stroke(RATE, 2 * RATE)
     seconds = np.arange(len(alone)) / RATE
     for k in range(1, 8):
-        at = lent.number == k
-        part = (
-            np.abs(lent.pattern[:, at].mean(axis=0) * force_of(stroke, float(bare.hammer.v_H0)).drive(lent.pole[at]))
-            * bare.gain
-        )
-        found = ((np.exp(np.outer(seconds, np.real(lent.pole[at]))) @ part) ** 2 * np.exp(-2 * sigma * seconds)).sum()
+        at = borrowed.number == k
+        drive = force_of(stroke, float(bare.hammer.v_H0)).drive(borrowed.pole[at])
+        part = np.abs(borrowed.pattern[:, at].mean(axis=0) * drive) * bare.gain
+        envelope = np.exp(np.outer(seconds, np.real(borrowed.pole[at]))) @ part
+        energy = (envelope**2 * np.exp(-2 * sigma * seconds)).sum()
         size = np.abs(alone @ np.exp(-(sigma + 2j * np.pi * frequency[k - 1]) * seconds)) / RATE * 2
         expected = (size * (sigma + law[k - 1])) ** 2 / (2 * (sigma + law[k - 1])) * RATE
-        assert 10 * np.log10(found / expected) == pytest.approx(0.0, abs=0.5)
+        assert 10 * np.log10(energy / expected) == pytest.approx(0.0, abs=0.5)
 
 
 BAD = {
-    "modes": ({"modes": 1}, "needs as many numbers"),
-    "uneven": ({"modes": {"partial": [1]}}, "needs as many numbers"),
-    "no base64": ({"knock": {"flac": "?", "scale": 1.0}}, "is no base64"),
-    "no sound": ({"knock": {"flac": "AAAA", "scale": 1.0}}, "is no FLAC file"),
-    "cut": ({"knock": {"flac": "ZkxhQwAAAA==", "scale": 1.0}}, "cannot be read"),
-    "text": ({"knock": {"flac": 7, "scale": 1.0}}, "is no base64"),
+    "modes": ({"modes": 1}, "ringing needs"),
+    "uneven": ({"modes": {"partial": [1]}}, "ringing needs"),
+    "no base64": ({"knock": {"flac": "?", "scale": 1.0}}, "base64"),
+    "no sound": ({"knock": {"flac": "AAAA", "scale": 1.0}}, "FLAC"),
+    "truncated": ({"knock": {"flac": "ZkxhQwAAAA==", "scale": 1.0}}, "cannot be read"),
+    "text": ({"knock": {"flac": 7, "scale": 1.0}}, "base64"),
     "scale": ({"knock": {"flac": "", "scale": None}}, "knock.scale"),
 }
 
@@ -107,14 +106,6 @@ def test_a_hostile_ringing_is_refused(name, document):
     with pytest.raises(FitError, match=message) as caught:
         read_instrument(bad, "bad.json")
     assert str(caught.value).startswith("bad.json: ")
-
-
-def test_an_older_instrument_rings_by_its_law(document):
-    old = copy.deepcopy(document) | {"schema": 1}
-    for key in old["keys"]:
-        del key["ringing"]
-    piano = read_instrument(old)
-    assert (piano.channels, piano.lead) == (1, 0.0)
 
 
 def test_a_song_is_written_in_as_many_channels(document, tmp_path):
@@ -131,26 +122,26 @@ def test_a_song_is_written_in_as_many_channels(document, tmp_path):
 
 
 def test_samples_are_the_models_strokes_in_stereo_with_their_contacts_aligned(document, tmp_path):
-    """Each is the stroke moved by whole samples, the soft one to earlier; a player plays both channels."""
+    """Each sample is the stroke shifted by whole samples, the soft one to earlier. A player plays both channels."""
     from pysfizz import Synth
 
     piano = read_instrument(document)
     export_sampler(piano, tmp_path / "out", [50, 79], ExportOptions(2, 0.3, RATE, "wav"))
-    moved, first = [], round(0.1 * RATE)
+    shifts, first = [], round(0.1 * RATE)
     for velocity in (1, 127):
         sound = soundfile.read(tmp_path / "out" / "samples" / f"050-D3-v{velocity:03}.wav")[0].T
         note = piano.note(50, velocity)
         expected = note.render_channels(note.strike(RATE), RATE, 2 * first, round(note.pre_onset_s * RATE))
-        tried = range(-RATE // 500, RATE // 500)
-        products = [np.vdot(np.roll(expected, m, axis=1)[:, :first], sound[:, :first]) for m in tried]
-        moved.append(tried[int(np.argmax(products))])
-        part = slice(abs(moved[-1]), first)
-        same = np.roll(expected, moved[-1], axis=1)[:, part]
+        trial = range(-RATE // 500, RATE // 500)
+        products = [np.vdot(np.roll(expected, m, axis=1)[:, :first], sound[:, :first]) for m in trial]
+        shifts.append(trial[int(np.argmax(products))])
+        part = slice(abs(shifts[-1]), first)
+        same = np.roll(expected, shifts[-1], axis=1)[:, part]
         gain = np.vdot(same, sound[:, part]) / np.vdot(same, same)
-        step = 2.0**-23  # of 24 bits
+        step = 2.0**-23  # 24 bits
         assert np.abs(sound[:, part] - gain * same).max() < max(1e-5 * np.abs(sound).max(), 1.1 * step)
         assert len(sound) == 2
-    assert -RATE // 1000 <= moved[0] - moved[1] <= 0
+    assert -RATE // 1000 <= shifts[0] - shifts[1] <= 0
     synth = Synth(sample_rate=RATE, block_size=512)
     assert synth.load_sfz_file(tmp_path / "out" / "twin.sfz", quiet=False)
     played = synth.render_note(50, 127, 0.3, 0.3)[:, :first]

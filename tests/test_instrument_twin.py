@@ -1,4 +1,4 @@
-"""A library of recordings, made by the twin, fitted key by key, put together: the laws against the truth. Minutes."""
+"""Keyboard laws of a synthetic library, fitted key by key, against the truth. Takes minutes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ALLOWED = {"cents": 0.1, "B": 0.01, "b1": 0.02, "d2": 0.03, "M_H/M_S": 0.02, "K/
 
 
 def fit_library(folder: Path) -> dict[str, Any]:
-    """Record and fit every key, and put them together."""
+    """Record and fit every key, and build the instrument."""
     random = np.random.default_rng(1)
     for midi in RECORDED:
         out = folder / "keys" / f"twin-{midi_to_note(midi).replace('#', 's')}"

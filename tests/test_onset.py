@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from pianofit.analysis import analyse
 from pianofit.errors import WrongNoteError
+from pianofit.recording import onset as module
 from pianofit.recording.onset import find_onset, find_sounds, without_drift
 from pianofit.recording.recording import load_recording, recording_from_samples
-from pianofit.recording import onset as module
 
 RATE = 44_100
 SHARED = Path(os.environ.get("PIANOFIT_RECORDINGS", Path(__file__).parents[2] / "shared" / "recordings")).parent
@@ -35,7 +35,7 @@ def led(sound: np.ndarray, lead: int, noise: float = 1e-4) -> np.ndarray:
 
 
 def unwanted(kind: str) -> np.ndarray:
-    """A sound that is not a string's, of at most 0.3 s, peak 1 [samples]."""
+    """A sound of another source than the string, of at most 0.3 s, peak 1 [samples]."""
     t, rng = np.arange(round(0.3 * RATE)) / RATE, np.random.default_rng(3)
     sound = {
         "click": np.where(t < 1e-4, 1.0, 0.0),
@@ -56,8 +56,8 @@ def test_a_sound_before_the_note_is_not_its_onset(kind, level, before):
     x[begin : begin + len(noise)] += noise
     recording = recording_from_samples(x, RATE)
     assert abs(recording.onset - RATE) <= 0.0005 * RATE
-    said = [float(found[1]) for w in recording.warnings if (found := re.search(r"([\d.]+) s before the note", w))]
-    assert said == pytest.approx([before] * len(said), abs=0.03)
+    times = [float(match[1]) for w in recording.warnings if (match := re.search(r"([\d.]+) s before the note", w))]
+    assert times == pytest.approx([before] * len(times), abs=0.03)
 
 
 @pytest.mark.parametrize("kind", ["key noise", "thump", "cough"])
@@ -95,7 +95,7 @@ def test_the_pulses_of_a_bass_note_are_not_sounds():
 
 
 def test_the_first_of_two_equal_strokes_is_the_note():
-    """Also where the first one was damped, so that silence stands between them."""
+    """The first one is damped, so that silence separates them."""
     stroke = struck(seconds=0.6, decay=8.0)
     x = led(np.concatenate([stroke, np.zeros(RATE // 2), stroke]), 4_410)
     assert abs(find_onset(x, RATE, 0.0) - 4_410) <= 5
@@ -121,9 +121,9 @@ def test_an_offset_that_is_faded_with_the_file_is_neither_onset_nor_noise(offset
     plain, faded = (recording_from_samples(ramp * (x + part), RATE) for part in (0.0, offset))
     assert faded.onset == plain.onset == pytest.approx(13_230, abs=5)
     assert not any("begins inside" in warning for warning in faded.warnings)
-    want, found = (analyse(recording, note="A3") for recording in (plain, faded))
-    assert found.f0 == pytest.approx(want.f0, rel=1e-6)
-    assert len(found.partials) == len(want.partials)
+    expected, analysis = (analyse(recording, note="A3") for recording in (plain, faded))
+    assert analysis.f0 == pytest.approx(expected.f0, rel=1e-6)
+    assert len(analysis.partials) == len(expected.partials)
 
 
 def test_no_lowest_partial_counts_as_drift():
@@ -145,10 +145,10 @@ def test_a_level_is_taken_over_at_least_a_period_of_the_lowest_key():
 def test_the_case_files_are_analysed_as_the_plain_note(name, onset):
     recording = load_recording(CASES / f"{name}.flac")
     assert recording.onset / recording.rate == pytest.approx(onset, abs=0.002)
-    found = analyse(recording, note="F3")
-    assert found.f0 == pytest.approx(175.008, abs=5e-4)
-    assert abs(found.B / 1.662e-4 - 1) < 3e-4
-    assert abs(len(found.partials) - 54) <= 2
+    analysis = analyse(recording, note="F3")
+    assert analysis.f0 == pytest.approx(175.008, abs=5e-4)
+    assert abs(analysis.B / 1.662e-4 - 1) < 3e-4
+    assert abs(len(analysis.partials) - 54) <= 2
 
 
 def test_an_analysis_that_fails_repeats_what_was_odd_about_the_recording():

@@ -1,4 +1,4 @@
-"""The page's engine, in node: its sound is the model's, and what it is made of fits into a page."""
+"""The engine of the page in node: its sound is that of the model, and its tables fit into a page."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def test_a_key_with_its_own_ringing_sounds_as_the_model_does(midi, velocity):
 @pytest.mark.parametrize("strokes", [slice(None), slice(1)])
 @pytest.mark.parametrize("velocity", [0.2, 0.5, 8.0])
 def test_strokes_beyond_those_that_say_how_modes_take_part_do_as_the_last(strokes, velocity):
-    """Below the slowest, at it, above the fastest; and where one stroke says it for all."""
+    """Below the slowest stroke, at it, and above the fastest; also with a single stroke."""
     note = ringing_note(52)
     assert note.ringing is not None
     part = note.ringing.participation
@@ -87,10 +87,10 @@ def test_a_stroke_on_a_moving_string_is_the_players(midi):
     rest = string.ring(again * BLOCK - head.shape[-1])
     second = string.strike(1.5)
     last = string.ring(RATE - again * BLOCK - second.shape[-1])
-    expected = string.heard(np.concatenate([head, rest, second, last], axis=-1))[..., :RATE]
+    expected = string.through_path(np.concatenate([head, rest, second, last], axis=-1))[..., :RATE]
     (sound,) = play([job(encode_note(note, midi), struck(4.0), struck(1.5, again))])
     assert error_db(sound, expected) < WITHIN
-    # And it is not what a stroke at rest would have added.
+    # It differs from the sum with a stroke at rest.
     apart = play([job(encode_note(note, midi), struck(4.0)), job(encode_note(note, midi), struck(1.5, again))])
     assert error_db(sum(apart), expected) > -60
 
@@ -130,13 +130,12 @@ def test_keys_sound_together_as_they_do_alone_and_silence_is_silent():
 
 
 def test_a_piece_with_strings_struck_again_dampers_and_pedal_is_the_players():
-    """Keys with a knock, which begins before its stroke, and softer ones without; events on the page's blocks.
+    """Keys with a knock, which begins before its stroke, and softer keys without. Events lie on the blocks of the page.
 
-    Through a path the page's dampers are nearly the player's: it has a mode's gain at the pole of the free mode.
+    With an output path the dampers of the page are approximate, because the gain is that at the pole of the free mode.
     """
     whole = true_instrument((45, 52, 60, 64))
     notes = {k: n._replace(gain=1e-3) for k, n in whole.notes.items()}
-    # Their paths have decays of their own, which are not theirs any more.
     notes |= {k: uneven_note(k)._replace(gain=1.0, ringing=ringing_note(k).ringing) for k in (52, 64)}
     piano, random, at = whole._replace(notes=notes), np.random.default_rng(3), BLOCK / RATE
     keys = {k: [] for k in notes}
@@ -157,7 +156,7 @@ def test_a_piece_with_strings_struck_again_dampers_and_pedal_is_the_players():
 
 
 def test_a_damper_through_a_path_is_nearly_the_players():
-    """A mode keeps the path's gain of its free decay, where the player's path filters what is damped."""
+    """In the page a mode keeps the gain of its free decay. The path of `render_song` filters the damped sound."""
     note, at, end = uneven_note(52), BLOCK / RATE, 150
     piano = true_instrument((52,))._replace(notes={52: note})
     song = Song({52: [(0.0, 90), (end * at, 0)]}, [], 400 * at, 52)
@@ -210,7 +209,7 @@ def test_a_changed_key_is_the_changed_note():
 
 
 def saved(entry: dict, folder: Path, **more: object) -> Path:
-    """The note.json that the page makes of a key."""
+    """Save a key of the page as note.json."""
     about = {"velocity": 2.5, "rate": RATE, "claims": "A note."}
     (folder / "note.json").write_bytes(run([{"keys": {60: entry}, "note": about, **more}])[0][0])
     return folder / "note.json"
@@ -230,7 +229,7 @@ def test_a_saved_note_is_rendered_as_the_page_plays_it(tmp_path, make, changes):
 
 @pytest.mark.parametrize("velocity", [0.2, 8.0])
 def test_a_saved_note_keeps_how_its_modes_take_part(tmp_path, velocity):
-    """A note.json that is struck beyond the strokes that it holds is the key that is."""
+    """A note.json gives the same sound as its key at velocities outside its measured strokes."""
     note, _ = load_note(saved(encode_note(ringing_note(52), 52), tmp_path))
     expected = ringing_note(52).render(velocity, seconds=0.5, rate=RATE, mono=False)
     assert error_db(note.render(velocity, seconds=0.5, rate=RATE, mono=False), expected) < WITHIN
@@ -251,22 +250,22 @@ def test_no_slider_leads_where_a_note_is_refused(tmp_path, changes):
 def test_a_knock_in_a_note_is_checked(tmp_path):
     file = saved(encode_note(ringing_note(60), 60), tmp_path)
     document = json.loads(file.read_text())
-    for knock, said in (("no base64", "ringing.knock.wav is no base64"), ("AAAA", "ringing.knock.wav: is no WAV file")):
+    for knock in ("no base64", "AAAA"):
         document["ringing"]["knock"]["wav"] = knock
         file.write_text(json.dumps(document))
-        with pytest.raises(FitError, match=said):
+        with pytest.raises(FitError, match=r"ringing\.knock\.wav"):
             load_note(file)
 
 
 def test_the_sliders_have_the_intervals_of_the_instrument():
-    told = {"K/M_S": (100.0, 50.0, 200.0), "p": (2.5, 2.4, 2.7), "B": (1e-3, 9e-4, 1.2e-3), "x0/L": (0.1, 0.2, 0.3)}
-    assert intervals(told) == {
+    laws = {"K/M_S": (100.0, 50.0, 200.0), "p": (2.5, 2.4, 2.7), "B": (1e-3, 9e-4, 1.2e-3), "x0/L": (0.1, 0.2, 0.3)}
+    assert intervals(laws) == {
         "force": [0.5, 2.0],
         "p": pytest.approx([-0.1, 0.2]),
         "inharmonicity": pytest.approx([0.9, 1.2]),
     }
     even = {"b1": (0.3, 0.3 / 1.5, 0.3 * 1.5), "d2": (0.3, 0.3 / 1.5, 0.3 * 1.5)}
-    assert intervals(even)["loss"][1] == pytest.approx(1.5 ** (1 / np.sqrt(2)))  # of two errors, half in quadrature
+    assert intervals(even)["loss"][1] == pytest.approx(1.5 ** (1 / np.sqrt(2)))  # two equal errors add in quadrature
     piano = read_instrument(document() | {"keys": [row | {"told": {"mu": {"value": 0.2, "interval": [0.1, 0.4]},
         "p": {"value": "x", "interval": [1, 2]}, "B": {"value": 1, "interval": None}, "q": 3}}
         for row in document()["keys"]]})  # fmt: skip
@@ -320,9 +319,7 @@ def test_a_knock_in_fewer_bits_is_the_same_below_its_rate():
 
 def test_a_felt_that_the_page_does_not_know_is_refused():
     note = true_note(60)
-    with pytest.raises(
-        ParameterError, match="key C4: a page plays the felt of Hunt and Crossley, not a RelaxingHammer"
-    ):
+    with pytest.raises(ParameterError, match="RelaxingHammer"):
         encode_note(note._replace(hammer=RelaxingHammer(*note.hammer, 0.3, 1e-4)), 60)
 
 
@@ -346,19 +343,19 @@ def test_a_batchs_folder_becomes_a_page_that_counts_its_guesses(tmp_path, capsys
         f"{tmp_path / 'piano.html'}: 88 keys, 2 of them recorded; 86 are guesses: 4 between recorded keys, 82" in said
     )
     html = (tmp_path / "piano.html").read_text()
-    assert "Of the keys 86 are guesses: 4 between recorded keys, 82 beyond them." in html
+    assert "86 are guesses: 4 between recorded keys, 82 beyond them." in html
     library(tmp_path, [50])
     assert main(["page", str(tmp_path), "--prefix", "twin", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["guesses"] == {"between": 8, "beyond": 77}
     assert main(["page", str(tmp_path)]) == 1
-    assert "exists; give another --out, or --force" in capsys.readouterr().err
+    assert "--force" in capsys.readouterr().err
     assert (tmp_path / "piano.html").read_text() == html
     assert main(["page", str(tmp_path), "--force"]) == 0
     assert "3 of them recorded" in capsys.readouterr().out
     write_fit(tmp_path, 60, fit_document(true_note(60), ERRORS), "other")
     for more, said in (
-        ([], "holds several instruments, other, twin; choose one"),
-        (["--prefix", "a/b"], "there are 'oth"),
+        ([], "other, twin"),
+        (["--prefix", "a/b"], "'oth"),
     ):
         assert main(["page", str(tmp_path), *more]) == 1
         assert said in capsys.readouterr().err
@@ -369,7 +366,7 @@ def test_an_instrument_in_a_folder_is_taken_as_it_is(tmp_path, capsys):
     assert main(["page", str(tmp_path)]) == 0
     assert "2 keys, 1 of them recorded; 1 is a guess: 1 beyond them" in capsys.readouterr().out
     assert main(["page", str(tmp_path), "--prefix", "cp80"]) == 1
-    assert "holds one instrument" in capsys.readouterr().err
+    assert "--prefix" in capsys.readouterr().err
 
 
 def test_the_command_writes_a_page_and_replaces_none_unasked(tmp_path, capsys):
@@ -382,8 +379,8 @@ def test_the_command_writes_a_page_and_replaces_none_unasked(tmp_path, capsys):
     assert "</script><b>" not in html
     assert html.count("</script>") == html.count("<script")
     assert main(["page", str(built), "--out", str(out)]) != 0
-    assert "exists; give another --out, or --force" in capsys.readouterr().err
+    assert "--force" in capsys.readouterr().err
     assert main(["page", str(built), "--out", str(out), "--force"]) == 0
     assert main(["page", str(built), "--out", str(tmp_path / "piano.txt")]) != 0
-    assert "give --out a name that ends in .html" in capsys.readouterr().err
+    assert ".html" in capsys.readouterr().err
     assert sorted(p.name for p in tmp_path.iterdir()) == ["instrument.json", "piano.html"]

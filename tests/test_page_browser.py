@@ -1,4 +1,4 @@
-"""The page to play, in a real browser: it opens from a file, asks for nothing, and sounds."""
+"""The page in a real browser: it opens from a file, makes no requests, and plays."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ ARGUMENTS = (
     "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking "
     "--disable-component-update --disable-sync"
 )
-HEARD = 32768  # samples that an analyser holds: 0.7 s
+WINDOW = 32768  # samples of an analyser: 0.7 s
 
-# An analyser behind the engine holds the last samples that were played; `heard` returns them.
+# An analyser after the engine holds the last samples; `lastSamples` returns them.
 LISTEN = f"""() => {{
   const {{ player }} = window.pianofitKeyboard;
-  const analyser = new AnalyserNode(player.context, {{ fftSize: {HEARD} }});
+  const analyser = new AnalyserNode(player.context, {{ fftSize: {WINDOW} }});
   player.node.connect(analyser);
-  window.heard = () => {{
-    const samples = new Float32Array({HEARD});
+  window.lastSamples = () => {{
+    const samples = new Float32Array({WINDOW});
     analyser.getFloatTimeDomainData(samples);
     return Array.from(samples);
   }};
@@ -61,7 +61,7 @@ def written(tmp_path_factory):
 
 @pytest.fixture
 def page(browser, written):
-    """Open the page, which by the end must have asked for nothing and complained of nothing."""
+    """The open page, which must make no requests and log nothing."""
     page = browser.new_page(viewport={"width": 1280, "height": 900})
     complaints, requests = [], []
     page.on("console", lambda message: complaints.append(message.text))
@@ -92,19 +92,19 @@ def test_a_pressed_key_sounds_and_is_damped(page):
     page.mouse.down()
     sounding(page, 1)
     page.evaluate(LISTEN)
-    page.wait_for_function("() => window.heard().some((x) => Math.abs(x) > 1e-4)")
+    page.wait_for_function("() => window.lastSamples().some((x) => Math.abs(x) > 1e-4)")
     assert page.locator('.key[data-midi="60"]').evaluate("key => key.classList.contains('down')")
     page.mouse.up()
     sounding(page, 0)
-    page.wait_for_function("() => window.heard().every((x) => Math.abs(x) < 1e-6)")
+    page.wait_for_function("() => window.lastSamples().every((x) => Math.abs(x) < 1e-6)")
 
 
 def test_a_damper_does_not_click(page):
-    """Once the stroke is over the sound's bend, in spans of 4 ms, never rises above the three before by a third."""
+    """After the stroke, the second difference in 4 ms spans never exceeds the preceding three by a third."""
     page.mouse.click(*at(page, 60))  # the audio thread starts
     page.wait_for_function("() => Boolean(window.pianofitKeyboard.player.context)")
     page.evaluate(LISTEN)
-    page.wait_for_function("() => window.heard().every((x) => Math.abs(x) < 1e-6)")
+    page.wait_for_function("() => window.lastSamples().every((x) => Math.abs(x) < 1e-6)")
     page.evaluate("""async () => {
       const keys = window.pianofitKeyboard;
       await keys.play(55, 90);
@@ -113,7 +113,7 @@ def test_a_damper_does_not_click(page):
       keys.release(55);
       while (context.currentTime < begin + 0.45) await new Promise((go) => setTimeout(go, 5));
     }""")
-    sound = np.array(page.evaluate("() => window.heard()"))
+    sound = np.array(page.evaluate("() => window.lastSamples()"))
     bend = np.abs(np.diff(sound, 2))
     spans = bend[: len(bend) // 192 * 192].reshape(-1, 192).max(axis=1)
     struck = int(np.argmax(spans)) + 5

@@ -1,4 +1,4 @@
-"""The page's recordings beside its keys: which they are, how loud, and that what is compared begins together."""
+"""Comparison of keys and recordings on the page: selection, loudness and alignment."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ VELOCITIES = (1.0, 3.0)
 
 @pytest.fixture(scope="module")
 def piano(tmp_path_factory) -> Instrument:
-    """Two keys, by their law and by modes in stereo, each beside recordings of itself at another gain."""
+    """Two keys, a string model and a modal response in stereo, each with recordings of itself at another gain."""
     folder, layers = tmp_path_factory.mktemp("recorded"), {}
     notes = {60: uneven_note(60), 64: ringing_note(64)}
     for midi, note in notes.items():
@@ -60,11 +60,11 @@ def test_a_layer_begins_with_its_key_and_keeps_its_shape(piano):
 
 def test_recordings_that_are_gone_or_others_are_named(piano, tmp_path):
     (gone,) = [layer._replace(file=str(tmp_path / "gone.wav")) for layer in piano.layers[60][:1]]
-    with pytest.raises(Exception, match=r"gone\.wav: no such file"):
+    with pytest.raises(Exception, match=r"gone\.wav: "):
         recorded_layers(piano._replace(layers={60: (gone,)}))
-    with pytest.raises(FitError, match=r"60 at 1\.0\.wav: is not the recording that was fitted; run pianofit batch"):
+    with pytest.raises(FitError, match=r"60 at 1\.0\.wav: .*pianofit batch"):
         recorded_layers(piano._replace(layers={60: (piano.layers[60][0]._replace(sha256="0"),)}))
-    with pytest.raises(FitError, match="the fits name no recordings; give the folder that pianofit batch wrote"):
+    with pytest.raises(FitError, match=r"--recordings: .*pianofit batch"):
         recorded_layers(piano._replace(layers={}))
 
 
@@ -75,7 +75,7 @@ def test_recordings_are_shortened_before_they_are_too_much(piano, monkeypatch):
     found = recorded_layers(piano)
     assert sf.info(io.BytesIO(base64.b64decode(found[60][0]["flac"]))).frames == RATE
     monkeypatch.setattr("pianofit.web.recordings.ROOM", 1000)
-    with pytest.raises(ParameterError, match=r"1 s of every layer take .* MB, and a page has room for 0 MB"):
+    with pytest.raises(ParameterError, match=r"--recordings: 1 s .* 0 MB"):
         recorded_layers(piano)
 
 
@@ -93,7 +93,7 @@ def test_the_layers_of_a_fit_come_with_its_instrument(tmp_path, capsys):
     true = [scale * row["v_H0"] for row in document["recordings"]]
     assert [layer.velocity for layer in layers] == pytest.approx(true)
     assert main(["page", str(tmp_path), "--recordings"]) == 1
-    assert "/take 0.wav: no such file" in capsys.readouterr().err
+    assert "/take 0.wav: " in capsys.readouterr().err
     assert not (tmp_path / "piano.html").exists()
 
 
@@ -123,8 +123,8 @@ def test_the_pages_loudness_is_that_of_the_reports():
     assert float(done.stdout) == pytest.approx(k_weighted_mean_square(sound, RATE), rel=1e-3)
 
 
-# Of every clip its loudness, dB; of every layer how far the instrument is from the recording, over its peak.
-HEARD = """() => {
+# Loudness of every clip, dB; largest difference of instrument and recording of every layer, relative to the peak.
+MEASURE = """() => {
   const { deck, player } = window.pianofitKeyboard.compare, { clips } = deck;
   const apart = ([a, b]) => b.channels.reduce((most, y, c) => {
     const x = a.channels[c % a.channels.length], n = 48000;
@@ -164,7 +164,7 @@ def test_recording_and_instrument_are_switched_while_they_sound(piano, tmp_path)
             assert page.evaluate(state) == [True, 3]
             page.keyboard.press("1")
             assert page.evaluate(state) == [True, 2]
-            loud, apart = page.evaluate(HEARD)
+            loud, apart = page.evaluate(MEASURE)
             assert loud == pytest.approx([loud[0]] * 4, abs=0.01)
             assert max(apart) < 2e-3
             page.locator("#change-mass").focus()
@@ -172,7 +172,7 @@ def test_recording_and_instrument_are_switched_while_they_sound(piano, tmp_path)
             page.evaluate("() => window.pianofitKeyboard.compare.deck.start(0)")
             page.locator("#compare-ways button").nth(1).click()  # rendered anew
             page.wait_for_function("() => window.pianofitKeyboard.compare.deck.playing")
-            loud, apart = page.evaluate(HEARD)
+            loud, apart = page.evaluate(MEASURE)
             assert loud == pytest.approx([loud[0]] * 4, abs=0.01)
             assert min(apart) > 0.05
             page.evaluate("() => window.pianofitKeyboard.compare.deck.start(0)")

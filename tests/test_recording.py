@@ -1,4 +1,4 @@
-"""The gate for audio: what goes through comes out as it was, what must not go through is refused."""
+"""Reading of audio: valid files are read unchanged, invalid ones are rejected."""
 
 import contextlib
 import csv
@@ -104,7 +104,7 @@ def test_a_flac_that_was_streamed_does_not_say_how_long_it_is(tmp_path):
     data[21] &= 0xF0  # STREAMINFO's 36 bits of total samples
     data[22:26] = bytes(4)
     (tmp_path / "note.flac").write_bytes(bytes(data))
-    with pytest.raises(RecordingError, match="does not say how long it is"):
+    with pytest.raises(RecordingError, match="no length"):
         load_recording(tmp_path / "note.flac")
 
 
@@ -138,7 +138,7 @@ def test_damaged_bytes_never_raise_anything_else(tmp_path_factory, data):
         assert np.isfinite(load_recording(path).samples).all()
 
 
-# --- the Python way in ------------------------------------------------------------------------------------------------
+# --- recordings from arrays -------------------------------------------------------------------------------------------
 
 
 def test_samples_become_a_recording_with_the_same_measures(tmp_path):
@@ -204,7 +204,7 @@ def test_a_gentle_onset_is_found_within_half_a_millisecond(noise_db, lead, f0):
 
 
 def test_the_onset_of_a_bass_note_that_swells_and_rings_on_to_the_end_of_its_file():
-    """The quietest tenth of such a file is the note itself, not much softer than at its loudest."""
+    """The quietest tenth of such a file is the note itself, not much softer than its maximum."""
     t = np.arange(4 * 44_100) / 44_100
     sound = damped(44_100, 27.5, 4.0, math.pi / 2, decay=0.05) * (1 - 0.9 * np.exp(-t / 0.02))
     recording = recording_from_samples(with_lead(sound, 4_410, 1e-4), 44_100)
@@ -286,7 +286,7 @@ def test_the_offset_is_not_the_mean_of_a_decaying_note(f0, offset, lead):
     error = abs(recording_from_samples(sound + offset, 44_100).dc - offset)
     assert error < 1e-6
     if f0 == 27.5 and lead == 0:
-        assert abs(sound.mean()) > 1e-3  # what a plain mean would have taken for one
+        assert abs(sound.mean()) > 1e-3  # a plain mean is not zero
 
 
 def test_a_large_offset_is_reported():
@@ -352,7 +352,7 @@ def test_a_note_that_was_clipped_and_then_turned_down_is_clipped(tmp_path, gain,
 
 @pytest.mark.parametrize("sides", [(-1.0, 0.6), (-0.5, 1.0)])
 def test_a_note_whose_sides_were_clipped_at_different_levels_is_clipped_on_both(sides):
-    """So it is after an offset was removed from a clipped note."""
+    """The levels differ after an offset was removed from a clipped note."""
     low, high = sides
     sound = np.clip(2.4 * with_lead(damped(44_100, 196.0, 1.0, 0.0, decay=12.0), 4_410, 1e-4), low, high)
     runs = [len(run) for side in sides for run in "".join("x" if at else " " for at in sound == side).split()]
@@ -366,12 +366,12 @@ def test_a_quiet_note_that_is_coarsely_quantised_is_not_clipped(tmp_path, steps)
         sound = damped(44_100, f0, 0.6, rng.uniform(0, 6))
         quiet = np.round(2 * steps * sound + rng.choice([0.0, 0.5, 2.0]) * rng.normal(size=len(sound)))
         (tmp_path / "note.wav").write_bytes(encoded(np.append(np.zeros(2_000), quiet) / 32_768, rate=44_100))
-        with contextlib.suppress(RecordingError):  # some do not stand above their noise
+        with contextlib.suppress(RecordingError):  # some are not above their noise
             assert load_recording(tmp_path / "note.wav").clipped == 0
 
 
 def test_a_wave_of_one_side_is_not_clipped_at_its_rest():
-    """A pulse train rests at nought between its pulses and never goes below."""
+    """A pulse train is zero between its pulses and never negative."""
     t = np.arange(44_100) / 44_100
     pulses = np.maximum(np.sin(2 * np.pi * 110 * t), 0) ** 2 * np.exp(-2 * t)
     assert recording_from_samples(0.5 * np.append(np.zeros(4_410), pulses), 44_100).clipped == 0
@@ -381,7 +381,7 @@ def test_a_wave_of_one_side_is_not_clipped_at_its_rest():
 
 
 def spaced(correlation: float, level: float = 1.0, channels: int = 2) -> np.ndarray:
-    """A note in channels whose first one correlates so with the last; the others are like the first [samples, n]."""
+    """A note whose last channel has this correlation with the first; the others equal the first [samples, n]."""
     rng, note_ = np.random.default_rng(5), damped(22_050, 330.0, 1.0, 0.5)
     other = damped(22_050, 330.0 * 1.37, 1.0, 1.5)
     other *= np.linalg.norm(note_) / np.linalg.norm(other)
@@ -437,7 +437,7 @@ def test_a_slow_wave_that_rests_on_its_highest_step_is_not_clipped(tmp_path, rat
     (tmp_path / "note.wav").write_bytes(wav(samples, rate=rate))
     longest = np.diff(np.flatnonzero(np.diff(np.frombuffer(samples, "<i2")))).max()
     if f0 < 30:
-        assert longest >= 3  # so that a count of flat runs would have been wrong
+        assert longest >= 3  # a count of flat runs alone would be wrong
     assert load_recording(tmp_path / "note.wav").clipped == 0
 
 
@@ -464,14 +464,14 @@ def test_every_bad_file_is_refused_in_one_line(tmp_path, bad: BadInput):
 
 @pytest.mark.parametrize("channel", ["", "Left", "0", "9", "mid\ndle", "-1"])
 def test_an_unknown_channel_is_refused(tmp_path, channel):
-    with pytest.raises(ParameterError, match="must be average, left, right") as caught:
+    with pytest.raises(ParameterError, match="average, left, right") as caught:
         load_recording(tmp_path / "note.wav", channel=channel)
     assert str(caught.value).isprintable()
 
 
 def test_a_channel_that_the_file_lacks_is_refused(tmp_path):
     (tmp_path / "note.wav").write_bytes(encoded(np.stack([note(), note()], axis=1)))
-    with pytest.raises(RecordingError, match="has 2 channels, so channel='3' must be 1 to 2"):
+    with pytest.raises(RecordingError, match="channel='3'"):
         load_recording(tmp_path / "note.wav", channel="3")
 
 
@@ -503,16 +503,16 @@ def test_a_short_read_limit(tmp_path):
 
 
 def test_soundfile_is_not_asked_about_what_it_would_let_through(tmp_path):
-    """Half a WAV is read by libsndfile without a word: the reason why the chunks are read here."""
+    """libsndfile reads half a WAV without an error, so the chunks are checked here."""
     (tmp_path / "half.wav").write_bytes(encoded(note())[:20_000])
     samples, _ = soundfile.read(tmp_path / "half.wav")
     assert 0 < len(samples) < len(note())
 
 
-@pytest.mark.parametrize(("seconds", "said"), [(0.0, 0), (0.05, 0), (1.5, 1)])
-def test_digital_silence_at_the_end_is_no_part_of_a_recording(seconds, said):
-    """It would be taken for the note's decay, and for a room without noise."""
+@pytest.mark.parametrize(("seconds", "count"), [(0.0, 0), (0.05, 0), (1.5, 1)])
+def test_digital_silence_at_the_end_is_no_part_of_a_recording(seconds, count):
+    """It would count as part of the decay, and as a noise floor of zero."""
     sound = with_lead(damped(44_100, 220.0, 1.0, 0.0), 2_000, 1e-4)
     padded = recording_from_samples(np.append(sound, np.zeros(round(seconds * 44_100))), 44_100)
     np.testing.assert_array_equal(padded.samples, recording_from_samples(sound, 44_100).samples)
-    assert sum("digital silence" in warning for warning in padded.warnings) == said
+    assert sum("digital silence" in warning for warning in padded.warnings) == count

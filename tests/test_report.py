@@ -1,4 +1,4 @@
-"""The page: whole, honest, closed to the network, and unmoved by hostile text or missing numbers."""
+"""The page is complete, self-contained, and robust to hostile text and missing numbers."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from pianofit.report.html import asset
 from pianofit.report.page import FigureData, report_bytes
 from pianofit.report.save import _check_inputs, _previous_outputs
 from pianofit.report.sound import k_weighted_mean_square, make_clips
-from pianofit.report.text import STATUS, minima, recontact_text, ringing, ringing_line, rows
+from pianofit.report.text import STATUS, minima, modal_response_text, recontact_text, ringing_line, rows
 from pianofit.result.identifiability import STATUSES
 
 
@@ -133,12 +133,10 @@ def test_hostile_text_stays_text(tmp_path, curves):
 def test_claims_come_first_and_plainly(tmp_path, curves):
     page = Page(written(tmp_path, example_fit(), curves))
     body = page.text[page.text.index("A string and a hammer") :]
-    order = [body.index(words) for words in (
-        "Read this first", "One uncalibrated recording does not fix the felt", "▶ Play",
-        "Error of the partials’ levels", "It does as well", "The string's length was not given",
-        "has the same note three times")]  # fmt: skip
+    order = [body.index(part) for part in (
+        "Read this first", "One uncalibrated recording", "▶ Play", "2.6 dB", "do not support the fitted hammer",
+        "The string's length was not given", "The player above")]  # fmt: skip
     assert order == sorted(order)
-    assert "The search converged." in body
     assert "Not converged" not in body
     better = example_fit(levels={"initial_db": 9.0, "fitted_db": 1.2, "path_only_db": 4.0, "partials": 40})
     assert "explains more of the levels" in Page(written(tmp_path, better, curves)).text
@@ -149,8 +147,7 @@ def test_a_fit_that_failed_says_so(tmp_path, curves, claims):
     fit = example_fit(claims=claims, converged=False)
     fit["criterion"]["global"] = {"initial": 0.1, "final": 0.13}
     text = Page(written(tmp_path, fit, curves)).text
-    said = ["Not converged", "Higher on the paper’s criterion"]
-    order = [text.index(words) for words in ([claims] if claims else []) + said]
+    order = [text.index(part) for part in ([claims] if claims else []) + ["Not converged", "Higher criterion"]]
     assert order == sorted(order)
     assert "✓" not in text
     assert "1.3 times larger (+1.1 dB)" in text
@@ -160,8 +157,8 @@ def test_a_clean_fit_says_so(tmp_path, curves):
     fit = example_fit(claims="")
     fit["parameters"] = {name: entry | {"status": "fitted"} for name, entry in fit["parameters"].items()}
     text = Page(written(tmp_path, fit, curves)).text
-    assert "✓ Converged The search converged." in text
-    assert "mind the marks" not in text
+    assert "✓ Converged" in text
+    assert "not measured" not in text.split("▶ Play")[0]
     assert "⚠" not in text
 
 
@@ -170,12 +167,12 @@ def test_criterion_levels_and_statuses_in_words(tmp_path, curves):
     fit["criterion"]["dropped"] = ["band1"]
     del fit["criterion"]["band1"]
     text = Page(html_text := written(tmp_path, fit, curves)).text
-    for words in (
+    for part in (
         "14.1 times smaller (−11.5 dB)",  # 0.83 / 0.059
-        "band 1: fundamental – – left out: no partial of it stands above the noise",
+        "band 1: fundamental – – excluded",
         "band 2: partials 2 to 8 0.7 0.08 8.75 times smaller (−9.4 dB)",
         "band 3: partials from 9 0.9 0.9 no change",
-        "12 dB at the start; rms over 40 levels of partials",
+        "12 dB before the fit; rms over 40 levels of partials",
         "falls by 4.3 cents",
         "(0.81 to 1.49) × 10¹⁰",
         "▲ at-bound",
@@ -183,25 +180,25 @@ def test_criterion_levels_and_statuses_in_words(tmp_path, curves):
         "◐ scaled",
         "■ given",
         "✕ not-identifiable",
-        "rests on an assumed length of 1 m",
+        "scales with an assumed length of 1 m",
     ):
-        assert words in text.replace("\u00a0", " "), words
+        assert part in text.replace("\u00a0", " "), part
     drawn = drawn_in(html_text)
-    assert "band 1, left out" in drawn[0]
+    assert "band 1, excluded" in drawn[0]
     assert "band 2: partials 2 to 8" in drawn[0]
 
 
-def test_later_contacts_are_told_apart_from_the_first(tmp_path, curves):
-    one = {"start_ms": 3.1, "duration_ms": 0.4, "max_force_N": 0.2}
+def test_recontacts_are_reported(tmp_path, curves):
+    first = {"start_ms": 3.1, "duration_ms": 0.4, "max_force_N": 0.2}
     assert recontact_text([]) == ""
-    assert recontact_text([one]) == "touches again from 3.1 to 3.5 ms, with up to 0.2 N"
-    two = [one, {"start_ms": 5.0, "duration_ms": 1.25, "max_force_N": 3.3}]
+    assert recontact_text([first]) == "touches again from 3.1 to 3.5 ms, with up to 0.2 N"
+    two = [first, {"start_ms": 5.0, "duration_ms": 1.25, "max_force_N": 3.3}]
     assert recontact_text(two) == "touches again 2 times, from 3.1 ms to 6.25 ms, with up to 3.3 N"
     fit = example_fit()
     fit["derived"] |= {"later_contacts": two}
-    assert "2.21 ms up to 33.4 N, felt pressed in by 0.65 mm; touches again 2 times" in Page(
-        written(tmp_path, fit, curves)
-    ).text.replace("\u00a0", " ")
+    text = Page(written(tmp_path, fit, curves)).text.replace("\u00a0", " ")
+    for part in ("2.21 ms", "33.4 N", "0.65 mm; touches again 2 times"):
+        assert part in text
 
 
 def test_a_page_names_files_and_no_folders(tmp_path, curves):
@@ -230,22 +227,22 @@ def test_every_status_of_a_fit_has_a_mark():
 
 def test_invariants_come_before_the_values_that_rest_on_guesses(tmp_path, curves):
     text = Page(written(tmp_path, example_fit(), curves)).text.replace("\u00a0", " ")
-    order = [text.index(words) for words in (
-        "What no assumption enters",
+    order = [text.index(part) for part in (
+        "Assumption-free quantities",
         "f 0 fundamental frequency of the string without stiffness 92.331 Hz 92.321 to 92.341 ● fitted",
         "M H / M S hammer mass over string mass 0.920 0.893 to 0.948", "x 0 / L",
         "118.0 N/kg 112.2 to 124.0 ● fitted static force of the felt at 0.5 mm, at the reference velocity shown",
         "In SI units", "◐ scaled", "184.6610 m/s")]  # fmt: skip
     assert order == sorted(order)
     without = Page(written(tmp_path, example_fit(invariants={}), curves)).text
-    assert "What no assumption enters" not in without
+    assert "Assumption-free quantities" not in without
     assert "In SI units" not in without
 
 
 def test_minima_are_listed_by_what_differs_where_there_are_several(tmp_path, curves):
     one = example_fit(minima=[minimum(1.0, 0.0)])
     assert minima(one) is None
-    assert "Minima of the objective" not in Page(written(tmp_path, one, curves)).text
+    assert "Posterior modes" not in Page(written(tmp_path, one, curves)).text
     two = example_fit(minima=[minimum(0.7, 0.0), minimum(0.3, 1.25)])
     found = minima(two)
     assert [name for name, _ in found["names"]] == ["K_H", "p"]
@@ -300,7 +297,7 @@ def with_nothing(curves):
 def test_page_stands_what_a_fit_may_lack(tmp_path, curves, case):
     lacking = case(curves)
     page = Page(written(tmp_path, example_fit(), lacking))
-    assert len(page.drawings) in (PANELS - 1, PANELS)  # the spectra need a second scale or not
+    assert len(page.drawings) in (PANELS - 1, PANELS)  # the spectra have one panel or two
     assert set(sounds_of(page)) == set(NAMES)
 
 
@@ -310,8 +307,9 @@ def test_a_page_of_the_papers_recipe_claims_no_more_than_it(tmp_path, curves):
         entry |= {"interval": None, "v_H0_interval": None}
     text = Page(written(tmp_path, fit, curves)).text
     assert "recipe “paper”" in text
-    for words in ("What the data fix", "A hammer from the literature", "What no assumption enters", "nan"):
-        assert words not in text.split("All numbers of this fit")[0], words
+    for part in ("Identifiability", "initial hammer leaves", "Assumption-free quantities"):
+        assert part not in text.split("All results of this fit")[0], part
+    assert not re.search(r"\bnan\b", text.split("All results of this fit")[0])
 
 
 @pytest.mark.parametrize(
@@ -374,11 +372,11 @@ def _fit_of(*paths):
 
 @pytest.mark.parametrize("name", ["fitted.wav", "initial.wav", "knock.flac", "fitted-soft.wav"])
 def test_a_recording_that_would_be_replaced_or_deleted_is_refused(tmp_path, name):
-    """`fitted-soft.wav` is an earlier fit's, which goes when another is written there, and now a recording itself."""
+    """`fitted-soft.wav` belongs to an earlier fit, would be deleted by the next one, and is a recording itself."""
     (tmp_path / "fit.json").write_text('{"recordings": [{"file": "soft.wav"}, {"file": "a/loud.wav"}]}')
     earlier = _previous_outputs(tmp_path)
     assert earlier == {"report.html", "knock.flac", "draws.npz", "fitted-soft.wav", "fitted-loud.wav"}
-    with pytest.raises(OutputError, match=f"{name} is a recording of this fit and would be replaced"):
+    with pytest.raises(OutputError, match=f"{name}.*use another folder"):
         _check_inputs(_fit_of(tmp_path / name), tmp_path, earlier)
     _check_inputs(_fit_of(tmp_path / "elsewhere" / name), tmp_path, earlier)
     _check_inputs(_fit_of(tmp_path / "note.wav"), tmp_path, earlier)
@@ -443,7 +441,7 @@ def test_silence_and_broken_samples_are_kept_silent():
 @pytest.mark.parametrize(
     "lost", [lambda x: np.full_like(x, np.nan), lambda x: 0 * x, lambda x: x[..., :1]], ids=["nan", "silent", "short"]
 )
-def test_page_stands_a_ringing_that_says_nothing(tmp_path, curves, lost):
+def test_page_allows_an_empty_modal_response(tmp_path, curves, lost):
     whole = with_ringing(curves).ringing
     envelopes = tuple(
         dataclasses.replace(one, time=lost(one.time), measured=lost(one.measured), law=lost(one.law), fitted=None)
@@ -498,65 +496,65 @@ def test_bands_beyond_the_spectra_are_not_in_their_picture(curves):
 
 def test_a_decay_that_a_beat_hides_leaves_room_to_the_others(curves):
     hidden = dataclasses.replace(curves, decay=np.where(curves.number == 3, 1e-3, curves.decay))
-    (_, decays), (_, told) = (_partials(c) for c in (hidden, curves))
-    low = [figure.axes[0].get_ylim()[0] for figure in (decays, told)]
+    (_, with_beat), (_, plain) = (_partials(c) for c in (hidden, curves))
+    low = [figure.axes[0].get_ylim()[0] for figure in (with_beat, plain)]
     assert 1e-2 < low[0] <= low[1]
-    labels = [[text.get_text() for text in figure.legends[0].get_texts()] for figure in (decays, told)]
+    labels = [[text.get_text() for text in figure.legends[0].get_texts()] for figure in (with_beat, plain)]
     assert "below this axis" in labels[0]
     assert "below this axis" not in labels[1]
 
 
-def test_how_a_note_rings_is_shown_said_and_heard(tmp_path, curves):
+def test_modal_response_is_drawn_described_and_playable(tmp_path, curves):
     html = written(tmp_path, example_fit(ringing=ringing_entry()), with_ringing(curves))
     page = Page(html)
     assert len(page.drawings) == PANELS + 9  # six envelopes; recorded, played and their difference
-    for words in (
-        "Played with the patterns and the knock of the others, layers are 8.2 dB from their recordings by the string’s "
-        "law, 3.9 by its modes, and 2.6 by modes and knock; so it rings by 4 modes and a knock.",
-        "1 92.33 3 4.2 12 0.75 6.5 0.013 to 0.25 2 184.90 1 3 3 – – 0.02", "By the law", "as the fit plays it",
+    for part in (
+        "8.2 dB with the string model", "3.9 dB with modes", "2.6 dB with modes and knock", "4 modes and a knock",
+        "1 92.33 3 4.2 12 0.75 6.5 0.013 to 0.25 2 184.90 1 3 3 – – 0.02", "String model",
     ):  # fmt: skip
-        assert words in page.text.replace("\u00a0", " "), words
+        assert part in page.text.replace("\u00a0", " "), part
     drawn = drawn_in(html)
     assert sum(svg.count("data:image/png") for svg in drawn) == 3 * 2  # levels and their scales are rasters
-    assert all(f">{word}<" in " ".join(drawn) for word in ("played minus recorded", "partial 3, 276 Hz", "law"))
+    assert all(
+        f">{label}<" in " ".join(drawn) for label in ("fitted minus recorded", "partial 3, 276 Hz", "string model")
+    )
     sounds = sounds_of(page)
-    assert {name: x.ndim for name, (x, *_) in sounds.items()} == {"original": 2, "fitted": 2, "law": 1}
+    assert {name: x.ndim for name, (x, *_) in sounds.items()} == {"original": 2, "fitted": 2, "string model": 1}
     loudness = [10 * np.log10(np.mean([k_weighted_mean_square(c[:16000], 16000) for c in np.atleast_2d(x.T)]))
                 for x, *_ in sounds.values()]  # fmt: skip
     assert np.ptp(loudness) < 0.1  # as two loudspeakers play them, mono in both
 
 
 @pytest.mark.parametrize(
-    ("entry", "words", "line"),
+    ("entry", "model", "errors"),
     [
-        (ringing_entry("modes", (8.0, 3.0, 3.5)), "so it rings by 4 modes.",
-         "rings by 4 modes: 3.0 dB from layers left out (8.0 by the law, 3.5 by modes and knock)"),
-        (ringing_entry("law", (4.0, 4.5, 5.0)), "What other layers show brings a layer no nearer to its recording",
-         "rings by the law: 4.0 dB from layers left out (4.5 by modes, 5.0 by modes and knock)"),
-        (ringing_entry(left_out=None),
-         "It rings by 4 modes and a knock. One recording through its path: not tested on another stroke.",
-         "rings by 4 modes and a knock; one recording through its path: not tested on another stroke"),
+        (ringing_entry("modes", (8.0, 3.0, 3.5)), "4 modes", ("3.0", "8.0", "3.5")),
+        (ringing_entry("law", (4.0, 4.5, 5.0)), "the string model alone", ("4.0", "4.5", "5.0")),
+        (ringing_entry(left_out=None), "4 modes and a knock", ()),
     ],
     ids=["modes", "law", "one recording"],
 )  # fmt: skip
-def test_what_a_key_rings_by_is_said(entry, words, line):
-    assert words in ringing(entry)
-    assert ringing_line(entry) == line
+def test_text_and_line_name_the_render_model_and_all_errors(entry, model, errors):
+    for text in (modal_response_text(entry), ringing_line(entry)):
+        assert model in text
+        assert all(error in text for error in errors)
+        assert ("not tested" in text) == (not errors)
+    assert "\n" not in ringing_line(entry)
 
 
-def test_a_key_that_rings_by_its_law_has_no_table_and_no_third_line(tmp_path, curves):
+def test_a_key_with_the_string_model_alone_has_no_table_and_no_third_line(tmp_path, curves):
     whole = with_ringing(curves)
     envelopes = tuple(dataclasses.replace(one, fitted=None) for one in whole.ringing.envelopes)
-    by_law = dataclasses.replace(whole.ringing, envelopes=envelopes, decays=())
-    html = written(tmp_path, example_fit(ringing=ringing_entry("law")), dataclasses.replace(curves, ringing=by_law))
+    law_only = dataclasses.replace(whole.ringing, envelopes=envelopes, decays=())
+    html = written(tmp_path, example_fit(ringing=ringing_entry("law")), dataclasses.replace(curves, ringing=law_only))
     page = Page(html)
-    assert "This note plays by the string’s law." in page.text
-    assert "Decays and beats" not in page.text
+    assert "This key uses the string model alone." in page.text
+    assert "T60" not in page.text
     assert set(sounds_of(page)) == set(NAMES)
     assert len(page.drawings) == PANELS + 9
 
 
 def test_no_colour_of_the_style_is_its_own_definition():
-    """A variable that refers to itself is none: what has that colour, such as the focus' outline, is not seen."""
+    """A CSS variable that refers to itself is invalid, and elements with that colour are invisible."""
     for name, value in re.findall(r"(--[\w-]+): ([^;]+);", asset("page.css", "pianofit.report")):
         assert name not in value

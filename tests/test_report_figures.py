@@ -1,4 +1,4 @@
-"""The pictures within a page, its equations and its symbols: what they refer to is there, in light and in dark."""
+"""Figures, equations and symbols of a page: all references resolve, in light and in dark mode."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def html():
 
 
 def colours_of(mode):
-    """Property -> value in `page.css`, of light pages or of dark ones."""
+    """Return property -> value in `page.css`, for light or dark pages."""
     light, dark = re.findall(r":root(?:\.auto)? \{(.*?)\}", asset("page.css", "pianofit.report"), re.DOTALL)
     return dict(re.findall(r"--([\w-]+): ([^;]+);", {"light": light, "dark": dark}[mode]))
 
@@ -48,7 +48,7 @@ def test_every_colour_of_a_drawing_has_a_value_in_both_modes(html, mode):
 
 
 def contrast(one, other):
-    """Of two colours #rrggbb, as WCAG 2 has it."""
+    """Return the contrast of two colours #rrggbb by WCAG 2."""
 
     def luminance(colour):
         code = colour[1:] if len(colour) == 7 else "".join(2 * c for c in colour[1:])
@@ -98,8 +98,8 @@ def test_captions_name_no_colours(html):
 
 @pytest.mark.parametrize("law", LAWS)
 def test_the_box_has_every_symbol_with_the_unit_of_the_one_table(law):
-    said = equations(example_fit(felt=law), LAWS[law].formula, path=True, modes=True)
-    units = {row.symbol: row.unit for row in said["symbols"]}
+    box = equations(example_fit(felt=law), LAWS[law].formula, path=True, modes=True)
+    units = {row.symbol: row.unit for row in box["symbols"]}
     for name, parameter in LAWS[law].boxes.items():
         shown = units[SYMBOLS.get(name, name)]
         assert shown == ("" if parameter.unit == "1" else parameter.unit.replace("^p", "ᵖ"))
@@ -108,8 +108,8 @@ def test_the_box_has_every_symbol_with_the_unit_of_the_one_table(law):
     lines = [*LAWS[law].formula, *(one for line in (STRING, HAMMER, PATH, MODES, T60) for one in line.formulas)]
     assert {symbol for formula in lines for symbol in symbols(formula)} <= {*units}
     assert units["κ"] == PARAMETERS["kappa"].unit
-    assert len(units) == len(said["symbols"])
-    assert all(row.meaning for row in said["symbols"])
+    assert len(units) == len(box["symbols"])
+    assert all(row.meaning for row in box["symbols"])
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -123,10 +123,10 @@ def test_a_felt_from_outside_keeps_its_own_meanings():
     fit = example_fit(felt="foam")
     fit["parameters"] |= own
     for formula in ((), (r"F = u^2 (1 + \frac{u}{s})",), ("F = 1 & <b>{",)):  # none, one, and another notation
-        said = equations(fit, formula, path=True, modes=False)
-        (row,) = [row for row in said["symbols"] if row.symbol == "s"]
+        box = equations(fit, formula, path=True, modes=False)
+        (row,) = [row for row in box["symbols"] if row.symbol == "s"]
         assert (row.meaning, row.unit) == ("compression at which it has doubled", "m")
-    assert "1 &amp; &lt;b&gt;{" in said["lines"][2][1][0]
+    assert "1 &amp; &lt;b&gt;{" in box["lines"][2][1][0]
 
 
 def test_formulas_are_set_and_escaped():

@@ -1,4 +1,4 @@
-"""The page of several recordings: all of them shown and heard, what is fixed said, and every band checked by chance."""
+"""The page of several recordings: players, identifiability, and bands compared with random draws."""
 
 from __future__ import annotations
 
@@ -31,7 +31,13 @@ from pianofit.model.note import Note
 from pianofit.parameters import Geometry, Hammer, String
 from pianofit.report.build import felt_of, known_of, paths_of, recordings_of, strokes_of
 from pianofit.report.figure_data import Felt, IdentifiabilityData
-from pianofit.report.identifiability_text import identifiability_sections, open_scale
+from pianofit.report.identifiability_text import (
+    CONDITIONAL,
+    DETERMINED,
+    UNDETERMINED,
+    identifiability_sections,
+    open_scale,
+)
 from pianofit.report.page import report_bytes
 from pianofit.report.sound import make_clips
 from pianofit.result.quantities import Quantities
@@ -70,27 +76,27 @@ def test_page_shows_all_takes_and_what_was_left_out(tmp_path, curves):
     assert all(len(drawing["aria-label"]) > 40 for drawing in page.drawings)
     players = [tag["id"] for tag in page.all("div") if "player" in tag.get("class", "").split()]
     assert players == ["note", "strokes", "recording-2", "recording-3"]  # the first recording's is the note's own
-    for words in (
-        "Between the velocities", "from the softest recording’s velocity to the loudest’s", "recording-2.flac, 0.6 m/s",
+    for part in (
+        "Velocity slider", "from the softest to the loudest recording", "recording-2.flac, 0.6 m/s",
         "recording-3.flac 2.1 m/s 2.16 m/s 23 1.75 dB 4.5 dB –",
         "recording-2.flac 1.4 m/s 1.44 m/s 22 1.5 dB 4 dB 0.875 dB",
-        "median error is 1.5 dB, the largest 1.62 dB", "What the body and the microphone did",
-        "Ratios of the strokes’ velocities (the least certain ± 10 %)", "70 % 0 1.1 × 10¹⁰ 2.56", "recording-3.flac",
+        "median error is 1.5 dB", "1.62 dB", "Estimated output path", "Leave-one-out prediction",
+        "Ratios of the hammer velocities (the least certain ± 10 %)", "70 % 0 1.1 × 10¹⁰ 2.56", "recording-3.flac",
     ):  # fmt: skip
-        assert words in page.text.replace("\u00a0", " "), words
-    assert any("recording 2: 0.6 m/s, 1.2 dB off" in svg for svg in drawn)
+        assert part in page.text.replace("\u00a0", " "), part
+    assert any("recording 2: 0.6 m/s, error 1.2 dB" in svg for svg in drawn)
     order = [next(at for at, svg in enumerate(drawn) if f"recording {i}:" in svg) for i in (2, 3, 1)]
     assert order == sorted(order)  # from soft to loud
 
 
-def test_picture_of_what_is_known_says_the_numbers_it_was_given(tmp_path, curves):
-    reaches = (("f0", 1.2e-8, True), ("F/M_S", 0.05, True), ("K_H", 8.348, False), ("b1", 300.0, False))
-    known = dataclasses.replace(curves.known, reaches=reaches)
-    html = written(tmp_path, fit_of_recordings(), dataclasses.replace(curves, known=known))
+def test_figure_of_identifiability_has_the_given_numbers(tmp_path, curves):
+    half_widths = (("f0", 1.2e-8, True), ("F/M_S", 0.05, True), ("K_H", 8.348, False), ("b1", 300.0, False))
+    data = dataclasses.replace(curves.identifiability, half_widths=half_widths)
+    html = written(tmp_path, fit_of_recordings(), dataclasses.replace(curves, identifiability=data))
     drawn = " ".join(drawn_in(html))
-    for words in ("± 1.2\u00a0×\u00a010⁻⁶ %", "± 5 %", "× or ÷ 4200", "not at all"):
-        assert words in drawn, words
-    below = [round(100 * r) for i, row in enumerate(known.correlation) for r in row[:i] if abs(r) >= 0.1]
+    for label in ("± 1.2\u00a0×\u00a010⁻⁶ %", "± 5 %", "× or ÷ 4200", "unknown"):
+        assert label in drawn, label
+    below = [round(100 * r) for i, row in enumerate(data.correlation) for r in row[:i] if abs(r) >= 0.1]
     for r in below:
         assert f">{r:+d}<".replace("-", "−") in drawn
 
@@ -100,17 +106,10 @@ def test_one_recording_has_a_felt_and_a_slider_but_no_recordings(tmp_path, curve
         curves, recordings=curves.recordings[:1], strokes=dataclasses.replace(curves.strokes, inside=False)
     )
     text = Page(written(tmp_path, example_fit(), one)).text
-    for words in (
-        "The other recordings",
-        "Levels, recording by recording",
-        "What the body",
-        "left out",
-        "softest recording",
-    ):
-        assert words not in text
-    for words in ("The felt", "Between the velocities", "What the data fix, and what they do not"):
-        assert words in text
-    assert "half to twice the recorded velocity" in text
+    for part in ("Other recordings", "Levels of each recording", "Estimated output path", "left out", "softest"):
+        assert part not in text
+    for part in ("Felt", "Velocity slider", "Identifiability", "half to twice the recorded velocity"):
+        assert part in text
 
 
 def test_page_of_five_long_takes_stays_small(tmp_path):
@@ -168,8 +167,10 @@ def nothing(array):
         lambda c: dataclasses.replace(c, felt=Felt(c.felt.compression, nothing(c.felt.force)), strokes=None),
         lambda c: dataclasses.replace(c, felt=Felt(c.felt.compression, 0 * c.felt.force)),
         lambda c: dataclasses.replace(c, felt=Felt(c.felt.compression, np.exp(c.felt.force * [[0.0], [-9.0], [9.0]]))),
-        lambda c: dataclasses.replace(c, known=IdentifiabilityData(("p",), np.ones((1, 1)), (("p", 300.0, False),))),
-        lambda c: dataclasses.replace(c, known=IdentifiabilityData(("p", "mu"), nothing(np.eye(2)), (("p", 1e-30, True),))),
+        lambda c: dataclasses.replace(
+            c, identifiability=IdentifiabilityData(("p",), np.ones((1, 1)), (("p", 300.0, False),))),
+        lambda c: dataclasses.replace(
+            c, identifiability=IdentifiabilityData(("p", "mu"), nothing(np.eye(2)), (("p", 1e-30, True),))),
         lambda c: dataclasses.replace(c, recordings=tuple(
             dataclasses.replace(t, force=nothing(t.force), compression=nothing(t.compression), level=nothing(t.level))
             for t in c.recordings)),
@@ -195,7 +196,7 @@ GEOMETRY = Geometry(1.0, 0.02, 0.12, 0.02, 0.3)
 
 
 def covariance(names, strokes, seed=4, size=0.01):
-    """A random one of the logarithms of `names`, then of the strokes' velocities."""
+    """Return a random covariance of the logarithms of `names`, then of the velocities of the strokes."""
     factor = np.zeros((len(NAMES) + strokes, len(NAMES) + strokes))
     rows = [NAMES.index(name) for name in names]
     factor[np.ix_(rows, rows)] = np.random.default_rng(seed).normal(0, size, (len(rows), len(rows)))
@@ -203,7 +204,7 @@ def covariance(names, strokes, seed=4, size=0.01):
 
 
 def scaled_by_velocity(cov):
-    """The same with the velocities' common scale s, log s ~ N(0, 1): K_H goes as s^(1-p), μ as 1/s."""
+    """Return the same with a common scale s of the velocities, log s ~ N(0, 1): K_H varies as s^(1-p), μ as 1/s."""
     change = np.zeros(len(cov))
     change[NAMES.index("K_H")], change[NAMES.index("mu")] = 1 - VALUES["p"], -1.0
     change[len(NAMES) :] = 1.0
@@ -211,13 +212,15 @@ def scaled_by_velocity(cov):
 
 
 class FakeFit(SimpleNamespace):
-    """A result that holds no more than what is asked of it here."""
+    """A result with the attributes that these tests use."""
 
     parameters = property(lambda self: Quantities.of(self.document["parameters"]))
 
 
-def fake_fit(velocities=(3.0, 0.75, 1.5), first=0, memory=False, free=("c", "kappa", "K_H", "p", "M_H")) -> Any:
-    """A fit's result that was never fitted: strokes of one note."""
+def fake_fit(
+    velocities=(3.0, 0.75, 1.5), reference_index=0, memory=False, free=("c", "kappa", "K_H", "p", "M_H")
+) -> Any:
+    """Return an invented result with strokes of one note."""
     string = String(*(VALUES[n] for n in NAMES[:4]))
     recordings = []
     for i, v in enumerate(velocities):
@@ -228,7 +231,7 @@ def fake_fit(velocities=(3.0, 0.75, 1.5), first=0, memory=False, free=("c", "kap
         fitted = SimpleNamespace(note=note, samples=samples, simulation=simulation, level=np.zeros(len(number)))
         recordings.append(SimpleNamespace(
             partials=SimpleNamespace(number=number, level_error=np.full(len(number), 0.1)), level=np.zeros(len(number)),
-            fitted=fitted, played=fitted, recording=SimpleNamespace(rate=22050, onset=100 * i, samples=samples),
+            fitted=fitted, as_played=fitted, recording=SimpleNamespace(rate=22050, onset=100 * i, samples=samples),
             levels={"fitted_db": 0.5},
         ))  # fmt: skip
     table = {name: {"value": 1.0, "interval": [0.9, 1.1], "status": "fitted"} for name in free}
@@ -238,10 +241,11 @@ def fake_fit(velocities=(3.0, 0.75, 1.5), first=0, memory=False, free=("c", "kap
         "recordings": [{"group": 0, "stroke": i} for i, _ in enumerate(recordings)],
     }  # fmt: skip
     return FakeFit(
-        document=document, recordings=tuple(recordings), first=first, note=recordings[first].fitted.note,
+        document=document, recordings=tuple(recordings), reference_index=reference_index,
+        note=recordings[reference_index].fitted.note,
         covariance=SimpleNamespace(names=(*NAMES, "v_H0", *("v_H0 2", "v_H0 3")[: len(velocities) - 1]),
                                    matrix=covariance(free, len(velocities))),
-        fitted=recordings[first].fitted, recording=recordings[first].recording,
+        fitted=recordings[reference_index].fitted, recording=recordings[reference_index].recording,
     )  # fmt: skip
 
 
@@ -266,18 +270,18 @@ def test_the_felts_band_is_what_chance_gives(memory):
     assert (felt.slow is None) != memory
 
 
-def test_how_well_things_are_known_is_what_the_intervals_say():
+def test_half_widths_and_correlations_are_those_of_the_fit():
     result = fake_fit()
-    known = known_of(result)
-    assert known is not None
-    assert known.names == ("c", "kappa", "K_H", "p", "M_H")
+    data = known_of(result)
+    assert data is not None
+    assert data.names == ("c", "kappa", "K_H", "p", "M_H")
     expected = [("f0", 101 / 99, True), ("F/M_S", 125 / 80, True), ("K_H", 1.1 / 0.9, False), ("p", 1.1 / 0.9, False)]
-    assert [(name, told) for name, _, told in known.half_widths] == [(name, told) for name, _, told in expected]
-    np.testing.assert_allclose([reach for _, reach, _ in known.half_widths], [0.5 * np.log(x) for _, x, _ in expected])
+    assert [(name, combined) for name, _, combined in data.half_widths] == [(name, c) for name, _, c in expected]
+    np.testing.assert_allclose([half for _, half, _ in data.half_widths], [0.5 * np.log(x) for _, x, _ in expected])
     cov = result.covariance.matrix
     drawn = np.random.default_rng(1).multivariate_normal(np.zeros(len(cov)), cov, 40_000)
-    seen = np.corrcoef([drawn[:, NAMES.index(name)] for name in known.names])
-    np.testing.assert_allclose(known.correlation, seen, atol=0.02)
+    sampled = np.corrcoef([drawn[:, NAMES.index(name)] for name in data.names])
+    np.testing.assert_allclose(data.correlation, sampled, atol=0.02)
 
 
 def test_an_unmeasured_scale_of_velocities_hides_nothing_of_the_felt():
@@ -290,7 +294,7 @@ def test_an_unmeasured_scale_of_velocities_hides_nothing_of_the_felt():
     wide.covariance = scaled.covariance
     np.testing.assert_allclose(felt_of(scaled).force, felt_of(plain).force, rtol=1e-6)
     assert np.log(felt_of(wide).force[2, 20] / felt_of(plain).force[2, 20]) > 1
-    assert known_of(scaled).names == known_of(plain).names  # μ moves with the scale alone
+    assert known_of(scaled).names == known_of(plain).names  # μ varies only with the scale
     np.testing.assert_allclose(known_of(scaled).correlation, known_of(plain).correlation, atol=1e-6)
 
 
@@ -305,7 +309,7 @@ def test_a_fit_without_intervals_claims_no_band():
 
 
 def test_the_slider_ends_at_the_takes_and_plays_the_fitted_note():
-    result = fake_fit(first=2)
+    result = fake_fit(reference_index=2)
     strokes = strokes_of(result)
     assert strokes is not None
     assert strokes.inside
@@ -331,53 +335,48 @@ def test_every_take_comes_with_its_own_loop_and_place():
     recordings = recordings_of(result)
     assert [recording.place for recording in recordings] == [1, 2, 3]
     assert [recording.velocity for recording in recordings] == [3.0, 0.75, 1.5]
-    for recording, heard in zip(recordings, result.recordings, strict=True):
-        pulse = heard.fitted.simulation.pulse
+    for recording, fitted in zip(recordings, result.recordings, strict=True):
+        pulse = fitted.fitted.simulation.pulse
         assert np.nanmax(recording.compression) == pytest.approx(1e3 * float(np.max(pulse.compression)), rel=1e-2)
         assert np.nanmax(recording.force) == pytest.approx(float(np.max(pulse.force)), rel=1e-2)
-        assert len(recording.level) == len(recording.number) == len(heard.partials.number)
-        assert recording.onset == heard.recording.onset / 22050
+        assert len(recording.level) == len(recording.number) == len(fitted.partials.number)
+        assert recording.onset == fitted.recording.onset / 22050
     assert paths_of(result) == ()
 
 
-# ---- words ----
+# ---- text ----
 
 
-def said(fit):
-    return {
-        heading.split(",")[0]: " ".join(sentences).replace("\u00a0", " ")
-        for heading, sentences in identifiability_sections(fit)
-    }
+def sections_of(fit):
+    return {heading: " ".join(sentences).replace("\u00a0", " ") for heading, sentences in identifiability_sections(fit)}
 
 
-def reaching(entry, reach):
-    """An entry whose 95 % interval has half this width, as a logarithm."""
-    return entry | {"interval": [entry["value"] * np.exp(-reach), entry["value"] * np.exp(reach)]}
+def with_half_interval(entry, half):
+    """Return the entry with a 95 % interval of this half-width, as a logarithm."""
+    return entry | {"interval": [entry["value"] * np.exp(-half), entry["value"] * np.exp(half)]}
 
 
-def fit_reaching(**reach):
+def fit_with_half_intervals(**halves):
     fit = example_fit()
-    for name, one in reach.items():
+    for name, half in halves.items():
         key = name.replace("_over_", "/")
-        fit["invariants"][key] = reaching(fit["invariants"][key], one)
+        fit["invariants"][key] = with_half_interval(fit["invariants"][key], half)
     return fit
 
 
 def test_what_is_fixed_and_what_is_not_is_said():
-    fit = fit_reaching(f0=1e-4, B=0.02, F_over_M_S=0.05, M_H_over_M_S=0.03)
-    fit["parameters"]["K_H"] = reaching(fit["parameters"]["K_H"], 0.9)
+    fit = fit_with_half_intervals(f0=1e-4, B=0.02, F_over_M_S=0.05, M_H_over_M_S=0.03)
+    fit["parameters"]["K_H"] = with_half_interval(fit["parameters"]["K_H"], 0.9)
     fit["parameters"]["p"] = fit["parameters"]["p"] | {"interval": [2.0, 3.0], "status": "fitted"}
-    words = said(fit)
-    fixed = words["Fixed by the data"]
+    sections = sections_of(fit)
     for part in (
         "f₀ = 92.3310 Hz (± 0.17 cents)", "B = 2.300 × 10⁻⁴ (± 2 %)", "F/M_S = 118.0 N/kg (± 5 %)",
-        "at 0.5 mm, at the reference velocity shown, over the mass", "known to a factor of 2.5",
-        "M_H/M_S = 0.920 (± 3 %)", "rest on the assumed mass",
-        "the common scale of the velocities, which was not measured",
+        "at 0.5 mm, at the reference velocity shown", "known to a factor of 2.5", "M_H/M_S = 0.920 (± 3 %)",
+        "assumed mass", "common scale was not measured",
     ):  # fmt: skip
-        assert part in fixed, part
-    assert "x0/L" not in fixed  # it was given
-    assert set(words) == {"Fixed by the data"}
+        assert part in sections[DETERMINED], part
+    assert "x0/L" not in sections[DETERMINED]  # it was given
+    assert set(sections) == {DETERMINED}
 
 
 @pytest.mark.parametrize("known", ["gain_status", "v_H0_status"])
@@ -386,12 +385,12 @@ def test_no_scale_is_open_where_gain_or_velocity_were_given(known):
     fit["parameters"]["v_H0"] |= {"status": "fitted"}
     for recording in fit["recordings"]:
         recording[known] = "given"
-    words = said(fit)
-    assert "Velocities of the strokes (the least certain ± 10 %)" in words["Fixed by the data"]
-    assert "common scale" not in " ".join(words.values())
+    sections = sections_of(fit)
+    assert "Hammer velocities (the least certain ± 10 %)" in sections[DETERMINED]
+    assert "common scale" not in " ".join(sections.values())
     for recording in fit["recordings"]:
         recording["v_H0_status"] = "not-identifiable"
-    assert "Velocities of the strokes" not in " ".join(said(fit).values())
+    assert "Hammer velocities" not in " ".join(sections_of(fit).values())
 
 
 def test_a_scale_is_open_where_not_even_ratios_are_identified():
@@ -402,25 +401,24 @@ def test_a_scale_is_open_where_not_even_ratios_are_identified():
     assert not open_scale(fit)
 
 
-def test_what_the_claims_question_is_not_called_fixed():
-    fit = fit_reaching(F_over_M_S=0.05, M_H_over_M_S=0.03)
+def test_what_the_claims_question_is_not_called_determined():
+    fit = fit_with_half_intervals(F_over_M_S=0.05, M_H_over_M_S=0.03)
     for name in ("K_H", "mu", "p", "M_H"):
         fit["parameters"][name] = {"status": "not-identifiable", "interval": [1.0, 1.1]}
     for name in ("F/M_S", "M_H/M_S"):
         fit["invariants"][name]["status"] = "not-identifiable"
-    words = said(fit)
-    within = words["Fixed only if the model and its path are all there is"]
-    assert "118.0 N/kg" in within
-    assert "M_H/M_S" in within
-    assert "118.0 N/kg" not in words["Fixed by the data"]
-    assert "M_H/M_S" not in words["Fixed by the data"]
-    assert "Not fixed by the data" not in words
-    vague = fit_reaching(F_over_M_S=1.5, M_H_over_M_S=12.0) | {"parameters": fit["parameters"]}
+    sections = sections_of(fit)
+    for part in ("118.0 N/kg", "M_H/M_S"):
+        assert part in sections[CONDITIONAL]
+        assert part not in sections[DETERMINED]
+    assert UNDETERMINED not in sections
+    vague = fit_with_half_intervals(F_over_M_S=1.5, M_H_over_M_S=12.0) | {"parameters": fit["parameters"]}
     for name in ("F/M_S", "M_H/M_S"):
         vague["invariants"][name]["status"] = "not-identifiable"
-    assert "Fixed only if" not in " ".join(said(vague))
-    assert "to a factor of 4.5" in said(vague)["Not fixed by the data"]
-    assert "to many powers of ten" in said(vague)["Not fixed by the data"]
+    sections = sections_of(vague)
+    assert CONDITIONAL not in sections
+    assert "to a factor of 4.5" in sections[UNDETERMINED]
+    assert "to many powers of ten" in sections[UNDETERMINED]
 
 
 def test_nothing_known_is_nothing_said():

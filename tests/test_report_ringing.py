@@ -1,4 +1,4 @@
-"""What the page shows of how a note rings, of sounds whose envelopes and levels are known."""
+"""Curves of the modal response, for sounds with known envelopes and levels."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ DECAY, LEVEL = 0.5 + 0.3 * NUMBER, -20.0 - 4.0 * NUMBER
 
 
 def sound(seconds: float, decay: np.ndarray, gain: float = 1.0) -> np.ndarray:
-    """Damped partials from the onset on."""
+    """Return damped partials from the onset on."""
     t = np.arange(round(seconds * RATE)) / RATE
     shape = np.exp(-np.outer(decay, t)) * np.cos(2 * np.pi * F0 * np.outer(NUMBER, t))
     return np.pad(gain * 10 ** (LEVEL / 20) @ shape, (ONSET, 0))
 
 
 def fake_result(seconds: float = 4.0, rings: bool = True) -> Any:
-    """A fit whose law decays twice as fast as the recording, and whose ringing is 6 dB too loud."""
-    recorded, law = sound(seconds, DECAY), SimpleNamespace(samples=sound(seconds, 2 * DECAY))
+    """Return a fit whose string decays twice as fast as the recording, and whose modes are 6 dB too loud."""
+    recorded, string = sound(seconds, DECAY), SimpleNamespace(samples=sound(seconds, 2 * DECAY))
     played = SimpleNamespace(samples=sound(seconds, DECAY, 2.0)) if rings else None
-    heard = SimpleNamespace(
-        recording=SimpleNamespace(samples=recorded, rate=RATE, onset=ONSET), fitted=law, ringing=played,
-        played=played or law, level=LEVEL, partials=SimpleNamespace(number=NUMBER, frequency=F0 * NUMBER),
+    fitted = SimpleNamespace(
+        recording=SimpleNamespace(samples=recorded, rate=RATE, onset=ONSET), fitted=string, ringing=played,
+        as_played=played or string, level=LEVEL, partials=SimpleNamespace(number=NUMBER, frequency=F0 * NUMBER),
     )  # fmt: skip
     pole = -DECAY + 2j * np.pi * F0 * NUMBER
     ringing = ModalResponse(NUMBER, pole, np.full(8, 0.1), np.ones((1, 8), complex), np.zeros((1, 0)), RATE)
     result = SimpleNamespace(
-        document={"ringing": {}}, reference=heard, note=SimpleNamespace(ringing=ringing if rings else None),
+        document={"ringing": {}}, reference=fitted, note=SimpleNamespace(ringing=ringing if rings else None),
         analysis=SimpleNamespace(f0=F0, B=0.0),
     )  # fmt: skip
     result.with_recordings = lambda: result
@@ -48,12 +48,18 @@ def test_envelopes_are_those_of_the_strongest_partials():
     assert [one.number for one in curves.envelopes] == [1, 2, 3, 4, 5, 6]
     for one in curves.envelopes:
         assert (one.time[0], one.time[-1]) == pytest.approx((0.0, 3.0), abs=0.02)
-        after = one.time > 0.05  # where no kernel reaches before the onset
-        fall = LEVEL[one.number - 1] - 20 / np.log(10) * np.outer([1.0, 2.0], DECAY[one.number - 1] * one.time[after])
+        after = one.time > 0.05  # so that no kernel extends before the onset
+        expected_db = LEVEL[one.number - 1] - 20 / np.log(10) * np.outer(
+            [1.0, 2.0], DECAY[one.number - 1] * one.time[after]
+        )
         assert one.fitted is not None
-        for shown, expected in ((one.measured, fall[0]), (one.law, fall[1]), (one.fitted, fall[0] + 20 * np.log10(2))):
-            heard = expected > -80  # below lie the side lobes of the kernel
-            np.testing.assert_allclose(shown[after][heard], expected[heard], atol=0.05)
+        for shown, expected in (
+            (one.measured, expected_db[0]),
+            (one.law, expected_db[1]),
+            (one.fitted, expected_db[0] + 20 * np.log10(2)),
+        ):
+            loud = expected > -80  # side lobes of the kernel are below
+            np.testing.assert_allclose(shown[after][loud], expected[loud], atol=0.05)
 
 
 def test_levels_over_time_and_frequency_are_where_the_partials_are():

@@ -1,4 +1,4 @@
-"""How a key rings: modes that are known are found, with honest errors, and a layer left out sounds as it should."""
+"""Modal response: given modes are recovered with correct errors, and a left-out layer is predicted."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from pianofit.recording.recording import Recording, load_recording, recording_fr
 STUDY = Path(__file__).parents[1] / "benchmarks" / "ringing_study.py"
 RATE, SECONDS, LEAD, F0 = 22_050, 4.0, 0.1, 220.0
 VELOCITIES = (0.6, 1.0, 1.7)
-# Per partial: (offset from k f0, Hz; decay, 1/s; amplitude) of each mode. A beat, a double decay, both, and one alone.
+# Per partial: (offset from k f0, Hz; decay, 1/s; amplitude) of each mode: beating, double decay, both, single mode.
 MODES = {
     1: ((0.0, 1.2, 1.0), (0.6, 1.0, 0.5)),
     2: ((0.0, 6.0, 1.0), (0.0, 0.8, 0.15)),
@@ -54,7 +54,7 @@ def pattern() -> np.ndarray:
 
 
 def force_at(velocity: float) -> ForcePulse:
-    """A pulse that is shorter and higher after a harder stroke."""
+    """A pulse that is shorter and higher for a harder stroke."""
     step = 1 / (8 * RATE)
     length = 0.003 * velocity**-0.3
     t = np.arange(0.0, length, step)
@@ -82,13 +82,13 @@ def recorded(velocity: float, noise_db: float = -65.0) -> Recording:
 def found(velocities: tuple[float, ...] = (0.6, 1.7)) -> tuple[AlignedLayers, list[PartialModes], ModalResponse]:
     recordings = [recorded(v) for v in velocities]
     analyses = [analyse(r, f0=F0) for r in recordings]
-    heard = align_layers(recordings, analyses)
-    modes = modes_of(heard, analyses)
+    layers = align_layers(recordings, analyses)
+    modes = modes_of(layers, analyses)
     return (
-        heard,
+        layers,
         modes,
         estimate_shared_response(
-            heard, modes, [force_at(v) for v in velocities], np.full(len(velocities), 30.0)
+            layers, modes, [force_at(v) for v in velocities], np.full(len(velocities), 30.0)
         ).ringing,
     )
 
@@ -102,7 +102,7 @@ def test_poles_are_found():
         true = np.array([-d + 2j * np.pi * (m.number * F0 + off) for off, d, _ in MODES[m.number]])
         for pole in true:
             away = m.poles[int(np.argmin(np.abs(m.poles - pole)))] - pole
-            # The knock, of 20 ms, hides what decays fast, and that what is weak beside it.
+            # The knock, of 20 ms, masks fast modes, and these mask weaker ones.
             weak = 0.6 if len(true) > 2 else 0.3
             assert abs(away) < (weak if pole.real > -5 else -0.4 * pole.real)
 
@@ -129,9 +129,9 @@ def test_errors_of_poles_are_those_of_repeated_experiments(order):
 
 
 def test_a_layer_that_took_no_part_sounds_as_it_should():
-    *_, shared_response = found()
+    *_, response = found()
     force, count = force_at(1.0), round(2.0 * RATE)
-    true, played = (x.sound(force, RATE, count)[0] for x in (truth(), shared_response))
+    true, played = (x.sound(force, RATE, count)[0] for x in (truth(), response))
     cross = np.fft.irfft(np.fft.rfft(true, 2 * count) * np.fft.rfft(played, 2 * count).conj())
     lag = int(np.argmax(cross[:400]) if cross[:400].max() > cross[-400:].max() else np.argmax(cross[-400:]) - 400)
     played = np.roll(played, lag)
@@ -139,19 +139,19 @@ def test_a_layer_that_took_no_part_sounds_as_it_should():
     error = lambda x: 10 * np.log10(np.sum((true - gain * x) ** 2) / np.sum(true**2))  # noqa: E731
     assert error(played) < -12
     assert abs(20 * np.log10(gain)) < 1.0
-    without = np.roll(shared_response.without_knock().sound(force, RATE, count)[0], lag)
+    without = np.roll(response.without_knock().sound(force, RATE, count)[0], lag)
     first = slice(0, round(0.05 * RATE))
     attack = lambda x: np.sum((true - gain * x)[first] ** 2)  # noqa: E731
     assert attack(played) < 0.7 * attack(without)
 
 
 def test_what_a_layer_hardly_shows_says_little_of_a_partials_level():
-    """A soft stroke's highest partial, 80 dB lower than its force would make it."""
-    heard, modes, _ = found()
+    """The highest partial of the soft stroke is 80 dB weaker than its force predicts."""
+    layers, modes, _ = found()
     faint = np.array([1e-4, 1.0])[:, None, None]
     changed = [*modes[:-1], dataclasses.replace(modes[-1], amplitude=faint * modes[-1].amplitude)]
     patterns = [
-        estimate_shared_response(heard, m, [force_at(0.6), force_at(1.7)], np.full(2, 30.0)).ringing.pattern
+        estimate_shared_response(layers, m, [force_at(0.6), force_at(1.7)], np.full(2, 30.0)).ringing.pattern
         for m in (modes, changed)
     ]
     loud = [20 * np.log10(np.abs(p[:, -len(modes[-1].pole) :]).sum()) for p in patterns]
@@ -161,32 +161,32 @@ def test_what_a_layer_hardly_shows_says_little_of_a_partials_level():
 
 @pytest.mark.parametrize("rate", [24_000, 96_000])
 def test_a_stroke_sounds_alike_at_every_rate(rate):
-    """Where the begin before the contact is a whole number of samples."""
+    """At rates where the time before the contact is a whole number of samples."""
     force, seconds = force_at(1.0), 0.3
-    here, there = (truth().sound(force, r, round(seconds * r))[0] for r in (48_000, rate))
-    there = signal.resample_poly(there, 48_000 // 1000, rate // 1000)
-    low = signal.butter(6, 4000, fs=48_000, output="sos")  # where no filter of a change of rate reaches
-    one, two = (signal.sosfiltfilt(low, x)[200:-600] for x in (here, there))
-    assert np.abs(one - two).max() < 0.03 * np.abs(one).max()  # filters of a change of rate differ by 0.01
+    reference, other = (truth().sound(force, r, round(seconds * r))[0] for r in (48_000, rate))
+    other = signal.resample_poly(other, 48_000 // 1000, rate // 1000)
+    low = signal.butter(6, 4000, fs=48_000, output="sos")  # below the resampling filters
+    one, two = (signal.sosfiltfilt(low, x)[200:-600] for x in (reference, other))
+    assert np.abs(one - two).max() < 0.03 * np.abs(one).max()  # resampling filters differ by 0.01
 
 
 def test_layers_that_lie_cents_apart_leave_nothing_for_the_knock():
-    """Of a key without a knock; the second layer is three cents sharper."""
+    """The key does not have a knock. The first layer is three cents sharper."""
     size = round(SECONDS * RATE)
     number = np.arange(1, 9)
     pole, pattern = -1.5 + 2j * np.pi * F0 * number, np.exp(1j * number)[None] / number
     recordings = []
     for velocity, cents in ((0.6, 3.0), (1.7, 0.0)):
-        shared_response = ModalResponse(number, pole, np.zeros(8), pattern, np.zeros((1, 0)), RATE).scale_pitch(
+        response = ModalResponse(number, pole, np.zeros(8), pattern, np.zeros((1, 0)), RATE).scale_pitch(
             2 ** (cents / 1200)
         )
-        sound = np.pad(30 * shared_response.sound(force_at(velocity), RATE, size)[0], (round(LEAD * RATE), 0))
+        sound = np.pad(30 * response.sound(force_at(velocity), RATE, size)[0], (round(LEAD * RATE), 0))
         noise = 1e-5 * np.random.default_rng(int(10 * velocity)).normal(size=len(sound))
         recordings.append(recording_from_samples(sound + np.abs(sound).max() * noise, RATE))
     analyses = [analyse(r, f0=F0) for r in recordings]
-    heard = align_layers(recordings, analyses)
+    layers = align_layers(recordings, analyses)
     found = estimate_shared_response(
-        heard, modes_of(heard, analyses), [force_at(0.6), force_at(1.7)], np.full(2, 30.0)
+        layers, modes_of(layers, analyses), [force_at(0.6), force_at(1.7)], np.full(2, 30.0)
     ).ringing
     with_knock, without = (x.sound(force_at(1.0), RATE, size // 2)[0] for x in (found, found.without_knock()))
     assert np.sum((with_knock - without) ** 2) < 10 ** (-25 / 10) * np.sum(without**2)
@@ -194,7 +194,7 @@ def test_layers_that_lie_cents_apart_leave_nothing_for_the_knock():
 
 @pytest.mark.parametrize("late", [0.0, 1e-3, 4e-3])
 def test_attacks_tell_which_period_a_contact_belongs_to(late):
-    """Phases that would have it a period later, T = 3.8 ms, do not decide."""
+    """The phases alone indicate a contact one period, T = 3.8 ms, later."""
     rate, number = 44_100, np.arange(1, 13)
     frequency, knock = 262 * number, np.random.default_rng(2).normal(size=200) * np.exp(-np.arange(200) / 40)
 
@@ -203,12 +203,12 @@ def test_attacks_tell_which_period_a_contact_belongs_to(late):
         tones = np.exp(-np.outer(1 + 0.1 * number, t)) * np.sin(2 * np.pi * np.outer(frequency, t))
         return ((number**-tilt) @ tones + np.interp(t, np.arange(200) / rate, 0.2 * knock, right=0.0)) * (t >= 0)
 
-    heard = AlignedLayers(
+    layers = AlignedLayers(
         np.stack([[layer(late, 2.0)], [layer(0.0, 1.0)]]), np.zeros((2, 1, 4410)), rate, np.full(2, 0.5)
     )
     omega = 2 * np.pi * frequency * np.sqrt(1 + 1e-4 * number**2)
     ratio = np.stack([np.exp(-1j * omega * (late + 1 / 262)), np.ones(12)], axis=1)
-    assert shared_response._delay(heard, ratio, np.ones((12, 2)), omega, 0) == pytest.approx(late, abs=1e-4)
+    assert shared_response._delay(layers, ratio, np.ones((12, 2)), omega, 0) == pytest.approx(late, abs=1e-4)
 
 
 def test_channels_are_averaged_where_recordings_have_other_numbers_of_them(tmp_path):
@@ -229,20 +229,20 @@ def test_the_knock_begins_and_ends_in_silence_and_is_short():
 
 
 def cut_short(*seconds: float) -> tuple[AlignedLayers, list[PartialModes], list[ForcePulse]]:
-    """Layers that last so long after their onset."""
+    """Layers of these lengths after their onset."""
     velocities = (0.6, 1.7)[: len(seconds)]
-    layers = [recorded(v).samples[: round((LEAD + s) * RATE)] for v, s in zip(velocities, seconds, strict=True)]
-    recordings = [recording_from_samples(samples, RATE) for samples in layers]
+    samples = [recorded(v).samples[: round((LEAD + s) * RATE)] for v, s in zip(velocities, seconds, strict=True)]
+    recordings = [recording_from_samples(x, RATE) for x in samples]
     analyses = [analyse(r, f0=F0) for r in recordings]
-    heard = align_layers(recordings, analyses)
-    return heard, modes_of(heard, analyses), [force_at(v) for v in velocities]
+    layers = align_layers(recordings, analyses)
+    return layers, modes_of(layers, analyses), [force_at(v) for v in velocities]
 
 
 @pytest.mark.parametrize("seconds", [(0.3,), (0.2,), (0.3, SECONDS), (0.12, SECONDS)])
 def test_the_knock_lasts_no_longer_than_any_layer_is_heard(seconds):
-    heard, modes, forces = cut_short(*seconds)
-    knock = estimate_shared_response(heard, modes, forces, np.full(len(forces), 30.0)).ringing.knock
-    assert knock.shape[-1] / RATE == pytest.approx(0.012 + heard.seconds.min(), abs=2e-3)
+    layers, modes, forces = cut_short(*seconds)
+    knock = estimate_shared_response(layers, modes, forces, np.full(len(forces), 30.0)).ringing.knock
+    assert knock.shape[-1] / RATE == pytest.approx(0.012 + layers.seconds.min(), abs=2e-3)
     assert np.abs(knock[:, -5:]).max() < 1e-3 * np.abs(knock).max()
 
 
@@ -267,34 +267,32 @@ def test_participation_is_linear_in_log_velocity_between_strokes_and_constant_be
 
 
 def test_a_stroke_rings_by_its_participation_and_pushes_in_silence():
-    """Modes far above a slow force's spectrum: what it holds them aside by is heard of no stroke."""
+    """Modes far above the spectrum of a slow force: their static deflection is inaudible."""
     pole = -np.array([3.0, 8.0]) + 2j * np.pi * np.array([1_500.0, 3_100.0])
     pattern = np.array([[-1j, 0.3 - 0.4j]])
     knock = np.pad(cancel_static_deflection(pole, pattern, RATE, 4_000), ((0, 0), (round(0.012 * RATE), 0)))
     part = VelocityGain(np.array([0.5, 2.0]), np.array([[1.0, 1.0], [3.0, 1.0 + 2.0j]]))
-    shared_response = ModalResponse(np.array([1, 2]), pole, np.zeros(2), pattern, knock, RATE, part)
+    response = ModalResponse(np.array([1, 2]), pole, np.zeros(2), pattern, knock, RATE, part)
     size = round(0.2 * RATE)
-    soft, hard = (shared_response.sound(force_at(1.0)._replace(velocity=v), RATE, size)[0] for v in (0.5, 2.0))
-    expected = shared_response._replace(pattern=pattern * part.factor[1], knock=knock[:, :0], participation=None)
+    soft, hard = (response.sound(force_at(1.0)._replace(velocity=v), RATE, size)[0] for v in (0.5, 2.0))
+    expected = response._replace(pattern=pattern * part.factor[1], knock=knock[:, :0], participation=None)
     after = slice(round(0.02 * RATE), None)
     np.testing.assert_allclose(hard[after], expected.sound(force_at(1.0), RATE, size)[0][after], atol=1e-9)
     low = signal.butter(6, 100, fs=RATE, output="sos")
-    pushed, silent, plain = (np.sum(signal.sosfilt(low, x) ** 2) for x in (
-        shared_response._replace(knock=0 * knock, participation=None).sound(force_at(1.0), RATE, size)[0], hard, soft,
+    pushed, loud, quiet = (np.sum(signal.sosfilt(low, x) ** 2) for x in (
+        response._replace(knock=0 * knock, participation=None).sound(force_at(1.0), RATE, size)[0], hard, soft,
     ))  # fmt: skip
-    assert max(silent, plain) < 1e-3 * pushed
-    below = shared_response.at(4_000)
+    assert max(loud, quiet) < 1e-3 * pushed
+    below = response.at(4_000)
     assert below.participation is not None
     assert below.participation.factor.shape == (2, 1)
 
 
 def test_levels_that_rise_faster_than_the_force_are_followed():
-    """Every partial 2 dB more for each e-fold of velocity."""
-    shared_response, velocities = truth(), np.array([0.6, 1.0, 1.7])
+    """Every partial gains 2 dB for each e-fold of velocity."""
+    response, velocities = truth(), np.array([0.6, 1.0, 1.7])
     slope = 10 ** (2.0 * np.log(velocities)[:, None] / 20)
-    louder = shared_response._replace(
-        participation=VelocityGain(velocities, slope * np.ones(len(shared_response.pole)))
-    )
+    louder = response._replace(participation=VelocityGain(velocities, slope * np.ones(len(response.pole))))
     recordings = []
     for v in velocities:
         sound = louder.sound(force_at(v), RATE, round(SECONDS * RATE))[0]
@@ -302,14 +300,14 @@ def test_levels_that_rise_faster_than_the_force_are_followed():
         noise = np.random.default_rng(int(100 * v)).normal(size=len(sound))
         recordings.append(recording_from_samples(30 * (sound + 1e-4 * np.abs(sound).max() * noise), RATE))
     analyses = [analyse(r, f0=F0) for r in recordings]
-    heard = align_layers(recordings, analyses)
+    layers = align_layers(recordings, analyses)
     found = estimate_shared_response(
-        heard, modes_of(heard, analyses), [force_at(v) for v in velocities], np.full(3, 30.0)
+        layers, modes_of(layers, analyses), [force_at(v) for v in velocities], np.full(3, 30.0)
     ).ringing
     assert found.participation is not None
     ratio = np.abs(found.participation.factor[2] / found.participation.factor[0])
-    # Three strokes hardly tell a walk from strokes that differ each by itself, so a part of the slope is not believed;
-    # and where the force's spectrum is 60 dB down, other sounds could be all that is seen.
+    # Three strokes hardly distinguish a walk from individual deviations of strokes, so the slope is underestimated.
+    # Where the force spectrum is 60 dB down, the partial could be interfering sound only.
     strong = len(MODES[1]) + len(MODES[2])
     assert (ratio[:strong] > 1 + 0.5 * (slope[2, 0] / slope[0, 0] - 1)).all()
     assert (ratio[:strong] < slope[2, 0] / slope[0, 0]).all()
@@ -347,7 +345,7 @@ def test_a_pitch_that_falls_is_levelled():
     raw = recording.samples[recording.onset :][: len(straight)]
 
     def drift(y: np.ndarray) -> float:
-        """Of the tenth partial, cycles between 0.1 and 2 s, beyond a constant pitch."""
+        """Phase of the tenth partial beyond a constant pitch, cycles, between 0.1 and 2 s."""
         z = band(np.fft.rfft(y)[None], len(y), rate, 10 * analysis.f0, 0.04)
         at = (z.time > 0.1) & (z.time < 2.0)
         angle = np.unwrap(np.angle(z.values[0, at])) / (2 * np.pi)
@@ -369,4 +367,4 @@ def test_orders_are_right_where_modes_are_clear_and_poles_near_their_bound():
     right = {glide: np.mean([r["found"] == r["order"] for r in rows if r["glide"] == glide]) for glide in (0, 1)}
     assert min(right.values()) >= 0.9, right
     over = np.concatenate([row["over_bound"] for row in rows if "over_bound" in row])
-    assert 0.5 < np.median(over) / 0.67 < 2.5  # even weights in log time are not the noise's
+    assert 0.5 < np.median(over) / 0.67 < 2.5  # weights even in log time are not optimal

@@ -1,4 +1,4 @@
-"""Modes of two coupled strings with two polarisations: double decay and beats, found from their sound alone."""
+"""Modes of two coupled strings with two polarisations: double decay and beating, estimated from the sound alone."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from pianofit.modal_response import PartialModes, align_layers, modes_of
 from pianofit.recording.recording import recording_from_samples
 
 RATE, SECONDS, LEAD, F0 = 22_050, 4.0, 0.1, 220.0
-NOISE = -65.0  # dB, of the peak
+NOISE = -65.0  # dB, relative to the peak
 # Double decays of ratio 8, 7, 1.2, 3 and 3, beats of 1 to 2.7 Hz, modes down to 29 dB below their partial's strongest.
 PARTIALS = range(2, 7)
 
 
 @functools.cache
 def true_poles() -> np.ndarray:
-    """Of the strings: the bridge's own decay far faster."""
+    """Poles of the strings. Those of the bridge decay much faster."""
     pole = Unison(F0).poles()
     return pole[(pole.imag > 0) & (pole.real > -30)]
 
@@ -42,7 +42,7 @@ def found() -> dict[int, PartialModes]:
 
 
 def test_on_a_bridge_that_does_not_move_the_witness_has_the_grids_own_modes():
-    """(2/h sin)² and its square, as of any hinged grid."""
+    """The modes follow from (2/h sin)² and its square, as for any hinged grid."""
     still = Unison(F0, ((1e9, 600.0, 0.0, 1.0), (1e9, 900.0, 0.0, 1.0))).poles()
     h = LENGTH / (POINTS + 1)
     s = (2 / h * np.sin(np.arange(1, 7) * np.pi / (2 * (POINTS + 1)))) ** 2
@@ -66,9 +66,9 @@ def test_double_decay_and_beats_of_a_unison_are_found(k):
     modes = found()[k]
     true = near(modes.frequency)
     assert len(true) == len(modes.pole) == 4
-    taken = np.abs(modes.poles[:, None] - true).argmin(axis=0)
-    assert sorted(taken) == [0, 1, 2, 3]
-    assert (np.abs(modes.poles[taken] - true) < 0.35).all()
+    nearest = np.abs(modes.poles[:, None] - true).argmin(axis=0)
+    assert sorted(nearest) == [0, 1, 2, 3]
+    assert (np.abs(modes.poles[nearest] - true) < 0.35).all()
     double, beat = true.real.min() / true.real.max(), np.ptp(true.imag) / (2 * np.pi)
     assert modes.pole.real.min() / modes.pole.real.max() == pytest.approx(double, rel=0.5)
     assert np.ptp(modes.pole.imag) / (2 * np.pi) == pytest.approx(beat, abs=0.06)

@@ -1,4 +1,4 @@
-"""The coupled unison of `benchmarks/unison.py`: its sound against its own modes, and what modes can tell of strings."""
+"""The coupled unison of `benchmarks/unison.py`: its sound against its modes, and what modes determine about strings."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ FREQUENCY = np.array([220.0, 441.0])  # Hz
 
 
 def bands(frames: int) -> Bands:
-    """Two partials of nothing but frames."""
+    """Two silent partials with this number of frames."""
     silent = np.zeros((2, 1, frames))
     about = np.array([[0.04, 0.08], [0.01, 0.02], [0.06, 0.12]])
     return Bands(FREQUENCY, *about, silent + 0j, silent, np.zeros((2, 2)), [])
 
 
 def measure(cents: np.ndarray, p: np.ndarray, g: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Poles and amplitudes of strings that begin alike and are heard alike [partials, strings], by eigenvectors."""
+    """Poles and amplitudes of strings with equal initial and pickup amplitudes [partials, strings], by eigenvectors."""
     pole, vector = np.linalg.eig(matrices(p, g, cents[None], FREQUENCY))
     begin = np.linalg.solve(vector, np.ones((*pole.shape, 1)) + 0j)[..., 0]
     return pole, vector.sum(axis=-2) * begin / len(cents)
@@ -35,7 +35,7 @@ def measure(cents: np.ndarray, p: np.ndarray, g: np.ndarray) -> tuple[np.ndarray
 
 @pytest.mark.parametrize("cents", [[0.0], [-0.4, 0.4], [-0.9, 0.2, 0.7]], ids=len)
 def test_a_unison_sounds_as_its_modes_say(cents):
-    """Each mode by the gain of a Hann kernel, which is not what the program computes."""
+    """The gain of a Hann kernel for each mode is an independent computation."""
     about = bands(50)
     pole, amplitude = measure(np.array(cents), P, G)
     time = about.start[:, None] + about.step[:, None] * np.arange(50)
@@ -43,22 +43,22 @@ def test_a_unison_sounds_as_its_modes_say(cents):
     expected = (amplitude[..., None] * mode).sum(axis=1)
     np.testing.assert_allclose(
         shape(matrices(P, G, np.array([cents]), FREQUENCY), about), expected, atol=1e-5
-    )  # of 12 taps
+    )  # 12 taps
 
 
 def test_strings_in_tune_are_one_string_that_decays_faster():
-    """N g more, and the modes that the bridge does not feel are not struck."""
+    """Its decay grows by N g. Modes that do not move the bridge are not excited."""
     about, none = bands(50), np.zeros((1, 3))
-    one = shape(matrices(P - 3 * G, np.zeros(2), none[:, :1], FREQUENCY), about)
-    np.testing.assert_allclose(shape(matrices(P, G, none, FREQUENCY), about), one, atol=1e-12)
+    single = shape(matrices(P - 3 * G, np.zeros(2), none[:, :1], FREQUENCY), about)
+    np.testing.assert_allclose(shape(matrices(P, G, none, FREQUENCY), about), single, atol=1e-12)
 
 
 def test_two_strings_and_three_of_which_two_are_in_tune_sound_alike():
-    """So N is not in the sound: with equal variance of the mistunings p and g make up for the difference."""
+    """So the sound does not determine N: with equal variance of the mistunings, p and g compensate the difference."""
     two, three = np.array([-0.5, 0.5]), np.array([-2.0, 1.0, 1.0]) * 0.5 / np.sqrt(2)
     assert two.var() == pytest.approx(three.var())
     pole, amplitude = measure(two, P, G)
-    # The first moments of three strings' poles, weighed by amplitudes, are p - 3 g; their sum is 2 p + shift - 3 g.
+    # The first moments of three strings' poles, weighted by amplitudes, are p - 3 g; their sum is 2 p + shift - 3 g.
     shift = 2j * np.pi * FREQUENCY * np.expm1(np.log(2) / 1200 * three[[0, 2]]).sum()
     mean, total = (pole * amplitude).sum(axis=1), pole.sum(axis=1)
     p = total - mean - shift

@@ -1,4 +1,4 @@
-"""What can be read off a recording without a hammer: partials, inharmonicity, losses, glide."""
+"""Measures a recorded note without a hammer model: partials, inharmonicity, losses and glide."""
 
 from .analyse import analyse, beating_warning, check_analyses, count_beating
 from .analysis_result import Analysis, Partials

@@ -1,4 +1,4 @@
-"""From a recording to the table of partials and the two laws of its string."""
+"""Measures one recording: the table of partials, and the frequency law and decay law of the string."""
 
 from __future__ import annotations
 
@@ -12,35 +12,36 @@ from ..recording.recording import Recording, Source, to_recording
 from .analysis_result import Analysis, Partials
 from .baseband_fit import first_fits, has_drifted
 from .demodulation import demodulate
-from .glide import LEAST, PitchGlide, glide_detected, glide_windows, remove_glide
+from .glide import LEAST_GLIDE, PitchGlide, glide_detected, glide_windows, remove_glide
 from .inharmonicity import B_RANGE, CENTS, DecayLaw, FrequencyLaw, decay_law, frequency_law, local_deviation
-from .level import bounds
+from .level import absent_level_bounds
 from .note_names import cents_above, hz_to_note, midi_to_note, note_to_hz, note_to_midi
 from .partials import LEAST_SNR, PartialTable, decay_law_covariance, measure_partials, systematic
-from .pitch import find_pitch, track
-from .second_strike import detect_second_strike
+from .pitch import find_pitch, number_partials
+from .second_stroke import detect_second_stroke
 from .spectrum import noise_between, spectrum
 
 __all__ = ["analyse", "beating_warning", "check_analyses", "count_beating"]
 
-_SKIP = 0.005  # s; the contact is over by then or all but
-_LONGEST = 20.0  # s; what comes later adds nothing
-_TOP = 12000.0  # Hz
-_WIDEST = 100.0  # Hz; more bandwidth than this brings no more information about a slow partial
-_WORST_LEVEL = 10.0  # dB; a level less sure than this is no level
-_LEAST_DECAY = 1e-3  # 1/s; nothing decays more slowly
-_OUTLIER = 6.0  # standard deviations from where its neighbours lead, beyond which a peak belongs to something else,
-_OUTLIER_CENTS = 12.0  # and cents, whichever is more
+_SKIP = 0.005  # s after the onset; the contact has ended by then, or nearly
+_LONGEST = 20.0  # s after the onset; later samples add no information
+_TOP = 12000.0  # Hz, highest frequency searched for partials
+_WIDEST = 100.0  # Hz; a larger bandwidth adds no information about a partial that decays slowly
+_WORST_LEVEL = 10.0  # dB; a partial whose level has a larger error is rejected
+_LEAST_DECAY = 1e-3  # 1/s, lower bound of reported decay rates
+# A peak farther than both from the frequency that its neighbours predict is not a partial.
+_OUTLIER = 6.0  # standard deviations
+_OUTLIER_CENTS = 12.0
 
 
 def analyse(recording: Source, *, note: str | int | None = None, f0: float | None = None) -> Analysis:
-    """Find and measure the partials of one struck note.
+    """Detect and measure the partials of one struck note.
 
     Parameters
     ----------
-    recording : a path, a `Recording`, or samples with their rate, as `fit` takes them.
-    note : its name, such as "F#2", or MIDI number; the pitch is then sought within a semitone of it.
-    f0 : the same, in Hz; goes before `note`.
+    recording : a path, a `Recording`, or (samples, rate), as for `fit`.
+    note : name, such as "F#2", or MIDI number. The pitch is searched within a semitone of it.
+    f0 : the same in Hz. It takes precedence over `note`.
 
     Returns
     -------
@@ -49,17 +50,18 @@ def analyse(recording: Source, *, note: str | int | None = None, f0: float | Non
     Raises
     ------
     RecordingError
-        If the sound cannot be used.
+        If the recording cannot be used.
     AnalysisError
-        When the recording is too short, or enough of its partials are not there; a WrongNoteError when the note is not.
+        If the recording is too short, or too few partials are detected. A `WrongNoteError` if it holds another note.
 
     Examples
     --------
     >>> import pianofit
-    >>> it = pianofit.preset("chabassier-F3")
-    >>> sound = pianofit.simulate(it.string, it.hammer, it.geometry, quantity="bridge-force").waveform(44_100, 88_200)
-    >>> found = pianofit.analyse(pianofit.recording_from_samples(0.5 * sound / abs(sound).max(), 44_100), note="F3")
-    >>> f"{found.f0:.1f} Hz, B = {found.B:.2g}, {len(found.partials)} partials"
+    >>> p = pianofit.preset("chabassier-F3")
+    >>> sound = pianofit.simulate(p.string, p.hammer, p.geometry, quantity="bridge-force").waveform(44_100, 88_200)
+    >>> recording = pianofit.recording_from_samples(0.5 * sound / abs(sound).max(), 44_100)
+    >>> analysis = pianofit.analyse(recording, note="F3")
+    >>> f"{analysis.f0:.1f} Hz, B = {analysis.B:.2g}, {len(analysis.partials)} partials"
     '175.0 Hz, B = 0.00017, 55 partials'
     """
     recording = to_recording(recording)
@@ -76,30 +78,30 @@ def analyse(recording: Source, *, note: str | int | None = None, f0: float | Non
             f"{recording.path}: {seconds:.2f} s after the onset is too short for a note of {rough_f0:.1f} Hz; "
             f"give {10 / rough_f0:.2f} s or more"
         )
-    close = spectrum(samples, rate, float(np.clip(30 / rough_f0, 0.15, 1.0)))
-    number, frequency, law = track(close, rough_f0, rough_B, top=top)
-    _refuse(recording.path, number, law, note, f0)
+    resolved = spectrum(samples, rate, float(np.clip(30 / rough_f0, 0.15, 1.0)))
+    number, frequency, law = number_partials(resolved, rough_f0, rough_B, top=top)
+    _check_partials(recording.path, number, law, note, f0)
     return _measure_all(recording, samples, number, frequency, law, note, top)
 
 
 def check_analyses(analyses: Sequence[Analysis] | None) -> None:
-    """Refuse by a `ParameterError` what are no analyses of recordings; None are those that were not given."""
+    """Raise a `ParameterError` unless all items are analyses; None means that none were given."""
     if analyses is not None:
         check_type("analyses=", analyses, list | tuple, "a list of what analyse returned")
         for analysis in analyses:
             check_type("analyses: ", analysis, Analysis, "what analyse returned")
 
 
-def _refuse(path: str, number: np.ndarray, law: FrequencyLaw, note: str | int | None, f0: float | None) -> None:
-    """Raise when there are no partials, or only every second or third of a pitch that was asked for."""
+def _check_partials(path: str, number: np.ndarray, law: FrequencyLaw, note: str | int | None, f0: float | None) -> None:
+    """Raise if no partial was detected, or only every second or third partial of the given pitch."""
     if len(number) == 0:
-        raise AnalysisError(f"{path}: no partial of {law.f0:.1f} Hz stands out of the noise; check the note")
+        raise AnalysisError(f"{path}: no partial of {law.f0:.1f} Hz was detected above the noise; check the note")
     for multiple in (2, 3):
         if (note is not None or f0 is not None) and len(number) >= 4 and np.mean(number % multiple == 0) > 0.9:
-            found = multiple * law.f0
+            detected_f0 = multiple * law.f0
             raise WrongNoteError(
-                f"{path}: only every partial number {multiple} of {note or f0} is there, so it sounds like "
-                f"{hz_to_note(found)} ({found:.1f} Hz); give that note (--note) or the frequency (--f0)"
+                f"{path}: only partials {multiple}, {2 * multiple} ... of {note or f0} were detected, so it sounds "
+                f"like {hz_to_note(detected_f0)} ({detected_f0:.1f} Hz); give that note (--note) or frequency (--f0)"
             )
 
 
@@ -112,6 +114,7 @@ def _measure_all(
     note: str | int | None,
     top: float,
 ) -> Analysis:
+    """Measure the partials `number` at `frequency` (Hz) [partials] near the rough `law`, and fit the laws."""
     rate, seconds = recording.rate, len(samples) / recording.rate
     spacing = min(0.97 * law.f0, max(_WIDEST, 0.1 * law.f0))
     skip = min(_SKIP, 0.05 * seconds)
@@ -122,118 +125,118 @@ def _measure_all(
     density = np.maximum(density, 1e-20 * float(np.max(np.abs(z))) ** 2)
     windows = glide_windows(bands, z, fit, density)
     glides = glide_detected(windows)
-    # Where a fall is sure, one partial that lasts tells how it goes on; where not, it tells of its own beat.
-    heard = windows if glides else [row for row in windows if np.isfinite(row[3])]
-    fall = heard[0][2] - heard[-1][2] if len(heard) > 1 else 0.0
-    taken, left = PitchGlide(0.0, 1.0), 0.0
+    # A single partial in a late window follows the glide only if a glide was detected. Otherwise it follows its beats.
+    usable = windows if glides else [window for window in windows if np.isfinite(window[3])]
+    glide_cents = float(usable[0][2] - usable[-1][2]) if len(usable) > 1 else 0.0
+    removed, glide_error = PitchGlide(0.0, 1.0), 0.0
     if glides:
-        bands, z, fit, taken, left = remove_glide(bands, z, fit, density, windows)
-    rows = measure_partials(number, bands, z, fit, density, glides)
-    keep = _plausible(rows, _expected_frequencies(law, number, frequency, number), law.f0) & ~has_drifted(bands, fit)
-    keep[keep] = _on_law(number[keep], rows.frequency[keep], rows.whole_error("frequency")[keep])
+        bands, z, fit, removed, glide_error = remove_glide(bands, z, fit, density, windows)
+    measured = measure_partials(number, bands, z, fit, density, glides)
+    keep = _plausible(measured, _expected_frequencies(law, number, frequency, number), law.f0)
+    keep &= ~has_drifted(bands, fit)
+    keep[keep] = _near_law(number[keep], measured.frequency[keep], measured.total_error("frequency")[keep])
     if not keep.any():
-        raise AnalysisError(f"{recording.path}: no partial of {law.f0:.1f} Hz stands out of the noise")
-    if not keep.all():  # what is no partial tells nothing of its neighbours
+        raise AnalysisError(f"{recording.path}: no partial of {law.f0:.1f} Hz was detected above the noise")
+    if not keep.all():  # a rejected peak must not contribute to the errors of its neighbours
         number, density = number[keep], density[keep]
-        rows = measure_partials(number, bands.select(keep), z[keep], fit.kept(keep), density, glides)
-    again = detect_second_strike(bands.select(keep), z[keep], density)
-    fine, losses = _laws(number, rows, law.B)
-    absent = _absent(number, fine, top)
-    bound = bounds(
-        samples, rate, _expected_frequencies(fine, number, rows.frequency, absent), losses(absent), fine.f0, skip
-    )
-    table = _table(number, rows, absent, bound)
-    glide = tuple((a, b, fine.f0 * float(np.exp(c / CENTS))) for a, b, c, _ in windows)
+        measured = measure_partials(number, bands.select(keep), z[keep], fit.select(keep), density, glides)
+    second_stroke_s = detect_second_stroke(bands.select(keep), z[keep], density)
+    refined, losses = _laws(number, measured, law.B)
+    absent = _absent(number, refined, top)
+    absent_frequency = _expected_frequencies(refined, number, measured.frequency, absent)
+    bound = absent_level_bounds(samples, rate, absent_frequency, losses(absent), refined.f0, skip)
+    table = _table(number, measured, absent, bound)
+    glide_table = tuple((a, b, refined.f0 * float(np.exp(c / CENTS))) for a, b, c, _ in windows)
     return Analysis(
-        fine.f0,
-        fine.f0_error,
-        fine.B,
-        fine.B_error,
+        refined.f0,
+        refined.f0_error,
+        refined.B,
+        refined.B_error,
         losses.b1,
         losses.b1_error,
         losses.d2,
         losses.d2_error,
         table,
-        fine.scatter,
+        refined.scatter,
         losses.scatter,
-        float(fall),
-        glide,
+        glide_cents,
+        glide_table,
         density,
         None if note is None else midi_to_note(note_to_midi(note)),
         (
-            *_wrong_note_message(note, fine.f0),
-            *_at_bound(fine),
-            *_warnings(table, losses, float(fall) if glides else 0.0, again),
+            *_wrong_note_message(note, refined.f0),
+            *_bound_warning(refined),
+            *_warnings(table, losses, glide_cents if glides else 0.0, second_stroke_s),
         ),
-        left,
-        *taken,
-        (rows.level_law.b1, rows.level_law.d2),
+        glide_error,
+        *removed,
+        (measured.level_law.b1, measured.level_law.d2),
     )
 
 
-def _laws(number: np.ndarray, rows: PartialTable, B: float) -> tuple[FrequencyLaw, DecayLaw]:
-    """The string's two laws; of a single partial with this `B`."""
-    held = B if len(number) < 2 else None
-    error = rows.whole_error("frequency")
+def _laws(number: np.ndarray, measured: PartialTable, B: float) -> tuple[FrequencyLaw, DecayLaw]:
+    """Frequency law and decay law of the string. A single partial is fitted with this `B`."""
+    fixed_B = B if len(number) < 2 else None
+    error = measured.total_error("frequency")
     return (
-        frequency_law(number, rows.frequency, error, B=held),
-        decay_law(number, np.maximum(rows.decay, _LEAST_DECAY), rows.whole_error("decay")),
+        frequency_law(number, measured.frequency, error, B=fixed_B),
+        decay_law(number, np.maximum(measured.decay, _LEAST_DECAY), measured.total_error("decay")),
     )
 
 
 def _expected_frequencies(law: FrequencyLaw, number: np.ndarray, frequency: np.ndarray, k: np.ndarray) -> np.ndarray:
-    """Where partials `k` are to be expected, Hz: on the law, as far from it as those found nearby."""
+    """Expected frequencies of partials `k`, Hz: the law plus the deviation of detected neighbours."""
     return law(k) * np.exp(local_deviation(number, CENTS * np.log(frequency / law(number)), k) / CENTS)
 
 
-def _plausible(rows: PartialTable, expected: np.ndarray, f0: float) -> np.ndarray:
-    """Tell which partials stand out of the noise and have numbers that mean something."""
-    near = np.abs(rows.frequency - expected) < 0.25 * f0
-    known = (rows.level_error < _WORST_LEVEL) & (rows.whole_error("frequency") < 0.1 * f0)
-    return (rows.snr > LEAST_SNR) & near & known & (rows.decay < 300.0)
+def _plausible(measured: PartialTable, expected: np.ndarray, f0: float) -> np.ndarray:
+    """Partials above the noise whose values are determined, bool [partials]."""
+    near = np.abs(measured.frequency - expected) < 0.25 * f0
+    determined = (measured.level_error < _WORST_LEVEL) & (measured.total_error("frequency") < 0.1 * f0)
+    return (measured.snr > LEAST_SNR) & near & determined & (measured.decay < 300.0)
 
 
-def _on_law(k: np.ndarray, frequency: np.ndarray, error: np.ndarray) -> np.ndarray:
-    """Tell which partials keep to the law that most of them follow, or leave it with their neighbours."""
+def _near_law(k: np.ndarray, frequency: np.ndarray, error: np.ndarray) -> np.ndarray:
+    """Partials near the law of the majority, or as far from it as their neighbours, bool [partials]."""
     if len(k) < 4:
         return np.ones(len(k), bool)
     law = frequency_law(k, frequency, error)
-    away = CENTS * np.log(frequency / law(k))
+    deviation = CENTS * np.log(frequency / law(k))
     others = ~np.eye(len(k), dtype=bool)
-    course = np.concatenate([local_deviation(k[o], away[o], k[[i]]) for i, o in enumerate(others)])
-    away = np.abs(away - course)
-    return away < np.maximum(_OUTLIER * np.hypot(law.deviation_sd(k), CENTS * error / frequency), _OUTLIER_CENTS)
+    expected = np.concatenate([local_deviation(k[o], deviation[o], k[[i]]) for i, o in enumerate(others)])
+    sd = np.hypot(law.deviation_sd(k), CENTS * error / frequency)
+    return np.abs(deviation - expected) < np.maximum(_OUTLIER * sd, _OUTLIER_CENTS)
 
 
 def _absent(number: np.ndarray, law: FrequencyLaw, top: float) -> np.ndarray:
-    """Numbers, not among `number`, of partials of the law below `top` Hz."""
-    every = np.arange(1, max(int(number.max()), int(top / law.f0)) + 1)
-    return np.setdiff1d(every[law(every) < top], number)
+    """Numbers of the partials below `top` Hz that are not in `number`."""
+    candidates = np.arange(1, max(int(number.max()), int(top / law.f0)) + 1)
+    return np.setdiff1d(candidates[law(candidates) < top], number)
 
 
-def _table(number: np.ndarray, rows: PartialTable, absent: np.ndarray, bound: np.ndarray) -> Partials:
+def _table(number: np.ndarray, measured: PartialTable, absent: np.ndarray, bound: np.ndarray) -> Partials:
     return Partials(
         number=number,
-        frequency=rows.frequency,
-        frequency_error=rows.frequency_error,
-        frequency_systematic=systematic(number, rows.frequency_spread),
-        decay=np.maximum(rows.decay, _LEAST_DECAY),
-        decay_error=rows.decay_error,
-        decay_systematic=systematic(number, rows.decay_spread),
-        level=rows.level,
-        level_error=rows.level_error,
-        level_systematic=systematic(number, rows.level_spread)
-        + decay_law_covariance(number, rows.level_lag, rows.level_law),
-        level_decay_sensitivity_s=rows.level_lag,
-        snr=rows.snr,
-        beating=rows.beating,
+        frequency=measured.frequency,
+        frequency_error=measured.frequency_error,
+        frequency_systematic=systematic(number, measured.frequency_systematic_sd),
+        decay=np.maximum(measured.decay, _LEAST_DECAY),
+        decay_error=measured.decay_error,
+        decay_systematic=systematic(number, measured.decay_systematic_sd),
+        level=measured.level,
+        level_error=measured.level_error,
+        level_systematic=systematic(number, measured.level_systematic_sd)
+        + decay_law_covariance(number, measured.level_decay_sensitivity_s, measured.level_law),
+        level_decay_sensitivity_s=measured.level_decay_sensitivity_s,
+        snr=measured.snr,
+        beating=measured.beating,
         absent=absent,
         absent_bound=bound,
     )
 
 
 def _wrong_note_message(note: str | int | None, f0: float) -> tuple[str, ...]:
-    """What is said of a note that sounds nearer to another key than to the one whose name it was given."""
+    """The warning of a recording whose pitch lies nearer to another key than to the given note."""
     cents = 0.0 if note is None else cents_above(f0, note_to_hz(note))
     if abs(cents) <= 50:
         return ()
@@ -244,54 +247,56 @@ def _wrong_note_message(note: str | int | None, f0: float) -> tuple[str, ...]:
     )
 
 
-def _at_bound(law: FrequencyLaw) -> tuple[str, ...]:
-    """What is said of a B at either end of the range searched."""
+def _bound_warning(law: FrequencyLaw) -> tuple[str, ...]:
+    """The warning of a B at either end of the searched range."""
     if not np.isfinite(law.B_error) or law.B not in B_RANGE:
         return ()
     if B_RANGE[0] == law.B:
         return (
-            f"B is at its lower bound, {law.B:g}: the partials are harmonic, and a stiff string's are not; check that "
-            "the sound is of one string, without effects",
+            f"B is at its lower bound, {law.B:g}: the partials are harmonic, and those of a stiff string are not; "
+            "check that the recording holds one string without effects",
         )
-    return (f"B is at its upper bound, {law.B:g}: check the note (--note), and that the partials are of one string",)
+    return (f"B is at its upper bound, {law.B:g}: check the note (--note), and that the partials belong to one string",)
 
 
-def _warnings(table: Partials, losses: DecayLaw, fall: float, again: float | None) -> tuple[str, ...]:
-    found = []
-    if again is not None:
-        found.append(
-            f"most partials rise again about {again:.2f} s after the onset: a second stroke changes the results; give "
-            "a file of one stroke"
+def _warnings(table: Partials, losses: DecayLaw, glide_cents: float, second_stroke_s: float | None) -> tuple[str, ...]:
+    warnings = []
+    if second_stroke_s is not None:
+        warnings.append(
+            f"most partials rise again about {second_stroke_s:.2f} s after the onset: a second stroke changes the "
+            "results; give a file of one stroke"
         )
     if len(table) == 1:
-        found.append("only one partial found: B is assumed, f0 rests on it, and the losses are hardly determined")
+        warnings.append("only one partial detected: B is assumed, f0 depends on it, the losses are poorly determined")
     elif len(table) == 2:
-        found.append("only 2 partials found: B and the losses are hardly determined")
+        warnings.append("only 2 partials detected: B and the losses are poorly determined")
     if np.mean(table.decay <= _LEAST_DECAY) > 0.5:
-        found.append(
-            "most partials do not decay, so decay rates are the least that is looked for: a loop, a sound played "
-            "backwards or a compressed one tells nothing of losses"
+        warnings.append(
+            "most partials do not decay, so their decay rates are at the lower bound: a looped, reversed or compressed "
+            "sound does not determine the losses"
         )
-    if abs(fall) > LEAST:
-        found.append(f"the pitch {'falls' if fall > 0 else 'rises'} by {abs(fall):.1f} cents as the note decays")
+    if abs(glide_cents) > LEAST_GLIDE:
+        warnings.append(
+            f"the pitch {'falls' if glide_cents > 0 else 'rises'} by {abs(glide_cents):.1f} cents as the note decays"
+        )
     if beats := beating_warning(table):
-        found.append(beats)
+        warnings.append(beats)
     if losses.d2 < 2 * losses.d2_error and len(table) > 1:
-        found.append("the decay rates do not show how losses rise with frequency (d2 is not measurable)")
-    return tuple(found)
+        warnings.append("the decay rates do not determine how losses rise with frequency (d2 is not measurable)")
+    return tuple(warnings)
 
 
 def count_beating(table: Partials) -> int:
-    """How many partials leave an even decay by more than `BEAT`."""
+    """Number of partials whose log envelope deviates from one exponential by more than `BEAT` dB."""
     return int(np.sum(table.beating > BEAT))
 
 
 def beating_warning(table: Partials) -> str:
-    """The warning of a recording whose partials beat; empty if none does."""
+    """The warning of a recording whose partials beat; empty if none do."""
     deep = count_beating(table)
     if not deep:
         return ""
     return (
-        f"{deep} of {len(table)} partials leave an even decay by more than {BEAT:g} dB: more than one string or "
-        "polarisation, which beat, or a note that was damped or cut"
+        f"{deep} of {len(table)} partials deviate from an exponential decay by more than {BEAT:g} dB: several strings "
+        "or polarisations beat, or the note was damped or cut"
     )

@@ -1,4 +1,4 @@
-"""What an analysis says: plain numbers with their standard errors."""
+"""The result of an analysis: plain numbers with their standard errors."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .glide import PitchGlide
 
 __all__ = ["Analysis", "Partials"]
 
-# Columns of `Partials` that hold one number for each partial, and how a notebook heads them.
+# Columns of `Partials` with one number for each partial, and their headings in a notebook.
 PER_PARTIAL = {
     "number": "k", "frequency": "frequency, Hz", "frequency_error": "± noise", "decay": "decay, 1/s",
     "decay_error": "± noise", "level": "level, dB", "level_error": "± noise", "snr": "SNR, dB",
@@ -23,12 +23,12 @@ PER_PARTIAL = {
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Partials:
-    """The table of partials, ascending in number; those found above the noise, and bounds on the others.
+    """The table of detected partials, ascending in number, and bounds on the absent ones.
 
-    Errors come in two kinds. A standard error `_error` is from noise alone, independent from partial to partial and
-    from recording to recording. A covariance `_systematic` is of what beats, a second polarisation or a glide that was
-    not taken out do to a value: neighbouring partials share it, and all recordings of a key do. It leaves out
-    `Analysis.glide_error`, and is nought where nothing beyond noise is seen.
+    Errors come in two kinds. A standard error `_error` is due to noise alone. It is independent between partials and
+    between recordings. A covariance `_systematic` describes the effect of beats, a second polarisation or a glide that
+    was not removed. Neighbouring partials share it, and so do all recordings of a key. It does not include
+    `Analysis.glide_error`. It is zero where the residuals do not exceed the noise.
     """
 
     number: np.ndarray  # int [partials], k
@@ -41,20 +41,19 @@ class Partials:
     level: np.ndarray  # [partials], dB re full scale² · s: ∫_0^0.35s of its mean power · exp(−16 t) dt, from the onset
     level_error: np.ndarray  # [partials], dB
     level_systematic: np.ndarray  # [partials, partials], dB²: from the level of the string's single mode
-    level_decay_sensitivity_s: (
-        np.ndarray
-    )  # [partials], s, by which its energy came later than a level's, by the law of decays
-    snr: np.ndarray  # [partials], dB, amplitude at the onset over its own standard error from noise
+    # [partials], s: mean time of the measured energy minus that of the level's span, under the decay law
+    level_decay_sensitivity_s: np.ndarray
+    snr: np.ndarray  # [partials], dB, amplitude at the onset over its standard error due to noise
     beating: np.ndarray  # [partials], dB, rms deviation of the log envelope from one exponential
-    absent: np.ndarray  # int [absent], numbers below the highest frequency looked at that were not found
-    absent_bound: np.ndarray  # [absent], dB as `level`: all the energy in the band of each, noise included
+    absent: np.ndarray  # int [absent], numbers of the partials within the searched range that were not detected
+    absent_bound: np.ndarray  # [absent], dB as `level`: all energy in the band of each, including noise
 
     def __len__(self) -> int:
         return len(self.number)
 
     def __repr__(self) -> str:
         span = f", {self.frequency[0]:.5g} to {self.frequency[-1]:.5g} Hz" if len(self) else ""
-        return f"{counted(len(self), 'partial')}{span}; {len(self.absent)} looked for and not found"
+        return f"{counted(len(self), 'partial')}{span}; {len(self.absent)} not detected"
 
     def _rows(self) -> list[tuple]:
         return list(zip(*(getattr(self, name).tolist() for name in PER_PARTIAL), strict=True))
@@ -63,7 +62,7 @@ class Partials:
         return html_table(tuple(PER_PARTIAL.values()), self._rows())
 
     def to_dataframe(self) -> Any:
-        """One row a partial, by number; frequency in Hz, decay in 1/s, levels, SNR and beating in dB.
+        """One row per partial, by number; frequency in Hz, decay in 1/s, levels, SNR and beating in dB.
 
         Raises
         ------
@@ -75,9 +74,9 @@ class Partials:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Analysis:
-    """One recording of one note: the string's two laws, the partials, and how far they keep to the laws."""
+    """One recording of one note: the two laws of the string, the partials, and their scatter about the laws."""
 
-    f0: float  # Hz, of f_k = k f0 √(1 + B k²), over 0.2 to 1.0 s after the onset where the note lasts that long
+    f0: float  # Hz, of f_k = k f0 √(1 + B k²), over 0.2 to 1.0 s after the onset if the note lasts that long
     f0_error: float
     B: float
     B_error: float
@@ -93,25 +92,25 @@ class Analysis:
     noise_density: np.ndarray  # [partials], one-sided noise power density at each partial, full scale²/Hz
     note: str | None
     warnings: tuple[str, ...]
-    glide_error: float = 0.0  # cents, of all frequencies alike: how well a glide that was taken out is known
-    glide_start: float = 0.0  # cents above f0 at which a glide that was taken out began,
-    glide_tau: float = 1.0  # s, and the time constant with which it fell
-    level_law: tuple[float, float] = (0.0, 0.0)  # 1/s, b1 and d2 over the whole file, by which levels were found
+    glide_error: float = 0.0  # cents, common to all frequencies: error of a glide that was removed
+    glide_start: float = 0.0  # cents above f0 at which a glide that was removed began
+    glide_tau: float = 1.0  # s, time constant of a glide that was removed
+    level_law: tuple[float, float] = (0.0, 0.0)  # 1/s, b1 and d2 over the whole file, which the levels are based on
 
     def with_decay_law(self, other: Analysis) -> Analysis:
-        """The same with levels as by another recording's `level_law`, to the third order in how the two differ.
+        """A copy whose levels are based on the `level_law` of `other`; exact to third order in their difference.
 
-        The string decays alike in all recordings of a key; their own laws differ by what noise and beats do to them.
+        The decay of the string is the same in all recordings of a key. Their laws differ because of noise and beats.
         """
-        p, theirs = self.partials, other.partials
-        lag = 0.5 * (p.level_decay_sensitivity_s + np.interp(p.number, theirs.number, theirs.level_decay_sensitivity_s))
+        p, q = self.partials, other.partials
+        lag = 0.5 * (p.level_decay_sensitivity_s + np.interp(p.number, q.number, q.level_decay_sensitivity_s))
         b1, d2 = np.subtract(other.level_law, self.level_law)
         level = p.level + 20 / np.log(10) * lag * (b1 + d2 * p.number**2.0)
         return replace(self, partials=replace(p, level=level), level_law=other.level_law)
 
     @property
     def glide_model(self) -> PitchGlide:
-        """The glide that was taken out; of 0 cents if none was."""
+        """The glide that was removed; 0 cents if none was."""
         return PitchGlide(self.glide_start, self.glide_tau)
 
     def __repr__(self) -> str:
@@ -127,5 +126,5 @@ class Analysis:
         return html_table(("", "value", "±", "unit"), laws, self.note or "") + self.partials._repr_html_()
 
     def to_dataframe(self) -> Any:
-        """The partials as `Partials.to_dataframe` gives them."""
+        """The partials, as from `Partials.to_dataframe`."""
         return self.partials.to_dataframe()

@@ -1,6 +1,6 @@
-"""One damped exponential per partial through a stretch of its baseband, and what noise does to it.
+"""One damped exponential per partial, fitted to a part of its baseband, with its errors due to noise.
 
-What a partial's fitted neighbours leak into its band is subtracted, and the fit repeated.
+The leakage of the fitted neighbours into the band of a partial is subtracted, and the fit is repeated.
 """
 
 from __future__ import annotations
@@ -12,42 +12,50 @@ from numpy.typing import NDArray
 
 from ..dsp.damped_powers import powers
 from .demodulation import Bands
-from .exponential_fit import Tones, fit_tones, lag_poles
+from .exponential_fit import Exponentials, autocorrelation_poles, fit_exponentials
 from .level import energy_level, mean_time
 
-__all__ = ["ExponentialFit", "first_fits", "with_errors", "level_of", "has_drifted", "noise_tolerance", "window"]
+__all__ = [
+    "ExponentialFit",
+    "first_fits",
+    "with_errors",
+    "measure_levels",
+    "has_drifted",
+    "noise_tolerance",
+    "fit_window",
+]
 
 _DB = 20 / np.log(10)
-LONG = 2.0  # s of frames that make a level, from the first: the more the less a beat's phase tells, up to here
-SLOWEST = 3.0  # 1/s, at which their weight falls at least: what rings on tells little of the strike
-FASTEST = 100.0  # 1/s; a law carried far beyond the partials that show it is not believed beyond
-LEAST = 0.1  # share of a band's energy that is the partial's at least, whatever the noise
+LONG = 2.0  # s of frames that determine a level: a longer span depends less on the phase of a beat
+_MIN_WEIGHT_DECAY = 3.0  # 1/s, of the weight of these frames: late sound carries little information on the strike
+_MAX_DECAY = 100.0  # 1/s, upper bound of a decay law extrapolated far beyond the detected partials
+_MIN_SHARE = 0.1  # lower bound of the share of a band's energy that is attributed to the partial
 
 
-def _physical(bands: Bands, fit: Tones) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+def _physical(bands: Bands, fit: Exponentials) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
     """Amplitudes c and poles p of Re c exp(pt), t from the onset."""
     return 2 * fit.at_onset() / bands.gain(fit.pole), fit.pole + 2j * np.pi * bands.centre
 
 
-def has_drifted(bands: Bands, fit: Tones) -> np.ndarray:
-    """Rows whose fit ran off to something else in the band, [partials]."""
+def has_drifted(bands: Bands, fit: Exponentials) -> np.ndarray:
+    """Rows whose fit drifted to another sound in the band, bool [partials]."""
     return np.abs(fit.pole.imag) > 0.25 * 2 * np.pi * bands.spacing
 
 
-def first_fits(bands: Bands, rounds: int = 3) -> tuple[np.ndarray, Tones]:
-    """One exponential per partial over the whole record, neighbours' leakage subtracted: (cleaned z, fits)."""
+def first_fits(bands: Bands, rounds: int = 3) -> tuple[np.ndarray, Exponentials]:
+    """One exponential per partial over the whole recording, without leakage of neighbours: (cleaned z, fits)."""
     z, t = bands.z, bands.time
-    cut = bands.cut(0.0, t[0] + 1.0)
-    fit = fit_tones(z[:, cut], t[cut], lag_poles(z[:, cut], t[cut], bands.window / 2))
-    fit = fit_tones(z, t, fit.pole)
+    early = bands.cut(0.0, t[0] + 1.0)
+    fit = fit_exponentials(z[:, early], t[early], autocorrelation_poles(z[:, early], t[early], bands.window / 2))
+    fit = fit_exponentials(z, t, fit.pole)
     for _ in range(rounds):
         z = bands.z - _leakage(bands, fit)
-        fit = fit_tones(z, t, fit.pole, steps=4)
+        fit = fit_exponentials(z, t, fit.pole, steps=4)
     return z, fit
 
 
-def _leakage(bands: Bands, fit: Tones) -> np.ndarray:
-    """Sum what each partial's two neighbours leave in its band; further ones lie outside the slice."""
+def _leakage(bands: Bands, fit: Exponentials) -> np.ndarray:
+    """Leakage of the two neighbours of each partial into its band; others lie outside the slice."""
     c, p = _physical(bands, fit)
     c = np.where(has_drifted(bands, fit), 0, c)
     total = np.zeros_like(bands.z)
@@ -62,29 +70,32 @@ def _leakage(bands: Bands, fit: Tones) -> np.ndarray:
 
 @dataclass(frozen=True)
 class ExponentialFit:
-    """One exponential per partial through a stretch of frames, and what noise does to it."""
+    """One exponential per partial through a range of frames, and its errors due to noise."""
 
-    fit: Tones
-    covariance: np.ndarray  # [3, partials]: variances of log a at the origin and of the pole, and between them
-    noise: np.ndarray  # [partials], mean power that the noise has in `fit.misfit`
-    excess: np.ndarray  # [partials], residual power beyond what noise may leave, over the noise's, at least 0
+    fit: Exponentials
+    # [3, partials]: variance of log a at the origin, its covariance with the pole, variance of the pole
+    covariance: np.ndarray
+    noise: np.ndarray  # [partials], mean power of the noise in `fit.misfit`
+    excess: np.ndarray  # [partials], residual power beyond the tolerance for noise, over that of the noise, at least 0
 
     def pole_error(self) -> np.ndarray:
         """Standard error of the pole's real part, and of its imaginary part; 1/s."""
         return np.sqrt(0.5 * self.covariance[2])
 
     def log_error(self, lever: np.ndarray | float) -> np.ndarray:
-        """Standard error of the log envelope `lever` s after the first frame; the phase's is the same."""
+        """Standard error of the log envelope `lever` s after the first frame; the phase has the same."""
         first, between, second = self.covariance
         return np.sqrt(0.5 * np.maximum(first + 2 * lever * between + lever**2 * second, 0.0))
 
 
-def with_errors(bands: Bands, cut: slice, fit: Tones, density: np.ndarray, damping: float = 0.0) -> ExponentialFit:
-    """`fit`, made of the frames `cut`, with the errors that noise of this one-sided `density` [partials] makes.
+def with_errors(
+    bands: Bands, cut: slice, fit: Exponentials, density: np.ndarray, damping: float = 0.0
+) -> ExponentialFit:
+    """`fit` of the frames `cut`, with its errors due to noise of this one-sided `density` [partials].
 
     Parameters
     ----------
-    damping : 1/s; the frames had been multiplied by exp(-damping τ), τ from the first of them
+    damping : 1/s; the frames were multiplied by exp(-damping τ), with τ from the first of them
     """
     fade = np.exp(-2 * damping * (bands.time[cut] - fit.origin))
     count = np.sum(fade) ** 2 / np.sum(fade**2)
@@ -93,10 +104,10 @@ def with_errors(bands: Bands, cut: slice, fit: Tones, density: np.ndarray, dampi
     return ExponentialFit(fit, covariance, noise, np.maximum(fit.misfit / noise - noise_tolerance(bands, count), 0.0))
 
 
-def _noise_covariance(bands: Bands, cut: slice, fit: Tones, damping: float) -> np.ndarray:
-    """As `Fitted.covariance`, for noise of the variance 1 a frame before the window coloured it.
+def _noise_covariance(bands: Bands, cut: slice, fit: Exponentials, damping: float) -> np.ndarray:
+    """As `ExponentialFit.covariance`, for noise of variance 1 per frame before the window filters it.
 
-    Least squares turn noise n into (JᴴJ)⁻¹Jᴴn, so (log a, pole) has covariance (JᴴJ)⁻¹ JᴴCJ (JᴴJ)⁻¹. The covariance C
+    Least squares turns noise n into (JᴴJ)⁻¹Jᴴn, so (log a, pole) has covariance (JᴴJ)⁻¹ JᴴCJ (JᴴJ)⁻¹. The covariance C
     of the frames' noise is that of a stationary process with the spectrum |G|²: JᴴCJ is a sum over frequencies.
     """
     tau = bands.time[cut] - fit.origin
@@ -113,55 +124,59 @@ def _noise_covariance(bands: Bands, cut: slice, fit: Tones, damping: float) -> n
 
 
 def noise_tolerance(bands: Bands, frames: np.ndarray | float) -> np.ndarray:
-    """Residual power over so many frames, relative to the noise's, that noise alone hardly ever exceeds."""
+    """Residual power over so many frames, relative to the noise power, that noise alone rarely exceeds."""
     return 1.3 + 4 / np.sqrt(frames * bands.noise_width / bands.rate)
 
 
-def window(
-    bands: Bands, z: NDArray[np.complex128], fit: Tones, density: np.ndarray, span: tuple[float, float],
+def fit_window(
+    bands: Bands, z: NDArray[np.complex128], fit: Exponentials, density: np.ndarray, span: tuple[float, float],
     damping: float = 0.0, reach: float = np.inf,
 ) -> ExponentialFit:  # fmt: skip
     """One exponential through the frames within `span` (s), by least squares under exp(-damping t).
 
-    Poles keep within `reach` (1/s) of those of `fit`.
+    Poles stay within `reach` (1/s) of those of `fit`.
     """
     cut = bands.cut(*span)
     t = bands.time[cut]
-    faded = fit_tones(z[:, cut] * np.exp(-damping * (t - t[0])), t, fit.pole - damping, steps=8, reach=reach)
+    faded = fit_exponentials(z[:, cut] * np.exp(-damping * (t - t[0])), t, fit.pole - damping, steps=8, reach=reach)
     return with_errors(bands, cut, replace(faded, pole=faded.pole + damping), density, damping)
 
 
-def level_of(
+def measure_levels(
     bands: Bands,
     z: NDArray[np.complex128],
     full_record_fit: ExponentialFit,
     density: np.ndarray,
     decay: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Levels and their standard errors from noise, dB; and by how much later than a level's energy theirs came, s.
+    """Levels and their standard errors due to noise, dB, and `Partials.level_decay_sensitivity_s`, s.
 
-    The weight falls with the partial's amplitude, by the law: less would weigh noise, more the phase of its beats.
+    The weight falls with the amplitude that the decay law predicts. A slower weight would include more noise, a faster
+    one would depend on the phase of the beats.
 
     Parameters
     ----------
-    z : basebands, neighbours' leakage subtracted [partials, frames]
-    whole : of all frames, for its frequency
-    density : [partials], the noise's one-sided
-    decay : 1/s, by which the energy of the frames is brought to the level's span
+    z : basebands without the leakage of neighbours [partials, frames]
+    full_record_fit : of all frames; its frequencies are used
+    density : one-sided noise density [partials]
+    decay : 1/s [partials], which converts the energy of the frames to that of the level's span
     """
     cut = bands.cut(0.0, bands.time[0] + LONG)
     t = bands.time[cut]
-    alpha = np.clip(decay, 0.0, FASTEST)[:, None]
-    fade = np.exp(-np.maximum(SLOWEST, alpha) * (t - t[0]))
+    alpha = np.clip(decay, 0.0, _MAX_DECAY)[:, None]
+    fade = np.exp(-np.maximum(_MIN_WEIGHT_DECAY, alpha) * (t - t[0]))
     wave = np.exp((1j * full_record_fit.fit.pole.imag[:, None] - alpha) * t)
     gain = np.abs(bands.gain(-alpha[:, 0] + 1j * full_record_fit.fit.pole.imag)) / 2
     frame = density / 2 * bands.noise_width  # variance of one frame
     energy, noise = np.sum(np.abs(z[:, cut]) ** 2 * fade, axis=1), frame * fade.sum(axis=1)
-    heard, unit = np.maximum(energy - noise, LEAST * energy), np.sum(np.abs(wave) ** 2 * fade, axis=1)
-    level = 10 * np.log10(heard / unit / gain**2) + energy_level(np.ones((len(z), 1), complex), -alpha.astype(complex))
-    # What noise does along the wave, and its own energy, over that of the wave.
+    partial_energy, unit = np.maximum(energy - noise, _MIN_SHARE * energy), np.sum(np.abs(wave) ** 2 * fade, axis=1)
+    level = 10 * np.log10(partial_energy / unit / gain**2)
+    level = level + energy_level(np.ones((len(z), 1), complex), -alpha.astype(complex))
+    # Variance of the energy: noise times wave, and noise times noise.
     size, colour = bands.colour(len(t))
-    along = np.abs(np.fft.fft(wave * fade, size, axis=1)) ** 2 @ colour / size * density / 4 * bands.rate / unit
-    own = 0.25 * frame**2 * np.sum(fade**2, axis=1) * bands.rate / bands.noise_width
-    late = (np.abs(wave) ** 2 * fade) @ t / unit - mean_time(alpha[:, 0])
-    return level, _DB * np.sqrt(along / heard + own / heard**2), late
+    noise_times_wave = (
+        np.abs(np.fft.fft(wave * fade, size, axis=1)) ** 2 @ colour / size * density / 4 * bands.rate / unit
+    )
+    noise_times_noise = 0.25 * frame**2 * np.sum(fade**2, axis=1) * bands.rate / bands.noise_width
+    lag = (np.abs(wave) ** 2 * fade) @ t / unit - mean_time(alpha[:, 0])
+    return level, _DB * np.sqrt(noise_times_wave / partial_energy + noise_times_noise / partial_energy**2), lag

@@ -1,9 +1,10 @@
-"""Partials that beat: two or three damped exponentials where one does not do.
+"""Partials that beat: two or three damped exponentials where one is not sufficient.
 
-Coupled strings, and the two polarisations of one, give a partial components a few hertz or less apart. ESPRIT (Roy and
-Kailath 1989) finds their poles without starting values: the signal subspace of the baseband's Hankel matrix is shift
-invariant, and the eigenvalues of that shift are the poles. It resolves what a Fourier transform of that length cannot.
-All partials are treated at once; of one, two or three components the fewest that describe the first second are taken.
+Coupled strings and the two polarisations of a string split a partial into components a few hertz or less apart. ESPRIT
+(Roy and Kailath 1989) finds their poles without starting values: the signal subspace of the baseband's Hankel matrix is
+shift invariant, and the eigenvalues of that shift are the poles. It resolves components that a Fourier transform of
+that length cannot. The smallest number of components that describes the first second is used. All partials are computed
+at once.
 """
 
 from __future__ import annotations
@@ -15,56 +16,56 @@ from numpy.typing import NDArray
 
 from .demodulation import Bands
 
-__all__ = ["Components", "resolve"]
+__all__ = ["Components", "resolve_components"]
 
-_SPAN = 1.0  # s of sound that the components have to describe
+_SPAN = 1.0  # s of sound that the components must describe
 _ROWS = 30  # of the Hankel matrix; variance is least with a third of the samples
 _SAMPLES = 90  # of the thinned series
-_GOOD = 1e-3  # misfit over power at which more components are not needed
-_FAIR = 0.05  # misfit over power beyond which even three say nothing
-_FASTEST = 80.0  # 1/s
+_SUFFICIENT = 1e-3  # misfit over power below which no component is added
+_ACCEPTABLE = 0.05  # misfit over power above which the components are not used
+_FASTEST = 80.0  # 1/s, upper bound of decay rates
 
 
 @dataclass(frozen=True)
 class Components:
-    """What the sum of components of each partial amounts to; [partials]."""
+    """Summary of the components of each partial; [partials]."""
 
     frequency: np.ndarray  # Hz, of the component with most energy
     decay: np.ndarray  # 1/s, mean of the components' decay rates weighted by energy
-    valid: np.ndarray  # bool: a sum of up to three components describes the partial
+    valid: np.ndarray  # bool: up to three components describe the partial
 
 
-def resolve(bands: Bands, z: NDArray[np.complex128], frame: np.ndarray, wanted: np.ndarray) -> Components:
-    """Resolve the rows of the basebands `z` that are `wanted`, bool [partials], into one to three components.
+def resolve_components(bands: Bands, z: NDArray[np.complex128], frame: np.ndarray, wanted: np.ndarray) -> Components:
+    """Resolve the `wanted` rows (bool [partials]) of the basebands `z` into one to three components.
 
     Parameters
     ----------
-    frame : [partials], noise variance of one frame
+    frame : noise variance of one frame [partials]
     """
-    found = Components(bands.centre.copy(), np.zeros(len(z)), np.zeros(len(z), bool))
+    result = Components(bands.centre.copy(), np.zeros(len(z)), np.zeros(len(z), bool))
     if wanted.any():
-        some = _resolve(bands.select(wanted), z[wanted], frame[wanted])
-        for field in fields(found):
-            getattr(found, field.name)[wanted] = getattr(some, field.name)
-    return found
+        resolved = _resolve(bands.select(wanted), z[wanted], frame[wanted])
+        for field in fields(result):
+            getattr(result, field.name)[wanted] = getattr(resolved, field.name)
+    return result
 
 
 def _resolve(bands: Bands, z: NDArray[np.complex128], frame: np.ndarray) -> Components:
-    cut = bands.cut(0.0, bands.time[0] + _SPAN)
-    series, time = z[:, cut], bands.time[cut]
+    frames = bands.cut(0.0, bands.time[0] + _SPAN)
+    series, time = z[:, frames], bands.time[frames]
     power = np.mean(np.abs(series) ** 2, axis=1)
     vectors, step = _subspace(series, time)
     best: list[np.ndarray] = []
     for terms in (1, 2, 3):
         pole = _poles(vectors[:, :, -terms:], step)
         amplitude, misfit = _amplitudes(series, time, pole)
-        fresh = _summary(bands, amplitude, pole, misfit)
+        trial = _summary(bands, amplitude, pole, misfit)
         if not best:
-            best = fresh
+            best = trial
             continue
-        wanted = (best[2] > np.maximum(2 * frame, _GOOD * power)) & (misfit < 0.7 * best[2]) & fresh[3]
-        best = [np.where(wanted, new, old) for new, old in zip(fresh, best, strict=True)]
-    described = best[2] < np.maximum(2 * frame, _FAIR * power)
+        wanted = (best[2] > np.maximum(2 * frame, _SUFFICIENT * power)) & (misfit < 0.7 * best[2]) & trial[3]
+        best = [np.where(wanted, new, old) for new, old in zip(trial, best, strict=True)]
+    described = best[2] < np.maximum(2 * frame, _ACCEPTABLE * power)
     return Components(best[0], best[1], valid=best[3].astype(bool) & described)
 
 
@@ -92,8 +93,8 @@ def _amplitudes(
     """Least-squares amplitudes at the first sample [partials, terms], and mean |residual|² [partials]."""
     basis = np.exp(pole[:, None, :] * (time - time[0])[None, :, None])
     amplitude = np.linalg.pinv(basis, rcond=1e-8) @ series[:, :, None]
-    rest = series - (basis @ amplitude)[:, :, 0]
-    return amplitude[:, :, 0] * np.exp(-pole * time[0]), np.mean(np.abs(rest) ** 2, axis=1)
+    residual = series - (basis @ amplitude)[:, :, 0]
+    return amplitude[:, :, 0] * np.exp(-pole * time[0]), np.mean(np.abs(residual) ** 2, axis=1)
 
 
 def _summary(

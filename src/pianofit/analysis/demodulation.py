@@ -1,14 +1,15 @@
-"""From a recording to one slow complex signal per partial.
+"""Demodulation: one complex baseband signal per partial.
 
-One FFT of the zero-padded recording serves all partials. A slice of its bins around each partial, weighted by the
-transform of a Kaiser window, goes back to time at a low rate: the samples of a short-time Fourier transform at that
-one frequency. The window has a finite length T, so from half a window after the end of the contact to half a window
-before the end of the recording a damped cosine Re(c exp(pt)) appears as exactly one exponential,
+One FFT of the zero-padded recording is computed for all partials. A slice of its bins around each partial is weighted
+by the transform of a Kaiser window and transformed back to time at a low rate. This gives the samples of a short-time
+Fourier transform at that one frequency. The window has a finite length T, so from half a window after the end of the
+contact to half a window before the end of the recording a damped cosine Re(c exp(pt)) appears as exactly one
+exponential,
 
     z(t) = c/2 · G(p − jω_c) · exp((p − jω_c) t),     G(s) = sinhc(√(β² + (sT/2)²)) / sinhc(β),
 
-with a complex gain known in closed form (`Bands.gain`). There is no transient beyond that to wait for, and the
-window's first zero lies on the nearest neighbour.
+with a complex gain in closed form (`Bands.gain`). Further transients do not occur. The first zero of the window's
+transform lies on the nearest neighbour.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from numpy.typing import NDArray
 
 __all__ = ["Bands", "demodulate", "fast_length"]
 
-_BETA = 14.0  # side lobes 105 dB down; what is left of the neighbours is subtracted (partials.py)
+_BETA = 14.0  # side lobes 105 dB down; the remaining leakage of neighbours is subtracted (baseband_fit.py)
 _NULL = float(np.hypot(_BETA, np.pi) / np.pi)  # first zero of G, in units of 1/T
 _SLICE = 1.3  # half width of the slice, in units of the first zero
 
@@ -39,7 +40,7 @@ class Bands:
     noise_width: float  # ∫|G|² df, Hz: noise variance of a frame over its two-sided density
 
     def select(self, keep: np.ndarray) -> Bands:
-        """Those of the partials where `keep`, bool [partials]."""
+        """The bands of the partials selected by `keep`, bool [partials]."""
         return replace(self, z=self.z[keep], centre=self.centre[keep])
 
     def gain(self, s: np.ndarray) -> NDArray[np.complex128]:
@@ -52,7 +53,7 @@ class Bands:
         return size, np.abs(self.gain(2j * np.pi * np.fft.fftfreq(size, 1 / self.rate))) ** 2
 
     def cut(self, start: float, stop: float, least: int = 8) -> slice:
-        """Frames centred within `start`..`stop` s, `least` at the least."""
+        """Frames centred within `start`..`stop` s, at least `least` of them."""
         first = min(int(np.searchsorted(self.time, start - 1e-9)), max(len(self.time) - least, 0))
         return slice(first, max(int(np.searchsorted(self.time, stop + 1e-9)), first + least))
 
@@ -64,20 +65,20 @@ def _kaiser_transform(x: np.ndarray) -> NDArray[np.complex128]:
 
 
 def fast_length(count: int) -> int:
-    """Return a length of at least `count` whose Fourier transform is quick."""
+    """Return a length of at least `count` for which the FFT is fast."""
     from scipy.fft import next_fast_len
 
     return cast(int, next_fast_len(count, real=True))
 
 
 def demodulate(samples: np.ndarray, rate: int, centre: np.ndarray, spacing: float, skip: float) -> Bands:
-    """Basebands around `centre` [partials] (Hz), neighbours `spacing` Hz away silenced.
+    """Basebands around `centre` [partials] (Hz), with zeros at neighbours `spacing` Hz away.
 
     Parameters
     ----------
     samples : [samples], beginning at the onset
     rate : Hz
-    skip : end of the contact, s after the onset; no window reaches before it
+    skip : end of the contact, s after the onset; no window begins before it
     """
     window = _NULL / spacing
     size = fast_length(len(samples) + int(window * rate) + 1)
@@ -89,8 +90,7 @@ def demodulate(samples: np.ndarray, rate: int, centre: np.ndarray, spacing: floa
     middle = np.round(centre / width).astype(int)
     index = middle[:, None] + offset
     outside = (index < 0) | (index >= len(bins))
-    # Frames begin at one time whatever the grid of the recording's length: what a beat does to a sum of them must not
-    # differ from recording to recording.
+    # Frames begin at the same time for recordings of any length, so that a beat changes a sum of frames equally in all.
     begin, frame_rate = skip + window / 2, count * width
     slices = np.where(outside, 0.0, bins[np.clip(index, 0, len(bins) - 1)] * weight)
     slices = slices * np.exp(2j * np.pi * begin * width * offset)

@@ -1,8 +1,8 @@
 """One damped exponential per partial, by least squares.
 
-`z(t) = a exp(st)` in white circular noise: the least-squares solution is the maximum-likelihood one and reaches the
-Cramér–Rao bound. The model is analytic in a and s, so Gauss–Newton runs in complex numbers; with a eliminated
-(variable projection, Golub and Pereyra 1973) a step is one quotient, and all partials are stepped at once.
+For `z(t) = a exp(st)` in white circular noise the least-squares solution is the maximum-likelihood one. It reaches the
+Cramér–Rao bound. The model is analytic in a and s, so Gauss–Newton runs in complex numbers. With a eliminated
+(variable projection, Golub and Pereyra 1973) a step is one quotient. All partials are stepped at once.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from ..dsp.damped_powers import powers
 
-__all__ = ["Tones", "fit_tones", "lag_poles"]
+__all__ = ["Exponentials", "fit_exponentials", "autocorrelation_poles"]
 
 
 @dataclass(frozen=True)
-class Tones:
+class Exponentials:
     """One least-squares exponential per row; [rows]."""
 
     amplitude: NDArray[np.complex128]  # complex, at the origin
@@ -27,25 +27,25 @@ class Tones:
     power: np.ndarray  # mean |z|²
     origin: float  # time of the first sample, s
 
-    def kept(self, keep: np.ndarray) -> Tones:
-        """The rows where `keep`, bool [rows]."""
-        return Tones(self.amplitude[keep], self.pole[keep], self.misfit[keep], self.power[keep], self.origin)
+    def select(self, keep: np.ndarray) -> Exponentials:
+        """The rows selected by `keep`, bool [rows]."""
+        return Exponentials(self.amplitude[keep], self.pole[keep], self.misfit[keep], self.power[keep], self.origin)
 
     def __call__(self, t: np.ndarray) -> np.ndarray:
-        """[rows, samples] at even times `t` (s)."""
-        turned = self.amplitude * np.exp(self.pole * (t[0] - self.origin))
-        return turned[:, None] * powers(self.pole * (t[1] - t[0]), len(t))
+        """The exponentials at evenly spaced times `t` (s) [rows, samples]."""
+        first = self.amplitude * np.exp(self.pole * (t[0] - self.origin))
+        return first[:, None] * powers(self.pole * (t[1] - t[0]), len(t))
 
     def at_onset(self) -> np.ndarray:
-        """Amplitudes extrapolated to t = 0, complex [rows]; by no more than exp(50)."""
+        """Amplitudes extrapolated to t = 0, complex [rows]; by a factor of at most exp(50)."""
         back = -self.pole * self.origin
         return self.amplitude * np.exp(np.minimum(back.real, 50.0) + 1j * back.imag)
 
 
-def lag_poles(z: NDArray[np.complex128], t: np.ndarray, lag: float) -> NDArray[np.complex128]:
-    """Poles (1/s) [rows] from the phase and size of the autocorrelation between `lag` and twice that (s).
+def autocorrelation_poles(z: NDArray[np.complex128], t: np.ndarray, lag: float) -> NDArray[np.complex128]:
+    """Poles (1/s) [rows] from the ratio of the autocorrelation at `lag` and at twice that (s).
 
-    Noise that is correlated over less than `lag` does not bias them.
+    Noise with a correlation time below `lag` does not bias them.
     """
     step = float(t[1] - t[0])
     d = int(np.clip(round(lag / step), 1, max(1, (len(t) - 1) // 3)))
@@ -56,43 +56,43 @@ def lag_poles(z: NDArray[np.complex128], t: np.ndarray, lag: float) -> NDArray[n
     return np.asarray(np.log(ratio) / (d * step), complex)
 
 
-def fit_tones(
+def fit_exponentials(
     z: NDArray[np.complex128], t: np.ndarray, start: NDArray[np.complex128], *, steps: int = 12, reach: float = np.inf
-) -> Tones:
-    """Least-squares exponential for each row of `z` [rows, samples] at even times `t` (s), from poles `start` [rows].
+) -> Exponentials:
+    """Least-squares exponential for each row of `z` [rows, samples] at evenly spaced `t` (s), from poles `start`.
 
-    Neither the real nor the imaginary part of a pole goes further than `reach` (1/s) from its start. A row whose step
-    does not lower its misfit goes half as far the next time; rows that have converged stay.
+    Neither the real nor the imaginary part of a pole moves more than `reach` (1/s) from its start. The step of a row
+    is halved if it does not lower the misfit. Rows that have converged do not change.
     """
     tau, step = t - t[0], float(t[1] - t[0])
     span = max(float(tau[-1]), 1e-9)
     lowest, highest = -(60 / span + 400), 5 / span
 
     def limited(pole: NDArray[np.complex128]) -> NDArray[np.complex128]:
-        away = pole - start
-        near = start + np.clip(away.real, -reach, reach) + 1j * np.clip(away.imag, -reach, reach)
+        change = pole - start
+        near = start + np.clip(change.real, -reach, reach) + 1j * np.clip(change.imag, -reach, reach)
         return np.clip(near.real, lowest, highest) + 1j * near.imag
 
     pole, factor = limited(start), np.ones(len(z))
-    move, cost = np.zeros(len(z), complex), np.full(len(z), np.inf)
+    update, cost = np.zeros(len(z), complex), np.full(len(z), np.inf)
     best: list[np.ndarray] = []
     for _ in range(steps + 1):
-        trial = limited(np.asarray(pole + factor * move, complex))
+        trial = limited(np.asarray(pole + factor * update, complex))
         wave = powers(trial * step, len(t))
         sums = _sums(wave, tau)
         amplitude = np.einsum("ij,ij->i", wave.conj(), z) / sums[0]
-        rest = z - amplitude[:, None] * wave
-        trial_cost = np.einsum("ij,ij->i", rest.conj(), rest).real
-        slope = np.einsum("ij,ij->i", wave.conj(), rest * tau) / (sums[2] - sums[1] ** 2 / sums[0])
+        residual = z - amplitude[:, None] * wave
+        trial_cost = np.einsum("ij,ij->i", residual.conj(), residual).real
+        slope = np.einsum("ij,ij->i", wave.conj(), residual * tau) / (sums[2] - sums[1] ** 2 / sums[0])
         better = trial_cost <= cost
         newton = np.where(amplitude == 0, 0, slope / np.where(amplitude == 0, 1, amplitude))
-        fresh = [trial, amplitude, trial_cost, newton]
-        best = fresh if not best else [np.where(better, new, old) for new, old in zip(fresh, best, strict=True)]
-        pole, cost, move = best[0], best[2], best[3]
+        current = [trial, amplitude, trial_cost, newton]
+        best = current if not best else [np.where(better, new, old) for new, old in zip(current, best, strict=True)]
+        pole, cost, update = best[0], best[2], best[3]
         factor = np.where(better, 1.0, factor / 2)
-        if np.max(np.abs(move)) < 1e-10 / span:
+        if np.max(np.abs(update)) < 1e-10 / span:
             break
-    return _tones(best, t[0], z)
+    return _exponentials(best, t[0], z)
 
 
 def _sums(wave: NDArray[np.complex128], tau: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -101,6 +101,6 @@ def _sums(wave: NDArray[np.complex128], tau: np.ndarray) -> tuple[np.ndarray, np
     return size @ np.ones_like(tau), size @ tau, size @ tau**2
 
 
-def _tones(best: list[np.ndarray], origin: float, z: NDArray[np.complex128]) -> Tones:
+def _exponentials(best: list[np.ndarray], origin: float, z: NDArray[np.complex128]) -> Exponentials:
     pole, amplitude, cost = best[:3]
-    return Tones(amplitude, pole, cost / z.shape[1], np.mean(z.real**2 + z.imag**2, axis=1), origin)
+    return Exponentials(amplitude, pole, cost / z.shape[1], np.mean(z.real**2 + z.imag**2, axis=1), origin)

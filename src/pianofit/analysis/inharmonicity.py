@@ -1,12 +1,11 @@
-"""Two laws through many partials: f_k = k f0 √(1 + B k²) and α_k = b1 + d2 k².
+"""Robust fits of the frequency law f_k = k f0 √(1 + B k²) and the decay law α_k = b1 + d2 k².
 
 Both are straight lines in k² after a change of variable, fitted by iteratively reweighted least squares with Huber's
-weights (Huber 1964). What scatters beyond the noise (soundboard, windings, coupled strings) is estimated from the
-residuals and added to each error, so a partial known to a millionth does not outvote the rest of a note that keeps to
-its law only within some cents.
+weights (Huber 1964). Scatter beyond the noise (soundboard, windings, coupled strings) is estimated from the residuals
+and added to each error. A partial with a relative error of one millionth therefore does not outweigh the others.
 
-Beyond some twenty partials windings and shear bend real strings away from the law, smoothly: partial 32 of a C1 lies 14
-cents below, partial 45 of an A0 a whole spacing. Which partial is which, `bend` tells from the neighbours.
+Beyond some twenty partials, windings and shear make real strings deviate smoothly from the law: partial 32 of a C1 lies
+14 cents below it, partial 45 of an A0 a whole spacing. `local_deviation` predicts this deviation from the neighbours.
 """
 
 from __future__ import annotations
@@ -18,11 +17,11 @@ import numpy as np
 __all__ = ["B_RANGE", "CENTS", "DecayLaw", "FrequencyLaw", "local_deviation", "decay_law", "frequency_law"]
 
 CENTS = 1200 / np.log(2)  # cents per unit of log frequency
-B_RANGE = (1e-6, 2e-2)  # searched for B; piano strings have 5e-5 to 2e-2
-_HUBER = 1.5
-# From about this partial on real strings leave the law by cents, and by more as the cube of the number.
+B_RANGE = (1e-6, 2e-2)  # searched range of B; piano strings have 5e-5 to 2e-2
+_HUBER = 1.5  # standard deviations, where the weights begin to fall
+# From about this partial on, real strings deviate from the law by cents, growing as the cube of the number.
 TRUSTED = 10.0
-# Partials that show how far the next one lies from the law: fewer are upset by one that beats, more do not follow.
+# Partials that predict the deviation of the next one: fewer are sensitive to beats, more do not follow the curve.
 NEIGHBOURS = 9
 
 
@@ -35,14 +34,14 @@ class FrequencyLaw:
     B: float
     B_error: float
     scatter: float  # cents, robust, beyond noise
-    excess: float  # the same of low partials alone
+    excess: float  # cents, the same for low partials
 
     def __call__(self, k: np.ndarray | float) -> np.ndarray:
         """Frequencies of partials `k`, Hz."""
         return law_frequency(self.f0, self.B, k)
 
     def deviation_sd(self, k: np.ndarray) -> np.ndarray:
-        """How far partials `k` lie from it beyond their noise, cents, by one standard deviation."""
+        """Standard deviation of partials `k` from the law beyond their noise, cents."""
         return self.excess * _growth(k)
 
 
@@ -67,16 +66,16 @@ def law_frequency(f0: float, B: float, k: np.ndarray | float) -> np.ndarray:
     return k * f0 * np.sqrt(1 + B * k**2)
 
 
-def local_deviation(known: np.ndarray, away: np.ndarray, k: np.ndarray) -> np.ndarray:
-    """How far partials `k` [any number] lie from the law, as their neighbours `known` do, `away`, cents.
+def local_deviation(detected: np.ndarray, deviation: np.ndarray, k: np.ndarray) -> np.ndarray:
+    """Deviation of partials `k` [n] from the law, cents, predicted from the `deviation` of partials `detected`.
 
-    A line through the nearest `NEIGHBOURS`, by the median of the slopes between them (Theil 1950, Sen 1968), carried on
-    no further than the stretch that they show. Fewer show no bend.
+    A line through the nearest `NEIGHBOURS`, with the median of the slopes between them (Theil 1950, Sen 1968). It is
+    extrapolated by at most the range of these. With fewer partials the result is zero.
     """
-    if len(known) < NEIGHBOURS:
+    if len(detected) < NEIGHBOURS:
         return np.zeros(len(k))
-    near = np.argsort(np.abs(known - k[:, None]), axis=1, kind="stable")[:, :NEIGHBOURS]
-    x, y = known[near].astype(float), away[near]
+    near = np.argsort(np.abs(detected - k[:, None]), axis=1, kind="stable")[:, :NEIGHBOURS]
+    x, y = detected[near].astype(float), deviation[near]
     first, second = np.triu_indices(NEIGHBOURS, 1)
     slope = _median((y[:, second] - y[:, first]) / (x[:, second] - x[:, first]))
     low, high = x.min(axis=1), x.max(axis=1)
@@ -85,7 +84,7 @@ def local_deviation(known: np.ndarray, away: np.ndarray, k: np.ndarray) -> np.nd
 
 
 def _median(x: np.ndarray) -> np.ndarray:
-    """Over the last axis, as NumPy's, which costs ten times as much for a few numbers."""
+    """Median over the last axis; for a few numbers ten times as fast as `np.median`."""
     sorted_x, size = np.sort(x, axis=-1), x.shape[-1]
     return 0.5 * (sorted_x[..., (size - 1) // 2] + sorted_x[..., size // 2])
 
@@ -93,8 +92,8 @@ def _median(x: np.ndarray) -> np.ndarray:
 def robust_scatter(residual: np.ndarray, error: np.ndarray, dof: int) -> float:
     """Scatter s that makes the median of |residual|/√(error² + s²) that of a normal variable, 0.6745.
 
-    That median lies above 0.6745 as long as residual²/0.6745² − error² is above s² for more than half of the residuals:
-    so s² is its median. Residuals are widened for the `dof` parameters fitted to them.
+    That median exceeds 0.6745 as long as residual²/0.6745² − error² exceeds s² for more than half of the residuals, so
+    s² is the median of that difference. Residuals are scaled up for the `dof` fitted parameters.
     """
     n = len(residual)
     if n <= dof:
@@ -119,12 +118,12 @@ def _line(x: np.ndarray, value: np.ndarray, weight: np.ndarray) -> tuple[float, 
 def frequency_law(k: np.ndarray, frequency: np.ndarray, error: np.ndarray, *, B: float | None = None) -> FrequencyLaw:
     """Robust f0 and B through partials `k` of `frequency` with standard `error` (Hz), [partials].
 
-    From `TRUSTED` on the law's own error grows as the cube of the number: windings and the shear of a stiff string
-    bend real partials away from it.
+    Beyond `TRUSTED` the error of the law grows as the cube of the number, because windings and the shear of a stiff
+    string make real partials deviate from it.
 
     Parameters
     ----------
-    B : held at this value, with an infinite error; a single partial needs it
+    B : fixed value with an infinite error; required for a single partial
     """
     k = np.asarray(k, float)
     value = (frequency / k) ** 2  # f0² + f0² B k², a straight line in k²
@@ -154,14 +153,14 @@ def frequency_law(k: np.ndarray, frequency: np.ndarray, error: np.ndarray, *, B:
 
 
 def _growth(k: np.ndarray) -> np.ndarray:
-    """How much farther from the law partials `k` lie than low ones do."""
+    """Growth of the deviation from the law at partials `k`, relative to low partials."""
     return np.sqrt(1 + (k / TRUSTED) ** 6)
 
 
 def _stiff_line(
     x: np.ndarray, value: np.ndarray, weight: np.ndarray, B: float | None
 ) -> tuple[float, float, np.ndarray]:
-    """Weighted fit of a (1 + B x): a, B within its range (or held), and the covariance of (a, a B)."""
+    """Weighted fit of a (1 + B x): a, B within its range (or fixed), and the covariance of (a, a B)."""
     if B is None:
         a, b, cov = _line(x, value, weight)
         if a > 0 and B_RANGE[0] <= b / a <= B_RANGE[1]:
@@ -173,9 +172,9 @@ def _stiff_line(
 
 
 def _errors_at_bound(x: np.ndarray, value: np.ndarray, weight: np.ndarray, f0: float, B: float) -> tuple[float, float]:
-    """Standard errors of f0 and of a B at its bound: those of the free line, or how far away it lies if that is more.
+    """Standard errors of f0 and of a B at its bound: those of the free line, or the distance to it if that is larger.
 
-    At the lower bound the error of B is at least B: partials of a harmonic source do not distinguish it from 0.
+    At the lower bound the error of B is at least B, because a harmonic sound does not distinguish B from 0.
     """
     a, b, cov = _line(x, value, weight)
     gradient = np.array([-b / a, 1.0]) / a

@@ -1,7 +1,8 @@
 """The level of a partial: its energy in the first 0.35 s under exp(-8t).
 
-It is read off the energy of the first 2 s, brought to that span by the string's law of decays (`fits.level_of`). A
-partial that was not found has an upper bound instead: the level of an exponential that has all the energy in its band.
+It is computed from the energy of the first 2 s, converted to that span by the decay law
+(`baseband_fit.measure_levels`). A partial that was not detected has an upper bound: the level of an exponential with
+all the energy in its band.
 """
 
 from __future__ import annotations
@@ -11,19 +12,19 @@ from numpy.typing import NDArray
 
 from .demodulation import demodulate
 
-__all__ = ["bounds", "energy_level", "mean_time"]
+__all__ = ["absent_level_bounds", "energy_level", "mean_time"]
 
 LEVEL_SECONDS = 0.35  # s
-LEVEL_RATE = 16.0  # 1/s, at which the weight on power falls
-_FASTEST = 40.0  # 1/s; the law of decay rates, carried on beyond the partials that show it, is believed up to here
-_CLOSE = 0.97  # null of an absent partial's band, in spacings of the partials
+LEVEL_RATE = 16.0  # 1/s, decay rate of the weight on power
+_MAX_DECAY = 40.0  # 1/s, upper bound of the decay law extrapolated beyond the detected partials
+_NULL = 0.97  # first zero of an absent partial's band, in spacings of the partials
 
 
 def energy_level(amplitude: NDArray[np.complex128], pole: NDArray[np.complex128]) -> np.ndarray:
     """10 log10 ½ ∫_0^0.35s |Σ_i c_i exp(p_i t)|² exp(−16 t) dt, in closed form; dB re full scale² · s, [partials].
 
-    The energy of the real signal, save for the part that turns at twice its frequency: that depends on the phase in
-    which the clock found the partial, and says nothing of the strike.
+    The energy of the real signal without the part that oscillates at twice its frequency. That part depends on the
+    phase of the partial at the onset and carries no information on the strike.
 
     Parameters
     ----------
@@ -42,7 +43,7 @@ def energy_level(amplitude: NDArray[np.complex128], pole: NDArray[np.complex128]
 
 
 def mean_time(decay: np.ndarray) -> np.ndarray:
-    """Mean time, s, of the energy that makes the level: d level / d log|envelope|(t) has its centre there.
+    """Mean time, s, of the energy in the level; d level / d log|envelope|(t) is centred there.
 
     Parameters
     ----------
@@ -52,29 +53,29 @@ def mean_time(decay: np.ndarray) -> np.ndarray:
     return LEVEL_SECONDS * (1 / x - 1 / np.expm1(x))
 
 
-def bounds(
+def absent_level_bounds(
     samples: np.ndarray, rate: int, frequency: np.ndarray, decay: np.ndarray, f0: float, skip: float
 ) -> np.ndarray:
-    """Upper bounds on the levels of partials that were not found, dB re full scale² · s, [absent].
+    """Upper bounds on the levels of partials that were not detected, dB re full scale² · s, [absent].
 
-    The level of an exponential of that frequency and decay with as much energy in the band as there is, noise
-    included. The band falls to nought at the neighbours; at 0.3 spacings it is 5.5 dB down.
+    Each is the level of an exponential of that frequency and decay with all the energy in the band, including noise.
+    The band falls to zero at the neighbours. At 0.3 spacings it is 5.5 dB down.
 
     Parameters
     ----------
     samples : [samples] at `rate` (Hz), beginning at the onset
-    frequency, decay : [absent], Hz and 1/s, by the string's laws
+    frequency, decay : [absent], Hz and 1/s, from the laws of the string
     f0 : Hz
     skip : end of the contact, s
     """
     if not len(frequency):
         return np.zeros(0)
-    decay = np.minimum(decay, _FASTEST)
-    whole = demodulate(samples[:rate], rate, frequency, _CLOSE * f0, skip)
-    cut = whole.cut(0.0, LEVEL_SECONDS, least=1)
-    z, t = whole.z[:, cut], whole.time[cut]
-    pole = -decay + 2j * np.pi * (frequency - whole.centre)
-    wave = np.abs(whole.gain(pole) / 2)[:, None] * np.exp(-decay[:, None] * t)
+    decay = np.minimum(decay, _MAX_DECAY)
+    bands = demodulate(samples[:rate], rate, frequency, _NULL * f0, skip)
+    frames = bands.cut(0.0, LEVEL_SECONDS, least=1)
+    z, t = bands.z[:, frames], bands.time[frames]
+    pole = -decay + 2j * np.pi * (frequency - bands.centre)
+    wave = np.abs(bands.gain(pole) / 2)[:, None] * np.exp(-decay[:, None] * t)
     weight = np.exp(-LEVEL_RATE * t)
     power = (np.abs(z) ** 2 @ weight) / (wave**2 @ weight)
     return energy_level(np.sqrt(power)[:, None], (-decay + 2j * np.pi * frequency)[:, None])

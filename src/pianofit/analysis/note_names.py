@@ -11,9 +11,9 @@ from ..errors import AnalysisError, check_type
 
 __all__ = ["SAME_KEY", "cents_above", "hz_to_note", "midi_to_note", "near_note", "note_to_hz", "note_to_midi"]
 
-# Recordings of one key are within this of each other, cents; the next key is 100 away.
+# Largest difference in pitch between recordings of one key, cents; the next key is 100 away.
 SAME_KEY = 40.0
-HIGHEST_MIDI = 127  # of the MIDI standard
+HIGHEST_MIDI = 127  # highest note number of the MIDI standard
 _STEPS = {"C": 0, "D": 2, "E": 4, "F": 5, "G": 7, "A": 9, "B": 11}
 _NAMES = ("C", "C#", "D", "D#", "E", "F", "F#", "G", "G#", "A", "A#", "B")
 _NOTE = re.compile(r"([A-Ga-g])(##|#|♯|s|bb|b|♭|)(-1|\d)")
@@ -27,9 +27,9 @@ def note_to_midi(name: str | int) -> int:
     Raises
     ------
     AnalysisError
-        When `name` is no note.
+        If `name` is not a note.
     ParameterError
-        When it is neither text nor a whole number.
+        If it is neither text nor a whole number.
     """
     check_type("note=", name, str | Integral, "a name such as 'F#2', or a MIDI number")
     text = str(name).strip()
@@ -56,12 +56,12 @@ def hz_to_note(frequency: float) -> str:
 
 
 def cents_above(frequency: float, reference: float) -> float:
-    """How far `frequency` lies above `reference`, both in Hz, in cents."""
+    """Interval from `reference` up to `frequency`, both in Hz, in cents."""
     return 1200 * math.log2(frequency / reference)
 
 
 def near_note(frequency: float) -> str:
-    """The nearest note and how far `frequency` (Hz) is from it: "F#2 -4 cents"."""
+    """The note nearest to `frequency` (Hz) and the distance from it: "F#2 -4 cents"."""
     name = hz_to_note(frequency)
     return f"{name} {cents_above(frequency, note_to_hz(name)):+.0f} cents"
 

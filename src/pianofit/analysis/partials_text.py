@@ -1,4 +1,4 @@
-"""An analysis as plain data, and as rows to print."""
+"""An analysis as plain data and as rows of a printed table."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ class Column(NamedTuple):
 
     name: str
     unit: str
-    digits: int  # after the point; of a value with a standard error as many as that supports
+    digits: int  # after the point; fewer if the standard error supports fewer
     width: int  # characters
-    error: bool = False  # whether it is the standard error of the column before it
+    error: bool = False  # True for the standard error of the preceding column
 
 
 COLUMNS = (
@@ -39,10 +39,10 @@ COLUMNS = (
 
 
 def as_dict(analysis: Analysis) -> dict[str, Any]:
-    """JSON-ready copy; what is not finite (an error that nothing bounds) becomes None.
+    """JSON-ready copy. Values that are not finite (unbounded errors) become None.
 
-    Of the systematic covariances it has the standard deviations, as `frequency_systematic` and so on: [partials], Hz,
-    1/s and dB.
+    Systematic covariances are replaced by standard deviations [partials], in Hz, 1/s and dB: `frequency_systematic`,
+    `decay_systematic` and `level_systematic`.
     """
     data = {field.name: _plain(getattr(analysis, field.name)) for field in dataclasses.fields(analysis)}
     for name in ("frequency_systematic", "decay_systematic", "level_systematic"):
@@ -63,7 +63,7 @@ def _plain(value: Any) -> Any:
 
 
 def rows(analysis: Analysis) -> list[tuple[float, ...]]:
-    """One tuple per partial, in the order of `COLUMNS`; a standard error is of noise and systematic errors together."""
+    """One tuple per partial, in the order of `COLUMNS`. Standard errors include noise and systematic errors."""
     table = analysis.partials
     cents = CENTS * np.log(table.frequency / law_frequency(analysis.f0, analysis.B, table.number))
     columns = (

@@ -1,4 +1,4 @@
-"""Prominent peaks of a stretch of the recording, and the noise between them."""
+"""Prominent spectral peaks of a part of the recording, and the noise between them."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from .demodulation import fast_length
 __all__ = ["Spectrum", "noise_between", "spectrum"]
 
 _BETA = 10.0  # side lobes 75 dB down
-_SHARPEST = 18.0  # side lobes 135 dB down: of partials of a long recording, below any noise between them
-_FOOT = 0.25  # half width of a peak at its foot, in spacings of the partials, when noise between them is measured
-_SPAN = 160.0  # Hz, over which the floor of a spectrum is taken
-_FLOOR = -200.0  # dB; below this is no sound
-_CAP = 60.0  # dB; a peak's prominence counts no further than this
+_SHARPEST = 18.0  # side lobes 135 dB down: in a long recording below any noise between the partials
+_FOOT = 0.25  # half width of a peak at its foot, in spacings of the partials, for the noise between them
+_SPAN = 160.0  # Hz, width over which the floor of a spectrum is computed
+_FLOOR = -200.0  # dB, lower bound of spectral levels
+_CAP = 60.0  # dB, upper bound of a peak's prominence
 
 
 @dataclass(frozen=True)
 class Spectrum:
-    """The peaks of a windowed stretch's power spectrum, over its floor."""
+    """Peaks of the power spectrum of a windowed part of the recording, relative to its floor."""
 
     step: float  # Hz between bins
     peak: np.ndarray  # [peaks], Hz, ascending
@@ -37,7 +37,7 @@ def _density(samples: np.ndarray, rate: int, pad: int, beta: float = _BETA) -> t
 
 
 def _floor(level: np.ndarray, step: float, span: float) -> np.ndarray:
-    """Take the running 30 % quantile of `level` (dB) over `span` Hz; on blocks, and interpolated."""
+    """Running 30 % quantile of `level` (dB) over `span` Hz, computed on blocks and interpolated."""
     block = max(8, int(span / 4 / step))
     count = -(-len(level) // block)
     padded = np.pad(level, (0, count * block - len(level)), mode="edge").reshape(count, block)
@@ -52,18 +52,18 @@ def spectrum(samples: np.ndarray, rate: int, seconds: float) -> Spectrum:
     """Spectrum of the first `seconds` of `samples`."""
     from scipy.signal import find_peaks
 
-    piece = samples[: max(64, int(seconds * rate))]
-    power, step = _density(piece, rate, 4)
+    part = samples[: max(64, int(seconds * rate))]
+    power, step = _density(part, rate, 4)
     level = 10 * np.log10(power + 1e-40)
     level = np.maximum(level, max(_FLOOR, float(level.max()) - 140.0))
-    # 10 dB above the 30 % quantile: chance maxima of noise rarely reach it
+    # Maxima of noise rarely reach 10 dB above the 30 % quantile.
     prominence = np.clip(level - _floor(level, step, max(_SPAN, 40 * step)) - 10.0, 0.0, _CAP)
     at = find_peaks(level)[0]
     at = at[prominence[at] > 0]
     left, middle, right = level[at - 1], level[at], level[at + 1]
     bend = left - 2 * middle + right
     shift = np.where(bend < 0, 0.5 * (left - right) / np.minimum(bend, -1e-12), 0.0)
-    resolution = float(np.hypot(_BETA, np.pi) / np.pi) * rate / len(piece)
+    resolution = float(np.hypot(_BETA, np.pi) / np.pi) * rate / len(part)
     return Spectrum(step, (at + shift) * step, prominence[at], middle, resolution)
 
 
@@ -72,12 +72,13 @@ def noise_between(
 ) -> np.ndarray:
     """One-sided noise density (full scale²/Hz) near each of `wanted` Hz, between the partials at `expected` Hz.
 
-    The median of the bins within ± 2 spacings that lie at least 0.3 spacings from every expected partial; the median
-    of an exponential variable is ln 2 of its mean. Measured from `start` s after the onset to the end.
+    It is the median of the bins within ± 2 spacings that lie at least 0.3 spacings from every expected partial, divided
+    by ln 2, the ratio of median to mean of an exponential variable. The bins are those of the sound from `start` s
+    after the onset to the end.
     """
-    piece = samples[min(int(start * rate), len(samples) // 2) :]
-    reach = np.pi * _FOOT * spacing * len(piece) / rate
-    power, step = _density(piece, rate, 1, float(np.clip(reach, _BETA, _SHARPEST)))
+    part = samples[min(int(start * rate), len(samples) // 2) :]
+    reach = np.pi * _FOOT * spacing * len(part) / rate
+    power, step = _density(part, rate, 1, float(np.clip(reach, _BETA, _SHARPEST)))
     frequency = np.arange(len(power)) * step
     place = np.searchsorted(expected, frequency)
     padded = np.concatenate([[-np.inf], expected, [np.inf]])
@@ -88,7 +89,7 @@ def noise_between(
         low, high = np.searchsorted(frequency, [f - 2 * spacing, f + 2 * spacing])
         values = power[low:high][quiet[low:high]]
         density[i] = np.median(values) / np.log(2) if len(values) else np.nan
-    known = np.isfinite(density)
-    if not known.any():
+    measured = np.isfinite(density)
+    if not measured.any():
         return np.full(len(wanted), float(np.median(power)) / np.log(2))
-    return np.interp(wanted, wanted[known], density[known])
+    return np.interp(wanted, wanted[measured], density[measured])

@@ -1,4 +1,4 @@
-"""An instrument as files for other programs: samplers (SFZ, Decent Sampler) and Faust."""
+"""Export of an instrument to other programs: samplers (SFZ, Decent Sampler) and Faust."""
 
 from .formats import SAMPLERS
 from .layers import parse_keys

@@ -1,8 +1,8 @@
-"""The formats of samplers, each a text beside samples: which key plays which sample, and how loud at which velocity.
+"""Sampler formats: a text that maps keys and velocities to samples and gains.
 
-SFZ has a group for each key and a region for each layer, with its own curve over velocity. Decent Sampler has no
-crossfades, but a voice's velocity may modulate the volume of a group, by a table: so it has a group for each sample.
-Its format is documented at https://decentsampler-developers-guide.readthedocs.io.
+In SFZ, a key is a group and a layer is a region with its own gain curve over velocity. Decent Sampler has no
+crossfades, but a table can modulate the volume of a group by velocity, so every sample is a group. Its format is
+documented at https://decentsampler-developers-guide.readthedocs.io.
 """
 
 from __future__ import annotations
@@ -16,27 +16,27 @@ from .layers import LOUDEST, SampledKey, Zone
 
 __all__ = ["SAMPLERS"]
 
-# How far an SFZ envelope falls in the time `ampeg_release` says, nepers. SFZ leaves it open; sfizz has 9.
+# Fall of an SFZ envelope during `ampeg_release`, nepers. The format does not define it; this is the value of sfizz.
 SFZ_RELEASED = 9.0
-# The first version of Decent Sampler whose documentation has velocity as a modulator.
+# First version of Decent Sampler that documents velocity as a modulator.
 DECENT_VERSION = "1.15.0"
-# How far its envelope falls in the time of its release, nepers; the format does not say, 60 dB is usual.
+# Fall of its envelope during the release, nepers. The format does not define it; 60 dB is usual.
 DECENT_RELEASED = math.log(1000)
 
 
 class Sampler(NamedTuple):
-    """A format of samplers."""
+    """One sampler format."""
 
-    ending: str  # of its text's name
-    kind: str  # of samples that all its players read
-    text: Callable[[str, Sequence[SampledKey]], str]  # of a title and the keys
+    ending: str  # file name suffix of the text
+    kind: str  # audio format that all its players read
+    text: Callable[[str, Sequence[SampledKey]], str]  # (title, keys) -> text
 
 
 def _sfz(title: str, keys: Sequence[SampledKey]) -> str:
-    """Curves hold every velocity: players need not agree on what is between."""
-    lines = [f"// {title}: strings and hammers, played by pianofit", "<global> amp_veltrack=100 ampeg_attack=0", ""]
+    """SFZ text. Gain curves list every velocity, because players interpolate them differently."""
+    lines = [f"// {title}: strings and hammers, computed by pianofit", "<global> amp_veltrack=100 ampeg_attack=0", ""]
     for key in keys:
-        # The damper raises the decay of every mode alike, as an exponential envelope does.
+        # The damper adds the same decay rate to every mode, as an exponential envelope does.
         end = f"ampeg_release={SFZ_RELEASED / key.damper:.4f}" if key.damper else "loop_mode=one_shot"
         lines.append(f"<group> lokey={key.low} hikey={key.high} pitch_keycenter={key.midi} {end}")
         for zone, file in zip(key.zones, key.files, strict=True):
@@ -47,18 +47,18 @@ def _sfz(title: str, keys: Sequence[SampledKey]) -> str:
 
 def _dspreset(title: str, keys: Sequence[SampledKey]) -> str:
     root = ElementTree.Element("DecentSampler", minVersion=DECENT_VERSION)
-    root.append(ElementTree.Comment(f" {title}: strings and hammers, played by pianofit "))
+    root.append(ElementTree.Comment(f" {title}: strings and hammers, computed by pianofit "))
     groups = ElementTree.SubElement(root, "groups", attack="0", decay="0", sustain="1")
     modulators = ElementTree.SubElement(root, "modulators")
     velocity = ElementTree.SubElement(modulators, "midiVelocity", scope="voice", modAmount="1.0")
     zones = [(key, zone, file) for key in keys for zone, file in zip(key.zones, key.files, strict=True)]
     for i, (key, zone, file) in enumerate(zones):
         group = ElementTree.SubElement(groups, "group", ampVelTrack="0")
-        heard = {"path": file, "rootNote": key.midi, "loNote": key.low, "hiNote": key.high}
-        heard |= {"loVel": zone.low, "hiVel": zone.high}
-        # The damper's decay; without one a note rings on.
-        heard |= {"release": f"{DECENT_RELEASED / key.damper:.4f}"} if key.damper else {"ampEnvEnabled": "false"}
-        ElementTree.SubElement(group, "sample", {name: str(value) for name, value in heard.items()})
+        attributes = {"path": file, "rootNote": key.midi, "loNote": key.low, "hiNote": key.high}
+        attributes |= {"loVel": zone.low, "hiVel": zone.high}
+        # The damper is the release; without a damper the note rings on.
+        attributes |= {"release": f"{DECENT_RELEASED / key.damper:.4f}"} if key.damper else {"ampEnvEnabled": "false"}
+        ElementTree.SubElement(group, "sample", {name: str(value) for name, value in attributes.items()})
         ElementTree.SubElement(
             velocity, "binding", type="amp", level="group", groupIndex=str(i), parameter="AMP_VOLUME",
             modBehavior="set", translation="table", translationTable=_table(zone),
@@ -68,7 +68,7 @@ def _dspreset(title: str, keys: Sequence[SampledKey]) -> str:
 
 
 def _table(zone: Zone) -> str:
-    """Pairs of a modulator's value, 0 to 1, and a volume."""
+    """Pairs of modulator value, 0 to 1, and volume."""
     velocities = range(zone.low, zone.high + 1)
     pairs = [f"{v / LOUDEST:.6f},{gain:.5g}" for v, gain in zip(velocities, zone.gain, strict=True)]
     # A table needs two points.

@@ -1,12 +1,12 @@
-"""How a sampler divides keys and velocities: which key plays which sample, and how layers cross over.
+"""Key ranges and velocity crossfades of a sampler.
 
-Layers are struck at velocities from 1 to 127. Between two of them both are heard, each brought to the level that the
-model has at the velocity played: with t going from 0 to 1,
+Layers are struck at velocities from 1 to 127. Between two layers a and b both sound. Their sum has the level L(v) of
+the model at the played velocity v, with t rising from 0 to 1:
 
     x(v) = L(v) ((1 - t) a/L_a + t b/L_b) / |(1 - t) a/L_a + t b/L_b|
 
-Two strokes on one string have the same modes. Aligned in time they add like amplitudes, not like powers, and what is
-left of a difference is in their correlation: the sum's own level is known before it is heard.
+Two strokes on one string have the same modes, so that time-aligned layers add in amplitude and not in power. The
+remaining difference is described by their correlation, from which the level of the sum is computed in advance.
 """
 
 from __future__ import annotations
@@ -24,41 +24,41 @@ from ..errors import AnalysisError, ParameterError
 from ..instrument.collect_fits import HIGHEST_KEY, LOWEST_KEY
 
 __all__ = [
-    "LOUDEST", "SOFTEST", "SampledKey", "Zone", "crossfaded", "format_keys", "key_ranges", "parse_keys", "silent_keys",
-    "velocities_of", "without_gaps",
+    "LOUDEST", "SOFTEST", "SampledKey", "Zone", "crossfade_layers", "format_keys", "key_ranges", "layer_velocities",
+    "parse_keys", "silent_keys", "without_gaps",
 ]  # fmt: skip
 
 # MIDI velocities of strokes.
 SOFTEST, LOUDEST = 1, 127
 # No sample is transposed further than this, semitones.
-FARTHEST = 6
+LARGEST_TRANSPOSITION = 6
 
 
 class Zone(NamedTuple):
-    """One sample of a key, and how loud it is played."""
+    """One sample of a key, with its gain over velocity."""
 
-    velocity: int  # MIDI, it was struck at
-    low: int  # velocities at which it is heard
+    velocity: int  # MIDI, of the stroke
+    low: int  # range of velocities in which it sounds
     high: int
-    gain: np.ndarray  # amplitude at each of them, at most 1 [high - low + 1]
-    loudest: float  # what the sample is raised by for that: between far layers a soft one may have to be louder
+    gain: np.ndarray  # amplitude at each velocity of the range, at most 1 [high - low + 1]
+    sample_gain: float  # of the sample itself; above 1 where a crossfade needs it louder than its stroke
 
 
 class SampledKey(NamedTuple):
-    """One key that a sampler plays from samples of its own, and the keys about it."""
+    """One sampled key, with the range of keys that it plays."""
 
     midi: int
-    low: int  # keys that it plays
+    low: int  # range of keys that it plays
     high: int
-    damper: float  # what it adds to every decay, 1/s; 0 without one
+    damper: float  # decay rate that the damper adds, 1/s; 0 without damper
     zones: Sequence[Zone]
-    files: Sequence[str]  # of each zone, from the sampler's folder
+    files: Sequence[str]  # of each zone, relative to the folder of the sampler
 
 
 def parse_keys(text: str) -> list[int]:
-    """Keys named on a command line: A0-C8, C2,E2,G2, "every 3" (semitones from A0), or a mixture by commas.
+    """Parse keys from a command line: A0-C8, C2,E2,G2, "every 3" (semitones from A0), or a comma-separated mixture.
 
-    Raises `ParameterError`, naming the part that is no key.
+    Raises `ParameterError`, which names the part that is not a key.
     """
     keys: set[int] = set()
     for part in (piece.strip() for piece in text.split(",")):
@@ -70,42 +70,42 @@ def parse_keys(text: str) -> list[int]:
                 continue
             low, high = (note_to_midi(end) for end in (ends if len(ends) == 2 else [part, part]))
         except AnalysisError:
-            raise ParameterError(f"--keys {text!r}: {part!r} is no key; write C2,E2 or A0-C8 or 'every 3'") from None
+            raise ParameterError(f"--keys {text!r}: {part!r} is not a key; write C2,E2 or A0-C8 or 'every 3'") from None
         if not LOWEST_KEY <= low <= high <= HIGHEST_KEY:
-            raise ParameterError(f"--keys {text!r}: {part!r} must lie from A0 to C8, the lower first")
+            raise ParameterError(f"--keys {text!r}: {part!r} must be within A0 to C8, lower key first")
         keys.update(range(low, high + 1))
     return sorted(keys)
 
 
 def key_ranges(keys: Sequence[int]) -> list[tuple[int, int]]:
-    """Which keys each sampled key plays: up to half-way to its neighbours, and as far at the two ends."""
+    """Range of keys that each sampled key plays: half-way to its neighbours, and symmetric at both ends."""
     gaps = [b - a for a, b in pairwise(keys)]
     below = [gaps[0] if gaps else 1, *gaps]
     above = [*gaps, gaps[-1] if gaps else 1]
     spans = []
     for key, down, up in zip(keys, below, above, strict=True):
-        low, high = key - min((down - 1) // 2, FARTHEST), key + min(up // 2, FARTHEST)
+        low, high = key - min((down - 1) // 2, LARGEST_TRANSPOSITION), key + min(up // 2, LARGEST_TRANSPOSITION)
         spans.append((max(low, LOWEST_KEY), min(high, HIGHEST_KEY)))
     return spans
 
 
 def without_gaps(keys: Sequence[int]) -> list[int]:
-    """Sampled keys with as many more, evenly spaced, as let every key between them be played."""
-    found = list(keys[:1])
+    """Sampled keys with the fewest evenly spaced additions that let every key between them be played."""
+    filled = list(keys[:1])
     for low, high in pairwise(keys):
-        parts = math.ceil((high - low) / (2 * FARTHEST + 1))
-        found += [low + round(part * (high - low) / parts) for part in range(1, parts + 1)]
-    return found
+        parts = math.ceil((high - low) / (2 * LARGEST_TRANSPOSITION + 1))
+        filled += [low + round(part * (high - low) / parts) for part in range(1, parts + 1)]
+    return filled
 
 
 def silent_keys(keys: Sequence[SampledKey]) -> list[int]:
-    """Keys of the piano that no sample plays."""
+    """Keys of the piano without a sample in reach."""
     played = {midi for key in keys for midi in range(key.low, key.high + 1)}
     return [midi for midi in range(LOWEST_KEY, HIGHEST_KEY + 1) if midi not in played]
 
 
 def format_keys(keys: Sequence[int]) -> str:
-    """Ascending keys as text: "A0 to B3, C#5"; "none" without any."""
+    """Ascending keys as text, such as "A0 to B3, C#5", or "none"."""
     runs: list[list[int]] = []
     for midi in keys:
         if runs and midi == runs[-1][-1] + 1:
@@ -116,35 +116,35 @@ def format_keys(keys: Sequence[int]) -> str:
     return ", ".join(" to ".join(pair) for pair in ends) or "none"
 
 
-def velocities_of(count: int) -> list[int]:
-    """MIDI velocities of `count` layers, from the softest to the loudest stroke; the loudest alone, if one."""
+def layer_velocities(count: int) -> list[int]:
+    """MIDI velocities of `count` layers, from softest to loudest. A single layer is the loudest."""
     return [int(v) for v in np.round(np.linspace(SOFTEST, LOUDEST, count))] if count > 1 else [LOUDEST]
 
 
-def crossfaded(velocities: Sequence[int], level_db: np.ndarray, alike: Sequence[float]) -> list[Zone]:
-    """The layers of a key.
+def crossfade_layers(velocities: Sequence[int], level_db: np.ndarray, correlation: Sequence[float]) -> list[Zone]:
+    """Gain curves of the layers of a key.
 
     Parameters
     ----------
-    velocities : MIDI, ascending [layers], those of the samples.
-    level_db : at every MIDI velocity from 0 to 127 [128].
-    alike : correlation of each sample with the next louder one, aligned [layers - 1].
+    velocities : MIDI velocities of the samples, ascending [layers].
+    level_db : level at every MIDI velocity from 0 to 127 [128].
+    correlation : correlation of each sample with the next louder one, aligned [layers - 1].
     """
     edges = [SOFTEST - 1, *velocities, LOUDEST + 1]
     zones = []
-    for i, own in enumerate(velocities):
+    for i, struck in enumerate(velocities):
         low, high = (edges[i] + 1, edges[i + 2] - 1) if len(velocities) > 1 else (SOFTEST, LOUDEST)
-        heard = np.arange(low, high + 1)
-        gain = 10 ** ((level_db[heard] - level_db[own]) / 20)
+        span = np.arange(low, high + 1)
+        gain = 10 ** ((level_db[span] - level_db[struck]) / 20)
         if i > 0:
-            gain[heard < own] *= _share(heard[heard < own], edges[i], own, alike[i - 1])
+            gain[span < struck] *= _crossfade(span[span < struck], edges[i], struck, correlation[i - 1])
         if i < len(velocities) - 1:
-            gain[heard > own] *= _share(heard[heard > own], edges[i + 2], own, alike[i])
-        zones.append(Zone(own, low, high, gain / gain.max(), float(gain.max())))
+            gain[span > struck] *= _crossfade(span[span > struck], edges[i + 2], struck, correlation[i])
+        zones.append(Zone(struck, low, high, gain / gain.max(), float(gain.max())))
     return zones
 
 
-def _share(velocity: np.ndarray, other: int, own: int, alike: float) -> np.ndarray:
-    """Of a sample struck at `own` beside one struck at `other`, both of level 1, in a sum of level 1."""
-    t = (velocity - other) / (own - other)
-    return t / np.sqrt(t**2 + (1 - t) ** 2 + 2 * t * (1 - t) * alike)
+def _crossfade(velocity: np.ndarray, other: int, struck: int, correlation: float) -> np.ndarray:
+    """Amplitude of the sample struck at `struck` in its crossfade with `other`, both of level 1, the sum of level 1."""
+    t = (velocity - other) / (struck - other)
+    return t / np.sqrt(t**2 + (1 - t) ** 2 + 2 * t * (1 - t) * correlation)

@@ -1,4 +1,4 @@
-"""What a sampler's folder says of itself to a reader."""
+"""The README.txt of an exported sampler."""
 
 from __future__ import annotations
 
@@ -10,27 +10,28 @@ from ..io.files import printable
 from ..playback.voice import LAST_DAMPER
 from .layers import SampledKey, format_keys, silent_keys
 
-__all__ = ["MARK", "readme_text"]
+__all__ = ["EXPORT_MARK", "readme_text"]
 
-# What tells an export from a folder of the user's.
-MARK = "Every sample is computed by pianofit"
+# A line that identifies a folder as an export, so that --force never deletes a folder of the user.
+EXPORT_MARK = "Every sample is computed by pianofit"
 NO_LICENCE = (
-    "None was given when this folder was written (pianofit export --licence WORDS). The samples are computed from an\n"
-    "instrument that was fitted to recordings; whether the recordings' licence binds them is for you to find out."
+    "No licence was given when this folder was written (pianofit export --licence WORDS). The samples are\n"
+    "computed from an instrument that was fitted to recordings. Check whether the licence of the\n"
+    "recordings applies to them."
 )
 
 
 def readme_text(instrument: Instrument, file: str, keys: Sequence[SampledKey], licence: str | None) -> str:
-    """README.txt; what comes from the user is on one line."""
-    own = [key.midi for key in keys]
-    guesses = instrument.unrecorded_keys(own)
-    recorded = [midi for midi in own if midi not in guesses]
-    moved = sorted({midi for key in keys for midi in range(key.low, key.high + 1)} - set(own))
+    """Text of README.txt. Names and words from the user are escaped, so that each stays on one line."""
+    sampled = [key.midi for key in keys]
+    unrecorded = instrument.unrecorded_keys(sampled)
+    recorded = [midi for midi in sampled if midi not in unrecorded]
+    transposed = sorted({midi for key in keys for midi in range(key.low, key.high + 1)} - set(sampled))
     return f"""{printable(instrument.name) or "An instrument"}
 {"=" * (len(printable(instrument.name)) or 13)}
 
-Load {file} in a sampler. {MARK} from the instrument's strings, hammers and modes; none is
-a recording. {_layers(len(keys[0].zones))}
+Load {file} in a sampler. {EXPORT_MARK} from the instrument's strings, hammers and modes. No sample
+is a recording. {_layers(len(keys[0].zones))}
 
 Licence
 -------
@@ -38,27 +39,27 @@ Licence
 
 Keys
 ----
-{_changed(instrument, own)}Sampled, and fitted to recordings of the key: {_named(recorded)}
-Sampled, but guesses (never recorded; laws over the keyboard): {_named(guesses)}
-Played from the nearest sampled key, transposed: {_named(moved)}
+{_changed(instrument, sampled)}Sampled, fitted to recordings of the key: {_named(recorded)}
+Sampled, not recorded (guesses, interpolated by keyboard laws): {_named(unrecorded)}
+Transposed from the nearest sampled key: {_named(transposed)}
 Silent: {format_keys(silent_keys(keys))}
 
 Release
 -------
-No sample is triggered by a release: a damper is a faster decay of all modes, and no more is known of it. It was chosen,
-not fitted. Keys above {midi_to_note(LAST_DAMPER)} have none and ring on.
+A release triggers no sample. The damper is modelled as an additional decay rate of all modes, with assumed values.
+Keys above {midi_to_note(LAST_DAMPER)} have no damper and ring on.
 """
 
 
 def _layers(count: int) -> str:
     if count == 1:
-        return "A key has one layer, as loud as the velocity asks."
-    return f"A key has {count} layers. Between two of them both are heard, together as loud\nas the velocity asks."
+        return "A key has one layer, scaled to the level of each velocity."
+    return f"A key has {count} layers. Between two layers both sound, crossfade_layers to the\nlevel of the velocity."
 
 
-def _changed(instrument: Instrument, own: Sequence[int]) -> str:
-    changed = [midi for midi in instrument.changed if midi in own]
-    return f"Sampled, and changed by hand on the page to play: {_named(changed)}\n" if changed else ""
+def _changed(instrument: Instrument, sampled: Sequence[int]) -> str:
+    changed = [midi for midi in instrument.changed if midi in sampled]
+    return f"Sampled, changed by hand on the page to play: {_named(changed)}\n" if changed else ""
 
 
 def _named(keys: Sequence[int]) -> str:

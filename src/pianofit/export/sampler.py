@@ -1,7 +1,7 @@
-"""An instrument as a sampler's: a folder with one text, a readme, and a sample for every key and layer asked for.
+"""Export to a sampler: a folder with one text, a readme, and a sample for every requested key and layer.
 
-All samples share one gain, so that soft and loud, bass and treble keep their levels. Keys that have no sample of their
-own are played from the nearest one, transposed.
+All samples share one gain, so that levels over velocity and keys are preserved. A key without its own sample is
+transposed from the nearest sampled key.
 """
 
 from __future__ import annotations
@@ -24,178 +24,177 @@ from ..io.files import PEAK_LIMIT, cleanup_on_interrupt, encode_pcm, printable, 
 from ..playback.voice import StringVoice, damper_rate
 from ..threads import one_blas_thread
 from .formats import SAMPLERS
-from .layers import SampledKey, key_ranges, silent_keys, velocities_of
-from .readme import MARK, readme_text
-from .samples import KeySamples, measure_layers, sample
+from .layers import SampledKey, key_ranges, layer_velocities, silent_keys
+from .readme import EXPORT_MARK, readme_text
+from .samples import KeySamples, measure_layers, render_sample
 
 __all__ = ["ExportOptions", "ExportSummary", "export_sampler"]
 
-# Kinds of samples.
+# Audio formats of samples.
 KINDS = ("flac", "wav")
-
-
 README = "README.txt"
-# Names of samples: key, note, velocity.
+# File names of samples: key, note, velocity.
 SAMPLE = re.compile(r"\d{3}-[A-G]s?-?\d-v\d{3}\.(flac|wav)")
 MOST_LAYERS = 127
-HIGHEST_RATE = 192_000  # Hz: samplers read no higher
-MOST_SAMPLE_SECONDS = 40_000.0  # all samples together: some 5 GB
-# Of the time an export takes, that to strike all keys for their levels.
+HIGHEST_RATE = 192_000  # Hz, limit of most samplers
+MOST_SAMPLE_SECONDS = 40_000.0  # all samples together, about 5 GB
+# Share of the measurement of levels in the progress of an export.
 LEVELS_SHARE = 0.5
 
 
 class ExportSummary(NamedTuple):
-    """What was written."""
+    """Contents of the written folder."""
 
-    keys: int  # with samples of their own
-    guesses: int  # of them, never recorded
-    transposed: int  # keys played from another's samples
+    keys: int  # sampled keys
+    guesses: int  # sampled keys that were never recorded
+    transposed: int  # keys that play the samples of another key
     samples: int
     seconds: float  # of all samples
     bytes: int  # of all samples
     gain_db: float  # of all samples
-    silent: list[int]  # MIDI keys that no sample plays
+    silent: list[int]  # MIDI keys without a sample in reach
 
 
 class ExportOptions(NamedTuple):
-    """Which samples are wanted."""
+    """Number, length and format of the samples."""
 
-    layers: int = 8  # of velocity
-    seconds: float = 8.0  # at the most
+    layers: int = 8  # per key
+    seconds: float = 8.0  # largest length of a sample
     rate: int = 48_000  # Hz
     kind: str = "flac"
 
 
 @one_blas_thread()
 def export_sampler(
-    instrument: Instrument, out: Path, keys: Sequence[int], asked: ExportOptions, *, to: str = "sfz",
+    instrument: Instrument, out: Path, keys: Sequence[int], options: ExportOptions, *, to: str = "sfz",
     licence: str | None = None, force: bool = False, progress: Callable[[str, float], None] = lambda *_: None,
 ) -> ExportSummary:  # fmt: skip
-    """Write the folder `out`, whole or not at all.
+    """Write the folder `out`, completely or not at all.
 
     Parameters
     ----------
-    keys : MIDI keys that have samples of their own, ascending.
+    keys : MIDI keys to sample, ascending.
     to : one of `SAMPLERS`.
-    licence : of the source, in the user's words, for the readme.
+    licence : licence of the source for the readme, in the words of the user.
 
-    Raises `ParameterError` for layers, seconds, a rate or a kind out of range, or a key the instrument does not have;
-    `OutputError` if `out` exists and is no earlier export, or `force` is not given, or cannot be written.
+    Raises `ParameterError` for layers, seconds, rate or kind out of range, or a key that the instrument lacks.
+    Raises `OutputError` if `out` cannot be written, exists and is not an export, or is an export and `force` is not
+    set.
     """
     if to not in SAMPLERS:
         raise ParameterError(f"to={to!r} must be one of {', '.join(SAMPLERS)}")
-    _check(instrument, keys, asked)
+    _check(instrument, keys, options)
     try:
         out = out.resolve()
         _check_target(out, force)
         work = out.with_name(f".{out.name}.{os.getpid()}.tmp")
         old = work.with_suffix(".old")
 
-        def tidy() -> None:
+        def clean_up() -> None:
             shutil.rmtree(work, ignore_errors=True)
-            if old.exists() and not out.exists():  # interrupted between two names
+            if old.exists() and not out.exists():  # interrupted between the two renames
                 old.rename(out)
             shutil.rmtree(old, ignore_errors=True)
 
-        with cleanup_on_interrupt(tidy):
+        with cleanup_on_interrupt(clean_up):
             try:
                 (work / "samples").mkdir(parents=True)
-                done, written = _samples(instrument, work, keys, asked, progress)
+                summary, sampled_keys = _write_samples(instrument, work, keys, options, progress)
                 file = _file_name(instrument.name) + SAMPLERS[to].ending
-                (work / file).write_text(SAMPLERS[to].text(Path(file).stem, written), encoding="utf-8")
-                (work / README).write_text(readme_text(instrument, file, written, licence), encoding="utf-8")
+                (work / file).write_text(SAMPLERS[to].text(Path(file).stem, sampled_keys), encoding="utf-8")
+                (work / README).write_text(readme_text(instrument, file, sampled_keys, licence), encoding="utf-8")
                 if out.exists():
                     out.rename(old)
                 work.rename(out)
             finally:
-                tidy()
+                clean_up()
     except OSError as error:
         raise write_error(out, error, "choose another --out") from error
-    return done
+    return summary
 
 
-def _check(instrument: Instrument, keys: Sequence[int], asked: ExportOptions) -> None:
-    check_range("layers=", asked.layers, 1, MOST_LAYERS)
-    check_range("rate=", asked.rate, RATES[0], HIGHEST_RATE, " Hz")
-    check_range("seconds=", asked.seconds, 0.1, 120)
-    if asked.kind not in KINDS:
-        raise ParameterError(f"samples={asked.kind!r} must be one of {', '.join(KINDS)}")
-    if len(keys) * asked.layers * asked.seconds > MOST_SAMPLE_SECONDS:
+def _check(instrument: Instrument, keys: Sequence[int], options: ExportOptions) -> None:
+    check_range("layers=", options.layers, 1, MOST_LAYERS)
+    check_range("rate=", options.rate, RATES[0], HIGHEST_RATE, " Hz")
+    check_range("seconds=", options.seconds, 0.1, 120)
+    if options.kind not in KINDS:
+        raise ParameterError(f"samples={options.kind!r} must be one of {', '.join(KINDS)}")
+    if len(keys) * options.layers * options.seconds > MOST_SAMPLE_SECONDS:
         raise ParameterError(
-            f"{len(keys)} keys × {asked.layers} layers × {asked.seconds:g} s are more than {MOST_SAMPLE_SECONDS:,.0f} "
-            "s; ask for fewer --layers, --keys or --seconds"
+            f"{len(keys)} keys × {options.layers} layers × {options.seconds:g} s "
+            f"are more than {MOST_SAMPLE_SECONDS:,.0f} s; ask for fewer --layers, --keys or --seconds"
         )
     if not keys:
-        raise ParameterError("keys=[]: give the MIDI keys that are to have samples of their own")
+        raise ParameterError("keys=[]: give the MIDI keys to sample")
     for key in keys:
         instrument.note(key, 64)
 
 
 def _check_target(out: Path, force: bool) -> None:
-    """An export may replace an export, and nothing else."""
+    """Reject a target that is not empty, unless it is an export and `force` is set."""
     name = printable(out)
     if not out.parent.is_dir():
-        raise OutputError(f"{name}: there is no folder {printable(out.parent)}; make it, or give another --out")
+        raise OutputError(f"{name}: folder {printable(out.parent)} does not exist; create it, or choose another --out")
     if not out.exists():
         return
-    held = out.is_dir() and any(out.iterdir())
-    if not out.is_dir() or (held and not _earlier(out)):
-        raise OutputError(f"{name}: is there and is no earlier export; give another --out")
-    if held and not force:
-        raise OutputError(f"{name}: the folder is not empty; give another --out, or --force to replace an export in it")
+    has_files = out.is_dir() and any(out.iterdir())
+    if not out.is_dir() or (has_files and not _is_export(out)):
+        raise OutputError(f"{name}: exists and is not an export; choose another --out")
+    if has_files and not force:
+        raise OutputError(f"{name}: the folder is not empty; choose another --out, or replace the export with --force")
 
 
-def _earlier(folder: Path) -> bool:
-    """Whether a folder holds an export and nothing else: its own readme, one text, and samples."""
+def _is_export(folder: Path) -> bool:
+    """Return whether a folder contains an export and nothing else: its readme, one text, and samples."""
     names = {path.name for path in folder.iterdir()} - {"samples"}
     endings = tuple(sampler.ending for sampler in SAMPLERS.values())
     if not (folder / "samples").is_dir() or README not in names or len(names) != 2:
         return False
     return (
         (names - {README}).pop().endswith(endings)
-        and MARK in (folder / README).read_text(encoding="utf-8", errors="replace")
+        and EXPORT_MARK in (folder / README).read_text(encoding="utf-8", errors="replace")
         and all(SAMPLE.fullmatch(path.name) for path in (folder / "samples").iterdir())
     )
 
 
-def _samples(
+def _write_samples(
     instrument: Instrument,
     work: Path,
     keys: Sequence[int],
-    asked: ExportOptions,
+    options: ExportOptions,
     progress: Callable[[str, float], None],
 ) -> tuple[ExportSummary, list[SampledKey]]:
-    """Write the samples, all with one gain."""
-    known: list[KeySamples] = []
+    """Write all samples with one gain."""
+    measured: list[KeySamples] = []
     for i, key in enumerate(keys):
-        string = StringVoice(instrument.note(key, 64), key, asked.rate)
-        known.append(measure_layers(instrument, string, velocities_of(asked.layers), asked.seconds))
+        string = StringVoice(instrument.note(key, 64), key, options.rate)
+        measured.append(measure_layers(instrument, string, layer_velocities(options.layers), options.seconds))
         progress("levels", LEVELS_SHARE * (i + 1) / len(keys))
-    peak = max(key.peak for key in known)
+    peak = max(key.peak for key in measured)
     gain = PEAK_LIMIT / peak if peak > 0 else 1.0
-    written, frames, size = [], 0, 0
-    for i, (key, (low, high), found) in enumerate(zip(keys, key_ranges(keys), known, strict=True)):
-        string, files = StringVoice(instrument.note(key, 64), key, asked.rate), []
-        for zone, begin in zip(found.zones, found.begin, strict=True):
-            loud = gain * zone.loudest
-            sound = np.clip(loud * sample(instrument, string, zone.velocity, begin, asked.seconds), -1.0, 1.0)
-            files.append(f"samples/{_sample_name(key, zone.velocity)}.{asked.kind}")
-            size += (work / files[-1]).write_bytes(encode_pcm(sound, asked.rate, asked.kind))
+    sampled_keys, frames, size = [], 0, 0
+    for i, (key, (low, high), layers) in enumerate(zip(keys, key_ranges(keys), measured, strict=True)):
+        string, files = StringVoice(instrument.note(key, 64), key, options.rate), []
+        for zone, begin in zip(layers.zones, layers.begin, strict=True):
+            sound = render_sample(instrument, string, zone.velocity, begin, options.seconds)
+            sound = np.clip(gain * zone.sample_gain * sound, -1.0, 1.0)
+            files.append(f"samples/{_sample_name(key, zone.velocity)}.{options.kind}")
+            size += (work / files[-1]).write_bytes(encode_pcm(sound, options.rate, options.kind))
             frames += sound.shape[-1]
-        written.append(SampledKey(key, low, high, damper_rate(key), found.zones, files))
+        sampled_keys.append(SampledKey(key, low, high, damper_rate(key), layers.zones, files))
         progress("samples", LEVELS_SHARE + (1 - LEVELS_SHARE) * (i + 1) / len(keys))
-    done = ExportSummary(
-        len(keys), len(instrument.unrecorded_keys(keys)), sum(k.high - k.low for k in written),
-        len(keys) * asked.layers, frames / asked.rate, size, 20 * math.log10(gain), silent_keys(written),
+    summary = ExportSummary(
+        len(keys), len(instrument.unrecorded_keys(keys)), sum(k.high - k.low for k in sampled_keys),
+        len(keys) * options.layers, frames / options.rate, size, 20 * math.log10(gain), silent_keys(sampled_keys),
     )  # fmt: skip
-    return done, written
+    return summary, sampled_keys
 
 
 def _file_name(name: str) -> str:
-    """A name of plain letters: whatever the instrument is called, the file stays in its folder."""
+    """A file name of plain letters, which cannot leave its folder whatever the instrument is called."""
     return re.sub(r"[^A-Za-z0-9_]+", "-", name).strip("-")[:64] or "instrument"
 
 
 def _sample_name(key: int, velocity: int) -> str:
-    # "#" begins a directive in SFZ.
+    # SFZ reads "#" as the start of a directive.
     return f"{key:03}-{midi_to_note(key).replace('#', 's')}-v{velocity:03}"

@@ -1,7 +1,7 @@
-"""Laws over the keyboard, and the document of a whole instrument.
+"""Keyboard laws, and the document of a whole instrument.
 
-`gather` reads the fits of single keys, `laws` and `build` make of them an `instrument.json`, `document` reads it back,
-and `page` shows every parameter over the keyboard.
+`collect_fits` reads the fits of single keys. `laws` and `build` combine them to an `instrument.json`. `document` reads
+that file, and `page` shows every parameter over the keyboard.
 """
 
 from .build import build_instrument
@@ -9,5 +9,11 @@ from .collect_fits import find_fits, instrument_name, load_keys
 from .document import Instrument, load_instrument, read_instrument
 
 __all__ = [
-    "Instrument", "build_instrument", "find_fits", "load_instrument", "load_keys", "instrument_name", "read_instrument",
-]  # fmt: skip
+    "Instrument",
+    "build_instrument",
+    "find_fits",
+    "load_instrument",
+    "load_keys",
+    "instrument_name",
+    "read_instrument",
+]

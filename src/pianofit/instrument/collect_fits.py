@@ -1,9 +1,9 @@
-"""The fits of single keys, gathered from a folder, on one velocity scale, and in terms of what a recording measures.
+"""Fits of single keys from a folder, on one velocity scale and as quantities that a recording determines.
 
-Lengths and masses are mostly assumed, and only some combinations are measured (see `invariants`): those go into the
-laws over the keyboard, so that an assumption is never taken for a difference between keys. Uncalibrated fits fix their
-velocities up to a factor: (K_H, μ, v_H0, gain) → (K_H s^(1-p), μ/s, s v_H0, gain/s) changes nothing that is heard. Of
-every key the loudest recording is set to `LOUDEST`, which puts all keys on one scale.
+Lengths and masses are mostly assumed, and recordings determine only some combinations of parameters (invariants). The
+keyboard laws use those, so that an assumption does not appear as a difference between keys. An uncalibrated fit
+determines its velocities up to a factor: (K_H, μ, v_H0, gain) → (K_H s^(1-p), μ/s, s v_H0, gain/s) does not change the
+sound. The loudest recording of every such key is set to `LOUDEST`, which puts all keys on one scale.
 """
 
 from __future__ import annotations
@@ -28,23 +28,31 @@ from ..parameters import FIT_NAMES, PARAMETERS, Hammer
 from ..report.identifiability_text import half_interval
 
 __all__ = [
-    "HIGHEST_KEY", "LOUDEST", "LOWEST_KEY", "NAMES", "KeyFit", "Layer", "find_fits", "key_observables", "literature",
-    "load_keys", "of_force", "instrument_name",
-]  # fmt: skip
+    "HIGHEST_KEY",
+    "LOUDEST",
+    "LOWEST_KEY",
+    "NAMES",
+    "KeyFit",
+    "Layer",
+    "find_fits",
+    "key_observables",
+    "literature",
+    "load_keys",
+    "of_force",
+    "instrument_name",
+]
 
 LOWEST_KEY, HIGHEST_KEY = 21, 108
-# Velocity given to the loudest recording of an uncalibrated key, m/s: a fortissimo.
+# Assumed velocity of the loudest recording of an uncalibrated key, m/s: a fortissimo.
 LOUDEST = 4.0
-# The laws, in the order of the page; all but `cents` are smooth on a log scale.
+# Names of the laws, in the order of the page. All except `cents` are smooth on a log scale.
 NAMES = ("cents", "B", "b1", "d2", "M_H/M_S", "K/M_S", "p", "mu", "x0/L", "width/L", "L", "M_S/L", "pickup/L", "gain")
-# Standard deviations (of logarithms; cents for `cents`) where a fit gives no interval: what was given is given.
+# Standard deviations (of logarithms; cents for `cents`) of values without an interval: small for given values.
 DEFAULT_SD = {"cents": 3.0, "width/L": 0.3, "L": 1e-3, "M_S/L": 1e-3, "pickup/L": 1e-3, "x0/L": 1e-2, "gain": 0.1}
-UNTOLD_OTHER = 0.1
-# Intervals of a fit that stopped before it converged count for this much more.
+DEFAULT_SD_OTHER = 0.1
+# Factor on the intervals of a fit that did not converge.
 NONCONVERGED_FACTOR = 2.0
-# What `fit.json` calls a velocity or a gain that was known; `fixed` in its first schema.
-KNOWN = ("given", "fixed")
-# An instrument's name and a key's, apart, or the key's in a capital: "take2" is no E2.
+# Name of an instrument and of a key, with a separator or with a capital letter: "take2" does not contain the key E2.
 _KEY = re.compile(r"(.*?)(?:(?:^|[-_ ])(?=[a-g])|[-_ ]?(?=[A-G]))([A-Ga-g][#sb♯♭]?(?:-1|\d))")
 
 
@@ -53,41 +61,41 @@ class Layer(NamedTuple):
 
     file: str
     sha256: str  # of its bytes
-    contact: float  # when the hammer touches the string, s
+    contact: float  # time at which the hammer touches the string, s
     velocity: float  # of the hammer, m/s
 
 
 class KeyFit(NamedTuple):
-    """One key's own fit."""
+    """The fit of one key."""
 
     midi: int
     file: str
-    note: Note  # the loudest recording's gain; loudest velocity
+    note: Note  # with gain and velocity of the loudest recording
     sd: dict[str, float]  # by `NAMES`
     velocities: tuple[float, ...]  # of the recordings, ascending, m/s
     levels_db: float | None  # rms error of the partials' levels
     converged: bool
     recordings: int
-    layers: tuple[Layer, ...] = ()  # those of them that are named, soft to loud
+    layers: tuple[Layer, ...] = ()  # the recordings with file names, soft to loud
 
 
 def of_force(quantity: str) -> bool:
-    """Whether what is heard scales with the string's mass."""
+    """True if the recorded quantity is proportional to the string mass."""
     return quantity in ("bridge-force", "pressure")
 
 
 def reference_compression(midi: float) -> float:
-    """u_ref, m: what the literature's hammer of the key is pressed by if it is stopped from 2 m/s."""
+    """u_ref, m: largest compression of the literature's hammer of the key if a rigid string stops it from 2 m/s."""
     h = typical(midi).hammer
     return float((0.5 * (h.p + 1) * h.M_H * 2.0**2 / h.K_H) ** (1 / (h.p + 1)))
 
 
 def key_observables(note: Note, midi: int) -> dict[str, float]:
-    """What a recording measures of a key, by `NAMES`.
+    """The quantities `NAMES`, which a recording of the key determines.
 
-    Deviation of f0 from equal temperament (cents), B, b1 and d2 = b2 π²/L² (decay b1 + d2 k², 1/s), ratios to the
-    string's mass and length, the felt's force at u_ref over the string's mass (N/kg), p, μ (s/m), and the gain, times
-    M_S where the force on the bridge is heard.
+    Deviation of f0 from equal temperament (cents), B, b1 and d2 = b2 π²/L² (decay rate b1 + d2 k², 1/s), ratios to
+    string mass and length, the felt force at u_ref over the string mass (N/kg), p, μ (s/m), and the gain, times M_S for
+    bridge force and pressure.
     """
     s, h, g = note.string, note.hammer, note.geometry
     return {
@@ -109,7 +117,7 @@ def key_observables(note: Note, midi: int) -> dict[str, float]:
 
 
 def literature(midi: int) -> dict[str, float]:
-    """The same of the literature's key; there is none for the gain."""
+    """The same quantities of the literature's key; its gain is arbitrary."""
     it = typical(midi)
     width = min(it.geometry.width, 0.1 * it.geometry.length)
     geometry = it.geometry._replace(width=width, pickup=PICKUP * it.geometry.length)
@@ -117,9 +125,9 @@ def literature(midi: int) -> dict[str, float]:
 
 
 def find_fits(paths: Sequence[Path], prefix: str | None = None) -> list[Path]:
-    """The `fit.json` files that are meant: given as they are, or as `keys/KEY/fit.json` in one folder.
+    """The `fit.json` files among paths: files themselves, and `keys/KEY/fit.json` in folders.
 
-    A `FitError` if there is none, or a folder holds several instruments and none is named.
+    Raises `FitError` if there is none, or if a folder holds several instruments and `prefix` names none.
     """
     found: list[Path] = []
     for path in paths:
@@ -128,17 +136,19 @@ def find_fits(paths: Sequence[Path], prefix: str | None = None) -> list[Path]:
             found.append(path)
             continue
         if not path.is_dir():
-            raise FitError(f"{name}: there is no such file or folder; give what pianofit batch or pianofit fit wrote")
-        here = sorted(path.glob("keys/*/fit.json")) or sorted(path.glob("*/fit.json")) or sorted(path.glob("fit.json"))
-        if not here:
+            raise FitError(f"{name}: no such file or folder; give what pianofit batch or pianofit fit wrote")
+        in_folder = (
+            sorted(path.glob("keys/*/fit.json")) or sorted(path.glob("*/fit.json")) or sorted(path.glob("fit.json"))
+        )
+        if not in_folder:
             raise FitError(f"{name}: holds no keys/KEY/fit.json; give the folder that pianofit batch wrote")
-        found += here
+        found += in_folder
     owners = {file: instrument_name(file) for file in found}
     if prefix is not None:
         chosen = [file for file in found if owners[file] == prefix]
         if not chosen:
-            known = ", ".join(sorted(repr(printable(name)) for name in set(owners.values())))
-            raise FitError(f"--prefix {prefix!r}: no key begins so; there are {known}")
+            names = ", ".join(sorted(repr(printable(name)) for name in set(owners.values())))
+            raise FitError(f"--prefix {prefix!r}: no key has this prefix; available: {names}")
         return chosen
     several = sorted({name for name in owners.values() if name})
     if len(several) > 1:
@@ -148,34 +158,35 @@ def find_fits(paths: Sequence[Path], prefix: str | None = None) -> list[Path]:
 
 
 def instrument_name(file: Path) -> str:
-    """The instrument that the folder of a fit names, such as cp80 of cp80-Fs2; empty if none."""
+    """The instrument in the name of a fit's folder, such as cp80 in cp80-Fs2; empty if there is none."""
     return _key_of(file)[0]
 
 
 def _key_of(file: Path) -> tuple[str, int | None]:
-    """The instrument and the key that the folder's name says, such as cp80-Fs2."""
+    """The instrument and the key in the folder's name, such as cp80-Fs2."""
     match = _KEY.fullmatch(file.resolve().parent.name)
     return (match[1], note_to_midi(match[2])) if match else ("", None)
 
 
 def load_keys(files: Sequence[Path]) -> list[KeyFit]:
-    """Every file's key, ascending.
+    """Read the fit of one key from every file, in ascending order of keys.
 
-    A `FitError` for what is no `fit.json`, two of one key, keys beyond the keyboard, or recordings of different kinds.
+    Raises `FitError` for a file that is not a `fit.json`, for two fits of one key, for a key beyond the keyboard, and
+    for recordings of different quantities.
     """
     keys: dict[int, KeyFit] = {}
     for file in files:
         key = _load_key(file)
-        if (held := keys.get(key.midi)) is not None:
+        if (other := keys.get(key.midi)) is not None:
             raise FitError(
-                f"{printable(file)}: is {midi_to_note(key.midi)}, and so is {held.file}; leave one out, or choose an "
+                f"{printable(file)}: is {midi_to_note(key.midi)}, and so is {other.file}; leave one out, or choose an "
                 "instrument by --prefix"
             )
         keys[key.midi] = key
     kinds = sorted({key.note.quantity for key in keys.values()})
     if len(kinds) > 1:
         raise FitError(
-            f"{printable(files[0])}: the keys heard {' and '.join(kinds)}; one instrument needs one quantity"
+            f"{printable(files[0])}: the keys were recorded as {' and '.join(kinds)}; an instrument needs one quantity"
         )
     return [keys[midi] for midi in sorted(keys)]
 
@@ -186,45 +197,61 @@ def _load_key(file: Path) -> KeyFit:
     midi = _midi(note, file)
     rows = [row for row in document["recordings"] if isinstance(row, dict)]
     path = reference_of(rows)[1].get("group")
-    # The note has the reference's path, and a gain belongs to a path.
+    # The note has the output path of the reference recording, and a gain belongs to a path.
     own = [i for i, row in enumerate(rows) if row.get("group") == path]
     loud = max(own, key=lambda i: _positive(rows[i].get("v_H0"), f"recordings[{i}].v_H0", name))
     gain = _positive(rows[loud].get("gain"), f"recordings[{loud}].gain", name, signed=True)
     velocities = np.unique([_positive(row.get("v_H0"), f"recordings[{i}].v_H0", name) for i, row in enumerate(rows)])
-    calibrated = any(row.get(key) in KNOWN for row in rows for key in ("gain_status", "v_H0_status"))
+    calibrated = any(row.get(key) == "given" for row in rows for key in ("gain_status", "v_H0_status"))
     if not isinstance(note.hammer, Hammer):
-        raise FitError(f"{name}: a relaxing felt cannot be carried over a keyboard; fit with --felt hunt-crossley")
-    # A felt without loss is one with next to none: the law is in log μ.
+        raise FitError(f"{name}: an instrument cannot use a relaxing felt; fit with --felt hunt-crossley")
+    # The law is in log μ, so a felt without loss gets the smallest allowed μ.
     h = note.hammer._replace(v_H0=float(velocities[-1]), mu=max(note.hammer.mu, PARAMETERS["mu"].lower))
     scale = 1.0 if calibrated else LOUDEST / h.v_H0
     hammer = h._replace(K_H=h.K_H * scale ** (1 - h.p), mu=h.mu / scale, v_H0=h.v_H0 * scale)
     levels = document.get("levels")
     error: Any = levels.get("fitted_db") if isinstance(levels, dict) else None
     converged = document.get("converged") is True
-    told = _deviations(document, note, midi, converged, scale)
+    sd = _deviations(document, note, midi, converged, scale)
     ringing = None if note.ringing is None else note.ringing.scale_velocity(scale)
-    path = None if note.path is None else note.path._replace(wander=None)  # an instrument predicts no recording
+    path = None if note.path is None else note.path._replace(wander=None)  # only predictions use it
     return KeyFit(
-        midi, name, note._replace(hammer=hammer, gain=gain / scale, path=path, ringing=ringing), told,
-        tuple((velocities * scale).tolist()), float(error) if is_number(error) else None, converged, len(rows),
+        midi,
+        name,
+        note._replace(hammer=hammer, gain=gain / scale, path=path, ringing=ringing),
+        sd,
+        tuple((velocities * scale).tolist()),
+        float(error) if is_number(error) else None,
+        converged,
+        len(rows),
         _layers(document, rows, scale),
-    )  # fmt: skip
+    )
 
 
 def _layers(document: dict, rows: list[dict], scale: float) -> tuple[Layer, ...]:
-    """The recordings that a fit names, with their velocities on the instrument's scale."""
+    """The recordings of a fit with file names, and their velocities on the instrument's scale."""
     ringing = document.get("ringing") or {}
-    after = {one.get("file"): one.get("contact_s") for one in ringing.get("layers") or () if isinstance(one, dict)}
-    found = [
-        Layer(row["file"], str(row.get("sha256")), float(row["onset_s"] + (after.get(row["file"]) or 0.0)),
-              float(row["v_H0"] * scale))
-        for row in rows if isinstance(row.get("file"), str) and is_number(row.get("onset_s"))
-    ]  # fmt: skip
-    return tuple(sorted(found, key=lambda layer: layer.velocity))
+    delay = {
+        layer.get("file"): layer.get("contact_s") for layer in ringing.get("layers") or () if isinstance(layer, dict)
+    }
+    layers = [
+        Layer(
+            row["file"],
+            str(row.get("sha256")),
+            float(row["onset_s"] + (delay.get(row["file"]) or 0.0)),
+            float(row["v_H0"] * scale),
+        )
+        for row in rows
+        if isinstance(row.get("file"), str) and is_number(row.get("onset_s"))
+    ]
+    return tuple(sorted(layers, key=lambda layer: layer.velocity))
 
 
 def _midi(note: Note, file: Path) -> int:
-    """The folder's note where it is within 1.5 semitones of the pitch, for pianos out of tune; else the nearest."""
+    """The key in the folder's name if it is within 1.5 semitones of the pitch, otherwise the nearest key.
+
+    The tolerance is for pianos that are out of tune.
+    """
     pitch = midi_of(note.f0)
     _, named = _key_of(file)
     midi = named if named is not None and abs(named - pitch) < 1.5 else round(pitch)
@@ -235,39 +262,44 @@ def _midi(note: Note, file: Path) -> int:
 
 def _positive(x: Any, key: str, name: str, *, signed: bool = False) -> float:
     if not is_number(x) or x == 0 or (x < 0 and not signed):
-        raise FitError(f"{name}: {key} is {x!r}, no usable number; give the file that pianofit fit wrote")
+        raise FitError(f"{name}: {key} is {x!r}, not a usable number; give the file that pianofit fit wrote")
     return float(x)
 
 
 def _deviations(document: dict, note: Note, midi: int, converged: bool, scale: float) -> dict[str, float]:
-    """Standard deviations of `invariants` (logarithms; cents), from the 95 % intervals."""
+    """Standard deviations of `NAMES` (logarithms; cents), from the 95 % intervals."""
     s = {name: _spread(document["parameters"].get(name)) for name in (*FIT_NAMES, "x0")}
-    told: dict[str, float | None] = {
+    sd: dict[str, float | None] = {
         "cents": None if s["c"] is None else 1200 / math.log(2) * s["c"],
         "B": None if s["kappa"] is None else 2 * math.hypot(s["kappa"], s["c"] or 0.0),
-        "b1": s["b1"], "d2": s["b2"], "M_H/M_S": s["M_H"], "p": s["p"], "mu": s["mu"], "x0/L": s["x0"],
+        "b1": s["b1"],
+        "d2": s["b2"],
+        "M_H/M_S": s["M_H"],
+        "p": s["p"],
+        "mu": s["mu"],
+        "x0/L": s["x0"],
         "K/M_S": _felt_spread(s, document, note, midi, scale),
-    }  # fmt: skip
-    wider = 1.0 if converged else NONCONVERGED_FACTOR
-    found = {name: told.get(name) for name in NAMES}
-    return {n: DEFAULT_SD.get(n, UNTOLD_OTHER) if x is None else max(wider * x, 1e-4) for n, x in found.items()}
+    }
+    factor = 1.0 if converged else NONCONVERGED_FACTOR
+    by_name = {name: sd.get(name) for name in NAMES}
+    return {n: DEFAULT_SD.get(n, DEFAULT_SD_OTHER) if x is None else max(factor * x, 1e-4) for n, x in by_name.items()}
 
 
 def _spread(entry: Any) -> float | None:
-    """Standard deviation of the logarithm that an interval means."""
+    """Standard deviation of the logarithm, from an interval."""
     half = half_interval(entry)
     return None if half is None else half / NORMAL
 
 
 def _felt_spread(s: dict[str, float | None], document: dict, note: Note, midi: int, scale: float) -> float | None:
-    """Of log K(u_ref), on the scale of `LOUDEST`: the felt is known best where strokes press it.
+    """Standard deviation of log K(u_ref), with velocities on the scale of `LOUDEST`.
 
-    From the compression u at which its force has the error e to u_ref,
+    The felt is determined best at compressions u that occur in the strokes, where its force has the error e. At u_ref
 
-        var log K(u_ref) = e² + ln²(u_ref/u) var p + 2 ln(u_ref/u) cov(log F, p),
+        var log K(u_ref) = e² + ln²(u_ref/u) var p + 2 ln(u_ref/u) cov(log F, p).
 
-    and var log K_H says the covariance, unless the velocities' common scale is in it: then there is none, since u is
-    where force and exponent part.
+    The covariance follows from var log K_H. If that contains the common scale of the velocities, the covariance is 0,
+    since u is the compression at which force and exponent are uncorrelated.
     """
     h, invariants = note.hammer, document.get("invariants")
     entry: Any = invariants.get("F/M_S") if isinstance(invariants, dict) else None
@@ -275,13 +307,13 @@ def _felt_spread(s: dict[str, float | None], document: dict, note: Note, midi: i
     value: Any = entry.get("value") if isinstance(entry, dict) else None
     if s["K_H"] is None or s["p"] is None or error is None or not (is_number(value) and value > 0):
         return s["K_H"]
-    at = math.log(value * note.geometry.mass / h.K_H) / h.p
-    if at >= 0:  # a metre: no felt
+    log_u = math.log(value * note.geometry.mass / h.K_H) / h.p
+    if log_u >= 0:  # at least a metre of compression, which is not a felt
         return s["K_H"]
     p, covariance = s["p"] * float(h.p), 0.0
     velocity = document["parameters"].get("v_H0")
     if not (isinstance(velocity, dict) and velocity.get("status") == "scaled"):
-        covariance = (error**2 + (at * p) ** 2 - s["K_H"] ** 2) / (2 * at)
+        covariance = (error**2 + (log_u * p) ** 2 - s["K_H"] ** 2) / (2 * log_u)
         covariance = float(np.clip(covariance, -error * p, error * p))
-    away = math.log(reference_compression(midi)) - at - math.log(scale)
-    return math.sqrt(max(error**2 + (away * p) ** 2 + 2 * away * covariance, 1e-6))
+    distance = math.log(reference_compression(midi)) - log_u - math.log(scale)
+    return math.sqrt(max(error**2 + (distance * p) ** 2 + 2 * distance * covariance, 1e-6))

@@ -1,4 +1,4 @@
-"""`instrument.json` as it is read back, nothing in it trusted before it was checked; or made of a folder of fits."""
+"""Instruments from `instrument.json`, whose entries are all checked, or from a folder of fits."""
 
 from __future__ import annotations
 
@@ -30,52 +30,52 @@ FILE = "instrument.json"
 LARGEST_FILE = 2**25
 LARGEST_GAIN = 1e12
 LONGEST = 600.0  # s, of a recording
-WAY_OUT = "give the instrument.json that pianofit instrument wrote"
+HINT = "give the instrument.json that pianofit instrument wrote"
 
 
 class Instrument(NamedTuple):
-    """What can be played."""
+    """The notes of a playable instrument."""
 
     name: str
     notes: dict[int, Note]  # by MIDI key
     velocity_at_64: float  # hammer velocity at MIDI velocity 64, m/s
-    velocity_slope: float  # of its logarithm from there to 127
-    recorded: frozenset[int] = frozenset()  # keys that have a fit of their own; the others are the laws'
-    # By key and law of `gather.NAMES`: the value and both ends of its 95 % interval, where they are known.
+    velocity_slope: float  # increase of its logarithm from 64 to 127
+    recorded: frozenset[int] = frozenset()  # keys with a fit; the others follow from the laws
+    # By key and law of `NAMES`: the value and both ends of its 95 % interval, if the document has them.
     values: Mapping[int, Mapping[str, tuple[float, float, float]]] = MappingProxyType({})
     layers: Mapping[int, tuple[Layer, ...]] = MappingProxyType({})  # recordings of the recorded keys, soft to loud
-    states: Mapping[int, str] = MappingProxyType({})  # `build.KINDS`, or `build.CHANGED`, of the keys that name theirs
+    states: Mapping[int, str] = MappingProxyType({})  # by key, one of `KEY_STATES` or `CHANGED`
 
     @property
     def channels(self) -> int:
-        """How many its sound has: those of the key that has most."""
+        """Number of channels: the largest of all keys."""
         return max(1 if note.ringing is None else note.ringing.channels for note in self.notes.values())
 
     @property
     def changed(self) -> list[int]:
-        """The keys that were changed by hand, on the page to play."""
+        """The keys that were changed by hand on the playable page."""
         return sorted(midi for midi, state in self.states.items() if state == CHANGED)
 
     def unrecorded_keys(self, keys: Iterable[int]) -> list[int]:
-        """Which of these MIDI keys were never recorded: they are the laws' guess."""
+        """Those of these MIDI keys that were never recorded. They follow from the laws."""
         return sorted(set(keys) - self.recorded)
 
     @property
     def unrecorded_counts(self) -> tuple[int, int]:
-        """How many keys were never recorded: between recorded ones, and beyond them."""
-        guessed = self.unrecorded_keys(self.notes)
-        between = sum(min(self.recorded) < midi < max(self.recorded) for midi in guessed) if self.recorded else 0
-        return between, len(guessed) - between
+        """Numbers of keys that were never recorded: between recorded keys, and beyond them."""
+        unrecorded = self.unrecorded_keys(self.notes)
+        between = sum(min(self.recorded) < midi < max(self.recorded) for midi in unrecorded) if self.recorded else 0
+        return between, len(unrecorded) - between
 
     @property
     def lead(self) -> float:
-        """How long before a contact its sound can begin, s."""
+        """Longest time from the begin of a sound to its contact, s."""
         return max(note.pre_onset_s for note in self.notes.values())
 
     def note(self, midi: int, velocity: float) -> Note:
         """The key `midi` struck at MIDI velocity `velocity`, 1 to 127.
 
-        A `ParameterError` if the instrument has no such key.
+        Raises `ParameterError` if the instrument does not have this key.
         """
         if midi not in self.notes:
             span = f"{midi_to_note(min(self.notes))} to {midi_to_note(max(self.notes))}"
@@ -84,14 +84,14 @@ class Instrument(NamedTuple):
 
 
 def load_instrument(path: str | os.PathLike[str], prefix: str | None = None) -> Instrument:
-    """The instrument in a file; or in a folder, where that is its `instrument.json` or what its fits make.
+    """Load an instrument from a file, or from a folder with an `instrument.json` or with fits.
 
     Parameters
     ----------
-    prefix : which instrument, if a folder's fits are of several.
+    prefix : name of the instrument, if a folder holds fits of several.
 
-    Raises `FitError`, naming the file and the entry that is missing, of another kind, or out of range; or the folder,
-    if it holds no fits, or several instruments' and none is named.
+    Raises `FitError` with the file and the entry that is missing, of the wrong type, or out of range. It names the
+    folder if that holds no fits, or fits of several instruments without a `prefix`.
     """
     path = Path(path)
     if path.is_dir() and not (path / FILE).is_file():
@@ -103,52 +103,52 @@ def load_instrument(path: str | os.PathLike[str], prefix: str | None = None) -> 
             f"--prefix {short_repr(prefix)} chooses among a folder's fits, and {printable(path)} holds one instrument"
         )
     file = path / FILE if path.is_dir() else path
-    return read_instrument(load_json(file, LARGEST_FILE, "an instrument.json", WAY_OUT), printable(file))
+    return read_instrument(load_json(file, LARGEST_FILE, "an instrument.json", HINT), printable(file))
 
 
 def read_instrument(document: Any, name: str = "instrument") -> Instrument:
-    """The instrument in a document; `name` is what errors, those of `load_instrument`, call it."""
+    """The instrument in a document. Errors are those of `load_instrument` and begin with `name`."""
     kind, schema = map(document.get, ("kind", "schema")) if isinstance(document, dict) else (None, None)
-    if kind != "instrument" or schema not in (1, SCHEMA):
-        raise FitError(f"{name}: is no instrument of schema 1 or {SCHEMA}; {WAY_OUT}")
+    if kind != "instrument" or schema != SCHEMA:
+        raise FitError(f"{name}: is not an instrument of schema {SCHEMA}; {HINT}")
     quantity = document.get("quantity")
     if quantity not in QUANTITIES:
         raise FitError(f"{name}: quantity={short_repr(quantity)} must be one of {', '.join(QUANTITIES)}")
     rows = document.get("keys")
     if not (isinstance(rows, list) and 0 < len(rows) <= HIGHEST_KEY - LOWEST_KEY + 1):
-        raise FitError(f"{name}: keys is no list of 1 to 88 keys; {WAY_OUT}")
+        raise FitError(f"{name}: keys must be a list of 1 to 88 keys; {HINT}")
     notes: dict[int, Note] = {}
     for i, row in enumerate(rows):
         midi, note = _key(row, quantity, f"{name}: keys[{i}]")
         if midi in notes:
-            raise FitError(f"{name}: keys[{i}].midi={midi} is there twice; {WAY_OUT}")
+            raise FitError(f"{name}: keys[{i}].midi={midi} occurs twice; {HINT}")
         notes[midi] = note
     notes |= interpolate_keys(notes, [row["midi"] for row in rows if row.get("ringing") == NEIGHBOURS])
-    velocity = table_of(document, "velocity", name, WAY_OUT)
-    at_64, rise = (require_finite(velocity.get(key), f"{name}: velocity.{key}", WAY_OUT) for key in ("at_64", "rise"))
+    velocity = table_of(document, "velocity", name, HINT)
+    at_64, rise = (require_finite(velocity.get(key), f"{name}: velocity.{key}", HINT) for key in ("at_64", "rise"))
     box = PARAMETERS["v_H0"]
     if not (box.lower <= at_64 <= box.upper and 0 < rise <= 10):
-        raise FitError(f"{name}: velocity at_64={at_64:g} m/s, rise={rise:g} is no rising law; {WAY_OUT}")
-    called = document.get("name")
+        raise FitError(f"{name}: velocity at_64={at_64:g} m/s, rise={rise:g} must be in range and rise; {HINT}")
+    title = document.get("name")
     recorded = frozenset(row["midi"] for row in rows if isinstance(row.get("fit"), dict))
-    told = {row["midi"]: _told(row.get("told")) for row in rows}
+    values = {row["midi"]: _values(row.get("told")) for row in rows}
     layers = {row["midi"]: _layers(row["fit"].get("layers")) for row in rows if row["midi"] in recorded}
     states = {row["midi"]: row["state"] for row in rows if row.get("state") in (*KEY_STATES, CHANGED)}
-    title = printable(called) if isinstance(called, str) else ""
-    return Instrument(title, notes, at_64, rise, recorded, told, layers, states)
+    title = printable(title) if isinstance(title, str) else ""
+    return Instrument(title, notes, at_64, rise, recorded, values, layers, states)
 
 
 def _key(row: Any, quantity: str, where: str) -> tuple[int, Note]:
     if not isinstance(row, dict):
-        raise FitError(f"{where} is no table; {WAY_OUT}")
+        raise FitError(f"{where} must be a table; {HINT}")
     midi = row.get("midi")
     if isinstance(midi, bool) or not isinstance(midi, int) or not LOWEST_KEY <= midi <= HIGHEST_KEY:
         raise FitError(f"{where}.midi={short_repr(midi)} must be a key from {LOWEST_KEY} to {HIGHEST_KEY}")
     parts = {}
     for name, kind in (("string", String), ("hammer", Hammer), ("geometry", Geometry)):
-        table = table_of(row, name, where, WAY_OUT)
+        table = table_of(row, name, where, HINT)
         fields = [field for field in kind._fields if field != "v_H0" and field not in kind._field_defaults]
-        parts[name] = {field: require_finite(table.get(field), f"{where}.{name}.{field}", WAY_OUT) for field in fields}
+        parts[name] = {field: require_finite(table.get(field), f"{where}.{name}.{field}", HINT) for field in fields}
     try:
         check(parts["string"] | parts["hammer"], where)
         geometry = Geometry(**parts["geometry"])
@@ -156,17 +156,17 @@ def _key(row: Any, quantity: str, where: str) -> tuple[int, Note]:
     except ParameterError as error:
         raise FitError(str(error) if str(error).startswith(where) else f"{where}: {error}") from None
     hammer = Hammer(**parts["hammer"], v_H0=2.0)
-    gain = require_finite(row.get("gain"), f"{where}.gain", WAY_OUT)
+    gain = require_finite(row.get("gain"), f"{where}.gain", HINT)
     if not abs(gain) <= LARGEST_GAIN:
         raise FitError(f"{where}.gain={gain:g} must be from -{LARGEST_GAIN:g} to {LARGEST_GAIN:g}")
-    path, entry = read_path(row.get("path"), f"{where}.path", WAY_OUT), row.get("ringing")
+    path, entry = read_path(row.get("path"), f"{where}.path", HINT), row.get("ringing")
     ringing = None if entry == NEIGHBOURS else read_ringing(entry, None, where)
     return midi, Note(String(**parts["string"]), hammer, geometry, quantity, gain, path, ringing)
 
 
 def _layers(rows: Any) -> tuple[Layer, ...]:
-    """The recordings of a key; a row that is none is left out, for without them it plays as well."""
-    box, found = PARAMETERS["v_H0"], []
+    """The recordings of a key. Malformed rows are left out, because playing does not need them."""
+    box, layers = PARAMETERS["v_H0"], []
     for row in rows if isinstance(rows, list) else ():
         match row:
             case {
@@ -176,16 +176,16 @@ def _layers(rows: Any) -> tuple[Layer, ...]:
                 "velocity": int() | float() as velocity,
             }:
                 if abs(contact) < LONGEST and box.lower <= velocity <= box.upper:
-                    found.append(Layer(file, sha256, float(contact), float(velocity)))
-    return tuple(found)
+                    layers.append(Layer(file, sha256, float(contact), float(velocity)))
+    return tuple(layers)
 
 
-def _told(table: Any) -> dict[str, tuple[float, float, float]]:
-    """Values with their intervals; what is none is left out, for it is only shown."""
-    found = {}
+def _values(table: Any) -> dict[str, tuple[float, float, float]]:
+    """Values with their intervals. Malformed entries are left out, because they are only shown."""
+    values = {}
     for name, entry in table.items() if isinstance(table, dict) else ():
         match entry:
             case {"value": int() | float() as value, "interval": [int() | float() as low, int() | float() as high]}:
                 if name in NAMES and all(map(is_number, (value, low, high))):
-                    found[name] = (float(value), float(low), float(high))
-    return found
+                    values[name] = (float(value), float(low), float(high))
+    return values

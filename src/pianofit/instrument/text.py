@@ -1,4 +1,4 @@
-"""An instrument in words: what each quantity is called, how its keys came about, a summary for the terminal."""
+"""Texts about an instrument: titles of quantities, states of keys, and a summary for the terminal."""
 
 from __future__ import annotations
 
@@ -10,37 +10,37 @@ __all__ = ["STATES", "TITLES", "counts", "unrecorded_text", "summary"]
 
 # name -> (title, unit of the axis)
 TITLES = {
-    "cents": ("tuning: f₀ against equal temperament", "cents"),
+    "cents": ("tuning: f₀ relative to equal temperament", "cents"),
     "B": ("inharmonicity B", "1"),
-    "b1": ("loss b₁, the same for all partials", "1/s"),
-    "d2": ("loss d₂ = b₂π²/L², rising with k²", "1/s"),
+    "b1": ("loss parameter b₁, the same for all partials", "1/s"),
+    "d2": ("loss d₂ = b₂π²/L², growing with k²", "1/s"),
     "M_H/M_S": ("hammer mass over string mass M_H/M_S", "1"),
-    "K/M_S": ("felt's force where a stroke of 2 m/s presses it, over M_S", "N/kg"),
-    "p": ("felt's exponent p", "1"),
-    "mu": ("felt's loss μ", "s/m"),
+    "K/M_S": ("felt force at the reference compression over string mass", "N/kg"),
+    "p": ("felt exponent p", "1"),
+    "mu": ("felt loss coefficient μ", "s/m"),
     "x0/L": ("strike position x₀/L", "1"),
-    "width/L": ("width of the contact over L", "1"),
+    "width/L": ("width of the contact window over L", "1"),
     "L": ("string length L", "m"),
     "M_S/L": ("string mass per metre M_S/L", "kg/m"),
     "pickup/L": ("pickup position x_m/L", "1"),
-    "gain": ("gain of the loudest recording (times M_S for the force on the bridge)", "1"),
+    "gain": ("gain of the loudest recording (times M_S for bridge force and pressure)", "1"),
 }
 STATES = {
-    "fitted": "as its own fit has it",
-    "pulled": "its own fit, drawn to its neighbours where that was uncertain",
-    "outlier": "its own fit contradicts all others in what is named; there the law is played",
-    "interpolated": "never recorded, between keys that were",
-    "extrapolated": "never recorded, beyond the keys that were",
+    "fitted": "values of its own fit",
+    "pulled": "own fit combined with its neighbours, because some values were uncertain",
+    "outlier": "disagrees with its neighbours in the listed parameters; the interpolated values are used",
+    "interpolated": "never recorded, between recorded keys",
+    "extrapolated": "never recorded, beyond the recorded keys",
 }
 
 
 def counts(document: dict[str, Any]) -> dict[str, int]:
-    """How many keys are in each state."""
+    """Number of keys in each state."""
     return {state: sum(key["state"] == state for key in document["keys"]) for state in STATES}
 
 
 def unrecorded_text(between: int, beyond: int) -> str:
-    """How many keys are guesses: of `Instrument.guesses`."""
+    """Text on the `Instrument.unrecorded_counts`: their values are guesses."""
     parts = [f"{n} {where}" for n, where in ((between, "between recorded keys"), (beyond, "beyond them")) if n]
     if not parts:
         return "none is a guess"
@@ -48,19 +48,22 @@ def unrecorded_text(between: int, beyond: int) -> str:
 
 
 def summary(document: dict[str, Any]) -> str:
-    """What was put together, in a few lines."""
+    """Summary of an instrument in a few lines."""
     found = counts(document)
-    known = sum(key["fit"] is not None for key in document["keys"])
+    recorded = sum(key["fit"] is not None for key in document["keys"])
     lines = [
-        f"{document['name'] or 'instrument'}: {counted(known, 'key')} known, "
+        f"{document['name'] or 'instrument'}: {counted(recorded, 'key')} recorded: "
         + ", ".join(f"{n} {state}" for state, n in found.items() if n),
-        "", f"{'':26}{'key to key':>14}{'smooth over':>12}   outliers",
-    ]  # fmt: skip
+        "",
+        f"{'':26}{'key scatter':>14}{'smooth over':>12}   outliers",
+    ]
     for name, law in document["laws"].items():
         scatter = f"{law['scatter']:.2g} cents" if name == "cents" else f"{100 * law['scatter']:.2g} %"
         label = "tuning" if name == "cents" else name
-        lines.append(f"{label + (', ' + law['unit'] if law['unit'] not in ('', '1') else ''):26}{scatter:>14}"
-                     f"{law['length_keys']:>7.0f} keys   {', '.join(law['outliers']) or '-'}")  # fmt: skip
+        lines.append(
+            f"{label + (', ' + law['unit'] if law['unit'] not in ('', '1') else ''):26}{scatter:>14}"
+            f"{law['length_keys']:>7.0f} keys   {', '.join(law['outliers']) or '-'}"
+        )
     v = document["velocity"]
-    lines += ["", f"MIDI velocity 64 is {v['at_64']:.3g} m/s, from the {v['from']}"]
+    lines += ["", f"MIDI velocity 64 is {v['at_64']:.3g} m/s, from: {v['from']}"]
     return "\n".join([*lines, *document["messages"]])

@@ -1,7 +1,7 @@
-"""Containers of sound: each header is compared with the bytes that follow it, before a decoder sees the file.
+"""Checks of sound containers: each header is compared with the bytes that follow it, before the file is decoded.
 
-libsndfile reads a file that was cut short as a shorter sound. A recording of a decaying note must be complete, so that
-every container is walked here: its chunks, pages or frames must be whole, and must hold what the header promises.
+libsndfile reads a truncated file as a shorter sound. A recording of a decaying note must be complete. Therefore all
+chunks, pages or frames of a container must be complete, and must hold as much sound as the header states.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from .files import printable
 
 __all__ = ["RATES", "SOUNDS", "audio_of", "check_layout", "is_sound", "readable_formats"]
 
-# Endings of the files that are read, with the name of each format. All lists of endings follow from this one.
+# Suffixes of supported files, with the name of each format. All other lists of suffixes are derived from this one.
 SOUNDS = {
     ".wav": "WAV", ".flac": "FLAC", ".aif": "AIFF", ".aiff": "AIFF", ".aifc": "AIFF", ".w64": "Wave64", ".rf64": "RF64",
     ".bw64": "RF64", ".caf": "CAF", ".au": "AU", ".snd": "AU", ".ogg": "OGG", ".oga": "OGG", ".opus": "OGG",
@@ -26,7 +26,7 @@ RATES = (8_000, 384_000)  # Hz
 MAX_VALUES = 2**27  # samples times channels: 1 GiB of float64
 MAX_SECONDS = 600.0
 RESAVE = "save it as WAV (PCM 16, 24, 32 or float) or FLAC"
-# Largest size of a data chunk with a 32 bit length, bytes: recorders write a larger one until they know the length.
+# Largest valid size of a data chunk with a 32 bit length, bytes. Recorders write a larger one until the end.
 LARGEST_CHUNK = 0x7FFF0000
 CODECS = {1: "PCM", 2: "MS ADPCM", 3: "float", 6: "A-law", 7: "u-law", 17: "IMA ADPCM", 49: "GSM", 85: "MP3"}
 PCM, FLOAT = "PCM", "float"
@@ -36,15 +36,18 @@ AIFC_CODECS = {
     b"fl32": FLOAT, b"FL32": FLOAT, b"fl64": FLOAT, b"FL64": FLOAT,
 }  # fmt: skip
 AU_CODECS = {3: (PCM, 16), 4: (PCM, 24), 5: (PCM, 32), 6: (FLOAT, 32), 7: (FLOAT, 64)}
-W64_TAIL = {b"riff": "2e91cf11a5d628db04c10000", b"wave": "f3acd3118cd100c04f8edb8a"}  # of GUIDs; all chunks as wave
+W64_TAIL = {
+    b"riff": "2e91cf11a5d628db04c10000",
+    b"wave": "f3acd3118cd100c04f8edb8a",
+}  # last bytes of GUIDs; all other chunks as wave
 OTHERS = {
     b"RIFX": "a big-endian WAV file", b"MThd": "a MIDI file", b"wvpk": "a WavPack file",
     b"MAC ": "a Monkey's Audio file", b"\x30\x26\xb2\x75": "a WMA file", b"ADIF": "an AAC file",
 }  # fmt: skip
 OGG_PAGE = struct.Struct("<4sBBqIIIB")
-OGG_BEGIN, OGG_END = 2, 4  # flags of a stream's first and last page
+OGG_BEGIN, OGG_END = 2, 4  # flags of the first and last page of a stream
 REVERSED = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
-# MPEG audio layer III: kbit/s by index, of version 1 and of versions 2 and 2.5; Hz of version 1; samples of a frame.
+# MPEG audio layer III: kbit/s by index, for version 1 and for versions 2 and 2.5; sample rates of version 1 in Hz.
 MP3_KBITS = (
     (0, 32, 40, 48, 56, 64, 80, 96, 112, 128, 160, 192, 224, 256, 320),
     (0, 8, 16, 24, 32, 40, 48, 56, 64, 80, 96, 112, 128, 144, 160),
@@ -55,34 +58,34 @@ MP3_RATES = (44_100, 48_000, 32_000)
 class Chunks(NamedTuple):
     """The layout of a container's chunks."""
 
-    head: struct.Struct  # of kind and size
-    begin: int  # of the first chunk, bytes
+    head: struct.Struct  # kind and size of a chunk
+    begin: int  # offset of the first chunk, bytes
     align: int  # bytes
-    counted: int = 0  # bytes of the head that the size includes
+    counted: int = 0  # bytes of the head that are included in the size
 
 
 RIFF = Chunks(struct.Struct("<4sI"), 12, 2)
 FORM = Chunks(struct.Struct(">4sI"), 12, 2)
 W64 = Chunks(struct.Struct("<16sQ"), 40, 8, 24)
 CAF = Chunks(struct.Struct(">4sq"), 8, 1)
-Place = tuple[int, int]  # begin and size of a chunk's content, bytes
+Place = tuple[int, int]  # offset and size of the content of a chunk, bytes
 
 
 def is_sound(name: str) -> bool:
-    """True if the ending of a file name belongs to a format that is read."""
+    """True if the suffix of a file name belongs to a supported format."""
     return name.lower().endswith(tuple(SOUNDS))
 
 
 def readable_formats() -> str:
-    """The formats that are read, for messages and help texts."""
+    """The supported formats, for messages and help texts."""
     *first, last = dict.fromkeys(SOUNDS.values())
     return f"{', '.join(first)} or {last}"
 
 
 def audio_of(data: bytes) -> bytes:
-    """The part of a file that is to be decoded, after its container was checked.
+    """Check the container of a file and return the part to decode.
 
-    Raises `RecordingError` for another format, a codec that is not read, and a file that is not whole.
+    Raises `RecordingError` for an unsupported format or codec, and for an incomplete file.
     """
     kind = _kind(data)
     if kind is None:
@@ -91,7 +94,7 @@ def audio_of(data: bytes) -> bytes:
 
 
 def check_layout(channels: int, rate: float, frames: int) -> None:
-    """Refuse channels, a rate in Hz or a number of frames that no recording of a note has."""
+    """Raise a `RecordingError` if the channels, the rate in Hz or the number of frames are out of range."""
     if not 1 <= channels <= 8:
         raise RecordingError(f"has {channels} channels, must have 1 to 8; export the microphone of the note alone")
     if not (RATES[0] <= rate <= RATES[1] and rate == int(rate)):
@@ -104,7 +107,7 @@ def check_layout(channels: int, rate: float, frames: int) -> None:
 
 
 def _kind(data: bytes) -> Callable[[bytes], bytes] | None:
-    """The function that checks this container; None for a format that is not read."""
+    """The function that checks this container; None for an unsupported format."""
     riff = {b"RIFF": _wav, b"RF64": _wav, b"BW64": _wav}.get(data[:4])
     if riff and data[8:12] == b"WAVE":
         return riff
@@ -123,37 +126,37 @@ def _kind(data: bytes) -> Callable[[bytes], bytes] | None:
 
 
 def _chunks(data: bytes, layout: Chunks, *wanted: bytes) -> dict[bytes, Place]:
-    """The first chunk of each kind, up to the last of those that are wanted."""
-    found: dict[bytes, Place] = {}
+    """The first chunk of each kind, up to the last of the `wanted` ones."""
+    chunks: dict[bytes, Place] = {}
     position = layout.begin
-    while position + layout.head.size <= len(data) and not found.keys() >= {*wanted}:
+    while position + layout.head.size <= len(data) and not chunks.keys() >= {*wanted}:
         kind, size = layout.head.unpack_from(data, position)
         position, size = position + layout.head.size, size - layout.counted
-        found.setdefault(kind, (position, size))
+        chunks.setdefault(kind, (position, size))
         if size < 0:
             break
         position += size + -size % layout.align
-    return found
+    return chunks
 
 
 def _wav(data: bytes) -> bytes:
-    """WAV, and RF64 and BW64, whose lengths have 64 bits in a chunk of their own."""
-    found = _chunks(data, RIFF, b"fmt ", b"data")
+    """Check WAV, RF64 and BW64. The last two have lengths of 64 bits in a separate chunk."""
+    chunks = _chunks(data, RIFF, b"fmt ", b"data")
     largest = LARGEST_CHUNK
-    if data[:4] != b"RIFF" and b"data" in found:
-        begin, size = found.get(b"ds64", (0, 0))
+    if data[:4] != b"RIFF" and b"data" in chunks:
+        begin, size = chunks.get(b"ds64", (0, 0))
         if size < 16 or begin + size > len(data):
             raise RecordingError("has no ds64 chunk with its length; export it again")
-        if found[b"data"][1] == 2**32 - 1:
-            found[b"data"] = found[b"data"][0], struct.unpack_from("<Q", data, begin + 8)[0]
+        if chunks[b"data"][1] == 2**32 - 1:
+            chunks[b"data"] = chunks[b"data"][0], struct.unpack_from("<Q", data, begin + 8)[0]
             largest = 2**63
-    _check_wave(data, found.get(b"fmt "), found.get(b"data"), largest)
-    return b"RF64" + data[4:] if data[:4] == b"BW64" else data  # one layout with two names
+    _check_wave(data, chunks.get(b"fmt "), chunks.get(b"data"), largest)
+    return b"RF64" + data[4:] if data[:4] == b"BW64" else data  # the two have the same layout
 
 
 def _wave64(data: bytes) -> bytes:
-    found = _chunks(data, W64, _guid(b"fmt "), _guid(b"data"))
-    _check_wave(data, found.get(_guid(b"fmt ")), found.get(_guid(b"data")), 2**63)
+    chunks = _chunks(data, W64, _guid(b"fmt "), _guid(b"data"))
+    _check_wave(data, chunks.get(_guid(b"fmt ")), chunks.get(_guid(b"data")), 2**63)
     return data
 
 
@@ -162,7 +165,7 @@ def _guid(kind: bytes) -> bytes:
 
 
 def _check_wave(data: bytes, layout: Place | None, sound: Place | None, largest: int) -> None:
-    """Check the chunks of a WAV: the format, and the sound, whose size must be below `largest`."""
+    """Check the format chunk and the sound chunk of a WAV. The size of the sound must be below `largest`."""
     if layout is not None:
         _check_wave_format(data[layout[0] : sum(layout)])
     elif sound is not None:
@@ -174,7 +177,7 @@ def _check_wave_format(chunk: bytes) -> None:
     if len(chunk) < 16:
         raise RecordingError(f"has a fmt chunk of {len(chunk)} bytes, must be at least 16; export it again")
     codec, channels, rate, _, align, bits = struct.unpack_from("<HHIIHH", chunk)
-    if codec == 0xFFFE and len(chunk) >= 40:  # WAVE_FORMAT_EXTENSIBLE: the codec opens the sub-format's GUID
+    if codec == 0xFFFE and len(chunk) >= 40:  # WAVE_FORMAT_EXTENSIBLE: the sub-format GUID begins with the codec
         (codec,) = struct.unpack_from("<H", chunk, 24)
     _check_format(CODECS.get(codec, f"codec {codec}"), bits, channels, rate, align)
 
@@ -187,36 +190,36 @@ def _check_format(codec: str, bits: int, channels: int, rate: float, align: int 
         raise RecordingError(f"has frames of {align} bytes for {channels} channels of {bits} bit; export it again")
 
 
-def _check_sound(data: bytes, sound: Place | None, name: str, largest: int = 2**63, promised: int = 0) -> None:
-    """Compare the size of the sound with the bytes that are there, and with those `promised` elsewhere."""
+def _check_sound(data: bytes, sound: Place | None, name: str, largest: int = 2**63, stated: int = 0) -> None:
+    """Compare the size of the sound with the bytes in the file, and with the size `stated` elsewhere."""
     if sound is None:
         raise RecordingError(f"is truncated: it ends before its sound (no {name} chunk); copy or export it again")
     begin, size = sound
-    held = max(0, len(data) - begin)
+    available = max(0, len(data) - begin)
     if not 0 < size < largest:  # empty, written by a pipe, or by a recorder that lost power
-        raise RecordingError(f"has an unfinished header (data size {size}, {held} bytes follow); {RESAVE}")
-    if max(size, promised) > min(held, size):
-        wanted, there = max(size, promised), min(held, size)
-        raise RecordingError(f"is truncated: {there} of {wanted} bytes of sound are there; copy it again")
+        raise RecordingError(f"has an unfinished header (data size {size}, {available} bytes follow); {RESAVE}")
+    expected, complete = max(size, stated), min(available, size)
+    if expected > complete:
+        raise RecordingError(f"is truncated: it holds {complete} of {expected} bytes of sound; copy it again")
 
 
 def _aiff(data: bytes) -> bytes:
-    """AIFF and AIFC; the format may follow the sound."""
-    found = _chunks(data, FORM, b"COMM", b"SSND")
+    """Check AIFF and AIFC. The format chunk may follow the sound."""
+    chunks = _chunks(data, FORM, b"COMM", b"SSND")
     compressed = data[8:12] == b"AIFC"
-    begin, size = found.get(b"COMM", (0, 0))
+    begin, size = chunks.get(b"COMM", (0, 0))
     common = data[begin : begin + size]
     if len(common) < (22 if compressed else 18):
-        _check_sound(data, found.get(b"SSND"), "SSND")
+        _check_sound(data, chunks.get(b"SSND"), "SSND")
         raise RecordingError(f"has a COMM chunk of {len(common)} bytes; export it again")
     channels, frames, bits, exponent, mantissa = struct.unpack_from(">hIhHQ", common)
     codec = common[18:22] if compressed else b"NONE"
     rate = mantissa * 2.0 ** min(exponent - 16_383 - 63, 900)  # an extended float of 80 bits
     _check_format(AIFC_CODECS.get(codec, printable(codec.decode("latin-1"))), bits, channels, rate)
-    place = found.get(b"SSND")
+    place = chunks.get(b"SSND")
     offset = int.from_bytes(data[place[0] : place[0] + 4], "big") if place else 0
     sound = place and (place[0] + 8 + offset, place[1] - 8 - offset)
-    _check_sound(data, sound, "SSND", promised=frames * channels * bits // 8)
+    _check_sound(data, sound, "SSND", stated=frames * channels * bits // 8)
     if frames == 0:
         raise RecordingError(f"has an unfinished header (0 frames); {RESAVE}")
     return data
@@ -232,15 +235,15 @@ def _au(data: bytes) -> bytes:
 
 
 def _caf(data: bytes) -> bytes:
-    found = _chunks(data, CAF, b"desc", b"data")
-    begin, size = found.get(b"desc", (0, 0))
+    chunks = _chunks(data, CAF, b"desc", b"data")
+    begin, size = chunks.get(b"desc", (0, 0))
     if size < 32 or begin + 32 > len(data):
         raise RecordingError("is truncated or has no desc chunk; copy or export it again")
     rate, codec, flags, align, _, channels, bits = struct.unpack_from(">d4s5I", data, begin)
     name = printable(codec.decode("latin-1")) if codec != b"lpcm" else FLOAT if flags & 1 else PCM
     _check_format(name, bits, channels, rate, align)
-    place = found.get(b"data")
-    _check_sound(data, place and (place[0] + 4, place[1] - 4), "data")  # after a count of edits
+    place = chunks.get(b"data")
+    _check_sound(data, place and (place[0] + 4, place[1] - 4), "data")  # the content begins with an edit count
     return data
 
 
@@ -248,7 +251,7 @@ def _caf(data: bytes) -> bytes:
 
 
 def _ogg(data: bytes) -> bytes:
-    """One stream of Vorbis or Opus in OGG: each page complete, in order and with its checksum (RFC 3533)."""
+    """Check one stream of Vorbis or Opus in OGG: complete pages in order, with correct checksums (RFC 3533)."""
     position, number, serial = 0, 0, None
     while position < len(data):
         end, flags, page = _ogg_page(data, position)
@@ -256,7 +259,7 @@ def _ogg(data: bytes) -> bytes:
             serial = page[0]
             _check_ogg_codec(data[position + 27 + data[position + 26] : end])
         if page != (serial, number) or bool(flags & OGG_BEGIN) != (number == 0):
-            raise RecordingError(f"holds several streams, or lacks page {number}; {RESAVE}")
+            raise RecordingError(f"holds several streams, or page {number} is missing; {RESAVE}")
         position, number = end, number + 1
         if flags & OGG_END:
             if data[position : position + 4] == b"OggS":
@@ -266,19 +269,19 @@ def _ogg(data: bytes) -> bytes:
 
 
 def _ogg_page(data: bytes, begin: int) -> tuple[int, int, tuple[int, int]]:
-    """The end of a page, its flags, and its stream and number."""
+    """Check a page; return its end, its flags, and its stream and page number."""
     body = begin + OGG_PAGE.size + (data[begin + 26] if begin + 26 < len(data) else 0)
     end = body + sum(data[begin + OGG_PAGE.size : body])
     if body > len(data) or end > len(data) or begin + OGG_PAGE.size > len(data):
         raise RecordingError("is truncated: it ends within a page; copy it again")
     magic, _, flags, _, serial, number, checksum, _ = OGG_PAGE.unpack_from(data, begin)
     if magic != b"OggS" or _ogg_checksum(data[begin : begin + 22] + bytes(4) + data[begin + 26 : end]) != checksum:
-        raise RecordingError(f"is damaged: the page at byte {begin} is not what was written; copy it again")
+        raise RecordingError(f"is damaged: the page at byte {begin} has a wrong checksum; copy it again")
     return end, flags, (serial, number)
 
 
 def _ogg_checksum(page: bytes) -> int:
-    """The CRC of OGG: the polynomial of zlib, bits in the other order, without the two inversions."""
+    """The CRC of OGG: the polynomial of zlib with reversed bits, without the two inversions."""
     value = zlib.crc32(page.translate(REVERSED), 0xFFFFFFFF) ^ 0xFFFFFFFF
     return int(f"{value:032b}"[::-1], 2)
 
@@ -293,7 +296,7 @@ def _check_ogg_codec(packet: bytes) -> None:
 
 
 def _mp3(data: bytes) -> bytes:
-    """MPEG layer III: whole frames from the first to the last, and as many as a Xing header says."""
+    """Check MPEG layer III: complete frames, and as many as a Xing header states."""
     first = _after_id3(data)
     position, count, sound = first, 0, None
     while header := _mp3_header(data, position):
@@ -302,19 +305,19 @@ def _mp3(data: bytes) -> bytes:
             raise RecordingError(f"is an MP3 file whose rate or channels change at byte {position}; {RESAVE}")
         sound = (rate, channels)
         if position + size > len(data):
-            raise RecordingError(f"is truncated: its MP3 frame {count} is not whole; copy it again")
+            raise RecordingError(f"is truncated: its MP3 frame {count} is incomplete; copy it again")
         position, count = position + size, count + 1
-    rest = data[position:]
-    if sound is None or not (rest[:3] in (b"TAG", b"ID3") or rest[:8] == b"APETAGEX" or not rest.strip(b"\0")):
+    tail = data[position:]
+    if sound is None or not (tail[:3] in (b"TAG", b"ID3") or tail[:8] == b"APETAGEX" or not tail.strip(b"\0")):
         raise RecordingError(f"is a damaged MP3 file: no frame of layer III begins at byte {position}; {RESAVE}")
     check_layout(sound[1], sound[0], 1)
-    if (promised := _xing_frames(data, first)) > count - 1:
-        raise RecordingError(f"is truncated: {count - 1} of {promised} MP3 frames are there; copy it again")
+    if (stated := _xing_frames(data, first)) > count - 1:
+        raise RecordingError(f"is truncated: it holds {count - 1} of {stated} MP3 frames; copy it again")
     return data[first:position]
 
 
 def _after_id3(data: bytes) -> int:
-    """The byte at which the frames begin: after tags, whose sizes have 7 bits a byte, and zeros."""
+    """The byte at which the frames begin: after zeros and tags. Sizes of tags have 7 bits per byte."""
     position = 0
     while data[position : position + 3] == b"ID3" and position + 10 <= len(data):
         size = 0
@@ -325,7 +328,7 @@ def _after_id3(data: bytes) -> int:
 
 
 def _mp3_header(data: bytes, at: int) -> tuple[int, int, int, int] | None:
-    """Size, rate in Hz, channels and bytes of side information of a frame of layer III; None for another frame."""
+    """Size, rate in Hz, channels and bytes of side information of a frame of layer III; None if there is none."""
     if at + 4 > len(data) or data[at] != 0xFF or data[at + 1] & 0xE6 != 0xE2:
         return None
     version, bits, rate = data[at + 1] >> 3 & 3, data[at + 2] >> 4, data[at + 2] >> 2 & 3
@@ -338,7 +341,7 @@ def _mp3_header(data: bytes, at: int) -> tuple[int, int, int, int] | None:
 
 
 def _xing_frames(data: bytes, first: int) -> int:
-    """The number of frames that a Xing or Info header in the first frame gives; 0 without one."""
+    """The number of frames stated by a Xing or Info header in the first frame; 0 without one."""
     header = _mp3_header(data, first)
     at = first + 4 + header[3] if header else 0
     if data[at : at + 4] not in (b"Xing", b"Info") or not data[at + 7 : at + 8] or not data[at + 7] & 1:
@@ -347,14 +350,14 @@ def _xing_frames(data: bytes, first: int) -> int:
 
 
 def _guess(data: bytes) -> str:
-    """Name what a file of another format seems to be."""
+    """Name the likely format of an unsupported file."""
     if data[:4] in OTHERS:
         return OTHERS[data[:4]]
     if data[4:8] == b"ftyp":
         return "an MP4 or M4A file"
     if data[0] == 0xFF and data[1:2] and data[1] & 0xE0 == 0xE0:
         return "an AAC file, or MPEG sound of another layer than III"
-    text = data[:200].decode(errors="ignore")  # the last letter may be cut in two
+    text = data[:200].decode(errors="ignore")  # the last character may be incomplete
     if len(text.encode()) > len(data[:200]) - 4 and all(c.isprintable() or c in "\t\r\n" for c in text):
         return f'text (it begins "{printable(text[:20])}")'
     return f"of an unknown format (it begins with bytes {data[:4].hex()})"

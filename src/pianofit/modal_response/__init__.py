@@ -1,10 +1,11 @@
-"""How a key rings: the modes of its partials, and its knock, driven by the hammer's force.
+"""The modal response of a key: modes of its partials and knock, driven by the hammer's force.
 
     sound_l(t) = g_l F_l(t) ∗ (Re Σ_m P_m e^{p_m t} + knock(t))
 
-`modes` finds the poles that all layers of a key share, with `subspace` in `bands` about each partial; `key` finds what
-stands between the fitted forces and the recordings. `fit_modal_response` does all of it for a finished fit, and keeps what
-brings layers nearer that took no part.
+`modes` estimates the poles that all layers of a key share, by ESPRIT (`esprit`) in a band about each partial (`bands`).
+`shared_response` estimates patterns, knock and contact times from the fitted forces and the recordings.
+`model_selection` does both for a finished fit. It keeps the modal response only if that improves the prediction of
+layers that are left out.
 """
 
 from .aligned_layers import AlignedLayers, align_layers

@@ -1,8 +1,8 @@
 """Damped modes common to several signals: a subspace estimate, refined by variable projection.
 
-All signals share poles and have amplitudes of their own. A start is ESPRIT (Roy and Kailath 1989) on the sum of the
-signals' Hankel covariances; the refinement minimises what the poles leave of every signal, amplitudes projected out
-(Golub and Pereyra 1973, with Kaufman's Jacobian), by Levenberg and Marquardt's steps.
+All signals share their poles. Each signal has its own amplitudes. The initial poles come from ESPRIT (Roy and Kailath
+1989) on the sum of the signals' Hankel covariances. The refinement projects the amplitudes out (Golub and Pereyra 1973,
+with Kaufman's Jacobian) and minimises the residual of all signals by Levenberg-Marquardt steps.
 """
 
 from __future__ import annotations
@@ -15,22 +15,22 @@ from scipy.linalg import eigh
 
 __all__ = ["Signals", "amplitudes", "poles_by_subspace", "refined", "standard_errors"]
 
-# Samples of a signal that the subspace and the refinement look at: more cost time and say nothing new of a few poles.
-LOOKED_AT = 240
-# Of a signal's samples a Hankel matrix has one in so many as columns: poles err least between one and two thirds (Hua
-# and Sarkar 1990), and one costs least.
+# Samples of a signal that the subspace and the refinement use. A few poles gain nothing from more.
+SAMPLES_USED = 240
+# Samples of a signal per column of its Hankel matrix. The error of poles is least between one third and two thirds of
+# the samples as columns (Hua and Sarkar 1990), and one third is cheapest.
 SAMPLES_A_COLUMN = 3
-# But so many columns at the least.
+# Fewest columns of a Hankel matrix.
 LEAST_COLUMNS = 6
-# Steps of the refinement at the most; it ends where one gains less than this share of the cost.
+# Largest number of refinement steps. The refinement stops when a step reduces the cost by less than this share.
 STEPS = 12
-ENOUGH = 1e-4
-# Levenberg and Marquardt's damping: at first, and where no step is left.
+TOLERANCE = 1e-4
+# Levenberg-Marquardt damping: the first value, and the value at which the refinement stops.
 DAMPING = 1e-3
-LAST_DAMPING = 1e6
-# Singular values of the exponentials below this share of the largest are not told apart by a signal.
+LARGEST_DAMPING = 1e6
+# Singular values of the exponentials below this share of the largest cannot be resolved in a signal.
 RANK = 3e-3
-# The same where only the direction of a step depends on it.
+# The same threshold where only the direction of a step depends on it.
 STEP_RANK = 1e-6
 
 
@@ -38,69 +38,69 @@ class Signals(NamedTuple):
     """Complex signals at one step, each beginning at time 0."""
 
     values: np.ndarray  # complex [signals, samples]
-    weight: np.ndarray  # over a deviation of 1; from a signal's end on 0 [signals, samples]
+    weight: np.ndarray  # inverse standard deviation; 0 after the end of a signal [signals, samples]
     step: float  # s
 
     def thinned(self) -> Signals:
-        """About `LOOKED_AT` samples of the longest."""
-        by = max(1, self.values.shape[-1] // LOOKED_AT)
-        return Signals(self.values[:, ::by], self.weight[:, ::by], self.step * by)
+        """The same signals, decimated to about `SAMPLES_USED` samples."""
+        factor = max(1, self.values.shape[-1] // SAMPLES_USED)
+        return Signals(self.values[:, ::factor], self.weight[:, ::factor], self.step * factor)
 
     @property
     def time(self) -> np.ndarray:
-        """Of the samples, s."""
+        """Times of the samples, s."""
         return self.step * np.arange(self.values.shape[-1])
 
     @property
     def length(self) -> np.ndarray:
-        """How many samples each signal has [signals]."""
+        """Number of samples of each signal [signals]."""
         return (self.weight > 0).sum(axis=-1)
 
 
 def poles_by_subspace(signals: Signals, scale: np.ndarray, orders: Sequence[int], lift: float) -> dict[int, np.ndarray]:
-    """Poles, 1/s, for every order that the signals are long enough for.
+    """Poles, 1/s, for every order that the lengths of the signals permit.
 
     Parameters
     ----------
-    scale : of each signal [signals]; its covariance is divided by the square.
-    lift : 1/s; signals are multiplied by exp(lift t), so that what decays slowly counts late as well.
+    scale : scale of each signal [signals]. Its covariance is divided by the square.
+    lift : 1/s. Signals are multiplied by exp(lift t), which raises the weight of slowly decaying modes.
     """
     thin = signals.thinned()
     columns = max(LEAST_COLUMNS, thin.values.shape[-1] // SAMPLES_A_COLUMN)
     lifted = thin.values * np.exp(lift * thin.time) / scale[:, None]
-    cut = [z[:size] for z, size in zip(lifted, thin.length, strict=True) if size > columns + 2]
-    most = min(max(orders), columns - 3)
-    if not cut or most < 1:
+    usable = [z[:size] for z, size in zip(lifted, thin.length, strict=True) if size > columns + 2]
+    highest = min(max(orders), columns - 3)
+    if not usable or highest < 1:
         return {}
-    basis = eigh(_hankel_covariance(cut, columns), subset_by_index=[columns - most, columns - 1])[1]
-    found = {}
+    basis = eigh(_hankel_covariance(usable, columns), subset_by_index=[columns - highest, columns - 1])[1]
+    poles = {}
     for order in orders:
-        if order <= most:
+        if order <= highest:
             u = basis[:, -order:]
-            turn = np.linalg.eigvals(np.linalg.pinv(u[:-1]) @ u[1:])
-            found[order] = np.log(turn) / thin.step - lift
-    return found
+            z = np.linalg.eigvals(np.linalg.pinv(u[:-1]) @ u[1:])
+            poles[order] = np.log(z) / thin.step - lift
+    return poles
 
 
 def _hankel_covariance(signals: Sequence[np.ndarray], columns: int) -> np.ndarray:
-    """Σ_n z[n + i] z*[n + j] over all whole windows of all signals [columns, columns].
+    """Σ_n z[n + i] z*[n + j] over all complete windows of all signals [columns, columns].
 
-    Along a diagonal an entry differs from the last by the window's last product more and its first less.
+    The next entry along a diagonal gains the last product of the window and loses the first.
     """
-    last = [len(z) - columns + 1 for z in signals]
-    first_row = np.sum([np.correlate(z, z[:rows], "valid") for z, rows in zip(signals, last, strict=True)], axis=0)
-    ends = np.stack([z[rows : rows + columns - 1] for z, rows in zip(signals, last, strict=True)])
+    counts = [len(z) - columns + 1 for z in signals]
+    first_row = np.sum([np.correlate(z, z[:rows], "valid") for z, rows in zip(signals, counts, strict=True)], axis=0)
+    ends = np.stack([z[rows : rows + columns - 1] for z, rows in zip(signals, counts, strict=True)])
     begins = np.stack([z[: columns - 1] for z in signals])
-    more = ends.T @ ends.conj() - begins.T @ begins.conj()
+    increment = ends.T @ ends.conj() - begins.T @ begins.conj()
     covariance = np.empty((columns, columns), complex)
     covariance[0], covariance[:, 0] = first_row.conj(), first_row
     for i in range(columns - 1):
-        covariance[i + 1, 1:] = covariance[i, :-1] + more[i]
+        covariance[i + 1, 1:] = covariance[i, :-1] + increment[i]
     return covariance
 
 
 def _inverse(v: np.ndarray, rank: float) -> tuple[np.ndarray, np.ndarray]:
-    """Orthonormal columns of v, and the pseudo-inverse of the triangle beside them."""
+    """Orthonormal columns Q of v = Q R, and the pseudo-inverse of R."""
     q, r = np.linalg.qr(v)
     return q, np.linalg.pinv(r, rcond=rank)
 
@@ -110,56 +110,60 @@ def _adjoint(q: np.ndarray) -> np.ndarray:
 
 
 def amplitudes(pole: np.ndarray, signals: Signals) -> np.ndarray:
-    """Of every signal, at its begin, by weighted least squares [signals, modes]."""
+    """Amplitudes in every signal at its first sample, by weighted least squares [signals, modes]."""
     v = np.exp(np.outer(signals.time, pole))
     scale = np.linalg.norm(v, axis=0)
     q, inverse = _inverse(signals.weight[..., None] * (v / scale), RANK)
     return (inverse @ (_adjoint(q) @ (signals.values * signals.weight)[..., None]))[..., 0] / scale
 
 
-def _projected(pole: np.ndarray, signals: Signals) -> tuple[float, np.ndarray, np.ndarray]:
-    """Cost, residual [all samples] and Kaufman's Jacobian of its negative by the poles [all samples, modes]."""
+def _residual_and_jacobian(pole: np.ndarray, signals: Signals) -> tuple[float, np.ndarray, np.ndarray]:
+    """Cost, residual r [all samples] and Kaufman's Jacobian of -r with respect to the poles [all samples, modes]."""
     time = signals.time
     v = np.exp(np.outer(time, pole)) * signals.weight[..., None]
     q, inverse = _inverse(v, STEP_RANK)
     y = (signals.values * signals.weight)[..., None]
-    along = _adjoint(q) @ y
-    moved = time[:, None] * v * (inverse @ along).swapaxes(-1, -2)
-    each = 1 / np.sqrt(signals.length)[:, None, None]
-    residual = ((y - q @ along) * each).ravel()
-    jacobian = ((moved - q @ (_adjoint(q) @ moved)) * each).reshape(-1, len(pole))
+    projected = _adjoint(q) @ y
+    derivative = time[:, None] * v * (inverse @ projected).swapaxes(-1, -2)
+    normalisation = 1 / np.sqrt(signals.length)[:, None, None]
+    residual = ((y - q @ projected) * normalisation).ravel()
+    jacobian = ((derivative - q @ (_adjoint(q) @ derivative)) * normalisation).reshape(-1, len(pole))
     return float(np.vdot(residual, residual).real), residual, jacobian
 
 
 def refined(pole: np.ndarray, signals: Signals, box: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-    """The poles, kept in `box`, that leave least of all signals, each signal with one weight however long."""
+    """Poles within `box` that minimise the residual of all signals.
+
+    The weight of a signal does not depend on its length.
+    """
     thin, damping = signals.thinned(), DAMPING
-    cost, residual, jacobian = _projected(pole, thin)
+    cost, residual, jacobian = _residual_and_jacobian(pole, thin)
     for _ in range(STEPS):
         curvature = jacobian.conj().T @ jacobian
         damped = curvature + damping * np.diag(np.real(np.diag(curvature)) + 1e-12)
-        tried = box(pole + np.linalg.solve(damped, jacobian.conj().T @ residual))
-        there = _projected(tried, thin)
-        if there[0] < cost:
-            done = cost - there[0] < ENOUGH * cost
-            pole, damping, (cost, residual, jacobian) = tried, damping / 5, there
-            if done:
+        trial = box(pole + np.linalg.solve(damped, jacobian.conj().T @ residual))
+        trial_cost, trial_residual, trial_jacobian = _residual_and_jacobian(trial, thin)
+        if trial_cost < cost:
+            converged = cost - trial_cost < TOLERANCE * cost
+            pole, cost, residual, jacobian = trial, trial_cost, trial_residual, trial_jacobian
+            damping /= 5
+            if converged:
                 break
         else:
             damping *= 8
-            if damping > LAST_DAMPING:
+            if damping > LARGEST_DAMPING:
                 break
     return pole
 
 
 def standard_errors(pole: np.ndarray, signals: Signals, correlated: float) -> np.ndarray:
-    """Of the poles, 1/s [modes], each of real and imaginary part, from what they leave (Huber's sandwich).
+    """Standard errors of real and imaginary part of the poles, 1/s [modes], from the residual (Huber's sandwich).
 
     Parameters
     ----------
-    correlated : neighbouring samples that say the same, because the signals' band is narrower than their rate.
+    correlated : samples per independent sample. It exceeds 1 because the band is narrower than the frame rate.
     """
-    _, residual, jacobian = _projected(pole, signals)
+    _, residual, jacobian = _residual_and_jacobian(pole, signals)
     inverse = np.linalg.pinv(jacobian.conj().T @ jacobian, rcond=1e-10)
     meat = (jacobian.conj().T * np.abs(residual) ** 2) @ jacobian
     return np.sqrt(np.maximum(np.diag(inverse @ meat @ inverse).real * correlated / 2, 0.0))

@@ -1,4 +1,4 @@
-"""How much higher one layer of a key sounds than another, and one partial of it: by the coherence of their phases."""
+"""Relative pitch of the layers of a key, and of single partials, from the coherence of their phases."""
 
 from __future__ import annotations
 
@@ -11,34 +11,36 @@ from .bands import band, kernel_seconds
 
 __all__ = ["track_offsets", "relative_pitches"]
 
-# Partials that tell a layer's pitch; those that cohere no better than this have hardly a say.
+# Number of lowest partials that determine a layer's pitch. Partials below this coherence have almost no weight.
 TUNED = 16
 HALF_COHERENT = 0.5
-# How far from the last layer's it is looked for, relative: five cents; and a partial from its place by that, Hz and
-# relative: a third of a cent, for a string has more pitches than one.
+# Largest relative detuning of a layer from the last layer that is searched: five cents.
 DETUNED = 3e-3
-ASTRAY = 0.03, 2e-4
-# Steps to both sides of it, and where the phases are compared, s after the onset: past the attack, before the noise.
+# Largest deviation of a partial from its layer's pitch: a constant, Hz, and a relative part of a third of a cent. A
+# real string does not have one pitch for all partials.
+LARGEST_DEVIATION = 0.03, 2e-4
+# Number of search steps on either side.
 STEPS = 60
+# Phases are compared between these times after the onset, s: past the attack and above the noise.
 COMPARED = 0.08, 2.5
-# A layer's partial is followed where its phase against the loudest layer's keeps this coherence.
+# The offset of a partial is measured only if its phase relative to the loudest layer has this coherence.
 COHERENT = 0.6
 
 
 def relative_pitches(
-    spectrum: np.ndarray, count: int, heard: AlignedLayers, partials: Sequence[tuple[int, float, float]]
+    spectrum: np.ndarray, count: int, layers: AlignedLayers, partials: Sequence[tuple[int, float, float]]
 ) -> np.ndarray:
-    """How much higher each layer sounds than the last, relative [layers]: the median of where its partials cohere.
+    """Relative detuning of each layer from the last [layers]: the weighted median over its partials.
 
-    Each layer's own law will not do: its partials beat, and a layer's beats move its f0 by a cent.
+    The f0 of each layer's analysis is not used. Partials beat, which changes the f0 of a layer by a cent.
     """
     offset, weight = [], []
     for _, frequency, spacing in partials[:TUNED]:
-        b = band(spectrum, count, heard.rate, frequency, kernel_seconds(spacing))
-        away, coherence = _offsets(b.values, b.time, np.zeros(len(b.values)), DETUNED * frequency)
-        offset.append(away / frequency)
+        b = band(spectrum, count, layers.rate, frequency, kernel_seconds(spacing))
+        detuning, coherence = _offsets(b.values, b.time, np.zeros(len(b.values)), DETUNED * frequency)
+        offset.append(detuning / frequency)
         weight.append(np.where(coherence > HALF_COHERENT, coherence**2, 1e-9))
-    pitch = np.zeros(len(heard.samples))
+    pitch = np.zeros(len(layers.samples))
     for i, (x, w) in enumerate(zip(np.array(offset).T, np.array(weight).T, strict=True)):
         order = np.argsort(x)
         total = np.cumsum(w[order])
@@ -47,18 +49,21 @@ def relative_pitches(
 
 
 def track_offsets(z: np.ndarray, time: np.ndarray, frequency: float, pitch: np.ndarray) -> np.ndarray:
-    """How far a partial lies above the last layer's, Hz [layers]: as its phase says, or else the layers' pitch."""
+    """Frequency of a partial in each layer minus that in the last layer, Hz [layers].
+
+    It is measured from the phase if that is coherent. Otherwise it follows from the layers' relative `pitch`.
+    """
     expected = frequency * pitch
-    offset, coherence = _offsets(z, time, expected, ASTRAY[0] + ASTRAY[1] * frequency)
+    offset, coherence = _offsets(z, time, expected, LARGEST_DEVIATION[0] + LARGEST_DEVIATION[1] * frequency)
     return np.where(coherence > COHERENT, offset, expected)
 
 
 def _offsets(z: np.ndarray, time: np.ndarray, expected: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
-    """How far each layer's partial lies above the last layer's, Hz, within `reach`; and how coherent they are."""
-    at = (time > COMPARED[0]) & (time < COMPARED[1])
-    turn = z[..., at] * z[-1, :, at].T.conj() * np.exp(-2j * np.pi * expected[:, None, None] * time[at])
+    """Offset of each layer's partial from the last layer's, Hz, within `reach` of `expected`, and its coherence."""
+    frames = (time > COMPARED[0]) & (time < COMPARED[1])
+    turn = z[..., frames] * z[-1, :, frames].T.conj() * np.exp(-2j * np.pi * expected[:, None, None] * time[frames])
     turn = turn / np.sqrt(np.abs(turn) + 1e-30)
-    tried = np.linspace(-1, 1, 2 * STEPS + 1) * reach
-    sums = np.abs(turn @ np.exp(-2j * np.pi * np.outer(time[at], tried))).sum(axis=1)
+    trial = np.linspace(-1, 1, 2 * STEPS + 1) * reach
+    sums = np.abs(turn @ np.exp(-2j * np.pi * np.outer(time[frames], trial))).sum(axis=1)
     best = np.argmax(sums, axis=1)
-    return expected + tried[best], sums.max(axis=1) / np.maximum(np.abs(turn).sum(axis=(1, 2)), 1e-30)
+    return expected + trial[best], sums.max(axis=1) / np.maximum(np.abs(turn).sum(axis=(1, 2)), 1e-30)

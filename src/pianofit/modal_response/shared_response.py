@@ -1,4 +1,4 @@
-"""What lies between the forces of several strokes and their recordings: patterns, knock and contact times."""
+"""Patterns, knock and contact times of a key, from the forces of several strokes and their recordings."""
 
 from __future__ import annotations
 
@@ -23,186 +23,196 @@ from .velocity_gain import velocity_gain
 
 __all__ = ["SharedResponse", "estimate_shared_response"]
 
-# The knock lasts so long after the contact, s: beyond this it gains little (the knee of the distance over its length);
-# and no longer than any layer is heard.
+# Longest knock after the contact, s. A longer one hardly reduces the log-mel distance. The end of the shortest layer
+# also limits it.
 KNOCK = 0.4
-# Part of it, at its end, in which it fades.
+# Share of the knock, at its end, over which it fades out.
 FADE = 1 / 3
-# A mode that the force drives so much less than another, amplitude, lies where its spectrum is nought: what it shows
-# there is not the force's, and would be lifted to any size. Any value from a third to ten times this does the same.
+# Modes whose drive lies this far below the largest one, as an amplitude ratio, lie at a zero of the force spectrum.
+# Their measured amplitude does not come from the force, and division by the drive would inflate it. Values from a third
+# to ten times this one give the same result.
 DRIVEN = 0.003
-# A force whose spectrum lies so far below its largest, amplitude, is the model's smoothness and drives no knock: other
-# sounds than the model's lie as far below the loudest partial (the likelihood's prior of η). Without any floor the
-# kernel explodes; where it lies makes no difference.
+# Floor of the force spectrum relative to its largest value, as an amplitude ratio. Below it, smoothness of the model
+# sets the spectrum. Interfering sound lies equally far below the loudest partial (prior of η in the likelihood).
+# Without a floor the kernel diverges; its exact value does not matter.
 FLOOR = 0.002
-# Onsets of layers may differ so much from the contact's, s.
+# Largest difference between a layer's onset and its contact, s.
 LATEST = 0.025
-# Between delays tried, s: a tenth of a period of the highest partials.
-FINEST = 4e-6
-# What a delay's attack says over what its phases say.
+# Step of the delay search, s: a tenth of a period of the highest partials.
+DELAY_STEP = 4e-6
+# Weight of the attack's correlation relative to the phases of partials.
 ATTACK = 1.5
-# What the largest delay costs on that scale: onsets are mostly right.
+# Penalty of the largest delay on the same scale: onsets are mostly right.
 FAR = 0.5
-# Of a layer's partials that tell levels and delays: nothing at the first of these over the noise, dB, all at the
-# second; and by their amplitude in that layer to this power, as loudness goes.
-TELLING = 10.0, 30.0
+# Weight of a layer's partials in levels and delays. It rises from 0 to 1 between these signal-to-noise ratios, dB. It
+# grows with this power of the partial's amplitude in the layer, approximately as loudness does.
+SNR_RAMP = 10.0, 30.0
 LOUDNESS = 0.3
-# Length, s, of the attacks that are correlated, and the power of their spectrum by which that is done: with all of it
-# (1) a note is as much like itself a period later, with none (0) it is what noise is like.
+# Length of the attacks that are correlated, s.
 ALIGNED = 0.08
+# Exponent of the cross-spectrum in the correlation. With 1 a note correlates equally well one period later. With 0
+# noise dominates.
 WHITENED = 0.5
 
 
 class SharedResponse(NamedTuple):
-    """What the layers of a key have in common, and when each was touched."""
+    """Modal response common to the layers of a key, and the contact time of each."""
 
-    ringing: ModalResponse  # gains of layers taken out
+    ringing: ModalResponse  # without the layers' gains
     delay: np.ndarray  # of its contact after its onset, s [layers]
 
 
 def estimate_shared_response(
-    heard: AlignedLayers, modes: Sequence[PartialModes], forces: Sequence[ForcePulse], gain: np.ndarray
+    layers: AlignedLayers, modes: Sequence[PartialModes], forces: Sequence[ForcePulse], gain: np.ndarray
 ) -> SharedResponse:
-    """The key that these layers, by these forces and through these gains [layers], show."""
+    """Estimate the modal response of a key from its layers, their forces and their gains [layers]."""
     strongest = np.array([m.poles[np.argmax(np.abs(m.amplitude).sum((0, 1)))] for m in modes])
     drive = np.stack([g * force.drive(strongest) for g, force in zip(gain, forces, strict=True)], axis=1)
-    loud = np.stack([np.abs(m.amplitude).sum(-1).max(axis=-1) for m in modes])  # [partials, layers], as `drive`
-    weight = np.stack([np.interp(m.snr, TELLING, (0, 1)) for m in modes]) * loud**LOUDNESS
-    delay = _delays(heard, modes, drive, weight)
-    observed_amplitudes = [
-        m.at_onset * np.exp(np.multiply.outer(delay, m.poles))[:, None, :] for m in modes
-    ]  # at the contact
-    patterns = _patterns(modes, observed_amplitudes, drive, weight)
-    pattern, pole = np.concatenate(patterns, axis=-1), np.concatenate([m.poles for m in modes])
-    found = ModalResponse(
-        np.concatenate([np.full(len(m.pole), m.number) for m in modes]), pole,
-        np.concatenate([m.pole_error for m in modes]), pattern, np.zeros((len(pattern), 0)), heard.rate,
-    )  # fmt: skip
-    knock = _knock(heard, modes, found, forces, delay, gain)
-    over = [one / row[:, None, None] for one, row in zip(observed_amplitudes, drive, strict=True)]
-    part = _participation(modes, patterns, over, loud, np.array([force.velocity for force in forces]))
-    return SharedResponse(found._replace(knock=knock, participation=part), delay)
+    size = np.stack([np.abs(m.amplitude).sum(-1).max(axis=-1) for m in modes])  # [partials, layers], as `drive`
+    weight = np.stack([np.interp(m.snr, SNR_RAMP, (0, 1)) for m in modes]) * size**LOUDNESS
+    delay = _delays(layers, modes, drive, weight)
+    at_contact = [m.at_onset * np.exp(np.multiply.outer(delay, m.poles))[:, None, :] for m in modes]
+    patterns = _patterns(modes, at_contact, drive, weight)
+    response = ModalResponse(
+        number=np.concatenate([np.full(len(m.pole), m.number) for m in modes]),
+        pole=np.concatenate([m.poles for m in modes]),
+        pole_error=np.concatenate([m.pole_error for m in modes]),
+        pattern=np.concatenate(patterns, axis=-1),
+        knock=np.zeros((len(patterns[0]), 0)),
+        rate=layers.rate,
+    )
+    knock = _knock(layers, modes, response, forces, delay, gain)
+    per_drive = [a / row[:, None, None] for a, row in zip(at_contact, drive, strict=True)]
+    part = _velocity_gain(modes, patterns, per_drive, size, np.array([force.velocity for force in forces]))
+    return SharedResponse(response._replace(knock=knock, participation=part), delay)
 
 
-def _delays(heard: AlignedLayers, modes: Sequence[PartialModes], drive: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """When each layer's contact was after its onset, s [layers]."""
+def _delays(layers: AlignedLayers, modes: Sequence[PartialModes], drive: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Time from each layer's onset to its contact, s [layers]."""
     factor = np.stack([common_pattern(m.at_onset, m.noise)[1] for m in modes])
     omega = 2 * np.pi * np.array([m.frequency for m in modes])
-    delay = np.array([_delay(heard, factor / drive, weight, omega, i) for i in range(len(heard.samples))])
-    return delay - delay.min()  # no contact is before its onset, and of one layer it is there
+    delay = np.array([_delay(layers, factor / drive, weight, omega, i) for i in range(len(layers.samples))])
+    return delay - delay.min()  # A contact is never before its onset. With one layer the delay is 0.
 
 
 def _patterns(
-    modes: Sequence[PartialModes], observed_amplitudes: Sequence[np.ndarray], drive: np.ndarray, weight: np.ndarray
+    modes: Sequence[PartialModes], at_contact: Sequence[np.ndarray], drive: np.ndarray, weight: np.ndarray
 ) -> list[np.ndarray]:
-    """P of each partial [channels, modes], of the amplitudes that are `shown` at the contact."""
-    each, factors = zip(
-        *(common_pattern(one, m.noise) for one, m in zip(observed_amplitudes, modes, strict=True)), strict=True
-    )
+    """P of each partial [channels, modes], from the amplitudes at the contact."""
+    common, factors = zip(*(common_pattern(a, m.noise) for a, m in zip(at_contact, modes, strict=True)), strict=True)
     ratio = np.stack(factors) / drive
     log = np.log(np.maximum(np.abs(ratio), 1e-30))
     level = (weight * log).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-9)
     phase = np.angle((weight * ratio / np.maximum(np.abs(ratio), 1e-30)).sum(axis=1))
-    return [p * np.exp(x + 1j * a) for p, x, a in zip(each, level, phase, strict=True)]
+    return [p * np.exp(x + 1j * a) for p, x, a in zip(common, level, phase, strict=True)]
 
 
-def _participation(
+def _velocity_gain(
     modes: Sequence[PartialModes],
     patterns: Sequence[np.ndarray],
-    observed_amplitudes: Sequence[np.ndarray],
-    loud: np.ndarray,
+    per_drive: Sequence[np.ndarray],
+    size: np.ndarray,
     velocity: np.ndarray,
 ) -> VelocityGain | None:
-    """How modes take part in the strokes of these layers; of one velocity the pattern says all.
+    """Velocity gain from amplitudes over drives; None with one velocity, which the pattern describes completely.
 
-    A partial's amplitude errs by the noise of its band and, as its level does in the likelihood, by other sounds that
-    lie so far below the layer's loudest partial.
+    The error of a partial's amplitude has two parts: the noise of its band, and interfering sound at `FLOOR` below the
+    layer's loudest partial, as in the likelihood.
     """
     if len(np.unique(velocity)) == 1:
         return None
     order = np.argsort(velocity, kind="stable")
     noise = 10 ** (-np.stack([m.snr for m in modes]) / 20)
-    with np.errstate(divide="ignore", invalid="ignore"):  # what a layer does not show says nothing
-        error = np.hypot(noise, FLOOR * loud.max(axis=0) / loud) / np.sqrt(2)
-    known, first = np.unique(velocity[order], return_index=True)
-    rising = velocity_gain([one[order] for one in observed_amplitudes], patterns, error.T[order], velocity[order])
-    return VelocityGain(known, rising[first])
+    with np.errstate(divide="ignore", invalid="ignore"):  # a partial without amplitude gets an infinite error
+        error = np.hypot(noise, FLOOR * size.max(axis=0) / size) / np.sqrt(2)
+    distinct, first = np.unique(velocity[order], return_index=True)
+    factor = velocity_gain([a[order] for a in per_drive], patterns, error.T[order], velocity[order])
+    return VelocityGain(distinct, factor[first])
 
 
-def _delay(heard: AlignedLayers, ratio: np.ndarray, weight: np.ndarray, omega: np.ndarray, layer: int) -> float:
-    """How much later a layer's contact lies after its onset than the last one's, s.
+def _delay(layers: AlignedLayers, ratio: np.ndarray, weight: np.ndarray, omega: np.ndarray, layer: int) -> float:
+    """Delay of a layer's contact after its onset, minus that of the last layer, s.
 
-    Phases alone are ambiguous by a period: the attacks' correlation, half whitened (Knapp and Carter 1976; Donohue et
-    al. 2007), has a say as well.
+    Phases of partials alone are ambiguous by a period. The correlation of the attacks, half whitened (Knapp and Carter
+    1976; Donohue et al. 2007), resolves the ambiguity.
     """
-    tried = np.arange(-LATEST, LATEST, FINEST)
+    trial = np.arange(-LATEST, LATEST, DELAY_STEP)
     turn = ratio[:, layer] * ratio[:, -1].conj()
     turn = turn / np.maximum(np.abs(turn), 1e-30) * weight[:, layer]
-    phases = (np.exp(1j * np.outer(tried, omega)) @ turn).real / max(weight[:, layer].sum(), 1e-12)
-    size = round(ALIGNED * heard.rate)
-    a, b = heard.samples[layer, :, :size], heard.samples[-1, :, :size]
+    phases = (np.exp(1j * np.outer(trial, omega)) @ turn).real / max(weight[:, layer].sum(), 1e-12)
+    size = round(ALIGNED * layers.rate)
+    a, b = layers.samples[layer, :, :size], layers.samples[-1, :, :size]
     cross = np.fft.rfft(a, 2 * size) * np.fft.rfft(b, 2 * size).conj()
     cross *= np.maximum(np.abs(cross), np.finfo(float).tiny) ** (WHITENED - 1)
-    alike = np.abs(signal.hilbert(np.roll(np.fft.irfft(cross).sum(axis=0), size)))
-    attacks = np.interp(tried * heard.rate + size, np.arange(2 * size), alike / alike.max())
-    return float(tried[np.argmax(phases + ATTACK * attacks - FAR * np.abs(tried) / LATEST)])
+    correlation = np.abs(signal.hilbert(np.roll(np.fft.irfft(cross).sum(axis=0), size)))
+    attacks = np.interp(trial * layers.rate + size, np.arange(2 * size), correlation / correlation.max())
+    return float(trial[np.argmax(phases + ATTACK * attacks - FAR * np.abs(trial) / LATEST)])
 
 
 def _knock(
-    heard: AlignedLayers,
+    layers: AlignedLayers,
     modes: Sequence[PartialModes],
-    key: ModalResponse,
+    response: ModalResponse,
     forces: Sequence[ForcePulse],
     delay: np.ndarray,
     gain: np.ndarray,
 ) -> np.ndarray:
     """Σ w F* R / (Σ w |F|² + floor) over layers [channels, samples].
 
-    R is what a layer's modes leave by the amplitudes that the layer itself shows, from its contact on: what the common
-    pattern misses of a partial is no knock.
+    R is the residual of a layer after its modes, from its contact on. The modes have the layer's own amplitudes, so
+    that errors of the common pattern do not enter the knock.
     """
     amplitude = np.concatenate([m.at_onset for m in modes], axis=-1)
-    # Each layer at its own pitch: a cent beside it, its partials would be left for the knock.
+    # Each layer has its own pitch. A mismatch of one cent would leave its partials in the knock.
     pole = np.concatenate([m.poles + 2j * np.pi * m.offset[:, None] for m in modes], axis=-1)
-    rate, lead = heard.rate, round(PRE_ONSET_S * heard.rate)
-    size = lead + round(min(KNOCK, *(heard.seconds - delay)) * rate)
+    rate, lead = layers.rate, round(PRE_ONSET_S * layers.rate)
+    size = lead + round(min(KNOCK, *(layers.seconds - delay)) * rate)
 
     def inaudible(pattern: np.ndarray) -> np.ndarray:
-        return np.pad(cancel_static_deflection(key.pole, pattern, rate, size - lead), ((0, 0), (lead, 0)))
+        return np.pad(cancel_static_deflection(response.pole, pattern, rate, size - lead), ((0, 0), (lead, 0)))
 
     count = 1 << int(np.ceil(np.log2(2 * size)))
-    fade, last = np.ones(size), round(FADE * size)
-    fade[-last:] = 0.5 + 0.5 * np.cos(np.pi * np.arange(last) / last)
+    fade, fade_size = np.ones(size), round(FADE * size)
+    fade[-fade_size:] = 0.5 + 0.5 * np.cos(np.pi * np.arange(fade_size) / fade_size)
     turn = 2j * np.pi * np.fft.rfftfreq(count)
-    above = np.zeros((heard.samples.shape[1], count // 2 + 1), complex)
-    below = np.zeros(count // 2 + 1)
-    rows = zip(heard.samples, heard.before, amplitude, pole, forces, delay, gain, strict=True)
+    numerator = np.zeros((layers.samples.shape[1], count // 2 + 1), complex)
+    denominator = np.zeros(count // 2 + 1)
+    rows = zip(layers.samples, layers.before, amplitude, pole, forces, delay, gain, strict=True)
     for x, before, own, poles, force, late, g in rows:
-        # Every layer from `LEAD` before its contact.
         around = np.concatenate([before[:, before.shape[-1] - lead :], x], axis=-1)
-        seen = _shifted(around[:, : 2 * size], -late * rate)[:, :size]
-        rest = seen - _alone(key._replace(pole=poles), own * np.exp(poles * late), force, size, inaudible)
+        # Every layer starts `PRE_ONSET_S` before its contact.
+        observed = _shifted(around[:, : 2 * size], -late * rate)[:, :size]
+        own_modes = response._replace(pole=poles)
+        residual = observed - _render_modes(own_modes, own * np.exp(poles * late), force, size, inaudible)
         spectrum = g * np.fft.rfft(force.at(rate), count) * np.exp(turn * EDGE)
-        weight = 1 / np.sum(seen**2)
-        above += weight * spectrum.conj() * np.fft.rfft(rest * fade, count)
-        below += weight * np.abs(spectrum) ** 2
-    return np.fft.irfft(above / (below + FLOOR**2 * below.max()), count)[:, :size] * fade + inaudible(key.pattern)
+        weight = 1 / np.sum(observed**2)
+        numerator += weight * spectrum.conj() * np.fft.rfft(residual * fade, count)
+        denominator += weight * np.abs(spectrum) ** 2
+    kernel = np.fft.irfft(numerator / (denominator + FLOOR**2 * denominator.max()), count)[:, :size]
+    return kernel * fade + inaudible(response.pattern)
 
 
-def _alone(
-    key: ModalResponse, amplitude: np.ndarray, force: ForcePulse, size: int, unheard: Callable[[np.ndarray], np.ndarray]
+def _render_modes(
+    response: ModalResponse,
+    amplitude: np.ndarray,
+    force: ForcePulse,
+    size: int,
+    inaudible: Callable[[np.ndarray], np.ndarray],
 ) -> np.ndarray:
-    """Modes of these amplitudes at the contact, driven by the force where it drives them and begun there otherwise."""
-    drive = force.drive(key.pole)
+    """Modes with these amplitudes at the contact [channels, samples].
+
+    The force drives the modes as far as its spectrum permits. The remainder of the amplitude starts at the contact.
+    """
+    drive = force.drive(response.pole)
     driven = amplitude * drive.conj() / (np.abs(drive) ** 2 + (DRIVEN * np.abs(drive).max()) ** 2)
-    lead = round(PRE_ONSET_S * key.rate)
-    begun = sum_damped_modes(key.pole, amplitude - driven * drive, key.rate, size - lead)
-    sound = key._replace(pattern=driven, knock=unheard(driven)).sound(force, key.rate, size)
-    return sound + np.pad(begun, ((0, 0), (lead, 0)))
+    lead = round(PRE_ONSET_S * response.rate)
+    remainder = sum_damped_modes(response.pole, amplitude - driven * drive, response.rate, size - lead)
+    sound = response._replace(pattern=driven, knock=inaudible(driven)).sound(force, response.rate, size)
+    return sound + np.pad(remainder, ((0, 0), (lead, 0)))
 
 
 def _shifted(x: np.ndarray, samples: float) -> np.ndarray:
-    """x later by so many samples, a fraction of one too."""
+    """x delayed by a real number of samples."""
     size = x.shape[-1] + 2048
     turn = np.exp(-2j * np.pi * np.fft.rfftfreq(size) * samples)
     return np.fft.irfft(np.fft.rfft(x, size) * turn, size)[..., : x.shape[-1]]

@@ -1,4 +1,8 @@
-"""A partial's band cut to where it is heard, and weighed: each layer relative to itself, and even in log time."""
+"""Valid frames of a partial's band, and their weights.
+
+Frames are valid from the end of the attack until the partial falls below the noise. Each layer is weighted relative to
+its own envelope, and evenly in the logarithm of time.
+"""
 
 from __future__ import annotations
 
@@ -13,77 +17,80 @@ from .esprit import Signals
 
 __all__ = ["RANGE", "ValidFrames", "select_valid_frames"]
 
-# Time, s, that is counted even in its logarithm from here on.
+# From this time on, s, frames are weighted evenly in the logarithm of time.
 EVEN = 0.1
-# What lies so far below a band's largest, dB, is not fitted however clean: other strings ring along there, and a fall
-# of pitch that was taken out leaves its traces.
+# Frames this far below the band's largest value, dB, are not fitted, even without noise. They also hold the resonance
+# of other strings and the remains of a removed glide.
 RANGE = 48.0
-# A layer whose band stands less above its noise, dB, says nothing of its poles.
+# A layer whose band exceeds its noise by less, dB, does not contribute to the poles.
 LEAST_SNR = 10.0
-# Length of the envelope's average, s.
+# Averaging time of the envelope, s.
 ENVELOPE = 0.06
-# A signal is fitted for so many frames and so long, s, at the least, however soon it is lost in the noise.
+# Least number of frames and least duration, s, of a fitted signal, however soon it falls below the noise.
 FEWEST = 12
 SHORTEST = 0.1
-# It begins when the kernel has left the onset by this, s, the first contact's length, and is lost within so many times
-# the noise's amplitude, which is what the end of the recording, from this part of it on, has beside the partial: in a
-# short one, the last frame that is valid.
+# Valid frames begin this time, s, after the kernel has left the onset: the length of the first contact.
 CONTACT = 0.003
+# Valid frames end where the envelope falls below this multiple of the noise amplitude.
 LOST = 2.0
-QUIET = 0.8
-# Rms of noise over the median of its magnitude (Rayleigh).
+# The noise is measured next to the partial in the end of the recording, from this share of its length on. In a short
+# recording it is measured in the last valid frame.
+NOISE_BEGIN = 0.8
+# Ratio of the rms of noise to the median of its magnitude (Rayleigh).
 RMS_OVER_MEDIAN = 1.2
-# Before the end of a recording, s, frames are not used: files are faded.
-FADED = 0.01
-# A deviation of 1, where poles are sought, is at least so far below a signal's begin, dB.
+# The last part of a recording, s, is not used because files are often faded out.
+FADE_OUT = 0.01
+# Least standard deviation in the search for poles, dB relative to the first frame of the signal.
 FINE = 40.0
-# Frames at the begin whose largest is the band's.
-TOP = 3
+# Number of first frames whose maximum is the largest value of the band.
+TOP_FRAMES = 3
 
 
 @dataclass(frozen=True)
 class ValidFrames:
-    """What is fitted of a band: which layers and channels, from when, and what is a deviation of 1."""
+    """The part of a band that is fitted: layers, channels, start and standard deviation."""
 
     above_noise: np.ndarray  # bool [layers, channels]
-    signals: Signals  # the live ones
-    scale: np.ndarray  # [signals]
+    signals: Signals  # of layers and channels above the noise
+    scale: np.ndarray  # standard deviation of each signal [signals]
     start: float  # s
     noise: np.ndarray  # [layers, channels]
     snr: np.ndarray  # [layers]
 
 
-def select_valid_frames(b: Band, z: np.ndarray, beside: np.ndarray, ends: np.ndarray) -> ValidFrames | None:
-    """Cut a band to where it is heard.
+def select_valid_frames(b: Band, z: np.ndarray, between: np.ndarray, ends: np.ndarray) -> ValidFrames | None:
+    """Select the frames of a band that are fitted; None if no layer exceeds its noise.
 
     Parameters
     ----------
-    z : the band [layers, channels, frames]; `beside`: magnitude of the band half a spacing above, likewise.
+    z : the band [layers, channels, frames].
+    between : magnitude of the band half a spacing above [layers, channels, frames]. It measures the noise.
     ends : s, of each layer.
     """
-    quiet = [(b.time > min(QUIET * end, end - b.kernel - b.step)) & (b.time <= end - b.kernel) for end in ends]
-    noise = np.stack([np.median(beside[i][:, at], axis=-1) for i, at in enumerate(quiet)]) * RMS_OVER_MEDIAN + 1e-9
+    quiet = [(b.time > min(NOISE_BEGIN * end, end - b.kernel - b.step)) & (b.time <= end - b.kernel) for end in ends]
+    noise = (
+        np.stack([np.median(between[i][:, frames], axis=-1) for i, frames in enumerate(quiet)]) * RMS_OVER_MEDIAN + 1e-9
+    )
     width = max(1, round(ENVELOPE / b.step))
     smooth = np.ones((1, 1, width)) / width
     envelope = np.sqrt(signal.convolve(np.abs(z) ** 2, smooth, "same").clip(0))
     first = int(np.ceil((b.kernel / 2 + CONTACT) / b.step))
-    stop = np.array([int((min(SPAN, end - FADED) - b.kernel / 2) / b.step) for end in ends])
-    top = envelope[..., first : first + TOP].max(axis=-1)
+    stop = np.array([int((min(SPAN, end - FADE_OUT) - b.kernel / 2) / b.step) for end in ends])
+    top = envelope[..., first : first + TOP_FRAMES].max(axis=-1)
     snr = 20 * np.log10(np.maximum(top, noise * 1e-6) / noise)  # a channel may be silent
     floor = np.maximum(noise, top * 10 ** (-RANGE / 20))
-    live = (snr > LEAST_SNR) & (stop > first + FEWEST)[:, None]
-    if not live.any():
+    above_noise = (snr > LEAST_SNR) & (stop > first + FEWEST)[:, None]
+    if not above_noise.any():
         return None
     frame = np.arange(first, stop.max())
-    low = (envelope[..., frame] < LOST * floor[..., None]) | (frame >= stop[:, None, None])
-    length = np.where(low.any(axis=-1), low.argmax(axis=-1), len(frame))
-    length = np.maximum(length, max(FEWEST, int(SHORTEST / b.step)))[live]
+    lost = (envelope[..., frame] < LOST * floor[..., None]) | (frame >= stop[:, None, None])
+    length = np.where(lost.any(axis=-1), lost.argmax(axis=-1), len(frame))
+    length = np.maximum(length, max(FEWEST, int(SHORTEST / b.step)))[above_noise]
     frame = frame[: length.max()]
-    # The root counts equal ratios of time alike.
+    # The square root gives equal ratios of time equal weight.
     even = np.sqrt((b.time[frame] + EVEN) / (b.time[first] + EVEN))
-    weight = 1 / ((envelope[:, :, frame] + LOST * floor[..., None]) * even)[live]
+    weight = 1 / ((envelope[:, :, frame] + LOST * floor[..., None]) * even)[above_noise]
     weight[np.arange(len(frame)) >= length[:, None]] = 0.0
-    scale = np.maximum(floor, envelope[..., first] * 10 ** (-FINE / 20))[live]
-    return ValidFrames(
-        live, Signals(z[:, :, frame][live], weight, b.step), scale, first * b.step, floor, snr.max(axis=1)
-    )
+    scale = np.maximum(floor, envelope[..., first] * 10 ** (-FINE / 20))[above_noise]
+    signals = Signals(z[:, :, frame][above_noise], weight, b.step)
+    return ValidFrames(above_noise, signals, scale, first * b.step, floor, snr.max(axis=1))

@@ -1,4 +1,4 @@
-"""An instrument played: `render_song` plays a MIDI song with one voice per key."""
+"""Rendering of MIDI songs: `load_song` reads a file, `render_song` plays it with one voice per key."""
 
 from .midi import Song, load_song
 from .song import Performance, limit, render_song

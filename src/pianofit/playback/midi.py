@@ -1,11 +1,11 @@
-"""A MIDI file as a pianist's fingers and right foot: keys that go down and up, and the sustain pedal.
+"""A MIDI file as movements of keys and of the sustain pedal.
 
-All channels but the tenth (drums) play on the one piano. A key is held while any channel holds it. The pedal is a
-switch at half its way (controller 64, 64 of 127); other controllers, the soft and the middle pedal among them, do
-nothing. Tempo changes count.
+All channels except the tenth (drums) play on one piano. A key is down while any channel holds it. The pedal is a
+switch at half its travel (controller 64, value 64 of 127). Other controllers have no effect, the soft and the middle
+pedal included. Tempo changes are applied.
 
-Strokes of one key may overlap. A note-off then ends the oldest stroke of its key and channel, so the damper falls when
-as many strokes are ended as were begun.
+Strokes of one key may overlap. A note-off then ends the oldest stroke of its key and channel. The damper falls when
+as many strokes have ended as have begun.
 """
 
 from __future__ import annotations
@@ -29,42 +29,42 @@ MOST_SONG_SECONDS = 1800.0
 NOTE_OFF, NOTE_ON, CONTROL = 8, 9, 11
 SUSTAIN, DOWN, DRUMS = 64, 64, 9
 SOUND_OFF, NOTES_OFF = 120, 123
-# In place of a velocity: the end of one stroke, and of all strokes of a channel.
+# Values in place of a velocity: the end of one stroke, and of all strokes of a channel.
 END, END_ALL = 0, -1
 
 
 class Song(NamedTuple):
     """Times in s from the first event; every list ascends in time."""
 
-    keys: dict[int, list[tuple[float, int]]]  # MIDI key -> (time, velocity 1 to 127; 0 when it goes up)
-    pedal: Sequence[tuple[float, int]]  # (time, 1 when it goes down or is moved while down; 0 when it goes up)
+    keys: dict[int, list[tuple[float, int]]]  # MIDI key -> (time, velocity 1 to 127, or 0 for a release)
+    pedal: Sequence[tuple[float, int]]  # (time, 1 when the pedal goes down or moves while down, 0 when it goes up)
     seconds: float  # to the last event
     notes: int
-    ignored_notes: int = 0  # more notes, that no piano has
-    remarks: Sequence[str] = ()  # what of the file could not be read
+    ignored_notes: int = 0  # notes outside A0 to C8
+    remarks: Sequence[str] = ()  # parts of the file that could not be read
 
 
 def load_song(path: str | os.PathLike[str]) -> Song:
-    """The song in a standard MIDI file, of at most 100,000 notes and 30 min.
+    """Read a standard MIDI file of at most 100,000 notes and 30 min.
 
-    Reads types 0 and 1, and type 2 with one track, also inside a RIFF wrapper (RMID). Events and chunks that a player
-    does not need are skipped. Of a damaged track the events before the damage are played; `Song.remarks` says so.
+    Reads types 0 and 1, and type 2 with one track, also inside a RIFF wrapper (RMID). Events and chunks that playback
+    does not need are skipped. A damaged track is played up to the damage, and `Song.remarks` names it.
 
     Parameters
     ----------
-    path : of the file.
+    path : path of the file.
 
     Raises
     ------
     RecordingError
-        Naming the file and what is wrong: no MIDI, no notes that a piano has, too many, too long.
+        Names the file and the reason: not MIDI, no notes from A0 to C8, too many notes, too long.
     """
     data = read_file(path, LARGEST_SONG, RecordingError)
     return read_song(data, printable(path))
 
 
 def read_song(data: bytes, name: str) -> Song:
-    """The song in a file's bytes; see `load_song`."""
+    """Read a song from the bytes of a file; see `load_song`."""
     try:
         return _song(parse_midi(data), name)
     except MidiError as error:
@@ -72,100 +72,105 @@ def read_song(data: bytes, name: str) -> Song:
 
 
 def _song(file: MidiFile, name: str) -> Song:
-    """Walk through all events in time."""
+    """Collect the movements of keys and pedal from all events in time order."""
     if file.seconds > MOST_SONG_SECONDS:
         raise RecordingError(f"{name}: lasts more than {MOST_SONG_SECONDS / 60:g} minutes; cut it into parts")
-    pedal, notes = _Pedal(), Counter[bool]()
-    fingers = defaultdict[int, defaultdict[int, list[_Move]]](lambda: defaultdict(list))  # key, channel -> moves
-    struck = defaultdict[int, set[int]](set)  # channel -> keys that it moved since it last released all
+    pedal, notes, ignored = _Pedal(), 0, 0
+    key_events = defaultdict[int, defaultdict[int, list[_KeyEvent]]](lambda: defaultdict(list))  # by key and channel
+    used_keys = defaultdict[int, set[int]](set)  # channel -> keys with events since its last "all notes off"
     for order, (now, kind, channel, first, second) in enumerate(file.events):
         if channel == DRUMS:
             continue
         if kind == CONTROL and first == SUSTAIN:
             pedal.move(now, channel, int(second >= DOWN))
         elif kind == CONTROL and first in (SOUND_OFF, NOTES_OFF):
-            for key in struck.pop(channel, ()):
-                fingers[key][channel].append(_Move(order, now, END_ALL))
+            for key in used_keys.pop(channel, ()):
+                key_events[key][channel].append(_KeyEvent(order, now, END_ALL))
         elif kind in (NOTE_ON, NOTE_OFF):
             velocity = second if kind == NOTE_ON else END
-            there = LOWEST_KEY <= first <= HIGHEST_KEY  # else it is another player's switch
-            notes[there] += velocity > 0
-            if there:
-                struck[channel].add(first)
-                fingers[first][channel].append(_Move(order, now, velocity))
-    _check_count(notes[True], name, file.remarks)
-    keys = {key: events for key, channels in fingers.items() if (events := _held(channels))}
-    return Song(keys, pedal.events, file.seconds, notes[True], notes[False], file.remarks)
+            if LOWEST_KEY <= first <= HIGHEST_KEY:
+                notes += velocity > 0
+                used_keys[channel].add(first)
+                key_events[first][channel].append(_KeyEvent(order, now, velocity))
+            else:  # sample players use such notes as key switches
+                ignored += velocity > 0
+    _check_count(notes, name, file.remarks)
+    keys = {key: events for key, channels in key_events.items() if (events := _merge_channels(channels))}
+    return Song(keys, pedal.events, file.seconds, notes, ignored, file.remarks)
 
 
 def _check_count(notes: int, name: str, remarks: Sequence[str]) -> None:
     if notes > MOST_NOTES:
         raise RecordingError(f"{name}: has more than {MOST_NOTES:,} notes; cut it into parts")
     if not notes:
-        said = f" ({'; '.join(remarks)})" if remarks else ""
-        raise RecordingError(f"{name}: holds no note from A0 to C8{said}; give a MIDI file with notes, or transpose it")
+        reason = f" ({'; '.join(remarks)})" if remarks else ""
+        raise RecordingError(
+            f"{name}: holds no note from A0 to C8{reason}; give a MIDI file with notes, or transpose it"
+        )
 
 
-class _Move(NamedTuple):
+class _KeyEvent(NamedTuple):
     """One event of a key."""
 
-    order: float  # in the file
+    order: float  # position in the file
     seconds: float
-    velocity: int  # of a stroke; else END or END_ALL
+    velocity: int  # of a stroke; otherwise END or END_ALL
 
 
-def _held(channels: dict[int, list[_Move]]) -> list[tuple[float, int]]:
-    """Strokes of a key, and when it goes up: whenever no channel has a stroke that is not yet ended."""
-    moves = sorted((move, channel) for channel, own in channels.items() for move in _completed(own))
-    open_strokes, events = Counter[int](), []
-    for (_, now, velocity), channel in moves:
+def _merge_channels(channels: dict[int, list[_KeyEvent]]) -> list[tuple[float, int]]:
+    """Strokes and releases of one key. It is released when no channel has an open stroke left."""
+    events_by_order = sorted((event, channel) for channel, own in channels.items() for event in _add_missing_ends(own))
+    open_strokes, merged = Counter[int](), []
+    for (_, now, velocity), channel in events_by_order:
         before = open_strokes.total()
         if velocity > 0:
             open_strokes[channel] += 1
-            events.append((now, velocity))
+            merged.append((now, velocity))
         else:
             open_strokes[channel] = max(open_strokes[channel] - 1, 0) if velocity == END else 0
             if before and not open_strokes.total():
-                events.append((now, 0))
-    return events
+                merged.append((now, 0))
+    return merged
 
 
-def _completed(moves: list[_Move]) -> list[_Move]:
-    """Moves of one key by one channel, with an end for every stroke whose own is missing.
+def _add_missing_ends(events: list[_KeyEvent]) -> list[_KeyEvent]:
+    """Events of one key in one channel, with an end added for every stroke that has none.
 
-    Such a stroke ends at a stray note-off of the same time (a note without length, its end written first), else where
-    the channel strikes the key again. Without either it is held to the end of the song.
+    Such a stroke ends at a stray note-off of the same time, which is a note without length whose end was written first.
+    Otherwise it ends at the next stroke of the key in this channel. A stroke with neither is held to
+    the end of the song.
     """
     open_strokes: list[int] = []
-    stray = set[float]()
-    for i, move in enumerate(moves):
-        if move.velocity > 0:
+    stray_times = set[float]()
+    for i, event in enumerate(events):
+        if event.velocity > 0:
             open_strokes.append(i)
-        elif move.velocity == END_ALL:
+        elif event.velocity == END_ALL:
             open_strokes.clear()
         elif open_strokes:
             open_strokes.pop()
         else:
-            stray.add(move.seconds)
-    ends, strokes = [], [i for i, move in enumerate(moves) if move.velocity > 0]
-    after = dict(pairwise(strokes))
+            stray_times.add(event.seconds)
+    ends, strokes = [], [i for i, event in enumerate(events) if event.velocity > 0]
+    next_stroke = dict(pairwise(strokes))
     for i in open_strokes:
-        if moves[i].seconds in stray:
-            ends.append(_Move(moves[i].order + 0.5, moves[i].seconds, END))
-        elif i in after:
-            ends.append(_Move(moves[after[i]].order - 0.5, moves[after[i]].seconds, END))
-    return [*moves, *ends]
+        if events[i].seconds in stray_times:
+            ends.append(_KeyEvent(events[i].order + 0.5, events[i].seconds, END))
+        elif i in next_stroke:
+            following = events[next_stroke[i]]
+            ends.append(_KeyEvent(following.order - 0.5, following.seconds, END))
+    return [*events, *ends]
 
 
 class _Pedal:
-    """The pedal, which is down while any channel holds it down."""
+    """The sustain pedal, which is down while any channel holds it down."""
 
     def __init__(self) -> None:
-        self.by: set[int] = set()
+        self.channels: set[int] = set()  # that hold it down
         self.events: list[tuple[float, int]] = []
 
     def move(self, now: float, channel: int, down: int) -> None:
-        """A channel holds it down, or lets it go."""
-        if down or self.by == {channel}:
+        """Apply one controller event of a channel."""
+        if down or self.channels == {channel}:
             self.events.append((now, down))
-        (self.by.add if down else self.by.discard)(channel)
+        (self.channels.add if down else self.channels.discard)(channel)

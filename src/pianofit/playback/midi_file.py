@@ -1,8 +1,8 @@
-"""The events of a standard MIDI file in order of time, read as tolerantly as players read them.
+"""A tolerant reader of standard MIDI files: channel messages in time order.
 
-A player needs notes, controllers and tempo. Other events and chunks are skipped by their lengths, unread, so none of
-them can make a song unreadable. An event that cannot be read ends its track: the events before it are kept, and a
-remark says so. The format is that of the MIDI Association, "Standard MIDI Files 1.0" (RP-001).
+Playback needs notes, controllers and tempo. Other events and chunks are skipped by their lengths, so none of them can
+make a song unreadable. An event that cannot be read ends its track: earlier events are kept, and a remark reports it.
+The format is that of the MIDI Association, "Standard MIDI Files 1.0" (RP-001).
 """
 
 from __future__ import annotations
@@ -15,23 +15,23 @@ from typing import NamedTuple
 __all__ = ["MidiError", "MidiEvent", "MidiFile", "parse_midi"]
 
 HEADER, TRACK = b"MThd", b"MTrk"
-HEADER_SIZE = 6  # bytes: format, tracks, division; a longer header ends with what no reader knows
+HEADER_SIZE = 6  # bytes: format, tracks, division; the rest of a longer header is ignored
 SYSEX, ESCAPE, META = 0xF0, 0xF7, 0xFF
 END_OF_TRACK, SET_TEMPO = 0x2F, 0x51
-# Data bytes after a status that no file should hold; all other system messages have none.
+# Data bytes of system messages, which a file should not hold; all others have none.
 SYSTEM_LENGTHS = {0xF1: 1, 0xF2: 2, 0xF3: 1}
 # Channel messages with one data byte: program change and channel pressure.
 ONE_BYTE = (0xC, 0xD)
-# The longest length or delta time is four bytes of seven bits.
+# Bytes of the longest length or delta time, seven bits each.
 LONGEST_NUMBER = 4
 # Microseconds per beat until a file sets a tempo: 120 beats a minute.
 FIRST_TEMPO = 500_000
-# SMPTE frames per second by the header's negative byte. 29 stands for 29.97, drop frame.
+# SMPTE frames per second by the negated first byte of the division. 29 means 29.97, drop frame.
 FRAME_RATES = {24: 24.0, 25: 25.0, 29: 30_000 / 1001, 30: 30.0}
 
 
 class MidiError(Exception):
-    """A file of which no track can be played; the message says why."""
+    """A file without a readable track; the message gives the reason."""
 
 
 class MidiEvent(NamedTuple):
@@ -45,37 +45,37 @@ class MidiEvent(NamedTuple):
 
 
 class MidiFile(NamedTuple):
-    """A file as it is played."""
+    """Channel messages of a file, with its length and damage."""
 
-    events: list[MidiEvent]  # ascending in time; at one time in the order of tracks
+    events: list[MidiEvent]  # ascending in time; simultaneous events in the order of tracks
     seconds: float  # to the end of the last track
-    remarks: list[str]  # sentences without their full stop: which tracks are not whole
+    remarks: list[str]  # sentences without a full stop, on incomplete tracks
 
 
 def parse_midi(data: bytes) -> MidiFile:
-    """Read the file that begins at the first header in `data`; a RIFF wrapper before it is skipped.
+    """Read the file from the first MIDI header in `data` on. A RIFF wrapper before it is skipped.
 
-    Raises `MidiError` for a header that is missing or unusable, or a file of format 2 with several tracks.
+    Raises `MidiError` for a missing or unusable header, or a file of type 2 with several tracks.
     """
     begin = data.find(HEADER)
     if begin < 0:
         raise MidiError("it has no MIDI header, MThd")
     try:
-        size, form, promised, division = struct.unpack_from(">IHHH", data, begin + 4)
+        size, file_type, declared, division = struct.unpack_from(">IHHH", data, begin + 4)
     except struct.error:
         raise MidiError("its header is cut short") from None
     ticks, smpte = _ticks(division)
     tracks = list(_tracks(data, begin + 8 + max(size, HEADER_SIZE)))
-    if form > 2 or (form == 2 and len(tracks) > 1):
-        raise MidiError(f"type {form}, whose tracks are songs of their own" if form == 2 else f"type {form} is unknown")
+    if file_type > 2 or (file_type == 2 and len(tracks) > 1):
+        raise MidiError("type 2, whose tracks are separate songs" if file_type == 2 else f"type {file_type} is unknown")
     clock = _Clock([] if smpte else [tempo for track in tracks for tempo in track.tempos], ticks, smpte)
     messages = sorted((message for track in tracks for message in track.messages), key=lambda message: message[0])
     events = [MidiEvent(clock(tick), status >> 4, status & 15, *rest) for tick, status, *rest in messages]
-    return MidiFile(events, clock(max((track.tick for track in tracks), default=0)), _remarks(tracks, promised, clock))
+    return MidiFile(events, clock(max((track.tick for track in tracks), default=0)), _remarks(tracks, declared, clock))
 
 
 def _ticks(division: int) -> tuple[float, bool]:
-    """How many ticks a beat has, or a second in SMPTE time; and whether it is SMPTE time."""
+    """Ticks per beat, or per second in SMPTE time; and whether it is SMPTE time."""
     if division < 2**15:
         if not division:
             raise MidiError("0 ticks a beat")
@@ -87,30 +87,30 @@ def _ticks(division: int) -> tuple[float, bool]:
 
 
 class _Clock:
-    """Seconds of a tick, by all tempo changes of a file."""
+    """Time of a tick, s, from all tempo changes of a file."""
 
     def __init__(self, tempos: list[tuple[int, int]], ticks: float, smpte: bool) -> None:
-        self.at, self.seconds, self.rate = [0], [0.0], [1.0 if smpte else FIRST_TEMPO / 1e6]
-        self.ticks = ticks
+        self.ticks, self.seconds, self.beat_seconds = [0], [0.0], [1.0 if smpte else FIRST_TEMPO / 1e6]
+        self.division = ticks  # ticks per beat, or per second
         for tick, tempo in sorted(tempos, key=lambda tempo: tempo[0]):
             now = self(tick)
-            self.at.append(tick)
+            self.ticks.append(tick)
             self.seconds.append(now)
-            self.rate.append(tempo / 1e6)
+            self.beat_seconds.append(tempo / 1e6)
 
     def __call__(self, tick: int) -> float:
-        i = bisect_right(self.at, tick) - 1
-        return self.seconds[i] + (tick - self.at[i]) * self.rate[i] / self.ticks
+        i = bisect_right(self.ticks, tick) - 1
+        return self.seconds[i] + (tick - self.ticks[i]) * self.beat_seconds[i] / self.division
 
 
 def _tracks(data: bytes, at: int) -> Iterator[_Track]:
-    """Every track chunk from `at` on. Where no chunk begins, as after a wrong length, the next track is looked for."""
+    """All track chunks from `at` on. Where no chunk begins, as after a wrong length, search for the next track."""
     while 0 <= at <= len(data) - 8:
         name, size = struct.unpack_from(">4sI", data, at)
         end = at + 8 + size
         if name == TRACK:
             track = _Track(data, at + 8, min(end, len(data)))
-            track.read(cut=end > len(data))
+            track.read(truncated=end > len(data))
             yield track
             at = end if end <= len(data) else track.at
         else:
@@ -118,7 +118,7 @@ def _tracks(data: bytes, at: int) -> Iterator[_Track]:
 
 
 class _EventError(Exception):
-    """An event that cannot be read; the message says what is wrong with its track."""
+    """An event that cannot be read; the message describes the damage to its track."""
 
 
 class _Track:
@@ -129,11 +129,11 @@ class _Track:
         self.tick = 0
         self.messages: list[tuple[int, int, int, int]] = []
         self.tempos: list[tuple[int, int]] = []
-        self.damage = ""  # why it was not read to its end
+        self.damage = ""  # reason, if it could not be read to its end
 
-    def read(self, cut: bool) -> None:
-        """Read all events; `cut` says that the file ends before the chunk."""
-        running = 0  # status that stands for events without one; events of other kinds leave it
+    def read(self, truncated: bool) -> None:
+        """Read all events; `truncated` means that the file ends before the chunk."""
+        running = 0  # running status, for channel messages without a status byte
         try:
             while self.at < self.end:
                 tick = self.tick + self._number()
@@ -149,13 +149,16 @@ class _Track:
                 else:
                     running = self._message(tick, status, running)
                 self.tick = tick
-            if cut:
+            if truncated:
                 raise _EventError("is cut short")
         except _EventError as error:
             self.damage = str(error)
 
     def _is_last(self) -> bool:
-        """Read a meta event, from its kind on: whether it ends the track. A tempo without a length is none."""
+        """Read a meta event, from its kind on, and return whether it ends the track.
+
+        A tempo event counts only with three bytes and a value above zero.
+        """
         kind, size = self._byte(), self._number()
         start = self.at
         self._skip(size)
@@ -165,7 +168,7 @@ class _Track:
         return kind == END_OF_TRACK
 
     def _message(self, tick: int, first: int, running: int) -> int:
-        """Read a channel message whose first byte is `first`; its status. Data above 127 are taken as 127."""
+        """Read a channel message that begins with byte `first` and return its status. Data above 127 are clipped."""
         if first >= 0x80:
             running, first = first, self._byte()
         if not running:
@@ -196,13 +199,13 @@ class _Track:
         self.at += size
 
 
-def _remarks(tracks: list[_Track], promised: int, clock: _Clock) -> list[str]:
+def _remarks(tracks: list[_Track], declared: int, clock: _Clock) -> list[str]:
     damaged = [(i, track) for i, track in enumerate(tracks, 1) if track.damage]
     remarks = []
-    if len(tracks) < promised:
-        remarks.append(f"the header promises {promised} track{'s' * (promised > 1)}, and the file has {len(tracks)}")
+    if len(tracks) < declared:
+        remarks.append(f"the header declares {declared} track{'s' * (declared > 1)}, and the file has {len(tracks)}")
     if damaged:
         number, track = damaged[0]
-        more = f", and {len(damaged) - 1} more are not whole" if len(damaged) > 1 else ""
+        more = f", and {len(damaged) - 1} more are damaged" if len(damaged) > 1 else ""
         remarks.append(f"track {number} {track.damage} after {clock(track.tick):.1f} s{more}; the rest is played")
     return remarks

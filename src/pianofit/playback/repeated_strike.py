@@ -1,8 +1,8 @@
-"""A stroke on a string that may still move, for playing: tables and contacts whose compiled programs are few and kept.
+"""A stroke on a string that may still move, with few compiled programs, which are kept on disk.
 
-The same steps as `model.simulate`, which traces anew for every number of modes. Here the tables are padded to powers
-of two (rows above the highest mode weigh nothing), a string at rest is a string that moves by zero, and the traced
-programs stay on disk.
+The time steps are those of `model.simulate`, which compiles a new program for every number of modes. Here the mode
+tables are padded to powers of two; rows above the highest mode have weight zero. A string at rest is a moving string
+with zero state, so that both use one program.
 """
 
 from __future__ import annotations
@@ -26,22 +26,22 @@ from ..parameters import Hammer
 __all__ = ["StringTables", "stroke", "table_of"]
 
 LEAST_MODES = 64
-# Steps of a contact that programs have room for: of nearly all, and `MOST_STEPS`.
+# First size of the step buffer, enough for nearly all contacts; later sizes grow up to `MOST_STEPS`.
 FIRST_STEPS = 4096
 
 
 class StringTables(NamedTuple):
-    """One string's table, as NumPy arrays [modes]."""
+    """Tables of one string, as NumPy arrays [modes]."""
 
     modes: Modes
-    powers: tuple[np.ndarray, np.ndarray]  # of the modes, for the steps of a block, see `model.contact.follow`
-    pole: np.ndarray  # complex, 1/s: as it rings by itself, each partial at its own decay
+    powers: tuple[np.ndarray, np.ndarray]  # powers of the poles for the steps of a block, see `model.contact`
+    pole: np.ndarray  # complex, 1/s: of free vibration, each partial with its own decay rate
     rate: float  # of the contact, Hz
-    unit: np.ndarray  # complex: what a unit T leaves ringing, m/N, in the string's own displacement
-    drive: np.ndarray  # complex: the same in file units, before the path
-    pickup: np.ndarray  # complex: signal = Re(pickup · a) before the path, for a displacement q = Re(a)
-    faint: np.ndarray  # |pickup · a| of a mode that is not heard behind the path, file units: -160 dB
-    path: np.ndarray | None  # [samples] at the signals' rate: what the signal goes through, see `path.impulse`
+    unit: np.ndarray  # complex: amplitude that a unit T leaves, m/N, in physical displacement
+    drive: np.ndarray  # complex: the same in file units, before the output path
+    pickup: np.ndarray  # complex: signal = Re(pickup · a) before the output path, for a displacement q = Re(a)
+    faint: np.ndarray  # largest |pickup · a| that is inaudible behind the output path, file units: -160 dB
+    path: np.ndarray | None  # impulse response of the output path at the signal rate [samples]
 
 
 @persistent_jit
@@ -58,7 +58,7 @@ def _stroke(modes, hammer, displacement, velocity, powers, cfg):
 
 
 def table_of(note: Note, rate: float) -> StringTables:
-    """The table of a string for signals at `rate`, with the gain, and the path's response."""
+    """Tables of the string of `note` for signals at `rate`, Hz, with its gain and output path."""
     contact = contact_rate(note.string, note.geometry, rate)
     rows = LEAST_MODES
     while rows < count_modes(note.string, note.geometry, contact):
@@ -69,16 +69,15 @@ def table_of(note: Note, rate: float) -> StringTables:
         np.asarray(x) for x in _table(string, geometry, np.float64(contact), (rows, note.quantity))
     )
     modes = Modes(*columns)
-    own = np.asarray(modes.pole)
-    size, turn = np.abs(own), np.imag(own)
-    path, pole = apply_to_modes(note.path, own)
-    # The scheme's displacement is the string's own up to this factor, see `modes`.
+    string_pole = np.asarray(modes.pole)
+    size, omega = np.abs(string_pole), np.imag(string_pole)
+    path, pole = apply_to_modes(note.path, string_pole)
+    # Ratio of physical to numerical displacement, see `modes`.
     angle = np.minimum(0.5 * size / contact, HIGHEST * np.pi)
     warp = angle / (np.sin(angle) * np.cos(angle))
-    below = turn < np.pi * rate
-    gain = np.where(below, note.gain, 0.0)
+    gain = np.where(omega < np.pi * rate, note.gain, 0.0)
     pickup = gain * modes.free_pickup
-    faint = np.full(len(own), FAINT) if path is None else FAINT * 10 ** (-path.db / 20)
+    faint = np.full(len(string_pole), FAINT) if path is None else FAINT * 10 ** (-path.db / 20)
     return StringTables(
         modes, (re, im), pole, contact, unit * warp, gain * modes.pickup * unit, pickup, faint, impulse(path, rate)
     )
@@ -87,19 +86,19 @@ def table_of(note: Note, rate: float) -> StringTables:
 def stroke(
     table: StringTables, hammer: Hammer | RelaxingHammer, state: np.ndarray, where: str
 ) -> tuple[np.ndarray, ForcePulse]:
-    """What a hammer gives a string that moves as q = Re(state · exp(p t)), complex [modes]: T [steps], and the force.
+    """Strike a string that moves as q = Re(state · exp(p t)), state complex [modes]; return T [steps] and the force.
 
-    Raises `FitError`, naming `where` if the hammer stays on the string; `ParameterError` for a hammer whose felt is not
-    one of the package's own.
+    Raises `FitError`, which names `where`, if the hammer stays on the string. Raises `ParameterError` for a felt law
+    that is not built in.
     """
-    if not is_builtin(law := law_of(hammer)):  # its code may change between runs, and the programs of playing are kept
-        raise ParameterError(f"{where}: felt law {law.name} cannot be played; use Note.render, or one of the package's")
+    if not is_builtin(law := law_of(hammer)):  # its code may change between runs, but compiled programs are kept
+        raise ParameterError(f"{where}: felt law {law.name} cannot be played; use Note.render, or a built-in law")
     hammer = type(hammer)(*map(np.float64, hammer))
     velocity = np.real(np.asarray(table.modes.pole) * state)
     steps = FIRST_STEPS
     while steps <= MOST_STEPS:
-        drive, newton, over = _stroke(table.modes, hammer, np.real(state), velocity, table.powers, (steps,))
-        if bool(over):
+        drive, newton, has_ended = _stroke(table.modes, hammer, np.real(state), velocity, table.powers, (steps,))
+        if bool(has_ended):
             force = ForcePulse(until_last(np.asarray(newton)), 1 / table.rate, float(hammer.v_H0))
             return until_last(np.asarray(drive)), force
         steps *= 16

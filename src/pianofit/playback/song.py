@@ -1,7 +1,7 @@
-"""A song on an instrument: every key by itself, from event to event, summed; then what a file can hold.
+"""A song on an instrument: all keys are rendered separately, summed, and limited to the range of a file.
 
-Strings do not hear one another: a raised pedal lets ring what was struck, and sets nothing else ringing. A damper falls
-with the key, or with the pedal, and not during a contact; a key struck again within a contact waits for its end.
+Strings are not coupled: a raised pedal keeps struck strings ringing and excites no others. A damper falls with the key
+or with the pedal, but not during a contact. A stroke that begins during a contact waits for the end of the contact.
 """
 
 from __future__ import annotations
@@ -22,29 +22,29 @@ from .voice import StringVoice
 
 __all__ = ["MOST_LIMITED_DB", "Performance", "limit", "render_song"]
 
-# What is still held after the song's last event rings for this long, s, then its dampers fall; later all is over.
+# After the last event, s: dampers of keys still held fall, the sound ends, and the length of the final fade.
 LAST_HELD, LAST_RING, LAST_FADE = 3.0, 5.0, 0.5
-# The part of a too loud passage that the limiter takes; what is more is taken from the whole song.
+# Largest gain reduction by the limiter. Any further reduction applies to the whole song.
 MOST_LIMITED_DB = 3.0
-# Samples of a string that rings by itself, at once.
-PIECE = 2**16
-# The limiter looks this far ahead and behind, s.
-LOOK = 0.02
+# Samples of free vibration that are computed at once.
+CHUNK_SAMPLES = 2**16
+# Span of the limiter before and after a sample, s.
+LOOKAHEAD = 0.02
 
 
 class Performance(NamedTuple):
-    """What was played."""
+    """The rendered sound and its levels."""
 
-    samples: np.ndarray  # within ± `CEILING` [channels, samples]
-    gain_db: float  # given to the whole song, never above 0
-    limited_db: float  # the most that the limiter took anywhere, beside that
+    samples: np.ndarray  # within ± `PEAK_LIMIT` [channels, samples]
+    gain_db: float  # of the whole song, never above 0
+    limited_db: float  # largest additional gain reduction by the limiter
     strikes: int
-    restrikes: int  # of them on a string that still sounded
+    restrikes: int  # strikes on a string that was still sounding
 
 
 class _Event(NamedTuple):
     sample: int
-    velocity: int  # of a stroke; 0 for a damper that moves
+    velocity: int  # of a stroke; 0 for a movement of the damper alone
     damped: bool
 
 
@@ -53,11 +53,11 @@ def render_song(
     instrument: Instrument, song: Song, rate: int = 48_000,
     progress: Callable[[str, float], None] = lambda *_: None,
 ) -> Performance:  # fmt: skip
-    """Play a song.
+    """Render a song.
 
-    A knock may begin before its stroke: the song begins so much after the first sample as the instrument needs.
+    A knock may begin before its stroke, so the song begins `instrument.lead` seconds after the first sample.
 
-    Raises `ParameterError` for a rate out of range, a song too long for it, or a key the instrument does not have.
+    Raises `ParameterError` for a rate out of range, a song that is too long, or a key that the instrument lacks.
     """
     check_range("rate=", rate, *RATES, " Hz")
     lead = round(instrument.lead * rate)
@@ -68,77 +68,80 @@ def render_song(
             f"{MOST_SAMPLES / rate - LAST_RING:.0f} s, or ask for a lower --rate"
         )
     for key in song.keys:
-        instrument.note(key, 64)  # refused before anything is computed
-    total, strikes, moving, last = np.zeros((instrument.channels, size)), 0, 0, 0
+        instrument.note(key, 64)  # reject a missing key before the computation starts
+    total, strikes, restrikes, last = np.zeros((instrument.channels, size)), 0, 0, 0
     for key in sorted(song.keys):
         string = StringVoice(instrument.note(key, 64), key, rate)
-        for at, sound, met_moving in _phrases(string, instrument, _events(song, key, rate), size):
+        for at, sound, hit_moving in _phrases(string, instrument, _events(song, key, rate), size):
             begin = at + lead - string.lead
-            sound = string.heard(sound)[:, : size - begin]
+            sound = string.through_path(sound)[:, : size - begin]
             end = begin + sound.shape[-1]
-            total[:, begin:end] += sound  # one channel is heard in all
+            total[:, begin:end] += sound  # a single channel is added to all
             last = max(last, end)
-            strikes += len(met_moving)
-            moving += sum(met_moving)
+            strikes += len(hit_moving)
+            restrikes += sum(hit_moving)
             progress("playing", 0.98 * strikes / song.notes)
     fade = round(LAST_FADE * rate)  # the treble has no dampers
     total[:, -fade:] *= 0.5 * (1 + np.cos(np.pi * np.arange(1, fade + 1) / fade))
     samples, gain_db, limited_db = limit(total[:, :last], rate)
-    return Performance(samples, gain_db, limited_db, strikes, moving)
+    return Performance(samples, gain_db, limited_db, strikes, restrikes)
 
 
 def _events(song: Song, key: int, rate: int) -> list[_Event]:
-    """Strokes of a key and movements of its damper, in time."""
+    """Strokes of a key and movements of its damper, in time order."""
     merged = sorted(
         [(t, 1, v, False) for t, v in song.keys[key]] + [(t, 0, 0, down) for t, down in song.pedal],
         key=lambda event: event[:2],
     )
     events: list[_Event] = []
-    held = pedal = damped = False
+    is_held = is_pedal_down = is_damped = False
     merged += [(song.seconds + LAST_HELD, 0, 0, False), (song.seconds + LAST_HELD, 1, 0, False)]
-    for t, finger, velocity, down in merged:
-        held, pedal = (velocity > 0, pedal) if finger else (held, down)
-        now = not (held or pedal)
-        if velocity > 0 or now != damped:
-            events.append(_Event(round(t * rate), velocity, now))
-        damped = now
+    for t, is_key_event, velocity, down in merged:
+        if is_key_event:
+            is_held = velocity > 0
+        else:
+            is_pedal_down = down
+        was_damped, is_damped = is_damped, not (is_held or is_pedal_down)
+        if velocity > 0 or is_damped != was_damped:
+            events.append(_Event(round(t * rate), velocity, is_damped))
     return events
 
 
 def _phrases(
     string: StringVoice, instrument: Instrument, events: list[_Event], size: int
 ) -> Iterator[tuple[int, np.ndarray, list[bool]]]:
-    """(First sample, sound, of each stroke whether it met a moving string), from silence to silence, until `size`.
+    """Yield (first sample, sound, was the string moving at each stroke), from silence to silence, up to `size`.
 
-    In one piece: a path rings on after every piece that goes through it, which is most of the work.
+    A phrase is not divided further, because the convolution with the output path is most of the work and adds a tail
+    to every piece.
     """
-    at, begin, sounds, moving = 0, 0, [], []
+    at, begin, sounds, hit_moving = 0, 0, [], []
     for event in [*events, _Event(size, velocity=0, damped=False)]:
         end = min(event.sample, size)
         while at < end and string.is_audible:
-            sounds.append(string.ring(min(PIECE, end - at)))
+            sounds.append(string.ring(min(CHUNK_SAMPLES, end - at)))
             at += sounds[-1].shape[-1]
         if sounds and (at < end or at >= size):
-            yield begin, np.concatenate(sounds, axis=-1), moving
-            sounds, moving = [], []
+            yield begin, np.concatenate(sounds, axis=-1), hit_moving
+            sounds, hit_moving = [], []
         at = max(at, end)
         if at >= size:
             return
         string.damped = event.damped
         if event.velocity:
             begin = begin if sounds else at
-            moving.append(string.in_motion)
+            hit_moving.append(string.in_motion)
             sounds.append(string.strike(instrument.note(string.midi, event.velocity).hammer.v_H0)[:, : size - at])
             at += sounds[-1].shape[-1]
 
 
 def limit(samples: np.ndarray, rate: int) -> tuple[np.ndarray, float, float]:
-    """Sound [channels, samples] within ± `CEILING`; the gain given to all of it, dB, and the most limited, dB.
+    """Limit a sound [channels, samples] to ± `PEAK_LIMIT`; also return its overall gain and largest reduction, dB.
 
-    A sound that is too loud by more than `MOST_LIMITED_DB` is first turned down as a whole. What peaks are left are
-    taken by a gain that looks ahead: the smallest gain any sample within `LOOK` needs, averaged twice over half of
-    that; an average holds only gains that the sample itself may have, so nothing can pass. All channels have one gain.
-    The same in, the same out.
+    A sound that is too loud by more than `MOST_LIMITED_DB` is first attenuated as a whole. The remaining peaks are
+    reduced by a look-ahead gain: the minimum of the gains that the samples within `LOOKAHEAD` need, averaged twice
+    over half that span. Every value in the average is small enough for the sample itself, so no peak passes. All
+    channels share one gain. The result is deterministic.
     """
     from scipy.ndimage import minimum_filter1d, uniform_filter1d
 
@@ -149,10 +152,10 @@ def limit(samples: np.ndarray, rate: int) -> tuple[np.ndarray, float, float]:
     if peak * gain <= PEAK_LIMIT:
         return samples, 0.0, 0.0
     needed = np.minimum(1.0, PEAK_LIMIT / np.maximum(np.abs(samples).max(axis=0), 1e-30))
-    half = max(int(LOOK * rate / 2), 1)
+    half = max(int(LOOKAHEAD * rate / 2), 1)
     smooth = minimum_filter1d(needed, 4 * half + 1, mode="nearest")
     for _ in range(2):
         smooth = uniform_filter1d(smooth, 2 * half + 1, mode="nearest")
-    # Averages may round up by an ulp or so.
+    # Averages may be rounded up by an ulp.
     smooth = np.minimum(smooth, needed)
     return np.clip(samples * smooth, -PEAK_LIMIT, PEAK_LIMIT), 20 * np.log10(gain), -20 * float(np.log10(smooth.min()))

@@ -1,12 +1,12 @@
-"""One string as it is played: it rings, is damped, is struck again while it moves.
+"""One string during playback: free vibration, damping, and strokes on the moving string.
 
-Between strokes every mode decays by itself, in closed form. Its state is one complex amplitude, which goes on from
-event to event: a damper adds to its decay and changes nothing else, so nothing clicks. A hammer meets the string as it
-moves: the contact is solved with that motion under the hammer.
+Between strokes every mode decays in closed form. Its state is one complex amplitude, which continues from event to
+event. A damper only adds to the decay rate, so that nothing clicks. The contact with the hammer is solved with the
+current motion of the string.
 
-Where the key's ringing is known (`model.modal`), that is heard instead of the string: the string is only followed for
-the next hammer's sake. Either way what a stroke makes heard while it lasts is convolved with the stroke, and afterwards
-the modes ring on. A knock may begin before the stroke, so all of a string is heard `lead` samples late.
+If the modal response of the key was measured (`model.modal_response`), it gives the sound. The string is then
+simulated only for the contact with the next hammer. In both cases the sound during a stroke is a convolution with the
+stroke, and the modes ring freely afterwards. A knock may begin before the stroke, so all output is `lead` samples late.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from .repeated_strike import StringTables, stroke, table_of
 
 __all__ = ["CHANNELS", "KNOCK_RATES", "LAST_DAMPER", "StringVoice", "damper_rate"]
 
-# Channels of what is handed to other programs and pages: a listener has two ears.
+# Largest number of channels of exports and pages: stereo.
 CHANNELS = 2
-# Rates at which they hold knocks, Hz, where there is no room for more: whole parts of 48,000 Hz, the best first.
+# Reduced rates of knocks in exports and pages, Hz: divisors of 48,000 Hz, the best first.
 KNOCK_RATES = (24_000, 16_000, 12_000, 8_000, 6_000, 4_000)
 LAST_DAMPER = 90  # F#6; the strings above have none
-# What a damper adds to every mode's decay, 1/s, at the lowest key and at the last that has one: about 0.3 s to 0.12 s
-# for 60 dB. Chosen once; no fit sees a damper.
+# Decay rate that a damper adds to every mode, 1/s, at the lowest key and at the last key with a damper: about 0.3 s to
+# 0.12 s for 60 dB. Assumed values; fits do not include dampers.
 DAMPER = (25.0, 60.0)
 
 
 def damper_rate(midi: int) -> float:
-    """Extra decay under the damper, 1/s; 0 for the keys that have none."""
+    """Decay rate that the damper adds, 1/s; 0 for keys without damper."""
     if midi > LAST_DAMPER:
         return 0.0
     x = min(max((midi - 21) / (LAST_DAMPER - 21), 0.0), 1.0)
@@ -41,43 +41,43 @@ def damper_rate(midi: int) -> float:
 
 
 class ModeBank:
-    """Modes that ring by themselves, at rest at first: Re(pattern · state), which decays and turns by `pole`."""
+    """Modes in free vibration, initially at rest: the sound is Re(pattern · state), and the state evolves by `pole`."""
 
     def __init__(self, pole: np.ndarray, pattern: np.ndarray, faint: np.ndarray, rate: int) -> None:
         self.pole = pole  # 1/s, complex [modes]
         self.pattern = pattern  # file units per unit of state, complex [channels, modes]
-        self.faint = faint  # what is not heard, file units [modes]
+        self.faint = faint  # largest inaudible amplitude, file units [modes]
         self.rate = rate  # Hz
         self.reset()
 
     def reset(self) -> None:
-        """Stop them."""
+        """Set all modes to rest."""
         self.state = np.zeros(len(self.pole), complex)
 
     @property
     def is_audible(self) -> bool:
-        """Whether anything is left to hear."""
+        """True while any mode exceeds its inaudible amplitude."""
         return bool((np.abs(self.pattern * self.state) > self.faint).any())
 
-    def ring(self, samples: int, extra: float) -> np.ndarray:
-        """What is heard [channels, samples] with so much extra decay, 1/s; modes end where they are inaudible."""
-        sound = sum_damped_modes(self.pole - extra, self.pattern * self.state, self.rate, samples, self.faint)
-        self.advance(samples, extra)
+    def ring(self, samples: int, damper: float) -> np.ndarray:
+        """The sound [channels, samples] with the decay rate `damper`, 1/s, added. Inaudible modes are cut off."""
+        sound = sum_damped_modes(self.pole - damper, self.pattern * self.state, self.rate, samples, self.faint)
+        self.advance(samples, damper)
         return sound
 
-    def advance(self, samples: int, extra: float) -> None:
-        """Move on, unheard."""
-        self.state = self.state * np.exp((self.pole - extra) * (samples / self.rate))
+    def advance(self, samples: int, damper: float) -> None:
+        """Advance the state by `samples` without computing the sound."""
+        self.state = self.state * np.exp((self.pole - damper) * (samples / self.rate))
         if not self.is_audible:
             self.reset()
 
 
 class StringVoice:
-    """One key's string at one rate, silent at first; what it gives is still to go through `heard`."""
+    """The string of one key at one sample rate, initially at rest. Its output must still pass `through_path`."""
 
     def __init__(self, note: Note, midi: int, rate: int) -> None:
         self.note, self.midi, self.rate = note, midi, rate
-        # Where the key's ringing is known nothing goes through the path: the string, unheard, rings by its law.
+        # With a measured modal response the string itself is inaudible, so the output path is not needed.
         self.table: StringTables = table_of(note if note.ringing is None else note._replace(path=None), rate)
         self.ratio = round(self.table.rate / rate)
         self.string = ModeBank(self.table.pole, self.table.pickup[None], self.table.faint, rate)
@@ -88,67 +88,67 @@ class StringVoice:
             self.modes = ModeBank(self.ringing.pole, self.ringing.pattern, faint, rate)
         self.lead = round(note.pre_onset_s * rate)
         self.damped = False
-        self._decay = damper_rate(midi)
+        self._damper = damper_rate(midi)
         self._response = np.zeros(0)
         self.reset()
 
     def reset(self) -> None:
-        """Stop it."""
+        """Set the string to rest and discard pending output."""
         self.string.reset()
         self.modes.reset()
-        # What is sure to be heard, from now on; later samples are nought.
-        self._late = np.zeros((len(self.modes.pattern), self.lead))
+        # Pending output from the current sample on; later samples are zero.
+        self._pending = np.zeros((len(self.modes.pattern), self.lead))
 
     def strike(self, velocity: float) -> np.ndarray:
-        """The sound [channels, samples] in the time of the contact with a hammer of `velocity`, m/s.
+        """Strike with a hammer of `velocity`, m/s; return the sound during the contact [channels, samples].
 
-        Then the string rings, undamped.
+        Afterwards the string is undamped.
         """
         hammer = self.note.hammer._replace(v_H0=velocity)
         drive, force = stroke(self.table, hammer, self.string.state, f"key {self.midi}")
         samples = max(-(-len(drive) // self.ratio), 1)
         drive = np.pad(drive, (0, samples * self.ratio - len(drive)))
         self.damped = False
-        sound = self._free(samples)  # moves all states on to the contact's end
-        self.string.state = self.string.state + self.table.unit * self._left(drive)
+        sound = self._free(samples)  # advances all states to the end of the contact
+        self.string.state = self.string.state + self.table.unit * self._residual_drive(drive)
         onset = self._onset(drive, force, samples)
         self._add(sound, self.lead)
         self._add(onset, 0)
         return self._next(samples)
 
     def ring(self, samples: int) -> np.ndarray:
-        """The string by itself [channels, samples]."""
+        """The sound of free vibration [channels, samples]."""
         self._add(self._free(samples), self.lead)
         return self._next(samples)
 
-    def heard(self, sound: np.ndarray) -> np.ndarray:
-        """A sound of this string [channels, samples] through its path, if any, and what that rings on."""
+    def through_path(self, sound: np.ndarray) -> np.ndarray:
+        """Filter a sound of this string [channels, samples] by its output path, if any, with the filter's tail."""
         return sound if self.ringing is not None else filtered(sound[0], self.table.path)[None]
 
     @property
     def is_audible(self) -> bool:
-        """Whether anything is left to hear."""
-        return self.modes.is_audible or bool((np.abs(self._late) > FAINT).any())
+        """True while the modes or the pending output are audible."""
+        return self.modes.is_audible or bool((np.abs(self._pending) > FAINT).any())
 
     @property
     def in_motion(self) -> bool:
-        """Whether a hammer meets it moving, by so much that it would be heard."""
+        """True while the string moves audibly under the next hammer."""
         return self.string.is_audible
 
     def _free(self, samples: int) -> np.ndarray:
-        """What the modes give by themselves [channels, samples]."""
-        extra = self._decay if self.damped else 0.0
+        """Sound of the modes in free vibration [channels, samples]."""
+        damper = self._damper if self.damped else 0.0
         if self.ringing is not None:
-            self.string.advance(samples, extra)
-        return self.modes.ring(samples, extra)
+            self.string.advance(samples, damper)
+        return self.modes.ring(samples, damper)
 
-    def _left(self, drive: np.ndarray) -> np.ndarray:
-        """Σ_n T_n z^(N - n), N = len(T): what the pulse has left at its end, for a unit response [modes]."""
+    def _residual_drive(self, drive: np.ndarray) -> np.ndarray:
+        """Σ_n T_n z^(N - n), N = len(T): amplitude at the end of the pulse, for a unit response [modes]."""
         log_z = self.string.pole / self.table.rate
         return np.exp(log_z) * z_transform_at_poles(log_z, drive[::-1])
 
     def _onset(self, drive: np.ndarray, force: ForcePulse, samples: int) -> np.ndarray:
-        """What a stroke makes heard beside the modes that ring by themselves after it, from `lead` before it on."""
+        """Sound of a stroke in addition to the free modes after it, from `lead` samples before the contact on."""
         if self.ringing is None:
             return filtered(self._kernel(len(drive)), drive)[None, : len(drive) : self.ratio]
         state, onset = self.ringing.strike_response(force, samples)
@@ -156,20 +156,20 @@ class StringVoice:
         return onset
 
     def _add(self, sound: np.ndarray, at: int) -> None:
-        """Make a sound [channels, samples] sure to be heard, from `at` samples from now on."""
+        """Add a sound [channels, samples] to the pending output, `at` samples after the current one."""
         end = at + sound.shape[-1]
-        self._late = np.pad(self._late, ((0, 0), (0, max(end - self._late.shape[-1], 0))))
-        self._late[:, at:end] += sound
+        self._pending = np.pad(self._pending, ((0, 0), (0, max(end - self._pending.shape[-1], 0))))
+        self._pending[:, at:end] += sound
 
     def _next(self, samples: int) -> np.ndarray:
-        """Take the next samples [channels, samples] of what is sure."""
-        sound, self._late = self._late[:, :samples], self._late[:, samples:]
+        """Take the next samples [channels, samples] from the pending output."""
+        sound, self._pending = self._pending[:, :samples], self._pending[:, samples:]
         if not self.is_audible:
-            self._late = np.zeros((len(sound), self.lead))
+            self._pending = np.zeros((len(sound), self.lead))
         return sound
 
     def _kernel(self, steps: int) -> np.ndarray:
-        """What a unit T makes heard, at the contact's rate [steps]."""
+        """Response of the sound to a unit T, at the rate of the contact [steps]."""
         if len(self._response) < steps:
             size = max(2 * len(self._response), 1 << math.ceil(math.log2(steps)))
             pole, drive = self.string.pole, self.table.drive[None]

@@ -1,4 +1,4 @@
-"""A recording of one note: read, checked, and its onset found."""
+"""Reads and checks the recording of one note, and detects its onset."""
 
 from .onset import find_onset
 from .recording import Recording, Source, load_recording, recording_from_samples

@@ -1,12 +1,12 @@
-"""The onset of a note: the first arrival of its sound, not the moment at which it is loud.
+"""The onset of a note: the first arrival of its sound, before it is loud.
 
-Three steps find it in the recording above 20 Hz:
+It is detected in the recording above 20 Hz, in three steps:
 
-1. The level is divided into sounds at its deep minima. The note is the first sound that stays above the noise for long:
-   a click, a key noise or a cough does not ring as a string does.
-2. The first loud sample of that sound is found.
+1. The level is divided into sounds at its deep minima. The note is the first sound that stays above the noise for long.
+   A click, a key noise or a cough is shorter than a ringing string.
+2. The first loud sample of that sound is detected.
 3. The samples around it are divided where "noise before, note after" is most likely. Each side is an autoregression
-   with its own variance (the AR-AIC picker of seismology; Sleeman and van Eck 1999). Predictable hum does no harm.
+   with its own variance (the AR-AIC picker of seismology; Sleeman and van Eck 1999). Predictable hum has no effect.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ import numpy as np
 
 __all__ = ["find_onset", "find_sounds", "forward_mean", "without_drift"]
 
-LOWEST = 20.0  # Hz; a piano has no partial below it: what is there is offset, drift or rumble
-LOUD = 0.05  # of the peak, from which on a sample belongs to a sound
-WIDTH = 0.02  # s, over which a level is taken; a click is short against it
-PERIOD = 0.037  # s, of the lowest key; the level that divides sounds is taken over it, as bass notes are pulses
+LOWEST = 20.0  # Hz; a piano has no partial below it, only offset, drift or rumble
+LOUD = 0.05  # of the peak, above which a sample belongs to a sound
+WIDTH = 0.02  # s, over which a level is averaged; a click is much shorter
+PERIOD = 0.037  # s, of the lowest key; the level that divides sounds is averaged over it, because bass notes are pulses
 DEPTH = 6.0  # dB; a minimum this far below the maxima on both its sides divides two sounds
 LOUDNESS = 0.3  # power of the level that is summed over a sound; a long soft note outweighs a short loud noise
-RINGS = 0.3  # of the largest sum; the first beat of a real treble note has 0.4, a key noise or thump less than 0.2
+RINGS = 0.3  # of the largest sum; the first beat of a real treble note reaches 0.4, a key noise or thump less than 0.2
 SILENT = 1e-6  # of the highest level; a level below it is digital silence
 
 
@@ -31,17 +31,17 @@ def find_onset(x: np.ndarray, rate: int, step: float) -> int:
 
 
 def find_sounds(x: np.ndarray, rate: int, step: float) -> list[int]:
-    """Find the note, and what sounds before it.
+    """Detect the note and the sounds before it.
 
     Parameters
     ----------
     x : recording [samples], full scale = 1.
     rate : Hz.
-    step : of the quantiser, full scale = 1; 0 of floats.
+    step : step of the quantiser, full scale = 1; 0 for floats.
 
     Returns
     -------
-    The index of the first sample of each sound; the last one is the onset of the note.
+    The index of the first sample of each sound. The last one is the onset of the note.
 
     Examples
     --------
@@ -55,23 +55,23 @@ def find_sounds(x: np.ndarray, rate: int, step: float) -> list[int]:
     above = without_drift(x, rate)
     width = round(WIDTH * rate)
     level = forward_mean(np.abs(above), width)
-    quiet, hop = _quiet(level, width), max(width // 4, 1)
+    quiet, hop = _quiet_level(level, width), max(width // 4, 1)
     slow = forward_mean(np.abs(above), round(PERIOD * rate))
     frames = np.maximum(slow[::hop], max(quiet, SILENT * level.max(), 1e-300))
-    starts = _divisions(20 * np.log10(frames))
+    starts = _sound_starts(20 * np.log10(frames))
     loudness = [float(np.sum(part**LOUDNESS - frames.min() ** LOUDNESS)) for part in np.split(frames, starts[1:])]
     note = int(np.argmax(np.array(loudness) >= RINGS * max(loudness)))
     bounds = [hop * start for start in starts] + [len(level)]
     parts = [slice(*bounds[i : i + 2]) for i in range(note + 1)]
-    least = max(4 * quiet, 0.1 * level[parts[note]].max())
-    reported = [part for part in parts[:-1] if level[part].max() >= least]
+    threshold = max(4 * quiet, 0.1 * level[parts[note]].max())
+    reported = [part for part in parts[:-1] if level[part].max() >= threshold]
     return [_first_sample(x, above, level, part, quiet, rate, step) for part in (*reported, parts[note])]
 
 
-def _quiet(level: np.ndarray, width: int) -> float:
-    """Return the level between sounds: of the file, or of what comes before the note.
+def _quiet_level(level: np.ndarray, width: int) -> float:
+    """Return the level between sounds: the lower of the levels of the whole file and before the note.
 
-    A bass note may ring on to the end of its file. Other files have nothing before the note.
+    A bass note may ring until the end of its file. Other files begin with the note.
     """
     half, hop = int(np.argmax(level >= 0.5 * level.max())), max(width // 4, 1)
     return min(float(np.quantile(part[::hop], 0.1)) for part in (level, level[: half + 1]))
@@ -85,10 +85,10 @@ def forward_mean(values: np.ndarray, width: int) -> np.ndarray:
 
 
 def without_drift(x: np.ndarray, rate: int) -> np.ndarray:
-    """Return what `x` [samples] has above 20 Hz.
+    """Return the part of `x` [samples] above 20 Hz.
 
-    The filter is causal: no sample has an effect on an earlier one. `x` is continued before its beginning by a point
-    reflection, so that an offset or a drift there makes no step.
+    The filter is causal: a sample does not affect earlier ones. `x` is extended before its beginning by a point
+    reflection, so that an offset or a drift does not cause a step.
     """
     from scipy.signal import butter, sosfilt, sosfilt_zi
 
@@ -98,8 +98,8 @@ def without_drift(x: np.ndarray, rate: int) -> np.ndarray:
     return sosfilt(sections, extended, zi=extended[0] * sosfilt_zi(sections))[0][lead:]
 
 
-def _divisions(decibels: np.ndarray) -> list[int]:
-    """Where sounds begin in the levels `decibels` [frames]: 0, and each minimum that is deep on both sides."""
+def _sound_starts(decibels: np.ndarray) -> list[int]:
+    """Frames at which sounds begin in the levels `decibels` [frames]: 0 and each minimum that is deep on both sides."""
     starts = [0]
     top, low, at = decibels[0], decibels[0], 0
     for i, value in enumerate(decibels):
@@ -116,43 +116,43 @@ def _divisions(decibels: np.ndarray) -> list[int]:
 def _first_sample(
     x: np.ndarray, above: np.ndarray, level: np.ndarray, part: slice, quiet: float, rate: int, step: float
 ) -> int:
-    """Index of the first sample of the sound in `part`: the first loud sample, and the likeliest change before it.
+    """Index of the first sample of the sound in `part`: the most likely change before its first loud sample.
 
-    A sample is loud at 5 % of the local peak and above the noise; the change is in the 10 ms before that sample. The
-    recording `above` 20 Hz replaces `x` where a drift or rumble is as large as that.
+    A sample is loud at 5 % of the local peak and above the noise. The change lies in the 10 ms before that sample. The
+    recording `above` 20 Hz replaces `x` where a drift or rumble reaches that level.
     """
-    width, own = round(WIDTH * rate), level[part]
-    half = own[int(np.argmax(own >= 0.5 * own.max()))]
-    start = part.start + int(np.argmax(own >= min(max(4 * quiet, 0.1 * own.max()), half)))
+    width, segment = round(WIDTH * rate), level[part]
+    half = segment[int(np.argmax(segment >= 0.5 * segment.max()))]
+    start = part.start + int(np.argmax(segment >= min(max(4 * quiet, 0.1 * segment.max()), half)))
     near = slice(start, start + 3 * width)
     if np.abs(x[max(start - width, 0) : start]).max(initial=0.0) > LOUD * np.abs(x[near]).max():
         x = above
     local = np.abs(x[near])
     noise = 1.4826 * np.median(np.abs(x[:start])) if start > width // 2 else 0.0
     if part.start:  # another sound may still decay
-        noise = max(noise, 1.25 * own[0])
+        noise = max(noise, 1.25 * segment[0])
     loud = start + int(np.argmax(local >= min(max(LOUD * local.max(), 5 * noise), 0.5 * local.max())))
     first, last = max(0, loud - round(0.01 * rate)), loud + max(round(0.002 * rate), 8)
-    return first + min(_split(x[first:last], max(step / 4, 1e-7 * local.max())), loud - first)
+    return first + min(_change_point(x[first:last], max(step / 4, 1e-7 * local.max())), loud - first)
 
 
-def _split(x: np.ndarray, floor: float, least: int = 4) -> int:
-    """Return the index at which a second-order autoregression of other variance most likely begins; 0 when too short.
+def _change_point(x: np.ndarray, floor: float, margin: int = 4) -> int:
+    """Return the index at which a second-order autoregression of another variance most likely begins; 0 if too short.
 
-    Of each side's samples and their two predecessors the covariance C [3, 3] is summed; det C / det C' (C' without
-    the newest) is the variance that prediction leaves over. `floor` is the least deviation that is believed.
+    C [3, 3] is the covariance of the samples of one side and their two predecessors, C' that of the predecessors. The
+    prediction error has variance det C / det C'. `floor` is the smallest standard deviation assumed.
     """
     rows = np.lib.stride_tricks.sliding_window_view(x, 3)
-    splits = np.arange(least, len(rows) - least)
+    splits = np.arange(margin, len(rows) - margin)
     if len(splits) == 0:
         return 0
     sums = np.cumsum(rows[:, :, None] * rows[:, None, :], axis=0)
     before = sums[splits - 1]
-    cost = _log_likelihood(before, splits, floor) + _log_likelihood(sums[-1] - before, len(rows) - splits, floor)
-    return int(splits[np.argmin(cost)]) + 2  # a row's newest sample
+    cost = _deviance(before, splits, floor) + _deviance(sums[-1] - before, len(rows) - splits, floor)
+    return int(splits[np.argmin(cost)]) + 2  # index of the newest sample of a row
 
 
-def _log_likelihood(sums: np.ndarray, counts: np.ndarray, floor: float) -> np.ndarray:
-    """Minus twice the log-likelihood of each side, but for a constant [splits]."""
+def _deviance(sums: np.ndarray, counts: np.ndarray, floor: float) -> np.ndarray:
+    """Minus twice the log-likelihood of each side, up to a constant [splits]."""
     covariance = sums / counts[:, None, None] + floor**2 * np.eye(3)
     return counts * (np.linalg.slogdet(covariance)[1] - np.linalg.slogdet(covariance[:, :2, :2])[1])

@@ -1,1 +1,1 @@
-"""What a fit found, as one page that can be read, looked at and heard."""
+"""The page of a fit: its results as text, pictures and sounds in one HTML file."""

@@ -1,16 +1,16 @@
 "use strict";
-// Sounds that run together and of which one is heard, so that switching keeps the place to the sample.
+// Synchronous sounds of which one is audible, so that switching keeps the position to the sample.
 class Deck {
   static BLEND = 0.02; // s, length of a crossfade
-  static contexts = new Map(); // one for each rate, so that no sound is resampled
-  static open = null; // the deck that sounds; only one does
+  static contexts = new Map(); // one for each sample rate, to avoid resampling
+  static open = null; // the deck that is playing, at most one
 
   // texts(): WAV files of 16 bits, with a header of 44 bytes, as base64, decoded when first needed.
-  // changed(words): called when the sound ends, or stops because another deck starts.
+  // changed(text): called when the sound ends, or stops because another deck starts.
   constructor(texts, changed, seconds) {
     this.texts = texts;
     this.changed = changed;
-    this.length = seconds; // s, where it is known without decoding
+    this.length = seconds; // s, if it is known without decoding
     this.chosen = 0;
     this.position = 0;
     this.voice = null;
@@ -26,7 +26,7 @@ class Deck {
     return { rate: bytes.getUint32(24, true), length, channels };
   }
 
-  static contextOf(rate) { // only a user's action may start sound
+  static contextOf(rate) { // browsers allow sound only after an action of the user
     if (!Deck.contexts.has(rate)) {
       let context;
       try { context = new AudioContext({ sampleRate: rate }); } catch { context = new AudioContext(); }
@@ -66,7 +66,7 @@ class Deck {
     this.position = position > this.seconds - 0.01 ? 0 : position;
     const started = this.context.currentTime + 0.01, master = this.context.createGain();
     master.connect(this.output);
-    if (this.position > 0) { // never click; but at the very start leave the attack alone
+    if (this.position > 0) { // fade in to avoid a click, except at the start, to keep the attack
       master.gain.setValueAtTime(0, started);
       master.gain.linearRampToValueAtTime(1, started + Deck.BLEND / 2);
     }

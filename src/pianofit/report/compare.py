@@ -1,6 +1,6 @@
-"""Two fits compared: every quantity with difference and z, and both felts over one axis of compression.
+"""Comparison of two fits: every quantity with difference and z, and both felts over one axis of compression.
 
-The rules are in `report/comparison_table.py`.
+The rules are in `comparison_table.py`.
 """
 
 from __future__ import annotations
@@ -32,23 +32,23 @@ COLUMNS = ("name", "a", "b", "unit", "difference", "sd", "z", "status_a", "statu
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Comparison:
-    """Two fits compared: iterate over its `ComparedQuantity`, or take one by name, such as `comparison["f0"]`.
+    """Comparison of two fits: iterate over its `ComparedQuantity`, or take one by name, such as `comparison["f0"]`.
 
-    `felts` are both static laws over the same compressions, with 95 % bands, in `felt_unit`; None where a fit has no
-    covariance. `messages` say what limits the comparison.
+    `felts` are both static laws over the same compressions, with 95 % bands, in `felt_unit`. They are None if a fit
+    has no covariance. `messages` are the limits of the comparison.
     """
 
     labels: tuple[str, str]
     quantities: tuple[ComparedQuantity, ...]
     felts: tuple[Felt, Felt] | None
-    felt_unit: str  # N, or N/kg where the mass of a string was assumed
+    felt_unit: str  # N, or N/kg if the mass of a string was assumed
     messages: tuple[str, ...]
 
     def __getitem__(self, name: str) -> ComparedQuantity:
         for quantity in self.quantities:
             if quantity.name == name:
                 return quantity
-        raise KeyError(f"{name!r} is not compared; there are {', '.join(q.name for q in self.quantities)}")
+        raise KeyError(f"{name!r} is not compared; choose one of {', '.join(q.name for q in self.quantities)}")
 
     def __iter__(self) -> Iterator[ComparedQuantity]:
         return iter(self.quantities)
@@ -69,7 +69,7 @@ class Comparison:
         return f"{html_table(self._heading, map(_cells, self))}<ul>{notes}</ul>"
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Both felts: static force over compression with 95 % bands, and a mark where the table compares them.
+        """Draw the static force of both felts over compression with 95 % bands, and a mark at the compared compression.
 
         Raises
         ------
@@ -83,14 +83,14 @@ class Comparison:
         return drawn_on(ax, lambda axes: draw_felts(axes, felts, self.labels, self.felt_unit))
 
     def figure(self, kind: str = "svg") -> bytes:
-        """`plot` as the content of a file: svg, png or pdf.
+        """Return `plot` as the content of a file: svg, png or pdf.
 
         Raises
         ------
         ParameterError
             For another kind.
         FitError
-            As `plot`.
+            If a fit has no covariance, so that no band can be drawn.
         """
         from .figures_compared import KINDS, figure_of_felts
 
@@ -104,7 +104,7 @@ class Comparison:
         return self.felts
 
     def to_dict(self) -> dict[str, Any]:
-        """All of it as plain dicts, lists and numbers, as `pianofit compare --json` prints it."""
+        """Return everything as dicts, lists and numbers, as `pianofit compare --json` prints it."""
         felts = None
         if self.felts is not None:
             felts = {"compression_mm": self.felts[0].compression.tolist(), "unit": self.felt_unit} | {
@@ -117,7 +117,7 @@ class Comparison:
         }  # fmt: skip
 
     def to_dataframe(self) -> Any:
-        """One row a quantity as a pandas data frame.
+        """Return a pandas data frame with one row a quantity.
 
         Raises
         ------
@@ -134,39 +134,39 @@ def compare(
 
     Parameters
     ----------
-    a, b : fits: a `Result`, a folder that it was saved to, or a `fit.json`.
-    labels : what tables and figures call them; the names of their folders, or A and B, if None.
+    a, b : two fits, each a `Result`, a folder that it was saved to, or a `fit.json`.
+    labels : names of the fits in tables and figures; the names of their folders, or A and B, if None.
 
     Returns
     -------
     A `Comparison`: for every quantity both values, the difference b - a, its standard deviation and z, or the reason
-    why there is no z.
+    why z is missing.
 
     Raises
     ------
     FitError
-        Naming a file that cannot be used.
+        If a file cannot be used. The message names it.
     ParameterError
-        For what is not a fit, and for labels that are not two different texts.
+        If an argument is not a fit, or the labels are not two different texts.
 
     Examples
     --------
-    With the folder that the example of `fit` saves, compared with itself:
+    Compare the folder that the example of `fit` saves with itself:
 
     >>> import pianofit
     >>> same = pianofit.compare("fit", pianofit.Result.load("fit"), labels=("first", "second"))
     >>> same["f0"].z, same["L"].reason
     (0.0, 'held fixed in first and second')
     """
-    fits, called = (_result(a, "a"), _result(b, "b")), _labels((a, b), labels)
-    sides = Sides(fits, called)
+    fits, names = (_result(a, "a"), _result(b, "b")), _labels((a, b), labels)
+    sides = Sides(fits, names)
     try:
-        felts, trouble = sides.felts()
-        return Comparison(called, compared(sides, felts), felts, sides.felt_unit, (*messages(sides), *trouble))
-    except (AttributeError, IndexError, KeyError, TypeError, ValueError) as missing:
+        felts, problems = sides.felts()
+        return Comparison(names, compared(sides, felts), felts, sides.felt_unit, (*messages(sides), *problems))
+    except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
         raise FitError(
-            f"{' and '.join(called)}: a fit.json is not whole ({printable(repr(missing))}); give the file that pianofit "
-            "fit wrote"
+            f"{' and '.join(names)}: a fit.json is incomplete ({printable(repr(error))}); "
+            "give the file that pianofit fit wrote"
         ) from None
 
 
@@ -180,15 +180,15 @@ def _result(fit: Any, name: str) -> Result:
 
 def _labels(fits: tuple[Any, Any], labels: Sequence[str] | None) -> tuple[str, str]:
     if labels is not None:
-        both = [labels] if isinstance(labels, str) else [*labels]
-        if len(both) != 2 or not all(isinstance(label, str) and label for label in both) or both[0] == both[1]:
+        given = [labels] if isinstance(labels, str) else [*labels]
+        if len(given) != 2 or not all(isinstance(label, str) and label for label in given) or given[0] == given[1]:
             raise ParameterError(f"labels={labels!r} must be two different texts")
-        return both[0], both[1]
-    found = [
+        return given[0], given[1]
+    names = [
         name if isinstance(fit, Result) else printable(fit_path(fit).resolve().parent.name) or name
         for fit, name in zip(fits, NAMES, strict=True)
     ]
-    return (found[0], found[1]) if found[0] != found[1] else NAMES
+    return (names[0], names[1]) if names[0] != names[1] else NAMES
 
 
 def _cells(quantity: ComparedQuantity) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""The rules by which quantities of two fits are compared.
+"""Rules for the comparison of quantities of two fits.
 
 Intervals of a fit are those of logarithms, so z is the difference of two logarithms over its standard deviation. The
 standard deviation that is reported in the quantity's unit is the difference over z. To first order that is the root of
@@ -7,7 +7,7 @@ the sum of both variances.
 A z is computed only where both fits measured the same thing. A value that was given, assumed, at a search bound or not
 identifiable is not a measurement. A value that scales with an assumed length or mass is comparable only if both fits
 assumed the same. A value that scales with an unmeasured velocity is not comparable. K_H is not comparable between
-different p, because its unit changes with p: the felt's static force at one compression takes its place.
+different p, because its unit depends on p. The static force of the felt at one compression is compared instead.
 """
 
 from __future__ import annotations
@@ -24,20 +24,19 @@ from ..conversions import NORMAL
 from ..errors import FitError
 from ..felt import LAWS
 from ..io.files import printable, reference_of
-from ..parameters import STRING_NAMES
 from ..result import Quantity, Result
-from .build import felt_of, has_intervals, reached
+from .build import felt_of, has_intervals, largest_compression
 from .figure_data import Felt
 from .identifiability_text import half_interval, open_scale
-from .text import VELOCITY_RATIO
+from .text import NOT_FELT, VELOCITY_RATIO
 
 __all__ = ["ComparedQuantity", "Sides", "compared", "messages", "middle"]
 
-# Logarithms closer than this are those of one number; the rest is rounding in a file.
+# Largest difference of the logarithms of equal numbers, from rounding in a file.
 SAME = 1e-9
-# The same of a compression that was computed back from a force.
+# The same for a compression that was computed from a force.
 SAME_COMPRESSION = 1e-6
-# Cents between two pitches from which on the fits are of different keys.
+# Smallest difference in pitch between different keys, cents.
 ANOTHER_KEY = 50.0
 NOT_MEASURED = {
     "given": "held fixed in {}", "assumed": "assumed in {}", "at-bound": "at a search bound in {}",
@@ -45,64 +44,62 @@ NOT_MEASURED = {
 }  # fmt: skip
 # Parameters in metres of the string: they scale with an assumed length.
 SCALES_WITH_LENGTH = ("c", "kappa", "b2", "x0")
-# Names in a table of parameters that do not belong to the felt.
-NOT_FELT = {*STRING_NAMES, "M_H", "v_H0", "x0", "width", "M_S", "L", "pickup"}
 
 
 @dataclass(frozen=True)
 class ComparedQuantity:
-    """One quantity in two fits. `difference`, `sd` and `z` are None where `reason` says why."""
+    """One quantity in two fits. `difference`, `sd` and `z` are None if `reason` is not empty."""
 
     name: str
     unit: str
-    a: Quantity | None  # None where the fit does not have it
+    a: Quantity | None  # None if the fit does not have it
     b: Quantity | None
     difference: float | None  # b - a, in `unit`
     sd: float | None  # standard deviation of the difference, in `unit`
     z: float | None  # difference over sd
-    reason: str = ""  # why there is no z
+    reason: str = ""  # why z is missing
 
     def to_dict(self) -> dict[str, Any]:
-        """All of it as plain dicts and numbers."""
+        """Return everything as dicts and numbers."""
         sides = {
             side: None if q is None else {"value": q.value, "interval": q.interval, "status": q.status}
             for side, q in (("a", self.a), ("b", self.b))
         }
-        own = {"difference": self.difference, "sd": self.sd, "z": self.z, "reason": self.reason}
-        return {"name": self.name, "unit": self.unit} | sides | own
+        numbers = {"difference": self.difference, "sd": self.sd, "z": self.z, "reason": self.reason}
+        return {"name": self.name, "unit": self.unit} | sides | numbers
 
     @property
     def row(self) -> tuple:
         """Name, both values, unit, difference, sd, z, both statuses, reason."""
         values = [None if q is None else q.value for q in (self.a, self.b)]
-        states = [None if q is None else q.status for q in (self.a, self.b)]
-        return self.name, *values, self.unit, self.difference, self.sd, self.z, *states, self.reason
+        statuses = [None if q is None else q.status for q in (self.a, self.b)]
+        return self.name, *values, self.unit, self.difference, self.sd, self.z, *statuses, self.reason
 
 
 @dataclass(frozen=True)
 class Sides:
-    """Two fits with their labels, and what concerns both."""
+    """Two fits and their labels."""
 
     fits: tuple[Result, Result]
     labels: tuple[str, str]
 
     @property
     def documents(self) -> tuple[dict, dict]:
-        """The content of both `fit.json` files."""
+        """Return the content of both `fit.json` files."""
         return self.fits[0].document, self.fits[1].document
 
     @property
     def felt_unit(self) -> str:
-        """The unit of the static force: N, or N/kg (force over string mass) if a mass was assumed."""
+        """Return the unit of the static force: N, or N/kg (force over string mass) if a mass was assumed."""
         assumed = any(_status(document, "M_S") != "given" for document in self.documents)
         return "N/kg" if assumed else "N"
 
     def where(self, which: Sequence[bool]) -> str:
-        """The labels for which something holds."""
+        """Return the labels of the fits for which `which` is true."""
         return " and ".join(label for label, holds in zip(self.labels, which, strict=True) if holds)
 
     def files(self) -> tuple[list[Any], list[Any]]:
-        """The checksums of the recordings of each."""
+        """Return the checksums of the recordings of both fits."""
         first, second = (
             [row.get("sha256") for row in document["recordings"] if isinstance(row, dict)]
             for document in self.documents
@@ -110,9 +107,9 @@ class Sides:
         return first, second
 
     def felts(self) -> tuple[tuple[Felt, Felt] | None, tuple[str, ...]]:
-        """Both static laws up to the compression that both reached; or why there is none."""
+        """Return both static laws up to the smaller of the largest compressions; or None and the reason."""
         try:
-            reach = min(map(reached, self.fits))
+            reach = min(map(largest_compression, self.fits))
             return (self._felt(0, reach), self._felt(1, reach)), ()
         except FitError as error:
             return None, (f"The felts are not compared: {printable(error)}.",)
@@ -127,7 +124,7 @@ class Sides:
 
 
 def compared(sides: Sides, felts: tuple[Felt, Felt] | None) -> tuple[ComparedQuantity, ...]:
-    """Every quantity of two fits: the invariants, the felts' force at one compression, then the parameters."""
+    """Return every quantity of two fits: invariants, force of the felts at one compression, parameters."""
     force = () if felts is None else (_force(sides, felts),)
     return (*_table(sides, "invariants"), *force, *_table(sides, "parameters"))
 
@@ -138,39 +135,39 @@ def _table(sides: Sides, table: str) -> Iterator[ComparedQuantity]:
         yield _compared(sides, first.get(name), second.get(name))
 
 
-def _compared(sides: Sides, a: Quantity | None, b: Quantity | None, against: str = "") -> ComparedQuantity:
-    """The difference by logarithms, unless there is a reason `against` it."""
+def _compared(sides: Sides, a: Quantity | None, b: Quantity | None, objection: str = "") -> ComparedQuantity:
+    """Return the difference and z, from the logarithms, unless there is an `objection`."""
     if a is None or b is None:
-        one, where = (a, sides.labels[0]) if b is None else (b, sides.labels[1])
-        name, unit = ("", "") if one is None else (one.name, one.unit)
-        return ComparedQuantity(name, unit, a, b, None, None, None, f"only in {where}")
-    if reason := _reason(sides, a, b) or against:
+        present, label = (a, sides.labels[0]) if b is None else (b, sides.labels[1])
+        name, unit = ("", "") if present is None else (present.name, present.unit)
+        return ComparedQuantity(name, unit, a, b, None, None, None, f"only in {label}")
+    if reason := _reason(sides, a, b) or objection:
         return ComparedQuantity(a.name, a.unit, a, b, None, None, None, reason)
-    apart = math.log(b.value / a.value)
-    deviation = math.hypot(*(half_interval({"interval": q.interval}) or 0.0 for q in (a, b))) / NORMAL
+    log_ratio = math.log(b.value / a.value)
+    sd = math.hypot(*(half_interval({"interval": q.interval}) or 0.0 for q in (a, b))) / NORMAL
     # The logarithmic mean turns a difference of logarithms into one of values, exactly.
-    mean = (b.value - a.value) / apart if abs(apart) > SAME else 0.5 * (a.value + b.value)
-    return ComparedQuantity(a.name, a.unit, a, b, b.value - a.value, mean * deviation, apart / deviation)
+    mean = (b.value - a.value) / log_ratio if abs(log_ratio) > SAME else 0.5 * (a.value + b.value)
+    return ComparedQuantity(a.name, a.unit, a, b, b.value - a.value, mean * sd, log_ratio / sd)
 
 
 def _reason(sides: Sides, a: Quantity, b: Quantity) -> str:
-    """The reason why two values cannot be compared; empty if they can."""
+    """Return the reason why two values cannot be compared; empty if they can."""
     both = (a, b)
-    stopped = [not document["converged"] for document in sides.documents]
-    if any(stopped):
-        return f"the search did not converge in {sides.where(stopped)}"
-    for status, words in NOT_MEASURED.items():
-        if any(found := [q.status == status for q in both]):
-            return words.format(sides.where(found))
-    if any(found := [half_interval({"interval": q.interval}) is None or q.value <= 0 for q in both]):
-        return f"no interval in {sides.where(found)}"
-    if any(found := [bool(q.interval_open) for q in both]):
-        return f"the interval ends at a search bound in {sides.where(found)}"
+    not_converged = [not document["converged"] for document in sides.documents]
+    if any(not_converged):
+        return f"the search did not converge in {sides.where(not_converged)}"
+    for status, reason in NOT_MEASURED.items():
+        if any(which := [q.status == status for q in both]):
+            return reason.format(sides.where(which))
+    if any(which := [half_interval({"interval": q.interval}) is None or q.value <= 0 for q in both]):
+        return f"no interval in {sides.where(which)}"
+    if any(which := [bool(q.interval_open) for q in both]):
+        return f"the interval ends at a search bound in {sides.where(which)}"
     return _another_quantity(sides, a, b) or _assumptions(sides, a, b)
 
 
 def _another_quantity(sides: Sides, a: Quantity, b: Quantity) -> str:
-    """The reason why one name stands for two quantities; empty if it does not."""
+    """Return the reason why one name stands for two different quantities; empty if it does not."""
     laws = [document.get("felt") for document in sides.documents]
     if a.name not in NOT_FELT and a.name in sides.fits[0].parameters:
         if laws[0] != laws[1]:
@@ -182,7 +179,7 @@ def _another_quantity(sides: Sides, a: Quantity, b: Quantity) -> str:
         first, second = (_compression(fit) for fit in sides.fits)
         if first is None or second is None or abs(math.log(first / second)) > SAME_COMPRESSION:
             return "at different compressions; compare the force at one compression"
-    if a.name.startswith(VELOCITY_RATIO) and _struck(sides, 0, a.name) != _struck(sides, 1, b.name):
+    if a.name.startswith(VELOCITY_RATIO) and _stroke_checksums(sides, 0, a.name) != _stroke_checksums(sides, 1, b.name):
         return "of different recordings"
     return "" if a.unit == b.unit else f"in different units: {a.unit} and {b.unit}"
 
@@ -193,7 +190,7 @@ def _same_exponent(sides: Sides, name: str) -> bool:
 
 
 def _compression(fit: Result) -> float | None:
-    """The compression of F/M_S, m, where the felt is a power law: (F/K)^(1/p)."""
+    """Return the compression of F/M_S, m, if the felt is a power law: (F/K)^(1/p)."""
     law = LAWS.get(str(fit.document.get("felt")))
     if law is None or law.power is None:
         return None
@@ -202,42 +199,45 @@ def _compression(fit: Result) -> float | None:
     return (force / stiffness) ** (1 / p)
 
 
-def _struck(sides: Sides, at: int, name: str) -> tuple[Any, Any]:
-    """Checksums of the recording of a stroke, whose number ends the name of its ratio, and of the reference."""
-    rows = sides.documents[at]["recordings"]
+def _stroke_checksums(sides: Sides, index: int, name: str) -> tuple[Any, Any]:
+    """Return the checksums of the recording of a velocity ratio, named by its stroke number, and of the reference."""
+    rows = sides.documents[index]["recordings"]
     stroke = int(name.removeprefix(VELOCITY_RATIO).strip() or 0) - 1
-    own = next((row for row in rows if row.get("stroke") == stroke), {})
-    return own.get("sha256"), reference_of(rows)[1].get("sha256")
+    recording = next((row for row in rows if row.get("stroke") == stroke), {})
+    return recording.get("sha256"), reference_of(rows)[1].get("sha256")
 
 
 def _assumptions(sides: Sides, a: Quantity, b: Quantity) -> str:
-    """The reason why two values rest on different assumptions; empty if they do not."""
-    for what, name in (("length", "L"), ("mass", "M_S")):
-        own = [_rests_on(q, name, fit) for q, fit in zip((a, b), sides.fits, strict=True)]
-        if any(own):
+    """Return the reason why two values depend on different assumptions; empty if they do not."""
+    for size, name in (("length", "L"), ("mass", "M_S")):
+        scales = [_scales_with(q, name, fit) for q, fit in zip((a, b), sides.fits, strict=True)]
+        if any(scales):
             first, second = (fit.parameters[name] for fit in sides.fits)
-            if not all(own):
-                return f"scales with the assumed {what} in {sides.where(own)}"
+            if not all(scales):
+                return f"scales with the assumed {size} in {sides.where(scales)}"
             if abs(math.log(first.value / second.value)) > SAME:
-                said = f"{first.value:.5g} {first.unit} and {second.value:.5g} {second.unit}"
-                return f"scales with different assumed values of the {what}: {said}"
-    free = [q.status == "scaled" and _moves(q) and open_scale(d) for q, d in zip((a, b), sides.documents, strict=True)]
-    return f"scales with velocities that were not measured in {sides.where(free)}" if any(free) else ""
+                values = f"{first.value:.5g} {first.unit} and {second.value:.5g} {second.unit}"
+                return f"scales with different assumed values of the {size}: {values}"
+    scales = [
+        q.status == "scaled" and _scales_with_velocity(q) and open_scale(d)
+        for q, d in zip((a, b), sides.documents, strict=True)
+    ]
+    return f"scales with velocities that were not measured in {sides.where(scales)}" if any(scales) else ""
 
 
-def _rests_on(quantity: Quantity, size: str, fit: Result) -> bool:
-    """True if a value scales with the length or the mass of the string, and that size was assumed."""
+def _scales_with(quantity: Quantity, size: str, fit: Result) -> bool:
+    """Return whether a value scales with the length or the mass of the string, and that size was assumed."""
     if quantity.status != "scaled" or _status(fit.document, size) != "assumed" or quantity.name not in fit.parameters:
         return False
-    return quantity.name in SCALES_WITH_LENGTH if size == "L" else _has(quantity.unit, "N|kg")
+    return quantity.name in SCALES_WITH_LENGTH if size == "L" else _has_unit(quantity.unit, "N|kg")
 
 
-def _moves(quantity: Quantity) -> bool:
-    """True if a value of the felt, or a velocity, scales with an unknown velocity."""
-    return quantity.name in ("v_H0", "F/M_S") or (quantity.name not in NOT_FELT and _has(quantity.unit, "N|m"))
+def _scales_with_velocity(quantity: Quantity) -> bool:
+    """Return whether a quantity would scale with an unknown velocity."""
+    return quantity.name in ("v_H0", "F/M_S") or (quantity.name not in NOT_FELT and _has_unit(quantity.unit, "N|m"))
 
 
-def _has(unit: str, symbols: str) -> bool:
+def _has_unit(unit: str, symbols: str) -> bool:
     return re.search(rf"(?<![A-Za-z])({symbols})(?![A-Za-z])", unit) is not None
 
 
@@ -249,35 +249,37 @@ def _status(document: dict, name: str) -> str:
 
 
 def middle(felt: Felt) -> int:
-    """The index at which the table compares the felts: half of the compression that both reached."""
+    """Return the index at which the table compares the felts, half of the common compression."""
     return len(felt.compression) // 2 - 1
 
 
 def _force(sides: Sides, felts: tuple[Felt, Felt]) -> ComparedQuantity:
-    """The static force at one compression that both felts reached."""
-    at, name = middle(felts[0]), "F" if sides.felt_unit == "N" else "F/M_S"
-    place = f"{name} at {felts[0].compression[at]:.3g} mm"
-    found = [_at(felt, at, place, fit, sides.felt_unit) for felt, fit in zip(felts, sides.fits, strict=True)]
-    free = [open_scale(document) for document in sides.documents]
-    against = f"scales with velocities that were not measured in {sides.where(free)}" if any(free) else ""
-    return _compared(sides, found[0], found[1], against)
+    """Return the comparison of the static forces at one compression within the range of both felts."""
+    index, name = middle(felts[0]), "F" if sides.felt_unit == "N" else "F/M_S"
+    label = f"{name} at {felts[0].compression[index]:.3g} mm"
+    forces = [_force_at(felt, index, label, fit, sides.felt_unit) for felt, fit in zip(felts, sides.fits, strict=True)]
+    open_scales = [open_scale(document) for document in sides.documents]
+    objection = ""
+    if any(open_scales):
+        objection = f"scales with velocities that were not measured in {sides.where(open_scales)}"
+    return _compared(sides, forces[0], forces[1], objection)
 
 
-def _at(felt: Felt, at: int, name: str, fit: Result, unit: str) -> Quantity:
-    force, low, high = (float(x) for x in felt.force[:, at])
-    states = [fit.parameters[q].status for q in fit.parameters if q not in NOT_FELT]
-    worst = next((state for state in ("at-bound", "not-identifiable") if state in states), "fitted")
+def _force_at(felt: Felt, index: int, name: str, fit: Result, unit: str) -> Quantity:
+    force, low, high = (float(x) for x in felt.force[:, index])
+    statuses = [fit.parameters[q].status for q in fit.parameters if q not in NOT_FELT]
+    worst = next((status for status in ("at-bound", "not-identifiable") if status in statuses), "fitted")
     interval = (low, high) if has_intervals(fit) and low < high else None
-    free = any(state not in ("given", "assumed") for state in states)
-    meaning = "static force of the felt at a compression that both felts reached"
-    return Quantity(name, force, unit, interval, worst if free else "given", meaning)
+    is_free = any(status not in ("given", "assumed") for status in statuses)
+    meaning = "static force of the felt at a compression that occurs in both fits"
+    return Quantity(name, force, unit, interval, worst if is_free else "given", meaning)
 
 
-# --- in words ---------------------------------------------------------------------------------------------------------
+# --- messages ---------------------------------------------------------------------------------------------------------
 
 
 def messages(sides: Sides) -> Iterator[str]:
-    """Sentences on the limits of the comparison."""
+    """Yield sentences on the limits of the comparison."""
     f0 = [fit.invariants["f0"].value if "f0" in fit.invariants else math.nan for fit in sides.fits]
     cents = 1200 * math.log2(f0[1] / f0[0]) if np.isfinite(f0).all() and min(f0) > 0 else 0.0
     if abs(cents) > ANOTHER_KEY:
@@ -288,9 +290,9 @@ def messages(sides: Sides) -> Iterator[str]:
             f"Both fits contain {len(shared)} recording{'s' * (len(shared) != 1)} in common. Their errors are not "
             "independent, and z is smaller than for independent recordings."
         )
-    free = [open_scale(document) for document in sides.documents]
-    if any(free):
+    open_scales = [open_scale(document) for document in sides.documents]
+    if any(open_scales):
         yield (
-            f"No hammer velocity was measured in {sides.where(free)}: compressions and forces of the felt hold at the "
-            "reference velocity shown."
+            f"No hammer velocity was measured in {sides.where(open_scales)}. Compressions and forces of the felt "
+            "hold at the reference velocity shown."
         )

@@ -1,9 +1,8 @@
-"""The look of the page's pictures: a colour and a line style for each of measured, initial, law and fitted.
+"""Style of the figures: a colour and a line style for each of measured, initial, string model and fitted.
 
-The colours are Okabe and Ito's, which stay apart for colour-blind eyes; line style and order tell them apart in grey.
-A page replaces each colour by the property of `page.css` that `COLOURS` names, which has a second value on dark pages.
-Figures for the page are SVG, whose letters stay letters; that was both quicker and sharper than PNG at twice the
-resolution.
+The colours are those of Okabe and Ito, which colour-blind readers can distinguish. Line style and order distinguish the
+lines in grey. A page replaces each colour by the property of `page.css` that `COLOURS` names, which has a second value
+on dark pages. Figures are SVG with text as text, which was faster and sharper than PNG at twice the resolution.
 """
 
 from __future__ import annotations
@@ -54,24 +53,24 @@ __all__ = [
 INK, MEASURED, INITIAL, LAW, FITTED, FAINT = "#333333", "#1a1a1a", "#d55e00", "#009e73", "#0072b2", "#eeeeee"
 PAPER, GRID, EDGE, BORDER, HATCH = "#ffffff", "#e3e7ec", "#9aa3ad", "#7b8794", "#c3cad2"
 LOOP, BAND, GROUP, WRONG = "#8fbfe0", "#cfe3f1", "#cc79a7", "#a3123a"
-# The property of `page.css` that stands for each on a page.
+# Colour -> property of `page.css`.
 COLOURS = {
     INK: "ink", MEASURED: "measured", INITIAL: "initial", LAW: "law", FITTED: "fitted", FAINT: "faint", PAPER: "paper",
     GRID: "line", EDGE: "axis", BORDER: "edge", HATCH: "axis", LOOP: "loop", BAND: "band", GROUP: "group", WRONG: "bad",
 }  # fmt: skip
-# Inches. A figure is one panel, whose letters can be read on a telephone; a page puts panels side by side.
+# Inches. A figure is one panel that is legible on a telephone. A page puts panels side by side.
 WIDTH = 5.6
 HEIGHT = 3.1
 LEFT, RIGHT, TOP, GAP = 0.72, 0.16, 0.3, 0.12
 BELOW = 0.52  # the ticks and the label of x
-# From the figure's left to the label of y, and from the axes down to that of x; said, because to find room for them
-# matplotlib lays out all ticks once more.
-BESIDE, UNDER = 0.21, 0.31
+# From the left edge to the label of y, and from the axes down to the label of x. They are fixed, because matplotlib
+# would lay out all ticks once more to find the positions.
+Y_LABEL, X_LABEL = 0.21, 0.31
 LEGEND = 0.28  # a line of the legend
 LINES: dict[str, dict[str, Any]] = {
     "measured": {"color": MEASURED, "lw": 1.1, "zorder": 2},
     "initial": {"color": INITIAL, "lw": 1.2, "ls": (0, (4, 1.6)), "zorder": 3},
-    "law": {"color": LAW, "lw": 1.2, "ls": (0, (6, 1.6)), "zorder": 3},
+    "string model": {"color": LAW, "lw": 1.2, "ls": (0, (6, 1.6)), "zorder": 3},
     "fitted": {"color": FITTED, "lw": 1.5, "zorder": 4},
 }
 STYLE: dict[Any, Any] = {
@@ -83,7 +82,7 @@ STYLE: dict[Any, Any] = {
     "axes.titlesize": 10,
     "axes.titlelocation": "left",
     "axes.titlecolor": INK,
-    "axes.titley": 1.0,  # else matplotlib lays out all ticks once more to see what a title would hit
+    "axes.titley": 1.0,  # otherwise matplotlib lays out all ticks once more to avoid overlap with the title
     "axes.edgecolor": EDGE,
     "axes.labelcolor": INK,
     "axes.spines.top": False,
@@ -107,7 +106,7 @@ STYLE: dict[Any, Any] = {
 }
 
 
-DPI = 120  # of a PNG, and of what is a raster within an SVG
+DPI = 120  # of a PNG, and of raster images within an SVG
 _LOCK = Lock()  # matplotlib's settings are global
 
 
@@ -121,38 +120,38 @@ def page_style() -> Iterator[None]:
 
 
 def panel(*heights: float, left: float = LEFT, legend_rows: int = 1) -> tuple[Figure, list[Axes]]:
-    """A figure of `WIDTH`, and axes one above the other that share their x: their heights, inches.
+    """Return a figure of `WIDTH` with axes one above the other that share their x. `heights` are in inches.
 
     Parameters
     ----------
-    left : room for the ticks and the label of y, inches.
-    legend_rows : lines of the legend below.
+    left : space for the ticks and the label of y, inches.
+    legend_rows : lines of the legend below the axes.
     """
     from matplotlib.figure import Figure
 
     below = BELOW + LEGEND * legend_rows
-    whole = TOP + sum(heights) + GAP * (len(heights) - 1) + below
-    figure, found, at = Figure(figsize=(WIDTH, whole)), [], whole - TOP
+    total = TOP + sum(heights) + GAP * (len(heights) - 1) + below
+    figure, panels, bottom = Figure(figsize=(WIDTH, total)), [], total - TOP
     for height in heights:
-        at -= height
-        box = (left / WIDTH, at / whole, (WIDTH - left - RIGHT) / WIDTH, height / whole)
-        axes = figure.add_axes(box, sharex=found[0] if found else None)
-        axes.yaxis.set_label_coords((BESIDE - left) / (WIDTH - left - RIGHT), 0.5)
-        axes.xaxis.set_label_coords(0.5, -UNDER / height)
-        found.append(axes)
-        at -= GAP
-    for axes in found[:-1]:
+        bottom -= height
+        box = (left / WIDTH, bottom / total, (WIDTH - left - RIGHT) / WIDTH, height / total)
+        axes = figure.add_axes(box, sharex=panels[0] if panels else None)
+        axes.yaxis.set_label_coords((Y_LABEL - left) / (WIDTH - left - RIGHT), 0.5)
+        axes.xaxis.set_label_coords(0.5, -X_LABEL / height)
+        panels.append(axes)
+        bottom -= GAP
+    for axes in panels[:-1]:
         axes.tick_params(labelbottom=False)
-    return figure, found
+    return figure, panels
 
 
 def make_figure(
-    draw: Callable[..., None], *shown: Any, title: str = "", height: float = HEIGHT, left: float = LEFT,
+    draw: Callable[..., None], *arguments: Any, title: str = "", height: float = HEIGHT, left: float = LEFT,
     legend_rows: int = 1, columns: int = 4,
 ) -> Figure:  # fmt: skip
-    """A figure of one panel, which `draw(axes, *shown)` fills, with the legend of what that has named."""
+    """Return a figure of one panel, drawn by `draw(axes, *arguments)`, with a legend of all labels."""
     figure, (axes,) = panel(height, left=left, legend_rows=legend_rows)
-    draw(axes, *shown)
+    draw(axes, *arguments)
     if title:
         axes.set_title(title)
     legend(figure, axes, columns)
@@ -160,37 +159,37 @@ def make_figure(
 
 
 def svg(figure: Figure) -> bytes:
-    """The figure as a file, the same for the same figure."""
-    made = _saved(figure, format="svg", facecolor="none", metadata={"Date": None, "Creator": None})
-    return made.replace(b"'DejaVu Sans'", b"system-ui, 'DejaVu Sans'")
+    """Return the figure as SVG, byte for byte the same for the same figure."""
+    content = _saved(figure, format="svg", facecolor="none", metadata={"Date": None, "Creator": None})
+    return content.replace(b"'DejaVu Sans'", b"system-ui, 'DejaVu Sans'")
 
 
 def png(figure: Figure) -> bytes:
-    """The figure as a picture, the same for the same figure."""
+    """Return the figure as PNG, byte for byte the same for the same figure."""
     return _saved(figure, format="png", metadata={"Software": None})
 
 
 def file_of(figure: Figure, kind: str) -> bytes:
-    """The figure as svg, png or pdf, the same for the same figure."""
+    """Return the figure as svg, png or pdf, byte for byte the same for the same figure."""
     if kind == "pdf":
         return _saved(figure, format="pdf", metadata={"CreationDate": None, "Creator": None, "Producer": None})
     return svg(figure) if kind == "svg" else png(figure)
 
 
-def _saved(figure: Figure, **how: Any) -> bytes:
+def _saved(figure: Figure, **options: Any) -> bytes:
     file = io.BytesIO()
-    figure.savefig(file, dpi=DPI, **how)
+    figure.savefig(file, dpi=DPI, **options)
     return file.getvalue()
 
 
 def points(axes: Axes, number: np.ndarray, value: np.ndarray, error: np.ndarray) -> None:
-    """Measured values, with bars of 95 %."""
+    """Draw measured values with 95 % bars."""
     axes.errorbar(number, value, yerr=NORMAL * np.nan_to_num(np.abs(error)), fmt="o", ms=3.6, color=MEASURED, lw=1,
                   label="measured", zorder=5)  # fmt: skip
 
 
 def number_axis(axes: Axes, number: np.ndarray) -> None:
-    """Make the horizontal axis one of partial numbers, from the least of `number` to the largest."""
+    """Make the horizontal axis one of partial numbers, from the smallest to the largest of `number`."""
     from matplotlib.ticker import MaxNLocator
 
     low, high = span(number)
@@ -199,7 +198,7 @@ def number_axis(axes: Axes, number: np.ndarray) -> None:
 
 
 def log_axis(axis: Any, subs: tuple[int, ...] = (1, 2, 5)) -> None:
-    """Mark a logarithmic axis at so many places of each decade, with plain numbers."""
+    """Mark a logarithmic axis at `subs` times each power of ten, with plain numbers."""
     from matplotlib.ticker import LogLocator, NullLocator
 
     axis.set_major_locator(LogLocator(subs=subs))
@@ -208,15 +207,15 @@ def log_axis(axis: Any, subs: tuple[int, ...] = (1, 2, 5)) -> None:
 
 
 def legend(figure: Figure, axes: Axes, columns: int = 4) -> None:
-    """Name what is drawn, below the figure, in the order of `LINES`, then as drawn."""
+    """Draw a legend below the axes, in the order of `LINES`, then in the order of drawing."""
     handles, labels = axes.get_legend_handles_labels()
-    found = dict(zip(labels, handles, strict=True))
-    order = sorted(found, key=lambda name: [*LINES, name].index(name))
+    entries = dict(zip(labels, handles, strict=True))
+    order = sorted(entries, key=lambda name: [*LINES, name].index(name))
     if order:
-        figure.legend([found[name] for name in order], order, loc="lower center", ncols=min(len(order), columns))
+        figure.legend([entries[name] for name in order], order, loc="lower center", ncols=min(len(order), columns))
 
 
 def span(*arrays: np.ndarray) -> tuple[float, float]:
-    """Smallest and largest finite value; (0, 1) where there is none."""
+    """Return the smallest and the largest finite value; (0, 1) if no value is finite."""
     finite = np.concatenate([np.ravel(array)[np.isfinite(np.ravel(array))] for array in arrays])
     return (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 1.0)

@@ -1,8 +1,7 @@
-r"""The equations behind a fit, and every symbol of its page with meaning and unit.
+r"""Equations of the model, and every symbol of the page with meaning and unit.
 
-Symbols of parameters have the meaning and the unit of `parameters.py`, as everywhere; a law of the felt brings its own
-formula. What the equations have beyond the parameters is listed here. The table of symbols follows from the formulas,
-so none can be missing.
+Meaning and unit of parameters are those of `parameters.py`. A felt law has its own formula. All other symbols are
+listed here. The table of symbols is made from the formulas, so it is complete.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ from typing import Any, NamedTuple
 
 from ..result.quantities import MEANINGS, UNITS
 from .formula import formula_html, symbols
-from .text import SYMBOLS, VELOCITY_RATIO, unit_in_words
+from .text import SYMBOLS, VELOCITY_RATIO, format_unit
 
 __all__ = ["Equation", "Symbol", "equations"]
 
@@ -25,7 +24,7 @@ class Equation(NamedTuple):
 
 
 class Symbol(NamedTuple):
-    """One line of the table below it; the symbol as the macro of this name takes it."""
+    """One row of the table of symbols, for the macro `symbol`."""
 
     symbol: str
     meaning: str
@@ -45,20 +44,20 @@ STRING = Equation(
     ),
 )
 HAMMER = Equation("Hammer", (r"M_H \ddot{y}_H = -F", r"\dot{y}_H(0) = v_{H0}", r"u = y_H - ∫ w(x) y \op{d}x"))
-# A law from outside the package that brings no formula.
-UNNAMED = (r"F = F(u, \dot{u})",)
+# For a user law without a formula.
+USER_LAW = (r"F = F(u, \dot{u})",)
 PATH = Equation("Output path", (r"l_k = 10 \op{log}_{10} E_k + 20 \op{log}_{10} g + a_k",))
 GAIN = Equation("Gain", (r"l_k = 10 \op{log}_{10} E_k + 20 \op{log}_{10} g",))
 MODES = Equation("Modes of the key", (r"s(t) = g F(t) ∗ (\op{Re} ∑_m r_m P_m \op{e}^{λ_m t} + h(t))",))
 T60 = Equation("Decay time", (r"T_{60} = \frac{3 \op{ln} 10}{α_k}",))
 
-# Symbol -> meaning and unit, of what is not a parameter.
+# Symbol -> meaning and unit of all symbols that are not parameters.
 VARIABLES = {
     "y": ("transverse displacement of the string", "m"),
     "x": ("position along the string, from the agraffe", "m"),
     "t": ("time; dots are derivatives with respect to it", "s"),
-    "w": ("window of the contact around x₀, with area 1", "1/m"),
-    "F": ("force of the hammer on the string; 0 where the felt does not touch", "N"),
+    "w": ("contact window around x₀, with area 1", "1/m"),
+    "F": ("force of the hammer on the string; 0 without contact", "N"),
     "k": ("number of a partial", ""),
     "π": ("circle constant", ""),
     "β_k": ("wave number of partial k", "1/m"),
@@ -66,15 +65,15 @@ VARIABLES = {
     "α_k": ("decay rate of the amplitude of partial k", "1/s"),
     "y_H": ("displacement of the hammer", "m"),
     "u": ("compression of the felt", "m"),
-    "q": ("memory of a felt that relaxes", "m^p"),
+    "q": ("state variable of a relaxing felt", "m^p"),
     "l_k": ("level of partial k in the file, over the first 0.35 s", "dB"),
     "E_k": ("energy of partial k in the output of the model, over the first 0.35 s", "output² s"),
     "g": ("gain of a recording", "full scale per output"),
-    "a_k": ("output path at partial k: string to file", "dB"),
+    "a_k": ("output path at partial k, from the string to the file", "dB"),
     "s": ("sound in the file, of one channel", "full scale"),
     "m": ("number of a mode", ""),
-    "r_m": ("participation of mode m at the velocity of the stroke", "1"),
-    "P_m": ("pattern of mode m: one complex number a channel", "output/(N s)"),
+    "r_m": ("velocity gain of mode m at the velocity of the stroke", "1"),
+    "P_m": ("modal response of mode m: one complex number a channel", "output/(N s)"),
     "λ_m": ("pole of mode m: minus the decay rate, plus i times the angular frequency", "1/s"),
     "h": ("knock: attack noise of the key", "output/(N s)"),
     "T_60": ("time in which the energy falls by 60 dB", "s"),
@@ -83,25 +82,25 @@ INVARIANT_UNITS = {"f_0": "Hz", "B": "1", "M_H/M_S": "1", "x_0/L": "1", "F/M_S":
 
 
 def equations(fit: dict[str, Any], felt: tuple[str, ...], *, path: bool, modes: bool) -> dict[str, Any]:
-    """The equations of a fit as HTML, and the symbols of its page.
+    """Return the equations of a fit as HTML, and the symbols of its page.
 
     Parameters
     ----------
     fit : dict
         The content of `fit.json`.
     felt : tuple of str
-        The formula of the felt's law; empty if it brings none.
+        The formula of the felt law; empty if it has none.
     path : bool
         The fit has an output path, not only a gain.
     modes : bool
-        The key rings by its modes.
+        The key has measured modes.
 
     Returns
     -------
     dict
-        `lines`: (name, formulas as HTML); `symbols`: a `Symbol` each, first those of the equations in their order.
+        `lines`: (name, formulas as HTML). `symbols`: a list of `Symbol`, first those of the equations in their order.
     """
-    law = Equation(f"Felt: {fit['felt']}", felt or UNNAMED)
+    law = Equation(f"Felt: {fit['felt']}", felt or USER_LAW)
     lines = [STRING, HAMMER, law, PATH if path else GAIN, *([MODES, T60] if modes else [])]
     return {
         "lines": [(line.name, [_set(formula) for formula in line.formulas]) for line in lines],
@@ -110,7 +109,7 @@ def equations(fit: dict[str, Any], felt: tuple[str, ...], *, path: bool, modes: 
 
 
 def _set(formula: str) -> str:
-    """The formula as HTML; as it is written where a law from outside writes it in another notation."""
+    """Return the formula as HTML, or unchanged if a user law writes it in another notation."""
     try:
         return formula_html(formula)
     except ValueError:
@@ -118,26 +117,26 @@ def _set(formula: str) -> str:
 
 
 def _table(fit: dict[str, Any], lines: list[Equation], law: Equation) -> list[Symbol]:
-    """The symbols of the equations, then those of the tables that no equation has."""
-    known = {SYMBOLS.get(name, name): (meaning, UNITS.get(name, "")) for name, meaning in MEANINGS.items()}
-    known |= {symbol: (known[symbol][0], unit) for symbol, unit in INVARIANT_UNITS.items()}
-    known |= VARIABLES
-    tables = _of_tables(fit)
-    foreign = {symbol: (meaning, unit) for symbol, meaning, unit in tables if meaning not in MEANINGS.values()}
+    """Return the symbols of the equations, then those of the tables that no equation has."""
+    common = {SYMBOLS.get(name, name): (meaning, UNITS.get(name, "")) for name, meaning in MEANINGS.items()}
+    common |= {symbol: (common[symbol][0], unit) for symbol, unit in INVARIANT_UNITS.items()}
+    common |= VARIABLES
+    tables = _table_symbols(fit)
+    user_defined = {symbol: (meaning, unit) for symbol, meaning, unit in tables if meaning not in MEANINGS.values()}
     rows = []
     for line in lines:
-        here = known | foreign if line is law else known
-        rows += [(one, *here[one]) for formula in line.formulas for one in symbols(formula) if one in here]
-    said = dict.fromkeys((symbol, meaning, unit_in_words(unit)) for symbol, meaning, unit in rows + tables)
-    return [Symbol(*row) for row in said]
+        meanings = common | user_defined if line is law else common
+        rows += [(s, *meanings[s]) for formula in line.formulas for s in symbols(formula) if s in meanings]
+    unique = dict.fromkeys((symbol, meaning, format_unit(unit)) for symbol, meaning, unit in rows + tables)
+    return [Symbol(*row) for row in unique]
 
 
-def _of_tables(fit: dict[str, Any]) -> list[tuple[str, str, str]]:
-    """Symbol, meaning and unit of every invariant and parameter; a felt law from outside brings its own meanings."""
+def _table_symbols(fit: dict[str, Any]) -> list[tuple[str, str, str]]:
+    """Return symbol, meaning and unit of every invariant and parameter; a user law has its own meanings."""
     rows = []
     for name, entry in {**fit["invariants"], **fit["parameters"]}.items():
         if name.startswith(VELOCITY_RATIO):
-            rows.append(("v/v_ref", "velocity of a stroke over that of the reference", "1"))
+            rows.append(("v/v_ref", "velocity of a stroke over that of the reference recording", "1"))
         else:
             meaning = str(entry.get("meaning") or MEANINGS.get(name, ""))
             rows.append((str(SYMBOLS.get(name, name)), meaning, UNITS.get(name, str(entry.get("unit", "")))))

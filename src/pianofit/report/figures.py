@@ -1,4 +1,4 @@
-"""The page's pictures. Nothing here computes physics: the functions draw the arrays of `Curves`."""
+"""Figures of the page. The functions only draw the arrays of `FigureData`."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from .drawing import (
     svg,
 )
 from .figure_data import ContactCurves, FigureData, LevelCurves
-from .figures_identifiability import draw_felt, draw_known
+from .figures_identifiability import draw_felt, draw_identifiability
 from .figures_modal_response import draw_ringing
 from .figures_recordings import draw_held_out, draw_paths, draw_recordings
 from .text import BANDS
@@ -38,25 +38,25 @@ if TYPE_CHECKING:
 
 __all__ = ["COMPARED", "draw_figures", "draw_force", "draw_levels", "draw_spectrum"]
 
-# Of what most pictures have all three.
+# The three curves of most figures.
 COMPARED = ("measured", "initial", "fitted")
-ATTACKS = {"initial": "start values", "fitted": "after the fit"}
-# Of the largest force: where the heads on a loop stand, apart from each other.
+ATTACK_TITLES = {"initial": "Before the fit", "fitted": "After the fit"}
+# Positions of the arrows on a loop, as shares of the largest force. They differ so that the arrows do not overlap.
 RISING, FALLING = 0.6, 0.35
-# Decays slower than this share of the law's slowest stand at the axis' edge.
+# Decay rates below this share of the slowest of the string are drawn at the edge of the axis.
 SLOWEST = 0.1
-NODE = 60.0  # dB below all measured levels, where none is drawn
-HEAD = np.array([1.0, -0.7 + 0.45j, -0.4, -0.7 - 0.45j, 1.0])  # its outline, pointing right
+NODE = 60.0  # dB below all measured levels; lower levels are not drawn
+ARROW = np.array([1.0, -0.7 + 0.45j, -0.4, -0.7 - 0.45j, 1.0])  # outline of an arrowhead, pointing right
 
 
 def draw_figures(
     curves: FigureData, dropped: tuple[str, ...] = (), held_out: tuple[dict[str, Any], ...] = ()
 ) -> dict[str, list[bytes]]:
-    """Draw all figures of the page, name -> SVGs of its panels; what there is nothing to show of is left out."""
+    """Draw all figures of the page that have data: name -> SVGs of the panels."""
     with page_style():
         figures = {
             "spectra": _spectra(curves, dropped),
-            "attack": [make_figure(_draw_attack, curves, name, title=title) for name, title in ATTACKS.items()],
+            "attack": [make_figure(_draw_attack, curves, name, title=title) for name, title in ATTACK_TITLES.items()],
             "partials": _partials(curves),
             "levels": [make_figure(draw_levels, curves, title="Levels"), _residuals(curves)],
             "force": [
@@ -72,19 +72,19 @@ def draw_figures(
             figures["held_out"] = draw_held_out(held_out)
         if curves.felt is not None:
             figures["felt"] = draw_felt(curves.felt, curves.recordings)
-        if curves.known is not None:
-            figures["known"] = draw_known(curves.known)
+        if curves.identifiability is not None:
+            figures["identifiability"] = draw_identifiability(curves.identifiability)
         if curves.ringing is not None:
             figures |= draw_ringing(curves.ringing)
         return {name: [svg(figure) for figure in panels] for name, panels in figures.items()}
 
 
 def _spectra(curves: FigureData, dropped: tuple[str, ...]) -> list[Figure]:
-    """Two scales when there is much above band 2, so that the first partials are not a sliver."""
+    """Draw two panels if band 3 is much wider than the others, so that the first partials are visible."""
     edges = _band_edges(curves, dropped)
     low, high, split = edges[0][0], edges[-1][1], edges[-1][0]
-    cuts = [low, split, high] if len(edges) > 1 and high - split > 1.5 * (split - low) else [low, high]
-    return [make_figure(_draw_spectra, curves, edges, start, stop) for start, stop in pairwise(cuts)]
+    limits = [low, split, high] if len(edges) > 1 and high - split > 1.5 * (split - low) else [low, high]
+    return [make_figure(_draw_spectra, curves, edges, start, stop) for start, stop in pairwise(limits)]
 
 
 def _draw_spectra(
@@ -99,35 +99,35 @@ def _draw_spectra(
 
 
 def _band_edges(curves: FigureData, dropped: tuple[str, ...]) -> list[tuple[float, float, str, bool]]:
-    """(low, high, label, left out) of each band seen, matched to names when all three or the kept ones have borders."""
+    """Return (low, high, label, is excluded) of each visible band. Bands have names if their borders match a set."""
     borders = [border for border in curves.borders if np.isfinite(border)]
     pairs = list(pairwise(borders)) or [span(curves.frequency)]
-    kept = [name for name in BANDS if name not in dropped]
-    names = list(BANDS) if len(pairs) == len(BANDS) else kept if len(pairs) == len(kept) else [""] * len(pairs)
+    used = [name for name in BANDS if name not in dropped]
+    names = list(BANDS) if len(pairs) == len(BANDS) else used if len(pairs) == len(used) else [""] * len(pairs)
     end = curves.frequency[-1]
     return [
-        (low, min(high, end), BANDS.get(name, "") + (", left out" if name in dropped else ""), name in dropped)
+        (low, min(high, end), BANDS.get(name, "") + (", excluded" if name in dropped else ""), name in dropped)
         for (low, high), name in zip(pairs, names, strict=True)
         if low < end
     ]
 
 
 def draw_spectrum(axes: Axes, curves: FigureData, dropped: tuple[str, ...]) -> None:
-    """Draw measured, initial and fitted spectrum, and the bands of the paper's criterion."""
-    edges = [(low, high, "", left_out) for low, high, _, left_out in _band_edges(curves, dropped)]
+    """Draw measured, initial and fitted spectrum, and the bands of the criterion."""
+    edges = [(low, high, "", is_excluded) for low, high, _, is_excluded in _band_edges(curves, dropped)]
     _draw_spectra(axes, curves, edges, edges[0][0], edges[-1][1])
 
 
 def draw_force(axes: Axes, curves: FigureData | ContactCurves) -> None:
-    """Draw the hammer's force over time before and after the fit."""
+    """Draw the hammer force over time before and after the fit."""
     for name, force in curves.force.items():
         axes.plot(curves.force_ms, force, label=name, **LINES[name])
-    axes.set(xlabel="time from the first touch (ms)", ylabel="force (N)")
+    axes.set(xlabel="time from the first contact (ms)", ylabel="force (N)")
     axes.set_ylim(bottom=0.0)
 
 
 def draw_levels(axes: Axes, curves: FigureData | LevelCurves) -> None:
-    """Draw the partials' levels, measured, initial and fitted."""
+    """Draw the levels of the partials, measured, initial and fitted."""
     axes.plot(curves.number, _without_nodes(curves, "initial"), marker="s", ms=3.4, label="initial", **LINES["initial"])
     axes.plot(curves.number, _without_nodes(curves, "fitted"), marker="o", ms=3.4, label="fitted", **LINES["fitted"])
     points(axes, curves.number, curves.levels["measured"], curves.level_error)
@@ -137,54 +137,54 @@ def draw_levels(axes: Axes, curves: FigureData | LevelCurves) -> None:
 
 def _shade_bands(axes: Axes, edges: list[tuple[float, float, str, bool]]) -> None:
     start, stop = axes.get_xlim()
-    for index, (low, high, label, left_out) in enumerate(edges):
+    for index, (low, high, label, is_excluded) in enumerate(edges):
         low, high = max(low, start), min(high, stop)
         if low >= high:
             continue
-        if left_out:
+        if is_excluded:
             axes.axvspan(low, high, facecolor="none", edgecolor=HATCH, hatch="///", lw=0, zorder=0)
         elif index % 2:
             axes.axvspan(low, high, color=FAINT, lw=0, zorder=0)
         for edge in {low, high} - {start, stop}:
             axes.axvline(edge, color=BORDER, lw=0.8, ls=":", zorder=1)
-        narrow = (high - low) < 0.25 * (stop - start)
-        text = label.split(":")[0] + (", left out" if narrow and left_out else "") if narrow else label
-        # What would not fit into a narrow band at an end stays within the frame.
-        at, side = (high, "right") if narrow and high == stop else ((low + high) / 2, "center")
-        axes.text(at, 0.985, text, transform=axes.get_xaxis_transform(), ha=side, va="top", color=INK, fontsize=8.5)
+        is_narrow = (high - low) < 0.25 * (stop - start)
+        text = label.split(":")[0] + (", excluded" if is_excluded else "") if is_narrow else label
+        # Right-aligned in a narrow band at the end, so that the text stays within the frame.
+        x, side = (high, "right") if is_narrow and high == stop else ((low + high) / 2, "center")
+        axes.text(x, 0.985, text, transform=axes.get_xaxis_transform(), ha=side, va="top", color=INK, fontsize=8.5)
 
 
 def _draw_attack(axes: Axes, curves: FigureData, name: str) -> None:
-    """The waveforms of the first milliseconds, to one scale for all pictures."""
-    for one in ("measured", name):
-        axes.plot(curves.attack_ms, curves.attack[one], label=one, **LINES[one])
+    """Draw the waveforms of the first milliseconds, with one scale for all panels."""
+    for curve in ("measured", name):
+        axes.plot(curves.attack_ms, curves.attack[curve], label=curve, **LINES[curve])
     low, high = span(*curves.attack.values())
-    room = 0.05 * max(high - low, 1e-12)
-    axes.set(xlabel="time from the onset (ms)", ylabel="signal (full scale = 1)", ylim=(low - room, high + room))
+    margin = 0.05 * max(high - low, 1e-12)
+    axes.set(xlabel="time from the onset (ms)", ylabel="signal (full scale = 1)", ylim=(low - margin, high + margin))
 
 
 def _partials(curves: FigureData) -> list[Figure]:
-    law, (cents, rest) = panel(0.68 * HEIGHT, 0.32 * HEIGHT)
+    figure, (cents, residual) = panel(0.68 * HEIGHT, 0.32 * HEIGHT)
     points(cents, curves.number, curves.frequency_cents, curves.frequency_cents_error)
-    cents.plot(curves.number, curves.frequency_cents_law, label="law of the fitted string", **LINES["fitted"])
+    cents.plot(curves.number, curves.frequency_cents_law, label="fitted string", **LINES["fitted"])
     cents.set(title="Frequency", ylabel="cents above k·f₀")
-    points(rest, curves.number, curves.frequency_cents - curves.frequency_cents_law, curves.frequency_cents_error)
-    rest.axhline(0.0, **LINES["fitted"])
-    rest.set(ylabel="cents off", xlabel="partial number k")
+    points(residual, curves.number, curves.frequency_cents - curves.frequency_cents_law, curves.frequency_cents_error)
+    residual.axhline(0.0, **LINES["fitted"])
+    residual.set(ylabel="residual (cents)", xlabel="partial number k")
     number_axis(cents, curves.number)
-    legend(law, cents)
-    return [law, make_figure(_draw_decays, curves, height=HEIGHT + 0.12)]
+    legend(figure, cents)
+    return [figure, make_figure(_draw_decays, curves, height=HEIGHT + 0.12)]
 
 
 def _draw_decays(axes: Axes, curves: FigureData) -> None:
-    # A beat can hide a decay. What seems not to decay at all would leave no room to the others.
+    # With beats, an estimated decay rate can be near zero. It would compress the range of all others.
     bottom = SLOWEST * float(np.min(curves.decay_law))
-    shown = ~(curves.decay < bottom)
-    points(axes, curves.number[shown], curves.decay[shown], curves.decay_error[shown])
-    if not shown.all():
-        axes.plot(curves.number[~shown], np.full((~shown).sum(), bottom), "v", mfc="none", color=MEASURED,
+    in_range = ~(curves.decay < bottom)
+    points(axes, curves.number[in_range], curves.decay[in_range], curves.decay_error[in_range])
+    if not in_range.all():
+        axes.plot(curves.number[~in_range], np.full((~in_range).sum(), bottom), "v", mfc="none", color=MEASURED,
                   label="below this axis")  # fmt: skip
-    axes.plot(curves.number, curves.decay_law, label="law of the fitted string", **LINES["fitted"])
+    axes.plot(curves.number, curves.decay_law, label="fitted string", **LINES["fitted"])
     if bottom > 0:
         axes.set_yscale("log")
         log_axis(axes.yaxis)
@@ -193,67 +193,68 @@ def _draw_decays(axes: Axes, curves: FigureData) -> None:
 
 
 def _residuals(curves: FigureData) -> Figure:
-    """Of the levels, and below them the path if there is one."""
+    """Draw the residuals of the levels, and below them the output path if there is one."""
     path = curves.path
-    residuals, (error, *below) = panel(*((HEIGHT,) if path is None else (0.6 * HEIGHT, 0.4 * HEIGHT - 0.12)))
+    figure, (error, *below) = panel(*((HEIGHT,) if path is None else (0.6 * HEIGHT, 0.4 * HEIGHT - 0.12)))
     for name, marker in (("initial", "s"), ("fitted", "o")):
-        off = _without_nodes(curves, name) - curves.levels["measured"]
-        error.plot(curves.number, off, marker=marker, ms=3.4, label=name, **LINES[name])
+        residual = _without_nodes(curves, name) - curves.levels["measured"]
+        error.plot(curves.number, residual, marker=marker, ms=3.4, label=name, **LINES[name])
     error.axhline(0.0, color=MEASURED, lw=1)
-    error.set(title="Residuals", ylabel="minus measured (dB)")
+    error.set(title="Residuals", ylabel="model − measured (dB)")
     if path is not None:
         below[0].plot(curves.number, path, color=FITTED, lw=1.4, marker="D", ms=3)
-        below[0].set_ylabel("path (dB)")
+        below[0].set_ylabel("output path (dB)")
     (below or [error])[-1].set_xlabel("partial number k")
     number_axis(error, curves.number)
-    legend(residuals, error)
-    return residuals
+    legend(figure, error)
+    return figure
 
 
 def _without_nodes(curves: FigureData | LevelCurves, name: str) -> np.ndarray:
-    """Levels, dB, nan where far below all measured ones: a given strike position can be exactly on a node."""
+    """Return levels, dB, with NaN far below all measured ones, because a given strike position can be on a node."""
     low, _ = span(curves.levels["measured"])
     level = curves.levels[name]
     return np.where(level > low - NODE, level, np.nan)
 
 
 def _draw_loop(axes: Axes, curves: FigureData) -> None:
-    """Force over compression, with heads on the curve that say which way it runs."""
+    """Draw force over compression, with arrowheads for the direction."""
     for name in ("initial", "fitted"):
         x, force = curves.compression[name], curves.force[name]
-        touching = np.where(x > 0, 1.0, np.nan)
-        axes.plot(x * touching, force * touching, label=name, **LINES[name])
+        contact = np.where(x > 0, 1.0, np.nan)
+        axes.plot(x * contact, force * contact, label=name, **LINES[name])
     axes.set(xlabel="compression of the felt (mm)", ylabel="force (N)")
     axes.set_xlim(0.0, 1.05 * max(span(*curves.compression.values())[1], 1e-9))
     axes.set_ylim(bottom=0.0)
     for name in ("initial", "fitted"):
-        for at, way in _arrow_positions(curves.compression[name], curves.force[name]):
-            axes.plot(*at, marker=_head(_angle(axes, at, way)), ms=13, mew=0, color=LINES[name]["color"], zorder=6)
+        for position, step in _arrow_positions(curves.compression[name], curves.force[name]):
+            marker = _arrowhead(_angle(axes, position, step))
+            axes.plot(*position, marker=marker, ms=13, mew=0, color=LINES[name]["color"], zorder=6)
 
 
 def _arrow_positions(compression: np.ndarray, force: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Where force first rises through `RISING` of its largest and last falls through `FALLING`: point and step."""
+    """Return point and step where the force first exceeds `RISING` and last exceeds `FALLING` of its maximum."""
     if not (len(force) > 2 and np.isfinite(force).all() and force.max() > 0 and compression.max() > 0):
         return []
     curve = np.stack([compression, force], axis=1)
-    found = []
+    arrows = []
     for share, end in ((RISING, 0), (FALLING, -1)):
         level = share * force.max()
         above = np.flatnonzero(force > level)
         start = above[end] - (end == 0)
         if 0 <= start < len(force) - 1:
             step = curve[start + 1] - curve[start]
-            found.append((curve[start] + step * (level - force[start]) / step[1], step))
-    return found
+            arrows.append((curve[start] + step * (level - force[start]) / step[1], step))
+    return arrows
 
 
-def _head(angle: float) -> list[tuple[float, float]]:
-    """A slender arrow head that points to `angle`, degrees, as a marker."""
+def _arrowhead(angle: float) -> list[tuple[float, float]]:
+    """Return a slender arrowhead in the direction `angle`, degrees, as a marker."""
     turn = np.exp(1j * np.radians(angle))
-    return [(float(z.real), float(z.imag)) for z in HEAD * turn]
+    return [(float(z.real), float(z.imag)) for z in ARROW * turn]
 
 
-def _angle(axes: Axes, at: np.ndarray, way: np.ndarray) -> float:
-    """The direction of a step `way` from the point `at`, as it is seen: degrees."""
-    dx, dy = axes.transData.transform(at + way) - axes.transData.transform(at)
+def _angle(axes: Axes, point: np.ndarray, step: np.ndarray) -> float:
+    """Return the direction of a step from a point on the page, degrees."""
+    dx, dy = axes.transData.transform(point + step) - axes.transData.transform(point)
     return float(np.degrees(np.arctan2(dy, dx)))

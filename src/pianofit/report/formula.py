@@ -1,8 +1,7 @@
-r"""Formulas as HTML that every browser sets alike, without a script and without a font for mathematics.
+r"""Formulas as HTML that looks alike in every browser, without a script or a mathematical font.
 
 The notation is a part of TeX: letters, numbers and operators, `_` and `^`, braces, and the commands `\frac`, `\sqrt`,
-`\dot`, `\ddot` and `\op`, whose argument is upright. Greek letters and signs such as ∫ stand as they are, and so do
-spaces.
+`\dot`, `\ddot` and `\op`, whose argument is upright. Greek letters, signs such as ∫ and spaces stay unchanged.
 """
 
 from __future__ import annotations
@@ -14,16 +13,16 @@ from unicodedata import normalize
 __all__ = ["formula_html", "symbols"]
 
 TOKEN = re.compile(r"\\[a-z]+|\s+|\d+(?:\.\d+)?|.")
-# A letter with its index; commands and their upright words are taken out before.
+# A letter with its index, after commands and upright words have been removed.
 SYMBOL = re.compile(r"[^\W\d_](?:_(?:\{[^{}]*\}|\w))?")
-ACCENTED = re.compile(r"\\d?dot\{(\w)\}")  # the letter below an accent keeps its index
+ACCENTED = re.compile(r"\\d?dot\{(\w)\}")  # so that the letter below an accent keeps its index
 UPRIGHT = re.compile(r"\\op\{[^{}]*\}|\\[a-z]+")
 DOTS = {r"\dot": "\u0307", r"\ddot": "\u0308"}  # combining
 SCRIPTS = {"_": "sub", "^": "sup"}
 
 
 def formula_html(formula: str) -> str:
-    r"""The formula as an element of a page.
+    r"""Return the formula as an HTML element.
 
     Raises
     ------
@@ -43,32 +42,32 @@ def formula_html(formula: str) -> str:
 
 
 def symbols(formula: str) -> list[str]:
-    r"""The symbols of a formula with their indices, each once, in their order.
+    r"""Return the symbols of a formula with their indices, without repetition, in order.
 
     Examples
     --------
     >>> symbols(r"F = K_H u^p (1 + μ \dot{u})")
     ['F', 'K_H', 'u', 'p', 'μ']
     """
-    found = SYMBOL.findall(UPRIGHT.sub(" ", ACCENTED.sub(r"\1", formula)))
-    return [*dict.fromkeys(symbol.replace("{", "").replace("}", "") for symbol in found)]
+    names = SYMBOL.findall(UPRIGHT.sub(" ", ACCENTED.sub(r"\1", formula)))
+    return [*dict.fromkeys(symbol.replace("{", "").replace("}", "") for symbol in names)]
 
 
 def _row(tokens: list[str], formula: str) -> str:
-    """Everything up to a closing brace, which stays; `tokens` are in reverse order."""
+    """Convert everything up to a closing brace, which is not consumed. `tokens` are in reverse order."""
     parts = []
     while tokens and tokens[-1] != "}":
         tag = SCRIPTS.get(tokens[-1])
         if tag:
             tokens.pop()
-            parts.append(f"<{tag}>{_one(tokens, formula)}</{tag}>")
+            parts.append(f"<{tag}>{_element(tokens, formula)}</{tag}>")
         else:
-            parts.append(_one(tokens, formula))
+            parts.append(_element(tokens, formula))
     return "".join(parts)
 
 
-def _one(tokens: list[str], formula: str) -> str:
-    """One sign, group or command with its arguments."""
+def _element(tokens: list[str], formula: str) -> str:
+    """Convert one sign, group or command with its arguments."""
     if not tokens:
         raise ValueError(f"formula {formula!r}: an argument is missing at the end")
     sign = tokens.pop()
@@ -88,12 +87,12 @@ def _one(tokens: list[str], formula: str) -> str:
 
 def _command(name: str, tokens: list[str], formula: str) -> str:
     if name == r"\frac":
-        above, below = _one(tokens, formula), _one(tokens, formula)
+        above, below = _element(tokens, formula), _element(tokens, formula)
         return f'<span class="frac"><span>{above}</span><span>{below}</span></span>'
     if name == r"\sqrt":
-        return f'√<span class="root">{_one(tokens, formula)}</span>'
+        return f'√<span class="root">{_element(tokens, formula)}</span>'
     if name == r"\op":
-        return re.sub("</?i>", "", _one(tokens, formula))
+        return re.sub("</?i>", "", _element(tokens, formula))
     if name in DOTS:
-        return normalize("NFC", _one(tokens, formula).replace("</i>", f"{DOTS[name]}</i>"))
-    raise ValueError(f"formula {formula!r}: {name} is not one of \\frac, \\sqrt, \\op, {', '.join(DOTS)}")
+        return normalize("NFC", _element(tokens, formula).replace("</i>", f"{DOTS[name]}</i>"))
+    raise ValueError(f"formula {formula!r}: {name} must be one of \\frac, \\sqrt, \\op, {', '.join(DOTS)}")

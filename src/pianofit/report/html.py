@@ -1,8 +1,8 @@
-"""What all pages have in common: one file that holds everything it shows, and loads nothing.
+"""Self-contained HTML pages: one file that contains all its pictures, sounds, styles and scripts.
 
-Pictures, sounds, style and script are inside the file. Its content security policy (`kit.html.j2`) lets nothing be
-loaded from anywhere and runs no script but its own, named by its hash, and the parts that this one makes itself. All
-text from outside goes through Jinja's autoescape, and none of it into a script.
+The content security policy of a page (`kit.html.j2`) forbids loading anything. It allows only the script of the page,
+identified by its hash, and parts that this script creates. All text from outside passes through Jinja's autoescape, and
+none of it is put into a script.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ if TYPE_CHECKING:
 __all__ = ["asset", "data_uri", "page_bytes", "picture", "templates", "write_page"]
 
 KIT = "pianofit.report"
-# A heading that can be led to: its id and its words.
+# A heading with an id, for the table of contents.
 HEADING = re.compile(r'<h[23] id="([^"]+)">([^<]+)</h[23]>')
 
 
 def write_page(path: str | os.PathLike[str], template: str, **page: Any) -> None:
-    """Write one self-contained page (`page_bytes`), whole or not at all; an `OutputError` where it cannot be."""
+    """Write one self-contained page (`page_bytes`) completely, or raise an `OutputError`."""
     replace_file(path, page_bytes(template, **page))
 
 
@@ -43,10 +43,10 @@ def page_bytes(
     ----------
     title : plain text.
     template : a file of `package` that extends `kit.html.j2`.
-    contents : whether the page lists its headings, those that have an id.
-    styles, scripts : names of files; the styles follow `page.css`, and the scripts are run as one.
-    filters : of the template, beside `number`.
-    strict : a missing entry of `content` is an error; otherwise it is empty.
+    contents : whether the page has a table of contents, made of all headings with an id.
+    styles, scripts : names of files. The styles follow `page.css`. The scripts are joined to one.
+    filters : additional filters of the template.
+    strict : if True, a missing entry of `content` is an error; otherwise it is empty.
     """
     script = "".join(asset(name, package) for name in scripts)
     html = templates(package, strict=strict, filters=filters).get_template(template).render(
@@ -61,7 +61,7 @@ def page_bytes(
 
 
 def templates(package: str, *, strict: bool = True, filters: dict[str, Callable] | None = None) -> Environment:
-    """The templates of a package and those of the kit, with numbers as a reader likes them."""
+    """Return the environment of the templates of a package and of this one, with filters for numbers."""
     from jinja2 import Environment, FunctionLoader, StrictUndefined, Undefined
 
     from ..io.number_format import counted, number
@@ -75,16 +75,16 @@ def templates(package: str, *, strict: bool = True, filters: dict[str, Callable]
 
 
 def picture(panels: Sequence[bytes]) -> list[str]:
-    """The panels of a picture as elements of a page; the macro of this name frames them."""
+    """Return the panels of a picture as HTML elements, for the macro `picture`."""
     return [inlined(svg) for svg in panels]
 
 
 def data_uri(kind: str, content: bytes) -> str:
-    """`content` as an address within the page."""
+    """Return `content` as a data URI."""
     return f"data:{kind};base64,{base64.b64encode(content).decode()}"
 
 
 def asset(name: str, package: str) -> str:
-    """A file of `package`, or else of the kit."""
-    own = files(package).joinpath(name)
-    return (own if own.is_file() else files(KIT).joinpath(name)).read_text(encoding="utf-8")
+    """Return the text of a file of `package`, or of this package if that one does not have it."""
+    file = files(package).joinpath(name)
+    return (file if file.is_file() else files(KIT).joinpath(name)).read_text(encoding="utf-8")

@@ -1,4 +1,8 @@
-"""What the data fix, in words. Text is plain; the page escapes it."""
+"""Sentences on which quantities the data determine.
+
+Each combination of parameters goes to one of three lists, by the width of its interval and by its status. Text is
+plain; the page escapes it.
+"""
 
 from __future__ import annotations
 
@@ -10,31 +14,37 @@ from ..io.number_format import format_relative_uncertainty, is_number, number, w
 from ..result.quantities import MEANINGS
 from .text import VELOCITY_RATIO
 
-__all__ = ["is_power_law", "felt_scale", "half_interval", "identifiability_sections", "open_scale"]
+__all__ = ["felt_scale", "half_interval", "identifiability_sections", "is_power_law", "open_scale"]
 
-FIXED = "Fixed by the data, as far as the brackets say (95 %)"
-WITHIN, OPEN = "Fixed only if the model and its path are all there is", "Not fixed by the data"
-# Half of a 95 % interval, as a logarithm, up to which what the statement takes back would else be known: a factor of 2.
-LOOSE = math.log(2.0)
-# What the statement may take back.
-OF_THE_HAMMER = ("F/M_S", "M_H/M_S")
+DETERMINED = "Determined by the data, with 95 % uncertainty in parentheses"
+CONDITIONAL = "Determined only if the model and its output path are correct"
+UNDETERMINED = "Not determined by the data"
+# Half of a 95 % interval, as a logarithm: up to a factor of 2, a quantity that is reported as not identifiable would
+# be determined if the model were correct.
+LARGEST_CONDITIONAL = math.log(2.0)
+# Invariants that can be reported as not identifiable.
+HAMMER_INVARIANTS = ("F/M_S", "M_H/M_S")
 
 
 def identifiability_sections(fit: dict[str, Any]) -> list[tuple[str, list[str]]]:
-    """(Heading, sentences): the combinations that are fixed, those that rest on the model, and those that are not."""
-    says = {"f0": _pitch, "B": _invariant, "x0/L": _invariant, "F/M_S": _felt_force, "M_H/M_S": _invariant}
-    lists: dict[str, list[str]] = {FIXED: [], WITHIN: [], OPEN: []}
-    for name, say in says.items():
+    """Return (heading, sentences): combinations that are determined, conditional on the model, and undetermined."""
+    writers = {"f0": _pitch, "B": _invariant, "x0/L": _invariant, "F/M_S": _felt_force, "M_H/M_S": _invariant}
+    sections: dict[str, list[str]] = {DETERMINED: [], CONDITIONAL: [], UNDETERMINED: []}
+    for name, write in writers.items():
         half = half_interval(fit["invariants"].get(name))
-        if half is not None:  # it was not given, and this fit has it
-            lost = name in OF_THE_HAMMER and fit["invariants"][name]["status"] == "not-identifiable"
-            lists[FIXED if not lost else WITHIN if half <= LOOSE else OPEN].append(say(fit, name, half))
-    lists[FIXED] += _velocities(fit)
-    return [(heading, sentences) for heading, sentences in lists.items() if sentences]
+        if half is None:  # given, or not part of this fit
+            continue
+        not_identifiable = name in HAMMER_INVARIANTS and fit["invariants"][name]["status"] == "not-identifiable"
+        heading = DETERMINED
+        if not_identifiable:
+            heading = CONDITIONAL if half <= LARGEST_CONDITIONAL else UNDETERMINED
+        sections[heading].append(write(fit, name, half))
+    sections[DETERMINED] += _velocities(fit)
+    return [(heading, sentences) for heading, sentences in sections.items() if sentences]
 
 
 def half_interval(entry: Any) -> float | None:
-    """Half of the 95 % interval of an entry's logarithm; None where there is none."""
+    """Return half of the 95 % interval of the logarithm of an entry; None if it has no interval."""
     span = entry.get("interval") if isinstance(entry, dict) else None
     if not (isinstance(span, list | tuple) and len(span) == 2 and all(map(is_number, span)) and 0 < span[0] < span[1]):
         return None
@@ -48,52 +58,53 @@ def _pitch(fit: dict[str, Any], name: str, half: float) -> str:
 
 
 def _invariant(fit: dict[str, Any], name: str, half: float) -> str:
-    words = MEANINGS[name]
-    return f"{words[0].upper()}{words[1:]}: {name} = {with_half_interval(fit['invariants'][name]['value'], half)}."
+    meaning = MEANINGS[name]
+    return f"{meaning[0].upper()}{meaning[1:]}: {name} = {with_half_interval(fit['invariants'][name]['value'], half)}."
 
 
 def _felt_force(fit: dict[str, Any], name: str, half: float) -> str:
-    """The felt's force at the compression that strokes reach: what they fix of K_H and p."""
+    """Return the force of the felt at the compression of the strokes, which determine it rather than K_H and p."""
     entry = fit["invariants"][name]
-    said = f"{entry['note'][0].upper()}{entry['note'][1:]}, over the mass of the string: {name} = "
-    said += with_half_interval(entry["value"], half, "N/kg")
-    alone = half_interval(fit["parameters"].get("K_H"))
-    if alone is not None and alone > 1.2 * half:
-        said += f"; K_H alone, whose unit changes with p, is known {format_relative_uncertainty(alone)}"
-    return f"{said}. {felt_scale(fit)}".rstrip()
+    note = f"{entry['note'][0].upper()}{entry['note'][1:]}"
+    text = f"{note}, divided by the mass of the string: {name} = {with_half_interval(entry['value'], half, 'N/kg')}."
+    half_of_stiffness = half_interval(fit["parameters"].get("K_H"))
+    if half_of_stiffness is not None and half_of_stiffness > 1.2 * half:
+        uncertainty = format_relative_uncertainty(half_of_stiffness)
+        text += f" K_H alone is known {uncertainty}. Its unit depends on p."
+    return f"{text} {felt_scale(fit)}".rstrip()
 
 
 def open_scale(fit: dict[str, Any]) -> bool:
-    """Whether velocities are known up to one common scale: neither one of them nor the gain was given."""
+    """Return whether the common scale of the velocities is unknown: neither a velocity nor the gain was given."""
     status = fit["parameters"]["v_H0"]["status"]
     given = any("given" in (row["gain_status"], row["v_H0_status"]) for row in fit["recordings"])
     return status in ("scaled", "assumed") or (status == "not-identifiable" and not given)
 
 
 def felt_scale(fit: dict[str, Any]) -> str:
-    """On which assumptions newtons and millimetres of the felt rest; empty where both were given or measured."""
-    mass, scale = fit["parameters"]["M_S"]["status"] == "assumed", open_scale(fit)
-    if not scale:
-        return "Newtons rest on the assumed mass of the string." if mass else ""
-    which = "rest on the assumed mass of the string and, as millimetres do," if mass else "and millimetres rest"
-    return f"Newtons {which} on the common scale of the velocities, which was not measured."
+    """Return the assumptions on which force and compression of the felt depend; empty if there are none."""
+    is_mass_assumed, is_scale_open = fit["parameters"]["M_S"]["status"] == "assumed", open_scale(fit)
+    if not is_scale_open:
+        return "Forces scale with the assumed mass of the string." if is_mass_assumed else ""
+    text = "Forces and compressions scale with the velocities, whose common scale was not measured."
+    return text + (" Forces also scale with the assumed mass of the string." if is_mass_assumed else "")
 
 
 def _velocities(fit: dict[str, Any]) -> list[str]:
-    """How well the strokes' velocities are known; without a measured one, their ratios."""
+    """Return how well the hammer velocities are determined; only their ratios if none was measured."""
     if open_scale(fit):
-        of = "Ratios of the strokes’ velocities"
+        noun = "Ratios of the hammer velocities"
         entries = [entry for name, entry in fit["invariants"].items() if name.startswith(VELOCITY_RATIO)]
     else:
-        of = "Velocities of the strokes"
+        noun = "Hammer velocities"
         entries = [{"interval": r["v_H0_interval"], "status": r["v_H0_status"]} for r in fit["recordings"]]
         entries = entries if len(entries) > 1 else []
     halves = [half_interval(entry) for entry in entries if entry["status"] != "not-identifiable"]
-    known = [half for half in halves if half is not None]
-    return [f"{of} (the least certain {format_relative_uncertainty(max(known))})."] if known else []
+    widths = [half for half in halves if half is not None]
+    return [f"{noun} (the least certain {format_relative_uncertainty(max(widths))})."] if widths else []
 
 
 def is_power_law(fit: dict[str, Any]) -> bool:
-    """Whether the felt's static force is K_H u^p; not told of a law from outside, which a file only names."""
+    """Return whether the static force of the felt is K_H u^p; False for a user law, which the file only names."""
     law = LAWS.get(fit["felt"])
     return law is not None and law.power is not None

@@ -1,4 +1,4 @@
-"""Several results in one axes: each labelled drawing gets its own hue, and its legend entries get its label."""
+"""Drawing several results into one axes: each label has its own hue, and its legend entries contain the label."""
 
 from __future__ import annotations
 
@@ -12,30 +12,30 @@ if TYPE_CHECKING:
 
 __all__ = ["HUES", "draw_labelled"]
 
-# Okabe and Ito's colours, which colour-blind eyes can tell apart, in the order of the drawings.
+# Colours of Okabe and Ito, which colour-blind readers can distinguish, in the order of the drawings.
 HUES = (FITTED, INITIAL, LAW, "#cc79a7", "#56b4e9", "#e69f00")
-FAINT_ALPHA = 0.45  # of measured curves, which then differ from fitted ones of the same hue
-MARK = "pianofit:"  # begins the group id of what was drawn with a label
+FAINT_ALPHA = 0.45  # of measured curves, to distinguish them from fitted curves of the same hue
+GROUP_ID = "pianofit:"  # prefix of the group id of labelled artists
 
 
 def draw_labelled(axes: Axes, draw: Callable[[Axes], None], label: str | None) -> None:
-    """Draw into axes that may hold another drawing: the limits then include both.
+    """Draw into axes that may contain another drawing. The limits then include both.
 
     With a label, line style still distinguishes measured, initial and fitted, and the hue distinguishes the results.
     """
-    held = axes.has_data()
+    has_data = axes.has_data()
     limits, title = (axes.get_xlim(), axes.get_ylim()), axes.get_title(loc="left")
     before = {*axes.get_children(), *axes.containers}
     draw(axes)
     if label is not None:
-        earlier = {artist.get_gid() for artist in axes.get_children() if str(artist.get_gid()).startswith(MARK)}
-        _mark(axes, before, label, HUES[len(earlier - {MARK + label}) % len(HUES)])
-    if held:
-        _joined(axes, before, limits, title)
+        earlier = {artist.get_gid() for artist in axes.get_children() if str(artist.get_gid()).startswith(GROUP_ID)}
+        _apply_label(axes, before, label, HUES[len(earlier - {GROUP_ID + label}) % len(HUES)])
+    if has_data:
+        _widen_limits(axes, before, limits, title)
 
 
-def _mark(axes: Axes, before: set[Any], label: str, hue: str) -> None:
-    """Give what was drawn since its hue and label."""
+def _apply_label(axes: Axes, before: set[Any], label: str, hue: str) -> None:
+    """Give the artists that are not in `before` the hue and the label."""
     from matplotlib.collections import Collection
     from matplotlib.lines import Line2D
 
@@ -46,17 +46,17 @@ def _mark(axes: Axes, before: set[Any], label: str, hue: str) -> None:
         if name and not name.startswith("_"):
             artist.set_label(f"{label}: {name}")
         if isinstance(artist, Line2D):
-            artist.set_gid(MARK + label)
+            artist.set_gid(GROUP_ID + label)
             if artist.get_color() == MEASURED:
                 artist.set_alpha(FAINT_ALPHA)
             artist.set_color(hue)
         elif isinstance(artist, Collection):
-            artist.set_gid(MARK + label)
+            artist.set_gid(GROUP_ID + label)
             artist.set_color(hue)
 
 
-def _joined(axes: Axes, before: set[Any], limits: tuple[Any, Any], title: str) -> None:
-    """Widen the limits to those of both drawings; words and shades of the second would lie on those of the first."""
+def _widen_limits(axes: Axes, before: set[Any], limits: tuple[Any, Any], title: str) -> None:
+    """Widen the limits to those of both drawings, and remove texts and shades that would overlap the first."""
     for artist in [*axes.texts, *axes.patches]:
         if artist not in before:
             artist.remove()

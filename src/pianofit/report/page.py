@@ -1,6 +1,6 @@
-"""One HTML file that says what was fitted and how well, shows it, and lets it be heard; see `kit`.
+"""The page of a fit as one HTML file (`html.py`): results, quality of the fit, pictures and sounds.
 
-The player reads its sounds from the links that also let them be saved.
+The player reads its sounds from the download links, so that each sound is in the file once.
 """
 
 from __future__ import annotations
@@ -23,14 +23,13 @@ from .sound import LIGHT_RATE, SECONDS, Clip, make_clips, seconds_each
 
 __all__ = ["FigureData", "report_bytes"]
 
-# Of the first recording, where a sound has two channels.
+# Length of the sounds of the reference recording in stereo, s; in mono it is `SECONDS`.
 STEREO_SECONDS = 5.0
-# Of the other recordings' sounds all together: 2 MB.
-LIGHT_SAMPLES = 1_000_000
-LONGEST = 4.0  # s, of each of them,
-SHORTEST = 1.5  # s, however many there are
-# What is said of a fit, on the page by the functions' names.
-SAID = (
+# Samples of the sounds of all other recordings together: 2 MB.
+OTHER_SAMPLES = 1_000_000
+LONGEST_OTHER, SHORTEST_OTHER = 4.0, 1.5  # s, of each of these sounds
+# Functions of the content of `fit.json`. The template uses each result by the name of its function.
+TEXTS = (
     text.notices,
     text.summary_tiles,
     text.groups,
@@ -44,8 +43,7 @@ SAID = (
     identifiability_text.open_scale,
     identifiability_text.is_power_law,
 )
-# Pictures that only some fits have.
-SOMETIMES = ("recordings", "paths", "held_out", "felt", "known")
+OPTIONAL_FIGURES = ("recordings", "paths", "held_out", "felt", "identifiability")
 
 
 def report_bytes(fit: dict[str, Any], curves: FigureData, title: str, held_out: dict[str, Any] | None = None) -> bytes:
@@ -58,24 +56,24 @@ def report_bytes(fit: dict[str, Any], curves: FigureData, title: str, held_out: 
     title
         Plain text, such as the name of the file and the note.
     held_out
-        What `predict.cross_validate` returned of the same recordings, to be shown beside their fit.
+        Result of `cross_validate` for the same recordings, to be added to the page.
     """
-    # A page is shown to others, who need not know any folder.
+    # Pages are passed on, so they contain file names without folders.
     names = _names(fit, held_out)
     fit = replace_strings(fit, names)
     onset = next(row["onset_s"] for row in fit["recordings"] if row["first"])
-    left_out = replace_strings(held_out, names)
+    held_out = replace_strings(held_out, names)
     figures = draw_figures(
-        curves, tuple(fit["criterion"]["dropped"]), tuple(left_out["recordings"]) if left_out else ()
+        curves, tuple(fit["criterion"]["dropped"]), tuple(held_out["recordings"]) if held_out else ()
     )
-    said: dict[str, Any] = {say.__name__: say(fit) for say in SAID}
+    texts: dict[str, Any] = {function.__name__: function(fit) for function in TEXTS}
     return page_bytes(
         "page.html.j2",
         scripts=("audio.js", "player.js", "zoom.js"),
         title=title,
         contents=True,
         fit=fit,
-        **said,
+        **texts,
         invariants=text.rows(fit["invariants"]),
         rows=text.rows(fit["parameters"]),
         equations=_equations(fit, curves),
@@ -84,42 +82,42 @@ def report_bytes(fit: dict[str, Any], curves: FigureData, title: str, held_out: 
         strokes=_strokes(curves.strokes),
         players=_players(curves, fit["recordings"]),
         stulov=curves.felt is not None and curves.felt.slow is not None,
-        held_out=left_out,
+        held_out=held_out,
         path_groups=len(curves.paths),
-        figures=dict.fromkeys(SOMETIMES) | {name: picture(panels) for name, panels in figures.items()},
+        figures=dict.fromkeys(OPTIONAL_FIGURES) | {name: picture(panels) for name, panels in figures.items()},
         has_path=curves.path is not None,
         data=json.dumps(fit, indent=2, ensure_ascii=False, default=str),
     )
 
 
 def _names(*documents: dict[str, Any] | None) -> dict[str, str]:
-    """The path of every recording -> its name; the longest path first."""
+    """Return path -> file name of every recording, the longest path first."""
     files = {row["file"] for document in documents if document is not None for row in document["recordings"]}
     return {file: PurePath(file).name for file in sorted(files, key=len, reverse=True) if PurePath(file).name}
 
 
 def _equations(fit: dict[str, Any], curves: FigureData) -> dict[str, Any]:
-    """The box of equations; the package's laws go by the name in the file, since some share a type of hammer."""
+    """Return the box of equations. Built-in felt laws are found by name, because some share a type of hammer."""
     law = LAWS.get(fit["felt"])
-    own = () if curves.felt is None else curves.felt.formula
-    modes = bool(curves.ringing and curves.ringing.decays)
-    return equations(fit, own if law is None else law.formula, path=curves.path is not None, modes=modes)
+    user_formula = () if curves.felt is None else curves.felt.formula
+    has_modes = bool(curves.ringing and curves.ringing.decays)
+    return equations(fit, user_formula if law is None else law.formula, path=curves.path is not None, modes=has_modes)
 
 
 def _clips(curves: FigureData, onset: float) -> list[Clip]:
-    """The first recording's sounds: beside it the fit as it rings and by its law, or before and after the fit."""
+    """Return the sounds of the reference recording: recorded and two of the model."""
     sounds = {name: _downmix_to_stereo(x) for name, x in curves.sounds.items()}
-    mono = all(x.ndim == 1 for x in sounds.values())
-    return make_clips(sounds, curves.sound_rate, onset, seconds=SECONDS if mono else STEREO_SECONDS)
+    is_mono = all(x.ndim == 1 for x in sounds.values())
+    return make_clips(sounds, curves.sound_rate, onset, seconds=SECONDS if is_mono else STEREO_SECONDS)
 
 
 def _downmix_to_stereo(x: np.ndarray) -> np.ndarray:
-    """One channel or two as they are; the mean of more, for which a listener has no loudspeakers."""
+    """Return one or two channels unchanged, and the mean of more, which few listeners can play."""
     return x if x.ndim == 1 or len(x) <= 2 else x.mean(axis=0)
 
 
 def _ringing(fit: dict[str, Any], curves: FigureData) -> dict[str, Any] | None:
-    """What is said of how the note rings, and the table of its decays."""
+    """Return the text on the modal response of the key, and the table of decays and beats."""
     if curves.ringing is None:
         return None
     rows = [
@@ -128,11 +126,11 @@ def _ringing(fit: dict[str, Any], curves: FigureData) -> dict[str, Any] | None:
          " to ".join(dict.fromkeys(number_format.number(x, 2) for x in d.error))]
         for d in curves.ringing.decays
     ]  # fmt: skip
-    return {"words": text.ringing(fit["ringing"]), "rows": rows}
+    return {"text": text.modal_response_text(fit["ringing"]), "rows": rows}
 
 
 def _strokes(strokes: Strokes | None) -> dict[str, Any] | None:
-    """The sounds of the slider, which keep their loudness to each other."""
+    """Return the sounds of the velocity slider, which keep their differences in loudness."""
     if strokes is None:
         return None
     sounds = {f"{number_format.number(v, 3)} m/s": x for v, x in zip(strokes.velocity, strokes.sounds, strict=True)}
@@ -141,14 +139,19 @@ def _strokes(strokes: Strokes | None) -> dict[str, Any] | None:
 
 
 def _players(curves: FigureData, recordings: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Recorded and fitted sound of every recording but the first, which has its own player."""
-    others = [recording for i, recording in enumerate(curves.recordings) if i != curves.first]
-    seconds = seconds_each(len(others), LIGHT_SAMPLES, LONGEST, SHORTEST)
+    """Return recorded and fitted sound of every recording except the reference, which has its own player."""
+    others = [recording for i, recording in enumerate(curves.recordings) if i != curves.reference_index]
+    seconds = seconds_each(len(others), OTHER_SAMPLES, LONGEST_OTHER, SHORTEST_OTHER)
     return [
-        {"id": f"recording-{one.place}", "place": one.place, "file": recordings[one.place - 1]["file"],
-         "velocity": one.velocity, "clips": _pair(one, seconds)}
-        for one in others
-    ]  # fmt: skip
+        {
+            "id": f"recording-{recording.place}",
+            "place": recording.place,
+            "file": recordings[recording.place - 1]["file"],
+            "velocity": recording.velocity,
+            "clips": _pair(recording, seconds),
+        }
+        for recording in others
+    ]
 
 
 def _pair(recording: RecordingCurves, seconds: float) -> list[Clip]:

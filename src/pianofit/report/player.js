@@ -1,11 +1,11 @@
-// The players of a page: a deck each, with buttons, a slider or an outline where the page has them.
+// The players of a page: one deck each, with the buttons, sliders and waveforms that the page has.
 (() => {
   const STEP = 0.5; // s: one step by an arrow key
   const players = [...document.querySelectorAll(".player")].map(makePlayer);
-  let active = players[0]; // whose keys they are: the one last used
+  let active = players[0]; // keys go to the player last used
 
   function makePlayer(root) {
-    const find = (what) => root.querySelector(what);
+    const find = (selector) => root.querySelector(selector);
     const choices = [...root.querySelectorAll("button.choice")], canvas = find("canvas"), which = find(".which"), seeker = find(".seek");
     const links = [...document.querySelectorAll("a.sound")].filter((link) => link.dataset.player === root.id);
     const names = links.map((link) => link.dataset.name);
@@ -26,7 +26,7 @@
       show((deck.playing ? "Playing " : "Chosen: ") + names[index]);
     }
 
-    function stroke(index) { // another velocity is another stroke: from its attack on
+    function stroke(index) { // another velocity is another stroke, so it starts at the attack
       active = player;
       deck.stop();
       deck.chosen = index;
@@ -40,8 +40,8 @@
       draw();
     }
 
-    function show(words) {
-      find(".said").textContent = words;
+    function show(text) {
+      find(".said").textContent = text;
       find(".play").textContent = deck.playing ? "❚❚ Pause" : "▶ Play";
       choices.forEach((button, index) => button.setAttribute("aria-pressed", String(index === deck.chosen)));
       draw();
@@ -56,7 +56,7 @@
       return clip.outline;
     }
 
-    function paint(place) { // the chosen sound, its played part in colour
+    function paint(place) { // the chosen sound, with the part already played in colour
       const scale = devicePixelRatio || 1, pen = canvas.getContext("2d");
       const width = (canvas.width = Math.round(canvas.clientWidth * scale)), height = (canvas.height = canvas.clientHeight * scale);
       const look = getComputedStyle(choices[deck.chosen]), played = look.getPropertyValue("--own"), rest = look.getPropertyValue("--rest");
@@ -66,7 +66,7 @@
       });
     }
 
-    function draw() { // again on each frame while it plays
+    function draw() { // repeated on each frame during playback
       const place = deck.now;
       if (canvas) paint(place);
       if (seeker) {
@@ -94,33 +94,33 @@
       root, choices, which, toggle, choose, stroke, seek, seconds, draw,
       get state() { return { playing: deck.playing, chosen: names[deck.chosen], position: deck.now }; },
       get context() { deck.ready(); return deck.context; },
-      get output() { deck.ready(); return deck.output; }, // to listen in: connect an analyser
+      get output() { deck.ready(); return deck.output; }, // for tests: connect an analyser
     };
     return player;
   }
 
   const keys = {
-    " ": (one) => one.toggle(), Home: (one) => one.seek(0),
-    ArrowLeft: (one) => one.seek(one.state.position - STEP), ArrowRight: (one) => one.seek(one.state.position + STEP),
+    " ": (player) => player.toggle(), Home: (player) => player.seek(0),
+    ArrowLeft: (player) => player.seek(player.state.position - STEP), ArrowRight: (player) => player.seek(player.state.position + STEP),
   };
-  for (const place of [0, 1, 2]) keys[place + 1] = (one) => one.choices[place] && one.choose(place);
+  for (const place of [0, 1, 2]) keys[place + 1] = (player) => player.choices[place] && player.choose(place);
   document.addEventListener("keydown", (event) => {
     const at = event.target, elsewhere = at.closest("summary, a, pre, .scroll, .zoom");
     if (event.ctrlKey || event.altKey || event.metaKey || !keys[event.key] || (elsewhere && !/^[123]$/.test(event.key))) return;
-    if (at.matches(".which") && event.key !== " ") return; // its own keys choose the velocity
-    if (event.key === " " && at.matches(".choice[aria-pressed=false]")) return; // a button's own key: it chooses
+    if (at.matches(".which") && event.key !== " ") return; // arrow keys on the slider choose the velocity
+    if (event.key === " " && at.matches(".choice[aria-pressed=false]")) return; // the space bar presses the focused button
     event.preventDefault();
-    active = players.find((one) => one.root.contains(at)) ?? active;
+    active = players.find((player) => player.root.contains(at)) ?? active;
     if (!(event.repeat && event.key === " ")) keys[event.key](active);
-    if (at.matches(".choice")) active.choices.find((one) => one.getAttribute("aria-pressed") === "true").focus(); // so that the space bar goes on meaning play and pause
+    if (at.matches(".choice")) active.choices.find((button) => button.getAttribute("aria-pressed") === "true").focus(); // so that the space bar still means play and pause
   });
   document.addEventListener("keyup", (event) => {
     if (event.key === " " && event.target.matches(".play, .which, .choice[aria-pressed=true]")) event.preventDefault();
   });
-  const again = () => players.forEach((one) => one.draw());
-  addEventListener("resize", again);
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", again);
-  players.forEach((one) => one.draw());
+  const redraw = () => players.forEach((player) => player.draw());
+  addEventListener("resize", redraw);
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
+  redraw();
   window.pianofitPlayer = players[0];
   window.pianofitPlayers = players;
 })();

@@ -1,19 +1,19 @@
-// Every picture can be enlarged: a button on it opens it in a dialog, where it is scaled by buttons, keys or the wheel.
+// A button on every picture opens it in a dialog, where buttons, keys and the mouse wheel change its scale.
 (() => {
-  const STEP = 1.25, LEAST = 1, MOST = 8; // a step, and the limits, of the scale: 1 is the whole picture
+  const STEP = 1.25, LEAST = 1, MOST = 8; // step and limits of the scale; 1 shows the whole picture
   const dialog = document.createElement("dialog");
   dialog.innerHTML = '<div class="controls"><button type="button" class="less" aria-label="Smaller">−</button>' +
     '<button type="button" class="more" aria-label="Larger">+</button><span class="scale" role="status"></span>' +
     '<button type="button" class="close">Close</button></div><div class="sheet" tabindex="0" role="region" aria-label="Picture"></div>';
-  const find = (what) => dialog.querySelector(what), sheet = find(".sheet");
+  const find = (selector) => dialog.querySelector(selector), sheet = find(".sheet");
   let drawing = null, frame = null, scale = 1;
 
-  function fit() { // the width, px, at which the whole picture can be seen
+  function fit() { // width, px, at which the whole picture is visible
     const box = drawing.querySelector("svg").viewBox.baseVal;
     return Math.min(sheet.clientWidth, (sheet.clientHeight * box.width) / box.height);
   }
 
-  function resize(to, at = { x: sheet.clientWidth / 2, y: sheet.clientHeight / 2 }) { // what is at `at` stays there
+  function resize(to, at = { x: sheet.clientWidth / 2, y: sheet.clientHeight / 2 }) { // the point `at` keeps its position
     const before = scale;
     scale = Math.min(MOST, Math.max(LEAST, to));
     const ratio = scale / before, left = (sheet.scrollLeft + at.x) * ratio - at.x, top = (sheet.scrollTop + at.y) * ratio - at.y;
@@ -25,7 +25,7 @@
   function open(panel) {
     frame = panel;
     drawing = panel.querySelector(".drawing");
-    panel.style.minHeight = panel.offsetHeight + "px"; // so that the page does not move
+    panel.style.minHeight = panel.offsetHeight + "px"; // so that the page does not scroll
     sheet.append(drawing);
     dialog.setAttribute("aria-label", drawing.getAttribute("aria-label"));
     dialog.showModal();
@@ -34,7 +34,7 @@
     sheet.focus();
   }
 
-  function put() { // back to its place
+  function put() { // move the picture back to the page
     drawing.style.width = "";
     frame.prepend(drawing);
     frame.style.minHeight = "";
@@ -43,7 +43,7 @@
 
   const keys = { "+": STEP, "=": STEP, "-": 1 / STEP };
   dialog.addEventListener("keydown", (event) => {
-    event.stopPropagation(); // the players have keys of their own
+    event.stopPropagation(); // otherwise the players would react to the keys
     if (event.ctrlKey || event.altKey || event.metaKey || !(event.key in keys || event.key === "0")) return;
     event.preventDefault();
     resize(event.key === "0" ? 1 : scale * keys[event.key]);

@@ -1,13 +1,14 @@
-"""An instrument as one HTML file that plays.
+"""An instrument as one HTML file with a playable keyboard.
 
-These scripts do not depend on a page: `prepare.js` computes tables of a key's numbers, `contact.js` solves strokes,
-`engine.js` plays them, `output.js` limits the output to full scale, `change.js` changes a key, `note.js` and
-`instrument.js` write documents of what was changed, `midi.js` reads and writes MIDI files, `record.js` records what is
-played. `worklet.js` runs the engine in the audio thread. The user interface is in `player.js`, `workbench.js`,
-`song.js` and `keyboard.js`, and in `compare.js` where there are recordings.
+Some scripts do not depend on a page. `prepare.js` computes the tables of a key, `contact.js` solves strokes,
+`engine.js` plays them, and `output.js` limits the output to full scale. `signal.js` has Fourier transforms and
+resampling, and `loudness.js` matches loudness. `change.js` applies the sliders to a key. `note.js` and `instrument.js`
+write documents of the changed keys. `midi.js` reads and writes MIDI files, and `record.js` stores events. `worklet.js`
+runs the engine in the audio thread. The user interface is in `player.js`, `workbench.js`, `song.js`, `keyboard.js`, and
+`compare.js` for pages with recordings.
 
-In Python, `payload` makes the numbers, `recordings` the sounds and `write` the file. `widget` makes a note to play in a
-notebook from the same scripts.
+In Python, `payload` encodes the tables, `recordings` encodes the sounds, and `write` writes the file. `widget` plays a
+note in a notebook with the same scripts.
 """
 
 from .write import Page, write_page

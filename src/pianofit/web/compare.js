@@ -1,12 +1,12 @@
-// A recorded key beside its recordings: every layer and the instrument struck as hard, at one loudness, in one deck.
+// Comparison of a key with its recordings: each layer and the instrument at the same velocity and loudness.
 
 const CEILING = 0.891; // full scale: -1 dB
-const WAYS = ["Recording", "Instrument"]; // of a layer
+const WAYS = ["Recording", "Instrument"]; // sources of a layer
 
 class Compare {
   constructor(player, recordings, changesOf) {
     Object.assign(this, { player, recordings, changesOf, midi: null, deck: null, layer: 0, way: 0, decoded: new Map() });
-    this.root = one("compare");
+    this.root = byId("compare");
     this.find("play").onclick = () => this.toggle();
     this.ways = WAYS.map((words, way) => this._button("ways", words, () => this.choose(this.layer, way)));
     addEventListener("keydown", ({ key, target, ctrlKey, metaKey, altKey }) => {
@@ -16,14 +16,14 @@ class Compare {
   }
 
   find(id) {
-    return one(`compare-${id}`);
+    return byId(`compare-${id}`);
   }
 
   _button(where, words, act) {
     return put(this.find(where), "button", { type: "button", textContent: words, onclick: act });
   }
 
-  /** Take up a key, if it was recorded. */
+  /** Show a key, if it was recorded. */
   show(midi, name) {
     if (midi === this.midi) return;
     this.deck?.stop();
@@ -44,11 +44,11 @@ class Compare {
       this.deck.stop();
       return this._mark("Paused.");
     }
-    Deck.contextOf(RATE).resume(); // within the user's gesture
+    Deck.contextOf(RATE).resume(); // must happen within the user gesture
     const { midi } = this;
     this._mark("Rendering.");
     const deck = await this._ready(midi);
-    if (midi !== this.midi) return; // another key was played meanwhile
+    if (midi !== this.midi) return; // another key was played in the meantime
     this.deck = deck;
     deck.choose(this._index());
     deck.start();
@@ -57,7 +57,7 @@ class Compare {
 
   choose(layer, way) {
     Object.assign(this, { layer, way });
-    if (this.deck && this.stamp !== this._stamp()) { // a slider has moved since
+    if (this.deck && this.stamp !== this._stamp()) { // a slider was moved in the meantime
       const { playing } = this.deck;
       this.deck.stop();
       if (playing) return this.toggle();
@@ -74,13 +74,13 @@ class Compare {
     return WAYS.length * this.layer + this.way;
   }
 
-  /** A deck of all layers, each as recorded and as the instrument plays it now, in turn. */
+  /** A deck of all layers, alternating recording and instrument with its current changes. */
   async _ready(midi) {
     const stamp = this._stamp(), position = this.deck?.position ?? 0;
     if (this.deck && this.stamp === stamp) return this.deck;
     const recorded = await this._decoded(midi), length = Math.min(...recorded.map(([channel]) => channel.length));
     const sounds = recorded.flatMap((channels, i) => [
-      channels.map((x) => x.subarray(0, length)), this._struck(midi, this.recordings[midi][i].velocity, length),
+      channels.map((x) => x.subarray(0, length)), this._render(midi, this.recordings[midi][i].velocity, length),
     ]);
     const gains = this.player.matched(sounds, RATE, CEILING);
     const clips = sounds.map((channels, i) => ({ rate: RATE, length, channels: channels.map((x) => x.map((y) => y * gains[i])) }));
@@ -94,16 +94,17 @@ class Compare {
     if (!this.decoded.has(midi)) {
       const bytes = ({ flac }) => Uint8Array.from(atob(flac), (c) => c.charCodeAt(0)).buffer;
       const reader = new OfflineAudioContext(1, 1, RATE);
-      const buffers = await Promise.all(this.recordings[midi].map((one) => reader.decodeAudioData(bytes(one))));
+      const buffers = await Promise.all(this.recordings[midi].map((layer) => reader.decodeAudioData(bytes(layer))));
       this.decoded.set(midi, buffers.map((b) => Array.from({ length: b.numberOfChannels }, (_, c) => b.getChannelData(c))));
     }
     return this.decoded.get(midi);
   }
 
-  /** The key struck at `velocity`, by the engine, both channels [length]. */
-  _struck(midi, velocity, length) {
-    const { Engine, BLOCK } = this.player, engine = new Engine(RATE), table = this.player.table(midi), { early } = table.heard;
-    const size = Math.ceil((early + length) / BLOCK) * BLOCK;
+  /** Render a stroke of the key at `velocity`, m/s; both channels [length]. */
+  _render(midi, velocity, length) {
+    const { Engine, BLOCK } = this.player, engine = new Engine(RATE);
+    const table = this.player.table(midi), { padding } = table.response;
+    const size = Math.ceil((padding + length) / BLOCK) * BLOCK;
     const sound = [0, 1].map(() => new Float32Array(size)), block = [0, 1].map(() => new Float64Array(BLOCK));
     engine.setKey(midi, table);
     engine.noteOn(midi, velocity);
@@ -111,7 +112,7 @@ class Compare {
       engine.render(...block);
       sound.forEach((x, c) => x.set(block[c], at));
     }
-    return sound.map((x) => x.subarray(early, early + length));
+    return sound.map((x) => x.subarray(padding, padding + length));
   }
 
   _mark(words) {
@@ -119,7 +120,7 @@ class Compare {
     this.find("play").textContent = playing ? "❚❚ Pause" : "▶ Play";
     this.layers?.forEach((button, i) => button.setAttribute("aria-pressed", String(i === this.layer)));
     this.ways.forEach((button, i) => button.setAttribute("aria-pressed", String(i === this.way)));
-    const what = this.way ? `the instrument at ${velocity?.toPrecision(2)} m/s` : name;
-    this.find("said").textContent = words ?? `${playing ? "Playing" : "Chosen"}: ${what}.`;
+    const source = this.way ? `the instrument at ${velocity?.toPrecision(2)} m/s` : name;
+    this.find("said").textContent = words ?? `${playing ? "Playing" : "Selected"}: ${source}.`;
   }
 }

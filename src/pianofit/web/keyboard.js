@@ -1,8 +1,8 @@
-// The page: a keyboard under mouse, fingers, letters and MIDI, and what is around it.
+// The page: a keyboard for mouse, touch, letters and MIDI, and its controls.
 
-const SIGNS = "AWSEDFTGYHUJKOLP;"; // on the computer's keys that play, as a piano's lie
-const LETTERS = Array.from(SIGNS, (sign) => (sign === ";" ? "Semicolon" : `Key${sign}`)); // those keys' own names
-const BLACK = [1, 3, 6, 8, 10]; // of the twelve from C
+const SIGNS = "AWSEDFTGYHUJKOLP;"; // computer keys that play, in the layout of a piano
+const LETTERS = Array.from(SIGNS, (sign) => (sign === ";" ? "Semicolon" : `Key${sign}`)); // their key codes
+const BLACK = [1, 3, 6, 8, 10]; // semitones above C
 const SUSTAIN = 64; // MIDI controllers
 const ALL_OFF = [120, 123];
 
@@ -11,7 +11,7 @@ class Keyboard {
     Object.assign(this, { player, keys: new Map(), octave: 60, letters: new Map(), pointers: new Map() });
     this.bench = new Workbench(player, (words) => this.say(words));
     this.song = new SongPlayer(player, (event) => this._show(event), (words) => this.say(words));
-    const recordings = one("recordings");
+    const recordings = byId("recordings");
     if (recordings) {
       this.compare = new Compare(player, JSON.parse(recordings.textContent), (key) => this.bench.changesOf(key));
     }
@@ -23,60 +23,60 @@ class Keyboard {
     this._reachable(this.keys.has(60) ? 60 : entries[0].midi);
     this._mark();
     this._view(60);
-    player.prepareAll((done, all) => this._loaded(done, all)).then(() => (one("loading").hidden = true));
-    setInterval(() => (one("sounding").textContent = player.sounding), 200);
+    player.prepareAll((done, all) => this._loaded(done, all)).then(() => (byId("loading").hidden = true));
+    setInterval(() => (byId("sounding").textContent = player.sounding), 200);
   }
 
   say(words) {
-    one("said").textContent = words;
+    byId("said").textContent = words;
   }
 
   refuse(error) {
-    one("refused").hidden = false;
-    one("refused").textContent = `No sound: ${error.message}.`;
+    byId("refused").hidden = false;
+    byId("refused").textContent = `No sound: ${error.message}.`;
   }
 
-  /** How far the tables are. */
+  /** Show the progress of the tables. */
   _loaded(done, all) {
-    one("ready").value = done / all;
-    one("ready-words").textContent = `Computing tables: ${done} of ${all} keys`;
+    byId("ready").value = done / all;
+    byId("ready-words").textContent = `Computing tables: ${done} of ${all} keys`;
   }
 
   _key({ midi, note, recorded, state }) {
     const black = BLACK.includes(midi % 12), changed = state === "changed" ? ", changed by hand" : "";
-    const known = `${recorded ? "recorded" : "a guess"}${changed}`;
+    const origin = `${recorded ? "recorded" : "a guess"}${changed}`;
     const className = `key ${black ? "black" : "white"}${recorded ? " recorded" : ""}`;
-    const key = put(one("keys"), "button", { type: "button", className, tabIndex: -1, title: `${note}, ${known}` });
+    const key = put(byId("keys"), "button", { type: "button", className, tabIndex: -1, title: `${note}, ${origin}` });
     key.dataset.midi = midi;
-    key.setAttribute("aria-label", `${note.replace("#", " sharp ")}, ${known}`);
+    key.setAttribute("aria-label", `${note.replace("#", " sharp ")}, ${origin}`);
     const letter = put(key, "kbd");
     put(key, "span", { textContent: midi % 12 === 0 || (recorded && !black) ? note : "" });
     this.keys.set(midi, { key, letter, note });
   }
 
-  async play(midi, velocity = Number(one("velocity").value)) {
-    const it = this.keys.get(midi);
-    if (!it) return;
-    it.key.classList.add("down");
+  async play(midi, velocity = Number(byId("velocity").value)) {
+    const played = this.keys.get(midi);
+    if (!played) return;
+    played.key.classList.add("down");
     try {
       await this.player.on(midi, velocity);
       this._recorded();
-      this.bench.show(midi, it.note, this.player.speed(velocity));
-      this.compare?.show(midi, it.note);
+      this.bench.show(midi, played.note, this.player.speed(velocity));
+      this.compare?.show(midi, played.note);
     } catch (error) {
       this.refuse(error);
     }
   }
 
-  /** There is something to save. */
+  /** Enable saving. */
   _recorded() {
-    for (const id of ["save", "save-midi"]) one(id).disabled = false;
+    for (const id of ["save", "save-midi"]) byId(id).disabled = false;
   }
 
-  /** An event that the song player has brought about. */
-  _show({ do: what, midi, down }) {
-    if (what === "pedal") this._pedalIs((this.player.pedal = down));
-    else this.keys.get(midi).key.classList.toggle("down", what === "on");
+  /** Show an event of the song player. */
+  _show({ do: kind, midi, down }) {
+    if (kind === "pedal") this._pedalIs((this.player.pedal = down));
+    else this.keys.get(midi).key.classList.toggle("down", kind === "on");
     this._recorded();
   }
 
@@ -91,10 +91,10 @@ class Keyboard {
   }
 
   _pedalIs(down) {
-    one("pedal").setAttribute("aria-pressed", String(down));
+    byId("pedal").setAttribute("aria-pressed", String(down));
   }
 
-  /** One key is reached by Tab, the others from there by arrows. */
+  /** Make one key reachable by Tab; arrows lead to the others. */
   _reachable(midi) {
     for (const [other, { key }] of this.keys) key.tabIndex = other === midi ? 0 : -1;
   }
@@ -109,9 +109,9 @@ class Keyboard {
       this.pointers.set(id, midi);
       if (midi) this.play(midi);
     };
-    one("keys").addEventListener("pointerdown", (event) => {
+    byId("keys").addEventListener("pointerdown", (event) => {
       if (event.button !== 0 || !keyAt(event)) return;
-      event.target.releasePointerCapture(event.pointerId); // a finger may slide on
+      event.target.releasePointerCapture(event.pointerId); // so that a finger can slide to other keys
       this._reachable(keyAt(event));
       to(event.pointerId, keyAt(event));
     });
@@ -157,10 +157,10 @@ class Keyboard {
       if (on && event.code === "Enter") this.release(Number(on.dataset.midi));
       if (on && event.code === "Space") event.preventDefault();
     });
-    addEventListener("blur", () => this._letGo());
+    addEventListener("blur", () => this._releaseAll());
   }
 
-  _letGo() {
+  _releaseAll() {
     for (const midi of [...this.letters.values(), ...this.pointers.values()]) if (midi) this.release(midi);
     this.letters.clear();
     this.pointers.clear();
@@ -168,7 +168,7 @@ class Keyboard {
 
   panic() {
     this.song.stop();
-    this._letGo();
+    this._releaseAll();
     this.setPedal(false);
     this.player.panic();
     for (const { key } of this.keys.values()) key.classList.remove("down");
@@ -182,37 +182,37 @@ class Keyboard {
     this.say(`Letters play from ${this.keys.get(this.octave)?.note ?? "C"} on.`);
   }
 
-  /** Letters on the keys that they play. */
+  /** Label keys with their letters. */
   _mark() {
     for (const [midi, { letter }] of this.keys) letter.textContent = SIGNS[midi - this.octave] ?? "";
   }
 
   _view(midi) {
-    const key = this.keys.get(midi)?.key, frame = one("frame");
+    const key = this.keys.get(midi)?.key, frame = byId("frame");
     if (key) frame.scrollLeft = key.offsetLeft - Math.max((frame.clientWidth - 12 * key.offsetWidth) / 2, 8);
   }
 
   _controls() {
     const velocity = () => {
-      const { value } = one("velocity"), words = `${value}, ${this.player.speed(Number(value)).toPrecision(2)} m/s`;
-      one("velocity-words").textContent = words;
-      one("velocity").setAttribute("aria-valuetext", words);
+      const { value } = byId("velocity"), words = `${value}, ${this.player.speed(Number(value)).toPrecision(2)} m/s`;
+      byId("velocity-words").textContent = words;
+      byId("velocity").setAttribute("aria-valuetext", words);
     };
     const volume = () => {
-      one("volume-words").textContent = `${one("volume").value} dB`;
-      this.player.setVolume(Number(one("volume").value));
+      byId("volume-words").textContent = `${byId("volume").value} dB`;
+      this.player.setVolume(Number(byId("volume").value));
     };
-    one("velocity").addEventListener("input", velocity);
-    one("volume").addEventListener("input", volume);
+    byId("velocity").addEventListener("input", velocity);
+    byId("volume").addEventListener("input", volume);
     velocity();
     volume();
-    one("pedal").onclick = () => this.setPedal(!this.player.pedal);
-    one("panic").onclick = () => this.panic();
-    one("lower").onclick = () => this._shift(-12);
-    one("higher").onclick = () => this._shift(12);
-    one("midi").onclick = () => this._midi();
-    one("save").onclick = () => this._save();
-    one("save-midi").onclick = () => this._saveMidi();
+    byId("pedal").onclick = () => this.setPedal(!this.player.pedal);
+    byId("panic").onclick = () => this.panic();
+    byId("lower").onclick = () => this._shift(-12);
+    byId("higher").onclick = () => this._shift(12);
+    byId("midi").onclick = () => this._midi();
+    byId("save").onclick = () => this._save();
+    byId("save-midi").onclick = () => this._saveMidi();
   }
 
   async _midi() {
@@ -222,7 +222,7 @@ class Keyboard {
       const listen = () => {
         for (const input of access.inputs.values()) input.onmidimessage = ({ data }) => this._message(data);
         const names = [...access.inputs.values()].map(({ name }) => name);
-        this.say(names.length ? `Plays: ${names.join(", ")}.` : "No MIDI keyboard is connected; plug one in.");
+        this.say(names.length ? `Connected: ${names.join(", ")}.` : "No MIDI keyboard found; connect one.");
       };
       access.onstatechange = listen;
       listen();
@@ -245,22 +245,22 @@ class Keyboard {
   }
 
   async _save() {
-    one("save").disabled = true;
+    byId("save").disabled = true;
     const wav = await this.player.render((part) => this.say(`Rendering, ${Math.round(100 * part)} %.`));
-    one("save").disabled = false;
+    byId("save").disabled = false;
     if (!wav) return this.say("Nothing was played in the last minute.");
     save("piano.wav", wav, "audio/wav");
     return this.say(`Saved: ${(wav.length / 1e6).toFixed(1)} MB.`);
   }
 }
 
-const text = (id) => one(id).textContent;
+const text = (id) => byId(id).textContent;
 const instrument = JSON.parse(text("instrument"));
 Player.open(instrument, { engine: text("engine"), worklet: text("worklet") }).then(
   (player) => (window.pianofitKeyboard = new Keyboard(player, instrument.keys)),
   (error) => {
-    one("refused").hidden = false;
-    one("refused").textContent =
-      `This page cannot play here: ${error.message}. Its script must be allowed to load its parts, from blob: addresses.`;
+    byId("refused").hidden = false;
+    byId("refused").textContent =
+      `This page cannot play here: ${error.message}. Allow its scripts to load from blob: addresses.`;
   },
 );

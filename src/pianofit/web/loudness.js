@@ -1,20 +1,20 @@
-// How loud a sound is: the same formula as report/sound.py, so that sounds can be compared at one loudness.
+// K-weighted loudness (ITU-R BS.1770), as in report/sound.py, to compare sounds at equal loudness.
 
-import { fft } from "./prepare.js";
+import { fft } from "./signal.js";
 
-const SECONDS = 1; // of a sound that count
-// The two filters of ITU-R BS.1770 as analogue prototypes: a shelf for the head, and a high-pass.
+const SECONDS = 1; // length of the measured part of a sound
+// The two filters of ITU-R BS.1770 as analogue prototypes: a shelf for the effect of the head, and a high-pass.
 const SHELF = { w: 2 * Math.PI * 1681.974, q: 0.7071752, high: 10 ** (3.999844 / 20), root: 0.4996668 };
 const HIGH_PASS = { w: 2 * Math.PI * 38.13547, q: 0.500327 };
 
-/** |H|² of both at ω, rad/s. */
+/** |H|² of both filters at ω, rad/s. */
 function weight(w) {
   const { w: a, q, high, root } = SHELF, b = HIGH_PASS.w, size = (re, im) => re * re + im * im;
   const shelf = size(a * a - high * w * w, (high ** root * a * w) / q) / size(a * a - w * w, (a * w) / q);
   return (shelf * w ** 4) / size(b * b - w * w, (b * w) / HIGH_PASS.q);
 }
 
-/** Mean square of the first second of channels [samples] each, over all, after the K-weighting. */
+/** Mean square of the first second of all channels [samples], after K-weighting. */
 export function kWeighted(channels, rate) {
   const count = Math.min(Math.round(SECONDS * rate), channels[0].length);
   let size = 1, sum = 0;
@@ -30,7 +30,7 @@ export function kWeighted(channels, rate) {
   return sum / (size * count * channels.length);
 }
 
-/** Gains that make sounds, [channels] each, equally loud, the highest peak of all at `ceiling`. */
+/** Gains that make sounds, [channels] each, equally loud, with the highest peak at `ceiling`. */
 export function matched(sounds, rate, ceiling) {
   const gains = sounds.map((channels) => (kWeighted(channels, rate) || 1) ** -0.5);
   const peak = Math.max(...sounds.map((channels, i) => gains[i] * Math.max(...channels.map(largest))));

@@ -1,7 +1,8 @@
-// Standard MIDI files (MIDI Association, RP-001), read as playback/midi_file.py and playback/midi.py read them, and written.
+// Reader and writer of standard MIDI files (MIDI Association, RP-001), with the rules of playback/midi_file.py and
+// playback/midi.py.
 //
-// A player needs notes, controllers and tempo. Other events and chunks are skipped by their lengths, unread. An event
-// that cannot be read ends its track; the events before it are kept, and a remark says so.
+// Playback needs notes, controllers and tempo. Other events and chunks are skipped by their lengths. An event that
+// cannot be read ends its track: earlier events are kept, and a remark reports it.
 
 export const LARGEST_SONG = 2 ** 21; // bytes
 const MOST_NOTES = 100_000;
@@ -10,15 +11,15 @@ const LOWEST_KEY = 21, HIGHEST_KEY = 108; // A0 to C8
 const NOTE_OFF = 8, NOTE_ON = 9, CONTROL = 11; // upper half of a status byte
 const ONE_BYTE = [12, 13]; // program change and channel pressure have one data byte
 const SYSEX = 0xf0, ESCAPE = 0xf7, META = 0xff, END_OF_TRACK = 0x2f, SET_TEMPO = 0x51;
-const SYSTEM_LENGTHS = { 0xf1: 1, 0xf2: 2, 0xf3: 1 }; // data bytes of a status that no file should hold
+const SYSTEM_LENGTHS = { 0xf1: 1, 0xf2: 2, 0xf3: 1 }; // data bytes of system messages
 const PEDAL = 64, PEDAL_DOWN = 64, SOUND_OFF = 120, NOTES_OFF = 123; // controllers; the pedal is a switch
 const DRUMS = 9; // the tenth channel
-const HELD_ON = 3; // s that keys are held at the end of a song whose own note-offs are missing
+const LAST_HELD = 3; // s from the end of a song to the release of keys without note-off
 const FIRST_TEMPO = 500_000; // microseconds a beat until a file sets a tempo
 const FRAME_RATES = { 24: 24, 25: 25, 29: 30_000 / 1001, 30: 30 }; // SMPTE, frames a second
 const LONGEST_NUMBER = 4; // bytes
-const END = 0, END_ALL = -1; // in place of a velocity: the end of one stroke, and of all strokes of a channel
-const TICKS = 480; // a beat of written files: 960 ticks a second
+const END = 0, END_ALL = -1; // values in place of a velocity: end of one stroke, and of all strokes of a channel
+const TICKS = 480; // per beat in written files: 960 ticks per second
 
 function find(bytes, name, from) {
   const code = Array.from(name, (c) => c.charCodeAt(0));
@@ -26,10 +27,10 @@ function find(bytes, name, from) {
   return -1;
 }
 
-/** Why the rest of a track cannot be read. */
+/** The reason why the rest of a track cannot be read. */
 class TrackDamage extends Error {}
 
-/** One track: its channel messages, tempo changes, end, and why it was not read to its end. */
+/** One track: channel messages, tempo changes, end, and damage. */
 class Track {
   constructor(bytes, at, end, isCut) {
     Object.assign(this, { bytes, at, end, tick: 0, messages: [], tempos: [], damage: "" });
@@ -42,7 +43,7 @@ class Track {
   }
 
   _read(isCut) {
-    let running = 0; // the status of events that have none
+    let running = 0; // status of messages without a status byte
     while (this.at < this.end) {
       const tick = this.tick + this._number(), status = this._byte();
       if (status === META) {
@@ -56,7 +57,7 @@ class Track {
     if (isCut) throw new TrackDamage("is cut short");
   }
 
-  /** Read a meta event from its kind on; whether it ends the track. */
+  /** Read a meta event from its kind on; return whether it ends the track. */
   _isLast() {
     const kind = this._byte(), size = this._number(), start = this.at;
     this._skip(size);
@@ -65,9 +66,9 @@ class Track {
     return kind === END_OF_TRACK;
   }
 
-  /** Read a channel message; its status. Data above 127 are taken as 127. */
-  _message(tick, begin, running) {
-    const own = begin >= 0x80, status = own ? begin : running, first = own ? this._byte() : begin;
+  /** Read a channel message that begins with `byte` and return its status. Data above 127 are clipped. */
+  _message(tick, byte, running) {
+    const hasStatus = byte >= 0x80, status = hasStatus ? byte : running, first = hasStatus ? this._byte() : byte;
     if (!status) throw new TrackDamage("is damaged");
     const second = ONE_BYTE.includes(status >> 4) ? 0 : this._byte();
     this.messages.push({ tick, kind: status >> 4, channel: status & 15, first: Math.min(first, 127),
@@ -95,7 +96,7 @@ class Track {
   }
 }
 
-/** Every track from `at` on. After a wrong length the next track is looked for. */
+/** All tracks from `begin` on. After a wrong length, search for the next track. */
 function tracksOf(bytes, view, begin) {
   const tracks = [];
   for (let at = begin; at >= 0 && at <= bytes.length - 8; ) {
@@ -108,7 +109,7 @@ function tracksOf(bytes, view, begin) {
   return tracks;
 }
 
-/** Seconds of a tick, by all tempo changes of a file. */
+/** A function from ticks to seconds, from all tempo changes of a file. */
 function clockOf(tempos, division) {
   const marks = [{ tick: 0, seconds: 0, rate: FIRST_TEMPO / 1e6 / division }];
   if (division >= 2 ** 15) {
@@ -130,40 +131,40 @@ function clockOf(tempos, division) {
   return clock;
 }
 
-function remarksOf(tracks, promised, clock) {
+function remarksOf(tracks, declared, clock) {
   const remarks = [], damaged = tracks.findIndex((track) => track.damage);
   const more = tracks.filter((track) => track.damage).length - 1;
-  if (tracks.length < promised) {
-    remarks.push(`the header promises ${promised} track${promised > 1 ? "s" : ""}, and the file has ${tracks.length}`);
+  if (tracks.length < declared) {
+    remarks.push(`the header declares ${declared} track${declared > 1 ? "s" : ""}, and the file has ${tracks.length}`);
   }
   if (damaged >= 0) {
-    const { damage, tick } = tracks[damaged], others = more ? `, and ${more} more are not whole` : "";
+    const { damage, tick } = tracks[damaged], others = more ? `, and ${more} more are damaged` : "";
     remarks.push(`track ${damaged + 1} ${damage} after ${clock(tick).toFixed(1)} s${others}; the rest is played`);
   }
   return remarks;
 }
 
-/** Channel messages of a file in order of time: {messages: [{at, kind, channel, first, second}], seconds, remarks}. */
+/** Channel messages of a file in time order: {messages: [{at, kind, channel, first, second}], seconds, remarks}. */
 function parse(bytes) {
   const begin = find(bytes, "MThd", 0), view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
   if (begin < 0) throw new Error("it has no MIDI header, MThd");
   if (begin + 14 > bytes.length) throw new Error("its header is cut short");
-  const size = view.getUint32(begin + 4), [form, promised, division] = [8, 10, 12].map((at) => view.getUint16(begin + at));
+  const size = view.getUint32(begin + 4), [fileType, declared, division] = [8, 10, 12].map((at) => view.getUint16(begin + at));
   const tracks = tracksOf(bytes, view, begin + 8 + Math.max(size, 6));
-  if (form > 2) throw new Error(`type ${form} is unknown`);
-  if (form === 2 && tracks.length > 1) throw new Error("type 2, whose tracks are songs of their own");
+  if (fileType > 2) throw new Error(`type ${fileType} is unknown`);
+  if (fileType === 2 && tracks.length > 1) throw new Error("type 2, whose tracks are separate songs");
   const clock = clockOf(tracks.flatMap((track) => track.tempos), division);
   const messages = tracks.flatMap((track) => track.messages).sort((a, b) => a.tick - b.tick);
   const seconds = clock(tracks.reduce((most, { tick }) => Math.max(most, tick), 0));
-  return { messages: messages.map((it) => ({ ...it, at: clock(it.tick) })), seconds,
-    remarks: remarksOf(tracks, promised, clock) };
+  return { messages: messages.map((message) => ({ ...message, at: clock(message.tick) })), seconds,
+    remarks: remarksOf(tracks, declared, clock) };
 }
 
 /**
- * Moves of one key by one channel, with an end for every stroke whose own is missing: at a stray note-off of the same
- * time (a note without length), else where the channel strikes the key again, else none.
+ * Events of one key in one channel, with an end added for every stroke that has none: at a stray note-off of the same
+ * time (a note without length), otherwise at the next stroke of the key in the channel, otherwise no end.
  */
-function completed(moves) {
+function addMissingEnds(moves) {
   const stray = new Set(), strokes = moves.filter((move) => move.velocity > 0), ends = [];
   const next = new Map(strokes.map((stroke, i) => [stroke, strokes[i + 1]]));
   let open = [];
@@ -180,9 +181,9 @@ function completed(moves) {
   return [...moves, ...ends];
 }
 
-/** Strokes of a key, and when it goes up: whenever no channel has a stroke that is not yet ended. */
-function strokesAndEnds(midi, channels) {
-  const open = new Map(), events = [], moves = [...channels.values()].flatMap(completed);
+/** Strokes and releases of one key. It is released when no channel has an open stroke left. */
+function mergeChannels(midi, channels) {
+  const open = new Map(), events = [], moves = [...channels.values()].flatMap(addMissingEnds);
   const isHeld = () => [...open.values()].some((count) => count > 0);
   for (const { order, at, channel, velocity } of moves.sort((a, b) => a.order - b.order)) {
     const before = isHeld(), count = open.get(channel) ?? 0;
@@ -199,14 +200,14 @@ function strokesAndEnds(midi, channels) {
 
 /**
  * A song: {events, seconds, notes, beyond, remarks}. Events ascend in time: {at, do: "on", midi, velocity: 1 to 127},
- * {at, do: "off", midi}, {at, do: "pedal", down}. `beyond` counts notes that no piano has.
+ * {at, do: "off", midi}, {at, do: "pedal", down}. `beyond` counts notes outside A0 to C8.
  *
- * Throws an Error that says what is wrong with the file.
+ * Throws an Error with the reason if the file cannot be used.
  */
 export function readMidi(bytes) {
   const { messages, seconds, remarks } = parse(bytes);
   if (seconds > MOST_SONG_SECONDS) throw new Error(`it lasts more than ${MOST_SONG_SECONDS / 60} minutes; cut it into parts`);
-  const keys = new Map(), feet = new Set(), events = [], count = { notes: 0, beyond: 0 };
+  const keys = new Map(), pedalChannels = new Set(), events = [], count = { notes: 0, beyond: 0 };
   const move = (midi, channel, step) => {
     if (!keys.has(midi)) keys.set(midi, new Map());
     if (!keys.get(midi).has(channel)) keys.get(midi).set(channel, []);
@@ -215,26 +216,27 @@ export function readMidi(bytes) {
   messages.forEach(({ at, kind, channel, first, second }, order) => {
     if (channel === DRUMS) return;
     if (kind === CONTROL && first === PEDAL) {
-      const down = second >= PEDAL_DOWN, before = feet.size;
-      if (down) feet.add(channel);
-      else feet.delete(channel);
-      if (before !== feet.size && (feet.size === 0 || before === 0)) events.push({ order, at, do: "pedal", down });
+      const down = second >= PEDAL_DOWN, before = pedalChannels.size;
+      if (down) pedalChannels.add(channel);
+      else pedalChannels.delete(channel);
+      const hasMoved = before !== pedalChannels.size && (pedalChannels.size === 0 || before === 0);
+      if (hasMoved) events.push({ order, at, do: "pedal", down });
     } else if (kind === CONTROL && [SOUND_OFF, NOTES_OFF].includes(first)) {
       for (const [midi, channels] of keys) if (channels.has(channel)) move(midi, channel, { order, at, velocity: END_ALL });
     } else if (kind === NOTE_ON || kind === NOTE_OFF) {
-      const velocity = kind === NOTE_ON ? second : END, there = first >= LOWEST_KEY && first <= HIGHEST_KEY;
-      if (velocity > 0) count[there ? "notes" : "beyond"]++;
-      if (there) move(first, channel, { order, at, velocity });
+      const velocity = kind === NOTE_ON ? second : END, isOnPiano = first >= LOWEST_KEY && first <= HIGHEST_KEY;
+      if (velocity > 0) count[isOnPiano ? "notes" : "beyond"]++;
+      if (isOnPiano) move(first, channel, { order, at, velocity });
     }
   });
   if (count.notes > MOST_NOTES) throw new Error(`it has more than ${MOST_NOTES} notes; cut it into parts`);
   if (!count.notes) throw new Error(["it holds no note from A0 to C8", ...remarks].join("; "));
-  const late = { order: Infinity, at: seconds + HELD_ON };
+  const end = { order: Infinity, at: seconds + LAST_HELD };
   for (const [midi, channels] of keys) {
-    const found = strokesAndEnds(midi, channels);
-    events.push(...found.events, ...(found.isHeld ? [{ ...late, do: "off", midi }] : []));
+    const merged = mergeChannels(midi, channels);
+    events.push(...merged.events, ...(merged.isHeld ? [{ ...end, do: "off", midi }] : []));
   }
-  if (feet.size) events.push({ ...late, do: "pedal", down: false });
+  if (pedalChannels.size) events.push({ ...end, do: "pedal", down: false });
   events.sort((a, b) => a.at - b.at || (a.order > b.order) - (a.order < b.order));
   return { events: events.map(({ order, ...event }) => event), seconds, ...count, remarks };
 }
@@ -246,7 +248,7 @@ function variable(number) {
   return bytes;
 }
 
-/** A MIDI file, type 0, of events as `readMidi` gives them; its time begins with the first. */
+/** A MIDI file of type 0 with events as returned by `readMidi`. Time begins at the first event. */
 export function writeMidi(events) {
   const perSecond = (TICKS * 1e6) / FIRST_TEMPO, four = (x) => [24, 16, 8, 0].map((shift) => (x >> shift) & 255);
   const track = [0, META, SET_TEMPO, 3, ...four(FIRST_TEMPO).slice(1)];

@@ -1,11 +1,11 @@
-// A key as a note.json, which has the entries of fit.json that `pianofit render` and its like read.
+// A key as a note.json, with the entries of a fit.json that `pianofit render` and similar commands read.
 
 import { partialOf } from "./change.js";
 import { encodeWav } from "./output.js";
 
-const SCHEMA = 3; // of fit.json, see io.py
+const SCHEMA = 4; // of fit.json: FIT_SCHEMA in io/files.py
 
-/** Bytes as base64; by parts, for a call takes only so many arguments. */
+/** Bytes as base64, in parts, because the number of arguments of a call is limited. */
 function base64(bytes) {
   const PART = 8192;
   let text = "";
@@ -13,15 +13,15 @@ function base64(bytes) {
   return btoa(text);
 }
 
-/** Levels of a key's path as lists of numbers; null without one. */
+/** Output path of a key as lists of numbers, or null. */
 export function pathOf({ path }) {
   return path ? Object.fromEntries(Object.entries(path).map(([name, x]) => [name, Array.from(x)])) : null;
 }
 
-/** How a key rings, over its gain, with the knock as a WAV file of 32 bit floats. */
+/** Modal response of a key divided by its gain, with the knock as a WAV file of 32-bit floats. */
 export function ringingOf({ ringing, string, geometry, gain }) {
   const { pole, pattern, knock, rate, participation } = ringing;
-  const list = (column, by = 1) => Array.from(column, (x) => x * by);
+  const list = (column, factor = 1) => Array.from(column, (x) => x * factor);
   const f0 = string.c / (2 * geometry.length), B = ((string.kappa * Math.PI) / (string.c * geometry.length)) ** 2;
   const frequency = list(pole.im, 1 / (2 * Math.PI));
   return {
@@ -40,14 +40,14 @@ export function ringingOf({ ringing, string, geometry, gain }) {
 }
 
 /**
- * The document of a key, as `changed` left it, struck at `velocity`, m/s.
+ * Document of a key with its changes, struck at `velocity`, m/s.
  *
- * claims: a sentence that says where it is from; rate: Hz, of the sounds that are made of it if nobody asks otherwise.
+ * claims: a sentence on its origin; rate: default sample rate of rendered sounds, Hz.
  */
 export function noteDocument(key, { velocity, rate, claims }) {
   const { string, hammer, geometry, quantity, gain } = key;
-  const values = { ...string, ...hammer, v_H0: velocity, x0: geometry.strike, width: geometry.width, M_S: geometry.mass,
-    L: geometry.length, pickup: geometry.pickup };
+  const values = { ...string, ...hammer, v_H0: velocity, x0: geometry.strike_position, width: geometry.width,
+    M_S: geometry.mass, L: geometry.length, pickup: geometry.pickup };
   const given = (value) => ({ value, interval: null, status: "given" });
   return {
     schema: SCHEMA, program: "pianofit", kind: "note", claims, messages: [],

@@ -1,31 +1,31 @@
-// What the loudspeaker gets: volume, a limiter that looks one block ahead, and sounds as files.
+// Output stage: volume, a limiter with one block of look-ahead, and WAV files.
 
 const CEILING = 0.891; // full scale: -1 dB
-const RELEASE = 0.2; // s, until the limiter has mostly let go
+const RELEASE = 0.2; // s, time constant of the limiter's recovery
 
-/** Volume and limiter over blocks of two channels, which come out one block late, none above -1 dBFS. */
+/** Volume and limiter for blocks of two channels. The output is delayed by one block and never above -1 dBFS. */
 export class Output {
   constructor(rate, size) {
     const pair = () => [new Float64Array(size), new Float64Array(size)];
-    Object.assign(this, { volume: 1, reached: 1, gain: 1, allowed: 1, late: pair(), out: pair() });
-    this.letGo = 1 - Math.exp(-size / (rate * RELEASE));
+    Object.assign(this, { volume: 1, lastVolume: 1, gain: 1, allowed: 1, delayed: pair(), out: pair() });
+    this.release = 1 - Math.exp(-size / (rate * RELEASE));
   }
 
-  /** The block before this one: [left, right], valid until the next call. */
+  /** Take a block and return the previous one: [left, right], valid until the next call. */
   pass(channels) {
-    const { late, out, gain } = this, size = late[0].length;
+    const { delayed, out, gain } = this, size = delayed[0].length;
     let peak = 0;
     out.forEach((block, i) => {
-      block.set(late[i]);
-      for (let n = 0; n < size; n++) { // a volume that moves moves over a block
-        const x = (this.reached + ((this.volume - this.reached) * (n + 1)) / size) * channels[i][n];
+      block.set(delayed[i]);
+      for (let n = 0; n < size; n++) { // the volume changes gradually over a block
+        const x = (this.lastVolume + ((this.volume - this.lastVolume) * (n + 1)) / size) * channels[i][n];
         peak = Math.max(peak, Math.abs(x));
-        late[i][n] = x;
+        delayed[i][n] = x;
       }
     });
-    this.reached = this.volume;
+    this.lastVolume = this.volume;
     const allowed = peak > CEILING ? CEILING / peak : 1;
-    const next = Math.min(this.allowed, allowed, gain + (1 - gain) * this.letGo);
+    const next = Math.min(this.allowed, allowed, gain + (1 - gain) * this.release);
     for (let n = 0; n < size; n++) {
       const g = gain + ((next - gain) * n) / size;
       for (const block of out) block[n] *= g;
@@ -35,7 +35,7 @@ export class Output {
   }
 }
 
-/** A WAV file, 32 bit floats, of channels [frames] each: bytes. */
+/** Bytes of a WAV file with 32-bit floats; channels are [frames] each. */
 export function encodeWav(channels, rate) {
   const frames = channels[0].length, width = 4 * channels.length, data = frames * width;
   const view = new DataView(new ArrayBuffer(58 + data));

@@ -1,6 +1,6 @@
-"""An instrument as the page holds it: numbers as they are, tables as base64.
+"""The payload of a page: an instrument as JSON, with arrays in base64.
 
-Knocks take most of the room. They are kept at the highest rate and with the most bits that the page's size allows.
+Knocks take most of the size. They get the highest sample rate and the most bits that the size of the page allows.
 """
 
 from __future__ import annotations
@@ -25,29 +25,29 @@ from ..playback.voice import CHANNELS, KNOCK_RATES, damper_rate
 __all__ = ["Knocks", "encode_note", "intervals", "payload"]
 
 # Samples of a knock that share a scale.
-SHARED = 256
-# Significant digits of values that are only shown: an interval needs fewer.
+SCALE_BLOCK = 256
+# Significant digits of values and intervals, which are only displayed.
 DIGITS = 6
-# The workbench's sliders that are factors of one law's value (`keyboard.gather.NAMES`), and the laws of its losses.
+# Sliders of the page that multiply the value of one keyboard law (`instrument.collect_fits`), and the laws of losses.
 SLIDERS = {"force": "K/M_S", "mu": "mu", "mass": "M_H/M_S", "strike": "x0/L", "inharmonicity": "B"}
 LOSSES = ("b1", "d2")
 
 
 class Knocks(NamedTuple):
-    """How knocks are kept."""
+    """Encoding of knocks."""
 
-    rate: float  # the highest sample rate, Hz
-    bits: int  # 8 or 16, of the largest sample within `SHARED`
+    rate: float  # highest sample rate, Hz
+    bits: int  # 8 or 16, of the largest sample within `SCALE_BLOCK`
 
 
-# From the best to the smallest; a knock's own rate is never exceeded.
+# From the best to the smallest. The rate of a knock is never raised.
 LADDER = (Knocks(math.inf, 16), Knocks(KNOCK_RATES[0], 16), *(Knocks(rate, 8) for rate in KNOCK_RATES))
 
 
 def payload(instrument: Instrument, most_bytes: int) -> tuple[dict[str, Any], Knocks | None]:
-    """What the page's script reads, and how knocks are kept in it, if there are any.
+    """Encode an instrument for the scripts of the page; also return the encoding of its knocks, if it has any.
 
-    Raises `ParameterError` if a felt's law cannot be played, or nothing is left of `most_bytes`.
+    Raises `ParameterError` if a felt law cannot be played, or the document exceeds `most_bytes`.
     """
     rates = [n.ringing.rate for n in instrument.notes.values() if n.ringing is not None and n.ringing.knock.size]
     size = 0
@@ -58,7 +58,7 @@ def payload(instrument: Instrument, most_bytes: int) -> tuple[dict[str, Any], Kn
             return document, kept._replace(rate=min(kept.rate, max(rates))) if rates else None
     raise ParameterError(
         f"the instrument's tables take {size / 1e6:.2f} MB, and the page has room for {most_bytes / 1e6:.2f} MB; "
-        "take fewer keys"
+        "choose fewer keys"
     )
 
 
@@ -70,48 +70,48 @@ def _document(instrument: Instrument, knocks: Knocks) -> dict[str, Any]:
             {"midi": midi, "note": midi_to_note(midi), "recorded": midi in instrument.recorded,
              "state": instrument.states.get(midi)}
             | encode_note(note, midi, knocks)
-            | _told(instrument.values.get(midi, {}))
+            | _values_and_intervals(instrument.values.get(midi, {}))
             for midi, note in sorted(instrument.notes.items())
         ],
     }  # fmt: skip
 
 
-def _told(told: Mapping[str, tuple[float, float, float]]) -> dict[str, dict[str, list[float]]]:
-    """Intervals of the sliders, and the values of their laws, which the page writes into an instrument saved there."""
-    values = {law: row for law, row in told.items() if law in (*SLIDERS.values(), *LOSSES, "p")}
-    return {"intervals": _short(intervals(told)), "values": _short(values)}
+def _values_and_intervals(laws: Mapping[str, tuple[float, float, float]]) -> dict[str, dict[str, list[float]]]:
+    """Intervals of the sliders, and the values of their laws, which the page writes into a saved instrument."""
+    values = {law: row for law, row in laws.items() if law in (*SLIDERS.values(), *LOSSES, "p")}
+    return {"intervals": _round_digits(intervals(laws)), "values": _round_digits(values)}
 
 
-def _short(table: Mapping[str, Iterable[float]]) -> dict[str, list[float]]:
+def _round_digits(table: Mapping[str, Iterable[float]]) -> dict[str, list[float]]:
     return {name: [float(f"{x:.{DIGITS}g}") for x in row] for name, row in table.items()}
 
 
-def intervals(told: Mapping[str, tuple[float, float, float]]) -> dict[str, list[float]]:
-    """The 95 % intervals of what the page's sliders change, in their units: factors, and differences of p.
+def intervals(laws: Mapping[str, tuple[float, float, float]]) -> dict[str, list[float]]:
+    """95 % intervals of the sliders in their units: factors, and differences of p.
 
-    The losses' is that of partial 1, b1 + d2, the two errors taken as independent.
+    The interval of the losses is that of the decay rate of partial 1, b1 + d2, with independent errors of both.
     """
-    found = {slider: [low / value, high / value] for slider, law in SLIDERS.items() if law in told
-             for value, low, high in [told[law]] if 0 < low <= value <= high}  # fmt: skip
-    if "p" in told:
-        value, low, high = told["p"]
-        found["p"] = [low - value, high - value]
-    parts = [told[law] for law in LOSSES if law in told]
+    by_slider = {slider: [low / value, high / value] for slider, law in SLIDERS.items() if law in laws
+                 for value, low, high in [laws[law]] if 0 < low <= value <= high}  # fmt: skip
+    if "p" in laws:
+        value, low, high = laws["p"]
+        by_slider["p"] = [low - value, high - value]
+    parts = [laws[law] for law in LOSSES if law in laws]
     if len(parts) == len(LOSSES) and all(0 < low <= value <= high for value, low, high in parts):
         size = math.hypot(*(value * math.log(high / low) / 2 for value, low, high in parts))
         spread = math.exp(size / sum(value for value, _, _ in parts))
-        found["loss"] = [1 / spread, spread]
-    return found
+        by_slider["loss"] = [1 / spread, spread]
+    return by_slider
 
 
 def encode_note(note: Note, midi: int, knocks: Knocks = LADDER[0]) -> dict[str, Any]:
-    """One key, as prepare.js reads it.
+    """Encode one key for `prepare.js`.
 
-    Raises `ParameterError` for a felt other than Hunt and Crossley's, or the power law.
+    Raises `ParameterError` for a felt law other than Hunt-Crossley and the power law.
     """
     if type(note.hammer) is not Hammer:
         raise ParameterError(
-            f"key {midi_to_note(midi)}: a page plays the felt of Hunt and Crossley, not a "
+            f"key {midi_to_note(midi)}: a page plays the Hunt-Crossley felt law, not "
             f"{type(note.hammer).__name__}; fit the key with --felt hunt-crossley"
         )
     entry: dict[str, Any] = {
@@ -130,7 +130,7 @@ def encode_note(note: Note, midi: int, knocks: Knocks = LADDER[0]) -> dict[str, 
 
 
 def _ringing(ringing: ModalResponse, knocks: Knocks) -> dict[str, Any]:
-    """Frequencies with 64 bits: with 32 they would drift by a tenth of a radian a minute in the treble."""
+    """Encode a modal response. Frequencies have 64 bits: 32 bits drift by 0.1 rad per minute in the treble."""
     knock, rate = ringing.knock[:CHANNELS], ringing.rate
     if knock.shape[-1] and rate > knocks.rate:
         rate = int(knocks.rate)
@@ -139,12 +139,12 @@ def _ringing(ringing: ModalResponse, knocks: Knocks) -> dict[str, Any]:
         "decay": _base64(-np.real(ringing.pole)), "omega": _base64(np.imag(ringing.pole), "<f8"),
         "pattern": _rows(ringing.pattern[:CHANNELS]),
         "participation": _participation(ringing),
-        "rate": rate, "bits": knocks.bits, "knock": [_rounded(row, knocks.bits) for row in knock],
+        "rate": rate, "bits": knocks.bits, "knock": [_quantise(row, knocks.bits) for row in knock],
     }  # fmt: skip
 
 
 def _participation(ringing: ModalResponse) -> dict[str, Any] | None:
-    """Whole numbers of 16 bits and their scale: of many strokes they are most of what a key's modes take."""
+    """Encode velocity gains as 16-bit integers with a scale. With many strokes they dominate the size of the modes."""
     part = ringing.participation
     if part is None:
         return None
@@ -156,12 +156,12 @@ def _rows(values: np.ndarray, kind: str = "<f4") -> list[dict[str, str]]:
     return [{"re": _base64(np.real(row), kind), "im": _base64(np.imag(row), kind)} for row in values]
 
 
-def _rounded(samples: np.ndarray, bits: int) -> dict[str, str]:
-    """Whole numbers, and a scale for every `SHARED` of them."""
-    rows = np.pad(samples, (0, -len(samples) % SHARED)).reshape(-1, SHARED)
+def _quantise(samples: np.ndarray, bits: int) -> dict[str, str]:
+    """Encode samples as integers, with a scale for every `SCALE_BLOCK` of them."""
+    rows = np.pad(samples, (0, -len(samples) % SCALE_BLOCK)).reshape(-1, SCALE_BLOCK)
     scale = (np.abs(rows).max(axis=1) / (2 ** (bits - 1) - 1)).astype("<f4")
-    whole = (rows / np.where(scale > 0, scale, 1.0)[:, None]).ravel()[: len(samples)]
-    return {"scale": _base64(scale), "whole": _base64(whole, f"<i{bits // 8}")}
+    integers = (rows / np.where(scale > 0, scale, 1.0)[:, None]).ravel()[: len(samples)]
+    return {"scale": _base64(scale), "whole": _base64(integers, f"<i{bits // 8}")}
 
 
 def _base64(values: np.ndarray, kind: str = "<f4") -> str:

@@ -1,12 +1,12 @@
-// What sounds: the engine in the audio thread, the tables it needs, and a record of what was played.
+// The player: the engine in the audio thread, the tables of the keys, and a record of all events.
 
-const RATE = 48000; // Hz, whatever the device has: the browser converts
-const LONGEST = 600; // s of what was played that can be saved as MIDI
-const LONGEST_SOUND = 60; // s of it that can be saved as a sound
-const TAIL = 6; // s that it rings on in the file
-const PAUSE = 20; // ms between tables that are sent while it may play
+const RATE = 48000; // Hz; the browser converts to the rate of the device
+const LONGEST = 600; // s, length of the record that can be saved as MIDI
+const LONGEST_SOUND = 60; // s, part of it that can be saved as WAV
+const TAIL = 6; // s after the last event in the WAV file
+const PAUSE = 20; // ms between tables that are sent during playback
 
-/** An element of `kind` with `properties`, in `parent`. */
+/** Append an element of `kind` with `properties` to `parent`. */
 function put(parent, kind, properties = {}) {
   const element = Object.assign(document.createElement(kind), properties);
   parent.append(element);
@@ -15,7 +15,7 @@ function put(parent, kind, properties = {}) {
 
 const blob = (...parts) => URL.createObjectURL(new Blob(parts, { type: "text/javascript" }));
 
-/** Hand a file to the user. */
+/** Offer a file as a download. */
 function save(name, content, type) {
   const link = document.createElement("a");
   Object.assign(link, { href: URL.createObjectURL(new Blob([content], { type })), download: name });
@@ -23,7 +23,7 @@ function save(name, content, type) {
   setTimeout(() => URL.revokeObjectURL(link.href), 60e3);
 }
 
-/** Give the audio thread its code: by a blob or, for Chromium takes none of a page from a file, within the address. */
+/** Load code into the audio thread from a blob, or from a data address: Chromium blocks blobs of local files. */
 async function addModule(context, code) {
   try {
     await context.audioWorklet.addModule(blob(code));
@@ -33,16 +33,16 @@ async function addModule(context, code) {
 }
 
 class Player {
-  /** code: the scripts `engine` and `worklet`, as text. */
+  /** code: the scripts `engine` and `worklet` as text. */
   static async open(instrument, code) {
     return new Player(instrument, code, await import(blob(code.engine)));
   }
 
   constructor({ name, keys, velocity }, code, modules) {
     Object.assign(this, modules, { code, name, velocity, pedal: false, volume: 1, tables: new Map(), sent: new Set(),
-      own: new Map(), sounding: 0, port: null, record: new modules.Record(LONGEST) });
+      fittedTables: new Map(), sounding: 0, port: null, record: new modules.Record(LONGEST) });
     this.keys = new Map(keys.map((entry) => [entry.midi, this.decode(entry)]));
-    this.now = { ...Object.fromEntries(this.keys) }; // with the workbench's changes
+    this.now = { ...Object.fromEntries(this.keys) }; // keys with the changes of the sliders
   }
 
   /** Hammer velocity, m/s, of MIDI velocity 1 to 127. */
@@ -57,13 +57,13 @@ class Player {
     return Math.min(Math.max(Math.round(64 + (63 * Math.log(speed / middle)) / rise), 1), 127);
   }
 
-  /** A key's table, computed if need be. */
+  /** Table of a key, computed on first use. */
   table(midi) {
     if (!this.tables.has(midi)) this.tables.set(midi, this.prepare(this.now[midi], RATE));
     return this.tables.get(midi);
   }
 
-  /** Compute tables of keys, of all by default, from the middle outwards; `progress` gets how many are ready. */
+  /** Compute the tables of keys, by default of all, from the middle outwards; `progress` gets their number. */
   async prepareAll(progress, keys = [...this.keys.keys()]) {
     const order = [...keys].sort((a, b) => Math.abs(a - 60) - Math.abs(b - 60));
     for (const [done, midi] of order.entries()) {
@@ -73,31 +73,31 @@ class Player {
     }
   }
 
-  /** Begin to sound; only after a user's gesture. Throws what the browser has against it. */
+  /** Start the audio, which browsers allow only after a user gesture. Throws the error of the browser. */
   start() {
     return (this.started ??= this._start());
   }
 
   async _start() {
-    if (!window.AudioWorkletNode) throw new Error("this browser has no AudioWorklet; take a newer one");
+    if (!window.AudioWorkletNode) throw new Error("this browser has no AudioWorklet; use a newer browser");
     const context = new AudioContext({ sampleRate: RATE, latencyHint: "interactive" });
     await addModule(context, this.code.engine + this.code.worklet);
     const node = new AudioWorkletNode(context, "piano", { numberOfInputs: 0, outputChannelCount: [2] });
     node.connect(context.destination);
     node.port.onmessage = ({ data }) => (this.sounding = data.sounding);
-    node.onprocessorerror = () => this.onerror?.(new Error("the audio thread has stopped; open the page again"));
+    node.onprocessorerror = () => this.onerror?.(new Error("the audio thread has stopped; reload the page"));
     Object.assign(this, { context, node, port: node.port });
     this.port.postMessage({ do: "volume", volume: this.volume });
     await context.resume();
     this._sendAll();
   }
 
-  /** Be silent for ever. */
+  /** Stop the audio permanently. */
   close() {
     this.context?.close();
   }
 
-  /** What is ready, one by one: the audio thread is not to be kept from its work. */
+  /** Send all computed tables with pauses, so that the audio thread is not interrupted. */
   async _sendAll() {
     for (const midi of [...this.tables.keys()]) {
       await new Promise((go) => setTimeout(go, PAUSE));
@@ -105,7 +105,7 @@ class Player {
     }
   }
 
-  /** Give the audio thread a key. */
+  /** Send the table of a key to the audio thread. */
   send(midi) {
     const table = this.table(midi);
     if (!this.port || this.sent.has(midi)) return;
@@ -116,22 +116,22 @@ class Player {
   async act(message) {
     if (message.do === "on") {
       await this.start();
-      if (this.context.state !== "running") this.context.resume(); // a telephone call may have stopped it
+      if (this.context.state !== "running") this.context.resume(); // a phone call may have suspended it
       this.send(message.midi);
     } else if (this.started) {
-      await this.started.catch(() => {}); // what comes after a stroke stays after it
+      await this.started.catch(() => {}); // keeps the order of events
     }
     this.log(message);
     this.port?.postMessage(message);
   }
 
-  /** A message that takes effect at a time of the audio context, s. It is not recorded; see `log`. */
+  /** Send a message that takes effect at a time of the audio context, s. It is not recorded; see `log`. */
   schedule(message, when) {
     if (message.do === "on") this.send(message.midi);
     this.port.postMessage({ ...message, when });
   }
 
-  /** Drop what was scheduled and has not begun. */
+  /** Drop all scheduled messages. */
   cancel() {
     this.port?.postMessage({ do: "cancel" });
   }
@@ -164,20 +164,20 @@ class Player {
     return this.act({ do: "panic" });
   }
 
-  /** A key as it is played now, as a document; see note.js. */
-  noteOf(midi, velocity, touched) {
+  /** Document of a key with its current changes; see note.js. */
+  noteOf(midi, velocity, isChanged) {
     const { note, recorded } = this.keys.get(midi);
     const claims = `${note} of ${this.name || "a piano"}, ${recorded ? "recorded" : "a guess"}, as the page plays it, ` +
-      `${touched ? "changed by hand" : "unchanged"}. No fit: intervals are in the instrument and its fits.`;
+      `${isChanged ? "changed by hand" : "unchanged"}. Not a fit: intervals are in the instrument and its fits.`;
     return this.noteDocument(this.now[midi], { velocity, rate: RATE, claims });
   }
 
-  /** A key with changes; only the hammer's need no new table. */
+  /** Apply changes to a key. Only changes of the hammer need no new table. */
   change(midi, changes) {
     const before = this.now[midi], key = this.changed(this.keys.get(midi), changes);
-    const string = ({ string: s, geometry: g }) => JSON.stringify([s, g]);
+    const stringOf = ({ string, geometry }) => JSON.stringify([string, geometry]);
     this.now[midi] = key;
-    if (string(before) === string(key) && this.tables.has(midi)) {
+    if (stringOf(before) === stringOf(key) && this.tables.has(midi)) {
       this.tables.set(midi, { ...this.tables.get(midi), hammer: key.hammer });
       this.port?.postMessage({ do: "hammer", midi, hammer: key.hammer });
     } else {
@@ -186,18 +186,18 @@ class Player {
     }
   }
 
-  /** The instrument as it is played now, as a document; `changesOf` gives what was changed of a key. */
+  /** Document of the instrument with all changes; `changesOf` returns the changes of a key. */
   document(changesOf) {
     const keys = [...this.keys.keys()].map((midi) => ({ key: this.now[midi], changes: changesOf(midi) }));
     return this.instrumentDocument(this, keys, this.volume);
   }
 
-  /** What was played, as a MIDI file. */
+  /** The record as a MIDI file. */
   midi() {
     return this.record.midi((speed) => this.midiVelocity(speed));
   }
 
-  /** What was played last, as a WAV file by the same engine; `progress` gets the part that is done. Null without a stroke. */
+  /** Render the end of the record to a WAV file; `progress` gets the finished fraction. Null without a stroke. */
   async render(progress) {
     const engine = new this.Engine(RATE), output = new this.Output(RATE, this.BLOCK);
     const record = this.record.recent(LONGEST_SOUND);

@@ -1,14 +1,14 @@
-// What was played: strokes, releases, pedal, volume and silencing of the last minutes, each with its time in seconds.
+// Record of the events of the last minutes: strokes, releases, pedal, volume and silencing, with times in seconds.
 
 import { writeMidi } from "./midi.js";
 
 export class Record {
-  /** longest: s that are kept. */
+  /** longest: length of the record, s. */
   constructor(longest) {
     Object.assign(this, { longest, events: [], start: { down: false, volume: 1 } });
   }
 
-  /** Add {do: "on" | "off" | "pedal" | "volume" | "panic", ...} at a time, s; the time may lie before events that are there. */
+  /** Add {do: "on" | "off" | "pedal" | "volume" | "panic", ...} at a time, s; the time may precede recorded events. */
   add(message, at) {
     let place = this.events.length;
     while (place > 0 && this.events[place - 1].at > at) place--;
@@ -18,11 +18,12 @@ export class Record {
   }
 
   /**
-   * Events of the last `seconds`, from the first stroke on: first the pedal and volume at that time. Releases of earlier
-   * strokes are left out. Empty without a stroke.
+   * Events of the last `seconds`, from the first stroke on, preceded by the pedal and volume at that time. Releases of
+   * earlier strokes are left out. Empty without a stroke.
    */
   recent(seconds) {
-    const last = this.events.at(-1)?.at, first = this.events.findIndex((it) => it.do === "on" && it.at >= last - seconds);
+    const begin = this.events.at(-1)?.at - seconds;
+    const first = this.events.findIndex((event) => event.do === "on" && event.at >= begin);
     if (first < 0) return [];
     const { down, volume } = settings(this.start, this.events.slice(0, first)), held = new Set();
     const kept = this.events.slice(first).filter((event) => {
@@ -33,7 +34,7 @@ export class Record {
     return [{ at: kept[0].at, do: "pedal", down }, { at: kept[0].at, do: "volume", volume }, ...kept];
   }
 
-  /** All of it as a MIDI file; `midiVelocity` gives the MIDI velocity of a hammer velocity, m/s. */
+  /** The whole record as a MIDI file; `midiVelocity` converts a hammer velocity, m/s. */
   midi(midiVelocity) {
     const held = new Set();
     const events = this.recent(this.longest).flatMap((event) => {
@@ -47,7 +48,7 @@ export class Record {
   }
 }
 
-/** Pedal and volume after events. */
+/** State of pedal and volume after events. */
 function settings({ down, volume }, events) {
   for (const event of events) {
     if (event.do === "pedal") down = event.down;

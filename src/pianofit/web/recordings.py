@@ -1,4 +1,4 @@
-"""The recordings of an instrument's keys, as a page holds them: cut at the stroke, FLAC of 16 bits in base64."""
+"""Recordings of the keys of an instrument for a page: cut at the stroke, 16-bit FLAC in base64."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ from ..report.sound import excerpt
 
 __all__ = ["recorded_layers"]
 
-# Seconds that are kept of every layer: the most that leaves all of them `ROOM`, bytes of the page.
+# Lengths of a layer, s. The longest is used for which all layers fit into `ROOM`, bytes of the page.
 LENGTHS = (4.0, 3.0, 2.0)
 ROOM = 30_000_000
-# Hz, the page's own: what has more is brought down by a whole factor.
+# Sample rate of the page, Hz. Higher rates are reduced by an integer factor.
 HIGHEST_RATE = 48_000
 
 
 def recorded_layers(instrument: Instrument) -> dict[int, list[dict[str, Any]]]:
-    """By key, soft to loud: the `name` of a recording, its hammer `velocity`, m/s, and its sound, `flac`.
+    """Encode all layers by key, soft to loud: `name` of the recording, hammer `velocity`, m/s, and sound `flac`.
 
-    A sound begins when that of the instrument's key does whose hammer touches the string at the same time.
+    Each sound begins at the same time before the hammer contact as the computed sound of its key.
 
-    Raises `FitError` if no layer is known, or a recording is not there any more; `ParameterError` if they take too much
-    room.
+    Raises `FitError` if the instrument has no layers, or a recording is missing or was changed. Raises `ParameterError`
+    if the layers are too large.
     """
     if not any(instrument.layers.values()):
         raise FitError("--recordings: the fits name no recordings; give the folder that pianofit batch wrote")
@@ -42,28 +42,28 @@ def recorded_layers(instrument: Instrument) -> dict[int, list[dict[str, Any]]]:
     }
     size = 0
     for seconds in LENGTHS:
-        found = {
+        encoded = {
             midi: [
                 {
                     "name": printable(Path(layer.file).name),
                     "velocity": layer.velocity,
-                    "flac": _encoded(*sound, seconds),
+                    "flac": _encode(*sound, seconds),
                 }
                 for layer, sound in zip(instrument.layers[midi], sounds[midi], strict=True)
             ]
             for midi in sounds
         }
-        size = sum(len(layer["flac"]) for layers in found.values() for layer in layers)
+        size = sum(len(layer["flac"]) for layers in encoded.values() for layer in layers)
         if size <= ROOM:
-            return found
+            return encoded
     raise ParameterError(
         f"--recordings: {LENGTHS[-1]:g} s of every layer take {size / 1e6:.0f} MB, and a page has room for "
-        f"{ROOM / 1e6:.0f} MB; take fewer keys"
+        f"{ROOM / 1e6:.0f} MB; choose fewer keys"
     )
 
 
 def _read(layer: Layer, note: Note) -> tuple[np.ndarray, int]:
-    """A recording from where its key's own sound begins, in as many channels, and its rate."""
+    """Read a recording from the beginning of the computed sound of its key, with as many channels; and its rate."""
     recording = load_recording(layer.file)
     if recording.sha256 != layer.sha256:
         raise FitError(f"{printable(layer.file)}: is not the recording that was fitted; run pianofit batch again")
@@ -73,8 +73,8 @@ def _read(layer: Layer, note: Note) -> tuple[np.ndarray, int]:
     return np.pad(samples, ((0, 0), (max(-begin, 0), 0)))[:, max(begin, 0) :], recording.rate
 
 
-def _encoded(samples: np.ndarray, rate: int, seconds: float) -> str:
-    """Its first seconds, faded out, with its peak at full scale: what it is compared with gets its loudness."""
+def _encode(samples: np.ndarray, rate: int, seconds: float) -> str:
+    """Encode the first seconds with a fade-out and the peak at full scale. The page matches loudness itself."""
     factor = math.ceil(rate / HIGHEST_RATE)
     kept = excerpt(samples, rate, 0.0, seconds, factor)
     kept /= max(float(np.abs(kept).max(initial=0.0)), 1e-12)

@@ -1,9 +1,9 @@
-// A note in a notebook: struck by a button, at any velocity; see widget.py. CODE and `Player` stand before this.
+// A playable note in a notebook; see widget.py, which puts CODE and player.js before this script.
 
-const [SLOWEST, FASTEST] = [0.05, 12]; // m/s, the velocities that a fit finds
+const [SLOWEST, FASTEST] = [0.05, 12]; // m/s, range of the velocity slider
 const STEPS_OF_VELOCITY = 200;
 
-/** A slider in words: its input and its output. */
+/** A labelled slider: its input and output. */
 function slider(parent, words, properties) {
   const label = put(parent, "label");
   put(label, "span", { textContent: words });
@@ -13,19 +13,21 @@ function slider(parent, words, properties) {
 
 async function render({ model, el }) {
   const instrument = model.get("instrument"), [{ midi, note }] = instrument.keys;
-  const root = put(el, "div", { className: "pianofit-note" }), said = put(root, "p");
-  said.setAttribute("role", "status");
+  const root = put(el, "div", { className: "pianofit-note" }), status = put(root, "p");
+  status.setAttribute("role", "status");
   let player;
   try {
     player = await Player.open(instrument, CODE);
   } catch (error) {
-    said.textContent = `This notebook does not let the note play: ${error.message}.`;
+    status.textContent = `This notebook cannot play the note: ${error.message}.`;
     return undefined;
   }
-  player.onerror = (error) => (said.textContent = `No sound: ${error.message}.`);
+  player.onerror = (error) => (status.textContent = `No sound: ${error.message}.`);
   const row = put(root, "div"), strike = put(row, "button", { type: "button", textContent: `Strike, ${note}` });
-  const pedal = put(put(row, "label", { className: "switch", textContent: "rings on " }), "input", { type: "checkbox", checked: true });
-  const [wav, json] = ["Save as WAV", "Save as note.json"].map((words) => put(row, "button", { type: "button", textContent: words }));
+  const pedalLabel = put(row, "label", { className: "switch", textContent: "pedal " });
+  const pedal = put(pedalLabel, "input", { type: "checkbox", checked: true });
+  const button = (words) => put(row, "button", { type: "button", textContent: words });
+  const [wav, json] = ["Save as WAV", "Save as note.json"].map(button);
   const at = (v) => (STEPS_OF_VELOCITY * Math.log(v / SLOWEST)) / Math.log(FASTEST / SLOWEST);
   const velocity = slider(root, "Hammer velocity",
     { min: 0, max: STEPS_OF_VELOCITY, step: 1, value: Math.round(at(instrument.velocity.at_64)) });
@@ -47,8 +49,8 @@ async function render({ model, el }) {
     const v = speed(), { force, step } = player.stroke(player.table(midi), v);
     await act({ do: "on", midi, velocity: v });
     wav.disabled = false;
-    said.textContent = `${v.toPrecision(3)} m/s: ${Math.max(...force).toPrecision(3)} N at most, ` +
-      `contact over after ${(1e3 * force.length * step).toPrecision(3)} ms.`;
+    status.textContent = `${v.toPrecision(3)} m/s: peak ${Math.max(...force).toPrecision(3)} N, ` +
+      `contact ends after ${(1e3 * force.length * step).toPrecision(3)} ms.`;
   };
   const up = () => {
     if (strike.getAttribute("aria-pressed") === "true") act({ do: "off", midi });
@@ -66,12 +68,14 @@ async function render({ model, el }) {
   wav.disabled = true;
   wav.onclick = async () => {
     wav.disabled = true;
-    save("note.wav", await player.render((part) => (said.textContent = `Rendering, ${Math.round(100 * part)} %.`)), "audio/wav");
+    const progress = (part) => (status.textContent = `Rendering, ${Math.round(100 * part)} %.`);
+    save("note.wav", await player.render(progress), "audio/wav");
     wav.disabled = false;
-    said.textContent = "Saved: note.wav.";
+    status.textContent = "Saved: note.wav.";
   };
-  json.onclick = () => save("note.json", JSON.stringify(player.noteOf(midi, speed(), false), null, 1), "application/json");
-  root.append(said);
+  json.onclick = () =>
+    save("note.json", JSON.stringify(player.noteOf(midi, speed(), false), null, 1), "application/json");
+  root.append(status);
   player.setPedal(true);
   shown();
   return () => player.close();

@@ -1,6 +1,6 @@
-"""A note to play in a notebook: the page's engine and player as a widget of Jupyter, marimo and their like.
+"""A playable note in a notebook: engine and player of the page as a widget of Jupyter, marimo and similar.
 
-The front end is one module, made of the page's own scripts; anywidget carries it into the notebook.
+The front end is one JavaScript module, assembled from the scripts of the page, which anywidget loads.
 """
 
 from __future__ import annotations
@@ -15,45 +15,45 @@ from ..instrument.collect_fits import HIGHEST_KEY, LOWEST_KEY
 from ..io.table_output import require_optional
 from ..model.note import Note
 from .payload import encode_note
-from .write import engine, source
+from .write import engine_source, script_source
 
 __all__ = ["front_end", "instrument_of", "widget"]
 
 
 def widget(note: Note) -> Any:
-    """A widget that strikes `note`.
+    """Return a widget that plays `note`.
 
-    Raises `ParameterError` if anywidget is not installed, or the note has a felt that a page cannot play.
+    Raises `ParameterError` if anywidget is not installed, or a page cannot play the felt law of the note.
     """
-    return _kind()(instrument=instrument_of(note))
+    return _widget_class()(instrument=instrument_of(note))
 
 
 @functools.cache
-def _kind() -> type:
-    """The class, made once and only for those who ask for it."""
+def _widget_class() -> type:
+    """Define the class on first use, because anywidget is an optional dependency."""
     anywidget, traitlets = (
         require_optional(package, "a note in a notebook", "widget", ParameterError)
         for package in ("anywidget", "traitlets")
     )
 
     class NoteWidget(anywidget.AnyWidget):
-        """What the front end reads, and the front end."""
+        """Front end and its data."""
 
         _esm = front_end()
-        _css = source("widget.css")
+        _css = script_source("widget.css")
         instrument = traitlets.Dict().tag(sync=True)
 
     return NoteWidget
 
 
 def front_end() -> str:
-    """The module that anywidget loads."""
-    code = json.dumps({"engine": engine(), "worklet": source("worklet.js")})
-    return f"const CODE = {code};\n{source('player.js')}\n{source('widget.js')}"
+    """JavaScript module for anywidget."""
+    code = json.dumps({"engine": engine_source(), "worklet": script_source("worklet.js")})
+    return f"const CODE = {code};\n{script_source('player.js')}\n{script_source('widget.js')}"
 
 
 def instrument_of(note: Note) -> dict[str, Any]:
-    """An instrument of one key, that nearest to the note's pitch, as the player reads it."""
+    """Payload of an instrument with one key, the nearest to the pitch of the note."""
     f0 = float(note.f0)
     midi = min(max(round(midi_of(f0)), LOWEST_KEY), HIGHEST_KEY)
     return {

@@ -1,49 +1,49 @@
-// The parameters of the key that was played last: sliders, undo, and a picture of what a stroke does.
+// Parameters of the last played key: sliders, undo, and plots of the force pulse and the mode levels.
 
-// What `changed` takes; every slider but the exponent's is a factor, on a logarithmic scale.
+// Changes for `changed` of change.js. Every slider except that of the exponent is a factor on a logarithmic scale.
 const SLIDERS = [
   { name: "force", words: "Felt force at the reference compression", from: 0.125, to: 8, unit: "N" },
   { name: "p", words: "Felt exponent p", from: -1, to: 1, unit: "" },
-  { name: "mu", words: "Felt loss μ", from: 0.125, to: 8, unit: "s/m" },
+  { name: "mu", words: "Felt loss coefficient μ", from: 0.125, to: 8, unit: "s/m" },
   { name: "mass", words: "Hammer mass", from: 0.25, to: 4, unit: "g" },
   { name: "strike", words: "Strike position", from: 0.25, to: 4, unit: "of the length" },
   { name: "loss", words: "String losses", from: 0.125, to: 8, unit: "1/s for partial 1" },
   { name: "inharmonicity", words: "Inharmonicity B", from: 0.125, to: 8, unit: "" },
 ];
-const STEPS = 100; // of a slider, each way
+const STEPS = 100; // of a slider in each direction
 
-const one = (id) => document.getElementById(id);
+const byId = (id) => document.getElementById(id);
 
-/** What a slider shows: the key's own value. */
+/** The displayed value of each slider, from the key. */
 const SHOWN = {
   force: ({ hammer, compression }) => hammer.K_H * compression ** hammer.p,
   p: ({ hammer }) => hammer.p,
   mu: ({ hammer }) => hammer.mu,
   mass: ({ hammer }) => 1e3 * hammer.M_H,
-  strike: ({ geometry }) => geometry.strike / geometry.length,
+  strike: ({ geometry }) => geometry.strike_position / geometry.length,
   loss: ({ string, geometry }) => string.b1 + string.b2 * (Math.PI / geometry.length) ** 2,
   inharmonicity: ({ string, geometry }) => ((string.kappa * Math.PI) / (string.c * geometry.length)) ** 2,
 };
 
 class Workbench {
-  constructor(player, said) {
-    Object.assign(this, { player, said, midi: null, all: {}, single: new Map(), past: [] });
-    this.root = one("workbench");
-    this.forAll = one("for-all");
+  constructor(player, say) {
+    Object.assign(this, { player, say, midi: null, all: {}, single: new Map(), past: [] });
+    this.root = byId("workbench");
+    this.forAll = byId("for-all");
     this.inputs = new Map(SLIDERS.map((slider) => [slider.name, this._slider(slider)]));
-    one("undo").onclick = () => this.undo();
-    one("reset").onclick = () => this.reset();
-    one("save-note").onclick = () => this.save();
-    one("save-instrument").onclick = () => this.saveInstrument();
+    byId("undo").onclick = () => this.undo();
+    byId("reset").onclick = () => this.reset();
+    byId("save-note").onclick = () => this.save();
+    byId("save-instrument").onclick = () => this.saveInstrument();
     this.buttons();
-    new ResizeObserver(() => this.draw()).observe(one("pulse"));
+    new ResizeObserver(() => this.draw()).observe(byId("pulse"));
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.draw());
   }
 
   _slider({ name, words, from, to }) {
     const label = put(this.root.querySelector(".sliders"), "label");
     put(label, "span", { textContent: words });
-    const value = put(label, "output"), track = put(label, "span", { className: "track" }), known = put(label, "small");
+    const value = put(label, "output"), track = put(label, "span", { className: "track" }), interval = put(label, "small");
     const band = put(track, "i"), id = `change-${name}`;
     const input = put(track, "input", { type: "range", min: -STEPS, max: STEPS, step: 1, value: 0, id });
     const scale = (n) => (from < 0 ? (n / STEPS) * to : to ** (n / STEPS));
@@ -51,30 +51,30 @@ class Workbench {
     input.addEventListener("input", () => this._move(name, scale(Number(input.value))));
     input.addEventListener("change", () => (this.begun = false));
     const back = (x) => (from < 0 ? x / to : Math.log(x) / Math.log(to)) * STEPS;
-    return { input, value, back, band, known };
+    return { input, value, back, band, interval };
   }
 
-  /** The 95 % interval of the key's own value: a band on the slider, cut at its ends, and in words. */
-  _interval(what, unit) {
-    const { band, known, back } = this.inputs.get(what), own = this.player.keys.get(this.midi);
-    const span = own.intervals?.[what];
-    band.hidden = known.hidden = !span;
+  /** Show the 95 % interval of the key: a band on the slider, clipped at its ends, and numbers. */
+  _interval(slider, unit) {
+    const { band, interval, back } = this.inputs.get(slider), fitted = this.player.keys.get(this.midi);
+    const span = fitted.intervals?.[slider];
+    band.hidden = interval.hidden = !span;
     if (!span) return;
     const [left, right] = span.map((x) => Math.min(Math.max(back(x) / (2 * STEPS) + 0.5, 0), 1));
     band.style.setProperty("--left", left);
     band.style.setProperty("--right", right);
-    const shown = span.map((x) => Number((what === "p" ? SHOWN.p(own) + x : SHOWN[what](own) * x).toPrecision(3)));
-    known.textContent = `95 %: ${shown.join(" to ")} ${unit}`.trim();
+    const shown = span.map((x) => Number((slider === "p" ? SHOWN.p(fitted) + x : SHOWN[slider](fitted) * x).toPrecision(3)));
+    interval.textContent = `95 %: ${shown.join(" to ")} ${unit}`.trim();
   }
 
-  /** A slider has moved; one drag is one step back. */
+  /** Apply the movement of a slider. One drag is one step of undo. */
   _move(name, value) {
     if (this.midi === null) return;
     if (!this.begun) this._remember();
     this.begun = true;
     const to = this.forAll.checked ? this.all : this.single.get(this.midi) ?? {};
     to[name] = value;
-    if (this.forAll.checked) for (const own of this.single.values()) delete own[name];
+    if (this.forAll.checked) for (const changes of this.single.values()) delete changes[name];
     else this.single.set(this.midi, to);
     this.apply(this.forAll.checked ? [...this.player.keys.keys()] : [this.midi]);
   }
@@ -97,47 +97,47 @@ class Workbench {
     if (this.past.length) Object.assign(this, this.past.pop());
     this.begun = false;
     this.apply([...this.player.keys.keys()]);
-    this.said("One change taken back.");
+    this.say("Last change undone.");
   }
 
   reset() {
     this._remember();
     Object.assign(this, { all: {}, single: new Map(), begun: false });
     this.apply([...this.player.keys.keys()]);
-    this.said("All keys are as they were fitted.");
+    this.say("All changes removed.");
   }
 
   save() {
-    const touched = Object.keys(this.changesOf(this.midi)).length > 0;
-    const content = this.player.noteOf(this.midi, this.velocity, touched);
+    const isChanged = Object.keys(this.changesOf(this.midi)).length > 0;
+    const content = this.player.noteOf(this.midi, this.velocity, isChanged);
     save("note.json", `${JSON.stringify(content, null, 1)}\n`, "application/json");
-    this.said(`Saved: note.json, ${this.name}${touched ? ", changed by hand" : ""}.`);
+    this.say(`Saved: note.json, ${this.name}${isChanged ? ", changed by hand" : ""}.`);
   }
 
   saveInstrument() {
     const content = this.player.document((midi) => this.changesOf(midi));
     const count = content.keys.filter(({ changes }) => changes).length;
     save("instrument.json", `${JSON.stringify(content)}\n`, "application/json");
-    this.said(`Saved: instrument.json, ${count ? `${count} key${count > 1 ? "s" : ""} changed by hand` : "no key changed"}.`);
+    this.say(`Saved: instrument.json, ${count ? `${count} key${count > 1 ? "s" : ""} changed by hand` : "no key changed"}.`);
   }
 
   buttons() {
-    one("undo").disabled = !this.past.length;
-    one("reset").disabled = !Object.keys(this.all).length && !this.single.size;
+    byId("undo").disabled = !this.past.length;
+    byId("reset").disabled = !Object.keys(this.all).length && !this.single.size;
   }
 
-  /** Take up a key. */
+  /** Show a key. */
   show(midi, name = this.name, velocity = this.velocity) {
     if (midi === null) return;
     Object.assign(this, { midi, name, velocity });
     this.root.hidden = false;
-    one("which").textContent = name;
+    byId("which").textContent = name;
     const key = this.player.now[midi], changes = { ...this.player.UNCHANGED, ...this.changesOf(midi) };
-    for (const { name: what, unit } of SLIDERS) {
-      const { input, value, back } = this.inputs.get(what);
-      value.textContent = `${Number(SHOWN[what](key).toPrecision(3))} ${unit}`.trim();
-      input.value = Math.round(back(changes[what]));
-      this._interval(what, unit);
+    for (const { name: slider, unit } of SLIDERS) {
+      const { input, value, back } = this.inputs.get(slider);
+      value.textContent = `${Number(SHOWN[slider](key).toPrecision(3))} ${unit}`.trim();
+      input.value = Math.round(back(changes[slider]));
+      this._interval(slider, unit);
       input.setAttribute("aria-valuetext", value.textContent);
     }
     cancelAnimationFrame(this.frame);
@@ -148,15 +148,16 @@ class Workbench {
     const { player, midi, velocity } = this;
     if (midi === null) return;
     const now = player.stroke(player.table(midi), velocity);
-    if (!player.own.has(midi)) player.own.set(midi, player.prepare(player.keys.get(midi), RATE));
-    const own = player.stroke(player.own.get(midi), velocity), touched = Object.keys(this.changesOf(midi)).length > 0;
-    const peak = Math.max(...now.force), end = Math.max(now.force.length, own.force.length) * now.step;
+    if (!player.fittedTables.has(midi)) player.fittedTables.set(midi, player.prepare(player.keys.get(midi), RATE));
+    const fitted = player.stroke(player.fittedTables.get(midi), velocity);
+    const isChanged = Object.keys(this.changesOf(midi)).length > 0;
+    const peak = Math.max(...now.force), end = Math.max(now.force.length, fitted.force.length) * now.step;
     const shown = (x) => x.toPrecision(3), lasts = 1e3 * now.force.length * now.step;
-    one("pulse-words").textContent =
-      `Force pulse at ${shown(velocity)} m/s: ${shown(peak)} N at most, over after ${shown(lasts)} ms.`;
+    byId("pulse-words").textContent =
+      `Force pulse at ${shown(velocity)} m/s: peak ${shown(peak)} N, contact ends after ${shown(lasts)} ms.`;
     const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name);
-    const both = [...(touched ? [[own, colour("--edge")]] : []), [now, colour("--fitted")]];
-    const most = 1.05 * Math.max(peak, ...own.force);
+    const both = [...(isChanged ? [[fitted, colour("--edge")]] : []), [now, colour("--fitted")]];
+    const most = 1.05 * Math.max(peak, ...fitted.force);
     paint("pulse", [0, 1e3 * end, "ms"], [0, most, "N"], (pen, x, y) => {
       for (const [{ force, step }, ink] of both) {
         pen.strokeStyle = ink;
@@ -166,7 +167,7 @@ class Workbench {
         pen.stroke();
       }
     });
-    const top = Math.max(...now.level, ...own.level), high = Math.min(20000, 1.1 * Math.max(...now.frequency));
+    const top = Math.max(...now.level, ...fitted.level), high = Math.min(20000, 1.1 * Math.max(...now.frequency));
     paint("levels", [0.8 * now.frequency[0], high, "Hz"], [top - 80, top + 4, "dB"], (pen, x, y) => {
       for (const [{ frequency, level }, ink] of both) {
         pen.strokeStyle = pen.fillStyle = ink;
@@ -184,9 +185,9 @@ class Workbench {
   }
 }
 
-/** Axes on a canvas, and within them what `draw(pen, x, y)` draws. */
+/** Draw axes on a canvas, and a plot by `draw(pen, x, y)`. */
 function paint(id, [left, right, across], [low, high, up], draw, logarithmic = false) {
-  const canvas = one(id), pen = canvas.getContext("2d"), by = devicePixelRatio;
+  const canvas = byId(id), pen = canvas.getContext("2d"), by = devicePixelRatio;
   const width = canvas.clientWidth, height = canvas.clientHeight, edge = 46, foot = 24;
   [canvas.width, canvas.height] = [width * by, height * by];
   pen.scale(by, by);
@@ -224,10 +225,10 @@ function paint(id, [left, right, across], [low, high, up], draw, logarithmic = f
   pen.restore();
 }
 
-/** Round numbers between two, some `count`. */
+/** About `count` round numbers between two limits. */
 function round(low, high, count) {
   const rough = (high - low) / count, ten = 10 ** Math.floor(Math.log10(rough));
   const step = [1, 2, 5, 10].map((n) => n * ten).find((n) => n >= rough), first = Math.ceil(low / step);
-  const many = Math.floor(high / step) - first + 1;
-  return Array.from({ length: many }, (_, i) => Number(((first + i) * step).toPrecision(6)));
+  const length = Math.floor(high / step) - first + 1;
+  return Array.from({ length }, (_, i) => Number(((first + i) * step).toPrecision(6)));
 }

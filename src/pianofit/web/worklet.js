@@ -1,7 +1,7 @@
-// The engine in the browser's audio thread. It gets messages {do, ...}, see `act`; those with a time `when`, s of the
-// audio context, wait for it.
+// The engine in the audio thread of the browser. It receives messages {do, ...}, see `act`. A message with a time
+// `when`, s of the audio context, takes effect at that time.
 
-const REPORT = 16; // blocks between reports of how many strings sound: some 40 ms
+const REPORT_BLOCKS = 16; // blocks between reports of the number of sounding strings, about 40 ms
 
 class Piano extends AudioWorkletProcessor {
   constructor() {
@@ -37,7 +37,7 @@ class Piano extends AudioWorkletProcessor {
     }
     const out = this.output.pass(this.block);
     channels.forEach((channel, i) => channel.set(out[Math.min(i, 1)].subarray(0, channel.length)));
-    if (++this.count % REPORT === 0) this.port.postMessage({ sounding: this.engine.sounding });
+    if (++this.count % REPORT_BLOCKS === 0) this.port.postMessage({ sounding: this.engine.sounding });
     return true;
   }
 }

@@ -1,4 +1,4 @@
-"""One HTML file that is an instrument: keyboard, engine and the numbers of every key; it loads nothing."""
+"""Writer of the page: one HTML file with keyboard, engine and the tables of all keys, without external files."""
 
 from __future__ import annotations
 
@@ -12,50 +12,50 @@ from ..report import html
 from .payload import Knocks, payload
 from .recordings import recorded_layers
 
-__all__ = ["LARGEST_PAGE", "Page", "engine", "source", "write_page"]
+__all__ = ["LARGEST_PAGE", "Page", "engine_source", "script_source", "write_page"]
 
-# Bytes: what a mail takes, and a browser opens at once.
+# Bytes: small enough for an e-mail, and for a browser to open without delay.
 LARGEST_PAGE = 1_500_000
-# Bytes of them for the script, the style and the words: 126,000 today, and some room.
+# Bytes reserved for scripts, styles and text: 131,000 today, with a margin.
 OWN = 135_000
-# Modules that know of no page; they become one, which the page's own thread and the audio thread both load.
+# Modules without a user interface. Joined into one, they are loaded by both the main and the audio thread.
 ENGINE = (
-    "contact.js", "engine.js", "prepare.js", "output.js", "change.js", "note.js", "instrument.js", "midi.js",
-    "record.js", "loudness.js",
+    "signal.js", "contact.js", "engine.js", "prepare.js", "output.js", "change.js", "note.js", "instrument.js",
+    "midi.js", "record.js", "loudness.js",
 )  # fmt: skip
-# Where recordings are beside the instrument; the first is the kit's.
+# Additional scripts for pages with recordings; the first is shared by all pages.
 COMPARING = ("audio.js", "compare.js")
 SCRIPTS = ("player.js", "workbench.js", "song.js", "keyboard.js")
-IMPORT = re.compile(r'^import .* from "\./\w+\.js";\n', re.MULTILINE)
+IMPORT = re.compile(r'^import [^;]* from "\./\w+\.js";\n', re.MULTILINE)
 PACKAGE = "pianofit.web"
 
 
 class Page(NamedTuple):
-    """What was written."""
+    """Contents of the written page."""
 
     keys: int
     recorded: int
-    between: int  # keys that are guesses, between recorded ones
-    beyond: int  # and beyond them
-    knocks: Knocks | None  # how they are kept, if the instrument has any
-    layers: int  # recordings that are in it
+    between: int  # keys that are guesses, between recorded keys
+    beyond: int  # keys that are guesses, beyond the recorded range
+    knocks: Knocks | None  # encoding of knocks, if the instrument has any
+    layers: int  # recordings in the page
 
 
 def write_page(path: str | os.PathLike[str], instrument: Instrument, recordings: bool = False) -> Page:
-    """Write an instrument's page, of at most 1.5 MB, whole or not at all.
+    """Write the page of an instrument, of at most 1.5 MB, completely or not at all.
 
     Parameters
     ----------
-    recordings : put every recorded layer into it, to be heard beside its key; they come on top of the 1.5 MB.
+    recordings : include every recorded layer for comparison with its key, in addition to the 1.5 MB.
 
-    Raises `ParameterError` for a felt that a page cannot play, or an instrument or recordings that do not fit;
-    `FitError` if recordings are wanted, and are not there; `OutputError` if `path` cannot be written.
+    Raises `ParameterError` for a felt law that a page cannot play, or an instrument or recordings that are too large.
+    Raises `FitError` if requested recordings are missing, and `OutputError` if `path` cannot be written.
     """
     between, beyond = instrument.unrecorded_counts
     document, knocks = payload(instrument, LARGEST_PAGE - OWN)
     content: dict[str, Any] = {
         "instrument": document,
-        "modules": {"engine": engine(), "worklet": source("worklet.js")},
+        "modules": {"engine": engine_source(), "worklet": script_source("worklet.js")},
         "recorded": sum(key["recorded"] for key in document["keys"]),
         "guesses": unrecorded_text(between, beyond) + _changed(len(instrument.changed)),
         "layers": recorded_layers(instrument) if recordings else {},
@@ -70,15 +70,15 @@ def write_page(path: str | os.PathLike[str], instrument: Instrument, recordings:
 
 
 def _changed(count: int) -> str:
-    """The end of the sentence about guesses, if keys were changed by hand."""
+    """End of the sentence about guesses, if keys were changed by hand."""
     return f"; {count} {'was' if count == 1 else 'were'} changed by hand" if count else ""
 
 
-def engine() -> str:
-    """The modules that know of no page, as one."""
-    return IMPORT.sub("", "".join(map(source, ENGINE)))
+def engine_source() -> str:
+    """Source of the modules without user interface, as one module."""
+    return IMPORT.sub("", "".join(map(script_source, ENGINE)))
 
 
-def source(name: str) -> str:
-    """One of the scripts beside this file."""
+def script_source(name: str) -> str:
+    """Source of a script in this package."""
     return html.asset(name, PACKAGE)

@@ -1,4 +1,4 @@
-"""An instrument as one Faust program: `tables` makes the numbers of a key, `write` the `.dsp`."""
+"""Export to one Faust program: `tables` computes the tables of a key, `write` writes the `.dsp`."""
 
 from .write import Program, write_faust
 
