@@ -1,9 +1,9 @@
 """Do the 95 % intervals hold the truth? Twins with known parameters, fitted, and counted.
 
     python benchmarks/coverage.py                              20 demo twins, and one without any noise
-    python benchmarks/coverage.py --twins model --seeds 100    strings, hammers, paths and strokes drawn at random
-    python benchmarks/coverage.py --twins brute-force --seeds 100 --keep runs.jsonl --page docs/coverage.md
-    python benchmarks/coverage.py --twins same-window --seeds 50   the same, with the contact's window of the program
+    python benchmarks/coverage.py --kind model --seeds 100    strings, hammers, paths and strokes drawn at random
+    python benchmarks/coverage.py --kind brute-force --seeds 100 --keep runs.jsonl --page docs/coverage.md
+    python benchmarks/coverage.py --kind same-window --seeds 50   the same, with the contact's window of the program
 
 A study that was cut off goes on where it stopped with the same `--keep`.
 
@@ -185,7 +185,7 @@ def noise_free() -> tuple[list[str], dict]:
 def main() -> None:
     """Run what was asked for and print it."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--twins", choices=KINDS, default="demo")
+    parser.add_argument("--kind", choices=KINDS, default="demo")
     parser.add_argument("--seeds", type=int, default=20, help="how many twins")
     parser.add_argument("--first", type=int, default=0, help="seed of the first twin")
     parser.add_argument("--noise", type=float, default=60.0, help="of the demo twins, dB below the first second's rms")
@@ -194,16 +194,16 @@ def main() -> None:
     parser.add_argument("--page", type=Path, help="put what is printed into this page, under this kind of twins")
     parser.add_argument("--json", type=Path, help="write all numbers here too")
     options = parser.parse_args()
-    document: dict = {"twins": options.twins, "seeds": options.seeds, "first": options.first}
-    if options.twins == "demo":
+    document: dict = {"twins": options.kind, "seeds": options.seeds, "first": options.first}
+    if options.kind == "demo":
         lines, document["noise_free"] = noise_free()
         print("The demo without noise:", *lines, "", sep="\n")
-    jobs = [(options.twins, seed, options.noise) for seed in range(options.first, options.first + options.seeds)]
+    jobs = [(options.kind, seed, options.noise) for seed in range(options.first, options.first + options.seeds)]
     lines, more = report(fitted(jobs, options.workers, options.keep))
-    lines = [f"{options.seeds} {options.twins} twins:", *lines]
+    lines = [f"{options.seeds} {options.kind} twins:", *lines]
     print(*lines, sep="\n")
     if options.page:
-        into_page(options.page, options.twins, ["```text", *lines, "```"])
+        into_page(options.page, options.kind, ["```text", *lines, "```"])
     if options.json:
         options.json.write_text(json.dumps(document | more, indent=1) + "\n", encoding="utf-8")
 

@@ -285,7 +285,7 @@ def _setup(design: Design, truth: Truth, scale: float | None) -> Setup:
         tables["pickup"] = {"quantity": "velocity", "position": g.pickup, "scale": scale}
         return setup_from_dict(tables, "twin")
     known = {"file": f"layer-{hardest}", "v_H0": truth.velocities[-1]}
-    return setup_from_dict(tables | {"recording": [fixed]}, "twin")
+    return setup_from_dict(tables | {"recording": [known]}, "twin")
 
 
 def values_of(kind: str, truth: Truth, recording: int = -1) -> Values:

@@ -39,7 +39,7 @@ def _opening(document: dict[str, Any]) -> str:
 
 Made by `python benchmarks/table.py --json benchmarks/results.json --docs docs/performance.md`, in less than ten minutes
 on two idle cores; run it again after a change. It needs numba: `pip install -e ".[bench]"`. Times are medians of runs
-that take turns, with the fastest beside them; ratios are medians over the turns.
+that take turns, next to the fastest; ratios are medians over the turns.
 
 Measured on {m["processor"]}, {m["cores"]} cores, load {_list(m["load"])} before and {_list(m["load after"])} after;
 Python {m["python"]}, {versions}.{busy}
@@ -82,7 +82,7 @@ def _side_by_side(document: dict[str, Any]) -> str:
         if "csound prepiano" in p
         else "\n\ncsound was not installed here (`apt install csound`): its row is left out."
     )
-    lines = ["| what | median, ms | fastest, ms | beside it |", "|---|---|---|---|"]
+    lines = ["| what | median, ms | fastest, ms | comparison |", "|---|---|---|---|"]
     lines += [f"| {n} | {1e3 * x['median']:.2f} | {1e3 * x['fastest']:.2f} | {more} |" for n, x, more in rows]
     rates = ["| hammer candidates | a second | fastest | × baseline of 1 s |", "|---|---|---|---|"]
     sized = {"alone": 1} | {f"{x} together": x for x in BATCHES} | {ALL_CORES: int(ALL_CORES.split()[0])}
@@ -128,7 +128,7 @@ def _commands(document: dict[str, Any]) -> str:
     return f"""## Whole commands
 
 A made note of {effort["seconds"]:g} s; the joint fit has {effort["recordings"]} recordings of it, the paper's recipe
-{evaluations:,} evaluations by annealing on the demo's twin. Each runs in a process of its own, Python's start and all
+{evaluations:,} evaluations by annealing on the demo's recording. Each runs in a process of its own, Python's start and all
 imports included, without the page unless it says so. Warm ones have the programs of earlier fits; the cold one has an
 empty cache.
 
@@ -227,8 +227,8 @@ def _reasons(document: dict[str, Any]) -> str:
   core; the contact is a small part of it. The default fit compares partials in closed form instead.
 - **Candidates a second** follow what else the machine does: the median of the turns is {rate:,.0f}, the fastest turn
   {fastest:,.0f}.
-- **Candidates over the baseline's:** the target of 800 was set beside a baseline of 22 ms for a second of signal; the
-  one measured here takes {baseline:.1f} ms. Beside 22 ms these would be {0.022 * rate:,.0f} times the baseline."""
+- **Candidates over the baseline's:** the target of 800 refers to a baseline of 22 ms for a second of signal; the
+  one measured here takes {baseline:.1f} ms. Against 22 ms these would be {0.022 * rate:,.0f} times the baseline."""
 
 
 def _accelerator(document: dict[str, Any]) -> str:

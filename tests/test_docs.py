@@ -148,7 +148,7 @@ def missing(shown: Any, real: Any, where: str = "") -> list[str]:
 
 def ringing_of_a_fit() -> dict[str, Any]:
     """What a fit says of ringing, with the knock that was found, whether or not it was kept."""
-    result = run(ROOT / "docs" / "ringing.md")["result"]
+    result = run(ROOT / "docs" / "modal-response.md")["result"]
     found = modal_response_of(result)
     assert found is not None
     return result.document["ringing"] | ringing_document(found)

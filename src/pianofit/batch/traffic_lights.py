@@ -21,7 +21,7 @@ __all__ = ["LIGHTS", "MATCH", "RING", "TUNING", "Light", "lights"]
 MATCH = (1.0, 3.0)
 # Pitch from equal temperament, cents: most of a piano's stretch lies within 25; past 50 the pitch is another note's.
 TUNING = (25.0, 50.0)
-# A layer that was left out against its recording, dB: the nearest other layer is some 3 dB from it (docs/ringing.md).
+# A layer that was left out against its recording, dB: the nearest other layer is some 3 dB from it (docs/modal-response.md).
 RING = (3.0, 6.0)
 # Column -> unit, in the order of `lights`.
 LIGHTS = {"match": "dB", "tuning": "cents", "ring": "dB", "warnings": ""}
