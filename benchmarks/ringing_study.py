@@ -90,7 +90,7 @@ def found(drawn: Drawn):
     f0, fall = drawn.f0 * (1 + drawn.glide * MEAN), 1731 * drawn.glide * (1 - MEAN)
     analysis: Any = SimpleNamespace(  # as much of an `Analysis` as is read
         f0=f0, B=0.0, partials=SimpleNamespace(number=number, frequency=number * f0), glide_start=fall,
-        glide_error=0.1, fall=PitchGlide(fall, TAU),
+        glide_error=0.1, glide_model=PitchGlide(fall, TAU),
     )  # fmt: skip
     recordings = [replace(recording_from_samples(x, RATE), onset=round(LEAD * RATE)) for x in drawn.samples]
     return {m.number: m for m in modes_of(align_layers(recordings, [analysis] * STROKES), [analysis] * STROKES)}

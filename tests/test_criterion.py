@@ -1,4 +1,4 @@
-"""The paper's criterion against what it stands for: integrals of spectra that are computed here by themselves."""
+"""The paper's criterion compared with integrals of spectra that are computed independently here."""
 
 import numpy as np
 import pytest
@@ -76,10 +76,10 @@ def test_the_criterion_has_no_unit():
         assert value == pytest.approx(values(other, sound)[name], rel=1e-9)
 
 
-def test_a_band_hears_only_its_own_partials():
+def test_a_band_depends_only_on_its_own_partials():
     louder = np.where(band_of(K) == 1, 2.0, 1.0) / K
     found = values(note(louder), note(1.0 / K))
-    assert found["band1"] < 0.01  # what the neighbours' lines leave in its cells
+    assert found["band1"] < 0.01  # from the lines of neighbouring partials
     assert found["band3"] < 0.01
     assert found["band2"] == pytest.approx(9.0, rel=0.01)  # (2² - 1)²
 
@@ -94,7 +94,7 @@ def test_borders_lie_between_partials_and_cells_within_them(f0, inharmonicity, l
     between = [law_frequency(f0, inharmonicity, np.array([k, k + 1])) for k in (1, 8)]
     assert edges == tuple(sorted(edges))
     assert all(low < edge < high for edge, (low, high) in zip(edges[1:3], between, strict=True))
-    # "Midway": no further from the middle of the two partials than the law bends between them.
+    # "Midway": within the curvature of the frequency law between the two partials.
     assert edges[1] == pytest.approx(between[0].mean(), rel=0.02)
     assert edges[2] == pytest.approx(between[1].mean(), rel=0.02)
     resolution = 0.05

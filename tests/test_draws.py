@@ -1,4 +1,4 @@
-"""Draws of the posterior: what each observation says, what a folder keeps of them, and what is refused."""
+"""Posterior draws: the likelihood of each observation, saving and loading, and rejected files."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ INVARIANTS = {"f0": {}, "M_H/M_S": {}}
 
 
 def draws(chains: int = 2, count: int = 30) -> Draws:
-    """Of a fit that never was."""
+    """Random draws of an invented fit."""
     random = np.random.default_rng(3)
     values = {name: random.normal(size=(chains, count)) for name in ("c", "v_H0", "v_H0 2", "f0", "M_H/M_S")}
     seen = {kind: Observations(random.normal(size=n), np.ones(n, int), np.arange(1, n + 1))
@@ -45,7 +45,7 @@ def entry(data: bytes) -> dict:
 
 
 def written(folder: Path, data: bytes) -> Draws | None:
-    """What is read of a file that holds `data`, and whose document says so."""
+    """Draws read from a file that holds `data`, with a matching document."""
     (folder / DRAWS_FILE).write_bytes(data)
     return read_draws(entry(data), folder, INVARIANTS)
 
@@ -55,34 +55,36 @@ def written(folder: Path, data: bytes) -> Draws | None:
 
 @pytest.mark.parametrize("shape", SHAPES)
 def test_an_observation_is_as_likely_as_it_makes_all_the_others(shape):
-    """By dense covariances: log p(y) - log p(y without it), each summed over nodes; and P(below its bound | y)."""
+    """With dense covariances: log p(y) - log p(y without it), summed over nodes, and P(below its bound | y)."""
     t, (residual, w) = table(shape), point(shape)
-    there, y = np.asarray(t.detected).ravel() > 0, residual.ravel()
+    detected, y = np.asarray(t.detected).ravel() > 0, residual.ravel()
     full = {
         node: shared(t, PHI, node) + np.diag((noise(t, PHI) / w).ravel()) for node in np.ndindex(t.log_weight.shape)
     }
 
     def log_density(at: np.ndarray) -> float:
-        each = [t.log_weight[n] + multivariate_normal(np.zeros(len(at)), C[np.ix_(at, at)]).logpdf(y[at])
-                for n, C in full.items()]  # fmt: skip
-        return float(logsumexp(each))
+        by_node = [
+            t.log_weight[n] + multivariate_normal(np.zeros(len(at)), C[np.ix_(at, at)]).logpdf(y[at])
+            for n, C in full.items()
+        ]
+        return float(logsumexp(by_node))
 
-    found, below = pointwise(t, residual, PHI, w)
-    inside = np.flatnonzero(there)
+    density, below = pointwise(t, residual, PHI, w)
+    inside = np.flatnonzero(detected)
     for i in inside[:: max(1, len(inside) // 6)]:
         alone = log_density(inside) - log_density(inside[inside != i])
-        assert found.ravel()[i] == pytest.approx(alone, abs=1e-8)
-    assert not found.ravel()[~there].any()
-    for (r, k), said in zip(np.asarray(t.censored), below, strict=True):
+        assert density.ravel()[i] == pytest.approx(alone, abs=1e-8)
+    assert not density.ravel()[~detected].any()
+    for (r, k), probability in zip(np.asarray(t.censored), below, strict=True):
         at, own = r * t.value.shape[1] + k, noise(t, PHI).ravel()
-        each = []
+        by_node = []
         for n in full:
             latent, C = shared(t, PHI, n), full[n][np.ix_(inside, inside)]
             pull = np.linalg.solve(C, latent[inside, at])
             sd = np.sqrt(latent[at, at] + own[at] - pull @ latent[inside, at])
             weight = t.log_weight[n] + multivariate_normal(np.zeros(len(inside)), C).logpdf(y[inside])
-            each.append(weight - log_density(inside) + norm.logcdf((y[at] - pull @ y[inside]) / sd))
-        assert said == pytest.approx(logsumexp(each), abs=1e-8)
+            by_node.append(weight - log_density(inside) + norm.logcdf((y[at] - pull @ y[inside]) / sd))
+        assert probability == pytest.approx(logsumexp(by_node), abs=1e-8)
 
 
 # --- a file, and back -------------------------------------------------------------------------------------------------
@@ -111,7 +113,7 @@ def test_a_fit_without_draws_has_none(tmp_path):
     data = encode_draws(draws())
     assert read_draws(entry(data), tmp_path, {}) is None, "the file was deleted"
     (tmp_path / DRAWS_FILE).write_bytes(data)
-    assert read_draws(None, tmp_path, {}) is None, "an older fit left it"
+    assert read_draws(None, tmp_path, {}) is None, "the file of an earlier fit"
 
 
 def archive(arrays: dict[str, np.ndarray], compression: int = zipfile.ZIP_STORED) -> bytes:
@@ -132,7 +134,7 @@ HUGE = b"\x93NUMPY\x01\x00" + (118).to_bytes(2, "little") + (
 
 
 def hostile(name: str) -> bytes:
-    """Files of the right hash that hold something else."""
+    """Files with the right hash and other content."""
     own = io.BytesIO()
     with zipfile.ZipFile(own, "w") as file:
         file.writestr("posterior/c.npy", HUGE)
@@ -157,7 +159,7 @@ def test_a_file_that_holds_no_draws_is_refused_in_one_line(name, tmp_path):
     data = hostile(name)
     tracemalloc.start()
     try:
-        with pytest.raises(FitError, match=r"draws\.npz: holds no draws") as caught:
+        with pytest.raises(FitError, match=r"draws\.npz: .*fit again") as caught:
             written(tmp_path, data)
         assert tracemalloc.get_traced_memory()[1] < 1e6 + 8 * len(data)
     finally:
@@ -166,7 +168,7 @@ def test_a_file_that_holds_no_draws_is_refused_in_one_line(name, tmp_path):
 
 
 def test_a_broken_archive_is_refused_or_holds_draws(tmp_path):
-    """Single bytes changed, in the arrays and in the archive's directory, and ends cut off."""
+    """Single bytes are changed in the arrays and the archive's directory, or the end is cut off."""
     data, random = encode_draws(draws(2, 4)), np.random.default_rng(0)
     directory = data.index(b"PK\x01\x02")
     for turn in range(300):
@@ -186,7 +188,7 @@ def test_another_file_than_the_fit_s_is_refused(tmp_path):
 
 
 def test_a_folder_keeps_the_draws(tmp_path):
-    """Saved, read, saved without them: no draws of an earlier fit stay."""
+    """Saved, loaded, and saved again without draws: none of an earlier fit remain."""
     from test_result import result
 
     mine = replace(result(), draws=draws())
@@ -207,7 +209,7 @@ def test_arviz_has_what_a_study_needs(monkeypatch):
     # Other tests put benchmarks/ on the path, whose coverage.py numba would take for the package of that name.
     monkeypatch.delitem(sys.modules, "coverage", raising=False)
     monkeypatch.setattr(sys, "path", [place for place in sys.path if not place.endswith("benchmarks")])
-    with warnings.catch_warnings(action="ignore"):  # of its own plans
+    with warnings.catch_warnings(action="ignore"):  # its deprecation warnings
         pytest.importorskip("arviz")
         data = draws().to_arviz()
     assert {*data.posterior.data_vars} == {*draws()}

@@ -1,4 +1,4 @@
-"""Whole fits, of sounds that the program did not make: brute-force twins whose truth is known, and real notes."""
+"""Whole fits of brute-force synthetic recordings with known parameters, and of real notes."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from pianofit.io.files import FIT_SCHEMA
 from pianofit.parameters import FIT_NAMES, PARAMETERS, check
 from pianofit.recording.recording import load_recording
 from pianofit.report.build import known_of
-from pianofit.result.identifiability import STATUSES, _beyond_a_pianist, _compared, _out_of_line
+from pianofit.result.identifiability import STATUSES, _implausible_velocities, _outlying_recordings, _path_compared
 from pianofit.setup import setup_from_dict
 
 # --- calibrated -------------------------------------------------------------------------------------------------------
@@ -53,7 +53,7 @@ def test_a_calibrated_strike_is_read_back():
     assert document["recordings"][0]["gain"] == pytest.approx(1 / FIRST.scale)
 
 
-def test_the_twin_really_is_another_string_than_the_start():
+def test_the_true_parameters_differ_from_the_initial_ones():
     initial = {name: {"value": p["initial"]} for name, p in calibrated().document["parameters"].items()}
     off = errors({"parameters": initial, "derived": calibrated().document["derived"]}, FIRST)
     assert off["felt"] > 5 * FELT
@@ -66,7 +66,7 @@ def test_intervals_hold_the_truth_or_come_close():
     for name, true in FIRST.values.items():
         low, high = np.log(parameters[name]["interval"])
         middle, sd = (low + high) / 2, (high - low) / 4
-        # Beside noise there is the window of the twin, which the model does not know, and the steps of both.
+        # The error has more causes than noise: another contact window, and the time steps of both simulations.
         assert abs(np.log(true) - middle) < 5 * sd + 5e-3, name
 
 
@@ -84,8 +84,8 @@ def test_the_criterion_falls_in_every_band_and_the_sound_is_the_recording():
         assert values["final"] < 1e-3 * values["initial"]
         assert values["final"] < 1e-3
     rest = result.fitted.samples - result.recording.samples
-    heard = slice(result.recording.onset, result.recording.onset + result.recording.rate)
-    assert np.sqrt(np.mean(rest[heard] ** 2) / np.mean(result.recording.samples[heard] ** 2)) < 0.02
+    attack = slice(result.recording.onset, result.recording.onset + result.recording.rate)
+    assert np.sqrt(np.mean(rest[attack] ** 2) / np.mean(result.recording.samples[attack] ** 2)) < 0.02
 
 
 def test_the_document_is_what_the_design_says():
@@ -108,7 +108,7 @@ def test_the_document_is_what_the_design_says():
     assert {"file", "sha256", "v_H0", "gain"} <= set(document["recordings"][0])
     assert document["recordings"][0]["channel"] == "mono"
     assert document["criterion"]["dropped"] == []
-    assert all(isinstance(said, str) and said.isprintable() for said in (*document["messages"], document["claims"]))
+    assert all(isinstance(text, str) and text.isprintable() for text in (*document["messages"], document["claims"]))
 
 
 # --- uncalibrated -----------------------------------------------------------------------------------------------------
@@ -117,11 +117,11 @@ def test_the_document_is_what_the_design_says():
 def test_one_uncalibrated_recording_does_not_fix_the_felt_and_says_so_first():
     document = uncalibrated().document
     states = {name: p["status"] for name, p in document["parameters"].items()}
-    assert document["claims"].startswith("One uncalibrated recording does not fix the felt")
+    assert document["claims"].startswith("One uncalibrated recording does not determine")
     assert all(states[name] in ("not-identifiable", "at-bound") for name in DEFAULT_LAW.parameters)
     assert all(states[name] == "not-identifiable" for name in ("v_H0", "mu"))
     assert states["L"] == states["M_S"] == states["width"] == "assumed"
-    # What rests on an assumed length is no finding; what does not, is.
+    # Values that depend on an assumed length are scaled, the others fitted.
     assert all(states[name] == "scaled" for name in ("c", "kappa", "b2"))
     assert "length" in document["parameters"]["c"]["note"]
     assert states["b1"] == "fitted"
@@ -130,7 +130,7 @@ def test_one_uncalibrated_recording_does_not_fix_the_felt_and_says_so_first():
         "F/M_S": "not-identifiable",
     }  # fmt: skip
     assert document["recordings"][0]["gain_status"] == "fitted"
-    # Of one recording velocities, strike and path do nearly all that the fitted hammer does.
+    # Velocities, strike and output path explain a single recording nearly as well as the fitted hammer.
     levels = document["levels"]
     assert levels["fitted_db"] < levels["path_only_db"] + 0.1 < 0.2 * levels["initial_db"]
 
@@ -148,7 +148,7 @@ def test_a_fit_improves_on_its_start():
     assert document["levels"]["fitted_db"] < document["levels"]["initial_db"]
     for name in ("global", "band1", "band2", "band3"):
         values = document["criterion"][name]
-        # The string's own band is right from the start; a path that differs from partial to partial delays it by 1 ms.
+        # Band 1 is right from the start; the rough output path delays it by 1 ms.
         assert values["final"] < max(values["initial"], 0.03)
     assert document["criterion"]["global"]["final"] < 0.3 * document["criterion"]["global"]["initial"]
 
@@ -160,54 +160,54 @@ def test_a_fit_improves_on_its_start():
 )  # fmt: skip
 def test_recordings_that_are_met_twice_as_badly_as_the_others_are_named(errors, named):
     recordings = [SimpleNamespace(path=f"some/layer-{i}.wav") for i in range(len(errors))]
-    for group, word in ((0, "needs a group"), (1, "has a group of its own")):
+    for group, word in ((0, "its own group"), (1, "has a group of its own")):
         layout = SimpleNamespace(group=[i * group for i in range(len(errors))])
-        said = _out_of_line(SimpleNamespace(problem=SimpleNamespace(recordings=recordings, layout=layout)), errors)
-        assert [text.split(":")[0] for text in said] == [f"layer-{i}.wav" for i in named]
-        assert all(word in text for text in said)
+        warnings = _outlying_recordings(
+            SimpleNamespace(problem=SimpleNamespace(recordings=recordings, layout=layout)), errors
+        )
+        assert [text.split(":")[0] for text in warnings] == [f"layer-{i}.wav" for i in named]
+        assert all(word in text for text in warnings)
 
 
 @pytest.mark.parametrize(
-    ("group", "velocity", "told"),
+    ("group", "velocity", "compared"),
     [((0, 0), (2.0, 2.6), True), ((0, 0), (2.0, 2.1), False), ((0,), (2.0,), False),
      ((0, 0, 1), (2.0, 2.1, 4.0), False), ((0, 1, 1), (2.0, 2.1, 4.0), True)],
 )  # fmt: skip
-def test_only_strokes_of_one_path_whose_velocities_certainly_differ_are_compared(group, velocity, told):
-    """Round robins, and a stroke in two files, say no more of the felt than one."""
+def test_only_strokes_of_one_path_whose_velocities_certainly_differ_are_compared(group, velocity, compared):
+    """Equal velocities, and one stroke in two files, give no more information on the felt than one recording."""
     z, strokes = np.log(np.array([1.0, 1.0, *velocity])), len(velocity)
     layout = RecordingStructure(tuple(range(strokes)), group, tuple(range(strokes)))
     problem = SimpleNamespace(unknowns=SimpleNamespace(size=len(z), shared=2), layout=layout)
     posterior = Posterior(z[None], 0.05**2 * np.eye(len(z))[None], np.ones(1))
-    assert _compared(SimpleNamespace(problem=problem, found=SimpleNamespace(z=z), posterior=posterior)) == told
+    assert _path_compared(SimpleNamespace(problem=problem, found=SimpleNamespace(z=z), posterior=posterior)) == compared
 
 
-@pytest.mark.parametrize(
-    ("ratio", "spread", "said"), [(19.0, 0.1, ""), (40.0, 0.5, ""), (60.0, 0.1, "60 times (49.3 to 73")]
-)
-def test_strokes_farther_apart_than_a_pianists_are_told(ratio, spread, said):
+@pytest.mark.parametrize(("ratio", "spread", "part"), [(19.0, 0.1, ""), (40.0, 0.5, ""), (60.0, 0.1, "60 (49.3 to 73")])
+def test_velocity_ratios_beyond_a_pianist_are_reported(ratio, spread, part):
     problem = SimpleNamespace(unknowns=SimpleNamespace(size=5, shared=2))
     z = np.array([9.0, -9.0, 0.3, 0.1, 0.1 + np.log(ratio)])
     posterior = Posterior(z[None], np.diag([9, 9, 9, 0, spread**2])[None], np.ones(1))
-    text = _beyond_a_pianist(SimpleNamespace(problem=problem, found=SimpleNamespace(z=z), posterior=posterior))
-    assert said in text
-    assert bool(text) == bool(said)
+    text = _implausible_velocities(SimpleNamespace(problem=problem, found=SimpleNamespace(z=z), posterior=posterior))
+    assert part in text
+    assert bool(text) == bool(part)
 
 
-# --- what no assumption enters ----------------------------------------------------------------------------------------
+# --- assumption-free quantities ---------------------------------------------------------------------------------------
 
 
 def test_invariants_need_no_measured_velocity():
-    """Three strokes through a path with no velocity measured: only ratios and products are known, and they are."""
+    """Three strokes through one output path without a measured velocity determine ratios and products."""
     recordings, analyses = through(SEVERAL)
     found = fit_recordings(recordings, analyses, strokes_of(SEVERAL, measured=False))
     document = found.document
-    # Read back it has no recordings, and the correlations of its page: at the velocity of the same reference.
+    # A loaded fit has no recordings, but its page has the same correlations, at the same reference velocity.
     back = dataclasses.replace(found, recordings=(), reference_index=0)
     assert found.reference_index > 0
     np.testing.assert_array_equal(known_of(back).correlation, known_of(found).correlation)
     invariants, g = document["invariants"], FIRST.geometry
     pressed = float(invariants["F/M_S"]["note"].split(" at ")[1].split(" mm")[0]) / 1e3
-    # The scale is the velocity's own: a force at a compression goes with its square.
+    # Fitted velocities are scaled by a common factor, and so are compressions and forces.
     scale = next(t["v_H0"] for t in document["recordings"] if t["first"]) / VELOCITIES[2]
     true = {
         "f0": FIRST.f0,
@@ -219,7 +219,7 @@ def test_invariants_need_no_measured_velocity():
         "F/M_S": FIRST.hammer.K_H * (pressed / scale) ** FIRST.hammer.p * scale / g.mass,
     }
     assert set(invariants) == set(true)
-    # The strike's position was given.
+    # The strike position was given.
     given = {"x0/L": "given", "F/M_S": "scaled"}
     assert {name: entry["status"] for name, entry in invariants.items()} == dict.fromkeys(true, "fitted") | given
     for name, value in true.items():
@@ -227,7 +227,7 @@ def test_invariants_need_no_measured_velocity():
     for name in ("v/v_ref 1", "v/v_ref 2", "M_H/M_S"):
         low, high = invariants[name]["interval"]
         assert np.log(high / low) < 0.1, name
-    # Its own scale is the prior's, and is said to be.
+    # The scale of the velocities comes from the prior, and the statement says so.
     low, high = document["parameters"]["v_H0"]["interval"]
     assert np.log(high / low) > 1.0
     states = {name: p["status"] for name, p in document["parameters"].items()}
@@ -249,7 +249,7 @@ def test_shares_of_the_minima_are_those_of_the_notes():
             assert result.document["parameters"][name]["value"] == pytest.approx(value)
 
 
-# --- what was said beforehand -----------------------------------------------------------------------------------------
+# --- given values -----------------------------------------------------------------------------------------------------
 
 
 def test_known_values_and_bounds_hold_exactly():
@@ -265,7 +265,7 @@ def test_known_values_and_bounds_hold_exactly():
         assert low * (1 - 1e-9) <= parameters[name]["value"] <= high * (1 + 1e-9)
     pressed = [name for name in bounds if parameters[name]["status"] == "at-bound"]
     assert pressed
-    assert any(all(name in said for name in pressed) for said in result.document["messages"])
+    assert any(all(name in text for name in pressed) for text in result.document["messages"])
 
 
 def test_a_measured_velocity_overrides_the_setups():
@@ -310,9 +310,9 @@ def test_one_recording_of_a_real_note_is_fitted_and_says_how_well(recordings, na
     assert document["criterion"]["global"]["final"] < document["criterion"]["global"]["initial"]
     for band in {"band1", "band2", "band3"} - set(document["criterion"]["dropped"]):
         values = document["criterion"][band]
-        # A soundboard's jagged path can leave a band worse; then the fit has to say so.
-        said = any(band in m for m in document["messages"] if "criterion" in m)
-        assert said == (values["final"] >= values["initial"]), band
+        # The irregular output path of a soundboard can leave a band worse. Then a message must name it.
+        named = any(band in m for m in document["messages"] if "criterion" in m)
+        assert named == (values["final"] >= values["initial"]), band
 
 
 # --- the study --------------------------------------------------------------------------------------------------------
@@ -320,7 +320,7 @@ def test_one_recording_of_a_real_note_is_fitted_and_says_how_well(recordings, na
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(20))
-def test_random_twins_are_read_back(seed):
+def test_random_parameters_are_recovered(seed):
     truth = random_truth(seed)
     window = ("parabola", "triangle", "biweight")[seed % 3]
     document = fit_twin(record(truth, window=window, rate=(48_000, 44_100)[seed % 2]), setup_of(truth)).document

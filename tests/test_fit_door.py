@@ -1,4 +1,4 @@
-"""`pianofit.fit`: recordings and a setup in any form, what cannot be asked for, and how far it has come."""
+"""`pianofit.fit`: recordings and a setup in any form, invalid arguments, and progress."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ RATE = 44_100
 TIME = np.arange(RATE) / RATE
 PARTIALS = sum(np.exp(-3 * TIME) * np.sin(2 * np.pi * 440.0 * k * TIME) / k for k in range(1, 9))
 NOISE = 1e-4 * np.random.default_rng(0).standard_normal(RATE + 4410)
-# What a file of 32 bit floats holds.
+# Rounded to 32 bit floats, as in a file.
 SAMPLES = (np.pad(0.3 * PARTIALS, (4410, 0)) + NOISE).astype(np.float32).astype(float)
 TABLES = {"string": {"length": 0.4}, "fixed": {"M_H": 5e-3}, "recording": [{"v_H0": 2.0}]}
-TEXT = "[string]\nlength = 0.4\n[known]\nM_H = 5e-3\n[[take]]\nv_H0 = 2.0\n"
+TEXT = "[string]\nlength = 0.4\n[fixed]\nM_H = 5e-3\n[[recording]]\nv_H0 = 2.0\n"
 
 
 @pytest.fixture
 def asked(monkeypatch) -> list[SimpleNamespace]:
-    """What the estimator is asked for, instead of a fit."""
+    """Arguments of the inference, which is not run."""
     calls: list[SimpleNamespace] = []
 
     def estimator(recordings, analyses, setup, **more: Any) -> str:
         calls.append(SimpleNamespace(recordings=recordings, analyses=analyses, setup=setup, **more))
         return "fitted"
 
-    monkeypatch.setattr("pianofit.inference.pipeline", estimator)
+    monkeypatch.setattr("pianofit.inference.run_inference", estimator)
     monkeypatch.setattr("pianofit.result.build_result", lambda found: found)
     monkeypatch.setattr("pianofit.modal_response.fit_modal_response", lambda found, _: found)
     return calls
@@ -86,7 +86,7 @@ def test_what_was_known_comes_in_any_form(asked, file):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "options", "error", "said"),
+    ("arguments", "options", "error", "named"),
     [
         ((), {}, ParameterError, "no recording"),
         (([(SAMPLES, RATE)],), {}, ParameterError, "recording 1 = "),
@@ -109,10 +109,10 @@ def test_what_was_known_comes_in_any_form(asked, file):
         (((SAMPLES, RATE),), {"velocity": 3.0, "setup": {"bounds": {"v_H0": [1, 2]}}}, SetupError, "velocity=3.0"),
     ],
 )
-def test_what_cannot_be_used_is_refused(asked, arguments, options, error, said):
+def test_what_cannot_be_used_is_refused(asked, arguments, options, error, named):
     with pytest.raises(error) as caught:
         pianofit.fit(*arguments, **options)
-    assert said in str(caught.value)
+    assert named in str(caught.value)
     assert not asked
 
 
@@ -130,7 +130,7 @@ def test_progress_goes_where_it_is_asked_to(asked, file, capsys, monkeypatch):
     pianofit.fit(file, note="A4", progress=lambda stage, _: seen.append(stage))
     assert seen == ["reading", "partials", "sounds"]
     pianofit.fit(file, note="A4")
-    assert capsys.readouterr().err == "", "no terminal, no notebook, nothing"
+    assert capsys.readouterr().err == "", "no output without a terminal or a notebook"
     monkeypatch.setitem(sys.modules, "ipykernel", SimpleNamespace())
     pianofit.fit(file, note="A4")
     assert "partials" in capsys.readouterr().err

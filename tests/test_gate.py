@@ -1,7 +1,7 @@
-"""A gate that no constant can drift past: four kinds of measurement with a known truth, and real notes left out.
+"""Regression bounds on accuracy: four kinds of synthetic measurement, and prediction of real notes.
 
-Every twin is made twice, by brute force and by the model at another rate and a far finer step. The bounds are about
-twice what was found when they were written; where a change makes a fit worse than that, something has become worse.
+Every synthetic recording is made twice, by brute force and by the model at another rate and a much finer step. The
+bounds are about twice the errors found when they were written.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ def test_a_layer_that_was_left_out_is_predicted(note, layers, left_out, worst_db
     result = fit_recordings(recordings, [analyse(r, note=note) for r in recordings])
     for row in result.document["recordings"]:
         assert row["levels"]["fitted_db"] < row["levels"]["initial_db"]
-        # Of eq. 19 only the whole: a cent of pitch decides over the narrow peaks of band 1, and has no part in the fit.
+        # Only the total of eq. 19: one cent of pitch, which the fit ignores, dominates the narrow peaks of band 1.
         assert row["criterion"]["global"]["final"] < row["criterion"]["global"]["initial"]
     assert result.document["claims"]
     recording = load_recording(FOLDER / f"{left_out}.flac")

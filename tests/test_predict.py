@@ -1,4 +1,4 @@
-"""Which velocity suits a recording's levels."""
+"""Prediction of a recording: velocity, gains and velocity discrepancy."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pianofit.result.prediction import predict_recording
 
 @pytest.mark.parametrize("velocity", [0.4, 1.3])
 def test_a_treble_note_is_played_at_its_velocity(velocity):
-    """Levels of its few partials rise and fall with the velocity: others suit nearly as well, at another gain."""
+    """Levels of its few partials oscillate with velocity, so other velocities fit nearly as well at another gain."""
     it = pianofit.typical(91)
     note = pianofit.Note(it.string, it.hammer, it.geometry, "bridge-force", gain=0.01)
     number = np.arange(1, 5)
@@ -38,22 +38,22 @@ def test_a_recording_comes_in_any_form(tmp_path):
 
 
 def test_what_strokes_leave_is_taken_along():
-    """Partials of a stroke between two known ones lie where these have them, beside hammer and path."""
+    """The velocity discrepancy is interpolated between fitted velocities and constant beyond them."""
     it, count = pianofit.typical(53), 20
     note = pianofit.Note(it.string, it.hammer, it.geometry, "bridge-force", gain=0.01)
-    known, left = np.array([0.5, 1.0, 3.0]), np.random.default_rng(1).normal(0, 3, (3, count))
-    path = OutputPath(note.frequencies(count), np.zeros(count), None, VelocityDiscrepancy(known, left))
-    for velocity, over in ((1.0, left[1]), (np.sqrt(3.0), left[1:].mean(axis=0)), (5.0, left[2])):
+    velocities, discrepancy = np.array([0.5, 1.0, 3.0]), np.random.default_rng(1).normal(0, 3, (3, count))
+    path = OutputPath(note.frequencies(count), np.zeros(count), None, VelocityDiscrepancy(velocities, discrepancy))
+    for velocity, over in ((1.0, discrepancy[1]), (np.sqrt(3.0), discrepancy[1:].mean(axis=0)), (5.0, discrepancy[2])):
         level = note.levels(velocity, count) + over
-        heard = analysis(np.arange(1, count + 1), level, f0=it.string.c / (2 * it.geometry.length))
-        found = predict_recording(note._replace(path=path), heard)
+        recorded = analysis(np.arange(1, count + 1), level, f0=it.string.c / (2 * it.geometry.length))
+        found = predict_recording(note._replace(path=path), recorded)
         assert found.error_db < 0.05
         assert found.velocity == pytest.approx(velocity, rel=0.01)
-        assert predict_recording(note._replace(path=path._replace(wander=None)), heard).error_db > 1.0
+        assert predict_recording(note._replace(path=path._replace(wander=None)), recorded).error_db > 1.0
 
 
 def test_gains_that_agree_answer_for_the_next():
-    """A density of the next gain; the others say whether it is one gain, as their joint density does."""
+    """`log_gain` is a density of the next gain, and is narrow if the others agree."""
     grid = np.linspace(-200, 200, 4001)
     for others in ((0.0,), (0.0, 0.4, -0.3, 0.1), (0.0, -14.0, 9.0)):
         density = np.exp([log_gain(gain, others) for gain in grid])
@@ -61,7 +61,7 @@ def test_gains_that_agree_answer_for_the_next():
     away = [log_gain(15.0, others) for others in ((0.0, 0.4, -0.3, 0.1), (0.0,), (0.0, -14.0, 9.0))]
     assert away[0] < away[1] - 5
     assert away[1] < away[2]
-    # By Bayes: p(a, b, c) is the same in whichever order gains are learned.
+    # By Bayes p(a, b, c) does not depend on the order of the gains.
     one = log_gain(3.0, (0.0,)) + log_gain(-1.0, (0.0, 3.0))
     assert one == pytest.approx(log_gain(-1.0, (0.0,)) + log_gain(3.0, (0.0, -1.0)), abs=1e-9)
 

@@ -1,4 +1,4 @@
-"""A fit that was read back: what it shows without its recording, and all of it with the file that was fitted."""
+"""A loaded fit: its content without the recording, and all of it with the original file."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from pianofit.result.reload import levels_of
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory) -> tuple[pianofit.Result, Path]:
-    """The fit of a file, which rings by its modes, and the folder that it was saved to."""
+    """The fit of a file, with a modal response, and the folder that it was saved to."""
     place = tmp_path_factory.mktemp("recall")
     recording = record_model(FIRST, quantity="bridge-force", seconds=1.5)
     (place / "note.wav").write_bytes(pianofit.encode_wav(recording.samples, recording.rate))
@@ -29,14 +29,14 @@ def made(tmp_path_factory) -> tuple[pianofit.Result, Path]:
 
 
 def copied(folder: Path, name: str, document: dict) -> Path:
-    """The folder with another document."""
+    """A copy of the folder with another document."""
     place = shutil.copytree(folder, folder.with_name(name), dirs_exist_ok=True)
     (place / "fit.json").write_text(json.dumps(document))
     return place
 
 
 def alike(one: np.ndarray, other: np.ndarray, share: float = 1e-9) -> None:
-    """To a share of the largest."""
+    """Compare relative to the largest value."""
     np.testing.assert_allclose(one, other, atol=share * np.nanmax(np.abs(other)), rtol=1e-9)
 
 
@@ -45,7 +45,7 @@ def test_what_needs_no_recording_is_shown_without_it(made, monkeypatch):
     plt.switch_backend("Agg")
     result, folder = made
     back = pianofit.Result.load(folder)
-    monkeypatch.setattr("pianofit.result.reload.recalled", None)  # not to be called
+    monkeypatch.setattr("pianofit.result.reload.reload_recordings", None)  # not to be called
     contact, levels = build.contact_curves(back), build.level_curves(back)
     fresh = build.reference_curves(result)
     for name in ("initial", "fitted"):
@@ -72,20 +72,20 @@ def test_with_its_recording_it_is_the_result_that_was_saved(made):
         np.testing.assert_array_equal(getattr(one.recording, name), getattr(other.recording, name))
     for field in dataclasses.fields(one.analysis.partials):
         np.testing.assert_array_equal(getattr(one.partials, field.name), getattr(other.partials, field.name))
-    for mine, theirs in ((one.initial, other.initial), (one.fitted, other.fitted), (one.as_played, other.played)):
+    for mine, theirs in ((one.initial, other.initial), (one.fitted, other.fitted), (one.as_played, other.as_played)):
         alike(mine.samples, theirs.samples, 1e-6)
         alike(mine.level, theirs.level)
     assert (one.criterion, one.levels) == (other.criterion, other.levels)
     assert (one.ringing is None) == (other.ringing is None)
     assert back.recording is back.recording, "read once"
     assert back.plot.spectrum().has_data()
-    # From elsewhere too, and as an array of the same bytes it is not the file.
+    # A moved file is accepted. An array of its samples is not, since its SHA-256 differs.
     moved = Path(other.recording.path).with_name("moved.wav")
     moved.write_bytes(Path(other.recording.path).read_bytes())
     assert back.with_recordings(moved).recording.path == str(moved)
     with pytest.raises(FitError, match="SHA-256"):
         back.with_recordings((other.recording.samples, other.recording.rate))
-    with pytest.raises(FitError, match="2 recordings were given"):
+    with pytest.raises(FitError, match="2 recordings"):
         back.with_recordings(moved, moved)
 
 
@@ -118,12 +118,12 @@ def test_a_fit_that_was_read_back_is_saved_with_its_page(made):
     alike(one, other, 1e-5)
 
 
-def test_an_older_file_says_what_it_lacks(made):
+def test_missing_levels_and_initial_values_are_named(made):
     _, folder = made
     document = json.loads((folder / "fit.json").read_text())
     for row in document["recordings"]:
         del row["partials"], row["v_H0_initial"]
-    back = pianofit.Result.load(copied(folder, "older", document))
+    back = pianofit.Result.load(copied(folder, "incomplete", document))
     with pytest.raises(FitError, match="levels of recordings"):
         levels_of(back.document, 0)
     with pytest.raises(FitError, match="initial v_H0"):

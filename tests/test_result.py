@@ -1,4 +1,4 @@
-"""A result as a program and a notebook hold it: numbers by name, tables, figures, a folder and back."""
+"""A result: quantities by name, tables, figures, saving and loading."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ HOSTILE = '<script>alert("x")</script>'
 
 @functools.cache
 def result() -> pianofit.Result:
-    """One calibrated fit, made by the model itself."""
+    """One calibrated fit of a sound made by the model itself."""
     return pianofit.fit(record_model(FIRST, seconds=1.5), setup=setup_of(FIRST), progress=False)
 
 
@@ -38,7 +38,7 @@ def saved(tmp_path) -> Path:
 
 
 def hostile() -> pianofit.Result:
-    """The same with names, notes and sentences that are code."""
+    """The same result with HTML code in names, notes and sentences."""
     document = result().to_dict()
     document["claims"] = HOSTILE
     document["messages"] = [HOSTILE]
@@ -91,7 +91,7 @@ def test_the_covariance_is_that_of_the_intervals():
     assert covariance.names[:2] == ("c", "kappa")
     assert covariance.names[-1] == "v_H0"
     assert covariance["c", "kappa"] == covariance["kappa", "c"]
-    with pytest.raises(KeyError, match="'kapa' is not there; did you mean kappa"):
+    with pytest.raises(KeyError, match=r"'kapa'.*did you mean kappa"):
         _ = covariance["c", "kapa"]
     for name in ("c", "b1", "M_H", "v_H0"):
         low, high = result().parameters[name].interval
@@ -102,7 +102,7 @@ def test_the_covariance_is_that_of_the_intervals():
     assert "epsilon" not in correlation.names
 
 
-# --- to look at -------------------------------------------------------------------------------------------------------
+# --- display ----------------------------------------------------------------------------------------------------------
 
 
 def test_what_a_prompt_shows_is_short():
@@ -153,12 +153,12 @@ def test_the_figures_show_this_fit():
     }  # fmt: skip
     lines = {line.get_label(): line for line in result().plot.envelopes(number=2).lines}
     assert "partial 2, " in lines["law"].axes.get_title(loc="left")
-    with pytest.raises(ParameterError, match=r"number=0 is no partial of this recording; choose one of \[1, 2"):
+    with pytest.raises(ParameterError, match=r"number=0 .*\[1, 2"):
         result().plot.envelopes(number=0)
     plt.close("all")
 
 
-# --- to take elsewhere ------------------------------------------------------------------------------------------------
+# --- export -----------------------------------------------------------------------------------------------------------
 
 
 def test_a_table_is_written_without_pandas(tmp_path, monkeypatch):
@@ -197,12 +197,12 @@ def test_tables_for_pandas():
 
 
 def test_draws_for_arviz(monkeypatch):
-    # Other tests put benchmarks/ on the path, whose coverage.py numba would take for the package of that name.
+    # Other tests put benchmarks/ on the path. Numba would import its coverage.py as the package of that name.
     monkeypatch.delitem(sys.modules, "coverage", raising=False)
     monkeypatch.setattr(sys, "path", [place for place in sys.path if not place.endswith("benchmarks")])
     with pytest.raises(FitError, match="intervals='posterior'"):
         result().to_arviz()
-    with warnings.catch_warnings(action="ignore"):  # of its own plans
+    with warnings.catch_warnings(action="ignore"):  # its deprecation warnings
         pytest.importorskip("arviz")
     draws = np.random.default_rng(0).normal(size=(2, 50))
     posterior = replace(result(), draws=Draws({"p": draws})).to_arviz().posterior
@@ -216,7 +216,7 @@ def test_a_dict_is_a_copy():
     assert mine["claims"] == result().claims
 
 
-# --- a folder, and back -----------------------------------------------------------------------------------------------
+# --- saving and loading -----------------------------------------------------------------------------------------------
 
 
 def test_a_result_is_saved_and_read_back(saved):
@@ -242,23 +242,23 @@ def test_what_a_file_does_not_hold_is_said(saved):
         lambda: back.save(saved / "again"), lambda: back.report(saved),
     ]  # fmt: skip
     for call in calls:
-        with pytest.raises(FitError, match=r"^twin: .*with_recordings"):
+        with pytest.raises(FitError, match=r"^synthetic: .*with_recordings"):
             call()
     drawn = {name: entry | {"interval_by": "posterior"} for name, entry in result().document["parameters"].items()}
-    (saved / "older.json").write_text(json.dumps(result().document | {"parameters": drawn}))
+    (saved / "changed.json").write_text(json.dumps(result().document | {"parameters": drawn}))
     with pytest.raises(FitError, match=r"draws\.npz"):
-        pianofit.Result.load(saved / "older.json").to_arviz()
+        pianofit.Result.load(saved / "changed.json").to_arviz()
     with pytest.raises(FitError, match="intervals='posterior'"):
         back.to_arviz()
     assert back.covariance.names == result().covariance.names
     np.testing.assert_allclose(back.covariance.matrix, result().covariance.matrix, rtol=1e-12)
     assert back.plot.correlations().get_title() == result().plot.correlations().get_title()
-    for held in (None, {"names": ["c"], "matrix": [[1.0, 0.0]]}, {"names": ["c"], "matrix": [["x"]]}):
-        older = json.loads((saved / "fit.json").read_text()) | {"covariance": held}
-        (saved / "older.json").write_text(json.dumps(older))
+    for entry in (None, {"names": ["c"], "matrix": [[1.0, 0.0]]}, {"names": ["c"], "matrix": [["x"]]}):
+        changed = json.loads((saved / "fit.json").read_text()) | {"covariance": entry}
+        (saved / "changed.json").write_text(json.dumps(changed))
         with pytest.raises(FitError, match="covariance"):
-            _ = pianofit.Result.load(saved / "older.json").covariance
-    (saved / "older.json").unlink()
+            _ = pianofit.Result.load(saved / "changed.json").covariance
+    (saved / "changed.json").unlink()
     assert sorted(file.name for file in saved.iterdir()) == ["fit.json", "fitted.wav", "initial.wav"]
 
 
@@ -271,7 +271,7 @@ def test_a_folder_in_use_is_kept(saved):
 
 
 def test_an_earlier_page_is_there_until_the_new_one_is(saved, monkeypatch):
-    """To make a page takes seconds: a process that is killed meanwhile leaves the whole of what was there."""
+    """Writing a page takes seconds. A process that is killed meanwhile leaves the earlier files complete."""
     from pianofit.report import save
 
     (saved / "report.html").write_text("of an earlier fit")
@@ -290,13 +290,13 @@ def test_an_earlier_page_is_there_until_the_new_one_is(saved, monkeypatch):
 
 
 def test_every_recording_has_a_sound_of_its_own(tmp_path):
-    """Also where two of them have one name in two folders."""
+    """Also if two recordings have the same name in two folders."""
     first = result().reference
     other = replace(first, recording=replace(first.recording, path="soft/a.wav"))
     alike = replace(first, recording=replace(first.recording, path="loud/a.wav", rate=44_100))
     three = replace(result(), recordings=(first, other, alike))
     names = sorted(file.name for file in three.save(tmp_path / "fit", page=False).glob("fitted-*"))
-    assert names == ["fitted-a-2.wav", "fitted-a-3.wav", "fitted-twin.wav"]
+    assert names == ["fitted-a-2.wav", "fitted-a-3.wav", "fitted-synthetic.wav"]
     assert soundfile.info(tmp_path / "fit" / "fitted-a-3.wav").samplerate == 44_100
     assert soundfile.info(tmp_path / "fit" / "fitted-a-2.wav").samplerate == first.recording.rate != 44_100
 
@@ -308,17 +308,17 @@ def test_the_page_goes_where_it_is_asked_to(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "named"),
     [
         ({"schema": 99}, "99"),
-        ({"claims": None}, "is not whole"),
-        ({"messages": 3}, "is not whole"),
-        ({"invariants": {"f0": {"value": None}}}, "is not whole"),
+        ({"claims": None}, "is incomplete"),
+        ({"messages": 3}, "is incomplete"),
+        ({"invariants": {"f0": {"value": None}}}, "is incomplete"),
         ({"parameters": {}}, "c"),
     ],
 )
-def test_a_file_that_is_no_fit_is_refused(saved, change, said):
+def test_a_file_that_is_no_fit_is_refused(saved, change, named):
     (saved / "fit.json").write_text(json.dumps(result().document | change))
     with pytest.raises(FitError, match=r"fit\.json: ") as caught:
         pianofit.Result.load(saved)
-    assert said in str(caught.value)
+    assert named in str(caught.value)

@@ -36,13 +36,13 @@ def test_the_samples_are_the_signal_over_the_scale():
     assert not fixed.samples[:lead].any()
     strike = pianofit.simulate(*PARTS, rate=RATE)
     witness = strike.waveform(RATE, len(fixed.samples) - lead)
-    # The contact is followed in shorter steps than those of `simulate`, whose error is of the order of 1e-3.
+    # The contact uses shorter steps than `simulate`, whose error is of the order of 1e-3.
     assert np.abs(8.0 * fixed.samples[lead:] - witness).max() < 5e-3 * np.abs(witness).max()
     assert len(fixed.samples) == round(1.2 * RATE)
 
 
 def test_steps_as_short_as_these_no_longer_matter():
-    """Halving the step changes the force by a quarter of its error at the most."""
+    """Halving the step changes the force by at most a quarter of its error."""
     force = made().simulation.pulse.force
     step = float(made().simulation.modes.step)
     finer = pianofit.simulate(*PARTS, rate=RATE, oversampling=round(2 / (step * RATE)))
@@ -108,7 +108,7 @@ def test_what_cannot_be_recorded_is_named(more, named):
 
 
 def test_a_fit_recovers_what_was_simulated(tmp_path, capsys):
-    """By the files alone: `simulate` writes sound and setup, `fit` reads them."""
+    """Through files only: `simulate` writes sound and setup, `fit` reads them."""
     sound, setup = tmp_path / "note.wav", tmp_path / "setup.toml"
     place = ("--quantity", "velocity", "--pickup", "0.3", "--strike", "0.11", "--scale", "8", "--noise", "60")
     simulated = ("simulate", "--typical", "F3", *place, "--set", "p=2.6", "--set", "K_H=3e9", "--velocity", "1.4")
@@ -129,7 +129,7 @@ def test_a_fit_recovers_what_was_simulated(tmp_path, capsys):
         assert entry["status"] == "fitted", name
         assert abs(entry["value"] / value - 1) < off.get(name, 0.3), name
         middle, half = np.sqrt(low * high), 0.5 * np.log(high / low)
-        assert abs(np.log(value / middle)) < 2 * half, f"{name}: four standard deviations"
+        assert abs(np.log(value / middle)) < 2 * half, f"{name}: more than four standard deviations"
         outside += not low <= value <= high
     assert outside <= 2
 

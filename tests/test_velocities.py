@@ -1,4 +1,4 @@
-"""Measured velocities that contradict the sound are questioned, and true ones are not."""
+"""Measured velocities that contradict the sound give a warning, and true ones do not."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pianofit import fit
 from pianofit.analysis import analyse
 from pianofit.inference.problem import build_problem
 from pianofit.recording.recording import load_recording
-from pianofit.result.velocity_check import brightening, questioned
+from pianofit.result.velocity_check import brightening, contradictory_velocities
 from pianofit.setup import RecordingInfo, Setup
 
 SPEEDS = (1.0, 1.3, 4.0)  # m/s
@@ -29,8 +29,8 @@ def strokes(tmp_path_factory):
     return recordings, [analyse(recording, note="C4") for recording in recordings]
 
 
-def said(strokes, speeds, p: float = 0.0, groups=(None, None, None), analyses=None) -> list[str]:
-    """What is said of velocities, m/s or None, where the exponent lies `p` prior deviations off the literature's."""
+def warnings_of(strokes, speeds, p: float = 0.0, groups=(None, None, None), analyses=None) -> list[str]:
+    """Warnings for velocities, m/s or None, with the exponent `p` prior deviations from its prior mean."""
     recordings = strokes[0]
     layers = tuple(
         RecordingInfo(file=f"{true}.wav", v_H0=v, group=group)
@@ -40,7 +40,7 @@ def said(strokes, speeds, p: float = 0.0, groups=(None, None, None), analyses=No
     z = problem.unknowns.mean.copy()
     at = problem.unknowns.index_of("p")
     z[at] += p * problem.unknowns.sd[at]
-    return questioned(SimpleNamespace(problem=problem, found=SimpleNamespace(z=z)))
+    return contradictory_velocities(SimpleNamespace(problem=problem, found=SimpleNamespace(z=z)))
 
 
 @pytest.mark.parametrize("slow", [0, 1])
@@ -77,7 +77,7 @@ def test_few_common_partials_decide_nothing(strokes):
     ],
 )
 def test_velocities_in_the_order_of_the_sound_are_not_questioned(strokes, speeds):
-    assert said(strokes, speeds) == []
+    assert warnings_of(strokes, speeds) == []
 
 
 @pytest.mark.parametrize(
@@ -90,18 +90,18 @@ def test_velocities_in_the_order_of_the_sound_are_not_questioned(strokes, speeds
     ],
 )
 def test_velocities_in_another_order_than_the_sound_are_questioned(strokes, speeds, named):
-    (sentence,) = said(strokes, speeds)
+    (sentence,) = warnings_of(strokes, speeds)
     assert all(word in sentence for word in named)
 
 
 def test_recordings_of_different_paths_are_not_compared(strokes):
-    assert said(strokes, (4.0, 1.3, 1.0), groups=("a", "b", "c")) == []
+    assert warnings_of(strokes, (4.0, 1.3, 1.0), groups=("a", "b", "c")) == []
 
 
 def test_a_faster_stroke_that_is_fainter_is_questioned(strokes):
     a, b, c = strokes[1]
     faint = replace(c, partials=replace(c.partials, level=c.partials.level - 30.0))
-    (sentence,) = said(strokes, SPEEDS, analyses=[a, b, faint])
+    (sentence,) = warnings_of(strokes, SPEEDS, analyses=[a, b, faint])
     assert "4.0.wav (4 m/s) is fainter" in sentence
 
 
@@ -109,32 +109,32 @@ def test_a_faster_stroke_that_is_fainter_is_questioned(strokes):
     (-0.45, 0.0, ""), (-0.55, 0.0, "duller"), (0.0, -2.9, ""), (0.0, -3.1, "fainter"), (1.0, -3.1, "fainter"),
 ])  # fmt: skip
 def test_how_much_duller_or_fainter_is_questioned(strokes, slope, mean, word):
-    """Exact changes of the level, without scatter: only the least that counts decides."""
+    """Exact changes of the level, without scatter, so only the thresholds decide."""
     a = strokes[1][0]
     octaves = np.log2(a.partials.number)
     weight = 1 / (2 * a.partials.level_error**2 + 1)
     level = a.partials.level + mean + slope * (octaves - np.average(octaves, weights=weight))
     b = replace(a, partials=replace(a.partials, level=level))
     assert brightening(a, b) == pytest.approx((slope, 0.0, mean), abs=1e-9)
-    sentences = said(strokes, (1.0, 2.0, None), analyses=[a, b, strokes[1][2]])
+    sentences = warnings_of(strokes, (1.0, 2.0, None), analyses=[a, b, strokes[1][2]])
     assert len(sentences) == bool(word)
     assert all(word in sentence for sentence in sentences)
 
 
 @pytest.mark.parametrize(("slowest", "count"), [(0.51, 0), (0.49, 1)])
 def test_velocities_that_no_pianist_spans_are_questioned(strokes, slowest, count):
-    sentences = said(strokes, (slowest, 0.6, 10.0))
+    sentences = warnings_of(strokes, (slowest, 0.6, 10.0))
     assert len(sentences) == count
     assert all("10 m/s" in sentence and "unit" in sentence for sentence in sentences)
 
 
 @pytest.mark.parametrize(("p", "word"), [(2.6, "less"), (-2.6, "more"), (2.4, ""), (-2.4, "")])
 def test_an_exponent_that_no_felt_has_questions_the_ratio(strokes, p, word):
-    sentences = said(strokes, SPEEDS, p)
+    sentences = warnings_of(strokes, SPEEDS, p)
     assert len(sentences) == bool(word)
     assert all("exponent" in sentence and word in sentence for sentence in sentences)
-    assert said(strokes, (None, None, 4.0), p) == []
-    assert said(strokes, SPEEDS, p, groups=("a", "b", "c")) == []
+    assert warnings_of(strokes, (None, None, 4.0), p) == []
+    assert warnings_of(strokes, SPEEDS, p, groups=("a", "b", "c")) == []
 
 
 def test_a_fit_says_so_in_its_messages(strokes):

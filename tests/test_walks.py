@@ -1,4 +1,4 @@
-"""What varies from stroke to stroke, told from errors."""
+"""The velocity discrepancy: deviations between strokes, separated from measurement errors."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pianofit.result.velocity_discrepancy import NOTHING, smooth_random_walk, st
 
 
 def drawn_walks(size: float, own: float, noise: float, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Velocities, random walks over their logarithm [strokes, 40], and what is seen of these."""
+    """Velocities, random walks over their logarithm [strokes, 40], and noisy observations of them."""
     random = np.random.default_rng(seed)
     velocity = np.array([0.4, 0.9, 1.6, 2.5, 4.0])
     steps = np.sqrt(np.diff(np.log(velocity)))[:, None] * random.normal(0, size, (4, 40))
@@ -17,50 +17,50 @@ def drawn_walks(size: float, own: float, noise: float, seed: int) -> tuple[np.nd
 
 
 def test_walks_are_smoothed_as_well_as_if_their_size_were_known():
-    """The best linear estimate knows how far walks go and strokes differ; `smoothed` has to tell from what is seen."""
+    """The best linear estimate uses the true step and scatter; `smooth_random_walk` must estimate them."""
     for size, own in ((0.3, 0.03), (0.05, 0.3), (0.3, 0.3)):
-        velocity, walk, seen = drawn_walks(size, own, 0.05, 3)
-        found = smooth_random_walk(seen, np.full(seen.shape, 0.05), velocity)
+        velocity, walk, observed = drawn_walks(size, own, 0.05, 3)
+        found = smooth_random_walk(observed, np.full(observed.shape, 0.05), velocity)
         far = np.log(velocity)
         signal = size**2 * np.minimum.outer(far - far[0], far - far[0]) + 1e6
-        best = signal @ np.linalg.solve(signal + (own**2 + 0.05**2) * np.eye(5), seen)
-        ours, known, none = (np.sqrt(np.mean((x - walk) ** 2)) for x in (found, best, seen))
-        assert ours < 1.1 * known
+        best = signal @ np.linalg.solve(signal + (own**2 + 0.05**2) * np.eye(5), observed)
+        ours, ideal, none = (np.sqrt(np.mean((x - walk) ** 2)) for x in (found, best, observed))
+        assert ours < 1.1 * ideal
         assert ours < none
 
 
 def test_what_strokes_do_not_tell_apart_stays_their_mean():
     velocity, walk, _ = drawn_walks(0.0, 0.0, 0.0, 1)
     random = np.random.default_rng(2)
-    seen = walk + random.normal(0, 0.2, walk.shape)
-    found = smooth_random_walk(seen, np.full(seen.shape, 0.2), velocity)
+    observed = walk + random.normal(0, 0.2, walk.shape)
+    found = smooth_random_walk(observed, np.full(observed.shape, 0.2), velocity)
     assert np.abs(np.diff(found, axis=0)).max() < 0.1
-    one = smooth_random_walk(seen[:1], np.full((1, 40), 0.2), velocity[:1])
-    np.testing.assert_allclose(one, seen[:1])
+    one = smooth_random_walk(observed[:1], np.full((1, 40), 0.2), velocity[:1])
+    np.testing.assert_allclose(one, observed[:1])
 
 
 def test_what_all_strokes_have_is_none_of_their_differences():
-    """It belongs to what they share. A partial that one stroke shows has shown no difference at all."""
+    """It belongs to the output path. A partial observed in one stroke only has no deviation."""
     velocity, walk, _ = drawn_walks(0.0, 0.0, 0.0, 1)
     error, weight = np.full(walk.shape, 0.1), np.ones(walk.shape)
     np.testing.assert_allclose(stroke_deviations(walk, error, weight, velocity)[1], 0.0, atol=1e-9)
     _, wanders, _ = drawn_walks(0.3, 0.0, 0.0, 2)
     error[1:, :7], weight[1:, :7] = NOTHING, 0.0
-    known, found = stroke_deviations(wanders, error, weight, velocity)
-    np.testing.assert_allclose(known, velocity)
+    velocities, found = stroke_deviations(wanders, error, weight, velocity)
+    np.testing.assert_allclose(velocities, velocity)
     np.testing.assert_allclose(found[:, :7], 0.0, atol=1e-3)
     assert np.abs(found[:, 7:]).max() > 0.1
     np.testing.assert_allclose(found[:, 7:].mean(axis=0), 0.0, atol=1e-12)
 
 
 def test_recordings_of_one_stroke_count_together_in_any_order():
-    velocity, walk, seen = drawn_walks(0.3, 0.03, 0.05, 5)
+    velocity, walk, observed = drawn_walks(0.3, 0.03, 0.05, 5)
     twice = np.append(np.arange(5), 2)
     error, weight = np.full((6, 40), 0.05), np.ones((6, 40))
-    known, found = stroke_deviations(seen[twice], error, weight, velocity[twice])
-    np.testing.assert_allclose(known, velocity)
+    velocities, found = stroke_deviations(observed[twice], error, weight, velocity[twice])
+    np.testing.assert_allclose(velocities, velocity)
     shuffled = np.random.default_rng(1).permutation(6)
-    again = stroke_deviations(seen[twice][shuffled], error, weight, velocity[twice][shuffled])
+    again = stroke_deviations(observed[twice][shuffled], error, weight, velocity[twice][shuffled])
     np.testing.assert_allclose(again[1], found, atol=1e-12)
-    # A layer that was recorded twice alike says what it says with less error.
+    # Two equal recordings of a layer reduce its error.
     assert np.abs(found - (walk - walk.mean(axis=0))).max() < 0.3

@@ -1,6 +1,7 @@
-"""Twins for the tests of the fit, made by brute force, with another window, rate and step than the fit uses.
+"""Synthetic recordings for the tests of the fit.
 
-Or by the model itself, at another rate and a far finer step: then what is tested is the statistics alone.
+Brute-force simulations use another window, rate and step than the fit. Recordings by the model itself, at another rate
+and a much finer step, test the statistics alone.
 """
 
 from __future__ import annotations
@@ -23,13 +24,13 @@ from pianofit.setup import RecordingInfo, Setup, setup_from_dict
 
 RATE = 48_000
 LEAD = 0.03  # s
-# Relative errors allowed, and that of the felt's force between 20 and 100 % of the largest compression.
+# Allowed relative errors, and that of the felt force from 20 to 100 % of the largest compression.
 ALLOWED = {"c": 2e-4, "kappa": 0.01, "b1": 0.03, "M_H": 0.03, "v_H0": 0.03}
 FELT = 0.05
 
 
 class Truth(NamedTuple):
-    """One struck string, measured."""
+    """True parameters of one recorded string and hammer."""
 
     string: String
     hammer: Hammer
@@ -38,7 +39,7 @@ class Truth(NamedTuple):
 
     @property
     def f0(self) -> float:
-        """Hz, of the string without stiffness."""
+        """Fundamental frequency of the string without stiffness, Hz."""
         return self.string.c / (2 * self.geometry.length)
 
     @property
@@ -47,7 +48,7 @@ class Truth(NamedTuple):
         return dict(zip(FIT_NAMES, (*self.string, *self.hammer), strict=True))
 
 
-# Another string than the demo's in every respect.
+# Differs from the string of the demo in every parameter.
 FIRST = Truth(
     String(c=352.0, kappa=1.15, b1=0.42, b2=4e-5),
     Hammer(K_H=5e10, mu=0.25, p=2.9, M_H=4.9e-3, v_H0=1.4),
@@ -57,7 +58,7 @@ FIRST = Truth(
 
 
 def random_truth(seed: int) -> Truth:
-    """A string from A2 to A3 with any hammer of a piano, struck from piano to forte."""
+    """A string from A2 to A3 with a random piano hammer, struck from piano to forte."""
     random = np.random.default_rng(seed)
 
     def between(low: float, high: float) -> float:
@@ -68,7 +69,7 @@ def random_truth(seed: int) -> Truth:
     kappa = c * length * math.sqrt(between(5e-5, 4e-4)) / math.pi
     string = String(c, kappa, between(0.2, 0.8), between(5e-6, 1e-4))
     p, velocity, hammer_mass = random.uniform(2.2, 3.0), between(1.0, 2.5), mass * between(0.4, 1.5)
-    # A felt that is pressed by 0.5 to 1.2 mm if it takes up all of the hammer's energy.
+    # Compression of 0.5 to 1.2 mm if the felt stores all of the hammer's energy.
     stiffness = 0.5 * (p + 1) * hammer_mass * velocity**2 / between(0.5e-3, 1.2e-3) ** (p + 1)
     hammer = Hammer(stiffness, between(0.05, 0.3), p, hammer_mass, velocity)
     width = between(0.01, 0.025)
@@ -77,32 +78,32 @@ def random_truth(seed: int) -> Truth:
 
 
 def setup_of(truth: Truth, **more: dict) -> Setup:
-    """What a laboratory would know of `truth`: sizes and the pickup; `more` tables beside them."""
+    """The setup of a laboratory for `truth`: sizes and pickup, with `more` tables."""
     g = truth.geometry
     data = {
         "string": {"length": g.length, "mass": g.mass},
         "strike": {"position": g.strike_position, "width": g.width},
         "pickup": {"quantity": "velocity", "position": g.pickup, "scale": truth.scale},
     }
-    return setup_from_dict(data | more, "twin")
+    return setup_from_dict(data | more, "synthetic")
 
 
 def record(
     truth: Truth, *, quantity: str = "velocity", noise_db: float | None = -60.0, seconds: float = 3.0, seed: int = 0,
     window: str = "parabola", rate: int = RATE, **effects: float,
 ) -> Recording:  # fmt: skip
-    """A recording of `truth`, struck through another window of the same variance; `effects` are `make_synthetic_recording`'s."""
+    """A recording of `truth` with another contact window of equal variance; `effects` go to the simulation."""
     geometry = truth.geometry._replace(width=matched_width(window, truth.geometry.width))
     samples = make_synthetic_recording(
         truth.string, truth.hammer, geometry, seconds=seconds, rate=rate, quantity=quantity, noise_db=noise_db,
         seed=seed, lead_in=LEAD, window=window, **effects,
     )  # fmt: skip
     unit = truth.scale if quantity == "velocity" else 2 * float(np.abs(samples).max())
-    return recording_from_samples(samples / unit, rate, name="twin")
+    return recording_from_samples(samples / unit, rate, name="synthetic")
 
 
 def fit_recordings(*given, **more) -> Result:
-    """What `infer` finds of recordings, by what is given to it, as a result."""
+    """Inference on recordings, as a `Result`."""
     return build_result(run_inference(*given, **more))
 
 
@@ -111,7 +112,7 @@ def fit_twin(recording: Recording, setup: Setup, *, seed: int = 0) -> Result:
 
 
 def errors(document: dict, truth: Truth) -> dict[str, float]:
-    """Relative errors of what a calibrated recording fixes; `felt` is the worst of the force over compression."""
+    """Relative errors of a calibrated fit; `felt` is the largest error of the force over compression."""
     found = {name: document["parameters"][name]["value"] for name in FIT_NAMES}
     off = {name: abs(found[name] / truth.values[name] - 1) for name in ALLOWED}
     u = np.linspace(0.2, 1.0, 33) * document["derived"]["max_compression_mm"] / 1e3
@@ -120,27 +121,27 @@ def errors(document: dict, truth: Truth) -> dict[str, float]:
 
 
 def misses(document: dict, truth: Truth) -> dict[str, float]:
-    """The errors that are larger than allowed."""
+    """Errors that are larger than allowed."""
     return {name: x for name, x in errors(document, truth).items() if x > ALLOWED.get(name, FELT)}
 
 
-# --- the cases that all tests of whole fits share ---------------------------------------------------------------------
+# --- cases shared by all tests of whole fits --------------------------------------------------------------------------
 
 VELOCITIES = (0.8, 1.6, 3.2)  # m/s
 ROUGH = 5.0  # dB
-# Which stroke, at which microphone, and what stands between it and the string: a random path.
+# Strokes and microphones. Each microphone has a random output path with its own seed.
 ALONE = ((2, "close"),)
 SEVERAL = ((0, "close"), (1, "close"), (2, "close"))
 MICROPHONES = (*SEVERAL, (1, "room"))
 ROOMS = {"close": 7, "room": 8}
-# The same programs as the others compile serve them, at a step sixteen times as fine.
+# A step sixteen times as fine, with the compiled programs of the other cases.
 MODEL_RATE, FINE = 96_000, 16
 
 
 def record_model(
     truth: Truth, *, quantity: str = "velocity", noise_db: float = -60.0, seconds: float = 3.0, seed: int = 0
 ) -> Recording:
-    """As `record`, by the model itself."""
+    """Like `record`, but simulated by the model itself."""
     sound = simulate(
         truth.string, truth.hammer, truth.geometry, rate=MODEL_RATE, oversampling=FINE, quantity=quantity, n_modes=256
     )
@@ -148,13 +149,13 @@ def record_model(
     rms = math.sqrt(float(np.mean(samples[int(LEAD * MODEL_RATE) :][:MODEL_RATE] ** 2)))
     samples = samples + np.random.default_rng(seed).normal(0.0, rms * 10 ** (noise_db / 20), samples.size)
     unit = truth.scale if quantity == "velocity" else 2 * float(np.abs(samples).max())
-    return recording_from_samples(samples / unit, MODEL_RATE, name="twin")
+    return recording_from_samples(samples / unit, MODEL_RATE, name="synthetic")
 
 
 def through_a_room(recording: Recording, name: str, seed: int = ROOMS["close"], rough: float = ROUGH) -> Recording:
-    """The sound behind a path that differs by `rough` dB from partial to partial, the same for every recording.
+    """Filter a recording with an output path that varies by `rough` dB from partial to partial, fixed by `seed`.
 
-    Nothing comes out before it went in: the filter has the least phase for its levels.
+    The filter is minimum phase, hence causal.
     """
     grid = np.arange(0, 48_000.0 / 2 + 60, 60.0)
     db = np.random.default_rng(seed).normal(0.0, rough, len(grid))
@@ -170,7 +171,7 @@ def through_a_room(recording: Recording, name: str, seed: int = ROOMS["close"], 
 
 @functools.cache
 def through(strokes: tuple[tuple[int, str], ...], by: str = "brute-force") -> tuple[list[Recording], list[Analysis]]:
-    """Strokes of `FIRST` at microphones, each brought to the same peak, and their analyses."""
+    """Strokes of `FIRST` at microphones, normalised to the same peak, and their analyses."""
     sounded, made = record if by == "brute-force" else record_model, []
     for stroke, microphone in strokes:
         truth = FIRST._replace(hammer=FIRST.hammer._replace(v_H0=VELOCITIES[stroke]))
@@ -180,9 +181,9 @@ def through(strokes: tuple[tuple[int, str], ...], by: str = "brute-force") -> tu
 
 
 def strokes_of(strokes: tuple[tuple[int, str], ...], *more: RecordingInfo, measured: bool = True) -> Setup:
-    """What is known of them: sizes, which stroke is which, and the fastest's velocity."""
+    """The setup of these strokes: sizes, stroke names, and the velocity of the fastest stroke."""
     g = FIRST.geometry
-    said = [
+    entries = [
         RecordingInfo(f"{s}-{m}.wav", VELOCITIES[2] if s == 2 and measured else None, m, None, str(s))
         for s, m in strokes
     ]
@@ -191,19 +192,19 @@ def strokes_of(strokes: tuple[tuple[int, str], ...], *more: RecordingInfo, measu
         mass=g.mass,
         strike_position=g.strike_position,
         strike_width=g.width,
-        recordings=more or tuple(said),
+        recordings=more or tuple(entries),
     )
 
 
 @functools.cache
 def calibrated(by: str = "brute-force") -> Result:
-    """The fit of a calibrated recording, from the literature's hammer, through another window, rate and step."""
+    """The fit of a calibrated recording, started from the literature hammer."""
     return fit_twin((record if by == "brute-force" else record_model)(FIRST), setup_of(FIRST))
 
 
 @functools.cache
 def uncalibrated() -> Result:
-    """The fit of the same stroke as a microphone might record it, of which nothing is known."""
+    """The fit of the same stroke as a microphone recording without a setup."""
     return fit_twin(record(FIRST, quantity="pressure"), Setup())
 
 
@@ -214,7 +215,7 @@ def path_fit(strokes: tuple[tuple[int, str], ...], by: str = "brute-force") -> R
 
 
 def standard_errors(document: dict, truth: dict[str, float]) -> dict[str, tuple[float, float]]:
-    """Relative error, and that in standard errors, of every fitted parameter by name."""
+    """Relative error, and error in standard errors, of every fitted parameter by name."""
     found = {}
     for name, true in truth.items():
         entry = document["parameters"][name]

@@ -1,15 +1,15 @@
-"""How far a model's sound is from a recording: the paper's energy criterion in bands, and levels of partials.
+"""Distance of a modelled sound from a recording: the paper's energy criterion in bands, and levels of partials.
 
-**Eq. 19**, C = ½ ∫ (|Y|² - |S|²)² dω, made dimensionless: divided by ½ ∫ |S|⁴ dω it is 0 for equal spectra and 1 for
-silence, in each band as in all of them. Spectra are taken on the damped circle (§ `model.response`), where a recording
-that ends is as good as one that does not.
+**Eq. 19**, C = ½ ∫ (|Y|² - |S|²)² dω, is divided by ½ ∫ |S|⁴ dω. It is then 0 for equal spectra and 1 for silence, in
+each band and in total. Spectra are taken on the damped circle (§ `model.response`), where a truncated recording is as
+good as a complete one.
 
 **Bands.** The paper splits the spectrum after the tristimulus: the fundamental, partials two to eight, and everything
-above (IV.B). Borders lie midway between inharmonic partials, at k = 0.5, 1.5 and 8.5 of f_k = k f0 √(1 + B k²); they
-come from the analysis and stay fixed during a fit. Between partials there is next to no energy to compare, so each
-cell reaches only a number of linewidths from its partial, or to its borders.
+above (IV.B). Borders lie midway between inharmonic partials, at k = 0.5, 1.5 and 8.5 of f_k = k f0 √(1 + B k²). They
+come from the analysis and stay fixed during a fit. Between partials there is almost no energy to compare. So each cell
+extends only a number of linewidths from its partial, or to its borders.
 
-**Levels** in dB are compared with one gain removed; what lies between string and file is in `model.path`.
+**Levels** in dB are compared with one gain removed. The output path between string and file is in `model.output_path`.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ __all__ = [
 ]  # fmt: skip
 
 BANDS = ("band1", "band2", "band3")
-# Frequencies of a cell.
+# Number of frequencies in a cell.
 NODES = 48
-# Half a cell in units of the linewidth σ/2π: beyond it a Lorentzian's energy is down by a factor 150.
-REACH = 12.0
-# σ at which the criterion is weighed and reported, 1/s.
+# Half width of a cell in linewidths σ/2π. Beyond it the energy of a Lorentzian is lower by a factor of 150.
+HALF_CELL_LINEWIDTHS = 12.0
+# Largest σ of the criterion, 1/s.
 WIDEST_SIGMA = 30.0
-# The spacing of partials that σ must leave, in linewidths.
-APART = 16.0
-# exp(-σT) of the signal is left where it is cut; -σT = 14 leaves 1e-6.
+# Smallest spacing of partials, in linewidths.
+MIN_SPACING_LINEWIDTHS = 16.0
+# A signal of length T is truncated at σT = 14, where the damping exp(-σT) leaves 1e-6.
 ENOUGH_DAMPING = 14.0
 
 
@@ -47,8 +47,8 @@ class Cells(NamedTuple):
 
 
 def line_sigma(f0: float) -> float:
-    """σ, 1/s, at which lines are wide enough to forgive cents, and the partials of `f0`, Hz, still stand apart."""
-    return min(WIDEST_SIGMA, 2 * np.pi * f0 / APART)
+    """σ, 1/s, for lines that tolerate errors of a few cents while the partials of `f0`, Hz, stay separate."""
+    return min(WIDEST_SIGMA, 2 * np.pi * f0 / MIN_SPACING_LINEWIDTHS)
 
 
 def borders(f0: float, B: float, last: int) -> tuple[float, ...]:
@@ -66,7 +66,7 @@ def cell_grid(f0: float, B: float, last: int, sigma: float, resolution: float) -
     """Cells of partials 1 to `last`, with nodes at whole multiples of `resolution`, Hz."""
     k = np.arange(1, last + 1)
     centre = law_frequency(f0, B, k)
-    half = np.minimum(REACH * sigma / (2 * np.pi), 0.5 * f0)
+    half = np.minimum(HALF_CELL_LINEWIDTHS * sigma / (2 * np.pi), 0.5 * f0)
     low = np.maximum(law_frequency(f0, B, k - 0.5), centre - half)
     high = np.minimum(law_frequency(f0, B, k + 0.5), centre + half)
     spacing = np.maximum(np.round((high - low) / NODES / resolution), 1) * resolution
@@ -75,9 +75,9 @@ def cell_grid(f0: float, B: float, last: int, sigma: float, resolution: float) -
 
 
 def measure(samples: np.ndarray, rate: float, f0: float, B: float, last: int, sigma: float) -> tuple[Cells, np.ndarray]:
-    """Cells of partials 1 to `last`, and |S|² there [partials, nodes], unit² · s², of `samples` from the onset on."""
+    """Cells of partials 1 to `last`, and |S|² of `samples` (from the onset on) there [partials, nodes], unit² · s²."""
     n = min(len(samples), int(np.ceil(ENOUGH_DAMPING / sigma * rate)))
-    # At least 16 bins to a linewidth, so that rounding a node to a bin costs nothing.
+    # At least 16 bins for each linewidth, so that rounding a node to a bin has no effect.
     size = 2 ** int(np.ceil(np.log2(max(n, 16 * rate * 2 * np.pi / sigma))))
     cells = cell_grid(f0, B, last, sigma, rate / size)
     damped = samples[:n] * np.exp(-sigma * np.arange(n) / rate)
@@ -87,20 +87,20 @@ def measure(samples: np.ndarray, rate: float, f0: float, B: float, last: int, si
 
 
 def closed_form_gain(model: Any, measured: Any, weight: Any, xp: Any = np) -> Any:
-    """The g² ≥ 0 that minimises Σ w (g² |Y|² - |S|²)²; `xp` is NumPy, or jax.numpy for arrays of JAX."""
+    """The g² ≥ 0 that minimises Σ w (g² |Y|² - |S|²)²; `xp` is NumPy, or jax.numpy for JAX arrays."""
     best = (weight * model * measured).sum() / xp.maximum((weight * model**2).sum(), 1e-300)
     return xp.maximum(best, 0.0)
 
 
 def band_values(model: np.ndarray, measured: np.ndarray, spacing: np.ndarray) -> dict[str, float]:
-    """The criterion of |Y|² against |S|² [partials, nodes] over all partials, `global`, and in each band with any."""
-    miss = (spacing[:, None] * (model - measured) ** 2).sum(axis=1)
-    full = (spacing[:, None] * measured**2).sum(axis=1)
-    band = band_of(np.arange(1, len(miss) + 1))
-    values = {"global": float(miss.sum() / full.sum())}
+    """The criterion for |Y|² and |S|² [partials, nodes], over all partials (`global`) and in each occupied band."""
+    difference = (spacing[:, None] * (model - measured) ** 2).sum(axis=1)
+    norm = (spacing[:, None] * measured**2).sum(axis=1)
+    band = band_of(np.arange(1, len(difference) + 1))
+    values = {"global": float(difference.sum() / norm.sum())}
     for index, name in enumerate(BANDS):
         if (band == index).any():
-            values[name] = float(miss[band == index].sum() / full[band == index].sum())
+            values[name] = float(difference[band == index].sum() / norm[band == index].sum())
     return values
 
 

@@ -1,7 +1,6 @@
-"""A `fit.json` read back: the note that it describes, at its best minimum or at all of them.
+"""Reading of a `fit.json`: the notes of its minima.
 
-The file holds all that a note needs: string, hammer, geometry, what was heard, gain and path. Nothing in it is trusted
-before it was checked.
+The file has all values of a note: string, hammer, geometry, pickup, gain and output path. Each is checked before use.
 """
 
 from __future__ import annotations
@@ -38,13 +37,13 @@ from .parameters import HAMMER_NAMES, STRING_NAMES, Geometry, String, check
 
 __all__ = ["fit_path", "load_note", "gains_of", "mixture_of", "note_of", "read_fit", "read_path"]
 
-# Points of a path at the most: far more than a string has partials.
+# Largest number of points of an output path, far more than a string has partials.
 MOST_POINTS = 4096
-# Of a path, dB, at the most: beyond, amplitudes are lost in rounding.
+# Largest level of an output path, dB. Amplitudes beyond it are lost in rounding.
 LARGEST_DB = 300.0
-# A partial's decay over its law's, at the least and at the most: beyond, it is no partial.
-DECAYS = (1e-3, 1e3)
-WAY_OUT = "give the file that pianofit fit wrote"
+# Range of the decay rate of a partial relative to the string model.
+DECAY_RATIO_RANGE = (1e-3, 1e3)
+HINT = "give the file that pianofit fit wrote"
 
 
 def fit_path(path: str | os.PathLike[str]) -> Path:
@@ -54,36 +53,29 @@ def fit_path(path: str | os.PathLike[str]) -> Path:
 
 
 def read_fit(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """What a `fit.json` holds, of this schema or an older one; a `FitError` that names the file, if it is none."""
-    document = load_json(path, LARGEST_FIT, "a fit.json", WAY_OUT)
-    if not isinstance(document, dict) or document.get("schema") not in range(1, FIT_SCHEMA + 1):
-        found = document.get("schema") if isinstance(document, dict) else type(document).__name__
+    """The content of a `fit.json`.
+
+    Raises
+    ------
+    FitError
+        If the file is not a `fit.json` of this schema; the message names it.
+    """
+    document = load_json(path, LARGEST_FIT, "a fit.json", HINT)
+    if not isinstance(document, dict) or document.get("schema") != FIT_SCHEMA:
+        schema = document.get("schema") if isinstance(document, dict) else type(document).__name__
         raise FitError(
-            f"{printable(path)}: schema {found!r} is not 1 to {FIT_SCHEMA}; fit again with this version of pianofit"
+            f"{printable(path)}: schema {schema!r} is not {FIT_SCHEMA}; fit again with this version of pianofit"
         )
-    return _renamed(document)
-
-
-def _renamed(document: dict[str, Any]) -> dict[str, Any]:
-    """A document of an older schema, up to 3, by today's names."""
-    if document["schema"] < FIT_SCHEMA and "takes" in document:
-        document["recordings"] = document.pop("takes")
-        for row in document["recordings"] if isinstance(document["recordings"], list) else ():
-            if isinstance(row, dict) and "strike" in row:
-                row["stroke"] = row.pop("strike")
     return document
 
 
 def load_note(path: str | os.PathLike[str], felt: FeltLaw | None = None) -> tuple[Note, int]:
-    """The note that a `fit.json` describes at its best minimum, and the rate of the recording it was fitted to, Hz.
-
-    A file of the first schema has the same note. Of a fit with a felt law of your own, which a file only names, `felt`
-    is that law.
+    """The note of a `fit.json` at its best minimum, and the sample rate of its reference recording, Hz.
 
     Parameters
     ----------
-    path : of a `fit.json`, or the folder it is in, written by `pianofit fit` or `Result.save`.
-    felt : the law of the felt, if it is one of your own.
+    path : a `fit.json`, or its folder, written by `pianofit fit` or `Result.save`.
+    felt : the felt law of the fit, if it is your own. The file has only its name.
 
     Returns
     -------
@@ -92,7 +84,7 @@ def load_note(path: str | os.PathLike[str], felt: FeltLaw | None = None) -> tupl
     Raises
     ------
     FitError
-        Naming the file and the entry that is missing, of another kind, or out of range.
+        If an entry is missing, of another type, or out of range; the message names file and entry.
 
     Examples
     --------
@@ -107,58 +99,58 @@ def load_note(path: str | os.PathLike[str], felt: FeltLaw | None = None) -> tupl
 
 
 def note_of(document: dict[str, Any], path: Path, felt: FeltLaw | None = None) -> tuple[Note, int]:
-    """`load_note` of what the file at `path` held."""
+    """`load_note` from the content of the file at `path`."""
     name = printable(path)
-    table, law = table_of(document, "parameters", name, WAY_OUT), _law_of(document, name, felt)
+    table, law = table_of(document, "parameters", name, HINT), _law_of(document, name, felt)
     needed = (*STRING_NAMES, *(HAMMER_NAMES if law is None or law.hammers else law.boxes))
     values = {key: _number(table, key, name) for key in needed}
     values |= {key: _number(table, key, name) for key in BOXES if key in table and key not in values}
-    string, hammer = _struck(values, name, law)
-    pickup = table_of(document, "pickup", name, WAY_OUT)
+    string, hammer = _string_and_hammer(values, name, law)
+    pickup = table_of(document, "pickup", name, HINT)
     quantity = pickup.get("quantity")
     if quantity not in QUANTITIES:
         raise FitError(f"{name}: pickup.quantity={quantity!r} must be one of {', '.join(QUANTITIES)}")
-    at, row = reference_of(document.get("recordings"))
+    index, row = reference_of(document.get("recordings"))
     if not row:
-        raise FitError(f"{name}: recordings is empty; {WAY_OUT}")
-    gain, rate = (require_finite(row.get(key), f"{name}: recordings[{at}].{key}", WAY_OUT) for key in ("gain", "rate"))
+        raise FitError(f"{name}: recordings is empty; {HINT}")
+    gain, rate = (require_finite(row.get(key), f"{name}: recordings[{index}].{key}", HINT) for key in ("gain", "rate"))
     if not RATES[0] <= rate <= RATES[1]:
-        raise FitError(f"{name}: recordings[{at}].rate={rate:g} Hz must be from {RATES[0]} to {RATES[1]}")
+        raise FitError(f"{name}: recordings[{index}].rate={rate:g} Hz must be from {RATES[0]} to {RATES[1]}")
     note = Note(
         string, hammer, _geometry(table, quantity, name), quantity, gain,
-        read_path(pickup.get("path"), f"{name}: pickup.path", WAY_OUT),
+        read_path(pickup.get("path"), f"{name}: pickup.path", HINT),
         read_ringing(document.get("ringing"), path.parent, name),
     )  # fmt: skip
     return note, int(rate)
 
 
 def _law_of(document: dict[str, Any], name: str, felt: FeltLaw | None) -> FeltLaw | None:
-    """The law that a file names, which for one from outside of the package must be handed in."""
+    """The felt law that a file names; a law from outside the package must be given as `felt`."""
     named = document.get("felt")
     if felt is not None and named != felt.name:
-        raise FitError(f"{name}: its felt's law is {named!r}, not {felt.name!r}; give the law it was fitted with")
+        raise FitError(f"{name}: its felt law is {named!r}, not {felt.name!r}; give the law of the fit")
     if felt is None and named is not None and named not in LAWS:
         raise FitError(
-            f"{name}: its felt's law, {short_repr(named)}, is not the package's; hand it in, "
+            f"{name}: its felt law, {short_repr(named)}, is not part of pianofit; give it "
             "as load_note(path, felt=law), or Result.load(folder, felt=law)"
         )
     return LAWS.get(str(named)) if felt is None else felt
 
 
-def gains_of(document: dict[str, Any], at: int | None = None) -> tuple[float, ...]:
-    """Gains of the recordings through one recording's path, dB over its own: the reference's, or that of row `at`."""
+def gains_of(document: dict[str, Any], index: int | None = None) -> tuple[float, ...]:
+    """Gains of all recordings in the path group of one, dB relative to it: the reference recording, or row `index`."""
     rows = [row for row in document.get("recordings") or () if isinstance(row, dict)]
-    row = reference_of(rows)[1] if at is None else rows[at]
-    own = [row.get("gain"), *(other.get("gain") for other in rows if other.get("group") == row.get("group"))]
-    size = [abs(float(gain)) if is_number(gain) and gain else np.nan for gain in own]
+    row = reference_of(rows)[1] if index is None else rows[index]
+    values = [row.get("gain"), *(other.get("gain") for other in rows if other.get("group") == row.get("group"))]
+    size = [abs(float(gain)) if is_number(gain) and gain else np.nan for gain in values]
     gains = 20 * np.log10(np.array(size[1:]) / size[0])
     return tuple(gains[np.isfinite(gains)].tolist()) or (0.0,)
 
 
 def mixture_of(document: dict[str, Any], path: Path, felt: FeltLaw | None = None) -> list[tuple[float, Note]]:
-    """The notes of all minima in the document of `path`, with their shares, the best first; errors as of `load_note`.
+    """Pairs of posterior weight and note for all minima, the best first; errors as in `load_note`.
 
-    Only the best note rings by the key's modes, see `ringing`.
+    Only the best note has the modal response.
     """
     (note, _), name = note_of(document, path, felt), printable(path)
     law = _law_of(document, name, felt)
@@ -166,40 +158,39 @@ def mixture_of(document: dict[str, Any], path: Path, felt: FeltLaw | None = None
     if not isinstance(minima, list) or len(minima) < 2:
         return [(1.0, note)]
     mixture = []
-    for at, entry in enumerate(minima):
-        where = f"{name}: minima[{at}]"
+    for index, entry in enumerate(minima):
+        where = f"{name}: minima[{index}]"
         if not isinstance(entry, dict) or not isinstance(entry.get("parameters"), dict):
-            raise FitError(f"{where} has no parameters; {WAY_OUT}")
-        own = _of_minimum(note, entry, where, law)
-        mixture.append(
-            (require_finite(entry.get("share"), f"{where}.share", WAY_OUT), own._replace(ringing=None) if at else own)
-        )
+            raise FitError(f"{where} has no parameters; {HINT}")
+        weight = require_finite(entry.get("share"), f"{where}.share", HINT)
+        other = _note_of_minimum(note, entry, where, law)
+        mixture.append((weight, other._replace(ringing=None) if index else other))
     return mixture
 
 
-def _of_minimum(note: Note, entry: dict, where: str, law: FeltLaw | None) -> Note:
-    """`note` with one minimum's string, hammer, strike position and path."""
-    values = {n: require_finite(x, f"{where}.parameters.{n}", WAY_OUT) for n, x in entry["parameters"].items()}
+def _note_of_minimum(note: Note, entry: dict, where: str, law: FeltLaw | None) -> Note:
+    """`note` with string, hammer, strike position and output path of one minimum."""
+    values = {n: require_finite(x, f"{where}.parameters.{n}", HINT) for n, x in entry["parameters"].items()}
     values = {"mu": 0.0, "v_H0": float(note.hammer.v_H0)} | values
     try:
-        string, hammer = _struck(values, where, law)
+        string, hammer = _string_and_hammer(values, where, law)
         geometry = note.geometry._replace(strike_position=values["x0"], width=values["width"])
         check_geometry(geometry, note.quantity)
     except KeyError as missing:
-        raise FitError(f"{where}.parameters lacks {missing}; {WAY_OUT}") from None
+        raise FitError(f"{where}.parameters lacks {missing}; {HINT}") from None
     except ParameterError as error:
         raise FitError(str(error)) from None
     path = note.path
     if path is not None:
-        own = {"frequency": path.frequency.tolist(), "db": entry.get("path_db")}
-        own |= {} if path.decay is None else {"decay": path.decay.tolist()}
-        own |= {"wander": entry.get("path_wander")}
-        path = read_path(own, f"{where}.path", WAY_OUT)
+        columns = {"frequency": path.frequency.tolist(), "db": entry.get("path_db")}
+        columns |= {} if path.decay is None else {"decay": path.decay.tolist()}
+        columns |= {"wander": entry.get("path_wander")}
+        path = read_path(columns, f"{where}.path", HINT)
     return note._replace(string=string, hammer=hammer, geometry=geometry, path=path)
 
 
-def _struck(values: dict[str, float], where: str, law: FeltLaw | None) -> tuple[String, Any]:
-    """String and hammer of `values`, within their boxes."""
+def _string_and_hammer(values: dict[str, float], where: str, law: FeltLaw | None) -> tuple[String, Any]:
+    """String and hammer with `values`, checked against their ranges."""
     try:
         hammer = make_hammer(values, where, law)
         check_hammer(hammer, where)
@@ -215,18 +206,18 @@ def _geometry(table: dict[str, Any], quantity: str, name: str) -> Geometry:
     try:
         check_geometry(geometry, quantity)
     except ParameterError as error:
-        raise FitError(f"{name}: L, M_S, x0, width and pickup make no string: {error}") from None
+        raise FitError(f"{name}: L, M_S, x0, width and pickup are not consistent: {error}") from None
     return geometry
 
 
 def _number(table: dict, key: str, name: str) -> float:
     entry = table.get(key)
     value = entry.get("value") if isinstance(entry, dict) else None
-    return require_finite(value, f"{name}: parameters.{key}", WAY_OUT)
+    return require_finite(value, f"{name}: parameters.{key}", HINT)
 
 
-def read_path(entry: Any, where: str, way_out: str) -> OutputPath | None:
-    """An output path as files have it, or None; a `FitError` that begins with `where` if it is neither."""
+def read_path(entry: Any, where: str, hint: str) -> OutputPath | None:
+    """Read an output path or None. Errors begin with `where` and end with `hint`."""
     if entry is None:
         return None
     table: dict[str, Any] = entry if isinstance(entry, dict) else {}
@@ -234,25 +225,27 @@ def read_path(entry: Any, where: str, way_out: str) -> OutputPath | None:
     columns = array_of([table.get(name) for name in names], None, None)
     if not (0 < columns.shape[1] <= MOST_POINTS and is_increasing(columns[0])):
         raise FitError(
-            f"{where} needs frequency, rising, db and decay, above 0, as many, at most {MOST_POINTS}; {way_out}"
+            f"{where} needs increasing frequencies and as many values of db and decay, at most {MOST_POINTS}; {hint}"
         )
     frequency, db, decay = (*columns, np.ones(columns.shape[1]))[:3]
-    if not ((decay >= DECAYS[0]) & (decay <= DECAYS[1])).all():
-        raise FitError(f"{where}.decay must hold factors from {DECAYS[0]:g} to {DECAYS[1]:g}; {way_out}")
+    if not ((decay >= DECAY_RATIO_RANGE[0]) & (decay <= DECAY_RATIO_RANGE[1])).all():
+        raise FitError(
+            f"{where}.decay must hold factors from {DECAY_RATIO_RANGE[0]:g} to {DECAY_RATIO_RANGE[1]:g}; {hint}"
+        )
     if np.abs(db).max() > LARGEST_DB:
-        raise FitError(f"{where}.db reaches {np.abs(db).max():.3g} dB, at most {LARGEST_DB:g}; {way_out}")
-    return OutputPath(frequency, db, decay, _wander(table.get("wander"), len(db), f"{where}.wander", way_out))
+        raise FitError(f"{where}.db reaches {np.abs(db).max():.3g} dB but must be at most {LARGEST_DB:g}; {hint}")
+    return OutputPath(frequency, db, decay, _read_discrepancy(table.get("wander"), len(db), f"{where}.wander", hint))
 
 
-def _wander(entry: Any, partials: int, where: str, way_out: str) -> VelocityDiscrepancy | None:
+def _read_discrepancy(entry: Any, partials: int, where: str, hint: str) -> VelocityDiscrepancy | None:
     if entry is None:
         return None
     table: dict[str, Any] = entry if isinstance(entry, dict) else {}
     velocity, db = array_of(table.get("velocity"), None), array_of(table.get("db"), None, partials)
-    known = is_increasing(velocity) and len(velocity) == len(db) <= MOST_STROKES
-    if not (known and np.abs(db).max() <= LARGEST_DB):
+    valid = is_increasing(velocity) and len(velocity) == len(db) <= MOST_STROKES
+    if not (valid and np.abs(db).max() <= LARGEST_DB):
         raise FitError(
-            f"{where} needs 1 to {MOST_STROKES} velocities, m/s, that rise from above 0, and for each up to "
-            f"{LARGEST_DB:g} dB for every partial; {way_out}"
+            f"{where} needs 1 to {MOST_STROKES} increasing velocities above 0, m/s, and for each one level of at most "
+            f"{LARGEST_DB:g} dB for every partial; {hint}"
         )
     return VelocityDiscrepancy(velocity, db)

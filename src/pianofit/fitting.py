@@ -1,4 +1,4 @@
-"""The fit as users call it: recordings in any form, what was known beforehand, and a result."""
+"""`fit`, the entry point: from recordings and given values to a `Result`."""
 
 from __future__ import annotations
 
@@ -39,36 +39,36 @@ def fit(
 ) -> Result:
     """Fit string and hammer to one or more recordings of one key, from soft to loud in any order.
 
-    String, felt, hammer mass and output path are those of all recordings; each stroke has a velocity, each recording a
-    gain and a pitch of its own. Measured velocities, groups and gain groups come from the setup.
+    All recordings share string, felt, hammer mass and output path. Each stroke has its own velocity, and each recording
+    its own gain and pitch. Measured velocities, path groups and gain groups come from the setup.
 
     Parameters
     ----------
-    recordings : each a path, a `Recording`, or samples [samples], ±1 = full scale, with their rate in Hz.
-    setup : what was known beforehand: a `Setup`, tables as in a `setup.toml`, or the path of one.
-    note, f0 : what is played, such as "F#2" or 42, or its pitch in Hz; found if None.
-    velocity : measured hammer velocity, m/s, of a single recording, held fixed.
-    channel : of files: "average", "left", "right", or "1" to "8".
+    recordings : recordings, each a path, a `Recording`, or samples [samples], ±1 = full scale, with their rate in Hz.
+    setup : the given values: a `Setup`, tables as in a `setup.toml`, or the path of one.
+    note, f0 : the note, such as "F#2" or 42, or its pitch in Hz; estimated if None.
+    velocity : measured hammer velocity of a single recording, m/s. It is not fitted.
+    channel : channel of files: "average", "left", "right", or "1" to "8".
     intervals : `laplace`, `profile`, or `posterior`, which needs pianofit[bayes].
-    recipe : `default`, or the paper's own, which take one recording and give no intervals: `paper`, its three steps,
-        and `global`, its criterion over the whole spectrum.
-    evaluations : of the criterion by the recipe `paper`'s annealing, 20,000 unless given.
-    seed : of the search, and of the posterior's draws. The same seed gives the same result.
-    progress : called with a stage's name and the fraction done; False for none. A bar in a terminal and a line in a
-        notebook if None.
-    analyses : of the recordings, in their order, if they were analysed before.
+    recipe : `default`, or a recipe of the paper for one recording, without intervals: `paper`, its three steps, or
+        `global`, its criterion over the whole spectrum.
+    evaluations : evaluations of the criterion by the annealing of recipe `paper`; 20,000 if None.
+    seed : seed of the search and of the posterior draws. The same seed gives the same result.
+    progress : called with a stage's name and the fraction done; False for none. If None, a bar in a terminal and a line
+        in a notebook.
+    analyses : analyses of the recordings, in their order, if they were analysed before.
 
     Returns
     -------
-    A `Result`: every parameter with unit, 95 % interval and status, and a `Note` that plays. A fit that did not
-    converge says so in its messages.
+    A `Result`: every parameter with unit, 95 % interval and status, and a `Note` to render. If the fit did not
+    converge, its messages say so.
 
     Raises
     ------
     PianofitError
-        For any input that cannot be used: of its classes `ParameterError` for an argument, `SetupError`,
-        `RecordingError`, `AnalysisError`; and `FitError` if a recording is given twice, is of another key or all
-        noise, if no hammer gives a finite sound, or a contact does not end.
+        For invalid input: `ParameterError` for an argument, `SetupError`, `RecordingError` or `AnalysisError`.
+        `FitError` if a recording is given twice, is of another key or only noise, if no hammer gives a finite sound, or
+        if a contact does not end.
 
     Examples
     --------
@@ -83,42 +83,45 @@ def fit(
     >>> _ = result.save("fit", page=False)  # fit.json and the sounds
     """
     _check(recordings, analyses, velocity, intervals, recipe, evaluations, seed, progress)
-    known = _setup(setup)
-    _check_bounds(known, velocity)
+    setup = _load_setup(setup)
+    _check_bounds(setup, velocity)
     with progress_bar(progress) as report:
         report("reading", 0.0)
         sounds = load_recordings(recordings, channel)
         report("partials", 0.02)
-        heard = analyse_all(sounds, note, f0) if analyses is None else list(analyses)
+        analyses = analyse_all(sounds, note, f0) if analyses is None else list(analyses)
         if recipe != "default":
             from .bensa2005.recipes import fit_bensa2005
 
-            measured = recording_info_for(known, sounds[0].path, alone=True).v_H0 if velocity is None else velocity
+            if velocity is None:
+                velocity = recording_info_for(setup, sounds[0].path, alone=True).v_H0
             return fit_bensa2005(
-                sounds[0], heard[0], replace(known, recordings=()), recipe, velocity=measured, evaluations=evaluations,
-                seed=seed, progress=report,
+                sounds[0], analyses[0], replace(setup, recordings=()), recipe, velocity=velocity,
+                evaluations=evaluations, seed=seed, progress=report,
             )  # fmt: skip
         from .inference import run_inference
         from .modal_response import fit_modal_response
         from .result import build_result
 
-        found = run_inference(sounds, heard, known, velocity=velocity, intervals=intervals, seed=seed, progress=report)
+        inference = run_inference(
+            sounds, analyses, setup, velocity=velocity, intervals=intervals, seed=seed, progress=report
+        )
         report("sounds", 0.93)
-        return fit_modal_response(build_result(found), report)
+        return fit_modal_response(build_result(inference), report)
 
 
 def analyse_all(
     recordings: Sequence[Recording], note: str | int | None = None, f0: float | None = None
 ) -> list[Analysis]:
-    """The analyses of recordings of one note, on all cores.
+    """Analyse recordings of one note, on all cores.
 
-    Raises `AnalysisError` if one is too short, or its note, or enough of its partials, is not there.
+    Raises `AnalysisError` if a recording is too short, or its note or enough partials are not detected.
     """
     with ThreadPoolExecutor(cores()) as threads:
         return list(threads.map(lambda recording: analyse(recording, note=note, f0=f0), recordings))
 
 
-def _setup(setup: Setup | Mapping[str, Any] | str | os.PathLike[str] | None) -> Setup:
+def _load_setup(setup: Setup | Mapping[str, Any] | str | os.PathLike[str] | None) -> Setup:
     if setup is None or isinstance(setup, Setup):
         return setup or Setup()
     check_type("setup=", setup, Mapping | str | os.PathLike, "a Setup, tables as in a setup.toml, or the path of one")
@@ -129,19 +132,19 @@ def _check(
     recordings: Sequence[Source], analyses: Sequence[Analysis] | None, velocity: float | None, intervals: str,
     recipe: str, evaluations: int | None, seed: int, progress: Any,
 ) -> None:  # fmt: skip
-    """Refuse arguments that cannot be had, alone or together."""
+    """Reject invalid arguments and combinations."""
     check_process()
     if not recordings:
-        raise ParameterError("no recording was given; name one, or several of one key")
+        raise ParameterError("no recording was given; give one, or several of one key")
     check_type("progress=", progress, Callable | bool | None, "a function of a stage and a fraction, True or False")
     check_analyses(analyses)
     if analyses is not None and len(analyses) != len(recordings):
-        raise ParameterError(f"{len(analyses)} analyses were given of {len(recordings)} recordings; give one of each")
+        raise ParameterError(f"{len(analyses)} analyses were given for {len(recordings)} recordings; give one for each")
     check_velocity(velocity)
     check_seed(seed)
     if velocity is not None and len(recordings) > 1:
         raise ParameterError(
-            f"velocity={velocity} m/s is of one recording; give each its own in the setup's [[recording]]"
+            f"velocity={velocity} m/s needs a single recording; for several give v_H0 in [[recording]] of the setup"
         )
     check_type("recipe=", recipe, str, "a text, such as 'default'")
     check_type("intervals=", intervals, str, "a text, such as 'laplace'")
@@ -157,10 +160,10 @@ def _check(
         check_intervals(intervals, recipe)
 
 
-def _check_bounds(known: Setup, velocity: float | None) -> None:
-    """Refuse a measured velocity that the setup rules out."""
-    low, high = known.bounds.get("v_H0", (0.0, math.inf))
+def _check_bounds(setup: Setup, velocity: float | None) -> None:
+    """Reject a measured velocity outside the bounds of the setup."""
+    low, high = setup.bounds.get("v_H0", (0.0, math.inf))
     if velocity is not None and not low <= velocity <= high:
         raise SetupError(
-            f"velocity={velocity} m/s lies outside the setup's [bounds] v_H0 = [{low:g}, {high:g}]; change one of them"
+            f"velocity={velocity} m/s is outside [bounds] v_H0 = [{low:g}, {high:g}] of the setup; change one of them"
         )

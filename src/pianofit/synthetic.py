@@ -1,7 +1,7 @@
 """A synthetic recording: one simulated stroke, recorded as a calibrated measurement with noise.
 
 The setup that belongs to it states the sizes, the strike, the pickup and the scale. It does not state the parameters of
-the string or the hammer, so a fit of the recording has to find them, and `true` holds what it should find.
+the string or the hammer. A fit of the recording has to find them, and `true` has the correct values.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ from .setup import ON_THE_STRING, PLACES, RANGES, RecordingInfo, Setup
 
 __all__ = ["SyntheticRecording", "setup_of", "setup_text", "synthetic_recording"]
 
-# s of silence before the first touch: a recording needs 0.05 s of it for its noise to be measured.
+# s of silence before the first contact. The noise of a recording is measured in at least 0.05 s of it.
 LEAD = 0.06
-# s of the note over which its rms is taken, as the reference of the noise level.
+# s of the note whose rms is the reference of the noise level.
 REFERENCE_SECONDS = 1.0
-# Steps of the contact over those that `simulate` takes, at most. The error is of second order. With 16 times the steps
-# it is below 1e-5 of the force, so a fit, which extrapolates its own step to zero, finds the true parameters.
-FINER = 16
-QUIETEST_NOISE = 200.0  # dB below the note: less than the rounding of 32 bit samples
+# Largest refinement of the contact's time step relative to `simulate`. The error is of second order. With 16 times the
+# steps it is below 1e-5 of the force, so a fit, which extrapolates its own step to zero, recovers the true parameters.
+MAX_REFINEMENT = 16
+MAX_NOISE_DB = 200.0  # dB below the note, below the rounding of 32 bit samples
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SyntheticRecording:
-    """A simulated stroke as a file would hold it, the setup that calibrates it, and the true parameters."""
+    """A simulated stroke as a recording, the setup that calibrates it, and the true parameters."""
 
     samples: np.ndarray  # [samples], ±1 = full scale
     rate: int  # Hz
@@ -76,19 +76,19 @@ def synthetic_recording(
     seed: int = 0,
     name: str = "synthetic.wav",
 ) -> SyntheticRecording:
-    """Simulate one stroke and record it: with silence before it, a scale, and white noise.
+    """Simulate one stroke and record it with leading silence, a scale, and white noise.
 
     Parameters
     ----------
-    string, geometry : in SI units. `geometry` has the positions of the strike and the pickup.
+    string, geometry : string and geometry in SI units. `geometry` has the strike position and the pickup position.
     hammer : a `Hammer`, a `RelaxingHammer`, or a hammer of a `FeltLaw`.
     rate : Hz.
     seconds : length of the sound, s. The first 0.06 s of it are silent.
     quantity : what the pickup records: velocity, displacement, bridge-force or pressure.
     scale : pickup units at digital full scale: m/s, m or N. If None, the scale at which the peak is -1 dBFS.
-    noise_db : how far the rms of the noise lies below the rms of the note's first second, dB. If None, no noise.
-    seed : of the noise.
-    name : of the sound file, which the setup names.
+    noise_db : rms of the first second of the note over rms of the noise, dB. If None, no noise.
+    seed : seed of the noise.
+    name : name of the sound file in the setup.
 
     Returns
     -------
@@ -97,7 +97,7 @@ def synthetic_recording(
     Raises
     ------
     ParameterError
-        For a value outside its range, and for a scale that the note exceeds.
+        For a value outside its range, or a scale that the note exceeds.
     FitError
         If the contact does not end.
 
@@ -115,7 +115,7 @@ def synthetic_recording(
     if scale is not None:
         check_range("scale=", scale, *RANGES["scale"][:2])
     if noise_db is not None:
-        check_range("noise_db=", noise_db, 0, QUIETEST_NOISE, " dB", "; it says how far the noise lies below the note")
+        check_range("noise_db=", noise_db, 0, MAX_NOISE_DB, " dB", "; it is the level of the note over the noise")
     stroke = _stroke(string, hammer, geometry, rate, quantity)
     lead = round(LEAD * rate)
     note = stroke.waveform(rate, round(seconds * rate) - lead)
@@ -128,17 +128,17 @@ def synthetic_recording(
 
 
 def _stroke(string: String, hammer: Any, geometry: Geometry, rate: int, quantity: str) -> Simulation:
-    """The stroke, its contact in steps as short as `simulate` can follow to the end."""
+    """Simulate the stroke with the shortest time steps that the step limit of `simulate` allows."""
     coarse = simulate(string, hammer, geometry, rate=rate, quantity=quantity)
-    finer = min(FINER, MOST_STEPS // len(coarse.pulse.force))
-    if finer <= 1:
+    refinement = min(MAX_REFINEMENT, MOST_STEPS // len(coarse.pulse.force))
+    if refinement <= 1:
         return coarse
-    own = round(1.0 / (rate * float(coarse.modes.step)))
-    return simulate(string, hammer, geometry, rate=rate, quantity=quantity, oversampling=finer * own)
+    oversampling = refinement * round(1.0 / (rate * float(coarse.modes.step)))
+    return simulate(string, hammer, geometry, rate=rate, quantity=quantity, oversampling=oversampling)
 
 
 def _scale(note: np.ndarray, scale: float | None) -> float:
-    """Pickup units at full scale: as given, if the note does not exceed it."""
+    """Pickup units at full scale: the given value, or the default for the peak of the note."""
     peak = float(np.abs(note).max())
     if scale is None:
         return max(peak, np.finfo(float).tiny) / PEAK_LIMIT
@@ -156,20 +156,20 @@ def _noise(note: np.ndarray, db: float | None, seed: int, rate: int, lead: int) 
 
 
 def setup_of(hammer: Any, geometry: Geometry, quantity: str, scale: float, name: str) -> Setup:
-    """The setup that a laboratory would write for the measurement."""
+    """The setup of the measurement, as a laboratory would write it."""
     length, mass, strike, width, pickup = map(float, geometry)
     law = law_of(hammer)
     felt = "power" if getattr(hammer, "mu", 1.0) == 0 and law.name == "hunt-crossley" else law.name
     return Setup(
         length=length, mass=mass, strike_position=strike, strike_width=width, pickup_quantity=quantity,
         pickup_position=pickup if quantity in ON_THE_STRING else None,
-        pickup_scale=None if quantity == "pressure" else scale,  # an unknown path has no scale
+        pickup_scale=None if quantity == "pressure" else scale,  # an unknown output path has no scale
         recordings=(RecordingInfo(file=name),), felt=felt if law.hammers is not None else law,
     )  # fmt: skip
 
 
 def setup_text(setup: Setup) -> str:
-    """The content of the `setup.toml` that `load_setup` reads as `setup`, whose felt law is one of the package's."""
+    """The content of the `setup.toml` that `load_setup` reads as `setup`; its felt law must be built in."""
     tables: dict[str, list[str]] = {}
     for attribute, (table, key) in PLACES.items():
         value = setup.law.name if attribute == "felt" else getattr(setup, attribute)
@@ -179,9 +179,9 @@ def setup_text(setup: Setup) -> str:
     for table in ("fixed", "initial", "bounds"):
         tables[table] = [f"{key} = {_toml(value)}" for key, value in getattr(setup, table).items()]
     text = "\n".join("\n".join([f"[{table}]", *lines, ""]) for table, lines in tables.items() if lines)
-    for layer in setup.recordings:
-        said = {key: value for key, value in vars(layer).items() if value is not None}
-        text += "\n".join(["", "[[recording]]", *(f"{key} = {_toml(value)}" for key, value in said.items()), ""])
+    for recording in setup.recordings:
+        given = {key: value for key, value in vars(recording).items() if value is not None}
+        text += "\n".join(["", "[[recording]]", *(f"{key} = {_toml(value)}" for key, value in given.items()), ""])
     return text
 
 

@@ -1,7 +1,7 @@
-"""What a fit says: sounds, numbers with intervals and statuses, sentences, `fit.json`; and what it foretells.
+"""Results of a fit: parameters with intervals and statuses, the identifiability statement, sounds, `fit.json`.
 
-`conclude` puts what was inferred into a `Result`. `predict` plays a fit at a velocity that it was not fitted to,
-`crossval` leaves strokes out for that.
+`build_result` turns an inference into a `Result`. `predict_recording` predicts a recording that took no part in the
+fit, and `cross_validate` does so for every stroke in turn.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A fit heard beside its recordings: on the paper's criterion, and in the levels of their partials."""
+"""Comparison of a fit with its recordings: the paper's criterion, and the levels of the partials."""
 
 from __future__ import annotations
 
@@ -35,80 +35,81 @@ from .result import FittedRecording, RenderedFit
 
 __all__ = ["RecordingComparison", "compare_recordings", "audible_partials", "pool_level_errors", "worse_bands"]
 
-# Of which levels of partials errors are told: before and after, and of the first hammer as it suits.
+# Level errors that are reported: before the fit, after it, and of the initial hammer at its best path and velocities.
 LEVELS = ("initial_db", "fitted_db", "path_only_db")
-# Levels are compared over partials to this, Hz: few hammers reach beyond,
+# Levels are compared up to this frequency, Hz, since few hammers reach beyond it,
 LEVEL_TOP = 6000.0
-# within so many dB of the strongest: other sounds lie there.
+# and within this range of the strongest partial, dB, since other sounds lie below it.
 LEVEL_RANGE = 60.0
-# Steps of the initial hammer's descent at the most, and the gain that ends it, F: a number to a tenth of a dB.
-STEPS, GAIN = 25, 0.1
-# dB, of a hammer whose contact does not end.
-SILENT = -300.0
+# At most this many steps of the initial hammer's descent. It stops when F gains less than this, a tenth of a dB.
+DESCENT_STEPS, DESCENT_GAIN = 25, 0.1
+# Level of a hammer whose contact does not end, dB.
+SILENT_DB = -300.0
 
 
 def worse_bands(criterion: dict) -> list[str]:
-    """Occupied bands, and `global`, in which the criterion ended no lower than it started."""
+    """Occupied bands, and `global`, in which the criterion did not decrease."""
     names = [n for n in ("global", *BANDS) if n in criterion]
     return [n for n in names if criterion[n]["final"] >= criterion[n]["initial"]]
 
 
 def audible_partials(frequency: np.ndarray, level: np.ndarray) -> np.ndarray:
-    """The partials on which levels are compared [partials], bool."""
+    """True for partials whose levels are compared [partials]."""
     return (frequency <= LEVEL_TOP) & (level >= level.max() - LEVEL_RANGE)
 
 
 @dataclass(frozen=True)
 class RecordingComparison:
-    """A recording on the paper's criterion: cells, and what any other sound of the same length gives on them."""
+    """A recording with the cells of the paper's criterion, on which other sounds of its length are compared with it."""
 
     recording: Recording
     analysis: Analysis
-    scale: float | None  # the pickup's unit at full scale; None where that is not known
+    scale: float | None  # pickup unit at full scale; None if unknown
     cells: Cells
     energy: np.ndarray  # |S|² of the recording [partials, nodes]
 
     @classmethod
     def of(cls, recording: Recording, analysis: Analysis, scale: float | None) -> RecordingComparison:
-        """The listener to one recording."""
+        """The comparison with one recording."""
         return cls(recording, analysis, scale, *_measured(recording.samples, recording, analysis))
 
     @property
     def level(self) -> np.ndarray:
-        """Measured, dB [partials], in the pickup's unit."""
+        """Measured levels, dB in the pickup unit [partials]."""
         return self.analysis.partials.level + (0.0 if self.scale is None else 20 * np.log10(self.scale))
 
     @property
     def gain(self) -> float | None:
-        """Full scale over the pickup's unit; None where that is not known."""
+        """Full scale over the pickup unit; None if unknown."""
         return None if self.scale is None else 1.0 / self.scale
 
     def begins(self, note: Note) -> int | None:
-        """Where in a calibrated recording the hammer touched; None where the onset says it."""
+        """Sample index of the first contact in a calibrated recording; None if the onset determines it."""
         return None if self.gain is None else round(align_attack(note._replace(gain=self.gain), self.recording))
 
     def at(self, level: np.ndarray, number: np.ndarray) -> np.ndarray:
-        """Levels, dB, of partials `number` at the recording's [partials]; as measured where there are none."""
-        own = scatter_by_number(level, number, self.analysis.partials.number, np.nan)
-        return np.where(np.isfinite(own), own, self.level)
+        """Levels of partials `number`, dB, at the recording's [partials]; measured levels where there are none."""
+        scattered = scatter_by_number(level, number, self.analysis.partials.number, np.nan)
+        return np.where(np.isfinite(scattered), scattered, self.level)
 
     def add_noise_floor(self, level: np.ndarray) -> np.ndarray:
-        """Levels, dB [partials], with the energy of the noise that the recording's have: a node is not silent."""
+        """Levels, dB [partials], plus the noise energy of the recording, since a partial at a node is not silent."""
         noise = self.level - self.analysis.partials.snr
         return 10 / np.log(10) * np.logaddexp(level * np.log(10) / 10, noise * np.log(10) / 10)
 
     def best(self, samples: np.ndarray) -> tuple[np.ndarray, float]:
-        """|Y|² [partials, nodes] of a sound on the recording's cells, and the square of its best gain by eq. 19."""
-        heard = _measured(samples, self.recording, self.analysis)[1]
-        return heard, closed_form_gain(heard, self.energy, self.cells.spacing[:, None])
+        """|Y|² of a sound on the cells [partials, nodes], and the square of its best gain by eq. 19."""
+        energy = _measured(samples, self.recording, self.analysis)[1]
+        return energy, closed_form_gain(energy, self.energy, self.cells.spacing[:, None])
 
     def play(self, note: Note, gain: float | None, begins: int | None, level: np.ndarray) -> RenderedFit:
-        """A note laid on the recording, with the gain that the criterion likes best if none is given.
+        """Render a note aligned with the recording.
 
         Parameters
         ----------
-        begins : the sample at which the hammer touches; where its sound would be seen at the onset if None.
-        level : dB, [partials], through a gain of 1.
+        gain : gain of the sound; the best one by the criterion if None.
+        begins : sample index of the first contact; estimated from the onset if None.
+        level : levels at a gain of 1, dB [partials].
         """
         strike = note.strike(self.recording.rate)
         begins = estimate_contact_onset(note, strike, self.recording) if begins is None else begins
@@ -119,41 +120,41 @@ class RecordingComparison:
         return RenderedFit(note._replace(gain=gain), samples * gain, strike, level)
 
     def compared(self, initial: RenderedFit, fitted: RenderedFit, levels: dict[str, np.ndarray]) -> FittedRecording:
-        """The recording beside two sounds, on the criterion, and on some of `LEVELS`, dB [partials], less one gain."""
+        """The recording with two sounds, the criterion, and level errors by name of `LEVELS`, one gain removed."""
         chosen = audible_partials(self.analysis.partials.frequency, self.level)
-        off = {name: level_error_db(level[chosen], self.level[chosen]) for name, level in levels.items()}
+        errors = {name: level_error_db(level[chosen], self.level[chosen]) for name, level in levels.items()}
         return FittedRecording(
             initial, fitted, self.level, self.recording, self.analysis, self._criterion(initial, fitted),
-            dict.fromkeys(LEVELS) | off | {"partials": int(chosen.sum())},
+            dict.fromkeys(LEVELS) | errors | {"partials": int(chosen.sum())},
         )  # fmt: skip
 
     def _criterion(self, initial: RenderedFit, fitted: RenderedFit) -> dict:
-        """Eq. 19 per band on the sounds themselves, from the onset on; bands without a partial are dropped.
+        """Eq. 19 for each band, computed on the sounds from the onset on; bands without a partial are dropped.
 
-        Unless their levels are known each has the gain that the criterion likes best.
+        In an uncalibrated recording each sound has its best gain by the criterion.
         """
 
-        def of(sound: RenderedFit) -> dict[str, float]:
-            heard, square = self.best(sound.samples)
-            return band_values((square if self.scale is None else 1.0) * heard, self.energy, self.cells.spacing)
+        def values_of(sound: RenderedFit) -> dict[str, float]:
+            energy, gain_squared = self.best(sound.samples)
+            return band_values((gain_squared if self.scale is None else 1.0) * energy, self.energy, self.cells.spacing)
 
-        before, after, number = of(initial), of(fitted), self.analysis.partials.number
-        kept = {"global", *(BANDS[b] for b in band_of(number))}
-        values = {name: {"initial": before[name], "final": after[name]} for name in before if name in kept}
+        before, after, number = values_of(initial), values_of(fitted), self.analysis.partials.number
+        occupied = {"global", *(BANDS[b] for b in band_of(number))}
+        values = {name: {"initial": before[name], "final": after[name]} for name in before if name in occupied}
         return values | {
-            "dropped": [name for name in BANDS if name not in kept],
+            "dropped": [name for name in BANDS if name not in occupied],
             "sigma": self.cells.sigma,
             "borders": list(borders(self.analysis.f0, self.analysis.B, int(number.max()))),
         }
 
 
 def _measured(samples: np.ndarray, r: Recording, a: Analysis) -> tuple[Cells, np.ndarray]:
-    """Cells of a recording, and |Y|² on them [partials, nodes] of a sound that is aligned to it."""
+    """Cells of a recording, and |Y|² on them of a sound aligned with it [partials, nodes]."""
     return measure(samples[r.onset :], r.rate, a.f0, a.B, int(a.partials.number.max()), line_sigma(a.f0))
 
 
 def pool_level_errors(levels: Sequence[dict]) -> dict:
-    """Level errors over all recordings, dB rms, and the partials counted."""
+    """Rms level errors over all recordings, dB, and the number of partials."""
     count = np.array([x["partials"] for x in levels])
 
     def rms(name: str) -> float | None:
@@ -164,7 +165,7 @@ def pool_level_errors(levels: Sequence[dict]) -> dict:
 
 
 def compare_recordings(fit: InferenceResult, notes: Sequence[Note]) -> tuple[FittedRecording, ...]:
-    """Every recording beside the starting values, and beside its note at the minimum that is shown.
+    """Compare every recording with the initial values and with its note at the best minimum.
 
     Raises
     ------
@@ -178,46 +179,50 @@ def compare_recordings(fit: InferenceResult, notes: Sequence[Note]) -> tuple[Fit
     initial = descent.level(start[None])[0]
     fitted = np.asarray(descent.table.value) - integrated.own
     path_only = None if problem.calibrated else fit_reference_hammer(fit)
-    heard = []
+    compared = []
     for i, note in enumerate(notes):
         recording = problem.recordings[i]
-        listener = RecordingComparison.of(recording, problem.analyses[i], problem.start.scale)
-        begins = listener.begins(note)
-        # The lowest partial has least of the onset's.
-        gain = 10 ** (integrated.columns[i][0] / 20) if listener.gain is None else listener.gain
-        after = listener.play(note, float(gain), begins, listener.at(fitted[i], columns))
-        # The criterion's own gain on the initial sound: its level is not what is judged.
-        before = listener.play(_played(fit, start, i), listener.gain, begins, listener.at(initial[i], columns))
+        comparison = RecordingComparison.of(recording, problem.analyses[i], problem.start.scale)
+        begins = comparison.begins(note)
+        # The uncertainty of the onset affects the lowest partial least.
+        gain = 10 ** (integrated.columns[i][0] / 20) if comparison.gain is None else comparison.gain
+        after = comparison.play(note, float(gain), begins, comparison.at(fitted[i], columns))
+        # The initial sound has its best gain by the criterion, since its overall level is not compared.
+        before = comparison.play(_note_at(fit, start, i), comparison.gain, begins, comparison.at(initial[i], columns))
         levels = {"initial_db": before.level, "fitted_db": after.level}
-        levels |= {} if path_only is None else {"path_only_db": listener.at(path_only[i], columns)}
-        heard.append(listener.compared(before, after, {n: listener.add_noise_floor(x) for n, x in levels.items()}))
-    return tuple(heard)
+        levels |= {} if path_only is None else {"path_only_db": comparison.at(path_only[i], columns)}
+        compared.append(
+            comparison.compared(before, after, {n: comparison.add_noise_floor(x) for n, x in levels.items()})
+        )
+    return tuple(compared)
 
 
-def _played(fit: InferenceResult, z: np.ndarray, i: int) -> Note:
-    """What values at `z` [size] give of a recording, without a path."""
+def _note_at(fit: InferenceResult, z: np.ndarray, i: int) -> Note:
+    """The note of recording `i` at parameters `z` [size], without an output path."""
     u, problem = fit.problem.unknowns, fit.problem
     hammer = u.hammer(z, problem.layout.stroke[i])
     return Note(u.string(z), hammer, u.geometry_at(z), problem.start.quantity, 1.0, None)
 
 
 def fit_reference_hammer(fit: InferenceResult) -> np.ndarray:
-    """Levels of the initial hammer at the velocities, and through the gain and path, that suit it, dB [R, K].
+    """Levels of the initial hammer at its best velocities, gain and output path, dB [R, K].
 
-    Where its strike is free it is fitted too: what is left to the fitted hammer is what mass and felt explain.
+    A free strike position is fitted too. So the remaining difference to the fitted hammer is due to mass and felt.
     """
     problem, u, z = fit.problem, fit.problem.unknowns, fit.found.z
-    felt = np.arange(u.size) < u.shared
-    felt[:STRING_SIZE] = felt[[u.index_of("x0"), u.index_of("width")]] = False
-    known = replace(u, mean=np.where(felt, fit.begun, u.mean), sd=np.where(felt, 0.0, u.sd))
-    descent = descents.Optimiser(replace(problem, unknowns=known), z[:STRING_SIZE], descents.LEVELS)
+    hammer = np.arange(u.size) < u.shared
+    hammer[:STRING_SIZE] = hammer[[u.index_of("x0"), u.index_of("width")]] = False
+    with_hammer = replace(u, mean=np.where(hammer, fit.begun, u.mean), sd=np.where(hammer, 0.0, u.sd))
+    descent = descents.Optimiser(replace(problem, unknowns=with_hammer), z[:STRING_SIZE], descents.LEVELS)
     phi, offset = fit.found.minima.people.level.phi[:1], descent.discretisation_error_db(z[None])[0]
-    parabolas = [QuadraticSurrogate.of(descent.table, phi[0], gains=node) for node in range(len(descent.table.scale))]
-    begun = np.concatenate(rescan_velocities(descent, known.project(np.stack([fit.begun, z])), parabolas, offset))
-    people = descent.minimise(descent.initialise(begun, [phi], offset=offset), 0.0, STEPS, GAIN)
-    if not len(people):
-        return np.full(descent.table.value.shape, SILENT)
-    best = people.level
+    surrogates = [QuadraticSurrogate.of(descent.table, phi[0], gains=node) for node in range(len(descent.table.scale))]
+    starts = np.concatenate(
+        rescan_velocities(descent, with_hammer.project(np.stack([fit.begun, z])), surrogates, offset)
+    )
+    candidates = descent.minimise(descent.initialise(starts, [phi], offset=offset), 0.0, DESCENT_STEPS, DESCENT_GAIN)
+    if not len(candidates):
+        return np.full(descent.table.value.shape, SILENT_DB)
+    best = candidates.level
     return (
         np.asarray(descent.table.value) - latent_posterior(descent.table, best.residual[0], best.phi[0], best.w[0]).own
     )

@@ -1,4 +1,7 @@
-"""What a fit can claim, said first and plainly: its identifiability statement, statuses and messages."""
+"""The identifiability statement of a fit: which parameters the recordings determine, and how to read the rest.
+
+Every result opens with the statement. Each parameter has a status, and warnings follow in order of importance.
+"""
 
 from __future__ import annotations
 
@@ -15,220 +18,223 @@ from ..inference.problem import FitProblem
 from ..io.files import printable
 from ..io.number_format import format_relative_uncertainty, with_half_interval
 from ..recording.recording import Recording
-from .remarks import remarks
+from .remarks import recording_warnings
 from .serialise import unit_and_meaning
-from .velocity_check import VELOCITIES, questioned
+from .velocity_check import PIANIST_VELOCITY_RATIO, contradictory_velocities
 
 __all__ = [
-    "AT_EDGE",
-    "STATUSES",
-    "STOPPED",
-    "identifiability_statement",
-    "correlated",
-    "invariant_status",
+    "AT_EDGE", "STATUSES", "STOPPED", "correlated", "identifiability_statement", "invariant_status", "mixed_layouts",
+    "scaled_parameters", "statuses", "unidentifiable_parameters", "velocity_assumption", "velocity_statuses",
     "warnings",
-    "mixed_layouts",
-    "velocity_assumption",
-    "scaling",
-    "statuses",
-    "retracted",
-    "velocity_statuses",
-]
+]  # fmt: skip
 
 STATUSES = ("fitted", "scaled", "given", "assumed", "at-bound", "not-identifiable")
-# A parameter whose posterior is this wide, over its prior, has learned next to nothing from the recording.
-LEARNED = 0.7
-# A standard deviation of log(value) above this is no knowledge.
-LOOSE = 0.7
-# A calibrated recording of the string described is met within hundredths of a decibel. An excess beyond this, dB, means
-# that something acts that the model does not have, and the felt takes it up;
-STRAINED = 0.1
-# beyond this, dB, the hammer itself may be another.
-POOR = 0.5
-# Correlation of two logarithms beyond which they are named.
-STRONG = 0.99
-# A recording whose levels are so many times as far off as the others' is named.
-FARTHER = 2.0
-# A second minimum with this share of the posterior is named.
-NAMED = 0.1
-MIXED = {
-    "laplace": "Intervals and predictions are those of the mixture.",
-    "profile": "Predictions are those of the mixture, the parameters' intervals the first one's.",
-    "posterior": "Predictions are those of the mixture; the parameters' intervals are the posterior's draws.",
+# A parameter whose posterior standard deviation exceeds this fraction of its prior's is not identifiable.
+MAX_SD_OVER_PRIOR = 0.7
+# Nor is one whose standard deviation of log(value) exceeds this.
+MAX_LOG_SD = 0.7
+# A calibrated recording of the described string is reproduced within hundredths of a decibel. With an excess beyond
+# this, dB, an effect outside the model is present and biases the felt parameters.
+FELT_EXCESS_DB = 0.1
+# With an excess beyond this, dB, the hammer mass is in doubt too.
+HAMMER_EXCESS_DB = 0.5
+# Correlations of two logarithms beyond this are listed.
+STRONG_CORRELATION = 0.99
+# A recording whose level error exceeds that of the others by this factor is named.
+OUTLIER_FACTOR = 2.0
+# A second minimum is named if all but the best have at least this posterior weight together.
+MIN_OTHER_WEIGHT = 0.1
+MIXTURE_NOTES = {
+    "laplace": "Intervals and predictions average over all minima.",
+    "profile": "Predictions average over all minima. Intervals of the parameters belong to the minimum shown.",
+    "posterior": "Predictions average over all minima. Intervals of the parameters come from the posterior draws.",
 }
-STOPPED = "The search stopped before it converged; no value is a result."
-AT_EDGE = "At a bound of the search, which decides the value, and what else is found holds with it there: {}."
-WORSE = "The paper's criterion, which this fit does not minimise, is no lower than at the start: {}."
-ONE_VELOCITY = (
-    "One uncalibrated recording does not fix the felt: any hammer's spectrum can be traded for an output path, and a "
-    "softer felt struck faster sounds the same through another gain. "
+STOPPED = "The search stopped before it converged. Do not use any of the values."
+AT_EDGE = "These parameters are at a search bound, which sets their value: {}. Other results are conditional on it."
+CRITERION_NOT_DECREASED = "The paper's criterion did not decrease in: {}. This fit does not minimise it."
+ONE_RECORDING = (
+    "One uncalibrated recording does not determine the hammer felt. A different felt gives the same sound through a "
+    "different output path (soundboard, room, microphone). A softer felt struck faster also gives the same sound at "
+    "another gain. "
 )
-ONE_GAIN = (
-    "One recording without a unit does not fix the felt: a softer one struck faster sounds the same through another "
-    "gain. "
+ONE_RECORDING_WITHOUT_PATH = (
+    "One recording of unknown scale does not determine the hammer felt. A softer felt struck faster gives the same "
+    "sound at another gain. "
 )
-NOTHING_COMPARED = (
-    "{} uncalibrated recordings, but none shares a path with a stroke of another velocity, which does not fix the "
-    "felt: any hammer's spectrum can be traded for an output path. "
+NO_VELOCITIES_COMPARED = (
+    "{} uncalibrated recordings do not determine the hammer felt. This needs strokes of clearly different velocities "
+    "through one output path (soundboard, room, microphone). Without them, a different felt gives the same sound "
+    "through a different output path. "
 )
-SEVERAL = (
-    "{} uncalibrated recordings of one key: what changes from stroke to stroke is the hammer's doing, what they share "
-    "is the path's. "
+SEVERAL_VELOCITIES = (
+    "{} uncalibrated recordings of one key were compared. Differences between strokes are attributed to the hammer. "
+    "Everything common to all strokes is attributed to the output path (soundboard, room, microphone). "
 )
 
 
-# --- in one word ------------------------------------------------------------------------------------------------------
+# --- statuses ---------------------------------------------------------------------------------------------------------
 
 
 def statuses(fit: InferenceResult) -> dict[str, str]:
     """One of `STATUSES` by parameter name."""
     u, start = fit.problem.unknowns, fit.problem.start
-    bound, lost, moving = u.at_bound(fit.found.z), retracted(fit), scaling(fit)
-    # Of the logarithms of values, before the recordings; of the string's no more is asked than that it be known.
+    at_bound, unidentifiable, scaled = u.at_bound(fit.found.z), unidentifiable_parameters(fit), scaled_parameters(fit)
+    # Standard deviations of log(value). For the parameters of the string only `MAX_LOG_SD` applies.
     prior = np.linalg.norm(u.tangent(fit.found.z) * u.sd, axis=1)
-    enough = np.where(np.arange(u.size) < STRING_SIZE, LOOSE, np.minimum(LEARNED * prior, LOOSE))
+    widest = np.where(np.arange(u.size) < STRING_SIZE, MAX_LOG_SD, np.minimum(MAX_SD_OVER_PRIOR * prior, MAX_LOG_SD))
 
     def status(i: int, name: str) -> str:
         if not u.free[i]:
             return "assumed" if start.fixed.get(name) == "assumed" else "given"
-        if bound[i]:
+        if at_bound[i]:
             return "at-bound"
-        # Without a measured velocity what scales with it is known by its prior alone.
-        posterior = fit.gauge_fixed if name in moving else fit.posterior
-        if name in lost or posterior.spread(np.eye(u.size)[i]) > enough[i]:
+        # Without a measured velocity, the prior alone sets the scale of these parameters.
+        posterior = fit.gauge_fixed if name in scaled else fit.posterior
+        if name in unidentifiable or posterior.spread(np.eye(u.size)[i]) > widest[i]:
             return "not-identifiable"
-        return "scaled" if name in moving or start.assumptions.get(name) else "fitted"
+        return "scaled" if name in scaled or start.assumptions.get(name) else "fitted"
 
     return {name: status(i, name) for i, name in enumerate(u.names)}
 
 
-def scaling(fit: InferenceResult) -> tuple[str, ...]:
-    """The felt's parameters that move with the common scale of the velocities, where that is open."""
-    return fit.problem.unknowns.law.scaling("N m") if fit.problem.velocity_scale_free and _compared(fit) else ()
+def scaled_parameters(fit: InferenceResult) -> tuple[str, ...]:
+    """Felt parameters that change with the common scale of the velocities, if that scale is unknown."""
+    return fit.problem.unknowns.law.scaling("N m") if fit.problem.velocity_scale_free and _path_compared(fit) else ()
 
 
 def _fastest_over_slowest(fit: InferenceResult, strokes: Sequence[int]) -> tuple[float, float, float]:
-    """Logarithm of the ratio of their velocities, between the ends of its 95 % interval."""
+    """Logarithm of the largest ratio of the strokes' velocities: low end of its 95 % interval, value, high end."""
     u, z = fit.problem.unknowns, fit.found.z
-    at, change = u.shared + np.array(strokes), np.zeros(u.size)
-    change[at[np.argmax(z[at])]] += 1
-    change[at[np.argmin(z[at])]] -= 1
-    apart = float(z @ change)
-    low, high = fit.posterior.interval(change) or (apart, apart)
-    return low, apart, high
+    index, direction = u.shared + np.array(strokes), np.zeros(u.size)
+    direction[index[np.argmax(z[index])]] += 1
+    direction[index[np.argmin(z[index])]] -= 1
+    log_ratio = float(z @ direction)
+    low, high = fit.posterior.interval(direction) or (log_ratio, log_ratio)
+    return low, log_ratio, high
 
 
-def _compared(fit: InferenceResult) -> bool:
-    """Whether any path was heard with two velocities that certainly differ: two like strokes say no more than one."""
+def _path_compared(fit: InferenceResult) -> bool:
+    """True if one output path was recorded with two velocities whose 95 % interval excludes equality."""
     layout = fit.problem.layout
     paths = [
-        sorted({s for s, g in zip(layout.stroke, layout.group, strict=True) if g == at}) for at in set(layout.group)
+        sorted({s for s, g in zip(layout.stroke, layout.group, strict=True) if g == group})
+        for group in set(layout.group)
     ]
     return any(_fastest_over_slowest(fit, strokes)[0] > 0 for strokes in paths)
 
 
-def retracted(fit: InferenceResult) -> tuple[str, ...]:
-    """What the statement takes back, however narrow its interval."""
+def unidentifiable_parameters(fit: InferenceResult) -> tuple[str, ...]:
+    """Hammer parameters reported as not identifiable, even if their interval is narrow."""
     problem = fit.problem
     felt = tuple(problem.unknowns.law.parameters)
     if problem.calibrated:
-        return () if fit.excess <= STRAINED else felt if fit.excess <= POOR else (*felt, "M_H")
-    if _compared(fit):
-        return felt if _beyond_a_pianist(fit) else ()
+        return () if fit.excess <= FELT_EXCESS_DB else felt if fit.excess <= HAMMER_EXCESS_DB else (*felt, "M_H")
+    if _path_compared(fit):
+        return felt if _implausible_velocities(fit) else ()
     return (*felt, "M_H") if problem.path else felt
 
 
 def invariant_status(states: Sequence[str], deviation: float) -> str:
-    """Of a ratio or product of values with these statuses, whose logarithm has this standard deviation."""
-    for lost in ("not-identifiable", "at-bound"):
-        if lost in states:
-            return lost
+    """Status of a ratio or product from the statuses of its factors and the standard deviation of its logarithm."""
+    for decisive in ("not-identifiable", "at-bound"):
+        if decisive in states:
+            return decisive
     if not deviation:
         return "assumed" if "assumed" in states else "given"
-    return "not-identifiable" if deviation > LOOSE else "fitted"
+    return "not-identifiable" if deviation > MAX_LOG_SD else "fitted"
 
 
 def velocity_statuses(fit: InferenceResult) -> list[str]:
-    """One of `STATUSES` for every stroke's velocity."""
+    """One of `STATUSES` for the velocity of every stroke."""
     problem = fit.problem
-    lost = fit.excess > POOR if problem.calibrated else not _compared(fit) or bool(_beyond_a_pianist(fit))
-    unknown = "not-identifiable" if lost else "scaled" if problem.velocity_scale_free else "fitted"
-    bound = problem.unknowns.at_bound(fit.found.z)[problem.unknowns.shared :]
+    if problem.calibrated:
+        unidentifiable = fit.excess > HAMMER_EXCESS_DB
+    else:
+        unidentifiable = not _path_compared(fit) or bool(_implausible_velocities(fit))
+    searched = "not-identifiable" if unidentifiable else "scaled" if problem.velocity_scale_free else "fitted"
+    at_bound = problem.unknowns.at_bound(fit.found.z)[problem.unknowns.shared :]
     return [
-        "given" if v is not None else "at-bound" if at else unknown
-        for v, at in zip(problem.measured_velocity, bound, strict=True)
+        "given" if v is not None else "at-bound" if bound else searched
+        for v, bound in zip(problem.measured_velocity, at_bound, strict=True)
     ]
 
 
-def _bound(fit: InferenceResult, states: dict[str, str]) -> list[str]:
-    """What lies at a bound of the search."""
+def _names_at_bound(fit: InferenceResult, states: dict[str, str]) -> list[str]:
+    """Parameters at a search bound."""
     names = [name for name, state in states.items() if state == "at-bound"]
     return names + ["v_H0"] * ("at-bound" in velocity_statuses(fit))
 
 
-# --- in sentences -----------------------------------------------------------------------------------------------------
+# --- sentences --------------------------------------------------------------------------------------------------------
 
 
 def identifiability_statement(fit: InferenceResult, states: dict[str, str], levels: dict) -> str:
-    """The opening sentences: what kind of measurement this is, and what of it is identified."""
+    """The opening sentences: the kind of measurement, and which parameters it determines."""
     problem = fit.problem
     if problem.calibrated:
-        return f"Calibrated recording{_calibrated(fit, states)}."
+        return _calibrated(fit, states)
     count = len(problem.recordings)
-    several = SEVERAL if _compared(fit) else NOTHING_COMPARED
-    text = (ONE_VELOCITY if problem.path else ONE_GAIN) if count == 1 else several.format(count)
-    through = "path" if problem.path else "gain"
+    several = SEVERAL_VELOCITIES if _path_compared(fit) else NO_VELOCITIES_COMPARED
+    text = (ONE_RECORDING if problem.path else ONE_RECORDING_WITHOUT_PATH) if count == 1 else several.format(count)
     text += (
-        f"Partial levels: {levels['initial_db']:.1f} dB off at the start; {levels['path_only_db']:.1f} dB with the "
-        f"{_initial(problem)} hammer at the velocities and through the {through} that suit it; "
-        f"{levels['fitted_db']:.1f} dB with the fitted hammer."
+        f"The rms error of the partial levels is {levels['initial_db']:.1f} dB before the fit, "
+        f"{levels['fitted_db']:.1f} dB after it. With the {_initial_hammer(problem)} hammer, at its best velocities "
+        f"and {'output path' if problem.path else 'gain'}, it is {levels['path_only_db']:.1f} dB."
     )
-    if not _compared(fit):
+    if not _path_compared(fit):
         felt = any(problem.unknowns.free[problem.unknowns.index_of(name)] for name in problem.unknowns.law.parameters)
-        under = f"the prior{' of the path' if problem.path else ''}"
-        return text + f" The felt's values are one possibility under {under}, not a finding." * felt
-    beyond = _beyond_a_pianist(fit)
-    text += beyond
-    if problem.velocity_scale_free and not beyond:
-        moving = (name.replace("mu", "μ") for name in problem.unknowns.law.scaling("N m"))
+        prior = "the prior of the output path" if problem.path else "the prior"
+        return text + f" The felt parameters shown are one possibility under {prior}. Do not interpret them." * felt
+    implausible = _implausible_velocities(fit)
+    text += implausible
+    if problem.velocity_scale_free and not implausible:
+        scaled = (name.replace("mu", "μ") for name in problem.unknowns.law.scaling("N m"))
         text += (
-            f" No hammer velocity was measured: {_listed('velocities', *moving)} are known up to one common scale, "
-            "and their intervals are the prior's. The ratios listed first do not depend on it, nor do f0 and B."
+            f" No hammer velocity was measured. {_listed('Velocities', *scaled)} are therefore determined only up to "
+            "one common factor, and their intervals come from the prior. The ratios listed first, f0 and B do not "
+            "depend on this factor."
         )
     return text
 
 
-def _initial(problem: FitProblem) -> str:
-    """Whose hammer the search began with."""
+def _initial_hammer(problem: FitProblem) -> str:
+    """The origin of the hammer with which the search began."""
     start = problem.start
-    return "initial" if start.user_given or start.law.hammers is None else "literature's"
+    return "initial" if start.user_given or start.law.hammers is None else "literature"
 
 
 def _calibrated(fit: InferenceResult, states: dict[str, str]) -> str:
-    """How the opening sentence goes on, of a calibrated recording."""
-    if fit.excess > STRAINED:
-        what = "something acts that the model does not have. The felt's"
-        if fit.excess > POOR:
-            what = "another hammer may explain it better, or the setup is not this string's. The hammer's"
-        missed = f"the model misses its levels by {fit.excess:.2f} dB beyond the noise"
-        return f", but {missed}: {what} values are no finding"
-    lost = [n for n, state in states.items() if state == "not-identifiable" and n != "width"]
-    if lost:
-        return f". Not identifiable from it: {', '.join(lost)}"
-    together = "; ".join(f"{a} and {b} mostly together, as {_identified(fit, a, b)}" for a, b, _ in correlated(fit))
-    return ": all free parameters are identified" + (f", {together}" if together else "")
+    """The statement of calibrated recordings."""
+    several = len(fit.problem.recordings) > 1
+    opening = "The recordings are calibrated" if several else "The recording is calibrated"
+    if fit.excess > FELT_EXCESS_DB:
+        advice = "An effect outside the model is present. Do not interpret the felt parameters."
+        if fit.excess > HAMMER_EXCESS_DB:
+            advice = (
+                "Another hammer may explain them better, or the setup does not describe this string. Do not interpret "
+                "the hammer parameters."
+            )
+        return f"{opening}, but the model misses the partial levels by {fit.excess:.2f} dB beyond the noise. {advice}"
+    unidentifiable = [name for name, state in states.items() if state == "not-identifiable" and name != "width"]
+    if unidentifiable:
+        return f"{opening}, but {'do' if several else 'does'} not determine {_listed(*unidentifiable)}."
+    pairs = (
+        f" {a} and {b} are determined mainly in one combination: {_identified(fit, a, b)}."
+        for a, b, _ in correlated(fit)
+    )
+    return f"{opening} and {'determine' if several else 'determines'} all free parameters." + "".join(pairs)
 
 
-def _beyond_a_pianist(fit: InferenceResult) -> str:
-    """That the strokes' velocities differ by more than a pianist's, where that is certain."""
+def _implausible_velocities(fit: InferenceResult) -> str:
+    """A sentence if the velocities of the strokes certainly differ by more than those of a pianist."""
     logs = _fastest_over_slowest(fit, range(fit.problem.unknowns.size - fit.problem.unknowns.shared))
-    if logs[0] <= np.log(VELOCITIES):
+    if logs[0] <= np.log(PIANIST_VELOCITY_RATIO):
         return ""
-    low, most, high = np.exp(logs)
+    low, ratio, high = np.exp(logs)
     return (
-        f" The fastest stroke is found {most:.3g} times ({low:.3g} to {high:.3g}) as fast as the slowest, and a "
-        f"pianist's differ by {VELOCITIES:.0f} times: these layers differ by something that the model does not have, "
-        "and felt and velocities, which take it up, are no finding."
+        f" The fitted velocities differ by a factor of {ratio:.3g} ({low:.3g} to {high:.3g}), those of a pianist by at "
+        f"most {PIANIST_VELOCITY_RATIO:.0f}. The layers differ in a way that the model does not describe. Do not "
+        "interpret the felt parameters and velocities."
     )
 
 
@@ -237,22 +243,22 @@ def _listed(*names: str) -> str:
 
 
 def correlated(fit: InferenceResult) -> list[tuple[str, str, float]]:
-    """Pairs of parameters that the recordings do not tell apart, with their correlation."""
+    """Pairs of parameters that the recordings do not distinguish, with their correlation."""
     names, cov = fit.problem.unknowns.names, fit.posterior.covariance[0]
     sd = np.sqrt(np.diag(cov))
     return [
         (names[j], names[i], float(r))
         for i in range(len(names))
         for j in range(i)
-        if sd[i] > 0 and sd[j] > 0 and abs(r := cov[i, j] / (sd[i] * sd[j])) > STRONG
+        if sd[i] > 0 and sd[j] > 0 and abs(r := cov[i, j] / (sd[i] * sd[j])) > STRONG_CORRELATION
     ]
 
 
 def _identified(fit: InferenceResult, a: str, b: str) -> str:
-    """The combination of two correlated parameters that is known best, and how well.
+    """The best-determined combination of two correlated parameters, with its uncertainty.
 
-    With log b known, log a − s log b has the least variance at s = cov(a, b)/var(b). Of K_H and p it is the felt's
-    static force K_H u^p, at the compression u where that is known best: d log(K_H u^p) = d log K_H + log(u) p d log p.
+    log a − s log b has the least variance at s = cov(a, b)/var(b). For K_H and p the combination is the static force
+    K_H u^p at the compression u of least variance: d log(K_H u^p) = d log K_H + log(u) p d log p.
     """
     i, j = (fit.problem.unknowns.index_of(name) for name in (a, b))
     cov, mean = fit.posterior.covariance[0], fit.posterior.mean[0]
@@ -262,125 +268,127 @@ def _identified(fit: InferenceResult, a: str, b: str) -> str:
         p = float(np.exp(mean[j]))
         u = float(np.exp(-slope / p))
         force = with_half_interval(float(np.exp(mean[i]) * u**p), half, "N")
-        return f"the felt's force at {1e3 * u:.4g} mm, {a} u^{b} = {force}"
+        return f"the static felt force at {1e3 * u:.4g} mm, {a} u^{b} = {force}"
     return f"the product {a} · {b}^{-slope:.2g} ({format_relative_uncertainty(half)})"
 
 
 def warnings(fit: InferenceResult, states: dict[str, str], worse: Sequence[str], errors: Sequence[float]) -> list[str]:
-    """Plain sentences on what to beware of, the weightiest first.
+    """Warnings, the most important first.
 
     Parameters
     ----------
-    worse : bands of eq. 19 that ended no lower than they began.
-    errors : of every recording's levels, dB.
+    worse : bands in which eq. 19 did not decrease.
+    errors : rms level error of every recording, dB.
     """
-    problem, bound = fit.problem, _bound(fit, states)
-    said = [] if fit.found.minima.converged[0] else [STOPPED]
-    said += questioned(fit)
-    said += _mixture(fit)
-    said += _out_of_line(fit, errors)
-    said += [WORSE.format(", ".join(worse))] if worse else []
-    said += [AT_EDGE.format(", ".join(bound))] if bound else []
-    said += [
-        f"{a} and {b} are strongly correlated ({r:+.3f}): better identified than either is {_identified(fit, a, b)}."
+    problem, at_bound = fit.problem, _names_at_bound(fit, states)
+    lines = [] if fit.found.minima.converged[0] else [STOPPED]
+    lines += contradictory_velocities(fit)
+    lines += _mixture(fit)
+    lines += _outlying_recordings(fit, errors)
+    lines += [CRITERION_NOT_DECREASED.format(", ".join(worse))] if worse else []
+    lines += [AT_EDGE.format(", ".join(at_bound))] if at_bound else []
+    lines += [
+        f"{a} and {b} are strongly correlated ({r:+.3f}). The best-determined combination is {_identified(fit, a, b)}."
         for a, b, r in correlated(fit)
     ]
-    said += [
-        f'[[recording]] file = "{printable(one)}" is none of the recordings, and says nothing of {printable(other)}: is '
-        "it misspelt?"
-        for one, other in problem.unmatched_entries
+    lines += [
+        f'[[recording]] file = "{printable(entry)}" matches none of the recordings, so it does not apply to '
+        f"{printable(recording)}. Check its spelling."
+        for entry, recording in problem.unmatched_entries
     ]
-    said += [*velocity_assumption(problem), *_assumed(fit), _excess_warning(fit), *mixed_layouts(problem.recordings)]
-    said += remarks(problem.recordings, problem.analyses)
-    return said + ([] if fit.view is None else [*fit.view.messages])
+    lines += [*velocity_assumption(problem), *_assumed(fit), _excess_warning(fit), *mixed_layouts(problem.recordings)]
+    lines += recording_warnings(problem.recordings, problem.analyses)
+    return lines + ([] if fit.view is None else [*fit.view.messages])
 
 
 def mixed_layouts(recordings: Sequence[Recording]) -> list[str]:
-    """Remarks on recordings of a key that differ in their channels or sample rates."""
-    kinds = (("channels", lambda one: len(one.frames), "The sound of the key is mono"),
-             ("sample rates", lambda one: one.rate, "All are resampled to the highest"))  # fmt: skip
-    said = []
-    for what, value, follows in kinds:
-        each = {printable(Path(one.path).name): value(one) for one in recordings}
-        if len({*each.values()}) > 1:
-            listed = ", ".join(f"{name} {value}" for name, value in each.items())
-            said.append(f"The recordings differ in their {what} ({listed}). {follows}.")
-    return said
-
-
-def _out_of_line(fit: InferenceResult, errors: Sequence[float]) -> list[str]:
-    """Recordings that the fit meets much worse than the others."""
-    alone = (
-        "it has a group of its own, so it may be another instrument's",
-        "one of another microphone or instrument needs a group of its own, by a [[recording]] in the setup",
+    """Warnings about recordings of a key that differ in their channels or sample rates."""
+    properties = (
+        ("channels", lambda recording: len(recording.frames), "The sound of the key is mono"),
+        ("sample rates", lambda recording: recording.rate, "All are resampled to the highest"),
     )
-    said = []
+    lines = []
+    for name, value_of, consequence in properties:
+        values = {printable(Path(recording.path).name): value_of(recording) for recording in recordings}
+        if len({*values.values()}) > 1:
+            listed = ", ".join(f"{file} {value}" for file, value in values.items())
+            lines.append(f"The recordings differ in their {name} ({listed}). {consequence}.")
+    return lines
+
+
+def _outlying_recordings(fit: InferenceResult, errors: Sequence[float]) -> list[str]:
+    """Warnings about recordings that the fit reproduces much worse than the others."""
+    group, lines = fit.problem.layout.group, []
     for i, (recording, error) in enumerate(zip(fit.problem.recordings, errors, strict=True)):
         others = float(np.median([*errors[:i], *errors[i + 1 :]] or [np.inf]))
-        if error > max(FARTHER * others, POOR):
-            said.append(
-                f"{printable(Path(recording.path).name)}: its levels are {error:.1f} dB off, the others' {others:.1f} "
-                f"dB; {alone[fit.problem.layout.group.count(fit.problem.layout.group[i]) > 1]}."
+        if error > max(OUTLIER_FACTOR * others, HAMMER_EXCESS_DB):
+            hint = "If another microphone or instrument made it, give it its own group in a [[recording]] of the setup"
+            if group.count(group[i]) == 1:
+                hint = "It has a group of its own, so it may come from another instrument"
+            lines.append(
+                f"{printable(Path(recording.path).name)}: its level error is {error:.1f} dB, that of the other "
+                f"recordings {others:.1f} dB. {hint}."
             )
-    return said
+    return lines
 
 
 def velocity_assumption(problem: FitProblem) -> list[str]:
-    """Whose velocity that in [fixed] is taken for, where it could be of several."""
+    """The stroke to which v_H0 of [fixed] was assigned, where several are possible."""
     if not problem.assumed_velocity_of:
         return []
-    at = problem.reference
+    velocity = problem.measured_velocity[problem.layout.stroke[problem.reference]]
+    name = printable(Path(problem.recordings[problem.reference].path).name)
     return [
-        f"[fixed] v_H0 = {problem.measured_velocity[problem.layout.stroke[at]]:g} m/s is taken for the stroke of "
-        f"{printable(Path(problem.recordings[at].path).name)}, the brightest of these recordings; a [[recording]] says "
-        "of each which velocity was measured."
+        f"[fixed] v_H0 = {velocity:g} m/s was assigned to the stroke of {name}, the brightest recording. To assign it "
+        "to another one, give v_H0 in its [[recording]] instead."
     ]
 
 
 def _assumed(fit: InferenceResult) -> list[str]:
-    """What rests on the literature's sizes, and on a window that is not known."""
-    start, u, said = fit.problem.start, fit.problem.unknowns, []
-    rests = sorted({x for names in start.assumptions.values() for x in names})
-    if rests:
-        said.append(
-            f"The string's {' and '.join(rests)} {'was' if len(rests) == 1 else 'were'} not given and taken from the "
-            f"literature for this key; the SI values of {', '.join(start.assumptions)} scale with them."
+    """Warnings about assumed sizes and a fitted width of the contact window."""
+    start, u, lines = fit.problem.start, fit.problem.unknowns, []
+    assumed = sorted({size for sizes in start.assumptions.values() for size in sizes})
+    if assumed:
+        lines.append(
+            f"The string {' and '.join(assumed)} {'was' if len(assumed) == 1 else 'were'} not given. Literature values "
+            f"for this key are used, and the SI values of {', '.join(start.assumptions)} scale with them."
         )
     if u.free[width := u.index_of("width")]:
-        said.append(
-            "The shape of the contact's window is not known, so its width is fitted along: an effective "
+        lines.append(
+            "The shape of the contact window is unknown, so an effective width is fitted: "
             f"{1e3 * np.exp(fit.found.z[width]):.2f} mm (given or assumed: {1e3 * start.geometry.width:.2f} mm)."
         )
-    return said
+    return lines
 
 
 def _excess_warning(fit: InferenceResult) -> str:
-    """By how much partials leave the model, beyond the noise."""
+    """The deviations of partials from the model beyond the noise."""
     frequency, decay = (np.exp(phi[0, 0]) for phi in fit.found.minima.people.phi[1:])
     return (
-        f"Beyond the noise, partials scatter about the model by {frequency:.2f} cents (more from the "
-        f"{priors.LAW_REACH:.0f}th on), {100 * decay:.0f} % in decay and {fit.excess:.2f} dB in level; "
-        "the intervals include it as if each partial did so by itself."
+        f"Beyond the noise, partials deviate from the model by {frequency:.2f} cents (more from partial "
+        f"{priors.LAW_REACH:.0f} on), {100 * decay:.0f} % in decay rate and {fit.excess:.2f} dB in level. "
+        "The intervals treat these deviations as independent between partials."
     )
 
 
 def _mixture(fit: InferenceResult) -> list[str]:
-    """How much weight the heaviest minimum has, and another hammer about as probable."""
-    share, z = fit.posterior.share, fit.found.minima.people.theta
-    if len(share) == 1 or share[0] > 1 - NAMED:
+    """The posterior weight of the minimum shown, and the parameter in which the next one differs most."""
+    weight, z = fit.posterior.share, fit.found.minima.people.theta
+    if len(weight) == 1 or weight[0] > 1 - MIN_OTHER_WEIGHT:
         return []
-    u, other = fit.problem.unknowns, 1 + int(np.argmax(share[1:]))
-    # In standard deviations; of a felt with a power by its force, as it is searched: K_H says little without p.
-    untangled = np.linalg.inv(u.tangent(z[0]))
-    sd = np.sqrt(np.diag(untangled @ fit.posterior.covariance[0] @ untangled.T))
-    apart = np.abs(z[other] - z[0]) / np.where(u.free, np.where(sd > 0, sd, u.sd), np.inf)
-    at = int(np.argmax(apart[: u.shared]))
-    forced = bool(u.force_and_exponent_index) and at == u.force_and_exponent_index[0]
-    named = f"the felt's force at {1e3 * np.exp(u.log_reference_compression):.3g} mm" if forced else u.names[at]
-    unit = "N" if forced else unit_and_meaning(u.names[at], u.law)["unit"]
-    shown, second = np.exp(z[[0, other], at])
+    u, other = fit.problem.unknowns, 1 + int(np.argmax(weight[1:]))
+    # Differences in standard deviations, in the coordinates of the search: force and exponent instead of K_H and p.
+    to_search = np.linalg.inv(u.tangent(z[0]))
+    sd = np.sqrt(np.diag(to_search @ fit.posterior.covariance[0] @ to_search.T))
+    difference = np.abs(z[other] - z[0]) / np.where(u.free, np.where(sd > 0, sd, u.sd), np.inf)
+    largest = int(np.argmax(difference[: u.shared]))
+    is_force = bool(u.force_and_exponent_index) and largest == u.force_and_exponent_index[0]
+    name = f"the felt force at {1e3 * np.exp(u.log_reference_compression):.3g} mm" if is_force else u.names[largest]
+    unit = "N" if is_force else unit_and_meaning(u.names[largest], u.law)["unit"]
+    shown, second = np.exp(z[[0, other], largest])
+    first, next_best = (f"{100 * weight[at]:.0f} %" for at in (0, other))
     return [
-        f"The minimum that is shown has the largest share of the posterior, {100 * share[0]:.0f} %. Another hammer, "
-        f"with {100 * share[other]:.0f} %, differs most in {named}: {second:.4g}{f' {unit}' * (unit != '1')} instead "
-        f"of {shown:.4g}. " + MIXED["laplace" if fit.view is None else fit.view.method]
+        f"The minimum shown has posterior weight {first}. Another minimum, with {next_best}, differs most in {name}: "
+        f"{second:.4g}{f' {unit}' * (unit != '1')} instead of {shown:.4g}. "
+        + MIXTURE_NOTES["laplace" if fit.view is None else fit.view.method]
     ]

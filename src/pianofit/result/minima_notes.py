@@ -1,4 +1,4 @@
-"""Every minimum as something that plays: string, hammer of a stroke, and the path that F integrated out."""
+"""One `Note` for every minimum and recording: string, hammer, and the output path that F integrates out."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ __all__ = ["latent_means", "notes_of"]
 
 
 def latent_means(minima: Minima, which: int) -> LatentPosterior:
-    """What F integrated out, at one minimum."""
+    """Posterior means of the latent variables that F integrates out, at one minimum."""
     level = minima.people.level
     return latent_posterior(minima.descent.table, level.residual[which], level.phi[which], level.w[which])
 
 
 def notes_of(problem: FitProblem, minima: Minima, which: int) -> list[Note]:
-    """One minimum's string, and its hammer at the velocity of every recording's stroke; without gains."""
+    """The notes of one minimum for every recording, at the velocity of its stroke and without a gain."""
     u, z, group = problem.unknowns, minima.people.theta[which], problem.layout.group
-    left = latent_means(minima, which)
+    latent = latent_means(minima, which)
     paths = [
-        _path(problem, minima, which, each, left) if problem.path else None for each in range(problem.layout.groups)
+        _path(problem, minima, which, index, latent) if problem.path else None for index in range(problem.layout.groups)
     ]
     f0, string = problem.analyses[problem.reference].f0, u.string(z)
     return [
@@ -45,40 +45,40 @@ def notes_of(problem: FitProblem, minima: Minima, which: int) -> list[Note]:
     ]
 
 
-def _path(problem: FitProblem, minima: Minima, which: int, group: int, left: LatentPosterior) -> OutputPath:
-    """The posterior mean of a group's path, dB, at the partials found through it, and decays over the law's.
+def _path(problem: FitProblem, minima: Minima, which: int, group: int, latent: LatentPosterior) -> OutputPath:
+    """Posterior mean of a group's output path, dB, at its detected partials.
 
-    The partials stand where the minimum's string has them: real ones leave the law, but are known by their numbers.
+    Decay rates are relative to the string model. Frequencies are those of the string model, since
+    partials are identified by number.
     """
-    observed, people = problem.observed, minima.people
-    mine = np.flatnonzero(np.array(problem.layout.group) == group)
-    found = np.any(np.asarray(observed.level.detected)[mine] > 0, axis=0)
-    number = observed.number[found]
-    frequency = string_law(people.theta[which, :STRING_SIZE], number, problem.start.geometry.length)[0][0]
-    velocity = np.exp(people.theta[which, problem.unknowns.shared :])[np.array(problem.layout.stroke)[mine]]
-    seen, error, weight = (
-        x[np.ix_(mine, found)] for x in _residuals(observed.level, people.level.phi[which], people.level.w[which], left)
-    )
-    known, db = stroke_deviations(seen / DB, error / DB, weight, velocity)
+    observed, candidates = problem.observed, minima.people
+    recordings = np.flatnonzero(np.array(problem.layout.group) == group)
+    detected = np.any(np.asarray(observed.level.detected)[recordings] > 0, axis=0)
+    number = observed.number[detected]
+    frequency = string_law(candidates.theta[which, :STRING_SIZE], number, problem.start.geometry.length)[0][0]
+    velocity = np.exp(candidates.theta[which, problem.unknowns.shared :])[np.array(problem.layout.stroke)[recordings]]
+    residuals = _residuals(observed.level, candidates.level.phi[which], candidates.level.w[which], latent)
+    residual, error, weight = (x[np.ix_(recordings, detected)] for x in residuals)
+    velocities, db = stroke_deviations(residual / DB, error / DB, weight, velocity)
     return OutputPath(
-        frequency, left.common[group][found], _decays(problem, minima, which, number),
-        VelocityDiscrepancy(known, DB * db) if len(known) > 1 else None,
+        frequency, latent.common[group][detected], _decays(problem, minima, which, number),
+        VelocityDiscrepancy(velocities, DB * db) if len(velocities) > 1 else None,
     )  # fmt: skip
 
 
 def _residuals(
-    table: ObservationTable, phi: np.ndarray, w: np.ndarray, left: LatentPosterior
+    table: ObservationTable, phi: np.ndarray, w: np.ndarray, latent: LatentPosterior
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What the fit leaves of every level, dB, its errors beside the excess, and its weight in the path [R, K]."""
-    there, whole = np.asarray(table.detected) > 0, variance(table, phi, w)
-    # Noise and other sounds; of an outlier also what of the excess its small weight adds.
-    error = np.sqrt(np.maximum(whole - np.exp(2 * phi[0]), table.variance))
-    return left.own, np.where(there, error, NOTHING), np.where(there, 1 / whole, 0.0)
+    """Residual of every level, its standard error without the excess, and its weight in the output path [R, K]."""
+    detected, total = np.asarray(table.detected) > 0, variance(table, phi, w)
+    # Noise and interference. The small weight of an outlier adds variance beyond the excess, which stays in its error.
+    error = np.sqrt(np.maximum(total - np.exp(2 * phi[0]), table.variance))
+    return latent.own, np.where(detected, error, NOTHING), np.where(detected, 1 / total, 0.0)
 
 
 def _decays(problem: FitProblem, minima: Minima, which: int, number: np.ndarray) -> np.ndarray:
-    """Decay rates of partials over the law's at a minimum, shrunk to it by what noise leaves open."""
+    """Decay rates relative to the string model at a minimum, shrunk towards 1 where the noise is large."""
     observed, decay = problem.observed, minima.people.parts[2]
-    own = np.diag(observed.decay.systematic) + np.exp(2 * decay.phi[which, 0])
-    share = own / (own + np.asarray(observed.decay.variance)[0])
-    return scatter_by_number(np.exp(share * decay.residual[which, 0]), observed.string_number, number, 1.0)
+    excess = np.diag(observed.decay.systematic) + np.exp(2 * decay.phi[which, 0])
+    shrinkage = excess / (excess + np.asarray(observed.decay.variance)[0])
+    return scatter_by_number(np.exp(shrinkage * decay.residual[which, 0]), observed.string_number, number, 1.0)

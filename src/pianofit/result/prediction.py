@@ -1,7 +1,6 @@
-"""What a fitted note sounds like at a velocity that it was not fitted to.
+"""Prediction of a recording that took no part in the fit.
 
-Of a recording that took no part in the fit only the hammer's velocity, the gain and the pitch are free. What is left of
-its partials' levels is the error of the prediction.
+Only hammer velocity, gain and pitch are fitted to it. The residual of its partial levels is the prediction error.
 """
 
 from __future__ import annotations
@@ -30,38 +29,36 @@ from .result import Result
 
 __all__ = ["Prediction", "predict_recording"]
 
-# Velocities up to this, m/s, are tried; they begin at `SLOWEST`.
+# Velocities are searched from `SLOWEST` to this, m/s,
 FASTEST = 12.0
-# So many are, 1.4 % apart, before the best is refined: a force that lasts several periods of a partial has a spectrum
-# of lobes, and levels in the treble rise and fall dozens of times between the slowest and the fastest.
-TRIED = 384
-# As a ratio: nearer to an end of their range than this is at the end.
-SAME = 1.001
-FEWEST = 3
-# Of a velocity with a contact that does not end, beside others.
-WORST = 1e6
+# on a grid of this size, 1.4 % apart, before the best is refined. A force that lasts several periods of a partial has a
+# spectrum of lobes, so treble levels rise and fall dozens of times over the range.
+GRID_SIZE = 384
+# A velocity within this ratio of an end of the range counts as at the limit.
+LIMIT_RATIO = 1.001
+FEWEST_PARTIALS = 3
+# Objective at a velocity whose contact does not end.
+ENDLESS_CONTACT_COST = 1e6
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """A recording beside the same note as the fit would play it."""
+    """Prediction of one recording by a fit."""
 
     velocity: float  # m/s
-    gain_db: float  # over the fit's own
-    cents: float  # over the fit's own
+    gain_db: float  # relative to the gain of the fit
+    cents: float  # relative to the pitch of the fit
     error_db: float  # rms over partials, one gain removed
     partials: int
-    level: np.ndarray  # dB, predicted, with what strokes of like velocity leave [partials]
-    note: Note  # of the first minimum, without that
-    velocity_at_search_limit: bool = (
-        False  # whether the velocity is an end of the range that was searched, and no finding
-    )
+    level: np.ndarray  # dB, predicted, with velocity discrepancy [partials]
+    note: Note  # of the best minimum, without velocity discrepancy
+    velocity_at_search_limit: bool = False  # if True, the velocity could not be determined
 
     def __repr__(self) -> str:
-        end = ", an end of the range searched" if self.velocity_at_search_limit else ""
+        limit = ", at the limit of the searched range" if self.velocity_at_search_limit else ""
         return (
             f"Prediction({self.error_db:.2f} dB over {counted(self.partials, 'partial')} at {self.velocity:.3g} m/s"
-            f"{end}, {self.cents:+.2f} cents and {self.gain_db:+.1f} dB from the fit)"
+            f"{limit}, {self.cents:+.2f} cents and {self.gain_db:+.1f} dB from the fit)"
         )
 
 
@@ -72,17 +69,17 @@ def predict_recording(
     *,
     gains: Sequence[float] | None = None,
 ) -> Prediction:
-    """Play a fit at the velocity that suits a recording's levels best.
+    """Predict a recording by a fit, at the velocity that explains its partial levels best.
 
     Parameters
     ----------
-    notes : a fit, one note, or those of several minima with their shares. Each is struck at the velocity that suits it;
-        the prediction is the mean of their levels, dB, by their shares, and the note, velocity and pitch are the
-        first's.
-    analysis : of the recording, see `analyse`, or the recording in any form that `fit` takes.
-    gains : of the recordings that were fitted through the same path, dB over the note's own: where they agree, how loud
-        the recording is tells how hard the string was struck. A fit has its own (`Result.gains`); of notes alone none
-        are known.
+    notes : a fit, one note, or pairs of posterior weight and note, one for each minimum. Each note has its own best
+        velocity. The predicted levels, dB, are the weighted mean over the notes. Note, velocity and pitch are those of
+        the first.
+    analysis : analysis of the recording, see `analyse`, or the recording in any form that `fit` takes.
+    gains : gains of the recordings that were fitted through the same output path, dB relative to that of the note. If
+        they agree, the loudness of the recording helps to determine the velocity. The default is `Result.gains` for a
+        fit, and none for notes.
 
     Returns
     -------
@@ -91,9 +88,9 @@ def predict_recording(
     Raises
     ------
     FitError
-        If too few partials stand above the noise, or no velocity gives a finite sound.
+        If too few partials are above the noise, or no velocity gives a finite sound.
     RecordingError, AnalysisError
-        If the recording cannot be used, is too short, or of another key.
+        If the recording cannot be used, is too short, or is of another key.
 
     Examples
     --------
@@ -101,63 +98,66 @@ def predict_recording(
     >>> it = pianofit.typical(53)
     >>> note = pianofit.Note(it.string, it.hammer, it.geometry, "bridge-force", gain=0.01)
     >>> recording = pianofit.recording_from_samples(note.render(3.0, seconds=2.0), 44_100)
-    >>> found = pianofit.predict_recording(note, recording)
-    >>> f"{found.velocity:.1f} m/s, {found.error_db:.1f} dB"
+    >>> prediction = pianofit.predict_recording(note, recording)
+    >>> f"{prediction.velocity:.1f} m/s, {prediction.error_db:.1f} dB"
     '3.0 m/s, 0.0 dB'
     """
     if isinstance(notes, Result):
         notes, gains = notes.mixture, notes.gains if gains is None else gains
     mixture = [(1.0, notes)] if isinstance(notes, Note) else _mixture(notes)
     if not mixture:
-        raise ParameterError("notes=[] holds no note; give a fit, a note, or notes with their shares")
+        raise ParameterError("notes=[] is empty; give a fit, a note, or notes with their weights")
     gains, (_, first) = gains or (0.0,), mixture[0]
-    analysis = _of_the_key(analysis, first)
+    analysis = _same_key_analysis(analysis, first)
     p = analysis.partials
     chosen = audible_partials(p.frequency, p.level) & _detected(first, p.number)
-    if chosen.sum() < FEWEST:
-        raise FitError(f"only {counted(int(chosen.sum()), 'partial')} of the fit above the noise; {FEWEST} are needed")
-    played = [(share, *_at_best(note, analysis, chosen, gains)) for share, note in mixture]
-    total = sum(share for share, *_ in played)
-    level = np.sum([share / total * (one + gain) for share, _, one, gain in played], axis=0)
-    _, velocity, _, gain = played[0]
+    if chosen.sum() < FEWEST_PARTIALS:
+        detected = counted(int(chosen.sum()), "partial")
+        raise FitError(
+            f"only {detected} of the fit above the noise, but {FEWEST_PARTIALS} are needed; give a cleaner recording"
+        )
+    fitted = [(weight, *_fit_velocity(note, analysis, chosen, gains)) for weight, note in mixture]
+    total = sum(weight for weight, *_ in fitted)
+    level = np.sum([weight / total * (levels + gain) for weight, _, levels, gain in fitted], axis=0)
+    _, velocity, _, gain = fitted[0]
     cents = cents_above(analysis.f0, first.f0)
     note = first.with_cents(cents).with_velocity(velocity)._replace(gain=first.gain * 10 ** (gain / 20))
-    found = level_error_db(level[chosen], p.level[chosen])
-    at_end = not SLOWEST * SAME < velocity < FASTEST / SAME
-    return Prediction(velocity, gain, cents, found, int(chosen.sum()), level, note, at_end)
+    error = level_error_db(level[chosen], p.level[chosen])
+    at_limit = not SLOWEST * LIMIT_RATIO < velocity < FASTEST / LIMIT_RATIO
+    return Prediction(velocity, gain, cents, error, int(chosen.sum()), level, note, at_limit)
 
 
 def _mixture(notes: Sequence[tuple[float, Note]]) -> list[tuple[float, Note]]:
-    must = "a fit, a note, or a list of (share, note)"
-    check_type("notes=", notes, list | tuple, must)
+    expected = "a fit, a note, or a list of (weight, note)"
+    check_type("notes=", notes, list | tuple, expected)
     for pair in notes:
-        check_type("notes: ", pair, tuple | list, must)
+        check_type("notes: ", pair, tuple | list, expected)
         if len(pair) != 2 or not isinstance(pair[1], Note):
-            raise ParameterError(f"notes: {short_repr(pair)} must be (share, note)")
-        check_type("notes: the share ", pair[0], Real, "a number")
+            raise ParameterError(f"notes: {short_repr(pair)} must be (weight, note)")
+        check_type("notes: the weight ", pair[0], Real, "a number")
     return [*notes]
 
 
-def _of_the_key(source: Analysis | Source, note: Note) -> Analysis:
-    """The analysis of a recording; if it is of another key than the note, the error names that key."""
-    name, like = "analysis", ""
+def _same_key_analysis(source: Analysis | Source, note: Note) -> Analysis:
+    """The analysis of a recording of the note's key; the error for another key names it."""
+    name, detected = "analysis", ""
     if isinstance(source, Analysis):
-        found = source
+        analysis = source
     else:
         recording = to_recording(source)
-        name, found = printable(recording.path), _analysed(recording, note.f0)
-    if found is not None:
-        if abs(cents_above(found.f0, note.f0)) <= SAME_KEY:
-            return found
-        like = f", and sounds like {hz_to_note(found.f0)} ({found.f0:.1f} Hz)"
+        name, analysis = printable(recording.path), _analyse_near(recording, note.f0)
+    if analysis is not None:
+        if abs(cents_above(analysis.f0, note.f0)) <= SAME_KEY:
+            return analysis
+        detected = f", but {hz_to_note(analysis.f0)} ({analysis.f0:.1f} Hz)"
     raise WrongNoteError(
-        f"{name}: is not of the fit's key, {hz_to_note(note.f0)} ({note.f0:.1f} Hz){like}; give a recording of the "
-        "same key"
+        f"{name}: the key is not that of the fit, {hz_to_note(note.f0)} ({note.f0:.1f} Hz){detected}; give a "
+        "recording of the same key"
     )
 
 
-def _analysed(recording: Recording, f0: float) -> Analysis | None:
-    """The analysis at the pitch `f0`, Hz, or else at the recording's own; None if it has none."""
+def _analyse_near(recording: Recording, f0: float) -> Analysis | None:
+    """The analysis at pitch `f0`, Hz, or else at the detected pitch; None if no pitch is detected."""
     try:
         return analyse(recording, f0=f0)
     except WrongNoteError:
@@ -166,47 +166,47 @@ def _analysed(recording: Recording, f0: float) -> Analysis | None:
     return None
 
 
-def _at_best(
+def _fit_velocity(
     note: Note, analysis: Analysis, chosen: np.ndarray, gains: Sequence[float]
 ) -> tuple[float, np.ndarray, float]:
-    """The most probable velocity by levels and priors, m/s, the note's levels, dB [partials], and their gain.
+    """The most probable velocity, m/s, the levels of the note, dB [partials], and their gain, dB.
 
-    Many partials leave priors no say; three can suit a velocity that nobody plays.
+    The priors matter for few partials: three can agree with a velocity that no pianist plays.
     """
     p = analysis.partials
 
     def cost(log_velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Minus the log posterior, levels [velocities, partials], gains, dB; infinite where a contact does not end."""
+        """Negative log posterior (infinite if a contact does not end), levels [velocities, partials], gains, dB."""
         velocity = np.exp(log_velocity)
         level = note.levels(velocity, int(p.number.max()))[:, p.number - 1]
         if note.path is not None:
             level = level + note.path.velocity_discrepancy_db(_frequency(note, p.number), velocity)
-        ends = np.isfinite(level.sum(axis=1))
-        residual = np.where(ends[:, None], p.level - level, 0.0)[:, chosen]
+        finite = np.isfinite(level.sum(axis=1))
+        residual = np.where(finite[:, None], p.level - level, 0.0)[:, chosen]
         gain = residual.mean(axis=1)
-        value = 0.5 * ((residual - gain[:, None]) ** 2).sum(axis=1) / LEVEL.median[0] ** 2
-        belief = 0.5 * ((log_velocity - np.log(VELOCITY)) / VELOCITY_SPREAD) ** 2
-        return np.where(ends, value + belief - np.array([log_gain(x, gains) for x in gain]), np.inf), level, gain
+        misfit = 0.5 * ((residual - gain[:, None]) ** 2).sum(axis=1) / LEVEL.median[0] ** 2
+        prior = 0.5 * ((log_velocity - np.log(VELOCITY)) / VELOCITY_SPREAD) ** 2
+        return np.where(finite, misfit + prior - np.array([log_gain(x, gains) for x in gain]), np.inf), level, gain
 
-    tried = np.log(np.geomspace(SLOWEST, FASTEST, TRIED))
-    value = cost(tried)[0]
-    tried, value = tried[np.isfinite(value)], value[np.isfinite(value)]
-    if not len(tried):
-        raise FitError("no velocity gives a finite sound; is this the fit of the same key?")
+    grid = np.log(np.geomspace(SLOWEST, FASTEST, GRID_SIZE))
+    value = cost(grid)[0]
+    grid, value = grid[np.isfinite(value)], value[np.isfinite(value)]
+    if not len(grid):
+        raise FitError("no velocity gives a finite sound; check that the fit is of the same key")
     best = int(np.argmin(value))
-    around = tried[[max(best - 1, 0), min(best + 1, len(tried) - 1)]]
-    found: Any = fminbound(lambda x: min(cost(np.array([x]))[0][0], WORST), *around, xtol=1e-4)
-    _, (level,), (gain,) = cost(np.array([found]))
-    return float(np.exp(found)), level, float(gain)
+    bracket = grid[[max(best - 1, 0), min(best + 1, len(grid) - 1)]]
+    log_velocity: Any = fminbound(lambda x: min(cost(np.array([x]))[0][0], ENDLESS_CONTACT_COST), *bracket, xtol=1e-4)
+    _, (level,), (gain,) = cost(np.array([log_velocity]))
+    return float(np.exp(log_velocity)), level, float(gain)
 
 
 def _detected(note: Note, number: np.ndarray) -> np.ndarray:
-    """Which partials the fit heard [partials]: of the others nobody knows how loud the path lets them through."""
+    """True for partials that the fit observed [partials]; the output path is unknown at the others."""
     if note.path is None:
         return np.ones(len(number), bool)
     return np.abs(np.log(_frequency(note, number)[:, None] / note.path.frequency)).min(axis=1) < SAME_PARTIAL
 
 
 def _frequency(note: Note, number: np.ndarray) -> np.ndarray:
-    """Where the note's string has partials, Hz; real ones lie beside it, the higher the further."""
+    """Partial frequencies of the string model, Hz. Measured ones deviate from them, high ones most."""
     return note.frequencies(int(number.max()))[number - 1]

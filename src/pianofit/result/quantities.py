@@ -1,4 +1,4 @@
-"""What a fit says of one number, of all of them by name, and how their errors go together."""
+"""Reported quantities: value, unit, interval and status of each, tables of them by name, and their covariance."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from ..conversions import NORMAL
 from ..felt import BOXES
 from ..io.number_format import format_with_interval
 from ..io.table_output import data_frame, html_table, write_csv
-from .uncertainty_format import latex_name, latex_unit, spec_of, with_interval, with_sd
+from .uncertainty_format import format_interval, format_with_sd, latex_name, latex_unit, parse_format_spec
 
 __all__ = ["UNITS", "Covariance", "Quantities", "Quantity"]
 
-# Beside what is searched everywhere: unit and meaning.
+# Unit and meaning of the quantities that are not in `BOXES`.
 SIZES = {
     "x0": ("m", "strike position, from the agraffe"),
     "width": ("m", "full width of the contact window"),
@@ -33,28 +33,28 @@ MEANINGS = {name: p.meaning for name, p in BOXES.items()} | {name: text for name
     "B": "inharmonicity",
     "M_H/M_S": "hammer mass over string mass",
     "x0/L": "strike position over string length",
-    "F/M_S": "static force of the felt at the reference compression, over the string mass",
+    "F/M_S": "static felt force at the reference compression, over the string mass",
 }  # fmt: skip
-# How far a value may lie from the middle of its interval, as a share of half of it, to have a standard uncertainty. A
-# Gaussian of the logarithm lies so far off where its standard deviation is 10 %.
-OFF_CENTRE = 0.1
+# Largest distance of a value from the middle of its interval, relative to half of the interval, for which a standard
+# uncertainty is stated. A Gaussian of the logarithm reaches it at a standard deviation of 10 %.
+MAX_ASYMMETRY = 0.1
 COLUMNS = ("name", "value", "low", "high", "unit", "status", "meaning", "note")
-HEADING = ("", "value", "95 % from", "to", "unit", "status", "", "")
+TABLE_HEADING = ("", "value", "95 % from", "to", "unit", "status", "", "")
 
 
 @dataclass(frozen=True)
 class Quantity:
     """One number that a fit reports.
 
-    It is a number to `float` and to format specifications, as those of the package `uncertainties`: `S` is the short
-    form with the uncertainty in parentheses, `L` is LaTeX, `P` has ±, and `.2u` asks for two digits of the uncertainty.
+    It converts to `float` and takes the format specifications of the package `uncertainties`. `S` is the short form
+    with the uncertainty in parentheses, `L` is LaTeX, `P` uses ±, and `.2u` gives two digits of the uncertainty.
 
     >>> import pianofit
     >>> mass = pianofit.Quantity("M_H", 2.277, "g", (2.2692, 2.2848), "fitted", "hammer mass")
     >>> f"{mass:S}", f"{mass:.2uP}", round(mass.sd, 4), float(mass)
     ('2.277(4)', '2.2770±0.0040', 0.004, 2.277)
 
-    A value whose interval is open or lopsided has no such uncertainty, so the interval is written:
+    If the interval is open or asymmetric, it is written instead of an uncertainty:
 
     >>> loose = pianofit.Quantity("M_H", 2.277, "g", (1.9, 3.1), "fitted", "hammer mass", interval_open=("high",))
     >>> f"{loose:S}", loose.sd
@@ -64,47 +64,46 @@ class Quantity:
     name: str
     value: float  # in `unit`
     unit: str
-    interval: tuple[float, float] | None  # 95 %, in `unit`; None where nothing was fitted
-    status: str  # one of `statements.STATUSES`
+    interval: tuple[float, float] | None  # 95 %, in `unit`; None if not fitted
+    status: str  # one of `identifiability.STATUSES`
     meaning: str
     note: str = ""
     initial: float | None = None  # before the fit
     interval_by: str | None = None  # laplace, profile or posterior
-    interval_open: tuple[str, ...] = ()  # the ends, low or high, that are the range's and not the recording's
+    interval_open: tuple[str, ...] = ()  # ends, low or high, that are limits of the search range
 
     @property
     def sd(self) -> float | None:
         """Standard uncertainty in `unit`: half of the 95 % interval over 1.96.
 
-        None where one number does not describe the interval: where nothing was fitted, an end is open, or the value is
-        not in the middle.
+        None if the quantity was not fitted, if an end of the interval is open, or if the value is not in its middle.
         """
         if self.interval is None or self.interval_open:
             return None
         low, high = self.interval
         half = (high - low) / 2
         middle = abs((low + high) / 2 - self.value)
-        return half / NORMAL if 0 < half < math.inf and middle <= OFF_CENTRE * half else None
+        return half / NORMAL if 0 < half < math.inf and middle <= MAX_ASYMMETRY * half else None
 
     def __float__(self) -> float:
         return float(self.value)
 
     def __format__(self, spec: str) -> str:
-        """The value with its uncertainty; `str` of it without a specification.
+        """The value with its uncertainty; `str(self)` without a specification.
 
-        Where `sd` is None the 95 % interval is written, and the closed end of a half-open one as a bound.
+        If `sd` is None the 95 % interval is written. A half-open interval is written as a bound.
 
         Raises
         ------
         ParameterError
-            For a specification that does not exist.
+            For an invalid specification.
         """
         if not spec:
             return str(self)
-        asked, sd = spec_of(spec), self.sd
+        parsed, sd = parse_format_spec(spec), self.sd
         if sd is not None:
-            return with_sd(float(self.value), sd, asked)
-        return with_interval(float(self.value), self.interval, self.interval_open, asked)
+            return format_with_sd(float(self.value), sd, parsed)
+        return format_interval(float(self.value), self.interval, self.interval_open, parsed)
 
     def _repr_latex_(self) -> str:
         return f"${latex_name(self.name)} = {self:L}{latex_unit(self.unit)}$"
@@ -116,7 +115,7 @@ class Quantity:
 
     @property
     def as_row(self) -> tuple:
-        """In the order of `COLUMNS`."""
+        """Values in the order of `COLUMNS`."""
         low, high = self.interval or (None, None)
         return self.name, self.value, low, high, self.unit, self.status, self.meaning, self.note
 
@@ -129,7 +128,7 @@ class Quantities(Mapping[str, Quantity]):
 
     @classmethod
     def of(cls, table: Mapping[str, dict]) -> Quantities:
-        """A table of `fit.json`; what an older file does not say is left out."""
+        """Quantities of a table of `fit.json`."""
         return cls({name: _quantity(name, entry) for name, entry in table.items()})
 
     def __getitem__(self, name: str) -> Quantity:
@@ -138,7 +137,7 @@ class Quantities(Mapping[str, Quantity]):
         return self.entries[name]
 
     def __getattr__(self, name: str) -> Quantity:
-        if name.startswith("_") or name == "entries":  # before it is made, as when it is copied
+        if name.startswith("_") or name == "entries":  # while it is copied it has no entries yet
             raise AttributeError(name)
         if name not in self.entries:
             raise AttributeError(_missing(name, tuple(self)))
@@ -157,10 +156,10 @@ class Quantities(Mapping[str, Quantity]):
         return "\n".join(map(str, self.values()))
 
     def _repr_html_(self) -> str:
-        return html_table(HEADING, (q.as_row for q in self.values()))
+        return html_table(TABLE_HEADING, (q.as_row for q in self.values()))
 
     def to_dataframe(self) -> Any:
-        """One row a quantity, by name: value, ends of the 95 % interval, unit, status, meaning, note.
+        """One row for each quantity, by name: value, ends of the 95 % interval, unit, status, meaning, note.
 
         Raises
         ------
@@ -170,26 +169,26 @@ class Quantities(Mapping[str, Quantity]):
         return data_frame(COLUMNS, (q.as_row for q in self.values()))
 
     def to_csv(self, path: str | os.PathLike[str]) -> None:
-        """Write the table that `to_dataframe` gives, without pandas.
+        """Write the table of `to_dataframe`; pandas is not needed.
 
         Raises
         ------
         OutputError
-            If it cannot be written.
+            If the file cannot be written.
         """
         write_csv(path, COLUMNS, (q.as_row for q in self.values()))
 
 
-def _missing(name: object, known: Sequence[str]) -> str:
-    """That there is no such name, and what there is."""
-    near = difflib.get_close_matches(str(name), known, 1)
-    return f"{name!r} is not there; " + (f"did you mean {near[0]}?" if near else f"there are {', '.join(known)}")
+def _missing(name: object, available: Sequence[str]) -> str:
+    """Error text for a name that does not exist."""
+    near = difflib.get_close_matches(str(name), available, 1)
+    return f"{name!r} does not exist; " + (f"did you mean {near[0]}?" if near else f"use one of {', '.join(available)}")
 
 
 def _quantity(name: str, entry: Mapping[str, Any]) -> Quantity:
     interval = entry.get("interval")
-    usual = "velocity of a stroke over the reference's" if name.startswith("v/v_ref") else MEANINGS.get(name, "")
-    meaning = str(entry.get("meaning", usual))  # of a felt law from outside its own
+    usual = "velocity of a stroke over that of the reference" if name.startswith("v/v_ref") else MEANINGS.get(name, "")
+    meaning = str(entry.get("meaning", usual))  # a felt law from outside the package states its own
     return Quantity(
         name, entry["value"], entry.get("unit", ""), None if interval is None else (interval[0], interval[1]),
         entry.get("status", "fitted"), meaning, entry.get("note", ""), entry.get("initial"),
@@ -199,7 +198,7 @@ def _quantity(name: str, entry: Mapping[str, Any]) -> Quantity:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Covariance:
-    """Covariance of the logarithms of values at the best minimum, by name; zero for what was not fitted."""
+    """Covariance of the logarithms of values at the best minimum, by name; zero for values that were not fitted."""
 
     names: tuple[str, ...]
     matrix: np.ndarray  # [names, names], 1
@@ -213,7 +212,7 @@ class Covariance:
 
     @classmethod
     def of(cls, entry: Any) -> Covariance | None:
-        """What `document` wrote; None of anything else."""
+        """The covariance in an entry of `fit.json`; None if the entry is invalid."""
         try:
             names, matrix = tuple(map(str, entry["names"])), np.array(entry["matrix"], float)
         except (KeyError, OverflowError, TypeError, ValueError):
@@ -221,7 +220,7 @@ class Covariance:
         return cls(names, matrix) if matrix.shape == (len(names),) * 2 and np.isfinite(matrix).all() else None
 
     def document(self) -> dict[str, Any]:
-        """As `fit.json` holds it."""
+        """The entry of `fit.json`."""
         return {"names": list(self.names), "matrix": self.matrix.tolist()}
 
     def __repr__(self) -> str:
@@ -229,14 +228,14 @@ class Covariance:
 
     @property
     def correlation(self) -> Covariance:
-        """Correlations [fitted, fitted] of what was fitted."""
+        """Correlations of the fitted values [fitted, fitted]."""
         free = np.flatnonzero(np.diag(self.matrix) > 0)
         sd = np.sqrt(np.diag(self.matrix)[free])
         matrix = np.clip(self.matrix[np.ix_(free, free)] / np.outer(sd, sd), -1.0, 1.0)
         return Covariance(tuple(self.names[i] for i in free), matrix)
 
     def to_dataframe(self) -> Any:
-        """Rows and columns by name.
+        """The matrix with rows and columns by name.
 
         Raises
         ------

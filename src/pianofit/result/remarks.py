@@ -1,4 +1,4 @@
-"""The warnings of several recordings in few lines: what many of them share is one line that names them."""
+"""Warnings of several recordings, with one line for a warning that many of them share."""
 
 from __future__ import annotations
 
@@ -10,47 +10,48 @@ from ..conversions import BEAT
 from ..io.files import printable
 from ..recording.recording import Recording
 
-__all__ = ["remarks"]
+__all__ = ["recording_warnings"]
 
 
-def remarks(recordings: Sequence[Recording], analyses: Sequence[Analysis]) -> list[str]:
+def recording_warnings(recordings: Sequence[Recording], analyses: Sequence[Analysis]) -> list[str]:
     """The warnings of all recordings.
 
     Parameters
     ----------
     recordings, analyses
-        Of one key, in the same order.
+        The recordings of one key and their analyses, in the same order.
 
     Returns
     -------
     list of str
-        One line a warning, however many recordings it concerns. The line of beats comes last. A single recording has
-        its warnings in one line and is not named.
+        One line for each warning, with the names of its recordings. The line on beating comes last. The warnings of a
+        single recording form one line without its name.
     """
     warnings = [(*r.warnings, *a.warnings) for r, a in zip(recordings, analyses, strict=True)]
     if len(recordings) == 1:
         return ["; ".join(warnings[0])] if warnings[0] else []
     names = [printable(Path(recording.path).name) for recording in recordings]
-    concerned: dict[str, list[str]] = {}
+    files: dict[str, list[str]] = {}
     for name, own, analysis in zip(names, warnings, analyses, strict=True):
         for warning in own:
             if warning != beating_warning(analysis.partials):
-                concerned.setdefault(warning, []).append(name)
-    shared = [f"{_listed(found, len(names))}: {warning}" for warning, found in concerned.items()]
-    return shared + _beats(names, analyses)
+                files.setdefault(warning, []).append(name)
+    shared = [f"{_listed(own, len(names))}: {warning}" for warning, own in files.items()]
+    return shared + _beating(names, analyses)
 
 
 def _listed(names: Sequence[str], count: int) -> str:
     return f"all {count} recordings" if len(names) == count else ", ".join(names)
 
 
-def _beats(names: Sequence[str], analyses: Sequence[Analysis]) -> list[str]:
-    """One line for the recordings that beat, with how many of their partials do."""
+def _beating(names: Sequence[str], analyses: Sequence[Analysis]) -> list[str]:
+    """One line with the recordings that beat, and how many of their partials do."""
     counts = [(name, count_beating(one.partials), len(one.partials)) for name, one in zip(names, analyses, strict=True)]
-    found = [f"{name} ({deep} of {partials} partials)" for name, deep, partials in counts if deep]
-    if not found:
+    beating = [f"{name} ({deep} of {partials} partials)" for name, deep, partials in counts if deep]
+    if not beating:
         return []
     return [
-        f"Beats in {len(found)} of {len(names)} recordings: {', '.join(found)}. These partials leave an even decay by "
-        f"more than {BEAT:g} dB: more than one string or polarisation, or a note that was damped or cut."
+        f"Beating in {len(beating)} of {len(names)} recordings: {', '.join(beating)}. These partials deviate from an "
+        f"exponential decay by more than {BEAT:g} dB. Possible causes are several strings, two polarisations, or a "
+        "note that was damped or cut."
     ]

@@ -1,4 +1,4 @@
-"""A finished fit as a program and a notebook hold it: numbers by name, what is claimed, and the note that plays."""
+"""`Result`: a finished fit, with quantities by name, the identifiability statement, and notes to render."""
 
 from __future__ import annotations
 
@@ -27,19 +27,19 @@ from .quantities import Covariance, Quantities
 
 __all__ = ["FittedRecording", "Result", "RenderedFit"]
 
-# Of the identifiability statement, in characters, that a `repr` shows.
-STATEMENT = 300
+# Characters of the identifiability statement in a `repr`.
+STATEMENT_LENGTH = 300
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RenderedFit:
-    """One set of parameters, as it sounds."""
+    """The sound of one set of parameters."""
 
     note: Note
     samples: np.ndarray  # file units, as long as the recording
     simulation: Simulation
-    level: np.ndarray  # dB, [partials], gain and path included; of a calibrated recording in its pickup's unit
-    frames: np.ndarray | None = None  # `samples` is their mean [channels, samples]; None for one channel
+    level: np.ndarray  # dB [partials], with gain and output path; in the pickup unit if calibrated
+    frames: np.ndarray | None = None  # [channels, samples], of which `samples` is the mean; None for one channel
 
     def __repr__(self) -> str:
         return f"Sound of {len(self.samples)} samples, {self.note.hammer.v_H0:.3g} m/s"
@@ -47,36 +47,36 @@ class RenderedFit:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FittedRecording:
-    """One recording beside what the model makes of it."""
+    """One recording and the model's sounds for it."""
 
     initial: RenderedFit
     fitted: RenderedFit
-    level: np.ndarray  # dB, [partials], measured, in the pickup's unit
+    level: np.ndarray  # measured, dB in the pickup unit [partials]
     recording: Recording
     analysis: Analysis
     criterion: dict
     levels: dict
-    ringing: RenderedFit | None = None  # `fitted` as the key rings; itself is by the string's law
+    ringing: RenderedFit | None = None  # `fitted` with the modal response; `fitted` uses the string model only
 
     def __repr__(self) -> str:
-        return f"FittedRecording: {self.recording!r}, levels {self.levels['fitted_db']:.2f} dB off after the fit"
+        return f"FittedRecording: {self.recording!r}, level error {self.levels['fitted_db']:.2f} dB after the fit"
 
     @property
     def as_played(self) -> RenderedFit:
-        """The fit as it plays this recording: as the key rings, or by the string's law."""
+        """The fitted sound: with the modal response if the fit has one, else with the string model only."""
         return self.ringing or self.fitted
 
-    def ringing_by(self, ringing: ModalResponse, late: float) -> FittedRecording:
-        """The same with the fit as the key rings; the contact lies `late` seconds after the onset."""
-        law, recording = self.fitted, self.recording
-        note = law.note._replace(ringing=ringing)
-        touch = recording.onset + round(late * recording.rate)
-        frames = note.render_channels(law.simulation, recording.rate, len(recording.samples), touch)
-        return replace(self, ringing=RenderedFit(note, frames.mean(axis=0), law.simulation, law.level, frames))
+    def ringing_by(self, ringing: ModalResponse, contact_delay: float) -> FittedRecording:
+        """A copy with a modal response, whose contact is `contact_delay` seconds after the onset."""
+        fitted, recording = self.fitted, self.recording
+        note = fitted.note._replace(ringing=ringing)
+        contact = recording.onset + round(contact_delay * recording.rate)
+        frames = note.render_channels(fitted.simulation, recording.rate, len(recording.samples), contact)
+        return replace(self, ringing=RenderedFit(note, frames.mean(axis=0), fitted.simulation, fitted.level, frames))
 
     @property
     def sound(self) -> np.ndarray:
-        """`played` as a file has it [samples], or [channels, samples]."""
+        """Samples of `as_played` for a file [samples] or [channels, samples]."""
         frames = self.as_played.frames
         return self.as_played.samples if frames is None or len(frames) == 1 else frames
 
@@ -88,13 +88,13 @@ class FittedRecording:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Result:
-    """A finished fit, or one that was read back from its `fit.json`.
+    """A finished fit, or one that was loaded from its `fit.json`.
 
-    `document` is what `fit.json` holds. `recordings` are in the order in which they were given; a result that was read
-    back has none until `with_recordings` reads them, which plots, `save` and `report` do by themselves. One recording,
-    the `first`, is the reference. `notes` play each minimum, for every recording [minima][recordings], and `shares` are
-    the minima's weights. `draws` are the posterior's, where it was asked for: values [chains, draws] by name. `folder`
-    is where the result was read from.
+    `document` is the content of `fit.json`. `recordings` are in the order in which they were given. A loaded result has
+    none until `with_recordings` reads them; plots, `save` and `report` do this when needed. `reference_index` is the
+    index of the reference recording. `minima_notes` has a note for each minimum and recording [minima][recordings], and
+    `weights` the posterior weights of the minima. `draws` are posterior draws [chains, draws] by name, if the fit
+    computed them. `folder` is the folder that the result was loaded from.
     """
 
     document: dict
@@ -107,12 +107,12 @@ class Result:
 
     @property
     def claims(self) -> str:
-        """The identifiability statement: what kind of measurement this is, and what of it is identified."""
+        """The identifiability statement: the kind of measurement, and which parameters it determines."""
         return self.document["claims"]
 
     @property
     def messages(self) -> tuple[str, ...]:
-        """What to beware of, the weightiest first."""
+        """Warnings, the most important first."""
         return tuple(self.document["messages"])
 
     @property
@@ -122,24 +122,24 @@ class Result:
 
     @property
     def invariants(self) -> Quantities:
-        """What needs no assumed length or mass and, but for F/M_S, no velocity: f0, B, ratios, the felt's force."""
+        """Quantities that do not depend on an assumed length, mass or (except F/M_S) velocity."""
         return Quantities.of(self.document["invariants"])
 
     @property
     def note(self) -> Note:
-        """What renders and predicts: the best minimum's string, hammer and path, at the reference's velocity."""
+        """The note of the best minimum at the velocity of the reference recording. It renders and predicts."""
         return self.minima_notes[0][self.reference_index]
 
     @property
     def mixture(self) -> list[tuple[float, Note]]:
-        """The notes of all minima with their shares, the best first: what `predict_recording` takes."""
+        """Pairs of posterior weight and note for all minima, the best first, as `predict_recording` takes them."""
         return [
-            (share, notes[self.reference_index]) for share, notes in zip(self.weights, self.minima_notes, strict=True)
+            (weight, notes[self.reference_index]) for weight, notes in zip(self.weights, self.minima_notes, strict=True)
         ]
 
     @property
     def gains(self) -> tuple[float, ...]:
-        """Of the recordings through the reference's path, dB over the reference's."""
+        """Gains of the recordings in the path group of the reference recording, dB relative to it."""
         return gains_of(self.document)
 
     @property
@@ -149,39 +149,39 @@ class Result:
         Raises
         ------
         FitError
-            If the fit was read back from a file that holds none.
+            If the fit was loaded from a file without a covariance.
         """
         covariance = Covariance.of(self.document.get("covariance"))
         if covariance is None:
-            raise FitError("covariance: this fit.json does not hold it; fit the recordings again")
+            raise FitError("covariance: this fit.json has none; fit the recordings again")
         return covariance
 
     @property
     def reference(self) -> FittedRecording:
-        """The reference recording beside what the model makes of it.
+        """The reference recording and the model's sounds for it.
 
         Raises
         ------
         FitError
-            If the fit was read back, and its recording is not at its place or was changed.
+            If the fit was loaded, and its recording was moved or changed.
         """
         return self.with_recordings().recordings[self.reference_index]
 
     def with_recordings(self, *recordings: Source) -> Result:
-        """The result with its recordings: itself, or one that was read back with the recordings read again.
+        """The result with its recordings, which are read again if the result was loaded.
 
         Parameters
         ----------
-        recordings : in the order of the fit; those at their recorded paths if none is given.
+        recordings : the recordings in the order of the fit; read from their stored paths if none is given.
 
         Raises
         ------
         FitError
-            Naming the recording that is missing, or whose SHA-256 is not that of the one that was fitted.
+            If a recording is missing, or its SHA-256 is not that of the fitted one; the message names it.
 
         Examples
         --------
-        With the folder that the example of `fit` saves, and the samples that were fitted there:
+        With the folder that the example of `fit` saves, and the samples fitted there:
 
         >>> import pianofit
         >>> it = pianofit.preset("chabassier-F3")
@@ -192,46 +192,46 @@ class Result:
         2.0
         """
         if recordings:
-            from .reload import recalled
+            from .reload import reload_recordings
 
-            return recalled(self, recordings)
-        return self if self.recordings else self._recalled
+            return reload_recordings(self, recordings)
+        return self if self.recordings else self._reloaded
 
     @cached_property
-    def _recalled(self) -> Result:
-        from .reload import recalled
+    def _reloaded(self) -> Result:
+        from .reload import reload_recordings
 
-        return recalled(self)
+        return reload_recordings(self)
 
     @property
     def initial(self) -> RenderedFit:
-        """Before the fit, reference recording."""
+        """Sound of the initial values for the reference recording."""
         return self.reference.initial
 
     @property
     def fitted(self) -> RenderedFit:
-        """After the fit, reference recording."""
+        """Sound of the fit for the reference recording."""
         return self.reference.fitted
 
     @property
     def recording(self) -> Recording:
-        """As it was read, reference recording."""
+        """The reference recording."""
         return self.reference.recording
 
     @property
     def analysis(self) -> Analysis:
-        """Of the reference recording."""
+        """Analysis of the reference recording."""
         return self.reference.analysis
 
-    # --- to look at ---------------------------------------------------------------------------------------------------
+    # --- display ------------------------------------------------------------------------------------------------------
 
     def __repr__(self) -> str:
         count, statement = len(self.document["recordings"]), self.claims
         state = "converged" if self.document["converged"] else "NOT CONVERGED"
-        short = statement if len(statement) <= STATEMENT else statement[: STATEMENT - 3] + "..."
+        short = statement if len(statement) <= STATEMENT_LENGTH else statement[: STATEMENT_LENGTH - 3] + "..."
         lines = [f"Result of {counted(count, 'recording')}, {self.document['recipe']} recipe, {state}", short]
-        lines += [", ".join(f"{q.name} {q.value:.5g}" for q in table.values()) for table in
-                  (self.invariants, self.parameters)]  # fmt: skip
+        tables = (self.invariants, self.parameters)
+        lines += [", ".join(f"{q.name} {q.value:.5g}" for q in table.values()) for table in tables]
         return "\n".join(line for line in lines if line)
 
     def __str__(self) -> str:
@@ -248,20 +248,20 @@ class Result:
     def plot(self) -> Any:
         """Figures: `plot.spectrum()`, `force()`, `felt()`, `levels()`, `envelopes()`, `correlations()`.
 
-        Each returns its Axes, and takes Axes and a `label`, so that two results share a figure.
+        Each takes Axes and a `label`, so that two results can share a figure, and returns the Axes.
         """
         from ..report.plots import Plots
 
         return Plots(self)
 
-    # --- to take elsewhere --------------------------------------------------------------------------------------------
+    # --- export -------------------------------------------------------------------------------------------------------
 
     def to_dict(self) -> dict[str, Any]:
-        """A copy of what `fit.json` holds (docs/files.md)."""
+        """A copy of the content of `fit.json` (docs/files.md)."""
         return copy.deepcopy(self.document)
 
     def to_dataframe(self) -> Any:
-        """The parameters as a pandas data frame, a row each; `invariants.to_dataframe()` gives the others.
+        """The parameters as a pandas data frame, one row each. For the invariants use `invariants.to_dataframe()`.
 
         Raises
         ------
@@ -271,12 +271,12 @@ class Result:
         return self.parameters.to_dataframe()
 
     def to_arviz(self) -> Any:
-        """The posterior's draws as ArviZ knows them.
+        """The posterior draws as ArviZ inference data.
 
-        The group "posterior" has parameters, the velocities of all strokes and invariants. "observed_data" has what was
-        compared: levels and bounds of absent partials, dB, and frequencies, cents, and decays, logarithms, over their
-        laws. "constant_data" names the recording and the partial of each observation. "log_likelihood" has the log
-        density of each observation given all others, for ArviZ's `loo` and `compare`.
+        The group "posterior" has the parameters, the velocities of all strokes and the invariants. "observed_data" has
+        levels and bounds of censored partials, dB, and frequencies (cents) and decay rates (logarithms) relative to the
+        string model. "constant_data" has the recording and the partial of each observation. "log_likelihood" has the
+        log density of each observation given all others, for ArviZ's `loo` and `compare`.
 
         Raises
         ------
@@ -287,41 +287,42 @@ class Result:
         """
         if self.draws is None:
             if any(q.interval_by == "posterior" for q in self.parameters.values()):
-                raise FitError(f"the draws, {DRAWS_FILE}, are not next to fit.json; copy them there, or fit again")
-            raise FitError("there are no draws; fit with intervals='posterior'")
+                raise FitError(
+                    f"the file of the draws, {DRAWS_FILE}, is missing next to fit.json; copy it there, or fit again"
+                )
+            raise FitError("the fit has no draws; fit with intervals='posterior'")
         return self.draws.to_arviz()
 
     def save(self, folder: str | os.PathLike[str], *, force: bool = False, page: bool = True) -> Path:
-        """Write `fit.json`, the draws, the sounds and the page to a folder, which is returned.
+        """Write `fit.json`, the draws, the sounds and the page to a folder, and return the folder.
 
-        A result that was read back reads its recordings again for that. Without a `page` it needs none: its files are
-        copied.
+        A loaded result reads its recordings again for this. With `page=False` it copies its files instead.
 
         Raises
         ------
         OutputError
-            If it cannot be written, or holds something and `force` is not given.
+            If the folder cannot be written, or is not empty and `force` is not given.
         FitError
-            If the fit was read back, and a recording is not at its place or was changed.
+            If the fit was loaded, and a recording was moved or changed.
         """
         from ..report.save import save
 
         return save(self, Path(folder), force=force, page=page)
 
     def report(self, path: str | os.PathLike[str], *, title: str | None = None, held_out: dict | None = None) -> Path:
-        """Write the page to `path`, a file or a folder for `report.html`, and return where it is.
+        """Write the page to `path`, a file, or a folder for `report.html`, and return its path.
 
         Parameters
         ----------
-        title : the names of the recordings and the note, if None.
-        held_out : what `cross_validate` returned of the same recordings, to be shown beside their fit.
+        title : title of the page; the names of the recordings and the note if None.
+        held_out : cross-validation of the same recordings, from `cross_validate`, to be shown with the fit.
 
         Raises
         ------
         OutputError
-            If it cannot be written.
+            If the page cannot be written.
         FitError
-            If the fit was read back, and a recording is not at its place or was changed.
+            If the fit was loaded, and a recording was moved or changed.
         """
         from ..report.save import write_page
 
@@ -329,20 +330,20 @@ class Result:
 
     @classmethod
     def load(cls, folder: str | os.PathLike[str], felt: FeltLaw | None = None) -> Result:
-        """A fit read back from the folder it was saved to, or its `fit.json`, with its draws.
+        """Load a fit from the folder that it was saved to, or from its `fit.json`, with its draws.
 
-        Numbers, tables, notes and the figures of force, levels and correlations are there at once. What needs the
-        recordings reads them from their recorded paths; see `with_recordings`.
+        Quantities, notes and the figures of force, levels and correlations are available at once. Everything else needs
+        the recordings and reads them from their stored paths; see `with_recordings`.
 
         Parameters
         ----------
-        folder : that `save` or `pianofit fit` wrote, or the file in it.
-        felt : the felt's law, where the fit was by one of your own.
+        folder : folder that `save` or `pianofit fit` wrote, or the file in it.
+        felt : the felt law of the fit, if it is your own.
 
         Raises
         ------
         FitError
-            Naming the file and what is wrong with it.
+            If the file is invalid; the message names it and the reason.
 
         Examples
         --------
@@ -355,17 +356,17 @@ class Result:
         """
         path = fit_path(folder)
         document, name = read_fit(path), printable(path)
-        shares, mixture = zip(*mixture_of(document, path, felt), strict=True)
+        weights, mixture = zip(*mixture_of(document, path, felt), strict=True)
         from .reload import every_note
 
         notes, (first, _) = every_note(document, mixture, name), reference_of(document["recordings"])
         invariants = document.get("invariants")
         draws = read_draws(document.get("draws"), path.parent, invariants if isinstance(invariants, dict) else {})
-        result = cls(document, (), first, notes, shares, draws, path.parent)
+        result = cls(document, (), first, notes, weights, draws, path.parent)
         try:
             _ = repr(result), result._repr_html_()
         except (AttributeError, IndexError, KeyError, TypeError, ValueError) as missing:
             raise FitError(
-                f"{name}: is not whole ({printable(repr(missing))}); give the file that pianofit fit wrote"
+                f"{name}: is incomplete ({printable(repr(missing))}); give the file that pianofit fit wrote"
             ) from None
         return result

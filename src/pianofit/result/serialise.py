@@ -1,4 +1,4 @@
-"""What `fit.json` holds, as every way of fitting writes it."""
+"""Content of `fit.json`, in one form for all recipes."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ __all__ = [
 
 def to_document(
     start: InitialValues,
-    heard: Sequence[FittedRecording],
+    recordings: Sequence[FittedRecording],
     reference: int,
     rows: Sequence[dict],
     covariance: Covariance,
@@ -47,49 +47,55 @@ def to_document(
     minima: Sequence[dict],
     diagnostics: dict,
 ) -> dict:
-    """The whole document, in its order; what belongs to no recording alone is the `reference`'s."""
-    first = heard[reference]
+    """The document. `pickup`, `derived` and `criterion` are those of the `reference` recording."""
+    first = recordings[reference]
     return {
         "schema": FIT_SCHEMA, "program": "pianofit", "recipe": recipe, "felt": start.law.name, "seed": seed,
         "converged": converged, "claims": claims, "messages": list(messages),
         "invariants": invariants,
         "parameters": parameters,
         "recordings": list(rows),
-        "pickup": {"quantity": start.quantity, "path": path_document(first.fitted.note.path)} | _paths(heard, rows),
+        "pickup": {"quantity": start.quantity, "path": path_document(first.fitted.note.path)}
+        | _paths(recordings, rows),
         "minima": list(minima),
         "covariance": covariance.document(),
         "derived": _derived(first),
         "criterion": first.criterion,
-        "levels": pool_level_errors([each.levels for each in heard]),
+        "levels": pool_level_errors([recording.levels for recording in recordings]),
         "diagnostics": diagnostics,
         "versions": _versions(),
     }  # fmt: skip
 
 
-def _paths(heard: Sequence[FittedRecording], rows: Sequence[dict]) -> dict:
-    """The paths of all groups by number, where there are several."""
-    found = {str(row["group"]): path_document(each.fitted.note.path) for each, row in zip(heard, rows, strict=True)}
-    return {"paths": found} if len(found) > 1 else {}
+def _paths(recordings: Sequence[FittedRecording], rows: Sequence[dict]) -> dict:
+    """Output paths by group number, if there are several groups."""
+    paths = {
+        str(row["group"]): path_document(recording.fitted.note.path)
+        for recording, row in zip(recordings, rows, strict=True)
+    }
+    return {"paths": paths} if len(paths) > 1 else {}
 
 
 def no_interval() -> dict:
-    """Of what no fit searches."""
+    """The interval of a value that was not fitted."""
     return {"interval": None, "interval_by": None, "interval_open": []}
 
 
-def entry(value: float, said: dict, status: str, initial: float, note: str = "", interval: dict | None = None) -> dict:
-    """A row of `parameters`: `said` are its unit and meaning."""
+def entry(
+    value: float, description: dict, status: str, initial: float, note: str = "", interval: dict | None = None
+) -> dict:
+    """A row of `parameters`; `description` has its unit and meaning."""
     span = interval or no_interval()
-    return {"value": value, **said, **span, "status": status, "initial": initial, "note": note}
+    return {"value": value, **description, **span, "status": status, "initial": initial, "note": note}
 
 
 def fixed_entry(value: float, name: str, status: str) -> dict:
-    """What no fit searches."""
+    """A row of `parameters` for a value that was not fitted."""
     return entry(float(value), {"unit": UNITS[name]}, status, float(value))
 
 
 def sizes(start: InitialValues) -> dict[str, dict]:
-    """The string's length and mass, and the pickup's position, as `parameters` has them."""
+    """Rows of `parameters` for string length, string mass and pickup position."""
     g = start.geometry
     table = {
         name: fixed_entry(value, name, "assumed" if key in start.assumed else "given")
@@ -101,39 +107,40 @@ def sizes(start: InitialValues) -> dict[str, dict]:
 
 
 def unit_and_meaning(name: str, law: FeltLaw) -> dict[str, str]:
-    """Unit of a parameter; and what it means, where only a law from outside says so."""
+    """Unit of a parameter, and its meaning if the felt law is not built in."""
     if name not in law.parameters:
         return {"unit": UNITS[name]}
     return {"unit": law.parameters[name].unit} | ({} if is_builtin(law) else {"meaning": law.parameters[name].meaning})
 
 
 def recording_entry(
-    heard: FittedRecording, velocity: dict, calibrated: bool, *, first: bool = True, cents: float = 0.0, group: int = 0,
-    stroke: int = 0,
+    recording: FittedRecording, velocity: dict, calibrated: bool, *, first: bool = True, cents: float = 0.0,
+    group: int = 0, stroke: int = 0,
 ) -> dict:  # fmt: skip
-    """What one recording has of its own; `velocity` is the entry of its stroke's, `cents` are over the reference's."""
-    recording = heard.recording
+    """A row of `recordings`. `velocity` is the entry of its stroke, `cents` the pitch relative to the reference."""
+    source = recording.recording
     return {
-        "file": recording.path, "sha256": recording.sha256, "channel": recording.channel, "rate": recording.rate,
-        "onset_s": recording.onset / recording.rate, "v_H0": velocity["value"], "v_H0_interval": velocity["interval"],
+        "file": source.path, "sha256": source.sha256, "channel": source.channel, "rate": source.rate,
+        "onset_s": source.onset / source.rate, "v_H0": velocity["value"], "v_H0_interval": velocity["interval"],
         "v_H0_status": velocity["status"], "v_H0_initial": velocity["initial"],
-        "note": heard.analysis.note, "gain": heard.fitted.note.gain,
+        "note": recording.analysis.note, "gain": recording.fitted.note.gain,
         "gain_status": "given" if calibrated else "fitted", "first": first, "cents": cents, "group": group,
-        "stroke": stroke, "criterion": heard.criterion, "levels": heard.levels, "partials": _partials(heard),
+        "stroke": stroke, "criterion": recording.criterion, "levels": recording.levels,
+        "partials": _partials(recording),
     }  # fmt: skip
 
 
-def _partials(heard: FittedRecording) -> dict[str, list]:
-    """The levels that are compared, dB [partials]."""
-    table = heard.partials
+def _partials(recording: FittedRecording) -> dict[str, list]:
+    """Measured and modelled levels, dB [partials]."""
+    table = recording.partials
     return {
-        "number": table.number.tolist(), "measured": heard.level.tolist(), "error": table.level_error.tolist(),
-        "initial": heard.initial.level.tolist(), "fitted": heard.fitted.level.tolist(),
+        "number": table.number.tolist(), "measured": recording.level.tolist(), "error": table.level_error.tolist(),
+        "initial": recording.initial.level.tolist(), "fitted": recording.fitted.level.tolist(),
     }  # fmt: skip
 
 
 def path_document(path: OutputPath | None) -> dict | None:
-    """A path as `fit.json` holds it."""
+    """The entry of an output path."""
     if path is None:
         return None
     columns = {"frequency": path.frequency.tolist(), "db": path.db.tolist()}
@@ -142,20 +149,20 @@ def path_document(path: OutputPath | None) -> dict | None:
 
 
 def wander_document(wander: VelocityDiscrepancy | None) -> dict | None:
-    """What strokes have over a path as `fit.json` holds it; None where nothing is known of it."""
+    """The entry of a velocity discrepancy; None if there is none."""
     return None if wander is None else {name: column.tolist() for name, column in wander._asdict().items()}
 
 
-def _derived(heard: FittedRecording) -> dict:
-    """What follows from the parameters, and what the stroke did."""
-    note, simulation, analysis = heard.fitted.note, heard.fitted.simulation, heard.analysis
+def _derived(recording: FittedRecording) -> dict:
+    """Quantities computed from the parameters and from the simulated stroke."""
+    note, simulation, analysis = recording.fitted.note, recording.fitted.simulation, recording.analysis
     pulse, g = simulation.pulse, note.geometry
     u = float(pulse.compression.max())
     return {
         "f0": float(note.f0), "B": float(note.B), "f1": float(note.f0 * np.sqrt(1 + note.B)),
         "M_H/M_S": float(note.hammer.M_H / g.mass),
         "x0/L": float(g.strike_position / g.length), "contact_ms": 1e3 * simulation.contact_time,
-        "later_contacts": [again.document() for again in simulation.contacts[1:]],
+        "later_contacts": [contact.document() for contact in simulation.contacts[1:]],
         "max_force_N": float(pulse.force.max()), "max_compression_mm": 1e3 * u,
         "felt_force_N": float(law_of(note.hammer).force(u, 0.0, note.hammer)),
         "glide_cents": float(analysis.glide_cents),
@@ -164,6 +171,6 @@ def _derived(heard: FittedRecording) -> dict:
 
 
 def _versions() -> dict[str, str]:
-    """Of the program and of everything the numbers depend on."""
+    """Versions of the program and of the packages that its numbers depend on."""
     own = {"pianofit": __version__, "python": platform.python_version()}
     return own | {name: version(name) for name in ("jax", "numpy", "scipy")}

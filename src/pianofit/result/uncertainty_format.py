@@ -2,10 +2,10 @@
 
     [width][.precision][u][e | f | g][S | L | P | p]
 
-Without a precision the uncertainty is rounded by the rule of the Particle Data Group: its first three digits 100 to 354
-leave two digits, 355 to 949 one, and 950 to 999 become 1000 and leave two (Review of Particle Physics, introduction).
-With `u` the precision counts the digits of the uncertainty, else it is that of the value. `S` is the short form
-2.277(4), `L` is LaTeX, `P` uses ± and raised exponents, `p` sets parentheses. The value and its uncertainty end at the
+Without a precision the uncertainty is rounded by the rule of the Particle Data Group: first three digits 100 to 354
+keep two digits, 355 to 949 one, and 950 to 999 become 1000 and keep two (Review of Particle Physics, introduction).
+With `u` the precision counts digits of the uncertainty, otherwise it is that of the value. `S` is the short form
+2.277(4), `L` is LaTeX, `P` uses ± and superscript exponents, `p` adds parentheses. Value and uncertainty end at the
 same decimal place and share one power of ten.
 """
 
@@ -19,13 +19,13 @@ from typing import NamedTuple
 from ..errors import ParameterError
 from ..io.number_format import RAISED, format_with_interval
 
-__all__ = ["Spec", "latex_name", "latex_unit", "spec_of", "with_interval", "with_sd"]
+__all__ = ["Spec", "latex_name", "latex_unit", "parse_format_spec", "format_interval", "format_with_sd"]
 
 SPEC = re.compile(r"(?P<pad>(?:.?[<>=^])?\d*)(?:\.(?P<digits>\d+))?(?P<u>u?)(?P<kind>[efg]?)(?P<style>[SLPp]*)")
-# The first three digits of an uncertainty up to which two are written, and from which it becomes 1000.
-TWO, UP = 354, 950
-# Digits at the most, those that a float has.
-MOST = 17
+# Largest first three digits of an uncertainty written with two digits, and smallest that are rounded up to 1000.
+TWO_DIGITS_UP_TO, ROUNDED_UP_FROM = 354, 950
+# Largest number of digits: those of a float.
+MOST_DIGITS = 17
 # Powers of ten below this are written with an exponent, as Python's `g` does.
 LOWEST_POWER = -4
 GREEK = {"kappa", "mu", "epsilon", "tau"}
@@ -33,63 +33,65 @@ POWER = re.compile(r"e([+-]\d+)")
 
 
 class Spec(NamedTuple):
-    """A format specification, read."""
+    """A parsed format specification."""
 
-    pad: str  # what Python's format takes for texts: fill, alignment, width
+    pad: str  # fill, alignment and width, as in Python's format of texts
     digits: int | None
-    of_sd: bool  # whether `digits` are those of the uncertainty
+    of_sd: bool  # if True, `digits` counts digits of the uncertainty
     kind: str  # e, f or g
     style: str  # letters of S, L, P, p
 
 
-def spec_of(text: str) -> Spec:
-    """Read a format specification.
+def parse_format_spec(text: str) -> Spec:
+    """Parse a format specification.
 
     Raises
     ------
     ParameterError
-        Naming the specification and what can be used.
+        If the specification is invalid.
     """
-    found = SPEC.fullmatch(text)
-    digits = None if not found or found["digits"] is None else int(found["digits"])
-    if not found or (found["u"] and not digits) or (digits or 0) > MOST:
-        raise ParameterError(f"format {text!r} must be as [width][.precision][u][e|f|g][S|L|P|p], such as '.2uS'")
-    pad = f">{found['pad']}" if found["pad"].isdigit() else found["pad"]
-    return Spec(pad, digits, bool(found["u"]), found["kind"] or "g", found["style"])
+    match = SPEC.fullmatch(text)
+    digits = None if not match or match["digits"] is None else int(match["digits"])
+    if not match or (match["u"] and not digits) or (digits or 0) > MOST_DIGITS:
+        raise ParameterError(
+            f"format {text!r} must have the form [width][.precision][u][e|f|g][S|L|P|p], such as '.2uS'"
+        )
+    pad = f">{match['pad']}" if match["pad"].isdigit() else match["pad"]
+    return Spec(pad, digits, bool(match["u"]), match["kind"] or "g", match["style"])
 
 
-def with_sd(value: float, sd: float, spec: Spec) -> str:
-    """`value` and its standard uncertainty, both finite, `sd` above 0."""
-    if spec.digits is None and _first_three(sd) >= UP:
+def format_with_sd(value: float, sd: float, spec: Spec) -> str:
+    """Format `value` with its standard uncertainty; both finite, `sd` above 0."""
+    if spec.digits is None and _first_three(sd) >= ROUNDED_UP_FROM:
         sd = 10.0 ** (_exponent(sd, 2) + 1)
     place = _place(value, sd, spec)
     power = _power(value, sd, place, spec.kind)
     body = _joined(_fixed(value, power, place), _fixed(sd, power, place), spec.style, power)
-    return format(_times(body, power, spec.style), spec.pad)
+    return format(_with_power(body, power, spec.style), spec.pad)
 
 
-def with_interval(value: float, ends: Sequence[float] | None, open_ends: Sequence[str], spec: Spec) -> str:
-    """`value` with an interval that no ± describes, as tables write it; of an open one the other end as a bound."""
+def format_interval(value: float, ends: Sequence[float] | None, open_ends: Sequence[str], spec: Spec) -> str:
+    """Format `value` with an asymmetric interval, as tables do; a half-open interval becomes a bound."""
     if ends is None:
-        return format(_raised(_plain(value, spec), spec.style), spec.pad)
+        return format(_superscript(_plain(value, spec), spec.style), spec.pad)
     number, span = format_with_interval(value, ends)
     low, _, high = span.strip("[]").partition(", ")
-    said = {(): span, ("low",): f"(< {high})", ("high",): f"(> {low})"}.get(tuple(open_ends), "(not bounded)")
+    text = {(): span, ("low",): f"(< {high})", ("high",): f"(> {low})"}.get(tuple(open_ends), "(not bounded)")
     if "L" in spec.style:
-        said = said.replace(", ", r",\,").replace("not bounded", r"\text{not bounded}")
-    return format(_raised(f"{number}{chr(92) + ';' if 'L' in spec.style else ' '}{said}", spec.style), spec.pad)
+        text = text.replace(", ", r",\,").replace("not bounded", r"\text{not bounded}")
+    return format(_superscript(f"{number}{chr(92) + ';' if 'L' in spec.style else ' '}{text}", spec.style), spec.pad)
 
 
 def _plain(value: float, spec: Spec) -> str:
-    """A value without an uncertainty; digits of an uncertainty mean nothing to it."""
+    """Format a value without an uncertainty; digits of the uncertainty are ignored."""
     digits = 6 if spec.digits is None or spec.of_sd else spec.digits
     return f"{value:.{digits}{spec.kind}}"
 
 
 def _place(value: float, sd: float, spec: Spec) -> int:
-    """The decimal place of the last digit: 3 of 2.277."""
+    """The decimal place of the last digit: 3 for 2.277."""
     if spec.digits is None:
-        return (1 if _first_three(sd) <= TWO else 0) - _exponent(sd, 2)
+        return (1 if _first_three(sd) <= TWO_DIGITS_UP_TO else 0) - _exponent(sd, 2)
     if spec.of_sd:
         return spec.digits - 1 - _exponent(sd, spec.digits - 1)
     if spec.kind == "f":
@@ -103,14 +105,14 @@ def _first_three(value: float) -> int:
 
 
 def _exponent(value: float, decimals: int) -> int:
-    """Of the leading digit, after rounding to so many decimals of the mantissa."""
+    """Exponent of the leading digit, after rounding the mantissa to `decimals`."""
     return int(f"{value:.{decimals}e}".split("e")[1])
 
 
 def _power(value: float, sd: float, place: int, kind: str) -> int:
-    """The common power of ten, 0 where the numbers are written out."""
+    """The common power of ten; 0 if the numbers are written in full."""
     largest = max(abs(value), sd)
-    exponent = _exponent(largest, max(place + _exponent(largest, MOST), 0))
+    exponent = _exponent(largest, max(place + _exponent(largest, MOST_DIGITS), 0))
     if kind == "f" or (kind == "g" and exponent >= LOWEST_POWER and place >= 0):
         return 0
     return exponent
@@ -121,27 +123,27 @@ def _fixed(value: float, power: int, place: int) -> str:
 
 
 def _joined(value: str, sd: str, style: str, power: int) -> str:
-    """Value and uncertainty by the style; in parentheses where a power of ten follows, or `p` asks for them."""
+    """Value and uncertainty in the given style, in parentheses before a power of ten or with `p`."""
     if "S" in style:
         last = len(value.partition(".")[2])
-        own = sd if not last or not sd.startswith("0.") else sd.partition(".")[2].lstrip("0")
-        return f"{value}({own or sd})"
+        digits = sd if not last or not sd.startswith("0.") else sd.partition(".")[2].lstrip("0")
+        return f"{value}({digits or sd})"
     sign = r" \pm " if "L" in style else "±" if "P" in style else "+/-"
     ends = (r"\left(", r"\right)") if "L" in style else ("(", ")")
     body = f"{value}{sign}{sd}"
     return f"{ends[0]}{body}{ends[1]}" if power or "p" in style else body
 
 
-def _times(body: str, power: int, style: str) -> str:
-    return _raised(f"{body}e{power:+03d}", style) if power else body
+def _with_power(body: str, power: int, style: str) -> str:
+    return _superscript(f"{body}e{power:+03d}", style) if power else body
 
 
-def _raised(text: str, style: str) -> str:
-    """Powers of ten as LaTeX or a page writes them, where the style asks for it."""
+def _superscript(text: str, style: str) -> str:
+    """Powers of ten in LaTeX (style `L`) or with superscript digits (style `P`)."""
     if "L" in style:
-        return POWER.sub(lambda found: rf" \times 10^{{{int(found[1])}}}", text)
+        return POWER.sub(lambda match: rf" \times 10^{{{int(match[1])}}}", text)
     if "P" in style:
-        return POWER.sub(lambda found: f"×10{str(int(found[1])).translate(RAISED)}", text)
+        return POWER.sub(lambda match: f"×10{str(int(match[1])).translate(RAISED)}", text)
     return text
 
 
@@ -149,23 +151,25 @@ def _raised(text: str, style: str) -> str:
 
 
 def latex_name(name: str) -> str:
-    """A parameter's name in LaTeX; of a name from a file only letters, digits and a few signs are left."""
+    """The name of a parameter in LaTeX, without unsafe characters, since names come from files."""
     return "/".join(_symbol(part) for part in name.split("/"))
 
 
 def _symbol(name: str) -> str:
-    """One factor of a name: what follows the first underscore, or a digit, stands below."""
-    word, _, below = re.sub(r"[^\w ]", "", name).partition("_")
-    if not below and (found := re.fullmatch(r"([A-Za-z]+?)(\d+)", word)):
-        word, below = found[1], found[2]
+    """One factor of a name, with a subscript from its first underscore or digit on."""
+    word, _, subscript = re.sub(r"[^\w ]", "", name).partition("_")
+    if not subscript and (match := re.fullmatch(r"([A-Za-z]+?)(\d+)", word)):
+        word, subscript = match[1], match[2]
     word = rf"\{word}" if word in GREEK else word if len(word) == 1 else rf"\mathrm{{{word}}}"
-    below = below.replace("_", " ").replace(" ", r"\,")
-    return word + (rf"_{{{below}}}" if below.isdigit() else rf"_{{\mathrm{{{below}}}}}" if below else "")
+    subscript = subscript.replace("_", " ").replace(" ", r"\,")
+    if not subscript:
+        return word
+    return word + (rf"_{{{subscript}}}" if subscript.isdigit() else rf"_{{\mathrm{{{subscript}}}}}")
 
 
 def latex_unit(unit: str) -> str:
-    """A unit in LaTeX, with a space before it; empty for 1. Of a unit from a file only what a unit needs is left."""
+    """A unit in LaTeX with a leading space, without unsafe characters; empty for 1."""
     plain = re.sub(r"[^A-Za-z0-9/^·% ]", "", unit.replace("²", "^2").replace("³", "^3")).replace("%", r"\%")
     if plain in ("", "1"):
         return ""
-    return r"\,\mathrm{" + re.sub(r"\^(\w+)|\^", lambda found: f"^{{{found[1] or ''}}}", plain) + "}"
+    return r"\,\mathrm{" + re.sub(r"\^(\w+)|\^", lambda match: f"^{{{match[1] or ''}}}", plain) + "}"

@@ -1,8 +1,8 @@
-"""Measured hammer velocities compared with the sound: what contradicts them is a question to the user, not an error.
+"""Measured hammer velocities compared with the sound. A contradiction gives a warning, not an error.
 
-Two observations need neither a gain nor a unit. A felt is a hardening spring, so a faster stroke is brighter: its
-partials gain level towards high frequencies. And the exponent of the felt follows from how much brighter it is, so a
-wrong ratio of the velocities shows as an exponent that no felt has.
+Two observations need neither a gain nor a unit. Felt stiffens under compression, so a faster stroke is brighter: levels
+rise more towards high frequencies. The change in brightness also determines the felt exponent. So a wrong ratio of the
+velocities gives an exponent outside the range of felts.
 """
 
 from __future__ import annotations
@@ -18,103 +18,105 @@ from ..inference.pipeline import InferenceResult
 from ..inference.problem import FitProblem
 from ..io.files import printable
 
-__all__ = ["brightening", "questioned"]
+__all__ = ["brightening", "contradictory_velocities"]
 
-# Standard errors by which a faster stroke must be duller than a slower one. Of 55 pairs of neighbouring layers of three
-# real pianos all are brighter where they are louder, 51 by more than this.
-SURE = 3.0
-# The least slope that counts, dB an octave: half of the smallest of those 55, 0.94, which is a step of 2.4 dB.
-DULLER = -0.5
-# Mean level difference, dB, below which a faster stroke counts as fainter: a file that was normalised is not.
-FAINTER = -3.0
-FEWEST = 5  # partials in common, for a slope with an error
-# Roughness of a partial's level from stroke to stroke, dB, next to its standard error.
-ROUGH = 1.0
-# Standard deviations of its prior by which a felt's exponent may leave the literature's: 1.4 to 3.8 in the middle.
-UNLIKELY = 2.5
-# Hammer velocities of a pianist, fortissimo over pianissimo: 6 over 0.3 m/s (Askenfelt and Jansson 1991).
-VELOCITIES = 20.0
+# A faster stroke must be duller than a slower one by this many standard errors. In 55 pairs of neighbouring layers of
+# three real pianos the louder one is always brighter, in 51 of them by more than this.
+DULLER_STANDARD_ERRORS = 3.0
+# Slopes above this are ignored, dB an octave: half of the smallest of those 55, 0.94, for a step of 2.4 dB.
+DULLER_SLOPE = -0.5
+# Mean level difference, dB, below which a faster stroke counts as fainter. A normalised file stays above it.
+FAINTER_DB = -3.0
+FEWEST_COMMON = 5  # common partials for a slope with a standard error
+# Scatter of a partial's level from stroke to stroke, dB, added to its standard error.
+STROKE_SCATTER_DB = 1.0
+# Standard deviations by which the felt exponent may deviate from its prior: 1.4 to 3.8 in the middle of the keyboard.
+EXPONENT_Z = 2.5
+# Ratio of a pianist's fastest to slowest hammer velocity: 6 over 0.3 m/s (Askenfelt and Jansson 1991).
+PIANIST_VELOCITY_RATIO = 20.0
 
 
 def brightening(slower: Analysis, faster: Analysis) -> tuple[float, float, float]:
-    """How levels change from one stroke to another, over the partials that both have.
+    """Change of the levels from one stroke to another, over their common partials.
 
     Returns
     -------
-    The slope in dB an octave and its standard error (infinite if too few partials are common), and the mean change, dB.
+    Slope in dB an octave, its standard error (infinite for too few common partials), and mean change in dB.
     """
     a, b = slower.partials, faster.partials
     number, i, j = np.intersect1d(a.number, b.number, return_indices=True)
-    if len(number) < FEWEST:
+    if len(number) < FEWEST_COMMON:
         return 0.0, np.inf, 0.0
     change = b.level[j] - a.level[i]
-    weight = 1 / (a.level_error[i] ** 2 + b.level_error[j] ** 2 + ROUGH**2)
+    weight = 1 / (a.level_error[i] ** 2 + b.level_error[j] ** 2 + STROKE_SCATTER_DB**2)
     octaves = np.log2(number)
     octaves = octaves - np.average(octaves, weights=weight)
     mean = float(np.average(change, weights=weight))
     spread = float(weight @ octaves**2)
     slope = float(weight @ (octaves * change)) / spread
-    left = change - mean - slope * octaves
-    error = float(np.sqrt(weight @ left**2 / (len(number) - 2) / spread))
+    residual = change - mean - slope * octaves
+    error = float(np.sqrt(weight @ residual**2 / (len(number) - 2) / spread))
     return slope, error, mean
 
 
-def questioned(fit: InferenceResult) -> list[str]:
-    """What to say of measured velocities that contradict the recordings; empty if none do."""
-    problem, said = fit.problem, []
-    paths = [*_measured(problem)]
-    if found := min((one for path in paths for one in _reversed(problem, path)), default=None):
-        _, slow, fast, what = found
-        said.append(
-            f"{_named(problem, fast)} is {what} than {_named(problem, slow)}. A faster stroke is louder and brighter: "
-            "check the measured velocities."
+def contradictory_velocities(fit: InferenceResult) -> list[str]:
+    """Warnings about measured velocities that contradict the recordings; empty if none do."""
+    problem, lines = fit.problem, []
+    groups = [*_measured(problem)]
+    if surest := min((pair for group in groups for pair in _contradictions(problem, group)), default=None):
+        _, slow, fast, difference = surest
+        lines.append(
+            f"{_named(problem, fast)} is {difference} than {_named(problem, slow)}. A faster stroke is louder and "
+            "brighter. Check the measured velocities."
         )
     given = sorted(v for v in problem.measured_velocity if v is not None)
-    if given and given[-1] > VELOCITIES * given[0]:
-        said.append(
-            f"The measured velocities, {given[0]:g} to {given[-1]:g} m/s, differ by more than {VELOCITIES:g} times. "
-            "A pianist's do not: check them and their unit, m/s."
+    if given and given[-1] > PIANIST_VELOCITY_RATIO * given[0]:
+        lines.append(
+            f"The measured velocities, {given[0]:g} to {given[-1]:g} m/s, differ by more than a factor of "
+            f"{PIANIST_VELOCITY_RATIO:g}, the range of a pianist. Check them and their unit, m/s."
         )
-    compared = any(len({v for v, _ in path}) > 1 for path in paths)
-    return said or (_exponent(fit, given) if compared else [])
+    compared = any(len({v for v, _ in group}) > 1 for group in groups)
+    return lines or (_implausible_exponent(fit, given) if compared else [])
 
 
 def _measured(problem: FitProblem) -> Iterator[list[tuple[float, int]]]:
-    """For each output path its recordings with a measured velocity, slowest first: velocity, m/s, and place."""
+    """For each output path: velocity, m/s, and index of its recordings with a measured velocity, slowest first."""
     layout = problem.layout
     for group in sorted(set(layout.group)):
         speeds = [(problem.measured_velocity[s], i) for i, s in enumerate(layout.stroke) if layout.group[i] == group]
         yield sorted((v, i) for v, i in speeds if v is not None)
 
 
-def _reversed(problem: FitProblem, path: Sequence[tuple[float, int]]) -> Iterator[tuple[float, int, int, str]]:
-    """Neighbours of a path that contradict the order of their velocities.
+def _contradictions(problem: FitProblem, group: Sequence[tuple[float, int]]) -> Iterator[tuple[float, int, int, str]]:
+    """Neighbouring strokes of a path group whose sounds contradict the order of their velocities.
 
-    A score, the least for the surest; the places of the slower and the faster one; and what the faster one is.
+    Yields a score (lowest for the surest), the indices of the slower and the faster recording, and the difference.
     """
-    for (v, slow), (w, fast) in pairwise(path):
+    for (v, slow), (w, fast) in pairwise(group):
         slope, error, mean = brightening(problem.analyses[slow], problem.analyses[fast])
-        words = [f"duller (by {-slope:.1f} dB an octave)"] * (slope < min(DULLER, -SURE * error))
-        words += [f"fainter (by {-mean:.1f} dB)"] * (mean < FAINTER)
+        words = [f"duller (by {-slope:.1f} dB an octave)"] * (
+            slope < min(DULLER_SLOPE, -DULLER_STANDARD_ERRORS * error)
+        )
+        words += [f"fainter (by {-mean:.1f} dB)"] * (mean < FAINTER_DB)
         if v < w and words:
             yield slope / error + mean, slow, fast, " and ".join(words)
 
 
-def _named(problem: FitProblem, at: int) -> str:
-    speed = problem.measured_velocity[problem.layout.stroke[at]]
-    return f"{printable(Path(problem.recordings[at].path).name)} ({speed:g} m/s)"
+def _named(problem: FitProblem, recording: int) -> str:
+    speed = problem.measured_velocity[problem.layout.stroke[recording]]
+    return f"{printable(Path(problem.recordings[recording].path).name)} ({speed:g} m/s)"
 
 
-def _exponent(fit: InferenceResult, given: Sequence[float]) -> list[str]:
-    """What to say of an exponent that no felt has, which a wrong ratio of velocities explains."""
+def _implausible_exponent(fit: InferenceResult, given: Sequence[float]) -> list[str]:
+    """A warning about a felt exponent outside the range of felts, which a wrong ratio of velocities explains."""
     u = fit.problem.unknowns
-    if u.force_and_exponent_index is None or not u.free[at := u.force_and_exponent_index[1]]:
+    if u.force_and_exponent_index is None or not u.free[exponent := u.force_and_exponent_index[1]]:
         return []
-    away = float(fit.found.z[at] - u.mean[at]) / float(u.sd[at])
-    if abs(away) < UNLIKELY:
+    z_score = float(fit.found.z[exponent] - u.mean[exponent]) / float(u.sd[exponent])
+    if abs(z_score) < EXPONENT_Z:
         return []
-    side, differ = ("above", "less") if away > 0 else ("below", "more")
+    side, differ = ("above", "less") if z_score > 0 else ("below", "more")
     return [
-        f"The felt's exponent {u.names[at]} = {np.exp(fit.found.z[at]):.2g} is {side} that of felts: the measured "
-        f"velocities, {given[0]:g} to {given[-1]:g} m/s, differ {differ} than the sound does. Check them."
+        f"The felt exponent {u.names[exponent]} = {np.exp(fit.found.z[exponent]):.2g} is {side} the range of felts. "
+        f"The measured velocities, {given[0]:g} to {given[-1]:g} m/s, differ {differ} than the sound does. Check them."
     ]
