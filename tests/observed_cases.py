@@ -1,4 +1,4 @@
-"""Analyses written down by hand, and those that an analysis without errors would make of the model's own string."""
+"""Analyses written by hand, and analyses without errors of the model's own string."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def analysis(
     number, level, *, f0: float = F0, absent=(), bound=(), level_error: float = 0.1, systematic: float = 0.0,
     glide_start: float = 0.0,
 ) -> Analysis:  # fmt: skip
-    """Partials `number` with `level` dB; frequencies and decays keep to the laws, well measured."""
+    """Partials `number` with `level` dB; frequencies and decays follow the string model with small errors."""
     number, size = np.array(number), len(number)
     f = frequency(number, f0)
     partials = Partials(
@@ -53,7 +53,7 @@ SCALE = 4.0  # m/s at full scale
 def played(
     velocity: float = HAMMER.v_H0, *, count: int = 18, quantity: str = "velocity", path_db: np.ndarray | None = None
 ) -> Analysis:
-    """What an analysis of the model's own string would say if it made no error, from a contact with fine steps."""
+    """Analysis without errors of the model's own string, from a contact with fine steps."""
     hammer = HAMMER._replace(v_H0=velocity)
     sound = simulate(STRING, hammer, GEOMETRY, rate=88_200, oversampling=16, quantity=quantity, n_modes=128)
     pole = np.asarray(sound.modes.pole)
@@ -66,7 +66,7 @@ def played(
     one = analysis(number, level - unit, level_error=0.01)
     s = np.pi / GEOMETRY.length
     partials = replace(one.partials, frequency=f, decay=decay, frequency_error=1e-6 * f, decay_error=1e-3 * decay)
-    # Its laws are a little off, as an analysis' own are.
+    # Its string model deviates a little, as in a real analysis.
     return replace(
         one, f0=STRING.c / (2 * GEOMETRY.length) * (1 + 1e-5), B=1.03 * (STRING.kappa * s / STRING.c) ** 2,
         b1=1.1 * STRING.b1, d2=0.9 * STRING.b2 * s**2, partials=partials,
@@ -74,7 +74,7 @@ def played(
 
 
 def setup(**more) -> Setup:
-    """What is known of it."""
+    """The given values."""
     g = GEOMETRY
     data = {
         "string": {"length": g.length, "mass": g.mass}, "strike": {"position": g.strike_position, "width": g.width},
@@ -84,7 +84,7 @@ def setup(**more) -> Setup:
 
 
 def tone(seed: int = 0, name: str = "tone") -> Recording:
-    """A recording that only lends its name, its rate and its being another than the others."""
+    """A recording of which only the name, the rate and the distinct content are used."""
     t = np.arange(44_100) / 44_100
     sound = np.where(t > 0.05, np.exp(-5 * t) * np.sin(1600 * t), 0.0)
     samples = 0.5 * sound + np.random.default_rng(seed).normal(0.0, 1e-4, t.size)

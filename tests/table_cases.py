@@ -1,4 +1,4 @@
-"""Random tables of observations, and their likelihood with no trick in it: one dense covariance of all entries."""
+"""Random tables of observations, and their likelihood by one dense covariance of all entries."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from scipy.stats import multivariate_normal, norm
 from pianofit.inference.likelihood import ADDED, JITTER, ObservationTable
 from pianofit.inference.priors import STUDENT
 
-SMALL = -50.0  # log τ of no τ
-# R, K, groups, columns, nodes of τ and of the gains, whether the path is unknown, most partials absent.
+SMALL = -50.0  # log τ without a τ
+# R, K, groups, columns, nodes of τ and of the gains, unknown path, maximum number of censored partials.
 SHAPES = {
     "one recording": (1, 9, 1, 1, (3, 1), True, 2),
     "two microphones": (4, 8, 2, 5, (1, 1), True, 4),
@@ -22,28 +22,28 @@ PHI = np.array([-0.3, 1.2, -0.4, -5.0])
 
 
 def table(shape: str, seed: int = 0) -> ObservationTable:
-    """One of `SHAPES` with random numbers in it; groups alternate."""
-    R, K, groups, columns, nodes, path, most = SHAPES[shape]
+    """One of `SHAPES` with random numbers; groups alternate."""
+    R, K, groups, columns, nodes, path, count = SHAPES[shape]
     random = np.random.default_rng([seed, *map(ord, shape)])
     octave = np.log2(np.arange(1, K + 1) * 100.0)
-    absent = np.argwhere(random.random((R, K)) < 0.3)[:most]
-    found = np.ones((R, K))
-    found[tuple(absent.T)] = 0.0
-    common = np.log(0.3 + 2 * random.random((nodes[0], groups))) if path else np.full((nodes[0], groups), SMALL)
-    share = random.random(nodes)
+    censored = np.argwhere(random.random((R, K)) < 0.3)[:count]
+    detected = np.ones((R, K))
+    detected[tuple(censored.T)] = 0.0
+    log_tau = np.log(0.3 + 2 * random.random((nodes[0], groups))) if path else np.full((nodes[0], groups), SMALL)
+    weight = random.random(nodes)
     return ObservationTable(
         value=random.normal(size=(R, K)),
         variance=0.1 + random.random((R, K)),
-        detected=found,
-        censored=absent,
+        detected=detected,
+        censored=censored,
         group=np.eye(groups)[np.arange(R) % groups],
         columns=2 * random.normal(size=(columns, R, K)),
         scale=0.5 + random.random((nodes[1], columns)),
         systematic=0.1 * np.exp(-np.abs(np.subtract.outer(np.arange(K), np.arange(K)))),
         distance_octaves=np.abs(octave[:, None] - octave),
         has_unknown_path=np.full(groups, float(path)),
-        log_tau=common,
-        log_weight=np.log(share / share.sum()),
+        log_tau=log_tau,
+        log_weight=np.log(weight / weight.sum()),
         variance_profile=1 + random.random(K),
         ratio=5 * random.random((R, K)),
         prior=(np.log([0.7, 8, 0.7, 0.002]), np.array([0.7, 0.4, 0.4, 0.9])),
@@ -59,7 +59,7 @@ def point(shape: str, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
 
 
 def noise(t: ObservationTable, phi: np.ndarray) -> np.ndarray:
-    """Variances of what each entry has for itself at a weight of 1 [R, K]."""
+    """Variance of each entry's own error at a weight of 1 [R, K]."""
     return np.asarray(t.variance + np.exp(2 * phi[0]) * t.variance_profile + (np.exp(phi[3]) * ADDED * t.ratio) ** 2)
 
 
@@ -73,26 +73,26 @@ def shared(t: ObservationTable, phi: np.ndarray, node: tuple[int, int]) -> np.nd
         for j in range(R):
             if (t.group[i] == t.group[j]).all():
                 g = int(np.argmax(t.group[i]))
-                own = np.exp(2 * t.log_tau[node[0], g]) + JITTER
-                total[i, :, j, :] = t.has_unknown_path[g] * matern + t.systematic + own * np.eye(K)
+                tau2 = np.exp(2 * t.log_tau[node[0], g]) + JITTER
+                total[i, :, j, :] = t.has_unknown_path[g] * matern + t.systematic + tau2 * np.eye(K)
     columns = np.asarray(t.scale[node[1]])[:, None] * np.asarray(t.columns).reshape(len(t.columns), -1)
     return total.reshape(R * K, R * K) + columns.T @ columns
 
 
 def dense_nodes(t: ObservationTable, residual: np.ndarray, phi: np.ndarray, w: np.ndarray) -> np.ndarray:
     """Minus the log density of everything at each node [T, M], weights of nodes included."""
-    there, out = np.asarray(t.detected).ravel() > 0, np.empty(np.shape(t.log_weight))
-    for node, share in np.ndenumerate(t.log_weight):
-        latent, own = shared(t, phi, node), noise(t, phi).ravel()
-        full = latent + np.diag(own / w.ravel())
-        inside, y = full[np.ix_(there, there)], residual.ravel()[there]
-        minus = -multivariate_normal(np.zeros(there.sum()), inside).logpdf(y) - 0.5 * there.sum() * np.log(2 * np.pi)
+    detected, out = np.asarray(t.detected).ravel() > 0, np.empty(np.shape(t.log_weight))
+    for node, weight in np.ndenumerate(t.log_weight):
+        latent, noise_variance = shared(t, phi, node), noise(t, phi).ravel()
+        full = latent + np.diag(noise_variance / w.ravel())
+        inside, y = full[np.ix_(detected, detected)], residual.ravel()[detected]
+        nll = -multivariate_normal(np.zeros(len(y)), inside).logpdf(y) - 0.5 * len(y) * np.log(2 * np.pi)
         for r, k in np.asarray(t.censored):
             at = r * t.value.shape[1] + k
-            pull = np.linalg.solve(inside, latent[there, at])
-            sd = np.sqrt(latent[at, at] + own[at] - pull @ latent[there, at])
-            minus -= norm.logcdf((residual.ravel()[at] - pull @ y) / sd)
-        out[node] = minus - share
+            pull = np.linalg.solve(inside, latent[detected, at])
+            sd = np.sqrt(latent[at, at] + noise_variance[at] - pull @ latent[detected, at])
+            nll -= norm.logcdf((residual.ravel()[at] - pull @ y) / sd)
+        out[node] = nll - weight
     return out
 
 

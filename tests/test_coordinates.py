@@ -1,4 +1,4 @@
-"""The unknowns: their box, the bounds of K_H that the force has, and what they are called outside."""
+"""The parametrisation: bounds, the bounds of K_H for the force, and the values by name."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ LOG_U = float(np.log(4e-4))
 
 
 def unknowns() -> Parametrisation:
-    """Everything is free but the felt's memory, which it does not have."""
+    """All parameters are free except for the relaxation, which this felt law does not have."""
     mean = np.log([VALUE[name] for name in VALUES] + [1.0, 2.0])
     mean[FORCE] += VALUE["p"] * LOG_U
     sd = np.full(len(mean), 0.5)
@@ -40,26 +40,26 @@ def points(count: int = 40) -> np.ndarray:
 
 
 def test_a_projection_lies_in_the_box_and_keeps_what_did():
-    u, z = unknowns(), points()
-    inside = u.project(z)
+    u, theta = unknowns(), points()
+    inside = u.project(theta)
     low, high = u.bounds_at(inside)
     assert ((inside >= low - 1e-12) & (inside <= high + 1e-12))[:, u.free].all()
     np.testing.assert_array_equal(u.project(inside), inside)
-    np.testing.assert_array_equal(inside[:, ~u.free], np.tile(u.mean[~u.free], (len(z), 1)))
-    kept = (z > low) & (z < high) & u.free
-    kept[:, FORCE] &= kept[:, P]  # where p has moved, so has the range of the force
-    np.testing.assert_array_equal(inside[kept], z[kept])
+    np.testing.assert_array_equal(inside[:, ~u.free], np.tile(u.mean[~u.free], (len(theta), 1)))
+    kept = (theta > low) & (theta < high) & u.free
+    kept[:, FORCE] &= kept[:, P]  # a change of p changes the range of the force
+    np.testing.assert_array_equal(inside[kept], theta[kept])
     assert kept.any(axis=0)[u.free].all()
 
 
 def test_the_force_is_bounded_as_K_H_is_whatever_p():
     u = unknowns()
     for exponent in (2.0, 2.5, 3.2):
-        z = u.mean.copy()
-        z[P] = np.log(exponent)
+        theta = u.mean.copy()
+        theta[P] = np.log(exponent)
         for force, K in ((50.0, 2e10), (-50.0, 5e9)):
-            z[FORCE] = force
-            held = u.project(z)
+            theta[FORCE] = force
+            held = u.project(theta)
             assert np.exp(u.log_values(held)[VALUES.index("K_H")]) == pytest.approx(K, rel=1e-12)
             assert u.at_bound(held)[FORCE]
     assert not u.at_bound(u.mean).any()
@@ -68,10 +68,10 @@ def test_the_force_is_bounded_as_K_H_is_whatever_p():
 def test_only_what_is_free_can_be_at_a_bound():
     u = unknowns()
     held = replace(u, sd=np.where(np.arange(u.size) == MU, 0.0, u.sd))
-    z = u.mean.copy()
-    z[[MU, X0]] = u.upper[[MU, X0]]
-    assert np.flatnonzero(u.at_bound(z)).tolist() == [MU, X0]
-    assert np.flatnonzero(held.at_bound(z)).tolist() == [X0]
+    theta = u.mean.copy()
+    theta[[MU, X0]] = u.upper[[MU, X0]]
+    assert np.flatnonzero(u.at_bound(theta)).tolist() == [MU, X0]
+    assert np.flatnonzero(held.at_bound(theta)).tolist() == [X0]
 
 
 def test_a_hammer_on_an_edge_of_its_range_is_a_hammer():
@@ -79,17 +79,17 @@ def test_a_hammer_on_an_edge_of_its_range_is_a_hammer():
     u = unknowns()
     for edge in ("lower", "upper"):
         log = {name: float(np.log(getattr(PARAMETERS[name], edge))) for name in (*VALUES[:8], "v_H0")}
-        z = np.append([log.get(name, 0.0) for name in VALUES], [log["v_H0"]] * STROKES)
-        z = u.from_log_values(z)
-        check_hammer(u.hammer(z, 0))
-        check(u.string(z)._asdict())
+        theta = np.append([log.get(name, 0.0) for name in VALUES], [log["v_H0"]] * STROKES)
+        theta = u.from_log_values(theta)
+        check_hammer(u.hammer(theta, 0))
+        check(u.string(theta)._asdict())
 
 
 def test_the_tangent_is_that_of_the_values():
     u, step = unknowns(), 1e-6
-    for z in points(5):
-        wanted = [(u.log_values(z + e) - u.log_values(z - e)) / (2 * step) for e in step * np.eye(u.size)]
-        np.testing.assert_allclose(u.tangent(z), np.array(wanted).T, atol=1e-7)
+    for theta in points(5):
+        expected = [(u.log_values(theta + e) - u.log_values(theta - e)) / (2 * step) for e in step * np.eye(u.size)]
+        np.testing.assert_allclose(u.tangent(theta), np.array(expected).T, atol=1e-7)
 
 
 def test_values_are_those_of_a_string_and_a_hammer():
@@ -102,9 +102,9 @@ def test_values_are_those_of_a_string_and_a_hammer():
     assert hammer._asdict() == pytest.approx({n: VALUE[n] for n in ("K_H", "mu", "p", "M_H")} | {"v_H0": 2.0})
     assert u.geometry_at(u.mean)[2:4] == pytest.approx((VALUE["x0"], VALUE["width"]))
     relaxing = replace(u, law=LAWS["stulov"])
-    z = u.mean.copy()
-    z[MU] = ABSENT
-    hammer = relaxing.hammer(z, 0)
+    theta = u.mean.copy()
+    theta[MU] = ABSENT
+    hammer = relaxing.hammer(theta, 0)
     assert isinstance(hammer, RelaxingHammer)
     assert (hammer.mu, hammer.v_H0) == (0.0, pytest.approx(1.0))
     assert hammer[-2:] == pytest.approx((0.5, 1e-4))

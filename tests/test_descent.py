@@ -1,4 +1,4 @@
-"""Ways down in a box: gradient descent against what theory guarantees and SciPy's minima, and least squares."""
+"""Minimisation within bounds: gradient descent against theory and SciPy's minima, and least squares."""
 
 from itertools import pairwise
 from types import SimpleNamespace
@@ -14,24 +14,24 @@ from pianofit.bensa2005.descent import LONGER, SHARE, SHORTER, LeastSquares, gra
 
 
 def descended(evaluate, starts: np.ndarray, lower: np.ndarray, upper: np.ndarray, **how) -> Any:
-    """Down from every row of `starts`: of all that a descent says, a column each; `evaluate` takes rows."""
+    """Descend from every row of `starts`: one column for each field of the result; `evaluate` takes rows."""
 
-    def one(z):
-        cost, gradient = evaluate(z[None])
+    def single(theta):
+        cost, gradient = evaluate(theta[None])
         return cost[0], gradient[0]
 
-    ends = [gradient_descent(one, start, lower, upper, **how) for start in starts]
+    ends = [gradient_descent(single, start, lower, upper, **how) for start in starts]
     return SimpleNamespace(**{name: np.array([getattr(end, name) for end in ends]) for name in ends[0]._fields})
 
 
-def parabola(hessian: np.ndarray, middle: np.ndarray, seen: list | None = None):
-    """½ (z − middle)ᵀ H (z − middle) and its gradient, for rows of z."""
+def quadratic(hessian: np.ndarray, centre: np.ndarray, points: list | None = None):
+    """½ (theta − centre)ᵀ H (theta − centre) and its gradient, for rows of theta."""
 
-    def evaluate(z):
-        if seen is not None:
-            seen.append(z)
-        gradient = (z - middle) @ hessian
-        return 0.5 * np.einsum("sn,sn->s", z - middle, gradient), gradient
+    def evaluate(theta):
+        if points is not None:
+            points.append(theta)
+        gradient = (theta - centre) @ hessian
+        return 0.5 * np.einsum("sn,sn->s", theta - centre, gradient), gradient
 
     return evaluate
 
@@ -44,13 +44,13 @@ def hessian(condition: float, size: int, seed: int) -> np.ndarray:
 @pytest.mark.parametrize("condition", [1.0, 10.0, 100.0])
 @pytest.mark.parametrize("size", [1, 2, 5, 10])
 def test_a_parabola_is_descended_at_the_rate_that_the_line_search_guarantees(condition, size):
-    """A step that was taken is at least (1 − SHARE)/L long, once one was too long; it brings SHARE of its promise.
+    """An accepted step is at least (1 − SHARE)/L long, once one was too long; it gains SHARE of its prediction.
 
-    So every one taken lowers C by the factor 1 − 2 SHARE (1 − SHARE)/κ, and per step taken there are at most
-    ln LONGER/ln(1/SHORTER) that were not.
+    So every accepted step lowers C by the factor 1 − 2 SHARE (1 − SHARE)/κ, and per accepted step there are at most
+    ln LONGER/ln(1/SHORTER) rejected ones.
     """
     start = np.random.default_rng(size).uniform(-1, 1, (8, size))
-    evaluate = parabola(hessian(condition, size, 1), np.zeros(size))
+    evaluate = quadratic(hessian(condition, size, 1), np.zeros(size))
     box = np.full(size, -10.0), np.full(size, 10.0)
     first = evaluate(start)[0]
     factor = 1 - 2 * SHARE * (1 - SHARE) / condition
@@ -58,20 +58,20 @@ def test_a_parabola_is_descended_at_the_rate_that_the_line_search_guarantees(con
     for iterations in (50, 100, 300):
         end = descended(evaluate, start, *box, iterations=iterations, tolerance=0.0)
         bound = factor ** ((iterations - 20) / steps_per_taken)
-        # A step of less than 1e-13 of the box is none; there the slope is still 3e-12 κ at most.
+        # A step of less than 1e-13 of the range is not counted; there the slope is still at most 3e-12 κ.
         assert (end.cost <= np.maximum(bound * first, 1e-22 * condition**2)).all()
 
 
 @pytest.mark.parametrize("seed", range(6))
 def test_the_minimum_in_a_box_is_scipys(seed):
     random = np.random.default_rng(seed)
-    H, middle = hessian(20.0, 4, seed), random.uniform(-2, 2, 4)
+    H, centre = hessian(20.0, 4, seed), random.uniform(-2, 2, 4)
     lower, upper = np.full(4, -1.0), random.uniform(-0.5, 1, 4)
-    evaluate = parabola(H, middle)
+    evaluate = quadratic(H, centre)
     start = random.uniform(lower, upper, (5, 4))
     end = descended(evaluate, start, lower, upper, iterations=2000, tolerance=1e-14)
     expected = minimize(
-        lambda z: tuple(x[0] for x in evaluate(z[None])), start[0], jac=True, method="L-BFGS-B",
+        lambda theta: tuple(x[0] for x in evaluate(theta[None])), start[0], jac=True, method="L-BFGS-B",
         bounds=list(zip(lower, upper, strict=True)), options={"ftol": 1e-15, "gtol": 1e-12},
     )  # fmt: skip
     assert end.converged.all()
@@ -87,13 +87,13 @@ def test_costs_never_rise_and_no_point_outside_the_box_is_tried(seed, size):
     wave, phase, wrong = random.normal(0, 3, (4, size)), random.uniform(0, 7, 4), random.normal(0, 1, (size, size))
     lower = random.uniform(-2, 0, size)
     upper = lower + random.uniform(0, 3, size) * random.integers(0, 2, size)
-    seen = []
+    points = []
 
-    def evaluate(z):
-        seen.append(z)
-        cost = np.cos(z @ wave.T + phase).sum(axis=1) + np.floor(3 * z.sum(axis=1))
-        gradient = -np.sin(z @ wave.T + phase) @ wave + 0.3 * z @ wrong
-        return np.where(np.cos(5 * z[:, 0]) > 0.9, np.nan, cost), gradient
+    def evaluate(theta):
+        points.append(theta)
+        cost = np.cos(theta @ wave.T + phase).sum(axis=1) + np.floor(3 * theta.sum(axis=1))
+        gradient = -np.sin(theta @ wave.T + phase) @ wave + 0.3 * theta @ wrong
+        return np.where(np.cos(5 * theta[:, 0]) > 0.9, np.nan, cost), gradient
 
     start = random.uniform(-3, 3, (4, size))
     before = np.full(4, np.inf)
@@ -103,17 +103,17 @@ def test_costs_never_rise_and_no_point_outside_the_box_is_tried(seed, size):
         before = end.cost
         value = evaluate(end.z)[0]
         np.testing.assert_allclose(np.where(np.isfinite(value), value, np.inf), end.cost, rtol=1e-12, atol=1e-12)
-    tried = np.concatenate(seen)
+    tried = np.concatenate(points)
     assert ((tried >= lower) & (tried <= upper)).all()
     held = lower == upper
     np.testing.assert_array_equal(end.z[:, held], np.tile(lower[held], (4, 1)))
 
 
 def test_every_step_taken_brings_its_share_of_what_the_slope_foretold():
-    """Along Rosenbrock's valley, where a step that lowers C to first order only would climb the walls."""
+    """Rosenbrock's function, where a step that lowers C to first order only can raise C."""
 
-    def rosenbrock(z):
-        x, y = z.T
+    def rosenbrock(theta):
+        x, y = theta.T
         return (1 - x) ** 2 + 100 * (y - x**2) ** 2, np.stack(
             [-2 * (1 - x) - 400 * x * (y - x**2), 200 * (y - x**2)], axis=1
         )
@@ -121,22 +121,22 @@ def test_every_step_taken_brings_its_share_of_what_the_slope_foretold():
     start, box = np.array([[-1.2, 1.0], [1.5, -1.0]]), (np.full(2, -2.0), np.full(2, 2.0))
     ends = [descended(rosenbrock, start, *box, iterations=n, tolerance=0.0) for n in range(120)]
     for before, after in pairwise(ends):
-        foretold = np.einsum("sn,sn->s", rosenbrock(before.z)[1], before.z - after.z)
+        predicted = np.einsum("sn,sn->s", rosenbrock(before.z)[1], before.z - after.z)
         moved = (before.z != after.z).any(axis=1)
-        assert (foretold[moved] > 0).all()
-        assert (after.cost[moved] <= before.cost[moved] - SHARE * foretold[moved]).all()
+        assert (predicted[moved] > 0).all()
+        assert (after.cost[moved] <= before.cost[moved] - SHARE * predicted[moved]).all()
     assert (ends[-1].cost < 0.2 * ends[0].cost).all()
     assert not ends[-1].converged.any()
 
 
 def test_units_of_the_coordinates_and_of_the_cost_change_nothing():
     scale = 2.0 ** np.array([-20, 0, 30])
-    H, middle = hessian(5.0, 3, 2), np.array([0.2, -0.4, 0.1])
+    H, centre = hessian(5.0, 3, 2), np.array([0.2, -0.4, 0.1])
     start, box = np.random.default_rng(3).uniform(-1, 1, (4, 3)), (np.full(3, -1.0), np.full(3, 1.0))
-    plain = descended(parabola(H, middle), start, *box, iterations=15)
+    plain = descended(quadratic(H, centre), start, *box, iterations=15)
 
-    def in_other_units(z):
-        cost, gradient = parabola(H, middle)(z / scale)
+    def in_other_units(theta):
+        cost, gradient = quadratic(H, centre)(theta / scale)
         return 2.0**9 * cost, 2.0**9 * gradient / scale
 
     other = descended(in_other_units, start * scale, box[0] * scale, box[1] * scale, iterations=15)
@@ -145,19 +145,21 @@ def test_units_of_the_coordinates_and_of_the_cost_change_nothing():
 
 
 def test_a_start_on_an_active_edge_does_not_hold_back_the_other_coordinates():
-    """A slope of 1e9 against the edge says nothing of how far to go along it."""
+    """A slope of 1e9 against the bound does not limit the step along it."""
 
-    def evaluate(z):
-        return 1e9 * z[:, 0] + (z[:, 1] - 0.7) ** 2, np.stack([np.full(len(z), 1e9), 2 * (z[:, 1] - 0.7)], axis=1)
+    def evaluate(theta):
+        return 1e9 * theta[:, 0] + (theta[:, 1] - 0.7) ** 2, np.stack(
+            [np.full(len(theta), 1e9), 2 * (theta[:, 1] - 0.7)], axis=1
+        )
 
     end = descended(evaluate, np.array([[0.0, 0.0]]), np.zeros(2), np.ones(2), iterations=60, tolerance=0.0)
     np.testing.assert_allclose(end.z, [[0.0, 0.7]], atol=1e-9)
 
 
 def test_where_there_is_no_finite_cost_is_no_place_to_go():
-    def walled(z):
-        cost, gradient = parabola(np.eye(2), np.array([1.0, 0.0]))(z)
-        return np.where(z[:, 0] > 0.5, np.inf, cost), gradient
+    def walled(theta):
+        cost, gradient = quadratic(np.eye(2), np.array([1.0, 0.0]))(theta)
+        return np.where(theta[:, 0] > 0.5, np.inf, cost), gradient
 
     box = np.full(2, -2.0), np.full(2, 2.0)
     end = descended(walled, np.array([[-1.0, 1.0], [1.0, 1.0]]), *box, iterations=300)
@@ -168,25 +170,25 @@ def test_where_there_is_no_finite_cost_is_no_place_to_go():
 
 
 def test_a_descent_ends_when_it_is_done_and_says_so():
-    seen = []
-    evaluate = parabola(hessian(10.0, 3, 6), np.zeros(3), seen)
+    points = []
+    evaluate = quadratic(hessian(10.0, 3, 6), np.zeros(3), points)
     start, box = np.full((2, 3), 0.9), (np.full(3, -1.0), np.full(3, 1.0))
     assert not descended(evaluate, start, *box, iterations=2).converged.any()
-    seen.clear()
+    points.clear()
     end = descended(evaluate, start, *box, iterations=1000)
     assert end.converged.all()
     assert (end.cost <= 1e-4).all()
-    assert len(seen) == end.evaluations.sum() < 400
-    flat = descended(lambda z: (np.ones(1), np.zeros(z.shape)), start, *box, iterations=1000)
+    assert len(points) == end.evaluations.sum() < 400
+    flat = descended(lambda theta: (np.ones(1), np.zeros(theta.shape)), start, *box, iterations=1000)
     assert flat.converged.all()
     assert (flat.evaluations == 1).all()
 
 
 def test_small_gains_of_the_first_small_steps_are_not_taken_for_the_end():
-    """On an offset of 1e4 a gain of 1 counts for nothing at this tolerance, and the first steps gain less."""
+    """On an offset of 1e4 a gain of 1 is below this tolerance, and the first steps gain less."""
 
-    def raised(z):
-        return 1e4 + 5 * z[:, 0] ** 2, 10 * z
+    def raised(theta):
+        return 1e4 + 5 * theta[:, 0] ** 2, 10 * theta
 
     end = descended(raised, np.array([[0.9]]), -np.ones(1), np.ones(1), iterations=100, tolerance=1e-4)
     assert end.converged[0]
@@ -196,22 +198,22 @@ def test_small_gains_of_the_first_small_steps_are_not_taken_for_the_end():
 # --- least squares ----------------------------------------------------------------------------------------------------
 
 
-def exponential(t: np.ndarray, data: np.ndarray, seen: list, lower: np.ndarray, upper: np.ndarray) -> LeastSquares:
+def exponential(t: np.ndarray, data: np.ndarray, points: list, lower: np.ndarray, upper: np.ndarray) -> LeastSquares:
     """a exp(-b t) + c against `data`; the coordinates are the logarithms of a, b and c."""
 
-    def residuals(z):
-        seen.append(z.copy())
-        a, b, c = np.exp(z).T[:, :, None]
+    def residuals(theta):
+        points.append(theta.copy())
+        a, b, c = np.exp(theta).T[:, :, None]
         fall = a * np.exp(-b * t)
         return fall + c - data, np.stack([fall, -b * t * fall, np.broadcast_to(c, fall.shape)], axis=2)
 
-    return LeastSquares(lambda z: 0.5 * (residuals(z)[0] ** 2).sum(axis=1), residuals, lower, upper)
+    return LeastSquares(lambda theta: 0.5 * (residuals(theta)[0] ** 2).sum(axis=1), residuals, lower, upper)
 
 
 def test_least_squares_find_what_made_the_data_and_lie_on_an_edge_exactly():
-    t, true, seen = np.linspace(0, 4, 30), np.log([2.0, 0.7, 0.3]), []
+    t, true, points = np.linspace(0, 4, 30), np.log([2.0, 0.7, 0.3]), []
     lower, upper = np.full(3, -3.0), np.full(3, 3.0)
-    problem = exponential(t, 2.0 * np.exp(-0.7 * t) + 0.3, seen, lower, upper)
+    problem = exponential(t, 2.0 * np.exp(-0.7 * t) + 0.3, points, lower, upper)
     end = problem.finished(np.zeros(3), evaluations=100, tolerance=1e-14)
     np.testing.assert_allclose(end.z, true, atol=1e-6)
     assert end.converged
@@ -222,17 +224,17 @@ def test_least_squares_find_what_made_the_data_and_lie_on_an_edge_exactly():
     end = problem.finished(np.zeros(3), evaluations=100)
     assert end.z[0] == upper[0]
     assert end.z[1] == 0.0
-    tried = np.concatenate(seen[-end.evaluations :])
+    tried = np.concatenate(points[-end.evaluations :])
     assert ((tried >= lower) & (tried <= upper)).all()
     assert end.cost == pytest.approx(problem.costs(end.z[None])[0])
 
 
 def test_least_squares_from_a_wall_stay_there_and_unfinished_ones_say_so():
-    def walled(z):
-        residual = np.where(z > 0.5, np.inf, z - 1.0)
+    def walled(theta):
+        residual = np.where(theta > 0.5, np.inf, theta - 1.0)
         return residual, np.ones((1, 1, 1))
 
-    problem = LeastSquares(lambda z: 0.5 * (walled(z)[0] ** 2).sum(axis=1), walled, np.zeros(1), np.ones(1))
+    problem = LeastSquares(lambda theta: 0.5 * (walled(theta)[0] ** 2).sum(axis=1), walled, np.zeros(1), np.ones(1))
     end = problem.finished(np.ones(1), evaluations=50)
     assert (end.z[0], end.cost, end.converged) == (1.0, np.inf, False)
     near = problem.finished(np.zeros(1), evaluations=50)

@@ -47,9 +47,9 @@ def test_the_gradient_is_the_automatic_one(shape):
     assert np.linalg.eigvalsh(hessian)[0] > -1e-10 * np.abs(hessian).max()
     step = 1e-5
     exact = np.stack([(automatic(e) - automatic(-e)) / (2 * step) for e in step * np.eye(4)])
-    if shape in ONE_NODE:  # a parabola, but for what is absent, whose curvature is exact too
+    if shape in ONE_NODE:  # a quadratic, except for censored entries, whose curvature is exact too
         np.testing.assert_allclose(hessian, exact, rtol=1e-6, atol=1e-7)
-    else:  # which node is at work changes along the way, and leaving that out makes the curvature larger
+    else:  # the nodes' weights change with θ, and leaving that out makes the curvature larger
         assert np.linalg.eigvalsh(hessian - exact)[0] > -1e-7
 
 
@@ -66,18 +66,18 @@ def test_a_report_has_the_derivatives_of_the_objective(shape):
 
 @pytest.mark.parametrize("shape", ["no path", "ten nodes"])
 def test_the_parabola_touches_F_from_above(shape):
-    """Where it was made it has F's slope and curvature; what lowers it lowers F, while φ and w are held."""
+    """At its residual it has F's slope and curvature. With φ and w fixed, lowering it lowers F."""
     t = table(shape)._replace(censored=np.zeros((0, 2), int))
     residual, w = point(shape)
     random = np.random.default_rng(3)
     jacobian = random.normal(size=(*residual.shape, 3))
-    parabola = QuadraticSurrogate.of(t, PHI, w, residual)
-    here = parabola(residual[None], jacobian[None])
+    surrogate = QuadraticSurrogate.of(t, PHI, w, residual)
+    here = surrogate(residual[None], jacobian[None])
     _, gradient, hessian, *_ = evaluate(t, residual, jacobian, PHI, w)
     np.testing.assert_allclose(here.gradient[0], gradient, rtol=1e-8)
     np.testing.assert_allclose(here.curvature[0], hessian, rtol=1e-8, atol=1e-10)
     moved = residual + 3 * random.normal(size=(60, *residual.shape)) * np.exp(random.normal(size=(60, 1, 1)))
-    rise = parabola(moved, np.zeros((60, *residual.shape, 3))).nll - here.nll
+    rise = surrogate(moved, np.zeros((60, *residual.shape, 3))).nll - here.nll
     value = jax.jit(lambda r: objective(t, r, PHI, w))
     F = np.array([value(jnp.asarray(r)) for r in (residual, *moved)])
     assert (F[1:] - F[0] <= rise + 1e-9 * np.abs(rise)).all()
@@ -86,33 +86,34 @@ def test_the_parabola_touches_F_from_above(shape):
 
 
 def test_a_parabola_of_one_answer_about_gains_lies_above_F_as_well():
-    """By Jensen's inequality, for any weights p of the nodes: F is at most Σ p (F of the node - log(its share / p))."""
+    """Jensen's inequality for any weights p of the nodes: F is at most Σ p (F of the node - log(its weight / p))."""
     t = table("ten nodes")._replace(censored=np.zeros((0, 2), int))
     residual, w = point("ten nodes")
     random = np.random.default_rng(4)
     moved = np.concatenate([residual[None], residual + 3 * random.normal(size=(40, *residual.shape))])
     value = jax.jit(lambda r: objective(t, r, PHI, w))
     F = np.array([value(jnp.asarray(r)) for r in moved])
-    each = solve_nodes(t, residual, PHI, w).nll_per_node
-    weight, answers = node_weights(t, each), t.log_weight.shape[1]
+    per_node = solve_nodes(t, residual, PHI, w).nll_per_node
+    weight, answers = node_weights(t, per_node), t.log_weight.shape[1]
     assert answers > 1
     for gains in range(answers):
         rise = QuadraticSurrogate.of(t, PHI, w, residual, gains)(moved, np.zeros((*moved.shape, 1))).nll
         p = weight[:, gains] / weight[:, gains].sum()
-        above = (p * (each[:, gains] - t.log_weight[:, gains] + np.log(p))).sum()
-        rest = combine_nodes(t, each, PHI, w) + scipy.special.logsumexp(t.log_weight - each)  # the priors of φ and w
+        above = (p * (per_node[:, gains] - t.log_weight[:, gains] + np.log(p))).sum()
+        # Priors of φ and w.
+        rest = combine_nodes(t, per_node, PHI, w) + scipy.special.logsumexp(t.log_weight - per_node)
         assert (above + rest + rise - rise[0] + 1e-9 * np.abs(rise) >= F).all()
 
 
 def test_parabolas_before_a_residual_is_known_are_on_one_scale():
-    """At the node of the middle τ, of either answer: what is left of nothing is the node's own F."""
+    """At the node of the middle τ, for either answer: without a residual the value is the node's own F."""
     t = table("ten nodes")._replace(censored=np.zeros((0, 2), int))
     nothing = np.zeros_like(t.value)
-    each = solve_nodes(t, nothing, PHI, np.ones_like(nothing)).nll_per_node - t.log_weight
-    middle = len(each) // 2
-    for gains in range(each.shape[1]):
+    per_node = solve_nodes(t, nothing, PHI, np.ones_like(nothing)).nll_per_node - t.log_weight
+    middle = len(per_node) // 2
+    for gains in range(per_node.shape[1]):
         found = QuadraticSurrogate.of(t, PHI, gains=gains)(nothing[None], np.zeros((1, *nothing.shape, 1))).nll[0]
-        assert found == pytest.approx(each[middle, gains], rel=1e-12)
+        assert found == pytest.approx(per_node[middle, gains], rel=1e-12)
 
 
 @pytest.mark.parametrize("shape", ["one recording", "no path", "ten nodes"])
@@ -129,23 +130,24 @@ def test_weighting_anew_is_descent_to_a_stationary_point(shape):
 
 
 def tiny() -> ObservationTable:
-    """Two recordings of two partials through one path, with a gain; one partial is absent."""
+    """Two recordings of two partials through one path, with a gain; one partial is censored."""
     t = table("nothing absent")
-    found, absent = np.ones((2, 2)), np.array([[1, 1]])
-    found[1, 1] = 0.0
+    detected, censored = np.ones((2, 2)), np.array([[1, 1]])
+    detected[1, 1] = 0.0
     random = np.random.default_rng(0)
     changed = {
-        "value": np.zeros((2, 2)), "variance": 0.5 + random.random((2, 2)), "found": found, "absent": absent,
+        "value": np.zeros((2, 2)), "variance": 0.5 + random.random((2, 2)), "detected": detected, "censored": censored,
         "group": np.ones((2, 1)), "columns": random.normal(size=(1, 2, 2)), "scale": np.array([[0.4], [1.6]]),
-        "systematic": t.systematic[:2, :2], "apart": t.distance_octaves[:2, :2], "smooth": np.ones(1),
-        "common": np.log([[0.5], [1.5]]), "share": np.log([[0.2, 0.1], [0.4, 0.3]]),
-        "growth": np.ones(2), "ratio": np.ones((2, 2)),
+        "systematic": t.systematic[:2, :2], "distance_octaves": t.distance_octaves[:2, :2],
+        "has_unknown_path": np.ones(1),
+        "log_tau": np.log([[0.5], [1.5]]), "log_weight": np.log([[0.2, 0.1], [0.4, 0.3]]),
+        "variance_profile": np.ones(2), "ratio": np.ones((2, 2)),
     }  # fmt: skip
     return t._replace(**{name: jnp.asarray(x) for name, x in changed.items()})
 
 
 def test_what_is_integrated_out_is_the_integral():
-    """Paths, a gain and τ by brute force: a Gauss-Hermite grid over all that is latent, a bound as a bound."""
+    """Paths, a gain and τ by brute force: a Gauss-Hermite grid over all latent values, one of them censored."""
     t, phi, w = tiny(), np.array([-0.3, 0.2, -0.4, -3.0]), np.array([[1.2, 0.7], [0.9, 1.0]])
     x, weight = np.polynomial.hermite_e.hermegauss(48)
     grid = np.stack(np.meshgrid(x, x, x, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -162,9 +164,9 @@ def test_what_is_integrated_out_is_the_integral():
                 t.scale[node[1], 0] * t.columns
             )
             e = residual - level
-            seen = np.prod(np.where(t.detected, np.exp(-0.5 * e**2 / var) / np.sqrt(var), 1.0), axis=(1, 2))
+            inside = np.prod(np.where(t.detected, np.exp(-0.5 * e**2 / var) / np.sqrt(var), 1.0), axis=(1, 2))
             below = scipy.stats.norm.cdf(e[:, 1, 1] / np.sqrt(noise(t, phi)[1, 1]))
-            density += share * float(mass @ (seen * below))
+            density += share * float(mass @ (inside * below))
         assert float(F(t, residual, phi, w)) == pytest.approx(constant - np.log(density), abs=1e-6)
 
 
@@ -172,12 +174,11 @@ def test_weights_integrated_out_leave_students_t():
     t = tiny()
     size = (1, 1)
     changed = {
-        "value": np.zeros(size), "variance": np.full(size, 0.6), "found": np.ones(size),
-        "absent": np.zeros((0, 2), int),
+        "value": np.zeros(size), "variance": np.full(size, 0.6), "detected": np.ones(size),
+        "censored": np.zeros((0, 2), int),
         "group": np.ones(size), "columns": np.zeros((1, 1, 1)), "scale": np.ones((1, 1)), "systematic": np.zeros(size),
-        "apart": np.zeros(size),
-        "smooth": np.zeros(1), "common": np.full(size, SMALL), "share": np.zeros(size), "growth": np.ones(1),
-        "ratio": np.zeros(size),
+        "distance_octaves": np.zeros(size), "has_unknown_path": np.zeros(1), "log_tau": np.full(size, SMALL),
+        "log_weight": np.zeros(size), "variance_profile": np.ones(1), "ratio": np.zeros(size),
     }  # fmt: skip
     t = t._replace(**{name: jnp.asarray(x) for name, x in changed.items()})
     log_w = np.linspace(-12.0, 4.0, 4001)
@@ -197,15 +198,16 @@ def test_what_was_integrated_out_is_estimated_as_a_dense_gaussian_would(shape):
     t, (residual, w) = table(shape), point(shape)
     t = t._replace(censored=np.zeros((0, 2), int))
     found = latent_posterior(t, residual, PHI, w)
-    there = np.asarray(t.detected).ravel() > 0
-    each = dense_nodes(t, residual, PHI, w)
-    responsible = np.exp(each.min() - each)
+    detected = np.asarray(t.detected).ravel() > 0
+    per_node = dense_nodes(t, residual, PHI, w)
+    weight = np.exp(per_node.min() - per_node)
     mean, variance = 0.0, 0.0
-    for node, share in np.ndenumerate(responsible / responsible.sum()):
+    for node, share in np.ndenumerate(weight / weight.sum()):
         cov = shared(t, PHI, node)
-        pull = np.linalg.solve((cov + np.diag((noise(t, PHI) / w).ravel()))[np.ix_(there, there)], cov[there]).T
-        mean = mean + share * pull @ residual.ravel()[there]
-        variance = variance + share * (np.diag(cov) - np.einsum("ij,ji->i", pull, cov[there]))
+        total = cov + np.diag((noise(t, PHI) / w).ravel())
+        pull = np.linalg.solve(total[np.ix_(detected, detected)], cov[detected]).T
+        mean = mean + share * pull @ residual.ravel()[detected]
+        variance = variance + share * (np.diag(cov) - np.einsum("ij,ji->i", pull, cov[detected]))
     common = np.einsum("rg,gk->rk", t.group, found.common)
     np.testing.assert_allclose((common + found.columns).ravel(), mean, rtol=1e-7, atol=1e-7)
     np.testing.assert_allclose(common + found.columns + found.own, residual, atol=1e-9)

@@ -1,4 +1,4 @@
-"""Tables from analyses: every number in its place, and padding that says nothing."""
+"""Tables from analyses: every number in its place, and padding without effect."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ def observed(layout: RecordingStructure = TWO, *, path: bool = True, gains: bool
 
 
 def bounds(table) -> dict[tuple[int, int], float]:
-    """What is absent, by recording and column."""
-    return {(r, k): table.value[r, k] for r, k in map(tuple, table.absent)}
+    """Bounds of the censored entries, by recording and column."""
+    return {(r, k): table.value[r, k] for r, k in map(tuple, table.censored)}
 
 
 def test_levels_stand_in_their_columns():
@@ -36,14 +36,14 @@ def test_levels_stand_in_their_columns():
     np.testing.assert_allclose(o.level.value[0, [0, 1, 2, 4]], [6.0, -4.0, -14.0, -34.0])
     np.testing.assert_allclose(o.level.value[1, [0, 1, 3]], [-6.0, -19.0, -44.0])
     np.testing.assert_allclose(o.level.variance[o.level.detected > 0], 0.01)
-    # Of the same recording: the loudest over each.
+    # The loudest of the same recording over each.
     np.testing.assert_allclose(20 * np.log10(o.level.ratio[1, [0, 1, 3]]), [0.0, 13.0, 38.0])
 
 
 def test_what_is_absent_stands_at_its_bound():
     assert bounds(observed().level) == {(0, 3): -70.0, (1, 2): -61.0, (1, 4): -62.0}
     nowhere = analysis([1, 3], [0.0, -5.0], absent=[2, 4], bound=[-50.0, -51.0])
-    # Through a path, what no recording has says nothing; without one it says that the hammer does not give it.
+    # A partial that no recording shows counts only without an unknown path.
     assert bounds(observe([nowhere], ALONE, 0, 0.0, True, True).level) == {}
     calibrated = observe([nowhere], ALONE, 0, 0.0, False, False)
     assert calibrated.number.tolist() == [1, 2, 3]
@@ -57,7 +57,7 @@ def test_columns_are_gains_and_onsets():
     path, gain, onset = np.split(table.columns, [1, 3])
     np.testing.assert_allclose(path, np.ones((1, 2, 5)))
     np.testing.assert_allclose(gain, np.eye(2)[:, :, None] * np.ones(5))
-    # An onset that is late by 1 s has let every partial decay by its own α.
+    # With an onset that is late by 1 s, every partial has decayed by its own α.
     np.testing.assert_allclose(onset, np.eye(2)[:, :, None] * 20 * np.log10(np.exp(alpha)))
     late = np.hypot(priors.ONSET, priors.ONSET_PERIODS / F0)
     apart = [[priors.GAIN, x, x, late, late] for x in priors.GAINS_APART]
@@ -71,13 +71,13 @@ def test_columns_are_gains_and_onsets():
 
 
 def test_nodes_are_of_paths_and_of_gains():
-    """Every τ with gains that are one and gains that are not, each as likely; the screening takes the middle one."""
+    """Every τ with shared and with separate gains, equally likely; prescreening uses the middle τ."""
     table = observed().level
     nodes, weight = priors.path_nodes()
     np.testing.assert_allclose(np.exp(table.log_weight), weight[:, None] / 2 * np.ones(2))
     np.testing.assert_allclose(table.log_tau[:, 0], nodes)
     assert (table.log_tau[len(nodes) // 2, 0], table.scale[-1, 1]) == (nodes[1], priors.GAINS_APART[1])
-    assert observed(MICROPHONES).level.scale.shape == (1, 2 + 2)  # two paths, and nothing to share
+    assert observed(MICROPHONES).level.scale.shape == (1, 2 + 2)  # two paths without a shared gain
 
 
 def test_two_microphones_share_a_stroke_and_no_path():
@@ -90,7 +90,7 @@ def test_two_microphones_share_a_stroke_and_no_path():
 
 def test_only_a_path_with_two_velocities_compares_anything():
     assert RecordingStructure((0, 1, 0), (0, 0, 1), (0, 1, 2)).path_identifiable
-    assert not RecordingStructure((0, 1), (0, 1), (0, 1)).path_identifiable  # a path for each
+    assert not RecordingStructure((0, 1), (0, 1), (0, 1)).path_identifiable  # one path each
     assert not ALONE.path_identifiable
     assert TWO.path_identifiable
 
@@ -101,7 +101,7 @@ def test_the_residual_of_every_path_is_integrated_over():
     assert weight @ (x - np.log(priors.PATH[0])) ** 2 == pytest.approx(priors.PATH[1] ** 2)
     for layout in (ALONE, TWO):
         level = observed(layout).level
-        regimes = len(layout.stroke)  # of one recording, and of gains that are one or are not
+        regimes = len(layout.stroke)  # one recording, or shared and separate gains
         np.testing.assert_allclose(level.log_tau, x[:, None])
         np.testing.assert_allclose(np.exp(level.log_weight), weight[:, None] / regimes * np.ones(regimes))
     both = observe([LOUD, SOFT, LOUD], RecordingStructure((0, 1, 0), (0, 0, 1), (0, 1, 2)), 0, 0.0, True, True).level
@@ -113,8 +113,8 @@ def test_the_residual_of_every_path_is_integrated_over():
 
 def test_a_systematic_error_is_the_mean_over_recordings():
     systematic = observed().level.systematic
-    assert systematic[0, 0] == pytest.approx(0.09 / 2)  # one recording has it, the other none
-    assert systematic[2, 2] == pytest.approx(0.09)  # of a partial that only one has
+    assert systematic[0, 0] == pytest.approx(0.09 / 2)  # only one of the two recordings has it
+    assert systematic[2, 2] == pytest.approx(0.09)  # a partial of one recording only
     assert np.linalg.eigvalsh(systematic)[0] > -1e-12
 
 
@@ -123,14 +123,14 @@ def test_recordings_are_laid_on_one_law():
     assert o.cents == pytest.approx([0.0, 2.0])
     np.testing.assert_allclose(o.frequency.value[0], 0.0, atol=1e-9)
     np.testing.assert_allclose(o.decay.value[0], 0.0, atol=1e-12)
-    # Two recordings are known better than one by noise, and each partial once.
+    # Two recordings halve the variance of the noise; each partial counts once.
     assert o.frequency.variance[0, 0] == pytest.approx(0.5 * o.frequency.variance[0, 2])
     sharp = analysis([1, 2], [0.0, -10.0], f0=F0, glide_start=1.5)
     assert observe([sharp], ALONE, 0, 0.0, True, True).cents == pytest.approx([1.5])
 
 
 def beating(seed: int, f0: float = 110.0, rate: int = 44_100) -> Recording:
-    """Thirty partials of two components each, whose decays scatter by factors about one law."""
+    """Thirty partials of two components each, whose decays scatter by factors about one model."""
     random, t = np.random.default_rng(seed), np.arange(4 * rate) / rate
     sound = 1e-6 * random.normal(size=len(t))
     for k in range(1, 31):
@@ -142,7 +142,7 @@ def beating(seed: int, f0: float = 110.0, rate: int = 44_100) -> Recording:
 
 
 def test_a_law_of_decays_goes_through_the_cloud_of_partials_that_beat():
-    """Errors that grow with the value they are of, and are shared, would draw a law below all values."""
+    """Shared errors that grow with their value would bias the model below all values."""
     above, over = [], []
     for seed in range(6):
         recording = beating(seed)
@@ -165,7 +165,7 @@ def test_the_strings_law_has_the_derivatives_it_says():
     for i in range(4):
         e = step * np.eye(4)[i]
         up, down = string_law(string + e, number, 0.63)[0], string_law(string - e, number, 0.63)[0]
-        # What losses do to the pitch is left out: parts in 1e8.
+        # The effect of losses on the pitch is neglected: parts in 1e8.
         np.testing.assert_allclose(slope[0][:, i], np.log(up[0] / down[0]) / (2 * step), atol=1e-6)
         np.testing.assert_allclose(slope[1][:, i], (up[1] - down[1]) / (2 * step), rtol=1e-6, atol=1e-9)
 

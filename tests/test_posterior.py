@@ -25,16 +25,16 @@ def part(t, residual, jacobian, w) -> TableState:
 
 
 def test_a_linear_gaussian_problem_is_described_exactly():
-    """With as good as normal errors and a known φ the marginal of θ is Gaussian: prior and noise give its precision."""
+    """With nearly normal errors and a given φ the marginal of θ is Gaussian: prior and noise give its precision."""
     known = PHI, np.full(4, 1e-5)
     t = table("no path")._replace(degrees_of_freedom=jnp.asarray(1e9), censored=jnp.zeros((0, 2), int), prior=known)
     residual, _ = point("no path")
     w, jacobian = np.ones_like(residual), np.random.default_rng(5).normal(size=(*residual.shape, 3))
     found, _ = marginalise_nuisances(t, part(t, residual, jacobian, w), 1)
-    there = np.asarray(t.detected).ravel() > 0
-    whole = (shared(t, PHI, (0, 0)) + np.diag(noise(t, PHI).ravel()))[np.ix_(there, there)]
-    rows = jacobian.reshape(-1, 3)[there]
-    np.testing.assert_allclose(found, rows.T @ np.linalg.solve(whole, rows), rtol=1e-5)
+    detected = np.asarray(t.detected).ravel() > 0
+    covariance = (shared(t, PHI, (0, 0)) + np.diag(noise(t, PHI).ravel()))[np.ix_(detected, detected)]
+    rows = jacobian.reshape(-1, 3)[detected]
+    np.testing.assert_allclose(found, rows.T @ np.linalg.solve(covariance, rows), rtol=1e-5)
 
 
 @pytest.mark.parametrize("slope", [0.0, 0.3, 2.0, 40.0])
@@ -45,7 +45,7 @@ def test_at_a_bound_half_a_parabola_is_integrated(slope, curvature):
 
 
 def lowest(shape: str):
-    """A table, what moves its law, and its residual and weights where F is lowest by both."""
+    """A table, its Jacobian, and the residual and weights at the minimum of F."""
     t, residual = table(shape), 0.4 * point(shape)[0]
     w, jacobian = np.ones_like(residual), np.random.default_rng(5).normal(size=(*residual.shape, 3))
     for _ in range(40):
@@ -59,30 +59,30 @@ def lowest(shape: str):
 def test_hyperparameters_and_weights_are_integrated_out(shape):
     """The Schur complement of a dense F's Hessian, by second differences, and the log of the rest's volume.
 
-    By θ alone the curvature is Gauss and Newton's, which has a test of its own.
+    The curvature by θ alone is Gauss-Newton, which has its own test.
     """
     t, jacobian, residual, w = lowest(shape)
-    there = part(t, residual, jacobian, w)
+    state = part(t, residual, jacobian, w)
     where = tuple(np.argwhere(np.asarray(t.detected) > 0).T)
     plain = jax.tree.map(np.asarray, t)
 
-    def whole(x: np.ndarray) -> float:
+    def F(x: np.ndarray) -> float:
         weights = w.copy()
         weights[where] *= np.exp(x[7:])
         return dense(plain, residual - jacobian @ x[:3], PHI + x[3:7], weights)
 
-    H = hessian(whole, 7 + len(where[0]))
+    H = hessian(F, 7 + len(where[0]))
     for hyper in (1, 4):
         rest = H[np.ix_(*[np.r_[3 : 3 + hyper, 7 : len(H)]] * 2)]
         cross = H[np.r_[3 : 3 + hyper, 7 : len(H)], :3]
-        found, volume = marginalise_nuisances(t, there, hyper)
+        found, volume = marginalise_nuisances(t, state, hyper)
         np.testing.assert_allclose(
-            found, there.derivatives.curvature - cross.T @ np.linalg.solve(rest, cross), rtol=3e-4, atol=3e-4
+            found, state.derivatives.curvature - cross.T @ np.linalg.solve(rest, cross), rtol=3e-4, atol=3e-4
         )
         assert volume == pytest.approx(np.linalg.slogdet(rest)[1], abs=1e-2)
-        # What is not known of φ and w makes θ less known.
-        assert np.linalg.eigvalsh(there.derivatives.curvature - found)[0] > -1e-9
-        assert np.abs(there.derivatives.curvature - found).max() > 0.005 * np.abs(found).max()
+        # Unknown φ and w lower the precision of θ.
+        assert np.linalg.eigvalsh(state.derivatives.curvature - found)[0] > -1e-9
+        assert np.abs(state.derivatives.curvature - found).max() > 0.005 * np.abs(found).max()
 
 
 def hessian(of, size: int) -> np.ndarray:
@@ -94,7 +94,7 @@ def hessian(of, size: int) -> np.ndarray:
     for i in range(size):
         H[i, i] = single[i].sum() - 2 * middle
         for j in range(i):
-            # of(x + y) + of(-x - y) less what each has alone
+            # of(x + y) + of(-x - y) without the terms of x and y alone
             H[i, j] = H[j, i] = 0.5 * (
                 of(e[i] + e[j]) + of(-e[i] - e[j]) - single[i].sum() - single[j].sum() + 2 * middle
             )
@@ -115,15 +115,15 @@ def test_an_interval_is_that_of_the_mixture():
     draws = draws[which, np.arange(count)]
     for change in (np.eye(4)[0], np.array([1.0, -2.0, 0.0, 0.5])):
         low, high = p.interval(change)
-        wanted = np.quantile(draws @ change, [0.025, 0.975])
-        np.testing.assert_allclose((low, high), wanted, atol=0.02 * np.ptp(wanted))
+        expected = np.quantile(draws @ change, [0.025, 0.975])
+        np.testing.assert_allclose((low, high), expected, atol=0.02 * np.ptp(expected))
 
 
 def test_minima_that_differ_make_a_value_as_vague_as_its_interval():
-    apart = Posterior(np.array([[0.0], [4.0]]), np.full((2, 1, 1), 0.01), np.array([0.6, 0.4]))
-    low, high = apart.interval(np.ones(1))
-    assert apart.spread(np.ones(1)) == pytest.approx((high - low) / (2 * 1.96), rel=1e-4)
-    assert apart.spread(np.ones(1)) > 1
+    separate = Posterior(np.array([[0.0], [4.0]]), np.full((2, 1, 1), 0.01), np.array([0.6, 0.4]))
+    low, high = separate.interval(np.ones(1))
+    assert separate.spread(np.ones(1)) == pytest.approx((high - low) / (2 * 1.96), rel=1e-4)
+    assert separate.spread(np.ones(1)) > 1
 
 
 def test_one_minimum_has_a_gaussian_interval_and_what_is_held_none():
@@ -135,15 +135,15 @@ def test_one_minimum_has_a_gaussian_interval_and_what_is_held_none():
 
 
 def test_holding_a_sum_conditions_on_it():
-    p, held = mixture(), np.array([1.0, 0.0, -1.0, 0.0])
-    fixed = p.given(held)
+    p, fixed_sum = mixture(), np.array([1.0, 0.0, -1.0, 0.0])
+    fixed = p.given(fixed_sum)
     for before, after in zip(p.covariance, fixed.covariance, strict=True):
-        # Conditioned in coordinates that have the sum as their first.
-        turn = np.vstack([held, np.eye(4)[1:]])
+        # Conditioned in coordinates with the sum as the first.
+        turn = np.vstack([fixed_sum, np.eye(4)[1:]])
         c = turn @ before @ turn.T
         rest = c[1:, 1:] - np.outer(c[1:, 0], c[0, 1:]) / c[0, 0]
         back = np.linalg.inv(turn)[:, 1:]
         np.testing.assert_allclose(after, back @ rest @ back.T, atol=1e-12)
-        assert held @ after @ held == pytest.approx(0.0, abs=1e-12)
+        assert fixed_sum @ after @ fixed_sum == pytest.approx(0.0, abs=1e-12)
     np.testing.assert_array_equal(fixed.mean, p.mean)
     np.testing.assert_array_equal(p.given(np.zeros(4)).covariance, p.covariance)

@@ -1,4 +1,4 @@
-"""The descent, on tables that an analysis without errors would make: where it ends, and how it gets there."""
+"""The search on tables of an analysis without errors: its minima, and the steps to them."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from pianofit.setup import setup_from_dict
 
 @functools.cache
 def problem() -> FitProblem:
-    """One calibrated recording of C4, with its strike known."""
+    """One calibrated recording of C4 with a given strike position."""
     return build_problem([tone()], [played()], setup())
 
 
@@ -44,6 +44,12 @@ def found(seed: int = 0):
     return map_estimate(problem(), seed)
 
 
+def samples(optimiser: Optimiser, count: int) -> np.ndarray:
+    """The best prescreened hammers [count, size]."""
+    surrogate = QuadraticSurrogate.of(optimiser.table, initial_hyperparameters(optimiser))
+    return prescreen(optimiser, 3, [surrogate])[0][:count]
+
+
 def test_the_string_is_read_off_its_partials():
     np.testing.assert_allclose(np.exp(string()), STRING, rtol=2e-5)
     start = np.exp(problem().unknowns.mean[:4])
@@ -52,111 +58,110 @@ def test_the_string_is_read_off_its_partials():
 
 def test_a_descent_never_raises_F():
     p = problem()
-    descent = Optimiser(p, string(), LEVELS)
-    z = prescreen(descent, 3, [QuadraticSurrogate.of(descent.table, initial_hyperparameters(descent))])[0][:24]
-    people = descent.initialise(z, [initial_hyperparameters(descent)])
-    assert len(people) > 8
-    before = np.full(len(people), np.inf)
+    optimiser = Optimiser(p, string(), LEVELS)
+    theta = samples(optimiser, 24)
+    candidates = optimiser.initialise(theta, [initial_hyperparameters(optimiser)])
+    assert len(candidates) > 8
+    before = np.full(len(candidates), np.inf)
     for _ in range(6):
-        people = descent._lm_step(people, 0.0, None)
-        now = descent.total(people)
+        candidates = optimiser._lm_step(candidates, 0.0, None)
+        now = optimiser.total(candidates)
         assert (now <= before + 1e-9).all()
         before = now
-    # What it says of F is F: of a candidate made anew at the same point.
-    anew = descent.initialise(people.theta, people.phi, people.w, people.offset)
-    np.testing.assert_allclose(descent.total(anew), descent.total(people), rtol=1e-10)
-    low, high = p.unknowns.bounds_at(people.theta)
-    assert ((people.theta >= low) & (people.theta <= high))[:, p.unknowns.free].all()
+    # Its F is that of a candidate created anew at the same point.
+    anew = optimiser.initialise(candidates.theta, candidates.phi, candidates.w, candidates.offset)
+    np.testing.assert_allclose(optimiser.total(anew), optimiser.total(candidates), rtol=1e-10)
+    low, high = p.unknowns.bounds_at(candidates.theta)
+    assert ((candidates.theta >= low) & (candidates.theta <= high))[:, p.unknowns.free].all()
 
 
 def test_what_went_down_a_parabola_is_then_judged_by_F():
-    descent = Optimiser(problem(), string(), LEVELS)
-    parabola = QuadraticSurrogate.of(descent.table, initial_hyperparameters(descent))
-    z = prescreen(descent, 3, [parabola])[0][:6]
-    people = descent.minimise(
-        descent.initialise(z, [initial_hyperparameters(descent)], parabola=parabola), 0.0, 2, parabola=parabola
+    optimiser = Optimiser(problem(), string(), LEVELS)
+    surrogate = QuadraticSurrogate.of(optimiser.table, initial_hyperparameters(optimiser))
+    theta = samples(optimiser, 6)
+    candidates = optimiser.minimise(
+        optimiser.initialise(theta, [initial_hyperparameters(optimiser)], surrogate=surrogate),
+        0.0,
+        2,
+        surrogate=surrogate,
     )
-    judged = descent.minimise(people, 0.0, 0)
-    anew = descent.initialise(judged.theta, judged.phi, judged.w)
-    np.testing.assert_allclose(descent.total(judged), descent.total(anew), rtol=1e-10)
-    assert (np.abs(descent.total(people) - descent.total(judged)) > 1.0).any()
+    judged = optimiser.minimise(candidates, 0.0, 0)
+    anew = optimiser.initialise(judged.theta, judged.phi, judged.w)
+    np.testing.assert_allclose(optimiser.total(judged), optimiser.total(anew), rtol=1e-10)
+    assert (np.abs(optimiser.total(candidates) - optimiser.total(judged)) > 1.0).any()
 
 
 def test_a_descent_with_everything_never_raises_F_and_ends_where_the_string_is():
-    """φ and w of levels, frequencies and decays go down with θ, from where nothing is known."""
-    descent, best = Optimiser(problem()), found().minima
-    priors = [np.asarray(table.prior[0]) for table in descent.tables]
-    people = descent.initialise(best.people.theta, priors, offset=best.people.offset)
+    """φ and w of levels, frequencies and decays are minimised with θ, from their priors."""
+    optimiser, best = Optimiser(problem()), found().minima
+    priors = [np.asarray(table.prior[0]) for table in optimiser.tables]
+    candidates = optimiser.initialise(best.people.theta, priors, offset=best.people.offset)
     before = np.inf
     for _ in range(40):
-        people = descent._lm_step(people, 0.0, None)
-        now = float(descent.total(people)[0])
+        candidates = optimiser._lm_step(candidates, 0.0, None)
+        now = float(optimiser.total(candidates)[0])
         assert now <= before + 1e-9
         before = now
     assert now == pytest.approx(best.F[0], abs=0.01)
-    for mine, theirs in zip(people.phi, best.people.phi, strict=True):
+    for mine, theirs in zip(candidates.phi, best.people.phi, strict=True):
         np.testing.assert_allclose(mine[0, 0], theirs[0, 0], atol=0.02)
 
 
 def test_what_long_steps_do_to_the_levels_is_much_the_same_for_all_hammers():
-    """The search reads it off at its best hammer alone."""
-    descent = Optimiser(problem(), string(), LEVELS)
-    z = prescreen(descent, 3, [QuadraticSurrogate.of(descent.table, initial_hyperparameters(descent))])[0][:24]
-    errors = descent.discretisation_error_db(z[descent.model(z, np.zeros(()))[1]])
+    """The search estimates it at its best hammer alone."""
+    optimiser = Optimiser(problem(), string(), LEVELS)
+    theta = samples(optimiser, 24)
+    errors = optimiser.discretisation_error_db(theta[optimiser.model(theta, np.zeros(()))[1]])
     whole, left = (np.sqrt((x**2).mean(axis=(1, 2))) for x in (errors, errors[1:] - errors[0]))
     assert len(whole) > 8
     assert 0.05 < np.median(whole) < 0.3  # dB
     assert np.median(left) < 0.5 * np.median(whole)
-    # With it the levels are those of the problem's own steps, without theirs.
+    # With this correction, the levels agree with those of the problem's own steps, corrected too.
     fine = Optimiser(problem())
-    levels = [d.level(z[:1]) * d.has_level + d.discretisation_error_db(z[:1]) for d in (descent, fine)]
+    levels = [d.level(theta[:1]) * d.has_level + d.discretisation_error_db(theta[:1]) for d in (optimiser, fine)]
     np.testing.assert_allclose(*levels, atol=5e-3)
 
 
 def test_a_descent_sorts_and_ends_where_F_is_flat():
-    descent = Optimiser(problem(), string(), LEVELS)
-    people = descent.minimise(
-        descent.initialise(
-            prescreen(descent, 3, [QuadraticSurrogate.of(descent.table, initial_hyperparameters(descent))])[0][:6],
-            [initial_hyperparameters(descent)],
-        ),
-        0.0,
-        60,
+    optimiser = Optimiser(problem(), string(), LEVELS)
+    candidates = optimiser.minimise(
+        optimiser.initialise(samples(optimiser, 6), [initial_hyperparameters(optimiser)]), 0.0, 60
     )
-    F = descent.total(people)
+    F = optimiser.total(candidates)
     assert (np.diff(F) >= 0).all()
-    _, gradient, curvature = descent.prior(people.theta)
-    gradient, curvature = gradient + people.level.derivatives.gradient, curvature + people.level.derivatives.curvature
-    free = descent.is_free & ~problem().unknowns.at_bound(people.theta[0])
+    _, gradient, curvature = optimiser.prior(candidates.theta)
+    derivatives = candidates.level.derivatives
+    gradient, curvature = gradient + derivatives.gradient, curvature + derivatives.curvature
+    free = optimiser.is_free & ~problem().unknowns.at_bound(candidates.theta[0])
     g, H = gradient[0][free], curvature[0][np.ix_(free, free)]
     left = 0.5 * g @ np.linalg.solve(H, g)
-    assert left < 1e-2  # what F could still fall by
-    assert descent.predicted_decrease(people)[0] == pytest.approx(left)
-    # Half a standard deviation off along any unknown, as if others were known: F promises to fall by what it rose.
-    away = np.repeat(people.theta[:1], free.sum(), axis=0)
+    assert left < 1e-2  # remaining decrease of F
+    assert optimiser.predicted_decrease(candidates)[0] == pytest.approx(left)
+    # Half a standard deviation away along any parameter, with the others fixed, F predicts to fall by what it rose.
+    away = np.repeat(candidates.theta[:1], free.sum(), axis=0)
     away[:, free] += 0.5 * np.diag(1 / np.sqrt(np.diag(H)))
-    people = people.take(np.zeros(len(away), int))
-    people = descent.initialise(away, people.phi, people.w)
-    rose = descent.total(people) - F[0]
-    np.testing.assert_allclose(descent.predicted_decrease(people), rose, rtol=0.2, atol=0.02)
+    candidates = candidates.take(np.zeros(len(away), int))
+    candidates = optimiser.initialise(away, candidates.phi, candidates.w)
+    rise = optimiser.total(candidates) - F[0]
+    np.testing.assert_allclose(optimiser.predicted_decrease(candidates), rise, rtol=0.2, atol=0.02)
 
 
 def test_the_hammer_is_found_without_an_error_of_the_steps():
-    z = found().z
-    values = dict(zip(problem().unknowns.names, np.exp(problem().unknowns.log_values(z)), strict=False))
-    values |= {"v_H0": np.exp(z[problem().unknowns.shared])}
+    theta = found().z
+    values = dict(zip(problem().unknowns.names, np.exp(problem().unknowns.log_values(theta)), strict=False))
+    values |= {"v_H0": np.exp(theta[problem().unknowns.shared])}
     assert values["M_H"] == pytest.approx(HAMMER.M_H, rel=1e-3)
     assert values["v_H0"] == pytest.approx(HAMMER.v_H0, rel=1e-3)
     assert values["p"] == pytest.approx(HAMMER.p, rel=2e-3)
     assert values["mu"] == pytest.approx(HAMMER.mu, rel=1e-2)
     assert values["width"] == pytest.approx(GEOMETRY.width, rel=1e-2)
     u = np.exp(problem().unknowns.log_reference_compression)
-    assert np.exp(z[problem().unknowns.index_of("K_H")]) == pytest.approx(HAMMER.K_H * u**HAMMER.p, rel=5e-3)
+    assert np.exp(theta[problem().unknowns.index_of("K_H")]) == pytest.approx(HAMMER.K_H * u**HAMMER.p, rel=5e-3)
     assert found().minima.converged[0]
 
 
 def test_on_the_edge_of_K_H_the_force_follows_p():
-    """K_H is held there: what is known of p is what is known of the force, and F rises by a half in one deviation."""
+    """K_H is fixed there: p determines the force, and F rises by a half in one standard deviation."""
     low = build_problem([tone()], [played()], replace(setup(), bounds={"K_H": (1e8, 0.1 * HAMMER.K_H)}))
     one, u = map_estimate(low, 0), low.unknowns
     force, p = u.force_and_exponent_index
@@ -168,15 +173,15 @@ def test_on_the_edge_of_K_H_the_force_follows_p():
     change = np.eye(u.size)[force] + slope * np.eye(u.size)[p]
     first = Posterior(one.posterior.mean[:1], cov[None], np.ones(1))
     assert first.spread(change) == pytest.approx(-slope * np.sqrt(cov[p, p]), rel=1e-3)
-    descent, best = one.minima.descent, one.minima.people.take(np.array([0]))
+    optimiser, best = one.minima.descent, one.minima.people.take(np.array([0]))
     inner = np.flatnonzero(cov.diagonal() > 0)
-    z = np.tile(u.log_values(one.z), (2, 1))
-    z[:, inner] += np.outer([-1, 1], cov[p, inner] / np.sqrt(cov[p, p]))
-    moved = descent.initialise(u.from_log_values(z), best.phi, best.w, best.offset)
-    for _ in range(20):  # φ and w settle
-        parts = (descent._update_nuisances(*pair, 0.0) for pair in zip(descent.tables, moved.parts, strict=True))
+    theta = np.tile(u.log_values(one.z), (2, 1))
+    theta[:, inner] += np.outer([-1, 1], cov[p, inner] / np.sqrt(cov[p, p]))
+    moved = optimiser.initialise(u.from_log_values(theta), best.phi, best.w, best.offset)
+    for _ in range(20):  # until φ and w have converged
+        parts = (optimiser._update_nuisances(*pair, 0.0) for pair in zip(optimiser.tables, moved.parts, strict=True))
         moved = replace(moved, parts=tuple(parts))
-    assert (descent.total(moved) - one.minima.F[0]).mean() == pytest.approx(0.5, abs=0.15)
+    assert (optimiser.total(moved) - one.minima.F[0]).mean() == pytest.approx(0.5, abs=0.15)
     document = build_result(InferenceResult(low, one, 0, None)).document
     assert document["parameters"]["K_H"]["status"] == "at-bound"
     assert document["invariants"]["F/M_S"]["status"] in ("at-bound", "not-identifiable")
@@ -194,15 +199,15 @@ def test_the_same_seed_gives_the_same_result_and_another_the_same_minimum():
 
 
 def test_minima_are_told_apart_by_where_they_are():
-    descent, u = Optimiser(problem(), string(), LEVELS), problem().unknowns
-    z = np.tile(u.mean, (4, 1))
-    z[1, u.index_of("M_H")] += 0.001 * u.sd[u.index_of("M_H")]
-    z[2, u.index_of("M_H")] += 0.5 * u.sd[u.index_of("M_H")]
-    z[3, u.index_of("p")] += 0.5 * u.sd[u.index_of("p")]
-    people = descent.initialise(u.project(z), [initial_hyperparameters(descent)])
-    scores = np.array([1.0, 0.9, 0.0, 9.0])[: len(people)]
-    assert len(people) == 4
-    assert deduplicate(people, u, scores, 6.0) == [2, 1]
+    optimiser, u = Optimiser(problem(), string(), LEVELS), problem().unknowns
+    theta = np.tile(u.mean, (4, 1))
+    theta[1, u.index_of("M_H")] += 0.001 * u.sd[u.index_of("M_H")]
+    theta[2, u.index_of("M_H")] += 0.5 * u.sd[u.index_of("M_H")]
+    theta[3, u.index_of("p")] += 0.5 * u.sd[u.index_of("p")]
+    candidates = optimiser.initialise(u.project(theta), [initial_hyperparameters(optimiser)])
+    scores = np.array([1.0, 0.9, 0.0, 9.0])[: len(candidates)]
+    assert len(candidates) == 4
+    assert deduplicate(candidates, u, scores, 6.0) == [2, 1]
 
 
 def test_the_heaviest_minimum_is_the_first_and_what_lies_within_another_is_none():
@@ -219,25 +224,26 @@ def test_the_heaviest_minimum_is_the_first_and_what_lies_within_another_is_none(
 
 
 def test_a_search_in_which_no_contact_ends_says_so(monkeypatch):
-    descent = Optimiser(problem(), string(), LEVELS)
-    model = descent.model
-    monkeypatch.setattr(descent, "model", lambda *x: (model(*x)[0], np.zeros(len(x[0]), bool)))
-    with pytest.raises(FitError, match="no hammer within the bounds gives a finite sound"):
-        multistart(descent, 0, problem().unknowns.mean)
+    optimiser = Optimiser(problem(), string(), LEVELS)
+    model = optimiser.model
+    monkeypatch.setattr(optimiser, "model", lambda *x: (model(*x)[0], np.zeros(len(x[0]), bool)))
+    with pytest.raises(FitError, match=r"\[bounds\]"):
+        multistart(optimiser, 0, problem().unknowns.mean)
 
 
 def test_minima_whose_contacts_do_not_end_by_the_finer_steps_are_none(monkeypatch):
     held = Optimiser(problem(), string(), LEVELS)
-    people, own = held.initialise(problem().unknowns.mean[None], [initial_hyperparameters(held)]), fit_string(problem())
+    candidates = held.initialise(problem().unknowns.mean[None], [initial_hyperparameters(held)])
+    own = fit_string(problem())
     model = Optimiser.model
     monkeypatch.setattr(Optimiser, "model", lambda self, *x: (model(self, *x)[0], np.zeros(len(x[0]), bool)))
-    with pytest.raises(FitError, match="no hammer within the bounds gives a finite sound"):
-        refine_minima(problem(), people, held, own)
+    with pytest.raises(FitError, match=r"\[bounds\]"):
+        refine_minima(problem(), candidates, held, own)
 
 
 @pytest.mark.parametrize(("low", "high"), [(0.3, 0.6), (3.0, 4.0)])
 def test_a_velocity_keeps_within_its_bounds_and_says_so_at_one(low, high):
-    """The one that was played lies outside."""
+    """The true velocity lies outside."""
     bounded = build_problem([tone()], [played()], replace(setup(), bounds={"v_H0": (low, high)}))
     one, at = map_estimate(bounded), bounded.velocity
     bound = low if HAMMER.v_H0 < low else high
@@ -250,11 +256,11 @@ def test_a_velocity_keeps_within_its_bounds_and_says_so_at_one(low, high):
 
 @pytest.mark.parametrize("seed", [0, 2])
 def test_a_search_of_two_like_strokes_does_not_stay_on_a_ripple_of_their_valley(seed):
-    """One lies eight standard deviations from the truth, 28 in F above it, and nothing else is wrong with it."""
-    it, rate, noise = preset("chabassier-F3"), 44_100, np.random.default_rng(5)
+    """A false minimum lies eight standard deviations from the truth, 28 in F above it."""
+    note, rate, noise = preset("chabassier-F3"), 44_100, np.random.default_rng(5)
     recordings = []
     for velocity in (2.0, 2.2):
-        strike = simulate(it.string, it.hammer._replace(v_H0=velocity), it.geometry, quantity="bridge-force")
+        strike = simulate(note.string, note.hammer._replace(v_H0=velocity), note.geometry, quantity="bridge-force")
         sound = lfilter([1, 0.6, 0.2], [1, -0.5], strike.waveform(rate, 3 * rate))
         sound = np.pad(0.5 * sound / np.abs(sound).max(), (rate // 10, 0))
         recordings.append(recording_from_samples(sound + 1e-4 * noise.standard_normal(len(sound)), rate))
@@ -262,7 +268,7 @@ def test_a_search_of_two_like_strokes_does_not_stay_on_a_ripple_of_their_valley(
     one, u = map_estimate(posed, seed), posed.unknowns
     mass = np.exp(one.posterior.mean[0, u.index_of("M_H")]) / posed.start.geometry.mass
     low, high = one.posterior.interval(np.eye(u.size)[u.index_of("M_H")])
-    true = it.hammer.M_H / it.geometry.mass
+    true = note.hammer.M_H / note.geometry.mass
     assert np.exp(low) / posed.start.geometry.mass < true < np.exp(high) / posed.start.geometry.mass
     assert mass == pytest.approx(true, rel=0.01)
 
@@ -276,19 +282,19 @@ def test_a_misspelt_recording_of_the_setup_is_told(file, near):
 
 def test_where_everything_is_known_nothing_is_left_to_fit():
     known = dict(zip(("c", "kappa", "b1", "b2"), map(float, STRING), strict=True)) | HAMMER._asdict()
-    with pytest.raises(FitError, match=r"nothing is left to fit: \[fixed\] holds everything"):
+    with pytest.raises(FitError, match=r"\[fixed\]"):
         build_problem([tone()], [played()], setup(pickup={"quantity": "pressure"}, fixed=known))
 
 
 def test_a_stroke_in_the_wrong_lobe_is_struck_anew():
-    """The hammer is right and its velocity is not: the best of the fine grid is the one that was played."""
+    """With the true hammer at a wrong velocity, the best of the fine grid is the true velocity."""
     p = problem()
-    descent = Optimiser(p, string(), LEVELS)
-    z = found().z.copy()
-    z[: len(string())] = string()
-    parabola = QuadraticSurrogate.of(descent.table, initial_hyperparameters(descent))
+    optimiser = Optimiser(p, string(), LEVELS)
+    theta = found().z.copy()
+    theta[: len(string())] = string()
+    surrogate = QuadraticSurrogate.of(optimiser.table, initial_hyperparameters(optimiser))
     at = p.unknowns.shared
     for factor in (0.2, 0.5, 3.0):
-        away = z.copy()
+        away = theta.copy()
         away[at] += np.log(factor)
-        assert rescan_velocities(descent, away[None], [parabola])[0][0, at] == pytest.approx(z[at], abs=0.01)
+        assert rescan_velocities(optimiser, away[None], [surrogate])[0][0, at] == pytest.approx(theta[at], abs=0.01)

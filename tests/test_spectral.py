@@ -1,4 +1,4 @@
-"""Eq. 19 of the struck string: spectra against sums over samples, derivatives against differences and the paper's."""
+"""Eq. 19 of the struck string: spectra against sums over samples, derivatives against differences and the paper."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ SCENE = Scene(Geometry(*map(np.float64, TRUE.geometry)), *map(np.asarray, (float
 
 @functools.cache
 def strike(which: str = "true"):
-    """A strike at the contact's own rate: what the model sums is then what is sounded."""
+    """A strike at the rate of the contact, at which the model's sum is the waveform."""
     it = TRUE if which == "true" else OTHER
     return simulate(it.string, it.hammer, TRUE.geometry, rate=RATE, oversampling=1, n_modes=MODES)
 
@@ -102,14 +102,14 @@ def test_the_models_energy_is_that_of_its_damped_waveform():
 @pytest.mark.parametrize("sigma", [30.0, 3.0, 1.0])
 @pytest.mark.parametrize("which", ["true", "other"])
 def test_the_fast_path_meets_the_sum_over_samples_also_where_the_recording_is_cut(sigma, which):
-    """One second is far too short for σ = 1: a third of the amplitude is cut off, and the model knows."""
+    """One second is far too short for σ = 1: a third of the amplitude is cut off, and the model includes this."""
     it = TRUE if which == "true" else OTHER
     g = goal(sigma)
     n = min(RATE, int(np.ceil(14 / sigma * RATE)))
     mine = damped_spectrum(wave(which=which)[:n], RATE, np.asarray(g.frequency), sigma)
     expected = cost_of(np.abs(mine) ** 2, g)
     cost, _ = struck_gradients(searched(it)[None], g, SCENE, CFG)
-    # The window ends for all of a stroke where it ends for its middle.
+    # The window of a whole stroke ends where it ends for the middle of the stroke.
     assert float(cost[0]) == pytest.approx(expected, rel=2e-4, abs=2e-6)
     held = fix_string(jnp.asarray(searched(it)), *WIDE, g, SCENE, CFG)
     assert float(held.costs(searched(it)[None, 4:])[0]) == pytest.approx(float(cost[0]), rel=1e-9, abs=1e-13)
@@ -169,7 +169,7 @@ def test_a_free_gain_is_the_best_one_and_a_known_one_counts():
 
 
 def test_a_sound_that_began_earlier_has_decayed_further():
-    """The wave takes half a millisecond from the hammer to the pickup; a recording begins when it gets there."""
+    """The wave takes half a millisecond from the hammer to the pickup; a recording begins at its arrival."""
     late = round(0.0005 * RATE)
     aware, unaware = (spectral_goal(wave()[late:], RATE, F0, B, LAST, 30.0, delay=d) for d in (late / RATE, 0.0))
     energy = plain_energy(TRUE, aware)

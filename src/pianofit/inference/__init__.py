@@ -1,8 +1,8 @@
-"""What recordings say of a string and a hammer: one objective, one search, one posterior.
+"""Inference of a string and a hammer from recordings: one objective, one search, one posterior.
 
-`likelihood` is the objective, minus the log marginal posterior of tables of partials. `problem` poses it for the
-recordings at hand, `search` and `finish` find its minima, `posterior` describes it about them, and `views` tells
-intervals by other means. `infer` does all of it.
+`likelihood` is the objective, minus the log marginal posterior of tables of partials. `problem` builds it for the
+recordings of a fit. `multistart` and `refine` find its minima. `laplace` describes the posterior at them, and
+`intervals` gives intervals by other methods. `run_inference` does all of this.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """exp(-F) as one differentiable density of (θ, φ, log w), in coordinates that suit a sampler.
 
-The density is proper (likelihood.py), and all of its unknowns stand here, with φ and w of frequencies and decays. θ is
-whitened by Laplace's covariance, log w by the spread that each has given its residual. The box is folded: beyond an
-edge lies the mirror image of what is inside, so a sampler meets a continuous density without a wall, and what is folded
-back has exactly the density in the box. So is the range within which the search keeps φ of the levels.
+The density is proper (likelihood.py) and contains all unknowns, also φ and w of frequencies and decays. θ is whitened
+by Laplace's covariance. log w is scaled by the standard deviation that its curvature gives. The bounds reflect: beyond
+a bound the density is the mirror image of the inside. A sampler therefore meets a continuous density without a wall,
+and the reflected points have exactly the density inside the bounds. The search range of φ of the levels reflects too.
 """
 
 from __future__ import annotations
@@ -34,180 +34,181 @@ __all__ = [
     "start",
 ]
 
-# What lies at a bound is first looked for within its prior, or this share of its box.
-OF_BOX = 0.25
+# Scale of a parameter at a bound: its prior's standard deviation, or this fraction of its range if that is smaller.
+RANGE_FRACTION = 0.25
 
 
 class Point(NamedTuple):
-    """Unknowns, 0 at the minimum, of order 1 in the posterior."""
+    """Whitened unknowns: 0 at the minimum, of order 1 in the posterior."""
 
-    theta: Array  # [free]
+    whitened: Array  # θ [free]
     phi: tuple[Array, ...]  # of levels, frequencies and decays
-    log_w: tuple[Array, ...]  # of what was observed
+    log_w: tuple[Array, ...]  # of the detected entries
 
 
 class DensityContext(NamedTuple):
-    """The minimum and its coordinates, box and priors, and the tables."""
+    """The minimum, its coordinates, the bounds, the priors and the tables."""
 
-    z: Any  # [size]
-    white: Any  # from unit normals to z [size, free]
-    box: tuple[Any, Any]  # [size] each
-    power: Any  # where the force stands, and the exponent; None for a law without a power
-    stiffness: Any  # least and largest log K_H
+    theta: Any  # [size]
+    root: Any  # from whitened coordinates to θ [size, free]
+    bounds: tuple[Any, Any]  # [size] each
+    power: Any  # index of the force and of the exponent; None for a law without a power
+    stiffness: Any  # lowest and highest log K_H
     log_u: Any
     prior: tuple[Any, Any]  # mean and precision [size]
     tables: tuple[ObservationTable, ...]
     phi: tuple[Any, ...]
     w: tuple[Any, ...]
-    found: tuple[Any, ...]  # row and column of what was observed [N, 2]
-    offset: Any  # the contact's step error, dB [R, K]
-    there: Any  # 1 where a level is, or is known to be absent [R, K]
-    stroke: Any  # of every recording [R]
-    column: Any  # the model's, of every column of the table [K]
-    cents: Any  # tension of every stroke
-    partials: tuple[Any, Any, Any]  # numbers and law of the string's tables, length
-    scene: ModelInputs
+    detected: tuple[Any, ...]  # row and column of every detected entry [N, 2]
+    offset: Any  # discretisation error of the contact, dB [R, K]
+    has_level: Any  # 1 where a level or a bound of a censored partial exists [R, K]
+    stroke: Any  # index of the stroke, by recording [R]
+    column: Any  # index of the model's partial, by column of the table [K]
+    cents: Any  # pitch offset of every stroke
+    partials: tuple[Any, Any, Any]  # numbers and string model of the string tables, length
+    inputs: ModelInputs
 
 
-def density_context(problem: FitProblem, found: Estimate) -> DensityContext:
-    """What the density needs, about the best minimum."""
-    u, o, minima = problem.unknowns, problem.observed, found.minima
-    descent, best = minima.descent, minima.people
-    cents = descent.model_inputs_with_strings(best.theta[:1])[1]
-    everything = (
+def density_context(problem: FitProblem, estimate: Estimate) -> DensityContext:
+    """Collect what the density needs at the best minimum."""
+    u, o, minima = problem.unknowns, problem.observed, estimate.minima
+    optimiser, best = minima.descent, minima.people
+    cents = optimiser.model_inputs_with_strings(best.theta[:1])[1]
+    fields = (
         best.theta[0],
-        _whitening_root(problem, found),
+        _whitening_root(problem, estimate),
         (u.lower, u.upper),
         u.force_and_exponent_index,
         np.array(u.stiffness),
         u.log_reference_compression,
         (u.mean, u.precision),
-        descent.tables,
+        optimiser.tables,
         tuple(phi[0] for phi in best.phi),
         tuple(w[0] for w in best.w),
-        tuple(np.argwhere(np.asarray(t.found) > 0) for t in descent.tables),
+        tuple(np.argwhere(np.asarray(t.detected) > 0) for t in optimiser.tables),
         best.offset[0],
-        descent.has_level,
-        descent.stroke,
-        descent.columns,
+        optimiser.has_level,
+        optimiser.stroke,
+        optimiser.columns,
         cents,
         (o.string_number, o.law, float(problem.start.geometry.length)),
         problem.scene,
     )
-    return DensityContext(*jax.tree.map(np.asarray, everything))
+    return DensityContext(*jax.tree.map(np.asarray, fields))
 
 
-def _whitening_root(problem: FitProblem, found: Estimate) -> np.ndarray:
-    """A root of Laplace's covariance of z [size, free]; by prior and box of what is at a bound."""
+def _whitening_root(problem: FitProblem, estimate: Estimate) -> np.ndarray:
+    """Root of Laplace's covariance of θ [size, free]; parameters at a bound use `RANGE_FRACTION`."""
     u = problem.unknowns
-    free, tangent = np.flatnonzero(u.free), np.linalg.inv(u.tangent(found.z))
-    loose_at = u.at_bound(found.z)[free]  # a force that only follows p, because K_H lies at a bound, is one of these
-    covariance = (tangent @ found.posterior.covariance[0] @ tangent.T)[np.ix_(free, free)]
-    covariance = np.where(loose_at[:, None] | loose_at, 0.0, covariance)
-    loose = np.minimum(u.sd, OF_BOX * (u.upper - u.lower))[free]
-    scale = np.sqrt(np.where(np.diag(covariance) > 0, np.diag(covariance), loose**2))
+    free, tangent = np.flatnonzero(u.free), np.linalg.inv(u.tangent(estimate.z))
+    # With K_H at a bound, the force only follows p and counts as at a bound too.
+    at_bound = u.at_bound(estimate.z)[free]
+    covariance = (tangent @ estimate.posterior.covariance[0] @ tangent.T)[np.ix_(free, free)]
+    covariance = np.where(at_bound[:, None] | at_bound, 0.0, covariance)
+    wide = np.minimum(u.sd, RANGE_FRACTION * (u.upper - u.lower))[free]
+    scale = np.sqrt(np.where(np.diag(covariance) > 0, np.diag(covariance), wide**2))
     correlation = covariance / np.outer(scale, scale)
     np.fill_diagonal(correlation, 1.0)
-    out = np.zeros((u.size, len(free)))
-    out[free] = scale[:, None] * np.linalg.cholesky(correlation)
-    return out
+    root = np.zeros((u.size, len(free)))
+    root[free] = scale[:, None] * np.linalg.cholesky(correlation)
+    return root
 
 
-def reflect_into_bounds(at: DensityContext, theta):
-    """z [size] in the box, and the mirror images of the box beyond it; K_H is folded by the force, p held."""
-    moves = (at.white != 0).any(axis=1)
-    z = at.z + at.white @ theta
-    plain = jnp.where(moves, _fold(z, *at.box), z)
+def reflect_into_bounds(at: DensityContext, whitened):
+    """θ [size] reflected into the bounds; K_H is reflected through the force, with p fixed."""
+    free = (at.root != 0).any(axis=1)
+    theta = at.theta + at.root @ whitened
+    reflected = jnp.where(free, _reflect(theta, *at.bounds), theta)
     if at.power is None:
-        return plain
+        return reflected
     i, p = at.power
-    shift = jnp.exp(plain[p]) * at.log_u
-    force = _fold(z[i], at.stiffness[0] + shift, at.stiffness[1] + shift)
-    return plain.at[i].set(jnp.where(moves[i], force, z[i]))
+    shift = jnp.exp(reflected[p]) * at.log_u
+    force = _reflect(theta[i], at.stiffness[0] + shift, at.stiffness[1] + shift)
+    return reflected.at[i].set(jnp.where(free[i], force, theta[i]))
 
 
-def _fold(x, low, high):
+def _reflect(x, low, high):
     bounded = jnp.isfinite(high - low) & (high > low)
     width = jnp.where(bounded, high - low, 1.0)
-    turn = jnp.mod(x - jnp.where(bounded, low, 0.0), 2 * width)
-    return jnp.where(bounded, low + jnp.where(turn < width, turn, 2 * width - turn), x)
+    phase = jnp.mod(x - jnp.where(bounded, low, 0.0), 2 * width)
+    return jnp.where(bounded, low + jnp.where(phase < width, phase, 2 * width - phase), x)
 
 
-def start(at: DensityContext, key, apart: float) -> Point:
-    """A point `apart` standard deviations from the minimum in everything."""
+def start(at: DensityContext, key, spread: float) -> Point:
+    """A random point, every coordinate with standard deviation `spread` about the minimum."""
     zero = Point(
-        jnp.zeros(at.white.shape[1]), tuple(jnp.zeros(n) for n in HYPER), tuple(jnp.zeros(len(x)) for x in at.found)
+        jnp.zeros(at.root.shape[1]), tuple(jnp.zeros(n) for n in HYPER), tuple(jnp.zeros(len(x)) for x in at.detected)
     )
     leaves, tree = jax.tree.flatten(zero)
     keys = jax.random.split(key, len(leaves))
-    return tree.unflatten([apart * jax.random.normal(k, x.shape) for k, x in zip(keys, leaves, strict=True)])
+    return tree.unflatten([spread * jax.random.normal(k, x.shape) for k, x in zip(keys, leaves, strict=True)])
 
 
 def log_density(at: DensityContext, point: Point, cfg: StaticConfig):
     """-F; minus infinity where a contact does not end."""
     at = jax.tree.map(jnp.asarray, at)
-    z, ended, terms = _terms(at, point, cfg)
+    theta, ended, terms = _terms(at, point, cfg)
     mean, precision = at.prior
-    F = 0.5 * (precision * (z - mean) ** 2).sum()
+    F = 0.5 * (precision * (theta - mean) ** 2).sum()
     for term in terms:
         F = F + objective(*term)
     return jnp.where(ended.all(), -F, -jnp.inf)
 
 
 def log_likelihood(at: DensityContext, point: Point, cfg: StaticConfig) -> tuple[Array, ...]:
-    """Log density of each observation given all others: of levels, frequencies, decays, and absent partials."""
+    """Log density of each observation given all others: of levels, frequencies, decays, and censored partials."""
     at = jax.tree.map(jnp.asarray, at)
-    each = [pointwise(table, r, phi, w, jnp) for table, r, phi, w in _terms(at, point, cfg)[2]]
-    there = [own[tuple(found.T)] for (own, _), found in zip(each, at.found, strict=True)]
-    return *there, each[0][1]
+    densities = [pointwise(table, r, phi, w, jnp) for table, r, phi, w in _terms(at, point, cfg)[2]]
+    detected = [entries[tuple(index.T)] for (entries, _), index in zip(densities, at.detected, strict=True)]
+    return *detected, densities[0][1]
 
 
 def _terms(at: DensityContext, point: Point, cfg: StaticConfig) -> tuple[Array, Array, list[tuple]]:
-    """z, whether contacts ended, and of every table what `objective` takes."""
-    z = reflect_into_bounds(at, point.theta)
-    level, ended = _law(at, cfg)(z)
+    """θ, whether contacts ended, and the arguments of `objective` for every table."""
+    theta = reflect_into_bounds(at, point.whitened)
+    level, ended = _levels(at, cfg)(theta)
     o = at.tables[0]
-    residual = (o.value - level[at.stroke][:, at.column] - at.offset) * at.there
+    residual = (o.value - level[at.stroke][:, at.column] - at.offset) * at.has_level
     strings = [t.value[0] for t in at.tables[1:]]
-    residuals = residual, *string_residuals(z[:STRING_SIZE], strings, *at.partials, jnp)[0]
+    residuals = residual, *string_residuals(theta[:STRING_SIZE], strings, *at.partials, jnp)[0]
     terms = []
-    for table, r, phi, w, found, x, y in zip(
-        at.tables, residuals, at.phi, at.w, at.found, point.phi, point.log_w, strict=True
+    for table, r, phi, w, index, x, y in zip(
+        at.tables, residuals, at.phi, at.w, at.detected, point.phi, point.log_w, strict=True
     ):
-        centre, wide = table.prior
-        reach = HYPER_REACH * wide if table is at.tables[0] else jnp.full_like(wide, jnp.inf)
-        hyper = phi.at[: len(x)].add(wide[: len(x)] * x)
-        hyper = _fold(hyper, centre - reach, centre + reach)
-        # An entry's log w has curvature (ν + 1)/2 where it is lowest.
-        spread = jnp.sqrt(2 / (table.student + 1))
-        change = jnp.zeros_like(w).at[found[:, 0], found[:, 1]].set(spread * y)
+        centre, sd = table.prior
+        reach = HYPER_REACH * sd if table is at.tables[0] else jnp.full_like(sd, jnp.inf)
+        hyper = phi.at[: len(x)].add(sd[: len(x)] * x)
+        hyper = _reflect(hyper, centre - reach, centre + reach)
+        # At its minimum, F has the curvature (ν + 1)/2 in log w of one entry.
+        scale = jnp.sqrt(2 / (table.degrees_of_freedom + 1))
+        change = jnp.zeros_like(w).at[index[:, 0], index[:, 1]].set(scale * y)
         terms.append((table, r, hyper, w * jnp.exp(change)))
-    return z, ended, terms
+    return theta, ended, terms
 
 
-def _law(at: DensityContext, cfg: StaticConfig):
-    """Levels, dB [strokes, rows], and whether contacts ended, at z; derivatives as the search takes them, forward."""
+def _levels(at: DensityContext, cfg: StaticConfig):
+    """Function of θ: levels, dB [strokes, rows], and whether contacts ended; with the search's forward derivatives."""
 
-    def lanes(z):
+    def batch(theta):
         strokes = len(at.cents)
-        shared = len(z) - strokes
-        velocity = z[shared:, None]
+        shared = len(theta) - strokes
+        velocity = theta[shared:, None]
         return (
-            jnp.tile(z[:STRING_SIZE], (strokes, 1)), at.cents,
-            jnp.concatenate([jnp.tile(z[STRING_SIZE:shared], (strokes, 1)), velocity], axis=1),
+            jnp.tile(theta[:STRING_SIZE], (strokes, 1)), at.cents,
+            jnp.concatenate([jnp.tile(theta[STRING_SIZE:shared], (strokes, 1)), velocity], axis=1),
         )  # fmt: skip
 
     @jax.custom_jvp
-    def law(z):
-        return levels_per_string(*lanes(z), at.scene, cfg)
+    def levels(theta):
+        return levels_per_string(*batch(theta), at.inputs, cfg)
 
-    @law.defjvp
+    @levels.defjvp
     def _jvp(primal, tangent):
-        level, slope, ended = level_jacobians_per_string(*lanes(primal[0]), at.scene, cfg)
-        (dz,) = tangent
-        string, _, lane = lanes(dz)
+        level, slope, ended = level_jacobians_per_string(*batch(primal[0]), at.inputs, cfg)
+        (change,) = tangent
+        string, _, entries = batch(change)
         moved = (slope[..., :STRING_SIZE] * string[:, None]).sum(axis=-1)
-        moved += (slope[..., STRING_SIZE:] * lane[:, None, at.scene.free]).sum(axis=-1)
+        moved += (slope[..., STRING_SIZE:] * entries[:, None, at.inputs.free]).sum(axis=-1)
         return (level, ended), (moved, np.zeros(ended.shape, jax.dtypes.float0))
 
-    return law
+    return levels

@@ -1,8 +1,9 @@
-"""F's derivatives in closed form, and what F is made of, at points of a search.
+"""Derivatives of F in closed form, and the parts of F, at points of a search.
 
-With s = C⁻¹r at one node of τ and of the gains, F changes by a level law's derivatives J as -Jᵀs, by an entry's own
-variance as ½ (C⁻¹_ii - s_i²), and by a path's covariance as ½ (N - Σ UᵀU - s sᵀ) summed over its recordings. An absent
-partial adds -log Φ(z), z = (bound - m)/√V, whose mean m and variance V change with all three.
+Let s = C⁻¹r at one node of τ and of the gains. With the Jacobian J of the model, F changes by -Jᵀs. By the variance of
+one entry it changes by ½ (C⁻¹_ii - s_i²). By the covariance of a path it changes by ½ (N - Σ UᵀU - s sᵀ), summed over
+its recordings. A censored partial adds -log Φ(z), z = (bound - m)/√V. All three changes also move its mean m and its
+variance V.
 """
 
 from __future__ import annotations
@@ -39,31 +40,31 @@ __all__ = [
 
 
 class Evaluation(NamedTuple):
-    """F and what a descent on it needs, of one point or of many [B, ...]."""
+    """F and the derivatives that the optimiser needs, at one point or at a batch of points [B, ...]."""
 
     nll: np.ndarray
     gradient: np.ndarray  # by θ [n]
-    curvature: np.ndarray  # Gauss and Newton's, by θ [n, n]
+    curvature: np.ndarray  # Gauss-Newton, by θ [n, n]
     by_phi: np.ndarray  # gradient [4]
     by_log_w: np.ndarray  # gradient [R, K]
 
 
-def _censored_sensitivities(table: ObservationTable, p: CovarianceFactors, absent: Predicted) -> np.ndarray:
-    """What moves the means of absent entries: their derivatives by the residual [T, M, N, R, K]."""
-    path = p.log_weight * (table.group @ absent.cross_gain.swapaxes(1, 2))
-    columns = absent.by.swapaxes(2, 3) @ p.own.reshape(*p.own.shape[:3], -1)
+def _censored_sensitivities(table: ObservationTable, p: CovarianceFactors, censored: Predicted) -> np.ndarray:
+    """Derivatives of the censored entries' means by the residual [T, M, N, R, K]."""
+    path = p.relative_precision * (table.group @ censored.cross_gain.swapaxes(1, 2))
+    columns = censored.loading.swapaxes(2, 3) @ p.U.reshape(*p.U.shape[:3], -1)
     return path[:, None] + columns.reshape(*columns.shape[:3], *p.precision.shape)
 
 
 def inverse_mills_ratio(z: np.ndarray) -> np.ndarray:
-    """Minus the derivative of -log Φ(z)."""
+    """Minus the derivative of -log Φ(z): φ(z)/Φ(z)."""
     return np.exp(-0.5 * z**2 - log_ndtr(z)) / np.sqrt(2 * np.pi)
 
 
 def evaluate_batch(
     table: ObservationTable, residual: np.ndarray, jacobian: np.ndarray, phi: np.ndarray, w: np.ndarray
 ) -> Evaluation:
-    """`report` of many points [B, ...]."""
+    """`evaluate` at many points [B, ...]."""
     points = [evaluate(table, *point) for point in zip(residual, jacobian, phi, w, strict=True)]
     if not points:
         size = jacobian.shape[-1]
@@ -74,27 +75,26 @@ def evaluate_batch(
 def evaluate(
     table: ObservationTable, residual: np.ndarray, jacobian: np.ndarray, phi: np.ndarray, w: np.ndarray
 ) -> Evaluation:
-    """F at one point, its gradient by everything, and its curvature by θ: Gauss and Newton's, averaged over nodes.
+    """F at one point, its gradient by all unknowns, and its Gauss-Newton curvature by θ, averaged over nodes.
 
     Parameters
     ----------
-    residual, jacobian, phi, w : [R, K], what moves the law [R, K, n], [4], [R, K].
+    residual, jacobian, phi, w : [R, K], derivatives of the model [R, K, n], [4], [R, K].
     """
     s = solve_nodes(table, residual, phi, w)
-    weight, p = node_weights(table, s.nll_per_node), s.pieces
-    pull, steep, z = _censored_sensitivities(table, p, s.censored), inverse_mills_ratio(s.z), s.z
-    far, near = (
-        steep / s.conditional_sd,
-        0.5 * steep * z / s.conditional_sd**2,
-    )  # by an absent one's mean, and by its variance
+    weight, p, z = node_weights(table, s.nll_per_node), s.factors, s.standardised
+    sensitivity, mills = _censored_sensitivities(table, p, s.censored), inverse_mills_ratio(z)
+    by_mean, by_var = mills / s.conditional_sd, 0.5 * mills * z / s.conditional_sd**2
     mean, sd = table.prior
-    by_theta = _by_theta(table, s, weight, pull, steep, jacobian)
-    by_variance, absent = _by_variance(table, s, weight, pull, far, near)
-    smooth = _by_path(table, s, weight, pull, far, near)
-    own, by_length = p.has_unknown_path
+    by_theta = _by_theta(table, s, weight, sensitivity, mills, jacobian)
+    by_variance, censored = _by_variance(table, s, weight, sensitivity, by_mean, by_var)
+    by_path = _by_path(table, s, weight, sensitivity, by_mean, by_var)
+    matern, by_length = p.matern
     excess, others = 2 * np.exp(2 * phi[0]) * table.variance_profile, 2 * interference_db(table, phi) ** 2
-    changed = by_variance / w + absent
-    by_phi = [(changed * excess).sum(), 2 * (smooth * own).sum(), (smooth * by_length).sum(), (changed * others).sum()]
+    by_noise = by_variance / w + censored
+    by_phi = [
+        (by_noise * excess).sum(), 2 * (by_path * matern).sum(), (by_path * by_length).sum(), (by_noise * others).sum(),
+    ]  # fmt: skip
     return Evaluation(
         combine_nodes(table, s.nll_per_node, phi, w), *by_theta, np.array(by_phi) + (phi - mean) / sd**2,
         table.detected * (0.5 * table.degrees_of_freedom * (w - 1) - variance(table, phi, w) * by_variance),
@@ -105,22 +105,22 @@ def _by_theta(
     table: ObservationTable,
     s: NodeSolutions,
     weight: np.ndarray,
-    pull: np.ndarray,
-    steep: np.ndarray,
+    sensitivity: np.ndarray,
+    mills: np.ndarray,
     jacobian: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Gradient [n] and curvature [n, n]. An absent partial's bound stays, what is there takes its mean along."""
-    p, size = s.pieces, jacobian.shape[-1]
+    """Gradient [n] and curvature [n, n]; θ moves the mean of a censored partial but not its bound."""
+    p, size = s.factors, jacobian.shape[-1]
     J = np.moveaxis(jacobian, -1, 0)
     flat = jacobian.reshape(-1, size)
-    before = before_columns(table, p.precision, p.log_weight, p.path, J)
-    through = p.own.reshape(*p.own.shape[:3], -1) @ flat
-    moved = pull.reshape(*pull.shape[:3], len(flat)) @ flat - jacobian[table.censored[:, 0], table.censored[:, 1]]
+    before = before_columns(table, p.precision, p.relative_precision, p.path, J)
+    through = p.U.reshape(*p.U.shape[:3], -1) @ flat
+    moved = sensitivity.reshape(*sensitivity.shape[:3], len(flat)) @ flat
+    moved -= jacobian[table.censored[:, 0], table.censored[:, 1]]
     moved /= s.conditional_sd[..., None]
-    gradient = -np.tensordot(weight, s.precision_residual, 2).reshape(-1) @ flat - np.tensordot(
-        weight[..., None] * steep, moved, 3
-    )
-    bend = weight[..., None] * np.maximum(steep * (steep + s.z), 0.0)
+    gradient = -np.tensordot(weight, s.precision_residual, 2).reshape(-1) @ flat
+    gradient -= np.tensordot(weight[..., None] * mills, moved, 3)
+    bend = weight[..., None] * np.maximum(mills * (mills + s.standardised), 0.0)
     return gradient, (
         np.tensordot(weight.sum(axis=1), before, 1).reshape(size, -1) @ flat
         - np.tensordot(weight[..., None, None] * through, through, ((0, 1, 2), (0, 1, 2)))
@@ -129,51 +129,62 @@ def _by_theta(
 
 
 def _by_variance(
-    table: ObservationTable, s: NodeSolutions, weight: np.ndarray, pull: np.ndarray, far: np.ndarray, near: np.ndarray
+    table: ObservationTable,
+    s: NodeSolutions,
+    weight: np.ndarray,
+    sensitivity: np.ndarray,
+    by_mean: np.ndarray,
+    by_var: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """By the variance of each entry that is there, and of each that is absent [R, K]."""
-    p = s.pieces
-    alone = p.precision * (1 - p.log_weight)
+    """Derivatives by the variance of each detected entry and of each censored entry [R, K]."""
+    p = s.factors
+    own = p.precision * (1 - p.relative_precision)
     path = np.tensordot(weight.sum(axis=1), np.diagonal(p.path, axis1=2, axis2=3), 1)
-    there = 0.5 * ((table.group @ path) * p.log_weight**2 + alone)
-    there -= 0.5 * np.tensordot(weight, (p.own**2).sum(axis=2) + s.precision_residual**2, 2)
-    absent = np.zeros(there.shape)
-    if pull.shape[2]:
-        flat = pull.reshape(*pull.shape[:3], -1)
-        drawn = (far[:, :, None] @ flat).reshape(s.precision_residual.shape)
-        there -= np.tensordot(weight, drawn * s.precision_residual, 2)
-        there += np.tensordot(weight[..., None] * near, pull**2, 3)
-        np.add.at(absent, tuple(table.censored.T), np.tensordot(weight, near, 2))
-    return there, absent
+    detected = 0.5 * ((table.group @ path) * p.relative_precision**2 + own)
+    detected -= 0.5 * np.tensordot(weight, (p.U**2).sum(axis=2) + s.precision_residual**2, 2)
+    censored = np.zeros(detected.shape)
+    if sensitivity.shape[2]:
+        flat = sensitivity.reshape(*sensitivity.shape[:3], -1)
+        through_mean = (by_mean[:, :, None] @ flat).reshape(s.precision_residual.shape)
+        detected -= np.tensordot(weight, through_mean * s.precision_residual, 2)
+        detected += np.tensordot(weight[..., None] * by_var, sensitivity**2, 3)
+        np.add.at(censored, tuple(table.censored.T), np.tensordot(weight, by_var, 2))
+    return detected, censored
 
 
 def _by_path(
-    table: ObservationTable, s: NodeSolutions, weight: np.ndarray, pull: np.ndarray, far: np.ndarray, near: np.ndarray
+    table: ObservationTable,
+    s: NodeSolutions,
+    weight: np.ndarray,
+    sensitivity: np.ndarray,
+    by_mean: np.ndarray,
+    by_var: np.ndarray,
 ) -> np.ndarray:
-    """By the covariance of the paths that are unknown, together [K, K]."""
-    p, K = s.pieces, len(table.distance_octaves)
-    smooth = table.has_unknown_path
+    """Derivative by the covariance of the unknown paths, summed over paths [K, K]."""
+    p, K = s.factors, len(table.distance_octaves)
+    unknown = table.has_unknown_path
 
     def square(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Σ of outer products of rows [..., G, K], for paths that are unknown."""
-        return (smooth[:, None] * x).reshape(-1, K).T @ y.reshape(-1, K)
+        """Σ of outer products of rows [..., G, K] over the unknown paths."""
+        return (unknown[:, None] * x).reshape(-1, K).T @ y.reshape(-1, K)
 
-    push, u = table.group.T @ s.precision_residual, table.group.T @ p.own
-    out = 0.5 * np.tensordot(weight.sum(axis=1)[:, None] * smooth, p.path, 2)
-    out -= 0.5 * square(weight[..., None, None, None] * u, u) + 0.5 * square(weight[..., None, None] * push, push)
-    if pull.shape[2]:
-        # What of a path an absent partial has that the others' mean has not.
-        apart = -(table.group.T @ pull)
-        n = np.arange(pull.shape[2])
-        apart[:, :, n, :, table.censored[:, 1]] += table.group[table.censored[:, 0]][:, None, None]
-        drawn = (far[:, :, None] @ apart.reshape(*apart.shape[:3], -1)).reshape(push.shape)
-        out += square(weight[..., None, None] * drawn, push)
-        out += square((weight[..., None] * near)[..., None, None] * apart, apart)
+    by_group, u = table.group.T @ s.precision_residual, table.group.T @ p.U
+    out = 0.5 * np.tensordot(weight.sum(axis=1)[:, None] * unknown, p.path, 2)
+    shared = 0.5 * square(weight[..., None, None, None] * u, u)
+    out -= shared + 0.5 * square(weight[..., None, None] * by_group, by_group)
+    if sensitivity.shape[2]:
+        # Part of the path of a censored partial that its conditional mean does not follow.
+        remaining = -(table.group.T @ sensitivity)
+        n = np.arange(sensitivity.shape[2])
+        remaining[:, :, n, :, table.censored[:, 1]] += table.group[table.censored[:, 0]][:, None, None]
+        through_mean = (by_mean[:, :, None] @ remaining.reshape(*remaining.shape[:3], -1)).reshape(by_group.shape)
+        out += square(weight[..., None, None] * through_mean, by_group)
+        out += square((weight[..., None] * by_var)[..., None, None] * remaining, remaining)
     return out
 
 
 class LatentPosterior(NamedTuple):
-    """Posterior means of what is integrated out, and of e."""
+    """Posterior means of the integrated quantities and of the residual e."""
 
     common: np.ndarray  # a [G, K]
     columns: np.ndarray  # Σ c_q B_q [R, K]
@@ -184,38 +195,38 @@ class LatentPosterior(NamedTuple):
 def latent_posterior(table: ObservationTable, residual: np.ndarray, phi: np.ndarray, w: np.ndarray) -> LatentPosterior:
     """Posterior means at φ and w, averaged over nodes."""
     s = solve_nodes(table, residual, phi, w)
-    weight, p = node_weights(table, s.nll_per_node), s.pieces
+    weight, p = node_weights(table, s.nll_per_node), s.factors
     columns = np.tensordot((s.q[:, :, None] @ p.root)[:, :, 0], table.columns, 1)
-    mean = path_mean(table, p.log_weight, residual - columns)
+    mean = path_mean(table, p.relative_precision, residual - columns)
     common = (mean[..., None, :] @ p.path[:, None] @ p.prior[:, None])[..., 0, :]
     own = residual - table.group @ common - columns
-    every = np.argwhere(np.ones(residual.shape))
-    spread = predicted(table, p, path_mean(table, p.log_weight, residual), s.q, every).variance
-    spread = spread.reshape(*weight.shape, *residual.shape)
-    return LatentPosterior(*(np.tensordot(weight, x, 2) for x in (common, columns, own, spread)))
+    entries = np.argwhere(np.ones(residual.shape))
+    posterior_variance = predicted(table, p, path_mean(table, p.relative_precision, residual), s.q, entries).variance
+    posterior_variance = posterior_variance.reshape(*weight.shape, *residual.shape)
+    return LatentPosterior(*(np.tensordot(weight, x, 2) for x in (common, columns, own, posterior_variance)))
 
 
 class DenseTerms(NamedTuple):
-    """F at every node of τ and of the gains, opened; see `likelihood.Solved`."""
+    """F and its dense factors at every node of τ and of the gains; see `likelihood.NodeSolutions`."""
 
-    each: np.ndarray  # F there [T, M]
-    inverse: np.ndarray  # C⁻¹ of all entries, 0 where nothing was found [T, M, RK, RK]
+    nll_per_node: np.ndarray  # F [T, M]
+    inverse: np.ndarray  # C⁻¹ of all entries, 0 where no partial was detected [T, M, RK, RK]
     weight: np.ndarray  # of the nodes at this residual [T, M]
     variance: np.ndarray  # var/w [R, K]
-    push: np.ndarray  # C⁻¹r [T, M, R, K]
-    pull: np.ndarray  # of what is absent: derivatives of its mean by the residual [T, M, N, R, K],
-    z: np.ndarray  # bound less mean, in standard deviations [T, M, N],
-    spread: np.ndarray  # these deviations, dB,
-    hazard: np.ndarray  # and minus the slope of -log Φ(z)
+    precision_residual: np.ndarray  # C⁻¹r [T, M, R, K]
+    sensitivity: np.ndarray  # derivatives of the censored entries' means by the residual [T, M, N, R, K]
+    standardised: np.ndarray  # bound minus mean of the censored entries, in standard deviations [T, M, N]
+    conditional_sd: np.ndarray  # these standard deviations, dB [T, M, N]
+    mills: np.ndarray  # minus the slope of -log Φ at the standardised bounds [T, M, N]
 
 
 def dense_terms(table: ObservationTable, residual: np.ndarray, phi: np.ndarray, w: np.ndarray) -> DenseTerms:
-    """F at one point, opened."""
+    """F at one point with its dense factors."""
     s = solve_nodes(table, residual, phi, w)
-    p, count = s.pieces, residual.size
-    every = np.eye(count).reshape(count, *residual.shape)
-    before = before_columns(table, p.precision, p.log_weight, p.path, every).reshape(-1, 1, count, count)
-    u = p.own.reshape(*p.own.shape[:3], count)
+    p, count = s.factors, residual.size
+    unit = np.eye(count).reshape(count, *residual.shape)
+    before = before_columns(table, p.precision, p.relative_precision, p.path, unit).reshape(-1, 1, count, count)
+    u = p.U.reshape(*p.U.shape[:3], count)
     return DenseTerms(
         s.nll_per_node,
         before - u.swapaxes(2, 3) @ u,
@@ -223,7 +234,7 @@ def dense_terms(table: ObservationTable, residual: np.ndarray, phi: np.ndarray, 
         variance(table, phi, w),
         s.precision_residual,
         _censored_sensitivities(table, p, s.censored),
-        s.z,
+        s.standardised,
         s.conditional_sd,
-        inverse_mills_ratio(s.z),
+        inverse_mills_ratio(s.standardised),
     )

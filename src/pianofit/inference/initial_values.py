@@ -1,8 +1,8 @@
-"""From what was heard and what was known to where a fit starts, and how far that may be off.
+"""Initial values and given values of a fit, from the analysis, the setup and the literature.
 
-The string is read off the recording: wave speed and stiffness from the partials' frequencies, losses from their decays.
-The hammer cannot be read off; it starts at the literature's value for the key. Lengths and masses that nobody measured
-are the literature's too, and everything that rests on them says so.
+The string follows from the recording: wave speed and stiffness from the frequencies of the partials, losses from their
+decays. The recording does not determine the hammer directly, so it starts at the literature's values for the key. A
+length or mass that the setup does not give is the literature's too, and every value that depends on it is marked so.
 """
 
 from __future__ import annotations
@@ -22,28 +22,28 @@ from ..setup import Setup
 
 __all__ = ["InitialValues", "starting_values"]
 
-# Where nothing is known of it, a search begins at this velocity of the hammer, m/s, a moderate forte.
+# Initial hammer velocity, m/s, if none is given: a moderate forte.
 ASSUMED_VELOCITY = 2.0
-# A wave speed and a length that were given make the pitch that is heard within half a semitone, cents: a ruler and a
-# stretched octave are no farther off, and beyond it is the neighbouring key's.
+# Largest distance, cents, of a given wave speed and length from the measured pitch. Errors of a ruler and of a
+# stretched octave are smaller, and a larger distance belongs to the neighbouring key.
 ANOTHER_PITCH = 50.0
 
 
 @dataclass(frozen=True)
 class InitialValues:
-    """Where a fit starts, by name: the string, the felt's parameters, hammer mass and velocity, strike and contact."""
+    """Initial values by name: the string, the felt, hammer mass and velocity, strike position and contact window."""
 
     values: dict[str, float]
-    initial: dict[str, float]  # what is reported as initial: `values`, save where the user gave a value
-    fixed: dict[str, str]  # name -> "fixed" (measured, known) or "assumed"
+    initial: dict[str, float]  # reported as initial: `values`, or the user's initial value
+    fixed: dict[str, str]  # name -> "fixed" (measured, given) or "assumed"
     assumptions: dict[str, tuple[str, ...]]  # name -> the assumed quantities its SI value rests on
     bounds: dict[str, tuple[float, float]]
     geometry: Geometry
     assumed: tuple[str, ...]  # of length, mass, width
     quantity: str
     scale: float | None  # units at digital full scale; None when uncalibrated
-    reference_hammer: Hammer  # the literature's for the key, by which contacts are measured, with what is known of it
-    user_given: tuple[str, ...] = ()  # of the felt and the hammer's mass, what the user gave a value
+    reference_hammer: Hammer  # the literature's for the key, with given values; sets the scale of contacts
+    user_given: tuple[str, ...] = ()  # parameters of the felt and hammer mass for which the user gave a value
     law: FeltLaw = DEFAULT_LAW
 
 
@@ -52,21 +52,21 @@ def starting_values(analysis: Analysis, setup: Setup, velocity: float | None = N
 
     Parameters
     ----------
-    velocity : measured hammer velocity, m/s, which overrides the setup's.
+    velocity : measured hammer velocity, m/s. It overrides the setup's.
     """
     midi = midi_of(analysis.f0)
     key = float(np.clip(midi, 21, 108))
-    usual, law = typical(key), setup.law
-    geometry, assumed = _geometry(setup, usual.geometry)
+    preset, law = typical(key), setup.law
+    geometry, assumed = _geometry(setup, preset.geometry)
     calibrated = setup.pickup_scale is not None
     values = _string_values(analysis, geometry.length)
     _check_pitch(analysis, setup, geometry.length)
-    hammer = {name: float(value) for name, value in usual.hammer._asdict().items()} | {"v_H0": ASSUMED_VELOCITY}
+    hammer = {name: float(value) for name, value in preset.hammer._asdict().items()} | {"v_H0": ASSUMED_VELOCITY}
     given = {k: v for k, v in setup.initial.items() if k not in values} | setup.fixed
     values |= hammer | {"x0": geometry.strike_position, "width": geometry.width}
     values |= {name: parameter.prior_median(key) for name, parameter in law.parameters.items()} | given
     fixed = dict.fromkeys(setup.fixed, "fixed") | {"width": "assumed" if "width" in assumed else "fixed"}
-    measured = velocity if velocity is not None else next((t.v_H0 for t in setup.recordings if t.v_H0), None)
+    measured = velocity if velocity is not None else next((r.v_H0 for r in setup.recordings if r.v_H0), None)
     if measured is not None:
         values["v_H0"], fixed["v_H0"] = measured, "fixed"
     elif not calibrated and "v_H0" not in fixed:
@@ -74,22 +74,22 @@ def starting_values(analysis: Analysis, setup: Setup, velocity: float | None = N
     if setup.strike_position is not None:
         fixed["x0"] = "fixed"
     fixed |= {name: "fixed" for name in BOXES if name in law.columns and name not in (*law.parameters, *COMMON)}
-    boxes = BOXES | law.boxes
-    for name in set(values) & set(boxes):
-        box = boxes[name]
-        low, high = setup.bounds.get(name, (box.lower, box.upper))
+    ranges = BOXES | law.boxes
+    for name in set(values) & set(ranges):
+        parameter = ranges[name]
+        low, high = setup.bounds.get(name, (parameter.lower, parameter.upper))
         values[name] = min(max(values[name], low), high)
     return InitialValues(
         values=values,
         initial=values | setup.initial,
         fixed=fixed,
-        assumptions=_rests_on(assumed, law),
+        assumptions=_assumptions(assumed, law),
         bounds=dict(setup.bounds),
         geometry=geometry,
         assumed=assumed,
         quantity=setup.pickup_quantity,
         scale=setup.pickup_scale,
-        # A law from outside may mean something else by the literature's names.
+        # A user's law may use the literature's names for other quantities.
         reference_hammer=Hammer(
             **hammer | {name: values[name] for name in (COMMON if law.hammers is None else HAMMER_NAMES)}
         ),
@@ -98,12 +98,12 @@ def starting_values(analysis: Analysis, setup: Setup, velocity: float | None = N
     )
 
 
-def _geometry(setup: Setup, usual: Geometry) -> tuple[Geometry, tuple[str, ...]]:
-    """What is known of length, mass and strike, completed from the literature's string for the key."""
-    length = setup.length or usual.length
-    # A string of another length than the literature's is taken to be as heavy per metre.
-    mass = setup.mass or usual.mass * length / usual.length
-    width = setup.strike_width or min(usual.width, 0.1 * length)
+def _geometry(setup: Setup, preset: Geometry) -> tuple[Geometry, tuple[str, ...]]:
+    """Length, mass and strike position of the setup, completed from the literature's string for the key."""
+    length = setup.length or preset.length
+    # A string of another length is assumed to have the literature's mass per metre.
+    mass = setup.mass or preset.mass * length / preset.length
+    width = setup.strike_width or min(preset.width, 0.1 * length)
     strike = setup.strike_position or 0.12 * length
     pickup = setup.pickup_position or 0.5 * length
     given = {"length": setup.length, "mass": setup.mass, "width": setup.strike_width}
@@ -111,20 +111,20 @@ def _geometry(setup: Setup, usual: Geometry) -> tuple[Geometry, tuple[str, ...]]
 
 
 def _check_pitch(analysis: Analysis, setup: Setup, length: float) -> None:
-    """Refuse a length, or a length and a wave speed, that make no string of the pitch that is heard."""
-    box, heard = PARAMETERS["c"], f"the recordings sound at {analysis.f0:.1f} Hz"
-    told = f"length = {length:g} m" + ("" if setup.length else ", the literature's,")
+    """Reject a length, or a length and a wave speed, that contradict the measured pitch."""
+    parameter, measured = PARAMETERS["c"], f"the pitch of the recordings is {analysis.f0:.1f} Hz"
+    given = f"length = {length:g} m" + ("" if setup.length else ", the literature's,")
     c = setup.fixed.get("c")
     if c is None:
         needed = 2 * length * analysis.f0
-        if not box.lower <= needed <= box.upper:
+        if not parameter.lower <= needed <= parameter.upper:
             raise SetupError(
-                f"[string] {told} would need a wave speed of {needed:.3g} m/s where {heard}, and {box.lower:g} to "
-                f"{box.upper:g} m/s can be; correct the length"
+                f"[string] {given} needs a wave speed of {needed:.3g} m/s, because {measured}. The range is "
+                f"{parameter.lower:g} to {parameter.upper:g} m/s; correct the length"
             )
     elif abs(1200 * math.log2(c / (2 * length) / analysis.f0)) > ANOTHER_PITCH:
         raise SetupError(
-            f"[fixed] c = {c:g} m/s and [string] {told} make {c / (2 * length):.1f} Hz, and {heard}; "
+            f"[fixed] c = {c:g} m/s and [string] {given} make {c / (2 * length):.1f} Hz, but {measured}; "
             "correct one of them"
         )
 
@@ -136,15 +136,15 @@ def _string_values(analysis: Analysis, length: float) -> dict[str, float]:
         "c": c,
         "kappa": c * length * math.sqrt(max(analysis.B, 1e-9)) / math.pi,
         "b1": analysis.b1,
-        # A d2 below its own error is as good as unknown: start where it would just be seen.
+        # A d2 below its standard error carries no information: start where it would just be detectable.
         "b2": max(analysis.d2, 0.1 * analysis.d2_error, 1e-9) * (length / math.pi) ** 2,
     }
 
 
-def _rests_on(assumed: tuple[str, ...], law: FeltLaw) -> dict[str, tuple[str, ...]]:
-    rests: dict[str, tuple[str, ...]] = {}
+def _assumptions(assumed: tuple[str, ...], law: FeltLaw) -> dict[str, tuple[str, ...]]:
+    assumptions: dict[str, tuple[str, ...]] = {}
     if "length" in assumed:
-        rests |= dict.fromkeys(("c", "kappa", "b2", "x0"), ("length",))
+        assumptions |= dict.fromkeys(("c", "kappa", "b2", "x0"), ("length",))
     if "mass" in assumed:
-        rests |= dict.fromkeys((*law.scaling("N"), "M_H"), ("mass",))
-    return rests
+        assumptions |= dict.fromkeys((*law.scaling("N"), "M_H"), ("mass",))
+    return assumptions

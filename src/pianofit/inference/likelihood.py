@@ -3,26 +3,27 @@
     y[r,k] = law_k(θ, v_r) + Σ_q c_q B_q[r,k] + a_g(r),k + e[r,k]
     c ~ N(0, S²)      a_g ~ N(0, A² M(ℓ) + τ_g² I + S)      e[r,k] ~ t_ν(0, s²[r,k] + σ² u_k + (6.14 η R[r,k])²)
 
-A table holds levels, frequencies or decays of all recordings. What recordings share (a path, a string's own deviation
-from the law, a systematic error of the analysis) are a's, what a recording has alone (gain, onset, pitch) are columns
-B; both are integrated out in closed form. Student's t is a scale mixture whose log-weights w are unknowns like the
-others, so that weighting anew is descent on the same function:
+A table holds levels, frequencies or decays of all recordings. The a describe what recordings share: an output path, a
+string's own deviation from its model, a systematic error of the analysis. The columns B describe what one recording has
+alone: gain, onset, pitch. Both are integrated out in closed form. Student's t is a scale mixture, whose log-weights w
+are unknowns like the others. Reweighting is therefore descent on the same function:
 
-    F = ½ rᵀC⁻¹r + ½ log|C| + ν/2 Σ (w - 1 - log w) - log p(φ) - Σ_absent log Φ((bound - mean)/sd)
+    F = ½ rᵀC⁻¹r + ½ log|C| + ν/2 Σ (w - 1 - log w) - log p(φ) - Σ_censored log Φ((bound - mean)/sd)
 
-Partials that are absent are censored: the predictive distribution of each, given all that are there, lies below the
-bound of its band. τ, of which one velocity tells nothing by itself, and whether recordings share a gain are summed over
-the nodes of their priors, however many recordings there are.
+Undetected partials are censored: the predictive distribution of each, given all detected partials, lies below the bound
+of its band. One velocity alone does not determine τ. τ, and whether recordings share a gain, are summed over the nodes
+of their priors, for any number of recordings.
 
-C is never written down. Of a path recordings tell only their weighted mean, x̄ = Σ_r d x / D with d = w/var and
-D = Σ_r d over a path's recordings; what lies about the mean does not know of it. So, before the columns,
+C is never formed. The recordings determine only the weighted mean of an output path, x̄ = Σ_r d x / D. Here d = w/var,
+and D = Σ_r d over the recordings of the path. Deviations from the mean do not depend on the path. Before the columns,
 
     C₀⁻¹x = d (x - x̄) + d/D N x̄,      N = (A + 1/D)⁻¹,      A the path's prior covariance
 
-and with them C⁻¹ = C₀⁻¹ - UᵀU, U = L⁻¹ S B C₀⁻¹, L Lᵀ = I + S B C₀⁻¹Bᵀ S (Woodbury). Only N knows τ, only S the gains.
+and with them C⁻¹ = C₀⁻¹ - UᵀU, U = L⁻¹ S B C₀⁻¹, L Lᵀ = I + S B C₀⁻¹Bᵀ S (Woodbury). Only N depends on τ, and only S
+on the gains.
 
-All this is written once for NumPy, in which the search runs, and for JAX, whose derivatives the sampler takes. The
-search has its derivatives in closed form (reports.py).
+The code is written once for NumPy, which the search uses, and for JAX, whose derivatives the sampler uses. The search
+has its derivatives in closed form (derivatives.py).
 """
 
 from __future__ import annotations
@@ -60,27 +61,27 @@ __all__ = [
     "combine_nodes",
 ]
 
-# Arrays of NumPy or of JAX, and the one or the other as a module.
+# Arrays of NumPy or of JAX, and one of the two as a module.
 Values = Any
 Space = Any
-# Keeps a common part without any variance positive definite, in the table's unit squared.
+# Keeps the covariance of a path without variance positive definite, in the table's unit squared.
 JITTER = 1e-10
-# 20/log 10 over √2: what an amplitude η R that adds at any phase does to a level, dB.
+# 20/log 10 over √2: effect on a level of an amplitude η R that adds at any phase, dB.
 ADDED = 20 / np.log(10) / np.sqrt(2)
-# LAPACK's inverse of a triangle.
+# LAPACK's inverse of a triangular matrix.
 _trtri: Any = get_lapack_funcs("trtri", dtype=np.float64)
 
 
 class ObservationTable(NamedTuple):
-    """One kind of observation: R recordings, K partials, G groups that share what is common, Q columns.
+    """One kind of observation: R recordings, K partials, G groups that share a path, Q columns.
 
-    T are the nodes of τ, M those of the gains.
+    T counts the nodes of τ, M those of the gains.
     """
 
     value: Values  # y [R, K]
     variance: Values  # s², of measurement [R, K]
-    detected: Values  # 1 where observed [R, K]
-    censored: Values  # int, recording and partial of what is absent, where `value` is a bound [N, 2]
+    detected: Values  # 1 where a partial was detected [R, K]
+    censored: Values  # int, recording and partial of a censored entry, where `value` is a bound [N, 2]
     group: Values  # one-hot [R, G]
     columns: Values  # B [Q, R, K]
     scale: Values  # S, prior standard deviations of their coefficients [M, Q]
@@ -88,7 +89,7 @@ class ObservationTable(NamedTuple):
     distance_octaves: Values  # distance of partials, octaves [K, K]
     has_unknown_path: Values  # 1 where the group's path is unknown [G]
     log_tau: Values  # log τ [T, G]
-    log_weight: Values  # log prior weight of the nodes, of `common` and `scale` together [T, M]
+    log_weight: Values  # log prior weight of the nodes of `log_tau` and `scale` together [T, M]
     variance_profile: Values  # u, of σ² [K]
     ratio: Values  # R: amplitude of the loudest partial over that of each [R, K]
     prior: tuple[Values, Values]  # of φ: means and standard deviations of logarithms
@@ -96,38 +97,38 @@ class ObservationTable(NamedTuple):
 
 
 class CovarianceFactors(NamedTuple):
-    """C at φ and w, in pieces."""
+    """Factors of C at φ and w."""
 
-    precision: Values  # d [R, K]; 0 where nothing was found
-    log_weight: Values  # d/D [R, K]
-    has_unknown_path: tuple[Values, Values]  # A² M(ℓ), and its derivative by log ℓ [K, K]
+    precision: Values  # d [R, K]; 0 where no partial was detected
+    relative_precision: Values  # d/D [R, K]
+    matern: tuple[Values, Values]  # A² M(ℓ), and its derivative by log ℓ [K, K]
     prior: Values  # A [T, G, K, K]
     path: Values  # N [T, G, K, K]
     root: Values  # L⁻¹S [T, M, Q, Q]
-    own: Values  # U [T, M, Q, R, K]
-    half_log: Values  # ½ log|C| [T, M]
+    U: Values  # [T, M, Q, R, K]
+    half_log_det: Values  # ½ log|C| [T, M]
 
 
 def _whitening(x: Values, xp: Space) -> Values:
     """L⁻¹ of matrices L Lᵀ in a stack [..., n, n], one by one.
 
-    NumPy's stacks have no triangular solver. XLA's wait inside its own pool of threads and, called from several of
-    ours, for ever.
+    NumPy has no triangular solver for stacks. XLA's solver waits inside its own thread pool. Called from several of our
+    threads, it can wait for ever.
     """
-    shape, each = x.shape, x.reshape(-1, *x.shape[-2:])
+    shape, matrices = x.shape, x.reshape(-1, *x.shape[-2:])
     if xp is np:
-        return np.array([_trtri(a, lower=1)[0] for a in np.linalg.cholesky(each)]).reshape(shape)
+        return np.array([_trtri(a, lower=1)[0] for a in np.linalg.cholesky(matrices)]).reshape(shape)
     eye = jnp.eye(shape[-1])
-    return jax.lax.map(lambda a: solve_triangular(cholesky(a, lower=True), eye, lower=True), each).reshape(shape)
+    return jax.lax.map(lambda a: solve_triangular(cholesky(a, lower=True), eye, lower=True), matrices).reshape(shape)
 
 
-def _half_log(whitening: Values, xp: Space) -> Values:
-    """½ log|L Lᵀ| [...], of L⁻¹ [..., n, n]."""
+def _half_log_det(whitening: Values, xp: Space) -> Values:
+    """½ log|L Lᵀ| [...] from L⁻¹ [..., n, n]."""
     return -xp.log(xp.diagonal(whitening, axis1=-2, axis2=-1)).sum(axis=-1)
 
 
 def interference_db(table: ObservationTable, phi: Values, xp: Space = np) -> Values:
-    """What other sounds do to a level, dB [R, K]."""
+    """Standard deviation of a level caused by other sounds, dB [R, K]."""
     return xp.exp(phi[3]) * ADDED * table.ratio
 
 
@@ -144,136 +145,136 @@ def _matern(table: ObservationTable, phi: Values, xp: Space = np) -> tuple[Value
 
 
 def factor_covariance(table: ObservationTable, phi: Values, w: Values, xp: Space = np) -> CovarianceFactors:
-    """The covariance at φ and w, factored."""
-    alone = variance(table, phi, w, xp)
-    precision = table.detected / alone
+    """Factor the covariance at φ and w."""
+    entry_variance = variance(table, phi, w, xp)
+    precision = table.detected / entry_variance
     total = table.group.T @ precision
-    there = total > 0
+    detected = total > 0
     eye = xp.eye(len(table.distance_octaves))
-    smooth = _matern(table, phi, xp)
-    prior = table.has_unknown_path[:, None, None] * smooth[0] + table.systematic
+    matern = _matern(table, phi, xp)
+    prior = table.has_unknown_path[:, None, None] * matern[0] + table.systematic
     prior = prior + (xp.exp(2 * table.log_tau)[..., None, None] + JITTER) * eye
-    root = xp.where(there, xp.sqrt(xp.where(there, total, 1.0)), 0.0)
+    root = xp.where(detected, xp.sqrt(xp.where(detected, total, 1.0)), 0.0)
     whitening = _whitening(eye + root[:, :, None] * prior * root[:, None, :], xp)
-    half_log = _half_log(whitening, xp).sum(axis=1) + 0.5 * (table.detected * xp.log(alone)).sum()
+    half_log_det = _half_log_det(whitening, xp).sum(axis=1) + 0.5 * (table.detected * xp.log(entry_variance)).sum()
     whitening = whitening * root[:, None, :]
     path = xp.swapaxes(whitening, -1, -2) @ whitening
-    share = precision / (table.group @ xp.where(there, total, 1.0))
+    relative = precision / (table.group @ xp.where(detected, total, 1.0))
 
     size, shape = table.scale.shape[1], precision.shape
-    columns = before_columns(table, precision, share, path, table.columns).reshape(len(prior), 1, size, -1)
+    columns = before_columns(table, precision, relative, path, table.columns).reshape(len(prior), 1, size, -1)
     inner = table.columns.reshape(size, -1) @ xp.swapaxes(columns, -1, -2)
     whitening = _whitening(table.scale[:, :, None] * inner * table.scale[:, None, :] + xp.eye(size), xp)
     root = whitening * table.scale[:, None, :]
-    own = (root @ columns).reshape(*root.shape[:3], *shape)
+    U = (root @ columns).reshape(*root.shape[:3], *shape)
     return CovarianceFactors(
-        precision, share, smooth, prior, path, root, own, half_log[:, None] + _half_log(whitening, xp)
+        precision, relative, matern, prior, path, root, U, half_log_det[:, None] + _half_log_det(whitening, xp)
     )
 
 
-def path_mean(table: ObservationTable, share: Values, x: Values) -> Values:
-    """x̄ of every path [..., G, K] of x [..., R, K]."""
-    return table.group.T @ (share * x)
+def path_mean(table: ObservationTable, relative: Values, x: Values) -> Values:
+    """x̄ of every path [..., G, K] from x [..., R, K]; `relative` is d/D."""
+    return table.group.T @ (relative * x)
 
 
-def before_columns(table: ObservationTable, precision: Values, share: Values, path: Values, x: Values) -> Values:
-    """C₀⁻¹x [T, n, R, K] of x [n, R, K]."""
-    mean = path_mean(table, share, x)
-    pulled = (mean.swapaxes(0, 1) @ path).swapaxes(1, 2)
-    return precision * (x - table.group @ mean) + share * (table.group @ pulled)
+def before_columns(table: ObservationTable, precision: Values, relative: Values, path: Values, x: Values) -> Values:
+    """C₀⁻¹x [T, n, R, K] of x [n, R, K]; `relative` is d/D."""
+    mean = path_mean(table, relative, x)
+    weighted = (mean.swapaxes(0, 1) @ path).swapaxes(1, 2)
+    return precision * (x - table.group @ mean) + relative * (table.group @ weighted)
 
 
 class Predicted(NamedTuple):
-    """Entries' paths and columns given all that is there [T, M, N]."""
+    """Paths and columns of entries given all detected partials [T, M, N]."""
 
     mean: Values
     variance: Values
-    cross_gain: Values  # A N: what a path is, by the mean of its recordings [T, G, N, K]
-    by: Values  # ρ: the coefficients' part of each, in units of L [T, M, Q, N]
+    cross_gain: Values  # A N: derivative of a path by the mean of its recordings [T, G, N, K]
+    loading: Values  # ρ: the coefficients' part of each entry, in units of L [T, M, Q, N]
 
 
 def predicted(table: ObservationTable, p: CovarianceFactors, mean: Values, q: Values, at: Values) -> Predicted:
-    """Of entries `at` [N, 2]; `mean` is the residual's x̄ [G, K], q = U r [T, M, Q]."""
+    """Predict entries `at` [N, 2]; `mean` is the residual's x̄ [G, K], q = U r [T, M, Q]."""
     r, k = at[:, 0], at[:, 1]
     group = table.group[r].T
     rows = p.prior[:, :, k]
-    pull = group[:, :, None] * (rows @ p.path)
-    known = (pull * rows).sum(axis=(1, 3))
-    spread = (group * p.prior[:, :, k, k]).sum(axis=1) - known
-    flat = pull.swapaxes(1, 2).reshape(len(pull), len(k), mean.size)
-    theirs = flat @ path_mean(table, p.log_weight, table.columns).reshape(-1, mean.size).T
-    by = p.root @ (table.columns[:, r, k] - theirs.swapaxes(1, 2))[:, None]
+    cross_gain = group[:, :, None] * (rows @ p.path)
+    explained = (cross_gain * rows).sum(axis=(1, 3))
+    remaining = (group * p.prior[:, :, k, k]).sum(axis=1) - explained
+    flat = cross_gain.swapaxes(1, 2).reshape(len(cross_gain), len(k), mean.size)
+    columns = flat @ path_mean(table, p.relative_precision, table.columns).reshape(-1, mean.size).T
+    loading = p.root @ (table.columns[:, r, k] - columns.swapaxes(1, 2))[:, None]
     return Predicted(
-        (flat @ mean.reshape(-1))[:, None] + (q[:, :, None] @ by)[:, :, 0], spread[:, None] + (by**2).sum(axis=2),
-        pull, by,
+        (flat @ mean.reshape(-1))[:, None] + (q[:, :, None] @ loading)[:, :, 0],
+        remaining[:, None] + (loading**2).sum(axis=2), cross_gain, loading,
     )  # fmt: skip
 
 
 class NodeSolutions(NamedTuple):
-    """F at every node without the priors of φ and w, and what it is made of."""
+    """F at every node without the priors of φ and w, and its parts."""
 
     nll_per_node: Values  # F [T, M]
-    pieces: CovarianceFactors
+    factors: CovarianceFactors
     precision_residual: Values  # C⁻¹r [T, M, R, K]
     q: Values  # U r [T, M, Q]
     censored: Predicted
-    z: Values  # of what is absent: bound less mean, in standard deviations [T, M, N]
-    conditional_sd: Values  # these deviations, dB
+    standardised: Values  # bound minus mean of the censored entries, in standard deviations [T, M, N]
+    conditional_sd: Values  # these standard deviations, dB
 
 
 def solve_nodes(table: ObservationTable, residual: Values, phi: Values, w: Values, xp: Space = np) -> NodeSolutions:
-    """F at every node, and the pieces."""
+    """F at every node, and its parts."""
     p = factor_covariance(table, phi, w, xp)
-    before = before_columns(table, p.precision, p.log_weight, p.path, residual[None])[:, 0]
-    own = p.own.reshape(*p.own.shape[:3], -1)
-    q = own @ residual.reshape(-1)
-    push = before[:, None] - (q[:, :, None] @ own).reshape(*q.shape[:2], *residual.shape)
-    mean = path_mean(table, p.log_weight, residual)
+    before = before_columns(table, p.precision, p.relative_precision, p.path, residual[None])[:, 0]
+    U = p.U.reshape(*p.U.shape[:3], -1)
+    q = U @ residual.reshape(-1)
+    precision_residual = before[:, None] - (q[:, :, None] @ U).reshape(*q.shape[:2], *residual.shape)
+    mean = path_mean(table, p.relative_precision, residual)
     square = (p.precision * (residual - table.group @ mean) ** 2).sum()
     square = square + ((mean[:, None] @ p.path)[:, :, 0] * mean).sum(axis=(1, 2))
     at = table.censored
-    absent = predicted(table, p, mean, q, at)
-    alone = variance(table, phi, xp.ones_like(residual), xp)
-    spread = xp.sqrt(absent.variance + alone[at[:, 0], at[:, 1]])
-    z = (residual[at[:, 0], at[:, 1]] - absent.mean) / spread
-    below = (log_ndtr if xp is np else jax_log_ndtr)(z).sum(axis=2)
-    each = 0.5 * (square[:, None] - (q**2).sum(axis=2)) + p.half_log - below
-    return NodeSolutions(each, p, push, q, absent, z, spread)
+    censored = predicted(table, p, mean, q, at)
+    entry_variance = variance(table, phi, xp.ones_like(residual), xp)
+    sd = xp.sqrt(censored.variance + entry_variance[at[:, 0], at[:, 1]])
+    standardised = (residual[at[:, 0], at[:, 1]] - censored.mean) / sd
+    log_below = (log_ndtr if xp is np else jax_log_ndtr)(standardised).sum(axis=2)
+    nll_per_node = 0.5 * (square[:, None] - (q**2).sum(axis=2)) + p.half_log_det - log_below
+    return NodeSolutions(nll_per_node, p, precision_residual, q, censored, standardised, sd)
 
 
-def node_weights(table: ObservationTable, each: Values) -> Values:
-    """How much of the posterior each node has [T, M]."""
-    share = table.log_weight - each
-    share = np.exp(share - share.max())
-    return share / share.sum()
+def node_weights(table: ObservationTable, nll_per_node: Values) -> Values:
+    """Posterior weight of each node [T, M]."""
+    weight = table.log_weight - nll_per_node
+    weight = np.exp(weight - weight.max())
+    return weight / weight.sum()
 
 
 def pointwise(
     table: ObservationTable, residual: Values, phi: Values, w: Values, xp: Space = np
 ) -> tuple[Values, Values]:
-    """Log density of each observation given all others that are there [R, K], and of what is absent given these [N].
+    """Log density of each detected entry given all others [R, K], and of each censored entry given these [N].
 
-    Entries share paths and columns, so F has no term of each alone: by C⁻¹ and s = C⁻¹r entry i is normal about
-    r_i - s_i/C⁻¹_ii with variance 1/C⁻¹_ii (Bürkner, Gabry and Vehtari 2021, Computational Statistics 36). Over nodes
-    it is the harmonic mean, by the weights that the nodes have given all that is there.
+    Entries share paths and columns, so F has no separate term of each. With C⁻¹ and s = C⁻¹r, entry i is normal about
+    r_i - s_i/C⁻¹_ii with variance 1/C⁻¹_ii (Bürkner, Gabry and Vehtari 2021, Computational Statistics 36). The result
+    over nodes is the harmonic mean, with the weights of the nodes given all detected entries.
     """
     s = solve_nodes(table, residual, phi, w, xp)
-    p, found = s.pieces, table.detected > 0
+    p, detected = s.factors, table.detected > 0
     path = xp.diagonal(p.path, axis1=2, axis2=3)
-    inverse = (table.group @ path) * p.log_weight**2 + p.precision * (1 - p.log_weight)
-    inverse = xp.where(found, inverse[:, None] - (p.own**2).sum(axis=2), 1.0)
-    there = 0.5 * (xp.log(inverse / (2 * np.pi)) - s.precision_residual**2 / inverse)
-    below = (log_ndtr if xp is np else jax_log_ndtr)(s.z)
-    share = table.log_weight - s.nll_per_node - below.sum(axis=2)
-    share = share - _log_sum(share, xp)
-    there = -_log_sum(share[:, :, None, None] - there, xp)
-    return xp.where(found, there, 0.0), _log_sum(share[:, :, None] + below, xp)
+    inverse = (table.group @ path) * p.relative_precision**2 + p.precision * (1 - p.relative_precision)
+    inverse = xp.where(detected, inverse[:, None] - (p.U**2).sum(axis=2), 1.0)
+    density = 0.5 * (xp.log(inverse / (2 * np.pi)) - s.precision_residual**2 / inverse)
+    log_below = (log_ndtr if xp is np else jax_log_ndtr)(s.standardised)
+    log_weight = table.log_weight - s.nll_per_node - log_below.sum(axis=2)
+    log_weight = log_weight - _log_sum(log_weight, xp)
+    density = -_log_sum(log_weight[:, :, None, None] - density, xp)
+    return xp.where(detected, density, 0.0), _log_sum(log_weight[:, :, None] + log_below, xp)
 
 
 def _log_sum(x: Values, xp: Space) -> Values:
     """Logarithm of the sum of exponentials over the nodes, the first two axes."""
-    most = x.max(axis=(0, 1))
-    return most + xp.log(xp.exp(x - most).sum(axis=(0, 1)))
+    largest = x.max(axis=(0, 1))
+    return largest + xp.log(xp.exp(x - largest).sum(axis=(0, 1)))
 
 
 def objective(
@@ -283,22 +284,22 @@ def objective(
     w: Float[AnyArray, "R K"],
     xp: Space = jnp,
 ) -> Values:
-    """F at a residual: y - law where a partial is found, bound - law where it is absent."""
+    """F at a residual: y - model where a partial is detected, bound - model where it is censored."""
     return combine_nodes(table, solve_nodes(table, residual, phi, w, xp).nll_per_node, phi, w, xp)
 
 
-def combine_nodes(table: ObservationTable, each: Values, phi: Values, w: Values, xp: Space = np) -> Values:
-    """F, of what it is at every node [T, M]."""
+def combine_nodes(table: ObservationTable, nll_per_node: Values, phi: Values, w: Values, xp: Space = np) -> Values:
+    """F from its values at every node [T, M]."""
     mean, sd = table.prior
     mixture = 0.5 * table.degrees_of_freedom * (table.detected * (w - 1 - xp.log(w))).sum()
-    return mixture - _log_sum(table.log_weight - each, xp) + 0.5 * (((phi - mean) / sd) ** 2).sum()
+    return mixture - _log_sum(table.log_weight - nll_per_node, xp) + 0.5 * (((phi - mean) / sd) ** 2).sum()
 
 
 def em_weights(table: ObservationTable, by_log_w: np.ndarray, w: np.ndarray) -> np.ndarray:
-    """The w that EM takes next, (ν + 1)/(ν + E[e²]/var) [..., R, K].
+    """The next weights w of EM, (ν + 1)/(ν + E[e²]/var) [..., R, K].
 
     With F's gradient by log w, ν/2 (w - 1) + G, the expectation at the present latents is E[e²]/var = (1 + 2 G)/w.
     """
-    student = float(table.degrees_of_freedom)
-    square = np.maximum((1 + 2 * (by_log_w - 0.5 * student * (w - 1))) / w, 0.0)
-    return np.where(np.asarray(table.detected) > 0, (student + 1) / (student + square), 1.0)
+    degrees = float(table.degrees_of_freedom)
+    square = np.maximum((1 + 2 * (by_log_w - 0.5 * degrees * (w - 1))) / w, 0.0)
+    return np.where(np.asarray(table.detected) > 0, (degrees + 1) / (degrees + square), 1.0)

@@ -1,4 +1,4 @@
-"""A fit from its recordings to the posterior: the string, the search, every minimum finished, Laplace."""
+"""From recordings to the posterior: fit of the string, search, refinement of every minimum, Laplace's approximation."""
 
 from __future__ import annotations
 
@@ -17,27 +17,28 @@ from .refine import Minima, refine_minima
 
 __all__ = ["Estimate", "Progress", "map_estimate", "fit_string"]
 
-# Steps of the string's own descent at the most, and the gain at which it ends, F: clean strings are read to 1e-8.
+# Maximum number of steps of the string's optimisation, and the decrease of F at which it ends. Strings of clean
+# recordings are determined to 1e-8.
 STRING_STEPS, STRING_GAIN = 40, 1e-6
-# Minima nearer than this in every unknown, in standard deviations of the lower one, are one.
+# Minima are the same if every parameter agrees within this, in standard deviations of the lower one.
 SAME = 1.0
 
 
 class Estimate(NamedTuple):
-    """What a search of F found."""
+    """Result of a search of F."""
 
     minima: Minima
     posterior: Posterior
-    lanes: int  # strikes of the model
+    lanes: int  # number of strokes that the model computed
 
     @property
     def z(self) -> np.ndarray:
-        """The heaviest minimum, which is shown [size]."""
+        """θ of the minimum with the largest posterior weight, which is reported first [size]."""
         return self.minima.people.theta[0]
 
 
 def map_estimate(problem: FitProblem, seed: int = 0, progress: Progress = lambda *_: None) -> Estimate:
-    """Search F, and describe the posterior about its minima.
+    """Search F, and describe the posterior at its minima.
 
     Raises
     ------
@@ -47,51 +48,53 @@ def map_estimate(problem: FitProblem, seed: int = 0, progress: Progress = lambda
     progress("string", 0.05)
     string = fit_string(problem)
     progress("hammer", 0.15)
-    held = Optimiser(problem, string.theta[0, :STRING_SIZE], LEVELS)
-    found = multistart(held, seed, initial_point(problem, held.string), progress)
+    fixed = Optimiser(problem, string.theta[0, :STRING_SIZE], LEVELS)
+    candidates = multistart(fixed, seed, initial_point(problem, fixed.string), progress)
     progress("string and hammer", 0.75)
-    minima = refine_minima(problem, found, held, string)
+    minima = refine_minima(problem, candidates, fixed, string)
     progress("intervals", 0.88)
-    return Estimate(*_deduplicate(minima, laplace(problem, minima)), held.lanes + minima.descent.lanes)
+    return Estimate(*_deduplicate(minima, laplace(problem, minima)), fixed.lanes + minima.descent.lanes)
 
 
 def fit_string(problem: FitProblem) -> Candidates:
-    """c, κ, b1 and b2 by frequencies, decays and the prior alone, before any hammer is known."""
-    descent = Optimiser(problem, tables=STRINGS)
-    begun = descent.initialise(problem.unknowns.mean[None], [np.asarray(table.prior[0]) for table in descent.tables])
-    return descent.minimise(begun, 0.0, STRING_STEPS, STRING_GAIN)
+    """Fit c, κ, b1 and b2 to frequencies, decays and the prior alone, before any hammer is known."""
+    optimiser = Optimiser(problem, tables=STRINGS)
+    phi = [np.asarray(table.prior[0]) for table in optimiser.tables]
+    return optimiser.minimise(optimiser.initialise(problem.unknowns.mean[None], phi), 0.0, STRING_STEPS, STRING_GAIN)
 
 
 def _deduplicate(minima: Minima, posterior: Posterior) -> tuple[Minima, Posterior]:
-    """Without minima that lie within the width of a lower one, whose parabola has their weight; the heaviest first.
+    """Remove minima within the width of a lower one, whose Gaussian contains them; sort by posterior weight.
 
-    The lowest need not be the heaviest: a needle has little of the posterior. In the treble needles are lobes of the
-    pulse's spectrum, where a few levels can be met to a tenth of a dB at a velocity that nobody played.
+    The lowest minimum need not have the largest weight, because a narrow one holds little of the posterior. In the
+    treble, narrow minima are lobes of the pulse's spectrum. There a few levels can agree to a tenth of a dB at a wrong
+    velocity.
     """
     sd = np.sqrt(np.maximum(np.einsum("bii->bi", posterior.covariance), 0.0))
     kept: list[int] = []
     for i in np.argsort(minima.F, kind="stable"):
-        away = [
+        distances = [
             (np.abs(posterior.mean[i] - posterior.mean[j]) / np.where(sd[j] > 0, sd[j], np.inf)).max() for j in kept
         ]
-        if min(away, default=np.inf) > SAME:
+        if min(distances, default=np.inf) > SAME:
             kept.append(int(i))
-    at = np.array(kept)[np.argsort(-posterior.share[kept], kind="stable")]
-    share = posterior.share[at] / posterior.share[at].sum()
-    return minima.take(at), Posterior(posterior.mean[at], posterior.covariance[at], share)
+    order = np.array(kept)[np.argsort(-posterior.share[kept], kind="stable")]
+    weight = posterior.share[order] / posterior.share[order].sum()
+    return minima.take(order), Posterior(posterior.mean[order], posterior.covariance[order], weight)
 
 
 def initial_point(problem: FitProblem, string: np.ndarray) -> np.ndarray:
-    """The point that a setup's starting values give, and the prior's means where it says nothing [size]."""
+    """θ of the setup's initial values, and of the prior means for all others [size]."""
     u, start = problem.unknowns, problem.start
-    z = u.mean.copy()
+    theta = u.mean.copy()
     for i, name in enumerate(u.names):
         if u.free[i]:
-            z[i] = np.log(start.initial[name])
+            theta[i] = np.log(start.initial[name])
     if u.force_and_exponent_index and u.free[u.force_and_exponent_index[0]]:
-        z[u.force_and_exponent_index[0]] += np.exp(z[u.force_and_exponent_index[1]]) * u.log_reference_compression
-    z[:STRING_SIZE] = string
+        force, p = u.force_and_exponent_index
+        theta[force] += np.exp(theta[p]) * u.log_reference_compression
+    theta[:STRING_SIZE] = string
     reference = u.shared + problem.layout.stroke[problem.reference]
     if u.free[reference]:
-        z[reference] = np.log(start.initial["v_H0"])
-    return u.project(z)
+        theta[reference] = np.log(start.initial["v_H0"])
+    return u.project(theta)

@@ -1,4 +1,4 @@
-"""From analyses of one key to the tables that the likelihood compares: levels, frequencies and decays."""
+"""Tables of levels, frequencies and decays for the likelihood, from the analyses of one key."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from .likelihood import ObservationTable
 
 __all__ = ["RecordingStructure", "Observations", "observe", "scatter_by_number", "string_law", "string_residuals"]
 
-# Levels of partials above this, Hz, stand in no table: few hammers and fewer microphones reach them.
+# Levels of partials above this, Hz, are not used: few hammers and fewer microphones reach them.
 HIGHEST = 10_000.0
-# A τ that is not there, log dB.
+# log τ, dB, of a table without τ.
 NONE = -50.0
 CENTS = 1200 / np.log(2)
 
 
 @dataclass(frozen=True)
 class RecordingStructure:
-    """What recordings share: for each, which stroke it is of, and whose path and whose gain it has [recordings]."""
+    """Stroke, path group and gain group of every recording [recordings]."""
 
     stroke: tuple[int, ...]
     group: tuple[int, ...]
@@ -30,42 +30,42 @@ class RecordingStructure:
 
     @property
     def strokes(self) -> int:
-        """How many."""
+        """Number of strokes."""
         return max(self.stroke) + 1
 
     @property
     def groups(self) -> int:
-        """How many paths."""
+        """Number of paths."""
         return max(self.group) + 1
 
     def velocities(self, group: int) -> int:
-        """How many strokes a path was heard with."""
+        """Number of strokes recorded through a path."""
         return len({s for s, g in zip(self.stroke, self.group, strict=True) if g == group})
 
     @property
     def path_identifiable(self) -> bool:
-        """Whether any path was heard with two velocities: only then it and the hammer can be told apart."""
+        """True if one path has two velocities; without that, path and hammer cannot be distinguished."""
         return any(self.velocities(g) > 1 for g in range(self.groups))
 
 
 @dataclass(frozen=True)
 class Observations:
-    """The tables, and what their columns are."""
+    """The tables and their columns."""
 
     number: np.ndarray  # int, k of the levels' columns [K]
     level: ObservationTable
-    frequency: ObservationTable  # of one virtual recording, cents over the reference's law
-    decay: ObservationTable  # likewise, logarithms over that law's
-    string_number: np.ndarray  # int, k of their columns
-    law: np.ndarray  # the reference's law: Hz and 1/s [2, columns]
-    cents: np.ndarray  # of every recording's string over the reference's when it was struck [R]
+    frequency: ObservationTable  # of one virtual recording, cents over the reference's string model
+    decay: ObservationTable  # of one virtual recording, logarithms over that model
+    string_number: np.ndarray  # int, k of the columns of frequency and decay
+    law: np.ndarray  # the reference's string model: Hz and 1/s [2, columns]
+    cents: np.ndarray  # pitch of every recording's stroke over the reference's [R]
 
 
 def string_law(string, number: np.ndarray, length: float, xp=np):
     """Frequency, Hz, and decay, 1/s, of partials k [2, K], and their derivatives by `string` [2, K, 4].
 
     `string` holds the logarithms of c, κ, b1 and b2. Derivatives are of the logarithm of the frequency and of
-    the decay. `xp` is NumPy, or JAX's.
+    the decay. `xp` is the module NumPy or jax.numpy.
     """
     c, kappa, b1, b2 = xp.exp(string)
     s = (number * xp.pi / length) ** 2
@@ -78,18 +78,18 @@ def string_law(string, number: np.ndarray, length: float, xp=np):
 
 
 def string_residuals(string, measured, number, law, length, xp=np):
-    """Residuals [1, K], of frequencies, cents, and of log decays, and their laws' derivatives [1, K, 4].
+    """Residuals [1, K] of frequencies, cents, and of log decays, and the derivatives of their models [1, K, 4].
 
     Parameters
     ----------
     string : logarithms of c, κ, b1 and b2.
-    measured : what the tables hold, over `law` [K] each.
-    number, law : partials k [K] and the reference's law [2, K]; `length` of the string, m.
+    measured : values of the tables, over `law` [K] each.
+    number, law : partials k [K] and the reference's string model [2, K]; `length` of the string, m.
     """
     value, slope = string_law(string, number, length, xp)
-    laws = CENTS * xp.log(value[0] / law[0]), xp.log(value[1] / law[1])
+    models = CENTS * xp.log(value[0] / law[0]), xp.log(value[1] / law[1])
     slopes = CENTS * slope[0], slope[1] / value[1][:, None]
-    return [(y - own)[None] for y, own in zip(measured, laws, strict=True)], [s[None] for s in slopes]
+    return [(y - model)[None] for y, model in zip(measured, models, strict=True)], [s[None] for s in slopes]
 
 
 def observe(
@@ -99,31 +99,31 @@ def observe(
 
     Parameters
     ----------
-    reference : which recording's pitch is the string's.
-    unit : dB, of the pickup's unit over full scale.
-    path, gains : whether what lies between pickup and file is unknown, and how loud.
+    reference : index of the reference recording.
+    unit : the pickup's unit over full scale, dB.
+    path, gains : true if the output path is unknown, and if its gain is.
     """
     ref = analyses[reference]
     cents = np.array([CENTS * np.log(a.f0 / ref.f0) + a.glide_start for a in analyses])
-    heard = np.unique(np.concatenate([a.partials.number for a in analyses]))
-    # Of levels also those between that were found nowhere; through an unknown path they say nothing.
-    number = heard if path else np.arange(1, heard.max() + 1)
+    detected = np.unique(np.concatenate([a.partials.number for a in analyses]))
+    # With a known path, partials that no recording shows count too; through an unknown one they carry no information.
+    number = detected if path else np.arange(1, detected.max() + 1)
     number = number[law_frequency(ref.f0, ref.B, number) < HIGHEST]
     level = _levels(analyses, layout, number, ref, unit, path, gains)
-    law = np.stack([law_frequency(ref.f0, ref.B, heard), ref.b1 + ref.d2 * heard**2])
-    frequency, decay = _string_tables(analyses, heard, law, ref)
-    return Observations(number, level, frequency, decay, heard, law, cents)
+    law = np.stack([law_frequency(ref.f0, ref.B, detected), ref.b1 + ref.d2 * detected**2])
+    frequency, decay = _string_tables(analyses, detected, law, ref)
+    return Observations(number, level, frequency, decay, detected, law, cents)
 
 
 def scatter_by_number(table: np.ndarray, numbers: np.ndarray, number: np.ndarray, fill: float) -> np.ndarray:
-    """Values `table` of partials `numbers`, where `number` has them [K]."""
+    """Select from values `table` of partials `numbers` those of partials `number` [K]; `fill` for missing ones."""
     by_number = np.full(max(numbers.max(initial=0), number.max()) + 1, fill)
     by_number[numbers] = table
     return by_number[number]
 
 
 def _covariance(matrices: Sequence[np.ndarray], numbers: Sequence[np.ndarray], number: np.ndarray) -> np.ndarray:
-    """Mean of the recordings' systematic covariances [K, K]; each entry of those that have it."""
+    """Mean of the recordings' systematic covariances [K, K]; each entry over the recordings that have it."""
     total, count = np.zeros((len(number), len(number))), np.zeros(len(number))
     for matrix, own in zip(matrices, numbers, strict=True):
         at, inside = np.searchsorted(number, own), np.isin(own, number)
@@ -133,8 +133,8 @@ def _covariance(matrices: Sequence[np.ndarray], numbers: Sequence[np.ndarray], n
     return total * np.outer(scale, scale)
 
 
-def _apart(frequency: np.ndarray) -> np.ndarray:
-    """Octaves between partials [K, K]."""
+def _distance_octaves(frequency: np.ndarray) -> np.ndarray:
+    """Distance of partials, octaves [K, K]."""
     x = np.log2(frequency)
     return np.abs(x[:, None] - x)
 
@@ -157,10 +157,11 @@ def _levels(
     value = np.stack([scatter_by_number(t.level, t.number, number, np.nan) for t in tables])
     bound = np.stack([scatter_by_number(t.absent_bound, t.absent, number, np.nan) for t in tables])
     error = np.stack([scatter_by_number(t.level_error, t.number, number, 1.0) for t in tables])
-    found, absent = np.isfinite(value), np.isfinite(bound) & ~np.isfinite(value)
-    if path:  # a partial that was found nowhere says nothing through a path that is not known
-        absent &= found.any(axis=0)
-    level = np.where(found, value, np.where(absent, bound, np.nan))
+    detected = np.isfinite(value)
+    censored = np.isfinite(bound) & ~detected
+    if path:  # through an unknown path, a partial that no recording shows carries no information
+        censored &= detected.any(axis=0)
+    level = np.where(detected, value, np.where(censored, bound, np.nan))
     loudest = np.nanmax(level, axis=1, keepdims=True)
     nodes, weight = _path_nodes(layout.groups, path)
     alpha = ref.b1 + ref.d2 * number.astype(float) ** 2
@@ -168,14 +169,14 @@ def _levels(
     hyper = priors.LEVEL
     return ObservationTable(
         value=np.nan_to_num(level + unit),
-        variance=np.where(found, error**2, priors.ABSENT_MARGIN**2),
-        detected=found.astype(float),
-        censored=np.argwhere(absent),
+        variance=np.where(detected, error**2, priors.ABSENT_MARGIN**2),
+        detected=detected.astype(float),
+        censored=np.argwhere(censored),
         group=_one_hot(layout.group),
         columns=columns,
         scale=scale,
         systematic=_covariance([t.level_systematic for t in tables], [t.number for t in tables], number),
-        distance_octaves=_apart(frequency),
+        distance_octaves=_distance_octaves(frequency),
         has_unknown_path=np.full(layout.groups, float(path)),
         log_tau=nodes,
         log_weight=np.log(weight[:, None] * np.full(len(scale), 1 / len(scale))),
@@ -189,21 +190,22 @@ def _levels(
 def _columns(layout: RecordingStructure, alpha: np.ndarray, gains: bool, f0: float) -> tuple[np.ndarray, np.ndarray]:
     """Columns [Q, R, K] and prior standard deviations of their coefficients at every node of the gains [nodes, Q].
 
-    Every recording's onset, in s; if gains are unknown, each path's, and how far apart those of its recordings are, dB.
+    The columns are every recording's onset, s. With unknown gains there are also the gain of each path and the
+    deviation of each gain group from it, dB.
     """
     recordings = len(layout.stroke)
     onset = np.eye(recordings)[:, :, None] * (20 / np.log(10) * alpha)
-    late = np.full((1, recordings), np.hypot(priors.ONSET, priors.ONSET_PERIODS / f0))
+    onset_sd = np.full((1, recordings), np.hypot(priors.ONSET, priors.ONSET_PERIODS / f0))
     if not gains:
-        return onset, late
+        return onset, onset_sd
     path, own = _one_hot(layout.group).T, _one_hot(layout.gain).T
     several = [len({g for g, p in zip(layout.gain, layout.group, strict=True) if p == q}) > 1 for q in layout.group]
     own = own[(own * several).any(axis=1)]
-    apart = np.array(priors.GAINS_APART if len(own) else [0.0])[:, None]
-    wide = np.concatenate([path, own])[:, :, None] * np.ones_like(alpha)
-    one = np.ones_like(apart)
-    return np.concatenate([wide, onset]), np.concatenate(
-        [one * np.full(len(path), priors.GAIN), apart * np.ones(len(own)), one * late], axis=1
+    own_sd = np.array(priors.GAINS_APART if len(own) else [0.0])[:, None]
+    gain = np.concatenate([path, own])[:, :, None] * np.ones_like(alpha)
+    ones = np.ones_like(own_sd)
+    return np.concatenate([gain, onset]), np.concatenate(
+        [ones * np.full(len(path), priors.GAIN), own_sd * np.ones(len(own)), ones * onset_sd], axis=1
     )
 
 
@@ -218,15 +220,15 @@ def _path_nodes(groups: int, path: bool) -> tuple[np.ndarray, np.ndarray]:
 def _string_tables(
     analyses: Sequence[Analysis], number: np.ndarray, law: np.ndarray, ref: Analysis
 ) -> tuple[ObservationTable, ObservationTable]:
-    """Frequencies, cents, and logarithms of decays, both over the reference's law, of all recordings as of one.
+    """Frequencies, cents, and log decays, both over the reference's string model, of all recordings pooled as one.
 
-    Real strings leave their law in all recordings alike: together they say no more of it than one.
+    A real string deviates from its model in the same way in all recordings, so more recordings do not reduce it.
     """
     pitch, loss = [], []
     for a in analyses:
         t = a.partials
         own, shared = (law_frequency(x.f0, x.B, t.number) for x in (a, ref))
-        # Every recording over its own pitch, and the reference's own inharmonicity.
+        # Relative to the recording's own pitch and to the reference's inharmonicity.
         cents = CENTS * np.log(t.frequency / own) + CENTS * np.log(own / a.f0 / (shared / ref.f0))
         per_hertz, decay = CENTS / t.frequency, ref.b1 + ref.d2 * t.number**2
         pitch.append((
@@ -236,17 +238,17 @@ def _string_tables(
             t.number, np.log(t.decay / decay), t.decay_error / t.decay, t.decay_systematic / np.outer(decay, decay),
         ))  # fmt: skip
     growth = 1 + (number / priors.LAW_REACH) ** 6
-    known = np.full((1, 1, len(number)), max(ref.glide_error, 1e-9))
+    glide = np.full((1, 1, len(number)), max(ref.glide_error, 1e-9))
     return (
-        _string_table(law, *_pool_recordings(number, pitch), growth, known, priors.FREQUENCY),
-        _string_table(law, *_pool_recordings(number, loss), np.ones(len(number)), 0 * known, priors.DECAY),
+        _string_table(law, *_pool_recordings(number, pitch), growth, glide, priors.FREQUENCY),
+        _string_table(law, *_pool_recordings(number, loss), np.ones(len(number)), 0 * glide, priors.DECAY),
     )
 
 
 def _pool_recordings(number: np.ndarray, recordings: Sequence[tuple]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Weighted means over recordings, their variances from noise [K], and the systematic covariance [K, K].
 
-    Of each recording: its partials' numbers, their values, standard errors, and systematic covariance.
+    Each recording has its partials' numbers, values, standard errors, and systematic covariance.
     """
     weight, total, noise = np.zeros((3, len(number)))
     for own, value, error, systematic in recordings:
@@ -260,24 +262,24 @@ def _pool_recordings(number: np.ndarray, recordings: Sequence[tuple]) -> tuple[n
 
 
 def _string_table(law, value, variance, systematic, growth, columns, hyper: priors.Hyperprior) -> ObservationTable:
-    # Of the four hyperparameters only the excess means something here; the others rest at their priors.
+    # Only the first of the four hyperparameters, the excess, is used here; the others stay at their priors.
     mean = np.append(hyper.log_median[0], [0.0, 0.0, NONE])
-    one = np.ones((1, len(value)))
+    ones = np.ones((1, len(value)))
     return ObservationTable(
         value=value[None],
         variance=variance[None],
-        detected=one,
+        detected=ones,
         censored=np.zeros((0, 2), int),
         group=np.ones((1, 1)),
         columns=columns,
         scale=np.ones((1, 1)),
         systematic=systematic,
-        distance_octaves=_apart(law[0]),
+        distance_octaves=_distance_octaves(law[0]),
         has_unknown_path=np.zeros(1),
         log_tau=np.full((1, 1), NONE),
         log_weight=np.zeros((1, 1)),
         variance_profile=growth,
-        ratio=0 * one,
+        ratio=0 * ones,
         prior=(mean, np.array([hyper.spread[0], 1.0, 1.0, 1.0])),
         degrees_of_freedom=np.float64(priors.STUDENT),
     )

@@ -1,4 +1,4 @@
-"""The one door to F: recordings of a key in, its minima and its posterior out."""
+"""Inference from recordings of one key: from recordings to the minima of F and its posterior."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ __all__ = ["InferenceResult", "run_inference"]
 
 @dataclass(frozen=True)
 class InferenceResult:
-    """What recordings say by F: the problem they pose, what was found, and intervals by a view other than Laplace's."""
+    """The problem, its estimate, and intervals by a method other than Laplace's approximation."""
 
     problem: FitProblem
     found: Estimate
@@ -32,28 +32,28 @@ class InferenceResult:
 
     @property
     def posterior(self) -> Posterior:
-        """By Laplace's approximation, about all minima."""
+        """Posterior by Laplace's approximation at all minima."""
         return self.found.posterior
 
     @cached_property
     def begun(self) -> np.ndarray:
-        """Where the hammer's search began, with the string that was found [size]."""
+        """Initial θ of the hammer's search, with the fitted string [size]."""
         return initial_point(self.problem, self.found.z[:STRING_SIZE])
 
     @cached_property
     def gauge_fixed(self) -> Posterior:
-        """The posterior, gauge-fixed at the reference's velocity where the scale of the velocities is the prior's."""
+        """The posterior, gauge-fixed at the reference velocity if only the prior sets the scale of the velocities."""
         if not self.problem.velocity_scale_free:
             return self.posterior
         return self.posterior.given(np.eye(self.problem.unknowns.size)[self.problem.velocity])
 
     @property
     def excess(self) -> float:
-        """By how much levels leave the model beyond their noise, dB."""
+        """Excess standard deviation of the levels, dB."""
         return float(np.exp(self.found.minima.people.level.phi[0, 0]))
 
     def alternative_interval(self, name: str) -> dict:
-        """The interval of a parameter by the other view, in the form of `fit.json`; empty where there is none."""
+        """Interval of a parameter by the other method, in the form of `fit.json`; empty if there is none."""
         return {} if self.view is None else self.view.entries.get(name, {})
 
 
@@ -68,12 +68,12 @@ def run_inference(
     seed: int = 0,
     progress: Progress = lambda *_: None,
 ) -> InferenceResult:
-    """What recordings of one key say of string and hammer; arguments are those of `fit`, which says what they mean.
+    """Infer string and hammer from recordings of one key; the arguments are those of `fit`, which documents them.
 
-    Raises `ParameterError` for other intervals, and `FitError` if a recording is given twice, is of another key or all
-    noise, or if no hammer gives a finite sound.
+    Raises `ParameterError` for an unknown method of intervals. Raises `FitError` if a recording is given twice, is of
+    another key or contains only noise, or if no hammer gives a finite sound.
     """
     check_intervals(intervals)
     problem = build_problem(recordings, analyses, setup or Setup(), velocity)
-    found = map_estimate(problem, seed, progress)
-    return InferenceResult(problem, found, seed, compute_intervals(problem, found, intervals, seed, progress))
+    estimate = map_estimate(problem, seed, progress)
+    return InferenceResult(problem, estimate, seed, compute_intervals(problem, estimate, intervals, seed, progress))

@@ -1,9 +1,9 @@
-"""F of residuals while φ and w are held: one parabola for any number of candidates.
+"""Quadratic surrogate of F with φ and w fixed: one quadratic of the residuals for any number of candidates.
 
-With C at the nodes of τ and of the gains, F = -log Σ_t share_t exp(-½ rᵀC_t⁻¹r - ...) is concave in the parabolas, so
-it lies below ½ rᵀQr + constant, Q = Σ_t p_t C_t⁻¹ with the nodes' weights p at a residual, and touches it there: what
-lowers the parabola lowers F. With any other weights it lies below as well: with those of one node of the gains the
-parabola finds what that node alone would. Partials that are absent are not in it.
+With C at the nodes of τ and of the gains, F = -log Σ_t weight_t exp(-½ rᵀC_t⁻¹r - ...) is concave in the quadratics. It
+therefore lies below ½ rᵀQr + constant, Q = Σ_t p_t C_t⁻¹, with the nodes' weights p at a residual, and touches it
+there: a step that lowers the surrogate lowers F. F lies below it with any other weights too. With the weights of one
+node of the gains, minimising the surrogate minimises F of that node alone. Censored partials are left out.
 """
 
 from __future__ import annotations
@@ -20,54 +20,54 @@ __all__ = ["QuadraticSurrogate"]
 
 
 class QuadraticSurrogate(NamedTuple):
-    """½ rᵀQr + constant over what is found."""
+    """½ rᵀQr + constant over the detected entries."""
 
-    Q: np.ndarray  # [found, found]
-    at: np.ndarray  # where what is found stands in [R, K], flat
-    constant: float  # by which parabolas of several nodes of the gains can be compared
+    Q: np.ndarray  # [detected, detected]
+    at: np.ndarray  # flat indices of the detected entries in [R, K]
+    constant: float  # makes surrogates of several nodes of the gains comparable
 
     @classmethod
     def of(
         cls, table: ObservationTable, phi: np.ndarray, w: np.ndarray | None = None, residual: np.ndarray | None = None,
         gains: int | None = None,
     ):  # fmt: skip
-        """At φ and w, 1 if None; the nodes' weights are those at `residual` [R, K].
+        """Build it at φ and w, 1 if None; the nodes' weights are those at `residual` [R, K].
 
         Parameters
         ----------
-        residual : before one is known all is at the node of the middle τ, and the constant is as if none were left.
-        gains : one node of the gains; all of them if None, or the last where no residual is known.
+        residual : if None, only the node of the middle τ is used, and the constant is that of a zero residual.
+        gains : one node of the gains. If None, all are used, or the last without a residual.
         """
-        one = np.ones_like(table.value)
-        o = dense_terms(table, 0 * one if residual is None else residual, phi, one if w is None else w)
-        weight = o.weight
+        ones = np.ones_like(table.value)
+        terms = dense_terms(table, 0 * ones if residual is None else residual, phi, ones if w is None else w)
+        weight = terms.weight
         if residual is None:
             weight = np.zeros_like(weight)
             weight[len(weight) // 2] = 1.0
             gains = -1 if gains is None else gains
         if gains is not None:
-            only = np.zeros_like(weight)
-            only[:, gains] = weight[:, gains] + np.finfo(float).tiny
-            weight = only / only.sum()
+            selected = np.zeros_like(weight)
+            selected[:, gains] = weight[:, gains] + np.finfo(float).tiny
+            weight = selected / selected.sum()
         at = np.flatnonzero(np.asarray(table.detected))
-        constant = float((weight * (o.each - table.log_weight)).sum()) if residual is None else 0.0
-        return cls(np.tensordot(weight, o.inverse, 2)[np.ix_(at, at)], at, constant)
+        constant = float((weight * (terms.nll_per_node - table.log_weight)).sum()) if residual is None else 0.0
+        return cls(np.tensordot(weight, terms.inverse, 2)[np.ix_(at, at)], at, constant)
 
     def whole(self, count: int) -> np.ndarray:
-        """Q [count, count], 0 where nothing was found."""
+        """Q [count, count], 0 for entries that are not detected."""
         Q = np.zeros((count, count))
         Q[np.ix_(self.at, self.at)] = self.Q
         return Q
 
     def __call__(self, residual: np.ndarray, jacobian: np.ndarray) -> Evaluation:
-        """The parabola at residuals [B, R, K], its gradient and curvature by what moves them by `jacobian`."""
+        """Value at residuals [B, R, K], gradient and curvature by the parameters of `jacobian`."""
         count, size = len(residual), jacobian.shape[-1]
         entries = int(np.prod(residual.shape[1:]))
         r = residual.reshape(count, entries)[:, self.at]
         J = jacobian.reshape(count, entries, size)[:, self.at]
-        push = r @ self.Q
+        weighted = r @ self.Q
         curvature = np.array(list(thread_pool().map(lambda own: own.T @ (self.Q @ own), J))).reshape(count, size, size)
         return Evaluation(
-            0.5 * (push * r).sum(axis=1) + self.constant, -np.einsum("bi,bin->bn", push, J), curvature,
+            0.5 * (weighted * r).sum(axis=1) + self.constant, -np.einsum("bi,bin->bn", weighted, J), curvature,
             np.zeros((count, 4)), np.zeros_like(residual),
         )  # fmt: skip

@@ -1,4 +1,4 @@
-"""From the minima of the search to those of F itself: with the string free, and without the contact's step error."""
+"""Refinement of the search's minima to minima of the full F: the string is free, the discretisation error corrected."""
 
 from __future__ import annotations
 
@@ -15,80 +15,82 @@ from .problem import FitProblem
 
 __all__ = ["Minima", "refine", "refine_minima"]
 
-# Minima whose F is higher by more than this have no share: exp(-6) is a quarter of a percent.
+# Minima whose F is higher by more than this have no posterior weight: exp(-6) is a quarter of a percent.
 WITHIN = 6.0
-# A descent that in its last step gained more than this, F, and might gain as much again has not converged.
+# A minimisation has not converged if its last step lowered F by more than this and as large a decrease is predicted.
 NEARLY = 1.0
-# So many at most are finished.
+# Maximum number of minima that are refined.
 MOST = 6
-# A descent is over when the step error read off where it ended differs from that it went by by less than this share of
-# the levels' standard deviations, rms,
+# A refinement ends when the discretisation error at its end differs from the one that it used by less than this
+# fraction of the levels' standard deviations, rms,
 LEFT = 0.05
-# or after so many turns,
+# or after so many rounds,
 TURNS = 4
 # of so many steps.
 ITERATIONS = 25
 
 
 class Minima(NamedTuple):
-    """Minima of F, the one that is shown first; [B, ...]."""
+    """Minima of F, the one with the largest posterior weight first; [B, ...]."""
 
     people: Candidates
-    F: np.ndarray  # with everything
+    F: np.ndarray  # of all tables and priors
     converged: np.ndarray
     descent: Optimiser
 
     def take(self, which: np.ndarray) -> Minima:
-        """Some of them, in this order."""
+        """Select some, in this order."""
         return Minima(self.people.take(which), self.F[which], self.converged[which], self.descent)
 
 
-def refine_minima(problem: FitProblem, found: Candidates, held: Optimiser, string: Candidates) -> Minima:
-    """Every distinct minimum near the lowest, finished on F with all its unknowns.
+def refine_minima(problem: FitProblem, candidates: Candidates, fixed: Optimiser, string: Candidates) -> Minima:
+    """Refine every distinct minimum near the lowest on F with all its parameters.
 
     Parameters
     ----------
-    found, held : minima with the string held, and the descent that found them.
-    string : its own minimum.
+    candidates, fixed : minima with a fixed string, and the optimiser that found them.
+    string : the string's own minimum.
 
-    Raises `FitError` if the contact of none ends.
+    Raises `FitError` if no contact ends.
     """
-    near = found.take(np.array(deduplicate(found, held.unknowns, held.total(found), WITHIN)[:MOST]))
+    distinct = deduplicate(candidates, fixed.unknowns, fixed.total(candidates), WITHIN)
+    near = candidates.take(np.array(distinct[:MOST]))
     minima = refine(problem, near.theta, near.phi + string.phi, near.w + string.w)
-    # Two that were distinct may have come to the same minimum: it counts once.
-    return minima.take(np.array(deduplicate(minima.people, held.unknowns, minima.F, WITHIN)))
+    # Two distinct starts can end in the same minimum: it counts once.
+    return minima.take(np.array(deduplicate(minima.people, fixed.unknowns, minima.F, WITHIN)))
 
 
-def refine(problem: FitProblem, z: np.ndarray, phi: Sequence[np.ndarray], w: Sequence[np.ndarray]) -> Minima:
-    """Lower F from candidates, and take out each one's step error, in turn; without those whose contact does not end.
+def refine(problem: FitProblem, theta: np.ndarray, phi: Sequence[np.ndarray], w: Sequence[np.ndarray]) -> Minima:
+    """Minimise F and correct each candidate's discretisation error in turn; drop those whose contact does not end.
 
     Parameters
     ----------
-    z, phi, w : where they are [B, size], and of every table, of all or of each, [4] and [R, K].
+    theta, phi, w : starts [B, size]; of every table, for all candidates or for each, [4] and [R, K].
 
     Raises
     ------
     FitError
-        If the contact of none ends.
+        If no contact ends.
     """
-    descent = Optimiser(problem)
-    table = descent.table
+    optimiser = Optimiser(problem)
+    table = optimiser.table
 
-    def lowered(z: np.ndarray, phi: Sequence[np.ndarray], w: Sequence[np.ndarray]) -> Candidates:
-        """Each with the step error that is read off where it is."""
-        return descent.minimise(descent.initialise(z, phi, w, descent.discretisation_error_db(z)), 0.0, ITERATIONS)
+    def minimised(theta: np.ndarray, phi: Sequence[np.ndarray], w: Sequence[np.ndarray]) -> Candidates:
+        """Minimise each with the discretisation error at its start."""
+        starts = optimiser.initialise(theta, phi, w, optimiser.discretisation_error_db(theta))
+        return optimiser.minimise(starts, 0.0, ITERATIONS)
 
-    people = lowered(z, phi, w)
-    if not len(people):
+    candidates = minimised(theta, phi, w)
+    if not len(candidates):
         raise FitError(NO_HAMMER)
     for _ in range(TURNS - 1):
-        sd = np.sqrt(table.variance + np.exp(2 * people.level.phi[:, :1, None]))
-        away = (descent.discretisation_error_db(people.theta) - people.offset) / sd
-        moved = np.sqrt((away**2 * table.detected).sum(axis=(1, 2)) / max(table.detected.sum(), 1))
-        on = np.flatnonzero(moved >= LEFT)
-        if not len(on):
+        sd = np.sqrt(table.variance + np.exp(2 * candidates.level.phi[:, :1, None]))
+        change = (optimiser.discretisation_error_db(candidates.theta) - candidates.offset) / sd
+        rms = np.sqrt((change**2 * table.detected).sum(axis=(1, 2)) / max(table.detected.sum(), 1))
+        active = np.flatnonzero(rms >= LEFT)
+        if not len(active):
             break
-        some = people.take(on)
-        people = people.put(on, lowered(some.theta, some.phi, some.w))
-    left = np.minimum(people.last_decrease, descent.predicted_decrease(people))
-    return Minima(people, descent.total(people), left < NEARLY, descent)
+        some = candidates.take(active)
+        candidates = candidates.put(active, minimised(some.theta, some.phi, some.w))
+    left = np.minimum(candidates.last_decrease, optimiser.predicted_decrease(candidates))
+    return Minima(candidates, optimiser.total(candidates), left < NEARLY, optimiser)
