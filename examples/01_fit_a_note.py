@@ -1,6 +1,6 @@
 """From a recording to parameters, and back to sound at another velocity.
 
-python examples/01_fit_a_note.py                      fits a measurement that the program makes, with known truth
+python examples/01_fit_a_note.py                      fits a synthetic recording, whose parameters are known
 python examples/01_fit_a_note.py note.flac F#2        fits a recording of yours
 """
 
@@ -13,11 +13,11 @@ import pianofit
 from pianofit.bensa2005.laboratory import make_synthetic_recording, setup_text
 
 
-def made_here() -> tuple[pianofit.Recording, pianofit.Setup, dict[str, float]]:
-    """The demo's measurement: a calibrated velocity signal, and what the laboratory knew."""
-    twin = make_synthetic_recording(noise_db=60.0, seed=1)
+def synthetic() -> tuple[pianofit.Recording, pianofit.Setup, dict[str, float]]:
+    """Return a calibrated velocity signal, its setup, and its true parameters."""
+    made = make_synthetic_recording(noise_db=60.0, seed=1)
     Path("setup.toml").write_text(setup_text())
-    return pianofit.recording_from_samples(twin.samples, twin.rate), pianofit.load_setup("setup.toml"), twin.true
+    return pianofit.recording_from_samples(made.samples, made.rate), pianofit.load_setup("setup.toml"), made.true
 
 
 def main() -> None:
@@ -26,21 +26,21 @@ def main() -> None:
     if len(sys.argv) > 2:
         recording, setup, note = pianofit.load_recording(sys.argv[1]), pianofit.Setup(), sys.argv[2]
     else:
-        recording, setup, true = made_here()
+        recording, setup, true = synthetic()
 
-    # What can be read off without any model of the hammer.
+    # The analysis needs no model of the hammer.
     analysis = pianofit.analyse(recording, note=note)
     print(f"f0 {analysis.f0:.3f} ± {analysis.f0_error:.3f} Hz, B {analysis.B:.3g}, {len(analysis.partials)} partials")
 
     # The fit. `result.save(folder)` writes what `pianofit fit` writes.
     result = pianofit.fit(recording, analyses=[analysis], setup=setup)
     print(result.claims)
-    for name, found in result.invariants.items():
-        span = "none: given" if found.interval is None else "[{:.5g}, {:.5g}]".format(*found.interval)
-        print(f"{name:8} {found.value:.5g} {found.unit}, 95 % interval {span}")
-    for name, found in result.parameters.items():
-        beside = f"   true {true[name]:.5g}" if name in true else ""
-        print(f"{name:6} {found.value:.5g} {found.unit}, {found.status}{beside}")
+    for name, estimate in result.invariants.items():
+        span = "none: given" if estimate.interval is None else "[{:.5g}, {:.5g}]".format(*estimate.interval)
+        print(f"{name:8} {estimate.value:.5g} {estimate.unit}, 95 % interval {span}")
+    for name, estimate in result.parameters.items():
+        truth = f"   true {true[name]:.5g}" if name in true else ""
+        print(f"{name:6} {estimate.value:.5g} {estimate.unit}, {estimate.status}{truth}")
 
     # The same string and hammer, struck softer and harder, through the same gain and path.
     note = result.note

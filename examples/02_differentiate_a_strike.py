@@ -1,7 +1,7 @@
-"""A strike is a differentiable function: how the level of every partial answers to every parameter.
+"""A strike is a differentiable function: the derivative of the level of every partial by every parameter.
 
-The table printed is the heart of a fit. A column of zeros is a parameter that nobody will find from these levels; two
-columns that are multiples of each other are two parameters that only their product or ratio tells.
+A fit is based on this table. A column of zeros is a parameter that these levels do not determine. If two columns are
+multiples of each other, the levels determine only one combination of the two parameters.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ PARTIALS = 12
 
 
 def levels(log_values: Array, geometry: pianofit.Geometry):
-    """Levels of the first partials, dB [partials], of the logarithms of the nine parameters [9]."""
+    """Levels of the first partials, dB [partials], from the logarithms of the nine parameters [9]."""
     values = jnp.exp(log_values)
     string, hammer = pianofit.String(*values[:4]), pianofit.Hammer(*values[4:])
     modes = pianofit.mode_table(string, geometry, rate=RATE, n_modes=64, quantity="bridge-force")
@@ -34,7 +34,7 @@ def main() -> None:
     for number, row in enumerate(slopes, 1):
         print(f"{number:7}" + "".join(f"{float(x):9.4f}" for x in row))
 
-    # Many velocities in one program: the brighter sound of a harder stroke.
+    # Many velocities in one program: a harder stroke has a brighter sound.
     velocities = jnp.linspace(0.5, 4.0, 8)
     struck = jax.vmap(lambda v: levels(at.at[-1].set(jnp.log(v)), it.geometry))(velocities)
     for velocity, level in zip(velocities, struck, strict=True):

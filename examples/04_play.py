@@ -1,12 +1,12 @@
-"""A piece on a piano of equations: the first bars of Bach's C major prelude (BWV 846), written here as MIDI.
+"""A piece on a modelled piano: the first bars of Bach's C major prelude (BWV 846), written here as MIDI.
 
-Without an argument the piano is the literature's: `pianofit.typical` at every key. With one it is the instrument.json
-that `pianofit instrument` made of your own fits:
+Without an argument the instrument has published parameters, `pianofit.typical` at every key. The argument can be the
+instrument.json that `pianofit instrument` made from your fits:
 
     python 04_play.py [INSTRUMENT.JSON]
 
-Every bar is one chord, broken twice; its two lowest notes are held, and the pedal changes with the harmony. Needs mido,
-which writes the MIDI file: pip install mido.
+Every bar is one chord, broken twice. Its two lowest notes are held, and the pedal changes with the harmony. The example
+needs mido to write the MIDI file: pip install mido.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from pianofit.playback import load_song, render_song
 
 BARS = """C4 E4 G4 C5 E5, C4 D4 A4 D5 F5, B3 D4 G4 D5 F5, C4 E4 G4 C5 E5, C4 E4 A4 E5 A5, C4 D4 F#4 A4 D5,
 B3 D4 G4 D5 G5, B3 C4 E4 G4 C5, A3 C4 E4 G4 C5, D3 A3 D4 F#4 C5, G3 B3 D4 G4 B4, C3 G3 C4 E4 C5"""
-ORDER = (0, 1, 2, 3, 4, 2, 3, 4)  # of a chord's notes in half a bar
+ORDER = (0, 1, 2, 3, 4, 2, 3, 4)  # order of the notes of a chord in half a bar
 BEATS_A_MINUTE, TICKS = 66, 120  # ticks in a sixteenth
 STEPS = {"C": 0, "D": 2, "E": 4, "F": 5, "G": 7, "A": 9, "B": 11}
 
 
 def key(note: str) -> int:
-    """MIDI number of a note such as F#4."""
+    """Return the MIDI number of a note such as F#4."""
     return 12 * (int(note[-1]) + 1) + STEPS[note[0]] + note.count("#")
 
 
 def write_prelude(path: Path, bars: int) -> None:
-    """The piece as a MIDI file: what goes down when, for how long, and how hard."""
+    """Write the piece as a MIDI file: time, duration and velocity of each note."""
     events = []
     for half in range(2 * bars):
         chord = [key(note) for note in BARS.split(",")[half // 2].split()]
@@ -56,7 +56,7 @@ def write_prelude(path: Path, bars: int) -> None:
 
 
 def literature() -> Instrument:
-    """What a grand piano usually has at each key, heard as the force on the bridge, 10 N at full scale."""
+    """Return an instrument with typical parameters of a grand piano; its sound is the bridge force, full scale 10 N."""
     notes = {}
     for midi in range(21, 109):
         it = pianofit.typical(midi)
@@ -65,7 +65,7 @@ def literature() -> Instrument:
 
 
 def main() -> None:
-    """Write the MIDI file, play it, write the sound."""
+    """Write the MIDI file, play it, and write the sound."""
     instrument = load_instrument(sys.argv[1]) if len(sys.argv) > 1 else literature()
     write_prelude(Path("prelude.mid"), bars=len(BARS.split(",")))
     song = load_song("prelude.mid")

@@ -1,8 +1,7 @@
-"""A felt of your own: a law in one object, struck with, checked for giving no energy, and fitted to recordings.
+"""Your own felt law: one object, used in a simulation, tested for passivity, and fitted to recordings.
 
-This felt hardens beyond a power: F = K u^2 (1 + u/s) (1 + μ u̇), with the compression s at which it is twice as hard as
-its soft beginning. Three recordings of a string struck with it are fitted: the law reaches the fit, its file and its
-page.
+This felt hardens more than a power law: F = K u^2 (1 + u/s) (1 + μ u̇). At the compression s it is twice as hard as its
+soft beginning. The example fits three synthetic recordings. The law appears in the fit, its file and its page.
 """
 
 from __future__ import annotations
@@ -19,17 +18,17 @@ NOISE = 3e-5  # of full scale
 
 
 def force(u, w, felt):
-    """Newton, at compression `u`, m, and its speed `w`, m/s."""
+    """Felt force, N, at compression `u`, m, and its speed `w`, m/s."""
     return felt.K * u**2 * (1 + u / felt.s) * (1 + felt.mu * w)
 
 
 def storage(u, felt):
-    """Joule: what the felt gives back, ∫ F du at rest."""
+    """Energy that the felt returns, J: ∫ F du at rest."""
     return felt.K * (u**3 / 3 + u**4 / (4 * felt.s))
 
 
-# Unit, meaning, bounds; then the median of the prior and the standard deviation of its logarithm. Without these the
-# bounds are its 95 %.
+# Unit, meaning, bounds; then the median of the prior and the standard deviation of its logarithm. Without the last two
+# the bounds are the 95 % interval of the prior.
 HARDENING = pianofit.FeltLaw(
     "hardening",
     {
@@ -43,7 +42,7 @@ HARDENING = pianofit.FeltLaw(
 
 
 def main() -> None:
-    """Strike, record, fit, print the truth beside what was found, and play the fit harder."""
+    """Strike, record, fit, print true and estimated values, and render a harder stroke."""
     it, random = pianofit.preset("chabassier-F3"), np.random.default_rng(0)
     true = HARDENING.hammer(K=8e7, s=2e-4, mu=0.2, M_H=it.hammer.M_H, v_H0=2.0)
     pulse = pianofit.simulate(it.string, true, it.geometry).pulse
@@ -63,12 +62,13 @@ def main() -> None:
     )
     result = pianofit.fit(*recordings, setup=setup, progress=False)
     for name in HARDENING.parameters:
-        found = result.parameters[name]
-        low, high = found.interval or (np.nan, np.nan)  # None where a value was given
-        print(f"{name:3} true {getattr(true, name):.4g}   found {found.value:.4g} [{low:.4g}, {high:.4g}] {found.unit}")
+        estimate = result.parameters[name]
+        low, high = estimate.interval or (np.nan, np.nan)  # None where a value was given
+        estimated = f"{estimate.value:.4g} [{low:.4g}, {high:.4g}] {estimate.unit}"
+        print(f"{name:3} true {getattr(true, name):.4g}   estimate {estimated}")
 
-    folder = result.save(Path("hardening"), force=True)  # fit.json, the sounds, and the page with the felt's curve
-    played, _ = pianofit.load_note(folder / "fit.json", felt=HARDENING)  # a file only names the law
+    folder = result.save(Path("hardening"), force=True)  # fit.json, the sounds, and the page with the force curve
+    played, _ = pianofit.load_note(folder / "fit.json", felt=HARDENING)  # the file contains only the name of the law
     print(f"rendered: {len(played.render(3.0, seconds=1.0))} samples")
 
 

@@ -1,17 +1,17 @@
-"""A struck string by brute force: the witness for the program's tests, which shares no code with it.
+"""A struck string by brute force: an independent reference for the tests, which shares no code with the package.
 
-The program turns the string into sines and steps them with Crank-Nicolson. Here the wave equation itself is stepped,
+The package expands the string in sines and steps them with Crank-Nicolson. Here the wave equation is stepped directly,
 
     y_tt = c² y_xx − κ² y_xxxx − 2 b1 y_t + 2 b2 y_txx + g(x) F / (M_S/L),     y = y_xx = 0 at both ends,
 
-on a grid of a few hundred points with sixteenth-order central differences (odd beyond the ends, which is what a hinge
-does), in displacement and velocity, with the classical Runge-Kutta scheme at 16 times the rate of the file, and with a
-hammer that is integrated along with the string. The window of the contact is a parabola unless another is asked for.
-Once the hammer has gone for good, the rest is the exact exponential of the same grid's matrix, whose eigenvectors are
-computed numerically. The output is brought to the file's rate through a linear-phase anti-alias filter.
+on a grid of a few hundred points with sixteenth-order central differences (odd beyond the hinged ends), in displacement
+and velocity, with the classical Runge-Kutta scheme at 16 times the sample rate. The hammer is integrated together with
+the string. The default contact window is a parabola. After the last contact the motion is the exact exponential of the
+matrix of the same grid, whose eigenvectors are computed numerically. A linear-phase anti-alias filter converts the
+output to the sample rate.
 
 Everything is in SI units. `string`, `hammer` and `geometry` are any objects with the fields c, kappa, b1, b2; K_H, mu,
-p, M_H, v_H0; length, mass, strike, width, pickup.
+p, M_H, v_H0; length, mass, strike_position, width, pickup.
 """
 
 from __future__ import annotations
@@ -113,14 +113,14 @@ class Grid:
 
 @dataclass(frozen=True)
 class Strike:
-    """What the stepping gave, at the fine rate, and the free exponentials that follow it."""
+    """Result of the stepping, at the fine rate, and the free exponentials that follow it."""
 
     rate: float  # of the steps, Hz
     output: np.ndarray  # at 0, dt, ... while the hammer may touch
     force: np.ndarray  # N
     compression: np.ndarray  # m; negative when apart
     energy: np.ndarray  # J: string, hammer and felt, at every step
-    lost: np.ndarray  # J: taken by the string's and the felt's losses up to each step
+    lost: np.ndarray  # J: dissipated by string and felt up to each step
     poles: np.ndarray  # 1/s, complex, of the free motion
     amplitudes: np.ndarray  # output(t) = Re Σ amplitudes · exp(poles · (t − time of the last step))
 
@@ -170,7 +170,7 @@ class _Contact:
         self.trace.append((self.read @ (self.v if self.of_velocity else self.y), F, u, energy, self.lost))
 
     def advance(self, steps: int) -> None:
-        """Step on; each step's start is recorded, so the last state is not yet."""
+        """Advance by `steps`. The state at the start of each step is recorded, so the last state is not."""
         state = (self.y, self.v, self.y_H, self.v_H, self.lost)
         for _ in range(steps):
             k1, F, u, pull = self.rates(*state[:4])
@@ -198,7 +198,7 @@ def _exponentials(grid: Grid, row: np.ndarray, y: np.ndarray, v: np.ndarray, of_
 
 
 def _can_touch(contact: _Contact) -> bool:
-    """Whether the hammer, flying on, would meet the free string within half a second."""
+    """Return true if the free hammer would touch the free string within half a second."""
     grid = contact.grid
     poles, amplitudes = _exponentials(grid, grid.window, contact.y, contact.v, False)
     times = np.arange(0.0, 0.5, 2e-5)
@@ -229,14 +229,14 @@ def strike(
 
 
 def low_pass(rate: float) -> np.ndarray:
-    """A linear-phase filter at the fine rate: flat to 0.44 of the file's rate, 90 dB down from 0.54 of it on."""
+    """A linear-phase filter at the fine rate: flat to 0.44 of the sample rate, 90 dB attenuation from 0.54 on."""
     width = 0.1 / (OVERSAMPLING / 2)
     taps, beta = scipy.signal.kaiserord(90.0, width)
     return scipy.signal.firwin(taps | 1, 0.49 * rate, window=("kaiser", beta), fs=OVERSAMPLING * rate)
 
 
 def _decimated(hit: Strike, samples: int, lead: int, rate: float, glide: float, glide_seconds: float) -> np.ndarray:
-    """The output at the file's rate, `lead` fine steps of silence first, exactly as the filter would give it."""
+    """The filtered output at the sample rate, after `lead` fine steps of silence."""
     fir = low_pass(rate)
     half = fir.size // 2
     stepped = hit.output.size
@@ -244,13 +244,13 @@ def _decimated(hit: Strike, samples: int, lead: int, rate: float, glide: float, 
     tail = hit.free(np.arange(2 * half + 2 * OVERSAMPLING) / hit.rate)
     fine = np.concatenate([np.zeros(lead + half), hit.output, tail])
     early = scipy.signal.oaconvolve(fine, fir, "valid")[::OVERSAMPLING][:first_free]
-    # From here on only the exponentials reach the filter, and it weighs each with a number.
+    # From here on the filter input is exponentials, and the filter multiplies each by a number.
     times = (np.arange(first_free, samples) * OVERSAMPLING - lead - stepped) / hit.rate
     keep = hit.poles.imag > -np.pi * rate * 1.2
     keep &= hit.poles.imag < np.pi * rate * 1.2
     poles, offsets = hit.poles[keep], np.arange(-half, half + 1) / hit.rate
-    weighed = hit.amplitudes[keep] * (np.exp(np.outer(poles, offsets)) @ fir)
-    free = Strike(hit.rate, *(np.zeros(0),) * 5, poles, weighed)
+    filtered = hit.amplitudes[keep] * (np.exp(np.outer(poles, offsets)) @ fir)
+    free = Strike(hit.rate, *(np.zeros(0),) * 5, poles, filtered)
     late = _gliding(free, times, glide, glide_seconds) if glide else free.free(times)
     return np.concatenate([early, late])
 
@@ -264,7 +264,7 @@ def _gliding(free: Strike, times: np.ndarray, ratio: float, seconds: float) -> n
     out = np.empty(times.size)
     for start in range(0, times.size, 4096):
         part = slice(start, start + 4096)
-        # Most have died away, by 240 dB below the strongest, and would take most of the time.
+        # Exponentials 240 dB below the strongest are left out: they are most of all, and most of the cost.
         rings = np.abs(amplitudes) * np.exp(poles.real * times[start]) > 1e-12 * np.abs(amplitudes).max()
         phase = np.outer(times[part], poles[rings].real) + 1j * np.outer(clock[part], poles[rings].imag)
         out[part] = (np.exp(phase) @ amplitudes[rings]).real
@@ -272,7 +272,7 @@ def _gliding(free: Strike, times: np.ndarray, ratio: float, seconds: float) -> n
 
 
 def output_path(rate: float, decibels: float, seed: int, taps: int = 1024) -> np.ndarray:
-    """A smooth minimum-phase filter whose level wanders by `decibels` (rms) over frequency."""
+    """A smooth minimum-phase filter whose level varies by `decibels` (rms) over frequency."""
     random = np.random.default_rng(seed)
     f = np.abs(np.fft.fftfreq(4 * taps, 1 / rate))
     octaves = np.log2(np.maximum(f, 20.0) / 20.0)
@@ -318,9 +318,9 @@ def make_synthetic_recording(
     """A recording of one strike, in SI units, `seconds` long at `rate`, of which the first `lead_in` are silence.
 
     `quantity` is "velocity", "displacement" (both at the pickup), "bridge-force", or "pressure": the force on the
-    bridge behind an unknown path, whose level wanders by `path_db` (3 dB if not given). `noise_db` is the level of
-    white noise relative to the rms of the note's first second. `glide_cents` is how much higher than `string` the
-    note starts, `glide_seconds` the time constant with which it falls. `beating_cents` adds a second polarisation.
+    bridge through an unknown path, whose level varies by `path_db` (default 3 dB). `noise_db` is the level of white
+    noise relative to the rms of the first second of the note. The pitch of the note starts `glide_cents` above that of
+    `string` and falls with the time constant `glide_seconds`. `beating_cents` adds a second polarisation.
     """
     source = "bridge-force" if quantity == "pressure" else quantity
     lead = round(lead_in * rate * OVERSAMPLING)

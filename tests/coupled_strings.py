@@ -1,10 +1,10 @@
-"""Two strings of a unison on one bridge by finite differences: the witness for modes, which shares no code with them.
+"""Two strings of a unison on one bridge by finite differences: a reference for modes that shares no code with them.
 
-Each string moves across and along the soundboard, so there are four lines of masses between springs, hinged at one
-end, stiff, and all ending on a bridge of two degrees of freedom, a mass, a spring and a damper each, which a spring
-couples. Strings are mistuned and polarisations slightly different in tension, so that a partial has four modes: some
-fast, because the bridge takes their energy, some slow, because it hardly moves. Poles are the eigenvalues of the
-system's matrix; its sound is made without them, by powers of the matrix's exponential. SI units.
+Each string moves across and along the soundboard. So there are four stiff lines of masses and springs, hinged at one
+end. All end on a bridge of two degrees of freedom, each with a mass, a spring and a damper, coupled by a spring. The
+strings are mistuned, and polarisations differ slightly in tension, so a partial has four modes. Some decay fast,
+because the bridge absorbs their energy, some slowly, because the bridge hardly moves. Poles are the eigenvalues of the
+system matrix. The sound is computed without them, by powers of the matrix exponential. SI units.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ LENGTH, DENSITY = 0.62, 6e-3  # m, kg/m
 KAPPA = 2.0  # m²/s
 LOSS, DRAG = 0.25, 2e-5  # b1, 1/s, and b2, m²/s
 STRIKE = 0.12  # of the length
-# The lines: frequency over the first's, direction of the bridge, and the share of the stroke.
+# The lines: frequency over that of the first line, direction of the bridge, and share of the stroke.
 LINES = ((1.0, 0, 1.0), (1.002, 0, 0.8), (1.0008, 1, 0.2), (1.0022, 1, 0.1))
-# The bridge across and along the soundboard: mass, kg; frequency, Hz; damping, kg/s; how much its velocity is heard.
+# The bridge across and along the soundboard: mass, kg; frequency, Hz; damping, kg/s; weight of its velocity.
 BRIDGE = ((0.08, 600.0, 400.0, 1.0), (0.6, 900.0, 400.0, 3.0))
-COUPLED = 0.3  # stiffness between both directions over their own's geometric mean
+COUPLED = 0.3  # stiffness between both directions over the geometric mean of theirs
 
 
 class Unison:
-    """The matrix A of z' = A z + push F, heard as read z; z holds displacements, then velocities."""
+    """The matrix A of z' = A z + push F, with output read z; z holds displacements, then velocities."""
 
     def __init__(self, f0: float, bridge: tuple[tuple[float, float, float, float], ...] = BRIDGE):
         h, free = LENGTH / (POINTS + 1), 4 * POINTS + 2
@@ -53,25 +53,25 @@ class Unison:
         self.push, self.read = push, read
 
     def poles(self) -> np.ndarray:
-        """Of all modes, 1/s, complex."""
+        """Poles of all modes, 1/s, complex."""
         return scipy.linalg.eigvals(self.A)
 
     def response(self, rate: float, count: int) -> np.ndarray:
-        """What is heard of an impulse of 1 N s [count]."""
+        """Sound after an impulse of 1 N s [count]."""
         step, block = scipy.linalg.expm(self.A / rate), int(np.sqrt(count)) + 1
         rows = [self.read]
         for _ in range(block):
             rows.append(rows[-1] @ step)
-        inside, jump = np.array(rows[:-1]), np.linalg.matrix_power(step, block)
+        within, jump = np.array(rows[:-1]), np.linalg.matrix_power(step, block)
         state, out = self.push, []
         for _ in range(-(-count // block)):
-            out.append(inside @ state)
+            out.append(within @ state)
             state = jump @ state
         return np.concatenate(out)[:count]
 
 
 def stroke(impulse: np.ndarray, rate: float, velocity: float) -> np.ndarray:
-    """The sound of a pulse that is shorter and higher after a harder stroke, by the response to an impulse."""
+    """Sound of a force pulse, by the response to an impulse; a harder stroke has a shorter and higher pulse."""
     t = np.arange(0.0, 0.003 * velocity**-0.3, 1 / rate)
     force = velocity * np.sin(np.pi * t / (t[-1] + 1 / rate)) ** 2 / rate
     return scipy.signal.oaconvolve(impulse, force)[: len(impulse)]

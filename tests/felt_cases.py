@@ -1,4 +1,4 @@
-"""Felts to test with, and witnesses that share nothing with the program: other means to step, to solve, to weigh."""
+"""Felts for tests, and independent references: other methods to step, to solve and to compute energy."""
 
 from __future__ import annotations
 
@@ -26,22 +26,22 @@ HAMMERS = {
     "stulov, slow": STULOV._replace(epsilon=0.9, tau=1e-3),
     "both losses": STULOV._replace(mu=0.1),
 }
-RETURNING = Hammer(K_H=1e13, mu=0.0, p=2.5, M_H=1e-3, v_H0=2.0)  # touches again
+RETURNING = Hammer(K_H=1e13, mu=0.0, p=2.5, M_H=1e-3, v_H0=2.0)  # has a recontact
 
 
 def memory_of(hammer) -> tuple[float, float]:
-    """ε and τ; a felt without memory has ε = 0."""
+    """ε and τ; a felt that does not relax has ε = 0."""
     return (hammer.epsilon, hammer.tau) if isinstance(hammer, RelaxingHammer) else (0.0, 1.0)
 
 
 def remembered(c: float, old: float, new: float, s: float) -> float:
-    """The memory after a step s = δt/τ on which u^p goes from `old` to `new` in a straight line."""
+    """c after a step s = δt/τ, over which u^p changes linearly from `old` to `new`."""
     rate = (new - old) / s
     return new - rate + (c - old + rate) * math.exp(-s)
 
 
 def memories(u: np.ndarray, hammer, step: float) -> np.ndarray:
-    """c [steps] of a felt pressed by `u`."""
+    """c [steps] of a felt with compression `u`."""
     a, c = np.maximum(u, 0.0) ** hammer.p, [0.0]
     for old, new in itertools.pairwise(a):
         c.append(remembered(c[-1], old, new, step / memory_of(hammer)[1]))
@@ -66,7 +66,7 @@ def relative(found, expected) -> float:
 
 
 class Blow(NamedTuple):
-    """What `stepped` found, step by step."""
+    """Result of `stepped`, step by step."""
 
     force: np.ndarray  # N [steps]
     u: np.ndarray  # m
@@ -75,13 +75,13 @@ class Blow(NamedTuple):
 
 def stepped(modes, hammer, steps: int) -> Blow:
     """Crank-Nicolson mode by mode (design §2); each step's force by Brent's method."""
-    omega2, alpha, phi, gamma = (np.asarray(x) for x in (modes.omega2, modes.alpha, modes.strike, modes.drive))
+    omega2, alpha, phi, gamma = (np.asarray(x) for x in (modes.omega2, modes.alpha, modes.strike, modes.modal_gain))
     a, epsilon = float(modes.step) / 2, memory_of(hammer)[0]
     s = 2 * a / memory_of(hammer)[1]
     D = 1 + 2 * a * alpha + a**2 * omega2
     q = v = np.zeros_like(omega2)
     y, vy, F, old, c = 0.0, float(hammer.v_H0), 0.0, 0.0, 0.0
-    # What 1 N more in this step does to the compression and to its speed.
+    # Change of compression and its speed per newton in this step.
     soft_w = a * float(phi @ (gamma / D)) + a / hammer.M_H
     soft_u = a * soft_w
     rows = [(F, 0.0, y, vy)]
@@ -115,7 +115,7 @@ ORDER_MODES = 16
 
 
 def motion(hammer, times: np.ndarray) -> np.ndarray:
-    """Force at `times` by the equations of motion, not discretised: q¨ + 2αq˙ + ω²q = γF, τċ = u^p - c."""
+    """Force at `times` from the equations of motion, q¨ + 2αq˙ + ω²q = γF, τċ = u^p - c, by DOP853."""
     beta, n = np.arange(1, ORDER_MODES + 1) * math.pi / GEOMETRY.length, ORDER_MODES
     omega2, alpha = STRING.c**2 * beta**2 + STRING.kappa**2 * beta**4, STRING.b1 + STRING.b2 * beta**2
     phi = np.asarray(cases.table(STRING, GEOMETRY, rate=RATE, n_modes=n).strike)

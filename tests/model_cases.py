@@ -1,7 +1,7 @@
-"""What the tests of the model share: cases, compiled functions, and slow witnesses written from the equations.
+"""Shared by the tests of the model: cases, compiled functions, and slow references written from the equations.
 
-The witnesses are plain NumPy: the paper's scheme with its matrices on its grid (eq. 16 and 17, one dense Newton solve a
-step), the same scheme mode by mode, and the modal equations of motion under a Runge-Kutta solver of order 8.
+The references are plain NumPy: the paper's scheme with its matrices on its grid (eq. 16 and 17, one dense Newton solve
+per step), the same scheme mode by mode, and the modal equations of motion under a Runge-Kutta solver of order 8.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import scipy.optimize
 from pianofit import model
 from pianofit.model.contact import free_motion, impulse_amplitude
 from pianofit.model.damped_sums import transform
-from pianofit.model.free_response import _back
+from pianofit.model.free_response import _log_growth
 from pianofit.parameters import Geometry, Hammer, String
 
 STRING = String(c=304.1, kappa=1.737, b1=0.568, b2=2e-4)
@@ -33,26 +33,26 @@ release = jax.jit(free_motion)
 
 @jax.jit
 def string_energy(modes, drive):
-    """Energy of every mode after the pulse, J, carried back to t = 0 as if it had rung since."""
-    amplitude = impulse_amplitude(modes) * transform(drive, _back(modes, len(drive)))
-    silent = modes.drive == 0
-    mass = jnp.where(silent, 0.0, modes.strike / jnp.where(silent, 1.0, modes.drive))
+    """Energy of every mode after the pulse, J, extrapolated to t = 0."""
+    amplitude = impulse_amplitude(modes) * transform(drive, _log_growth(modes, len(drive)))
+    at_node = modes.modal_gain == 0
+    mass = jnp.where(at_node, 0.0, modes.strike / jnp.where(at_node, 1.0, modes.modal_gain))
     return 0.5 * mass * modes.omega2 * jnp.abs(amplitude) ** 2
 
 
 def hit(string, hammer, geometry, rate, *, n_modes=64, steps=512, quantity="velocity"):
-    """Table and pulse, compiled apart: a strike's program serves every table of its size."""
+    """Table and pulse, compiled separately: the program of a strike serves every table of its size."""
     modes = table(string, geometry, rate=rate, n_modes=n_modes, quantity=quantity)
     return modes, strike(modes, hammer, steps=steps)
 
 
 def felt(u: float, du: float, hammer: Hammer) -> float:
-    """Paper eq. 8 with the compression's sign mended."""
+    """Paper eq. 8 with the correct sign of the compression."""
     return max(hammer.K_H * u**hammer.p * (1 + hammer.mu * du), 0.0) if u > 0 else 0.0
 
 
 class Steps(NamedTuple):
-    """One row a step."""
+    """One row per step."""
 
     q: np.ndarray  # displacements [steps, modes or points]
     v: np.ndarray
@@ -62,7 +62,7 @@ class Steps(NamedTuple):
 
 
 def modal_steps(omega2, alpha, phi, gamma, hammer: Hammer, dt: float, steps: int, q0=None, v0=None) -> Steps:
-    """Crank-Nicolson mode by mode as design §2 states it; the felt by bisection, the hammer's state kept openly."""
+    """Crank-Nicolson mode by mode (design §2), with a bracketing solver for the felt and an explicit hammer state."""
     a = dt / 2
     D = 1 + 2 * a * alpha + a**2 * omega2
     q = np.zeros_like(omega2) if q0 is None else np.array(q0, float)
@@ -121,7 +121,7 @@ def grid_matrices(geometry: Geometry, N: int) -> GridMatrices:
 def matrix_steps(
     string: String, hammer: Hammer, geometry: Geometry, N: int, dt: float, steps: int, y0=None, v0=None
 ) -> Steps:
-    """The paper's scheme as it stands: all points, hammer and felt in one dense Newton iteration a step."""
+    """The unchanged scheme of the paper: all points, hammer and felt in one dense Newton iteration per step."""
     grid = grid_matrices(geometry, N)
     density = geometry.mass / geometry.length
     one, zero = np.eye(N), np.zeros((N, N))
@@ -161,7 +161,7 @@ def matrix_steps(
 
 
 def exact_contact(omega2, alpha, phi, gamma, hammer: Hammer, times: np.ndarray) -> Steps:
-    """The modal equations of motion, not discretised: q¨ + 2αq˙ + ω²q = γF, solved to 1e-12 by DOP853."""
+    """Solve the modal equations of motion, q¨ + 2αq˙ + ω²q = γF, to 1e-12 by DOP853."""
     n = len(omega2)
 
     def rates(_, s):

@@ -1,4 +1,4 @@
-"""The witness is only worth something if it is right itself: exact eigenvalues, convergence, energy, filtering."""
+"""Tests of the brute-force reference: exact eigenvalues, convergence, energy, filtering."""
 
 import ast
 import math
@@ -30,7 +30,7 @@ class _Hammer(NamedTuple):
 class _Geometry(NamedTuple):
     length: float = 1.0
     mass: float = 0.00618
-    strike: float = 0.12
+    strike_position: float = 0.12
     width: float = 0.02
     pickup: float = 0.3
 
@@ -70,7 +70,7 @@ def test_half_the_step_and_half_the_spacing_change_nothing(quantity):
     n = min(coarse.output.size, fine.output[::2].size)
     for name in ("force", "compression", "output"):
         a, b = getattr(coarse, name)[:n], getattr(fine, name)[::2][:n]
-        # Above 20 kHz, where no file has a sample, the bridge still hears the grid.
+        # The bridge force above 20 kHz, beyond the band of a file, depends on the grid.
         if name == "output":
             low = scipy.signal.butter(6, 15_000, fs=16 * RATE, output="sos")
             a, b = scipy.signal.sosfilt(low, a), scipy.signal.sosfilt(low, b)
@@ -114,11 +114,11 @@ def test_file_rate_equals_filtering_the_fine_rate(quantity):
     fine = np.concatenate([hit.output, hit.free(np.arange(round(0.12 * hit.rate)) / hit.rate)])
     fine = np.concatenate([np.zeros(round(lead * hit.rate)), fine])
     expected = scipy.signal.fftconvolve(fine, brute_force.low_pass(RATE), "same")[::16][: round(seconds * RATE)]
-    twin = brute_force.make_synthetic_recording(
+    sound = brute_force.make_synthetic_recording(
         STRING, HAMMER, GEOMETRY, seconds=seconds, rate=RATE, quantity=quantity, lead_in=lead
     )
-    assert twin.shape == expected.shape
-    assert np.abs(twin - expected).max() < 1e-4 * np.abs(expected).max()
+    assert sound.shape == expected.shape
+    assert np.abs(sound - expected).max() < 1e-4 * np.abs(expected).max()
 
 
 def test_filter_passes_the_band_and_stops_aliases():
@@ -143,7 +143,7 @@ def test_silence_noise_and_seed():
 
 
 def _fundamental(samples: np.ndarray, start: float, stop: float) -> float:
-    """Frequency of the first partial from the slope of its phase, Hz."""
+    """Frequency of the first partial, Hz, from the slope of its phase."""
     guess = STRING.c / 2
     t = np.arange(samples.size) / RATE
     low = scipy.signal.butter(3, 30, fs=RATE, output="sos")
@@ -153,11 +153,11 @@ def _fundamental(samples: np.ndarray, start: float, stop: float) -> float:
 
 
 def test_glide_falls_to_the_strings_own_pitch():
-    twin = brute_force.make_synthetic_recording(
+    sound = brute_force.make_synthetic_recording(
         STRING, HAMMER, GEOMETRY, seconds=2.5, rate=RATE, quantity="velocity", glide_cents=6, glide_seconds=0.3
     )
     exact = math.sqrt((STRING.c * math.pi) ** 2 + (STRING.kappa * math.pi**2) ** 2) / (2 * math.pi)
-    early, late = _fundamental(twin, 0.05, 0.15), _fundamental(twin, 1.8, 2.4)
+    early, late = _fundamental(sound, 0.05, 0.15), _fundamental(sound, 1.8, 2.4)
     assert 1200 * math.log2(late / exact) == pytest.approx(0, abs=0.05)
     assert 1200 * math.log2(early / exact) == pytest.approx(6 * math.exp(-0.1 / 0.3), abs=0.2)
 
@@ -183,7 +183,7 @@ def test_output_path_is_smooth_and_minimum_phase():
     level = 20 * np.log10(np.abs(response))
     assert 1.0 < np.std(level) < 5.0
     assert np.abs(np.diff(level)).max() < 0.5
-    # All zeros lie within the unit circle exactly when the phase does not wind.
+    # All zeros lie within the unit circle if and only if the phase does not wind.
     _, circle = scipy.signal.freqz(fir, worN=1 << 14)
     assert abs(np.unwrap(np.angle(circle))[-1]) < 0.1
 

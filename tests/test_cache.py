@@ -1,4 +1,4 @@
-"""Programs that are kept between runs: the same numbers, from a whole file or anew."""
+"""Programs cached between runs give the same numbers, from a complete file or traced again."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pianofit.model.program_cache import LOADED, cache_folder, persistent_jit
+from pianofit.model.program_cache import MAX_LOADED, cache_folder, persistent_jit
 
 pytestmark = pytest.mark.usefixtures("float64")
 
@@ -28,7 +28,7 @@ class _Data(NamedTuple):
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """JAX's folder for the time of a test."""
+    """Set the cache folder of JAX during a test."""
     before = jax.config.values["jax_compilation_cache_dir"]
     jax.config.update("jax_compilation_cache_dir", str(tmp_path))
     yield tmp_path
@@ -36,7 +36,7 @@ def folder(tmp_path, monkeypatch):
 
 
 def _traced():
-    """A function like those of a fit, and how often it was traced."""
+    """Return a function like those of a fit, and the list of its traces."""
     calls = []
 
     @persistent_jit
@@ -93,8 +93,8 @@ def test_a_process_that_meets_many_shapes_does_not_run_out_of_memory_mappings(fo
         gc.collect()
         return len(Path("/proc/self/maps").read_text(encoding="utf-8").splitlines())
 
-    full = mappings_after(range(5, 5 + LOADED))
-    assert mappings_after(range(20, 20 + 4 * LOADED)) < full + 10
+    full = mappings_after(range(5, 5 + MAX_LOADED))
+    assert mappings_after(range(20, 20 + 4 * MAX_LOADED)) < full + 10
 
 
 @pytest.mark.parametrize("content", [b"", b"x" * 20, b"y" * 5000, "cut"])
@@ -125,7 +125,7 @@ def test_a_folder_that_cannot_be_written_does_no_harm(folder):
     jax.config.update("jax_compilation_cache_dir", str(folder / "file"))
     function, _ = _traced()
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # JAX's own, where it did not know the folder before
+        warnings.simplefilter("ignore")  # JAX warns if the folder is new to it
         _right(function(Z, DATA, _Cfg(3)))
 
 

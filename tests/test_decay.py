@@ -1,4 +1,4 @@
-"""Decays and beats of a key's partials, against envelopes of the sound that its modes make."""
+"""Decays and beats of the partials of a key, against envelopes of the sound of its modes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from scipy.signal import hilbert
 from pianofit.model.decay import EARLY, LATE, decays_and_beats
 from pianofit.model.modal_response import ModalResponse, sum_damped_modes
 
-LOG = np.log(1e3)  # T60 is so many times 1/α
+LOG = np.log(1e3)  # T60 is this multiple of 1/α
 
 
 def key(frequency, decay, pattern, number=None, error=None):
@@ -37,16 +37,16 @@ def test_a_fast_and_a_slow_mode_make_a_double_decay():
 
 
 def test_a_decay_that_its_errors_exceed_is_not_given():
-    """The late T60 rests on the slow mode, whose decay of 0.05 1/s nobody could tell from none."""
+    """The late T60 depends on the slow mode, whose decay rate of 0.05 1/s is not significant."""
     (found,) = decays_and_beats(key([440.0, 440.1], [8.0, 0.05], [1.0, 0.01], error=[0.3, 0.2]))
     assert found.early == pytest.approx(LOG / 8.0, rel=0.05)
     assert np.isnan(found.late)
 
 
-@pytest.mark.parametrize(("weaker", "told"), [(0.08, False), (0.09, True)])
-def test_a_beat_is_told_from_one_and_a_half_decibels_on(weaker, told):
+@pytest.mark.parametrize(("weaker", "reported"), [(0.08, False), (0.09, True)])
+def test_a_beat_is_told_from_one_and_a_half_decibels_on(weaker, reported):
     (found,) = decays_and_beats(key([440.0, 442.5], [0.6, 0.6], [1.0, 1j * weaker]))
-    assert np.isfinite([found.beat_frequency, found.beat_depth]).all() == told
+    assert np.isfinite([found.beat_frequency, found.beat_depth]).all() == reported
 
 
 @pytest.mark.parametrize("weaker", [0.2, 0.5, 0.9])
@@ -58,7 +58,7 @@ def test_two_modes_that_decay_alike_beat_as_deep_as_their_levels_say(weaker):
 
 
 def test_decays_and_beats_are_those_of_the_sound():
-    """Three modes in two channels; the third beats with none, for it is in the other channel."""
+    """Three modes in two channels; the third, alone in its channel, does not beat."""
     rate, k = 8000, key([500.0, 503.0, 490.0], [1.0, 1.5, 3.0], [[1.0, 0.6, 0.0], [0.0, 0.0, 0.5]])
     (found,) = decays_and_beats(k)
     time = np.arange(round(3.5 * rate)) / rate

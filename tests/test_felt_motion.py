@@ -1,4 +1,4 @@
-"""The felt's laws in motion: stepped by other means, their energy by the storage function, their order of accuracy."""
+"""The felt laws in motion: against another stepping method, energy balance, and order of accuracy."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from pianofit.parameters import Hammer
 
 pytestmark = pytest.mark.usefixtures("float64")
 
-# --- another way to step ---------------------------------------------------------------------------------------------
+# --- another stepping method ------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", HAMMERS)
@@ -43,7 +43,7 @@ def test_every_law_is_the_modal_stepping(name):
 
 
 def test_a_felt_that_is_touched_again_has_kept_its_memory():
-    """Slower than the interruption, the memory softens the second touch; faster, it is gone."""
+    """Relaxation slower than the interruption softens the second contact; faster relaxation does not."""
     modes = cases.table(STRING, GEOMETRY, rate=RATE, n_modes=64)
     for tau in (2e-3, 2e-5):
         hammer = RelaxingHammer(*RETURNING, epsilon=0.5, tau=tau)
@@ -55,7 +55,7 @@ def test_a_felt_that_is_touched_again_has_kept_its_memory():
 
 @pytest.mark.parametrize("epsilon", [0.3, 0.9])
 def test_the_laboratorys_felt_pushes_the_same(epsilon):
-    """Until they part. From there on the laboratory lets the felt's surface relax; here the memory alone fades."""
+    """They agree until separation. Then the surface of the laboratory's felt relaxes; here only c decays."""
     n, hammer = 48, STULOV._replace(epsilon=epsilon, tau=80e-6)
     body = make_body((Axis(STRING, 1.0),), GEOMETRY, n, ())
     fine = 16 * RATE
@@ -75,7 +75,7 @@ def test_the_laboratorys_felt_pushes_the_same(epsilon):
 
 
 def stored(u, c, hammer) -> np.ndarray:
-    """Storage function, J, at the felt's own compression: u while it pushes, the dent (εc)^(1/p) while it does not."""
+    """Storage function, J, at the compression of the felt: u in contact, the dent (εc)^(1/p) without contact."""
     p, epsilon = hammer.p, memory_of(hammer)[0]
     own = np.maximum(np.maximum(u, 0.0), (epsilon * c) ** (1 / p))
     return hammer.K_H * (
@@ -85,7 +85,7 @@ def stored(u, c, hammer) -> np.ndarray:
 
 def string_energies(modes, drive) -> np.ndarray:
     """Energy of the string, J, after every step of the pulse, mode by mode."""
-    omega2, alpha, phi, gamma = (np.asarray(x) for x in (modes.omega2, modes.alpha, modes.strike, modes.drive))
+    omega2, alpha, phi, gamma = (np.asarray(x) for x in (modes.omega2, modes.alpha, modes.strike, modes.modal_gain))
     mass = np.where(gamma == 0, 0.0, phi / np.where(gamma == 0, 1.0, gamma))
     a = float(modes.step) / 2
     D = 1 + 2 * a * alpha + a**2 * omega2
@@ -99,7 +99,7 @@ def string_energies(modes, drive) -> np.ndarray:
 
 
 def total_energy(string, hammer, rate: float, steps: int) -> tuple[np.ndarray, np.ndarray]:
-    """String, hammer and felt together over the hammer's at first [steps], and what the felt should have burnt."""
+    """Energy of string, hammer and felt over the initial energy [steps], and the expected dissipation of the felt."""
     modes, pulse = cases.hit(string, hammer, GEOMETRY, rate, steps=steps)
     u, step = np.asarray(pulse.compression), float(modes.step)
     c, w = memories(u, hammer, step), speeds(u, hammer, step)
@@ -131,7 +131,7 @@ def test_energy_balances_to_second_order_and_hardly_ever_rises(name):
 @pytest.mark.parametrize("mass", [1e-3, 2e-2])
 @pytest.mark.parametrize("tau", [5e-6, 1e-4, 5e-3])
 def test_energy_balances_where_the_felt_is_left_and_touched_again(mass, tau):
-    """The dent of a felt that was left is storage too: what it gives back was taken."""
+    """The dent of a felt without contact also stores energy."""
     hammer, errors, rises = RelaxingHammer(*RETURNING._replace(M_H=mass), epsilon=0.8, tau=tau), [], []
     for factor in (4, 8, 16):
         total, lost = total_energy(LOSSLESS, hammer, factor * RATE, 512 * factor)

@@ -1,4 +1,4 @@
-"""A law of the felt from outside of the package: from recordings through fit, fit.json and page, and back."""
+"""A user's felt law: from recordings through fit, fit.json and page to rendering."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from pianofit import FeltLaw, FitError, Note, Parameter, ParameterError, Setup, 
 from pianofit.felt import LAWS
 from pianofit.felt.relaxing import STULOV, force, storage
 
-# Harder than a power as it is pressed, and losing.
+# A felt with loss that hardens more than a power law.
 FOAM = FeltLaw(
     "foam",
     {
@@ -38,7 +38,7 @@ EXAMPLE = Path(__file__).parent.parent / "examples" / "05_own_felt_law.py"
 
 @pytest.fixture(scope="module")
 def example(tmp_path_factory) -> tuple[str, dict[str, Any], Path]:
-    """What the example of a felt of one's own prints, its names, and the folder of its fit of three layers."""
+    """Printed text of the example with its own felt law, its names, and the folder of its fit of three layers."""
     folder, printed = tmp_path_factory.mktemp("example"), io.StringIO()
     with contextlib.chdir(folder), contextlib.redirect_stdout(printed):
         names = runpy.run_path(str(EXAMPLE), run_name="__main__")
@@ -47,11 +47,11 @@ def example(tmp_path_factory) -> tuple[str, dict[str, Any], Path]:
 
 def test_its_parameters_are_found_within_their_intervals(example):
     text, names, folder = example
-    rows = re.findall(r"^(\w+) +true (\S+) +found \S+ \[(\S+), (\S+)\]", text, re.MULTILINE)
+    rows = re.findall(r"^(\w+) +true (\S+) +estimate \S+ \[(\S+), (\S+)\]", text, re.MULTILINE)
     assert [row[0] for row in rows] == ["K", "s", "mu"]
     for name, true, low, high in rows:
         assert float(low) < float(true) < float(high), name
-        assert float(high) / float(low) < 1.3, name  # of the prior's factor of 50 and more
+        assert float(high) / float(low) < 1.3, name  # the prior spans a factor of 50 and more
     result = pianofit.Result.load(folder, felt=names["HARDENING"])
     assert result.document["converged"]
     assert {result.parameters[name].status for name in ("K", "s", "mu", "M_H")} == {"fitted"}
@@ -66,7 +66,7 @@ def test_its_file_and_page_have_its_name_and_curve(example):
     *_, folder = example
     assert json.loads((folder / "fit.json").read_text())["felt"] == "hardening"
     page = (folder / "report.html").read_text(encoding="utf-8")
-    assert "static law of the felt “hardening”" in page
+    assert "“hardening”" in page
     assert "compression at which it has doubled" in page
     assert "u<sup>p</sup>" not in page
 
@@ -82,11 +82,9 @@ def test_a_file_of_it_plays_with_the_law_and_says_so_without(example):
         name: table[name]["value"] for name in law.parameters
     }
     assert np.abs(note.render(3.0, seconds=0.1)).max() > 0
-    with pytest.raises(
-        FitError, match=r"'hardening', is not the package's; hand it in, as load_note\(path, felt=law\)"
-    ):
+    with pytest.raises(FitError, match=r"'hardening'.*load_note\(path, felt=law\)"):
         pianofit.load_note(folder / "fit.json")
-    with pytest.raises(FitError, match="law is 'hardening', not 'stulov'"):
+    with pytest.raises(FitError, match=r"'hardening'.*'stulov'"):
         pianofit.load_note(folder / "fit.json", felt=STULOV)
 
 
@@ -98,25 +96,25 @@ def law(name: str = "foam", **changes) -> FeltLaw:
 
 
 @pytest.mark.parametrize(
-    ("make", "error", "said"),
+    ("make", "error", "message"),
     [
-        (lambda: Setup(felt=law("power")), SetupError, "one of the package's own"),
+        (lambda: Setup(felt=law("power")), SetupError, "power"),
         (lambda: Setup(felt=FOAM, fixed={"d": 20.0}), SetupError, r"\[fixed\] d = 20.0 must be .* 0.001 to 10 s/m"),
-        (lambda: Setup(felt=FOAM, fixed={"K_H": 1e9}), SetupError, "K_H is no parameter of the felt's law, foam, .* d"),
-        (lambda: law(parameters={"a": Parameter("N", "", 2.0, 1.0)}), ParameterError, "foam: a: bounds 2.0 to 1.0"),
+        (lambda: Setup(felt=FOAM, fixed={"K_H": 1e9}), SetupError, "K_H .*foam.* d"),
+        (lambda: law(parameters={"a": Parameter("N", "", 2.0, 1.0)}), ParameterError, "foam: a: .*2.0.*1.0"),
         (lambda: law(parameters={"a": Parameter("N", "", 1.0, 2.0, 3.0)}), ParameterError, "a: median=3.0 must be"),
         (lambda: law(parameters={"a": Parameter("N", "", 1.0, 2.0, None, 0.0)}), ParameterError, "spread=0.0 must be"),
-        (lambda: law(power=("a", "q")), ParameterError, "must name two of its parameters"),
+        (lambda: law(power=("a", "q")), ParameterError, r"power=\('a', 'q'\)"),
     ],
 )
-def test_what_cannot_be_fitted_is_refused(make, error, said):
-    with pytest.raises(error, match=said):
+def test_what_cannot_be_fitted_is_refused(make, error, message):
+    with pytest.raises(error, match=message):
         make()
 
 
 def test_the_papers_recipes_have_the_papers_felt():
     sound = Note(PRESET.string, PRESET.hammer, PRESET.geometry, "bridge-force", 0.002).render(seconds=0.5)
-    with pytest.raises(ParameterError, match="recipe='paper' has no felt='foam'"):
+    with pytest.raises(ParameterError, match=r"recipe='paper'.*felt='foam'"):
         pianofit.fit((sound, 44_100), setup=Setup(felt=FOAM), recipe="paper", progress=False)
 
 
@@ -124,7 +122,7 @@ def test_a_prior_that_says_nothing_is_the_box():
     loss = FOAM.parameters["d"]
     assert loss.prior_median(60) == pytest.approx(0.1)
     assert loss.prior_median(60) * np.exp(1.96 * loss.prior_sd) == pytest.approx(loss.upper)
-    assert FOAM.parameters["s"].prior_median(60) == pytest.approx(3e-4)  # one that says something may go by the key
+    assert FOAM.parameters["s"].prior_median(60) == pytest.approx(3e-4)  # a median may depend on the key
 
 
 def test_what_scales_with_lengths_and_masses_follows_from_the_units():
@@ -134,7 +132,7 @@ def test_what_scales_with_lengths_and_masses_follows_from_the_units():
 
 @pytest.mark.parametrize("seed", range(5))
 def test_a_relaxing_felt_stores_no_more_than_it_takes(seed):
-    """Along a random path of compression, the memory by its own equation in fine steps."""
+    """Compression follows a random curve; the relaxation equation is solved in fine steps."""
     random = np.random.default_rng(seed)
     felt = STULOV.make_hammer({"K_H": 1e9, "p": 2.5, "epsilon": 0.6, "tau": 2e-4, "M_H": 5e-3, "v_H0": 1.0})
     t = np.linspace(0.0, 2e-3, 40_001)

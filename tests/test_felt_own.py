@@ -1,4 +1,4 @@
-"""A law of the felt from outside of the package: struck as the package's own, checked, differentiated, rendered."""
+"""A user's felt law in simulations: compared with the package's laws, checked, differentiated, rendered."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def spring(u, felt):
     return felt.K_H * u ** (felt.p + 1) / (felt.p + 1)
 
 
-# The package's own law once more, as an outsider would write it.
+# The law of Hunt and Crossley as a user would write it.
 AGAIN = FeltLaw("Again", BOXES, hunt_crossley, spring)
 
 
@@ -67,8 +67,8 @@ def test_its_derivatives_are_those_of_the_law():
 
 
 def test_a_law_without_loss_keeps_the_energy_of_hammer_and_string():
-    """What the hammer loses the string has: nothing stays in a felt that has sprung back."""
-    law = FeltLaw("Tanh", BOXES, lambda u, _, felt: felt.K_H * u * (1 + jnp.tanh(u / 1e-4)))  # stiffer, then straight
+    """The string receives the energy that the hammer loses: a released felt stores none."""
+    law = FeltLaw("Tanh", BOXES, lambda u, _, felt: felt.K_H * u * (1 + jnp.tanh(u / 1e-4)))  # stiffens, then linear
     felt = law.hammer(K_H=2e4, mu=0.1, p=1.0, M_H=5e-3, v_H0=1.5)
     struck = model.simulate(STRING._replace(b1=1e-3, b2=1e-12), felt, GEOMETRY, oversampling=32)
     before, after = (0.5 * felt.M_H * float(v) ** 2 for v in (felt.v_H0, struck.pulse.hammer[-1, 1]))
@@ -85,7 +85,7 @@ def test_a_note_with_it_renders_and_has_levels():
 
 
 def active(u, w, felt):
-    """Pushes harder while it springs back than while it is pressed."""
+    """A felt with a larger force during release than during compression."""
     return felt.K_H * u**felt.p * (1 - 0.1 * felt.mu * w)
 
 
@@ -93,11 +93,11 @@ GOOD = {name: getattr(HAMMER, name) for name in HAMMER._fields}
 
 
 @pytest.mark.parametrize(
-    ("make", "said"),
+    ("make", "message"),
     [
-        (lambda: AGAIN.hammer(K_H=1e9), "felt law Again: a hammer needs mu, p, M_H, v_H0 too"),
+        (lambda: AGAIN.hammer(K_H=1e9), "felt law Again: .* mu, p, M_H, v_H0"),
         (lambda: AGAIN.hammer(**GOOD | {"p": 9.0}), "felt law Again: p=9.0 must be a number from 1 to 5$"),
-        (lambda: AGAIN.hammer(**GOOD, colour=1.0), "felt law Again: no parameter is called 'colour'"),
+        (lambda: AGAIN.hammer(**GOOD, colour=1.0), "felt law Again: .*'colour'"),
         (lambda: FeltLaw("My felt", BOXES, hunt_crossley), "felt law 'My felt': the name must be letters"),
         (
             lambda: FeltLaw("F", {"M_H": Parameter("kg", "", 0.0, 1.0)}, hunt_crossley),
@@ -106,28 +106,28 @@ GOOD = {name: getattr(HAMMER, name) for name in HAMMER._fields}
         (lambda: FeltLaw("F", BOXES, hunt_crossley, formula="F = u"), "felt law F: formula='F = u' must be a tuple"),
         (
             lambda: FeltLaw("Gives", BOXES, active, spring).hammer(**GOOD),
-            "felt law Gives: at u=.* the felt would give more than its storage holds",
+            "felt law Gives: at u=.*energy.*storage",
         ),
         (
             lambda: stroke(
                 table_of(pianofit.Note(STRING, HAMMER, GEOMETRY, "velocity", 1.0), 44_100),
                 AGAIN.hammer(**GOOD), np.zeros(64), "C4",
             ),
-            "C4: felt law Again cannot be played",
+            "C4: felt law Again",
         ),
     ],
     ids=["missing", "box", "unknown", "name", "clash", "formula", "active", "played"],
 )  # fmt: skip
-def test_what_is_no_felt_is_refused(make, said):
-    with pytest.raises(ParameterError, match=said):
+def test_what_is_no_felt_is_refused(make, message):
+    with pytest.raises(ParameterError, match=message):
         make()
 
 
 def test_a_pulse_that_is_cut_off_is_refused_and_marked_where_traced():
     modes = model.mode_table(STRING, GEOMETRY, rate=RATE, n_modes=32)
-    with pytest.raises(ParameterError, match=r"steps=64: the contact is not proven to be over after .* s; give more"):
+    with pytest.raises(ParameterError, match=r"steps=64: .* s; use more steps"):
         model.strike(modes, HAMMER, steps=64)
-    with pytest.raises(ParameterError, match=r"; no hammer has K_H=-1e\+10$"):
+    with pytest.raises(ParameterError, match=r"K_H=-1e\+10 must be"):
         model.strike(modes, HAMMER._replace(K_H=-1e10), steps=640)
     assert not model.strike(modes, HAMMER, steps=64, whole=False).over
     assert not jax.jit(lambda h: model.strike(modes, h, steps=64).over)(HAMMER)

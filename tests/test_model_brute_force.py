@@ -1,4 +1,4 @@
-"""The model against the wave equation itself, stepped on a fine grid by a program that shares no code with it."""
+"""The model against the wave equation, stepped on a fine grid by a program that shares no code with it."""
 
 import math
 
@@ -54,21 +54,21 @@ def test_force_and_compression(window):
 def test_waveform_of_the_first_second(quantity):
     modes, pulse = _simulated(STRING, HAMMER, GEOMETRY, quantity, "parabola")
     y = model.waveform(modes, pulse.drive, rate=FILE_RATE, samples=FILE_RATE)
-    twin = brute_force.make_synthetic_recording(
+    sound = brute_force.make_synthetic_recording(
         STRING, HAMMER, GEOMETRY, seconds=1.0, rate=FILE_RATE, quantity=quantity
     )
     low = scipy.signal.butter(4, 6000, fs=FILE_RATE, output="sos")
-    assert _rms(scipy.signal.sosfilt(low, y), scipy.signal.sosfilt(low, twin)) < 1e-3
+    assert _rms(scipy.signal.sosfilt(low, y), scipy.signal.sosfilt(low, sound)) < 1e-3
 
 
 @pytest.mark.parametrize("quantity", ["velocity", "bridge-force"])
 def test_spectrum_on_the_damped_circle(quantity):
     modes, pulse = _simulated(STRING, HAMMER, GEOMETRY, quantity, "parabola")
-    twin = brute_force.make_synthetic_recording(
+    sound = brute_force.make_synthetic_recording(
         STRING, HAMMER, GEOMETRY, seconds=1.0, rate=FILE_RATE, quantity=quantity
     )
     sigma, frequency = 30.0, np.linspace(50, 8000, 200)
-    direct = np.exp(-np.outer(sigma + 2j * np.pi * frequency, np.arange(twin.size) / FILE_RATE)) @ twin / FILE_RATE
+    direct = np.exp(-np.outer(sigma + 2j * np.pi * frequency, np.arange(sound.size) / FILE_RATE)) @ sound / FILE_RATE
     Y = np.asarray(model.spectrum(modes, pulse.drive, jnp.asarray(frequency), sigma))
     assert _rms(Y, direct) < 2e-3
 
@@ -88,7 +88,7 @@ INSTRUMENTS = {  # string, hammer, geometry, partials
 
 @pytest.mark.parametrize("name", INSTRUMENTS)
 def test_partials_of_other_instruments(name):
-    """Level and phase of every partial after the contact, at the rate the program itself chooses."""
+    """Level and phase of every partial after the contact, at the contact rate of `contact_rate`."""
     string, hammer, geometry, partials = INSTRUMENTS[name]
     rate = 96_000 if name == "treble" else 2 * FILE_RATE
     points = {"bass": 400, "treble": 54}.get(name, 240)

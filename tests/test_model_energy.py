@@ -1,4 +1,4 @@
-"""Energy: kept by the free lossless string, never rising with losses, and of second order across the contact."""
+"""Energy: constant on the free lossless string, never rising with losses, of second order across the contact."""
 
 import math
 
@@ -18,16 +18,16 @@ ELASTIC = HAMMER._replace(mu=0.0)
 
 
 def _mass(modes) -> np.ndarray:
-    """Modal masses, kg: the table's own, which its gains imply."""
-    strike, drive = np.asarray(modes.strike), np.asarray(modes.drive)
-    return np.where(drive == 0, 0.0, strike / np.where(drive == 0, 1.0, drive))
+    """Modal masses, kg, implied by the gains of the table."""
+    strike, gain = np.asarray(modes.strike), np.asarray(modes.modal_gain)
+    return np.where(gain == 0, 0.0, strike / np.where(gain == 0, 1.0, gain))
 
 
 def _step(modes, q, v, T):
     a = float(modes.step) / 2
-    omega2, alpha, drive = (np.asarray(x) for x in (modes.omega2, modes.alpha, modes.drive))
+    omega2, alpha, gain = (np.asarray(x) for x in (modes.omega2, modes.alpha, modes.modal_gain))
     D = 1 + 2 * a * alpha + a**2 * omega2
-    new = ((1 - 2 * a * alpha - a**2 * omega2) * v - 2 * a * omega2 * q + a * drive * T) / D
+    new = ((1 - 2 * a * alpha - a**2 * omega2) * v - 2 * a * omega2 * q + a * gain * T) / D
     return q + a * (v + new), new
 
 
@@ -53,7 +53,7 @@ def test_free_lossless_string_keeps_its_energy_for_ten_seconds(kind):
     q, v = 1e-3 / np.arange(1, n + 1) ** 2, np.zeros(n)
     start = _energy(modes, q, v)
     a = float(modes.step) / 2
-    # The scheme's own matrix, ten seconds of it: 441 000 = 2^3 · 3^2 · 5^3 · 7^2 steps by repeated products.
+    # Ten seconds with the matrix of the scheme: 441 000 = 2^3 · 3^2 · 5^3 · 7^2 steps by repeated products.
     D = 1 + a**2 * np.asarray(modes.omega2)
     one_step = np.empty((n, 2, 2))
     one_step[:, 1, 0], one_step[:, 1, 1] = -2 * a * np.asarray(modes.omega2) / D, (2 - D) / D
@@ -63,7 +63,7 @@ def test_free_lossless_string_keeps_its_energy_for_ten_seconds(kind):
     for _ in range(700):
         state = block @ state
         assert abs(_energy(modes, state[:, 0, 0], state[:, 1, 0]) / start - 1) <= 1e-10
-    assert float(np.abs(np.asarray(modes.pole).real).max()) * 20 <= 1e-10  # and so do the closed forms
+    assert float(np.abs(np.asarray(modes.pole).real).max()) * 20 <= 1e-10  # the closed forms keep it too
 
 
 def test_waveform_of_a_free_lossless_string_does_not_fade():
@@ -109,7 +109,7 @@ def test_string_takes_exactly_what_the_contact_gives():
 
 
 def _felt_work(hammer, rate: float, steps: int) -> float:
-    """Net work of the felt's loop, of the hammer's energy, from first to last touch."""
+    """Net work of the felt from first to last touch, over the initial energy of the hammer."""
     _, pulse = cases.hit(STRING, hammer, GEOMETRY, rate, steps=steps)
     u = np.asarray(pulse.compression)
     assert bool(pulse.over)

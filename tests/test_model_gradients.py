@@ -1,9 +1,9 @@
 """Derivatives of everything with respect to all nine parameters, and the place and width of the strike.
 
 Forward mode, reverse mode and central differences must agree. Columns are derivatives by the logarithm of a parameter,
-in the output's own unit. The differences step 5e-6 in the logarithm. Their truncation is h²/6 times the third
-derivative: at σ = 300 1/s and 9 kHz the spectrum's is (ω/σ)² = 4e4 times the first, which makes 2e-7. Rounding is
-what hundreds of Newton solves leave, 1e-12 of the value, over the step: 2e-7 of the value. Both stay below 1e-5.
+in the unit of the output. The differences use a step of 5e-6 in the logarithm. Their truncation is h²/6 times the third
+derivative: at σ = 300 1/s and 9 kHz the spectrum's is (ω/σ)² = 4e4 times the first, which makes 2e-7. Rounding
+of hundreds of Newton solves is 1e-12 of the value. Divided by the step it is 2e-7 of the value. Both are below 1e-5.
 """
 
 import functools
@@ -96,13 +96,13 @@ def test_forward_mode_against_central_differences(compiled, case):
         a, b = np.asarray(exact[name]) * at, differences[name]
         assert np.all(np.isfinite(a)), name
         allowed = 1e-5 * np.abs(b).max(axis=0) + ROUNDING / STEP * float(jnp.abs(value).max())
-        # The grid's window is cut off at points, so its place and width have no derivative to compare with.
+        # The window on the grid ends at points, so its position and width have no derivatives.
         assert np.all(np.abs(a - b)[:, :9] <= allowed[:9]), _worst(name, a, b, allowed)
 
 
 def _worst(name, a, b, allowed) -> str:
     share = (np.abs(a - b).max(axis=0) / allowed).round(3).tolist()
-    return f"{name}: of what is allowed, {dict(zip(NAMES, share, strict=True))}"
+    return f"{name}: error over tolerance {dict(zip(NAMES, share, strict=True))}"
 
 
 def test_place_and_width_of_the_strike(prewarped):
@@ -157,12 +157,12 @@ def test_second_derivatives_against_differences_of_the_gradient():
 
 def test_many_at_once_equal_one_by_one(prewarped):
     random = np.random.default_rng(1)
-    many = CASES["paper"] * np.exp(0.2 * random.normal(size=(6, 11)))
-    many[:, 9:] = PLACE
-    together = jax.jit(jax.vmap(prewarped.outputs))(many)
-    for i, at in enumerate(many):
+    points = CASES["paper"] * np.exp(0.2 * random.normal(size=(6, 11)))
+    points[:, 9:] = PLACE
+    batch = jax.jit(jax.vmap(prewarped.outputs))(points)
+    for i, at in enumerate(points):
         for name, value in prewarped.values(at).items():
-            np.testing.assert_allclose(together[name][i], value, rtol=1e-8, atol=1e-9 * float(jnp.abs(value).max()))
+            np.testing.assert_allclose(batch[name][i], value, rtol=1e-8, atol=1e-9 * float(jnp.abs(value).max()))
 
 
 @pytest.mark.parametrize("felt", [{"mu": 0.0}, {"mu": 0.0, "p": 1.0, "K_H": 1e5}, {"v_H0": 1e-2}])

@@ -1,4 +1,4 @@
-"""The table of modes: eigenvalues, weights, prewarped poles and gains, and the scalings that change nothing heard."""
+"""The table of modes: eigenvalues, weights, prewarped poles and gains, and scalings that leave the sound unchanged."""
 
 import math
 
@@ -115,14 +115,14 @@ def test_gains_keep_what_they_promise():
     beta = np.arange(1, 49) * math.pi / GEOMETRY.length
     omega2 = STRING.c**2 * beta**2 + STRING.kappa**2 * beta**4
     compliance = 2 * np.asarray(modes.strike) / GEOMETRY.mass / omega2
-    np.testing.assert_allclose(np.asarray(modes.drive) / np.asarray(modes.omega2), compliance, rtol=1e-12)
+    np.testing.assert_allclose(np.asarray(modes.modal_gain) / np.asarray(modes.omega2), compliance, rtol=1e-12)
 
 
 def test_every_pickup_rings_as_the_exact_string_does():
-    """A force of few low frequencies must leave each mode ringing with the continuous string's amplitude."""
+    """After a force with low frequencies each mode has the amplitude of the continuous string."""
     rate, beta = 44_100.0, np.arange(1, 13) * math.pi
     n = np.arange(200)
-    force = np.where(n < 128, np.sin(np.pi * n / 128) ** 8, 0.0)  # smooth: its samples hold all of it
+    force = np.where(n < 128, np.sin(np.pi * n / 128) ** 8, 0.0)  # smooth: its samples determine it
     drive = jnp.asarray(force + np.concatenate([[0.0], force[:-1]]))
     alpha = STRING.b1 + STRING.b2 * beta**2
     omega_d = np.sqrt(STRING.c**2 * beta**2 + STRING.kappa**2 * beta**4 - alpha**2)
@@ -141,7 +141,7 @@ def test_every_pickup_rings_as_the_exact_string_does():
         np.testing.assert_allclose(found[strong], exact[strong], rtol=1e-5, err_msg=quantity)
 
 
-def _heard(string, hammer, geometry, quantity="velocity"):
+def _observed(string, hammer, geometry, quantity="velocity"):
     modes, pulse = cases.hit(string, hammer, geometry, RATE, quantity=quantity)
     return np.asarray(pulse.compression), np.asarray(cases.ringing(modes, pulse.drive)), np.asarray(pulse.force)
 
@@ -154,28 +154,31 @@ def _close(found, expected):
 def test_masses_and_felt_matter_only_as_ratios(s):
     hammer = HAMMER._replace(K_H=s * HAMMER.K_H, M_H=s * HAMMER.M_H)
     heavier = GEOMETRY._replace(mass=s * GEOMETRY.mass)
-    u, y, F = _heard(STRING, HAMMER, GEOMETRY)
-    u2, y2, F2 = _heard(STRING, hammer, heavier)
+    u, y, F = _observed(STRING, HAMMER, GEOMETRY)
+    u2, y2, F2 = _observed(STRING, hammer, heavier)
     _close(u2, u)
     _close(y2, y)
     _close(F2, s * F)
-    _close(_heard(STRING, hammer, heavier, "bridge-force")[1], s * _heard(STRING, HAMMER, GEOMETRY, "bridge-force")[1])
+    _close(
+        _observed(STRING, hammer, heavier, "bridge-force")[1],
+        s * _observed(STRING, HAMMER, GEOMETRY, "bridge-force")[1],
+    )
 
 
 @pytest.mark.parametrize("s", [0.2, 2.5])
 def test_lengths_matter_only_as_ratios(s):
     string = STRING._replace(c=s * STRING.c, kappa=s**2 * STRING.kappa, b2=s**2 * STRING.b2)
     geometry = GEOMETRY._replace(
-        **{name: s * getattr(GEOMETRY, name) for name in ("length", "strike", "width", "pickup")}
+        **{name: s * getattr(GEOMETRY, name) for name in ("length", "strike_position", "width", "pickup")}
     )
-    for found, expected in zip(_heard(string, HAMMER, geometry), _heard(STRING, HAMMER, GEOMETRY), strict=True):
+    for found, expected in zip(_observed(string, HAMMER, geometry), _observed(STRING, HAMMER, GEOMETRY), strict=True):
         _close(found, expected)
 
 
 @pytest.mark.parametrize("s", [0.3, 4.0])
 def test_gain_trades_against_velocity(s):
     hammer = HAMMER._replace(K_H=HAMMER.K_H * s ** (1 - HAMMER.p), mu=HAMMER.mu / s, v_H0=s * HAMMER.v_H0)
-    for found, expected in zip(_heard(STRING, hammer, GEOMETRY), _heard(STRING, HAMMER, GEOMETRY), strict=True):
+    for found, expected in zip(_observed(STRING, hammer, GEOMETRY), _observed(STRING, HAMMER, GEOMETRY), strict=True):
         _close(found, s * expected)
 
 

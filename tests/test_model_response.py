@@ -21,9 +21,9 @@ mobility = jax.jit(model.mobility)
 
 
 def _stepped_output(modes, drive, quantity: str, steps: int) -> np.ndarray:
-    """The pickup's signal by stepping the scheme, with the gains as design §2 states them for small losses."""
+    """The pickup signal by stepping the scheme, with the gains of design §2 for small losses."""
     a = float(modes.step) / 2
-    omega2, alpha, gamma = (np.asarray(x) for x in (modes.omega2, modes.alpha, modes.drive))
+    omega2, alpha, gamma = (np.asarray(x) for x in (modes.omega2, modes.alpha, modes.modal_gain))
     beta = np.arange(1, omega2.size + 1) * math.pi / GEOMETRY.length
     angle = np.sqrt(STRING.c**2 * beta**2 + STRING.kappa**2 * beta**4) * a
     if quantity == "velocity":
@@ -82,18 +82,18 @@ def test_ringing_continues_the_waveform(quantity):
 
 @pytest.mark.parametrize("quantity", ["velocity", "displacement"])
 def test_strike_and_pickup_may_trade_places(quantity):
-    """A point force at one place, heard at another, sounds the same the other way round."""
+    """Reciprocity: force at one point and pickup at another can be exchanged."""
     k = np.arange(1, 65) * math.pi / GEOMETRY.length
-    there, here = GEOMETRY._replace(pickup=0.37), GEOMETRY._replace(pickup=0.12)
-    forth = cases.table(STRING, there, rate=RATE, n_modes=64, quantity=quantity, strike_weights=np.sin(0.12 * k))
-    back = cases.table(STRING, here, rate=RATE, n_modes=64, quantity=quantity, strike_weights=np.sin(0.37 * k))
+    original, exchanged = GEOMETRY._replace(pickup=0.37), GEOMETRY._replace(pickup=0.12)
+    forth = cases.table(STRING, original, rate=RATE, n_modes=64, quantity=quantity, strike_weights=np.sin(0.12 * k))
+    back = cases.table(STRING, exchanged, rate=RATE, n_modes=64, quantity=quantity, strike_weights=np.sin(0.37 * k))
     zeta = damped_circle(jnp.linspace(20, 15_000, 300), 30.0, forth.step)
     H = np.asarray(mobility(forth, zeta))
     assert np.abs(np.asarray(mobility(back, zeta)) - H).max() <= 1e-12 * np.abs(H).max()
 
 
 def test_the_hammer_hears_no_pickup():
-    """What is heard, and where, changes nothing in the contact."""
+    """Quantity and position of the pickup do not affect the contact."""
     _, pulse = cases.hit(STRING, HAMMER, GEOMETRY, RATE)
     for quantity in QUANTITIES:
         _, other = cases.hit(STRING, HAMMER, GEOMETRY._replace(pickup=0.77), RATE, quantity=quantity)
@@ -152,12 +152,12 @@ def test_spectrum_of_a_strike_on_a_sounding_string():
 
 
 def test_energy_and_contact_of_a_pluck_by_no_hammer():
-    """Free motion's energy is that of its shape: strings at rest, so only the stiffness and the tension hold it."""
+    """The energy of a string released at rest is the potential energy of its shape: tension and stiffness."""
     modes = cases.table(STRING, GEOMETRY, rate=RATE, n_modes=24)
     free = cases.release(modes, 1e-3 * (np.arange(24) == 4), np.zeros(24))
     beta = 5 * math.pi
     exact = 0.25 * GEOMETRY.mass * (STRING.c**2 * beta**2 + STRING.kappa**2 * beta**4) * 1e-6
-    assert float(free.energy) == pytest.approx(exact, rel=1e-3)  # the table's own mass and frequency differ by (ωa)²
+    assert float(free.energy) == pytest.approx(exact, rel=1e-3)  # mass and frequency of the table differ by (ωa)²
 
 
 # --- levels ---------------------------------------------------------------------------------------------------------
@@ -165,7 +165,7 @@ def test_energy_and_contact_of_a_pluck_by_no_hammer():
 
 @pytest.mark.parametrize(("frequency", "tolerance"), [(440.0, 0.02), (2000.0, 0.005)])
 def test_level_is_the_energy_of_the_first_third_of_a_second(frequency, tolerance):
-    """The closed form leaves out what oscillates at twice the frequency: (α + 8)/ω of the energy at most."""
+    """The closed form neglects the part at twice the frequency, at most (α + 8)/ω of the energy."""
     A, decay, omega = 0.3 * np.exp(0.7j), 2.5, 2 * math.pi * frequency
     t = (np.arange(350_000) + 0.5) / 1e6
     signal = (A * np.exp((-decay + 1j * omega) * t)).real
@@ -176,7 +176,7 @@ def test_level_is_the_energy_of_the_first_third_of_a_second(frequency, tolerance
 
 def test_waveform_needs_a_whole_fraction_of_the_contacts_rate():
     modes, pulse = cases.hit(STRING, HAMMER, GEOMETRY, RATE)
-    with pytest.raises(ParameterError, match=r"rate=48000.*whole fraction"):
+    with pytest.raises(ParameterError, match=r"rate=48000.*whole multiple"):
         model.waveform(modes, pulse.drive, rate=48_000.0, samples=10)
 
 

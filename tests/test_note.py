@@ -1,4 +1,4 @@
-"""A fitted attack is laid on the recorded one where it belongs, and is heard through its path as through a filter."""
+"""Rendered notes: alignment with a recorded attack, and the output path as a filter."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from pianofit.model.note import Note, arrival
 from pianofit.model.output_path import OutputPath, filtered, impulse
 from pianofit.result.alignment import estimate_contact_onset, fractional_lag, locate_template
 
-RATE, PERIOD = 10_000, 270  # of A♯1, 27 ms: an attack of 50 ms holds not two
+RATE, PERIOD = 10_000, 270  # of A♯1, 27 ms: an attack of 50 ms holds fewer than two
 
 
 @pytest.mark.parametrize("touch", [120, 300, 500, 770])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_an_attack_is_found_among_its_periods(touch, sign):
     t = np.arange(1500) / RATE
-    # Grows for two periods, so that its correlation with a later piece of itself is the larger one.
+    # It grows for two periods, so that its correlation with a later section is larger.
     note = np.minimum(np.arange(1500) / (2 * PERIOD), 1.0) * sum(
         np.sin(2 * np.pi * k * t * RATE / PERIOD) for k in (1, 2)
     )
@@ -71,22 +71,22 @@ def test_the_touch_is_found_from_what_is_seen_of_it_in_the_noise(colour, midi, n
 
 @pytest.mark.parametrize("midi", [40, 60, 84])
 def test_every_partial_is_as_loud_as_the_path_says(midi):
-    """Under exp(-8t), as levels are measured, though each partial has a decay of its own."""
+    """Under exp(-8t), as levels are measured, although each partial has its own decay rate."""
     note = uneven_note(midi)
     rate = 44_100
     through, _ = note.render_stroke(rate, 2 * rate)
     plain, _ = note._replace(path=None).render_stroke(rate, 2 * rate)
-    damped = np.exp(-8.0 * np.arange(2 * rate) / rate)  # 0.35 s hold all of it but 0.02 dB
+    damped = np.exp(-8.0 * np.arange(2 * rate) / rate)  # 0.35 s contain it to 0.02 dB
     energy = np.abs(np.fft.rfft(np.stack([through, plain]) * damped)) ** 2
     f, bins = note.path.frequency, np.fft.rfftfreq(2 * rate, 1 / rate)
     lines = np.abs(bins - f[:, None]) < 0.2 * f[0]
     found = 10 * np.log10((lines @ energy[0]) / (lines @ energy[1]))
-    # A line has a width, and reaches into the path’s steps to its neighbours: most where the force is faint there.
+    # A peak has a width and extends into the steps of the path, most where the force is weak.
     np.testing.assert_allclose(found, note.path.db, atol=0.7)
 
 
 def test_a_slow_push_goes_through_the_path_at_its_own_frequency():
-    """A soft hammer presses longer than a period lasts: no mode's own frequency is in that, nor its level."""
+    """Contact with a soft hammer lasts longer than a period, so its spectrum lies below all modes."""
     note, k = true_note(84), np.arange(1, 16)
     soft = note.hammer._replace(v_H0=0.05, K_H=1e-2 * note.hammer.K_H)
     rises = OutputPath(mode_frequencies(note.string, note.geometry.length, len(k)), -30.0 + 3 * k)
@@ -102,13 +102,13 @@ def test_a_slow_push_goes_through_the_path_at_its_own_frequency():
 def test_a_response_is_causal_and_of_the_path_s_levels():
     path, rate = steep(1), 44_100
     response = impulse(path, rate)
-    seen = np.exp(-2j * np.pi * np.outer(path.frequency, np.arange(len(response))) / rate) @ response
-    np.testing.assert_allclose(20 * np.log10(np.abs(seen)), path.db, atol=0.1)
-    # What undoes a response of least phase does not foresee either.
-    undone = np.fft.irfft(1 / np.fft.rfft(response, 4 * len(response)))
-    assert np.abs(undone[len(undone) // 2 :]).max() < 1e-4 * np.abs(undone).max()
+    transfer = np.exp(-2j * np.pi * np.outer(path.frequency, np.arange(len(response))) / rate) @ response
+    np.testing.assert_allclose(20 * np.log10(np.abs(transfer)), path.db, atol=0.1)
+    # The inverse of a minimum-phase response is causal too.
+    inverse = np.fft.irfft(1 / np.fft.rfft(response, 4 * len(response)))
+    assert np.abs(inverse[len(inverse) // 2 :]).max() < 1e-4 * np.abs(inverse).max()
     late = np.fft.irfft(1 / np.fft.rfft(np.convolve(response, [0.5, 1.0])[: len(response)], 4 * len(response)))
-    assert np.abs(late[len(late) // 2 :]).max() > 1e-2 * np.abs(late).max()  # the same levels but for a slope
+    assert np.abs(late[len(late) // 2 :]).max() > 1e-2 * np.abs(late).max()  # the same levels except for a slope
 
 
 def test_a_long_sound_goes_through_a_filter_block_by_block():
@@ -140,7 +140,7 @@ def test_a_note_renders_at_any_velocity_and_refuses_others():
 
 
 def test_levels_are_those_of_the_sound_after_the_contact():
-    """Of the velocity, the path and the gain; against the stroke that plays."""
+    """Levels include velocity, path and gain; they are compared with a simulated stroke."""
     note = true_note(60)
     by_velocity = note.levels(np.array([0.5, 4.0]), 20)
     assert by_velocity.shape == (2, 20)

@@ -1,4 +1,4 @@
-"""Powers by doubling are those of the exponential."""
+"""Powers by doubling equal those by the exponential."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pianofit.dsp.damped_powers import powers
 def test_powers_are_exponentials(count, real, imag):
     log_z = np.array([[real + 1j * imag], [1j * real]])
     expected = np.exp(log_z[..., None] * np.arange(count))
-    # The exponential of a phase of n radians is itself off by n roundings.
+    # The exponential of a phase of n radians has an error of n roundings.
     assert np.abs(powers(log_z, count) / expected - 1).max() < 1e-15 * (20 + 4 * count)
 
 

@@ -1,4 +1,4 @@
-"""The caller's JAX stays as it is: float32 programs around ours, and ours inside theirs."""
+"""The caller's JAX settings stay unchanged, in float32 programs around ours and with ours inside them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from pianofit.parameters import Hammer
 
 STEPS, MODES, RATE = 512, 32, 88_200.0
 
-# The whole of it around a fit: `tests/test_counts.py`.
+# `tests/test_counts.py` tests the same around a fit.
 BEFORE_AND_AFTER = """
 from float32_caller import state
 before = state()
@@ -41,14 +41,14 @@ def test_a_float32_program_is_the_same_before_and_after():
 
 
 def level(velocity):
-    """Of the first partial, dB, as a caller would write it."""
+    """Level of the first partial, dB, as a user would write it."""
     hammer = Hammer(*HAMMER)._replace(v_H0=velocity)
     modes = model.mode_table(STRING, GEOMETRY, rate=RATE, n_modes=MODES)
     pulse = model.strike(modes, hammer, steps=STEPS)
     return model.level_db(model.modal_amplitudes(modes, pulse.drive), -modes.pole.real)[0]
 
 
-def many(velocity):
+def batch_loss(velocity):
     """A loss over a batch, through `jit` and `vmap`."""
     return (jax.jit(jax.vmap(level))(velocity * jnp.linspace(0.5, 2.0, 4)) ** 2).sum()
 
@@ -58,13 +58,13 @@ TRANSFORMED = {
     "vmap": lambda v: jax.vmap(level)(jnp.stack([v, v])),
     "vmap of jit": lambda v: jax.vmap(jax.jit(level))(jnp.stack([v, v])),
     "jit of jacfwd": jax.jit(jax.jacfwd(level)),
-    "grad of a batch": jax.jit(jax.grad(many)),
+    "grad of a batch": jax.jit(jax.grad(batch_loss)),
 }
 
 
 @pytest.mark.parametrize("name", TRANSFORMED)
 def test_in_the_scope_a_float32_is_struck_in_float64(name):
-    """The caller's number is a float32 and stays one, as are derivatives by it; between, everything is float64."""
+    """The caller's number and derivatives by it stay float32; all computation between is float64."""
     with jax.enable_x64(True):
         expected = np.asarray(TRANSFORMED[name](0.5))
         found = TRANSFORMED[name](jnp.float32(0.5))
@@ -86,7 +86,7 @@ def test_untraced_numbers_of_any_kind_are_struck_in_float64(kind):
     found = level(kind(0.5))
     with jax.enable_x64(True):
         expected = float(level(0.5))
-    assert isinstance(found, np.float64)  # of NumPy: JAX's own would be narrowed by the caller's next operation
+    assert isinstance(found, np.float64)  # of NumPy: the caller's next operation would convert a JAX array to float32
     assert float(found) == pytest.approx(expected, rel=1e-13)
 
 
@@ -106,7 +106,7 @@ def opened_inside(velocity):
 @pytest.mark.parametrize("name", OPENED_INSIDE)
 @pytest.mark.parametrize("kind", [float, jnp.float32])
 def test_a_gradient_around_the_scope_is_refused_with_what_to_write(name, kind):
-    """JAX steps backwards after the function has left its scope."""
+    """JAX runs reverse mode after the function has closed its scope."""
     with pytest.raises(ParameterError, match=r"inside `with jax.enable_x64\(True\):`"):
         OPENED_INSIDE[name](opened_inside)(kind(0.5))
 
@@ -117,12 +117,12 @@ def test_a_gradient_in_the_scope_passes_its_own_inner_scopes():
     assert float(found) == pytest.approx(float(expected), rel=1e-12)
 
 
-# The README's gradient, a sound and the sampler's random numbers, under settings of the caller's.
+# The gradient of the README, a sound and random numbers of the sampler, under other settings of the caller.
 UNDER_SETTINGS = """
 import sys, jax
 import numpy as np
 import pianofit as pf
-from pianofit.model.x64 import scope
+from pianofit.model.x64 import x64_scope
 settings = dict(jax_numpy_rank_promotion="raise", jax_numpy_dtype_promotion="strict", jax_debug_nans=True,
     jax_debug_infs=True, jax_enable_custom_prng=True, jax_legacy_prng_key="error", jax_default_prng_impl="rbg",
     jax_threefry_partitionable=False)
@@ -140,7 +140,7 @@ with jax.enable_x64(True):
     found = [*jax.jit(jax.jacfwd(levels))(hammer), *jax.grad(lambda h: levels(h)[0])(hammer)]
 with jax.transfer_guard(guard):
     found.append(pf.Note(p.string, p.hammer, p.geometry, "bridge-force", 0.1).render(seconds=0.1))
-    with scope():
+    with x64_scope():
         found.append(np.asarray(jax.random.normal(jax.random.PRNGKey(3), 4)))
 assert dict(jax.config.values) == before
 print(*(np.asarray(x, float).tobytes().hex() for x in found))

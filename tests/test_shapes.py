@@ -1,4 +1,4 @@
-"""Shapes written in signatures are checked at every call of the tests: what `conftest.py` installs really runs."""
+"""Shapes in signatures are checked at every call in the tests: the hook of `conftest.py` is active."""
 
 from __future__ import annotations
 

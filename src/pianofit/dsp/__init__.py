@@ -1,1 +1,1 @@
-"""Signal processing without knowledge of strings: damped exponentials on an even grid and their sums."""
+"""Signal processing that is independent of the string model: powers of damped exponentials on an even grid."""

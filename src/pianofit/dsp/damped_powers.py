@@ -1,4 +1,4 @@
-"""Damped exponentials on an even grid, without an exponential a sample."""
+"""Damped exponentials on an even grid, without one exponential per sample."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ __all__ = ["powers"]
 
 
 def powers(log_z: np.ndarray, count: int) -> np.ndarray:
-    """z^n, n < count, complex [..., count], of logarithms [...].
+    """Compute z^n, n < count, complex [..., count], from log z [...].
 
-    What is there, times its next power, is as much again: log2(count) exponentials a row, and as many roundings.
+    Each step doubles the number of powers. So there are log2(count) exponentials and roundings per row.
     """
     out = np.ones((*np.shape(log_z), count), complex)
     done = 1
     while done < count:
-        more = min(done, count - done)
-        np.multiply(out[..., :more], np.exp(log_z * done)[..., None], out=out[..., done : done + more])
-        done += more
+        added = min(done, count - done)
+        np.multiply(out[..., :added], np.exp(log_z * done)[..., None], out=out[..., done : done + added])
+        done += added
     return out

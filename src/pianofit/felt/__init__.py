@@ -1,6 +1,6 @@
-"""Laws of the felt, one file each; a file added here is a law of `setup.toml`, of fits, of files and of pages.
+"""Felt laws, one file each. A file added here is available in `setup.toml`, fits, files and pages.
 
-What stands in a law's file is data and plain arithmetic, so that a setup is checked without JAX; `model/felt` steps it.
+The file of a law holds data and plain arithmetic, so a setup is checked without JAX. `model/felt` computes its steps.
 """
 
 from __future__ import annotations
@@ -21,45 +21,45 @@ __all__ = [
     "make_hammer",
 ]  # fmt: skip
 
-# The package's laws by the name that files have.
+# The felt laws of this package by their name in files.
 LAWS: dict[str, FeltLaw] = {
     law.name: law
     for module in pkgutil.iter_modules(__path__)
     for law in getattr(import_module(f".{module.name}", __name__), "LAWS", ())
 }
-# The law unless the setup names one: the paper's.
+# The law of the paper, for setups that name none.
 DEFAULT_LAW = HUNT_CROSSLEY
-# Unit, meaning and bounds of everything that a fit with one of them searches.
+# Unit, meaning and bounds of all parameters that fits with these laws search.
 BOXES: dict[str, Parameter] = PARAMETERS | {n: p for law in LAWS.values() for n, p in law.parameters.items()}
 
 
 def is_builtin(law: FeltLaw) -> bool:
-    """Whether a law is one of the package's, which a file's name stands for."""
+    """Return true if a law belongs to this package, so that its name in a file identifies it."""
     return LAWS.get(law.name) is law
 
 
 def law_of(hammer: Any) -> FeltLaw:
-    """The law of a hammer's felt, by its type; a `Hammer` whose μ is 0 has Hunt and Crossley's without its loss.
+    """Return the felt law of a hammer by its type; a `Hammer` has the law of Hunt and Crossley, also with μ = 0.
 
     Raises
     ------
     ParameterError
-        For what is no hammer.
+        If the argument is not a hammer.
     """
     kind = type(hammer)
     for law in (getattr(kind, "law", None), *LAWS.values()):
         if law is not None and law.kind is kind:
             return law
-    raise ParameterError(f"{kind.__name__} is no hammer; use Hammer, RelaxingHammer, or FeltLaw.hammer")
+    raise ParameterError(f"{kind.__name__} is not a hammer; use Hammer, RelaxingHammer, or FeltLaw.hammer")
 
 
 def check_hammer(hammer: Any, where: str = "hammer") -> None:
-    """Refuse a hammer outside the box of its law, as `check` does; μ = 0 is a felt without that loss.
+    """Reject a hammer outside the bounds of its law, as `check` does; μ = 0, a felt without loss, is allowed.
 
     Raises
     ------
     ParameterError
-        Naming `where`, the parameter, its value and its range.
+        The message names `where`, the parameter, its value and its range.
     """
     law = law_of(hammer)
     for name, value in hammer._asdict().items():
@@ -72,19 +72,19 @@ def check_hammer(hammer: Any, where: str = "hammer") -> None:
 
 
 def make_hammer(values: Mapping[str, float], where: str = "argument", law: FeltLaw | None = None) -> Any:
-    """Return the hammer that `values` speak of: of a `law`, or else one with memory where they have epsilon and tau.
+    """Return a hammer with these `values`: of `law` if given, else relaxing if they contain epsilon and tau.
 
     Raises
     ------
     ParameterError
-        If one is missing.
+        If a value is missing.
     """
     if law is not None and law.hammers is None:
         if missing := [name for name in law.boxes if name not in values]:
             raise ParameterError(f"{where}: felt law {law.name}: {', '.join(missing)} missing")
         return law.make_hammer(values)
-    five = [values[name] for name in HAMMER_NAMES]
-    memory = [values[name] for name in RelaxingHammer._fields[len(five) :] if name in values]
-    if len(memory) == 1:
+    common = [values[name] for name in HAMMER_NAMES]
+    relaxation = [values[name] for name in RelaxingHammer._fields[len(common) :] if name in values]
+    if len(relaxation) == 1:
         raise ParameterError(f"{where}: a relaxing felt needs both epsilon and tau; give the other one too")
-    return RelaxingHammer(*five, *memory) if memory else Hammer(*five)
+    return RelaxingHammer(*common, *relaxation) if relaxation else Hammer(*common)

@@ -9,19 +9,19 @@ from .law import FeltLaw
 
 __all__ = ["COLUMNS", "HUNT_CROSSLEY", "LAWS", "POWER", "literature"]
 
-# Felts of neighbouring instruments differ by factors (Chaigne and Askenfelt 1994; Chabassier): standard deviations of
-# log(value), about the literature's hammer for the key. That of K_H is of the force at a reference compression.
+# Prior standard deviations of log(value) around the published hammer for the key. Felts of similar instruments differ
+# by factors (Chaigne and Askenfelt 1994; Chabassier). K_H stands for the force at a reference compression.
 SPREAD = {"K_H": 1.5, "mu": 1.5, "p": 0.2}
-# A fit's unknowns beside the string's, of all laws that relax or lose by this formula, whichever of these a law has: so
-# a seed draws the same numbers for all.
+# The parameters of a fit next to those of the string, for all laws of this package, including parameters that a law
+# does not have. So a seed draws the same numbers for all laws.
 COLUMNS = ("K_H", "p", "mu", "M_H", "x0", "width", "epsilon", "tau")
 
 
 def literature(name: str) -> Parameter:
-    """One of K_H, p and μ: the paper's box, and the literature's value for the key as the prior's median."""
+    """Return K_H, p or μ with the bounds of the paper, and the published value for the key as prior median."""
 
     def median(midi: float) -> float:
-        from ..literature import typical  # its curves need SciPy, which a command's help does without
+        from ..literature import typical  # its curves need SciPy, which help texts must not import
 
         return getattr(typical(midi).hammer, name)
 
@@ -29,12 +29,12 @@ def literature(name: str) -> Parameter:
 
 
 def force(u: Any, w: Any, felt: Any) -> Any:
-    """Newton, at compression `u`, m, and its speed `w`, m/s."""
+    """Felt force, N, at compression `u`, m, and its speed `w`, m/s."""
     return felt.K_H * u**felt.p * (1 + felt.mu * w)
 
 
 def storage(u: Any, felt: Any) -> Any:
-    """Joule: the work of the force without its loss."""
+    """Stored energy, J: the work of the force without its loss."""
     return felt.K_H * u ** (felt.p + 1) / (felt.p + 1)
 
 

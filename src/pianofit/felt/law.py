@@ -1,8 +1,8 @@
-"""A law of the felt as one object: its parameters with bounds and priors, its force, and the energy that it stores.
+"""A felt law as one object: its parameters with bounds and priors, its force, and its stored energy.
 
-Whatever a fit, a file or a page has to know of a felt stands here, and nothing of a felt stands elsewhere. Which values
-rest on an assumed string mass, and which on velocities that nobody measured, follows from the units: scale all lengths
-by s and all masses by t at the same time, and the string sounds the same if every parameter scales as its unit does.
+This object holds all that fits, files and pages need from a felt law. The units of the parameters determine which
+values depend on an assumed string mass, or on a velocity that was not measured. If all lengths scale by s, all masses
+by t, and every parameter as its unit does, the string sounds the same.
 """
 
 from __future__ import annotations
@@ -20,37 +20,45 @@ from ..parameters import PARAMETERS, Parameter, check
 
 __all__ = ["COMMON", "FeltLaw"]
 
-# What every hammer has beside its felt.
+# Parameters of every hammer, in addition to those of its felt.
 COMMON = ("M_H", "v_H0")
-# What the string, the contact and a fit's tables call something else; a law's own names must be others.
-TAKEN = {*COMMON, *(name for name in PARAMETERS if name not in ("K_H", "mu", "p")), "x0", "width", "L", "M_S", "pickup"}
+# Names with another meaning in string, contact or tables of a fit: parameters of a law must not use them.
+RESERVED_NAMES = {
+    *COMMON,
+    *(name for name in PARAMETERS if name not in ("K_H", "mu", "p")),
+    "x0",
+    "width",
+    "L",
+    "M_S",
+    "pickup",
+}
 
 
 @dataclass(frozen=True, eq=False)
 class FeltLaw:
-    """A felt F(u, u̇), for `strike`, `simulate`, a `Note` and `fit`; the package's own are `pianofit.felt.LAWS`.
+    """A felt law F(u, u̇) for `strike`, `simulate`, `Note` and `fit`; those of this package are `pianofit.felt.LAWS`.
 
     Parameters
     ----------
-    name : what files call it: letters, digits, hyphens.
-    parameters : of each the unit, meaning, bounds, and for fits the prior's median and spread, see `Parameter`. All are
-        positive. A unit with N or m in it says that the value scales with masses or lengths.
-    force : `force(u, w, hammer)`, N, of compression u > 0, m, and its speed w, m/s, written in `jax.numpy` or plain
-        arithmetic, with the parameters as fields of `hammer`. It must not fall as u rises. Below 0 it counts as 0: a
-        felt does not pull.
-    storage : `storage(u, hammer)`, J: the energy that the felt gives back. Where it is given, hammers whose felt would
-        give more than that are refused.
-    slow : `slow(u, hammer)`, N, of a felt that relaxes: its force where it is pressed slowly.
-    power : the names of K and p if the force has the factor K u^p: a fit then searches the force K u_ref^p in place of
-        K, whose unit changes with p.
-    formula : the law for the page of a fit, one equation a string, in the part of TeX that a page sets.
-    hammers, columns : of the package's laws, which share a solver of their own: the hammers' type, and the order of a
-        fit's unknowns.
+    name : name in files: letters, digits, hyphens.
+    parameters : for each the unit, meaning, bounds, and for fits the prior median and spread, see `Parameter`. All are
+        positive. A unit that contains N or m states that the value scales with masses or lengths.
+    force : `force(u, w, hammer)`, N, for compression u > 0, m, and its speed w, m/s, written in `jax.numpy` or plain
+        arithmetic, with the parameters as fields of `hammer`. It must not fall as u rises. Values below 0 count as 0,
+        since a felt does not pull.
+    storage : `storage(u, hammer)`, J: the energy that the felt can return. If it is given, hammers whose felt returns
+        more are rejected.
+    slow : `slow(u, hammer)`, N: force of a relaxing felt in slow compression.
+    power : names of K and p if the force has the factor K u^p. A fit then searches the force K u_ref^p in place of K,
+        whose unit depends on p.
+    formula : the law for the page of a fit, one equation per string, in the subset of TeX that a page typesets.
+    hammers, columns : only for laws of this package, which share a solver: type of their hammers, and order of the
+        parameters of a fit.
 
     Raises
     ------
     ParameterError
-        For a name that is none, or that has another meaning, and for a parameter whose bounds or prior are none.
+        For an invalid or reserved name, and for a parameter with invalid bounds or prior.
     """
 
     name: str
@@ -69,10 +77,10 @@ class FeltLaw:
                 f"felt law {self.name!r}: the name must be letters, digits and hyphens, a letter first"
             )
         for name, parameter in self.parameters.items():
-            if not name.isidentifier() or iskeyword(name) or name.startswith("_") or name in TAKEN:
+            if not name.isidentifier() or iskeyword(name) or name.startswith("_") or name in RESERVED_NAMES:
                 raise ParameterError(
-                    f"felt law {self.name!r}: {name!r} must be a name other than {', '.join(sorted(TAKEN))}, "
-                    "and no word of Python's own"
+                    f"felt law {self.name!r}: {name!r} must be a name other than {', '.join(sorted(RESERVED_NAMES))}, "
+                    "and not a keyword of Python"
                 )
             parameter.check(f"felt law {self.name}: {name}")
         if self.power is not None and not {*self.power} <= {*self.parameters}:
@@ -87,34 +95,34 @@ class FeltLaw:
 
     @cached_property
     def kind(self) -> Any:
-        """The type of its hammers: a named tuple, and so a JAX pytree, that knows its law."""
+        """Type of the hammers with this law: a named tuple, and so a JAX pytree, with the attribute `law`."""
         if self.hammers is not None:
             return self.hammers
         name = self.name.replace("-", "_")
-        fields = namedtuple(name, (*self.parameters, *COMMON))  # fields are known at run time
+        fields = namedtuple(name, (*self.parameters, *COMMON))  # the fields follow from the parameters
         return type(name, (fields,), {"__slots__": (), "law": self})
 
     @property
     def boxes(self) -> dict[str, Parameter]:
-        """Unit, meaning and bounds of what a hammer has."""
+        """Unit, meaning and bounds of the parameters of a hammer."""
         return {**self.parameters, **{name: PARAMETERS[name] for name in COMMON}}
 
     def scaling(self, units: str) -> tuple[str, ...]:
-        """Which parameters have one of the `units`, such as "N" or "m", in theirs."""
-        found = re.compile(rf"(?<![A-Za-z])({'|'.join(units.split())})(?![A-Za-z])")
-        return tuple(name for name, parameter in self.parameters.items() if found.search(parameter.unit))
+        """Return the parameters whose unit contains one of `units`, such as "N" or "m"."""
+        pattern = re.compile(rf"(?<![A-Za-z])({'|'.join(units.split())})(?![A-Za-z])")
+        return tuple(name for name, parameter in self.parameters.items() if pattern.search(parameter.unit))
 
     def make_hammer(self, values: Mapping[str, Any], absent: Any = 0.0) -> Any:
-        """The hammer that `values` by name make; what its type has and the law has not is `absent`."""
+        """Return a hammer with these `values`; fields of its type that the law does not have are `absent`."""
         return self.kind(*(values[name] if name in self.boxes else absent for name in self.kind._fields))
 
     def hammer(self, **values: float) -> Any:
-        """A hammer with this felt: the law's parameters, M_H, kg, and v_H0, m/s.
+        """Return a hammer with this felt, from the parameters of the law, M_H, kg, and v_H0, m/s.
 
         Raises
         ------
         ParameterError
-            For a value that is missing, unknown or out of its bounds, and for a felt that gives more than it stores.
+            For a value that is missing, unknown or out of bounds, and for a felt that returns more than it stores.
         """
         if missing := [name for name in self.boxes if name not in values]:
             raise ParameterError(f"felt law {self.name}: a hammer needs {', '.join(missing)} too")

@@ -1,7 +1,7 @@
-"""The felt of Stulov, which relaxes: F = K_H (u^p - ε c), τ ċ = u^p - c.
+"""The relaxing felt of Stulov, F = K_H (u^p - ε c), τ ċ = u^p - c.
 
-It is as stiff as K_H to a sudden blow and as K_H (1 - ε) to a slow one. What it stores is
-K_H [∫ u^p du - ε (c u - Φ(c))] with Φ' = c^(1/p): the power that it takes exceeds the rise of this by
+Its stiffness is K_H in a sudden compression and K_H (1 - ε) in a slow one. The stored energy is
+K_H [∫ u^p du - ε (c u - Φ(c))] with Φ' = c^(1/p). The power that the felt absorbs exceeds the growth of this energy by
 ε K_H ċ (u - c^(1/p)), which is never negative.
 """
 
@@ -18,14 +18,14 @@ __all__ = ["LAWS", "STULOV", "RelaxingHammer"]
 
 
 class RelaxingHammer(NamedTuple):
-    """A hammer whose felt remembers: F = K_H [u^p (1 + μ u̇) - ε c], τ ċ = u^p - c; with μ = 0 Stulov's felt.
+    """A hammer with relaxing felt: F = K_H [u^p (1 + μ u̇) - ε c], τ ċ = u^p - c; with μ = 0 the law of Stulov.
 
-    From a hammer of the same stiffness: `RelaxingHammer(*hammer._replace(mu=0.0), epsilon, tau)`.
+    It is made from a hammer of the same stiffness by `RelaxingHammer(*hammer._replace(mu=0.0), epsilon, tau)`.
     """
 
-    K_H: Number  # felt stiffness to a sudden compression, N/m^p; a slow one feels K_H (1 - ε)
+    K_H: Number  # felt stiffness in sudden compression, N/m^p; K_H (1 - ε) in slow compression
     mu: Number  # felt loss coefficient, s/m
-    p: Number  # stiffness exponent, 1
+    p: Number  # felt exponent, 1
     M_H: Number  # hammer mass, kg
     v_H0: Number  # initial hammer velocity, m/s
     epsilon: Number  # share of the stiffness that relaxes, 1
@@ -36,22 +36,22 @@ class RelaxingHammer(NamedTuple):
 
 
 def force(u: Any, w: Any, felt: Any, c: Any = 0.0) -> Any:
-    """Newton, at compression `u`, m, its speed `w`, m/s, and the memory `c`, m^p; suddenly pressed if that is 0."""
+    """Felt force, N, at compression `u`, m, its speed `w`, m/s, and relaxation state `c`, m^p; sudden if c = 0."""
     return felt.K_H * (u**felt.p * (1 + felt.mu * w) - felt.epsilon * c)
 
 
 def storage(u: Any, felt: Any, c: Any = 0.0) -> Any:
-    """Joule."""
-    turned = felt.p / (felt.p + 1) * c ** ((felt.p + 1) / felt.p)
-    return felt.K_H * (u ** (felt.p + 1) / (felt.p + 1) - felt.epsilon * (c * u - turned))
+    """Stored energy, J."""
+    conjugate = felt.p / (felt.p + 1) * c ** ((felt.p + 1) / felt.p)
+    return felt.K_H * (u ** (felt.p + 1) / (felt.p + 1) - felt.epsilon * (c * u - conjugate))
 
 
 def slow(u: Any, felt: Any) -> Any:
-    """Newton, of a felt that has had the time to relax."""
+    """Force of the relaxed felt, N."""
     return force(u, 0.0, felt, u**felt.p)
 
 
-# Relaxing felts are hardly published: a factor of two about a half, and of about five about a tenth of a millisecond.
+# Few values are published. Prior: ε = 0.5 within a factor of two, τ = 0.1 ms within a factor of about five.
 STULOV = FeltLaw(
     "stulov",
     {

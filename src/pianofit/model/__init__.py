@@ -1,7 +1,7 @@
 """The direct model: parameters in, force pulse, spectrum and waveform out.
 
-A string is a table of modes (`modes`), contact is one scalar equation per step (`contact`), and the rest is closed form
-(`response`). Everything is computed in float64, in a scope of its own (`precision`): the caller's JAX stays as it is.
+A string is a table of modes (`modes`). Contact is one scalar equation per step (`contact`). The response after it is
+in closed form (`free_response`). All is computed in float64 (`x64`), and the caller's JAX settings stay unchanged.
 """
 
 from .contact import Pulse, kernel, strike

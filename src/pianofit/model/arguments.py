@@ -1,4 +1,4 @@
-"""What an argument of the model may be, by its name: one name has one meaning in all of its functions."""
+"""Type checks of the model's arguments by their names: a name has the same meaning in all functions."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["check_arguments", "is_numeric"]
 
 
 def is_numeric(value: Any) -> bool:
-    """Whether a value is a number, or an array or a tracer of numbers."""
+    """Return true for a number, and for an array or a tracer of numbers."""
     if isinstance(value, np.ndarray | np.generic | jax.Array):
         return np.issubdtype(value.dtype, np.number)
     return isinstance(value, Real) and not isinstance(value, bool)
@@ -38,13 +38,13 @@ def _is_count(value: Any) -> bool:
 
 
 def _numbers_of(*fields: str, kind: type = tuple) -> Callable[[Any], bool]:
-    """Whether a value is a `kind` of named tuple with these `fields`, among them, and numbers in all of its own."""
+    """Return a test for named tuples of a `kind` that have at least these `fields` and hold only numbers."""
 
-    def is_one(value: Any) -> bool:
-        there = getattr(value, "_fields", ())
-        return isinstance(value, kind) and {*fields} <= {*there} and all(map(is_numeric, value))
+    def is_valid(value: Any) -> bool:
+        present = getattr(value, "_fields", ())
+        return isinstance(value, kind) and {*fields} <= {*present} and all(map(is_numeric, value))
 
-    return is_one
+    return is_valid
 
 
 def _is_scalar(value: Any) -> bool:
@@ -52,11 +52,11 @@ def _is_scalar(value: Any) -> bool:
 
 
 NUMBER, WHOLE = (_is_scalar, "a number"), (_is_whole, "a whole number above 0")
-ARRAY, TEXT = (_is_array, "an array of numbers"), (lambda value: isinstance(value, str), "a text")
+ARRAY, TEXT = (_is_array, "an array of numbers"), (lambda value: isinstance(value, str), "a string")
 KINDS: Mapping[str, tuple[Callable[[Any], bool], str]] = {
     "string": (_numbers_of(kind=String), "a String of numbers"),
     "geometry": (_numbers_of(kind=Geometry), "a Geometry of numbers"),
-    "hammer": (_numbers_of("v_H0"), "a Hammer, a RelaxingHammer or a FeltLaw's hammer, of numbers"),
+    "hammer": (_numbers_of("v_H0"), "a Hammer, a RelaxingHammer or a hammer of a FeltLaw, of numbers"),
     "modes": (_numbers_of("omega2", "pole"), "a table of modes, as mode_table returns it"),
     "free": (_numbers_of("amplitude", "energy"), "a free motion, as pluck returns it"),
     "rate": NUMBER, "sigma": (is_numeric, "a number"), "length": NUMBER, "force": NUMBER,
@@ -67,19 +67,19 @@ KINDS: Mapping[str, tuple[Callable[[Any], bool], str]] = {
 
 
 def check_arguments(signature: inspect.Signature, args: tuple, kwargs: Mapping[str, Any]) -> None:
-    """Refuse an argument that is not what its name says; None is what a default of None allows.
+    """Reject an argument of the wrong type. None is allowed where it is the default.
 
     Raises
     ------
     ParameterError
-        Naming the argument, the value and what it must be.
+        If an argument has the wrong type. The message names argument, value and required type.
     """
     try:
         given = signature.bind(*args, **kwargs).arguments
-    except TypeError:  # one too many or too few, which the call itself refuses
+    except TypeError:  # wrong number of arguments: the call itself raises
         return
     for name, value in given.items():
-        is_one, must = KINDS.get(name, (None, ""))
-        if is_one is None or (value is None and signature.parameters[name].default is None) or is_one(value):
+        is_valid, requirement = KINDS.get(name, (None, ""))
+        if is_valid is None or (value is None and signature.parameters[name].default is None) or is_valid(value):
             continue
-        check_type(f"{name}=", value, (), must)
+        check_type(f"{name}=", value, (), requirement)

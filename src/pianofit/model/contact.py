@@ -1,12 +1,13 @@
 """Contact is one scalar equation per step.
 
-The hammer meets the string only through the displacement that past forces left under it. With the kernel `g_n` (the
-displacement at the strike, n steps after a unit `T`), Crank-Nicolson for hammer and string together (paper eq. 16) is
+The string acts on the hammer only through the displacement that past forces left under it. The kernel `g_n` is the
+displacement at the strike position, n steps after a unit `T`. Crank-Nicolson for hammer and string together (paper
+eq. 16) is
 
     e_n = y_H + 2a v_H - Σ_{m<n} g_{n-m} T_m - free motion        u_n = e_n - C T_n,   C = a²/M_H + g_0
     w_n = (u_n - u_{n-1})/a - w_{n-1}                             F_n = F(u_n, w_n)
 
-with the law of `felt` for F: a convex, rising function of `u_n`.
+where F is the felt law (`felt`), a convex function that rises with `u_n`.
 """
 
 from __future__ import annotations
@@ -42,32 +43,32 @@ __all__ = [
 
 
 class Pulse(NamedTuple):
-    """What the contact did, step by step from the first touch at n = 0. Units: SI."""
+    """Force and motion during the contact, step by step from the first touch at n = 0. Units: SI."""
 
     drive: Float[Array, " steps"]  # T^n = F^n + F^(n-1), N
     force: Float[Array, " steps"]  # F^n, N
     compression: Float[Array, " steps"]  # u^n, m; negative when apart
     hammer: Float[Array, "steps 2"]  # y_H, m, and v_H, m/s
-    work: Float[Array, ""]  # what the contact put into the string, J
-    over: Bool[Array, ""]  # proven: the hammer cannot catch the string any more
+    work: Float[Array, ""]  # energy that the contact transferred to the string, J
+    over: Bool[Array, ""]  # proven: the hammer cannot touch the string again
 
     def __repr__(self) -> str:
         return summary(self)
 
 
 class PostContactState(NamedTuple):
-    """What a contact left behind, `steps` steps after the first touch."""
+    """State of the modes after a contact, `steps` steps after the first touch."""
 
-    amplitude: Complex[Array, " modes"]  # of every mode, m: q_n = Re(amplitude · z^(n - steps)) from then on
+    amplitude: Complex[Array, " modes"]  # m: afterwards each mode moves as q_n = Re(amplitude · z^(n - steps))
     steps: Array
-    separated: Bool[Array, ""]  # whether hammer and string are apart by then
+    separated: Bool[Array, ""]  # hammer and string are apart after these steps
 
 
 class FreeMotion(NamedTuple):
-    """A string that moves by itself: q = Re(amplitude · z^n), with its speed and energy."""
+    """Free motion of a string, q = Re(amplitude · z^n), with its speed and energy."""
 
     amplitude: Complex[Array, " modes"]  # m
-    speed: Float[Array, ""]  # of the string under the hammer at t = 0, m/s, the scheme's
+    speed: Float[Array, ""]  # of the string under the hammer at t = 0, m/s, as the scheme computes it
     energy: Float[Array, ""]  # J
 
     def __repr__(self) -> str:
@@ -76,7 +77,7 @@ class FreeMotion(NamedTuple):
 
 @float64
 def impulse_amplitude(modes: Modes) -> Complex[Array, " modes"]:
-    """C_k: a unit `T` at step 0 leaves the mode at q_n = Re(C_k z_k^n), n ≥ 0. m/N."""
+    """C_k, m/N: after a unit `T` at step 0 the mode moves as q_n = Re(C_k z_k^n), n ≥ 0."""
     a = modes.step / 2
     v = a * modes.modal_gain / (1 + 2 * a * modes.alpha + a**2 * modes.omega2)
     q = a * v
@@ -91,7 +92,7 @@ def kernel(modes: Modes, steps: int) -> Float[Array, " steps"]:
 
 @float64
 def kernel_rows(modes: Modes, steps: int) -> Float[Array, "32 steps"]:
-    """g once more, m/N, a row for each step of a block: what a unit `T` there leaves from the next block on."""
+    """Displacement under the hammer from the next block on, after a unit `T` at each step of a block, m/N."""
     g = kernel(modes, BLOCK + steps)
     return jnp.stack([g[BLOCK - i : BLOCK - i + steps] for i in range(BLOCK)])
 
@@ -103,9 +104,9 @@ def free_motion(
     """The motion of a string released at t = 0 with modal `displacement`, m, and `velocity`, m/s [modes]."""
     rate = modes.free_rate
     amplitude = displacement - 1j * (velocity - rate.real * displacement) / rate.imag
-    silent = modes.modal_gain == 0  # at a node of the strike: never meets the hammer
-    mass = jnp.where(silent, 0.0, modes.strike / jnp.where(silent, 1.0, modes.modal_gain))
-    # The scheme's own velocity, for its own energy: p̃ = (z - 1)/(z + 1)/a.
+    at_node = modes.modal_gain == 0  # the hammer neither drives nor senses this mode
+    mass = jnp.where(at_node, 0.0, modes.strike / jnp.where(at_node, 1.0, modes.modal_gain))
+    # The scheme's energy needs the scheme's velocity: p̃ = (z - 1)/(z + 1)/a.
     z_1 = jnp.expm1(modes.pole * modes.step)
     velocity = (amplitude * z_1 / (2 + z_1)).real * (2 / modes.step)
     energy = 0.5 * (mass * (velocity**2 + modes.omega2 * displacement**2)).sum()
@@ -117,32 +118,32 @@ def strike(
     modes: Modes, hammer: Any, *, steps: int, free: FreeMotion | None = None,
     rows: AnyArray | None = None, whole: bool = True,
 ) -> Pulse:  # fmt: skip
-    """The hammer on the string from the first contact on, for `steps` steps of the table's own δt.
+    """Simulate the contact of hammer and string for `steps` steps δt of the table.
 
-    The contact may end and begin again. Whether it is over for good is proven, not guessed: after the last step the
-    string's displacement under the hammer never exceeds √(2 E S), with E its energy and S its static compliance there,
-    so a hammer that moves away and is further off than that cannot touch again.
+    The contact may end and begin again. The function proves its end: after the last step the string's displacement
+    under the hammer cannot exceed √(2 E S), with its energy E and its static compliance S there. A hammer that moves
+    away and is farther off than that cannot touch the string again.
 
     Parameters
     ----------
-    modes : the table, see `mode_table`. Its rate sets the step's error, of second order: 88,200 Hz leaves 1e-3.
+    modes : the table, see `mode_table`. The error is of second order in its step: at 88,200 Hz it is 1e-3.
     hammer : a `Hammer`, K_H, mu, p, M_H, v_H0 in SI units; a `RelaxingHammer`, or a hammer of a `FeltLaw`.
-    steps : how long to follow the hammer; a multiple of 32. Contacts last 1 to 8 ms: 1024 steps at 88,200 Hz suit the
-        middle, the bass needs more. What it costs is linear in steps and in modes.
+    steps : number of steps; a multiple of 32. Contacts last 1 to 8 ms: 1024 steps at 88,200 Hz suit the middle
+        register, the bass needs more. The cost is linear in steps and in modes.
     free : motion of a string that already sounds, see `pluck`; at rest by default.
-    rows : the string's `kernel_rows`, where many hammers share a string and it has no derivatives: in place of the
-        modes, of which there are more than steps, they then carry the past.
-    whole : refuse a pulse that is cut off. Under `jit`, `vmap` or `grad` nothing can be refused: look at `over`.
+    rows : `kernel_rows` of the string, for many hammers on one string without derivatives by it. They then carry the
+        response to past forces in place of the modes, which are more numerous than the steps.
+    whole : reject a pulse that is cut off. Under `jit`, `vmap` or `grad` this is not possible: check `over`.
 
     Returns
     -------
     `drive`, N, for `spectrum`, `levels` and `waveform`; `force`, N, and `compression`, m [steps]; `hammer`, position
-    and velocity [steps, 2]; `work`, J; `over`, whether the contact is proven to be over.
+    and velocity [steps, 2]; `work`, J; `over`, true if the contact is proven to be over.
 
     Raises
     ------
     ParameterError
-        If `steps` is no multiple of 32, or too few, and where it is traced in float32 (`precision`).
+        If `steps` is not a multiple of 32 or is too small, and if traced in float32 (`x64`).
 
     Examples
     --------
@@ -161,31 +162,32 @@ def strike(
         under = ring(modes.strike * free.amplitude, modes.pole * modes.step, steps)
         speed, energy = free.speed, (free.energy,)
     drive, force, u, y_hammer, v_hammer = _march(modes, hammer, under, speed, rows)
-    own = y_hammer - u - under
-    work = 0.5 * (drive[1:] * (own[1:] - own[:-1])).sum()
+    driven = y_hammer - u - under
+    work = 0.5 * (drive[1:] * (driven[1:] - driven[:-1])).sum()
     over = _cannot_return(modes, u[-1], y_hammer[-1], v_hammer[-1], work, *energy)
     if whole and not isinstance(over, Tracer) and not over:
-        after = f"steps={steps}: the contact is not proven to be over after {float(steps * modes.step):.2g} s"
-        given = hammer._asdict()
-        wrong = [f"{name}={given[name]:g}" for name in HAMMER_NAMES if name in given and not given[name] >= 0]
-        raise ParameterError(f"{after}; " + (f"no hammer has {', '.join(wrong)}" if wrong else "give more"))
+        problem = f"steps={steps}: the contact is not proven to be over after {float(steps * modes.step):.2g} s"
+        values = hammer._asdict()
+        invalid = [f"{name}={values[name]:g}" for name in HAMMER_NAMES if name in values and not values[name] >= 0]
+        hint = f"{', '.join(invalid)} must be 0 or more" if invalid else "use more steps"
+        raise ParameterError(f"{problem}; {hint}")
     return Pulse(drive, force, u, jnp.stack([y_hammer, v_hammer], axis=-1), work, over)
 
 
 @float64
 def strike_final_state(modes: Modes, hammer: Any, *, steps: int | AnyArray) -> PostContactState:
-    """What `strike` leaves in the modes of a string at rest, marching only until the contact is proven to be over.
+    """Return the state of the modes after a strike on a string at rest; it stops once the contact is proven over.
 
     Parameters
     ----------
-    steps : the march ends here whether or not it is over; a multiple of 32, which may be traced: it costs no program.
+    steps : largest number of steps, a multiple of 32. It may be traced, so another number needs no new program.
     """
     if not isinstance(steps, Tracer) and steps % BLOCK:
         raise ParameterError(f"steps={steps} must be a multiple of {BLOCK}")
     zero = jnp.zeros_like(modes.step)
-    rest = FreeMotion(jnp.zeros_like(modes.pole), zero, zero)
-    count, ((real, imag), _), apart, *_ = _until_over(modes, hammer, rest, steps)
-    return PostContactState(real + 1j * imag, jnp.asarray(count * BLOCK + 1), apart)
+    at_rest = FreeMotion(jnp.zeros_like(modes.pole), zero, zero)
+    count, ((real, imag), _), separated, *_ = _until_over(modes, hammer, at_rest, steps)
+    return PostContactState(real + 1j * imag, jnp.asarray(count * BLOCK + 1), separated)
 
 
 @float64
@@ -193,19 +195,19 @@ def strike_moving_string(
     modes: Modes, hammer: Any, displacement: Float[AnyArray, " modes"], velocity: Float[AnyArray, " modes"],
     powers: tuple[AnyArray, AnyArray], steps: int,
 ) -> tuple[Float[Array, " steps"], Float[Array, " steps"], Bool[Array, ""]]:  # fmt: skip
-    """The contact of a hammer with a string that moves, marching only until it is proven to be over.
+    """Simulate the contact of a hammer with a moving string; it stops once the contact is proven over.
 
-    What the string does by itself is carried by its modes, with what past forces left: it costs nothing.
+    The modes carry the free motion together with the response to past forces, at no extra cost.
 
     Parameters
     ----------
-    displacement, velocity : of the modes at the first touch, m and m/s [modes].
-    powers : real and imaginary parts of z^n, n ≤ 32 [modes, 33], which all strokes on a string share.
-    steps : at the most; a multiple of 32.
+    displacement, velocity : state of the modes at the first touch, m and m/s [modes].
+    powers : real and imaginary parts of z^n, n ≤ 32 [modes, 33], shared by all strokes on a string.
+    steps : largest number of steps; a multiple of 32.
 
     Returns
     -------
-    `drive` and `force`, N [steps], nought after the end, and whether that is proven to be one.
+    `drive` and `force`, N [steps], zero after the end, and true if the contact is proven to be over.
     """
     free = free_motion(modes, displacement, velocity)
     *_, (drive, force), over = _until_over(modes, hammer, free, steps, powers, (jnp.zeros(steps + 1),) * 2)
@@ -214,80 +216,84 @@ def strike_moving_string(
 
 def _until_over(
     modes: Modes, hammer: Any, free: FreeMotion, steps: int | AnyArray,
-    powers: tuple[AnyArray, AnyArray] | None = None, kept: tuple[Array, ...] = (),
+    powers: tuple[AnyArray, AnyArray] | None = None, outputs: tuple[Array, ...] = (),
 ):  # fmt: skip
-    """Block after block until the contact is proven to be over: how many, state, whether apart, what is kept, over.
+    """Step block by block until the contact is proven to be over.
 
     Parameters
     ----------
-    kept : where drive and force are written to, N [steps + 1]; nothing is kept without.
+    outputs : arrays that receive drive and force, N [steps + 1]; without them neither is stored.
+
+    Returns
+    -------
+    The number of blocks, the state, whether hammer and string are apart, the `outputs`, and whether contact is over.
     """
     under = (modes.strike * free.amplitude.real).sum()
     block, first = _blocks(modes, hammer, under, free.speed, None, powers)
-    turned = free.amplitude * jnp.exp(modes.pole * modes.step)
+    advanced = free.amplitude * jnp.exp(modes.pole * modes.step)
 
-    def going(now):
-        return (now[0] < steps // BLOCK) & ~now[-1]
+    def is_unfinished(state):
+        return (state[0] < steps // BLOCK) & ~state[-1]
 
-    def onward(now):
-        count, carry, _, before, energy, kept, _ = now
-        carry, (*outputs, u, y, v) = block(carry, jnp.zeros(BLOCK))
+    def advance_block(state):
+        count, carry, _, previous, energy, outputs, _ = state
+        carry, (*forces, u, y, v) = block(carry, jnp.zeros(BLOCK))
         string = y - u
-        energy = energy + 0.5 * (outputs[0] * (string - jnp.append(before, string[:-1]))).sum()
+        energy = energy + 0.5 * (forces[0] * (string - jnp.append(previous, string[:-1]))).sum()
         at = (1 + count * BLOCK,)
-        kept = tuple(jax.lax.dynamic_update_slice(*x, at) for x in zip(kept, outputs, strict=False))
+        outputs = tuple(jax.lax.dynamic_update_slice(*x, at) for x in zip(outputs, forces, strict=False))
         return (
             count + 1,
             carry,
             u[-1] <= 0,
             string[-1],
             energy,
-            kept,
+            outputs,
             _cannot_return(modes, u[-1], y[-1], v[-1], energy),
         )
 
     no = jnp.asarray(False)
-    begin = (0, ((turned.real, turned.imag), first), no, under, free.energy, kept, no)
-    count, carry, apart, _, _, kept, over = jax.lax.while_loop(going, onward, begin)
-    return count, carry, apart, kept, over
+    initial = (0, ((advanced.real, advanced.imag), first), no, under, free.energy, outputs, no)
+    count, carry, separated, _, _, outputs, over = jax.lax.while_loop(is_unfinished, advance_block, initial)
+    return count, carry, separated, outputs, over
 
 
 def _cannot_return(modes: Modes, u: Array, y_hammer: Array, v_hammer: Array, *energies: AnyArray) -> Array:
-    """Whether the hammer moves away, further off than a string of these energies can follow."""
+    """Return true if the hammer moves away and is farther off than a string of these energies can reach."""
     reach = sum(_max_displacement(modes, energy) for energy in energies)
     return (u <= 0) & (v_hammer <= 0) & (y_hammer + reach <= 0)
 
 
 def _max_displacement(modes: Modes, energy: AnyArray) -> Array:
-    """The farthest a string of this energy can be from rest under the hammer, m (Cauchy-Schwarz over the modes)."""
+    """Largest displacement under the hammer that a string of this energy can reach, m (Cauchy-Schwarz over modes)."""
     compliance = (modes.strike * modes.modal_gain / modes.omega2).sum()
     return jnp.sqrt(2 * jnp.maximum(energy, 0.0) * compliance)
 
 
 def _blocks(
     modes: Modes, hammer: Any, y_string: AnyArray, speed: AnyArray | float, rows: AnyArray | None,
-    given: tuple[AnyArray, AnyArray] | None = None,
+    computed_powers: tuple[AnyArray, AnyArray] | None = None,
 ):  # fmt: skip
-    """A function that steps the hammer over a block of steps, and the state it begins with; symbols as at the top.
+    """Return a function that advances the hammer by one block, and its initial state; symbols as in the module.
 
-    The sum over past forces is split: those of the present block are summed with the kernel, step by step; all earlier
-    ones have left the modes ringing with complex amplitudes, which give the whole block's history as one matrix product
-    that candidates on the same string share. The cost is linear in the steps. With `rows` what is carried is instead
-    the displacement to come.
+    The sum over past forces is split. Forces of the present block are summed with the kernel, step by step. Earlier
+    forces are carried by the complex amplitudes of the modes. One matrix product gives their effect for the whole
+    block, and candidates on the same string share it. The cost is linear in the steps. With `rows` the future
+    displacement is carried instead.
 
     Parameters
     ----------
-    y_string, speed : of the string under the hammer at the first touch, m and m/s.
-    given : `real_powers` of the modes, where they are there already.
+    y_string, speed : displacement and speed of the string under the hammer at the first touch, m and m/s.
+    computed_powers : `real_powers` of the modes, if they are already computed.
     """
     a = modes.step / 2
     unit = impulse_amplitude(modes)
     log_z = modes.pole * modes.step
-    powers = (log_z, *(real_powers(log_z, BLOCK + 1, 1) if given is None else given))
-    turn = jnp.exp(BLOCK * log_z)
-    over_block, unit = (turn.real, turn.imag), (unit.real, unit.imag)
+    powers = (log_z, *(real_powers(log_z, BLOCK + 1, 1) if computed_powers is None else computed_powers))
+    z_block = jnp.exp(BLOCK * log_z)
+    block_factor, unit = (z_block.real, z_block.imag), (unit.real, unit.imag)
     g = _history(modes.strike * unit[0], modes.strike * unit[1], powers)
-    own_g = jnp.concatenate([g[:0:-1], jnp.zeros(BLOCK + 1)])
+    reversed_g = jnp.concatenate([g[:0:-1], jnp.zeros(BLOCK + 1)])
     c = a**2 / hammer.M_H + g[0]
     weights = memory_weights(hammer, modes.step)
 
@@ -300,8 +306,8 @@ def _blocks(
 
         def advance(carry, i):
             recent, (u, w, f, y, v, memory) = carry
-            own = (jax.lax.dynamic_slice(own_g, (BLOCK - 1 - i,), (BLOCK,)) * recent).sum()
-            e = y + 2 * a * v - past[i] - own
+            present = (jax.lax.dynamic_slice(reversed_g, (BLOCK - 1 - i,), (BLOCK,)) * recent).sum()
+            e = y + 2 * a * v - past[i] - present
             u_new = compression(e, u, w, f, c, a, hammer, weights, memory)
             w_new = (u_new - u) / a - w
             f_new = force(u_new, w_new, e - c * f, c, a, hammer, weights, memory)
@@ -313,30 +319,30 @@ def _blocks(
 
         (recent, state), outputs = jax.lax.scan(advance, (jnp.zeros(BLOCK), state), jnp.arange(BLOCK))
         if rows is None:
-            turned, left = _product(earlier, over_block), _product(unit, _left(recent, powers))
-            return ((turned[0] + left[0], turned[1] + left[1]), state), outputs
+            decayed, added = _product(earlier, block_factor), _product(unit, _advanced_drive(recent, powers))
+            return ((decayed[0] + added[0], decayed[1] + added[1]), state), outputs
         return (jnp.append(earlier[BLOCK:], jnp.zeros(BLOCK)) + recent @ rows, state), outputs
 
     zero = jnp.zeros_like(c)
-    # y_H(0) = y_s at the strike: the felt touches, uncompressed (paper eq. 7).
+    # y_H(0) = y_s at the strike position: the felt touches without compression (paper eq. 7).
     y, v = y_string + zero, hammer.v_H0 + zero
     return block, (zero, v - speed, zero, y, v, None if weights is None else zero)
 
 
 def _march(modes: Modes, hammer: Any, under: Float[AnyArray, " steps"], speed: AnyArray | float, rows: AnyArray | None):
-    """Step the hammer over the string as long as `under` [steps]: drive, force, u, y_H and v_H [steps]."""
+    """Simulate as many steps as `under` has: drive, force, u, y_H and v_H [steps]."""
     block, state = _blocks(modes, hammer, under[0], speed, rows)
-    # The first block starts at step 1, with nothing ringing yet.
+    # The first block starts at step 1, before any force.
     shifted = jnp.append(under[1:], 0.0).reshape(-1, BLOCK)
     earlier = (jnp.zeros_like(modes.alpha),) * 2 if rows is None else jnp.zeros_like(under)
-    _, rest = jax.lax.scan(block, (earlier, state), shifted)
+    _, later = jax.lax.scan(block, (earlier, state), shifted)
     zero = state[0]
     first = (zero, zero, zero, state[3], state[4])
-    return tuple(jnp.concatenate([x[None], r.ravel()[:-1]]) for x, r in zip(first, rest, strict=True))
+    return tuple(jnp.concatenate([x[None], r.ravel()[:-1]]) for x, r in zip(first, later, strict=True))
 
 
 def _product(a, b):
-    """Of two complex numbers as pairs of real ones, which a CPU multiplies several times as fast."""
+    """Complex product of pairs (real, imaginary): on a CPU several times as fast as complex arithmetic."""
     return a[0] * b[0] - a[1] * b[1], a[0] * b[1] + a[1] * b[0]
 
 
@@ -347,35 +353,36 @@ def _history(real, imag, powers):
     return real @ re[:, :BLOCK] - imag @ im[:, :BLOCK]
 
 
-def _history_jvp(given, tangents):
-    # log z answers for its powers: z^n moves by n z^n d(log z), and no power is carried along every direction.
-    (*amplitude, powers), (*d_amplitude, (d_log_z, _, _)) = given, tangents
-    moved = _history(*map(_filled, d_amplitude), powers)
+def _history_jvp(primal, tangents):
+    # d(z^n) = n z^n d(log z): tangents of log z suffice, and no tangents of single powers are carried.
+    (*amplitude, powers), (*d_amplitude, (d_log_z, _, _)) = primal, tangents
+    tangent = _history(*map(_instantiated, d_amplitude), powers)
     if type(d_log_z) is not SymbolicZero:
-        moved += jnp.arange(BLOCK) * _history(*_product(amplitude, (d_log_z.real, d_log_z.imag)), powers)
-    return _history(*amplitude, powers), moved
+        tangent += jnp.arange(BLOCK) * _history(*_product(amplitude, (d_log_z.real, d_log_z.imag)), powers)
+    return _history(*amplitude, powers), tangent
 
 
 @jax.custom_jvp
-def _left(drive, powers):
-    """Σ_i z_k^(BLOCK - i) T_i, real and imaginary [modes], N: how far a unit T at step i has turned by the next."""
+def _advanced_drive(drive, powers):
+    """Σ_i z_k^(BLOCK - i) T_i, real and imaginary [modes], N: the drive of a block, advanced to the next block."""
     _, re, im = powers
     return drive @ re[:, :0:-1].T, drive @ im[:, :0:-1].T
 
 
-def _left_jvp(given, tangents):
-    (drive, powers), (d_drive, (d_log_z, _, _)) = given, tangents
-    real, imag = _left(_filled(d_drive), powers)
+def _advanced_drive_jvp(primal, tangents):
+    (drive, powers), (d_drive, (d_log_z, _, _)) = primal, tangents
+    real, imag = _advanced_drive(_instantiated(d_drive), powers)
     if type(d_log_z) is not SymbolicZero:
-        turned = _product((d_log_z.real, d_log_z.imag), _left(jnp.arange(BLOCK, 0, -1) * drive, powers))
-        real, imag = real + turned[0], imag + turned[1]
-    return _left(drive, powers), (real, imag)
+        weighted = _advanced_drive(jnp.arange(BLOCK, 0, -1) * drive, powers)
+        by_log_z = _product((d_log_z.real, d_log_z.imag), weighted)
+        real, imag = real + by_log_z[0], imag + by_log_z[1]
+    return _advanced_drive(drive, powers), (real, imag)
 
 
-# Where the string is held its powers do not move, and zeros need no products.
+# With a fixed string the powers have symbolic zeros as tangents, and the products above are left out.
 _history.defjvp(derivative(_history_jvp), symbolic_zeros=True)
-_left.defjvp(derivative(_left_jvp), symbolic_zeros=True)
+_advanced_drive.defjvp(derivative(_advanced_drive_jvp), symbolic_zeros=True)
 
 
-def _filled(tangent: Any) -> Any:
+def _instantiated(tangent: Any) -> Any:
     return jnp.zeros(tangent.shape) if type(tangent) is SymbolicZero else tangent

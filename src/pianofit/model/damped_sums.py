@@ -1,8 +1,8 @@
 """Sums of damped exponentials over steps, and the transforms that are their transposes.
 
-With n = 32 i + j, z^n = z^(32 i) z^j: the sum over rows is one small matrix product, and the steps × rows powers are
-never formed. Derivatives are sums of the same kind, since differentiating by log z multiplies by n: forward mode costs
-two more thin products instead of carrying every power along every direction.
+With n = 32 i + j, z^n = z^(32 i) z^j. So the sum over rows is one small matrix product, and the steps × rows powers are
+never formed. Derivatives are sums of the same kind, since differentiating by log z multiplies by n. Forward mode costs
+two thin products more, and carries no tangents of single powers.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from .x64 import AnyArray, derivative, float64
 
 __all__ = ["BLOCK", "real_powers", "ring", "transform"]
 
-# Steps taken at once, here and in the contact.
+# Steps in a block, here and in the contact.
 BLOCK = 32
 
 

@@ -1,4 +1,4 @@
-"""A string pulled aside and let go: the excitation that needs no hammer."""
+"""Plucking: a string is displaced by a steady force and released."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ __all__ = ["pluck"]
 
 @float64
 def pluck(modes: Modes, force: float = 1.0) -> FreeMotion:
-    """The motion after a steady force on the table's contact window is let go.
+    """Return the free motion after a steady force on the contact window of the table is released.
 
-    Of a mode under a steady force no more is left than its compliance. For `levels`, `waveform` and `spectrum`, and
-    for `strike`.
+    The force displaces each mode by its static compliance. The result is an argument of `levels`, `waveform`,
+    `spectrum` and `strike`.
 
     Parameters
     ----------
     modes : the table, see `mode_table`.
-    force : N.
+    force : the steady force, N.
 
     Returns
     -------
@@ -30,7 +30,7 @@ def pluck(modes: Modes, force: float = 1.0) -> FreeMotion:
     Raises
     ------
     ParameterError
-        Where it is traced in float32.
+        If it is traced in float32.
 
     Examples
     --------

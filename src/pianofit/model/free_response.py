@@ -1,9 +1,9 @@
-"""After the contact everything is closed form.
+"""The response after the contact is in closed form.
 
-A pulse `T` leaves every mode ringing with a complex amplitude, the pulse's transform at the mode's own pole times the
-mode's response to a unit pulse. The waveform is the sum of those damped exponentials. On the damped circle
-`ζ = exp(-(σ + jω)δt)` the spectrum is `Y = T̂(ζ) H(ζ)`: the pulse's transform times the string's mobility from strike to
-pickup, and H stays while the string stays. Evaluating at σ > 0 is the same as multiplying the signal by exp(-σt).
+A pulse `T` leaves each mode with a complex amplitude: the transform of the pulse at the pole of the mode, times the
+response of the mode to a unit pulse. The waveform is the sum of these damped exponentials. On the damped circle
+`ζ = exp(-(σ + jω)δt)` the spectrum is `Y = T̂(ζ) H(ζ)`, the transform of the pulse times the mobility from strike to
+pickup. H depends on the string alone. Evaluation at σ > 0 is the same as multiplication of the signal by exp(-σt).
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from .x64 import AnyArray, float64
 
 __all__ = ["level_db", "levels", "mobility", "modal_amplitudes", "spectrum", "waveform"]
 
-# A partial's level is its energy in the first LEVEL_SPAN seconds under exp(-LEVEL_DECAY t).
+# The level of a partial is its energy in the first LEVEL_SPAN seconds under exp(-LEVEL_DECAY t).
 LEVEL_SPAN, LEVEL_DECAY = 0.35, 8.0
-# exp of this, and its square, are still finite numbers.
-MOST_RISE = 300.0
+# Largest exponent: exp of this, and its square, are finite.
+MAX_EXPONENT = 300.0
 
 
 @float64
@@ -43,21 +43,21 @@ def damped_circle(
 def mobility(
     modes: Modes, zeta: Complex[AnyArray, " bins"], amplitude: Complex[AnyArray, " modes"] | None = None
 ) -> Complex[Array, " bins"]:
-    """H(ζ) = Σ_n h_n ζ^n of the response h to a unit `T` (or to free modal `amplitude`s), per step."""
+    """H(ζ) = Σ_n h_n ζ^n of the response h to a unit `T` (or of free motion with modal `amplitude`), per step."""
     residue = modes.pickup * impulse_amplitude(modes) if amplitude is None else modes.free_pickup * amplitude
     return ringing_transform(residue, modes.pole * modes.step, jnp.log(zeta))
 
 
 @float64
 def ringing_transform(residue: AnyArray, log_z: AnyArray, log_zeta: AnyArray) -> Array:
-    """Σ_k of the transforms at ζ of what rings as Re(R_k z_k^n); `residue` and `log_z` have the modes as a last axis.
+    """Sum over modes of the transforms of Re(R_k z_k^n) at ζ; the last axis of `residue` and `log_z` is the modes.
 
-    A mode transforms to (Re R - Re(R z̄) ζ)/(1 - 2 Re z ζ + |z|² ζ²).
+    The transform of a mode is (Re R - Re(R z̄) ζ)/(1 - 2 Re z ζ + |z|² ζ²).
     """
     upper = jnp.real(residue) - jnp.real(residue * jnp.exp(log_z).conj()) * jnp.exp(log_zeta)[..., None]
-    # (1 - zζ)(1 - z̄ζ), each formed from what is left after the ones have cancelled.
-    rise, turn = jnp.expm1(log_z), jnp.expm1(log_zeta)[..., None]
-    lower = (rise + turn + rise * turn) * (rise.conj() + turn + rise.conj() * turn)
+    # (1 - zζ)(1 - z̄ζ) from z - 1 and ζ - 1, without cancellation.
+    z_1, zeta_1 = jnp.expm1(log_z), jnp.expm1(log_zeta)[..., None]
+    lower = (z_1 + zeta_1 + z_1 * zeta_1) * (z_1.conj() + zeta_1 + z_1.conj() * zeta_1)
     return (upper / lower).sum(axis=-1)
 
 
@@ -68,7 +68,7 @@ def spectrum(
 ) -> Complex[Array, " bins"]:  # fmt: skip
     """Y at `frequency`, Hz [bins], on the damped circle of `sigma`, 1/s: ∫ y exp(-(σ + jω)t) dt, signal unit · s.
 
-    σ is the width of every peak, σ/2π Hz: 30 is broad and smooth, 3 shows partials that beat.
+    The width of every peak is σ/2π Hz: 30 1/s is broad and smooth, 3 1/s resolves partials that beat.
 
     Parameters
     ----------
@@ -108,24 +108,24 @@ def modal_amplitudes(
     modes: Modes, drive: Float[AnyArray, " steps"], free: FreeMotion | None = None
 ) -> Complex[Array, " modes"]:
     """A_k: after the contact the signal is Σ_k Re(A_k exp(p_k t)), t from the first touch."""
-    total = modes.pickup * impulse_amplitude(modes) * transform(drive, _back(modes, len(drive)))
+    total = modes.pickup * impulse_amplitude(modes) * transform(drive, _log_growth(modes, len(drive)))
     return total if free is None else total + modes.free_pickup * free.amplitude
 
 
-def _back(modes: Modes, steps: int) -> Array:
-    """-p δt [modes], held where a mode dies so fast that carrying it back from the contact's end would overflow."""
+def _log_growth(modes: Modes, steps: int) -> Array:
+    """-p δt [modes], limited for modes that decay so fast that exp(-p t) would overflow within the contact."""
     log_zeta = -modes.pole * modes.step
-    return jnp.minimum(log_zeta.real, MOST_RISE / steps) + 1j * log_zeta.imag
+    return jnp.minimum(log_zeta.real, MAX_EXPONENT / steps) + 1j * log_zeta.imag
 
 
 @float64
 def levels(
     modes: Modes, drive: Float[AnyArray, " steps"] | None = None, *, free: FreeMotion | None = None
 ) -> Float[AnyArray, " modes"]:
-    """Levels of all partials after the contact, dB re (signal unit)² · s [modes], by pulse, free motion or both.
+    """Levels of all partials after the contact, dB re (signal unit)² · s [modes], from pulse, free motion or both.
 
-    A level is the energy in the first 0.35 s under exp(-8t), as if every partial had rung since the first contact.
-    Modes without weight are at the smallest number, -3077 dB.
+    A level is the energy in the first 0.35 s under exp(-8t), extrapolated to the first contact. Modes without weight
+    have the smallest level, -3077 dB.
 
     Parameters
     ----------
@@ -160,14 +160,14 @@ def level_db(
 ) -> Float[AnyArray, " modes"]:
     """Energy of each damped partial Re(A exp(-αt + jωt)) in the first 0.35 s under exp(-8t), dB re unit² · s.
 
-    `xp` is the array library: NumPy where nothing is to be compiled, whose arrays then come back.
+    `xp` is the array library: with NumPy nothing is compiled, and the result is an array of NumPy.
     """
     energy = 0.5 * xp.abs(amplitude) ** 2 * level_energy(2 * decay, xp)
     return 10 * xp.log10(xp.maximum(energy, np.finfo(float).tiny))
 
 
 def level_energy(decay: AnyArray, xp=np) -> AnyArray:
-    """∫ exp(-(decay + 16)t) dt, s [...], over the 0.35 s of a level: of power that falls by `decay`, 1/s."""
+    """∫ exp(-(decay + 16)t) dt, s [...], over the 0.35 s of a level, for the `decay` rate of a power, 1/s."""
     rate = decay + 2 * LEVEL_DECAY
     return (1 - xp.exp(-rate * LEVEL_SPAN)) / rate
 
@@ -184,17 +184,18 @@ def waveform(
 ) -> AnyArray:
     """The signal [samples] at `rate`, Hz, from the first contact on, in the pickup's unit.
 
-    During the contact the pulse is convolved with the string's response at the contact's rate, of which `rate` must be
-    a whole fraction; afterwards the modes below half of `rate` ring by themselves. Under `jit`, `vmap` and `grad` too.
+    During the contact the pulse is convolved with the response of the string at the contact rate. The contact rate
+    must be a whole multiple of `rate`. Afterwards the modes below half of `rate` ring freely. The function works under
+    `jit`, `vmap` and `grad`.
 
     Parameters
     ----------
     modes : the table, see `mode_table`.
     drive : of a pulse, N [steps], see `strike`.
-    rate : Hz.
-    samples : how many.
+    rate : sample rate, Hz.
+    samples : number of samples.
     free : motion of the string itself, see `pluck`.
-    oversampling : the contact's steps in a sample. It is read off `modes`, and has to be said where that is traced.
+    oversampling : steps of the contact per sample. The default is computed from `modes`; a traced table needs a value.
 
     Returns
     -------
@@ -203,7 +204,7 @@ def waveform(
     Raises
     ------
     ParameterError
-        If `rate` is no whole fraction of the contact's rate, or the table is traced and `oversampling` not given.
+        If the contact rate is not a whole multiple of `rate`, or the table is traced and `oversampling` not given.
 
     Examples
     --------
@@ -217,13 +218,13 @@ def waveform(
     traced = any(isinstance(x, Tracer) for x in jax.tree.leaves((modes, drive, free)))
     ratio = _ratio(modes, rate, oversampling)
     drive = np.zeros(1) if drive is None else drive
-    pole, amplitudes = modes.pole, _heard(modes, drive, free)
+    pole, amplitudes = modes.pole, _pickup_amplitudes(modes, drive, free)
     if free is not None:
         amplitudes = (*amplitudes, modes.free_pickup * free.amplitude)
     below = jnp.abs(jnp.imag(pole)) < jnp.pi * rate
     if traced:
         xp, amplitudes = jnp, [x * below for x in amplitudes]
-    else:  # what is above is not computed
+    else:  # modes above half of the rate are left out
         xp, kept, drive = np, np.asarray(below), np.asarray(drive)
         pole, *amplitudes = (np.asarray(x)[kept] for x in (pole, *amplitudes))
     unit, amplitude, *release = amplitudes
@@ -239,31 +240,31 @@ def waveform(
 
 
 def _ratio(modes: Modes, rate: float, oversampling: int | None) -> int:
-    """Steps of the contact in a sample: read off the table, or as told where that is traced."""
+    """Steps of the contact per sample, from the table; from the argument if the table is traced."""
     if isinstance(modes.step, Tracer):
         if oversampling is None or oversampling < 1:
             raise ParameterError(
-                f"oversampling={oversampling}: waveform is traced with its table; say how many steps of the contact "
-                "are in a sample (mode_table's rate over the waveform's)"
+                f"oversampling={oversampling}: waveform is traced with its table; give the steps of the contact per "
+                "sample, rate of mode_table over rate of waveform"
             )
         return oversampling
     contact = 1.0 / float(modes.step)
     ratio = round(contact / rate) if 0 < rate < math.inf else 0
     if ratio < 1 or abs(contact / rate - ratio) > 1e-6:
-        raise ParameterError(f"rate={rate} Hz must be a whole fraction of the contact's rate, {contact:g} Hz")
+        raise ParameterError(f"rate={rate} Hz: the contact rate, {contact:g} Hz, must be a whole multiple of it")
     if oversampling not in (None, ratio):
-        raise ParameterError(f"oversampling={oversampling}: the table has {ratio} steps in a sample at rate={rate} Hz")
+        raise ParameterError(f"oversampling={oversampling}: the table has {ratio} steps per sample at rate={rate} Hz")
     return ratio
 
 
 @jax.jit
-def _heard(modes: Modes, drive: AnyArray, free: FreeMotion | None):
-    """What a unit `T` at step 0, and what the whole pulse, makes ring at the pickup: two amplitudes [modes]."""
+def _pickup_amplitudes(modes: Modes, drive: AnyArray, free: FreeMotion | None):
+    """Amplitudes at the pickup after a unit `T` at step 0, and after the whole pulse [modes]."""
     return modes.pickup * impulse_amplitude(modes), modal_amplitudes(modes, drive, free)
 
 
 def _ring(amplitude: AnyArray, log_z: AnyArray, samples: int, xp: Any) -> Any:
-    """Σ_k Re(A_k z_k^n), n < samples: z^(block·i + j) = z^(block·i) z^j makes it one matrix product."""
+    """Σ_k Re(A_k z_k^n), n < samples, as one matrix product: z^(block·i + j) = z^(block·i) z^j."""
     block = 512
     blocks = -(-max(samples, 0) // block)
     starts = xp.exp(xp.outer(xp.arange(blocks) * block, log_z)) * amplitude

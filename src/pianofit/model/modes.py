@@ -1,14 +1,14 @@
 """A string is a table of modes.
 
-Hinged ends make the sines `sin(β_k x)`, `β_k = kπ/L`, exact eigenfunctions of every term of the string's equation, on
-the continuous string and on the paper's finite-difference grid alike. A string is then a table with one row a mode, and
-only the numbers in the rows tell the two apart. Each row is stepped by Crank-Nicolson (paper eq. 16); with
+With hinged ends the sines `sin(β_k x)`, `β_k = kπ/L`, are exact eigenfunctions of every term of the string's equation.
+This holds on the continuous string and on the paper's finite-difference grid. So a string is a table with one row per
+mode, and the two differ only in the numbers of the rows. Each row is stepped by Crank-Nicolson (paper eq. 16); with
 `a = δt/2` and `T^n = F^n + F^(n-1)`:
 
     D = 1 + 2aα + a²ω²     v ← [(1 - 2aα - a²ω²) v - 2aω² q]/D + (aγ/D) T     q ← q + a (v_old + v_new)
 
-Crank-Nicolson flattens high partials. The `continuous` table undoes this by prewarping: it holds the frequency and the
-decay for which the scheme has exactly the continuous string's poles.
+Crank-Nicolson flattens high partials. The `continuous` table corrects this by prewarping: with its frequencies and
+decay rates the scheme has exactly the poles of the continuous string.
 """
 
 from __future__ import annotations
@@ -30,23 +30,23 @@ __all__ = ["QUANTITIES", "Modes", "mode_frequencies", "mode_table", "project", "
 
 QUANTITIES = ("velocity", "displacement", "bridge-force", "pressure")
 
-# A mode at or above this fraction of the contact's rate stays out of the table: prewarping would stretch it too far.
+# A mode at or above this fraction of the contact rate has weight zero: prewarping would distort it too much.
 HIGHEST = 0.4
-# The law α = b1 + b2 β² could damp a high mode past the critical; such a mode does not sound and is held at this α/ω.
-MOST_DAMPED = 0.9
+# With α = b1 + b2 β² a high mode could be overdamped. Such a mode is inaudible, and its α/ω is limited to this.
+MAX_DAMPING_RATIO = 0.9
 
 
 class Modes(NamedTuple):
-    """The table, one row a mode. Rows above `HIGHEST` have weight zero. Units: SI."""
+    """The table of modes, one row per mode. Rows above `HIGHEST` have weight zero. Units: SI."""
 
     omega2: Float[Array, " modes"]  # the scheme's ω̃², 1/s²
     alpha: Float[Array, " modes"]  # the scheme's α̃, 1/s
     strike: Float[Array, " modes"]  # Φ_k = ∫ ĝ sin(β_k x) dx
     modal_gain: Float[Array, " modes"]  # γ̃_k, 1/kg
     pickup: Complex[Array, " modes"]  # signal = Re(pickup · C z^n) for a displacement q = Re(C z^n)
-    pole: Complex[Array, " modes"]  # p with z = exp(p δt) exactly the scheme's own, 1/s
+    pole: Complex[Array, " modes"]  # p, where z = exp(p δt) is the pole of the scheme, 1/s
     free_rate: Complex[Array, " modes"]  # v = Re(free_rate · C z^n) in free motion, 1/s
-    free_pickup: Complex[Array, " modes"]  # the pickup for free motion, which no gain correction touches
+    free_pickup: Complex[Array, " modes"]  # the pickup for free motion, without gain correction
     step: Float[Array, ""]  # δt, s
 
     def __repr__(self) -> str:
@@ -62,15 +62,15 @@ def mode_frequencies(string: String, length: float, n_modes: int) -> np.ndarray:
 def raised_cosine_weights(geometry: Geometry, n_modes: int, xp=jnp) -> Float[AnyArray, " modes"]:
     """Φ_k of the default window, ĝ = (1 + cos(2π(x - x0)/width))/width within ± width/2, in closed form.
 
-    `xp` is the array library: NumPy where nothing is to be compiled.
+    `xp` is the array library: with NumPy nothing is compiled.
     """
     k = xp.arange(1, n_modes + 1)
-    return (_raised if xp is np else _weights)(
+    return (_window_transform if xp is np else _weights)(
         xp.array([geometry.strike_position, geometry.width, geometry.length], float), k
     )
 
 
-def _raised(at: AnyArray, k: AnyArray, xp=np) -> AnyArray:
+def _window_transform(at: AnyArray, k: AnyArray, xp=np) -> AnyArray:
     strike, width, length = at
     s = k * width / (2 * length)  # sinc(s) is sin(πs)/(πs)
     return xp.sin(k * (xp.pi / length) * strike) * (xp.sinc(s) + 0.5 * xp.sinc(s + 1) + 0.5 * xp.sinc(s - 1))
@@ -78,16 +78,16 @@ def _raised(at: AnyArray, k: AnyArray, xp=np) -> AnyArray:
 
 @jax.custom_jvp
 def _weights(at: AnyArray, k: AnyArray) -> AnyArray:
-    return _raised(at, k, jnp)
+    return _window_transform(at, k, jnp)
 
 
 @_weights.defjvp
 @derivative
-def _weights_jvp(given, tangents):
-    # As a matrix product: of a sum XLA would compute all these sines anew for every direction.
-    at, k = given
-    by_each = jax.vmap(lambda one: jax.jvp(lambda x: _raised(x, k, jnp), (at,), (one,))[1])(jnp.eye(3))
-    return _weights(at, k), tangents[0] @ by_each
+def _weights_jvp(primal, tangents):
+    # A matrix product with the Jacobian: in a sum XLA would compute all these sines again for every direction.
+    at, k = primal
+    jacobian = jax.vmap(lambda unit: jax.jvp(lambda x: _window_transform(x, k, jnp), (at,), (unit,))[1])(jnp.eye(3))
+    return _weights(at, k), tangents[0] @ jacobian
 
 
 @float64
@@ -96,7 +96,7 @@ def window_weights(window: Callable, geometry: Geometry, n_modes: int) -> Float[
 
     Parameters
     ----------
-    window : g(x - x0), not negative, within ± width/2, metres; it need not be normalised, nor smooth.
+    window : g(x - x0), not negative, within ± width/2, metres; neither normalised nor smooth is required.
     """
     # Composite Gauss-Legendre, 16 nodes on each of 64 cells: kinks and jumps fall within single cells.
     nodes, weights = np.polynomial.legendre.leggauss(16)
@@ -142,26 +142,26 @@ def mode_table(
     kind: str = "continuous",
     strike_weights: Float[AnyArray, " modes"] | None = None,
 ) -> Modes:
-    """Fill the table: the string, and where it is struck and heard, one row a mode.
+    """Compute the table of modes of a string with its strike and pickup positions, one row per mode.
 
     Parameters
     ----------
     string, geometry : in SI units; see `String` and `Geometry`.
     rate : steps per second of the contact, Hz.
     n_modes : rows; for `finite_difference` also the N points of the paper's grid, h = L/(N + 1).
-    quantity : what is heard: `velocity` or `displacement` at the pickup, or the `bridge-force` at x = L; `pressure` is
-        the bridge force too, before the unknown path.
-    kind : `continuous` (prewarped) or `finite_difference` (paper eq. 16-18, as it stands).
-    strike_weights : Φ_k [modes] of another contact window than the default, by `pianofit.model.window_weights`.
+    quantity : measured quantity: `velocity` or `displacement` at the pickup, or the `bridge-force` at x = L.
+        `pressure` is the bridge force before an unknown output path.
+    kind : `continuous` (prewarped) or `finite_difference` (paper eq. 16-18, unchanged).
+    strike_weights : Φ_k [modes] of another contact window than the default, from `pianofit.model.window_weights`.
 
     Returns
     -------
-    `Modes`, a pytree of arrays [modes]. Modes at or above 0.4 of `rate` weigh nothing; 30 or more below it suit a note.
+    `Modes`, a pytree of arrays [modes]. Modes at or above 0.4 of `rate` have weight zero; a note needs some 30 below.
 
     Raises
     ------
     ParameterError
-        For an unknown `quantity` or `kind`, and where it is traced in float32 (`precision`).
+        For an unknown `quantity` or `kind`, and if traced in float32 (`x64`).
 
     Examples
     --------
@@ -189,11 +189,11 @@ def mode_table(
     if weights.shape != (n_modes,):
         raise ParameterError(f"strike_weights has the shape {weights.shape} and must be [modes], ({n_modes},)")
     omega2 = string.c**2 * eigen + string.kappa**2 * eigen**2
-    alpha = jnp.minimum(string.b1 + string.b2 * eigen, MOST_DAMPED * jnp.sqrt(omega2))
+    alpha = jnp.minimum(string.b1 + string.b2 * eigen, MAX_DAMPING_RATIO * jnp.sqrt(omega2))
     if kind == "continuous":
         weights = jnp.where(jnp.sqrt(omega2) * step < 2 * jnp.pi * HIGHEST, weights, 0.0)
-    read, at_rest = _pickup(string, geometry, beta, quantity)
-    return _rows(omega2, alpha, weights, read, at_rest, geometry.mass, step, prewarp=kind == "continuous")
+    pickup, of_displacement = _pickup(string, geometry, beta, quantity)
+    return _rows(omega2, alpha, weights, pickup, of_displacement, geometry.mass, step, prewarp=kind == "continuous")
 
 
 def _grid_weights(geometry: Geometry, n: int) -> Float[Array, " modes"]:
@@ -205,7 +205,7 @@ def _grid_weights(geometry: Geometry, n: int) -> Float[Array, " modes"]:
 
 
 def _pickup(string: String, geometry: Geometry, beta: AnyArray, quantity: str) -> tuple[Array, bool]:
-    """ψ_k, and whether it reads the displacement (else the velocity)."""
+    """Return ψ_k, and true if it applies to the displacement, false if to the velocity."""
     if quantity in ("velocity", "displacement"):
         return jnp.sin(beta * geometry.pickup), quantity == "displacement"
     sign = jnp.where(jnp.arange(beta.shape[0]) % 2 == 0, 1.0, -1.0)
@@ -213,27 +213,27 @@ def _pickup(string: String, geometry: Geometry, beta: AnyArray, quantity: str) -
     return tension * sign, True
 
 
-def _rows(omega2, alpha, weights, read, reads_displacement: bool, mass, step, *, prewarp: bool) -> Modes:
-    """The scheme's rows for modes of frequency ω², decay α, strike weight Φ and pickup weight ψ."""
+def _rows(omega2, alpha, weights, pickup_weights, reads_displacement: bool, mass, step, *, prewarp: bool) -> Modes:
+    """Compute the rows of the scheme for modes of ω², decay rate α, strike weight Φ and pickup weight ψ."""
     a = step / 2
     drive = 2 * weights / mass
     pole = -alpha + 1j * jnp.sqrt(omega2 - alpha**2)
     if prewarp:
-        # Rows above HIGHEST weigh nothing; held there, their tangent stays finite.
+        # Rows above HIGHEST have weight zero; the limit keeps their tangent finite.
         limit = HIGHEST * jnp.pi
         angle = jnp.minimum(jnp.sqrt(omega2) * a, limit)
         warped = jnp.tanh(pole * (a * angle / (jnp.sqrt(omega2) * a))) / a
         tilde2, alpha_tilde = jnp.abs(warped) ** 2, -warped.real
-        drive = drive * tilde2 / omega2  # keeps the static compliance, which the contact feels
+        drive = drive * tilde2 / omega2  # keeps the static compliance, on which the contact depends
         gain = angle / (jnp.sin(angle) * jnp.cos(angle)) if reads_displacement else (angle / jnp.sin(angle)) ** 2
         free_rate = pole
     else:
         tilde2, alpha_tilde, gain = omega2, alpha, jnp.ones_like(omega2)
         warped = free_rate = pole
-        # log((1 + ap)/(1 - ap)), whose real part must be exactly zero without losses.
+        # log((1 + ap)/(1 - ap)), in a form whose real part is exactly zero without losses.
         below = (1 + a * alpha) ** 2 + a**2 * (omega2 - alpha**2)
         turn = jnp.arctan2(2 * a * warped.imag, 1 - a**2 * omega2)
         pole = (0.5 * jnp.log1p(-4 * a * alpha / below) + 1j * turn) / step
-    pickup = read * gain * (jnp.ones_like(warped) if reads_displacement else warped)
-    free_pickup = read * (jnp.ones_like(warped) if reads_displacement else free_rate)
+    pickup = pickup_weights * gain * (jnp.ones_like(warped) if reads_displacement else warped)
+    free_pickup = pickup_weights * (jnp.ones_like(warped) if reads_displacement else free_rate)
     return Modes(tilde2, alpha_tilde, weights, drive, pickup, pole, free_rate, free_pickup, step)

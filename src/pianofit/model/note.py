@@ -1,4 +1,4 @@
-"""A note: string, hammer, geometry, and what lies between them and a file. Only notes render, predict and play."""
+"""A note: string, hammer, geometry, and the path from them to a file. Only notes render, predict and play."""
 
 from __future__ import annotations
 
@@ -27,20 +27,20 @@ from .x64 import float64
 __all__ = ["MOST_SAMPLES", "MOST_SECONDS", "Note", "arrival", "check_render"]
 
 MOST_SECONDS = 600.0
-# More would not fit into an ordinary machine's memory while it is computed.
+# More samples would not fit into the memory of an ordinary machine.
 MOST_SAMPLES = 2**25
-# Signals whose contact `Note.levels` solves, Hz.
+# Signal rate for which `Note.levels` chooses the contact rate, Hz.
 LEVEL_RATE = 44_100.0
-# Their contacts last as long as this hammer's, m/s, or a slower one's, and a factor longer, in whole blocks of steps.
+# All velocities get the steps of the slowest contact (at most this velocity, m/s) times a factor, in whole blocks.
 SLOWEST = 0.05
-SPARE = 1.3
+STEPS_MARGIN = 1.3
 BLOCK = 256
 
 
 class Note(NamedTuple):
-    """Everything between a set of parameters and a file's samples; a JAX pytree, `quantity` static.
+    """All that maps parameters to the samples of a file; a JAX pytree with static `quantity`.
 
-    For example the literature's middle C, struck at 2 m/s, half a second of it:
+    An example is half a second of a middle C with typical parameters, struck at 2 m/s:
 
     >>> import pianofit
     >>> it = pianofit.typical(60)
@@ -52,12 +52,11 @@ class Note(NamedTuple):
     string: String
     hammer: Hammer | RelaxingHammer
     geometry: Geometry
-    quantity: str  # what is heard, see `mode_table`
+    quantity: str  # measured quantity, see `mode_table`
     gain: float  # file units (full scale = 1) per unit of the pickup
-    path: OutputPath | None = None  # dB over frequency, beside the gain
-    ringing: ModalResponse | None = (
-        None  # what sounds in place of string and path, per unit of gain; they keep the levels
-    )
+    path: OutputPath | None = None  # dB over frequency, in addition to the gain
+    # Renders the sound in place of string and path, per unit of gain; `levels` still uses string and path.
+    ringing: ModalResponse | None = None
 
     def __repr__(self) -> str:
         return summary(self, lines=True)
@@ -69,15 +68,15 @@ class Note(NamedTuple):
 
     @property
     def B(self) -> Any:
-        """κ²π²/(c²L²), the string's inharmonicity: partial k is k f0 √(1 + B k²)."""
+        """κ²π²/(c²L²), the inharmonicity: the frequency of partial k is k f0 √(1 + B k²)."""
         return (self.string.kappa * np.pi / (self.string.c * self.geometry.length)) ** 2
 
     def with_velocity(self, velocity: float) -> Note:
-        """The same note with another hammer velocity, m/s."""
+        """Return the note with another hammer velocity, m/s."""
         return self._replace(hammer=self.hammer._replace(v_H0=velocity))
 
     def with_cents(self, cents: float) -> Note:
-        """The same note at another pitch."""
+        """Return the note transposed by `cents`."""
         check_type("cents=", cents, Real, "a number")
         ratio = 2 ** (cents / 1200)
         ringing = None if self.ringing is None else self.ringing.scale_pitch(ratio)
@@ -85,15 +84,15 @@ class Note(NamedTuple):
 
     @property
     def pre_onset_s(self) -> float:
-        """How long before the contact the sound can begin, s."""
+        """Longest time from the start of the sound to the contact, s."""
         return 0.0 if self.ringing is None else PRE_ONSET_S
 
     def render(
         self, velocity: float | None = None, *, seconds: float = 3.0, rate: int = 44_100, mono: bool = True
     ) -> np.ndarray:
-        """The sound in file units, at another hammer velocity, m/s, if given.
+        """Render the sound in file units, at another hammer velocity, m/s, if given.
 
-        It begins `lead` seconds before the first contact.
+        It begins `pre_onset_s` before the first contact.
 
         Returns
         -------
@@ -112,66 +111,66 @@ class Note(NamedTuple):
         return frames.mean(axis=0) if mono else frames
 
     def play(self) -> Any:
-        """The note to strike in a notebook (Jupyter, marimo), at any velocity: a widget, by the extra `widget`.
+        """Return a widget that plays the note at any velocity in Jupyter or marimo; needs the extra `widget`.
 
         Raises
         ------
         ParameterError
-            If anywidget is not installed, or the felt is none that a page plays.
+            If anywidget is not installed, or a page cannot play this felt law.
         """
         from ..web.widget import widget
 
         return widget(self)
 
     def render_stroke(self, rate: float, samples: int, touch: int = 0) -> tuple[np.ndarray, Simulation]:
-        """The sound [samples] in file units, and the stroke behind it; the contact begins at the index `touch`."""
+        """Render the sound [samples] in file units, and return its simulation; contact begins at the index `touch`."""
         simulation = self.strike(rate)
         return self.render_mono(simulation, rate, samples, touch), simulation
 
     def strike(self, rate: float) -> Simulation:
-        """The stroke, with the contact at a multiple of `rate`, Hz."""
+        """Simulate the stroke, with a contact rate that is a multiple of `rate`, Hz."""
         return simulate(self.string, self.hammer, self.geometry, rate=rate, quantity=self.quantity)
 
     def render_mono(self, strike: Simulation, rate: float, samples: int, touch: int = 0) -> np.ndarray:
-        """A stroke of this note in file units, the mean of its channels [samples]; see `frames`."""
+        """Render a stroke in file units as the mean of its channels [samples]; see `render_channels`."""
         return self.render_channels(strike, rate, samples, touch).mean(axis=0)
 
     def render_channels(self, strike: Simulation, rate: float, samples: int, touch: int = 0) -> np.ndarray:
-        """A stroke of this note in file units [channels, samples].
+        """Render a stroke in file units [channels, samples].
 
-        The index `touch` may lie before the first sample: then the sound is cut. A stiff string is heard long before
-        its main wave arrives, so only what begins at the touch begins with silence.
+        The index `touch` may lie before the first sample; the sound is then truncated. A stiff string sounds long
+        before its main wave arrives, so only a sound that begins at the touch begins with silence.
         """
         begin = touch - round(self.pre_onset_s * rate)
         count = max(samples - begin, 0)
-        sound = self._by_law(strike, rate, count)[None] if self.ringing is None else (
+        sound = self._render_string_model(strike, rate, count)[None] if self.ringing is None else (
             self.gain * self.ringing.sound(force_of(strike, float(self.hammer.v_H0)), round(rate), count)
         )  # fmt: skip
         return np.pad(sound[:, max(-begin, 0) :], ((0, 0), (max(begin, 0), 0)))[:, :samples]
 
-    def _by_law(self, strike: Simulation, rate: float, count: int) -> np.ndarray:
-        """The string's own modes through the path, from the contact on [count]."""
+    def _render_string_model(self, strike: Simulation, rate: float, count: int) -> np.ndarray:
+        """Render the modes of the string through the path, from the contact on [count]."""
         path, pole = apply_to_modes(self.path, np.asarray(strike.modes.pole))
-        own = strike.modes._replace(pickup=np.asarray(strike.modes.pickup) * self.gain, pole=pole)
-        sound = strike._replace(modes=own).waveform(rate, count)
+        modes = strike.modes._replace(pickup=np.asarray(strike.modes.pickup) * self.gain, pole=pole)
+        sound = strike._replace(modes=modes).waveform(rate, count)
         return filtered(sound, impulse(path, rate))[:count]
 
     def frequencies(self, count: int) -> np.ndarray:
-        """Where the string has its first partials, Hz [partials]; real ones lie beside it."""
+        """Frequencies of the first partials by the string model, Hz [partials]; measured ones differ slightly."""
         return mode_frequencies(self.string, self.geometry.length, count)
 
     def levels(self, velocity: float | np.ndarray | None = None, count: int = 32) -> np.ndarray:
-        """Levels of the first partials at one or many hammer velocities, m/s, from the wave's arrival on.
+        """Levels of the first partials at one or several hammer velocities, m/s, from the arrival of the wave on.
 
         Returns
         -------
-        dB in file units [..., partials], the leading axes being those of `velocity`; as of `levels`. Infinite
-        where the contact does not end.
+        Levels as `pianofit.levels` defines them, dB in file units [..., partials], with the leading axes of
+        `velocity`. They are infinite if the contact does not end.
 
         Raises
         ------
         ParameterError
-            For a velocity that is not above 0, or a count that is not.
+            For a velocity or a count that is not above 0.
         """
         velocity = self.hammer.v_H0 if velocity is None else velocity
         if not is_numeric(velocity):
@@ -183,11 +182,11 @@ class Note(NamedTuple):
         rate = contact_rate(self.string, g, LEVEL_RATE)
         rows = max(count_modes(self.string, g, rate), 64 * int(np.ceil(count / 64)))
         slow = self.with_velocity(min(SLOWEST, float(v.min()))).strike(LEVEL_RATE)
-        steps = BLOCK * int(np.ceil(SPARE * slow.last_touch * rate / BLOCK))
+        steps = BLOCK * int(np.ceil(STEPS_MARGIN * slow.last_touch * rate / BLOCK))
         delay = arrival(self.string, g, self.quantity)
         level = _levels(self.string, self.hammer, g, v.ravel(), rate, delay, rows, steps, self.quantity)
-        own = 20 * np.log10(np.abs(self.gain)) + (0.0 if self.path is None else self.path.at(self.frequencies(count)))
-        return (np.asarray(level)[:, :count] + own).reshape(*v.shape, count)
+        path = 0.0 if self.path is None else self.path.at(self.frequencies(count))
+        return (np.asarray(level)[:, :count] + 20 * np.log10(np.abs(self.gain)) + path).reshape(*v.shape, count)
 
 
 jax.tree_util.register_pytree_node(
@@ -200,30 +199,30 @@ jax.tree_util.register_pytree_node(
 @float64
 @partial(jax.jit, static_argnums=(6, 7, 8))
 def _levels(string, hammer, geometry, velocity, rate, delay, rows, steps, quantity):
-    """Levels of all modes [velocities, modes], dB in the pickup's unit; infinite where the contact does not end."""
+    """Levels of all modes [velocities, modes], dB in the unit of the pickup; infinite if the contact does not end."""
     modes = mode_table(string, geometry, rate=rate, n_modes=rows, quantity=quantity)
 
-    def one(v):
+    def level_at(v):
         pulse = strike(modes, hammer._replace(v_H0=v), steps=steps)
         level = level_db(modal_amplitudes(modes, pulse.drive) * jnp.exp(modes.pole.real * delay), -modes.pole.real)
         return jnp.where(pulse.compression[-1] <= 0, level, jnp.inf)
 
-    return jax.vmap(one)(velocity)
+    return jax.vmap(level_at)(velocity)
 
 
 def arrival(string: String, geometry: Geometry, quantity: str) -> float:
-    """When the wave from the nearest edge of the contact window reaches the pickup, s after the first contact."""
+    """Arrival time of the wave from the nearest edge of the contact window at the pickup, s after first contact."""
     end = geometry.length if quantity in ("bridge-force", "pressure") else geometry.pickup
     return float(max(abs(end - geometry.strike_position) - geometry.width / 2, 0.0) / string.c)
 
 
 def check_render(velocity: float | None, seconds: float, rate: int) -> None:
-    """Refuse what cannot be rendered.
+    """Reject arguments that cannot be rendered.
 
     Raises
     ------
     ParameterError
-        Naming the argument, its value and its range.
+        The message names the argument, its value and its range.
     """
     check_velocity(velocity)
     check_range("seconds=", seconds, 0.01, MOST_SECONDS)

@@ -1,7 +1,7 @@
-"""What lies between the string and the file: pickup, soundboard and microphone, as a filter of unknown phase.
+"""The output path: soundboard, room and microphone, as a filter of unknown phase.
 
-Every partial has a level through the path, and a decay of its own. A file is the modes with those decays, through a
-filter with those levels.
+Each partial has its own level through the path, and its own decay rate. A file consists of modes with these decay
+rates, through a filter with these levels.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ from .free_response import level_energy
 
 __all__ = ["SAME_PARTIAL", "OutputPath", "VelocityDiscrepancy", "at_velocity", "filtered", "impulse", "apply_to_modes"]
 
-# A frequency within this, relative, of a partial's is that partial's: the pitch of recordings differs by cents.
+# Largest relative difference of frequencies of the same partial: the pitch of recordings differs by cents.
 SAME_PARTIAL = 0.005
-# A path's response is computed for at least this long, s, and its first half kept: some periods of the lowest note,
-# since its neighbours may differ in level.
-RESPONSE = 1.0
+# Shortest duration of the computed impulse response, s; its first half is kept. It spans several periods of the lowest
+# note, since neighbouring partials may differ in level.
+MIN_RESPONSE_S = 1.0
 
 
 class VelocityDiscrepancy(NamedTuple):
-    """What partials in strokes of known velocity have over hammer and path; strokes of like velocity have it alike."""
+    """Velocity discrepancy: deviation of each partial from hammer and path, in strokes of these velocities."""
 
-    velocity: np.ndarray  # of the strokes, m/s, rising [strokes]
+    velocity: np.ndarray  # of the strokes, m/s, ascending [strokes]
     db: np.ndarray  # [strokes, partials]
 
     def __repr__(self) -> str:
@@ -35,88 +35,87 @@ class VelocityDiscrepancy(NamedTuple):
 
 
 class OutputPath(NamedTuple):
-    """A path known at some partials' frequencies, Hz, ascending.
+    """An output path, given at the frequencies of partials, Hz, ascending.
 
-    In between it is linear in log frequency, beyond it is level.
+    Between them it is linear in log frequency, beyond them constant.
     """
 
     frequency: np.ndarray
     db: np.ndarray
-    decay: np.ndarray | None = None  # of each partial's decay rate over that of the string's law
-    wander: VelocityDiscrepancy | None = None  # of predictions; what is played goes through one path
+    decay: np.ndarray | None = None  # decay rate of each partial over that of the string model
+    wander: VelocityDiscrepancy | None = None  # for predictions only; playback uses one path
 
     def __repr__(self) -> str:
         return summary(self)
 
     def at(self, frequency: np.ndarray) -> np.ndarray:
-        """The path in dB at `frequency`, Hz [any number]: a partial's own, if it is one that is known."""
-        between = np.interp(np.log(np.maximum(frequency, 1e-9)), np.log(self.frequency), self.db)
-        nearest, near = self._nearest(frequency)
-        return np.where(near, self.db[nearest], between)
+        """Return the path in dB at `frequency`, Hz [frequencies]; for a given partial its own value."""
+        interpolated = np.interp(np.log(np.maximum(frequency, 1e-9)), np.log(self.frequency), self.db)
+        nearest, is_same = self._nearest(frequency)
+        return np.where(is_same, self.db[nearest], interpolated)
 
     def decay_at(self, frequency: np.ndarray) -> np.ndarray:
-        """Decay rate over the law's at `frequency`, Hz: a partial's own, and 1 where none was heard."""
+        """Ratio of decay rate to that of the string model at `frequency`, Hz; 1 where no partial was detected."""
         if self.decay is None:
             return np.ones(len(frequency))
-        nearest, near = self._nearest(frequency)
-        return np.where(near, self.decay[nearest], 1.0)
+        nearest, is_same = self._nearest(frequency)
+        return np.where(is_same, self.decay[nearest], 1.0)
 
     def velocity_discrepancy_db(self, frequency: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-        """What strokes of `velocity`, m/s, have over the path at `frequency`, Hz: dB [velocities, frequencies].
+        """Velocity discrepancy of strokes of `velocity`, m/s, at `frequency`, Hz: dB [velocities, frequencies].
 
-        As `at_velocity` has it; of what is no partial it is nought.
+        It is interpolated by `at_velocity`, and zero at frequencies that are not partials.
         """
         if self.wander is None:
             return np.zeros((len(velocity), len(frequency)))
-        nearest, near = self._nearest(frequency)
-        return np.where(near, at_velocity(self.wander.velocity, self.wander.db[:, nearest], velocity), 0.0)
+        nearest, is_same = self._nearest(frequency)
+        return np.where(is_same, at_velocity(self.wander.velocity, self.wander.db[:, nearest], velocity), 0.0)
 
     def _nearest(self, frequency: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Which of the path's partials is next to each `frequency`, and whether it is the same."""
+        """Index of the nearest given partial for each `frequency`, and whether it is the same partial."""
         nearest = np.abs(frequency[:, None] - self.frequency).argmin(axis=1)
         return nearest, np.abs(frequency / self.frequency[nearest] - 1) < SAME_PARTIAL
 
 
-def at_velocity(known: np.ndarray, rows: np.ndarray, velocity: Any) -> np.ndarray:
-    """What has a row a stroke, at other velocities: between strokes linear in log velocity, beyond them the last's.
+def at_velocity(stroke_velocity: np.ndarray, rows: np.ndarray, velocity: Any) -> np.ndarray:
+    """Interpolate rows of strokes to other velocities: linear in log velocity, constant beyond the last stroke.
 
     Parameters
     ----------
-    known, rows : velocities of the strokes, m/s, rising [strokes], and what they have [strokes, ...].
-    velocity : m/s, one or many [velocities]; those are then the first axis of the result.
+    stroke_velocity, rows : velocities of the strokes, m/s, ascending [strokes], and their values [strokes, ...].
+    velocity : m/s, a number or an array [velocities], which is then the first axis of the result.
     """
-    place = np.asarray(np.interp(np.log(velocity), np.log(known), np.arange(len(known))))
-    low, high = (rows[end(place).astype(int)] for end in (np.floor, np.ceil))
-    return low + (place % 1).reshape(*place.shape, *(1,) * (rows.ndim - 1)) * (high - low)
+    index = np.asarray(np.interp(np.log(velocity), np.log(stroke_velocity), np.arange(len(stroke_velocity))))
+    low, high = (rows[rounded(index).astype(int)] for rounded in (np.floor, np.ceil))
+    return low + (index % 1).reshape(*index.shape, *(1,) * (rows.ndim - 1)) * (high - low)
 
 
 def apply_to_modes(path: OutputPath | None, pole: np.ndarray) -> tuple[OutputPath | None, np.ndarray]:
-    """What a path makes of modes of complex `pole`, 1/s [modes]: the filter they go through, and their poles.
+    """Apply a path to modes of complex `pole`, 1/s [modes]: return the filter for them, and their new poles.
 
-    Every partial has a level of its own, which is the filter's, and a decay of its own, at which that level stays.
+    The filter determines the level of each partial, the pole its decay rate. The level does not depend on the latter.
     """
     if path is None:
         return None, pole
-    frequency, law = np.abs(pole) / (2 * np.pi), -np.real(pole)  # ascending, however damped
-    own = law * path.decay_at(frequency)
-    held = 10 * np.log10(level_energy(2 * law) / level_energy(2 * own))
-    return OutputPath(frequency, path.at(frequency) + held), -own + 1j * np.imag(pole)
+    frequency, model_decay = np.abs(pole) / (2 * np.pi), -np.real(pole)  # |pole| is ascending at any damping
+    decay = model_decay * path.decay_at(frequency)
+    correction = 10 * np.log10(level_energy(2 * model_decay) / level_energy(2 * decay))
+    return OutputPath(frequency, path.at(frequency) + correction), -decay + 1j * np.imag(pole)
 
 
 def impulse(path: OutputPath | None, rate: float) -> np.ndarray | None:
-    """A path's response to an impulse [samples] at `rate`, of the least phase that its levels allow.
+    """Return the minimum-phase impulse response of a path [samples] at `rate`, Hz.
 
-    Levels tell no phases, but a path hears nothing before it sounds. While the hammer holds the string down, modes
-    follow it far below their own frequencies, so no factor on each mode can stand for this filter. From one of the
-    path's partials to the next it leads by a smooth step: about each it is level, as a partial's line has a width. So
-    it is below the lowest and above the highest, where nothing is known.
+    Levels do not determine phases, but a path is causal. During contact modes follow the hammer far below their own
+    frequencies, so factors on single modes cannot replace this filter. Between neighbouring partials the level is a
+    smooth step. It is flat around each partial, whose peak has a width, and beyond the lowest and highest partial.
     """
     if path is None:
         return None
-    size = 2 ** math.ceil(math.log2(RESPONSE * rate))
+    size = 2 ** math.ceil(math.log2(MIN_RESPONSE_S * rate))
     order, frequency = np.arange(len(path.frequency)), np.fft.rfftfreq(size, 1 / rate)
-    before, between = np.divmod(np.interp(frequency, path.frequency, order), 1.0)
-    step = before + between**2 * (3 - 2 * between)
+    index, fraction = np.divmod(np.interp(frequency, path.frequency, order), 1.0)
+    step = index + fraction**2 * (3 - 2 * fraction)
     level = math.log(10) / 20 * np.interp(step, order, path.db)
     # The cepstrum of a causal response with a causal inverse is causal (Oppenheim and Schafer).
     cepstrum = np.fft.irfft(level, size)
@@ -126,5 +125,5 @@ def impulse(path: OutputPath | None, rate: float) -> np.ndarray | None:
 
 
 def filtered(sound: np.ndarray, response: np.ndarray | None) -> np.ndarray:
-    """The sound [samples] through a filter, and what the filter rings on; without one as it is."""
+    """Filter a sound [samples] and append the decay of the filter; without a filter return it unchanged."""
     return sound if response is None or not len(sound) else oaconvolve(sound, response)

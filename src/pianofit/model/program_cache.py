@@ -1,7 +1,7 @@
-"""Programs, kept between runs: the first fit on a machine traces and compiles for seconds, the next does neither.
+"""A cache of traced programs between runs: only the first fit on a machine traces and compiles, for seconds.
 
-JAX keeps what its compiler makes of a traced program, and traces anew in every process, in Python, for longer than the
-fit then takes. `kept` functions leave their traced programs beside the compiled ones, as StableHLO.
+JAX caches compiled programs, but traces again in every process, which takes longer than the fit. Functions with
+`persistent_jit` store their traced programs next to the compiled ones, as StableHLO.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from jax.core import Tracer
 from ..felt import FeltLaw, is_builtin
 from .x64 import x64_scope
 
-__all__ = ["LOADED", "cache_folder", "enable_program_cache", "persistent_jit"]
+__all__ = ["MAX_LOADED", "cache_folder", "enable_program_cache", "persistent_jit"]
 
-# Shapes of a function whose programs stay in memory: those of one fit. A program takes some hundred memory mappings, of
-# which Linux gives a process 65,530; all that a process ever made would end it after some twenty notes.
-LOADED = 4
+# Number of shapes per function whose programs stay in memory: those of one fit. A program takes some hundred memory
+# mappings, and Linux allows 65,530 per process: without this limit a process would fail after some twenty notes.
+MAX_LOADED = 4
 
 
 def cache_folder() -> Path:
-    """Where this user's caches belong; PIANOFIT_CACHE overrides it."""
-    if own := os.environ.get("PIANOFIT_CACHE"):
-        return Path(own)
+    """Return the cache folder of this user; PIANOFIT_CACHE overrides it."""
+    if chosen := os.environ.get("PIANOFIT_CACHE"):
+        return Path(chosen)
     if sys.platform == "win32":
         base = Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local"))
     elif sys.platform == "darwin":
@@ -43,9 +43,9 @@ def cache_folder() -> Path:
 
 
 def enable_program_cache() -> None:
-    """Let JAX keep its programs in `cache_folder`. Where that cannot be written, it compiles anew, and says nothing.
+    """Set `cache_folder` as the compilation cache of JAX. If it is not writable, JAX compiles in every process.
 
-    A folder that JAX was already told of (JAX_COMPILATION_CACHE_DIR) stays.
+    A folder that is already set (JAX_COMPILATION_CACHE_DIR) stays.
     """
     if jax.config.values["jax_compilation_cache_dir"]:
         return
@@ -63,24 +63,24 @@ def enable_program_cache() -> None:
 
 
 def persistent_jit(function: Callable) -> Callable:
-    """`function(*arrays, cfg)` as `jax.jit` makes it, static in `cfg`, with the programs of the last `LOADED` shapes.
+    """Jit `function(*arrays, cfg)`, static in `cfg`, and keep the programs of the last `MAX_LOADED` shapes.
 
-    Arguments are trees of arrays, of float64 or integers, `cfg` hashable with a faithful `repr`, the result a tuple of
-    arrays. Traced programs are kept in JAX's folder too, where there is one, but for those of a felt law from outside,
-    whose code may change between runs. Inside other transformations this is `jax.jit`.
+    Arguments are trees of arrays, of float64 or integers. `cfg` is hashable and its `repr` determines its value. The
+    result is a tuple of arrays. Traced programs are also stored in the folder of JAX, if it is set. Programs with a
+    user's felt law are not stored, since its code may change between runs. Inside transformations this is `jax.jit`.
     """
     jitted = jax.jit(function, static_argnums=-1)
-    alone = threading.Lock()  # two threads that need one program wait for it, and do not both make it
+    lock = threading.Lock()  # threads that need the same program compile it once
 
-    @functools.lru_cache(maxsize=LOADED)
+    @functools.lru_cache(maxsize=MAX_LOADED)
     def program(folder: str | None, cfg: Hashable, tree, shapes: tuple) -> Callable:
         whole = jax.jit(lambda *x: function(*jax.tree.unflatten(tree, x), cfg))
         leaves = [jax.ShapeDtypeStruct(*shape) for shape in shapes]
         if folder is None:
             return whole.lower(*leaves).compile()
         key = (cfg, tree, *shapes)
-        named = hashlib.sha256(repr((_sources(), jax.default_backend(), function.__name__, key)).encode())
-        file = Path(folder) / f"pianofit-{function.__name__}-{named.hexdigest()}.program"
+        digest = hashlib.sha256(repr((_sources(), jax.default_backend(), function.__name__, key)).encode())
+        file = Path(folder) / f"pianofit-{function.__name__}-{digest.hexdigest()}.program"
         return _program(file, whole, leaves)
 
     @functools.wraps(function)
@@ -91,25 +91,25 @@ def persistent_jit(function: Callable) -> Callable:
         with x64_scope():
             if any(isinstance(x, Tracer) for x in leaves):
                 return jitted(*args)
-            with alone:
+            with lock:
                 shapes = tuple((x.shape, x.dtype) for x in leaves)
-                chosen = program(folder if _lasting(cfg) else None, cfg, tree, shapes)
+                chosen = program(folder if _is_persistent(cfg) else None, cfg, tree, shapes)
             return chosen(*leaves)
 
     return call
 
 
-def _lasting(cfg: tuple | None) -> bool:
-    """Whether `cfg` will mean the same in the next run."""
+def _is_persistent(cfg: tuple | None) -> bool:
+    """Return true if `cfg` has the same meaning in the next run."""
     return all(is_builtin(part) for part in cfg or () if isinstance(part, FeltLaw))
 
 
 def _program(file: Path, function: Any, leaves: list[jax.ShapeDtypeStruct]) -> Callable:
-    """`function`, jitted, of such arrays, compiled; traced if `file` does not hold it whole."""
+    """Compile a jitted `function` for such arrays; trace it only if `file` is absent or damaged."""
     from jax import export
 
     with contextlib.suppress(OSError):
-        digest, content = (held := file.read_bytes())[:32], held[32:]
+        digest, content = (stored := file.read_bytes())[:32], stored[32:]
         if hashlib.sha256(content).digest() == digest:
             return jax.jit(export.deserialize(bytearray(content)).call).lower(*leaves).compile()
     traced = export.export(function)(*leaves)
@@ -123,7 +123,7 @@ def _program(file: Path, function: Any, leaves: list[jax.ShapeDtypeStruct]) -> C
 
 @functools.cache
 def _sources() -> str:
-    """What a program is made by: this package's code and JAX."""
+    """Digest of the code of this package and the version of JAX, on which programs depend."""
     package = Path(__file__).parents[1]
     code = hashlib.sha256(jax.__version__.encode())
     for part in sorted(package.rglob("*.py")):

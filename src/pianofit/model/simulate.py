@@ -1,4 +1,4 @@
-"""One strike from start to end: choose the contact's rate and length, strike, and keep what is needed to hear it."""
+"""Simulation of a whole strike: choose contact rate and duration, strike, and keep all that a waveform needs."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ from .x64 import float64
 
 __all__ = ["Contact", "Simulation", "contact_rate", "count_modes", "simulate"]
 
-# Second-order accuracy in the step: at this rate ordinary notes are within 1e-3 of the converged solution.
-LOWEST_RATE = 88_000.0
-HIGHEST_RATE = 6_000_000.0
-# Design §2: at least this many modes, or all with a strike weight above -60 dB, lie below 0.4 of the rate.
-ENOUGH_MODES = 30
-FAINT = 1e-3
+# The error is of second order in the step: at this rate ordinary notes are within 1e-3 of the converged solution.
+MIN_CONTACT_RATE = 88_000.0
+MAX_CONTACT_RATE = 6_000_000.0
+# At least this many modes, or all with a strike weight above -60 dB, lie below 0.4 of the rate (design §2).
+SUFFICIENT_MODES = 30
+WEAK_STRIKE = 1e-3
 MOST_MODES = 512
-# Longer contacts start over with four times the steps.
+# Longer contacts are computed again with four times the steps.
 FIRST_STEPS, MOST_STEPS = 1024, 2**16
 
 
 class Contact(NamedTuple):
-    """One time that the hammer pressed the string."""
+    """An interval in which the hammer presses the string."""
 
     start: float  # s from the first touch
     stop: float  # s from the first touch
-    force: float  # the largest, N
+    force: float  # largest force, N
 
     def document(self) -> dict[str, float]:
         """Start and duration, ms, and force, N, as `fit.json` holds them."""
@@ -46,7 +46,7 @@ class Contact(NamedTuple):
 
 
 class Simulation(NamedTuple):
-    """A strike that is over: the table it was made with and the pulse, as arrays of NumPy."""
+    """A simulated strike: the table of modes and the pulse, as arrays of NumPy."""
 
     modes: Modes
     pulse: Pulse
@@ -56,60 +56,60 @@ class Simulation(NamedTuple):
         return summary(self, lines=True)
 
     def waveform(self, rate: float, samples: int) -> np.ndarray:
-        """The signal [samples] from the first touch on; see `waveform`."""
+        """Return the signal [samples] from the first touch on; see `waveform`."""
         return np.asarray(waveform(self.modes, self.pulse.drive, rate=rate, samples=samples, free=self.free))
 
     @property
     def contacts(self) -> tuple[Contact, ...]:
-        """Every time the hammer pressed the string, in order.
+        """All contacts of hammer and string, in order.
 
-        A contact is a time in which the felt stays compressed; within it the force may fall to 0 where the felt's loss
-        takes all of it. It ends with its last force.
+        The felt stays compressed during a contact. The force may fall to 0 within it, if the loss of the felt exceeds
+        the elastic force. A contact ends with its last force.
         """
         force, step = np.asarray(self.pulse.force), float(self.modes.step)
         pressed = np.concatenate([[False], np.asarray(self.pulse.compression) > 0, [False]])
         edges = np.flatnonzero(np.diff(pressed.astype(int)))
-        found = []
+        contacts = []
         for start, stop in zip(edges[::2], edges[1::2], strict=True):
-            acts = start + np.flatnonzero(force[start:stop] > 0)
-            if acts.size:
-                found.append(Contact(acts[0] * step, (acts[-1] + 1) * step, float(force[start:stop].max())))
-        return tuple(found)
+            acting = start + np.flatnonzero(force[start:stop] > 0)
+            if acting.size:
+                contacts.append(Contact(acting[0] * step, (acting[-1] + 1) * step, float(force[start:stop].max())))
+        return tuple(contacts)
 
     @property
     def contact_time(self) -> float:
-        """How long the first contact lasts, s."""
+        """Duration of the first contact, s."""
         return self.contacts[0].stop if self.contacts else 0.0
 
     @property
     def last_touch(self) -> float:
-        """When the last contact ends, s from the first touch."""
+        """End of the last contact, s from the first touch."""
         return self.contacts[-1].stop if self.contacts else 0.0
 
 
 def contact_rate(string: String, geometry: Geometry, rate: float) -> float:
-    """A whole multiple of `rate`, Hz, at which enough of this string's modes can be kept.
+    """Return a whole multiple of `rate`, Hz, at which the table holds enough modes of this string.
 
     Raises
     ------
     ParameterError
-        If the string is too short or too stiff for any sensible rate.
+        If the string is so short or stiff that the rate would exceed 6 MHz.
     """
     n = MOST_MODES
     frequencies = mode_frequencies(string, geometry.length, n)
-    strong = np.flatnonzero(np.abs(raised_cosine_weights(geometry, n, np)) > FAINT)
-    needed = min(ENOUGH_MODES, strong[-1] + 1 if strong.size else ENOUGH_MODES)
-    wanted = max(LOWEST_RATE, 1.01 * frequencies[needed - 1] / HIGHEST)
-    if wanted > HIGHEST_RATE:
+    driven = np.flatnonzero(np.abs(raised_cosine_weights(geometry, n, np)) > WEAK_STRIKE)
+    needed = min(SUFFICIENT_MODES, driven[-1] + 1 if driven.size else SUFFICIENT_MODES)
+    least_rate = max(MIN_CONTACT_RATE, 1.01 * frequencies[needed - 1] / HIGHEST)
+    if least_rate > MAX_CONTACT_RATE:
         raise ParameterError(
             f"c={float(string.c):g} m/s and kappa={float(string.kappa):g} m²/s on {float(geometry.length):g} m put "
             f"partial {needed} at {frequencies[needed - 1]:.3g} Hz; use a slower, less stiff or longer string"
         )
-    return rate * int(np.ceil(wanted / rate))
+    return rate * int(np.ceil(least_rate / rate))
 
 
 def count_modes(string: String, geometry: Geometry, rate: float) -> int:
-    """Rows for the table: all modes below 0.4 of the contact's rate, in whole 64s so that programs are shared."""
+    """Rows of the table: all modes below 0.4 of the contact rate, in multiples of 64 so that programs are shared."""
     frequencies = mode_frequencies(string, geometry.length, MOST_MODES)
     below = int((frequencies < HIGHEST * rate).sum())
     return min(MOST_MODES, 64 * -(-below // 64))
@@ -139,27 +139,27 @@ def simulate(
     displacement=None,
     velocity=None,
 ) -> Simulation:
-    """Strike the string and follow the hammer until it provably cannot touch it again.
+    """Simulate a strike until the hammer provably cannot touch the string again.
 
     Parameters
     ----------
     string, geometry : in SI units.
     hammer : a `Hammer`, a `RelaxingHammer`, or a hammer of a `FeltLaw`.
-    rate : of the signal, Hz.
-    oversampling : the contact's rate over that of the signal; as high as the string needs if None.
+    rate : sample rate of the signal, Hz.
+    oversampling : contact rate over sample rate; if None as high as the string needs.
     quantity, kind, strike_weights : see `mode_table`; `finite_difference` needs `n_modes`, the paper's N.
-    n_modes : rows of the table; as many as matter if None.
-    displacement, velocity : modal coordinates [modes] of the string at t = 0, m and m/s, by `pianofit.model.project`;
+    n_modes : rows of the table; if None all modes below 0.4 of the contact rate.
+    displacement, velocity : modal coordinates [modes] of the string at t = 0, m and m/s, from `pianofit.model.project`;
         at rest by default.
 
     Returns
     -------
-    A `Simulation`: the table of modes [modes] and the pulse [steps], SI units; its `waveform` is the signal.
+    A `Simulation`: the table of modes [modes] and the pulse [steps], SI units; `waveform` returns the signal.
 
     Raises
     ------
     ParameterError
-        For values outside their range.
+        For values out of range.
     FitError
         If the contact does not end within 65,536 steps.
 
@@ -181,19 +181,19 @@ def simulate(
             np.min(np.abs(spacing * np.arange(1, n_modes + 1) - float(geometry.strike_position)))
             >= float(geometry.width) / 2
         ):
-            raise ParameterError(f"width={float(geometry.width)} m: none of the {n_modes} grid points lies under it")
-    # One kind of number, whatever the caller had: JAX compiles anew for every other.
+            raise ParameterError(f"width={float(geometry.width)} m: none of the {n_modes} grid points lies within it")
+    # One type for all numbers: JAX compiles again for every other type.
     string, hammer = String(*map(np.float64, string)), type(hammer)(*map(np.float64, hammer))
     geometry = Geometry(*map(np.float64, geometry))
-    contact = np.float64(rate * oversampling if oversampling else contact_rate(string, geometry, rate))
-    rows = n_modes or count_modes(string, geometry, contact)
+    step_rate = np.float64(rate * oversampling if oversampling else contact_rate(string, geometry, rate))
+    rows = n_modes or count_modes(string, geometry, step_rate)
     start = None
     if displacement is not None or velocity is not None:
         start = tuple(jnp.zeros(rows) if x is None else jnp.asarray(x) for x in (displacement, velocity))
     steps = FIRST_STEPS
     while steps <= MOST_STEPS:
         modes, pulse, free = _strike(
-            string, hammer, geometry, contact, strike_weights, start,
+            string, hammer, geometry, step_rate, strike_weights, start,
             n_modes=rows, steps=steps, quantity=quantity, kind=kind,
         )  # fmt: skip
         if bool(pulse.over):
@@ -201,17 +201,17 @@ def simulate(
         steps *= 4
     raise FitError(
         f"v_H0={float(hammer.v_H0):g} m/s, M_H={float(hammer.M_H):g} kg: the hammer is still on the string after "
-        f"{MOST_STEPS / contact:.3g} s; use a lighter or faster hammer"
+        f"{MOST_STEPS / step_rate:.3g} s; use a lighter or faster hammer"
     )
 
 
 def check_geometry(geometry: Geometry, quantity: str) -> None:
-    """Refuse a geometry that is no string.
+    """Reject an impossible geometry.
 
     Raises
     ------
     ParameterError
-        Naming the field and its value.
+        The message names the field and its value.
     """
     length, mass, at, width, pickup = map(float, geometry)
     if not 1e-3 <= length <= 100:

@@ -1,14 +1,13 @@
-"""float64 and JAX's own defaults inside, whatever the caller computes in.
+"""Computation in float64 and with the default settings of JAX, independent of the caller's settings.
 
-JAX computes in float32 unless a process-wide switch is set, and a library that sets it changes every program of its
-user. JAX also has its switches as contexts, for one thread and one block of code. All that this package computes runs
-inside them, so a caller's settings do not change it, nor does it change them. What comes back is float64: of NumPy
-where the caller is outside, since JAX would narrow its own arrays there with a warning, and of JAX where the caller is
-inside.
+JAX computes in float32 unless a process-wide switch is set. A library that sets it would change every program of its
+user. JAX also has its settings as contexts, for one thread and one block of code. All computations of this package run
+inside such contexts: settings of the caller have no effect on them and stay unchanged. Results are float64. They are
+arrays of JAX if the caller is inside the context, else of NumPy, since JAX would convert its own to float32.
 
-A context opened inside of a function is not enough where that function is traced: JAX applies its rules for derivatives
-and batches later, outside of it, and mixes the two precisions. There the caller has to open it. Every traced result
-carries a mark, which refuses to be differentiated backwards outside of the context.
+If a function is traced, a context inside it is not sufficient: JAX applies its rules for derivatives and batches later,
+outside the context, and mixes the precisions. The caller then has to open the context. Each traced result carries a
+mark, which raises an error if it is differentiated in reverse mode outside the context.
 """
 
 from __future__ import annotations
@@ -35,14 +34,14 @@ from .arguments import check_arguments
 
 __all__ = ["AnyArray", "derivative", "float64", "x64_scope"]
 
-# What is computed with: arrays of JAX, traced ones among them, or of NumPy.
+# Arrays of JAX, traced ones included, or of NumPy.
 AnyArray = Array | np.ndarray
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
-# The settings of JAX that decide what this package's code means, each as a context and the value that it is written
-# for. Infinities and nan are intermediate results that are masked afterwards.
+# The settings of JAX that affect this package, each as a context and the value that the code assumes. Intermediate
+# results may be infinite or NaN and are masked afterwards.
 SETTINGS: tuple[tuple[Any, Any], ...] = (
     (jax.enable_x64, True),
     (jax.numpy_rank_promotion, "allow"),
@@ -55,17 +54,17 @@ SETTINGS: tuple[tuple[Any, Any], ...] = (
     (jax.debug_infs, False),
     (jax.transfer_guard, "allow"),
 )
-_now = threading.local()  # `inside`: whether this thread is in the scope already
+_now = threading.local()  # `inside`: true while this thread is in the scope
 
 
 @contextmanager
 def x64_scope() -> Iterator[None]:
-    """The context in which JAX computes in float64, in this thread only: a pool's threads have to enter it too.
+    """Open the context in which JAX computes in float64, for this thread only: each thread of a pool has to open it.
 
     Raises
     ------
     FitError
-        In a process that was forked after JAX had started, and where JAX has no device to compute on.
+        In a process that was forked after JAX had started, and if JAX has no device.
     """
     if getattr(_now, "inside", False):
         yield
@@ -86,7 +85,7 @@ def x64_scope() -> Iterator[None]:
 def _check_device() -> None:
     try:
         jax.local_devices()
-    except Exception as error:  # of any class, where a platform's plugin is missing
+    except Exception as error:  # the class depends on the platform plugin that is missing
         reason = printable(str(error).partition("\n")[0]) or type(error).__name__
         raise FitError(
             f"JAX cannot start with JAX_PLATFORMS={jax.config.values['jax_platforms']} ({reason}); set "
@@ -95,61 +94,61 @@ def _check_device() -> None:
 
 
 def float64(function: Callable[P, R]) -> Callable[P, R]:
-    """`function` in float64, its arrays of other floating types (NumPy's, JAX's, traced ones) widened first.
+    """Wrap `function` to compute in float64; arrays of other floating types are converted first.
 
     Raises
     ------
     ParameterError
-        For an argument of another kind than its name says; where it is traced outside of the scope, or its derivative.
+        For an argument of the wrong type, and if the function or its derivative is traced outside the scope.
     """
     signature = inspect.signature(function)
 
     @functools.wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> R:
-        outside, outermost = not _wide(), not getattr(_now, "inside", False)
+        outside, outermost = not _is_x64(), not getattr(_now, "inside", False)
         if outermost:
             check_arguments(signature, args, kwargs)
         if outside:
-            _refuse_traced((args, kwargs), function.__name__)
+            _reject_traced((args, kwargs), function.__name__)
         with x64_scope():
-            args, kwargs = jax.tree.map(_widened, (args, kwargs))
+            args, kwargs = jax.tree.map(_to_float64, (args, kwargs))
             result = function(*args, **kwargs)
             if not outside:
                 return jax.tree.map(_marked, result) if outermost else result
-        _refuse_traced(result, function.__name__)  # as under `jit`, where even constants are
-        return jax.tree.map(_of_numpy, result)
+        _reject_traced(result, function.__name__)  # under `jit` constants are traced too
+        return jax.tree.map(_to_numpy, result)
 
     return call
 
 
 def derivative(rule: Callable[P, R]) -> Callable[P, R]:
-    """A rule of a custom derivative, which JAX may apply after the scope was left.
+    """Wrap the rule of a custom derivative, which JAX may apply after the scope was closed.
 
     Raises
     ------
     ParameterError
-        Where that is outside of the caller's scope too.
+        If the rule is applied outside the scope of the caller too.
     """
 
     @functools.wraps(rule)
     def call(*args: P.args, **kwargs: P.kwargs) -> R:
-        if not _wide():
-            raise _outside("a derivative")
+        if not _is_x64():
+            raise _scope_error("a derivative")
         with x64_scope():
             return rule(*args, **kwargs)
 
     return call
 
 
-def _refuse_traced(tree: Any, name: str) -> None:
+def _reject_traced(tree: Any, name: str) -> None:
     if any(isinstance(x, Tracer) for x in jax.tree.leaves(tree)):
-        raise _outside(name)
+        raise _scope_error(name)
 
 
-def _outside(name: str) -> ParameterError:
+def _scope_error(name: str) -> ParameterError:
     return ParameterError(
-        f"{name} is traced by jit, vmap or grad in float32, and needs float64; call your transformed function "
-        "inside `with jax.enable_x64(True):`, and do not open that scope within the function"
+        f"{name} is traced by jit, vmap or grad in float32, and needs float64; call the transformed function "
+        "inside `with jax.enable_x64(True):`, and do not open that context within the function"
     )
 
 
@@ -158,12 +157,12 @@ def _marked(x: Any) -> Any:
 
 
 def _transposed(cotangent: Any, _: Any) -> list[Any]:
-    if not _wide():
-        raise _outside("a derivative")
+    if not _is_x64():
+        raise _scope_error("a derivative")
     return [cotangent]
 
 
-# The identity, except that its transpose, the step backwards of `grad`, needs the scope.
+# The identity, except that its transpose, which reverse mode applies, needs the scope.
 _mark = Primitive("pianofit_float64")
 _mark.def_impl(lambda x: x)
 _mark.def_abstract_eval(lambda x: x)
@@ -172,16 +171,16 @@ batching.defvectorized(_mark)
 mlir.register_lowering(_mark, lambda _, x: [x])
 
 
-def _wide() -> bool:
-    """Whether this thread is inside the scope."""
+def _is_x64() -> bool:
+    """Return true inside the scope."""
     return jax.dtypes.canonicalize_dtype(np.float64) == np.float64
 
 
-def _of_numpy(x: Any) -> Any:
+def _to_numpy(x: Any) -> Any:
     return np.asarray(x) if isinstance(x, jax.Array) else x
 
 
-def _widened(x: Any) -> Any:
+def _to_float64(x: Any) -> Any:
     if not isinstance(x, jax.Array | np.ndarray | np.generic):
         return x
     if jnp.issubdtype(x.dtype, jnp.floating):

@@ -1,4 +1,4 @@
-"""How a felt is stepped: its laws are data (`pianofit.felt`), three of them with a solver of their own (`relaxing`)."""
+"""Time steps of a felt. Felt laws are data (`pianofit.felt`), and three of them share a special solver (`relaxing`)."""
 
 from .contact_step import compression, felt_force, force, memory_weights, update_relaxation
 from .passivity import static_force

@@ -1,4 +1,4 @@
-"""What a law of the felt says of itself, computed: whether it gives more than it stores, and its static curve."""
+"""Properties computed from a felt law: passivity, which is checked, and the static force curve."""
 
 from __future__ import annotations
 
@@ -16,50 +16,50 @@ from .user_law import felt_force
 
 __all__ = ["check_passive", "static_force"]
 
-# Where a law is tried for giving more than it has stored: compressions, m, and their speeds, m/s.
-TRIED_U = np.geomspace(1e-6, 2e-3, 25)
-TRIED_W = np.array([-5.0, -1.0, -0.2, 0.2, 1.0, 5.0])
-# Rounding that is forgiven there, relative.
-ROUNDING = 1e-9
+# Points at which passivity is tested: compressions, m, and their speeds, m/s.
+TESTED_U = np.geomspace(1e-6, 2e-3, 25)
+TESTED_W = np.array([-5.0, -1.0, -0.2, 0.2, 1.0, 5.0])
+# Relative tolerance of this test, for rounding.
+TOLERANCE = 1e-9
 
 
 @float64
 def check_passive(law: FeltLaw, hammer: Any) -> None:
-    """Refuse a hammer whose felt gives more than its law's storage holds.
+    """Reject a hammer whose felt returns more energy than the storage function of its law allows.
 
     Raises
     ------
     ParameterError
-        Naming the law, and where it does.
+        The message names the law and a point where this happens.
     """
     storage = law.storage
     if storage is None:
         return
-    u, w = (jnp.asarray(x.ravel()) for x in np.meshgrid(TRIED_U, TRIED_W))
+    u, w = (jnp.asarray(x.ravel()) for x in np.meshgrid(TESTED_U, TESTED_W))
     stored = jax.vmap(jax.grad(lambda x: jnp.asarray(storage(x, hammer), float)))(u)
     push = felt_force(u, w, hammer)
-    given = np.asarray((stored - push) * w)
-    worst = int(np.argmax(given))
-    if given[worst] > ROUNDING * float(abs(push[worst] * w[worst])):
+    excess = np.asarray((stored - push) * w)
+    worst = int(np.argmax(excess))
+    if excess[worst] > TOLERANCE * float(abs(push[worst] * w[worst])):
         raise ParameterError(
-            f"felt law {law.name}: at u={float(u[worst]):.2g} m and u̇={float(w[worst]):g} m/s the felt would "
-            "give more than its storage holds; the force while it is pressed must be at least the storage's slope, "
-            "and while it springs back at most"
+            f"felt law {law.name}: at u={float(u[worst]):.2g} m and u̇={float(w[worst]):g} m/s the felt returns "
+            "more energy than it stores; the force must not be below the slope of storage during compression, "
+            "and not above it during release"
         )
 
 
 @float64
 def static_force(u: np.ndarray, hammer: Any, slow: bool = False) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """The static curve of a hammer's felt, and how it moves with each parameter.
+    """Compute the static force curve of a felt, and its derivatives by the parameters.
 
     Parameters
     ----------
     u : compressions above 0, m [n].
-    slow : pressed slowly, where the law relaxes; else suddenly.
+    slow : slow compression of a relaxing felt; else sudden compression.
 
     Returns
     -------
-    F, N [n]; by parameter the derivative of log F by its logarithm [n].
+    F, N [n]; for each parameter the derivative of log F by its logarithm [n].
     """
     law = law_of(hammer)
     names = tuple(name for name in law.parameters if getattr(hammer, name) > 0)
